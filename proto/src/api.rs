@@ -1,0 +1,375 @@
+//! Every message of the HTTP API in one place: people's side (bakes) and workers' side (leases).
+//!
+//! | call | body → answer |
+//! |---|---|
+//! | `HEAD, GET, PUT /v1/chunks/{digest}` | bytes; scenes and artefacts are chunks too |
+//! | `HEAD, PUT /v1/scenes/{digest}` | the scene bundle's bytes → [`SceneStored`] |
+//! | `POST /v1/bakes` (`Idempotency-Key`) | [`NewBake`] → 202 [`Bake`] |
+//! | `GET /v1/bakes?after&limit` | [`BakePage`] |
+//! | `GET /v1/bakes/{id}` | [`Bake`] |
+//! | `POST /v1/bakes/{id}/cancel`, `…/pause`, `…/resume` | → [`Bake`] |
+//! | `POST /v1/bakes/{id}/priority` | [`NewPriority`] → [`Bake`] |
+//! | `GET /v1/bakes/{id}/events?after&wait_secs` | [`EventPage`], or SSE of [`BakeEvent`] when `text/event-stream` is accepted |
+//! | `GET /v1/bakes/{id}/manifest`, `…/report` | JSON as the bake's last task wrote it |
+//! | `GET /v1/workers` | [`WorkerPage`] |
+//! | `POST /v1/leases` | [`ClaimRequest`] → [`ClaimAnswer`] (long poll) |
+//! | `POST /v1/leases/{token}/heartbeat` | [`Heartbeat`] → [`HeartbeatAnswer`] |
+//! | `POST /v1/leases/{token}/commit` | [`TaskResult`] → [`CommitAnswer`] |
+//! | `POST /v1/leases/{token}/fail` | [`Failure`] → 204 |
+//! | `POST /v1/leases/{token}/release` | → 204 |
+
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use crate::ids::Digest;
+use crate::jobs::{Artefact, TaskSpec};
+
+pub use crate::jobs::TaskResult;
+
+/// Most bytes under one digest, scene bundle, artefact or chunk: 2 GiB. Larger → larger scenes, more memory in workers.
+pub const MAX_CHUNK_BYTES: u64 = 2 << 30;
+
+/// Answer to a stored scene.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct SceneStored {
+    /// Digest of the stored bundle.
+    #[schema(value_type = String)]
+    pub scene: Digest,
+    /// Its length.
+    pub bytes: u64,
+}
+
+/// Asks for a bake.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct NewBake {
+    /// For people; need not be unique. At most 200 characters.
+    pub name: String,
+    /// Digest of an uploaded scene bundle.
+    #[schema(value_type = String)]
+    pub scene: Digest,
+    /// Kind of bake; `prt` is the relightable one.
+    #[serde(default = "default_kind")]
+    pub kind: String,
+    /// Settings as the kind of bake documents them; absent means its defaults.
+    #[serde(default)]
+    #[schema(value_type = Object)]
+    pub settings: serde_json::Value,
+    /// Bigger runs first; 0 unless set.
+    #[serde(default)]
+    pub priority: i32,
+}
+
+fn default_kind() -> String {
+    crate::bake::PRT.to_owned()
+}
+
+/// Where a bake stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum BakeState {
+    /// Has tasks that are not done.
+    Running,
+    /// Holds its tasks back until resumed.
+    Paused,
+    /// Every task is done; manifest and report can be fetched.
+    Done,
+    /// A task failed for good; see `failure`.
+    Failed,
+    /// Was cancelled.
+    Cancelled,
+}
+
+impl BakeState {
+    /// No more will happen.
+    pub fn is_final(self) -> bool {
+        matches!(self, Self::Done | Self::Failed | Self::Cancelled)
+    }
+}
+
+/// A bake as the server sees it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Bake {
+    /// Id, unique on this farm.
+    pub id: String,
+    /// Name given with it.
+    pub name: String,
+    /// Kind of bake.
+    pub kind: String,
+    /// The scene bundle.
+    #[schema(value_type = String)]
+    pub scene: Digest,
+    /// Settings as given.
+    #[schema(value_type = Object)]
+    pub settings: serde_json::Value,
+    /// Bigger runs first.
+    pub priority: i32,
+    /// Where it stands.
+    pub state: BakeState,
+    /// Tasks by stage, in the order in which stages first appeared.
+    pub stages: Vec<StageCount>,
+    /// Tasks run for this bake.
+    pub tasks_run: u64,
+    /// Tasks whose result was there already.
+    pub tasks_reused: u64,
+    /// Why it failed.
+    pub failure: Option<String>,
+    /// Digest of the manifest when done.
+    #[schema(value_type = Option<String>)]
+    pub manifest: Option<Digest>,
+    /// Digest of the report when done.
+    #[schema(value_type = Option<String>)]
+    pub report: Option<Digest>,
+    /// Submission time, Unix milliseconds.
+    pub created_ms: i64,
+    /// End time, Unix milliseconds.
+    pub finished_ms: Option<i64>,
+    /// Sum of the counters of the tasks run for this bake (reused ones count in `counters_reused`).
+    pub counters: std::collections::BTreeMap<String, f64>,
+    /// Sum of the counters that reused tasks had when they ran.
+    pub counters_reused: std::collections::BTreeMap<String, f64>,
+}
+
+/// Changes a bake's priority.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct NewPriority {
+    /// Bigger runs first.
+    pub priority: i32,
+}
+
+/// Progress of one stage; its name is the task kind.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct StageCount {
+    /// Task kind.
+    pub kind: String,
+    /// All tasks.
+    pub total: u64,
+    /// Tasks done, reused ones included.
+    pub done: u64,
+    /// Tasks whose result was there already.
+    pub reused: u64,
+    /// Tasks held by a worker now.
+    pub leased: u64,
+    /// Sum of `cost` over all tasks, and over done ones.
+    pub cost_total: u64,
+    /// See `cost_total`.
+    pub cost_done: u64,
+    /// Milliseconds from the first claim to the last commit so far.
+    pub elapsed_ms: u64,
+}
+
+/// Bakes, newest first.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct BakePage {
+    /// The page.
+    pub bakes: Vec<Bake>,
+    /// Give as `after` for the next page; absent on the last.
+    pub next: Option<String>,
+}
+
+/// Something that happened to a bake. `seq` has no gaps within a bake.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct BakeEvent {
+    /// 1, 2, 3, … within the bake.
+    pub seq: u64,
+    /// Unix milliseconds.
+    pub at_ms: i64,
+    /// What happened.
+    pub event: EventKind,
+}
+
+/// The kinds of event.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case", tag = "type")]
+pub enum EventKind {
+    /// The bake was accepted.
+    Submitted,
+    /// The submission or a finished task added tasks.
+    Planned {
+        /// How many were added.
+        tasks: u64,
+        /// How many of them were done already.
+        reused: u64,
+    },
+    /// A task was committed.
+    TaskDone {
+        /// Task key.
+        #[schema(value_type = String)]
+        key: Digest,
+        /// Task kind.
+        kind: String,
+        /// Task label.
+        label: String,
+        /// Worker's name.
+        worker: String,
+    },
+    /// An attempt at a task ended without a result.
+    TaskFailed {
+        /// Task key.
+        #[schema(value_type = String)]
+        key: Digest,
+        /// Task kind.
+        kind: String,
+        /// Task label.
+        label: String,
+        /// Worker's name.
+        worker: String,
+        /// Why.
+        message: String,
+        /// It will be tried again.
+        retry: bool,
+    },
+    /// A lease ran out, and the task is ready again.
+    LeaseExpired {
+        /// Task key.
+        #[schema(value_type = String)]
+        key: Digest,
+        /// Worker that held it.
+        worker: String,
+    },
+    /// The bake's state changed.
+    State {
+        /// The new state.
+        state: BakeState,
+    },
+}
+
+/// Events in order.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct EventPage {
+    /// The page.
+    pub events: Vec<BakeEvent>,
+    /// The bake as it stands after them.
+    pub bake: Bake,
+}
+
+/// A worker as the server sees it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Worker {
+    /// Its name.
+    pub name: String,
+    /// Task kinds that it takes.
+    pub kinds: Vec<String>,
+    /// Threads that it uses.
+    pub threads: u32,
+    /// Last time it was heard, Unix milliseconds.
+    pub seen_ms: i64,
+    /// Labels of the tasks that it holds.
+    pub holds: Vec<String>,
+}
+
+/// All workers heard of lately.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct WorkerPage {
+    /// By name.
+    pub workers: Vec<Worker>,
+}
+
+/// A worker asks for tasks.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ClaimRequest {
+    /// The worker's name, unique on the farm.
+    pub worker: String,
+    /// Task kinds that it knows.
+    pub kinds: Vec<String>,
+    /// Threads that it uses.
+    pub threads: u32,
+    /// At most this many leases, 1..=64.
+    pub max: u32,
+    /// Lease length in seconds, 5..=3600.
+    pub ttl_secs: u32,
+    /// Wait this long for work before an empty answer, 0..=60.
+    pub wait_secs: u32,
+}
+
+/// Tasks handed out.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct ClaimAnswer {
+    /// Perhaps none.
+    pub leases: Vec<Lease>,
+}
+
+/// The right to do one task until it expires.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Lease {
+    /// Fencing token; names this attempt alone.
+    pub token: String,
+    /// Bake that the task belongs to.
+    pub bake: String,
+    /// The task.
+    pub task: TaskSpec,
+    /// Its inputs, resolved: `name` for artefacts, `name/output` for outputs of other tasks, in the task's order.
+    pub inputs: Vec<Artefact>,
+    /// Expiry, Unix milliseconds by the server's clock.
+    pub expires_ms: i64,
+}
+
+/// Says that a task is still being worked on.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Heartbeat {
+    /// Share done, 0..=1.
+    pub progress: f32,
+}
+
+/// What a worker should do with a task that it holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Verdict {
+    /// Go on; the lease is longer now.
+    Keep,
+    /// The bake was cancelled; stop, and release.
+    Cancel,
+    /// The lease is gone; stop, a result will be refused.
+    Lost,
+}
+
+/// Answer to a heartbeat.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct HeartbeatAnswer {
+    /// What to do.
+    pub verdict: Verdict,
+    /// New expiry, Unix milliseconds.
+    pub expires_ms: i64,
+}
+
+/// What became of a result.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum CommitVerdict {
+    /// It is the task's result.
+    Committed,
+    /// This very lease committed it before: the answer was lost on the way.
+    AlreadyCommitted,
+    /// The lease had run out or the bake was cancelled: refused, nothing changed.
+    Stale,
+}
+
+/// Answer to a result.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct CommitAnswer {
+    /// What became of it.
+    pub verdict: CommitVerdict,
+}
+
+/// Who is to blame for a failed attempt.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Blame {
+    /// The task itself (bad input): no other worker would do better, the bake fails.
+    Task,
+    /// This worker (out of memory, disk full, network): another may do better.
+    Worker,
+}
+
+/// A failed attempt.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Failure {
+    /// Who is to blame.
+    pub blame: Blame,
+    /// What happened and what to do, at most 4,000 characters.
+    pub message: String,
+}

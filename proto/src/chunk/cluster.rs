@@ -1,0 +1,268 @@
+//! Encoding a cluster: canonical order, quantised factors, sections ordered coarse to fine.
+
+use super::bytes::{put_f32s, put_u64s};
+use super::cluster_factors::write_factors;
+use super::cluster_head::ClusterHead;
+use super::cluster_receivers::{LINKS_MAX, ReceiverCodec, palette_of, write_irradiance};
+use super::container::{ChunkKind, ContainerWriter, SectionId};
+use super::error::{ChunkError, all_finite, all_numbers, in_range};
+use super::layers::{LayerBox, Shape};
+use super::numbers::IRRADIANCE_MAX;
+use super::order::{Arrangement, LEVELS_MAX};
+use super::predict::Predictor;
+use super::quantise::{Quantised, RELATIVE_ERROR_MAX, RELATIVE_ERROR_MIN, quantise};
+use crate::manifest::Layer;
+use crate::prt::{ClusterTransport, EmitterIrradiance, ProbeKey, Receivers};
+
+/// Section tags of cluster chunks; part is layer, 0, 0.
+pub(super) mod tags {
+    /// Keys, steps and palette; in layer 0 only.
+    pub const BASE: u8 = 1;
+    /// Receivers of the layer's new levels.
+    pub const RECEIVERS: u8 = 2;
+    /// New numbers of U and ΣVᵀ: their high parts.
+    pub const FACTORS: u8 = 3;
+    /// Low parts of the same numbers.
+    pub const FACTORS_LOW: u8 = 4;
+}
+
+/// How exactly a cluster is stored.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct QuantisationSettings {
+    /// Largest `‖U·ΣVᵀ − decoded‖/‖U·ΣVᵀ‖` (Frobenius), 0.0001..=0.5. More → fewer bytes.
+    pub relative_error: f32,
+    /// Levels of receivers, 1..=4, as in the bake's `lod_levels`. More → a coarser first layer.
+    pub levels: u32,
+}
+
+impl Default for QuantisationSettings {
+    fn default() -> Self {
+        Self { relative_error: 0.003, levels: 3 }
+    }
+}
+
+/// A cluster's chunk, and what the manifest says of it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EncodedCluster {
+    /// The chunk.
+    pub bytes: Vec<u8>,
+    /// Prefixes that are coarser versions, smallest first; the last is the whole chunk.
+    pub layers: Vec<Layer>,
+    /// `‖U·ΣVᵀ − decoded‖/‖U·ΣVᵀ‖`, measured on what a decoder will have.
+    pub quantisation_error: f32,
+}
+
+/// Encodes a cluster. The order of its receivers, probes, blocks and emitters does not matter: receivers are stored
+/// by level, block key and texel, the others by key.
+///
+/// Errs if arrays disagree in length, a number is not finite or out of its range, two receivers share a texel, or a
+/// limit is passed.
+pub fn encode_cluster(
+    cluster: &ClusterTransport,
+    settings: QuantisationSettings,
+) -> Result<EncodedCluster, ChunkError> {
+    check_input(cluster, settings)?;
+    let stored = Stored::of(cluster, settings)?;
+    let mut writer = ContainerWriter::new(ChunkKind::Cluster);
+    let mut head = stored.head.clone();
+    let mut before = None;
+    for (index, layer) in stored.head.shape.layers().into_iter().enumerate() {
+        for id in sections_of(index) {
+            writer.push(id, &stored.section(id, before, layer))?;
+        }
+        head.layers.push((writer.section_count(), layer));
+        before = Some(layer);
+    }
+    let (bytes, ends) = writer.finish(&head.write())?;
+    let layers = head.layers.iter().map(|&(sections, layer)| layer.with_bytes(ends[sections - 1])).collect();
+    let quantisation_error = stored.factors.relative_error as f32;
+    Ok(EncodedCluster { bytes, layers, quantisation_error })
+}
+
+/// Sections that layer number `index` adds, in stored order.
+pub(super) fn sections_of(index: usize) -> Vec<SectionId> {
+    let tags = [tags::BASE, tags::RECEIVERS, tags::FACTORS, tags::FACTORS_LOW];
+    let first = usize::from(index > 0);
+    tags[first..].iter().map(|&tag| SectionId::new(tag, [index as u8, 0, 0])).collect()
+}
+
+fn check_input(cluster: &ClusterTransport, settings: QuantisationSettings) -> Result<(), ChunkError> {
+    let section = "encoder";
+    let same = |what, length: usize, wanted: usize| {
+        in_range(section, what, length as u64, wanted as u64, wanted as u64).map(drop)
+    };
+    all_numbers(section, "relative error", &[settings.relative_error], "0.0001..=0.5", |error| {
+        (RELATIVE_ERROR_MIN..=RELATIVE_ERROR_MAX).contains(&error)
+    })?;
+    in_range(section, "levels", settings.levels.into(), 1, LEVELS_MAX.into())?;
+    let Receivers { block, texel, position_m, normal, albedo, emission, links, .. } = &cluster.receivers;
+    let receivers = texel.len();
+    same("blocks of receivers", block.len(), receivers)?;
+    same("positions", position_m.len(), receivers)?;
+    same("normals", normal.len(), receivers)?;
+    same("albedos", albedo.len(), receivers)?;
+    same("emissions", emission.len(), receivers)?;
+    same("links", links.len(), receivers)?;
+    for &bits in links {
+        in_range(section, "links", bits.into(), 0, LINKS_MAX)?;
+    }
+    all_finite(section, "bounds", cluster.bounds_m.as_flattened())?;
+    all_finite(section, "position", position_m.as_flattened())?;
+    all_finite(section, "normal", normal.as_flattened())?;
+    all_numbers(section, "albedo", albedo.as_flattened(), "0 to below 1", |x| (0.0..1.0).contains(&x))?;
+    all_numbers(section, "emission", emission.as_flattened(), "0 or more", |x| x >= 0.0 && x.is_finite())?;
+    let rank = cluster.rank as usize;
+    in_range(section, "bands", cluster.bands.into(), 0, super::limits::BANDS_MAX as u64)?;
+    in_range(section, "rank", rank as u64, 0, super::limits::RANK_MAX as u64)?;
+    same("entries of U", cluster.u.len(), receivers * rank)?;
+    same("entries of ΣVᵀ", cluster.vt.len(), cluster.columns() * rank)?;
+    for emitter in &cluster.emitters {
+        same("irradiances of an emitter", emitter.irradiance.len(), receivers)?;
+        let irradiance = emitter.irradiance.as_flattened();
+        all_numbers(section, "irradiance", irradiance, "0..=1.8e19", |x| {
+            (0.0..=IRRADIANCE_MAX).contains(&x)
+        })?;
+    }
+    Ok(())
+}
+
+/// A cluster in stored order, quantised.
+struct Stored {
+    head: ClusterHead,
+    receivers: Receivers,
+    codec: ReceiverCodec,
+    predictor: Predictor,
+    probes: Vec<ProbeKey>,
+    emitters: Vec<EmitterIrradiance>,
+    factors: Quantised,
+}
+
+impl Stored {
+    fn of(cluster: &ClusterTransport, settings: QuantisationSettings) -> Result<Self, ChunkError> {
+        let arrangement = Arrangement::of(&cluster.receivers, settings.levels)?;
+        let receivers = sorted_receivers(&cluster.receivers, &arrangement);
+        let (probes, probe_source) = ascending(&cluster.probes, "probe", |&key| key)?;
+        let (mut emitters, _) = ascending(&cluster.emitters, "emitter", |entry| entry.emitter)?;
+        emitters.iter_mut().for_each(|entry| entry.irradiance = arrangement.sorted(&entry.irradiance));
+        let shape = Shape {
+            counts: arrangement.counts,
+            levels: settings.levels,
+            bands: cluster.bands,
+            rank: cluster.rank,
+            column_groups: probes.len() + usize::from(cluster.sky),
+        };
+        let head = ClusterHead {
+            bounds_m: grown(cluster.bounds_m, &receivers.position_m),
+            shape,
+            probes: probes.len(),
+            blocks: receivers.blocks.len(),
+            emitters: emitters.len(),
+            sky: cluster.sky,
+            layers: Vec::new(),
+        };
+        head.check("encoder")?;
+        let u = rank_major(&cluster.u, cluster.rank as usize, &arrangement.source);
+        let vt = sorted_columns(cluster, &probe_source);
+        let factors = quantise(&u, &vt, cluster.rank as usize, settings.relative_error)?;
+        let mut codec = ReceiverCodec::new(head.bounds_m, palette_of(&receivers.albedo), settings.levels);
+        codec.load(&receivers);
+        let mut predictor = Predictor::default();
+        for level in shape.levels_in(shape.full()) {
+            predictor.extend(&receivers, shape.rows_of(level), level);
+        }
+        Ok(Self { head, receivers, codec, predictor, probes, emitters, factors })
+    }
+
+    fn section(&self, id: SectionId, before: Option<LayerBox>, layer: LayerBox) -> Vec<u8> {
+        let factors = || write_factors(&self.head.shape, before, layer, &self.factors, &self.predictor);
+        match id.tag {
+            tags::BASE => self.base(),
+            tags::RECEIVERS => self.new_receivers(before, layer),
+            tags::FACTORS => factors().0,
+            _ => factors().1,
+        }
+    }
+
+    fn base(&self) -> Vec<u8> {
+        let mut out = Vec::new();
+        put_u64s(&mut out, &self.receivers.blocks);
+        put_u64s(&mut out, &self.probes);
+        put_f32s(&mut out, &self.factors.u_step);
+        put_f32s(&mut out, &self.factors.vt_step);
+        self.emitters.iter().for_each(|entry| out.extend_from_slice(&entry.emitter.to_le_bytes()));
+        out.extend_from_slice(&(self.codec.palette.len() as u16).to_le_bytes());
+        put_f32s(&mut out, self.codec.palette.as_flattened());
+        out
+    }
+
+    fn new_receivers(&self, before: Option<LayerBox>, layer: LayerBox) -> Vec<u8> {
+        let mut out = Vec::new();
+        for level in self.head.shape.new_levels(before, layer) {
+            let rows = self.head.shape.rows_of(level);
+            self.codec.write(&mut out, &self.receivers, rows.clone(), level, &self.predictor);
+            for emitter in &self.emitters {
+                write_irradiance(&mut out, &emitter.irradiance[rows.clone()]);
+            }
+        }
+        out
+    }
+}
+
+fn sorted_receivers(receivers: &Receivers, arrangement: &Arrangement) -> Receivers {
+    Receivers {
+        blocks: arrangement.blocks.clone(),
+        block: arrangement.block.clone(),
+        texel: arrangement.sorted(&receivers.texel),
+        position_m: arrangement.sorted(&receivers.position_m),
+        normal: arrangement.sorted(&receivers.normal),
+        albedo: arrangement.sorted(&receivers.albedo),
+        emission: arrangement.sorted(&receivers.emission),
+        links: arrangement.sorted(&receivers.links),
+    }
+}
+
+/// `items` ascending by key, and where each came from; errs if two share a key.
+pub(super) fn ascending<T: Clone, K: Ord>(
+    items: &[T],
+    what: &'static str,
+    key: impl Fn(&T) -> K,
+) -> Result<(Vec<T>, Vec<usize>), ChunkError> {
+    let mut source: Vec<usize> = (0..items.len()).collect();
+    source.sort_by_key(|&index| key(&items[index]));
+    let repeated = source.windows(2).find(|pair| key(&items[pair[0]]) == key(&items[pair[1]]));
+    match repeated {
+        Some(pair) => Err(ChunkError::Order { section: "encoder", what, index: pair[1] }),
+        None => Ok((source.iter().map(|&index| items[index].clone()).collect(), source)),
+    }
+}
+
+/// Bounds that hold all positions too.
+fn grown(bounds_m: [[f32; 3]; 2], positions: &[[f32; 3]]) -> [[f32; 3]; 2] {
+    let [mut lo, mut hi] = bounds_m;
+    for position in positions {
+        for axis in 0..3 {
+            lo[axis] = lo[axis].min(position[axis]);
+            hi[axis] = hi[axis].max(position[axis]);
+        }
+    }
+    [lo, hi]
+}
+
+/// Receiver-major `u` as rank-major, its rows in the order of `source`.
+fn rank_major(u: &[f32], rank: usize, source: &[usize]) -> Vec<f32> {
+    (0..rank).flat_map(|i| source.iter().map(move |&receiver| u[receiver * rank + i])).collect()
+}
+
+/// `vt` with its probes' columns in the order of `probe_source`; the sky's stay last.
+fn sorted_columns(cluster: &ClusterTransport, probe_source: &[usize]) -> Vec<f32> {
+    let coefficients = cluster.coefficients();
+    let groups = cluster.probes.len() + usize::from(cluster.sky);
+    let mut vt = Vec::with_capacity(cluster.vt.len());
+    for row in cluster.vt.chunks_exact((groups * coefficients).max(1)) {
+        for &probe in probe_source {
+            vt.extend_from_slice(&row[probe * coefficients..][..coefficients]);
+        }
+        vt.extend_from_slice(&row[probe_source.len() * coefficients..]);
+    }
+    vt
+}

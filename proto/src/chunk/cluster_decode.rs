@@ -1,0 +1,185 @@
+//! Decoding a cluster, or as much of it as a prefix of its chunk holds.
+
+use super::bytes::Reader;
+use super::cluster::sections_of;
+use super::cluster_factors::{FactorReader, factors_bytes_max};
+use super::cluster_head::ClusterHead;
+use super::cluster_receivers::{PALETTE_MAX, ReceiverCodec, read_irradiance, receivers_bytes_max};
+use super::container::{ChunkKind, Container, SectionId};
+use super::error::{ChunkError, all_numbers, in_range};
+use super::layers::LayerBox;
+use super::predict::Predictor;
+use super::quantise::STEP_MAX;
+use crate::manifest::Layer;
+use crate::prt::{ClusterTransport, EmitterIrradiance};
+
+/// Decodes a whole cluster chunk.
+pub fn decode_cluster(bytes: &[u8]) -> Result<ClusterTransport, ChunkError> {
+    let container = Container::whole(ChunkKind::Cluster, bytes)?;
+    Ok(decode(&container, bytes.len() as u64)?.0)
+}
+
+/// Decodes the largest layer that lies fully in `bytes`, the first bytes of a chunk of `total_len` bytes.
+///
+/// The cluster has that layer's receivers, bands and rank and nothing more; `Layer::bytes` is the layer's own length.
+/// Errs if not even the smallest layer is there.
+pub fn decode_cluster_prefix(bytes: &[u8], total_len: u64) -> Result<(ClusterTransport, Layer), ChunkError> {
+    let container = Container::prefix(ChunkKind::Cluster, bytes, total_len)?;
+    decode(&container, total_len)
+}
+
+/// Layers of a cluster chunk, from its first bytes: header, head and section table must be there.
+pub fn cluster_layers(bytes: &[u8], total_len: u64) -> Result<Vec<Layer>, ChunkError> {
+    let container = Container::prefix(ChunkKind::Cluster, bytes, total_len)?;
+    let head = ClusterHead::read(container.head, container.entries.len())?;
+    Ok(head.layers.iter().map(|&(sections, layer)| layer.with_bytes(container.end_of(sections))).collect())
+}
+
+fn decode(container: &Container, total_len: u64) -> Result<(ClusterTransport, Layer), ChunkError> {
+    let head = ClusterHead::read(container.head, container.entries.len())?;
+    check_sections(container, &head)?;
+    let there = head.layers.iter().rposition(|(sections, _)| *sections <= container.complete);
+    let Some(last) = there else {
+        let (section, what) = ("chunk", "smallest layer");
+        let wanted = container.end_of(head.layers[0].0).min(total_len);
+        return Err(ChunkError::Truncated { section, what, offset: 0, wanted, left: container.present() });
+    };
+    let (sections, layer) = head.layers[last];
+    container.check_expansion(decoded_bytes(&head, layer))?;
+    let mut decoder = Decoder::new(&head, layer);
+    decoder.base(&container.section(0, "base", decoder.base_bytes_max())?)?;
+    for index in 0..=last {
+        decoder.layer(container, index)?;
+    }
+    Ok((decoder.cluster, layer.with_bytes(container.end_of(sections))))
+}
+
+/// Errs unless the sections are those of each layer in turn, in their order.
+fn check_sections(container: &Container, head: &ClusterHead) -> Result<(), ChunkError> {
+    let mut wanted: Vec<SectionId> = Vec::new();
+    for (index, &(sections, _)) in head.layers.iter().enumerate() {
+        wanted.extend(sections_of(index));
+        let (count, end) = (wanted.len() as u64, sections as u64);
+        in_range("cluster head", "layer's sections", end, count, count)?;
+    }
+    container.check_sections(&wanted)
+}
+
+/// Memory that a decoded layer takes, about.
+fn decoded_bytes(head: &ClusterHead, layer: LayerBox) -> u64 {
+    let receivers = head.shape.receivers_in(layer.level);
+    let factors = layer.rank as usize * (receivers + head.shape.columns(layer.bands));
+    (4 * factors + receivers * (56 + 12 * head.emitters) + 8 * (head.probes + head.blocks)) as u64
+}
+
+/// A cluster that fills up layer by layer.
+struct Decoder<'a> {
+    head: &'a ClusterHead,
+    codec: ReceiverCodec,
+    predictor: Predictor,
+    cluster: ClusterTransport,
+    u_step: Vec<f32>,
+    vt_step: Vec<f32>,
+    /// Codes of U, one array per rank.
+    u_codes: Vec<Vec<i32>>,
+}
+
+impl<'a> Decoder<'a> {
+    /// All counts have been checked against their limits.
+    fn new(head: &'a ClusterHead, layer: LayerBox) -> Self {
+        let (rank, receivers) = (layer.rank as usize, head.shape.receivers_in(layer.level));
+        let cluster = ClusterTransport {
+            bounds_m: head.bounds_m,
+            bands: layer.bands,
+            sky: head.sky,
+            rank: layer.rank,
+            u: vec![0.0; receivers * rank],
+            vt: vec![0.0; rank * head.shape.columns(layer.bands)],
+            ..ClusterTransport::default()
+        };
+        let codec = ReceiverCodec::new(head.bounds_m, Vec::new(), head.shape.levels);
+        let (u_step, vt_step) = (Vec::new(), Vec::new());
+        Self {
+            head,
+            codec,
+            predictor: Predictor::default(),
+            cluster,
+            u_step,
+            vt_step,
+            u_codes: vec![Vec::new(); rank],
+        }
+    }
+
+    /// Reads the sections of layer number `index`: its last three.
+    fn layer(&mut self, container: &Container, index: usize) -> Result<(), ChunkError> {
+        let (sections, layer) = self.head.layers[index];
+        let before = index.checked_sub(1).map(|before| self.head.layers[before].1);
+        let shape = &self.head.shape;
+        let levels: Vec<u32> = shape.new_levels(before, layer).collect();
+        let bytes_max = |&level: &u32| {
+            receivers_bytes_max(shape.counts[level as usize], self.head.blocks, self.head.emitters)
+        };
+        let raw = container.section(sections - 3, "receivers", levels.iter().map(bytes_max).sum())?;
+        self.receivers(&raw, &levels)?;
+        let [high_max, low_max] = factors_bytes_max(shape, before, layer);
+        let high = container.section(sections - 2, "factors", high_max)?;
+        let low = container.section(sections - 1, "low parts", low_max)?;
+        let reader = FactorReader { shape, steps: [&self.u_step, &self.vt_step], predictor: &self.predictor };
+        reader.read([&high, &low], before, layer, &mut self.u_codes, &mut self.cluster)
+    }
+
+    fn receivers(&mut self, raw: &[u8], levels: &[u32]) -> Result<(), ChunkError> {
+        let mut reader = Reader::new("receivers", raw);
+        for &level in levels {
+            let count = self.head.shape.counts[level as usize];
+            let receivers = &mut self.cluster.receivers;
+            self.codec.read(&mut reader, receivers, count, level, &mut self.predictor)?;
+            for emitter in &mut self.cluster.emitters {
+                read_irradiance(&mut reader, emitter, count)?;
+            }
+        }
+        reader.end()
+    }
+
+    fn base_bytes_max(&self) -> u64 {
+        let ClusterHead { blocks, probes, emitters, shape, .. } = self.head;
+        (8 * (blocks + probes) + 8 * shape.rank as usize + 2 * emitters + 2 + 12 * PALETTE_MAX) as u64
+    }
+
+    fn base(&mut self, raw: &[u8]) -> Result<(), ChunkError> {
+        let mut reader = Reader::new("base", raw);
+        let rank = self.head.shape.rank as usize;
+        self.cluster.receivers.blocks = ascending_keys(&mut reader, "block", self.head.blocks)?;
+        self.cluster.probes = ascending_keys(&mut reader, "probe", self.head.probes)?;
+        for (what, steps) in [("steps of U", &mut self.u_step), ("steps of ΣVᵀ", &mut self.vt_step)] {
+            *steps = reader.f32s(what, rank)?;
+            all_numbers("base", what, steps, "0..=1e28", |step| (0.0..=STEP_MAX).contains(&step))?;
+        }
+        for index in 0..self.head.emitters {
+            let emitter = reader.u16("emitter")?;
+            if self.cluster.emitters.last().is_some_and(|before| before.emitter >= emitter) {
+                return Err(ChunkError::Order { section: "base", what: "emitter", index });
+            }
+            self.cluster.emitters.push(EmitterIrradiance { emitter, irradiance: Vec::new() });
+        }
+        let count = reader.u16("palette length")?;
+        let count = in_range("base", "palette length", count.into(), 0, PALETTE_MAX as u64)?;
+        let albedo = reader.f32s("palette", 3 * count)?;
+        all_numbers("base", "palette", &albedo, "0 to below 1", |x| (0.0..1.0).contains(&x))?;
+        self.codec.palette = albedo.chunks_exact(3).map(|c| [c[0], c[1], c[2]]).collect();
+        reader.end()
+    }
+}
+
+/// `count` keys, each larger than the one before.
+pub(super) fn ascending_keys(
+    reader: &mut Reader,
+    what: &'static str,
+    count: usize,
+) -> Result<Vec<u64>, ChunkError> {
+    let keys = reader.u64s(what, count)?;
+    match keys.windows(2).position(|pair| pair[0] >= pair[1]) {
+        Some(index) => Err(ChunkError::Order { section: reader.section(), what, index: index + 1 }),
+        None => Ok(keys),
+    }
+}

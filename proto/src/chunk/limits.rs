@@ -1,0 +1,41 @@
+//! Limits on every count in a chunk. Encoders refuse more, decoders check them before they allocate.
+
+use crate::sh::MAX_BANDS;
+
+/// Most receivers in a cluster.
+pub const RECEIVERS_MAX: usize = 65_536;
+/// Most probes that support a cluster.
+pub const CLUSTER_PROBES_MAX: usize = 16_384;
+/// Highest rank of a cluster's factors.
+pub const RANK_MAX: usize = 64;
+/// Highest spherical-harmonic band.
+pub const BANDS_MAX: usize = MAX_BANDS;
+/// Most numbers in ΣVᵀ (64 MiB decoded).
+pub const VT_ENTRIES_MAX: usize = 1 << 24;
+/// Most emitters that a cluster lists.
+pub const EMITTERS_MAX: usize = 1024;
+/// Most irradiances of emitters in a cluster: receivers × emitters.
+pub const EMITTER_ENTRIES_MAX: usize = 1 << 22;
+/// Most blocks that a chunk names.
+pub const BLOCKS_MAX: usize = 65_536;
+/// Most probes in a batch.
+pub const BATCH_PROBES_MAX: usize = 16_384;
+/// Most relight rays of a probe; always a power of two.
+pub const RELIGHT_RAYS_MAX: usize = 16_384;
+/// Most hits in a batch: probes × rays.
+pub const HITS_MAX: usize = 1 << 24;
+/// Most draws in a geometry chunk.
+pub const DRAWS_MAX: usize = 65_536;
+/// Most vertices in a geometry chunk.
+pub const VERTICES_MAX: usize = 1 << 23;
+/// Most triangles in a geometry chunk.
+pub const TRIANGLES_MAX: usize = 1 << 23;
+/// Longest media type of a texture.
+pub const MEDIA_TYPE_BYTES_MAX: usize = 64;
+/// Longest texture file: 128 MiB.
+pub const TEXTURE_BYTES_MAX: usize = 128 << 20;
+/// Most decoded bytes per stored byte, beside [`EXPANSION_FREE_BYTES`]: a small chunk cannot ask for much memory. Real
+/// chunks stay below 100.
+pub const EXPANSION_MAX: u64 = 4096;
+/// Decoded bytes that any chunk may have.
+pub const EXPANSION_FREE_BYTES: u64 = 16 << 20;

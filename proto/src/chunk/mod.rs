@@ -1,0 +1,55 @@
+//! Chunks: the stored form of what a bake gives (FORMAT.md), with their encoders and their normative decoder.
+//!
+//! A decoder checks every length, count, index and number before it uses it; malformed input is a [`ChunkError`].
+
+mod bytes;
+mod cells;
+mod cluster;
+mod cluster_decode;
+mod cluster_factors;
+mod cluster_head;
+mod cluster_receivers;
+mod container;
+mod error;
+mod geometry;
+mod geometry_decode;
+mod ints;
+mod layers;
+pub mod limits;
+mod numbers;
+mod order;
+mod predict;
+mod probes;
+mod quantise;
+mod texture;
+mod vertices;
+
+pub use cluster::{EncodedCluster, QuantisationSettings, encode_cluster};
+pub use cluster_decode::{cluster_layers, decode_cluster, decode_cluster_prefix};
+pub use container::{
+    CHUNK_BYTES_MAX, ChunkKind, ENTRY_BYTES, HEAD_BYTES_MAX, HEADER_BYTES, MAGIC, SECTIONS_MAX, VERSION,
+};
+pub use error::ChunkError;
+pub use geometry::encode_geometry;
+pub use geometry_decode::decode_geometry;
+pub use layers::{BAND_GROUP_LASTS, LAYERS_MAX, RANK_GROUP_ENDS};
+pub use numbers::{
+    ALBEDO_ERROR, ALBEDO_MAX, IRRADIANCE_MAX, IRRADIANCE_MIN, IRRADIANCE_RELATIVE_ERROR, NORMAL_ERROR_RAD,
+    position_error_m,
+};
+pub use order::LEVELS_MAX;
+pub use probes::{RAY_GROUPS, decode_probe_batch, decode_probe_batch_prefix, encode_probe_batch};
+pub use quantise::{RELATIVE_ERROR_MAX, RELATIVE_ERROR_MIN};
+pub use texture::{Texture, decode_texture, encode_texture};
+pub use vertices::LIGHTMAP_ERROR_TEXELS;
+
+use crate::ids::Digest;
+
+/// Errs unless `digest` is the digest of `bytes`.
+pub fn verify(digest: Digest, bytes: &[u8]) -> Result<(), ChunkError> {
+    let found = Digest::of(bytes);
+    if found == digest { Ok(()) } else { Err(ChunkError::Digest { wanted: digest, found }) }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,100 @@
+//! FORMAT.md says what the code does.
+
+use crate::chunk::*;
+use crate::chunk::{cluster, container, geometry, probes, texture};
+
+const FORMAT: &str = include_str!("../../../FORMAT.md");
+
+fn assert_row(row: &str) {
+    assert!(
+        FORMAT.lines().any(|line| line.starts_with(row)),
+        "FORMAT.md has no line that starts with '{row}'"
+    );
+}
+
+#[test]
+fn magic_version_kinds_and_tags_are_those_of_the_code() {
+    assert_row(&format!("| magic | `{}` |", String::from_utf8_lossy(&MAGIC)));
+    assert_row(&format!("| version | {VERSION} |"));
+    assert_row(&format!("# Chunk format, version {VERSION}"));
+    for (kind, name) in ChunkKind::ALL {
+        assert_row(&format!("| kind {name} | {} |", kind as u8));
+    }
+    let tags = [
+        ("cluster base", cluster::tags::BASE),
+        ("cluster receivers", cluster::tags::RECEIVERS),
+        ("cluster factors", cluster::tags::FACTORS),
+        ("cluster factors low", cluster::tags::FACTORS_LOW),
+        ("probes base", probes::tags::BASE),
+        ("probes hits", probes::tags::HITS),
+        ("texture file", texture::tags::FILE),
+    ];
+    for (name, tag) in tags {
+        assert_row(&format!("| {name} | {tag} |"));
+    }
+    for (tag, name) in geometry::tags::ALL {
+        assert_row(&format!("| geometry {name} | {tag} |"));
+    }
+}
+
+#[test]
+fn limits_are_those_of_the_code() {
+    use limits::*;
+    let rows = [
+        ("receivers in a cluster", RECEIVERS_MAX),
+        ("probes that support a cluster", CLUSTER_PROBES_MAX),
+        ("rank", RANK_MAX),
+        ("highest band", BANDS_MAX),
+        ("numbers in ΣVᵀ", VT_ENTRIES_MAX),
+        ("emitters of a cluster", EMITTERS_MAX),
+        ("emitters × receivers", EMITTER_ENTRIES_MAX),
+        ("blocks named in a chunk", BLOCKS_MAX),
+        ("probes in a batch", BATCH_PROBES_MAX),
+        ("relight rays of a probe", RELIGHT_RAYS_MAX),
+        ("probes × rays", HITS_MAX),
+        ("draws", DRAWS_MAX),
+        ("vertices", VERTICES_MAX),
+        ("triangles", TRIANGLES_MAX),
+        ("bytes of a media type", MEDIA_TYPE_BYTES_MAX),
+        ("bytes of a texture file", TEXTURE_BYTES_MAX),
+        ("bytes of a chunk", CHUNK_BYTES_MAX),
+        ("bytes of a head", HEAD_BYTES_MAX),
+        ("sections", SECTIONS_MAX),
+        ("layers", LAYERS_MAX),
+        ("levels", LEVELS_MAX as usize),
+    ];
+    for (name, limit) in rows {
+        assert_row(&format!("| {name} | {limit} |"));
+    }
+    assert_eq!(
+        (EXPANSION_FREE_BYTES, EXPANSION_MAX),
+        (16 << 20, 4096),
+        "the sentence below the table of limits"
+    );
+    assert_eq!((HEADER_BYTES, ENTRY_BYTES), (12, 12));
+    assert_eq!(container::HEADER_BYTES + ENTRY_BYTES, 24, "header and entry as drawn");
+}
+
+#[test]
+fn the_worked_example_is_the_fixture() {
+    let fixture: &[u8] = include_bytes!("../../../fixtures/cluster-v1.lkc");
+    let example =
+        FORMAT.split("## A worked example").nth(1).and_then(|rest| rest.split("```").nth(1)).unwrap();
+    let mut next = 0;
+    for line in example.lines().filter(|line| !line.is_empty()) {
+        let (offset, rest) = line.split_once("  ").unwrap();
+        assert_eq!(usize::from_str_radix(offset, 16).unwrap(), next, "{line}");
+        let hex = rest.split("  ").next().unwrap();
+        for byte in hex.split(' ') {
+            assert_eq!(u8::from_str_radix(byte, 16).unwrap(), fixture[next], "{line}");
+            next += 1;
+        }
+    }
+    let sections = u16::from_le_bytes([fixture[10], fixture[11]]);
+    let head = u16::from_le_bytes([fixture[8], fixture[9]]);
+    assert_eq!(next, HEADER_BYTES + usize::from(head) + ENTRY_BYTES * usize::from(sections));
+    let total = fixture.len() as u64;
+    let layers = cluster_layers(fixture, total).unwrap();
+    let sentence = format!("Prefixes of {} bytes and more", layers[0].bytes);
+    assert!(FORMAT.contains(&sentence), "FORMAT.md lacks '{sentence}'");
+}

@@ -1,0 +1,8 @@
+//! Behaviour of chunks as wholes.
+
+mod document;
+mod fixtures;
+mod layers;
+mod malformed;
+mod round_trip;
+mod scenes;

@@ -1,0 +1,88 @@
+//! What goes in comes out, within the stated errors.
+
+use super::scenes::{batch, quads, wall};
+use crate::chunk::*;
+use crate::prt::*;
+
+fn product(cluster: &ClusterTransport) -> Vec<f64> {
+    let (rank, columns) = (cluster.rank as usize, cluster.columns());
+    let mut product = Vec::new();
+    for row in cluster.u.chunks_exact(rank) {
+        for column in 0..columns {
+            let entry = |i: usize| f64::from(row[i]) * f64::from(cluster.vt[i * columns + column]);
+            product.push((0..rank).map(entry).sum());
+        }
+    }
+    product
+}
+
+fn relative_error(exact: &[f64], decoded: &[f64]) -> f64 {
+    let difference: f64 = exact.iter().zip(decoded).map(|(a, b)| (a - b) * (a - b)).sum();
+    (difference / exact.iter().map(|a| a * a).sum::<f64>()).sqrt()
+}
+
+#[test]
+fn cluster_comes_back_within_its_stated_errors() {
+    let cluster = wall(16, 5, 4, 12, 1);
+    let encoded = encode_cluster(&cluster, QuantisationSettings::default()).unwrap();
+    let decoded = decode_cluster(&encoded.bytes).unwrap();
+    let error = relative_error(&product(&cluster), &product(&decoded));
+    assert!(error <= 0.003 && (error - f64::from(encoded.quantisation_error)).abs() < 1e-5, "{error}");
+    assert_eq!(decoded.probes, cluster.probes);
+    assert_eq!(decoded.bounds_m, cluster.bounds_m);
+    assert_eq!((decoded.bands, decoded.sky, decoded.rank), (4, true, 12));
+    let (got, wanted) = (&decoded.receivers, &cluster.receivers);
+    assert_eq!(
+        (&got.blocks, &got.block, &got.texel, &got.links),
+        (&wanted.blocks, &wanted.block, &wanted.texel, &wanted.links)
+    );
+    assert_eq!((&got.normal, &got.albedo, &got.emission), (&wanted.normal, &wanted.albedo, &wanted.emission));
+    for (got, wanted) in got.position_m.iter().zip(&wanted.position_m) {
+        for axis in 0..3 {
+            let bounds = [cluster.bounds_m[0][axis], cluster.bounds_m[1][axis]];
+            assert!((got[axis] - wanted[axis]).abs() <= position_error_m(bounds));
+        }
+    }
+    for (got, wanted) in decoded.emitters[0].irradiance.iter().zip(&cluster.emitters[0].irradiance) {
+        for (got, wanted) in got.iter().zip(wanted) {
+            let within = (got - wanted).abs() <= IRRADIANCE_RELATIVE_ERROR * wanted;
+            assert!(if *wanted == 0.0 { *got == 0.0 } else { within }, "{got} {wanted}");
+        }
+    }
+}
+
+/// What hits name, whatever the order of blocks.
+fn named(batch: &ProbeBatch) -> Vec<(RelightHit, Option<BlockKey>)> {
+    let name = |hit: &RelightHit| match *hit {
+        RelightHit::Receiver { block, texel } => {
+            (RelightHit::Receiver { block: 0, texel }, Some(batch.blocks[usize::from(block)]))
+        }
+        other => (other, None),
+    };
+    batch.hits.iter().map(name).collect()
+}
+
+#[test]
+fn batch_comes_back_exactly() {
+    for rays in [1, 2, 4, 64] {
+        let batch = batch(7, rays, 3);
+        let decoded = decode_probe_batch(&encode_probe_batch(&batch).unwrap()).unwrap();
+        assert_eq!((&decoded.probes, decoded.relight_rays), (&batch.probes, rays));
+        assert_eq!(named(&decoded), named(&batch));
+        assert!(!decoded.blocks.contains(&u64::MAX), "a block that no hit names is kept");
+    }
+}
+
+#[test]
+fn geometry_comes_back() {
+    let decoded = decode_geometry(&encode_geometry(&quads()).unwrap()).unwrap();
+    assert_eq!(decoded, quads());
+}
+
+#[test]
+fn texture_comes_back_exactly() {
+    let file = [137, b'P', b'N', b'G', 0, 1, 2, 3];
+    let decoded = decode_texture(&encode_texture("image/png", &file).unwrap()).unwrap();
+    assert_eq!((decoded.media_type.as_str(), decoded.bytes.as_slice()), ("image/png", &file[..]));
+    assert!(encode_texture("", &file).is_err() && encode_texture("a b", &file).is_err());
+}

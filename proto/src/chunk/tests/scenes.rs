@@ -1,0 +1,104 @@
+//! Small contents to encode.
+
+use crate::prt::*;
+
+/// Numbers in 0..1 that look random and are the same everywhere.
+pub(super) struct Noise(pub u64);
+
+impl Noise {
+    pub fn next(&mut self) -> f32 {
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (self.0 >> 40) as f32 / (1_u64 << 24) as f32
+    }
+
+    pub fn below(&mut self, count: u32) -> u32 {
+        (self.next() * count as f32) as u32
+    }
+}
+
+/// A cluster of a square wall of `side`² texels, in stored order.
+pub(super) fn wall(side: u16, probes: usize, bands: u32, rank: u32, seed: u64) -> ClusterTransport {
+    let mut noise = Noise(seed);
+    let mut cluster = ClusterTransport {
+        bounds_m: [[0.0, -1.0, 2.0], [4.0, 3.0, 2.0]],
+        probes: (0..probes as u64).map(|p| p * p * 977 + 5).collect(),
+        bands,
+        sky: true,
+        rank,
+        ..ClusterTransport::default()
+    };
+    let mut texels: Vec<Texel> = (0..side).flat_map(|y| (0..side).map(move |x| [x, y])).collect();
+    texels.sort_by_key(|&texel| (4 - Receivers::level(texel, 3), super::super::order::morton(texel)));
+    cluster.receivers.blocks = vec![11];
+    for texel in texels {
+        let [x, y] = texel.map(|t| f32::from(t) / f32::from(side));
+        cluster.receivers.block.push(0);
+        cluster.receivers.texel.push(texel);
+        cluster.receivers.position_m.push([4.0 * x, 4.0 * y - 1.0, 2.0]);
+        cluster.receivers.links.push((texel[0] % 16) as u8);
+        cluster.receivers.normal.push([0.0, 0.0, -1.0]);
+        cluster.receivers.albedo.push(if texel[0] < side / 2 { [0.5, 0.25, 0.0] } else { [0.73; 3] });
+        cluster.receivers.emission.push(if texel == [1, 1] { [10.0, 8.0, 0.1] } else { [0.0; 3] });
+        for i in 0..rank {
+            let wave = libm::sinf((1 + i) as f32 * x + 0.7) * libm::cosf(i as f32 * 1.3 * y);
+            cluster.u.push((wave + 0.05 * noise.next()) / f32::from(side));
+        }
+    }
+    let coefficients = cluster.coefficients();
+    for i in 0..rank {
+        for column in 0..cluster.columns() {
+            let band = crate::sh::band_of(column % coefficients) as f32;
+            let strength = libm::expf(-0.25 * i as f32 - 0.4 * band);
+            cluster.vt.push((noise.next() - 0.5) * strength);
+        }
+    }
+    let emitter = |r: usize| if r.is_multiple_of(3) { [0.0; 3] } else { [1e-6 * r as f32, 1.0, 1e6] };
+    let irradiance = (0..cluster.receivers.len()).map(emitter).collect();
+    cluster.emitters = vec![EmitterIrradiance { emitter: 4, irradiance }];
+    cluster
+}
+
+/// A batch with every kind of hit.
+pub(super) fn batch(probes: usize, rays: u32, seed: u64) -> ProbeBatch {
+    let mut noise = Noise(seed);
+    let probe = |p: usize| Probe {
+        key: 3 + 10 * p as u64,
+        position_m: [p as f32, 0.1, -2.5],
+        radius_m: 1.5 + p as f32,
+    };
+    let hit = |_| match noise.below(4) {
+        0 => RelightHit::Sky,
+        1 => RelightHit::Dark,
+        kind => RelightHit::Receiver {
+            block: kind as u16 - 2,
+            texel: [noise.below(40) as u16, noise.below(65_536) as u16],
+        },
+    };
+    let hits = (0..probes * rays as usize).map(hit).collect();
+    ProbeBatch {
+        probes: (0..probes).map(probe).collect(),
+        relight_rays: rays,
+        blocks: vec![8, 9, u64::MAX],
+        hits,
+    }
+}
+
+/// Two draws: a plain quad, and a double-sided one with texture coordinates and colours.
+pub(super) fn quads() -> Geometry {
+    let plain = Draw {
+        material: 3,
+        front: 77,
+        position_m: vec![[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.1, 1.0], [0.0, 0.1, 1.0]],
+        normal: vec![[0.0, 1.0, 0.0]; 4],
+        lightmap_texel: vec![[0.5, 0.5], [10.5, 0.5], [10.5, 12.25], [0.5, 12.25]],
+        triangles: vec![[0, 2, 1], [0, 3, 2]],
+        ..Draw::default()
+    };
+    let rich = Draw {
+        back: Some(u64::MAX),
+        uv: vec![[0.0, 0.0], [37.25, 0.1], [1e5, -3.0], [0.1, 0.7]],
+        colour: vec![[1.0, 0.5, 0.25, 1.0], [0.1, 0.2, 0.3, 0.4], [0.0; 4], [2.0; 4]],
+        ..plain.clone()
+    };
+    Geometry { draws: vec![plain, rich] }
+}

@@ -1,0 +1,129 @@
+//! The job graph: tasks, what they read and what they give (DESIGN: "A bake is a graph of jobs").
+//!
+//! The server stores and schedules tasks without reading `kind` or `params`; only workers know what they mean.
+
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use crate::ids::{Digest, TaskKey};
+
+/// One unit of work. Pure: `key` determines every output byte.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct TaskSpec {
+    /// Digest of everything the result can depend on, see [`TaskSpec::new`].
+    #[schema(value_type = String)]
+    pub key: TaskKey,
+    /// What to run, e.g. `prt.transport`; a worker claims only kinds that it knows.
+    pub kind: String,
+    /// For people and events, e.g. `cluster 12`.
+    pub label: String,
+    /// Parameters as JSON; only the worker reads them.
+    pub params: serde_json::Value,
+    /// Artefacts that it reads.
+    pub inputs: Vec<TaskInput>,
+    /// Estimated cost in thousands of rays or the like; bigger is claimed first among equals.
+    pub cost: u64,
+}
+
+/// Where a task's input comes from.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case", tag = "from", deny_unknown_fields)]
+pub enum TaskInput {
+    /// A stored artefact that exists already.
+    Artefact {
+        /// Name under which the task sees it.
+        name: String,
+        /// Its digest.
+        #[schema(value_type = String)]
+        digest: Digest,
+    },
+    /// All outputs of another task of the same bake: a dependency. The task sees each as `name/output`.
+    Task {
+        /// Prefix under which the task sees them.
+        name: String,
+        /// Key of the other task.
+        #[schema(value_type = String)]
+        key: TaskKey,
+    },
+}
+
+/// An artefact that a task gave.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Artefact {
+    /// Name inside the task, e.g. `chunk/0`. The names [`MANIFEST_OUTPUT`] and [`REPORT_OUTPUT`] are the bake's results.
+    pub name: String,
+    /// Digest of the stored bytes.
+    #[schema(value_type = String)]
+    pub digest: Digest,
+    /// Length of the stored bytes.
+    pub bytes: u64,
+}
+
+/// What a finished task gives: artefacts already uploaded, more tasks, and counters.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct TaskResult {
+    /// Outputs; a pure function of the task's key.
+    pub outputs: Vec<Artefact>,
+    /// Tasks to add to the bake; a pure function of the task's key. Order and dependencies inside the list are free.
+    pub plan: Vec<TaskSpec>,
+    /// Counters for people (rays, seconds, …); not part of the result's identity.
+    #[serde(default)]
+    pub counters: std::collections::BTreeMap<String, f64>,
+}
+
+/// Name of the output that is the bake's manifest.
+pub const MANIFEST_OUTPUT: &str = "manifest";
+/// Name of the output that is the bake's report.
+pub const REPORT_OUTPUT: &str = "report";
+/// Most tasks that one plan may hold.
+pub const MAX_PLAN_TASKS: usize = 1_000_000;
+
+impl TaskSpec {
+    /// Makes a task and its key: blake3 over kind, its code version, parameters and inputs.
+    ///
+    /// `version` rises whenever the code of `kind` gives other bytes for the same inputs.
+    pub fn new(
+        kind: &str,
+        version: u32,
+        label: impl Into<String>,
+        params: serde_json::Value,
+        inputs: Vec<TaskInput>,
+        cost: u64,
+    ) -> Self {
+        // serde_json maps are sorted (no `preserve_order`), so equal parameters give equal text.
+        let identity =
+            serde_json::json!({ "kind": kind, "version": version, "params": params, "inputs": inputs });
+        let key = Digest::of(identity.to_string().as_bytes());
+        Self { key, kind: kind.to_owned(), label: label.into(), params, inputs, cost }
+    }
+
+    /// Keys of the tasks that must be done before this one.
+    pub fn dependencies(&self) -> impl Iterator<Item = TaskKey> + '_ {
+        self.inputs.iter().filter_map(|input| match input {
+            TaskInput::Task { key, .. } => Some(*key),
+            TaskInput::Artefact { .. } => None,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn task(kind: &str, version: u32, rays: u32) -> TaskSpec {
+        TaskSpec::new(kind, version, "any label", serde_json::json!({ "rays": rays }), Vec::new(), 1)
+    }
+
+    #[test]
+    fn key_depends_on_kind_version_and_parameters_but_not_on_label_or_cost() {
+        let base = task("a", 1, 2);
+        assert_ne!(base.key, task("b", 1, 2).key);
+        assert_ne!(base.key, task("a", 2, 2).key);
+        assert_ne!(base.key, task("a", 1, 3).key);
+        let relabelled = TaskSpec::new("a", 1, "other", serde_json::json!({ "rays": 2 }), Vec::new(), 9);
+        assert_eq!(base.key, relabelled.key);
+    }
+}

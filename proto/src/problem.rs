@@ -1,0 +1,125 @@
+//! Errors over HTTP: RFC 9457 problems, and one table of code → status → retry.
+
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+/// Stable error codes; the `type` of a problem is `urn:lightkiln:problem:` + its kebab-case name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum ProblemCode {
+    /// The request's body, path or query is not what the call takes.
+    BadRequest,
+    /// A setting is unknown or out of range.
+    BadSettings,
+    /// The bytes are not those of the digest in the path.
+    DigestMismatch,
+    /// There is no such bake, scene, chunk or lease.
+    NotFound,
+    /// The path exists, the method does not.
+    MethodNotAllowed,
+    /// The Idempotency-Key was used with another body.
+    IdempotencyConflict,
+    /// The bake's state does not allow this call.
+    StateConflict,
+    /// The body is larger than the limit.
+    TooLarge,
+    /// The Range header cannot be satisfied.
+    RangeNotSatisfiable,
+    /// No room on the server's disk.
+    StorageFull,
+    /// The database or the chunk store does not answer now.
+    Unavailable,
+    /// A fault of the server.
+    Internal,
+}
+
+/// Whether and when the same call may be tried again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RetryClass {
+    /// The same call will fail again.
+    Never,
+    /// Later, with growing waits.
+    Backoff,
+}
+
+impl ProblemCode {
+    /// All codes, for documentation and tests.
+    pub const ALL: [Self; 12] = [
+        Self::BadRequest,
+        Self::BadSettings,
+        Self::DigestMismatch,
+        Self::NotFound,
+        Self::MethodNotAllowed,
+        Self::IdempotencyConflict,
+        Self::StateConflict,
+        Self::TooLarge,
+        Self::RangeNotSatisfiable,
+        Self::StorageFull,
+        Self::Unavailable,
+        Self::Internal,
+    ];
+
+    /// HTTP status, retry class and title of a code.
+    pub fn row(self) -> (u16, RetryClass, &'static str) {
+        use RetryClass::{Backoff, Never};
+        match self {
+            Self::BadRequest => (400, Never, "The request is malformed"),
+            Self::BadSettings => (422, Never, "A setting is wrong"),
+            Self::DigestMismatch => (422, Never, "The bytes do not match the digest"),
+            Self::NotFound => (404, Never, "Not found"),
+            Self::MethodNotAllowed => (405, Never, "Method not allowed"),
+            Self::IdempotencyConflict => (409, Never, "The Idempotency-Key belongs to another request"),
+            Self::StateConflict => (409, Never, "The bake's state does not allow this"),
+            Self::TooLarge => (413, Never, "The body is too large"),
+            Self::RangeNotSatisfiable => (416, Never, "The range cannot be satisfied"),
+            Self::StorageFull => (507, Backoff, "No room left"),
+            Self::Unavailable => (503, Backoff, "Not available now"),
+            Self::Internal => (500, Backoff, "Internal error"),
+        }
+    }
+
+    /// The problem's stable type URI.
+    pub fn type_uri(self) -> String {
+        let name = serde_json::to_value(self).ok();
+        let name = name.as_ref().and_then(|value| value.as_str()).unwrap_or("internal");
+        format!("urn:lightkiln:problem:{name}")
+    }
+}
+
+/// RFC 9457 problem details.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct Problem {
+    /// Stable type URI, `urn:lightkiln:problem:…`.
+    #[serde(rename = "type")]
+    pub type_uri: String,
+    /// The same for every problem of the type.
+    pub title: String,
+    /// HTTP status.
+    pub status: u16,
+    /// What was wrong this time, where, and what to do.
+    pub detail: String,
+    /// The code behind the type.
+    pub code: ProblemCode,
+}
+
+impl Problem {
+    /// A problem of a code with its own words.
+    pub fn new(code: ProblemCode, detail: impl Into<String>) -> Self {
+        let (status, _, title) = code.row();
+        Self { type_uri: code.type_uri(), title: title.to_owned(), status, detail: detail.into(), code }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_code_has_an_error_status_and_a_type_of_its_own() {
+        let mut types: Vec<_> = ProblemCode::ALL.iter().map(|code| code.type_uri()).collect();
+        types.sort();
+        types.dedup();
+        assert_eq!(types.len(), ProblemCode::ALL.len());
+        assert!(ProblemCode::ALL.iter().all(|code| (400..600).contains(&code.row().0)));
+    }
+}

@@ -1,0 +1,173 @@
+//! What the chunks of a relightable bake hold, decoded: plain arrays in the notation of METHOD.md §2.
+//!
+//! Identity: a receiver is (block key, texel), a probe is its key; neither depends on where the manifest puts things.
+
+use serde::{Deserialize, Serialize};
+
+/// Identity of a block: first eight bytes of the digest of (instance path, side, part).
+pub type BlockKey = u64;
+/// Identity of a probe: first eight bytes of the digest of its lattice cell.
+pub type ProbeKey = u64;
+
+/// A texel of a block, in texels from the block's corner.
+pub type Texel = [u16; 2];
+
+/// One cluster: its receivers, what supports them, and the factorised transport `A ≈ U (ΣVᵀ)`.
+///
+/// Columns of A, hence of `vt`: for probe p of `probes` in order, coefficients j = 0…J−1; then J sky columns
+/// (`sky` true) or none. Windowing is folded in.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ClusterTransport {
+    /// Lower and upper corner of the receivers' bounds in metres.
+    pub bounds_m: [[f32; 3]; 2],
+    /// Receivers, coarse levels first.
+    pub receivers: Receivers,
+    /// Supporting probes, ascending by key.
+    pub probes: Vec<ProbeKey>,
+    /// Highest spherical-harmonic band.
+    pub bands: u32,
+    /// Whether sky columns follow the probes'.
+    pub sky: bool,
+    /// Rank k of the factors; 0 when nothing reaches the cluster.
+    pub rank: u32,
+    /// U, receiver-major: `u[r·k + i]`.
+    pub u: Vec<f32>,
+    /// ΣVᵀ, rank-major: `vt[i·n + column]`.
+    pub vt: Vec<f32>,
+    /// Irradiance straight from emissive surfaces, one entry per emitter that reaches the cluster.
+    pub emitters: Vec<EmitterIrradiance>,
+}
+
+/// Receivers of a cluster, one entry per receiver in every array.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Receivers {
+    /// Blocks that they lie in; `block` indexes it.
+    pub blocks: Vec<BlockKey>,
+    /// Index into `blocks`.
+    pub block: Vec<u16>,
+    /// Texel inside the block.
+    pub texel: Vec<Texel>,
+    /// Position in metres (shifted out of geometry where needed).
+    pub position_m: Vec<[f32; 3]>,
+    /// Unit normal towards the lit side.
+    pub normal: Vec<[f32; 3]>,
+    /// Diffuse albedo ρ, linear Rec.709, below 1.
+    pub albedo: Vec<[f32; 3]>,
+    /// Emitted radiance Lₑ in W·m⁻²·sr⁻¹ at emitter scale 1.
+    pub emission: Vec<[f32; 3]>,
+    /// Which neighbouring texels no wall stands between: bits of [`LINKS`]. A picture interpolates along links only,
+    /// so that light does not pass under a wall that stands on a floor.
+    pub links: Vec<u8>,
+}
+
+/// Offset of the texel that each bit of [`Receivers::links`] speaks of, lowest bit first. The other four neighbours
+/// are linked by their own bits.
+pub const LINKS: [[i32; 2]; 4] = [[1, 0], [0, 1], [1, 1], [-1, 1]];
+
+impl Receivers {
+    /// How many there are.
+    pub fn len(&self) -> usize {
+        self.texel.len()
+    }
+
+    /// There are none.
+    pub fn is_empty(&self) -> bool {
+        self.texel.is_empty()
+    }
+
+    /// Level of a receiver: trailing zero bits common to its texel coordinates, at most `levels − 1`.
+    pub fn level(texel: Texel, levels: u32) -> u32 {
+        (texel[0] | texel[1]).trailing_zeros().min(levels - 1)
+    }
+}
+
+impl ClusterTransport {
+    /// Coefficients per probe, J.
+    pub fn coefficients(&self) -> usize {
+        (self.bands as usize + 1) * (self.bands as usize + 1)
+    }
+
+    /// Columns of A: n.
+    pub fn columns(&self) -> usize {
+        (self.probes.len() + usize::from(self.sky)) * self.coefficients()
+    }
+}
+
+/// Irradiance at a cluster's receivers straight from one emitter at scale 1, shadowed, in W·m⁻².
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct EmitterIrradiance {
+    /// Index into the manifest's emitters.
+    pub emitter: u16,
+    /// One per receiver.
+    pub irradiance: Vec<[f32; 3]>,
+}
+
+/// A batch of probes and what their relight rays meet.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ProbeBatch {
+    /// Probes, ascending by key.
+    pub probes: Vec<Probe>,
+    /// Relight rays per probe K; directions are [`crate::sh::relight_direction`].
+    pub relight_rays: u32,
+    /// Blocks that hits name.
+    pub blocks: Vec<BlockKey>,
+    /// Hits, probe-major: `hits[p·K + k]`.
+    pub hits: Vec<RelightHit>,
+}
+
+/// A probe.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Probe {
+    /// Identity.
+    pub key: ProbeKey,
+    /// Position in metres.
+    pub position_m: [f32; 3],
+    /// Support radius in metres.
+    pub radius_m: f32,
+}
+
+/// What a relight ray meets.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum RelightHit {
+    /// A receiver: index into the batch's `blocks`, and its texel there.
+    Receiver {
+        /// Index into [`ProbeBatch::blocks`].
+        block: u16,
+        /// Texel in the block. Where no cluster has a receiver of it, no light reaches it: it counts as dark.
+        texel: Texel,
+    },
+    /// Nothing: the sky.
+    Sky,
+    /// The back of a single-sided surface or a surface without receivers: no radiance.
+    Dark,
+}
+
+/// Meshes to draw.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Geometry {
+    /// One per mesh instance and material.
+    pub draws: Vec<Draw>,
+}
+
+/// One mesh to draw, in world space.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Draw {
+    /// Index into the manifest's materials.
+    pub material: u32,
+    /// Block of the front side.
+    pub front: BlockKey,
+    /// Block of the back side, for double-sided materials.
+    pub back: Option<BlockKey>,
+    /// Positions in metres.
+    pub position_m: Vec<[f32; 3]>,
+    /// Unit normals towards the front.
+    pub normal: Vec<[f32; 3]>,
+    /// UV of the base-colour texture, transform applied; empty when the material has none.
+    pub uv: Vec<[f32; 2]>,
+    /// Linear vertex colours; empty when there are none.
+    pub colour: Vec<[f32; 4]>,
+    /// Lightmap coordinates in texels of the block.
+    pub lightmap_texel: Vec<[f32; 2]>,
+    /// Triangles, counter-clockwise from the front.
+    pub triangles: Vec<[u32; 3]>,
+}

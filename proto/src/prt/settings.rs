@@ -1,0 +1,208 @@
+//! Settings of the relightable bake: a raw form with presets, validated into [`Settings`].
+//!
+//! Each field says its unit, its range and what more or less of it does.
+
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+/// A setting that is unknown or out of range.
+#[derive(Debug, Error)]
+pub enum SettingsError {
+    /// A key or a type that the bake does not know.
+    #[error("{0}")]
+    Malformed(String),
+    /// A value outside its range.
+    #[error("{name} = {value} is out of range: {range}")]
+    OutOfRange {
+        /// Setting.
+        name: &'static str,
+        /// Value given.
+        value: String,
+        /// Allowed range, with unit.
+        range: &'static str,
+    },
+}
+
+/// How much work to spend; sets every default below.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Preset {
+    /// A look within seconds: coarse texels, noisy.
+    Draft,
+    /// Everyday bakes.
+    #[default]
+    Medium,
+    /// Final bakes, held to the published error figures.
+    High,
+}
+
+/// Linear map from a probe's hit radiances to its coefficients (METHOD.md "Basis at the probe").
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum BasisKind {
+    /// Real spherical harmonics, shared by all probes.
+    #[default]
+    Sh,
+}
+
+/// A numeric setting as documentation shows it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SettingRow {
+    /// Key in settings files and `--set`.
+    pub name: &'static str,
+    /// Allowed values, with unit.
+    pub range: &'static str,
+    /// Values under draft, medium and high.
+    pub presets: [f64; 3],
+    /// What it is, and what more and less of it does.
+    pub effect: &'static str,
+}
+
+macro_rules! settings {
+    ($( $(#[doc = $doc:literal])* $name:ident : $kind:ty = [$draft:expr, $medium:expr, $high:expr], $check:expr, $range:literal; )*) => {
+        /// Settings as a file, a request or `--set` gives them: only what differs from the preset.
+        #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+        #[serde(deny_unknown_fields)]
+        pub struct RawSettings {
+            /// Preset that fills in the rest; `medium` unless set.
+            pub preset: Option<Preset>,
+            /// Basis at the probe; only `sh` so far.
+            pub basis: Option<BasisKind>,
+            $( $(#[doc = $doc])* pub $name: Option<$kind>, )*
+        }
+
+        /// Validated settings; every bake states all of them in its manifest.
+        #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+        #[serde(deny_unknown_fields)]
+        pub struct Settings {
+            /// Preset that the rest started from.
+            pub preset: Preset,
+            /// Basis at the probe.
+            pub basis: BasisKind,
+            $( $(#[doc = $doc])* pub $name: $kind, )*
+        }
+
+        impl RawSettings {
+            /// Fills in the preset and checks every range.
+            pub fn validate(self) -> Result<Settings, SettingsError> {
+                let preset = self.preset.unwrap_or_default();
+                $(
+                    let $name: $kind = self.$name.unwrap_or(match preset {
+                        Preset::Draft => $draft,
+                        Preset::Medium => $medium,
+                        Preset::High => $high,
+                    });
+                    let in_range: fn($kind) -> bool = $check;
+                    if !in_range($name) {
+                        let value = $name.to_string();
+                        return Err(SettingsError::OutOfRange { name: stringify!($name), value, range: $range });
+                    }
+                )*
+                Ok(Settings { preset, basis: self.basis.unwrap_or_default(), $($name,)* })
+            }
+        }
+
+        impl Settings {
+            /// Every numeric setting.
+            pub const TABLE: &'static [SettingRow] = &[$( SettingRow {
+                name: stringify!($name),
+                range: $range,
+                presets: [$draft as f64, $medium as f64, $high as f64],
+                effect: concat!($($doc),*),
+            }, )*];
+        }
+    };
+}
+
+settings! {
+    /// Size of a lightmap texel in metres; 0 chooses it from `receivers_target`. Smaller → sharper light, more
+    /// receivers, time and bytes with its square.
+    texel_m: f32 = [0.0, 0.0, 0.0], |v| v == 0.0 || (1e-4..=100.0).contains(&v), "0 (automatic) or 0.0001..=100 m";
+    /// Receivers to aim at when `texel_m` is 0, in a scene of many triangles; scenes of few get a fifth of it and 4 per
+    /// triangle. (A texel is one of 1, 1.5 × a power of two, so the count is met within a factor of about two.) More →
+    /// finer texels.
+    receivers_target: u32 = [30_000, 200_000, 600_000], |v| (100..=20_000_000).contains(&v), "100..=20000000";
+    /// Levels of detail that texel gaps and chunk layers provide for. More → wider gaps between charts.
+    lod_levels: u32 = [3, 3, 3], |v| (1..=4).contains(&v), "1..=4 levels";
+    /// Distance between probes in metres; 0 chooses it from `probes_target`. Smaller → more probes, sharper and
+    /// more local light, more time and bytes.
+    probe_spacing_m: f32 = [0.0, 0.0, 0.0], |v| v == 0.0 || (1e-3..=1e4).contains(&v), "0 (automatic) or 0.001..=10000 m";
+    /// Probes to aim at when `probe_spacing_m` is 0. More → as a smaller `probe_spacing_m`.
+    probes_target: u32 = [60, 250, 700], |v| (1..=100_000).contains(&v), "1..=100000";
+    /// Probes that support a receiver; sets the probes' radius. More → smoother light, more columns and time.
+    n_overlaps: u32 = [8, 10, 10], |v| (1..=64).contains(&v), "1..=64 probes";
+    /// Relight rays per probe (a power of two). More → less noise in moving light, more run-time cost.
+    relight_rays: u32 = [256, 512, 1024], |v| v.is_power_of_two() && (16..=16_384).contains(&v), "a power of two in 16..=16384";
+    /// Highest spherical-harmonic band; (bands+1)² coefficients per probe. More → sharper, more bytes.
+    bands: u32 = [5, 7, 7], |v| v <= 10, "0..=10";
+    /// Damping of spherical-harmonic ringing (no run-time cost): band l is scaled by
+    /// `1/(1 + s·(l(l+1)/((D+1)(D+2)))²)`. More → less ringing, blurrier.
+    window_strength: f32 = [0.5, 0.5, 0.5], |v| (0.0..=100.0).contains(&v), "0..=100";
+    /// Cosine-distributed rays per receiver. More → less noise in transport, more time.
+    transport_rays: u32 = [64, 256, 1024], |v| (16..=65_536).contains(&v), "16..=65536";
+    /// Shadow rays per receiver to emissive surfaces. More → smoother soft shadows, more time.
+    emitter_rays: u32 = [32, 64, 256], |v| (4..=65_536).contains(&v), "4..=65536";
+    /// Most receivers in a cluster. More → fewer bytes, more work per factorisation.
+    cluster_receivers: u32 = [1024, 1024, 1024], |v| (16..=8192).contains(&v), "16..=8192";
+    /// Highest rank of a cluster's factors; a cluster that needs more is split.
+    rank_max: u32 = [32, 32, 32], |v| (1..=64).contains(&v), "1..=64";
+    /// Relative error of truncation: the smallest rank whose dropped singular values hold at most this share
+    /// (root of the squares, columns weighted by the spectrum that radiance is expected to have). Smaller → higher ranks, more bytes.
+    rank_error: f32 = [0.08, 0.04, 0.02], |v| (1e-5..=0.5).contains(&v), "0.00001..=0.5";
+    /// Smallest cluster that is still split when `rank_max` does not suffice.
+    split_receivers_min: u32 = [128, 128, 64], |v| (2..=8192).contains(&v), "2..=8192";
+    /// Largest share of transported energy that no probe may see, per bake; probes are added until it is met or
+    /// `probes_added_max` is reached.
+    uncovered_max: f32 = [0.02, 0.005, 0.005], |v| (0.0..=1.0).contains(&v), "0..=1";
+    /// Most probes added for coverage, as a share of those placed by density.
+    probes_added_max: f32 = [0.5, 1.0, 1.0], |v| (0.0..=10.0).contains(&v), "0..=10";
+    /// A candidate probe is inside geometry when more than this share of its rays meets back faces.
+    probe_back_face_max: f32 = [0.25, 0.25, 0.25], |v| (0.0..=1.0).contains(&v), "0..=1";
+    /// A receiver is shifted out of geometry when at least this share of its rays meets back faces and none escapes.
+    shift_back_face_min: f32 = [0.6, 0.6, 0.6], |v| (0.0..=1.0).contains(&v), "0..=1";
+}
+
+impl Settings {
+    /// Reads settings from a request; `null` means all defaults.
+    pub fn from_json(json: &serde_json::Value) -> Result<Self, SettingsError> {
+        let raw = if json.is_null() {
+            RawSettings::default()
+        } else {
+            RawSettings::deserialize(json).map_err(|error| SettingsError::Malformed(error.to_string()))?
+        };
+        raw.validate()
+    }
+
+    /// Coefficients per probe: `(bands + 1)²`.
+    pub fn coefficients(&self) -> usize {
+        let bands = self.bands as usize + 1;
+        bands * bands
+    }
+
+    /// Texels between charts: one texel of the coarsest level, so that its filter stays inside the chart's own rim.
+    pub fn gutter_texels(&self) -> u32 {
+        1 << (self.lod_levels - 1)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn presets_are_valid_and_differ() {
+        let of = |preset: &str| Settings::from_json(&json!({ "preset": preset })).unwrap();
+        assert!(of("draft").transport_rays < of("medium").transport_rays);
+        assert!(of("medium").transport_rays < of("high").transport_rays);
+    }
+
+    #[test]
+    fn unknown_keys_and_wrong_ranges_are_rejected_by_name() {
+        let unknown = Settings::from_json(&json!({ "texel": 1 })).unwrap_err().to_string();
+        assert!(unknown.contains("texel"), "{unknown}");
+        let range = Settings::from_json(&json!({ "relight_rays": 100 })).unwrap_err().to_string();
+        assert!(range.contains("relight_rays = 100") && range.contains("power of two"), "{range}");
+        assert!(Settings::from_json(&json!({ "texel_m": f64::MAX })).is_err());
+    }
+}

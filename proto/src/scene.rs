@@ -1,0 +1,74 @@
+//! Lights and cameras of a scene, as the manifest carries them.
+
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+/// A light that can move at run time (METHOD.md §2 "dynamic light"), in world space.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SceneLight {
+    /// Name in the file, or `light N`.
+    pub name: String,
+    /// Kind with its own shape.
+    pub kind: LightKind,
+    /// Linear Rec.709 colour × strength. Point and spot: radiant intensity in W·sr⁻¹. Sun: irradiance on a surface
+    /// that faces it, in W·m⁻². glTF's candela and lux are read as these radiometric units one to one.
+    pub strength: [f32; 3],
+}
+
+/// The kinds of dynamic light.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case", tag = "type")]
+pub enum LightKind {
+    /// Shines equally in all directions from a point.
+    Point {
+        /// Position in metres.
+        position_m: [f32; 3],
+        /// Distance at which glTF cuts the light off, if it gives one.
+        range_m: Option<f32>,
+    },
+    /// Shines in a cone, smooth between the inner and the outer angle (KHR_lights_punctual).
+    Spot {
+        /// Position in metres.
+        position_m: [f32; 3],
+        /// Unit direction of travel.
+        direction: [f32; 3],
+        /// Half angle inside which the light is full, in radians.
+        inner_rad: f32,
+        /// Half angle outside which there is none, in radians.
+        outer_rad: f32,
+        /// Distance at which glTF cuts the light off, if it gives one.
+        range_m: Option<f32>,
+    },
+    /// Parallel light from infinity.
+    Sun {
+        /// Unit direction of travel (from the sun into the scene).
+        direction: [f32; 3],
+    },
+    /// Radiance from everything outside: a vertical gradient, seen where rays leave the scene.
+    /// `strength` scales both colours.
+    Sky {
+        /// Colour straight up.
+        zenith: [f32; 3],
+        /// Colour at and below the horizon.
+        horizon: [f32; 3],
+    },
+}
+
+/// A camera in world space.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SceneCamera {
+    /// Name in the file, or `camera N`.
+    pub name: String,
+    /// Eye in metres.
+    pub eye_m: [f32; 3],
+    /// A point straight ahead, in metres.
+    pub target_m: [f32; 3],
+    /// Unit up direction.
+    pub up: [f32; 3],
+    /// Vertical field of view in radians (perspective).
+    pub fov_y_rad: f32,
+    /// Half height of the view in metres when the camera is orthographic; then `fov_y_rad` is unused.
+    pub orthographic_half_height_m: Option<f32>,
+}
