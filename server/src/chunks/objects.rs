@@ -1,0 +1,329 @@
+//! Chunks in an object store: local files, memory, and later S3.
+
+use std::error::Error;
+use std::io;
+use std::ops::Range;
+use std::path::Path as FilePath;
+use std::sync::Arc;
+
+use async_trait::async_trait;
+use bytes::Bytes;
+use futures::stream::BoxStream;
+use futures::{StreamExt, TryStreamExt};
+use lightkiln_proto::ids::Digest;
+use object_store::local::LocalFileSystem;
+use object_store::memory::InMemory;
+use object_store::path::Path;
+use object_store::{GetOptions, GetRange, ObjectStore, ObjectStoreExt, PutPayload, WriteMultipart};
+
+use super::{ByteStream, ChunkError, ChunkStore, Stored};
+
+/// Size of the parts in which a stream is written.
+const PART_BYTES: usize = 8 << 20;
+/// Parts of one stream that are being written at a time.
+const PARTS_IN_FLIGHT: usize = 2;
+/// Streams up to this size are written in one piece.
+const ONE_PIECE_BYTES: usize = PART_BYTES;
+
+/// Chunks at `ab/cdef…` (digest in hex) in an object store.
+pub struct ObjectChunks {
+    objects: Arc<dyn ObjectStore>,
+}
+
+impl ObjectChunks {
+    /// Chunks as files under `folder`, which is made if need be.
+    ///
+    /// A file appears under its name only when it is whole, and both it and its folder are flushed to disk first.
+    pub fn in_folder(folder: &FilePath) -> Result<Self, ChunkError> {
+        let unavailable = |source: io::Error| {
+            from_store(object_store::Error::Generic { store: "LocalFileSystem", source: source.into() })
+        };
+        std::fs::create_dir_all(folder).map_err(unavailable)?;
+        let files = LocalFileSystem::new_with_prefix(folder).map_err(from_store)?;
+        Ok(Self { objects: Arc::new(files.with_fsync(true)) })
+    }
+
+    /// Chunks in memory.
+    pub fn in_memory() -> Self {
+        Self { objects: Arc::new(InMemory::new()) }
+    }
+
+    /// Writes the rest of a stream in parts; `head` is what has come so far.
+    async fn put_parts(
+        &self,
+        digest: Digest,
+        head: Vec<u8>,
+        mut bytes: ByteStream,
+        mut check: StreamCheck,
+    ) -> Result<Stored, ChunkError> {
+        let upload = self.objects.put_multipart(&path_of(digest)).await.map_err(from_store)?;
+        let mut upload = WriteMultipart::new_with_chunk_size(upload, PART_BYTES);
+        upload.write(&head);
+        drop(head);
+        let written = async {
+            while let Some(piece) = bytes.try_next().await? {
+                check.take(&piece)?;
+                upload.wait_for_capacity(PARTS_IN_FLIGHT).await.map_err(from_store)?;
+                upload.put(piece);
+            }
+            check.finish(digest)
+        };
+        match written.await {
+            Ok(length) => {
+                let is_new = self.head(digest).await? != Some(length);
+                upload.finish().await.map_err(from_store)?;
+                Ok(Stored { is_new, bytes: length })
+            }
+            Err(error) => {
+                // What was staged is invisible; failing to remove it changes nothing for the caller.
+                let _ = upload.abort().await;
+                Err(error)
+            }
+        }
+    }
+}
+
+/// Digest and length of a stream as it passes.
+struct StreamCheck {
+    hasher: blake3::Hasher,
+    length: u64,
+    limit: u64,
+}
+
+impl StreamCheck {
+    fn new(limit: u64) -> Self {
+        Self { hasher: blake3::Hasher::new(), length: 0, limit }
+    }
+
+    fn take(&mut self, piece: &[u8]) -> Result<(), ChunkError> {
+        self.length += piece.len() as u64;
+        if self.length > self.limit {
+            return Err(ChunkError::TooLarge { limit: self.limit });
+        }
+        self.hasher.update(piece);
+        Ok(())
+    }
+
+    fn finish(&self, wanted: Digest) -> Result<u64, ChunkError> {
+        let found = Digest(*self.hasher.finalize().as_bytes());
+        if found != wanted {
+            return Err(ChunkError::DigestMismatch { wanted, found });
+        }
+        Ok(self.length)
+    }
+}
+
+#[async_trait]
+impl ChunkStore for ObjectChunks {
+    async fn put_if_absent(&self, digest: Digest, bytes: Bytes) -> Result<Stored, ChunkError> {
+        let found = Digest::of(&bytes);
+        if found != digest {
+            return Err(ChunkError::DigestMismatch { wanted: digest, found });
+        }
+        let length = bytes.len() as u64;
+        if self.head(digest).await? == Some(length) {
+            return Ok(Stored { is_new: false, bytes: length });
+        }
+        self.objects.put(&path_of(digest), PutPayload::from_bytes(bytes)).await.map_err(from_store)?;
+        Ok(Stored { is_new: true, bytes: length })
+    }
+
+    async fn put_stream(
+        &self,
+        digest: Digest,
+        mut bytes: ByteStream,
+        limit: u64,
+    ) -> Result<Stored, ChunkError> {
+        let mut check = StreamCheck::new(limit);
+        let mut head = Vec::new();
+        while let Some(piece) = bytes.try_next().await? {
+            check.take(&piece)?;
+            head.extend_from_slice(&piece);
+            if head.len() > ONE_PIECE_BYTES {
+                return self.put_parts(digest, head, bytes, check).await;
+            }
+        }
+        let length = check.finish(digest)?;
+        if self.head(digest).await? == Some(length) {
+            return Ok(Stored { is_new: false, bytes: length });
+        }
+        self.objects.put(&path_of(digest), head.into()).await.map_err(from_store)?;
+        Ok(Stored { is_new: true, bytes: length })
+    }
+
+    async fn get(&self, digest: Digest, limit: u64) -> Result<Bytes, ChunkError> {
+        let found = self.objects.get(&path_of(digest)).await.map_err(|error| missing(digest, error))?;
+        if found.meta.size > limit {
+            return Err(ChunkError::TooLarge { limit });
+        }
+        found.bytes().await.map_err(from_store)
+    }
+
+    async fn get_range(&self, digest: Digest, range: Range<u64>) -> Result<ByteStream, ChunkError> {
+        if range.is_empty() {
+            return Ok(futures::stream::empty().boxed());
+        }
+        let options = GetOptions { range: Some(GetRange::Bounded(range)), ..GetOptions::default() };
+        let found = self.objects.get_opts(&path_of(digest), options).await;
+        let found = found.map_err(|error| missing(digest, error))?;
+        Ok(found.into_stream().map_err(from_store).boxed())
+    }
+
+    async fn head(&self, digest: Digest) -> Result<Option<u64>, ChunkError> {
+        match self.objects.head(&path_of(digest)).await {
+            Ok(meta) => Ok(Some(meta.size)),
+            Err(object_store::Error::NotFound { .. }) => Ok(None),
+            Err(error) => Err(from_store(error)),
+        }
+    }
+
+    async fn delete(&self, digest: Digest) -> Result<(), ChunkError> {
+        match self.objects.delete(&path_of(digest)).await {
+            Ok(()) | Err(object_store::Error::NotFound { .. }) => Ok(()),
+            Err(error) => Err(from_store(error)),
+        }
+    }
+
+    fn list(&self) -> BoxStream<'static, Result<(Digest, u64), ChunkError>> {
+        let chunk = |meta: object_store::ObjectMeta| Some((digest_of(&meta.location)?, meta.size));
+        let listed = self.objects.list(None).map_err(from_store);
+        listed.try_filter_map(move |meta| futures::future::ready(Ok(chunk(meta)))).boxed()
+    }
+}
+
+fn path_of(digest: Digest) -> Path {
+    let hex = digest.to_string();
+    let (shard, rest) = hex.split_at(2);
+    Path::from_iter([shard, rest])
+}
+
+fn digest_of(path: &Path) -> Option<Digest> {
+    path.as_ref().split_once('/').and_then(|(shard, rest)| format!("{shard}{rest}").parse().ok())
+}
+
+fn missing(digest: Digest, error: object_store::Error) -> ChunkError {
+    match error {
+        object_store::Error::NotFound { .. } => ChunkError::NotFound { digest },
+        error => from_store(error),
+    }
+}
+
+/// Tells a full disk from other trouble.
+fn from_store(error: object_store::Error) -> ChunkError {
+    let mut cause: Option<&(dyn Error + 'static)> = Some(&error);
+    while let Some(error) = cause {
+        let kind = error.downcast_ref::<io::Error>().map(io::Error::kind);
+        if matches!(kind, Some(io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded)) {
+            break;
+        }
+        cause = error.source();
+    }
+    let is_full = cause.is_some();
+    if is_full { ChunkError::Full(error) } else { ChunkError::Unavailable(error) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn full_disk() -> object_store::Error {
+        let source = io::Error::from(io::ErrorKind::StorageFull);
+        object_store::Error::Generic { store: "test", source: Box::new(source) }
+    }
+
+    fn pieces(count: usize, piece_bytes: usize) -> (Digest, u64, ByteStream) {
+        let pieces: Vec<Bytes> = (0..count).map(|i| Bytes::from(vec![i as u8; piece_bytes])).collect();
+        let whole = pieces.concat();
+        let stream = futures::stream::iter(pieces.into_iter().map(Ok)).boxed();
+        (Digest::of(&whole), whole.len() as u64, stream)
+    }
+
+    fn folder() -> (tempfile::TempDir, ObjectChunks) {
+        let folder = tempfile::tempdir().unwrap();
+        let chunks = ObjectChunks::in_folder(folder.path()).unwrap();
+        (folder, chunks)
+    }
+
+    #[test]
+    fn full_disk_is_told_apart() {
+        assert!(matches!(from_store(full_disk()), ChunkError::Full(_)));
+        let other = object_store::Error::Generic { store: "test", source: "other".into() };
+        assert!(matches!(from_store(other), ChunkError::Unavailable(_)));
+    }
+
+    #[tokio::test]
+    async fn bytes_come_back_whole_and_in_ranges() {
+        let (_folder, files) = folder();
+        for chunks in [files, ObjectChunks::in_memory()] {
+            let bytes = Bytes::from_static(b"0123456789");
+            let digest = Digest::of(&bytes);
+            assert_eq!(chunks.head(digest).await.unwrap(), None);
+            assert!(chunks.put_if_absent(digest, bytes.clone()).await.unwrap().is_new);
+            assert!(!chunks.put_if_absent(digest, bytes.clone()).await.unwrap().is_new);
+            assert_eq!(chunks.get(digest, 10).await.unwrap(), bytes);
+            assert!(matches!(chunks.get(digest, 9).await, Err(ChunkError::TooLarge { limit: 9 })));
+            let range: Vec<Bytes> =
+                chunks.get_range(digest, 3..7).await.unwrap().try_collect().await.unwrap();
+            assert_eq!(range.concat(), b"3456");
+            let listed: Vec<_> = chunks.list().try_collect().await.unwrap();
+            assert_eq!(listed, [(digest, 10)]);
+            chunks.delete(digest).await.unwrap();
+            chunks.delete(digest).await.unwrap();
+            assert!(matches!(chunks.get(digest, 10).await, Err(ChunkError::NotFound { .. })));
+        }
+    }
+
+    #[tokio::test]
+    async fn long_stream_is_stored_in_parts() {
+        let (folder, chunks) = folder();
+        let (digest, length, stream) = pieces(20, 1 << 20);
+        let stored = chunks.put_stream(digest, stream, length).await.unwrap();
+        assert_eq!(stored, Stored { is_new: true, bytes: length });
+        assert_eq!(Digest::of(&chunks.get(digest, length).await.unwrap()), digest);
+        let hex = digest.to_string();
+        assert!(folder.path().join(&hex[..2]).join(&hex[2..]).is_file());
+        let (_, _, again) = pieces(20, 1 << 20);
+        assert!(!chunks.put_stream(digest, again, length).await.unwrap().is_new);
+    }
+
+    #[tokio::test]
+    async fn truncated_chunk_is_mended_by_the_next_upload() {
+        for count in [1, 20] {
+            let (folder, chunks) = folder();
+            let (digest, length, stream) = pieces(count, 1 << 20);
+            chunks.put_stream(digest, stream, length).await.unwrap();
+            let [file] = &walk(folder.path())[..] else { panic!("one chunk is one file") };
+            std::fs::OpenOptions::new().write(true).open(file).unwrap().set_len(length / 2).unwrap();
+            let (_, _, again) = pieces(count, 1 << 20);
+            let stored = chunks.put_stream(digest, again, length).await.unwrap();
+            assert_eq!(stored, Stored { is_new: true, bytes: length });
+            assert_eq!(Digest::of(&chunks.get(digest, length).await.unwrap()), digest);
+        }
+    }
+
+    #[tokio::test]
+    async fn wrong_broken_and_oversized_streams_leave_nothing() {
+        for count in [1, 20] {
+            let (folder, chunks) = folder();
+            let (right, length, stream) = pieces(count, 1 << 20);
+            let wrong = Digest::of(b"other");
+            let error = chunks.put_stream(wrong, stream, length).await.unwrap_err();
+            assert!(matches!(error, ChunkError::DigestMismatch { .. }), "{error}");
+            let (_, _, stream) = pieces(count, 1 << 20);
+            let error = chunks.put_stream(right, stream, length - 1).await.unwrap_err();
+            assert!(matches!(error, ChunkError::TooLarge { .. }), "{error}");
+            let (_, _, stream) = pieces(count, 1 << 20);
+            let broken = futures::stream::once(async { Err(ChunkError::Broken("cut".into())) });
+            let error = chunks.put_stream(right, stream.chain(broken).boxed(), length).await.unwrap_err();
+            assert!(matches!(error, ChunkError::Broken(_)), "{error}");
+            assert_eq!(chunks.head(right).await.unwrap(), None);
+            let files = walk(folder.path());
+            assert!(files.is_empty(), "{files:?}");
+        }
+    }
+
+    fn walk(folder: &FilePath) -> Vec<std::path::PathBuf> {
+        let entries = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+        entries.flat_map(|path| if path.is_dir() { walk(&path) } else { vec![path] }).collect()
+    }
+}

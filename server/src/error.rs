@@ -1,0 +1,169 @@
+//! The one error at this crate's edge.
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+
+use lightkiln_proto::bake::BakeError;
+use lightkiln_proto::ids::Digest;
+use lightkiln_proto::problem::{ProblemCode, RetryClass};
+use thiserror::Error;
+
+use crate::chunks::ChunkError;
+use crate::store::StoreError;
+
+/// Everything that can go wrong in a server.
+#[derive(Debug, Error)]
+pub enum ServerError {
+    /// The request is not what the call takes.
+    #[error("{what}")]
+    BadRequest {
+        /// What was wrong, where, and what to do.
+        what: String,
+    },
+    /// The bake cannot be planned from its settings.
+    #[error("the bake cannot be planned")]
+    BadBake(#[from] BakeError),
+    /// The scene was never uploaded.
+    #[error("there is no scene {scene}; upload it with PUT /v1/scenes/{scene} first")]
+    NoSuchScene {
+        /// The scene asked for.
+        scene: Digest,
+    },
+    /// No such lease.
+    #[error("there is no such lease")]
+    NoSuchLease,
+    /// A result of a bake that has none yet, or never will.
+    #[error("bake '{bake}' has no {what}: {why}")]
+    NoResult {
+        /// The bake.
+        bake: String,
+        /// What was asked for.
+        what: &'static str,
+        /// Its state, in words.
+        why: String,
+    },
+    /// The range lies outside the bytes.
+    #[error("the range lies outside the {length} bytes")]
+    Range {
+        /// Length of the whole.
+        length: u64,
+    },
+    /// The path is none of this server's.
+    #[error("there is nothing at {path}; see /openapi.json")]
+    NoSuchPath {
+        /// The path.
+        path: String,
+    },
+    /// The path exists, the method does not.
+    #[error("{path} does not take {method}; see /openapi.json")]
+    MethodNotAllowed {
+        /// The path.
+        path: String,
+        /// The method.
+        method: String,
+    },
+    /// The body is longer than the call allows.
+    #[error("the body is larger than {limit} bytes")]
+    BodyTooLarge {
+        /// Limit in bytes.
+        limit: u64,
+    },
+    /// The queue refused or failed.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// The chunk store refused or failed.
+    #[error(transparent)]
+    Chunks(#[from] ChunkError),
+    /// A file or folder of the state cannot be used.
+    #[error("cannot {action} {}", path.display())]
+    State {
+        /// What was tried.
+        action: &'static str,
+        /// On what.
+        path: PathBuf,
+        /// Why not.
+        #[source]
+        source: std::io::Error,
+    },
+    /// Another server has the state folder open.
+    #[error("{} is in use by another server; stop it, or choose another state folder", path.display())]
+    StateInUse {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// The address can be reached from other machines, and nothing guards it.
+    #[error(
+        "{address} can be reached from other machines and this server asks nobody for a token; \
+         listen on 127.0.0.1, or allow it expressly where the network is trusted"
+    )]
+    NotLoopback {
+        /// The address.
+        address: SocketAddr,
+    },
+    /// Listening failed.
+    #[error("cannot listen on {address}")]
+    Listen {
+        /// The address.
+        address: String,
+        /// Why not.
+        #[source]
+        source: std::io::Error,
+    },
+    /// A bug.
+    #[error("the server has a bug and could not answer; its log says where")]
+    Panicked,
+    /// Serving failed.
+    #[error("serving ended with an error")]
+    Serve(#[source] std::io::Error),
+}
+
+impl ServerError {
+    /// The problem that a caller sees.
+    pub fn code(&self) -> ProblemCode {
+        match self {
+            Self::BadRequest { .. } => ProblemCode::BadRequest,
+            Self::BadBake(_) => ProblemCode::BadSettings,
+            Self::NoSuchScene { .. } | Self::NoSuchLease | Self::NoSuchPath { .. } => ProblemCode::NotFound,
+            Self::NoResult { .. } => ProblemCode::StateConflict,
+            Self::Range { .. } => ProblemCode::RangeNotSatisfiable,
+            Self::MethodNotAllowed { .. } => ProblemCode::MethodNotAllowed,
+            Self::BodyTooLarge { .. } => ProblemCode::TooLarge,
+            Self::Store(error) => error.code(),
+            Self::Chunks(error) => error.code(),
+            Self::State { .. } | Self::Serve(_) | Self::Panicked => ProblemCode::Internal,
+            Self::StateInUse { .. } | Self::NotLoopback { .. } | Self::Listen { .. } => {
+                ProblemCode::Unavailable
+            }
+        }
+    }
+
+    /// Whether the same call may be tried again.
+    pub fn retry_class(&self) -> RetryClass {
+        self.code().row().1
+    }
+
+    /// The error and its causes in one line.
+    pub fn chain(&self) -> String {
+        let mut text = self.to_string();
+        let mut cause = std::error::Error::source(self);
+        while let Some(error) = cause {
+            text.push_str(": ");
+            text.push_str(&error.to_string());
+            cause = error.source();
+        }
+        text
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn chain_names_every_cause_once() {
+        let error = ServerError::from(StoreError::Unavailable("locked".into()));
+        assert_eq!(error.chain(), "the farm's database does not answer: locked");
+        assert_eq!(error.code(), ProblemCode::Unavailable);
+        assert_eq!(error.retry_class(), RetryClass::Backoff);
+    }
+}

@@ -1,0 +1,322 @@
+//! What the farm does when asked: store, chunks and hints put together, without HTTP.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+use std::time::Duration;
+
+use futures::{StreamExt, TryStreamExt};
+use lightkiln_proto::api::{
+    Bake, BakeState, Blame, ClaimAnswer, ClaimRequest, CommitVerdict, EventPage, HeartbeatAnswer, NewBake,
+};
+use lightkiln_proto::bake::initial_plan;
+use lightkiln_proto::ids::{Digest, TaskKey};
+use lightkiln_proto::jobs::{TaskInput, TaskResult, TaskSpec};
+use tokio::sync::watch;
+use tokio::time::Instant;
+
+use crate::chunks::ChunkStore;
+use crate::error::ServerError;
+use crate::metrics::Metrics;
+use crate::store::{FarmStore, Submission, is_token};
+use crate::wakeup::Wakeup;
+
+/// Chunks that one check looks up at a time.
+const HEADS_IN_FLIGHT: usize = 16;
+/// Longest name of a bake, in characters.
+pub const MAX_NAME_CHARS: usize = 200;
+/// Longest Idempotency-Key and worker name, in characters.
+pub const MAX_ID_CHARS: usize = 200;
+/// Most leases of one claim.
+pub const MAX_LEASES: u32 = 64;
+/// Most task kinds that one claim names.
+pub const MAX_KINDS: usize = 64;
+/// Lease lengths in seconds.
+pub const TTL_SECS: std::ops::RangeInclusive<u32> = 5..=3600;
+/// Longest wait of a long poll, in seconds.
+pub const MAX_WAIT_SECS: u32 = 60;
+
+/// The parts of a farm.
+pub struct Farm {
+    /// The queue.
+    pub store: Arc<dyn FarmStore>,
+    /// The bytes.
+    pub chunks: Arc<dyn ChunkStore>,
+    /// Hints between calls.
+    pub wakeup: Arc<dyn Wakeup>,
+    /// Counts since start.
+    pub(crate) metrics: Metrics,
+    /// A waiting call looks again this often, hint or not.
+    pub poll_interval: Duration,
+    /// Turns true when the server is to stop: waiting calls then answer at once.
+    pub closing: watch::Receiver<bool>,
+}
+
+impl Farm {
+    /// Puts the parts together; all counts start at 0.
+    pub fn new(
+        store: Arc<dyn FarmStore>,
+        chunks: Arc<dyn ChunkStore>,
+        wakeup: Arc<dyn Wakeup>,
+        poll_interval: Duration,
+        closing: watch::Receiver<bool>,
+    ) -> Self {
+        Self { store, chunks, wakeup, metrics: Metrics::default(), poll_interval, closing }
+    }
+
+    /// Takes a bake in. The scene must be there, and results to be reused must still have their bytes.
+    pub async fn submit(&self, bake: NewBake, idempotency_key: Option<String>) -> Result<Bake, ServerError> {
+        require_chars("name", &bake.name, 0, MAX_NAME_CHARS)?;
+        if let Some(key) = &idempotency_key {
+            require_chars("Idempotency-Key", key, 1, MAX_ID_CHARS)?;
+        }
+        let plan = initial_plan(&bake.kind, bake.scene, &bake.settings)?;
+        if self.chunks.head(bake.scene).await?.is_none() {
+            return Err(ServerError::NoSuchScene { scene: bake.scene });
+        }
+        self.forget_lost_results(&plan).await?;
+        let body = serde_json::to_vec(&bake).map_err(|error| bad_request(error.to_string()))?;
+        let body_hash = Digest::of(&body);
+        let submission = Submission { idempotency_key, body_hash, bake, plan };
+        let submitted = self.store.submit(&submission).await?;
+        if submitted.is_new {
+            self.metrics.submissions.add(1);
+            self.wakeup.hint();
+        }
+        Ok(submitted.bake)
+    }
+
+    /// Forgets results that `plan` would reuse but whose bytes are gone, so that their tasks run again.
+    async fn forget_lost_results(&self, plan: &[TaskSpec]) -> Result<(), ServerError> {
+        if plan.is_empty() {
+            return Ok(());
+        }
+        let known = self.store.reusable(plan).await?;
+        let outputs = known.iter().flat_map(|result| &result.outputs);
+        let outputs = outputs.map(|output| (output.digest, output.bytes));
+        let lost = self.missing(outputs.collect()).await?;
+        if lost.is_empty() {
+            return Ok(());
+        }
+        let has_lost = |result: &&crate::store::KnownResult| {
+            result.outputs.iter().any(|output| lost.contains(&output.digest))
+        };
+        let keys: Vec<TaskKey> = known.iter().filter(has_lost).map(|result| result.key).collect();
+        tracing::warn!(results = keys.len(), "results lost their bytes; their tasks will run again");
+        self.metrics.forgotten_results.add(keys.len() as u64);
+        Ok(self.store.forget(&keys).await?)
+    }
+
+    /// Chunks that are not there in their whole length.
+    async fn missing(&self, wanted: BTreeMap<Digest, u64>) -> Result<BTreeSet<Digest>, ServerError> {
+        let heads = futures::stream::iter(wanted).map(|(digest, bytes)| async move {
+            let head = self.chunks.head(digest).await?;
+            Ok::<_, ServerError>((head != Some(bytes)).then_some(digest))
+        });
+        let found: Vec<Option<Digest>> = heads.buffer_unordered(HEADS_IN_FLIGHT).try_collect().await?;
+        Ok(found.into_iter().flatten().collect())
+    }
+
+    /// Hands out tasks, waiting for some if asked to.
+    pub async fn claim(&self, request: ClaimRequest) -> Result<ClaimAnswer, ServerError> {
+        check_claim(&request)?;
+        let deadline = Instant::now() + Duration::from_secs(request.wait_secs.into());
+        loop {
+            let mark = self.wakeup.mark();
+            let mut leases = self.store.claim(&request).await?;
+            if !leases.is_empty() || !self.wait(mark, deadline).await {
+                self.metrics.claims.add(leases.len() as u64);
+                for lease in &mut leases {
+                    self.fill_lengths(&lease.task, &mut lease.inputs).await?;
+                }
+                return Ok(ClaimAnswer { leases });
+            }
+        }
+    }
+
+    /// The store does not know how long plain artefacts are.
+    async fn fill_lengths(
+        &self,
+        task: &TaskSpec,
+        inputs: &mut [lightkiln_proto::jobs::Artefact],
+    ) -> Result<(), ServerError> {
+        if !task.inputs.iter().any(|input| matches!(input, TaskInput::Artefact { .. })) {
+            return Ok(());
+        }
+        for input in inputs.iter_mut().filter(|input| input.bytes == 0) {
+            input.bytes = self.chunks.head(input.digest).await?.unwrap_or(0);
+        }
+        Ok(())
+    }
+
+    /// Waits for a hint, the poll interval, the deadline or the end; false when there is no more to wait for.
+    pub async fn wait(&self, mark: u64, deadline: Instant) -> bool {
+        let left = deadline.saturating_duration_since(Instant::now());
+        if left.is_zero() || *self.closing.borrow() {
+            return false;
+        }
+        let mut closing = self.closing.clone();
+        tokio::select! {
+            () = self.wakeup.wait(mark, left.min(self.poll_interval)) => true,
+            // A closed channel means the same as its value.
+            _ = closing.wait_for(|closing| *closing) => false,
+        }
+    }
+
+    /// Prolongs a lease.
+    pub async fn heartbeat(&self, token: &str, progress: f32) -> Result<HeartbeatAnswer, ServerError> {
+        require_token(token)?;
+        if !(0.0..=1.0).contains(&progress) {
+            return Err(bad_request(format!("progress must be within 0..=1, not {progress}")));
+        }
+        Ok(self.store.heartbeat(token, progress).await?)
+    }
+
+    /// Takes a result in. Its outputs must have been uploaded.
+    pub async fn commit(&self, token: &str, result: TaskResult) -> Result<CommitVerdict, ServerError> {
+        require_token(token)?;
+        self.require_outputs(&result).await?;
+        self.forget_lost_results(&result.plan).await?;
+        let verdict = self.store.commit(token, &result).await?;
+        match verdict {
+            CommitVerdict::Committed => {
+                self.metrics.commits.add(1);
+                self.wakeup.hint();
+            }
+            CommitVerdict::AlreadyCommitted => (),
+            CommitVerdict::Stale => {
+                self.metrics.stale_commits.add(1);
+                tracing::warn!("a result came after its lease was gone and was refused");
+            }
+        }
+        Ok(verdict)
+    }
+
+    async fn require_outputs(&self, result: &TaskResult) -> Result<(), ServerError> {
+        let heads = futures::stream::iter(result.outputs.clone()).map(|output| async move {
+            Ok::<_, ServerError>((self.chunks.head(output.digest).await?, output))
+        });
+        let mut heads = heads.buffered(HEADS_IN_FLIGHT);
+        while let Some((head, output)) = heads.try_next().await? {
+            let (name, digest, bytes) = (&output.name, output.digest, output.bytes);
+            match head {
+                Some(length) if length == bytes => (),
+                Some(length) => {
+                    let what = format!("output '{name}' says {bytes} bytes, chunk {digest} has {length}");
+                    return Err(bad_request(what));
+                }
+                None => {
+                    let what = format!("output '{name}' is not stored; PUT /v1/chunks/{digest} first");
+                    return Err(bad_request(what));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Ends an attempt without a result.
+    pub async fn fail(&self, token: &str, blame: Blame, message: &str) -> Result<(), ServerError> {
+        require_token(token)?;
+        let verdict = self.store.fail(token, blame, message).await?;
+        tracing::warn!(?blame, ?verdict, message, "an attempt failed");
+        self.metrics.failures.add(1);
+        self.wakeup.hint();
+        Ok(())
+    }
+
+    /// Gives a task back.
+    pub async fn release(&self, token: &str) -> Result<(), ServerError> {
+        require_token(token)?;
+        if self.store.release(token).await? {
+            self.metrics.releases.add(1);
+            self.wakeup.hint();
+        }
+        Ok(())
+    }
+
+    /// Ends leases that have run out.
+    pub async fn reap(&self) -> Result<(), ServerError> {
+        let reaped = self.store.reap().await?;
+        if reaped.expired > 0 {
+            tracing::warn!(expired = reaped.expired, given_up = reaped.given_up, "leases ran out");
+            self.metrics.expiries.add(reaped.expired);
+            self.wakeup.hint();
+        }
+        Ok(())
+    }
+
+    /// Changes a bake through one of the store's calls.
+    pub async fn change<T>(
+        &self,
+        change: impl Future<Output = Result<T, crate::store::StoreError>>,
+    ) -> Result<T, ServerError> {
+        let changed = change.await?;
+        self.wakeup.hint();
+        Ok(changed)
+    }
+
+    /// Events after `after`, waiting for one if there is none and the bake goes on.
+    pub async fn events(
+        &self,
+        bake: &str,
+        after: u64,
+        limit: u32,
+        deadline: Instant,
+    ) -> Result<EventPage, ServerError> {
+        loop {
+            let mark = self.wakeup.mark();
+            let page = self.store.events_after(bake, after, limit).await?;
+            if !page.events.is_empty() || page.bake.state.is_final() || !self.wait(mark, deadline).await {
+                return Ok(page);
+            }
+        }
+    }
+
+    /// Digest of a result of a finished bake.
+    pub async fn result_of(
+        &self,
+        bake: &str,
+        what: &'static str,
+        pick: impl Fn(&Bake) -> Option<Digest>,
+    ) -> Result<Digest, ServerError> {
+        let shown = self.store.show(bake).await?;
+        pick(&shown).ok_or_else(|| {
+            let why = match shown.state {
+                BakeState::Running | BakeState::Paused => "it is not done yet",
+                BakeState::Done => "its tasks gave none",
+                BakeState::Failed => "it failed",
+                BakeState::Cancelled => "it was cancelled",
+            };
+            ServerError::NoResult { bake: bake.to_owned(), what, why: why.to_owned() }
+        })
+    }
+}
+
+fn check_claim(request: &ClaimRequest) -> Result<(), ServerError> {
+    require_chars("worker", &request.worker, 1, MAX_ID_CHARS)?;
+    let limits = [
+        ("max", (1..=MAX_LEASES).contains(&request.max), format!("1..={MAX_LEASES}")),
+        ("ttl_secs", TTL_SECS.contains(&request.ttl_secs), format!("{TTL_SECS:?}")),
+        ("wait_secs", request.wait_secs <= MAX_WAIT_SECS, format!("0..={MAX_WAIT_SECS}")),
+        ("number of kinds", request.kinds.len() <= MAX_KINDS, format!("0..={MAX_KINDS}")),
+    ];
+    match limits.into_iter().find(|(_, is_within, _)| !is_within) {
+        Some((name, _, range)) => Err(bad_request(format!("{name} must be within {range}"))),
+        None => Ok(()),
+    }
+}
+
+fn require_chars(name: &str, text: &str, min: usize, max: usize) -> Result<(), ServerError> {
+    let count = text.chars().count();
+    if (min..=max).contains(&count) {
+        return Ok(());
+    }
+    Err(bad_request(format!("{name} must have {min} to {max} characters, not {count}")))
+}
+
+fn require_token(token: &str) -> Result<(), ServerError> {
+    if is_token(token) { Ok(()) } else { Err(ServerError::NoSuchLease) }
+}
+
+fn bad_request(what: String) -> ServerError {
+    ServerError::BadRequest { what }
+}

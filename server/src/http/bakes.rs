@@ -1,0 +1,180 @@
+//! Bakes as people see them.
+
+use std::sync::Arc;
+
+use axum::Json;
+use axum::extract::State;
+use axum::http::{HeaderMap, Method, StatusCode};
+use axum::response::Response;
+use lightkiln_proto::api::{Bake, BakePage, NewBake, NewPriority, WorkerPage};
+use lightkiln_proto::problem::Problem;
+use serde::Deserialize;
+use utoipa::IntoParams;
+
+use super::chunks::serve_bytes;
+use super::extract::{JsonBody, PathParam, UrlQuery, bad_request};
+use crate::error::ServerError;
+use crate::farm::Farm;
+
+/// Largest JSON body of people's calls.
+const MAX_JSON_BYTES: usize = 1 << 20;
+/// Bakes on a page unless asked otherwise.
+const PAGE_BAKES: u32 = 50;
+/// Most bakes on a page.
+const MAX_PAGE_BAKES: u32 = 500;
+/// A finished bake's results are fixed, but who may see them could change.
+const REVALIDATE: &str = "no-cache";
+
+/// Query of the list of bakes.
+#[derive(Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ListQuery {
+    /// `next` of the page before.
+    after: Option<String>,
+    /// Bakes on the page, 1..=500; 50 unless set.
+    #[param(minimum = 1, maximum = 500)]
+    limit: Option<u32>,
+}
+
+/// Asks for a bake. The scene must be stored. The same Idempotency-Key with the same body gives the same bake.
+#[utoipa::path(post, path = "/v1/bakes", tag = "bakes", request_body = NewBake,
+    params(("Idempotency-Key" = Option<String>, Header, description = "Makes trying again safe; 1 to 200 characters")),
+    responses(
+        (status = 202, description = "Accepted", body = Bake),
+        (status = 404, description = "The scene is not stored", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "The key belongs to another request", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "A setting is wrong", body = Problem, content_type = "application/problem+json"),
+        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn submit(
+    State(farm): State<Arc<Farm>>,
+    headers: HeaderMap,
+    JsonBody(bake): JsonBody<NewBake, MAX_JSON_BYTES>,
+) -> Result<(StatusCode, Json<Bake>), ServerError> {
+    let key = headers.get("Idempotency-Key").map(|value| {
+        value.to_str().map(str::to_owned).map_err(|_| bad_request("Idempotency-Key must be visible ASCII"))
+    });
+    let bake = farm.submit(bake, key.transpose()?).await?;
+    Ok((StatusCode::ACCEPTED, Json(bake)))
+}
+
+/// Lists bakes, newest first.
+#[utoipa::path(get, path = "/v1/bakes", tag = "bakes", params(ListQuery),
+    responses((status = 200, description = "A page", body = BakePage),
+        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn list(
+    State(farm): State<Arc<Farm>>,
+    UrlQuery(query): UrlQuery<ListQuery>,
+) -> Result<Json<BakePage>, ServerError> {
+    let limit = query.limit.unwrap_or(PAGE_BAKES);
+    if !(1..=MAX_PAGE_BAKES).contains(&limit) {
+        return Err(bad_request(format!("limit must be within 1..={MAX_PAGE_BAKES}, not {limit}")));
+    }
+    Ok(Json(farm.store.list(query.after.as_deref(), limit).await?))
+}
+
+/// Shows a bake.
+#[utoipa::path(get, path = "/v1/bakes/{id}", tag = "bakes",
+    params(("id" = String, Path, description = "The bake")),
+    responses((status = 200, description = "The bake", body = Bake),
+        (status = 404, description = "No such bake", body = Problem, content_type = "application/problem+json"),
+        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn show(
+    State(farm): State<Arc<Farm>>,
+    PathParam(id): PathParam<String>,
+) -> Result<Json<Bake>, ServerError> {
+    Ok(Json(farm.store.show(&id).await?))
+}
+
+/// Cancels a bake; what no other bake wants is dropped.
+#[utoipa::path(post, path = "/v1/bakes/{id}/cancel", tag = "bakes",
+    params(("id" = String, Path, description = "The bake")),
+    responses((status = 200, description = "The bake", body = Bake),
+        (status = 409, description = "It has ended", body = Problem, content_type = "application/problem+json"),
+        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn cancel(
+    State(farm): State<Arc<Farm>>,
+    PathParam(id): PathParam<String>,
+) -> Result<Json<Bake>, ServerError> {
+    Ok(Json(farm.change(farm.store.cancel(&id)).await?))
+}
+
+/// Holds a bake's tasks back; those under way go on.
+#[utoipa::path(post, path = "/v1/bakes/{id}/pause", tag = "bakes",
+    params(("id" = String, Path, description = "The bake")),
+    responses((status = 200, description = "The bake", body = Bake),
+        (status = 409, description = "It has ended", body = Problem, content_type = "application/problem+json"),
+        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn pause(
+    State(farm): State<Arc<Farm>>,
+    PathParam(id): PathParam<String>,
+) -> Result<Json<Bake>, ServerError> {
+    Ok(Json(farm.change(farm.store.pause(&id)).await?))
+}
+
+/// Ends a pause.
+#[utoipa::path(post, path = "/v1/bakes/{id}/resume", tag = "bakes",
+    params(("id" = String, Path, description = "The bake")),
+    responses((status = 200, description = "The bake", body = Bake),
+        (status = 409, description = "It has ended", body = Problem, content_type = "application/problem+json"),
+        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn resume(
+    State(farm): State<Arc<Farm>>,
+    PathParam(id): PathParam<String>,
+) -> Result<Json<Bake>, ServerError> {
+    Ok(Json(farm.change(farm.store.resume(&id)).await?))
+}
+
+/// Changes a bake's priority.
+#[utoipa::path(post, path = "/v1/bakes/{id}/priority", tag = "bakes", request_body = NewPriority,
+    params(("id" = String, Path, description = "The bake")),
+    responses((status = 200, description = "The bake", body = Bake),
+        (status = 409, description = "It has ended", body = Problem, content_type = "application/problem+json"),
+        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn reprioritise(
+    State(farm): State<Arc<Farm>>,
+    PathParam(id): PathParam<String>,
+    JsonBody(new): JsonBody<NewPriority, MAX_JSON_BYTES>,
+) -> Result<Json<Bake>, ServerError> {
+    Ok(Json(farm.change(farm.store.reprioritise(&id, new.priority)).await?))
+}
+
+/// Gives a finished bake's manifest.
+#[utoipa::path(get, path = "/v1/bakes/{id}/manifest", tag = "bakes",
+    params(("id" = String, Path, description = "The bake")),
+    responses((status = 200, description = "The manifest", body = serde_json::Value),
+        (status = 409, description = "The bake is not done", body = Problem, content_type = "application/problem+json"),
+        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn manifest(
+    State(farm): State<Arc<Farm>>,
+    PathParam(id): PathParam<String>,
+    method: Method,
+    headers: HeaderMap,
+) -> Result<Response, ServerError> {
+    let digest = farm.result_of(&id, "manifest", |bake| bake.manifest).await?;
+    serve_bytes(&farm, digest, &method, &headers, "application/json", REVALIDATE).await
+}
+
+/// Gives a finished bake's report.
+#[utoipa::path(get, path = "/v1/bakes/{id}/report", tag = "bakes",
+    params(("id" = String, Path, description = "The bake")),
+    responses((status = 200, description = "The report", body = serde_json::Value),
+        (status = 409, description = "The bake is not done", body = Problem, content_type = "application/problem+json"),
+        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn report(
+    State(farm): State<Arc<Farm>>,
+    PathParam(id): PathParam<String>,
+    method: Method,
+    headers: HeaderMap,
+) -> Result<Response, ServerError> {
+    let digest = farm.result_of(&id, "report", |bake| bake.report).await?;
+    serve_bytes(&farm, digest, &method, &headers, "application/json", REVALIDATE).await
+}
+
+/// Lists workers heard of in the last ten minutes.
+#[utoipa::path(get, path = "/v1/workers", tag = "workers",
+    responses((status = 200, description = "By name", body = WorkerPage),
+        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn workers(State(farm): State<Arc<Farm>>) -> Result<Json<WorkerPage>, ServerError> {
+    Ok(Json(WorkerPage { workers: farm.store.workers().await? }))
+}

@@ -1,0 +1,166 @@
+//! Stored bytes: chunks and scenes.
+
+use std::sync::Arc;
+
+use axum::Json;
+use axum::body::Body;
+use axum::extract::State;
+use axum::http::{HeaderMap, Method, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use futures::{StreamExt, TryStreamExt};
+use lightkiln_proto::api::{MAX_CHUNK_BYTES, SceneStored};
+use lightkiln_proto::ids::Digest;
+use lightkiln_proto::problem::Problem;
+
+use super::extract::{PathParam, content_length, text_header};
+use super::openapi::Binary;
+use super::ranges::{Wanted, is_known, range_applies, wanted};
+use crate::chunks::{ChunkError, Stored};
+use crate::error::ServerError;
+use crate::farm::Farm;
+
+/// Bytes under a digest never change.
+const FOREVER: &str = "public, max-age=31536000, immutable";
+
+/// Stores a chunk.
+#[utoipa::path(put, path = "/v1/chunks/{digest}", tag = "chunks",
+    params(("digest" = Digest, Path, description = "blake3 digest of the bytes")),
+    request_body(content = inline(Binary), content_type = "application/octet-stream", description = "At most 2 GiB"),
+    responses(
+        (status = 201, description = "Stored"),
+        (status = 200, description = "Was stored already"),
+        (status = 413, description = "Too large", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "The bytes have another digest", body = Problem, content_type = "application/problem+json"),
+        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn put_chunk(
+    State(farm): State<Arc<Farm>>,
+    PathParam(digest): PathParam<Digest>,
+    headers: HeaderMap,
+    body: Body,
+) -> Result<StatusCode, ServerError> {
+    Ok(status_of(store(&farm, digest, &headers, body).await?))
+}
+
+/// Stores a scene bundle: .glb, or .zip with a .gltf and its files.
+#[utoipa::path(put, path = "/v1/scenes/{digest}", tag = "scenes",
+    params(("digest" = Digest, Path, description = "blake3 digest of the bundle")),
+    request_body(content = inline(Binary), content_type = "application/octet-stream", description = "At most 2 GiB"),
+    responses(
+        (status = 201, description = "Stored", body = SceneStored),
+        (status = 200, description = "Was stored already", body = SceneStored),
+        (status = 413, description = "Too large", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "The bytes have another digest", body = Problem, content_type = "application/problem+json"),
+        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn put_scene(
+    State(farm): State<Arc<Farm>>,
+    PathParam(digest): PathParam<Digest>,
+    headers: HeaderMap,
+    body: Body,
+) -> Result<(StatusCode, Json<SceneStored>), ServerError> {
+    let stored = store(&farm, digest, &headers, body).await?;
+    Ok((status_of(stored), Json(SceneStored { scene: digest, bytes: stored.bytes })))
+}
+
+async fn store(farm: &Farm, digest: Digest, headers: &HeaderMap, body: Body) -> Result<Stored, ServerError> {
+    let limit = MAX_CHUNK_BYTES;
+    if content_length(headers).is_some_and(|length| length > limit) {
+        return Err(ChunkError::TooLarge { limit }.into());
+    }
+    let bytes = body.into_data_stream().map_err(|error| ChunkError::Broken(error.into()));
+    let stored = farm.chunks.put_stream(digest, bytes.boxed(), limit).await?;
+    farm.metrics.bytes_in.add(stored.bytes);
+    Ok(stored)
+}
+
+fn status_of(stored: Stored) -> StatusCode {
+    if stored.is_new { StatusCode::CREATED } else { StatusCode::OK }
+}
+
+/// Says whether a scene is stored, so that it need not be uploaded again.
+#[utoipa::path(head, path = "/v1/scenes/{digest}", tag = "scenes",
+    params(("digest" = Digest, Path, description = "blake3 digest of the bundle")),
+    responses((status = 200, description = "It is stored"), (status = 404, description = "It is not")))]
+pub(super) async fn head_scene(
+    State(farm): State<Arc<Farm>>,
+    PathParam(digest): PathParam<Digest>,
+    headers: HeaderMap,
+) -> Result<Response, ServerError> {
+    serve_bytes(&farm, digest, &Method::HEAD, &headers, "application/octet-stream", FOREVER).await
+}
+
+/// Gives a chunk, whole or in part.
+#[utoipa::path(get, path = "/v1/chunks/{digest}", tag = "chunks",
+    params(
+        ("digest" = Digest, Path, description = "blake3 digest of the bytes"),
+        ("Range" = Option<String>, Header, description = "One range of bytes"),
+        ("If-Range" = Option<String>, Header, description = "Serve the range only if this is the entity tag"),
+        ("If-None-Match" = Option<String>, Header, description = "Answer 304 if this is the entity tag")),
+    responses(
+        (status = 200, description = "All bytes", body = inline(Binary), content_type = "application/octet-stream"),
+        (status = 206, description = "The range", body = inline(Binary), content_type = "application/octet-stream"),
+        (status = 304, description = "The caller has the bytes"),
+        (status = 404, description = "Not stored", body = Problem, content_type = "application/problem+json"),
+        (status = 416, description = "The range lies outside", body = Problem, content_type = "application/problem+json"),
+        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn get_chunk(
+    State(farm): State<Arc<Farm>>,
+    PathParam(digest): PathParam<Digest>,
+    method: Method,
+    headers: HeaderMap,
+) -> Result<Response, ServerError> {
+    serve_bytes(&farm, digest, &method, &headers, "application/octet-stream", FOREVER).await
+}
+
+/// Says whether a chunk is stored, and how long it is.
+#[utoipa::path(head, path = "/v1/chunks/{digest}", tag = "chunks",
+    params(("digest" = Digest, Path, description = "blake3 digest of the bytes")),
+    responses((status = 200, description = "It is stored"), (status = 404, description = "It is not")))]
+pub(super) async fn head_chunk(
+    State(farm): State<Arc<Farm>>,
+    PathParam(digest): PathParam<Digest>,
+    headers: HeaderMap,
+) -> Result<Response, ServerError> {
+    serve_bytes(&farm, digest, &Method::HEAD, &headers, "application/octet-stream", FOREVER).await
+}
+
+/// Answers GET or HEAD of stored bytes, with conditions and ranges.
+pub(super) async fn serve_bytes(
+    farm: &Farm,
+    digest: Digest,
+    method: &Method,
+    headers: &HeaderMap,
+    content_type: &'static str,
+    cache_control: &'static str,
+) -> Result<Response, ServerError> {
+    let length = farm.chunks.head(digest).await?.ok_or(ChunkError::NotFound { digest })?;
+    let etag = format!("\"{digest}\"");
+    let fixed = [
+        (header::ETAG, etag.clone()),
+        (header::CACHE_CONTROL, cache_control.to_owned()),
+        (header::ACCEPT_RANGES, "bytes".to_owned()),
+    ];
+    if is_known(text_header(headers, header::IF_NONE_MATCH), &etag) {
+        return Ok((StatusCode::NOT_MODIFIED, fixed).into_response());
+    }
+    let applies = method == Method::GET && range_applies(text_header(headers, header::IF_RANGE), &etag);
+    let range = text_header(headers, header::RANGE).filter(|_| applies);
+    let (status, part) = match wanted(range, length) {
+        Wanted::All => (StatusCode::OK, 0..length),
+        Wanted::Part(part) => (StatusCode::PARTIAL_CONTENT, part),
+        Wanted::Nothing => return Err(ServerError::Range { length }),
+    };
+    let body = if method == Method::HEAD {
+        Body::empty()
+    } else {
+        Body::from_stream(farm.chunks.get_range(digest, part.clone()).await?)
+    };
+    let size = (part.end - part.start).to_string();
+    let sized = [(header::CONTENT_TYPE, content_type.to_owned()), (header::CONTENT_LENGTH, size)];
+    let mut response = (status, fixed, sized, body).into_response();
+    if status == StatusCode::PARTIAL_CONTENT
+        && let Ok(range) = format!("bytes {}-{}/{length}", part.start, part.end - 1).parse()
+    {
+        response.headers_mut().insert(header::CONTENT_RANGE, range);
+    }
+    Ok(response)
+}

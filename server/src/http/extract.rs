@@ -1,0 +1,93 @@
+//! Parts of a request, with problems for those that are malformed.
+
+use std::str::FromStr;
+
+use axum::extract::{FromRequest, FromRequestParts, Path, Query, Request};
+use axum::http::request::Parts;
+use axum::http::{HeaderMap, header};
+use futures::StreamExt;
+use serde::de::DeserializeOwned;
+
+use crate::error::ServerError;
+
+/// A JSON body of at most `LIMIT` bytes.
+pub(super) struct JsonBody<T, const LIMIT: usize>(pub(super) T);
+
+impl<S: Send + Sync, T: DeserializeOwned, const LIMIT: usize> FromRequest<S> for JsonBody<T, LIMIT> {
+    type Rejection = ServerError;
+
+    async fn from_request(request: Request, _state: &S) -> Result<Self, ServerError> {
+        // Pages of other sites can post forms and plain text to this server, but not JSON.
+        let is_json = |value: &str| {
+            value.split(';').next().is_some_and(|kind| kind.trim().eq_ignore_ascii_case("application/json"))
+        };
+        if !text_header(request.headers(), header::CONTENT_TYPE).is_some_and(is_json) {
+            return Err(bad_request("the body must have the Content-Type application/json"));
+        }
+        let body = read_body(request, LIMIT).await?;
+        let parsed = serde_json::from_slice(&body);
+        parsed
+            .map(Self)
+            .map_err(|error| bad_request(format!("the body is not what this call takes: {error}")))
+    }
+}
+
+async fn read_body(request: Request, limit: usize) -> Result<Vec<u8>, ServerError> {
+    let too_large = || ServerError::BodyTooLarge { limit: limit as u64 };
+    if content_length(request.headers()).is_some_and(|length| length > limit as u64) {
+        return Err(too_large());
+    }
+    let mut pieces = request.into_body().into_data_stream();
+    let mut body = Vec::new();
+    while let Some(piece) = pieces.next().await {
+        let piece = piece.map_err(|error| bad_request(format!("the body broke off: {error}")))?;
+        if body.len() + piece.len() > limit {
+            return Err(too_large());
+        }
+        body.extend_from_slice(&piece);
+    }
+    Ok(body)
+}
+
+/// The one parameter of the path.
+pub(super) struct PathParam<T>(pub(super) T);
+
+impl<S: Send + Sync, T> FromRequestParts<S> for PathParam<T>
+where
+    T: FromStr<Err: std::fmt::Display>,
+{
+    type Rejection = ServerError;
+
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, ServerError> {
+        let text = Path::<String>::from_request_parts(parts, state).await;
+        let Path(text) = text.map_err(|error| bad_request(error.body_text()))?;
+        text.parse().map(Self).map_err(|error: T::Err| bad_request(error.to_string()))
+    }
+}
+
+/// The query of the URL.
+pub(super) struct UrlQuery<T>(pub(super) T);
+
+impl<S: Send + Sync, T: DeserializeOwned> FromRequestParts<S> for UrlQuery<T> {
+    type Rejection = ServerError;
+
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, ServerError> {
+        let query = Query::<T>::from_request_parts(parts, state).await;
+        query.map(|Query(query)| Self(query)).map_err(|error| bad_request(error.body_text()))
+    }
+}
+
+/// A header's value, if it is there once and is text.
+pub(super) fn text_header(headers: &HeaderMap, name: header::HeaderName) -> Option<&str> {
+    headers.get(name).and_then(|value| value.to_str().ok())
+}
+
+/// The body's length, if the caller says it.
+pub(super) fn content_length(headers: &HeaderMap) -> Option<u64> {
+    text_header(headers, header::CONTENT_LENGTH)?.parse().ok()
+}
+
+/// A malformed request.
+pub(super) fn bad_request(what: impl Into<String>) -> ServerError {
+    ServerError::BadRequest { what: what.into() }
+}

@@ -1,0 +1,54 @@
+//! For those who run the server: health, readiness, metrics, description.
+
+use std::sync::Arc;
+
+use axum::extract::State;
+use axum::http::{HeaderName, header};
+use bytes::Bytes;
+use lightkiln_proto::ids::Digest;
+use lightkiln_proto::problem::Problem;
+
+use crate::error::ServerError;
+use crate::farm::Farm;
+use crate::metrics;
+
+/// Content that readiness writes and reads back.
+const PROBE: &[u8] = b"lightkiln readiness probe\n";
+
+/// Says that the process runs.
+#[utoipa::path(get, path = "/healthz", tag = "operation",
+    responses((status = 200, description = "It runs", body = String, content_type = "text/plain")))]
+pub(super) async fn healthz() -> &'static str {
+    "ok\n"
+}
+
+/// Says that the database can be written and the chunk store answers.
+#[utoipa::path(get, path = "/readyz", tag = "operation",
+    responses((status = 200, description = "It is ready", body = String, content_type = "text/plain"),
+        (status = 503, description = "It is not", body = Problem, content_type = "application/problem+json"),
+        (status = 507, description = "The disk is full", body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn readyz(State(farm): State<Arc<Farm>>) -> Result<&'static str, ServerError> {
+    farm.store.probe().await?;
+    let digest = Digest::of(PROBE);
+    farm.chunks.put_if_absent(digest, Bytes::from_static(PROBE)).await?;
+    farm.chunks.get(digest, PROBE.len() as u64).await?;
+    Ok("ready\n")
+}
+
+/// Figures in Prometheus' text format.
+#[utoipa::path(get, path = "/metrics", tag = "operation",
+    responses((status = 200, description = "Prometheus text format", body = String, content_type = "text/plain"),
+        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn metrics(
+    State(farm): State<Arc<Farm>>,
+) -> Result<([(HeaderName, &'static str); 1], String), ServerError> {
+    let text = metrics::render(&farm.metrics, &farm.store.stats().await?);
+    Ok(([(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], text))
+}
+
+/// This description.
+#[utoipa::path(get, path = "/openapi.json", tag = "operation",
+    responses((status = 200, description = "OpenAPI description", body = serde_json::Value)))]
+pub(super) async fn openapi() -> ([(HeaderName, &'static str); 1], String) {
+    ([(header::CONTENT_TYPE, "application/json")], super::openapi_json())
+}

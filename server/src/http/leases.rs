@@ -1,0 +1,85 @@
+//! Leases as workers see them.
+
+use std::sync::Arc;
+
+use axum::Json;
+use axum::extract::State;
+use axum::http::StatusCode;
+use lightkiln_proto::api::{
+    ClaimAnswer, ClaimRequest, CommitAnswer, Failure, Heartbeat, HeartbeatAnswer, TaskResult,
+};
+use lightkiln_proto::problem::Problem;
+
+use super::extract::{JsonBody, PathParam};
+use crate::error::ServerError;
+use crate::farm::Farm;
+
+/// Largest JSON body of small calls.
+const MAX_JSON_BYTES: usize = 1 << 20;
+/// Largest result; a plan of a hundred thousand tasks is big.
+const MAX_RESULT_BYTES: usize = 256 << 20;
+
+/// Claims tasks. Waits up to `wait_secs` for some.
+#[utoipa::path(post, path = "/v1/leases", tag = "leases", request_body = ClaimRequest,
+    responses((status = 200, description = "Leases, perhaps none", body = ClaimAnswer),
+        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn claim(
+    State(farm): State<Arc<Farm>>,
+    JsonBody(request): JsonBody<ClaimRequest, MAX_JSON_BYTES>,
+) -> Result<Json<ClaimAnswer>, ServerError> {
+    Ok(Json(farm.claim(request).await?))
+}
+
+/// Says that a task is still being worked on.
+#[utoipa::path(post, path = "/v1/leases/{token}/heartbeat", tag = "leases", request_body = Heartbeat,
+    params(("token" = String, Path, description = "The lease's token")),
+    responses((status = 200, description = "What to do", body = HeartbeatAnswer),
+        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn heartbeat(
+    State(farm): State<Arc<Farm>>,
+    PathParam(token): PathParam<String>,
+    JsonBody(heartbeat): JsonBody<Heartbeat, MAX_JSON_BYTES>,
+) -> Result<Json<HeartbeatAnswer>, ServerError> {
+    Ok(Json(farm.heartbeat(&token, heartbeat.progress).await?))
+}
+
+/// Hands in a result. Safe to try again with the same token.
+#[utoipa::path(post, path = "/v1/leases/{token}/commit", tag = "leases", request_body = TaskResult,
+    params(("token" = String, Path, description = "The lease's token")),
+    responses((status = 200, description = "What became of it", body = CommitAnswer),
+        (status = 400, description = "An output is not stored, or the plan is none", body = Problem, content_type = "application/problem+json"),
+        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn commit(
+    State(farm): State<Arc<Farm>>,
+    PathParam(token): PathParam<String>,
+    JsonBody(result): JsonBody<TaskResult, MAX_RESULT_BYTES>,
+) -> Result<Json<CommitAnswer>, ServerError> {
+    Ok(Json(CommitAnswer { verdict: farm.commit(&token, result).await? }))
+}
+
+/// Ends an attempt without a result. A lease that is gone already is no error.
+#[utoipa::path(post, path = "/v1/leases/{token}/fail", tag = "leases", request_body = Failure,
+    params(("token" = String, Path, description = "The lease's token")),
+    responses((status = 204, description = "Noted"),
+        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn fail(
+    State(farm): State<Arc<Farm>>,
+    PathParam(token): PathParam<String>,
+    JsonBody(failure): JsonBody<Failure, MAX_JSON_BYTES>,
+) -> Result<StatusCode, ServerError> {
+    farm.fail(&token, failure.blame, &failure.message).await?;
+    Ok(StatusCode::NO_CONTENT)
+}
+
+/// Gives a task back; no attempt is counted. A lease that is gone already is no error.
+#[utoipa::path(post, path = "/v1/leases/{token}/release", tag = "leases",
+    params(("token" = String, Path, description = "The lease's token")),
+    responses((status = 204, description = "Noted"),
+        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn release(
+    State(farm): State<Arc<Farm>>,
+    PathParam(token): PathParam<String>,
+) -> Result<StatusCode, ServerError> {
+    farm.release(&token).await?;
+    Ok(StatusCode::NO_CONTENT)
+}

@@ -1,0 +1,82 @@
+//! The HTTP calls; `lightkiln_proto::api` lists them.
+
+mod bakes;
+mod chunks;
+mod events;
+mod extract;
+mod health;
+mod leases;
+mod openapi;
+mod problem;
+mod ranges;
+
+use std::sync::Arc;
+
+use axum::Router;
+use axum::extract::{MatchedPath, Request};
+use axum::http::{Method, Uri};
+use axum::response::{IntoResponse, Response};
+use axum::routing::{get, head, post, put};
+use tower_http::catch_panic::CatchPanicLayer;
+use tower_http::trace::TraceLayer;
+use tracing::Span;
+
+use crate::error::ServerError;
+use crate::farm::Farm;
+
+pub use openapi::openapi_json;
+
+/// All calls over a farm.
+pub(crate) fn router(farm: Arc<Farm>) -> Router {
+    Router::new()
+        .route("/v1/scenes/{digest}", put(chunks::put_scene).head(chunks::head_scene))
+        .route("/v1/chunks/{digest}", head(chunks::head_chunk).get(chunks::get_chunk).put(chunks::put_chunk))
+        .route("/v1/bakes", get(bakes::list).post(bakes::submit))
+        .route("/v1/bakes/{id}", get(bakes::show))
+        .route("/v1/bakes/{id}/cancel", post(bakes::cancel))
+        .route("/v1/bakes/{id}/pause", post(bakes::pause))
+        .route("/v1/bakes/{id}/resume", post(bakes::resume))
+        .route("/v1/bakes/{id}/priority", post(bakes::reprioritise))
+        .route("/v1/bakes/{id}/events", get(events::events))
+        .route("/v1/bakes/{id}/manifest", get(bakes::manifest))
+        .route("/v1/bakes/{id}/report", get(bakes::report))
+        .route("/v1/workers", get(bakes::workers))
+        .route("/v1/leases", post(leases::claim))
+        .route("/v1/leases/{token}/heartbeat", post(leases::heartbeat))
+        .route("/v1/leases/{token}/commit", post(leases::commit))
+        .route("/v1/leases/{token}/fail", post(leases::fail))
+        .route("/v1/leases/{token}/release", post(leases::release))
+        .route("/healthz", get(health::healthz))
+        .route("/readyz", get(health::readyz))
+        .route("/metrics", get(health::metrics))
+        .route("/openapi.json", get(health::openapi))
+        .fallback(no_such_path)
+        .method_not_allowed_fallback(method_not_allowed)
+        .layer(CatchPanicLayer::custom(panicked))
+        .layer(TraceLayer::new_for_http().make_span_with(span))
+        .with_state(farm)
+}
+
+/// What a request is logged as: its route, as paths hold tokens.
+fn span(request: &Request) -> Span {
+    let route = request.extensions().get::<MatchedPath>().map_or("none", MatchedPath::as_str);
+    tracing::debug_span!("request", method = %request.method(), route)
+}
+
+/// A bug ends one request, not the server; the log has the panic's place.
+fn panicked(_: Box<dyn std::any::Any + Send>) -> Response {
+    ServerError::Panicked.into_response()
+}
+
+async fn no_such_path(uri: Uri) -> ServerError {
+    ServerError::NoSuchPath { path: cut(uri.path()) }
+}
+
+async fn method_not_allowed(method: Method, uri: Uri) -> ServerError {
+    ServerError::MethodNotAllowed { path: cut(uri.path()), method: method.to_string() }
+}
+
+/// Paths come from outside: a problem repeats only their beginning.
+fn cut(path: &str) -> String {
+    path.chars().take(200).collect()
+}

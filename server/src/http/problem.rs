@@ -1,0 +1,39 @@
+//! Errors as RFC 9457 problems.
+
+use axum::http::{HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use lightkiln_proto::problem::{Problem, ProblemCode};
+
+use crate::error::ServerError;
+
+/// Media type of a problem.
+const PROBLEM_JSON: HeaderValue = HeaderValue::from_static("application/problem+json");
+
+impl IntoResponse for ServerError {
+    fn into_response(self) -> Response {
+        let code = self.code();
+        let chain = self.chain();
+        let detail = match code {
+            // What went wrong inside is for the log, not for callers.
+            ProblemCode::Internal | ProblemCode::Unavailable | ProblemCode::StorageFull => {
+                tracing::error!(error = chain, "a request failed");
+                self.to_string()
+            }
+            _ => chain,
+        };
+        let mut response = problem_response(&Problem::new(code, detail));
+        if let Self::Range { length } = self
+            && let Ok(range) = HeaderValue::try_from(format!("bytes */{length}"))
+        {
+            response.headers_mut().insert(header::CONTENT_RANGE, range);
+        }
+        response
+    }
+}
+
+fn problem_response(problem: &Problem) -> Response {
+    let status = StatusCode::from_u16(problem.status).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR);
+    // A struct of texts and numbers always has its JSON.
+    let body = serde_json::to_vec(problem).unwrap_or_default();
+    (status, [(header::CONTENT_TYPE, PROBLEM_JSON)], body).into_response()
+}

@@ -1,0 +1,21 @@
+//! Lightkiln's HTTP API, job queue and chunk storage.
+//!
+//! It knows jobs and bytes, not light: it never reads a task's parameters, a chunk's content or a plan's meaning.
+//!
+//! - [`Server`] opens a state folder and serves it; [`Config`] says how.
+//! - [`store`] is the queue behind one trait, [`chunks`] the bytes, [`wakeup`] lossy hints.
+//! - [`farm`] puts them together, `http` makes calls of it.
+
+pub mod chunks;
+pub mod clock;
+mod error;
+pub mod farm;
+mod http;
+mod metrics;
+mod server;
+pub mod store;
+pub mod wakeup;
+
+pub use error::ServerError;
+pub use http::openapi_json;
+pub use server::{Config, Server};

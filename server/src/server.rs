@@ -1,0 +1,158 @@
+//! A server over one state folder: opening, serving, stopping.
+//!
+//! ```text
+//! STATE/lock           held while a server has the folder open
+//! STATE/farm.sqlite    the queue (with -wal and -shm beside it)
+//! STATE/chunks/ab/…    the bytes
+//! ```
+
+use std::fs::{File, TryLockError};
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::net::TcpListener;
+use tokio::sync::watch;
+
+use crate::chunks::ObjectChunks;
+use crate::clock::SystemClock;
+use crate::error::ServerError;
+use crate::farm::Farm;
+use crate::http;
+use crate::store::SqliteStore;
+use crate::wakeup::LocalWakeup;
+
+/// How a server runs. `Config::new(folder)` gives the defaults.
+#[derive(Clone, Debug)]
+pub struct Config {
+    /// Folder of all state; made if need be.
+    pub state_dir: PathBuf,
+    /// Serve addresses that other machines can reach although nobody is asked for a token. Default: no.
+    pub allow_non_loopback: bool,
+    /// Expired leases are looked for this often. Shorter → lost workers are noticed sooner. Default: 1 s.
+    pub reap_interval: Duration,
+    /// Waiting calls look again this often without a hint. Shorter → sooner, at more load. Default: 1 s.
+    pub poll_interval: Duration,
+    /// Requests under way may take this long after the order to stop. Default: 10 s.
+    pub stop_grace: Duration,
+}
+
+impl Config {
+    /// The defaults over a state folder.
+    pub fn new(state_dir: impl Into<PathBuf>) -> Self {
+        Self {
+            state_dir: state_dir.into(),
+            allow_non_loopback: false,
+            reap_interval: Duration::from_secs(1),
+            poll_interval: Duration::from_secs(1),
+            stop_grace: Duration::from_secs(10),
+        }
+    }
+}
+
+/// An open state folder, ready to serve.
+pub struct Server {
+    config: Config,
+    farm: Arc<Farm>,
+    store: Arc<SqliteStore>,
+    closing: watch::Sender<bool>,
+    /// Held, not read: the lock goes with the last handle.
+    _lock: File,
+}
+
+impl Server {
+    /// Opens the state folder; fails if another server has it open.
+    pub async fn open(config: Config) -> Result<Self, ServerError> {
+        let lock = lock_folder(&config.state_dir)?;
+        let database = config.state_dir.join("farm.sqlite");
+        let store = Arc::new(SqliteStore::open(&database, Arc::new(SystemClock)).await?);
+        let chunks = Arc::new(ObjectChunks::in_folder(&config.state_dir.join("chunks"))?);
+        let (closing, is_closing) = watch::channel(false);
+        let wakeup = Arc::new(LocalWakeup::default());
+        let farm = Farm::new(store.clone(), chunks, wakeup, config.poll_interval, is_closing);
+        let farm = Arc::new(farm);
+        Ok(Self { config, farm, store, closing, _lock: lock })
+    }
+
+    /// The farm itself, for calls without HTTP.
+    pub fn farm(&self) -> Arc<Farm> {
+        self.farm.clone()
+    }
+
+    /// Listens on an address such as `127.0.0.1:0`, if it may be served.
+    pub async fn bind(&self, address: &str) -> Result<TcpListener, ServerError> {
+        let cannot = |source| ServerError::Listen { address: address.to_owned(), source };
+        let resolved: Vec<SocketAddr> = tokio::net::lookup_host(address).await.map_err(cannot)?.collect();
+        resolved.iter().try_for_each(|address| self.require_servable(*address))?;
+        TcpListener::bind(&resolved[..]).await.map_err(cannot)
+    }
+
+    fn require_servable(&self, address: SocketAddr) -> Result<(), ServerError> {
+        if address.ip().is_loopback() || self.config.allow_non_loopback {
+            return Ok(());
+        }
+        Err(ServerError::NotLoopback { address })
+    }
+
+    /// Serves until `shutdown` is done, then lets requests under way end and closes the state.
+    pub async fn serve(
+        self,
+        listener: TcpListener,
+        shutdown: impl Future<Output = ()> + Send + 'static,
+    ) -> Result<(), ServerError> {
+        let address = listener.local_addr().map_err(ServerError::Serve)?;
+        self.require_servable(address)?;
+        let reaper = tokio::spawn(reap(self.farm.clone(), self.config.reap_interval));
+        let closing = self.closing.clone();
+        let stop = async move {
+            shutdown.await;
+            // Waiting calls and event streams end on this.
+            closing.send_replace(true);
+        };
+        let serving = axum::serve(listener, http::router(self.farm.clone())).with_graceful_shutdown(stop);
+        let mut closing = self.closing.subscribe();
+        let too_long = async {
+            let _ = closing.wait_for(|closing| *closing).await;
+            tokio::time::sleep(self.config.stop_grace).await;
+        };
+        tracing::info!(%address, "serving");
+        let served = tokio::select! {
+            served = serving => served.map_err(ServerError::Serve),
+            () = too_long => {
+                tracing::warn!("requests still under way after the grace were cut off");
+                Ok(())
+            }
+        };
+        reaper.abort();
+        self.store.close().await;
+        served
+    }
+}
+
+async fn reap(farm: Arc<Farm>, interval: Duration) {
+    let mut ticks = tokio::time::interval(interval);
+    ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+    loop {
+        ticks.tick().await;
+        if let Err(error) = farm.reap().await {
+            tracing::error!(error = error.chain(), "expired leases could not be ended; trying again");
+        }
+    }
+}
+
+fn lock_folder(folder: &Path) -> Result<File, ServerError> {
+    let cannot = |action, path: &Path| {
+        let path = path.to_owned();
+        move |source| ServerError::State { action, path, source }
+    };
+    std::fs::create_dir_all(folder).map_err(cannot("make", folder))?;
+    let path = folder.join("lock");
+    let options = File::options().create(true).write(true).truncate(false).open(&path);
+    let lock = options.map_err(cannot("open", &path))?;
+    match lock.try_lock() {
+        Ok(()) => Ok(lock),
+        Err(TryLockError::WouldBlock) => Err(ServerError::StateInUse { path: folder.to_owned() }),
+        Err(TryLockError::Error(source)) => Err(cannot("lock", &path)(source)),
+    }
+}

@@ -1,0 +1,105 @@
+//! What can go wrong in a farm store.
+
+use lightkiln_proto::api::BakeState;
+use lightkiln_proto::ids::TaskKey;
+use lightkiln_proto::problem::ProblemCode;
+use thiserror::Error;
+
+/// Why a store refused or failed.
+#[derive(Debug, Error)]
+pub enum StoreError {
+    /// No bake of that id.
+    #[error("there is no bake '{bake}'")]
+    NoSuchBake {
+        /// What was asked for.
+        bake: String,
+    },
+    /// The key was used with another body.
+    #[error("Idempotency-Key '{key}' was used before with another body; use a new key for a new bake")]
+    IdempotencyConflict {
+        /// The key.
+        key: String,
+    },
+    /// The bake's state does not allow the call.
+    #[error("bake '{bake}' is {state:?} and cannot be {action}")]
+    StateConflict {
+        /// The bake.
+        bake: String,
+        /// Its state.
+        state: BakeState,
+        /// What was asked for, as a participle.
+        action: &'static str,
+    },
+    /// The tasks do not form a graph that can be run.
+    #[error("the plan cannot be taken")]
+    Plan(#[from] PlanError),
+    /// No room on the disk that holds the state.
+    #[error("no room left for the farm's state")]
+    Full(#[source] Box<dyn std::error::Error + Send + Sync>),
+    /// The database does not answer now.
+    #[error("the farm's database does not answer")]
+    Unavailable(#[source] Box<dyn std::error::Error + Send + Sync>),
+    /// Stored state cannot be read, or was written by a newer version.
+    #[error("the farm's state cannot be used: {what}")]
+    Corrupt {
+        /// Which part.
+        what: String,
+        /// Why.
+        #[source]
+        source: Option<Box<dyn std::error::Error + Send + Sync>>,
+    },
+}
+
+impl StoreError {
+    /// The problem that a caller sees.
+    pub fn code(&self) -> ProblemCode {
+        match self {
+            Self::NoSuchBake { .. } => ProblemCode::NotFound,
+            Self::IdempotencyConflict { .. } => ProblemCode::IdempotencyConflict,
+            Self::StateConflict { .. } => ProblemCode::StateConflict,
+            Self::Plan(_) => ProblemCode::BadRequest,
+            Self::Full(_) => ProblemCode::StorageFull,
+            Self::Unavailable(_) => ProblemCode::Unavailable,
+            Self::Corrupt { .. } => ProblemCode::Internal,
+        }
+    }
+}
+
+/// Why a list of tasks is no plan.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum PlanError {
+    /// Too many tasks.
+    #[error("a plan holds at most {max} tasks, this one {count}")]
+    TooManyTasks {
+        /// Tasks given.
+        count: usize,
+        /// Limit.
+        max: usize,
+    },
+    /// A text or number of a task is out of bounds.
+    #[error("task {key}: {what}")]
+    Field {
+        /// The task.
+        key: TaskKey,
+        /// What is wrong, and the limit.
+        what: String,
+    },
+    /// One key, two different tasks.
+    #[error("task {key} was given before with another kind, other parameters or other inputs")]
+    KeyClash {
+        /// The key.
+        key: TaskKey,
+    },
+    /// A dependency that the bake does not hold.
+    #[error("a task needs task {needs}, which is neither in the plan nor in the bake")]
+    UnknownDependency {
+        /// The missing task.
+        needs: TaskKey,
+    },
+    /// Tasks that wait for each other.
+    #[error("task {key} waits for itself through its inputs")]
+    Cycle {
+        /// One of them.
+        key: TaskKey,
+    },
+}

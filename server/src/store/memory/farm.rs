@@ -1,0 +1,316 @@
+//! Bakes and tasks of the model: taking in, results, ends.
+
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+
+use lightkiln_proto::api::{Bake, BakeEvent, BakeState, EventKind, NewBake};
+use lightkiln_proto::ids::{Digest, TaskKey};
+use lightkiln_proto::jobs::{Artefact, MANIFEST_OUTPUT, REPORT_OUTPUT, TaskResult, TaskSpec};
+
+use crate::store::rules::{self, add_counters, check_plan, is_same_task};
+use crate::store::{KnownResult, PlanError, StoreError, Submission, Submitted, require_live, token};
+
+/// Everything a farm knows.
+#[derive(Clone, Default)]
+pub(super) struct Farm {
+    /// In order of submission.
+    pub(super) bakes: Vec<BakeEntry>,
+    pub(super) tasks: BTreeMap<TaskKey, Task>,
+    /// By token. A lease whose task was dropped stays until it runs out, so that its holder can be told.
+    pub(super) leases: BTreeMap<String, LeaseEntry>,
+    /// By name.
+    pub(super) workers: BTreeMap<String, WorkerEntry>,
+}
+
+#[derive(Clone)]
+pub(super) struct BakeEntry {
+    pub(super) id: String,
+    pub(super) idempotency_key: Option<String>,
+    pub(super) body_hash: Digest,
+    pub(super) new: NewBake,
+    pub(super) state: BakeState,
+    pub(super) members: BTreeMap<TaskKey, Member>,
+    /// Kinds in the order of their first appearance.
+    pub(super) stages: Vec<Stage>,
+    pub(super) events: Vec<BakeEvent>,
+    pub(super) tasks_run: u64,
+    pub(super) counters: BTreeMap<String, f64>,
+    pub(super) counters_reused: BTreeMap<String, f64>,
+    pub(super) manifest: Option<Digest>,
+    pub(super) report: Option<Digest>,
+    pub(super) failure: Option<String>,
+    pub(super) created_ms: i64,
+    pub(super) finished_ms: Option<i64>,
+}
+
+/// A task as one bake counts it; stays when the task itself is dropped.
+#[derive(Clone)]
+pub(super) struct Member {
+    pub(super) kind: String,
+    pub(super) cost: u64,
+    pub(super) done: bool,
+    pub(super) reused: bool,
+}
+
+#[derive(Clone)]
+pub(super) struct Stage {
+    pub(super) kind: String,
+    pub(super) first_claim_ms: Option<i64>,
+    pub(super) last_commit_ms: Option<i64>,
+}
+
+#[derive(Clone)]
+pub(super) struct Task {
+    pub(super) spec: TaskSpec,
+    /// Result, and the token that committed it.
+    pub(super) done: Option<(TaskResult, String)>,
+    /// Token of the attempt under way.
+    pub(super) lease: Option<String>,
+    pub(super) attempts: u32,
+    pub(super) not_before_ms: i64,
+    /// Workers that failed at it.
+    pub(super) blamed: BTreeSet<String>,
+}
+
+#[derive(Clone)]
+pub(super) struct LeaseEntry {
+    pub(super) key: TaskKey,
+    pub(super) worker: String,
+    pub(super) ttl_ms: i64,
+    pub(super) expires_ms: i64,
+    pub(super) cancelled: bool,
+}
+
+#[derive(Clone)]
+pub(super) struct WorkerEntry {
+    pub(super) kinds: Vec<String>,
+    pub(super) threads: u32,
+    pub(super) seen_ms: i64,
+}
+
+impl Farm {
+    /// Runs `change`; when it fails, nothing has happened.
+    pub(super) fn all_or_nothing<T>(
+        &mut self,
+        change: impl FnOnce(&mut Self) -> Result<T, StoreError>,
+    ) -> Result<T, StoreError> {
+        let before = self.clone();
+        let outcome = change(self);
+        if outcome.is_err() {
+            *self = before;
+        }
+        outcome
+    }
+
+    pub(super) fn index_of(&self, bake: &str) -> Result<usize, StoreError> {
+        let found = self.bakes.iter().position(|entry| entry.id == bake);
+        found.ok_or_else(|| StoreError::NoSuchBake { bake: bake.to_owned() })
+    }
+
+    /// Live bakes that hold `key`, oldest first.
+    pub(super) fn live_bakes_of(&self, key: TaskKey) -> Vec<usize> {
+        let wants = |bake: &BakeEntry| !bake.state.is_final() && bake.members.contains_key(&key);
+        (0..self.bakes.len()).filter(|index| wants(&self.bakes[*index])).collect()
+    }
+
+    pub(super) fn event(&mut self, bake: usize, at_ms: i64, event: EventKind) {
+        let events = &mut self.bakes[bake].events;
+        events.push(BakeEvent { seq: events.len() as u64 + 1, at_ms, event });
+    }
+
+    pub(super) fn submit(&mut self, submission: &Submission, now_ms: i64) -> Result<Submitted, StoreError> {
+        if let Some(key) = &submission.idempotency_key {
+            let known = |entry: &BakeEntry| entry.idempotency_key.as_ref() == Some(key);
+            if let Some(index) = self.bakes.iter().position(known) {
+                if self.bakes[index].body_hash != submission.body_hash {
+                    return Err(StoreError::IdempotencyConflict { key: key.clone() });
+                }
+                return Ok(Submitted { bake: self.view(index), is_new: false });
+            }
+        }
+        check_plan(&submission.plan)?;
+        let index = self.bakes.len();
+        self.bakes.push(BakeEntry::new(submission, token::new_bake_id()?, now_ms));
+        self.event(index, now_ms, EventKind::Submitted);
+        self.apply_plan(index, &submission.plan, now_ms)?;
+        self.finish_if_done(index, now_ms);
+        Ok(Submitted { bake: self.view(index), is_new: true })
+    }
+
+    /// Adds tasks to a bake, the plans of those done already included, first in first out.
+    pub(super) fn apply_plan(
+        &mut self,
+        bake: usize,
+        plan: &[TaskSpec],
+        now_ms: i64,
+    ) -> Result<(), StoreError> {
+        let mut queue: VecDeque<TaskSpec> = plan.iter().cloned().collect();
+        let mut added = Vec::new();
+        let mut reused = 0;
+        while let Some(spec) = queue.pop_front() {
+            let key = spec.key;
+            let task = self.tasks.entry(key).or_insert_with(|| Task::new(spec.clone()));
+            if !is_same_task(&task.spec, &spec) {
+                return Err(PlanError::KeyClash { key }.into());
+            }
+            let entry = &mut self.bakes[bake];
+            if entry.members.contains_key(&key) {
+                continue;
+            }
+            entry.add_member(task, now_ms);
+            if let Some((result, _)) = &task.done {
+                entry.note_outputs(&result.outputs);
+                add_counters(&mut entry.counters_reused, &result.counters);
+                queue.extend(result.plan.iter().cloned());
+                reused += 1;
+            }
+            added.push(key);
+        }
+        for key in &added {
+            self.require_dependencies(bake, *key)?;
+        }
+        if !added.is_empty() {
+            self.event(bake, now_ms, EventKind::Planned { tasks: added.len() as u64, reused });
+        }
+        Ok(())
+    }
+
+    fn require_dependencies(&self, bake: usize, key: TaskKey) -> Result<(), PlanError> {
+        let members = &self.bakes[bake].members;
+        let needs = rules::dependencies(&self.tasks[&key].spec);
+        match needs.into_iter().find(|needs| !members.contains_key(needs)) {
+            Some(needs) => Err(PlanError::UnknownDependency { needs }),
+            None => Ok(()),
+        }
+    }
+
+    pub(super) fn finish_if_done(&mut self, bake: usize, now_ms: i64) {
+        if self.bakes[bake].members.values().all(|member| member.done) {
+            self.close(bake, BakeState::Done, None, now_ms);
+        }
+    }
+
+    /// Ends a bake and drops what nobody else wants.
+    pub(super) fn close(&mut self, bake: usize, state: BakeState, failure: Option<String>, now_ms: i64) {
+        let entry = &mut self.bakes[bake];
+        entry.state = state;
+        entry.failure = failure;
+        entry.finished_ms = Some(now_ms);
+        let open: Vec<TaskKey> =
+            entry.members.iter().filter(|(_, member)| !member.done).map(|(key, _)| *key).collect();
+        self.event(bake, now_ms, EventKind::State { state });
+        for key in open {
+            if self.live_bakes_of(key).is_empty()
+                && let Some(lease) = self.tasks.remove(&key).and_then(|task| task.lease)
+                && let Some(lease) = self.leases.get_mut(&lease)
+            {
+                lease.cancelled = true;
+            }
+        }
+    }
+
+    /// Pauses or resumes.
+    pub(super) fn set_state(
+        &mut self,
+        bake: &str,
+        state: BakeState,
+        action: &'static str,
+        now_ms: i64,
+    ) -> Result<Bake, StoreError> {
+        let index = self.index_of(bake)?;
+        require_live(bake, self.bakes[index].state, action)?;
+        if self.bakes[index].state != state {
+            self.bakes[index].state = state;
+            self.event(index, now_ms, EventKind::State { state });
+        }
+        Ok(self.view(index))
+    }
+
+    pub(super) fn reusable(&self, plan: &[TaskSpec]) -> Vec<KnownResult> {
+        let mut seen = BTreeSet::new();
+        let mut known = Vec::new();
+        let mut queue: VecDeque<&TaskSpec> = plan.iter().collect();
+        while let Some(spec) = queue.pop_front() {
+            let result = self.tasks.get(&spec.key).and_then(|task| task.done.as_ref());
+            if let Some((result, _)) = result
+                && seen.insert(spec.key)
+            {
+                known.push(KnownResult { key: spec.key, outputs: result.outputs.clone() });
+                queue.extend(&result.plan);
+            }
+        }
+        known
+    }
+
+    pub(super) fn forget(&mut self, key: TaskKey) {
+        let wanted_by = self.live_bakes_of(key);
+        let Some(task) = self.tasks.get_mut(&key).filter(|task| task.done.is_some()) else { return };
+        if wanted_by.is_empty() {
+            self.tasks.remove(&key);
+            return;
+        }
+        *task = Task::new(task.spec.clone());
+        for bake in wanted_by {
+            if let Some(member) = self.bakes[bake].members.get_mut(&key) {
+                (member.done, member.reused) = (false, false);
+            }
+        }
+    }
+}
+
+impl BakeEntry {
+    fn new(submission: &Submission, id: String, now_ms: i64) -> Self {
+        Self {
+            id,
+            idempotency_key: submission.idempotency_key.clone(),
+            body_hash: submission.body_hash,
+            new: submission.bake.clone(),
+            state: BakeState::Running,
+            members: BTreeMap::new(),
+            stages: Vec::new(),
+            events: Vec::new(),
+            tasks_run: 0,
+            counters: BTreeMap::new(),
+            counters_reused: BTreeMap::new(),
+            manifest: None,
+            report: None,
+            failure: None,
+            created_ms: now_ms,
+            finished_ms: None,
+        }
+    }
+
+    fn add_member(&mut self, task: &Task, now_ms: i64) {
+        let done = task.done.is_some();
+        let (kind, cost) = (task.spec.kind.clone(), task.spec.cost);
+        let stage = self.stage(&kind);
+        if task.lease.is_some() {
+            stage.first_claim_ms.get_or_insert(now_ms);
+        }
+        self.members.insert(task.spec.key, Member { kind, cost, done, reused: done });
+    }
+
+    /// The stage of a kind, made at its first appearance.
+    pub(super) fn stage(&mut self, kind: &str) -> &mut Stage {
+        let index = self.stages.iter().position(|stage| stage.kind == kind).unwrap_or_else(|| {
+            self.stages.push(Stage { kind: kind.to_owned(), first_claim_ms: None, last_commit_ms: None });
+            self.stages.len() - 1
+        });
+        &mut self.stages[index]
+    }
+
+    pub(super) fn note_outputs(&mut self, outputs: &[Artefact]) {
+        for output in outputs {
+            match output.name.as_str() {
+                MANIFEST_OUTPUT => self.manifest = Some(output.digest),
+                REPORT_OUTPUT => self.report = Some(output.digest),
+                _ => (),
+            }
+        }
+    }
+}
+
+impl Task {
+    fn new(spec: TaskSpec) -> Self {
+        Self { spec, done: None, lease: None, attempts: 0, not_before_ms: 0, blamed: BTreeSet::new() }
+    }
+}

@@ -1,0 +1,115 @@
+//! What callers see of the model: everything is counted afresh.
+
+use std::collections::BTreeMap;
+
+use lightkiln_proto::api::{Bake, BakePage, BakeState, EventPage, StageCount, Worker};
+use lightkiln_proto::ids::TaskKey;
+
+use super::farm::{BakeEntry, Farm, Stage};
+use crate::store::rules::WORKER_LISTED_MS;
+use crate::store::{Stats, StoreError, TaskCount};
+
+impl Farm {
+    pub(super) fn view(&self, index: usize) -> Bake {
+        let entry = &self.bakes[index];
+        let done = entry.state == BakeState::Done;
+        Bake {
+            id: entry.id.clone(),
+            name: entry.new.name.clone(),
+            kind: entry.new.kind.clone(),
+            scene: entry.new.scene,
+            settings: entry.new.settings.clone(),
+            priority: entry.new.priority,
+            state: entry.state,
+            stages: entry.stages.iter().map(|stage| self.stage_count(entry, stage)).collect(),
+            tasks_run: entry.tasks_run,
+            tasks_reused: reused(entry),
+            failure: entry.failure.clone(),
+            manifest: entry.manifest.filter(|_| done),
+            report: entry.report.filter(|_| done),
+            created_ms: entry.created_ms,
+            finished_ms: entry.finished_ms,
+            counters: entry.counters.clone(),
+            counters_reused: entry.counters_reused.clone(),
+        }
+    }
+
+    fn stage_count(&self, bake: &BakeEntry, stage: &Stage) -> StageCount {
+        let elapsed_ms = match (stage.first_claim_ms, stage.last_commit_ms) {
+            (Some(first), Some(last)) => u64::try_from(last - first).unwrap_or(0),
+            _ => 0,
+        };
+        let kind = stage.kind.clone();
+        let (total, done, reused, leased, cost_total, cost_done) = (0, 0, 0, 0, 0, 0);
+        let mut count = StageCount { kind, total, done, reused, leased, cost_total, cost_done, elapsed_ms };
+        for (key, member) in bake.members.iter().filter(|(_, member)| member.kind == stage.kind) {
+            count.total += 1;
+            count.cost_total += member.cost;
+            count.reused += u64::from(member.reused);
+            if member.done {
+                count.done += 1;
+                count.cost_done += member.cost;
+            } else if !bake.state.is_final() && self.is_leased(key) {
+                count.leased += 1;
+            }
+        }
+        count
+    }
+
+    fn is_leased(&self, key: &TaskKey) -> bool {
+        self.tasks.get(key).is_some_and(|task| task.lease.is_some())
+    }
+
+    pub(super) fn list(&self, after: Option<&str>, limit: u32) -> Result<BakePage, StoreError> {
+        let end = after.map_or(Ok(self.bakes.len()), |bake| self.index_of(bake))?;
+        let start = end.saturating_sub(limit as usize);
+        let bakes: Vec<Bake> = (start..end).rev().map(|index| self.view(index)).collect();
+        let next = bakes.last().filter(|_| start > 0).map(|bake| bake.id.clone());
+        Ok(BakePage { bakes, next })
+    }
+
+    pub(super) fn events_after(&self, bake: &str, after: u64, limit: u32) -> Result<EventPage, StoreError> {
+        let index = self.index_of(bake)?;
+        let later = self.bakes[index].events.iter().filter(|event| event.seq > after);
+        Ok(EventPage { events: later.take(limit as usize).cloned().collect(), bake: self.view(index) })
+    }
+
+    pub(super) fn workers(&self, now_ms: i64) -> Vec<Worker> {
+        let lately = self.workers.iter().filter(|(_, worker)| worker.seen_ms > now_ms - WORKER_LISTED_MS);
+        let view = |(name, worker): (&String, &super::farm::WorkerEntry)| Worker {
+            name: name.clone(),
+            kinds: worker.kinds.clone(),
+            threads: worker.threads,
+            seen_ms: worker.seen_ms,
+            holds: self.holds(name),
+        };
+        lately.map(view).collect()
+    }
+
+    fn holds(&self, worker: &str) -> Vec<String> {
+        let held = self.leases.values().filter(|lease| lease.worker == worker && !lease.cancelled);
+        let mut labels: Vec<String> =
+            held.filter_map(|lease| Some(self.tasks.get(&lease.key)?.spec.label.clone())).collect();
+        labels.sort();
+        labels
+    }
+
+    pub(super) fn stats(&self) -> Stats {
+        let mut counts = BTreeMap::new();
+        for task in self.tasks.values() {
+            *counts.entry((task.spec.kind.clone(), self.state_of(task))).or_insert(0) += 1;
+        }
+        let tasks = counts.into_iter().map(|((kind, state), count)| TaskCount { kind, state, count });
+        Stats {
+            tasks: tasks.collect(),
+            bakes_live: self.bakes.iter().filter(|bake| !bake.state.is_final()).count() as u64,
+            bakes_total: self.bakes.len() as u64,
+            tasks_run: self.bakes.iter().map(|bake| bake.tasks_run).sum(),
+            tasks_reused: self.bakes.iter().map(reused).sum(),
+        }
+    }
+}
+
+fn reused(bake: &BakeEntry) -> u64 {
+    bake.members.values().filter(|member| member.reused).count() as u64
+}

@@ -1,0 +1,207 @@
+//! The queue: bakes, tasks, leases and events, behind one trait (DESIGN "The queue").
+//!
+//! **Delivery** is at least once, the **effect** exactly once. Every claim gives a fencing token; [`FarmStore::commit`]
+//! compares it in the transaction that writes the result, the events, the plan's new tasks and the unlocking of
+//! dependants. A holder whose lease has run out is refused, whether or not anyone has noticed yet.
+//!
+//! **Tasks belong to the farm.** A key that has a result is never run again: a bake that asks for it counts it as
+//! reused and takes over its plan. A key that another live bake waits for runs once for both.
+//!
+//! **States of a task**
+//! ```text
+//! waiting ──dependencies done──▶ ready ──claim──▶ leased ──commit──▶ done
+//!                                  ▲               │ fail (worker), release, expiry
+//!                                  └───────────────┘
+//! ```
+//! A task that nobody wants any more, or that failed for good, is dropped: there is no failed state to get stuck in.
+
+mod error;
+mod memory;
+mod rules;
+mod sqlite;
+mod token;
+
+use async_trait::async_trait;
+use lightkiln_proto::api::{
+    Bake, BakePage, BakeState, Blame, ClaimRequest, CommitVerdict, EventPage, HeartbeatAnswer, Lease,
+    NewBake, Worker,
+};
+use lightkiln_proto::ids::{Digest, TaskKey};
+use lightkiln_proto::jobs::{Artefact, TaskResult, TaskSpec};
+
+pub use error::{PlanError, StoreError};
+pub use memory::MemoryStore;
+pub use rules::{BACKOFF_MAX_MS, MAX_ATTEMPTS, POISON_WORKERS, backoff_ms};
+pub use sqlite::SqliteStore;
+pub use token::is_token;
+
+/// A bake to take in.
+#[derive(Clone, Debug)]
+pub struct Submission {
+    /// Submitting again under the same key gives the same bake.
+    pub idempotency_key: Option<String>,
+    /// Digest of the request; another one under the same key is refused.
+    pub body_hash: Digest,
+    /// What was asked for.
+    pub bake: NewBake,
+    /// Its first tasks.
+    pub plan: Vec<TaskSpec>,
+}
+
+/// What became of a submission.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Submitted {
+    /// The bake.
+    pub bake: Bake,
+    /// False when the idempotency key named it already.
+    pub is_new: bool,
+}
+
+/// A task that is done already, and what it gave.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct KnownResult {
+    /// The task.
+    pub key: TaskKey,
+    /// Its outputs.
+    pub outputs: Vec<Artefact>,
+}
+
+/// What became of a reported failure.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FailVerdict {
+    /// The task will be tried again.
+    Retry,
+    /// The task was given up, and the bakes that wanted it have failed.
+    GivenUp,
+    /// The lease was gone: nothing changed.
+    Stale,
+}
+
+/// What the reaper found.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Reaped {
+    /// Leases that had run out.
+    pub expired: u64,
+    /// Tasks given up because of that.
+    pub given_up: u64,
+}
+
+/// Where a task stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum TaskState {
+    /// Some of its dependencies are not done.
+    Waiting,
+    /// Can be claimed, or could if its bakes were not paused.
+    Ready,
+    /// Held by a worker.
+    Leased,
+    /// Has its result.
+    Done,
+}
+
+impl TaskState {
+    /// Name in metrics and in the database.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Waiting => "waiting",
+            Self::Ready => "ready",
+            Self::Leased => "leased",
+            Self::Done => "done",
+        }
+    }
+}
+
+/// How many tasks of a kind stand where.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct TaskCount {
+    /// Task kind.
+    pub kind: String,
+    /// Where they stand.
+    pub state: TaskState,
+    /// How many.
+    pub count: u64,
+}
+
+/// Figures about the whole farm.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Stats {
+    /// Tasks by kind and state, ascending; none with a count of 0.
+    pub tasks: Vec<TaskCount>,
+    /// Bakes that are running or paused.
+    pub bakes_live: u64,
+    /// All bakes.
+    pub bakes_total: u64,
+    /// Tasks run, over all bakes.
+    pub tasks_run: u64,
+    /// Tasks reused, over all bakes.
+    pub tasks_reused: u64,
+}
+
+/// The farm's state. Every call is one transaction: all of it happened, or none.
+#[async_trait]
+pub trait FarmStore: Send + Sync {
+    /// Takes a bake in. Tasks that are done already count as reused, and their plans are applied in turn.
+    async fn submit(&self, submission: &Submission) -> Result<Submitted, StoreError>;
+
+    /// Results that `plan` would reuse, plans of reused results included.
+    async fn reusable(&self, plan: &[TaskSpec]) -> Result<Vec<KnownResult>, StoreError>;
+
+    /// Forgets results whose bytes are lost: tasks that a live bake wants run again, dependants wait again.
+    async fn forget(&self, keys: &[TaskKey]) -> Result<(), StoreError>;
+
+    /// Hands out up to `max` ready tasks: by priority of their bake, then its age, then cost, then key.
+    async fn claim(&self, request: &ClaimRequest) -> Result<Vec<Lease>, StoreError>;
+
+    /// Prolongs a lease, or says why not.
+    async fn heartbeat(&self, token: &str, progress: f32) -> Result<HeartbeatAnswer, StoreError>;
+
+    /// Takes a result in if the lease is still good.
+    async fn commit(&self, token: &str, result: &TaskResult) -> Result<CommitVerdict, StoreError>;
+
+    /// Ends an attempt without a result.
+    async fn fail(&self, token: &str, blame: Blame, message: &str) -> Result<FailVerdict, StoreError>;
+
+    /// Gives a task back; no attempt is counted. False when the lease was gone.
+    async fn release(&self, token: &str) -> Result<bool, StoreError>;
+
+    /// Ends leases that have run out; each counts as an attempt failed by its worker.
+    async fn reap(&self) -> Result<Reaped, StoreError>;
+
+    /// Holds a bake's tasks back; leases go on.
+    async fn pause(&self, bake: &str) -> Result<Bake, StoreError>;
+
+    /// Ends a pause.
+    async fn resume(&self, bake: &str) -> Result<Bake, StoreError>;
+
+    /// Ends a bake; tasks that no other live bake wants are dropped.
+    async fn cancel(&self, bake: &str) -> Result<Bake, StoreError>;
+
+    /// Changes a live bake's priority.
+    async fn reprioritise(&self, bake: &str, priority: i32) -> Result<Bake, StoreError>;
+
+    /// One bake.
+    async fn show(&self, bake: &str) -> Result<Bake, StoreError>;
+
+    /// Bakes, newest first, after the one named by `after`.
+    async fn list(&self, after: Option<&str>, limit: u32) -> Result<BakePage, StoreError>;
+
+    /// Events with a `seq` above `after`, and the bake as it stands.
+    async fn events_after(&self, bake: &str, after: u64, limit: u32) -> Result<EventPage, StoreError>;
+
+    /// Workers heard of lately, by name.
+    async fn workers(&self) -> Result<Vec<Worker>, StoreError>;
+
+    /// Figures about the whole farm.
+    async fn stats(&self) -> Result<Stats, StoreError>;
+
+    /// Writes something, to show that writing works.
+    async fn probe(&self) -> Result<(), StoreError>;
+}
+
+/// Refuses calls that only a live bake allows.
+fn require_live(bake: &str, state: BakeState, action: &'static str) -> Result<(), StoreError> {
+    if state.is_final() {
+        return Err(StoreError::StateConflict { bake: bake.to_owned(), state, action });
+    }
+    Ok(())
+}

@@ -1,0 +1,218 @@
+//! The queue's rules as pure functions and constants; every store follows these.
+
+use std::collections::BTreeMap;
+
+use lightkiln_proto::ids::{Digest, TaskKey};
+use lightkiln_proto::jobs::{Artefact, MAX_PLAN_TASKS, TaskInput, TaskSpec};
+
+use super::PlanError;
+
+/// Attempts after which a task is given up.
+pub const MAX_ATTEMPTS: u32 = 5;
+/// Distinct workers after whose failures a task counts as poison and is given up.
+pub const POISON_WORKERS: u32 = 3;
+/// First wait before a task failed by a worker is tried again; doubles with each attempt.
+pub const BACKOFF_FIRST_MS: i64 = 1_000;
+/// Longest such wait.
+pub const BACKOFF_MAX_MS: i64 = 60_000;
+/// A worker heard within this time counts as present when a task looks for another worker.
+pub const WORKER_PRESENT_MS: i64 = 60_000;
+/// A worker heard within this time is listed.
+pub const WORKER_LISTED_MS: i64 = 600_000;
+/// A worker's last-heard time is written at most this often: idle polling costs no disk writes.
+pub const WORKER_SEEN_GRAIN_MS: i64 = 5_000;
+/// Longest failure message kept, in characters.
+pub const MAX_MESSAGE_CHARS: usize = 4_000;
+/// Longest kind and label of a task, in bytes.
+pub const MAX_TASK_NAME_BYTES: usize = 400;
+/// Largest cost of one task; a million of them still add up in 64 bits.
+pub const MAX_TASK_COST: u64 = 1 << 40;
+
+/// Wait before attempt `attempts + 1`: 1 s, 2 s, 4 s … up to a minute.
+pub fn backoff_ms(attempts: u32) -> i64 {
+    let doublings = attempts.saturating_sub(1).min(16);
+    (BACKOFF_FIRST_MS << doublings).min(BACKOFF_MAX_MS)
+}
+
+/// Whether a task with that many failed attempts by that many workers is given up.
+pub fn is_given_up(attempts: u32, workers: u32) -> bool {
+    attempts >= MAX_ATTEMPTS || workers >= POISON_WORKERS
+}
+
+/// Cuts a message to its limit.
+pub fn cut_message(message: &str) -> String {
+    message.chars().take(MAX_MESSAGE_CHARS).collect()
+}
+
+/// Why a bake failed when a worker blamed the task.
+pub fn task_fault_message(label: &str, kind: &str, worker: &str, message: &str) -> String {
+    cut_message(&format!("{label} ({kind}) failed on worker {worker}: {message}"))
+}
+
+/// Why a bake failed when workers kept failing at a task.
+pub fn given_up_message(label: &str, kind: &str, attempts: u32, workers: u32, message: &str) -> String {
+    cut_message(&format!(
+        "{label} ({kind}) was given up after {attempts} attempts by {workers} workers; the last: {message}"
+    ))
+}
+
+/// Why an attempt ended when its lease ran out.
+pub fn expiry_message(worker: &str) -> String {
+    format!("worker {worker} was not heard from until its lease ran out")
+}
+
+/// Adds `more` into `sums`, name by name.
+pub fn add_counters(sums: &mut BTreeMap<String, f64>, more: &BTreeMap<String, f64>) {
+    for (name, value) in more {
+        *sums.entry(name.clone()).or_insert(0.0) += value;
+    }
+}
+
+/// Whether two tasks of one key are the same task; label and cost are for people.
+pub fn is_same_task(a: &TaskSpec, b: &TaskSpec) -> bool {
+    a.kind == b.kind && a.params == b.params && a.inputs == b.inputs
+}
+
+/// Checks all that can be seen in a plan alone: limits, one task per key, no cycle.
+pub fn check_plan(plan: &[TaskSpec]) -> Result<(), PlanError> {
+    if plan.len() > MAX_PLAN_TASKS {
+        return Err(PlanError::TooManyTasks { count: plan.len(), max: MAX_PLAN_TASKS });
+    }
+    let mut tasks: BTreeMap<TaskKey, &TaskSpec> = BTreeMap::new();
+    for task in plan {
+        check_fields(task)?;
+        if let Some(other) = tasks.insert(task.key, task)
+            && !is_same_task(task, other)
+        {
+            return Err(PlanError::KeyClash { key: task.key });
+        }
+    }
+    check_acyclic(&tasks)
+}
+
+fn check_fields(task: &TaskSpec) -> Result<(), PlanError> {
+    let wrong = |what: String| Err(PlanError::Field { key: task.key, what });
+    if task.kind.is_empty() || task.kind.len() > MAX_TASK_NAME_BYTES {
+        return wrong(format!("its kind must have 1 to {MAX_TASK_NAME_BYTES} bytes"));
+    }
+    if task.label.len() > MAX_TASK_NAME_BYTES {
+        return wrong(format!("its label must have at most {MAX_TASK_NAME_BYTES} bytes"));
+    }
+    if task.cost > MAX_TASK_COST {
+        return wrong(format!("its cost must be at most {MAX_TASK_COST}"));
+    }
+    Ok(())
+}
+
+/// Takes away tasks whose dependencies inside the plan are gone, until none is left or a cycle is.
+fn check_acyclic(tasks: &BTreeMap<TaskKey, &TaskSpec>) -> Result<(), PlanError> {
+    let mut waiting: BTreeMap<TaskKey, usize> = BTreeMap::new();
+    let mut dependants: BTreeMap<TaskKey, Vec<TaskKey>> = BTreeMap::new();
+    for (key, task) in tasks {
+        let inner = dependencies(task).into_iter().filter(|needs| tasks.contains_key(needs));
+        let mut count = 0;
+        for needs in inner {
+            dependants.entry(needs).or_default().push(*key);
+            count += 1;
+        }
+        waiting.insert(*key, count);
+    }
+    let mut free: Vec<TaskKey> =
+        waiting.iter().filter(|(_, count)| **count == 0).map(|(key, _)| *key).collect();
+    while let Some(key) = free.pop() {
+        waiting.remove(&key);
+        for dependant in dependants.remove(&key).unwrap_or_default() {
+            if let Some(count) = waiting.get_mut(&dependant) {
+                *count -= 1;
+                if *count == 0 {
+                    free.push(dependant);
+                }
+            }
+        }
+    }
+    waiting.keys().next().map_or(Ok(()), |key| Err(PlanError::Cycle { key: *key }))
+}
+
+/// Keys that a task waits for, each once, ascending.
+pub fn dependencies(task: &TaskSpec) -> Vec<TaskKey> {
+    let mut keys: Vec<TaskKey> = task.dependencies().collect();
+    keys.sort_unstable();
+    keys.dedup();
+    keys
+}
+
+/// A task's inputs as its worker sees them; `outputs_of` gives the outputs of a finished task.
+///
+/// The length of a plain artefact is not known here and left 0.
+pub fn resolve_inputs(task: &TaskSpec, outputs_of: impl Fn(&TaskKey) -> Vec<Artefact>) -> Vec<Artefact> {
+    let mut inputs = Vec::with_capacity(task.inputs.len());
+    for input in &task.inputs {
+        match input {
+            TaskInput::Artefact { name, digest } => inputs.push(artefact(name.clone(), *digest, 0)),
+            TaskInput::Task { name, key } => inputs.extend(
+                outputs_of(key)
+                    .into_iter()
+                    .map(|output| artefact(format!("{name}/{}", output.name), output.digest, output.bytes)),
+            ),
+        }
+    }
+    inputs
+}
+
+fn artefact(name: String, digest: Digest, bytes: u64) -> Artefact {
+    Artefact { name, digest, bytes }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    fn task(name: &str, needs: &[TaskKey]) -> TaskSpec {
+        let inputs = needs.iter().map(|key| TaskInput::Task { name: "in".into(), key: *key }).collect();
+        TaskSpec::new("kind", 1, name, json!({ "name": name }), inputs, 1)
+    }
+
+    #[test]
+    fn backoff_doubles_and_stops_at_a_minute() {
+        assert_eq!([1, 2, 3, 4].map(backoff_ms), [1_000, 2_000, 4_000, 8_000]);
+        assert_eq!(backoff_ms(u32::MAX), BACKOFF_MAX_MS);
+    }
+
+    #[test]
+    fn plan_in_any_order_is_accepted() {
+        let first = task("first", &[]);
+        let second = task("second", &[first.key]);
+        assert_eq!(check_plan(&[second, first]), Ok(()));
+    }
+
+    #[test]
+    fn tasks_that_wait_for_each_other_are_rejected() {
+        let (mut a, mut b) = (task("a", &[]), task("b", &[]));
+        a.inputs = vec![TaskInput::Task { name: "in".into(), key: b.key }];
+        b.inputs = vec![TaskInput::Task { name: "in".into(), key: a.key }];
+        assert!(matches!(check_plan(&[a.clone(), b]), Err(PlanError::Cycle { .. })));
+        a.inputs = vec![TaskInput::Task { name: "in".into(), key: a.key }];
+        assert_eq!(check_plan(&[a.clone()]), Err(PlanError::Cycle { key: a.key }));
+    }
+
+    #[test]
+    fn one_key_for_two_tasks_is_rejected() {
+        let (a, mut b) = (task("a", &[]), task("b", &[]));
+        b.key = a.key;
+        assert_eq!(check_plan(&[a.clone(), b]), Err(PlanError::KeyClash { key: a.key }));
+    }
+
+    #[test]
+    fn fields_out_of_bounds_are_rejected() {
+        let with = |change: fn(&mut TaskSpec)| {
+            let mut changed = task("a", &[]);
+            change(&mut changed);
+            check_plan(&[changed])
+        };
+        assert!(with(|task| task.kind.clear()).is_err());
+        assert!(with(|task| task.label = "x".repeat(MAX_TASK_NAME_BYTES + 1)).is_err());
+        assert!(with(|task| task.cost = MAX_TASK_COST + 1).is_err());
+        assert!(with(|_| ()).is_ok());
+    }
+}

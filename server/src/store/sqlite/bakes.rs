@@ -1,0 +1,102 @@
+//! Bakes: submit, pause, resume, cancel, priority.
+
+use lightkiln_proto::api::{Bake, BakeState, EventKind};
+use sqlx::Row;
+
+use super::Conn;
+use super::db::to_json;
+use super::ledger::{Ledger, seq_of};
+use super::plan::apply_plan;
+use super::view;
+use crate::store::rules::check_plan;
+use crate::store::{StoreError, Submission, Submitted, require_live, token};
+
+pub(super) async fn submit(
+    conn: &mut Conn,
+    submission: &Submission,
+    now_ms: i64,
+) -> Result<Submitted, StoreError> {
+    if let Some(bake) = submitted_before(conn, submission).await? {
+        return Ok(Submitted { bake, is_new: false });
+    }
+    check_plan(&submission.plan)?;
+    let seq = insert(conn, submission, now_ms).await?;
+    let mut bake = Ledger::load(conn, seq).await?;
+    bake.event(now_ms, EventKind::Submitted);
+    apply_plan(conn, &mut bake, &submission.plan, now_ms).await?;
+    bake.save_or_finish(conn, now_ms).await?;
+    Ok(Submitted { bake: view::bake(conn, &bake.id).await?, is_new: true })
+}
+
+async fn submitted_before(conn: &mut Conn, submission: &Submission) -> Result<Option<Bake>, StoreError> {
+    let Some(key) = &submission.idempotency_key else { return Ok(None) };
+    let query = sqlx::query("SELECT id, body_hash FROM bakes WHERE idempotency_key = ?").bind(key);
+    let Some(row) = query.fetch_optional(&mut *conn).await? else { return Ok(None) };
+    if row.try_get::<String, _>("body_hash")? != submission.body_hash.to_string() {
+        return Err(StoreError::IdempotencyConflict { key: key.clone() });
+    }
+    Ok(Some(view::bake(conn, row.try_get("id")?).await?))
+}
+
+async fn insert(conn: &mut Conn, submission: &Submission, now_ms: i64) -> Result<i64, StoreError> {
+    let sql =
+        "INSERT INTO bakes (id, idempotency_key, body_hash, name, kind, scene, settings, priority, state,
+               open_count, tasks_run, tasks_reused, counters, counters_reused, created_ms, last_event)
+               VALUES (?, ?, ?, ?, ?, ?, ?, ?, 'running', 0, 0, 0, '{}', '{}', ?, 0) RETURNING seq";
+    let new = &submission.bake;
+    let query = sqlx::query_scalar(sql)
+        .bind(token::new_bake_id()?)
+        .bind(&submission.idempotency_key)
+        .bind(submission.body_hash.to_string())
+        .bind(&new.name)
+        .bind(&new.kind)
+        .bind(new.scene.to_string())
+        .bind(to_json(&new.settings)?)
+        .bind(i64::from(new.priority))
+        .bind(now_ms);
+    Ok(query.fetch_one(conn).await?)
+}
+
+/// Pauses or resumes.
+pub(super) async fn set_state(
+    conn: &mut Conn,
+    id: &str,
+    state: BakeState,
+    action: &'static str,
+    now_ms: i64,
+) -> Result<Bake, StoreError> {
+    let mut bake = load_live(conn, id, action).await?;
+    if bake.state != state {
+        bake.state = state;
+        bake.event(now_ms, EventKind::State { state });
+        bake.save(conn).await?;
+    }
+    view::bake(conn, id).await
+}
+
+pub(super) async fn cancel(conn: &mut Conn, id: &str, now_ms: i64) -> Result<Bake, StoreError> {
+    let seq = seq_of(conn, id).await?;
+    let mut bake = Ledger::load(conn, seq).await?;
+    if bake.state != BakeState::Cancelled {
+        require_live(id, bake.state, "cancelled")?;
+        bake.close(conn, BakeState::Cancelled, None, now_ms).await?;
+    }
+    view::bake(conn, id).await
+}
+
+pub(super) async fn reprioritise(conn: &mut Conn, id: &str, priority: i32) -> Result<Bake, StoreError> {
+    let bake = load_live(conn, id, "given another priority").await?;
+    sqlx::query("UPDATE bakes SET priority = ? WHERE seq = ?")
+        .bind(i64::from(priority))
+        .bind(bake.seq)
+        .execute(&mut *conn)
+        .await?;
+    view::bake(conn, id).await
+}
+
+async fn load_live(conn: &mut Conn, id: &str, action: &'static str) -> Result<Ledger, StoreError> {
+    let seq = seq_of(conn, id).await?;
+    let bake = Ledger::load(conn, seq).await?;
+    require_live(id, bake.state, action)?;
+    Ok(bake)
+}

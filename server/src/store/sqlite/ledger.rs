@@ -1,0 +1,169 @@
+//! A bake's own row while a transaction changes it, and the end of a bake.
+
+use std::collections::BTreeMap;
+
+use lightkiln_proto::api::{BakeState, EventKind};
+use lightkiln_proto::ids::Digest;
+use lightkiln_proto::jobs::{Artefact, MANIFEST_OUTPUT, REPORT_OUTPUT};
+use sqlx::Row;
+
+use super::Conn;
+use super::db::{corrupt, digest, from_column, from_json, to_column, to_json};
+use crate::store::StoreError;
+
+/// The part of a bake's row that changes, and events not yet written.
+pub(super) struct Ledger {
+    pub(super) seq: i64,
+    pub(super) id: String,
+    pub(super) state: BakeState,
+    pub(super) open_count: u64,
+    pub(super) tasks_run: u64,
+    pub(super) tasks_reused: u64,
+    pub(super) counters: BTreeMap<String, f64>,
+    pub(super) counters_reused: BTreeMap<String, f64>,
+    manifest: Option<Digest>,
+    report: Option<Digest>,
+    failure: Option<String>,
+    finished_ms: Option<i64>,
+    last_event: u64,
+    events: Vec<(i64, EventKind)>,
+}
+
+/// Name of a state in its column.
+pub(super) fn state_name(state: BakeState) -> &'static str {
+    match state {
+        BakeState::Running => "running",
+        BakeState::Paused => "paused",
+        BakeState::Done => "done",
+        BakeState::Failed => "failed",
+        BakeState::Cancelled => "cancelled",
+    }
+}
+
+/// Reads a state's name.
+pub(super) fn state_from(name: &str) -> Result<BakeState, StoreError> {
+    use BakeState::{Cancelled, Done, Failed, Paused, Running};
+    let found =
+        [Running, Paused, Done, Failed, Cancelled].into_iter().find(|state| state_name(*state) == name);
+    found.ok_or_else(|| corrupt("a bake's state", format!("'{name}' is no state")))
+}
+
+/// Row number of the bake named `id`.
+pub(super) async fn seq_of(conn: &mut Conn, id: &str) -> Result<i64, StoreError> {
+    let seq = sqlx::query_scalar("SELECT seq FROM bakes WHERE id = ?").bind(id).fetch_optional(conn).await?;
+    seq.ok_or_else(|| StoreError::NoSuchBake { bake: id.to_owned() })
+}
+
+/// Live bakes that hold a task, oldest first.
+pub(super) async fn live_bakes_of(conn: &mut Conn, task: i64) -> Result<Vec<i64>, StoreError> {
+    let sql = "SELECT b.seq FROM bake_tasks m JOIN bakes b ON b.seq = m.bake
+               WHERE m.task = ? AND b.state IN ('running', 'paused') ORDER BY b.seq";
+    Ok(sqlx::query_scalar(sql).bind(task).fetch_all(conn).await?)
+}
+
+impl Ledger {
+    pub(super) async fn load(conn: &mut Conn, seq: i64) -> Result<Self, StoreError> {
+        let row = sqlx::query("SELECT * FROM bakes WHERE seq = ?").bind(seq).fetch_one(conn).await?;
+        let optional_digest = |column: &str| -> Result<Option<Digest>, StoreError> {
+            row.try_get::<Option<String>, _>(column)?.as_deref().map(digest).transpose()
+        };
+        Ok(Self {
+            seq,
+            id: row.try_get("id")?,
+            state: state_from(row.try_get("state")?)?,
+            open_count: from_column(row.try_get("open_count")?),
+            tasks_run: from_column(row.try_get("tasks_run")?),
+            tasks_reused: from_column(row.try_get("tasks_reused")?),
+            counters: from_json(row.try_get("counters")?, "counters")?,
+            counters_reused: from_json(row.try_get("counters_reused")?, "counters_reused")?,
+            manifest: optional_digest("manifest")?,
+            report: optional_digest("report")?,
+            failure: row.try_get("failure")?,
+            finished_ms: row.try_get("finished_ms")?,
+            last_event: from_column(row.try_get("last_event")?),
+            events: Vec::new(),
+        })
+    }
+
+    pub(super) fn event(&mut self, at_ms: i64, event: EventKind) {
+        self.events.push((at_ms, event));
+    }
+
+    pub(super) fn note_outputs(&mut self, outputs: &[Artefact]) {
+        for output in outputs {
+            match output.name.as_str() {
+                MANIFEST_OUTPUT => self.manifest = Some(output.digest),
+                REPORT_OUTPUT => self.report = Some(output.digest),
+                _ => (),
+            }
+        }
+    }
+
+    /// Writes the row and the events.
+    pub(super) async fn save(&mut self, conn: &mut Conn) -> Result<(), StoreError> {
+        for (at_ms, event) in std::mem::take(&mut self.events) {
+            self.last_event += 1;
+            sqlx::query("INSERT INTO events VALUES (?, ?, ?, ?)")
+                .bind(self.seq)
+                .bind(to_column(self.last_event))
+                .bind(at_ms)
+                .bind(to_json(&event)?)
+                .execute(&mut *conn)
+                .await?;
+        }
+        let sql = "UPDATE bakes SET state = ?, open_count = ?, tasks_run = ?, tasks_reused = ?, counters = ?,
+                   counters_reused = ?, manifest = ?, report = ?, failure = ?, finished_ms = ?, last_event = ?
+                   WHERE seq = ?";
+        sqlx::query(sql)
+            .bind(state_name(self.state))
+            .bind(to_column(self.open_count))
+            .bind(to_column(self.tasks_run))
+            .bind(to_column(self.tasks_reused))
+            .bind(to_json(&self.counters)?)
+            .bind(to_json(&self.counters_reused)?)
+            .bind(self.manifest.map(|digest| digest.to_string()))
+            .bind(self.report.map(|digest| digest.to_string()))
+            .bind(&self.failure)
+            .bind(self.finished_ms)
+            .bind(to_column(self.last_event))
+            .bind(self.seq)
+            .execute(conn)
+            .await?;
+        Ok(())
+    }
+
+    /// Saves, and ends the bake if no task is open.
+    pub(super) async fn save_or_finish(&mut self, conn: &mut Conn, now_ms: i64) -> Result<(), StoreError> {
+        if self.open_count == 0 {
+            self.close(conn, BakeState::Done, None, now_ms).await
+        } else {
+            self.save(conn).await
+        }
+    }
+
+    /// Ends the bake and drops what no other live bake wants.
+    pub(super) async fn close(
+        &mut self,
+        conn: &mut Conn,
+        state: BakeState,
+        failure: Option<String>,
+        now_ms: i64,
+    ) -> Result<(), StoreError> {
+        self.state = state;
+        self.failure = failure;
+        self.finished_ms = Some(now_ms);
+        self.event(now_ms, EventKind::State { state });
+        self.save(conn).await?;
+        for sql in [
+            "DELETE FROM ready WHERE bake = ?",
+            "UPDATE stages SET leased = 0 WHERE bake = ?",
+            "DELETE FROM tasks WHERE id IN (SELECT task FROM bake_tasks WHERE bake = ? AND done = 0)
+             AND NOT EXISTS (SELECT 1 FROM bake_tasks o JOIN bakes b ON b.seq = o.bake
+                             WHERE o.task = tasks.id AND b.state IN ('running', 'paused'))",
+            "DELETE FROM bake_tasks WHERE bake = ? AND done = 0",
+        ] {
+            sqlx::query(sql).bind(self.seq).execute(&mut *conn).await?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,219 @@
+//! Ends of attempts: commit, failure, expiry.
+
+use lightkiln_proto::api::{BakeState, Blame, CommitVerdict, EventKind};
+use lightkiln_proto::jobs::{Artefact, TaskResult};
+use sqlx::Row;
+
+use super::Conn;
+use super::db::{from_json, to_column, to_json};
+use super::leases::{self, Ended, requeue};
+use super::ledger::{Ledger, live_bakes_of};
+use super::plan::apply_plan;
+use crate::store::rules::{self, add_counters, check_plan};
+use crate::store::{FailVerdict, Reaped, StoreError};
+
+pub(super) async fn commit(
+    conn: &mut Conn,
+    token: &str,
+    result: &TaskResult,
+    now_ms: i64,
+) -> Result<CommitVerdict, StoreError> {
+    if was_committed(conn, token, result).await? {
+        return Ok(CommitVerdict::AlreadyCommitted);
+    }
+    check_plan(&result.plan)?;
+    let Some(ended) = leases::end(conn, token, now_ms).await? else { return Ok(CommitVerdict::Stale) };
+    write_result(conn, token, &ended, result).await?;
+    unlock_dependants(conn, ended.task).await?;
+    for bake in live_bakes_of(conn, ended.task).await? {
+        let mut bake = Ledger::load(conn, bake).await?;
+        count_done(conn, &mut bake, &ended, result, now_ms).await?;
+        apply_plan(conn, &mut bake, &result.plan, now_ms).await?;
+        bake.save_or_finish(conn, now_ms).await?;
+    }
+    Ok(CommitVerdict::Committed)
+}
+
+async fn was_committed(conn: &mut Conn, token: &str, result: &TaskResult) -> Result<bool, StoreError> {
+    let query = sqlx::query("SELECT outputs FROM results WHERE token = ?").bind(token);
+    let Some(row) = query.fetch_optional(conn).await? else { return Ok(false) };
+    let outputs: Vec<Artefact> = from_json(row.try_get("outputs")?, "outputs")?;
+    if outputs != result.outputs {
+        tracing::warn!("an attempt committed twice with different outputs; the first result stays");
+    }
+    Ok(true)
+}
+
+async fn write_result(
+    conn: &mut Conn,
+    token: &str,
+    ended: &Ended,
+    result: &TaskResult,
+) -> Result<(), StoreError> {
+    sqlx::query("INSERT INTO results VALUES (?, ?, ?, ?, ?)")
+        .bind(ended.task)
+        .bind(token)
+        .bind(to_json(&result.outputs)?)
+        .bind(to_json(&result.plan)?)
+        .bind(to_json(&result.counters)?)
+        .execute(&mut *conn)
+        .await?;
+    sqlx::query("UPDATE tasks SET state = 'done' WHERE id = ?").bind(ended.task).execute(conn).await?;
+    Ok(())
+}
+
+async fn unlock_dependants(conn: &mut Conn, task: i64) -> Result<(), StoreError> {
+    for sql in [
+        "UPDATE tasks SET waiting_count = waiting_count - 1
+         WHERE id IN (SELECT task FROM task_needs WHERE needs = ?) AND state <> 'done'",
+        "INSERT INTO ready SELECT m.bake, t.cost, t.key, t.id, t.kind, t.not_before_ms
+         FROM task_needs n JOIN tasks t ON t.id = n.task JOIN bake_tasks m ON m.task = t.id
+         JOIN bakes b ON b.seq = m.bake
+         WHERE n.needs = ? AND t.state = 'waiting' AND t.waiting_count = 0 AND b.state IN ('running', 'paused')",
+        "UPDATE tasks SET state = 'ready'
+         WHERE id IN (SELECT task FROM task_needs WHERE needs = ?) AND state = 'waiting' AND waiting_count = 0",
+    ] {
+        sqlx::query(sql).bind(task).execute(&mut *conn).await?;
+    }
+    Ok(())
+}
+
+async fn count_done(
+    conn: &mut Conn,
+    bake: &mut Ledger,
+    ended: &Ended,
+    result: &TaskResult,
+    now_ms: i64,
+) -> Result<(), StoreError> {
+    sqlx::query("UPDATE bake_tasks SET done = 1 WHERE bake = ? AND task = ?")
+        .bind(bake.seq)
+        .bind(ended.task)
+        .execute(&mut *conn)
+        .await?;
+    let sql = "UPDATE stages SET done = done + 1, leased = leased - 1, cost_done = cost_done + ?,
+               last_commit_ms = ? WHERE bake = ? AND kind = ?";
+    sqlx::query(sql)
+        .bind(to_column(ended.cost))
+        .bind(now_ms)
+        .bind(bake.seq)
+        .bind(&ended.kind)
+        .execute(conn)
+        .await?;
+    bake.open_count -= 1;
+    bake.tasks_run += 1;
+    add_counters(&mut bake.counters, &result.counters);
+    bake.note_outputs(&result.outputs);
+    let (kind, label, worker) = (ended.kind.clone(), ended.label.clone(), ended.worker.clone());
+    bake.event(now_ms, EventKind::TaskDone { key: ended.key, kind, label, worker });
+    Ok(())
+}
+
+pub(super) async fn fail(
+    conn: &mut Conn,
+    token: &str,
+    blame: Blame,
+    message: &str,
+    now_ms: i64,
+) -> Result<FailVerdict, StoreError> {
+    let Some(ended) = leases::end(conn, token, now_ms).await? else { return Ok(FailVerdict::Stale) };
+    let message = rules::cut_message(message);
+    if blame == Blame::Task {
+        let failure = rules::task_fault_message(&ended.label, &ended.kind, &ended.worker, &message);
+        give_up(conn, &ended, &message, &failure, now_ms).await?;
+        return Ok(FailVerdict::GivenUp);
+    }
+    if blame_worker(conn, &ended, &message, now_ms).await? {
+        return Ok(FailVerdict::GivenUp);
+    }
+    let not_before_ms = now_ms + rules::backoff_ms(ended.attempts + 1);
+    sqlx::query("UPDATE tasks SET not_before_ms = ? WHERE id = ?")
+        .bind(not_before_ms)
+        .bind(ended.task)
+        .execute(&mut *conn)
+        .await?;
+    requeue(conn, &ended, now_ms).await?;
+    for bake in live_bakes_of(conn, ended.task).await? {
+        let mut bake = Ledger::load(conn, bake).await?;
+        bake.event(now_ms, task_failed(&ended, &message, true));
+        bake.save(conn).await?;
+    }
+    Ok(FailVerdict::Retry)
+}
+
+/// Counts an attempt against its worker; true when the task was given up for that.
+async fn blame_worker(
+    conn: &mut Conn,
+    ended: &Ended,
+    message: &str,
+    now_ms: i64,
+) -> Result<bool, StoreError> {
+    let attempts = ended.attempts + 1;
+    sqlx::query("UPDATE tasks SET attempts = ? WHERE id = ?")
+        .bind(i64::from(attempts))
+        .bind(ended.task)
+        .execute(&mut *conn)
+        .await?;
+    sqlx::query("INSERT OR IGNORE INTO blames VALUES (?, ?)")
+        .bind(ended.task)
+        .bind(&ended.worker)
+        .execute(&mut *conn)
+        .await?;
+    let count = sqlx::query_scalar("SELECT count(*) FROM blames WHERE task = ?").bind(ended.task);
+    let workers: u32 = count.fetch_one(&mut *conn).await?;
+    if !rules::is_given_up(attempts, workers) {
+        return Ok(false);
+    }
+    let failure = rules::given_up_message(&ended.label, &ended.kind, attempts, workers, message);
+    give_up(conn, ended, message, &failure, now_ms).await?;
+    Ok(true)
+}
+
+/// Fails every bake that wants the task.
+async fn give_up(
+    conn: &mut Conn,
+    ended: &Ended,
+    message: &str,
+    failure: &str,
+    now_ms: i64,
+) -> Result<(), StoreError> {
+    for bake in live_bakes_of(conn, ended.task).await? {
+        let mut bake = Ledger::load(conn, bake).await?;
+        bake.event(now_ms, task_failed(ended, message, false));
+        bake.close(conn, BakeState::Failed, Some(failure.to_owned()), now_ms).await?;
+    }
+    Ok(())
+}
+
+fn task_failed(ended: &Ended, message: &str, retry: bool) -> EventKind {
+    EventKind::TaskFailed {
+        key: ended.key,
+        kind: ended.kind.clone(),
+        label: ended.label.clone(),
+        worker: ended.worker.clone(),
+        message: message.to_owned(),
+        retry,
+    }
+}
+
+pub(super) async fn reap(conn: &mut Conn, now_ms: i64) -> Result<Reaped, StoreError> {
+    let sql = "SELECT l.token FROM leases l LEFT JOIN tasks t ON t.id = l.task
+               WHERE l.expires_ms <= ? ORDER BY l.expires_ms, t.key";
+    let tokens: Vec<String> = sqlx::query_scalar(sql).bind(now_ms).fetch_all(&mut *conn).await?;
+    let mut reaped = Reaped::default();
+    for token in tokens {
+        let Some(ended) = leases::take(conn, &token).await? else { continue };
+        reaped.expired += 1;
+        for bake in live_bakes_of(conn, ended.task).await? {
+            let mut bake = Ledger::load(conn, bake).await?;
+            bake.event(now_ms, EventKind::LeaseExpired { key: ended.key, worker: ended.worker.clone() });
+            bake.save(conn).await?;
+        }
+        let message = rules::expiry_message(&ended.worker);
+        if blame_worker(conn, &ended, &message, now_ms).await? {
+            reaped.given_up += 1;
+        } else {
+            requeue(conn, &ended, now_ms).await?;
+        }
+    }
+    Ok(reaped)
+}

@@ -1,0 +1,296 @@
+//! Adding tasks to a bake, in batches: the plans of tasks done already are followed layer by layer.
+
+use std::collections::BTreeMap;
+
+use lightkiln_proto::api::EventKind;
+use lightkiln_proto::ids::TaskKey;
+use lightkiln_proto::jobs::{TaskResult, TaskSpec};
+use serde_json::json;
+use sqlx::Row;
+
+use super::Conn;
+use super::db::{ROWS_PER_STATEMENT, digest, from_column, from_json, to_column, to_json};
+use super::ledger::Ledger;
+use crate::store::rules::{add_counters, dependencies, is_same_task};
+use crate::store::{PlanError, StoreError};
+
+/// A task that the farm has.
+struct Known {
+    id: i64,
+    spec: TaskSpec,
+    state: String,
+    is_member: bool,
+}
+
+/// A task added to the bake.
+struct Added {
+    key: TaskKey,
+    needs: Vec<TaskKey>,
+}
+
+/// What one kind of task gained.
+#[derive(Default)]
+struct StageGain {
+    total: u64,
+    done: u64,
+    leased: u64,
+    cost_total: u64,
+    cost_done: u64,
+}
+
+/// An addition under way.
+struct Addition<'a> {
+    conn: &'a mut Conn,
+    bake: &'a mut Ledger,
+    added: Vec<Added>,
+    ids: BTreeMap<TaskKey, i64>,
+    /// Ids that this addition made.
+    fresh: Vec<i64>,
+    /// In order of first appearance.
+    stages: Vec<(String, StageGain)>,
+    reused: u64,
+}
+
+/// Adds `plan` to the bake. The ledger is changed, not saved.
+pub(super) async fn apply_plan(
+    conn: &mut Conn,
+    bake: &mut Ledger,
+    plan: &[TaskSpec],
+    now_ms: i64,
+) -> Result<(), StoreError> {
+    let (added, ids, fresh, stages) = (Vec::new(), BTreeMap::new(), Vec::new(), Vec::new());
+    let mut addition = Addition { conn, bake, added, ids, fresh, stages, reused: 0 };
+    let mut layer = plan.to_vec();
+    while !layer.is_empty() {
+        layer = addition.add_layer(layer).await?;
+    }
+    if addition.added.is_empty() {
+        return Ok(());
+    }
+    addition.link().await?;
+    addition.write_stages(now_ms).await?;
+    let (tasks, reused) = (addition.added.len() as u64, addition.reused);
+    bake.open_count += tasks - reused;
+    bake.tasks_reused += reused;
+    bake.event(now_ms, EventKind::Planned { tasks, reused });
+    Ok(())
+}
+
+impl Addition<'_> {
+    /// Adds tasks, and returns those planned by the ones that are done already.
+    async fn add_layer(&mut self, layer: Vec<TaskSpec>) -> Result<Vec<TaskSpec>, StoreError> {
+        let known = self.known(&layer).await?;
+        let mut fresh: BTreeMap<TaskKey, TaskSpec> = BTreeMap::new();
+        let mut members: Vec<(i64, bool)> = Vec::new();
+        let mut done: Vec<i64> = Vec::new();
+        for spec in layer {
+            let key = spec.key;
+            let earlier = known.get(&key).map(|known| &known.spec).or_else(|| fresh.get(&key));
+            if earlier.is_some_and(|earlier| !is_same_task(earlier, &spec)) {
+                return Err(PlanError::KeyClash { key }.into());
+            }
+            let known = known.get(&key);
+            if self.ids.contains_key(&key) || fresh.contains_key(&key) || known.is_some_and(|k| k.is_member) {
+                continue;
+            }
+            match known {
+                Some(task) => {
+                    self.count(&task.spec, &task.state);
+                    self.added.push(Added { key, needs: dependencies(&task.spec) });
+                    self.ids.insert(key, task.id);
+                    let is_done = task.state == "done";
+                    members.push((task.id, is_done));
+                    if is_done {
+                        done.push(task.id);
+                    }
+                }
+                None => {
+                    self.count(&spec, "ready");
+                    self.added.push(Added { key, needs: dependencies(&spec) });
+                    fresh.insert(key, spec);
+                }
+            }
+        }
+        let ids = self.insert_tasks(&fresh).await?;
+        members.extend(ids.iter().map(|id| (*id, false)));
+        self.insert_members(&members).await?;
+        self.fresh.extend(ids);
+        self.reuse(&done).await
+    }
+
+    fn count(&mut self, spec: &TaskSpec, state: &str) {
+        let index = self.stages.iter().position(|(kind, _)| *kind == spec.kind).unwrap_or_else(|| {
+            self.stages.push((spec.kind.clone(), StageGain::default()));
+            self.stages.len() - 1
+        });
+        let gain = &mut self.stages[index].1;
+        gain.total += 1;
+        gain.cost_total += spec.cost;
+        match state {
+            "leased" => gain.leased += 1,
+            "done" => {
+                gain.done += 1;
+                gain.cost_done += spec.cost;
+            }
+            _ => (),
+        }
+    }
+
+    async fn known(&mut self, layer: &[TaskSpec]) -> Result<BTreeMap<TaskKey, Known>, StoreError> {
+        let sql = "SELECT t.id, t.key, t.kind, t.params, t.inputs, t.cost, t.state,
+                   EXISTS (SELECT 1 FROM bake_tasks m WHERE m.bake = ? AND m.task = t.id) AS is_member
+                   FROM json_each(?) j JOIN tasks t ON t.key = j.value";
+        let mut known = BTreeMap::new();
+        for specs in layer.chunks(ROWS_PER_STATEMENT) {
+            let keys: Vec<TaskKey> = specs.iter().map(|spec| spec.key).collect();
+            let query = sqlx::query(sql).bind(self.bake.seq).bind(to_json(&keys)?);
+            for row in query.fetch_all(&mut *self.conn).await? {
+                let key = digest(row.try_get("key")?)?;
+                let spec = TaskSpec {
+                    key,
+                    kind: row.try_get("kind")?,
+                    label: String::new(),
+                    params: from_json(row.try_get("params")?, "params")?,
+                    inputs: from_json(row.try_get("inputs")?, "inputs")?,
+                    cost: from_column(row.try_get("cost")?),
+                };
+                let (id, state) = (row.try_get("id")?, row.try_get("state")?);
+                known.insert(key, Known { id, spec, state, is_member: row.try_get("is_member")? });
+            }
+        }
+        Ok(known)
+    }
+
+    /// Makes new tasks, ready until [`Addition::link`] says otherwise; returns their ids.
+    async fn insert_tasks(&mut self, fresh: &BTreeMap<TaskKey, TaskSpec>) -> Result<Vec<i64>, StoreError> {
+        let sql = "INSERT INTO tasks (key, kind, label, params, inputs, cost, state, waiting_count)
+                   SELECT value ->> 0, value ->> 1, value ->> 2, value ->> 3, value ->> 4, value ->> 5, 'ready', 0
+                   FROM json_each(?) RETURNING id, key";
+        let specs: Vec<&TaskSpec> = fresh.values().collect();
+        let mut ids = Vec::with_capacity(specs.len());
+        for specs in specs.chunks(ROWS_PER_STATEMENT) {
+            let mut rows = Vec::with_capacity(specs.len());
+            for spec in specs {
+                let (params, inputs) = (to_json(&spec.params)?, to_json(&spec.inputs)?);
+                rows.push(json!([spec.key, spec.kind, spec.label, params, inputs, spec.cost]));
+            }
+            for row in sqlx::query(sql).bind(to_json(&rows)?).fetch_all(&mut *self.conn).await? {
+                let id = row.try_get("id")?;
+                self.ids.insert(digest(row.try_get("key")?)?, id);
+                ids.push(id);
+            }
+        }
+        Ok(ids)
+    }
+
+    async fn insert_members(&mut self, members: &[(i64, bool)]) -> Result<(), StoreError> {
+        let sql = "INSERT INTO bake_tasks SELECT ?, value ->> 0, value ->> 1, value ->> 1 FROM json_each(?)";
+        for members in members.chunks(ROWS_PER_STATEMENT) {
+            sqlx::query(sql).bind(self.bake.seq).bind(to_json(members)?).execute(&mut *self.conn).await?;
+        }
+        Ok(())
+    }
+
+    /// Takes over the results of tasks that are done; returns what they planned.
+    async fn reuse(&mut self, done: &[i64]) -> Result<Vec<TaskSpec>, StoreError> {
+        let sql =
+            "SELECT r.outputs, r.plan, r.counters FROM json_each(?) j JOIN results r ON r.task = j.value
+                   ORDER BY j.key";
+        let mut planned = Vec::new();
+        for ids in done.chunks(ROWS_PER_STATEMENT) {
+            for row in sqlx::query(sql).bind(to_json(ids)?).fetch_all(&mut *self.conn).await? {
+                let result = TaskResult {
+                    outputs: from_json(row.try_get("outputs")?, "outputs")?,
+                    plan: from_json(row.try_get("plan")?, "plan")?,
+                    counters: from_json(row.try_get("counters")?, "counters")?,
+                };
+                self.bake.note_outputs(&result.outputs);
+                add_counters(&mut self.bake.counters_reused, &result.counters);
+                planned.extend(result.plan);
+            }
+        }
+        self.reused += done.len() as u64;
+        Ok(planned)
+    }
+
+    /// Writes who waits for whom, and makes ready what waits for nothing.
+    async fn link(&mut self) -> Result<(), StoreError> {
+        self.find_dependencies().await?;
+        let mut edges = Vec::new();
+        for task in &self.added {
+            for needs in &task.needs {
+                match (self.ids.get(&task.key), self.ids.get(needs)) {
+                    (Some(task), Some(needs)) => edges.push((*task, *needs)),
+                    _ => return Err(PlanError::UnknownDependency { needs: *needs }.into()),
+                }
+            }
+        }
+        // A task that was there has its edges, unless a dependency was forgotten meanwhile.
+        let sql = "INSERT OR IGNORE INTO task_needs SELECT value ->> 0, value ->> 1 FROM json_each(?)";
+        for edges in edges.chunks(ROWS_PER_STATEMENT) {
+            sqlx::query(sql).bind(to_json(edges)?).execute(&mut *self.conn).await?;
+        }
+        let count = "UPDATE tasks SET waiting_count = (SELECT count(*) FROM task_needs n JOIN tasks d ON d.id = n.needs
+                     WHERE n.task = tasks.id AND d.state <> 'done') WHERE id IN (SELECT value FROM json_each(?))";
+        let wait = "UPDATE tasks SET state = 'waiting'
+                    WHERE id IN (SELECT value FROM json_each(?)) AND waiting_count > 0";
+        for fresh in self.fresh.chunks(ROWS_PER_STATEMENT) {
+            let fresh = to_json(fresh)?;
+            sqlx::query(count).bind(&fresh).execute(&mut *self.conn).await?;
+            sqlx::query(wait).bind(&fresh).execute(&mut *self.conn).await?;
+        }
+        self.offer().await
+    }
+
+    /// Finds the ids of dependencies that the bake held before.
+    async fn find_dependencies(&mut self) -> Result<(), StoreError> {
+        let mut before: Vec<TaskKey> = self.added.iter().flat_map(|task| &task.needs).copied().collect();
+        before.retain(|key| !self.ids.contains_key(key));
+        before.sort_unstable();
+        before.dedup();
+        let sql = "SELECT t.id, t.key FROM json_each(?) j JOIN tasks t ON t.key = j.value
+                   JOIN bake_tasks m ON m.task = t.id AND m.bake = ?";
+        for keys in before.chunks(ROWS_PER_STATEMENT) {
+            let query = sqlx::query(sql).bind(to_json(keys)?).bind(self.bake.seq);
+            for row in query.fetch_all(&mut *self.conn).await? {
+                self.ids.insert(digest(row.try_get("key")?)?, row.try_get("id")?);
+            }
+        }
+        Ok(())
+    }
+
+    async fn offer(&mut self) -> Result<(), StoreError> {
+        let sql = "INSERT INTO ready SELECT ?, t.cost, t.key, t.id, t.kind, t.not_before_ms
+                   FROM json_each(?) j JOIN tasks t ON t.id = j.value WHERE t.state = 'ready'";
+        let ids: Vec<i64> = self.added.iter().filter_map(|task| self.ids.get(&task.key).copied()).collect();
+        for ids in ids.chunks(ROWS_PER_STATEMENT) {
+            sqlx::query(sql).bind(self.bake.seq).bind(to_json(ids)?).execute(&mut *self.conn).await?;
+        }
+        Ok(())
+    }
+
+    async fn write_stages(&mut self, now_ms: i64) -> Result<(), StoreError> {
+        let sql = "INSERT INTO stages
+                   (bake, kind, position, total, done, reused, leased, cost_total, cost_done, first_claim_ms)
+                   VALUES (?1, ?2, (SELECT count(*) FROM stages WHERE bake = ?1), ?3, ?4, ?4, ?5, ?6, ?7, ?8)
+                   ON CONFLICT (bake, kind) DO UPDATE SET
+                   total = total + excluded.total, done = done + excluded.done, reused = reused + excluded.reused,
+                   leased = leased + excluded.leased, cost_total = cost_total + excluded.cost_total,
+                   cost_done = cost_done + excluded.cost_done,
+                   first_claim_ms = coalesce(first_claim_ms, excluded.first_claim_ms)";
+        for (kind, gain) in &self.stages {
+            sqlx::query(sql)
+                .bind(self.bake.seq)
+                .bind(kind)
+                .bind(to_column(gain.total))
+                .bind(to_column(gain.done))
+                .bind(to_column(gain.leased))
+                .bind(to_column(gain.cost_total))
+                .bind(to_column(gain.cost_done))
+                .bind((gain.leased > 0).then_some(now_ms))
+                .execute(&mut *self.conn)
+                .await?;
+        }
+        Ok(())
+    }
+}

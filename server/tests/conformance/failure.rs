@@ -1,0 +1,120 @@
+//! Attempts that fail, and who is to blame.
+
+use std::slice::from_ref;
+
+use lightkiln_proto::api::{BakeState, Blame, CommitVerdict, EventKind, Lease, Verdict};
+use lightkiln_server::store::{BACKOFF_MAX_MS, FailVerdict, MAX_ATTEMPTS, POISON_WORKERS, backoff_ms};
+
+use crate::support::{World, task};
+
+async fn fail(world: &World, lease: &Lease, blame: Blame) -> FailVerdict {
+    world.store.fail(&lease.token, blame, "out of memory").await.unwrap()
+}
+
+pub async fn task_fault_fails_every_bake_that_wants_it(world: World) {
+    let shared = task("shared", &[]);
+    let bakes = [
+        world.submit("first", from_ref(&shared)).await,
+        world.submit("second", &[shared.clone(), task("other", &[])]).await,
+    ];
+    let lease = world.claim_one("w").await;
+    assert_eq!(fail(&world, &lease, Blame::Task).await, FailVerdict::GivenUp);
+    for bake in &bakes {
+        let bake = world.show(bake).await;
+        assert_eq!(bake.state, BakeState::Failed);
+        assert_eq!(bake.failure.as_deref(), Some("shared (work) failed on worker w: out of memory"));
+        let events = world.events(&bake).await;
+        let told = |event: &EventKind| matches!(event, EventKind::TaskFailed { retry: false, .. });
+        assert!(events.iter().any(|event| told(&event.event)));
+    }
+    assert!(world.claim("w", 10).await.is_empty());
+}
+
+pub async fn worker_fault_is_retried_by_another_worker_after_a_wait(world: World) {
+    let bake = world.submit("bake", &[task("a", &[])]).await;
+    assert!(world.claim("other", 0).await.is_empty());
+    let lease = world.claim_one("w").await;
+    assert_eq!(fail(&world, &lease, Blame::Worker).await, FailVerdict::Retry);
+    assert_eq!(world.show(&bake).await.stages[0].leased, 0);
+    assert!(world.claim("other", 1).await.is_empty(), "too early");
+    world.clock.advance_ms(backoff_ms(1));
+    assert!(world.claim("w", 1).await.is_empty(), "another worker is there");
+    let lease = world.claim_one("other").await;
+    assert_eq!(world.commit(&lease).await, CommitVerdict::Committed);
+    assert_eq!(world.state(&bake).await, BakeState::Done);
+}
+
+pub async fn only_worker_may_try_its_task_again(world: World) {
+    world.submit("bake", &[task("a", &[])]).await;
+    let lease = world.claim_one("w").await;
+    fail(&world, &lease, Blame::Worker).await;
+    assert!(world.claim("w", 1).await.is_empty(), "too early");
+    world.clock.advance_ms(backoff_ms(1));
+    assert_eq!(world.claim("w", 1).await.len(), 1);
+}
+
+pub async fn task_goes_back_when_all_others_failed_at_it_too(world: World) {
+    world.submit("bake", &[task("a", &[])]).await;
+    world.claim("v", 0).await;
+    for worker in ["w", "v"] {
+        let lease = world.claim_one(worker).await;
+        fail(&world, &lease, Blame::Worker).await;
+        world.clock.advance_ms(BACKOFF_MAX_MS / 4);
+    }
+    world.claim("v", 0).await;
+    assert_eq!(world.claim("w", 1).await.len(), 1);
+}
+
+pub async fn third_worker_that_fails_makes_it_poison(world: World) {
+    let bake = world.submit("bake", &[task("a", &[])]).await;
+    for worker in 1..=POISON_WORKERS {
+        world.clock.advance_ms(BACKOFF_MAX_MS);
+        let lease = world.claim_one(&format!("w{worker}")).await;
+        let wanted = if worker < POISON_WORKERS { FailVerdict::Retry } else { FailVerdict::GivenUp };
+        assert_eq!(fail(&world, &lease, Blame::Worker).await, wanted);
+    }
+    let failure = world.show(&bake).await.failure.unwrap();
+    assert!(failure.contains("given up after 3 attempts by 3 workers"), "{failure}");
+}
+
+pub async fn attempts_are_limited(world: World) {
+    let bake = world.submit("bake", &[task("a", &[])]).await;
+    for attempt in 1..=MAX_ATTEMPTS {
+        world.clock.advance_ms(BACKOFF_MAX_MS);
+        let lease = world.claim_one("w").await;
+        let wanted = if attempt < MAX_ATTEMPTS { FailVerdict::Retry } else { FailVerdict::GivenUp };
+        assert_eq!(fail(&world, &lease, Blame::Worker).await, wanted);
+    }
+    assert_eq!(world.state(&bake).await, BakeState::Failed);
+}
+
+pub async fn leases_that_run_out_count_as_attempts(world: World) {
+    let bake = world.submit("bake", &[task("a", &[])]).await;
+    for _ in 1..=MAX_ATTEMPTS {
+        world.claim_one("w").await;
+        assert_eq!(world.expire_leases().await, 1);
+    }
+    let bake = world.show(&bake).await;
+    assert_eq!(bake.state, BakeState::Failed);
+    assert!(bake.failure.unwrap().contains("was not heard from"));
+}
+
+pub async fn failed_bake_drops_its_other_tasks(world: World) {
+    world.submit("bake", &[task("a", &[]), task("b", &[]), task("c", &[])]).await;
+    let leases = world.claim("w", 2).await;
+    fail(&world, &leases[0], Blame::Task).await;
+    let verdict = world.store.heartbeat(&leases[1].token, 0.1).await.unwrap().verdict;
+    assert_eq!(verdict, Verdict::Cancel);
+    assert_eq!(world.commit(&leases[1]).await, CommitVerdict::Stale);
+    assert!(world.claim("w", 10).await.is_empty());
+    assert!(world.store.stats().await.unwrap().tasks.is_empty());
+}
+
+pub async fn failed_task_gets_another_chance_in_a_new_bake(world: World) {
+    world.submit("bake", &[task("a", &[])]).await;
+    let lease = world.claim_one("w").await;
+    fail(&world, &lease, Blame::Task).await;
+    let again = world.submit("again", &[task("a", &[])]).await;
+    assert_eq!(world.drain("w").await, 1);
+    assert_eq!(world.state(&again).await, BakeState::Done);
+}

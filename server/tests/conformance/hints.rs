@@ -1,0 +1,156 @@
+//! The farm over each store, with hints and without: they change how soon, never whether.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use bytes::Bytes;
+use lightkiln_proto::api::{Bake, BakeState, ClaimRequest, CommitVerdict, NewBake};
+use lightkiln_proto::ids::Digest;
+use lightkiln_proto::jobs::{Artefact, TaskResult, TaskSpec};
+use lightkiln_proto::problem::ProblemCode;
+use lightkiln_server::chunks::ObjectChunks;
+use lightkiln_server::farm::Farm;
+use lightkiln_server::wakeup::{LocalWakeup, NoWakeup, Wakeup};
+use tokio::sync::watch;
+use tokio::time::Instant;
+
+use crate::support::{World, task};
+
+/// Longer than any test may take: who waits this long has missed a hint.
+const LONG: Duration = Duration::from_secs(3600);
+/// Short enough to stand for polling.
+const SHORT: Duration = Duration::from_millis(2);
+const SCENE: &[u8] = b"scene";
+
+fn farm(world: &World, wakeup: Arc<dyn Wakeup>, poll_interval: Duration) -> Arc<Farm> {
+    let (closing, is_closing) = watch::channel(false);
+    // Open until the process ends.
+    std::mem::forget(closing);
+    let chunks = Arc::new(ObjectChunks::in_memory());
+    Arc::new(Farm::new(world.store.clone(), chunks, wakeup, poll_interval, is_closing))
+}
+
+fn hinted(world: &World) -> Arc<Farm> {
+    farm(world, Arc::new(LocalWakeup::default()), LONG)
+}
+
+fn polled(world: &World) -> Arc<Farm> {
+    farm(world, Arc::new(NoWakeup), SHORT)
+}
+
+async fn submit(farm: &Farm) -> Bake {
+    let scene = Digest::of(SCENE);
+    farm.chunks.put_if_absent(scene, Bytes::from_static(SCENE)).await.unwrap();
+    let settings = serde_json::json!({});
+    let bake = NewBake { name: "bake".into(), scene, kind: "prt".into(), settings, priority: 0 };
+    farm.submit(bake, None).await.unwrap()
+}
+
+fn request(worker: &str) -> ClaimRequest {
+    let kinds = ["prt.import", "prt.prepare", "work"].map(str::to_owned).to_vec();
+    ClaimRequest { worker: worker.into(), kinds, threads: 1, max: 1, ttl_secs: 30, wait_secs: 60 }
+}
+
+async fn claim_while_submitting(farm: Arc<Farm>) {
+    let claim = farm.claim(request("w"));
+    let (answer, _) = futures::future::join(claim, submit(&farm)).await;
+    let leases = answer.unwrap().leases;
+    assert_eq!(leases.len(), 1);
+    assert_eq!((leases[0].task.kind.as_str(), leases[0].inputs[0].bytes), ("prt.import", 5));
+}
+
+pub async fn waiting_claim_gets_what_is_submitted_later(world: World) {
+    claim_while_submitting(hinted(&world)).await;
+}
+
+pub async fn waiting_claim_needs_no_hint(world: World) {
+    claim_while_submitting(polled(&world)).await;
+}
+
+pub async fn workers_without_hints_finish_a_bake(world: World) {
+    for farm in [hinted(&world), polled(&world)] {
+        let name = Arc::as_ptr(&farm) as usize;
+        let bake = submit(&farm).await;
+        let planned: Vec<TaskSpec> = (0..20).map(|i| task(&format!("{name} {i}"), &[])).collect();
+        let workers: Vec<_> = (0..4)
+            .map(|worker| tokio::spawn(work(farm.clone(), format!("w{worker}"), planned.clone())))
+            .collect();
+        let mut after = 0;
+        loop {
+            let page = farm.events(&bake.id, after, 100, Instant::now() + LONG).await.unwrap();
+            after = page.events.last().map_or(after, |event| event.seq);
+            if page.bake.state.is_final() {
+                assert_eq!(page.bake.state, BakeState::Done);
+                break;
+            }
+        }
+        workers.iter().for_each(|worker| worker.abort());
+        // The next round starts from nothing.
+        let keys: Vec<_> = world.store.reusable(&initial(&bake)).await.unwrap();
+        let keys: Vec<_> = keys.into_iter().map(|result| result.key).collect();
+        world.store.forget(&keys).await.unwrap();
+    }
+}
+
+fn initial(bake: &Bake) -> Vec<TaskSpec> {
+    lightkiln_proto::bake::initial_plan(&bake.kind, bake.scene, &bake.settings).unwrap()
+}
+
+/// Takes tasks for ever; preparing plans the given tasks.
+async fn work(farm: Arc<Farm>, worker: String, planned: Vec<TaskSpec>) {
+    loop {
+        for lease in farm.claim(request(&worker)).await.unwrap().leases {
+            let plan = if lease.task.kind == "prt.prepare" { planned.clone() } else { Vec::new() };
+            let result = TaskResult { plan, ..TaskResult::default() };
+            farm.commit(&lease.token, result).await.unwrap();
+        }
+    }
+}
+
+pub async fn waiting_for_events_ends_with_one(world: World) {
+    let farm = hinted(&world);
+    let bake = submit(&farm).await;
+    let after = world.events(&bake).await.len() as u64;
+    let waiting = farm.events(&bake.id, after, 10, Instant::now() + LONG);
+    let (page, _) = futures::future::join(waiting, farm.change(world.store.pause(&bake.id))).await;
+    let page = page.unwrap();
+    assert_eq!((page.events.len(), page.bake.state), (1, BakeState::Paused));
+}
+
+/// Claims one task and commits it with one stored output.
+async fn run_one(farm: &Farm, content: &'static [u8]) -> Digest {
+    let lease = farm.claim(request("w")).await.unwrap().leases.remove(0);
+    let digest = Digest::of(content);
+    farm.chunks.put_if_absent(digest, Bytes::from_static(content)).await.unwrap();
+    let outputs = vec![Artefact { name: "out".into(), digest, bytes: content.len() as u64 }];
+    let result = TaskResult { outputs, ..TaskResult::default() };
+    assert_eq!(farm.commit(&lease.token, result).await.unwrap(), CommitVerdict::Committed);
+    digest
+}
+
+pub async fn results_whose_bytes_are_gone_are_run_again(world: World) {
+    let farm = hinted(&world);
+    submit(&farm).await;
+    run_one(&farm, b"imported").await;
+    let prepared = run_one(&farm, b"prepared").await;
+    assert_eq!(submit(&farm).await.tasks_reused, 2);
+    farm.chunks.delete(prepared).await.unwrap();
+    let again = submit(&farm).await;
+    assert_eq!((again.state, again.tasks_reused), (BakeState::Running, 1));
+    run_one(&farm, b"prepared").await;
+    assert_eq!(world.state(&again).await, BakeState::Done);
+}
+
+pub async fn result_without_its_bytes_is_refused(world: World) {
+    let farm = hinted(&world);
+    submit(&farm).await;
+    let lease = farm.claim(request("w")).await.unwrap().leases.remove(0);
+    let digest = Digest::of(b"never stored");
+    for (digest, bytes) in [(digest, 12), (Digest::of(SCENE), 6)] {
+        let outputs = vec![Artefact { name: "out".into(), digest, bytes }];
+        let result = TaskResult { outputs, ..TaskResult::default() };
+        let error = farm.commit(&lease.token, result).await.unwrap_err();
+        assert_eq!(error.code(), ProblemCode::BadRequest, "{error}");
+    }
+    assert_eq!(world.store.stats().await.unwrap().tasks_run, 0);
+}

@@ -1,0 +1,130 @@
+//! Claims, heartbeats, commits, releases, expiry.
+
+use std::collections::BTreeSet;
+
+use lightkiln_proto::api::{BakeState, Blame, CommitVerdict, EventKind, Verdict};
+use lightkiln_server::store::{FailVerdict, Reaped};
+
+use crate::support::{TTL_MS, World, request, task, task_of};
+
+pub async fn claimed_task_is_not_handed_out_again(world: World) {
+    world.submit("bake", &[task("a", &[])]).await;
+    let lease = world.claim_one("w").await;
+    assert_eq!(lease.expires_ms, 1_000_000 + TTL_MS);
+    assert!(world.claim("w", 1).await.is_empty());
+    assert!(world.claim("other", 1).await.is_empty());
+}
+
+pub async fn claims_respect_kind_and_number(world: World) {
+    let tasks = ["a", "b", "c"].map(|name| task(name, &[]));
+    world.submit("bake", &tasks).await;
+    world.submit("odd", &[task_of("odd", "odd", &[], 100)]).await;
+    assert_eq!(world.claim("w", 2).await.len(), 2);
+    assert_eq!(world.claim("w", 2).await.len(), 1);
+    let mut odd = request("w", 5);
+    odd.kinds = vec!["odd".into()];
+    assert_eq!(world.store.claim(&odd).await.unwrap().len(), 1);
+}
+
+pub async fn heartbeat_prolongs_the_lease(world: World) {
+    world.submit("bake", &[task("a", &[])]).await;
+    let lease = world.claim_one("w").await;
+    for _ in 0..3 {
+        world.clock.advance_ms(TTL_MS - 1);
+        let answer = world.store.heartbeat(&lease.token, 0.5).await.unwrap();
+        assert_eq!(answer.verdict, Verdict::Keep);
+        assert_eq!(world.store.reap().await.unwrap(), Reaped::default());
+    }
+    assert_eq!(world.commit(&lease).await, CommitVerdict::Committed);
+}
+
+pub async fn expired_lease_is_refused_before_and_after_the_reaper(world: World) {
+    let bake = world.submit("bake", &[task("a", &[])]).await;
+    let old = world.claim_one("w").await;
+    world.clock.advance_ms(TTL_MS);
+    assert_eq!(world.commit(&old).await, CommitVerdict::Stale);
+    assert_eq!(world.store.heartbeat(&old.token, 0.9).await.unwrap().verdict, Verdict::Lost);
+    assert!(world.claim("w", 1).await.is_empty(), "not before the reaper has seen it");
+    assert_eq!(world.store.reap().await.unwrap().expired, 1);
+    assert_eq!(world.commit(&old).await, CommitVerdict::Stale);
+    let new = world.claim_one("w").await;
+    assert_ne!(new.token, old.token);
+    assert_eq!(world.commit(&old).await, CommitVerdict::Stale);
+    assert_eq!(world.commit(&new).await, CommitVerdict::Committed);
+    assert_eq!(world.commit(&old).await, CommitVerdict::Stale);
+    assert_eq!(world.show(&bake).await.tasks_run, 1);
+}
+
+pub async fn lost_lease_requeues_task_once(world: World) {
+    let bake = world.submit("bake", &[task("a", &[])]).await;
+    world.claim_one("w").await;
+    assert_eq!(world.expire_leases().await, 1);
+    assert_eq!(world.store.reap().await.unwrap(), Reaped::default());
+    assert_eq!(world.claim("other", 10).await.len(), 1);
+    let lost = |event: &&_| matches!(event, EventKind::LeaseExpired { worker, .. } if worker == "w");
+    let events = world.events(&bake).await;
+    assert_eq!(events.iter().map(|event| &event.event).filter(lost).count(), 1);
+}
+
+pub async fn same_token_commits_once(world: World) {
+    let a = task("a", &[]);
+    let bake = world.submit("bake", &[a.clone(), task("b", &[&a])]).await;
+    let lease = world.claim_one("w").await;
+    assert_eq!(world.commit(&lease).await, CommitVerdict::Committed);
+    let after = world.show(&bake).await;
+    world.clock.advance_ms(TTL_MS * 10);
+    assert_eq!(world.commit(&lease).await, CommitVerdict::AlreadyCommitted);
+    assert_eq!(world.show(&bake).await, after);
+    assert_eq!(world.claim_labels("w", 10).await, ["b"]);
+}
+
+pub async fn released_task_is_ready_and_costs_no_attempt(world: World) {
+    let bake = world.submit("bake", &[task("a", &[])]).await;
+    for _ in 0..20 {
+        let lease = world.claim_one("w").await;
+        assert!(world.store.release(&lease.token).await.unwrap());
+        assert_eq!(world.commit(&lease).await, CommitVerdict::Stale);
+    }
+    assert_eq!(world.show(&bake).await.stages[0].leased, 0);
+    assert_eq!(world.drain("w").await, 1);
+}
+
+pub async fn release_and_fail_of_a_lost_lease_change_nothing(world: World) {
+    let bake = world.submit("bake", &[task("a", &[])]).await;
+    let lease = world.claim_one("w").await;
+    world.clock.advance_ms(TTL_MS);
+    assert!(!world.store.release(&lease.token).await.unwrap());
+    let failed = world.store.fail(&lease.token, Blame::Task, "too late").await.unwrap();
+    assert_eq!(failed, FailVerdict::Stale);
+    assert_eq!(world.state(&bake).await, BakeState::Running);
+    assert_eq!(world.store.reap().await.unwrap().expired, 1);
+}
+
+pub async fn unknown_token_is_lost_and_stale(world: World) {
+    world.submit("bake", &[task("a", &[])]).await;
+    let mut lease = world.claim_one("w").await;
+    lease.token = "0".repeat(32);
+    assert_eq!(world.store.heartbeat(&lease.token, 0.0).await.unwrap().verdict, Verdict::Lost);
+    assert_eq!(world.commit(&lease).await, CommitVerdict::Stale);
+    assert_eq!(world.store.fail(&lease.token, Blame::Task, "").await.unwrap(), FailVerdict::Stale);
+    assert!(!world.store.release(&lease.token).await.unwrap());
+}
+
+pub async fn concurrent_claims_hand_every_task_out_once(world: World) {
+    let tasks: Vec<_> = (0..60).map(|i| task(&format!("{i}"), &[])).collect();
+    world.submit("bake", &tasks).await;
+    let mut claims = Vec::new();
+    for worker in 0..20 {
+        let store = world.store.clone();
+        claims.push(tokio::spawn(async move { store.claim(&request(&format!("w{worker}"), 4)).await }));
+    }
+    let mut keys = BTreeSet::new();
+    let mut count = 0;
+    for claim in claims {
+        for lease in claim.await.unwrap().unwrap() {
+            keys.insert(lease.task.key);
+            count += 1;
+        }
+    }
+    assert_eq!((count, keys.len()), (60, 60));
+}

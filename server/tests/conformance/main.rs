@@ -1,0 +1,97 @@
+//! What every store of the farm must do: one suite, run over each of them.
+
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+
+mod bakes;
+mod durability;
+mod failure;
+mod graph;
+mod hints;
+mod history;
+mod leases;
+mod reuse;
+mod support;
+mod views;
+
+/// Runs every test over every store. A test that is not named here is dead code, and the compiler says so.
+macro_rules! conformance {
+    ($($module:ident: $($test:ident)+;)+) => {
+        mod memory {
+            $($(#[tokio::test] async fn $test() { crate::$module::$test(crate::support::World::memory()).await; })+)+
+        }
+        mod sqlite {
+            $($(#[tokio::test] async fn $test() { crate::$module::$test(crate::support::World::sqlite().await).await; })+)+
+        }
+    };
+}
+
+conformance! {
+    bakes:
+        same_key_and_body_give_the_same_bake
+        same_key_with_another_body_is_refused
+        without_a_key_every_submission_is_a_bake
+        paused_bake_holds_its_tasks_back_until_resumed
+        cancelled_bake_tells_holders_to_stop_and_refuses_their_results
+        cancel_keeps_what_another_bake_wants
+        cancel_again_changes_nothing
+        ended_bake_refuses_changes
+        priority_then_age_then_cost_then_key_decide_the_order
+        changed_priority_changes_the_order
+        unknown_bake_is_an_error;
+    graph:
+        dependants_start_only_after_commit
+        lease_carries_the_outputs_of_dependencies
+        plan_of_a_result_is_added_once
+        plan_may_depend_on_its_own_planner
+        plan_with_an_unknown_dependency_changes_nothing
+        plan_with_a_cycle_changes_nothing
+        one_key_for_two_tasks_is_refused
+        bake_is_done_when_all_tasks_are
+        bake_without_tasks_is_done_at_once
+        thousand_tasks_behind_one_are_unlocked_together;
+    leases:
+        claimed_task_is_not_handed_out_again
+        claims_respect_kind_and_number
+        heartbeat_prolongs_the_lease
+        expired_lease_is_refused_before_and_after_the_reaper
+        lost_lease_requeues_task_once
+        same_token_commits_once
+        released_task_is_ready_and_costs_no_attempt
+        release_and_fail_of_a_lost_lease_change_nothing
+        unknown_token_is_lost_and_stale
+        concurrent_claims_hand_every_task_out_once;
+    failure:
+        task_fault_fails_every_bake_that_wants_it
+        worker_fault_is_retried_by_another_worker_after_a_wait
+        only_worker_may_try_its_task_again
+        task_goes_back_when_all_others_failed_at_it_too
+        third_worker_that_fails_makes_it_poison
+        attempts_are_limited
+        leases_that_run_out_count_as_attempts
+        failed_bake_drops_its_other_tasks
+        failed_task_gets_another_chance_in_a_new_bake;
+    reuse:
+        done_task_is_not_run_again_and_its_plan_is_followed
+        bake_of_done_tasks_is_done_at_once
+        two_bakes_share_one_run
+        bake_that_joins_late_sees_the_lease
+        forgotten_result_is_run_again
+        forgotten_result_makes_dependants_wait
+        reusable_follows_plans;
+    hints:
+        waiting_claim_gets_what_is_submitted_later
+        waiting_claim_needs_no_hint
+        workers_without_hints_finish_a_bake
+        waiting_for_events_ends_with_one
+        results_whose_bytes_are_gone_are_run_again
+        result_without_its_bytes_is_refused;
+    views:
+        events_have_no_gaps_and_tell_the_story
+        events_page_through
+        list_pages_newest_first
+        stages_count_what_happens
+        results_are_named_when_done
+        workers_show_what_they_hold
+        stats_count_tasks_by_state
+        probe_writes;
+}

@@ -1,0 +1,141 @@
+//! A farm to test, tasks to run on it, and a worker's everyday moves.
+
+use std::sync::Arc;
+
+use lightkiln_proto::api::{Bake, BakeEvent, BakeState, ClaimRequest, CommitVerdict, Lease, NewBake};
+use lightkiln_proto::ids::{Digest, TaskKey};
+use lightkiln_proto::jobs::{Artefact, TaskInput, TaskResult, TaskSpec};
+use lightkiln_server::clock::ManualClock;
+use lightkiln_server::store::{FarmStore, MemoryStore, SqliteStore, Submission};
+
+/// Lease length of the tests' claims.
+pub const TTL_SECS: u32 = 30;
+/// The same in milliseconds.
+pub const TTL_MS: i64 = 30_000;
+
+/// A store over a clock that stands still.
+pub struct World {
+    pub store: Arc<dyn FarmStore>,
+    pub clock: Arc<ManualClock>,
+    _folder: Option<tempfile::TempDir>,
+}
+
+/// A task of kind `work` with that name and those dependencies.
+pub fn task(name: &str, needs: &[&TaskSpec]) -> TaskSpec {
+    task_of("work", name, needs, 1)
+}
+
+/// A task of a kind and a cost.
+pub fn task_of(kind: &str, name: &str, needs: &[&TaskSpec], cost: u64) -> TaskSpec {
+    let inputs = needs.iter().enumerate();
+    let inputs = inputs.map(|(i, needs)| TaskInput::Task { name: format!("in{i}"), key: needs.key });
+    TaskSpec::new(kind, 1, name, serde_json::json!({ "name": name }), inputs.collect(), cost)
+}
+
+/// A submission without an idempotency key.
+pub fn submission(name: &str, plan: &[TaskSpec]) -> Submission {
+    let bake = NewBake {
+        name: name.into(),
+        scene: Digest::of(b"scene"),
+        kind: "test".into(),
+        settings: serde_json::json!({ "preset": "draft" }),
+        priority: 0,
+    };
+    Submission { idempotency_key: None, body_hash: Digest::of(name.as_bytes()), bake, plan: plan.to_vec() }
+}
+
+/// A claim of kind `work`.
+pub fn request(worker: &str, max: u32) -> ClaimRequest {
+    let kinds = vec!["work".to_owned(), "more".to_owned()];
+    ClaimRequest { worker: worker.into(), kinds, threads: 2, max, ttl_secs: TTL_SECS, wait_secs: 0 }
+}
+
+/// The outputs of a task: a pure function of its key.
+pub fn outputs(key: TaskKey) -> Vec<Artefact> {
+    vec![Artefact { name: "out".into(), digest: Digest::of(&key.0), bytes: 32 }]
+}
+
+/// A result with that plan.
+pub fn result(lease: &Lease, plan: &[TaskSpec]) -> TaskResult {
+    let counters = [("rays".to_owned(), 10.0)].into();
+    TaskResult { outputs: outputs(lease.task.key), plan: plan.to_vec(), counters }
+}
+
+impl World {
+    pub fn memory() -> Self {
+        let clock = Arc::new(ManualClock::at(1_000_000));
+        Self { store: Arc::new(MemoryStore::new(clock.clone())), clock, _folder: None }
+    }
+
+    pub async fn sqlite() -> Self {
+        let clock = Arc::new(ManualClock::at(1_000_000));
+        let folder = tempfile::tempdir().unwrap();
+        let store = SqliteStore::open(&folder.path().join("farm.sqlite"), clock.clone()).await.unwrap();
+        Self { store: Arc::new(store), clock, _folder: Some(folder) }
+    }
+
+    pub async fn submit(&self, name: &str, plan: &[TaskSpec]) -> Bake {
+        self.store.submit(&submission(name, plan)).await.unwrap().bake
+    }
+
+    pub async fn submit_at(&self, name: &str, priority: i32, plan: &[TaskSpec]) -> Bake {
+        let mut submission = submission(name, plan);
+        submission.bake.priority = priority;
+        self.store.submit(&submission).await.unwrap().bake
+    }
+
+    pub async fn claim(&self, worker: &str, max: u32) -> Vec<Lease> {
+        self.store.claim(&request(worker, max)).await.unwrap()
+    }
+
+    /// Claims one task, which must be there.
+    pub async fn claim_one(&self, worker: &str) -> Lease {
+        self.claim(worker, 1).await.pop().expect("a task is ready")
+    }
+
+    /// Labels of the tasks that a worker is given.
+    pub async fn claim_labels(&self, worker: &str, max: u32) -> Vec<String> {
+        self.claim(worker, max).await.into_iter().map(|lease| lease.task.label).collect()
+    }
+
+    pub async fn commit(&self, lease: &Lease) -> CommitVerdict {
+        self.commit_plan(lease, &[]).await
+    }
+
+    pub async fn commit_plan(&self, lease: &Lease, plan: &[TaskSpec]) -> CommitVerdict {
+        self.store.commit(&lease.token, &result(lease, plan)).await.unwrap()
+    }
+
+    /// Runs everything that is ready, and what follows from it; returns how many tasks ran.
+    pub async fn drain(&self, worker: &str) -> usize {
+        let mut count = 0;
+        loop {
+            let leases = self.claim(worker, 16).await;
+            if leases.is_empty() {
+                return count;
+            }
+            for lease in leases {
+                assert_eq!(self.commit(&lease).await, CommitVerdict::Committed);
+                count += 1;
+            }
+        }
+    }
+
+    pub async fn show(&self, bake: &Bake) -> Bake {
+        self.store.show(&bake.id).await.unwrap()
+    }
+
+    pub async fn state(&self, bake: &Bake) -> BakeState {
+        self.show(bake).await.state
+    }
+
+    pub async fn events(&self, bake: &Bake) -> Vec<BakeEvent> {
+        self.store.events_after(&bake.id, 0, 1000).await.unwrap().events
+    }
+
+    /// Lets every lease run out, and reaps; returns how many did.
+    pub async fn expire_leases(&self) -> u64 {
+        self.clock.advance_ms(TTL_MS);
+        self.store.reap().await.unwrap().expired
+    }
+}

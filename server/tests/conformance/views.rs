@@ -1,0 +1,134 @@
+//! What callers see: events, pages, counts, workers.
+
+use std::slice::from_ref;
+
+use lightkiln_proto::api::{BakeState, EventKind};
+use lightkiln_proto::ids::Digest;
+use lightkiln_proto::jobs::{Artefact, MANIFEST_OUTPUT, REPORT_OUTPUT, TaskResult};
+use lightkiln_server::store::{TaskCount, TaskState};
+
+use crate::support::{World, request, task, task_of};
+
+pub async fn events_have_no_gaps_and_tell_the_story(world: World) {
+    let planner = task("plan", &[]);
+    let bake = world.submit("bake", from_ref(&planner)).await;
+    let lease = world.claim_one("w").await;
+    world.commit_plan(&lease, &[task("planned", &[])]).await;
+    world.store.pause(&bake.id).await.unwrap();
+    world.store.resume(&bake.id).await.unwrap();
+    world.drain("w").await;
+    let events = world.events(&bake).await;
+    let seqs: Vec<u64> = events.iter().map(|event| event.seq).collect();
+    assert_eq!(seqs, (1..=8).collect::<Vec<_>>());
+    let kinds: Vec<_> = events.into_iter().map(|event| event.event).collect();
+    assert_eq!(kinds[0], EventKind::Submitted);
+    assert_eq!(kinds[1], EventKind::Planned { tasks: 1, reused: 0 });
+    let (kind, label, worker) = ("work".to_owned(), "plan".to_owned(), "w".to_owned());
+    assert_eq!(kinds[2], EventKind::TaskDone { key: planner.key, kind, label, worker });
+    assert_eq!(kinds[3], EventKind::Planned { tasks: 1, reused: 0 });
+    assert_eq!(kinds[4], EventKind::State { state: BakeState::Paused });
+    assert_eq!(kinds[5], EventKind::State { state: BakeState::Running });
+    assert_eq!(kinds[7], EventKind::State { state: BakeState::Done });
+}
+
+pub async fn events_page_through(world: World) {
+    let bake = world.submit("bake", &[task("a", &[]), task("b", &[])]).await;
+    world.drain("w").await;
+    let mut seen = Vec::new();
+    loop {
+        let after = seen.last().copied().unwrap_or(0);
+        let page = world.store.events_after(&bake.id, after, 2).await.unwrap();
+        assert_eq!(page.bake.state, BakeState::Done);
+        if page.events.is_empty() {
+            break;
+        }
+        seen.extend(page.events.iter().map(|event| event.seq));
+    }
+    assert_eq!(seen, [1, 2, 3, 4, 5]);
+}
+
+pub async fn list_pages_newest_first(world: World) {
+    let mut ids = Vec::new();
+    for name in ["a", "b", "c", "d", "e"] {
+        ids.insert(0, world.submit(name, &[]).await.id);
+    }
+    let mut seen = Vec::new();
+    let mut after = None;
+    loop {
+        let page = world.store.list(after.as_deref(), 2).await.unwrap();
+        seen.extend(page.bakes.into_iter().map(|bake| bake.id));
+        after = page.next;
+        if after.is_none() {
+            break;
+        }
+    }
+    assert_eq!(seen, ids);
+    assert!(world.store.list(Some(&ids[4]), 2).await.unwrap().bakes.is_empty());
+}
+
+pub async fn stages_count_what_happens(world: World) {
+    let first = task_of("work", "first", &[], 5);
+    let bake = world.submit("bake", &[task_of("more", "last", &[&first], 7), first]).await;
+    assert_eq!(bake.stages.iter().map(|stage| stage.kind.as_str()).collect::<Vec<_>>(), ["more", "work"]);
+    let lease = world.claim_one("w").await;
+    assert_eq!(world.show(&bake).await.stages[1].leased, 1);
+    world.clock.advance_ms(40);
+    world.commit(&lease).await;
+    let stages = world.show(&bake).await.stages;
+    let work = &stages[1];
+    assert_eq!((work.total, work.done, work.leased, work.elapsed_ms), (1, 1, 0, 40));
+    assert_eq!((work.cost_total, work.cost_done), (5, 5));
+    assert_eq!((stages[0].total, stages[0].done, stages[0].cost_total), (1, 0, 7));
+}
+
+pub async fn results_are_named_when_done(world: World) {
+    let bake = world.submit("bake", &[task("a", &[]), task("b", &[])]).await;
+    let leases = world.claim("w", 2).await;
+    let digest = Digest::of(b"manifest");
+    let named = |name: &str| Artefact { name: name.into(), digest, bytes: 8 };
+    let outputs = vec![named(MANIFEST_OUTPUT), named(REPORT_OUTPUT)];
+    let result = TaskResult { outputs, ..TaskResult::default() };
+    world.store.commit(&leases[0].token, &result).await.unwrap();
+    assert_eq!(world.show(&bake).await.manifest, None, "not before the bake is done");
+    world.commit(&leases[1]).await;
+    let bake = world.show(&bake).await;
+    assert_eq!((bake.manifest, bake.report), (Some(digest), Some(digest)));
+    let again = world.submit("again", &[leases[0].task.clone()]).await;
+    assert_eq!(again.manifest, Some(digest));
+}
+
+pub async fn workers_show_what_they_hold(world: World) {
+    world.submit("bake", &[task("b", &[]), task("a", &[])]).await;
+    world.claim("idle", 1).await;
+    world.clock.advance_ms(400_000);
+    world.store.reap().await.unwrap();
+    world.clock.advance_ms(300_000);
+    let leases = world.claim("busy", 2).await;
+    assert_eq!(leases.len(), 2);
+    let workers = world.store.workers().await.unwrap();
+    assert_eq!(workers.len(), 1, "the idle one was not heard of for long");
+    let busy = &workers[0];
+    assert_eq!((busy.name.as_str(), busy.threads, busy.seen_ms), ("busy", 2, 1_700_000));
+    assert_eq!((&busy.kinds, &busy.holds[..]), (&request("", 1).kinds, &["a".to_owned(), "b".into()][..]));
+}
+
+pub async fn stats_count_tasks_by_state(world: World) {
+    let [a, b] = ["a", "b"].map(|name| task(name, &[]));
+    world.submit("bake", &[a.clone(), b, task_of("more", "c", &[&a], 0), task("d", &[])]).await;
+    let leases = world.claim("w", 2).await;
+    let done = leases.iter().find(|lease| lease.task.key != a.key).unwrap();
+    world.commit(done).await;
+    let stats = world.store.stats().await.unwrap();
+    let counts: Vec<_> =
+        stats.tasks.iter().map(|count: &TaskCount| (count.kind.as_str(), count.state)).collect();
+    let mut wanted = vec![("more", TaskState::Waiting)];
+    wanted.extend([TaskState::Ready, TaskState::Leased, TaskState::Done].map(|state| ("work", state)));
+    assert_eq!(counts, wanted);
+    assert_eq!(stats.tasks.iter().map(|count| count.count).sum::<u64>(), 4);
+    assert_eq!((stats.bakes_live, stats.bakes_total, stats.tasks_run, stats.tasks_reused), (1, 1, 1, 0));
+}
+
+pub async fn probe_writes(world: World) {
+    world.store.probe().await.unwrap();
+    world.store.probe().await.unwrap();
+}

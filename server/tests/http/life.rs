@@ -1,0 +1,112 @@
+//! Starting, running and stopping a server.
+
+use lightkiln_proto::api::{Bake, BakeState, ClaimAnswer};
+use lightkiln_proto::problem::ProblemCode;
+use lightkiln_server::{Config, Server, ServerError};
+
+use crate::bakes::{claim_one, commit, request, run, submit};
+use crate::support::{start, start_in};
+
+#[tokio::test]
+async fn state_folder_is_opened_by_one_server_only() {
+    let server = start().await;
+    let second = Server::open(Config::new(server.folder.path())).await;
+    assert!(matches!(second, Err(ServerError::StateInUse { .. })));
+    let folder = server.stop().await;
+    Server::open(Config::new(folder.path())).await.unwrap();
+}
+
+#[tokio::test]
+async fn restarted_server_goes_on_where_it_was() {
+    let server = start().await;
+    let bake = submit(&server).await;
+    let lease = claim_one(&server).await;
+    let server = start_in(server.stop().await).await;
+    commit(&server, &lease, &[("scene", b"imported")]).await;
+    let bake: Bake = server.get(&format!("/v1/bakes/{}", bake.id)).await.json(200);
+    assert_eq!((bake.state, bake.tasks_run), (BakeState::Running, 1));
+}
+
+#[tokio::test]
+async fn waiting_claim_is_answered_when_the_server_stops() {
+    let server = start().await;
+    let body = serde_json::to_vec(&request(60)).unwrap();
+    let json = [("Content-Type", "application/json")];
+    let mut waiting = server.open("POST", "/v1/leases", &json, &body).await;
+    // The claim has arrived when its worker is known.
+    while !String::from_utf8(server.get("/v1/workers").await.body).unwrap().contains("\"w\"") {}
+    let answer = crate::support::read_head(&mut waiting);
+    let ((status, _), _) = futures::future::join(answer, server.stop()).await;
+    assert_eq!(status, 200);
+}
+
+#[tokio::test]
+async fn address_that_others_can_reach_needs_to_be_allowed() {
+    let folder = tempfile::tempdir().unwrap();
+    let server = Server::open(Config::new(folder.path())).await.unwrap();
+    let refused = server.bind("0.0.0.0:0").await.unwrap_err();
+    assert_eq!(refused.code(), ProblemCode::Unavailable);
+    assert!(refused.to_string().contains("127.0.0.1"), "{refused}");
+    let listener = tokio::net::TcpListener::bind("0.0.0.0:0").await.unwrap();
+    let refused = server.serve(listener, std::future::pending()).await;
+    assert!(matches!(refused, Err(ServerError::NotLoopback { .. })));
+    let config = Config { allow_non_loopback: true, ..Config::new(folder.path()) };
+    Server::open(config).await.unwrap().bind("0.0.0.0:0").await.unwrap();
+}
+
+#[tokio::test]
+async fn health_readiness_and_metrics_are_told() {
+    let server = start().await;
+    assert_eq!(server.get("/healthz").await.body, b"ok\n");
+    assert_eq!(server.get("/readyz").await.body, b"ready\n");
+    submit(&server).await;
+    run(&server).await;
+    submit(&server).await;
+    let empty: ClaimAnswer = server.post("/v1/leases", &request(0)).await.json(200);
+    assert!(empty.leases.is_empty());
+    let text = String::from_utf8(server.get("/metrics").await.body).unwrap();
+    for line in [
+        "lightkiln_claims_total 2",
+        "lightkiln_commits_total 2",
+        "lightkiln_stale_commits_total 0",
+        "lightkiln_expiries_total 0",
+        "lightkiln_tasks_reused 2",
+        "lightkiln_tasks{kind=\"prt.import\",state=\"done\"} 1",
+    ] {
+        assert!(text.lines().any(|found| found == line), "{line} is not in\n{text}");
+    }
+}
+
+#[tokio::test]
+async fn readiness_tells_the_truth_about_the_chunk_store() {
+    let server = start().await;
+    std::fs::remove_dir_all(server.folder.path().join("chunks")).unwrap();
+    std::fs::write(server.folder.path().join("chunks"), b"not a folder").unwrap();
+    server.get("/readyz").await.problem(ProblemCode::Unavailable);
+}
+
+#[tokio::test]
+async fn checked_in_description_is_what_the_server_says() {
+    let server = start().await;
+    let said = String::from_utf8(server.get("/openapi.json").await.body).unwrap();
+    assert_eq!(said, lightkiln_server::openapi_json());
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/openapi.json");
+    let kept = std::fs::read_to_string(path).unwrap_or_default();
+    assert!(
+        kept == said,
+        "server/openapi.json is out of date; run `cargo run -p lightkiln-server --example openapi` in the workspace"
+    );
+    assert!(said.contains("/v1/leases/{token}/commit") && said.contains("BakePage"));
+}
+
+#[test]
+fn every_reference_in_the_description_leads_somewhere() {
+    let text = lightkiln_server::openapi_json();
+    let description: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let references: Vec<&str> =
+        text.split("\"$ref\": \"#").skip(1).map(|rest| rest.split('"').next().unwrap()).collect();
+    assert!(references.len() > 50, "only {} references found", references.len());
+    for reference in references {
+        assert!(description.pointer(reference).is_some(), "{reference}");
+    }
+}

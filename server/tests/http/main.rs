@@ -1,0 +1,10 @@
+//! The HTTP API through a real listener.
+
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+
+mod bakes;
+mod bytes;
+mod events;
+mod life;
+mod problems;
+mod support;
