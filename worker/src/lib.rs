@@ -1,0 +1,7 @@
+//! Lightkiln's bake maths.
+pub mod prt;
+pub mod rays;
+pub mod runtime;
+pub mod scene;
+pub mod task;
+pub mod unwrap;

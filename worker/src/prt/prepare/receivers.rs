@@ -1,0 +1,163 @@
+//! Blocks and receivers: a texel's point, normals, albedo and emission, on each lit side.
+
+use std::collections::BTreeSet;
+
+use glam::Vec3;
+use lightkiln_proto::ids::Digest;
+use lightkiln_proto::prt::Settings;
+use rayon::prelude::*;
+
+use super::shift::Shifter;
+use super::texels::{Coverage, CoveredTexel, cover};
+use crate::prt::stage::{NO_RECEIVER, Receiver, StageBlock};
+use crate::prt::world::{Geometry, TriangleRef};
+use crate::scene::model::Scene;
+use crate::scene::surface::{Footprint, normal_at, surface_at};
+use crate::scene::texture::DecodedImages;
+use crate::task::{Progress, TaskError};
+use crate::unwrap::Unwrap;
+
+/// Sides of an instance that have receivers.
+fn sides(scene: &Scene, instance: usize) -> u32 {
+    if scene.materials[scene.instances[instance].material_index as usize].double_sided { 2 } else { 1 }
+}
+
+/// Index of each instance's first block.
+pub fn first_blocks(scene: &Scene, unwraps: &[Unwrap]) -> Vec<u32> {
+    let mut next = 0;
+    let mut first = Vec::with_capacity(unwraps.len());
+    for (instance, unwrap) in unwraps.iter().enumerate() {
+        first.push(next);
+        next += unwrap.blocks.len() as u32 * sides(scene, instance);
+    }
+    first
+}
+
+/// Empty blocks of all instances: part by part, front before back.
+pub fn blocks(scene: &Scene, unwraps: &[Unwrap]) -> Result<Vec<StageBlock>, TaskError> {
+    let mut blocks = Vec::new();
+    let mut keys = BTreeSet::new();
+    for (instance, unwrap) in unwraps.iter().enumerate() {
+        for (part, block) in unwrap.blocks.iter().enumerate() {
+            for side in ["front", "back"].into_iter().take(sides(scene, instance) as usize) {
+                let name = format!("{} · part {part} · {side}", scene.instances[instance].path);
+                let key = Digest::of(name.as_bytes()).short();
+                if !keys.insert(key) {
+                    return Err(TaskError::bad_input(format!(
+                        "two blocks have the same identity ('{name}'): rename a node of the scene"
+                    )));
+                }
+                let size = [block.width, block.height];
+                blocks.push(StageBlock {
+                    key,
+                    name,
+                    size,
+                    instance: instance as u32,
+                    receiver_of_texel: Vec::new(),
+                });
+            }
+        }
+    }
+    Ok(blocks)
+}
+
+/// Receivers of all blocks in order; fills in each block's table.
+#[allow(
+    clippy::too_many_arguments,
+    reason = "one call, from prepare, with the parts of a world not yet whole"
+)]
+pub fn place(
+    scene: &Scene,
+    images: &DecodedImages,
+    geometry: &Geometry,
+    unwraps: &[Unwrap],
+    blocks: &mut [StageBlock],
+    settings: &Settings,
+    texel_m: f32,
+    progress: &Progress,
+) -> Result<Vec<Receiver>, TaskError> {
+    let shifter = Shifter::new(scene, geometry, settings, texel_m);
+    let parts: Vec<(usize, usize)> = unwraps
+        .iter()
+        .enumerate()
+        .flat_map(|(instance, unwrap)| (0..unwrap.blocks.len()).map(move |part| (instance, part)))
+        .collect();
+    progress.begin(0.3, 0.6, parts.len() as u64);
+    let mut placed = Vec::new();
+    let mut block_index = 0;
+    for (instance, part) in parts {
+        progress.check()?;
+        let coverage = cover(&unwraps[instance].blocks[part]);
+        let maker = Maker { scene, images, instance, texel_m };
+        let fronts: Vec<Receiver> = coverage.covered.par_iter().map(|texel| maker.receiver(texel)).collect();
+        for side in 0..sides(scene, instance) {
+            let shifted: Vec<Option<Receiver>> = fronts
+                .par_iter()
+                .map(|front| {
+                    let receiver = if side == 0 { *front } else { turned(front) };
+                    shifter.shifted(
+                        Receiver { block: block_index, ..receiver },
+                        blocks[block_index as usize].key,
+                    )
+                })
+                .collect();
+            progress.add_rays_closest(shifter.take_rays());
+            blocks[block_index as usize].receiver_of_texel = number(&coverage, &shifted, &mut placed);
+            block_index += 1;
+        }
+        progress.advance(1);
+    }
+    Ok(placed)
+}
+
+/// Appends the valid receivers and gives the block's table of them.
+fn number(coverage: &Coverage, shifted: &[Option<Receiver>], placed: &mut Vec<Receiver>) -> Vec<u32> {
+    let mut index_of = vec![NO_RECEIVER; shifted.len()];
+    for (slot, receiver) in index_of.iter_mut().zip(shifted) {
+        if let Some(receiver) = receiver {
+            *slot = placed.len() as u32;
+            placed.push(*receiver);
+        }
+    }
+    let stand_in = |&covered: &u32| index_of.get(covered as usize).copied().unwrap_or(NO_RECEIVER);
+    coverage.stands_for.iter().map(stand_in).collect()
+}
+
+/// The same texel seen from the back.
+fn turned(front: &Receiver) -> Receiver {
+    Receiver { normal: -front.normal, face_normal: -front.face_normal, ..*front }
+}
+
+struct Maker<'a> {
+    scene: &'a Scene,
+    images: &'a DecodedImages,
+    instance: usize,
+    texel_m: f32,
+}
+
+impl Maker<'_> {
+    /// The front's receiver of a texel; its block is filled in later.
+    fn receiver(&self, covered: &CoveredTexel) -> Receiver {
+        let instance = &self.scene.instances[self.instance];
+        let triangle = covered.triangle as usize;
+        let reference = TriangleRef { instance: self.instance as u32, triangle: covered.triangle };
+        let [a, b, c] = crate::prt::world::corners_of(self.scene, reference);
+        let [wa, wb, wc] = covered.weights;
+        let face_normal = (b - a).cross(c - a).normalize_or(Vec3::Y);
+        let shading = normal_at(instance, triangle, covered.weights);
+        let footprint = Footprint::square(instance, triangle, self.texel_m);
+        let surface =
+            surface_at(self.scene, self.images, self.instance, triangle, covered.weights, &footprint);
+        Receiver {
+            block: 0,
+            texel: covered.texel,
+            position_m: a * wa + b * wb + c * wc,
+            // A shading normal that points through the surface is a fault of the file.
+            normal: if shading.dot(face_normal) > 0.05 { shading } else { face_normal },
+            face_normal,
+            albedo: surface.albedo,
+            emission: surface.emission,
+            links: 0,
+        }
+    }
+}

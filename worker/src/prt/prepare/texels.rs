@@ -1,0 +1,238 @@
+//! Which texels of a block hold surface, and which point of it each stands for.
+
+use glam::{Vec2, Vec3};
+
+use crate::unwrap::{UnwrapBlock, UnwrappedTriangle};
+
+/// A texel that gets a receiver.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CoveredTexel {
+    /// Texel in the block.
+    pub texel: [u16; 2],
+    /// Triangle of the instance.
+    pub triangle: u32,
+    /// Weights of its corners at the texel's point.
+    pub weights: [f32; 3],
+}
+
+/// The texels of a block, row by row.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Coverage {
+    /// Texels with a receiver, in raster order.
+    pub covered: Vec<CoveredTexel>,
+    /// For each texel, index into `covered` of what stands for it, or `u32::MAX`.
+    pub stands_for: Vec<u32>,
+}
+
+#[derive(Clone, Copy)]
+struct Claim {
+    /// Index into the block's triangles, or `u32::MAX`.
+    triangle: u32,
+    /// The texel's centre is inside the triangle.
+    centred: bool,
+    /// Area of the triangle inside the texel, in texels.
+    area: f32,
+    /// Point of the triangle that stands for the texel: its centre, or the middle of what the triangle covers of it.
+    point: Vec2,
+}
+
+const UNCLAIMED: Claim = Claim { triangle: u32::MAX, centred: false, area: 0.0, point: Vec2::ZERO };
+
+/// Finds the receivers' texels.
+///
+/// A texel whose centre lies in a triangle has a receiver there. A texel that a chart only touches has one too if
+/// no touched neighbour of the same chart has: then thin charts are not lost. Other touched texels are stood for by
+/// that neighbour.
+pub fn cover(block: &UnwrapBlock) -> Coverage {
+    let claims = claim_texels(block);
+    let (width, height) = (block.width as i64, block.height as i64);
+    let chart = |index: usize| {
+        let triangle = claims[index].triangle;
+        (triangle != u32::MAX).then(|| block.triangles[triangle as usize].chart)
+    };
+    let mut has_receiver: Vec<bool> = claims.iter().map(|claim| claim.centred).collect();
+    let mut stand_in = vec![u32::MAX; claims.len()];
+    for index in 0..claims.len() {
+        if has_receiver[index] || claims[index].triangle == u32::MAX {
+            continue;
+        }
+        let (x, y) = (index as i64 % width, index as i64 / width);
+        let neighbours = (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (x + dx, y + dy)));
+        let nearest = neighbours
+            .filter(|&(x, y)| x >= 0 && y >= 0 && x < width && y < height)
+            .map(|(x, y)| (y * width + x) as usize)
+            .filter(|&other| has_receiver[other] && chart(other) == chart(index))
+            .min_by(|&a, &b| {
+                let distance = |other: usize| claims[other].point.distance_squared(claims[index].point);
+                distance(a).total_cmp(&distance(b)).then(a.cmp(&b))
+            });
+        match nearest {
+            Some(other) => stand_in[index] = other as u32,
+            None => has_receiver[index] = true,
+        }
+    }
+    collect(block, &claims, &has_receiver, &stand_in)
+}
+
+fn collect(block: &UnwrapBlock, claims: &[Claim], has_receiver: &[bool], stand_in: &[u32]) -> Coverage {
+    let mut coverage = Coverage { covered: Vec::new(), stands_for: vec![u32::MAX; claims.len()] };
+    for (index, claim) in claims.iter().enumerate().filter(|(index, _)| has_receiver[*index]) {
+        let triangle = &block.triangles[claim.triangle as usize];
+        coverage.stands_for[index] = coverage.covered.len() as u32;
+        coverage.covered.push(CoveredTexel {
+            texel: [(index % block.width as usize) as u16, (index / block.width as usize) as u16],
+            triangle: triangle.source_triangle,
+            weights: source_weights(triangle, claim.point),
+        });
+    }
+    for (index, &other) in stand_in.iter().enumerate().filter(|(_, other)| **other != u32::MAX) {
+        coverage.stands_for[index] = coverage.stands_for[other as usize];
+    }
+    coverage
+}
+
+/// The best claim on each texel: centred before touching, then the largest area, then the earliest triangle.
+fn claim_texels(block: &UnwrapBlock) -> Vec<Claim> {
+    let mut claims = vec![UNCLAIMED; block.width as usize * block.height as usize];
+    for (index, triangle) in block.triangles.iter().enumerate() {
+        let [a, b, c] = triangle.uv_texels;
+        let low = a.min(b).min(c).floor().max(Vec2::ZERO).as_uvec2();
+        let high = a.max(b).max(c).floor().max(Vec2::ZERO).as_uvec2();
+        for y in low.y..=high.y.min(block.height - 1) {
+            for x in low.x..=high.x.min(block.width - 1) {
+                let corner = Vec2::new(x as f32, y as f32);
+                let Some(found) = claim_of(index as u32, &triangle.uv_texels, corner) else { continue };
+                let claim = &mut claims[(y * block.width + x) as usize];
+                if (found.centred, found.area) > (claim.centred, claim.area) && !claim.centred {
+                    *claim = found;
+                }
+            }
+        }
+    }
+    claims
+}
+
+/// What a triangle claims of the texel at `corner`.
+///
+/// Where it does not hold the centre, the middle of the covered part stands for the texel, not the nearest point: that
+/// would lie on the triangle's rim, which is often just inside what the surface stands on.
+fn claim_of(triangle: u32, corners: &[Vec2; 3], corner: Vec2) -> Option<Claim> {
+    let centre = corner + 0.5;
+    if is_inside(corners, centre) {
+        return Some(Claim { triangle, centred: true, area: 1.0, point: centre });
+    }
+    let covered = clipped(corners, corner, corner + 1.0);
+    let (area, point) = area_and_middle(&covered)?;
+    Some(Claim { triangle, centred: false, area, point })
+}
+
+fn is_inside(corners: &[Vec2; 3], point: Vec2) -> bool {
+    let [a, b, c] = *corners;
+    let side = |from: Vec2, to: Vec2| (to - from).perp_dot(point - from);
+    let (u, v, w) = (side(a, b), side(b, c), side(c, a));
+    (u >= 0.0 && v >= 0.0 && w >= 0.0) || (u <= 0.0 && v <= 0.0 && w <= 0.0)
+}
+
+/// The triangle cut by a box, as a polygon (Sutherland–Hodgman).
+fn clipped(corners: &[Vec2; 3], low: Vec2, high: Vec2) -> Vec<Vec2> {
+    let mut polygon = corners.to_vec();
+    for axis in 0..2 {
+        for (limit, sign) in [(low[axis], 1.0), (high[axis], -1.0)] {
+            let inside = |point: Vec2| (point[axis] - limit) * sign;
+            let mut kept = Vec::with_capacity(polygon.len() + 1);
+            for (index, &to) in polygon.iter().enumerate() {
+                let from = polygon[(index + polygon.len() - 1) % polygon.len()];
+                let (d_from, d_to) = (inside(from), inside(to));
+                if (d_from < 0.0) != (d_to < 0.0) {
+                    kept.push(from.lerp(to, d_from / (d_from - d_to)));
+                }
+                if d_to >= 0.0 {
+                    kept.push(to);
+                }
+            }
+            polygon = kept;
+        }
+    }
+    polygon
+}
+
+/// Area and centroid of a convex polygon; of one without area, the mean of its corners. `None` when it is empty.
+fn area_and_middle(polygon: &[Vec2]) -> Option<(f32, Vec2)> {
+    let first = *polygon.first()?;
+    let (mut doubled, mut moment) = (0.0, Vec2::ZERO);
+    for pair in polygon[1..].windows(2) {
+        let area = (pair[0] - first).perp_dot(pair[1] - first).abs();
+        doubled += area;
+        moment += (pair[0] + pair[1] + first) / 3.0 * area;
+    }
+    let mean = polygon.iter().sum::<Vec2>() / polygon.len() as f32;
+    // Slivers may have no area in f32; they still get a receiver.
+    Some(if doubled > 0.0 { (doubled * 0.5, moment / doubled) } else { (f32::MIN_POSITIVE, mean) })
+}
+
+/// Weights of the source triangle's corners at a point in texels.
+fn source_weights(triangle: &UnwrappedTriangle, point: Vec2) -> [f32; 3] {
+    let [a, b, c] = triangle.uv_texels.map(|corner| corner.as_dvec2());
+    let point = point.as_dvec2();
+    let area = (b - a).perp_dot(c - a);
+    let inner = if area == 0.0 {
+        [1.0, 0.0, 0.0]
+    } else {
+        let v = (point - a).perp_dot(c - a) / area;
+        let w = (b - a).perp_dot(point - a) / area;
+        [1.0 - v - w, v, w]
+    };
+    let mut weights = Vec3::from_array(inner.map(|weight| weight as f32));
+    if let Some([p, q, r]) = triangle.piece_corners.as_deref() {
+        weights = *p * weights.x + *q * weights.y + *r * weights.z;
+    }
+    weights = weights.max(Vec3::ZERO);
+    (weights / weights.element_sum()).to_array()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn block(triangles: &[[Vec2; 3]]) -> UnwrapBlock {
+        let triangles = triangles
+            .iter()
+            .enumerate()
+            .map(|(index, uv)| UnwrappedTriangle {
+                source_triangle: index as u32,
+                chart: index as u32,
+                uv_texels: *uv,
+                piece_corners: None,
+            })
+            .collect();
+        UnwrapBlock { width: 8, height: 8, triangles }
+    }
+
+    #[test]
+    fn quad_on_the_lattice_covers_its_texels_and_no_other() {
+        let (low, high) = (Vec2::new(2.0, 2.0), Vec2::new(5.0, 4.0));
+        let (a, b) = (Vec2::new(high.x, low.y), Vec2::new(low.x, high.y));
+        let coverage = cover(&block(&[[low, a, high], [low, high, b]]));
+        assert_eq!(coverage.covered.len(), 6);
+        assert!(
+            coverage.covered.iter().all(|t| (2..5).contains(&t.texel[0]) && (2..4).contains(&t.texel[1]))
+        );
+    }
+
+    #[test]
+    fn sliver_between_centres_still_gets_a_receiver_on_itself() {
+        let coverage = cover(&block(&[[Vec2::new(2.6, 1.1), Vec2::new(2.7, 1.1), Vec2::new(2.65, 4.9)]]));
+        assert!(!coverage.covered.is_empty());
+        for texel in &coverage.covered {
+            assert!(texel.weights.iter().all(|w| (0.0..=1.0).contains(w)));
+        }
+    }
+
+    #[test]
+    fn touched_texel_is_stood_for_by_its_neighbour() {
+        let coverage = cover(&block(&[[Vec2::new(1.2, 1.2), Vec2::new(6.4, 1.2), Vec2::new(1.2, 6.4)]]));
+        let touched = coverage.stands_for.iter().filter(|&&index| index != u32::MAX).count();
+        assert!(touched > coverage.covered.len());
+        assert!(coverage.stands_for.iter().all(|&i| i == u32::MAX || (i as usize) < coverage.covered.len()));
+    }
+}

@@ -1,0 +1,209 @@
+//! From the rows of a cell to factorised clusters: components apart, split until the rank suffices.
+
+use glam::Vec3;
+use lightkiln_proto::prt::{ClusterTransport, EmitterIrradiance, Receivers, Settings};
+use lightkiln_proto::sh::band_of;
+
+use super::alpha::Row;
+use super::components::components;
+use crate::prt::factor::{Factors, Matrix, factorise};
+use crate::prt::prepare::halves;
+use crate::prt::stage::{ClusterCell, Receiver};
+use crate::prt::world::World;
+use crate::rays::sampling::seed_of;
+
+/// A factorised cluster and how right it is.
+#[derive(Clone, Debug)]
+pub struct Piece {
+    /// What the chunk will hold.
+    pub transport: ClusterTransport,
+    /// √(Σ_{i>k} s² / Σ s²) of the weighted matrix.
+    pub truncation_error: f32,
+    /// Upper bound of S1's own criterion, of the weighted matrix.
+    pub s1_criterion_bound: f32,
+    /// Share of `lit` that no probe sees.
+    pub uncovered_fraction: f32,
+}
+
+struct Splitter<'a> {
+    world: &'a World,
+    settings: &'a Settings,
+    /// Stage indices of the columns' probes.
+    probes: &'a [u32],
+    /// Ascending receiver indices of the cell, one per row.
+    receivers: &'a [u32],
+    rows: &'a [Row],
+}
+
+/// Factorised clusters of a cell, in a fixed order.
+pub fn pieces(
+    world: &World,
+    settings: &Settings,
+    probes: &[u32],
+    cell: &ClusterCell,
+    rows: &[Row],
+) -> Vec<Piece> {
+    let splitter = Splitter { world, settings, probes, receivers: &cell.receivers, rows };
+    // Dead receivers are left out: their texels are filled from their neighbours, which keeps edges from turning dark.
+    let live: Vec<usize> = (0..rows.len()).filter(|&row| !rows[row].is_dead()).collect();
+    let links: Vec<Vec<u32>> = live.iter().map(|&row| splitter.probes_used(&rows[row])).collect();
+    let mut pieces = Vec::new();
+    for group in components(&links, probes.len()) {
+        let receivers = group.iter().map(|&index| cell.receivers[live[index]]).collect();
+        splitter.factor_into(ClusterCell { bounds_m: cell.bounds_m, receivers }, &mut pieces);
+    }
+    pieces
+}
+
+impl Splitter<'_> {
+    /// Adds the cell's cluster, or those of its halves where `rank_max` does not suffice.
+    fn factor_into(&self, cell: ClusterCell, pieces: &mut Vec<Piece>) {
+        if cell.receivers.is_empty() {
+            return;
+        }
+        let settings = self.settings;
+        let (matrix, columns) = self.matrix(&cell.receivers);
+        let mut factors =
+            factorise(&matrix, settings.rank_max as usize, settings.rank_error, &self.seeds(&columns));
+        self.unweigh(&mut factors.vt);
+        let size = cell.bounds_m[1] - cell.bounds_m[0];
+        let may_split = cell.receivers.len() > settings.split_receivers_min as usize
+            && size.max_element() > self.world.stage.texel_m;
+        if factors.truncation_error > settings.rank_error && may_split {
+            let position_m = |receiver: u32| self.world.stage.receivers[receiver as usize].position_m;
+            for half in halves(&cell, position_m) {
+                self.factor_into(half, pieces);
+            }
+            return;
+        }
+        pieces.push(self.piece(&cell.receivers, &columns, factors));
+    }
+
+    fn row_of(&self, receiver: u32) -> &Row {
+        let index = self.receivers.binary_search(&receiver).unwrap_or_default();
+        &self.rows[index]
+    }
+
+    /// Column groups (probes, and the sky last) with anything in them.
+    fn probes_used(&self, row: &Row) -> Vec<u32> {
+        let count = self.settings.coefficients();
+        let used = |probe: &u32| {
+            let from = *probe as usize * count;
+            row.alpha[from..from + count].iter().any(|alpha| *alpha != 0.0)
+        };
+        (0..self.probes.len() as u32).filter(used).collect()
+    }
+
+    /// What a coefficient of band l of a radiance field is expected to be, against band 0: fields of a few edges fall
+    /// off about so. We differ from METHOD's plain Frobenius norm: with columns weighted so, the truncation error is
+    /// an error of irradiance, and the sampling noise of high bands does not ask for rank.
+    fn expected(coefficient: usize) -> f32 {
+        1.0 / (band_of(coefficient) + 1) as f32
+    }
+
+    /// ΣVᵀ of the weighted matrix to that of A itself.
+    fn unweigh(&self, vt: &mut [f32]) {
+        for coefficients in vt.chunks_exact_mut(self.settings.coefficients()) {
+            coefficients.iter_mut().enumerate().for_each(|(j, value)| *value /= Self::expected(j));
+        }
+    }
+
+    /// A of some receivers with weighted columns, only with columns that hold anything; columns as indices of groups, the sky's being
+    /// `probes.len()`.
+    fn matrix(&self, receivers: &[u32]) -> (Matrix, Vec<u32>) {
+        let count = self.settings.coefficients();
+        let groups = 0..=self.probes.len() as u32;
+        let is_used = |group: &u32| {
+            let range = *group as usize * count..(*group as usize + 1) * count;
+            receivers.iter().any(|&r| self.row_of(r).alpha[range.clone()].iter().any(|alpha| *alpha != 0.0))
+        };
+        let columns: Vec<u32> = groups.filter(is_used).collect();
+        let mut values = Vec::with_capacity(receivers.len() * columns.len() * count);
+        for &receiver in receivers {
+            let row = self.row_of(receiver);
+            for &group in &columns {
+                let alpha = &row.alpha[group as usize * count..(group as usize + 1) * count];
+                values.extend(alpha.iter().enumerate().map(|(j, alpha)| alpha * Self::expected(j)));
+            }
+        }
+        (Matrix { rows: receivers.len(), columns: columns.len() * count, values }, columns)
+    }
+
+    /// One seed per column, from the identity of what it stands for.
+    fn seeds(&self, columns: &[u32]) -> Vec<u64> {
+        let key = |group: u32| {
+            self.probes.get(group as usize).map_or(0, |&probe| self.world.stage.probes[probe as usize].key)
+        };
+        let count = self.settings.coefficients() as u64;
+        columns.iter().flat_map(|&group| (0..count).map(move |j| seed_of(&[key(group), j, 5]))).collect()
+    }
+
+    fn piece(&self, receivers: &[u32], columns: &[u32], factors: Factors) -> Piece {
+        let rows: Vec<&Row> = receivers.iter().map(|&receiver| self.row_of(receiver)).collect();
+        let lit: f32 = rows.iter().map(|row| row.lit).sum();
+        let uncovered: f32 = rows.iter().map(|row| row.uncovered).sum();
+        let stage = &self.world.stage;
+        let transport = ClusterTransport {
+            bounds_m: bounds(receivers.iter().map(|&r| stage.receivers[r as usize].position_m)),
+            receivers: self.attributes(receivers),
+            probes: columns
+                .iter()
+                .filter_map(|&group| self.probes.get(group as usize))
+                .map(|&probe| stage.probes[probe as usize].key)
+                .collect(),
+            bands: self.settings.bands,
+            sky: columns.last() == Some(&(self.probes.len() as u32)),
+            rank: factors.rank as u32,
+            u: factors.u,
+            vt: factors.vt,
+            emitters: emitters(&rows),
+        };
+        let uncovered_fraction = if lit > 0.0 { uncovered / lit } else { 0.0 };
+        Piece {
+            transport,
+            truncation_error: factors.truncation_error,
+            s1_criterion_bound: factors.s1_criterion_bound,
+            uncovered_fraction,
+        }
+    }
+
+    fn attributes(&self, receivers: &[u32]) -> Receivers {
+        let stage = &self.world.stage;
+        let all: Vec<&Receiver> = receivers.iter().map(|&r| &stage.receivers[r as usize]).collect();
+        let mut blocks: Vec<u32> = all.iter().map(|receiver| receiver.block).collect();
+        blocks.sort_unstable();
+        blocks.dedup();
+        let block_index =
+            |receiver: &&Receiver| blocks.binary_search(&receiver.block).unwrap_or_default() as u16;
+        Receivers {
+            block: all.iter().map(block_index).collect(),
+            texel: all.iter().map(|receiver| receiver.texel).collect(),
+            position_m: all.iter().map(|receiver| receiver.position_m.to_array()).collect(),
+            normal: all.iter().map(|receiver| receiver.normal.to_array()).collect(),
+            albedo: all.iter().map(|receiver| receiver.albedo).collect(),
+            emission: all.iter().map(|receiver| receiver.emission).collect(),
+            links: all.iter().map(|receiver| receiver.links).collect(),
+            blocks: blocks.iter().map(|&block| stage.blocks[block as usize].key).collect(),
+        }
+    }
+}
+
+/// Irradiance of the emitters that reach any of the rows.
+fn emitters(rows: &[&Row]) -> Vec<EmitterIrradiance> {
+    let count = rows.first().map_or(0, |row| row.emitters.len());
+    (0..count)
+        .map(|emitter| EmitterIrradiance {
+            emitter: emitter as u16,
+            irradiance: rows.iter().map(|row| row.emitters[emitter]).collect(),
+        })
+        .filter(|column| column.irradiance.iter().flatten().any(|channel| *channel > 0.0))
+        .collect()
+}
+
+fn bounds(positions: impl Iterator<Item = Vec3>) -> [[f32; 3]; 2] {
+    let (mut low, mut high) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
+    for position in positions {
+        (low, high) = (low.min(position), high.max(position));
+    }
+    [low.to_array(), high.to_array()]
+}

@@ -1,0 +1,11 @@
+//! Rays against triangles: closest hits and occlusion, exact to the last tie.
+//!
+//! Nodes come from obvhs' BVH2 (its CWBVH loses rays that start on axis-aligned walls); triangles are tested by the
+//! watertight test of [Woop2013], so that nothing leaks between two triangles that share an edge.
+
+mod tracer;
+mod watertight;
+
+pub mod sampling;
+
+pub use tracer::{AlphaTest, Hit, Tracer};

@@ -1,0 +1,181 @@
+//! One attempt at one task: run it, store its outputs, hand in the result, or say why there is none.
+
+use std::any::Any;
+use std::error::Error as StdError;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Mutex;
+use std::sync::atomic::AtomicBool;
+use std::time::{Duration, Instant};
+
+use lightkiln_proto::api::{Blame, CommitVerdict, Failure, Lease, TaskResult};
+
+use super::farm::CallError;
+use super::store::{GaveUp, LeaseStore};
+use super::watch::{LeaseWatch, StopReason};
+use super::{Worker, shutdown::ShutdownFlag};
+use crate::task::{Progress, TaskError, TaskOutput};
+
+/// Most characters of a failure message.
+const MESSAGE_CHARS_MAX: usize = 4000;
+
+/// What became of a lease.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Outcome {
+    /// A result was handed in, and this is what the server made of it.
+    HandedIn(CommitVerdict),
+    /// The attempt failed and was reported.
+    Failed(Blame),
+    /// The task was given back.
+    Released,
+    /// The lease was lost; nothing was handed in.
+    Lost,
+}
+
+/// Why an attempt has no result.
+enum NoResult {
+    Stopped,
+    Failed(Failure),
+}
+
+impl Worker {
+    /// Does the task of `lease` to its end, whatever that is; when it returns the lease needs nothing more.
+    pub(super) fn attempt(&self, lease: &Lease, shutdown: &ShutdownFlag) -> Outcome {
+        let progress = Progress::new();
+        let watch = LeaseWatch {
+            farm: &self.farm,
+            token: &lease.token,
+            interval: Duration::from_secs(self.config.lease_secs.into()) / 3,
+            grace: self.config.drain_grace,
+            progress: &progress,
+            shutdown,
+            finished: AtomicBool::new(false),
+            stop: Mutex::new(None),
+        };
+        let store = LeaseStore { farm: &self.farm, disk: self.disk.as_ref(), progress: &progress, shutdown };
+        std::thread::scope(|scope| {
+            scope.spawn(|| watch.run());
+            // `work` catches panics, so `finish` is always reached and the scope can end.
+            let worked = self.work(lease, &store);
+            let outcome = self.settle(lease, worked, &watch);
+            watch.finish();
+            outcome
+        })
+    }
+
+    fn work(&self, lease: &Lease, store: &LeaseStore<'_>) -> Result<CommitVerdict, NoResult> {
+        let started = Instant::now();
+        let mut output = self.run_task(lease, store).map_err(no_result_of_task)?;
+        count(&mut output, started.elapsed(), store.progress);
+        let outputs = output.artefacts.into_iter().map(|(name, bytes)| store.put(name, &bytes)).collect();
+        let outputs: Vec<_> = match outputs {
+            Ok(outputs) => outputs,
+            Err(gave_up) => return Err(no_result_of_call("the outputs could not be stored", gave_up)),
+        };
+        let result = TaskResult { outputs, plan: output.plan, counters: output.counters };
+        store
+            .insist(|| self.farm.commit(&lease.token, &result))
+            .map_err(|gave_up| no_result_of_call("the result was not accepted", gave_up))
+    }
+
+    fn run_task(&self, lease: &Lease, store: &LeaseStore<'_>) -> Result<TaskOutput, TaskError> {
+        let run = || self.runner.run(&lease.task, &lease.inputs, store, &self.memory, store.progress);
+        match catch_unwind(AssertUnwindSafe(|| self.pool.install(run))) {
+            Ok(outcome) => outcome,
+            Err(panic) => Err(TaskError::Panicked { message: panic_message(panic.as_ref()) }),
+        }
+    }
+
+    /// Tells the server how the attempt ended, unless it knows or must not hear.
+    fn settle(
+        &self,
+        lease: &Lease,
+        worked: Result<CommitVerdict, NoResult>,
+        watch: &LeaseWatch<'_>,
+    ) -> Outcome {
+        let label = &lease.task.label;
+        match (worked, watch.stop_reason()) {
+            (Ok(verdict), _) => {
+                tracing::info!(kind = lease.task.kind, label, ?verdict, "handed in");
+                Outcome::HandedIn(verdict)
+            }
+            (Err(_), Some(StopReason::Lost)) => {
+                tracing::info!(kind = lease.task.kind, label, "the lease was lost; its result is dropped");
+                Outcome::Lost
+            }
+            (Err(NoResult::Stopped), reason) | (Err(NoResult::Failed(_)), reason @ Some(_)) => {
+                tracing::info!(kind = lease.task.kind, label, ?reason, "given back");
+                self.tell("release", || self.farm.release(&lease.token));
+                Outcome::Released
+            }
+            (Err(NoResult::Failed(failure)), None) => {
+                tracing::warn!(kind = lease.task.kind, label, message = failure.message, "failed");
+                self.tell("failure", || self.farm.fail(&lease.token, &failure));
+                Outcome::Failed(failure.blame)
+            }
+        }
+    }
+
+    /// A report that finds no answer is not worth waiting for: the lease runs out by itself.
+    fn tell(&self, what: &str, mut call: impl FnMut() -> Result<(), CallError>) {
+        if let Err(error) = call().or_else(|_| call()) {
+            tracing::warn!(%error, "a {what} could not be reported; the lease will run out instead");
+        }
+    }
+}
+
+fn count(output: &mut TaskOutput, elapsed: Duration, progress: &Progress) {
+    let counters = [
+        ("secs", elapsed.as_secs_f64()),
+        ("rays_closest", progress.rays_closest() as f64),
+        ("rays_occlusion", progress.rays_occlusion() as f64),
+    ];
+    for (name, value) in counters {
+        output.counters.entry(name.to_owned()).or_insert(value);
+    }
+}
+
+fn no_result_of_task(error: TaskError) -> NoResult {
+    match error {
+        TaskError::Cancelled(_) => NoResult::Stopped,
+        error => NoResult::Failed(Failure { blame: error.blame(), message: chain(&error) }),
+    }
+}
+
+fn no_result_of_call(what: &str, gave_up: GaveUp) -> NoResult {
+    match gave_up {
+        GaveUp::Cancelled(_) => NoResult::Stopped,
+        // Every worker's output would be as large.
+        GaveUp::Refused(error) if error.is_too_large() => NoResult::Failed(Failure {
+            blame: Blame::Task,
+            message: cut(&format!(
+                "{what}: {}; split the scene, or lower its textures' sizes",
+                chain(&error)
+            )),
+        }),
+        GaveUp::Refused(error) => NoResult::Failed(Failure {
+            blame: Blame::Worker,
+            message: cut(&format!("{what}: {}", chain(&error))),
+        }),
+    }
+}
+
+/// The error and what caused it, as one line.
+fn chain(error: &dyn StdError) -> String {
+    let mut text = error.to_string();
+    let mut cause = error.source();
+    while let Some(error) = cause {
+        text.push_str(": ");
+        text.push_str(&error.to_string());
+        cause = error.source();
+    }
+    cut(&text)
+}
+
+fn cut(text: &str) -> String {
+    text.chars().take(MESSAGE_CHARS_MAX).collect()
+}
+
+fn panic_message(panic: &(dyn Any + Send)) -> String {
+    let text = panic.downcast_ref::<&str>().copied();
+    text.or_else(|| panic.downcast_ref::<String>().map(String::as_str)).unwrap_or("no message").to_owned()
+}

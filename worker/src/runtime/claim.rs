@@ -1,0 +1,75 @@
+//! Claims the next task without keeping a shutdown waiting for the server's long poll.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use lightkiln_proto::api::{ClaimRequest, Lease};
+
+use super::farm::{CallError, Farm};
+use super::shutdown::{Level, ShutdownFlag};
+
+/// Longer than any claim takes; a claim ends by its own timeout first.
+const PATIENCE: Duration = Duration::from_secs(600);
+
+/// How long a worker that is to stop still waits for an answer that may be on its way.
+const LAST_LOOK: Duration = Duration::from_millis(100);
+
+/// Where a claim under way stands.
+#[derive(Debug)]
+enum Handoff {
+    /// The worker waits for it.
+    Waiting,
+    /// The server answered.
+    Answered(Box<Result<Option<Lease>, CallError>>),
+    /// The worker has gone: a task that comes now is given straight back.
+    Abandoned,
+}
+
+/// Asks for one task. `None` when there is none yet or the worker is to stop.
+pub(super) fn claim(
+    farm: &Arc<Farm>,
+    request: ClaimRequest,
+    shutdown: &ShutdownFlag,
+) -> Result<Option<Lease>, CallError> {
+    let handoff = Arc::new(Mutex::new(Handoff::Waiting));
+    let asker = (farm.clone(), handoff.clone(), shutdown.clone());
+    std::thread::spawn(move || {
+        let (farm, handoff, shutdown) = asker;
+        let answer = farm.claim(&request).map(|answer| answer.leases.into_iter().next());
+        hand_over(&farm, &handoff, answer);
+        shutdown.wake();
+    });
+    let is_answered = || !matches!(*lock(&handoff), Handoff::Waiting);
+    if shutdown.wait(PATIENCE, |level| level > Level::Run || is_answered()) > Level::Run {
+        shutdown.wait(LAST_LOOK, |_| is_answered());
+    }
+    let answer = match std::mem::replace(&mut *lock(&handoff), Handoff::Abandoned) {
+        Handoff::Answered(answer) => (*answer)?,
+        Handoff::Waiting | Handoff::Abandoned => None,
+    };
+    if shutdown.level() > Level::Run {
+        give_back(farm, answer);
+        return Ok(None);
+    }
+    Ok(answer)
+}
+
+fn hand_over(farm: &Farm, handoff: &Mutex<Handoff>, answer: Result<Option<Lease>, CallError>) {
+    let mut state = lock(handoff);
+    if matches!(*state, Handoff::Waiting) {
+        *state = Handoff::Answered(Box::new(answer));
+        return;
+    }
+    drop(state);
+    give_back(farm, answer.ok().flatten());
+}
+
+fn give_back(farm: &Farm, lease: Option<Lease>) {
+    if let Some(Err(error)) = lease.map(|lease| farm.release(&lease.token)) {
+        tracing::warn!(%error, "a task could not be given back; its lease will run out instead");
+    }
+}
+
+fn lock(handoff: &Mutex<Handoff>) -> MutexGuard<'_, Handoff> {
+    handoff.lock().unwrap_or_else(PoisonError::into_inner)
+}

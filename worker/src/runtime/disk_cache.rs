@@ -1,0 +1,190 @@
+//! Artefacts kept on disk between tasks and runs, by digest. Several workers may share one folder.
+
+use std::fs::{self, File};
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, SystemTime};
+
+use lightkiln_proto::ids::Digest;
+
+/// An unfinished write older than this was left behind by a worker that died.
+const STALE_WRITE: Duration = Duration::from_secs(3600);
+
+/// Size-bounded cache of artefacts as files; the least recently used ones go first.
+#[derive(Debug)]
+pub struct DiskCache {
+    folder: PathBuf,
+    bytes_max: u64,
+    /// Bytes in the folder as far as this process knows; measured anew when it passes the bound.
+    bytes_estimate: AtomicU64,
+    writes: AtomicU64,
+}
+
+impl DiskCache {
+    /// Opens `folder`, making it if need be, and keeps at most about `bytes_max` bytes in it.
+    pub fn open(folder: &Path, bytes_max: u64) -> io::Result<Self> {
+        fs::create_dir_all(folder.join("writes"))?;
+        let cache = Self {
+            folder: folder.to_owned(),
+            bytes_max,
+            bytes_estimate: AtomicU64::new(0),
+            writes: AtomicU64::new(0),
+        };
+        cache.drop_stale_writes()?;
+        let bytes = cache.files()?.iter().map(|file| file.bytes).sum();
+        cache.bytes_estimate.store(bytes, Ordering::Relaxed);
+        Ok(cache)
+    }
+
+    /// The artefact's bytes if they are here and whole; a damaged file is removed.
+    pub fn get(&self, digest: Digest) -> Option<Vec<u8>> {
+        let path = self.path(digest);
+        let bytes = fs::read(&path).ok()?;
+        if Digest::of(&bytes) != digest {
+            tracing::warn!(path = %path.display(), "a cached artefact was damaged; it will be fetched again");
+            let _ = fs::remove_file(&path);
+            return None;
+        }
+        // The time of last use decides what goes first; a folder that forbids it only makes a worse choice.
+        let _ =
+            File::options().append(true).open(&path).and_then(|file| file.set_modified(SystemTime::now()));
+        Some(bytes)
+    }
+
+    /// Keeps an artefact. A reader never sees half of it: it is written aside, then renamed.
+    pub fn put(&self, digest: Digest, bytes: &[u8]) -> io::Result<()> {
+        let path = self.path(digest);
+        if path.exists() {
+            return Ok(());
+        }
+        let write = self.writes.fetch_add(1, Ordering::Relaxed);
+        let aside = self.folder.join("writes").join(format!("{}-{write}", std::process::id()));
+        if let Some(parent) = path.parent() {
+            fs::create_dir_all(parent)?;
+        }
+        let written = fs::write(&aside, bytes).and_then(|()| fs::rename(&aside, &path));
+        if written.is_err() {
+            let _ = fs::remove_file(&aside);
+        }
+        written?;
+        let held = self.bytes_estimate.fetch_add(bytes.len() as u64, Ordering::Relaxed) + bytes.len() as u64;
+        if held > self.bytes_max { self.evict() } else { Ok(()) }
+    }
+
+    fn path(&self, digest: Digest) -> PathBuf {
+        let name = digest.to_string();
+        self.folder.join(&name[..2]).join(name)
+    }
+
+    /// Removes files until a tenth of the room is free again, so that not every write has to look.
+    fn evict(&self) -> io::Result<()> {
+        let mut files = self.files()?;
+        files.sort_by_key(|file| file.used);
+        let mut held: u64 = files.iter().map(|file| file.bytes).sum();
+        let wanted = self.bytes_max / 10 * 9;
+        for file in files {
+            if held <= wanted {
+                break;
+            }
+            // Another worker may have removed it first; it is gone either way.
+            let _ = fs::remove_file(&file.path);
+            held -= file.bytes;
+        }
+        self.bytes_estimate.store(held, Ordering::Relaxed);
+        Ok(())
+    }
+
+    fn files(&self) -> io::Result<Vec<CachedFile>> {
+        let mut files = Vec::new();
+        for folder in fs::read_dir(&self.folder)?.flatten() {
+            let is_shard = folder.file_name().len() == 2;
+            let Ok(entries) = fs::read_dir(folder.path()) else { continue };
+            for entry in entries.flatten().filter(|_| is_shard) {
+                let Ok(metadata) = entry.metadata() else { continue };
+                let used = metadata.modified().unwrap_or(SystemTime::UNIX_EPOCH);
+                files.push(CachedFile { path: entry.path(), bytes: metadata.len(), used });
+            }
+        }
+        Ok(files)
+    }
+
+    fn drop_stale_writes(&self) -> io::Result<()> {
+        for entry in fs::read_dir(self.folder.join("writes"))?.flatten() {
+            let age = entry.metadata().and_then(|metadata| metadata.modified()).map(|time| time.elapsed());
+            if matches!(age, Ok(Ok(age)) if age > STALE_WRITE) {
+                let _ = fs::remove_file(entry.path());
+            }
+        }
+        Ok(())
+    }
+}
+
+#[derive(Debug)]
+struct CachedFile {
+    path: PathBuf,
+    bytes: u64,
+    used: SystemTime,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn digest(name: &str) -> Digest {
+        Digest::of(name.as_bytes())
+    }
+
+    /// Sets the time of last use, as file times are too coarse to tell two uses in a row apart.
+    fn used_at(cache: &DiskCache, name: &str, secs: u64) {
+        let file = File::options().append(true).open(cache.path(digest(name))).unwrap();
+        file.set_modified(SystemTime::UNIX_EPOCH + Duration::from_secs(secs)).unwrap();
+    }
+
+    #[test]
+    fn artefact_survives_a_restart_of_the_worker() {
+        let folder = tempfile::tempdir().unwrap();
+        DiskCache::open(folder.path(), 100).unwrap().put(digest("a"), b"a").unwrap();
+        let again = DiskCache::open(folder.path(), 100).unwrap();
+        assert_eq!(again.get(digest("a")), Some(b"a".to_vec()));
+        assert_eq!(again.get(digest("b")), None);
+    }
+
+    #[test]
+    fn damaged_file_is_not_given_and_makes_room_for_a_new_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let cache = DiskCache::open(folder.path(), 100).unwrap();
+        cache.put(digest("a"), b"a").unwrap();
+        fs::write(cache.path(digest("a")), b"b").unwrap();
+        assert_eq!(cache.get(digest("a")), None);
+        cache.put(digest("a"), b"a").unwrap();
+        assert_eq!(cache.get(digest("a")), Some(b"a".to_vec()));
+    }
+
+    #[test]
+    fn least_recently_used_files_go_when_the_room_is_used_up() {
+        let folder = tempfile::tempdir().unwrap();
+        let cache = DiskCache::open(folder.path(), 10).unwrap();
+        for (secs, name) in [(1, "aaaa"), (2, "bbbb")] {
+            cache.put(digest(name), name.as_bytes()).unwrap();
+            used_at(&cache, name, secs);
+        }
+        assert!(cache.get(digest("aaaa")).is_some());
+        cache.put(digest("cccc"), b"cccc").unwrap();
+        assert_eq!(cache.get(digest("bbbb")), None);
+        assert!(cache.get(digest("aaaa")).is_some() && cache.get(digest("cccc")).is_some());
+    }
+
+    #[test]
+    fn unfinished_write_of_a_dead_worker_is_cleared_away() {
+        let folder = tempfile::tempdir().unwrap();
+        let aside = folder.path().join("writes");
+        fs::create_dir_all(&aside).unwrap();
+        fs::write(aside.join("1-0"), b"half").unwrap();
+        let old = SystemTime::now() - 2 * STALE_WRITE;
+        File::options().append(true).open(aside.join("1-0")).unwrap().set_modified(old).unwrap();
+        fs::write(aside.join("2-0"), b"under way").unwrap();
+        DiskCache::open(folder.path(), 100).unwrap();
+        assert!(!aside.join("1-0").exists() && aside.join("2-0").exists());
+    }
+}

@@ -1,0 +1,171 @@
+//! The worker as a process sees it: claims tasks over HTTP, runs them, hands results in. Blocking calls on plain
+//! threads; one task at a time, with all threads inside it.
+//!
+//! What holds whatever happens: a result is handed in only under a lease not known to be lost; a task whose lease ends
+//! here without a result is failed, released, or runs out, so another worker gets it; the same task gives the same
+//! bytes, so doing one twice is a waste and never an error.
+
+mod attempt;
+mod backoff;
+mod claim;
+mod disk_cache;
+mod farm;
+mod shutdown;
+mod store;
+#[cfg(test)]
+mod tests;
+mod watch;
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+
+use lightkiln_proto::api::ClaimRequest;
+use lightkiln_proto::problem::RetryClass;
+use thiserror::Error;
+
+use crate::task::{MemoryCache, TaskRunner};
+use backoff::Backoff;
+use farm::Farm;
+
+pub use attempt::Outcome;
+pub use disk_cache::DiskCache;
+pub use farm::CallError;
+pub use shutdown::{Level, ShutdownFlag};
+
+/// Pause after an answer without tasks, so that a server that does not hold claims open is not asked in a tight loop.
+const EMPTY_ANSWER_PAUSE: Duration = Duration::from_millis(20);
+
+/// What a worker is told at its start.
+#[derive(Clone, Debug)]
+pub struct WorkerConfig {
+    /// Base URL of the server.
+    pub server_url: String,
+    /// Name on the farm; unique there, as a worker that failed a task is not given it again.
+    pub name: String,
+    /// Threads for a task. More → faster, with more memory in use.
+    pub threads: usize,
+    /// Folder for fetched artefacts; without one each is fetched anew unless it is still in memory.
+    pub cache_dir: Option<PathBuf>,
+    /// Bytes that the folder may hold. More → fewer fetches.
+    pub cache_bytes: u64,
+    /// Bytes of decoded artefacts to keep in memory. More → less decoding.
+    pub memory_bytes: usize,
+    /// Length of a lease in seconds, 5..=3600. More → fewer heartbeats, later rescue of a dead worker's task.
+    pub lease_secs: u32,
+    /// Seconds that the server may hold a claim open, 0..=60. More → fewer calls while there is no work.
+    pub claim_wait_secs: u32,
+    /// How long a task may still take once draining began, before it is given back.
+    pub drain_grace: Duration,
+}
+
+impl WorkerConfig {
+    /// A worker for the server at `server_url`, with a thread per processor and no cache on disk.
+    pub fn new(server_url: impl Into<String>, name: impl Into<String>) -> Self {
+        Self {
+            server_url: server_url.into(),
+            name: name.into(),
+            threads: std::thread::available_parallelism().map_or(1, usize::from),
+            cache_dir: None,
+            cache_bytes: 20 << 30,
+            memory_bytes: 2 << 30,
+            lease_secs: 30,
+            claim_wait_secs: 20,
+            drain_grace: Duration::from_secs(20),
+        }
+    }
+}
+
+/// A worker that cannot start or cannot go on.
+#[derive(Debug, Error)]
+pub enum WorkerError {
+    /// The cache folder cannot be used.
+    #[error("the cache folder {} cannot be used; choose one that can be written", .folder.display())]
+    Cache {
+        /// The folder.
+        folder: PathBuf,
+        /// Why.
+        #[source]
+        source: std::io::Error,
+    },
+    /// The threads cannot be started.
+    #[error("{threads} threads cannot be started; ask for fewer")]
+    Threads {
+        /// How many were asked for.
+        threads: usize,
+        /// Why.
+        #[source]
+        source: rayon::ThreadPoolBuildError,
+    },
+    /// The server refuses this worker for good.
+    #[error("the server gives this worker no tasks")]
+    Refused(#[source] CallError),
+}
+
+/// Takes tasks from a server until told to stop.
+pub struct Worker {
+    config: WorkerConfig,
+    runner: Arc<dyn TaskRunner>,
+    farm: Arc<Farm>,
+    disk: Option<DiskCache>,
+    memory: MemoryCache,
+    pool: rayon::ThreadPool,
+}
+
+impl Worker {
+    /// Opens the cache and starts the threads; calls nothing yet.
+    pub fn new(config: WorkerConfig, runner: Arc<dyn TaskRunner>) -> Result<Self, WorkerError> {
+        let open = |folder: &PathBuf| {
+            let opened = DiskCache::open(folder, config.cache_bytes);
+            opened.map_err(|source| WorkerError::Cache { folder: folder.clone(), source })
+        };
+        let disk = config.cache_dir.as_ref().map(open).transpose()?;
+        let threads = config.threads.max(1);
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .thread_name(|index| format!("bake-{index}"))
+            .build()
+            .map_err(|source| WorkerError::Threads { threads, source })?;
+        let farm = Arc::new(Farm::new(&config.server_url));
+        let memory = MemoryCache::new(config.memory_bytes);
+        Ok(Self { config, runner, farm, disk, memory, pool })
+    }
+
+    /// Claims and does tasks until `shutdown` is raised. A server that is away is waited for.
+    pub fn run(&self, shutdown: &ShutdownFlag) -> Result<(), WorkerError> {
+        let mut backoff = Backoff::new();
+        while shutdown.level() == Level::Run {
+            match claim::claim(&self.farm, self.claim_request(), shutdown) {
+                Ok(Some(lease)) => {
+                    backoff.reset();
+                    tracing::info!(kind = lease.task.kind, label = lease.task.label, "took");
+                    self.attempt(&lease, shutdown);
+                }
+                Ok(None) => {
+                    backoff.reset();
+                    shutdown.wait(EMPTY_ANSWER_PAUSE, |level| level > Level::Run);
+                }
+                Err(error) if error.retry_class() == RetryClass::Never => {
+                    return Err(WorkerError::Refused(error));
+                }
+                Err(error) => {
+                    let wait = backoff.wait();
+                    tracing::warn!(%error, wait_secs = wait.as_secs_f64(), "no task could be claimed; trying again");
+                    shutdown.wait(wait, |level| level > Level::Run);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn claim_request(&self) -> ClaimRequest {
+        ClaimRequest {
+            worker: self.config.name.clone(),
+            kinds: self.runner.kinds(),
+            threads: u32::try_from(self.pool.current_num_threads()).unwrap_or(u32::MAX),
+            max: 1,
+            ttl_secs: self.config.lease_secs,
+            wait_secs: self.config.claim_wait_secs,
+        }
+    }
+}

@@ -1,0 +1,105 @@
+//! Artefacts as one task sees them: this worker's disk first, then the server; tried again until it answers or the
+//! task is given up.
+
+use std::sync::Arc;
+
+use lightkiln_proto::api::MAX_CHUNK_BYTES;
+use lightkiln_proto::ids::Digest;
+use lightkiln_proto::jobs::Artefact;
+use lightkiln_proto::problem::RetryClass;
+
+use super::backoff::Backoff;
+use super::disk_cache::DiskCache;
+use super::farm::{CallError, Farm};
+use super::shutdown::{Level, ShutdownFlag};
+use crate::task::{ArtefactSource, Cancelled, FetchError, Progress};
+
+/// How often an artefact may arrive with other bytes than its digest says.
+const DAMAGED_ARRIVALS_MAX: u32 = 3;
+
+/// Why a call was given up.
+#[derive(Debug)]
+pub(super) enum GaveUp {
+    /// The task was.
+    Cancelled(Cancelled),
+    /// The same call would fail again.
+    Refused(CallError),
+}
+
+/// Artefacts for the length of one lease.
+pub(super) struct LeaseStore<'a> {
+    pub(super) farm: &'a Farm,
+    pub(super) disk: Option<&'a DiskCache>,
+    pub(super) progress: &'a Progress,
+    pub(super) shutdown: &'a ShutdownFlag,
+}
+
+impl LeaseStore<'_> {
+    /// Makes `call` until it succeeds, is refused for good, or the task is given up.
+    pub(super) fn insist<T>(&self, mut call: impl FnMut() -> Result<T, CallError>) -> Result<T, GaveUp> {
+        let mut backoff = Backoff::new();
+        loop {
+            self.progress.check().map_err(GaveUp::Cancelled)?;
+            if self.shutdown.level() == Level::Stop {
+                return Err(GaveUp::Cancelled(Cancelled));
+            }
+            match call() {
+                Ok(answer) => return Ok(answer),
+                Err(error) if error.retry_class() == RetryClass::Never => return Err(GaveUp::Refused(error)),
+                Err(error) => {
+                    let wait = backoff.wait();
+                    tracing::warn!(%error, wait_secs = wait.as_secs_f64(), "a call failed; trying again");
+                    let given_up = |level| level == Level::Stop || self.progress.is_cancelled();
+                    self.shutdown.wait(wait, given_up);
+                }
+            }
+        }
+    }
+
+    /// Stores an artefact unless the server has it, and keeps it for tasks that read it here.
+    pub(super) fn put(&self, name: String, bytes: &[u8]) -> Result<Artefact, GaveUp> {
+        // Asked for here, as a server may hang up on an upload before its refusal is read.
+        if bytes.len() as u64 > MAX_CHUNK_BYTES {
+            return Err(GaveUp::Refused(CallError::TooLarge { bytes: bytes.len() as u64 }));
+        }
+        let digest = Digest::of(bytes);
+        if !self.insist(|| self.farm.has_artefact(digest, bytes.len() as u64))? {
+            self.insist(|| self.farm.put_artefact(digest, bytes))?;
+        }
+        self.keep(digest, bytes);
+        Ok(Artefact { name, digest, bytes: bytes.len() as u64 })
+    }
+
+    /// A cache that cannot be written costs time later, not the task now.
+    fn keep(&self, digest: Digest, bytes: &[u8]) {
+        if let Some(Err(error)) = self.disk.map(|disk| disk.put(digest, bytes)) {
+            tracing::warn!(%error, %digest, "an artefact could not be cached; check the cache folder's free space");
+        }
+    }
+
+    fn fetch(&self, digest: Digest) -> Result<Vec<u8>, FetchError> {
+        for _ in 0..DAMAGED_ARRIVALS_MAX {
+            let arrived = self.insist(|| self.farm.artefact(digest)).map_err(|gave_up| match gave_up {
+                GaveUp::Cancelled(cancelled) => FetchError::Cancelled(cancelled),
+                GaveUp::Refused(error) => FetchError::Unavailable { digest, source: Box::new(error) },
+            })?;
+            let bytes = arrived.ok_or(FetchError::NotFound { digest })?;
+            if Digest::of(&bytes) == digest {
+                return Ok(bytes);
+            }
+            tracing::warn!(%digest, "an artefact arrived damaged; fetching it again");
+        }
+        Err(FetchError::Corrupt { digest })
+    }
+}
+
+impl ArtefactSource for LeaseStore<'_> {
+    fn get(&self, digest: Digest) -> Result<Arc<Vec<u8>>, FetchError> {
+        if let Some(bytes) = self.disk.and_then(|disk| disk.get(digest)) {
+            return Ok(Arc::new(bytes));
+        }
+        let bytes = self.fetch(digest)?;
+        self.keep(digest, &bytes);
+        Ok(Arc::new(bytes))
+    }
+}

@@ -1,0 +1,109 @@
+//! Keeps a lease while its task runs, and tells the task to stop when the server, or whoever ends this worker, says so.
+
+use std::sync::Mutex;
+use std::sync::PoisonError;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use lightkiln_proto::api::Verdict;
+
+use super::farm::Farm;
+use super::shutdown::{Level, ShutdownFlag};
+use crate::task::Progress;
+
+/// Pause after a heartbeat without an answer: a lease has time for several tries.
+pub(super) const RETRY_WAIT: Duration = Duration::from_secs(1);
+
+/// Why a task was told to stop.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum StopReason {
+    /// The lease is gone; a result would be refused.
+    Lost,
+    /// The bake was cancelled.
+    Cancelled,
+    /// This worker is being shut down.
+    Drained,
+}
+
+/// One lease under watch; [`run`](Self::run) on a thread of its own until [`finish`](Self::finish).
+pub(super) struct LeaseWatch<'a> {
+    pub(super) farm: &'a Farm,
+    pub(super) token: &'a str,
+    /// Time between heartbeats.
+    pub(super) interval: Duration,
+    /// Time that a task may still take once draining began.
+    pub(super) grace: Duration,
+    pub(super) progress: &'a Progress,
+    pub(super) shutdown: &'a ShutdownFlag,
+    pub(super) finished: AtomicBool,
+    pub(super) stop: Mutex<Option<StopReason>>,
+}
+
+impl LeaseWatch<'_> {
+    /// Sends heartbeats until the lease is finished with.
+    pub(super) fn run(&self) {
+        let mut next_beat = Instant::now() + self.interval;
+        let mut drain_deadline = None;
+        while !self.finished.load(Ordering::Acquire) {
+            let seen = self.shutdown.level();
+            if seen == Level::Stop {
+                self.stop(StopReason::Drained);
+            } else if seen == Level::Drain {
+                let deadline = *drain_deadline.get_or_insert_with(|| Instant::now() + self.grace);
+                if Instant::now() >= deadline {
+                    self.stop(StopReason::Drained);
+                }
+            }
+            let wake_at = match (drain_deadline, self.stop_reason()) {
+                (Some(deadline), None) => next_beat.min(deadline),
+                _ => next_beat,
+            };
+            let nap = wake_at.saturating_duration_since(Instant::now());
+            self.shutdown.wait(nap, |level| level != seen || self.finished.load(Ordering::Acquire));
+            if Instant::now() >= next_beat && !self.finished.load(Ordering::Acquire) {
+                next_beat = Instant::now() + self.beat();
+            }
+        }
+    }
+
+    /// Ends the watch; nothing more is sent for the lease.
+    pub(super) fn finish(&self) {
+        self.finished.store(true, Ordering::Release);
+        self.shutdown.wake();
+    }
+
+    /// Why the task was told to stop, if it was.
+    pub(super) fn stop_reason(&self) -> Option<StopReason> {
+        *self.stop.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Sends a heartbeat and heeds the answer; gives the time until the next one.
+    pub(super) fn beat(&self) -> Duration {
+        match self.farm.heartbeat(self.token, self.progress.share(), self.interval) {
+            Ok(answer) => {
+                match answer.verdict {
+                    Verdict::Keep => {}
+                    Verdict::Cancel => self.stop(StopReason::Cancelled),
+                    Verdict::Lost => self.stop(StopReason::Lost),
+                }
+                self.interval
+            }
+            // The work goes on: if the lease outlives the outage the result counts, else the server refuses it.
+            Err(error) => {
+                tracing::warn!(%error, "a heartbeat found no answer");
+                RETRY_WAIT.min(self.interval)
+            }
+        }
+    }
+
+    /// Tells the task to stop; a lost lease overrides any other reason, as it forbids even a release.
+    fn stop(&self, reason: StopReason) {
+        let mut stop = self.stop.lock().unwrap_or_else(PoisonError::into_inner);
+        if stop.is_none() || reason == StopReason::Lost {
+            *stop = Some(reason);
+        }
+        drop(stop);
+        self.progress.cancel();
+        self.shutdown.wake();
+    }
+}

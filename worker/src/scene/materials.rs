@@ -1,0 +1,254 @@
+//! Materials reduced to base colour, emission, mask and sides.
+
+use std::collections::BTreeMap;
+
+use gltf::json::extensions::texture::TextureTransform;
+use gltf::json::material::AlphaMode;
+use gltf::json::texture::{Info, WrappingMode};
+use gltf::json::validation::Checked;
+use gltf::json::{Index, Root};
+
+use super::context::Context;
+use super::document;
+use super::error::{ImportError, place_of, shown};
+use super::images::read_image;
+use super::model::{Material, SceneImage, TextureUse, Wrap};
+use super::primitives::LocalMesh;
+
+/// Where BLEND materials are cut into a mask: half covered is opaque.
+const BLEND_CUTOFF: f32 = 0.5;
+
+/// The identity as a 2×3 affine map.
+const IDENTITY_UV: [[f32; 3]; 2] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
+
+/// Image index of a texture that names none (the `gltf` crate's mark).
+const NO_IMAGE: usize = u32::MAX as usize;
+
+/// All materials of a scene and the images that they use.
+#[derive(Debug, Default)]
+pub(super) struct MaterialTable {
+    pub(super) materials: Vec<Material>,
+    pub(super) images: Vec<SceneImage>,
+    /// Where each image of the file went; `None` for those in formats that are not read.
+    image_slots: BTreeMap<usize, Option<u32>>,
+    default_index: Option<u32>,
+}
+
+impl MaterialTable {
+    /// Reads all materials of the file, in its order.
+    pub(super) fn read(context: &mut Context<'_>) -> Result<Self, ImportError> {
+        let mut table = Self::default();
+        for index in 0..context.root.materials.len() {
+            let material = table.read_material(context, index)?;
+            table.materials.push(material);
+        }
+        Ok(table)
+    }
+
+    /// The materials for a scene; never empty.
+    pub(super) fn finish(mut self) -> (Vec<Material>, Vec<SceneImage>) {
+        if self.materials.is_empty() {
+            self.default_index();
+        }
+        (self.materials, self.images)
+    }
+
+    /// Index of the material that a primitive names, or of glTF's default one, appended on first need.
+    pub(super) fn index_of(
+        &mut self,
+        root: &Root,
+        named: Option<Index<gltf::json::Material>>,
+        place: &dyn Fn() -> String,
+    ) -> Result<u32, ImportError> {
+        let Some(index) = named else { return Ok(self.default_index()) };
+        document::get(root, index, "material", place)?;
+        Ok(index.value() as u32)
+    }
+
+    fn default_index(&mut self) -> u32 {
+        let materials = &mut self.materials;
+        *self.default_index.get_or_insert_with(|| {
+            materials.push(Material {
+                name: "default".to_owned(),
+                base_colour: [1.0; 4],
+                base_colour_texture: None,
+                emissive: [0.0; 3],
+                emissive_texture: None,
+                alpha_cutoff: None,
+                double_sided: false,
+            });
+            materials.len() as u32 - 1
+        })
+    }
+
+    /// Warns when a mesh lacks the UV set that its material's textures read.
+    pub(super) fn warn_of_missing_uvs(
+        &self,
+        context: &mut Context<'_>,
+        material_index: u32,
+        mesh: &LocalMesh,
+        place: &dyn Fn() -> String,
+    ) {
+        let material = &self.materials[material_index as usize];
+        for texture in [&material.base_colour_texture, &material.emissive_texture].into_iter().flatten() {
+            let uvs = if texture.uv_set == 0 { &mesh.uv0 } else { &mesh.uv1 };
+            if uvs.is_empty() {
+                context.warnings.add("texture-without-uvs", || {
+                    format!(
+                        "{} has no UV set {} for its textures; the factors alone are used",
+                        place(),
+                        texture.uv_set
+                    )
+                });
+            }
+        }
+    }
+
+    fn read_material(&mut self, context: &mut Context<'_>, index: usize) -> Result<Material, ImportError> {
+        let stated = &context.root.materials[index];
+        let place = || place_of("material", index, stated.name.as_deref());
+        let pbr = &stated.pbr_metallic_roughness;
+        let base_colour = clamped(context, pbr.base_color_factor.0, 1.0, &place);
+        let strength = stated
+            .extensions
+            .as_ref()
+            .and_then(|extensions| extensions.emissive_strength.as_ref())
+            .map_or(1.0, |strength| strength.emissive_strength.0);
+        let emissive = stated.emissive_factor.0.map(|channel| channel * strength);
+        Ok(Material {
+            name: stated.name.clone().unwrap_or_else(|| format!("material {index}")),
+            base_colour,
+            base_colour_texture: self.read_texture(context, pbr.base_color_texture.as_ref(), &place)?,
+            emissive: clamped(context, emissive, f32::MAX, &place),
+            emissive_texture: self.read_texture(context, stated.emissive_texture.as_ref(), &place)?,
+            alpha_cutoff: alpha_cutoff(context, stated, &place),
+            double_sided: stated.double_sided,
+        })
+    }
+
+    fn read_texture(
+        &mut self,
+        context: &mut Context<'_>,
+        info: Option<&Info>,
+        place: &dyn Fn() -> String,
+    ) -> Result<Option<TextureUse>, ImportError> {
+        let Some(info) = info else { return Ok(None) };
+        let root = context.root;
+        let texture = document::get(root, info.index, "texture", place)?;
+        let transform = info.extensions.as_ref().and_then(|extensions| extensions.texture_transform.as_ref());
+        let uv_set = transform.and_then(|transform| transform.tex_coord).unwrap_or(info.tex_coord);
+        if uv_set > 1 {
+            context.warnings.add("uv-set-unsupported", || {
+                format!(
+                    "{} has a texture on UV set {uv_set}; only 0 and 1 are read, its factor alone is used",
+                    place()
+                )
+            });
+            return Ok(None);
+        }
+        if texture.source.value() == NO_IMAGE {
+            context.warnings.add("texture-format-unsupported", || {
+                format!("{} has a texture without a PNG or JPEG; its factor alone is used", place())
+            });
+            return Ok(None);
+        }
+        document::get(root, texture.source, "image", place)?;
+        let Some(image_index) = self.image_slot(context, texture.source.value())? else { return Ok(None) };
+        let wrap = match texture.sampler {
+            Some(index) => {
+                let sampler = document::get(root, index, "sampler", place)?;
+                [sampler.wrap_s, sampler.wrap_t].map(wrap_mode)
+            }
+            None => [Wrap::Repeat; 2],
+        };
+        let uv_transform = transform.map_or(IDENTITY_UV, |transform| uv_rows(context, transform, place));
+        Ok(Some(TextureUse { image_index, uv_set: uv_set as u8, uv_transform, wrap }))
+    }
+
+    fn image_slot(&mut self, context: &mut Context<'_>, index: usize) -> Result<Option<u32>, ImportError> {
+        if let Some(&slot) = self.image_slots.get(&index) {
+            return Ok(slot);
+        }
+        let slot = read_image(context, index)?.map(|image| {
+            self.images.push(image);
+            self.images.len() as u32 - 1
+        });
+        self.image_slots.insert(index, slot);
+        Ok(slot)
+    }
+}
+
+/// Factors forced into `0..=max`, with a warning if that changes them; NaN becomes 0.
+fn clamped<const N: usize>(
+    context: &mut Context<'_>,
+    stated: [f32; N],
+    max: f32,
+    place: &dyn Fn() -> String,
+) -> [f32; N] {
+    // max first: it turns NaN into 0.
+    let usable = stated.map(|value| value.max(0.0).min(max));
+    if usable != stated {
+        context.warnings.add("material-factor-clamped", || {
+            format!("{} has a colour or emission outside the range of its kind", place())
+        });
+    }
+    usable
+}
+
+fn alpha_cutoff(
+    context: &mut Context<'_>,
+    stated: &gltf::json::Material,
+    place: &dyn Fn() -> String,
+) -> Option<f32> {
+    match stated.alpha_mode {
+        Checked::Valid(AlphaMode::Opaque) => None,
+        Checked::Valid(AlphaMode::Mask) => {
+            let cutoff = stated.alpha_cutoff.unwrap_or_default().0;
+            Some(if cutoff.is_finite() { cutoff.max(0.0) } else { BLEND_CUTOFF })
+        }
+        Checked::Valid(AlphaMode::Blend) => {
+            context.warnings.add("blend-as-mask", || {
+                format!("{} blends; it is baked as a mask cut at {BLEND_CUTOFF}", place())
+            });
+            Some(BLEND_CUTOFF)
+        }
+        Checked::Invalid => {
+            let name = shown(stated.name.as_deref().unwrap_or(""));
+            context
+                .warnings
+                .add("alpha-mode-unknown", || format!("{} ({name:?}) is taken as opaque", place()));
+            None
+        }
+    }
+}
+
+fn wrap_mode(stated: Checked<WrappingMode>) -> Wrap {
+    match stated {
+        Checked::Valid(WrappingMode::ClampToEdge) => Wrap::Clamp,
+        Checked::Valid(WrappingMode::MirroredRepeat) => Wrap::Mirror,
+        Checked::Valid(WrappingMode::Repeat) | Checked::Invalid => Wrap::Repeat,
+    }
+}
+
+/// KHR_texture_transform as a 2×3 map: `uv' = T · R · S · uv`.
+///
+/// R turns counter-clockwise as seen with v downwards: `u' = c·u + s·v`, `v' = −s·u + c·v`. The extension's text has
+/// the other sign in its GLSL; viewers and the Khronos test model agree on this one.
+fn uv_rows(
+    context: &mut Context<'_>,
+    transform: &TextureTransform,
+    place: &dyn Fn() -> String,
+) -> [[f32; 3]; 2] {
+    let (sin, cos) = (libm::sin(f64::from(transform.rotation.0)), libm::cos(f64::from(transform.rotation.0)));
+    let [scale_u, scale_v] = transform.scale.0.map(f64::from);
+    let [offset_u, offset_v] = transform.offset.0;
+    let rows = [
+        [(cos * scale_u) as f32, (sin * scale_v) as f32, offset_u],
+        [(-sin * scale_u) as f32, (cos * scale_v) as f32, offset_v],
+    ];
+    if rows.iter().flatten().all(|value| value.is_finite()) {
+        return rows;
+    }
+    context.warnings.add("texture-transform-ignored", || format!("{} has one that is not finite", place()));
+    IDENTITY_UV
+}

@@ -1,0 +1,85 @@
+//! Scene import: glTF and GLB to one flat, validated [`model::Scene`].
+//!
+//! An upload is a [`Bundle`]; [`import`] turns it into an [`model::Imported`]. Nothing here trusts a size, an index or
+//! a name of the file: every one is compared with what is there and with [`Limits`] before it is used.
+
+mod accessor;
+mod buffers;
+mod bundle;
+mod context;
+mod document;
+mod error;
+mod glb;
+mod images;
+mod json_text;
+mod lights_cameras;
+mod limits;
+mod materials;
+pub mod model;
+mod nodes;
+mod pack;
+mod placement;
+mod primitives;
+pub mod surface;
+pub mod texture;
+mod uri;
+mod warnings;
+
+#[cfg(test)]
+mod tests;
+
+use std::collections::BTreeMap;
+
+pub use bundle::Bundle;
+pub use error::ImportError;
+pub use limits::Limits;
+
+use buffers::Buffers;
+use context::{Budgets, Context};
+use materials::MaterialTable;
+use model::{Imported, Scene};
+use warnings::Warnings;
+
+/// Reads the bundle's glTF as one flat scene in world space.
+///
+/// The result is a pure function of the bundle. Errors say what is wrong, where, and what to do; whatever is merely
+/// not honoured becomes a warning.
+pub fn import(source: &Bundle, limits: &Limits) -> Result<Imported, ImportError> {
+    let (root, bin) = document::parse(source.root_bytes(), limits)?;
+    let buffers = Buffers::load(&root, bin, source)?;
+    let mut context = Context {
+        root: &root,
+        bundle: source,
+        buffers: &buffers,
+        limits,
+        budgets: Budgets::new(limits),
+        warnings: Warnings::default(),
+    };
+    document::warn_of_ignored_extensions(&root, &mut context.warnings);
+    let mut materials = MaterialTable::read(&mut context)?;
+    let mut scene = Scene::default();
+    let degenerate_count = nodes::flatten(&mut context, &mut materials, &mut scene)?;
+    (scene.materials, scene.images) = materials.finish();
+    if scene.instances.is_empty() {
+        context.warnings.add("no-triangles", || "the scene has no triangles to bake".to_owned());
+    }
+    let counts = counts(&scene, degenerate_count);
+    Ok(Imported { scene, warnings: context.warnings.finish(), counts })
+}
+
+fn counts(scene: &Scene, degenerate_count: u64) -> BTreeMap<String, u64> {
+    let instances = &scene.instances;
+    let pixels = |image: &model::SceneImage| u64::from(image.size_px[0]) * u64::from(image.size_px[1]);
+    let counted = [
+        ("cameras", scene.cameras.len() as u64),
+        ("degenerate_triangles", degenerate_count),
+        ("image_pixels", scene.images.iter().map(pixels).sum()),
+        ("images", scene.images.len() as u64),
+        ("instances", instances.len() as u64),
+        ("lights", scene.lights.len() as u64),
+        ("materials", scene.materials.len() as u64),
+        ("triangles", instances.iter().map(|instance| instance.triangles.len() as u64).sum()),
+        ("vertices", instances.iter().map(|instance| instance.positions_m.len() as u64).sum()),
+    ];
+    counted.into_iter().map(|(name, count)| (name.to_owned(), count)).collect()
+}

@@ -1,0 +1,127 @@
+//! The imported scene: what every later stage of a bake starts from.
+//!
+//! World space is glTF's: metres, right-handed, y up. Colours are linear Rec.709.
+
+use std::collections::BTreeMap;
+
+use glam::{Mat4, Vec2, Vec3};
+use lightkiln_proto::scene::{SceneCamera, SceneLight};
+use serde::{Deserialize, Serialize};
+
+/// A scene ready to bake: flat world-space geometry with materials, textures, lights and cameras.
+///
+/// Everything is in an order given by the file alone, so the same bytes give the same scene.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Scene {
+    /// One entry per (node, mesh primitive) that has triangles.
+    pub instances: Vec<MeshInstance>,
+    /// Materials; index 0 always exists (glTF's default material is appended when a primitive names none).
+    pub materials: Vec<Material>,
+    /// Images that materials use, still encoded.
+    pub images: Vec<SceneImage>,
+    /// KHR_lights_punctual lights, in world space.
+    #[serde(with = "super::json_text")]
+    pub lights: Vec<SceneLight>,
+    /// Cameras, in world space.
+    pub cameras: Vec<SceneCamera>,
+}
+
+/// One mesh primitive under one node, transformed to world space.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MeshInstance {
+    /// Identity that survives edits elsewhere in the file: node names from the root, mesh name, primitive index.
+    /// Unique in the scene (repeated names get `#2`, `#3`, … in file order).
+    pub path: String,
+    /// Index into [`Scene::materials`].
+    pub material_index: u32,
+    /// World positions in metres.
+    pub positions_m: Vec<Vec3>,
+    /// Unit world normals, one per vertex; generated flat when the file has none.
+    pub normals: Vec<Vec3>,
+    /// First UV set (for textures, with the material's own transform not yet applied); empty when absent.
+    pub uv0: Vec<Vec2>,
+    /// Second UV set, a candidate lightmap unwrap; empty when absent.
+    pub uv1: Vec<Vec2>,
+    /// Linear vertex colours multiplied into base colour; empty when absent.
+    pub colours: Vec<[f32; 4]>,
+    /// Triangles, counter-clockwise seen from the front *in world space* (mirrored nodes are already flipped).
+    pub triangles: Vec<[u32; 3]>,
+    /// Where the node stands, for tools that draw handles; positions above already include it.
+    pub world_from_object: Mat4,
+}
+
+/// A material reduced to what diffuse transport needs (METHOD.md §1 "Materials and sides").
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Material {
+    /// The file's name for it, or `material N`.
+    pub name: String,
+    /// Linear base colour factor; rgb in 0..=1, alpha in 0..=1.
+    pub base_colour: [f32; 4],
+    /// Base colour texture (sRGB encoded rgb, linear alpha).
+    pub base_colour_texture: Option<TextureUse>,
+    /// Linear emitted radiance in W·m⁻²·sr⁻¹: emissive factor × KHR_materials_emissive_strength.
+    pub emissive: [f32; 3],
+    /// Emissive texture (sRGB encoded), multiplied into `emissive`.
+    pub emissive_texture: Option<TextureUse>,
+    /// `Some(cutoff)` for alphaMode MASK; BLEND is imported as a mask at 0.5 with a warning.
+    pub alpha_cutoff: Option<f32>,
+    /// Both sides are lit and have receivers.
+    pub double_sided: bool,
+}
+
+/// How a material reads an image.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TextureUse {
+    /// Index into [`Scene::images`].
+    pub image_index: u32,
+    /// UV set: 0 or 1 (others are a warning and dropped).
+    pub uv_set: u8,
+    /// KHR_texture_transform as rows of a 2×3 affine map: `uv' = m · (u, v, 1)`; identity when absent.
+    pub uv_transform: [[f32; 3]; 2],
+    /// Wrap mode of u and v.
+    pub wrap: [Wrap; 2],
+}
+
+/// glTF sampler wrap modes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Wrap {
+    /// Repeat.
+    Repeat,
+    /// Clamp to edge.
+    Clamp,
+    /// Mirrored repeat.
+    Mirror,
+}
+
+/// An image as it stood in the file.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SceneImage {
+    /// Name or URI in the file, for messages.
+    pub name: String,
+    /// `image/png` or `image/jpeg`.
+    pub media_type: String,
+    /// Encoded bytes, checked to decode within the limits.
+    pub bytes: Vec<u8>,
+    /// Size in pixels.
+    pub size_px: [u32; 2],
+}
+
+/// Something that was not honoured exactly; part of the bake's report.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub struct Warning {
+    /// Stable kebab-case name, e.g. `skin-ignored`.
+    pub code: String,
+    /// What and where, in words.
+    pub message: String,
+}
+
+/// What an import gives: the scene and what was not honoured.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Imported {
+    /// The scene.
+    pub scene: Scene,
+    /// Named warnings in file order, each reported once with a count.
+    pub warnings: Vec<Warning>,
+    /// Counts for reports (`triangles`, `vertices`, `degenerate_triangles`, …).
+    pub counts: BTreeMap<String, u64>,
+}

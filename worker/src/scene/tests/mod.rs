@@ -1,0 +1,9 @@
+//! Behaviour of scene import, on tiny glTFs built in memory.
+
+mod appearance;
+mod bundles;
+mod document_builder;
+mod geometry;
+mod hostile;
+mod nodes;
+mod textures;
