@@ -1,0 +1,181 @@
+//! Base-colour and emissive textures: decoded with limits, with mip levels averaged in linear light.
+
+use std::io::Cursor;
+use std::sync::LazyLock;
+
+use glam::Vec4;
+use image::{ImageReader, Limits};
+use lightkiln_proto::manifest::Wrap;
+
+/// Longest side of a texture in texels.
+const MAX_SIDE: u32 = 16_384;
+/// Most bytes that decoding one texture may take.
+const MAX_DECODED_BYTES: u64 = 1 << 30;
+
+/// A texture: sRGB colour and linear alpha, 8 bits each.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Texture {
+    /// Mip levels, finest first, each half as large, down to 1 × 1.
+    pub levels: Vec<Level>,
+}
+
+/// One mip level.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Level {
+    /// Width in texels.
+    pub width: u32,
+    /// Height in texels.
+    pub height: u32,
+    /// Row after row.
+    pub texels: Vec<[u8; 4]>,
+}
+
+/// Linear value of an sRGB byte.
+static LINEAR_OF_SRGB: LazyLock<[f32; 256]> =
+    LazyLock::new(|| std::array::from_fn(|byte| linear_of_srgb(byte as f32 / 255.0)));
+
+fn linear_of_srgb(value: f32) -> f32 {
+    if value <= 0.04045 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
+}
+
+/// sRGB value of a linear one, both 0..=1.
+pub(crate) fn srgb_of_linear(value: f32) -> f32 {
+    if value <= 0.003_130_8 { 12.92 * value } else { 1.055 * value.powf(1.0 / 2.4) - 0.055 }
+}
+
+impl Texture {
+    /// Decodes a PNG or JPEG.
+    pub fn decode(bytes: &[u8]) -> image::ImageResult<Self> {
+        let mut reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format()?;
+        let mut limits = Limits::default();
+        limits.max_image_width = Some(MAX_SIDE);
+        limits.max_image_height = Some(MAX_SIDE);
+        limits.max_alloc = Some(MAX_DECODED_BYTES);
+        reader.limits(limits);
+        let picture = reader.decode()?.into_rgba8();
+        let texels = picture.pixels().map(|pixel| pixel.0).collect();
+        Ok(Self::new(picture.width(), picture.height(), texels))
+    }
+
+    /// A texture from its finest level; an empty one becomes a white texel.
+    pub fn new(width: u32, height: u32, texels: Vec<[u8; 4]>) -> Self {
+        let whole = width > 0 && height > 0 && texels.len() == width as usize * height as usize;
+        let finest = if whole {
+            Level { width, height, texels }
+        } else {
+            Level { width: 1, height: 1, texels: vec![[255; 4]] }
+        };
+        let mut levels = vec![finest];
+        while let Some(coarser) = levels.last().and_then(Level::halved) {
+            levels.push(coarser);
+        }
+        Self { levels }
+    }
+
+    /// Colour at coordinates `uv`, trilinear; `footprint` is the length in uv of a pixel's longer step on each axis.
+    pub fn sample(&self, uv: [f32; 2], wrap: [Wrap; 2], lod: f32) -> Vec4 {
+        let last = self.levels.len() - 1;
+        let lod = lod.clamp(0.0, last as f32);
+        let (level, fraction) = (lod as usize, lod.fract());
+        let fine = self.levels[level].bilinear(uv, wrap);
+        if fraction == 0.0 {
+            return fine;
+        }
+        fine.lerp(self.levels[(level + 1).min(last)].bilinear(uv, wrap), fraction)
+    }
+
+    /// Level of detail for steps of uv along a pixel's two axes: log₂ of the longer one in texels.
+    pub fn lod(&self, step_x: [f32; 2], step_y: [f32; 2]) -> f32 {
+        let (width, height) = (self.levels[0].width as f32, self.levels[0].height as f32);
+        let texels = |step: [f32; 2]| (step[0] * width).hypot(step[1] * height);
+        texels(step_x).max(texels(step_y)).max(1e-12).log2()
+    }
+}
+
+impl Level {
+    fn bilinear(&self, uv: [f32; 2], wrap: [Wrap; 2]) -> Vec4 {
+        let x = uv[0] * self.width as f32 - 0.5;
+        let y = uv[1] * self.height as f32 - 0.5;
+        let (x0, y0) = (x.floor(), y.floor());
+        let at = |dx: f32, dy: f32| {
+            let column = wrapped(x0 + dx, self.width, wrap[0]);
+            let row = wrapped(y0 + dy, self.height, wrap[1]);
+            linear(self.texels[row * self.width as usize + column])
+        };
+        let upper = at(0.0, 0.0).lerp(at(1.0, 0.0), x - x0);
+        let lower = at(0.0, 1.0).lerp(at(1.0, 1.0), x - x0);
+        upper.lerp(lower, y - y0)
+    }
+
+    /// The next coarser level: means of 2 × 2 texels in linear light (edges repeat when a side is odd).
+    fn halved(&self) -> Option<Self> {
+        if self.width == 1 && self.height == 1 {
+            return None;
+        }
+        let (width, height) = ((self.width / 2).max(1), (self.height / 2).max(1));
+        let at = |x: u32, y: u32| {
+            let (x, y) = (x.min(self.width - 1), y.min(self.height - 1));
+            linear(self.texels[(y * self.width + x) as usize])
+        };
+        let mean = |x: u32, y: u32| {
+            let sum =
+                at(2 * x, 2 * y) + at(2 * x + 1, 2 * y) + at(2 * x, 2 * y + 1) + at(2 * x + 1, 2 * y + 1);
+            bytes(sum * 0.25)
+        };
+        let texels =
+            (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).map(|(x, y)| mean(x, y)).collect();
+        Some(Self { width, height, texels })
+    }
+}
+
+fn linear([r, g, b, a]: [u8; 4]) -> Vec4 {
+    let table = &*LINEAR_OF_SRGB;
+    Vec4::new(table[usize::from(r)], table[usize::from(g)], table[usize::from(b)], f32::from(a) / 255.0)
+}
+
+fn bytes(colour: Vec4) -> [u8; 4] {
+    let byte = |value: f32| (value.clamp(0.0, 1.0) * 255.0).round() as u8;
+    let [r, g, b, a] = colour.to_array();
+    [byte(srgb_of_linear(r)), byte(srgb_of_linear(g)), byte(srgb_of_linear(b)), byte(a)]
+}
+
+fn wrapped(index: f32, size: u32, wrap: Wrap) -> usize {
+    let (size_i, size_f) = (size as i64, size as f32);
+    let inside = match wrap {
+        Wrap::Clamp => return index.clamp(0.0, size_f - 1.0) as usize,
+        Wrap::Repeat => (index as i64).rem_euclid(size_i),
+        Wrap::Mirror => {
+            let folded = (index as i64).rem_euclid(2 * size_i);
+            folded.min(2 * size_i - 1 - folded)
+        }
+    };
+    inside as usize
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn checker() -> Texture {
+        Texture::new(2, 2, vec![[0, 0, 0, 255], [255; 4], [255; 4], [0, 0, 0, 255]])
+    }
+
+    #[test]
+    fn coarsest_level_is_the_mean_in_linear_light() {
+        let coarse = checker().sample([0.5, 0.5], [Wrap::Repeat; 2], 9.0);
+        assert!((coarse.x - 0.5).abs() < 5e-3, "{coarse}");
+    }
+
+    #[test]
+    fn wrap_modes_differ_outside_the_texture() {
+        let texture = Texture::new(2, 1, vec![[0, 0, 0, 255], [255; 4]]);
+        let read = |wrap| texture.sample([1.25, 0.5], [wrap, Wrap::Clamp], 0.0).x;
+        assert_eq!((read(Wrap::Repeat), read(Wrap::Clamp), read(Wrap::Mirror)), (0.0, 1.0, 1.0));
+    }
+
+    #[test]
+    fn broken_picture_is_an_error() {
+        assert!(Texture::decode(b"\x89PNG\r\n\x1a\nnothing").is_err());
+        assert!(Texture::decode(b"").is_err());
+    }
+}

@@ -1,0 +1,140 @@
+//! People's side of the HTTP API, typed ([`lightkiln_proto::api`]): scenes, bakes, events, results.
+
+use std::sync::Arc;
+
+use lightkiln_proto::api::{Bake, BakePage, EventPage, MAX_CHUNK_BYTES, NewBake, SceneStored, WorkerPage};
+use lightkiln_proto::ids::Digest;
+use lightkiln_proto::manifest;
+
+use super::http::{Call, Http, Method, RetryPolicy};
+use super::stop::Stop;
+use crate::error::{ClientError, Result};
+
+/// Longest wait of one polling call for events, in seconds.
+pub const MAX_WAIT_SECS: u32 = 60;
+
+/// A Lightkiln server. Calls block; those that fail in a way that may pass are tried again.
+#[derive(Clone)]
+pub struct ApiClient {
+    http: Http,
+}
+
+impl ApiClient {
+    /// A server by its base URL (`http://host:port`), with a bearer token if it wants one.
+    pub fn new(base: &str, token: Option<String>) -> Result<Self> {
+        Ok(Self { http: Http::new(base, token)? })
+    }
+
+    /// The same server with other patience.
+    #[must_use]
+    pub fn with_retry(mut self, retry: RetryPolicy) -> Self {
+        self.http.retry = retry;
+        self
+    }
+
+    /// The same server; waits between tries end when `stop` is wished.
+    #[must_use]
+    pub fn with_stop(mut self, stop: Arc<Stop>) -> Self {
+        self.http.stop = stop;
+        self
+    }
+
+    /// Base URL, without a slash at its end.
+    pub fn base(&self) -> &str {
+        &self.http.base
+    }
+
+    /// Uploads a scene bundle unless the server has it already.
+    pub fn upload_scene(&self, bundle: &[u8]) -> Result<SceneStored> {
+        let bytes = bundle.len() as u64;
+        if bytes > MAX_CHUNK_BYTES {
+            let what = "the scene with its files".to_owned();
+            let problem = format!(
+                "has {bytes} bytes, more than the {MAX_CHUNK_BYTES} of a server; split it or lower its textures' sizes"
+            );
+            return Err(ClientError::Argument { what, problem });
+        }
+        let scene = Digest::of(bundle);
+        let path = format!("/v1/scenes/{scene}");
+        if self.http.exists(&path)? {
+            return Ok(SceneStored { scene, bytes });
+        }
+        let headers = [("content-type", "application/octet-stream")];
+        self.http.json(Call { headers: &headers, body: bundle, ..Call::new(Method::Put, &path) })
+    }
+
+    /// Asks for a bake; the same key with the same body gives the same bake.
+    pub fn submit(&self, bake: &NewBake, idempotency_key: &str) -> Result<Bake> {
+        if idempotency_key.is_empty() || !idempotency_key.bytes().all(|byte| byte.is_ascii_graphic()) {
+            let problem = "an Idempotency-Key is printable ASCII without spaces, not empty".to_owned();
+            return Err(ClientError::Argument { what: idempotency_key.to_owned(), problem });
+        }
+        let body = serde_json::to_vec(bake)
+            .map_err(|source| ClientError::Json { place: "the bake to submit".to_owned(), source })?;
+        let headers = [("idempotency-key", idempotency_key), ("content-type", "application/json")];
+        self.http.json(Call { headers: &headers, body: &body, ..Call::new(Method::Post, "/v1/bakes") })
+    }
+
+    /// Bakes, newest first; `after` is the `next` of the page before.
+    pub fn bakes(&self, after: Option<&str>, limit: u32) -> Result<BakePage> {
+        let after = after.map(|cursor| format!("&after={}", escape(cursor))).unwrap_or_default();
+        self.http.json(Call::new(Method::Get, &format!("/v1/bakes?limit={limit}{after}")))
+    }
+
+    /// A bake as it stands.
+    pub fn bake(&self, id: &str) -> Result<Bake> {
+        self.http.json(Call::new(Method::Get, &bake_path(id, "")))
+    }
+
+    /// Cancels a bake.
+    pub fn cancel(&self, id: &str) -> Result<Bake> {
+        self.http.json(Call::new(Method::Post, &bake_path(id, "/cancel")))
+    }
+
+    /// Events after number `after` (0 for all), waiting up to `wait_secs` for the first.
+    pub fn events(&self, id: &str, after: u64, wait_secs: u32) -> Result<EventPage> {
+        let wait_secs = wait_secs.min(MAX_WAIT_SECS);
+        let query = format!("/events?after={after}&wait_secs={wait_secs}");
+        let headers = [("accept", "application/json")];
+        self.http.json(Call { headers: &headers, ..Call::new(Method::Get, &bake_path(id, &query)) })
+    }
+
+    /// A finished bake's manifest, as its bytes.
+    pub fn manifest(&self, id: &str) -> Result<Vec<u8>> {
+        self.http.bytes(Call::new(Method::Get, &bake_path(id, "/manifest")), manifest::MAX_BYTES as u64)
+    }
+
+    /// A finished bake's report, as its bytes (JSON).
+    pub fn report(&self, id: &str) -> Result<Vec<u8>> {
+        self.http.bytes(Call::new(Method::Get, &bake_path(id, "/report")), manifest::MAX_BYTES as u64)
+    }
+
+    /// A chunk of at most `limit_bytes`, verified.
+    pub fn chunk(&self, digest: Digest, limit_bytes: u64) -> Result<Vec<u8>> {
+        let path = format!("/v1/chunks/{digest}");
+        let bytes = self.http.bytes(Call::new(Method::Get, &path), limit_bytes)?;
+        super::verify(&format!("{}{path}", self.base()), digest, bytes)
+    }
+
+    /// Workers heard of lately.
+    pub fn workers(&self) -> Result<WorkerPage> {
+        self.http.json(Call::new(Method::Get, "/v1/workers"))
+    }
+}
+
+fn bake_path(id: &str, rest: &str) -> String {
+    format!("/v1/bakes/{}{rest}", escape(id))
+}
+
+/// Percent-encodes everything but unreserved characters.
+fn escape(text: &str) -> String {
+    let mut escaped = String::with_capacity(text.len());
+    for byte in text.bytes() {
+        if byte.is_ascii_alphanumeric() || b"-_.~".contains(&byte) {
+            escaped.push(char::from(byte));
+        } else {
+            escaped.push_str(&format!("%{byte:02X}"));
+        }
+    }
+    escaped
+}

@@ -1,0 +1,127 @@
+//! Downloads a whole bake into a bundle folder: resumable, verified, atomic per file, manifest last.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io::Write;
+use std::path::Path;
+use std::sync::Mutex;
+use std::sync::PoisonError;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use lightkiln_proto::ids::Digest;
+use lightkiln_proto::manifest::{ChunkRef, Manifest};
+
+use super::{CHUNKS_FOLDER, MANIFEST_FILE, Source, chunk_path, read_limited};
+use crate::error::{ClientError, Result};
+
+/// Chunks fetched at the same time. More → faster over long lines, more memory.
+const PARALLEL: usize = 8;
+
+/// What a download did.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Downloaded {
+    /// Chunks fetched now.
+    pub fetched: u64,
+    /// Their bytes.
+    pub fetched_bytes: u64,
+    /// Chunks that were there already, right ones.
+    pub kept: u64,
+}
+
+/// Every chunk that a manifest names, once, ascending by digest.
+pub fn chunk_refs(manifest: &Manifest) -> Vec<ChunkRef> {
+    let clusters =
+        manifest.clusters.iter().map(|cluster| ChunkRef { digest: cluster.digest, bytes: cluster.bytes });
+    let others = [&manifest.textures, &manifest.geometry, &manifest.probes].into_iter().flatten().cloned();
+    let by_digest: BTreeMap<Digest, ChunkRef> =
+        others.chain(clusters).map(|chunk| (chunk.digest, chunk)).collect();
+    by_digest.into_values().collect()
+}
+
+/// Calls `take(index, bytes)` for every chunk of `chunks`, several at a time; the first error ends it.
+pub fn fetch_all(
+    source: &Source,
+    chunks: &[ChunkRef],
+    take: impl Fn(usize, Vec<u8>) -> Result<()> + Sync,
+) -> Result<()> {
+    for_each_parallel(chunks.len(), |index| take(index, source.chunk(&chunks[index])?))
+}
+
+/// Writes the bake into `folder`. Chunks that are there and right are kept; the manifest is written last, so a
+/// folder with a manifest is whole. Calls `progress` after each chunk with what was done so far and the total.
+pub fn download_bundle(
+    source: &Source,
+    folder: &Path,
+    progress: impl Fn(Downloaded, u64) + Sync,
+) -> Result<Downloaded> {
+    let (manifest_bytes, manifest) = source.manifest()?;
+    let chunks = chunk_refs(&manifest);
+    let chunks_folder = folder.join(CHUNKS_FOLDER);
+    fs::create_dir_all(&chunks_folder).map_err(|error| ClientError::File {
+        action: "create",
+        path: chunks_folder.clone(),
+        source: error,
+    })?;
+    let done = Mutex::new(Downloaded::default());
+    for_each_parallel(chunks.len(), |index| {
+        let chunk = &chunks[index];
+        let path = chunk_path(folder, chunk.digest);
+        let kept = is_right(&path, chunk);
+        if !kept {
+            write_atomically(&path, &source.chunk(chunk)?)?;
+        }
+        let mut done = done.lock().unwrap_or_else(PoisonError::into_inner);
+        if kept {
+            done.kept += 1;
+        } else {
+            done.fetched += 1;
+            done.fetched_bytes += chunk.bytes;
+        }
+        progress(*done, chunks.len() as u64);
+        Ok(())
+    })?;
+    write_atomically(&folder.join(MANIFEST_FILE), &manifest_bytes)?;
+    Ok(done.into_inner().unwrap_or_else(PoisonError::into_inner))
+}
+
+fn is_right(path: &Path, chunk: &ChunkRef) -> bool {
+    path.is_file() && read_limited(path, chunk.bytes).is_ok_and(|bytes| Digest::of(&bytes) == chunk.digest)
+}
+
+/// Writes a file through `NAME.part-PID` beside it, so that under its own name it is whole or as it was.
+pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
+    let failed = |source| ClientError::File { action: "write", path: path.to_owned(), source };
+    let part = path.with_extension(format!("part-{}", std::process::id()));
+    let written = fs::File::create(&part)
+        .and_then(|mut file| file.write_all(bytes).and_then(|()| file.sync_all()))
+        .and_then(|()| fs::rename(&part, path));
+    if written.is_err() {
+        // Best effort: the error that matters is the one above.
+        let _ = fs::remove_file(&part);
+    }
+    written.map_err(failed)
+}
+
+/// Runs `work(0..count)` on a few threads; stops early at the first error and returns it.
+fn for_each_parallel(count: usize, work: impl Fn(usize) -> Result<()> + Sync) -> Result<()> {
+    let next = AtomicUsize::new(0);
+    let failure = Mutex::new(None);
+    std::thread::scope(|scope| {
+        for _ in 0..PARALLEL.min(count) {
+            scope.spawn(|| {
+                loop {
+                    let index = next.fetch_add(1, Ordering::Relaxed);
+                    if index >= count {
+                        return;
+                    }
+                    if let Err(error) = work(index) {
+                        next.store(count, Ordering::Relaxed);
+                        failure.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
+                        return;
+                    }
+                }
+            });
+        }
+    });
+    failure.into_inner().unwrap_or_else(PoisonError::into_inner).map_or(Ok(()), Err)
+}

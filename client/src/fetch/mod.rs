@@ -1,0 +1,137 @@
+//! Where a bake comes from: a bundle on disk or a server; digests are verified, limits are checked.
+
+pub mod api;
+mod bundle;
+mod http;
+mod stop;
+#[cfg(test)]
+mod tests;
+
+use std::fs;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use lightkiln_proto::api::MAX_CHUNK_BYTES;
+use lightkiln_proto::ids::Digest;
+use lightkiln_proto::manifest::{self, ChunkRef, Manifest};
+
+use crate::error::{ClientError, Result};
+
+pub use api::ApiClient;
+pub use bundle::{Downloaded, chunk_refs, download_bundle, fetch_all, write_atomically};
+pub use http::RetryPolicy;
+pub use stop::Stop;
+
+/// The manifest's file in a bundle.
+pub const MANIFEST_FILE: &str = "manifest.json";
+/// The folder of chunks in a bundle.
+pub const CHUNKS_FOLDER: &str = "chunks";
+
+/// Where a bake comes from.
+#[derive(Clone)]
+pub enum Source {
+    /// A bundle: `manifest.json` and `chunks/<digest>`.
+    Bundle(PathBuf),
+    /// A bake of a server.
+    Server {
+        /// The server.
+        client: Arc<ApiClient>,
+        /// The bake's id there.
+        bake: String,
+    },
+}
+
+impl Source {
+    /// A bundle folder; its manifest must exist.
+    pub fn bundle(folder: impl Into<PathBuf>) -> Result<Self> {
+        let folder = folder.into();
+        if folder.join(MANIFEST_FILE).is_file() {
+            return Ok(Self::Bundle(folder));
+        }
+        let text = folder.display().to_string();
+        let problem = format!("holds no {MANIFEST_FILE}; give the folder that 'kiln bake --out' wrote");
+        Err(ClientError::Source { text, problem })
+    }
+
+    /// A bake of a server, by the bake's id.
+    pub fn server(client: ApiClient, bake: impl Into<String>) -> Self {
+        Self::Server { client: Arc::new(client), bake: bake.into() }
+    }
+
+    /// The manifest's bytes and what they say.
+    pub fn manifest(&self) -> Result<(Vec<u8>, Manifest)> {
+        let (place, bytes) = match self {
+            Self::Bundle(folder) => {
+                let path = folder.join(MANIFEST_FILE);
+                (path.display().to_string(), read_limited(&path, manifest::MAX_BYTES as u64)?)
+            }
+            Self::Server { client, bake } => (format!("manifest of bake {bake}"), client.manifest(bake)?),
+        };
+        let manifest = parse_manifest(&place, &bytes)?;
+        Ok((bytes, manifest))
+    }
+
+    /// A chunk's bytes, verified.
+    pub fn chunk(&self, chunk: &ChunkRef) -> Result<Vec<u8>> {
+        let limit = chunk_limit(chunk)?;
+        match self {
+            Self::Bundle(folder) => {
+                let path = chunk_path(folder, chunk.digest);
+                let bytes = read_limited(&path, limit)?;
+                verify(&path.display().to_string(), chunk.digest, bytes)
+            }
+            Self::Server { client, .. } => client.chunk(chunk.digest, limit),
+        }
+    }
+}
+
+/// Path of a chunk in a bundle.
+pub fn chunk_path(folder: &Path, digest: Digest) -> PathBuf {
+    folder.join(CHUNKS_FOLDER).join(digest.to_string())
+}
+
+/// Bytes that a chunk may have: what the manifest says, if that is below [`MAX_CHUNK_BYTES`].
+fn chunk_limit(chunk: &ChunkRef) -> Result<u64> {
+    if chunk.bytes <= MAX_CHUNK_BYTES {
+        return Ok(chunk.bytes);
+    }
+    let what = format!("chunk {}", chunk.digest);
+    Err(ClientError::TooLarge { what, bytes: chunk.bytes, limit: MAX_CHUNK_BYTES })
+}
+
+fn verify(place: &str, wanted: Digest, bytes: Vec<u8>) -> Result<Vec<u8>> {
+    let got = Digest::of(&bytes);
+    if got == wanted {
+        return Ok(bytes);
+    }
+    Err(ClientError::WrongDigest { place: place.to_owned(), wanted, got })
+}
+
+fn read_limited(path: &Path, limit: u64) -> Result<Vec<u8>> {
+    let failed = |source| ClientError::File { action: "read", path: path.to_owned(), source };
+    let mut file = fs::File::open(path).map_err(failed)?;
+    let bytes = file.metadata().map_err(failed)?.len();
+    if bytes > limit {
+        return Err(ClientError::TooLarge { what: path.display().to_string(), bytes, limit });
+    }
+    let mut content = Vec::with_capacity(usize::try_from(bytes).unwrap_or(0));
+    file.by_ref().take(limit).read_to_end(&mut content).map_err(failed)?;
+    Ok(content)
+}
+
+fn parse_manifest(place: &str, bytes: &[u8]) -> Result<Manifest> {
+    let parsed: Manifest = serde_json::from_slice(bytes)
+        .map_err(|source| ClientError::Json { place: place.to_owned(), source })?;
+    if parsed.format != manifest::FORMAT || parsed.version != manifest::VERSION {
+        let problem = format!(
+            "format '{:.40}' version {}, this client reads '{}' version {}",
+            parsed.format,
+            parsed.version,
+            manifest::FORMAT,
+            manifest::VERSION
+        );
+        return Err(ClientError::inconsistent(place, problem));
+    }
+    Ok(parsed)
+}

@@ -1,0 +1,280 @@
+//! Bundles and servers: what is fetched, kept, refused and tried again.
+
+use std::collections::VecDeque;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpListener;
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use lightkiln_proto::api::NewBake;
+use lightkiln_proto::chunk;
+use lightkiln_proto::manifest::ClusterRef;
+use lightkiln_proto::problem::{Problem, ProblemCode};
+
+use super::*;
+use crate::bake::LoadedBake;
+use crate::fixture;
+
+/// Writes the fixture's bake as a bundle.
+fn write_fixture(folder: &Path) -> Manifest {
+    let mut manifest = fixture::manifest();
+    let contents = fixture::contents();
+    let chunks = folder.join(CHUNKS_FOLDER);
+    fs::create_dir_all(&chunks).unwrap();
+    let store = |bytes: Vec<u8>| {
+        let chunk = ChunkRef { digest: Digest::of(&bytes), bytes: bytes.len() as u64 };
+        fs::write(chunk_path(folder, chunk.digest), bytes).unwrap();
+        chunk
+    };
+    for cluster in &contents.clusters {
+        let encoded = chunk::encode_cluster(cluster, Default::default()).unwrap();
+        let stored = store(encoded.bytes);
+        manifest.clusters.push(ClusterRef {
+            digest: stored.digest,
+            bytes: stored.bytes,
+            bounds_m: cluster.bounds_m,
+            receivers: cluster.receivers.len() as u32,
+            probes: cluster.probes.len() as u32,
+            rank: cluster.rank,
+            truncation_error: 0.0,
+            quantisation_error: encoded.quantisation_error,
+            uncovered_fraction: 0.0,
+            layers: encoded.layers,
+        });
+    }
+    manifest.probes =
+        contents.probes.iter().map(|batch| store(chunk::encode_probe_batch(batch).unwrap())).collect();
+    manifest.geometry =
+        contents.geometry.iter().map(|geometry| store(chunk::encode_geometry(geometry).unwrap())).collect();
+    let mut png = Vec::new();
+    let level = &contents.textures[0].levels[0];
+    let pixels = image::RgbaImage::from_raw(level.width, level.height, level.texels.concat()).unwrap();
+    pixels.write_to(&mut std::io::Cursor::new(&mut png), image::ImageFormat::Png).unwrap();
+    manifest.textures = vec![store(chunk::encode_texture("image/png", &png).unwrap())];
+    fs::write(folder.join(MANIFEST_FILE), serde_json::to_vec(&manifest).unwrap()).unwrap();
+    manifest
+}
+
+#[test]
+fn bundle_loads_into_the_bake_that_was_written() {
+    let folder = tempfile::tempdir().unwrap();
+    write_fixture(folder.path());
+    let loaded = LoadedBake::load(&Source::bundle(folder.path()).unwrap()).unwrap();
+    let made = fixture::bake();
+    assert_eq!(loaded.receivers.len(), made.receivers.len());
+    assert_eq!(loaded.textures, made.textures);
+    assert_eq!(loaded.probes.hits.len(), made.probes.hits.len());
+    assert_eq!(loaded.draws.triangle_count(), made.draws.triangle_count());
+    assert!(loaded.probes.hits.iter().any(|hit| (*hit as usize) < loaded.receivers.len()));
+}
+
+#[test]
+fn download_is_whole_and_keeps_right_chunks() {
+    let [from, to] = [(); 2].map(|()| tempfile::tempdir().unwrap());
+    let manifest = write_fixture(from.path());
+    let source = Source::bundle(from.path()).unwrap();
+    let refs = chunk_refs(&manifest);
+    assert!(refs.len() > 5);
+    let all = refs.len() as u64;
+    let first = download_bundle(&source, to.path(), |done, total| assert!(done.fetched <= total)).unwrap();
+    assert_eq!((first.fetched, first.kept), (all, 0));
+    assert_eq!(first.fetched_bytes, refs.iter().map(|chunk| chunk.bytes).sum::<u64>());
+    let broken = chunk_path(to.path(), refs[1].digest);
+    fs::write(&broken, vec![7; refs[1].bytes as usize]).unwrap();
+    fs::remove_file(to.path().join(MANIFEST_FILE)).unwrap();
+    let second = download_bundle(&source, to.path(), |_, _| {}).unwrap();
+    assert_eq!((second.fetched, second.kept), (1, all - 1));
+    LoadedBake::load(&Source::bundle(to.path()).unwrap()).unwrap();
+    let left = fs::read_dir(to.path().join(CHUNKS_FOLDER)).unwrap().count() as u64;
+    assert_eq!(left, all, "temporary files are left");
+}
+
+#[test]
+fn failed_download_leaves_no_manifest() {
+    let [from, to] = [(); 2].map(|()| tempfile::tempdir().unwrap());
+    let manifest = write_fixture(from.path());
+    fs::remove_file(chunk_path(from.path(), chunk_refs(&manifest)[2].digest)).unwrap();
+    let error = download_bundle(&Source::bundle(from.path()).unwrap(), to.path(), |_, _| {}).unwrap_err();
+    assert!(matches!(error, ClientError::File { .. }), "{error}");
+    assert!(!to.path().join(MANIFEST_FILE).exists());
+}
+
+#[test]
+fn wrong_bytes_and_wrong_lengths_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let manifest = write_fixture(folder.path());
+    let source = Source::bundle(folder.path()).unwrap();
+    let chunk = manifest.probes[0].clone();
+    let path = chunk_path(folder.path(), chunk.digest);
+    let bytes = fs::read(&path).unwrap();
+    let mut flipped = bytes.clone();
+    flipped[10] ^= 1;
+    fs::write(&path, &flipped).unwrap();
+    assert!(matches!(source.chunk(&chunk).unwrap_err(), ClientError::WrongDigest { .. }));
+    fs::write(&path, &bytes[..bytes.len() - 1]).unwrap();
+    assert!(matches!(source.chunk(&chunk).unwrap_err(), ClientError::WrongDigest { .. }));
+    fs::write(&path, [&bytes[..], &[0]].concat()).unwrap();
+    assert!(matches!(source.chunk(&chunk).unwrap_err(), ClientError::TooLarge { .. }));
+    let huge = ChunkRef { bytes: u64::MAX, ..chunk };
+    assert!(matches!(source.chunk(&huge).unwrap_err(), ClientError::TooLarge { .. }));
+}
+
+#[test]
+fn manifest_of_another_format_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut manifest = fixture::manifest();
+    manifest.version = 99;
+    fs::write(folder.path().join(MANIFEST_FILE), serde_json::to_vec(&manifest).unwrap()).unwrap();
+    let error = Source::bundle(folder.path()).unwrap().manifest().unwrap_err().to_string();
+    assert!(error.contains("version 99"), "{error}");
+    assert!(Source::bundle(folder.path().join("nowhere")).is_err());
+}
+
+/// First line and body of a request.
+type Asked = (String, Vec<u8>);
+
+/// A server that gives prepared answers, one per connection, and notes requests' first lines and bodies.
+struct Scripted {
+    base: String,
+    asked: Arc<Mutex<Vec<Asked>>>,
+}
+
+fn answer(status: u16, content_type: &str, body: &[u8]) -> Vec<u8> {
+    let head = format!(
+        "HTTP/1.1 {status} x\r\nContent-Type: {content_type}\r\nContent-Length: {}\r\nConnection: close\r\n\r\n",
+        body.len()
+    );
+    [head.as_bytes(), body].concat()
+}
+
+fn problem(code: ProblemCode, detail: &str) -> Vec<u8> {
+    let body = serde_json::to_vec(&Problem::new(code, detail)).unwrap();
+    answer(code.row().0, "application/problem+json", &body)
+}
+
+impl Scripted {
+    fn start(answers: Vec<Vec<u8>>) -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let base = format!("http://{}", listener.local_addr().unwrap());
+        let asked = Arc::new(Mutex::new(Vec::new()));
+        let noted = Arc::clone(&asked);
+        std::thread::spawn(move || {
+            let mut answers = VecDeque::from(answers);
+            while let Some(next) = answers.pop_front() {
+                let (stream, _) = listener.accept().unwrap();
+                let mut reader = BufReader::new(stream);
+                let (mut first, mut length) = (String::new(), 0);
+                reader.read_line(&mut first).unwrap();
+                loop {
+                    let mut line = String::new();
+                    reader.read_line(&mut line).unwrap();
+                    if let Some(value) = line.to_ascii_lowercase().strip_prefix("content-length:") {
+                        length = value.trim().parse().unwrap();
+                    }
+                    if line.trim().is_empty() {
+                        break;
+                    }
+                }
+                let mut body = vec![0; length];
+                reader.read_exact(&mut body).unwrap();
+                noted.lock().unwrap().push((first.trim().to_owned(), body));
+                reader.get_mut().write_all(&next).unwrap();
+            }
+        });
+        Self { base, asked }
+    }
+
+    fn client(&self) -> ApiClient {
+        let first_wait = Duration::from_millis(1);
+        let retry = RetryPolicy { attempts: 4, first_wait, longest_wait: first_wait };
+        ApiClient::new(&self.base, None).unwrap().with_retry(retry)
+    }
+
+    fn asked(&self) -> Vec<String> {
+        self.asked.lock().unwrap().iter().map(|(first, _)| first.clone()).collect()
+    }
+}
+
+#[test]
+fn calls_that_may_pass_later_are_tried_again() {
+    let server = Scripted::start(vec![
+        problem(ProblemCode::Unavailable, "the database is away"),
+        answer(502, "text/html", b"<h1>bad gateway</h1>"),
+        answer(200, "application/json", br#"{"workers":[]}"#),
+    ]);
+    assert!(server.client().workers().unwrap().workers.is_empty());
+    assert_eq!(server.asked().len(), 3);
+}
+
+#[test]
+fn problems_that_stay_are_shown_with_their_detail_at_once() {
+    let server = Scripted::start(vec![problem(ProblemCode::BadSettings, "texel_m = -1 is out of range")]);
+    let bake = NewBake {
+        name: "n".to_owned(),
+        scene: Digest::of(b""),
+        kind: "prt".to_owned(),
+        settings: serde_json::Value::Null,
+        priority: 0,
+    };
+    let error = server.client().submit(&bake, "key-1").unwrap_err();
+    assert!(error.to_string().contains("texel_m = -1 is out of range"), "{error}");
+    assert_eq!(server.asked(), ["POST /v1/bakes HTTP/1.1"]);
+    assert!(matches!(server.client().submit(&bake, "two words").unwrap_err(), ClientError::Argument { .. }));
+}
+
+#[test]
+fn patience_ends() {
+    let server = Scripted::start(vec![problem(ProblemCode::Unavailable, "away"); 4]);
+    let error = server.client().bake("b").unwrap_err();
+    assert!(matches!(&error, ClientError::Server { problem, .. } if problem.status == 503), "{error}");
+    assert_eq!(server.asked().len(), 4);
+    let client = server.client();
+    assert!(matches!(client.bake("b").unwrap_err(), ClientError::Network { .. }));
+}
+
+#[test]
+fn scene_that_the_server_has_is_not_uploaded() {
+    let scene = Digest::of(b"bundle");
+    let stored = format!(r#"{{"scene":"{scene}","bytes":6}}"#);
+    let server = Scripted::start(vec![
+        answer(200, "text/plain", b""),
+        answer(404, "text/plain", b""),
+        answer(201, "application/json", stored.as_bytes()),
+    ]);
+    let client = server.client();
+    assert_eq!(client.upload_scene(b"bundle").unwrap().scene, scene);
+    assert_eq!(client.upload_scene(b"bundle").unwrap().bytes, 6);
+    let methods: Vec<String> = server.asked().iter().map(|line| line[..4].trim().to_owned()).collect();
+    assert_eq!(methods, ["HEAD", "HEAD", "PUT"]);
+    assert_eq!(server.asked.lock().unwrap()[2].1, b"bundle");
+}
+
+#[test]
+fn chunk_from_a_server_is_verified_and_limited() {
+    let digest = Digest::of(b"right");
+    let server = Scripted::start(vec![
+        answer(200, "application/octet-stream", b"right"),
+        answer(200, "application/octet-stream", b"wrong"),
+        answer(200, "application/octet-stream", b"right and more"),
+    ]);
+    let client = server.client();
+    assert_eq!(client.chunk(digest, 5).unwrap(), b"right");
+    assert!(matches!(client.chunk(digest, 5).unwrap_err(), ClientError::WrongDigest { .. }));
+    assert!(matches!(client.chunk(digest, 5).unwrap_err(), ClientError::TooLarge { .. }));
+}
+
+#[test]
+fn texts_that_are_no_server_are_refused() {
+    for text in ["", "localhost:8080", "ftp://x", "http://", "http://x/?a=b", "no url"] {
+        assert!(ApiClient::new(text, None).is_err(), "{text}");
+    }
+    assert_eq!(ApiClient::new("http://x:1/base/", None).unwrap().base(), "http://x:1/base");
+}
+
+#[test]
+fn a_wish_to_stop_ends_waits() {
+    let stop = Stop::default();
+    assert!(!stop.wait(Duration::from_millis(1)));
+    stop.wish();
+    assert!(stop.wait(Duration::from_secs(3600)) && stop.is_wished());
+}

@@ -1,0 +1,115 @@
+//! Lights and cameras of a view: words of the command line, defaults, and what each light sends.
+
+mod framing;
+mod parse;
+mod words;
+
+use std::f32::consts::FRAC_PI_2;
+
+use glam::Vec3;
+use lightkiln_proto::scene::{LightKind, SceneLight};
+
+pub use framing::{default_camera, default_sun};
+pub use parse::{parse_camera, parse_light};
+
+/// Radiance from outside, `strength · mix(horizon, zenith, max(d.y, 0))`, in W·m⁻²·sr⁻¹.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Sky {
+    /// Radiance straight up.
+    pub zenith: Vec3,
+    /// Radiance at and below the horizon.
+    pub horizon: Vec3,
+}
+
+impl Sky {
+    /// Sum of the skies among `lights`; black when there is none.
+    pub fn of(lights: &[SceneLight]) -> Self {
+        let mut sum = Self::default();
+        for light in lights {
+            if let LightKind::Sky { zenith, horizon } = &light.kind {
+                sum.zenith += Vec3::from(*zenith) * Vec3::from(light.strength);
+                sum.horizon += Vec3::from(*horizon) * Vec3::from(light.strength);
+            }
+        }
+        sum
+    }
+
+    /// Radiance that arrives from unit direction `towards_sky`.
+    pub fn radiance(&self, towards_sky: Vec3) -> Vec3 {
+        self.horizon.lerp(self.zenith, towards_sky.y.clamp(0.0, 1.0))
+    }
+}
+
+/// A light that casts shadows, ready for the direct pass.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Caster {
+    /// Position in metres; unused for suns.
+    pub position: Vec3,
+    /// Unit direction of travel; unused for points.
+    pub direction: Vec3,
+    /// Intensity in W·sr⁻¹, or irradiance in W·m⁻² for suns.
+    pub strength: Vec3,
+    /// Cut-off distance in metres; 0 when there is none.
+    pub range: f32,
+    /// Cosines of the spot's inner and outer half angle.
+    pub cone: [f32; 2],
+    /// Which.
+    pub shape: Shape,
+}
+
+/// Shapes of a [`Caster`]; the numbers are the shaders'.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Shape {
+    /// All around.
+    Point = 0,
+    /// A cone.
+    Spot = 1,
+    /// Parallel.
+    Sun = 2,
+}
+
+impl Caster {
+    /// The casters among `lights`, in order; those without strength are left out.
+    pub fn of(lights: &[SceneLight]) -> Vec<Self> {
+        lights
+            .iter()
+            .filter_map(Self::from_light)
+            .filter(|caster| caster.strength.max_element() > 0.0)
+            .collect()
+    }
+
+    fn from_light(light: &SceneLight) -> Option<Self> {
+        let strength = Vec3::from(light.strength);
+        let blank = Self {
+            position: Vec3::ZERO,
+            direction: Vec3::NEG_Y,
+            strength,
+            range: 0.0,
+            cone: [-1.0, -2.0],
+            shape: Shape::Point,
+        };
+        Some(match &light.kind {
+            LightKind::Point { position_m, range_m } => {
+                Self { position: (*position_m).into(), range: range_m.unwrap_or(0.0), ..blank }
+            }
+            LightKind::Spot { position_m, direction, inner_rad, outer_rad, range_m } => {
+                let outer = outer_rad.clamp(1e-3, FRAC_PI_2);
+                let inner = inner_rad.clamp(0.0, outer - 5e-4);
+                Self {
+                    position: (*position_m).into(),
+                    direction: Vec3::from(*direction).try_normalize().unwrap_or(Vec3::NEG_Y),
+                    range: range_m.unwrap_or(0.0),
+                    cone: [inner.cos(), outer.cos()],
+                    shape: Shape::Spot,
+                    ..blank
+                }
+            }
+            LightKind::Sun { direction } => Self {
+                direction: Vec3::from(*direction).try_normalize().unwrap_or(Vec3::NEG_Y),
+                shape: Shape::Sun,
+                ..blank
+            },
+            LightKind::Sky { .. } => return None,
+        })
+    }
+}

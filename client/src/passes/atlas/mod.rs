@@ -1,0 +1,91 @@
+//! Irradiance of receivers spread into the atlas, chart edges extended into empty texels.
+
+pub mod reference;
+
+use crate::bake::{AtlasLayout, LoadedBake};
+use crate::error::Result;
+use crate::passes::gpu::{Gpu, groups_2d};
+use crate::passes::resident::Resident;
+
+/// The shader.
+pub const SHADER: &str = include_str!("atlas.wgsl");
+/// Largest difference from the reference, relative to the largest value: a mean of at most 32 f32 in the same order.
+pub const TOLERANCE: f32 = 1e-6;
+/// Threads of a workgroup in the shader.
+const THREADS: u32 = 64;
+
+/// Numbers of the pass; twin of `Atlas` in the shader.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
+pub struct AtlasNumbers {
+    /// Texels that hold irradiance.
+    pub texel_count: u32,
+    /// Threads in a row of the dispatch.
+    pub stride: u32,
+}
+
+/// The pass on the adapter, and the pages that it writes: rgb irradiance, alpha 1 where there is any.
+#[derive(Debug)]
+pub struct AtlasPass {
+    pipeline: wgpu::ComputePipeline,
+    group: wgpu::BindGroup,
+    groups: [u32; 2],
+    /// One layer per page, all as large as the largest.
+    pub texture: wgpu::Texture,
+}
+
+impl AtlasPass {
+    /// Uploads the layout.
+    pub fn new(gpu: &Gpu, bake: &LoadedBake, resident: &Resident) -> Result<Self> {
+        let layout = &bake.atlas;
+        let pipeline = gpu.compute("atlas", SHADER, "spread");
+        let groups = groups_2d((layout.texels.len() as u32).div_ceil(THREADS));
+        let numbers = AtlasNumbers { texel_count: layout.texels.len() as u32, stride: groups[0] * THREADS };
+        let texture = gpu.device.create_texture(&wgpu::TextureDescriptor {
+            label: Some("atlas"),
+            size: texture_size(layout),
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D2,
+            format: wgpu::TextureFormat::Rgba32Float,
+            usage: wgpu::TextureUsages::STORAGE_BINDING
+                | wgpu::TextureUsages::TEXTURE_BINDING
+                | wgpu::TextureUsages::COPY_SRC,
+            view_formats: &[],
+        });
+        let view = array_view(&texture);
+        let group = gpu.bind(
+            &pipeline.get_bind_group_layout(0),
+            &[
+                gpu.uniform("atlas", &numbers).as_entire_binding(),
+                gpu.storage("atlas texels", &layout.texels)?.as_entire_binding(),
+                gpu.storage("atlas sources", &layout.sources)?.as_entire_binding(),
+                resident.e_emit.as_entire_binding(),
+                resident.e_ind.as_entire_binding(),
+                wgpu::BindingResource::TextureView(&view),
+            ],
+        );
+        Ok(Self { pipeline, group, groups, texture })
+    }
+
+    /// Records the pass.
+    pub fn record(&self, pass: &mut wgpu::ComputePass<'_>) {
+        pass.set_pipeline(&self.pipeline);
+        pass.set_bind_group(0, &self.group, &[]);
+        pass.dispatch_workgroups(self.groups[0], self.groups[1], 1);
+    }
+}
+
+fn texture_size(layout: &AtlasLayout) -> wgpu::Extent3d {
+    let longest = |axis: usize| layout.pages.iter().map(|page| page[axis]).max().unwrap_or(1);
+    let depth_or_array_layers = layout.pages.len().max(1) as u32;
+    wgpu::Extent3d { width: longest(0), height: longest(1), depth_or_array_layers }
+}
+
+/// A view of all layers, even when there is one.
+pub(in crate::passes) fn array_view(texture: &wgpu::Texture) -> wgpu::TextureView {
+    texture.create_view(&wgpu::TextureViewDescriptor {
+        dimension: Some(wgpu::TextureViewDimension::D2Array),
+        ..Default::default()
+    })
+}

@@ -1,0 +1,22 @@
+// E_dir at receivers; twin: reference.rs. One thread per receiver.
+
+struct Receivers {
+    count: u32,
+    // Threads in a row of the dispatch.
+    stride: u32,
+}
+
+@group(1) @binding(0) var<uniform> receivers: Receivers;
+@group(1) @binding(1) var<storage, read> positions: array<vec4f>;
+@group(1) @binding(2) var<storage, read> normals: array<vec4f>;
+@group(1) @binding(3) var<storage, read_write> e_dir: array<vec4f>;
+
+@compute @workgroup_size(64)
+fn direct(@builtin(global_invocation_id) id: vec3u) {
+    let r = id.y * receivers.stride + id.x;
+    if r >= receivers.count {
+        return;
+    }
+    let normal = normals[r].xyz;
+    e_dir[r] = vec4f(direct_irradiance(positions[r].xyz, normal, normal), 0.0);
+}

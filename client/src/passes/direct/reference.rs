@@ -1,0 +1,118 @@
+//! E_dir on the processor; twin of `shared/light.wgsl` and `direct.wgsl`, function by function.
+
+use glam::{Vec2, Vec3, Vec4};
+use rayon::prelude::*;
+
+use crate::bake::ReceiverTable;
+use crate::lights::Shape;
+use crate::passes::shadow::reference::ShadowMaps;
+use crate::passes::shadow::{Face, Light, ShadowPlan};
+
+const FILTER_REACH: f32 = 2.0;
+const FILTER_MARGIN: f32 = 0.5;
+
+/// `E_dir` at every receiver in W·m⁻², by slot.
+pub fn direct(receivers: &ReceiverTable, plan: &ShadowPlan, maps: &ShadowMaps) -> Vec<Vec4> {
+    let at = |(position, normal): (&Vec4, &Vec4)| {
+        let normal = normal.truncate();
+        direct_irradiance(plan, maps, position.truncate(), normal, normal).extend(0.0)
+    };
+    receivers.position_m.par_iter().zip(&receivers.normal).map(at).collect()
+}
+
+/// Irradiance of all lights at a point, shadowed, in W·m⁻²; `facet` is the surface's own normal.
+pub fn direct_irradiance(
+    plan: &ShadowPlan,
+    maps: &ShadowMaps,
+    position: Vec3,
+    normal: Vec3,
+    facet: Vec3,
+) -> Vec3 {
+    let mut sum = Vec3::ZERO;
+    for light in &plan.lights {
+        let arriving = unshadowed(light, position, normal);
+        if arriving.max_element() <= 0.0 {
+            continue;
+        }
+        let at = lifted(plan, face_of(plan, light, position), position, facet);
+        sum += arriving * visibility(plan, maps, face_of(plan, light, at), at);
+    }
+    sum
+}
+
+fn cube_face(d: Vec3) -> u32 {
+    let a = d.abs();
+    if a.x >= a.y && a.x >= a.z {
+        return u32::from(d.x < 0.0);
+    }
+    if a.y >= a.z { 2 + u32::from(d.y < 0.0) } else { 4 + u32::from(d.z < 0.0) }
+}
+
+fn face_of(plan: &ShadowPlan, light: &Light, position: Vec3) -> u32 {
+    let d = position - Vec3::from(light.position);
+    if light.shape == Shape::Sun as u32 {
+        let tiles = light.face_count.isqrt();
+        let first = &plan.faces[light.first_face as usize];
+        let across = Vec2::new(d.dot(first.right.into()), d.dot(first.up.into())) / light.half_extent;
+        let tile = ((0.5 * across + 0.5) * tiles as f32).clamp(Vec2::ZERO, Vec2::splat(tiles as f32 - 0.5));
+        return light.first_face + tile.y as u32 * tiles + tile.x as u32;
+    }
+    light.first_face + if light.face_count == 6 { cube_face(d) } else { 0 }
+}
+
+fn visibility(plan: &ShadowPlan, maps: &ShadowMaps, face_index: u32, position: Vec3) -> f32 {
+    let side = maps.side as usize;
+    let clip = plan.faces[face_index as usize].projection() * position.extend(1.0);
+    if clip.w <= 0.0 {
+        return 1.0;
+    }
+    let ndc = clip.truncate() / clip.w;
+    let at = (Vec2::new(ndc.x, -ndc.y) * 0.5 + 0.5) * side as f32 - 0.5;
+    let base = at.floor();
+    let share = at - base;
+    let weight_x = [1.0 - share.x, 1.0, 1.0, share.x];
+    let weight_y = [1.0 - share.y, 1.0, 1.0, share.y];
+    let map = &maps.depth[face_index as usize * side * side..][..side * side];
+    let texel = |start: f32, step: usize| {
+        (start as i64).saturating_add(step as i64 - 1).clamp(0, side as i64 - 1) as usize
+    };
+    let mut lit = 0.0;
+    for (row, weight_y) in weight_y.iter().enumerate() {
+        for (column, weight_x) in weight_x.iter().enumerate() {
+            if map[texel(base.y, row) * side + texel(base.x, column)] <= ndc.z {
+                lit += weight_x * weight_y;
+            }
+        }
+    }
+    lit / 9.0
+}
+
+fn lifted(plan: &ShadowPlan, face_index: u32, position: Vec3, normal: Vec3) -> Vec3 {
+    let face: &Face = &plan.faces[face_index as usize];
+    let w = position.extend(1.0).dot(face.projection().row(3));
+    let texel = face.texel_at_unit_w * w.max(0.0);
+    let slope = normal.dot(face.right.into()).abs() + normal.dot(face.up.into()).abs();
+    position + normal * (texel * (FILTER_REACH * slope + FILTER_MARGIN) + plan.count.bias_m)
+}
+
+fn unshadowed(light: &Light, position: Vec3, normal: Vec3) -> Vec3 {
+    let strength = Vec3::from(light.strength);
+    let direction = Vec3::from(light.direction);
+    if light.shape == Shape::Sun as u32 {
+        return strength * normal.dot(-direction).max(0.0);
+    }
+    let d = Vec3::from(light.position) - position;
+    let distance2 = d.length_squared().max(1e-8);
+    let towards = d / distance2.sqrt();
+    let mut factor = normal.dot(towards).max(0.0) / distance2;
+    if light.range_m > 0.0 {
+        let share2 = distance2 / (light.range_m * light.range_m);
+        factor *= (1.0 - share2 * share2).clamp(0.0, 1.0);
+    }
+    if light.shape == Shape::Spot as u32 {
+        let cosine = direction.dot(-towards);
+        let cone = (cosine - light.cone_cos_outer) / (light.cone_cos_inner - light.cone_cos_outer);
+        factor *= cone.clamp(0.0, 1.0).powi(2);
+    }
+    strength * factor
+}

@@ -1,0 +1,302 @@
+//! The graphics adapter: opening it, buffers within its limits, pipelines, reading back.
+
+use std::sync::mpsc;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use bytemuck::Pod;
+use wgpu::{BufferUsages as Usage, ShaderStages as Stages};
+
+use crate::error::{ClientError, Result};
+
+/// Longest wait for the adapter to finish what it was given.
+const PATIENCE: Duration = Duration::from_secs(300);
+/// Smallest buffer: bindings must hold at least one element, and none of ours is larger.
+const SMALLEST_BUFFER: u64 = 256;
+/// Most bytes of one storage binding; software adapters bind no more, others need no more.
+const BINDING_MAX: u64 = 128 << 20;
+
+/// An open adapter.
+#[derive(Debug)]
+pub struct Gpu {
+    /// Device.
+    pub device: wgpu::Device,
+    /// Its queue.
+    pub queue: wgpu::Queue,
+    /// Name and kind, for people.
+    pub name: String,
+    /// Most bytes of one storage binding; larger arrays are split into pages.
+    pub binding_max: u64,
+    failure: Arc<Mutex<Option<String>>>,
+}
+
+impl Gpu {
+    /// Opens the best adapter there is.
+    pub fn open() -> Result<Self> {
+        pollster::block_on(Self::open_async())
+    }
+
+    async fn open_async() -> Result<Self> {
+        let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle());
+        let options = wgpu::RequestAdapterOptions {
+            power_preference: wgpu::PowerPreference::HighPerformance,
+            ..Default::default()
+        };
+        let adapter = instance.request_adapter(&options).await.map_err(|error| {
+            tracing::debug!(%error, "no adapter");
+            failed("Vulkan finds no graphics adapter".to_owned())
+        })?;
+        let described = adapter.get_info();
+        let has = adapter.limits();
+        let limits = wgpu::Limits {
+            max_buffer_size: has.max_buffer_size,
+            max_texture_dimension_2d: has.max_texture_dimension_2d,
+            ..wgpu::Limits::default()
+        };
+        let descriptor = wgpu::DeviceDescriptor { required_limits: limits, ..Default::default() };
+        let (device, queue) = adapter
+            .request_device(&descriptor)
+            .await
+            .map_err(|error| failed(format!("{} cannot be used ({error})", described.name)))?;
+        let failure = Arc::new(Mutex::new(None));
+        let heard = Arc::clone(&failure);
+        device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
+            heard.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error.to_string());
+        }));
+        let name = format!("{} ({:?}, {:?})", described.name, described.device_type, described.backend);
+        Ok(Self { device, queue, name, binding_max: BINDING_MAX, failure })
+    }
+
+    /// The first thing that went wrong since the last call, if anything did.
+    pub fn check(&self) -> Result<()> {
+        let failure = self.failure.lock().unwrap_or_else(PoisonError::into_inner).take();
+        failure.map_or(Ok(()), |problem| Err(failed(format!("{}: {problem}", self.name))))
+    }
+
+    /// A storage buffer that holds `values`; larger than one binding is an error.
+    pub fn storage<T: Pod>(&self, label: &str, values: &[T]) -> Result<wgpu::Buffer> {
+        let buffer = self.blank(label, size_of_val(values) as u64)?;
+        self.write(&buffer, values);
+        Ok(buffer)
+    }
+
+    /// A storage buffer of zeros; larger than one binding is an error.
+    pub fn blank(&self, label: &str, bytes: u64) -> Result<wgpu::Buffer> {
+        if bytes > self.binding_max {
+            let problem = format!("{label} takes {bytes} bytes, {} binds {}", self.name, self.binding_max);
+            return Err(failed(problem));
+        }
+        Ok(self.buffer(label, bytes, Usage::STORAGE | Usage::COPY_SRC))
+    }
+
+    /// A uniform buffer.
+    pub fn uniform<T: Pod>(&self, label: &str, value: &T) -> wgpu::Buffer {
+        let buffer = self.buffer(label, size_of::<T>() as u64, Usage::UNIFORM);
+        self.write(&buffer, std::slice::from_ref(value));
+        buffer
+    }
+
+    /// A uniform buffer of many values, one every `stride` bytes, for dynamic offsets.
+    pub fn uniforms<T: Pod>(&self, label: &str, values: &[T]) -> (wgpu::Buffer, u32) {
+        let alignment = self.device.limits().min_uniform_buffer_offset_alignment as usize;
+        let stride = size_of::<T>().next_multiple_of(alignment.max(1));
+        let mut bytes = vec![0_u8; stride * values.len().max(1)];
+        for (slot, value) in bytes.chunks_mut(stride).zip(values) {
+            slot[..size_of::<T>()].copy_from_slice(bytemuck::bytes_of(value));
+        }
+        let buffer = self.buffer(label, bytes.len() as u64, Usage::UNIFORM);
+        self.write(&buffer, &bytes);
+        (buffer, stride as u32)
+    }
+
+    /// A buffer that can also be written.
+    pub fn buffer(&self, label: &str, bytes: u64, usage: Usage) -> wgpu::Buffer {
+        self.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some(label),
+            size: bytes.next_multiple_of(4).max(SMALLEST_BUFFER),
+            usage: usage | Usage::COPY_DST,
+            mapped_at_creation: false,
+        })
+    }
+
+    /// Overwrites the start of a buffer; element sizes are multiples of 4 bytes.
+    pub fn write<T: Pod>(&self, buffer: &wgpu::Buffer, values: &[T]) {
+        self.queue.write_buffer(buffer, 0, bytemuck::cast_slice(values));
+    }
+
+    /// Runs what `record` records.
+    pub fn submit(&self, record: impl FnOnce(&mut wgpu::CommandEncoder)) {
+        let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        record(&mut encoder);
+        self.queue.submit([encoder.finish()]);
+    }
+
+    /// The first `count` values of a buffer, after everything submitted has run.
+    pub fn read<T: Pod>(&self, buffer: &wgpu::Buffer, count: usize) -> Result<Vec<T>> {
+        let bytes = (count * size_of::<T>()) as u64;
+        if bytes == 0 {
+            return self.check().map(|()| Vec::new());
+        }
+        let landing = self.buffer("read back", bytes, Usage::MAP_READ);
+        self.submit(|encoder| encoder.copy_buffer_to_buffer(buffer, 0, &landing, 0, bytes));
+        let mut values = self.mapped(&landing)?;
+        values.truncate(count);
+        Ok(values)
+    }
+
+    /// One layer of a texture of 4-byte (depth) or 16-byte texels, row after row.
+    pub fn read_layer<T: Pod>(
+        &self,
+        texture: &wgpu::Texture,
+        layer: u32,
+        aspect: wgpu::TextureAspect,
+    ) -> Result<Vec<T>> {
+        let (width, height) = (texture.width(), texture.height());
+        let row = width as usize * size_of::<T>();
+        let padded = row.next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT as usize);
+        let landing = self.buffer("read back", (padded * height as usize) as u64, Usage::MAP_READ);
+        let layout = wgpu::TexelCopyBufferLayout {
+            offset: 0,
+            bytes_per_row: Some(padded as u32),
+            rows_per_image: Some(height),
+        };
+        let origin = wgpu::Origin3d { x: 0, y: 0, z: layer };
+        self.submit(|encoder| {
+            encoder.copy_texture_to_buffer(
+                wgpu::TexelCopyTextureInfo { texture, mip_level: 0, origin, aspect },
+                wgpu::TexelCopyBufferInfo { buffer: &landing, layout },
+                wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
+            );
+        });
+        let bytes: Vec<u8> = self.mapped(&landing)?;
+        let rows = bytes.chunks_exact(padded).take(height as usize);
+        Ok(rows.flat_map(|padded| bytemuck::pod_collect_to_vec::<u8, T>(&padded[..row])).collect())
+    }
+
+    fn mapped<T: Pod>(&self, landing: &wgpu::Buffer) -> Result<Vec<T>> {
+        let (sender, receiver) = mpsc::channel();
+        landing.map_async(wgpu::MapMode::Read, .., move |result| {
+            // The receiver is gone only when this call has given up.
+            let _ = sender.send(result);
+        });
+        let wait = wgpu::PollType::Wait { submission_index: None, timeout: Some(PATIENCE) };
+        let polled = self.device.poll(wait);
+        self.check()?;
+        polled.map_err(|error| failed(format!("{} does not answer ({error})", self.name)))?;
+        match receiver.recv_timeout(PATIENCE) {
+            Ok(Ok(())) => {}
+            _ => return Err(failed(format!("{} gave nothing back", self.name))),
+        }
+        let view = landing
+            .get_mapped_range(..)
+            .map_err(|error| failed(format!("{} gave nothing back ({error})", self.name)))?;
+        Ok(bytemuck::pod_collect_to_vec(&view))
+    }
+
+    /// A compute pipeline whose layout is the shader's.
+    pub fn compute(&self, label: &str, source: &str, entry: &str) -> wgpu::ComputePipeline {
+        self.compute_with(label, source, entry, None)
+    }
+
+    /// A compute pipeline with a given layout.
+    pub fn compute_with(
+        &self,
+        label: &str,
+        source: &str,
+        entry: &str,
+        layout: Option<&wgpu::PipelineLayout>,
+    ) -> wgpu::ComputePipeline {
+        self.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+            label: Some(label),
+            layout,
+            module: &self.module(label, source),
+            entry_point: Some(entry),
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            cache: None,
+        })
+    }
+
+    /// A shader module.
+    pub fn module(&self, label: &str, source: &str) -> wgpu::ShaderModule {
+        let source = wgpu::ShaderSource::Wgsl(source.into());
+        self.device.create_shader_module(wgpu::ShaderModuleDescriptor { label: Some(label), source })
+    }
+
+    /// A bind group with `resources` at bindings 0, 1, ….
+    pub fn bind(
+        &self,
+        layout: &wgpu::BindGroupLayout,
+        resources: &[wgpu::BindingResource<'_>],
+    ) -> wgpu::BindGroup {
+        let numbered = resources.iter().enumerate();
+        let entries: Vec<_> = numbered
+            .map(|(binding, resource)| wgpu::BindGroupEntry {
+                binding: binding as u32,
+                resource: resource.clone(),
+            })
+            .collect();
+        self.device.create_bind_group(&wgpu::BindGroupDescriptor { label: None, layout, entries: &entries })
+    }
+
+    /// A bind group layout with `kinds` at bindings 0, 1, ….
+    pub fn bind_layout(&self, kinds: &[(Stages, wgpu::BindingType)]) -> wgpu::BindGroupLayout {
+        let numbered = kinds.iter().enumerate();
+        let entries: Vec<_> = numbered
+            .map(|(binding, (visibility, ty))| wgpu::BindGroupLayoutEntry {
+                binding: binding as u32,
+                visibility: *visibility,
+                ty: *ty,
+                count: None,
+            })
+            .collect();
+        self.device
+            .create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: None, entries: &entries })
+    }
+
+    /// A pipeline layout of bind groups 0, 1, ….
+    pub fn pipeline_layout(&self, groups: &[&wgpu::BindGroupLayout]) -> wgpu::PipelineLayout {
+        let groups: Vec<_> = groups.iter().copied().map(Some).collect();
+        self.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: None,
+            bind_group_layouts: &groups,
+            immediate_size: 0,
+        })
+    }
+}
+
+/// Most workgroups along one axis of a dispatch.
+const GROUPS_MAX: u32 = 32_768;
+
+/// Spreads `groups` workgroups over two axes: counts along x and y.
+pub(crate) fn groups_2d(groups: u32) -> [u32; 2] {
+    let x = groups.clamp(1, GROUPS_MAX);
+    [x, groups.div_ceil(x).max(1)]
+}
+
+/// Kinds of binding, in short.
+pub(crate) fn storage_read() -> wgpu::BindingType {
+    buffer_kind(wgpu::BufferBindingType::Storage { read_only: true }, false)
+}
+
+pub(crate) fn storage_write() -> wgpu::BindingType {
+    buffer_kind(wgpu::BufferBindingType::Storage { read_only: false }, false)
+}
+
+pub(crate) fn uniform(dynamic: bool) -> wgpu::BindingType {
+    buffer_kind(wgpu::BufferBindingType::Uniform, dynamic)
+}
+
+fn buffer_kind(ty: wgpu::BufferBindingType, has_dynamic_offset: bool) -> wgpu::BindingType {
+    wgpu::BindingType::Buffer { ty, has_dynamic_offset, min_binding_size: None }
+}
+
+pub(crate) fn texture(
+    sample_type: wgpu::TextureSampleType,
+    view_dimension: wgpu::TextureViewDimension,
+) -> wgpu::BindingType {
+    wgpu::BindingType::Texture { sample_type, view_dimension, multisampled: false }
+}
+
+pub(crate) fn failed(problem: String) -> ClientError {
+    ClientError::Adapter { problem }
+}

@@ -1,0 +1,121 @@
+//! Arrays of a bake on the adapter that several passes share.
+
+use std::ops::Range;
+
+use glam::Vec4;
+
+use super::gpu::{Gpu, failed};
+use crate::bake::{Cluster, LoadedBake};
+use crate::error::Result;
+
+/// Receivers, and what passes hand to each other. Same layouts as the references' slices.
+#[derive(Debug)]
+pub struct Resident {
+    /// Positions by slot, in metres.
+    pub positions: wgpu::Buffer,
+    /// Normals by slot.
+    pub normals: wgpu::Buffer,
+    /// Albedo by slot.
+    pub albedo: wgpu::Buffer,
+    /// E_dir by slot, W·m⁻².
+    pub e_dir: wgpu::Buffer,
+    /// E_emit by slot, W·m⁻².
+    pub e_emit: wgpu::Buffer,
+    /// E_ind by slot, W·m⁻².
+    pub e_ind: wgpu::Buffer,
+    /// `lambda[p·J + j]`, the sky last.
+    pub lambda: wgpu::Buffer,
+    /// b of all clusters.
+    pub b: wgpu::Buffer,
+    /// Receivers.
+    pub receiver_count: usize,
+    /// Entries of `lambda`.
+    pub lambda_count: usize,
+    /// Entries of `b`.
+    pub b_count: usize,
+}
+
+impl Resident {
+    /// Uploads what does not change and makes room for the rest.
+    pub fn new(gpu: &Gpu, bake: &LoadedBake, e_emit: &[Vec4]) -> Result<Self> {
+        let receivers = &bake.receivers;
+        let four = size_of::<Vec4>() as u64;
+        let lambda_count = (bake.probes.len() + 1) * bake.coefficients();
+        let by_slot = receivers.len() as u64 * four;
+        Ok(Self {
+            positions: gpu.storage("positions", &receivers.position_m)?,
+            normals: gpu.storage("normals", &receivers.normal)?,
+            albedo: gpu.storage("albedo", &receivers.albedo)?,
+            e_dir: gpu.blank("E_dir", by_slot)?,
+            e_emit: gpu.storage("E_emit", e_emit)?,
+            e_ind: gpu.blank("E_ind", by_slot)?,
+            lambda: gpu.blank("lambda", lambda_count as u64 * four)?,
+            b: gpu.blank("b", bake.clusters.b_len as u64 * four)?,
+            receiver_count: receivers.len(),
+            lambda_count,
+            b_count: bake.clusters.b_len,
+        })
+    }
+}
+
+/// A cluster as shaders read it; twin of `Cluster` in `basis.wgsl` and `reconstruct.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
+pub struct ClusterRow {
+    /// First slot.
+    pub first_receiver: u32,
+    /// Receivers.
+    pub receiver_count: u32,
+    /// First entry in the support list.
+    pub first_support: u32,
+    /// Supporting probes, the sky included.
+    pub support_count: u32,
+    /// Coefficients per probe, J of this cluster.
+    pub coefficients: u32,
+    /// Rank k.
+    pub rank: u32,
+    /// First of its entries in b.
+    pub first_b: u32,
+    /// First element of its factor in the page's buffer.
+    pub first_factor: u32,
+}
+
+impl ClusterRow {
+    /// The row of a cluster whose factor starts at `first_factor` of its page.
+    pub fn new(cluster: &Cluster, first_factor: usize) -> Self {
+        Self {
+            first_receiver: cluster.first_receiver as u32,
+            receiver_count: cluster.receiver_count as u32,
+            first_support: cluster.first_support as u32,
+            support_count: cluster.support_count as u32,
+            coefficients: cluster.coefficients as u32,
+            rank: cluster.rank as u32,
+            first_b: cluster.first_b as u32,
+            first_factor: first_factor as u32,
+        }
+    }
+}
+
+/// Splits items of given sizes into runs that each fit into one storage binding.
+pub fn pages(gpu: &Gpu, what: &str, bytes: impl Iterator<Item = u64>) -> Result<Vec<Range<usize>>> {
+    let mut runs = Vec::new();
+    let (mut first, mut sum, mut count) = (0, 0, 0);
+    for item in bytes {
+        if item > gpu.binding_max {
+            return Err(failed(format!(
+                "one {what} takes {item} bytes, {} binds {}",
+                gpu.name, gpu.binding_max
+            )));
+        }
+        if sum + item > gpu.binding_max {
+            runs.push(first..count);
+            (first, sum) = (count, 0);
+        }
+        sum += item;
+        count += 1;
+    }
+    if count > first {
+        runs.push(first..count);
+    }
+    Ok(runs)
+}

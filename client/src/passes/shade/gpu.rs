@@ -1,0 +1,289 @@
+//! The picture on the adapter.
+
+use glam::Vec4;
+use lightkiln_proto::manifest::Material;
+use wgpu::{ShaderStages as Stages, TextureViewDimension as Dimension};
+
+use super::{SHADER, ShadeView};
+use crate::bake::{AtlasLayout, LoadedBake, LoadedDraw, NO_BLOCK};
+use crate::error::Result;
+use crate::passes::atlas::array_view;
+use crate::passes::gpu::{Gpu, failed, texture, uniform};
+use crate::passes::meshes::{Meshes, sampled, uv_rows, vertex_layout};
+use crate::passes::shadow::{ShadowPass, cleared_depth, nearer_wins};
+
+/// What a draw looks like; twin of `ShadeDraw` in the shader.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
+pub struct ShadeDraw {
+    /// Linear base colour and alpha.
+    pub base_colour: [f32; 4],
+    /// Emitted radiance times the emitter's scale.
+    pub emissive: [f32; 4],
+    /// Map from uv to the base-colour texture's coordinates.
+    pub base_row0: [f32; 4],
+    /// Second row.
+    pub base_row1: [f32; 4],
+    /// Map from uv to the emissive texture's coordinates.
+    pub emissive_row0: [f32; 4],
+    /// Second row.
+    pub emissive_row1: [f32; 4],
+    /// Block of the front: page, origin.
+    pub front: [u32; 4],
+    /// Its size; 0 when there is none.
+    pub front_size: [u32; 4],
+    /// Block of the back: page, origin.
+    pub back: [u32; 4],
+    /// Its size; 0 when there is none.
+    pub back_size: [u32; 4],
+    /// Alpha below it is not drawn.
+    pub cutoff: f32,
+    /// Nothing.
+    pub pad0: f32,
+    /// Nothing.
+    pub pad1: f32,
+    /// Nothing.
+    pub pad2: f32,
+}
+
+/// The pass and its target.
+#[derive(Debug)]
+pub struct ShadePass {
+    single_sided: wgpu::RenderPipeline,
+    double_sided: wgpu::RenderPipeline,
+    sky: wgpu::RenderPipeline,
+    view: wgpu::Buffer,
+    view_group: wgpu::BindGroup,
+    draws: wgpu::BindGroup,
+    draw_stride: u32,
+    materials: Vec<wgpu::BindGroup>,
+    is_double_sided: Vec<bool>,
+    target: wgpu::Texture,
+    depth: wgpu::TextureView,
+}
+
+impl ShadePass {
+    /// Makes pipelines and a target of `size` pixels; `atlas` is the atlas pass' texture.
+    pub fn new(
+        gpu: &Gpu,
+        bake: &LoadedBake,
+        meshes: &Meshes,
+        shadow: &ShadowPass,
+        atlas: &wgpu::Texture,
+        emitter_scale: &[f32],
+        size: [u32; 2],
+    ) -> Result<Self> {
+        check_size(gpu, size)?;
+        let pages = texture(wgpu::TextureSampleType::Float { filterable: false }, Dimension::D2Array);
+        let view_layout =
+            gpu.bind_layout(&[(Stages::VERTEX_FRAGMENT, uniform(false)), (Stages::FRAGMENT, pages)]);
+        let draw_layout = gpu.bind_layout(&[(Stages::VERTEX_FRAGMENT, uniform(true))]);
+        let material_layout = gpu.bind_layout(&[sampled(), sampled()].concat());
+        let layout =
+            gpu.pipeline_layout(&[&shadow.light_layout, &view_layout, &draw_layout, &material_layout]);
+        let module = gpu.module("shade", SHADER);
+        let view = gpu.buffer("view", size_of::<ShadeView>() as u64, wgpu::BufferUsages::UNIFORM);
+        let array = array_view(atlas);
+        let atlas_view = wgpu::BindingResource::TextureView(&array);
+        let view_group = gpu.bind(&view_layout, &[view.as_entire_binding(), atlas_view]);
+        let values: Vec<_> =
+            bake.draws.draws.iter().map(|draw| shade_draw(bake, draw, emitter_scale)).collect();
+        let (values, draw_stride) = gpu.uniforms("draws", &values);
+        let window = wgpu::BufferBinding {
+            buffer: &values,
+            offset: 0,
+            size: wgpu::BufferSize::new(size_of::<ShadeDraw>() as u64),
+        };
+        let draws = gpu.bind(&draw_layout, &[wgpu::BindingResource::Buffer(window)]);
+        let bind_material = |material: &Material| {
+            let [base, base_sampler] = meshes.texture(material.base_colour_texture.as_ref());
+            let [emissive, emissive_sampler] = meshes.texture(material.emissive_texture.as_ref());
+            gpu.bind(&material_layout, &[base, base_sampler, emissive, emissive_sampler])
+        };
+        let (target, depth) = create_targets(gpu, size);
+        Ok(Self {
+            single_sided: pipeline(gpu, &layout, &module, Some(wgpu::Face::Back)),
+            double_sided: pipeline(gpu, &layout, &module, None),
+            sky: sky_pipeline(gpu, &layout, &module),
+            view,
+            view_group,
+            draws,
+            draw_stride,
+            materials: bake.manifest.materials.iter().map(bind_material).collect(),
+            is_double_sided: bake.manifest.materials.iter().map(|material| material.double_sided).collect(),
+            target,
+            depth,
+        })
+    }
+
+    /// Draws one sample per pixel and reads it back: rgb radiance, alpha 1 on surfaces.
+    pub fn draw(
+        &self,
+        gpu: &Gpu,
+        meshes: &Meshes,
+        shadow: &ShadowPass,
+        view: &ShadeView,
+    ) -> Result<Vec<Vec4>> {
+        gpu.write(&self.view, std::slice::from_ref(view));
+        gpu.submit(|encoder| self.record(encoder, meshes, shadow));
+        gpu.read_layer(&self.target, 0, wgpu::TextureAspect::All)
+    }
+
+    fn record(&self, encoder: &mut wgpu::CommandEncoder, meshes: &Meshes, shadow: &ShadowPass) {
+        let target = self.target.create_view(&wgpu::TextureViewDescriptor::default());
+        let ops = wgpu::Operations {
+            load: wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT),
+            store: wgpu::StoreOp::Store,
+        };
+        let attachment =
+            wgpu::RenderPassColorAttachment { view: &target, depth_slice: None, resolve_target: None, ops };
+        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+            label: Some("shade"),
+            color_attachments: &[Some(attachment)],
+            depth_stencil_attachment: Some(cleared_depth(&self.depth)),
+            ..Default::default()
+        });
+        pass.set_bind_group(0, &shadow.light_group, &[]);
+        pass.set_bind_group(1, &self.view_group, &[]);
+        if let Some(material) = self.materials.first() {
+            // The sky reads neither, but its pipeline's layout names them.
+            pass.set_bind_group(2, &self.draws, &[0]);
+            pass.set_bind_group(3, material, &[]);
+            pass.set_pipeline(&self.sky);
+            pass.draw(0..3, 0..1);
+        }
+        for (index, mesh) in meshes.meshes.iter().enumerate() {
+            let two = self.is_double_sided[mesh.material];
+            pass.set_pipeline(if two { &self.double_sided } else { &self.single_sided });
+            pass.set_bind_group(2, &self.draws, &[index as u32 * self.draw_stride]);
+            pass.set_bind_group(3, &self.materials[mesh.material], &[]);
+            meshes.draw(&mut pass, mesh);
+        }
+    }
+}
+
+fn check_size(gpu: &Gpu, size: [u32; 2]) -> Result<()> {
+    let limits = gpu.device.limits();
+    let bytes = u64::from(size[0] + 16) * u64::from(size[1]) * size_of::<Vec4>() as u64;
+    if size[0].max(size[1]) > limits.max_texture_dimension_2d || bytes > limits.max_buffer_size {
+        return Err(failed(format!("{} × {} pixels are more than {} draws", size[0], size[1], gpu.name)));
+    }
+    Ok(())
+}
+
+fn shade_draw(bake: &LoadedBake, draw: &LoadedDraw, emitter_scale: &[f32]) -> ShadeDraw {
+    let material = &bake.manifest.materials[draw.material as usize];
+    let scale =
+        material.emitter.and_then(|emitter| emitter_scale.get(usize::from(emitter))).copied().unwrap_or(1.0);
+    let [base_row0, base_row1] = uv_rows(material.base_colour_texture.as_ref());
+    let [emissive_row0, emissive_row1] = uv_rows(material.emissive_texture.as_ref());
+    let [front, front_size] = placed(&bake.atlas, draw.front);
+    let [back, back_size] = placed(&bake.atlas, draw.back);
+    let [r, g, b] = material.emissive.map(|channel| channel * scale);
+    ShadeDraw {
+        base_colour: material.base_colour,
+        emissive: [r, g, b, 0.0],
+        base_row0,
+        base_row1,
+        emissive_row0,
+        emissive_row1,
+        front,
+        front_size,
+        back,
+        back_size,
+        cutoff: material.alpha_cutoff.unwrap_or(-1.0),
+        pad0: 0.0,
+        pad1: 0.0,
+        pad2: 0.0,
+    }
+}
+
+/// Page and origin, and size, of a block; zeros when there is none.
+fn placed(atlas: &AtlasLayout, block: u32) -> [[u32; 4]; 2] {
+    if block == NO_BLOCK {
+        return [[0; 4]; 2];
+    }
+    let block = &atlas.blocks[block as usize];
+    [[block.page, block.origin[0], block.origin[1], 0], [block.size[0], block.size[1], 0, 0]]
+}
+
+fn create_targets(gpu: &Gpu, size: [u32; 2]) -> (wgpu::Texture, wgpu::TextureView) {
+    let create = |label, format, usage| {
+        gpu.device.create_texture(&wgpu::TextureDescriptor {
+            label: Some(label),
+            size: wgpu::Extent3d { width: size[0], height: size[1], depth_or_array_layers: 1 },
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D2,
+            format,
+            usage: usage | wgpu::TextureUsages::RENDER_ATTACHMENT,
+            view_formats: &[],
+        })
+    };
+    let target = create("picture", wgpu::TextureFormat::Rgba32Float, wgpu::TextureUsages::COPY_SRC);
+    let depth = create("depth", wgpu::TextureFormat::Depth32Float, wgpu::TextureUsages::empty());
+    (target, depth.create_view(&wgpu::TextureViewDescriptor::default()))
+}
+
+fn pipeline(
+    gpu: &Gpu,
+    layout: &wgpu::PipelineLayout,
+    module: &wgpu::ShaderModule,
+    cull_mode: Option<wgpu::Face>,
+) -> wgpu::RenderPipeline {
+    let primitive = wgpu::PrimitiveState { cull_mode, ..Default::default() };
+    let buffers = [Some(vertex_layout())];
+    render_pipeline(gpu, layout, module, ["corner", "shade"], &buffers, primitive, nearer_wins())
+}
+
+/// Behind everything, without touching the depth.
+fn sky_pipeline(
+    gpu: &Gpu,
+    layout: &wgpu::PipelineLayout,
+    module: &wgpu::ShaderModule,
+) -> wgpu::RenderPipeline {
+    let behind = wgpu::DepthStencilState {
+        depth_write_enabled: Some(false),
+        depth_compare: Some(wgpu::CompareFunction::Always),
+        ..nearer_wins()
+    };
+    let primitive = wgpu::PrimitiveState::default();
+    render_pipeline(gpu, layout, module, ["sky_corner", "sky"], &[], primitive, behind)
+}
+
+fn render_pipeline(
+    gpu: &Gpu,
+    layout: &wgpu::PipelineLayout,
+    module: &wgpu::ShaderModule,
+    [vertex, fragment]: [&str; 2],
+    buffers: &[Option<wgpu::VertexBufferLayout<'_>>],
+    primitive: wgpu::PrimitiveState,
+    depth: wgpu::DepthStencilState,
+) -> wgpu::RenderPipeline {
+    let target = wgpu::ColorTargetState {
+        format: wgpu::TextureFormat::Rgba32Float,
+        blend: None,
+        write_mask: wgpu::ColorWrites::ALL,
+    };
+    gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+        label: Some(fragment),
+        layout: Some(layout),
+        vertex: wgpu::VertexState {
+            module,
+            entry_point: Some(vertex),
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            buffers,
+        },
+        primitive,
+        depth_stencil: Some(depth),
+        multisample: wgpu::MultisampleState::default(),
+        fragment: Some(wgpu::FragmentState {
+            module,
+            entry_point: Some(fragment),
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            targets: &[Some(target)],
+        }),
+        multiview_mask: None,
+        cache: None,
+    })
+}

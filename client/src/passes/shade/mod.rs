@@ -1,0 +1,17 @@
+//! The picture: every pixel's radiance, with direct light per pixel and indirect light from the atlas.
+
+mod gpu;
+pub mod reference;
+pub mod surface;
+mod view;
+
+pub use gpu::{ShadeDraw, ShadePass};
+pub use view::ShadeView;
+
+/// The shader, with the lights' part in front.
+pub const SHADER: &str = concat!(include_str!("../shared/light.wgsl"), include_str!("shade.wgsl"));
+/// Largest difference from the reference, relative to the picture's mean, for all but [`OUTLIERS`]: adapters read
+/// textures with 8-bit weights and derive facet normals and mip levels from neighbouring pixels.
+pub const TOLERANCE: f32 = 2e-2;
+/// Share of pixels that may differ more: outlines, and shadow edges seen through another rounding.
+pub const OUTLIERS: f32 = 1e-2;

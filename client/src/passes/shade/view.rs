@@ -1,0 +1,83 @@
+//! The camera and sky as the shaders read them.
+
+use glam::{Mat4, Vec3};
+use lightkiln_proto::scene::SceneCamera;
+
+use crate::error::Result;
+use crate::lights::Sky;
+use crate::raster::camera_clip_from_world;
+
+/// Camera and sky of a picture; twin of `ShadeView` in `shade.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
+pub struct ShadeView {
+    /// Columns of the projection.
+    pub clip_from_world: [[f32; 4]; 4],
+    /// Radiance straight up.
+    pub zenith: [f32; 4],
+    /// Radiance at the horizon.
+    pub horizon: [f32; 4],
+    /// World direction through the picture's middle.
+    pub ray: [f32; 4],
+    /// Its change per unit of ndc x.
+    pub ray_per_x: [f32; 4],
+    /// Its change per unit of ndc y.
+    pub ray_per_y: [f32; 4],
+}
+
+impl ShadeView {
+    /// A view whose samples lie `jitter` pixels (right, down) from the pixels' centres.
+    pub fn new(
+        camera: &SceneCamera,
+        size: [u32; 2],
+        bounds_m: [[f32; 3]; 2],
+        sky: Sky,
+        jitter: [f32; 2],
+    ) -> Result<Self> {
+        let steady = camera_clip_from_world(camera, size, bounds_m)?;
+        let shift_x = -2.0 * jitter[0] / size[0] as f32;
+        let shift_y = 2.0 * jitter[1] / size[1] as f32;
+        // ndc shifts by a constant: clip.xy += shift · clip.w.
+        let mut shift = Mat4::IDENTITY;
+        shift.w_axis.x = shift_x;
+        shift.w_axis.y = shift_y;
+        let clip_from_world = shift * steady;
+        let [ray, ray_per_x, ray_per_y] = rays(camera, size, [shift_x, shift_y]);
+        Ok(Self {
+            clip_from_world: clip_from_world.to_cols_array_2d(),
+            zenith: sky.zenith.extend(0.0).into(),
+            horizon: sky.horizon.extend(0.0).into(),
+            ray: ray.extend(0.0).into(),
+            ray_per_x: ray_per_x.extend(0.0).into(),
+            ray_per_y: ray_per_y.extend(0.0).into(),
+        })
+    }
+
+    /// Clip space of the view.
+    pub fn projection(&self) -> Mat4 {
+        Mat4::from_cols_array_2d(&self.clip_from_world)
+    }
+
+    /// Radiance of the sky at a point of the picture, in pixels from its upper left corner.
+    pub(super) fn sky_at(&self, at: [f64; 2], size: [u32; 2]) -> Vec3 {
+        let x = (at[0] / f64::from(size[0])) as f32 * 2.0 - 1.0;
+        let y = 1.0 - (at[1] / f64::from(size[1])) as f32 * 2.0;
+        let vector = |four: [f32; 4]| Vec3::new(four[0], four[1], four[2]);
+        let ray = vector(self.ray) + x * vector(self.ray_per_x) + y * vector(self.ray_per_y);
+        let sky = Sky { zenith: vector(self.zenith), horizon: vector(self.horizon) };
+        sky.radiance(ray.normalize_or(Vec3::Y))
+    }
+}
+
+/// Direction through the middle, and its change per ndc x and y; parallel cameras look one way everywhere.
+fn rays(camera: &SceneCamera, size: [u32; 2], shift: [f32; 2]) -> [Vec3; 3] {
+    let forward = (Vec3::from(camera.target_m) - Vec3::from(camera.eye_m)).normalize_or(Vec3::NEG_Z);
+    if camera.orthographic_half_height_m.is_some() {
+        return [forward, Vec3::ZERO, Vec3::ZERO];
+    }
+    let right = forward.cross(camera.up.into()).normalize_or(Vec3::X);
+    let up = right.cross(forward);
+    let tan = (0.5 * camera.fov_y_rad).tan();
+    let (per_x, per_y) = (right * tan * size[0] as f32 / size[1] as f32, up * tan);
+    [forward - per_x * shift[0] - per_y * shift[1], per_x, per_y]
+}

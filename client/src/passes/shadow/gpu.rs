@@ -1,0 +1,217 @@
+//! Shadow maps on the adapter.
+
+use lightkiln_proto::manifest::Material;
+use wgpu::{ShaderStages as Stages, TextureViewDimension as Dimension};
+
+use super::reference::ShadowMaps;
+use super::{SHADER, ShadowPlan};
+use crate::bake::LoadedBake;
+use crate::error::Result;
+use crate::passes::atlas::array_view;
+use crate::passes::gpu::{Gpu, storage_read, texture, uniform};
+use crate::passes::meshes::{Meshes, sampled, uv_rows, vertex_layout};
+
+/// Alpha mask of a draw; twin of `Mask` in the shader.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
+pub struct Mask {
+    /// First row of the map from uv to the base-colour texture's coordinates.
+    pub uv_row0: [f32; 4],
+    /// Second row.
+    pub uv_row1: [f32; 4],
+    /// Base colour's alpha.
+    pub alpha: f32,
+    /// Alpha below it lets light through.
+    pub cutoff: f32,
+    /// Nothing.
+    pub pad0: f32,
+    /// Nothing.
+    pub pad1: f32,
+}
+
+/// The pass, its maps, and the bind group of lights that other passes read them by.
+#[derive(Debug)]
+pub struct ShadowPass {
+    solid: wgpu::RenderPipeline,
+    masked: wgpu::RenderPipeline,
+    faces: wgpu::BindGroup,
+    face_stride: u32,
+    face_views: Vec<wgpu::TextureView>,
+    /// Per mesh: the mask of alpha-masked ones.
+    masks: Vec<Option<wgpu::BindGroup>>,
+    maps: wgpu::Texture,
+    /// Layout of [`Self::light_group`]: group 0 of `light.wgsl`.
+    pub light_layout: wgpu::BindGroupLayout,
+    /// Lights, faces and maps.
+    pub light_group: wgpu::BindGroup,
+}
+
+impl ShadowPass {
+    /// Uploads lights and makes room for their maps.
+    pub fn new(gpu: &Gpu, bake: &LoadedBake, meshes: &Meshes, plan: &ShadowPlan) -> Result<Self> {
+        let face_layout = gpu.bind_layout(&[(Stages::VERTEX, uniform(true))]);
+        let [base, sampler] = sampled();
+        let mask_layout = gpu.bind_layout(&[(Stages::VERTEX_FRAGMENT, uniform(false)), base, sampler]);
+        let module = gpu.module("shadow", SHADER);
+        let solid = pipeline(gpu, &module, &[&face_layout], "solid", None);
+        let masked = pipeline(gpu, &module, &[&face_layout, &mask_layout], "masked", Some("mask"));
+        let projections: Vec<_> = plan.faces.iter().map(|face| face.clip_from_world).collect();
+        let (projections, face_stride) = gpu.uniforms("faces", &projections);
+        let window = wgpu::BufferBinding {
+            buffer: &projections,
+            offset: 0,
+            size: wgpu::BufferSize::new(size_of::<[[f32; 4]; 4]>() as u64),
+        };
+        let faces = gpu.bind(&face_layout, &[wgpu::BindingResource::Buffer(window)]);
+        let maps = create_maps(gpu, plan);
+        let (light_layout, light_group) = bind_lights(gpu, plan, &maps)?;
+        let face_views = (0..plan.faces.len() as u32).map(|layer| face_view(&maps, layer)).collect();
+        let material = |material: usize| &bake.manifest.materials[material];
+        let masks = meshes
+            .meshes
+            .iter()
+            .map(|mesh| mask(gpu, meshes, &mask_layout, material(mesh.material)))
+            .collect();
+        Ok(Self { solid, masked, faces, face_stride, face_views, masks, maps, light_layout, light_group })
+    }
+
+    /// Records the pass: every mesh into every face.
+    pub fn record(&self, encoder: &mut wgpu::CommandEncoder, meshes: &Meshes) {
+        for (face, view) in self.face_views.iter().enumerate() {
+            let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+                label: Some("shadow"),
+                depth_stencil_attachment: Some(cleared_depth(view)),
+                ..Default::default()
+            });
+            let offset = face as u32 * self.face_stride;
+            for (mesh, mask) in meshes.meshes.iter().zip(&self.masks) {
+                pass.set_pipeline(if mask.is_some() { &self.masked } else { &self.solid });
+                pass.set_bind_group(0, &self.faces, &[offset]);
+                if let Some(mask) = mask {
+                    pass.set_bind_group(1, mask, &[]);
+                }
+                meshes.draw(&mut pass, mesh);
+            }
+        }
+    }
+
+    /// The maps, read back.
+    pub fn read(&self, gpu: &Gpu) -> Result<ShadowMaps> {
+        let mut depth = Vec::new();
+        for layer in 0..self.face_views.len() as u32 {
+            depth.extend(gpu.read_layer::<f32>(&self.maps, layer, wgpu::TextureAspect::DepthOnly)?);
+        }
+        Ok(ShadowMaps { side: self.maps.width(), depth })
+    }
+}
+
+/// A depth attachment that starts infinitely far.
+pub(in crate::passes) fn cleared_depth(
+    view: &wgpu::TextureView,
+) -> wgpu::RenderPassDepthStencilAttachment<'_> {
+    let depth_ops = wgpu::Operations { load: wgpu::LoadOp::Clear(0.0), store: wgpu::StoreOp::Store };
+    wgpu::RenderPassDepthStencilAttachment { view, depth_ops: Some(depth_ops), stencil_ops: None }
+}
+
+/// Depth test of reversed depth.
+pub(in crate::passes) fn nearer_wins() -> wgpu::DepthStencilState {
+    wgpu::DepthStencilState {
+        format: wgpu::TextureFormat::Depth32Float,
+        depth_write_enabled: Some(true),
+        depth_compare: Some(wgpu::CompareFunction::Greater),
+        stencil: wgpu::StencilState::default(),
+        bias: wgpu::DepthBiasState::default(),
+    }
+}
+
+fn pipeline(
+    gpu: &Gpu,
+    module: &wgpu::ShaderModule,
+    groups: &[&wgpu::BindGroupLayout],
+    vertex: &str,
+    fragment: Option<&str>,
+) -> wgpu::RenderPipeline {
+    gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+        label: Some(vertex),
+        layout: Some(&gpu.pipeline_layout(groups)),
+        vertex: wgpu::VertexState {
+            module,
+            entry_point: Some(vertex),
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            buffers: &[Some(vertex_layout())],
+        },
+        // Nothing is culled: both sides block light.
+        primitive: wgpu::PrimitiveState::default(),
+        depth_stencil: Some(nearer_wins()),
+        multisample: wgpu::MultisampleState::default(),
+        fragment: fragment.map(|entry| wgpu::FragmentState {
+            module,
+            entry_point: Some(entry),
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            targets: &[],
+        }),
+        multiview_mask: None,
+        cache: None,
+    })
+}
+
+fn create_maps(gpu: &Gpu, plan: &ShadowPlan) -> wgpu::Texture {
+    // Without lights, one texel that nobody reads.
+    let side = if plan.faces.is_empty() { 1 } else { plan.count.side };
+    let layers = plan.faces.len().max(1) as u32;
+    gpu.device.create_texture(&wgpu::TextureDescriptor {
+        label: Some("shadow maps"),
+        size: wgpu::Extent3d { width: side, height: side, depth_or_array_layers: layers },
+        mip_level_count: 1,
+        sample_count: 1,
+        dimension: wgpu::TextureDimension::D2,
+        format: wgpu::TextureFormat::Depth32Float,
+        usage: wgpu::TextureUsages::RENDER_ATTACHMENT
+            | wgpu::TextureUsages::TEXTURE_BINDING
+            | wgpu::TextureUsages::COPY_SRC,
+        view_formats: &[],
+    })
+}
+
+fn face_view(maps: &wgpu::Texture, layer: u32) -> wgpu::TextureView {
+    maps.create_view(&wgpu::TextureViewDescriptor {
+        dimension: Some(Dimension::D2),
+        base_array_layer: layer,
+        array_layer_count: Some(1),
+        ..Default::default()
+    })
+}
+
+fn bind_lights(
+    gpu: &Gpu,
+    plan: &ShadowPlan,
+    maps: &wgpu::Texture,
+) -> Result<(wgpu::BindGroupLayout, wgpu::BindGroup)> {
+    let map = texture(wgpu::TextureSampleType::Depth, Dimension::D2Array);
+    let kinds = [storage_read(), storage_read(), uniform(false), map];
+    let layout = gpu.bind_layout(&kinds.map(|kind| (Stages::COMPUTE | Stages::FRAGMENT, kind)));
+    let group = gpu.bind(
+        &layout,
+        &[
+            gpu.storage("lights", &plan.lights)?.as_entire_binding(),
+            gpu.storage("faces", &plan.faces)?.as_entire_binding(),
+            gpu.uniform("light count", &plan.count).as_entire_binding(),
+            wgpu::BindingResource::TextureView(&array_view(maps)),
+        ],
+    );
+    Ok((layout, group))
+}
+
+fn mask(
+    gpu: &Gpu,
+    meshes: &Meshes,
+    layout: &wgpu::BindGroupLayout,
+    material: &Material,
+) -> Option<wgpu::BindGroup> {
+    let cutoff = material.alpha_cutoff?;
+    let used = material.base_colour_texture.as_ref();
+    let [uv_row0, uv_row1] = uv_rows(used);
+    let mask = Mask { uv_row0, uv_row1, alpha: material.base_colour[3], cutoff, pad0: 0.0, pad1: 0.0 };
+    let [base, sampler] = meshes.texture(used);
+    Some(gpu.bind(layout, &[gpu.uniform("mask", &mask).as_entire_binding(), base, sampler]))
+}

@@ -1,0 +1,17 @@
+//! Depth of the scene as its lights see it.
+
+mod gpu;
+mod plan;
+pub mod reference;
+
+pub use gpu::{Mask, ShadowPass};
+pub(in crate::passes) use gpu::{cleared_depth, nearer_wins};
+pub use plan::{Face, Light, LightCount, MAX_SIDE, MIN_SIDE, ShadowPlan};
+
+/// The shader.
+pub const SHADER: &str = include_str!("shadow.wgsl");
+/// Largest difference of depth from the reference for all but [`OUTLIERS`], relative to the depth: interpolation on
+/// triangles seen at a grazing angle magnifies the rounding of positions.
+pub const TOLERANCE: f32 = 1e-3;
+/// Share of texels that may differ more: at outlines the fill rule can fall to either side.
+pub const OUTLIERS: f32 = 5e-3;

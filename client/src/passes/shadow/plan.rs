@@ -1,0 +1,223 @@
+//! Which shadow maps a set of lights needs: six faces around a point, one for a narrow spot, tiles for a sun.
+
+use glam::{Mat4, Vec3};
+
+use crate::error::{ClientError, Result};
+use crate::lights::{Caster, Shape};
+use crate::raster::{look_along, parallel, perspective};
+
+/// Most texels of all shadow maps together; 4 bytes each.
+const MAX_TEXELS: u64 = 1 << 26;
+/// Most faces: layers of one texture.
+const MAX_FACES: usize = 256;
+/// Longest side of a face in texels.
+pub const MAX_SIDE: u32 = 4096;
+/// Shortest.
+pub const MIN_SIDE: u32 = 64;
+/// Faces along each side of a sun's box. More → sharper sun, more memory.
+const SUN_TILES: u32 = 2;
+/// Texels around a face that neighbours share, so that the filter stays inside.
+const GUARD_TEXELS: f32 = 4.0;
+/// Widest spot that one perspective face covers; wider ones get six.
+const SPOT_COS_MIN: f32 = 0.6;
+
+/// A light as the shaders read it; twin of `Light` in `light.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
+pub struct Light {
+    /// Metres; for a sun the centre of its box.
+    pub position: [f32; 3],
+    /// Cut-off distance in metres, 0 for none.
+    pub range_m: f32,
+    /// Unit direction of travel.
+    pub direction: [f32; 3],
+    /// [`Shape`] as a number.
+    pub shape: u32,
+    /// W·sr⁻¹, or W·m⁻² for a sun.
+    pub strength: [f32; 3],
+    /// First of its faces.
+    pub first_face: u32,
+    /// Cosine of a spot's inner half angle.
+    pub cone_cos_inner: f32,
+    /// Cosine of a spot's outer half angle.
+    pub cone_cos_outer: f32,
+    /// Faces.
+    pub face_count: u32,
+    /// Half side of a sun's box in metres.
+    pub half_extent: f32,
+}
+
+/// One shadow map; twin of `Face` in `light.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
+pub struct Face {
+    /// Columns of the projection.
+    pub clip_from_world: [[f32; 4]; 4],
+    /// Unit vector along its rows.
+    pub right: [f32; 3],
+    /// Side of a texel in metres where clip w is 1.
+    pub texel_at_unit_w: f32,
+    /// Unit vector up its columns.
+    pub up: [f32; 3],
+    /// Nothing.
+    pub pad: f32,
+}
+
+impl Face {
+    /// Clip space of the face.
+    pub fn projection(&self) -> Mat4 {
+        Mat4::from_cols_array_2d(&self.clip_from_world)
+    }
+}
+
+/// Numbers for all lights; twin of `LightCount` in `light.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
+pub struct LightCount {
+    /// Lights.
+    pub count: u32,
+    /// Texels along a face's side.
+    pub side: u32,
+    /// Constant offset along the normal in metres, against rounded positions.
+    pub bias_m: f32,
+    /// Nothing.
+    pub pad: u32,
+}
+
+/// Lights and the faces that they need.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ShadowPlan {
+    /// Lights.
+    pub lights: Vec<Light>,
+    /// Faces of all lights.
+    pub faces: Vec<Face>,
+    /// Numbers for all lights.
+    pub count: LightCount,
+}
+
+impl ShadowPlan {
+    /// Plans shadow maps of at most `side` texels (a power of two) for `casters` over a scene with the given bounds.
+    pub fn new(casters: &[Caster], bounds_m: [[f32; 3]; 2], side: u32) -> Result<Self> {
+        let [low, high] = bounds_m.map(Vec3::from);
+        let diagonal = (high - low).length().max(1e-3);
+        let face_count: usize = casters.iter().map(|caster| face_count(caster) as usize).sum();
+        if face_count > MAX_FACES {
+            let problem =
+                format!("{face_count} shadow maps are needed, at most {MAX_FACES}; use fewer lights");
+            return Err(ClientError::Argument { what: format!("{} lights", casters.len()), problem });
+        }
+        let side = side_for(face_count, side);
+        let count = LightCount { count: casters.len() as u32, side, bias_m: 5e-5 * diagonal, pad: 0 };
+        let mut plan = Self { lights: Vec::new(), faces: Vec::new(), count };
+        for caster in casters {
+            plan.push(caster, [low, high], diagonal);
+        }
+        Ok(plan)
+    }
+
+    fn push(&mut self, caster: &Caster, corners: [Vec3; 2], diagonal: f32) {
+        let centre = corners[0].lerp(corners[1], 0.5);
+        let sun = caster.shape == Shape::Sun;
+        let half_extent = if sun { sun_half_extent(caster.direction, corners) } else { 0.0 };
+        let position = if sun { centre } else { caster.position };
+        self.lights.push(Light {
+            position: position.into(),
+            range_m: caster.range,
+            direction: caster.direction.into(),
+            shape: caster.shape as u32,
+            strength: caster.strength.into(),
+            first_face: self.faces.len() as u32,
+            cone_cos_inner: caster.cone[0],
+            cone_cos_outer: caster.cone[1],
+            face_count: face_count(caster),
+            half_extent,
+        });
+        let near = (1e-4 * diagonal).max(1e-4);
+        match face_count(caster) {
+            _ if sun => self.push_sun(caster.direction, centre, half_extent, 0.5005 * diagonal),
+            6 => {
+                for (forward, up) in CUBE {
+                    self.push_perspective(position, forward, up, 1.0, near);
+                }
+            }
+            _ => {
+                let cos = caster.cone[1].max(0.01);
+                let tan = (1.0 - cos * cos).max(0.0).sqrt() / cos;
+                self.push_perspective(position, caster.direction, any_up(caster.direction), tan, near);
+            }
+        }
+    }
+
+    fn push_perspective(&mut self, eye: Vec3, forward: Vec3, up: Vec3, tan: f32, near: f32) {
+        let side = self.count.side as f32;
+        let tan = tan * side / (side - 2.0 * GUARD_TEXELS);
+        let view = look_along(eye, forward, up);
+        self.push_face(perspective(tan, tan, near) * view, view, 2.0 * tan / side);
+    }
+
+    /// `half_extent` across and `reach` along the light, from the centre, in metres.
+    fn push_sun(&mut self, direction: Vec3, centre: Vec3, half_extent: f32, reach: f32) {
+        let side = self.count.side as f32;
+        let tiles = SUN_TILES as f32;
+        let half_tile = half_extent / tiles;
+        let half = half_tile * side / (side - 2.0 * GUARD_TEXELS);
+        let view = look_along(centre - direction * reach, direction, any_up(direction));
+        for row in 0..SUN_TILES {
+            for column in 0..SUN_TILES {
+                let offset = |index: u32| (2.0 * index as f32 + 1.0 - tiles) * half_tile;
+                let shift = Mat4::from_translation(Vec3::new(-offset(column), -offset(row), 0.0));
+                let projection = parallel(half, half, 2.0 * reach) * shift;
+                self.push_face(projection * view, view, 2.0 * half / side);
+            }
+        }
+    }
+
+    fn push_face(&mut self, clip_from_world: Mat4, view: Mat4, texel_at_unit_w: f32) {
+        self.faces.push(Face {
+            clip_from_world: clip_from_world.to_cols_array_2d(),
+            right: view.row(0).truncate().into(),
+            texel_at_unit_w,
+            up: view.row(1).truncate().into(),
+            pad: 0.0,
+        });
+    }
+}
+
+/// Directions of a cube's faces and their up vectors, in the order of `cube_face`.
+const CUBE: [(Vec3, Vec3); 6] = [
+    (Vec3::X, Vec3::Y),
+    (Vec3::NEG_X, Vec3::Y),
+    (Vec3::Y, Vec3::Z),
+    (Vec3::NEG_Y, Vec3::Z),
+    (Vec3::Z, Vec3::Y),
+    (Vec3::NEG_Z, Vec3::Y),
+];
+
+fn any_up(forward: Vec3) -> Vec3 {
+    if forward.y.abs() > 0.9 { Vec3::X } else { Vec3::Y }
+}
+
+/// Half side of the square across a sun's light that holds the whole box, in metres.
+fn sun_half_extent(direction: Vec3, corners: [Vec3; 2]) -> f32 {
+    let half_size = 0.5 * (corners[1] - corners[0]).abs();
+    let view = look_along(Vec3::ZERO, direction, any_up(direction));
+    let half = |axis: usize| view.row(axis).truncate().abs().dot(half_size);
+    (1.001 * half(0).max(half(1))).max(1e-3)
+}
+
+fn face_count(caster: &Caster) -> u32 {
+    match caster.shape {
+        Shape::Sun => SUN_TILES * SUN_TILES,
+        Shape::Spot if caster.cone[1] >= SPOT_COS_MIN => 1,
+        Shape::Point | Shape::Spot => 6,
+    }
+}
+
+/// The longest side, `wanted` or that halved, with which all faces stay within [`MAX_TEXELS`].
+fn side_for(faces: usize, wanted: u32) -> u32 {
+    let mut side = wanted;
+    while faces as u64 * u64::from(side) * u64::from(side) > MAX_TEXELS {
+        side /= 2;
+    }
+    side
+}

@@ -1,0 +1,151 @@
+// Irradiance from lights with shadow maps; joined in front of the passes that need it.
+// Twin: direct/reference.rs. Depth is reversed: the greater, the nearer to the light.
+
+struct Light {
+    // Metres; for a sun the centre of its box.
+    position: vec3f,
+    // Cut-off distance in metres, 0 for none.
+    range_m: f32,
+    direction: vec3f,
+    // 0 point, 1 spot, 2 sun.
+    shape: u32,
+    // W/sr, or W/m2 for a sun.
+    strength: vec3f,
+    first_face: u32,
+    cone_cos_inner: f32,
+    cone_cos_outer: f32,
+    // Faces: 1 or 6 for points and spots, tiles² for a sun.
+    face_count: u32,
+    // Half side of a sun's box in metres.
+    half_extent: f32,
+}
+
+struct Face {
+    clip_from_world: mat4x4f,
+    right: vec3f,
+    // Side of a shadow texel in metres where clip w is 1.
+    texel_at_unit_w: f32,
+    up: vec3f,
+    pad: f32,
+}
+
+struct LightCount {
+    count: u32,
+    // Texels along a face's side.
+    side: u32,
+    // Constant offset along the normal in metres.
+    bias_m: f32,
+    pad: u32,
+}
+
+const POINT = 0u;
+const SPOT = 1u;
+const SUN = 2u;
+// Reach of the filter in texels, and what is added against rounding.
+const FILTER_REACH = 2.0;
+const FILTER_MARGIN = 0.5;
+
+@group(0) @binding(0) var<storage, read> lights: array<Light>;
+@group(0) @binding(1) var<storage, read> faces: array<Face>;
+@group(0) @binding(2) var<uniform> light_count: LightCount;
+@group(0) @binding(3) var shadow_maps: texture_depth_2d_array;
+
+fn cube_face(d: vec3f) -> u32 {
+    let a = abs(d);
+    if a.x >= a.y && a.x >= a.z {
+        return select(1u, 0u, d.x >= 0.0);
+    }
+    if a.y >= a.z {
+        return select(3u, 2u, d.y >= 0.0);
+    }
+    return select(5u, 4u, d.z >= 0.0);
+}
+
+fn face_of(light: Light, position: vec3f) -> u32 {
+    let d = position - light.position;
+    if light.shape == SUN {
+        let tiles = u32(round(sqrt(f32(light.face_count))));
+        let first = light.first_face;
+        let across = vec2f(dot(d, faces[first].right), dot(d, faces[first].up)) / light.half_extent;
+        let tile = clamp((0.5 * across + 0.5) * f32(tiles), vec2f(0.0), vec2f(f32(tiles) - 0.5));
+        return first + u32(tile.y) * tiles + u32(tile.x);
+    }
+    if light.face_count == 6u {
+        return light.first_face + cube_face(d);
+    }
+    return light.first_face;
+}
+
+// Share of the light that arrives, from 4 × 4 texels: a box of three texels joined with bilinear weights.
+fn visibility(face_index: u32, position: vec3f) -> f32 {
+    let clip = faces[face_index].clip_from_world * vec4f(position, 1.0);
+    if clip.w <= 0.0 {
+        return 1.0;
+    }
+    let ndc = clip.xyz / clip.w;
+    let side = f32(light_count.side);
+    let at = (vec2f(ndc.x, -ndc.y) * 0.5 + 0.5) * side - 0.5;
+    let base = floor(at);
+    let share = at - base;
+    let weight_x = array<f32, 4>(1.0 - share.x, 1.0, 1.0, share.x);
+    let weight_y = array<f32, 4>(1.0 - share.y, 1.0, 1.0, share.y);
+    let last = i32(light_count.side) - 1;
+    var lit = 0.0;
+    for (var row = 0; row < 4; row++) {
+        for (var column = 0; column < 4; column++) {
+            let texel = clamp(vec2i(base) + vec2i(column - 1, row - 1), vec2i(0), vec2i(last));
+            let nearest = textureLoad(shadow_maps, texel, i32(face_index), 0);
+            lit += select(0.0, weight_x[column] * weight_y[row], nearest <= ndc.z);
+        }
+    }
+    return lit / 9.0;
+}
+
+// Moves a point along its normal until the filter's reach cannot meet the point's own surface.
+fn lifted(face_index: u32, position: vec3f, normal: vec3f) -> vec3f {
+    let w = dot(vec4f(position, 1.0), vec4f(
+        faces[face_index].clip_from_world[0].w,
+        faces[face_index].clip_from_world[1].w,
+        faces[face_index].clip_from_world[2].w,
+        faces[face_index].clip_from_world[3].w,
+    ));
+    let texel = faces[face_index].texel_at_unit_w * max(w, 0.0);
+    let slope = abs(dot(normal, faces[face_index].right)) + abs(dot(normal, faces[face_index].up));
+    return position + normal * (texel * (FILTER_REACH * slope + FILTER_MARGIN) + light_count.bias_m);
+}
+
+// Irradiance in W/m2 that would arrive without occluders on a surface with this normal.
+fn unshadowed(light: Light, position: vec3f, normal: vec3f) -> vec3f {
+    if light.shape == SUN {
+        return light.strength * max(dot(normal, -light.direction), 0.0);
+    }
+    let d = light.position - position;
+    let distance2 = max(dot(d, d), 1e-8);
+    let towards = d * inverseSqrt(distance2);
+    var factor = max(dot(normal, towards), 0.0) / distance2;
+    if light.range_m > 0.0 {
+        let share2 = distance2 / (light.range_m * light.range_m);
+        factor *= clamp(1.0 - share2 * share2, 0.0, 1.0);
+    }
+    if light.shape == SPOT {
+        let cosine = dot(light.direction, -towards);
+        let cone = clamp((cosine - light.cone_cos_outer) / (light.cone_cos_inner - light.cone_cos_outer), 0.0, 1.0);
+        factor *= cone * cone;
+    }
+    return light.strength * factor;
+}
+
+// `normal` is the shading normal, `facet` the surface's own.
+fn direct_irradiance(position: vec3f, normal: vec3f, facet: vec3f) -> vec3f {
+    var sum = vec3f(0.0);
+    for (var index = 0u; index < light_count.count; index++) {
+        let light = lights[index];
+        let arriving = unshadowed(light, position, normal);
+        if max(arriving.x, max(arriving.y, arriving.z)) <= 0.0 {
+            continue;
+        }
+        let at = lifted(face_of(light, position), position, facet);
+        sum += arriving * visibility(face_of(light, at), at);
+    }
+    return sum;
+}

@@ -1,0 +1,104 @@
+//! Pictures: linear radiance, exposure, tone mapping, PNG.
+
+mod tone;
+
+use std::path::Path;
+
+use glam::{Vec3, Vec4};
+use image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
+use rayon::prelude::*;
+
+use crate::bake::srgb_of_linear;
+use crate::error::{ClientError, Result};
+
+pub use tone::{Exposure, Tone, automatic_exposure};
+
+/// A finished picture and how it came about.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Picture {
+    /// Width in pixels.
+    pub width: u32,
+    /// Height in pixels.
+    pub height: u32,
+    /// Radiance in W·m⁻²·sr⁻¹, linear Rec.709, row after row.
+    pub linear: Vec<[f32; 3]>,
+    /// Exposed, tone mapped and sRGB encoded: red, green, blue, opaque; row after row.
+    pub ldr: Vec<[u8; 4]>,
+    /// Factor on radiance before tone mapping.
+    pub exposure: f32,
+    /// What drew it, and why not the other.
+    pub drawn_by: String,
+    /// It was drawn by the processor, slower.
+    pub by_reference: bool,
+    /// Frames until the bounces had converged.
+    pub frames: u32,
+    /// Whether they had, within the frames allowed.
+    pub converged: bool,
+}
+
+/// Sums samples per pixel: the mean radiance, and the mean of what each sample shows, so that the edge of a lamp is
+/// smooth on the screen although its radiance is far above white.
+#[derive(Debug)]
+pub(crate) struct Film {
+    size: [u32; 2],
+    tone: Tone,
+    exposure: f32,
+    samples: u32,
+    linear: Vec<Vec3>,
+    shown: Vec<Vec3>,
+}
+
+impl Film {
+    /// An empty film; the first sample sets an automatic exposure.
+    pub fn new(size: [u32; 2], tone: Tone, exposure: Exposure, first: &[Vec4]) -> Self {
+        let count = size[0] as usize * size[1] as usize;
+        let exposure = exposure.factor(first);
+        let blank = vec![Vec3::ZERO; count];
+        Self { size, tone, exposure, samples: 0, linear: blank.clone(), shown: blank }
+    }
+
+    /// Adds one sample per pixel.
+    pub fn add(&mut self, radiance: &[Vec4]) {
+        self.samples += 1;
+        let (tone, exposure) = (self.tone, self.exposure);
+        let pixels = self.linear.par_iter_mut().zip(&mut self.shown).zip(radiance);
+        pixels.for_each(|((linear, shown), radiance)| {
+            let radiance = radiance.truncate().max(Vec3::ZERO);
+            *linear += radiance;
+            *shown += tone.map(radiance * exposure);
+        });
+    }
+
+    /// The picture; the fields about how it came about are the caller's to fill.
+    pub fn develop(self) -> Picture {
+        let share = 1.0 / self.samples.max(1) as f32;
+        let byte = |value: f32| (srgb_of_linear(value * share).clamp(0.0, 1.0) * 255.0).round() as u8;
+        Picture {
+            width: self.size[0],
+            height: self.size[1],
+            linear: self.linear.into_iter().map(|sum| (sum * share).into()).collect(),
+            ldr: self.shown.into_iter().map(|sum| [byte(sum.x), byte(sum.y), byte(sum.z), 255]).collect(),
+            exposure: self.exposure,
+            drawn_by: String::new(),
+            by_reference: false,
+            frames: 0,
+            converged: false,
+        }
+    }
+}
+
+impl Picture {
+    /// Writes the picture as PNG, through a temporary file beside it.
+    pub fn write_png(&self, path: &Path) -> Result<()> {
+        write_png(path, self.width, self.height, &self.ldr)
+    }
+}
+
+/// Writes 8-bit pixels as PNG, through a temporary file beside it.
+pub fn write_png(path: &Path, width: u32, height: u32, pixels: &[[u8; 4]]) -> Result<()> {
+    let mut encoded = Vec::new();
+    PngEncoder::new(&mut encoded)
+        .write_image(bytemuck::cast_slice(pixels), width, height, ExtendedColorType::Rgba8)
+        .map_err(|source| ClientError::Picture { path: path.to_owned(), source: Box::new(source) })?;
+    crate::fetch::write_atomically(path, &encoded)
+}

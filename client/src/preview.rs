@@ -1,0 +1,201 @@
+//! One picture of a bake: lights in, converged bounces, picture out.
+
+mod cpu;
+mod debug;
+mod gpu;
+
+use std::path::Path;
+
+use lightkiln_proto::scene::{LightKind, SceneCamera, SceneLight};
+
+use crate::bake::LoadedBake;
+use crate::error::{ClientError, Result};
+use crate::lights::{Caster, Sky, default_camera, default_sun};
+use crate::passes::gpu::Gpu;
+use crate::passes::shadow::{self, ShadowPlan};
+use crate::picture::{Exposure, Picture, Tone};
+
+pub use debug::{atlas_picture, cluster_picture};
+#[cfg(test)]
+pub(crate) use gpu::Frame;
+
+#[cfg(test)]
+mod tests;
+
+/// Longest side of a picture in pixels.
+pub const MAX_SIDE: u32 = 16_384;
+/// Most samples per pixel.
+pub const MAX_SAMPLES: u32 = 64;
+
+/// Who draws.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Backend {
+    /// The graphics adapter if there is one that can, else the processor.
+    #[default]
+    Auto,
+    /// The graphics adapter or nothing.
+    Gpu,
+    /// The processor: the passes' references.
+    Cpu,
+}
+
+/// What to draw.
+#[derive(Clone, Debug, PartialEq)]
+pub struct View {
+    /// Camera.
+    pub camera: SceneCamera,
+    /// Width in pixels.
+    pub width: u32,
+    /// Height in pixels.
+    pub height: u32,
+    /// Lights and skies.
+    pub lights: Vec<SceneLight>,
+    /// One factor per emitter of the manifest; 1 where absent.
+    pub emitter_scale: Vec<f32>,
+    /// Tone mapping.
+    pub tone: Tone,
+    /// Exposure.
+    pub exposure: Exposure,
+    /// Samples per pixel. More → smoother edges, more time.
+    pub samples: u32,
+    /// Texels along a side of a shadow map, a power of two; many lights get fewer. More → sharper shadows, more memory.
+    pub shadow_side: u32,
+    /// Most frames (bounces) before the picture is drawn.
+    pub frames_max: u32,
+    /// Relative change of E_ind from frame to frame below which bounces have converged. Smaller → more frames.
+    pub change_max: f32,
+}
+
+impl View {
+    /// The view of the bake's own file: its first camera and its lights; what it lacks is chosen, and said in notes.
+    pub fn of_bake(bake: &LoadedBake) -> (Self, Vec<String>) {
+        let mut notes = bake.warnings.clone();
+        let camera = bake.manifest.cameras.first().cloned().unwrap_or_else(|| {
+            let (camera, note) = default_camera(bake);
+            notes.push(note);
+            camera
+        });
+        let mut lights = bake.manifest.lights.clone();
+        if lights.is_empty() && bake.manifest.emitters.is_empty() {
+            let (sun, note) = default_sun(bake);
+            notes.push(note);
+            lights.push(sun);
+        }
+        (Self::new(camera, lights), notes)
+    }
+
+    /// A view with everything else at its default.
+    pub fn new(camera: SceneCamera, lights: Vec<SceneLight>) -> Self {
+        Self {
+            camera,
+            width: 1280,
+            height: 720,
+            lights,
+            emitter_scale: Vec::new(),
+            tone: Tone::default(),
+            exposure: Exposure::default(),
+            samples: 4,
+            shadow_side: 2048,
+            frames_max: 200,
+            change_max: 1e-3,
+        }
+    }
+
+    /// Width and height.
+    pub(crate) fn size(&self) -> [u32; 2] {
+        [self.width, self.height]
+    }
+
+    fn check(&self) -> Result<()> {
+        let wrong =
+            |what: String, problem: &str| Err(ClientError::Argument { what, problem: problem.to_owned() });
+        if self.size().iter().any(|side| !(1..=MAX_SIDE).contains(side)) {
+            return wrong(format!("size {}x{}", self.width, self.height), "sides are 1..=16384 pixels");
+        }
+        if !(1..=MAX_SAMPLES).contains(&self.samples) || self.frames_max == 0 {
+            let what = format!("{} samples, {} frames", self.samples, self.frames_max);
+            return wrong(what, "samples are 1..=64, frames at least 1");
+        }
+        if !self.shadow_side.is_power_of_two()
+            || !(shadow::MIN_SIDE..=shadow::MAX_SIDE).contains(&self.shadow_side)
+        {
+            return wrong(
+                format!("shadow side {}", self.shadow_side),
+                "is a power of two in 64..=4096 texels",
+            );
+        }
+        let finite = |light: &SceneLight| {
+            let position_ok = match &light.kind {
+                LightKind::Point { position_m, .. } | LightKind::Spot { position_m, .. } => {
+                    position_m.iter().all(|value| value.is_finite())
+                }
+                LightKind::Sun { .. } => true,
+                LightKind::Sky { zenith, horizon } => {
+                    zenith.iter().chain(horizon).all(|value| value.is_finite() && *value >= 0.0)
+                }
+            };
+            position_ok && light.strength.iter().all(|value| value.is_finite() && *value >= 0.0)
+        };
+        match self.lights.iter().find(|light| !finite(light)) {
+            Some(light) => {
+                wrong(format!("light '{}'", light.name), "has a number that is negative or not finite")
+            }
+            None => Ok(()),
+        }
+    }
+}
+
+/// What both backends start from.
+pub(crate) struct Prepared<'a> {
+    pub bake: &'a LoadedBake,
+    pub view: &'a View,
+    pub plan: ShadowPlan,
+    pub sky: Sky,
+}
+
+/// Draws a picture.
+pub fn render(bake: &LoadedBake, view: &View, backend: Backend) -> Result<Picture> {
+    view.check()?;
+    let plan = ShadowPlan::new(&Caster::of(&view.lights), bake.manifest.bounds_m, view.shadow_side)?;
+    let prepared = Prepared { bake, view, plan, sky: Sky::of(&view.lights) };
+    match backend {
+        Backend::Cpu => by_reference(&prepared, "as asked"),
+        Backend::Gpu => by_adapter(&prepared),
+        Backend::Auto => match by_adapter(&prepared) {
+            Err(ClientError::Adapter { problem }) => by_reference(&prepared, &problem),
+            drawn => drawn,
+        },
+    }
+}
+
+fn by_adapter(prepared: &Prepared<'_>) -> Result<Picture> {
+    let gpu = Gpu::open()?;
+    let picture = gpu::render(&gpu, prepared)?;
+    Ok(Picture { drawn_by: gpu.name, ..picture })
+}
+
+fn by_reference(prepared: &Prepared<'_>, reason: &str) -> Result<Picture> {
+    let picture = cpu::render(prepared)?;
+    Ok(Picture { drawn_by: format!("the processor, slower than a graphics adapter ({reason})"), ..picture })
+}
+
+/// Draws a picture and writes it as PNG.
+pub fn render_png(bake: &LoadedBake, view: &View, backend: Backend, path: &Path) -> Result<Picture> {
+    let picture = render(bake, view, backend)?;
+    picture.write_png(path)?;
+    Ok(picture)
+}
+
+/// Offsets of samples in the pixel: a rotated grid for 4, else the R2 sequence [Roberts2018].
+pub(crate) fn jitters(samples: u32) -> Vec<[f32; 2]> {
+    match samples {
+        1 => vec![[0.0, 0.0]],
+        4 => vec![[-0.125, -0.375], [0.375, -0.125], [-0.375, 0.125], [0.125, 0.375]],
+        _ => (0..samples)
+            .map(|index| {
+                let at = |step: f64| (0.5 + step * f64::from(index + 1)).fract() as f32 - 0.5;
+                [at(0.754_877_666_246_692_8), at(0.569_840_290_998_053_3)]
+            })
+            .collect(),
+    }
+}
