@@ -1,0 +1,74 @@
+//! The command line: subcommands, and arguments that several of them share.
+
+use clap::{Args, Parser, Subcommand};
+
+use crate::commands::{
+    bake, cancel, fetch, inspect, list, preview, server, settings, show, submit, watch, worker,
+};
+use crate::failure::{EXIT_CODES, Result};
+
+/// Bakes relightable global illumination for glTF scenes: on this machine, or on a farm over HTTP.
+#[derive(Parser, Debug)]
+#[command(name = "kiln", version, after_help = EXIT_CODES)]
+pub struct Arguments {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+/// The subcommands.
+#[derive(Subcommand, Debug)]
+pub enum Command {
+    /// Bakes a scene into a bundle
+    Bake(bake::Arguments),
+    /// Runs a farm's server
+    Server(server::Arguments),
+    /// Runs a worker for a farm's server
+    Worker(worker::Arguments),
+    /// Submits a scene to a farm and prints the bake's id
+    Submit(submit::Arguments),
+    /// Lists a farm's bakes
+    List(list::Arguments),
+    /// Shows one bake
+    Show(show::Arguments),
+    /// Follows a bake until it ends
+    Watch(watch::Arguments),
+    /// Cancels a bake
+    Cancel(cancel::Arguments),
+    /// Downloads a finished bake as a bundle
+    Fetch(fetch::Arguments),
+    /// Draws a picture of a bake
+    Preview(preview::Arguments),
+    /// Says what is in a bundle or a chunk
+    Inspect(inspect::Arguments),
+    /// Lists every setting of a bake with its range and presets
+    Settings(settings::Arguments),
+}
+
+impl Command {
+    /// Runs the command to its end.
+    pub fn run(self) -> Result<()> {
+        match self {
+            Self::Bake(arguments) => bake::run(arguments),
+            Self::Server(arguments) => server::run(arguments),
+            Self::Worker(arguments) => worker::run(arguments),
+            Self::Submit(arguments) => submit::run(arguments),
+            Self::List(arguments) => list::run(arguments),
+            Self::Show(arguments) => show::run(arguments),
+            Self::Watch(arguments) => watch::run(arguments),
+            Self::Cancel(arguments) => cancel::run(arguments),
+            Self::Fetch(arguments) => fetch::run(arguments),
+            Self::Preview(arguments) => preview::run(arguments),
+            Self::Inspect(arguments) => inspect::run(arguments),
+            Self::Settings(arguments) => settings::run(arguments),
+        }
+    }
+}
+
+/// Which server to call.
+#[derive(Args, Clone, Debug)]
+pub struct ServerArgument {
+    /// Base URL of the server
+    #[arg(long, value_name = "URL", env = "KILN_SERVER", default_value = "http://127.0.0.1:7410")]
+    pub server: String,
+}

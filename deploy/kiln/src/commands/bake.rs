@@ -1,0 +1,154 @@
+//! `kiln bake`: scene in, bundle out; with server and worker inside this process, or on a farm.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use clap::Args;
+use lightkiln_client::fetch::{ApiClient, Source};
+
+use super::following::follow;
+use super::submitting::{PackedScene, connect};
+use crate::bundle::{refuse_foreign_folder, write_bundle};
+use crate::embedded::{EmbeddedFarm, default_state};
+use crate::failure::{EXIT_CODES, Exit, Failure, Result};
+use crate::interrupt::Interrupt;
+use crate::picture::PictureArguments;
+use crate::settings::SettingsArguments;
+
+/// Arguments of `kiln bake`.
+#[derive(Args, Debug)]
+#[command(after_help = EXIT_CODES)]
+pub struct Arguments {
+    /// The scene: a .glb, a .gltf with its files beside it, or a .zip of them
+    scene: PathBuf,
+    /// Folder to write the bundle to [default: the scene's name with .kiln]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    #[command(flatten)]
+    settings: SettingsArguments,
+    /// Draws a picture of the bake
+    #[arg(long, value_name = "PNG")]
+    preview: Option<PathBuf>,
+    #[command(flatten)]
+    picture: PictureArguments,
+    /// Bakes on the farm at this URL instead of in this process
+    #[arg(long, value_name = "URL", conflicts_with_all = ["threads", "state"])]
+    server: Option<String>,
+    /// Threads to bake with [default: one per processor]
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
+    /// Folder that keeps finished tasks, so that nothing is baked twice
+    /// [env: KILN_STATE; default: lightkiln in the user's cache folder]
+    #[arg(long, value_name = "DIR")]
+    state: Option<PathBuf>,
+    /// Ends with one JSON object on standard output: bake, scene, out, receivers, probes, clusters, tasks_run,
+    /// tasks_reused, mean_rank, rank_max, rays_closest, rays_occlusion, uncovered_fraction, bytes_total,
+    /// bytes_per_receiver, elapsed_secs, stages
+    #[arg(long)]
+    json: bool,
+}
+
+/// Bakes, writes the bundle, and draws the picture if one is wanted.
+pub fn run(arguments: Arguments) -> Result<()> {
+    let started = Instant::now();
+    let settings = arguments.settings.resolve()?;
+    arguments.picture.check()?;
+    let out = arguments.out.clone().unwrap_or_else(|| default_out(&arguments.scene));
+    refuse_foreign_folder(&out)?;
+    let scene = PackedScene::read(&arguments.scene)?;
+    let interrupt = Interrupt::listen()?;
+    let farm = Place::open(&arguments)?;
+    let client = connect(farm.url(), &interrupt)?;
+    let bake = scene.submit(&client, &settings, 0)?;
+    let bake = follow(&client, &bake.id, &interrupt, || farm.check())
+        .map_err(|failure| wind_down(failure, &farm, &client, &bake.id))?;
+    let scene_name = arguments.scene.display().to_string();
+    let (summary, _) = write_bundle(&client, &bake, &scene_name, &out, started)?;
+    drop(farm);
+    if let Some(png) = &arguments.preview {
+        arguments.picture.draw(&Source::bundle(&out)?, png)?;
+        eprintln!("picture: {}", png.display());
+    }
+    eprint!("{}", summary.words());
+    eprintln!("bundle: {}", out.display());
+    if arguments.json {
+        println!("{}", serde_json::json!(summary));
+    }
+    Ok(())
+}
+
+/// Where the bake runs.
+enum Place {
+    Embedded(Box<EmbeddedFarm>),
+    Farm(String),
+}
+
+impl Place {
+    fn open(arguments: &Arguments) -> Result<Self> {
+        if let Some(url) = &arguments.server {
+            return Ok(Self::Farm(url.clone()));
+        }
+        let state = arguments.state.clone().map_or_else(default_state, Ok)?;
+        let threads = arguments.threads.map_or_else(all_processors, usize::from);
+        Ok(Self::Embedded(Box::new(EmbeddedFarm::start(&state, threads)?)))
+    }
+
+    fn url(&self) -> &str {
+        match self {
+            Self::Embedded(farm) => farm.url(),
+            Self::Farm(url) => url,
+        }
+    }
+
+    fn check(&self) -> Result<()> {
+        match self {
+            Self::Embedded(farm) => farm.check(),
+            Self::Farm(_) => Ok(()),
+        }
+    }
+}
+
+/// One thread per processor.
+pub fn all_processors() -> usize {
+    std::thread::available_parallelism().map_or(1, usize::from)
+}
+
+/// Stops the work and cancels the bake, so that nothing goes on behind the user's back: in this process after any
+/// failure, on a farm, where the bake can be watched again, after Ctrl-C.
+fn wind_down(failure: Failure, farm: &Place, client: &ApiClient, id: &str) -> Failure {
+    let is_interrupted = failure.exit() == Exit::Interrupted;
+    let cancelled = match farm {
+        Place::Farm(_) if !is_interrupted => return failure,
+        Place::Farm(_) => client.cancel(id).map(drop),
+        Place::Embedded(farm) => {
+            farm.stop_worker();
+            // A bake that has ended cannot be cancelled, and one that goes on is when the state is opened next.
+            if let Err(error) = client.cancel(id) {
+                tracing::debug!(%error, "the bake was not cancelled");
+            }
+            Ok(())
+        }
+    };
+    match cancelled {
+        Ok(()) if !is_interrupted => failure,
+        Ok(()) => failure.try_this("the same command again; it goes on from the tasks that are done"),
+        Err(error) => {
+            failure.caused_by(&error).try_this(format!("'kiln cancel {id}', as the bake may still run"))
+        }
+    }
+}
+
+fn default_out(scene: &Path) -> PathBuf {
+    PathBuf::from(scene.file_stem().unwrap_or(scene.as_os_str())).with_added_extension("kiln")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bundle_is_named_after_the_scene() {
+        assert_eq!(default_out(Path::new("scenes/cornell.glb")), Path::new("cornell.kiln"));
+        assert_eq!(default_out(Path::new("a.b.gltf")), Path::new("a.b.kiln"));
+    }
+}

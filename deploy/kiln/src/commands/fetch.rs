@@ -1,0 +1,39 @@
+//! `kiln fetch`: downloads a finished bake as a bundle.
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use clap::Args;
+
+use super::submitting::connect;
+use crate::arguments::ServerArgument;
+use crate::bundle::write_bundle;
+use crate::failure::Result;
+use crate::interrupt::Interrupt;
+
+/// Arguments of `kiln fetch`.
+#[derive(Args, Debug)]
+pub struct Arguments {
+    /// The bake's id
+    id: String,
+    /// Folder to write the bundle to, new, empty or a bundle's; its chunks that are there already are kept
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    #[command(flatten)]
+    server: ServerArgument,
+}
+
+/// Downloads manifest, chunks and report; the same command again goes on after an interruption.
+pub fn run(arguments: Arguments) -> Result<()> {
+    let started = Instant::now();
+    let interrupt = Interrupt::listen()?;
+    let client = connect(&arguments.server.server, &interrupt)?;
+    let bake = client.bake(&arguments.id)?;
+    let (_, done) = write_bundle(&client, &bake, &bake.name, &arguments.out, started)?;
+    let (fetched, bytes, kept) = (done.fetched, done.fetched_bytes, done.kept);
+    eprintln!(
+        "{fetched} chunks fetched ({bytes} bytes), {kept} were there already: {}",
+        arguments.out.display()
+    );
+    Ok(())
+}

@@ -1,0 +1,69 @@
+//! Follows a bake on a server until it ends, showing its progress.
+
+use std::time::Duration;
+
+use lightkiln_client::fetch::{ApiClient, RetryPolicy};
+use lightkiln_proto::api::{Bake, BakeState, EventKind};
+use lightkiln_proto::prt::TaskKind;
+
+use crate::failure::{Exit, Failure, Result};
+use crate::interrupt::Interrupt;
+use crate::progress::ProgressView;
+
+/// Seconds that one poll waits for news; short, so that Ctrl-C is heard soon.
+const POLL_SECS: u32 = 1;
+/// A bake outlives a server's restart, so this waits some minutes for one.
+const PATIENCE: RetryPolicy = RetryPolicy {
+    attempts: 40,
+    first_wait: Duration::from_millis(250),
+    longest_wait: Duration::from_secs(8),
+};
+
+/// Waits until the bake is done. `check` is asked between polls whether waiting still makes sense.
+///
+/// Errors when the bake failed or was cancelled, on a signal, and when the server stays away.
+pub fn follow(
+    client: &ApiClient,
+    id: &str,
+    interrupt: &Interrupt,
+    check: impl Fn() -> Result<()>,
+) -> Result<Bake> {
+    let client = client.clone().with_retry(PATIENCE);
+    let mut view = ProgressView::new();
+    let mut seen = 0;
+    let mut failed_kind = None;
+    loop {
+        if interrupt.is_raised() {
+            return Err(Failure::new(Exit::Interrupted, "interrupted"));
+        }
+        check()?;
+        let page = client.events(id, seen, POLL_SECS)?;
+        view.update(&page.bake, &page.events);
+        for event in &page.events {
+            seen = event.seq;
+            if let EventKind::TaskFailed { kind, retry: false, .. } = &event.event {
+                failed_kind = Some(kind.clone());
+            }
+        }
+        if page.bake.state.is_final() && page.events.is_empty() {
+            return ended(page.bake, failed_kind.as_deref());
+        }
+    }
+}
+
+fn ended(bake: Bake, failed_kind: Option<&str>) -> Result<Bake> {
+    match bake.state {
+        BakeState::Done | BakeState::Running | BakeState::Paused => Ok(bake),
+        BakeState::Cancelled => {
+            Err(Failure::new(Exit::Interrupted, format!("bake {} was cancelled", bake.id))
+                .try_this("the same command again goes on from what was done"))
+        }
+        BakeState::Failed => {
+            let why = bake.failure.as_deref().unwrap_or("no reason was given");
+            // Import reads nothing but the scene's own files: when it fails, they are wrong.
+            let is_import = failed_kind == Some(TaskKind::Import.name());
+            let exit = if is_import { Exit::BadInput } else { Exit::Failed };
+            Err(Failure::new(exit, format!("bake {} failed: {why}", bake.id)))
+        }
+    }
+}

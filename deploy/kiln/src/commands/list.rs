@@ -1,0 +1,47 @@
+//! `kiln list`: a farm's bakes, newest first.
+
+use clap::Args;
+
+use super::show::state_word;
+use super::submitting::connect;
+use crate::arguments::ServerArgument;
+use crate::failure::Result;
+use crate::interrupt::Interrupt;
+
+/// Arguments of `kiln list`.
+#[derive(Args, Debug)]
+pub struct Arguments {
+    #[command(flatten)]
+    server: ServerArgument,
+    /// Lists at most this many
+    #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=100))]
+    limit: u32,
+    /// Goes on after this bake
+    #[arg(long, value_name = "ID")]
+    after: Option<String>,
+    /// Prints the page as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Prints the bakes as a table or as JSON.
+pub fn run(arguments: Arguments) -> Result<()> {
+    let client = connect(&arguments.server.server, &Interrupt::default())?;
+    let page = client.bakes(arguments.after.as_deref(), arguments.limit)?;
+    if arguments.json {
+        println!("{}", serde_json::json!(page));
+        return Ok(());
+    }
+    for bake in &page.bakes {
+        let total: u64 = bake.stages.iter().map(|stage| stage.total).sum();
+        let done: u64 = bake.stages.iter().map(|stage| stage.done).sum();
+        println!("{}  {:9}  {:>6}/{:<6}  {}", bake.id, state_word(bake.state), done, total, bake.name);
+    }
+    if page.bakes.is_empty() {
+        eprintln!("no bakes here; 'kiln submit SCENE' makes one");
+    }
+    if let Some(next) = page.next {
+        eprintln!("more with --after {next}");
+    }
+    Ok(())
+}

@@ -1,0 +1,16 @@
+//! The subcommands, one file each, and the steps that several of them take.
+
+pub mod bake;
+pub mod cancel;
+pub mod fetch;
+pub mod following;
+pub mod inspect;
+pub mod list;
+pub mod preview;
+pub mod server;
+pub mod settings;
+pub mod show;
+pub mod submit;
+pub mod submitting;
+pub mod watch;
+pub mod worker;

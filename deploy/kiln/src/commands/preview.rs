@@ -1,0 +1,40 @@
+//! `kiln preview`: a picture of a bake, from a bundle or from a farm.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use lightkiln_client::fetch::Source;
+
+use super::submitting::connect;
+use crate::failure::Result;
+use crate::interrupt::Interrupt;
+use crate::picture::PictureArguments;
+
+/// Arguments of `kiln preview`.
+#[derive(Args, Debug)]
+pub struct Arguments {
+    /// Bundle folder; with --server, the id of a finished bake there
+    #[arg(value_name = "BUNDLE_OR_ID")]
+    bake: PathBuf,
+    /// Takes the bake from the server at this URL
+    #[arg(long, value_name = "URL")]
+    server: Option<String>,
+    /// Picture to write
+    #[arg(long, value_name = "PNG")]
+    out: PathBuf,
+    #[command(flatten)]
+    picture: PictureArguments,
+}
+
+/// Draws the picture.
+pub fn run(arguments: Arguments) -> Result<()> {
+    arguments.picture.check()?;
+    let source = match &arguments.server {
+        Some(url) => {
+            let client = connect(url, &Interrupt::default())?;
+            Source::server(client, arguments.bake.to_string_lossy())
+        }
+        None => Source::bundle(&arguments.bake)?,
+    };
+    arguments.picture.draw(&source, &arguments.out)
+}

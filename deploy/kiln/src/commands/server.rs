@@ -1,0 +1,63 @@
+//! `kiln server`: the HTTP API, the queue and the chunk store.
+
+use std::error::Error as StdError;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use clap::Args;
+use lightkiln_server::{Config, Server};
+use lightkiln_worker::runtime::Level;
+use tokio::runtime::Runtime;
+
+use crate::embedded::{default_state, server_failure};
+use crate::failure::{Exit, Failure, Result};
+use crate::interrupt::Interrupt;
+
+/// Longest wait of one look at the flag; any length would do.
+const HOUR: Duration = Duration::from_secs(3600);
+
+/// Arguments of `kiln server`.
+#[derive(Args, Debug)]
+pub struct Arguments {
+    /// Address and port to listen on; port 0 takes a free one. The address is printed on standard output
+    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:7410")]
+    listen: String,
+    /// Listens on addresses that other machines can reach, although nobody is asked for a password: whoever reaches
+    /// the port can submit, read and cancel bakes
+    #[arg(long)]
+    allow_non_loopback: bool,
+    /// Folder for queue and chunks [default: server in the state folder of 'kiln bake']
+    #[arg(long, value_name = "DIR")]
+    state: Option<PathBuf>,
+}
+
+/// Serves until a signal comes.
+pub fn run(arguments: Arguments) -> Result<()> {
+    let interrupt = Interrupt::listen()?;
+    let state = match arguments.state {
+        Some(state) => state,
+        None => default_state()?.join("server"),
+    };
+    let config = Config { allow_non_loopback: arguments.allow_non_loopback, ..Config::new(&state) };
+    let failed =
+        |what: &str, error: &(dyn StdError + 'static)| Failure::new(Exit::Failed, what).caused_by(error);
+    let runtime = Runtime::new().map_err(|error| failed("the server's threads cannot be started", &error))?;
+    runtime.block_on(async {
+        let server = Server::open(config).await.map_err(|error| server_failure(&error))?;
+        let listener = server.bind(&arguments.listen).await.map_err(|error| server_failure(&error))?;
+        let address = listener.local_addr().map_err(|error| failed("the address is not known", &error))?;
+        // For scripts that asked for a free port: the first and only line on standard output.
+        println!("listening on http://{address}");
+        let flag = interrupt.flag().clone();
+        let signal =
+            tokio::task::spawn_blocking(
+                move || {
+                    while flag.wait(HOUR, |level| level > Level::Run) == Level::Run {}
+                },
+            );
+        let shutdown = async {
+            let _ = signal.await;
+        };
+        server.serve(listener, shutdown).await.map_err(|error| server_failure(&error))
+    })
+}

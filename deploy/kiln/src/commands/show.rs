@@ -1,0 +1,74 @@
+//! `kiln show`: one bake as it stands.
+
+use clap::Args;
+use lightkiln_proto::api::{Bake, BakeState};
+
+use super::submitting::connect;
+use crate::arguments::ServerArgument;
+use crate::failure::Result;
+use crate::interrupt::Interrupt;
+use crate::summary::stage_name;
+
+/// Arguments of `kiln show`.
+#[derive(Args, Debug)]
+pub struct Arguments {
+    /// The bake's id
+    id: String,
+    #[command(flatten)]
+    server: ServerArgument,
+    /// Prints it as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Prints the bake for people or as JSON.
+pub fn run(arguments: Arguments) -> Result<()> {
+    let client = connect(&arguments.server.server, &Interrupt::default())?;
+    let bake = client.bake(&arguments.id)?;
+    if arguments.json {
+        println!("{}", serde_json::json!(bake));
+    } else {
+        print!("{}", words(&bake));
+    }
+    Ok(())
+}
+
+/// A bake's state as people read it.
+pub fn state_word(state: BakeState) -> &'static str {
+    match state {
+        BakeState::Running => "running",
+        BakeState::Paused => "paused",
+        BakeState::Done => "done",
+        BakeState::Failed => "failed",
+        BakeState::Cancelled => "cancelled",
+    }
+}
+
+fn words(bake: &Bake) -> String {
+    let mut words = format!(
+        "bake      {}\nname      {}\nstate     {}\nscene     {}\nsettings  {}\n\
+         tasks     {} run, {} done before\n",
+        bake.id,
+        bake.name,
+        state_word(bake.state),
+        bake.scene,
+        bake.settings,
+        bake.tasks_run,
+        bake.tasks_reused
+    );
+    for stage in &bake.stages {
+        let name = stage_name(&stage.kind);
+        let secs = stage.elapsed_ms as f64 / 1e3;
+        words += &format!(
+            "  {name:10} {:>6}/{:<6} {} under way, {secs:.1} s\n",
+            stage.done, stage.total, stage.leased
+        );
+    }
+    if let Some(failure) = &bake.failure {
+        words += &format!("failure   {failure}\n");
+    }
+    if bake.state == BakeState::Done {
+        words += &format!("next      kiln fetch {} --out DIR\n", bake.id);
+    }
+    words
+}

@@ -1,0 +1,66 @@
+//! From a scene on disk to a bake on a server.
+
+use std::hash::{BuildHasher as _, Hasher as _, RandomState};
+use std::path::Path;
+use std::time::{Duration, SystemTime};
+
+use lightkiln_client::fetch::{ApiClient, RetryPolicy};
+use lightkiln_proto::api::{Bake, NewBake};
+use lightkiln_proto::ids::Digest;
+use lightkiln_worker::scene::{Bundle, Limits};
+use serde_json::Value;
+
+use crate::failure::{Failure, Result};
+use crate::interrupt::Interrupt;
+
+/// Few and quick, as a person waits for the first answer.
+const FIRST_CONTACT: RetryPolicy =
+    RetryPolicy { attempts: 4, first_wait: Duration::from_millis(250), longest_wait: Duration::from_secs(1) };
+/// Longest name of a bake.
+const NAME_CHARS_MAX: usize = 200;
+
+/// A scene packed for upload.
+pub struct PackedScene {
+    /// What people call it: the file's stem.
+    pub name: String,
+    bytes: Vec<u8>,
+}
+
+impl PackedScene {
+    /// Reads the scene and the files that it names.
+    pub fn read(path: &Path) -> Result<Self> {
+        let bytes = Bundle::pack_path(path, &Limits::default()).map_err(|error| {
+            Failure::bad_input(format!("the scene {} cannot be baked", path.display()))
+                .caused_by(&error)
+                .try_this("a .glb, a .gltf with its files beside it, or a .zip of them")
+        })?;
+        let stem = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
+        Ok(Self { name: stem.chars().take(NAME_CHARS_MAX).collect(), bytes })
+    }
+
+    /// Uploads the scene unless the server has it, and asks for its bake.
+    pub fn submit(&self, client: &ApiClient, settings: &Value, priority: i32) -> Result<Bake> {
+        let stored = client.upload_scene(&self.bytes)?;
+        let bake = NewBake {
+            name: self.name.clone(),
+            scene: stored.scene,
+            kind: lightkiln_proto::bake::PRT.to_owned(),
+            settings: settings.clone(),
+            priority,
+        };
+        Ok(client.submit(&bake, &idempotency_key(stored.scene))?)
+    }
+}
+
+/// A server that answers quickly or not at all; its waits end on Ctrl-C.
+pub fn connect(url: &str, interrupt: &Interrupt) -> Result<ApiClient> {
+    Ok(ApiClient::new(url, None)?.with_retry(FIRST_CONTACT).with_stop(interrupt.stop()))
+}
+
+/// Differs between runs, so that baking a scene again is a new bake; stays the same over the tries of one call.
+fn idempotency_key(scene: Digest) -> String {
+    let mut random = RandomState::new().build_hasher();
+    random.write_u32(std::process::id());
+    let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+    format!("{:016x}-{:x}-{:016x}", scene.short(), now.as_nanos(), random.finish())
+}

@@ -1,0 +1,75 @@
+//! `kiln worker`: does tasks for a farm's server.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use clap::Args;
+use lightkiln_worker::prt::PrtRunner;
+use lightkiln_worker::runtime::{Worker, WorkerConfig, WorkerError};
+
+use super::bake::all_processors;
+use crate::arguments::ServerArgument;
+use crate::embedded::default_state;
+use crate::failure::{Exit, Failure, Result};
+use crate::interrupt::Interrupt;
+
+/// Arguments of `kiln worker`.
+#[derive(Args, Debug)]
+#[command(
+    after_help = "The first Ctrl-C or SIGTERM finishes the task in hand if it ends within 20 seconds, else gives \
+                        it back; the second ends at once, and the task goes to another worker when its lease runs out."
+)]
+pub struct Arguments {
+    #[command(flatten)]
+    server: ServerArgument,
+    /// Threads for a task [default: one per processor]
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
+    /// Folder for fetched artefacts [default: worker in the state folder]
+    #[arg(long, value_name = "DIR")]
+    cache: Option<PathBuf>,
+    /// GiB that the cache folder may hold
+    #[arg(long, value_name = "GIB", default_value_t = 20, value_parser = clap::value_parser!(u64).range(1..=65536))]
+    cache_gib: u64,
+    /// Seconds after which the task of a worker that is not heard from goes to another
+    #[arg(long, value_name = "SECS", default_value_t = 30, value_parser = clap::value_parser!(u32).range(5..=3600))]
+    lease_secs: u32,
+    /// Name on the farm, unique there [default: host name and process id]
+    #[arg(long)]
+    name: Option<String>,
+}
+
+/// Works until a signal comes.
+pub fn run(arguments: Arguments) -> Result<()> {
+    let interrupt = Interrupt::listen()?;
+    let cache = match arguments.cache {
+        Some(cache) => cache,
+        None => default_state()?.join("worker"),
+    };
+    let mut config = WorkerConfig::new(&arguments.server.server, arguments.name.unwrap_or_else(default_name));
+    config.threads = arguments.threads.map_or_else(all_processors, usize::from);
+    config.cache_dir = Some(cache);
+    config.lease_secs = arguments.lease_secs;
+    config.cache_bytes = arguments.cache_gib << 30;
+    let name = config.name.clone();
+    let worker = Worker::new(config, Arc::new(PrtRunner)).map_err(worker_failure)?;
+    eprintln!("worker {name} takes tasks from {}", arguments.server.server);
+    worker.run(interrupt.flag()).map_err(worker_failure)
+}
+
+fn default_name() -> String {
+    let host = std::fs::read_to_string("/etc/hostname").unwrap_or_default();
+    let host = host.trim();
+    format!("{}-{}", if host.is_empty() { "worker" } else { host }, std::process::id())
+}
+
+fn worker_failure(error: WorkerError) -> Failure {
+    let (exit, next_step) = match &error {
+        WorkerError::Cache { .. } => (Exit::BadInput, "another folder with --cache DIR"),
+        WorkerError::Threads { .. } => (Exit::BadInput, "fewer threads with --threads N"),
+        WorkerError::Refused(_) => {
+            (Exit::Unreachable, "the URL of a Lightkiln server of this version with --server")
+        }
+    };
+    Failure::new(exit, "the worker cannot go on").caused_by(&error).try_this(next_step)
+}

@@ -1,0 +1,152 @@
+//! How a command fails: what was wrong, its causes, the next step, and an exit code that scripts can rely on.
+
+use std::error::Error as StdError;
+use std::fmt;
+use std::process::ExitCode;
+
+use lightkiln_client::ClientError;
+use lightkiln_proto::problem::{ProblemCode, RetryClass};
+
+/// Exit codes, for `--help`.
+pub const EXIT_CODES: &str = "Exit codes:
+  0    done
+  1    the bake failed, or Lightkiln itself did
+  2    wrong arguments, settings or input files
+  3    the server was not reached
+  130  interrupted";
+
+/// Why a command ends; the number is the process's exit code.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Exit {
+    /// The bake failed, or Lightkiln itself did.
+    Failed = 1,
+    /// Wrong arguments, settings or input files.
+    BadInput = 2,
+    /// The server was not reached.
+    Unreachable = 3,
+    /// Ctrl-C or SIGTERM.
+    Interrupted = 130,
+}
+
+impl From<Exit> for ExitCode {
+    fn from(exit: Exit) -> Self {
+        Self::from(exit as u8)
+    }
+}
+
+/// A command's end without success. Displayed as `error: …`, `caused by: …` and `try: …`, a line each.
+#[derive(Debug)]
+pub struct Failure {
+    exit: Exit,
+    message: String,
+    causes: Vec<String>,
+    next_step: Option<String>,
+}
+
+/// What a command gives.
+pub type Result<T> = std::result::Result<T, Failure>;
+
+impl Failure {
+    /// A failure in words of its own.
+    pub fn new(exit: Exit, message: impl Into<String>) -> Self {
+        Self { exit, message: message.into(), causes: Vec::new(), next_step: None }
+    }
+
+    /// Wrong arguments, settings or input files.
+    pub fn bad_input(message: impl Into<String>) -> Self {
+        Self::new(Exit::BadInput, message)
+    }
+
+    /// Adds an error and all that caused it.
+    #[must_use]
+    pub fn caused_by(mut self, error: &(dyn StdError + 'static)) -> Self {
+        let mut cause = Some(error);
+        while let Some(error) = cause {
+            self.causes.push(error.to_string());
+            cause = error.source();
+        }
+        self
+    }
+
+    /// Adds what the user can do about it.
+    #[must_use]
+    pub fn try_this(mut self, next_step: impl Into<String>) -> Self {
+        self.next_step = Some(next_step.into());
+        self
+    }
+
+    /// The exit code.
+    pub fn exit(&self) -> Exit {
+        self.exit
+    }
+}
+
+impl fmt::Display for Failure {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(f, "error: {}", self.message)?;
+        for cause in &self.causes {
+            writeln!(f, "  caused by: {cause}")?;
+        }
+        match &self.next_step {
+            Some(next_step) => writeln!(f, "  try: {next_step}"),
+            None => Ok(()),
+        }
+    }
+}
+
+/// The client's errors already say what was wrong, where, and what to do.
+impl From<ClientError> for Failure {
+    fn from(error: ClientError) -> Self {
+        let exit = match &error {
+            ClientError::Stopped { .. } => Exit::Interrupted,
+            ClientError::Network { .. } | ClientError::Status { .. } => Exit::Unreachable,
+            // It was reached; only its owner can make room.
+            ClientError::Server { problem, .. } if problem.code == ProblemCode::StorageFull => Exit::Failed,
+            ClientError::Server { .. } if error.retry_class() == RetryClass::Backoff => Exit::Unreachable,
+            ClientError::Server { .. }
+            | ClientError::Source { .. }
+            | ClientError::Argument { .. }
+            | ClientError::TooLarge { .. }
+            | ClientError::WrongDigest { .. }
+            | ClientError::Json { .. }
+            | ClientError::Chunk { .. }
+            | ClientError::Inconsistent { .. } => Exit::BadInput,
+            ClientError::File { .. } | ClientError::Adapter { .. } | ClientError::Picture { .. } => {
+                Exit::Failed
+            }
+        };
+        let mut failure = Self::new(exit, error.to_string());
+        if let Some(source) = error.source() {
+            failure = failure.caused_by(source);
+        }
+        if exit == Exit::Unreachable {
+            failure = failure.try_this("start one with 'kiln server', or bake without --server");
+        }
+        failure
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use lightkiln_proto::problem::Problem;
+
+    use super::*;
+
+    #[test]
+    fn full_server_fails_in_its_own_words_and_is_not_said_to_be_away() {
+        let problem = Problem::new(ProblemCode::StorageFull, "free 3 GiB under /srv/farm");
+        let error = ClientError::Server { call: "PUT /v1/scenes".to_owned(), problem: Box::new(problem) };
+        let failure = Failure::from(error);
+        assert_eq!(failure.exit(), Exit::Failed);
+        let text = failure.to_string();
+        assert!(text.contains("free 3 GiB") && !text.contains("kiln server"), "{text}");
+    }
+
+    #[test]
+    fn failure_names_its_causes_and_the_next_step_on_lines_of_their_own() {
+        let cause = std::io::Error::other("disk full");
+        let failure = Failure::bad_input("cannot write 'out'").caused_by(&cause).try_this("free some room");
+        let text = failure.to_string();
+        assert_eq!(text, "error: cannot write 'out'\n  caused by: disk full\n  try: free some room\n");
+    }
+}

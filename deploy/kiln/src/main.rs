@@ -1,0 +1,30 @@
+//! `kiln`: every role of Lightkiln as a subcommand. Bakes relightable global illumination for glTF scenes.
+
+mod arguments;
+mod bundle;
+mod commands;
+mod embedded;
+mod failure;
+mod inspection;
+mod interrupt;
+mod logging;
+mod picture;
+mod progress;
+mod settings;
+mod summary;
+
+use std::process::ExitCode;
+
+use clap::Parser as _;
+
+fn main() -> ExitCode {
+    let arguments = arguments::Arguments::parse();
+    logging::start();
+    match arguments.command.run() {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            eprint!("{failure}");
+            failure.exit().into()
+        }
+    }
+}

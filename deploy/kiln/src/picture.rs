@@ -1,0 +1,178 @@
+//! A picture of a bake, as the command line asks for it.
+
+use std::path::Path;
+
+use clap::{Args, ValueEnum};
+use lightkiln_client::bake::LoadedBake;
+use lightkiln_client::fetch::Source;
+use lightkiln_client::lights::{parse_camera, parse_light};
+use lightkiln_client::picture::{Exposure, Picture, Tone};
+use lightkiln_client::preview::{Backend, View, atlas_picture, cluster_picture, render};
+
+use crate::failure::{Failure, Result};
+
+/// How to draw.
+#[derive(Args, Clone, Debug)]
+pub struct PictureArguments {
+    /// Camera of the picture, e.g. "eye=0,1.6,4 target=0,1,0 fov=50" (metres, degrees) [default: the scene's first,
+    /// else one is chosen and said]
+    #[arg(long, value_name = "CAMERA", help_heading = "Picture")]
+    camera: Option<String>,
+    /// Light of the picture instead of the scene's own; may be given often:
+    /// "point pos=x,y,z color=r,g,b power=W",
+    /// "spot pos=x,y,z target=x,y,z color=r,g,b power=W inner=deg outer=deg",
+    /// "sun dir=x,y,z color=r,g,b irradiance=W/m2", "sky zenith=r,g,b horizon=r,g,b strength=s"
+    #[arg(long, value_name = "LIGHT", help_heading = "Picture")]
+    light: Vec<String>,
+    /// Width and height in pixels
+    #[arg(long, value_name = "WxH", default_value = "1280x720", value_parser = parse_size, help_heading = "Picture")]
+    size: (u32, u32),
+    /// Curve from radiance to brightness
+    #[arg(long, value_enum, default_value = "filmic", help_heading = "Picture")]
+    tone: ToneName,
+    /// Exposure in stops above the automatic one, e.g. -1
+    #[arg(
+        long,
+        value_name = "STOPS",
+        default_value_t = 0.0,
+        allow_negative_numbers = true,
+        help_heading = "Picture"
+    )]
+    exposure: f32,
+    /// Who draws; auto takes the graphics adapter if there is one
+    #[arg(long, value_enum, default_value = "auto", help_heading = "Picture")]
+    backend: BackendName,
+    /// Draws something else than the scene, to find faults
+    #[arg(long, value_enum, help_heading = "Picture")]
+    debug: Option<DebugPicture>,
+    /// Atlas page of --debug
+    #[arg(long, default_value_t = 0, requires = "debug", help_heading = "Picture")]
+    page: usize,
+}
+
+/// Tone curves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum ToneName {
+    /// Reinhard's, soft in the lights
+    Reinhard,
+    /// Filmic, with contrast
+    Filmic,
+    /// None: exposure alone, cut off at white
+    #[value(alias = "linear")]
+    Exposure,
+}
+
+/// Who draws.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum BackendName {
+    /// The graphics adapter if there is one that can, else the processor
+    Auto,
+    /// The graphics adapter or nothing
+    Gpu,
+    /// The processor
+    Cpu,
+}
+
+/// Pictures for finding faults.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum DebugPicture {
+    /// Irradiance of an atlas page
+    Atlas,
+    /// Clusters of an atlas page, a colour each
+    Clusters,
+}
+
+impl PictureArguments {
+    /// Refuses a camera or light that cannot be read, before any work is done.
+    pub fn check(&self) -> Result<()> {
+        self.camera.as_deref().map(parse_camera).transpose()?;
+        self.light.iter().try_for_each(|light| parse_light(light).map(drop))?;
+        Ok(())
+    }
+
+    /// Draws the bake and writes it as PNG; says on standard error what was chosen and who drew.
+    pub fn draw(&self, source: &Source, png: &Path) -> Result<()> {
+        let bake = LoadedBake::load(source)?;
+        let (mut view, notes) = View::of_bake(&bake);
+        if let Some(camera) = &self.camera {
+            view.camera = parse_camera(camera)?;
+        }
+        if !self.light.is_empty() {
+            view.lights =
+                self.light.iter().map(|light| parse_light(light)).collect::<std::result::Result<_, _>>()?;
+        }
+        (view.width, view.height) = self.size;
+        view.tone = self.tone.into();
+        view.exposure = Exposure::Auto { stops: self.exposure };
+        for note in notes {
+            eprintln!("note: {note}");
+        }
+        let picture = self.picture_of(&bake, &view)?;
+        // Pictures without light have no frames.
+        if picture.frames > 0 && !picture.converged {
+            eprintln!(
+                "warning: after {} frames the bounces had not converged; the picture is not yet as bright as it would be",
+                picture.frames
+            );
+        }
+        picture.write_png(png)?;
+        eprintln!("drawn by {}", picture.drawn_by);
+        Ok(())
+    }
+
+    fn picture_of(&self, bake: &LoadedBake, view: &View) -> Result<Picture> {
+        let Some(debug) = self.debug else { return Ok(render(bake, view, self.backend.into())?) };
+        let pages = bake.manifest.pages.len();
+        if self.page >= pages {
+            let what = format!("the atlas has no page {}; its pages are 0..{pages}", self.page);
+            return Err(Failure::bad_input(what).try_this("--page 0"));
+        }
+        Ok(match debug {
+            DebugPicture::Atlas => atlas_picture(bake, view, self.page)?,
+            DebugPicture::Clusters => cluster_picture(bake, view, self.page),
+        })
+    }
+}
+
+impl From<ToneName> for Tone {
+    fn from(name: ToneName) -> Self {
+        match name {
+            ToneName::Reinhard => Self::Reinhard,
+            ToneName::Filmic => Self::Filmic,
+            ToneName::Exposure => Self::Linear,
+        }
+    }
+}
+
+impl From<BackendName> for Backend {
+    fn from(name: BackendName) -> Self {
+        match name {
+            BackendName::Auto => Self::Auto,
+            BackendName::Gpu => Self::Gpu,
+            BackendName::Cpu => Self::Cpu,
+        }
+    }
+}
+
+fn parse_size(text: &str) -> std::result::Result<(u32, u32), String> {
+    let wrong = || "write width x height in pixels, e.g. 1280x720".to_owned();
+    let (width, height) = text.split_once(['x', 'X']).ok_or_else(wrong)?;
+    match (width.parse(), height.parse()) {
+        (Ok(width @ 1..=16_384), Ok(height @ 1..=16_384)) => Ok((width, height)),
+        (Ok(_), Ok(_)) => Err("each side is 1..=16384 pixels".to_owned()),
+        _ => Err(wrong()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn size_is_width_by_height_within_bounds() {
+        assert_eq!(parse_size("640x480"), Ok((640, 480)));
+        for wrong in ["640", "640x", "0x480", "640x99999", "axb", "640*480"] {
+            assert!(parse_size(wrong).is_err(), "{wrong}");
+        }
+    }
+}

@@ -1,0 +1,140 @@
+//! A bake's settings from all their sources: defaults < file < environment < command line.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use clap::{Args, ValueEnum};
+use lightkiln_proto::prt::Settings;
+use serde_json::{Map, Value};
+
+use crate::failure::{Failure, Result};
+
+/// Environment variables of this prefix and a setting's name in capitals set it.
+const ENVIRONMENT_PREFIX: &str = "KILN_SET_";
+/// Environment variable that names the preset.
+const PRESET_VARIABLE: &str = "KILN_PRESET";
+const HELP_STEP: &str = "'kiln settings' lists every setting with its range and presets";
+
+/// How much work a bake spends.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum PresetName {
+    /// A look within seconds: coarse texels, noisy.
+    Draft,
+    /// Everyday bakes.
+    Medium,
+    /// Final bakes.
+    High,
+}
+
+/// Settings on the command line.
+#[derive(Args, Clone, Debug, Default)]
+pub struct SettingsArguments {
+    /// How much work to spend: draft, medium (the default) or high [env: KILN_PRESET]
+    #[arg(long)]
+    pub preset: Option<PresetName>,
+    /// Sets one setting, e.g. --set transport_rays=512; may be given often [env: KILN_SET_<SETTING>]
+    #[arg(long = "set", value_name = "SETTING=VALUE")]
+    pub set: Vec<String>,
+    /// JSON file of settings, e.g. {"preset": "draft", "bands": 3}
+    #[arg(long, value_name = "FILE")]
+    pub settings: Option<PathBuf>,
+}
+
+impl SettingsArguments {
+    /// What differs from the defaults, checked, as a request carries it.
+    pub fn resolve(&self) -> Result<Value> {
+        let environment = std::env::vars_os().filter_map(|(name, value)| {
+            Some((name.into_string().ok()?, value.to_string_lossy().into_owned()))
+        });
+        self.resolve_with(environment)
+    }
+
+    fn resolve_with(&self, environment: impl Iterator<Item = (String, String)>) -> Result<Value> {
+        let mut settings = self.settings.as_deref().map_or_else(|| Ok(Map::new()), read_file)?;
+        for (name, value) in environment {
+            if name == PRESET_VARIABLE {
+                settings.insert("preset".into(), Value::String(value));
+            } else if let Some(setting) = name.strip_prefix(ENVIRONMENT_PREFIX) {
+                settings.insert(setting.to_lowercase(), parse_value(&value));
+            }
+        }
+        if let Some(preset) = self.preset {
+            let name = preset.to_possible_value().map(|value| value.get_name().to_owned());
+            settings.insert("preset".into(), name.into());
+        }
+        for assignment in &self.set {
+            let Some((name, value)) = assignment.split_once('=') else {
+                let wrong = format!("--set '{assignment}' is not of the form SETTING=VALUE");
+                return Err(Failure::bad_input(wrong).try_this("e.g. --set transport_rays=512"));
+            };
+            settings.insert(name.trim().to_owned(), parse_value(value.trim()));
+        }
+        let settings = Value::Object(settings);
+        Settings::from_json(&settings).map_err(|error| {
+            Failure::bad_input("the settings cannot be used").caused_by(&error).try_this(HELP_STEP)
+        })?;
+        Ok(settings)
+    }
+}
+
+/// Numbers and words as JSON has them; anything else is a text.
+fn parse_value(text: &str) -> Value {
+    serde_json::from_str(text).unwrap_or_else(|_| Value::String(text.to_owned()))
+}
+
+fn read_file(path: &Path) -> Result<Map<String, Value>> {
+    let failed = |what: &str| Failure::bad_input(format!("the settings file {} {what}", path.display()));
+    let text = fs::read_to_string(path).map_err(|error| failed("cannot be read").caused_by(&error))?;
+    let example = "write one JSON object, e.g. {\"preset\": \"draft\"}";
+    let value: Value = serde_json::from_str(&text)
+        .map_err(|error| failed("is not JSON").caused_by(&error).try_this(example))?;
+    match value {
+        Value::Object(settings) => Ok(settings),
+        _ => Err(failed("holds no JSON object").try_this(example)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    fn environment(pairs: &[(&str, &str)]) -> impl Iterator<Item = (String, String)> {
+        pairs
+            .iter()
+            .map(|(name, value)| ((*name).to_owned(), (*value).to_owned()))
+            .collect::<Vec<_>>()
+            .into_iter()
+    }
+
+    #[test]
+    fn flag_wins_over_environment_over_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("settings.json");
+        fs::write(&file, r#"{"preset": "high", "bands": 2, "transport_rays": 32, "rank_max": 8}"#).unwrap();
+        let arguments = SettingsArguments { preset: None, set: vec!["bands=4".into()], settings: Some(file) };
+        let variables =
+            environment(&[("KILN_SET_BANDS", "3"), ("KILN_SET_TRANSPORT_RAYS", "64"), ("HOME", "/")]);
+        let resolved = arguments.resolve_with(variables).unwrap();
+        assert_eq!(resolved, json!({"preset": "high", "bands": 4, "transport_rays": 64, "rank_max": 8}));
+    }
+
+    #[test]
+    fn preset_comes_from_the_environment_unless_the_flag_is_given() {
+        let variables = || environment(&[("KILN_PRESET", "draft")]);
+        let resolved = SettingsArguments::default().resolve_with(variables()).unwrap();
+        assert_eq!(resolved, json!({"preset": "draft"}));
+        let flagged = SettingsArguments { preset: Some(PresetName::High), ..Default::default() };
+        assert_eq!(flagged.resolve_with(variables()).unwrap(), json!({"preset": "high"}));
+    }
+
+    #[test]
+    fn wrong_settings_are_bad_input_and_named() {
+        for (set, named) in [("bands", "SETTING=VALUE"), ("bands=99", "bands = 99"), ("colour=1", "colour")] {
+            let arguments = SettingsArguments { set: vec![set.into()], ..Default::default() };
+            let failure = arguments.resolve_with(environment(&[])).unwrap_err();
+            assert_eq!(failure.exit(), crate::failure::Exit::BadInput);
+            assert!(failure.to_string().contains(named), "{failure}");
+        }
+    }
+}

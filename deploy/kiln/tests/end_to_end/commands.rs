@@ -1,0 +1,78 @@
+//! The smaller commands, over one server with one finished bake.
+
+use lightkiln_proto::ids::Digest;
+
+use super::processes::{Server, kiln, run};
+use super::{SMALL, cornell};
+
+#[test]
+fn bake_can_be_listed_shown_watched_fetched_inspected_and_drawn() {
+    let folder = tempfile::tempdir().unwrap();
+    let server = Server::start(&folder.path().join("server"));
+    let _worker = server.worker(folder.path(), "worker", 2);
+    let call = |arguments: &[&str]| {
+        let with_server = [arguments, &["--server", &server.url]].concat();
+        run(kiln(folder.path()), &with_server, 0)
+    };
+    let scene = cornell().display().to_string();
+    let submitted = call(&[&["submit", &scene, "--wait"], &SMALL[..]].concat());
+    let bake = submitted.stdout().trim().to_owned();
+    assert!(call(&["list"]).stdout().contains(&bake));
+    assert_eq!(call(&["list", "--json"]).json()["bakes"][0]["id"], bake.as_str());
+    assert!(call(&["show", &bake]).stdout().contains("done"));
+    assert_eq!(call(&["show", &bake, "--json"]).json()["state"], "done");
+    call(&["watch", &bake]);
+    let bundle = folder.path().join("bundle").display().to_string();
+    call(&["fetch", &bake, "--out", &bundle]);
+    let report = std::fs::read(folder.path().join("bundle/report.json")).unwrap();
+    let report: serde_json::Value = serde_json::from_slice(&report).unwrap();
+    assert_eq!(report["run"]["bake"], bake.as_str());
+    std::fs::write(folder.path().join("bundle/manifest.part-1"), "half").unwrap();
+    let other = Digest::of(b"of an earlier bake").to_string();
+    for left_over in [other.clone(), format!("{other}.part-1")] {
+        std::fs::write(folder.path().join("bundle/chunks").join(left_over), "old").unwrap();
+    }
+    call(&["fetch", &bake, "--out", &bundle]);
+    let names = super::bundle(&folder.path().join("bundle"));
+    assert!(names.keys().all(|name| !name.contains("part-") && !name.contains(&other)), "{names:?}");
+    let foreign = folder.path().display().to_string();
+    run(kiln(folder.path()), &["fetch", &bake, "--out", &foreign, "--server", &server.url], 2);
+    let png = folder.path().join("picture.png").display().to_string();
+    call(&["preview", &bake, "--out", &png, "--size", "64x48", "--backend", "cpu"]);
+    assert!(std::fs::read(&png).unwrap().starts_with(b"\x89PNG"));
+
+    let figures = run(kiln(folder.path()), &["inspect", &bundle, "--json"], 0).json();
+    assert!(figures["totals"]["receivers"].as_u64().unwrap() > 0, "{figures}");
+    assert!(run(kiln(folder.path()), &["inspect", &bundle], 0).stdout().contains("worst truncated"));
+    let chunks = std::fs::read_dir(folder.path().join("bundle/chunks")).unwrap();
+    let chunk = chunks.map(|chunk| chunk.unwrap().path().display().to_string()).min().unwrap();
+    let figures = run(kiln(folder.path()), &["inspect", &chunk, "--json"], 0).json();
+    assert!(figures["kind"].is_string(), "{figures}");
+}
+
+#[test]
+fn cancelled_bake_is_cancelled_and_its_watch_says_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let server = Server::start(&folder.path().join("server"));
+    let scene = cornell().display().to_string();
+    let submitted = run(kiln(folder.path()), &["submit", &scene, "--server", &server.url], 0);
+    let bake = submitted.stdout().trim().to_owned();
+    run(kiln(folder.path()), &["cancel", &bake, "--server", &server.url], 0);
+    let watched = run(kiln(folder.path()), &["watch", &bake, "--server", &server.url], 130);
+    assert!(watched.stderr().contains("was cancelled"), "{}", watched.stderr());
+}
+
+#[test]
+fn help_names_the_exit_codes_and_settings_lists_every_setting() {
+    let folder = tempfile::tempdir().unwrap();
+    for arguments in [&["--help"][..], &["bake", "--help"]] {
+        let help = run(kiln(folder.path()), arguments, 0).stdout();
+        assert!(help.contains("130  interrupted"), "{help}");
+    }
+    let table = run(kiln(folder.path()), &["settings"], 0).stdout();
+    let names = lightkiln_proto::prt::Settings::TABLE.iter().map(|row| row.name);
+    assert!(names.clone().count() > 10);
+    for name in names {
+        assert!(table.contains(name), "{name} is not in:\n{table}");
+    }
+}

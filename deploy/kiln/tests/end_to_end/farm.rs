@@ -1,0 +1,94 @@
+//! A server and workers as processes of their own.
+
+use std::path::Path;
+
+use lightkiln_client::fetch::ApiClient;
+use lightkiln_proto::api::EventKind;
+
+use super::processes::{LIMIT, Server, kiln, run};
+use super::{SMALL, bundle, cornell};
+
+fn arguments(command: &str, more: &[&str]) -> Vec<String> {
+    let mut arguments = vec![command.to_owned(), cornell().display().to_string()];
+    arguments.extend(SMALL.map(str::to_owned));
+    arguments.extend(more.iter().map(|argument| (*argument).to_owned()));
+    arguments
+}
+
+fn embedded_bundle(folder: &Path) -> std::collections::BTreeMap<String, String> {
+    let out = folder.join("embedded");
+    run(kiln(&folder.join("state")), &arguments("bake", &["--out", &out.display().to_string()]), 0);
+    bundle(&out)
+}
+
+#[test]
+fn farm_gives_the_embedded_bakes_chunks_with_one_two_and_four_threads() {
+    let folder = tempfile::tempdir().unwrap();
+    let expected = embedded_bundle(folder.path());
+    for threads in [1, 2, 4] {
+        let place = folder.path().join(threads.to_string());
+        let server = Server::start(&place.join("server"));
+        let _workers = ["a", "b"].map(|name| server.worker(&place, name, threads));
+        let out = place.join("out").display().to_string();
+        run(kiln(&place), &arguments("bake", &["--server", &server.url, "--out", &out]), 0);
+        assert_eq!(bundle(Path::new(&out)), expected, "with {threads} threads");
+    }
+}
+
+/// Waits until a task of `kind` is held by a worker or done.
+fn wait_for_stage(client: &ApiClient, bake: &str, kind: &str) {
+    let deadline = std::time::Instant::now() + LIMIT;
+    let mut seen = 0;
+    loop {
+        let page = client.events(bake, seen, 1).unwrap();
+        seen = page.events.last().map_or(seen, |event| event.seq);
+        let under_way = |stage: &lightkiln_proto::api::StageCount| stage.leased + stage.done > 0;
+        if page.bake.stages.iter().any(|stage| stage.kind == kind && under_way(stage)) {
+            return;
+        }
+        assert!(
+            std::time::Instant::now() < deadline,
+            "no {kind} task within {LIMIT:?}: {:?}",
+            page.bake.stages
+        );
+    }
+}
+
+#[test]
+fn worker_killed_in_the_middle_is_replaced_and_the_chunks_are_the_same() {
+    let folder = tempfile::tempdir().unwrap();
+    let expected = embedded_bundle(folder.path());
+    let server = Server::start(&folder.path().join("server"));
+    let client = ApiClient::new(&server.url, None).unwrap();
+    let submitted = run(kiln(folder.path()), &arguments("submit", &["--server", &server.url]), 0);
+    let bake = submitted.stdout().trim().to_owned();
+    let first = server.worker(folder.path(), "first", 2);
+    wait_for_stage(&client, &bake, "prt.transport");
+    first.signal("KILL");
+    assert_eq!(first.wait(), None);
+    let stages = client.bake(&bake).unwrap().stages;
+    assert!(stages.iter().any(|stage| stage.done < stage.total), "it was killed too late: {stages:?}");
+    let _second = server.worker(folder.path(), "second", 2);
+    run(kiln(folder.path()), &["watch", &bake, "--server", &server.url], 0);
+    let out = folder.path().join("out").display().to_string();
+    run(kiln(folder.path()), &["fetch", &bake, "--server", &server.url, "--out", &out], 0);
+    assert_eq!(bundle(Path::new(&out)), expected);
+}
+
+#[test]
+fn terminated_worker_gives_its_task_back_and_exits_cleanly() {
+    let folder = tempfile::tempdir().unwrap();
+    let server = Server::start(&folder.path().join("server"));
+    let client = ApiClient::new(&server.url, None).unwrap();
+    let submitted = run(kiln(folder.path()), &arguments("submit", &["--server", &server.url]), 0);
+    let bake = submitted.stdout().trim().to_owned();
+    let worker = server.worker(folder.path(), "leaving", 1);
+    wait_for_stage(&client, &bake, "prt.prepare");
+    worker.signal("TERM");
+    assert_eq!(worker.wait(), Some(0));
+    let page = client.events(&bake, 0, 0).unwrap();
+    assert!(page.bake.stages.iter().all(|stage| stage.leased == 0), "{:?}", page.bake.stages);
+    let blamed =
+        |kind: &EventKind| matches!(kind, EventKind::LeaseExpired { .. } | EventKind::TaskFailed { .. });
+    assert!(!page.events.iter().any(|event| blamed(&event.event)), "{:?}", page.events);
+}

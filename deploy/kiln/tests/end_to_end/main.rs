@@ -1,0 +1,51 @@
+//! The built `kiln` from outside: processes, HTTP, signals, exit codes, files.
+
+#![allow(clippy::unwrap_used, reason = "a test may end at any error")]
+
+mod commands;
+mod embedded;
+mod farm;
+mod processes;
+mod wrong_input;
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// A scene that bakes in a second or two with [`SMALL`].
+fn cornell() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/scenes/cornell.glb")
+}
+
+/// Settings of a small bake that still has several tasks of each kind.
+const SMALL: [&str; 10] = [
+    "--preset",
+    "draft",
+    "--set",
+    "receivers_target=3000",
+    "--set",
+    "probes_target=40",
+    "--set",
+    "cluster_receivers=256",
+    "--set",
+    "transport_rays=32",
+];
+
+/// Every file of a bundle but its report, by path, with the blake3 digest of its bytes.
+fn bundle(folder: &Path) -> BTreeMap<String, String> {
+    let mut files = BTreeMap::new();
+    let mut folders = vec![folder.to_owned()];
+    while let Some(inner) = folders.pop() {
+        for entry in std::fs::read_dir(&inner).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                folders.push(path);
+            } else if !path.ends_with("report.json") {
+                let name = path.strip_prefix(folder).unwrap().display().to_string();
+                let digest = lightkiln_proto::ids::Digest::of(&std::fs::read(&path).unwrap());
+                files.insert(name, digest.to_string());
+            }
+        }
+    }
+    assert!(files.len() > 3, "a bundle has a manifest and several chunks: {files:?}");
+    files
+}

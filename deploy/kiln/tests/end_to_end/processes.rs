@@ -1,0 +1,152 @@
+//! Running `kiln` and waiting for it, with limits; whatever a test starts ends with it.
+
+use std::ffi::OsStr;
+use std::io::{BufRead as _, BufReader, Read};
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+use std::sync::mpsc::{Receiver, channel};
+use std::time::{Duration, Instant};
+
+use serde_json::Value;
+
+/// Longest that a test waits for one thing.
+pub const LIMIT: Duration = Duration::from_secs(300);
+
+/// A command with a state folder of its own and nothing of the caller's settings.
+pub fn kiln(state: &Path) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_kiln"));
+    for (name, _) in std::env::vars_os().filter(|(name, _)| name.to_string_lossy().starts_with("KILN_")) {
+        if name != "KILN_REQUIRE_ADAPTER" {
+            command.env_remove(name);
+        }
+    }
+    command.env("KILN_STATE", state).stdin(Stdio::null());
+    command
+}
+
+/// Runs to the end and asserts the exit code; shows what it wrote if that is another.
+pub fn run<A: AsRef<OsStr>>(mut command: Command, arguments: &[A], exit: i32) -> Finished {
+    let output = command.args(arguments).output().unwrap();
+    let finished = Finished(output);
+    assert_eq!(finished.0.status.code(), Some(exit), "{command:?} wrote:\n{}", finished.stderr());
+    finished
+}
+
+/// A command that has ended.
+pub struct Finished(pub Output);
+
+impl Finished {
+    pub fn stdout(&self) -> String {
+        String::from_utf8(self.0.stdout.clone()).unwrap()
+    }
+
+    pub fn stderr(&self) -> String {
+        String::from_utf8_lossy(&self.0.stderr).into_owned()
+    }
+
+    /// Standard output as one JSON value.
+    pub fn json(&self) -> Value {
+        serde_json::from_str(&self.stdout()).unwrap_or_else(|error| panic!("{error}: {}", self.stdout()))
+    }
+}
+
+/// A process under way; killed when it is dropped.
+pub struct Running {
+    child: Child,
+    stdout: Receiver<String>,
+    stderr: Receiver<String>,
+}
+
+impl Running {
+    pub fn start(mut command: Command) -> Self {
+        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        let stdout = lines(child.stdout.take().unwrap());
+        let stderr = lines(child.stderr.take().unwrap());
+        Self { child, stdout, stderr }
+    }
+
+    /// The first line on standard output from here on that `pick` takes.
+    pub fn stdout_line<T>(&self, pick: impl Fn(&str) -> Option<T>) -> T {
+        wait_for_line(&self.stdout, pick)
+    }
+
+    /// The first line on standard error from here on that `pick` takes.
+    pub fn stderr_line<T>(&self, pick: impl Fn(&str) -> Option<T>) -> T {
+        wait_for_line(&self.stderr, pick)
+    }
+
+    /// Sends a signal by name, e.g. `INT`.
+    pub fn signal(&self, name: &str) {
+        let id = self.child.id().to_string();
+        let status = Command::new("kill").args(["-s", name, &id]).status().unwrap();
+        assert!(status.success(), "kill -s {name} {id} failed");
+    }
+
+    /// Waits for the end; the exit code, `None` if a signal ended it.
+    pub fn wait(mut self) -> Option<i32> {
+        // Its lines end when the process does.
+        let deadline = Instant::now() + LIMIT;
+        let limit = |deadline: Instant| deadline.saturating_duration_since(Instant::now());
+        while self.stderr.recv_timeout(limit(deadline)).is_ok() {}
+        assert!(Instant::now() < deadline, "the process did not end within {LIMIT:?}");
+        self.child.wait().unwrap().code()
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+fn lines(stream: impl Read + Send + 'static) -> Receiver<String> {
+    let (sender, receiver) = channel();
+    std::thread::spawn(move || {
+        for line in BufReader::new(stream).lines().map_while(Result::ok) {
+            if sender.send(line).is_err() {
+                return;
+            }
+        }
+    });
+    receiver
+}
+
+fn wait_for_line<T>(lines: &Receiver<String>, pick: impl Fn(&str) -> Option<T>) -> T {
+    let deadline = Instant::now() + LIMIT;
+    let mut seen = Vec::new();
+    loop {
+        let left = deadline.saturating_duration_since(Instant::now());
+        match lines.recv_timeout(left) {
+            Ok(line) => match pick(&line) {
+                Some(found) => return found,
+                None => seen.push(line),
+            },
+            Err(error) => panic!("the line did not come ({error}); these did: {seen:#?}"),
+        }
+    }
+}
+
+/// `kiln server` on a free port, over `state`.
+pub struct Server {
+    pub url: String,
+    _process: Running,
+}
+
+impl Server {
+    pub fn start(state: &Path) -> Self {
+        let mut command = kiln(state);
+        command.args(["server", "--listen", "127.0.0.1:0"]);
+        let process = Running::start(command);
+        let url = process.stdout_line(|line| line.strip_prefix("listening on ").map(str::to_owned));
+        Self { url, _process: process }
+    }
+
+    /// `kiln worker` for this server, with a cache of its own and the shortest lease.
+    pub fn worker(&self, folder: &Path, name: &str, threads: usize) -> Running {
+        let mut command = kiln(&folder.join(name));
+        command.args(["worker", "--server", &self.url, "--name", name, "--lease-secs", "5"]);
+        command.args(["--threads", &threads.to_string()]);
+        Running::start(command)
+    }
+}

@@ -1,0 +1,80 @@
+//! Wrong arguments and broken files: exit code, and a message that helps.
+
+use std::fs;
+
+use super::cornell;
+use super::processes::{kiln, run};
+
+/// Runs `kiln` with words split at spaces, `{scene}` and `{dir}` filled in; asserts exit code and words of the message.
+fn assert_refused(words: &str, exit: i32, said: &[&str]) {
+    let folder = tempfile::tempdir().unwrap();
+    let fill = |word: &str| {
+        let word = word.replace("{scene}", &cornell().display().to_string());
+        word.replace("{dir}", &folder.path().display().to_string())
+    };
+    fs::write(folder.path().join("broken.glb"), b"glTF\x02\0\0\0 and then nothing").unwrap();
+    fs::write(folder.path().join("text.glb"), b"hello").unwrap();
+    fs::write(folder.path().join("missing.gltf"), MISSING_BUFFER).unwrap();
+    fs::write(folder.path().join("empty.gltf"), br#"{"asset":{"version":"2.0"}}"#).unwrap();
+    fs::write(folder.path().join("settings.json"), b"[1]").unwrap();
+    let arguments: Vec<String> = words.split(' ').map(fill).collect();
+    let mut command = kiln(&folder.path().join("state"));
+    command.current_dir(folder.path());
+    let message = run(command, &arguments, exit).stderr();
+    assert!(message.contains("error: "), "{message}");
+    for word in said {
+        assert!(message.contains(word), "{words}: no '{word}' in:\n{message}");
+    }
+    assert!(!message.contains("panicked"), "{message}");
+}
+
+const MISSING_BUFFER: &[u8] = br#"{"asset":{"version":"2.0"},"buffers":[{"uri":"gone.bin","byteLength":4}]}"#;
+
+#[test]
+fn wrong_arguments_exit_with_2_and_name_what_is_wrong() {
+    assert_refused("bake", 2, &["SCENE"]);
+    assert_refused("bake {scene} --preset best", 2, &["best", "draft"]);
+    assert_refused("bake {scene} --set bands", 2, &["SETTING=VALUE", "try: "]);
+    assert_refused("bake {scene} --set bands=99", 2, &["bands = 99", "kiln settings"]);
+    assert_refused("bake {scene} --set colour=red", 2, &["colour", "kiln settings"]);
+    assert_refused("bake {scene} --settings settings.json", 2, &["settings.json", "JSON object"]);
+    assert_refused("bake {scene} --camera eye=1,2", 2, &["eye"]);
+    assert_refused("bake {scene} --light lamp", 2, &["lamp", "point"]);
+    assert_refused("bake {scene} --size 10", 2, &["1280x720"]);
+    assert_refused("bake {scene} --out {dir}", 2, &["other files", "--out"]);
+    assert_refused("preview {dir} --out a.png", 2, &["manifest.json"]);
+    assert_refused("inspect text.glb", 2, &["text.glb"]);
+    assert_refused("inspect absent", 2, &["absent", "try: "]);
+}
+
+#[test]
+fn scenes_that_cannot_be_read_exit_with_2_and_name_the_file() {
+    assert_refused("bake absent.glb", 2, &["absent.glb"]);
+    assert_refused("bake text.glb", 2, &["text.glb", "try: "]);
+    assert_refused("bake broken.glb", 2, &["broken.glb"]);
+    assert_refused("bake missing.gltf", 2, &["gone.bin"]);
+    assert_refused("bake empty.gltf --out {dir}/out", 2, &["failed"]);
+}
+
+#[test]
+fn server_that_does_not_answer_exits_with_3() {
+    // Port 9 is the discard service's, which no test machine runs.
+    assert_refused("bake {scene} --server http://127.0.0.1:9", 3, &["http://127.0.0.1:9", "try: "]);
+    assert_refused("list --server http://127.0.0.1:9", 3, &["http://127.0.0.1:9", "kiln server"]);
+    assert_refused("list --server farm", 2, &["http://host:port"]);
+}
+
+#[test]
+fn state_folder_in_use_is_refused_with_the_way_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let _server = super::processes::Server::start(folder.path());
+    let state = folder.path().join("server").display().to_string();
+    let scene = cornell().display().to_string();
+    let out = folder.path().join("out").display().to_string();
+    let refused = run(kiln(folder.path()), &["bake", &scene, "--state", &state, "--out", &out], 2);
+    assert!(
+        refused.stderr().contains("in use") && refused.stderr().contains("--server"),
+        "{}",
+        refused.stderr()
+    );
+}
