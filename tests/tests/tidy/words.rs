@@ -1,0 +1,55 @@
+//! Words that must not stand in some places: each is an invariant of ARCHITECTURE.md.
+
+use std::path::Path;
+
+use super::{files_below, text_of};
+
+/// Panics when a file of `folder` that is not `excepted` has one of `words` in its code.
+fn assert_absent(folder: &str, words: &[&str], excepted: impl Fn(&Path) -> bool) {
+    let mut checked = 0;
+    for path in files_below(folder, "rs").iter().filter(|path| !excepted(path)) {
+        checked += 1;
+        let text = text_of(path);
+        for (index, line) in code_of(&text).enumerate() {
+            let found = words.iter().find(|word| line.contains(**word));
+            assert!(found.is_none(), "{}:{}: {:?} must not stand here", path.display(), index + 1, found);
+        }
+    }
+    assert!(checked > 0, "every file of {folder} is excepted: the check is broken");
+}
+
+/// The lines before the tests, without comments.
+fn code_of(text: &str) -> impl Iterator<Item = &str> {
+    let lines = text.lines().take_while(|line| !line.starts_with("#[cfg(test)]"));
+    lines.map(|line| line.split("//").next().unwrap_or(line))
+}
+
+fn is_test(path: &Path) -> bool {
+    path.components().any(|part| part.as_os_str() == "tests") || path.ends_with("tests.rs")
+}
+
+#[test]
+fn contract_touches_no_files_clocks_or_threads() {
+    let words = ["std::fs", "std::net", "std::env", "std::process", "std::thread", "Instant", "SystemTime"];
+    assert_absent("proto/src", &words, is_test);
+}
+
+#[test]
+fn bake_maths_knows_no_network_clock_or_randomness() {
+    let words = ["ureq", "std::net", "Instant", "SystemTime", "std::thread", "RandomState", "std::env"];
+    let is_runtime = |path: &Path| path.starts_with("worker/src/runtime") || is_test(path);
+    assert_absent("worker/src", &words, is_runtime);
+}
+
+#[test]
+fn server_does_not_read_what_a_plan_means() {
+    let words = ["prt.", "proto::prt", "TaskKind", "Manifest", "receiver", "probe_", "chunk::decode"];
+    assert_absent("server/src", &words, is_test);
+}
+
+#[test]
+fn words_in_tests_and_comments_are_not_code() {
+    let text = "let a = 1; // Instant\n/// Instant\n#[cfg(test)]\nInstant";
+    assert!(code_of(text).all(|line| !line.contains("Instant")));
+    assert_eq!(code_of(text).count(), 2);
+}
