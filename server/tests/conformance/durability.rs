@@ -2,6 +2,7 @@
 
 use std::path::Path;
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use lightkiln_proto::api::{BakeState, CommitVerdict};
 use lightkiln_server::clock::ManualClock;
@@ -74,28 +75,37 @@ async fn abandoned_call_happened_wholly_or_not_at_all() {
     let folder = tempfile::tempdir().unwrap();
     let store = open(folder.path(), &Arc::new(ManualClock::at(0))).await;
     let mut submitted = 0;
-    for turns in 0..120 {
-        let first = task(&format!("first {turns}"), &[]);
-        let plan = [first.clone(), task(&format!("second {turns}"), &[&first])];
+    // Each call is given a little longer than the one before, until calls come to their end.
+    for turn in 0u32.. {
+        let first = task(&format!("first {turn}"), &[]);
+        let plan = [first.clone(), task(&format!("second {turn}"), &[&first])];
+        let started = Instant::now();
         let abandon = async {
-            for _ in 0..turns {
+            while started.elapsed() < turn * Duration::from_micros(50) {
                 tokio::task::yield_now().await;
             }
         };
-        let bake = submission(&format!("{turns}"), &plan);
+        let bake = submission(&format!("{turn}"), &plan);
         tokio::select! {
             biased;
             () = abandon => (),
-            done = store.submit(&bake) => submitted += usize::from(done.is_ok()),
+            done = store.submit(&bake) => {
+                done.unwrap();
+                submitted += 1;
+            }
+        }
+        if submitted == 5 {
+            break;
         }
     }
-    let bakes = store.list(None, 500).await.unwrap().bakes;
-    assert!(bakes.len() >= submitted);
+    // Claims stand in line behind abandoned calls that are still being undone or finished.
     let mut ran = 0;
     while let Some(lease) = store.claim(&request("w", 1)).await.unwrap().pop() {
         store.commit(&lease.token, &result(&lease, &[])).await.unwrap();
         ran += 1;
     }
+    let bakes = store.list(None, 500).await.unwrap().bakes;
+    assert!((submitted..500).contains(&bakes.len()), "{} bakes of {submitted} submitted", bakes.len());
     assert_eq!(ran, 2 * bakes.len());
     for bake in bakes {
         assert_eq!(store.show(&bake.id).await.unwrap().state, BakeState::Done);
