@@ -28,6 +28,8 @@ pub struct Summary {
     pub receivers: u64,
     /// Probes.
     pub probes: u64,
+    /// Surface patches; 0 unless the basis is patches.
+    pub patches: u64,
     /// Clusters.
     pub clusters: u64,
     /// Tasks run for this bake.
@@ -66,6 +68,7 @@ impl Summary {
             out: out.display().to_string(),
             receivers: totals.receivers,
             probes: totals.probes,
+            patches: totals.patches,
             clusters: totals.clusters,
             tasks_run: bake.tasks_run,
             tasks_reused: bake.tasks_reused,
@@ -83,11 +86,15 @@ impl Summary {
 
     /// A few lines for people.
     pub fn words(&self) -> String {
+        let carriers = match self.patches {
+            0 => format!("{} probes", self.probes),
+            patches => format!("{patches} patches"),
+        };
         let mut words = format!(
-            "{} receivers, {} probes, {} clusters (mean rank {:.1}, highest {})\n\
+            "{} receivers, {}, {} clusters (mean rank {:.1}, highest {})\n\
              {} bytes, {:.0} a receiver for light; {:.2} % of the light reaches no probe\n",
             self.receivers,
-            self.probes,
+            carriers,
             self.clusters,
             self.mean_rank,
             self.rank_max,

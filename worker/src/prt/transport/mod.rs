@@ -2,7 +2,10 @@
 
 mod alpha;
 mod components;
+mod cut;
 mod emitters;
+mod hemisphere;
+mod patches;
 mod split;
 mod supporters;
 
@@ -11,7 +14,7 @@ use std::collections::BTreeMap;
 use lightkiln_proto::chunk::{QuantisationSettings, encode_cluster};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::manifest::ClusterRef;
-use lightkiln_proto::prt::Settings;
+use lightkiln_proto::prt::{BasisKind, ProbeKey, Settings};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -45,9 +48,19 @@ pub fn run(context: &Context, params: &Params) -> Result<TaskOutput, TaskError> 
         .clusters
         .get(params.cluster)
         .ok_or_else(|| TaskError::bad_input("the task names a cluster that the stage does not have"))?;
-    let sampler = AlphaSampler::new(&world, &params.settings, &cell.receivers);
-    let rows = trace(context, &sampler, &cell.receivers)?;
-    let pieces = split::pieces(&world, &params.settings, sampler.probes(), cell, &rows);
+    let settings = &params.settings;
+    let (keys, rows): (Vec<ProbeKey>, Vec<Row>) = match settings.basis {
+        BasisKind::Sh => {
+            let sampler = AlphaSampler::new(&world, settings, &cell.receivers);
+            let keys = sampler.probes().iter().map(|&probe| world.stage.probes[probe as usize].key).collect();
+            (keys, trace(context, &sampler, &cell.receivers)?)
+        }
+        BasisKind::Patches => {
+            let found = patches::trace(&world, settings, &cell.receivers, context.progress)?;
+            (found.keys, found.rows)
+        }
+    };
+    let pieces = split::pieces(&world, settings, &keys, cell, &rows);
     store(&pieces, CellIndex::of(&rows, CAVITY_TEXELS * world.stage.texel_m))
 }
 
