@@ -15,4 +15,5 @@ mod transport;
 mod world;
 
 pub use runner::PrtRunner;
-pub use world::{Surface, World};
+pub use world::{Geometry, Surface, World};
+pub(crate) use world::{corners_of, weights_of};
