@@ -1,4 +1,5 @@
 //! Lightkiln's bake maths.
+pub mod evaluate;
 pub mod prt;
 pub mod rays;
 pub mod reference;

@@ -8,6 +8,7 @@ mod assemble;
 pub mod factor;
 mod import;
 mod prepare;
+mod rebuild;
 mod relight;
 mod runner;
 pub mod stage;
@@ -15,5 +16,6 @@ mod transport;
 mod world;
 
 pub use runner::PrtRunner;
+pub(crate) use transport::{AlphaSampler, Piece, Row, pieces};
 pub use world::{Geometry, Surface, World};
 pub(crate) use world::{corners_of, weights_of};

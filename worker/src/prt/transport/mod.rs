@@ -15,13 +15,13 @@ use lightkiln_proto::prt::Settings;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+pub use alpha::{AlphaSampler, Row};
 pub use emitters::{EmitterSet, emitter_of_material};
+pub use split::{Piece, pieces};
 pub use supporters::{Supporter, Supporters};
 
 use super::runner::{Context, checked};
 use crate::task::{TaskError, TaskOutput};
-use alpha::{AlphaSampler, Row};
-use split::Piece;
 
 /// Parameters of the task.
 #[derive(Clone, Debug, Deserialize)]
@@ -47,7 +47,7 @@ pub fn run(context: &Context, params: &Params) -> Result<TaskOutput, TaskError> 
         .ok_or_else(|| TaskError::bad_input("the task names a cluster that the stage does not have"))?;
     let sampler = AlphaSampler::new(&world, &params.settings, &cell.receivers);
     let rows = trace(context, &sampler, &cell.receivers)?;
-    let pieces = split::pieces(&world, &params.settings, sampler.probes(), cell, &rows);
+    let pieces = pieces(&world, &params.settings, sampler.probes(), cell, &rows);
     store(&pieces, CellIndex::of(&rows, CAVITY_TEXELS * world.stage.texel_m))
 }
 

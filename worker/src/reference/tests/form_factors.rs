@@ -45,15 +45,15 @@ fn sphere_above_a_plane_gives_its_squared_sine() {
         }
     }
     let room = Room::new().mesh(positions, triangles, 0.0, radiance, false).built();
-    // Half of the many triangles, chosen by power alone, face away: it takes more paths.
-    let precision = Precision { paths_max: 1 << 17, ..PRECISION };
+    // Half of the many triangles, chosen by power alone, face away: it takes many paths.
+    let precision = Precision { rel_error: 0.006, paths_max: 1 << 17 };
     for at in [Vec3::ZERO, Vec3::new(1.0, 0.0, 0.5), Vec3::new(-2.0, 0.0, 1.0)] {
         let found = irradiance(&room, &emitters(), &[site(at, Vec3::Y)], precision)[0].indirect;
         let to = (centre - at).as_dvec3();
         let wanted = PI * f64::from(radiance) * f64::from(radius).powi(2) * to.y / to.length().powi(3);
         // The faceted sphere is a little smaller than the round one: by some (π/96)² of its outline.
         let off = (found.mean.y / wanted - 1.0).abs();
-        assert!(found.error.y < 0.004 * wanted, "{found:?}");
+        assert!(found.error.y < 0.007 * wanted, "{found:?}");
         assert!(off < 4.0 * found.error.y / wanted + 0.002, "{} wanted {wanted}", found.mean.y);
     }
 }
