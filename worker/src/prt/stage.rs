@@ -84,6 +84,8 @@ pub struct PatchTree {
     pub receivers: Vec<u32>,
     /// First entry of each leaf in `receivers`, and the end.
     pub leaf_starts: Vec<u32>,
+    /// Indices of patches, ascending by key.
+    pub by_key: Vec<u32>,
 }
 
 /// A surface patch.
@@ -116,6 +118,12 @@ impl PatchTree {
         std::iter::successors(Some(first).filter(within), move |&index| {
             Some(self.patches[index as usize].end).filter(within)
         })
+    }
+
+    /// The patch of a key.
+    pub fn of_key(&self, key: PatchKey) -> Option<&Patch> {
+        let place = self.by_key.binary_search_by_key(&key, |&index| self.patches[index as usize].key).ok()?;
+        Some(&self.patches[self.by_key[place] as usize])
     }
 
     /// Receivers of a patch.

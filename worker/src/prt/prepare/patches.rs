@@ -285,6 +285,10 @@ fn flattened(world: &World, nodes: &[Node], roots: &[Item]) -> PatchTree {
         enter(nodes, root, &mut tree);
     }
     tree.leaf_starts.push(tree.receivers.len() as u32);
+    let key = |patch: &u32| tree.patches[*patch as usize].key;
+    let mut by_key: Vec<u32> = (0..tree.patches.len() as u32).collect();
+    by_key.sort_by_key(key);
+    tree.by_key = by_key;
     tree
 }
 

@@ -12,6 +12,7 @@ use super::supporters::{Supporter, Supporters};
 use crate::prt::stage::Receiver;
 use crate::prt::world::{Surface, World};
 use crate::rays::Hit;
+use crate::task::Progress;
 
 /// α of one receiver and what was met on the way.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -35,6 +36,13 @@ pub struct Row {
 }
 
 impl Row {
+    /// Adds what was cast to the task's progress, and one receiver done.
+    pub fn count(&self, progress: &Progress) {
+        progress.add_rays_closest(self.rays_closest);
+        progress.add_rays_occlusion(self.rays_occlusion);
+        progress.advance(1);
+    }
+
     /// No light can ever come here: no probe, sky or emitter is in sight of anything in sight. So it is in cavities of
     /// solids and on parts of surfaces that are sunk in others.
     pub fn is_dead(&self) -> bool {

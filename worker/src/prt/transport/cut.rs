@@ -7,7 +7,7 @@ use std::collections::BinaryHeap;
 use crate::prt::stage::PatchTree;
 
 /// Share of the sum of squares of the matrix below which a loss is not worth a column.
-const LOSS_MIN: f64 = 1e-6;
+const LOSS_MIN: f64 = 0.0;
 
 /// How often the rays of a row met a leaf.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -78,6 +78,17 @@ pub fn cut(tree: &PatchTree, meetings: &[Meeting], rows: usize, columns_max: usi
     done
 }
 
+/// The leaves that were met, as patches, ascending.
+pub fn leaves(tree: &PatchTree, meetings: &[Meeting]) -> Vec<u32> {
+    let is_met = |leaf: u32| meetings.binary_search_by_key(&leaf, |meeting| meeting.leaf).is_ok();
+    (0..tree.patches.len() as u32)
+        .filter(|&patch| {
+            let patch = &tree.patches[patch as usize];
+            patch.leaf_count == 1 && is_met(patch.first_leaf)
+        })
+        .collect()
+}
+
 impl<'a> Met<'a> {
     /// Meetings of a patch's leaves.
     fn of(self, patch: u32) -> &'a [Meeting] {
@@ -146,6 +157,7 @@ mod tests {
             leaf_of_receiver: vec![0, 1, 2, 3],
             receivers: vec![0, 1, 2, 3],
             leaf_starts: vec![0, 1, 2, 3, 4],
+            by_key: (0..7).collect(),
         }
     }
 

@@ -7,18 +7,11 @@ use lightkiln_proto::sh::relight_direction;
 use rayon::prelude::*;
 
 use super::alpha::Row;
-use super::cut::{Meeting, cut};
+use super::cut::{Meeting, cut, leaves};
 use super::hemisphere::Hemisphere;
+use super::{CellRows, Detail};
 use crate::prt::world::{Surface, World};
-use crate::task::{Progress, TaskError};
-
-/// Rows of a cell over the patches of its cut.
-pub struct PatchRows {
-    /// What each column but the last stands for, ascending.
-    pub keys: Vec<ProbeKey>,
-    /// One row per receiver; the last column stays 0, as the sky has columns of its own among the keys.
-    pub rows: Vec<Row>,
-}
+use crate::task::{Cancelled, Progress};
 
 /// What the rays of one receiver meet.
 struct Gathered {
@@ -29,14 +22,14 @@ struct Gathered {
     row: Row,
 }
 
-/// Traces the rows of a cell's receivers.
+/// Traces the rows of a cell's receivers. The group of the sky stays 0, as the sky has columns among the keys.
 pub fn trace(
     world: &World,
     settings: &Settings,
     receivers: &[u32],
+    detail: Detail,
     progress: &Progress,
-) -> Result<PatchRows, TaskError> {
-    progress.begin(0.0, 0.9, receivers.len() as u64);
+) -> Result<CellRows, Cancelled> {
     let sky: Vec<Vec3> =
         (0..settings.sky_parts).map(|part| relight_direction(part, settings.sky_parts)).collect();
     let gathered: Vec<Gathered> = receivers
@@ -44,13 +37,11 @@ pub fn trace(
         .map(|&receiver| {
             progress.check()?;
             let gathered = gather(world, settings, &sky, receiver);
-            progress.add_rays_closest(gathered.row.rays_closest);
-            progress.add_rays_occlusion(gathered.row.rays_occlusion);
-            progress.advance(1);
+            gathered.row.count(progress);
             Ok(gathered)
         })
-        .collect::<Result<_, TaskError>>()?;
-    Ok(over_cut(world, settings, gathered))
+        .collect::<Result<_, Cancelled>>()?;
+    Ok(summed(world, settings, gathered, detail))
 }
 
 fn gather(world: &World, settings: &Settings, sky: &[Vec3], receiver: u32) -> Gathered {
@@ -91,7 +82,7 @@ fn nearest(directions: &[Vec3], direction: Vec3) -> u32 {
 }
 
 /// Sums what was met over the patches of the cell's cut.
-fn over_cut(world: &World, settings: &Settings, gathered: Vec<Gathered>) -> PatchRows {
+fn summed(world: &World, settings: &Settings, gathered: Vec<Gathered>, detail: Detail) -> CellRows {
     let tree = &world.stage.patches;
     let mut meetings: Vec<Meeting> = Vec::new();
     for (row, gathered) in gathered.iter().enumerate() {
@@ -102,7 +93,10 @@ fn over_cut(world: &World, settings: &Settings, gathered: Vec<Gathered>) -> Patc
         }));
     }
     meetings.sort_unstable_by_key(|meeting| (meeting.leaf, meeting.row));
-    let patches = cut(tree, &meetings, gathered.len(), settings.patches_max as usize);
+    let patches = match detail {
+        Detail::AsBaked => cut(tree, &meetings, gathered.len(), settings.patches_max as usize),
+        Detail::Finest => leaves(tree, &meetings),
+    };
     let mut sky_met = vec![false; settings.sky_parts as usize];
     gathered.iter().flat_map(|g| &g.sky).for_each(|&part| sky_met[part as usize] = true);
 
@@ -130,5 +124,5 @@ fn over_cut(world: &World, settings: &Settings, gathered: Vec<Gathered>) -> Patc
             rows[meeting.row as usize].alpha[column] += meeting.count as f32 * scale;
         }
     }
-    PatchRows { keys, rows }
+    CellRows { keys, rows }
 }

@@ -3,9 +3,11 @@
 use glam::Vec3;
 use lightkiln_proto::prt::{BasisKind, ClusterTransport, EmitterIrradiance, ProbeKey, Receivers, Settings};
 use lightkiln_proto::sh::band_of;
+use rayon::prelude::*;
 
 use super::alpha::Row;
 use super::components::components;
+use super::expectation;
 use crate::prt::factor::{Factors, Matrix, factorise};
 use crate::prt::prepare::halves;
 use crate::prt::stage::{ClusterCell, Receiver};
@@ -38,6 +40,8 @@ struct Splitter<'a> {
     /// Ascending receiver indices of the cell, one per row.
     receivers: &'a [u32],
     rows: &'a [Row],
+    /// With patches: the rows times L of [`expectation`].
+    weighed: Vec<Vec<f32>>,
 }
 
 /// Factorised clusters of a cell, in a fixed order.
@@ -48,7 +52,14 @@ pub fn pieces(
     cell: &ClusterCell,
     rows: &[Row],
 ) -> Vec<Piece> {
-    let splitter = Splitter { world, settings, keys, receivers: &cell.receivers, rows };
+    let weighed = match settings.basis {
+        BasisKind::Sh => Vec::new(),
+        BasisKind::Patches => {
+            let root = expectation::root(world, settings, keys, (cell.bounds_m[0] + cell.bounds_m[1]) * 0.5);
+            expectation::weighed(rows.par_iter().map(|row| &row.alpha[..]), &root, keys.len())
+        }
+    };
+    let splitter = Splitter { world, settings, keys, receivers: &cell.receivers, rows, weighed };
     // Dead receivers are left out: their texels are filled from their neighbours, which keeps edges from turning dark.
     let live: Vec<usize> = (0..rows.len()).filter(|&row| !rows[row].is_dead()).collect();
     let links: Vec<Vec<u32>> = live.iter().map(|&row| splitter.groups_used(&rows[row])).collect();
@@ -68,9 +79,10 @@ impl Splitter<'_> {
         }
         let settings = self.settings;
         let (matrix, columns) = self.matrix(&cell.receivers);
-        let error_max = self.error_max(&matrix);
-        let mut factors = factorise(&matrix, settings.rank_max as usize, error_max, &self.seeds(&columns));
-        self.unweigh(&mut factors.vt);
+        let (factors, error_max) = match settings.basis {
+            BasisKind::Sh => self.factors_of_probes(&matrix, &columns),
+            BasisKind::Patches => self.factors_of_patches(&matrix, &cell.receivers),
+        };
         let size = cell.bounds_m[1] - cell.bounds_m[0];
         let may_split = cell.receivers.len() > settings.split_receivers_min as usize
             && size.max_element() > self.world.stage.texel_m;
@@ -84,18 +96,32 @@ impl Splitter<'_> {
         pieces.push(self.piece(&cell.receivers, &columns, factors));
     }
 
-    /// Error at which a matrix may be truncated: what is set, and with patches the noise of its counts on top: dropping
-    /// that is a gain. An entry of c rays times π/N has the variance c (π/N)².
-    fn error_max(&self, matrix: &Matrix) -> f32 {
-        let set = f64::from(self.settings.rank_error);
-        if self.settings.basis == BasisKind::Sh {
-            return self.settings.rank_error;
-        }
-        let squares: f64 = matrix.values.iter().map(|value| f64::from(*value).powi(2)).sum();
+    /// Factors of a matrix with columns weighted by band, and the error that it may have.
+    fn factors_of_probes(&self, matrix: &Matrix, columns: &[u32]) -> (Factors, f32) {
+        let error_max = self.settings.rank_error;
+        let seeds = self.seeds(columns);
+        let mut factors = factorise(matrix, self.settings.rank_max as usize, error_max, &seeds);
+        self.unweigh(&mut factors.vt);
+        (factors, error_max)
+    }
+
+    /// Factors of a matrix over patches: U of A L, and ΣVᵀ = UᵀA. The error that it may have is what is set, and the noise
+    /// of counts on top, as dropping that is a gain: an entry of c rays times π/N has the variance c (π/N)².
+    fn factors_of_patches(&self, matrix: &Matrix, receivers: &[u32]) -> (Factors, f32) {
+        let rows =
+            receivers.iter().map(|receiver| self.receivers.binary_search(receiver).unwrap_or_default());
+        let values: Vec<f32> = rows.flat_map(|row| &self.weighed[row]).copied().collect();
+        let weighed = Matrix { rows: receivers.len(), columns: self.keys.len(), values };
+        let squares: f64 = weighed.values.iter().map(|value| f64::from(*value).powi(2)).sum();
         let sum: f64 = matrix.values.iter().map(|value| f64::from(*value)).sum();
         let noise = sum * std::f64::consts::PI / f64::from(self.settings.transport_rays);
         let noise_share = if squares > 0.0 { (noise / squares).min(NOISE_SHARE_MAX) } else { 0.0 };
-        (set * set + NOISE_DROPPED * noise_share).sqrt() as f32
+        let error_max =
+            (f64::from(self.settings.rank_error).powi(2) + NOISE_DROPPED * noise_share).sqrt() as f32;
+        let all: Vec<u32> = (0..self.keys.len() as u32).collect();
+        let mut factors = factorise(&weighed, self.settings.rank_max as usize, error_max, &self.seeds(&all));
+        factors.vt = factors.projected(matrix);
+        (factors, error_max)
     }
 
     fn row_of(&self, receiver: u32) -> &Row {
