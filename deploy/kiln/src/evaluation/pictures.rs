@@ -17,7 +17,7 @@ use super::measure::Measured;
 use crate::failure::{Exit, Failure, Result};
 
 /// Pixels down; the width follows.
-const SIZE: PictureSize = PictureSize { width: 384, height: 288, grid: 7 };
+const SIZE: PictureSize = PictureSize { width: 256, height: 192, grid: 14 };
 /// Points over a panel for E_dir at a pixel's sample.
 const PANEL_POINTS: u32 = 4;
 
