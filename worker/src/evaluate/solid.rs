@@ -66,13 +66,11 @@ pub(super) fn check_place(
     }
     light.lighting.panels.iter().try_for_each(|panel| {
         check_point(world, &light.name, panel.centre_m.into(), back_share_max)?;
-        match is_free(world, panel) {
-            true => Ok(()),
-            false => Err(LightingError::new(
-                &light.name,
-                "the panel passes through a surface; make it smaller or move it",
-            )),
+        if is_free(world, panel) {
+            return Ok(());
         }
+        let problem = "the panel passes through a surface; make it smaller or move it";
+        Err(LightingError::new(&light.name, problem))
     })
 }
 
