@@ -2,7 +2,7 @@
 
 use std::cmp::Reverse;
 
-use glam::Vec3;
+use glam::{UVec3, Vec3};
 use lightkiln_proto::scene::{LightKind, SceneLight};
 use lightkiln_proto::sh::relight_direction;
 use rayon::prelude::*;
@@ -15,6 +15,12 @@ use crate::reference::{Lighting, PanelLight, Site};
 
 /// Rays among which a spot's aim is sought.
 const AIM_RAYS: u32 = 512;
+/// Places that a light may stand at, along the scene's longest side.
+const LATTICE_STEPS: u32 = 12;
+/// Free space around a place, as a share of the lattice's step.
+const CLEARANCE: f32 = 0.25;
+/// Share of rays from a place that may meet backs.
+const BACK_SHARE_MAX: f32 = 0.02;
 /// Suns tried.
 const SUNS: u32 = 64;
 /// Lowest sun tried, as the sine of its height.
@@ -22,6 +28,10 @@ const SUN_LOWEST: f32 = 0.2;
 /// Receivers that a sun is tried on, and rays that tell how open each is.
 const TRIED_RECEIVERS: usize = 512;
 const OPENNESS_RAYS: u32 = 32;
+/// Share of its directions up to which a site sees the sky past something, and the share of sites beyond which the scene is
+/// open anyway.
+const PARTLY_MAX: f32 = 0.75;
+const SEEING_MIN: f32 = 0.05;
 /// A panel's half sides as shares of the free space around its centre; the largest that fits is taken.
 const PANEL_SHARES: [f32; 4] = [0.5, 0.35, 0.2, 0.1];
 
@@ -74,9 +84,12 @@ impl Openness {
         Self { sites, open }
     }
 
-    /// Any of them sees any sky.
+    /// Sky comes in: some site sees it past something, or a good share of them at all. A rim that sticks out of a closed
+    /// room is no opening.
     pub fn has_opening(&self) -> bool {
-        self.open.iter().any(|open| *open > 0.0)
+        let partly = |open: &f32| *open > 0.0 && *open <= PARTLY_MAX;
+        let seeing = self.open.iter().filter(|open| **open > 0.0).count();
+        self.open.iter().any(partly) || seeing as f32 > SEEING_MIN * self.open.len() as f32
     }
 
     /// How much a sun lights places that see little sky, and how many it lights: `Σ cosθ · (1 − openness)`.
@@ -96,7 +109,7 @@ impl Openness {
     }
 }
 
-/// A probe's place and what is seen from there.
+/// A place and what is seen from there.
 struct Standpoint {
     position_m: Vec3,
     look: Look,
@@ -108,7 +121,7 @@ pub fn default_lights(world: &World, sample: &Sample) -> Chosen {
     let mut chosen = Chosen::default();
     let places = standpoints(world);
     if places.is_empty() {
-        chosen.notes.push("no point, spot or panel: the bake has no probe in free space".into());
+        chosen.notes.push("no point, spot or panel: no place in free space was found".into());
     }
     chosen.lights.extend(point(&places));
     chosen.lights.extend(spot(world, &places));
@@ -133,38 +146,39 @@ pub fn default_lights(world: &World, sample: &Sample) -> Chosen {
     chosen
 }
 
-/// Longest diagonal of the receivers' bounds.
-pub(super) fn extent_m(world: &World) -> f32 {
-    let positions = || world.stage.receivers.iter().map(|receiver| receiver.position_m);
-    let (low, high) =
-        (positions().fold(Vec3::INFINITY, Vec3::min), positions().fold(Vec3::NEG_INFINITY, Vec3::max));
-    (high - low).max(Vec3::ZERO).length()
+/// Diagonal of the scene's bounds.
+fn extent_m(world: &World) -> f32 {
+    let [low, high] = bounds_m(world);
+    (high - low).length()
 }
 
-/// Probes' places that meet no backs, widest view first. Places from which rays leave the scene see no farther there than
-/// the scene is long.
+/// Places of a lattice over the scene's bounds that meet no backs and touch nothing, widest view first. Rays that leave
+/// the scene see nothing: places inside come before those outside. Of the scene alone, so that all its bakes are measured
+/// under the same lights.
 fn standpoints(world: &World) -> Vec<Standpoint> {
-    let far_m = extent_m(world) * 0.5;
-    let mut places: Vec<Standpoint> = world
-        .stage
-        .probes
-        .par_iter()
-        .map(|probe| {
-            let position_m = Vec3::from_array(probe.position_m);
-            Standpoint { position_m, look: look(world, position_m, far_m) }
-        })
-        .filter(|place| place.look.back_share <= 0.02 && is_within(world, place.position_m))
-        .collect();
+    let [low, high] = bounds_m(world);
+    let step_m = ((high - low).max_element() / LATTICE_STEPS as f32).max(f32::MIN_POSITIVE);
+    let counts = ((high - low) / step_m).floor().as_uvec3().min(UVec3::splat(LATTICE_STEPS - 1)) + 1;
+    let place = |index: u32| {
+        let cell = UVec3::new(index % counts.x, index / counts.x % counts.y, index / (counts.x * counts.y));
+        let share = (cell.as_vec3() + 0.5) / counts.as_vec3();
+        let position_m = low + (high - low) * share;
+        let look = look(world, position_m);
+        let stands = look.back_share <= BACK_SHARE_MAX && look.nearest_m >= CLEARANCE * step_m;
+        stands.then_some(Standpoint { position_m, look })
+    };
+    let mut places: Vec<Standpoint> =
+        (0..counts.element_product()).into_par_iter().filter_map(place).collect();
     places.sort_by(|a, b| b.look.mean_m.total_cmp(&a.look.mean_m));
     places
 }
 
-/// Inside the bounds of the scene's surfaces.
-fn is_within(world: &World, position_m: Vec3) -> bool {
-    let positions = || world.stage.receivers.iter().map(|receiver| receiver.position_m);
-    let (low, high) =
-        (positions().fold(Vec3::INFINITY, Vec3::min), positions().fold(Vec3::NEG_INFINITY, Vec3::max));
-    position_m.cmpge(low).all() && position_m.cmple(high).all()
+/// Bounds of the scene's surfaces.
+fn bounds_m(world: &World) -> [Vec3; 2] {
+    let positions = || world.scene.instances.iter().flat_map(|instance| &instance.positions_m);
+    let low = positions().fold(Vec3::INFINITY, |low, position| low.min(*position));
+    let high = positions().fold(Vec3::NEG_INFINITY, |high, position| high.max(*position));
+    [low, high.max(low)]
 }
 
 fn words(at: Vec3) -> String {

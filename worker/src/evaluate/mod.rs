@@ -15,6 +15,8 @@ mod light_file;
 mod lights;
 mod sample;
 mod solid;
+#[cfg(test)]
+mod tests;
 
 pub use baked::{Baked, Incoming, Settled, names};
 pub use classes::Classes;

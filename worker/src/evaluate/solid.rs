@@ -21,14 +21,14 @@ pub(super) struct Look {
     pub escapes: bool,
     /// Distance to the nearest surface in metres.
     pub nearest_m: f32,
-    /// Mean distance seen in metres; rays that leave the scene count as `far_m`.
+    /// Mean distance seen in metres; rays that leave the scene see nothing.
     pub mean_m: f32,
     /// Name of the surface with the nearest back.
     pub inside_of: Option<String>,
 }
 
 /// Looks around from a point.
-pub(super) fn look(world: &World, from_m: Vec3, far_m: f32) -> Look {
+pub(super) fn look(world: &World, from_m: Vec3) -> Look {
     let mut look =
         Look { back_share: 0.0, escapes: false, nearest_m: f32::INFINITY, mean_m: 0.0, inside_of: None };
     let mut nearest_back_m = f32::INFINITY;
@@ -36,11 +36,10 @@ pub(super) fn look(world: &World, from_m: Vec3, far_m: f32) -> Look {
         let direction = relight_direction(ray, LOOK_RAYS);
         let Some(hit) = world.geometry.tracer.closest(from_m, direction, f32::INFINITY) else {
             look.escapes = true;
-            look.mean_m += far_m / LOOK_RAYS as f32;
             continue;
         };
         look.nearest_m = look.nearest_m.min(hit.t);
-        look.mean_m += hit.t.min(far_m) / LOOK_RAYS as f32;
+        look.mean_m += hit.t / LOOK_RAYS as f32;
         if hit.front || world.material(hit.triangle).double_sided {
             continue;
         }
@@ -67,18 +66,16 @@ pub(super) fn check_place(
     }
     light.lighting.panels.iter().try_for_each(|panel| {
         check_point(world, &light.name, panel.centre_m.into(), back_share_max)?;
-        match is_free(world, panel) {
-            true => Ok(()),
-            false => Err(LightingError::new(
-                &light.name,
-                "the panel passes through a surface; make it smaller or move it",
-            )),
+        if is_free(world, panel) {
+            return Ok(());
         }
+        let problem = "the panel passes through a surface; make it smaller or move it";
+        Err(LightingError::new(&light.name, problem))
     })
 }
 
 fn check_point(world: &World, name: &str, at_m: Vec3, back_share_max: f32) -> Result<(), LightingError> {
-    let look = look(world, at_m, 0.0);
+    let look = look(world, at_m);
     let words = |at: Vec3| format!("{:.3},{:.3},{:.3}", at.x, at.y, at.z);
     if look.back_share > back_share_max && !look.escapes {
         let solid = look.inside_of.as_deref().unwrap_or("a solid");

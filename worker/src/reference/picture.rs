@@ -106,11 +106,13 @@ fn film(
         .map(|pixel| {
             progress.check()?;
             let (x, y) = (pixel % size.width, pixel / size.width);
-            let mut random = Sequence::new(seed_of(&[u64::from(x), u64::from(y), 22]));
+            let own = |use_of: u64| Sequence::new(seed_of(&[u64::from(x), u64::from(y), use_of]));
+            // Apart, so that pictures by other means look through the same points.
+            let (mut jitter, mut random) = (own(22), own(25));
             let mut sum = DVec3::ZERO;
             for stratum in 0..size.grid * size.grid {
                 let within = [stratum % size.grid, stratum / size.grid]
-                    .map(|cell| (cell as f32 + random.next_f32()) / size.grid as f32);
+                    .map(|cell| (cell as f32 + jitter.next_f32()) / size.grid as f32);
                 let at = [x as f32 + within[0], y as f32 + within[1]];
                 let (origin_m, direction) = camera_ray(camera, size, at);
                 sum += radiance(origin_m, direction, &mut random);

@@ -10,7 +10,7 @@ use super::following::follow;
 use super::submitting::{PackedScene, connect};
 use crate::bundle::{refuse_foreign_folder, write_bundle};
 use crate::embedded::{EmbeddedFarm, default_state};
-use crate::evaluation::{Limit, Wanted, check, measure, relative_path, words};
+use crate::evaluation::{EvaluationArguments, check, measure, relative_path, words};
 use crate::failure::{EXIT_CODES, Exit, Failure, Result};
 use crate::interrupt::Interrupt;
 use crate::picture::PictureArguments;
@@ -46,10 +46,8 @@ pub struct Arguments {
     /// Measures the bake against a path tracer, as 'kiln evaluate' does; the figures go into report.json and --json
     #[arg(long, help_heading = "Evaluation")]
     evaluate: bool,
-    /// Fails with exit code 4 when a figure of the evaluation is so, e.g. rel_rmse>0.08, energy_ratio<0.97,
-    /// sun.p95>0.3; may be given often
-    #[arg(long, value_name = "EXPR", requires = "evaluate", help_heading = "Evaluation")]
-    fail_if: Vec<Limit>,
+    #[command(flatten)]
+    wanted: EvaluationArguments,
     /// Ends with one JSON object on standard output: bake, scene, out, receivers, probes, clusters, tasks_run,
     /// tasks_reused, mean_rank, rank_max, rays_closest, rays_occlusion, uncovered_fraction, bytes_total,
     /// bytes_per_receiver, elapsed_secs, stages; with --evaluate also evaluation
@@ -62,6 +60,9 @@ pub fn run(arguments: Arguments) -> Result<()> {
     let started = Instant::now();
     let settings = arguments.settings.resolve()?;
     arguments.picture.check()?;
+    if !arguments.evaluate && !arguments.wanted.fail_if.is_empty() {
+        return Err(Failure::bad_input("--fail-if has nothing to look at").try_this("--evaluate beside it"));
+    }
     let out = arguments.out.clone().unwrap_or_else(|| default_out(&arguments.scene));
     refuse_foreign_folder(&out)?;
     let scene = PackedScene::read(&arguments.scene)?;
@@ -78,8 +79,7 @@ pub fn run(arguments: Arguments) -> Result<()> {
     let scene_path = relative_path(&out, &arguments.scene);
     complete_report(&out, scene_path.clone(), &summary)?;
     if arguments.evaluate {
-        let wanted = Wanted { scene: scene.name.clone(), ..Wanted::default() };
-        summary.evaluation = Some(measure(&source, scene.into_bytes(), &wanted, &interrupt)?.evaluation);
+        summary.evaluation = Some(measure(&source, scene, &arguments.wanted, &interrupt)?.evaluation);
         complete_report(&out, scene_path, &summary)?;
     }
     if let Some(png) = &arguments.preview {
@@ -94,7 +94,7 @@ pub fn run(arguments: Arguments) -> Result<()> {
     if arguments.json {
         println!("{}", serde_json::json!(summary));
     }
-    summary.evaluation.map_or(Ok(()), |evaluation| check(&arguments.fail_if, &evaluation))
+    summary.evaluation.map_or(Ok(()), |evaluation| check(&arguments.wanted.fail_if, &evaluation))
 }
 
 /// Where the bake runs.

@@ -1,7 +1,6 @@
 //! The measurement itself: bundle and scene in, figures and everything that pictures need out.
 
 use std::fs;
-use std::path::PathBuf;
 
 use lightkiln_client::fetch::Source;
 use lightkiln_proto::ids::Digest;
@@ -12,36 +11,14 @@ use lightkiln_worker::evaluate::{
 use lightkiln_worker::reference::Precision;
 use lightkiln_worker::task::Progress;
 
+use super::arguments::EvaluationArguments;
 use super::table::{Evaluation, LightRow, over_lights};
+use crate::commands::submitting::PackedScene;
 use crate::failure::{Exit, Failure, Result};
 use crate::interrupt::Interrupt;
 
 /// Worst clusters that are named.
 const WORST: usize = 12;
-
-/// Standard error of the reference unless told.
-pub const REL_ERROR: f64 = 0.03;
-/// Receivers measured at unless told.
-pub const RECEIVERS: u32 = 2000;
-
-/// What to measure, and how surely.
-#[derive(Clone, Debug)]
-pub struct Wanted {
-    /// Scene's name for the report.
-    pub scene: String,
-    /// File of lights instead of chosen ones.
-    pub lights: Option<PathBuf>,
-    /// Relative standard error of the reference.
-    pub rel_error: f64,
-    /// Strata of area with a receiver in each.
-    pub receivers: u32,
-}
-
-impl Default for Wanted {
-    fn default() -> Self {
-        Self { scene: String::new(), lights: None, rel_error: REL_ERROR, receivers: RECEIVERS }
-    }
-}
 
 /// A finished measurement.
 pub struct Measured {
@@ -53,15 +30,22 @@ pub struct Measured {
     pub evaluation: Evaluation,
 }
 
-/// Measures a bundle against its scene, given as packed bytes. Says on standard error what it does.
-pub fn measure(source: &Source, scene: Vec<u8>, wanted: &Wanted, interrupt: &Interrupt) -> Result<Measured> {
+/// Measures a bundle against its scene. Says on standard error what it does.
+pub fn measure(
+    source: &Source,
+    scene: PackedScene,
+    wanted: &EvaluationArguments,
+    interrupt: &Interrupt,
+) -> Result<Measured> {
+    let name = scene.name.clone();
     let (_, manifest) = source.manifest()?;
     let progress = Progress::new();
     let precision = Precision { rel_error: wanted.rel_error, ..Precision::default() };
     let options = Options { receivers: wanted.receivers, precision, ..Options::default() };
     eprintln!("preparing the scene anew, and the rows of {} receivers", wanted.receivers);
     let bytes = |digest| chunk(source, &manifest, digest);
-    let evaluator = Evaluator::new(&manifest, scene, bytes, options, &progress).map_err(failure)?;
+    let evaluator =
+        Evaluator::new(&manifest, scene.into_bytes(), bytes, options, &progress).map_err(failure)?;
     let chosen = match &wanted.lights {
         Some(path) => {
             let json = fs::read(path).map_err(|error| {
@@ -90,7 +74,11 @@ pub fn measure(source: &Source, scene: Vec<u8>, wanted: &Wanted, interrupt: &Int
         eprintln!("{}: {}", light.name, light.words);
         results.push(evaluator.measure(light, &progress).map_err(failure)?);
     }
-    let evaluation = summed_up(&manifest, &evaluator, &results, wanted, chosen.notes);
+    let evaluation = Evaluation {
+        scene: name,
+        rel_error: wanted.rel_error,
+        ..summed_up(&manifest, &evaluator, &results, chosen.notes)
+    };
     Ok(Measured { evaluator, results, evaluation })
 }
 
@@ -98,7 +86,6 @@ fn summed_up(
     manifest: &Manifest,
     evaluator: &Evaluator,
     results: &[LightResult],
-    wanted: &Wanted,
     mut notes: Vec<String>,
 ) -> Evaluation {
     let lights: Vec<LightRow> = results.iter().map(LightRow::of).collect();
@@ -111,18 +98,17 @@ fn summed_up(
     let mut worst_clusters = cluster_errors(evaluator, results);
     worst_clusters.truncate(WORST);
     Evaluation {
-        scene: wanted.scene.clone(),
         receivers: evaluator.sample().receivers.len(),
         figures,
         classes,
         lights,
-        rel_error: wanted.rel_error,
         share_without_receiver: evaluator.sample().share_without,
         cells_made_anew,
         clusters_made_anew,
         clusters: manifest.clusters.len(),
         worst_clusters,
         notes,
+        ..Evaluation::default()
     }
 }
 

@@ -4,6 +4,7 @@
 
 mod commands;
 mod embedded;
+mod evaluation;
 mod farm;
 mod processes;
 mod wrong_input;
