@@ -100,6 +100,8 @@ pub struct Patch {
     /// Index after the last of its parts; its first part, if it has any, follows itself, and each part the end of the
     /// one before.
     pub end: u32,
+    /// Lower and upper corner of its receivers' positions in metres.
+    pub bounds_m: [Vec3; 2],
 }
 
 impl PatchTree {

@@ -102,10 +102,10 @@ impl Reference<'_> {
             for index in 0..panel_points {
                 let pick = (index as f32 + picks) / panel_points as f32;
                 let sample = LampPoints { pick, point: points.point(index) };
-                panels += self.from_panels_alone(site, sample) / f64::from(panel_points);
+                panels += self.by_panels_alone(site, sample) / f64::from(panel_points);
             }
         }
-        self.from_punctual(site) + panels
+        self.by_punctual(site) + panels
     }
 
     fn add_batches(&self, site: &Site, sums: &mut Sums, count: u32) {
@@ -129,8 +129,8 @@ impl Reference<'_> {
         for index in 0..BATCH {
             let pick = (index as f32 + shift) / BATCH as f32;
             let points = LampPoints { pick, point: lamp_points.point(index) };
-            direct += self.from_panels(site, points);
-            indirect += self.from_emitters(site, &chances, points) + self.from_sky(site, points);
+            direct += self.by_panels(site, points);
+            indirect += self.by_emitters(site, &chances, points) + self.by_sky(site, points);
             let direction = site.direction(directions.point(index));
             let gathered = self.arriving(Some(site), origin_m, direction, &mut random);
             // π · L · K / (π · density), and density is K/π.
@@ -142,7 +142,7 @@ impl Reference<'_> {
 
     fn finished(&self, site: &Site, sums: &Sums) -> IrradianceEstimate {
         let mut direct = sums.direct.estimate();
-        direct.mean += self.from_punctual(site);
+        direct.mean += self.by_punctual(site);
         IrradianceEstimate { direct, indirect: sums.indirect.estimate(), paths: sums.paths() }
     }
 }

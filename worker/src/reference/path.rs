@@ -88,17 +88,17 @@ impl Reference<'_> {
     }
 
     /// Irradiance straight from points, spots and suns: exact but for rounding.
-    pub(super) fn from_punctual(&self, site: &Site) -> DVec3 {
+    pub(super) fn by_punctual(&self, site: &Site) -> DVec3 {
         let arrivals = self.lamps.punctual.iter().filter_map(|light| light.arrival(site));
         arrivals
             .filter(|arrival| self.sees(site, arrival.target))
             .fold(DVec3::ZERO, |sum, arrival| sum + arrival.irradiance)
     }
 
-    /// As [`Reference::from_punctual`], by one of the lights, chosen by what it would send unshadowed.
-    fn from_one_punctual(&self, site: &Site, pick: f32) -> DVec3 {
+    /// As [`Reference::by_punctual`], by one of the lights, chosen by what it would send unshadowed.
+    fn by_one_punctual(&self, site: &Site, pick: f32) -> DVec3 {
         if self.lamps.punctual.len() < 2 {
-            return self.from_punctual(site);
+            return self.by_punctual(site);
         }
         let power = |light: &super::punctual::Punctual| {
             light.arrival(site).map_or(0.0, |arrival| luminance(arrival.irradiance))
@@ -127,13 +127,13 @@ impl Reference<'_> {
     }
 
     /// Irradiance straight from panels, by one point on one of them.
-    pub(super) fn from_panels(&self, site: &Site, points: LampPoints) -> DVec3 {
+    pub(super) fn by_panels(&self, site: &Site, points: LampPoints) -> DVec3 {
         let Some((arriving, direction, density)) = self.panel_point(site, points) else { return DVec3::ZERO };
         arriving * self.strategy.weight(true, density, site.density(direction))
     }
 
-    /// As [`Reference::from_panels`] for those who send no other rays to panels.
-    pub(super) fn from_panels_alone(&self, site: &Site, points: LampPoints) -> DVec3 {
+    /// As [`Reference::by_panels`] for those who send no other rays to panels.
+    pub(super) fn by_panels_alone(&self, site: &Site, points: LampPoints) -> DVec3 {
         self.panel_point(site, points).map_or(DVec3::ZERO, |(arriving, _, _)| arriving)
     }
 
@@ -150,7 +150,7 @@ impl Reference<'_> {
     }
 
     /// Irradiance straight from the scene's emitters, by one point on one of them.
-    pub(super) fn from_emitters(&self, site: &Site, chances: &Chances, points: LampPoints) -> DVec3 {
+    pub(super) fn by_emitters(&self, site: &Site, chances: &Chances, points: LampPoints) -> DVec3 {
         let emitters = &self.lamps.emitters;
         if emitters.is_empty() {
             return DVec3::ZERO;
@@ -179,7 +179,7 @@ impl Reference<'_> {
     }
 
     /// Irradiance straight from the sky, by one direction.
-    pub(super) fn from_sky(&self, site: &Site, points: LampPoints) -> DVec3 {
+    pub(super) fn by_sky(&self, site: &Site, points: LampPoints) -> DVec3 {
         let sky = &self.lamps.sky;
         if sky.is_dark() {
             return DVec3::ZERO;
@@ -235,7 +235,7 @@ impl Reference<'_> {
                 throughput /= survival;
             }
             let chances = self.lamps.emitters.chances(&met.site);
-            let straight = self.from_lamps(&met.site, &chances, random);
+            let straight = self.by_lamps(&met.site, &chances, random);
             gathered.rest += throughput * straight / PI;
             origin_m = met.site.ray_origin_m(self.offset_m());
             direction = met.site.direction([random.next_f32(), random.next_f32()]);
@@ -257,13 +257,13 @@ impl Reference<'_> {
     }
 
     /// Irradiance from one sample of each kind of lamp.
-    fn from_lamps(&self, site: &Site, chances: &Chances, random: &mut Sequence) -> DVec3 {
+    fn by_lamps(&self, site: &Site, chances: &Chances, random: &mut Sequence) -> DVec3 {
         let pick = random.next_f32();
         let mut points = || LampPoints::next(random);
-        self.from_one_punctual(site, pick)
-            + self.from_panels(site, points())
-            + self.from_emitters(site, chances, points())
-            + self.from_sky(site, points())
+        self.by_one_punctual(site, pick)
+            + self.by_panels(site, points())
+            + self.by_emitters(site, chances, points())
+            + self.by_sky(site, points())
     }
 
     /// Radiance of the panels that a ray passes, weighted against sampling them.

@@ -34,7 +34,7 @@ pub struct PatchNumbers {
 
 /// Radiance of the parts of the sky, at their middles: `horizon + (zenith − horizon)·max(ω_y, 0)`.
 pub fn sky_radiance(bake: &LoadedBake, sky: Sky) -> Vec<Vec4> {
-    let (zenith, horizon) = (Vec4::from(sky.zenith.extend(0.0)), Vec4::from(sky.horizon.extend(0.0)));
+    let (zenith, horizon) = (sky.zenith.extend(0.0), sky.horizon.extend(0.0));
     bake.patches.sky.iter().map(|direction| horizon + (zenith - horizon) * direction.y.max(0.0)).collect()
 }
 

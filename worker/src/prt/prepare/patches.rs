@@ -282,7 +282,7 @@ fn flattened(world: &World, nodes: &[Node], roots: &[Item]) -> PatchTree {
     let mut roots: Vec<u32> = roots.iter().map(|item| item.node).collect();
     roots.sort_by_key(|&root| nodes[root as usize].key);
     for root in roots {
-        enter(nodes, root, &mut tree);
+        enter(world, nodes, root, &mut tree);
     }
     tree.leaf_starts.push(tree.receivers.len() as u32);
     let key = |patch: &u32| tree.patches[*patch as usize].key;
@@ -292,11 +292,11 @@ fn flattened(world: &World, nodes: &[Node], roots: &[Item]) -> PatchTree {
     tree
 }
 
-fn enter(nodes: &[Node], index: u32, tree: &mut PatchTree) {
+fn enter(world: &World, nodes: &[Node], index: u32, tree: &mut PatchTree) {
     let node = &nodes[index as usize];
     let own = tree.patches.len();
     let first_leaf = tree.leaf_starts.len() as u32;
-    tree.patches.push(Patch { key: node.key, first_leaf, leaf_count: 0, end: 0 });
+    tree.patches.push(Patch { key: node.key, first_leaf, leaf_count: 0, end: 0, bounds_m: [Vec3::ZERO; 2] });
     if node.children.is_empty() {
         tree.leaf_starts.push(tree.receivers.len() as u32);
         for &receiver in &node.receivers {
@@ -305,11 +305,17 @@ fn enter(nodes: &[Node], index: u32, tree: &mut PatchTree) {
         }
     }
     for &child in &node.children {
-        enter(nodes, child, tree);
+        enter(world, nodes, child, tree);
     }
     let (leaves, end) = (tree.leaf_starts.len() as u32, tree.patches.len() as u32);
+    let of_receivers = tree.receivers[tree.leaf_starts[first_leaf as usize] as usize..]
+        .iter()
+        .map(|&receiver| world.stage.receivers[receiver as usize].position_m);
+    let bounds_m = of_receivers.fold([Vec3::INFINITY, Vec3::NEG_INFINITY], |[low, high], position_m| {
+        [low.min(position_m), high.max(position_m)]
+    });
     let patch = &mut tree.patches[own];
-    (patch.leaf_count, patch.end) = (leaves - first_leaf, end);
+    (patch.leaf_count, patch.end, patch.bounds_m) = (leaves - first_leaf, end, bounds_m);
 }
 
 #[cfg(test)]

@@ -1,13 +1,20 @@
-//! The cut of a cell through the tree of patches: coarse where a patch's mean stands well for what the cell's receivers
-//! see of it, fine where they see its parts in other shares than those of its area.
+//! The cut of a cell through the tree of patches: fine where they are large for their distance and much of the cell's
+//! light comes from them, coarse elsewhere.
+//!
+//! With d the distance of a receiver from a patch of size s, what the receiver sees of the patch's parts differs from
+//! their shares of its area by about `s / (s + d)` of what it sees of the patch; that share of irradiance, squared and
+//! summed over receivers, is what is lost by taking the patch whole. It is a rule of distances and not of what rays met of
+//! the parts, because few rays meet a part: their chance would drown what is looked for.
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 
+use glam::Vec3;
+
 use crate::prt::stage::PatchTree;
 
-/// Share of the sum of squares of the matrix below which a loss is not worth a column.
-const LOSS_MIN: f64 = 0.0;
+/// Share of the receivers' irradiance, in the mean of squares, below which a loss is not worth a column.
+const LOSS_MIN: f64 = 1e-7;
 
 /// How often the rays of a row met a leaf.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -50,16 +57,20 @@ struct Met<'a> {
 
 struct Cutter<'a> {
     met: Met<'a>,
+    /// Where the receivers of the rows are, in metres.
+    positions_m: &'a [Vec3],
     /// Per row: rays that met the patch in question; 0 in between.
     of_patch: Vec<f64>,
 }
 
 /// Patches that together hold every leaf met, about `columns_max` of them at most, ascending. `meetings` ascend by leaf
-/// and row; rows are below `rows`.
-pub fn cut(tree: &PatchTree, meetings: &[Meeting], rows: usize, columns_max: usize) -> Vec<u32> {
+/// and row; rows are of receivers at `positions_m`.
+pub fn cut(tree: &PatchTree, meetings: &[Meeting], positions_m: &[Vec3], columns_max: usize) -> Vec<u32> {
     let met = Met { tree, meetings };
-    let mut cutter = Cutter { met, of_patch: vec![0.0; rows] };
-    let least: f64 = meetings.iter().map(|meeting| f64::from(meeting.count).powi(2)).sum::<f64>() * LOSS_MIN;
+    let rows = positions_m.len();
+    let mut cutter = Cutter { met, positions_m, of_patch: vec![0.0; rows] };
+    let total: f64 = meetings.iter().map(|meeting| f64::from(meeting.count)).sum();
+    let least = LOSS_MIN * total * total / rows.max(1) as f64;
     let mut done = Vec::new();
     let mut open = BinaryHeap::new();
     for root in tree.roots().filter(|&root| !met.of(root).is_empty()) {
@@ -100,9 +111,8 @@ impl<'a> Met<'a> {
 }
 
 impl Cutter<'_> {
-    /// What is lost by taking a patch whole: `Σ_r Σ_l (c_rl − p_l c_r)²` over its leaves l, less what chance alone gives.
-    /// c are rays met, p_l is the leaf's share of the patch's receivers, and `c_r (1 − Σ p_l²)` is the variance of c_r
-    /// rays that fall by share.
+    /// `Σ_r (w_r c_r)²`, with c_r the rays of row r that met the patch and w_r its size over size and distance: c_r² − c_r
+    /// stands for the square of what c_r is expected to be, and the sum is no less than that of rows all alike.
     fn loss(&mut self, patch: u32) -> f64 {
         let Met { tree, .. } = self.met;
         let met = self.met.of(patch);
@@ -110,26 +120,21 @@ impl Cutter<'_> {
         if patch.leaf_count == 1 {
             return 0.0;
         }
-        let whole = tree.receivers_of(patch).len() as f64;
-        let share = |leaf: u32| {
-            f64::from(tree.leaf_starts[leaf as usize + 1] - tree.leaf_starts[leaf as usize]) / whole
-        };
+        let [low_m, high_m] = patch.bounds_m;
+        let size_m = low_m.distance(high_m);
         for meeting in met {
             self.of_patch[meeting.row as usize] += f64::from(meeting.count);
         }
-        let (mut own, mut cross, mut squares, mut total) = (0.0, 0.0, 0.0, 0.0);
+        let (mut squares, mut sum) = (0.0, 0.0);
         for meeting in met {
-            let (count, of_patch) = (f64::from(meeting.count), self.of_patch[meeting.row as usize]);
-            own += count * count;
-            cross += share(meeting.leaf) * count * of_patch;
-            // Summed over a row's meetings: c_r².
-            squares += count * of_patch;
-            total += count;
+            let count = std::mem::take(&mut self.of_patch[meeting.row as usize]);
+            let position_m = self.positions_m[meeting.row as usize];
+            let distance_m = position_m.distance(position_m.clamp(low_m, high_m));
+            let weight = f64::from(size_m / (size_m + distance_m).max(f32::MIN_POSITIVE));
+            squares += weight * weight * (count * count - count).max(0.0);
+            sum += weight * count;
         }
-        met.iter().for_each(|meeting| self.of_patch[meeting.row as usize] = 0.0);
-        let shares: f64 =
-            (patch.first_leaf..patch.first_leaf + patch.leaf_count).map(|leaf| share(leaf).powi(2)).sum();
-        own - 2.0 * cross + shares * squares - total * (1.0 - shares)
+        squares.max(sum * sum / self.positions_m.len() as f64)
     }
 }
 
@@ -140,10 +145,15 @@ mod tests {
     use super::*;
     use crate::prt::stage::Patch;
 
-    /// A root of two parts, each of two leaves of one receiver.
+    /// A root of two parts, each of two leaves of one receiver, 1 m apart along x.
     fn tree() -> PatchTree {
-        let patch =
-            |key, first_leaf, leaf_count, end| Patch { key: PatchKey(key), first_leaf, leaf_count, end };
+        let patch = |key, first_leaf: u32, leaf_count: u32, end| Patch {
+            key: PatchKey(key),
+            first_leaf,
+            leaf_count,
+            end,
+            bounds_m: [first_leaf, first_leaf + leaf_count - 1].map(|leaf| Vec3::X * leaf as f32),
+        };
         PatchTree {
             patches: vec![
                 patch(0, 0, 4, 7),
@@ -161,29 +171,27 @@ mod tests {
         }
     }
 
-    fn met(leaf: u32, row: u32, count: u32) -> Meeting {
-        Meeting { leaf, row, count }
+    fn evenly_met() -> Vec<Meeting> {
+        (0..4).map(|leaf| Meeting { leaf, row: 0, count: 100 }).collect()
     }
 
     #[test]
-    fn patch_seen_evenly_stays_whole() {
-        let even: Vec<Meeting> = (0..4).map(|leaf| met(leaf, 0, 100)).collect();
-        assert_eq!(cut(&tree(), &even, 1, 100), [0]);
+    fn patch_far_off_stays_whole() {
+        assert_eq!(cut(&tree(), &evenly_met(), &[Vec3::Y * 1e5], 100), [0]);
     }
 
     #[test]
-    fn patch_seen_in_part_is_split_and_unseen_parts_are_left_out() {
-        let lower = [met(0, 0, 100), met(1, 0, 100), met(0, 1, 50), met(1, 1, 50)];
-        let mut lower = lower.to_vec();
-        lower.sort_by_key(|meeting| (meeting.leaf, meeting.row));
-        assert_eq!(cut(&tree(), &lower, 2, 100), [1]);
-        assert_eq!(cut(&tree(), &[met(3, 0, 10)], 1, 100), [6]);
+    fn patch_nearby_is_split_and_where_columns_are_few_its_near_parts_first() {
+        let above_first = [Vec3::new(-1.0, 0.1, 0.0)];
+        assert_eq!(cut(&tree(), &evenly_met(), &above_first, 100), [2, 3, 5, 6]);
+        assert_eq!(cut(&tree(), &evenly_met(), &above_first, 2), [1, 4]);
+        assert_eq!(cut(&tree(), &evenly_met(), &above_first, 3), [2, 3, 4]);
+        assert_eq!(cut(&tree(), &evenly_met(), &above_first, 1), [0]);
     }
 
     #[test]
-    fn columns_are_bounded() {
-        let uneven = [met(0, 0, 400), met(1, 0, 10), met(2, 0, 10), met(3, 0, 400)];
-        assert_eq!(cut(&tree(), &uneven, 1, 100), [2, 3, 5, 6]);
-        assert_eq!(cut(&tree(), &uneven, 1, 1), [0]);
+    fn parts_that_no_ray_met_are_left_out() {
+        let last = [Meeting { leaf: 3, row: 0, count: 10 }];
+        assert_eq!(cut(&tree(), &last, &[Vec3::Y], 100), [6]);
     }
 }

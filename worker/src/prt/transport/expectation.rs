@@ -13,11 +13,14 @@ use rayon::prelude::*;
 use crate::prt::world::World;
 
 /// Share of the variance that all patches have in common.
-const COMMON: f64 = 0.2;
-/// Share that each patch has for itself: small lights, edges of shadows.
-const OWN: f64 = 0.1;
-/// Distance in texels over which the rest falls off to 1/e.
-const REACH_TEXELS: f32 = 16.0;
+const COMMON: f64 = 0.15;
+/// Share that each patch has for itself.
+const OWN: f64 = 0.05;
+/// Distances in texels over which the rest falls off to 1/e, a like part of it over each: lights and shadows are of
+/// every size.
+const REACHES_TEXELS: [f32; 3] = [4.0, 16.0, 64.0];
+/// How far off the sky is taken to be, in texels.
+const SKY_TEXELS: f32 = 128.0;
 /// Receivers of a patch that are asked for its middle.
 const ASKED_MAX: usize = 64;
 
@@ -29,13 +32,14 @@ struct Middle {
 
 /// L of the patches of `keys`, row by row; zero above the diagonal. Parts of the sky lie around `centre_m`.
 pub fn root(world: &World, settings: &Settings, keys: &[ProbeKey], centre_m: Vec3) -> Vec<f32> {
-    let reach_m = world.stage.texel_m * REACH_TEXELS;
+    let texel_m = world.stage.texel_m;
     let middles: Vec<Middle> =
-        keys.iter().map(|&key| middle(world, settings, PatchKey(key), centre_m, reach_m)).collect();
+        keys.iter().map(|&key| middle(world, settings, PatchKey(key), centre_m)).collect();
     let covariance = |a: &Middle, b: &Middle| {
-        let distance = f64::from(a.position_m.distance(b.position_m) / reach_m);
+        let texels = a.position_m.distance(b.position_m) / texel_m;
+        let fall = |reach: f32| libm::exp(-f64::from(texels / reach)) / REACHES_TEXELS.len() as f64;
         let alike = 0.5 * (1.0 + f64::from(a.normal.dot(b.normal)));
-        COMMON + (1.0 - COMMON - OWN) * libm::exp(-distance) * alike
+        COMMON + (1.0 - COMMON - OWN) * alike * REACHES_TEXELS.into_iter().map(fall).sum::<f64>()
     };
     let count = keys.len();
     let mut rows = vec![0.0_f64; count * count];
@@ -49,10 +53,13 @@ pub fn root(world: &World, settings: &Settings, keys: &[ProbeKey], centre_m: Vec
     rows.into_iter().map(|value| value as f32).collect()
 }
 
-fn middle(world: &World, settings: &Settings, key: PatchKey, centre_m: Vec3, reach_m: f32) -> Middle {
+fn middle(world: &World, settings: &Settings, key: PatchKey, centre_m: Vec3) -> Middle {
     if let Some(part) = key.sky() {
         let direction = relight_direction(part, settings.sky_parts);
-        return Middle { position_m: centre_m + direction * (2.0 * reach_m), normal: -direction };
+        return Middle {
+            position_m: centre_m + direction * (SKY_TEXELS * world.stage.texel_m),
+            normal: -direction,
+        };
     }
     let tree = &world.stage.patches;
     let Some(patch) = tree.of_key(key) else { return Middle { position_m: centre_m, normal: Vec3::Y } };

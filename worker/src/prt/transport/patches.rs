@@ -41,7 +41,7 @@ pub fn trace(
             Ok(gathered)
         })
         .collect::<Result<_, Cancelled>>()?;
-    Ok(summed(world, settings, gathered, detail))
+    Ok(summed(world, settings, receivers, gathered, detail))
 }
 
 fn gather(world: &World, settings: &Settings, sky: &[Vec3], receiver: u32) -> Gathered {
@@ -82,7 +82,13 @@ fn nearest(directions: &[Vec3], direction: Vec3) -> u32 {
 }
 
 /// Sums what was met over the patches of the cell's cut.
-fn summed(world: &World, settings: &Settings, gathered: Vec<Gathered>, detail: Detail) -> CellRows {
+fn summed(
+    world: &World,
+    settings: &Settings,
+    receivers: &[u32],
+    gathered: Vec<Gathered>,
+    detail: Detail,
+) -> CellRows {
     let tree = &world.stage.patches;
     let mut meetings: Vec<Meeting> = Vec::new();
     for (row, gathered) in gathered.iter().enumerate() {
@@ -93,8 +99,10 @@ fn summed(world: &World, settings: &Settings, gathered: Vec<Gathered>, detail: D
         }));
     }
     meetings.sort_unstable_by_key(|meeting| (meeting.leaf, meeting.row));
+    let positions_m: Vec<Vec3> =
+        receivers.iter().map(|&receiver| world.stage.receivers[receiver as usize].position_m).collect();
     let patches = match detail {
-        Detail::AsBaked => cut(tree, &meetings, gathered.len(), settings.patches_max as usize),
+        Detail::AsBaked => cut(tree, &meetings, &positions_m, settings.patches_max as usize),
         Detail::Finest => leaves(tree, &meetings),
     };
     let mut sky_met = vec![false; settings.sky_parts as usize];
