@@ -41,9 +41,10 @@ pub enum Preset {
 #[serde(rename_all = "snake_case")]
 pub enum BasisKind {
     /// Real spherical harmonics at probes.
-    #[default]
     Sh,
-    /// Mean radiance of surface patches: small ones near a receiver, large ones far away.
+    /// Mean radiance of surface patches: small ones near a receiver, large ones far away. At equal bytes it is closer to the
+    /// reference than spherical harmonics, and faster to bake.
+    #[default]
     Patches,
 }
 
@@ -136,7 +137,7 @@ settings! {
     /// Relight rays per probe (a power of two). More → less noise in moving light, more run-time cost.
     relight_rays: u32 = [256, 512, 1024], |v| v.is_power_of_two() && (16..=16_384).contains(&v), "a power of two in 16..=16384";
     /// Most columns of a cluster with `basis=patches`. More → sharper light, more bytes and time.
-    patches_max: u32 = [192, 384, 768], |v| (16..=8192).contains(&v), "16..=8192";
+    patches_max: u32 = [256, 512, 1024], |v| (16..=8192).contains(&v), "16..=8192";
     /// Parts of the sky with `basis=patches` (a power of two). More → a sharper sky, more columns.
     sky_parts: u32 = [64, 64, 128], |v| v.is_power_of_two() && (16..=4096).contains(&v), "a power of two in 16..=4096";
     /// Highest spherical-harmonic band; (bands+1)² coefficients per probe. More → sharper, more bytes.
@@ -145,16 +146,16 @@ settings! {
     /// `1/(1 + s·(l(l+1)/((D+1)(D+2)))²)`. More → less ringing, blurrier.
     window_strength: f32 = [0.5, 0.5, 0.5], |v| (0.0..=100.0).contains(&v), "0..=100";
     /// Cosine-distributed rays per receiver. More → less noise in transport, more time.
-    transport_rays: u32 = [64, 256, 1024], |v| (16..=65_536).contains(&v), "16..=65536";
+    transport_rays: u32 = [128, 512, 2048], |v| (16..=65_536).contains(&v), "16..=65536";
     /// Shadow rays per receiver to emissive surfaces. More → smoother soft shadows, more time.
     emitter_rays: u32 = [32, 64, 256], |v| (4..=65_536).contains(&v), "4..=65536";
     /// Most receivers in a cluster. More → fewer bytes, more work per factorisation.
     cluster_receivers: u32 = [1024, 1024, 1024], |v| (16..=8192).contains(&v), "16..=8192";
     /// Highest rank of a cluster's factors; a cluster that needs more is split.
-    rank_max: u32 = [32, 32, 32], |v| (1..=64).contains(&v), "1..=64";
+    rank_max: u32 = [32, 48, 64], |v| (1..=64).contains(&v), "1..=64";
     /// Relative error of truncation: the smallest rank whose dropped singular values hold at most this share
     /// (root of the squares, columns weighted by the spectrum that radiance is expected to have). Smaller → higher ranks, more bytes.
-    rank_error: f32 = [0.08, 0.04, 0.02], |v| (1e-5..=0.5).contains(&v), "0.00001..=0.5";
+    rank_error: f32 = [0.03, 0.015, 0.01], |v| (1e-5..=0.5).contains(&v), "0.00001..=0.5";
     /// Smallest cluster that is still split when `rank_max` does not suffice.
     split_receivers_min: u32 = [128, 128, 64], |v| (2..=8192).contains(&v), "2..=8192";
     /// Largest share of transported energy that no probe may see, per bake; probes are added until it is met or

@@ -7,6 +7,7 @@ use crate::prt::*;
 
 const CLUSTER_V1: &[u8] = include_bytes!("../../../fixtures/cluster-v1.lkc");
 const PROBES_V1: &[u8] = include_bytes!("../../../fixtures/probes-v1.lkc");
+const PATCHES_V1: &[u8] = include_bytes!("../../../fixtures/patches-v1.lkc");
 const GEOMETRY_V1: &[u8] = include_bytes!("../../../fixtures/geometry-v1.lkc");
 const TEXTURE_V1: &[u8] = include_bytes!("../../../fixtures/texture-v1.lkc");
 
@@ -60,6 +61,29 @@ fn probes() -> ProbeBatch {
     }
 }
 
+/// The four texels of the wall as one patch, and its lower and upper half as leaves of two and one; the fourth texel is by
+/// itself.
+fn patches() -> PatchSet {
+    let patch = |level, cell, first_leaf, leaf_count| Patch {
+        key: PatchKey::of_cell(level, cell, 4, 0),
+        first_leaf,
+        leaf_count,
+    };
+    PatchSet {
+        patches: vec![
+            patch(0, [0, 0, -1], 0, 1),
+            patch(0, [0, 1, -1], 1, 1),
+            patch(0, [1, 1, -1], 2, 1),
+            patch(1, [0, 0, -1], 0, 3),
+        ],
+        leaf_starts: vec![0, 2, 3, 4],
+        blocks: vec![0x0123_4567_89ab_cdef],
+        block: vec![0; 4],
+        texel: vec![[0, 0], [1, 0], [0, 1], [1, 1]],
+        sky_parts: 64,
+    }
+}
+
 fn geometry() -> Geometry {
     Geometry {
         draws: vec![Draw {
@@ -76,11 +100,12 @@ fn geometry() -> Geometry {
     }
 }
 
-fn encoded() -> [(&'static str, Vec<u8>, &'static [u8]); 4] {
+fn encoded() -> [(&'static str, Vec<u8>, &'static [u8]); 5] {
     let cluster = encode_cluster(&cluster(), QuantisationSettings::default()).unwrap().bytes;
     [
         ("cluster-v1.lkc", cluster, CLUSTER_V1),
         ("probes-v1.lkc", encode_probe_batch(&probes()).unwrap(), PROBES_V1),
+        ("patches-v1.lkc", encode_patches(&patches()).unwrap(), PATCHES_V1),
         ("geometry-v1.lkc", encode_geometry(&geometry()).unwrap(), GEOMETRY_V1),
         ("texture-v1.lkc", encode_texture("image/png", b"\x89PNG of no size").unwrap(), TEXTURE_V1),
     ]
@@ -113,6 +138,7 @@ fn version_1_still_decodes_to_what_went_in() {
         wanted
     );
     assert_eq!(decode_probe_batch(PROBES_V1).unwrap(), probes());
+    assert_eq!(decode_patches(PATCHES_V1).unwrap(), patches());
     assert_eq!(decode_geometry(GEOMETRY_V1).unwrap(), geometry());
     let texture = decode_texture(TEXTURE_V1).unwrap();
     assert_eq!((texture.media_type.as_str(), &texture.bytes[..]), ("image/png", &b"\x89PNG of no size"[..]));
