@@ -98,8 +98,7 @@ impl Summary {
             patches => format!("{patches} patches"),
         };
         let mut words = format!(
-            "{} receivers, {}, {} clusters (mean rank {:.1}, highest {})\n\
-             {} bytes, {:.0} a receiver for light; {:.2} % of the light reaches no probe\n",
+            "{} receivers, {}, {} clusters (mean rank {:.1}, highest {})\n{} bytes, {:.0} a receiver for light",
             self.receivers,
             carriers,
             self.clusters,
@@ -107,8 +106,12 @@ impl Summary {
             self.rank_max,
             self.bytes_total,
             self.bytes_per_receiver,
-            100.0 * self.uncovered_fraction,
         );
+        // Patches leave no light unseen.
+        if self.patches == 0 {
+            words += &format!("; {:.2} % of the light reaches no probe", 100.0 * self.uncovered_fraction);
+        }
+        words.push('\n');
         let total = self.tasks_run + self.tasks_reused;
         words += &match (self.tasks_run, self.tasks_reused) {
             (0, _) => format!("nothing to do: all {total} tasks were done before\n"),

@@ -180,6 +180,9 @@ impl fmt::Display for BundleFigures {
         writeln!(f, "uncovered   {:.4}", totals.uncovered_fraction)?;
         writeln!(f, "worst truncated:")?;
         self.worst_truncated.iter().try_for_each(|cluster| writeln!(f, "  {cluster}"))?;
+        if totals.uncovered_fraction == 0.0 {
+            return Ok(());
+        }
         writeln!(f, "worst covered:")?;
         self.worst_covered.iter().try_for_each(|cluster| writeln!(f, "  {cluster}"))
     }
@@ -190,7 +193,7 @@ impl fmt::Display for ClusterFigures {
         let [x, y, z] = self.middle_m;
         write!(
             f,
-            "{} at {x:.2},{y:.2},{z:.2}: {} receivers, {} probes, rank {}, {} bytes, truncation {:.4}, uncovered {:.4}",
+            "{} at {x:.2},{y:.2},{z:.2}: {} receivers, {} probes or patches, rank {}, {} bytes, truncation {:.4}, uncovered {:.4}",
             &self.digest[..12],
             self.receivers,
             self.probes,

@@ -39,6 +39,7 @@ fn json_has_the_agreed_keys_and_a_bundle_lies_at_its_out() {
         "scene",
         "out",
         "receivers",
+        "patches",
         "probes",
         "clusters",
         "tasks_run",
