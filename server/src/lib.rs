@@ -12,6 +12,7 @@ mod error;
 pub mod farm;
 mod http;
 mod metrics;
+pub mod places;
 mod server;
 pub mod store;
 pub mod wakeup;

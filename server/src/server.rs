@@ -1,10 +1,12 @@
-//! A server over one state folder: opening, serving, stopping.
+//! A server over its state: opening, serving, stopping.
 //!
+//! Unless told otherwise the state is one folder, and one server may have it open:
 //! ```text
-//! STATE/lock           held while a server has the folder open
+//! STATE/lock           held while a server has the queue's file open
 //! STATE/farm.sqlite    the queue (with -wal and -shm beside it)
 //! STATE/chunks/ab/…    the bytes
 //! ```
+//! With PostgreSQL and S3 a server keeps nothing itself: any number of them may serve one farm, and come and go.
 
 use std::fs::{File, TryLockError};
 use std::net::SocketAddr;
@@ -20,14 +22,19 @@ use crate::clock::SystemClock;
 use crate::error::ServerError;
 use crate::farm::Farm;
 use crate::http;
-use crate::store::SqliteStore;
-use crate::wakeup::LocalWakeup;
+use crate::places::{ChunksPlace, DatabasePlace};
+use crate::store::SqlStore;
+use crate::wakeup::{LocalWakeup, PostgresWakeup, Wakeup};
 
 /// How a server runs. `Config::new(folder)` gives the defaults.
 #[derive(Clone, Debug)]
 pub struct Config {
-    /// Folder of all state; made if need be.
+    /// Folder of all state that has no other place; made if need be.
     pub state_dir: PathBuf,
+    /// Where the queue is. Default: `farm.sqlite` in the state folder.
+    pub database: Option<DatabasePlace>,
+    /// Where the bytes are. Default: `chunks` in the state folder.
+    pub chunks: Option<ChunksPlace>,
     /// Serve addresses that other machines can reach although nobody is asked for a token. Default: no.
     pub allow_non_loopback: bool,
     /// Expired leases are looked for this often. Shorter → lost workers are noticed sooner. Default: 1 s.
@@ -43,6 +50,8 @@ impl Config {
     pub fn new(state_dir: impl Into<PathBuf>) -> Self {
         Self {
             state_dir: state_dir.into(),
+            database: None,
+            chunks: None,
             allow_non_loopback: false,
             reap_interval: Duration::from_secs(1),
             poll_interval: Duration::from_secs(1),
@@ -51,25 +60,26 @@ impl Config {
     }
 }
 
-/// An open state folder, ready to serve.
+/// An open farm, ready to serve.
 pub struct Server {
     config: Config,
     farm: Arc<Farm>,
-    store: Arc<SqliteStore>,
+    store: Arc<SqlStore>,
     closing: watch::Sender<bool>,
     /// Held, not read: the lock goes with the last handle.
-    _lock: File,
+    _lock: Option<File>,
 }
 
 impl Server {
-    /// Opens the state folder; fails if another server has it open.
+    /// Opens queue and bytes; fails if another server has the queue's file open.
     pub async fn open(config: Config) -> Result<Self, ServerError> {
-        let lock = lock_folder(&config.state_dir)?;
-        let database = config.state_dir.join("farm.sqlite");
-        let store = Arc::new(SqliteStore::open(&database, Arc::new(SystemClock)).await?);
-        let chunks = Arc::new(ObjectChunks::in_folder(&config.state_dir.join("chunks"))?);
+        let in_state = DatabasePlace::Sqlite(config.state_dir.join("farm.sqlite"));
+        let database = config.database.clone().unwrap_or(in_state);
+        let (store, wakeup, lock) = open_database(&database).await?;
+        let store = Arc::new(store);
+        let in_state = ChunksPlace::Folder(config.state_dir.join("chunks"));
+        let chunks = Arc::new(ObjectChunks::open(config.chunks.as_ref().unwrap_or(&in_state))?);
         let (closing, is_closing) = watch::channel(false);
-        let wakeup = Arc::new(LocalWakeup::default());
         let farm = Farm::new(store.clone(), chunks, wakeup, config.poll_interval, is_closing);
         let farm = Arc::new(farm);
         Ok(Self { config, farm, store, closing, _lock: lock })
@@ -139,6 +149,23 @@ async fn reap(farm: Arc<Farm>, interval: Duration) {
             tracing::error!(error = error.chain(), "expired leases could not be ended; trying again");
         }
     }
+}
+
+type OpenDatabase = (SqlStore, Arc<dyn Wakeup>, Option<File>);
+
+async fn open_database(place: &DatabasePlace) -> Result<OpenDatabase, ServerError> {
+    Ok(match place {
+        DatabasePlace::Sqlite(path) => {
+            let lock = lock_folder(path.parent().unwrap_or(Path::new("")))?;
+            let store = SqlStore::open_sqlite(path, Arc::new(SystemClock)).await?;
+            (store, Arc::new(LocalWakeup::default()), Some(lock))
+        }
+        DatabasePlace::Postgres(url) => {
+            // The database's time: leases are granted by one server and judged by another.
+            let store = SqlStore::open_postgres(url, None).await?;
+            (store, Arc::new(PostgresWakeup::connect(url).await?), None)
+        }
+    })
 }
 
 fn lock_folder(folder: &Path) -> Result<File, ServerError> {

@@ -3,6 +3,7 @@
 //! Bytes are checked against their digest before they are stored, and never change afterwards.
 
 mod objects;
+mod s3;
 
 use std::ops::Range;
 

@@ -1,4 +1,4 @@
-//! Chunks in an object store: local files, memory, and later S3.
+//! Chunks in an object store: local files, memory, S3.
 
 use std::error::Error;
 use std::io;
@@ -16,7 +16,8 @@ use object_store::memory::InMemory;
 use object_store::path::Path;
 use object_store::{GetOptions, GetRange, ObjectStore, ObjectStoreExt, PutPayload, WriteMultipart};
 
-use super::{ByteStream, ChunkError, ChunkStore, Stored};
+use super::{ByteStream, ChunkError, ChunkStore, Stored, s3};
+use crate::places::ChunksPlace;
 
 /// Size of the parts in which a stream is written.
 const PART_BYTES: usize = 8 << 20;
@@ -31,6 +32,14 @@ pub struct ObjectChunks {
 }
 
 impl ObjectChunks {
+    /// Opens the store at a place.
+    pub fn open(place: &ChunksPlace) -> Result<Self, ChunkError> {
+        match place {
+            ChunksPlace::Folder(folder) => Self::in_folder(folder),
+            ChunksPlace::S3 { bucket, prefix } => s3::open(bucket, prefix).map(|objects| Self { objects }),
+        }
+    }
+
     /// Chunks as files under `folder`, which is made if need be.
     ///
     /// A file appears under its name only when it is whole, and both it and its folder are flushed to disk first.
@@ -209,7 +218,7 @@ fn missing(digest: Digest, error: object_store::Error) -> ChunkError {
 }
 
 /// Tells a full disk from other trouble.
-fn from_store(error: object_store::Error) -> ChunkError {
+pub(super) fn from_store(error: object_store::Error) -> ChunkError {
     let mut cause: Option<&(dyn Error + 'static)> = Some(&error);
     while let Some(error) = cause {
         let kind = error.downcast_ref::<io::Error>().map(io::Error::kind);

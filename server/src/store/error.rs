@@ -39,6 +39,9 @@ pub enum StoreError {
     /// The database does not answer now.
     #[error("the farm's database does not answer")]
     Unavailable(#[source] Box<dyn std::error::Error + Send + Sync>),
+    /// The database let other calls through instead of this one, again and again.
+    #[error("the farm's database is too busy")]
+    Contended(#[source] Box<dyn std::error::Error + Send + Sync>),
     /// Stored state cannot be read, or was written by a newer version.
     #[error("the farm's state cannot be used: {what}")]
     Corrupt {
@@ -59,7 +62,7 @@ impl StoreError {
             Self::StateConflict { .. } => ProblemCode::StateConflict,
             Self::Plan(_) => ProblemCode::BadRequest,
             Self::Full(_) => ProblemCode::StorageFull,
-            Self::Unavailable(_) => ProblemCode::Unavailable,
+            Self::Unavailable(_) | Self::Contended(_) => ProblemCode::Unavailable,
             Self::Corrupt { .. } => ProblemCode::Internal,
         }
     }

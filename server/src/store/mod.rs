@@ -18,7 +18,7 @@
 mod error;
 mod memory;
 mod rules;
-mod sqlite;
+mod sql;
 mod token;
 
 use async_trait::async_trait;
@@ -32,8 +32,9 @@ use lightkiln_proto::jobs::{Artefact, TaskResult, TaskSpec};
 pub use error::{PlanError, StoreError};
 pub use memory::MemoryStore;
 pub use rules::{BACKOFF_MAX_MS, MAX_ATTEMPTS, POISON_WORKERS, backoff_ms};
-pub use sqlite::SqliteStore;
+pub use sql::{FaultPoint, Faults, SqlStore};
 pub use token::is_token;
+pub(crate) use token::random_id;
 
 /// A bake to take in.
 #[derive(Clone, Debug)]

@@ -10,8 +10,8 @@ pub fn new_token() -> Result<String, StoreError> {
     random_hex::<16>()
 }
 
-/// A new bake id: 64 random bits in lower-case hex.
-pub fn new_bake_id() -> Result<String, StoreError> {
+/// A new id of a bake or a process: 64 random bits in lower-case hex.
+pub fn random_id() -> Result<String, StoreError> {
     random_hex::<8>()
 }
 

@@ -3,12 +3,16 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
 mod bakes;
+mod crash;
 mod durability;
 mod failure;
 mod graph;
 mod hints;
 mod history;
 mod leases;
+#[path = "../parts/mod.rs"]
+mod parts;
+mod replicas;
 mod reuse;
 mod support;
 mod views;
@@ -17,10 +21,13 @@ mod views;
 macro_rules! conformance {
     ($($module:ident: $($test:ident)+;)+) => {
         mod memory {
-            $($(#[tokio::test] async fn $test() { crate::$module::$test(crate::support::World::memory()).await; })+)+
+            $($(#[tokio::test] async fn $test() { crate::$module::$test(crate::support::World::memory().await).await; })+)+
         }
         mod sqlite {
             $($(#[tokio::test] async fn $test() { crate::$module::$test(crate::support::World::sqlite().await).await; })+)+
+        }
+        mod postgres {
+            $($(#[tokio::test] async fn $test() { crate::$module::$test(crate::support::World::postgres().await).await; })+)+
         }
     };
 }

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::Args;
+use lightkiln_server::places::{ChunksPlace, DatabasePlace};
 use lightkiln_server::{Config, Server};
 use lightkiln_worker::runtime::Level;
 use tokio::runtime::Runtime;
@@ -29,6 +30,14 @@ pub struct Arguments {
     /// Folder for queue and chunks [default: server in the state folder of 'kiln bake']
     #[arg(long, value_name = "DIR")]
     state: Option<PathBuf>,
+    /// Database of the queue: sqlite:PATH, or postgres://USER:PASSWORD@HOST/NAME, which any number of servers may
+    /// share [default: a file in the state folder]
+    #[arg(long, value_name = "URL", env = "KILN_DATABASE", hide_env_values = true)]
+    database: Option<DatabasePlace>,
+    /// Store of the chunks: a folder, or s3://BUCKET/PREFIX with keys, region and endpoint in the usual variables
+    /// AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY, AWS_REGION and AWS_ENDPOINT_URL [default: a folder in the state folder]
+    #[arg(long, value_name = "URL", env = "KILN_CHUNKS")]
+    chunks: Option<ChunksPlace>,
 }
 
 /// Serves until a signal comes.
@@ -38,7 +47,12 @@ pub fn run(arguments: Arguments) -> Result<()> {
         Some(state) => state,
         None => default_state()?.join("server"),
     };
-    let config = Config { allow_non_loopback: arguments.allow_non_loopback, ..Config::new(&state) };
+    let config = Config {
+        allow_non_loopback: arguments.allow_non_loopback,
+        database: arguments.database,
+        chunks: arguments.chunks,
+        ..Config::new(&state)
+    };
     let failed =
         |what: &str, error: &(dyn StdError + 'static)| Failure::new(Exit::Failed, what).caused_by(error);
     let runtime = Runtime::new().map_err(|error| failed("the server's threads cannot be started", &error))?;

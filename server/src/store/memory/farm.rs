@@ -129,7 +129,7 @@ impl Farm {
         }
         check_plan(&submission.plan)?;
         let index = self.bakes.len();
-        self.bakes.push(BakeEntry::new(submission, token::new_bake_id()?, now_ms));
+        self.bakes.push(BakeEntry::new(submission, token::random_id()?, now_ms));
         self.event(index, now_ms, EventKind::Submitted);
         self.apply_plan(index, &submission.plan, now_ms)?;
         self.finish_if_done(index, now_ms);
