@@ -55,7 +55,7 @@ impl<F: Act> Faults for At<F> {
     }
 }
 
-fn crashed() -> StoreError {
+pub fn crashed() -> StoreError {
     StoreError::Unavailable("the process has ended".into())
 }
 
@@ -290,7 +290,7 @@ impl Home for KeepFiles {
     }
 }
 
-async fn open_file(folder: &Path, clock: &Arc<ManualClock>) -> SqlStore {
+pub async fn open_file(folder: &Path, clock: &Arc<ManualClock>) -> SqlStore {
     SqlStore::open_sqlite(&folder.join("farm.sqlite"), clock.clone()).await.unwrap()
 }
 

@@ -7,7 +7,7 @@ use lightkiln_server::store::{Stats, StoreError};
 use proptest::collection::vec;
 use proptest::prelude::*;
 
-use crate::support::{World, outputs, request, submission, task_of};
+use crate::support::{World, in_time, outputs, request, submission, task_of};
 
 /// Tasks of the universe.
 const TASKS: usize = 9;
@@ -273,7 +273,7 @@ fn config() -> ProptestConfig {
 }
 
 fn run<F: Future<Output = ()>>(comparison: F) {
-    tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap().block_on(comparison);
+    tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap().block_on(in_time(comparison));
 }
 
 proptest! {

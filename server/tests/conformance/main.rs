@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
 mod bakes;
+mod batch;
 mod crash;
 mod durability;
 mod failure;
@@ -21,13 +22,19 @@ mod views;
 macro_rules! conformance {
     ($($module:ident: $($test:ident)+;)+) => {
         mod memory {
-            $($(#[tokio::test] async fn $test() { crate::$module::$test(crate::support::World::memory().await).await; })+)+
+            use crate::support::{World, in_time};
+
+            $($(#[tokio::test] async fn $test() { in_time(crate::$module::$test(World::memory().await)).await; })+)+
         }
         mod sqlite {
-            $($(#[tokio::test] async fn $test() { crate::$module::$test(crate::support::World::sqlite().await).await; })+)+
+            use crate::support::{World, in_time};
+
+            $($(#[tokio::test] async fn $test() { in_time(crate::$module::$test(World::sqlite().await)).await; })+)+
         }
         mod postgres {
-            $($(#[tokio::test] async fn $test() { crate::$module::$test(crate::support::World::postgres().await).await; })+)+
+            use crate::support::{World, in_time};
+
+            $($(#[tokio::test] async fn $test() { in_time(crate::$module::$test(World::postgres().await)).await; })+)+
         }
     };
 }

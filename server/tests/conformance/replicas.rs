@@ -20,7 +20,7 @@ use tokio::sync::watch;
 
 use crate::crash::end_sessions;
 use crate::parts::postgres::empty_schema;
-use crate::support::{request, result, submission, task};
+use crate::support::{in_time, request, result, submission, task};
 
 /// Longer than any test may take.
 const LONG: Duration = Duration::from_secs(3600);
@@ -77,7 +77,7 @@ async fn concurrent_claims_at_two_servers_hand_every_task_out_once() {
     });
     let mut keys = Vec::new();
     for claim in claims.collect::<Vec<_>>() {
-        keys.extend(claim.await.unwrap());
+        keys.extend(in_time(claim).await.unwrap());
     }
     // Those who found the last rows locked by others went home; nothing else may be left.
     while let Some(lease) = stores[0].claim(&request("last", 1)).await.unwrap().pop() {
@@ -107,12 +107,15 @@ async fn work(store: Arc<SqlStore>, bake: String, worker: String) -> u64 {
 
 /// Asks until there is an answer.
 async fn patiently<T, F: Future<Output = Result<T, StoreError>>>(mut call: impl FnMut() -> F) -> T {
-    loop {
-        match call().await {
-            Ok(value) => return value,
-            Err(error) => assert!(matches!(error, StoreError::Unavailable(_)), "{error:?}"),
+    let ask = async {
+        loop {
+            match call().await {
+                Ok(value) => return value,
+                Err(error) => assert!(matches!(error, StoreError::Unavailable(_)), "{error:?}"),
+            }
         }
-    }
+    };
+    in_time(ask).await
 }
 
 /// Layers of tasks, each of which needs two of the layer before.
@@ -139,10 +142,10 @@ async fn run_shared_bakes(stores: &[Arc<SqlStore>; 2]) {
     let workers: Vec<_> = (0..6)
         .map(|worker| tokio::spawn(work(stores[worker % 2].clone(), first.id.clone(), format!("w{worker}"))))
         .collect();
-    let seen = watch_events(&stores[1], &first.id).await;
+    let seen = in_time(watch_events(&stores[1], &first.id)).await;
     let mut committed = 0;
     for worker in workers {
-        committed += worker.await.unwrap();
+        committed += in_time(worker).await.unwrap();
     }
     assert_eq!(committed, tasks.len() as u64);
     for (bake, count) in [(&first, 48), (&second, 24)] {
@@ -197,7 +200,7 @@ async fn sessions_that_end_again_and_again_lose_nothing() {
     });
     run_shared_bakes(&stores).await;
     is_over.store(true, Ordering::SeqCst);
-    assert!(trouble.await.unwrap() > 5);
+    assert!(in_time(trouble).await.unwrap() > 5);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -214,7 +217,7 @@ async fn bake_that_joins_during_a_commit_is_not_forgotten() {
             futures::future::join(a.commit(&lease.token, &result), b.submit(&joins)).await;
         assert_eq!(committed.unwrap(), CommitVerdict::Committed);
         let joined = joined.unwrap().bake;
-        work(b.clone(), joined.id.clone(), "w".into()).await;
+        in_time(work(b.clone(), joined.id.clone(), "w".into())).await;
         assert_eq!(b.show(&joined.id).await.unwrap().state, BakeState::Done);
     }
 }
@@ -245,7 +248,7 @@ async fn server_that_stops_in_a_transaction_does_not_stop_the_farm() {
     });
     let mut connection = PgConnection::connect(&url).await.unwrap();
     let is_held = "SELECT 1 FROM pg_locks WHERE relation = 'turnstile'::regclass AND mode = 'ExclusiveLock'";
-    while connection.execute(is_held).await.unwrap().rows_affected() == 0 {}
+    in_time(async { while connection.execute(is_held).await.unwrap().rows_affected() == 0 {} }).await;
     // The worker got no answer and asks another server.
     assert_eq!(patiently(|| b.commit(&lease.token, &result)).await, CommitVerdict::Committed);
     assert_eq!(b.show(&bake.id).await.unwrap().tasks_run, 1);
@@ -275,7 +278,7 @@ async fn hint_of_one_server_wakes_a_claim_at_the_other() {
         while stores[0].workers().await.unwrap().is_empty() {}
         farms[1].submit(bake, None).await.unwrap();
     };
-    let (answer, ()) = futures::future::join(farms[0].claim(waiting), submit_when_it_waits).await;
+    let (answer, ()) = in_time(futures::future::join(farms[0].claim(waiting), submit_when_it_waits)).await;
     assert_eq!(answer.unwrap().leases.len(), 1);
 }
 
@@ -287,13 +290,13 @@ async fn hints_are_heard_again_after_their_connection_was_lost() {
     let end = "SELECT pg_terminate_backend(pid) FROM pg_stat_activity
                WHERE application_name = 'lightkiln hints' AND query LIKE '%LISTEN%'";
     // Until both listen, there is nothing to end.
-    while connection.execute(end).await.unwrap().rows_affected() < 2 {}
+    in_time(async { while connection.execute(end).await.unwrap().rows_affected() < 2 {} }).await;
     // It hints once when it listens again, for nobody knows what was missed; then hints of the other come through.
     let mark = a.mark();
-    a.wait(mark, LONG).await;
+    in_time(a.wait(mark, LONG)).await;
     let mark = a.mark();
     b.hint();
-    a.wait(mark, LONG).await;
+    in_time(a.wait(mark, LONG)).await;
 }
 
 #[tokio::test]

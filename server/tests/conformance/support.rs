@@ -1,6 +1,7 @@
 //! A farm to test, tasks to run on it, and a worker's everyday moves.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use crate::parts::postgres::empty_schema;
 use lightkiln_proto::api::{Bake, BakeEvent, BakeState, ClaimRequest, CommitVerdict, Lease, NewBake};
@@ -13,6 +14,15 @@ use lightkiln_server::store::{FarmStore, MemoryStore, SqlStore, Submission};
 pub const TTL_SECS: u32 = 30;
 /// The same in milliseconds.
 pub const TTL_MS: i64 = 30_000;
+
+/// Longest that one thing may take, however busy the machine is.
+const LIMIT: Duration = Duration::from_secs(240);
+
+/// Waits for something that must come.
+pub async fn in_time<T>(future: impl Future<Output = T>) -> T {
+    let Ok(value) = tokio::time::timeout(LIMIT, future).await else { panic!("not done within {LIMIT:?}") };
+    value
+}
 
 /// A store over a clock that stands still.
 pub struct World {

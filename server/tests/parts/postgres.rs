@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 use std::sync::OnceLock;
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::atomic::{AtomicU16, AtomicU32, Ordering};
 
 use sqlx::{Connection, Executor, PgConnection};
 
@@ -19,18 +19,23 @@ impl Postgres {
     pub fn start() -> Self {
         let programs = programs();
         let programs = programs.display();
-        let port = free_port();
+        let port = AtomicU16::new(0);
         // Nothing is flushed: what these tests end are sessions and servers, not machines.
-        let script = format!(
-            r#"
-            "{programs}/initdb" -D "$folder/data" -U kiln -A trust -E UTF8 --locale=C --no-sync >"$folder/log" 2>&1 ||
-                {{ cat "$folder/log"; exit 1; }}
-            "{programs}/postgres" -D "$folder/data" -p {port} -c listen_addresses=127.0.0.1 \
-                -c unix_socket_directories= -c max_connections=400 -c shared_buffers=64MB -c fsync=off 2>&1 &
-            server=$!
-            "#
-        );
-        Self { port, _keeper: Keeper::start(&script, "ready to accept connections") }
+        let script = || {
+            port.store(free_port(), Ordering::Relaxed);
+            let port = port.load(Ordering::Relaxed);
+            format!(
+                r#"
+                "{programs}/initdb" -D "$folder/data" -U kiln -A trust -E UTF8 --locale=C --no-sync >log 2>&1 ||
+                    {{ cat log; exit 1; }}
+                "{programs}/postgres" -D "$folder/data" -p {port} -c listen_addresses=127.0.0.1 \
+                    -c unix_socket_directories= -c max_connections=400 -c shared_buffers=64MB -c fsync=off 2>&1 &
+                server=$! stop=QUIT
+                "#
+            )
+        };
+        let (keeper, _) = Keeper::start(script, "ready to accept connections", true);
+        Self { port: port.into_inner(), _keeper: keeper }
     }
 
     /// The URL of its database, or of a schema of it.

@@ -10,6 +10,7 @@
 //! what became of it: the caller is told, and asks again with the same token or Idempotency-Key, which is safe.
 
 mod bakes;
+mod batch;
 mod claim;
 mod codec;
 mod conn;
@@ -36,6 +37,7 @@ use lightkiln_proto::jobs::{TaskResult, TaskSpec};
 
 use super::{FailVerdict, FarmStore, KnownResult, Reaped, Stats, StoreError, Submission, Submitted};
 use crate::clock::Clock;
+use batch::{CommitQueue, Waiting};
 use conn::{Conn, query};
 use postgres::PostgresDatabase;
 use sqlite::SqliteFile;
@@ -69,13 +71,14 @@ pub struct SqlStore {
     /// None: the database's own.
     clock: Option<Arc<dyn Clock>>,
     faults: Option<Arc<dyn Faults>>,
+    commits: CommitQueue,
 }
 
 impl SqlStore {
     /// Opens the SQLite file at `path`, making or migrating it as needed.
     pub async fn open_sqlite(path: &Path, clock: Arc<dyn Clock>) -> Result<Self, StoreError> {
         let database = Database::Sqlite(SqliteFile::open(path).await?);
-        Ok(Self { database, clock: Some(clock), faults: None })
+        Ok(Self { database, clock: Some(clock), faults: None, commits: CommitQueue::default() })
     }
 
     /// Opens the PostgreSQL database at `url` (`postgres://…`), making or migrating its tables as needed.
@@ -83,7 +86,7 @@ impl SqlStore {
     /// Without a clock the database's own time counts, as it must where several servers share it.
     pub async fn open_postgres(url: &str, clock: Option<Arc<dyn Clock>>) -> Result<Self, StoreError> {
         let database = Database::Postgres(PostgresDatabase::open(url).await?);
-        Ok(Self { database, clock, faults: None })
+        Ok(Self { database, clock, faults: None, commits: CommitQueue::default() })
     }
 
     /// Tells `faults` of every step from now on; for tests.
@@ -219,6 +222,39 @@ macro_rules! transact {
     }};
 }
 
+impl SqlStore {
+    async fn commit_alone(&self, token: &str, result: &TaskResult) -> Result<CommitVerdict, StoreError> {
+        transact!(self, Write, "commit", |conn, now_ms| outcome::commit(conn, token, result, now_ms))
+    }
+
+    /// Commits all in one transaction. If that fails for what may be the fault of one of them, each in its own.
+    async fn commit_batch(&self, batch: Vec<Waiting>) {
+        if batch.len() > 1 {
+            let verdicts: Result<_, StoreError> =
+                transact!(self, Write, "commit", |conn, now_ms| outcome::commit_all(conn, &batch, now_ms));
+            match verdicts {
+                Ok(verdicts) => {
+                    let answered = batch.into_iter().zip(verdicts);
+                    return answered.for_each(|(waiting, verdict)| waiting.answer(Ok(verdict)));
+                }
+                Err(error) => match batch::trouble_of_all(error) {
+                    // Each by itself would wait as long, and fail as well.
+                    Ok(trouble) => {
+                        return batch.into_iter().for_each(|waiting| waiting.answer(Err(trouble())));
+                    }
+                    Err(error) => {
+                        tracing::warn!(%error, commits = batch.len(), "commits are tried one by one");
+                    }
+                },
+            }
+        }
+        for waiting in batch {
+            let verdict = self.commit_alone(&waiting.token, &waiting.result).await;
+            waiting.answer(verdict);
+        }
+    }
+}
+
 #[async_trait]
 impl FarmStore for SqlStore {
     async fn submit(&self, submission: &Submission) -> Result<Submitted, StoreError> {
@@ -242,7 +278,11 @@ impl FarmStore for SqlStore {
     }
 
     async fn commit(&self, token: &str, result: &TaskResult) -> Result<CommitVerdict, StoreError> {
-        transact!(self, Write, "commit", |conn, now_ms| outcome::commit(conn, token, result, now_ms))
+        if result.plan.is_empty() {
+            return self.commits.commit(token, result, |batch| self.commit_batch(batch)).await;
+        }
+        // Too big to stand in line, and it may be refused: it fails alone.
+        self.commit_alone(token, result).await
     }
 
     async fn fail(&self, token: &str, blame: Blame, message: &str) -> Result<FailVerdict, StoreError> {

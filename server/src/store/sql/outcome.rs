@@ -3,6 +3,7 @@
 use lightkiln_proto::api::{BakeState, Blame, CommitVerdict, EventKind};
 use lightkiln_proto::jobs::{Artefact, TaskResult};
 
+use super::batch::Waiting;
 use super::codec::to_json;
 use super::conn::{Conn, query};
 use super::leases::{self, Ended, requeue};
@@ -31,6 +32,19 @@ pub(super) async fn commit(
         bake.save_or_finish(conn, now_ms).await?;
     }
     Ok(CommitVerdict::Committed)
+}
+
+/// Commits one after the other, as if each had come alone.
+pub(super) async fn commit_all(
+    conn: &mut Conn,
+    batch: &[Waiting],
+    now_ms: i64,
+) -> Result<Vec<CommitVerdict>, StoreError> {
+    let mut verdicts = Vec::with_capacity(batch.len());
+    for waiting in batch {
+        verdicts.push(commit(conn, &waiting.token, &waiting.result, now_ms).await?);
+    }
+    Ok(verdicts)
 }
 
 async fn was_committed(conn: &mut Conn, token: &str, result: &TaskResult) -> Result<bool, StoreError> {
