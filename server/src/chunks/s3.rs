@@ -27,12 +27,24 @@ const RETRIES: usize = 4;
 const RETRY_TIMEOUT: Duration = Duration::from_secs(20);
 
 /// Opens the objects of `bucket` whose keys begin with `prefix`. Nothing is asked of the store yet.
-pub(super) fn open(bucket: &str, prefix: &str) -> Result<Arc<dyn ObjectStore>, ChunkError> {
+///
+/// `settings` are variables such as `AWS_REGION` and their values; others than object_store's are passed over.
+pub(super) fn open(
+    bucket: &str,
+    prefix: &str,
+    settings: impl IntoIterator<Item = (String, String)>,
+) -> Result<Arc<dyn ObjectStore>, ChunkError> {
     // Fails only when the process has a provider already, which is as good.
     let _ = rustls::crypto::ring::default_provider().install_default();
-    let from_env = AmazonS3Builder::from_env();
+    let mut builder = AmazonS3Builder::new();
+    for (name, value) in settings {
+        let key = name.starts_with("AWS_").then(|| name.to_ascii_lowercase().parse::<AmazonS3ConfigKey>());
+        if let Some(Ok(key)) = key {
+            builder = builder.with_config(key, value);
+        }
+    }
     // Who names an endpoint without TLS means it.
-    let endpoint = from_env.get_config_value(&AmazonS3ConfigKey::Endpoint).unwrap_or_default();
+    let endpoint = builder.get_config_value(&AmazonS3ConfigKey::Endpoint).unwrap_or_default();
     let client = ClientOptions::new()
         .with_connect_timeout(CONNECT_TIMEOUT)
         .with_read_timeout(READ_TIMEOUT)
@@ -43,7 +55,7 @@ pub(super) fn open(bucket: &str, prefix: &str) -> Result<Arc<dyn ObjectStore>, C
         max_retries: RETRIES,
         retry_timeout: RETRY_TIMEOUT,
     };
-    let store = from_env
+    let store = builder
         .with_bucket_name(bucket)
         .with_client_options(client)
         .with_retry(retry)
