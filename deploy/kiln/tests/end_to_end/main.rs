@@ -5,7 +5,10 @@
 mod commands;
 mod embedded;
 mod farm;
+#[path = "../../../../server/tests/parts/mod.rs"]
+mod parts;
 mod processes;
+mod replicas;
 mod wrong_input;
 
 use std::collections::BTreeMap;
