@@ -56,6 +56,9 @@ pub struct Manifest {
     pub geometry: Vec<ChunkRef>,
     /// Probe batches.
     pub probes: Vec<ChunkRef>,
+    /// Surface patches, one chunk, when the basis is patches.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub patches: Vec<ChunkRef>,
     /// Clusters.
     pub clusters: Vec<ClusterRef>,
 }
@@ -68,6 +71,9 @@ pub struct Totals {
     pub receivers: u64,
     /// Probes.
     pub probes: u64,
+    /// Surface patches, when the basis is patches.
+    #[serde(default)]
+    pub patches: u64,
     /// Clusters.
     pub clusters: u64,
     /// Triangles drawn.
@@ -84,7 +90,7 @@ pub struct Totals {
     pub receivers_without_light: u64,
     /// Bytes of all chunks.
     pub bytes: u64,
-    /// Bytes of the chunks that relighting needs (probes and clusters).
+    /// Bytes of the chunks that relighting needs (probes or patches, and clusters).
     pub bytes_light: u64,
 }
 

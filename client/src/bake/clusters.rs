@@ -2,11 +2,10 @@
 
 use glam::Vec4;
 use lightkiln_proto::manifest::Manifest;
-use lightkiln_proto::prt::{BlockKey, ClusterTransport, ProbeKey, Receivers};
+use lightkiln_proto::prt::{BasisKind, BlockKey, ClusterTransport, ProbeKey, Receivers};
 
 use super::MAX_RECEIVERS;
 use super::atlas::AtlasLayout;
-use super::probes::ProbeTable;
 use crate::error::{ClientError, Result};
 
 /// Highest rank of a cluster that is read.
@@ -87,7 +86,8 @@ pub struct ClusterTable {
     pub u: Vec<f32>,
     /// ΣVᵀ of all clusters.
     pub vt: Vec<f32>,
-    /// Probe indices that support each cluster; the number of probes stands for the sky.
+    /// Indices of the probes that support each cluster, the number of probes standing for the sky; or of patches and,
+    /// after them, parts of the sky.
     pub support: Vec<u32>,
     /// Length of the array b: Σ k.
     pub b_len: usize,
@@ -97,15 +97,19 @@ pub struct ClusterTable {
 }
 
 impl ClusterTable {
-    /// Turns probe keys into indices.
-    pub(super) fn resolve_support(&mut self, probes: &ProbeTable) -> Result<()> {
-        let sky = probes.len() as u32;
+    /// Turns keys into indices of what they name; the sky's is `sky`.
+    pub(super) fn resolve_support(
+        &mut self,
+        what: &str,
+        sky: u32,
+        index: impl Fn(ProbeKey) -> Option<u32>,
+    ) -> Result<()> {
         let resolve = |key: &Option<ProbeKey>| match key {
             None => Ok(sky),
-            Some(key) => probes.index(*key).ok_or_else(|| {
+            Some(key) => index(*key).ok_or_else(|| {
                 ClientError::inconsistent(
                     "clusters",
-                    format!("probe {key:016x} supports one but is in no batch"),
+                    format!("{what} {key:016x} supports one but is in no chunk"),
                 )
             }),
         };
@@ -176,8 +180,15 @@ fn check(content: &ClusterTransport, manifest: &Manifest) -> std::result::Result
     if lengths.iter().any(|length| *length != count) {
         return Err(format!("its receiver arrays differ in length: {count}, {lengths:?}"));
     }
-    if content.bands > manifest.settings.bands {
-        return Err(format!("has {} bands, the bake {}", content.bands, manifest.settings.bands));
+    if content.sky && manifest.settings.basis == BasisKind::Patches {
+        return Err("has columns of the sky, which patches have parts for".to_owned());
+    }
+    if content.bands > manifest.settings.coefficient_bands() {
+        return Err(format!(
+            "has {} bands, the bake {}",
+            content.bands,
+            manifest.settings.coefficient_bands()
+        ));
     }
     if content.rank > MAX_RANK {
         return Err(format!("has rank {}, at most {MAX_RANK}", content.rank));

@@ -25,6 +25,9 @@ impl LoadedBake {
             probes: decoded(source, &manifest.probes, "probes", |bytes| {
                 Ok(chunk::decode_probe_batch(bytes)?)
             })?,
+            patches: decoded(source, &manifest.patches, "patches", |bytes| {
+                Ok(chunk::decode_patches(bytes)?)
+            })?,
             geometry: decoded(source, &manifest.geometry, "geometry", |bytes| {
                 Ok(chunk::decode_geometry(bytes)?)
             })?,

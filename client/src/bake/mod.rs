@@ -7,6 +7,7 @@ mod atlas;
 mod clusters;
 mod draws;
 mod load;
+mod patches;
 mod probes;
 #[cfg(test)]
 mod tests;
@@ -14,13 +15,14 @@ mod texture;
 
 use glam::Vec4;
 use lightkiln_proto::manifest::Manifest;
-use lightkiln_proto::prt::{ClusterTransport, Geometry, ProbeBatch};
+use lightkiln_proto::prt::{BasisKind, ClusterTransport, Geometry, PatchSet, ProbeBatch};
 
 use crate::error::{ClientError, Result};
 
 pub use atlas::{AtlasLayout, AtlasTexel, EXTENSION_TEXELS, NO_RECEIVER, PlacedBlock};
 pub use clusters::{Cluster, ClusterTable, EmitterPart, ReceiverTable};
 pub use draws::{DrawTable, LoadedDraw, NO_BLOCK, Vertex};
+pub use patches::{PatchRow, PatchTable};
 pub use probes::{HIT_DARK, HIT_SKY, ProbeTable};
 pub use texture::Texture;
 pub(crate) use texture::srgb_of_linear;
@@ -45,6 +47,8 @@ pub struct LoadedBake {
     pub clusters: ClusterTable,
     /// Probes and what their relight rays meet.
     pub probes: ProbeTable,
+    /// Surface patches; empty unless the basis is patches.
+    pub patches: PatchTable,
     /// Where receivers lie in the atlas, and how its edges are extended.
     pub atlas: AtlasLayout,
     /// Meshes to draw.
@@ -62,6 +66,8 @@ pub struct Contents {
     pub clusters: Vec<ClusterTransport>,
     /// Probe batches.
     pub probes: Vec<ProbeBatch>,
+    /// Surface patches: one set when the basis is patches.
+    pub patches: Vec<PatchSet>,
     /// Geometry.
     pub geometry: Vec<Geometry>,
     /// Textures.
@@ -75,15 +81,39 @@ impl LoadedBake {
         let mut atlas = AtlasLayout::place(&manifest)?;
         let (receivers, mut clusters) = clusters::join(&manifest, contents.clusters, &mut atlas)?;
         let probes = probes::join(&manifest, contents.probes, &atlas)?;
-        clusters.resolve_support(&probes)?;
+        let patches = match (manifest.settings.basis, &contents.patches[..]) {
+            (BasisKind::Sh, _) => PatchTable::default(),
+            (BasisKind::Patches, [set]) => PatchTable::new(set, &atlas)
+                .map_err(|problem| ClientError::inconsistent("patches", problem))?,
+            (BasisKind::Patches, sets) => {
+                let problem = format!("a bake with basis patches has one set of them, not {}", sets.len());
+                return Err(ClientError::inconsistent("patches", problem));
+            }
+        };
+        match manifest.settings.basis {
+            BasisKind::Sh => {
+                clusters.resolve_support("probe", probes.len() as u32, |key| probes.index(key))?;
+            }
+            BasisKind::Patches => {
+                clusters.resolve_support("patch", patches.len() as u32, |key| patches.index(key))?;
+            }
+        }
         atlas.extend_edges(&receivers.links);
         let draws = draws::join(&manifest, contents.geometry, &atlas, &mut warnings)?;
         let textures = contents.textures;
         check_textures(&manifest, textures.len())?;
-        Ok(Self { manifest, receivers, clusters, probes, atlas, draws, textures, warnings })
+        Ok(Self { manifest, receivers, clusters, probes, patches, atlas, draws, textures, warnings })
     }
 
-    /// Coefficients per probe J, of the manifest's bands.
+    /// Entries of λ: probes and the sky times their coefficients, or patches and parts of the sky.
+    pub fn lambda_count(&self) -> usize {
+        match self.manifest.settings.basis {
+            BasisKind::Sh => (self.probes.len() + 1) * self.coefficients(),
+            BasisKind::Patches => self.patches.len(),
+        }
+    }
+
+    /// Coefficients per probe J, of the manifest's bands; 1 per patch.
     pub fn coefficients(&self) -> usize {
         self.manifest.settings.coefficients()
     }

@@ -50,9 +50,9 @@ impl ProbeTable {
     }
 }
 
-/// Joins batches, which must share the manifest's number of rays.
+/// Joins batches, which must share one number of rays.
 pub(super) fn join(manifest: &Manifest, batches: Vec<ProbeBatch>, atlas: &AtlasLayout) -> Result<ProbeTable> {
-    let rays = manifest.settings.relight_rays;
+    let rays = batches.first().map_or(manifest.settings.relight_rays, |batch| batch.relight_rays);
     let mut table = ProbeTable { relight_rays: rays, ..ProbeTable::default() };
     if !rays.is_power_of_two() || manifest.settings.bands as usize > lightkiln_proto::sh::MAX_BANDS {
         let problem = format!("{rays} relight rays and {} bands", manifest.settings.bands);

@@ -32,7 +32,10 @@ pub struct Downloaded {
 pub fn chunk_refs(manifest: &Manifest) -> Vec<ChunkRef> {
     let clusters =
         manifest.clusters.iter().map(|cluster| ChunkRef { digest: cluster.digest, bytes: cluster.bytes });
-    let others = [&manifest.textures, &manifest.geometry, &manifest.probes].into_iter().flatten().cloned();
+    let others = [&manifest.textures, &manifest.geometry, &manifest.probes, &manifest.patches]
+        .into_iter()
+        .flatten()
+        .cloned();
     let by_digest: BTreeMap<Digest, ChunkRef> =
         others.chain(clusters).map(|chunk| (chunk.digest, chunk)).collect();
     by_digest.into_values().collect()

@@ -229,11 +229,20 @@ impl Gpu {
         resources: &[wgpu::BindingResource<'_>],
     ) -> wgpu::BindGroup {
         let numbered = resources.iter().enumerate();
-        let entries: Vec<_> = numbered
-            .map(|(binding, resource)| wgpu::BindGroupEntry {
-                binding: binding as u32,
-                resource: resource.clone(),
-            })
+        let numbered: Vec<_> =
+            numbered.map(|(binding, resource)| (binding as u32, resource.clone())).collect();
+        self.bind_at(layout, &numbered)
+    }
+
+    /// A bind group with each resource at its own binding.
+    pub fn bind_at(
+        &self,
+        layout: &wgpu::BindGroupLayout,
+        resources: &[(u32, wgpu::BindingResource<'_>)],
+    ) -> wgpu::BindGroup {
+        let entries: Vec<_> = resources
+            .iter()
+            .map(|(binding, resource)| wgpu::BindGroupEntry { binding: *binding, resource: resource.clone() })
             .collect();
         self.device.create_bind_group(&wgpu::BindGroupDescriptor { label: None, layout, entries: &entries })
     }

@@ -23,7 +23,7 @@ pub struct Resident {
     pub e_emit: wgpu::Buffer,
     /// E_ind by slot, W·m⁻².
     pub e_ind: wgpu::Buffer,
-    /// `lambda[p·J + j]`, the sky last.
+    /// `lambda[p·J + j]`, or one entry per patch; the sky last.
     pub lambda: wgpu::Buffer,
     /// b of all clusters.
     pub b: wgpu::Buffer,
@@ -40,7 +40,7 @@ impl Resident {
     pub fn new(gpu: &Gpu, bake: &LoadedBake, e_emit: &[Vec4]) -> Result<Self> {
         let receivers = &bake.receivers;
         let four = size_of::<Vec4>() as u64;
-        let lambda_count = (bake.probes.len() + 1) * bake.coefficients();
+        let lambda_count = bake.lambda_count();
         let by_slot = receivers.len() as u64 * four;
         Ok(Self {
             positions: gpu.storage("positions", &receivers.position_m)?,

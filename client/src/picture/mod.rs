@@ -5,7 +5,9 @@ mod tone;
 use std::path::Path;
 
 use glam::{Vec3, Vec4};
-use image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
+use image::codecs::png::PngEncoder;
+use image::error::{ParameterError, ParameterErrorKind};
+use image::{ExtendedColorType, ImageEncoder, ImageError};
 use rayon::prelude::*;
 
 use crate::bake::srgb_of_linear;
@@ -96,9 +98,34 @@ impl Picture {
 
 /// Writes 8-bit pixels as PNG, through a temporary file beside it.
 pub fn write_png(path: &Path, width: u32, height: u32, pixels: &[[u8; 4]]) -> Result<()> {
+    let encoded = encode_png(width, height, pixels)
+        .map_err(|source| ClientError::Picture { path: path.to_owned(), source })?;
+    crate::fetch::write_atomically(path, &encoded)
+}
+
+/// 8-bit pixels as the bytes of a PNG; errors when they are not `width` × `height`.
+pub fn encode_png(
+    width: u32,
+    height: u32,
+    pixels: &[[u8; 4]],
+) -> std::result::Result<Vec<u8>, Box<ImageError>> {
+    if pixels.len() as u64 != u64::from(width) * u64::from(height) {
+        let wrong = ParameterError::from_kind(ParameterErrorKind::DimensionMismatch);
+        return Err(Box::new(ImageError::Parameter(wrong)));
+    }
     let mut encoded = Vec::new();
     PngEncoder::new(&mut encoded)
         .write_image(bytemuck::cast_slice(pixels), width, height, ExtendedColorType::Rgba8)
-        .map_err(|source| ClientError::Picture { path: path.to_owned(), source: Box::new(source) })?;
-    crate::fetch::write_atomically(path, &encoded)
+        .map_err(Box::new)?;
+    Ok(encoded)
+}
+
+/// Radiance as the screen shows it under a factor of exposure: opaque sRGB.
+pub fn developed(radiance: &[[f32; 3]], exposure: f32, tone: Tone) -> Vec<[u8; 4]> {
+    let byte = |value: f32| (srgb_of_linear(value).clamp(0.0, 1.0) * 255.0).round() as u8;
+    let pixel = |radiance: &[f32; 3]| {
+        let shown = tone.map(Vec3::from(*radiance).max(Vec3::ZERO) * exposure);
+        [byte(shown.x), byte(shown.y), byte(shown.z), 255]
+    };
+    radiance.iter().map(pixel).collect()
 }

@@ -1,12 +1,17 @@
 //! The whole frame on the processor, by the passes' references.
 
 use glam::Vec4;
+use lightkiln_proto::prt::BasisKind;
 
 use super::{Prepared, jitters};
+use crate::bake::LoadedBake;
 use crate::error::Result;
+use crate::lights::Sky;
 use crate::passes::atlas::reference::spread;
 use crate::passes::basis::reference::basis;
 use crate::passes::direct::reference::direct;
+use crate::passes::patches::reference::mean_radiance;
+use crate::passes::patches::sky_radiance;
 use crate::passes::reconstruct::reference::reconstruct;
 use crate::passes::relight::RelightTable;
 use crate::passes::relight::reference::{Irradiance, relight};
@@ -43,17 +48,41 @@ pub(super) fn render(prepared: &Prepared<'_>) -> Result<Picture> {
     Ok(Picture { by_reference: true, frames, converged, ..film.develop() })
 }
 
+/// What carries light, by the bake's basis.
+enum Lambda {
+    /// Spherical harmonics at probes.
+    Probes(RelightTable),
+    /// Means of patches, with the radiance of the sky's parts.
+    Patches(Vec<Vec4>),
+}
+
+impl Lambda {
+    fn new(bake: &LoadedBake, sky: Sky) -> Self {
+        match bake.manifest.settings.basis {
+            BasisKind::Sh => Self::Probes(RelightTable::new(bake, sky)),
+            BasisKind::Patches => Self::Patches(sky_radiance(bake, sky)),
+        }
+    }
+
+    fn next(&self, bake: &LoadedBake, irradiance: Irradiance<'_>) -> Vec<Vec4> {
+        match self {
+            Self::Probes(table) => relight(bake, table, irradiance),
+            Self::Patches(sky) => mean_radiance(bake, sky, irradiance),
+        }
+    }
+}
+
 /// Feeds bounces back until E_ind changes by less than the view's limit.
 pub(super) fn settle(prepared: &Prepared<'_>, dir: Vec<Vec4>) -> Settled {
     let Prepared { bake, view, sky, .. } = prepared;
-    let table = RelightTable::new(bake, *sky);
+    let lambda_of = Lambda::new(bake, *sky);
     let emit = bake.emitter_irradiance(&view.emitter_scale);
     let ind = vec![Vec4::ZERO; bake.receivers.len()];
     let mut settled = Settled { dir, emit, ind, frames: 0, converged: false };
     while settled.frames < view.frames_max && !settled.converged {
         let irradiance = Irradiance { dir: &settled.dir, emit: &settled.emit, ind: &settled.ind };
-        let lambda = relight(bake, &table, irradiance);
-        let b = basis(&bake.clusters, &lambda, table.coefficients);
+        let lambda = lambda_of.next(bake, irradiance);
+        let b = basis(&bake.clusters, &lambda, bake.coefficients());
         let next = reconstruct(&bake.clusters, &b, &settled.emit);
         settled.converged = change(&settled.ind, &next) < view.change_max;
         settled.ind = next;

@@ -1,6 +1,7 @@
 //! The whole frame on the adapter.
 
 use glam::Vec4;
+use lightkiln_proto::prt::BasisKind;
 
 use super::cpu::change;
 use super::{Prepared, jitters};
@@ -10,6 +11,7 @@ use crate::passes::basis::BasisPass;
 use crate::passes::direct::DirectPass;
 use crate::passes::gpu::Gpu;
 use crate::passes::meshes::Meshes;
+use crate::passes::patches::PatchesPass;
 use crate::passes::reconstruct::ReconstructPass;
 use crate::passes::relight::{RelightPass, RelightTable};
 use crate::passes::resident::Resident;
@@ -20,13 +22,31 @@ use crate::picture::{Film, Picture};
 /// Frames between two looks at how much E_ind still changes.
 const FRAMES_PER_LOOK: u32 = 4;
 
+/// What turns irradiance into λ, by the bake's basis.
+pub(crate) enum LightPass {
+    /// Spherical harmonics at probes.
+    Probes(RelightPass),
+    /// Means of patches.
+    Patches(PatchesPass),
+}
+
+impl LightPass {
+    /// Records the pass.
+    pub fn record(&self, pass: &mut wgpu::ComputePass<'_>) {
+        match self {
+            Self::Probes(probes) => probes.record(pass),
+            Self::Patches(patches) => patches.record(pass),
+        }
+    }
+}
+
 /// All passes of a view, with their buffers.
 pub(crate) struct Frame {
     pub resident: Resident,
     pub meshes: Meshes,
     pub shadow: ShadowPass,
     pub direct: DirectPass,
-    pub relight: RelightPass,
+    pub relight: LightPass,
     pub basis: BasisPass,
     pub reconstruct: ReconstructPass,
     pub atlas: AtlasPass,
@@ -41,7 +61,12 @@ impl Frame {
         let meshes = Meshes::new(gpu, bake)?;
         let shadow = ShadowPass::new(gpu, bake, &meshes, plan)?;
         let direct = DirectPass::new(gpu, &shadow, &resident)?;
-        let relight = RelightPass::new(gpu, bake, &RelightTable::new(bake, *sky), &resident)?;
+        let relight = match bake.manifest.settings.basis {
+            BasisKind::Sh => {
+                LightPass::Probes(RelightPass::new(gpu, bake, &RelightTable::new(bake, *sky), &resident)?)
+            }
+            BasisKind::Patches => LightPass::Patches(PatchesPass::new(gpu, bake, *sky, &resident)?),
+        };
         let basis = BasisPass::new(gpu, bake, &resident)?;
         let reconstruct = ReconstructPass::new(gpu, bake, &resident)?;
         let atlas = AtlasPass::new(gpu, bake, &resident)?;

@@ -3,7 +3,7 @@
 use clap::{Args, Parser, Subcommand};
 
 use crate::commands::{
-    bake, cancel, fetch, inspect, list, preview, server, settings, show, submit, watch, worker,
+    bake, cancel, evaluate, fetch, inspect, list, preview, server, settings, show, submit, watch, worker,
 };
 use crate::failure::{EXIT_CODES, Result};
 
@@ -39,6 +39,8 @@ pub enum Command {
     Fetch(fetch::Arguments),
     /// Draws a picture of a bake
     Preview(preview::Arguments),
+    /// Says how right a bake is, held against a path tracer
+    Evaluate(evaluate::Arguments),
     /// Says what is in a bundle or a chunk
     Inspect(inspect::Arguments),
     /// Lists every setting of a bake with its range and presets
@@ -59,6 +61,7 @@ impl Command {
             Self::Cancel(arguments) => cancel::run(arguments),
             Self::Fetch(arguments) => fetch::run(arguments),
             Self::Preview(arguments) => preview::run(arguments),
+            Self::Evaluate(arguments) => evaluate::run(arguments),
             Self::Inspect(arguments) => inspect::run(arguments),
             Self::Settings(arguments) => settings::run(arguments),
         }

@@ -13,6 +13,7 @@ pub const EXIT_CODES: &str = "Exit codes:
   1    the bake failed, or Lightkiln itself did
   2    wrong arguments, settings or input files
   3    the server was not reached
+  4    the bake is done, but its evaluation breaks a limit of --fail-if
   130  interrupted";
 
 /// Why a command ends; the number is the process's exit code.
@@ -24,6 +25,8 @@ pub enum Exit {
     BadInput = 2,
     /// The server was not reached.
     Unreachable = 3,
+    /// The bake is done, but its evaluation breaks a limit of `--fail-if`.
+    LimitBroken = 4,
     /// Ctrl-C or SIGTERM.
     Interrupted = 130,
 }

@@ -1,16 +1,19 @@
 //! What a finished bake was: the object of `bake --json`, the figures for people, and the bundle's report.
 
 use std::collections::BTreeMap;
+use std::fs;
 use std::path::Path;
 use std::time::Duration;
 
+use lightkiln_client::ClientError;
 use lightkiln_client::fetch::write_atomically;
 use lightkiln_proto::api::Bake;
 use lightkiln_proto::manifest::Manifest;
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use crate::failure::Result;
+use crate::evaluation::Evaluation;
+use crate::failure::{Exit, Failure, Result};
 
 /// Name of the report in a bundle; the only file in it that is not a pure function of scene and settings.
 pub const REPORT_FILE: &str = "report.json";
@@ -28,6 +31,8 @@ pub struct Summary {
     pub receivers: u64,
     /// Probes.
     pub probes: u64,
+    /// Surface patches; 0 unless the basis is patches.
+    pub patches: u64,
     /// Clusters.
     pub clusters: u64,
     /// Tasks run for this bake.
@@ -52,6 +57,9 @@ pub struct Summary {
     pub elapsed_secs: f64,
     /// Seconds from the first claim to the last commit of each stage.
     pub stages: BTreeMap<String, f64>,
+    /// The bake held against the path tracer, if that was wanted.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub evaluation: Option<Evaluation>,
 }
 
 impl Summary {
@@ -66,6 +74,7 @@ impl Summary {
             out: out.display().to_string(),
             receivers: totals.receivers,
             probes: totals.probes,
+            patches: totals.patches,
             clusters: totals.clusters,
             tasks_run: bake.tasks_run,
             tasks_reused: bake.tasks_reused,
@@ -78,16 +87,21 @@ impl Summary {
             bytes_per_receiver: totals.bytes_light as f64 / totals.receivers.max(1) as f64,
             elapsed_secs: elapsed.as_secs_f64(),
             stages: stages.map(|stage| (stage_name(&stage.kind), stage.elapsed_ms as f64 / 1e3)).collect(),
+            evaluation: None,
         }
     }
 
     /// A few lines for people.
     pub fn words(&self) -> String {
+        let carriers = match self.patches {
+            0 => format!("{} probes", self.probes),
+            patches => format!("{patches} patches"),
+        };
         let mut words = format!(
-            "{} receivers, {} probes, {} clusters (mean rank {:.1}, highest {})\n\
+            "{} receivers, {}, {} clusters (mean rank {:.1}, highest {})\n\
              {} bytes, {:.0} a receiver for light; {:.2} % of the light reaches no probe\n",
             self.receivers,
-            self.probes,
+            carriers,
             self.clusters,
             self.mean_rank,
             self.rank_max,
@@ -116,6 +130,20 @@ pub fn stage_name(kind: &str) -> String {
 pub fn write_report(out: &Path, report: &Value, summary: &Summary) -> Result<()> {
     let whole = json!({ "bake": report, "run": summary });
     Ok(write_atomically(&out.join(REPORT_FILE), format!("{whole:#}\n").as_bytes())?)
+}
+
+/// Adds to `report.json` the way from the bundle to its scene, and this run's summary as it is now.
+pub fn complete_report(out: &Path, scene_path: Option<String>, summary: &Summary) -> Result<()> {
+    let path = out.join(REPORT_FILE);
+    let bytes = fs::read(&path).map_err(|error| {
+        Failure::new(Exit::Failed, format!("cannot read {}", path.display())).caused_by(&error)
+    })?;
+    let place = path.display().to_string();
+    let mut whole: Value =
+        serde_json::from_slice(&bytes).map_err(|source| ClientError::Json { place, source })?;
+    whole["scene_path"] = json!(scene_path);
+    whole["run"] = json!(summary);
+    Ok(write_atomically(&path, format!("{whole:#}\n").as_bytes())?)
 }
 
 /// What the import of the scene could not honour, from a bake's report, as lines.

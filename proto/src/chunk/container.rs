@@ -38,15 +38,18 @@ pub enum ChunkKind {
     Geometry = 3,
     /// An image file as it was in the scene.
     Texture = 4,
+    /// Surface patches.
+    Patches = 5,
 }
 
 impl ChunkKind {
     /// All kinds and their names.
-    pub const ALL: [(Self, &'static str); 4] = [
+    pub const ALL: [(Self, &'static str); 5] = [
         (Self::Cluster, "cluster"),
         (Self::Probes, "probes"),
         (Self::Geometry, "geometry"),
         (Self::Texture, "texture"),
+        (Self::Patches, "patches"),
     ];
 }
 

@@ -24,6 +24,12 @@ pub const BATCH_PROBES_MAX: usize = 16_384;
 pub const RELIGHT_RAYS_MAX: usize = 16_384;
 /// Most hits in a batch: probes × rays.
 pub const HITS_MAX: usize = 1 << 24;
+/// Most surface patches of a bake.
+pub const PATCHES_MAX: usize = 1 << 24;
+/// Most receivers of all patches' leaves.
+pub const PATCH_RECEIVERS_MAX: usize = 1 << 26;
+/// Most parts of the sky; always a power of two.
+pub const SKY_PARTS_MAX: usize = 4096;
 /// Most draws in a geometry chunk.
 pub const DRAWS_MAX: usize = 65_536;
 /// Most vertices in a geometry chunk.

@@ -18,6 +18,7 @@ mod layers;
 pub mod limits;
 mod numbers;
 mod order;
+mod patches;
 mod predict;
 mod probes;
 mod quantise;
@@ -38,6 +39,7 @@ pub use numbers::{
     position_error_m,
 };
 pub use order::LEVELS_MAX;
+pub use patches::{decode_patches, encode_patches};
 pub use probes::{RAY_GROUPS, decode_probe_batch, decode_probe_batch_prefix, encode_probe_batch};
 pub use quantise::{RELATIVE_ERROR_MAX, RELATIVE_ERROR_MIN};
 pub use texture::{Texture, decode_texture, encode_texture};

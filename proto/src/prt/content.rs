@@ -9,12 +9,43 @@ pub type BlockKey = u64;
 /// Identity of a probe: first eight bytes of the digest of its lattice cell.
 pub type ProbeKey = u64;
 
+/// Identity of a surface patch, or of a part of the sky: what a cluster's columns speak of when the basis is patches.
+///
+/// Made of the patch's place, so that it does not depend on the rest of the scene, and neighbours have near keys.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct PatchKey(pub u64);
+
+impl PatchKey {
+    /// Level that stands for the sky.
+    const SKY_LEVEL: u64 = 15;
+
+    /// Key of a patch: level 0…14, cell −2¹⁴…2¹⁴−1 on the lattice of its level, direction 0…5 (+x −x +y −y +z −z), and a
+    /// number among the patches of the same place below 2¹⁰.
+    pub fn of_cell(level: u32, cell: [i32; 3], direction: u8, ordinal: u32) -> Self {
+        let axis = |c: i32| (i64::from(c) + (1 << 14)) as u64 & 0x7fff;
+        let place = axis(cell[1]) << 30 | axis(cell[2]) << 15 | axis(cell[0]);
+        Self(u64::from(level) << 60 | u64::from(direction) << 55 | place << 10 | u64::from(ordinal) & 0x3ff)
+    }
+
+    /// Key of part `index` of the sky.
+    pub fn of_sky(index: u32) -> Self {
+        Self(Self::SKY_LEVEL << 60 | u64::from(index))
+    }
+
+    /// Part of the sky that it names, if it names one.
+    pub fn sky(self) -> Option<u32> {
+        (self.0 >> 60 == Self::SKY_LEVEL).then_some(self.0 as u32)
+    }
+}
+
 /// A texel of a block, in texels from the block's corner.
 pub type Texel = [u16; 2];
 
 /// One cluster: its receivers, what supports them, and the factorised transport `A ≈ U (ΣVᵀ)`.
 ///
-/// Columns of A, hence of `vt`: for probe p of `probes` in order, coefficients j = 0…J−1; then J sky columns
+/// With basis patches `probes` holds the keys of surface patches and parts of the sky, of one coefficient each: `bands`
+/// is 0 and `sky` false. With spherical harmonics, columns of A, hence of `vt`: for probe p of `probes` in order, coefficients j = 0…J−1; then J sky columns
 /// (`sky` true) or none. Windowing is folded in.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ClusterTransport {
@@ -140,6 +171,34 @@ pub enum RelightHit {
     Sky,
     /// The back of a single-sided surface or a surface without receivers: no radiance.
     Dark,
+}
+
+/// The surface patches of a bake, and how many parts its sky has.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PatchSet {
+    /// Patches, ascending by key.
+    pub patches: Vec<Patch>,
+    /// First entry of each leaf in `block` and `texel`, and the end.
+    pub leaf_starts: Vec<u32>,
+    /// Blocks that receivers lie in; `block` indexes it.
+    pub blocks: Vec<BlockKey>,
+    /// Block of each receiver, leaf by leaf: index into `blocks`.
+    pub block: Vec<u16>,
+    /// Texel of each receiver. Where no cluster has a receiver of it, no light reaches it: it counts as dark.
+    pub texel: Vec<Texel>,
+    /// Parts of the sky S; part s is what is nearest to direction [`crate::sh::relight_direction`]`(s, S)`.
+    pub sky_parts: u32,
+}
+
+/// A surface patch: a run of leaves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Patch {
+    /// Identity.
+    pub key: PatchKey,
+    /// First leaf.
+    pub first_leaf: u32,
+    /// Leaves.
+    pub leaf_count: u32,
 }
 
 /// Meshes to draw.

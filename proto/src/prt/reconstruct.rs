@@ -11,7 +11,7 @@
 
 use glam::Vec3;
 
-use super::{BlockKey, ClusterTransport, ProbeBatch, ProbeKey, RelightHit, Texel};
+use super::{BlockKey, ClusterTransport, Patch, PatchKey, PatchSet, ProbeBatch, ProbeKey, RelightHit, Texel};
 use crate::sh::{ShBasis, relight_direction};
 
 /// A linear RGB quantity.
@@ -57,6 +57,43 @@ pub fn relight(
         }
     }
     lambda
+}
+
+/// Mean radiance of every patch of a set, in the set's order, by key; then of the parts of the sky.
+///
+/// `radiance` gives L in W·m⁻²·sr⁻¹ of a receiver by block and texel. The sky is
+/// `L(ω) = horizon + (zenith − horizon)·max(ω_y, 0)`, y up, at the middle of each part.
+pub fn patch_radiance(
+    set: &PatchSet,
+    mut radiance: impl FnMut(BlockKey, Texel) -> Rgb,
+    [zenith, horizon]: [Rgb; 2],
+) -> Vec<(PatchKey, Rgb)> {
+    let mut receivers = set.block.iter().zip(&set.texel);
+    let leaves: Vec<(Rgb, f32)> = set
+        .leaf_starts
+        .windows(2)
+        .map(|pair| {
+            let count = pair[1] - pair[0];
+            let mut sum = [0.0; 3];
+            for (&block, &texel) in receivers.by_ref().take(count as usize) {
+                add_scaled(&mut sum, 1.0, radiance(set.blocks[usize::from(block)], texel));
+            }
+            (sum, count as f32)
+        })
+        .collect();
+    let mean = |patch: &Patch| {
+        let (mut sum, mut count) = ([0.0; 3], 0.0);
+        for (leaf, receivers) in &leaves[patch.first_leaf as usize..][..patch.leaf_count as usize] {
+            add_scaled(&mut sum, 1.0, *leaf);
+            count += receivers;
+        }
+        (patch.key, sum.map(|channel| channel / count))
+    };
+    let sky = (0..set.sky_parts).map(|part| {
+        let up = relight_direction(part, set.sky_parts).y.max(0.0);
+        (PatchKey::of_sky(part), [0, 1, 2].map(|c| horizon[c] + (zenith[c] - horizon[c]) * up))
+    });
+    set.patches.iter().map(mean).chain(sky).collect()
 }
 
 /// SH coefficients of the sky's radiance `L(ω) = horizon + (zenith − horizon)·max(ω_y, 0)`, y up.
@@ -175,6 +212,27 @@ mod tests {
         let batch = batch_of(vec![RelightHit::Sky, RelightHit::Dark]);
         let lambda = relight(&batch, &relight_basis(2, 2, 1), |_, _| unreachable!());
         assert_eq!(lambda, vec![[0.0; 3]; 4]);
+    }
+
+    #[test]
+    fn patch_has_the_mean_of_its_receivers_and_the_sky_its_own() {
+        let patch = |key, first_leaf, leaf_count| Patch { key: PatchKey(key), first_leaf, leaf_count };
+        let set = PatchSet {
+            patches: vec![patch(1, 0, 1), patch(2, 1, 1), patch(3, 0, 2)],
+            leaf_starts: vec![0, 1, 4],
+            blocks: vec![7],
+            block: vec![0; 4],
+            texel: vec![[0, 0], [1, 0], [2, 0], [3, 0]],
+            sky_parts: 16,
+        };
+        let sky = [[1.0, 2.0, 3.0]; 2];
+        let found = patch_radiance(&set, |block, [x, _]| [block as f32, f32::from(x), 0.0], sky);
+        assert_eq!(
+            found[..3].iter().map(|(_, l)| *l).collect::<Vec<_>>(),
+            [[7.0, 0.0, 0.0], [7.0, 2.0, 0.0], [7.0, 1.5, 0.0]]
+        );
+        assert_eq!(found.len(), 19);
+        assert!(found[3..].iter().all(|(key, l)| key.sky().is_some() && *l == sky[0]));
     }
 
     #[test]

@@ -36,13 +36,15 @@ pub enum Preset {
     High,
 }
 
-/// Linear map from a probe's hit radiances to its coefficients (METHOD.md "Basis at the probe").
+/// What light is carried by from where it leaves to where it arrives (METHOD.md "Basis at the probe").
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum BasisKind {
-    /// Real spherical harmonics, shared by all probes.
+    /// Real spherical harmonics at probes.
     #[default]
     Sh,
+    /// Mean radiance of surface patches: small ones near a receiver, large ones far away.
+    Patches,
 }
 
 /// A numeric setting as documentation shows it.
@@ -66,7 +68,7 @@ macro_rules! settings {
         pub struct RawSettings {
             /// Preset that fills in the rest; `medium` unless set.
             pub preset: Option<Preset>,
-            /// Basis at the probe; only `sh` so far.
+            /// What carries light: `sh` or `patches`.
             pub basis: Option<BasisKind>,
             $( $(#[doc = $doc])* pub $name: Option<$kind>, )*
         }
@@ -77,7 +79,7 @@ macro_rules! settings {
         pub struct Settings {
             /// Preset that the rest started from.
             pub preset: Preset,
-            /// Basis at the probe.
+            /// What carries light.
             pub basis: BasisKind,
             $( $(#[doc = $doc])* pub $name: $kind, )*
         }
@@ -133,6 +135,10 @@ settings! {
     n_overlaps: u32 = [8, 10, 10], |v| (1..=64).contains(&v), "1..=64 probes";
     /// Relight rays per probe (a power of two). More → less noise in moving light, more run-time cost.
     relight_rays: u32 = [256, 512, 1024], |v| v.is_power_of_two() && (16..=16_384).contains(&v), "a power of two in 16..=16384";
+    /// Most columns of a cluster with `basis=patches`. More → sharper light, more bytes and time.
+    patches_max: u32 = [192, 384, 768], |v| (16..=8192).contains(&v), "16..=8192";
+    /// Parts of the sky with `basis=patches` (a power of two). More → a sharper sky, more columns.
+    sky_parts: u32 = [64, 64, 128], |v| v.is_power_of_two() && (16..=4096).contains(&v), "a power of two in 16..=4096";
     /// Highest spherical-harmonic band; (bands+1)² coefficients per probe. More → sharper, more bytes.
     bands: u32 = [5, 7, 7], |v| v <= 10, "0..=10";
     /// Damping of spherical-harmonic ringing (no run-time cost): band l is scaled by
@@ -173,9 +179,17 @@ impl Settings {
         raw.validate()
     }
 
-    /// Coefficients per probe: `(bands + 1)²`.
+    /// Highest band of what carries light: a patch has one coefficient.
+    pub fn coefficient_bands(&self) -> u32 {
+        match self.basis {
+            BasisKind::Sh => self.bands,
+            BasisKind::Patches => 0,
+        }
+    }
+
+    /// Coefficients of a probe, `(bands + 1)²`, or of a patch, 1.
     pub fn coefficients(&self) -> usize {
-        let bands = self.bands as usize + 1;
+        let bands = self.coefficient_bands() as usize + 1;
         bands * bands
     }
 

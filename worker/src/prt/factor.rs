@@ -33,6 +33,13 @@ pub struct Factors {
     pub s1_criterion_bound: f32,
 }
 
+impl Factors {
+    /// UᵀA, row-major k × n: with it in place of ΣVᵀ, the product is A projected on U's columns.
+    pub fn projected(&self, a: &Matrix) -> Vec<f32> {
+        transposed(&transpose_times(a, &self.u, self.rank), self.rank)
+    }
+}
+
 /// Columns sampled beyond the highest rank asked for.
 const OVERSAMPLING: usize = 8;
 /// Subspace iterations; singular values of transport fall fast, two suffice for the figures that we state.

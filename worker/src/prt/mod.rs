@@ -8,6 +8,7 @@ mod assemble;
 pub mod factor;
 mod import;
 mod prepare;
+mod rebuild;
 mod relight;
 mod runner;
 pub mod stage;
@@ -15,4 +16,6 @@ mod transport;
 mod world;
 
 pub use runner::PrtRunner;
-pub use world::{Surface, World};
+pub(crate) use transport::{CellRows, Detail, Piece, Row, pieces, rows};
+pub use world::{Geometry, Surface, World};
+pub(crate) use world::{corners_of, weights_of};

@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 use lightkiln_proto::ids::Digest;
-use lightkiln_proto::prt::{BlockKey, Probe, Texel};
+use lightkiln_proto::prt::{BlockKey, PatchKey, Probe, Texel};
 use serde::{Deserialize, Serialize};
 
 use crate::unwrap::Unwrap;
@@ -31,6 +31,8 @@ pub struct Stage {
     pub receivers: Vec<Receiver>,
     /// Probes, ascending by key.
     pub probes: Vec<Probe>,
+    /// Surface patches; empty unless the basis is patches.
+    pub patches: PatchTree,
     /// Receivers of each cluster cell.
     pub clusters: Vec<ClusterCell>,
 }
@@ -69,6 +71,68 @@ pub struct Receiver {
     pub emission: [f32; 3],
     /// Bits of `lightkiln_proto::prt::LINKS`.
     pub links: u8,
+}
+
+/// Surface patches, coarse to fine.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PatchTree {
+    /// Patches, each before its parts; the leaves of a patch are `first_leaf..first_leaf + leaf_count`.
+    pub patches: Vec<Patch>,
+    /// Leaf of each receiver.
+    pub leaf_of_receiver: Vec<u32>,
+    /// Receivers, leaf by leaf.
+    pub receivers: Vec<u32>,
+    /// First entry of each leaf in `receivers`, and the end.
+    pub leaf_starts: Vec<u32>,
+    /// Indices of patches, ascending by key.
+    pub by_key: Vec<u32>,
+}
+
+/// A surface patch.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Patch {
+    /// Identity.
+    pub key: PatchKey,
+    /// First leaf.
+    pub first_leaf: u32,
+    /// Leaves.
+    pub leaf_count: u32,
+    /// Index after the last of its parts; its first part, if it has any, follows itself, and each part the end of the
+    /// one before.
+    pub end: u32,
+    /// Lower and upper corner of its receivers' positions in metres.
+    pub bounds_m: [Vec3; 2],
+}
+
+impl PatchTree {
+    /// Indices of patches that are part of no other.
+    pub fn roots(&self) -> impl Iterator<Item = u32> + '_ {
+        self.siblings(0, self.patches.len() as u32)
+    }
+
+    /// Indices of a patch's parts.
+    pub fn parts(&self, patch: u32) -> impl Iterator<Item = u32> + '_ {
+        self.siblings(patch + 1, self.patches[patch as usize].end)
+    }
+
+    fn siblings(&self, first: u32, end: u32) -> impl Iterator<Item = u32> + '_ {
+        let within = move |index: &u32| *index < end;
+        std::iter::successors(Some(first).filter(within), move |&index| {
+            Some(self.patches[index as usize].end).filter(within)
+        })
+    }
+
+    /// The patch of a key.
+    pub fn of_key(&self, key: PatchKey) -> Option<&Patch> {
+        let place = self.by_key.binary_search_by_key(&key, |&index| self.patches[index as usize].key).ok()?;
+        Some(&self.patches[self.by_key[place] as usize])
+    }
+
+    /// Receivers of a patch.
+    pub fn receivers_of(&self, patch: &Patch) -> &[u32] {
+        let at = |leaf: u32| self.leaf_starts[leaf as usize] as usize;
+        &self.receivers[at(patch.first_leaf)..at(patch.first_leaf + patch.leaf_count)]
+    }
 }
 
 /// A world-aligned cell of receivers that are factorised together.

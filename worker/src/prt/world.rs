@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use glam::{Vec2, Vec3};
+use lightkiln_proto::prt::BlockKey;
 
 use crate::prt::stage::{NO_RECEIVER, Receiver, Stage};
 use crate::prt::transport::EmitterSet;
@@ -179,20 +180,28 @@ impl World {
 
     /// What stands for a hit (METHOD.md §1 "Materials and sides").
     pub fn surface_at(&self, hit: &Hit) -> Surface {
-        let double_sided = self.material(hit.triangle).double_sided;
-        if !hit.front && !double_sided {
-            return Surface::Dark;
-        }
-        let Some((part, texel)) = self.texels.locate(hit.triangle, weights_of(hit.barycentric)) else {
-            return Surface::Dark;
-        };
-        let instance = self.geometry.triangles[hit.triangle as usize].instance;
-        let sides = if double_sided { 2 } else { 1 };
-        let block = self.stage.first_block[instance as usize] + part * sides + u32::from(!hit.front);
+        let Some((block, texel)) = self.block_at(hit) else { return Surface::Dark };
         match self.receiver_near(block, texel) {
             NO_RECEIVER => Surface::Dark,
             receiver => Surface::Receiver(receiver),
         }
+    }
+
+    /// Key of the block of a hit, and the place in it in texels; `None` on backs of single-sided surfaces.
+    pub fn lightmap_at(&self, hit: &Hit) -> Option<(BlockKey, Vec2)> {
+        let (block, texel) = self.block_at(hit)?;
+        Some((self.stage.blocks[block as usize].key, texel))
+    }
+
+    fn block_at(&self, hit: &Hit) -> Option<(u32, Vec2)> {
+        let double_sided = self.material(hit.triangle).double_sided;
+        if !hit.front && !double_sided {
+            return None;
+        }
+        let (part, texel) = self.texels.locate(hit.triangle, weights_of(hit.barycentric))?;
+        let instance = self.geometry.triangles[hit.triangle as usize].instance;
+        let sides = if double_sided { 2 } else { 1 };
+        Some((self.stage.first_block[instance as usize] + part * sides + u32::from(!hit.front), texel))
     }
 
     /// Unit normal of the side that a ray of `direction` met.

@@ -41,7 +41,7 @@ pub fn relight(bake: &LoadedBake, table: &RelightTable, irradiance: Irradiance<'
 }
 
 /// Radiance that a hit sends back; the sky and dark hits lie above all slots.
-fn hit_radiance(bake: &LoadedBake, irradiance: Irradiance<'_>, hit: u32) -> Vec4 {
+pub(in crate::passes) fn hit_radiance(bake: &LoadedBake, irradiance: Irradiance<'_>, hit: u32) -> Vec4 {
     let slot = hit as usize;
     match bake.receivers.albedo.get(slot) {
         None => Vec4::ZERO,

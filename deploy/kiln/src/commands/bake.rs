@@ -10,10 +10,12 @@ use super::following::follow;
 use super::submitting::{PackedScene, connect};
 use crate::bundle::{refuse_foreign_folder, write_bundle};
 use crate::embedded::{EmbeddedFarm, default_state};
+use crate::evaluation::{EvaluationArguments, check, measure, relative_path, words};
 use crate::failure::{EXIT_CODES, Exit, Failure, Result};
 use crate::interrupt::Interrupt;
 use crate::picture::PictureArguments;
 use crate::settings::SettingsArguments;
+use crate::summary::complete_report;
 
 /// Arguments of `kiln bake`.
 #[derive(Args, Debug)]
@@ -41,9 +43,14 @@ pub struct Arguments {
     /// [env: KILN_STATE; default: lightkiln in the user's cache folder]
     #[arg(long, value_name = "DIR")]
     state: Option<PathBuf>,
+    /// Measures the bake against a path tracer, as 'kiln evaluate' does; the figures go into report.json and --json
+    #[arg(long, help_heading = "Evaluation")]
+    evaluate: bool,
+    #[command(flatten)]
+    wanted: EvaluationArguments,
     /// Ends with one JSON object on standard output: bake, scene, out, receivers, probes, clusters, tasks_run,
     /// tasks_reused, mean_rank, rank_max, rays_closest, rays_occlusion, uncovered_fraction, bytes_total,
-    /// bytes_per_receiver, elapsed_secs, stages
+    /// bytes_per_receiver, elapsed_secs, stages; with --evaluate also evaluation
     #[arg(long)]
     json: bool,
 }
@@ -53,6 +60,9 @@ pub fn run(arguments: Arguments) -> Result<()> {
     let started = Instant::now();
     let settings = arguments.settings.resolve()?;
     arguments.picture.check()?;
+    if !arguments.evaluate && !arguments.wanted.fail_if.is_empty() {
+        return Err(Failure::bad_input("--fail-if has nothing to look at").try_this("--evaluate beside it"));
+    }
     let out = arguments.out.clone().unwrap_or_else(|| default_out(&arguments.scene));
     refuse_foreign_folder(&out)?;
     let scene = PackedScene::read(&arguments.scene)?;
@@ -63,18 +73,28 @@ pub fn run(arguments: Arguments) -> Result<()> {
     let bake = follow(&client, &bake.id, &interrupt, || farm.check())
         .map_err(|failure| wind_down(failure, &farm, &client, &bake.id))?;
     let scene_name = arguments.scene.display().to_string();
-    let (summary, _) = write_bundle(&client, &bake, &scene_name, &out, started)?;
+    let (mut summary, _) = write_bundle(&client, &bake, &scene_name, &out, started)?;
     drop(farm);
+    let source = Source::bundle(&out)?;
+    let scene_path = relative_path(&out, &arguments.scene);
+    complete_report(&out, scene_path.clone(), &summary)?;
+    if arguments.evaluate {
+        summary.evaluation = Some(measure(&source, scene, &arguments.wanted, &interrupt)?.evaluation);
+        complete_report(&out, scene_path, &summary)?;
+    }
     if let Some(png) = &arguments.preview {
-        arguments.picture.draw(&Source::bundle(&out)?, png)?;
+        arguments.picture.draw(&source, png)?;
         eprintln!("picture: {}", png.display());
     }
     eprint!("{}", summary.words());
     eprintln!("bundle: {}", out.display());
+    if let Some(evaluation) = &summary.evaluation {
+        eprint!("{}", words(evaluation));
+    }
     if arguments.json {
         println!("{}", serde_json::json!(summary));
     }
-    Ok(())
+    summary.evaluation.map_or(Ok(()), |evaluation| check(&arguments.wanted.fail_if, &evaluation))
 }
 
 /// Where the bake runs.

@@ -2,6 +2,7 @@
 
 pub mod bake;
 pub mod cancel;
+pub mod evaluate;
 pub mod fetch;
 pub mod following;
 pub mod inspect;

@@ -38,6 +38,11 @@ impl PackedScene {
         Ok(Self { name: stem.chars().take(NAME_CHARS_MAX).collect(), bytes })
     }
 
+    /// The packed scene, whose digest a manifest names.
+    pub fn into_bytes(self) -> Vec<u8> {
+        self.bytes
+    }
+
     /// Uploads the scene unless the server has it, and asks for its bake.
     pub fn submit(&self, client: &ApiClient, settings: &Value, priority: i32) -> Result<Bake> {
         let stored = client.upload_scene(&self.bytes)?;

@@ -86,6 +86,7 @@ impl BundleFigures {
             bytes: BTreeMap::from([
                 ("clusters", clusters.iter().map(|cluster| cluster.bytes).sum()),
                 ("geometry", bytes_of(&manifest.geometry)),
+                ("patches", bytes_of(&manifest.patches)),
                 ("probes", bytes_of(&manifest.probes)),
                 ("textures", bytes_of(&manifest.textures)),
             ]),
@@ -152,6 +153,7 @@ impl fmt::Display for BundleFigures {
         writeln!(f, "receivers   {} in {} blocks, texel {} m", totals.receivers, self.blocks, self.texel_m)?;
         writeln!(f, "pages       {:?}", self.pages)?;
         writeln!(f, "probes      {}, spacing {} m", totals.probes, self.probe_spacing_m)?;
+        writeln!(f, "patches     {}", totals.patches)?;
         writeln!(
             f,
             "clusters    {}, mean rank {:.2}, highest {}",
@@ -163,7 +165,10 @@ impl fmt::Display for BundleFigures {
             write!(f, " {kind} {bytes}")?;
         }
         let per_receiver = totals.bytes_light as f64 / totals.receivers.max(1) as f64;
-        writeln!(f, "\n            {per_receiver:.1} a receiver for light (probes and clusters)")?;
+        writeln!(
+            f,
+            "\n            {per_receiver:.1} a receiver for light (probes or patches, and clusters)"
+        )?;
         writeln!(f, "layers      {:?} bytes, coarsest first", self.layer_bytes)?;
         write!(f, "ranks      ")?;
         for (rank, count) in &self.ranks {

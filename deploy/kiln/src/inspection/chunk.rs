@@ -5,7 +5,7 @@ use std::fmt;
 
 use lightkiln_proto::chunk::{
     self, ChunkError, ChunkKind, ENTRY_BYTES, HEADER_BYTES, cluster_layers, decode_cluster, decode_geometry,
-    decode_probe_batch, decode_texture,
+    decode_patches, decode_probe_batch, decode_texture,
 };
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::manifest::Layer;
@@ -14,11 +14,12 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 /// Names of section tags 1, 2, … by kind, as FORMAT.md has them.
-const CLUSTER_SECTIONS: &[&str] = &["base", "receivers", "emitters", "u", "vt"];
+const CLUSTER_SECTIONS: &[&str] = &["base", "receivers", "factors", "factors low"];
 const PROBES_SECTIONS: &[&str] = &["base", "hits"];
 const GEOMETRY_SECTIONS: &[&str] =
     &["draws", "positions", "normals", "lightmap", "triangles", "uvs", "colours"];
 const TEXTURE_SECTIONS: &[&str] = &["file"];
+const PATCHES_SECTIONS: &[&str] = &["patches", "leaves"];
 
 /// A chunk in figures.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -64,11 +65,12 @@ impl ChunkFigures {
             ChunkKind::Probes => (probes(bytes)?, PROBES_SECTIONS),
             ChunkKind::Geometry => (geometry(bytes)?, GEOMETRY_SECTIONS),
             ChunkKind::Texture => (texture(bytes)?, TEXTURE_SECTIONS),
+            ChunkKind::Patches => (patches(bytes)?, PATCHES_SECTIONS),
         };
         let length = bytes.len() as u64;
         let layers = match kind {
             ChunkKind::Cluster => cluster_layers(bytes, length)?,
-            ChunkKind::Probes | ChunkKind::Geometry | ChunkKind::Texture => Vec::new(),
+            _ => Vec::new(),
         };
         let digest = Digest::of(bytes).to_string();
         let sections = sections(bytes, section_names);
@@ -109,6 +111,17 @@ fn geometry(bytes: &[u8]) -> Result<Value, ChunkError> {
         "draws": draws.len(),
         "vertices": draws.iter().map(|draw| draw.position_m.len()).sum::<usize>(),
         "triangles": draws.iter().map(|draw| draw.triangles.len()).sum::<usize>(),
+    }))
+}
+
+fn patches(bytes: &[u8]) -> Result<Value, ChunkError> {
+    let set = decode_patches(bytes)?;
+    Ok(json!({
+        "patches": set.patches.len(),
+        "leaves": set.leaf_starts.len().saturating_sub(1),
+        "receivers": set.texel.len(),
+        "blocks": set.blocks.len(),
+        "sky_parts": set.sky_parts,
     }))
 }
 

@@ -4,6 +4,7 @@
 
 mod commands;
 mod embedded;
+mod evaluation;
 mod farm;
 #[path = "../../../../server/tests/parts/mod.rs"]
 mod parts;

@@ -1,7 +1,7 @@
 //! FORMAT.md says what the code does.
 
 use crate::chunk::*;
-use crate::chunk::{cluster, container, geometry, probes, texture};
+use crate::chunk::{cluster, container, geometry, patches, probes, texture};
 
 const FORMAT: &str = include_str!("../../../FORMAT.md");
 
@@ -28,6 +28,8 @@ fn magic_version_kinds_and_tags_are_those_of_the_code() {
         ("probes base", probes::tags::BASE),
         ("probes hits", probes::tags::HITS),
         ("texture file", texture::tags::FILE),
+        ("patches patches", patches::tags::PATCHES),
+        ("patches leaves", patches::tags::LEAVES),
     ];
     for (name, tag) in tags {
         assert_row(&format!("| {name} | {tag} |"));
@@ -52,6 +54,9 @@ fn limits_are_those_of_the_code() {
         ("probes in a batch", BATCH_PROBES_MAX),
         ("relight rays of a probe", RELIGHT_RAYS_MAX),
         ("probes × rays", HITS_MAX),
+        ("surface patches", PATCHES_MAX),
+        ("receivers of patches", PATCH_RECEIVERS_MAX),
+        ("parts of the sky", SKY_PARTS_MAX),
         ("draws", DRAWS_MAX),
         ("vertices", VERTICES_MAX),
         ("triangles", TRIANGLES_MAX),

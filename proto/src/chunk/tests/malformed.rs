@@ -2,7 +2,7 @@
 
 use proptest::prelude::*;
 
-use super::scenes::{batch, quads, wall};
+use super::scenes::{batch, patches, quads, wall};
 use crate::chunk::container::{Container, ContainerWriter, SectionId};
 use crate::chunk::*;
 use crate::prt::*;
@@ -16,6 +16,7 @@ fn chunks() -> Vec<(ChunkKind, Vec<u8>)> {
         ),
         (ChunkKind::Probes, encode_probe_batch(&batch(3, 16, 2)).unwrap()),
         (ChunkKind::Geometry, encode_geometry(&quads()).unwrap()),
+        (ChunkKind::Patches, encode_patches(&patches(3)).unwrap()),
         (ChunkKind::Texture, encode_texture("image/jpeg", &[7; 300]).unwrap()),
     ]
 }
@@ -26,6 +27,7 @@ fn decode(kind: ChunkKind, bytes: &[u8]) -> Result<(), ChunkError> {
         ChunkKind::Cluster => decode_cluster(bytes).map(|cluster| assert_whole(&cluster)),
         ChunkKind::Probes => decode_probe_batch(bytes).map(|batch| assert_batch(&batch)),
         ChunkKind::Geometry => decode_geometry(bytes).map(|geometry| assert_geometry(&geometry)),
+        ChunkKind::Patches => decode_patches(bytes).map(|set| assert_patches(&set)),
         ChunkKind::Texture => decode_texture(bytes).map(drop),
     }
 }
@@ -53,6 +55,15 @@ fn assert_batch(batch: &ProbeBatch) {
         _ => true,
     };
     assert!(batch.hits.iter().all(known));
+}
+
+fn assert_patches(set: &PatchSet) {
+    let leaves = set.leaf_starts.len() - 1;
+    assert!(set.patches.iter().all(|p| p.leaf_count > 0 && (p.first_leaf + p.leaf_count) as usize <= leaves));
+    assert!(set.patches.windows(2).all(|pair| pair[0].key < pair[1].key));
+    assert!(set.leaf_starts.windows(2).all(|pair| pair[0] < pair[1]));
+    assert_eq!([set.block.len(), set.leaf_starts[leaves] as usize], [set.texel.len(); 2]);
+    assert!(set.block.iter().all(|&block| usize::from(block) < set.blocks.len()));
 }
 
 fn assert_geometry(geometry: &Geometry) {

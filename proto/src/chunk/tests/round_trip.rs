@@ -1,6 +1,6 @@
 //! What goes in comes out, within the stated errors.
 
-use super::scenes::{batch, quads, wall};
+use super::scenes::{batch, patches, quads, wall};
 use crate::chunk::*;
 use crate::prt::*;
 
@@ -49,6 +49,23 @@ fn cluster_comes_back_within_its_stated_errors() {
             assert!(if *wanted == 0.0 { *got == 0.0 } else { within }, "{got} {wanted}");
         }
     }
+}
+
+#[test]
+fn patches_come_back_exactly_and_by_key() {
+    for leaves in [1, 2, 33] {
+        let set = patches(leaves);
+        let decoded = decode_patches(&encode_patches(&set).unwrap()).unwrap();
+        let mut sorted = set.clone();
+        sorted.patches.sort_by_key(|patch| patch.key);
+        assert_eq!(decoded, sorted);
+    }
+    let mut twice = patches(2);
+    twice.patches[1].key = twice.patches[0].key;
+    assert!(matches!(encode_patches(&twice), Err(ChunkError::Order { what: "patch", .. })));
+    let mut outside = patches(2);
+    outside.patches[0].first_leaf = 2;
+    assert!(matches!(encode_patches(&outside), Err(ChunkError::OutOfRange { .. })));
 }
 
 /// What hits name, whatever the order of blocks.

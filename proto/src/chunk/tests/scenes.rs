@@ -83,6 +83,26 @@ pub(super) fn batch(probes: usize, rays: u32, seed: u64) -> ProbeBatch {
     }
 }
 
+/// A whole of `leaves` leaves of one to three receivers, and a patch for each leaf.
+pub(super) fn patches(leaves: u32) -> PatchSet {
+    let whole = Patch { key: PatchKey::of_cell(3, [0, -1, 2], 2, 0), first_leaf: 0, leaf_count: leaves };
+    let leaf = |leaf: u32| Patch {
+        key: PatchKey::of_cell(0, [leaf as i32 - 1, -4, 9], 2, leaf % 2),
+        first_leaf: leaf,
+        leaf_count: 1,
+    };
+    let leaf_starts: Vec<u32> = (0..=leaves).map(|leaf| leaf + leaf / 2).collect();
+    let count = leaf_starts[leaves as usize];
+    PatchSet {
+        patches: (0..leaves).map(leaf).chain([whole]).collect(),
+        leaf_starts,
+        blocks: vec![8, 9],
+        block: (0..count).map(|r| (r % 2) as u16).collect(),
+        texel: (0..count).map(|r| [r as u16 * 7, 65_535 - r as u16]).collect(),
+        sky_parts: 64,
+    }
+}
+
 /// Two draws: a plain quad, and a double-sided one with texture coordinates and colours.
 pub(super) fn quads() -> Geometry {
     let plain = Draw {

@@ -110,6 +110,7 @@ fn manifest(
         textures: chunk_refs(context.inputs, "texture/"),
         geometry: chunk_refs(context.inputs, "geometry/"),
         probes: chunk_refs(context.inputs, "probes/"),
+        patches: chunk_refs(context.inputs, "patches/"),
         clusters: Vec::new(),
     };
     manifest.totals = totals(world, &manifest, &index);
@@ -131,10 +132,13 @@ fn totals(world: &World, manifest: &Manifest, index: &CellIndex) -> Totals {
     let rank_sum: f64 =
         clusters.iter().map(|cluster| f64::from(cluster.receivers) * f64::from(cluster.rank)).sum();
     let bytes = |refs: &[ChunkRef]| refs.iter().map(|chunk| chunk.bytes).sum::<u64>();
-    let bytes_light = bytes(&manifest.probes) + clusters.iter().map(|cluster| cluster.bytes).sum::<u64>();
+    let bytes_light = bytes(&manifest.probes)
+        + bytes(&manifest.patches)
+        + clusters.iter().map(|cluster| cluster.bytes).sum::<u64>();
     Totals {
         receivers,
         probes: world.stage.probes.len() as u64,
+        patches: world.stage.patches.patches.len() as u64,
         clusters: clusters.len() as u64,
         triangles: world.geometry.triangles.len() as u64,
         mean_rank: rank_sum / receivers.max(1) as f64,

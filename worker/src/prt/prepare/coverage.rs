@@ -10,7 +10,7 @@ use lightkiln_proto::prt::{Probe, Settings};
 use rayon::prelude::*;
 
 use super::candidates::{Candidate, candidate_at};
-use super::lattice::{cell_of, centre_of};
+use super::lattice::cell_of;
 use super::radius::{is_sampled, set_radii};
 use crate::prt::stage::Receiver;
 use crate::prt::transport::{CAVITY_TEXELS, Supporter, Supporters};
@@ -21,7 +21,7 @@ use crate::task::{Progress, TaskError};
 /// Rays per sampled receiver.
 const RAYS: u32 = 32;
 /// Rounds of adding at most.
-const ROUNDS: usize = 4;
+const ROUNDS: usize = 6;
 /// Candidate lattice of added probes, as a share of the spacing.
 const STEP_SHARE: f32 = 0.25;
 /// Votes below this share of a receiver's rays are noise.
@@ -145,25 +145,29 @@ fn elected(
         let share = (0.5_f32).min(spacing_m * 0.75 / length_m.max(1e-6));
         *votes.entry(cell_of(ray.from_m.lerp(ray.to_m, share), step_m).to_array()).or_default() += 1;
     }
+    let stands = |(cell, count): (&[i32; 3], &u32)| {
+        let found = candidate_at(world, IVec3::from_array(*cell), step_m, settings.probe_back_face_max)?;
+        let is_near = |probe: &Probe| {
+            let position_m = Vec3::from_array(probe.position_m);
+            position_m.distance(found.position_m) < step_m
+                && !world.geometry.tracer.is_occluded(position_m, found.position_m)
+        };
+        (!probes.iter().any(is_near)).then_some((*cell, (*count, found)))
+    };
+    let standing: BTreeMap<[i32; 3], (u32, Candidate)> =
+        votes.par_iter().filter(|(_, count)| **count >= VOTES_MIN).filter_map(stands).collect();
     let is_peak = |cell: IVec3, count: u32| {
         (0..27).all(|index| {
-            let near = cell + IVec3::new(index % 3 - 1, index / 3 % 3 - 1, index / 9 - 1);
-            let other = votes.get(&near.to_array()).copied().unwrap_or(0);
-            other < count || (other == count && near.to_array() >= cell.to_array())
+            let near = (cell + IVec3::new(index % 3 - 1, index / 3 % 3 - 1, index / 9 - 1)).to_array();
+            let other = standing.get(&near).map_or(0, |(count, _)| *count);
+            other < count || (other == count && near >= cell.to_array())
         })
     };
-    let mut peaks: Vec<(u32, IVec3)> = votes
+    let mut peaks: Vec<(u32, Candidate)> = standing
         .iter()
-        .map(|(cell, count)| (*count, IVec3::from_array(*cell)))
-        .filter(|(count, cell)| *count >= VOTES_MIN && is_peak(*cell, *count))
-        .filter(|(_, cell)| {
-            let centre_m = centre_of(*cell, step_m);
-            !probes.iter().any(|probe| Vec3::from_array(probe.position_m).distance(centre_m) < step_m)
-        })
+        .filter(|(cell, (count, _))| is_peak(IVec3::from_array(**cell), *count))
+        .map(|(_, peak)| *peak)
         .collect();
-    peaks.sort_by(|a, b| b.0.cmp(&a.0).then(a.1.to_array().cmp(&b.1.to_array())));
-    peaks
-        .par_iter()
-        .filter_map(|(_, cell)| candidate_at(world, *cell, step_m, settings.probe_back_face_max))
-        .collect()
+    peaks.sort_by_key(|(count, candidate)| (std::cmp::Reverse(*count), candidate.key));
+    peaks.into_iter().map(|(_, candidate)| candidate).collect()
 }

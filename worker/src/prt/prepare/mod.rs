@@ -1,4 +1,4 @@
-//! Prepare task: unwrap, receivers, probes, clusters, what is drawn, and the plan of the rest.
+//! Prepare task: unwrap, receivers, probes or patches, clusters, what is drawn, and the plan of the rest.
 
 mod candidates;
 mod clusters;
@@ -6,6 +6,7 @@ mod coverage;
 mod drawing;
 mod lattice;
 mod links;
+mod patches;
 mod plan;
 mod probes;
 mod radius;
@@ -20,14 +21,17 @@ pub(super) use probes::kernel;
 use std::collections::BTreeMap;
 
 use lightkiln_proto::ids::Digest;
-use lightkiln_proto::prt::Settings;
+use lightkiln_proto::prt::{BasisKind, Settings};
 use serde::Deserialize;
 
 use super::artefact;
 use super::runner::{Context, checked, decode_images};
-use super::stage::{self, Stage};
+use super::stage::{self, PatchTree, Stage};
 use super::world::{Geometry, World};
 use crate::task::{TaskError, TaskOutput};
+
+/// Probes to aim at when the basis is patches.
+const VANTAGE_PROBES: u32 = 40;
 
 /// Parameters of the task.
 #[derive(Clone, Debug, Deserialize)]
@@ -39,7 +43,7 @@ pub struct Params {
     pub scene: Digest,
 }
 
-/// Runs the task: inputs `import/scene`, `import/warnings`; outputs `stage`, `draws` and the chunks it names.
+/// Runs the task: inputs `import/scene`, `import/warnings`; outputs `stage`, `draws`, the chunks it names and those of patches.
 pub fn run(context: &Context, params: &Params) -> Result<TaskOutput, TaskError> {
     let settings = &params.settings;
     checked(settings)?;
@@ -70,6 +74,7 @@ pub fn run(context: &Context, params: &Params) -> Result<TaskOutput, TaskError> 
         blocks,
         receivers,
         probes: Vec::new(),
+        patches: PatchTree::default(),
         clusters: Vec::new(),
     };
     let mut world = World::with_geometry(scene, stage, images, geometry);
@@ -78,20 +83,39 @@ pub fn run(context: &Context, params: &Params) -> Result<TaskOutput, TaskError> 
     world.stage.receivers.iter_mut().zip(links).for_each(|(receiver, links)| receiver.links = links);
 
     progress.begin(0.6, 0.9, 1);
-    let spacing_m = probes::spacing_m(&world, settings);
-    world.stage.probe_spacing_m = spacing_m;
-    let placed = probes::place(&world, settings, spacing_m, progress)?;
-    let mut counters = BTreeMap::from([("probes_by_density".to_owned(), placed.len() as f64)]);
-    world.stage.probes = coverage::complete(&world, settings, spacing_m, placed, progress)?;
-    counters.insert("probes_total".into(), world.stage.probes.len() as f64);
+    let mut counters = BTreeMap::new();
+    match settings.basis {
+        BasisKind::Sh => {
+            let spacing_m = probes::spacing_m(&world, settings);
+            world.stage.probe_spacing_m = spacing_m;
+            let placed = probes::place(&world, settings, spacing_m, progress)?;
+            counters.insert("probes_by_density".to_owned(), placed.len() as f64);
+            world.stage.probes = coverage::complete(&world, settings, spacing_m, placed, progress)?;
+            counters.insert("probes_total".to_owned(), world.stage.probes.len() as f64);
+        }
+        BasisKind::Patches => {
+            // A few probes that light nothing: from them, cameras and lamps are chosen where a file has none.
+            let few = Settings { probe_spacing_m: 0.0, probes_target: VANTAGE_PROBES, ..settings.clone() };
+            let spacing_m = probes::spacing_m(&world, &few);
+            world.stage.probe_spacing_m = spacing_m;
+            world.stage.probes = probes::place(&world, &few, spacing_m, progress)?;
+            for probe in &mut world.stage.probes {
+                probe.radius_m = spacing_m;
+            }
+            world.stage.patches = patches::tree(&world)?;
+            counters.insert("patches".to_owned(), world.stage.patches.patches.len() as f64);
+        }
+    }
     world.stage.clusters = clusters::cells(&world.stage, settings);
 
     progress.begin(0.9, 1.0, 1);
     let drawn = drawing::chunks(&world)?;
     let stage_bytes = artefact::encode(stage::MAGIC, &world.stage)?;
     let stage_digest = Digest::of(&stage_bytes);
-    let plan = plan::tasks(&world.stage, stage_digest, context, params, &drawn)?;
+    let patches = patches::chunk(&world.stage, settings)?;
+    let plan = plan::tasks(&world.stage, stage_digest, context, params, &drawn, patches.as_deref())?;
     let mut artefacts = vec![("stage".to_owned(), stage_bytes)];
     artefacts.extend(drawn.into_artefacts());
+    artefacts.extend(patches.map(|bytes| ("patches/0".to_owned(), bytes)));
     Ok(TaskOutput { artefacts, plan, counters })
 }

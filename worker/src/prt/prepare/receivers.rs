@@ -7,15 +7,21 @@ use lightkiln_proto::ids::Digest;
 use lightkiln_proto::prt::Settings;
 use rayon::prelude::*;
 
-use super::shift::Shifter;
-use super::texels::{Coverage, CoveredTexel, cover};
+use super::shift::{Shifter, Standing};
+use super::texels::{Coverage, CoveredTexel, alternatives, cover};
 use crate::prt::stage::{NO_RECEIVER, Receiver, StageBlock};
 use crate::prt::world::{Geometry, TriangleRef};
 use crate::scene::model::Scene;
 use crate::scene::surface::{Footprint, normal_at, surface_at};
 use crate::scene::texture::DecodedImages;
 use crate::task::{Progress, TaskError};
-use crate::unwrap::Unwrap;
+use crate::unwrap::{Unwrap, UnwrapBlock};
+
+/// Mean free path in texels below which another point of the texel is looked for. The foot of a wall that a texel's
+/// middle just misses has about this.
+const OPENNESS_MIN: f32 = 0.5;
+/// How much more open another point must be to stand for the texel.
+const OPENNESS_GAIN_MIN: f32 = 1.5;
 
 /// Sides of an instance that have receivers.
 fn sides(scene: &Scene, instance: usize) -> u32 {
@@ -87,22 +93,19 @@ pub fn place(
     let mut block_index = 0;
     for (instance, part) in parts {
         progress.check()?;
-        let coverage = cover(&unwraps[instance].blocks[part]);
+        let block = &unwraps[instance].blocks[part];
+        let coverage = cover(block);
         let maker = Maker { scene, images, instance, texel_m };
-        let fronts: Vec<Receiver> = coverage.covered.par_iter().map(|texel| maker.receiver(texel)).collect();
         for side in 0..sides(scene, instance) {
-            let shifted: Vec<Option<Receiver>> = fronts
-                .par_iter()
-                .map(|front| {
-                    let receiver = if side == 0 { *front } else { turned(front) };
-                    shifter.shifted(
-                        Receiver { block: block_index, ..receiver },
-                        blocks[block_index as usize].key,
-                    )
-                })
-                .collect();
+            let key = blocks[block_index as usize].key;
+            let stand = |texel: &CoveredTexel| {
+                let front = Receiver { block: block_index, ..maker.receiver(texel) };
+                shifter.shifted(if side == 0 { front } else { turned(&front) }, key)
+            };
+            let mut standing: Vec<Option<Standing>> = coverage.covered.par_iter().map(stand).collect();
+            open_up(block, &coverage.covered, &mut standing, stand);
             progress.add_rays_closest(shifter.take_rays());
-            blocks[block_index as usize].receiver_of_texel = number(&coverage, &shifted, &mut placed);
+            blocks[block_index as usize].receiver_of_texel = number(&coverage, &standing, &mut placed);
             block_index += 1;
         }
         progress.advance(1);
@@ -110,13 +113,39 @@ pub fn place(
     Ok(placed)
 }
 
+/// Lets another point stand for each texel whose own is in a crevice, or in a solid: texels on a rim often have their
+/// middle under what lies on the surface, while only the rim is seen.
+fn open_up(
+    block: &UnwrapBlock,
+    covered: &[CoveredTexel],
+    standing: &mut [Option<Standing>],
+    stand: impl Fn(&CoveredTexel) -> Option<Standing> + Sync,
+) {
+    let openness = |standing: &Option<Standing>| standing.as_ref().map_or(0.0, |standing| standing.openness);
+    let closed: Vec<usize> = (0..covered.len()).filter(|&i| openness(&standing[i]) < OPENNESS_MIN).collect();
+    let wanted: Vec<CoveredTexel> = closed.iter().map(|&index| covered[index]).collect();
+    let better: Vec<Option<Standing>> = alternatives(block, &wanted)
+        .par_iter()
+        .map(|points| {
+            let all = points.iter().filter_map(&stand);
+            // Of equally open points the first: the result does not hang on the order of threads.
+            all.reduce(|best, other| if other.openness > best.openness { other } else { best })
+        })
+        .collect();
+    for (&index, better) in closed.iter().zip(&better) {
+        if openness(better) > OPENNESS_MIN.max(OPENNESS_GAIN_MIN * openness(&standing[index])) {
+            standing[index] = *better;
+        }
+    }
+}
+
 /// Appends the valid receivers and gives the block's table of them.
-fn number(coverage: &Coverage, shifted: &[Option<Receiver>], placed: &mut Vec<Receiver>) -> Vec<u32> {
-    let mut index_of = vec![NO_RECEIVER; shifted.len()];
-    for (slot, receiver) in index_of.iter_mut().zip(shifted) {
-        if let Some(receiver) = receiver {
+fn number(coverage: &Coverage, standing: &[Option<Standing>], placed: &mut Vec<Receiver>) -> Vec<u32> {
+    let mut index_of = vec![NO_RECEIVER; standing.len()];
+    for (slot, standing) in index_of.iter_mut().zip(standing) {
+        if let Some(standing) = standing {
             *slot = placed.len() as u32;
-            placed.push(*receiver);
+            placed.push(standing.receiver);
         }
     }
     let stand_in = |&covered: &u32| index_of.get(covered as usize).copied().unwrap_or(NO_RECEIVER);

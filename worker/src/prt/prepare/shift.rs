@@ -25,8 +25,18 @@ pub struct Shifter<'a> {
     rays: AtomicU64,
 }
 
+/// A receiver where it can stand.
+#[derive(Clone, Copy, Debug)]
+pub struct Standing {
+    /// The receiver.
+    pub receiver: Receiver,
+    /// Mean free path above it in texels, each ray counted up to one and by its cosine.
+    pub openness: f32,
+}
+
 /// What the test rays of a receiver met.
 struct Probing {
+    openness: f32,
     back_share: f32,
     escaped: bool,
     /// Direction and distance of the nearest back face.
@@ -47,22 +57,23 @@ impl<'a> Shifter<'a> {
 
     /// The receiver where it can stand: as it is, shifted through the nearest back face when at least the set share
     /// of test rays meets back faces and none escapes, or `None` when it is inside geometry for good.
-    pub fn shifted(&self, receiver: Receiver, block_key: u64) -> Option<Receiver> {
+    pub fn shifted(&self, receiver: Receiver, block_key: u64) -> Option<Standing> {
         let [x, y] = receiver.texel.map(u64::from);
         let seed = seed_of(&[block_key, x, y, 1]);
         let offset_m = self.geometry.tracer.ray_offset_m();
         let start_m = receiver.position_m + receiver.face_normal * offset_m;
         let found = self.probe(start_m, receiver.face_normal, seed);
         if found.back_share < self.back_face_min || found.escaped {
-            return Some(receiver);
+            return Some(Standing { receiver, openness: found.openness });
         }
         let (direction, distance_m) = found.nearest?;
         if distance_m > self.texel_m * SHIFT_MAX_TEXELS {
             return None;
         }
         let moved_m = start_m + direction * (distance_m + 8.0 * offset_m);
-        let still_inside = self.probe(moved_m, receiver.face_normal, seed).back_share >= self.back_face_min;
-        (!still_inside).then_some(Receiver { position_m: moved_m, ..receiver })
+        let moved = self.probe(moved_m, receiver.face_normal, seed);
+        let receiver = Receiver { position_m: moved_m, ..receiver };
+        (moved.back_share < self.back_face_min).then_some(Standing { receiver, openness: moved.openness })
     }
 
     /// Closest-hit rays cast since the last call.
@@ -73,16 +84,18 @@ impl<'a> Shifter<'a> {
     fn probe(&self, start_m: Vec3, normal: Vec3, seed: u64) -> Probing {
         let (tangent, bitangent) = tangent_frame(normal);
         let points = R2::new(seed);
-        let mut probing = Probing { back_share: 0.0, escaped: false, nearest: None };
-        let mut back = 0;
+        let mut probing = Probing { openness: 0.0, back_share: 0.0, escaped: false, nearest: None };
+        let (mut back, mut free) = (0, 0.0);
         for ray in 0..TEST_RAYS {
             let [u, v] = points.point(ray);
             let local = uniform_sphere(u * 0.5, v);
             let direction = tangent * local.x + bitangent * local.y + normal * local.z;
             let Some(hit) = self.geometry.tracer.closest(start_m, direction, f32::INFINITY) else {
                 probing.escaped = true;
+                free += 2.0 * local.z;
                 continue;
             };
+            free += (hit.t / self.texel_m).min(1.0) * 2.0 * local.z;
             let instance = self.geometry.triangles[hit.triangle as usize].instance;
             let material = self.scene.instances[instance as usize].material_index;
             if hit.front || self.scene.materials[material as usize].double_sided {
@@ -94,6 +107,7 @@ impl<'a> Shifter<'a> {
             }
         }
         self.rays.fetch_add(u64::from(TEST_RAYS), Ordering::Relaxed);
+        probing.openness = free / TEST_RAYS as f32;
         probing.back_share = back as f32 / TEST_RAYS as f32;
         probing
     }

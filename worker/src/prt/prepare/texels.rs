@@ -1,6 +1,8 @@
 //! Which texels of a block hold surface, and which point of it each stands for.
 
-use glam::{Vec2, Vec3};
+use std::collections::BTreeMap;
+
+use glam::{UVec2, Vec2, Vec3};
 
 use crate::unwrap::{UnwrapBlock, UnwrappedTriangle};
 
@@ -74,6 +76,46 @@ pub fn cover(block: &UnwrapBlock) -> Coverage {
     collect(block, &claims, &has_receiver, &stand_in)
 }
 
+/// Other points of some texels that could stand for them: for each of `wanted` (ascending texels with a triangle of
+/// the chart that they belong to), points of that chart's triangles inside the texel, in a fixed order.
+pub fn alternatives(block: &UnwrapBlock, wanted: &[CoveredTexel]) -> Vec<Vec<CoveredTexel>> {
+    let mut found = vec![Vec::new(); wanted.len()];
+    if wanted.is_empty() {
+        return found;
+    }
+    let chart_of: BTreeMap<u32, u32> = block.triangles.iter().map(|t| (t.source_triangle, t.chart)).collect();
+    let order = |texel: [u16; 2]| (texel[1], texel[0]);
+    for triangle in &block.triangles {
+        let ([low_x, low_y], [high_x, high_y]) = texel_bounds(triangle, block);
+        for y in low_y..=high_y {
+            for x in low_x..=high_x {
+                let texel = [x as u16, y as u16];
+                let place = wanted.binary_search_by_key(&order(texel), |covered| order(covered.texel));
+                let Ok(place) = place else { continue };
+                if chart_of.get(&wanted[place].triangle) == Some(&triangle.chart) {
+                    let points = points_inside(&triangle.uv_texels, Vec2::new(x as f32, y as f32));
+                    found[place].extend(points.into_iter().map(|point| CoveredTexel {
+                        texel,
+                        triangle: triangle.source_triangle,
+                        weights: source_weights(triangle, point),
+                    }));
+                }
+            }
+        }
+    }
+    found
+}
+
+/// The middle of what a triangle covers of the texel at `corner`, and the points of a grid in the texel that it holds.
+fn points_inside(corners: &[Vec2; 3], corner: Vec2) -> Vec<Vec2> {
+    const SIDE: u32 = 4;
+    let middle = area_and_middle(&clipped(corners, corner, corner + 1.0)).map(|(_, middle)| middle);
+    let grid = (0..SIDE * SIDE)
+        .map(|i| corner + (Vec2::new((i % SIDE) as f32, (i / SIDE) as f32) + 0.5) / SIDE as f32)
+        .filter(|&point| is_inside(corners, point));
+    middle.into_iter().chain(grid).collect()
+}
+
 fn collect(block: &UnwrapBlock, claims: &[Claim], has_receiver: &[bool], stand_in: &[u32]) -> Coverage {
     let mut coverage = Coverage { covered: Vec::new(), stands_for: vec![u32::MAX; claims.len()] };
     for (index, claim) in claims.iter().enumerate().filter(|(index, _)| has_receiver[*index]) {
@@ -95,11 +137,9 @@ fn collect(block: &UnwrapBlock, claims: &[Claim], has_receiver: &[bool], stand_i
 fn claim_texels(block: &UnwrapBlock) -> Vec<Claim> {
     let mut claims = vec![UNCLAIMED; block.width as usize * block.height as usize];
     for (index, triangle) in block.triangles.iter().enumerate() {
-        let [a, b, c] = triangle.uv_texels;
-        let low = a.min(b).min(c).floor().max(Vec2::ZERO).as_uvec2();
-        let high = a.max(b).max(c).floor().max(Vec2::ZERO).as_uvec2();
-        for y in low.y..=high.y.min(block.height - 1) {
-            for x in low.x..=high.x.min(block.width - 1) {
+        let ([low_x, low_y], [high_x, high_y]) = texel_bounds(triangle, block);
+        for y in low_y..=high_y {
+            for x in low_x..=high_x {
                 let corner = Vec2::new(x as f32, y as f32);
                 let Some(found) = claim_of(index as u32, &triangle.uv_texels, corner) else { continue };
                 let claim = &mut claims[(y * block.width + x) as usize];
@@ -110,6 +150,15 @@ fn claim_texels(block: &UnwrapBlock) -> Vec<Claim> {
         }
     }
     claims
+}
+
+/// First and last texel that a triangle may touch.
+fn texel_bounds(triangle: &UnwrappedTriangle, block: &UnwrapBlock) -> ([u32; 2], [u32; 2]) {
+    let [a, b, c] = triangle.uv_texels;
+    let last = UVec2::new(block.width - 1, block.height - 1);
+    let low = a.min(b).min(c).floor().max(Vec2::ZERO).as_uvec2();
+    let high = a.max(b).max(c).floor().max(Vec2::ZERO).as_uvec2();
+    (low.to_array(), high.min(last).to_array())
 }
 
 /// What a triangle claims of the texel at `corner`.
@@ -234,5 +283,22 @@ mod tests {
         let touched = coverage.stands_for.iter().filter(|&&index| index != u32::MAX).count();
         assert!(touched > coverage.covered.len());
         assert!(coverage.stands_for.iter().all(|&i| i == u32::MAX || (i as usize) < coverage.covered.len()));
+    }
+
+    #[test]
+    fn other_points_of_a_texel_lie_in_its_chart() {
+        let strip = [Vec2::new(1.0, 1.0), Vec2::new(1.9, 1.0), Vec2::new(1.0, 1.9)];
+        let rest = [Vec2::new(1.9, 1.0), Vec2::new(1.9, 1.9), Vec2::new(1.0, 1.9)];
+        let mut both = block(&[strip, rest]);
+        let wanted = cover(&both).covered;
+        let in_own_chart = alternatives(&both, &wanted);
+        both.triangles[1].chart = both.triangles[0].chart;
+        let in_both = alternatives(&both, &wanted);
+        assert_eq!((wanted.len(), in_own_chart.len()), (1, 1));
+        let triangles = |found: &[CoveredTexel]| found.iter().map(|p| p.triangle).collect::<Vec<_>>();
+        let own = triangles(&in_own_chart[0]);
+        assert!(own.len() > 4 && own.iter().all(|triangle| *triangle == wanted[0].triangle), "{own:?}");
+        let all = triangles(&in_both[0]);
+        assert!(all.contains(&0) && all.contains(&1), "{all:?}");
     }
 }

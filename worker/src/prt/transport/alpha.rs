@@ -7,12 +7,12 @@ use glam::Vec3;
 use lightkiln_proto::prt::Settings;
 use lightkiln_proto::sh::{MAX_COEFFICIENTS, ShBasis, band_of};
 
-use super::emitters::EmitterIrradianceSum;
+use super::hemisphere::Hemisphere;
 use super::supporters::{Supporter, Supporters};
 use crate::prt::stage::Receiver;
 use crate::prt::world::{Surface, World};
 use crate::rays::Hit;
-use crate::rays::sampling::{R2, cosine_hemisphere, seed_of, tangent_frame};
+use crate::task::Progress;
 
 /// α of one receiver and what was met on the way.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -36,6 +36,13 @@ pub struct Row {
 }
 
 impl Row {
+    /// Adds what was cast to the task's progress, and one receiver done.
+    pub fn count(&self, progress: &Progress) {
+        progress.add_rays_closest(self.rays_closest);
+        progress.add_rays_occlusion(self.rays_occlusion);
+        progress.advance(1);
+    }
+
     /// No light can ever come here: no probe, sky or emitter is in sight of anything in sight. So it is in cavities of
     /// solids and on parts of surfaces that are sunk in others.
     pub fn is_dead(&self) -> bool {
@@ -87,13 +94,13 @@ impl<'a> AlphaSampler<'a> {
         &self.probes
     }
 
-    /// The row of a receiver. Its random numbers come from its block and texel alone.
+    /// The row of a receiver.
     pub fn row(&self, receiver: u32) -> Row {
         let receiver = &self.world.stage.receivers[receiver as usize];
-        let offset_m = self.world.geometry.tracer.ray_offset_m();
+        let hemisphere = Hemisphere::new(self.world, receiver, self.rays);
         let mut gather = Gather {
             receiver,
-            origin_m: receiver.position_m + receiver.face_normal * offset_m,
+            origin_m: hemisphere.origin_m,
             supporters: self.supporters.around(receiver.position_m),
             mutual: None,
             row: Row {
@@ -101,48 +108,19 @@ impl<'a> AlphaSampler<'a> {
                 ..Row::default()
             },
         };
-        let [x, y] = receiver.texel.map(u64::from);
-        let seed = seed_of(&[self.world.stage.blocks[receiver.block as usize].key, x, y, 3]);
-        let mut emitted =
-            EmitterIrradianceSum::new(self.world, receiver, gather.origin_m, self.rays, self.emitter_rays);
-        self.cast(&mut gather, &mut emitted, seed);
-        gather.row.rays_occlusion += emitted.sample_emitters(seed);
-        gather.row.rays_closest += u64::from(self.rays);
-        gather.row.emitters = emitted.finish();
-        self.finish(&mut gather.row);
-        gather.row
-    }
-
-    /// Casts the cosine-distributed rays.
-    fn cast(&self, gather: &mut Gather, emitted: &mut EmitterIrradianceSum, seed: u64) {
-        let normal = gather.receiver.normal;
-        let (tangent, bitangent) = tangent_frame(normal);
-        let points = R2::new(seed);
-        let (mut path_m, mut met) = (0.0, 0);
-        for ray in 0..self.rays {
-            let local = cosine_hemisphere(points.point(ray));
-            let mut direction = tangent * local.x + bitangent * local.y + normal * local.z;
-            // Where the shading normal leans, directions below the face are mirrored above it.
-            let below = direction.dot(gather.receiver.face_normal);
-            if below < 0.0 {
-                direction -= gather.receiver.face_normal * (2.0 * below);
-            }
-            match self.world.geometry.tracer.closest(gather.origin_m, direction, f32::INFINITY) {
+        let (emitters, mean_path_m, rays_occlusion) =
+            hemisphere.cast(self.emitter_rays, |direction, hit| match hit {
                 None => {
                     gather.row.lit += 1.0;
                     self.add_sky(&mut gather.row, direction);
                 }
-                Some(hit) => {
-                    (path_m, met) = (path_m + hit.t, met + 1);
-                    // Mirrored directions have another density than the weights know; sampling covers them alone.
-                    if below >= 0.0 {
-                        emitted.add_hit(&hit, direction);
-                    }
-                    self.add_hit(gather, &hit, direction);
-                }
-            }
-        }
-        gather.row.mean_path_m = path_m / met.max(1) as f32;
+                Some(hit) => self.add_hit(&mut gather, hit, direction),
+            });
+        (gather.row.emitters, gather.row.mean_path_m) = (emitters, mean_path_m);
+        gather.row.rays_occlusion += rays_occlusion;
+        gather.row.rays_closest = u64::from(self.rays);
+        self.finish(&mut gather.row);
+        gather.row
     }
 
     /// `Y_j(ω)` into the sky's columns.

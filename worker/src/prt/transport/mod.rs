@@ -2,7 +2,11 @@
 
 mod alpha;
 mod components;
+mod cut;
 mod emitters;
+mod expectation;
+mod hemisphere;
+mod patches;
 mod split;
 mod supporters;
 
@@ -11,17 +15,19 @@ use std::collections::BTreeMap;
 use lightkiln_proto::chunk::{QuantisationSettings, encode_cluster};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::manifest::ClusterRef;
-use lightkiln_proto::prt::Settings;
+use lightkiln_proto::prt::{BasisKind, ProbeKey, Settings};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use alpha::AlphaSampler;
+pub use alpha::Row;
 pub use emitters::{EmitterSet, emitter_of_material};
+pub use split::{Piece, pieces};
 pub use supporters::{Supporter, Supporters};
 
 use super::runner::{Context, checked};
-use crate::task::{TaskError, TaskOutput};
-use alpha::{AlphaSampler, Row};
-use split::Piece;
+use super::world::World;
+use crate::task::{Cancelled, Progress, TaskError, TaskOutput};
 
 /// Parameters of the task.
 #[derive(Clone, Debug, Deserialize)]
@@ -45,27 +51,52 @@ pub fn run(context: &Context, params: &Params) -> Result<TaskOutput, TaskError> 
         .clusters
         .get(params.cluster)
         .ok_or_else(|| TaskError::bad_input("the task names a cluster that the stage does not have"))?;
-    let sampler = AlphaSampler::new(&world, &params.settings, &cell.receivers);
-    let rows = trace(context, &sampler, &cell.receivers)?;
-    let pieces = split::pieces(&world, &params.settings, sampler.probes(), cell, &rows);
-    store(&pieces, CellIndex::of(&rows, CAVITY_TEXELS * world.stage.texel_m))
+    let settings = &params.settings;
+    let cell_rows = rows(&world, settings, &cell.receivers, Detail::AsBaked, context.progress)?;
+    let pieces = pieces(&world, settings, &cell_rows.keys, cell, &cell_rows.rows);
+    store(&pieces, CellIndex::of(&cell_rows.rows, CAVITY_TEXELS * world.stage.texel_m))
 }
 
-/// α of every receiver of the cell, in order.
-fn trace(context: &Context, sampler: &AlphaSampler, receivers: &[u32]) -> Result<Vec<Row>, TaskError> {
-    let progress = context.progress;
+/// The transport matrix of some receivers.
+pub struct CellRows {
+    /// What each group of columns stands for, ascending; the sky's group follows.
+    pub keys: Vec<ProbeKey>,
+    /// One row per receiver, in order.
+    pub rows: Vec<Row>,
+}
+
+/// How finely light is told apart that comes from patches.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Detail {
+    /// As the bake has it.
+    AsBaked,
+    /// By the finest patches: what the cut through their tree stands in for.
+    Finest,
+}
+
+/// Traces rows.
+pub fn rows(
+    world: &World,
+    settings: &Settings,
+    receivers: &[u32],
+    detail: Detail,
+    progress: &Progress,
+) -> Result<CellRows, Cancelled> {
     progress.begin(0.0, 0.9, receivers.len() as u64);
-    receivers
-        .par_iter()
-        .map(|&receiver| {
-            progress.check()?;
-            let row = sampler.row(receiver);
-            progress.add_rays_closest(row.rays_closest);
-            progress.add_rays_occlusion(row.rays_occlusion);
-            progress.advance(1);
-            Ok(row)
-        })
-        .collect()
+    match settings.basis {
+        BasisKind::Sh => {
+            let sampler = AlphaSampler::new(world, settings, receivers);
+            let keys = sampler.probes().iter().map(|&probe| world.stage.probes[probe as usize].key).collect();
+            let trace = |&receiver: &u32| {
+                progress.check()?;
+                let row = sampler.row(receiver);
+                row.count(progress);
+                Ok(row)
+            };
+            Ok(CellRows { keys, rows: receivers.par_iter().map(trace).collect::<Result<_, Cancelled>>()? })
+        }
+        BasisKind::Patches => patches::trace(world, settings, receivers, detail, progress),
+    }
 }
 
 /// What assemble needs to know of a cell.

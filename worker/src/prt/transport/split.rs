@@ -1,16 +1,23 @@
 //! From the rows of a cell to factorised clusters: components apart, split until the rank suffices.
 
 use glam::Vec3;
-use lightkiln_proto::prt::{ClusterTransport, EmitterIrradiance, Receivers, Settings};
+use lightkiln_proto::prt::{BasisKind, ClusterTransport, EmitterIrradiance, ProbeKey, Receivers, Settings};
 use lightkiln_proto::sh::band_of;
+use rayon::prelude::*;
 
 use super::alpha::Row;
 use super::components::components;
+use super::expectation;
 use crate::prt::factor::{Factors, Matrix, factorise};
 use crate::prt::prepare::halves;
 use crate::prt::stage::{ClusterCell, Receiver};
 use crate::prt::world::World;
 use crate::rays::sampling::seed_of;
+
+/// Share of the noise of counts that truncation may drop: low-discrepancy rays have less than random ones.
+const NOISE_DROPPED: f64 = 0.5;
+/// Most of a matrix that is taken for noise.
+const NOISE_SHARE_MAX: f64 = 0.25;
 
 /// A factorised cluster and how right it is.
 #[derive(Clone, Debug)]
@@ -28,27 +35,36 @@ pub struct Piece {
 struct Splitter<'a> {
     world: &'a World,
     settings: &'a Settings,
-    /// Stage indices of the columns' probes.
-    probes: &'a [u32],
+    /// What the groups of columns stand for, ascending; the sky's group follows.
+    keys: &'a [ProbeKey],
     /// Ascending receiver indices of the cell, one per row.
     receivers: &'a [u32],
     rows: &'a [Row],
+    /// With patches: the rows times L of [`expectation`].
+    weighed: Vec<Vec<f32>>,
 }
 
 /// Factorised clusters of a cell, in a fixed order.
 pub fn pieces(
     world: &World,
     settings: &Settings,
-    probes: &[u32],
+    keys: &[ProbeKey],
     cell: &ClusterCell,
     rows: &[Row],
 ) -> Vec<Piece> {
-    let splitter = Splitter { world, settings, probes, receivers: &cell.receivers, rows };
+    let weighed = match settings.basis {
+        BasisKind::Sh => Vec::new(),
+        BasisKind::Patches => {
+            let root = expectation::root(world, settings, keys, (cell.bounds_m[0] + cell.bounds_m[1]) * 0.5);
+            expectation::weighed(rows.par_iter().map(|row| &row.alpha[..]), &root, keys.len())
+        }
+    };
+    let splitter = Splitter { world, settings, keys, receivers: &cell.receivers, rows, weighed };
     // Dead receivers are left out: their texels are filled from their neighbours, which keeps edges from turning dark.
     let live: Vec<usize> = (0..rows.len()).filter(|&row| !rows[row].is_dead()).collect();
-    let links: Vec<Vec<u32>> = live.iter().map(|&row| splitter.probes_used(&rows[row])).collect();
+    let links: Vec<Vec<u32>> = live.iter().map(|&row| splitter.groups_used(&rows[row])).collect();
     let mut pieces = Vec::new();
-    for group in components(&links, probes.len()) {
+    for group in components(&links, keys.len()) {
         let receivers = group.iter().map(|&index| cell.receivers[live[index]]).collect();
         splitter.factor_into(ClusterCell { bounds_m: cell.bounds_m, receivers }, &mut pieces);
     }
@@ -63,13 +79,14 @@ impl Splitter<'_> {
         }
         let settings = self.settings;
         let (matrix, columns) = self.matrix(&cell.receivers);
-        let mut factors =
-            factorise(&matrix, settings.rank_max as usize, settings.rank_error, &self.seeds(&columns));
-        self.unweigh(&mut factors.vt);
+        let (factors, error_max) = match settings.basis {
+            BasisKind::Sh => self.factors_of_probes(&matrix, &columns),
+            BasisKind::Patches => self.factors_of_patches(&matrix, &cell.receivers),
+        };
         let size = cell.bounds_m[1] - cell.bounds_m[0];
         let may_split = cell.receivers.len() > settings.split_receivers_min as usize
             && size.max_element() > self.world.stage.texel_m;
-        if factors.truncation_error > settings.rank_error && may_split {
+        if factors.truncation_error > error_max && may_split {
             let position_m = |receiver: u32| self.world.stage.receivers[receiver as usize].position_m;
             for half in halves(&cell, position_m) {
                 self.factor_into(half, pieces);
@@ -79,19 +96,47 @@ impl Splitter<'_> {
         pieces.push(self.piece(&cell.receivers, &columns, factors));
     }
 
+    /// Factors of a matrix with columns weighted by band, and the error that it may have.
+    fn factors_of_probes(&self, matrix: &Matrix, columns: &[u32]) -> (Factors, f32) {
+        let error_max = self.settings.rank_error;
+        let seeds = self.seeds(columns);
+        let mut factors = factorise(matrix, self.settings.rank_max as usize, error_max, &seeds);
+        self.unweigh(&mut factors.vt);
+        (factors, error_max)
+    }
+
+    /// Factors of a matrix over patches: U of A L, and ΣVᵀ = UᵀA. The error that it may have is what is set, and the noise
+    /// of counts on top, as dropping that is a gain: an entry of c rays times π/N has the variance c (π/N)².
+    fn factors_of_patches(&self, matrix: &Matrix, receivers: &[u32]) -> (Factors, f32) {
+        let rows =
+            receivers.iter().map(|receiver| self.receivers.binary_search(receiver).unwrap_or_default());
+        let values: Vec<f32> = rows.flat_map(|row| &self.weighed[row]).copied().collect();
+        let weighed = Matrix { rows: receivers.len(), columns: self.keys.len(), values };
+        let squares: f64 = weighed.values.iter().map(|value| f64::from(*value).powi(2)).sum();
+        let sum: f64 = matrix.values.iter().map(|value| f64::from(*value)).sum();
+        let noise = sum * std::f64::consts::PI / f64::from(self.settings.transport_rays);
+        let noise_share = if squares > 0.0 { (noise / squares).min(NOISE_SHARE_MAX) } else { 0.0 };
+        let error_max =
+            (f64::from(self.settings.rank_error).powi(2) + NOISE_DROPPED * noise_share).sqrt() as f32;
+        let all: Vec<u32> = (0..self.keys.len() as u32).collect();
+        let mut factors = factorise(&weighed, self.settings.rank_max as usize, error_max, &self.seeds(&all));
+        factors.vt = factors.projected(matrix);
+        (factors, error_max)
+    }
+
     fn row_of(&self, receiver: u32) -> &Row {
         let index = self.receivers.binary_search(&receiver).unwrap_or_default();
         &self.rows[index]
     }
 
-    /// Column groups (probes, and the sky last) with anything in them.
-    fn probes_used(&self, row: &Row) -> Vec<u32> {
+    /// Column groups but the sky's with anything in them.
+    fn groups_used(&self, row: &Row) -> Vec<u32> {
         let count = self.settings.coefficients();
         let used = |probe: &u32| {
             let from = *probe as usize * count;
             row.alpha[from..from + count].iter().any(|alpha| *alpha != 0.0)
         };
-        (0..self.probes.len() as u32).filter(used).collect()
+        (0..self.keys.len() as u32).filter(used).collect()
     }
 
     /// What a coefficient of band l of a radiance field is expected to be, against band 0: fields of a few edges fall
@@ -109,10 +154,10 @@ impl Splitter<'_> {
     }
 
     /// A of some receivers with weighted columns, only with columns that hold anything; columns as indices of groups, the sky's being
-    /// `probes.len()`.
+    /// `keys.len()`.
     fn matrix(&self, receivers: &[u32]) -> (Matrix, Vec<u32>) {
         let count = self.settings.coefficients();
-        let groups = 0..=self.probes.len() as u32;
+        let groups = 0..=self.keys.len() as u32;
         let is_used = |group: &u32| {
             let range = *group as usize * count..(*group as usize + 1) * count;
             receivers.iter().any(|&r| self.row_of(r).alpha[range.clone()].iter().any(|alpha| *alpha != 0.0))
@@ -131,9 +176,7 @@ impl Splitter<'_> {
 
     /// One seed per column, from the identity of what it stands for.
     fn seeds(&self, columns: &[u32]) -> Vec<u64> {
-        let key = |group: u32| {
-            self.probes.get(group as usize).map_or(0, |&probe| self.world.stage.probes[probe as usize].key)
-        };
+        let key = |group: u32| self.keys.get(group as usize).copied().unwrap_or(0);
         let count = self.settings.coefficients() as u64;
         columns.iter().flat_map(|&group| (0..count).map(move |j| seed_of(&[key(group), j, 5]))).collect()
     }
@@ -146,13 +189,9 @@ impl Splitter<'_> {
         let transport = ClusterTransport {
             bounds_m: bounds(receivers.iter().map(|&r| stage.receivers[r as usize].position_m)),
             receivers: self.attributes(receivers),
-            probes: columns
-                .iter()
-                .filter_map(|&group| self.probes.get(group as usize))
-                .map(|&probe| stage.probes[probe as usize].key)
-                .collect(),
-            bands: self.settings.bands,
-            sky: columns.last() == Some(&(self.probes.len() as u32)),
+            probes: columns.iter().filter_map(|&group| self.keys.get(group as usize).copied()).collect(),
+            bands: self.settings.coefficient_bands(),
+            sky: columns.last() == Some(&(self.keys.len() as u32)),
             rank: factors.rank as u32,
             u: factors.u,
             vt: factors.vt,

@@ -1,0 +1,99 @@
+//! Radiance of receivers → mean radiance of surface patches, for bakes with `basis=patches`.
+
+pub mod reference;
+
+use glam::Vec4;
+
+use crate::bake::LoadedBake;
+use crate::error::Result;
+use crate::lights::Sky;
+use crate::passes::gpu::{Gpu, groups_2d};
+use crate::passes::resident::Resident;
+
+/// The shader.
+pub const SHADER: &str = include_str!("patches.wgsl");
+/// Largest difference from the reference, relative to the largest value: the same sums in the same order, of at most
+/// some ten thousand numbers of one sign; the adapter may fuse multiply and add.
+pub const TOLERANCE: f32 = 1e-5;
+/// Threads of a workgroup in the shader.
+const THREADS: u32 = 64;
+
+/// Numbers of the pass; twin of `Patches` in the shader.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
+pub struct PatchNumbers {
+    /// Receivers; slots above are dark.
+    pub receiver_count: u32,
+    /// Leaves.
+    pub leaf_count: u32,
+    /// Patches.
+    pub patch_count: u32,
+    /// Threads in a row of the dispatch.
+    pub stride: u32,
+}
+
+/// Radiance of the parts of the sky, at their middles: `horizon + (zenith − horizon)·max(ω_y, 0)`.
+pub fn sky_radiance(bake: &LoadedBake, sky: Sky) -> Vec<Vec4> {
+    let (zenith, horizon) = (sky.zenith.extend(0.0), sky.horizon.extend(0.0));
+    bake.patches.sky.iter().map(|direction| horizon + (zenith - horizon) * direction.y.max(0.0)).collect()
+}
+
+/// The pass on the adapter: leaves, then patches.
+#[derive(Debug)]
+pub struct PatchesPass {
+    steps: Vec<(wgpu::ComputePipeline, wgpu::BindGroup, [u32; 2])>,
+}
+
+impl PatchesPass {
+    /// Uploads the patches; the sky does not change and is written once, behind them.
+    pub fn new(gpu: &Gpu, bake: &LoadedBake, sky: Sky, resident: &Resident) -> Result<Self> {
+        let table = &bake.patches;
+        let sky = sky_radiance(bake, sky);
+        let sky_start = (table.patches.len() * size_of::<Vec4>()) as u64;
+        gpu.queue.write_buffer(&resident.lambda, sky_start, bytemuck::cast_slice(&sky));
+        let leaf_starts = gpu.storage("leaf starts", &table.leaf_starts)?;
+        let leaves = gpu.blank("leaves", (table.leaf_count().max(1) * size_of::<Vec4>()) as u64)?;
+        let numbers = |groups: [u32; 2]| PatchNumbers {
+            receiver_count: bake.receivers.len() as u32,
+            leaf_count: table.leaf_count() as u32,
+            patch_count: table.patches.len() as u32,
+            stride: groups[0] * THREADS,
+        };
+        let leaf_groups = groups_2d((table.leaf_count() as u32).div_ceil(THREADS));
+        let sum = gpu.compute("leaves of patches", SHADER, "sum_leaves");
+        let sum_group = gpu.bind(
+            &sum.get_bind_group_layout(0),
+            &[
+                gpu.uniform("leaves", &numbers(leaf_groups)).as_entire_binding(),
+                leaf_starts.as_entire_binding(),
+                gpu.storage("slots", &table.slots)?.as_entire_binding(),
+                resident.albedo.as_entire_binding(),
+                resident.e_dir.as_entire_binding(),
+                resident.e_emit.as_entire_binding(),
+                resident.e_ind.as_entire_binding(),
+                leaves.as_entire_binding(),
+            ],
+        );
+        let patch_groups = groups_2d((table.patches.len() as u32).div_ceil(THREADS));
+        let mean = gpu.compute("patches", SHADER, "mean_of_patches");
+        let mean_group = gpu.bind_at(
+            &mean.get_bind_group_layout(0),
+            &[
+                (0, gpu.uniform("patches", &numbers(patch_groups)).as_entire_binding()),
+                (7, leaves.as_entire_binding()),
+                (8, gpu.storage("patches", &table.patches)?.as_entire_binding()),
+                (9, resident.lambda.as_entire_binding()),
+            ],
+        );
+        Ok(Self { steps: vec![(sum, sum_group, leaf_groups), (mean, mean_group, patch_groups)] })
+    }
+
+    /// Records the pass.
+    pub fn record(&self, pass: &mut wgpu::ComputePass<'_>) {
+        for (pipeline, group, [x, y]) in &self.steps {
+            pass.set_pipeline(pipeline);
+            pass.set_bind_group(0, group, &[]);
+            pass.dispatch_workgroups(*x, *y, 1);
+        }
+    }
+}

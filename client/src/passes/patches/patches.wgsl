@@ -1,0 +1,62 @@
+// Radiance of receivers → mean radiance of patches; twin: reference.rs. One thread per leaf, then one per patch.
+// `L = ρ/π·(E_dir + E_emit + E_ind)`; emission is left out, as its irradiance is baked with its own shadows.
+
+struct Patches {
+    receiver_count: u32,
+    leaf_count: u32,
+    patch_count: u32,
+    // Threads in a row of the dispatch.
+    stride: u32,
+}
+
+struct PatchRow {
+    first_leaf: u32,
+    leaf_count: u32,
+}
+
+const PI = 3.14159265358979;
+
+@group(0) @binding(0) var<uniform> numbers: Patches;
+// First entry of each leaf in slots, and the end.
+@group(0) @binding(1) var<storage, read> leaf_starts: array<u32>;
+@group(0) @binding(2) var<storage, read> slots: array<u32>;
+@group(0) @binding(3) var<storage, read> albedo: array<vec4f>;
+@group(0) @binding(4) var<storage, read> e_dir: array<vec4f>;
+@group(0) @binding(5) var<storage, read> e_emit: array<vec4f>;
+@group(0) @binding(6) var<storage, read> e_ind: array<vec4f>;
+// Sum over the receivers of each leaf; w is how many.
+@group(0) @binding(7) var<storage, read_write> leaves: array<vec4f>;
+@group(0) @binding(8) var<storage, read> patches: array<PatchRow>;
+// Patches, then parts of the sky, which do not change.
+@group(0) @binding(9) var<storage, read_write> lambda: array<vec4f>;
+
+@compute @workgroup_size(64)
+fn sum_leaves(@builtin(global_invocation_id) thread: vec3u) {
+    let leaf = thread.y * numbers.stride + thread.x;
+    if leaf >= numbers.leaf_count {
+        return;
+    }
+    var sum = vec3f(0.0);
+    for (var index = leaf_starts[leaf]; index < leaf_starts[leaf + 1u]; index++) {
+        let slot = slots[index];
+        // Receivers that no light reaches have no slot.
+        if slot < numbers.receiver_count {
+            sum += albedo[slot].rgb * (1.0 / PI) * (e_dir[slot].rgb + e_emit[slot].rgb + e_ind[slot].rgb);
+        }
+    }
+    leaves[leaf] = vec4f(sum, f32(leaf_starts[leaf + 1u] - leaf_starts[leaf]));
+}
+
+@compute @workgroup_size(64)
+fn mean_of_patches(@builtin(global_invocation_id) thread: vec3u) {
+    let index = thread.y * numbers.stride + thread.x;
+    if index >= numbers.patch_count {
+        return;
+    }
+    let row = patches[index];
+    var sum = vec4f(0.0);
+    for (var leaf = row.first_leaf; leaf < row.first_leaf + row.leaf_count; leaf++) {
+        sum += leaves[leaf];
+    }
+    lambda[index] = vec4f(sum.rgb / sum.w, 0.0);
+}

@@ -1,0 +1,40 @@
+//! What an evaluation measures and when it fails, as the command line says it.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use super::limits::Limit;
+
+/// Arguments that `kiln evaluate` and `kiln bake --evaluate` share.
+#[derive(Args, Clone, Debug)]
+pub struct EvaluationArguments {
+    /// Lights to measure with, as JSON: {"lights": [{"name": …, "type": "point|spot|sun|sky|panel|emitters", …}]}, see
+    /// worker/src/evaluate/light_file.rs [default: chosen from the scene, and said]
+    #[arg(long, value_name = "FILE", help_heading = "Evaluation")]
+    pub lights: Option<PathBuf>,
+    /// Standard error of the reference over the larger of the value and the mean; smaller takes longer, with its
+    /// inverse square
+    #[arg(long, value_name = "E", default_value_t = 0.03, value_parser = parse_rel_error, help_heading = "Evaluation")]
+    pub rel_error: f64,
+    /// Receivers to measure at, spread by area
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = 2000,
+        value_parser = clap::value_parser!(u32).range(10..=1_000_000),
+        help_heading = "Evaluation"
+    )]
+    pub receivers: u32,
+    /// Fails with exit code 4 when a figure is so, e.g. rel_rmse>0.08, energy_ratio<0.97, sun.p95>0.3; may be given
+    /// often
+    #[arg(long, value_name = "EXPR", help_heading = "Evaluation")]
+    pub fail_if: Vec<Limit>,
+}
+
+fn parse_rel_error(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(value @ 0.0005..=1.0) => Ok(value),
+        _ => Err("write a number in 0.0005..=1, e.g. 0.03".to_owned()),
+    }
+}

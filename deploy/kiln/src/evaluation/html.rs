@@ -1,0 +1,229 @@
+//! The report as one HTML page: pictures inline, nothing fetched from elsewhere.
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use lightkiln_client::fetch::write_atomically;
+use lightkiln_client::picture::encode_png;
+use lightkiln_worker::evaluate::{Classes, ClusterError, Figures, cluster_errors};
+
+use super::heat::{Bitmap, FULL_COLOUR, colour};
+use super::measure::Measured;
+use super::pictures::LightPictures;
+use super::table::Evaluation;
+use crate::failure::{Exit, Failure, Result};
+
+/// Name of the page in its folder.
+const PAGE: &str = "evaluation.html";
+/// Name of the figures beside it.
+const FIGURES: &str = "evaluation.json";
+/// Bars of the histogram, and the relative error at its end.
+const BARS: usize = 20;
+const HISTOGRAM_END: f64 = 0.5;
+/// Worst clusters listed.
+const WORST: usize = 12;
+
+const STYLE: &str = "body{font:15px/1.4 system-ui,sans-serif;margin:2em;max-width:1700px;color:#222}\
+table{border-collapse:collapse}td,th{padding:.2em .7em;text-align:right;border-bottom:1px solid #ddd}\
+td:first-child,th:first-child{text-align:left}figure{display:inline-block;margin:.4em}\
+figcaption{font-size:13px;color:#555}img{image-rendering:auto;max-width:100%;border:1px solid #ccc}\
+.atlas img{image-rendering:pixelated;max-height:420px}";
+
+/// Writes the page, and the figures as JSON beside it; `out` is made if need be.
+pub fn write_page(out: &Path, measured: &Measured, pictures: &[LightPictures]) -> Result<()> {
+    std::fs::create_dir_all(out).map_err(|error| {
+        Failure::bad_input(format!("the folder {} cannot be made", out.display())).caused_by(&error)
+    })?;
+    let html = page(measured, pictures)?;
+    write_atomically(&out.join(PAGE), html.as_bytes())?;
+    let json = format!("{:#}\n", serde_json::json!(measured.evaluation));
+    write_atomically(&out.join(FIGURES), json.as_bytes())?;
+    eprintln!("report: {}", out.join(PAGE).display());
+    Ok(())
+}
+
+fn page(measured: &Measured, pictures: &[LightPictures]) -> Result<String> {
+    let evaluation = &measured.evaluation;
+    let scene = escaped(&evaluation.scene);
+    let mut html = format!(
+        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>Lightkiln: {scene}</title>\
+         <style>{STYLE}</style><h1>How right is the bake of {scene}?</h1>"
+    );
+    html += &table(evaluation, pictures);
+    html += &notes(evaluation);
+    let clusters = cluster_errors(&measured.evaluator, &measured.results);
+    html += "<h2>Error by cluster</h2>";
+    html += &histogram(&clusters);
+    html += &worst(&clusters);
+    html += &legend();
+    for (light, row) in pictures.iter().zip(&evaluation.lights) {
+        let _ = write!(html, "<h2>{}</h2><p>{}</p>", escaped(&light.name), escaped(&row.words));
+        html += &figure("baked: E_ind of the bake, exact direct light", &light.baked)?;
+        html += &figure("reference: path traced", &light.reference)?;
+        html += &figure("baked − reference", &light.heat)?;
+        html += &figure(&format!("ꟻLIP, mean {:.4}", light.flip_mean), &light.flip)?;
+        html += "<div class=\"atlas\">";
+        for (page, picture) in light.atlas.iter().enumerate() {
+            let words = format!(
+                "atlas page {page}: baked − reference of E_ind, each texel as the nearest receiver measured"
+            );
+            html += &figure(&words, picture)?;
+        }
+        html += "</div>";
+    }
+    Ok(html + "</html>\n")
+}
+
+fn table(evaluation: &Evaluation, pictures: &[LightPictures]) -> String {
+    let mut html =
+        "<table><tr><th>light<th>relative RMSE<th>energy ratio<th>p95<th>p99<th>red<th>green<th>blue\
+                    <th>transport<th>factorisation<th>quantisation<th>reference’s error<th>ꟻLIP"
+            .to_owned();
+    let mut row = |name: &str, figures: &Figures, classes: &Classes, flip: Option<f64>| {
+        let percent = |value: f64| format!("<td>{:.2} %", 100.0 * value);
+        html +=
+            &format!("<tr><td>{}{}<td>{:.3}", escaped(name), percent(figures.rel_rmse), figures.energy_ratio);
+        let shares =
+            [figures.p95, figures.p99, figures.channels[0], figures.channels[1], figures.channels[2]];
+        let classes = [classes.transport, classes.factorisation, classes.quantisation];
+        for value in shares.into_iter().chain(classes).chain([figures.reference_rel_error]) {
+            html += &percent(value);
+        }
+        html += &flip.map_or("<td>".to_owned(), |flip| format!("<td>{flip:.4}"));
+    };
+    for (light, picture) in evaluation.lights.iter().zip(pictures) {
+        row(&light.name, &light.figures, &light.classes, Some(picture.flip_mean));
+    }
+    row("all lights", &evaluation.figures, &evaluation.classes, None);
+    html + "</table>"
+}
+
+fn notes(evaluation: &Evaluation) -> String {
+    let mut html = format!(
+        "<p>E_ind at {} receivers, weighted by area, over the mean of the reference. The reference’s variance is \
+         subtracted from the squared errors, not from the percentiles; its standard error was asked to be {:.1} % of the larger of \
+         the value and the mean. Transport: full-rank rows against the reference, at the same receivers. Factorisation \
+         and quantisation: at all receivers of {} of {} clusters, made anew. All lights: root mean square over lights, \
+         mean of energy ratios. {:.2} % of the lit area has no receiver. Pictures by paths hold some noise, and so \
+         does their ꟻLIP.</p>",
+        evaluation.receivers,
+        100.0 * evaluation.rel_error,
+        evaluation.clusters_made_anew,
+        evaluation.clusters,
+        100.0 * evaluation.share_without_receiver,
+    );
+    for note in &evaluation.notes {
+        let _ = write!(html, "<p>Note: {}</p>", escaped(note));
+    }
+    html
+}
+
+/// Clusters by error, as bars.
+fn histogram(clusters: &[ClusterError]) -> String {
+    let mut counts = [0_usize; BARS];
+    for cluster in clusters {
+        let bar = (cluster.rel_rmse / HISTOGRAM_END * BARS as f64) as usize;
+        counts[bar.min(BARS - 1)] += 1;
+    }
+    let most = counts.iter().copied().max().unwrap_or(0).max(1);
+    let mut html =
+        "<svg width=\"640\" height=\"190\" role=\"img\" aria-label=\"clusters by error\">".to_owned();
+    for (bar, count) in counts.iter().enumerate() {
+        let height = 140.0 * *count as f64 / most as f64;
+        let _ = write!(
+            html,
+            "<rect x=\"{}\" y=\"{:.1}\" width=\"28\" height=\"{height:.1}\" fill=\"#47a\"><title>{count}</title></rect>\
+             <text x=\"{}\" y=\"170\" font-size=\"10\">{:.1}</text>",
+            20 + 30 * bar,
+            155.0 - height,
+            20 + 30 * bar,
+            100.0 * HISTOGRAM_END * bar as f64 / BARS as f64,
+        );
+    }
+    let last = 100.0 * HISTOGRAM_END;
+    html + &format!(
+        "<text x=\"20\" y=\"186\" font-size=\"11\">clusters by relative RMSE over all lights, % (the last bar holds all above); \
+         highest bar {most}, axis to {last:.0} %</text></svg>"
+    )
+}
+
+fn worst(clusters: &[ClusterError]) -> String {
+    let mut html =
+        "<table><tr><th>worst clusters<th>relative RMSE<th>bias<th>receivers measured<th>at (m)".to_owned();
+    for cluster in clusters.iter().take(WORST) {
+        let name = cluster.cluster.map_or("left out as unlit".to_owned(), |index| format!("cluster {index}"));
+        let [x, y, z] = cluster.position_m;
+        let _ = write!(
+            html,
+            "<tr><td>{name}<td>{:.1} %<td>{:+.1} %<td>{}<td>{x:.2}, {y:.2}, {z:.2}",
+            100.0 * cluster.rel_rmse,
+            100.0 * cluster.rel_bias,
+            cluster.receivers
+        );
+    }
+    html + "</table>"
+}
+
+/// What the colours of differences mean.
+fn legend() -> String {
+    let mut html = "<h2>Differences</h2><p>".to_owned();
+    for step in -4..=4 {
+        let relative = FULL_COLOUR * f64::from(step) / 4.0;
+        let [r, g, b, _] = colour(relative);
+        let ink = if step == 0 { "#222" } else { "#fff" };
+        let _ = write!(
+            html,
+            "<span style=\"background:rgb({r},{g},{b});color:{ink};padding:.3em .6em;border:1px solid #ccc\">{:+.1} %</span>",
+            100.0 * relative
+        );
+    }
+    html + " of the mean of the reference; blue is too dark, red too bright, grey is no receiver.</p>"
+}
+
+fn figure(caption: &str, picture: &Bitmap) -> Result<String> {
+    let png = encode_png(picture.width, picture.height, &picture.pixels)
+        .map_err(|error| Failure::new(Exit::Failed, "a picture cannot be encoded").caused_by(&*error))?;
+    let caption = escaped(caption);
+    Ok(format!(
+        "<figure><img width=\"{}\" height=\"{}\" alt=\"{caption}\" src=\"data:image/png;base64,{}\"><figcaption>{caption}\
+         </figcaption></figure>",
+        picture.width,
+        picture.height,
+        STANDARD.encode(png)
+    ))
+}
+
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_of_a_scene_cannot_break_the_page() {
+        assert_eq!(escaped("<a b=\"c\">&"), "&lt;a b=&quot;c&quot;&gt;&amp;");
+    }
+
+    #[test]
+    fn histogram_counts_every_cluster_once() {
+        let cluster = |rel_rmse| ClusterError {
+            cluster: None,
+            position_m: [0.0; 3],
+            receivers: 1,
+            rel_rmse,
+            rel_bias: 0.0,
+        };
+        let html = histogram(&[cluster(0.01), cluster(0.012), cluster(0.3), cluster(7.0)]);
+        let counts: usize = html
+            .split("<title>")
+            .skip(1)
+            .map(|rest| rest.split('<').next().unwrap().parse::<usize>().unwrap())
+            .sum();
+        assert_eq!(counts, 4);
+        assert!(html.contains("highest bar 2"));
+    }
+}

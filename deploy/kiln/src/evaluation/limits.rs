@@ -1,0 +1,173 @@
+//! `--fail-if 'rel_rmse>0.08'`: limits that an evaluation is held to.
+
+use std::str::FromStr;
+
+use super::table::Evaluation;
+use crate::failure::{Exit, Failure, Result};
+
+/// Figures that a limit may name.
+const FIGURES: [&str; 8] = [
+    "rel_rmse",
+    "energy_ratio",
+    "p95",
+    "p99",
+    "transport",
+    "factorisation",
+    "quantisation",
+    "reference_rel_error",
+];
+
+/// When to fail: `FIGURE<NUMBER`, of all lights together, or `LIGHT.FIGURE<NUMBER` of one.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Limit {
+    text: String,
+    light: Option<String>,
+    figure: &'static str,
+    comparison: Comparison,
+    bound: f64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Comparison {
+    Greater,
+    GreaterOrEqual,
+    Less,
+    LessOrEqual,
+}
+
+impl FromStr for Limit {
+    type Err = String;
+
+    fn from_str(text: &str) -> std::result::Result<Self, String> {
+        let at = text.find(['<', '>']).ok_or("write FIGURE>NUMBER or FIGURE<NUMBER, e.g. rel_rmse>0.08")?;
+        let (left, right) = text.split_at(at);
+        let (comparison, number) = match right.as_bytes() {
+            [b'>', b'=', ..] => (Comparison::GreaterOrEqual, &right[2..]),
+            [b'<', b'=', ..] => (Comparison::LessOrEqual, &right[2..]),
+            [b'>', ..] => (Comparison::Greater, &right[1..]),
+            _ => (Comparison::Less, &right[1..]),
+        };
+        let bound: f64 = number.trim().parse().map_err(|_| format!("'{}' is no number", number.trim()))?;
+        if !bound.is_finite() {
+            return Err(format!("'{}' is no finite number", number.trim()));
+        }
+        let left = left.trim();
+        let (light, name) = match left.rsplit_once('.') {
+            Some((light, name)) => (Some(light.to_owned()), name),
+            None => (None, left),
+        };
+        let figure = FIGURES.iter().copied().find(|figure| *figure == name);
+        let figure =
+            figure.ok_or_else(|| format!("'{name}' is no figure; there are {}", FIGURES.join(", ")))?;
+        Ok(Self { text: text.trim().to_owned(), light, figure, comparison, bound })
+    }
+}
+
+impl Limit {
+    /// The figure's value; `None` when no light has the name.
+    fn value(&self, evaluation: &Evaluation) -> Option<f64> {
+        let (figures, classes) = match &self.light {
+            None => (&evaluation.figures, &evaluation.classes),
+            Some(name) => {
+                let row = evaluation.lights.iter().find(|row| row.name == *name)?;
+                (&row.figures, &row.classes)
+            }
+        };
+        Some(match self.figure {
+            "rel_rmse" => figures.rel_rmse,
+            "energy_ratio" => figures.energy_ratio,
+            "p95" => figures.p95,
+            "p99" => figures.p99,
+            "transport" => classes.transport,
+            "factorisation" => classes.factorisation,
+            "quantisation" => classes.quantisation,
+            _ => figures.reference_rel_error,
+        })
+    }
+
+    fn is_broken_by(&self, value: f64) -> bool {
+        match self.comparison {
+            Comparison::Greater => value > self.bound,
+            Comparison::GreaterOrEqual => value >= self.bound,
+            Comparison::Less => value < self.bound,
+            Comparison::LessOrEqual => value <= self.bound,
+        }
+    }
+}
+
+/// Fails with [`Exit::LimitBroken`] when the evaluation breaks a limit; names every one that it does.
+pub fn check(limits: &[Limit], evaluation: &Evaluation) -> Result<()> {
+    let mut broken = Vec::new();
+    for limit in limits {
+        let Some(value) = limit.value(evaluation) else {
+            let names: Vec<&str> = evaluation.lights.iter().map(|row| row.name.as_str()).collect();
+            let what = format!("--fail-if '{}' names a light that was not measured", limit.text);
+            return Err(Failure::bad_input(what).try_this(format!("one of {}", names.join(", "))));
+        };
+        if limit.is_broken_by(value) {
+            broken.push(format!("{} (it is {value:.4})", limit.text));
+        }
+    }
+    if broken.is_empty() {
+        return Ok(());
+    }
+    let what = format!("the evaluation meets --fail-if: {}", broken.join("; "));
+    Err(Failure::new(Exit::LimitBroken, what)
+        .try_this("a higher --preset, or 'kiln evaluate --out DIR' to see where"))
+}
+
+#[cfg(test)]
+mod tests {
+    use lightkiln_worker::evaluate::{Classes, Figures};
+
+    use super::*;
+    use crate::evaluation::table::LightRow;
+
+    fn evaluation() -> Evaluation {
+        let figures = |rel_rmse| Figures { rel_rmse, energy_ratio: 0.95, ..Figures::default() };
+        let classes = Classes { transport: 0.07, ..Classes::default() };
+        let row =
+            LightRow { name: "sun".into(), words: String::new(), figures: figures(0.2), classes, bounces: 1 };
+        Evaluation { figures: figures(0.09), classes, lights: vec![row], ..Evaluation::default() }
+    }
+
+    #[test]
+    fn limits_hold_or_are_broken_by_their_figure() {
+        for (text, broken) in [
+            ("rel_rmse>0.08", true),
+            ("rel_rmse > 0.09", false),
+            ("rel_rmse>=0.09", true),
+            ("energy_ratio<0.97", true),
+            ("energy_ratio<=0.9", false),
+            ("transport>0.05", true),
+            ("sun.rel_rmse>0.1", true),
+            ("sun.rel_rmse>0.3", false),
+        ] {
+            let limit: Limit = text.parse().unwrap();
+            let checked = check(&[limit], &evaluation());
+            assert_eq!(checked.is_err(), broken, "{text}");
+            if let Err(failure) = checked {
+                assert_eq!(failure.exit(), Exit::LimitBroken);
+                assert!(failure.to_string().contains(text), "{failure}");
+            }
+        }
+        let failure = check(&["moon.p95>1".parse().unwrap()], &evaluation()).unwrap_err();
+        assert_eq!(failure.exit(), Exit::BadInput);
+    }
+
+    #[test]
+    fn nonsense_is_refused_with_what_would_be_right() {
+        for (text, said) in [
+            ("rel_rmse", "FIGURE>NUMBER"),
+            ("rmse>1", "rel_rmse"),
+            ("rel_rmse>much", "'much'"),
+            ("rel_rmse>NaN", "finite"),
+            ("rel_rmse=0.1", "FIGURE>NUMBER"),
+            (">0.1", "no figure"),
+            ("rel_rmse>=", "no number"),
+        ] {
+            let error = text.parse::<Limit>().unwrap_err();
+            assert!(error.contains(said), "{text}: {error}");
+        }
+    }
+}

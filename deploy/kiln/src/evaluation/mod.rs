@@ -1,0 +1,21 @@
+//! A bundle held against the path tracer: where its scene is, what is measured, limits, tables and pages.
+
+mod arguments;
+mod dump;
+mod flip;
+mod heat;
+mod html;
+mod limits;
+mod measure;
+mod pictures;
+mod scene;
+mod table;
+
+pub use arguments::EvaluationArguments;
+pub use dump::write_dump;
+pub use html::write_page;
+pub use limits::check;
+pub use measure::measure;
+pub use pictures::draw;
+pub use scene::{relative_path, scene_of_bundle};
+pub use table::{Evaluation, words};

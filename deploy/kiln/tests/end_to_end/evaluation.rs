@@ -1,0 +1,109 @@
+//! `kiln evaluate` and `kiln bake --evaluate`: figures, files, limits and refusals.
+
+use std::fs;
+use std::path::Path;
+
+use super::processes::{kiln, run};
+use super::{SMALL, cornell};
+
+/// Quick and rough: few receivers, two lights of the caller's own.
+const ROUGH: [&str; 6] = ["--receivers", "60", "--rel-error", "0.2", "--lights", "lights.json"];
+const LIGHTS: &str = r#"{"lights": [
+    {"name": "lamp", "type": "point", "position_m": [0.5, 4, -2], "strength": [10, 9, 8]},
+    {"name": "own", "type": "emitters", "scale": 1}
+]}"#;
+
+fn words(parts: &[&[&str]]) -> Vec<String> {
+    parts.iter().flat_map(|part| part.iter().map(|word| (*word).to_owned())).collect()
+}
+
+/// Bakes the small box into `box.kiln` of a folder, with more arguments; gives what was printed.
+fn baked(folder: &Path, more: &[&str], exit: i32) -> super::processes::Finished {
+    fs::write(folder.join("lights.json"), LIGHTS).unwrap();
+    let scene = cornell().display().to_string();
+    let mut command = kiln(&folder.join("state"));
+    command.current_dir(folder);
+    run(command, &words(&[&["bake", &scene, "--out", "box.kiln", "--json"], &SMALL, more]), exit)
+}
+
+fn evaluated(folder: &Path, more: &[&str], exit: i32) -> super::processes::Finished {
+    let mut command = kiln(&folder.join("state"));
+    command.current_dir(folder);
+    run(command, &words(&[&["evaluate", "box.kiln"], more]), exit)
+}
+
+#[test]
+fn evaluation_of_a_bundle_finds_its_scene_and_writes_figures_page_and_table() {
+    let folder = tempfile::tempdir().unwrap();
+    baked(folder.path(), &[], 0);
+    let files = ["--out", "page", "--dump", "receivers.csv", "--json"];
+    let done = evaluated(folder.path(), &[&ROUGH[..], &files[..]].concat(), 0);
+    let figures = done.json();
+    assert_eq!(figures["scene"], "cornell");
+    let names: Vec<&str> =
+        figures["lights"].as_array().unwrap().iter().map(|light| light["name"].as_str().unwrap()).collect();
+    assert_eq!(names, ["lamp", "own"]);
+    for key in ["rel_rmse", "energy_ratio", "p95", "p99"] {
+        assert!(figures[key].as_f64().unwrap() > 0.0, "{key}: {figures}");
+    }
+    for class in ["transport", "factorisation", "quantisation"] {
+        assert!(figures["classes"][class].as_f64().unwrap() >= 0.0, "{class}: {figures}");
+    }
+    assert!(figures["lights"][0]["reference_rel_error"].as_f64().unwrap() > 0.0);
+    // The box is small and rough, but not wrong.
+    assert!(
+        figures["energy_ratio"].as_f64().unwrap() > 0.7 && figures["rel_rmse"].as_f64().unwrap() < 0.6,
+        "{figures}"
+    );
+    let page = fs::read_to_string(folder.path().join("page/evaluation.html")).unwrap();
+    assert!(page.contains("data:image/png;base64,") && !page.contains("<script") && !page.contains("http"));
+    let table = fs::read_to_string(folder.path().join("receivers.csv")).unwrap();
+    let receivers = figures["receivers"].as_u64().unwrap() as usize;
+    assert_eq!(table.lines().count(), 1 + 2 * receivers);
+    assert!(table.starts_with("light,receiver,x_m,"));
+    let again = evaluated(folder.path(), &[&ROUGH[..], &["--json"][..]].concat(), 0);
+    assert_eq!(again.json(), figures, "the same bundle, the same figures");
+}
+
+#[test]
+fn bake_that_breaks_a_limit_ends_with_4_and_one_that_keeps_it_with_0() {
+    let folder = tempfile::tempdir().unwrap();
+    let with = |limit: &'static str| [&["--evaluate", "--fail-if", limit], &ROUGH[..]].concat();
+    let broken = baked(folder.path(), &with("rel_rmse>0.0001"), 4);
+    assert!(broken.stderr().contains("rel_rmse>0.0001 (it is "), "{}", broken.stderr());
+    let kept = baked(folder.path(), &with("rel_rmse>10"), 0);
+    assert!(kept.json()["evaluation"]["rel_rmse"].as_f64().unwrap() > 0.0, "{}", kept.json());
+    let report = fs::read_to_string(folder.path().join("box.kiln/report.json")).unwrap();
+    let report: serde_json::Value = serde_json::from_str(&report).unwrap();
+    assert_eq!(report["run"]["evaluation"], kept.json()["evaluation"]);
+}
+
+#[test]
+fn evaluation_refuses_what_it_cannot_measure_and_says_what_to_do() {
+    let folder = tempfile::tempdir().unwrap();
+    baked(folder.path(), &[], 0);
+    let refused = |more: &[&str], said: &[&str]| {
+        let stderr = evaluated(folder.path(), more, 2).stderr();
+        said.iter().for_each(|word| assert!(stderr.contains(word), "{more:?}: no '{word}' in {stderr}"));
+        assert!(!stderr.contains("panicked"), "{stderr}");
+    };
+    refused(&["--fail-if", "rmse>1"], &["rel_rmse"]);
+    refused(&["--rel-error", "0"], &["0.0005"]);
+    refused(&["--lights", "absent.json"], &["absent.json"]);
+    let other = cornell().with_file_name("two_rooms.glb").display().to_string();
+    refused(&["--scene", &other], &["digest", "baked from"]);
+    let lit_by = |light: &str| {
+        fs::write(folder.path().join("lights.json"), format!("{{\"lights\": [{light}]}}")).unwrap()
+    };
+    // Inside the tall box.
+    lit_by(r#"{"name": "buried", "type": "point", "position_m": [-0.94, 1, -3.5], "strength": [1, 1, 1]}"#);
+    refused(&["--lights", "lights.json"], &["'buried'", "inside", "tall box"]);
+    lit_by(
+        r#"{"name": "cut", "type": "panel", "centre_m": [0, 2, -2], "half_u_m": [9, 0, 0], "half_v_m": [0, 0, 1], "radiance": [1, 1, 1]}"#,
+    );
+    refused(&["--lights", "lights.json"], &["'cut'", "passes through a surface"]);
+    lit_by(r#"{"name": "lost", "type": "sun", "direction": [0, 0, 1], "strength": [1, 1, 1]}"#);
+    refused(&["--lights", "lights.json"], &["'lost'", "reaches no surface"]);
+    fs::remove_file(folder.path().join("box.kiln/report.json")).unwrap();
+    refused(&[], &["--scene"]);
+}

@@ -1,0 +1,197 @@
+//! Where the error comes from: transport, factorisation, quantisation; each measured with the same λ.
+//!
+//! ```text
+//! transport       Σ α λ, α full-precision and full-rank  against the reference       at sampled receivers
+//! factorisation   U (ΣVᵀ) λ in f32 at the bake's rank     against Σ α λ               at all receivers of some cells
+//! quantisation    the decoded chunk's U (ΣVᵀ) λ           against U (ΣVᵀ) λ in f32    at the same
+//! ```
+//! With patches, Σ α λ is over the finest ones: the cut through their tree is a part of the factorisation.
+//! Rows and factors are computed anew by the code of the transport tasks.
+
+use std::collections::BTreeMap;
+
+use glam::DVec3;
+use lightkiln_proto::prt::reconstruct::Rgb;
+use lightkiln_proto::prt::{BasisKind, BlockKey, ProbeKey, Settings, Texel};
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::baked::{Baked, Settled, names, reconstructed};
+use super::sample::Sample;
+use crate::prt::{CellRows, Detail, Piece, Row, World, pieces, rows};
+use crate::reference::luminance;
+use crate::task::{Cancelled, Progress};
+
+/// The bake's error by class, relative to the mean of the reference.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Classes {
+    /// Of probes, rays and basis.
+    pub transport: f64,
+    /// Of the rank.
+    pub factorisation: f64,
+    /// Of the chunk's numbers.
+    pub quantisation: f64,
+}
+
+/// Rows and factors made anew.
+pub struct Anew {
+    /// Row of each sampled receiver.
+    rows: Vec<CellRows>,
+    cells: Vec<CellAnew>,
+}
+
+/// A cluster cell made anew.
+struct CellAnew {
+    /// Stage indices, ascending.
+    receivers: Vec<u32>,
+    rows: CellRows,
+    pieces: Vec<Piece>,
+}
+
+impl Anew {
+    /// Traces the rows of the sample, and all rows of `cells_max` cluster cells: those that hold every n-th receiver, so
+    /// that a cell's chance is its share of the receivers.
+    pub fn trace(
+        world: &World,
+        settings: &Settings,
+        sample: &Sample,
+        cells_max: usize,
+        progress: &Progress,
+    ) -> Result<Self, Cancelled> {
+        let rows = sample
+            .receivers
+            .par_iter()
+            .map(|sampled| {
+                progress.check()?;
+                rows(world, settings, &[sampled.receiver], Detail::Finest, progress)
+            })
+            .collect::<Result<_, Cancelled>>()?;
+        let cells = chosen_cells(world, cells_max)
+            .into_iter()
+            .map(|index| CellAnew::trace(world, settings, index, progress))
+            .collect::<Result<_, Cancelled>>()?;
+        Ok(Self { rows, cells })
+    }
+
+    /// Cluster cells traced.
+    pub fn cells(&self) -> usize {
+        self.cells.len()
+    }
+
+    /// Clusters factorised.
+    pub fn clusters(&self) -> usize {
+        self.cells.iter().map(|cell| cell.pieces.len()).sum()
+    }
+
+    /// Full-rank E_ind of each sampled receiver.
+    pub fn full_rank(&self, settled: &Settled, emitter_scale: f32) -> Vec<DVec3> {
+        let of = |found: &CellRows| full_rank(&found.rows[0], &found.keys, settled, emitter_scale);
+        self.rows.par_iter().map(of).collect()
+    }
+
+    /// Root mean square errors of factorisation and of quantisation, W·m⁻² of luminance.
+    pub fn factor_errors(
+        &self,
+        world: &World,
+        baked: &Baked,
+        settled: &Settled,
+        emitter_scale: f32,
+    ) -> [f64; 2] {
+        let mut squares = [0.0; 2];
+        for cell in &self.cells {
+            let of_cell = cell.squared_errors(world, baked, settled, emitter_scale);
+            squares = [0, 1].map(|class| squares[class] + of_cell[class] / self.cells.len() as f64);
+        }
+        squares.map(f64::sqrt)
+    }
+}
+
+impl CellAnew {
+    fn trace(
+        world: &World,
+        settings: &Settings,
+        index: usize,
+        progress: &Progress,
+    ) -> Result<Self, Cancelled> {
+        let cell = &world.stage.clusters[index];
+        let baked = rows(world, settings, &cell.receivers, Detail::AsBaked, progress)?;
+        let pieces = pieces(world, settings, &baked.keys, cell, &baked.rows);
+        let finest = match settings.basis {
+            BasisKind::Sh => baked,
+            BasisKind::Patches => rows(world, settings, &cell.receivers, Detail::Finest, progress)?,
+        };
+        Ok(Self { receivers: cell.receivers.clone(), rows: finest, pieces })
+    }
+
+    /// Mean squared errors of both classes over the cell's live receivers.
+    fn squared_errors(&self, world: &World, baked: &Baked, settled: &Settled, scale: f32) -> [f64; 2] {
+        let mut row_of: BTreeMap<(BlockKey, Texel), &Row> = BTreeMap::new();
+        for (receiver, row) in self.receivers.iter().zip(&self.rows.rows) {
+            let receiver = &world.stage.receivers[*receiver as usize];
+            row_of.insert((world.stage.blocks[receiver.block as usize].key, receiver.texel), row);
+        }
+        let (mut sums, mut count) = ([0.0; 2], 0_u64);
+        for piece in &self.pieces {
+            let by_factors = reconstructed(&piece.transport, settled, scale);
+            for (name, factored) in names(&piece.transport).zip(&by_factors) {
+                let Some(row) = row_of.get(&name) else { continue };
+                let full = full_rank(row, &self.rows.keys, settled, scale);
+                let decoded = baked.place(name.0, name.1).map_or([0.0; 3], |(c, r)| settled.indirect[c][r]);
+                sums[0] += (luminance(wide(*factored)) - luminance(full)).powi(2);
+                sums[1] += (luminance(wide(decoded)) - luminance(wide(*factored))).powi(2);
+                count += 1;
+            }
+        }
+        sums.map(|sum| sum / count.max(1) as f64)
+    }
+}
+
+/// `max(0, Σ_p Σ_j α_pj λ_pj + Σ_e s E_e)`, in f64.
+fn full_rank(row: &Row, keys: &[ProbeKey], settled: &Settled, emitter_scale: f32) -> DVec3 {
+    let coefficients = row.alpha.len() / (keys.len() + 1);
+    let mut sum = DVec3::ZERO;
+    let mut add = |alpha: &[f32], lambda: &[Rgb]| {
+        for (alpha, lambda) in alpha.iter().zip(lambda) {
+            sum += f64::from(*alpha) * wide(*lambda);
+        }
+    };
+    let mut columns = row.alpha.chunks_exact(coefficients);
+    for (&key, alpha) in keys.iter().zip(columns.by_ref()) {
+        if let Some(lambda) = settled.lambda_of(key) {
+            add(alpha, lambda);
+        }
+    }
+    if let Some(alpha) = columns.next() {
+        add(alpha, &settled.lambda_sky);
+    }
+    for emitter in &row.emitters {
+        sum += wide(*emitter) * f64::from(emitter_scale);
+    }
+    sum.max(DVec3::ZERO)
+}
+
+/// Cells that hold every n-th receiver of the stage's cells in order, each once.
+fn chosen_cells(world: &World, cells_max: usize) -> Vec<usize> {
+    let cells = &world.stage.clusters;
+    if cells.len() <= cells_max {
+        return (0..cells.len()).filter(|&cell| !cells[cell].receivers.is_empty()).collect();
+    }
+    let total: usize = cells.iter().map(|cell| cell.receivers.len()).sum();
+    let mut chosen = Vec::new();
+    let (mut before, mut next) = (0, 0);
+    for (index, cell) in cells.iter().enumerate() {
+        before += cell.receivers.len();
+        if next < cells_max && (2 * next + 1) * total < 2 * cells_max * before {
+            chosen.push(index);
+            while next < cells_max && (2 * next + 1) * total < 2 * cells_max * before {
+                next += 1;
+            }
+        }
+    }
+    chosen
+}
+
+/// A colour in f64.
+pub(super) fn wide(colour: Rgb) -> DVec3 {
+    glam::Vec3::from(colour).as_dvec3()
+}

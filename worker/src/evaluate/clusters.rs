@@ -1,0 +1,72 @@
+//! Error by cluster: where in the scene a bake is wrong.
+
+use std::collections::BTreeMap;
+
+use serde::Serialize;
+
+use super::evaluator::{Evaluator, LightResult};
+use crate::reference::luminance;
+
+/// The error of one cluster over some lights.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct ClusterError {
+    /// Index in the manifest; `None` for receivers that the bake left out as unreachable.
+    pub cluster: Option<usize>,
+    /// Mean position of its sampled receivers, in metres.
+    pub position_m: [f32; 3],
+    /// Sampled receivers in it.
+    pub receivers: usize,
+    /// Root mean square over lights and sampled receivers of the error over the light's mean, noise subtracted.
+    pub rel_rmse: f64,
+    /// Mean of the signed error over the light's mean.
+    pub rel_bias: f64,
+}
+
+#[derive(Default)]
+struct Sums {
+    position: glam::Vec3,
+    receivers: usize,
+    area: f64,
+    squares: f64,
+    bias: f64,
+}
+
+/// Errors of all clusters that the sample meets, worst first.
+pub fn cluster_errors(evaluator: &Evaluator, results: &[LightResult]) -> Vec<ClusterError> {
+    let mut by_cluster: BTreeMap<Option<usize>, Sums> = BTreeMap::new();
+    for (index, sampled) in evaluator.sample().receivers.iter().enumerate() {
+        let cluster = evaluator.place(sampled.receiver).map(|(cluster, _)| cluster);
+        let counted: Vec<&LightResult> = results.iter().filter(|result| result.counted[index]).collect();
+        if counted.is_empty() {
+            continue;
+        }
+        let sums = by_cluster.entry(cluster).or_default();
+        sums.position += evaluator.world().stage.receivers[sampled.receiver as usize].position_m;
+        sums.receivers += 1;
+        for result in counted {
+            let mean = result.figures.mean_irradiance;
+            if mean <= 0.0 {
+                continue;
+            }
+            let reference = &result.reference[index].indirect;
+            let error = (luminance(result.baked[index]) - reference.luminance()) / mean;
+            let noise = reference.luminance_error / mean;
+            sums.area += sampled.area_m2;
+            sums.squares += sampled.area_m2 * (error * error - noise * noise);
+            sums.bias += sampled.area_m2 * error;
+        }
+    }
+    let mut errors: Vec<ClusterError> = by_cluster
+        .into_iter()
+        .filter(|(_, sums)| sums.area > 0.0)
+        .map(|(cluster, sums)| ClusterError {
+            cluster,
+            position_m: (sums.position / sums.receivers as f32).to_array(),
+            receivers: sums.receivers,
+            rel_rmse: (sums.squares / sums.area).max(0.0).sqrt(),
+            rel_bias: sums.bias / sums.area,
+        })
+        .collect();
+    errors.sort_by(|a, b| b.rel_rmse.total_cmp(&a.rel_rmse).then(a.cluster.cmp(&b.cluster)));
+    errors
+}

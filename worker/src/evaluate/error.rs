@@ -1,0 +1,70 @@
+//! What can go wrong in an evaluation.
+
+use lightkiln_proto::chunk::ChunkError;
+use lightkiln_proto::ids::Digest;
+use thiserror::Error;
+
+use crate::reference::LightingError;
+use crate::task::{Cancelled, TaskError};
+
+/// An evaluation that cannot be made.
+#[derive(Debug, Error)]
+pub enum EvaluationError {
+    /// A chunk does not decode.
+    #[error("chunk {digest} is damaged; fetch or bake the bundle again")]
+    Chunk {
+        /// Which.
+        digest: Digest,
+        /// What is wrong with it.
+        #[source]
+        source: ChunkError,
+    },
+    /// A chunk could not be read.
+    #[error("chunk {digest} cannot be read")]
+    Missing {
+        /// Which.
+        digest: Digest,
+        /// Why.
+        #[source]
+        source: Box<dyn std::error::Error + Send + Sync>,
+    },
+    /// The scene is not the one that was baked.
+    #[error(
+        "the scene's digest is {found}, but the bundle was baked from {wanted}: give the scene as it was then"
+    )]
+    OtherScene {
+        /// The manifest's.
+        wanted: Digest,
+        /// The scene's.
+        found: Digest,
+    },
+    /// Import and prepare give something else than they did for the bake.
+    #[error(
+        "this version of Lightkiln prepares the scene otherwise than the bundle's did ({what}): bake it again"
+    )]
+    OtherStage {
+        /// The first difference.
+        what: String,
+    },
+    /// Import or prepare failed.
+    #[error("the scene cannot be prepared")]
+    Prepare(#[source] TaskError),
+    /// A light that makes no sense, or can light nothing.
+    #[error(transparent)]
+    Lighting(#[from] LightingError),
+    /// The file of lights cannot be read.
+    #[error("the file of lights is wrong: {problem}")]
+    LightFile {
+        /// What and where.
+        problem: String,
+    },
+    /// Nothing is left to be measured.
+    #[error("no light is left to evaluate the bake with: {problem}")]
+    NoLight {
+        /// Why.
+        problem: String,
+    },
+    /// The caller gave it up.
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+}

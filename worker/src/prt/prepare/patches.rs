@@ -1,0 +1,331 @@
+//! The tree of surface patches: receivers that lie near each other, face the same way and see each other.
+//!
+//! A patch is a set of receivers of one cell of a world-aligned lattice and one of six directions. Cells double from
+//! level to level, and a patch's parent holds the patches of its cell of the next level that are one surface: linked by
+//! neighbouring texels, or in sight of each other. So no patch has two sides of a wall.
+//!
+//! We differ from METHOD "Basis at the probe": patches belong to surfaces, not to a probe. A hit then always has a patch,
+//! whoever else sees it, near patches are small, far ones large, and each texel's light is summed once for all.
+
+use std::collections::BTreeMap;
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::lattice::cell_of;
+use crate::prt::stage::{Patch, PatchTree, Stage};
+use crate::prt::world::World;
+use crate::task::TaskError;
+use lightkiln_proto::chunk::encode_patches;
+use lightkiln_proto::prt::{self as content, LINKS, PatchKey, PatchSet, Settings, Texel};
+
+/// Side of the finest cells in texels.
+const LEAF_TEXELS: f32 = 2.0;
+/// Levels at most; 4 bits of a key, the last value being the sky's.
+const LEVELS_MAX: u32 = 14;
+/// Cells along an axis: 15 bits of a key.
+const CELLS_MAX: i32 = 1 << 15;
+/// Patches of one cell and direction with a key of their own: 10 bits of it. The rest joins the last.
+const ORDINALS_MAX: usize = 1 << 10;
+/// Surfaces of a cell that another one is tried to join.
+const TRIED_MAX: usize = 8;
+
+/// Cell, level and direction that a patch lies in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+struct Place {
+    cell: [i32; 3],
+    direction: u8,
+}
+
+/// A receiver, or a patch of the level below.
+struct Item {
+    place: Place,
+    /// Block key and texel of the first receiver: the order of items.
+    identity: (u64, Texel),
+    /// Where the item is looked at from.
+    point_m: Vec3,
+    normal: Vec3,
+    /// Node, or `u32::MAX` for a receiver.
+    node: u32,
+    receiver: u32,
+}
+
+/// A patch while the tree grows.
+struct Node {
+    key: PatchKey,
+    children: Vec<u32>,
+    /// Of leaves.
+    receivers: Vec<u32>,
+}
+
+/// The tree over all receivers of the stage.
+pub fn tree(world: &World) -> Result<PatchTree, TaskError> {
+    let size_m = world.stage.texel_m * LEAF_TEXELS;
+    let mut items = receiver_items(world, size_m)?;
+    let mut edges = receiver_edges(world);
+    let mut nodes: Vec<Node> = Vec::new();
+    for level in 0..LEVELS_MAX {
+        let (parents, parent_of) = level_above(world, level, size_m, &items, &edges, &mut nodes);
+        let merged = parents.len() < items.len();
+        let cells = parents.iter().map(|item| item.place.cell);
+        let one_cell = cells.clone().min() == cells.clone().max();
+        items = parents;
+        if one_cell && level > 0 && !merged {
+            break;
+        }
+        edges = lifted(&edges, &parent_of);
+        for item in &mut items {
+            item.place.cell = item.place.cell.map(|c| c.div_euclid(2));
+        }
+    }
+    Ok(flattened(world, &nodes, &items))
+}
+
+/// The chunk of a stage's patches, if it has any.
+pub fn chunk(stage: &Stage, settings: &Settings) -> Result<Option<Vec<u8>>, TaskError> {
+    let tree = &stage.patches;
+    if tree.patches.is_empty() {
+        return Ok(None);
+    }
+    let block_of = |receiver: &u32| stage.blocks[stage.receivers[*receiver as usize].block as usize].key;
+    let mut blocks: Vec<u64> = tree.receivers.iter().map(block_of).collect();
+    blocks.sort_unstable();
+    blocks.dedup();
+    let index = |receiver: &u32| blocks.binary_search(&block_of(receiver)).unwrap_or_default() as u16;
+    let set = PatchSet {
+        patches: tree
+            .patches
+            .iter()
+            .map(|patch| content::Patch {
+                key: patch.key,
+                first_leaf: patch.first_leaf,
+                leaf_count: patch.leaf_count,
+            })
+            .collect(),
+        leaf_starts: tree.leaf_starts.clone(),
+        block: tree.receivers.iter().map(index).collect(),
+        texel: tree.receivers.iter().map(|&receiver| stage.receivers[receiver as usize].texel).collect(),
+        blocks,
+        sky_parts: settings.sky_parts,
+    };
+    let bytes = encode_patches(&set)
+        .map_err(|error| TaskError::bad_input_from("the patches cannot be stored", error))?;
+    Ok(Some(bytes))
+}
+
+/// Which of ±x, ±y, ±z a normal is nearest to.
+fn direction_of(normal: Vec3) -> u8 {
+    let size = normal.abs();
+    let axis = if size.x >= size.y && size.x >= size.z { 0 } else { 1 + u8::from(size.z > size.y) };
+    axis * 2 + u8::from(normal[usize::from(axis)] < 0.0)
+}
+
+fn receiver_items(world: &World, size_m: f32) -> Result<Vec<Item>, TaskError> {
+    let stage = &world.stage;
+    let mut items = Vec::with_capacity(stage.receivers.len());
+    for (index, receiver) in stage.receivers.iter().enumerate() {
+        let cell = cell_of(receiver.position_m, size_m);
+        if cell.abs().max_element() >= CELLS_MAX / 2 {
+            return Err(TaskError::bad_input(format!(
+                "the scene reaches {} m from the origin, too far for texels of {} m with basis=patches",
+                receiver.position_m.abs().max_element(),
+                stage.texel_m
+            )));
+        }
+        items.push(Item {
+            place: Place { cell: cell.to_array(), direction: direction_of(receiver.face_normal) },
+            identity: (stage.blocks[receiver.block as usize].key, receiver.texel),
+            point_m: receiver.position_m,
+            normal: receiver.face_normal,
+            node: u32::MAX,
+            receiver: index as u32,
+        });
+    }
+    Ok(items)
+}
+
+/// Pairs of receivers that are linked.
+fn receiver_edges(world: &World) -> Vec<[u32; 2]> {
+    let mut edges = Vec::new();
+    for (index, receiver) in world.stage.receivers.iter().enumerate() {
+        let [x, y] = receiver.texel.map(i32::from);
+        for (bit, [dx, dy]) in LINKS.into_iter().enumerate() {
+            if receiver.links >> bit & 1 == 1
+                && let Some(other) = world.receiver_on(receiver.block, x + dx, y + dy)
+            {
+                edges.push([index as u32, other]);
+            }
+        }
+    }
+    edges
+}
+
+/// Joins items of one place that are one surface; gives the joined ones, and the joined one of each item.
+fn level_above(
+    world: &World,
+    level: u32,
+    leaf_m: f32,
+    items: &[Item],
+    edges: &[[u32; 2]],
+    nodes: &mut Vec<Node>,
+) -> (Vec<Item>, Vec<u32>) {
+    let mut by_place: BTreeMap<Place, Vec<u32>> = BTreeMap::new();
+    for (index, item) in items.iter().enumerate() {
+        by_place.entry(item.place).or_default().push(index as u32);
+    }
+    let mut edges_of: Vec<Vec<u32>> = vec![Vec::new(); items.len()];
+    for &[a, b] in edges {
+        if a != b && items[a as usize].place == items[b as usize].place {
+            edges_of[a as usize].push(b);
+            edges_of[b as usize].push(a);
+        }
+    }
+    let height_m = (leaf_m * (1_u32 << level) as f32 * 0.25).max(world.link_height_m());
+    let places: Vec<(Place, Vec<u32>)> = by_place.into_iter().collect();
+    let surfaces: Vec<Vec<Vec<u32>>> =
+        places.par_iter().map(|(_, members)| surfaces(world, height_m, items, members, &edges_of)).collect();
+    let mut parents = Vec::new();
+    let mut parent_of = vec![0; items.len()];
+    for ((place, _), surfaces) in places.iter().zip(surfaces) {
+        for (ordinal, members) in surfaces.into_iter().enumerate() {
+            members.iter().for_each(|&member| parent_of[member as usize] = parents.len() as u32);
+            let first = &items[members[0] as usize];
+            let node = if level > 0 && members.len() == 1 {
+                first.node
+            } else {
+                let key = PatchKey::of_cell(level, place.cell, place.direction, ordinal as u32);
+                let (mut children, mut receivers) = (Vec::new(), Vec::new());
+                if level == 0 {
+                    receivers = members.iter().map(|&member| items[member as usize].receiver).collect();
+                } else {
+                    children = members.iter().map(|&member| items[member as usize].node).collect();
+                }
+                nodes.push(Node { key, children, receivers });
+                nodes.len() as u32 - 1
+            };
+            parents.push(Item { place: *place, node, ..*first });
+        }
+    }
+    (parents, parent_of)
+}
+
+/// Items of one place grouped into surfaces, each in the order of identities, and so are the surfaces.
+fn surfaces(
+    world: &World,
+    height_m: f32,
+    items: &[Item],
+    members: &[u32],
+    edges_of: &[Vec<u32>],
+) -> Vec<Vec<u32>> {
+    let mut members = members.to_vec();
+    members.sort_by_key(|&member| items[member as usize].identity);
+    let mut found: Vec<Vec<u32>> = Vec::new();
+    let mut taken: BTreeMap<u32, bool> = members.iter().map(|&member| (member, false)).collect();
+    for &start in &members {
+        if taken[&start] {
+            continue;
+        }
+        taken.insert(start, true);
+        let (mut linked, mut next) = (vec![start], 0);
+        while let Some(&member) = linked.get(next) {
+            next += 1;
+            for &other in &edges_of[member as usize] {
+                if taken.insert(other, true) == Some(false) {
+                    linked.push(other);
+                }
+            }
+        }
+        let full = found.len() == ORDINALS_MAX;
+        let joined = found.iter().enumerate().take(TRIED_MAX).position(|(_, surface)| {
+            are_in_sight(world, height_m, &items[surface[0] as usize], &items[start as usize])
+        });
+        match joined.or(full.then_some(ORDINALS_MAX - 1)) {
+            Some(surface) => found[surface].append(&mut linked),
+            None => found.push(linked),
+        }
+    }
+    found.iter_mut().for_each(|surface| surface.sort_by_key(|&member| items[member as usize].identity));
+    found
+}
+
+/// No wall stands between two items: raised above their surfaces they see each other.
+fn are_in_sight(world: &World, height_m: f32, a: &Item, b: &Item) -> bool {
+    let tracer = &world.geometry.tracer;
+    let raised = |item: &Item| {
+        let foot_m = item.point_m + item.normal * tracer.ray_offset_m();
+        let top_m = item.point_m + item.normal * height_m;
+        (!tracer.is_occluded(foot_m, top_m)).then_some(top_m)
+    };
+    match (raised(a), raised(b)) {
+        (Some(a_m), Some(b_m)) => !tracer.is_occluded(a_m, b_m),
+        _ => false,
+    }
+}
+
+/// Edges between items as edges between what they were joined to.
+fn lifted(edges: &[[u32; 2]], parent_of: &[u32]) -> Vec<[u32; 2]> {
+    let mut lifted: Vec<[u32; 2]> = edges
+        .par_iter()
+        .map(|&[a, b]| [parent_of[a as usize], parent_of[b as usize]])
+        .filter(|[a, b]| a != b)
+        .map(|[a, b]| [a.min(b), a.max(b)])
+        .collect();
+    lifted.par_sort_unstable();
+    lifted.dedup();
+    lifted
+}
+
+/// The tree in order: a patch before its parts, its leaves one after the other.
+fn flattened(world: &World, nodes: &[Node], roots: &[Item]) -> PatchTree {
+    let mut tree =
+        PatchTree { leaf_of_receiver: vec![0; world.stage.receivers.len()], ..PatchTree::default() };
+    let mut roots: Vec<u32> = roots.iter().map(|item| item.node).collect();
+    roots.sort_by_key(|&root| nodes[root as usize].key);
+    for root in roots {
+        enter(world, nodes, root, &mut tree);
+    }
+    tree.leaf_starts.push(tree.receivers.len() as u32);
+    let key = |patch: &u32| tree.patches[*patch as usize].key;
+    let mut by_key: Vec<u32> = (0..tree.patches.len() as u32).collect();
+    by_key.sort_by_key(key);
+    tree.by_key = by_key;
+    tree
+}
+
+fn enter(world: &World, nodes: &[Node], index: u32, tree: &mut PatchTree) {
+    let node = &nodes[index as usize];
+    let own = tree.patches.len();
+    let first_leaf = tree.leaf_starts.len() as u32;
+    tree.patches.push(Patch { key: node.key, first_leaf, leaf_count: 0, end: 0, bounds_m: [Vec3::ZERO; 2] });
+    if node.children.is_empty() {
+        tree.leaf_starts.push(tree.receivers.len() as u32);
+        for &receiver in &node.receivers {
+            tree.leaf_of_receiver[receiver as usize] = first_leaf;
+            tree.receivers.push(receiver);
+        }
+    }
+    for &child in &node.children {
+        enter(world, nodes, child, tree);
+    }
+    let (leaves, end) = (tree.leaf_starts.len() as u32, tree.patches.len() as u32);
+    let of_receivers = tree.receivers[tree.leaf_starts[first_leaf as usize] as usize..]
+        .iter()
+        .map(|&receiver| world.stage.receivers[receiver as usize].position_m);
+    let bounds_m = of_receivers.fold([Vec3::INFINITY, Vec3::NEG_INFINITY], |[low, high], position_m| {
+        [low.min(position_m), high.max(position_m)]
+    });
+    let patch = &mut tree.patches[own];
+    (patch.leaf_count, patch.end, patch.bounds_m) = (leaves - first_leaf, end, bounds_m);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn direction_is_the_nearest_axis() {
+        let all = [Vec3::X, -Vec3::X, Vec3::Y, -Vec3::Y, Vec3::Z, -Vec3::Z];
+        assert_eq!(all.map(direction_of), [0, 1, 2, 3, 4, 5]);
+        assert_eq!(direction_of(Vec3::new(0.5, -0.7, 0.5)), 3);
+    }
+}

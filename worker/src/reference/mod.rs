@@ -1,0 +1,113 @@
+//! The reference: a unidirectional path tracer over the same triangles and materials as the bake, which bakes are held
+//! against.
+//!
+//! ```text
+//! E(x) = ∫_H L(ω) K(ω) dω        L(y) = Lₑ(y) + ρ(y)/π · E(y)        K(ω) = max(0, n·ω) + max(0, n·ω')
+//! ```
+//! ω' is ω mirrored at the face: where the shading normal n leans, directions below the face are mirrored above it, as in
+//! the bake, so K is cosθ wherever the two normals agree. Lamps (punctual lights, panels, emissive triangles) count by
+//! max(0, n·ω) alone, as in any renderer. Each vertex samples its lamps and the sky (next-event estimation) and one
+//! direction with density K/π; the two are joined by the balance heuristic ([Veach1995]). Paths end by Russian roulette,
+//! which changes no mean.
+//!
+//! The material model is METHOD.md §1's, so that error means error: diffuse albedo below 1, alpha-masked texels let rays
+//! through, a double-sided face is lit on the side that is met, the back of a single-sided one blocks light and returns
+//! none. Nothing here knows of probes, texels or clusters.
+//!
+//! Random numbers come from the position or the pixel that they serve, sums run in f64 in a fixed order: the result is
+//! the same on any number of threads.
+
+mod emitters;
+mod irradiance;
+mod lamps;
+mod lighting;
+mod panel;
+mod path;
+mod picture;
+mod punctual;
+mod site;
+mod sky;
+mod tally;
+#[cfg(test)]
+mod tests;
+
+use glam::Vec3;
+
+use crate::prt::Geometry;
+use crate::scene::model::Scene;
+use crate::scene::texture::DecodedImages;
+
+pub use irradiance::{IrradianceEstimate, Precision};
+pub use lighting::{Lighting, LightingError, PanelLight};
+pub use picture::{EyeSurface, Film, PictureSize, camera_ray};
+pub use site::Site;
+pub use tally::{Estimate, luminance};
+
+use lamps::Lamps;
+
+/// How emitters, panels and the sky are found.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Strategy {
+    /// By both of the following, each weighted by the balance heuristic.
+    #[default]
+    Both,
+    /// By sampling them alone.
+    Lamps,
+    /// By directions with density K/π alone.
+    Directions,
+}
+
+impl Strategy {
+    /// Weight of a sample of density `own` that the other technique takes with density `other`, `from_lamps` telling
+    /// which of the two it is.
+    fn weight(self, from_lamps: bool, own: f64, other: f64) -> f64 {
+        match self {
+            Self::Both if own > 0.0 => own / (own + other),
+            Self::Both => 0.0,
+            Self::Lamps => f64::from(u8::from(from_lamps)),
+            Self::Directions => f64::from(u8::from(!from_lamps)),
+        }
+    }
+}
+
+/// A scene under some light, ready to be traced.
+pub struct Reference<'a> {
+    scene: &'a Scene,
+    images: &'a DecodedImages,
+    geometry: &'a Geometry,
+    lamps: Lamps,
+    strategy: Strategy,
+    /// A distance that leaves the scene from anywhere in it, in metres.
+    far_m: f32,
+}
+
+impl<'a> Reference<'a> {
+    /// Checks the lights and finds the scene's own emitters.
+    ///
+    /// Errors with the first light that has a number out of range.
+    pub fn new(
+        scene: &'a Scene,
+        images: &'a DecodedImages,
+        geometry: &'a Geometry,
+        lighting: &Lighting,
+    ) -> Result<Self, LightingError> {
+        let lamps = Lamps::new(scene, images, geometry, lighting)?;
+        Ok(Self { scene, images, geometry, lamps, strategy: Strategy::default(), far_m: far_m(scene) })
+    }
+
+    /// The same with another way to find lamps; all give the same mean.
+    #[must_use]
+    pub fn with_strategy(mut self, strategy: Strategy) -> Self {
+        self.strategy = strategy;
+        self
+    }
+}
+
+/// Twice the diagonal of the scene's bounds and a metre.
+fn far_m(scene: &Scene) -> f32 {
+    let (mut low, mut high) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
+    for position in scene.instances.iter().flat_map(|instance| &instance.positions_m) {
+        (low, high) = (low.min(*position), high.max(*position));
+    }
+    2.0 * (high - low).max(Vec3::ZERO).length() + 1.0
+}

@@ -1,0 +1,312 @@
+//! Paths: what each vertex gets from lamps that it samples, and what its direction meets.
+
+use std::f64::consts::PI;
+
+use glam::{DVec3, Vec3};
+
+use super::emitters::{Chances, emission_of};
+use super::punctual::Target;
+use super::tally::luminance;
+use super::{EyeSurface, Reference, Site};
+use crate::prt::{Geometry, weights_of};
+use crate::rays::Hit;
+use crate::rays::sampling::Sequence;
+use crate::scene::surface::{Footprint, SurfaceSample, normal_at, surface_at};
+
+/// Vertices before Russian roulette begins. More → less noise of long paths, more time.
+const ROULETTE_FROM: u32 = 4;
+/// Highest chance to go on, so that every path ends.
+const SURVIVAL_MAX: f64 = 0.98;
+/// Shading normals that lean further than this from the face are a fault of the file: the face's is taken instead.
+const LEAN_MIN: f32 = 0.05;
+
+/// Random numbers for one vertex' lamps.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct LampPoints {
+    pub pick: f32,
+    pub point: [f32; 2],
+}
+
+impl LampPoints {
+    fn next(random: &mut Sequence) -> Self {
+        Self { pick: random.next_f32(), point: [random.next_f32(), random.next_f32()] }
+    }
+}
+
+/// Light by where it came from.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Gathered {
+    /// Straight from panels.
+    pub panels: DVec3,
+    /// Everything else that rays and samples find.
+    pub rest: DVec3,
+}
+
+/// The surface that a ray met.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Met {
+    /// The side that was met.
+    pub site: Site,
+    /// That side is lit; the back of a single-sided surface is not.
+    pub lit: bool,
+    /// Albedo and emission at the point.
+    pub surface: SurfaceSample,
+}
+
+/// What a direction was chosen by: the site and its chances of emitters. `None` for an eye's rays, which no lamp sampling
+/// competes with.
+type From<'a> = Option<(&'a Site, &'a Chances)>;
+
+impl Reference<'_> {
+    fn offset_m(&self) -> f32 {
+        self.geometry.tracer.ray_offset_m()
+    }
+
+    /// The surface at a hit, its point taken from the triangle rather than along the ray, which rounds less.
+    pub(super) fn met(&self, hit: &Hit) -> Met {
+        let reference = self.geometry.triangles[hit.triangle as usize];
+        let instance = &self.scene.instances[reference.instance as usize];
+        let weights = weights_of(hit.barycentric);
+        let [a, b, c] = crate::prt::corners_of(self.scene, reference);
+        let side = if hit.front { 1.0 } else { -1.0 };
+        let face_normal = side * Geometry::face_normal(self.geometry, self.scene, reference);
+        let shading = side * normal_at(instance, reference.triangle as usize, weights.to_array());
+        let site = Site {
+            position_m: a * weights.x + b * weights.y + c * weights.z,
+            normal: if shading.dot(face_normal) > LEAN_MIN { shading } else { face_normal },
+            face_normal,
+        };
+        let lit = hit.front || self.scene.materials[instance.material_index as usize].double_sided;
+        Met { site, lit, surface: self.surface(hit.triangle, hit.barycentric) }
+    }
+
+    fn surface(&self, triangle: u32, barycentric: [f32; 2]) -> SurfaceSample {
+        let reference = self.geometry.triangles[triangle as usize];
+        let weights = weights_of(barycentric).to_array();
+        let (instance, local) = (reference.instance as usize, reference.triangle as usize);
+        surface_at(self.scene, self.images, instance, local, weights, &Footprint::POINT)
+    }
+
+    /// Irradiance straight from points, spots and suns: exact but for rounding.
+    pub(super) fn by_punctual(&self, site: &Site) -> DVec3 {
+        let arrivals = self.lamps.punctual.iter().filter_map(|light| light.arrival(site));
+        arrivals
+            .filter(|arrival| self.sees(site, arrival.target))
+            .fold(DVec3::ZERO, |sum, arrival| sum + arrival.irradiance)
+    }
+
+    /// As [`Reference::by_punctual`], by one of the lights, chosen by what it would send unshadowed.
+    fn by_one_punctual(&self, site: &Site, pick: f32) -> DVec3 {
+        if self.lamps.punctual.len() < 2 {
+            return self.by_punctual(site);
+        }
+        let power = |light: &super::punctual::Punctual| {
+            light.arrival(site).map_or(0.0, |arrival| luminance(arrival.irradiance))
+        };
+        let total: f64 = self.lamps.punctual.iter().map(power).sum();
+        let mut left = f64::from(pick) * total;
+        for light in &self.lamps.punctual {
+            let Some(arrival) = light.arrival(site) else { continue };
+            let share = luminance(arrival.irradiance);
+            if left < share {
+                let seen = self.sees(site, arrival.target);
+                return if seen { arrival.irradiance * (total / share) } else { DVec3::ZERO };
+            }
+            left -= share;
+        }
+        DVec3::ZERO
+    }
+
+    fn sees(&self, site: &Site, target: Target) -> bool {
+        let origin_m = site.ray_origin_m(self.offset_m());
+        let to_m = match target {
+            Target::At(point_m) => point_m,
+            Target::Towards(direction) => origin_m + direction * self.far_m,
+        };
+        !self.geometry.tracer.is_occluded(origin_m, to_m)
+    }
+
+    /// Irradiance straight from panels, by one point on one of them.
+    pub(super) fn by_panels(&self, site: &Site, points: LampPoints) -> DVec3 {
+        let Some((arriving, direction, density)) = self.panel_point(site, points) else { return DVec3::ZERO };
+        arriving * self.strategy.weight(true, density, site.density(direction))
+    }
+
+    /// As [`Reference::by_panels`] for those who send no other rays to panels.
+    pub(super) fn by_panels_alone(&self, site: &Site, points: LampPoints) -> DVec3 {
+        self.panel_point(site, points).map_or(DVec3::ZERO, |(arriving, _, _)| arriving)
+    }
+
+    /// Irradiance `L cosθ / density` by one point on one panel, its direction and density.
+    fn panel_point(&self, site: &Site, points: LampPoints) -> Option<(DVec3, Vec3, f64)> {
+        let panels = &self.lamps.panels;
+        let scaled = points.pick * panels.len() as f32;
+        let panel = panels.get((scaled as usize).min(panels.len().saturating_sub(1)))?;
+        let sample = panel.sample(site.ray_origin_m(self.offset_m()), points.point)?;
+        let density = sample.density / panels.len() as f64;
+        let cosine = site.lamp_cosine(sample.direction);
+        let seen = cosine > 0.0 && self.sees(site, Target::At(sample.point_m));
+        seen.then(|| (panel.radiance * (cosine / density), sample.direction, density))
+    }
+
+    /// Irradiance straight from the scene's emitters, by one point on one of them.
+    pub(super) fn by_emitters(&self, site: &Site, chances: &Chances, points: LampPoints) -> DVec3 {
+        let emitters = &self.lamps.emitters;
+        if emitters.is_empty() {
+            return DVec3::ZERO;
+        }
+        let Some(sample) = emitters.sample(site, chances, points.pick, points.point) else {
+            return DVec3::ZERO;
+        };
+        let cosine = site.lamp_cosine(sample.direction);
+        let lifted_m = sample.point_m + sample.normal * self.offset_m();
+        if cosine <= 0.0 || !self.sees(site, Target::At(lifted_m)) {
+            return DVec3::ZERO;
+        }
+        let surface = self.surface(sample.triangle, sample.barycentric);
+        if self.lets_through(sample.triangle, &surface) {
+            return DVec3::ZERO;
+        }
+        let weight = self.strategy.weight(true, sample.density, site.density(sample.direction));
+        emission_of(surface.emission, emitters.scale()) * (weight * cosine / sample.density)
+    }
+
+    /// The point is a hole of an alpha-masked surface.
+    fn lets_through(&self, triangle: u32, surface: &SurfaceSample) -> bool {
+        let instance = self.geometry.triangles[triangle as usize].instance;
+        let material = &self.scene.materials[self.scene.instances[instance as usize].material_index as usize];
+        material.alpha_cutoff.is_some_and(|cutoff| surface.alpha < cutoff)
+    }
+
+    /// Irradiance straight from the sky, by one direction.
+    pub(super) fn by_sky(&self, site: &Site, points: LampPoints) -> DVec3 {
+        let sky = &self.lamps.sky;
+        if sky.is_dark() {
+            return DVec3::ZERO;
+        }
+        let direction = sky.direction(points.point);
+        let own = site.density(direction);
+        if own <= 0.0 || !self.sees(site, Target::Towards(direction)) {
+            return DVec3::ZERO;
+        }
+        let density = sky.density(direction);
+        // K = π · own.
+        sky.radiance(direction) * (self.strategy.weight(true, density, own) * PI * own / density)
+    }
+
+    /// Radiance that arrives from a direction, sampled with density K/π at `site` (for an eye: given).
+    pub(super) fn arriving(
+        &self,
+        site: Option<&Site>,
+        origin_m: Vec3,
+        direction: Vec3,
+        random: &mut Sequence,
+    ) -> Gathered {
+        let first_chances = site.map(|site| self.lamps.emitters.chances(site));
+        let mut from: Option<(Site, Chances)> = site.copied().zip(first_chances);
+        let (mut origin_m, mut direction) = (origin_m, direction);
+        let mut gathered = Gathered::default();
+        let mut throughput = DVec3::ONE;
+        for vertex in 0.. {
+            let hit = self.geometry.tracer.closest(origin_m, direction, f32::INFINITY);
+            let by = from.as_ref().map(|(site, chances)| (site, chances));
+            let t_max = hit.map_or(f32::INFINITY, |hit| hit.t);
+            let panels = throughput * self.panels_met(by, origin_m, direction, t_max);
+            if vertex == 0 {
+                gathered.panels += panels;
+            } else {
+                gathered.rest += panels;
+            }
+            let Some(hit) = hit else {
+                gathered.rest += throughput * self.sky_met(by, direction);
+                break;
+            };
+            let met = self.met(&hit);
+            if !met.lit {
+                break;
+            }
+            gathered.rest += throughput * self.emission_met(by, &hit, &met, direction);
+            throughput *= Vec3::from(met.surface.albedo).as_dvec3();
+            if vertex >= ROULETTE_FROM {
+                let survival = throughput.max_element().min(SURVIVAL_MAX);
+                if f64::from(random.next_f32()) >= survival {
+                    break;
+                }
+                throughput /= survival;
+            }
+            let chances = self.lamps.emitters.chances(&met.site);
+            let straight = self.by_lamps(&met.site, &chances, random);
+            gathered.rest += throughput * straight / PI;
+            origin_m = met.site.ray_origin_m(self.offset_m());
+            direction = met.site.direction([random.next_f32(), random.next_f32()]);
+            from = Some((met.site, chances));
+        }
+        gathered
+    }
+
+    /// What an eye sees straight along a ray (lamps, emission, sky), and the surface that it ends at.
+    pub(super) fn seen(&self, origin_m: Vec3, direction: Vec3) -> (DVec3, Option<EyeSurface>) {
+        let hit = self.geometry.tracer.closest(origin_m, direction, f32::INFINITY);
+        let t_max = hit.map_or(f32::INFINITY, |hit| hit.t);
+        let panels = self.panels_met(None, origin_m, direction, t_max);
+        let Some(hit) = hit else { return (panels + self.sky_met(None, direction), None) };
+        let met = self.met(&hit);
+        let emission = if met.lit { self.emission_met(None, &hit, &met, direction) } else { DVec3::ZERO };
+        let surface = EyeSurface { hit, site: met.site, lit: met.lit, albedo: met.surface.albedo };
+        (panels + emission, Some(surface))
+    }
+
+    /// Irradiance from one sample of each kind of lamp.
+    fn by_lamps(&self, site: &Site, chances: &Chances, random: &mut Sequence) -> DVec3 {
+        let pick = random.next_f32();
+        let mut points = || LampPoints::next(random);
+        self.by_one_punctual(site, pick)
+            + self.by_panels(site, points())
+            + self.by_emitters(site, chances, points())
+            + self.by_sky(site, points())
+    }
+
+    /// Radiance of the panels that a ray passes, weighted against sampling them.
+    fn panels_met(&self, from: From, origin_m: Vec3, direction: Vec3, t_max: f32) -> DVec3 {
+        let count = self.lamps.panels.len() as f64;
+        let mut sum = DVec3::ZERO;
+        for panel in &self.lamps.panels {
+            if let Some(density) = panel.meet(origin_m, direction, t_max) {
+                sum += panel.radiance * self.met_weight(from, direction, density / count);
+            }
+        }
+        sum
+    }
+
+    fn emission_met(&self, from: From, hit: &Hit, met: &Met, direction: Vec3) -> DVec3 {
+        if self.lamps.emitters.is_empty() || met.surface.emission == [0.0; 3] {
+            return DVec3::ZERO;
+        }
+        let density = from
+            .map_or(0.0, |(_, chances)| self.lamps.emitters.density(hit.triangle, chances, direction, hit.t));
+        let emission = emission_of(met.surface.emission, self.lamps.emitters.scale());
+        emission * self.met_weight(from, direction, density)
+    }
+
+    /// Weight of a lamp that a ray met, `max(0, n·ω)/K` included.
+    fn met_weight(&self, from: From, direction: Vec3, sampled: f64) -> f64 {
+        let Some((site, _)) = from else { return 1.0 };
+        let own = site.density(direction);
+        if own <= 0.0 {
+            return 0.0;
+        }
+        self.strategy.weight(false, own, sampled) * site.lamp_cosine(direction) / (PI * own)
+    }
+
+    /// Radiance of the sky that a ray met, weighted against sampling it.
+    fn sky_met(&self, from: From, direction: Vec3) -> DVec3 {
+        let sky = &self.lamps.sky;
+        if sky.is_dark() {
+            return DVec3::ZERO;
+        }
+        let weight = from.map_or(1.0, |(site, _)| {
+            self.strategy.weight(false, site.density(direction), sky.density(direction))
+        });
+        sky.radiance(direction) * weight
+    }
+}
