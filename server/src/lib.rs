@@ -4,8 +4,10 @@
 //!
 //! - [`Server`] opens a state folder and serves it; [`Config`] says how.
 //! - [`store`] is the queue behind one trait, [`chunks`] the bytes, [`wakeup`] lossy hints.
+//! - [`access`] says who may call.
 //! - [`farm`] puts them together, `http` makes calls of it.
 
+pub mod access;
 pub mod chunks;
 pub mod clock;
 mod error;
@@ -19,4 +21,4 @@ pub mod wakeup;
 
 pub use error::ServerError;
 pub use http::openapi_json;
-pub use server::{Config, Server};
+pub use server::{Config, Server, open_store};

@@ -35,7 +35,7 @@ pub struct Config {
     pub database: Option<DatabasePlace>,
     /// Where the bytes are. Default: `chunks` in the state folder.
     pub chunks: Option<ChunksPlace>,
-    /// Serve addresses that other machines can reach although nobody is asked for a token. Default: no.
+    /// Serve addresses that other machines can reach although nobody has a token. Default: no.
     pub allow_non_loopback: bool,
     /// Expired leases are looked for this often. Shorter → lost workers are noticed sooner. Default: 1 s.
     pub reap_interval: Duration,
@@ -94,12 +94,15 @@ impl Server {
     pub async fn bind(&self, address: &str) -> Result<TcpListener, ServerError> {
         let cannot = |source| ServerError::Listen { address: address.to_owned(), source };
         let resolved: Vec<SocketAddr> = tokio::net::lookup_host(address).await.map_err(cannot)?.collect();
-        resolved.iter().try_for_each(|address| self.require_servable(*address))?;
+        for address in &resolved {
+            self.require_servable(*address).await?;
+        }
         TcpListener::bind(&resolved[..]).await.map_err(cannot)
     }
 
-    fn require_servable(&self, address: SocketAddr) -> Result<(), ServerError> {
-        if address.ip().is_loopback() || self.config.allow_non_loopback {
+    async fn require_servable(&self, address: SocketAddr) -> Result<(), ServerError> {
+        let may_be_open = address.ip().is_loopback() || self.config.allow_non_loopback;
+        if may_be_open || self.farm.guard.has_bearers().await? {
             return Ok(());
         }
         Err(ServerError::NotLoopback { address })
@@ -112,7 +115,7 @@ impl Server {
         shutdown: impl Future<Output = ()> + Send + 'static,
     ) -> Result<(), ServerError> {
         let address = listener.local_addr().map_err(ServerError::Serve)?;
-        self.require_servable(address)?;
+        self.require_servable(address).await?;
         let reaper = tokio::spawn(reap(self.farm.clone(), self.config.reap_interval));
         let closing = self.closing.clone();
         let stop = async move {
@@ -153,6 +156,20 @@ async fn reap(farm: Arc<Farm>, interval: Duration) {
 
 type OpenDatabase = (SqlStore, Arc<dyn Wakeup>, Option<File>);
 
+/// The queue alone, beside a server that may be running on it.
+///
+/// The place is that of [`Config::database`].
+pub async fn open_store(state_dir: &Path, database: Option<&DatabasePlace>) -> Result<SqlStore, ServerError> {
+    let in_state = DatabasePlace::Sqlite(state_dir.join("farm.sqlite"));
+    Ok(match database.unwrap_or(&in_state) {
+        DatabasePlace::Sqlite(path) => {
+            make_folder(path.parent().unwrap_or(Path::new("")))?;
+            SqlStore::open_sqlite(path, Arc::new(SystemClock)).await?
+        }
+        DatabasePlace::Postgres(url) => SqlStore::open_postgres(url, None).await?,
+    })
+}
+
 async fn open_database(place: &DatabasePlace) -> Result<OpenDatabase, ServerError> {
     Ok(match place {
         DatabasePlace::Sqlite(path) => {
@@ -173,7 +190,7 @@ fn lock_folder(folder: &Path) -> Result<File, ServerError> {
         let path = path.to_owned();
         move |source| ServerError::State { action, path, source }
     };
-    std::fs::create_dir_all(folder).map_err(cannot("make", folder))?;
+    make_folder(folder)?;
     let path = folder.join("lock");
     let options = File::options().create(true).write(true).truncate(false).open(&path);
     let lock = options.map_err(cannot("open", &path))?;
@@ -182,4 +199,9 @@ fn lock_folder(folder: &Path) -> Result<File, ServerError> {
         Err(TryLockError::WouldBlock) => Err(ServerError::StateInUse { path: folder.to_owned() }),
         Err(TryLockError::Error(source)) => Err(cannot("lock", &path)(source)),
     }
+}
+
+fn make_folder(folder: &Path) -> Result<(), ServerError> {
+    let path = folder.to_owned();
+    std::fs::create_dir_all(folder).map_err(|source| ServerError::State { action: "make", path, source })
 }

@@ -151,7 +151,10 @@ pub fn server_failure(error: &ServerError) -> Failure {
             "--state with a folder of its own, or one 'kiln server' and 'kiln bake --server URL' for all",
         ),
         ServerError::Listen { .. } => (Exit::BadInput, "--listen 127.0.0.1:0 for a free port"),
-        ServerError::NotLoopback { .. } => (Exit::BadInput, "--allow-non-loopback if the network is trusted"),
+        ServerError::NotLoopback { .. } => (
+            Exit::BadInput,
+            "'kiln token create NAME --scope admin', or --allow-non-loopback if the network is trusted",
+        ),
         ServerError::Store(StoreError::Unavailable(_)) => {
             (Exit::Failed, "--database with the address of a database that runs")
         }

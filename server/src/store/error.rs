@@ -20,6 +20,18 @@ pub enum StoreError {
         /// The key.
         key: String,
     },
+    /// The name of a bearer was given before.
+    #[error("there is a token of '{name}' already, or was once; choose another name")]
+    BearerExists {
+        /// The name.
+        name: String,
+    },
+    /// No bearer of that name.
+    #[error("there is no token of '{name}'")]
+    NoSuchBearer {
+        /// What was asked for.
+        name: String,
+    },
     /// The bake's state does not allow the call.
     #[error("bake '{bake}' is {state:?} and cannot be {action}")]
     StateConflict {
@@ -57,7 +69,8 @@ impl StoreError {
     /// The problem that a caller sees.
     pub fn code(&self) -> ProblemCode {
         match self {
-            Self::NoSuchBake { .. } => ProblemCode::NotFound,
+            Self::NoSuchBake { .. } | Self::NoSuchBearer { .. } => ProblemCode::NotFound,
+            Self::BearerExists { .. } => ProblemCode::StateConflict,
             Self::IdempotencyConflict { .. } => ProblemCode::IdempotencyConflict,
             Self::StateConflict { .. } => ProblemCode::StateConflict,
             Self::Plan(_) => ProblemCode::BadRequest,

@@ -15,6 +15,11 @@ pub fn random_id() -> Result<String, StoreError> {
     random_hex::<8>()
 }
 
+/// The random part of a bearer's token: 256 bits in lower-case hex.
+pub fn random_secret() -> Result<String, StoreError> {
+    random_hex::<32>()
+}
+
 /// Whether `text` has the shape of a fencing token.
 pub fn is_token(text: &str) -> bool {
     text.len() == TOKEN_CHARS && text.bytes().all(|b| matches!(b, b'0'..=b'9' | b'a'..=b'f'))

@@ -11,8 +11,9 @@ use std::sync::{Arc, Mutex};
 
 use async_trait::async_trait;
 use lightkiln_proto::api::{BakeState, Blame, EventKind, Lease};
-use lightkiln_proto::ids::TaskKey;
+use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::TaskSpec;
+use lightkiln_server::access::Scope;
 use lightkiln_server::clock::ManualClock;
 use lightkiln_server::store::{FarmStore, FaultPoint, Faults, SqlStore, StoreError};
 use sqlx::{Connection, Executor, PgConnection};
@@ -171,6 +172,9 @@ impl Teller<'_> {
         call!(self, |store| store.cancel(&second));
         call!(self, |store| store.forget(&[cast.planner.key]));
         call!(self, |store| store.probe());
+        let (bearer, hash) = (name("bearer"), Digest::of(name("token").as_bytes()));
+        call!(self, |store| store.add_bearer(&bearer, hash, &[Scope::Read].into()));
+        call!(self, |store| store.revoke_bearer(&bearer));
         self.finish(cast, &first).await;
         // What another process sees is what counts, and its looking is not part of the story.
         self.restart().await;
@@ -250,6 +254,8 @@ fn assert_all_calls(points: &BTreeSet<FaultPoint>) {
         "cancel",
         "forget",
         "probe",
+        "add_bearer",
+        "revoke_bearer",
     ] {
         assert!(calls.contains(call), "{call} is not in the story");
     }

@@ -4,6 +4,7 @@
 
 mod bakes;
 mod batch;
+mod bearers;
 mod crash;
 mod durability;
 mod failure;
@@ -52,6 +53,10 @@ conformance! {
         priority_then_age_then_cost_then_key_decide_the_order
         changed_priority_changes_the_order
         unknown_bake_is_an_error;
+    bearers:
+        bearers_are_listed_by_name_also_when_revoked
+        name_of_a_bearer_is_given_once
+        revoking_again_changes_nothing;
     graph:
         dependants_start_only_after_commit
         lease_carries_the_outputs_of_dependencies

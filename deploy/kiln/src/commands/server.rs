@@ -23,8 +23,8 @@ pub struct Arguments {
     /// Address and port to listen on; port 0 takes a free one. The address is printed on standard output
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:7410")]
     listen: String,
-    /// Listens on addresses that other machines can reach, although nobody is asked for a password: whoever reaches
-    /// the port can submit, read and cancel bakes
+    /// Listens on addresses that other machines can reach, although nobody has a token: whoever reaches the port can
+    /// submit, read and cancel bakes. Without need where 'kiln token' made tokens
     #[arg(long)]
     allow_non_loopback: bool,
     /// Folder for queue and chunks [default: server in the state folder of 'kiln bake']

@@ -10,6 +10,7 @@ mod farm;
 mod parts;
 mod processes;
 mod replicas;
+mod tokens;
 mod wrong_input;
 
 use std::collections::BTreeMap;

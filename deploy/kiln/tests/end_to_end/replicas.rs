@@ -45,7 +45,10 @@ fn server_killed_in_the_middle_is_replaced_by_another_and_the_chunks_are_the_sam
         }
     }
     assert_eq!(done.len() as u64, page.bake.tasks_run);
-    assert!(!servers.join("farm.sqlite").exists() && !servers.join("server").exists(), "servers keep nothing");
+    assert!(
+        !servers.join("farm.sqlite").exists() && !servers.join("server").exists(),
+        "servers keep nothing"
+    );
 }
 
 #[test]

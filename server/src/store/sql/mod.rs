@@ -11,6 +11,7 @@
 
 mod bakes;
 mod batch;
+mod bearers;
 mod claim;
 mod codec;
 mod conn;
@@ -24,6 +25,7 @@ mod postgres;
 mod sqlite;
 mod view;
 
+use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
@@ -32,10 +34,11 @@ use async_trait::async_trait;
 use lightkiln_proto::api::{
     Bake, BakePage, BakeState, Blame, ClaimRequest, CommitVerdict, EventPage, HeartbeatAnswer, Lease, Worker,
 };
-use lightkiln_proto::ids::TaskKey;
+use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{TaskResult, TaskSpec};
 
 use super::{FailVerdict, FarmStore, KnownResult, Reaped, Stats, StoreError, Submission, Submitted};
+use crate::access::{Bearer, Scope};
 use crate::clock::Clock;
 use batch::{CommitQueue, Waiting};
 use conn::{Conn, query};
@@ -329,6 +332,23 @@ impl FarmStore for SqlStore {
 
     async fn workers(&self) -> Result<Vec<Worker>, StoreError> {
         transact!(self, Read, "workers", |conn, now_ms| view::workers(conn, now_ms))
+    }
+
+    async fn add_bearer(
+        &self,
+        name: &str,
+        hash: Digest,
+        scopes: &BTreeSet<Scope>,
+    ) -> Result<Bearer, StoreError> {
+        transact!(self, Write, "add_bearer", |conn, now_ms| bearers::add(conn, name, hash, scopes, now_ms))
+    }
+
+    async fn revoke_bearer(&self, name: &str) -> Result<Bearer, StoreError> {
+        transact!(self, Write, "revoke_bearer", |conn, now_ms| bearers::revoke(conn, name, now_ms))
+    }
+
+    async fn bearers(&self) -> Result<Vec<Bearer>, StoreError> {
+        transact!(self, Read, "bearers", |conn, _now_ms| bearers::all(conn))
     }
 
     async fn stats(&self) -> Result<Stats, StoreError> {
