@@ -1,6 +1,7 @@
 //! A tiny bake made by hand: a box open to the sky, with a masked, textured, double-sided sheet hanging in it.
 //!
-//! Transport is computed for the empty box, in which every probe sees everything; U = A and ΣVᵀ = 1.
+//! Transport is computed for the empty box, in which every probe sees everything; U = A and ΣVᵀ = 1. It is there in both
+//! bases.
 
 use std::f32::consts::PI;
 
@@ -10,7 +11,8 @@ use lightkiln_proto::manifest::{
     Block, Emitter, FORMAT, Manifest, Material, TextureUse, Totals, VERSION, Wrap,
 };
 use lightkiln_proto::prt::{
-    ClusterTransport, Draw, EmitterIrradiance, Geometry, Probe, ProbeBatch, Receivers, RelightHit, Settings,
+    BasisKind, ClusterTransport, Draw, EmitterIrradiance, Geometry, Patch, PatchKey, PatchSet, Probe,
+    ProbeBatch, Receivers, RelightHit, Settings,
 };
 use lightkiln_proto::scene::{LightKind, SceneCamera, SceneLight};
 use lightkiln_proto::sh::{ShBasis, relight_direction};
@@ -23,6 +25,9 @@ const SIDE: u32 = 8;
 const RAYS: u32 = 64;
 const BANDS: u32 = 2;
 const SAMPLES: u32 = 64;
+/// Texels along the side of a leaf patch; a wall is a patch of all its leaves.
+const LEAF: u32 = 4;
+const SKY_PARTS: u32 = 16;
 
 /// A rectangle with a block of `SIDE`² texels: corner and two edges, their cross product towards the front.
 struct Quad {
@@ -124,9 +129,9 @@ pub fn camera() -> SceneCamera {
 }
 
 /// The manifest, without chunks.
-pub fn manifest() -> Manifest {
-    let settings =
-        serde_json::json!({ "relight_rays": RAYS, "bands": BANDS, "texel_m": 0.5, "probe_spacing_m": 2.0 });
+pub fn manifest(basis: BasisKind) -> Manifest {
+    let settings = serde_json::json!({ "basis": basis, "relight_rays": RAYS, "bands": BANDS,
+        "sky_parts": SKY_PARTS, "texel_m": 0.5, "probe_spacing_m": 2.0 });
     let mut blocks = Vec::new();
     for (index, quad) in quads().iter().enumerate() {
         for back in [false, true].into_iter().take(1 + usize::from(quad.back)) {
@@ -159,6 +164,7 @@ pub fn manifest() -> Manifest {
         textures: Vec::new(),
         geometry: Vec::new(),
         probes: Vec::new(),
+        patches: Vec::new(),
         clusters: Vec::new(),
     }
 }
@@ -205,26 +211,27 @@ pub fn texture() -> Texture {
 }
 
 /// Decoded chunks.
-pub fn contents() -> Contents {
+pub fn contents(basis: BasisKind) -> Contents {
     let walls = quads();
     let clusters = walls.iter().enumerate().flat_map(|(index, quad)| {
         let sides = [false, true].into_iter().take(1 + usize::from(quad.back));
-        sides.map(|back| cluster(&quads(), index, back)).collect::<Vec<_>>()
+        sides.map(|back| cluster(basis, &quads(), index, back)).collect::<Vec<_>>()
     });
     Contents {
         clusters: clusters.collect(),
         probes: vec![probe_batch(&walls)],
+        patches: if basis == BasisKind::Patches { vec![patch_set(&walls)] } else { Vec::new() },
         geometry: vec![Geometry { draws: walls.iter().enumerate().map(|(i, quad)| draw(i, quad)).collect() }],
         textures: vec![texture()],
     }
 }
 
 /// The whole bake.
-pub fn bake() -> LoadedBake {
-    LoadedBake::assemble(manifest(), contents()).unwrap()
+pub fn bake(basis: BasisKind) -> LoadedBake {
+    LoadedBake::assemble(manifest(basis), contents(basis)).unwrap()
 }
 
-fn cluster(walls: &[Quad], index: usize, back: bool) -> ClusterTransport {
+fn cluster(basis: BasisKind, walls: &[Quad], index: usize, back: bool) -> ClusterTransport {
     let quad = &walls[index];
     let normal = if back { -quad.normal() } else { quad.normal() };
     let colour = materials()[quad.material as usize].base_colour;
@@ -243,21 +250,25 @@ fn cluster(walls: &[Quad], index: usize, back: bool) -> ClusterTransport {
         receivers.links.push(links(index, texel));
     }
     let count = receivers.len();
-    let mut content = ClusterTransport {
-        bounds_m: [[0.0; 3], ROOM.into()],
-        probes: (0..probe_positions().len() as u64).map(|probe| 10 + probe).collect(),
-        bands: BANDS,
-        sky: true,
-        receivers,
-        ..ClusterTransport::default()
-    };
+    let mut content =
+        ClusterTransport { bounds_m: [[0.0; 3], ROOM.into()], receivers, ..ClusterTransport::default() };
+    match basis {
+        BasisKind::Sh => {
+            content.probes = (0..probe_positions().len() as u64).map(|probe| 10 + probe).collect();
+            (content.bands, content.sky) = (BANDS, true);
+        }
+        BasisKind::Patches => content.probes = column_keys(),
+    }
     let columns = content.columns();
     content.rank = columns as u32;
     content.vt =
         (0..columns * columns).map(|at| if at / columns == at % columns { 1.0 } else { 0.0 }).collect();
     for receiver in 0..count {
         let position = Vec3::from(content.receivers.position_m[receiver]);
-        content.u.extend(transport_row(walls, position, normal));
+        content.u.extend(match basis {
+            BasisKind::Sh => transport_row(walls, position, normal),
+            BasisKind::Patches => patch_row(walls, position, normal),
+        });
     }
     if index == 0 {
         let irradiance = (0..count).map(|receiver| [0.02 * (receiver % 7) as f32, 0.05, 0.01]).collect();
@@ -280,9 +291,7 @@ fn transport_row(walls: &[Quad], position: Vec3, normal: Vec3) -> Vec<f32> {
             *sum += weight * y;
         }
     };
-    for sample in 0..SAMPLES {
-        // A uniform direction added to the normal is cosine-distributed.
-        let direction = (normal * 1.001 + relight_direction(sample, SAMPLES)).normalize();
+    for direction in cosine_directions(normal) {
         match hit(walls, position + normal * 1e-4, direction) {
             None => add(probes.len(), direction, weight),
             Some((_, point)) => {
@@ -293,6 +302,74 @@ fn transport_row(walls: &[Quad], position: Vec3, normal: Vec3) -> Vec<f32> {
         }
     }
     row
+}
+
+/// A uniform direction added to the normal is cosine-distributed.
+fn cosine_directions(normal: Vec3) -> impl Iterator<Item = Vec3> {
+    (0..SAMPLES).map(move |sample| (normal * 1.001 + relight_direction(sample, SAMPLES)).normalize())
+}
+
+/// π/N for each of N rays that meet a patch or a part of the sky, by column. The first wall is taken whole, others by
+/// leaves.
+fn patch_row(walls: &[Quad], position: Vec3, normal: Vec3) -> Vec<f32> {
+    let keys = column_keys();
+    let mut row = vec![0.0; keys.len()];
+    for direction in cosine_directions(normal) {
+        let key = match hit(walls, position + normal * 1e-4, direction) {
+            None => {
+                let cosine = |part: &u32| direction.dot(relight_direction(*part, SKY_PARTS));
+                PatchKey::of_sky((0..SKY_PARTS).max_by(|a, b| cosine(a).total_cmp(&cosine(b))).unwrap())
+            }
+            Some((0, _)) => wall_key(0),
+            Some((wall, point)) => {
+                let [x, y] = walls[wall].texel_of(point).map(|texel| u32::from(texel) / LEAF);
+                leaf_key(wall, y * (SIDE / LEAF) + x)
+            }
+        };
+        row[keys.binary_search(&key.0).unwrap()] += PI / SAMPLES as f32;
+    }
+    row
+}
+
+fn wall_key(wall: usize) -> PatchKey {
+    PatchKey(1000 + 100 * wall as u64)
+}
+
+fn leaf_key(wall: usize, leaf: u32) -> PatchKey {
+    PatchKey(wall_key(wall).0 + 1 + u64::from(leaf))
+}
+
+/// The first wall, the leaves of the others, the parts of the sky; ascending.
+fn column_keys() -> Vec<u64> {
+    let leaves = (SIDE / LEAF).pow(2);
+    let of_walls = (1..5).flat_map(|wall| (0..leaves).map(move |leaf| leaf_key(wall, leaf)));
+    let of_sky = (0..SKY_PARTS).map(PatchKey::of_sky);
+    let mut keys: Vec<u64> =
+        std::iter::once(wall_key(0)).chain(of_walls).chain(of_sky).map(|key| key.0).collect();
+    keys.sort_unstable();
+    keys
+}
+
+/// Five walls of four leaves each, of all their texels.
+fn patch_set(walls: &[Quad]) -> PatchSet {
+    let per_wall = (SIDE / LEAF).pow(2);
+    let mut set = PatchSet { sky_parts: SKY_PARTS, leaf_starts: vec![0], ..PatchSet::default() };
+    for wall in 0..walls.len().min(5) {
+        set.blocks.push(block_key(wall, false));
+        let first_leaf = wall as u32 * per_wall;
+        set.patches.push(Patch { key: wall_key(wall), first_leaf, leaf_count: per_wall });
+        for leaf in 0..per_wall {
+            let key = leaf_key(wall, leaf);
+            set.patches.push(Patch { key, first_leaf: first_leaf + leaf, leaf_count: 1 });
+            let corner = [leaf % (SIDE / LEAF), leaf / (SIDE / LEAF)].map(|place| place * LEAF);
+            for texel in 0..LEAF * LEAF {
+                set.block.push(wall as u16);
+                set.texel.push([corner[0] + texel % LEAF, corner[1] + texel / LEAF].map(|at| at as u16));
+            }
+            set.leaf_starts.push(set.texel.len() as u32);
+        }
+    }
+    set
 }
 
 /// All neighbours are linked, but for an unseen wall between columns 3 and 4 of the floor.

@@ -10,15 +10,16 @@ use lightkiln_proto::api::NewBake;
 use lightkiln_proto::chunk;
 use lightkiln_proto::manifest::ClusterRef;
 use lightkiln_proto::problem::{Problem, ProblemCode};
+use lightkiln_proto::prt::BasisKind;
 
 use super::*;
 use crate::bake::LoadedBake;
 use crate::fixture;
 
 /// Writes the fixture's bake as a bundle.
-fn write_fixture(folder: &Path) -> Manifest {
-    let mut manifest = fixture::manifest();
-    let contents = fixture::contents();
+fn write_fixture(folder: &Path, basis: BasisKind) -> Manifest {
+    let mut manifest = fixture::manifest(basis);
+    let contents = fixture::contents(basis);
     let chunks = folder.join(CHUNKS_FOLDER);
     fs::create_dir_all(&chunks).unwrap();
     let store = |bytes: Vec<u8>| {
@@ -44,6 +45,8 @@ fn write_fixture(folder: &Path) -> Manifest {
     }
     manifest.probes =
         contents.probes.iter().map(|batch| store(chunk::encode_probe_batch(batch).unwrap())).collect();
+    manifest.patches =
+        contents.patches.iter().map(|set| store(chunk::encode_patches(set).unwrap())).collect();
     manifest.geometry =
         contents.geometry.iter().map(|geometry| store(chunk::encode_geometry(geometry).unwrap())).collect();
     let mut png = Vec::new();
@@ -57,21 +60,27 @@ fn write_fixture(folder: &Path) -> Manifest {
 
 #[test]
 fn bundle_loads_into_the_bake_that_was_written() {
-    let folder = tempfile::tempdir().unwrap();
-    write_fixture(folder.path());
-    let loaded = LoadedBake::load(&Source::bundle(folder.path()).unwrap()).unwrap();
-    let made = fixture::bake();
-    assert_eq!(loaded.receivers.len(), made.receivers.len());
-    assert_eq!(loaded.textures, made.textures);
-    assert_eq!(loaded.probes.hits.len(), made.probes.hits.len());
-    assert_eq!(loaded.draws.triangle_count(), made.draws.triangle_count());
-    assert!(loaded.probes.hits.iter().any(|hit| (*hit as usize) < loaded.receivers.len()));
+    for basis in [BasisKind::Sh, BasisKind::Patches] {
+        let folder = tempfile::tempdir().unwrap();
+        write_fixture(folder.path(), basis);
+        let loaded = LoadedBake::load(&Source::bundle(folder.path()).unwrap()).unwrap();
+        let made = fixture::bake(basis);
+        assert_eq!(loaded.receivers.len(), made.receivers.len());
+        assert_eq!(loaded.textures, made.textures);
+        assert_eq!(loaded.probes.hits.len(), made.probes.hits.len());
+        assert_eq!(loaded.draws.triangle_count(), made.draws.triangle_count());
+        assert!(loaded.probes.hits.iter().any(|hit| (*hit as usize) < loaded.receivers.len()));
+        // Stored by receivers, so that slots, which depend on the order of clusters, are only as many.
+        assert_eq!(loaded.patches.patches, made.patches.patches);
+        assert_eq!(loaded.patches.slots.len(), made.patches.slots.len());
+        assert_eq!(loaded.patches.is_empty(), basis == BasisKind::Sh);
+    }
 }
 
 #[test]
 fn download_is_whole_and_keeps_right_chunks() {
     let [from, to] = [(); 2].map(|()| tempfile::tempdir().unwrap());
-    let manifest = write_fixture(from.path());
+    let manifest = write_fixture(from.path(), BasisKind::Sh);
     let source = Source::bundle(from.path()).unwrap();
     let refs = chunk_refs(&manifest);
     assert!(refs.len() > 5);
@@ -92,7 +101,7 @@ fn download_is_whole_and_keeps_right_chunks() {
 #[test]
 fn failed_download_leaves_no_manifest() {
     let [from, to] = [(); 2].map(|()| tempfile::tempdir().unwrap());
-    let manifest = write_fixture(from.path());
+    let manifest = write_fixture(from.path(), BasisKind::Sh);
     fs::remove_file(chunk_path(from.path(), chunk_refs(&manifest)[2].digest)).unwrap();
     let error = download_bundle(&Source::bundle(from.path()).unwrap(), to.path(), |_, _| {}).unwrap_err();
     assert!(matches!(error, ClientError::File { .. }), "{error}");
@@ -102,7 +111,7 @@ fn failed_download_leaves_no_manifest() {
 #[test]
 fn wrong_bytes_and_wrong_lengths_are_refused() {
     let folder = tempfile::tempdir().unwrap();
-    let manifest = write_fixture(folder.path());
+    let manifest = write_fixture(folder.path(), BasisKind::Sh);
     let source = Source::bundle(folder.path()).unwrap();
     let chunk = manifest.probes[0].clone();
     let path = chunk_path(folder.path(), chunk.digest);
@@ -122,7 +131,7 @@ fn wrong_bytes_and_wrong_lengths_are_refused() {
 #[test]
 fn manifest_of_another_format_is_refused() {
     let folder = tempfile::tempdir().unwrap();
-    let mut manifest = fixture::manifest();
+    let mut manifest = fixture::manifest(BasisKind::Sh);
     manifest.version = 99;
     fs::write(folder.path().join(MANIFEST_FILE), serde_json::to_vec(&manifest).unwrap()).unwrap();
     let error = Source::bundle(folder.path()).unwrap().manifest().unwrap_err().to_string();

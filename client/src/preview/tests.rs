@@ -1,5 +1,7 @@
 //! The preview end to end.
 
+use lightkiln_proto::prt::BasisKind;
+
 use super::*;
 use crate::fixture;
 use crate::passes::tests::fixture_view;
@@ -44,10 +46,10 @@ fn debug_pictures_show_the_atlas_and_its_clusters() {
 
 #[test]
 fn camera_and_sun_are_chosen_and_said_when_the_file_has_none() {
-    let mut manifest = fixture::manifest();
+    let mut manifest = fixture::manifest(BasisKind::Sh);
     manifest.cameras.clear();
     manifest.lights.clear();
-    let bake = LoadedBake::assemble(manifest, fixture::contents()).unwrap();
+    let bake = LoadedBake::assemble(manifest, fixture::contents(BasisKind::Sh)).unwrap();
     let (_, notes) = View::of_bake(&bake);
     assert!(notes.iter().any(|note| note.contains("no camera")), "{notes:?}");
     // The fixture has an emitter: it is lit without a sun.

@@ -1,15 +1,16 @@
 //! Every pass on the adapter against its reference on the very same input, in linear f32.
 
 use glam::Vec4;
+use lightkiln_proto::prt::BasisKind;
 
-use super::{adapter_or_skip, fixture_view, prepared};
+use super::{adapter_or_skip, fixture_view, fixture_view_of, prepared};
 use crate::passes::compare::Difference;
 use crate::passes::gpu::Gpu;
 use crate::passes::relight::RelightTable;
 use crate::passes::relight::reference::Irradiance;
 use crate::passes::shade::ShadeView;
 use crate::passes::shade::reference::Lit;
-use crate::passes::{atlas, basis, direct, reconstruct, relight, shade, shadow};
+use crate::passes::{atlas, basis, direct, patches, reconstruct, relight, shade, shadow};
 use crate::preview::{Backend, Frame, render};
 
 /// Numbers of either sign without pattern, the same every time.
@@ -93,6 +94,28 @@ fn relight_agrees_with_the_reference() {
         let wanted = relight::reference::relight(&bake, &table, irradiance);
         held("relight", &Difference::of(&got, &wanted, relight::TOLERANCE), 0.0);
     });
+}
+
+#[test]
+fn patches_agree_with_the_reference() {
+    let Some(gpu) = adapter_or_skip("patches_agree_with_the_reference") else { return };
+    let (bake, view) = fixture_view_of(BasisKind::Patches);
+    let prepared = prepared(&bake, &view);
+    let frame = Frame::new(&gpu, &prepared).unwrap();
+    let count = bake.receivers.len();
+    let (dir, emit, ind) = (positive_noise(count, 1), positive_noise(count, 2), positive_noise(count, 3));
+    gpu.write(&frame.resident.e_dir, &dir);
+    gpu.write(&frame.resident.e_emit, &emit);
+    gpu.write(&frame.resident.e_ind, &ind);
+    gpu.submit(|encoder| frame.relight.record(&mut encoder.begin_compute_pass(&Default::default())));
+    let got: Vec<Vec4> = gpu.read(&frame.resident.lambda, frame.resident.lambda_count).unwrap();
+    let irradiance = Irradiance { dir: &dir, emit: &emit, ind: &ind };
+    let sky = patches::sky_radiance(&bake, prepared.sky);
+    let wanted = patches::reference::mean_radiance(&bake, &sky, irradiance);
+    // Five walls of four leaves, and the sky's parts behind them.
+    assert_eq!(wanted.len(), 25 + sky.len());
+    assert!(wanted.iter().all(|mean| mean.y > 0.0));
+    held("patches", &Difference::of(&got, &wanted, patches::TOLERANCE), 0.0);
 }
 
 #[test]
@@ -192,13 +215,16 @@ fn whole_pictures_of_adapter_and_processor_agree() {
     if adapter_or_skip("whole_pictures_of_adapter_and_processor_agree").is_none() {
         return;
     }
-    let (bake, view) = fixture_view();
-    let [got, wanted] = [Backend::Gpu, Backend::Cpu].map(|backend| render(&bake, &view, backend).unwrap());
-    assert!(got.converged && wanted.converged && !got.by_reference && wanted.by_reference);
-    let four = |pixels: &[[f32; 3]]| -> Vec<Vec4> {
-        pixels.iter().map(|[r, g, b]| Vec4::new(*r, *g, *b, 0.0)).collect()
-    };
-    let difference = Difference::of_mean(&four(&got.linear), &four(&wanted.linear), shade::TOLERANCE);
-    // Samples at outlines are shared among more pixels than without supersampling.
-    held("picture", &difference, 2.0 * shade::OUTLIERS);
+    for basis in [BasisKind::Sh, BasisKind::Patches] {
+        let (bake, view) = fixture_view_of(basis);
+        let [got, wanted] =
+            [Backend::Gpu, Backend::Cpu].map(|backend| render(&bake, &view, backend).unwrap());
+        assert!(got.converged && wanted.converged && !got.by_reference && wanted.by_reference);
+        let four = |pixels: &[[f32; 3]]| -> Vec<Vec4> {
+            pixels.iter().map(|[r, g, b]| Vec4::new(*r, *g, *b, 0.0)).collect()
+        };
+        let difference = Difference::of_mean(&four(&got.linear), &four(&wanted.linear), shade::TOLERANCE);
+        // Samples at outlines are shared among more pixels than without supersampling.
+        held("picture", &difference, 2.0 * shade::OUTLIERS);
+    }
 }

@@ -7,6 +7,8 @@ mod shaders;
 
 use std::io::Write;
 
+use lightkiln_proto::prt::BasisKind;
+
 use crate::bake::LoadedBake;
 use crate::fixture;
 use crate::lights::{Caster, Sky};
@@ -32,7 +34,12 @@ pub(crate) fn adapter_or_skip(test: &str) -> Option<Gpu> {
 
 /// The fixture with the view of its own file, small enough for the processor.
 pub(crate) fn fixture_view() -> (LoadedBake, View) {
-    let bake = fixture::bake();
+    fixture_view_of(BasisKind::Sh)
+}
+
+/// As [`fixture_view`], in some basis.
+pub(crate) fn fixture_view_of(basis: BasisKind) -> (LoadedBake, View) {
+    let bake = fixture::bake(basis);
     let (view, notes) = View::of_bake(&bake);
     assert!(notes.is_empty(), "{notes:?}");
     (bake, View { width: 160, height: 120, shadow_side: 512, emitter_scale: vec![1.5], ..view })

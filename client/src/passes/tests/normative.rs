@@ -1,14 +1,17 @@
 //! The passes' references against the contract's normative reconstruction.
 
+use std::collections::BTreeMap;
 use std::f32::consts::FRAC_1_PI;
 
 use glam::Vec4;
-use lightkiln_proto::prt::reconstruct as prt;
+use lightkiln_proto::prt::{BasisKind, reconstruct as prt};
 
-use super::{fixture_view, prepared};
+use super::{fixture_view, fixture_view_of, prepared};
 use crate::fixture;
 use crate::passes::basis::reference::basis;
 use crate::passes::compare::Difference;
+use crate::passes::patches::reference::mean_radiance;
+use crate::passes::patches::sky_radiance;
 use crate::passes::reconstruct::reference::reconstruct;
 use crate::passes::relight::RelightTable;
 use crate::passes::relight::reference::{Irradiance, relight};
@@ -20,7 +23,7 @@ fn four(values: &[prt::Rgb]) -> Vec<Vec4> {
 #[test]
 fn references_give_what_the_contract_says() {
     let (bake, view) = fixture_view();
-    let contents = fixture::contents();
+    let contents = fixture::contents(BasisKind::Sh);
     let prepared = prepared(&bake, &view);
     let table = RelightTable::new(&bake, prepared.sky);
     let count = bake.receivers.len();
@@ -54,5 +57,44 @@ fn references_give_what_the_contract_says() {
         .collect();
     let difference = Difference::of(&got, &wanted, 1e-5);
     println!("normative: {difference}");
+    assert!(difference.agrees(0.0), "{difference}");
+}
+
+#[test]
+fn references_of_patches_give_what_the_contract_says() {
+    let (bake, view) = fixture_view_of(BasisKind::Patches);
+    let contents = fixture::contents(BasisKind::Patches);
+    let sky = prepared(&bake, &view).sky;
+    let count = bake.receivers.len();
+    let dir: Vec<Vec4> = (0..count).map(|slot| Vec4::new(slot as f32 % 5.0, 1.0, 0.3, 0.0)).collect();
+    let ind = vec![Vec4::new(0.1, 0.0, 0.2, 0.0); count];
+    let emit = bake.emitter_irradiance(&view.emitter_scale);
+    let irradiance = Irradiance { dir: &dir, emit: &emit, ind: &ind };
+    let lambda = mean_radiance(&bake, &sky_radiance(&bake, sky), irradiance);
+    let got = reconstruct(&bake.clusters, &basis(&bake.clusters, &lambda, 1), &emit);
+    let got: Vec<Vec4> = got.iter().zip(&emit).map(|(ind, emit)| *ind + *emit).collect();
+
+    let radiance = |block, texel| match bake.atlas.slot(bake.atlas.block_index(block).unwrap(), texel) {
+        Some(slot) => {
+            let e = dir[slot as usize] + emit[slot as usize] + ind[slot as usize];
+            (bake.receivers.albedo[slot as usize] * FRAC_1_PI * e).truncate().into()
+        }
+        // No light reaches it.
+        None => [0.0; 3],
+    };
+    let colours = [sky.zenith.into(), sky.horizon.into()];
+    let wanted_lambda: BTreeMap<u64, [prt::Rgb; 1]> =
+        prt::patch_radiance(&contents.patches[0], radiance, colours)
+            .into_iter()
+            .map(|(key, mean)| (key.0, [mean]))
+            .collect();
+    let scale = |emitter: u16| view.emitter_scale[usize::from(emitter)];
+    let of_cluster = |cluster| {
+        let basis = prt::cluster_basis(cluster, |key| wanted_lambda.get(&key).map(|mean| &mean[..]), &[]);
+        four(&prt::irradiance(cluster, &basis, scale))
+    };
+    let wanted: Vec<Vec4> = contents.clusters.iter().flat_map(of_cluster).collect();
+    let difference = Difference::of(&got, &wanted, 1e-5);
+    println!("normative, patches: {difference}");
     assert!(difference.agrees(0.0), "{difference}");
 }

@@ -6,11 +6,12 @@ use std::path::Path;
 
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 
-use crate::bake::AtlasTexel;
+use crate::bake::{AtlasTexel, PatchRow};
 use crate::passes::SHADERS;
 use crate::passes::atlas::AtlasNumbers;
 use crate::passes::basis::BasisNumbers;
 use crate::passes::direct::DirectNumbers;
+use crate::passes::patches::PatchNumbers;
 use crate::passes::reconstruct::ReconstructNumbers;
 use crate::passes::relight::RelightNumbers;
 use crate::passes::resident::ClusterRow;
@@ -103,6 +104,9 @@ fn structs_of_shaders_and_rust_agree_in_names_offsets_and_sizes() {
     assert_twins("reconstruct", "Reconstruct", layout!(ReconstructNumbers: stride, cluster_count));
     let relight = layout!(RelightNumbers: first_probe, receiver_count, rays, coefficients);
     assert_twins("relight", "Relight", relight);
+    let numbers = layout!(PatchNumbers: receiver_count, leaf_count, patch_count, stride);
+    assert_twins("patches", "Patches", numbers);
+    assert_twins("patches", "PatchRow", layout!(PatchRow: first_leaf, leaf_count));
     let view = layout!(ShadeView: clip_from_world, zenith, horizon, ray, ray_per_x, ray_per_y);
     assert_twins("shade", "ShadeView", view);
     let draw = layout!(ShadeDraw: base_colour, emissive, base_row0, base_row1, emissive_row0, emissive_row1, front,
