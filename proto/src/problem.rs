@@ -13,6 +13,10 @@ pub enum ProblemCode {
     BadSettings,
     /// The bytes are not those of the digest in the path.
     DigestMismatch,
+    /// The call needs a token, and has none that is good.
+    Unauthorized,
+    /// The token is good for other calls.
+    Forbidden,
     /// There is no such bake, scene, chunk or lease.
     NotFound,
     /// The path exists, the method does not.
@@ -44,10 +48,12 @@ pub enum RetryClass {
 
 impl ProblemCode {
     /// All codes, for documentation and tests.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 14] = [
         Self::BadRequest,
         Self::BadSettings,
         Self::DigestMismatch,
+        Self::Unauthorized,
+        Self::Forbidden,
         Self::NotFound,
         Self::MethodNotAllowed,
         Self::IdempotencyConflict,
@@ -66,6 +72,8 @@ impl ProblemCode {
             Self::BadRequest => (400, Never, "The request is malformed"),
             Self::BadSettings => (422, Never, "A setting is wrong"),
             Self::DigestMismatch => (422, Never, "The bytes do not match the digest"),
+            Self::Unauthorized => (401, Never, "A token is needed"),
+            Self::Forbidden => (403, Never, "The token is not good for this"),
             Self::NotFound => (404, Never, "Not found"),
             Self::MethodNotAllowed => (405, Never, "Method not allowed"),
             Self::IdempotencyConflict => (409, Never, "The Idempotency-Key belongs to another request"),

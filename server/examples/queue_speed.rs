@@ -1,4 +1,4 @@
-//! Measures the queue: `cargo run --release -p lightkiln-server --example queue_speed [tasks] [folder]`.
+//! Measures the queue: `cargo run --release -p lightkiln-server --example queue_speed [tasks] [folder] [postgres://…]`.
 //!
 //! Figures are for one caller that waits for each answer; every commit is flushed to the disk of `folder`.
 
@@ -11,7 +11,7 @@ use lightkiln_proto::api::{ClaimRequest, NewBake};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{Artefact, TaskInput, TaskResult, TaskSpec};
 use lightkiln_server::clock::SystemClock;
-use lightkiln_server::store::{FarmStore, MemoryStore, SqliteStore, Submission};
+use lightkiln_server::store::{FarmStore, MemoryStore, SqlStore, Submission};
 
 #[tokio::main]
 async fn main() -> anyhow::Result<()> {
@@ -24,7 +24,10 @@ async fn main() -> anyhow::Result<()> {
     };
     let folder = tempfile::tempdir_in(folder).context("no folder to measure in")?;
     let clock = Arc::new(SystemClock);
-    let sqlite = SqliteStore::open(&folder.path().join("farm.sqlite"), clock.clone()).await?;
+    if let Some(url) = arguments.next() {
+        measure("postgres", &SqlStore::open_postgres(&url, None).await?, tasks).await?;
+    }
+    let sqlite = SqlStore::open_sqlite(&folder.path().join("farm.sqlite"), clock.clone()).await?;
     measure("sqlite", &sqlite, tasks).await?;
     measure("memory", &MemoryStore::new(clock), tasks.min(5_000)).await
 }

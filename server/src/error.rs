@@ -8,6 +8,7 @@ use lightkiln_proto::ids::Digest;
 use lightkiln_proto::problem::{ProblemCode, RetryClass};
 use thiserror::Error;
 
+use crate::access::AccessError;
 use crate::chunks::ChunkError;
 use crate::store::StoreError;
 
@@ -29,6 +30,24 @@ pub enum ServerError {
         /// The scene asked for.
         scene: Digest,
     },
+    /// The call needs a token that it does not have.
+    #[error(
+        "{why}; send 'Authorization: Bearer TOKEN' (kiln: set KILN_TOKEN), \
+         with a token that the farm's owner makes with 'kiln token create'"
+    )]
+    Unauthorized {
+        /// What is wrong with the token.
+        why: &'static str,
+    },
+    /// The token is good for other calls.
+    #[error("the token does not open this call; it needs one with the scope {wanted}")]
+    Forbidden {
+        /// Scopes that would do.
+        wanted: String,
+    },
+    /// Somebody's token or name is not as it should be.
+    #[error(transparent)]
+    Access(#[from] AccessError),
     /// No such lease.
     #[error("there is no such lease")]
     NoSuchLease,
@@ -91,10 +110,10 @@ pub enum ServerError {
         /// The folder.
         path: PathBuf,
     },
-    /// The address can be reached from other machines, and nothing guards it.
+    /// The address can be reached from other machines, and nobody has a token.
     #[error(
-        "{address} can be reached from other machines and this server asks nobody for a token; \
-         listen on 127.0.0.1, or allow it expressly where the network is trusted"
+        "{address} can be reached from other machines and nobody has a token of this farm; \
+         make one with 'kiln token create', or listen on 127.0.0.1"
     )]
     NotLoopback {
         /// The address.
@@ -123,6 +142,9 @@ impl ServerError {
         match self {
             Self::BadRequest { .. } => ProblemCode::BadRequest,
             Self::BadBake(_) => ProblemCode::BadSettings,
+            Self::Unauthorized { .. } => ProblemCode::Unauthorized,
+            Self::Forbidden { .. } => ProblemCode::Forbidden,
+            Self::Access(_) => ProblemCode::BadRequest,
             Self::NoSuchScene { .. } | Self::NoSuchLease | Self::NoSuchPath { .. } => ProblemCode::NotFound,
             Self::NoResult { .. } => ProblemCode::StateConflict,
             Self::Range { .. } => ProblemCode::RangeNotSatisfiable,

@@ -14,6 +14,7 @@ use lightkiln_proto::jobs::{TaskInput, TaskResult, TaskSpec};
 use tokio::sync::watch;
 use tokio::time::Instant;
 
+use crate::access::Guard;
 use crate::chunks::ChunkStore;
 use crate::error::ServerError;
 use crate::metrics::Metrics;
@@ -43,6 +44,8 @@ pub struct Farm {
     pub chunks: Arc<dyn ChunkStore>,
     /// Hints between calls.
     pub wakeup: Arc<dyn Wakeup>,
+    /// Who may call.
+    pub guard: Guard,
     /// Counts since start.
     pub(crate) metrics: Metrics,
     /// A waiting call looks again this often, hint or not.
@@ -60,7 +63,8 @@ impl Farm {
         poll_interval: Duration,
         closing: watch::Receiver<bool>,
     ) -> Self {
-        Self { store, chunks, wakeup, metrics: Metrics::default(), poll_interval, closing }
+        let guard = Guard::new(store.clone());
+        Self { guard, store, chunks, wakeup, metrics: Metrics::default(), poll_interval, closing }
     }
 
     /// Takes a bake in. The scene must be there, and results to be reused must still have their bytes.

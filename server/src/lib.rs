@@ -4,18 +4,21 @@
 //!
 //! - [`Server`] opens a state folder and serves it; [`Config`] says how.
 //! - [`store`] is the queue behind one trait, [`chunks`] the bytes, [`wakeup`] lossy hints.
+//! - [`access`] says who may call.
 //! - [`farm`] puts them together, `http` makes calls of it.
 
+pub mod access;
 pub mod chunks;
 pub mod clock;
 mod error;
 pub mod farm;
 mod http;
 mod metrics;
+pub mod places;
 mod server;
 pub mod store;
 pub mod wakeup;
 
 pub use error::ServerError;
 pub use http::openapi_json;
-pub use server::{Config, Server};
+pub use server::{Config, Server, open_store};

@@ -1,10 +1,12 @@
-//! A server over one state folder: opening, serving, stopping.
+//! A server over its state: opening, serving, stopping.
 //!
+//! Unless told otherwise the state is one folder, and one server may have it open:
 //! ```text
-//! STATE/lock           held while a server has the folder open
+//! STATE/lock           held while a server has the queue's file open
 //! STATE/farm.sqlite    the queue (with -wal and -shm beside it)
 //! STATE/chunks/ab/…    the bytes
 //! ```
+//! With PostgreSQL and S3 a server keeps nothing itself: any number of them may serve one farm, and come and go.
 
 use std::fs::{File, TryLockError};
 use std::net::SocketAddr;
@@ -20,15 +22,20 @@ use crate::clock::SystemClock;
 use crate::error::ServerError;
 use crate::farm::Farm;
 use crate::http;
-use crate::store::SqliteStore;
-use crate::wakeup::LocalWakeup;
+use crate::places::{ChunksPlace, DatabasePlace};
+use crate::store::SqlStore;
+use crate::wakeup::{LocalWakeup, PostgresWakeup, Wakeup};
 
 /// How a server runs. `Config::new(folder)` gives the defaults.
 #[derive(Clone, Debug)]
 pub struct Config {
-    /// Folder of all state; made if need be.
+    /// Folder of all state that has no other place; made if need be.
     pub state_dir: PathBuf,
-    /// Serve addresses that other machines can reach although nobody is asked for a token. Default: no.
+    /// Where the queue is. Default: `farm.sqlite` in the state folder.
+    pub database: Option<DatabasePlace>,
+    /// Where the bytes are. Default: `chunks` in the state folder.
+    pub chunks: Option<ChunksPlace>,
+    /// Serve addresses that other machines can reach although nobody has a token. Default: no.
     pub allow_non_loopback: bool,
     /// Expired leases are looked for this often. Shorter → lost workers are noticed sooner. Default: 1 s.
     pub reap_interval: Duration,
@@ -43,6 +50,8 @@ impl Config {
     pub fn new(state_dir: impl Into<PathBuf>) -> Self {
         Self {
             state_dir: state_dir.into(),
+            database: None,
+            chunks: None,
             allow_non_loopback: false,
             reap_interval: Duration::from_secs(1),
             poll_interval: Duration::from_secs(1),
@@ -51,25 +60,26 @@ impl Config {
     }
 }
 
-/// An open state folder, ready to serve.
+/// An open farm, ready to serve.
 pub struct Server {
     config: Config,
     farm: Arc<Farm>,
-    store: Arc<SqliteStore>,
+    store: Arc<SqlStore>,
     closing: watch::Sender<bool>,
     /// Held, not read: the lock goes with the last handle.
-    _lock: File,
+    _lock: Option<File>,
 }
 
 impl Server {
-    /// Opens the state folder; fails if another server has it open.
+    /// Opens queue and bytes; fails if another server has the queue's file open.
     pub async fn open(config: Config) -> Result<Self, ServerError> {
-        let lock = lock_folder(&config.state_dir)?;
-        let database = config.state_dir.join("farm.sqlite");
-        let store = Arc::new(SqliteStore::open(&database, Arc::new(SystemClock)).await?);
-        let chunks = Arc::new(ObjectChunks::in_folder(&config.state_dir.join("chunks"))?);
+        let in_state = DatabasePlace::Sqlite(config.state_dir.join("farm.sqlite"));
+        let database = config.database.clone().unwrap_or(in_state);
+        let (store, wakeup, lock) = open_database(&database).await?;
+        let store = Arc::new(store);
+        let in_state = ChunksPlace::Folder(config.state_dir.join("chunks"));
+        let chunks = Arc::new(ObjectChunks::open(config.chunks.as_ref().unwrap_or(&in_state))?);
         let (closing, is_closing) = watch::channel(false);
-        let wakeup = Arc::new(LocalWakeup::default());
         let farm = Farm::new(store.clone(), chunks, wakeup, config.poll_interval, is_closing);
         let farm = Arc::new(farm);
         Ok(Self { config, farm, store, closing, _lock: lock })
@@ -84,12 +94,15 @@ impl Server {
     pub async fn bind(&self, address: &str) -> Result<TcpListener, ServerError> {
         let cannot = |source| ServerError::Listen { address: address.to_owned(), source };
         let resolved: Vec<SocketAddr> = tokio::net::lookup_host(address).await.map_err(cannot)?.collect();
-        resolved.iter().try_for_each(|address| self.require_servable(*address))?;
+        for address in &resolved {
+            self.require_servable(*address).await?;
+        }
         TcpListener::bind(&resolved[..]).await.map_err(cannot)
     }
 
-    fn require_servable(&self, address: SocketAddr) -> Result<(), ServerError> {
-        if address.ip().is_loopback() || self.config.allow_non_loopback {
+    async fn require_servable(&self, address: SocketAddr) -> Result<(), ServerError> {
+        let may_be_open = address.ip().is_loopback() || self.config.allow_non_loopback;
+        if may_be_open || self.farm.guard.has_bearers().await? {
             return Ok(());
         }
         Err(ServerError::NotLoopback { address })
@@ -102,7 +115,7 @@ impl Server {
         shutdown: impl Future<Output = ()> + Send + 'static,
     ) -> Result<(), ServerError> {
         let address = listener.local_addr().map_err(ServerError::Serve)?;
-        self.require_servable(address)?;
+        self.require_servable(address).await?;
         let reaper = tokio::spawn(reap(self.farm.clone(), self.config.reap_interval));
         let closing = self.closing.clone();
         let stop = async move {
@@ -141,12 +154,43 @@ async fn reap(farm: Arc<Farm>, interval: Duration) {
     }
 }
 
+type OpenDatabase = (SqlStore, Arc<dyn Wakeup>, Option<File>);
+
+/// The queue alone, beside a server that may be running on it.
+///
+/// The place is that of [`Config::database`].
+pub async fn open_store(state_dir: &Path, database: Option<&DatabasePlace>) -> Result<SqlStore, ServerError> {
+    let in_state = DatabasePlace::Sqlite(state_dir.join("farm.sqlite"));
+    Ok(match database.unwrap_or(&in_state) {
+        DatabasePlace::Sqlite(path) => {
+            make_folder(path.parent().unwrap_or(Path::new("")))?;
+            SqlStore::open_sqlite(path, Arc::new(SystemClock)).await?
+        }
+        DatabasePlace::Postgres(url) => SqlStore::open_postgres(url, None).await?,
+    })
+}
+
+async fn open_database(place: &DatabasePlace) -> Result<OpenDatabase, ServerError> {
+    Ok(match place {
+        DatabasePlace::Sqlite(path) => {
+            let lock = lock_folder(path.parent().unwrap_or(Path::new("")))?;
+            let store = SqlStore::open_sqlite(path, Arc::new(SystemClock)).await?;
+            (store, Arc::new(LocalWakeup::default()), Some(lock))
+        }
+        DatabasePlace::Postgres(url) => {
+            // The database's time: leases are granted by one server and judged by another.
+            let store = SqlStore::open_postgres(url, None).await?;
+            (store, Arc::new(PostgresWakeup::connect(url).await?), None)
+        }
+    })
+}
+
 fn lock_folder(folder: &Path) -> Result<File, ServerError> {
     let cannot = |action, path: &Path| {
         let path = path.to_owned();
         move |source| ServerError::State { action, path, source }
     };
-    std::fs::create_dir_all(folder).map_err(cannot("make", folder))?;
+    make_folder(folder)?;
     let path = folder.join("lock");
     let options = File::options().create(true).write(true).truncate(false).open(&path);
     let lock = options.map_err(cannot("open", &path))?;
@@ -155,4 +199,9 @@ fn lock_folder(folder: &Path) -> Result<File, ServerError> {
         Err(TryLockError::WouldBlock) => Err(ServerError::StateInUse { path: folder.to_owned() }),
         Err(TryLockError::Error(source)) => Err(cannot("lock", &path)(source)),
     }
+}
+
+fn make_folder(folder: &Path) -> Result<(), ServerError> {
+    let path = folder.to_owned();
+    std::fs::create_dir_all(folder).map_err(|source| ServerError::State { action: "make", path, source })
 }

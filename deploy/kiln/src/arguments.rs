@@ -3,7 +3,8 @@
 use clap::{Args, Parser, Subcommand};
 
 use crate::commands::{
-    bake, cancel, evaluate, fetch, inspect, list, preview, server, settings, show, submit, watch, worker,
+    bake, cancel, evaluate, fetch, inspect, list, preview, server, settings, show, submit, token, watch,
+    worker,
 };
 use crate::failure::{EXIT_CODES, Result};
 
@@ -25,6 +26,8 @@ pub enum Command {
     Server(server::Arguments),
     /// Runs a worker for a farm's server
     Worker(worker::Arguments),
+    /// Makes, lists and revokes tokens of a farm
+    Token(token::Arguments),
     /// Submits a scene to a farm and prints the bake's id
     Submit(submit::Arguments),
     /// Lists a farm's bakes
@@ -54,6 +57,7 @@ impl Command {
             Self::Bake(arguments) => bake::run(arguments),
             Self::Server(arguments) => server::run(arguments),
             Self::Worker(arguments) => worker::run(arguments),
+            Self::Token(arguments) => token::run(arguments),
             Self::Submit(arguments) => submit::run(arguments),
             Self::List(arguments) => list::run(arguments),
             Self::Show(arguments) => show::run(arguments),

@@ -6,6 +6,7 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use lightkiln_server::farm::Farm;
+use lightkiln_server::store::StoreError;
 use lightkiln_server::{Config, Server, ServerError};
 use lightkiln_worker::prt::PrtRunner;
 use lightkiln_worker::runtime::{Level, ShutdownFlag, Worker, WorkerConfig, WorkerError};
@@ -150,7 +151,13 @@ pub fn server_failure(error: &ServerError) -> Failure {
             "--state with a folder of its own, or one 'kiln server' and 'kiln bake --server URL' for all",
         ),
         ServerError::Listen { .. } => (Exit::BadInput, "--listen 127.0.0.1:0 for a free port"),
-        ServerError::NotLoopback { .. } => (Exit::BadInput, "--allow-non-loopback if the network is trusted"),
+        ServerError::NotLoopback { .. } => (
+            Exit::BadInput,
+            "'kiln token create NAME --scope admin', or --allow-non-loopback if the network is trusted",
+        ),
+        ServerError::Store(StoreError::Unavailable(_)) => {
+            (Exit::Failed, "--database with the address of a database that runs")
+        }
         _ => (Exit::Failed, "--state with a folder that can be written and has free room"),
     };
     Failure::new(exit, "the server cannot run").caused_by(error).try_this(next_step)

@@ -1,8 +1,10 @@
 //! Stored bytes, named by their blake3 digest: scenes, artefacts, chunks, manifests and reports alike.
 //!
-//! Bytes are checked against their digest before they are stored, and never change afterwards.
+//! Bytes are checked against their digest before they are stored, and whenever all of them are read; a range cannot be.
+//! They never change.
 
 mod objects;
+mod s3;
 
 use std::ops::Range;
 
@@ -38,6 +40,12 @@ pub enum ChunkError {
         /// What was asked for.
         digest: Digest,
     },
+    /// The bytes stored under the digest are others.
+    #[error("the stored bytes of chunk {digest} are damaged")]
+    Damaged {
+        /// Whose bytes.
+        digest: Digest,
+    },
     /// The bytes stopped coming.
     #[error("the upload broke off")]
     Broken(#[source] Box<dyn std::error::Error + Send + Sync>),
@@ -56,6 +64,7 @@ impl ChunkError {
             Self::DigestMismatch { .. } => ProblemCode::DigestMismatch,
             Self::TooLarge { .. } => ProblemCode::TooLarge,
             Self::NotFound { .. } => ProblemCode::NotFound,
+            Self::Damaged { .. } => ProblemCode::Internal,
             Self::Broken(_) => ProblemCode::BadRequest,
             Self::Full(_) => ProblemCode::StorageFull,
             Self::Unavailable(_) => ProblemCode::Unavailable,
@@ -89,7 +98,8 @@ pub trait ChunkStore: Send + Sync {
     /// Reads all of a chunk into memory; refuses those longer than `limit`.
     async fn get(&self, digest: Digest, limit: u64) -> Result<Bytes, ChunkError>;
 
-    /// Reads a range, which must lie within the chunk, as it comes.
+    /// Reads a range, which must lie within the chunk, as it comes. When it is the whole chunk and its bytes are damaged,
+    /// the stream ends in an error before it is complete.
     async fn get_range(&self, digest: Digest, range: Range<u64>) -> Result<ByteStream, ChunkError>;
 
     /// Length of a chunk, or none if it is not there.

@@ -1,6 +1,7 @@
-//! Chunks in an object store: local files, memory, and later S3.
+//! Chunks in an object store: local files, memory, S3.
 
 use std::error::Error;
+use std::ffi::OsString;
 use std::io;
 use std::ops::Range;
 use std::path::Path as FilePath;
@@ -16,7 +17,8 @@ use object_store::memory::InMemory;
 use object_store::path::Path;
 use object_store::{GetOptions, GetRange, ObjectStore, ObjectStoreExt, PutPayload, WriteMultipart};
 
-use super::{ByteStream, ChunkError, ChunkStore, Stored};
+use super::{ByteStream, ChunkError, ChunkStore, Stored, s3};
+use crate::places::ChunksPlace;
 
 /// Size of the parts in which a stream is written.
 const PART_BYTES: usize = 8 << 20;
@@ -31,6 +33,36 @@ pub struct ObjectChunks {
 }
 
 impl ObjectChunks {
+    /// Opens the store at a place.
+    pub fn open(place: &ChunksPlace) -> Result<Self, ChunkError> {
+        match place {
+            ChunksPlace::Folder(folder) => Self::in_folder(folder),
+            ChunksPlace::S3 { bucket, prefix } => {
+                let text = |(name, value): (OsString, OsString)| {
+                    Some((name.into_string().ok()?, value.into_string().ok()?))
+                };
+                Self::in_s3(bucket, prefix, std::env::vars_os().filter_map(text))
+            }
+        }
+    }
+
+    /// Chunks as objects of an S3 bucket, with keys that begin with `prefix`.
+    ///
+    /// `settings` are the usual variables and their values: `AWS_ACCESS_KEY_ID`, `AWS_SECRET_ACCESS_KEY`,
+    /// `AWS_REGION`, `AWS_ENDPOINT_URL` and so on.
+    pub fn in_s3(
+        bucket: &str,
+        prefix: &str,
+        settings: impl IntoIterator<Item = (String, String)>,
+    ) -> Result<Self, ChunkError> {
+        Ok(Self::over(s3::open(bucket, prefix, settings)?))
+    }
+
+    /// Chunks in any object store.
+    pub fn over(objects: Arc<dyn ObjectStore>) -> Self {
+        Self { objects }
+    }
+
     /// Chunks as files under `folder`, which is made if need be.
     ///
     /// A file appears under its name only when it is whole, and both it and its folder are flushed to disk first.
@@ -156,17 +188,23 @@ impl ChunkStore for ObjectChunks {
         if found.meta.size > limit {
             return Err(ChunkError::TooLarge { limit });
         }
-        found.bytes().await.map_err(from_store)
+        let bytes = found.bytes().await.map_err(from_store)?;
+        if Digest::of(&bytes) != digest {
+            return Err(ChunkError::Damaged { digest });
+        }
+        Ok(bytes)
     }
 
     async fn get_range(&self, digest: Digest, range: Range<u64>) -> Result<ByteStream, ChunkError> {
         if range.is_empty() {
             return Ok(futures::stream::empty().boxed());
         }
-        let options = GetOptions { range: Some(GetRange::Bounded(range)), ..GetOptions::default() };
+        let options = GetOptions { range: Some(GetRange::Bounded(range.clone())), ..GetOptions::default() };
         let found = self.objects.get_opts(&path_of(digest), options).await;
         let found = found.map_err(|error| missing(digest, error))?;
-        Ok(found.into_stream().map_err(from_store).boxed())
+        let is_whole = range == (0..found.meta.size);
+        let bytes = found.into_stream().map_err(from_store).boxed();
+        Ok(if is_whole { verified(digest, bytes) } else { bytes })
     }
 
     async fn head(&self, digest: Digest) -> Result<Option<u64>, ChunkError> {
@@ -191,6 +229,25 @@ impl ChunkStore for ObjectChunks {
     }
 }
 
+/// Passes bytes on, always one piece behind: the last piece leaves only when the digest of all is right.
+fn verified(digest: Digest, bytes: ByteStream) -> ByteStream {
+    let start = (bytes, blake3::Hasher::new(), None::<Bytes>);
+    let pieces = futures::stream::try_unfold(start, move |(mut bytes, mut hasher, mut held)| async move {
+        while let Some(piece) = bytes.try_next().await? {
+            hasher.update(&piece);
+            if let Some(earlier) = held.replace(piece) {
+                return Ok(Some((earlier, (bytes, hasher, held))));
+            }
+        }
+        if Digest(*hasher.finalize().as_bytes()) != digest {
+            return Err(ChunkError::Damaged { digest });
+        }
+        // The end is reached once more, with nothing held.
+        Ok(held.take().map(|last| (last, (bytes, hasher, None))))
+    });
+    pieces.boxed()
+}
+
 fn path_of(digest: Digest) -> Path {
     let hex = digest.to_string();
     let (shard, rest) = hex.split_at(2);
@@ -209,7 +266,7 @@ fn missing(digest: Digest, error: object_store::Error) -> ChunkError {
 }
 
 /// Tells a full disk from other trouble.
-fn from_store(error: object_store::Error) -> ChunkError {
+pub(super) fn from_store(error: object_store::Error) -> ChunkError {
     let mut cause: Option<&(dyn Error + 'static)> = Some(&error);
     while let Some(error) = cause {
         let kind = error.downcast_ref::<io::Error>().map(io::Error::kind);
@@ -231,99 +288,10 @@ mod tests {
         object_store::Error::Generic { store: "test", source: Box::new(source) }
     }
 
-    fn pieces(count: usize, piece_bytes: usize) -> (Digest, u64, ByteStream) {
-        let pieces: Vec<Bytes> = (0..count).map(|i| Bytes::from(vec![i as u8; piece_bytes])).collect();
-        let whole = pieces.concat();
-        let stream = futures::stream::iter(pieces.into_iter().map(Ok)).boxed();
-        (Digest::of(&whole), whole.len() as u64, stream)
-    }
-
-    fn folder() -> (tempfile::TempDir, ObjectChunks) {
-        let folder = tempfile::tempdir().unwrap();
-        let chunks = ObjectChunks::in_folder(folder.path()).unwrap();
-        (folder, chunks)
-    }
-
     #[test]
     fn full_disk_is_told_apart() {
         assert!(matches!(from_store(full_disk()), ChunkError::Full(_)));
         let other = object_store::Error::Generic { store: "test", source: "other".into() };
         assert!(matches!(from_store(other), ChunkError::Unavailable(_)));
-    }
-
-    #[tokio::test]
-    async fn bytes_come_back_whole_and_in_ranges() {
-        let (_folder, files) = folder();
-        for chunks in [files, ObjectChunks::in_memory()] {
-            let bytes = Bytes::from_static(b"0123456789");
-            let digest = Digest::of(&bytes);
-            assert_eq!(chunks.head(digest).await.unwrap(), None);
-            assert!(chunks.put_if_absent(digest, bytes.clone()).await.unwrap().is_new);
-            assert!(!chunks.put_if_absent(digest, bytes.clone()).await.unwrap().is_new);
-            assert_eq!(chunks.get(digest, 10).await.unwrap(), bytes);
-            assert!(matches!(chunks.get(digest, 9).await, Err(ChunkError::TooLarge { limit: 9 })));
-            let range: Vec<Bytes> =
-                chunks.get_range(digest, 3..7).await.unwrap().try_collect().await.unwrap();
-            assert_eq!(range.concat(), b"3456");
-            let listed: Vec<_> = chunks.list().try_collect().await.unwrap();
-            assert_eq!(listed, [(digest, 10)]);
-            chunks.delete(digest).await.unwrap();
-            chunks.delete(digest).await.unwrap();
-            assert!(matches!(chunks.get(digest, 10).await, Err(ChunkError::NotFound { .. })));
-        }
-    }
-
-    #[tokio::test]
-    async fn long_stream_is_stored_in_parts() {
-        let (folder, chunks) = folder();
-        let (digest, length, stream) = pieces(20, 1 << 20);
-        let stored = chunks.put_stream(digest, stream, length).await.unwrap();
-        assert_eq!(stored, Stored { is_new: true, bytes: length });
-        assert_eq!(Digest::of(&chunks.get(digest, length).await.unwrap()), digest);
-        let hex = digest.to_string();
-        assert!(folder.path().join(&hex[..2]).join(&hex[2..]).is_file());
-        let (_, _, again) = pieces(20, 1 << 20);
-        assert!(!chunks.put_stream(digest, again, length).await.unwrap().is_new);
-    }
-
-    #[tokio::test]
-    async fn truncated_chunk_is_mended_by_the_next_upload() {
-        for count in [1, 20] {
-            let (folder, chunks) = folder();
-            let (digest, length, stream) = pieces(count, 1 << 20);
-            chunks.put_stream(digest, stream, length).await.unwrap();
-            let [file] = &walk(folder.path())[..] else { panic!("one chunk is one file") };
-            std::fs::OpenOptions::new().write(true).open(file).unwrap().set_len(length / 2).unwrap();
-            let (_, _, again) = pieces(count, 1 << 20);
-            let stored = chunks.put_stream(digest, again, length).await.unwrap();
-            assert_eq!(stored, Stored { is_new: true, bytes: length });
-            assert_eq!(Digest::of(&chunks.get(digest, length).await.unwrap()), digest);
-        }
-    }
-
-    #[tokio::test]
-    async fn wrong_broken_and_oversized_streams_leave_nothing() {
-        for count in [1, 20] {
-            let (folder, chunks) = folder();
-            let (right, length, stream) = pieces(count, 1 << 20);
-            let wrong = Digest::of(b"other");
-            let error = chunks.put_stream(wrong, stream, length).await.unwrap_err();
-            assert!(matches!(error, ChunkError::DigestMismatch { .. }), "{error}");
-            let (_, _, stream) = pieces(count, 1 << 20);
-            let error = chunks.put_stream(right, stream, length - 1).await.unwrap_err();
-            assert!(matches!(error, ChunkError::TooLarge { .. }), "{error}");
-            let (_, _, stream) = pieces(count, 1 << 20);
-            let broken = futures::stream::once(async { Err(ChunkError::Broken("cut".into())) });
-            let error = chunks.put_stream(right, stream.chain(broken).boxed(), length).await.unwrap_err();
-            assert!(matches!(error, ChunkError::Broken(_)), "{error}");
-            assert_eq!(chunks.head(right).await.unwrap(), None);
-            let files = walk(folder.path());
-            assert!(files.is_empty(), "{files:?}");
-        }
-    }
-
-    fn walk(folder: &FilePath) -> Vec<std::path::PathBuf> {
-        let entries = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
-        entries.flat_map(|path| if path.is_dir() { walk(&path) } else { vec![path] }).collect()
     }
 }

@@ -4,6 +4,7 @@ mod bakes;
 mod chunks;
 mod events;
 mod extract;
+mod guard;
 mod health;
 mod leases;
 mod openapi;
@@ -52,6 +53,7 @@ pub(crate) fn router(farm: Arc<Farm>) -> Router {
         .route("/openapi.json", get(health::openapi))
         .fallback(no_such_path)
         .method_not_allowed_fallback(method_not_allowed)
+        .layer(axum::middleware::from_fn_with_state(farm.clone(), guard::guard))
         .layer(CatchPanicLayer::custom(panicked))
         .layer(TraceLayer::new_for_http().make_span_with(span))
         .with_state(farm)

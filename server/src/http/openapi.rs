@@ -2,7 +2,8 @@
 
 use lightkiln_proto::ids::Digest;
 use utoipa::openapi::schema::{KnownFormat, ObjectBuilder, Schema, SchemaFormat, Type};
-use utoipa::{OpenApi, PartialSchema, ToSchema, openapi};
+use utoipa::openapi::security::{Http, HttpAuthScheme, SecurityScheme};
+use utoipa::{Modify, OpenApi, PartialSchema, ToSchema, openapi};
 
 use super::{bakes, chunks, events, health, leases};
 
@@ -29,9 +30,21 @@ use super::{bakes, chunks, events, health, leases};
         leases::claim, leases::heartbeat, leases::commit, leases::fail, leases::release,
         health::healthz, health::readyz, health::metrics, health::openapi,
     ),
-    components(schemas(Digest))
+    components(schemas(Digest)),
+    modifiers(&Bearer),
+    security((), ("bearer" = []))
 )]
 struct Description;
+
+/// A token in the header Authorization; needed once the farm has one.
+struct Bearer;
+
+impl Modify for Bearer {
+    fn modify(&self, description: &mut openapi::OpenApi) {
+        let scheme = SecurityScheme::Http(Http::new(HttpAuthScheme::Bearer));
+        description.components.get_or_insert_default().add_security_scheme("bearer", scheme);
+    }
+}
 
 /// Plain bytes, as the description has them.
 pub(super) enum Binary {}

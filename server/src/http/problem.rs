@@ -22,6 +22,9 @@ impl IntoResponse for ServerError {
             _ => chain,
         };
         let mut response = problem_response(&Problem::new(code, detail));
+        if let Self::Unauthorized { .. } = self {
+            response.headers_mut().insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
+        }
         if let Self::Range { length } = self
             && let Ok(range) = HeaderValue::try_from(format!("bytes */{length}"))
         {

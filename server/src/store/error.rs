@@ -20,6 +20,18 @@ pub enum StoreError {
         /// The key.
         key: String,
     },
+    /// The name of a bearer was given before.
+    #[error("there is a token of '{name}' already, or was once; choose another name")]
+    BearerExists {
+        /// The name.
+        name: String,
+    },
+    /// No bearer of that name.
+    #[error("there is no token of '{name}'")]
+    NoSuchBearer {
+        /// What was asked for.
+        name: String,
+    },
     /// The bake's state does not allow the call.
     #[error("bake '{bake}' is {state:?} and cannot be {action}")]
     StateConflict {
@@ -39,6 +51,9 @@ pub enum StoreError {
     /// The database does not answer now.
     #[error("the farm's database does not answer")]
     Unavailable(#[source] Box<dyn std::error::Error + Send + Sync>),
+    /// The database let other calls through instead of this one, again and again.
+    #[error("the farm's database is too busy")]
+    Contended(#[source] Box<dyn std::error::Error + Send + Sync>),
     /// Stored state cannot be read, or was written by a newer version.
     #[error("the farm's state cannot be used: {what}")]
     Corrupt {
@@ -54,12 +69,13 @@ impl StoreError {
     /// The problem that a caller sees.
     pub fn code(&self) -> ProblemCode {
         match self {
-            Self::NoSuchBake { .. } => ProblemCode::NotFound,
+            Self::NoSuchBake { .. } | Self::NoSuchBearer { .. } => ProblemCode::NotFound,
+            Self::BearerExists { .. } => ProblemCode::StateConflict,
             Self::IdempotencyConflict { .. } => ProblemCode::IdempotencyConflict,
             Self::StateConflict { .. } => ProblemCode::StateConflict,
             Self::Plan(_) => ProblemCode::BadRequest,
             Self::Full(_) => ProblemCode::StorageFull,
-            Self::Unavailable(_) => ProblemCode::Unavailable,
+            Self::Unavailable(_) | Self::Contended(_) => ProblemCode::Unavailable,
             Self::Corrupt { .. } => ProblemCode::Internal,
         }
     }

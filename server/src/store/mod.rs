@@ -18,8 +18,10 @@
 mod error;
 mod memory;
 mod rules;
-mod sqlite;
+mod sql;
 mod token;
+
+use std::collections::BTreeSet;
 
 use async_trait::async_trait;
 use lightkiln_proto::api::{
@@ -29,11 +31,14 @@ use lightkiln_proto::api::{
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{Artefact, TaskResult, TaskSpec};
 
+use crate::access::{Bearer, Scope};
+
 pub use error::{PlanError, StoreError};
 pub use memory::MemoryStore;
 pub use rules::{BACKOFF_MAX_MS, MAX_ATTEMPTS, POISON_WORKERS, backoff_ms};
-pub use sqlite::SqliteStore;
+pub use sql::{FaultPoint, Faults, SqlStore};
 pub use token::is_token;
+pub(crate) use token::{random_id, random_secret};
 
 /// A bake to take in.
 #[derive(Clone, Debug)]
@@ -191,6 +196,20 @@ pub trait FarmStore: Send + Sync {
     /// Workers heard of lately, by name.
     async fn workers(&self) -> Result<Vec<Worker>, StoreError>;
 
+    /// Makes a bearer. A name is given once; the same call again gives the same bearer.
+    async fn add_bearer(
+        &self,
+        name: &str,
+        hash: Digest,
+        scopes: &BTreeSet<Scope>,
+    ) -> Result<Bearer, StoreError>;
+
+    /// Makes a bearer's token useless, for ever.
+    async fn revoke_bearer(&self, name: &str) -> Result<Bearer, StoreError>;
+
+    /// All bearers ever made, by name.
+    async fn bearers(&self) -> Result<Vec<Bearer>, StoreError>;
+
     /// Figures about the whole farm.
     async fn stats(&self) -> Result<Stats, StoreError>;
 
@@ -204,4 +223,9 @@ fn require_live(bake: &str, state: BakeState, action: &'static str) -> Result<()
         return Err(StoreError::StateConflict { bake: bake.to_owned(), state, action });
     }
     Ok(())
+}
+
+/// The bearer that has the name already, if it is the one to make.
+fn same_bearer(found: Bearer, hash: Digest) -> Result<Bearer, StoreError> {
+    if found.hash == hash { Ok(found) } else { Err(StoreError::BearerExists { name: found.name }) }
 }

@@ -10,9 +10,14 @@ pub fn new_token() -> Result<String, StoreError> {
     random_hex::<16>()
 }
 
-/// A new bake id: 64 random bits in lower-case hex.
-pub fn new_bake_id() -> Result<String, StoreError> {
+/// A new id of a bake or a process: 64 random bits in lower-case hex.
+pub fn random_id() -> Result<String, StoreError> {
     random_hex::<8>()
+}
+
+/// The random part of a bearer's token: 256 bits in lower-case hex.
+pub fn random_secret() -> Result<String, StoreError> {
+    random_hex::<32>()
 }
 
 /// Whether `text` has the shape of a fencing token.

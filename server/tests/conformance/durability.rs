@@ -6,12 +6,12 @@ use std::time::{Duration, Instant};
 
 use lightkiln_proto::api::{BakeState, CommitVerdict};
 use lightkiln_server::clock::ManualClock;
-use lightkiln_server::store::{FarmStore, SqliteStore, StoreError};
+use lightkiln_server::store::{FarmStore, SqlStore, StoreError};
 
 use crate::support::{TTL_MS, request, result, submission, task};
 
-async fn open(folder: &Path, clock: &Arc<ManualClock>) -> SqliteStore {
-    SqliteStore::open(&folder.join("farm.sqlite"), clock.clone()).await.unwrap()
+async fn open(folder: &Path, clock: &Arc<ManualClock>) -> SqlStore {
+    SqlStore::open_sqlite(&folder.join("farm.sqlite"), clock.clone()).await.unwrap()
 }
 
 /// What a process that is killed now leaves behind: the files as they are, nothing closed.
@@ -120,6 +120,6 @@ async fn file_of_a_newer_version_is_refused() {
     let pool = sqlx::SqlitePool::connect_with(options).await.unwrap();
     sqlx::query("PRAGMA user_version = 999").execute(&pool).await.unwrap();
     pool.close().await;
-    let refused = SqliteStore::open(&path, Arc::new(ManualClock::at(0))).await;
+    let refused = SqlStore::open_sqlite(&path, Arc::new(ManualClock::at(0))).await;
     assert!(matches!(refused, Err(StoreError::Corrupt { what, .. }) if what.contains("999")));
 }

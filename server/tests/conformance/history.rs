@@ -1,4 +1,4 @@
-//! Random histories: the SQLite store does what the plain model does, step by step.
+//! Random histories: the stores in databases do what the plain model does, step by step.
 
 use lightkiln_proto::api::{Bake, BakeEvent, Blame, Lease, Worker};
 use lightkiln_proto::ids::Digest;
@@ -7,7 +7,7 @@ use lightkiln_server::store::{Stats, StoreError};
 use proptest::collection::vec;
 use proptest::prelude::*;
 
-use crate::support::{World, outputs, request, submission, task_of};
+use crate::support::{World, in_time, outputs, request, submission, task_of};
 
 /// Tasks of the universe.
 const TASKS: usize = 9;
@@ -241,23 +241,23 @@ fn refusal(error: &StoreError) -> String {
     }
 }
 
-async fn compare(steps: Vec<Step>) {
+async fn compare(world: World, steps: Vec<Step>) {
     let tasks = universe();
-    let mut model = Side::new(World::memory());
-    let mut sqlite = Side::new(World::sqlite().await);
+    let mut model = Side::new(World::memory().await);
+    let mut store = Side::new(world);
     for (number, step) in steps.iter().enumerate() {
         let expected = model.take(step, &tasks).await;
-        assert_eq!(sqlite.take(step, &tasks).await, expected, "step {number}: {step:?}");
-        assert_same(&sqlite, &model, &format!("after step {number}: {step:?}")).await;
+        assert_eq!(store.take(step, &tasks).await, expected, "step {number}: {step:?}");
+        assert_same(&store, &model, &format!("after step {number}: {step:?}")).await;
     }
     model.finish(&tasks).await;
-    sqlite.finish(&tasks).await;
-    assert_same(&sqlite, &model, "at the end").await;
+    store.finish(&tasks).await;
+    assert_same(&store, &model, "at the end").await;
 }
 
 /// Compares part by part, so that a difference can be read.
-async fn assert_same(sqlite: &Side, model: &Side, when: &str) {
-    let (found, expected) = (sqlite.look().await, model.look().await);
+async fn assert_same(store: &Side, model: &Side, when: &str) {
+    let (found, expected) = (store.look().await, model.look().await);
     for (found, expected) in found.bakes.iter().zip(&expected.bakes) {
         assert_eq!(found.0, expected.0, "{when}");
         assert_eq!(found.1, expected.1, "{when}");
@@ -272,12 +272,20 @@ fn config() -> ProptestConfig {
     ProptestConfig { cases: wanted.unwrap_or(48), failure_persistence: None, ..ProptestConfig::default() }
 }
 
+fn run<F: Future<Output = ()>>(comparison: F) {
+    tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap().block_on(in_time(comparison));
+}
+
 proptest! {
     #![proptest_config(config())]
 
     #[test]
     fn sqlite_does_what_the_model_does(steps in vec(step(), 1..70)) {
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
-        runtime.block_on(compare(steps));
+        run(async { compare(World::sqlite().await, steps).await });
+    }
+
+    #[test]
+    fn postgres_does_what_the_model_does(steps in vec(step(), 1..70)) {
+        run(async { compare(World::postgres().await, steps).await });
     }
 }

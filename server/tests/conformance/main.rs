@@ -3,12 +3,18 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
 mod bakes;
+mod batch;
+mod bearers;
+mod crash;
 mod durability;
 mod failure;
 mod graph;
 mod hints;
 mod history;
 mod leases;
+#[path = "../parts/mod.rs"]
+mod parts;
+mod replicas;
 mod reuse;
 mod support;
 mod views;
@@ -17,10 +23,19 @@ mod views;
 macro_rules! conformance {
     ($($module:ident: $($test:ident)+;)+) => {
         mod memory {
-            $($(#[tokio::test] async fn $test() { crate::$module::$test(crate::support::World::memory()).await; })+)+
+            use crate::support::{World, in_time};
+
+            $($(#[tokio::test] async fn $test() { in_time(crate::$module::$test(World::memory().await)).await; })+)+
         }
         mod sqlite {
-            $($(#[tokio::test] async fn $test() { crate::$module::$test(crate::support::World::sqlite().await).await; })+)+
+            use crate::support::{World, in_time};
+
+            $($(#[tokio::test] async fn $test() { in_time(crate::$module::$test(World::sqlite().await)).await; })+)+
+        }
+        mod postgres {
+            use crate::support::{World, in_time};
+
+            $($(#[tokio::test] async fn $test() { in_time(crate::$module::$test(World::postgres().await)).await; })+)+
         }
     };
 }
@@ -38,6 +53,10 @@ conformance! {
         priority_then_age_then_cost_then_key_decide_the_order
         changed_priority_changes_the_order
         unknown_bake_is_an_error;
+    bearers:
+        bearers_are_listed_by_name_also_when_revoked
+        name_of_a_bearer_is_given_once
+        revoking_again_changes_nothing;
     graph:
         dependants_start_only_after_commit
         lease_carries_the_outputs_of_dependencies

@@ -1,17 +1,28 @@
 //! A farm to test, tasks to run on it, and a worker's everyday moves.
 
 use std::sync::Arc;
+use std::time::Duration;
 
+use crate::parts::postgres::empty_schema;
 use lightkiln_proto::api::{Bake, BakeEvent, BakeState, ClaimRequest, CommitVerdict, Lease, NewBake};
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{Artefact, TaskInput, TaskResult, TaskSpec};
 use lightkiln_server::clock::ManualClock;
-use lightkiln_server::store::{FarmStore, MemoryStore, SqliteStore, Submission};
+use lightkiln_server::store::{FarmStore, MemoryStore, SqlStore, Submission};
 
 /// Lease length of the tests' claims.
 pub const TTL_SECS: u32 = 30;
 /// The same in milliseconds.
 pub const TTL_MS: i64 = 30_000;
+
+/// Longest that one thing may take, however busy the machine is.
+const LIMIT: Duration = Duration::from_secs(240);
+
+/// Waits for something that must come.
+pub async fn in_time<T>(future: impl Future<Output = T>) -> T {
+    let Ok(value) = tokio::time::timeout(LIMIT, future).await else { panic!("not done within {LIMIT:?}") };
+    value
+}
 
 /// A store over a clock that stands still.
 pub struct World {
@@ -19,6 +30,9 @@ pub struct World {
     pub clock: Arc<ManualClock>,
     _folder: Option<tempfile::TempDir>,
 }
+
+/// Where every world's clock stands at first.
+const START_MS: i64 = 1_000_000;
 
 /// A task of kind `work` with that name and those dependencies.
 pub fn task(name: &str, needs: &[&TaskSpec]) -> TaskSpec {
@@ -62,16 +76,24 @@ pub fn result(lease: &Lease, plan: &[TaskSpec]) -> TaskResult {
 }
 
 impl World {
-    pub fn memory() -> Self {
-        let clock = Arc::new(ManualClock::at(1_000_000));
+    pub async fn memory() -> Self {
+        let clock = Arc::new(ManualClock::at(START_MS));
         Self { store: Arc::new(MemoryStore::new(clock.clone())), clock, _folder: None }
     }
 
     pub async fn sqlite() -> Self {
-        let clock = Arc::new(ManualClock::at(1_000_000));
+        let clock = Arc::new(ManualClock::at(START_MS));
         let folder = tempfile::tempdir().unwrap();
-        let store = SqliteStore::open(&folder.path().join("farm.sqlite"), clock.clone()).await.unwrap();
+        let path = folder.path().join("farm.sqlite");
+        let store = SqlStore::open_sqlite(&path, clock.clone()).await.unwrap();
         Self { store: Arc::new(store), clock, _folder: Some(folder) }
+    }
+
+    pub async fn postgres() -> Self {
+        let clock = Arc::new(ManualClock::at(START_MS));
+        let url = empty_schema().await;
+        let store = SqlStore::open_postgres(&url, Some(clock.clone())).await.unwrap();
+        Self { store: Arc::new(store), clock, _folder: None }
     }
 
     pub async fn submit(&self, name: &str, plan: &[TaskSpec]) -> Bake {

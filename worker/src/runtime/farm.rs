@@ -13,8 +13,9 @@ use lightkiln_proto::problem::{Problem, RetryClass};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use thiserror::Error;
-use ureq::http::{Response, header};
-use ureq::{Agent, Body};
+use ureq::http::{HeaderValue, Request, Response, header};
+use ureq::middleware::MiddlewareNext;
+use ureq::{Agent, Body, SendBody};
 
 /// Longest time for a small call to be answered.
 const CALL_TIMEOUT: Duration = Duration::from_secs(15);
@@ -77,6 +78,11 @@ impl CallError {
         matches!(self, Self::TooLarge { .. }) || self.is_status(413)
     }
 
+    /// Whether the server wants a token, or another one.
+    pub fn is_about_tokens(&self) -> bool {
+        self.is_status(401) || self.is_status(403)
+    }
+
     fn is_status(&self, wanted: u16) -> bool {
         match self {
             Self::NoAnswer { .. } | Self::TooLarge { .. } => false,
@@ -94,14 +100,23 @@ pub(super) struct Farm {
 }
 
 impl Farm {
-    /// Calls go to `server_url`, for example `http://farm.local:7410`.
-    pub(super) fn new(server_url: &str) -> Self {
+    /// Calls go to `server_url`, for example `http://farm.local:7410`, with a bearer token if there is one.
+    pub(super) fn new(server_url: &str, token: Option<&str>) -> Self {
         let mut config = Agent::config_builder()
             .http_status_as_error(false)
             .timeout_connect(Some(CALL_TIMEOUT))
             .timeout_global(Some(CALL_TIMEOUT));
         if is_loopback(server_url) {
             config = config.proxy(None);
+        }
+        // One that no header can hold is left out, and the server says that it is missing.
+        let authorization = token.map(|token| HeaderValue::try_from(format!("Bearer {token}")));
+        if let Some(Ok(mut authorization)) = authorization {
+            authorization.set_sensitive(true);
+            config = config.middleware(move |mut request: Request<SendBody>, next: MiddlewareNext| {
+                request.headers_mut().insert(header::AUTHORIZATION, authorization.clone());
+                next.handle(request)
+            });
         }
         let base_url = server_url.trim_end_matches('/').to_owned();
         Self { agent: config.build().new_agent(), base_url }

@@ -41,6 +41,8 @@ const EMPTY_ANSWER_PAUSE: Duration = Duration::from_millis(20);
 pub struct WorkerConfig {
     /// Base URL of the server.
     pub server_url: String,
+    /// Bearer token, if the farm asks for one; visible ASCII.
+    pub token: Option<String>,
     /// Name on the farm; unique there, as a worker that failed a task is not given it again.
     pub name: String,
     /// Threads for a task. More → faster, with more memory in use.
@@ -64,6 +66,7 @@ impl WorkerConfig {
     pub fn new(server_url: impl Into<String>, name: impl Into<String>) -> Self {
         Self {
             server_url: server_url.into(),
+            token: None,
             name: name.into(),
             threads: std::thread::available_parallelism().map_or(1, usize::from),
             cache_dir: None,
@@ -126,7 +129,7 @@ impl Worker {
             .thread_name(|index| format!("bake-{index}"))
             .build()
             .map_err(|source| WorkerError::Threads { threads, source })?;
-        let farm = Arc::new(Farm::new(&config.server_url));
+        let farm = Arc::new(Farm::new(&config.server_url, config.token.as_deref()));
         let memory = MemoryCache::new(config.memory_bytes);
         Ok(Self { config, runner, farm, disk, memory, pool })
     }

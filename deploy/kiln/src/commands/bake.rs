@@ -48,8 +48,8 @@ pub struct Arguments {
     evaluate: bool,
     #[command(flatten)]
     wanted: EvaluationArguments,
-    /// Ends with one JSON object on standard output: bake, scene, out, receivers, probes, clusters, tasks_run,
-    /// tasks_reused, mean_rank, rank_max, rays_closest, rays_occlusion, uncovered_fraction, bytes_total,
+    /// Ends with one JSON object on standard output: bake, scene, out, receivers, probes, patches, clusters,
+    /// tasks_run, tasks_reused, mean_rank, rank_max, rays_closest, rays_occlusion, uncovered_fraction, bytes_total,
     /// bytes_per_receiver, elapsed_secs, stages; with --evaluate also evaluation
     #[arg(long)]
     json: bool,

@@ -13,5 +13,6 @@ pub mod settings;
 pub mod show;
 pub mod submit;
 pub mod submitting;
+pub mod token;
 pub mod watch;
 pub mod worker;

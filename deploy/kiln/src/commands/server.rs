@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::Args;
+use lightkiln_server::places::{ChunksPlace, DatabasePlace};
 use lightkiln_server::{Config, Server};
 use lightkiln_worker::runtime::Level;
 use tokio::runtime::Runtime;
@@ -22,13 +23,21 @@ pub struct Arguments {
     /// Address and port to listen on; port 0 takes a free one. The address is printed on standard output
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:7410")]
     listen: String,
-    /// Listens on addresses that other machines can reach, although nobody is asked for a password: whoever reaches
-    /// the port can submit, read and cancel bakes
+    /// Listens on addresses that other machines can reach, although nobody has a token: whoever reaches the port can
+    /// submit, read and cancel bakes. Without need where 'kiln token' made tokens
     #[arg(long)]
     allow_non_loopback: bool,
     /// Folder for queue and chunks [default: server in the state folder of 'kiln bake']
     #[arg(long, value_name = "DIR")]
     state: Option<PathBuf>,
+    /// Database of the queue: sqlite:PATH, or postgres://USER:PASSWORD@HOST/NAME, which any number of servers may
+    /// share [default: a file in the state folder]
+    #[arg(long, value_name = "URL", env = "KILN_DATABASE", hide_env_values = true)]
+    database: Option<DatabasePlace>,
+    /// Store of the chunks: a folder, or s3://BUCKET/PREFIX with keys, region and endpoint in the usual variables
+    /// AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY, AWS_REGION and AWS_ENDPOINT_URL [default: a folder in the state folder]
+    #[arg(long, value_name = "URL", env = "KILN_CHUNKS")]
+    chunks: Option<ChunksPlace>,
 }
 
 /// Serves until a signal comes.
@@ -38,7 +47,12 @@ pub fn run(arguments: Arguments) -> Result<()> {
         Some(state) => state,
         None => default_state()?.join("server"),
     };
-    let config = Config { allow_non_loopback: arguments.allow_non_loopback, ..Config::new(&state) };
+    let config = Config {
+        allow_non_loopback: arguments.allow_non_loopback,
+        database: arguments.database,
+        chunks: arguments.chunks,
+        ..Config::new(&state)
+    };
     let failed =
         |what: &str, error: &(dyn StdError + 'static)| Failure::new(Exit::Failed, what).caused_by(error);
     let runtime = Runtime::new().map_err(|error| failed("the server's threads cannot be started", &error))?;

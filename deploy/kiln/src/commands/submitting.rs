@@ -59,7 +59,22 @@ impl PackedScene {
 
 /// A server that answers quickly or not at all; its waits end on Ctrl-C.
 pub fn connect(url: &str, interrupt: &Interrupt) -> Result<ApiClient> {
-    Ok(ApiClient::new(url, None)?.with_retry(FIRST_CONTACT).with_stop(interrupt.stop()))
+    Ok(ApiClient::new(url, own_token()?)?.with_retry(FIRST_CONTACT).with_stop(interrupt.stop()))
+}
+
+/// The token for calls to a farm, from the variable `KILN_TOKEN`: command lines can be read by others.
+pub fn own_token() -> Result<Option<String>> {
+    let Some(token) = std::env::var_os("KILN_TOKEN").filter(|token| !token.is_empty()) else {
+        return Ok(None);
+    };
+    let token = token.into_string().ok().filter(|token| token.bytes().all(|byte| byte.is_ascii_graphic()));
+    let wrong = || {
+        Failure::bad_input(
+            "KILN_TOKEN holds what no token has: spaces, line ends or letters that are not ASCII",
+        )
+        .try_this("KILN_TOKEN with what 'kiln token create' printed")
+    };
+    token.map(Some).ok_or_else(wrong)
 }
 
 /// Differs between runs, so that baking a scene again is a new bake; stays the same over the tries of one call.

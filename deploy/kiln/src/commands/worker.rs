@@ -8,6 +8,7 @@ use lightkiln_worker::prt::PrtRunner;
 use lightkiln_worker::runtime::{Worker, WorkerConfig, WorkerError};
 
 use super::bake::all_processors;
+use super::submitting::own_token;
 use crate::arguments::ServerArgument;
 use crate::embedded::default_state;
 use crate::failure::{Exit, Failure, Result};
@@ -47,6 +48,7 @@ pub fn run(arguments: Arguments) -> Result<()> {
         None => default_state()?.join("worker"),
     };
     let mut config = WorkerConfig::new(&arguments.server.server, arguments.name.unwrap_or_else(default_name));
+    config.token = own_token()?;
     config.threads = arguments.threads.map_or_else(all_processors, usize::from);
     config.cache_dir = Some(cache);
     config.lease_secs = arguments.lease_secs;
@@ -67,6 +69,9 @@ fn worker_failure(error: WorkerError) -> Failure {
     let (exit, next_step) = match &error {
         WorkerError::Cache { .. } => (Exit::BadInput, "another folder with --cache DIR"),
         WorkerError::Threads { .. } => (Exit::BadInput, "fewer threads with --threads N"),
+        WorkerError::Refused(error) if error.is_about_tokens() => {
+            (Exit::BadInput, "KILN_TOKEN with a token of the scope 'worker', from 'kiln token create'")
+        }
         WorkerError::Refused(_) => {
             (Exit::Unreachable, "the URL of a Lightkiln server of this version with --server")
         }

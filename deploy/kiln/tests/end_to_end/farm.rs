@@ -8,14 +8,14 @@ use lightkiln_proto::api::EventKind;
 use super::processes::{LIMIT, Server, kiln, run};
 use super::{SMALL, bundle, cornell};
 
-fn arguments(command: &str, more: &[&str]) -> Vec<String> {
+pub fn arguments(command: &str, more: &[&str]) -> Vec<String> {
     let mut arguments = vec![command.to_owned(), cornell().display().to_string()];
     arguments.extend(SMALL.map(str::to_owned));
     arguments.extend(more.iter().map(|argument| (*argument).to_owned()));
     arguments
 }
 
-fn embedded_bundle(folder: &Path) -> std::collections::BTreeMap<String, String> {
+pub fn embedded_bundle(folder: &Path) -> std::collections::BTreeMap<String, String> {
     let out = folder.join("embedded");
     run(kiln(&folder.join("state")), &arguments("bake", &["--out", &out.display().to_string()]), 0);
     bundle(&out)
@@ -36,7 +36,7 @@ fn farm_gives_the_embedded_bakes_chunks_with_one_two_and_four_threads() {
 }
 
 /// Waits until a task of `kind` is held by a worker or done.
-fn wait_for_stage(client: &ApiClient, bake: &str, kind: &str) {
+pub fn wait_for_stage(client: &ApiClient, bake: &str, kind: &str) {
     let deadline = std::time::Instant::now() + LIMIT;
     let mut seen = 0;
     loop {

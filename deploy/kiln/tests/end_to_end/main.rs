@@ -6,7 +6,11 @@ mod commands;
 mod embedded;
 mod evaluation;
 mod farm;
+#[path = "../../../../server/tests/parts/mod.rs"]
+mod parts;
 mod processes;
+mod replicas;
+mod tokens;
 mod wrong_input;
 
 use std::collections::BTreeMap;

@@ -130,16 +130,25 @@ fn wait_for_line<T>(lines: &Receiver<String>, pick: impl Fn(&str) -> Option<T>) 
 /// `kiln server` on a free port, over `state`.
 pub struct Server {
     pub url: String,
-    _process: Running,
+    process: Running,
 }
 
 impl Server {
     pub fn start(state: &Path) -> Self {
-        let mut command = kiln(state);
-        command.args(["server", "--listen", "127.0.0.1:0"]);
+        Self::start_with(kiln(state), &[])
+    }
+
+    /// The same with more arguments, and with what else `command` has.
+    pub fn start_with(mut command: Command, arguments: &[&str]) -> Self {
+        command.args(["server", "--listen", "127.0.0.1:0"]).args(arguments);
         let process = Running::start(command);
         let url = process.stdout_line(|line| line.strip_prefix("listening on ").map(str::to_owned));
-        Self { url, _process: process }
+        Self { url, process }
+    }
+
+    /// Sends a signal by name.
+    pub fn signal(&self, name: &str) {
+        self.process.signal(name);
     }
 
     /// `kiln worker` for this server, with a cache of its own and the shortest lease.

@@ -6,6 +6,7 @@ use lightkiln_proto::api::{Bake, BakeEvent, BakeState, EventKind, NewBake};
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{Artefact, MANIFEST_OUTPUT, REPORT_OUTPUT, TaskResult, TaskSpec};
 
+use crate::access::Bearer;
 use crate::store::rules::{self, add_counters, check_plan, is_same_task};
 use crate::store::{KnownResult, PlanError, StoreError, Submission, Submitted, require_live, token};
 
@@ -19,6 +20,8 @@ pub(super) struct Farm {
     pub(super) leases: BTreeMap<String, LeaseEntry>,
     /// By name.
     pub(super) workers: BTreeMap<String, WorkerEntry>,
+    /// By name.
+    pub(super) bearers: BTreeMap<String, Bearer>,
 }
 
 #[derive(Clone)]
@@ -129,7 +132,7 @@ impl Farm {
         }
         check_plan(&submission.plan)?;
         let index = self.bakes.len();
-        self.bakes.push(BakeEntry::new(submission, token::new_bake_id()?, now_ms));
+        self.bakes.push(BakeEntry::new(submission, token::random_id()?, now_ms));
         self.event(index, now_ms, EventKind::Submitted);
         self.apply_plan(index, &submission.plan, now_ms)?;
         self.finish_if_done(index, now_ms);

@@ -6,18 +6,21 @@ mod farm;
 mod leases;
 mod view;
 
+use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use async_trait::async_trait;
 use lightkiln_proto::api::{
     Bake, BakePage, BakeState, Blame, ClaimRequest, CommitVerdict, EventPage, HeartbeatAnswer, Lease, Worker,
 };
-use lightkiln_proto::ids::TaskKey;
+use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{TaskResult, TaskSpec};
 
 use super::{
     FailVerdict, FarmStore, KnownResult, Reaped, Stats, StoreError, Submission, Submitted, require_live,
+    same_bearer,
 };
+use crate::access::{Bearer, Scope};
 use crate::clock::Clock;
 use farm::Farm;
 
@@ -128,6 +131,34 @@ impl FarmStore for MemoryStore {
 
     async fn workers(&self) -> Result<Vec<Worker>, StoreError> {
         Ok(self.farm().workers(self.now_ms()))
+    }
+
+    async fn add_bearer(
+        &self,
+        name: &str,
+        hash: Digest,
+        scopes: &BTreeSet<Scope>,
+    ) -> Result<Bearer, StoreError> {
+        let mut farm = self.farm();
+        if let Some(found) = farm.bearers.get(name) {
+            return same_bearer(found.clone(), hash);
+        }
+        let (name, scopes) = (name.to_owned(), scopes.clone());
+        let bearer = Bearer { name, hash, scopes, created_ms: self.now_ms(), revoked_ms: None };
+        farm.bearers.insert(bearer.name.clone(), bearer.clone());
+        Ok(bearer)
+    }
+
+    async fn revoke_bearer(&self, name: &str) -> Result<Bearer, StoreError> {
+        let mut farm = self.farm();
+        let bearer = farm.bearers.get_mut(name);
+        let bearer = bearer.ok_or_else(|| StoreError::NoSuchBearer { name: name.to_owned() })?;
+        bearer.revoked_ms.get_or_insert(self.now_ms());
+        Ok(bearer.clone())
+    }
+
+    async fn bearers(&self) -> Result<Vec<Bearer>, StoreError> {
+        Ok(self.farm().bearers.values().cloned().collect())
     }
 
     async fn stats(&self) -> Result<Stats, StoreError> {

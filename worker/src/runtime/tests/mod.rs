@@ -156,7 +156,7 @@ fn heartbeat_without_an_answer_is_soon_sent_again() {
     let server = FakeFarm::start();
     server.state().refuse = vec!["POST /v1/leases/t1/heartbeat"];
     let watch = LeaseWatch {
-        farm: &Farm::new(server.url()),
+        farm: &Farm::new(server.url(), None),
         token: "t1",
         interval: LIMIT,
         grace: Duration::ZERO,

@@ -1,10 +1,9 @@
 //! Bakes: submit, pause, resume, cancel, priority.
 
 use lightkiln_proto::api::{Bake, BakeState, EventKind};
-use sqlx::Row;
 
-use super::Conn;
-use super::db::to_json;
+use super::codec::to_json;
+use super::conn::{Conn, query};
 use super::ledger::{Ledger, seq_of};
 use super::plan::apply_plan;
 use super::view;
@@ -30,31 +29,31 @@ pub(super) async fn submit(
 
 async fn submitted_before(conn: &mut Conn, submission: &Submission) -> Result<Option<Bake>, StoreError> {
     let Some(key) = &submission.idempotency_key else { return Ok(None) };
-    let query = sqlx::query("SELECT id, body_hash FROM bakes WHERE idempotency_key = ?").bind(key);
-    let Some(row) = query.fetch_optional(&mut *conn).await? else { return Ok(None) };
-    if row.try_get::<String, _>("body_hash")? != submission.body_hash.to_string() {
+    let query = query("SELECT id, body_hash FROM bakes WHERE idempotency_key = $1").bind(key);
+    let Some(row) = query.optional(conn).await? else { return Ok(None) };
+    if row.text("body_hash")? != submission.body_hash.to_string() {
         return Err(StoreError::IdempotencyConflict { key: key.clone() });
     }
-    Ok(Some(view::bake(conn, row.try_get("id")?).await?))
+    Ok(Some(view::bake(conn, &row.text("id")?).await?))
 }
 
 async fn insert(conn: &mut Conn, submission: &Submission, now_ms: i64) -> Result<i64, StoreError> {
     let sql =
         "INSERT INTO bakes (id, idempotency_key, body_hash, name, kind, scene, settings, priority, state,
                open_count, tasks_run, tasks_reused, counters, counters_reused, created_ms, last_event)
-               VALUES (?, ?, ?, ?, ?, ?, ?, ?, 'running', 0, 0, 0, '{}', '{}', ?, 0) RETURNING seq";
+               VALUES ($1, $2, $3, $4, $5, $6, $7, $8, 'running', 0, 0, 0, '{}', '{}', $9, 0) RETURNING seq";
     let new = &submission.bake;
-    let query = sqlx::query_scalar(sql)
-        .bind(token::new_bake_id()?)
+    let query = query(sql)
+        .bind(token::random_id()?)
         .bind(&submission.idempotency_key)
         .bind(submission.body_hash.to_string())
         .bind(&new.name)
         .bind(&new.kind)
         .bind(new.scene.to_string())
         .bind(to_json(&new.settings)?)
-        .bind(i64::from(new.priority))
+        .bind(new.priority)
         .bind(now_ms);
-    Ok(query.fetch_one(conn).await?)
+    query.one(conn).await?.get("seq")
 }
 
 /// Pauses or resumes.
@@ -86,11 +85,7 @@ pub(super) async fn cancel(conn: &mut Conn, id: &str, now_ms: i64) -> Result<Bak
 
 pub(super) async fn reprioritise(conn: &mut Conn, id: &str, priority: i32) -> Result<Bake, StoreError> {
     let bake = load_live(conn, id, "given another priority").await?;
-    sqlx::query("UPDATE bakes SET priority = ? WHERE seq = ?")
-        .bind(i64::from(priority))
-        .bind(bake.seq)
-        .execute(&mut *conn)
-        .await?;
+    query("UPDATE bakes SET priority = $1 WHERE seq = $2").bind(priority).bind(bake.seq).run(conn).await?;
     view::bake(conn, id).await
 }
 

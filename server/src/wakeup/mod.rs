@@ -3,10 +3,14 @@
 //! Lossy by contract: a hint may never arrive. Who waits also looks again after a while by itself, and nothing but
 //! the store is believed.
 
+mod postgres;
+
 use std::time::Duration;
 
 use async_trait::async_trait;
 use tokio::sync::watch;
+
+pub use postgres::PostgresWakeup;
 
 /// Wakes waiting calls early, perhaps.
 #[async_trait]

@@ -2,10 +2,10 @@
 
 use lightkiln_proto::api::{BakeState, Blame, CommitVerdict, EventKind};
 use lightkiln_proto::jobs::{Artefact, TaskResult};
-use sqlx::Row;
 
-use super::Conn;
-use super::db::{from_json, to_column, to_json};
+use super::batch::Waiting;
+use super::codec::to_json;
+use super::conn::{Conn, query};
 use super::leases::{self, Ended, requeue};
 use super::ledger::{Ledger, live_bakes_of};
 use super::plan::apply_plan;
@@ -34,10 +34,23 @@ pub(super) async fn commit(
     Ok(CommitVerdict::Committed)
 }
 
+/// Commits one after the other, as if each had come alone.
+pub(super) async fn commit_all(
+    conn: &mut Conn,
+    batch: &[Waiting],
+    now_ms: i64,
+) -> Result<Vec<CommitVerdict>, StoreError> {
+    let mut verdicts = Vec::with_capacity(batch.len());
+    for waiting in batch {
+        verdicts.push(commit(conn, &waiting.token, &waiting.result, now_ms).await?);
+    }
+    Ok(verdicts)
+}
+
 async fn was_committed(conn: &mut Conn, token: &str, result: &TaskResult) -> Result<bool, StoreError> {
-    let query = sqlx::query("SELECT outputs FROM results WHERE token = ?").bind(token);
-    let Some(row) = query.fetch_optional(conn).await? else { return Ok(false) };
-    let outputs: Vec<Artefact> = from_json(row.try_get("outputs")?, "outputs")?;
+    let read = query("SELECT outputs FROM results WHERE token = $1").bind(token);
+    let Some(row) = read.optional(conn).await? else { return Ok(false) };
+    let outputs: Vec<Artefact> = row.json("outputs")?;
     if outputs != result.outputs {
         tracing::warn!("an attempt committed twice with different outputs; the first result stays");
     }
@@ -50,30 +63,30 @@ async fn write_result(
     ended: &Ended,
     result: &TaskResult,
 ) -> Result<(), StoreError> {
-    sqlx::query("INSERT INTO results VALUES (?, ?, ?, ?, ?)")
+    query("INSERT INTO results VALUES ($1, $2, $3, $4, $5)")
         .bind(ended.task)
         .bind(token)
         .bind(to_json(&result.outputs)?)
         .bind(to_json(&result.plan)?)
         .bind(to_json(&result.counters)?)
-        .execute(&mut *conn)
+        .run(conn)
         .await?;
-    sqlx::query("UPDATE tasks SET state = 'done' WHERE id = ?").bind(ended.task).execute(conn).await?;
+    query("UPDATE tasks SET state = 'done' WHERE id = $1").bind(ended.task).run(conn).await?;
     Ok(())
 }
 
 async fn unlock_dependants(conn: &mut Conn, task: i64) -> Result<(), StoreError> {
     for sql in [
         "UPDATE tasks SET waiting_count = waiting_count - 1
-         WHERE id IN (SELECT task FROM task_needs WHERE needs = ?) AND state <> 'done'",
+         WHERE id IN (SELECT task FROM task_needs WHERE needs = $1) AND state <> 'done'",
         "INSERT INTO ready SELECT m.bake, t.cost, t.key, t.id, t.kind, t.not_before_ms
          FROM task_needs n JOIN tasks t ON t.id = n.task JOIN bake_tasks m ON m.task = t.id
          JOIN bakes b ON b.seq = m.bake
-         WHERE n.needs = ? AND t.state = 'waiting' AND t.waiting_count = 0 AND b.state IN ('running', 'paused')",
+         WHERE n.needs = $1 AND t.state = 'waiting' AND t.waiting_count = 0 AND b.state IN ('running', 'paused')",
         "UPDATE tasks SET state = 'ready'
-         WHERE id IN (SELECT task FROM task_needs WHERE needs = ?) AND state = 'waiting' AND waiting_count = 0",
+         WHERE id IN (SELECT task FROM task_needs WHERE needs = $1) AND state = 'waiting' AND waiting_count = 0",
     ] {
-        sqlx::query(sql).bind(task).execute(&mut *conn).await?;
+        query(sql).bind(task).run(conn).await?;
     }
     Ok(())
 }
@@ -85,20 +98,14 @@ async fn count_done(
     result: &TaskResult,
     now_ms: i64,
 ) -> Result<(), StoreError> {
-    sqlx::query("UPDATE bake_tasks SET done = 1 WHERE bake = ? AND task = ?")
+    query("UPDATE bake_tasks SET done = 1 WHERE bake = $1 AND task = $2")
         .bind(bake.seq)
         .bind(ended.task)
-        .execute(&mut *conn)
+        .run(conn)
         .await?;
-    let sql = "UPDATE stages SET done = done + 1, leased = leased - 1, cost_done = cost_done + ?,
-               last_commit_ms = ? WHERE bake = ? AND kind = ?";
-    sqlx::query(sql)
-        .bind(to_column(ended.cost))
-        .bind(now_ms)
-        .bind(bake.seq)
-        .bind(&ended.kind)
-        .execute(conn)
-        .await?;
+    let sql = "UPDATE stages SET done = done + 1, leased = leased - 1, cost_done = cost_done + $1,
+               last_commit_ms = $2 WHERE bake = $3 AND kind = $4";
+    query(sql).bind(ended.cost).bind(now_ms).bind(bake.seq).bind(&ended.kind).run(conn).await?;
     bake.open_count -= 1;
     bake.tasks_run += 1;
     add_counters(&mut bake.counters, &result.counters);
@@ -126,10 +133,10 @@ pub(super) async fn fail(
         return Ok(FailVerdict::GivenUp);
     }
     let not_before_ms = now_ms + rules::backoff_ms(ended.attempts + 1);
-    sqlx::query("UPDATE tasks SET not_before_ms = ? WHERE id = ?")
+    query("UPDATE tasks SET not_before_ms = $1 WHERE id = $2")
         .bind(not_before_ms)
         .bind(ended.task)
-        .execute(&mut *conn)
+        .run(conn)
         .await?;
     requeue(conn, &ended, now_ms).await?;
     for bake in live_bakes_of(conn, ended.task).await? {
@@ -148,18 +155,14 @@ async fn blame_worker(
     now_ms: i64,
 ) -> Result<bool, StoreError> {
     let attempts = ended.attempts + 1;
-    sqlx::query("UPDATE tasks SET attempts = ? WHERE id = ?")
-        .bind(i64::from(attempts))
-        .bind(ended.task)
-        .execute(&mut *conn)
-        .await?;
-    sqlx::query("INSERT OR IGNORE INTO blames VALUES (?, ?)")
+    query("UPDATE tasks SET attempts = $1 WHERE id = $2").bind(attempts).bind(ended.task).run(conn).await?;
+    query("INSERT INTO blames VALUES ($1, $2) ON CONFLICT DO NOTHING")
         .bind(ended.task)
         .bind(&ended.worker)
-        .execute(&mut *conn)
+        .run(conn)
         .await?;
-    let count = sqlx::query_scalar("SELECT count(*) FROM blames WHERE task = ?").bind(ended.task);
-    let workers: u32 = count.fetch_one(&mut *conn).await?;
+    let count = query("SELECT count(*) AS workers FROM blames WHERE task = $1").bind(ended.task);
+    let workers = u32::try_from(count.one(conn).await?.count("workers")?).unwrap_or(u32::MAX);
     if !rules::is_given_up(attempts, workers) {
         return Ok(false);
     }
@@ -197,11 +200,11 @@ fn task_failed(ended: &Ended, message: &str, retry: bool) -> EventKind {
 
 pub(super) async fn reap(conn: &mut Conn, now_ms: i64) -> Result<Reaped, StoreError> {
     let sql = "SELECT l.token FROM leases l LEFT JOIN tasks t ON t.id = l.task
-               WHERE l.expires_ms <= ? ORDER BY l.expires_ms, t.key";
-    let tokens: Vec<String> = sqlx::query_scalar(sql).bind(now_ms).fetch_all(&mut *conn).await?;
+               WHERE l.expires_ms <= $1 ORDER BY l.expires_ms, t.key";
+    let rows = query(sql).bind(now_ms).all(conn).await?;
     let mut reaped = Reaped::default();
-    for token in tokens {
-        let Some(ended) = leases::take(conn, &token).await? else { continue };
+    for row in rows {
+        let Some(ended) = leases::take(conn, &row.text("token")?).await? else { continue };
         reaped.expired += 1;
         for bake in live_bakes_of(conn, ended.task).await? {
             let mut bake = Ledger::load(conn, bake).await?;

@@ -5,10 +5,9 @@ use std::collections::BTreeMap;
 use lightkiln_proto::api::{BakeState, EventKind};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{Artefact, MANIFEST_OUTPUT, REPORT_OUTPUT};
-use sqlx::Row;
 
-use super::Conn;
-use super::db::{corrupt, digest, from_column, from_json, to_column, to_json};
+use super::codec::to_json;
+use super::conn::{Conn, corrupt, query};
 use crate::store::StoreError;
 
 /// The part of a bake's row that changes, and events not yet written.
@@ -50,37 +49,34 @@ pub(super) fn state_from(name: &str) -> Result<BakeState, StoreError> {
 
 /// Row number of the bake named `id`.
 pub(super) async fn seq_of(conn: &mut Conn, id: &str) -> Result<i64, StoreError> {
-    let seq = sqlx::query_scalar("SELECT seq FROM bakes WHERE id = ?").bind(id).fetch_optional(conn).await?;
-    seq.ok_or_else(|| StoreError::NoSuchBake { bake: id.to_owned() })
+    let seq = query("SELECT seq FROM bakes WHERE id = $1").bind(id).optional(conn).await?;
+    seq.ok_or_else(|| StoreError::NoSuchBake { bake: id.to_owned() })?.get("seq")
 }
 
 /// Live bakes that hold a task, oldest first.
 pub(super) async fn live_bakes_of(conn: &mut Conn, task: i64) -> Result<Vec<i64>, StoreError> {
     let sql = "SELECT b.seq FROM bake_tasks m JOIN bakes b ON b.seq = m.bake
-               WHERE m.task = ? AND b.state IN ('running', 'paused') ORDER BY b.seq";
-    Ok(sqlx::query_scalar(sql).bind(task).fetch_all(conn).await?)
+               WHERE m.task = $1 AND b.state IN ('running', 'paused') ORDER BY b.seq";
+    query(sql).bind(task).all(conn).await?.iter().map(|row| row.get("seq")).collect()
 }
 
 impl Ledger {
     pub(super) async fn load(conn: &mut Conn, seq: i64) -> Result<Self, StoreError> {
-        let row = sqlx::query("SELECT * FROM bakes WHERE seq = ?").bind(seq).fetch_one(conn).await?;
-        let optional_digest = |column: &str| -> Result<Option<Digest>, StoreError> {
-            row.try_get::<Option<String>, _>(column)?.as_deref().map(digest).transpose()
-        };
+        let row = query("SELECT * FROM bakes WHERE seq = $1").bind(seq).one(conn).await?;
         Ok(Self {
             seq,
-            id: row.try_get("id")?,
-            state: state_from(row.try_get("state")?)?,
-            open_count: from_column(row.try_get("open_count")?),
-            tasks_run: from_column(row.try_get("tasks_run")?),
-            tasks_reused: from_column(row.try_get("tasks_reused")?),
-            counters: from_json(row.try_get("counters")?, "counters")?,
-            counters_reused: from_json(row.try_get("counters_reused")?, "counters_reused")?,
-            manifest: optional_digest("manifest")?,
-            report: optional_digest("report")?,
-            failure: row.try_get("failure")?,
-            finished_ms: row.try_get("finished_ms")?,
-            last_event: from_column(row.try_get("last_event")?),
+            id: row.get("id")?,
+            state: state_from(&row.text("state")?)?,
+            open_count: row.count("open_count")?,
+            tasks_run: row.count("tasks_run")?,
+            tasks_reused: row.count("tasks_reused")?,
+            counters: row.json("counters")?,
+            counters_reused: row.json("counters_reused")?,
+            manifest: row.digest_if_any("manifest")?,
+            report: row.digest_if_any("report")?,
+            failure: row.get("failure")?,
+            finished_ms: row.get("finished_ms")?,
+            last_event: row.count("last_event")?,
             events: Vec::new(),
         })
     }
@@ -103,31 +99,31 @@ impl Ledger {
     pub(super) async fn save(&mut self, conn: &mut Conn) -> Result<(), StoreError> {
         for (at_ms, event) in std::mem::take(&mut self.events) {
             self.last_event += 1;
-            sqlx::query("INSERT INTO events VALUES (?, ?, ?, ?)")
+            query("INSERT INTO events VALUES ($1, $2, $3, $4)")
                 .bind(self.seq)
-                .bind(to_column(self.last_event))
+                .bind(self.last_event)
                 .bind(at_ms)
                 .bind(to_json(&event)?)
-                .execute(&mut *conn)
+                .run(conn)
                 .await?;
         }
-        let sql = "UPDATE bakes SET state = ?, open_count = ?, tasks_run = ?, tasks_reused = ?, counters = ?,
-                   counters_reused = ?, manifest = ?, report = ?, failure = ?, finished_ms = ?, last_event = ?
-                   WHERE seq = ?";
-        sqlx::query(sql)
+        let sql = "UPDATE bakes SET state = $1, open_count = $2, tasks_run = $3, tasks_reused = $4, counters = $5,
+                   counters_reused = $6, manifest = $7, report = $8, failure = $9, finished_ms = $10, last_event = $11
+                   WHERE seq = $12";
+        query(sql)
             .bind(state_name(self.state))
-            .bind(to_column(self.open_count))
-            .bind(to_column(self.tasks_run))
-            .bind(to_column(self.tasks_reused))
+            .bind(self.open_count)
+            .bind(self.tasks_run)
+            .bind(self.tasks_reused)
             .bind(to_json(&self.counters)?)
             .bind(to_json(&self.counters_reused)?)
             .bind(self.manifest.map(|digest| digest.to_string()))
             .bind(self.report.map(|digest| digest.to_string()))
             .bind(&self.failure)
             .bind(self.finished_ms)
-            .bind(to_column(self.last_event))
+            .bind(self.last_event)
             .bind(self.seq)
-            .execute(conn)
+            .run(conn)
             .await?;
         Ok(())
     }
@@ -155,14 +151,14 @@ impl Ledger {
         self.event(now_ms, EventKind::State { state });
         self.save(conn).await?;
         for sql in [
-            "DELETE FROM ready WHERE bake = ?",
-            "UPDATE stages SET leased = 0 WHERE bake = ?",
-            "DELETE FROM tasks WHERE id IN (SELECT task FROM bake_tasks WHERE bake = ? AND done = 0)
+            "DELETE FROM ready WHERE bake = $1",
+            "UPDATE stages SET leased = 0 WHERE bake = $1",
+            "DELETE FROM tasks WHERE id IN (SELECT task FROM bake_tasks WHERE bake = $1 AND done = 0)
              AND NOT EXISTS (SELECT 1 FROM bake_tasks o JOIN bakes b ON b.seq = o.bake
                              WHERE o.task = tasks.id AND b.state IN ('running', 'paused'))",
-            "DELETE FROM bake_tasks WHERE bake = ? AND done = 0",
+            "DELETE FROM bake_tasks WHERE bake = $1 AND done = 0",
         ] {
-            sqlx::query(sql).bind(self.seq).execute(&mut *conn).await?;
+            query(sql).bind(self.seq).run(conn).await?;
         }
         Ok(())
     }

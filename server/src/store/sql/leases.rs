@@ -2,10 +2,8 @@
 
 use lightkiln_proto::api::{HeartbeatAnswer, Verdict};
 use lightkiln_proto::ids::TaskKey;
-use sqlx::Row;
 
-use super::Conn;
-use super::db::{digest, from_column};
+use super::conn::{Conn, query};
 use crate::store::StoreError;
 use crate::store::rules::WORKER_SEEN_GRAIN_MS;
 
@@ -26,30 +24,30 @@ pub(super) async fn heartbeat(
     progress: f32,
     now_ms: i64,
 ) -> Result<HeartbeatAnswer, StoreError> {
-    let sql = "SELECT task, worker, ttl_ms, expires_ms FROM leases WHERE token = ?";
-    let Some(row) = sqlx::query(sql).bind(token).fetch_optional(&mut *conn).await? else {
+    let sql = "SELECT task, worker, ttl_ms, expires_ms FROM leases WHERE token = $1";
+    let Some(row) = query(sql).bind(token).optional(conn).await? else {
         return Ok(HeartbeatAnswer { verdict: Verdict::Lost, expires_ms: now_ms });
     };
-    let mut expires_ms: i64 = row.try_get("expires_ms")?;
+    let mut expires_ms: i64 = row.get("expires_ms")?;
     let mut verdict = Verdict::Keep;
-    if row.try_get::<Option<i64>, _>("task")?.is_none() {
+    if row.get::<Option<i64>>("task")?.is_none() {
         verdict = Verdict::Cancel;
     } else if expires_ms <= now_ms {
         verdict = Verdict::Lost;
     } else {
-        expires_ms = now_ms + row.try_get::<i64, _>("ttl_ms")?;
-        sqlx::query("UPDATE leases SET expires_ms = ?, progress = ? WHERE token = ?")
+        expires_ms = now_ms + row.get::<i64>("ttl_ms")?;
+        query("UPDATE leases SET expires_ms = $1, progress = $2 WHERE token = $3")
             .bind(expires_ms)
             .bind(f64::from(progress))
             .bind(token)
-            .execute(&mut *conn)
+            .run(conn)
             .await?;
     }
-    sqlx::query("UPDATE workers SET seen_ms = ?1 WHERE name = ?2 AND ?1 - seen_ms >= ?3")
+    query("UPDATE workers SET seen_ms = $1 WHERE name = $2 AND $1 - seen_ms >= $3")
         .bind(now_ms)
-        .bind(row.try_get::<String, _>("worker")?)
+        .bind(row.text("worker")?)
         .bind(WORKER_SEEN_GRAIN_MS)
-        .execute(conn)
+        .run(conn)
         .await?;
     Ok(HeartbeatAnswer { verdict, expires_ms })
 }
@@ -62,10 +60,10 @@ pub(super) async fn release(conn: &mut Conn, token: &str, now_ms: i64) -> Result
 
 /// Takes a lease that is still good from its holder. A cancelled one goes too, but gives nothing.
 pub(super) async fn end(conn: &mut Conn, token: &str, now_ms: i64) -> Result<Option<Ended>, StoreError> {
-    let sql = "SELECT task, expires_ms FROM leases WHERE token = ?";
-    let Some(row) = sqlx::query(sql).bind(token).fetch_optional(&mut *conn).await? else { return Ok(None) };
-    let cancelled = row.try_get::<Option<i64>, _>("task")?.is_none();
-    if !cancelled && row.try_get::<i64, _>("expires_ms")? <= now_ms {
+    let sql = "SELECT task, expires_ms FROM leases WHERE token = $1";
+    let Some(row) = query(sql).bind(token).optional(conn).await? else { return Ok(None) };
+    let cancelled = row.get::<Option<i64>>("task")?.is_none();
+    if !cancelled && row.get::<i64>("expires_ms")? <= now_ms {
         return Ok(None);
     }
     take(conn, token).await
@@ -74,26 +72,26 @@ pub(super) async fn end(conn: &mut Conn, token: &str, now_ms: i64) -> Result<Opt
 /// Takes a lease, good or not; nothing when it was cancelled or is gone.
 pub(super) async fn take(conn: &mut Conn, token: &str) -> Result<Option<Ended>, StoreError> {
     let sql = "SELECT l.task, l.worker, t.key, t.kind, t.label, t.cost, t.attempts
-               FROM leases l JOIN tasks t ON t.id = l.task WHERE l.token = ?";
-    let row = sqlx::query(sql).bind(token).fetch_optional(&mut *conn).await?;
-    sqlx::query("DELETE FROM leases WHERE token = ?").bind(token).execute(conn).await?;
+               FROM leases l JOIN tasks t ON t.id = l.task WHERE l.token = $1";
+    let row = query(sql).bind(token).optional(conn).await?;
+    query("DELETE FROM leases WHERE token = $1").bind(token).run(conn).await?;
     let Some(row) = row else { return Ok(None) };
     Ok(Some(Ended {
-        task: row.try_get("task")?,
-        key: digest(row.try_get("key")?)?,
-        kind: row.try_get("kind")?,
-        label: row.try_get("label")?,
-        cost: from_column(row.try_get("cost")?),
-        attempts: row.try_get("attempts")?,
-        worker: row.try_get("worker")?,
+        task: row.get("task")?,
+        key: row.digest("key")?,
+        kind: row.get("kind")?,
+        label: row.get("label")?,
+        cost: row.count("cost")?,
+        attempts: u32::try_from(row.count("attempts")?).unwrap_or(u32::MAX),
+        worker: row.get("worker")?,
     }))
 }
 
 /// Makes a task claimable again, or waiting if a dependency was forgotten meanwhile.
 pub(super) async fn requeue(conn: &mut Conn, ended: &Ended, now_ms: i64) -> Result<(), StoreError> {
     let sql =
-        "UPDATE tasks SET state = CASE waiting_count WHEN 0 THEN 'ready' ELSE 'waiting' END WHERE id = ?";
-    sqlx::query(sql).bind(ended.task).execute(&mut *conn).await?;
+        "UPDATE tasks SET state = CASE waiting_count WHEN 0 THEN 'ready' ELSE 'waiting' END WHERE id = $1";
+    query(sql).bind(ended.task).run(conn).await?;
     offer(conn, ended.task).await?;
     change_leased(conn, ended.task, &ended.kind, -1, now_ms).await
 }
@@ -102,8 +100,8 @@ pub(super) async fn requeue(conn: &mut Conn, ended: &Ended, now_ms: i64) -> Resu
 pub(super) async fn offer(conn: &mut Conn, task: i64) -> Result<(), StoreError> {
     let sql = "INSERT INTO ready SELECT m.bake, t.cost, t.key, t.id, t.kind, t.not_before_ms
                FROM tasks t JOIN bake_tasks m ON m.task = t.id JOIN bakes b ON b.seq = m.bake
-               WHERE t.id = ? AND t.state = 'ready' AND b.state IN ('running', 'paused')";
-    sqlx::query(sql).bind(task).execute(conn).await?;
+               WHERE t.id = $1 AND t.state = 'ready' AND b.state IN ('running', 'paused')";
+    query(sql).bind(task).run(conn).await?;
     Ok(())
 }
 
@@ -115,9 +113,9 @@ pub(super) async fn change_leased(
     by: i64,
     now_ms: i64,
 ) -> Result<(), StoreError> {
-    let sql = "UPDATE stages SET leased = leased + ?1, first_claim_ms = coalesce(first_claim_ms, ?2)
-               WHERE kind = ?3 AND bake IN (SELECT m.bake FROM bake_tasks m JOIN bakes b ON b.seq = m.bake
-                                            WHERE m.task = ?4 AND b.state IN ('running', 'paused'))";
-    sqlx::query(sql).bind(by).bind(now_ms).bind(kind).bind(task).execute(conn).await?;
+    let sql = "UPDATE stages SET leased = leased + $1, first_claim_ms = coalesce(first_claim_ms, $2)
+               WHERE kind = $3 AND bake IN (SELECT m.bake FROM bake_tasks m JOIN bakes b ON b.seq = m.bake
+                                            WHERE m.task = $4 AND b.state IN ('running', 'paused'))";
+    query(sql).bind(by).bind(now_ms).bind(kind).bind(task).run(conn).await?;
     Ok(())
 }

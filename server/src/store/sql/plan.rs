@@ -6,10 +6,9 @@ use lightkiln_proto::api::EventKind;
 use lightkiln_proto::ids::TaskKey;
 use lightkiln_proto::jobs::{TaskResult, TaskSpec};
 use serde_json::json;
-use sqlx::Row;
 
-use super::Conn;
-use super::db::{ROWS_PER_STATEMENT, digest, from_column, from_json, to_column, to_json};
+use super::codec::{ROWS_PER_STATEMENT, to_json};
+use super::conn::{Conn, query};
 use super::ledger::Ledger;
 use crate::store::rules::{add_counters, dependencies, is_same_task};
 use crate::store::{PlanError, StoreError};
@@ -138,24 +137,23 @@ impl Addition<'_> {
 
     async fn known(&mut self, layer: &[TaskSpec]) -> Result<BTreeMap<TaskKey, Known>, StoreError> {
         let sql = "SELECT t.id, t.key, t.kind, t.params, t.inputs, t.cost, t.state,
-                   EXISTS (SELECT 1 FROM bake_tasks m WHERE m.bake = ? AND m.task = t.id) AS is_member
-                   FROM json_each(?) j JOIN tasks t ON t.key = j.value";
+                   EXISTS (SELECT 1 FROM bake_tasks m WHERE m.bake = $1 AND m.task = t.id) AS is_member
+                   FROM json_each($2) j JOIN tasks t ON t.key = j.value";
         let mut known = BTreeMap::new();
         for specs in layer.chunks(ROWS_PER_STATEMENT) {
             let keys: Vec<TaskKey> = specs.iter().map(|spec| spec.key).collect();
-            let query = sqlx::query(sql).bind(self.bake.seq).bind(to_json(&keys)?);
-            for row in query.fetch_all(&mut *self.conn).await? {
-                let key = digest(row.try_get("key")?)?;
+            for row in query(sql).bind(self.bake.seq).bind(to_json(&keys)?).all(self.conn).await? {
+                let key = row.digest("key")?;
                 let spec = TaskSpec {
                     key,
-                    kind: row.try_get("kind")?,
+                    kind: row.get("kind")?,
                     label: String::new(),
-                    params: from_json(row.try_get("params")?, "params")?,
-                    inputs: from_json(row.try_get("inputs")?, "inputs")?,
-                    cost: from_column(row.try_get("cost")?),
+                    params: row.json("params")?,
+                    inputs: row.json("inputs")?,
+                    cost: row.count("cost")?,
                 };
-                let (id, state) = (row.try_get("id")?, row.try_get("state")?);
-                known.insert(key, Known { id, spec, state, is_member: row.try_get("is_member")? });
+                let (id, state) = (row.get("id")?, row.get("state")?);
+                known.insert(key, Known { id, spec, state, is_member: row.get("is_member")? });
             }
         }
         Ok(known)
@@ -163,9 +161,14 @@ impl Addition<'_> {
 
     /// Makes new tasks, ready until [`Addition::link`] says otherwise; returns their ids.
     async fn insert_tasks(&mut self, fresh: &BTreeMap<TaskKey, TaskSpec>) -> Result<Vec<i64>, StoreError> {
-        let sql = "INSERT INTO tasks (key, kind, label, params, inputs, cost, state, waiting_count)
-                   SELECT value ->> 0, value ->> 1, value ->> 2, value ->> 3, value ->> 4, value ->> 5, 'ready', 0
-                   FROM json_each(?) RETURNING id, key";
+        let sql = self.conn.pick(
+            "INSERT INTO tasks (key, kind, label, params, inputs, cost, state, waiting_count)
+             SELECT value ->> 0, value ->> 1, value ->> 2, value ->> 3, value ->> 4, value ->> 5, 'ready', 0
+             FROM json_each($1) RETURNING id, key",
+            "INSERT INTO tasks (key, kind, label, params, inputs, cost, state, waiting_count)
+             SELECT v ->> 0, v ->> 1, v ->> 2, v ->> 3, v ->> 4, (v ->> 5)::bigint, 'ready', 0
+             FROM jsonb_array_elements($1::jsonb) AS j (v) RETURNING id, key",
+        );
         let specs: Vec<&TaskSpec> = fresh.values().collect();
         let mut ids = Vec::with_capacity(specs.len());
         for specs in specs.chunks(ROWS_PER_STATEMENT) {
@@ -174,9 +177,9 @@ impl Addition<'_> {
                 let (params, inputs) = (to_json(&spec.params)?, to_json(&spec.inputs)?);
                 rows.push(json!([spec.key, spec.kind, spec.label, params, inputs, spec.cost]));
             }
-            for row in sqlx::query(sql).bind(to_json(&rows)?).fetch_all(&mut *self.conn).await? {
-                let id = row.try_get("id")?;
-                self.ids.insert(digest(row.try_get("key")?)?, id);
+            for row in query(sql).bind(to_json(&rows)?).all(self.conn).await? {
+                let id = row.get("id")?;
+                self.ids.insert(row.digest("key")?, id);
                 ids.push(id);
             }
         }
@@ -184,9 +187,14 @@ impl Addition<'_> {
     }
 
     async fn insert_members(&mut self, members: &[(i64, bool)]) -> Result<(), StoreError> {
-        let sql = "INSERT INTO bake_tasks SELECT ?, value ->> 0, value ->> 1, value ->> 1 FROM json_each(?)";
+        let sql = self.conn.pick(
+            "INSERT INTO bake_tasks SELECT $1, value ->> 0, value ->> 1, value ->> 1 FROM json_each($2)",
+            "INSERT INTO bake_tasks
+             SELECT $1, (v ->> 0)::bigint, (v ->> 1)::boolean::int, (v ->> 1)::boolean::int
+             FROM jsonb_array_elements($2::jsonb) AS j (v)",
+        );
         for members in members.chunks(ROWS_PER_STATEMENT) {
-            sqlx::query(sql).bind(self.bake.seq).bind(to_json(members)?).execute(&mut *self.conn).await?;
+            query(sql).bind(self.bake.seq).bind(to_json(members)?).run(self.conn).await?;
         }
         Ok(())
     }
@@ -194,15 +202,15 @@ impl Addition<'_> {
     /// Takes over the results of tasks that are done; returns what they planned.
     async fn reuse(&mut self, done: &[i64]) -> Result<Vec<TaskSpec>, StoreError> {
         let sql =
-            "SELECT r.outputs, r.plan, r.counters FROM json_each(?) j JOIN results r ON r.task = j.value
+            "SELECT r.outputs, r.plan, r.counters FROM json_each($1) j JOIN results r ON r.task = CAST(j.value AS BIGINT)
                    ORDER BY j.key";
         let mut planned = Vec::new();
         for ids in done.chunks(ROWS_PER_STATEMENT) {
-            for row in sqlx::query(sql).bind(to_json(ids)?).fetch_all(&mut *self.conn).await? {
+            for row in query(sql).bind(to_json(ids)?).all(self.conn).await? {
                 let result = TaskResult {
-                    outputs: from_json(row.try_get("outputs")?, "outputs")?,
-                    plan: from_json(row.try_get("plan")?, "plan")?,
-                    counters: from_json(row.try_get("counters")?, "counters")?,
+                    outputs: row.json("outputs")?,
+                    plan: row.json("plan")?,
+                    counters: row.json("counters")?,
                 };
                 self.bake.note_outputs(&result.outputs);
                 add_counters(&mut self.bake.counters_reused, &result.counters);
@@ -226,18 +234,22 @@ impl Addition<'_> {
             }
         }
         // A task that was there has its edges, unless a dependency was forgotten meanwhile.
-        let sql = "INSERT OR IGNORE INTO task_needs SELECT value ->> 0, value ->> 1 FROM json_each(?)";
+        let sql = self.conn.pick(
+            "INSERT OR IGNORE INTO task_needs SELECT value ->> 0, value ->> 1 FROM json_each($1)",
+            "INSERT INTO task_needs SELECT (v ->> 0)::bigint, (v ->> 1)::bigint
+             FROM jsonb_array_elements($1::jsonb) AS j (v) ON CONFLICT DO NOTHING",
+        );
         for edges in edges.chunks(ROWS_PER_STATEMENT) {
-            sqlx::query(sql).bind(to_json(edges)?).execute(&mut *self.conn).await?;
+            query(sql).bind(to_json(edges)?).run(self.conn).await?;
         }
         let count = "UPDATE tasks SET waiting_count = (SELECT count(*) FROM task_needs n JOIN tasks d ON d.id = n.needs
-                     WHERE n.task = tasks.id AND d.state <> 'done') WHERE id IN (SELECT value FROM json_each(?))";
+                     WHERE n.task = tasks.id AND d.state <> 'done') WHERE id IN (SELECT CAST(value AS BIGINT) FROM json_each($1))";
         let wait = "UPDATE tasks SET state = 'waiting'
-                    WHERE id IN (SELECT value FROM json_each(?)) AND waiting_count > 0";
+                    WHERE id IN (SELECT CAST(value AS BIGINT) FROM json_each($1)) AND waiting_count > 0";
         for fresh in self.fresh.chunks(ROWS_PER_STATEMENT) {
             let fresh = to_json(fresh)?;
-            sqlx::query(count).bind(&fresh).execute(&mut *self.conn).await?;
-            sqlx::query(wait).bind(&fresh).execute(&mut *self.conn).await?;
+            query(count).bind(&fresh).run(self.conn).await?;
+            query(wait).bind(&fresh).run(self.conn).await?;
         }
         self.offer().await
     }
@@ -248,23 +260,22 @@ impl Addition<'_> {
         before.retain(|key| !self.ids.contains_key(key));
         before.sort_unstable();
         before.dedup();
-        let sql = "SELECT t.id, t.key FROM json_each(?) j JOIN tasks t ON t.key = j.value
-                   JOIN bake_tasks m ON m.task = t.id AND m.bake = ?";
+        let sql = "SELECT t.id, t.key FROM json_each($1) j JOIN tasks t ON t.key = j.value
+                   JOIN bake_tasks m ON m.task = t.id AND m.bake = $2";
         for keys in before.chunks(ROWS_PER_STATEMENT) {
-            let query = sqlx::query(sql).bind(to_json(keys)?).bind(self.bake.seq);
-            for row in query.fetch_all(&mut *self.conn).await? {
-                self.ids.insert(digest(row.try_get("key")?)?, row.try_get("id")?);
+            for row in query(sql).bind(to_json(keys)?).bind(self.bake.seq).all(self.conn).await? {
+                self.ids.insert(row.digest("key")?, row.get("id")?);
             }
         }
         Ok(())
     }
 
     async fn offer(&mut self) -> Result<(), StoreError> {
-        let sql = "INSERT INTO ready SELECT ?, t.cost, t.key, t.id, t.kind, t.not_before_ms
-                   FROM json_each(?) j JOIN tasks t ON t.id = j.value WHERE t.state = 'ready'";
+        let sql = "INSERT INTO ready SELECT $1, t.cost, t.key, t.id, t.kind, t.not_before_ms
+                   FROM json_each($2) j JOIN tasks t ON t.id = CAST(j.value AS BIGINT) WHERE t.state = 'ready'";
         let ids: Vec<i64> = self.added.iter().filter_map(|task| self.ids.get(&task.key).copied()).collect();
         for ids in ids.chunks(ROWS_PER_STATEMENT) {
-            sqlx::query(sql).bind(self.bake.seq).bind(to_json(ids)?).execute(&mut *self.conn).await?;
+            query(sql).bind(self.bake.seq).bind(to_json(ids)?).run(self.conn).await?;
         }
         Ok(())
     }
@@ -272,23 +283,24 @@ impl Addition<'_> {
     async fn write_stages(&mut self, now_ms: i64) -> Result<(), StoreError> {
         let sql = "INSERT INTO stages
                    (bake, kind, position, total, done, reused, leased, cost_total, cost_done, first_claim_ms)
-                   VALUES (?1, ?2, (SELECT count(*) FROM stages WHERE bake = ?1), ?3, ?4, ?4, ?5, ?6, ?7, ?8)
+                   VALUES ($1, $2, (SELECT count(*) FROM stages WHERE bake = $1), $3, $4, $4, $5, $6, $7, $8)
                    ON CONFLICT (bake, kind) DO UPDATE SET
-                   total = total + excluded.total, done = done + excluded.done, reused = reused + excluded.reused,
-                   leased = leased + excluded.leased, cost_total = cost_total + excluded.cost_total,
-                   cost_done = cost_done + excluded.cost_done,
-                   first_claim_ms = coalesce(first_claim_ms, excluded.first_claim_ms)";
+                   total = stages.total + excluded.total, done = stages.done + excluded.done,
+                   reused = stages.reused + excluded.reused, leased = stages.leased + excluded.leased,
+                   cost_total = stages.cost_total + excluded.cost_total,
+                   cost_done = stages.cost_done + excluded.cost_done,
+                   first_claim_ms = coalesce(stages.first_claim_ms, excluded.first_claim_ms)";
         for (kind, gain) in &self.stages {
-            sqlx::query(sql)
+            query(sql)
                 .bind(self.bake.seq)
                 .bind(kind)
-                .bind(to_column(gain.total))
-                .bind(to_column(gain.done))
-                .bind(to_column(gain.leased))
-                .bind(to_column(gain.cost_total))
-                .bind(to_column(gain.cost_done))
+                .bind(gain.total)
+                .bind(gain.done)
+                .bind(gain.leased)
+                .bind(gain.cost_total)
+                .bind(gain.cost_done)
                 .bind((gain.leased > 0).then_some(now_ms))
-                .execute(&mut *self.conn)
+                .run(self.conn)
                 .await?;
         }
         Ok(())

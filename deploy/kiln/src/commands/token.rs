@@ -1,0 +1,119 @@
+//! `kiln token`: who may call a farm, and for what.
+
+use std::collections::BTreeSet;
+use std::path::PathBuf;
+
+use clap::{Args, Subcommand};
+use lightkiln_server::access::{Bearer, NewBearer, Scope};
+use lightkiln_server::places::DatabasePlace;
+use lightkiln_server::store::{FarmStore, SqlStore};
+use lightkiln_server::{ServerError, open_store};
+use serde_json::json;
+use tokio::runtime::Runtime;
+
+use crate::embedded::{default_state, server_failure};
+use crate::failure::{Exit, Failure, Result};
+
+/// Arguments of `kiln token`.
+#[derive(Args, Debug)]
+#[command(
+    after_help = "Commands that call a farm, workers too, take their token from the variable KILN_TOKEN. A farm that has \
+                        never had a token asks nobody for one; from the first one on every call needs one. Servers \
+                        notice changes within seconds."
+)]
+pub struct Arguments {
+    /// What to do
+    #[command(subcommand)]
+    action: Action,
+    /// The state folder of the farm's server [default: that of 'kiln server']
+    #[arg(long, value_name = "DIR", global = true)]
+    state: Option<PathBuf>,
+    /// The farm's database, as given to 'kiln server' [default: a file in the state folder]
+    #[arg(long, value_name = "URL", env = "KILN_DATABASE", hide_env_values = true, global = true)]
+    database: Option<DatabasePlace>,
+}
+
+#[derive(Subcommand, Debug)]
+enum Action {
+    /// Makes a token and prints it; it is shown this once and stored nowhere
+    Create {
+        /// Whose it is; unique on the farm, for ever
+        name: String,
+        /// What it opens: read, submit (send and change bakes, and read), worker, admin (everything)
+        #[arg(long = "scope", value_name = "SCOPE", required = true, value_delimiter = ',')]
+        scopes: Vec<Scope>,
+    },
+    /// Lists the tokens of the farm by name
+    List {
+        /// Prints them as JSON
+        #[arg(long)]
+        json: bool,
+    },
+    /// Makes a token useless
+    Revoke {
+        /// Whose it is
+        name: String,
+    },
+}
+
+/// Changes or shows who has tokens.
+pub fn run(arguments: Arguments) -> Result<()> {
+    let state = match arguments.state {
+        Some(state) => state,
+        None => default_state()?.join("server"),
+    };
+    let runtime = Runtime::new()
+        .map_err(|error| Failure::new(Exit::Failed, "no thread can be started").caused_by(&error))?;
+    runtime.block_on(async {
+        let store = open_store(&state, arguments.database.as_ref()).await;
+        let store = store.map_err(|error| server_failure(&error))?;
+        let done = act(&store, arguments.action).await;
+        store.close().await;
+        done.map_err(|error| token_failure(&error))
+    })
+}
+
+async fn act(store: &SqlStore, action: Action) -> std::result::Result<(), ServerError> {
+    match action {
+        Action::Create { name, scopes } => {
+            let new = NewBearer::named(&name)?;
+            store.add_bearer(&new.name, new.hash(), &scopes.into_iter().collect()).await?;
+            eprintln!("this token is shown only now; give it to {name} as KILN_TOKEN:");
+            println!("{}", new.token);
+        }
+        Action::List { json } => list(&store.bearers().await?, json),
+        Action::Revoke { name } => {
+            store.revoke_bearer(&name).await?;
+            eprintln!("the token of {name} is revoked; servers refuse it within seconds");
+        }
+    }
+    Ok(())
+}
+
+fn list(bearers: &[Bearer], as_json: bool) {
+    let names = |scopes: &BTreeSet<Scope>| scopes.iter().map(|scope| scope.name()).collect::<Vec<_>>();
+    if as_json {
+        let entry = |bearer: &Bearer| {
+            json!({
+                "name": bearer.name,
+                "scopes": names(&bearer.scopes),
+                "created_ms": bearer.created_ms,
+                "revoked_ms": bearer.revoked_ms,
+            })
+        };
+        println!("{}", json!(bearers.iter().map(entry).collect::<Vec<_>>()));
+        return;
+    }
+    for bearer in bearers {
+        let state = if bearer.revoked_ms.is_some() { "revoked" } else { "good" };
+        println!("{:24}  {state:7}  {}", bearer.name, names(&bearer.scopes).join(","));
+    }
+    if bearers.is_empty() {
+        eprintln!("this farm asks nobody for a token; 'kiln token create NAME --scope …' makes one");
+    }
+}
+
+fn token_failure(error: &ServerError) -> Failure {
+    let failed = Failure::new(Exit::BadInput, "the token was not changed").caused_by(error);
+    failed.try_this("'kiln token list' to see those that there are")
+}

@@ -1,0 +1,225 @@
+//! A transaction under way, on either database, and the few shapes of query that the farm needs.
+//!
+//! The transactions are written once, in SQL that both databases read alike; where they differ, [`Conn::pick`] chooses.
+
+use std::sync::Arc;
+
+use sqlx::{ColumnIndex, Postgres, Row as _, Sqlite, Transaction};
+
+use super::faults::{FaultPoint, Faults};
+use crate::store::StoreError;
+
+/// A transaction under way. Dropped without [`Conn::commit`], it never happened.
+pub(super) struct Conn {
+    tx: Tx,
+    /// The time by which this transaction lives.
+    pub(super) now_ms: i64,
+    call: &'static str,
+    step: u32,
+    faults: Option<Arc<dyn Faults>>,
+}
+
+/// The driver's own transaction.
+pub(super) enum Tx {
+    Sqlite(Transaction<'static, Sqlite>),
+    Postgres(Transaction<'static, Postgres>),
+}
+
+impl Conn {
+    pub(super) fn new(tx: Tx, now_ms: i64, call: &'static str, faults: Option<Arc<dyn Faults>>) -> Self {
+        Self { tx, now_ms, call, step: 0, faults }
+    }
+
+    /// The text for the database at hand.
+    pub(super) fn pick(&self, sqlite: &'static str, postgres: &'static str) -> &'static str {
+        match self.tx {
+            Tx::Sqlite(_) => sqlite,
+            Tx::Postgres(_) => postgres,
+        }
+    }
+
+    /// Whether claims run beside each other and must keep out of each other's way.
+    pub(super) fn has_concurrent_claims(&self) -> bool {
+        matches!(self.tx, Tx::Postgres(_))
+    }
+
+    /// Makes all of it happen.
+    pub(super) async fn commit(mut self) -> Result<(), StoreError> {
+        self.point("COMMIT").await?;
+        match self.tx {
+            Tx::Sqlite(tx) => tx.commit().await?,
+            Tx::Postgres(tx) => tx.commit().await?,
+        }
+        let (call, step) = (self.call, self.step);
+        at(self.faults.as_deref(), call, step, "after COMMIT").await
+    }
+
+    /// Where tests end the process between two steps; nothing else happens here.
+    async fn point(&mut self, before: &'static str) -> Result<(), StoreError> {
+        self.step += 1;
+        at(self.faults.as_deref(), self.call, self.step, before).await
+    }
+}
+
+async fn at(
+    faults: Option<&dyn Faults>,
+    call: &'static str,
+    step: u32,
+    before: &'static str,
+) -> Result<(), StoreError> {
+    match faults {
+        None => Ok(()),
+        Some(faults) => faults.at(FaultPoint { call, step, before }).await,
+    }
+}
+
+/// A value for a parameter.
+pub(super) enum Value {
+    Int(Option<i64>),
+    Real(f64),
+    Text(Option<String>),
+}
+
+macro_rules! value_from {
+    ($($from:ty, $value:ident => $into:expr;)+) => {
+        $(impl From<$from> for Value { fn from($value: $from) -> Self { $into } })+
+    };
+}
+
+value_from! {
+    i64, value => Self::Int(Some(value));
+    i32, value => Self::Int(Some(value.into()));
+    u32, value => Self::Int(Some(value.into()));
+    usize, value => Self::Int(Some(i64::try_from(value).unwrap_or(i64::MAX)));
+    u64, value => Self::Int(Some(to_column(value)));
+    Option<i64>, value => Self::Int(value);
+    f64, value => Self::Real(value);
+    String, value => Self::Text(Some(value));
+    &str, value => Self::Text(Some(value.to_owned()));
+    &String, value => Self::Text(Some(value.clone()));
+    Option<String>, value => Self::Text(value);
+    &Option<String>, value => Self::Text(value.clone());
+}
+
+/// A statement and its parameters.
+pub(super) struct Query {
+    sql: &'static str,
+    values: Vec<Value>,
+}
+
+/// A statement with parameters `$1`, `$2`, … still to be bound.
+pub(super) fn query(sql: &'static str) -> Query {
+    Query { sql, values: Vec::new() }
+}
+
+macro_rules! bound {
+    ($database:ty, $query:ident) => {{
+        let mut bound = sqlx::query::<$database>($query.sql);
+        for value in $query.values {
+            bound = match value {
+                Value::Int(value) => bound.bind(value),
+                Value::Real(value) => bound.bind(value),
+                Value::Text(value) => bound.bind(value),
+            };
+        }
+        bound
+    }};
+}
+
+impl Query {
+    pub(super) fn bind(mut self, value: impl Into<Value>) -> Self {
+        self.values.push(value.into());
+        self
+    }
+
+    /// Runs it for its effect; returns how many rows it touched.
+    pub(super) async fn run(self, conn: &mut Conn) -> Result<u64, StoreError> {
+        conn.point(self.sql).await?;
+        Ok(match &mut conn.tx {
+            Tx::Sqlite(tx) => bound!(Sqlite, self).execute(&mut **tx).await?.rows_affected(),
+            Tx::Postgres(tx) => bound!(Postgres, self).execute(&mut **tx).await?.rows_affected(),
+        })
+    }
+
+    /// All rows.
+    pub(super) async fn all(self, conn: &mut Conn) -> Result<Vec<Row>, StoreError> {
+        conn.point(self.sql).await?;
+        Ok(match &mut conn.tx {
+            Tx::Sqlite(tx) => {
+                let rows = bound!(Sqlite, self).fetch_all(&mut **tx).await?;
+                rows.into_iter().map(Row::Sqlite).collect()
+            }
+            Tx::Postgres(tx) => {
+                let rows = bound!(Postgres, self).fetch_all(&mut **tx).await?;
+                rows.into_iter().map(Row::Postgres).collect()
+            }
+        })
+    }
+
+    /// The first row, if there is one.
+    pub(super) async fn optional(self, conn: &mut Conn) -> Result<Option<Row>, StoreError> {
+        Ok(self.all(conn).await?.into_iter().next())
+    }
+
+    /// The one row, which must be there.
+    pub(super) async fn one(self, conn: &mut Conn) -> Result<Row, StoreError> {
+        let sql = self.sql;
+        self.optional(conn).await?.ok_or_else(|| corrupt("a row is missing", sql))
+    }
+}
+
+/// A row of an answer.
+pub(super) enum Row {
+    Sqlite(sqlx::sqlite::SqliteRow),
+    Postgres(sqlx::postgres::PgRow),
+}
+
+/// A value that both databases give.
+pub(super) trait Column:
+    sqlx::Type<Sqlite>
+    + sqlx::Type<Postgres>
+    + for<'r> sqlx::Decode<'r, Sqlite>
+    + for<'r> sqlx::Decode<'r, Postgres>
+{
+}
+
+impl<T> Column for T where
+    T: sqlx::Type<Sqlite>
+        + sqlx::Type<Postgres>
+        + for<'r> sqlx::Decode<'r, Sqlite>
+        + for<'r> sqlx::Decode<'r, Postgres>
+{
+}
+
+impl Row {
+    /// The column of that name or number.
+    pub(super) fn get<T: Column>(
+        &self,
+        column: impl ColumnIndex<sqlx::sqlite::SqliteRow> + ColumnIndex<sqlx::postgres::PgRow>,
+    ) -> Result<T, StoreError> {
+        Ok(match self {
+            Self::Sqlite(row) => row.try_get(column)?,
+            Self::Postgres(row) => row.try_get(column)?,
+        })
+    }
+
+    /// A text column.
+    pub(super) fn text(&self, column: &str) -> Result<String, StoreError> {
+        self.get(column)
+    }
+
+    /// A count; checks in the schema keep them from being negative.
+    pub(super) fn count(&self, column: &str) -> Result<u64, StoreError> {
+        Ok(u64::try_from(self.get::<i64>(column)?).unwrap_or(0))
+    }
+}
+
+/// A count for a column; counts never come near 2⁶³.
+fn to_column(count: u64) -> i64 {
+    i64::try_from(count).unwrap_or(i64::MAX)
+}
+
+/// A stored value that makes no sense.
+pub(super) fn corrupt(what: &str, error: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> StoreError {
+    StoreError::Corrupt { what: what.to_owned(), source: Some(error.into()) }
+}

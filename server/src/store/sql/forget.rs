@@ -1,0 +1,99 @@
+//! Results that would be reused, and results whose bytes are lost.
+
+use std::collections::BTreeSet;
+
+use lightkiln_proto::ids::TaskKey;
+use lightkiln_proto::jobs::TaskSpec;
+
+use super::codec::{ROWS_PER_STATEMENT, to_json};
+use super::conn::{Conn, query};
+use super::leases::offer;
+use super::ledger::{Ledger, live_bakes_of};
+use crate::store::{KnownResult, StoreError};
+
+pub(super) async fn reusable(conn: &mut Conn, plan: &[TaskSpec]) -> Result<Vec<KnownResult>, StoreError> {
+    let sql = "SELECT t.key, r.outputs, r.plan FROM json_each($1) j JOIN tasks t ON t.key = j.value
+               JOIN results r ON r.task = t.id ORDER BY j.key";
+    let mut seen = BTreeSet::new();
+    let mut known = Vec::new();
+    let mut layer: Vec<TaskKey> = plan.iter().map(|spec| spec.key).collect();
+    while !layer.is_empty() {
+        layer.retain(|key| seen.insert(*key));
+        let mut next = Vec::new();
+        for keys in layer.chunks(ROWS_PER_STATEMENT) {
+            for row in query(sql).bind(to_json(keys)?).all(conn).await? {
+                let outputs = row.json("outputs")?;
+                known.push(KnownResult { key: row.digest("key")?, outputs });
+                let plan: Vec<TaskSpec> = row.json("plan")?;
+                next.extend(plan.iter().map(|spec| spec.key));
+            }
+        }
+        layer = next;
+    }
+    Ok(known)
+}
+
+pub(super) async fn forget_all(conn: &mut Conn, keys: &[TaskKey]) -> Result<(), StoreError> {
+    for key in keys {
+        forget(conn, *key).await?;
+    }
+    Ok(())
+}
+
+async fn forget(conn: &mut Conn, key: TaskKey) -> Result<(), StoreError> {
+    let sql = "SELECT id, kind, cost FROM tasks WHERE key = $1 AND state = 'done'";
+    let Some(row) = query(sql).bind(key.to_string()).optional(conn).await? else { return Ok(()) };
+    let task: i64 = row.get("id")?;
+    let wanted_by = live_bakes_of(conn, task).await?;
+    if wanted_by.is_empty() {
+        query("DELETE FROM tasks WHERE id = $1").bind(task).run(conn).await?;
+        return Ok(());
+    }
+    undo_result(conn, task).await?;
+    for bake in wanted_by {
+        count_undone(conn, bake, task, &row.text("kind")?, row.count("cost")?).await?;
+    }
+    offer(conn, task).await
+}
+
+/// Makes the task as if it had never run, and lets its dependants wait for it.
+async fn undo_result(conn: &mut Conn, task: i64) -> Result<(), StoreError> {
+    for sql in [
+        "DELETE FROM results WHERE task = $1",
+        "DELETE FROM blames WHERE task = $1",
+        "UPDATE tasks SET attempts = 0, not_before_ms = 0, waiting_count = (
+             SELECT count(*) FROM task_needs n JOIN tasks d ON d.id = n.needs
+             WHERE n.task = tasks.id AND d.state <> 'done') WHERE id = $1",
+        "UPDATE tasks SET state = CASE waiting_count WHEN 0 THEN 'ready' ELSE 'waiting' END WHERE id = $1",
+        "DELETE FROM ready WHERE task IN (SELECT task FROM task_needs WHERE needs = $1)",
+        "UPDATE tasks SET waiting_count = waiting_count + 1,
+         state = CASE state WHEN 'ready' THEN 'waiting' ELSE state END
+         WHERE id IN (SELECT task FROM task_needs WHERE needs = $1) AND state <> 'done'",
+    ] {
+        query(sql).bind(task).run(conn).await?;
+    }
+    Ok(())
+}
+
+async fn count_undone(
+    conn: &mut Conn,
+    bake: i64,
+    task: i64,
+    kind: &str,
+    cost: u64,
+) -> Result<(), StoreError> {
+    let mut bake = Ledger::load(conn, bake).await?;
+    let read = query("SELECT reused FROM bake_tasks WHERE bake = $1 AND task = $2");
+    let reused: i64 = read.bind(bake.seq).bind(task).one(conn).await?.get("reused")?;
+    query("UPDATE bake_tasks SET done = 0, reused = 0 WHERE bake = $1 AND task = $2")
+        .bind(bake.seq)
+        .bind(task)
+        .run(conn)
+        .await?;
+    let sql = "UPDATE stages SET done = done - 1, reused = reused - $1, cost_done = cost_done - $2
+               WHERE bake = $3 AND kind = $4";
+    query(sql).bind(reused).bind(cost).bind(bake.seq).bind(kind).run(conn).await?;
+    bake.open_count += 1;
+    bake.tasks_reused -= u64::from(reused != 0);
+    bake.save(conn).await
+}

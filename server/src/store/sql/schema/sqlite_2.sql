@@ -1,0 +1,9 @@
+-- Those who have tokens. Rows stay when they are revoked: a farm that once asked for tokens goes on asking.
+
+CREATE TABLE bearers (
+    name       TEXT PRIMARY KEY,
+    hash       TEXT NOT NULL UNIQUE,                             -- of the token, which is stored nowhere
+    scopes     TEXT NOT NULL,
+    created_ms INTEGER NOT NULL,
+    revoked_ms INTEGER
+) STRICT, WITHOUT ROWID;

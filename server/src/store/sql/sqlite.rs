@@ -1,0 +1,103 @@
+//! One SQLite file: WAL, one writing connection, a few reading ones.
+//!
+//! What a caller may rely on is flushed to the disk before it hears of it (`synchronous=FULL`). Claims and heartbeats
+//! are not: if the machine loses power their leases are lost, and the tasks run again; half of a task's flushes are
+//! saved by it.
+
+use std::path::Path;
+use std::time::Duration;
+
+use sqlx::error::DatabaseError as _;
+use sqlx::sqlite::{
+    SqliteConnectOptions, SqliteError, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous,
+};
+use sqlx::{ConnectOptions, SqlitePool};
+
+use super::conn::Tx;
+use super::{Class, Kind, too_new};
+use crate::store::StoreError;
+
+/// Reading connections.
+const READERS: u32 = 4;
+/// Wait for a lock held by another process (a backup, say) before giving up.
+const BUSY_TIMEOUT: Duration = Duration::from_secs(10);
+/// Wait for a free connection before giving up.
+const ACQUIRE_TIMEOUT: Duration = Duration::from_secs(30);
+/// What brings the file from one `user_version` to the next.
+const MIGRATIONS: [&str; 2] = [include_str!("schema/sqlite_1.sql"), include_str!("schema/sqlite_2.sql")];
+
+/// An open file.
+pub(super) struct SqliteFile {
+    writer: SqlitePool,
+    readers: SqlitePool,
+}
+
+impl SqliteFile {
+    pub(super) async fn open(path: &Path) -> Result<Self, StoreError> {
+        let writer = pool(path, 1, false).await?;
+        migrate(&writer).await?;
+        Ok(Self { writer, readers: pool(path, READERS, true).await? })
+    }
+
+    pub(super) async fn begin(&self, kind: Kind) -> Result<Tx, StoreError> {
+        Ok(Tx::Sqlite(match kind {
+            Kind::Read => self.readers.begin().await?,
+            Kind::Lease => self.writer.begin_with("PRAGMA synchronous = NORMAL; BEGIN IMMEDIATE").await?,
+            Kind::Write => self.writer.begin_with("PRAGMA synchronous = FULL; BEGIN IMMEDIATE").await?,
+        }))
+    }
+
+    /// Waits for running transactions and closes the file.
+    pub(super) async fn close(&self) {
+        self.readers.close().await;
+        self.writer.close().await;
+    }
+}
+
+async fn pool(path: &Path, connections: u32, read_only: bool) -> Result<SqlitePool, StoreError> {
+    let options = SqliteConnectOptions::new()
+        .filename(path)
+        .create_if_missing(!read_only)
+        .journal_mode(SqliteJournalMode::Wal)
+        .synchronous(SqliteSynchronous::Full)
+        .foreign_keys(true)
+        .busy_timeout(BUSY_TIMEOUT)
+        .pragma("query_only", if read_only { "on" } else { "off" })
+        .pragma("cache_size", "-16384")
+        .disable_statement_logging();
+    let pool = SqlitePoolOptions::new()
+        .max_connections(connections)
+        .acquire_timeout(ACQUIRE_TIMEOUT)
+        .idle_timeout(None)
+        .max_lifetime(None)
+        .test_before_acquire(false);
+    Ok(pool.connect_with(options).await?)
+}
+
+/// Brings the file to the schema of this version.
+async fn migrate(writer: &SqlitePool) -> Result<(), StoreError> {
+    let mut tx = writer.begin_with("BEGIN IMMEDIATE").await?;
+    let version: i64 = sqlx::query_scalar("PRAGMA user_version").fetch_one(&mut *tx).await?;
+    let done = usize::try_from(version).ok().filter(|done| *done <= MIGRATIONS.len());
+    let Some(done) = done else { return Err(too_new(version, MIGRATIONS.len())) };
+    for migration in &MIGRATIONS[done..] {
+        sqlx::raw_sql(*migration).execute(&mut *tx).await?;
+    }
+    let version = format!("PRAGMA user_version = {}", MIGRATIONS.len());
+    sqlx::raw_sql(sqlx::AssertSqlSafe(version)).execute(&mut *tx).await?;
+    Ok(tx.commit().await?)
+}
+
+/// What an error of SQLite means to the farm.
+pub(super) fn class_of(error: &SqliteError) -> Class {
+    const BUSY: i32 = 5;
+    const LOCKED: i32 = 6;
+    const IO: i32 = 10;
+    const FULL: i32 = 13;
+    let code = error.code().and_then(|code| code.parse::<i32>().ok());
+    match code.map(|extended| extended & 0xff) {
+        Some(FULL) => Class::Full,
+        Some(BUSY | LOCKED | IO) => Class::Unavailable,
+        _ => Class::Broken,
+    }
+}

@@ -1,0 +1,151 @@
+//! What callers see.
+
+use lightkiln_proto::api::{Bake, BakeEvent, BakePage, BakeState, EventPage, StageCount, Worker};
+use lightkiln_proto::ids::Digest;
+
+use super::conn::{Conn, Row, corrupt, query};
+use super::ledger::{seq_of, state_from};
+use crate::store::rules::WORKER_LISTED_MS;
+use crate::store::{Stats, StoreError, TaskCount, TaskState};
+
+pub(super) async fn bake(conn: &mut Conn, id: &str) -> Result<Bake, StoreError> {
+    match query("SELECT * FROM bakes WHERE id = $1").bind(id).optional(conn).await? {
+        Some(row) => bake_from(conn, &row).await,
+        None => Err(StoreError::NoSuchBake { bake: id.to_owned() }),
+    }
+}
+
+async fn bake_from(conn: &mut Conn, row: &Row) -> Result<Bake, StoreError> {
+    let state = state_from(&row.text("state")?)?;
+    let when_done = |column: &str| -> Result<Option<Digest>, StoreError> {
+        Ok(row.digest_if_any(column)?.filter(|_| state == BakeState::Done))
+    };
+    Ok(Bake {
+        id: row.get("id")?,
+        name: row.get("name")?,
+        kind: row.get("kind")?,
+        scene: row.digest("scene")?,
+        settings: row.json("settings")?,
+        priority: i32::try_from(row.get::<i64>("priority")?).unwrap_or_default(),
+        state,
+        stages: stages(conn, row.get("seq")?).await?,
+        tasks_run: row.count("tasks_run")?,
+        tasks_reused: row.count("tasks_reused")?,
+        failure: row.get("failure")?,
+        manifest: when_done("manifest")?,
+        report: when_done("report")?,
+        created_ms: row.get("created_ms")?,
+        finished_ms: row.get("finished_ms")?,
+        counters: row.json("counters")?,
+        counters_reused: row.json("counters_reused")?,
+    })
+}
+
+async fn stages(conn: &mut Conn, bake: i64) -> Result<Vec<StageCount>, StoreError> {
+    let sql = "SELECT *, coalesce(last_commit_ms - first_claim_ms, 0) AS elapsed_ms
+               FROM stages WHERE bake = $1 ORDER BY position";
+    let mut stages = Vec::new();
+    for row in query(sql).bind(bake).all(conn).await? {
+        let count = |column: &str| row.count(column);
+        stages.push(StageCount {
+            kind: row.get("kind")?,
+            total: count("total")?,
+            done: count("done")?,
+            reused: count("reused")?,
+            leased: count("leased")?,
+            cost_total: count("cost_total")?,
+            cost_done: count("cost_done")?,
+            elapsed_ms: count("elapsed_ms")?,
+        });
+    }
+    Ok(stages)
+}
+
+pub(super) async fn list(conn: &mut Conn, after: Option<&str>, limit: u32) -> Result<BakePage, StoreError> {
+    let below = match after {
+        Some(id) => seq_of(conn, id).await?,
+        None => i64::MAX,
+    };
+    let sql = "SELECT * FROM bakes WHERE seq < $1 ORDER BY seq DESC LIMIT $2";
+    let rows = query(sql).bind(below).bind(i64::from(limit) + 1).all(conn).await?;
+    let has_more = rows.len() > limit as usize;
+    let mut bakes = Vec::with_capacity(rows.len());
+    for row in rows.iter().take(limit as usize) {
+        bakes.push(bake_from(conn, row).await?);
+    }
+    let next = bakes.last().filter(|_| has_more).map(|bake| bake.id.clone());
+    Ok(BakePage { bakes, next })
+}
+
+pub(super) async fn events_after(
+    conn: &mut Conn,
+    id: &str,
+    after: u64,
+    limit: u32,
+) -> Result<EventPage, StoreError> {
+    let seq = seq_of(conn, id).await?;
+    let sql = "SELECT seq, at_ms, event FROM events WHERE bake = $1 AND seq > $2 ORDER BY seq LIMIT $3";
+    let rows = query(sql).bind(seq).bind(after).bind(limit).all(conn).await?;
+    let mut events = Vec::new();
+    for row in rows {
+        events.push(BakeEvent {
+            seq: row.count("seq")?,
+            at_ms: row.get("at_ms")?,
+            event: row.json("event")?,
+        });
+    }
+    Ok(EventPage { events, bake: bake(conn, id).await? })
+}
+
+pub(super) async fn workers(conn: &mut Conn, now_ms: i64) -> Result<Vec<Worker>, StoreError> {
+    let sql = "SELECT name, kinds, threads, seen_ms FROM workers WHERE seen_ms > $1 ORDER BY name";
+    let rows = query(sql).bind(now_ms - WORKER_LISTED_MS).all(conn).await?;
+    let mut workers = Vec::with_capacity(rows.len());
+    for row in rows {
+        let name: String = row.get("name")?;
+        let sql =
+            "SELECT t.label FROM leases l JOIN tasks t ON t.id = l.task WHERE l.worker = $1 ORDER BY t.label";
+        let held = query(sql).bind(&name).all(conn).await?;
+        let holds = held.iter().map(|row| row.text("label")).collect::<Result<_, _>>()?;
+        let kinds = row.json("kinds")?;
+        let threads = u32::try_from(row.count("threads")?).unwrap_or(u32::MAX);
+        let seen_ms = row.get("seen_ms")?;
+        workers.push(Worker { name, kinds, threads, seen_ms, holds });
+    }
+    Ok(workers)
+}
+
+pub(super) async fn stats(conn: &mut Conn) -> Result<Stats, StoreError> {
+    let sql = "SELECT kind, state, count(*) AS count FROM tasks GROUP BY kind, state";
+    let mut tasks = Vec::new();
+    for row in query(sql).all(conn).await? {
+        let state = task_state_from(&row.text("state")?)?;
+        tasks.push(TaskCount { kind: row.get("kind")?, state, count: row.count("count")? });
+    }
+    tasks.sort();
+    let sql = "SELECT count(*) AS total, count(*) FILTER (WHERE state IN ('running', 'paused')) AS live,
+               CAST(coalesce(sum(tasks_run), 0) AS BIGINT) AS run,
+               CAST(coalesce(sum(tasks_reused), 0) AS BIGINT) AS reused FROM bakes";
+    let row = query(sql).one(conn).await?;
+    let sum = |column: &str| row.count(column);
+    Ok(Stats {
+        tasks,
+        bakes_live: sum("live")?,
+        bakes_total: sum("total")?,
+        tasks_run: sum("run")?,
+        tasks_reused: sum("reused")?,
+    })
+}
+
+fn task_state_from(name: &str) -> Result<TaskState, StoreError> {
+    use TaskState::{Done, Leased, Ready, Waiting};
+    let found = [Waiting, Ready, Leased, Done].into_iter().find(|state| state.name() == name);
+    found.ok_or_else(|| corrupt("a task's state", format!("'{name}' is no state")))
+}
+
+/// Writes something.
+pub(super) async fn probe(conn: &mut Conn, now_ms: i64) -> Result<(), StoreError> {
+    let sql = "INSERT INTO probe VALUES (1, $1) ON CONFLICT (id) DO UPDATE SET at_ms = excluded.at_ms";
+    query(sql).bind(now_ms).run(conn).await?;
+    Ok(())
+}
