@@ -1,4 +1,5 @@
-//! What Lightkiln is tested with: scenes of our own, and the harness that bakes them.
+//! What Lightkiln is tested with: scenes of our own, the harness that bakes them, and measured studies.
 
 pub mod harness;
 pub mod scenes;
+pub mod studies;

@@ -1,0 +1,93 @@
+//! The studies. Answers are written from the figures, by hand.
+
+use super::{Axis, Study};
+
+/// Spherical harmonics, as the thesis has them.
+const SH: &[&str] = &["basis=sh"];
+const BASES: &[(&str, &[&str])] = &[("patches", &["basis=patches"]), ("sh", SH)];
+const ONE: &[(&str, &[&str])] = &[("", &[])];
+const ROOMS: &[&str] = &["cornell", "u_corridor"];
+
+/// Every study, in the order of the thesis' questions, then our own.
+pub const STUDIES: &[Study] = &[
+    Study {
+        name: "probes",
+        question: "How many probes do spherical harmonics need? ([Sedlacek2019] §5.1.1)",
+        answer: "",
+        scenes: ROOMS,
+        fixed: SH,
+        lines: ONE,
+        varied: "probes_target",
+        values: &["15", "30", "60", "125", "250", "500"],
+        axis: Axis::Probes,
+    },
+    Study {
+        name: "receivers",
+        question: "How many receivers are needed? ([Sedlacek2019] §5.1.2)",
+        answer: "",
+        scenes: ROOMS,
+        fixed: &[],
+        lines: ONE,
+        varied: "receivers_target",
+        values: &["7500", "15000", "30000", "60000", "120000", "240000"],
+        axis: Axis::Receivers,
+    },
+    Study {
+        name: "no_hit",
+        question: "What of hits that no probe sees, and how many probes share one? ([Sedlacek2019] §5.1.3)",
+        answer: "",
+        scenes: &["u_corridor"],
+        fixed: SH,
+        lines: &[
+            ("probes by density alone", &["probes_added_max=0"]),
+            ("probes added for coverage", &["uncovered_max=0.001", "probes_added_max=2"]),
+        ],
+        varied: "n_overlaps",
+        values: &["2", "4", "8", "16", "32"],
+        axis: Axis::Value,
+    },
+    Study {
+        name: "contact",
+        question: "How fine must light be told apart where surfaces touch? ([Sedlacek2019] §5.1.4)",
+        answer: "",
+        scenes: &["cornell", "open_hall"],
+        fixed: &["rank_error=0.005", "rank_max=64"],
+        lines: ONE,
+        varied: "patches_max",
+        values: &["32", "64", "128", "256", "512", "1024"],
+        axis: Axis::Value,
+    },
+    Study {
+        name: "basis_bytes",
+        question: "Which basis is closer at equal bytes?",
+        answer: "",
+        scenes: ROOMS,
+        fixed: &[],
+        lines: BASES,
+        varied: "rank_error",
+        values: &["0.12", "0.06", "0.03", "0.015", "0.0075"],
+        axis: Axis::Bytes,
+    },
+    Study {
+        name: "basis_rays",
+        question: "Which basis is closer at equal rays?",
+        answer: "",
+        scenes: ROOMS,
+        fixed: &[],
+        lines: BASES,
+        varied: "transport_rays",
+        values: &["32", "128", "512", "2048"],
+        axis: Axis::Megarays,
+    },
+    Study {
+        name: "window",
+        question: "How strongly should spherical harmonics be windowed?",
+        answer: "",
+        scenes: ROOMS,
+        fixed: SH,
+        lines: ONE,
+        varied: "window_strength",
+        values: &["0.01", "0.25", "0.5", "1", "2", "8"],
+        axis: Axis::Value,
+    },
+];
