@@ -38,8 +38,30 @@ impl Factors {
     pub fn projected(&self, a: &Matrix) -> Vec<f32> {
         transposed(&transpose_times(a, &self.u, self.rank), self.rank)
     }
+
+    /// U of the first k columns, and one more that makes the sum over all rows exact for every column of A, unless it
+    /// is so already.
+    pub fn with_sum(&self, k: usize, rows: usize) -> (usize, Vec<f32>) {
+        let column = |c: usize| (0..rows).map(move |r| f64::from(self.u[r * self.rank + c]));
+        let mut rest = vec![1.0; rows];
+        for c in 0..k {
+            let share: f64 = column(c).sum();
+            rest.iter_mut().zip(column(c)).for_each(|(rest, u)| *rest -= share * u);
+        }
+        let squares: f64 = rest.iter().map(|value| value * value).sum();
+        let is_new = squares > SUM_NEW_MIN * rows as f64;
+        let scale = squares.sqrt().recip();
+        let mut u = Vec::with_capacity(rows * (k + 1));
+        for (r, rest) in rest.into_iter().enumerate() {
+            u.extend_from_slice(&self.u[r * self.rank..][..k]);
+            u.extend(is_new.then_some((rest * scale) as f32));
+        }
+        (k + usize::from(is_new), u)
+    }
 }
 
+/// Share of the sum's direction that is worth a column of its own.
+const SUM_NEW_MIN: f64 = 1e-8;
 /// Columns sampled beyond the highest rank asked for.
 const OVERSAMPLING: usize = 8;
 /// Subspace iterations; singular values of transport fall fast, two suffice for the figures that we state.

@@ -19,6 +19,8 @@ use crate::task::Progress;
 pub struct Row {
     /// Coefficients: those of each probe of [`AlphaSampler::probes`], then the sky's.
     pub alpha: Vec<f32>,
+    /// With patches: half of what every other ray gave, less what the rest gave. So much noise is in `alpha`.
+    pub noise: Vec<f32>,
     /// Irradiance straight from each emitter of the world, W·m⁻².
     pub emitters: Vec<[f32; 3]>,
     /// Rays that light can come along: those to the sky, and those to surfaces by their albedo.

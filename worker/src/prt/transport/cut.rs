@@ -25,6 +25,8 @@ pub struct Meeting {
     pub row: u32,
     /// Rays.
     pub count: u32,
+    /// Rays of even number less those of odd number.
+    pub excess: i32,
 }
 
 /// A patch and what is lost by taking it whole.
@@ -172,7 +174,7 @@ mod tests {
     }
 
     fn evenly_met() -> Vec<Meeting> {
-        (0..4).map(|leaf| Meeting { leaf, row: 0, count: 100 }).collect()
+        (0..4).map(|leaf| Meeting { leaf, row: 0, count: 100, excess: 0 }).collect()
     }
 
     #[test]
@@ -191,7 +193,7 @@ mod tests {
 
     #[test]
     fn parts_that_no_ray_met_are_left_out() {
-        let last = [Meeting { leaf: 3, row: 0, count: 10 }];
+        let last = [Meeting { leaf: 3, row: 0, count: 10, excess: 0 }];
         assert_eq!(cut(&tree(), &last, &[Vec3::Y], 100), [6]);
     }
 }

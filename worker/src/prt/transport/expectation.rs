@@ -26,6 +26,7 @@ const ASKED_MAX: usize = 64;
 
 /// Middle of a patch in metres, and its unit normal.
 struct Middle {
+    is_sky: bool,
     position_m: Vec3,
     normal: Vec3,
 }
@@ -36,6 +37,10 @@ pub fn root(world: &World, settings: &Settings, keys: &[ProbeKey], centre_m: Vec
     let middles: Vec<Middle> =
         keys.iter().map(|&key| middle(world, settings, PatchKey(key), centre_m)).collect();
     let covariance = |a: &Middle, b: &Middle| {
+        // Nobody knows whether the sky shines when lamps do.
+        if a.is_sky != b.is_sky {
+            return 0.0;
+        }
         let texels = a.position_m.distance(b.position_m) / texel_m;
         let fall = |reach: f32| libm::exp(-f64::from(texels / reach)) / REACHES_TEXELS.len() as f64;
         let alike = 0.5 * (1.0 + f64::from(a.normal.dot(b.normal)));
@@ -57,17 +62,21 @@ fn middle(world: &World, settings: &Settings, key: PatchKey, centre_m: Vec3) -> 
     if let Some(part) = key.sky() {
         let direction = relight_direction(part, settings.sky_parts);
         return Middle {
+            is_sky: true,
             position_m: centre_m + direction * (SKY_TEXELS * world.stage.texel_m),
             normal: -direction,
         };
     }
     let tree = &world.stage.patches;
-    let Some(patch) = tree.of_key(key) else { return Middle { position_m: centre_m, normal: Vec3::Y } };
+    let Some(patch) = tree.of_key(key) else {
+        return Middle { is_sky: true, position_m: centre_m, normal: Vec3::Y };
+    };
     let receivers = tree.receivers_of(patch);
     let step = receivers.len().div_ceil(ASKED_MAX).max(1);
     let asked = || receivers.iter().step_by(step).map(|&r| &world.stage.receivers[r as usize]);
     let count = asked().count() as f32;
     Middle {
+        is_sky: false,
         position_m: asked().map(|receiver| receiver.position_m).sum::<Vec3>() / count,
         normal: asked().map(|receiver| receiver.face_normal).sum::<Vec3>().normalize_or(Vec3::Y),
     }

@@ -16,9 +16,9 @@ use crate::task::{Cancelled, Progress};
 /// What the rays of one receiver meet.
 struct Gathered {
     /// Leaf patches met, ascending, each as often as it was met.
-    leaves: Vec<u32>,
+    leaves: Vec<(u32, i32)>,
     /// Parts of the sky met, likewise.
-    sky: Vec<u32>,
+    sky: Vec<(u32, i32)>,
     row: Row,
 }
 
@@ -49,20 +49,20 @@ fn gather(world: &World, settings: &Settings, sky: &[Vec3], receiver: u32) -> Ga
     let hemisphere = Hemisphere::new(world, receiver, settings.transport_rays);
     let mut row = Row { rays_closest: u64::from(settings.transport_rays), ..Row::default() };
     let (mut leaves, mut parts) = (Vec::new(), Vec::new());
-    let (emitters, mean_path_m, rays_occlusion) =
-        hemisphere.cast(settings.emitter_rays, |direction, hit| match hit {
-            None => {
-                row.lit += 1.0;
-                parts.push(nearest(sky, direction));
-            }
-            Some(hit) => {
-                let point_m = hemisphere.origin_m + direction * hit.t;
-                let Surface::Receiver(met) = world.linked_surface_at(hit, point_m) else { return };
-                let albedo = world.stage.receivers[met as usize].albedo;
-                row.lit += (albedo[0] + albedo[1] + albedo[2]) / 3.0;
-                leaves.push(world.stage.patches.leaf_of_receiver[met as usize]);
-            }
-        });
+    let mut sign = -1;
+    let (emitters, mean_path_m, rays_occlusion) = hemisphere.cast(settings.emitter_rays, |direction, hit| {
+        sign = -sign;
+        let Some(hit) = hit else {
+            row.lit += 1.0;
+            parts.push((nearest(sky, direction), sign));
+            return;
+        };
+        let point_m = hemisphere.origin_m + direction * hit.t;
+        let Surface::Receiver(met) = world.linked_surface_at(hit, point_m) else { return };
+        let albedo = world.stage.receivers[met as usize].albedo;
+        row.lit += (albedo[0] + albedo[1] + albedo[2]) / 3.0;
+        leaves.push((world.stage.patches.leaf_of_receiver[met as usize], sign));
+    });
     (row.emitters, row.mean_path_m, row.rays_occlusion) = (emitters, mean_path_m, rays_occlusion);
     leaves.sort_unstable();
     parts.sort_unstable();
@@ -92,10 +92,11 @@ fn summed(
     let tree = &world.stage.patches;
     let mut meetings: Vec<Meeting> = Vec::new();
     for (row, gathered) in gathered.iter().enumerate() {
-        meetings.extend(gathered.leaves.chunk_by(|a, b| a == b).map(|same| Meeting {
-            leaf: same[0],
+        meetings.extend(gathered.leaves.chunk_by(|a, b| a.0 == b.0).map(|same| Meeting {
+            leaf: same[0].0,
             row: row as u32,
             count: same.len() as u32,
+            excess: same.iter().map(|(_, sign)| sign).sum(),
         }));
     }
     meetings.sort_unstable_by_key(|meeting| (meeting.leaf, meeting.row));
@@ -106,7 +107,7 @@ fn summed(
         Detail::Finest => leaves(tree, &meetings),
     };
     let mut sky_met = vec![false; settings.sky_parts as usize];
-    gathered.iter().flat_map(|g| &g.sky).for_each(|&part| sky_met[part as usize] = true);
+    gathered.iter().flat_map(|g| &g.sky).for_each(|&(part, _)| sky_met[part as usize] = true);
 
     let sky_parts = (0..settings.sky_parts).filter(|&part| sky_met[part as usize]);
     let of_patches = patches.iter().map(|&patch| tree.patches[patch as usize].key.0);
@@ -116,20 +117,23 @@ fn summed(
     let scale = std::f32::consts::PI / settings.transport_rays as f32;
     let mut rows: Vec<Row> = Vec::with_capacity(gathered.len());
     for gathered in gathered {
-        let mut alpha = vec![0.0; keys.len() + 1];
-        for part in gathered.sky {
+        let [mut alpha, mut noise] = [(); 2].map(|()| vec![0.0; keys.len() + 1]);
+        for (part, sign) in gathered.sky {
             if let Some(column) = column(PatchKey::of_sky(part)) {
                 alpha[column] += scale;
+                noise[column] += scale * sign as f32;
             }
         }
-        rows.push(Row { alpha, ..gathered.row });
+        rows.push(Row { alpha, noise, ..gathered.row });
     }
     for patch in patches.iter().map(|&patch| &tree.patches[patch as usize]) {
         let Some(column) = column(patch.key) else { continue };
         let start = meetings.partition_point(|meeting| meeting.leaf < patch.first_leaf);
         let end = meetings.partition_point(|meeting| meeting.leaf < patch.first_leaf + patch.leaf_count);
         for meeting in &meetings[start..end] {
-            rows[meeting.row as usize].alpha[column] += meeting.count as f32 * scale;
+            let row = &mut rows[meeting.row as usize];
+            row.alpha[column] += meeting.count as f32 * scale;
+            row.noise[column] += meeting.excess as f32 * scale;
         }
     }
     CellRows { keys, rows }

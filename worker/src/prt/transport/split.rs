@@ -1,7 +1,9 @@
 //! From the rows of a cell to factorised clusters: components apart, split until the rank suffices.
 
 use glam::Vec3;
-use lightkiln_proto::prt::{BasisKind, ClusterTransport, EmitterIrradiance, ProbeKey, Receivers, Settings};
+use lightkiln_proto::prt::{
+    BasisKind, ClusterTransport, EmitterIrradiance, PatchKey, ProbeKey, Receivers, Settings,
+};
 use lightkiln_proto::sh::band_of;
 use rayon::prelude::*;
 
@@ -14,10 +16,9 @@ use crate::prt::stage::{ClusterCell, Receiver};
 use crate::prt::world::World;
 use crate::rays::sampling::seed_of;
 
-/// Share of the noise of counts that truncation may drop: low-discrepancy rays have less than random ones.
-const NOISE_DROPPED: f64 = 0.5;
-/// Most of a matrix that is taken for noise.
-const NOISE_SHARE_MAX: f64 = 0.25;
+/// How many times its noise the square of a singular value must be to count: those of noise alone are above the mean, as
+/// the decomposition looks for the largest.
+const NOISE_FACTOR: f64 = 2.0;
 
 /// A factorised cluster and how right it is.
 #[derive(Clone, Debug)]
@@ -40,8 +41,8 @@ struct Splitter<'a> {
     /// Ascending receiver indices of the cell, one per row.
     receivers: &'a [u32],
     rows: &'a [Row],
-    /// With patches: the rows times L of [`expectation`].
-    weighed: Vec<Vec<f32>>,
+    /// With patches: the rows times L of [`expectation`], and their noise likewise.
+    weighed: [Vec<Vec<f32>>; 2],
 }
 
 /// Factorised clusters of a cell, in a fixed order.
@@ -53,11 +54,8 @@ pub fn pieces(
     rows: &[Row],
 ) -> Vec<Piece> {
     let weighed = match settings.basis {
-        BasisKind::Sh => Vec::new(),
-        BasisKind::Patches => {
-            let root = expectation::root(world, settings, keys, (cell.bounds_m[0] + cell.bounds_m[1]) * 0.5);
-            expectation::weighed(rows.par_iter().map(|row| &row.alpha[..]), &root, keys.len())
-        }
+        BasisKind::Sh => [(); 2].map(|()| Vec::new()),
+        BasisKind::Patches => weighed(world, settings, keys, cell, rows),
     };
     let splitter = Splitter { world, settings, keys, receivers: &cell.receivers, rows, weighed };
     // Dead receivers are left out: their texels are filled from their neighbours, which keeps edges from turning dark.
@@ -69,6 +67,32 @@ pub fn pieces(
         splitter.factor_into(ClusterCell { bounds_m: cell.bounds_m, receivers }, &mut pieces);
     }
     pieces
+}
+
+/// The rows and their noise times L. The sky's columns count for no more than the others: where most of the hemisphere is
+/// sky, the rest is what is seen when it is dark.
+fn weighed(
+    world: &World,
+    settings: &Settings,
+    keys: &[ProbeKey],
+    cell: &ClusterCell,
+    rows: &[Row],
+) -> [Vec<Vec<f32>>; 2] {
+    let root = expectation::root(world, settings, keys, (cell.bounds_m[0] + cell.bounds_m[1]) * 0.5);
+    let first_sky = keys.partition_point(|&key| PatchKey(key).sky().is_none());
+    let mut weighed = [
+        expectation::weighed(rows.par_iter().map(|row| &row.alpha[..]), &root, keys.len()),
+        expectation::weighed(rows.par_iter().map(|row| &row.noise[..]), &root, keys.len()),
+    ];
+    let squares = |row: &[f32]| row.iter().map(|value| f64::from(*value).powi(2)).sum::<f64>();
+    let of_patches: f64 = weighed[0].iter().map(|row| squares(&row[..first_sky])).sum();
+    let of_sky: f64 = weighed[0].iter().map(|row| squares(&row[first_sky..])).sum();
+    if of_patches > 0.0 && of_sky > of_patches {
+        let scale = (of_patches / of_sky).sqrt() as f32;
+        let sky = weighed.iter_mut().flatten().flat_map(|row| &mut row[first_sky..]);
+        sky.for_each(|value| *value *= scale);
+    }
+    weighed
 }
 
 impl Splitter<'_> {
@@ -105,23 +129,51 @@ impl Splitter<'_> {
         (factors, error_max)
     }
 
-    /// Factors of a matrix over patches: U of A L, and ΣVᵀ = UᵀA. The error that it may have is what is set, and the noise
-    /// of counts on top, as dropping that is a gain: an entry of c rays times π/N has the variance c (π/N)².
+    /// Factors of a matrix over patches: U of A L with a column for the sum, and ΣVᵀ = UᵀA, so that a cluster's energy is
+    /// right under every light. The rank is the smallest for which what is left out of the signal is within what is
+    /// set: noise, which the two halves of the rays do not share, is not worth a rank.
     fn factors_of_patches(&self, matrix: &Matrix, receivers: &[u32]) -> (Factors, f32) {
-        let rows =
-            receivers.iter().map(|receiver| self.receivers.binary_search(receiver).unwrap_or_default());
-        let values: Vec<f32> = rows.flat_map(|row| &self.weighed[row]).copied().collect();
-        let weighed = Matrix { rows: receivers.len(), columns: self.keys.len(), values };
-        let squares: f64 = weighed.values.iter().map(|value| f64::from(*value).powi(2)).sum();
-        let sum: f64 = matrix.values.iter().map(|value| f64::from(*value)).sum();
-        let noise = sum * std::f64::consts::PI / f64::from(self.settings.transport_rays);
-        let noise_share = if squares > 0.0 { (noise / squares).min(NOISE_SHARE_MAX) } else { 0.0 };
-        let error_max =
-            (f64::from(self.settings.rank_error).powi(2) + NOISE_DROPPED * noise_share).sqrt() as f32;
+        let rows: Vec<usize> = receivers
+            .iter()
+            .map(|receiver| self.receivers.binary_search(receiver).unwrap_or_default())
+            .collect();
+        let [weighed, noise] = [0, 1].map(|which: usize| Matrix {
+            rows: rows.len(),
+            columns: self.keys.len(),
+            values: rows.iter().flat_map(|&row| &self.weighed[which][row]).copied().collect(),
+        });
+        let squares = |values: &[f32]| values.iter().map(|value| f64::from(*value).powi(2)).sum::<f64>();
         let all: Vec<u32> = (0..self.keys.len() as u32).collect();
-        let mut factors = factorise(&weighed, self.settings.rank_max as usize, error_max, &self.seeds(&all));
+        let rank_max = self.settings.rank_max as usize;
+        let mut factors = factorise(&weighed, rank_max, 0.0, &self.seeds(&all));
+        if factors.rank == 0 {
+            return (factors, self.settings.rank_error);
+        }
+        let total = (squares(&weighed.values) - squares(&noise.values)).max(f64::MIN_POSITIVE);
+        let columns = weighed.columns.max(1);
+        let noise_of = factors.projected(&noise);
+        let of_ranks: Vec<[f64; 2]> = factors
+            .vt
+            .chunks_exact(columns)
+            .zip(noise_of.chunks_exact(columns))
+            .map(|(values, noise)| [squares(values), squares(noise)])
+            .collect();
+        let known: f64 = of_ranks.iter().map(|[values, noise]| values - noise).sum();
+        let mut left_out = (total - known).max(0.0);
+        let allowed = f64::from(self.settings.rank_error).powi(2) * total;
+        let mut rank = factors.rank;
+        while rank > 0 {
+            let [values, noise] = of_ranks[rank - 1];
+            let signal = (values - NOISE_FACTOR * noise).max(0.0);
+            if left_out + signal > allowed && rank < rank_max {
+                break;
+            }
+            (left_out, rank) = (left_out + signal, rank - 1);
+        }
+        (factors.rank, factors.u) = factors.with_sum(rank, rows.len());
         factors.vt = factors.projected(matrix);
-        (factors, error_max)
+        factors.truncation_error = (left_out / total).sqrt() as f32;
+        (factors, self.settings.rank_error)
     }
 
     fn row_of(&self, receiver: u32) -> &Row {
