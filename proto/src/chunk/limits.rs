@@ -28,6 +28,8 @@ pub const HITS_MAX: usize = 1 << 24;
 pub const PATCHES_MAX: usize = 1 << 24;
 /// Most receivers of all patches' leaves.
 pub const PATCH_RECEIVERS_MAX: usize = 1 << 26;
+/// Most patches that hold one leaf, in the mean: levels of their tree.
+pub const PATCH_LEVELS_MAX: u64 = 16;
 /// Most parts of the sky; always a power of two.
 pub const SKY_PARTS_MAX: usize = 4096;
 /// Most draws in a geometry chunk.

@@ -58,6 +58,9 @@ fn check(set: &PatchSet) -> Result<(), ChunkError> {
     for pair in set.leaf_starts.windows(2) {
         in_range(section, "end of a leaf", pair[1].into(), u64::from(pair[0]) + 1, receivers)?;
     }
+    // Each level of the tree holds every leaf once at most, so that reading all patches stays cheap.
+    let of_patches: u64 = set.patches.iter().map(|patch| u64::from(patch.leaf_count)).sum();
+    in_range(section, "leaves of all patches together", of_patches, 0, PATCH_LEVELS_MAX * leaves)?;
     for patch in &set.patches {
         in_range(section, "leaves of a patch", patch.leaf_count.into(), 1, leaves)?;
         in_range(section, "first leaf", patch.first_leaf.into(), 0, leaves - u64::from(patch.leaf_count))?;

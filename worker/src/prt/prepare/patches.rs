@@ -251,15 +251,13 @@ fn surfaces(
 /// No wall stands between two items: raised above their surfaces they see each other.
 fn are_in_sight(world: &World, height_m: f32, a: &Item, b: &Item) -> bool {
     let tracer = &world.geometry.tracer;
+    // Half way to what is above at most: there is room there, under whatever ceiling.
     let raised = |item: &Item| {
         let foot_m = item.point_m + item.normal * tracer.ray_offset_m();
-        let top_m = item.point_m + item.normal * height_m;
-        (!tracer.is_occluded(foot_m, top_m)).then_some(top_m)
+        let free_m = tracer.closest(foot_m, item.normal, 2.0 * height_m).map_or(height_m, |hit| 0.5 * hit.t);
+        foot_m + item.normal * free_m
     };
-    match (raised(a), raised(b)) {
-        (Some(a_m), Some(b_m)) => !tracer.is_occluded(a_m, b_m),
-        _ => false,
-    }
+    !tracer.is_occluded(raised(a), raised(b))
 }
 
 /// Edges between items as edges between what they were joined to.

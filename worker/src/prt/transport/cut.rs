@@ -2,19 +2,27 @@
 //! light comes from them, coarse elsewhere.
 //!
 //! With d the distance of a receiver from a patch of size s, what the receiver sees of the patch's parts differs from
-//! their shares of its area by about `s / (s + d)` of what it sees of the patch; that share of irradiance, squared and
-//! summed over receivers, is what is lost by taking the patch whole. It is a rule of distances and not of what rays met of
-//! the parts, because few rays meet a part: their chance would drown what is looked for.
+//! their shares of its area by about `s / (s + d)` of what it sees of the patch. And where all the cell's rays together
+//! met the parts in other shares than those of their areas, as something hides some of them, that much of the light is
+//! taken from the wrong parts. Both are shares of irradiance; squared and summed over receivers they are what is lost by
+//! taking the patch whole.
+//!
+//! Single receivers are not asked for the latter: few of their rays meet a part, and chance would drown what is looked for.
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 
 use glam::Vec3;
 
-use crate::prt::stage::PatchTree;
+use crate::prt::stage::{Patch, PatchTree};
 
 /// Share of the receivers' irradiance, in the mean of squares, below which a loss is not worth a column.
 const LOSS_MIN: f64 = 1e-7;
+
+/// Columns that a cut may have for each root that it starts from, whatever is set.
+const COLUMNS_PER_ROOT: usize = 2;
+/// Most columns that come of that.
+const COLUMNS_MOST: usize = 4096;
 
 /// How often the rays of a row met a leaf.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -61,6 +69,8 @@ struct Cutter<'a> {
     met: Met<'a>,
     /// Where the receivers of the rows are, in metres.
     positions_m: &'a [Vec3],
+    /// Per patch: rays of the cell that meet other parts of it than their areas promise.
+    misplaced: Vec<f64>,
     /// Per row: rays that met the patch in question; 0 in between.
     of_patch: Vec<f64>,
 }
@@ -70,7 +80,7 @@ struct Cutter<'a> {
 pub fn cut(tree: &PatchTree, meetings: &[Meeting], positions_m: &[Vec3], columns_max: usize) -> Vec<u32> {
     let met = Met { tree, meetings };
     let rows = positions_m.len();
-    let mut cutter = Cutter { met, positions_m, of_patch: vec![0.0; rows] };
+    let mut cutter = Cutter { met, positions_m, misplaced: misplaced(met), of_patch: vec![0.0; rows] };
     let total: f64 = meetings.iter().map(|meeting| f64::from(meeting.count)).sum();
     let least = LOSS_MIN * total * total / rows.max(1) as f64;
     let mut done = Vec::new();
@@ -78,6 +88,8 @@ pub fn cut(tree: &PatchTree, meetings: &[Meeting], positions_m: &[Vec3], columns
     for root in tree.roots().filter(|&root| !met.of(root).is_empty()) {
         open.push(Open { loss: cutter.loss(root), patch: root });
     }
+    // Where much is seen that no larger patch holds, there is still room to open some of it.
+    let columns_max = columns_max.max((COLUMNS_PER_ROOT * open.len()).min(COLUMNS_MOST));
     while let Some(best) = open.pop() {
         if best.loss <= least || done.len() + open.len() + 1 >= columns_max {
             done.push(best.patch);
@@ -112,12 +124,51 @@ impl<'a> Met<'a> {
     }
 }
 
+/// Rays that meet other parts than their areas promise, per patch: between its own parts, `½ Σ |C_part − p_part C|` less
+/// what chance alone gives, or what its parts' parts have together, if that is more.
+fn misplaced(met: Met<'_>) -> Vec<f64> {
+    let tree = met.tree;
+    let mut rays_to = vec![0.0; tree.leaf_starts.len()];
+    for meeting in met.meetings {
+        rays_to[meeting.leaf as usize + 1] += f64::from(meeting.count);
+    }
+    for leaf in 1..rays_to.len() {
+        rays_to[leaf] += rays_to[leaf - 1];
+    }
+    let rays = |patch: &Patch| {
+        rays_to[(patch.first_leaf + patch.leaf_count) as usize] - rays_to[patch.first_leaf as usize]
+    };
+    let mut found = vec![0.0; tree.patches.len()];
+    // Parts come after what they are part of.
+    for index in (0..tree.patches.len()).rev() {
+        let patch = &tree.patches[index];
+        let all = rays(patch);
+        if patch.leaf_count == 1 || all == 0.0 {
+            continue;
+        }
+        let area = tree.receivers_of(patch).len() as f64;
+        let (mut between, mut within) = (0.0, 0.0);
+        for part in tree.parts(index as u32) {
+            let part_patch = &tree.patches[part as usize];
+            let promised = all * tree.receivers_of(part_patch).len() as f64 / area;
+            // |x| of a normal x is √(2/π) of its deviation in the mean; that of a count is √count.
+            let chance = (promised * std::f64::consts::FRAC_2_PI).sqrt();
+            between += 0.5 * ((rays(part_patch) - promised).abs() - chance).max(0.0);
+            within += found[part as usize];
+        }
+        found[index] = between.max(within);
+    }
+    found
+}
+
 impl Cutter<'_> {
     /// `Σ_r (w_r c_r)²`, with c_r the rays of row r that met the patch and w_r its size over size and distance: c_r² − c_r
-    /// stands for the square of what c_r is expected to be, and the sum is no less than that of rows all alike.
+    /// stands for the square of what c_r is expected to be, and the sum is no less than that of rows all alike; nor than
+    /// that of the misplaced rays.
     fn loss(&mut self, patch: u32) -> f64 {
         let Met { tree, .. } = self.met;
         let met = self.met.of(patch);
+        let misplaced = self.misplaced[patch as usize];
         let patch = &tree.patches[patch as usize];
         if patch.leaf_count == 1 {
             return 0.0;
@@ -136,7 +187,7 @@ impl Cutter<'_> {
             squares += weight * weight * (count * count - count).max(0.0);
             sum += weight * count;
         }
-        squares.max(sum * sum / self.positions_m.len() as f64)
+        squares.max((sum * sum).max(misplaced * misplaced) / self.positions_m.len() as f64)
     }
 }
 
@@ -145,7 +196,6 @@ mod tests {
     use lightkiln_proto::prt::PatchKey;
 
     use super::*;
-    use crate::prt::stage::Patch;
 
     /// A root of two parts, each of two leaves of one receiver, 1 m apart along x.
     fn tree() -> PatchTree {
@@ -175,6 +225,16 @@ mod tests {
 
     fn evenly_met() -> Vec<Meeting> {
         (0..4).map(|leaf| Meeting { leaf, row: 0, count: 100, excess: 0 }).collect()
+    }
+
+    #[test]
+    fn patch_far_off_is_split_where_something_hides_parts_of_it() {
+        let hidden: Vec<Meeting> =
+            (0..2).map(|leaf| Meeting { leaf, row: 0, count: 200, excess: 0 }).collect();
+        assert_eq!(cut(&tree(), &hidden, &[Vec3::Y * 1e5], 100), [1]);
+        let striped: Vec<Meeting> =
+            [0, 2].map(|leaf| Meeting { leaf, row: 0, count: 200, excess: 0 }).to_vec();
+        assert_eq!(cut(&tree(), &striped, &[Vec3::Y * 1e5], 100), [2, 5]);
     }
 
     #[test]

@@ -19,6 +19,8 @@ use crate::rays::sampling::seed_of;
 /// How many times its noise the square of a singular value must be to count: those of noise alone are above the mean, as
 /// the decomposition looks for the largest.
 const NOISE_FACTOR: f64 = 2.0;
+/// Least share of a matrix that is taken for signal, in squares: of single rays nobody knows.
+const SIGNAL_MIN: f64 = 1e-6;
 
 /// A factorised cluster and how right it is.
 #[derive(Clone, Debug)]
@@ -69,6 +71,14 @@ pub fn pieces(
     pieces
 }
 
+/// Index of the first key that stands for a part of the sky; all of them come last.
+fn first_sky(settings: &Settings, keys: &[ProbeKey]) -> usize {
+    match settings.basis {
+        BasisKind::Sh => keys.len(),
+        BasisKind::Patches => keys.partition_point(|&key| PatchKey(key).sky().is_none()),
+    }
+}
+
 /// The rows and their noise times L. The sky's columns count for no more than the others: where most of the hemisphere is
 /// sky, the rest is what is seen when it is dark.
 fn weighed(
@@ -79,7 +89,7 @@ fn weighed(
     rows: &[Row],
 ) -> [Vec<Vec<f32>>; 2] {
     let root = expectation::root(world, settings, keys, (cell.bounds_m[0] + cell.bounds_m[1]) * 0.5);
-    let first_sky = keys.partition_point(|&key| PatchKey(key).sky().is_none());
+    let first_sky = first_sky(settings, keys);
     let mut weighed = [
         expectation::weighed(rows.par_iter().map(|row| &row.alpha[..]), &root, keys.len()),
         expectation::weighed(rows.par_iter().map(|row| &row.noise[..]), &root, keys.len()),
@@ -149,7 +159,8 @@ impl Splitter<'_> {
         if factors.rank == 0 {
             return (factors, self.settings.rank_error);
         }
-        let total = (squares(&weighed.values) - squares(&noise.values)).max(f64::MIN_POSITIVE);
+        let values = squares(&weighed.values);
+        let total = (values - squares(&noise.values)).max(SIGNAL_MIN * values);
         let columns = weighed.columns.max(1);
         let noise_of = factors.projected(&noise);
         let of_ranks: Vec<[f64; 2]> = factors
@@ -181,14 +192,15 @@ impl Splitter<'_> {
         &self.rows[index]
     }
 
-    /// Column groups but the sky's with anything in them.
+    /// Column groups but the sky's with anything in them: the sky is above rooms that have nothing else in common.
     fn groups_used(&self, row: &Row) -> Vec<u32> {
         let count = self.settings.coefficients();
         let used = |probe: &u32| {
             let from = *probe as usize * count;
             row.alpha[from..from + count].iter().any(|alpha| *alpha != 0.0)
         };
-        (0..self.keys.len() as u32).filter(used).collect()
+        let first_sky = first_sky(self.settings, self.keys);
+        (0..first_sky as u32).filter(used).collect()
     }
 
     /// What a coefficient of band l of a radiance field is expected to be, against band 0: fields of a few edges fall
