@@ -89,6 +89,8 @@ pub(super) struct Node {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rotation: Option<[f32; 4]>,
     #[serde(skip_serializing_if = "Option::is_none")]
+    pub scale: Option<[f32; 3]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub mesh: Option<u32>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub camera: Option<u32>,

@@ -221,6 +221,13 @@ impl Glb {
         self.root(Node { name: name.into(), translation, rotation, mesh: Some(mesh.0), ..Node::default() });
     }
 
+    /// Adds a mesh and the one node that shows it scaled along the axes; negative factors mirror it.
+    pub fn object_scaled(&mut self, name: &str, mesh: &Mesh, material: MaterialId, scale: Vec3) {
+        let mesh = self.mesh(name, &[(mesh, material)]);
+        let scale = Some(scale.to_array());
+        self.root(Node { name: name.into(), scale, mesh: Some(mesh.0), ..Node::default() });
+    }
+
     /// Adds a light. Point and spot: `intensity` in W·sr⁻¹; sun: irradiance in W·m⁻². A point light ignores its aim.
     pub fn light(&mut self, name: &str, lamp: Lamp, strength: [f32; 3], eye_m: Vec3, target_m: Vec3) {
         let peak = strength.iter().copied().fold(0.0, f32::max);

@@ -7,8 +7,10 @@
 pub mod arch;
 mod atrium;
 pub mod cloth;
+mod contact;
 mod cornell;
 mod document;
+mod doors;
 pub mod glb;
 mod hall;
 pub mod lathe;
@@ -20,9 +22,13 @@ pub mod shapes;
 pub mod texture;
 
 pub use atrium::atrium;
+pub use contact::{BOX_HALF_M, COLUMN_HALF_M, box_on_floor, column, lone_floor, outside_m, tiled_floor};
 pub use cornell::{cornell, cornell_large};
+pub use doors::{closet, mirrored_room};
 pub use hall::open_hall;
-pub use rooms::{furnace, sealed_box, two_rooms, two_rooms_with_wall_at, u_corridor};
+pub use rooms::{
+    furnace, sealed_box, two_rooms, two_rooms_under_the_sky, two_rooms_with_wall_at, u_corridor,
+};
 
 /// Every stored scene: file name without extension, and the bytes of its `.glb`.
 pub fn all() -> Vec<(&'static str, Vec<u8>)> {

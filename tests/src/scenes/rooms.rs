@@ -56,6 +56,15 @@ pub fn two_rooms(thickness_m: f32) -> Vec<u8> {
 
 /// As [`two_rooms`], with the middle of the wall at x = `wall_x_m`, e.g. where no line of the texel lattice is.
 pub fn two_rooms_with_wall_at(thickness_m: f32, wall_x_m: f32) -> Vec<u8> {
+    rooms(thickness_m, wall_x_m, true)
+}
+
+/// As [`two_rooms`], without a ceiling: both rooms see the sky, and nothing of each other.
+pub fn two_rooms_under_the_sky(thickness_m: f32) -> Vec<u8> {
+    rooms(thickness_m, 0.0, false)
+}
+
+fn rooms(thickness_m: f32, wall_x_m: f32, has_ceiling: bool) -> Vec<u8> {
     let mut glb = Glb::new(if thickness_m > 0.0 { "two_rooms" } else { "two_rooms_sheet" });
     let plaster = glb.material(Surface::diffuse("plaster", PLASTER));
     let sheet = glb.material(Surface::diffuse("sheet", PLASTER).double_sided());
@@ -73,7 +82,9 @@ pub fn two_rooms_with_wall_at(thickness_m: f32, wall_x_m: f32) -> Vec<u8> {
         ("back wall", Side::Back),
         ("front wall", Side::Front),
     ] {
-        glb.object(name, &shapes::room_side(min, max, side), plaster);
+        if has_ceiling || side != Side::Top {
+            glb.object(name, &shapes::room_side(min, max, side), plaster);
+        }
     }
     let reach = Vec3::new(0.0, 0.01, 0.01);
     let (wall_min, wall_max) =
@@ -96,7 +107,9 @@ pub fn two_rooms_with_wall_at(thickness_m: f32, wall_x_m: f32) -> Vec<u8> {
     );
 
     let centre_m = Vec3::new(-2.2, max.y, 0.0);
-    glb.object("ceiling panel", &ceiling_panel(centre_m, 0.7), panel);
+    if has_ceiling {
+        glb.object("ceiling panel", &ceiling_panel(centre_m, 0.7), panel);
+    }
     glb.light("lamp", Lamp::Point, WARM_LAMP, Vec3::new(-2.2, 2.2, 0.4), Vec3::ZERO);
     glb.camera("left room", Vec3::new(-3.7, 1.9, 1.8), Vec3::new(-0.6, 1.1, -1.4), 1.1);
     glb.camera("right room", Vec3::new(3.7, 1.9, 1.8), Vec3::new(0.6, 1.1, -1.4), 1.1);

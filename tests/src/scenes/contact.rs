@@ -1,0 +1,89 @@
+//! Scenes for what happens where meshes touch each other.
+
+use glam::Vec3;
+
+use super::glb::{Glb, Surface};
+use super::mesh::Mesh;
+use super::shapes::{self, Side};
+
+const PLASTER: [f32; 3] = [0.7, 0.69, 0.66];
+/// How far the box and the column are turned, so that no edge lies on the texel lattice.
+const YAW_RAD: f32 = 0.35;
+
+/// Half the width of the box of [`box_on_floor`].
+pub const BOX_HALF_M: f32 = 0.6;
+/// Half the width of [`column`].
+pub const COLUMN_HALF_M: f32 = 0.11;
+
+/// A floor under the open sky and nothing else.
+pub fn lone_floor(half_m: f32) -> Vec<u8> {
+    let mut glb = Glb::new("lone_floor");
+    let plaster = glb.material(Surface::diffuse("plaster", PLASTER));
+    glb.object("floor", &floor(half_m), plaster);
+    glb.finish()
+}
+
+/// A closed box of 1.2 m on a floor of 5 × 5 m under the open sky, its underside at the height `bottom_m`: at 0 it lies
+/// in the floor, below that the box is sunk through it.
+///
+/// The floor runs through under the box.
+pub fn box_on_floor(bottom_m: f32) -> Vec<u8> {
+    let mut glb = Glb::new("box_on_floor");
+    let plaster = glb.material(Surface::diffuse("plaster", PLASTER));
+    let red = glb.material(Surface::diffuse("red", [0.65, 0.2, 0.15]));
+    glb.object("floor", &floor(2.5), plaster);
+    let half = Vec3::new(BOX_HALF_M, 0.0, BOX_HALF_M);
+    let block = shapes::cuboid(-half, half + Vec3::Y * (2.0 * BOX_HALF_M), &[]);
+    glb.object("box", &block.turned(YAW_RAD).translated(Vec3::Y * bottom_m), red);
+    glb.finish()
+}
+
+/// A closed room of 4 × 2.5 × 4 m whose floor is `tiles × tiles` coplanar meshes; the edges of the inner ones lie on
+/// no line of the texel lattice.
+pub fn tiled_floor(tiles: u32) -> Vec<u8> {
+    let mut glb = Glb::new("tiled_floor");
+    let plaster = glb.material(Surface::diffuse("plaster", PLASTER));
+    let stone = glb.material(Surface::diffuse("stone", [0.5, 0.45, 0.38]));
+    let (min, max) = (Vec3::new(-2.0, 0.0, -2.0), Vec3::new(2.0, 2.5, 2.0));
+    glb.object("walls", &shapes::room(min, max, &[Side::Bottom]), plaster);
+    let edge_m = |index: u32| 4.0 * index as f32 / tiles as f32 - 2.0;
+    for j in 0..tiles {
+        for i in 0..tiles {
+            let (low, high) =
+                (Vec3::new(edge_m(i), 0.0, edge_m(j)), Vec3::new(edge_m(i + 1), 0.0, edge_m(j + 1)));
+            let mut tile = Mesh::default();
+            let (a, b) = (Vec3::new(low.x, 0.0, high.z), Vec3::new(high.x, 0.0, low.z));
+            // Corners as they are, not as sums: neighbours must share them to the bit.
+            tile.face([a, high, b, low], [glam::Vec2::ZERO; 4]);
+            glb.object(&format!("tile {i} {j}"), &tile, stone);
+        }
+    }
+    glb.finish()
+}
+
+/// A closed room of 5 × 2.5 × 5 m with a thin column in the middle, from below the floor to above the ceiling.
+pub fn column() -> Vec<u8> {
+    let mut glb = Glb::new("column");
+    let plaster = glb.material(Surface::diffuse("plaster", PLASTER));
+    let (min, max) = (Vec3::new(-2.5, 0.0, -2.5), Vec3::new(2.5, 2.5, 2.5));
+    glb.object("room", &shapes::room(min, max, &[]), plaster);
+    let low = Vec3::new(-COLUMN_HALF_M, -0.05, -COLUMN_HALF_M);
+    let high = Vec3::new(COLUMN_HALF_M, 2.55, COLUMN_HALF_M);
+    glb.object("column", &shapes::cuboid(low, high, &[]).turned(YAW_RAD), plaster);
+    glb.finish()
+}
+
+fn floor(half_m: f32) -> Mesh {
+    let mut floor = Mesh::default();
+    floor.rectangle(Vec3::new(-half_m, 0.0, half_m), Vec3::X * (2.0 * half_m), Vec3::Z * (-2.0 * half_m));
+    floor
+}
+
+/// Horizontal distance of a point from the turned square of [`box_on_floor`] or [`column`] around the origin; below 0
+/// inside.
+pub fn outside_m(position_m: Vec3, half_m: f32) -> f32 {
+    let (sin, cos) = (libm::sinf(YAW_RAD), libm::cosf(YAW_RAD));
+    let local = [cos * position_m.x - sin * position_m.z, cos * position_m.z + sin * position_m.x];
+    let [x, z] = local.map(|axis| axis.abs() - half_m);
+    if x > 0.0 && z > 0.0 { libm::sqrtf(x * x + z * z) } else { x.max(z) }
+}
