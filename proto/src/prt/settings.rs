@@ -137,7 +137,7 @@ settings! {
     /// Relight rays per probe (a power of two). More → less noise in moving light, more run-time cost.
     relight_rays: u32 = [256, 512, 1024], |v| v.is_power_of_two() && (16..=16_384).contains(&v), "a power of two in 16..=16384";
     /// Most columns of a cluster with `basis=patches`. More → sharper light, more bytes and time.
-    patches_max: u32 = [256, 1024, 2048], |v| (16..=8192).contains(&v), "16..=8192";
+    patches_max: u32 = [256, 512, 1024], |v| (16..=8192).contains(&v), "16..=8192";
     /// Parts of the sky with `basis=patches` (a power of two). More → a sharper sky, more columns.
     sky_parts: u32 = [64, 64, 128], |v| v.is_power_of_two() && (16..=4096).contains(&v), "a power of two in 16..=4096";
     /// Highest spherical-harmonic band; (bands+1)² coefficients per probe. More → sharper, more bytes.
@@ -157,7 +157,7 @@ settings! {
     /// (root of the squares, columns weighted by the spectrum that radiance is expected to have). Smaller → higher ranks, more bytes.
     rank_error: f32 = [0.04, 0.02, 0.015], |v| (1e-5..=0.5).contains(&v), "0.00001..=0.5";
     /// Smallest cluster that is still split when `rank_max` does not suffice.
-    split_receivers_min: u32 = [128, 128, 64], |v| (2..=8192).contains(&v), "2..=8192";
+    split_receivers_min: u32 = [256, 256, 256], |v| (2..=8192).contains(&v), "2..=8192";
     /// Largest share of transported energy that no probe may see, per bake; probes are added until it is met or
     /// `probes_added_max` is reached.
     uncovered_max: f32 = [0.02, 0.005, 0.005], |v| (0.0..=1.0).contains(&v), "0..=1";
