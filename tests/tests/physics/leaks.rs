@@ -89,7 +89,7 @@ fn dark_room_stays_dark_though_both_rooms_see_the_sky() {
 }
 
 /// How far the energy in the room may be from the reference. With sh, probes in front of the gap blur the lit strips that
-/// they see in it: 32 % too much in the room were measured; 9 % with the patches of a draft.
+/// they see in it: 32 % too much in the room were measured, and 8 % with patches.
 fn room_tolerance(basis: &str) -> f64 {
     if basis == "patches" { 0.08 } else { 0.36 }
 }
