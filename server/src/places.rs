@@ -133,7 +133,7 @@ mod tests {
             ("file:///srv/chunks", ChunksPlace::Folder("/srv/chunks".into())),
             ("chunks", ChunksPlace::Folder("chunks".into())),
             ("s3://farm", s3("farm", "")),
-            ("s3://farm/a/b/", s3("farm", "a/b")),
+            ("s3://farm/chunks/of/ours/", s3("farm", "chunks/of/ours")),
         ] {
             assert_eq!(text.parse(), Ok(wanted), "{text}");
         }

@@ -2,10 +2,8 @@
 
 use std::collections::HashMap;
 
-use glam::Vec3;
 use lightkiln_proto::chunk::limits::SKY_PARTS_MAX;
 use lightkiln_proto::prt::{PatchKey, PatchSet, ProbeKey};
-use lightkiln_proto::sh::relight_direction;
 
 use super::atlas::AtlasLayout;
 use super::clusters::block_indices;
@@ -30,8 +28,8 @@ pub struct PatchTable {
     pub leaf_starts: Vec<u32>,
     /// Receiver slots, leaf by leaf, or [`HIT_DARK`].
     pub slots: Vec<u32>,
-    /// Middle of each part of the sky.
-    pub sky: Vec<Vec3>,
+    /// Parts of the sky.
+    pub sky_parts: u32,
     by_key: HashMap<ProbeKey, u32>,
 }
 
@@ -39,14 +37,14 @@ impl PatchTable {
     /// Index among patches and, after them, parts of the sky.
     pub fn index(&self, key: ProbeKey) -> Option<u32> {
         match PatchKey(key).sky() {
-            Some(part) => ((part as usize) < self.sky.len()).then(|| self.patches.len() as u32 + part),
+            Some(part) => (part < self.sky_parts).then(|| self.patches.len() as u32 + part),
             None => self.by_key.get(&key).copied(),
         }
     }
 
     /// Patches and parts of the sky.
     pub fn len(&self) -> usize {
-        self.patches.len() + self.sky.len()
+        self.patches.len() + self.sky_parts as usize
     }
 
     /// There are none.
@@ -65,7 +63,8 @@ impl PatchTable {
             return Err(format!("has {} parts of the sky", set.sky_parts));
         }
         let blocks = block_indices(&set.blocks, atlas)?;
-        let mut table = Self { leaf_starts: set.leaf_starts.clone(), ..Self::default() };
+        let mut table =
+            Self { leaf_starts: set.leaf_starts.clone(), sky_parts: set.sky_parts, ..Self::default() };
         for (&block, &texel) in set.block.iter().zip(&set.texel) {
             let found = blocks.get(usize::from(block)).ok_or_else(|| format!("names block {block}"))?;
             // The baker leaves out receivers that no light can reach.
@@ -75,7 +74,6 @@ impl PatchTable {
             table.by_key.insert(patch.key.0, index as u32);
             table.patches.push(PatchRow { first_leaf: patch.first_leaf, leaf_count: patch.leaf_count });
         }
-        table.sky = (0..set.sky_parts).map(|part| relight_direction(part, set.sky_parts)).collect();
         Ok(table)
     }
 }

@@ -61,12 +61,11 @@ pub fn relight(
 
 /// Mean radiance of every patch of a set, in the set's order, by key; then of the parts of the sky.
 ///
-/// `radiance` gives L in W·m⁻²·sr⁻¹ of a receiver by block and texel. The sky is
-/// `L(ω) = horizon + (zenith − horizon)·max(ω_y, 0)`, y up, at the middle of each part.
+/// `radiance` gives L in W·m⁻²·sr⁻¹ of a receiver by block and texel; the sky is that of [`sky_part_radiance`].
 pub fn patch_radiance(
     set: &PatchSet,
     mut radiance: impl FnMut(BlockKey, Texel) -> Rgb,
-    [zenith, horizon]: [Rgb; 2],
+    sky: [Rgb; 2],
 ) -> Vec<(PatchKey, Rgb)> {
     let mut receivers = set.block.iter().zip(&set.texel);
     let leaves: Vec<(Rgb, f32)> = set
@@ -89,11 +88,18 @@ pub fn patch_radiance(
         }
         (patch.key, sum.map(|channel| channel / count))
     };
-    let sky = (0..set.sky_parts).map(|part| {
-        let up = relight_direction(part, set.sky_parts).y.max(0.0);
-        (PatchKey::of_sky(part), [0, 1, 2].map(|c| horizon[c] + (zenith[c] - horizon[c]) * up))
-    });
+    let sky = sky_part_radiance(set.sky_parts, sky)
+        .zip(0..)
+        .map(|(radiance, part)| (PatchKey::of_sky(part), radiance));
     set.patches.iter().map(mean).chain(sky).collect()
+}
+
+/// Radiance of the parts of the sky, each at its middle: `L(ω) = horizon + (zenith − horizon)·max(ω_y, 0)`, y up.
+pub fn sky_part_radiance(sky_parts: u32, [zenith, horizon]: [Rgb; 2]) -> impl Iterator<Item = Rgb> {
+    (0..sky_parts).map(move |part| {
+        let up = relight_direction(part, sky_parts).y.max(0.0);
+        [0, 1, 2].map(|c| horizon[c] + (zenith[c] - horizon[c]) * up)
+    })
 }
 
 /// SH coefficients of the sky's radiance `L(ω) = horizon + (zenith − horizon)·max(ω_y, 0)`, y up.

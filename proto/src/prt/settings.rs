@@ -136,7 +136,8 @@ settings! {
     n_overlaps: u32 = [8, 10, 10], |v| (1..=64).contains(&v), "1..=64 probes";
     /// Relight rays per probe (a power of two). More → less noise in moving light, more run-time cost.
     relight_rays: u32 = [256, 512, 1024], |v| v.is_power_of_two() && (16..=16_384).contains(&v), "a power of two in 16..=16384";
-    /// Most columns of a cluster with `basis=patches`. More → sharper light, more bytes and time.
+    /// Patches that a cluster tells apart with `basis=patches`, besides the parts of the sky; more where it sees much that
+    /// no larger patch holds. More → sharper light, more bytes and time.
     patches_max: u32 = [256, 512, 1024], |v| (16..=8192).contains(&v), "16..=8192";
     /// Parts of the sky with `basis=patches` (a power of two). More → a sharper sky, more columns.
     sky_parts: u32 = [64, 64, 128], |v| v.is_power_of_two() && (16..=4096).contains(&v), "a power of two in 16..=4096";

@@ -3,6 +3,7 @@
 pub mod reference;
 
 use glam::Vec4;
+use lightkiln_proto::prt::reconstruct::sky_part_radiance;
 
 use crate::bake::LoadedBake;
 use crate::error::Result;
@@ -32,10 +33,10 @@ pub struct PatchNumbers {
     pub stride: u32,
 }
 
-/// Radiance of the parts of the sky, at their middles: `horizon + (zenith − horizon)·max(ω_y, 0)`.
+/// Radiance of the parts of the sky.
 pub fn sky_radiance(bake: &LoadedBake, sky: Sky) -> Vec<Vec4> {
-    let (zenith, horizon) = (sky.zenith.extend(0.0), sky.horizon.extend(0.0));
-    bake.patches.sky.iter().map(|direction| horizon + (zenith - horizon) * direction.y.max(0.0)).collect()
+    let parts = sky_part_radiance(bake.patches.sky_parts, [sky.zenith.into(), sky.horizon.into()]);
+    parts.map(|[r, g, b]| Vec4::new(r, g, b, 0.0)).collect()
 }
 
 /// The pass on the adapter: leaves, then patches.

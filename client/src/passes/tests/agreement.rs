@@ -27,6 +27,20 @@ fn positive_noise(count: usize, seed: u32) -> Vec<Vec4> {
     noise(count, seed).into_iter().map(Vec4::abs).collect()
 }
 
+/// E_dir, E_emit and E_ind.
+fn irradiance([dir, emit, ind]: &[Vec<Vec4>; 3]) -> Irradiance<'_> {
+    Irradiance { dir, emit, ind }
+}
+
+/// λ that the adapter makes of E_dir, E_emit and E_ind.
+fn lambda_of(gpu: &Gpu, frame: &Frame, [dir, emit, ind]: &[Vec<Vec4>; 3]) -> Vec<Vec4> {
+    gpu.write(&frame.resident.e_dir, dir);
+    gpu.write(&frame.resident.e_emit, emit);
+    gpu.write(&frame.resident.e_ind, ind);
+    gpu.submit(|encoder| frame.relight.record(&mut encoder.begin_compute_pass(&Default::default())));
+    gpu.read(&frame.resident.lambda, frame.resident.lambda_count).unwrap()
+}
+
 fn held(pass: &str, difference: &Difference, outliers: f32) {
     println!("{pass}: {difference}");
     assert!(difference.agrees(outliers), "{pass}: {difference}");
@@ -81,17 +95,11 @@ fn relight_agrees_with_the_reference() {
         let (bake, view) = fixture_view();
         let prepared = prepared(&bake, &view);
         let frame = Frame::new(gpu, &prepared).unwrap();
-        let count = bake.receivers.len();
-        let (dir, emit, ind) = (positive_noise(count, 1), positive_noise(count, 2), positive_noise(count, 3));
+        let light = [1, 2, 3].map(|seed| positive_noise(bake.receivers.len(), seed));
         // The sky's coefficients lie behind those of the probes and must survive.
-        gpu.write(&frame.resident.e_dir, &dir);
-        gpu.write(&frame.resident.e_emit, &emit);
-        gpu.write(&frame.resident.e_ind, &ind);
-        gpu.submit(|encoder| frame.relight.record(&mut encoder.begin_compute_pass(&Default::default())));
-        let got: Vec<Vec4> = gpu.read(&frame.resident.lambda, frame.resident.lambda_count).unwrap();
+        let got = lambda_of(gpu, &frame, &light);
         let table = RelightTable::new(&bake, prepared.sky);
-        let irradiance = Irradiance { dir: &dir, emit: &emit, ind: &ind };
-        let wanted = relight::reference::relight(&bake, &table, irradiance);
+        let wanted = relight::reference::relight(&bake, &table, irradiance(&light));
         held("relight", &Difference::of(&got, &wanted, relight::TOLERANCE), 0.0);
     });
 }
@@ -102,16 +110,10 @@ fn patches_agree_with_the_reference() {
     let (bake, view) = fixture_view_of(BasisKind::Patches);
     let prepared = prepared(&bake, &view);
     let frame = Frame::new(&gpu, &prepared).unwrap();
-    let count = bake.receivers.len();
-    let (dir, emit, ind) = (positive_noise(count, 1), positive_noise(count, 2), positive_noise(count, 3));
-    gpu.write(&frame.resident.e_dir, &dir);
-    gpu.write(&frame.resident.e_emit, &emit);
-    gpu.write(&frame.resident.e_ind, &ind);
-    gpu.submit(|encoder| frame.relight.record(&mut encoder.begin_compute_pass(&Default::default())));
-    let got: Vec<Vec4> = gpu.read(&frame.resident.lambda, frame.resident.lambda_count).unwrap();
-    let irradiance = Irradiance { dir: &dir, emit: &emit, ind: &ind };
+    let light = [1, 2, 3].map(|seed| positive_noise(bake.receivers.len(), seed));
+    let got = lambda_of(&gpu, &frame, &light);
     let sky = patches::sky_radiance(&bake, prepared.sky);
-    let wanted = patches::reference::mean_radiance(&bake, &sky, irradiance);
+    let wanted = patches::reference::mean_radiance(&bake, &sky, irradiance(&light));
     // Five walls of four leaves, and the sky's parts behind them.
     assert_eq!(wanted.len(), 25 + sky.len());
     assert!(wanted.iter().all(|mean| mean.y > 0.0));

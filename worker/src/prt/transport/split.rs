@@ -27,7 +27,7 @@ const SIGNAL_MIN: f64 = 1e-6;
 pub struct Piece {
     /// What the chunk will hold.
     pub transport: ClusterTransport,
-    /// √(Σ_{i>k} s² / Σ s²) of the weighted matrix.
+    /// √(Σ_{i>k} s² / Σ s²) of the weighted matrix; with patches, of what is signal in it.
     pub truncation_error: f32,
     /// Upper bound of S1's own criterion, of the weighted matrix.
     pub s1_criterion_bound: f32,
