@@ -11,8 +11,8 @@ use lightkiln_proto::manifest::{
     Block, Emitter, FORMAT, Manifest, Material, TextureUse, Totals, VERSION, Wrap,
 };
 use lightkiln_proto::prt::{
-    BasisKind, ClusterTransport, Draw, EmitterIrradiance, Geometry, Patch, PatchKey, PatchSet, Probe,
-    ProbeBatch, Receivers, RelightHit, Settings,
+    AreaCode, BasisKind, ClusterTransport, Draw, EmitterIrradiance, Geometry, Patch, PatchKey, PatchSet,
+    Probe, ProbeBatch, Receivers, RelightHit, Settings,
 };
 use lightkiln_proto::scene::{LightKind, SceneCamera, SceneLight};
 use lightkiln_proto::sh::{ShBasis, relight_direction};
@@ -364,6 +364,7 @@ fn patch_set(walls: &[Quad]) -> PatchSet {
             let corner = [leaf % (SIDE / LEAF), leaf / (SIDE / LEAF)].map(|place| place * LEAF);
             for texel in 0..LEAF * LEAF {
                 set.block.push(wall as u16);
+                set.area.push(AreaCode(120 + (texel % 16) as u8));
                 set.texel.push([corner[0] + texel % LEAF, corner[1] + texel / LEAF].map(|at| at as u16));
             }
             set.leaf_starts.push(set.texel.len() as u32);

@@ -28,6 +28,8 @@ pub struct PatchTable {
     pub leaf_starts: Vec<u32>,
     /// Receiver slots, leaf by leaf, or [`HIT_DARK`].
     pub slots: Vec<u32>,
+    /// Area of each, in texels: its weight in the means.
+    pub areas: Vec<f32>,
     /// Parts of the sky.
     pub sky_parts: u32,
     by_key: HashMap<ProbeKey, u32>,
@@ -65,6 +67,7 @@ impl PatchTable {
         let blocks = block_indices(&set.blocks, atlas)?;
         let mut table =
             Self { leaf_starts: set.leaf_starts.clone(), sky_parts: set.sky_parts, ..Self::default() };
+        table.areas = set.area.iter().map(|area| area.texels()).collect();
         for (&block, &texel) in set.block.iter().zip(&set.texel) {
             let found = blocks.get(usize::from(block)).ok_or_else(|| format!("names block {block}"))?;
             // The baker leaves out receivers that no light can reach.

@@ -1,5 +1,7 @@
 //! The factors' codes in their sections: which cells a layer adds, in which order, and how U's are guessed.
 
+use std::ops::Range;
+
 use super::bytes::Reader;
 use super::cells::{CellReader, CellWriter};
 use super::error::{ChunkError, in_range};
@@ -10,6 +12,8 @@ use crate::prt::ClusterTransport;
 
 /// Receivers per cell of U.
 const U_CELL: usize = 48;
+/// Columns per cell of ΣVᵀ where each group of columns has but one.
+const VT_CELL: usize = 48;
 /// Codes of a column of U are stored as they are.
 const AS_IS: u8 = 0;
 /// Codes of a column of U are stored as differences from guesses.
@@ -44,8 +48,11 @@ fn new_parts(shape: &Shape, before: Option<LayerBox>, layer: LayerBox) -> Vec<Pa
 fn cell_lengths(shape: Shape, parts: &[Part]) -> impl Iterator<Item = usize> + Clone {
     parts.iter().flat_map(move |&part| match part {
         Part::Vt { ranks, bands } => {
-            let cells = ranks_of(ranks, shape.rank).len() * shape.column_groups;
-            std::iter::repeat_n(coefficients_of(bands, shape.bands).len(), cells).collect::<Vec<_>>()
+            let rows = ranks_of(ranks, shape.rank).len();
+            std::iter::repeat_n(vt_cells(&shape, shape.bands, bands), rows)
+                .flatten()
+                .map(|cell| cell.len())
+                .collect::<Vec<_>>()
         }
         Part::U { level, ranks } => {
             let rows = shape.counts[level as usize];
@@ -54,6 +61,18 @@ fn cell_lengths(shape: Shape, parts: &[Part]) -> impl Iterator<Item = usize> + C
             std::iter::repeat_n(row_cells.collect::<Vec<_>>(), columns).flatten().collect()
         }
     })
+}
+
+/// Columns of each cell of one row of ΣVᵀ with bands up to `bands`: those of band group `group` of one group of columns,
+/// or of many, where each has but one column.
+fn vt_cells(shape: &Shape, bands: u32, group: usize) -> Vec<Range<usize>> {
+    let groups = shape.column_groups;
+    if shape.bands == 0 {
+        return (0..groups).step_by(VT_CELL).map(|first| first..groups.min(first + VT_CELL)).collect();
+    }
+    let coefficients = shape.columns(bands) / groups.max(1);
+    let js = coefficients_of(group, shape.bands);
+    (0..groups).map(|index| index * coefficients + js.start..index * coefficients + js.end).collect()
 }
 
 /// Columns of U among `parts`: each has a byte that says how its codes are stored.
@@ -81,18 +100,14 @@ pub(super) fn write_factors(
     predictor: &Predictor,
 ) -> (Vec<u8>, Vec<u8>) {
     let (mut modes, mut cells) = (Vec::new(), CellWriter::default());
-    let receivers = shape.receivers_in(0);
-    let coefficients = shape.columns(shape.bands) / shape.column_groups.max(1);
+    let (receivers, columns) = (shape.receivers_in(0), shape.columns(shape.bands));
     for part in new_parts(shape, before, layer) {
         match part {
             Part::Vt { ranks, bands } => {
-                let js = coefficients_of(bands, shape.bands);
+                let of_row = vt_cells(shape, shape.bands, bands);
                 for i in ranks_of(ranks, shape.rank) {
-                    for group in 0..shape.column_groups {
-                        cells.push(
-                            &factors.vt[(i * shape.column_groups + group) * coefficients..][js.clone()],
-                        );
-                    }
+                    let row = &factors.vt[i * columns..][..columns];
+                    of_row.iter().for_each(|cell| cells.push(&row[cell.clone()]));
                 }
             }
             Part::U { level, ranks } => {
@@ -161,15 +176,16 @@ impl FactorReader<'_> {
     }
 
     fn read_vt(&self, ranks: usize, bands: usize, cells: &mut CellReader, cluster: &mut ClusterTransport) {
-        let groups = self.shape.column_groups;
-        let (js, coefficients) = (coefficients_of(bands, self.shape.bands), cluster.coefficients());
-        let mut codes = Vec::with_capacity(js.len());
+        let columns = self.shape.columns(cluster.bands);
+        let of_row = vt_cells(self.shape, cluster.bands, bands);
+        let mut codes = Vec::new();
         for i in ranks_of(ranks, self.shape.rank) {
-            for group in 0..groups {
+            let row = &mut cluster.vt[i * columns..][..columns];
+            for cell in &of_row {
                 codes.clear();
-                cells.next(js.len(), &mut codes);
-                let row = &mut cluster.vt[(i * groups + group) * coefficients..][js.clone()];
-                row.iter_mut().zip(&codes).for_each(|(entry, &code)| *entry = value(code, self.steps[1][i]));
+                cells.next(cell.len(), &mut codes);
+                let entries = row[cell.clone()].iter_mut().zip(&codes);
+                entries.for_each(|(entry, &code)| *entry = value(code, self.steps[1][i]));
             }
         }
     }

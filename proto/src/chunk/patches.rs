@@ -7,7 +7,7 @@ use super::container::{ChunkKind, Container, ContainerWriter, SectionId};
 use super::error::{ChunkError, in_range};
 use super::ints;
 use super::limits::*;
-use crate::prt::{Patch, PatchKey, PatchSet, Texel};
+use crate::prt::{AreaCode, Patch, PatchKey, PatchSet, Texel};
 
 /// Section tags of patch chunks; part is 0, 0, 0.
 pub(super) mod tags {
@@ -46,6 +46,7 @@ fn check(set: &PatchSet) -> Result<(), ChunkError> {
         return Err(ChunkError::Order { section, what: "block", index: index + 1 });
     }
     in_range(section, "blocks of receivers", set.block.len() as u64, receivers, receivers)?;
+    in_range(section, "areas of receivers", set.area.len() as u64, receivers, receivers)?;
     in_range(
         section,
         "start of the first leaf",
@@ -111,6 +112,7 @@ fn write_leaves(set: &PatchSet) -> Vec<u8> {
     for axis in 0..2 {
         ints::put_deltas(&mut out, set.texel.iter().map(|texel| texel[axis].into()));
     }
+    out.extend(set.area.iter().map(|area| area.0));
     out
 }
 
@@ -131,12 +133,12 @@ pub fn decode_patches(bytes: &[u8]) -> Result<PatchSet, ChunkError> {
     let [patches, leaves, receivers, blocks] =
         [patches, leaves, receivers, blocks].map(|count| count as usize);
     container.check_sections(&SECTIONS)?;
-    let memory = (16 * patches + 4 * leaves + 6 * receivers + 8 * blocks) as u64;
+    let memory = (16 * patches + 4 * leaves + 7 * receivers + 8 * blocks) as u64;
     container.check_expansion(2 * memory)?;
     let mut set = PatchSet { sky_parts, ..PatchSet::default() };
     let patch_bytes = 8 * blocks as u64 + 4 * ints::bytes_max(patches);
     read_patches(&container.section(0, "patches", patch_bytes)?, blocks, patches, leaves, &mut set)?;
-    let leaf_bytes = ints::bytes_max(leaves) + 3 * ints::bytes_max(receivers);
+    let leaf_bytes = ints::bytes_max(leaves) + 3 * ints::bytes_max(receivers) + receivers as u64;
     read_leaves(&container.section(1, "leaves", leaf_bytes)?, leaves, receivers, &mut set)?;
     check(&set)?;
     Ok(set)
@@ -176,6 +178,7 @@ fn read_leaves(raw: &[u8], leaves: usize, receivers: usize, set: &mut PatchSet) 
     let block = ints::take_deltas(&mut reader, "block", receivers, 0..=65_535)?;
     let x = ints::take_deltas(&mut reader, "texel", receivers, 0..=65_535)?;
     let y = ints::take_deltas(&mut reader, "texel", receivers, 0..=65_535)?;
+    set.area = reader.take("area", receivers, 1)?.iter().map(|&code| AreaCode(code)).collect();
     reader.end()?;
     let mut end = 0_u64;
     set.leaf_starts.push(0);

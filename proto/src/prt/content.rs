@@ -186,8 +186,31 @@ pub struct PatchSet {
     pub block: Vec<u16>,
     /// Texel of each receiver. Where no cluster has a receiver of it, no light reaches it: it counts as dark.
     pub texel: Vec<Texel>,
+    /// Surface of each receiver: its weight in the mean.
+    pub area: Vec<AreaCode>,
     /// Parts of the sky S; part s is what is nearest to direction [`crate::sh::relight_direction`]`(s, S)`.
     pub sky_parts: u32,
+}
+
+/// How much surface stands behind a texel, in texels: `2^((code − 128)/16)`, so within 2.2 %, from 1/256 to 244. Texels
+/// on a chart's rim have less than those in its middle, and charts of uneven density more or less.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub struct AreaCode(pub u8);
+
+impl AreaCode {
+    /// A whole texel.
+    pub const ONE: Self = Self(128);
+
+    /// The nearest code.
+    pub fn of(texels: f32) -> Self {
+        let code = libm::roundf(libm::log2f(texels.max(f32::MIN_POSITIVE)) * 16.0) + 128.0;
+        Self(code.clamp(0.0, 255.0) as u8)
+    }
+
+    /// Area in texels.
+    pub fn texels(self) -> f32 {
+        libm::exp2f((f32::from(self.0) - 128.0) / 16.0)
+    }
 }
 
 /// A surface patch: a run of leaves.

@@ -59,7 +59,7 @@ pub fn relight(
     lambda
 }
 
-/// Mean radiance of every patch of a set, in the set's order, by key; then of the parts of the sky.
+/// Mean radiance of every patch of a set, by area, in the set's order, by key; then of the parts of the sky.
 ///
 /// `radiance` gives L in W·m⁻²·sr⁻¹ of a receiver by block and texel; the sky is that of [`sky_part_radiance`].
 pub fn patch_radiance(
@@ -67,26 +67,27 @@ pub fn patch_radiance(
     mut radiance: impl FnMut(BlockKey, Texel) -> Rgb,
     sky: [Rgb; 2],
 ) -> Vec<(PatchKey, Rgb)> {
-    let mut receivers = set.block.iter().zip(&set.texel);
+    let mut receivers = set.block.iter().zip(&set.texel).zip(&set.area);
     let leaves: Vec<(Rgb, f32)> = set
         .leaf_starts
         .windows(2)
         .map(|pair| {
             let count = pair[1] - pair[0];
-            let mut sum = [0.0; 3];
-            for (&block, &texel) in receivers.by_ref().take(count as usize) {
-                add_scaled(&mut sum, 1.0, radiance(set.blocks[usize::from(block)], texel));
+            let (mut sum, mut area) = ([0.0; 3], 0.0);
+            for ((&block, &texel), weight) in receivers.by_ref().take(count as usize) {
+                add_scaled(&mut sum, weight.texels(), radiance(set.blocks[usize::from(block)], texel));
+                area += weight.texels();
             }
-            (sum, count as f32)
+            (sum, area)
         })
         .collect();
     let mean = |patch: &Patch| {
-        let (mut sum, mut count) = ([0.0; 3], 0.0);
-        for (leaf, receivers) in &leaves[patch.first_leaf as usize..][..patch.leaf_count as usize] {
+        let (mut sum, mut whole) = ([0.0; 3], 0.0);
+        for (leaf, area) in &leaves[patch.first_leaf as usize..][..patch.leaf_count as usize] {
             add_scaled(&mut sum, 1.0, *leaf);
-            count += receivers;
+            whole += area;
         }
-        (patch.key, sum.map(|channel| channel / count))
+        (patch.key, sum.map(|channel| channel / whole))
     };
     let sky = sky_part_radiance(set.sky_parts, sky)
         .zip(0..)
@@ -188,7 +189,7 @@ fn add_scaled(sum: &mut Rgb, scale: f32, value: Rgb) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::prt::{EmitterIrradiance, Probe, Receivers};
+    use crate::prt::{AreaCode, EmitterIrradiance, Probe, Receivers};
     use std::f32::consts::PI;
 
     fn close(a: f32, b: f32) -> bool {
@@ -229,13 +230,15 @@ mod tests {
             blocks: vec![7],
             block: vec![0; 4],
             texel: vec![[0, 0], [1, 0], [2, 0], [3, 0]],
+            // The last has twice the area of the others.
+            area: vec![AreaCode::ONE, AreaCode::ONE, AreaCode::ONE, AreaCode(AreaCode::ONE.0 + 16)],
             sky_parts: 16,
         };
         let sky = [[1.0, 2.0, 3.0]; 2];
         let found = patch_radiance(&set, |block, [x, _]| [block as f32, f32::from(x), 0.0], sky);
         assert_eq!(
             found[..3].iter().map(|(_, l)| *l).collect::<Vec<_>>(),
-            [[7.0, 0.0, 0.0], [7.0, 2.0, 0.0], [7.0, 1.5, 0.0]]
+            [[7.0, 0.0, 0.0], [7.0, 2.25, 0.0], [7.0, 1.8, 0.0]]
         );
         assert_eq!(found.len(), 19);
         assert!(found[3..].iter().all(|(key, l)| key.sky().is_some() && *l == sky[0]));

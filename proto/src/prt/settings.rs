@@ -136,9 +136,10 @@ settings! {
     n_overlaps: u32 = [8, 10, 10], |v| (1..=64).contains(&v), "1..=64 probes";
     /// Relight rays per probe (a power of two). More → less noise in moving light, more run-time cost.
     relight_rays: u32 = [256, 512, 1024], |v| v.is_power_of_two() && (16..=16_384).contains(&v), "a power of two in 16..=16384";
-    /// Patches that a cluster tells apart with `basis=patches`, besides the parts of the sky; more where it sees much that
-    /// no larger patch holds. More → sharper light, more bytes and time.
-    patches_max: u32 = [256, 512, 1024], |v| (16..=8192).contains(&v), "16..=8192";
+    /// Most patches that a cluster tells apart with `basis=patches`, besides the parts of the sky; those whose telling apart
+    /// would lower the error of irradiance by less than `rank_error²/patches_max`, in squares, are not. More → sharper
+    /// light, more bytes and time.
+    patches_max: u32 = [1024, 4096, 8192], |v| (16..=8192).contains(&v), "16..=8192";
     /// Parts of the sky with `basis=patches` (a power of two). More → a sharper sky, more columns.
     sky_parts: u32 = [64, 64, 128], |v| v.is_power_of_two() && (16..=4096).contains(&v), "a power of two in 16..=4096";
     /// Highest spherical-harmonic band; (bands+1)² coefficients per probe. More → sharper, more bytes.
@@ -147,16 +148,17 @@ settings! {
     /// `1/(1 + s·(l(l+1)/((D+1)(D+2)))²)`. More → less ringing, blurrier.
     window_strength: f32 = [0.5, 0.5, 0.5], |v| (0.0..=100.0).contains(&v), "0..=100";
     /// Cosine-distributed rays per receiver. More → less noise in transport, more time.
-    transport_rays: u32 = [128, 512, 2048], |v| (16..=65_536).contains(&v), "16..=65536";
+    transport_rays: u32 = [128, 1024, 2048], |v| (16..=65_536).contains(&v), "16..=65536";
     /// Shadow rays per receiver to emissive surfaces. More → smoother soft shadows, more time.
     emitter_rays: u32 = [32, 64, 256], |v| (4..=65_536).contains(&v), "4..=65536";
-    /// Most receivers in a cluster. More → fewer bytes, more work per factorisation.
-    cluster_receivers: u32 = [1024, 1024, 1024], |v| (16..=8192).contains(&v), "16..=8192";
+    /// Most receivers in a cluster. More → more work per factorisation; fewer bytes with `basis=sh` (up to 1024).
+    cluster_receivers: u32 = [256, 256, 256], |v| (16..=8192).contains(&v), "16..=8192";
     /// Highest rank of a cluster's factors; a cluster that needs more is split.
-    rank_max: u32 = [32, 48, 64], |v| (1..=64).contains(&v), "1..=64";
+    rank_max: u32 = [48, 64, 64], |v| (1..=64).contains(&v), "1..=64";
     /// Relative error of truncation: the smallest rank whose dropped singular values hold at most this share
-    /// (root of the squares, columns weighted by the spectrum that radiance is expected to have). Smaller → higher ranks, more bytes.
-    rank_error: f32 = [0.04, 0.02, 0.015], |v| (1e-5..=0.5).contains(&v), "0.00001..=0.5";
+    /// (root of the squares, columns weighted by the spectrum that radiance is expected to have). With patches it also
+    /// bounds what may be lost by not telling patches apart, and by quantisation. Smaller → higher ranks, more bytes.
+    rank_error: f32 = [0.02, 0.01, 0.005], |v| (1e-5..=0.5).contains(&v), "0.00001..=0.5";
     /// Smallest cluster that is still split when `rank_max` does not suffice.
     split_receivers_min: u32 = [256, 256, 256], |v| (2..=8192).contains(&v), "2..=8192";
     /// Largest share of transported energy that no probe may see, per bake; probes are added until it is met or

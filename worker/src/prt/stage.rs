@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 use lightkiln_proto::ids::Digest;
-use lightkiln_proto::prt::{BlockKey, PatchKey, Probe, Texel};
+use lightkiln_proto::prt::{AreaCode, BlockKey, PatchKey, Probe, Texel};
 use serde::{Deserialize, Serialize};
 
 use crate::unwrap::Unwrap;
@@ -71,6 +71,8 @@ pub struct Receiver {
     pub emission: [f32; 3],
     /// Bits of `lightkiln_proto::prt::LINKS`.
     pub links: u8,
+    /// Surface that reads this texel, of one side.
+    pub area: AreaCode,
 }
 
 /// Surface patches, coarse to fine.
@@ -102,6 +104,8 @@ pub struct Patch {
     pub end: u32,
     /// Lower and upper corner of its receivers' positions in metres.
     pub bounds_m: [Vec3; 2],
+    /// Sum of its receivers' areas, in texels.
+    pub area_texels: f32,
 }
 
 impl PatchTree {

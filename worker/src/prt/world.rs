@@ -134,6 +134,9 @@ pub fn weights_of([b1, b2]: [f32; 2]) -> Vec3 {
     Vec3::new(1.0 - b1 - b2, b1, b2)
 }
 
+/// Rings of texels around a hit's own in which one is looked for that no wall separates from it.
+const LINKED_RINGS: i32 = 2;
+
 /// What a ray meets, as transport sees it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Surface {
@@ -224,14 +227,20 @@ impl World {
             return Surface::Receiver(own);
         }
         let [x, y] = receiver.texel.map(i32::from);
-        let around = (0..9)
-            .filter(|i| *i != 4)
-            .filter_map(|i| self.receiver_on(receiver.block, x + i % 3 - 1, y + i / 3 - 1));
+        let ring = |radius: i32| {
+            let side = 2 * radius + 1;
+            (0..side * side)
+                .map(move |i| [i % side - radius, i / side - radius])
+                .filter(move |offset| offset[0].abs().max(offset[1].abs()) == radius)
+        };
         let distance = |index: u32| self.stage.receivers[index as usize].position_m.distance_squared(point_m);
-        around
-            .filter(|&index| linked(&self.stage.receivers[index as usize]))
-            .min_by(|&a, &b| distance(a).total_cmp(&distance(b)).then(a.cmp(&b)))
-            .map_or(Surface::Dark, Surface::Receiver)
+        let nearest = |radius: i32| {
+            ring(radius)
+                .filter_map(|[dx, dy]| self.receiver_on(receiver.block, x + dx, y + dy))
+                .filter(|&index| linked(&self.stage.receivers[index as usize]))
+                .min_by(|&a, &b| distance(a).total_cmp(&distance(b)).then(a.cmp(&b)))
+        };
+        (1..=LINKED_RINGS).find_map(nearest).map_or(Surface::Dark, Surface::Receiver)
     }
 
     /// How far points are raised before they are tested for a wall between them, in metres: above the bulge of

@@ -62,17 +62,18 @@ impl PatchesPass {
         };
         let leaf_groups = groups_2d((table.leaf_count() as u32).div_ceil(THREADS));
         let sum = gpu.compute("leaves of patches", SHADER, "sum_leaves");
-        let sum_group = gpu.bind(
+        let sum_group = gpu.bind_at(
             &sum.get_bind_group_layout(0),
             &[
-                gpu.uniform("leaves", &numbers(leaf_groups)).as_entire_binding(),
-                leaf_starts.as_entire_binding(),
-                gpu.storage("slots", &table.slots)?.as_entire_binding(),
-                resident.albedo.as_entire_binding(),
-                resident.e_dir.as_entire_binding(),
-                resident.e_emit.as_entire_binding(),
-                resident.e_ind.as_entire_binding(),
-                leaves.as_entire_binding(),
+                (0, gpu.uniform("leaves", &numbers(leaf_groups)).as_entire_binding()),
+                (1, leaf_starts.as_entire_binding()),
+                (2, gpu.storage("slots", &table.slots)?.as_entire_binding()),
+                (3, resident.albedo.as_entire_binding()),
+                (4, resident.e_dir.as_entire_binding()),
+                (5, resident.e_emit.as_entire_binding()),
+                (6, resident.e_ind.as_entire_binding()),
+                (7, leaves.as_entire_binding()),
+                (10, gpu.storage("areas", &table.areas)?.as_entire_binding()),
             ],
         );
         let patch_groups = groups_2d((table.patches.len() as u32).div_ceil(THREADS));

@@ -24,7 +24,9 @@ const PI = 3.14159265358979;
 @group(0) @binding(4) var<storage, read> e_dir: array<vec4f>;
 @group(0) @binding(5) var<storage, read> e_emit: array<vec4f>;
 @group(0) @binding(6) var<storage, read> e_ind: array<vec4f>;
-// Sum over the receivers of each leaf; w is how many.
+// Area of each in texels.
+@group(0) @binding(10) var<storage, read> areas: array<f32>;
+// Sum over the surface of each leaf; w is its area.
 @group(0) @binding(7) var<storage, read_write> leaves: array<vec4f>;
 @group(0) @binding(8) var<storage, read> patches: array<PatchRow>;
 // Patches, then parts of the sky, which do not change.
@@ -37,14 +39,16 @@ fn sum_leaves(@builtin(global_invocation_id) thread: vec3u) {
         return;
     }
     var sum = vec3f(0.0);
+    var area = 0.0;
     for (var index = leaf_starts[leaf]; index < leaf_starts[leaf + 1u]; index++) {
         let slot = slots[index];
         // Receivers that no light reaches have no slot.
         if slot < numbers.receiver_count {
-            sum += albedo[slot].rgb * (1.0 / PI) * (e_dir[slot].rgb + e_emit[slot].rgb + e_ind[slot].rgb);
+            sum += areas[index] * albedo[slot].rgb * (1.0 / PI) * (e_dir[slot].rgb + e_emit[slot].rgb + e_ind[slot].rgb);
         }
+        area += areas[index];
     }
-    leaves[leaf] = vec4f(sum, f32(leaf_starts[leaf + 1u] - leaf_starts[leaf]));
+    leaves[leaf] = vec4f(sum, area);
 }
 
 @compute @workgroup_size(64)

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use crate::bake::LoadedBake;
 use crate::passes::relight::reference::{Irradiance, hit_radiance};
 
-/// `lambda[s]`: mean of `L = ρ/π·(E_dir + E_emit + E_ind)` over the receivers of patch s, W·m⁻²·sr⁻¹; `sky`, one entry per
+/// `lambda[s]`: mean of `L = ρ/π·(E_dir + E_emit + E_ind)` over the surface of patch s, W·m⁻²·sr⁻¹; `sky`, one entry per
 /// part of the sky, comes last.
 pub fn mean_radiance(bake: &LoadedBake, sky: &[Vec4], irradiance: Irradiance<'_>) -> Vec<Vec4> {
     let table = &bake.patches;
@@ -14,9 +14,11 @@ pub fn mean_radiance(bake: &LoadedBake, sky: &[Vec4], irradiance: Irradiance<'_>
         .leaf_starts
         .par_windows(2)
         .map(|pair| {
-            let slots = &table.slots[pair[0] as usize..pair[1] as usize];
-            let sum: Vec4 = slots.iter().map(|&slot| hit_radiance(bake, irradiance, slot)).sum();
-            sum.truncate().extend((pair[1] - pair[0]) as f32)
+            let of_leaf = pair[0] as usize..pair[1] as usize;
+            let areas = &table.areas[of_leaf.clone()];
+            let each = table.slots[of_leaf].iter().zip(areas);
+            let sum: Vec4 = each.map(|(&slot, &area)| hit_radiance(bake, irradiance, slot) * area).sum();
+            sum.truncate().extend(areas.iter().sum())
         })
         .collect();
     let mean = |patch: &crate::bake::PatchRow| {

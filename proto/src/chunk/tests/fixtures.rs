@@ -80,6 +80,7 @@ fn patches() -> PatchSet {
         blocks: vec![0x0123_4567_89ab_cdef],
         block: vec![0; 4],
         texel: vec![[0, 0], [1, 0], [0, 1], [1, 1]],
+        area: [128, 128, 112, 3].map(AreaCode).to_vec(),
         sky_parts: 64,
     }
 }

@@ -99,6 +99,7 @@ pub(super) fn patches(leaves: u32) -> PatchSet {
         blocks: vec![8, 9],
         block: (0..count).map(|r| (r % 2) as u16).collect(),
         texel: (0..count).map(|r| [r as u16 * 7, 65_535 - r as u16]).collect(),
+        area: (0..count).map(|r| AreaCode((r * 37 % 256) as u8)).collect(),
         sky_parts: 64,
     }
 }

@@ -25,7 +25,8 @@ const LEAF_TEXELS: f32 = 2.0;
 const LEVELS_MAX: u32 = 14;
 /// Cells along an axis: 15 bits of a key.
 const CELLS_MAX: i32 = 1 << 15;
-/// Patches of one cell and direction with a key of their own: 10 bits of it. The rest joins the last.
+/// Patches of one cell and direction: 10 bits of a key. Surfaces beyond stay apart, as the patches of the level below that
+/// they are; receivers beyond join the last.
 const ORDINALS_MAX: usize = 1 << 10;
 /// Surfaces of a cell that another one is tried to join.
 const TRIED_MAX: usize = 8;
@@ -105,6 +106,7 @@ pub fn chunk(stage: &Stage, settings: &Settings) -> Result<Option<Vec<u8>>, Task
         leaf_starts: tree.leaf_starts.clone(),
         block: tree.receivers.iter().map(index).collect(),
         texel: tree.receivers.iter().map(|&receiver| stage.receivers[receiver as usize].texel).collect(),
+        area: tree.receivers.iter().map(|&receiver| stage.receivers[receiver as usize].area).collect(),
         blocks,
         sky_parts: settings.sky_parts,
     };
@@ -187,23 +189,33 @@ fn level_above(
     let mut parents = Vec::new();
     let mut parent_of = vec![0; items.len()];
     for ((place, _), surfaces) in places.iter().zip(surfaces) {
-        for (ordinal, members) in surfaces.into_iter().enumerate() {
-            members.iter().for_each(|&member| parent_of[member as usize] = parents.len() as u32);
-            let first = &items[members[0] as usize];
-            let node = if level > 0 && members.len() == 1 {
-                first.node
-            } else {
-                let key = PatchKey::of_cell(level, place.cell, place.direction, ordinal as u32);
-                let (mut children, mut receivers) = (Vec::new(), Vec::new());
-                if level == 0 {
-                    receivers = members.iter().map(|&member| items[member as usize].receiver).collect();
-                } else {
-                    children = members.iter().map(|&member| items[member as usize].node).collect();
+        let mut named = 0;
+        for members in surfaces {
+            if level > 0 && (members.len() == 1 || named == ORDINALS_MAX) {
+                for member in members {
+                    parent_of[member as usize] = parents.len() as u32;
+                    parents.push(Item { place: *place, ..items[member as usize] });
                 }
-                nodes.push(Node { key, children, receivers });
-                nodes.len() as u32 - 1
-            };
-            parents.push(Item { place: *place, node, ..*first });
+                continue;
+            }
+            members.iter().for_each(|&member| parent_of[member as usize] = parents.len() as u32);
+            if named == ORDINALS_MAX {
+                let joined = members.iter().map(|&member| items[member as usize].receiver);
+                nodes.last_mut().into_iter().for_each(|node| node.receivers.extend(joined.clone()));
+                members.iter().for_each(|&member| parent_of[member as usize] = parents.len() as u32 - 1);
+                continue;
+            }
+            let key = PatchKey::of_cell(level, place.cell, place.direction, named as u32);
+            named += 1;
+            let (mut children, mut receivers) = (Vec::new(), Vec::new());
+            if level == 0 {
+                receivers = members.iter().map(|&member| items[member as usize].receiver).collect();
+            } else {
+                children = members.iter().map(|&member| items[member as usize].node).collect();
+            }
+            nodes.push(Node { key, children, receivers });
+            let node = nodes.len() as u32 - 1;
+            parents.push(Item { place: *place, node, ..items[members[0] as usize] });
         }
     }
     (parents, parent_of)
@@ -235,11 +247,10 @@ fn surfaces(
                 }
             }
         }
-        let full = found.len() == ORDINALS_MAX;
         let joined = found.iter().enumerate().take(TRIED_MAX).position(|(_, surface)| {
             are_in_sight(world, height_m, &items[surface[0] as usize], &items[start as usize])
         });
-        match joined.or(full.then_some(ORDINALS_MAX - 1)) {
+        match joined {
             Some(surface) => found[surface].append(&mut linked),
             None => found.push(linked),
         }
@@ -294,7 +305,14 @@ fn enter(world: &World, nodes: &[Node], index: u32, tree: &mut PatchTree) {
     let node = &nodes[index as usize];
     let own = tree.patches.len();
     let first_leaf = tree.leaf_starts.len() as u32;
-    tree.patches.push(Patch { key: node.key, first_leaf, leaf_count: 0, end: 0, bounds_m: [Vec3::ZERO; 2] });
+    tree.patches.push(Patch {
+        key: node.key,
+        first_leaf,
+        leaf_count: 0,
+        end: 0,
+        bounds_m: [Vec3::ZERO; 2],
+        area_texels: 0.0,
+    });
     if node.children.is_empty() {
         tree.leaf_starts.push(tree.receivers.len() as u32);
         for &receiver in &node.receivers {
@@ -312,8 +330,12 @@ fn enter(world: &World, nodes: &[Node], index: u32, tree: &mut PatchTree) {
     let bounds_m = of_receivers.fold([Vec3::INFINITY, Vec3::NEG_INFINITY], |[low, high], position_m| {
         [low.min(position_m), high.max(position_m)]
     });
+    let of_receivers = &tree.receivers[tree.leaf_starts[first_leaf as usize] as usize..];
+    let areas = of_receivers.iter().map(|&receiver| world.stage.receivers[receiver as usize].area.texels());
+    let area_texels = areas.sum();
     let patch = &mut tree.patches[own];
-    (patch.leaf_count, patch.end, patch.bounds_m) = (leaves - first_leaf, end, bounds_m);
+    (patch.leaf_count, patch.end) = (leaves - first_leaf, end);
+    (patch.bounds_m, patch.area_texels) = (bounds_m, area_texels);
 }
 
 #[cfg(test)]

@@ -4,18 +4,18 @@ use std::collections::BTreeSet;
 
 use glam::Vec3;
 use lightkiln_proto::ids::Digest;
-use lightkiln_proto::prt::Settings;
+use lightkiln_proto::prt::{AreaCode, Settings};
 use rayon::prelude::*;
 
 use super::shift::{Shifter, Standing};
-use super::texels::{Coverage, CoveredTexel, alternatives, cover};
+use super::texels::{Coverage, CoveredTexel, alternatives, areas, cover};
 use crate::prt::stage::{NO_RECEIVER, Receiver, StageBlock};
-use crate::prt::world::{Geometry, TriangleRef};
+use crate::prt::world::{Geometry, TriangleRef, corners_of};
 use crate::scene::model::Scene;
 use crate::scene::surface::{Footprint, normal_at, surface_at};
 use crate::scene::texture::DecodedImages;
 use crate::task::{Progress, TaskError};
-use crate::unwrap::{Unwrap, UnwrapBlock};
+use crate::unwrap::{Unwrap, UnwrapBlock, UnwrappedTriangle};
 
 /// Mean free path in texels below which another point of the texel is looked for. The foot of a wall that a texel's
 /// middle just misses has about this.
@@ -96,6 +96,7 @@ pub fn place(
         let block = &unwraps[instance].blocks[part];
         let coverage = cover(block);
         let maker = Maker { scene, images, instance, texel_m };
+        let areas = areas(block, &coverage, |triangle| maker.area_texels(triangle));
         for side in 0..sides(scene, instance) {
             let key = blocks[block_index as usize].key;
             let stand = |texel: &CoveredTexel| {
@@ -105,7 +106,8 @@ pub fn place(
             let mut standing: Vec<Option<Standing>> = coverage.covered.par_iter().map(stand).collect();
             open_up(block, &coverage.covered, &mut standing, stand);
             progress.add_rays_closest(shifter.take_rays());
-            blocks[block_index as usize].receiver_of_texel = number(&coverage, &standing, &mut placed);
+            blocks[block_index as usize].receiver_of_texel =
+                number(&coverage, &standing, &areas, &mut placed);
             block_index += 1;
         }
         progress.advance(1);
@@ -140,12 +142,17 @@ fn open_up(
 }
 
 /// Appends the valid receivers and gives the block's table of them.
-fn number(coverage: &Coverage, standing: &[Option<Standing>], placed: &mut Vec<Receiver>) -> Vec<u32> {
+fn number(
+    coverage: &Coverage,
+    standing: &[Option<Standing>],
+    areas: &[f32],
+    placed: &mut Vec<Receiver>,
+) -> Vec<u32> {
     let mut index_of = vec![NO_RECEIVER; standing.len()];
-    for (slot, standing) in index_of.iter_mut().zip(standing) {
+    for ((slot, standing), area) in index_of.iter_mut().zip(standing).zip(areas) {
         if let Some(standing) = standing {
             *slot = placed.len() as u32;
-            placed.push(standing.receiver);
+            placed.push(Receiver { area: AreaCode::of(*area), ..standing.receiver });
         }
     }
     let stand_in = |&covered: &u32| index_of.get(covered as usize).copied().unwrap_or(NO_RECEIVER);
@@ -165,12 +172,22 @@ struct Maker<'a> {
 }
 
 impl Maker<'_> {
+    /// World area of a triangle, or of the piece of it that lies in the block, in texels.
+    fn area_texels(&self, triangle: &UnwrappedTriangle) -> f32 {
+        let reference = TriangleRef { instance: self.instance as u32, triangle: triangle.source_triangle };
+        let source = corners_of(self.scene, reference);
+        let corner = |weights: &Vec3| source[0] * weights.x + source[1] * weights.y + source[2] * weights.z;
+        let [a, b, c] =
+            triangle.piece_corners.as_deref().map_or(source, |piece| piece.each_ref().map(corner));
+        0.5 * (b - a).cross(c - a).length() / (self.texel_m * self.texel_m)
+    }
+
     /// The front's receiver of a texel; its block is filled in later.
     fn receiver(&self, covered: &CoveredTexel) -> Receiver {
         let instance = &self.scene.instances[self.instance];
         let triangle = covered.triangle as usize;
         let reference = TriangleRef { instance: self.instance as u32, triangle: covered.triangle };
-        let [a, b, c] = crate::prt::world::corners_of(self.scene, reference);
+        let [a, b, c] = corners_of(self.scene, reference);
         let [wa, wb, wc] = covered.weights;
         let face_normal = (b - a).cross(c - a).normalize_or(Vec3::Y);
         let shading = normal_at(instance, triangle, covered.weights);
@@ -187,6 +204,7 @@ impl Maker<'_> {
             albedo: surface.albedo,
             emission: surface.emission,
             links: 0,
+            area: AreaCode::ONE,
         }
     }
 }

@@ -106,6 +106,30 @@ pub fn alternatives(block: &UnwrapBlock, wanted: &[CoveredTexel]) -> Vec<Vec<Cov
     found
 }
 
+/// Area of what reads each covered texel: of each triangle's `area`, the share that lies in texels which it stands for.
+pub fn areas(block: &UnwrapBlock, coverage: &Coverage, area: impl Fn(&UnwrappedTriangle) -> f32) -> Vec<f32> {
+    let mut areas = vec![0.0; coverage.covered.len()];
+    for triangle in &block.triangles {
+        let ([low_x, low_y], [high_x, high_y]) = texel_bounds(triangle, block);
+        let mut found: Vec<(u32, f32)> = Vec::new();
+        for y in low_y..=high_y {
+            for x in low_x..=high_x {
+                let corner = Vec2::new(x as f32, y as f32);
+                let polygon = clipped(&triangle.uv_texels, corner, corner + 1.0);
+                let covered = coverage.stands_for[(y * block.width + x) as usize];
+                if let (Some((part, _)), true) = (area_and_middle(&polygon), covered != u32::MAX) {
+                    found.push((covered, part));
+                }
+            }
+        }
+        // Shares of what was found, so that slivers collapsed in the block count with their whole area.
+        let all: f32 = found.iter().map(|(_, part)| part).sum();
+        let whole = area(triangle);
+        found.into_iter().for_each(|(covered, part)| areas[covered as usize] += whole * (part / all));
+    }
+    areas
+}
+
 /// The middle of what a triangle covers of the texel at `corner`, and the points of a grid in the texel that it holds.
 fn points_inside(corners: &[Vec2; 3], corner: Vec2) -> Vec<Vec2> {
     const SIDE: u32 = 4;

@@ -19,8 +19,10 @@ use crate::task::Progress;
 pub struct Row {
     /// Coefficients: those of each probe of [`AlphaSampler::probes`], then the sky's.
     pub alpha: Vec<f32>,
-    /// With patches: half of what every other ray gave, less what the rest gave. So much noise is in `alpha`.
-    pub noise: Vec<f32>,
+    /// With patches: what is truncated (see `expectation`), and how much noise is in it: what rays of even number gave, less
+    /// what the rest gave. One value more for what all patches have in common, before the sky's, and one for all of the
+    /// sky, after them. Empty where nothing is truncated.
+    pub weighed: [Vec<f32>; 2],
     /// Irradiance straight from each emitter of the world, W·m⁻².
     pub emitters: Vec<[f32; 3]>,
     /// Rays that light can come along: those to the sky, and those to surfaces by their albedo.

@@ -1,28 +1,23 @@
-//! The cut of a cell through the tree of patches: fine where they are large for their distance and much of the cell's
-//! light comes from them, coarse elsewhere.
+//! What part of the tree of patches a cell tells apart.
 //!
-//! With d the distance of a receiver from a patch of size s, what the receiver sees of the patch's parts differs from
-//! their shares of its area by about `s / (s + d)` of what it sees of the patch. And where all the cell's rays together
-//! met the parts in other shares than those of their areas, as something hides some of them, that much of the light is
-//! taken from the wrong parts. Both are shares of irradiance; squared and summed over receivers they are what is lost by
-//! taking the patch whole.
+//! With A_n what a receiver sees of patch n, and p its parent, `D_n = A_n − (area_n / area_p) A_p` is how much more of n it
+//! sees than n's share of p's area promises, and `Σ_leaves A L = Σ_roots A L + Σ_others D L` for the mean radiances L of
+//! patches: the field of transport in the unnormalised Haar basis of the tree. Where the D of a patch's parts are small for
+//! all receivers of the cell, the patch need not be opened. What opening is worth is `Σ_parts σ² Σ_r D²`, with σ² the
+//! variance that the parts' radiance is expected to have about their parent's ([`super::expectation`]).
 //!
-//! Single receivers are not asked for the latter: few of their rays meet a part, and chance would drown what is looked for.
+//! D² of single receivers is mostly chance, as few of their rays meet a part. With X as D, but of the rays of even number
+//! less those of odd number, `D² − X²` is the product of what two independent halves of the rays say, and right in the mean.
+//! What all receivers have in common is known better: `Σ_r D² ≥ (Σ_r D)² / R`. Where something hides the same parts from
+//! all of them, it says so, and the cell's energy hangs on it, as what is hidden from receivers often is from lamps.
 
-use std::cmp::Ordering;
-use std::collections::BinaryHeap;
+use super::expectation::Expectation;
+use crate::prt::stage::PatchTree;
 
-use glam::Vec3;
-
-use crate::prt::stage::{Patch, PatchTree};
-
-/// Share of the receivers' irradiance, in the mean of squares, below which a loss is not worth a column.
-const LOSS_MIN: f64 = 1e-7;
-
-/// Columns that a cut may have for each root that it starts from, whatever is set.
-const COLUMNS_PER_ROOT: usize = 2;
-/// Most columns that come of that.
-const COLUMNS_MOST: usize = 4096;
+/// How many deviations of chance a gain is lowered by before it counts.
+const CHANCE: f64 = 1.0;
+/// Steps of the search for the least gain that a column must bring.
+const SEARCH_STEPS: usize = 40;
 
 /// How often the rays of a row met a leaf.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -37,70 +32,68 @@ pub struct Meeting {
     pub excess: i32,
 }
 
-/// A patch and what is lost by taking it whole.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Open {
-    loss: f64,
-    patch: u32,
-}
-
-impl Eq for Open {}
-
-impl PartialOrd for Open {
-    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
-        Some(self.cmp(other))
-    }
-}
-
-impl Ord for Open {
-    fn cmp(&self, other: &Self) -> Ordering {
-        self.loss.total_cmp(&other.loss).then(other.patch.cmp(&self.patch))
-    }
-}
-
+/// What rays met, by patch.
 #[derive(Clone, Copy)]
-struct Met<'a> {
-    tree: &'a PatchTree,
+pub struct Met<'a> {
+    /// All patches.
+    pub tree: &'a PatchTree,
     /// Ascending by leaf, then row.
-    meetings: &'a [Meeting],
+    pub meetings: &'a [Meeting],
+    /// Rows.
+    pub rows: usize,
 }
 
-struct Cutter<'a> {
-    met: Met<'a>,
-    /// Where the receivers of the rows are, in metres.
-    positions_m: &'a [Vec3],
-    /// Per patch: rays of the cell that meet other parts of it than their areas promise.
-    misplaced: Vec<f64>,
-    /// Per row: rays that met the patch in question; 0 in between.
-    of_patch: Vec<f64>,
+impl<'a> Met<'a> {
+    /// Meetings of a patch's leaves.
+    pub fn of(self, patch: u32) -> &'a [Meeting] {
+        let patch = &self.tree.patches[patch as usize];
+        let start = self.meetings.partition_point(|meeting| meeting.leaf < patch.first_leaf);
+        let end = self.meetings.partition_point(|meeting| meeting.leaf < patch.first_leaf + patch.leaf_count);
+        &self.meetings[start..end]
+    }
+
+    /// Rays of each row that met a patch, and those of even number less those of odd number.
+    pub fn counts(self, patch: u32) -> Vec<[f64; 2]> {
+        let mut counts = vec![[0.0; 2]; self.rows];
+        for meeting in self.of(patch) {
+            let count = &mut counts[meeting.row as usize];
+            count[0] += f64::from(meeting.count);
+            count[1] += f64::from(meeting.excess);
+        }
+        counts
+    }
+
+    /// Share of its parent's area that a part has.
+    pub fn share(self, part: u32, parent: u32) -> f64 {
+        let area = |patch: u32| f64::from(self.tree.patches[patch as usize].area_texels);
+        area(part) / area(parent)
+    }
 }
 
-/// Patches that together hold every leaf met, about `columns_max` of them at most, ascending. `meetings` ascend by leaf
-/// and row; rows are of receivers at `positions_m`.
-pub fn cut(tree: &PatchTree, meetings: &[Meeting], positions_m: &[Vec3], columns_max: usize) -> Vec<u32> {
-    let met = Met { tree, meetings };
-    let rows = positions_m.len();
-    let mut cutter = Cutter { met, positions_m, misplaced: misplaced(met), of_patch: vec![0.0; rows] };
-    let total: f64 = meetings.iter().map(|meeting| f64::from(meeting.count)).sum();
-    let least = LOSS_MIN * total * total / rows.max(1) as f64;
-    let mut done = Vec::new();
-    let mut open = BinaryHeap::new();
-    for root in tree.roots().filter(|&root| !met.of(root).is_empty()) {
-        open.push(Open { loss: cutter.loss(root), patch: root });
-    }
-    // Where much is seen that no larger patch holds, there is still room to open some of it.
-    let columns_max = columns_max.max((COLUMNS_PER_ROOT * open.len()).min(COLUMNS_MOST));
-    while let Some(best) = open.pop() {
-        if best.loss <= least || done.len() + open.len() + 1 >= columns_max {
-            done.push(best.patch);
-            continue;
+/// The patches of the cut, ascending: roots that were met, and all parts of those that are worth opening. A column must
+/// lower the loss, as a share of the rows' squared sums, by `error²/columns_max` at least; by more, where more than
+/// `columns_max` do.
+pub fn cut(met: Met<'_>, expectation: &Expectation, columns_max: usize, error: f32) -> Vec<u32> {
+    let gains = gains(met, expectation);
+    let mut sums = vec![0.0; met.rows];
+    met.meetings.iter().for_each(|meeting| sums[meeting.row as usize] += f64::from(meeting.count));
+    let total: f64 = sums.iter().map(|sum| sum * sum).sum();
+    let least = total * f64::from(error).powi(2) / columns_max as f64;
+    let mut best = opened(met, &gains, least);
+    if best.len() > columns_max {
+        let (mut low, mut high) = (least, total.max(least));
+        for _ in 0..SEARCH_STEPS {
+            let middle = (low * high).sqrt();
+            let found = opened(met, &gains, middle);
+            if found.len() > columns_max {
+                low = middle;
+            } else {
+                high = middle;
+            }
         }
-        for part in tree.parts(best.patch).filter(|&part| !met.of(part).is_empty()) {
-            open.push(Open { loss: cutter.loss(part), patch: part });
-        }
+        best = opened(met, &gains, high);
     }
-    done.sort_unstable();
-    done
+    best
 }
 
 /// The leaves that were met, as patches, ascending.
@@ -114,88 +107,66 @@ pub fn leaves(tree: &PatchTree, meetings: &[Meeting]) -> Vec<u32> {
         .collect()
 }
 
-impl<'a> Met<'a> {
-    /// Meetings of a patch's leaves.
-    fn of(self, patch: u32) -> &'a [Meeting] {
-        let patch = &self.tree.patches[patch as usize];
-        let start = self.meetings.partition_point(|meeting| meeting.leaf < patch.first_leaf);
-        let end = self.meetings.partition_point(|meeting| meeting.leaf < patch.first_leaf + patch.leaf_count);
-        &self.meetings[start..end]
-    }
-}
-
-/// Rays that meet other parts than their areas promise, per patch: between its own parts, `½ Σ |C_part − p_part C|` less
-/// what chance alone gives, or what its parts' parts have together, if that is more.
-fn misplaced(met: Met<'_>) -> Vec<f64> {
-    let tree = met.tree;
-    let mut rays_to = vec![0.0; tree.leaf_starts.len()];
-    for meeting in met.meetings {
-        rays_to[meeting.leaf as usize + 1] += f64::from(meeting.count);
-    }
-    for leaf in 1..rays_to.len() {
-        rays_to[leaf] += rays_to[leaf - 1];
-    }
-    let rays = |patch: &Patch| {
-        rays_to[(patch.first_leaf + patch.leaf_count) as usize] - rays_to[patch.first_leaf as usize]
+/// What opening each patch is worth; 0 for those that were not met.
+fn gains(met: Met<'_>, expectation: &Expectation) -> Vec<f64> {
+    let of_patch = |patch: u32| {
+        let is_leaf = met.tree.patches[patch as usize].leaf_count == 1;
+        if is_leaf || met.of(patch).is_empty() { 0.0 } else { gain(met, expectation, patch) }
     };
-    let mut found = vec![0.0; tree.patches.len()];
-    // Parts come after what they are part of.
-    for index in (0..tree.patches.len()).rev() {
-        let patch = &tree.patches[index];
-        let all = rays(patch);
-        if patch.leaf_count == 1 || all == 0.0 {
-            continue;
-        }
-        let area = tree.receivers_of(patch).len() as f64;
-        let (mut between, mut within) = (0.0, 0.0);
-        for part in tree.parts(index as u32) {
-            let part_patch = &tree.patches[part as usize];
-            let promised = all * tree.receivers_of(part_patch).len() as f64 / area;
-            // |x| of a normal x is √(2/π) of its deviation in the mean; that of a count is √count.
-            let chance = (promised * std::f64::consts::FRAC_2_PI).sqrt();
-            between += 0.5 * ((rays(part_patch) - promised).abs() - chance).max(0.0);
-            within += found[part as usize];
-        }
-        found[index] = between.max(within);
-    }
-    found
+    (0..met.tree.patches.len() as u32).map(of_patch).collect()
 }
 
-impl Cutter<'_> {
-    /// `Σ_r (w_r c_r)²`, with c_r the rays of row r that met the patch and w_r its size over size and distance: c_r² − c_r
-    /// stands for the square of what c_r is expected to be, and the sum is no less than that of rows all alike; nor than
-    /// that of the misplaced rays.
-    fn loss(&mut self, patch: u32) -> f64 {
-        let Met { tree, .. } = self.met;
-        let met = self.met.of(patch);
-        let misplaced = self.misplaced[patch as usize];
-        let patch = &tree.patches[patch as usize];
-        if patch.leaf_count == 1 {
-            return 0.0;
+fn gain(met: Met<'_>, expectation: &Expectation, patch: u32) -> f64 {
+    let whole = met.counts(patch);
+    let seeing = whole.iter().filter(|count| count[0] > 0.0).count() as f64;
+    let mut sum = 0.0;
+    for part in met.tree.parts(patch) {
+        let share = met.share(part, patch);
+        let (mut squares, mut all, mut rays) = (0.0, 0.0, 0.0);
+        for (part, whole) in met.counts(part).iter().zip(&whole) {
+            let [d, x] = [0, 1].map(|i| part[i] - share * whole[i]);
+            squares += d * d - x * x;
+            all += d;
+            rays += part[0];
         }
-        let [low_m, high_m] = patch.bounds_m;
-        let size_m = low_m.distance(high_m);
-        for meeting in met {
-            self.of_patch[meeting.row as usize] += f64::from(meeting.count);
-        }
-        let (mut squares, mut sum) = (0.0, 0.0);
-        for meeting in met {
-            let count = std::mem::take(&mut self.of_patch[meeting.row as usize]);
-            let position_m = self.positions_m[meeting.row as usize];
-            let distance_m = position_m.distance(position_m.clamp(low_m, high_m));
-            let weight = f64::from(size_m / (size_m + distance_m).max(f32::MIN_POSITIVE));
-            squares += weight * weight * (count * count - count).max(0.0);
-            sum += weight * count;
-        }
-        squares.max((sum * sum).max(misplaced * misplaced) / self.positions_m.len() as f64)
+        // D and X of chance alone have about the variance of a count, D² − X² its square four times.
+        let of_each = squares - CHANCE * 2.0 * rays / seeing.sqrt();
+        let of_all = (all * all - CHANCE * 2.0 * rays) / met.rows as f64;
+        sum += expectation.variance(part, Some(patch)) * of_each.max(of_all);
     }
+    sum
+}
+
+/// Roots, and parts of patches whose opening, with what can be opened in them, brings `least` a column.
+fn opened(met: Met<'_>, gains: &[f64], least: f64) -> Vec<u32> {
+    let tree = met.tree;
+    // Parts come after what they are part of.
+    let mut worth = vec![0.0; gains.len()];
+    for patch in (0..gains.len() as u32).rev().filter(|&patch| !met.of(patch).is_empty()) {
+        let parts = tree.parts(patch);
+        let (columns, within) =
+            parts.fold((0.0, 0.0), |(columns, within), part| (columns + 1.0, within + worth[part as usize]));
+        worth[patch as usize] = (gains[patch as usize] + within - least * columns).max(0.0);
+    }
+    let mut found = Vec::new();
+    let mut next: Vec<u32> = tree.roots().filter(|&root| !met.of(root).is_empty()).collect();
+    while let Some(patch) = next.pop() {
+        found.push(patch);
+        if worth[patch as usize] > 0.0 {
+            next.extend(tree.parts(patch));
+        }
+    }
+    found.sort_unstable();
+    found
 }
 
 #[cfg(test)]
 mod tests {
+    use glam::Vec3;
     use lightkiln_proto::prt::PatchKey;
 
     use super::*;
+    use crate::prt::stage::Patch;
 
     /// A root of two parts, each of two leaves of one receiver, 1 m apart along x.
     fn tree() -> PatchTree {
@@ -205,6 +176,7 @@ mod tests {
             leaf_count,
             end,
             bounds_m: [first_leaf, first_leaf + leaf_count - 1].map(|leaf| Vec3::X * leaf as f32),
+            area_texels: leaf_count as f32,
         };
         PatchTree {
             patches: vec![
@@ -227,34 +199,75 @@ mod tests {
         (0..4).map(|leaf| Meeting { leaf, row: 0, count: 100, excess: 0 }).collect()
     }
 
-    #[test]
-    fn patch_far_off_is_split_where_something_hides_parts_of_it() {
-        let hidden: Vec<Meeting> =
-            (0..2).map(|leaf| Meeting { leaf, row: 0, count: 200, excess: 0 }).collect();
-        assert_eq!(cut(&tree(), &hidden, &[Vec3::Y * 1e5], 100), [1]);
-        let striped: Vec<Meeting> =
-            [0, 2].map(|leaf| Meeting { leaf, row: 0, count: 200, excess: 0 }).to_vec();
-        assert_eq!(cut(&tree(), &striped, &[Vec3::Y * 1e5], 100), [2, 5]);
+    fn cut_of(meetings: &[Meeting], columns_max: usize) -> Vec<u32> {
+        let tree = tree();
+        let met = Met { tree: &tree, meetings, rows: 1 };
+        cut(met, &Expectation::new(&tree, 0.1), columns_max, 0.01)
     }
 
     #[test]
-    fn patch_far_off_stays_whole() {
-        assert_eq!(cut(&tree(), &evenly_met(), &[Vec3::Y * 1e5], 100), [0]);
+    fn patch_met_as_its_areas_promise_stays_whole() {
+        assert_eq!(cut_of(&evenly_met(), 100), [0]);
     }
 
     #[test]
-    fn patch_nearby_is_split_and_where_columns_are_few_its_near_parts_first() {
-        let above_first = [Vec3::new(-1.0, 0.1, 0.0)];
-        assert_eq!(cut(&tree(), &evenly_met(), &above_first, 100), [2, 3, 5, 6]);
-        assert_eq!(cut(&tree(), &evenly_met(), &above_first, 2), [1, 4]);
-        assert_eq!(cut(&tree(), &evenly_met(), &above_first, 3), [2, 3, 4]);
-        // Twice the roots are always there.
-        assert_eq!(cut(&tree(), &evenly_met(), &above_first, 1), [1, 4]);
+    fn patch_is_opened_as_deep_as_its_parts_are_met_otherwise() {
+        let met = |counts: [u32; 4]| -> Vec<Meeting> {
+            let meeting = |(leaf, count)| Meeting { leaf, row: 0, count, excess: 0 };
+            (0..4).zip(counts).filter(|(_, count)| *count > 0).map(meeting).collect()
+        };
+        assert_eq!(cut_of(&met([200, 200, 0, 0]), 100), [0, 1, 4]);
+        assert_eq!(cut_of(&met([200, 200, 200, 0]), 100), [0, 1, 4, 5, 6]);
+        // Halves that are met alike are opened for the sake of what is in them.
+        assert_eq!(cut_of(&met([200, 0, 200, 0]), 100), [0, 1, 2, 3, 4, 5, 6]);
     }
 
     #[test]
-    fn parts_that_no_ray_met_are_left_out() {
-        let last = [Meeting { leaf: 3, row: 0, count: 10, excess: 0 }];
-        assert_eq!(cut(&tree(), &last, &[Vec3::Y], 100), [6]);
+    fn differences_that_halves_of_the_rays_do_not_share_open_nothing() {
+        let meeting =
+            |row: u32| Meeting { leaf: row % 4, row, count: 1, excess: 1 - 2 * (row as i32 / 4 % 2) };
+        let mut met: Vec<Meeting> = (0..64).map(meeting).collect();
+        met.sort_unstable_by_key(|meeting| (meeting.leaf, meeting.row));
+        let tree = tree();
+        let met = Met { tree: &tree, meetings: &met, rows: 64 };
+        assert_eq!(cut(met, &Expectation::new(&tree, 0.1), 100, 0.01), [0]);
+    }
+
+    #[test]
+    fn where_columns_are_few_only_the_best_are_there() {
+        let skewed: Vec<Meeting> = [300, 100, 30, 0]
+            .into_iter()
+            .zip(0..)
+            .filter(|(count, _)| *count > 0)
+            .map(|(count, leaf)| Meeting { leaf, row: 0, count, excess: 0 })
+            .collect();
+        assert_eq!(cut_of(&skewed, 100), [0, 1, 2, 3, 4, 5, 6]);
+        assert_eq!(cut_of(&skewed, 5), [0, 1, 2, 3, 4]);
+        assert_eq!(cut_of(&skewed, 3), [0, 1, 4]);
+        assert_eq!(cut_of(&skewed, 1), [0]);
+    }
+
+    #[test]
+    fn columns_of_the_cut_give_what_its_leaves_give() {
+        let tree = tree();
+        let counts = [7.0, 1.0, 4.0, 0.0];
+        let light = [0.3, 2.0, 5.0, 1.0];
+        let of = |values: [f64; 4], patch: u32| -> f64 {
+            let patch = &tree.patches[patch as usize];
+            let leaves = patch.first_leaf as usize..(patch.first_leaf + patch.leaf_count) as usize;
+            values[leaves].iter().sum()
+        };
+        let meetings: Vec<Meeting> = (0..3)
+            .map(|leaf| Meeting { leaf, row: 0, count: counts[leaf as usize] as u32, excess: 0 })
+            .collect();
+        let met = Met { tree: &tree, meetings: &meetings, rows: 1 };
+        let mean = |patch: u32| of(light, patch) / f64::from(tree.patches[patch as usize].leaf_count);
+        let mut sum = met.counts(0)[0][0] * mean(0);
+        for (part, parent) in [(1, 0), (4, 0), (2, 1), (3, 1), (5, 4), (6, 4)] {
+            let difference = met.counts(part)[0][0] - met.share(part, parent) * met.counts(parent)[0][0];
+            sum += difference * mean(part);
+        }
+        let direct: f64 = counts.iter().zip(light).map(|(count, light)| count * light).sum();
+        assert!((sum - direct).abs() < 1e-9, "{sum} {direct}");
     }
 }

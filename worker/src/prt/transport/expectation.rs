@@ -1,140 +1,89 @@
 //! What the radiance of patches is expected to be like, before any light is known: near patches that face the same way
 //! shine alike, and some light is everywhere.
 //!
-//! With C the covariance of the patches' radiance and `C = L Lᵀ`, the error of irradiance that a truncation E of the matrix
-//! is expected to give is ‖E L‖, so A L is what is truncated: chance that moves rays between neighbours then costs no rank.
-//! We differ from METHOD's plain Frobenius norm, which is C = 1.
+//! Radiance is taken for a sum of independent parts: one that all patches have in common, and one for each patch of the
+//! tree that its own parts share, with the variance σ² that a patch's mean has about its parent's. With A_n what a receiver
+//! sees of patch n, the error of irradiance that a truncation is expected to give is then that of the columns `σ_n A_n`,
+//! so they are what is truncated: chance that moves rays between neighbours costs no rank.
+//! We differ from METHOD's plain Frobenius norm, which takes every column's radiance for independent.
 
-use glam::Vec3;
-use lightkiln_proto::prt::{PatchKey, ProbeKey, Settings};
-use lightkiln_proto::sh::relight_direction;
-use rayon::prelude::*;
-
-use crate::prt::world::World;
+use crate::prt::stage::PatchTree;
 
 /// Share of the variance that all patches have in common.
 const COMMON: f64 = 0.15;
-/// Share that each patch has for itself.
-const OWN: f64 = 0.05;
-/// Distances in texels over which the rest falls off to 1/e, a like part of it over each: lights and shadows are of
-/// every size.
-const REACHES_TEXELS: [f32; 3] = [4.0, 16.0, 64.0];
-/// How far off the sky is taken to be, in texels.
-const SKY_TEXELS: f32 = 128.0;
-/// Receivers of a patch that are asked for its middle.
-const ASKED_MAX: usize = 64;
+/// Share of the sky's variance that all its parts have in common.
+const SKY_COMMON: f64 = 0.3;
+/// Distances in texels over which radiance is alike, a like part of it over each: lights and shadows are of every size.
+const REACHES_TEXELS: [f64; 3] = [4.0, 16.0, 64.0];
+/// Variance that a patch's mean has about its parent's, at least.
+const OWN_MIN: f64 = 0.005;
 
-/// Middle of a patch in metres, and its unit normal.
-struct Middle {
-    is_sky: bool,
-    position_m: Vec3,
-    normal: Vec3,
+/// Expected variances of a tree's patches.
+#[derive(Clone, Copy)]
+pub struct Expectation<'a> {
+    tree: &'a PatchTree,
+    texel_m: f32,
 }
 
-/// L of the patches of `keys`, row by row; zero above the diagonal. Parts of the sky lie around `centre_m`.
-pub fn root(world: &World, settings: &Settings, keys: &[ProbeKey], centre_m: Vec3) -> Vec<f32> {
-    let texel_m = world.stage.texel_m;
-    let middles: Vec<Middle> =
-        keys.iter().map(|&key| middle(world, settings, PatchKey(key), centre_m)).collect();
-    let covariance = |a: &Middle, b: &Middle| {
-        // Nobody knows whether the sky shines when lamps do.
-        if a.is_sky != b.is_sky {
-            return 0.0;
-        }
-        let texels = a.position_m.distance(b.position_m) / texel_m;
-        let fall = |reach: f32| libm::exp(-f64::from(texels / reach)) / REACHES_TEXELS.len() as f64;
-        let alike = 0.5 * (1.0 + f64::from(a.normal.dot(b.normal)));
-        COMMON + (1.0 - COMMON - OWN) * alike * REACHES_TEXELS.into_iter().map(fall).sum::<f64>()
-    };
-    let count = keys.len();
-    let mut rows = vec![0.0_f64; count * count];
-    rows.par_chunks_exact_mut(count.max(1)).enumerate().for_each(|(i, row)| {
-        for j in 0..i {
-            row[j] = covariance(&middles[i], &middles[j]);
-        }
-        row[i] = 1.0;
-    });
-    cholesky(&mut rows, count);
-    rows.into_iter().map(|value| value as f32).collect()
-}
-
-fn middle(world: &World, settings: &Settings, key: PatchKey, centre_m: Vec3) -> Middle {
-    if let Some(part) = key.sky() {
-        let direction = relight_direction(part, settings.sky_parts);
-        return Middle {
-            is_sky: true,
-            position_m: centre_m + direction * (SKY_TEXELS * world.stage.texel_m),
-            normal: -direction,
-        };
+impl<'a> Expectation<'a> {
+    /// Of a tree over texels of `texel_m`.
+    pub fn new(tree: &'a PatchTree, texel_m: f32) -> Self {
+        Self { tree, texel_m }
     }
-    let tree = &world.stage.patches;
-    let Some(patch) = tree.of_key(key) else {
-        return Middle { is_sky: true, position_m: centre_m, normal: Vec3::Y };
-    };
-    let receivers = tree.receivers_of(patch);
-    let step = receivers.len().div_ceil(ASKED_MAX).max(1);
-    let asked = || receivers.iter().step_by(step).map(|&r| &world.stage.receivers[r as usize]);
-    let count = asked().count() as f32;
-    Middle {
-        is_sky: false,
-        position_m: asked().map(|receiver| receiver.position_m).sum::<Vec3>() / count,
-        normal: asked().map(|receiver| receiver.face_normal).sum::<Vec3>().normalize_or(Vec3::Y),
+
+    /// Deviation of what all patches have in common.
+    pub fn common() -> f32 {
+        COMMON.sqrt() as f32
+    }
+
+    /// Deviations of what all parts of the sky have in common, and of what each has for itself.
+    pub fn sky() -> [f32; 2] {
+        [SKY_COMMON.sqrt() as f32, (1.0 - SKY_COMMON).sqrt() as f32]
+    }
+
+    /// σ² of a patch: of its mean about that of its parent, or about what is common to all.
+    pub fn variance(&self, patch: u32, parent: Option<u32>) -> f64 {
+        let within = |patch: u32| (1.0 - COMMON) * within(self.size_texels(patch));
+        let about = parent.map_or(1.0 - COMMON, within);
+        (about - within(patch)).max(OWN_MIN)
+    }
+
+    fn size_texels(&self, patch: u32) -> f64 {
+        let [low_m, high_m] = self.tree.patches[patch as usize].bounds_m;
+        f64::from(low_m.distance(high_m) / self.texel_m)
     }
 }
 
-/// The lower triangle of a positive definite matrix to its Cholesky factor, in place.
-fn cholesky(rows: &mut [f64], count: usize) {
-    for i in 0..count {
-        let (above, row) = rows.split_at_mut(i * count);
-        let row = &mut row[..count];
-        for j in 0..i {
-            let other = &above[j * count..][..count];
-            let sum: f64 = row[..j].iter().zip(&other[..j]).map(|(a, b)| a * b).sum();
-            row[j] = (row[j] - sum) / other[j];
-        }
-        let sum: f64 = row[..i].iter().map(|value| value * value).sum();
-        // Never below what each patch has for itself.
-        row[i] = (row[i] - sum).max(OWN * 0.5).sqrt();
-    }
-}
-
-/// A L, of rows of A.
-pub fn weighed<'a>(
-    rows: impl IndexedParallelIterator<Item = &'a [f32]>,
-    root: &[f32],
-    count: usize,
-) -> Vec<Vec<f32>> {
-    rows.map(|row| {
-        let mut out = vec![0.0; count];
-        for (i, value) in row.iter().take(count).enumerate().filter(|(_, value)| **value != 0.0) {
-            out[..=i].iter_mut().zip(&root[i * count..]).for_each(|(out, root)| *out += value * root);
-        }
-        out
-    })
-    .collect()
+/// Share of the variance that lies within a patch of a size.
+fn within(size_texels: f64) -> f64 {
+    let of_reach = |reach: f64| size_texels / (size_texels + reach);
+    REACHES_TEXELS.into_iter().map(of_reach).sum::<f64>() / REACHES_TEXELS.len() as f64
 }
 
 #[cfg(test)]
 mod tests {
+    use glam::Vec3;
+    use lightkiln_proto::prt::PatchKey;
+
     use super::*;
+    use crate::prt::stage::Patch;
 
     #[test]
-    fn factor_times_its_transpose_is_the_matrix() {
-        let matrix = [4.0, 0.0, 0.0, 2.0, 5.0, 0.0, 0.4, 1.0, 3.0];
-        let mut factor = matrix;
-        cholesky(&mut factor, 3);
-        for i in 0..3 {
-            for j in 0..=i {
-                let product: f64 = (0..=j).map(|k| factor[i * 3 + k] * factor[j * 3 + k]).sum();
-                assert!((product - matrix[i * 3 + j]).abs() < 1e-12, "{i} {j}");
-            }
-        }
-    }
-
-    #[test]
-    fn rows_are_weighed_by_the_lower_triangle() {
-        let rows = [[1.0, 2.0].as_slice()];
-        let found = weighed(rows.par_iter().copied(), &[1.0, 0.0, 3.0, 0.5], 2);
-        assert_eq!(found, [[7.0, 1.0]]);
+    fn variances_from_a_root_to_a_leaf_are_all_that_is_not_common_but_what_lies_within() {
+        let sizes = [1000.0, 100.0, 10.0, 0.0];
+        let patch = |(index, size): (usize, &f32)| Patch {
+            key: PatchKey(index as u64),
+            first_leaf: 0,
+            leaf_count: 1,
+            end: 4,
+            bounds_m: [Vec3::ZERO, Vec3::X * *size],
+            area_texels: 1.0,
+        };
+        let patches = sizes.iter().enumerate().map(patch).collect();
+        let tree = PatchTree { patches, ..PatchTree::default() };
+        let expectation = Expectation::new(&tree, 1.0);
+        let all: f64 = (0..4).map(|n: u32| expectation.variance(n, n.checked_sub(1))).sum();
+        assert!((all - (1.0 - COMMON)).abs() < 1e-6, "{all}");
+        assert!((0..4).all(|n: u32| expectation.variance(n, n.checked_sub(1)) > 0.01));
     }
 }

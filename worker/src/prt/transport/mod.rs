@@ -42,6 +42,11 @@ pub struct Params {
 /// Free path, in texels, below which a place that nothing can see is a cavity of a solid: the inside of a column, say.
 pub const CAVITY_TEXELS: f32 = 4.0;
 
+/// Error of quantisation as a share of that of truncation, with patches.
+const QUANTISATION_SHARE: f32 = 0.7;
+/// Least and most error of quantisation.
+const QUANTISATION_ERROR: [f32; 2] = [2e-4, 0.05];
+
 /// Runs the task: inputs `scene`, `stage`; outputs `chunk/N` and `index` (a [`CellIndex`] as JSON).
 pub fn run(context: &Context, params: &Params) -> Result<TaskOutput, TaskError> {
     checked(&params.settings)?;
@@ -54,7 +59,7 @@ pub fn run(context: &Context, params: &Params) -> Result<TaskOutput, TaskError> 
     let settings = &params.settings;
     let cell_rows = rows(&world, settings, &cell.receivers, Detail::AsBaked, context.progress)?;
     let pieces = pieces(&world, settings, &cell_rows.keys, cell, &cell_rows.rows);
-    store(&pieces, CellIndex::of(&cell_rows.rows, CAVITY_TEXELS * world.stage.texel_m))
+    store(&pieces, settings, CellIndex::of(&cell_rows.rows, CAVITY_TEXELS * world.stage.texel_m))
 }
 
 /// The transport matrix of some receivers.
@@ -99,6 +104,19 @@ pub fn rows(
     }
 }
 
+/// Quantisation may lose about as much as truncation, with patches: columns are differences there, and most of them are
+/// then worth no bits.
+fn quantisation(settings: &Settings) -> QuantisationSettings {
+    match settings.basis {
+        BasisKind::Sh => QuantisationSettings::default(),
+        BasisKind::Patches => QuantisationSettings {
+            relative_error: (QUANTISATION_SHARE * settings.rank_error)
+                .clamp(QUANTISATION_ERROR[0], QUANTISATION_ERROR[1]),
+            ..QuantisationSettings::default()
+        },
+    }
+}
+
 /// What assemble needs to know of a cell.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -135,14 +153,15 @@ impl CellIndex {
 }
 
 /// Encodes the pieces of a cell.
-fn store(pieces: &[Piece], mut index: CellIndex) -> Result<TaskOutput, TaskError> {
+fn store(pieces: &[Piece], settings: &Settings, mut index: CellIndex) -> Result<TaskOutput, TaskError> {
+    let quantisation = quantisation(settings);
     let mut output = TaskOutput::default();
     let counters = BTreeMap::from([
         ("clusters".to_owned(), pieces.len() as f64),
         ("receivers_without_light".to_owned(), index.receivers_without_light as f64),
     ]);
     for (number, piece) in pieces.iter().enumerate() {
-        let encoded = encode_cluster(&piece.transport, QuantisationSettings::default())
+        let encoded = encode_cluster(&piece.transport, quantisation)
             .map_err(|error| TaskError::bad_input_from("a cluster cannot be stored", error))?;
         index.s1_criterion_bounds.push(piece.s1_criterion_bound);
         index.clusters.push(ClusterRef {

@@ -7,7 +7,8 @@ use lightkiln_proto::sh::relight_direction;
 use rayon::prelude::*;
 
 use super::alpha::Row;
-use super::cut::{Meeting, cut, leaves};
+use super::cut::{Meeting, Met, cut, leaves};
+use super::expectation::Expectation;
 use super::hemisphere::Hemisphere;
 use super::{CellRows, Detail};
 use crate::prt::world::{Surface, World};
@@ -58,9 +59,17 @@ fn gather(world: &World, settings: &Settings, sky: &[Vec3], receiver: u32) -> Ga
             return;
         };
         let point_m = hemisphere.origin_m + direction * hit.t;
-        let Surface::Receiver(met) = world.linked_surface_at(hit, point_m) else { return };
-        let albedo = world.stage.receivers[met as usize].albedo;
-        row.lit += (albedo[0] + albedo[1] + albedo[2]) / 3.0;
+        let lit = |receiver: u32| world.stage.receivers[receiver as usize].albedo.iter().sum::<f32>() / 3.0;
+        let Surface::Receiver(met) = world.linked_surface_at(hit, point_m) else {
+            // Walls stand between the hit and all texels around it: no texel stands for it.
+            if let Surface::Receiver(own) = world.surface_at(hit) {
+                let lost = lit(own);
+                (row.lit, row.uncovered, row.left_out) =
+                    (row.lit + lost, row.uncovered + lost, row.left_out + lost);
+            }
+            return;
+        };
+        row.lit += lit(met);
         leaves.push((world.stage.patches.leaf_of_receiver[met as usize], sign));
     });
     (row.emitters, row.mean_path_m, row.rays_occlusion) = (emitters, mean_path_m, rays_occlusion);
@@ -100,41 +109,128 @@ fn summed(
         }));
     }
     meetings.sort_unstable_by_key(|meeting| (meeting.leaf, meeting.row));
-    let positions_m: Vec<Vec3> =
-        receivers.iter().map(|&receiver| world.stage.receivers[receiver as usize].position_m).collect();
+    let met = Met { tree, meetings: &meetings, rows: receivers.len() };
+    let expectation = Expectation::new(tree, world.stage.texel_m);
     let patches = match detail {
-        Detail::AsBaked => cut(tree, &meetings, &positions_m, settings.patches_max as usize),
+        Detail::AsBaked => cut(met, &expectation, settings.patches_max as usize, settings.rank_error),
         Detail::Finest => leaves(tree, &meetings),
     };
     let mut sky_met = vec![false; settings.sky_parts as usize];
     gathered.iter().flat_map(|g| &g.sky).for_each(|&(part, _)| sky_met[part as usize] = true);
+    let sky: Vec<u32> = (0..settings.sky_parts).filter(|&part| sky_met[part as usize]).collect();
 
-    let sky_parts = (0..settings.sky_parts).filter(|&part| sky_met[part as usize]);
     let of_patches = patches.iter().map(|&patch| tree.patches[patch as usize].key.0);
-    let mut keys: Vec<ProbeKey> = of_patches.chain(sky_parts.map(|part| PatchKey::of_sky(part).0)).collect();
+    let of_sky = sky.iter().map(|&part| PatchKey::of_sky(part).0);
+    let mut keys: Vec<ProbeKey> = of_patches.chain(of_sky).collect();
     keys.sort_unstable();
-    let column = |key: PatchKey| keys.binary_search(&key.0).ok();
-    let scale = std::f32::consts::PI / settings.transport_rays as f32;
-    let mut rows: Vec<Row> = Vec::with_capacity(gathered.len());
-    for gathered in gathered {
-        let [mut alpha, mut noise] = [(); 2].map(|()| vec![0.0; keys.len() + 1]);
-        for (part, sign) in gathered.sky {
-            if let Some(column) = column(PatchKey::of_sky(part)) {
-                alpha[column] += scale;
-                noise[column] += scale * sign as f32;
+    let mut table = Table {
+        met,
+        expectation,
+        patches,
+        sky,
+        scale: std::f32::consts::PI / settings.transport_rays as f32,
+        is_weighed: detail == Detail::AsBaked,
+        keys,
+        rows: Vec::with_capacity(gathered.len()),
+    };
+    table.begin(gathered);
+    table.add_patches();
+    CellRows { keys: table.keys, rows: table.rows }
+}
+
+/// Rows while they are filled.
+struct Table<'a> {
+    met: Met<'a>,
+    expectation: Expectation<'a>,
+    /// Patches of the cut and parts of the sky, ascending.
+    patches: Vec<u32>,
+    sky: Vec<u32>,
+    /// Irradiance of one ray.
+    scale: f32,
+    is_weighed: bool,
+    /// Ascending; those of the sky come last.
+    keys: Vec<ProbeKey>,
+    rows: Vec<Row>,
+}
+
+impl Table<'_> {
+    fn column(&self, key: PatchKey) -> usize {
+        self.keys.binary_search(&key.0).unwrap_or_default()
+    }
+
+    /// Rows with the sky's columns. Weighed columns stand in the order of keys, but that what all patches have in common
+    /// follows them, and what all of the sky has, the sky.
+    fn begin(&mut self, gathered: Vec<Gathered>) {
+        let [of_all, of_part] = Expectation::sky();
+        let columns: Vec<usize> = self.sky.iter().map(|&part| self.column(PatchKey::of_sky(part))).collect();
+        for gathered in gathered {
+            let mut row = Row { alpha: vec![0.0; self.keys.len() + 1], ..gathered.row };
+            if self.is_weighed {
+                row.weighed = [(); 2].map(|()| vec![0.0; self.keys.len() + 2]);
+            }
+            for (part, sign) in gathered.sky {
+                let Ok(place) = self.sky.binary_search(&part) else { continue };
+                row.alpha[columns[place]] += self.scale;
+                for (weighed, sign) in row.weighed.iter_mut().zip([1.0, sign as f32]) {
+                    if let [.., last] = &mut weighed[..] {
+                        *last += of_all * self.scale * sign;
+                        weighed[columns[place] + 1] += of_part * self.scale * sign;
+                    }
+                }
+            }
+            self.rows.push(row);
+        }
+    }
+
+    /// The columns of patches: a patch that is part of another one of the cut has the difference from its share of that.
+    fn add_patches(&mut self) {
+        let common = self.keys.len() - self.sky.len();
+        for index in 0..self.patches.len() {
+            let patch = self.patches[index];
+            let own = self.column(self.key(patch));
+            let parts: Vec<(usize, f32)> = self
+                .parts(index)
+                .map(|part| (self.column(self.key(part)), self.met.share(part, patch) as f32))
+                .collect();
+            let parent = self.parent(index);
+            let deviation = self.expectation.variance(patch, parent).sqrt() as f32;
+            for meeting in self.met.of(patch) {
+                let row = &mut self.rows[meeting.row as usize];
+                let [seen, excess] = [meeting.count as f32, meeting.excess as f32].map(|n| n * self.scale);
+                row.alpha[own] += seen;
+                parts.iter().for_each(|&(part, share)| row.alpha[part] -= share * seen);
+                if self.is_weighed {
+                    for (weighed, value) in row.weighed.iter_mut().zip([seen, excess]) {
+                        weighed[own] += deviation * value;
+                        if parent.is_none() {
+                            weighed[common] += Expectation::common() * value;
+                        }
+                    }
+                }
             }
         }
-        rows.push(Row { alpha, noise, ..gathered.row });
     }
-    for patch in patches.iter().map(|&patch| &tree.patches[patch as usize]) {
-        let Some(column) = column(patch.key) else { continue };
-        let start = meetings.partition_point(|meeting| meeting.leaf < patch.first_leaf);
-        let end = meetings.partition_point(|meeting| meeting.leaf < patch.first_leaf + patch.leaf_count);
-        for meeting in &meetings[start..end] {
-            let row = &mut rows[meeting.row as usize];
-            row.alpha[column] += meeting.count as f32 * scale;
-            row.noise[column] += meeting.excess as f32 * scale;
-        }
+
+    fn key(&self, patch: u32) -> PatchKey {
+        self.met.tree.patches[patch as usize].key
     }
-    CellRows { keys, rows }
+
+    /// Parts of a patch of the cut, if they are in it, as all or none are.
+    fn parts(&self, index: usize) -> impl Iterator<Item = u32> + '_ {
+        let patch = self.patches[index];
+        let is_open = self.patches.get(index + 1) == Some(&(patch + 1))
+            && self.met.tree.patches[patch as usize].end > patch + 1;
+        self.met.tree.parts(patch).take_while(move |_| is_open)
+    }
+
+    /// The patch of the cut that a patch of it is part of.
+    fn parent(&self, index: usize) -> Option<u32> {
+        let patch = self.patches[index];
+        // Of those before it whose ends are beyond it, the last.
+        self.patches[..index]
+            .iter()
+            .rev()
+            .copied()
+            .find(|&other| self.met.tree.patches[other as usize].end > patch)
+    }
 }

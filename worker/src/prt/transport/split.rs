@@ -5,11 +5,9 @@ use lightkiln_proto::prt::{
     BasisKind, ClusterTransport, EmitterIrradiance, PatchKey, ProbeKey, Receivers, Settings,
 };
 use lightkiln_proto::sh::band_of;
-use rayon::prelude::*;
 
 use super::alpha::Row;
 use super::components::components;
-use super::expectation;
 use crate::prt::factor::{Factors, Matrix, factorise};
 use crate::prt::prepare::halves;
 use crate::prt::stage::{ClusterCell, Receiver};
@@ -43,7 +41,7 @@ struct Splitter<'a> {
     /// Ascending receiver indices of the cell, one per row.
     receivers: &'a [u32],
     rows: &'a [Row],
-    /// With patches: the rows times L of [`expectation`], and their noise likewise.
+    /// With patches: what is truncated of each row, and the noise in it.
     weighed: [Vec<Vec<f32>>; 2],
 }
 
@@ -57,7 +55,7 @@ pub fn pieces(
 ) -> Vec<Piece> {
     let weighed = match settings.basis {
         BasisKind::Sh => [(); 2].map(|()| Vec::new()),
-        BasisKind::Patches => weighed(world, settings, keys, cell, rows),
+        BasisKind::Patches => weighed(settings, keys, rows),
     };
     let splitter = Splitter { world, settings, keys, receivers: &cell.receivers, rows, weighed };
     // Dead receivers are left out: their texels are filled from their neighbours, which keeps edges from turning dark.
@@ -79,28 +77,18 @@ fn first_sky(settings: &Settings, keys: &[ProbeKey]) -> usize {
     }
 }
 
-/// The rows and their noise times L. The sky's columns count for no more than the others: where most of the hemisphere is
-/// sky, the rest is what is seen when it is dark.
-fn weighed(
-    world: &World,
-    settings: &Settings,
-    keys: &[ProbeKey],
-    cell: &ClusterCell,
-    rows: &[Row],
-) -> [Vec<Vec<f32>>; 2] {
-    let root = expectation::root(world, settings, keys, (cell.bounds_m[0] + cell.bounds_m[1]) * 0.5);
-    let first_sky = first_sky(settings, keys);
-    let mut weighed = [
-        expectation::weighed(rows.par_iter().map(|row| &row.alpha[..]), &root, keys.len()),
-        expectation::weighed(rows.par_iter().map(|row| &row.noise[..]), &root, keys.len()),
-    ];
+/// The rows' weighed values and their noise. The sky's columns count for no more than the others: where most of the
+/// hemisphere is sky, the rest is what is seen when it is dark.
+fn weighed(settings: &Settings, keys: &[ProbeKey], rows: &[Row]) -> [Vec<Vec<f32>>; 2] {
+    let first_sky = first_sky(settings, keys) + 1;
+    let mut weighed = [0, 1].map(|which: usize| rows.iter().map(|row| row.weighed[which].clone()).collect());
     let squares = |row: &[f32]| row.iter().map(|value| f64::from(*value).powi(2)).sum::<f64>();
-    let of_patches: f64 = weighed[0].iter().map(|row| squares(&row[..first_sky])).sum();
-    let of_sky: f64 = weighed[0].iter().map(|row| squares(&row[first_sky..])).sum();
+    let of_patches: f64 = rows.iter().map(|row| squares(&row.weighed[0][..first_sky])).sum();
+    let of_sky: f64 = rows.iter().map(|row| squares(&row.weighed[0][first_sky..])).sum();
     if of_patches > 0.0 && of_sky > of_patches {
         let scale = (of_patches / of_sky).sqrt() as f32;
-        let sky = weighed.iter_mut().flatten().flat_map(|row| &mut row[first_sky..]);
-        sky.for_each(|value| *value *= scale);
+        let all = weighed.iter_mut().flat_map(|rows: &mut Vec<Vec<f32>>| rows);
+        all.flat_map(|row| &mut row[first_sky..]).for_each(|value| *value *= scale);
     }
     weighed
 }
@@ -149,13 +137,12 @@ impl Splitter<'_> {
             .collect();
         let [weighed, noise] = [0, 1].map(|which: usize| Matrix {
             rows: rows.len(),
-            columns: self.keys.len(),
+            columns: self.keys.len() + 2,
             values: rows.iter().flat_map(|&row| &self.weighed[which][row]).copied().collect(),
         });
         let squares = |values: &[f32]| values.iter().map(|value| f64::from(*value).powi(2)).sum::<f64>();
-        let all: Vec<u32> = (0..self.keys.len() as u32).collect();
         let rank_max = self.settings.rank_max as usize;
-        let mut factors = factorise(&weighed, rank_max, 0.0, &self.seeds(&all));
+        let mut factors = factorise(&weighed, rank_max, 0.0, &self.weighed_seeds());
         if factors.rank == 0 {
             return (factors, self.settings.rank_error);
         }
@@ -243,6 +230,16 @@ impl Splitter<'_> {
         let key = |group: u32| self.keys.get(group as usize).copied().unwrap_or(0);
         let count = self.settings.coefficients() as u64;
         columns.iter().flat_map(|&group| (0..count).map(move |j| seed_of(&[key(group), j, 5]))).collect()
+    }
+
+    /// One seed per weighed column, likewise.
+    fn weighed_seeds(&self) -> Vec<u64> {
+        let first_sky = first_sky(self.settings, self.keys);
+        let common = |which: u64| seed_of(&[which, 6]);
+        let mut seeds: Vec<u64> = self.keys.iter().map(|&key| seed_of(&[key, 5])).collect();
+        seeds.insert(first_sky, common(0));
+        seeds.push(common(1));
+        seeds
     }
 
     fn piece(&self, receivers: &[u32], columns: &[u32], factors: Factors) -> Piece {
