@@ -13,6 +13,8 @@ mod picture;
 mod progress;
 mod settings;
 mod summary;
+#[cfg(test)]
+mod tests;
 
 use std::process::ExitCode;
 

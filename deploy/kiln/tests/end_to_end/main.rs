@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "a test may end at any error")]
 
 mod commands;
+mod deployment;
 mod embedded;
 mod evaluation;
 mod farm;
