@@ -14,7 +14,7 @@ pub const EXIT_CODES: &str = "Exit codes:
   2    wrong arguments, settings or input files
   3    the server was not reached
   4    the bake is done, but its evaluation breaks a limit of --fail-if
-  130  interrupted";
+  130  interrupted, or the bake that was waited for was cancelled";
 
 /// Why a command ends; the number is the process's exit code.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -76,6 +76,11 @@ impl Failure {
     pub fn try_this(mut self, next_step: impl Into<String>) -> Self {
         self.next_step = Some(next_step.into());
         self
+    }
+
+    /// What was wrong, without causes.
+    pub fn message(&self) -> &str {
+        &self.message
     }
 
     /// The exit code.

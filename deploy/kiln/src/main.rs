@@ -8,6 +8,7 @@ mod evaluation;
 mod failure;
 mod inspection;
 mod interrupt;
+mod junit;
 mod logging;
 mod picture;
 mod progress;

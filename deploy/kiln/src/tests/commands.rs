@@ -60,7 +60,7 @@ fn calls_of_page(path: &str) -> Vec<Vec<String>> {
 
 #[test]
 fn pages_show_only_commands_that_there_are() {
-    for (page, at_least) in [("deploy/README.md", 12), ("README.md", 6)] {
+    for (page, at_least) in [("deploy/README.md", 12), ("deploy/ci/README.md", 1), ("README.md", 6)] {
         let calls = calls_of_page(page);
         assert!(calls.len() >= at_least, "{page} has {} commands: the walk is broken", calls.len());
         for call in calls {
@@ -72,7 +72,7 @@ fn pages_show_only_commands_that_there_are() {
 #[test]
 fn words_between_backticks_that_begin_with_the_programs_name_are_commands() {
     let mut checked = 0;
-    for page in ["deploy/README.md", "README.md", "CHANGELOG.md"] {
+    for page in ["deploy/README.md", "deploy/ci/README.md", "README.md", "CHANGELOG.md"] {
         for code in text_of(page).split('`').skip(1).step_by(2) {
             let mut words = code.split_whitespace();
             if words.next() != Some("kiln") {
@@ -124,6 +124,15 @@ fn containers_run_what_there_is() {
         let arguments: Vec<String> = texts(&arguments).into_iter().map(str::to_owned).collect();
         assert!(!arguments.is_empty(), "{place}");
         assert_taken(&place, &arguments);
+    }
+}
+
+#[test]
+fn templates_for_ci_run_what_there_is() {
+    for (place, script) in super::ci::scripts() {
+        let calls: Vec<_> = script.lines().flat_map(calls).collect();
+        assert_eq!(calls.len(), 1, "{place}: {script}");
+        assert_taken(place, &calls[0]);
     }
 }
 

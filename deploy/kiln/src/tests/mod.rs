@@ -1,5 +1,6 @@
 //! The files of `deploy/`, and every command that they and the pages tell people to type.
 
+mod ci;
 mod commands;
 mod compose;
 mod container;

@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a test may end at any error")]
 
+mod ci;
 mod commands;
 mod deployment;
 mod embedded;
