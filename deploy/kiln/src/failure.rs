@@ -127,7 +127,10 @@ impl From<ClientError> for Failure {
         if let Some(source) = error.source() {
             failure = failure.caused_by(source);
         }
-        if exit == Exit::Unreachable {
+        let is_busy = matches!(&error, ClientError::Server { problem, .. } if problem.code == ProblemCode::TooManyRequests);
+        if is_busy {
+            failure = failure.try_this("the same command a little later");
+        } else if exit == Exit::Unreachable {
             failure = failure.try_this("start one with 'kiln server', or bake without --server");
         }
         failure

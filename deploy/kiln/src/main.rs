@@ -4,6 +4,7 @@ mod arguments;
 mod bundle;
 mod commands;
 mod embedded;
+mod enrolment;
 mod evaluation;
 mod failure;
 mod inspection;

@@ -68,7 +68,7 @@ fn submit(arguments: &Arguments) -> Result<Ended> {
     let settings = arguments.settings.resolve()?;
     let scene = PackedScene::read(&arguments.scene)?;
     let interrupt = Interrupt::listen()?;
-    let client = connect(&arguments.server.server, &interrupt)?;
+    let client = connect(&arguments.server.server, &arguments.server.trust, &interrupt)?;
     let bake = match &arguments.commit {
         Some(commit) => scene.submit_once(&client, &settings, arguments.priority, commit)?,
         None => scene.submit(&client, &settings, arguments.priority)?,

@@ -10,6 +10,7 @@ use lightkiln_proto::ids::Digest;
 use lightkiln_worker::scene::{Bundle, Limits};
 use serde_json::Value;
 
+use crate::arguments::TrustArgument;
 use crate::failure::{Exit, Failure, Result};
 use crate::interrupt::Interrupt;
 
@@ -86,8 +87,12 @@ impl PackedScene {
 }
 
 /// A server that answers quickly or not at all; its waits end on Ctrl-C.
-pub fn connect(url: &str, interrupt: &Interrupt) -> Result<ApiClient> {
-    Ok(ApiClient::new(url, own_token()?)?.with_retry(FIRST_CONTACT).with_stop(interrupt.stop()))
+pub fn connect(url: &str, trust: &TrustArgument, interrupt: &Interrupt) -> Result<ApiClient> {
+    let client = ApiClient::new(url, own_token()?)?.with_retry(FIRST_CONTACT).with_stop(interrupt.stop());
+    Ok(match trust.pem()? {
+        Some(pem) => client.with_trust(&pem)?,
+        None => client,
+    })
 }
 
 /// The token for calls to a farm, from the variable `KILN_TOKEN`: command lines can be read by others.

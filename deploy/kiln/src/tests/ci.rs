@@ -71,6 +71,17 @@ fn gitlab_job_keeps_its_report_whatever_became_of_the_bake() {
 }
 
 #[test]
+fn page_has_every_problem_with_its_status() {
+    use lightkiln_proto::problem::ProblemCode;
+    let page = text_of("deploy/README.md");
+    for code in ProblemCode::ALL {
+        let uri = code.type_uri();
+        let row = format!("| `{}` | {} |", uri.rsplit(':').next().unwrap(), code.row().0);
+        assert!(page.contains(&row), "the page has no row {row}");
+    }
+}
+
+#[test]
 fn page_has_the_exit_codes_of_the_program() {
     let page = text_of("deploy/ci/README.md");
     let codes: Vec<(&str, &str)> =
