@@ -153,6 +153,12 @@ pub enum ServerError {
         #[source]
         source: std::io::Error,
     },
+    /// Webhooks that cannot be.
+    #[error("webhooks cannot be delivered: {what}")]
+    Webhook {
+        /// What is wrong with them.
+        what: String,
+    },
     /// A bug.
     #[error("the server has a bug and could not answer; its log says where")]
     Panicked,
@@ -178,7 +184,11 @@ impl ServerError {
             Self::TooManyCalls { .. } | Self::Busy { .. } => ProblemCode::TooManyRequests,
             Self::Store(error) => error.code(),
             Self::Chunks(error) => error.code(),
-            Self::State { .. } | Self::Tls { .. } | Self::Serve(_) | Self::Panicked => ProblemCode::Internal,
+            Self::State { .. }
+            | Self::Tls { .. }
+            | Self::Webhook { .. }
+            | Self::Serve(_)
+            | Self::Panicked => ProblemCode::Internal,
             Self::StateInUse { .. } | Self::NotLoopback { .. } | Self::Listen { .. } => {
                 ProblemCode::Unavailable
             }

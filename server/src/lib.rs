@@ -19,8 +19,10 @@ mod server;
 pub mod store;
 mod tls;
 pub mod wakeup;
+mod webhooks;
 
 pub use error::ServerError;
 pub use http::{LimitConfig, openapi_json};
 pub use server::{Config, Server, open_store};
 pub use tls::TlsFiles;
+pub use webhooks::WebhookConfig;

@@ -27,6 +27,7 @@ use crate::places::{ChunksPlace, DatabasePlace};
 use crate::store::SqlStore;
 use crate::tls::{self, TlsFiles};
 use crate::wakeup::{LocalWakeup, PostgresWakeup, Wakeup};
+use crate::webhooks::{self, WebhookConfig};
 
 /// How a server runs. `Config::new(folder)` gives the defaults.
 #[derive(Clone, Debug)]
@@ -41,6 +42,8 @@ pub struct Config {
     pub allow_non_loopback: bool,
     /// Serve with TLS. Default: without.
     pub tls: Option<TlsFiles>,
+    /// Who is told when a bake has ended. Default: nobody.
+    pub webhooks: Option<WebhookConfig>,
     /// How much callers may ask for.
     pub limits: LimitConfig,
     /// Expired leases are looked for this often. Shorter → lost workers are noticed sooner. Default: 1 s.
@@ -60,6 +63,7 @@ impl Config {
             chunks: None,
             allow_non_loopback: false,
             tls: None,
+            webhooks: None,
             limits: LimitConfig::default(),
             reap_interval: Duration::from_secs(1),
             poll_interval: Duration::from_secs(1),
@@ -130,6 +134,10 @@ impl Server {
         let address = listener.local_addr().map_err(ServerError::Serve)?;
         self.require_servable(address).await?;
         let reaper = tokio::spawn(reap(self.farm.clone(), self.config.reap_interval));
+        let webhooks =
+            self.config.webhooks.clone().map(|config| {
+                tokio::spawn(webhooks::run(self.farm.clone(), config, self.closing.subscribe()))
+            });
         let closing = self.closing.clone();
         let stop = async move {
             shutdown.await;
@@ -153,6 +161,9 @@ impl Server {
             }
         };
         reaper.abort();
+        if let Some(webhooks) = webhooks {
+            webhooks.abort();
+        }
         self.store.close().await;
         served
     }

@@ -24,14 +24,19 @@ pub struct TlsFiles {
 impl TlsFiles {
     /// Reads both.
     pub(crate) async fn read(&self) -> Result<RustlsConfig, ServerError> {
-        // Fails only when the process has a provider already, which is as good.
-        let _ = rustls::crypto::ring::default_provider().install_default();
+        use_ring();
         RustlsConfig::from_pem_file(&self.cert, &self.key).await.map_err(|source| ServerError::Tls {
             cert: self.cert.clone(),
             key: self.key.clone(),
             source,
         })
     }
+}
+
+/// Makes ring this process's cryptography for TLS, unless it has one.
+pub(crate) fn use_ring() {
+    // Fails only when the process has a provider already, which is as good.
+    let _ = rustls::crypto::ring::default_provider().install_default();
 }
 
 /// Serves with TLS, or without, until `stop` is done and the requests then under way have ended.

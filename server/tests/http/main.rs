@@ -11,3 +11,4 @@ mod life;
 mod limits;
 mod problems;
 mod support;
+mod webhooks;

@@ -37,7 +37,11 @@ pub async fn start_in(folder: tempfile::TempDir) -> Running {
 }
 
 pub async fn start_with(folder: tempfile::TempDir, limits: LimitConfig) -> Running {
-    let config = Config { limits, ..Config::new(folder.path()) };
+    start_config(folder, |config| Config { limits, ..config }).await
+}
+
+pub async fn start_config(folder: tempfile::TempDir, change: impl FnOnce(Config) -> Config) -> Running {
+    let config = change(Config::new(folder.path()));
     let server = Server::open(config).await.unwrap();
     let listener = server.bind("127.0.0.1:0").await.unwrap();
     let address = listener.local_addr().unwrap();

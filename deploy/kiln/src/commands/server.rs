@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use clap::Args;
 use lightkiln_server::places::{ChunksPlace, DatabasePlace};
-use lightkiln_server::{Config, LimitConfig, Server, TlsFiles};
+use lightkiln_server::{Config, LimitConfig, Server, TlsFiles, WebhookConfig};
 use lightkiln_worker::runtime::Level;
 use tokio::runtime::Runtime;
 
@@ -44,6 +44,13 @@ pub struct Arguments {
     /// PEM file of the certificate's private key
     #[arg(long, value_name = "FILE", requires = "tls_cert", help_heading = "TLS")]
     tls_key: Option<PathBuf>,
+    /// Posts to this URL when a bake has ended, signed with the secret in the variable KILN_WEBHOOK_SECRET; may be given
+    /// several times
+    #[arg(long, value_name = "URL", help_heading = "Webhooks")]
+    webhook: Vec<String>,
+    /// Lets webhooks call this machine (127.0.0.1, ::1) and its link (169.254.0.0/16, fe80::/10)
+    #[arg(long, help_heading = "Webhooks", requires = "webhook")]
+    webhook_allow_local: bool,
     /// Calls a second of one caller, a token at an address, in the long run; twice as many at once. More are answered
     /// 429 with Retry-After. 0 is no limit
     #[arg(long, value_name = "N", default_value_t = LimitConfig::default().calls_per_sec, help_heading = "Limits",
@@ -66,6 +73,7 @@ pub fn run(arguments: Arguments) -> Result<()> {
     let scheme = if tls.is_some() { "https" } else { "http" };
     let config = Config {
         tls,
+        webhooks: webhooks(&arguments.webhook, arguments.webhook_allow_local)?,
         limits: LimitConfig {
             calls_per_sec: arguments.calls_per_sec,
             calls_at_a_time: arguments.calls_at_a_time,
@@ -95,5 +103,19 @@ pub fn run(arguments: Arguments) -> Result<()> {
             let _ = signal.await;
         };
         server.serve(listener, shutdown).await.map_err(|error| server_failure(&error))
+    })
+}
+
+/// The secret comes from a variable, as command lines can be read by others.
+fn webhooks(urls: &[String], allow_local: bool) -> Result<Option<WebhookConfig>> {
+    if urls.is_empty() {
+        return Ok(None);
+    }
+    let secret = std::env::var("KILN_WEBHOOK_SECRET").unwrap_or_default();
+    let config = WebhookConfig::new(urls, &secret, allow_local);
+    config.map(Some).map_err(|error| {
+        Failure::bad_input("the server cannot run").caused_by(&error).try_this(
+            "--webhook https://HOST/PATH, and KILN_WEBHOOK_SECRET with what 'openssl rand -hex 32' prints",
+        )
     })
 }

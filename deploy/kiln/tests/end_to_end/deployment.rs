@@ -70,3 +70,19 @@ fn health_check_of_the_compose_file_knows_a_ready_server_from_none() {
     drop(server);
     assert!(!is_healthy(), "{script}");
 }
+
+#[test]
+fn webhooks_without_a_good_secret_or_to_this_machine_are_refused_at_the_start() {
+    let folder = tempfile::tempdir().unwrap();
+    for (secret, url, told) in [
+        ("", "https://hooks.example/", "KILN_WEBHOOK_SECRET"),
+        ("short", "https://hooks.example/", "16 bytes"),
+        ("a secret that will do", "http://127.0.0.1:9/", "--webhook-allow-local"),
+        ("a secret that will do", "hooks.example", "no URL"),
+    ] {
+        let mut command = kiln(folder.path());
+        command.env("KILN_WEBHOOK_SECRET", secret);
+        let refused = run(command, &["server", "--listen", "127.0.0.1:0", "--webhook", url], 2).stderr();
+        assert!(refused.contains(told), "{url}: {refused}");
+    }
+}
