@@ -17,6 +17,7 @@
 //! | `POST /v1/leases/{token}/commit` | [`TaskResult`] → [`CommitAnswer`] |
 //! | `POST /v1/leases/{token}/fail` | [`Failure`] → 204 |
 //! | `POST /v1/leases/{token}/release` | → 204 |
+//! | `POST /v1/enrolments` (a code as bearer token) | [`Enrolment`] → [`Enrolled`] |
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -352,6 +353,22 @@ pub enum CommitVerdict {
 pub struct CommitAnswer {
     /// What became of it.
     pub verdict: CommitVerdict,
+}
+
+/// A worker exchanges a code for the right to work. It makes its token itself, so that the token stays where it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Enrolment {
+    /// blake3 digest of the token that the worker will call with: 256 random bits or more.
+    #[schema(value_type = String)]
+    pub token: Digest,
+}
+
+/// A worker that may work.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct Enrolled {
+    /// The name under which its token is listed and revoked.
+    pub name: String,
 }
 
 /// Who is to blame for a failed attempt.

@@ -29,6 +29,8 @@ pub enum ProblemCode {
     TooLarge,
     /// The Range header cannot be satisfied.
     RangeNotSatisfiable,
+    /// The caller calls too often, or too many calls are under way; the header Retry-After says when to come again.
+    TooManyRequests,
     /// No room on the server's disk.
     StorageFull,
     /// The database or the chunk store does not answer now.
@@ -48,7 +50,7 @@ pub enum RetryClass {
 
 impl ProblemCode {
     /// All codes, for documentation and tests.
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 15] = [
         Self::BadRequest,
         Self::BadSettings,
         Self::DigestMismatch,
@@ -60,6 +62,7 @@ impl ProblemCode {
         Self::StateConflict,
         Self::TooLarge,
         Self::RangeNotSatisfiable,
+        Self::TooManyRequests,
         Self::StorageFull,
         Self::Unavailable,
         Self::Internal,
@@ -80,6 +83,7 @@ impl ProblemCode {
             Self::StateConflict => (409, Never, "The bake's state does not allow this"),
             Self::TooLarge => (413, Never, "The body is too large"),
             Self::RangeNotSatisfiable => (416, Never, "The range cannot be satisfied"),
+            Self::TooManyRequests => (429, Backoff, "Too many requests"),
             Self::StorageFull => (507, Backoff, "No room left"),
             Self::Unavailable => (503, Backoff, "Not available now"),
             Self::Internal => (500, Backoff, "Internal error"),

@@ -14,17 +14,28 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 use tokio::sync::Mutex;
 
+use crate::clock::{Clock as _, SystemClock};
 use crate::error::ServerError;
 use crate::store::{FarmStore, StoreError, random_secret};
 
 /// What servers know of the tokens is at most this old. Longer → fewer reads, and a revoked token is good for longer.
 const KNOWN_FOR: Duration = Duration::from_secs(2);
+/// After this every server has read a change: what it knows is too old by then, however long the reading took.
+const KNOWN_BY_ALL_AFTER: Duration = Duration::from_secs(3);
 /// Longest name of a bearer, in characters.
 const NAME_CHARS_MAX: usize = 64;
 /// Longest token that is looked at, in bytes.
 const TOKEN_BYTES_MAX: usize = 256;
 /// What tokens begin with, so that they are recognised where they should not be.
 const TOKEN_PREFIX: &str = "kiln_";
+/// What codes begin with.
+const CODE_PREFIX: &str = "kilncode_";
+/// What stands in a code's name behind that of the worker; random characters follow, as names are given once.
+const CODE_MARK: &str = ".code-";
+/// How many of them.
+const CODE_MARK_CHARS: usize = 8;
+/// How long a code is good for. Longer → more time to walk to a machine, and for whoever finds the code.
+pub const CODE_LIFETIME: Duration = Duration::from_secs(3600);
 
 /// A part of the API.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -38,10 +49,12 @@ pub enum Scope {
     Worker,
     /// Everything.
     Admin,
+    /// A worker's token can be had for it, once: the scope of codes, and of nothing else.
+    Enrol,
 }
 
 impl Scope {
-    /// All scopes.
+    /// All scopes that a token can be made with.
     pub const ALL: [Self; 4] = [Self::Read, Self::Submit, Self::Worker, Self::Admin];
 
     /// Its name on the command line.
@@ -51,6 +64,7 @@ impl Scope {
             Self::Submit => "submit",
             Self::Worker => "worker",
             Self::Admin => "admin",
+            Self::Enrol => "enrol",
         }
     }
 
@@ -124,6 +138,15 @@ impl NewBearer {
         Ok(Self { name: name.to_owned(), token: format!("{TOKEN_PREFIX}{}", random_secret()?) })
     }
 
+    /// A code for a worker, which exchanges it for a token that is listed by the worker's name.
+    pub fn code_for(worker: &str) -> Result<Self, ServerError> {
+        let mark: String = random_secret()?.chars().take(CODE_MARK_CHARS).collect();
+        // Its own name, too, must do.
+        Self::named(worker)?;
+        let named = Self::named(&format!("{worker}{CODE_MARK}{mark}"))?;
+        Ok(Self { token: format!("{CODE_PREFIX}{}", random_secret()?), ..named })
+    }
+
     /// What is stored of the token.
     pub fn hash(&self) -> Digest {
         Digest::of(self.token.as_bytes())
@@ -154,16 +177,18 @@ impl Known {
         }
     }
 
-    fn check(&self, token: Option<&str>, wanted: &[Scope]) -> Result<(), ServerError> {
+    /// The digest of the token, if one was needed.
+    fn check(&self, token: Option<&str>, wanted: &[Scope]) -> Result<Option<Digest>, ServerError> {
         if !self.is_guarded || wanted.is_empty() {
-            return Ok(());
+            return Ok(None);
         }
         let token = token.ok_or(ServerError::Unauthorized { why: "the call has no token" })?;
-        let known = (token.len() <= TOKEN_BYTES_MAX).then(|| self.live.get(&Digest::of(token.as_bytes())));
+        let hash = (token.len() <= TOKEN_BYTES_MAX).then(|| Digest::of(token.as_bytes()));
+        let known = hash.and_then(|hash| Some((hash, self.live.get(&hash)?)));
         let unknown = ServerError::Unauthorized { why: "the token is unknown or was revoked" };
-        let scopes = known.flatten().ok_or(unknown)?;
+        let (hash, scopes) = known.ok_or(unknown)?;
         if scopes.iter().any(|scope| wanted.iter().any(|wanted| scope.opens(*wanted))) {
-            return Ok(());
+            return Ok(Some(hash));
         }
         let wanted: Vec<&str> = wanted.iter().map(|scope| scope.name()).collect();
         Err(ServerError::Forbidden { wanted: wanted.join(" or ") })
@@ -176,12 +201,45 @@ impl Guard {
         Self { store, known: Mutex::default() }
     }
 
-    /// Refuses a call without a token that opens one of the scopes.
-    pub(crate) async fn check(&self, token: Option<&str>, wanted: &[Scope]) -> Result<(), ServerError> {
+    /// Refuses a call without a token that opens one of the scopes. The token's digest, if one was needed.
+    pub(crate) async fn check(
+        &self,
+        token: Option<&str>,
+        wanted: &[Scope],
+    ) -> Result<Option<Digest>, ServerError> {
         let mut known = self.known.lock().await;
         match known.as_ref().filter(|known| known.at.elapsed() < KNOWN_FOR) {
             Some(known) => known.check(token, wanted),
             None => known.insert(Known::new(self.store.bearers().await?)).check(token, wanted),
+        }
+    }
+
+    /// Makes the token with this digest a worker's, for a code that is good; the worker's name.
+    ///
+    /// Names are given once, in one transaction of the store: that a code is good for one token rests on it.
+    pub(crate) async fn enrol(&self, code: &str, token: Digest) -> Result<String, ServerError> {
+        let refused = |why| ServerError::Unauthorized { why };
+        let hash = Digest::of(code.as_bytes());
+        let bearers = self.store.bearers().await?;
+        let is_code = |bearer: &&Bearer| bearer.hash == hash && bearer.scopes == [Scope::Enrol].into();
+        let code = bearers.iter().find(is_code).filter(|code| code.revoked_ms.is_none());
+        let code = code.ok_or(refused("the code is unknown or was revoked"))?;
+        let age_ms = SystemClock.now_ms().saturating_sub(code.created_ms);
+        if u128::try_from(age_ms).is_ok_and(|age| age > CODE_LIFETIME.as_millis()) {
+            return Err(refused("the code is too old; 'kiln token enrol' makes another"));
+        }
+        let worker = code.name.rsplit_once(CODE_MARK).map_or(code.name.as_str(), |(worker, _)| worker);
+        match self.store.add_bearer(worker, token, &[Scope::Worker].into()).await {
+            Ok(bearer) if bearer.revoked_ms.is_none() => {
+                // When this is answered, every server of the farm knows the token.
+                tokio::time::sleep(KNOWN_BY_ALL_AFTER).await;
+                Ok(bearer.name)
+            }
+            Ok(_) => Err(refused("the token that this code was used for was revoked")),
+            Err(StoreError::BearerExists { .. }) => {
+                Err(refused("the code was used before; 'kiln token enrol' makes another"))
+            }
+            Err(error) => Err(error.into()),
         }
     }
 
@@ -226,6 +284,19 @@ mod tests {
             assert!(matches!(refused, Err(ServerError::Unauthorized { .. })), "{token:?}");
         }
         assert!(known.check(None, &[]).is_ok(), "calls about health stay open");
+    }
+
+    #[test]
+    fn code_opens_the_exchange_alone_and_is_no_scope_to_ask_for() {
+        let known = Known::new(vec![bearer("code", &[Scope::Enrol], None)]);
+        assert!(known.check(Some("code"), &[Scope::Enrol]).is_ok());
+        for wanted in Scope::ALL {
+            assert!(known.check(Some("code"), &[wanted]).is_err(), "{wanted}");
+        }
+        assert!("enrol".parse::<Scope>().is_err());
+        let code = NewBearer::code_for("oven").unwrap();
+        assert!(code.name.starts_with("oven.code-") && code.token.starts_with(CODE_PREFIX), "{}", code.name);
+        assert!(NewBearer::code_for("with space").is_err());
     }
 
     #[test]

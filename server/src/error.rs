@@ -87,6 +87,20 @@ pub enum ServerError {
         /// Limit in bytes.
         limit: u64,
     },
+    /// One caller calls too often.
+    #[error("this caller calls too often; come again in {retry_after_secs} s (the server's --calls-per-sec)")]
+    TooManyCalls {
+        /// Seconds after which there is room.
+        retry_after_secs: u64,
+    },
+    /// Too many calls are under way.
+    #[error(
+        "too many calls are under way; come again in {retry_after_secs} s (the server's --calls-at-a-time)"
+    )]
+    Busy {
+        /// Seconds after which to try again.
+        retry_after_secs: u64,
+    },
     /// The queue refused or failed.
     #[error(transparent)]
     Store(#[from] StoreError),
@@ -128,6 +142,23 @@ pub enum ServerError {
         #[source]
         source: std::io::Error,
     },
+    /// The certificate or its key cannot be used.
+    #[error("the certificate {} with the key {} cannot be used; both are PEM files", cert.display(), key.display())]
+    Tls {
+        /// File of the certificate.
+        cert: PathBuf,
+        /// File of its key.
+        key: PathBuf,
+        /// Why not.
+        #[source]
+        source: std::io::Error,
+    },
+    /// Webhooks that cannot be.
+    #[error("webhooks cannot be delivered: {what}")]
+    Webhook {
+        /// What is wrong with them.
+        what: String,
+    },
     /// A bug.
     #[error("the server has a bug and could not answer; its log says where")]
     Panicked,
@@ -150,9 +181,14 @@ impl ServerError {
             Self::Range { .. } => ProblemCode::RangeNotSatisfiable,
             Self::MethodNotAllowed { .. } => ProblemCode::MethodNotAllowed,
             Self::BodyTooLarge { .. } => ProblemCode::TooLarge,
+            Self::TooManyCalls { .. } | Self::Busy { .. } => ProblemCode::TooManyRequests,
             Self::Store(error) => error.code(),
             Self::Chunks(error) => error.code(),
-            Self::State { .. } | Self::Serve(_) | Self::Panicked => ProblemCode::Internal,
+            Self::State { .. }
+            | Self::Tls { .. }
+            | Self::Webhook { .. }
+            | Self::Serve(_)
+            | Self::Panicked => ProblemCode::Internal,
             Self::StateInUse { .. } | Self::NotLoopback { .. } | Self::Listen { .. } => {
                 ProblemCode::Unavailable
             }

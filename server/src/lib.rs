@@ -17,8 +17,12 @@ mod metrics;
 pub mod places;
 mod server;
 pub mod store;
+mod tls;
 pub mod wakeup;
+mod webhooks;
 
 pub use error::ServerError;
-pub use http::openapi_json;
+pub use http::{LimitConfig, openapi_json};
 pub use server::{Config, Server, open_store};
+pub use tls::TlsFiles;
+pub use webhooks::WebhookConfig;

@@ -14,6 +14,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
+use axum_server::tls_rustls::RustlsConfig;
 use tokio::net::TcpListener;
 use tokio::sync::watch;
 
@@ -21,10 +22,12 @@ use crate::chunks::ObjectChunks;
 use crate::clock::SystemClock;
 use crate::error::ServerError;
 use crate::farm::Farm;
-use crate::http;
+use crate::http::{self, LimitConfig};
 use crate::places::{ChunksPlace, DatabasePlace};
 use crate::store::SqlStore;
+use crate::tls::{self, TlsFiles};
 use crate::wakeup::{LocalWakeup, PostgresWakeup, Wakeup};
+use crate::webhooks::{self, WebhookConfig};
 
 /// How a server runs. `Config::new(folder)` gives the defaults.
 #[derive(Clone, Debug)]
@@ -37,6 +40,12 @@ pub struct Config {
     pub chunks: Option<ChunksPlace>,
     /// Serve addresses that other machines can reach although nobody has a token. Default: no.
     pub allow_non_loopback: bool,
+    /// Serve with TLS. Default: without.
+    pub tls: Option<TlsFiles>,
+    /// Who is told when a bake has ended. Default: nobody.
+    pub webhooks: Option<WebhookConfig>,
+    /// How much callers may ask for.
+    pub limits: LimitConfig,
     /// Expired leases are looked for this often. Shorter → lost workers are noticed sooner. Default: 1 s.
     pub reap_interval: Duration,
     /// Waiting calls look again this often without a hint. Shorter → sooner, at more load. Default: 1 s.
@@ -53,6 +62,9 @@ impl Config {
             database: None,
             chunks: None,
             allow_non_loopback: false,
+            tls: None,
+            webhooks: None,
+            limits: LimitConfig::default(),
             reap_interval: Duration::from_secs(1),
             poll_interval: Duration::from_secs(1),
             stop_grace: Duration::from_secs(10),
@@ -65,6 +77,7 @@ pub struct Server {
     config: Config,
     farm: Arc<Farm>,
     store: Arc<SqlStore>,
+    tls: Option<RustlsConfig>,
     closing: watch::Sender<bool>,
     /// Held, not read: the lock goes with the last handle.
     _lock: Option<File>,
@@ -73,6 +86,10 @@ pub struct Server {
 impl Server {
     /// Opens queue and bytes; fails if another server has the queue's file open.
     pub async fn open(config: Config) -> Result<Self, ServerError> {
+        let tls = match &config.tls {
+            Some(files) => Some(files.read().await?),
+            None => None,
+        };
         let in_state = DatabasePlace::Sqlite(config.state_dir.join("farm.sqlite"));
         let database = config.database.clone().unwrap_or(in_state);
         let (store, wakeup, lock) = open_database(&database).await?;
@@ -82,7 +99,7 @@ impl Server {
         let (closing, is_closing) = watch::channel(false);
         let farm = Farm::new(store.clone(), chunks, wakeup, config.poll_interval, is_closing);
         let farm = Arc::new(farm);
-        Ok(Self { config, farm, store, closing, _lock: lock })
+        Ok(Self { config, farm, store, tls, closing, _lock: lock })
     }
 
     /// The farm itself, for calls without HTTP.
@@ -117,13 +134,19 @@ impl Server {
         let address = listener.local_addr().map_err(ServerError::Serve)?;
         self.require_servable(address).await?;
         let reaper = tokio::spawn(reap(self.farm.clone(), self.config.reap_interval));
+        let webhooks =
+            self.config.webhooks.clone().map(|config| {
+                tokio::spawn(webhooks::run(self.farm.clone(), config, self.closing.subscribe()))
+            });
         let closing = self.closing.clone();
         let stop = async move {
             shutdown.await;
             // Waiting calls and event streams end on this.
             closing.send_replace(true);
         };
-        let serving = axum::serve(listener, http::router(self.farm.clone())).with_graceful_shutdown(stop);
+        let app = http::router(self.farm.clone(), self.config.limits)
+            .into_make_service_with_connect_info::<SocketAddr>();
+        let serving = tls::serve(listener, app, self.tls.clone(), stop);
         let mut closing = self.closing.subscribe();
         let too_long = async {
             let _ = closing.wait_for(|closing| *closing).await;
@@ -138,6 +161,9 @@ impl Server {
             }
         };
         reaper.abort();
+        if let Some(webhooks) = webhooks {
+            webhooks.abort();
+        }
         self.store.close().await;
         served
     }

@@ -39,6 +39,12 @@ impl ApiClient {
         self
     }
 
+    /// The same server, trusted if its certificate is signed by one of these (PEM) instead of the usual ones.
+    pub fn with_trust(mut self, pem: &[u8]) -> Result<Self> {
+        self.http.trust(pem)?;
+        Ok(self)
+    }
+
     /// Base URL, without a slash at its end.
     pub fn base(&self) -> &str {
         &self.http.base

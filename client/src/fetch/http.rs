@@ -6,6 +6,7 @@ use std::time::Duration;
 use lightkiln_proto::address::is_loopback;
 use lightkiln_proto::problem::{Problem, RetryClass};
 use ureq::http::{Response, header};
+use ureq::tls::{PemItem, RootCerts, TlsConfig, parse_pem};
 use ureq::{Agent, Body};
 
 use super::stop::Stop;
@@ -79,6 +80,21 @@ impl<'a> Call<'a> {
     }
 }
 
+fn agent(base: &str, roots: RootCerts) -> Agent {
+    let mut config = Agent::config_builder()
+        .http_status_as_error(false)
+        .tls_config(TlsConfig::builder().root_certs(roots).build())
+        .timeout_connect(Some(Duration::from_secs(10)))
+        .timeout_send_body(Some(Duration::from_secs(3600)))
+        .timeout_recv_response(Some(Duration::from_secs(120)))
+        .timeout_recv_body(Some(Duration::from_secs(3600)))
+        .user_agent(concat!("lightkiln/", env!("CARGO_PKG_VERSION")));
+    if is_loopback(base) {
+        config = config.proxy(None);
+    }
+    config.build().into()
+}
+
 impl Http {
     pub fn new(base: &str, token: Option<String>) -> Result<Self> {
         let wrong =
@@ -92,23 +108,32 @@ impl Http {
         if uri.query().is_some() {
             return Err(wrong("has a query; write http://host:port"));
         }
-        let mut config = Agent::config_builder()
-            .http_status_as_error(false)
-            .timeout_connect(Some(Duration::from_secs(10)))
-            .timeout_send_body(Some(Duration::from_secs(3600)))
-            .timeout_recv_response(Some(Duration::from_secs(120)))
-            .timeout_recv_body(Some(Duration::from_secs(3600)))
-            .user_agent(concat!("lightkiln/", env!("CARGO_PKG_VERSION")));
-        if is_loopback(trimmed) {
-            config = config.proxy(None);
-        }
         Ok(Self {
             base: trimmed.to_owned(),
-            agent: config.build().into(),
+            agent: agent(trimmed, RootCerts::WebPki),
             token,
             retry: RetryPolicy::default(),
             stop: Arc::default(),
         })
+    }
+
+    /// Trusts servers whose certificates are signed by one of these (PEM), and no others.
+    pub fn trust(&mut self, pem: &[u8]) -> Result<()> {
+        let wrong = |problem: &str| ClientError::Argument {
+            what: "the certificates to trust".to_owned(),
+            problem: format!("{problem}; give a PEM file, with BEGIN CERTIFICATE in it"),
+        };
+        let mut roots = Vec::new();
+        for item in parse_pem(pem) {
+            if let PemItem::Certificate(certificate) = item.map_err(|_| wrong("they are broken"))? {
+                roots.push(certificate);
+            }
+        }
+        if roots.is_empty() {
+            return Err(wrong("there are none"));
+        }
+        self.agent = agent(&self.base, RootCerts::new_with_certs(&roots));
+        Ok(())
     }
 
     /// The answer's body, at most `limit` bytes; tried again while that makes sense.

@@ -155,6 +155,9 @@ pub fn server_failure(error: &ServerError) -> Failure {
             Exit::BadInput,
             "'kiln token create NAME --scope admin', or --allow-non-loopback if the network is trusted",
         ),
+        ServerError::Tls { .. } => {
+            (Exit::BadInput, "--tls-cert and --tls-key with files that belong together and can be read")
+        }
         ServerError::Store(StoreError::Unavailable(_)) => {
             (Exit::Failed, "--database with the address of a database that runs")
         }

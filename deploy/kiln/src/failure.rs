@@ -14,7 +14,7 @@ pub const EXIT_CODES: &str = "Exit codes:
   2    wrong arguments, settings or input files
   3    the server was not reached
   4    the bake is done, but its evaluation breaks a limit of --fail-if
-  130  interrupted";
+  130  interrupted, or the bake that was waited for was cancelled";
 
 /// Why a command ends; the number is the process's exit code.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -78,6 +78,11 @@ impl Failure {
         self
     }
 
+    /// What was wrong, without causes.
+    pub fn message(&self) -> &str {
+        &self.message
+    }
+
     /// The exit code.
     pub fn exit(&self) -> Exit {
         self.exit
@@ -122,7 +127,10 @@ impl From<ClientError> for Failure {
         if let Some(source) = error.source() {
             failure = failure.caused_by(source);
         }
-        if exit == Exit::Unreachable {
+        let is_busy = matches!(&error, ClientError::Server { problem, .. } if problem.code == ProblemCode::TooManyRequests);
+        if is_busy {
+            failure = failure.try_this("the same command a little later");
+        } else if exit == Exit::Unreachable {
             failure = failure.try_this("start one with 'kiln server', or bake without --server");
         }
         failure

@@ -4,15 +4,19 @@ mod arguments;
 mod bundle;
 mod commands;
 mod embedded;
+mod enrolment;
 mod evaluation;
 mod failure;
 mod inspection;
 mod interrupt;
+mod junit;
 mod logging;
 mod picture;
 mod progress;
 mod settings;
 mod summary;
+#[cfg(test)]
+mod tests;
 
 use std::process::ExitCode;
 

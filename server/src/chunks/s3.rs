@@ -14,6 +14,7 @@ use object_store::{BackoffConfig, ClientOptions, ObjectStore, RetryConfig};
 
 use super::ChunkError;
 use super::objects::from_store;
+use crate::tls::use_ring;
 
 /// Wait for a connection. Longer → slow networks work, and a store that is away is noticed later.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
@@ -34,8 +35,7 @@ pub(super) fn open(
     prefix: &str,
     settings: impl IntoIterator<Item = (String, String)>,
 ) -> Result<Arc<dyn ObjectStore>, ChunkError> {
-    // Fails only when the process has a provider already, which is as good.
-    let _ = rustls::crypto::ring::default_provider().install_default();
+    use_ring();
     let mut builder = AmazonS3Builder::new();
     for (name, value) in settings {
         let key = name.starts_with("AWS_").then(|| name.to_ascii_lowercase().parse::<AmazonS3ConfigKey>());

@@ -79,7 +79,8 @@ fn status_of(stored: Stored) -> StatusCode {
 /// Says whether a scene is stored, so that it need not be uploaded again.
 #[utoipa::path(head, path = "/v1/scenes/{digest}", tag = "scenes",
     params(("digest" = Digest, Path, description = "blake3 digest of the bundle")),
-    responses((status = 200, description = "It is stored"), (status = 404, description = "It is not")))]
+    responses((status = 200, description = "It is stored"), (status = 404, description = "It is not"),
+        (status = "default", description = "Another problem, without its words, as the method has no body")))]
 pub(super) async fn head_scene(
     State(farm): State<Arc<Farm>>,
     PathParam(digest): PathParam<Digest>,
@@ -114,7 +115,8 @@ pub(super) async fn get_chunk(
 /// Says whether a chunk is stored, and how long it is.
 #[utoipa::path(head, path = "/v1/chunks/{digest}", tag = "chunks",
     params(("digest" = Digest, Path, description = "blake3 digest of the bytes")),
-    responses((status = 200, description = "It is stored"), (status = 404, description = "It is not")))]
+    responses((status = 200, description = "It is stored"), (status = 404, description = "It is not"),
+        (status = "default", description = "Another problem, without its words, as the method has no body")))]
 pub(super) async fn head_chunk(
     State(farm): State<Arc<Farm>>,
     PathParam(digest): PathParam<Digest>,

@@ -1,13 +1,16 @@
-//! Which scopes a call needs; a call that is not named here needs the highest.
+//! Which scopes a call needs; a call that is not named here needs the highest. What is too much is refused here, too.
 
+use std::net::{IpAddr, Ipv6Addr, SocketAddr};
 use std::sync::Arc;
 
-use axum::extract::{MatchedPath, Request, State};
+use axum::extract::{ConnectInfo, MatchedPath, Request, State};
+use axum::http::request::Parts;
 use axum::http::{HeaderMap, Method, header};
 use axum::middleware::Next;
 use axum::response::Response;
 
 use super::extract::text_header;
+use super::limits::Limits;
 use crate::access::Scope;
 use crate::error::ServerError;
 use crate::farm::Farm;
@@ -20,6 +23,7 @@ fn scopes_for(method: &Method, route: &str) -> &'static [Scope] {
         "/v1/chunks/{digest}" if reads => &[Scope::Read, Scope::Worker],
         "/v1/chunks/{digest}" if *method == Method::PUT => &[Scope::Worker],
         "/v1/scenes/{digest}" => &[Scope::Submit],
+        "/v1/enrolments" => &[Scope::Enrol],
         "/v1/workers" | "/metrics" if reads => &[Scope::Read],
         route if route.starts_with("/v1/leases") => &[Scope::Worker],
         route if route.starts_with("/v1/bakes") && reads => &[Scope::Read],
@@ -28,22 +32,55 @@ fn scopes_for(method: &Method, route: &str) -> &'static [Scope] {
     }
 }
 
-/// Lets a call through if its token opens it. Paths that do not exist are nobody's secret.
+/// What stands before every call.
+pub(super) struct Doorman {
+    pub(super) farm: Arc<Farm>,
+    pub(super) limits: Limits,
+}
+
+impl Doorman {
+    /// Counts the call, and refuses it without a token that opens it. Paths that do not exist are nobody's secret; calls
+    /// about health are answered however many they are.
+    async fn check(&self, request: &Parts) -> Result<(), ServerError> {
+        let route = request.extensions.get::<MatchedPath>().map(MatchedPath::as_str);
+        if route.is_some_and(is_about_health) {
+            return Ok(());
+        }
+        let address = request.extensions.get::<ConnectInfo<SocketAddr>>();
+        let address = address.map_or(IpAddr::V6(Ipv6Addr::UNSPECIFIED), |info| info.0.ip());
+        let wanted = route.map_or(&[][..], |route| scopes_for(&request.method, route));
+        let token = bearer_token(&request.headers);
+        let opened = match wanted {
+            [] => Ok(None),
+            wanted => self.farm.guard.check(token, wanted).await,
+        };
+        self.limits.count((address, opened.as_ref().ok().copied().flatten()))?;
+        opened.map(drop)
+    }
+}
+
+fn is_about_health(route: &str) -> bool {
+    matches!(route, "/healthz" | "/readyz")
+}
+
+/// Lets a call through if there is room for it and its token opens it.
 pub(super) async fn guard(
-    State(farm): State<Arc<Farm>>,
+    State(doorman): State<Arc<Doorman>>,
     request: Request,
     next: Next,
 ) -> Result<Response, ServerError> {
-    if let Some(route) = request.extensions().get::<MatchedPath>() {
-        let wanted = scopes_for(request.method(), route.as_str());
-        if !wanted.is_empty() {
-            farm.guard.check(bearer_token(request.headers()), wanted).await?;
-        }
+    let (parts, body) = request.into_parts();
+    doorman.check(&parts).await?;
+    let request = Request::from_parts(parts, body);
+    let route = request.extensions().get::<MatchedPath>();
+    if route.is_some_and(|route| is_about_health(route.as_str())) {
+        return Ok(next.run(request).await);
     }
-    Ok(next.run(request).await)
+    let place = doorman.limits.place()?;
+    Ok(place.held_by(next.run(request).await))
 }
 
-fn bearer_token(headers: &HeaderMap) -> Option<&str> {
+pub(super) fn bearer_token(headers: &HeaderMap) -> Option<&str> {
     let (kind, token) = text_header(headers, header::AUTHORIZATION)?.split_once(' ')?;
     kind.eq_ignore_ascii_case("Bearer").then(|| token.trim())
 }

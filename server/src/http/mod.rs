@@ -2,11 +2,13 @@
 
 mod bakes;
 mod chunks;
+mod enrolments;
 mod events;
 mod extract;
 mod guard;
 mod health;
 mod leases;
+mod limits;
 mod openapi;
 mod problem;
 mod ranges;
@@ -25,10 +27,15 @@ use tracing::Span;
 use crate::error::ServerError;
 use crate::farm::Farm;
 
+use guard::Doorman;
+use limits::Limits;
+
+pub use limits::LimitConfig;
 pub use openapi::openapi_json;
 
 /// All calls over a farm.
-pub(crate) fn router(farm: Arc<Farm>) -> Router {
+pub(crate) fn router(farm: Arc<Farm>, limits: LimitConfig) -> Router {
+    let doorman = Arc::new(Doorman { farm: farm.clone(), limits: Limits::new(limits) });
     Router::new()
         .route("/v1/scenes/{digest}", put(chunks::put_scene).head(chunks::head_scene))
         .route("/v1/chunks/{digest}", head(chunks::head_chunk).get(chunks::get_chunk).put(chunks::put_chunk))
@@ -47,13 +54,14 @@ pub(crate) fn router(farm: Arc<Farm>) -> Router {
         .route("/v1/leases/{token}/commit", post(leases::commit))
         .route("/v1/leases/{token}/fail", post(leases::fail))
         .route("/v1/leases/{token}/release", post(leases::release))
+        .route("/v1/enrolments", post(enrolments::enrol))
         .route("/healthz", get(health::healthz))
         .route("/readyz", get(health::readyz))
         .route("/metrics", get(health::metrics))
         .route("/openapi.json", get(health::openapi))
         .fallback(no_such_path)
         .method_not_allowed_fallback(method_not_allowed)
-        .layer(axum::middleware::from_fn_with_state(farm.clone(), guard::guard))
+        .layer(axum::middleware::from_fn_with_state(doorman, guard::guard))
         .layer(CatchPanicLayer::custom(panicked))
         .layer(TraceLayer::new_for_http().make_span_with(span))
         .with_state(farm)

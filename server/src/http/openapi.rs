@@ -5,7 +5,7 @@ use utoipa::openapi::schema::{KnownFormat, ObjectBuilder, Schema, SchemaFormat, 
 use utoipa::openapi::security::{Http, HttpAuthScheme, SecurityScheme};
 use utoipa::{Modify, OpenApi, PartialSchema, ToSchema, openapi};
 
-use super::{bakes, chunks, events, health, leases};
+use super::{bakes, chunks, enrolments, events, health, leases};
 
 #[derive(OpenApi)]
 #[openapi(
@@ -28,6 +28,7 @@ use super::{bakes, chunks, events, health, leases};
         bakes::submit, bakes::list, bakes::show, bakes::cancel, bakes::pause, bakes::resume, bakes::reprioritise,
         bakes::manifest, bakes::report, bakes::workers, events::events,
         leases::claim, leases::heartbeat, leases::commit, leases::fail, leases::release,
+        enrolments::enrol,
         health::healthz, health::readyz, health::metrics, health::openapi,
     ),
     components(schemas(Digest)),

@@ -25,6 +25,9 @@ impl IntoResponse for ServerError {
         if let Self::Unauthorized { .. } = self {
             response.headers_mut().insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
         }
+        if let Self::TooManyCalls { retry_after_secs } | Self::Busy { retry_after_secs } = self {
+            response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from(retry_after_secs));
+        }
         if let Self::Range { length } = self
             && let Ok(range) = HeaderValue::try_from(format!("bytes */{length}"))
         {

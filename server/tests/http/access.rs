@@ -16,7 +16,7 @@ use crate::support::{Answer, Running, start, start_in};
 const LIMIT: Duration = Duration::from_secs(60);
 
 /// Makes a token, beside a server that may be running.
-async fn make(folder: &std::path::Path, scope: Scope) -> String {
+pub async fn make(folder: &std::path::Path, scope: Scope) -> String {
     let store = open_store(folder, None).await.unwrap();
     let new = NewBearer::named(scope.name()).unwrap();
     store.add_bearer(&new.name, new.hash(), &[scope].into()).await.unwrap();
@@ -100,6 +100,7 @@ async fn scope_opens_its_calls_and_no_others() {
         ("POST", "/v1/bakes/none/cancel", &[Submit]),
         ("POST", "/v1/leases", &[Worker]),
         ("POST", "/v1/leases/none/commit", &[Worker]),
+        ("POST", "/v1/enrolments", &[]),
         ("DELETE", "/v1/bakes", &[]),
     ] {
         for (scope, token) in &tokens {

@@ -5,7 +5,10 @@
 mod access;
 mod bakes;
 mod bytes;
+mod enrolments;
 mod events;
 mod life;
+mod limits;
 mod problems;
 mod support;
+mod webhooks;

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::problem::{Problem, ProblemCode};
-use lightkiln_server::{Config, Server, ServerError};
+use lightkiln_server::{Config, LimitConfig, Server, ServerError};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
@@ -33,7 +33,16 @@ pub async fn start() -> Running {
 }
 
 pub async fn start_in(folder: tempfile::TempDir) -> Running {
-    let server = Server::open(Config::new(folder.path())).await.unwrap();
+    start_with(folder, LimitConfig::default()).await
+}
+
+pub async fn start_with(folder: tempfile::TempDir, limits: LimitConfig) -> Running {
+    start_config(folder, |config| Config { limits, ..config }).await
+}
+
+pub async fn start_config(folder: tempfile::TempDir, change: impl FnOnce(Config) -> Config) -> Running {
+    let config = change(Config::new(folder.path()));
+    let server = Server::open(config).await.unwrap();
     let listener = server.bind("127.0.0.1:0").await.unwrap();
     let address = listener.local_addr().unwrap();
     let (stop, stopped) = oneshot::channel();

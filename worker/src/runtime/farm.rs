@@ -5,8 +5,8 @@ use std::time::Duration;
 
 use lightkiln_proto::address::is_loopback;
 use lightkiln_proto::api::{
-    ClaimAnswer, ClaimRequest, CommitAnswer, CommitVerdict, Failure, Heartbeat, HeartbeatAnswer,
-    MAX_CHUNK_BYTES, TaskResult, Verdict,
+    ClaimAnswer, ClaimRequest, CommitAnswer, CommitVerdict, Enrolled, Enrolment, Failure, Heartbeat,
+    HeartbeatAnswer, MAX_CHUNK_BYTES, TaskResult, Verdict,
 };
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::problem::{Problem, RetryClass};
@@ -15,6 +15,7 @@ use serde::de::DeserializeOwned;
 use thiserror::Error;
 use ureq::http::{HeaderValue, Request, Response, header};
 use ureq::middleware::MiddlewareNext;
+use ureq::tls::{PemItem, RootCerts, TlsConfig, parse_pem};
 use ureq::{Agent, Body, SendBody};
 
 /// Longest time for a small call to be answered.
@@ -100,10 +101,17 @@ pub(super) struct Farm {
 }
 
 impl Farm {
-    /// Calls go to `server_url`, for example `http://farm.local:7410`, with a bearer token if there is one.
+    #[cfg(test)]
     pub(super) fn new(server_url: &str, token: Option<&str>) -> Self {
+        Self::trusting(RootCerts::WebPki, server_url, token)
+    }
+
+    /// Calls go to `server_url`, for example `https://farm.local:7410`, with a bearer token if there is one. A server
+    /// with TLS must have a certificate that is signed by one of `roots`.
+    pub(super) fn trusting(roots: RootCerts, server_url: &str, token: Option<&str>) -> Self {
         let mut config = Agent::config_builder()
             .http_status_as_error(false)
+            .tls_config(TlsConfig::builder().root_certs(roots).build())
             .timeout_connect(Some(CALL_TIMEOUT))
             .timeout_global(Some(CALL_TIMEOUT));
         if is_loopback(server_url) {
@@ -120,6 +128,11 @@ impl Farm {
         }
         let base_url = server_url.trim_end_matches('/').to_owned();
         Self { agent: config.build().new_agent(), base_url }
+    }
+
+    /// Exchanges the code that this was made with for the right to work with the token of that digest.
+    pub(super) fn enrol(&self, token: Digest) -> Result<Enrolled, CallError> {
+        self.post("/v1/enrolments", &Enrolment { token }, CALL_TIMEOUT)
     }
 
     /// Asks for tasks; the server may take `wait_secs` to answer.
@@ -237,6 +250,17 @@ impl Farm {
         let response = request.send_json(body).map_err(|source| no_answer(url, source))?;
         if response.status().is_success() { Ok(response) } else { Err(refusal(url.to_owned(), response)) }
     }
+}
+
+/// The certificates in a PEM text; `None` if there are none or one is broken.
+pub(super) fn certificates(pem: &[u8]) -> Option<RootCerts> {
+    let mut roots = Vec::new();
+    for item in parse_pem(pem) {
+        if let PemItem::Certificate(certificate) = item.ok()? {
+            roots.push(certificate);
+        }
+    }
+    (!roots.is_empty()).then(|| RootCerts::new_with_certs(&roots))
 }
 
 fn content_length(response: &Response<Body>) -> Option<u64> {

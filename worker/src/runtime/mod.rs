@@ -21,8 +21,10 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use lightkiln_proto::api::ClaimRequest;
+use lightkiln_proto::ids::Digest;
 use lightkiln_proto::problem::RetryClass;
 use thiserror::Error;
+use ureq::tls::RootCerts;
 
 use crate::task::{MemoryCache, TaskRunner};
 use backoff::Backoff;
@@ -43,6 +45,8 @@ pub struct WorkerConfig {
     pub server_url: String,
     /// Bearer token, if the farm asks for one; visible ASCII.
     pub token: Option<String>,
+    /// Certificates (PEM) one of which must have signed the server's; the usual ones unless set.
+    pub ca_pem: Option<Vec<u8>>,
     /// Name on the farm; unique there, as a worker that failed a task is not given it again.
     pub name: String,
     /// Threads for a task. More → faster, with more memory in use.
@@ -67,6 +71,7 @@ impl WorkerConfig {
         Self {
             server_url: server_url.into(),
             token: None,
+            ca_pem: None,
             name: name.into(),
             threads: std::thread::available_parallelism().map_or(1, usize::from),
             cache_dir: None,
@@ -100,6 +105,11 @@ pub enum WorkerError {
         #[source]
         source: rayon::ThreadPoolBuildError,
     },
+    /// The certificates to trust are none.
+    #[error(
+        "the certificates to trust are broken, or there are none; give a PEM file, with BEGIN CERTIFICATE in it"
+    )]
+    Certificates,
     /// The server refuses this worker for good.
     #[error("the server gives this worker no tasks")]
     Refused(#[source] CallError),
@@ -113,6 +123,23 @@ pub struct Worker {
     disk: Option<DiskCache>,
     memory: MemoryCache,
     pool: rayon::ThreadPool,
+}
+
+/// Exchanges a code for the right to work with `token`, which whoever calls made and keeps; the worker's name on the farm.
+/// The same call again is safe.
+pub fn enrol(
+    server_url: &str,
+    ca_pem: Option<&[u8]>,
+    code: &str,
+    token: &str,
+) -> Result<String, WorkerError> {
+    let farm = Farm::trusting(roots(ca_pem)?, server_url, Some(code));
+    let enrolled = farm.enrol(Digest::of(token.as_bytes())).map_err(WorkerError::Refused)?;
+    Ok(enrolled.name)
+}
+
+fn roots(ca_pem: Option<&[u8]>) -> Result<RootCerts, WorkerError> {
+    ca_pem.map_or(Ok(RootCerts::WebPki), |pem| farm::certificates(pem).ok_or(WorkerError::Certificates))
 }
 
 impl Worker {
@@ -129,7 +156,8 @@ impl Worker {
             .thread_name(|index| format!("bake-{index}"))
             .build()
             .map_err(|source| WorkerError::Threads { threads, source })?;
-        let farm = Arc::new(Farm::new(&config.server_url, config.token.as_deref()));
+        let roots = roots(config.ca_pem.as_deref())?;
+        let farm = Arc::new(Farm::trusting(roots, &config.server_url, config.token.as_deref()));
         let memory = MemoryCache::new(config.memory_bytes);
         Ok(Self { config, runner, farm, disk, memory, pool })
     }

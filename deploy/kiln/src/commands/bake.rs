@@ -8,6 +8,7 @@ use lightkiln_client::fetch::{ApiClient, Source};
 
 use super::following::follow;
 use super::submitting::{PackedScene, connect};
+use crate::arguments::TrustArgument;
 use crate::bundle::{refuse_foreign_folder, write_bundle};
 use crate::embedded::{EmbeddedFarm, default_state};
 use crate::evaluation::{EvaluationArguments, check, measure, relative_path, words};
@@ -36,6 +37,8 @@ pub struct Arguments {
     /// Bakes on the farm at this URL instead of in this process
     #[arg(long, value_name = "URL", conflicts_with_all = ["threads", "state"])]
     server: Option<String>,
+    #[command(flatten)]
+    trust: TrustArgument,
     /// Threads to bake with [default: one per processor]
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
@@ -68,7 +71,7 @@ pub fn run(arguments: Arguments) -> Result<()> {
     let scene = PackedScene::read(&arguments.scene)?;
     let interrupt = Interrupt::listen()?;
     let farm = Place::open(&arguments)?;
-    let client = connect(farm.url(), &interrupt)?;
+    let client = connect(farm.url(), &arguments.trust, &interrupt)?;
     let bake = scene.submit(&client, &settings, 0)?;
     let bake = follow(&client, &bake.id, &interrupt, || farm.check())
         .map_err(|failure| wind_down(failure, &farm, &client, &bake.id))?;

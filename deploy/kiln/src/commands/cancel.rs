@@ -18,7 +18,7 @@ pub struct Arguments {
 
 /// Cancels the bake; what was done of it stays and is used again by a later bake.
 pub fn run(arguments: Arguments) -> Result<()> {
-    let client = connect(&arguments.server.server, &Interrupt::default())?;
+    let client = connect(&arguments.server.server, &arguments.server.trust, &Interrupt::default())?;
     let bake = client.cancel(&arguments.id)?;
     eprintln!("bake {} is cancelled", bake.id);
     Ok(())

@@ -27,7 +27,7 @@ pub struct Arguments {
 pub fn run(arguments: Arguments) -> Result<()> {
     let started = Instant::now();
     let interrupt = Interrupt::listen()?;
-    let client = connect(&arguments.server.server, &interrupt)?;
+    let client = connect(&arguments.server.server, &arguments.server.trust, &interrupt)?;
     let bake = client.bake(&arguments.id)?;
     let (_, done) = write_bundle(&client, &bake, &bake.name, &arguments.out, started)?;
     let (fetched, bytes, kept) = (done.fetched, done.fetched_bytes, done.kept);

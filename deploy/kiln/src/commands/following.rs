@@ -19,6 +19,13 @@ const PATIENCE: RetryPolicy = RetryPolicy {
     longest_wait: Duration::from_secs(8),
 };
 
+/// A bake that has ended, well or not.
+pub struct Ended {
+    /// As it stands for ever.
+    pub bake: Bake,
+    failed_kind: Option<String>,
+}
+
 /// Waits until the bake is done. `check` is asked between polls whether waiting still makes sense.
 ///
 /// Errors when the bake failed or was cancelled, on a signal, and when the server stays away.
@@ -28,6 +35,18 @@ pub fn follow(
     interrupt: &Interrupt,
     check: impl Fn() -> Result<()>,
 ) -> Result<Bake> {
+    let ended = wait_for_end(client, id, interrupt, check)?;
+    ended.judge()?;
+    Ok(ended.bake)
+}
+
+/// As [`follow`], but a bake that failed or was cancelled is no error yet.
+pub fn wait_for_end(
+    client: &ApiClient,
+    id: &str,
+    interrupt: &Interrupt,
+    check: impl Fn() -> Result<()>,
+) -> Result<Ended> {
     let client = client.clone().with_retry(PATIENCE);
     let mut view = ProgressView::new();
     let mut seen = 0;
@@ -46,24 +65,38 @@ pub fn follow(
             }
         }
         if page.bake.state.is_final() && page.events.is_empty() {
-            return ended(page.bake, failed_kind.as_deref());
+            return Ok(Ended { bake: page.bake, failed_kind });
         }
     }
 }
 
-fn ended(bake: Bake, failed_kind: Option<&str>) -> Result<Bake> {
-    match bake.state {
-        BakeState::Done | BakeState::Running | BakeState::Paused => Ok(bake),
-        BakeState::Cancelled => {
-            Err(Failure::new(Exit::Interrupted, format!("bake {} was cancelled", bake.id))
-                .try_this("the same command again goes on from what was done"))
+impl Ended {
+    /// A bake that nobody waits for.
+    pub fn not_yet(bake: Bake) -> Self {
+        Self { bake, failed_kind: None }
+    }
+
+    /// An error unless the bake is done.
+    pub fn judge(&self) -> Result<()> {
+        let bake = &self.bake;
+        match bake.state {
+            BakeState::Done | BakeState::Running | BakeState::Paused => Ok(()),
+            BakeState::Cancelled => {
+                Err(Failure::new(Exit::Interrupted, format!("bake {} was cancelled", bake.id))
+                    .try_this("the same command again goes on from what was done"))
+            }
+            BakeState::Failed => {
+                let why = bake.failure.as_deref().unwrap_or("no reason was given");
+                // Import reads nothing but the scene's own files: when it fails, they are wrong.
+                let is_import = self.failed_kind.as_deref() == Some(TaskKind::Import.name());
+                let exit = if is_import { Exit::BadInput } else { Exit::Failed };
+                Err(Failure::new(exit, format!("bake {} failed: {why}", bake.id)))
+            }
         }
-        BakeState::Failed => {
-            let why = bake.failure.as_deref().unwrap_or("no reason was given");
-            // Import reads nothing but the scene's own files: when it fails, they are wrong.
-            let is_import = failed_kind == Some(TaskKind::Import.name());
-            let exit = if is_import { Exit::BadInput } else { Exit::Failed };
-            Err(Failure::new(exit, format!("bake {} failed: {why}", bake.id)))
-        }
+    }
+
+    /// The task kind in which the bake failed, if it did.
+    pub fn failed_kind(&self) -> Option<&str> {
+        self.failed_kind.as_deref().filter(|_| self.bake.state == BakeState::Failed)
     }
 }

@@ -26,7 +26,7 @@ pub struct Arguments {
 
 /// Prints the bakes as a table or as JSON.
 pub fn run(arguments: Arguments) -> Result<()> {
-    let client = connect(&arguments.server.server, &Interrupt::default())?;
+    let client = connect(&arguments.server.server, &arguments.server.trust, &Interrupt::default())?;
     let page = client.bakes(arguments.after.as_deref(), arguments.limit)?;
     if arguments.json {
         println!("{}", serde_json::json!(page));

@@ -6,6 +6,7 @@ use clap::Args;
 use lightkiln_client::fetch::Source;
 
 use super::submitting::connect;
+use crate::arguments::TrustArgument;
 use crate::failure::Result;
 use crate::interrupt::Interrupt;
 use crate::picture::PictureArguments;
@@ -19,6 +20,8 @@ pub struct Arguments {
     /// Takes the bake from the server at this URL
     #[arg(long, value_name = "URL")]
     server: Option<String>,
+    #[command(flatten)]
+    trust: TrustArgument,
     /// Picture to write
     #[arg(long, value_name = "PNG")]
     out: PathBuf,
@@ -31,7 +34,7 @@ pub fn run(arguments: Arguments) -> Result<()> {
     arguments.picture.check()?;
     let source = match &arguments.server {
         Some(url) => {
-            let client = connect(url, &Interrupt::default())?;
+            let client = connect(url, &arguments.trust, &Interrupt::default())?;
             Source::server(client, arguments.bake.to_string_lossy())
         }
         None => Source::bundle(&arguments.bake)?,

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use clap::Args;
 use lightkiln_server::places::{ChunksPlace, DatabasePlace};
-use lightkiln_server::{Config, Server};
+use lightkiln_server::{Config, LimitConfig, Server, TlsFiles, WebhookConfig};
 use lightkiln_worker::runtime::Level;
 use tokio::runtime::Runtime;
 
@@ -38,6 +38,28 @@ pub struct Arguments {
     /// AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY, AWS_REGION and AWS_ENDPOINT_URL [default: a folder in the state folder]
     #[arg(long, value_name = "URL", env = "KILN_CHUNKS")]
     chunks: Option<ChunksPlace>,
+    /// Serves with TLS: PEM file of the certificate, with those between it and one that callers trust. Read at the start
+    #[arg(long, value_name = "FILE", requires = "tls_key", help_heading = "TLS")]
+    tls_cert: Option<PathBuf>,
+    /// PEM file of the certificate's private key
+    #[arg(long, value_name = "FILE", requires = "tls_cert", help_heading = "TLS")]
+    tls_key: Option<PathBuf>,
+    /// Posts to this URL when a bake has ended, signed with the secret in the variable KILN_WEBHOOK_SECRET; may be given
+    /// several times
+    #[arg(long, value_name = "URL", help_heading = "Webhooks")]
+    webhook: Vec<String>,
+    /// Lets webhooks call this machine (127.0.0.1, ::1) and its link (169.254.0.0/16, fe80::/10)
+    #[arg(long, help_heading = "Webhooks", requires = "webhook")]
+    webhook_allow_local: bool,
+    /// Calls a second of one caller, a token at an address, in the long run; twice as many at once. More are answered
+    /// 429 with Retry-After. 0 is no limit
+    #[arg(long, value_name = "N", default_value_t = LimitConfig::default().calls_per_sec, help_heading = "Limits",
+        value_parser = clap::value_parser!(u32).range(0..=1_000_000))]
+    calls_per_sec: u32,
+    /// Calls under way at a time, those of waiting workers and watchers included. 0 is no limit
+    #[arg(long, value_name = "N", default_value_t = LimitConfig::default().calls_at_a_time, help_heading = "Limits",
+        value_parser = clap::value_parser!(u32).range(0..=1_000_000))]
+    calls_at_a_time: u32,
 }
 
 /// Serves until a signal comes.
@@ -47,7 +69,15 @@ pub fn run(arguments: Arguments) -> Result<()> {
         Some(state) => state,
         None => default_state()?.join("server"),
     };
+    let tls = arguments.tls_cert.zip(arguments.tls_key).map(|(cert, key)| TlsFiles { cert, key });
+    let scheme = if tls.is_some() { "https" } else { "http" };
     let config = Config {
+        tls,
+        webhooks: webhooks(&arguments.webhook, arguments.webhook_allow_local)?,
+        limits: LimitConfig {
+            calls_per_sec: arguments.calls_per_sec,
+            calls_at_a_time: arguments.calls_at_a_time,
+        },
         allow_non_loopback: arguments.allow_non_loopback,
         database: arguments.database,
         chunks: arguments.chunks,
@@ -61,7 +91,7 @@ pub fn run(arguments: Arguments) -> Result<()> {
         let listener = server.bind(&arguments.listen).await.map_err(|error| server_failure(&error))?;
         let address = listener.local_addr().map_err(|error| failed("the address is not known", &error))?;
         // For scripts that asked for a free port: the first and only line on standard output.
-        println!("listening on http://{address}");
+        println!("listening on {scheme}://{address}");
         let flag = interrupt.flag().clone();
         let signal =
             tokio::task::spawn_blocking(
@@ -73,5 +103,19 @@ pub fn run(arguments: Arguments) -> Result<()> {
             let _ = signal.await;
         };
         server.serve(listener, shutdown).await.map_err(|error| server_failure(&error))
+    })
+}
+
+/// The secret comes from a variable, as command lines can be read by others.
+fn webhooks(urls: &[String], allow_local: bool) -> Result<Option<WebhookConfig>> {
+    if urls.is_empty() {
+        return Ok(None);
+    }
+    let secret = std::env::var("KILN_WEBHOOK_SECRET").unwrap_or_default();
+    let config = WebhookConfig::new(urls, &secret, allow_local);
+    config.map(Some).map_err(|error| {
+        Failure::bad_input("the server cannot run").caused_by(&error).try_this(
+            "--webhook https://HOST/PATH, and KILN_WEBHOOK_SECRET with what 'openssl rand -hex 32' prints",
+        )
     })
 }

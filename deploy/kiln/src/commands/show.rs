@@ -23,7 +23,7 @@ pub struct Arguments {
 
 /// Prints the bake for people or as JSON.
 pub fn run(arguments: Arguments) -> Result<()> {
-    let client = connect(&arguments.server.server, &Interrupt::default())?;
+    let client = connect(&arguments.server.server, &arguments.server.trust, &Interrupt::default())?;
     let bake = client.bake(&arguments.id)?;
     if arguments.json {
         println!("{}", serde_json::json!(bake));

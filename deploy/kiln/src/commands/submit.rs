@@ -1,18 +1,24 @@
 //! `kiln submit`: asks a farm for a bake and prints its id.
 
 use std::path::PathBuf;
+use std::time::{Duration, Instant};
 
 use clap::Args;
+use lightkiln_proto::api::Bake;
+use serde_json::{Value, json};
 
-use super::following::follow;
+use super::following::{Ended, wait_for_end};
 use super::submitting::{PackedScene, connect};
 use crate::arguments::ServerArgument;
-use crate::failure::Result;
+use crate::failure::{EXIT_CODES, Result};
 use crate::interrupt::Interrupt;
+use crate::junit;
 use crate::settings::SettingsArguments;
+use crate::summary::stage_name;
 
 /// Arguments of `kiln submit`.
 #[derive(Args, Debug)]
+#[command(after_help = EXIT_CODES)]
 pub struct Arguments {
     /// The scene: a .glb, a .gltf with its files beside it, or a .zip of them
     scene: PathBuf,
@@ -23,21 +29,74 @@ pub struct Arguments {
     /// Bigger runs first
     #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
     priority: i32,
+    /// Commit that the bake belongs to: the same commit, scene and settings give the same bake, however often and from
+    /// wherever they are submitted; a new one only where that failed or was cancelled
+    #[arg(long, value_name = "COMMIT", env = "KILN_COMMIT", value_parser = clap::builder::NonEmptyStringValueParser::new())]
+    commit: Option<String>,
     /// Waits until the bake ends; Ctrl-C ends the wait, not the bake
     #[arg(long)]
     wait: bool,
+    /// Prints one JSON object instead of the id: bake, name, scene, state, failure, tasks_run, tasks_reused, stages,
+    /// elapsed_secs; with --wait once the bake has ended, also when it failed
+    #[arg(long)]
+    json: bool,
+    /// Writes how the bake ended as a JUnit report, a test case for each stage; also when it never began
+    #[arg(long, value_name = "FILE", requires = "wait")]
+    junit: Option<PathBuf>,
 }
 
-/// Prints the bake's id on standard output.
+/// Prints the bake's id on standard output, or with `--json` an object.
 pub fn run(arguments: Arguments) -> Result<()> {
+    let started = Instant::now();
+    let ended = submit(&arguments);
+    let elapsed = started.elapsed();
+    if let Some(path) = &arguments.junit {
+        let report = junit::report(&arguments.scene.display().to_string(), &ended, elapsed);
+        junit::write(path, &report)?;
+    }
+    let ended = ended?;
+    match arguments.json {
+        true => println!("{}", object(&ended.bake, &arguments.scene.display().to_string(), elapsed)),
+        false if !arguments.wait => println!("{}", ended.bake.id),
+        false => (),
+    }
+    ended.judge()
+}
+
+/// The bake as it stands when the command is to end.
+fn submit(arguments: &Arguments) -> Result<Ended> {
     let settings = arguments.settings.resolve()?;
     let scene = PackedScene::read(&arguments.scene)?;
     let interrupt = Interrupt::listen()?;
-    let client = connect(&arguments.server.server, &interrupt)?;
-    let bake = scene.submit(&client, &settings, arguments.priority)?;
-    println!("{}", bake.id);
-    if arguments.wait {
-        follow(&client, &bake.id, &interrupt, || Ok(()))?;
+    let client = connect(&arguments.server.server, &arguments.server.trust, &interrupt)?;
+    let bake = match &arguments.commit {
+        Some(commit) => scene.submit_once(&client, &settings, arguments.priority, commit)?,
+        None => scene.submit(&client, &settings, arguments.priority)?,
+    };
+    if !arguments.wait {
+        return Ok(Ended::not_yet(bake));
     }
-    Ok(())
+    // Now: whoever waits may want to watch it from elsewhere.
+    match arguments.json {
+        true => eprintln!("bake {}", bake.id),
+        false => println!("{}", bake.id),
+    }
+    wait_for_end(&client, &bake.id, &interrupt, || Ok(()))
+}
+
+/// The one JSON object of `--json`: its keys are a contract.
+fn object(bake: &Bake, scene: &str, elapsed: Duration) -> Value {
+    let stages = bake.stages.iter();
+    let stages = stages.map(|stage| (stage_name(&stage.kind), json!(stage.elapsed_ms as f64 / 1e3)));
+    json!({
+        "bake": bake.id,
+        "name": bake.name,
+        "scene": scene,
+        "state": bake.state,
+        "failure": bake.failure,
+        "tasks_run": bake.tasks_run,
+        "tasks_reused": bake.tasks_reused,
+        "stages": stages.collect::<serde_json::Map<_, _>>(),
+        "elapsed_secs": elapsed.as_secs_f64(),
+    })
 }

@@ -5,12 +5,13 @@ use std::path::Path;
 use std::time::{Duration, SystemTime};
 
 use lightkiln_client::fetch::{ApiClient, RetryPolicy};
-use lightkiln_proto::api::{Bake, NewBake};
+use lightkiln_proto::api::{Bake, BakeState, NewBake};
 use lightkiln_proto::ids::Digest;
 use lightkiln_worker::scene::{Bundle, Limits};
 use serde_json::Value;
 
-use crate::failure::{Failure, Result};
+use crate::arguments::TrustArgument;
+use crate::failure::{Exit, Failure, Result};
 use crate::interrupt::Interrupt;
 
 /// Few and quick, as a person waits for the first answer.
@@ -18,6 +19,8 @@ const FIRST_CONTACT: RetryPolicy =
     RetryPolicy { attempts: 4, first_wait: Duration::from_millis(250), longest_wait: Duration::from_secs(1) };
 /// Longest name of a bake.
 const NAME_CHARS_MAX: usize = 200;
+/// Bakes of one commit that may have failed or been cancelled before. More → a commit can be tried more often.
+const TRIES_OF_A_COMMIT: usize = 50;
 
 /// A scene packed for upload.
 pub struct PackedScene {
@@ -45,21 +48,51 @@ impl PackedScene {
 
     /// Uploads the scene unless the server has it, and asks for its bake.
     pub fn submit(&self, client: &ApiClient, settings: &Value, priority: i32) -> Result<Bake> {
+        let bake = self.request(client, settings, priority)?;
+        Ok(client.submit(&bake, &idempotency_key(bake.scene))?)
+    }
+
+    /// The same for a commit: trying again, on any machine, gives the same bake, unless that one failed or was
+    /// cancelled. Then it is a new one, which the next try finds.
+    pub fn submit_once(
+        &self,
+        client: &ApiClient,
+        settings: &Value,
+        priority: i32,
+        commit: &str,
+    ) -> Result<Bake> {
+        let new = self.request(client, settings, priority)?;
+        let mut key = commit_key(commit, &new)?;
+        for _ in 0..TRIES_OF_A_COMMIT {
+            let bake = client.submit(&new, &key)?;
+            if !matches!(bake.state, BakeState::Failed | BakeState::Cancelled) {
+                return Ok(bake);
+            }
+            key = commit_key(&format!("{commit}/after/{}", bake.id), &new)?;
+        }
+        let what = format!("{TRIES_OF_A_COMMIT} bakes of commit {commit} failed or were cancelled");
+        Err(Failure::new(Exit::Failed, what).try_this("'kiln list' to see why, then another --commit"))
+    }
+
+    fn request(&self, client: &ApiClient, settings: &Value, priority: i32) -> Result<NewBake> {
         let stored = client.upload_scene(&self.bytes)?;
-        let bake = NewBake {
+        Ok(NewBake {
             name: self.name.clone(),
             scene: stored.scene,
             kind: lightkiln_proto::bake::PRT.to_owned(),
             settings: settings.clone(),
             priority,
-        };
-        Ok(client.submit(&bake, &idempotency_key(stored.scene))?)
+        })
     }
 }
 
 /// A server that answers quickly or not at all; its waits end on Ctrl-C.
-pub fn connect(url: &str, interrupt: &Interrupt) -> Result<ApiClient> {
-    Ok(ApiClient::new(url, own_token()?)?.with_retry(FIRST_CONTACT).with_stop(interrupt.stop()))
+pub fn connect(url: &str, trust: &TrustArgument, interrupt: &Interrupt) -> Result<ApiClient> {
+    let client = ApiClient::new(url, own_token()?)?.with_retry(FIRST_CONTACT).with_stop(interrupt.stop());
+    Ok(match trust.pem()? {
+        Some(pem) => client.with_trust(&pem)?,
+        None => client,
+    })
 }
 
 /// The token for calls to a farm, from the variable `KILN_TOKEN`: command lines can be read by others.
@@ -75,6 +108,14 @@ pub fn own_token() -> Result<Option<String>> {
         .try_this("KILN_TOKEN with what 'kiln token create' printed")
     };
     token.map(Some).ok_or_else(wrong)
+}
+
+/// The same for the same commit, scene and settings. A digest: commits may be named by anything.
+fn commit_key(commit: &str, bake: &NewBake) -> Result<String> {
+    let body = serde_json::to_vec(&(commit, bake)).map_err(|error| {
+        Failure::new(Exit::Failed, "the bake cannot be written as JSON").caused_by(&error)
+    })?;
+    Ok(format!("commit-{}", Digest::of(&body)))
 }
 
 /// Differs between runs, so that baking a scene again is a new bake; stays the same over the tries of one call.

@@ -4,9 +4,9 @@ use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
-use lightkiln_server::access::{Bearer, NewBearer, Scope};
+use lightkiln_server::access::{Bearer, CODE_LIFETIME, NewBearer, Scope};
 use lightkiln_server::places::DatabasePlace;
-use lightkiln_server::store::{FarmStore, SqlStore};
+use lightkiln_server::store::{FarmStore, SqlStore, StoreError};
 use lightkiln_server::{ServerError, open_store};
 use serde_json::json;
 use tokio::runtime::Runtime;
@@ -42,6 +42,11 @@ enum Action {
         /// What it opens: read, submit (send and change bakes, and read), worker, admin (everything)
         #[arg(long = "scope", value_name = "SCOPE", required = true, value_delimiter = ',')]
         scopes: Vec<Scope>,
+    },
+    /// Makes a code with which one worker gets a token of its own: 'kiln worker --enrol CODE', within an hour
+    Enrol {
+        /// Name for the worker's token; unique on the farm, for ever
+        name: String,
     },
     /// Lists the tokens of the farm by name
     List {
@@ -79,6 +84,16 @@ async fn act(store: &SqlStore, action: Action) -> std::result::Result<(), Server
             let new = NewBearer::named(&name)?;
             store.add_bearer(&new.name, new.hash(), &scopes.into_iter().collect()).await?;
             eprintln!("this token is shown only now; give it to {name} as KILN_TOKEN:");
+            println!("{}", new.token);
+        }
+        Action::Enrol { name } => {
+            let new = NewBearer::code_for(&name)?;
+            if store.bearers().await?.iter().any(|bearer| bearer.name == name) {
+                return Err(StoreError::BearerExists { name }.into());
+            }
+            store.add_bearer(&new.name, new.hash(), &[Scope::Enrol].into()).await?;
+            let minutes = CODE_LIFETIME.as_secs() / 60;
+            eprintln!("this code is shown only now, and good for one worker within {minutes} minutes:");
             println!("{}", new.token);
         }
         Action::List { json } => list(&store.bearers().await?, json),

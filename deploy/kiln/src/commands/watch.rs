@@ -20,7 +20,7 @@ pub struct Arguments {
 /// Shows progress until the bake is done; the exit code says how it ended. Ctrl-C ends the watch, not the bake.
 pub fn run(arguments: Arguments) -> Result<()> {
     let interrupt = Interrupt::listen()?;
-    let client = connect(&arguments.server.server, &interrupt)?;
+    let client = connect(&arguments.server.server, &arguments.server.trust, &interrupt)?;
     let bake = follow(&client, &arguments.id, &interrupt, || Ok(()))?;
     eprintln!("done; 'kiln fetch {} --out DIR' downloads it", bake.id);
     Ok(())

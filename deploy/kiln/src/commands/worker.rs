@@ -11,6 +11,7 @@ use super::bake::all_processors;
 use super::submitting::own_token;
 use crate::arguments::ServerArgument;
 use crate::embedded::default_state;
+use crate::enrolment::token_of_worker;
 use crate::failure::{Exit, Failure, Result};
 use crate::interrupt::Interrupt;
 
@@ -35,6 +36,13 @@ pub struct Arguments {
     /// Seconds after which the task of a worker that is not heard from goes to another
     #[arg(long, value_name = "SECS", default_value_t = 30, value_parser = clap::value_parser!(u32).range(5..=3600))]
     lease_secs: u32,
+    /// Code from 'kiln token enrol', to get a token of this worker's own, once; the token is kept in the token file
+    #[arg(long, value_name = "CODE", env = "KILN_ENROL", hide_env_values = true)]
+    enrol: Option<String>,
+    /// File of this worker's own token, which nobody else may read; KILN_TOKEN goes before it
+    /// [default: worker-token in the state folder]
+    #[arg(long, value_name = "FILE")]
+    token_file: Option<PathBuf>,
     /// Name on the farm, unique there [default: host name and process id]
     #[arg(long)]
     name: Option<String>,
@@ -48,7 +56,17 @@ pub fn run(arguments: Arguments) -> Result<()> {
         None => default_state()?.join("worker"),
     };
     let mut config = WorkerConfig::new(&arguments.server.server, arguments.name.unwrap_or_else(default_name));
-    config.token = own_token()?;
+    config.ca_pem = arguments.server.trust.pem()?;
+    config.token = match own_token()? {
+        Some(token) => Some(token),
+        None => {
+            let file = match arguments.token_file {
+                Some(file) => file,
+                None => default_state()?.join("worker-token"),
+            };
+            token_of_worker(&config, &file, arguments.enrol.as_deref(), &interrupt)?
+        }
+    };
     config.threads = arguments.threads.map_or_else(all_processors, usize::from);
     config.cache_dir = Some(cache);
     config.lease_secs = arguments.lease_secs;
@@ -68,10 +86,12 @@ fn default_name() -> String {
 fn worker_failure(error: WorkerError) -> Failure {
     let (exit, next_step) = match &error {
         WorkerError::Cache { .. } => (Exit::BadInput, "another folder with --cache DIR"),
+        WorkerError::Certificates => (Exit::BadInput, "another file with --ca"),
         WorkerError::Threads { .. } => (Exit::BadInput, "fewer threads with --threads N"),
-        WorkerError::Refused(error) if error.is_about_tokens() => {
-            (Exit::BadInput, "KILN_TOKEN with a token of the scope 'worker', from 'kiln token create'")
-        }
+        WorkerError::Refused(error) if error.is_about_tokens() => (
+            Exit::BadInput,
+            "--enrol with a code from 'kiln token enrol', or KILN_TOKEN with a token of the scope 'worker'",
+        ),
         WorkerError::Refused(_) => {
             (Exit::Unreachable, "the URL of a Lightkiln server of this version with --server")
         }

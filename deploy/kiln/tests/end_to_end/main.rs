@@ -2,14 +2,18 @@
 
 #![allow(clippy::unwrap_used, reason = "a test may end at any error")]
 
+mod ci;
 mod commands;
+mod deployment;
 mod embedded;
+mod enrolment;
 mod evaluation;
 mod farm;
 #[path = "../../../../server/tests/parts/mod.rs"]
 mod parts;
 mod processes;
 mod replicas;
+mod tls;
 mod tokens;
 mod wrong_input;
 

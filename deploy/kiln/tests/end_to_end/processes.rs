@@ -151,6 +151,12 @@ impl Server {
         self.process.signal(name);
     }
 
+    /// Stops it as its owner would; the exit code.
+    pub fn stop(self) -> Option<i32> {
+        self.process.signal("TERM");
+        self.process.wait()
+    }
+
     /// `kiln worker` for this server, with a cache of its own and the shortest lease.
     pub fn worker(&self, folder: &Path, name: &str, threads: usize) -> Running {
         let mut command = kiln(&folder.join(name));

@@ -1,0 +1,151 @@
+//! The manifests: rights, limits, probes, and what they name of each other.
+
+use std::process::Command;
+
+use serde_json::Value;
+
+use super::{documents, names_in, root, texts};
+
+/// Every object of the folder, with its file.
+fn objects() -> Vec<(String, Value)> {
+    let names = names_in("deploy/kubernetes", ".yaml");
+    let of_file = |name: String| {
+        let documents = documents(&format!("deploy/kubernetes/{name}"));
+        documents.into_iter().map(move |document| (name.clone(), document))
+    };
+    let objects: Vec<_> = names.into_iter().flat_map(of_file).collect();
+    assert!(objects.len() >= 9);
+    for (file, object) in &objects {
+        assert!(object["apiVersion"].is_string() && object["kind"].is_string(), "{file}: {object}");
+    }
+    objects
+}
+
+fn object(kind: &str, name: &str) -> Value {
+    let found = objects().into_iter().find(|(_, object)| {
+        object["kind"] == kind && (object["metadata"]["name"] == name || name.is_empty())
+    });
+    found.unwrap_or_else(|| panic!("there is no {kind} {name}")).1
+}
+
+#[test]
+fn pods_run_as_nobody_special_within_limits() {
+    let mut checked = 0;
+    for (file, object) in objects() {
+        let pod = &object["spec"]["template"]["spec"];
+        if pod.is_null() {
+            continue;
+        }
+        checked += 1;
+        assert_eq!(pod["automountServiceAccountToken"], false, "{file}");
+        assert_eq!(pod["securityContext"]["runAsNonRoot"], true, "{file}");
+        assert_eq!(pod["securityContext"]["runAsUser"], 10001, "{file}: the image's user");
+        assert_eq!(pod["securityContext"]["seccompProfile"]["type"], "RuntimeDefault", "{file}");
+        for container in pod["containers"].as_array().unwrap() {
+            let rights = &container["securityContext"];
+            assert_eq!(rights["allowPrivilegeEscalation"], false, "{file}");
+            assert_eq!(rights["readOnlyRootFilesystem"], true, "{file}");
+            assert_eq!(texts(&rights["capabilities"]["drop"]), ["ALL"], "{file}");
+            assert!(container["resources"]["limits"]["memory"].is_string(), "{file} has no limits");
+            let image = container["image"].as_str().unwrap();
+            assert!(image == "lightkiln" || super::is_pinned(image), "{file}: {image}");
+        }
+    }
+    assert_eq!(checked, 3, "server, worker, and the job that makes tokens");
+}
+
+#[test]
+fn servers_are_two_probed_and_reached_by_a_name_that_workers_use() {
+    let server = object("Deployment", "server");
+    assert!(server["spec"]["replicas"].as_u64().unwrap() >= 2);
+    let container = &server["spec"]["template"]["spec"]["containers"][0];
+    assert_eq!(container["readinessProbe"]["httpGet"]["path"], "/readyz");
+    assert_eq!(container["livenessProbe"]["httpGet"]["path"], "/healthz");
+    let port = &container["ports"][0];
+    let service = object("Service", "server");
+    assert_eq!(service["spec"]["ports"][0]["targetPort"], port["name"]);
+    assert_eq!(service["spec"]["selector"], server["spec"]["selector"]["matchLabels"]);
+    assert_eq!(object("PodDisruptionBudget", "server")["spec"]["minAvailable"], 1);
+    let worker = object("Deployment", "worker");
+    let arguments = worker["spec"]["template"]["spec"]["containers"][0]["args"].clone();
+    let url = format!("http://server:{}", service["spec"]["ports"][0]["port"]);
+    assert!(texts(&arguments).contains(&url.as_str()), "{arguments}");
+    assert!(texts(&arguments).contains(&"$(POD_NAME)"), "a worker's name is its pod's: {arguments}");
+}
+
+#[test]
+fn selectors_find_their_own_pods() {
+    for name in ["server", "worker"] {
+        let deployment = object("Deployment", name);
+        let labels = &deployment["spec"]["template"]["metadata"]["labels"];
+        assert_eq!(&deployment["spec"]["selector"]["matchLabels"], labels);
+        assert_eq!(labels["app.kubernetes.io/component"], name);
+    }
+    let monitor = object("PodMonitor", "server");
+    let labels = object("Deployment", "server")["spec"]["selector"]["matchLabels"].clone();
+    assert_eq!(monitor["spec"]["selector"]["matchLabels"], labels);
+    assert_eq!(monitor["spec"]["podMetricsEndpoints"][0]["path"], "/metrics");
+}
+
+#[test]
+fn workers_are_scaled_by_what_is_ready_and_what_is_under_way() {
+    let scaled = object("ScaledObject", "worker");
+    assert_eq!(scaled["spec"]["scaleTargetRef"]["name"], "worker");
+    assert_eq!(
+        (&scaled["spec"]["minReplicaCount"], &scaled["spec"]["maxReplicaCount"]),
+        (&0.into(), &50.into())
+    );
+    assert!(object("Deployment", "worker")["spec"]["replicas"].is_null(), "KEDA says how many there are");
+    let trigger = &scaled["spec"]["triggers"][0];
+    assert_eq!(trigger["type"], "prometheus");
+    let query = trigger["metadata"]["query"].as_str().unwrap();
+    assert!(query.contains("state=~\"ready|leased\""), "{query}");
+    assert!(query.contains("max by (kind, state)"), "servers tell of the whole farm, each: {query}");
+    assert!(trigger["metadata"]["threshold"].as_str().unwrap().parse::<f64>().unwrap() > 0.0);
+}
+
+#[test]
+fn worker_has_longer_to_stop_than_a_task_in_hand_and_room_for_its_cache() {
+    let worker = object("Deployment", "worker");
+    let pod = &worker["spec"]["template"]["spec"];
+    let grace = lightkiln_worker::runtime::WorkerConfig::new("http://farm", "w").drain_grace;
+    assert!(pod["terminationGracePeriodSeconds"].as_u64().unwrap() > grace.as_secs() + 10);
+    let arguments = texts(&pod["containers"][0]["args"]);
+    let at = arguments.iter().position(|argument| *argument == "--cache-gib").unwrap();
+    let cache_gib: u64 = arguments[at + 1].parse().unwrap();
+    let room = pod["volumes"][0]["emptyDir"]["sizeLimit"].as_str().unwrap();
+    let room_gib: u64 = room.strip_suffix("Gi").unwrap().parse().unwrap();
+    assert!(cache_gib < room_gib, "a full cache would evict the pod: {cache_gib} GiB in {room}");
+}
+
+#[test]
+fn kustomization_names_files_that_there_are() {
+    let kustomization = object("Kustomization", "");
+    let resources = texts(&kustomization["resources"]);
+    assert!(resources.len() >= 4 && !resources.contains(&"token-job.yaml"), "{resources:?}");
+    for resource in resources {
+        assert!(root().join("deploy/kubernetes").join(resource).is_file(), "{resource}");
+    }
+    assert_eq!(object("Namespace", "lightkiln")["metadata"]["name"], kustomization["namespace"]);
+    assert_eq!(kustomization["images"][0]["name"], "lightkiln");
+    assert_eq!(kustomization["images"][0]["newTag"], env!("CARGO_PKG_VERSION"));
+}
+
+#[test]
+fn kustomize_builds_the_manifests() {
+    let folder = root().join("deploy/kubernetes");
+    let Ok(output) = Command::new("kubectl").arg("kustomize").arg(folder).output() else {
+        eprintln!("ignored: there is no kubectl here");
+        return;
+    };
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let text = String::from_utf8(output.stdout).unwrap();
+    let built: Vec<Value> = serde_saphyr::from_multiple(&text).unwrap();
+    assert_eq!(built.len(), 7, "{text}");
+    for object in built {
+        let is_namespace = object["kind"] == "Namespace";
+        assert!(is_namespace || object["metadata"]["namespace"] == "lightkiln", "{object}");
+        let image = &object["spec"]["template"]["spec"]["containers"][0]["image"];
+        assert!(image.is_null() || image.as_str().is_some_and(super::is_pinned), "{image}");
+    }
+}

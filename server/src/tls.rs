@@ -1,0 +1,60 @@
+//! TLS by flag: a certificate and its key, from PEM files.
+
+use std::io;
+use std::net::SocketAddr;
+use std::path::PathBuf;
+
+use axum::Router;
+use axum::extract::connect_info::IntoMakeServiceWithConnectInfo;
+use axum_server::Handle;
+use axum_server::tls_rustls::RustlsConfig;
+use tokio::net::TcpListener;
+
+use crate::error::ServerError;
+
+/// What a server shows of itself. Read once, when the server is opened.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TlsFiles {
+    /// PEM file: the certificate, then those between it and one that callers trust.
+    pub cert: PathBuf,
+    /// PEM file: the certificate's private key.
+    pub key: PathBuf,
+}
+
+impl TlsFiles {
+    /// Reads both.
+    pub(crate) async fn read(&self) -> Result<RustlsConfig, ServerError> {
+        use_ring();
+        RustlsConfig::from_pem_file(&self.cert, &self.key).await.map_err(|source| ServerError::Tls {
+            cert: self.cert.clone(),
+            key: self.key.clone(),
+            source,
+        })
+    }
+}
+
+/// Makes ring this process's cryptography for TLS, unless it has one.
+pub(crate) fn use_ring() {
+    // Fails only when the process has a provider already, which is as good.
+    let _ = rustls::crypto::ring::default_provider().install_default();
+}
+
+/// Serves with TLS, or without, until `stop` is done and the requests then under way have ended.
+pub(crate) async fn serve(
+    listener: TcpListener,
+    app: IntoMakeServiceWithConnectInfo<Router, SocketAddr>,
+    tls: Option<RustlsConfig>,
+    stop: impl Future<Output = ()> + Send + 'static,
+) -> io::Result<()> {
+    let Some(tls) = tls else {
+        return axum::serve(listener, app).with_graceful_shutdown(stop).await;
+    };
+    let handle = Handle::new();
+    let stopping = handle.clone();
+    tokio::spawn(async move {
+        stop.await;
+        // Whoever called this puts an end to requests that take too long.
+        stopping.graceful_shutdown(None);
+    });
+    axum_server::from_tcp_rustls(listener.into_std()?, tls)?.handle(handle).serve(app).await
+}
