@@ -50,10 +50,12 @@ pub struct EncodedCluster {
     pub layers: Vec<Layer>,
     /// `‖U·ΣVᵀ − decoded‖/‖U·ΣVᵀ‖`, measured on what a decoder will have.
     pub quantisation_error: f32,
+    /// Probes named: of patches, those without a code are left out.
+    pub probes: u32,
 }
 
 /// Encodes a cluster. The order of its receivers, probes, blocks and emitters does not matter: receivers are stored
-/// by level, block key and texel, the others by key.
+/// by level, block key and texel, the others by key. Patches whose column of ΣVᵀ is worth no code are left out.
 ///
 /// Errs if arrays disagree in length, a number is not finite or out of its range, two receivers share a texel, or a
 /// limit is passed.
@@ -76,7 +78,7 @@ pub fn encode_cluster(
     let (bytes, ends) = writer.finish(&head.write())?;
     let layers = head.layers.iter().map(|&(sections, layer)| layer.with_bytes(ends[sections - 1])).collect();
     let quantisation_error = stored.factors.relative_error as f32;
-    Ok(EncodedCluster { bytes, layers, quantisation_error })
+    Ok(EncodedCluster { bytes, layers, quantisation_error, probes: stored.probes.len() as u32 })
 }
 
 /// Sections that layer number `index` adds, in stored order.
@@ -141,9 +143,15 @@ impl Stored {
     fn of(cluster: &ClusterTransport, settings: QuantisationSettings) -> Result<Self, ChunkError> {
         let arrangement = Arrangement::of(&cluster.receivers, settings.levels)?;
         let receivers = sorted_receivers(&cluster.receivers, &arrangement);
-        let (probes, probe_source) = ascending(&cluster.probes, "probe", |&key| key)?;
+        let (mut probes, probe_source) = ascending(&cluster.probes, "probe", |&key| key)?;
         let (mut emitters, _) = ascending(&cluster.emitters, "emitter", |entry| entry.emitter)?;
         emitters.iter_mut().for_each(|entry| entry.irradiance = arrangement.sorted(&entry.irradiance));
+        let u = rank_major(&cluster.u, cluster.rank as usize, &arrangement.source);
+        let vt = sorted_columns(cluster, &probe_source);
+        let mut factors = quantise(&u, &vt, cluster.rank as usize, settings.relative_error)?;
+        if cluster.bands == 0 && !cluster.sky {
+            factors.vt = without_zeros(&factors.vt, &mut probes);
+        }
         let shape = Shape {
             counts: arrangement.counts,
             levels: settings.levels,
@@ -161,9 +169,6 @@ impl Stored {
             layers: Vec::new(),
         };
         head.check("encoder")?;
-        let u = rank_major(&cluster.u, cluster.rank as usize, &arrangement.source);
-        let vt = sorted_columns(cluster, &probe_source);
-        let factors = quantise(&u, &vt, cluster.rank as usize, settings.relative_error)?;
         let mut codec = ReceiverCodec::new(head.bounds_m, palette_of(&receivers.albedo), settings.levels);
         codec.load(&receivers);
         let mut predictor = Predictor::default();
@@ -248,6 +253,16 @@ fn grown(bounds_m: [[f32; 3]; 2], positions: &[[f32; 3]]) -> [[f32; 3]; 2] {
     [lo, hi]
 }
 
+/// Codes of ΣVᵀ of one column per probe without the columns that are zero in every rank, and `probes` without theirs.
+fn without_zeros(vt: &[i32], probes: &mut Vec<ProbeKey>) -> Vec<i32> {
+    let columns = probes.len().max(1);
+    let is_used: Vec<bool> =
+        (0..columns).map(|c| vt.iter().skip(c).step_by(columns).any(|code| *code != 0)).collect();
+    let mut used = is_used.iter();
+    probes.retain(|_| used.next().copied().unwrap_or_default());
+    vt.iter().zip(is_used.iter().cycle()).filter(|(_, used)| **used).map(|(code, _)| *code).collect()
+}
+
 /// Receiver-major `u` as rank-major, its rows in the order of `source`.
 fn rank_major(u: &[f32], rank: usize, source: &[usize]) -> Vec<f32> {
     (0..rank).flat_map(|i| source.iter().map(move |&receiver| u[receiver * rank + i])).collect()
@@ -265,4 +280,19 @@ fn sorted_columns(cluster: &ClusterTransport, probe_source: &[usize]) -> Vec<f32
         vt.extend_from_slice(&row[probe_source.len() * coefficients..]);
     }
     vt
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn patches_without_a_code_are_not_named() {
+        let mut probes = vec![3, 5, 8, 9];
+        let vt = [0, 1, 0, 0, 0, -2, 0, 7];
+        assert_eq!(without_zeros(&vt, &mut probes), [1, 0, -2, 7]);
+        assert_eq!(probes, [5, 9]);
+        assert_eq!(without_zeros(&[], &mut probes), [0; 0]);
+        assert!(probes.is_empty());
+    }
 }

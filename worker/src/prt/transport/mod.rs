@@ -169,7 +169,7 @@ fn store(pieces: &[Piece], settings: &Settings, mut index: CellIndex) -> Result<
             bytes: encoded.bytes.len() as u64,
             bounds_m: piece.transport.bounds_m,
             receivers: piece.transport.receivers.len() as u32,
-            probes: piece.transport.probes.len() as u32,
+            probes: encoded.probes,
             rank: piece.transport.rank,
             truncation_error: piece.truncation_error,
             quantisation_error: encoded.quantisation_error,
