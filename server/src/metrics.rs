@@ -40,6 +40,10 @@ pub struct Metrics {
     pub expiries: Counter,
     /// Results forgotten because their bytes were gone.
     pub forgotten_results: Counter,
+    /// Bakes deleted because they ended long ago.
+    pub deleted_bakes: Counter,
+    /// Chunks removed because nobody needed them.
+    pub removed_chunks: Counter,
     /// Bytes of chunks and scenes taken in.
     pub bytes_in: Counter,
 }
@@ -56,6 +60,8 @@ pub fn render(metrics: &Metrics, farm: &Stats) -> String {
         ("releases", "Leases given back by workers.", &metrics.releases),
         ("expiries", "Leases that ran out.", &metrics.expiries),
         ("forgotten_results", "Results forgotten because their bytes were gone.", &metrics.forgotten_results),
+        ("deleted_bakes", "Bakes deleted because they ended long ago.", &metrics.deleted_bakes),
+        ("removed_chunks", "Chunks removed because nobody needed them.", &metrics.removed_chunks),
         ("received_bytes", "Bytes of chunks and scenes taken in.", &metrics.bytes_in),
     ];
     for (name, help, counter) in counters {

@@ -19,10 +19,13 @@ use tokio::sync::watch;
 
 use crate::chunks::ObjectChunks;
 use crate::clock::SystemClock;
+use crate::collect::{self, Keeping};
 use crate::error::ServerError;
 use crate::farm::Farm;
+use crate::fsck::{self, Checks, Findings};
 use crate::http;
 use crate::places::{ChunksPlace, DatabasePlace};
+use crate::storage::Storage;
 use crate::store::SqlStore;
 use crate::wakeup::{LocalWakeup, PostgresWakeup, Wakeup};
 
@@ -37,6 +40,10 @@ pub struct Config {
     pub chunks: Option<ChunksPlace>,
     /// Serve addresses that other machines can reach although nobody has a token. Default: no.
     pub allow_non_loopback: bool,
+    /// Most bytes of chunks at a time; uploads beyond are refused until there is room. Default: no limit but the disk's.
+    pub quota_bytes: Option<u64>,
+    /// What is kept for how long.
+    pub keeping: Keeping,
     /// Expired leases are looked for this often. Shorter → lost workers are noticed sooner. Default: 1 s.
     pub reap_interval: Duration,
     /// Waiting calls look again this often without a hint. Shorter → sooner, at more load. Default: 1 s.
@@ -53,6 +60,8 @@ impl Config {
             database: None,
             chunks: None,
             allow_non_loopback: false,
+            quota_bytes: None,
+            keeping: Keeping::default(),
             reap_interval: Duration::from_secs(1),
             poll_interval: Duration::from_secs(1),
             stop_grace: Duration::from_secs(10),
@@ -80,7 +89,8 @@ impl Server {
         let in_state = ChunksPlace::Folder(config.state_dir.join("chunks"));
         let chunks = Arc::new(ObjectChunks::open(config.chunks.as_ref().unwrap_or(&in_state))?);
         let (closing, is_closing) = watch::channel(false);
-        let farm = Farm::new(store.clone(), chunks, wakeup, config.poll_interval, is_closing);
+        let storage = Storage::new(store.clone(), chunks, config.quota_bytes);
+        let farm = Farm::new(store.clone(), storage, wakeup, config.poll_interval, is_closing);
         let farm = Arc::new(farm);
         Ok(Self { config, farm, store, closing, _lock: lock })
     }
@@ -117,6 +127,7 @@ impl Server {
         let address = listener.local_addr().map_err(ServerError::Serve)?;
         self.require_servable(address).await?;
         let reaper = tokio::spawn(reap(self.farm.clone(), self.config.reap_interval));
+        let collector = tokio::spawn(collect::run(self.farm.clone(), self.config.keeping));
         let closing = self.closing.clone();
         let stop = async move {
             shutdown.await;
@@ -138,6 +149,7 @@ impl Server {
             }
         };
         reaper.abort();
+        collector.abort();
         self.store.close().await;
         served
     }
@@ -168,6 +180,22 @@ pub async fn open_store(state_dir: &Path, database: Option<&DatabasePlace>) -> R
         }
         DatabasePlace::Postgres(url) => SqlStore::open_postgres(url, None).await?,
     })
+}
+
+/// Checks the stored bytes, beside servers that may be running on them. The places are those of [`Config`].
+pub async fn check_storage(
+    state_dir: &Path,
+    database: Option<&DatabasePlace>,
+    chunks: Option<&ChunksPlace>,
+    checks: Checks,
+) -> Result<Findings, ServerError> {
+    let store = Arc::new(open_store(state_dir, database).await?);
+    let in_state = ChunksPlace::Folder(state_dir.join("chunks"));
+    let chunks = Arc::new(ObjectChunks::open(chunks.unwrap_or(&in_state))?);
+    let storage = Storage::new(store.clone(), chunks.clone(), None);
+    let findings = fsck::check(&*store, &*chunks, &storage, checks).await;
+    store.close().await;
+    findings
 }
 
 async fn open_database(place: &DatabasePlace) -> Result<OpenDatabase, ServerError> {

@@ -3,8 +3,8 @@
 use clap::{Args, Parser, Subcommand};
 
 use crate::commands::{
-    bake, cancel, evaluate, fetch, inspect, list, preview, server, settings, show, submit, token, watch,
-    worker,
+    bake, cancel, delete, evaluate, fetch, fsck, inspect, list, pause, preview, priority, resume, server,
+    settings, show, submit, token, watch, worker,
 };
 use crate::failure::{EXIT_CODES, Result};
 
@@ -26,6 +26,8 @@ pub enum Command {
     Server(server::Arguments),
     /// Runs a worker for a farm's server
     Worker(worker::Arguments),
+    /// Checks a farm's stored bytes
+    Fsck(fsck::Arguments),
     /// Makes, lists and revokes tokens of a farm
     Token(token::Arguments),
     /// Submits a scene to a farm and prints the bake's id
@@ -38,6 +40,14 @@ pub enum Command {
     Watch(watch::Arguments),
     /// Cancels a bake
     Cancel(cancel::Arguments),
+    /// Holds a bake's tasks back; those under way go on
+    Pause(pause::Arguments),
+    /// Lets a paused bake go on
+    Resume(resume::Arguments),
+    /// Changes a bake's priority
+    Priority(priority::Arguments),
+    /// Deletes a bake that has ended
+    Delete(delete::Arguments),
     /// Downloads a finished bake as a bundle
     Fetch(fetch::Arguments),
     /// Draws a picture of a bake
@@ -63,6 +73,11 @@ impl Command {
             Self::Show(arguments) => show::run(arguments),
             Self::Watch(arguments) => watch::run(arguments),
             Self::Cancel(arguments) => cancel::run(arguments),
+            Self::Pause(arguments) => pause::run(arguments),
+            Self::Resume(arguments) => resume::run(arguments),
+            Self::Priority(arguments) => priority::run(arguments),
+            Self::Delete(arguments) => delete::run(arguments),
+            Self::Fsck(arguments) => fsck::run(arguments),
             Self::Fetch(arguments) => fetch::run(arguments),
             Self::Preview(arguments) => preview::run(arguments),
             Self::Evaluate(arguments) => evaluate::run(arguments),

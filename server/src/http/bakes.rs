@@ -86,6 +86,21 @@ pub(super) async fn show(
     Ok(Json(farm.store.show(&id).await?))
 }
 
+/// Deletes a bake that has ended, with the results that no other bake holds.
+#[utoipa::path(delete, path = "/v1/bakes/{id}", tag = "bakes",
+    params(("id" = String, Path, description = "The bake")),
+    responses((status = 204, description = "Deleted"),
+        (status = 404, description = "No such bake", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "It has not ended", body = Problem, content_type = "application/problem+json"),
+        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn delete(
+    State(farm): State<Arc<Farm>>,
+    PathParam(id): PathParam<String>,
+) -> Result<StatusCode, ServerError> {
+    farm.store.delete_bake(&id).await?;
+    Ok(StatusCode::NO_CONTENT)
+}
+
 /// Cancels a bake; what no other bake wants is dropped.
 #[utoipa::path(post, path = "/v1/bakes/{id}/cancel", tag = "bakes",
     params(("id" = String, Path, description = "The bake")),

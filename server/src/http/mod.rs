@@ -33,7 +33,7 @@ pub(crate) fn router(farm: Arc<Farm>) -> Router {
         .route("/v1/scenes/{digest}", put(chunks::put_scene).head(chunks::head_scene))
         .route("/v1/chunks/{digest}", head(chunks::head_chunk).get(chunks::get_chunk).put(chunks::put_chunk))
         .route("/v1/bakes", get(bakes::list).post(bakes::submit))
-        .route("/v1/bakes/{id}", get(bakes::show))
+        .route("/v1/bakes/{id}", get(bakes::show).delete(bakes::delete))
         .route("/v1/bakes/{id}/cancel", post(bakes::cancel))
         .route("/v1/bakes/{id}/pause", post(bakes::pause))
         .route("/v1/bakes/{id}/resume", post(bakes::resume))

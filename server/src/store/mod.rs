@@ -15,6 +15,7 @@
 //! ```
 //! A task that nobody wants any more, or that failed for good, is dropped: there is no failed state to get stuck in.
 
+pub mod chunk;
 mod error;
 mod memory;
 mod rules;
@@ -32,13 +33,15 @@ use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{Artefact, TaskResult, TaskSpec};
 
 use crate::access::{Bearer, Scope};
+use crate::chunks::ChunkName;
 
+use chunk::{ChunkRow, CollectRules, Collected, Kept, KeptChunk, Usage};
 pub use error::{PlanError, StoreError};
 pub use memory::MemoryStore;
 pub use rules::{BACKOFF_MAX_MS, MAX_ATTEMPTS, POISON_WORKERS, backoff_ms};
 pub use sql::{FaultPoint, Faults, SqlStore};
 pub use token::is_token;
-pub(crate) use token::{random_id, random_secret};
+pub(crate) use token::{random_id, random_secret, random_u64};
 
 /// A bake to take in.
 #[derive(Clone, Debug)]
@@ -210,6 +213,46 @@ pub trait FarmStore: Send + Sync {
     /// All bearers ever made, by name.
     async fn bearers(&self) -> Result<Vec<Bearer>, StoreError>;
 
+    /// Those of `digests` whose bytes are kept.
+    async fn find_chunks(&self, digests: &[Digest]) -> Result<Vec<KeptChunk>, StoreError>;
+
+    /// The same for one, which from now on stays for the grace.
+    async fn touch_chunk(&self, digest: Digest) -> Result<Option<KeptChunk>, StoreError>;
+
+    /// Takes stored bytes in, in place of the generation `replaces` if that is what the chunk has. Refused if the farm
+    /// would then store more than `quota` bytes.
+    async fn keep_chunk(
+        &self,
+        chunk: KeptChunk,
+        replaces: Option<u64>,
+        quota: Option<u64>,
+    ) -> Result<Kept, StoreError>;
+
+    /// Deletes a bake that has ended, and the results that no other bake holds.
+    async fn delete_bake(&self, bake: &str) -> Result<(), StoreError>;
+
+    /// Deletes old bakes, condemns chunks that nobody needs, and says whose bytes are to be removed.
+    async fn collect(&self, rules: &CollectRules) -> Result<Collected, StoreError>;
+
+    /// Forgets condemned chunks whose bytes have been removed.
+    async fn bury(&self, names: &[ChunkName]) -> Result<(), StoreError>;
+
+    /// Gives up a chunk whose bytes are lost or damaged: results with it among their outputs are forgotten, as by
+    /// [`FarmStore::forget`]. Returns how many. Nothing happens if the chunk has another generation by now.
+    async fn lose_chunk(&self, name: ChunkName) -> Result<u64, StoreError>;
+
+    /// Chunks after `after`, by digest.
+    async fn chunk_rows(&self, after: Option<Digest>, limit: u32) -> Result<Vec<ChunkRow>, StoreError>;
+
+    /// Those of `names` that are neither kept nor condemned.
+    async fn strangers(&self, names: &[ChunkName]) -> Result<Vec<ChunkName>, StoreError>;
+
+    /// Condemns those of `chunks` that are neither kept nor condemned; returns their names.
+    async fn condemn_strangers(&self, chunks: &[KeptChunk]) -> Result<Vec<ChunkName>, StoreError>;
+
+    /// How full the storage is.
+    async fn usage(&self) -> Result<Usage, StoreError>;
+
     /// Figures about the whole farm.
     async fn stats(&self) -> Result<Stats, StoreError>;
 
@@ -220,6 +263,14 @@ pub trait FarmStore: Send + Sync {
 /// Refuses calls that only a live bake allows.
 fn require_live(bake: &str, state: BakeState, action: &'static str) -> Result<(), StoreError> {
     if state.is_final() {
+        return Err(StoreError::StateConflict { bake: bake.to_owned(), state, action });
+    }
+    Ok(())
+}
+
+/// Refuses calls that only an ended bake allows.
+fn require_ended(bake: &str, state: BakeState, action: &'static str) -> Result<(), StoreError> {
+    if !state.is_final() {
         return Err(StoreError::StateConflict { bake: bake.to_owned(), state, action });
     }
     Ok(())

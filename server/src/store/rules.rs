@@ -21,6 +21,8 @@ pub const WORKER_PRESENT_MS: i64 = 60_000;
 pub const WORKER_LISTED_MS: i64 = 600_000;
 /// A worker's last-heard time is written at most this often: idle polling costs no disk writes.
 pub const WORKER_SEEN_GRAIN_MS: i64 = 5_000;
+/// That a chunk was asked for is written at most this often.
+pub const CHUNK_USED_GRAIN_MS: i64 = 60_000;
 /// Longest failure message kept, in characters.
 pub const MAX_MESSAGE_CHARS: usize = 4_000;
 /// Longest kind and label of a task, in bytes.

@@ -2,12 +2,17 @@
 
 pub mod bake;
 pub mod cancel;
+pub mod delete;
 pub mod evaluate;
 pub mod fetch;
 pub mod following;
+pub mod fsck;
 pub mod inspect;
 pub mod list;
+pub mod pause;
 pub mod preview;
+pub mod priority;
+pub mod resume;
 pub mod server;
 pub mod settings;
 pub mod show;

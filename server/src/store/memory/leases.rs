@@ -161,6 +161,9 @@ impl Farm {
         let Some(lease) = self.end_lease(token, now_ms) else { return Ok(CommitVerdict::Stale) };
         let key = lease.key;
         let Some(task) = self.tasks.get_mut(&key) else { return Ok(CommitVerdict::Stale) };
+        for output in &result.outputs {
+            self.chunks.require(output.digest)?;
+        }
         task.done = Some((result.clone(), token.to_owned()));
         let spec = task.spec.clone();
         for bake in self.live_bakes_of(key) {

@@ -2,6 +2,7 @@
 
 use lightkiln_proto::api::{Bake, BakeState, EventKind};
 
+use super::chunks;
 use super::codec::to_json;
 use super::conn::{Conn, query};
 use super::ledger::{Ledger, seq_of};
@@ -22,6 +23,8 @@ pub(super) async fn submit(
     let seq = insert(conn, submission, now_ms).await?;
     let mut bake = Ledger::load(conn, seq).await?;
     bake.event(now_ms, EventKind::Submitted);
+    let scene = [submission.bake.scene].into();
+    chunks::refer(conn, seq, &scene, &scene).await?;
     apply_plan(conn, &mut bake, &submission.plan, now_ms).await?;
     bake.save_or_finish(conn, now_ms).await?;
     Ok(Submitted { bake: view::bake(conn, &bake.id).await?, is_new: true })

@@ -4,6 +4,7 @@ use lightkiln_proto::api::{BakeState, Blame, CommitVerdict, EventKind};
 use lightkiln_proto::jobs::{Artefact, TaskResult};
 
 use super::batch::Waiting;
+use super::chunks;
 use super::codec::to_json;
 use super::conn::{Conn, query};
 use super::leases::{self, Ended, requeue};
@@ -71,6 +72,8 @@ async fn write_result(
         .bind(to_json(&result.counters)?)
         .run(conn)
         .await?;
+    let outputs = result.outputs.iter().map(|output| output.digest).collect();
+    chunks::refer_outputs(conn, ended.task, &outputs).await?;
     query("UPDATE tasks SET state = 'done' WHERE id = $1").bind(ended.task).run(conn).await?;
     Ok(())
 }
