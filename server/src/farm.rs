@@ -25,6 +25,12 @@ use crate::wakeup::Wakeup;
 pub const MAX_NAME_CHARS: usize = 200;
 /// Longest Idempotency-Key and worker name, in characters.
 pub const MAX_ID_CHARS: usize = 200;
+/// Most labels of a worker or a bake.
+pub const MAX_LABELS: usize = 16;
+/// Longest label, in characters.
+pub const MAX_LABEL_CHARS: usize = 64;
+/// Seconds that one attempt may take.
+pub const ATTEMPT_LIMIT_SECS: std::ops::RangeInclusive<u32> = 1..=604_800;
 /// Most leases of one claim.
 pub const MAX_LEASES: u32 = 64;
 /// Most task kinds that one claim names.
@@ -71,6 +77,7 @@ impl Farm {
         if let Some(key) = &idempotency_key {
             require_chars("Idempotency-Key", key, 1, MAX_ID_CHARS)?;
         }
+        check_needs(&bake)?;
         let plan = initial_plan(&bake.kind, bake.scene, &bake.settings)?;
         let scene = bake.scene;
         if self.storage.length(scene).await?.is_none() {
@@ -235,6 +242,15 @@ impl Farm {
         Ok(())
     }
 
+    /// Gives leases their whole length again: nobody could be heard for a while.
+    pub async fn extend_leases(&self) -> Result<(), ServerError> {
+        let extended = self.store.extend_leases().await?;
+        if extended > 0 {
+            tracing::info!(extended, "leases run on, as their holders could not be heard for a while");
+        }
+        Ok(())
+    }
+
     /// Ends leases that have run out.
     pub async fn reap(&self) -> Result<(), ServerError> {
         let reaped = self.store.reap().await?;
@@ -304,8 +320,26 @@ impl Farm {
     }
 }
 
+fn check_needs(bake: &NewBake) -> Result<(), ServerError> {
+    check_labels("needs.labels", &bake.needs.labels)?;
+    match bake.attempt_limit_secs {
+        Some(secs) if !ATTEMPT_LIMIT_SECS.contains(&secs) => {
+            Err(bad_request(format!("attempt_limit_secs must be within {ATTEMPT_LIMIT_SECS:?}, not {secs}")))
+        }
+        _ => Ok(()),
+    }
+}
+
+fn check_labels(name: &str, labels: &[String]) -> Result<(), ServerError> {
+    if labels.len() > MAX_LABELS {
+        return Err(bad_request(format!("{name} must be at most {MAX_LABELS}, not {}", labels.len())));
+    }
+    labels.iter().try_for_each(|label| require_chars(name, label, 1, MAX_LABEL_CHARS))
+}
+
 fn check_claim(request: &ClaimRequest) -> Result<(), ServerError> {
     require_chars("worker", &request.worker, 1, MAX_ID_CHARS)?;
+    check_labels("labels", &request.labels)?;
     let limits = [
         ("max", (1..=MAX_LEASES).contains(&request.max), format!("1..={MAX_LEASES}")),
         ("ttl_secs", TTL_SECS.contains(&request.ttl_secs), format!("{TTL_SECS:?}")),

@@ -158,9 +158,19 @@ impl Server {
 async fn reap(farm: Arc<Farm>, interval: Duration) {
     let mut ticks = tokio::time::interval(interval);
     ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+    // Before the first look, and after the database was away, workers could not be heard: that is not their fault.
+    let mut was_deaf = true;
     loop {
         ticks.tick().await;
-        if let Err(error) = farm.reap().await {
+        let looked = async {
+            if was_deaf {
+                farm.extend_leases().await?;
+            }
+            farm.reap().await
+        };
+        let outcome = looked.await;
+        was_deaf = outcome.is_err();
+        if let Err(error) = outcome {
             tracing::error!(error = error.chain(), "expired leases could not be ended; trying again");
         }
     }

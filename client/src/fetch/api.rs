@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use lightkiln_proto::api::{
-    Bake, BakePage, EventPage, MAX_CHUNK_BYTES, NewBake, NewPriority, SceneStored, WorkerPage,
+    Bake, BakePage, Blocklist, EventPage, MAX_CHUNK_BYTES, NewBake, NewPriority, SceneStored, WorkerPage,
 };
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::manifest;
@@ -110,6 +110,17 @@ impl ApiClient {
         let headers = [("content-type", "application/json")];
         let path = bake_path(id, "/priority");
         self.http.json(Call { headers: &headers, body: &body, ..Call::new(Method::Post, &path) })
+    }
+
+    /// Workers that failed at tasks of a bake.
+    pub fn blocklist(&self, id: &str) -> Result<Blocklist> {
+        self.http.json(Call::new(Method::Get, &bake_path(id, "/blocklist")))
+    }
+
+    /// Forgets that a worker, or any, failed at tasks of a bake; gives what is left.
+    pub fn clear_blocklist(&self, id: &str, worker: Option<&str>) -> Result<Blocklist> {
+        let query = worker.map(|worker| format!("?worker={}", escape(worker))).unwrap_or_default();
+        self.http.json(Call::new(Method::Delete, &bake_path(id, &format!("/blocklist{query}"))))
     }
 
     /// Deletes a bake that has ended, with the results that no other bake holds.

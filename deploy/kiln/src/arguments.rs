@@ -3,8 +3,8 @@
 use clap::{Args, Parser, Subcommand};
 
 use crate::commands::{
-    bake, cancel, delete, evaluate, fetch, fsck, inspect, list, pause, preview, priority, resume, server,
-    settings, show, submit, token, watch, worker,
+    bake, blocklist, cancel, delete, evaluate, fetch, fsck, inspect, list, logs, pause, preview, priority,
+    resume, server, settings, show, submit, token, top, watch, worker,
 };
 use crate::failure::{EXIT_CODES, Result};
 
@@ -36,6 +36,10 @@ pub enum Command {
     List(list::Arguments),
     /// Shows one bake
     Show(show::Arguments),
+    /// Prints what happened to a bake
+    Logs(logs::Arguments),
+    /// Shows bakes and workers as they are now, again and again
+    Top(top::Arguments),
     /// Follows a bake until it ends
     Watch(watch::Arguments),
     /// Cancels a bake
@@ -46,6 +50,8 @@ pub enum Command {
     Resume(resume::Arguments),
     /// Changes a bake's priority
     Priority(priority::Arguments),
+    /// Lists workers that failed at tasks of a bake, or gives them another chance
+    Blocklist(blocklist::Arguments),
     /// Deletes a bake that has ended
     Delete(delete::Arguments),
     /// Downloads a finished bake as a bundle
@@ -71,11 +77,14 @@ impl Command {
             Self::Submit(arguments) => submit::run(arguments),
             Self::List(arguments) => list::run(arguments),
             Self::Show(arguments) => show::run(arguments),
+            Self::Logs(arguments) => logs::run(arguments),
+            Self::Top(arguments) => top::run(arguments),
             Self::Watch(arguments) => watch::run(arguments),
             Self::Cancel(arguments) => cancel::run(arguments),
             Self::Pause(arguments) => pause::run(arguments),
             Self::Resume(arguments) => resume::run(arguments),
             Self::Priority(arguments) => priority::run(arguments),
+            Self::Blocklist(arguments) => blocklist::run(arguments),
             Self::Delete(arguments) => delete::run(arguments),
             Self::Fsck(arguments) => fsck::run(arguments),
             Self::Fetch(arguments) => fetch::run(arguments),

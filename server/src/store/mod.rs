@@ -26,8 +26,8 @@ use std::collections::BTreeSet;
 
 use async_trait::async_trait;
 use lightkiln_proto::api::{
-    Bake, BakePage, BakeState, Blame, ClaimRequest, CommitVerdict, EventPage, HeartbeatAnswer, Lease,
-    NewBake, Worker,
+    Bake, BakePage, BakeState, Blame, Blocklist, ClaimRequest, CommitVerdict, EventPage, HeartbeatAnswer,
+    Lease, Needs, NewBake, Worker,
 };
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{Artefact, TaskResult, TaskSpec};
@@ -130,11 +130,24 @@ pub struct TaskCount {
     pub count: u64,
 }
 
+/// Ready tasks of running bakes that ask for the same kind of worker; one that two bakes want counts for both.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Demand {
+    /// Task kind.
+    pub kind: String,
+    /// What their bakes need.
+    pub needs: Needs,
+    /// How many.
+    pub ready: u64,
+}
+
 /// Figures about the whole farm.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Stats {
     /// Tasks by kind and state, ascending; none with a count of 0.
     pub tasks: Vec<TaskCount>,
+    /// What waits for which workers, by kind; none with a count of 0.
+    pub demand: Vec<Demand>,
     /// Bakes that are running or paused.
     pub bakes_live: u64,
     /// All bakes.
@@ -157,7 +170,8 @@ pub trait FarmStore: Send + Sync {
     /// Forgets results whose bytes are lost: tasks that a live bake wants run again, dependants wait again.
     async fn forget(&self, keys: &[TaskKey]) -> Result<(), StoreError>;
 
-    /// Hands out up to `max` ready tasks: by priority of their bake, then its age, then cost, then key.
+    /// Hands out up to `max` ready tasks. One by one they come from the bake with the highest priority, of those from the
+    /// one with the fewest tasks under way ([`rules`] says more), of a bake by cost, then key.
     async fn claim(&self, request: &ClaimRequest) -> Result<Vec<Lease>, StoreError>;
 
     /// Prolongs a lease, or says why not.
@@ -171,6 +185,16 @@ pub trait FarmStore: Send + Sync {
 
     /// Gives a task back; no attempt is counted. False when the lease was gone.
     async fn release(&self, token: &str) -> Result<bool, StoreError>;
+
+    /// Gives every lease that runs out soon its whole length again: the farm did not hear its workers for a while.
+    /// Returns how many.
+    async fn extend_leases(&self) -> Result<u64, StoreError>;
+
+    /// Workers that failed at tasks of a bake.
+    async fn blocklist(&self, bake: &str) -> Result<Blocklist, StoreError>;
+
+    /// Forgets that a worker, or any, failed at tasks of a bake.
+    async fn clear_blocklist(&self, bake: &str, worker: Option<&str>) -> Result<Blocklist, StoreError>;
 
     /// Ends leases that have run out; each counts as an attempt failed by its worker.
     async fn reap(&self) -> Result<Reaped, StoreError>;

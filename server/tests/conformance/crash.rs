@@ -173,6 +173,8 @@ impl Teller<'_> {
         let cancelled = call!(self, |store| store.cancel(&second));
         assert_eq!(cancelled.state, BakeState::Cancelled);
         call!(self, |store| store.forget(&[cast.planner.key]));
+        call!(self, |store| store.extend_leases());
+        call!(self, |store| store.clear_blocklist(&first, None));
         call!(self, |store| store.probe());
         let (bearer, hash) = (name("bearer"), Digest::of(name("token").as_bytes()));
         call!(self, |store| store.add_bearer(&bearer, hash, &[Scope::Read].into()));
@@ -293,6 +295,8 @@ fn assert_all_calls(points: &BTreeSet<FaultPoint>) {
         "add_bearer",
         "revoke_bearer",
         "keep_chunk",
+        "extend_leases",
+        "clear_blocklist",
         "touch_chunk",
         "lose_chunk",
         "condemn_strangers",

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bytes::Bytes;
-use lightkiln_proto::api::{Bake, BakeState, ClaimRequest, CommitVerdict, NewBake};
+use lightkiln_proto::api::{Bake, BakeState, ClaimRequest, CommitVerdict, Needs, NewBake};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{Artefact, TaskResult, TaskSpec};
 use lightkiln_proto::problem::ProblemCode;
@@ -51,13 +51,30 @@ async fn submit(farm: &Farm) -> Bake {
     let scene = Digest::of(SCENE);
     farm.storage.put(scene, Bytes::from_static(SCENE)).await.unwrap();
     let settings = serde_json::json!({});
-    let bake = NewBake { name: "bake".into(), scene, kind: "prt".into(), settings, priority: 0 };
+    let bake = NewBake {
+        name: "bake".into(),
+        scene,
+        kind: "prt".into(),
+        settings,
+        priority: 0,
+        needs: Needs::default(),
+        attempt_limit_secs: None,
+    };
     farm.submit(bake, None).await.unwrap()
 }
 
 fn request(worker: &str) -> ClaimRequest {
     let kinds = ["prt.import", "prt.prepare", "work"].map(str::to_owned).to_vec();
-    ClaimRequest { worker: worker.into(), kinds, threads: 1, max: 1, ttl_secs: 30, wait_secs: 60 }
+    ClaimRequest {
+        worker: worker.into(),
+        kinds,
+        threads: 1,
+        memory_mib: 0,
+        labels: Vec::new(),
+        max: 1,
+        ttl_secs: 30,
+        wait_secs: 60,
+    }
 }
 
 async fn claim_while_submitting(farm: Arc<Farm>) {

@@ -38,6 +38,8 @@ enum Step {
     Lose(u8, u64),
     Collect { grace_ms: i64, keep_bakes_ms: Option<i64>, buries: bool },
     Delete(usize),
+    Extend,
+    Clear { bake: usize, worker: Option<u8> },
 }
 
 fn step() -> impl Strategy<Value = Step> {
@@ -67,6 +69,8 @@ fn step() -> impl Strategy<Value = Step> {
         2 => (prop_oneof![Just(0_i64), Just(50_000)], prop::option::weighted(0.3, Just(20_000_i64)), prop::bool::ANY)
             .prop_map(|(grace_ms, keep_bakes_ms, buries)| Step::Collect { grace_ms, keep_bakes_ms, buries }),
         1 => any.clone().prop_map(Step::Delete),
+        1 => Just(Step::Extend),
+        1 => (any.clone(), prop::option::of(0_u8..4)).prop_map(|(bake, worker)| Step::Clear { bake, worker }),
     ]
 }
 
@@ -116,6 +120,9 @@ impl Side {
                 let plan = plan_of(chosen, *is_closed, tasks);
                 let mut submission = submission("bake", &plan);
                 submission.bake.priority = *priority;
+                submission.bake.needs.threads = if chosen[0] == 3 { 3 } else { 0 };
+                submission.bake.attempt_limit_secs = (chosen[0] == 4).then_some(40);
+                submission.bake.scene = chunk_of(if chosen[0] == 5 { 1 } else { 4 });
                 submission.idempotency_key = key.map(|key| format!("key {key}"));
                 submission.body_hash = Digest::of(format!("{chosen:?}").as_bytes());
                 let submitted = store.submit(&submission).await;
@@ -132,6 +139,7 @@ impl Side {
             Step::Claim { worker, max, knows_more } => {
                 let mut request = request(&format!("worker {worker}"), *max);
                 request.kinds.truncate(if *knows_more { 2 } else { 1 });
+                request.threads = u32::from(*worker) + 1;
                 let leases = store.claim(&request).await.unwrap();
                 let told: Vec<_> = leases
                     .iter()
@@ -197,6 +205,14 @@ impl Side {
                 self.drop_deleted().await;
                 deleted.map_or_else(|error| refusal(&error), |()| "deleted".to_owned())
             }
+            Step::Extend => format!("{}", store.extend_leases().await.unwrap()),
+            Step::Clear { bake: number, worker } => {
+                let Some(id) = bake(number) else { return String::new() };
+                let before = store.blocklist(&id).await.unwrap();
+                let worker = worker.map(|worker| format!("worker {worker}"));
+                let left = store.clear_blocklist(&id, worker.as_deref()).await.unwrap();
+                format!("{before:?} {left:?}")
+            }
             Step::Forget(task) => format!("{:?}", store.forget(&[tasks[*task].key]).await.is_ok()),
         }
     }
@@ -239,7 +255,9 @@ impl Side {
         stock_again(&self.world).await;
         self.world.store.reap().await.unwrap();
         loop {
-            let leases = self.world.claim("finisher", 4).await;
+            let mut request = request("finisher", 4);
+            request.threads = 8;
+            let leases = self.world.store.claim(&request).await.unwrap();
             if leases.is_empty() {
                 break;
             }

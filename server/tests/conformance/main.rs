@@ -17,6 +17,7 @@ mod leases;
 mod parts;
 mod replicas;
 mod reuse;
+mod scheduling;
 mod support;
 mod views;
 
@@ -51,7 +52,7 @@ conformance! {
         cancel_keeps_what_another_bake_wants
         cancel_again_changes_nothing
         ended_bake_refuses_changes
-        priority_then_age_then_cost_then_key_decide_the_order
+        priority_then_share_then_age_then_cost_then_key_decide_the_order
         changed_priority_changes_the_order
         unknown_bake_is_an_error;
     bearers:
@@ -111,6 +112,16 @@ conformance! {
         leases_that_run_out_count_as_attempts
         failed_bake_drops_its_other_tasks
         failed_task_gets_another_chance_in_a_new_bake;
+    scheduling:
+        bakes_of_one_priority_share_the_workers
+        worker_keeps_to_the_scene_that_it_has
+        bakes_wait_for_workers_that_have_what_they_need
+        task_is_not_left_to_a_worker_that_cannot_do_it
+        worker_that_fails_again_and_again_is_blocked_until_it_is_cleared
+        attempt_that_takes_too_long_is_ended_although_its_worker_is_heard
+        bake_that_always_takes_too_long_says_so
+        leases_run_on_after_the_farm_could_not_hear_anybody
+        hundred_bakes_are_all_served;
     reuse:
         done_task_is_not_run_again_and_its_plan_is_followed
         bake_of_done_tasks_is_done_at_once

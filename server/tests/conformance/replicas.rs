@@ -7,7 +7,9 @@ use std::time::Duration;
 
 use async_trait::async_trait;
 use bytes::Bytes;
-use lightkiln_proto::api::{Bake, BakeState, ClaimRequest, CommitVerdict, EventKind, NewBake, Verdict};
+use lightkiln_proto::api::{
+    Bake, BakeState, ClaimRequest, CommitVerdict, EventKind, Needs, NewBake, Verdict,
+};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::TaskSpec;
 use lightkiln_server::chunks::ObjectChunks;
@@ -277,7 +279,15 @@ async fn hint_of_one_server_wakes_a_claim_at_the_other() {
     farms[0].storage.put(scene, Bytes::from_static(b"scene")).await.unwrap();
     let waiting = ClaimRequest { kinds: vec!["prt.import".into()], wait_secs: 60, ..request("w", 1) };
     let settings = serde_json::json!({});
-    let bake = NewBake { name: "bake".into(), scene, kind: "prt".into(), settings, priority: 0 };
+    let bake = NewBake {
+        name: "bake".into(),
+        scene,
+        kind: "prt".into(),
+        settings,
+        priority: 0,
+        needs: Needs::default(),
+        attempt_limit_secs: None,
+    };
     let submit_when_it_waits = async {
         while stores[0].workers().await.unwrap().is_empty() {}
         farms[1].submit(bake, None).await.unwrap();

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crate::parts::postgres::empty_schema;
-use lightkiln_proto::api::{Bake, BakeEvent, BakeState, ClaimRequest, CommitVerdict, Lease, NewBake};
+use lightkiln_proto::api::{Bake, BakeEvent, BakeState, ClaimRequest, CommitVerdict, Lease, Needs, NewBake};
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{Artefact, TaskInput, TaskResult, TaskSpec};
 use lightkiln_server::chunks::ChunkName;
@@ -56,6 +56,8 @@ pub fn submission(name: &str, plan: &[TaskSpec]) -> Submission {
         kind: "test".into(),
         settings: serde_json::json!({ "preset": "draft" }),
         priority: 0,
+        needs: Needs::default(),
+        attempt_limit_secs: None,
     };
     Submission { idempotency_key: None, body_hash: Digest::of(name.as_bytes()), bake, plan: plan.to_vec() }
 }
@@ -63,7 +65,16 @@ pub fn submission(name: &str, plan: &[TaskSpec]) -> Submission {
 /// A claim of kind `work`.
 pub fn request(worker: &str, max: u32) -> ClaimRequest {
     let kinds = vec!["work".to_owned(), "more".to_owned()];
-    ClaimRequest { worker: worker.into(), kinds, threads: 2, max, ttl_secs: TTL_SECS, wait_secs: 0 }
+    ClaimRequest {
+        worker: worker.into(),
+        kinds,
+        threads: 2,
+        memory_mib: 0,
+        labels: Vec::new(),
+        max,
+        ttl_secs: TTL_SECS,
+        wait_secs: 0,
+    }
 }
 
 /// Bytes that tests need not store: every world has them.

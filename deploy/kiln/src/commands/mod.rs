@@ -1,6 +1,7 @@
 //! The subcommands, one file each, and the steps that several of them take.
 
 pub mod bake;
+pub mod blocklist;
 pub mod cancel;
 pub mod delete;
 pub mod evaluate;
@@ -9,6 +10,7 @@ pub mod following;
 pub mod fsck;
 pub mod inspect;
 pub mod list;
+pub mod logs;
 pub mod pause;
 pub mod preview;
 pub mod priority;
@@ -19,5 +21,6 @@ pub mod show;
 pub mod submit;
 pub mod submitting;
 pub mod token;
+pub mod top;
 pub mod watch;
 pub mod worker;

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::time::{Duration, SystemTime};
 
 use lightkiln_client::fetch::{ApiClient, RetryPolicy};
-use lightkiln_proto::api::{Bake, NewBake};
+use lightkiln_proto::api::{Bake, Needs, NewBake};
 use lightkiln_proto::ids::Digest;
 use lightkiln_worker::scene::{Bundle, Limits};
 use serde_json::Value;
@@ -43,16 +43,19 @@ impl PackedScene {
         self.bytes
     }
 
-    /// Uploads the scene unless the server has it, and asks for its bake.
-    pub fn submit(&self, client: &ApiClient, settings: &Value, priority: i32) -> Result<Bake> {
+    /// Uploads the scene unless the server has it, and asks for its bake; `set` says how it is to be.
+    pub fn submit(&self, client: &ApiClient, set: impl FnOnce(&mut NewBake)) -> Result<Bake> {
         let stored = client.upload_scene(&self.bytes)?;
-        let bake = NewBake {
+        let mut bake = NewBake {
             name: self.name.clone(),
             scene: stored.scene,
             kind: lightkiln_proto::bake::PRT.to_owned(),
-            settings: settings.clone(),
-            priority,
+            settings: Value::Null,
+            priority: 0,
+            needs: Needs::default(),
+            attempt_limit_secs: None,
         };
+        set(&mut bake);
         Ok(client.submit(&bake, &idempotency_key(stored.scene))?)
     }
 }

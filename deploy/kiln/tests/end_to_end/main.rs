@@ -11,6 +11,7 @@ mod parts;
 mod processes;
 mod replicas;
 mod tokens;
+mod upkeep;
 mod wrong_input;
 
 use std::collections::BTreeMap;

@@ -55,6 +55,7 @@ impl Chunks {
         now_ms: i64,
     ) -> Result<Kept, StoreError> {
         let digest = chunk.name.digest;
+        let replaces = replaces.filter(|old| *old != chunk.name.generation);
         if self.condemned.contains_key(&chunk.name) {
             return Ok(Kept::Condemned);
         }

@@ -8,7 +8,7 @@ use lightkiln_proto::jobs::{Artefact, MANIFEST_OUTPUT, REPORT_OUTPUT, TaskResult
 
 use super::chunks::{Chunks, named_artefacts};
 use crate::access::Bearer;
-use crate::store::rules::{self, add_counters, check_plan, is_same_task};
+use crate::store::rules::{self, Abilities, add_counters, check_plan, is_same_task};
 use crate::store::{KnownResult, PlanError, StoreError, Submission, Submitted, require_live, token};
 
 /// Everything a farm knows.
@@ -86,14 +86,17 @@ pub(super) struct LeaseEntry {
     pub(super) worker: String,
     pub(super) ttl_ms: i64,
     pub(super) expires_ms: i64,
+    /// When the attempt has taken too long.
+    pub(super) deadline_ms: i64,
     pub(super) cancelled: bool,
 }
 
 #[derive(Clone)]
 pub(super) struct WorkerEntry {
-    pub(super) kinds: Vec<String>,
-    pub(super) threads: u32,
+    pub(super) abilities: Abilities,
     pub(super) seen_ms: i64,
+    /// Scene of the bake that it last got a task of.
+    pub(super) scene: Option<Digest>,
 }
 
 impl Farm {

@@ -12,7 +12,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use async_trait::async_trait;
 use lightkiln_proto::api::{
-    Bake, BakePage, BakeState, Blame, ClaimRequest, CommitVerdict, EventPage, HeartbeatAnswer, Lease, Worker,
+    Bake, BakePage, BakeState, Blame, Blocklist, ClaimRequest, CommitVerdict, EventPage, HeartbeatAnswer,
+    Lease, Worker,
 };
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{TaskResult, TaskSpec};
@@ -75,6 +76,9 @@ impl FarmStore for MemoryStore {
 
     async fn commit(&self, token: &str, result: &TaskResult) -> Result<CommitVerdict, StoreError> {
         let mut farm = self.farm();
+        if result.plan.is_empty() {
+            return farm.commit(token, result, self.now_ms());
+        }
         farm.all_or_nothing(|farm| farm.commit(token, result, self.now_ms()))
     }
 
@@ -84,6 +88,22 @@ impl FarmStore for MemoryStore {
 
     async fn release(&self, token: &str) -> Result<bool, StoreError> {
         Ok(self.farm().release(token, self.now_ms()))
+    }
+
+    async fn extend_leases(&self) -> Result<u64, StoreError> {
+        Ok(self.farm().extend_leases(self.now_ms()))
+    }
+
+    async fn blocklist(&self, bake: &str) -> Result<Blocklist, StoreError> {
+        let farm = self.farm();
+        Ok(farm.blocklist(farm.index_of(bake)?))
+    }
+
+    async fn clear_blocklist(&self, bake: &str, worker: Option<&str>) -> Result<Blocklist, StoreError> {
+        let mut farm = self.farm();
+        let index = farm.index_of(bake)?;
+        farm.clear_blocklist(index, worker);
+        Ok(farm.blocklist(index))
     }
 
     async fn reap(&self) -> Result<Reaped, StoreError> {

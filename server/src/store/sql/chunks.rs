@@ -61,6 +61,8 @@ pub(super) async fn keep(
     now_ms: i64,
 ) -> Result<Kept, StoreError> {
     let (digest, generation) = (chunk.name.digest.to_string(), chunk.name.generation);
+    // A name does not take its own place.
+    let replaces = replaces.filter(|old| *old != generation);
     let sql = "SELECT 1 FROM condemned WHERE digest = $1 AND generation = $2";
     if query(sql).bind(&digest).bind(generation).optional(conn).await?.is_some() {
         return Ok(Kept::Condemned);

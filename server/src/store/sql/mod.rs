@@ -12,6 +12,7 @@
 mod bakes;
 mod batch;
 mod bearers;
+mod blocklist;
 mod chunks;
 mod claim;
 mod codec;
@@ -33,7 +34,8 @@ use std::time::Duration;
 
 use async_trait::async_trait;
 use lightkiln_proto::api::{
-    Bake, BakePage, BakeState, Blame, ClaimRequest, CommitVerdict, EventPage, HeartbeatAnswer, Lease, Worker,
+    Bake, BakePage, BakeState, Blame, Blocklist, ClaimRequest, CommitVerdict, EventPage, HeartbeatAnswer,
+    Lease, Worker,
 };
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{TaskResult, TaskSpec};
@@ -297,6 +299,18 @@ impl FarmStore for SqlStore {
 
     async fn release(&self, token: &str) -> Result<bool, StoreError> {
         transact!(self, Write, "release", |conn, now_ms| leases::release(conn, token, now_ms))
+    }
+
+    async fn extend_leases(&self) -> Result<u64, StoreError> {
+        transact!(self, Lease, "extend_leases", |conn, now_ms| leases::extend(conn, now_ms))
+    }
+
+    async fn blocklist(&self, bake: &str) -> Result<Blocklist, StoreError> {
+        transact!(self, Read, "blocklist", |conn, _now_ms| blocklist::show(conn, bake))
+    }
+
+    async fn clear_blocklist(&self, bake: &str, worker: Option<&str>) -> Result<Blocklist, StoreError> {
+        transact!(self, Write, "clear_blocklist", |conn, _now_ms| blocklist::clear(conn, bake, worker))
     }
 
     async fn reap(&self) -> Result<Reaped, StoreError> {
