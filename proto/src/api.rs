@@ -6,9 +6,10 @@
 //! | `HEAD, PUT /v1/scenes/{digest}` | the scene bundle's bytes → [`SceneStored`] |
 //! | `POST /v1/bakes` (`Idempotency-Key`) | [`NewBake`] → 202 [`Bake`] |
 //! | `GET /v1/bakes?after&limit` | [`BakePage`] |
-//! | `GET /v1/bakes/{id}` | [`Bake`] |
+//! | `GET, DELETE /v1/bakes/{id}` | [`Bake`], 204 |
 //! | `POST /v1/bakes/{id}/cancel`, `…/pause`, `…/resume` | → [`Bake`] |
 //! | `POST /v1/bakes/{id}/priority` | [`NewPriority`] → [`Bake`] |
+//! | `GET, DELETE /v1/bakes/{id}/blocklist?worker` | [`Blocklist`] |
 //! | `GET /v1/bakes/{id}/events?after&wait_secs` | [`EventPage`], or SSE of [`BakeEvent`] when `text/event-stream` is accepted |
 //! | `GET /v1/bakes/{id}/manifest`, `…/report` | JSON as the bake's last task wrote it |
 //! | `GET /v1/workers` | [`WorkerPage`] |
@@ -59,6 +60,35 @@ pub struct NewBake {
     /// Bigger runs first; 0 unless set.
     #[serde(default)]
     pub priority: i32,
+    /// What a worker must have to take tasks of this bake; nothing unless set.
+    #[serde(default, skip_serializing_if = "Needs::is_none")]
+    pub needs: Needs,
+    /// Seconds that one attempt at a task may take, 1..=604800; then it counts as failed by its worker, however often
+    /// that is heard from. Smaller → a stuck worker is noticed sooner; too small → slow machines fail. A day unless set.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub attempt_limit_secs: Option<u32>,
+}
+
+/// What a worker must have to take a bake's tasks.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Needs {
+    /// Memory in MiB, at least.
+    #[serde(default)]
+    pub memory_mib: u32,
+    /// Threads, at least.
+    #[serde(default)]
+    pub threads: u32,
+    /// Labels, all of them; at most 16, of 1 to 64 characters.
+    #[serde(default)]
+    pub labels: Vec<String>,
+}
+
+impl Needs {
+    /// Any worker will do.
+    pub fn is_none(&self) -> bool {
+        *self == Self::default()
+    }
 }
 
 fn default_kind() -> String {
@@ -105,6 +135,9 @@ pub struct Bake {
     pub settings: serde_json::Value,
     /// Bigger runs first.
     pub priority: i32,
+    /// What a worker must have to take its tasks.
+    #[serde(default)]
+    pub needs: Needs,
     /// Where it stands.
     pub state: BakeState,
     /// Tasks by stage, in the order in which stages first appeared.
@@ -254,6 +287,12 @@ pub struct Worker {
     pub kinds: Vec<String>,
     /// Threads that it uses.
     pub threads: u32,
+    /// Memory in MiB that its tasks may use.
+    #[serde(default)]
+    pub memory_mib: u32,
+    /// Its labels.
+    #[serde(default)]
+    pub labels: Vec<String>,
     /// Last time it was heard, Unix milliseconds.
     pub seen_ms: i64,
     /// Labels of the tasks that it holds.
@@ -267,6 +306,24 @@ pub struct WorkerPage {
     pub workers: Vec<Worker>,
 }
 
+/// Workers that failed at tasks of a bake.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct Blocklist {
+    /// By name.
+    pub workers: Vec<BlockedWorker>,
+}
+
+/// A worker that failed at tasks of a bake.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct BlockedWorker {
+    /// Its name.
+    pub worker: String,
+    /// Tasks of the bake at which it failed.
+    pub tasks: u64,
+    /// It failed at so many that it gets none of this bake any more while another worker can do them.
+    pub is_blocked: bool,
+}
+
 /// A worker asks for tasks.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
@@ -277,6 +334,12 @@ pub struct ClaimRequest {
     pub kinds: Vec<String>,
     /// Threads that it uses.
     pub threads: u32,
+    /// Memory in MiB that its tasks may use; 0 takes no bake that asks for some.
+    #[serde(default)]
+    pub memory_mib: u32,
+    /// Its labels, at most 16, of 1 to 64 characters: bakes may ask for them.
+    #[serde(default)]
+    pub labels: Vec<String>,
     /// At most this many leases, 1..=64.
     pub max: u32,
     /// Lease length in seconds, 5..=3600.

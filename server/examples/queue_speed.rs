@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
-use lightkiln_proto::api::{ClaimRequest, NewBake};
+use lightkiln_proto::api::{ClaimRequest, Needs, NewBake};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{Artefact, TaskInput, TaskResult, TaskSpec};
 use lightkiln_server::clock::SystemClock;
@@ -34,8 +34,15 @@ async fn main() -> anyhow::Result<()> {
 
 fn bake(plan: Vec<TaskSpec>) -> Submission {
     let settings = serde_json::Value::Null;
-    let bake =
-        NewBake { name: "speed".into(), scene: Digest::of(b""), kind: "x".into(), settings, priority: 0 };
+    let bake = NewBake {
+        name: "speed".into(),
+        scene: Digest::of(b""),
+        kind: "x".into(),
+        settings,
+        priority: 0,
+        needs: Needs::default(),
+        attempt_limit_secs: None,
+    };
     Submission { idempotency_key: None, body_hash: Digest::of(b""), bake, plan }
 }
 
@@ -56,6 +63,8 @@ async fn measure(name: &str, store: &dyn FarmStore, count: usize) -> anyhow::Res
         worker: "w".into(),
         kinds: vec!["work".into()],
         threads: 1,
+        memory_mib: 0,
+        labels: Vec::new(),
         max,
         ttl_secs: 3600,
         wait_secs: 0,

@@ -1,10 +1,9 @@
 //! What the farm does when asked: store, chunks and hints put together, without HTTP.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Duration;
 
-use futures::{StreamExt, TryStreamExt};
 use lightkiln_proto::api::{
     Bake, BakeState, Blame, ClaimAnswer, ClaimRequest, CommitVerdict, EventPage, HeartbeatAnswer, NewBake,
 };
@@ -15,18 +14,23 @@ use tokio::sync::watch;
 use tokio::time::Instant;
 
 use crate::access::Guard;
-use crate::chunks::ChunkStore;
 use crate::error::ServerError;
 use crate::metrics::Metrics;
-use crate::store::{FarmStore, Submission, is_token};
+use crate::storage::{Removed, Storage};
+use crate::store::chunk::CollectRules;
+use crate::store::{FarmStore, StoreError, Submission, is_token};
 use crate::wakeup::Wakeup;
 
-/// Chunks that one check looks up at a time.
-const HEADS_IN_FLIGHT: usize = 16;
 /// Longest name of a bake, in characters.
 pub const MAX_NAME_CHARS: usize = 200;
 /// Longest Idempotency-Key and worker name, in characters.
 pub const MAX_ID_CHARS: usize = 200;
+/// Most labels of a worker or a bake.
+pub const MAX_LABELS: usize = 16;
+/// Longest label, in characters.
+pub const MAX_LABEL_CHARS: usize = 64;
+/// Seconds that one attempt may take.
+pub const ATTEMPT_LIMIT_SECS: std::ops::RangeInclusive<u32> = 1..=604_800;
 /// Most leases of one claim.
 pub const MAX_LEASES: u32 = 64;
 /// Most task kinds that one claim names.
@@ -41,7 +45,7 @@ pub struct Farm {
     /// The queue.
     pub store: Arc<dyn FarmStore>,
     /// The bytes.
-    pub chunks: Arc<dyn ChunkStore>,
+    pub storage: Storage,
     /// Hints between calls.
     pub wakeup: Arc<dyn Wakeup>,
     /// Who may call.
@@ -58,13 +62,13 @@ impl Farm {
     /// Puts the parts together; all counts start at 0.
     pub fn new(
         store: Arc<dyn FarmStore>,
-        chunks: Arc<dyn ChunkStore>,
+        storage: Storage,
         wakeup: Arc<dyn Wakeup>,
         poll_interval: Duration,
         closing: watch::Receiver<bool>,
     ) -> Self {
         let guard = Guard::new(store.clone());
-        Self { guard, store, chunks, wakeup, metrics: Metrics::default(), poll_interval, closing }
+        Self { guard, store, storage, wakeup, metrics: Metrics::default(), poll_interval, closing }
     }
 
     /// Takes a bake in. The scene must be there, and results to be reused must still have their bytes.
@@ -73,15 +77,21 @@ impl Farm {
         if let Some(key) = &idempotency_key {
             require_chars("Idempotency-Key", key, 1, MAX_ID_CHARS)?;
         }
+        check_needs(&bake)?;
         let plan = initial_plan(&bake.kind, bake.scene, &bake.settings)?;
-        if self.chunks.head(bake.scene).await?.is_none() {
-            return Err(ServerError::NoSuchScene { scene: bake.scene });
+        let scene = bake.scene;
+        if self.storage.length(scene).await?.is_none() {
+            return Err(ServerError::NoSuchScene { scene });
         }
         self.forget_lost_results(&plan).await?;
         let body = serde_json::to_vec(&bake).map_err(|error| bad_request(error.to_string()))?;
         let body_hash = Digest::of(&body);
         let submission = Submission { idempotency_key, body_hash, bake, plan };
-        let submitted = self.store.submit(&submission).await?;
+        let submitted = self.store.submit(&submission).await.map_err(|error| match error {
+            // It went between the look and the submission.
+            StoreError::MissingChunk { digest } if digest == scene => ServerError::NoSuchScene { scene },
+            error => error.into(),
+        })?;
         if submitted.is_new {
             self.metrics.submissions.add(1);
             self.wakeup.hint();
@@ -96,28 +106,18 @@ impl Farm {
         }
         let known = self.store.reusable(plan).await?;
         let outputs = known.iter().flat_map(|result| &result.outputs);
-        let outputs = outputs.map(|output| (output.digest, output.bytes));
-        let lost = self.missing(outputs.collect()).await?;
-        if lost.is_empty() {
-            return Ok(());
-        }
+        let wanted: BTreeSet<Digest> = outputs.map(|output| output.digest).collect();
+        let there = self.storage.lengths(&wanted).await?;
         let has_lost = |result: &&crate::store::KnownResult| {
-            result.outputs.iter().any(|output| lost.contains(&output.digest))
+            result.outputs.iter().any(|output| there.get(&output.digest) != Some(&output.bytes))
         };
         let keys: Vec<TaskKey> = known.iter().filter(has_lost).map(|result| result.key).collect();
+        if keys.is_empty() {
+            return Ok(());
+        }
         tracing::warn!(results = keys.len(), "results lost their bytes; their tasks will run again");
         self.metrics.forgotten_results.add(keys.len() as u64);
         Ok(self.store.forget(&keys).await?)
-    }
-
-    /// Chunks that are not there in their whole length.
-    async fn missing(&self, wanted: BTreeMap<Digest, u64>) -> Result<BTreeSet<Digest>, ServerError> {
-        let heads = futures::stream::iter(wanted).map(|(digest, bytes)| async move {
-            let head = self.chunks.head(digest).await?;
-            Ok::<_, ServerError>((head != Some(bytes)).then_some(digest))
-        });
-        let found: Vec<Option<Digest>> = heads.buffer_unordered(HEADS_IN_FLIGHT).try_collect().await?;
-        Ok(found.into_iter().flatten().collect())
     }
 
     /// Hands out tasks, waiting for some if asked to.
@@ -146,8 +146,15 @@ impl Farm {
         if !task.inputs.iter().any(|input| matches!(input, TaskInput::Artefact { .. })) {
             return Ok(());
         }
+        let unknown: Vec<Digest> =
+            inputs.iter().filter(|input| input.bytes == 0).map(|input| input.digest).collect();
+        let known = self.store.find_chunks(&unknown).await?;
         for input in inputs.iter_mut().filter(|input| input.bytes == 0) {
-            input.bytes = self.chunks.head(input.digest).await?.unwrap_or(0);
+            let known = known.iter().find(|chunk| chunk.name.digest == input.digest);
+            input.bytes = match known {
+                Some(chunk) => chunk.bytes,
+                None => self.storage.length(input.digest).await?.unwrap_or(0),
+            };
         }
         Ok(())
     }
@@ -196,14 +203,12 @@ impl Farm {
     }
 
     async fn require_outputs(&self, result: &TaskResult) -> Result<(), ServerError> {
-        let heads = futures::stream::iter(result.outputs.clone()).map(|output| async move {
-            Ok::<_, ServerError>((self.chunks.head(output.digest).await?, output))
-        });
-        let mut heads = heads.buffered(HEADS_IN_FLIGHT);
-        while let Some((head, output)) = heads.try_next().await? {
+        let there =
+            self.storage.lengths(&result.outputs.iter().map(|output| output.digest).collect()).await?;
+        for output in &result.outputs {
             let (name, digest, bytes) = (&output.name, output.digest, output.bytes);
-            match head {
-                Some(length) if length == bytes => (),
+            match there.get(&digest) {
+                Some(length) if *length == bytes => (),
                 Some(length) => {
                     let what = format!("output '{name}' says {bytes} bytes, chunk {digest} has {length}");
                     return Err(bad_request(what));
@@ -237,6 +242,15 @@ impl Farm {
         Ok(())
     }
 
+    /// Gives leases their whole length again: nobody could be heard for a while.
+    pub async fn extend_leases(&self) -> Result<(), ServerError> {
+        let extended = self.store.extend_leases().await?;
+        if extended > 0 {
+            tracing::info!(extended, "leases run on, as their holders could not be heard for a while");
+        }
+        Ok(())
+    }
+
     /// Ends leases that have run out.
     pub async fn reap(&self) -> Result<(), ServerError> {
         let reaped = self.store.reap().await?;
@@ -246,6 +260,17 @@ impl Farm {
             self.wakeup.hint();
         }
         Ok(())
+    }
+
+    /// Deletes old bakes, and the bytes that nobody needs any more.
+    pub async fn collect(&self, rules: &CollectRules) -> Result<Removed, ServerError> {
+        let removed = self.storage.collect(rules).await?;
+        if removed.bakes > 0 || removed.chunks > 0 {
+            tracing::info!(bakes = removed.bakes, chunks = removed.chunks, "cleared away");
+            self.metrics.deleted_bakes.add(removed.bakes);
+            self.metrics.removed_chunks.add(removed.chunks);
+        }
+        Ok(removed)
     }
 
     /// Changes a bake through one of the store's calls.
@@ -295,8 +320,26 @@ impl Farm {
     }
 }
 
+fn check_needs(bake: &NewBake) -> Result<(), ServerError> {
+    check_labels("needs.labels", &bake.needs.labels)?;
+    match bake.attempt_limit_secs {
+        Some(secs) if !ATTEMPT_LIMIT_SECS.contains(&secs) => {
+            Err(bad_request(format!("attempt_limit_secs must be within {ATTEMPT_LIMIT_SECS:?}, not {secs}")))
+        }
+        _ => Ok(()),
+    }
+}
+
+fn check_labels(name: &str, labels: &[String]) -> Result<(), ServerError> {
+    if labels.len() > MAX_LABELS {
+        return Err(bad_request(format!("{name} must be at most {MAX_LABELS}, not {}", labels.len())));
+    }
+    labels.iter().try_for_each(|label| require_chars(name, label, 1, MAX_LABEL_CHARS))
+}
+
 fn check_claim(request: &ClaimRequest) -> Result<(), ServerError> {
     require_chars("worker", &request.worker, 1, MAX_ID_CHARS)?;
+    check_labels("labels", &request.labels)?;
     let limits = [
         ("max", (1..=MAX_LEASES).contains(&request.max), format!("1..={MAX_LEASES}")),
         ("ttl_secs", TTL_SECS.contains(&request.ttl_secs), format!("{TTL_SECS:?}")),

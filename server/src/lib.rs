@@ -4,25 +4,30 @@
 //!
 //! - [`Server`] opens a state folder and serves it; [`Config`] says how.
 //! - [`store`] is the queue behind one trait, [`chunks`] the bytes, [`wakeup`] lossy hints.
+//! - [`storage`] is the bytes that count, `collect` clears away the others, [`fsck`] checks them.
 //! - [`access`] says who may call.
 //! - [`farm`] puts them together, `http` makes calls of it.
 
 pub mod access;
 pub mod chunks;
 pub mod clock;
+mod collect;
 mod error;
 pub mod farm;
+pub mod fsck;
 mod http;
 mod metrics;
 pub mod places;
 mod server;
+pub mod storage;
 pub mod store;
 mod tls;
 pub mod wakeup;
 mod webhooks;
 
+pub use collect::Keeping;
 pub use error::ServerError;
 pub use http::{LimitConfig, openapi_json};
-pub use server::{Config, Server, open_store};
+pub use server::{Config, Server, check_storage, open_store};
 pub use tls::TlsFiles;
 pub use webhooks::WebhookConfig;

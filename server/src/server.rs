@@ -20,10 +20,13 @@ use tokio::sync::watch;
 
 use crate::chunks::ObjectChunks;
 use crate::clock::SystemClock;
+use crate::collect::{self, Keeping};
 use crate::error::ServerError;
 use crate::farm::Farm;
+use crate::fsck::{self, Checks, Findings};
 use crate::http::{self, LimitConfig};
 use crate::places::{ChunksPlace, DatabasePlace};
+use crate::storage::Storage;
 use crate::store::SqlStore;
 use crate::tls::{self, TlsFiles};
 use crate::wakeup::{LocalWakeup, PostgresWakeup, Wakeup};
@@ -46,6 +49,10 @@ pub struct Config {
     pub webhooks: Option<WebhookConfig>,
     /// How much callers may ask for.
     pub limits: LimitConfig,
+    /// Most bytes of chunks at a time; uploads beyond are refused until there is room. Default: no limit but the disk's.
+    pub quota_bytes: Option<u64>,
+    /// What is kept for how long.
+    pub keeping: Keeping,
     /// Expired leases are looked for this often. Shorter → lost workers are noticed sooner. Default: 1 s.
     pub reap_interval: Duration,
     /// Waiting calls look again this often without a hint. Shorter → sooner, at more load. Default: 1 s.
@@ -65,6 +72,8 @@ impl Config {
             tls: None,
             webhooks: None,
             limits: LimitConfig::default(),
+            quota_bytes: None,
+            keeping: Keeping::default(),
             reap_interval: Duration::from_secs(1),
             poll_interval: Duration::from_secs(1),
             stop_grace: Duration::from_secs(10),
@@ -97,7 +106,8 @@ impl Server {
         let in_state = ChunksPlace::Folder(config.state_dir.join("chunks"));
         let chunks = Arc::new(ObjectChunks::open(config.chunks.as_ref().unwrap_or(&in_state))?);
         let (closing, is_closing) = watch::channel(false);
-        let farm = Farm::new(store.clone(), chunks, wakeup, config.poll_interval, is_closing);
+        let storage = Storage::new(store.clone(), chunks, config.quota_bytes);
+        let farm = Farm::new(store.clone(), storage, wakeup, config.poll_interval, is_closing);
         let farm = Arc::new(farm);
         Ok(Self { config, farm, store, tls, closing, _lock: lock })
     }
@@ -138,6 +148,7 @@ impl Server {
             self.config.webhooks.clone().map(|config| {
                 tokio::spawn(webhooks::run(self.farm.clone(), config, self.closing.subscribe()))
             });
+        let collector = tokio::spawn(collect::run(self.farm.clone(), self.config.keeping));
         let closing = self.closing.clone();
         let stop = async move {
             shutdown.await;
@@ -164,6 +175,7 @@ impl Server {
         if let Some(webhooks) = webhooks {
             webhooks.abort();
         }
+        collector.abort();
         self.store.close().await;
         served
     }
@@ -172,9 +184,19 @@ impl Server {
 async fn reap(farm: Arc<Farm>, interval: Duration) {
     let mut ticks = tokio::time::interval(interval);
     ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+    // Before the first look, and after the database was away, workers could not be heard: that is not their fault.
+    let mut was_deaf = true;
     loop {
         ticks.tick().await;
-        if let Err(error) = farm.reap().await {
+        let looked = async {
+            if was_deaf {
+                farm.extend_leases().await?;
+            }
+            farm.reap().await
+        };
+        let outcome = looked.await;
+        was_deaf = outcome.is_err();
+        if let Err(error) = outcome {
             tracing::error!(error = error.chain(), "expired leases could not be ended; trying again");
         }
     }
@@ -194,6 +216,22 @@ pub async fn open_store(state_dir: &Path, database: Option<&DatabasePlace>) -> R
         }
         DatabasePlace::Postgres(url) => SqlStore::open_postgres(url, None).await?,
     })
+}
+
+/// Checks the stored bytes, beside servers that may be running on them. The places are those of [`Config`].
+pub async fn check_storage(
+    state_dir: &Path,
+    database: Option<&DatabasePlace>,
+    chunks: Option<&ChunksPlace>,
+    checks: Checks,
+) -> Result<Findings, ServerError> {
+    let store = Arc::new(open_store(state_dir, database).await?);
+    let in_state = ChunksPlace::Folder(state_dir.join("chunks"));
+    let chunks = Arc::new(ObjectChunks::open(chunks.unwrap_or(&in_state))?);
+    let storage = Storage::new(store.clone(), chunks.clone(), None);
+    let findings = fsck::check(&*store, &*chunks, &storage, checks).await;
+    store.close().await;
+    findings
 }
 
 async fn open_database(place: &DatabasePlace) -> Result<OpenDatabase, ServerError> {

@@ -2,7 +2,9 @@
 
 use std::sync::Arc;
 
-use lightkiln_proto::api::{Bake, BakePage, EventPage, MAX_CHUNK_BYTES, NewBake, SceneStored, WorkerPage};
+use lightkiln_proto::api::{
+    Bake, BakePage, Blocklist, EventPage, MAX_CHUNK_BYTES, NewBake, NewPriority, SceneStored, WorkerPage,
+};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::manifest;
 
@@ -95,6 +97,41 @@ impl ApiClient {
     /// Cancels a bake.
     pub fn cancel(&self, id: &str) -> Result<Bake> {
         self.http.json(Call::new(Method::Post, &bake_path(id, "/cancel")))
+    }
+
+    /// Holds a bake's tasks back.
+    pub fn pause(&self, id: &str) -> Result<Bake> {
+        self.http.json(Call::new(Method::Post, &bake_path(id, "/pause")))
+    }
+
+    /// Ends a bake's pause.
+    pub fn resume(&self, id: &str) -> Result<Bake> {
+        self.http.json(Call::new(Method::Post, &bake_path(id, "/resume")))
+    }
+
+    /// Changes a bake's priority; bigger runs first.
+    pub fn reprioritise(&self, id: &str, priority: i32) -> Result<Bake> {
+        let body = serde_json::to_vec(&NewPriority { priority })
+            .map_err(|source| ClientError::Json { place: "the priority".to_owned(), source })?;
+        let headers = [("content-type", "application/json")];
+        let path = bake_path(id, "/priority");
+        self.http.json(Call { headers: &headers, body: &body, ..Call::new(Method::Post, &path) })
+    }
+
+    /// Workers that failed at tasks of a bake.
+    pub fn blocklist(&self, id: &str) -> Result<Blocklist> {
+        self.http.json(Call::new(Method::Get, &bake_path(id, "/blocklist")))
+    }
+
+    /// Forgets that a worker, or any, failed at tasks of a bake; gives what is left.
+    pub fn clear_blocklist(&self, id: &str, worker: Option<&str>) -> Result<Blocklist> {
+        let query = worker.map(|worker| format!("?worker={}", escape(worker))).unwrap_or_default();
+        self.http.json(Call::new(Method::Delete, &bake_path(id, &format!("/blocklist{query}"))))
+    }
+
+    /// Deletes a bake that has ended, with the results that no other bake holds.
+    pub fn delete(&self, id: &str) -> Result<()> {
+        self.http.bytes(Call::new(Method::Delete, &bake_path(id, "")), 0).map(|_| ())
     }
 
     /// Events after number `after` (0 for all), waiting up to `wait_secs` for the first.

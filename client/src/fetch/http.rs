@@ -64,6 +64,7 @@ pub(super) struct Call<'a> {
 /// The methods that the API uses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Method {
+    Delete,
     Get,
     Head,
     Post,
@@ -182,6 +183,7 @@ impl Http {
         let failed = |source| ClientError::Network { call: call.words(&self.base), source: Box::new(source) };
         let url = format!("{}{}", self.base, call.path);
         let answer = match call.method {
+            Method::Delete => self.with_headers(self.agent.delete(url), call).call(),
             Method::Get => self.with_headers(self.agent.get(url), call).call(),
             Method::Head => self.with_headers(self.agent.head(url), call).call(),
             Method::Post => self.with_headers(self.agent.post(url), call).send(call.body),

@@ -224,6 +224,8 @@ fn problems_that_stay_are_shown_with_their_detail_at_once() {
         kind: "prt".to_owned(),
         settings: serde_json::Value::Null,
         priority: 0,
+        needs: lightkiln_proto::api::Needs::default(),
+        attempt_limit_secs: None,
     };
     let error = server.client().submit(&bake, "key-1").unwrap_err();
     assert!(error.to_string().contains("texel_m = -1 is out of range"), "{error}");

@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use clap::{Args, Parser, Subcommand};
 
 use crate::commands::{
-    bake, cancel, evaluate, fetch, inspect, list, preview, server, settings, show, submit, token, watch,
-    worker,
+    bake, blocklist, cancel, delete, evaluate, fetch, fsck, inspect, list, logs, pause, preview, priority,
+    resume, server, settings, show, submit, token, top, watch, worker,
 };
 use crate::failure::{EXIT_CODES, Failure, Result};
 
@@ -28,6 +28,8 @@ pub enum Command {
     Server(server::Arguments),
     /// Runs a worker for a farm's server
     Worker(worker::Arguments),
+    /// Checks a farm's stored bytes
+    Fsck(fsck::Arguments),
     /// Makes, lists and revokes tokens of a farm
     Token(token::Arguments),
     /// Submits a scene to a farm and prints the bake's id
@@ -36,10 +38,24 @@ pub enum Command {
     List(list::Arguments),
     /// Shows one bake
     Show(show::Arguments),
+    /// Prints what happened to a bake
+    Logs(logs::Arguments),
+    /// Shows bakes and workers as they are now, again and again
+    Top(top::Arguments),
     /// Follows a bake until it ends
     Watch(watch::Arguments),
     /// Cancels a bake
     Cancel(cancel::Arguments),
+    /// Holds a bake's tasks back; those under way go on
+    Pause(pause::Arguments),
+    /// Lets a paused bake go on
+    Resume(resume::Arguments),
+    /// Changes a bake's priority
+    Priority(priority::Arguments),
+    /// Lists workers that failed at tasks of a bake, or gives them another chance
+    Blocklist(blocklist::Arguments),
+    /// Deletes a bake that has ended
+    Delete(delete::Arguments),
     /// Downloads a finished bake as a bundle
     Fetch(fetch::Arguments),
     /// Draws a picture of a bake
@@ -63,8 +79,16 @@ impl Command {
             Self::Submit(arguments) => submit::run(arguments),
             Self::List(arguments) => list::run(arguments),
             Self::Show(arguments) => show::run(arguments),
+            Self::Logs(arguments) => logs::run(arguments),
+            Self::Top(arguments) => top::run(arguments),
             Self::Watch(arguments) => watch::run(arguments),
             Self::Cancel(arguments) => cancel::run(arguments),
+            Self::Pause(arguments) => pause::run(arguments),
+            Self::Resume(arguments) => resume::run(arguments),
+            Self::Priority(arguments) => priority::run(arguments),
+            Self::Blocklist(arguments) => blocklist::run(arguments),
+            Self::Delete(arguments) => delete::run(arguments),
+            Self::Fsck(arguments) => fsck::run(arguments),
             Self::Fetch(arguments) => fetch::run(arguments),
             Self::Preview(arguments) => preview::run(arguments),
             Self::Evaluate(arguments) => evaluate::run(arguments),

@@ -14,6 +14,7 @@ pub const EXIT_CODES: &str = "Exit codes:
   2    wrong arguments, settings or input files
   3    the server was not reached
   4    the bake is done, but its evaluation breaks a limit of --fail-if
+  5    'kiln fsck' found something wrong that was not made good
   130  interrupted, or the bake that was waited for was cancelled";
 
 /// Why a command ends; the number is the process's exit code.
@@ -27,6 +28,8 @@ pub enum Exit {
     Unreachable = 3,
     /// The bake is done, but its evaluation breaks a limit of `--fail-if`.
     LimitBroken = 4,
+    /// `kiln fsck` found something wrong that was not made good.
+    Unsound = 5,
     /// Ctrl-C or SIGTERM.
     Interrupted = 130,
 }

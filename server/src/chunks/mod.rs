@@ -2,6 +2,10 @@
 //!
 //! Bytes are checked against their digest before they are stored, and whenever all of them are read; a range cannot be.
 //! They never change.
+//!
+//! **Names.** Each time that bytes are written anew they get a name of their own, digest and generation, and a name is
+//! never used twice. So a removal that comes late, from a process that slept meanwhile, cannot meet what somebody stored
+//! after it. Which generation counts is what the queue's store says ([`crate::storage`]).
 
 mod objects;
 mod s3;
@@ -15,7 +19,10 @@ use lightkiln_proto::ids::Digest;
 use lightkiln_proto::problem::ProblemCode;
 use thiserror::Error;
 
+use crate::store::{StoreError, random_u64};
+
 pub use objects::ObjectChunks;
+pub(crate) use objects::StreamCheck;
 
 /// Why bytes could not be stored or read.
 #[derive(Debug, Error)]
@@ -72,6 +79,41 @@ impl ChunkError {
     }
 }
 
+/// Name of stored bytes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct ChunkName {
+    /// Digest of the bytes.
+    pub digest: Digest,
+    /// Tells copies that were written at different times; 0 is that of farms before generations.
+    pub generation: u64,
+}
+
+impl ChunkName {
+    /// A name that nobody has used.
+    pub fn fresh(digest: Digest) -> Result<Self, StoreError> {
+        // Half of the range, so that it fits a signed column; a name is used twice once in 2⁶³.
+        Ok(Self { digest, generation: (random_u64()? >> 1).max(1) })
+    }
+}
+
+impl From<Digest> for ChunkName {
+    /// The first generation.
+    fn from(digest: Digest) -> Self {
+        Self { digest, generation: 0 }
+    }
+}
+
+/// A chunk as a listing shows it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Listed {
+    /// Its name.
+    pub name: ChunkName,
+    /// Its length.
+    pub bytes: u64,
+    /// When it was written by the storage's clock, Unix milliseconds.
+    pub written_ms: i64,
+}
+
 /// What became of bytes to store.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Stored {
@@ -88,26 +130,26 @@ pub type ByteStream<E = ChunkError> = BoxStream<'static, Result<Bytes, E>>;
 #[async_trait]
 pub trait ChunkStore: Send + Sync {
     /// Stores bytes that are at hand.
-    async fn put_if_absent(&self, digest: Digest, bytes: Bytes) -> Result<Stored, ChunkError>;
+    async fn put_if_absent(&self, name: ChunkName, bytes: Bytes) -> Result<Stored, ChunkError>;
 
     /// Stores bytes as they arrive, at most `limit` of them; only a few MiB are in memory at a time.
     ///
     /// Nothing is stored unless all came and their digest is right. Bytes that are stored already are read all the same.
-    async fn put_stream(&self, digest: Digest, bytes: ByteStream, limit: u64) -> Result<Stored, ChunkError>;
+    async fn put_stream(&self, name: ChunkName, bytes: ByteStream, limit: u64) -> Result<Stored, ChunkError>;
 
     /// Reads all of a chunk into memory; refuses those longer than `limit`.
-    async fn get(&self, digest: Digest, limit: u64) -> Result<Bytes, ChunkError>;
+    async fn get(&self, name: ChunkName, limit: u64) -> Result<Bytes, ChunkError>;
 
     /// Reads a range, which must lie within the chunk, as it comes. When it is the whole chunk and its bytes are damaged,
     /// the stream ends in an error before it is complete.
-    async fn get_range(&self, digest: Digest, range: Range<u64>) -> Result<ByteStream, ChunkError>;
+    async fn get_range(&self, name: ChunkName, range: Range<u64>) -> Result<ByteStream, ChunkError>;
 
     /// Length of a chunk, or none if it is not there.
-    async fn head(&self, digest: Digest) -> Result<Option<u64>, ChunkError>;
+    async fn head(&self, name: ChunkName) -> Result<Option<u64>, ChunkError>;
 
     /// Removes a chunk, if it is there.
-    async fn delete(&self, digest: Digest) -> Result<(), ChunkError>;
+    async fn delete(&self, name: ChunkName) -> Result<(), ChunkError>;
 
-    /// All chunks and their lengths, in no particular order.
-    fn list(&self) -> BoxStream<'static, Result<(Digest, u64), ChunkError>>;
+    /// All chunks, in no particular order.
+    fn list(&self) -> BoxStream<'static, Result<Listed, ChunkError>>;
 }

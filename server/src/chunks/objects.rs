@@ -17,7 +17,7 @@ use object_store::memory::InMemory;
 use object_store::path::Path;
 use object_store::{GetOptions, GetRange, ObjectStore, ObjectStoreExt, PutPayload, WriteMultipart};
 
-use super::{ByteStream, ChunkError, ChunkStore, Stored, s3};
+use super::{ByteStream, ChunkError, ChunkName, ChunkStore, Listed, Stored, s3};
 use crate::places::ChunksPlace;
 
 /// Size of the parts in which a stream is written.
@@ -27,7 +27,7 @@ const PARTS_IN_FLIGHT: usize = 2;
 /// Streams up to this size are written in one piece.
 const ONE_PIECE_BYTES: usize = PART_BYTES;
 
-/// Chunks at `ab/cdef…` (digest in hex) in an object store.
+/// Chunks at `ab/cdef….GENERATION` (digest and generation in hex; generation 0 is left out) in an object store.
 pub struct ObjectChunks {
     objects: Arc<dyn ObjectStore>,
 }
@@ -83,12 +83,12 @@ impl ObjectChunks {
     /// Writes the rest of a stream in parts; `head` is what has come so far.
     async fn put_parts(
         &self,
-        digest: Digest,
+        name: ChunkName,
         head: Vec<u8>,
         mut bytes: ByteStream,
         mut check: StreamCheck,
     ) -> Result<Stored, ChunkError> {
-        let upload = self.objects.put_multipart(&path_of(digest)).await.map_err(from_store)?;
+        let upload = self.objects.put_multipart(&path_of(name)).await.map_err(from_store)?;
         let mut upload = WriteMultipart::new_with_chunk_size(upload, PART_BYTES);
         upload.write(&head);
         drop(head);
@@ -98,11 +98,11 @@ impl ObjectChunks {
                 upload.wait_for_capacity(PARTS_IN_FLIGHT).await.map_err(from_store)?;
                 upload.put(piece);
             }
-            check.finish(digest)
+            check.finish(name.digest)
         };
         match written.await {
             Ok(length) => {
-                let is_new = self.head(digest).await? != Some(length);
+                let is_new = self.head(name).await? != Some(length);
                 upload.finish().await.map_err(from_store)?;
                 Ok(Stored { is_new, bytes: length })
             }
@@ -116,18 +116,18 @@ impl ObjectChunks {
 }
 
 /// Digest and length of a stream as it passes.
-struct StreamCheck {
+pub(crate) struct StreamCheck {
     hasher: blake3::Hasher,
     length: u64,
     limit: u64,
 }
 
 impl StreamCheck {
-    fn new(limit: u64) -> Self {
+    pub(crate) fn new(limit: u64) -> Self {
         Self { hasher: blake3::Hasher::new(), length: 0, limit }
     }
 
-    fn take(&mut self, piece: &[u8]) -> Result<(), ChunkError> {
+    pub(crate) fn take(&mut self, piece: &[u8]) -> Result<(), ChunkError> {
         self.length += piece.len() as u64;
         if self.length > self.limit {
             return Err(ChunkError::TooLarge { limit: self.limit });
@@ -136,7 +136,7 @@ impl StreamCheck {
         Ok(())
     }
 
-    fn finish(&self, wanted: Digest) -> Result<u64, ChunkError> {
+    pub(crate) fn finish(&self, wanted: Digest) -> Result<u64, ChunkError> {
         let found = Digest(*self.hasher.finalize().as_bytes());
         if found != wanted {
             return Err(ChunkError::DigestMismatch { wanted, found });
@@ -147,22 +147,22 @@ impl StreamCheck {
 
 #[async_trait]
 impl ChunkStore for ObjectChunks {
-    async fn put_if_absent(&self, digest: Digest, bytes: Bytes) -> Result<Stored, ChunkError> {
+    async fn put_if_absent(&self, name: ChunkName, bytes: Bytes) -> Result<Stored, ChunkError> {
         let found = Digest::of(&bytes);
-        if found != digest {
-            return Err(ChunkError::DigestMismatch { wanted: digest, found });
+        if found != name.digest {
+            return Err(ChunkError::DigestMismatch { wanted: name.digest, found });
         }
         let length = bytes.len() as u64;
-        if self.head(digest).await? == Some(length) {
+        if self.head(name).await? == Some(length) {
             return Ok(Stored { is_new: false, bytes: length });
         }
-        self.objects.put(&path_of(digest), PutPayload::from_bytes(bytes)).await.map_err(from_store)?;
+        self.objects.put(&path_of(name), PutPayload::from_bytes(bytes)).await.map_err(from_store)?;
         Ok(Stored { is_new: true, bytes: length })
     }
 
     async fn put_stream(
         &self,
-        digest: Digest,
+        name: ChunkName,
         mut bytes: ByteStream,
         limit: u64,
     ) -> Result<Stored, ChunkError> {
@@ -172,58 +172,61 @@ impl ChunkStore for ObjectChunks {
             check.take(&piece)?;
             head.extend_from_slice(&piece);
             if head.len() > ONE_PIECE_BYTES {
-                return self.put_parts(digest, head, bytes, check).await;
+                return self.put_parts(name, head, bytes, check).await;
             }
         }
-        let length = check.finish(digest)?;
-        if self.head(digest).await? == Some(length) {
+        let length = check.finish(name.digest)?;
+        if self.head(name).await? == Some(length) {
             return Ok(Stored { is_new: false, bytes: length });
         }
-        self.objects.put(&path_of(digest), head.into()).await.map_err(from_store)?;
+        self.objects.put(&path_of(name), head.into()).await.map_err(from_store)?;
         Ok(Stored { is_new: true, bytes: length })
     }
 
-    async fn get(&self, digest: Digest, limit: u64) -> Result<Bytes, ChunkError> {
-        let found = self.objects.get(&path_of(digest)).await.map_err(|error| missing(digest, error))?;
+    async fn get(&self, name: ChunkName, limit: u64) -> Result<Bytes, ChunkError> {
+        let found = self.objects.get(&path_of(name)).await.map_err(|error| missing(name.digest, error))?;
         if found.meta.size > limit {
             return Err(ChunkError::TooLarge { limit });
         }
         let bytes = found.bytes().await.map_err(from_store)?;
-        if Digest::of(&bytes) != digest {
-            return Err(ChunkError::Damaged { digest });
+        if Digest::of(&bytes) != name.digest {
+            return Err(ChunkError::Damaged { digest: name.digest });
         }
         Ok(bytes)
     }
 
-    async fn get_range(&self, digest: Digest, range: Range<u64>) -> Result<ByteStream, ChunkError> {
+    async fn get_range(&self, name: ChunkName, range: Range<u64>) -> Result<ByteStream, ChunkError> {
         if range.is_empty() {
             return Ok(futures::stream::empty().boxed());
         }
         let options = GetOptions { range: Some(GetRange::Bounded(range.clone())), ..GetOptions::default() };
-        let found = self.objects.get_opts(&path_of(digest), options).await;
-        let found = found.map_err(|error| missing(digest, error))?;
+        let found = self.objects.get_opts(&path_of(name), options).await;
+        let found = found.map_err(|error| missing(name.digest, error))?;
         let is_whole = range == (0..found.meta.size);
         let bytes = found.into_stream().map_err(from_store).boxed();
-        Ok(if is_whole { verified(digest, bytes) } else { bytes })
+        Ok(if is_whole { verified(name.digest, bytes) } else { bytes })
     }
 
-    async fn head(&self, digest: Digest) -> Result<Option<u64>, ChunkError> {
-        match self.objects.head(&path_of(digest)).await {
+    async fn head(&self, name: ChunkName) -> Result<Option<u64>, ChunkError> {
+        match self.objects.head(&path_of(name)).await {
             Ok(meta) => Ok(Some(meta.size)),
             Err(object_store::Error::NotFound { .. }) => Ok(None),
             Err(error) => Err(from_store(error)),
         }
     }
 
-    async fn delete(&self, digest: Digest) -> Result<(), ChunkError> {
-        match self.objects.delete(&path_of(digest)).await {
+    async fn delete(&self, name: ChunkName) -> Result<(), ChunkError> {
+        match self.objects.delete(&path_of(name)).await {
             Ok(()) | Err(object_store::Error::NotFound { .. }) => Ok(()),
             Err(error) => Err(from_store(error)),
         }
     }
 
-    fn list(&self) -> BoxStream<'static, Result<(Digest, u64), ChunkError>> {
-        let chunk = |meta: object_store::ObjectMeta| Some((digest_of(&meta.location)?, meta.size));
+    fn list(&self) -> BoxStream<'static, Result<Listed, ChunkError>> {
+        let chunk = |meta: object_store::ObjectMeta| {
+            let name = name_of(&meta.location)?;
+            Some(Listed { name, bytes: meta.size, written_ms: meta.last_modified.timestamp_millis() })
+        };
         let listed = self.objects.list(None).map_err(from_store);
         listed.try_filter_map(move |meta| futures::future::ready(Ok(chunk(meta)))).boxed()
     }
@@ -248,14 +251,24 @@ fn verified(digest: Digest, bytes: ByteStream) -> ByteStream {
     pieces.boxed()
 }
 
-fn path_of(digest: Digest) -> Path {
-    let hex = digest.to_string();
+fn path_of(name: ChunkName) -> Path {
+    let hex = name.digest.to_string();
     let (shard, rest) = hex.split_at(2);
-    Path::from_iter([shard, rest])
+    match name.generation {
+        0 => Path::from_iter([shard, rest]),
+        generation => Path::from_iter([shard, &format!("{rest}.{generation:016x}")]),
+    }
 }
 
-fn digest_of(path: &Path) -> Option<Digest> {
-    path.as_ref().split_once('/').and_then(|(shard, rest)| format!("{shard}{rest}").parse().ok())
+/// The name behind a path, if it is one that [`path_of`] gives.
+fn name_of(path: &Path) -> Option<ChunkName> {
+    let (shard, rest) = path.as_ref().split_once('/')?;
+    let (rest, generation) = match rest.split_once('.') {
+        None => (rest, 0),
+        Some((rest, generation)) => (rest, u64::from_str_radix(generation, 16).ok()?),
+    };
+    let name = ChunkName { digest: format!("{shard}{rest}").parse().ok()?, generation };
+    (path_of(name) == *path).then_some(name)
 }
 
 fn missing(digest: Digest, error: object_store::Error) -> ChunkError {

@@ -6,7 +6,7 @@ use axum::Json;
 use axum::extract::State;
 use axum::http::{HeaderMap, Method, StatusCode};
 use axum::response::Response;
-use lightkiln_proto::api::{Bake, BakePage, NewBake, NewPriority, WorkerPage};
+use lightkiln_proto::api::{Bake, BakePage, Blocklist, NewBake, NewPriority, WorkerPage};
 use lightkiln_proto::problem::Problem;
 use serde::Deserialize;
 use utoipa::IntoParams;
@@ -86,6 +86,21 @@ pub(super) async fn show(
     Ok(Json(farm.store.show(&id).await?))
 }
 
+/// Deletes a bake that has ended, with the results that no other bake holds.
+#[utoipa::path(delete, path = "/v1/bakes/{id}", tag = "bakes",
+    params(("id" = String, Path, description = "The bake")),
+    responses((status = 204, description = "Deleted"),
+        (status = 404, description = "No such bake", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "It has not ended", body = Problem, content_type = "application/problem+json"),
+        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn delete(
+    State(farm): State<Arc<Farm>>,
+    PathParam(id): PathParam<String>,
+) -> Result<StatusCode, ServerError> {
+    farm.store.delete_bake(&id).await?;
+    Ok(StatusCode::NO_CONTENT)
+}
+
 /// Cancels a bake; what no other bake wants is dropped.
 #[utoipa::path(post, path = "/v1/bakes/{id}/cancel", tag = "bakes",
     params(("id" = String, Path, description = "The bake")),
@@ -137,6 +152,42 @@ pub(super) async fn reprioritise(
     JsonBody(new): JsonBody<NewPriority, MAX_JSON_BYTES>,
 ) -> Result<Json<Bake>, ServerError> {
     Ok(Json(farm.change(farm.store.reprioritise(&id, new.priority)).await?))
+}
+
+/// Whose failures to forget.
+#[derive(Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
+#[serde(deny_unknown_fields)]
+pub(super) struct WorkerQuery {
+    /// A worker's name; all unless set.
+    worker: Option<String>,
+}
+
+/// Lists workers that failed at tasks of the bake. Those that are blocked get none of it while others can do them.
+#[utoipa::path(get, path = "/v1/bakes/{id}/blocklist", tag = "bakes",
+    params(("id" = String, Path, description = "The bake")),
+    responses((status = 200, description = "By name", body = Blocklist),
+        (status = 404, description = "No such bake", body = Problem, content_type = "application/problem+json"),
+        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn blocklist(
+    State(farm): State<Arc<Farm>>,
+    PathParam(id): PathParam<String>,
+) -> Result<Json<Blocklist>, ServerError> {
+    Ok(Json(farm.store.blocklist(&id).await?))
+}
+
+/// Forgets that a worker, or any, failed at tasks of the bake.
+#[utoipa::path(delete, path = "/v1/bakes/{id}/blocklist", tag = "bakes",
+    params(("id" = String, Path, description = "The bake"), WorkerQuery),
+    responses((status = 200, description = "What is left", body = Blocklist),
+        (status = 404, description = "No such bake", body = Problem, content_type = "application/problem+json"),
+        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn clear_blocklist(
+    State(farm): State<Arc<Farm>>,
+    PathParam(id): PathParam<String>,
+    UrlQuery(query): UrlQuery<WorkerQuery>,
+) -> Result<Json<Blocklist>, ServerError> {
+    Ok(Json(farm.change(farm.store.clear_blocklist(&id, query.worker.as_deref())).await?))
 }
 
 /// Gives a finished bake's manifest.

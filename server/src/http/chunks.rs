@@ -67,7 +67,7 @@ async fn store(farm: &Farm, digest: Digest, headers: &HeaderMap, body: Body) -> 
         return Err(ChunkError::TooLarge { limit }.into());
     }
     let bytes = body.into_data_stream().map_err(|error| ChunkError::Broken(error.into()));
-    let stored = farm.chunks.put_stream(digest, bytes.boxed(), limit).await?;
+    let stored = farm.storage.put_stream(digest, bytes.boxed(), limit, content_length(headers)).await?;
     farm.metrics.bytes_in.add(stored.bytes);
     Ok(stored)
 }
@@ -134,7 +134,7 @@ pub(super) async fn serve_bytes(
     content_type: &'static str,
     cache_control: &'static str,
 ) -> Result<Response, ServerError> {
-    let length = farm.chunks.head(digest).await?.ok_or(ChunkError::NotFound { digest })?;
+    let length = farm.storage.length(digest).await?.ok_or(ChunkError::NotFound { digest })?;
     let etag = format!("\"{digest}\"");
     let fixed = [
         (header::ETAG, etag.clone()),
@@ -154,7 +154,7 @@ pub(super) async fn serve_bytes(
     let body = if method == Method::HEAD {
         Body::empty()
     } else {
-        Body::from_stream(farm.chunks.get_range(digest, part.clone()).await?)
+        Body::from_stream(farm.storage.read(digest, part.clone()).await?)
     };
     let size = (part.end - part.start).to_string();
     let sized = [(header::CONTENT_TYPE, content_type.to_owned()), (header::CONTENT_LENGTH, size)];

@@ -4,16 +4,11 @@ use std::sync::Arc;
 
 use axum::extract::State;
 use axum::http::{HeaderName, header};
-use bytes::Bytes;
-use lightkiln_proto::ids::Digest;
 use lightkiln_proto::problem::Problem;
 
 use crate::error::ServerError;
 use crate::farm::Farm;
-use crate::metrics;
-
-/// Content that readiness writes and reads back.
-const PROBE: &[u8] = b"lightkiln readiness probe\n";
+use crate::metrics::{self, StorageFigures};
 
 /// Says that the process runs.
 #[utoipa::path(get, path = "/healthz", tag = "operation",
@@ -22,16 +17,14 @@ pub(super) async fn healthz() -> &'static str {
     "ok\n"
 }
 
-/// Says that the database can be written and the chunk store answers.
+/// Says that the database can be written, and the chunk store written and read.
 #[utoipa::path(get, path = "/readyz", tag = "operation",
     responses((status = 200, description = "It is ready", body = String, content_type = "text/plain"),
         (status = 503, description = "It is not", body = Problem, content_type = "application/problem+json"),
         (status = 507, description = "The disk is full", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn readyz(State(farm): State<Arc<Farm>>) -> Result<&'static str, ServerError> {
     farm.store.probe().await?;
-    let digest = Digest::of(PROBE);
-    farm.chunks.put_if_absent(digest, Bytes::from_static(PROBE)).await?;
-    farm.chunks.get(digest, PROBE.len() as u64).await?;
+    farm.storage.probe().await?;
     Ok("ready\n")
 }
 
@@ -42,7 +35,9 @@ pub(super) async fn readyz(State(farm): State<Arc<Farm>>) -> Result<&'static str
 pub(super) async fn metrics(
     State(farm): State<Arc<Farm>>,
 ) -> Result<([(HeaderName, &'static str); 1], String), ServerError> {
-    let text = metrics::render(&farm.metrics, &farm.store.stats().await?);
+    let (usage, storage) = (farm.store.usage().await?, &farm.storage);
+    let storage = StorageFigures { usage, quota_bytes: storage.quota_bytes(), lost: storage.lost() };
+    let text = metrics::render(&farm.metrics, &farm.store.stats().await?, storage);
     Ok(([(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], text))
 }
 

@@ -14,10 +14,12 @@ mod problem;
 mod ranges;
 
 use std::sync::Arc;
+use std::time::Instant;
 
 use axum::Router;
-use axum::extract::{MatchedPath, Request};
+use axum::extract::{MatchedPath, Request, State};
 use axum::http::{Method, Uri};
+use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, head, post, put};
 use tower_http::catch_panic::CatchPanicLayer;
@@ -40,11 +42,12 @@ pub(crate) fn router(farm: Arc<Farm>, limits: LimitConfig) -> Router {
         .route("/v1/scenes/{digest}", put(chunks::put_scene).head(chunks::head_scene))
         .route("/v1/chunks/{digest}", head(chunks::head_chunk).get(chunks::get_chunk).put(chunks::put_chunk))
         .route("/v1/bakes", get(bakes::list).post(bakes::submit))
-        .route("/v1/bakes/{id}", get(bakes::show))
+        .route("/v1/bakes/{id}", get(bakes::show).delete(bakes::delete))
         .route("/v1/bakes/{id}/cancel", post(bakes::cancel))
         .route("/v1/bakes/{id}/pause", post(bakes::pause))
         .route("/v1/bakes/{id}/resume", post(bakes::resume))
         .route("/v1/bakes/{id}/priority", post(bakes::reprioritise))
+        .route("/v1/bakes/{id}/blocklist", get(bakes::blocklist).delete(bakes::clear_blocklist))
         .route("/v1/bakes/{id}/events", get(events::events))
         .route("/v1/bakes/{id}/manifest", get(bakes::manifest))
         .route("/v1/bakes/{id}/report", get(bakes::report))
@@ -62,6 +65,7 @@ pub(crate) fn router(farm: Arc<Farm>, limits: LimitConfig) -> Router {
         .fallback(no_such_path)
         .method_not_allowed_fallback(method_not_allowed)
         .layer(axum::middleware::from_fn_with_state(doorman, guard::guard))
+        .layer(axum::middleware::from_fn_with_state(farm.clone(), measure))
         .layer(CatchPanicLayer::custom(panicked))
         .layer(TraceLayer::new_for_http().make_span_with(span))
         .with_state(farm)
@@ -71,6 +75,19 @@ pub(crate) fn router(farm: Arc<Farm>, limits: LimitConfig) -> Router {
 fn span(request: &Request) -> Span {
     let route = request.extensions().get::<MatchedPath>().map_or("none", MatchedPath::as_str);
     tracing::debug_span!("request", method = %request.method(), route)
+}
+
+/// Notes how long a request took until its answer began.
+async fn measure(State(farm): State<Arc<Farm>>, request: Request, next: Next) -> Response {
+    let method = request.method().clone();
+    let route = request.extensions().get::<MatchedPath>().map_or("none", MatchedPath::as_str).to_owned();
+    let started = Instant::now();
+    let response = next.run(request).await;
+    // Methods come from outside; those that no route has are counted as one.
+    let is_known = [Method::GET, Method::HEAD, Method::POST, Method::PUT, Method::DELETE].contains(&method);
+    let method = if is_known { method.as_str() } else { "other" };
+    farm.metrics.latencies.note(method, &route, response.status().as_u16(), started.elapsed());
+    response
 }
 
 /// A bug ends one request, not the server; the log has the panic's place.

@@ -25,7 +25,7 @@ use super::{bakes, chunks, enrolments, events, health, leases};
     ),
     paths(
         chunks::put_scene, chunks::head_scene, chunks::put_chunk, chunks::get_chunk, chunks::head_chunk,
-        bakes::submit, bakes::list, bakes::show, bakes::cancel, bakes::pause, bakes::resume, bakes::reprioritise,
+        bakes::submit, bakes::list, bakes::show, bakes::delete, bakes::blocklist, bakes::clear_blocklist, bakes::cancel, bakes::pause, bakes::resume, bakes::reprioritise,
         bakes::manifest, bakes::report, bakes::workers, events::events,
         leases::claim, leases::heartbeat, leases::commit, leases::fail, leases::release,
         enrolments::enrol,

@@ -1,7 +1,7 @@
 //! What can go wrong in a farm store.
 
 use lightkiln_proto::api::BakeState;
-use lightkiln_proto::ids::TaskKey;
+use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::problem::ProblemCode;
 use thiserror::Error;
 
@@ -42,6 +42,22 @@ pub enum StoreError {
         /// What was asked for, as a participle.
         action: &'static str,
     },
+    /// Bytes that a bake or a result names are not stored.
+    #[error("chunk {digest} is not stored; PUT /v1/chunks/{digest} first")]
+    MissingChunk {
+        /// Which.
+        digest: Digest,
+    },
+    /// No room under the farm's quota.
+    #[error(
+        "no room left for chunks: {used} bytes are stored, and {wanted} more would exceed the farm's quota"
+    )]
+    OverQuota {
+        /// Bytes stored.
+        used: u64,
+        /// Bytes to be stored.
+        wanted: u64,
+    },
     /// The tasks do not form a graph that can be run.
     #[error("the plan cannot be taken")]
     Plan(#[from] PlanError),
@@ -73,8 +89,8 @@ impl StoreError {
             Self::BearerExists { .. } => ProblemCode::StateConflict,
             Self::IdempotencyConflict { .. } => ProblemCode::IdempotencyConflict,
             Self::StateConflict { .. } => ProblemCode::StateConflict,
-            Self::Plan(_) => ProblemCode::BadRequest,
-            Self::Full(_) => ProblemCode::StorageFull,
+            Self::Plan(_) | Self::MissingChunk { .. } => ProblemCode::BadRequest,
+            Self::Full(_) | Self::OverQuota { .. } => ProblemCode::StorageFull,
             Self::Unavailable(_) | Self::Contended(_) => ProblemCode::Unavailable,
             Self::Corrupt { .. } => ProblemCode::Internal,
         }

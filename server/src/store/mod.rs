@@ -15,6 +15,7 @@
 //! ```
 //! A task that nobody wants any more, or that failed for good, is dropped: there is no failed state to get stuck in.
 
+pub mod chunk;
 mod error;
 mod memory;
 mod rules;
@@ -25,20 +26,22 @@ use std::collections::BTreeSet;
 
 use async_trait::async_trait;
 use lightkiln_proto::api::{
-    Bake, BakePage, BakeState, Blame, ClaimRequest, CommitVerdict, EventPage, HeartbeatAnswer, Lease,
-    NewBake, Worker,
+    Bake, BakePage, BakeState, Blame, Blocklist, ClaimRequest, CommitVerdict, EventPage, HeartbeatAnswer,
+    Lease, Needs, NewBake, Worker,
 };
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{Artefact, TaskResult, TaskSpec};
 
 use crate::access::{Bearer, Scope};
+use crate::chunks::ChunkName;
 
+use chunk::{ChunkRow, CollectRules, Collected, Kept, KeptChunk, Usage};
 pub use error::{PlanError, StoreError};
 pub use memory::MemoryStore;
 pub use rules::{BACKOFF_MAX_MS, MAX_ATTEMPTS, POISON_WORKERS, backoff_ms};
 pub use sql::{FaultPoint, Faults, SqlStore};
 pub use token::is_token;
-pub(crate) use token::{random_id, random_secret};
+pub(crate) use token::{random_id, random_secret, random_u64};
 
 /// A bake to take in.
 #[derive(Clone, Debug)]
@@ -127,11 +130,24 @@ pub struct TaskCount {
     pub count: u64,
 }
 
+/// Ready tasks of running bakes that ask for the same kind of worker; one that two bakes want counts for both.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Demand {
+    /// Task kind.
+    pub kind: String,
+    /// What their bakes need.
+    pub needs: Needs,
+    /// How many.
+    pub ready: u64,
+}
+
 /// Figures about the whole farm.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Stats {
     /// Tasks by kind and state, ascending; none with a count of 0.
     pub tasks: Vec<TaskCount>,
+    /// What waits for which workers, by kind; none with a count of 0.
+    pub demand: Vec<Demand>,
     /// Bakes that are running or paused.
     pub bakes_live: u64,
     /// All bakes.
@@ -154,7 +170,8 @@ pub trait FarmStore: Send + Sync {
     /// Forgets results whose bytes are lost: tasks that a live bake wants run again, dependants wait again.
     async fn forget(&self, keys: &[TaskKey]) -> Result<(), StoreError>;
 
-    /// Hands out up to `max` ready tasks: by priority of their bake, then its age, then cost, then key.
+    /// Hands out up to `max` ready tasks. One by one they come from the bake with the highest priority, of those from the
+    /// one with the fewest tasks under way ([`rules`] says more), of a bake by cost, then key.
     async fn claim(&self, request: &ClaimRequest) -> Result<Vec<Lease>, StoreError>;
 
     /// Prolongs a lease, or says why not.
@@ -168,6 +185,16 @@ pub trait FarmStore: Send + Sync {
 
     /// Gives a task back; no attempt is counted. False when the lease was gone.
     async fn release(&self, token: &str) -> Result<bool, StoreError>;
+
+    /// Gives every lease that runs out soon its whole length again: the farm did not hear its workers for a while.
+    /// Returns how many.
+    async fn extend_leases(&self) -> Result<u64, StoreError>;
+
+    /// Workers that failed at tasks of a bake.
+    async fn blocklist(&self, bake: &str) -> Result<Blocklist, StoreError>;
+
+    /// Forgets that a worker, or any, failed at tasks of a bake.
+    async fn clear_blocklist(&self, bake: &str, worker: Option<&str>) -> Result<Blocklist, StoreError>;
 
     /// Ends leases that have run out; each counts as an attempt failed by its worker.
     async fn reap(&self) -> Result<Reaped, StoreError>;
@@ -210,6 +237,46 @@ pub trait FarmStore: Send + Sync {
     /// All bearers ever made, by name.
     async fn bearers(&self) -> Result<Vec<Bearer>, StoreError>;
 
+    /// Those of `digests` whose bytes are kept.
+    async fn find_chunks(&self, digests: &[Digest]) -> Result<Vec<KeptChunk>, StoreError>;
+
+    /// The same for one, which from now on stays for the grace.
+    async fn touch_chunk(&self, digest: Digest) -> Result<Option<KeptChunk>, StoreError>;
+
+    /// Takes stored bytes in, in place of the generation `replaces` if that is what the chunk has. Refused if the farm
+    /// would then store more than `quota` bytes.
+    async fn keep_chunk(
+        &self,
+        chunk: KeptChunk,
+        replaces: Option<u64>,
+        quota: Option<u64>,
+    ) -> Result<Kept, StoreError>;
+
+    /// Deletes a bake that has ended, and the results that no other bake holds.
+    async fn delete_bake(&self, bake: &str) -> Result<(), StoreError>;
+
+    /// Deletes old bakes, condemns chunks that nobody needs, and says whose bytes are to be removed.
+    async fn collect(&self, rules: &CollectRules) -> Result<Collected, StoreError>;
+
+    /// Forgets condemned chunks whose bytes have been removed.
+    async fn bury(&self, names: &[ChunkName]) -> Result<(), StoreError>;
+
+    /// Gives up a chunk whose bytes are lost or damaged: results with it among their outputs are forgotten, as by
+    /// [`FarmStore::forget`]. Returns how many. Nothing happens if the chunk has another generation by now.
+    async fn lose_chunk(&self, name: ChunkName) -> Result<u64, StoreError>;
+
+    /// Chunks after `after`, by digest.
+    async fn chunk_rows(&self, after: Option<Digest>, limit: u32) -> Result<Vec<ChunkRow>, StoreError>;
+
+    /// Those of `names` that are neither kept nor condemned.
+    async fn strangers(&self, names: &[ChunkName]) -> Result<Vec<ChunkName>, StoreError>;
+
+    /// Condemns those of `chunks` that are neither kept nor condemned; returns their names.
+    async fn condemn_strangers(&self, chunks: &[KeptChunk]) -> Result<Vec<ChunkName>, StoreError>;
+
+    /// How full the storage is.
+    async fn usage(&self) -> Result<Usage, StoreError>;
+
     /// Figures about the whole farm.
     async fn stats(&self) -> Result<Stats, StoreError>;
 
@@ -220,6 +287,14 @@ pub trait FarmStore: Send + Sync {
 /// Refuses calls that only a live bake allows.
 fn require_live(bake: &str, state: BakeState, action: &'static str) -> Result<(), StoreError> {
     if state.is_final() {
+        return Err(StoreError::StateConflict { bake: bake.to_owned(), state, action });
+    }
+    Ok(())
+}
+
+/// Refuses calls that only an ended bake allows.
+fn require_ended(bake: &str, state: BakeState, action: &'static str) -> Result<(), StoreError> {
+    if !state.is_final() {
         return Err(StoreError::StateConflict { bake: bake.to_owned(), state, action });
     }
     Ok(())

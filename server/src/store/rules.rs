@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use lightkiln_proto::api::{ClaimRequest, Needs};
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{Artefact, MAX_PLAN_TASKS, TaskInput, TaskSpec};
 
@@ -11,6 +12,16 @@ use super::PlanError;
 pub const MAX_ATTEMPTS: u32 = 5;
 /// Distinct workers after whose failures a task counts as poison and is given up.
 pub const POISON_WORKERS: u32 = 3;
+/// Distinct tasks of a bake at which a worker fails before it gets none of that bake any more while others can.
+pub const BLOCK_TASKS: u64 = 3;
+/// Time that one attempt may take unless the bake says otherwise: a day.
+pub const ATTEMPT_LIMIT_SECS: u32 = 86_400;
+/// Bakes with ready tasks that a claim looks at together; among them it shares fairly. More → fairer among many
+/// bakes, dearer claims.
+pub const CLAIM_WINDOW: usize = 64;
+/// A bake whose scene the worker had last counts as if it had so many fewer tasks under way. More → scenes are fetched
+/// less often, and bakes get less even shares.
+pub const LOCALITY_LEASES: i64 = 2;
 /// First wait before a task failed by a worker is tried again; doubles with each attempt.
 pub const BACKOFF_FIRST_MS: i64 = 1_000;
 /// Longest such wait.
@@ -21,6 +32,8 @@ pub const WORKER_PRESENT_MS: i64 = 60_000;
 pub const WORKER_LISTED_MS: i64 = 600_000;
 /// A worker's last-heard time is written at most this often: idle polling costs no disk writes.
 pub const WORKER_SEEN_GRAIN_MS: i64 = 5_000;
+/// That a chunk was asked for is written at most this often.
+pub const CHUNK_USED_GRAIN_MS: i64 = 60_000;
 /// Longest failure message kept, in characters.
 pub const MAX_MESSAGE_CHARS: usize = 4_000;
 /// Longest kind and label of a task, in bytes.
@@ -32,6 +45,71 @@ pub const MAX_TASK_COST: u64 = 1 << 40;
 pub fn backoff_ms(attempts: u32) -> i64 {
     let doublings = attempts.saturating_sub(1).min(16);
     (BACKOFF_FIRST_MS << doublings).min(BACKOFF_MAX_MS)
+}
+
+/// The same with jitter, between half of it and all: tasks that failed together are not tried again together.
+///
+/// The jitter is a function of the task and the attempt, so that every store waits alike.
+pub fn retry_wait_ms(key: TaskKey, attempts: u32) -> i64 {
+    let wait = backoff_ms(attempts);
+    let mut mixed = key.0.to_vec();
+    mixed.extend(attempts.to_le_bytes());
+    let share = (Digest::of(&mixed).short() >> 32) as i64;
+    wait / 2 + (((wait - wait / 2) * share) >> 32)
+}
+
+/// What a worker is and has, as far as claims go.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Abilities {
+    pub(crate) kinds: Vec<String>,
+    pub(crate) threads: u32,
+    pub(crate) memory_mib: u32,
+    pub(crate) labels: Vec<String>,
+}
+
+impl Abilities {
+    pub(crate) fn of(request: &ClaimRequest) -> Self {
+        let ClaimRequest { kinds, threads, memory_mib, labels, .. } = request.clone();
+        Self { kinds, threads, memory_mib, labels }
+    }
+
+    /// Whether such a worker could do what another asks for.
+    pub(crate) fn can_replace(&self, request: &ClaimRequest, needs: &Needs) -> bool {
+        self.kinds.iter().any(|kind| request.kinds.contains(kind)) && self.suffice(needs)
+    }
+
+    /// Whether such a worker may take a bake's tasks.
+    pub(crate) fn suffice(&self, needs: &Needs) -> bool {
+        self.threads >= needs.threads
+            && self.memory_mib >= needs.memory_mib
+            && needs.labels.iter().all(|label| self.labels.contains(label))
+    }
+}
+
+/// A bake with ready tasks, as a claim weighs it.
+#[derive(Clone, Debug)]
+pub struct Contender<B> {
+    pub(crate) bake: B,
+    pub(crate) priority: i64,
+    /// Tasks of it under way.
+    pub(crate) leased: i64,
+    /// The worker had its scene last.
+    pub(crate) is_local: bool,
+}
+
+/// Which of the contenders, oldest first, gets the next task: of those with the highest priority the one with the
+/// fewest tasks under way, where the scene that the worker has counts for some; of equals the oldest.
+pub fn next_contender<B>(contenders: &[Contender<B>]) -> Option<usize> {
+    let rank = |contender: &Contender<B>| {
+        let bonus = if contender.is_local { LOCALITY_LEASES } else { 0 };
+        (-contender.priority, contender.leased - bonus)
+    };
+    (0..contenders.len()).min_by_key(|index| (rank(&contenders[*index]), *index))
+}
+
+/// When an attempt that starts now must have ended.
+pub fn deadline_ms(now_ms: i64, attempt_limit_secs: Option<u32>) -> i64 {
+    now_ms + 1000 * i64::from(attempt_limit_secs.unwrap_or(ATTEMPT_LIMIT_SECS))
 }
 
 /// Whether a task with that many failed attempts by that many workers is given up.
@@ -59,6 +137,11 @@ pub fn given_up_message(label: &str, kind: &str, attempts: u32, workers: u32, me
 /// Why an attempt ended when its lease ran out.
 pub fn expiry_message(worker: &str) -> String {
     format!("worker {worker} was not heard from until its lease ran out")
+}
+
+/// Why an attempt ended when it took too long.
+pub fn limit_message(worker: &str) -> String {
+    format!("worker {worker} took longer than one attempt may take (attempt_limit_secs)")
 }
 
 /// Adds `more` into `sums`, name by name.
@@ -177,6 +260,14 @@ mod tests {
     fn backoff_doubles_and_stops_at_a_minute() {
         assert_eq!([1, 2, 3, 4].map(backoff_ms), [1_000, 2_000, 4_000, 8_000]);
         assert_eq!(backoff_ms(u32::MAX), BACKOFF_MAX_MS);
+    }
+
+    #[test]
+    fn jitter_stays_between_half_and_all_and_differs() {
+        let waits: Vec<i64> = (0..64_u8).map(|key| retry_wait_ms(Digest::of(&[key]), 3)).collect();
+        assert!(waits.iter().all(|wait| (2_000..=4_000).contains(wait)), "{waits:?}");
+        let (least, most) = (waits.iter().min(), waits.iter().max());
+        assert!(least < Some(&2_500) && most > Some(&3_500), "{waits:?}");
     }
 
     #[test]

@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use bytes::Bytes;
 use futures::{StreamExt, TryStreamExt};
 use lightkiln_proto::ids::Digest;
-use lightkiln_server::chunks::{ByteStream, ChunkError, ChunkStore, ObjectChunks, Stored};
+use lightkiln_server::chunks::{ByteStream, ChunkError, ChunkName, ChunkStore, Listed, ObjectChunks, Stored};
 use lightkiln_server::places::ChunksPlace;
 use object_store::aws::{AmazonS3Builder, AmazonS3ConfigKey};
 use object_store::local::LocalFileSystem;
@@ -87,6 +87,7 @@ suite! {
     damaged_chunk_is_not_served_as_whole
     wrong_broken_and_oversized_streams_leave_nothing
     more_chunks_than_one_page_are_listed
+    generations_are_stored_beside_each_other
 }
 
 fn pieces(count: usize, piece_bytes: usize) -> (Digest, u64, ByteStream) {
@@ -101,7 +102,7 @@ async fn read(
     digest: Digest,
     range: std::ops::Range<u64>,
 ) -> Result<Vec<u8>, ChunkError> {
-    let pieces: Vec<Bytes> = chunks.get_range(digest, range).await?.try_collect().await?;
+    let pieces: Vec<Bytes> = chunks.get_range(digest.into(), range).await?.try_collect().await?;
     Ok(pieces.concat())
 }
 
@@ -109,73 +110,76 @@ async fn bytes_come_back_whole_and_in_ranges(kind: Kind) {
     let chunks = &kind.chunks;
     let bytes = Bytes::from_static(b"0123456789");
     let digest = Digest::of(&bytes);
-    assert_eq!(chunks.head(digest).await.unwrap(), None);
-    assert!(chunks.put_if_absent(digest, bytes.clone()).await.unwrap().is_new);
-    assert!(!chunks.put_if_absent(digest, bytes.clone()).await.unwrap().is_new);
-    assert_eq!(chunks.head(digest).await.unwrap(), Some(10));
-    assert_eq!(chunks.get(digest, 10).await.unwrap(), bytes);
-    assert!(matches!(chunks.get(digest, 9).await, Err(ChunkError::TooLarge { limit: 9 })));
+    assert_eq!(chunks.head(digest.into()).await.unwrap(), None);
+    assert!(chunks.put_if_absent(digest.into(), bytes.clone()).await.unwrap().is_new);
+    assert!(!chunks.put_if_absent(digest.into(), bytes.clone()).await.unwrap().is_new);
+    assert_eq!(chunks.head(digest.into()).await.unwrap(), Some(10));
+    assert_eq!(chunks.get(digest.into(), 10).await.unwrap(), bytes);
+    assert!(matches!(chunks.get(digest.into(), 9).await, Err(ChunkError::TooLarge { limit: 9 })));
     assert_eq!(read(chunks, digest, 3..7).await.unwrap(), b"3456");
     assert_eq!(read(chunks, digest, 0..10).await.unwrap(), b"0123456789");
-    let listed: Vec<_> = chunks.list().try_collect().await.unwrap();
-    assert_eq!(listed, [(digest, 10)]);
-    chunks.delete(digest).await.unwrap();
-    chunks.delete(digest).await.unwrap();
-    assert!(matches!(chunks.get(digest, 10).await, Err(ChunkError::NotFound { .. })));
+    let listed: Vec<Listed> = chunks.list().try_collect().await.unwrap();
+    assert_eq!(
+        listed.iter().map(|chunk| (chunk.name, chunk.bytes)).collect::<Vec<_>>(),
+        [(digest.into(), 10)]
+    );
+    chunks.delete(digest.into()).await.unwrap();
+    chunks.delete(digest.into()).await.unwrap();
+    assert!(matches!(chunks.get(digest.into(), 10).await, Err(ChunkError::NotFound { .. })));
     assert!(matches!(read(chunks, digest, 3..7).await, Err(ChunkError::NotFound { .. })));
 }
 
 async fn empty_chunk_is_a_chunk(kind: Kind) {
     let digest = Digest::of(b"");
-    assert!(kind.chunks.put_if_absent(digest, Bytes::new()).await.unwrap().is_new);
-    assert_eq!(kind.chunks.head(digest).await.unwrap(), Some(0));
-    assert_eq!(kind.chunks.get(digest, 0).await.unwrap(), Bytes::new());
+    assert!(kind.chunks.put_if_absent(digest.into(), Bytes::new()).await.unwrap().is_new);
+    assert_eq!(kind.chunks.head(digest.into()).await.unwrap(), Some(0));
+    assert_eq!(kind.chunks.get(digest.into(), 0).await.unwrap(), Bytes::new());
     assert_eq!(read(&kind.chunks, digest, 0..0).await.unwrap(), b"");
 }
 
 async fn long_stream_is_stored_in_parts(kind: Kind) {
     let (digest, length, stream) = pieces(20, 1 << 20);
-    let stored = kind.chunks.put_stream(digest, stream, length).await.unwrap();
+    let stored = kind.chunks.put_stream(digest.into(), stream, length).await.unwrap();
     assert_eq!(stored, Stored { is_new: true, bytes: length });
-    assert_eq!(Digest::of(&kind.chunks.get(digest, length).await.unwrap()), digest);
+    assert_eq!(Digest::of(&kind.chunks.get(digest.into(), length).await.unwrap()), digest);
     assert_eq!(Digest::of(&read(&kind.chunks, digest, 0..length).await.unwrap()), digest);
     assert_eq!(kind.all_objects().await, [Kind::path(digest)]);
     let (_, _, again) = pieces(20, 1 << 20);
-    assert!(!kind.chunks.put_stream(digest, again, length).await.unwrap().is_new);
+    assert!(!kind.chunks.put_stream(digest.into(), again, length).await.unwrap().is_new);
 }
 
 async fn concurrent_uploads_of_the_same_bytes_all_succeed(kind: Kind) {
     let uploads = (0..4).map(|_| {
         let (digest, length, stream) = pieces(9, 1 << 20);
-        kind.chunks.put_stream(digest, stream, length)
+        kind.chunks.put_stream(digest.into(), stream, length)
     });
     let stored = futures::future::try_join_all(uploads).await.unwrap();
     assert!(stored.iter().all(|stored| stored.bytes == 9 << 20));
     let (digest, length, _) = pieces(9, 1 << 20);
-    assert_eq!(Digest::of(&kind.chunks.get(digest, length).await.unwrap()), digest);
+    assert_eq!(Digest::of(&kind.chunks.get(digest.into(), length).await.unwrap()), digest);
     assert_eq!(kind.all_objects().await, [Kind::path(digest)]);
 }
 
 async fn truncated_chunk_is_mended_by_the_next_upload(kind: Kind) {
     for count in [1, 10] {
         let (digest, length, stream) = pieces(count, 1 << 20);
-        kind.chunks.put_stream(digest, stream, length).await.unwrap();
+        kind.chunks.put_stream(digest.into(), stream, length).await.unwrap();
         kind.damage(digest, b"the beginning alone").await;
         let (_, _, again) = pieces(count, 1 << 20);
-        let stored = kind.chunks.put_stream(digest, again, length).await.unwrap();
+        let stored = kind.chunks.put_stream(digest.into(), again, length).await.unwrap();
         assert_eq!(stored, Stored { is_new: true, bytes: length });
-        assert_eq!(Digest::of(&kind.chunks.get(digest, length).await.unwrap()), digest);
+        assert_eq!(Digest::of(&kind.chunks.get(digest.into(), length).await.unwrap()), digest);
     }
 }
 
 async fn damaged_chunk_is_not_served_as_whole(kind: Kind) {
     let (digest, length, stream) = pieces(4, 1 << 20);
-    kind.chunks.put_stream(digest, stream, length).await.unwrap();
-    let mut bytes = kind.chunks.get(digest, length).await.unwrap().to_vec();
+    kind.chunks.put_stream(digest.into(), stream, length).await.unwrap();
+    let mut bytes = kind.chunks.get(digest.into(), length).await.unwrap().to_vec();
     bytes[3 << 19] ^= 1;
     kind.damage(digest, &bytes).await;
-    assert!(matches!(kind.chunks.get(digest, length).await, Err(ChunkError::Damaged { .. })));
-    let mut stream = kind.chunks.get_range(digest, 0..length).await.unwrap();
+    assert!(matches!(kind.chunks.get(digest.into(), length).await, Err(ChunkError::Damaged { .. })));
+    let mut stream = kind.chunks.get_range(digest.into(), 0..length).await.unwrap();
     let mut served = 0;
     let error = loop {
         match stream.next().await.expect("an error before the end") {
@@ -190,18 +194,19 @@ async fn wrong_broken_and_oversized_streams_leave_nothing(kind: Kind) {
     for count in [1, 20] {
         let (right, length, stream) = pieces(count, 1 << 20);
         let wrong = Digest::of(b"other");
-        let error = kind.chunks.put_stream(wrong, stream, length).await.unwrap_err();
+        let error = kind.chunks.put_stream(wrong.into(), stream, length).await.unwrap_err();
         assert!(matches!(error, ChunkError::DigestMismatch { .. }), "{error}");
         let (_, _, stream) = pieces(count, 1 << 20);
-        let error = kind.chunks.put_stream(right, stream, length - 1).await.unwrap_err();
+        let error = kind.chunks.put_stream(right.into(), stream, length - 1).await.unwrap_err();
         assert!(matches!(error, ChunkError::TooLarge { .. }), "{error}");
         let (_, _, stream) = pieces(count, 1 << 20);
         let broken = futures::stream::once(async { Err(ChunkError::Broken("cut".into())) });
-        let error = kind.chunks.put_stream(right, stream.chain(broken).boxed(), length).await.unwrap_err();
+        let error =
+            kind.chunks.put_stream(right.into(), stream.chain(broken).boxed(), length).await.unwrap_err();
         assert!(matches!(error, ChunkError::Broken(_)), "{error}");
-        let error = kind.chunks.put_if_absent(wrong, Bytes::from_static(b"bytes")).await.unwrap_err();
+        let error = kind.chunks.put_if_absent(wrong.into(), Bytes::from_static(b"bytes")).await.unwrap_err();
         assert!(matches!(error, ChunkError::DigestMismatch { .. }), "{error}");
-        assert_eq!(kind.chunks.head(right).await.unwrap(), None);
+        assert_eq!(kind.chunks.head(right.into()).await.unwrap(), None);
         assert_eq!(kind.all_objects().await, []);
     }
 }
@@ -210,18 +215,36 @@ async fn more_chunks_than_one_page_are_listed(kind: Kind) {
     let digests: Vec<Digest> = (0_u32..1_010).map(|number| Digest::of(&number.to_le_bytes())).collect();
     let put = |number: u32| {
         let bytes = Bytes::copy_from_slice(&number.to_le_bytes());
-        kind.chunks.put_if_absent(digests[number as usize], bytes)
+        kind.chunks.put_if_absent(digests[number as usize].into(), bytes)
     };
     let puts = futures::stream::iter((0..1_010).map(put)).buffer_unordered(8);
     let puts: Vec<Stored> = puts.try_collect().await.unwrap();
     assert!(puts.iter().all(|stored| stored.is_new));
     // A name that is no digest is nobody's chunk.
     kind.objects.put(&Path::from("notes/readme"), b"hello".to_vec().into()).await.unwrap();
-    let mut listed: Vec<(Digest, u64)> = kind.chunks.list().try_collect().await.unwrap();
+    let listed: Vec<Listed> = kind.chunks.list().try_collect().await.unwrap();
+    let mut listed: Vec<_> = listed.into_iter().map(|chunk| (chunk.name.digest, chunk.bytes)).collect();
     listed.sort();
     let mut wanted: Vec<_> = digests.into_iter().map(|digest| (digest, 4)).collect();
     wanted.sort();
     assert_eq!(listed, wanted);
+}
+
+async fn generations_are_stored_beside_each_other(kind: Kind) {
+    let chunks = &kind.chunks;
+    let bytes = Bytes::from_static(b"0123456789");
+    let first = ChunkName::from(Digest::of(&bytes));
+    let (second, third) = (ChunkName::fresh(first.digest).unwrap(), ChunkName::fresh(first.digest).unwrap());
+    assert_ne!(second, third);
+    for name in [first, second] {
+        assert!(chunks.put_if_absent(name, bytes.clone()).await.unwrap().is_new);
+    }
+    assert_eq!(chunks.head(third).await.unwrap(), None);
+    chunks.delete(first).await.unwrap();
+    assert_eq!(chunks.get(second, 10).await.unwrap(), bytes);
+    let listed: Vec<Listed> = chunks.list().try_collect().await.unwrap();
+    assert_eq!(listed.iter().map(|chunk| chunk.name).collect::<Vec<_>>(), [second]);
+    assert!(listed[0].written_ms > 1_600_000_000_000, "{}", listed[0].written_ms);
 }
 
 /// No file of a broken upload stays in the folder, not even one that is hidden from listings.
@@ -230,7 +253,7 @@ async fn folder_keeps_no_stages_of_broken_uploads() {
     let folder = tempfile::tempdir().unwrap();
     let chunks = ObjectChunks::in_folder(folder.path()).unwrap();
     let (_, length, stream) = pieces(20, 1 << 20);
-    chunks.put_stream(Digest::of(b"other"), stream, length).await.unwrap_err();
+    chunks.put_stream(Digest::of(b"other").into(), stream, length).await.unwrap_err();
     let mut folders = vec![folder.path().to_owned()];
     while let Some(folder) = folders.pop() {
         for entry in std::fs::read_dir(folder).unwrap() {
@@ -251,6 +274,6 @@ async fn store_that_is_away_is_unavailable() {
     ];
     let settings = settings.map(|(name, value)| (name.to_owned(), value));
     let chunks = ObjectChunks::in_s3("farm", "", settings).unwrap();
-    let error = chunks.head(Digest::of(b"")).await.unwrap_err();
+    let error = chunks.head(Digest::of(b"").into()).await.unwrap_err();
     assert!(matches!(error, ChunkError::Unavailable(_)), "{error}");
 }

@@ -97,7 +97,7 @@ pub async fn ended_bake_refuses_changes(world: World) {
     assert!(is_conflict(world.store.reprioritise(&bake.id, 3).await));
 }
 
-pub async fn priority_then_age_then_cost_then_key_decide_the_order(world: World) {
+pub async fn priority_then_share_then_age_then_cost_then_key_decide_the_order(world: World) {
     let cheap = [task_of("work", "cheap 1", &[], 1), task_of("work", "cheap 2", &[], 1)];
     let mut by_key = cheap.clone();
     by_key.sort_by_key(|task| task.key);
@@ -105,7 +105,7 @@ pub async fn priority_then_age_then_cost_then_key_decide_the_order(world: World)
     world.submit_at("old", 0, &[cheap[0].clone(), dear, cheap[1].clone()]).await;
     world.submit_at("young", 0, &[task_of("work", "young", &[], 99)]).await;
     world.submit_at("urgent", 1, &[task("urgent", &[])]).await;
-    let wanted = ["urgent", "dear", &by_key[0].label, &by_key[1].label, "young"];
+    let wanted = ["urgent", "dear", "young", &by_key[0].label, &by_key[1].label];
     assert_eq!(world.claim_labels("w", 10).await, wanted);
 }
 

@@ -8,10 +8,12 @@ use lightkiln_proto::api::{BakeState, CommitVerdict};
 use lightkiln_server::clock::ManualClock;
 use lightkiln_server::store::{FarmStore, SqlStore, StoreError};
 
-use crate::support::{TTL_MS, request, result, submission, task};
+use crate::support::{TTL_MS, request, result, stock, submission, task};
 
 async fn open(folder: &Path, clock: &Arc<ManualClock>) -> SqlStore {
-    SqlStore::open_sqlite(&folder.join("farm.sqlite"), clock.clone()).await.unwrap()
+    let store = SqlStore::open_sqlite(&folder.join("farm.sqlite"), clock.clone()).await.unwrap();
+    stock(&store).await;
+    store
 }
 
 /// What a process that is killed now leaves behind: the files as they are, nothing closed.

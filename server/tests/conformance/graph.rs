@@ -3,10 +3,11 @@
 use std::slice::from_ref;
 
 use lightkiln_proto::api::{BakeState, CommitVerdict};
+use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::TaskInput;
 use lightkiln_server::store::{PlanError, StoreError};
 
-use crate::support::{World, outputs, result, submission, task, task_of};
+use crate::support::{SCENE, World, outputs, result, submission, task, task_of};
 
 pub async fn dependants_start_only_after_commit(world: World) {
     let a = task("a", &[]);
@@ -26,7 +27,7 @@ pub async fn dependants_start_only_after_commit(world: World) {
 pub async fn lease_carries_the_outputs_of_dependencies(world: World) {
     let (a, b) = (task("a", &[]), task("b", &[]));
     let mut both = task("both", &[&b, &a]);
-    let scene = TaskInput::Artefact { name: "scene".into(), digest: a.key };
+    let scene = TaskInput::Artefact { name: "scene".into(), digest: Digest::of(SCENE) };
     both.inputs.insert(1, scene);
     let bake = world.submit("bake", &[a.clone(), b.clone(), both.clone()]).await;
     for lease in world.claim("w", 2).await {
@@ -36,7 +37,7 @@ pub async fn lease_carries_the_outputs_of_dependencies(world: World) {
     assert_eq!((lease.bake, lease.task), (bake.id, both));
     let inputs: Vec<_> = lease.inputs.iter().map(|input| (input.name.as_str(), input.digest)).collect();
     let out = |key| outputs(key)[0].digest;
-    assert_eq!(inputs, [("in0/out", out(b.key)), ("scene", a.key), ("in1/out", out(a.key))]);
+    assert_eq!(inputs, [("in0/out", out(b.key)), ("scene", Digest::of(SCENE)), ("in1/out", out(a.key))]);
     assert_eq!(lease.inputs[0].bytes, 32);
 }
 

@@ -4,30 +4,39 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bytes::Bytes;
-use lightkiln_proto::api::{Bake, BakeState, ClaimRequest, CommitVerdict, NewBake};
+use lightkiln_proto::api::{Bake, BakeState, ClaimRequest, CommitVerdict, Needs, NewBake};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{Artefact, TaskResult, TaskSpec};
 use lightkiln_proto::problem::ProblemCode;
-use lightkiln_server::chunks::ObjectChunks;
+use lightkiln_server::chunks::{ChunkStore, ObjectChunks};
 use lightkiln_server::farm::Farm;
+use lightkiln_server::storage::Storage;
 use lightkiln_server::wakeup::{LocalWakeup, NoWakeup, Wakeup};
 use tokio::sync::watch;
 use tokio::time::Instant;
 
-use crate::support::{World, task};
+use crate::support::{SCENE, World, task};
 
 /// Longer than any test may take: who waits this long has missed a hint.
 const LONG: Duration = Duration::from_secs(3600);
 /// Short enough to stand for polling.
 const SHORT: Duration = Duration::from_millis(2);
-const SCENE: &[u8] = b"scene";
 
 fn farm(world: &World, wakeup: Arc<dyn Wakeup>, poll_interval: Duration) -> Arc<Farm> {
+    farm_over(world, Arc::new(ObjectChunks::in_memory()), wakeup, poll_interval)
+}
+
+fn farm_over(
+    world: &World,
+    chunks: Arc<ObjectChunks>,
+    wakeup: Arc<dyn Wakeup>,
+    poll_interval: Duration,
+) -> Arc<Farm> {
     let (closing, is_closing) = watch::channel(false);
     // Open until the process ends.
     std::mem::forget(closing);
-    let chunks = Arc::new(ObjectChunks::in_memory());
-    Arc::new(Farm::new(world.store.clone(), chunks, wakeup, poll_interval, is_closing))
+    let storage = Storage::new(world.store.clone(), chunks, None);
+    Arc::new(Farm::new(world.store.clone(), storage, wakeup, poll_interval, is_closing))
 }
 
 fn hinted(world: &World) -> Arc<Farm> {
@@ -40,15 +49,32 @@ fn polled(world: &World) -> Arc<Farm> {
 
 async fn submit(farm: &Farm) -> Bake {
     let scene = Digest::of(SCENE);
-    farm.chunks.put_if_absent(scene, Bytes::from_static(SCENE)).await.unwrap();
+    farm.storage.put(scene, Bytes::from_static(SCENE)).await.unwrap();
     let settings = serde_json::json!({});
-    let bake = NewBake { name: "bake".into(), scene, kind: "prt".into(), settings, priority: 0 };
+    let bake = NewBake {
+        name: "bake".into(),
+        scene,
+        kind: "prt".into(),
+        settings,
+        priority: 0,
+        needs: Needs::default(),
+        attempt_limit_secs: None,
+    };
     farm.submit(bake, None).await.unwrap()
 }
 
 fn request(worker: &str) -> ClaimRequest {
     let kinds = ["prt.import", "prt.prepare", "work"].map(str::to_owned).to_vec();
-    ClaimRequest { worker: worker.into(), kinds, threads: 1, max: 1, ttl_secs: 30, wait_secs: 60 }
+    ClaimRequest {
+        worker: worker.into(),
+        kinds,
+        threads: 1,
+        memory_mib: 0,
+        labels: Vec::new(),
+        max: 1,
+        ttl_secs: 30,
+        wait_secs: 60,
+    }
 }
 
 async fn claim_while_submitting(farm: Arc<Farm>) {
@@ -121,7 +147,7 @@ pub async fn waiting_for_events_ends_with_one(world: World) {
 async fn run_one(farm: &Farm, content: &'static [u8]) -> Digest {
     let lease = farm.claim(request("w")).await.unwrap().leases.remove(0);
     let digest = Digest::of(content);
-    farm.chunks.put_if_absent(digest, Bytes::from_static(content)).await.unwrap();
+    farm.storage.put(digest, Bytes::from_static(content)).await.unwrap();
     let outputs = vec![Artefact { name: "out".into(), digest, bytes: content.len() as u64 }];
     let result = TaskResult { outputs, ..TaskResult::default() };
     assert_eq!(farm.commit(&lease.token, result).await.unwrap(), CommitVerdict::Committed);
@@ -129,12 +155,14 @@ async fn run_one(farm: &Farm, content: &'static [u8]) -> Digest {
 }
 
 pub async fn results_whose_bytes_are_gone_are_run_again(world: World) {
-    let farm = hinted(&world);
+    let chunks = Arc::new(ObjectChunks::in_memory());
+    let farm = farm_over(&world, chunks.clone(), Arc::new(LocalWakeup::default()), LONG);
     submit(&farm).await;
     run_one(&farm, b"imported").await;
     let prepared = run_one(&farm, b"prepared").await;
     assert_eq!(submit(&farm).await.tasks_reused, 2);
-    farm.chunks.delete(prepared).await.unwrap();
+    let name = world.store.find_chunks(&[prepared]).await.unwrap()[0].name;
+    chunks.delete(name).await.unwrap();
     let again = submit(&farm).await;
     assert_eq!((again.state, again.tasks_reused), (BakeState::Running, 1));
     run_one(&farm, b"prepared").await;

@@ -3,11 +3,12 @@
 use lightkiln_proto::api::{Bake, BakeEvent, Blame, Lease, Worker};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{TaskResult, TaskSpec};
+use lightkiln_server::store::chunk::{ChunkRow, CollectRules, Usage};
 use lightkiln_server::store::{Stats, StoreError};
 use proptest::collection::vec;
 use proptest::prelude::*;
 
-use crate::support::{World, in_time, outputs, request, submission, task_of};
+use crate::support::{SCENE, World, chunk, in_time, output, outputs, request, submission, task_of};
 
 /// Tasks of the universe.
 const TASKS: usize = 9;
@@ -32,6 +33,13 @@ enum Step {
     Cancel(usize),
     Priority(usize, i32),
     Forget(usize),
+    Keep { output: u8, generation: u64, replaces: Option<u64>, quota: Option<u64> },
+    Touch(u8),
+    Lose(u8, u64),
+    Collect { grace_ms: i64, keep_bakes_ms: Option<i64>, buries: bool },
+    Delete(usize),
+    Extend,
+    Clear { bake: usize, worker: Option<u8> },
 }
 
 fn step() -> impl Strategy<Value = Step> {
@@ -54,6 +62,15 @@ fn step() -> impl Strategy<Value = Step> {
         1 => any.clone().prop_map(Step::Cancel),
         1 => (any.clone(), -1..3).prop_map(|(bake, priority)| Step::Priority(bake, priority)),
         1 => (0..TASKS).prop_map(Step::Forget),
+        3 => (0_u8..5, 1_u64..4, prop::option::weighted(0.2, 1_u64..4), prop::option::weighted(0.2, 100_u64..200))
+            .prop_map(|(output, generation, replaces, quota)| Step::Keep { output, generation, replaces, quota }),
+        1 => (0_u8..5).prop_map(Step::Touch),
+        1 => (0_u8..5, 1_u64..4).prop_map(|(output, generation)| Step::Lose(output, generation)),
+        2 => (prop_oneof![Just(0_i64), Just(50_000)], prop::option::weighted(0.3, Just(20_000_i64)), prop::bool::ANY)
+            .prop_map(|(grace_ms, keep_bakes_ms, buries)| Step::Collect { grace_ms, keep_bakes_ms, buries }),
+        1 => any.clone().prop_map(Step::Delete),
+        1 => Just(Step::Extend),
+        1 => (any.clone(), prop::option::of(0_u8..4)).prop_map(|(bake, worker)| Step::Clear { bake, worker }),
     ]
 }
 
@@ -80,6 +97,8 @@ struct Seen {
     bakes: Vec<(Bake, Vec<BakeEvent>)>,
     workers: Vec<Worker>,
     stats: Stats,
+    rows: Vec<ChunkRow>,
+    usage: Usage,
 }
 
 impl Side {
@@ -101,6 +120,9 @@ impl Side {
                 let plan = plan_of(chosen, *is_closed, tasks);
                 let mut submission = submission("bake", &plan);
                 submission.bake.priority = *priority;
+                submission.bake.needs.threads = if chosen[0] == 3 { 3 } else { 0 };
+                submission.bake.attempt_limit_secs = (chosen[0] == 4).then_some(40);
+                submission.bake.scene = chunk_of(if chosen[0] == 5 { 1 } else { 4 });
                 submission.idempotency_key = key.map(|key| format!("key {key}"));
                 submission.body_hash = Digest::of(format!("{chosen:?}").as_bytes());
                 let submitted = store.submit(&submission).await;
@@ -117,6 +139,7 @@ impl Side {
             Step::Claim { worker, max, knows_more } => {
                 let mut request = request(&format!("worker {worker}"), *max);
                 request.kinds.truncate(if *knows_more { 2 } else { 1 });
+                request.threads = u32::from(*worker) + 1;
                 let leases = store.claim(&request).await.unwrap();
                 let told: Vec<_> = leases
                     .iter()
@@ -158,8 +181,51 @@ impl Side {
                 let priority = *priority;
                 changed(bake(number), |id| async move { store.reprioritise(&id, priority).await }).await
             }
+            Step::Keep { output, generation, replaces, quota } => {
+                let kept = store.keep_chunk(chunk(chunk_of(*output), *generation), *replaces, *quota).await;
+                kept.map_or_else(|error| error.to_string(), |kept| format!("{kept:?}"))
+            }
+            Step::Touch(output) => format!("{:?}", store.touch_chunk(chunk_of(*output)).await.unwrap()),
+            Step::Lose(output, generation) => {
+                let name = chunk(chunk_of(*output), *generation).name;
+                format!("{}", store.lose_chunk(name).await.unwrap())
+            }
+            Step::Collect { grace_ms, keep_bakes_ms, buries } => {
+                let rules = CollectRules { grace_ms: *grace_ms, keep_bakes_ms: *keep_bakes_ms, max: 3 };
+                let collected = store.collect(&rules).await.unwrap();
+                if *buries {
+                    store.bury(&collected.to_remove).await.unwrap();
+                }
+                self.drop_deleted().await;
+                format!("{collected:?}")
+            }
+            Step::Delete(number) => {
+                let Some(id) = bake(number) else { return String::new() };
+                let deleted = store.delete_bake(&id).await;
+                self.drop_deleted().await;
+                deleted.map_or_else(|error| refusal(&error), |()| "deleted".to_owned())
+            }
+            Step::Extend => format!("{}", store.extend_leases().await.unwrap()),
+            Step::Clear { bake: number, worker } => {
+                let Some(id) = bake(number) else { return String::new() };
+                let before = store.blocklist(&id).await.unwrap();
+                let worker = worker.map(|worker| format!("worker {worker}"));
+                let left = store.clear_blocklist(&id, worker.as_deref()).await.unwrap();
+                format!("{before:?} {left:?}")
+            }
             Step::Forget(task) => format!("{:?}", store.forget(&[tasks[*task].key]).await.is_ok()),
         }
+    }
+
+    /// Forgets the names of bakes that are no more, and of what was leased for them.
+    async fn drop_deleted(&mut self) {
+        let mut left = Vec::new();
+        for id in std::mem::take(&mut self.bakes) {
+            if self.world.store.show(&id).await.is_ok() {
+                left.push(id);
+            }
+        }
+        self.bakes = left;
     }
 
     async fn look(&self) -> Seen {
@@ -174,8 +240,9 @@ impl Side {
             page.bake.id = number.to_string();
             bakes.push((page.bake, page.events));
         }
+        let (rows, usage) = (store.chunk_rows(None, 100).await.unwrap(), store.usage().await.unwrap());
         let (workers, stats) = (store.workers().await.unwrap(), store.stats().await.unwrap());
-        Seen { bakes, workers, stats }
+        Seen { bakes, workers, stats, rows, usage }
     }
 
     /// Lets everything end: every live bake must, for nothing may wait for ever.
@@ -185,9 +252,12 @@ impl Side {
             let _ = self.world.store.resume(id).await;
         }
         self.world.clock.advance_ms(700_000);
+        stock_again(&self.world).await;
         self.world.store.reap().await.unwrap();
         loop {
-            let leases = self.world.claim("finisher", 4).await;
+            let mut request = request("finisher", 4);
+            request.threads = 8;
+            let leases = self.world.store.claim(&request).await.unwrap();
             if leases.is_empty() {
                 break;
             }
@@ -231,12 +301,26 @@ where
     }
 }
 
+/// Whatever was cleared away is stored again, under names that nobody has used.
+async fn stock_again(world: &World) {
+    for number in 0..5 {
+        world.store.keep_chunk(chunk(chunk_of(number), 9), None, None).await.unwrap();
+    }
+}
+
+/// One of the chunks of a history: an output, or the scene.
+fn chunk_of(number: u8) -> Digest {
+    if number == 4 { Digest::of(SCENE) } else { output(number) }
+}
+
 /// A refusal without the ids in it.
 fn refusal(error: &StoreError) -> String {
     match error {
         StoreError::Plan(error) => format!("{error:?}"),
         StoreError::StateConflict { state, action, .. } => format!("{state:?} {action}"),
         StoreError::IdempotencyConflict { key } => key.clone(),
+        StoreError::MissingChunk { .. } => "a chunk is missing".to_owned(),
+        StoreError::NoSuchBake { .. } => "no such bake".to_owned(),
         other => panic!("no step can cause {other}"),
     }
 }
@@ -264,6 +348,8 @@ async fn assert_same(store: &Side, model: &Side, when: &str) {
     }
     assert_eq!(found.workers, expected.workers, "{when}");
     assert_eq!(found.stats, expected.stats, "{when}");
+    assert_eq!(found.rows, expected.rows, "{when}");
+    assert_eq!(found.usage, expected.usage, "{when}");
 }
 
 /// Histories to try: 48, or as many as `LIGHTKILN_HISTORIES` says for a longer search.

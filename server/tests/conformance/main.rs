@@ -5,6 +5,7 @@
 mod bakes;
 mod batch;
 mod bearers;
+mod chunks;
 mod crash;
 mod durability;
 mod failure;
@@ -16,6 +17,7 @@ mod leases;
 mod parts;
 mod replicas;
 mod reuse;
+mod scheduling;
 mod support;
 mod views;
 
@@ -50,13 +52,34 @@ conformance! {
         cancel_keeps_what_another_bake_wants
         cancel_again_changes_nothing
         ended_bake_refuses_changes
-        priority_then_age_then_cost_then_key_decide_the_order
+        priority_then_share_then_age_then_cost_then_key_decide_the_order
         changed_priority_changes_the_order
         unknown_bake_is_an_error;
     bearers:
         bearers_are_listed_by_name_also_when_revoked
         name_of_a_bearer_is_given_once
         revoking_again_changes_nothing;
+    chunks:
+        first_of_equal_bytes_is_kept
+        replaced_bytes_are_condemned
+        chunk_that_nobody_needs_goes_after_the_grace
+        what_a_bake_needs_stays_until_it_is_deleted
+        result_of_two_bakes_stays_until_both_are_deleted
+        live_bake_cannot_be_deleted
+        old_bakes_are_deleted_when_they_are_not_to_be_kept
+        result_whose_output_went_is_refused_until_it_is_stored_again
+        bake_without_its_scene_or_artefacts_is_refused
+        lost_chunk_makes_its_task_run_again
+        lost_scene_can_be_uploaded_again
+        quota_refuses_what_would_exceed_it
+        strangers_are_condemned_and_others_are_not
+        equal_bytes_are_stored_once_and_removed_when_nobody_needs_them
+        late_removal_does_not_meet_what_was_stored_meanwhile
+        uploads_beside_collections_lose_nothing
+        damaged_bytes_are_given_up_when_they_are_read
+        upload_beyond_the_quota_leaves_nothing_and_works_when_there_is_room
+        bytes_from_before_generations_are_found
+        check_finds_what_is_wrong_and_makes_it_good;
     graph:
         dependants_start_only_after_commit
         lease_carries_the_outputs_of_dependencies
@@ -89,6 +112,16 @@ conformance! {
         leases_that_run_out_count_as_attempts
         failed_bake_drops_its_other_tasks
         failed_task_gets_another_chance_in_a_new_bake;
+    scheduling:
+        bakes_of_one_priority_share_the_workers
+        worker_keeps_to_the_scene_that_it_has
+        bakes_wait_for_workers_that_have_what_they_need
+        task_is_not_left_to_a_worker_that_cannot_do_it
+        worker_that_fails_again_and_again_is_blocked_until_it_is_cleared
+        attempt_that_takes_too_long_is_ended_although_its_worker_is_heard
+        bake_that_always_takes_too_long_says_so
+        leases_run_on_after_the_farm_could_not_hear_anybody
+        hundred_bakes_are_all_served;
     reuse:
         done_task_is_not_run_again_and_its_plan_is_followed
         bake_of_done_tasks_is_done_at_once

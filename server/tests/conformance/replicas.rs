@@ -7,12 +7,15 @@ use std::time::Duration;
 
 use async_trait::async_trait;
 use bytes::Bytes;
-use lightkiln_proto::api::{Bake, BakeState, ClaimRequest, CommitVerdict, EventKind, NewBake, Verdict};
+use lightkiln_proto::api::{
+    Bake, BakeState, ClaimRequest, CommitVerdict, EventKind, Needs, NewBake, Verdict,
+};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::TaskSpec;
 use lightkiln_server::chunks::ObjectChunks;
 use lightkiln_server::clock::{Clock, SystemClock};
 use lightkiln_server::farm::Farm;
+use lightkiln_server::storage::Storage;
 use lightkiln_server::store::{FarmStore, FaultPoint, Faults, SqlStore, StoreError, Submission};
 use lightkiln_server::wakeup::{PostgresWakeup, Wakeup};
 use sqlx::{Connection, Executor, PgConnection};
@@ -20,7 +23,7 @@ use tokio::sync::watch;
 
 use crate::crash::end_sessions;
 use crate::parts::postgres::empty_schema;
-use crate::support::{in_time, request, result, submission, task};
+use crate::support::{in_time, request, result, stock, submission, task};
 
 /// Longer than any test may take.
 const LONG: Duration = Duration::from_secs(3600);
@@ -31,7 +34,9 @@ async fn replicas() -> (String, [Arc<SqlStore>; 2]) {
     // Both at once: one of them makes the tables, the other waits for it.
     let (a, b) =
         futures::future::join(SqlStore::open_postgres(&url, None), SqlStore::open_postgres(&url, None)).await;
-    (url, [Arc::new(a.unwrap()), Arc::new(b.unwrap())])
+    let stores = [Arc::new(a.unwrap()), Arc::new(b.unwrap())];
+    stock(&*stores[0]).await;
+    (url, stores)
 }
 
 async fn submit(store: &SqlStore, name: &str, plan: &[TaskSpec]) -> Bake {
@@ -261,7 +266,8 @@ async fn farm(url: &str, store: &Arc<SqlStore>, chunks: &Arc<ObjectChunks>) -> F
     // Open until the process ends.
     std::mem::forget(closing);
     let wakeup = Arc::new(PostgresWakeup::connect(url).await.unwrap());
-    Farm::new(store.clone(), chunks.clone(), wakeup, LONG, is_closing)
+    let storage = Storage::new(store.clone(), chunks.clone(), None);
+    Farm::new(store.clone(), storage, wakeup, LONG, is_closing)
 }
 
 #[tokio::test]
@@ -270,10 +276,18 @@ async fn hint_of_one_server_wakes_a_claim_at_the_other() {
     let chunks = Arc::new(ObjectChunks::in_memory());
     let farms = [farm(&url, &stores[0], &chunks).await, farm(&url, &stores[1], &chunks).await];
     let scene = Digest::of(b"scene");
-    farms[0].chunks.put_if_absent(scene, Bytes::from_static(b"scene")).await.unwrap();
+    farms[0].storage.put(scene, Bytes::from_static(b"scene")).await.unwrap();
     let waiting = ClaimRequest { kinds: vec!["prt.import".into()], wait_secs: 60, ..request("w", 1) };
     let settings = serde_json::json!({});
-    let bake = NewBake { name: "bake".into(), scene, kind: "prt".into(), settings, priority: 0 };
+    let bake = NewBake {
+        name: "bake".into(),
+        scene,
+        kind: "prt".into(),
+        settings,
+        priority: 0,
+        needs: Needs::default(),
+        attempt_limit_secs: None,
+    };
     let submit_when_it_waits = async {
         while stores[0].workers().await.unwrap().is_empty() {}
         farms[1].submit(bake, None).await.unwrap();

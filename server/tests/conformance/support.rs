@@ -4,10 +4,12 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crate::parts::postgres::empty_schema;
-use lightkiln_proto::api::{Bake, BakeEvent, BakeState, ClaimRequest, CommitVerdict, Lease, NewBake};
+use lightkiln_proto::api::{Bake, BakeEvent, BakeState, ClaimRequest, CommitVerdict, Lease, Needs, NewBake};
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{Artefact, TaskInput, TaskResult, TaskSpec};
+use lightkiln_server::chunks::ChunkName;
 use lightkiln_server::clock::ManualClock;
+use lightkiln_server::store::chunk::KeptChunk;
 use lightkiln_server::store::{FarmStore, MemoryStore, SqlStore, Submission};
 
 /// Lease length of the tests' claims.
@@ -50,10 +52,12 @@ pub fn task_of(kind: &str, name: &str, needs: &[&TaskSpec], cost: u64) -> TaskSp
 pub fn submission(name: &str, plan: &[TaskSpec]) -> Submission {
     let bake = NewBake {
         name: name.into(),
-        scene: Digest::of(b"scene"),
+        scene: Digest::of(SCENE),
         kind: "test".into(),
         settings: serde_json::json!({ "preset": "draft" }),
         priority: 0,
+        needs: Needs::default(),
+        attempt_limit_secs: None,
     };
     Submission { idempotency_key: None, body_hash: Digest::of(name.as_bytes()), bake, plan: plan.to_vec() }
 }
@@ -61,12 +65,49 @@ pub fn submission(name: &str, plan: &[TaskSpec]) -> Submission {
 /// A claim of kind `work`.
 pub fn request(worker: &str, max: u32) -> ClaimRequest {
     let kinds = vec!["work".to_owned(), "more".to_owned()];
-    ClaimRequest { worker: worker.into(), kinds, threads: 2, max, ttl_secs: TTL_SECS, wait_secs: 0 }
+    ClaimRequest {
+        worker: worker.into(),
+        kinds,
+        threads: 2,
+        memory_mib: 0,
+        labels: Vec::new(),
+        max,
+        ttl_secs: TTL_SECS,
+        wait_secs: 0,
+    }
 }
+
+/// Bytes that tests need not store: every world has them.
+pub const SCENE: &[u8] = b"scene";
+/// Chunks that tasks' outputs are taken from.
+const OUTPUTS: u8 = 4;
+/// Length of each output.
+const OUTPUT_BYTES: u64 = 32;
 
 /// The outputs of a task: a pure function of its key.
 pub fn outputs(key: TaskKey) -> Vec<Artefact> {
-    vec![Artefact { name: "out".into(), digest: Digest::of(&key.0), bytes: 32 }]
+    vec![Artefact { name: "out".into(), digest: output(key.0[0]), bytes: OUTPUT_BYTES }]
+}
+
+/// One of the chunks that outputs are taken from.
+pub fn output(number: u8) -> Digest {
+    Digest::of(&[number % OUTPUTS])
+}
+
+/// A chunk of that digest, stored for the `generation`-th time.
+pub fn chunk(digest: Digest, generation: u64) -> KeptChunk {
+    KeptChunk { name: ChunkName { digest, generation }, bytes: OUTPUT_BYTES }
+}
+
+/// Stores the scene and the outputs, unless that was done before.
+pub async fn stock(store: &dyn FarmStore) {
+    let digests = (0..OUTPUTS).map(output).chain([Digest::of(SCENE)]);
+    let digests: Vec<Digest> = digests.collect();
+    let known = store.find_chunks(&digests).await.unwrap();
+    for digest in digests.into_iter().filter(|digest| !known.iter().any(|chunk| chunk.name.digest == *digest))
+    {
+        store.keep_chunk(chunk(digest, 1), None, None).await.unwrap();
+    }
 }
 
 /// A result with that plan.
@@ -78,7 +119,9 @@ pub fn result(lease: &Lease, plan: &[TaskSpec]) -> TaskResult {
 impl World {
     pub async fn memory() -> Self {
         let clock = Arc::new(ManualClock::at(START_MS));
-        Self { store: Arc::new(MemoryStore::new(clock.clone())), clock, _folder: None }
+        let store = MemoryStore::new(clock.clone());
+        stock(&store).await;
+        Self { store: Arc::new(store), clock, _folder: None }
     }
 
     pub async fn sqlite() -> Self {
@@ -86,6 +129,7 @@ impl World {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("farm.sqlite");
         let store = SqlStore::open_sqlite(&path, clock.clone()).await.unwrap();
+        stock(&store).await;
         Self { store: Arc::new(store), clock, _folder: Some(folder) }
     }
 
@@ -93,6 +137,7 @@ impl World {
         let clock = Arc::new(ManualClock::at(START_MS));
         let url = empty_schema().await;
         let store = SqlStore::open_postgres(&url, Some(clock.clone())).await.unwrap();
+        stock(&store).await;
         Self { store: Arc::new(store), clock, _folder: None }
     }
 

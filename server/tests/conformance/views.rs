@@ -3,11 +3,10 @@
 use std::slice::from_ref;
 
 use lightkiln_proto::api::{BakeState, EventKind};
-use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{Artefact, MANIFEST_OUTPUT, REPORT_OUTPUT, TaskResult};
 use lightkiln_server::store::{TaskCount, TaskState};
 
-use crate::support::{World, request, task, task_of};
+use crate::support::{World, output, request, task, task_of};
 
 pub async fn events_have_no_gaps_and_tell_the_story(world: World) {
     let planner = task("plan", &[]);
@@ -84,8 +83,8 @@ pub async fn stages_count_what_happens(world: World) {
 pub async fn results_are_named_when_done(world: World) {
     let bake = world.submit("bake", &[task("a", &[]), task("b", &[])]).await;
     let leases = world.claim("w", 2).await;
-    let digest = Digest::of(b"manifest");
-    let named = |name: &str| Artefact { name: name.into(), digest, bytes: 8 };
+    let digest = output(0);
+    let named = |name: &str| Artefact { name: name.into(), digest, bytes: 32 };
     let outputs = vec![named(MANIFEST_OUTPUT), named(REPORT_OUTPUT)];
     let result = TaskResult { outputs, ..TaskResult::default() };
     world.store.commit(&leases[0].token, &result).await.unwrap();

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use lightkiln_proto::api::{
     Bake, BakePage, BakeState, Blame, ClaimAnswer, ClaimRequest, CommitAnswer, CommitVerdict, Failure,
-    Heartbeat, HeartbeatAnswer, Lease, NewBake, NewPriority, SceneStored, Verdict, WorkerPage,
+    Heartbeat, HeartbeatAnswer, Lease, Needs, NewBake, NewPriority, SceneStored, Verdict, WorkerPage,
 };
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{Artefact, MANIFEST_OUTPUT, REPORT_OUTPUT, TaskResult};
@@ -16,7 +16,15 @@ use crate::support::{Answer, Running, start};
 const SCENE: &[u8] = b"a scene";
 
 pub fn new_bake(scene: Digest, settings: Value) -> NewBake {
-    NewBake { name: "bake".into(), scene, kind: "prt".into(), settings, priority: 0 }
+    NewBake {
+        name: "bake".into(),
+        scene,
+        kind: "prt".into(),
+        settings,
+        priority: 0,
+        needs: Needs::default(),
+        attempt_limit_secs: None,
+    }
 }
 
 async fn put_scene(server: &Running) -> Answer {
@@ -31,7 +39,16 @@ pub async fn submit(server: &Running) -> Bake {
 
 pub fn request(wait_secs: u32) -> ClaimRequest {
     let kinds = ["prt.import", "prt.prepare"].map(str::to_owned).to_vec();
-    ClaimRequest { worker: "w".into(), kinds, threads: 2, max: 4, ttl_secs: 60, wait_secs }
+    ClaimRequest {
+        worker: "w".into(),
+        kinds,
+        threads: 2,
+        memory_mib: 0,
+        labels: Vec::new(),
+        max: 4,
+        ttl_secs: 60,
+        wait_secs,
+    }
 }
 
 pub async fn claim_one(server: &Running) -> Lease {

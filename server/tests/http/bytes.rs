@@ -4,7 +4,10 @@ use lightkiln_proto::api::SceneStored;
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::problem::ProblemCode;
 
-use crate::support::start;
+use lightkiln_server::Config;
+
+use crate::bakes::{run, submit};
+use crate::support::{start, start_config};
 
 #[tokio::test]
 async fn chunk_is_stored_once_and_served_for_ever() {
@@ -83,4 +86,35 @@ async fn empty_chunk_is_a_chunk() {
     let digest = server.put_chunk(b"").await;
     let answer = server.get(&format!("/v1/chunks/{digest}")).await;
     assert_eq!((answer.status, answer.body.len()), (200, 0));
+}
+
+#[tokio::test]
+async fn upload_beyond_the_quota_is_refused_until_there_is_room() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = Config { quota_bytes: Some(10), ..Config::new(folder.path()) };
+    let server = start_config(folder, |_| config).await;
+    let first = server.put_chunk(b"0123456789").await;
+    let more = Digest::of(b"more");
+    let refused = server.call("PUT", &format!("/v1/chunks/{more}"), &[], b"more").await;
+    let problem = refused.problem(ProblemCode::StorageFull);
+    assert_eq!(problem.status, 507);
+    assert!(problem.detail.contains("10 bytes are stored, and 4 more"), "{}", problem.detail);
+    assert_eq!(server.call("HEAD", &format!("/v1/chunks/{more}"), &[], b"").await.status, 404);
+    assert_eq!(server.get(&format!("/v1/chunks/{first}")).await.body, b"0123456789");
+    let folder = server.stop().await;
+    let config = Config { quota_bytes: Some(14), ..Config::new(folder.path()) };
+    let server = start_config(folder, |_| config).await;
+    assert_eq!(server.put_chunk(b"more").await, more);
+}
+
+#[tokio::test]
+async fn deleted_bake_is_gone_and_a_live_one_is_not_deleted() {
+    let server = start().await;
+    let bake = submit(&server).await;
+    let path = format!("/v1/bakes/{}", bake.id);
+    server.call("DELETE", &path, &[], b"").await.problem(ProblemCode::StateConflict);
+    run(&server).await;
+    assert_eq!(server.call("DELETE", &path, &[], b"").await.status, 204);
+    server.get(&path).await.problem(ProblemCode::NotFound);
+    server.call("DELETE", &path, &[], b"").await.problem(ProblemCode::NotFound);
 }

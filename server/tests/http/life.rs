@@ -71,6 +71,9 @@ async fn health_readiness_and_metrics_are_told() {
         "lightkiln_stale_commits_total 0",
         "lightkiln_expiries_total 0",
         "lightkiln_tasks_reused 2",
+        "lightkiln_stored_chunks 4",
+        "lightkiln_lost_chunks_total 0",
+        "lightkiln_request_seconds_count{method=\"GET\",route=\"/readyz\",status=\"200\"} 1",
         "lightkiln_tasks{kind=\"prt.import\",state=\"done\"} 1",
     ] {
         assert!(text.lines().any(|found| found == line), "{line} is not in\n{text}");

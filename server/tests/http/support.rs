@@ -1,7 +1,7 @@
 //! A server on a free port and a client that speaks just enough HTTP to be rude.
 
 use std::net::SocketAddr;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::problem::{Problem, ProblemCode};
@@ -110,7 +110,10 @@ impl Running {
     /// Where a chunk lies on the disk.
     pub fn chunk_file(&self, digest: Digest) -> std::path::PathBuf {
         let hex = digest.to_string();
-        Path::new(self.folder.path()).join("chunks").join(&hex[..2]).join(&hex[2..])
+        let shard = Path::new(self.folder.path()).join("chunks").join(&hex[..2]);
+        let is_its = |path: &PathBuf| path.file_name().unwrap().to_string_lossy().starts_with(&hex[2..]);
+        let files = std::fs::read_dir(&shard).unwrap().map(|entry| entry.unwrap().path());
+        files.into_iter().find(is_its).expect("a file of the chunk")
     }
 }
 

@@ -51,6 +51,10 @@ pub struct WorkerConfig {
     pub name: String,
     /// Threads for a task. More → faster, with more memory in use.
     pub threads: usize,
+    /// Memory in MiB that tasks may use; bakes that need more go to other workers.
+    pub memory_mib: u32,
+    /// Labels that bakes may ask for.
+    pub labels: Vec<String>,
     /// Folder for fetched artefacts; without one each is fetched anew unless it is still in memory.
     pub cache_dir: Option<PathBuf>,
     /// Bytes that the folder may hold. More → fewer fetches.
@@ -74,6 +78,8 @@ impl WorkerConfig {
             ca_pem: None,
             name: name.into(),
             threads: std::thread::available_parallelism().map_or(1, usize::from),
+            memory_mib: 0,
+            labels: Vec::new(),
             cache_dir: None,
             cache_bytes: 20 << 30,
             memory_bytes: 2 << 30,
@@ -194,6 +200,8 @@ impl Worker {
             worker: self.config.name.clone(),
             kinds: self.runner.kinds(),
             threads: u32::try_from(self.pool.current_num_threads()).unwrap_or(u32::MAX),
+            memory_mib: self.config.memory_mib,
+            labels: self.config.labels.clone(),
             max: 1,
             ttl_secs: self.config.lease_secs,
             wait_secs: self.config.claim_wait_secs,

@@ -72,7 +72,7 @@ pub fn run(arguments: Arguments) -> Result<()> {
     let interrupt = Interrupt::listen()?;
     let farm = Place::open(&arguments)?;
     let client = connect(farm.url(), &arguments.trust, &interrupt)?;
-    let bake = scene.submit(&client, &settings, 0)?;
+    let bake = scene.submit(&client, |bake| bake.settings = settings.clone())?;
     let bake = follow(&client, &bake.id, &interrupt, || farm.check())
         .map_err(|failure| wind_down(failure, &farm, &client, &bake.id))?;
     let scene_name = arguments.scene.display().to_string();

@@ -1,18 +1,26 @@
 //! The subcommands, one file each, and the steps that several of them take.
 
 pub mod bake;
+pub mod blocklist;
 pub mod cancel;
+pub mod delete;
 pub mod evaluate;
 pub mod fetch;
 pub mod following;
+pub mod fsck;
 pub mod inspect;
 pub mod list;
+pub mod logs;
+pub mod pause;
 pub mod preview;
+pub mod priority;
+pub mod resume;
 pub mod server;
 pub mod settings;
 pub mod show;
 pub mod submit;
 pub mod submitting;
 pub mod token;
+pub mod top;
 pub mod watch;
 pub mod worker;

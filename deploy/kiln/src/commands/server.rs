@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use clap::Args;
 use lightkiln_server::places::{ChunksPlace, DatabasePlace};
-use lightkiln_server::{Config, LimitConfig, Server, TlsFiles, WebhookConfig};
+use lightkiln_server::{Config, Keeping, LimitConfig, Server, TlsFiles, WebhookConfig};
 use lightkiln_worker::runtime::Level;
 use tokio::runtime::Runtime;
 
@@ -14,7 +14,7 @@ use crate::embedded::{default_state, server_failure};
 use crate::failure::{Exit, Failure, Result};
 use crate::interrupt::Interrupt;
 
-/// Longest wait of one look at the flag; any length would do.
+/// Also the longest wait of one look at the flag; any length would do there.
 const HOUR: Duration = Duration::from_secs(3600);
 
 /// Arguments of `kiln server`.
@@ -60,6 +60,32 @@ pub struct Arguments {
     #[arg(long, value_name = "N", default_value_t = LimitConfig::default().calls_at_a_time, help_heading = "Limits",
         value_parser = clap::value_parser!(u32).range(0..=1_000_000))]
     calls_at_a_time: u32,
+    /// Most that the chunk store may hold, such as 500M, 200G or 2T; uploads beyond are refused with 507 until there is
+    /// room [default: as much as there is]
+    #[arg(long, value_name = "SIZE", value_parser = parse_size)]
+    quota: Option<u64>,
+    /// Hours that stored bytes stay although no bake needs them; longer than the longest upload and task
+    #[arg(long, value_name = "HOURS", default_value_t = 24, value_parser = clap::value_parser!(u32).range(1..=8760))]
+    grace_hours: u32,
+    /// Deletes bakes this many days after their end, with the results that no other bake holds [default: never]
+    #[arg(long, value_name = "DAYS", value_parser = clap::value_parser!(u32).range(1..=36500))]
+    keep_days: Option<u32>,
+}
+
+/// Bytes from a number with a unit of 1024 to some power.
+fn parse_size(text: &str) -> std::result::Result<u64, String> {
+    let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
+    let shift = match text[digits.len()..].to_ascii_uppercase().trim_end_matches("IB") {
+        "" => Some(0),
+        "K" => Some(10),
+        "M" => Some(20),
+        "G" => Some(30),
+        "T" => Some(40),
+        _ => None,
+    };
+    let size =
+        digits.parse::<u64>().ok().zip(shift).and_then(|(number, shift)| number.checked_mul(1 << shift));
+    size.ok_or_else(|| format!("'{text}' is no size; write a number and K, M, G or T, such as 200G"))
 }
 
 /// Serves until a signal comes.
@@ -81,6 +107,12 @@ pub fn run(arguments: Arguments) -> Result<()> {
         allow_non_loopback: arguments.allow_non_loopback,
         database: arguments.database,
         chunks: arguments.chunks,
+        quota_bytes: arguments.quota,
+        keeping: Keeping {
+            grace: HOUR * arguments.grace_hours,
+            bakes: arguments.keep_days.map(|days| 24 * HOUR * days),
+            ..Keeping::default()
+        },
         ..Config::new(&state)
     };
     let failed =
@@ -118,4 +150,19 @@ fn webhooks(urls: &[String], allow_local: bool) -> Result<Option<WebhookConfig>>
             "--webhook https://HOST/PATH, and KILN_WEBHOOK_SECRET with what 'openssl rand -hex 32' prints",
         )
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_are_read_with_their_units() {
+        for (text, bytes) in [("0", 0), ("12", 12), ("3k", 3 << 10), ("500M", 500 << 20), ("2TiB", 2 << 40)] {
+            assert_eq!(parse_size(text), Ok(bytes), "{text}");
+        }
+        for text in ["", "G", "1.5G", "-1", "1X", "99999999999T", "1 G"] {
+            assert!(parse_size(text).is_err(), "{text}");
+        }
+    }
 }

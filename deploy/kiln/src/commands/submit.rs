@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use clap::Args;
-use lightkiln_proto::api::Bake;
+use lightkiln_proto::api::{Bake, Needs, NewBake};
 use serde_json::{Value, json};
 
 use super::following::{Ended, wait_for_end};
@@ -33,6 +33,18 @@ pub struct Arguments {
     /// wherever they are submitted; a new one only where that failed or was cancelled
     #[arg(long, value_name = "COMMIT", env = "KILN_COMMIT", value_parser = clap::builder::NonEmptyStringValueParser::new())]
     commit: Option<String>,
+    /// Memory in MiB that a worker must have to take its tasks
+    #[arg(long, value_name = "MIB", default_value_t = 0)]
+    needs_memory_mib: u32,
+    /// Threads that a worker must have to take its tasks
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    needs_threads: u32,
+    /// A label that a worker must have to take its tasks; may be repeated
+    #[arg(long = "needs-label", value_name = "LABEL")]
+    needs_labels: Vec<String>,
+    /// Seconds that one attempt at a task may take before it counts as failed [default: a day]
+    #[arg(long, value_name = "SECS")]
+    attempt_limit_secs: Option<u32>,
     /// Waits until the bake ends; Ctrl-C ends the wait, not the bake
     #[arg(long)]
     wait: bool,
@@ -67,11 +79,22 @@ pub fn run(arguments: Arguments) -> Result<()> {
 fn submit(arguments: &Arguments) -> Result<Ended> {
     let settings = arguments.settings.resolve()?;
     let scene = PackedScene::read(&arguments.scene)?;
+    let needs = Needs {
+        memory_mib: arguments.needs_memory_mib,
+        threads: arguments.needs_threads,
+        labels: arguments.needs_labels.clone(),
+    };
     let interrupt = Interrupt::listen()?;
     let client = connect(&arguments.server.server, &arguments.server.trust, &interrupt)?;
+    let set = |bake: &mut NewBake| {
+        bake.settings = settings;
+        bake.priority = arguments.priority;
+        bake.needs = needs;
+        bake.attempt_limit_secs = arguments.attempt_limit_secs;
+    };
     let bake = match &arguments.commit {
-        Some(commit) => scene.submit_once(&client, &settings, arguments.priority, commit)?,
-        None => scene.submit(&client, &settings, arguments.priority)?,
+        Some(commit) => scene.submit_once(&client, commit, set)?,
+        None => scene.submit(&client, set)?,
     };
     if !arguments.wait {
         return Ok(Ended::not_yet(bake));

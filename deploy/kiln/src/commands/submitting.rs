@@ -5,7 +5,7 @@ use std::path::Path;
 use std::time::{Duration, SystemTime};
 
 use lightkiln_client::fetch::{ApiClient, RetryPolicy};
-use lightkiln_proto::api::{Bake, BakeState, NewBake};
+use lightkiln_proto::api::{Bake, BakeState, Needs, NewBake};
 use lightkiln_proto::ids::Digest;
 use lightkiln_worker::scene::{Bundle, Limits};
 use serde_json::Value;
@@ -46,9 +46,9 @@ impl PackedScene {
         self.bytes
     }
 
-    /// Uploads the scene unless the server has it, and asks for its bake.
-    pub fn submit(&self, client: &ApiClient, settings: &Value, priority: i32) -> Result<Bake> {
-        let bake = self.request(client, settings, priority)?;
+    /// Uploads the scene unless the server has it, and asks for its bake; `set` says how it is to be.
+    pub fn submit(&self, client: &ApiClient, set: impl FnOnce(&mut NewBake)) -> Result<Bake> {
+        let bake = self.request(client, set)?;
         Ok(client.submit(&bake, &idempotency_key(bake.scene))?)
     }
 
@@ -57,11 +57,10 @@ impl PackedScene {
     pub fn submit_once(
         &self,
         client: &ApiClient,
-        settings: &Value,
-        priority: i32,
         commit: &str,
+        set: impl FnOnce(&mut NewBake),
     ) -> Result<Bake> {
-        let new = self.request(client, settings, priority)?;
+        let new = self.request(client, set)?;
         let mut key = commit_key(commit, &new)?;
         for _ in 0..TRIES_OF_A_COMMIT {
             let bake = client.submit(&new, &key)?;
@@ -74,15 +73,19 @@ impl PackedScene {
         Err(Failure::new(Exit::Failed, what).try_this("'kiln list' to see why, then another --commit"))
     }
 
-    fn request(&self, client: &ApiClient, settings: &Value, priority: i32) -> Result<NewBake> {
+    fn request(&self, client: &ApiClient, set: impl FnOnce(&mut NewBake)) -> Result<NewBake> {
         let stored = client.upload_scene(&self.bytes)?;
-        Ok(NewBake {
+        let mut bake = NewBake {
             name: self.name.clone(),
             scene: stored.scene,
             kind: lightkiln_proto::bake::PRT.to_owned(),
-            settings: settings.clone(),
-            priority,
-        })
+            settings: Value::Null,
+            priority: 0,
+            needs: Needs::default(),
+            attempt_limit_secs: None,
+        };
+        set(&mut bake);
+        Ok(bake)
     }
 }
 

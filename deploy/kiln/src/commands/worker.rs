@@ -27,6 +27,12 @@ pub struct Arguments {
     /// Threads for a task [default: one per processor]
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
+    /// Memory in MiB that tasks may use; bakes that need more go to other workers [default: all that this machine has]
+    #[arg(long, value_name = "MIB")]
+    memory_mib: Option<u32>,
+    /// A label that bakes may ask for with --needs-label; may be repeated
+    #[arg(long = "label", value_name = "LABEL")]
+    labels: Vec<String>,
     /// Folder for fetched artefacts [default: worker in the state folder]
     #[arg(long, value_name = "DIR")]
     cache: Option<PathBuf>,
@@ -68,6 +74,8 @@ pub fn run(arguments: Arguments) -> Result<()> {
         }
     };
     config.threads = arguments.threads.map_or_else(all_processors, usize::from);
+    config.memory_mib = arguments.memory_mib.unwrap_or_else(all_memory_mib);
+    config.labels = arguments.labels;
     config.cache_dir = Some(cache);
     config.lease_secs = arguments.lease_secs;
     config.cache_bytes = arguments.cache_gib << 30;
@@ -75,6 +83,17 @@ pub fn run(arguments: Arguments) -> Result<()> {
     let worker = Worker::new(config, Arc::new(PrtRunner)).map_err(worker_failure)?;
     eprintln!("worker {name} takes tasks from {}", arguments.server.server);
     worker.run(interrupt.flag()).map_err(worker_failure)
+}
+
+/// Memory of this machine, or of the group of processes that this one may use; 0 where nobody says.
+fn all_memory_mib() -> u32 {
+    let read = |path: &str| std::fs::read_to_string(path).unwrap_or_default();
+    let meminfo = read("/proc/meminfo");
+    let total = meminfo.lines().find_map(|line| line.strip_prefix("MemTotal:"));
+    let total = total.and_then(|line| line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok());
+    let limit = read("/sys/fs/cgroup/memory.max").trim().parse::<u64>().ok();
+    let bytes = total.map_or(0, |kib| kib << 10).min(limit.unwrap_or(u64::MAX));
+    u32::try_from(bytes >> 20).unwrap_or(u32::MAX)
 }
 
 fn default_name() -> String {

@@ -127,6 +127,7 @@ mod tests {
             scene: Digest::of(b""),
             settings: serde_json::Value::Null,
             priority: 0,
+            needs: Default::default(),
             state: BakeState::Running,
             stages,
             tasks_run: 0,

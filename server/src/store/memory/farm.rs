@@ -6,8 +6,9 @@ use lightkiln_proto::api::{Bake, BakeEvent, BakeState, EventKind, NewBake};
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{Artefact, MANIFEST_OUTPUT, REPORT_OUTPUT, TaskResult, TaskSpec};
 
+use super::chunks::{Chunks, named_artefacts};
 use crate::access::Bearer;
-use crate::store::rules::{self, add_counters, check_plan, is_same_task};
+use crate::store::rules::{self, Abilities, add_counters, check_plan, is_same_task};
 use crate::store::{KnownResult, PlanError, StoreError, Submission, Submitted, require_live, token};
 
 /// Everything a farm knows.
@@ -22,6 +23,7 @@ pub(super) struct Farm {
     pub(super) workers: BTreeMap<String, WorkerEntry>,
     /// By name.
     pub(super) bearers: BTreeMap<String, Bearer>,
+    pub(super) chunks: Chunks,
 }
 
 #[derive(Clone)]
@@ -32,6 +34,8 @@ pub(super) struct BakeEntry {
     pub(super) new: NewBake,
     pub(super) state: BakeState,
     pub(super) members: BTreeMap<TaskKey, Member>,
+    /// Its scene, and stored artefacts that its tasks name.
+    pub(super) artefacts: BTreeSet<Digest>,
     /// Kinds in the order of their first appearance.
     pub(super) stages: Vec<Stage>,
     pub(super) events: Vec<BakeEvent>,
@@ -52,6 +56,8 @@ pub(super) struct Member {
     pub(super) cost: u64,
     pub(super) done: bool,
     pub(super) reused: bool,
+    /// The bake holds the task, and its result: false once the task was dropped.
+    pub(super) held: bool,
 }
 
 #[derive(Clone)]
@@ -80,14 +86,17 @@ pub(super) struct LeaseEntry {
     pub(super) worker: String,
     pub(super) ttl_ms: i64,
     pub(super) expires_ms: i64,
+    /// When the attempt has taken too long.
+    pub(super) deadline_ms: i64,
     pub(super) cancelled: bool,
 }
 
 #[derive(Clone)]
 pub(super) struct WorkerEntry {
-    pub(super) kinds: Vec<String>,
-    pub(super) threads: u32,
+    pub(super) abilities: Abilities,
     pub(super) seen_ms: i64,
+    /// Scene of the bake that it last got a task of.
+    pub(super) scene: Option<Digest>,
 }
 
 impl Farm {
@@ -131,6 +140,7 @@ impl Farm {
             }
         }
         check_plan(&submission.plan)?;
+        self.chunks.require(submission.bake.scene)?;
         let index = self.bakes.len();
         self.bakes.push(BakeEntry::new(submission, token::random_id()?, now_ms));
         self.event(index, now_ms, EventKind::Submitted);
@@ -148,6 +158,7 @@ impl Farm {
     ) -> Result<(), StoreError> {
         let mut queue: VecDeque<TaskSpec> = plan.iter().cloned().collect();
         let mut added = Vec::new();
+        let mut missing = BTreeSet::new();
         let mut reused = 0;
         while let Some(spec) = queue.pop_front() {
             let key = spec.key;
@@ -160,6 +171,13 @@ impl Farm {
                 continue;
             }
             entry.add_member(task, now_ms);
+            for digest in named_artefacts(&task.spec) {
+                if self.chunks.kept(digest).is_some() {
+                    entry.artefacts.insert(digest);
+                } else if task.done.is_none() {
+                    missing.insert(digest);
+                }
+            }
             if let Some((result, _)) = &task.done {
                 entry.note_outputs(&result.outputs);
                 add_counters(&mut entry.counters_reused, &result.counters);
@@ -171,6 +189,7 @@ impl Farm {
         for key in &added {
             self.require_dependencies(bake, *key)?;
         }
+        missing.first().map_or(Ok(()), |digest| self.chunks.require(*digest))?;
         if !added.is_empty() {
             self.event(bake, now_ms, EventKind::Planned { tasks: added.len() as u64, reused });
         }
@@ -202,13 +221,26 @@ impl Farm {
             entry.members.iter().filter(|(_, member)| !member.done).map(|(key, _)| *key).collect();
         self.event(bake, now_ms, EventKind::State { state });
         for key in open {
+            if let Some(member) = self.bakes[bake].members.get_mut(&key) {
+                member.held = false;
+            }
             if self.live_bakes_of(key).is_empty()
-                && let Some(lease) = self.tasks.remove(&key).and_then(|task| task.lease)
+                && let Some(lease) = self.drop_task(key).and_then(|task| task.lease)
                 && let Some(lease) = self.leases.get_mut(&lease)
             {
                 lease.cancelled = true;
             }
         }
+    }
+
+    /// Removes a task, with its result if it has one; nobody holds it any more.
+    pub(super) fn drop_task(&mut self, key: TaskKey) -> Option<Task> {
+        for bake in &mut self.bakes {
+            if let Some(member) = bake.members.get_mut(&key) {
+                member.held = false;
+            }
+        }
+        self.tasks.remove(&key)
     }
 
     /// Pauses or resumes.
@@ -246,12 +278,16 @@ impl Farm {
 
     pub(super) fn forget(&mut self, key: TaskKey) {
         let wanted_by = self.live_bakes_of(key);
-        let Some(task) = self.tasks.get_mut(&key).filter(|task| task.done.is_some()) else { return };
-        if wanted_by.is_empty() {
-            self.tasks.remove(&key);
+        if self.tasks.get(&key).is_none_or(|task| task.done.is_none()) {
             return;
         }
-        *task = Task::new(task.spec.clone());
+        if wanted_by.is_empty() {
+            self.drop_task(key);
+            return;
+        }
+        if let Some(task) = self.tasks.get_mut(&key) {
+            *task = Task::new(task.spec.clone());
+        }
         for bake in wanted_by {
             if let Some(member) = self.bakes[bake].members.get_mut(&key) {
                 (member.done, member.reused) = (false, false);
@@ -269,6 +305,7 @@ impl BakeEntry {
             new: submission.bake.clone(),
             state: BakeState::Running,
             members: BTreeMap::new(),
+            artefacts: BTreeSet::from([submission.bake.scene]),
             stages: Vec::new(),
             events: Vec::new(),
             tasks_run: 0,
@@ -289,7 +326,7 @@ impl BakeEntry {
         if task.lease.is_some() {
             stage.first_claim_ms.get_or_insert(now_ms);
         }
-        self.members.insert(task.spec.key, Member { kind, cost, done, reused: done });
+        self.members.insert(task.spec.key, Member { kind, cost, done, reused: done, held: true });
     }
 
     /// The stage of a kind, made at its first appearance.

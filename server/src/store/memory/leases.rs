@@ -1,35 +1,131 @@
 //! Leases of the model: claim, heartbeat, commit, fail, release, expiry.
 
 use std::cmp::Reverse;
+use std::collections::BTreeSet;
 
 use lightkiln_proto::api::{
-    BakeState, Blame, ClaimRequest, CommitVerdict, EventKind, HeartbeatAnswer, Lease, Verdict,
+    BakeState, Blame, BlockedWorker, Blocklist, ClaimRequest, CommitVerdict, EventKind, HeartbeatAnswer,
+    Lease, Verdict,
 };
-use lightkiln_proto::ids::TaskKey;
+use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{TaskResult, TaskSpec};
 
-use super::farm::{Farm, LeaseEntry, Task, WorkerEntry};
-use crate::store::rules::{self, WORKER_PRESENT_MS, WORKER_SEEN_GRAIN_MS, add_counters};
+use super::farm::{Farm, LeaseEntry, Member, Task, WorkerEntry};
+use crate::store::rules::{
+    self, Abilities, BLOCK_TASKS, CLAIM_WINDOW, Contender, WORKER_PRESENT_MS, WORKER_SEEN_GRAIN_MS,
+    add_counters, next_contender,
+};
 use crate::store::{FailVerdict, Reaped, StoreError, TaskState, token};
 
 impl Farm {
     pub(super) fn claim(&mut self, request: &ClaimRequest, now_ms: i64) -> Result<Vec<Lease>, StoreError> {
         self.see_worker(request, now_ms);
         let mut leases = Vec::new();
-        while leases.len() < request.max as usize {
-            let Some((bake, key)) = self.best_ready(request, now_ms) else { break };
-            leases.push(self.lease(bake, key, request, now_ms)?);
+        let abilities = Abilities::of(request);
+        let (bakes, mut after) = (self.bakes_in_claim_order(&abilities, request, now_ms), 0);
+        while leases.len() < request.max as usize && after < bakes.len() {
+            let window = &bakes[after..bakes.len().min(after + CLAIM_WINDOW)];
+            after += window.len();
+            let scene = self.workers.get(&request.worker).and_then(|worker| worker.scene);
+            let mut contenders: Vec<Contender<usize>> =
+                window.iter().map(|bake| self.contender(*bake, scene)).collect();
+            while leases.len() < request.max as usize
+                && let Some(index) = next_contender(&contenders)
+            {
+                let bake = contenders[index].bake;
+                match self.best_ready(bake, request, now_ms) {
+                    Some(key) => {
+                        leases.push(self.lease(bake, key, request, now_ms)?);
+                        contenders[index].leased += 1;
+                    }
+                    None => drop(contenders.remove(index)),
+                }
+            }
         }
         Ok(leases)
     }
 
+    /// Running bakes with ready tasks that such a worker may take.
+    fn bakes_in_claim_order(&self, abilities: &Abilities, request: &ClaimRequest, now_ms: i64) -> Vec<usize> {
+        let is_open = |index: &usize| {
+            let bake = &self.bakes[*index];
+            let mut tasks = bake.members.keys().filter_map(|key| self.tasks.get(key));
+            bake.state == BakeState::Running
+                && abilities.suffice(&bake.new.needs)
+                && tasks.any(|task| self.is_due(task, request, now_ms))
+                && !self.is_blocked(*index, request, now_ms)
+        };
+        let mut bakes: Vec<usize> = (0..self.bakes.len()).filter(is_open).collect();
+        bakes.sort_by_key(|index| (Reverse(self.bakes[*index].new.priority), *index));
+        bakes
+    }
+
+    fn contender(&self, bake: usize, scene: Option<Digest>) -> Contender<usize> {
+        let entry = &self.bakes[bake];
+        let under_way = |(key, member): &(&TaskKey, &Member)| !member.done && self.is_leased(key);
+        Contender {
+            bake,
+            priority: entry.new.priority.into(),
+            leased: entry.members.iter().filter(under_way).count() as i64,
+            is_local: scene == Some(entry.new.scene),
+        }
+    }
+
+    /// A worker that failed at many tasks of a bake gets none of it, if one that did not is present.
+    fn is_blocked(&self, bake: usize, request: &ClaimRequest, now_ms: i64) -> bool {
+        let needs = &self.bakes[bake].new.needs;
+        self.failures(bake, &request.worker) >= BLOCK_TASKS
+            && self.workers.iter().any(|(name, other)| {
+                *name != request.worker
+                    && other.seen_ms > now_ms - WORKER_PRESENT_MS
+                    && other.abilities.can_replace(request, needs)
+                    && self.failures(bake, name) < BLOCK_TASKS
+            })
+    }
+
+    /// Tasks of a bake at which a worker failed.
+    fn failures(&self, bake: usize, worker: &str) -> u64 {
+        let held = self.bakes[bake].members.iter().filter(|(_, member)| member.held);
+        let tasks = held.filter_map(|(key, _)| self.tasks.get(key));
+        tasks.filter(|task| task.blamed.contains(worker)).count() as u64
+    }
+
+    pub(super) fn blocklist(&self, bake: usize) -> Blocklist {
+        let held = self.bakes[bake].members.iter().filter(|(_, member)| member.held);
+        let names: BTreeSet<&String> =
+            held.filter_map(|(key, _)| self.tasks.get(key)).flat_map(|task| &task.blamed).collect();
+        let blocked = |worker: &String| {
+            let tasks = self.failures(bake, worker);
+            BlockedWorker { worker: worker.clone(), tasks, is_blocked: tasks >= BLOCK_TASKS }
+        };
+        Blocklist { workers: names.into_iter().map(blocked).collect() }
+    }
+
+    pub(super) fn clear_blocklist(&mut self, bake: usize, worker: Option<&str>) {
+        for (key, member) in &self.bakes[bake].members {
+            if let Some(task) = self.tasks.get_mut(key).filter(|_| member.held) {
+                task.blamed.retain(|blamed| worker.is_some_and(|worker| worker != blamed));
+            }
+        }
+    }
+
+    pub(super) fn extend_leases(&mut self, now_ms: i64) -> u64 {
+        let mut extended = 0;
+        for lease in self.leases.values_mut().filter(|lease| !lease.cancelled) {
+            let until = (now_ms + lease.ttl_ms).min(lease.deadline_ms);
+            if lease.expires_ms < until {
+                lease.expires_ms = until;
+                extended += 1;
+            }
+        }
+        extended
+    }
+
     fn see_worker(&mut self, request: &ClaimRequest, now_ms: i64) {
-        let (kinds, threads) = (request.kinds.clone(), request.threads);
-        let fresh = WorkerEntry { kinds, threads, seen_ms: now_ms };
+        let fresh = WorkerEntry { abilities: Abilities::of(request), seen_ms: now_ms, scene: None };
         let worker = self.workers.entry(request.worker.clone()).or_insert_with(|| fresh.clone());
-        let same = worker.kinds == fresh.kinds && worker.threads == fresh.threads;
-        if !same || now_ms - worker.seen_ms >= WORKER_SEEN_GRAIN_MS {
-            *worker = fresh;
+        if worker.abilities != fresh.abilities || now_ms - worker.seen_ms >= WORKER_SEEN_GRAIN_MS {
+            (worker.abilities, worker.seen_ms) = (fresh.abilities, now_ms);
         }
     }
 
@@ -46,34 +142,31 @@ impl Farm {
         }
     }
 
-    /// The first task in claim order and the bake that it is claimed for.
-    fn best_ready(&self, request: &ClaimRequest, now_ms: i64) -> Option<(usize, TaskKey)> {
-        let mut running: Vec<usize> = (0..self.bakes.len()).collect();
-        running.retain(|index| self.bakes[*index].state == BakeState::Running);
-        running.sort_by_key(|index| (Reverse(self.bakes[*index].new.priority), *index));
-        running.into_iter().find_map(|bake| {
-            let open = self.bakes[bake].members.iter().filter(|(_, member)| !member.done);
-            let tasks = open.filter_map(|(key, _)| self.tasks.get(key));
-            let claimable = tasks.filter(|task| self.is_claimable(task, request, now_ms));
-            let best = claimable.min_by_key(|task| (Reverse(task.spec.cost), task.spec.key))?;
-            Some((bake, best.spec.key))
-        })
+    /// The first task of a bake in claim order.
+    fn best_ready(&self, bake: usize, request: &ClaimRequest, now_ms: i64) -> Option<TaskKey> {
+        let open = self.bakes[bake].members.iter().filter(|(_, member)| !member.done);
+        let tasks = open.filter_map(|(key, _)| self.tasks.get(key));
+        let claimable = tasks.filter(|task| {
+            self.is_due(task, request, now_ms) && !self.is_left_to_others(bake, task, &request.worker, now_ms)
+        });
+        let best = claimable.min_by_key(|task| (Reverse(task.spec.cost), task.spec.key))?;
+        Some(best.spec.key)
     }
 
-    fn is_claimable(&self, task: &Task, request: &ClaimRequest, now_ms: i64) -> bool {
+    fn is_due(&self, task: &Task, request: &ClaimRequest, now_ms: i64) -> bool {
         request.kinds.contains(&task.spec.kind)
             && task.not_before_ms <= now_ms
-            && !self.is_left_to_others(task, &request.worker, now_ms)
             && self.state_of(task) == TaskState::Ready
     }
 
-    /// A worker that failed at a task leaves it to others, if one that has not failed at it is present.
-    fn is_left_to_others(&self, task: &Task, worker: &str, now_ms: i64) -> bool {
+    /// A worker that failed at a task leaves it to others, if one that could do it and has not failed is present.
+    fn is_left_to_others(&self, bake: usize, task: &Task, worker: &str, now_ms: i64) -> bool {
         task.blamed.contains(worker)
             && self.workers.iter().any(|(name, other)| {
                 !task.blamed.contains(name)
                     && other.seen_ms > now_ms - WORKER_PRESENT_MS
-                    && other.kinds.contains(&task.spec.kind)
+                    && other.abilities.kinds.contains(&task.spec.kind)
+                    && other.abilities.suffice(&self.bakes[bake].new.needs)
             })
     }
 
@@ -86,13 +179,18 @@ impl Farm {
     ) -> Result<Lease, StoreError> {
         let token = token::new_token()?;
         let ttl_ms = i64::from(request.ttl_secs) * 1000;
-        let expires_ms = now_ms + ttl_ms;
+        let deadline_ms = rules::deadline_ms(now_ms, self.bakes[bake].new.attempt_limit_secs);
+        let expires_ms = (now_ms + ttl_ms).min(deadline_ms);
         for bake in self.live_bakes_of(key) {
             let kind = self.tasks[&key].spec.kind.clone();
             self.bakes[bake].stage(&kind).first_claim_ms.get_or_insert(now_ms);
         }
         let worker = request.worker.clone();
-        self.leases.insert(token.clone(), LeaseEntry { key, worker, ttl_ms, expires_ms, cancelled: false });
+        if let Some(worker) = self.workers.get_mut(&worker) {
+            worker.scene = Some(self.bakes[bake].new.scene);
+        }
+        let lease = LeaseEntry { key, worker, ttl_ms, expires_ms, deadline_ms, cancelled: false };
+        self.leases.insert(token.clone(), lease);
         if let Some(task) = self.tasks.get_mut(&key) {
             task.lease = Some(token.clone());
         }
@@ -114,7 +212,7 @@ impl Farm {
         } else if lease.expires_ms <= now_ms {
             verdict = Verdict::Lost;
         } else {
-            lease.expires_ms = now_ms + lease.ttl_ms;
+            lease.expires_ms = (now_ms + lease.ttl_ms).min(lease.deadline_ms);
         }
         if let Some(worker) = self.workers.get_mut(&lease.worker)
             && now_ms - worker.seen_ms >= WORKER_SEEN_GRAIN_MS
@@ -158,6 +256,10 @@ impl Farm {
             return Ok(CommitVerdict::AlreadyCommitted);
         }
         rules::check_plan(&result.plan)?;
+        let is_good = |lease: &LeaseEntry| !lease.cancelled && lease.expires_ms > now_ms;
+        if self.leases.get(token).is_some_and(is_good) {
+            result.outputs.iter().try_for_each(|output| self.chunks.require(output.digest))?;
+        }
         let Some(lease) = self.end_lease(token, now_ms) else { return Ok(CommitVerdict::Stale) };
         let key = lease.key;
         let Some(task) = self.tasks.get_mut(&key) else { return Ok(CommitVerdict::Stale) };
@@ -200,7 +302,7 @@ impl Farm {
                     return FailVerdict::GivenUp;
                 };
                 if let Some(task) = self.tasks.get_mut(&lease.key) {
-                    task.not_before_ms = now_ms + rules::backoff_ms(attempts);
+                    task.not_before_ms = now_ms + rules::retry_wait_ms(lease.key, attempts);
                 }
                 self.task_failed(&lease, &message, true, now_ms);
                 FailVerdict::Retry
@@ -260,7 +362,8 @@ impl Farm {
                 let worker = lease.worker.clone();
                 self.event(bake, now_ms, EventKind::LeaseExpired { key, worker });
             }
-            let message = rules::expiry_message(&lease.worker);
+            let has_limit = lease.expires_ms >= lease.deadline_ms;
+            let message = if has_limit { rules::limit_message } else { rules::expiry_message }(&lease.worker);
             if self.blame_worker(&lease, &message, now_ms).is_none() {
                 reaped.given_up += 1;
             }

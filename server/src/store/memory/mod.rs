@@ -2,6 +2,7 @@
 //!
 //! It says what the other stores must do. It keeps nothing when the process ends.
 
+mod chunks;
 mod farm;
 mod leases;
 mod view;
@@ -11,16 +12,19 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use async_trait::async_trait;
 use lightkiln_proto::api::{
-    Bake, BakePage, BakeState, Blame, ClaimRequest, CommitVerdict, EventPage, HeartbeatAnswer, Lease, Worker,
+    Bake, BakePage, BakeState, Blame, Blocklist, ClaimRequest, CommitVerdict, EventPage, HeartbeatAnswer,
+    Lease, Worker,
 };
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{TaskResult, TaskSpec};
 
+use super::chunk::{ChunkRow, CollectRules, Collected, Kept, KeptChunk, Usage};
 use super::{
     FailVerdict, FarmStore, KnownResult, Reaped, Stats, StoreError, Submission, Submitted, require_live,
     same_bearer,
 };
 use crate::access::{Bearer, Scope};
+use crate::chunks::ChunkName;
 use crate::clock::Clock;
 use farm::Farm;
 
@@ -84,6 +88,22 @@ impl FarmStore for MemoryStore {
 
     async fn release(&self, token: &str) -> Result<bool, StoreError> {
         Ok(self.farm().release(token, self.now_ms()))
+    }
+
+    async fn extend_leases(&self) -> Result<u64, StoreError> {
+        Ok(self.farm().extend_leases(self.now_ms()))
+    }
+
+    async fn blocklist(&self, bake: &str) -> Result<Blocklist, StoreError> {
+        let farm = self.farm();
+        Ok(farm.blocklist(farm.index_of(bake)?))
+    }
+
+    async fn clear_blocklist(&self, bake: &str, worker: Option<&str>) -> Result<Blocklist, StoreError> {
+        let mut farm = self.farm();
+        let index = farm.index_of(bake)?;
+        farm.clear_blocklist(index, worker);
+        Ok(farm.blocklist(index))
     }
 
     async fn reap(&self) -> Result<Reaped, StoreError> {
@@ -159,6 +179,57 @@ impl FarmStore for MemoryStore {
 
     async fn bearers(&self) -> Result<Vec<Bearer>, StoreError> {
         Ok(self.farm().bearers.values().cloned().collect())
+    }
+
+    async fn find_chunks(&self, digests: &[Digest]) -> Result<Vec<KeptChunk>, StoreError> {
+        let farm = self.farm();
+        Ok(digests.iter().filter_map(|digest| farm.chunks.kept(*digest)).collect())
+    }
+
+    async fn touch_chunk(&self, digest: Digest) -> Result<Option<KeptChunk>, StoreError> {
+        Ok(self.farm().chunks.touch(digest, self.now_ms()))
+    }
+
+    async fn keep_chunk(
+        &self,
+        chunk: KeptChunk,
+        replaces: Option<u64>,
+        quota: Option<u64>,
+    ) -> Result<Kept, StoreError> {
+        self.farm().chunks.keep(chunk, replaces, quota, self.now_ms())
+    }
+
+    async fn delete_bake(&self, bake: &str) -> Result<(), StoreError> {
+        self.farm().delete_bake(bake)
+    }
+
+    async fn collect(&self, rules: &CollectRules) -> Result<Collected, StoreError> {
+        Ok(self.farm().collect(rules, self.now_ms()))
+    }
+
+    async fn bury(&self, names: &[ChunkName]) -> Result<(), StoreError> {
+        self.farm().chunks.bury(names);
+        Ok(())
+    }
+
+    async fn lose_chunk(&self, name: ChunkName) -> Result<u64, StoreError> {
+        Ok(self.farm().lose_chunk(name))
+    }
+
+    async fn chunk_rows(&self, after: Option<Digest>, limit: u32) -> Result<Vec<ChunkRow>, StoreError> {
+        Ok(self.farm().chunk_rows(after, limit))
+    }
+
+    async fn strangers(&self, names: &[ChunkName]) -> Result<Vec<ChunkName>, StoreError> {
+        Ok(self.farm().chunks.strangers(names))
+    }
+
+    async fn condemn_strangers(&self, chunks: &[KeptChunk]) -> Result<Vec<ChunkName>, StoreError> {
+        Ok(self.farm().chunks.condemn_strangers(chunks))
+    }
+
+    async fn usage(&self) -> Result<Usage, StoreError> {
+        Ok(self.farm().chunks.usage())
     }
 
     async fn stats(&self) -> Result<Stats, StoreError> {

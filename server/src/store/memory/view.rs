@@ -7,7 +7,7 @@ use lightkiln_proto::ids::TaskKey;
 
 use super::farm::{BakeEntry, Farm, Stage};
 use crate::store::rules::WORKER_LISTED_MS;
-use crate::store::{Stats, StoreError, TaskCount};
+use crate::store::{Demand, Stats, StoreError, TaskCount, TaskState};
 
 impl Farm {
     pub(super) fn view(&self, index: usize) -> Bake {
@@ -20,6 +20,7 @@ impl Farm {
             scene: entry.new.scene,
             settings: entry.new.settings.clone(),
             priority: entry.new.priority,
+            needs: entry.new.needs.clone(),
             state: entry.state,
             stages: entry.stages.iter().map(|stage| self.stage_count(entry, stage)).collect(),
             tasks_run: entry.tasks_run,
@@ -56,7 +57,7 @@ impl Farm {
         count
     }
 
-    fn is_leased(&self, key: &TaskKey) -> bool {
+    pub(super) fn is_leased(&self, key: &TaskKey) -> bool {
         self.tasks.get(key).is_some_and(|task| task.lease.is_some())
     }
 
@@ -78,8 +79,10 @@ impl Farm {
         let lately = self.workers.iter().filter(|(_, worker)| worker.seen_ms > now_ms - WORKER_LISTED_MS);
         let view = |(name, worker): (&String, &super::farm::WorkerEntry)| Worker {
             name: name.clone(),
-            kinds: worker.kinds.clone(),
-            threads: worker.threads,
+            kinds: worker.abilities.kinds.clone(),
+            threads: worker.abilities.threads,
+            memory_mib: worker.abilities.memory_mib,
+            labels: worker.abilities.labels.clone(),
             seen_ms: worker.seen_ms,
             holds: self.holds(name),
         };
@@ -100,7 +103,20 @@ impl Farm {
             *counts.entry((task.spec.kind.clone(), self.state_of(task))).or_insert(0) += 1;
         }
         let tasks = counts.into_iter().map(|((kind, state), count)| TaskCount { kind, state, count });
+        let mut demand = BTreeMap::new();
+        for bake in self.bakes.iter().filter(|bake| bake.state == BakeState::Running) {
+            let open = bake.members.iter().filter(|(_, member)| !member.done);
+            for task in open.filter_map(|(key, _)| self.tasks.get(key)) {
+                if self.state_of(task) == TaskState::Ready {
+                    let needs = serde_json::json!(bake.new.needs).to_string();
+                    let entry = demand.entry((task.spec.kind.clone(), needs));
+                    entry.or_insert((bake.new.needs.clone(), 0)).1 += 1;
+                }
+            }
+        }
+        let demand = demand.into_iter().map(|((kind, _), (needs, ready))| Demand { kind, needs, ready });
         Stats {
+            demand: demand.collect(),
             tasks: tasks.collect(),
             bakes_live: self.bakes.iter().filter(|bake| !bake.state.is_final()).count() as u64,
             bakes_total: self.bakes.len() as u64,

@@ -2,6 +2,7 @@
 
 use lightkiln_proto::api::{Bake, BakeState, EventKind};
 
+use super::chunks;
 use super::codec::to_json;
 use super::conn::{Conn, query};
 use super::ledger::{Ledger, seq_of};
@@ -22,6 +23,8 @@ pub(super) async fn submit(
     let seq = insert(conn, submission, now_ms).await?;
     let mut bake = Ledger::load(conn, seq).await?;
     bake.event(now_ms, EventKind::Submitted);
+    let scene = [submission.bake.scene].into();
+    chunks::refer(conn, seq, &scene, &scene).await?;
     apply_plan(conn, &mut bake, &submission.plan, now_ms).await?;
     bake.save_or_finish(conn, now_ms).await?;
     Ok(Submitted { bake: view::bake(conn, &bake.id).await?, is_new: true })
@@ -40,8 +43,9 @@ async fn submitted_before(conn: &mut Conn, submission: &Submission) -> Result<Op
 async fn insert(conn: &mut Conn, submission: &Submission, now_ms: i64) -> Result<i64, StoreError> {
     let sql =
         "INSERT INTO bakes (id, idempotency_key, body_hash, name, kind, scene, settings, priority, state,
-               open_count, tasks_run, tasks_reused, counters, counters_reused, created_ms, last_event)
-               VALUES ($1, $2, $3, $4, $5, $6, $7, $8, 'running', 0, 0, 0, '{}', '{}', $9, 0) RETURNING seq";
+               open_count, tasks_run, tasks_reused, counters, counters_reused, created_ms, last_event, needs,
+               attempt_limit_secs)
+               VALUES ($1, $2, $3, $4, $5, $6, $7, $8, 'running', 0, 0, 0, '{}', '{}', $9, 0, $10, $11) RETURNING seq";
     let new = &submission.bake;
     let query = query(sql)
         .bind(token::random_id()?)
@@ -52,7 +56,9 @@ async fn insert(conn: &mut Conn, submission: &Submission, now_ms: i64) -> Result
         .bind(new.scene.to_string())
         .bind(to_json(&new.settings)?)
         .bind(new.priority)
-        .bind(now_ms);
+        .bind(now_ms)
+        .bind(to_json(&new.needs)?)
+        .bind(new.attempt_limit_secs.map(i64::from));
     query.one(conn).await?.get("seq")
 }
 

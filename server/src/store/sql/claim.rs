@@ -1,54 +1,88 @@
-//! Handing out ready tasks, a batch at a time.
+//! Handing out ready tasks.
+//!
+//! A claim looks at running bakes in order of priority and age, a window of them at a time, and takes one task after the
+//! other from the bake whose turn it is ([`rules::next_contender`]). Tasks and bakes that are better left to another
+//! worker are looked at closely only if this one ever failed.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
-use lightkiln_proto::api::{ClaimRequest, Lease};
-use lightkiln_proto::ids::TaskKey;
+use lightkiln_proto::api::{ClaimRequest, Lease, Needs};
+use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{Artefact, TaskSpec};
+use serde_json::json;
 
 use super::codec::to_json;
 use super::conn::{Conn, query};
-use crate::store::rules::{WORKER_PRESENT_MS, WORKER_SEEN_GRAIN_MS, resolve_inputs};
+use crate::store::rules::{
+    self, Abilities, BLOCK_TASKS, CLAIM_WINDOW, Contender, WORKER_PRESENT_MS, WORKER_SEEN_GRAIN_MS,
+    next_contender, resolve_inputs,
+};
 use crate::store::{StoreError, token};
 
-/// Walks running bakes in claim order and each one's ready tasks in theirs, without sorting. A worker that failed at
-/// a task leaves it to others, if one that has not failed at it is present.
-const CANDIDATES: &str = "
-    SELECT r.task, b.id AS bake
-    FROM bakes b INDEXED BY bakes_in_claim_order CROSS JOIN ready r ON r.bake = b.seq
-    WHERE b.state = 'running' AND r.not_before_ms <= $1 AND r.kind IN (SELECT value FROM json_each($2))
-    AND NOT (
-        EXISTS (SELECT 1 FROM blames x WHERE x.task = r.task AND x.worker = $3)
-        AND EXISTS (
-            SELECT 1 FROM workers w WHERE w.seen_ms > $4
-            AND EXISTS (SELECT 1 FROM json_each(w.kinds) WHERE value = r.kind)
-            AND NOT EXISTS (SELECT 1 FROM blames y WHERE y.task = r.task AND y.worker = w.name)))
-    ORDER BY b.priority DESC, b.seq, r.cost DESC, r.key LIMIT $5";
+/// Running bakes with ready tasks, behind one of that priority and number.
+const OPEN_BAKES: &str = "
+    SELECT b.seq, b.id, b.priority, b.scene, b.needs, b.attempt_limit_secs,
+    (SELECT CAST(coalesce(sum(s.leased), 0) AS BIGINT) FROM stages s WHERE s.bake = b.seq) AS leased
+    FROM bakes b
+    WHERE b.state = 'running' AND (b.priority < $1 OR (b.priority = $1 AND b.seq > $2))
+    AND EXISTS (SELECT 1 FROM ready r WHERE r.bake = b.seq AND r.not_before_ms <= $3
+                AND r.kind IN (SELECT value FROM json_each($4)))
+    ORDER BY b.priority DESC, b.seq LIMIT $5";
 
-/// The same, and the tasks' rows are locked; those locked by another claim are left to it. `t.state` is looked at
-/// again once the lock is held, so that a task that a claim took just before is not taken twice.
-const CANDIDATES_LOCKED: &str = "
-    SELECT c.task, b.id AS bake
-    FROM bakes b CROSS JOIN LATERAL (
-        SELECT r.task, r.cost, r.key
-        FROM ready r JOIN tasks t ON t.id = r.task
-        WHERE r.bake = b.seq AND t.state = 'ready' AND r.not_before_ms <= $1
-        AND r.kind IN (SELECT value FROM json_each($2))
-        AND NOT (
-            EXISTS (SELECT 1 FROM blames x WHERE x.task = r.task AND x.worker = $3)
-            AND EXISTS (
-                SELECT 1 FROM workers w WHERE w.seen_ms > $4
-                AND EXISTS (SELECT 1 FROM json_each(w.kinds) k WHERE k.value = r.kind)
-                AND NOT EXISTS (SELECT 1 FROM blames y WHERE y.task = r.task AND y.worker = w.name)))
-        ORDER BY r.cost DESC, r.key LIMIT $5 FOR UPDATE OF t SKIP LOCKED) c
-    WHERE b.state = 'running'
-    ORDER BY b.priority DESC, b.seq, c.cost DESC, c.key LIMIT $5";
+/// The first ready task of a bake in claim order, and whether the worker failed at it before.
+const FIRST: &str = "
+    SELECT r.task, r.kind, EXISTS (SELECT 1 FROM blames x WHERE x.task = r.task AND x.worker = $4) AS is_blamed
+    FROM ready r WHERE r.bake = $1 AND r.not_before_ms <= $2 AND r.kind IN (SELECT value FROM json_each($3))
+    AND r.task NOT IN (SELECT CAST(value AS BIGINT) FROM json_each($5))
+    ORDER BY r.cost DESC, r.key LIMIT 1";
+
+/// The same, and the task's row is locked; one locked by another claim is left to it. `t.state` is looked at again
+/// once the lock is held, so that a task that a claim took just before is not taken twice.
+const FIRST_LOCKED: &str = "
+    SELECT r.task, r.kind, EXISTS (SELECT 1 FROM blames x WHERE x.task = r.task AND x.worker = $4) AS is_blamed
+    FROM ready r JOIN tasks t ON t.id = r.task
+    WHERE r.bake = $1 AND t.state = 'ready' AND r.not_before_ms <= $2
+    AND r.kind IN (SELECT value FROM json_each($3))
+    AND r.task NOT IN (SELECT CAST(value AS BIGINT) FROM json_each($5))
+    ORDER BY r.cost DESC, r.key LIMIT 1 FOR UPDATE OF t SKIP LOCKED";
+
+/// A bake that has ready tasks.
+#[derive(Clone)]
+struct OpenBake {
+    seq: i64,
+    id: String,
+    scene: Digest,
+    needs: Needs,
+    attempt_limit_secs: Option<u32>,
+}
 
 /// A task chosen for a lease.
 struct Chosen {
     task: i64,
     bake: String,
     token: String,
+    expires_ms: i64,
+    deadline_ms: i64,
+}
+
+/// Another worker that is present.
+struct Other {
+    name: String,
+    abilities: Abilities,
+}
+
+/// A claim under way.
+struct Claim<'a> {
+    conn: &'a mut Conn,
+    request: &'a ClaimRequest,
+    kinds: String,
+    abilities: Abilities,
+    now_ms: i64,
+    /// The others, if this worker ever failed.
+    others: Option<Vec<Other>>,
+    /// Tasks chosen, and tasks left to others.
+    passed: BTreeSet<i64>,
+    chosen: Vec<Chosen>,
 }
 
 pub(super) async fn claim(
@@ -57,27 +91,30 @@ pub(super) async fn claim(
     now_ms: i64,
 ) -> Result<Vec<Lease>, StoreError> {
     see_worker(conn, request, now_ms).await?;
-    let mut leases = Vec::new();
-    let mut tasks = Vec::new();
-    while leases.len() < request.max as usize {
-        let chosen = choose(conn, request, request.max as usize - leases.len(), now_ms).await?;
-        if chosen.is_empty() {
-            break;
-        }
-        tasks.extend(chosen.iter().map(|chosen| chosen.task));
-        leases.extend(lease(conn, chosen, request, now_ms).await?);
+    let others = others_if_failed(conn, request, now_ms).await?;
+    let (kinds, abilities) = (to_json(&request.kinds)?, Abilities::of(request));
+    let (passed, chosen) = (BTreeSet::new(), Vec::new());
+    let mut claim = Claim { conn, request, kinds, abilities, now_ms, others, passed, chosen };
+    claim.choose_all().await?;
+    let chosen = claim.chosen;
+    if chosen.is_empty() {
+        return Ok(Vec::new());
     }
-    if !tasks.is_empty() {
-        count_leased(conn, &to_json(&tasks)?, now_ms).await?;
-    }
+    let tasks: Vec<i64> = chosen.iter().map(|chosen| chosen.task).collect();
+    let tasks = to_json(&tasks)?;
+    let leases = lease(conn, chosen, &tasks, request).await?;
+    count_leased(conn, &tasks, now_ms).await?;
     Ok(leases)
 }
 
 /// Notes the worker, unless that was done a moment ago: an idle worker's polls write nothing.
 async fn see_worker(conn: &mut Conn, request: &ClaimRequest, now_ms: i64) -> Result<(), StoreError> {
-    let sql = "INSERT INTO workers VALUES ($1, $2, $3, $4) ON CONFLICT (name) DO UPDATE SET
-               kinds = excluded.kinds, threads = excluded.threads, seen_ms = excluded.seen_ms
+    let sql = "INSERT INTO workers (name, kinds, threads, seen_ms, memory_mib, labels)
+               VALUES ($1, $2, $3, $4, $6, $7) ON CONFLICT (name) DO UPDATE SET
+               kinds = excluded.kinds, threads = excluded.threads, seen_ms = excluded.seen_ms,
+               memory_mib = excluded.memory_mib, labels = excluded.labels
                WHERE workers.kinds <> excluded.kinds OR workers.threads <> excluded.threads
+               OR workers.memory_mib <> excluded.memory_mib OR workers.labels <> excluded.labels
                OR excluded.seen_ms - workers.seen_ms >= $5";
     query(sql)
         .bind(&request.worker)
@@ -85,66 +122,202 @@ async fn see_worker(conn: &mut Conn, request: &ClaimRequest, now_ms: i64) -> Res
         .bind(request.threads)
         .bind(now_ms)
         .bind(WORKER_SEEN_GRAIN_MS)
+        .bind(request.memory_mib)
+        .bind(to_json(&request.labels)?)
         .run(conn)
         .await?;
     Ok(())
 }
 
-async fn choose(
+/// Other workers that are present, if this one ever failed at a task that is still there.
+async fn others_if_failed(
     conn: &mut Conn,
     request: &ClaimRequest,
-    max: usize,
     now_ms: i64,
-) -> Result<Vec<Chosen>, StoreError> {
-    let rows = query(conn.pick(CANDIDATES, CANDIDATES_LOCKED))
-        .bind(now_ms)
-        .bind(to_json(&request.kinds)?)
-        .bind(&request.worker)
-        .bind(now_ms - WORKER_PRESENT_MS)
-        .bind(max)
-        .all(conn)
-        .await?;
-    // A task that several bakes want may show up for each of them: the first counts.
-    let mut chosen: Vec<Chosen> = Vec::with_capacity(rows.len());
+) -> Result<Option<Vec<Other>>, StoreError> {
+    let sql = "SELECT 1 FROM blames WHERE worker = $1 LIMIT 1";
+    if query(sql).bind(&request.worker).optional(conn).await?.is_none() {
+        return Ok(None);
+    }
+    let sql =
+        "SELECT name, kinds, threads, memory_mib, labels FROM workers WHERE seen_ms > $1 AND name <> $2";
+    let rows = query(sql).bind(now_ms - WORKER_PRESENT_MS).bind(&request.worker).all(conn).await?;
+    let mut others = Vec::with_capacity(rows.len());
     for row in rows {
-        let task = row.get("task")?;
-        if !chosen.iter().any(|earlier| earlier.task == task) {
-            chosen.push(Chosen { task, bake: row.get("bake")?, token: token::new_token()? });
+        let small = |column: &str| Ok::<_, StoreError>(u32::try_from(row.count(column)?).unwrap_or(u32::MAX));
+        let (threads, memory_mib) = (small("threads")?, small("memory_mib")?);
+        let abilities =
+            Abilities { kinds: row.json("kinds")?, threads, memory_mib, labels: row.json("labels")? };
+        others.push(Other { name: row.get("name")?, abilities });
+    }
+    Ok(Some(others))
+}
+
+impl Claim<'_> {
+    fn is_full(&self) -> bool {
+        self.chosen.len() >= self.request.max as usize
+    }
+
+    async fn choose_all(&mut self) -> Result<(), StoreError> {
+        let (mut priority, mut seq) = (i64::MAX, 0_i64);
+        let sql = "SELECT scene FROM workers WHERE name = $1";
+        let mut scene = None;
+        let mut is_first = true;
+        while !self.is_full() {
+            let rows = query(OPEN_BAKES)
+                .bind(priority)
+                .bind(seq)
+                .bind(self.now_ms)
+                .bind(&self.kinds)
+                .bind(CLAIM_WINDOW)
+                .all(self.conn)
+                .await?;
+            let Some(last) = rows.last() else { return Ok(()) };
+            (priority, seq) = (last.get("priority")?, last.get("seq")?);
+            if std::mem::take(&mut is_first) {
+                let row = query(sql).bind(&self.request.worker).one(self.conn).await?;
+                scene = row.digest_if_any("scene")?;
+            }
+            let mut contenders = Vec::with_capacity(rows.len());
+            for row in rows {
+                let limit = row.get::<Option<i64>>("attempt_limit_secs")?;
+                let bake = OpenBake {
+                    seq: row.get("seq")?,
+                    id: row.get("id")?,
+                    scene: row.digest("scene")?,
+                    needs: row.json("needs")?,
+                    attempt_limit_secs: limit.and_then(|limit| u32::try_from(limit).ok()),
+                };
+                if self.abilities.suffice(&bake.needs) && !self.is_blocked(&bake).await? {
+                    let (priority, leased) = (row.get("priority")?, row.get("leased")?);
+                    let is_local = scene == Some(bake.scene);
+                    contenders.push(Contender { bake, priority, leased, is_local });
+                }
+            }
+            scene = self.choose_among(contenders).await?.or(scene);
+        }
+        Ok(())
+    }
+
+    /// Chooses until there is enough, or nothing; returns the scene of the last one chosen.
+    async fn choose_among(
+        &mut self,
+        mut contenders: Vec<Contender<OpenBake>>,
+    ) -> Result<Option<Digest>, StoreError> {
+        let mut scene = None;
+        while !self.is_full()
+            && let Some(index) = next_contender(&contenders)
+        {
+            let bake = contenders[index].bake.clone();
+            match self.first(&bake).await? {
+                Some(task) => {
+                    self.passed.insert(task);
+                    let deadline_ms = rules::deadline_ms(self.now_ms, bake.attempt_limit_secs);
+                    let expires_ms = self.now_ms + i64::from(self.request.ttl_secs) * 1000;
+                    let expires_ms = expires_ms.min(deadline_ms);
+                    let token = token::new_token()?;
+                    self.chosen.push(Chosen { task, bake: bake.id, token, expires_ms, deadline_ms });
+                    contenders[index].leased += 1;
+                    scene = Some(bake.scene);
+                }
+                None => drop(contenders.remove(index)),
+            }
+        }
+        if let Some(scene) = scene {
+            let sql = "UPDATE workers SET scene = $1 WHERE name = $2 AND (scene IS NULL OR scene <> $1)";
+            query(sql).bind(scene.to_string()).bind(&self.request.worker).run(self.conn).await?;
+        }
+        Ok(scene)
+    }
+
+    /// The bake's first ready task that this worker need not leave to others.
+    async fn first(&mut self, bake: &OpenBake) -> Result<Option<i64>, StoreError> {
+        loop {
+            let row = query(self.conn.pick(FIRST, FIRST_LOCKED))
+                .bind(bake.seq)
+                .bind(self.now_ms)
+                .bind(&self.kinds)
+                .bind(&self.request.worker)
+                .bind(to_json(&self.passed)?)
+                .optional(self.conn)
+                .await?;
+            let Some(row) = row else { return Ok(None) };
+            let task = row.get("task")?;
+            if !row.get::<bool>("is_blamed")?
+                || !self.is_left_to_others(bake, task, &row.text("kind")?).await?
+            {
+                return Ok(Some(task));
+            }
+            self.passed.insert(task);
         }
     }
-    Ok(chosen)
+
+    /// A worker that failed at a task leaves it to others, if one that could do it and has not failed is present.
+    async fn is_left_to_others(
+        &mut self,
+        bake: &OpenBake,
+        task: i64,
+        kind: &str,
+    ) -> Result<bool, StoreError> {
+        let rows = query("SELECT worker FROM blames WHERE task = $1").bind(task).all(self.conn).await?;
+        let blamed = rows.iter().map(|row| row.text("worker")).collect::<Result<BTreeSet<_>, _>>()?;
+        let could = |other: &Other| {
+            !blamed.contains(&other.name)
+                && other.abilities.kinds.iter().any(|known| known == kind)
+                && other.abilities.suffice(&bake.needs)
+        };
+        Ok(self.others.iter().flatten().any(could))
+    }
+
+    /// A worker that failed at many tasks of a bake gets none of it, if one that did not is present.
+    async fn is_blocked(&mut self, bake: &OpenBake) -> Result<bool, StoreError> {
+        let Some(others) = &self.others else { return Ok(false) };
+        if failures(self.conn, bake.seq, &self.request.worker).await? < BLOCK_TASKS {
+            return Ok(false);
+        }
+        for other in others.iter().filter(|other| other.abilities.can_replace(self.request, &bake.needs)) {
+            if failures(self.conn, bake.seq, &other.name).await? < BLOCK_TASKS {
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
+}
+
+/// Tasks of a bake at which a worker failed.
+async fn failures(conn: &mut Conn, bake: i64, worker: &str) -> Result<u64, StoreError> {
+    let sql = "SELECT count(*) AS tasks FROM blames x JOIN bake_tasks m ON m.task = x.task
+               WHERE m.bake = $1 AND x.worker = $2";
+    query(sql).bind(bake).bind(worker).one(conn).await?.count("tasks")
 }
 
 async fn lease(
     conn: &mut Conn,
     chosen: Vec<Chosen>,
+    tasks: &str,
     request: &ClaimRequest,
-    now_ms: i64,
 ) -> Result<Vec<Lease>, StoreError> {
-    let ttl_ms = i64::from(request.ttl_secs) * 1000;
-    let expires_ms = now_ms + ttl_ms;
-    let rows: Vec<(&str, i64)> = chosen.iter().map(|chosen| (chosen.token.as_str(), chosen.task)).collect();
+    let row = |chosen: &Chosen| json!([chosen.token, chosen.task, chosen.expires_ms, chosen.deadline_ms]);
+    let rows: Vec<_> = chosen.iter().map(row).collect();
     let sql = conn.pick(
-        "INSERT INTO leases SELECT value ->> 0, value ->> 1, $2, $3, $4, 0.0 FROM json_each($1)",
-        "INSERT INTO leases SELECT v ->> 0, (v ->> 1)::bigint, $2, $3, $4, 0.0
+        "INSERT INTO leases SELECT value ->> 0, value ->> 1, $2, $3, value ->> 2, 0.0, value ->> 3
+         FROM json_each($1)",
+        "INSERT INTO leases SELECT v ->> 0, (v ->> 1)::bigint, $2, $3, (v ->> 2)::bigint, 0.0, (v ->> 3)::bigint
          FROM jsonb_array_elements($1::jsonb) AS j (v)",
     );
-    let insert = query(sql).bind(to_json(&rows)?).bind(&request.worker).bind(ttl_ms).bind(expires_ms);
-    insert.run(conn).await?;
-    let tasks: Vec<i64> = chosen.iter().map(|chosen| chosen.task).collect();
-    let tasks = to_json(&tasks)?;
+    let ttl_ms = i64::from(request.ttl_secs) * 1000;
+    query(sql).bind(to_json(&rows)?).bind(&request.worker).bind(ttl_ms).run(conn).await?;
     let sql = "DELETE FROM ready WHERE task IN (SELECT CAST(value AS BIGINT) FROM json_each($1))";
-    query(sql).bind(&tasks).run(conn).await?;
-    let mut specs = take_tasks(conn, &tasks).await?;
-    let outputs = outputs_of_needs(conn, &tasks).await?;
-    let leased = chosen.into_iter().filter_map(|Chosen { task, bake, token }| {
+    query(sql).bind(tasks).run(conn).await?;
+    let mut specs = take_tasks(conn, tasks).await?;
+    let outputs = outputs_of_needs(conn, tasks).await?;
+    let leased = chosen.into_iter().filter_map(|Chosen { task, bake, token, expires_ms, .. }| {
         let task = specs.remove(&task)?;
         let inputs = resolve_inputs(&task, |key| outputs.get(key).cloned().unwrap_or_default());
         Some(Lease { token, bake, task, inputs, expires_ms })
     });
     Ok(leased.collect())
 }
-
 /// Marks tasks as leased, and says what they are.
 async fn take_tasks(conn: &mut Conn, tasks: &str) -> Result<BTreeMap<i64, TaskSpec>, StoreError> {
     let sql =

@@ -16,6 +16,8 @@ pub(super) struct Ended {
     pub(super) cost: u64,
     pub(super) attempts: u32,
     pub(super) worker: String,
+    /// The attempt had all the time that one may take.
+    pub(super) has_hit_limit: bool,
 }
 
 pub(super) async fn heartbeat(
@@ -24,7 +26,7 @@ pub(super) async fn heartbeat(
     progress: f32,
     now_ms: i64,
 ) -> Result<HeartbeatAnswer, StoreError> {
-    let sql = "SELECT task, worker, ttl_ms, expires_ms FROM leases WHERE token = $1";
+    let sql = "SELECT task, worker, ttl_ms, expires_ms, deadline_ms FROM leases WHERE token = $1";
     let Some(row) = query(sql).bind(token).optional(conn).await? else {
         return Ok(HeartbeatAnswer { verdict: Verdict::Lost, expires_ms: now_ms });
     };
@@ -35,7 +37,7 @@ pub(super) async fn heartbeat(
     } else if expires_ms <= now_ms {
         verdict = Verdict::Lost;
     } else {
-        expires_ms = now_ms + row.get::<i64>("ttl_ms")?;
+        expires_ms = (now_ms + row.get::<i64>("ttl_ms")?).min(row.get("deadline_ms")?);
         query("UPDATE leases SET expires_ms = $1, progress = $2 WHERE token = $3")
             .bind(expires_ms)
             .bind(f64::from(progress))
@@ -58,6 +60,12 @@ pub(super) async fn release(conn: &mut Conn, token: &str, now_ms: i64) -> Result
     Ok(true)
 }
 
+pub(super) async fn extend(conn: &mut Conn, now_ms: i64) -> Result<u64, StoreError> {
+    let sql = "UPDATE leases SET expires_ms = CASE WHEN deadline_ms < $1 + ttl_ms THEN deadline_ms ELSE $1 + ttl_ms END
+               WHERE task IS NOT NULL AND expires_ms < $1 + ttl_ms AND expires_ms < deadline_ms";
+    query(sql).bind(now_ms).run(conn).await
+}
+
 /// Takes a lease that is still good from its holder. A cancelled one goes too, but gives nothing.
 pub(super) async fn end(conn: &mut Conn, token: &str, now_ms: i64) -> Result<Option<Ended>, StoreError> {
     let sql = "SELECT task, expires_ms FROM leases WHERE token = $1";
@@ -71,7 +79,8 @@ pub(super) async fn end(conn: &mut Conn, token: &str, now_ms: i64) -> Result<Opt
 
 /// Takes a lease, good or not; nothing when it was cancelled or is gone.
 pub(super) async fn take(conn: &mut Conn, token: &str) -> Result<Option<Ended>, StoreError> {
-    let sql = "SELECT l.task, l.worker, t.key, t.kind, t.label, t.cost, t.attempts
+    let sql =
+        "SELECT l.task, l.worker, l.expires_ms, l.deadline_ms, t.key, t.kind, t.label, t.cost, t.attempts
                FROM leases l JOIN tasks t ON t.id = l.task WHERE l.token = $1";
     let row = query(sql).bind(token).optional(conn).await?;
     query("DELETE FROM leases WHERE token = $1").bind(token).run(conn).await?;
@@ -84,6 +93,7 @@ pub(super) async fn take(conn: &mut Conn, token: &str) -> Result<Option<Ended>, 
         cost: row.count("cost")?,
         attempts: u32::try_from(row.count("attempts")?).unwrap_or(u32::MAX),
         worker: row.get("worker")?,
+        has_hit_limit: row.get::<i64>("expires_ms")? >= row.get::<i64>("deadline_ms")?,
     }))
 }
 

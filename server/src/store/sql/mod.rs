@@ -12,6 +12,8 @@
 mod bakes;
 mod batch;
 mod bearers;
+mod blocklist;
+mod chunks;
 mod claim;
 mod codec;
 mod conn;
@@ -32,13 +34,16 @@ use std::time::Duration;
 
 use async_trait::async_trait;
 use lightkiln_proto::api::{
-    Bake, BakePage, BakeState, Blame, ClaimRequest, CommitVerdict, EventPage, HeartbeatAnswer, Lease, Worker,
+    Bake, BakePage, BakeState, Blame, Blocklist, ClaimRequest, CommitVerdict, EventPage, HeartbeatAnswer,
+    Lease, Worker,
 };
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{TaskResult, TaskSpec};
 
+use super::chunk::{ChunkRow, CollectRules, Collected, Kept, KeptChunk, Usage};
 use super::{FailVerdict, FarmStore, KnownResult, Reaped, Stats, StoreError, Submission, Submitted};
 use crate::access::{Bearer, Scope};
+use crate::chunks::ChunkName;
 use crate::clock::Clock;
 use batch::{CommitQueue, Waiting};
 use conn::{Conn, query};
@@ -296,6 +301,18 @@ impl FarmStore for SqlStore {
         transact!(self, Write, "release", |conn, now_ms| leases::release(conn, token, now_ms))
     }
 
+    async fn extend_leases(&self) -> Result<u64, StoreError> {
+        transact!(self, Lease, "extend_leases", |conn, now_ms| leases::extend(conn, now_ms))
+    }
+
+    async fn blocklist(&self, bake: &str) -> Result<Blocklist, StoreError> {
+        transact!(self, Read, "blocklist", |conn, _now_ms| blocklist::show(conn, bake))
+    }
+
+    async fn clear_blocklist(&self, bake: &str, worker: Option<&str>) -> Result<Blocklist, StoreError> {
+        transact!(self, Write, "clear_blocklist", |conn, _now_ms| blocklist::clear(conn, bake, worker))
+    }
+
     async fn reap(&self) -> Result<Reaped, StoreError> {
         transact!(self, Write, "reap", |conn, now_ms| outcome::reap(conn, now_ms))
     }
@@ -349,6 +366,66 @@ impl FarmStore for SqlStore {
 
     async fn bearers(&self) -> Result<Vec<Bearer>, StoreError> {
         transact!(self, Read, "bearers", |conn, _now_ms| bearers::all(conn))
+    }
+
+    async fn find_chunks(&self, digests: &[Digest]) -> Result<Vec<KeptChunk>, StoreError> {
+        transact!(self, Read, "find_chunks", |conn, _now_ms| chunks::find(conn, digests))
+    }
+
+    async fn touch_chunk(&self, digest: Digest) -> Result<Option<KeptChunk>, StoreError> {
+        let looked: Result<_, StoreError> =
+            transact!(self, Read, "look_at_chunk", |conn, now_ms| chunks::look(conn, digest, now_ms));
+        match looked? {
+            None => Ok(None),
+            // Asked for a moment ago: there is nothing to write.
+            Some((kept, false)) => Ok(Some(kept)),
+            Some((_, true)) => {
+                transact!(self, Lease, "touch_chunk", |conn, now_ms| chunks::touch(conn, digest, now_ms))
+            }
+        }
+    }
+
+    async fn keep_chunk(
+        &self,
+        chunk: KeptChunk,
+        replaces: Option<u64>,
+        quota: Option<u64>,
+    ) -> Result<Kept, StoreError> {
+        transact!(self, Lease, "keep_chunk", |conn, now_ms| chunks::keep(
+            conn, chunk, replaces, quota, now_ms
+        ))
+    }
+
+    async fn delete_bake(&self, bake: &str) -> Result<(), StoreError> {
+        transact!(self, Write, "delete_bake", |conn, _now_ms| chunks::delete_bake(conn, bake))
+    }
+
+    async fn collect(&self, rules: &CollectRules) -> Result<Collected, StoreError> {
+        transact!(self, Write, "collect", |conn, now_ms| chunks::collect(conn, rules, now_ms))
+    }
+
+    async fn bury(&self, names: &[ChunkName]) -> Result<(), StoreError> {
+        transact!(self, Write, "bury", |conn, _now_ms| chunks::bury(conn, names))
+    }
+
+    async fn lose_chunk(&self, name: ChunkName) -> Result<u64, StoreError> {
+        transact!(self, Write, "lose_chunk", |conn, _now_ms| chunks::lose(conn, name))
+    }
+
+    async fn chunk_rows(&self, after: Option<Digest>, limit: u32) -> Result<Vec<ChunkRow>, StoreError> {
+        transact!(self, Read, "chunk_rows", |conn, _now_ms| chunks::rows(conn, after, limit))
+    }
+
+    async fn strangers(&self, names: &[ChunkName]) -> Result<Vec<ChunkName>, StoreError> {
+        transact!(self, Read, "strangers", |conn, _now_ms| chunks::strangers(conn, names))
+    }
+
+    async fn condemn_strangers(&self, chunks: &[KeptChunk]) -> Result<Vec<ChunkName>, StoreError> {
+        transact!(self, Write, "condemn_strangers", |conn, _now_ms| chunks::condemn_strangers(conn, chunks))
+    }
+
+    async fn usage(&self) -> Result<Usage, StoreError> {
+        transact!(self, Read, "usage", |conn, _now_ms| chunks::usage(conn))
     }
 
     async fn stats(&self) -> Result<Stats, StoreError> {

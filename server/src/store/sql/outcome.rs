@@ -4,6 +4,7 @@ use lightkiln_proto::api::{BakeState, Blame, CommitVerdict, EventKind};
 use lightkiln_proto::jobs::{Artefact, TaskResult};
 
 use super::batch::Waiting;
+use super::chunks;
 use super::codec::to_json;
 use super::conn::{Conn, query};
 use super::leases::{self, Ended, requeue};
@@ -71,6 +72,8 @@ async fn write_result(
         .bind(to_json(&result.counters)?)
         .run(conn)
         .await?;
+    let outputs = result.outputs.iter().map(|output| output.digest).collect();
+    chunks::refer_outputs(conn, ended.task, &outputs).await?;
     query("UPDATE tasks SET state = 'done' WHERE id = $1").bind(ended.task).run(conn).await?;
     Ok(())
 }
@@ -132,7 +135,7 @@ pub(super) async fn fail(
     if blame_worker(conn, &ended, &message, now_ms).await? {
         return Ok(FailVerdict::GivenUp);
     }
-    let not_before_ms = now_ms + rules::backoff_ms(ended.attempts + 1);
+    let not_before_ms = now_ms + rules::retry_wait_ms(ended.key, ended.attempts + 1);
     query("UPDATE tasks SET not_before_ms = $1 WHERE id = $2")
         .bind(not_before_ms)
         .bind(ended.task)
@@ -211,7 +214,8 @@ pub(super) async fn reap(conn: &mut Conn, now_ms: i64) -> Result<Reaped, StoreEr
             bake.event(now_ms, EventKind::LeaseExpired { key: ended.key, worker: ended.worker.clone() });
             bake.save(conn).await?;
         }
-        let message = rules::expiry_message(&ended.worker);
+        let message = if ended.has_hit_limit { rules::limit_message } else { rules::expiry_message };
+        let message = message(&ended.worker);
         if blame_worker(conn, &ended, &message, now_ms).await? {
             reaped.given_up += 1;
         } else {

@@ -1,12 +1,13 @@
 //! Adding tasks to a bake, in batches: the plans of tasks done already are followed layer by layer.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use lightkiln_proto::api::EventKind;
-use lightkiln_proto::ids::TaskKey;
+use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{TaskResult, TaskSpec};
 use serde_json::json;
 
+use super::chunks;
 use super::codec::{ROWS_PER_STATEMENT, to_json};
 use super::conn::{Conn, query};
 use super::ledger::Ledger;
@@ -48,6 +49,9 @@ struct Addition<'a> {
     /// In order of first appearance.
     stages: Vec<(String, StageGain)>,
     reused: u64,
+    /// Artefacts that the added tasks name, and those among them that are still to be read.
+    named: BTreeSet<Digest>,
+    required: BTreeSet<Digest>,
 }
 
 /// Adds `plan` to the bake. The ledger is changed, not saved.
@@ -58,7 +62,8 @@ pub(super) async fn apply_plan(
     now_ms: i64,
 ) -> Result<(), StoreError> {
     let (added, ids, fresh, stages) = (Vec::new(), BTreeMap::new(), Vec::new(), Vec::new());
-    let mut addition = Addition { conn, bake, added, ids, fresh, stages, reused: 0 };
+    let (named, required) = (BTreeSet::new(), BTreeSet::new());
+    let mut addition = Addition { conn, bake, added, ids, fresh, stages, reused: 0, named, required };
     let mut layer = plan.to_vec();
     while !layer.is_empty() {
         layer = addition.add_layer(layer).await?;
@@ -67,6 +72,7 @@ pub(super) async fn apply_plan(
         return Ok(());
     }
     addition.link().await?;
+    chunks::refer(addition.conn, addition.bake.seq, &addition.named, &addition.required).await?;
     addition.write_stages(now_ms).await?;
     let (tasks, reused) = (addition.added.len() as u64, addition.reused);
     bake.open_count += tasks - reused;
@@ -118,6 +124,10 @@ impl Addition<'_> {
     }
 
     fn count(&mut self, spec: &TaskSpec, state: &str) {
+        self.named.extend(chunks::named_artefacts(&spec.inputs));
+        if state != "done" {
+            self.required.extend(chunks::named_artefacts(&spec.inputs));
+        }
         let index = self.stages.iter().position(|(kind, _)| *kind == spec.kind).unwrap_or_else(|| {
             self.stages.push((spec.kind.clone(), StageGain::default()));
             self.stages.len() - 1

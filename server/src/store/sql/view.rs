@@ -6,7 +6,7 @@ use lightkiln_proto::ids::Digest;
 use super::conn::{Conn, Row, corrupt, query};
 use super::ledger::{seq_of, state_from};
 use crate::store::rules::WORKER_LISTED_MS;
-use crate::store::{Stats, StoreError, TaskCount, TaskState};
+use crate::store::{Demand, Stats, StoreError, TaskCount, TaskState};
 
 pub(super) async fn bake(conn: &mut Conn, id: &str) -> Result<Bake, StoreError> {
     match query("SELECT * FROM bakes WHERE id = $1").bind(id).optional(conn).await? {
@@ -27,6 +27,7 @@ async fn bake_from(conn: &mut Conn, row: &Row) -> Result<Bake, StoreError> {
         scene: row.digest("scene")?,
         settings: row.json("settings")?,
         priority: i32::try_from(row.get::<i64>("priority")?).unwrap_or_default(),
+        needs: row.json("needs")?,
         state,
         stages: stages(conn, row.get("seq")?).await?,
         tasks_run: row.count("tasks_run")?,
@@ -98,7 +99,7 @@ pub(super) async fn events_after(
 }
 
 pub(super) async fn workers(conn: &mut Conn, now_ms: i64) -> Result<Vec<Worker>, StoreError> {
-    let sql = "SELECT name, kinds, threads, seen_ms FROM workers WHERE seen_ms > $1 ORDER BY name";
+    let sql = "SELECT name, kinds, threads, seen_ms, memory_mib, labels FROM workers WHERE seen_ms > $1 ORDER BY name";
     let rows = query(sql).bind(now_ms - WORKER_LISTED_MS).all(conn).await?;
     let mut workers = Vec::with_capacity(rows.len());
     for row in rows {
@@ -109,8 +110,10 @@ pub(super) async fn workers(conn: &mut Conn, now_ms: i64) -> Result<Vec<Worker>,
         let holds = held.iter().map(|row| row.text("label")).collect::<Result<_, _>>()?;
         let kinds = row.json("kinds")?;
         let threads = u32::try_from(row.count("threads")?).unwrap_or(u32::MAX);
+        let memory_mib = u32::try_from(row.count("memory_mib")?).unwrap_or(u32::MAX);
+        let labels = row.json("labels")?;
         let seen_ms = row.get("seen_ms")?;
-        workers.push(Worker { name, kinds, threads, seen_ms, holds });
+        workers.push(Worker { name, kinds, threads, memory_mib, labels, seen_ms, holds });
     }
     Ok(workers)
 }
@@ -123,6 +126,13 @@ pub(super) async fn stats(conn: &mut Conn) -> Result<Stats, StoreError> {
         tasks.push(TaskCount { kind: row.get("kind")?, state, count: row.count("count")? });
     }
     tasks.sort();
+    let sql = "SELECT r.kind, b.needs, count(*) AS ready FROM bakes b JOIN ready r ON r.bake = b.seq
+               WHERE b.state = 'running' GROUP BY r.kind, b.needs";
+    let mut demand = Vec::new();
+    for row in query(sql).all(conn).await? {
+        demand.push(Demand { kind: row.get("kind")?, needs: row.json("needs")?, ready: row.count("ready")? });
+    }
+    demand.sort_by_cached_key(|demand| (demand.kind.clone(), serde_json::json!(demand.needs).to_string()));
     let sql = "SELECT count(*) AS total, count(*) FILTER (WHERE state IN ('running', 'paused')) AS live,
                CAST(coalesce(sum(tasks_run), 0) AS BIGINT) AS run,
                CAST(coalesce(sum(tasks_reused), 0) AS BIGINT) AS reused FROM bakes";
@@ -130,6 +140,7 @@ pub(super) async fn stats(conn: &mut Conn) -> Result<Stats, StoreError> {
     let sum = |column: &str| row.count(column);
     Ok(Stats {
         tasks,
+        demand,
         bakes_live: sum("live")?,
         bakes_total: sum("total")?,
         tasks_run: sum("run")?,

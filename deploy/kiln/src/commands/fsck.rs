@@ -1,0 +1,98 @@
+//! `kiln fsck`: checks a farm's stored bytes, and makes good what can be made good.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use clap::Args;
+use lightkiln_server::fsck::{Checks, Findings, Flaw};
+use lightkiln_server::places::{ChunksPlace, DatabasePlace};
+use lightkiln_server::{ServerError, check_storage};
+use tokio::runtime::Runtime;
+
+use crate::embedded::{default_state, server_failure};
+use crate::failure::{Exit, Failure, Result};
+
+/// Arguments of `kiln fsck`.
+#[derive(Args, Debug)]
+#[command(
+    after_help = "It may run beside servers. Missing and corrupt chunks are given up by --repair: their tasks run again \
+                        where a live bake needs them, at once, and else when a later bake does. Orphaned bytes are removed. \
+                        Lost scenes cannot be repaired: submitting them again uploads them."
+)]
+pub struct Arguments {
+    /// The state folder of the farm's server [default: that of 'kiln server']
+    #[arg(long, value_name = "DIR")]
+    state: Option<PathBuf>,
+    /// The farm's database, as given to 'kiln server' [default: a file in the state folder]
+    #[arg(long, value_name = "URL", env = "KILN_DATABASE", hide_env_values = true)]
+    database: Option<DatabasePlace>,
+    /// The farm's chunk store, as given to 'kiln server' [default: a folder in the state folder]
+    #[arg(long, value_name = "URL", env = "KILN_CHUNKS")]
+    chunks: Option<ChunksPlace>,
+    /// Makes good what is found
+    #[arg(long)]
+    repair: bool,
+    /// Looks at lengths alone, and reads no bytes
+    #[arg(long)]
+    quick: bool,
+    /// Hours after which bytes that nobody knows of count as orphaned; younger ones may be uploads under way
+    #[arg(long, value_name = "HOURS", default_value_t = 24, value_parser = clap::value_parser!(u32).range(0..=8760))]
+    grace_hours: u32,
+    /// Prints what was found as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Checks, and fails if something is wrong and was not made good.
+pub fn run(arguments: Arguments) -> Result<()> {
+    let state = match arguments.state {
+        Some(state) => state,
+        None => default_state()?.join("server"),
+    };
+    let checks = Checks {
+        reads: !arguments.quick,
+        repairs: arguments.repair,
+        grace: Duration::from_secs(3600 * u64::from(arguments.grace_hours)),
+    };
+    let runtime = Runtime::new()
+        .map_err(|error| Failure::new(Exit::Failed, "no thread can be started").caused_by(&error))?;
+    let checked: std::result::Result<Findings, ServerError> = runtime.block_on(check_storage(
+        &state,
+        arguments.database.as_ref(),
+        arguments.chunks.as_ref(),
+        checks,
+    ));
+    let findings = checked.map_err(|error| server_failure(&error))?;
+    if arguments.json {
+        println!("{}", serde_json::json!(findings));
+    } else {
+        print(&findings);
+    }
+    if findings.is_sound() {
+        return Ok(());
+    }
+    let failure = Failure::new(Exit::Unsound, "the stored bytes are not sound");
+    Err(if checks.repairs {
+        failure.try_this("'kiln submit' of the scenes that are lost, which uploads them again")
+    } else {
+        failure.try_this("'kiln fsck --repair'")
+    })
+}
+
+fn print(findings: &Findings) {
+    println!("{} chunks, {} bytes", findings.chunks, findings.bytes);
+    let kinds = [
+        ("missing", &findings.missing),
+        ("corrupt", &findings.corrupt),
+        ("orphaned", &findings.orphaned),
+        ("lost", &findings.lost),
+    ];
+    for (kind, flaws) in kinds {
+        for Flaw { digest, bytes, references } in flaws {
+            println!("{kind:8}  {digest}  {bytes} bytes, {references} references");
+        }
+    }
+    if findings.repaired {
+        println!("repaired; {} results were forgotten", findings.results_forgotten);
+    }
+}

@@ -1,0 +1,28 @@
+//! `kiln priority`: changes which bakes go first.
+
+use clap::Args;
+
+use super::submitting::connect;
+use crate::arguments::ServerArgument;
+use crate::failure::Result;
+use crate::interrupt::Interrupt;
+
+/// Arguments of `kiln priority`.
+#[derive(Args, Debug)]
+pub struct Arguments {
+    /// The bake's id
+    id: String,
+    /// Its new priority; bigger runs first
+    #[arg(allow_negative_numbers = true)]
+    priority: i32,
+    #[command(flatten)]
+    server: ServerArgument,
+}
+
+/// Changes the bake's priority; tasks under way go on.
+pub fn run(arguments: Arguments) -> Result<()> {
+    let client = connect(&arguments.server.server, &arguments.server.trust, &Interrupt::default())?;
+    let bake = client.reprioritise(&arguments.id, arguments.priority)?;
+    eprintln!("bake {} has priority {}", bake.id, bake.priority);
+    Ok(())
+}
