@@ -2,8 +2,8 @@
 
 use super::{Axis, Study};
 
-/// Spherical harmonics, as the thesis has them.
-const SH: &[&str] = &["basis=sh"];
+/// Spherical harmonics, as the thesis has them: its clusters are larger than those that suit patches.
+const SH: &[&str] = &["basis=sh", "cluster_receivers=1024"];
 const BASES: &[(&str, &[&str])] = &[("patches", &["basis=patches"]), ("sh", SH)];
 const ONE: &[(&str, &[&str])] = &[("", &[])];
 const ROOMS: &[&str] = &["cornell", "u_corridor"];
@@ -18,7 +18,7 @@ pub const STUDIES: &[Study] = &[
         fixed: SH,
         lines: ONE,
         varied: "probes_target",
-        values: &["15", "30", "60", "125", "250", "500"],
+        values: &["15", "60", "250", "500"],
         axis: Axis::Probes,
     },
     Study {
@@ -29,7 +29,7 @@ pub const STUDIES: &[Study] = &[
         fixed: &[],
         lines: ONE,
         varied: "receivers_target",
-        values: &["7500", "15000", "30000", "60000", "120000", "240000"],
+        values: &["7500", "15000", "30000", "60000", "120000"],
         axis: Axis::Receivers,
     },
     Study {
@@ -43,7 +43,7 @@ pub const STUDIES: &[Study] = &[
             ("probes added for coverage", &["uncovered_max=0.001", "probes_added_max=2"]),
         ],
         varied: "n_overlaps",
-        values: &["2", "4", "8", "16", "32"],
+        values: &["2", "5", "10", "20"],
         axis: Axis::Value,
     },
     Study {
@@ -51,10 +51,10 @@ pub const STUDIES: &[Study] = &[
         question: "How fine must light be told apart where surfaces touch? ([Sedlacek2019] §5.1.4)",
         answer: "",
         scenes: &["cornell", "open_hall"],
-        fixed: &["rank_error=0.005", "rank_max=64"],
+        fixed: &[],
         lines: ONE,
         varied: "patches_max",
-        values: &["32", "64", "128", "256", "512", "1024"],
+        values: &["16", "64", "256", "1024", "4096"],
         axis: Axis::Value,
     },
     Study {
@@ -65,7 +65,7 @@ pub const STUDIES: &[Study] = &[
         fixed: &[],
         lines: BASES,
         varied: "rank_error",
-        values: &["0.12", "0.06", "0.03", "0.015", "0.0075"],
+        values: &["0.08", "0.04", "0.02", "0.01", "0.005"],
         axis: Axis::Bytes,
     },
     Study {
@@ -76,8 +76,19 @@ pub const STUDIES: &[Study] = &[
         fixed: &[],
         lines: BASES,
         varied: "transport_rays",
-        values: &["32", "128", "512", "2048"],
+        values: &["64", "256", "1024", "4096"],
         axis: Axis::Megarays,
+    },
+    Study {
+        name: "clusters",
+        question: "How large should clusters be with patches?",
+        answer: "",
+        scenes: ROOMS,
+        fixed: &[],
+        lines: ONE,
+        varied: "cluster_receivers",
+        values: &["64", "128", "256", "512", "1024"],
+        axis: Axis::Bytes,
     },
     Study {
         name: "window",
@@ -87,7 +98,7 @@ pub const STUDIES: &[Study] = &[
         fixed: SH,
         lines: ONE,
         varied: "window_strength",
-        values: &["0.01", "0.25", "0.5", "1", "2", "8"],
+        values: &["0", "0.25", "0.5", "2", "8"],
         axis: Axis::Value,
     },
 ];

@@ -67,6 +67,8 @@ pub struct LightResult {
     pub classes: Classes,
     /// Baked E_ind of the sample's receivers, W·m⁻²; zero for those that the bake left out as unreachable.
     pub baked: Vec<DVec3>,
+    /// E_ind of the same by full-precision, full-rank transport, W·m⁻².
+    pub full_rank: Vec<DVec3>,
     /// The reference of the same.
     pub reference: Vec<IrradianceEstimate>,
     /// Which of the sample the figures count: all but insides of solids.
@@ -188,6 +190,7 @@ impl Evaluator {
             figures,
             classes,
             baked,
+            full_rank: full,
             reference: estimates,
             counted,
             settled,

@@ -9,11 +9,12 @@ use super::measure::Measured;
 use crate::failure::Result;
 
 /// First line of the file.
-const HEADER: &str = "light,receiver,x_m,y_m,z_m,nx,ny,nz,area_m2,baked_r,baked_g,baked_b,reference_r,reference_g,\
-                      reference_b,error_r,error_g,error_b,direct_r,direct_g,direct_b,paths,counted\n";
+const HEADER: &str = "light,receiver,x_m,y_m,z_m,nx,ny,nz,area_m2,baked_r,baked_g,baked_b,full_rank_r,full_rank_g,\
+                      full_rank_b,reference_r,reference_g,reference_b,error_r,error_g,error_b,direct_r,direct_g,\
+                      direct_b,paths,counted\n";
 
-/// Writes one line per light and receiver: place, normal, area, baked and reference E_ind in W·m⁻² with the reference's
-/// standard error, and E_dir.
+/// Writes one line per light and receiver: place, normal, area, E_ind in W·m⁻² as baked, by full-rank transport and
+/// by the reference with its standard error, and E_dir.
 pub fn write_dump(path: &Path, measured: &Measured) -> Result<()> {
     let stage = &measured.evaluator.world().stage;
     let mut text = HEADER.to_owned();
@@ -21,13 +22,14 @@ pub fn write_dump(path: &Path, measured: &Measured) -> Result<()> {
         for (index, sampled) in measured.evaluator.sample().receivers.iter().enumerate() {
             let receiver = &stage.receivers[sampled.receiver as usize];
             let (p, n) = (receiver.position_m, receiver.normal);
-            let (baked, reference) = (result.baked[index], &result.reference[index]);
+            let (baked, full_rank) = (result.baked[index], result.full_rank[index]);
+            let reference = &result.reference[index];
             let (mean, error, direct) =
                 (reference.indirect.mean, reference.indirect.error, reference.direct.mean);
             // Writing to a String cannot fail.
             let _ = writeln!(
                 text,
-                "{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{}",
+                "{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{}",
                 field(&result.light.name),
                 sampled.receiver,
                 p.x,
@@ -40,6 +42,9 @@ pub fn write_dump(path: &Path, measured: &Measured) -> Result<()> {
                 baked.x,
                 baked.y,
                 baked.z,
+                full_rank.x,
+                full_rank.y,
+                full_rank.z,
                 mean.x,
                 mean.y,
                 mean.z,
