@@ -19,8 +19,8 @@ use crate::task::TaskError;
 use lightkiln_proto::chunk::encode_patches;
 use lightkiln_proto::prt::{self as content, LINKS, PatchKey, PatchSet, Settings, Texel};
 
-/// Side of the finest cells in texels.
-const LEAF_TEXELS: f32 = 2.0;
+/// Side of the finest cells in texels: a texel's neighbour may lie under what stands on it, and be dark.
+const LEAF_TEXELS: f32 = 1.0;
 /// Levels at most; 4 bits of a key, the last value being the sky's.
 const LEVELS_MAX: u32 = 14;
 /// Cells along an axis: 15 bits of a key.

@@ -74,24 +74,23 @@ impl<'a> Met<'a> {
 /// lower the loss, as a share of the rows' squared sums, by `error²/columns_max` at least; by more, where more than
 /// `columns_max` do.
 pub fn cut(met: Met<'_>, expectation: &Expectation, columns_max: usize, error: f32) -> Vec<u32> {
-    let gains = gains(met, expectation);
+    let seen = Seen::new(met, expectation);
     let mut sums = vec![0.0; met.rows];
     met.meetings.iter().for_each(|meeting| sums[meeting.row as usize] += f64::from(meeting.count));
     let total: f64 = sums.iter().map(|sum| sum * sum).sum();
     let least = total * f64::from(error).powi(2) / columns_max as f64;
-    let mut best = opened(met, &gains, least);
+    let mut best = seen.opened(least);
     if best.len() > columns_max {
         let (mut low, mut high) = (least, total.max(least));
         for _ in 0..SEARCH_STEPS {
             let middle = (low * high).sqrt();
-            let found = opened(met, &gains, middle);
-            if found.len() > columns_max {
+            if seen.opened(middle).len() > columns_max {
                 low = middle;
             } else {
                 high = middle;
             }
         }
-        best = opened(met, &gains, high);
+        best = seen.opened(high);
     }
     best
 }
@@ -105,15 +104,6 @@ pub fn leaves(tree: &PatchTree, meetings: &[Meeting]) -> Vec<u32> {
             patch.leaf_count == 1 && is_met(patch.first_leaf)
         })
         .collect()
-}
-
-/// What opening each patch is worth; 0 for those that were not met.
-fn gains(met: Met<'_>, expectation: &Expectation) -> Vec<f64> {
-    let of_patch = |patch: u32| {
-        let is_leaf = met.tree.patches[patch as usize].leaf_count == 1;
-        if is_leaf || met.of(patch).is_empty() { 0.0 } else { gain(met, expectation, patch) }
-    };
-    (0..met.tree.patches.len() as u32).map(of_patch).collect()
 }
 
 fn gain(met: Met<'_>, expectation: &Expectation, patch: u32) -> f64 {
@@ -137,27 +127,70 @@ fn gain(met: Met<'_>, expectation: &Expectation, patch: u32) -> f64 {
     sum
 }
 
-/// Roots, and parts of patches whose opening, with what can be opened in them, brings `least` a column.
-fn opened(met: Met<'_>, gains: &[f64], least: f64) -> Vec<u32> {
-    let tree = met.tree;
-    // Parts come after what they are part of.
-    let mut worth = vec![0.0; gains.len()];
-    for patch in (0..gains.len() as u32).rev().filter(|&patch| !met.of(patch).is_empty()) {
-        let parts = tree.parts(patch);
-        let (columns, within) =
-            parts.fold((0.0, 0.0), |(columns, within), part| (columns + 1.0, within + worth[part as usize]));
-        worth[patch as usize] = (gains[patch as usize] + within - least * columns).max(0.0);
-    }
-    let mut found = Vec::new();
-    let mut next: Vec<u32> = tree.roots().filter(|&root| !met.of(root).is_empty()).collect();
-    while let Some(patch) = next.pop() {
-        found.push(patch);
-        if worth[patch as usize] > 0.0 {
-            next.extend(tree.parts(patch));
+/// The patches that were met.
+struct Seen<'a> {
+    tree: &'a PatchTree,
+    /// Ascending, so that parts come after what they are part of.
+    patches: Vec<SeenPatch>,
+}
+
+struct SeenPatch {
+    patch: u32,
+    /// Place among those seen of the patch that it is part of.
+    parent: Option<usize>,
+    /// What opening it is worth by itself.
+    gain: f64,
+    /// Its parts, met or not.
+    parts: usize,
+}
+
+impl<'a> Seen<'a> {
+    fn new(met: Met<'a>, expectation: &Expectation) -> Self {
+        let tree = met.tree;
+        let mut patches = Vec::new();
+        let mut next: Vec<(u32, Option<usize>)> = tree.roots().map(|root| (root, None)).collect();
+        next.reverse();
+        while let Some((patch, parent)) = next.pop() {
+            if met.of(patch).is_empty() {
+                continue;
+            }
+            let own = patches.len();
+            let parts: Vec<u32> = tree.parts(patch).collect();
+            let gain = if parts.is_empty() { 0.0 } else { gain(met, expectation, patch) };
+            patches.push(SeenPatch { patch, parent, gain, parts: parts.len() });
+            next.extend(parts.into_iter().rev().map(|part| (part, Some(own))));
         }
+        Self { tree, patches }
     }
-    found.sort_unstable();
-    found
+
+    /// Roots, and parts of patches whose opening, with what can be opened in them, brings `least` a column.
+    fn opened(&self, least: f64) -> Vec<u32> {
+        let mut worth = vec![0.0; self.patches.len()];
+        for (index, seen) in self.patches.iter().enumerate().rev() {
+            // So far, what its parts are worth.
+            worth[index] = (worth[index] + seen.gain - least * seen.parts as f64).max(0.0);
+            if let Some(parent) = seen.parent {
+                worth[parent] += worth[index];
+            }
+        }
+        let is_open = |index: usize| worth[index] > 0.0;
+        let mut found = Vec::new();
+        let mut reached = vec![false; self.patches.len()];
+        for (index, seen) in self.patches.iter().enumerate() {
+            reached[index] = seen.parent.is_none_or(|parent| reached[parent] && is_open(parent));
+            if !reached[index] {
+                continue;
+            }
+            if seen.parent.is_none() {
+                found.push(seen.patch);
+            }
+            if is_open(index) {
+                found.extend(self.tree.parts(seen.patch));
+            }
+        }
+        found.sort_unstable();
+        found
+    }
 }
 
 #[cfg(test)]
