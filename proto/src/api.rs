@@ -146,6 +146,10 @@ pub struct Bake {
     pub tasks_run: u64,
     /// Tasks whose result was there already.
     pub tasks_reused: u64,
+    /// Results that are no longer there, as their bytes were lost after the bake had ended; 0 for a bake that is whole.
+    /// A new bake of the scene makes them again, for this one, too.
+    #[serde(default)]
+    pub results_lost: u64,
     /// Why it failed.
     pub failure: Option<String>,
     /// Digest of the manifest when done.

@@ -167,7 +167,8 @@ pub trait FarmStore: Send + Sync {
     /// Results that `plan` would reuse, plans of reused results included.
     async fn reusable(&self, plan: &[TaskSpec]) -> Result<Vec<KnownResult>, StoreError>;
 
-    /// Forgets results whose bytes are lost: tasks that a live bake wants run again, dependants wait again.
+    /// Forgets results whose bytes are lost: tasks that a live bake wants run again, dependants wait again. Bakes that
+    /// have ended count the result as lost ([`Bake::results_lost`]) until a bake runs the task again.
     async fn forget(&self, keys: &[TaskKey]) -> Result<(), StoreError>;
 
     /// Hands out up to `max` ready tasks. One by one they come from the bake with the highest priority, of those from the

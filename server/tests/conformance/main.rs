@@ -79,7 +79,10 @@ conformance! {
         damaged_bytes_are_given_up_when_they_are_read
         upload_beyond_the_quota_leaves_nothing_and_works_when_there_is_room
         bytes_from_before_generations_are_found
-        check_finds_what_is_wrong_and_makes_it_good;
+        check_finds_what_is_wrong_and_makes_it_good
+        scene_is_lost_only_while_a_live_bake_needs_it
+        artefact_that_an_ended_bake_names_is_made_again_by_the_next
+        ended_bake_says_what_it_lost_also_when_a_live_one_gives_up;
     graph:
         dependants_start_only_after_commit
         lease_carries_the_outputs_of_dependencies

@@ -143,6 +143,7 @@ impl Farm {
             generation: row.generation,
             bytes: row.bytes,
             refs: self.refs(*digest),
+            is_live_scene: self.bakes.iter().any(|bake| !bake.state.is_final() && bake.new.scene == *digest),
         };
         later.take(limit as usize).map(row).collect()
     }

@@ -58,6 +58,8 @@ pub(super) struct Member {
     pub(super) reused: bool,
     /// The bake holds the task, and its result: false once the task was dropped.
     pub(super) held: bool,
+    /// The bake had ended when the result was forgotten; it holds it again when the task has run again.
+    pub(super) lost: bool,
 }
 
 #[derive(Clone)]
@@ -281,6 +283,11 @@ impl Farm {
         if self.tasks.get(&key).is_none_or(|task| task.done.is_none()) {
             return;
         }
+        for bake in self.bakes.iter_mut().filter(|bake| bake.state.is_final()) {
+            if let Some(member) = bake.members.get_mut(&key).filter(|member| member.held) {
+                (member.held, member.lost) = (false, true);
+            }
+        }
         if wanted_by.is_empty() {
             self.drop_task(key);
             return;
@@ -326,7 +333,7 @@ impl BakeEntry {
         if task.lease.is_some() {
             stage.first_claim_ms.get_or_insert(now_ms);
         }
-        self.members.insert(task.spec.key, Member { kind, cost, done, reused: done, held: true });
+        self.members.insert(task.spec.key, Member { kind, cost, done, reused: done, held: true, lost: false });
     }
 
     /// The stage of a kind, made at its first appearance.

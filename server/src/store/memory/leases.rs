@@ -265,6 +265,11 @@ impl Farm {
         let Some(task) = self.tasks.get_mut(&key) else { return Ok(CommitVerdict::Stale) };
         task.done = Some((result.clone(), token.to_owned()));
         let spec = task.spec.clone();
+        for bake in &mut self.bakes {
+            if let Some(member) = bake.members.get_mut(&key).filter(|member| member.lost) {
+                (member.held, member.lost) = (true, false);
+            }
+        }
         for bake in self.live_bakes_of(key) {
             let entry = &mut self.bakes[bake];
             entry.tasks_run += 1;

@@ -25,6 +25,7 @@ impl Farm {
             stages: entry.stages.iter().map(|stage| self.stage_count(entry, stage)).collect(),
             tasks_run: entry.tasks_run,
             tasks_reused: reused(entry),
+            results_lost: entry.members.values().filter(|member| member.lost).count() as u64,
             failure: entry.failure.clone(),
             manifest: entry.manifest.filter(|_| done),
             report: entry.report.filter(|_| done),

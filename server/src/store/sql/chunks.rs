@@ -245,13 +245,16 @@ pub(super) async fn rows(
     after: Option<Digest>,
     limit: u32,
 ) -> Result<Vec<ChunkRow>, StoreError> {
-    let sql = "SELECT digest, generation, bytes, refs FROM chunks WHERE digest > $1 ORDER BY digest LIMIT $2";
+    let sql = "SELECT digest, generation, bytes, refs,
+               digest IN (SELECT scene FROM bakes WHERE state IN ('running', 'paused')) AS is_live_scene
+               FROM chunks WHERE digest > $1 ORDER BY digest LIMIT $2";
     let after = after.map(|digest| digest.to_string()).unwrap_or_default();
     let mut found = Vec::new();
     for row in query(sql).bind(after).bind(limit).all(conn).await? {
         let generation = row.get::<Option<i64>>("generation")?.and_then(|g| u64::try_from(g).ok());
         let (bytes, refs) = (row.count("bytes")?, row.count("refs")?);
-        found.push(ChunkRow { digest: row.digest("digest")?, generation, bytes, refs });
+        let (digest, is_live_scene) = (row.digest("digest")?, row.get("is_live_scene")?);
+        found.push(ChunkRow { digest, generation, bytes, refs, is_live_scene });
     }
     Ok(found)
 }

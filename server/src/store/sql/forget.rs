@@ -44,6 +44,7 @@ async fn forget(conn: &mut Conn, key: TaskKey) -> Result<(), StoreError> {
     let sql = "SELECT id, kind, cost FROM tasks WHERE key = $1 AND state = 'done'";
     let Some(row) = query(sql).bind(key.to_string()).optional(conn).await? else { return Ok(()) };
     let task: i64 = row.get("id")?;
+    take_from_ended(conn, task, key).await?;
     let wanted_by = live_bakes_of(conn, task).await?;
     if wanted_by.is_empty() {
         query("DELETE FROM tasks WHERE id = $1").bind(task).run(conn).await?;
@@ -54,6 +55,26 @@ async fn forget(conn: &mut Conn, key: TaskKey) -> Result<(), StoreError> {
         count_undone(conn, bake, task, &row.text("kind")?, row.count("cost")?).await?;
     }
     offer(conn, task).await
+}
+
+/// Bakes that have ended hold the result no more; whoever runs the task again gives it back ([`give_back`]).
+async fn take_from_ended(conn: &mut Conn, task: i64, key: TaskKey) -> Result<(), StoreError> {
+    let sql = "INSERT INTO lost_results SELECT $1, m.bake FROM bake_tasks m JOIN bakes b ON b.seq = m.bake
+               WHERE m.task = $2 AND b.state NOT IN ('running', 'paused')";
+    query(sql).bind(key.to_string()).bind(task).run(conn).await?;
+    let sql = "DELETE FROM bake_tasks WHERE task = $1 AND bake IN (SELECT bake FROM lost_results WHERE key = $2)";
+    query(sql).bind(task).bind(key.to_string()).run(conn).await?;
+    Ok(())
+}
+
+/// Bakes that lost the result of a task after their end hold it again.
+pub(super) async fn give_back(conn: &mut Conn, task: i64, key: TaskKey) -> Result<(), StoreError> {
+    let sql = "DELETE FROM lost_results WHERE key = $1 RETURNING bake";
+    for row in query(sql).bind(key.to_string()).all(conn).await? {
+        let sql = "INSERT INTO bake_tasks VALUES ($1, $2, 1, 0)";
+        query(sql).bind(row.get::<i64>("bake")?).bind(task).run(conn).await?;
+    }
+    Ok(())
 }
 
 /// Makes the task as if it had never run, and lets its dependants wait for it.

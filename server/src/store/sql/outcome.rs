@@ -7,6 +7,7 @@ use super::batch::Waiting;
 use super::chunks;
 use super::codec::to_json;
 use super::conn::{Conn, query};
+use super::forget;
 use super::leases::{self, Ended, requeue};
 use super::ledger::{Ledger, live_bakes_of};
 use super::plan::apply_plan;
@@ -75,7 +76,7 @@ async fn write_result(
     let outputs = result.outputs.iter().map(|output| output.digest).collect();
     chunks::refer_outputs(conn, ended.task, &outputs).await?;
     query("UPDATE tasks SET state = 'done' WHERE id = $1").bind(ended.task).run(conn).await?;
-    Ok(())
+    forget::give_back(conn, ended.task, ended.key).await
 }
 
 async fn unlock_dependants(conn: &mut Conn, task: i64) -> Result<(), StoreError> {

@@ -8,8 +8,15 @@ use super::ledger::{seq_of, state_from};
 use crate::store::rules::WORKER_LISTED_MS;
 use crate::store::{Demand, Stats, StoreError, TaskCount, TaskState};
 
+/// Rows of bakes, and what they lost.
+macro_rules! bakes {
+    () => {
+        "SELECT *, (SELECT count(*) FROM lost_results l WHERE l.bake = bakes.seq) AS results_lost FROM bakes"
+    };
+}
+
 pub(super) async fn bake(conn: &mut Conn, id: &str) -> Result<Bake, StoreError> {
-    match query("SELECT * FROM bakes WHERE id = $1").bind(id).optional(conn).await? {
+    match query(concat!(bakes!(), " WHERE id = $1")).bind(id).optional(conn).await? {
         Some(row) => bake_from(conn, &row).await,
         None => Err(StoreError::NoSuchBake { bake: id.to_owned() }),
     }
@@ -32,6 +39,7 @@ async fn bake_from(conn: &mut Conn, row: &Row) -> Result<Bake, StoreError> {
         stages: stages(conn, row.get("seq")?).await?,
         tasks_run: row.count("tasks_run")?,
         tasks_reused: row.count("tasks_reused")?,
+        results_lost: row.count("results_lost")?,
         failure: row.get("failure")?,
         manifest: when_done("manifest")?,
         report: when_done("report")?,
@@ -67,7 +75,7 @@ pub(super) async fn list(conn: &mut Conn, after: Option<&str>, limit: u32) -> Re
         Some(id) => seq_of(conn, id).await?,
         None => i64::MAX,
     };
-    let sql = "SELECT * FROM bakes WHERE seq < $1 ORDER BY seq DESC LIMIT $2";
+    let sql = concat!(bakes!(), " WHERE seq < $1 ORDER BY seq DESC LIMIT $2");
     let rows = query(sql).bind(below).bind(i64::from(limit) + 1).all(conn).await?;
     let has_more = rows.len() > limit as usize;
     let mut bakes = Vec::with_capacity(rows.len());
