@@ -154,7 +154,9 @@ pub(super) async fn serve_bytes(
     let body = if method == Method::HEAD {
         Body::empty()
     } else {
-        Body::from_stream(farm.storage.read(digest, part.clone()).await?)
+        let sent = farm.metrics.bytes_out.clone();
+        let bytes = farm.storage.read(digest, part.clone()).await?;
+        Body::from_stream(bytes.inspect_ok(move |piece| sent.add(piece.len() as u64)))
     };
     let size = (part.end - part.start).to_string();
     let sized = [(header::CONTENT_TYPE, content_type.to_owned()), (header::CONTENT_LENGTH, size)];

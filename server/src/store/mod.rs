@@ -139,6 +139,9 @@ pub struct Demand {
     pub needs: Needs,
     /// How many.
     pub ready: u64,
+    /// For how long the one that has waited longest could have been claimed, in milliseconds: since it became ready, its
+    /// wait after a failure was over, or its bake's pause ended.
+    pub waited_ms: u64,
 }
 
 /// Figures about the whole farm.
@@ -152,9 +155,9 @@ pub struct Stats {
     pub bakes_live: u64,
     /// All bakes.
     pub bakes_total: u64,
-    /// Tasks run, over all bakes.
+    /// Tasks run since the farm began, for each bake that wanted them. Never falls.
     pub tasks_run: u64,
-    /// Tasks reused, over all bakes.
+    /// Tasks whose result was there already when a bake wanted them, since the farm began. Never falls.
     pub tasks_reused: u64,
 }
 

@@ -148,5 +148,7 @@ conformance! {
         results_are_named_when_done
         workers_show_what_they_hold
         stats_count_tasks_by_state
+        stats_tell_for_how_long_tasks_have_been_waiting
+        counts_of_run_and_reused_tasks_never_fall
         probe_writes;
 }

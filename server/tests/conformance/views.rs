@@ -2,7 +2,7 @@
 
 use std::slice::from_ref;
 
-use lightkiln_proto::api::{BakeState, EventKind};
+use lightkiln_proto::api::{BakeState, Blame, EventKind};
 use lightkiln_proto::jobs::{Artefact, MANIFEST_OUTPUT, REPORT_OUTPUT, TaskResult};
 use lightkiln_server::store::{TaskCount, TaskState};
 
@@ -125,6 +125,62 @@ pub async fn stats_count_tasks_by_state(world: World) {
     assert_eq!(counts, wanted);
     assert_eq!(stats.tasks.iter().map(|count| count.count).sum::<u64>(), 4);
     assert_eq!((stats.bakes_live, stats.bakes_total, stats.tasks_run, stats.tasks_reused), (1, 1, 1, 0));
+}
+
+pub async fn stats_tell_for_how_long_tasks_have_been_waiting(world: World) {
+    let a = task("a", &[]);
+    let bake = world.submit("bake", &[a.clone(), task_of("more", "b", &[&a], 1), task("c", &[])]).await;
+    let waited = async || -> Vec<(String, u64, u64)> {
+        let demand = world.store.stats().await.unwrap().demand.into_iter();
+        demand.map(|demand| (demand.kind, demand.ready, demand.waited_ms)).collect()
+    };
+    let work = |ready, waited_ms| ("work".to_owned(), ready, waited_ms);
+    world.clock.advance_ms(5_000);
+    assert_eq!(waited().await, [work(2, 5_000)]);
+    let leases = world.claim("w", 2).await;
+    assert_eq!(waited().await, []);
+    world.clock.advance_ms(1_000);
+    let (first, other) = match leases[0].task.key == a.key {
+        true => (&leases[0], &leases[1]),
+        false => (&leases[1], &leases[0]),
+    };
+    world.commit(first).await;
+    world.store.release(&other.token).await.unwrap();
+    world.clock.advance_ms(2_000);
+    assert_eq!(waited().await, [("more".to_owned(), 1, 2_000), work(1, 2_000)]);
+    // While a bake is paused nobody keeps its tasks waiting but who paused it.
+    world.store.pause(&bake.id).await.unwrap();
+    world.clock.advance_ms(60_000);
+    assert_eq!(waited().await, []);
+    world.store.resume(&bake.id).await.unwrap();
+    world.clock.advance_ms(3_000);
+    assert_eq!(waited().await, [("more".to_owned(), 1, 3_000), work(1, 3_000)]);
+    // Nor does a task wait for a worker that is held back after a failure.
+    let lease = world.claim_one("w").await;
+    world.store.fail(&lease.token, Blame::Worker, "why").await.unwrap();
+    let held_back: Vec<_> = waited().await.into_iter().filter(|demand| demand.0 == lease.task.kind).collect();
+    assert_eq!(held_back, [(lease.task.kind.clone(), 1, 0)]);
+}
+
+pub async fn counts_of_run_and_reused_tasks_never_fall(world: World) {
+    let plan = [task("a", &[]), task("b", &[])];
+    let first = world.submit("first", &plan).await;
+    world.drain("w").await;
+    let second = world.submit("second", &plan).await;
+    let counts = async || {
+        let stats = world.store.stats().await.unwrap();
+        (stats.tasks_run, stats.tasks_reused)
+    };
+    assert_eq!(counts().await, (2, 2));
+    world.store.delete_bake(&first.id).await.unwrap();
+    assert_eq!(counts().await, (2, 2));
+    world.submit("third", &[&plan[..], &[task("open", &[])]].concat()).await;
+    assert_eq!(counts().await, (2, 4));
+    world.store.forget(&[plan[0].key]).await.unwrap();
+    assert_eq!(counts().await, (2, 4), "it was reused, although it will run now");
+    world.drain("w").await;
+    world.store.delete_bake(&second.id).await.unwrap();
+    assert_eq!(counts().await, (4, 4));
 }
 
 pub async fn probe_writes(world: World) {

@@ -24,6 +24,11 @@ pub(super) struct Farm {
     /// By name.
     pub(super) bearers: BTreeMap<String, Bearer>,
     pub(super) chunks: Chunks,
+    /// Since when tasks of live bakes, by the bake's id, could have been claimed.
+    pub(super) ready_since_ms: BTreeMap<(String, TaskKey), i64>,
+    /// Tasks run and reused that the bakes' own counts no longer have.
+    pub(super) gone_run: u64,
+    pub(super) gone_reused: u64,
 }
 
 #[derive(Clone)]
@@ -245,6 +250,15 @@ impl Farm {
         self.tasks.remove(&key)
     }
 
+    pub(super) fn cancel(&mut self, bake: &str, now_ms: i64) -> Result<Bake, StoreError> {
+        let index = self.index_of(bake)?;
+        if self.bakes[index].state != BakeState::Cancelled {
+            require_live(bake, self.bakes[index].state, "cancelled")?;
+            self.close(index, BakeState::Cancelled, None, now_ms);
+        }
+        Ok(self.view(index))
+    }
+
     /// Pauses or resumes.
     pub(super) fn set_state(
         &mut self,
@@ -257,6 +271,10 @@ impl Farm {
         require_live(bake, self.bakes[index].state, action)?;
         if self.bakes[index].state != state {
             self.bakes[index].state = state;
+            if state == BakeState::Running {
+                let resumed = self.ready_since_ms.iter_mut().filter(|((id, _), _)| id == bake);
+                resumed.for_each(|(_, since_ms)| *since_ms = now_ms);
+            }
             self.event(index, now_ms, EventKind::State { state });
         }
         Ok(self.view(index))
@@ -297,6 +315,7 @@ impl Farm {
         }
         for bake in wanted_by {
             if let Some(member) = self.bakes[bake].members.get_mut(&key) {
+                self.gone_reused += u64::from(member.reused);
                 (member.done, member.reused) = (false, false);
             }
         }

@@ -73,6 +73,10 @@ pub(super) async fn set_state(
     let mut bake = load_live(conn, id, action).await?;
     if bake.state != state {
         bake.state = state;
+        if state == BakeState::Running {
+            let sql = "UPDATE ready SET since_ms = $1 WHERE bake = $2";
+            query(sql).bind(now_ms).bind(bake.seq).run(conn).await?;
+        }
         bake.event(now_ms, EventKind::State { state });
         bake.save(conn).await?;
     }

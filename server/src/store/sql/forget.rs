@@ -33,14 +33,14 @@ pub(super) async fn reusable(conn: &mut Conn, plan: &[TaskSpec]) -> Result<Vec<K
     Ok(known)
 }
 
-pub(super) async fn forget_all(conn: &mut Conn, keys: &[TaskKey]) -> Result<(), StoreError> {
+pub(super) async fn forget_all(conn: &mut Conn, keys: &[TaskKey], now_ms: i64) -> Result<(), StoreError> {
     for key in keys {
-        forget(conn, *key).await?;
+        forget(conn, *key, now_ms).await?;
     }
     Ok(())
 }
 
-async fn forget(conn: &mut Conn, key: TaskKey) -> Result<(), StoreError> {
+async fn forget(conn: &mut Conn, key: TaskKey, now_ms: i64) -> Result<(), StoreError> {
     let sql = "SELECT id, kind, cost FROM tasks WHERE key = $1 AND state = 'done'";
     let Some(row) = query(sql).bind(key.to_string()).optional(conn).await? else { return Ok(()) };
     let task: i64 = row.get("id")?;
@@ -54,7 +54,7 @@ async fn forget(conn: &mut Conn, key: TaskKey) -> Result<(), StoreError> {
     for bake in wanted_by {
         count_undone(conn, bake, task, &row.text("kind")?, row.count("cost")?).await?;
     }
-    offer(conn, task).await
+    offer(conn, task, now_ms).await
 }
 
 /// Bakes that have ended hold the result no more; whoever runs the task again gives it back ([`give_back`]).
@@ -114,6 +114,7 @@ async fn count_undone(
     let sql = "UPDATE stages SET done = done - 1, reused = reused - $1, cost_done = cost_done - $2
                WHERE bake = $3 AND kind = $4";
     query(sql).bind(reused).bind(cost).bind(bake.seq).bind(kind).run(conn).await?;
+    query("UPDATE farm_totals SET tasks_reused = tasks_reused + $1").bind(reused).run(conn).await?;
     bake.open_count += 1;
     bake.tasks_reused -= u64::from(reused != 0);
     bake.save(conn).await

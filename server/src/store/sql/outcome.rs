@@ -26,7 +26,7 @@ pub(super) async fn commit(
     check_plan(&result.plan)?;
     let Some(ended) = leases::end(conn, token, now_ms).await? else { return Ok(CommitVerdict::Stale) };
     write_result(conn, token, &ended, result).await?;
-    unlock_dependants(conn, ended.task).await?;
+    unlock_dependants(conn, ended.task, now_ms).await?;
     for bake in live_bakes_of(conn, ended.task).await? {
         let mut bake = Ledger::load(conn, bake).await?;
         count_done(conn, &mut bake, &ended, result, now_ms).await?;
@@ -79,19 +79,18 @@ async fn write_result(
     forget::give_back(conn, ended.task, ended.key).await
 }
 
-async fn unlock_dependants(conn: &mut Conn, task: i64) -> Result<(), StoreError> {
-    for sql in [
-        "UPDATE tasks SET waiting_count = waiting_count - 1
-         WHERE id IN (SELECT task FROM task_needs WHERE needs = $1) AND state <> 'done'",
-        "INSERT INTO ready SELECT m.bake, t.cost, t.key, t.id, t.kind, t.not_before_ms
-         FROM task_needs n JOIN tasks t ON t.id = n.task JOIN bake_tasks m ON m.task = t.id
-         JOIN bakes b ON b.seq = m.bake
-         WHERE n.needs = $1 AND t.state = 'waiting' AND t.waiting_count = 0 AND b.state IN ('running', 'paused')",
-        "UPDATE tasks SET state = 'ready'
-         WHERE id IN (SELECT task FROM task_needs WHERE needs = $1) AND state = 'waiting' AND waiting_count = 0",
-    ] {
-        query(sql).bind(task).run(conn).await?;
-    }
+async fn unlock_dependants(conn: &mut Conn, task: i64, now_ms: i64) -> Result<(), StoreError> {
+    let sql = "UPDATE tasks SET waiting_count = waiting_count - 1
+               WHERE id IN (SELECT task FROM task_needs WHERE needs = $1) AND state <> 'done'";
+    query(sql).bind(task).run(conn).await?;
+    let sql = "INSERT INTO ready SELECT m.bake, t.cost, t.key, t.id, t.kind, t.not_before_ms, $2
+               FROM task_needs n JOIN tasks t ON t.id = n.task JOIN bake_tasks m ON m.task = t.id
+               JOIN bakes b ON b.seq = m.bake WHERE n.needs = $1 AND t.state = 'waiting' AND t.waiting_count = 0
+               AND b.state IN ('running', 'paused')";
+    query(sql).bind(task).bind(now_ms).run(conn).await?;
+    let sql = "UPDATE tasks SET state = 'ready' WHERE id IN (SELECT task FROM task_needs WHERE needs = $1)
+               AND state = 'waiting' AND waiting_count = 0";
+    query(sql).bind(task).run(conn).await?;
     Ok(())
 }
 
