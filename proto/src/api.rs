@@ -230,6 +230,21 @@ pub enum EventKind {
         /// How many of them were done already.
         reused: u64,
     },
+    /// A worker took a task. When the farm's machine loses power, one that nothing followed may be forgotten, and its
+    /// `seq` given to another event.
+    TaskStarted {
+        /// Task key.
+        #[schema(value_type = String)]
+        key: Digest,
+        /// Task kind.
+        kind: String,
+        /// Task label.
+        label: String,
+        /// Worker's name.
+        worker: String,
+        /// 1 for the first attempt; attempts that were given back do not count.
+        attempt: u32,
+    },
     /// A task was committed.
     TaskDone {
         /// Task key.
@@ -241,6 +256,12 @@ pub enum EventKind {
         label: String,
         /// Worker's name.
         worker: String,
+        /// See `task_started`.
+        #[serde(default)]
+        attempt: u32,
+        /// Milliseconds since the worker took it.
+        #[serde(default)]
+        elapsed_ms: u64,
     },
     /// An attempt at a task ended without a result.
     TaskFailed {
@@ -257,14 +278,62 @@ pub enum EventKind {
         message: String,
         /// It will be tried again.
         retry: bool,
+        /// See `task_started`.
+        #[serde(default)]
+        attempt: u32,
+        /// Milliseconds since the worker took it.
+        #[serde(default)]
+        elapsed_ms: u64,
+        /// Milliseconds before it may be tried again.
+        #[serde(default)]
+        wait_ms: u64,
     },
     /// A lease ran out, and the task is ready again.
     LeaseExpired {
         /// Task key.
         #[schema(value_type = String)]
         key: Digest,
+        /// Task kind.
+        #[serde(default)]
+        kind: String,
+        /// Task label.
+        #[serde(default)]
+        label: String,
         /// Worker that held it.
         worker: String,
+        /// See `task_started`.
+        #[serde(default)]
+        attempt: u32,
+        /// Milliseconds since the worker took it.
+        #[serde(default)]
+        elapsed_ms: u64,
+        /// The attempt had all the time that one may take; else its worker was not heard from.
+        #[serde(default)]
+        took_too_long: bool,
+    },
+    /// A worker gave a task back undone, as it was told to stop; the task is ready again.
+    TaskReleased {
+        /// Task key.
+        #[schema(value_type = String)]
+        key: Digest,
+        /// Task kind.
+        kind: String,
+        /// Task label.
+        label: String,
+        /// Worker's name.
+        worker: String,
+        /// Milliseconds since the worker took it.
+        elapsed_ms: u64,
+    },
+    /// The bytes of a result were lost; the task runs again.
+    ResultLost {
+        /// Task key.
+        #[schema(value_type = String)]
+        key: Digest,
+        /// Task kind.
+        kind: String,
+        /// Task label.
+        label: String,
     },
     /// The bake's state changed.
     State {

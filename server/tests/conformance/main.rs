@@ -142,6 +142,7 @@ conformance! {
         result_without_its_bytes_is_refused;
     views:
         events_have_no_gaps_and_tell_the_story
+        events_tell_what_became_of_each_attempt
         events_page_through
         list_pages_newest_first
         stages_count_what_happens

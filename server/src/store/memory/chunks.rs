@@ -148,14 +148,14 @@ impl Farm {
         later.take(limit as usize).map(row).collect()
     }
 
-    pub(super) fn lose_chunk(&mut self, name: ChunkName) -> u64 {
+    pub(super) fn lose_chunk(&mut self, name: ChunkName, now_ms: i64) -> u64 {
         let Some(lost) = self.chunks.kept(name.digest).filter(|kept| kept.name == name) else { return 0 };
         self.chunks.condemned.insert(name, lost.bytes);
         if let Some(row) = self.chunks.rows.get_mut(&name.digest) {
             row.generation = None;
         }
         let producers = self.producers(name.digest);
-        producers.iter().for_each(|key| self.forget(*key));
+        producers.iter().for_each(|key| self.forget(*key, now_ms));
         producers.len() as u64
     }
 

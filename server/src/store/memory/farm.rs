@@ -92,6 +92,7 @@ pub(super) struct LeaseEntry {
     pub(super) key: TaskKey,
     pub(super) worker: String,
     pub(super) ttl_ms: i64,
+    pub(super) started_ms: i64,
     pub(super) expires_ms: i64,
     /// When the attempt has taken too long.
     pub(super) deadline_ms: i64,
@@ -296,7 +297,7 @@ impl Farm {
         known
     }
 
-    pub(super) fn forget(&mut self, key: TaskKey) {
+    pub(super) fn forget(&mut self, key: TaskKey, now_ms: i64) {
         let wanted_by = self.live_bakes_of(key);
         if self.tasks.get(&key).is_none_or(|task| task.done.is_none()) {
             return;
@@ -310,10 +311,12 @@ impl Farm {
             self.drop_task(key);
             return;
         }
-        if let Some(task) = self.tasks.get_mut(&key) {
-            *task = Task::new(task.spec.clone());
-        }
+        let Some(task) = self.tasks.get_mut(&key) else { return };
+        *task = Task::new(task.spec.clone());
+        let (kind, label) = (task.spec.kind.clone(), task.spec.label.clone());
         for bake in wanted_by {
+            let lost = EventKind::ResultLost { key, kind: kind.clone(), label: label.clone() };
+            self.event(bake, now_ms, lost);
             if let Some(member) = self.bakes[bake].members.get_mut(&key) {
                 self.gone_reused += u64::from(member.reused);
                 (member.done, member.reused) = (false, false);

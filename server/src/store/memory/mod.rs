@@ -69,7 +69,7 @@ impl FarmStore for MemoryStore {
     }
 
     async fn forget(&self, keys: &[TaskKey]) -> Result<(), StoreError> {
-        self.change(|farm, _| keys.iter().for_each(|key| farm.forget(*key)));
+        self.change(|farm, now_ms| keys.iter().for_each(|key| farm.forget(*key, now_ms)));
         Ok(())
     }
 
@@ -215,7 +215,7 @@ impl FarmStore for MemoryStore {
     }
 
     async fn lose_chunk(&self, name: ChunkName) -> Result<u64, StoreError> {
-        Ok(self.change(|farm, _| farm.lose_chunk(name)))
+        Ok(self.change(|farm, now_ms| farm.lose_chunk(name, now_ms)))
     }
 
     async fn chunk_rows(&self, after: Option<Digest>, limit: u32) -> Result<Vec<ChunkRow>, StoreError> {

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 
+use lightkiln_proto::api::EventKind;
 use lightkiln_proto::ids::TaskKey;
 use lightkiln_proto::jobs::TaskSpec;
 
@@ -41,7 +42,7 @@ pub(super) async fn forget_all(conn: &mut Conn, keys: &[TaskKey], now_ms: i64) -
 }
 
 async fn forget(conn: &mut Conn, key: TaskKey, now_ms: i64) -> Result<(), StoreError> {
-    let sql = "SELECT id, kind, cost FROM tasks WHERE key = $1 AND state = 'done'";
+    let sql = "SELECT id, kind, label, cost FROM tasks WHERE key = $1 AND state = 'done'";
     let Some(row) = query(sql).bind(key.to_string()).optional(conn).await? else { return Ok(()) };
     let task: i64 = row.get("id")?;
     take_from_ended(conn, task, key).await?;
@@ -51,8 +52,13 @@ async fn forget(conn: &mut Conn, key: TaskKey, now_ms: i64) -> Result<(), StoreE
         return Ok(());
     }
     undo_result(conn, task).await?;
+    let (kind, cost) = (row.text("kind")?, row.count("cost")?);
     for bake in wanted_by {
-        count_undone(conn, bake, task, &row.text("kind")?, row.count("cost")?).await?;
+        let mut bake = Ledger::load(conn, bake).await?;
+        count_undone(conn, &mut bake, task, &kind, cost).await?;
+        let (kind, label) = (kind.clone(), row.text("label")?);
+        bake.event(now_ms, EventKind::ResultLost { key, kind, label });
+        bake.save(conn).await?;
     }
     offer(conn, task, now_ms).await
 }
@@ -98,12 +104,11 @@ async fn undo_result(conn: &mut Conn, task: i64) -> Result<(), StoreError> {
 
 async fn count_undone(
     conn: &mut Conn,
-    bake: i64,
+    bake: &mut Ledger,
     task: i64,
     kind: &str,
     cost: u64,
 ) -> Result<(), StoreError> {
-    let mut bake = Ledger::load(conn, bake).await?;
     let read = query("SELECT reused FROM bake_tasks WHERE bake = $1 AND task = $2");
     let reused: i64 = read.bind(bake.seq).bind(task).one(conn).await?.get("reused")?;
     query("UPDATE bake_tasks SET done = 0, reused = 0 WHERE bake = $1 AND task = $2")
@@ -117,5 +122,5 @@ async fn count_undone(
     query("UPDATE farm_totals SET tasks_reused = tasks_reused + $1").bind(reused).run(conn).await?;
     bake.open_count += 1;
     bake.tasks_reused -= u64::from(reused != 0);
-    bake.save(conn).await
+    Ok(())
 }

@@ -21,3 +21,7 @@ CREATE TABLE farm_totals (
 ) WITH (fillfactor = 10);
 
 INSERT INTO farm_totals VALUES (1, 0, 0);
+
+-- When an attempt began.
+ALTER TABLE leases ADD COLUMN started_ms BIGINT NOT NULL DEFAULT 0;
+UPDATE leases SET started_ms = expires_ms - ttl_ms;
