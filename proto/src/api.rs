@@ -441,6 +441,9 @@ pub struct Lease {
     pub inputs: Vec<Artefact>,
     /// Expiry, Unix milliseconds by the server's clock.
     pub expires_ms: i64,
+    /// Trace that the bake's submission belongs to (W3C Trace Context), if it belongs to one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub traceparent: Option<String>,
 }
 
 /// Says that a task is still being worked on.

@@ -12,4 +12,5 @@ pub mod problem;
 pub mod prt;
 pub mod scene;
 pub mod sh;
+pub mod trace;
 pub mod units;

@@ -72,7 +72,13 @@ impl Farm {
     }
 
     /// Takes a bake in. The scene must be there, and results to be reused must still have their bytes.
-    pub async fn submit(&self, bake: NewBake, idempotency_key: Option<String>) -> Result<Bake, ServerError> {
+    /// `traceparent` names the trace that the submission belongs to.
+    pub async fn submit(
+        &self,
+        bake: NewBake,
+        idempotency_key: Option<String>,
+        traceparent: Option<String>,
+    ) -> Result<Bake, ServerError> {
         require_chars("name", &bake.name, 0, MAX_NAME_CHARS)?;
         if let Some(key) = &idempotency_key {
             require_chars("Idempotency-Key", key, 1, MAX_ID_CHARS)?;
@@ -86,7 +92,7 @@ impl Farm {
         self.forget_lost_results(&plan).await?;
         let body = serde_json::to_vec(&bake).map_err(|error| bad_request(error.to_string()))?;
         let body_hash = Digest::of(&body);
-        let submission = Submission { idempotency_key, body_hash, bake, plan };
+        let submission = Submission { idempotency_key, body_hash, traceparent, bake, plan };
         let submitted = self.store.submit(&submission).await.map_err(|error| match error {
             // It went between the look and the submission.
             StoreError::MissingChunk { digest } if digest == scene => ServerError::NoSuchScene { scene },

@@ -7,6 +7,7 @@ use lightkiln_proto::api::{
 };
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::manifest;
+use lightkiln_proto::trace::TARGET;
 
 use super::http::{Call, Http, Method, RetryPolicy};
 use super::stop::Stop;
@@ -63,6 +64,7 @@ impl ApiClient {
             return Err(ClientError::Argument { what, problem });
         }
         let scene = Digest::of(bundle);
+        let _span = tracing::info_span!(target: TARGET, "upload scene", %scene, bytes).entered();
         let path = format!("/v1/scenes/{scene}");
         if self.http.exists(&path)? {
             return Ok(SceneStored { scene, bytes });
@@ -79,6 +81,7 @@ impl ApiClient {
         }
         let body = serde_json::to_vec(bake)
             .map_err(|source| ClientError::Json { place: "the bake to submit".to_owned(), source })?;
+        let _span = tracing::info_span!(target: TARGET, "submit", scene = %bake.scene).entered();
         let headers = [("idempotency-key", idempotency_key), ("content-type", "application/json")];
         self.http.json(Call { headers: &headers, body: &body, ..Call::new(Method::Post, "/v1/bakes") })
     }

@@ -50,6 +50,8 @@ pub struct Submission {
     pub idempotency_key: Option<String>,
     /// Digest of the request; another one under the same key is refused.
     pub body_hash: Digest,
+    /// Trace that the submission belongs to, as W3C Trace Context writes it.
+    pub traceparent: Option<String>,
     /// What was asked for.
     pub bake: NewBake,
     /// Its first tasks.

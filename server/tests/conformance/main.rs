@@ -96,6 +96,7 @@ conformance! {
         thousand_tasks_behind_one_are_unlocked_together;
     leases:
         claimed_task_is_not_handed_out_again
+        lease_names_the_trace_of_its_bake
         claims_respect_kind_and_number
         heartbeat_prolongs_the_lease
         expired_lease_is_refused_before_and_after_the_reaper

@@ -15,6 +15,7 @@ mod processes;
 mod replicas;
 mod tls;
 mod tokens;
+mod traces;
 mod upkeep;
 mod wrong_input;
 

@@ -10,7 +10,7 @@ use lightkiln_proto::api::{
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{TaskResult, TaskSpec};
 
-use super::farm::{Farm, LeaseEntry, Member, Task, WorkerEntry};
+use super::farm::{BakeEntry, Farm, LeaseEntry, Member, Task, WorkerEntry};
 use crate::store::rules::{
     self, Abilities, BLOCK_TASKS, CLAIM_WINDOW, Contender, WORKER_PRESENT_MS, WORKER_SEEN_GRAIN_MS,
     add_counters, next_contender,
@@ -220,7 +220,9 @@ impl Farm {
             let done = self.tasks.get(key).and_then(|task| task.done.as_ref());
             done.map(|(result, _)| result.outputs.clone()).unwrap_or_default()
         });
-        Ok(Lease { token, bake: self.bakes[bake].id.clone(), task, inputs, expires_ms })
+        let BakeEntry { id, traceparent, .. } = &self.bakes[bake];
+        let (bake, traceparent) = (id.clone(), traceparent.clone());
+        Ok(Lease { token, bake, task, inputs, expires_ms, traceparent })
     }
 
     pub(super) fn heartbeat(&mut self, token: &str, _progress: f32, now_ms: i64) -> HeartbeatAnswer {

@@ -21,7 +21,7 @@ use crate::store::{StoreError, token};
 
 /// Running bakes with ready tasks, behind one of that priority and number.
 const OPEN_BAKES: &str = "
-    SELECT b.seq, b.id, b.priority, b.scene, b.needs, b.attempt_limit_secs,
+    SELECT b.seq, b.id, b.priority, b.scene, b.needs, b.attempt_limit_secs, b.traceparent,
     (SELECT CAST(coalesce(sum(s.leased), 0) AS BIGINT) FROM stages s WHERE s.bake = b.seq) AS leased
     FROM bakes b
     WHERE b.state = 'running' AND (b.priority < $1 OR (b.priority = $1 AND b.seq > $2))
@@ -54,6 +54,7 @@ struct OpenBake {
     scene: Digest,
     needs: Needs,
     attempt_limit_secs: Option<u32>,
+    traceparent: Option<String>,
 }
 
 /// A task chosen for a lease.
@@ -63,6 +64,7 @@ struct Chosen {
     token: String,
     expires_ms: i64,
     deadline_ms: i64,
+    traceparent: Option<String>,
 }
 
 /// Another worker that is present.
@@ -190,6 +192,7 @@ impl Claim<'_> {
                     scene: row.digest("scene")?,
                     needs: row.json("needs")?,
                     attempt_limit_secs: limit.and_then(|limit| u32::try_from(limit).ok()),
+                    traceparent: row.get("traceparent")?,
                 };
                 if self.abilities.suffice(&bake.needs) && !self.is_blocked(&bake).await? {
                     let (priority, leased) = (row.get("priority")?, row.get("leased")?);
@@ -218,8 +221,8 @@ impl Claim<'_> {
                     let deadline_ms = rules::deadline_ms(self.now_ms, bake.attempt_limit_secs);
                     let expires_ms = self.now_ms + i64::from(self.request.ttl_secs) * 1000;
                     let expires_ms = expires_ms.min(deadline_ms);
-                    let token = token::new_token()?;
-                    self.chosen.push(Chosen { task, bake: bake.id, token, expires_ms, deadline_ms });
+                    let (token, traceparent) = (token::new_token()?, bake.traceparent);
+                    self.chosen.push(Chosen { task, bake: bake.id, token, expires_ms, deadline_ms, traceparent });
                     contenders[index].leased += 1;
                     scene = Some(bake.scene);
                 }
@@ -315,10 +318,10 @@ async fn lease(
     let sql = "DELETE FROM ready WHERE task IN (SELECT CAST(value AS BIGINT) FROM json_each($1))";
     query(sql).bind(tasks).run(conn).await?;
     let outputs = outputs_of_needs(conn, tasks).await?;
-    let leased = chosen.into_iter().filter_map(|Chosen { task, bake, token, expires_ms, .. }| {
+    let leased = chosen.into_iter().filter_map(|Chosen { task, bake, token, expires_ms, traceparent, .. }| {
         let task = taken.remove(&task)?.spec;
         let inputs = resolve_inputs(&task, |key| outputs.get(key).cloned().unwrap_or_default());
-        Some(Lease { token, bake, task, inputs, expires_ms })
+        Some(Lease { token, bake, task, inputs, expires_ms, traceparent })
     });
     Ok(leased.collect())
 }

@@ -25,3 +25,6 @@ INSERT INTO farm_totals VALUES (1, 0, 0);
 -- When an attempt began.
 ALTER TABLE leases ADD COLUMN started_ms INTEGER NOT NULL DEFAULT 0;
 UPDATE leases SET started_ms = expires_ms - ttl_ms;
+
+-- The trace that the submission belongs to, as W3C Trace Context writes it.
+ALTER TABLE bakes ADD COLUMN traceparent TEXT;
