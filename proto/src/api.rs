@@ -4,6 +4,8 @@
 //! |---|---|
 //! | `HEAD, GET, PUT /v1/chunks/{digest}` | bytes; scenes and artefacts are chunks too |
 //! | `HEAD, PUT /v1/scenes/{digest}` | the scene bundle's bytes → [`SceneStored`] |
+//! | `PUT /v1/scene-parts/{digest}` | bytes of a part of a scene |
+//! | `POST /v1/scenes/{digest}/parts` | [`SceneParts`] → [`SceneProgress`] |
 //! | `POST /v1/bakes` (`Idempotency-Key`) | [`NewBake`] → 202 [`Bake`] |
 //! | `GET /v1/bakes?after&limit` | [`BakePage`] |
 //! | `GET, DELETE /v1/bakes/{id}` | [`Bake`], 204 |
@@ -39,6 +41,42 @@ pub struct SceneStored {
     pub scene: Digest,
     /// Its length.
     pub bytes: u64,
+}
+
+/// Size of the parts in which clients upload scenes that are bigger. Smaller → an interruption costs less, in more calls.
+pub const SCENE_PART_BYTES: usize = 8 << 20;
+/// Most bytes of one part of a scene: 64 MiB.
+pub const MAX_SCENE_PART_BYTES: u64 = 64 << 20;
+/// Most parts of a scene.
+pub const MAX_SCENE_PARTS: usize = 1024;
+
+/// The parts of a scene bundle, in order; its bytes are theirs, one after the other.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SceneParts {
+    /// 1 to 1024 of them; the same part may come several times.
+    pub parts: Vec<ScenePart>,
+}
+
+/// A part of a scene bundle.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ScenePart {
+    /// Digest of its bytes.
+    #[schema(value_type = String)]
+    pub digest: Digest,
+    /// Its length, 1..=67108864.
+    pub bytes: u64,
+}
+
+/// How far the upload of a scene is.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct SceneProgress {
+    /// The scene is stored as a whole; nothing is left to do.
+    pub is_stored: bool,
+    /// Parts to upload, by digest, before the same call puts the scene together.
+    #[schema(value_type = Vec<String>)]
+    pub missing: Vec<Digest>,
 }
 
 /// Asks for a bake.

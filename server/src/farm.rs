@@ -52,6 +52,8 @@ pub struct Farm {
     pub guard: Guard,
     /// Counts since start.
     pub(crate) metrics: Metrics,
+    /// Held while a scene is put together.
+    pub(crate) scene_parts: tokio::sync::Mutex<()>,
     /// A waiting call looks again this often, hint or not.
     pub poll_interval: Duration,
     /// Turns true when the server is to stop: waiting calls then answer at once.
@@ -68,7 +70,8 @@ impl Farm {
         closing: watch::Receiver<bool>,
     ) -> Self {
         let guard = Guard::new(store.clone());
-        Self { guard, store, storage, wakeup, metrics: Metrics::default(), poll_interval, closing }
+        let (metrics, scene_parts) = (Metrics::default(), tokio::sync::Mutex::default());
+        Self { guard, store, storage, wakeup, metrics, scene_parts, poll_interval, closing }
     }
 
     /// Takes a bake in. The scene must be there, and results to be reused must still have their bytes.

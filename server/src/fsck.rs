@@ -166,9 +166,8 @@ async fn list_incomplete(store: &dyn FarmStore, findings: &mut Findings) -> Resu
     let mut after = None;
     loop {
         let page = store.list(after.as_deref(), PAGE).await?;
-        let incomplete = page.bakes.into_iter().filter(|bake| {
-            bake.state == BakeState::Done && bake.results_lost > 0
-        });
+        let incomplete =
+            page.bakes.into_iter().filter(|bake| bake.state == BakeState::Done && bake.results_lost > 0);
         findings.incomplete.extend(incomplete.map(|bake| Incomplete {
             bake: bake.id,
             name: bake.name,

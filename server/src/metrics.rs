@@ -120,7 +120,13 @@ pub fn render(metrics: &Metrics, figures: &Figures) -> String {
     let mut text = String::new();
     render_counters(&mut text, metrics);
     render_queue(&mut text, &figures.farm);
-    single(&mut text, "lightkiln_workers", "gauge", "Workers heard of in the last ten minutes.", figures.workers);
+    single(
+        &mut text,
+        "lightkiln_workers",
+        "gauge",
+        "Workers heard of in the last ten minutes.",
+        figures.workers,
+    );
     render_storage(&mut text, figures);
     metrics.latencies.render(&mut text);
     text
@@ -273,13 +279,15 @@ mod tests {
                 let words = name.strip_prefix("lightkiln_").unwrap();
                 assert!(words.chars().all(|c| c.is_ascii_lowercase() || c == '_'), "{line}");
                 assert_eq!(words.ends_with("_total"), kind == "counter", "{line}");
-                let units = ["_ms", "_millis", "_mib", "_kb", "_minutes", "_percent", "_gauge", "_counter", "_count"];
+                let units =
+                    ["_ms", "_millis", "_mib", "_kb", "_minutes", "_percent", "_gauge", "_counter", "_count"];
                 assert!(!units.iter().any(|unit| words.trim_end_matches("_total").ends_with(unit)), "{line}");
             } else {
                 let (sample, value) = line.rsplit_once(' ').unwrap();
                 assert!(value.parse::<f64>().is_ok() && series.insert(sample), "{line}");
                 let of = sample.split('{').next().unwrap().strip_prefix(name);
-                let suffixes: &[&str] = if kind == "histogram" { &["_bucket", "_sum", "_count"] } else { &[""] };
+                let suffixes: &[&str] =
+                    if kind == "histogram" { &["_bucket", "_sum", "_count"] } else { &[""] };
                 assert!(of.is_some_and(|of| suffixes.contains(&of)), "{line} stands under {name}");
             }
         }

@@ -45,16 +45,19 @@ impl Telemetry {
         if !has_place || says("OTEL_SDK_DISABLED", "true") || says("OTEL_TRACES_EXPORTER", "none") {
             return Self { provider: None, trouble: None };
         }
-        let exporter = match SpanExporter::builder().with_http().with_http_client(Collector::default()).build() {
-            Ok(exporter) => exporter,
-            Err(error) => return Self { provider: None, trouble: Some(error.to_string()) },
-        };
+        let exporter =
+            match SpanExporter::builder().with_http().with_http_client(Collector::default()).build() {
+                Ok(exporter) => exporter,
+                Err(error) => return Self { provider: None, trouble: Some(error.to_string()) },
+            };
         let mut resource = Resource::builder();
         if !is_set("OTEL_SERVICE_NAME") {
             resource = resource.with_service_name(format!("kiln-{role}"));
         }
-        let provider =
-            SdkTracerProvider::builder().with_resource(resource.build()).with_batch_exporter(exporter).build();
+        let provider = SdkTracerProvider::builder()
+            .with_resource(resource.build())
+            .with_batch_exporter(exporter)
+            .build();
         opentelemetry::global::set_text_map_propagator(TraceContextPropagator::new());
         Self { provider: Some(provider), trouble: None }
     }
@@ -113,7 +116,10 @@ impl HttpClient for Collector {
         };
         match failure {
             Some(failure) if !self.has_failed.swap(true, Ordering::Relaxed) => {
-                tracing::warn!(failure, "traces could not be exported; they are dropped until that works again");
+                tracing::warn!(
+                    failure,
+                    "traces could not be exported; they are dropped until that works again"
+                );
             }
             None => self.has_failed.store(false, Ordering::Relaxed),
             Some(_) => (),
@@ -124,8 +130,7 @@ impl HttpClient for Collector {
 
 fn send(request: Request<Bytes>) -> Result<Response<Bytes>, HttpError> {
     let (parts, body) = request.into_parts();
-    let mut config =
-        Agent::config_builder().http_status_as_error(false).timeout_global(Some(EXPORT_TIMEOUT));
+    let mut config = Agent::config_builder().http_status_as_error(false).timeout_global(Some(EXPORT_TIMEOUT));
     if is_loopback(&parts.uri.to_string()) {
         config = config.proxy(None);
     }

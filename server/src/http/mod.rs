@@ -40,6 +40,8 @@ pub(crate) fn router(farm: Arc<Farm>, limits: LimitConfig) -> Router {
     let doorman = Arc::new(Doorman { farm: farm.clone(), limits: Limits::new(limits) });
     Router::new()
         .route("/v1/scenes/{digest}", put(chunks::put_scene).head(chunks::head_scene))
+        .route("/v1/scenes/{digest}/parts", post(chunks::put_scene_together))
+        .route("/v1/scene-parts/{digest}", put(chunks::put_scene_part))
         .route("/v1/chunks/{digest}", head(chunks::head_chunk).get(chunks::get_chunk).put(chunks::put_chunk))
         .route("/v1/bakes", get(bakes::list).post(bakes::submit))
         .route("/v1/bakes/{id}", get(bakes::show).delete(bakes::delete))

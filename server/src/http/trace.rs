@@ -30,7 +30,8 @@ pub(super) fn span(request: &Request) -> Span {
         http.route = route,
         http.response.status_code = Empty,
     );
-    let parent = get_text_map_propagator(|propagator| propagator.extract(&HeaderExtractor(request.headers())));
+    let parent =
+        get_text_map_propagator(|propagator| propagator.extract(&HeaderExtractor(request.headers())));
     // Where nothing records traces there is nobody to tell.
     let _ = span.set_parent(parent);
     span

@@ -63,7 +63,9 @@ pub async fn events_tell_what_became_of_each_attempt(world: World) {
         let events: Vec<EventKind> = world.events(bake).await.into_iter().map(|event| event.event).collect();
         let told = events.iter().filter_map(|event| match event {
             EventKind::TaskStarted { worker, attempt, .. } => Some(format!("started {worker} {attempt}")),
-            EventKind::TaskReleased { worker, elapsed_ms, .. } => Some(format!("released {worker} {elapsed_ms}")),
+            EventKind::TaskReleased { worker, elapsed_ms, .. } => {
+                Some(format!("released {worker} {elapsed_ms}"))
+            }
             EventKind::TaskFailed { attempt, elapsed_ms, wait_ms, retry, .. } => {
                 assert!((500..=1_000).contains(wait_ms) && *retry, "{event:?}");
                 Some(format!("failed {attempt} {elapsed_ms}"))
@@ -76,7 +78,13 @@ pub async fn events_tell_what_became_of_each_attempt(world: World) {
             _ => None,
         });
         let wanted = [
-            "started v 1", "released v 10", "started v 1", "failed 1 20", "started w 2", "expired 2 30000", "started w 3",
+            "started v 1",
+            "released v 10",
+            "started v 1",
+            "failed 1 20",
+            "started w 2",
+            "expired 2 30000",
+            "started w 3",
             "done 3 30",
         ];
         assert_eq!(told.collect::<Vec<_>>(), wanted);

@@ -12,8 +12,8 @@ use lightkiln_proto::trace::TARGET;
 
 use super::farm::CallError;
 use super::store::{GaveUp, LeaseStore};
-use super::watch::{LeaseWatch, StopReason};
 use super::trace::{self, step};
+use super::watch::{LeaseWatch, StopReason};
 use super::{Worker, shutdown::ShutdownFlag};
 use crate::task::{Progress, TaskError, TaskOutput};
 
@@ -91,9 +91,7 @@ impl Worker {
         let span = step(|| tracing::info_span!(target: TARGET, "run"));
         // The span goes with the task to the pool's thread, where its inputs are fetched.
         let run = || {
-            span.in_scope(|| {
-                self.runner.run(&lease.task, &lease.inputs, store, &self.memory, store.progress)
-            })
+            span.in_scope(|| self.runner.run(&lease.task, &lease.inputs, store, &self.memory, store.progress))
         };
         match catch_unwind(AssertUnwindSafe(|| self.pool.install(run))) {
             Ok(outcome) => outcome,

@@ -66,7 +66,8 @@ impl LeaseStore<'_> {
         }
         let digest = Digest::of(bytes);
         let length = bytes.len();
-        let _span = step(|| tracing::info_span!(target: TARGET, "upload", name, %digest, bytes = length)).entered();
+        let _span =
+            step(|| tracing::info_span!(target: TARGET, "upload", name, %digest, bytes = length)).entered();
         if !self.insist(|| self.farm.has_artefact(digest, bytes.len() as u64))? {
             self.insist(|| self.farm.put_artefact(digest, bytes))?;
         }

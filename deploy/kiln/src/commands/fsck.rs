@@ -94,7 +94,9 @@ fn print(findings: &Findings) {
         }
     }
     for Incomplete { bake, name, results_lost } in &findings.incomplete {
-        println!("bake      {bake} ({name}) lost {results_lost} results after its end; a new bake of its scene makes them");
+        println!(
+            "bake      {bake} ({name}) lost {results_lost} results after its end; a new bake of its scene makes them"
+        );
     }
     if findings.repaired {
         println!("repaired; {} results were forgotten", findings.results_forgotten);

@@ -67,7 +67,9 @@ fn words(event: &BakeEvent) -> String {
         EventKind::TaskDone { kind, label, worker, attempt, elapsed_ms, .. } => {
             format!("done      {kind} {label} by {worker}{}{}", took(*elapsed_ms), which(*attempt))
         }
-        EventKind::TaskFailed { kind, label, worker, message, retry, attempt, elapsed_ms, wait_ms, .. } => {
+        EventKind::TaskFailed {
+            kind, label, worker, message, retry, attempt, elapsed_ms, wait_ms, ..
+        } => {
             let next = match retry {
                 true => format!("tried again after {}", secs(*wait_ms)),
                 false => "given up".to_owned(),
@@ -138,7 +140,8 @@ mod tests {
 
     #[test]
     fn lines_say_who_did_what_how_long_it_took_and_what_comes_next() {
-        let task = || (Digest::of(b"task"), "prt.transport".to_owned(), "cluster 7".to_owned(), "oven".to_owned());
+        let task =
+            || (Digest::of(b"task"), "prt.transport".to_owned(), "cluster 7".to_owned(), "oven".to_owned());
         let (key, kind, label, worker) = task();
         let failed = EventKind::TaskFailed {
             key,
@@ -153,12 +156,16 @@ mod tests {
         };
         let (key, kind, label, worker) = task();
         let (attempt, elapsed_ms, took_too_long) = (1, 30_000, false);
-        let expired = EventKind::LeaseExpired { key, kind, label, worker, attempt, elapsed_ms, took_too_long };
+        let expired =
+            EventKind::LeaseExpired { key, kind, label, worker, attempt, elapsed_ms, took_too_long };
         let (key, kind, label, worker) = task();
         let started = EventKind::TaskStarted { key, kind, label, worker, attempt: 3 };
         let start = "1970-01-01T00:00:00.000Z  ";
         for (event, line) in [
-            (failed, "failed    prt.transport cluster 7 by oven in 61.2 s (attempt 2), tried again after 1.7 s: out of memory"),
+            (
+                failed,
+                "failed    prt.transport cluster 7 by oven in 61.2 s (attempt 2), tried again after 1.7 s: out of memory",
+            ),
             (expired, "expired   prt.transport cluster 7 in 30.0 s: oven was not heard from"),
             (started, "started   prt.transport cluster 7 on oven (attempt 3)"),
         ] {

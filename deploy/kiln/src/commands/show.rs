@@ -69,7 +69,8 @@ fn words(bake: &Bake) -> String {
     }
     if bake.results_lost > 0 {
         let lost = bake.results_lost;
-        words += &format!("lost      {lost} results, after its end; a new bake of the scene makes them again\n");
+        words +=
+            &format!("lost      {lost} results, after its end; a new bake of the scene makes them again\n");
     }
     if bake.state == BakeState::Done && bake.results_lost == 0 {
         words += &format!("next      kiln fetch {} --out DIR\n", bake.id);

@@ -17,6 +17,7 @@ mod tls;
 mod tokens;
 mod traces;
 mod upkeep;
+mod uploads;
 mod wrong_input;
 
 use std::collections::BTreeMap;

@@ -76,7 +76,9 @@ fn serve(stream: TcpStream, spans: &Mutex<Vec<Exported>>) {
         requests.read_exact(&mut body).unwrap();
         spans.lock().unwrap().extend(exported(&body));
         answers
-            .write_all(b"HTTP/1.1 200 OK\r\nContent-Type: application/x-protobuf\r\nContent-Length: 0\r\n\r\n")
+            .write_all(
+                b"HTTP/1.1 200 OK\r\nContent-Type: application/x-protobuf\r\nContent-Length: 0\r\n\r\n",
+            )
             .unwrap();
     }
 }
@@ -87,7 +89,9 @@ fn exported(body: &[u8]) -> Vec<Exported> {
     for group in request.resource_spans {
         let attributes = group.resource.unwrap().attributes;
         let service = attributes.into_iter().find(|attribute| attribute.key == "service.name").unwrap();
-        let Some(Value::StringValue(service)) = service.value.unwrap().value else { panic!("no service.name") };
+        let Some(Value::StringValue(service)) = service.value.unwrap().value else {
+            panic!("no service.name")
+        };
         for span in group.scope_spans.into_iter().flat_map(|scope| scope.spans) {
             let (name, trace, id, parent) = (span.name, span.trace_id, span.span_id, span.parent_span_id);
             spans.push(Exported { service: service.clone(), name, trace, id, parent });
@@ -125,11 +129,16 @@ fn one_trace_leads_from_the_submission_to_the_chunks() {
     let root = spans.iter().find(|span| span.name == "kiln submit").expect("the command's span");
     assert_eq!((root.service.as_str(), root.parent.len()), ("kiln-submit", 0));
     assert!(spans.iter().all(|span| span.trace == root.trace), "one trace: {spans:#?}");
-    let by_id: BTreeMap<Vec<u8>, Exported> = spans.iter().map(|span| (span.id.clone(), span.clone())).collect();
+    let by_id: BTreeMap<Vec<u8>, Exported> =
+        spans.iter().map(|span| (span.id.clone(), span.clone())).collect();
     let lines: Vec<Vec<String>> = spans.iter().map(|span| ancestry(&by_id, span)).collect();
     let submitted = ["kiln-server POST /v1/bakes", "kiln-submit submit", "kiln-submit kiln submit"];
     let of_task = |steps: &[&str]| -> Vec<String> {
-        [steps, &["kiln-worker task prt.transport"], &submitted].concat().iter().map(|step| (*step).to_owned()).collect()
+        [steps, &["kiln-worker task prt.transport"], &submitted]
+            .concat()
+            .iter()
+            .map(|step| (*step).to_owned())
+            .collect()
     };
     for wanted in [
         of_task(&[]),

@@ -357,7 +357,8 @@ impl BakeEntry {
         if task.lease.is_some() {
             stage.first_claim_ms.get_or_insert(now_ms);
         }
-        self.members.insert(task.spec.key, Member { kind, cost, done, reused: done, held: true, lost: false });
+        self.members
+            .insert(task.spec.key, Member { kind, cost, done, reused: done, held: true, lost: false });
     }
 
     /// The stage of a kind, made at its first appearance.

@@ -202,15 +202,8 @@ impl Farm {
         if let Some(worker) = self.workers.get_mut(&worker) {
             worker.scene = Some(self.bakes[bake].new.scene);
         }
-        let lease = LeaseEntry {
-            key,
-            worker,
-            ttl_ms,
-            started_ms: now_ms,
-            expires_ms,
-            deadline_ms,
-            cancelled: false,
-        };
+        let lease =
+            LeaseEntry { key, worker, ttl_ms, started_ms: now_ms, expires_ms, deadline_ms, cancelled: false };
         self.leases.insert(token.clone(), lease);
         if let Some(task) = self.tasks.get_mut(&key) {
             task.lease = Some(token.clone());
@@ -417,7 +410,8 @@ impl Farm {
                     EventKind::LeaseExpired { key, kind, label, worker, attempt, elapsed_ms, took_too_long };
                 self.event(bake, now_ms, expired);
             }
-            let message = if took_too_long { rules::limit_message } else { rules::expiry_message }(&lease.worker);
+            let message =
+                if took_too_long { rules::limit_message } else { rules::expiry_message }(&lease.worker);
             if self.blame_worker(&lease, &message, now_ms).is_none() {
                 reaped.given_up += 1;
             }

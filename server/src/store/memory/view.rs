@@ -125,7 +125,9 @@ impl Farm {
             let open = bake.members.iter().filter(|(_, member)| !member.done);
             for (key, task) in open.filter_map(|(key, _)| Some((key, self.tasks.get(key)?))) {
                 let since_ms = self.ready_since_ms.get(&(bake.id.clone(), *key));
-                let Some(since_ms) = since_ms.filter(|_| self.state_of(task) == TaskState::Ready) else { continue };
+                let Some(since_ms) = since_ms.filter(|_| self.state_of(task) == TaskState::Ready) else {
+                    continue;
+                };
                 let waited_ms = u64::try_from(now_ms - task.not_before_ms.max(*since_ms)).unwrap_or(0);
                 let (kind, needs) = (task.spec.kind.clone(), bake.new.needs.clone());
                 let entry = demand.entry((kind.clone(), serde_json::json!(needs).to_string()));

@@ -222,7 +222,14 @@ impl Claim<'_> {
                     let expires_ms = self.now_ms + i64::from(self.request.ttl_secs) * 1000;
                     let expires_ms = expires_ms.min(deadline_ms);
                     let (token, traceparent) = (token::new_token()?, bake.traceparent);
-                    self.chosen.push(Chosen { task, bake: bake.id, token, expires_ms, deadline_ms, traceparent });
+                    self.chosen.push(Chosen {
+                        task,
+                        bake: bake.id,
+                        token,
+                        expires_ms,
+                        deadline_ms,
+                        traceparent,
+                    });
                     contenders[index].leased += 1;
                     scene = Some(bake.scene);
                 }
@@ -318,11 +325,12 @@ async fn lease(
     let sql = "DELETE FROM ready WHERE task IN (SELECT CAST(value AS BIGINT) FROM json_each($1))";
     query(sql).bind(tasks).run(conn).await?;
     let outputs = outputs_of_needs(conn, tasks).await?;
-    let leased = chosen.into_iter().filter_map(|Chosen { task, bake, token, expires_ms, traceparent, .. }| {
-        let task = taken.remove(&task)?.spec;
-        let inputs = resolve_inputs(&task, |key| outputs.get(key).cloned().unwrap_or_default());
-        Some(Lease { token, bake, task, inputs, expires_ms, traceparent })
-    });
+    let leased =
+        chosen.into_iter().filter_map(|Chosen { task, bake, token, expires_ms, traceparent, .. }| {
+            let task = taken.remove(&task)?.spec;
+            let inputs = resolve_inputs(&task, |key| outputs.get(key).cloned().unwrap_or_default());
+            Some(Lease { token, bake, task, inputs, expires_ms, traceparent })
+        });
     Ok(leased.collect())
 }
 

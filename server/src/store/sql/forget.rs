@@ -68,7 +68,8 @@ async fn take_from_ended(conn: &mut Conn, task: i64, key: TaskKey) -> Result<(),
     let sql = "INSERT INTO lost_results SELECT $1, m.bake FROM bake_tasks m JOIN bakes b ON b.seq = m.bake
                WHERE m.task = $2 AND b.state NOT IN ('running', 'paused')";
     query(sql).bind(key.to_string()).bind(task).run(conn).await?;
-    let sql = "DELETE FROM bake_tasks WHERE task = $1 AND bake IN (SELECT bake FROM lost_results WHERE key = $2)";
+    let sql =
+        "DELETE FROM bake_tasks WHERE task = $1 AND bake IN (SELECT bake FROM lost_results WHERE key = $2)";
     query(sql).bind(task).bind(key.to_string()).run(conn).await?;
     Ok(())
 }
