@@ -5,6 +5,7 @@ pub mod address;
 pub mod api;
 pub mod bake;
 pub mod chunk;
+pub mod events;
 pub mod ids;
 pub mod jobs;
 pub mod manifest;

@@ -1,7 +1,7 @@
 //! Spans of calls that belong to somebody's trace, as W3C Trace Context says it in their headers.
 
 use axum::extract::{MatchedPath, Request};
-use axum::http::HeaderMap;
+use axum::http::{HeaderMap, HeaderName};
 use lightkiln_proto::trace::{TARGET, TRACEPARENT, is_traceparent};
 use opentelemetry::global::get_text_map_propagator;
 use opentelemetry_http::{HeaderExtractor, HeaderInjector};
@@ -49,6 +49,8 @@ pub(super) fn traceparent(headers: &HeaderMap) -> Option<String> {
     get_text_map_propagator(|propagator| {
         propagator.inject_context(&context, &mut HeaderInjector(&mut own));
     });
-    let found = [&own, headers].into_iter().filter_map(|headers| text_header(headers, TRACEPARENT));
+    let found = [&own, headers]
+        .into_iter()
+        .filter_map(|headers| text_header(headers, HeaderName::from_static(TRACEPARENT)));
     found.filter(|text| is_traceparent(text)).map(str::to_owned).next()
 }

@@ -5,6 +5,7 @@
 mod bakes;
 mod batch;
 mod bearers;
+mod checks;
 mod chunks;
 mod crash;
 mod durability;
@@ -78,7 +79,8 @@ conformance! {
         uploads_beside_collections_lose_nothing
         damaged_bytes_are_given_up_when_they_are_read
         upload_beyond_the_quota_leaves_nothing_and_works_when_there_is_room
-        bytes_from_before_generations_are_found
+        bytes_from_before_generations_are_found;
+    checks:
         check_finds_what_is_wrong_and_makes_it_good
         scene_is_lost_only_while_a_live_bake_needs_it
         artefact_that_an_ended_bake_names_is_made_again_by_the_next

@@ -133,18 +133,19 @@ fn one_trace_leads_from_the_submission_to_the_chunks() {
         spans.iter().map(|span| (span.id.clone(), span.clone())).collect();
     let lines: Vec<Vec<String>> = spans.iter().map(|span| ancestry(&by_id, span)).collect();
     let submitted = ["kiln-server POST /v1/bakes", "kiln-submit submit", "kiln-submit kiln submit"];
-    let of_task = |steps: &[&str]| -> Vec<String> {
-        [steps, &["kiln-worker task prt.transport"], &submitted]
-            .concat()
-            .iter()
-            .map(|step| (*step).to_owned())
-            .collect()
+    let of_task = |kind: &str, steps: &[&str]| -> Vec<String> {
+        let task = format!("kiln-worker task {kind}");
+        [steps, &[task.as_str()], &submitted].concat().iter().map(|step| (*step).to_owned()).collect()
     };
     for wanted in [
-        of_task(&[]),
-        of_task(&["kiln-server GET /v1/chunks/{digest}", "kiln-worker fetch", "kiln-worker run"]),
-        of_task(&["kiln-server PUT /v1/chunks/{digest}", "kiln-worker upload"]),
-        of_task(&["kiln-server POST /v1/leases/{token}/commit", "kiln-worker commit"]),
+        of_task("prt.transport", &["kiln-worker run"]),
+        // Later tasks find what they read in the worker's cache.
+        of_task(
+            "prt.import",
+            &["kiln-server GET /v1/chunks/{digest}", "kiln-worker fetch", "kiln-worker run"],
+        ),
+        of_task("prt.transport", &["kiln-server PUT /v1/chunks/{digest}", "kiln-worker upload"]),
+        of_task("prt.transport", &["kiln-server POST /v1/leases/{token}/commit", "kiln-worker commit"]),
     ] {
         assert!(lines.contains(&wanted), "{wanted:?} is not among {lines:#?}");
     }
