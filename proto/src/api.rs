@@ -4,6 +4,8 @@
 //! |---|---|
 //! | `HEAD, GET, PUT /v1/chunks/{digest}` | bytes; scenes and artefacts are chunks too |
 //! | `HEAD, PUT /v1/scenes/{digest}` | the scene bundle's bytes → [`SceneStored`] |
+//! | `PUT /v1/scene-parts/{digest}` | bytes of a part of a scene |
+//! | `POST /v1/scenes/{digest}/parts` | [`SceneParts`] → [`SceneProgress`] |
 //! | `POST /v1/bakes` (`Idempotency-Key`) | [`NewBake`] → 202 [`Bake`] |
 //! | `GET /v1/bakes?after&limit` | [`BakePage`] |
 //! | `GET, DELETE /v1/bakes/{id}` | [`Bake`], 204 |
@@ -26,6 +28,7 @@ use utoipa::ToSchema;
 use crate::ids::Digest;
 use crate::jobs::{Artefact, TaskSpec};
 
+pub use crate::events::{BakeEvent, EventKind, EventPage};
 pub use crate::jobs::TaskResult;
 
 /// Most bytes under one digest, scene bundle, artefact or chunk: 2 GiB. Larger → larger scenes, more memory in workers.
@@ -39,6 +42,42 @@ pub struct SceneStored {
     pub scene: Digest,
     /// Its length.
     pub bytes: u64,
+}
+
+/// Size of the parts in which clients upload scenes that are bigger. Smaller → an interruption costs less, in more calls.
+pub const SCENE_PART_BYTES: usize = 8 << 20;
+/// Most bytes of one part of a scene: 64 MiB.
+pub const MAX_SCENE_PART_BYTES: u64 = 64 << 20;
+/// Most parts of a scene.
+pub const MAX_SCENE_PARTS: usize = 1024;
+
+/// The parts of a scene bundle, in order; its bytes are theirs, one after the other.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SceneParts {
+    /// 1 to 1024 of them; the same part may come several times.
+    pub parts: Vec<ScenePart>,
+}
+
+/// A part of a scene bundle.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ScenePart {
+    /// Digest of its bytes.
+    #[schema(value_type = String)]
+    pub digest: Digest,
+    /// Its length, 1..=67108864.
+    pub bytes: u64,
+}
+
+/// How far the upload of a scene is.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct SceneProgress {
+    /// The scene is stored as a whole; nothing is left to do.
+    pub is_stored: bool,
+    /// Parts to upload, by digest, before the same call puts the scene together.
+    #[schema(value_type = Vec<String>)]
+    pub missing: Vec<Digest>,
 }
 
 /// Asks for a bake.
@@ -146,6 +185,10 @@ pub struct Bake {
     pub tasks_run: u64,
     /// Tasks whose result was there already.
     pub tasks_reused: u64,
+    /// Results that are no longer there, as their bytes were lost after the bake had ended; 0 for a bake that is whole.
+    /// A new bake of the scene makes them again, for this one, too.
+    #[serde(default)]
+    pub results_lost: u64,
     /// Why it failed.
     pub failure: Option<String>,
     /// Digest of the manifest when done.
@@ -200,82 +243,6 @@ pub struct BakePage {
     pub bakes: Vec<Bake>,
     /// Give as `after` for the next page; absent on the last.
     pub next: Option<String>,
-}
-
-/// Something that happened to a bake. `seq` has no gaps within a bake.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
-pub struct BakeEvent {
-    /// 1, 2, 3, … within the bake.
-    pub seq: u64,
-    /// Unix milliseconds.
-    pub at_ms: i64,
-    /// What happened.
-    pub event: EventKind,
-}
-
-/// The kinds of event.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "snake_case", tag = "type")]
-pub enum EventKind {
-    /// The bake was accepted.
-    Submitted,
-    /// The submission or a finished task added tasks.
-    Planned {
-        /// How many were added.
-        tasks: u64,
-        /// How many of them were done already.
-        reused: u64,
-    },
-    /// A task was committed.
-    TaskDone {
-        /// Task key.
-        #[schema(value_type = String)]
-        key: Digest,
-        /// Task kind.
-        kind: String,
-        /// Task label.
-        label: String,
-        /// Worker's name.
-        worker: String,
-    },
-    /// An attempt at a task ended without a result.
-    TaskFailed {
-        /// Task key.
-        #[schema(value_type = String)]
-        key: Digest,
-        /// Task kind.
-        kind: String,
-        /// Task label.
-        label: String,
-        /// Worker's name.
-        worker: String,
-        /// Why.
-        message: String,
-        /// It will be tried again.
-        retry: bool,
-    },
-    /// A lease ran out, and the task is ready again.
-    LeaseExpired {
-        /// Task key.
-        #[schema(value_type = String)]
-        key: Digest,
-        /// Worker that held it.
-        worker: String,
-    },
-    /// The bake's state changed.
-    State {
-        /// The new state.
-        state: BakeState,
-    },
-}
-
-/// Events in order.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
-pub struct EventPage {
-    /// The page.
-    pub events: Vec<BakeEvent>,
-    /// The bake as it stands after them.
-    pub bake: Bake,
 }
 
 /// A worker as the server sees it.
@@ -368,6 +335,9 @@ pub struct Lease {
     pub inputs: Vec<Artefact>,
     /// Expiry, Unix milliseconds by the server's clock.
     pub expires_ms: i64,
+    /// Trace that the bake's submission belongs to (W3C Trace Context), if it belongs to one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub traceparent: Option<String>,
 }
 
 /// Says that a task is still being worked on.

@@ -43,7 +43,7 @@ fn bake(plan: Vec<TaskSpec>) -> Submission {
         needs: Needs::default(),
         attempt_limit_secs: None,
     };
-    Submission { idempotency_key: None, body_hash: Digest::of(b""), bake, plan }
+    Submission { idempotency_key: None, body_hash: Digest::of(b""), traceparent: None, bake, plan }
 }
 
 fn task(name: &str, needs: &[&TaskSpec], cost: u64) -> TaskSpec {

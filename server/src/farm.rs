@@ -52,6 +52,8 @@ pub struct Farm {
     pub guard: Guard,
     /// Counts since start.
     pub(crate) metrics: Metrics,
+    /// Held while a scene is put together.
+    pub(crate) scene_parts: tokio::sync::Mutex<()>,
     /// A waiting call looks again this often, hint or not.
     pub poll_interval: Duration,
     /// Turns true when the server is to stop: waiting calls then answer at once.
@@ -68,11 +70,18 @@ impl Farm {
         closing: watch::Receiver<bool>,
     ) -> Self {
         let guard = Guard::new(store.clone());
-        Self { guard, store, storage, wakeup, metrics: Metrics::default(), poll_interval, closing }
+        let (metrics, scene_parts) = (Metrics::default(), tokio::sync::Mutex::default());
+        Self { guard, store, storage, wakeup, metrics, scene_parts, poll_interval, closing }
     }
 
     /// Takes a bake in. The scene must be there, and results to be reused must still have their bytes.
-    pub async fn submit(&self, bake: NewBake, idempotency_key: Option<String>) -> Result<Bake, ServerError> {
+    /// `traceparent` names the trace that the submission belongs to.
+    pub async fn submit(
+        &self,
+        bake: NewBake,
+        idempotency_key: Option<String>,
+        traceparent: Option<String>,
+    ) -> Result<Bake, ServerError> {
         require_chars("name", &bake.name, 0, MAX_NAME_CHARS)?;
         if let Some(key) = &idempotency_key {
             require_chars("Idempotency-Key", key, 1, MAX_ID_CHARS)?;
@@ -86,7 +95,7 @@ impl Farm {
         self.forget_lost_results(&plan).await?;
         let body = serde_json::to_vec(&bake).map_err(|error| bad_request(error.to_string()))?;
         let body_hash = Digest::of(&body);
-        let submission = Submission { idempotency_key, body_hash, bake, plan };
+        let submission = Submission { idempotency_key, body_hash, traceparent, bake, plan };
         let submitted = self.store.submit(&submission).await.map_err(|error| match error {
             // It went between the look and the submission.
             StoreError::MissingChunk { digest } if digest == scene => ServerError::NoSuchScene { scene },

@@ -6,6 +6,7 @@
 use std::time::{Duration, SystemTime};
 
 use futures::{StreamExt, TryStreamExt};
+use lightkiln_proto::api::BakeState;
 use lightkiln_proto::ids::Digest;
 use serde::Serialize;
 
@@ -15,7 +16,7 @@ use crate::storage::Storage;
 use crate::store::FarmStore;
 use crate::store::chunk::{ChunkRow, KeptChunk};
 
-/// Chunks that are asked for together.
+/// Chunks, and bakes, that are asked for together.
 const PAGE: u32 = 500;
 /// Chunks that are looked at or read at a time.
 const CALLS_IN_FLIGHT: usize = 8;
@@ -42,6 +43,17 @@ pub struct Flaw {
     pub references: u64,
 }
 
+/// A bake that ended well and can no longer be fetched as a whole.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Incomplete {
+    /// The bake's id.
+    pub bake: String,
+    /// Its name.
+    pub name: String,
+    /// Results of it that were lost.
+    pub results_lost: u64,
+}
+
 /// What a check found.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Findings {
@@ -55,8 +67,10 @@ pub struct Findings {
     pub corrupt: Vec<Flaw>,
     /// Bytes that nobody knows of.
     pub orphaned: Vec<Flaw>,
-    /// Chunks that are known to be lost and still referred to: scenes, mostly, to be uploaded again.
+    /// Scenes that bakes under way need and that are known to be lost: no task makes them, only an upload does.
     pub lost: Vec<Flaw>,
+    /// Bakes that lost results after their end: true of them whatever is repaired, until a new bake of the scene.
+    pub incomplete: Vec<Incomplete>,
     /// Results forgotten by the repair; their tasks run again where a live bake needs them.
     pub results_forgotten: u64,
     /// Whether missing, corrupt and orphaned chunks were made good.
@@ -64,7 +78,7 @@ pub struct Findings {
 }
 
 impl Findings {
-    /// Nothing is wrong any more.
+    /// Nothing is wrong any more with what the farm has. What bakes lost after their end is no fault that stays.
     pub fn is_sound(&self) -> bool {
         let open = self.missing.len() + self.corrupt.len() + self.orphaned.len();
         self.lost.is_empty() && (open == 0 || self.repaired)
@@ -87,6 +101,7 @@ pub async fn check(
     let mut findings = Findings::default();
     check_rows(store, chunks, checks, &mut findings).await?;
     check_objects(store, chunks, storage, checks, &mut findings).await?;
+    list_incomplete(store, &mut findings).await?;
     findings.repaired = checks.repairs;
     Ok(findings)
 }
@@ -120,7 +135,7 @@ async fn note(
 ) -> Result<(), ServerError> {
     let flaw = Flaw { digest: row.digest, bytes: row.bytes, references: row.refs };
     let Some(generation) = row.generation else {
-        if row.refs > 0 {
+        if row.is_live_scene {
             findings.lost.push(flaw);
         }
         return Ok(());
@@ -139,14 +154,30 @@ async fn note(
         Wrong::Corrupt => findings.corrupt.push(flaw),
     }
     if checks.repairs {
-        let forgotten = store.lose_chunk(name).await?;
-        findings.results_forgotten += forgotten;
-        // What is referred to by something that no task can make again stays lost.
-        if row.refs > forgotten {
+        findings.results_forgotten += store.lose_chunk(name).await?;
+        if row.is_live_scene {
             findings.lost.push(flaw);
         }
     }
     Ok(())
+}
+
+async fn list_incomplete(store: &dyn FarmStore, findings: &mut Findings) -> Result<(), ServerError> {
+    let mut after = None;
+    loop {
+        let page = store.list(after.as_deref(), PAGE).await?;
+        let incomplete =
+            page.bakes.into_iter().filter(|bake| bake.state == BakeState::Done && bake.results_lost > 0);
+        findings.incomplete.extend(incomplete.map(|bake| Incomplete {
+            bake: bake.id,
+            name: bake.name,
+            results_lost: bake.results_lost,
+        }));
+        match page.next {
+            Some(next) => after = Some(next),
+            None => return Ok(()),
+        }
+    }
 }
 
 async fn look(chunks: &dyn ChunkStore, row: &ChunkRow, reads: bool) -> Result<Option<Wrong>, ChunkError> {

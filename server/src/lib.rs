@@ -18,6 +18,7 @@ pub mod fsck;
 mod http;
 mod metrics;
 pub mod places;
+mod scene_parts;
 mod server;
 pub mod storage;
 pub mod store;

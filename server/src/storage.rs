@@ -10,6 +10,7 @@ use std::sync::Arc;
 
 use bytes::Bytes;
 use futures::{StreamExt, TryStreamExt};
+use lightkiln_proto::api::ScenePart;
 use lightkiln_proto::ids::Digest;
 
 use crate::chunks::{ByteStream, ChunkError, ChunkName, ChunkStore, Stored, StreamCheck};
@@ -88,6 +89,37 @@ impl Storage {
         let replaces = known.map(|known| known.name.generation);
         let is_new = self.take_in(KeptChunk { name, bytes: written.bytes }, replaces).await?;
         Ok(Stored { is_new, bytes: written.bytes })
+    }
+
+    /// Stores bytes that are those of `parts`, one after the other. A part whose bytes turn out to be lost or damaged is
+    /// given up, so that it counts as missing.
+    pub(crate) async fn put_together(
+        &self,
+        digest: Digest,
+        parts: &[ScenePart],
+    ) -> Result<Stored, ServerError> {
+        let digests: BTreeSet<Digest> = parts.iter().map(|part| part.digest).collect();
+        let digests: Vec<Digest> = digests.into_iter().collect();
+        let kept = self.store.find_chunks(&digests).await?;
+        let names: BTreeMap<Digest, ChunkName> =
+            kept.iter().map(|chunk| (chunk.name.digest, chunk.name)).collect();
+        let (chunks, by_digest) = (self.chunks.clone(), names.clone());
+        let pieces = futures::stream::iter(parts.to_vec()).then(move |part| {
+            let (chunks, name) = (chunks.clone(), by_digest.get(&part.digest).copied());
+            async move {
+                let name = name.ok_or(ChunkError::NotFound { digest: part.digest })?;
+                chunks.get_range(name, 0..part.bytes).await
+            }
+        });
+        let length = parts.iter().map(|part| part.bytes).sum();
+        let stored = self.put_stream(digest, pieces.try_flatten().boxed(), length, Some(length)).await;
+        if let Err(ServerError::Chunks(ChunkError::NotFound { digest } | ChunkError::Damaged { digest })) =
+            &stored
+            && let Some(name) = names.get(digest)
+        {
+            self.lose(*name).await?;
+        }
+        stored
     }
 
     /// Refuses an upload for which there is no room before it comes.

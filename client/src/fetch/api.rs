@@ -3,10 +3,13 @@
 use std::sync::Arc;
 
 use lightkiln_proto::api::{
-    Bake, BakePage, Blocklist, EventPage, MAX_CHUNK_BYTES, NewBake, NewPriority, SceneStored, WorkerPage,
+    Bake, BakePage, Blocklist, EventPage, MAX_CHUNK_BYTES, NewBake, NewPriority, SCENE_PART_BYTES, ScenePart,
+    SceneParts, SceneProgress, SceneStored, WorkerPage,
 };
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::manifest;
+use lightkiln_proto::trace::TARGET;
+use rayon::prelude::*;
 
 use super::http::{Call, Http, Method, RetryPolicy};
 use super::stop::Stop;
@@ -14,6 +17,11 @@ use crate::error::{ClientError, Result};
 
 /// Longest wait of one polling call for events, in seconds.
 pub const MAX_WAIT_SECS: u32 = 60;
+
+/// How often parts of a scene are uploaded before a server that keeps missing some is given up.
+const UPLOAD_ROUNDS_MAX: u32 = 4;
+/// The header of calls whose body is plain bytes.
+const BYTES: [(&str, &str); 1] = [("content-type", "application/octet-stream")];
 
 /// A Lightkiln server. Calls block; those that fail in a way that may pass are tried again.
 #[derive(Clone)]
@@ -52,7 +60,8 @@ impl ApiClient {
         &self.http.base
     }
 
-    /// Uploads a scene bundle unless the server has it already.
+    /// Uploads a scene bundle unless the server has it already. Of a big one only those parts go that the server has not:
+    /// after an interruption the same call goes on where it was.
     pub fn upload_scene(&self, bundle: &[u8]) -> Result<SceneStored> {
         let bytes = bundle.len() as u64;
         if bytes > MAX_CHUNK_BYTES {
@@ -63,12 +72,53 @@ impl ApiClient {
             return Err(ClientError::Argument { what, problem });
         }
         let scene = Digest::of(bundle);
+        let _span = tracing::info_span!(target: TARGET, "upload scene", %scene, bytes).entered();
         let path = format!("/v1/scenes/{scene}");
         if self.http.exists(&path)? {
             return Ok(SceneStored { scene, bytes });
         }
-        let headers = [("content-type", "application/octet-stream")];
-        self.http.json(Call { headers: &headers, body: bundle, ..Call::new(Method::Put, &path) })
+        if bundle.len() > SCENE_PART_BYTES {
+            self.upload_in_parts(scene, bundle)?;
+            return Ok(SceneStored { scene, bytes });
+        }
+        self.http.json(Call { headers: &BYTES, body: bundle, ..Call::new(Method::Put, &path) })
+    }
+
+    /// Uploads the parts that the server has not, be they left over from an upload that was cut, or of another scene.
+    fn upload_in_parts(&self, scene: Digest, bundle: &[u8]) -> Result<()> {
+        let pieces: Vec<&[u8]> = bundle.chunks(SCENE_PART_BYTES).collect();
+        let part = |piece: &&[u8]| ScenePart { digest: Digest::of(piece), bytes: piece.len() as u64 };
+        let parts: Vec<ScenePart> = pieces.par_iter().map(part).collect();
+        let list = serde_json::to_vec(&SceneParts { parts: parts.clone() })
+            .map_err(|source| ClientError::Json { place: "the scene's parts".to_owned(), source })?;
+        let together = format!("/v1/scenes/{scene}/parts");
+        let headers = [("content-type", "application/json")];
+        for _ in 0..UPLOAD_ROUNDS_MAX {
+            let call = Call { headers: &headers, body: &list, ..Call::new(Method::Post, &together) };
+            let progress: SceneProgress = self.http.json(call)?;
+            if progress.is_stored {
+                return Ok(());
+            }
+            tracing::info!(missing = progress.missing.len(), parts = parts.len(), "uploading a scene");
+            for (part, piece) in parts.iter().zip(&pieces) {
+                if progress.missing.contains(&part.digest) {
+                    self.upload_part(part.digest, piece)?;
+                }
+            }
+        }
+        let problem =
+            "keeps losing parts of the scene that were uploaded; have its storage checked ('kiln fsck')"
+                .to_owned();
+        Err(ClientError::Source { text: self.base().to_owned(), problem })
+    }
+
+    fn upload_part(&self, digest: Digest, piece: &[u8]) -> Result<()> {
+        let path = format!("/v1/scene-parts/{digest}");
+        if self.http.stop.is_wished() {
+            return Err(ClientError::Stopped { call: format!("PUT {}{path}", self.base()) });
+        }
+        let call = Call { headers: &BYTES, body: piece, ..Call::new(Method::Put, &path) };
+        self.http.bytes(call, 0).map(|_| ())
     }
 
     /// Asks for a bake; the same key with the same body gives the same bake.
@@ -79,6 +129,7 @@ impl ApiClient {
         }
         let body = serde_json::to_vec(bake)
             .map_err(|source| ClientError::Json { place: "the bake to submit".to_owned(), source })?;
+        let _span = tracing::info_span!(target: TARGET, "submit", scene = %bake.scene).entered();
         let headers = [("idempotency-key", idempotency_key), ("content-type", "application/json")];
         self.http.json(Call { headers: &headers, body: &body, ..Call::new(Method::Post, "/v1/bakes") })
     }

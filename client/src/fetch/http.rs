@@ -5,9 +5,13 @@ use std::time::Duration;
 
 use lightkiln_proto::address::is_loopback;
 use lightkiln_proto::problem::{Problem, RetryClass};
-use ureq::http::{Response, header};
+use opentelemetry::global::get_text_map_propagator;
+use opentelemetry_http::HeaderInjector;
+use tracing_opentelemetry::OpenTelemetrySpanExt;
+use ureq::http::{Request, Response, header};
+use ureq::middleware::MiddlewareNext;
 use ureq::tls::{PemItem, RootCerts, TlsConfig, parse_pem};
-use ureq::{Agent, Body};
+use ureq::{Agent, Body, SendBody};
 
 use super::stop::Stop;
 use crate::error::{ClientError, Result};
@@ -89,11 +93,24 @@ fn agent(base: &str, roots: RootCerts) -> Agent {
         .timeout_send_body(Some(Duration::from_secs(3600)))
         .timeout_recv_response(Some(Duration::from_secs(120)))
         .timeout_recv_body(Some(Duration::from_secs(3600)))
-        .user_agent(concat!("lightkiln/", env!("CARGO_PKG_VERSION")));
+        .user_agent(concat!("lightkiln/", env!("CARGO_PKG_VERSION")))
+        .middleware(name_trace);
     if is_loopback(base) {
         config = config.proxy(None);
     }
     config.build().into()
+}
+
+/// Says which trace a call belongs to, if the caller is in one.
+fn name_trace(
+    mut request: Request<SendBody<'_>>,
+    next: MiddlewareNext<'_>,
+) -> std::result::Result<Response<Body>, ureq::Error> {
+    let context = tracing::Span::current().context();
+    get_text_map_propagator(|propagator| {
+        propagator.inject_context(&context, &mut HeaderInjector(request.headers_mut()));
+    });
+    next.handle(request)
 }
 
 impl Http {

@@ -15,17 +15,23 @@ mod picture;
 mod progress;
 mod settings;
 mod summary;
+mod telemetry;
 #[cfg(test)]
 mod tests;
 
 use std::process::ExitCode;
 
 use clap::Parser as _;
+use tracing::Span;
 
 fn main() -> ExitCode {
-    let arguments = arguments::Arguments::parse();
-    logging::start();
-    match arguments.command.run() {
+    let command = arguments::Arguments::parse().command;
+    let role = command.name();
+    // Ends, and exports what is left, when the command has.
+    let _telemetry = logging::start(role);
+    // A server and a worker live for months: what they do belongs to the traces of those who ask for it.
+    let span = if command.stays() { Span::none() } else { telemetry::command_span(role) };
+    match span.in_scope(|| command.run()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
             eprint!("{failure}");

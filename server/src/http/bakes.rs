@@ -13,6 +13,7 @@ use utoipa::IntoParams;
 
 use super::chunks::serve_bytes;
 use super::extract::{JsonBody, PathParam, UrlQuery, bad_request};
+use super::trace::traceparent;
 use crate::error::ServerError;
 use crate::farm::Farm;
 
@@ -39,7 +40,8 @@ pub(super) struct ListQuery {
 
 /// Asks for a bake. The scene must be stored. The same Idempotency-Key with the same body gives the same bake.
 #[utoipa::path(post, path = "/v1/bakes", tag = "bakes", request_body = NewBake,
-    params(("Idempotency-Key" = Option<String>, Header, description = "Makes trying again safe; 1 to 200 characters")),
+    params(("Idempotency-Key" = Option<String>, Header, description = "Makes trying again safe; 1 to 200 characters"),
+        ("traceparent" = Option<String>, Header, description = "Trace that the bake's tasks will belong to (W3C Trace Context)")),
     responses(
         (status = 202, description = "Accepted", body = Bake),
         (status = 404, description = "The scene is not stored", body = Problem, content_type = "application/problem+json"),
@@ -54,7 +56,7 @@ pub(super) async fn submit(
     let key = headers.get("Idempotency-Key").map(|value| {
         value.to_str().map(str::to_owned).map_err(|_| bad_request("Idempotency-Key must be visible ASCII"))
     });
-    let bake = farm.submit(bake, key.transpose()?).await?;
+    let bake = farm.submit(bake, key.transpose()?, traceparent(&headers)).await?;
     Ok((StatusCode::ACCEPTED, Json(bake)))
 }
 

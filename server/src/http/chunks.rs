@@ -8,17 +8,19 @@ use axum::extract::State;
 use axum::http::{HeaderMap, Method, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use futures::{StreamExt, TryStreamExt};
-use lightkiln_proto::api::{MAX_CHUNK_BYTES, SceneStored};
+use lightkiln_proto::api::{MAX_CHUNK_BYTES, MAX_SCENE_PART_BYTES, SceneParts, SceneProgress, SceneStored};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::problem::Problem;
 
-use super::extract::{PathParam, content_length, text_header};
+use super::extract::{JsonBody, PathParam, content_length, text_header};
 use super::openapi::Binary;
 use super::ranges::{Wanted, is_known, range_applies, wanted};
 use crate::chunks::{ChunkError, Stored};
 use crate::error::ServerError;
 use crate::farm::Farm;
 
+/// Largest list of parts.
+const MAX_JSON_BYTES: usize = 1 << 20;
 /// Bytes under a digest never change.
 const FOREVER: &str = "public, max-age=31536000, immutable";
 
@@ -61,8 +63,52 @@ pub(super) async fn put_scene(
     Ok((status_of(stored), Json(SceneStored { scene: digest, bytes: stored.bytes })))
 }
 
+/// Stores a part of a scene; it stays as long as any chunk that nobody needs.
+#[utoipa::path(put, path = "/v1/scene-parts/{digest}", tag = "scenes",
+    params(("digest" = Digest, Path, description = "blake3 digest of the part")),
+    request_body(content = inline(Binary), content_type = "application/octet-stream", description = "At most 64 MiB"),
+    responses(
+        (status = 201, description = "Stored"),
+        (status = 200, description = "Was stored already"),
+        (status = 413, description = "Too large", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "The bytes have another digest", body = Problem, content_type = "application/problem+json"),
+        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn put_scene_part(
+    State(farm): State<Arc<Farm>>,
+    PathParam(digest): PathParam<Digest>,
+    headers: HeaderMap,
+    body: Body,
+) -> Result<StatusCode, ServerError> {
+    Ok(status_of(store_up_to(&farm, digest, &headers, body, MAX_SCENE_PART_BYTES).await?))
+}
+
+/// Says which parts of a scene are missing. If none is, stores the scene that they make. Safe to try again.
+#[utoipa::path(post, path = "/v1/scenes/{digest}/parts", tag = "scenes", request_body = SceneParts,
+    params(("digest" = Digest, Path, description = "blake3 digest of the bundle")),
+    responses(
+        (status = 200, description = "What is missing, or that the scene is stored", body = SceneProgress),
+        (status = 413, description = "Too large", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "The parts make other bytes", body = Problem, content_type = "application/problem+json"),
+        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn put_scene_together(
+    State(farm): State<Arc<Farm>>,
+    PathParam(digest): PathParam<Digest>,
+    JsonBody(parts): JsonBody<SceneParts, MAX_JSON_BYTES>,
+) -> Result<Json<SceneProgress>, ServerError> {
+    Ok(Json(farm.put_scene_together(digest, parts).await?))
+}
+
 async fn store(farm: &Farm, digest: Digest, headers: &HeaderMap, body: Body) -> Result<Stored, ServerError> {
-    let limit = MAX_CHUNK_BYTES;
+    store_up_to(farm, digest, headers, body, MAX_CHUNK_BYTES).await
+}
+
+async fn store_up_to(
+    farm: &Farm,
+    digest: Digest,
+    headers: &HeaderMap,
+    body: Body,
+    limit: u64,
+) -> Result<Stored, ServerError> {
     if content_length(headers).is_some_and(|length| length > limit) {
         return Err(ChunkError::TooLarge { limit }.into());
     }
@@ -154,7 +200,9 @@ pub(super) async fn serve_bytes(
     let body = if method == Method::HEAD {
         Body::empty()
     } else {
-        Body::from_stream(farm.storage.read(digest, part.clone()).await?)
+        let sent = farm.metrics.bytes_out.clone();
+        let bytes = farm.storage.read(digest, part.clone()).await?;
+        Body::from_stream(bytes.inspect_ok(move |piece| sent.add(piece.len() as u64)))
     };
     let size = (part.end - part.start).to_string();
     let sized = [(header::CONTENT_TYPE, content_type.to_owned()), (header::CONTENT_LENGTH, size)];

@@ -111,9 +111,12 @@ fn sse_event(event: &BakeEvent) -> Option<Event> {
     let name = match event.event {
         EventKind::Submitted => "submitted",
         EventKind::Planned { .. } => "planned",
+        EventKind::TaskStarted { .. } => "task_started",
         EventKind::TaskDone { .. } => "task_done",
         EventKind::TaskFailed { .. } => "task_failed",
         EventKind::LeaseExpired { .. } => "lease_expired",
+        EventKind::TaskReleased { .. } => "task_released",
+        EventKind::ResultLost { .. } => "result_lost",
         EventKind::State { .. } => "state",
     };
     Event::default().id(event.seq.to_string()).event(name).json_data(event).ok()

@@ -22,7 +22,7 @@ fn scopes_for(method: &Method, route: &str) -> &'static [Scope] {
         "/healthz" | "/readyz" | "/openapi.json" if reads => &[],
         "/v1/chunks/{digest}" if reads => &[Scope::Read, Scope::Worker],
         "/v1/chunks/{digest}" if *method == Method::PUT => &[Scope::Worker],
-        "/v1/scenes/{digest}" => &[Scope::Submit],
+        "/v1/scenes/{digest}" | "/v1/scenes/{digest}/parts" | "/v1/scene-parts/{digest}" => &[Scope::Submit],
         "/v1/enrolments" => &[Scope::Enrol],
         "/v1/workers" | "/metrics" if reads => &[Scope::Read],
         route if route.starts_with("/v1/leases") => &[Scope::Worker],

@@ -8,7 +8,7 @@ use lightkiln_proto::problem::Problem;
 
 use crate::error::ServerError;
 use crate::farm::Farm;
-use crate::metrics::{self, StorageFigures};
+use crate::metrics::{self, Figures};
 
 /// Says that the process runs.
 #[utoipa::path(get, path = "/healthz", tag = "operation",
@@ -35,9 +35,14 @@ pub(super) async fn readyz(State(farm): State<Arc<Farm>>) -> Result<&'static str
 pub(super) async fn metrics(
     State(farm): State<Arc<Farm>>,
 ) -> Result<([(HeaderName, &'static str); 1], String), ServerError> {
-    let (usage, storage) = (farm.store.usage().await?, &farm.storage);
-    let storage = StorageFigures { usage, quota_bytes: storage.quota_bytes(), lost: storage.lost() };
-    let text = metrics::render(&farm.metrics, &farm.store.stats().await?, storage);
+    let figures = Figures {
+        farm: farm.store.stats().await?,
+        workers: farm.store.workers().await?.len() as u64,
+        usage: farm.store.usage().await?,
+        quota_bytes: farm.storage.quota_bytes(),
+        lost: farm.storage.lost(),
+    };
+    let text = metrics::render(&farm.metrics, &figures);
     Ok(([(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], text))
 }
 

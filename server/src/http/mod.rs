@@ -12,6 +12,7 @@ mod limits;
 mod openapi;
 mod problem;
 mod ranges;
+mod trace;
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -24,7 +25,6 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::{get, head, post, put};
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::trace::TraceLayer;
-use tracing::Span;
 
 use crate::error::ServerError;
 use crate::farm::Farm;
@@ -40,6 +40,8 @@ pub(crate) fn router(farm: Arc<Farm>, limits: LimitConfig) -> Router {
     let doorman = Arc::new(Doorman { farm: farm.clone(), limits: Limits::new(limits) });
     Router::new()
         .route("/v1/scenes/{digest}", put(chunks::put_scene).head(chunks::head_scene))
+        .route("/v1/scenes/{digest}/parts", post(chunks::put_scene_together))
+        .route("/v1/scene-parts/{digest}", put(chunks::put_scene_part))
         .route("/v1/chunks/{digest}", head(chunks::head_chunk).get(chunks::get_chunk).put(chunks::put_chunk))
         .route("/v1/bakes", get(bakes::list).post(bakes::submit))
         .route("/v1/bakes/{id}", get(bakes::show).delete(bakes::delete))
@@ -67,14 +69,8 @@ pub(crate) fn router(farm: Arc<Farm>, limits: LimitConfig) -> Router {
         .layer(axum::middleware::from_fn_with_state(doorman, guard::guard))
         .layer(axum::middleware::from_fn_with_state(farm.clone(), measure))
         .layer(CatchPanicLayer::custom(panicked))
-        .layer(TraceLayer::new_for_http().make_span_with(span))
+        .layer(TraceLayer::new_for_http().make_span_with(trace::span))
         .with_state(farm)
-}
-
-/// What a request is logged as: its route, as paths hold tokens.
-fn span(request: &Request) -> Span {
-    let route = request.extensions().get::<MatchedPath>().map_or("none", MatchedPath::as_str);
-    tracing::debug_span!("request", method = %request.method(), route)
 }
 
 /// Notes how long a request took until its answer began.
@@ -86,6 +82,7 @@ async fn measure(State(farm): State<Arc<Farm>>, request: Request, next: Next) ->
     // Methods come from outside; those that no route has are counted as one.
     let is_known = [Method::GET, Method::HEAD, Method::POST, Method::PUT, Method::DELETE].contains(&method);
     let method = if is_known { method.as_str() } else { "other" };
+    trace::note_status(response.status().as_u16());
     farm.metrics.latencies.note(method, &route, response.status().as_u16(), started.elapsed());
     response
 }

@@ -24,7 +24,7 @@ use super::{bakes, chunks, enrolments, events, health, leases};
         (name = "operation", description = "For those who run the server"),
     ),
     paths(
-        chunks::put_scene, chunks::head_scene, chunks::put_chunk, chunks::get_chunk, chunks::head_chunk,
+        chunks::put_scene, chunks::head_scene, chunks::put_scene_together, chunks::put_scene_part, chunks::put_chunk, chunks::get_chunk, chunks::head_chunk,
         bakes::submit, bakes::list, bakes::show, bakes::delete, bakes::blocklist, bakes::clear_blocklist, bakes::cancel, bakes::pause, bakes::resume, bakes::reprioritise,
         bakes::manifest, bakes::report, bakes::workers, events::events,
         leases::claim, leases::heartbeat, leases::commit, leases::fail, leases::release,

@@ -67,6 +67,8 @@ pub struct ChunkRow {
     pub bytes: u64,
     /// References to it.
     pub refs: u64,
+    /// It is the scene of a bake that has not ended: no task makes it again if its bytes are lost.
+    pub is_live_scene: bool,
 }
 
 /// How full the storage is.

@@ -50,6 +50,8 @@ pub struct Submission {
     pub idempotency_key: Option<String>,
     /// Digest of the request; another one under the same key is refused.
     pub body_hash: Digest,
+    /// Trace that the submission belongs to, as W3C Trace Context writes it.
+    pub traceparent: Option<String>,
     /// What was asked for.
     pub bake: NewBake,
     /// Its first tasks.
@@ -139,6 +141,9 @@ pub struct Demand {
     pub needs: Needs,
     /// How many.
     pub ready: u64,
+    /// For how long the one that has waited longest could have been claimed, in milliseconds: since it became ready, its
+    /// wait after a failure was over, or its bake's pause ended.
+    pub waited_ms: u64,
 }
 
 /// Figures about the whole farm.
@@ -152,9 +157,9 @@ pub struct Stats {
     pub bakes_live: u64,
     /// All bakes.
     pub bakes_total: u64,
-    /// Tasks run, over all bakes.
+    /// Tasks run since the farm began, for each bake that wanted them. Never falls.
     pub tasks_run: u64,
-    /// Tasks reused, over all bakes.
+    /// Tasks whose result was there already when a bake wanted them, since the farm began. Never falls.
     pub tasks_reused: u64,
 }
 
@@ -167,7 +172,8 @@ pub trait FarmStore: Send + Sync {
     /// Results that `plan` would reuse, plans of reused results included.
     async fn reusable(&self, plan: &[TaskSpec]) -> Result<Vec<KnownResult>, StoreError>;
 
-    /// Forgets results whose bytes are lost: tasks that a live bake wants run again, dependants wait again.
+    /// Forgets results whose bytes are lost: tasks that a live bake wants run again, dependants wait again. Bakes that
+    /// have ended count the result as lost ([`Bake::results_lost`]) until a bake runs the task again.
     async fn forget(&self, keys: &[TaskKey]) -> Result<(), StoreError>;
 
     /// Hands out up to `max` ready tasks. One by one they come from the bake with the highest priority, of those from the

@@ -8,11 +8,20 @@ mod parts;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 
+use std::time::Duration;
+
 use bytes::Bytes;
 use futures::{StreamExt, TryStreamExt};
+use lightkiln_proto::api::{ScenePart, SceneParts, SceneProgress};
 use lightkiln_proto::ids::Digest;
 use lightkiln_server::chunks::{ByteStream, ChunkError, ChunkName, ChunkStore, Listed, ObjectChunks, Stored};
+use lightkiln_server::clock::ManualClock;
+use lightkiln_server::farm::Farm;
 use lightkiln_server::places::ChunksPlace;
+use lightkiln_server::storage::Storage;
+use lightkiln_server::store::MemoryStore;
+use lightkiln_server::store::chunk::CollectRules;
+use lightkiln_server::wakeup::LocalWakeup;
 use object_store::aws::{AmazonS3Builder, AmazonS3ConfigKey};
 use object_store::local::LocalFileSystem;
 use object_store::memory::InMemory;
@@ -88,6 +97,7 @@ suite! {
     wrong_broken_and_oversized_streams_leave_nothing
     more_chunks_than_one_page_are_listed
     generations_are_stored_beside_each_other
+    scene_is_put_together_from_parts_that_are_cleared_away_later
 }
 
 fn pieces(count: usize, piece_bytes: usize) -> (Digest, u64, ByteStream) {
@@ -245,6 +255,41 @@ async fn generations_are_stored_beside_each_other(kind: Kind) {
     let listed: Vec<Listed> = chunks.list().try_collect().await.unwrap();
     assert_eq!(listed.iter().map(|chunk| chunk.name).collect::<Vec<_>>(), [second]);
     assert!(listed[0].written_ms > 1_600_000_000_000, "{}", listed[0].written_ms);
+}
+
+async fn scene_is_put_together_from_parts_that_are_cleared_away_later(kind: Kind) {
+    let clock = Arc::new(ManualClock::at(1_000_000));
+    let store = Arc::new(MemoryStore::new(clock.clone()));
+    let chunks = Arc::new(kind.chunks);
+    let storage = Storage::new(store.clone(), chunks.clone(), None);
+    let (_closing, closing) = tokio::sync::watch::channel(false);
+    let wakeup = Arc::new(LocalWakeup::default());
+    let farm = Arc::new(Farm::new(store, storage, wakeup, Duration::from_secs(1), closing));
+    // Enough for several pieces of what the store writes at a time.
+    let pieces: Vec<Bytes> = (0..6).map(|i| Bytes::from(vec![i as u8; 3 << 20])).collect();
+    let scene = Digest::of(&pieces.concat());
+    let part = |piece: &Bytes| ScenePart { digest: Digest::of(piece), bytes: piece.len() as u64 };
+    let parts = SceneParts { parts: pieces.iter().map(part).collect() };
+    for (number, piece) in pieces.iter().enumerate() {
+        let progress = farm.put_scene_together(scene, parts.clone()).await.unwrap();
+        assert_eq!((progress.is_stored, progress.missing.len()), (false, pieces.len() - number));
+        farm.storage.put(Digest::of(piece), piece.clone()).await.unwrap();
+    }
+    // Who asks beside each other, as after a connection that was cut, gets the same scene.
+    let calls = (0..3).map(|_| farm.put_scene_together(scene, parts.clone()));
+    for progress in futures::future::try_join_all(calls).await.unwrap() {
+        assert_eq!(progress, SceneProgress { is_stored: true, missing: vec![] });
+    }
+    assert_eq!(kind.objects.list(None).count().await, pieces.len() + 1);
+    let stream = farm.storage.read(scene, 0..18 << 20).await.unwrap();
+    let read: Vec<Bytes> = stream.try_collect().await.unwrap();
+    assert_eq!(Digest::of(&read.concat()), scene);
+    // Parts, and a scene that no bake asked for, go like all that nobody needs.
+    clock.advance_ms(1_000);
+    let rules = CollectRules { grace_ms: 1_000, keep_bakes_ms: None, max: 100 };
+    assert_eq!(farm.collect(&rules).await.unwrap().chunks, pieces.len() as u64 + 1);
+    assert_eq!(kind.objects.list(None).count().await, 0);
+    assert_eq!(farm.put_scene_together(scene, parts).await.unwrap().missing.len(), pieces.len());
 }
 
 /// No file of a broken upload stays in the folder, not even one that is hidden from listings.

@@ -3,7 +3,6 @@
 use std::collections::BTreeSet;
 use std::slice::from_ref;
 use std::sync::Arc;
-use std::time::Duration;
 
 use bytes::Bytes;
 use futures::{StreamExt, TryStreamExt};
@@ -11,20 +10,16 @@ use lightkiln_proto::api::{BakeState, CommitVerdict};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{Artefact, TaskInput, TaskResult, TaskSpec};
 use lightkiln_proto::problem::ProblemCode;
-use lightkiln_server::chunks::{ChunkName, ChunkStore, ObjectChunks};
-use lightkiln_server::fsck::{self, Checks, Findings, Flaw};
+use lightkiln_server::chunks::{ChunkStore, ObjectChunks};
 use lightkiln_server::storage::Storage;
 use lightkiln_server::store::StoreError;
 use lightkiln_server::store::chunk::{CollectRules, Collected, Kept, Usage};
 
-use object_store::memory::InMemory;
-use object_store::{ObjectStore, ObjectStoreExt};
-
 use crate::support::{SCENE, World, chunk, output, result, submission, task};
 
 /// Grace of the tests' collections.
-const GRACE_MS: i64 = 3_600_000;
-const RULES: CollectRules = CollectRules { grace_ms: GRACE_MS, keep_bakes_ms: None, max: 100 };
+pub const GRACE_MS: i64 = 3_600_000;
+pub const RULES: CollectRules = CollectRules { grace_ms: GRACE_MS, keep_bakes_ms: None, max: 100 };
 
 fn digest(name: &str) -> Digest {
     Digest::of(name.as_bytes())
@@ -34,18 +29,18 @@ async fn keep(world: &World, digest: Digest, generation: u64) -> Kept {
     world.store.keep_chunk(chunk(digest, generation), None, None).await.unwrap()
 }
 
-async fn is_kept(world: &World, digest: Digest) -> bool {
+pub async fn is_kept(world: &World, digest: Digest) -> bool {
     !world.store.find_chunks(&[digest]).await.unwrap().is_empty()
 }
 
 /// Collects once the grace of everything is over.
-async fn collect_all(world: &World) -> Collected {
+pub async fn collect_all(world: &World) -> Collected {
     world.clock.advance_ms(GRACE_MS);
     world.store.collect(&RULES).await.unwrap()
 }
 
 /// Claims a task and commits it with those outputs.
-async fn run_with(world: &World, outputs: &[Digest]) -> Result<CommitVerdict, StoreError> {
+pub async fn run_with(world: &World, outputs: &[Digest]) -> Result<CommitVerdict, StoreError> {
     let lease = world.claim_one("w").await;
     let artefact = |(index, digest): (usize, &Digest)| Artefact {
         name: format!("out{index}"),
@@ -271,12 +266,12 @@ pub async fn strangers_are_condemned_and_others_are_not(world: World) {
 }
 
 /// A storage over the world's store, and its bytes.
-fn storage(world: &World, quota_bytes: Option<u64>) -> (Storage, Arc<ObjectChunks>) {
+pub fn storage(world: &World, quota_bytes: Option<u64>) -> (Storage, Arc<ObjectChunks>) {
     let objects = Arc::new(ObjectChunks::in_memory());
     (Storage::new(world.store.clone(), objects.clone(), quota_bytes), objects)
 }
 
-async fn put(storage: &Storage, content: &'static [u8]) -> Digest {
+pub async fn put(storage: &Storage, content: &'static [u8]) -> Digest {
     let digest = Digest::of(content);
     storage.put(digest, Bytes::from_static(content)).await.unwrap();
     digest
@@ -409,68 +404,4 @@ pub async fn bytes_from_before_generations_are_found(world: World) {
     world.clock.advance_ms(GRACE_MS);
     storage.collect(&RULES).await.unwrap();
     assert_eq!((storage.length(old).await.unwrap(), objects_count(&objects).await), (None, 0));
-}
-
-/// Puts other bytes of the same length in the place of a chunk's.
-async fn damage(raw: &InMemory, digest: Digest) {
-    let hex = digest.to_string();
-    let start = format!("{}/{}", &hex[..2], &hex[2..]);
-    let objects: Vec<_> = raw.list(None).try_collect().await.unwrap();
-    let found = objects.iter().find(|object| object.location.as_ref().starts_with(&start)).unwrap();
-    raw.put(&found.location, vec![b'x'; found.size as usize].into()).await.unwrap();
-}
-
-pub async fn check_finds_what_is_wrong_and_makes_it_good(world: World) {
-    let raw = Arc::new(InMemory::new());
-    let objects = Arc::new(ObjectChunks::over(raw.clone()));
-    let storage = Storage::new(world.store.clone(), objects.clone(), None);
-    // The stocked chunks have no bytes: away with them.
-    collect_all(&world).await;
-    put(&storage, SCENE).await;
-    let [whole, missing, corrupt] =
-        [put(&storage, b"whole").await, put(&storage, b"missing").await, put(&storage, b"corrupt").await];
-    let tasks = ["a", "b", "c"].map(|name| task(name, &[]));
-    let bake = world
-        .submit("bake", &[&tasks[..], &[task("after", &[&tasks[0], &tasks[1], &tasks[2]])]].concat())
-        .await;
-    for output in [whole, missing, corrupt] {
-        run_with(&world, &[output]).await.unwrap();
-    }
-    let orphan = Digest::of(b"orphan");
-    objects.put_if_absent(ChunkName::fresh(orphan).unwrap(), Bytes::from_static(b"orphan")).await.unwrap();
-    let check = async |reads, repairs, grace| {
-        let checks = Checks { reads, repairs, grace };
-        fsck::check(&*world.store, &*objects, &storage, checks).await.unwrap()
-    };
-    let day = Duration::from_secs(86_400);
-    assert_eq!(check(true, false, day).await, Findings { chunks: 4, bytes: 24, ..Findings::default() });
-    let name = world.store.find_chunks(&[missing]).await.unwrap()[0].name;
-    objects.delete(name).await.unwrap();
-    damage(&raw, corrupt).await;
-    let flaw = |digest, bytes, references| vec![Flaw { digest, bytes, references }];
-    let quick = check(false, false, day).await;
-    assert_eq!((quick.missing, quick.corrupt, quick.orphaned), (flaw(missing, 7, 1), vec![], vec![]));
-    let found = check(true, false, Duration::ZERO).await;
-    assert!(!found.is_sound());
-    assert_eq!((&found.missing, &found.corrupt), (&flaw(missing, 7, 1), &flaw(corrupt, 7, 1)));
-    assert_eq!((&found.orphaned, found.lost.len()), (&flaw(orphan, 6, 0), 0));
-    let repaired = check(true, true, Duration::ZERO).await;
-    assert!(repaired.is_sound() && repaired.results_forgotten == 2, "{repaired:?}");
-    assert!(objects.list().all(|chunk| async move { chunk.unwrap().name.digest != orphan }).await);
-    // Two of the three run again.
-    for content in [b"missing", b"corrupt"] {
-        run_with(&world, &[put(&storage, content).await]).await.unwrap();
-    }
-    run_with(&world, &[whole]).await.unwrap();
-    assert_eq!(world.state(&bake).await, BakeState::Done);
-    world.clock.advance_ms(GRACE_MS);
-    storage.collect(&RULES).await.unwrap();
-    let sound = check(true, false, Duration::ZERO).await;
-    assert_eq!(sound, Findings { chunks: 4, bytes: 24, ..Findings::default() });
-    let scene = world.store.find_chunks(&[Digest::of(SCENE)]).await.unwrap()[0].name;
-    objects.delete(scene).await.unwrap();
-    let lost = check(true, true, Duration::ZERO).await;
-    assert!(!lost.is_sound(), "no task makes a scene: {lost:?}");
-    put(&storage, SCENE).await;
-    assert!(check(true, false, Duration::ZERO).await.is_sound());
 }

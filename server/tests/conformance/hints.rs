@@ -60,7 +60,7 @@ async fn submit(farm: &Farm) -> Bake {
         needs: Needs::default(),
         attempt_limit_secs: None,
     };
-    farm.submit(bake, None).await.unwrap()
+    farm.submit(bake, None, None).await.unwrap()
 }
 
 fn request(worker: &str) -> ClaimRequest {

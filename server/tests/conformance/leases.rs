@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use lightkiln_proto::api::{BakeState, Blame, CommitVerdict, EventKind, Verdict};
 use lightkiln_server::store::{FailVerdict, Reaped};
 
-use crate::support::{TTL_MS, World, request, task, task_of};
+use crate::support::{TTL_MS, World, request, submission, task, task_of};
 
 pub async fn claimed_task_is_not_handed_out_again(world: World) {
     world.submit("bake", &[task("a", &[])]).await;
@@ -13,6 +13,15 @@ pub async fn claimed_task_is_not_handed_out_again(world: World) {
     assert_eq!(lease.expires_ms, 1_000_000 + TTL_MS);
     assert!(world.claim("w", 1).await.is_empty());
     assert!(world.claim("other", 1).await.is_empty());
+}
+
+pub async fn lease_names_the_trace_of_its_bake(world: World) {
+    let mut traced = submission("traced", &[task("a", &[])]);
+    traced.traceparent = Some("00-4bf92f3577b34da6a3ce929d0e0e4736-00f067aa0ba902b7-01".to_owned());
+    world.store.submit(&traced).await.unwrap();
+    assert_eq!(world.claim_one("w").await.traceparent, traced.traceparent);
+    world.submit("untraced", &[task("b", &[])]).await;
+    assert_eq!(world.claim_one("w").await.traceparent, None);
 }
 
 pub async fn claims_respect_kind_and_number(world: World) {

@@ -5,6 +5,7 @@
 mod bakes;
 mod batch;
 mod bearers;
+mod checks;
 mod chunks;
 mod crash;
 mod durability;
@@ -78,8 +79,12 @@ conformance! {
         uploads_beside_collections_lose_nothing
         damaged_bytes_are_given_up_when_they_are_read
         upload_beyond_the_quota_leaves_nothing_and_works_when_there_is_room
-        bytes_from_before_generations_are_found
-        check_finds_what_is_wrong_and_makes_it_good;
+        bytes_from_before_generations_are_found;
+    checks:
+        check_finds_what_is_wrong_and_makes_it_good
+        scene_is_lost_only_while_a_live_bake_needs_it
+        artefact_that_an_ended_bake_names_is_made_again_by_the_next
+        ended_bake_says_what_it_lost_also_when_a_live_one_gives_up;
     graph:
         dependants_start_only_after_commit
         lease_carries_the_outputs_of_dependencies
@@ -93,6 +98,7 @@ conformance! {
         thousand_tasks_behind_one_are_unlocked_together;
     leases:
         claimed_task_is_not_handed_out_again
+        lease_names_the_trace_of_its_bake
         claims_respect_kind_and_number
         heartbeat_prolongs_the_lease
         expired_lease_is_refused_before_and_after_the_reaper
@@ -139,11 +145,14 @@ conformance! {
         result_without_its_bytes_is_refused;
     views:
         events_have_no_gaps_and_tell_the_story
+        events_tell_what_became_of_each_attempt
         events_page_through
         list_pages_newest_first
         stages_count_what_happens
         results_are_named_when_done
         workers_show_what_they_hold
         stats_count_tasks_by_state
+        stats_tell_for_how_long_tasks_have_been_waiting
+        counts_of_run_and_reused_tasks_never_fall
         probe_writes;
 }

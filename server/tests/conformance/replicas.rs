@@ -290,7 +290,7 @@ async fn hint_of_one_server_wakes_a_claim_at_the_other() {
     };
     let submit_when_it_waits = async {
         while stores[0].workers().await.unwrap().is_empty() {}
-        farms[1].submit(bake, None).await.unwrap();
+        farms[1].submit(bake, None, None).await.unwrap();
     };
     let (answer, ()) = in_time(futures::future::join(farms[0].claim(waiting), submit_when_it_waits)).await;
     assert_eq!(answer.unwrap().leases.len(), 1);

@@ -59,7 +59,8 @@ pub fn submission(name: &str, plan: &[TaskSpec]) -> Submission {
         needs: Needs::default(),
         attempt_limit_secs: None,
     };
-    Submission { idempotency_key: None, body_hash: Digest::of(name.as_bytes()), bake, plan: plan.to_vec() }
+    let body_hash = Digest::of(name.as_bytes());
+    Submission { idempotency_key: None, body_hash, traceparent: None, bake, plan: plan.to_vec() }
 }
 
 /// A claim of kind `work`.

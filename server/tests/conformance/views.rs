@@ -2,32 +2,93 @@
 
 use std::slice::from_ref;
 
-use lightkiln_proto::api::{BakeState, EventKind};
+use lightkiln_proto::api::{BakeState, Blame, EventKind};
 use lightkiln_proto::jobs::{Artefact, MANIFEST_OUTPUT, REPORT_OUTPUT, TaskResult};
 use lightkiln_server::store::{TaskCount, TaskState};
 
-use crate::support::{World, output, request, task, task_of};
+use crate::support::{TTL_MS, World, output, request, task, task_of};
 
 pub async fn events_have_no_gaps_and_tell_the_story(world: World) {
     let planner = task("plan", &[]);
     let bake = world.submit("bake", from_ref(&planner)).await;
     let lease = world.claim_one("w").await;
+    world.clock.advance_ms(250);
     world.commit_plan(&lease, &[task("planned", &[])]).await;
     world.store.pause(&bake.id).await.unwrap();
     world.store.resume(&bake.id).await.unwrap();
     world.drain("w").await;
     let events = world.events(&bake).await;
     let seqs: Vec<u64> = events.iter().map(|event| event.seq).collect();
-    assert_eq!(seqs, (1..=8).collect::<Vec<_>>());
+    assert_eq!(seqs, (1..=10).collect::<Vec<_>>());
     let kinds: Vec<_> = events.into_iter().map(|event| event.event).collect();
     assert_eq!(kinds[0], EventKind::Submitted);
     assert_eq!(kinds[1], EventKind::Planned { tasks: 1, reused: 0 });
-    let (kind, label, worker) = ("work".to_owned(), "plan".to_owned(), "w".to_owned());
-    assert_eq!(kinds[2], EventKind::TaskDone { key: planner.key, kind, label, worker });
-    assert_eq!(kinds[3], EventKind::Planned { tasks: 1, reused: 0 });
-    assert_eq!(kinds[4], EventKind::State { state: BakeState::Paused });
-    assert_eq!(kinds[5], EventKind::State { state: BakeState::Running });
-    assert_eq!(kinds[7], EventKind::State { state: BakeState::Done });
+    let (key, kind, label, worker) = (planner.key, "work".to_owned(), "plan".to_owned(), "w".to_owned());
+    let started = EventKind::TaskStarted {
+        key,
+        kind: kind.clone(),
+        label: label.clone(),
+        worker: worker.clone(),
+        attempt: 1,
+    };
+    assert_eq!(kinds[2], started);
+    assert_eq!(kinds[3], EventKind::TaskDone { key, kind, label, worker, attempt: 1, elapsed_ms: 250 });
+    assert_eq!(kinds[4], EventKind::Planned { tasks: 1, reused: 0 });
+    assert_eq!(kinds[5], EventKind::State { state: BakeState::Paused });
+    assert_eq!(kinds[6], EventKind::State { state: BakeState::Running });
+    assert!(matches!(&kinds[7], EventKind::TaskStarted { label, .. } if label == "planned"));
+    assert_eq!(kinds[9], EventKind::State { state: BakeState::Done });
+}
+
+/// Everything that can happen to an attempt, told to both bakes that want the task.
+pub async fn events_tell_what_became_of_each_attempt(world: World) {
+    let a = task("a", &[]);
+    let bakes = [world.submit("one", from_ref(&a)).await, world.submit("two", from_ref(&a)).await];
+    let end = async |name: &str, elapsed_ms| {
+        // Whoever failed before leaves it to others, while there are some.
+        let lease = world.claim_one(name).await;
+        world.clock.advance_ms(elapsed_ms);
+        lease
+    };
+    let lease = end("v", 10).await;
+    world.store.release(&lease.token).await.unwrap();
+    let lease = end("v", 20).await;
+    world.store.fail(&lease.token, Blame::Worker, "why").await.unwrap();
+    world.clock.advance_ms(60_000);
+    end("w", TTL_MS).await;
+    world.store.reap().await.unwrap();
+    let lease = end("w", 30).await;
+    world.commit(&lease).await;
+    for bake in &bakes {
+        let events: Vec<EventKind> = world.events(bake).await.into_iter().map(|event| event.event).collect();
+        let told = events.iter().filter_map(|event| match event {
+            EventKind::TaskStarted { worker, attempt, .. } => Some(format!("started {worker} {attempt}")),
+            EventKind::TaskReleased { worker, elapsed_ms, .. } => {
+                Some(format!("released {worker} {elapsed_ms}"))
+            }
+            EventKind::TaskFailed { attempt, elapsed_ms, wait_ms, retry, .. } => {
+                assert!((500..=1_000).contains(wait_ms) && *retry, "{event:?}");
+                Some(format!("failed {attempt} {elapsed_ms}"))
+            }
+            EventKind::LeaseExpired { label, attempt, elapsed_ms, took_too_long, .. } => {
+                assert_eq!((label.as_str(), took_too_long), ("a", &false));
+                Some(format!("expired {attempt} {elapsed_ms}"))
+            }
+            EventKind::TaskDone { attempt, elapsed_ms, .. } => Some(format!("done {attempt} {elapsed_ms}")),
+            _ => None,
+        });
+        let wanted = [
+            "started v 1",
+            "released v 10",
+            "started v 1",
+            "failed 1 20",
+            "started w 2",
+            "expired 2 30000",
+            "started w 3",
+            "done 3 30",
+        ];
+        assert_eq!(told.collect::<Vec<_>>(), wanted);
+    }
 }
 
 pub async fn events_page_through(world: World) {
@@ -43,7 +104,7 @@ pub async fn events_page_through(world: World) {
         }
         seen.extend(page.events.iter().map(|event| event.seq));
     }
-    assert_eq!(seen, [1, 2, 3, 4, 5]);
+    assert_eq!(seen, [1, 2, 3, 4, 5, 6, 7]);
 }
 
 pub async fn list_pages_newest_first(world: World) {
@@ -125,6 +186,62 @@ pub async fn stats_count_tasks_by_state(world: World) {
     assert_eq!(counts, wanted);
     assert_eq!(stats.tasks.iter().map(|count| count.count).sum::<u64>(), 4);
     assert_eq!((stats.bakes_live, stats.bakes_total, stats.tasks_run, stats.tasks_reused), (1, 1, 1, 0));
+}
+
+pub async fn stats_tell_for_how_long_tasks_have_been_waiting(world: World) {
+    let a = task("a", &[]);
+    let bake = world.submit("bake", &[a.clone(), task_of("more", "b", &[&a], 1), task("c", &[])]).await;
+    let waited = async || -> Vec<(String, u64, u64)> {
+        let demand = world.store.stats().await.unwrap().demand.into_iter();
+        demand.map(|demand| (demand.kind, demand.ready, demand.waited_ms)).collect()
+    };
+    let work = |ready, waited_ms| ("work".to_owned(), ready, waited_ms);
+    world.clock.advance_ms(5_000);
+    assert_eq!(waited().await, [work(2, 5_000)]);
+    let leases = world.claim("w", 2).await;
+    assert_eq!(waited().await, []);
+    world.clock.advance_ms(1_000);
+    let (first, other) = match leases[0].task.key == a.key {
+        true => (&leases[0], &leases[1]),
+        false => (&leases[1], &leases[0]),
+    };
+    world.commit(first).await;
+    world.store.release(&other.token).await.unwrap();
+    world.clock.advance_ms(2_000);
+    assert_eq!(waited().await, [("more".to_owned(), 1, 2_000), work(1, 2_000)]);
+    // While a bake is paused nobody keeps its tasks waiting but who paused it.
+    world.store.pause(&bake.id).await.unwrap();
+    world.clock.advance_ms(60_000);
+    assert_eq!(waited().await, []);
+    world.store.resume(&bake.id).await.unwrap();
+    world.clock.advance_ms(3_000);
+    assert_eq!(waited().await, [("more".to_owned(), 1, 3_000), work(1, 3_000)]);
+    // Nor does a task wait for a worker that is held back after a failure.
+    let lease = world.claim_one("w").await;
+    world.store.fail(&lease.token, Blame::Worker, "why").await.unwrap();
+    let held_back: Vec<_> = waited().await.into_iter().filter(|demand| demand.0 == lease.task.kind).collect();
+    assert_eq!(held_back, [(lease.task.kind.clone(), 1, 0)]);
+}
+
+pub async fn counts_of_run_and_reused_tasks_never_fall(world: World) {
+    let plan = [task("a", &[]), task("b", &[])];
+    let first = world.submit("first", &plan).await;
+    world.drain("w").await;
+    let second = world.submit("second", &plan).await;
+    let counts = async || {
+        let stats = world.store.stats().await.unwrap();
+        (stats.tasks_run, stats.tasks_reused)
+    };
+    assert_eq!(counts().await, (2, 2));
+    world.store.delete_bake(&first.id).await.unwrap();
+    assert_eq!(counts().await, (2, 2));
+    world.submit("third", &[&plan[..], &[task("open", &[])]].concat()).await;
+    assert_eq!(counts().await, (2, 4));
+    world.store.forget(&[plan[0].key]).await.unwrap();
+    assert_eq!(counts().await, (2, 4), "it was reused, although it will run now");
+    world.drain("w").await;
+    world.store.delete_bake(&second.id).await.unwrap();
+    assert_eq!(counts().await, (4, 4));
 }
 
 pub async fn probe_writes(world: World) {

@@ -96,6 +96,8 @@ async fn scope_opens_its_calls_and_no_others() {
         ("PUT", &chunk, &[Worker]),
         ("HEAD", &scene, &[Submit]),
         ("PUT", &scene, &[Submit]),
+        ("POST", &format!("{scene}/parts"), &[Submit]),
+        ("PUT", &format!("/v1/scene-parts/{}", Digest::of(b"nothing")), &[Submit]),
         ("POST", "/v1/bakes", &[Submit]),
         ("POST", "/v1/bakes/none/cancel", &[Submit]),
         ("POST", "/v1/leases", &[Worker]),

@@ -1,13 +1,15 @@
 //! Chunks and scenes.
 
-use lightkiln_proto::api::SceneStored;
+use lightkiln_proto::api::{
+    MAX_SCENE_PART_BYTES, MAX_SCENE_PARTS, ScenePart, SceneParts, SceneProgress, SceneStored,
+};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::problem::ProblemCode;
 
 use lightkiln_server::Config;
 
 use crate::bakes::{run, submit};
-use crate::support::{start, start_config};
+use crate::support::{start, start_config, start_in};
 
 #[tokio::test]
 async fn chunk_is_stored_once_and_served_for_ever() {
@@ -68,6 +70,88 @@ async fn scene_is_negotiated_by_digest() {
     assert_eq!(server.call("HEAD", &path, &[], b"").await.status, 200);
     server.call("PUT", &path, &[], &scene).await.json::<SceneStored>(200);
     assert_eq!(Digest::of(&server.get(&format!("/v1/chunks/{digest}")).await.body), digest);
+}
+
+/// The list of a scene's parts.
+fn parts_of(scene: &[u8], size: usize) -> SceneParts {
+    let part = |bytes: &[u8]| ScenePart { digest: Digest::of(bytes), bytes: bytes.len() as u64 };
+    SceneParts { parts: scene.chunks(size).map(part).collect() }
+}
+
+#[tokio::test]
+async fn scene_in_parts_goes_on_where_it_stopped_also_on_another_server() {
+    let mut server = start().await;
+    // Two parts are the same.
+    let mut scene: Vec<u8> = (0..1_000_u32).flat_map(u32::to_le_bytes).collect();
+    scene.extend_from_within(..1_000);
+    let parts = parts_of(&scene, 1_000);
+    assert_eq!(parts.parts.len(), 5);
+    let digest = Digest::of(&scene);
+    let together = format!("/v1/scenes/{digest}/parts");
+    for (number, piece) in scene.chunks(1_000).take(4).enumerate() {
+        let progress: SceneProgress = server.post(&together, &parts).await.json(200);
+        assert!(!progress.is_stored && progress.missing.len() == 4 - number, "{progress:?}");
+        let path = format!("/v1/scene-parts/{}", Digest::of(piece));
+        assert!(progress.missing.contains(&Digest::of(piece)));
+        // An upload that breaks off leaves nothing of the part.
+        let cut = [("Content-Length", "1000")];
+        let broken = server.open("PUT", &path, &cut, &piece[..500]).await;
+        drop(broken);
+        assert_eq!(server.call("PUT", &path, &[], piece).await.status, 201);
+        server = start_in(server.stop().await).await;
+    }
+    assert_eq!(server.call("HEAD", &format!("/v1/scenes/{digest}"), &[], b"").await.status, 404);
+    for _ in 0..2 {
+        let progress: SceneProgress = server.post(&together, &parts).await.json(200);
+        assert_eq!(progress, SceneProgress { is_stored: true, missing: vec![] });
+    }
+    assert_eq!(server.get(&format!("/v1/chunks/{digest}")).await.body, scene);
+}
+
+#[tokio::test]
+async fn parts_that_make_other_bytes_or_are_damaged_make_no_scene() {
+    let server = start().await;
+    let scene: Vec<u8> = (0..1_000_u32).flat_map(u32::to_le_bytes).collect();
+    let mut parts = parts_of(&scene, 1_000);
+    let digest = Digest::of(&scene);
+    let together = format!("/v1/scenes/{digest}/parts");
+    for piece in scene.chunks(1_000) {
+        server.call("PUT", &format!("/v1/scene-parts/{}", Digest::of(piece)), &[], piece).await;
+    }
+    parts.parts.swap(0, 1);
+    server.post(&together, &parts).await.problem(ProblemCode::DigestMismatch);
+    assert_eq!(server.call("HEAD", &format!("/v1/scenes/{digest}"), &[], b"").await.status, 404);
+    parts.parts.swap(0, 1);
+    // The disk is at fault: the part is given up, missing from then on, and mended by uploading it again.
+    let damaged = parts.parts[2].digest;
+    std::fs::write(server.chunk_file(damaged), [b'x'; 1_000]).unwrap();
+    server.post(&together, &parts).await.problem(ProblemCode::Internal);
+    let progress: SceneProgress = server.post(&together, &parts).await.json(200);
+    assert_eq!(progress.missing, [damaged]);
+    let path = format!("/v1/scene-parts/{damaged}");
+    assert_eq!(server.call("PUT", &path, &[], &scene[2_000..3_000]).await.status, 201);
+    assert!(server.post(&together, &parts).await.json::<SceneProgress>(200).is_stored);
+}
+
+#[tokio::test]
+async fn lists_of_parts_have_limits() {
+    let server = start().await;
+    let together = format!("/v1/scenes/{}/parts", Digest::of(b"scene"));
+    let part = |bytes| ScenePart { digest: Digest::of(b"part"), bytes };
+    for (parts, code) in [
+        (vec![], ProblemCode::BadRequest),
+        (vec![part(0)], ProblemCode::BadRequest),
+        (vec![part(MAX_SCENE_PART_BYTES + 1)], ProblemCode::BadRequest),
+        (vec![part(1), part(2)], ProblemCode::BadRequest),
+        (vec![part(1); MAX_SCENE_PARTS + 1], ProblemCode::BadRequest),
+        (vec![part(MAX_SCENE_PART_BYTES); 33], ProblemCode::TooLarge),
+    ] {
+        server.post(&together, &SceneParts { parts }).await.problem(code);
+    }
+    let long = (MAX_SCENE_PART_BYTES + 1).to_string();
+    let path = format!("/v1/scene-parts/{}", Digest::of(b"part"));
+    let refused = server.call("PUT", &path, &[("Content-Length", &long)], b"").await;
+    refused.problem(ProblemCode::TooLarge);
 }
 
 #[tokio::test]

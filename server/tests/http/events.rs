@@ -44,8 +44,8 @@ async fn stream_follows_a_bake_to_its_end() {
     let mut stream = open_stream(&server, &bake.id, &[]).await;
     let (events, ()) = futures::future::join(read_events(&mut stream), run(&server)).await;
     let seqs: Vec<u64> = events.iter().map(|event| event.seq).collect();
-    assert_eq!(seqs, [1, 2, 3, 4, 5]);
-    assert_eq!(events[4].event, EventKind::State { state: BakeState::Done });
+    assert_eq!(seqs, [1, 2, 3, 4, 5, 6, 7]);
+    assert_eq!(events[6].event, EventKind::State { state: BakeState::Done });
     let page: EventPage = server.get(&format!("/v1/bakes/{}/events", bake.id)).await.json(200);
     assert_eq!(page.events, events);
 }
@@ -55,7 +55,7 @@ async fn stream_goes_on_after_the_last_event_seen() {
     let server = start().await;
     let bake = submit(&server).await;
     run(&server).await;
-    for (last, wanted) in [("3", &[4_u64, 5][..]), ("5", &[]), ("99", &[])] {
+    for (last, wanted) in [("5", &[6_u64, 7][..]), ("7", &[]), ("99", &[])] {
         let mut stream = open_stream(&server, &bake.id, &[("Last-Event-ID", last)]).await;
         let seqs: Vec<u64> = read_events(&mut stream).await.iter().map(|event| event.seq).collect();
         assert_eq!(seqs, wanted);

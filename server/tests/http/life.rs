@@ -70,10 +70,13 @@ async fn health_readiness_and_metrics_are_told() {
         "lightkiln_commits_total 2",
         "lightkiln_stale_commits_total 0",
         "lightkiln_expiries_total 0",
-        "lightkiln_tasks_reused 2",
+        "lightkiln_tasks_run_total 2",
+        "lightkiln_tasks_reused_total 2",
+        "lightkiln_workers 1",
+        "lightkiln_sent_bytes_total 0",
         "lightkiln_stored_chunks 4",
         "lightkiln_lost_chunks_total 0",
-        "lightkiln_request_seconds_count{method=\"GET\",route=\"/readyz\",status=\"200\"} 1",
+        "lightkiln_http_request_duration_seconds_count{method=\"GET\",route=\"/readyz\",status=\"200\"} 1",
         "lightkiln_tasks{kind=\"prt.import\",state=\"done\"} 1",
     ] {
         assert!(text.lines().any(|found| found == line), "{line} is not in\n{text}");

@@ -49,7 +49,11 @@ async fn caller_that_calls_too_often_is_told_when_to_come_again_and_others_are_s
     for _ in 0..20 {
         assert_eq!(server.get("/readyz").await.status, 200, "health is told however often it is asked for");
     }
-    assert_eq!(server.get("/v1/none").await.status, 429, "also what there is not");
+    let mut statuses = Vec::new();
+    for _ in 0..20 {
+        statuses.push(server.get("/v1/none").await.status);
+    }
+    assert!(statuses.contains(&429), "what there is not is counted, too: {statuses:?}");
 }
 
 #[tokio::test]

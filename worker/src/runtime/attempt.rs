@@ -8,9 +8,11 @@ use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
 use lightkiln_proto::api::{Blame, CommitVerdict, Failure, Lease, TaskResult};
+use lightkiln_proto::trace::TARGET;
 
 use super::farm::CallError;
 use super::store::{GaveUp, LeaseStore};
+use super::trace::{self, step};
 use super::watch::{LeaseWatch, StopReason};
 use super::{Worker, shutdown::ShutdownFlag};
 use crate::task::{Progress, TaskError, TaskOutput};
@@ -40,6 +42,13 @@ enum NoResult {
 impl Worker {
     /// Does the task of `lease` to its end, whatever that is; when it returns the lease needs nothing more.
     pub(super) fn attempt(&self, lease: &Lease, shutdown: &ShutdownFlag) -> Outcome {
+        let span = trace::attempt_span(lease, &self.config.name);
+        let outcome = span.in_scope(|| self.attempt_in_span(lease, shutdown));
+        trace::note_outcome(&span, outcome);
+        outcome
+    }
+
+    fn attempt_in_span(&self, lease: &Lease, shutdown: &ShutdownFlag) -> Outcome {
         let progress = Progress::new();
         let watch = LeaseWatch {
             farm: &self.farm,
@@ -71,6 +80,7 @@ impl Worker {
             Ok(outputs) => outputs,
             Err(gave_up) => return Err(no_result_of_call("the outputs could not be stored", gave_up)),
         };
+        let _span = step(|| tracing::info_span!(target: TARGET, "commit")).entered();
         let result = TaskResult { outputs, plan: output.plan, counters: output.counters };
         store
             .insist(|| self.farm.commit(&lease.token, &result))
@@ -78,7 +88,11 @@ impl Worker {
     }
 
     fn run_task(&self, lease: &Lease, store: &LeaseStore<'_>) -> Result<TaskOutput, TaskError> {
-        let run = || self.runner.run(&lease.task, &lease.inputs, store, &self.memory, store.progress);
+        let span = step(|| tracing::info_span!(target: TARGET, "run"));
+        // The span goes with the task to the pool's thread, where its inputs are fetched.
+        let run = || {
+            span.in_scope(|| self.runner.run(&lease.task, &lease.inputs, store, &self.memory, store.progress))
+        };
         match catch_unwind(AssertUnwindSafe(|| self.pool.install(run))) {
             Ok(outcome) => outcome,
             Err(panic) => Err(TaskError::Panicked { message: panic_message(panic.as_ref()) }),

@@ -18,6 +18,8 @@ use ureq::middleware::MiddlewareNext;
 use ureq::tls::{PemItem, RootCerts, TlsConfig, parse_pem};
 use ureq::{Agent, Body, SendBody};
 
+use super::trace::name_span;
+
 /// Longest time for a small call to be answered.
 const CALL_TIMEOUT: Duration = Duration::from_secs(15);
 /// Longest time for an artefact to cross.
@@ -113,7 +115,8 @@ impl Farm {
             .http_status_as_error(false)
             .tls_config(TlsConfig::builder().root_certs(roots).build())
             .timeout_connect(Some(CALL_TIMEOUT))
-            .timeout_global(Some(CALL_TIMEOUT));
+            .timeout_global(Some(CALL_TIMEOUT))
+            .middleware(name_span);
         if is_loopback(server_url) {
             config = config.proxy(None);
         }

@@ -14,6 +14,7 @@ mod shutdown;
 mod store;
 #[cfg(test)]
 mod tests;
+mod trace;
 mod watch;
 
 use std::path::PathBuf;

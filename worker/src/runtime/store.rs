@@ -7,11 +7,13 @@ use lightkiln_proto::api::MAX_CHUNK_BYTES;
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::Artefact;
 use lightkiln_proto::problem::RetryClass;
+use lightkiln_proto::trace::TARGET;
 
 use super::backoff::Backoff;
 use super::disk_cache::DiskCache;
 use super::farm::{CallError, Farm};
 use super::shutdown::{Level, ShutdownFlag};
+use super::trace::step;
 use crate::task::{ArtefactSource, Cancelled, FetchError, Progress};
 
 /// How often an artefact may arrive with other bytes than its digest says.
@@ -63,6 +65,9 @@ impl LeaseStore<'_> {
             return Err(GaveUp::Refused(CallError::TooLarge { bytes: bytes.len() as u64 }));
         }
         let digest = Digest::of(bytes);
+        let length = bytes.len();
+        let _span =
+            step(|| tracing::info_span!(target: TARGET, "upload", name, %digest, bytes = length)).entered();
         if !self.insist(|| self.farm.has_artefact(digest, bytes.len() as u64))? {
             self.insist(|| self.farm.put_artefact(digest, bytes))?;
         }
@@ -78,6 +83,7 @@ impl LeaseStore<'_> {
     }
 
     fn fetch(&self, digest: Digest) -> Result<Vec<u8>, FetchError> {
+        let _span = step(|| tracing::info_span!(target: TARGET, "fetch", %digest)).entered();
         for _ in 0..DAMAGED_ARRIVALS_MAX {
             let arrived = self.insist(|| self.farm.artefact(digest)).map_err(|gave_up| match gave_up {
                 GaveUp::Cancelled(cancelled) => FetchError::Cancelled(cancelled),

@@ -29,7 +29,13 @@ pub fn run(arguments: Arguments) -> Result<()> {
     let interrupt = Interrupt::listen()?;
     let client = connect(&arguments.server.server, &arguments.server.trust, &interrupt)?;
     let bake = client.bake(&arguments.id)?;
-    let (_, done) = write_bundle(&client, &bake, &bake.name, &arguments.out, started)?;
+    let written = write_bundle(&client, &bake, &bake.name, &arguments.out, started);
+    let (_, done) = written.map_err(|failure| match bake.results_lost {
+        0 => failure,
+        lost => failure.try_this(format!(
+            "'kiln submit' of its scene, then this again: {lost} results were lost after the bake had ended"
+        )),
+    })?;
     let (fetched, bytes, kept) = (done.fetched, done.fetched_bytes, done.kept);
     eprintln!(
         "{fetched} chunks fetched ({bytes} bytes), {kept} were there already: {}",

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::Args;
-use lightkiln_server::fsck::{Checks, Findings, Flaw};
+use lightkiln_server::fsck::{Checks, Findings, Flaw, Incomplete};
 use lightkiln_server::places::{ChunksPlace, DatabasePlace};
 use lightkiln_server::{ServerError, check_storage};
 use tokio::runtime::Runtime;
@@ -17,7 +17,8 @@ use crate::failure::{Exit, Failure, Result};
 #[command(
     after_help = "It may run beside servers. Missing and corrupt chunks are given up by --repair: their tasks run again \
                         where a live bake needs them, at once, and else when a later bake does. Orphaned bytes are removed. \
-                        Lost scenes cannot be repaired: submitting them again uploads them."
+                        Bakes that lost results after their end are named; a new bake of the scene completes them. \
+                        Lost scenes of bakes under way cannot be repaired: submitting them again uploads them."
 )]
 pub struct Arguments {
     /// The state folder of the farm's server [default: that of 'kiln server']
@@ -91,6 +92,11 @@ fn print(findings: &Findings) {
         for Flaw { digest, bytes, references } in flaws {
             println!("{kind:8}  {digest}  {bytes} bytes, {references} references");
         }
+    }
+    for Incomplete { bake, name, results_lost } in &findings.incomplete {
+        println!(
+            "bake      {bake} ({name}) lost {results_lost} results after its end; a new bake of its scene makes them"
+        );
     }
     if findings.repaired {
         println!("repaired; {} results were forgotten", findings.results_forgotten);

@@ -61,17 +61,52 @@ fn words(event: &BakeEvent) -> String {
         EventKind::Planned { tasks, reused } => {
             format!("planned   {tasks} tasks, {reused} of them done before")
         }
-        EventKind::TaskDone { kind, label, worker, .. } => format!("done      {kind} {label} by {worker}"),
-        EventKind::TaskFailed { kind, label, worker, message, retry, .. } => {
-            let next = if *retry { "it will be tried again" } else { "it was given up" };
-            format!("failed    {kind} {label} by {worker}, {next}: {message}")
+        EventKind::TaskStarted { kind, label, worker, attempt, .. } => {
+            format!("started   {kind} {label} on {worker}{}", which(*attempt))
         }
-        EventKind::LeaseExpired { key, worker } => {
-            format!("expired   task {key}: worker {worker} was not heard from, or took too long")
+        EventKind::TaskDone { kind, label, worker, attempt, elapsed_ms, .. } => {
+            format!("done      {kind} {label} by {worker}{}{}", took(*elapsed_ms), which(*attempt))
+        }
+        EventKind::TaskFailed {
+            kind, label, worker, message, retry, attempt, elapsed_ms, wait_ms, ..
+        } => {
+            let next = match retry {
+                true => format!("tried again after {}", secs(*wait_ms)),
+                false => "given up".to_owned(),
+            };
+            let (took, which) = (took(*elapsed_ms), which(*attempt));
+            format!("failed    {kind} {label} by {worker}{took}{which}, {next}: {message}")
+        }
+        EventKind::LeaseExpired { kind, label, worker, attempt, elapsed_ms, took_too_long, .. } => {
+            let why = match took_too_long {
+                true => "took longer than an attempt may (--attempt-limit-secs)",
+                false => "was not heard from",
+            };
+            format!("expired   {kind} {label}{}{}: {worker} {why}", took(*elapsed_ms), which(*attempt))
+        }
+        EventKind::TaskReleased { kind, label, worker, elapsed_ms, .. } => {
+            format!("released  {kind} {label} by {worker}{}, which was told to stop", took(*elapsed_ms))
+        }
+        EventKind::ResultLost { kind, label, .. } => {
+            format!("lost      {kind} {label}: the bytes of its result are gone, it runs again")
         }
         EventKind::State { state } => format!("state     {}", state_word(*state)),
     };
     format!("{}  {what}", utc(event.at_ms))
+}
+
+fn secs(ms: u64) -> String {
+    format!("{:.1} s", ms as f64 / 1e3)
+}
+
+/// How long it took; nothing for events from before that was noted.
+fn took(elapsed_ms: u64) -> String {
+    if elapsed_ms == 0 { String::new() } else { format!(" in {}", secs(elapsed_ms)) }
+}
+
+/// Which attempt it was, where it was not the first.
+fn which(attempt: u32) -> String {
+    if attempt < 2 { String::new() } else { format!(" (attempt {attempt})") }
 }
 
 /// A time as `2026-01-31T12:00:00.000Z`.
@@ -101,6 +136,42 @@ fn date(days: i64) -> (i64, i64, i64) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use lightkiln_proto::ids::Digest;
+
+    #[test]
+    fn lines_say_who_did_what_how_long_it_took_and_what_comes_next() {
+        let task =
+            || (Digest::of(b"task"), "prt.transport".to_owned(), "cluster 7".to_owned(), "oven".to_owned());
+        let (key, kind, label, worker) = task();
+        let failed = EventKind::TaskFailed {
+            key,
+            kind,
+            label,
+            worker,
+            message: "out of memory".to_owned(),
+            retry: true,
+            attempt: 2,
+            elapsed_ms: 61_250,
+            wait_ms: 1_730,
+        };
+        let (key, kind, label, worker) = task();
+        let (attempt, elapsed_ms, took_too_long) = (1, 30_000, false);
+        let expired =
+            EventKind::LeaseExpired { key, kind, label, worker, attempt, elapsed_ms, took_too_long };
+        let (key, kind, label, worker) = task();
+        let started = EventKind::TaskStarted { key, kind, label, worker, attempt: 3 };
+        let start = "1970-01-01T00:00:00.000Z  ";
+        for (event, line) in [
+            (
+                failed,
+                "failed    prt.transport cluster 7 by oven in 61.2 s (attempt 2), tried again after 1.7 s: out of memory",
+            ),
+            (expired, "expired   prt.transport cluster 7 in 30.0 s: oven was not heard from"),
+            (started, "started   prt.transport cluster 7 on oven (attempt 3)"),
+        ] {
+            assert_eq!(words(&BakeEvent { seq: 1, at_ms: 0, event }), format!("{start}{line}"));
+        }
+    }
 
     #[test]
     fn times_are_told_in_the_gregorian_calendar() {

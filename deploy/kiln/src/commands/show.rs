@@ -67,7 +67,12 @@ fn words(bake: &Bake) -> String {
     if let Some(failure) = &bake.failure {
         words += &format!("failure   {failure}\n");
     }
-    if bake.state == BakeState::Done {
+    if bake.results_lost > 0 {
+        let lost = bake.results_lost;
+        words +=
+            &format!("lost      {lost} results, after its end; a new bake of the scene makes them again\n");
+    }
+    if bake.state == BakeState::Done && bake.results_lost == 0 {
         words += &format!("next      kiln fetch {} --out DIR\n", bake.id);
     }
     words

@@ -5,8 +5,9 @@ use std::path::Path;
 use std::time::{Duration, SystemTime};
 
 use lightkiln_client::fetch::{ApiClient, RetryPolicy};
-use lightkiln_proto::api::{Bake, BakeState, Needs, NewBake};
+use lightkiln_proto::api::{Bake, BakeState, Needs, NewBake, SCENE_PART_BYTES};
 use lightkiln_proto::ids::Digest;
+use lightkiln_proto::problem::RetryClass;
 use lightkiln_worker::scene::{Bundle, Limits};
 use serde_json::Value;
 
@@ -74,7 +75,14 @@ impl PackedScene {
     }
 
     fn request(&self, client: &ApiClient, set: impl FnOnce(&mut NewBake)) -> Result<NewBake> {
-        let stored = client.upload_scene(&self.bytes)?;
+        let stored = client.upload_scene(&self.bytes).map_err(|error| {
+            let may_go_on = error.retry_class() == RetryClass::Backoff;
+            let failure = Failure::from(error);
+            match may_go_on && self.bytes.len() > SCENE_PART_BYTES {
+                true => failure.try_this("the same command later: the upload goes on where it was"),
+                false => failure,
+            }
+        })?;
         let mut bake = NewBake {
             name: self.name.clone(),
             scene: stored.scene,

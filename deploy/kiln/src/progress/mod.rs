@@ -110,13 +110,21 @@ fn trouble(event: &EventKind) -> Option<String> {
         EventKind::TaskFailed { label, kind, worker, message, retry: true, .. } => {
             Some(format!("{label} ({kind}) failed on worker {worker} and will be tried again: {message}"))
         }
-        EventKind::LeaseExpired { worker, .. } => {
-            Some(format!("worker {worker} was not heard from in time; its task goes to another"))
+        EventKind::LeaseExpired { label, kind, worker, took_too_long: false, .. } => {
+            Some(format!("worker {worker} was not heard from in time; {label} ({kind}) goes to another"))
+        }
+        EventKind::LeaseExpired { label, kind, worker, took_too_long: true, .. } => {
+            Some(format!("worker {worker} took too long; {label} ({kind}) goes to another"))
+        }
+        EventKind::ResultLost { label, kind, .. } => {
+            Some(format!("the result of {label} ({kind}) was lost; it runs again"))
         }
         // A failure for good is the bake's own, told when the command ends.
         EventKind::TaskFailed { retry: false, .. }
         | EventKind::Submitted
         | EventKind::Planned { .. }
+        | EventKind::TaskStarted { .. }
+        | EventKind::TaskReleased { .. }
         | EventKind::TaskDone { .. }
         | EventKind::State { .. } => None,
     }

@@ -139,6 +139,7 @@ mod tests {
             finished_ms: None,
             counters: BTreeMap::from([("rays_closest".to_owned(), rays)]),
             counters_reused: BTreeMap::new(),
+            results_lost: 0,
         }
     }
 

@@ -15,7 +15,9 @@ mod processes;
 mod replicas;
 mod tls;
 mod tokens;
+mod traces;
 mod upkeep;
+mod uploads;
 mod wrong_input;
 
 use std::collections::BTreeMap;

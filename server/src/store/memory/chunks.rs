@@ -143,18 +143,19 @@ impl Farm {
             generation: row.generation,
             bytes: row.bytes,
             refs: self.refs(*digest),
+            is_live_scene: self.bakes.iter().any(|bake| !bake.state.is_final() && bake.new.scene == *digest),
         };
         later.take(limit as usize).map(row).collect()
     }
 
-    pub(super) fn lose_chunk(&mut self, name: ChunkName) -> u64 {
+    pub(super) fn lose_chunk(&mut self, name: ChunkName, now_ms: i64) -> u64 {
         let Some(lost) = self.chunks.kept(name.digest).filter(|kept| kept.name == name) else { return 0 };
         self.chunks.condemned.insert(name, lost.bytes);
         if let Some(row) = self.chunks.rows.get_mut(&name.digest) {
             row.generation = None;
         }
         let producers = self.producers(name.digest);
-        producers.iter().for_each(|key| self.forget(*key));
+        producers.iter().for_each(|key| self.forget(*key, now_ms));
         producers.len() as u64
     }
 
@@ -162,6 +163,8 @@ impl Farm {
         let index = self.index_of(id)?;
         require_ended(id, self.bakes[index].state, "deleted")?;
         let deleted = self.bakes.remove(index);
+        self.gone_run += deleted.tasks_run;
+        self.gone_reused += deleted.members.values().filter(|member| member.reused).count() as u64;
         for (key, _) in deleted.members.into_iter().filter(|(_, member)| member.held) {
             if !self.bakes.iter().any(|bake| bake.members.get(&key).is_some_and(|member| member.held)) {
                 self.drop_task(key);

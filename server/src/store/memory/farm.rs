@@ -24,6 +24,11 @@ pub(super) struct Farm {
     /// By name.
     pub(super) bearers: BTreeMap<String, Bearer>,
     pub(super) chunks: Chunks,
+    /// Since when tasks of live bakes, by the bake's id, could have been claimed.
+    pub(super) ready_since_ms: BTreeMap<(String, TaskKey), i64>,
+    /// Tasks run and reused that the bakes' own counts no longer have.
+    pub(super) gone_run: u64,
+    pub(super) gone_reused: u64,
 }
 
 #[derive(Clone)]
@@ -31,6 +36,7 @@ pub(super) struct BakeEntry {
     pub(super) id: String,
     pub(super) idempotency_key: Option<String>,
     pub(super) body_hash: Digest,
+    pub(super) traceparent: Option<String>,
     pub(super) new: NewBake,
     pub(super) state: BakeState,
     pub(super) members: BTreeMap<TaskKey, Member>,
@@ -58,6 +64,8 @@ pub(super) struct Member {
     pub(super) reused: bool,
     /// The bake holds the task, and its result: false once the task was dropped.
     pub(super) held: bool,
+    /// The bake had ended when the result was forgotten; it holds it again when the task has run again.
+    pub(super) lost: bool,
 }
 
 #[derive(Clone)]
@@ -85,6 +93,7 @@ pub(super) struct LeaseEntry {
     pub(super) key: TaskKey,
     pub(super) worker: String,
     pub(super) ttl_ms: i64,
+    pub(super) started_ms: i64,
     pub(super) expires_ms: i64,
     /// When the attempt has taken too long.
     pub(super) deadline_ms: i64,
@@ -243,6 +252,15 @@ impl Farm {
         self.tasks.remove(&key)
     }
 
+    pub(super) fn cancel(&mut self, bake: &str, now_ms: i64) -> Result<Bake, StoreError> {
+        let index = self.index_of(bake)?;
+        if self.bakes[index].state != BakeState::Cancelled {
+            require_live(bake, self.bakes[index].state, "cancelled")?;
+            self.close(index, BakeState::Cancelled, None, now_ms);
+        }
+        Ok(self.view(index))
+    }
+
     /// Pauses or resumes.
     pub(super) fn set_state(
         &mut self,
@@ -255,6 +273,10 @@ impl Farm {
         require_live(bake, self.bakes[index].state, action)?;
         if self.bakes[index].state != state {
             self.bakes[index].state = state;
+            if state == BakeState::Running {
+                let resumed = self.ready_since_ms.iter_mut().filter(|((id, _), _)| id == bake);
+                resumed.for_each(|(_, since_ms)| *since_ms = now_ms);
+            }
             self.event(index, now_ms, EventKind::State { state });
         }
         Ok(self.view(index))
@@ -276,20 +298,28 @@ impl Farm {
         known
     }
 
-    pub(super) fn forget(&mut self, key: TaskKey) {
+    pub(super) fn forget(&mut self, key: TaskKey, now_ms: i64) {
         let wanted_by = self.live_bakes_of(key);
         if self.tasks.get(&key).is_none_or(|task| task.done.is_none()) {
             return;
+        }
+        for bake in self.bakes.iter_mut().filter(|bake| bake.state.is_final()) {
+            if let Some(member) = bake.members.get_mut(&key).filter(|member| member.held) {
+                (member.held, member.lost) = (false, true);
+            }
         }
         if wanted_by.is_empty() {
             self.drop_task(key);
             return;
         }
-        if let Some(task) = self.tasks.get_mut(&key) {
-            *task = Task::new(task.spec.clone());
-        }
+        let Some(task) = self.tasks.get_mut(&key) else { return };
+        *task = Task::new(task.spec.clone());
+        let (kind, label) = (task.spec.kind.clone(), task.spec.label.clone());
         for bake in wanted_by {
+            let lost = EventKind::ResultLost { key, kind: kind.clone(), label: label.clone() };
+            self.event(bake, now_ms, lost);
             if let Some(member) = self.bakes[bake].members.get_mut(&key) {
+                self.gone_reused += u64::from(member.reused);
                 (member.done, member.reused) = (false, false);
             }
         }
@@ -302,6 +332,7 @@ impl BakeEntry {
             id,
             idempotency_key: submission.idempotency_key.clone(),
             body_hash: submission.body_hash,
+            traceparent: submission.traceparent.clone(),
             new: submission.bake.clone(),
             state: BakeState::Running,
             members: BTreeMap::new(),
@@ -326,7 +357,8 @@ impl BakeEntry {
         if task.lease.is_some() {
             stage.first_claim_ms.get_or_insert(now_ms);
         }
-        self.members.insert(task.spec.key, Member { kind, cost, done, reused: done, held: true });
+        self.members
+            .insert(task.spec.key, Member { kind, cost, done, reused: done, held: true, lost: false });
     }
 
     /// The stage of a kind, made at its first appearance.

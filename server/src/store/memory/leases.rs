@@ -10,12 +10,19 @@ use lightkiln_proto::api::{
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{TaskResult, TaskSpec};
 
-use super::farm::{Farm, LeaseEntry, Member, Task, WorkerEntry};
+use super::farm::{BakeEntry, Farm, LeaseEntry, Member, Task, WorkerEntry};
 use crate::store::rules::{
     self, Abilities, BLOCK_TASKS, CLAIM_WINDOW, Contender, WORKER_PRESENT_MS, WORKER_SEEN_GRAIN_MS,
     add_counters, next_contender,
 };
 use crate::store::{FailVerdict, Reaped, StoreError, TaskState, token};
+
+impl LeaseEntry {
+    /// How long the attempt has taken.
+    fn elapsed_ms(&self, now_ms: i64) -> u64 {
+        u64::try_from(now_ms - self.started_ms).unwrap_or(0)
+    }
+}
 
 impl Farm {
     pub(super) fn claim(&mut self, request: &ClaimRequest, now_ms: i64) -> Result<Vec<Lease>, StoreError> {
@@ -186,10 +193,17 @@ impl Farm {
             self.bakes[bake].stage(&kind).first_claim_ms.get_or_insert(now_ms);
         }
         let worker = request.worker.clone();
+        let attempt = self.tasks[&key].attempts + 1;
+        for bake in self.live_bakes_of(key) {
+            let TaskSpec { kind, label, .. } = self.tasks[&key].spec.clone();
+            let worker = worker.clone();
+            self.event(bake, now_ms, EventKind::TaskStarted { key, kind, label, worker, attempt });
+        }
         if let Some(worker) = self.workers.get_mut(&worker) {
             worker.scene = Some(self.bakes[bake].new.scene);
         }
-        let lease = LeaseEntry { key, worker, ttl_ms, expires_ms, deadline_ms, cancelled: false };
+        let lease =
+            LeaseEntry { key, worker, ttl_ms, started_ms: now_ms, expires_ms, deadline_ms, cancelled: false };
         self.leases.insert(token.clone(), lease);
         if let Some(task) = self.tasks.get_mut(&key) {
             task.lease = Some(token.clone());
@@ -199,7 +213,9 @@ impl Farm {
             let done = self.tasks.get(key).and_then(|task| task.done.as_ref());
             done.map(|(result, _)| result.outputs.clone()).unwrap_or_default()
         });
-        Ok(Lease { token, bake: self.bakes[bake].id.clone(), task, inputs, expires_ms })
+        let BakeEntry { id, traceparent, .. } = &self.bakes[bake];
+        let (bake, traceparent) = (id.clone(), traceparent.clone());
+        Ok(Lease { token, bake, task, inputs, expires_ms, traceparent })
     }
 
     pub(super) fn heartbeat(&mut self, token: &str, _progress: f32, now_ms: i64) -> HeartbeatAnswer {
@@ -264,7 +280,12 @@ impl Farm {
         let key = lease.key;
         let Some(task) = self.tasks.get_mut(&key) else { return Ok(CommitVerdict::Stale) };
         task.done = Some((result.clone(), token.to_owned()));
-        let spec = task.spec.clone();
+        let (spec, attempt) = (task.spec.clone(), task.attempts + 1);
+        for bake in &mut self.bakes {
+            if let Some(member) = bake.members.get_mut(&key).filter(|member| member.lost) {
+                (member.held, member.lost) = (true, false);
+            }
+        }
         for bake in self.live_bakes_of(key) {
             let entry = &mut self.bakes[bake];
             entry.tasks_run += 1;
@@ -274,8 +295,9 @@ impl Farm {
             if let Some(member) = entry.members.get_mut(&key) {
                 member.done = true;
             }
-            let (kind, label) = (spec.kind.clone(), spec.label.clone());
-            let done = EventKind::TaskDone { key, kind, label, worker: lease.worker.clone() };
+            let (kind, label, worker) = (spec.kind.clone(), spec.label.clone(), lease.worker.clone());
+            let elapsed_ms = lease.elapsed_ms(now_ms);
+            let done = EventKind::TaskDone { key, kind, label, worker, attempt, elapsed_ms };
             self.event(bake, now_ms, done);
             self.apply_plan(bake, &result.plan, now_ms)?;
             self.finish_if_done(bake, now_ms);
@@ -284,7 +306,14 @@ impl Farm {
     }
 
     pub(super) fn release(&mut self, token: &str, now_ms: i64) -> bool {
-        self.end_lease(token, now_ms).is_some()
+        let Some(lease) = self.end_lease(token, now_ms) else { return false };
+        let key = lease.key;
+        for bake in self.live_bakes_of(key) {
+            let TaskSpec { kind, label, .. } = self.tasks[&key].spec.clone();
+            let (worker, elapsed_ms) = (lease.worker.clone(), lease.elapsed_ms(now_ms));
+            self.event(bake, now_ms, EventKind::TaskReleased { key, kind, label, worker, elapsed_ms });
+        }
+        true
     }
 
     pub(super) fn fail(&mut self, token: &str, blame: Blame, message: &str, now_ms: i64) -> FailVerdict {
@@ -294,17 +323,19 @@ impl Farm {
             Blame::Task => {
                 let TaskSpec { label, kind, .. } = &self.tasks[&lease.key].spec;
                 let failure = rules::task_fault_message(label, kind, &lease.worker, &message);
-                self.give_up(&lease, &message, &failure, now_ms);
+                let attempt = self.tasks[&lease.key].attempts + 1;
+                self.give_up(&lease, attempt, &message, &failure, now_ms);
                 FailVerdict::GivenUp
             }
             Blame::Worker => {
                 let Some(attempts) = self.blame_worker(&lease, &message, now_ms) else {
                     return FailVerdict::GivenUp;
                 };
+                let wait_ms = rules::retry_wait_ms(lease.key, attempts);
                 if let Some(task) = self.tasks.get_mut(&lease.key) {
-                    task.not_before_ms = now_ms + rules::retry_wait_ms(lease.key, attempts);
+                    task.not_before_ms = now_ms + wait_ms;
                 }
-                self.task_failed(&lease, &message, true, now_ms);
+                self.task_failed(&lease, attempts, &message, Some(wait_ms), now_ms);
                 FailVerdict::Retry
             }
         }
@@ -321,27 +352,39 @@ impl Farm {
         }
         let TaskSpec { label, kind, .. } = &task.spec;
         let failure = rules::given_up_message(label, kind, attempts, workers, message);
-        self.give_up(lease, message, &failure, now_ms);
+        self.give_up(lease, attempts, message, &failure, now_ms);
         None
     }
 
-    fn give_up(&mut self, lease: &LeaseEntry, message: &str, failure: &str, now_ms: i64) {
-        self.task_failed(lease, message, false, now_ms);
+    fn give_up(&mut self, lease: &LeaseEntry, attempt: u32, message: &str, failure: &str, now_ms: i64) {
+        self.task_failed(lease, attempt, message, None, now_ms);
         for bake in self.live_bakes_of(lease.key) {
             self.close(bake, BakeState::Failed, Some(failure.to_owned()), now_ms);
         }
     }
 
-    fn task_failed(&mut self, lease: &LeaseEntry, message: &str, retry: bool, now_ms: i64) {
-        let spec = self.tasks[&lease.key].spec.clone();
+    fn task_failed(
+        &mut self,
+        lease: &LeaseEntry,
+        attempt: u32,
+        message: &str,
+        wait_ms: Option<i64>,
+        now_ms: i64,
+    ) {
+        let TaskSpec { kind, label, .. } = self.tasks[&lease.key].spec.clone();
+        let failed = EventKind::TaskFailed {
+            key: lease.key,
+            kind,
+            label,
+            worker: lease.worker.clone(),
+            message: message.to_owned(),
+            retry: wait_ms.is_some(),
+            attempt,
+            elapsed_ms: lease.elapsed_ms(now_ms),
+            wait_ms: wait_ms.and_then(|wait_ms| u64::try_from(wait_ms).ok()).unwrap_or(0),
+        };
         for bake in self.live_bakes_of(lease.key) {
-            let (kind, label) = (spec.kind.clone(), spec.label.clone());
-            let (worker, message) = (lease.worker.clone(), message.to_owned());
-            self.event(
-                bake,
-                now_ms,
-                EventKind::TaskFailed { key: lease.key, kind, label, worker, message, retry },
-            );
+            self.event(bake, now_ms, failed.clone());
         }
     }
 
@@ -358,12 +401,17 @@ impl Farm {
             // Dropped with its bake meanwhile, or cancelled before: nobody is to blame.
             let Some(lease) = self.take_lease(&token).filter(|lease| !lease.cancelled) else { continue };
             reaped.expired += 1;
+            let took_too_long = lease.expires_ms >= lease.deadline_ms;
             for bake in self.live_bakes_of(key) {
-                let worker = lease.worker.clone();
-                self.event(bake, now_ms, EventKind::LeaseExpired { key, worker });
+                let TaskSpec { kind, label, .. } = self.tasks[&key].spec.clone();
+                let (worker, attempt) = (lease.worker.clone(), self.tasks[&key].attempts + 1);
+                let elapsed_ms = lease.elapsed_ms(now_ms);
+                let expired =
+                    EventKind::LeaseExpired { key, kind, label, worker, attempt, elapsed_ms, took_too_long };
+                self.event(bake, now_ms, expired);
             }
-            let has_limit = lease.expires_ms >= lease.deadline_ms;
-            let message = if has_limit { rules::limit_message } else { rules::expiry_message }(&lease.worker);
+            let message =
+                if took_too_long { rules::limit_message } else { rules::expiry_message }(&lease.worker);
             if self.blame_worker(&lease, &message, now_ms).is_none() {
                 reaped.given_up += 1;
             }

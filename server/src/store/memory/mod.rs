@@ -48,12 +48,20 @@ impl MemoryStore {
     fn now_ms(&self) -> i64 {
         self.clock.now_ms()
     }
+
+    /// Changes the farm, and notes what became ready by it.
+    fn change<T>(&self, change: impl FnOnce(&mut Farm, i64) -> T) -> T {
+        let (mut farm, now_ms) = (self.farm(), self.now_ms());
+        let changed = change(&mut farm, now_ms);
+        farm.note_ready(now_ms);
+        changed
+    }
 }
 
 #[async_trait]
 impl FarmStore for MemoryStore {
     async fn submit(&self, submission: &Submission) -> Result<Submitted, StoreError> {
-        self.farm().all_or_nothing(|farm| farm.submit(submission, self.now_ms()))
+        self.change(|farm, now_ms| farm.all_or_nothing(|farm| farm.submit(submission, now_ms)))
     }
 
     async fn reusable(&self, plan: &[TaskSpec]) -> Result<Vec<KnownResult>, StoreError> {
@@ -61,13 +69,12 @@ impl FarmStore for MemoryStore {
     }
 
     async fn forget(&self, keys: &[TaskKey]) -> Result<(), StoreError> {
-        let mut farm = self.farm();
-        keys.iter().for_each(|key| farm.forget(*key));
+        self.change(|farm, now_ms| keys.iter().for_each(|key| farm.forget(*key, now_ms)));
         Ok(())
     }
 
     async fn claim(&self, request: &ClaimRequest) -> Result<Vec<Lease>, StoreError> {
-        self.farm().claim(request, self.now_ms())
+        self.change(|farm, now_ms| farm.claim(request, now_ms))
     }
 
     async fn heartbeat(&self, token: &str, progress: f32) -> Result<HeartbeatAnswer, StoreError> {
@@ -75,19 +82,20 @@ impl FarmStore for MemoryStore {
     }
 
     async fn commit(&self, token: &str, result: &TaskResult) -> Result<CommitVerdict, StoreError> {
-        let mut farm = self.farm();
-        if result.plan.is_empty() {
-            return farm.commit(token, result, self.now_ms());
-        }
-        farm.all_or_nothing(|farm| farm.commit(token, result, self.now_ms()))
+        self.change(|farm, now_ms| {
+            if result.plan.is_empty() {
+                return farm.commit(token, result, now_ms);
+            }
+            farm.all_or_nothing(|farm| farm.commit(token, result, now_ms))
+        })
     }
 
     async fn fail(&self, token: &str, blame: Blame, message: &str) -> Result<FailVerdict, StoreError> {
-        Ok(self.farm().fail(token, blame, message, self.now_ms()))
+        Ok(self.change(|farm, now_ms| farm.fail(token, blame, message, now_ms)))
     }
 
     async fn release(&self, token: &str) -> Result<bool, StoreError> {
-        Ok(self.farm().release(token, self.now_ms()))
+        Ok(self.change(|farm, now_ms| farm.release(token, now_ms)))
     }
 
     async fn extend_leases(&self) -> Result<u64, StoreError> {
@@ -107,25 +115,19 @@ impl FarmStore for MemoryStore {
     }
 
     async fn reap(&self) -> Result<Reaped, StoreError> {
-        Ok(self.farm().reap(self.now_ms()))
+        Ok(self.change(Farm::reap))
     }
 
     async fn pause(&self, bake: &str) -> Result<Bake, StoreError> {
-        self.farm().set_state(bake, BakeState::Paused, "paused", self.now_ms())
+        self.change(|farm, now_ms| farm.set_state(bake, BakeState::Paused, "paused", now_ms))
     }
 
     async fn resume(&self, bake: &str) -> Result<Bake, StoreError> {
-        self.farm().set_state(bake, BakeState::Running, "resumed", self.now_ms())
+        self.change(|farm, now_ms| farm.set_state(bake, BakeState::Running, "resumed", now_ms))
     }
 
     async fn cancel(&self, bake: &str) -> Result<Bake, StoreError> {
-        let mut farm = self.farm();
-        let index = farm.index_of(bake)?;
-        if farm.bakes[index].state != BakeState::Cancelled {
-            require_live(bake, farm.bakes[index].state, "cancelled")?;
-            farm.close(index, BakeState::Cancelled, None, self.now_ms());
-        }
-        Ok(farm.view(index))
+        self.change(|farm, now_ms| farm.cancel(bake, now_ms))
     }
 
     async fn reprioritise(&self, bake: &str, priority: i32) -> Result<Bake, StoreError> {
@@ -200,11 +202,11 @@ impl FarmStore for MemoryStore {
     }
 
     async fn delete_bake(&self, bake: &str) -> Result<(), StoreError> {
-        self.farm().delete_bake(bake)
+        self.change(|farm, _| farm.delete_bake(bake))
     }
 
     async fn collect(&self, rules: &CollectRules) -> Result<Collected, StoreError> {
-        Ok(self.farm().collect(rules, self.now_ms()))
+        Ok(self.change(|farm, now_ms| farm.collect(rules, now_ms)))
     }
 
     async fn bury(&self, names: &[ChunkName]) -> Result<(), StoreError> {
@@ -213,7 +215,7 @@ impl FarmStore for MemoryStore {
     }
 
     async fn lose_chunk(&self, name: ChunkName) -> Result<u64, StoreError> {
-        Ok(self.farm().lose_chunk(name))
+        Ok(self.change(|farm, now_ms| farm.lose_chunk(name, now_ms)))
     }
 
     async fn chunk_rows(&self, after: Option<Digest>, limit: u32) -> Result<Vec<ChunkRow>, StoreError> {
@@ -233,7 +235,7 @@ impl FarmStore for MemoryStore {
     }
 
     async fn stats(&self) -> Result<Stats, StoreError> {
-        Ok(self.farm().stats())
+        Ok(self.farm().stats(self.now_ms()))
     }
 
     async fn probe(&self) -> Result<(), StoreError> {

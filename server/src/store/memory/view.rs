@@ -25,6 +25,7 @@ impl Farm {
             stages: entry.stages.iter().map(|stage| self.stage_count(entry, stage)).collect(),
             tasks_run: entry.tasks_run,
             tasks_reused: reused(entry),
+            results_lost: entry.members.values().filter(|member| member.lost).count() as u64,
             failure: entry.failure.clone(),
             manifest: entry.manifest.filter(|_| done),
             report: entry.report.filter(|_| done),
@@ -97,7 +98,23 @@ impl Farm {
         labels
     }
 
-    pub(super) fn stats(&self) -> Stats {
+    /// Notes which tasks became ready since the last call, and forgets those that are not any more.
+    pub(super) fn note_ready(&mut self, now_ms: i64) {
+        let mut ready = BTreeMap::new();
+        for bake in self.bakes.iter().filter(|bake| !bake.state.is_final()) {
+            let open = bake.members.iter().filter(|(_, member)| !member.done);
+            for (key, task) in open.filter_map(|(key, _)| Some((key, self.tasks.get(key)?))) {
+                if self.state_of(task) == TaskState::Ready {
+                    let place = (bake.id.clone(), *key);
+                    let since_ms = self.ready_since_ms.get(&place).copied().unwrap_or(now_ms);
+                    ready.insert(place, since_ms);
+                }
+            }
+        }
+        self.ready_since_ms = ready;
+    }
+
+    pub(super) fn stats(&self, now_ms: i64) -> Stats {
         let mut counts = BTreeMap::new();
         for task in self.tasks.values() {
             *counts.entry((task.spec.kind.clone(), self.state_of(task))).or_insert(0) += 1;
@@ -106,22 +123,26 @@ impl Farm {
         let mut demand = BTreeMap::new();
         for bake in self.bakes.iter().filter(|bake| bake.state == BakeState::Running) {
             let open = bake.members.iter().filter(|(_, member)| !member.done);
-            for task in open.filter_map(|(key, _)| self.tasks.get(key)) {
-                if self.state_of(task) == TaskState::Ready {
-                    let needs = serde_json::json!(bake.new.needs).to_string();
-                    let entry = demand.entry((task.spec.kind.clone(), needs));
-                    entry.or_insert((bake.new.needs.clone(), 0)).1 += 1;
-                }
+            for (key, task) in open.filter_map(|(key, _)| Some((key, self.tasks.get(key)?))) {
+                let since_ms = self.ready_since_ms.get(&(bake.id.clone(), *key));
+                let Some(since_ms) = since_ms.filter(|_| self.state_of(task) == TaskState::Ready) else {
+                    continue;
+                };
+                let waited_ms = u64::try_from(now_ms - task.not_before_ms.max(*since_ms)).unwrap_or(0);
+                let (kind, needs) = (task.spec.kind.clone(), bake.new.needs.clone());
+                let entry = demand.entry((kind.clone(), serde_json::json!(needs).to_string()));
+                let entry = entry.or_insert(Demand { kind, needs, ready: 0, waited_ms });
+                entry.ready += 1;
+                entry.waited_ms = entry.waited_ms.max(waited_ms);
             }
         }
-        let demand = demand.into_iter().map(|((kind, _), (needs, ready))| Demand { kind, needs, ready });
         Stats {
-            demand: demand.collect(),
+            demand: demand.into_values().collect(),
             tasks: tasks.collect(),
             bakes_live: self.bakes.iter().filter(|bake| !bake.state.is_final()).count() as u64,
             bakes_total: self.bakes.len() as u64,
-            tasks_run: self.bakes.iter().map(|bake| bake.tasks_run).sum(),
-            tasks_reused: self.bakes.iter().map(reused).sum(),
+            tasks_run: self.gone_run + self.bakes.iter().map(|bake| bake.tasks_run).sum::<u64>(),
+            tasks_reused: self.gone_reused + self.bakes.iter().map(reused).sum::<u64>(),
         }
     }
 }

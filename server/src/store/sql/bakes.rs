@@ -44,8 +44,8 @@ async fn insert(conn: &mut Conn, submission: &Submission, now_ms: i64) -> Result
     let sql =
         "INSERT INTO bakes (id, idempotency_key, body_hash, name, kind, scene, settings, priority, state,
                open_count, tasks_run, tasks_reused, counters, counters_reused, created_ms, last_event, needs,
-               attempt_limit_secs)
-               VALUES ($1, $2, $3, $4, $5, $6, $7, $8, 'running', 0, 0, 0, '{}', '{}', $9, 0, $10, $11) RETURNING seq";
+               attempt_limit_secs, traceparent)
+               VALUES ($1, $2, $3, $4, $5, $6, $7, $8, 'running', 0, 0, 0, '{}', '{}', $9, 0, $10, $11, $12) RETURNING seq";
     let new = &submission.bake;
     let query = query(sql)
         .bind(token::random_id()?)
@@ -58,7 +58,8 @@ async fn insert(conn: &mut Conn, submission: &Submission, now_ms: i64) -> Result
         .bind(new.priority)
         .bind(now_ms)
         .bind(to_json(&new.needs)?)
-        .bind(new.attempt_limit_secs.map(i64::from));
+        .bind(new.attempt_limit_secs.map(i64::from))
+        .bind(&submission.traceparent);
     query.one(conn).await?.get("seq")
 }
 
@@ -73,6 +74,10 @@ pub(super) async fn set_state(
     let mut bake = load_live(conn, id, action).await?;
     if bake.state != state {
         bake.state = state;
+        if state == BakeState::Running {
+            let sql = "UPDATE ready SET since_ms = $1 WHERE bake = $2";
+            query(sql).bind(now_ms).bind(bake.seq).run(conn).await?;
+        }
         bake.event(now_ms, EventKind::State { state });
         bake.save(conn).await?;
     }

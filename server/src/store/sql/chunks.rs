@@ -211,6 +211,8 @@ pub(super) async fn delete_bake(conn: &mut Conn, id: &str) -> Result<(), StoreEr
 /// Deletes an ended bake and the results that no other bake holds.
 async fn delete(conn: &mut Conn, bake: i64) -> Result<(), StoreError> {
     for sql in [
+        "UPDATE farm_totals SET tasks_run = farm_totals.tasks_run + b.tasks_run,
+         tasks_reused = farm_totals.tasks_reused + b.tasks_reused FROM bakes b WHERE b.seq = $1",
         "DELETE FROM tasks WHERE id IN (SELECT task FROM bake_tasks WHERE bake = $1)
          AND NOT EXISTS (SELECT 1 FROM bake_tasks o WHERE o.task = tasks.id AND o.bake <> $1)",
         "DELETE FROM bakes WHERE seq = $1",
@@ -221,7 +223,7 @@ async fn delete(conn: &mut Conn, bake: i64) -> Result<(), StoreError> {
 }
 
 /// Gives a chunk's bytes up; results that have it among their outputs are forgotten. Returns how many.
-pub(super) async fn lose(conn: &mut Conn, name: ChunkName) -> Result<u64, StoreError> {
+pub(super) async fn lose(conn: &mut Conn, name: ChunkName, now_ms: i64) -> Result<u64, StoreError> {
     let (digest, generation) = (name.digest.to_string(), name.generation);
     for sql in [
         "INSERT INTO condemned SELECT digest, generation, bytes FROM chunks
@@ -236,7 +238,7 @@ pub(super) async fn lose(conn: &mut Conn, name: ChunkName) -> Result<u64, StoreE
         "SELECT t.key FROM result_chunks r JOIN tasks t ON t.id = r.task WHERE r.digest = $1 ORDER BY t.key";
     let rows = query(sql).bind(&digest).all(conn).await?;
     let keys = rows.iter().map(|row| row.digest("key")).collect::<Result<Vec<_>, _>>()?;
-    forget::forget_all(conn, &keys).await?;
+    forget::forget_all(conn, &keys, now_ms).await?;
     Ok(keys.len() as u64)
 }
 
@@ -245,13 +247,16 @@ pub(super) async fn rows(
     after: Option<Digest>,
     limit: u32,
 ) -> Result<Vec<ChunkRow>, StoreError> {
-    let sql = "SELECT digest, generation, bytes, refs FROM chunks WHERE digest > $1 ORDER BY digest LIMIT $2";
+    let sql = "SELECT digest, generation, bytes, refs,
+               digest IN (SELECT scene FROM bakes WHERE state IN ('running', 'paused')) AS is_live_scene
+               FROM chunks WHERE digest > $1 ORDER BY digest LIMIT $2";
     let after = after.map(|digest| digest.to_string()).unwrap_or_default();
     let mut found = Vec::new();
     for row in query(sql).bind(after).bind(limit).all(conn).await? {
         let generation = row.get::<Option<i64>>("generation")?.and_then(|g| u64::try_from(g).ok());
         let (bytes, refs) = (row.count("bytes")?, row.count("refs")?);
-        found.push(ChunkRow { digest: row.digest("digest")?, generation, bytes, refs });
+        let (digest, is_live_scene) = (row.digest("digest")?, row.get("is_live_scene")?);
+        found.push(ChunkRow { digest, generation, bytes, refs, is_live_scene });
     }
     Ok(found)
 }

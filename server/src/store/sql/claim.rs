@@ -6,7 +6,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use lightkiln_proto::api::{ClaimRequest, Lease, Needs};
+use lightkiln_proto::api::{ClaimRequest, EventKind, Lease, Needs};
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{Artefact, TaskSpec};
 use serde_json::json;
@@ -21,7 +21,7 @@ use crate::store::{StoreError, token};
 
 /// Running bakes with ready tasks, behind one of that priority and number.
 const OPEN_BAKES: &str = "
-    SELECT b.seq, b.id, b.priority, b.scene, b.needs, b.attempt_limit_secs,
+    SELECT b.seq, b.id, b.priority, b.scene, b.needs, b.attempt_limit_secs, b.traceparent,
     (SELECT CAST(coalesce(sum(s.leased), 0) AS BIGINT) FROM stages s WHERE s.bake = b.seq) AS leased
     FROM bakes b
     WHERE b.state = 'running' AND (b.priority < $1 OR (b.priority = $1 AND b.seq > $2))
@@ -54,6 +54,7 @@ struct OpenBake {
     scene: Digest,
     needs: Needs,
     attempt_limit_secs: Option<u32>,
+    traceparent: Option<String>,
 }
 
 /// A task chosen for a lease.
@@ -63,6 +64,7 @@ struct Chosen {
     token: String,
     expires_ms: i64,
     deadline_ms: i64,
+    traceparent: Option<String>,
 }
 
 /// Another worker that is present.
@@ -102,8 +104,11 @@ pub(super) async fn claim(
     }
     let tasks: Vec<i64> = chosen.iter().map(|chosen| chosen.task).collect();
     let tasks = to_json(&tasks)?;
-    let leases = lease(conn, chosen, &tasks, request).await?;
+    let taken = take_tasks(conn, &tasks).await?;
+    let starts = starts(&chosen, &taken, &request.worker);
+    let leases = lease(conn, chosen, taken, &tasks, request, now_ms).await?;
     count_leased(conn, &tasks, now_ms).await?;
+    tell_bakes(conn, &tasks, &starts, now_ms).await?;
     Ok(leases)
 }
 
@@ -187,6 +192,7 @@ impl Claim<'_> {
                     scene: row.digest("scene")?,
                     needs: row.json("needs")?,
                     attempt_limit_secs: limit.and_then(|limit| u32::try_from(limit).ok()),
+                    traceparent: row.get("traceparent")?,
                 };
                 if self.abilities.suffice(&bake.needs) && !self.is_blocked(&bake).await? {
                     let (priority, leased) = (row.get("priority")?, row.get("leased")?);
@@ -215,8 +221,15 @@ impl Claim<'_> {
                     let deadline_ms = rules::deadline_ms(self.now_ms, bake.attempt_limit_secs);
                     let expires_ms = self.now_ms + i64::from(self.request.ttl_secs) * 1000;
                     let expires_ms = expires_ms.min(deadline_ms);
-                    let token = token::new_token()?;
-                    self.chosen.push(Chosen { task, bake: bake.id, token, expires_ms, deadline_ms });
+                    let (token, traceparent) = (token::new_token()?, bake.traceparent);
+                    self.chosen.push(Chosen {
+                        task,
+                        bake: bake.id,
+                        token,
+                        expires_ms,
+                        deadline_ms,
+                        traceparent,
+                    });
                     contenders[index].leased += 1;
                     scene = Some(bake.scene);
                 }
@@ -294,36 +307,45 @@ async fn failures(conn: &mut Conn, bake: i64, worker: &str) -> Result<u64, Store
 async fn lease(
     conn: &mut Conn,
     chosen: Vec<Chosen>,
+    mut taken: BTreeMap<i64, Taken>,
     tasks: &str,
     request: &ClaimRequest,
+    now_ms: i64,
 ) -> Result<Vec<Lease>, StoreError> {
     let row = |chosen: &Chosen| json!([chosen.token, chosen.task, chosen.expires_ms, chosen.deadline_ms]);
     let rows: Vec<_> = chosen.iter().map(row).collect();
     let sql = conn.pick(
-        "INSERT INTO leases SELECT value ->> 0, value ->> 1, $2, $3, value ->> 2, 0.0, value ->> 3
+        "INSERT INTO leases SELECT value ->> 0, value ->> 1, $2, $3, value ->> 2, 0.0, value ->> 3, $4
          FROM json_each($1)",
-        "INSERT INTO leases SELECT v ->> 0, (v ->> 1)::bigint, $2, $3, (v ->> 2)::bigint, 0.0, (v ->> 3)::bigint
+        "INSERT INTO leases SELECT v ->> 0, (v ->> 1)::bigint, $2, $3, (v ->> 2)::bigint, 0.0, (v ->> 3)::bigint, $4
          FROM jsonb_array_elements($1::jsonb) AS j (v)",
     );
     let ttl_ms = i64::from(request.ttl_secs) * 1000;
-    query(sql).bind(to_json(&rows)?).bind(&request.worker).bind(ttl_ms).run(conn).await?;
+    query(sql).bind(to_json(&rows)?).bind(&request.worker).bind(ttl_ms).bind(now_ms).run(conn).await?;
     let sql = "DELETE FROM ready WHERE task IN (SELECT CAST(value AS BIGINT) FROM json_each($1))";
     query(sql).bind(tasks).run(conn).await?;
-    let mut specs = take_tasks(conn, tasks).await?;
     let outputs = outputs_of_needs(conn, tasks).await?;
-    let leased = chosen.into_iter().filter_map(|Chosen { task, bake, token, expires_ms, .. }| {
-        let task = specs.remove(&task)?;
-        let inputs = resolve_inputs(&task, |key| outputs.get(key).cloned().unwrap_or_default());
-        Some(Lease { token, bake, task, inputs, expires_ms })
-    });
+    let leased =
+        chosen.into_iter().filter_map(|Chosen { task, bake, token, expires_ms, traceparent, .. }| {
+            let task = taken.remove(&task)?.spec;
+            let inputs = resolve_inputs(&task, |key| outputs.get(key).cloned().unwrap_or_default());
+            Some(Lease { token, bake, task, inputs, expires_ms, traceparent })
+        });
     Ok(leased.collect())
 }
+
+/// A task that was taken, and which attempt at it begins.
+struct Taken {
+    spec: TaskSpec,
+    attempt: u32,
+}
+
 /// Marks tasks as leased, and says what they are.
-async fn take_tasks(conn: &mut Conn, tasks: &str) -> Result<BTreeMap<i64, TaskSpec>, StoreError> {
+async fn take_tasks(conn: &mut Conn, tasks: &str) -> Result<BTreeMap<i64, Taken>, StoreError> {
     let sql =
         "UPDATE tasks SET state = 'leased' WHERE id IN (SELECT CAST(value AS BIGINT) FROM json_each($1))
-               RETURNING id, key, kind, label, params, inputs, cost";
-    let mut specs = BTreeMap::new();
+               RETURNING id, key, kind, label, params, inputs, cost, attempts";
+    let mut taken = BTreeMap::new();
     for row in query(sql).bind(tasks).all(conn).await? {
         let spec = TaskSpec {
             key: row.digest("key")?,
@@ -333,9 +355,52 @@ async fn take_tasks(conn: &mut Conn, tasks: &str) -> Result<BTreeMap<i64, TaskSp
             inputs: row.json("inputs")?,
             cost: row.count("cost")?,
         };
-        specs.insert(row.get("id")?, spec);
+        let attempt = u32::try_from(row.count("attempts")?).unwrap_or(u32::MAX).saturating_add(1);
+        taken.insert(row.get("id")?, Taken { spec, attempt });
     }
-    Ok(specs)
+    Ok(taken)
+}
+
+/// The starts of the chosen tasks, in their order.
+fn starts(chosen: &[Chosen], taken: &BTreeMap<i64, Taken>, worker: &str) -> Vec<(i64, EventKind)> {
+    let start = |chosen: &Chosen| {
+        let Taken { spec, attempt } = taken.get(&chosen.task)?;
+        let TaskSpec { key, kind, label, .. } = spec.clone();
+        let (worker, attempt) = (worker.to_owned(), *attempt);
+        Some((chosen.task, EventKind::TaskStarted { key, kind, label, worker, attempt }))
+    };
+    chosen.iter().filter_map(start).collect()
+}
+
+/// Tells every live bake that holds them of the tasks' starts. Bakes come in one order for all claims, after their stages.
+async fn tell_bakes(
+    conn: &mut Conn,
+    tasks: &str,
+    starts: &[(i64, EventKind)],
+    now_ms: i64,
+) -> Result<(), StoreError> {
+    let sql = "SELECT m.bake, m.task FROM bake_tasks m JOIN bakes b ON b.seq = m.bake
+               WHERE m.task IN (SELECT CAST(value AS BIGINT) FROM json_each($1)) AND b.state IN ('running', 'paused')";
+    let mut bakes: BTreeMap<i64, BTreeSet<i64>> = BTreeMap::new();
+    for row in query(sql).bind(tasks).all(conn).await? {
+        bakes.entry(row.get("bake")?).or_default().insert(row.get("task")?);
+    }
+    let insert = conn.pick(
+        "INSERT INTO events SELECT $1, $2 + (value ->> 0), $3, value ->> 1 FROM json_each($4)",
+        "INSERT INTO events SELECT $1, $2 + (v ->> 0)::bigint, $3, v ->> 1
+         FROM jsonb_array_elements($4::jsonb) AS j (v)",
+    );
+    for (bake, held) in bakes {
+        let mut events = Vec::new();
+        for (_, event) in starts.iter().filter(|(task, _)| held.contains(task)) {
+            events.push(json!([events.len() + 1, to_json(event)?]));
+        }
+        let sql = "UPDATE bakes SET last_event = last_event + $1 WHERE seq = $2 RETURNING last_event";
+        let row = query(sql).bind(events.len()).bind(bake).one(conn).await?;
+        let before = row.get::<i64>("last_event")? - events.len() as i64;
+        query(insert).bind(bake).bind(before).bind(now_ms).bind(to_json(&events)?).run(conn).await?;
+    }
+    Ok(())
 }
 
 async fn outputs_of_needs(

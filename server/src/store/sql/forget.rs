@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 
+use lightkiln_proto::api::EventKind;
 use lightkiln_proto::ids::TaskKey;
 use lightkiln_proto::jobs::TaskSpec;
 
@@ -33,27 +34,54 @@ pub(super) async fn reusable(conn: &mut Conn, plan: &[TaskSpec]) -> Result<Vec<K
     Ok(known)
 }
 
-pub(super) async fn forget_all(conn: &mut Conn, keys: &[TaskKey]) -> Result<(), StoreError> {
+pub(super) async fn forget_all(conn: &mut Conn, keys: &[TaskKey], now_ms: i64) -> Result<(), StoreError> {
     for key in keys {
-        forget(conn, *key).await?;
+        forget(conn, *key, now_ms).await?;
     }
     Ok(())
 }
 
-async fn forget(conn: &mut Conn, key: TaskKey) -> Result<(), StoreError> {
-    let sql = "SELECT id, kind, cost FROM tasks WHERE key = $1 AND state = 'done'";
+async fn forget(conn: &mut Conn, key: TaskKey, now_ms: i64) -> Result<(), StoreError> {
+    let sql = "SELECT id, kind, label, cost FROM tasks WHERE key = $1 AND state = 'done'";
     let Some(row) = query(sql).bind(key.to_string()).optional(conn).await? else { return Ok(()) };
     let task: i64 = row.get("id")?;
+    take_from_ended(conn, task, key).await?;
     let wanted_by = live_bakes_of(conn, task).await?;
     if wanted_by.is_empty() {
         query("DELETE FROM tasks WHERE id = $1").bind(task).run(conn).await?;
         return Ok(());
     }
     undo_result(conn, task).await?;
+    let (kind, cost) = (row.text("kind")?, row.count("cost")?);
     for bake in wanted_by {
-        count_undone(conn, bake, task, &row.text("kind")?, row.count("cost")?).await?;
+        let mut bake = Ledger::load(conn, bake).await?;
+        count_undone(conn, &mut bake, task, &kind, cost).await?;
+        let (kind, label) = (kind.clone(), row.text("label")?);
+        bake.event(now_ms, EventKind::ResultLost { key, kind, label });
+        bake.save(conn).await?;
     }
-    offer(conn, task).await
+    offer(conn, task, now_ms).await
+}
+
+/// Bakes that have ended hold the result no more; whoever runs the task again gives it back ([`give_back`]).
+async fn take_from_ended(conn: &mut Conn, task: i64, key: TaskKey) -> Result<(), StoreError> {
+    let sql = "INSERT INTO lost_results SELECT $1, m.bake FROM bake_tasks m JOIN bakes b ON b.seq = m.bake
+               WHERE m.task = $2 AND b.state NOT IN ('running', 'paused')";
+    query(sql).bind(key.to_string()).bind(task).run(conn).await?;
+    let sql =
+        "DELETE FROM bake_tasks WHERE task = $1 AND bake IN (SELECT bake FROM lost_results WHERE key = $2)";
+    query(sql).bind(task).bind(key.to_string()).run(conn).await?;
+    Ok(())
+}
+
+/// Bakes that lost the result of a task after their end hold it again.
+pub(super) async fn give_back(conn: &mut Conn, task: i64, key: TaskKey) -> Result<(), StoreError> {
+    let sql = "DELETE FROM lost_results WHERE key = $1 RETURNING bake";
+    for row in query(sql).bind(key.to_string()).all(conn).await? {
+        let sql = "INSERT INTO bake_tasks VALUES ($1, $2, 1, 0)";
+        query(sql).bind(row.get::<i64>("bake")?).bind(task).run(conn).await?;
+    }
+    Ok(())
 }
 
 /// Makes the task as if it had never run, and lets its dependants wait for it.
@@ -77,12 +105,11 @@ async fn undo_result(conn: &mut Conn, task: i64) -> Result<(), StoreError> {
 
 async fn count_undone(
     conn: &mut Conn,
-    bake: i64,
+    bake: &mut Ledger,
     task: i64,
     kind: &str,
     cost: u64,
 ) -> Result<(), StoreError> {
-    let mut bake = Ledger::load(conn, bake).await?;
     let read = query("SELECT reused FROM bake_tasks WHERE bake = $1 AND task = $2");
     let reused: i64 = read.bind(bake.seq).bind(task).one(conn).await?.get("reused")?;
     query("UPDATE bake_tasks SET done = 0, reused = 0 WHERE bake = $1 AND task = $2")
@@ -93,7 +120,8 @@ async fn count_undone(
     let sql = "UPDATE stages SET done = done - 1, reused = reused - $1, cost_done = cost_done - $2
                WHERE bake = $3 AND kind = $4";
     query(sql).bind(reused).bind(cost).bind(bake.seq).bind(kind).run(conn).await?;
+    query("UPDATE farm_totals SET tasks_reused = tasks_reused + $1").bind(reused).run(conn).await?;
     bake.open_count += 1;
     bake.tasks_reused -= u64::from(reused != 0);
-    bake.save(conn).await
+    Ok(())
 }

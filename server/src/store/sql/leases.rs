@@ -1,9 +1,10 @@
 //! Leases under way: heartbeat, release, and taking a lease from its holder.
 
-use lightkiln_proto::api::{HeartbeatAnswer, Verdict};
+use lightkiln_proto::api::{EventKind, HeartbeatAnswer, Verdict};
 use lightkiln_proto::ids::TaskKey;
 
 use super::conn::{Conn, query};
+use super::ledger::{Ledger, live_bakes_of};
 use crate::store::StoreError;
 use crate::store::rules::WORKER_SEEN_GRAIN_MS;
 
@@ -16,6 +17,8 @@ pub(super) struct Ended {
     pub(super) cost: u64,
     pub(super) attempts: u32,
     pub(super) worker: String,
+    /// How long the attempt took.
+    pub(super) elapsed_ms: u64,
     /// The attempt had all the time that one may take.
     pub(super) has_hit_limit: bool,
 }
@@ -57,6 +60,13 @@ pub(super) async fn heartbeat(
 pub(super) async fn release(conn: &mut Conn, token: &str, now_ms: i64) -> Result<bool, StoreError> {
     let Some(ended) = end(conn, token, now_ms).await? else { return Ok(false) };
     requeue(conn, &ended, now_ms).await?;
+    for bake in live_bakes_of(conn, ended.task).await? {
+        let mut bake = Ledger::load(conn, bake).await?;
+        let (kind, label, worker) = (ended.kind.clone(), ended.label.clone(), ended.worker.clone());
+        let elapsed_ms = ended.elapsed_ms;
+        bake.event(now_ms, EventKind::TaskReleased { key: ended.key, kind, label, worker, elapsed_ms });
+        bake.save(conn).await?;
+    }
     Ok(true)
 }
 
@@ -74,13 +84,13 @@ pub(super) async fn end(conn: &mut Conn, token: &str, now_ms: i64) -> Result<Opt
     if !cancelled && row.get::<i64>("expires_ms")? <= now_ms {
         return Ok(None);
     }
-    take(conn, token).await
+    take(conn, token, now_ms).await
 }
 
 /// Takes a lease, good or not; nothing when it was cancelled or is gone.
-pub(super) async fn take(conn: &mut Conn, token: &str) -> Result<Option<Ended>, StoreError> {
+pub(super) async fn take(conn: &mut Conn, token: &str, now_ms: i64) -> Result<Option<Ended>, StoreError> {
     let sql =
-        "SELECT l.task, l.worker, l.expires_ms, l.deadline_ms, t.key, t.kind, t.label, t.cost, t.attempts
+        "SELECT l.task, l.worker, l.started_ms, l.expires_ms, l.deadline_ms, t.key, t.kind, t.label, t.cost, t.attempts
                FROM leases l JOIN tasks t ON t.id = l.task WHERE l.token = $1";
     let row = query(sql).bind(token).optional(conn).await?;
     query("DELETE FROM leases WHERE token = $1").bind(token).run(conn).await?;
@@ -93,6 +103,7 @@ pub(super) async fn take(conn: &mut Conn, token: &str) -> Result<Option<Ended>, 
         cost: row.count("cost")?,
         attempts: u32::try_from(row.count("attempts")?).unwrap_or(u32::MAX),
         worker: row.get("worker")?,
+        elapsed_ms: u64::try_from(now_ms - row.get::<i64>("started_ms")?).unwrap_or(0),
         has_hit_limit: row.get::<i64>("expires_ms")? >= row.get::<i64>("deadline_ms")?,
     }))
 }
@@ -102,16 +113,16 @@ pub(super) async fn requeue(conn: &mut Conn, ended: &Ended, now_ms: i64) -> Resu
     let sql =
         "UPDATE tasks SET state = CASE waiting_count WHEN 0 THEN 'ready' ELSE 'waiting' END WHERE id = $1";
     query(sql).bind(ended.task).run(conn).await?;
-    offer(conn, ended.task).await?;
+    offer(conn, ended.task, now_ms).await?;
     change_leased(conn, ended.task, &ended.kind, -1, now_ms).await
 }
 
 /// Offers a task for claims in every live bake that holds it, if it is ready.
-pub(super) async fn offer(conn: &mut Conn, task: i64) -> Result<(), StoreError> {
-    let sql = "INSERT INTO ready SELECT m.bake, t.cost, t.key, t.id, t.kind, t.not_before_ms
+pub(super) async fn offer(conn: &mut Conn, task: i64, now_ms: i64) -> Result<(), StoreError> {
+    let sql = "INSERT INTO ready SELECT m.bake, t.cost, t.key, t.id, t.kind, t.not_before_ms, $2
                FROM tasks t JOIN bake_tasks m ON m.task = t.id JOIN bakes b ON b.seq = m.bake
                WHERE t.id = $1 AND t.state = 'ready' AND b.state IN ('running', 'paused')";
-    query(sql).bind(task).run(conn).await?;
+    query(sql).bind(task).bind(now_ms).run(conn).await?;
     Ok(())
 }
 

@@ -274,7 +274,7 @@ impl FarmStore for SqlStore {
     }
 
     async fn forget(&self, keys: &[TaskKey]) -> Result<(), StoreError> {
-        transact!(self, Write, "forget", |conn, _now_ms| forget::forget_all(conn, keys))
+        transact!(self, Write, "forget", |conn, now_ms| forget::forget_all(conn, keys, now_ms))
     }
 
     async fn claim(&self, request: &ClaimRequest) -> Result<Vec<Lease>, StoreError> {
@@ -409,7 +409,7 @@ impl FarmStore for SqlStore {
     }
 
     async fn lose_chunk(&self, name: ChunkName) -> Result<u64, StoreError> {
-        transact!(self, Write, "lose_chunk", |conn, _now_ms| chunks::lose(conn, name))
+        transact!(self, Write, "lose_chunk", |conn, now_ms| chunks::lose(conn, name, now_ms))
     }
 
     async fn chunk_rows(&self, after: Option<Digest>, limit: u32) -> Result<Vec<ChunkRow>, StoreError> {
@@ -429,7 +429,7 @@ impl FarmStore for SqlStore {
     }
 
     async fn stats(&self) -> Result<Stats, StoreError> {
-        transact!(self, Read, "stats", |conn, _now_ms| view::stats(conn))
+        transact!(self, Read, "stats", |conn, now_ms| view::stats(conn, now_ms))
     }
 
     async fn probe(&self) -> Result<(), StoreError> {

@@ -7,6 +7,7 @@ use super::batch::Waiting;
 use super::chunks;
 use super::codec::to_json;
 use super::conn::{Conn, query};
+use super::forget;
 use super::leases::{self, Ended, requeue};
 use super::ledger::{Ledger, live_bakes_of};
 use super::plan::apply_plan;
@@ -25,7 +26,7 @@ pub(super) async fn commit(
     check_plan(&result.plan)?;
     let Some(ended) = leases::end(conn, token, now_ms).await? else { return Ok(CommitVerdict::Stale) };
     write_result(conn, token, &ended, result).await?;
-    unlock_dependants(conn, ended.task).await?;
+    unlock_dependants(conn, ended.task, now_ms).await?;
     for bake in live_bakes_of(conn, ended.task).await? {
         let mut bake = Ledger::load(conn, bake).await?;
         count_done(conn, &mut bake, &ended, result, now_ms).await?;
@@ -75,22 +76,21 @@ async fn write_result(
     let outputs = result.outputs.iter().map(|output| output.digest).collect();
     chunks::refer_outputs(conn, ended.task, &outputs).await?;
     query("UPDATE tasks SET state = 'done' WHERE id = $1").bind(ended.task).run(conn).await?;
-    Ok(())
+    forget::give_back(conn, ended.task, ended.key).await
 }
 
-async fn unlock_dependants(conn: &mut Conn, task: i64) -> Result<(), StoreError> {
-    for sql in [
-        "UPDATE tasks SET waiting_count = waiting_count - 1
-         WHERE id IN (SELECT task FROM task_needs WHERE needs = $1) AND state <> 'done'",
-        "INSERT INTO ready SELECT m.bake, t.cost, t.key, t.id, t.kind, t.not_before_ms
-         FROM task_needs n JOIN tasks t ON t.id = n.task JOIN bake_tasks m ON m.task = t.id
-         JOIN bakes b ON b.seq = m.bake
-         WHERE n.needs = $1 AND t.state = 'waiting' AND t.waiting_count = 0 AND b.state IN ('running', 'paused')",
-        "UPDATE tasks SET state = 'ready'
-         WHERE id IN (SELECT task FROM task_needs WHERE needs = $1) AND state = 'waiting' AND waiting_count = 0",
-    ] {
-        query(sql).bind(task).run(conn).await?;
-    }
+async fn unlock_dependants(conn: &mut Conn, task: i64, now_ms: i64) -> Result<(), StoreError> {
+    let sql = "UPDATE tasks SET waiting_count = waiting_count - 1
+               WHERE id IN (SELECT task FROM task_needs WHERE needs = $1) AND state <> 'done'";
+    query(sql).bind(task).run(conn).await?;
+    let sql = "INSERT INTO ready SELECT m.bake, t.cost, t.key, t.id, t.kind, t.not_before_ms, $2
+               FROM task_needs n JOIN tasks t ON t.id = n.task JOIN bake_tasks m ON m.task = t.id
+               JOIN bakes b ON b.seq = m.bake WHERE n.needs = $1 AND t.state = 'waiting' AND t.waiting_count = 0
+               AND b.state IN ('running', 'paused')";
+    query(sql).bind(task).bind(now_ms).run(conn).await?;
+    let sql = "UPDATE tasks SET state = 'ready' WHERE id IN (SELECT task FROM task_needs WHERE needs = $1)
+               AND state = 'waiting' AND waiting_count = 0";
+    query(sql).bind(task).run(conn).await?;
     Ok(())
 }
 
@@ -113,8 +113,7 @@ async fn count_done(
     bake.tasks_run += 1;
     add_counters(&mut bake.counters, &result.counters);
     bake.note_outputs(&result.outputs);
-    let (kind, label, worker) = (ended.kind.clone(), ended.label.clone(), ended.worker.clone());
-    bake.event(now_ms, EventKind::TaskDone { key: ended.key, kind, label, worker });
+    bake.event(now_ms, task_done(ended));
     Ok(())
 }
 
@@ -135,16 +134,16 @@ pub(super) async fn fail(
     if blame_worker(conn, &ended, &message, now_ms).await? {
         return Ok(FailVerdict::GivenUp);
     }
-    let not_before_ms = now_ms + rules::retry_wait_ms(ended.key, ended.attempts + 1);
+    let wait_ms = rules::retry_wait_ms(ended.key, ended.attempts + 1);
     query("UPDATE tasks SET not_before_ms = $1 WHERE id = $2")
-        .bind(not_before_ms)
+        .bind(now_ms + wait_ms)
         .bind(ended.task)
         .run(conn)
         .await?;
     requeue(conn, &ended, now_ms).await?;
     for bake in live_bakes_of(conn, ended.task).await? {
         let mut bake = Ledger::load(conn, bake).await?;
-        bake.event(now_ms, task_failed(&ended, &message, true));
+        bake.event(now_ms, task_failed(&ended, &message, Some(wait_ms)));
         bake.save(conn).await?;
     }
     Ok(FailVerdict::Retry)
@@ -184,20 +183,47 @@ async fn give_up(
 ) -> Result<(), StoreError> {
     for bake in live_bakes_of(conn, ended.task).await? {
         let mut bake = Ledger::load(conn, bake).await?;
-        bake.event(now_ms, task_failed(ended, message, false));
+        bake.event(now_ms, task_failed(ended, message, None));
         bake.close(conn, BakeState::Failed, Some(failure.to_owned()), now_ms).await?;
     }
     Ok(())
 }
 
-fn task_failed(ended: &Ended, message: &str, retry: bool) -> EventKind {
+fn task_done(ended: &Ended) -> EventKind {
+    EventKind::TaskDone {
+        key: ended.key,
+        kind: ended.kind.clone(),
+        label: ended.label.clone(),
+        worker: ended.worker.clone(),
+        attempt: ended.attempts + 1,
+        elapsed_ms: ended.elapsed_ms,
+    }
+}
+
+/// A failure; `wait_ms` is the wait before the next try, if there is one.
+fn task_failed(ended: &Ended, message: &str, wait_ms: Option<i64>) -> EventKind {
     EventKind::TaskFailed {
         key: ended.key,
         kind: ended.kind.clone(),
         label: ended.label.clone(),
         worker: ended.worker.clone(),
         message: message.to_owned(),
-        retry,
+        retry: wait_ms.is_some(),
+        attempt: ended.attempts + 1,
+        elapsed_ms: ended.elapsed_ms,
+        wait_ms: wait_ms.and_then(|wait_ms| u64::try_from(wait_ms).ok()).unwrap_or(0),
+    }
+}
+
+fn lease_expired(ended: &Ended) -> EventKind {
+    EventKind::LeaseExpired {
+        key: ended.key,
+        kind: ended.kind.clone(),
+        label: ended.label.clone(),
+        worker: ended.worker.clone(),
+        attempt: ended.attempts + 1,
+        elapsed_ms: ended.elapsed_ms,
+        took_too_long: ended.has_hit_limit,
     }
 }
 
@@ -207,11 +233,11 @@ pub(super) async fn reap(conn: &mut Conn, now_ms: i64) -> Result<Reaped, StoreEr
     let rows = query(sql).bind(now_ms).all(conn).await?;
     let mut reaped = Reaped::default();
     for row in rows {
-        let Some(ended) = leases::take(conn, &row.text("token")?).await? else { continue };
+        let Some(ended) = leases::take(conn, &row.text("token")?, now_ms).await? else { continue };
         reaped.expired += 1;
         for bake in live_bakes_of(conn, ended.task).await? {
             let mut bake = Ledger::load(conn, bake).await?;
-            bake.event(now_ms, EventKind::LeaseExpired { key: ended.key, worker: ended.worker.clone() });
+            bake.event(now_ms, lease_expired(&ended));
             bake.save(conn).await?;
         }
         let message = if ended.has_hit_limit { rules::limit_message } else { rules::expiry_message };

@@ -71,7 +71,7 @@ pub(super) async fn apply_plan(
     if addition.added.is_empty() {
         return Ok(());
     }
-    addition.link().await?;
+    addition.link(now_ms).await?;
     chunks::refer(addition.conn, addition.bake.seq, &addition.named, &addition.required).await?;
     addition.write_stages(now_ms).await?;
     let (tasks, reused) = (addition.added.len() as u64, addition.reused);
@@ -232,7 +232,7 @@ impl Addition<'_> {
     }
 
     /// Writes who waits for whom, and makes ready what waits for nothing.
-    async fn link(&mut self) -> Result<(), StoreError> {
+    async fn link(&mut self, now_ms: i64) -> Result<(), StoreError> {
         self.find_dependencies().await?;
         let mut edges = Vec::new();
         for task in &self.added {
@@ -261,7 +261,7 @@ impl Addition<'_> {
             query(count).bind(&fresh).run(self.conn).await?;
             query(wait).bind(&fresh).run(self.conn).await?;
         }
-        self.offer().await
+        self.offer(now_ms).await
     }
 
     /// Finds the ids of dependencies that the bake held before.
@@ -280,12 +280,12 @@ impl Addition<'_> {
         Ok(())
     }
 
-    async fn offer(&mut self) -> Result<(), StoreError> {
-        let sql = "INSERT INTO ready SELECT $1, t.cost, t.key, t.id, t.kind, t.not_before_ms
+    async fn offer(&mut self, now_ms: i64) -> Result<(), StoreError> {
+        let sql = "INSERT INTO ready SELECT $1, t.cost, t.key, t.id, t.kind, t.not_before_ms, $3
                    FROM json_each($2) j JOIN tasks t ON t.id = CAST(j.value AS BIGINT) WHERE t.state = 'ready'";
         let ids: Vec<i64> = self.added.iter().filter_map(|task| self.ids.get(&task.key).copied()).collect();
         for ids in ids.chunks(ROWS_PER_STATEMENT) {
-            query(sql).bind(self.bake.seq).bind(to_json(ids)?).run(self.conn).await?;
+            query(sql).bind(self.bake.seq).bind(to_json(ids)?).bind(now_ms).run(self.conn).await?;
         }
         Ok(())
     }

@@ -8,8 +8,15 @@ use super::ledger::{seq_of, state_from};
 use crate::store::rules::WORKER_LISTED_MS;
 use crate::store::{Demand, Stats, StoreError, TaskCount, TaskState};
 
+/// Rows of bakes, and what they lost.
+macro_rules! bakes {
+    () => {
+        "SELECT *, (SELECT count(*) FROM lost_results l WHERE l.bake = bakes.seq) AS results_lost FROM bakes"
+    };
+}
+
 pub(super) async fn bake(conn: &mut Conn, id: &str) -> Result<Bake, StoreError> {
-    match query("SELECT * FROM bakes WHERE id = $1").bind(id).optional(conn).await? {
+    match query(concat!(bakes!(), " WHERE id = $1")).bind(id).optional(conn).await? {
         Some(row) => bake_from(conn, &row).await,
         None => Err(StoreError::NoSuchBake { bake: id.to_owned() }),
     }
@@ -32,6 +39,7 @@ async fn bake_from(conn: &mut Conn, row: &Row) -> Result<Bake, StoreError> {
         stages: stages(conn, row.get("seq")?).await?,
         tasks_run: row.count("tasks_run")?,
         tasks_reused: row.count("tasks_reused")?,
+        results_lost: row.count("results_lost")?,
         failure: row.get("failure")?,
         manifest: when_done("manifest")?,
         report: when_done("report")?,
@@ -67,7 +75,7 @@ pub(super) async fn list(conn: &mut Conn, after: Option<&str>, limit: u32) -> Re
         Some(id) => seq_of(conn, id).await?,
         None => i64::MAX,
     };
-    let sql = "SELECT * FROM bakes WHERE seq < $1 ORDER BY seq DESC LIMIT $2";
+    let sql = concat!(bakes!(), " WHERE seq < $1 ORDER BY seq DESC LIMIT $2");
     let rows = query(sql).bind(below).bind(i64::from(limit) + 1).all(conn).await?;
     let has_more = rows.len() > limit as usize;
     let mut bakes = Vec::with_capacity(rows.len());
@@ -118,7 +126,7 @@ pub(super) async fn workers(conn: &mut Conn, now_ms: i64) -> Result<Vec<Worker>,
     Ok(workers)
 }
 
-pub(super) async fn stats(conn: &mut Conn) -> Result<Stats, StoreError> {
+pub(super) async fn stats(conn: &mut Conn, now_ms: i64) -> Result<Stats, StoreError> {
     let sql = "SELECT kind, state, count(*) AS count FROM tasks GROUP BY kind, state";
     let mut tasks = Vec::new();
     for row in query(sql).all(conn).await? {
@@ -126,16 +134,20 @@ pub(super) async fn stats(conn: &mut Conn) -> Result<Stats, StoreError> {
         tasks.push(TaskCount { kind: row.get("kind")?, state, count: row.count("count")? });
     }
     tasks.sort();
-    let sql = "SELECT r.kind, b.needs, count(*) AS ready FROM bakes b JOIN ready r ON r.bake = b.seq
-               WHERE b.state = 'running' GROUP BY r.kind, b.needs";
+    let sql = "SELECT r.kind, b.needs, count(*) AS ready,
+               min(CASE WHEN r.not_before_ms > r.since_ms THEN r.not_before_ms ELSE r.since_ms END) AS oldest_ms
+               FROM bakes b JOIN ready r ON r.bake = b.seq WHERE b.state = 'running' GROUP BY r.kind, b.needs";
     let mut demand = Vec::new();
     for row in query(sql).all(conn).await? {
-        demand.push(Demand { kind: row.get("kind")?, needs: row.json("needs")?, ready: row.count("ready")? });
+        let waited_ms = u64::try_from(now_ms - row.get::<i64>("oldest_ms")?).unwrap_or(0);
+        let (kind, needs, ready) = (row.get("kind")?, row.json("needs")?, row.count("ready")?);
+        demand.push(Demand { kind, needs, ready, waited_ms });
     }
     demand.sort_by_cached_key(|demand| (demand.kind.clone(), serde_json::json!(demand.needs).to_string()));
     let sql = "SELECT count(*) AS total, count(*) FILTER (WHERE state IN ('running', 'paused')) AS live,
-               CAST(coalesce(sum(tasks_run), 0) AS BIGINT) AS run,
-               CAST(coalesce(sum(tasks_reused), 0) AS BIGINT) AS reused FROM bakes";
+               CAST(coalesce(sum(tasks_run), 0) AS BIGINT) + (SELECT tasks_run FROM farm_totals) AS run,
+               CAST(coalesce(sum(tasks_reused), 0) AS BIGINT) + (SELECT tasks_reused FROM farm_totals) AS reused
+               FROM bakes";
     let row = query(sql).one(conn).await?;
     let sum = |column: &str| row.count(column);
     Ok(Stats {

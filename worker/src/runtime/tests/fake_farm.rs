@@ -92,6 +92,7 @@ impl FakeFarm {
             task,
             inputs,
             expires_ms: 0,
+            traceparent: None,
         });
         self.0.changed.notify_all();
     }

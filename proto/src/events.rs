@@ -1,0 +1,152 @@
+//! What happens to a bake, as its log tells it ([`crate::api`] has the calls).
+
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use crate::api::{Bake, BakeState};
+use crate::ids::Digest;
+
+/// Something that happened to a bake. `seq` has no gaps within a bake.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct BakeEvent {
+    /// 1, 2, 3, … within the bake.
+    pub seq: u64,
+    /// Unix milliseconds.
+    pub at_ms: i64,
+    /// What happened.
+    pub event: EventKind,
+}
+
+/// The kinds of event.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case", tag = "type")]
+pub enum EventKind {
+    /// The bake was accepted.
+    Submitted,
+    /// The submission or a finished task added tasks.
+    Planned {
+        /// How many were added.
+        tasks: u64,
+        /// How many of them were done already.
+        reused: u64,
+    },
+    /// A worker took a task. When the farm's machine loses power, one that nothing followed may be forgotten, and its
+    /// `seq` given to another event.
+    TaskStarted {
+        /// Task key.
+        #[schema(value_type = String)]
+        key: Digest,
+        /// Task kind.
+        kind: String,
+        /// Task label.
+        label: String,
+        /// Worker's name.
+        worker: String,
+        /// 1 for the first attempt; attempts that were given back do not count.
+        attempt: u32,
+    },
+    /// A task was committed.
+    TaskDone {
+        /// Task key.
+        #[schema(value_type = String)]
+        key: Digest,
+        /// Task kind.
+        kind: String,
+        /// Task label.
+        label: String,
+        /// Worker's name.
+        worker: String,
+        /// See `task_started`.
+        #[serde(default)]
+        attempt: u32,
+        /// Milliseconds since the worker took it.
+        #[serde(default)]
+        elapsed_ms: u64,
+    },
+    /// An attempt at a task ended without a result.
+    TaskFailed {
+        /// Task key.
+        #[schema(value_type = String)]
+        key: Digest,
+        /// Task kind.
+        kind: String,
+        /// Task label.
+        label: String,
+        /// Worker's name.
+        worker: String,
+        /// Why.
+        message: String,
+        /// It will be tried again.
+        retry: bool,
+        /// See `task_started`.
+        #[serde(default)]
+        attempt: u32,
+        /// Milliseconds since the worker took it.
+        #[serde(default)]
+        elapsed_ms: u64,
+        /// Milliseconds before it may be tried again.
+        #[serde(default)]
+        wait_ms: u64,
+    },
+    /// A lease ran out, and the task is ready again.
+    LeaseExpired {
+        /// Task key.
+        #[schema(value_type = String)]
+        key: Digest,
+        /// Task kind.
+        #[serde(default)]
+        kind: String,
+        /// Task label.
+        #[serde(default)]
+        label: String,
+        /// Worker that held it.
+        worker: String,
+        /// See `task_started`.
+        #[serde(default)]
+        attempt: u32,
+        /// Milliseconds since the worker took it.
+        #[serde(default)]
+        elapsed_ms: u64,
+        /// The attempt had all the time that one may take; else its worker was not heard from.
+        #[serde(default)]
+        took_too_long: bool,
+    },
+    /// A worker gave a task back undone, as it was told to stop; the task is ready again.
+    TaskReleased {
+        /// Task key.
+        #[schema(value_type = String)]
+        key: Digest,
+        /// Task kind.
+        kind: String,
+        /// Task label.
+        label: String,
+        /// Worker's name.
+        worker: String,
+        /// Milliseconds since the worker took it.
+        elapsed_ms: u64,
+    },
+    /// The bytes of a result were lost; the task runs again.
+    ResultLost {
+        /// Task key.
+        #[schema(value_type = String)]
+        key: Digest,
+        /// Task kind.
+        kind: String,
+        /// Task label.
+        label: String,
+    },
+    /// The bake's state changed.
+    State {
+        /// The new state.
+        state: BakeState,
+    },
+}
+
+/// Events in order.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct EventPage {
+    /// The page.
+    pub events: Vec<BakeEvent>,
+    /// The bake as it stands after them.
+    pub bake: Bake,
+}
