@@ -189,7 +189,8 @@ impl Farm {
         if let Some(worker) = self.workers.get_mut(&worker) {
             worker.scene = Some(self.bakes[bake].new.scene);
         }
-        let lease = LeaseEntry { key, worker, ttl_ms, expires_ms, deadline_ms, cancelled: false };
+        let (cancelled, was_heard) = (false, false);
+        let lease = LeaseEntry { key, worker, ttl_ms, expires_ms, deadline_ms, cancelled, was_heard };
         self.leases.insert(token.clone(), lease);
         if let Some(task) = self.tasks.get_mut(&key) {
             task.lease = Some(token.clone());
@@ -213,6 +214,7 @@ impl Farm {
             verdict = Verdict::Lost;
         } else {
             lease.expires_ms = (now_ms + lease.ttl_ms).min(lease.deadline_ms);
+            lease.was_heard = true;
         }
         if let Some(worker) = self.workers.get_mut(&lease.worker)
             && now_ms - worker.seen_ms >= WORKER_SEEN_GRAIN_MS
@@ -361,6 +363,9 @@ impl Farm {
             for bake in self.live_bakes_of(key) {
                 let worker = lease.worker.clone();
                 self.event(bake, now_ms, EventKind::LeaseExpired { key, worker });
+            }
+            if !lease.was_heard {
+                continue;
             }
             let has_limit = lease.expires_ms >= lease.deadline_ms;
             let message = if has_limit { rules::limit_message } else { rules::expiry_message }(&lease.worker);

@@ -5,7 +5,7 @@ use lightkiln_proto::ids::TaskKey;
 
 use super::conn::{Conn, query};
 use crate::store::StoreError;
-use crate::store::rules::WORKER_SEEN_GRAIN_MS;
+use crate::store::rules::{self, WORKER_SEEN_GRAIN_MS};
 
 /// An attempt that just ended, and its task.
 pub(super) struct Ended {
@@ -18,6 +18,8 @@ pub(super) struct Ended {
     pub(super) worker: String,
     /// The attempt had all the time that one may take.
     pub(super) has_hit_limit: bool,
+    /// The worker said that it had the task.
+    pub(super) was_heard: bool,
 }
 
 pub(super) async fn heartbeat(
@@ -80,7 +82,7 @@ pub(super) async fn end(conn: &mut Conn, token: &str, now_ms: i64) -> Result<Opt
 /// Takes a lease, good or not; nothing when it was cancelled or is gone.
 pub(super) async fn take(conn: &mut Conn, token: &str) -> Result<Option<Ended>, StoreError> {
     let sql =
-        "SELECT l.task, l.worker, l.expires_ms, l.deadline_ms, t.key, t.kind, t.label, t.cost, t.attempts
+        "SELECT l.task, l.worker, l.expires_ms, l.deadline_ms, l.progress, t.key, t.kind, t.label, t.cost, t.attempts
                FROM leases l JOIN tasks t ON t.id = l.task WHERE l.token = $1";
     let row = query(sql).bind(token).optional(conn).await?;
     query("DELETE FROM leases WHERE token = $1").bind(token).run(conn).await?;
@@ -94,6 +96,7 @@ pub(super) async fn take(conn: &mut Conn, token: &str) -> Result<Option<Ended>, 
         attempts: u32::try_from(row.count("attempts")?).unwrap_or(u32::MAX),
         worker: row.get("worker")?,
         has_hit_limit: row.get::<i64>("expires_ms")? >= row.get::<i64>("deadline_ms")?,
+        was_heard: row.get::<f64>("progress")? > rules::UNHEARD,
     }))
 }
 

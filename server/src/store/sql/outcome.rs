@@ -214,6 +214,10 @@ pub(super) async fn reap(conn: &mut Conn, now_ms: i64) -> Result<Reaped, StoreEr
             bake.event(now_ms, EventKind::LeaseExpired { key: ended.key, worker: ended.worker.clone() });
             bake.save(conn).await?;
         }
+        if !ended.was_heard {
+            requeue(conn, &ended, now_ms).await?;
+            continue;
+        }
         let message = if ended.has_hit_limit { rules::limit_message } else { rules::expiry_message };
         let message = message(&ended.worker);
         if blame_worker(conn, &ended, &message, now_ms).await? {
