@@ -164,7 +164,7 @@ async fn sqlite_file_of_an_earlier_version_goes_on() {
         in_time(goes_on(&store, &clock, &past, version)).await;
         // A second start finds nothing left to do.
         store.close().await;
-        SqlStore::open_sqlite(&path, clock).await.unwrap().show("live").await.unwrap();
+        SqlStore::open_sqlite(&path, clock).await.unwrap().probe().await.unwrap();
     }
 }
 
@@ -177,7 +177,7 @@ async fn postgres_database_of_an_earlier_version_goes_on() {
         let store = SqlStore::open_postgres(&url, Some(clock.clone())).await.unwrap();
         in_time(goes_on(&store, &clock, &past, version)).await;
         store.close().await;
-        SqlStore::open_postgres(&url, Some(clock)).await.unwrap().show("live").await.unwrap();
+        SqlStore::open_postgres(&url, Some(clock)).await.unwrap().probe().await.unwrap();
     }
 }
 

@@ -59,9 +59,8 @@ impl Dice {
     }
 }
 
-/// Lets the next thing happen; says what it was. Earlier trouble at the doors is over.
+/// Lets the next thing happen; says what it was.
 pub fn strike(troupe: &mut Troupe, dice: &mut Dice) -> String {
-    troupe.doors().iter().for_each(|door| door.heal());
     let fault = dice.fault();
     let told = match fault {
         Fault::KillWorker => {
@@ -81,12 +80,16 @@ pub fn strike(troupe: &mut Troupe, dice: &mut Dice) -> String {
             String::new()
         }
         Fault::Cut => {
-            let (door, name) = door(dice);
-            format!("{} connections at {name}", troupe.doors()[door].cut())
+            let first = dice.index(DOORS.len());
+            // At a door where there is something to cut.
+            let in_turn = (0..DOORS.len()).map(|number| (first + number) % DOORS.len());
+            let cut =
+                in_turn.map(|door| (troupe.doors()[door].cut(), DOORS[door])).find(|(count, _)| *count > 0);
+            cut.map_or_else(String::new, |(count, name)| format!("{count} connections at {name}"))
         }
         Fault::LoseAnswers => {
             let (door, name) = door(dice);
-            let count = dice.number(1..6) as u32;
+            let count = dice.number(1..12) as u32;
             troupe.doors()[door].lose_answers(count);
             format!("{count} at {name}")
         }
@@ -102,9 +105,12 @@ pub fn strike(troupe: &mut Troupe, dice: &mut Dice) -> String {
     format!("{fault:?} {told}")
 }
 
+/// Names of the troupe's doors, in their order.
+const DOORS: [&str; 3] = ["the front door", "the database's door", "the chunks' door"];
+
 fn door(dice: &mut Dice) -> (usize, &'static str) {
-    let door = dice.index(3);
-    (door, ["the front door", "the database's door", "the chunks' door"][door])
+    let door = dice.index(DOORS.len());
+    (door, DOORS[door])
 }
 
 /// A worker that has a task, if one has.

@@ -43,11 +43,11 @@ const MANY: [&str; 8] = [
     "--preset",
     "draft",
     "--set",
-    "receivers_target=6000",
+    "receivers_target=12000",
     "--set",
     "probes_target=40",
     "--set",
-    "cluster_receivers=64",
+    "cluster_receivers=32",
 ];
 
 /// Waits for something, up to a limit.
@@ -148,11 +148,15 @@ impl Story {
                 let told = faults::strike(&mut self.troupe, &mut self.dice);
                 eprintln!("round {}: {told}", self.history.len() + 1);
                 self.history.push(told);
-                self.dice.number(1..6)
+                // Now and then the next one comes at once.
+                self.dice.number(0..6)
             } else {
                 u64::MAX
             };
-            self.wait_for_progress(id, done_tasks(&bake), enough);
+            if enough > 0 {
+                self.wait_for_progress(id, done_tasks(&bake), enough);
+                self.troupe.doors().iter().for_each(|door| door.heal());
+            }
             self.troupe.assert_alive();
         }
     }
