@@ -23,8 +23,12 @@ pub enum ProblemCode {
     MethodNotAllowed,
     /// The Idempotency-Key was used with another body.
     IdempotencyConflict,
+    /// Bytes that the request names are not stored; the same call works once they are.
+    NotStored,
     /// The bake's state does not allow this call.
     StateConflict,
+    /// The body stopped coming before its end.
+    BrokeOff,
     /// The body is larger than the limit.
     TooLarge,
     /// The Range header cannot be satisfied.
@@ -50,7 +54,7 @@ pub enum RetryClass {
 
 impl ProblemCode {
     /// All codes, for documentation and tests.
-    pub const ALL: [Self; 15] = [
+    pub const ALL: [Self; 17] = [
         Self::BadRequest,
         Self::BadSettings,
         Self::DigestMismatch,
@@ -59,7 +63,9 @@ impl ProblemCode {
         Self::NotFound,
         Self::MethodNotAllowed,
         Self::IdempotencyConflict,
+        Self::NotStored,
         Self::StateConflict,
+        Self::BrokeOff,
         Self::TooLarge,
         Self::RangeNotSatisfiable,
         Self::TooManyRequests,
@@ -80,7 +86,9 @@ impl ProblemCode {
             Self::NotFound => (404, Never, "Not found"),
             Self::MethodNotAllowed => (405, Never, "Method not allowed"),
             Self::IdempotencyConflict => (409, Never, "The Idempotency-Key belongs to another request"),
+            Self::NotStored => (409, Never, "Bytes that this needs are not stored"),
             Self::StateConflict => (409, Never, "The bake's state does not allow this"),
+            Self::BrokeOff => (408, Backoff, "The request broke off"),
             Self::TooLarge => (413, Never, "The body is too large"),
             Self::RangeNotSatisfiable => (416, Never, "The range cannot be satisfied"),
             Self::TooManyRequests => (429, Backoff, "Too many requests"),

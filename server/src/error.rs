@@ -30,6 +30,17 @@ pub enum ServerError {
         /// The scene asked for.
         scene: Digest,
     },
+    /// A result names bytes that were never uploaded, or are no more.
+    #[error("output '{name}' is not stored; PUT /v1/chunks/{digest} first, then hand the result in again")]
+    NoSuchOutput {
+        /// The output.
+        name: String,
+        /// Digest of its bytes.
+        digest: Digest,
+    },
+    /// The body stopped coming.
+    #[error("the request's body broke off; send it again")]
+    BodyBrokeOff(#[source] Box<dyn std::error::Error + Send + Sync>),
     /// The call needs a token that it does not have.
     #[error(
         "{why}; send 'Authorization: Bearer TOKEN' (kiln: set KILN_TOKEN), \
@@ -176,6 +187,8 @@ impl ServerError {
             Self::Unauthorized { .. } => ProblemCode::Unauthorized,
             Self::Forbidden { .. } => ProblemCode::Forbidden,
             Self::Access(_) => ProblemCode::BadRequest,
+            Self::NoSuchOutput { .. } => ProblemCode::NotStored,
+            Self::BodyBrokeOff(_) => ProblemCode::BrokeOff,
             Self::NoSuchScene { .. } | Self::NoSuchLease | Self::NoSuchPath { .. } => ProblemCode::NotFound,
             Self::NoResult { .. } => ProblemCode::StateConflict,
             Self::Range { .. } => ProblemCode::RangeNotSatisfiable,

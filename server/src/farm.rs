@@ -5,7 +5,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use lightkiln_proto::api::{
-    Bake, BakeState, Blame, ClaimAnswer, ClaimRequest, CommitVerdict, EventPage, HeartbeatAnswer, NewBake,
+    Bake, BakeState, Blame, ClaimAnswer, ClaimRequest, CommitVerdict, EventPage, HeartbeatAnswer, Lease,
+    NewBake,
 };
 use lightkiln_proto::bake::initial_plan;
 use lightkiln_proto::ids::{Digest, TaskKey};
@@ -138,12 +139,30 @@ impl Farm {
             let mut leases = self.store.claim(&request).await?;
             if !leases.is_empty() || !self.wait(mark, deadline).await {
                 self.metrics.claims.add(leases.len() as u64);
-                for lease in &mut leases {
-                    self.fill_lengths(&lease.task, &mut lease.inputs).await?;
+                if let Err(error) = self.fill_all_lengths(&mut leases).await {
+                    self.take_back(&leases).await;
+                    return Err(error);
                 }
                 return Ok(ClaimAnswer { leases });
             }
         }
+    }
+
+    /// Ends leases that nobody will hear of. Those that cannot be ended run out; no attempt is counted for them.
+    async fn take_back(&self, leases: &[Lease]) {
+        for lease in leases {
+            if let Err(error) = self.store.release(&lease.token).await {
+                tracing::warn!(%error, label = lease.task.label, "a task handed to nobody waits for its lease to run out");
+            }
+        }
+        self.wakeup.hint();
+    }
+
+    async fn fill_all_lengths(&self, leases: &mut [Lease]) -> Result<(), ServerError> {
+        for lease in leases {
+            self.fill_lengths(&lease.task, &mut lease.inputs).await?;
+        }
+        Ok(())
     }
 
     /// The store does not know how long plain artefacts are.
@@ -222,10 +241,7 @@ impl Farm {
                     let what = format!("output '{name}' says {bytes} bytes, chunk {digest} has {length}");
                     return Err(bad_request(what));
                 }
-                None => {
-                    let what = format!("output '{name}' is not stored; PUT /v1/chunks/{digest} first");
-                    return Err(bad_request(what));
-                }
+                None => return Err(ServerError::NoSuchOutput { name: name.clone(), digest }),
             }
         }
         Ok(())

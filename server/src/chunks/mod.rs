@@ -72,7 +72,7 @@ impl ChunkError {
             Self::TooLarge { .. } => ProblemCode::TooLarge,
             Self::NotFound { .. } => ProblemCode::NotFound,
             Self::Damaged { .. } => ProblemCode::Internal,
-            Self::Broken(_) => ProblemCode::BadRequest,
+            Self::Broken(_) => ProblemCode::BrokeOff,
             Self::Full(_) => ProblemCode::StorageFull,
             Self::Unavailable(_) => ProblemCode::Unavailable,
         }

@@ -40,7 +40,7 @@ async fn read_body(request: Request, limit: usize) -> Result<Vec<u8>, ServerErro
     let mut pieces = request.into_body().into_data_stream();
     let mut body = Vec::new();
     while let Some(piece) = pieces.next().await {
-        let piece = piece.map_err(|error| bad_request(format!("the body broke off: {error}")))?;
+        let piece = piece.map_err(|error| ServerError::BodyBrokeOff(error.into()))?;
         if body.len() + piece.len() > limit {
             return Err(too_large());
         }

@@ -47,7 +47,9 @@ pub(super) async fn heartbeat(
 #[utoipa::path(post, path = "/v1/leases/{token}/commit", tag = "leases", request_body = TaskResult,
     params(("token" = String, Path, description = "The lease's token")),
     responses((status = 200, description = "What became of it", body = CommitAnswer),
-        (status = 400, description = "An output is not stored, or the plan is none", body = Problem, content_type = "application/problem+json"),
+        (status = 400, description = "The plan is none", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "An output is not stored, or no more: upload it and hand the result in again",
+            body = Problem, content_type = "application/problem+json"),
         (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn commit(
     State(farm): State<Arc<Farm>>,

@@ -180,7 +180,7 @@ pub trait FarmStore: Send + Sync {
     /// one with the fewest tasks under way ([`rules`] says more), of a bake by cost, then key.
     async fn claim(&self, request: &ClaimRequest) -> Result<Vec<Lease>, StoreError>;
 
-    /// Prolongs a lease, or says why not.
+    /// Prolongs a lease, or says why not. The first one says that the lease has arrived.
     async fn heartbeat(&self, token: &str, progress: f32) -> Result<HeartbeatAnswer, StoreError>;
 
     /// Takes a result in if the lease is still good.
@@ -202,7 +202,8 @@ pub trait FarmStore: Send + Sync {
     /// Forgets that a worker, or any, failed at tasks of a bake.
     async fn clear_blocklist(&self, bake: &str, worker: Option<&str>) -> Result<Blocklist, StoreError>;
 
-    /// Ends leases that have run out; each counts as an attempt failed by its worker.
+    /// Ends leases that have run out. Each counts as an attempt failed by its worker, unless the worker was never heard
+    /// about it: then the answer to its claim was lost, or the worker had gone, and nothing was attempted.
     async fn reap(&self) -> Result<Reaped, StoreError>;
 
     /// Holds a bake's tasks back; leases go on.

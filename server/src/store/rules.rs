@@ -34,6 +34,9 @@ pub const WORKER_LISTED_MS: i64 = 600_000;
 pub const WORKER_SEEN_GRAIN_MS: i64 = 5_000;
 /// That a chunk was asked for is written at most this often.
 pub const CHUNK_USED_GRAIN_MS: i64 = 60_000;
+/// Progress of a lease that its holder has not been heard about: the answer to the claim may have been lost, or the worker
+/// been gone before it came. When it runs out nobody failed at anything.
+pub const UNHEARD: f64 = -1.0;
 /// Longest failure message kept, in characters.
 pub const MAX_MESSAGE_CHARS: usize = 4_000;
 /// Longest kind and label of a task, in bytes.

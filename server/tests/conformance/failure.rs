@@ -91,12 +91,31 @@ pub async fn attempts_are_limited(world: World) {
 pub async fn leases_that_run_out_count_as_attempts(world: World) {
     let bake = world.submit("bake", &[task("a", &[])]).await;
     for _ in 1..=MAX_ATTEMPTS {
-        world.claim_one("w").await;
+        world.begin_one("w").await;
         assert_eq!(world.expire_leases().await, 1);
     }
     let bake = world.show(&bake).await;
     assert_eq!(bake.state, BakeState::Failed);
     assert!(bake.failure.unwrap().contains("was not heard from"));
+}
+
+/// The answers to its claims are lost, or it goes before they come.
+pub async fn leases_that_nobody_was_heard_about_count_no_attempt(world: World) {
+    let bake = world.submit("bake", &[task("a", &[])]).await;
+    for number in 0..3 * MAX_ATTEMPTS {
+        world.claim_one(&format!("w{}", number % 4)).await;
+        assert_eq!(world.expire_leases().await, 1);
+    }
+    assert_eq!(world.store.blocklist(&bake.id).await.unwrap().workers, []);
+    let stages = world.show(&bake).await.stages;
+    assert_eq!((stages[0].leased, stages[0].done), (0, 0));
+    // Heard once is heard: what follows is the worker's doing.
+    for attempt in 1..=MAX_ATTEMPTS {
+        assert_eq!(world.state(&bake).await, BakeState::Running, "attempt {attempt}");
+        world.begin_one("w").await;
+        world.expire_leases().await;
+    }
+    assert_eq!(world.state(&bake).await, BakeState::Failed);
 }
 
 pub async fn failed_bake_drops_its_other_tasks(world: World) {

@@ -178,7 +178,7 @@ pub async fn result_without_its_bytes_is_refused(world: World) {
         let outputs = vec![Artefact { name: "out".into(), digest, bytes }];
         let result = TaskResult { outputs, ..TaskResult::default() };
         let error = farm.commit(&lease.token, result).await.unwrap_err();
-        assert_eq!(error.code(), ProblemCode::BadRequest, "{error}");
+        assert_eq!(error.code(), ProblemCode::NotStored, "{error}");
     }
     assert_eq!(world.store.stats().await.unwrap().tasks_run, 0);
 }

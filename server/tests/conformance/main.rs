@@ -14,6 +14,8 @@ mod graph;
 mod hints;
 mod history;
 mod leases;
+mod locks;
+mod migration;
 #[path = "../parts/mod.rs"]
 mod parts;
 mod replicas;
@@ -116,6 +118,7 @@ conformance! {
         third_worker_that_fails_makes_it_poison
         attempts_are_limited
         leases_that_run_out_count_as_attempts
+        leases_that_nobody_was_heard_about_count_no_attempt
         failed_bake_drops_its_other_tasks
         failed_task_gets_another_chance_in_a_new_bake;
     scheduling:

@@ -155,7 +155,7 @@ pub async fn attempt_that_takes_too_long_is_ended_although_its_worker_is_heard(w
     assert_eq!((list.workers[0].worker.as_str(), list.workers[0].tasks), ("stuck", 1));
     for _ in 1..MAX_ATTEMPTS {
         world.clock.advance_ms(BACKOFF_MAX_MS);
-        world.claim_one("stuck").await;
+        world.begin_one("stuck").await;
         world.clock.advance_ms(100_000);
         world.store.reap().await.unwrap();
     }
@@ -168,7 +168,7 @@ pub async fn bake_that_always_takes_too_long_says_so(world: World) {
     limited.bake.attempt_limit_secs = Some(5);
     let bake = world.store.submit(&limited).await.unwrap().bake;
     for _ in 0..MAX_ATTEMPTS {
-        world.claim_one("slow").await;
+        world.begin_one("slow").await;
         world.clock.advance_ms(5_000);
         assert_eq!(world.store.reap().await.unwrap().expired, 1);
     }

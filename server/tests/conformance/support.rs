@@ -4,7 +4,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crate::parts::postgres::empty_schema;
-use lightkiln_proto::api::{Bake, BakeEvent, BakeState, ClaimRequest, CommitVerdict, Lease, Needs, NewBake};
+use lightkiln_proto::api::{
+    Bake, BakeEvent, BakeState, ClaimRequest, CommitVerdict, Lease, Needs, NewBake, Verdict,
+};
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{Artefact, TaskInput, TaskResult, TaskSpec};
 use lightkiln_server::chunks::ChunkName;
@@ -159,6 +161,13 @@ impl World {
     /// Claims one task, which must be there.
     pub async fn claim_one(&self, worker: &str) -> Lease {
         self.claim(worker, 1).await.pop().expect("a task is ready")
+    }
+
+    /// The same, and the worker says that it has it.
+    pub async fn begin_one(&self, worker: &str) -> Lease {
+        let lease = self.claim_one(worker).await;
+        assert_eq!(self.store.heartbeat(&lease.token, 0.0).await.unwrap().verdict, Verdict::Keep);
+        lease
     }
 
     /// Labels of the tasks that a worker is given.

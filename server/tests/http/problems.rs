@@ -103,6 +103,6 @@ async fn result_with_a_missing_output_is_refused() {
     let output = json!({ "name": "out", "digest": "0".repeat(64), "bytes": 1 });
     let commit = format!("/v1/leases/{}/commit", "0".repeat(32));
     let result = json!({ "outputs": [output], "plan": [] });
-    let problem = server.post(&commit, &result).await.problem(ProblemCode::BadRequest);
+    let problem = server.post(&commit, &result).await.problem(ProblemCode::NotStored);
     assert!(problem.detail.contains("not stored"), "{}", problem.detail);
 }

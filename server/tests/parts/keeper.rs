@@ -3,13 +3,16 @@
 //! A shell keeps it: it waits on a pipe from the test process, and when that is closed it ends the program and removes
 //! the folder. Nothing is left behind by a test that was killed.
 
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Write};
 use std::net::TcpListener;
 use std::os::unix::process::CommandExt;
 use std::process::{Child, ChildStdout, Command, Stdio};
+use std::sync::Mutex;
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
+/// Each line on the pipe ends the program by that signal and starts it again; the end of the pipe ends it.
+///
 /// Runs `$1`, a script that starts the program in the background and sets `server`, and `stop` to the signal that ends
 /// it; `$2` is the folder. Only the program holds the output afterwards, so that it ends when the program does. A
 /// program that does not heed the signal is killed; that much later, not sooner, as others may get its number.
@@ -19,12 +22,18 @@ folder=$2
 trap 'rm -rf "$folder"' EXIT
 eval "$1"
 exec >/dev/null 2>&1
-read -r _
-kill -s "$stop" "$server"
-{ sleep 10; kill -9 "$server"; } &
-killer=$!
-wait "$server"
-kill -9 "$killer"
+end() {
+    kill -s "$stop" "$server"
+    { sleep 10; kill -9 "$server"; } &
+    killer=$!
+    wait "$server"
+    kill -9 "$killer"
+}
+while read -r _; do
+    end
+    eval "$1"
+done
+end
 "#;
 
 /// User and group ids of `nobody` on Debian: a program that refuses root runs as it.
@@ -37,7 +46,7 @@ const TRIES: u32 = 5;
 /// A program under way.
 pub struct Keeper {
     /// Its standard input is the pipe that keeps the program alive.
-    _child: Child,
+    child: Mutex<Child>,
 }
 
 impl Keeper {
@@ -55,6 +64,12 @@ impl Keeper {
         panic!("the program was started {TRIES} times and never said '{ready}': {said:#?}");
     }
 
+    /// Ends the program by its signal and starts it again, in the same folder; nobody waits until it is ready.
+    pub fn restart(&self) {
+        let mut child = self.child.lock().unwrap();
+        child.stdin.as_mut().unwrap().write_all(b"again\n").unwrap();
+    }
+
     /// An error holds what it said instead.
     fn try_start(script: &str, ready: &str, refuses_root: bool) -> Result<(Self, String), Vec<String>> {
         let folder = tempfile::tempdir().unwrap().keep();
@@ -67,7 +82,7 @@ impl Keeper {
         }
         let mut child = command.spawn().unwrap();
         let output = lines(child.stdout.take().unwrap());
-        let keeper = Self { _child: child };
+        let keeper = Self { child: Mutex::new(child) };
         let deadline = Instant::now() + LIMIT;
         let mut said = Vec::new();
         // Ends with the time, or with the program.

@@ -11,7 +11,7 @@ use super::keeper::{Keeper, free_port};
 /// A running server.
 pub struct Postgres {
     port: u16,
-    _keeper: Keeper,
+    keeper: Keeper,
 }
 
 impl Postgres {
@@ -26,7 +26,7 @@ impl Postgres {
             let port = port.load(Ordering::Relaxed);
             format!(
                 r#"
-                "{programs}/initdb" -D "$folder/data" -U kiln -A trust -E UTF8 --locale=C --no-sync >log 2>&1 ||
+                [ -d "$folder/data" ] || "{programs}/initdb" -D "$folder/data" -U kiln -A trust -E UTF8 --locale=C --no-sync >log 2>&1 ||
                     {{ cat log; exit 1; }}
                 "{programs}/postgres" -D "$folder/data" -p {port} -c listen_addresses=127.0.0.1 \
                     -c unix_socket_directories= -c max_connections=400 -c shared_buffers=64MB -c fsync=off 2>&1 &
@@ -35,7 +35,18 @@ impl Postgres {
             )
         };
         let (keeper, _) = Keeper::start(script, "ready to accept connections", true);
-        Self { port: port.into_inner(), _keeper: keeper }
+        Self { port: port.into_inner(), keeper }
+    }
+
+    /// Its port on 127.0.0.1.
+    pub fn port(&self) -> u16 {
+        self.port
+    }
+
+    /// Ends it at once, as a crash would, and starts it again; its sessions and what was not flushed are lost. Nobody
+    /// waits until it answers.
+    pub fn crash(&self) {
+        self.keeper.restart();
     }
 
     /// The URL of its database, or of a schema of it.

@@ -39,9 +39,19 @@ impl S3 {
         Self { port, _keeper: keeper }
     }
 
+    /// Its port on 127.0.0.1.
+    pub fn port(&self) -> u16 {
+        self.port
+    }
+
     /// The variables that lead to it.
     pub fn settings(&self) -> Vec<(String, String)> {
-        let endpoint = format!("http://127.0.0.1:{}", self.port);
+        Self::settings_at(self.port)
+    }
+
+    /// The variables that lead to it by way of another port.
+    pub fn settings_at(port: u16) -> Vec<(String, String)> {
+        let endpoint = format!("http://127.0.0.1:{port}");
         [
             ("AWS_ACCESS_KEY_ID", "kiln"),
             ("AWS_SECRET_ACCESS_KEY", "kiln"),

@@ -8,17 +8,22 @@ use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
 use lightkiln_proto::api::{Blame, CommitVerdict, Failure, Lease, TaskResult};
+use lightkiln_proto::problem::RetryClass;
 use lightkiln_proto::trace::TARGET;
 
+use super::backoff::Backoff;
 use super::farm::CallError;
 use super::store::{GaveUp, LeaseStore};
 use super::trace::{self, step};
-use super::watch::{LeaseWatch, StopReason};
+use super::watch::{LEASE_INTERVALS, LastWords, LeaseWatch, StopReason};
 use super::{Worker, shutdown::ShutdownFlag};
 use crate::task::{Progress, TaskError, TaskOutput};
 
 /// Most characters of a failure message.
 const MESSAGE_CHARS_MAX: usize = 4000;
+
+/// Most times that a result's outputs are uploaded before the attempt fails.
+const UPLOADS_MAX: u32 = 4;
 
 /// What became of a lease.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -53,7 +58,7 @@ impl Worker {
         let watch = LeaseWatch {
             farm: &self.farm,
             token: &lease.token,
-            interval: Duration::from_secs(self.config.lease_secs.into()) / 3,
+            interval: Duration::from_secs(self.config.lease_secs.into()) / LEASE_INTERVALS,
             grace: self.config.drain_grace,
             progress: &progress,
             shutdown,
@@ -64,7 +69,10 @@ impl Worker {
         std::thread::scope(|scope| {
             scope.spawn(|| watch.run());
             // `work` catches panics, so `finish` is always reached and the scope can end.
-            let worked = self.work(lease, &store);
+            let worked = match watch.acknowledge(&store) {
+                Ok(()) => self.work(lease, &store),
+                Err(gave_up) => Err(no_result_of_call("the task could not be begun", gave_up)),
+            };
             let outcome = self.settle(lease, worked, &watch);
             watch.finish();
             outcome
@@ -75,16 +83,26 @@ impl Worker {
         let started = Instant::now();
         let mut output = self.run_task(lease, store).map_err(no_result_of_task)?;
         count(&mut output, started.elapsed(), store.progress);
-        let outputs = output.artefacts.into_iter().map(|(name, bytes)| store.put(name, &bytes)).collect();
-        let outputs: Vec<_> = match outputs {
-            Ok(outputs) => outputs,
-            Err(gave_up) => return Err(no_result_of_call("the outputs could not be stored", gave_up)),
-        };
-        let _span = step(|| tracing::info_span!(target: TARGET, "commit")).entered();
-        let result = TaskResult { outputs, plan: output.plan, counters: output.counters };
-        store
-            .insist(|| self.farm.commit(&lease.token, &result))
-            .map_err(|gave_up| no_result_of_call("the result was not accepted", gave_up))
+        let artefacts = output.artefacts;
+        let mut result = TaskResult { outputs: Vec::new(), plan: output.plan, counters: output.counters };
+        let mut uploads = 0;
+        loop {
+            uploads += 1;
+            let stored = artefacts.iter().map(|(name, bytes)| store.put(name.clone(), bytes)).collect();
+            result.outputs = match stored {
+                Ok(outputs) => outputs,
+                Err(gave_up) => return Err(no_result_of_call("the outputs could not be stored", gave_up)),
+            };
+            let _span = step(|| tracing::info_span!(target: TARGET, "commit")).entered();
+            match store.insist(|| self.farm.commit(&lease.token, &result)) {
+                Ok(verdict) => return Ok(verdict),
+                // A database that dies forgets the last moments; what was stored then has to be told again.
+                Err(GaveUp::Refused(error)) if error.is_about_missing_bytes() && uploads < UPLOADS_MAX => {
+                    tracing::warn!(%error, "the server no longer knows of an output; uploading again");
+                }
+                Err(gave_up) => return Err(no_result_of_call("the result was not accepted", gave_up)),
+            }
+        }
     }
 
     fn run_task(&self, lease: &Lease, store: &LeaseStore<'_>) -> Result<TaskOutput, TaskError> {
@@ -118,22 +136,30 @@ impl Worker {
             }
             (Err(NoResult::Stopped), reason) | (Err(NoResult::Failed(_)), reason @ Some(_)) => {
                 tracing::info!(kind = lease.task.kind, label, ?reason, "given back");
-                self.tell("release", || self.farm.release(&lease.token));
+                tell("release", &watch.last_words(), || self.farm.release(&lease.token));
                 Outcome::Released
             }
             (Err(NoResult::Failed(failure)), None) => {
                 tracing::warn!(kind = lease.task.kind, label, message = failure.message, "failed");
-                self.tell("failure", || self.farm.fail(&lease.token, &failure));
+                tell("failure", &watch.last_words(), || self.farm.fail(&lease.token, &failure));
                 Outcome::Failed(failure.blame)
             }
         }
     }
+}
 
-    /// A report that finds no answer is not worth waiting for: the lease runs out by itself.
-    fn tell(&self, what: &str, mut call: impl FnMut() -> Result<(), CallError>) {
-        if let Err(error) = call().or_else(|_| call()) {
+/// Makes a report until it is heard. It is given up when the lease has surely run out, or nobody may wait any more: then
+/// the server finds out by itself, and counts an attempt.
+fn tell(what: &str, patience: &LastWords<'_>, mut call: impl FnMut() -> Result<(), CallError>) {
+    let mut backoff = Backoff::new();
+    // At once a second time: a connection that was kept open may have been closed meanwhile.
+    let mut outcome = call().or_else(|_| call());
+    while let Err(error) = outcome {
+        if error.retry_class() == RetryClass::Never || !patience.wait(backoff.wait()) {
             tracing::warn!(%error, "a {what} could not be reported; the lease will run out instead");
+            return;
         }
+        outcome = call();
     }
 }
 

@@ -9,7 +9,7 @@ use lightkiln_proto::api::{
     HeartbeatAnswer, MAX_CHUNK_BYTES, TaskResult, Verdict,
 };
 use lightkiln_proto::ids::Digest;
-use lightkiln_proto::problem::{Problem, RetryClass};
+use lightkiln_proto::problem::{Problem, ProblemCode, RetryClass};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use thiserror::Error;
@@ -79,6 +79,11 @@ impl CallError {
     /// Whether what was sent is more than the server takes.
     pub fn is_too_large(&self) -> bool {
         matches!(self, Self::TooLarge { .. }) || self.is_status(413)
+    }
+
+    /// Whether bytes that the call names have to be uploaded again: the server lost sight of them since they were.
+    pub(super) fn is_about_missing_bytes(&self) -> bool {
+        matches!(self, Self::Refused { problem, .. } if problem.code == ProblemCode::NotStored)
     }
 
     /// Whether the server wants a token, or another one.

@@ -9,10 +9,14 @@ use lightkiln_proto::api::Verdict;
 
 use super::farm::Farm;
 use super::shutdown::{Level, ShutdownFlag};
+use super::store::{GaveUp, LeaseStore};
 use crate::task::Progress;
 
 /// Pause after a heartbeat without an answer: a lease has time for several tries.
 pub(super) const RETRY_WAIT: Duration = Duration::from_secs(1);
+
+/// Heartbeats of the length of a lease.
+pub(super) const LEASE_INTERVALS: u32 = 3;
 
 /// Why a task was told to stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -39,7 +43,26 @@ pub(super) struct LeaseWatch<'a> {
     pub(super) stop: Mutex<Option<StopReason>>,
 }
 
+/// How long a worker goes on saying how an attempt ended.
+pub(super) struct LastWords<'a> {
+    shutdown: &'a ShutdownFlag,
+    until: Instant,
+}
+
+impl LastWords<'_> {
+    /// Waits before the next try; false when there is to be none.
+    pub(super) fn wait(&self, wait: Duration) -> bool {
+        let left = self.until.saturating_duration_since(Instant::now());
+        !left.is_zero() && self.shutdown.wait(wait.min(left), |level| level == Level::Stop) < Level::Stop
+    }
+}
+
 impl LeaseWatch<'_> {
+    /// From now on, for as long as a lease lasts: the server may have heard the last heartbeat a moment ago.
+    pub(super) fn last_words(&self) -> LastWords<'_> {
+        LastWords { shutdown: self.shutdown, until: Instant::now() + LEASE_INTERVALS * self.interval }
+    }
+
     /// Sends heartbeats until the lease is finished with.
     pub(super) fn run(&self) {
         let mut next_beat = Instant::now() + self.interval;
@@ -77,15 +100,21 @@ impl LeaseWatch<'_> {
         *self.stop.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    /// Tells the server that the lease has arrived, until it has heard that. If a worker ends before, or never got the
+    /// answer to its claim, nothing was attempted, and the server counts no attempt.
+    ///
+    /// A lease that is gone by then, as the answer took that long, stops the task before it starts.
+    pub(super) fn acknowledge(&self, store: &LeaseStore<'_>) -> Result<(), GaveUp> {
+        let answer = store.insist(|| self.farm.heartbeat(self.token, 0.0, self.interval))?;
+        self.heed(answer.verdict);
+        self.progress.check().map_err(GaveUp::Cancelled)
+    }
+
     /// Sends a heartbeat and heeds the answer; gives the time until the next one.
     pub(super) fn beat(&self) -> Duration {
         match self.farm.heartbeat(self.token, self.progress.share(), self.interval) {
             Ok(answer) => {
-                match answer.verdict {
-                    Verdict::Keep => {}
-                    Verdict::Cancel => self.stop(StopReason::Cancelled),
-                    Verdict::Lost => self.stop(StopReason::Lost),
-                }
+                self.heed(answer.verdict);
                 self.interval
             }
             // The work goes on: if the lease outlives the outage the result counts, else the server refuses it.
@@ -93,6 +122,14 @@ impl LeaseWatch<'_> {
                 tracing::warn!(%error, "a heartbeat found no answer");
                 RETRY_WAIT.min(self.interval)
             }
+        }
+    }
+
+    fn heed(&self, verdict: Verdict) {
+        match verdict {
+            Verdict::Keep => {}
+            Verdict::Cancel => self.stop(StopReason::Cancelled),
+            Verdict::Lost => self.stop(StopReason::Lost),
         }
     }
 

@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a test may end at any error")]
 
+mod chaos;
 mod ci;
 mod commands;
 mod deployment;
@@ -9,6 +10,7 @@ mod embedded;
 mod enrolment;
 mod evaluation;
 mod farm;
+mod full_disk;
 #[path = "../../../../server/tests/parts/mod.rs"]
 mod parts;
 mod processes;

@@ -3,8 +3,8 @@
 use std::ffi::OsStr;
 use std::io::{BufRead as _, BufReader, Read};
 use std::path::Path;
-use std::process::{Child, Command, Output, Stdio};
-use std::sync::mpsc::{Receiver, channel};
+use std::process::{Child, Command, ExitStatus, Output, Stdio};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
@@ -70,6 +70,33 @@ impl Running {
         wait_for_line(&self.stdout, pick)
     }
 
+    /// The first line on standard output from here on that `pick` takes; none if the process ends first.
+    pub fn stdout_line_if_any<T>(&self, pick: impl Fn(&str) -> Option<T>) -> Option<T> {
+        let deadline = Instant::now() + LIMIT;
+        loop {
+            match self.stdout.recv_timeout(deadline.saturating_duration_since(Instant::now())) {
+                Ok(line) => match pick(&line) {
+                    Some(found) => return Some(found),
+                    None => continue,
+                },
+                Err(RecvTimeoutError::Disconnected) => return None,
+                Err(RecvTimeoutError::Timeout) => {
+                    panic!("neither the line nor the end came within {LIMIT:?}")
+                }
+            }
+        }
+    }
+
+    /// What came on standard error since somebody last looked.
+    pub fn stderr_so_far(&self) -> Vec<String> {
+        self.stderr.try_iter().collect()
+    }
+
+    /// How the process ended, if it has.
+    pub fn has_ended(&mut self) -> Option<ExitStatus> {
+        self.child.try_wait().unwrap()
+    }
+
     /// The first line on standard error from here on that `pick` takes.
     pub fn stderr_line<T>(&self, pick: impl Fn(&str) -> Option<T>) -> T {
         wait_for_line(&self.stderr, pick)
@@ -83,14 +110,30 @@ impl Running {
     }
 
     /// Waits for the end; the exit code, `None` if a signal ended it.
-    pub fn wait(mut self) -> Option<i32> {
-        // Its lines end when the process does.
-        let deadline = Instant::now() + LIMIT;
-        let limit = |deadline: Instant| deadline.saturating_duration_since(Instant::now());
-        while self.stderr.recv_timeout(limit(deadline)).is_ok() {}
-        assert!(Instant::now() < deadline, "the process did not end within {LIMIT:?}");
-        self.child.wait().unwrap().code()
+    pub fn wait(self) -> Option<i32> {
+        self.finish().exit
     }
+
+    /// Waits for the end, and gives what nobody has looked at yet.
+    pub fn finish(mut self) -> Ended {
+        let deadline = Instant::now() + LIMIT;
+        let mut stderr = Vec::new();
+        // Its lines end when the process does.
+        while let Ok(line) = self.stderr.recv_timeout(deadline.saturating_duration_since(Instant::now())) {
+            stderr.push(line);
+        }
+        assert!(Instant::now() < deadline, "the process did not end within {LIMIT:?}; it wrote {stderr:#?}");
+        let exit = self.child.wait().unwrap().code();
+        Ended { exit, stdout: self.stdout.iter().collect(), stderr }
+    }
+}
+
+/// What is left of a process.
+pub struct Ended {
+    /// Exit code; `None` if a signal ended it.
+    pub exit: Option<i32>,
+    pub stdout: Vec<String>,
+    pub stderr: Vec<String>,
 }
 
 impl Drop for Running {
@@ -149,6 +192,11 @@ impl Server {
     /// Sends a signal by name.
     pub fn signal(&self, name: &str) {
         self.process.signal(name);
+    }
+
+    /// Its process id.
+    pub fn id(&self) -> u32 {
+        self.process.child.id()
     }
 
     /// Stops it as its owner would; the exit code.

@@ -98,6 +98,8 @@ pub(super) struct LeaseEntry {
     /// When the attempt has taken too long.
     pub(super) deadline_ms: i64,
     pub(super) cancelled: bool,
+    /// The worker said that it had the task.
+    pub(super) was_heard: bool,
 }
 
 #[derive(Clone)]

@@ -202,8 +202,16 @@ impl Farm {
         if let Some(worker) = self.workers.get_mut(&worker) {
             worker.scene = Some(self.bakes[bake].new.scene);
         }
-        let lease =
-            LeaseEntry { key, worker, ttl_ms, started_ms: now_ms, expires_ms, deadline_ms, cancelled: false };
+        let lease = LeaseEntry {
+            key,
+            worker,
+            ttl_ms,
+            started_ms: now_ms,
+            expires_ms,
+            deadline_ms,
+            cancelled: false,
+            was_heard: false,
+        };
         self.leases.insert(token.clone(), lease);
         if let Some(task) = self.tasks.get_mut(&key) {
             task.lease = Some(token.clone());
@@ -229,6 +237,7 @@ impl Farm {
             verdict = Verdict::Lost;
         } else {
             lease.expires_ms = (now_ms + lease.ttl_ms).min(lease.deadline_ms);
+            lease.was_heard = true;
         }
         if let Some(worker) = self.workers.get_mut(&lease.worker)
             && now_ms - worker.seen_ms >= WORKER_SEEN_GRAIN_MS
@@ -409,6 +418,9 @@ impl Farm {
                 let expired =
                     EventKind::LeaseExpired { key, kind, label, worker, attempt, elapsed_ms, took_too_long };
                 self.event(bake, now_ms, expired);
+            }
+            if !lease.was_heard {
+                continue;
             }
             let message =
                 if took_too_long { rules::limit_message } else { rules::expiry_message }(&lease.worker);

@@ -315,13 +315,14 @@ async fn lease(
     let row = |chosen: &Chosen| json!([chosen.token, chosen.task, chosen.expires_ms, chosen.deadline_ms]);
     let rows: Vec<_> = chosen.iter().map(row).collect();
     let sql = conn.pick(
-        "INSERT INTO leases SELECT value ->> 0, value ->> 1, $2, $3, value ->> 2, 0.0, value ->> 3, $4
+        "INSERT INTO leases SELECT value ->> 0, value ->> 1, $2, $3, value ->> 2, $4, value ->> 3, $5
          FROM json_each($1)",
-        "INSERT INTO leases SELECT v ->> 0, (v ->> 1)::bigint, $2, $3, (v ->> 2)::bigint, 0.0, (v ->> 3)::bigint, $4
+        "INSERT INTO leases SELECT v ->> 0, (v ->> 1)::bigint, $2, $3, (v ->> 2)::bigint, $4, (v ->> 3)::bigint, $5
          FROM jsonb_array_elements($1::jsonb) AS j (v)",
     );
     let ttl_ms = i64::from(request.ttl_secs) * 1000;
-    query(sql).bind(to_json(&rows)?).bind(&request.worker).bind(ttl_ms).bind(now_ms).run(conn).await?;
+    let insert = query(sql).bind(to_json(&rows)?).bind(&request.worker).bind(ttl_ms);
+    insert.bind(rules::UNHEARD).bind(now_ms).run(conn).await?;
     let sql = "DELETE FROM ready WHERE task IN (SELECT CAST(value AS BIGINT) FROM json_each($1))";
     query(sql).bind(tasks).run(conn).await?;
     let outputs = outputs_of_needs(conn, tasks).await?;

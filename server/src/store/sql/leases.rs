@@ -6,7 +6,7 @@ use lightkiln_proto::ids::TaskKey;
 use super::conn::{Conn, query};
 use super::ledger::{Ledger, live_bakes_of};
 use crate::store::StoreError;
-use crate::store::rules::WORKER_SEEN_GRAIN_MS;
+use crate::store::rules::{self, WORKER_SEEN_GRAIN_MS};
 
 /// An attempt that just ended, and its task.
 pub(super) struct Ended {
@@ -21,6 +21,8 @@ pub(super) struct Ended {
     pub(super) elapsed_ms: u64,
     /// The attempt had all the time that one may take.
     pub(super) has_hit_limit: bool,
+    /// The worker said that it had the task.
+    pub(super) was_heard: bool,
 }
 
 pub(super) async fn heartbeat(
@@ -90,7 +92,7 @@ pub(super) async fn end(conn: &mut Conn, token: &str, now_ms: i64) -> Result<Opt
 /// Takes a lease, good or not; nothing when it was cancelled or is gone.
 pub(super) async fn take(conn: &mut Conn, token: &str, now_ms: i64) -> Result<Option<Ended>, StoreError> {
     let sql =
-        "SELECT l.task, l.worker, l.started_ms, l.expires_ms, l.deadline_ms, t.key, t.kind, t.label, t.cost, t.attempts
+        "SELECT l.task, l.worker, l.started_ms, l.expires_ms, l.deadline_ms, l.progress, t.key, t.kind, t.label, t.cost, t.attempts
                FROM leases l JOIN tasks t ON t.id = l.task WHERE l.token = $1";
     let row = query(sql).bind(token).optional(conn).await?;
     query("DELETE FROM leases WHERE token = $1").bind(token).run(conn).await?;
@@ -105,6 +107,7 @@ pub(super) async fn take(conn: &mut Conn, token: &str, now_ms: i64) -> Result<Op
         worker: row.get("worker")?,
         elapsed_ms: u64::try_from(now_ms - row.get::<i64>("started_ms")?).unwrap_or(0),
         has_hit_limit: row.get::<i64>("expires_ms")? >= row.get::<i64>("deadline_ms")?,
+        was_heard: row.get::<f64>("progress")? > rules::UNHEARD,
     }))
 }
 

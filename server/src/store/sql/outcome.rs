@@ -240,6 +240,10 @@ pub(super) async fn reap(conn: &mut Conn, now_ms: i64) -> Result<Reaped, StoreEr
             bake.event(now_ms, lease_expired(&ended));
             bake.save(conn).await?;
         }
+        if !ended.was_heard {
+            requeue(conn, &ended, now_ms).await?;
+            continue;
+        }
         let message = if ended.has_hit_limit { rules::limit_message } else { rules::expiry_message };
         let message = message(&ended.worker);
         if blame_worker(conn, &ended, &message, now_ms).await? {

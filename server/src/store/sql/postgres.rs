@@ -34,7 +34,7 @@ use std::str::FromStr;
 use std::time::Duration;
 
 use sqlx::postgres::{PgConnectOptions, PgConnection, PgDatabaseError, PgPool, PgPoolOptions};
-use sqlx::{ConnectOptions, Executor};
+use sqlx::{ConnectOptions, Executor, Postgres, Transaction};
 
 use super::conn::Tx;
 use super::{Class, Kind, too_new};
@@ -91,15 +91,20 @@ impl PostgresDatabase {
         Ok(Tx::Postgres(match kind {
             Kind::Read => self.readers.begin_with("BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY").await?,
             Kind::Lease => {
-                let begin = "BEGIN ISOLATION LEVEL READ COMMITTED; SET LOCAL synchronous_commit = off;
-                             LOCK TABLE turnstile IN ROW SHARE MODE";
-                self.writers.begin_with(begin).await?
+                let lock = "SET LOCAL synchronous_commit = off; LOCK TABLE turnstile IN ROW SHARE MODE";
+                self.begin_locked(lock).await?
             }
-            Kind::Write => {
-                let begin = "BEGIN ISOLATION LEVEL READ COMMITTED; LOCK TABLE turnstile IN EXCLUSIVE MODE";
-                self.writers.begin_with(begin).await?
-            }
+            Kind::Write => self.begin_locked("LOCK TABLE turnstile IN EXCLUSIVE MODE").await?,
         }))
+    }
+
+    /// Begins, then locks. In one step, a caller that goes away while it waits for the lock, or a lock that takes too
+    /// long, would leave the pool a connection in a transaction that nobody ends: it would hold the lock, or refuse
+    /// every statement, until the database ended its session.
+    async fn begin_locked(&self, lock: &'static str) -> Result<Transaction<'static, Postgres>, StoreError> {
+        let mut tx = self.writers.begin_with("BEGIN ISOLATION LEVEL READ COMMITTED").await?;
+        sqlx::raw_sql(lock).execute(&mut *tx).await?;
+        Ok(tx)
     }
 
     /// Waits for running transactions and closes all connections.

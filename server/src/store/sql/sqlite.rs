@@ -11,7 +11,7 @@ use sqlx::error::DatabaseError as _;
 use sqlx::sqlite::{
     SqliteConnectOptions, SqliteError, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous,
 };
-use sqlx::{ConnectOptions, SqlitePool};
+use sqlx::{ConnectOptions, Connection, SqliteConnection, SqlitePool};
 
 use super::conn::Tx;
 use super::{Class, Kind, too_new};
@@ -76,8 +76,17 @@ async fn pool(path: &Path, connections: u32, read_only: bool) -> Result<SqlitePo
         .acquire_timeout(ACQUIRE_TIMEOUT)
         .idle_timeout(None)
         .max_lifetime(None)
-        .test_before_acquire(false);
+        .test_before_acquire(false)
+        .after_release(|connection, _| Box::pin(is_out_of_transaction(connection)));
     Ok(pool.connect_with(options).await?)
+}
+
+/// Whether a connection may be used again. When there is no room, SQLite may end a transaction by itself, and the driver,
+/// whose ROLLBACK is then refused, thinks for ever that it is in one: such a connection is closed.
+async fn is_out_of_transaction(connection: &mut SqliteConnection) -> Result<bool, sqlx::Error> {
+    // Comes after the rollback of a transaction that was dropped.
+    connection.ping().await?;
+    Ok(!connection.is_in_transaction())
 }
 
 /// Brings the file to the schema of this version.
@@ -100,10 +109,11 @@ pub(super) fn class_of(error: &SqliteError) -> Class {
     const LOCKED: i32 = 6;
     const IO: i32 = 10;
     const FULL: i32 = 13;
+    const CANNOT_OPEN: i32 = 14;
     let code = error.code().and_then(|code| code.parse::<i32>().ok());
     match code.map(|extended| extended & 0xff) {
         Some(FULL) => Class::Full,
-        Some(BUSY | LOCKED | IO) => Class::Unavailable,
+        Some(BUSY | LOCKED | IO | CANNOT_OPEN) => Class::Unavailable,
         _ => Class::Broken,
     }
 }

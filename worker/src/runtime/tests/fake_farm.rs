@@ -37,6 +37,8 @@ pub struct State {
     pub lose_answers: Vec<&'static str>,
     /// Calls whose text begins so are answered with 503 and not done; each once.
     pub refuse: Vec<&'static str>,
+    /// So often, the farm has forgotten what was stored when a result comes.
+    pub forgetful: u32,
     /// Artefacts are refused as too large.
     pub is_narrow: bool,
     /// The next artefact fetched arrives with a bit flipped.
@@ -155,6 +157,12 @@ fn lease_call(state: &mut State, token: &str, verb: &str, body: &[u8]) -> (u16, 
         }
         "commit" => {
             let result: TaskResult = serde_json::from_slice(body).unwrap();
+            if state.forgetful > 0 {
+                state.forgetful -= 1;
+                state.chunks.clear();
+                let problem = Problem::new(ProblemCode::NotStored, "forgotten, on purpose");
+                return (409, json(&problem));
+            }
             let missing = result.outputs.iter().any(|output| !state.chunks.contains_key(&output.digest));
             assert!(!missing, "a result was handed in before its outputs were stored");
             let verdict = match state.committed.insert(token.to_owned(), result) {

@@ -186,10 +186,11 @@ fn lost_answers_and_refusals_are_asked_for_again() {
 #[test]
 fn lost_lease_stops_the_task_and_nothing_more_is_sent_for_it() {
     let farm = FakeFarm::start();
-    farm.state().verdict = Some(Verdict::Lost);
     farm.offer("t1", &[]);
-    let beat = |state: &State| state.calls.iter().position(|call| call.ends_with("/heartbeat"));
+    let beat = |state: &State| state.calls.iter().rposition(|call| call.ends_with("/heartbeat"));
     let running = Running::start(&farm, endless, |_| {});
+    farm.wait_for("heartbeat", beats);
+    farm.state().verdict = Some(Verdict::Lost);
     farm.wait_for("claim after the lost lease", |state| {
         beat(state).is_some_and(|beat| state.calls[beat..].contains(&"POST /v1/leases".to_owned()))
     });
@@ -199,11 +200,93 @@ fn lost_lease_stops_the_task_and_nothing_more_is_sent_for_it() {
 }
 
 #[test]
+fn task_is_begun_when_the_server_has_heard_that_it_arrived() {
+    let farm = FakeFarm::start();
+    farm.offer("t1", &[b"x"]);
+    farm.state().refuse = vec!["POST /v1/leases/t1/heartbeat"; 2];
+    farm.state().lose_answers = vec!["POST /v1/leases/t1/heartbeat"];
+    let running = Running::start(&farm, joining, |config| config.lease_secs = 60);
+    farm.wait_for("commit", |state| state.committed.len() == 1);
+    running.end(Level::Drain);
+    let state = farm.state();
+    let first = |end: &str| state.calls.iter().position(|call| call.contains(end)).unwrap();
+    let beats = state.calls[..first("GET /v1/chunks")].iter().filter(|call| call.ends_with("/heartbeat"));
+    assert_eq!(beats.count(), 4, "two refused, one unanswered, one heard: {:?}", state.calls);
+}
+
+#[test]
+fn task_whose_lease_ended_before_it_arrived_is_not_begun() {
+    let farm = FakeFarm::start();
+    farm.state().verdict = Some(Verdict::Lost);
+    farm.offer("t1", &[b"x"]);
+    let run = |_: &[Artefact], _: &dyn ArtefactSource, _: &Progress| panic!("it is not its own any more");
+    run_until(&farm, run, "claim after it", |state| {
+        let beat = state.calls.iter().position(|call| call.ends_with("/heartbeat"));
+        beat.is_some_and(|beat| state.calls[beat..].contains(&"POST /v1/leases".to_owned()))
+    });
+    let state = farm.state();
+    assert!(state.committed.is_empty() && state.failures.is_empty() && state.released.is_empty());
+}
+
+#[test]
+fn output_that_the_server_forgot_is_uploaded_again() {
+    let farm = FakeFarm::start();
+    farm.offer("t1", &[b"wh", b"ole"]);
+    farm.state().forgetful = 2;
+    run_until(&farm, joining, "commit", |state| state.committed.len() == 1);
+    let state = farm.state();
+    assert_eq!(state.chunks[&Digest::of(b"whole")], b"whole");
+    assert!(state.failures.is_empty(), "{:?}", state.failures);
+    assert_eq!(state.calls.iter().filter(|call| call.starts_with("PUT")).count(), 3);
+}
+
+#[test]
+fn server_that_forgets_for_ever_is_not_waited_for() {
+    let farm = FakeFarm::start();
+    farm.offer("t1", &[b"whole"]);
+    farm.state().forgetful = u32::MAX;
+    run_until(&farm, joining, "failure", |state| state.failures.len() == 1);
+    let failure = &farm.state().failures[0];
+    assert!(failure.blame == Blame::Worker && failure.message.contains("on purpose"), "{failure:?}");
+}
+
+#[test]
+fn task_is_given_back_although_the_server_is_away_for_a_while() {
+    let farm = FakeFarm::start();
+    farm.offer("t1", &[]);
+    farm.state().refuse = vec!["POST /v1/leases/t1/release"; 4];
+    let running = Running::start(&farm, endless, |config| {
+        config.drain_grace = Duration::ZERO;
+        config.lease_secs = 60;
+    });
+    farm.wait_for("heartbeat", beats);
+    running.end(Level::Drain);
+    let state = farm.state();
+    assert_eq!(state.released, ["t1"]);
+    assert_eq!(state.calls.iter().filter(|call| call.ends_with("/release")).count(), 5);
+}
+
+#[test]
+fn worker_told_to_stop_at_once_does_not_wait_to_be_heard() {
+    let farm = FakeFarm::start();
+    farm.offer("t1", &[]);
+    farm.state().refuse = vec!["POST /v1/leases/t1/release"; 1000];
+    let running = Running::start(&farm, endless, |config| config.lease_secs = 3600);
+    farm.wait_for("heartbeat", beats);
+    running.end(Level::Stop);
+    let state = farm.state();
+    assert_eq!(state.calls.iter().filter(|call| call.ends_with("/release")).count(), 2);
+}
+
+#[test]
 fn cancelled_bake_stops_the_task_and_gives_it_back() {
     let farm = FakeFarm::start();
-    farm.state().verdict = Some(Verdict::Cancel);
     farm.offer("t1", &[]);
-    run_until(&farm, endless, "release", |state| state.released == ["t1"]);
+    let running = Running::start(&farm, endless, |_| {});
+    farm.wait_for("heartbeat", beats);
+    farm.state().verdict = Some(Verdict::Cancel);
+    farm.wait_for("release", |state| state.released == ["t1"]);
+    running.end(Level::Drain);
     assert!(farm.state().committed.is_empty() && farm.state().failures.is_empty());
 }
 
