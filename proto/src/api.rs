@@ -35,7 +35,6 @@ pub const MAX_CHUNK_BYTES: u64 = 2 << 30;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct SceneStored {
     /// Digest of the stored bundle.
-    #[schema(value_type = String)]
     pub scene: Digest,
     /// Its length.
     pub bytes: u64,
@@ -46,16 +45,16 @@ pub struct SceneStored {
 #[serde(deny_unknown_fields)]
 pub struct NewBake {
     /// For people; need not be unique. At most 200 characters.
+    #[schema(max_length = 200)]
     pub name: String,
     /// Digest of an uploaded scene bundle.
-    #[schema(value_type = String)]
     pub scene: Digest,
     /// Kind of bake; `prt` is the relightable one.
     #[serde(default = "default_kind")]
     pub kind: String,
-    /// Settings as the kind of bake documents them; absent means its defaults.
+    /// Settings as the kind of bake documents them; absent or null means its defaults.
     #[serde(default)]
-    #[schema(value_type = Object)]
+    #[schema(value_type = Option<Object>)]
     pub settings: serde_json::Value,
     /// Bigger runs first; 0 unless set.
     #[serde(default)]
@@ -66,6 +65,7 @@ pub struct NewBake {
     /// Seconds that one attempt at a task may take, 1..=604800; then it counts as failed by its worker, however often
     /// that is heard from. Smaller → a stuck worker is noticed sooner; too small → slow machines fail. A day unless set.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(minimum = 1, maximum = 604800)]
     pub attempt_limit_secs: Option<u32>,
 }
 
@@ -75,14 +75,23 @@ pub struct NewBake {
 pub struct Needs {
     /// Memory in MiB, at least.
     #[serde(default)]
+    #[schema(format = Int64, maximum = 4294967295_i64)]
     pub memory_mib: u32,
     /// Threads, at least.
     #[serde(default)]
+    #[schema(format = Int64, maximum = 4294967295_i64)]
     pub threads: u32,
     /// Labels, all of them; at most 16, of 1 to 64 characters.
     #[serde(default)]
+    #[schema(max_items = 16, value_type = Vec<Label>)]
     pub labels: Vec<String>,
 }
+
+/// What a label looks like, for the API's description.
+#[derive(ToSchema)]
+#[schema(min_length = 1, max_length = 64)]
+#[expect(dead_code, reason = "it describes texts, which stay texts")]
+struct Label(String);
 
 impl Needs {
     /// Any worker will do.
@@ -128,10 +137,9 @@ pub struct Bake {
     /// Kind of bake.
     pub kind: String,
     /// The scene bundle.
-    #[schema(value_type = String)]
     pub scene: Digest,
-    /// Settings as given.
-    #[schema(value_type = Object)]
+    /// Settings as given; null if none were.
+    #[schema(value_type = Option<Object>)]
     pub settings: serde_json::Value,
     /// Bigger runs first.
     pub priority: i32,
@@ -149,10 +157,8 @@ pub struct Bake {
     /// Why it failed.
     pub failure: Option<String>,
     /// Digest of the manifest when done.
-    #[schema(value_type = Option<String>)]
     pub manifest: Option<Digest>,
     /// Digest of the report when done.
-    #[schema(value_type = Option<String>)]
     pub report: Option<Digest>,
     /// Submission time, Unix milliseconds.
     pub created_ms: i64,
@@ -229,7 +235,6 @@ pub enum EventKind {
     /// A task was committed.
     TaskDone {
         /// Task key.
-        #[schema(value_type = String)]
         key: Digest,
         /// Task kind.
         kind: String,
@@ -241,7 +246,6 @@ pub enum EventKind {
     /// An attempt at a task ended without a result.
     TaskFailed {
         /// Task key.
-        #[schema(value_type = String)]
         key: Digest,
         /// Task kind.
         kind: String,
@@ -257,7 +261,6 @@ pub enum EventKind {
     /// A lease ran out, and the task is ready again.
     LeaseExpired {
         /// Task key.
-        #[schema(value_type = String)]
         key: Digest,
         /// Worker that held it.
         worker: String,
@@ -286,9 +289,11 @@ pub struct Worker {
     /// Task kinds that it takes.
     pub kinds: Vec<String>,
     /// Threads that it uses.
+    #[schema(format = Int64, maximum = 4294967295_i64)]
     pub threads: u32,
     /// Memory in MiB that its tasks may use.
     #[serde(default)]
+    #[schema(format = Int64, maximum = 4294967295_i64)]
     pub memory_mib: u32,
     /// Its labels.
     #[serde(default)]
@@ -328,23 +333,31 @@ pub struct BlockedWorker {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ClaimRequest {
-    /// The worker's name, unique on the farm.
+    /// The worker's name, unique on the farm; 1 to 200 characters.
+    #[schema(min_length = 1, max_length = 200)]
     pub worker: String,
-    /// Task kinds that it knows.
+    /// Task kinds that it knows; at most 64.
+    #[schema(max_items = 64)]
     pub kinds: Vec<String>,
     /// Threads that it uses.
+    #[schema(format = Int64, maximum = 4294967295_i64)]
     pub threads: u32,
     /// Memory in MiB that its tasks may use; 0 takes no bake that asks for some.
     #[serde(default)]
+    #[schema(format = Int64, maximum = 4294967295_i64)]
     pub memory_mib: u32,
     /// Its labels, at most 16, of 1 to 64 characters: bakes may ask for them.
     #[serde(default)]
+    #[schema(max_items = 16, value_type = Vec<Label>)]
     pub labels: Vec<String>,
     /// At most this many leases, 1..=64.
+    #[schema(minimum = 1, maximum = 64)]
     pub max: u32,
     /// Lease length in seconds, 5..=3600.
+    #[schema(minimum = 5, maximum = 3600)]
     pub ttl_secs: u32,
     /// Wait this long for work before an empty answer, 0..=60.
+    #[schema(maximum = 60)]
     pub wait_secs: u32,
 }
 
@@ -375,6 +388,7 @@ pub struct Lease {
 #[serde(deny_unknown_fields)]
 pub struct Heartbeat {
     /// Share done, 0..=1.
+    #[schema(minimum = 0, maximum = 1)]
     pub progress: f32,
 }
 
@@ -423,7 +437,6 @@ pub struct CommitAnswer {
 #[serde(deny_unknown_fields)]
 pub struct Enrolment {
     /// blake3 digest of the token that the worker will call with: 256 random bits or more.
-    #[schema(value_type = String)]
     pub token: Digest,
 }
 
@@ -450,6 +463,6 @@ pub enum Blame {
 pub struct Failure {
     /// Who is to blame.
     pub blame: Blame,
-    /// What happened and what to do, at most 4,000 characters.
+    /// What happened and what to do; only the first 4,000 characters are kept.
     pub message: String,
 }

@@ -11,8 +11,9 @@ use lightkiln_proto::problem::Problem;
 use serde::Deserialize;
 use utoipa::IntoParams;
 
-use super::chunks::serve_bytes;
+use super::chunks::{Conditions, serve_bytes};
 use super::extract::{JsonBody, PathParam, UrlQuery, bad_request};
+use super::openapi::Binary;
 use crate::error::ServerError;
 use crate::farm::Farm;
 
@@ -37,15 +38,24 @@ pub(super) struct ListQuery {
     limit: Option<u32>,
 }
 
+/// Headers of a submission.
+#[derive(IntoParams)]
+#[into_params(parameter_in = Header)]
+#[expect(dead_code, reason = "it describes a header; the handler reads it from the map")]
+pub(super) struct SubmitHeaders {
+    /// Makes trying again safe; 1 to 200 characters of ASCII.
+    #[param(rename = "Idempotency-Key", min_length = 1, max_length = 200, pattern = "^[!-~]([ -~]*[!-~])?$")]
+    idempotency_key: Option<String>,
+}
+
 /// Asks for a bake. The scene must be stored. The same Idempotency-Key with the same body gives the same bake.
 #[utoipa::path(post, path = "/v1/bakes", tag = "bakes", request_body = NewBake,
-    params(("Idempotency-Key" = Option<String>, Header, description = "Makes trying again safe; 1 to 200 characters")),
+    params(SubmitHeaders),
     responses(
         (status = 202, description = "Accepted", body = Bake),
         (status = 404, description = "The scene is not stored", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "The key belongs to another request", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "A setting is wrong", body = Problem, content_type = "application/problem+json"),
-        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+        (status = 422, description = "A setting is wrong", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn submit(
     State(farm): State<Arc<Farm>>,
     headers: HeaderMap,
@@ -61,7 +71,7 @@ pub(super) async fn submit(
 /// Lists bakes, newest first.
 #[utoipa::path(get, path = "/v1/bakes", tag = "bakes", params(ListQuery),
     responses((status = 200, description = "A page", body = BakePage),
-        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+        (status = 404, description = "`after` is no bake", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn list(
     State(farm): State<Arc<Farm>>,
     UrlQuery(query): UrlQuery<ListQuery>,
@@ -77,8 +87,7 @@ pub(super) async fn list(
 #[utoipa::path(get, path = "/v1/bakes/{id}", tag = "bakes",
     params(("id" = String, Path, description = "The bake")),
     responses((status = 200, description = "The bake", body = Bake),
-        (status = 404, description = "No such bake", body = Problem, content_type = "application/problem+json"),
-        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+        (status = 404, description = "No such bake", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn show(
     State(farm): State<Arc<Farm>>,
     PathParam(id): PathParam<String>,
@@ -91,8 +100,7 @@ pub(super) async fn show(
     params(("id" = String, Path, description = "The bake")),
     responses((status = 204, description = "Deleted"),
         (status = 404, description = "No such bake", body = Problem, content_type = "application/problem+json"),
-        (status = 409, description = "It has not ended", body = Problem, content_type = "application/problem+json"),
-        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+        (status = 409, description = "It has not ended", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn delete(
     State(farm): State<Arc<Farm>>,
     PathParam(id): PathParam<String>,
@@ -105,8 +113,7 @@ pub(super) async fn delete(
 #[utoipa::path(post, path = "/v1/bakes/{id}/cancel", tag = "bakes",
     params(("id" = String, Path, description = "The bake")),
     responses((status = 200, description = "The bake", body = Bake),
-        (status = 409, description = "It has ended", body = Problem, content_type = "application/problem+json"),
-        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+        (status = 409, description = "It has ended", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn cancel(
     State(farm): State<Arc<Farm>>,
     PathParam(id): PathParam<String>,
@@ -118,8 +125,7 @@ pub(super) async fn cancel(
 #[utoipa::path(post, path = "/v1/bakes/{id}/pause", tag = "bakes",
     params(("id" = String, Path, description = "The bake")),
     responses((status = 200, description = "The bake", body = Bake),
-        (status = 409, description = "It has ended", body = Problem, content_type = "application/problem+json"),
-        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+        (status = 409, description = "It has ended", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn pause(
     State(farm): State<Arc<Farm>>,
     PathParam(id): PathParam<String>,
@@ -131,8 +137,7 @@ pub(super) async fn pause(
 #[utoipa::path(post, path = "/v1/bakes/{id}/resume", tag = "bakes",
     params(("id" = String, Path, description = "The bake")),
     responses((status = 200, description = "The bake", body = Bake),
-        (status = 409, description = "It has ended", body = Problem, content_type = "application/problem+json"),
-        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+        (status = 409, description = "It has ended", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn resume(
     State(farm): State<Arc<Farm>>,
     PathParam(id): PathParam<String>,
@@ -144,8 +149,7 @@ pub(super) async fn resume(
 #[utoipa::path(post, path = "/v1/bakes/{id}/priority", tag = "bakes", request_body = NewPriority,
     params(("id" = String, Path, description = "The bake")),
     responses((status = 200, description = "The bake", body = Bake),
-        (status = 409, description = "It has ended", body = Problem, content_type = "application/problem+json"),
-        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+        (status = 409, description = "It has ended", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn reprioritise(
     State(farm): State<Arc<Farm>>,
     PathParam(id): PathParam<String>,
@@ -167,8 +171,7 @@ pub(super) struct WorkerQuery {
 #[utoipa::path(get, path = "/v1/bakes/{id}/blocklist", tag = "bakes",
     params(("id" = String, Path, description = "The bake")),
     responses((status = 200, description = "By name", body = Blocklist),
-        (status = 404, description = "No such bake", body = Problem, content_type = "application/problem+json"),
-        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+        (status = 404, description = "No such bake", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn blocklist(
     State(farm): State<Arc<Farm>>,
     PathParam(id): PathParam<String>,
@@ -180,8 +183,7 @@ pub(super) async fn blocklist(
 #[utoipa::path(delete, path = "/v1/bakes/{id}/blocklist", tag = "bakes",
     params(("id" = String, Path, description = "The bake"), WorkerQuery),
     responses((status = 200, description = "What is left", body = Blocklist),
-        (status = 404, description = "No such bake", body = Problem, content_type = "application/problem+json"),
-        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+        (status = 404, description = "No such bake", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn clear_blocklist(
     State(farm): State<Arc<Farm>>,
     PathParam(id): PathParam<String>,
@@ -192,10 +194,12 @@ pub(super) async fn clear_blocklist(
 
 /// Gives a finished bake's manifest.
 #[utoipa::path(get, path = "/v1/bakes/{id}/manifest", tag = "bakes",
-    params(("id" = String, Path, description = "The bake")),
+    params(("id" = String, Path, description = "The bake"), Conditions),
     responses((status = 200, description = "The manifest", body = serde_json::Value),
-        (status = 409, description = "The bake is not done", body = Problem, content_type = "application/problem+json"),
-        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+        (status = 206, description = "The range", body = inline(Binary), content_type = "application/json"),
+        (status = 304, description = "The caller has the bytes"),
+        (status = 416, description = "The range lies outside", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "The bake is not done", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn manifest(
     State(farm): State<Arc<Farm>>,
     PathParam(id): PathParam<String>,
@@ -208,10 +212,12 @@ pub(super) async fn manifest(
 
 /// Gives a finished bake's report.
 #[utoipa::path(get, path = "/v1/bakes/{id}/report", tag = "bakes",
-    params(("id" = String, Path, description = "The bake")),
+    params(("id" = String, Path, description = "The bake"), Conditions),
     responses((status = 200, description = "The report", body = serde_json::Value),
-        (status = 409, description = "The bake is not done", body = Problem, content_type = "application/problem+json"),
-        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+        (status = 206, description = "The range", body = inline(Binary), content_type = "application/json"),
+        (status = 304, description = "The caller has the bytes"),
+        (status = 416, description = "The range lies outside", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "The bake is not done", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn report(
     State(farm): State<Arc<Farm>>,
     PathParam(id): PathParam<String>,
@@ -224,8 +230,7 @@ pub(super) async fn report(
 
 /// Lists workers heard of in the last ten minutes.
 #[utoipa::path(get, path = "/v1/workers", tag = "workers",
-    responses((status = 200, description = "By name", body = WorkerPage),
-        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+    responses((status = 200, description = "By name", body = WorkerPage)))]
 pub(super) async fn workers(State(farm): State<Arc<Farm>>) -> Result<Json<WorkerPage>, ServerError> {
     Ok(Json(WorkerPage { workers: farm.store.workers().await? }))
 }

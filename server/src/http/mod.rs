@@ -11,7 +11,7 @@ mod leases;
 mod limits;
 mod openapi;
 mod problem;
-mod ranges;
+pub mod ranges;
 
 use std::sync::Arc;
 use std::time::Instant;
