@@ -5,6 +5,7 @@
 mod ci;
 mod commands;
 mod deployment;
+mod description;
 mod embedded;
 mod enrolment;
 mod evaluation;
