@@ -38,7 +38,6 @@ pub const MAX_CHUNK_BYTES: u64 = 2 << 30;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct SceneStored {
     /// Digest of the stored bundle.
-    #[schema(value_type = String)]
     pub scene: Digest,
     /// Its length.
     pub bytes: u64,
@@ -56,6 +55,7 @@ pub const MAX_SCENE_PARTS: usize = 1024;
 #[serde(deny_unknown_fields)]
 pub struct SceneParts {
     /// 1 to 1024 of them; the same part may come several times.
+    #[schema(min_items = 1, max_items = 1024)]
     pub parts: Vec<ScenePart>,
 }
 
@@ -64,9 +64,9 @@ pub struct SceneParts {
 #[serde(deny_unknown_fields)]
 pub struct ScenePart {
     /// Digest of its bytes.
-    #[schema(value_type = String)]
     pub digest: Digest,
     /// Its length, 1..=67108864.
+    #[schema(minimum = 1, maximum = 67108864)]
     pub bytes: u64,
 }
 
@@ -76,7 +76,6 @@ pub struct SceneProgress {
     /// The scene is stored as a whole; nothing is left to do.
     pub is_stored: bool,
     /// Parts to upload, by digest, before the same call puts the scene together.
-    #[schema(value_type = Vec<String>)]
     pub missing: Vec<Digest>,
 }
 
@@ -85,16 +84,16 @@ pub struct SceneProgress {
 #[serde(deny_unknown_fields)]
 pub struct NewBake {
     /// For people; need not be unique. At most 200 characters.
+    #[schema(max_length = 200)]
     pub name: String,
     /// Digest of an uploaded scene bundle.
-    #[schema(value_type = String)]
     pub scene: Digest,
     /// Kind of bake; `prt` is the relightable one.
     #[serde(default = "default_kind")]
     pub kind: String,
-    /// Settings as the kind of bake documents them; absent means its defaults.
+    /// Settings as the kind of bake documents them; absent or null means its defaults.
     #[serde(default)]
-    #[schema(value_type = Object)]
+    #[schema(value_type = Option<Object>)]
     pub settings: serde_json::Value,
     /// Bigger runs first; 0 unless set.
     #[serde(default)]
@@ -105,6 +104,7 @@ pub struct NewBake {
     /// Seconds that one attempt at a task may take, 1..=604800; then it counts as failed by its worker, however often
     /// that is heard from. Smaller → a stuck worker is noticed sooner; too small → slow machines fail. A day unless set.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(minimum = 1, maximum = 604800)]
     pub attempt_limit_secs: Option<u32>,
 }
 
@@ -114,14 +114,23 @@ pub struct NewBake {
 pub struct Needs {
     /// Memory in MiB, at least.
     #[serde(default)]
+    #[schema(format = Int64, maximum = 4294967295_i64)]
     pub memory_mib: u32,
     /// Threads, at least.
     #[serde(default)]
+    #[schema(format = Int64, maximum = 4294967295_i64)]
     pub threads: u32,
     /// Labels, all of them; at most 16, of 1 to 64 characters.
     #[serde(default)]
+    #[schema(max_items = 16, value_type = Vec<Label>)]
     pub labels: Vec<String>,
 }
+
+/// What a label looks like, for the API's description.
+#[derive(ToSchema)]
+#[schema(min_length = 1, max_length = 64)]
+#[expect(dead_code, reason = "it describes texts, which stay texts")]
+struct Label(String);
 
 impl Needs {
     /// Any worker will do.
@@ -167,10 +176,9 @@ pub struct Bake {
     /// Kind of bake.
     pub kind: String,
     /// The scene bundle.
-    #[schema(value_type = String)]
     pub scene: Digest,
-    /// Settings as given.
-    #[schema(value_type = Object)]
+    /// Settings as given; null if none were.
+    #[schema(value_type = Option<Object>)]
     pub settings: serde_json::Value,
     /// Bigger runs first.
     pub priority: i32,
@@ -192,10 +200,8 @@ pub struct Bake {
     /// Why it failed.
     pub failure: Option<String>,
     /// Digest of the manifest when done.
-    #[schema(value_type = Option<String>)]
     pub manifest: Option<Digest>,
     /// Digest of the report when done.
-    #[schema(value_type = Option<String>)]
     pub report: Option<Digest>,
     /// Submission time, Unix milliseconds.
     pub created_ms: i64,
@@ -253,9 +259,11 @@ pub struct Worker {
     /// Task kinds that it takes.
     pub kinds: Vec<String>,
     /// Threads that it uses.
+    #[schema(format = Int64, maximum = 4294967295_i64)]
     pub threads: u32,
     /// Memory in MiB that its tasks may use.
     #[serde(default)]
+    #[schema(format = Int64, maximum = 4294967295_i64)]
     pub memory_mib: u32,
     /// Its labels.
     #[serde(default)]
@@ -295,23 +303,31 @@ pub struct BlockedWorker {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ClaimRequest {
-    /// The worker's name, unique on the farm.
+    /// The worker's name, unique on the farm; 1 to 200 characters.
+    #[schema(min_length = 1, max_length = 200)]
     pub worker: String,
-    /// Task kinds that it knows.
+    /// Task kinds that it knows; at most 64.
+    #[schema(max_items = 64)]
     pub kinds: Vec<String>,
     /// Threads that it uses.
+    #[schema(format = Int64, maximum = 4294967295_i64)]
     pub threads: u32,
     /// Memory in MiB that its tasks may use; 0 takes no bake that asks for some.
     #[serde(default)]
+    #[schema(format = Int64, maximum = 4294967295_i64)]
     pub memory_mib: u32,
     /// Its labels, at most 16, of 1 to 64 characters: bakes may ask for them.
     #[serde(default)]
+    #[schema(max_items = 16, value_type = Vec<Label>)]
     pub labels: Vec<String>,
     /// At most this many leases, 1..=64.
+    #[schema(minimum = 1, maximum = 64)]
     pub max: u32,
     /// Lease length in seconds, 5..=3600.
+    #[schema(minimum = 5, maximum = 3600)]
     pub ttl_secs: u32,
     /// Wait this long for work before an empty answer, 0..=60.
+    #[schema(maximum = 60)]
     pub wait_secs: u32,
 }
 
@@ -345,6 +361,7 @@ pub struct Lease {
 #[serde(deny_unknown_fields)]
 pub struct Heartbeat {
     /// Share done, 0..=1.
+    #[schema(minimum = 0, maximum = 1)]
     pub progress: f32,
 }
 
@@ -393,7 +410,6 @@ pub struct CommitAnswer {
 #[serde(deny_unknown_fields)]
 pub struct Enrolment {
     /// blake3 digest of the token that the worker will call with: 256 random bits or more.
-    #[schema(value_type = String)]
     pub token: Digest,
 }
 
@@ -420,6 +436,6 @@ pub enum Blame {
 pub struct Failure {
     /// Who is to blame.
     pub blame: Blame,
-    /// What happened and what to do, at most 4,000 characters.
+    /// What happened and what to do; only the first 4,000 characters are kept.
     pub message: String,
 }

@@ -34,7 +34,6 @@ pub enum EventKind {
     /// `seq` given to another event.
     TaskStarted {
         /// Task key.
-        #[schema(value_type = String)]
         key: Digest,
         /// Task kind.
         kind: String,
@@ -48,7 +47,6 @@ pub enum EventKind {
     /// A task was committed.
     TaskDone {
         /// Task key.
-        #[schema(value_type = String)]
         key: Digest,
         /// Task kind.
         kind: String,
@@ -66,7 +64,6 @@ pub enum EventKind {
     /// An attempt at a task ended without a result.
     TaskFailed {
         /// Task key.
-        #[schema(value_type = String)]
         key: Digest,
         /// Task kind.
         kind: String,
@@ -91,7 +88,6 @@ pub enum EventKind {
     /// A lease ran out, and the task is ready again.
     LeaseExpired {
         /// Task key.
-        #[schema(value_type = String)]
         key: Digest,
         /// Task kind.
         #[serde(default)]
@@ -114,7 +110,6 @@ pub enum EventKind {
     /// A worker gave a task back undone, as it was told to stop; the task is ready again.
     TaskReleased {
         /// Task key.
-        #[schema(value_type = String)]
         key: Digest,
         /// Task kind.
         kind: String,
@@ -128,7 +123,6 @@ pub enum EventKind {
     /// The bytes of a result were lost; the task runs again.
     ResultLost {
         /// Task key.
-        #[schema(value_type = String)]
         key: Digest,
         /// Task kind.
         kind: String,

@@ -12,17 +12,19 @@ use crate::ids::{Digest, TaskKey};
 #[serde(deny_unknown_fields)]
 pub struct TaskSpec {
     /// Digest of everything the result can depend on, see [`TaskSpec::new`].
-    #[schema(value_type = String)]
     pub key: TaskKey,
-    /// What to run, e.g. `prt.transport`; a worker claims only kinds that it knows.
+    /// What to run, e.g. `prt.transport`; a worker claims only kinds that it knows. 1 to 400 bytes.
+    #[schema(min_length = 1, max_length = 400)]
     pub kind: String,
-    /// For people and events, e.g. `cluster 12`.
+    /// For people and events, e.g. `cluster 12`. At most 400 bytes.
+    #[schema(max_length = 400)]
     pub label: String,
     /// Parameters as JSON; only the worker reads them.
     pub params: serde_json::Value,
     /// Artefacts that it reads.
     pub inputs: Vec<TaskInput>,
-    /// Estimated cost in thousands of rays or the like; bigger is claimed first among equals.
+    /// Estimated cost in thousands of rays or the like; bigger is claimed first among equals. At most 2^40.
+    #[schema(maximum = 1099511627776_i64)]
     pub cost: u64,
 }
 
@@ -35,7 +37,6 @@ pub enum TaskInput {
         /// Name under which the task sees it.
         name: String,
         /// Its digest.
-        #[schema(value_type = String)]
         digest: Digest,
     },
     /// All outputs of another task of the same bake: a dependency. The task sees each as `name/output`.
@@ -43,7 +44,6 @@ pub enum TaskInput {
         /// Prefix under which the task sees them.
         name: String,
         /// Key of the other task.
-        #[schema(value_type = String)]
         key: TaskKey,
     },
 }
@@ -55,7 +55,6 @@ pub struct Artefact {
     /// Name inside the task, e.g. `chunk/0`. The names [`MANIFEST_OUTPUT`] and [`REPORT_OUTPUT`] are the bake's results.
     pub name: String,
     /// Digest of the stored bytes.
-    #[schema(value_type = String)]
     pub digest: Digest,
     /// Length of the stored bytes.
     pub bytes: u64,
@@ -69,10 +68,17 @@ pub struct TaskResult {
     pub outputs: Vec<Artefact>,
     /// Tasks to add to the bake; a pure function of the task's key. Order and dependencies inside the list are free.
     pub plan: Vec<TaskSpec>,
-    /// Counters for people (rays, seconds, …); not part of the result's identity.
+    /// Counters for people (rays, seconds, …), at most 256; not part of the result's identity.
     #[serde(default)]
     pub counters: std::collections::BTreeMap<String, f64>,
 }
+
+/// Most counters of one result.
+pub const MAX_COUNTERS: usize = 256;
+/// Longest name of a counter, in bytes.
+pub const MAX_COUNTER_NAME_BYTES: usize = 200;
+/// Largest counter, and the smallest with the sign turned: sums over a million tasks stay numbers that JSON can say.
+pub const MAX_COUNTER: f64 = 1e18;
 
 /// Name of the output that is the bake's manifest.
 pub const MANIFEST_OUTPUT: &str = "manifest";

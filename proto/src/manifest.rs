@@ -3,11 +3,12 @@
 //! JSON, canonical (sorted keys, no spaces), a pure function of scene and settings.
 
 use serde::{Deserialize, Serialize};
+use thiserror::Error;
 use utoipa::ToSchema;
 
 use crate::ids::Digest;
 use crate::prt::{BlockKey, Settings};
-use crate::scene::{SceneCamera, SceneLight};
+use crate::scene::{LightKind, SceneCamera, SceneLight};
 
 /// Value of [`Manifest::format`].
 pub const FORMAT: &str = "lightkiln-manifest";
@@ -61,6 +62,100 @@ pub struct Manifest {
     pub patches: Vec<ChunkRef>,
     /// Clusters.
     pub clusters: Vec<ClusterRef>,
+}
+
+/// Why bytes are no manifest.
+#[derive(Debug, Error)]
+pub enum ManifestError {
+    /// Not the JSON of one.
+    #[error("it is no manifest")]
+    Json(#[from] serde_json::Error),
+    /// Of another format or version.
+    #[error(
+        "its format is '{format:.40}' version {version}, wanted '{FORMAT}' version {VERSION}; a newer kiln may read it"
+    )]
+    Format {
+        /// Format found.
+        format: String,
+        /// Version found.
+        version: u32,
+    },
+    /// A number too large for what it says.
+    #[error("{what} has a number that is not finite")]
+    Number {
+        /// Whose number.
+        what: &'static str,
+    },
+}
+
+impl Manifest {
+    /// Reads a manifest. Errs unless it is of this version and all its numbers are finite.
+    pub fn from_json(bytes: &[u8]) -> Result<Self, ManifestError> {
+        let manifest: Self = serde_json::from_slice(bytes)?;
+        if manifest.format != FORMAT || manifest.version != VERSION {
+            let Self { format, version, .. } = manifest;
+            return Err(ManifestError::Format { format, version });
+        }
+        manifest.check_numbers()?;
+        Ok(manifest)
+    }
+
+    /// JSON numbers may be larger than an f32 holds.
+    fn check_numbers(&self) -> Result<(), ManifestError> {
+        if !self.settings.numbers().into_iter().all(f64::is_finite) {
+            return Err(ManifestError::Number { what: "a setting" });
+        }
+        all_finite("the texel's size or the probes' spacing", &[self.texel_m, self.probe_spacing_m])?;
+        all_finite("the bounds", self.bounds_m.as_flattened())?;
+        for cluster in &self.clusters {
+            all_finite("a cluster's bounds", cluster.bounds_m.as_flattened())?;
+            let ClusterRef { truncation_error, quantisation_error, uncovered_fraction, .. } = *cluster;
+            all_finite("a cluster's errors", &[truncation_error, quantisation_error, uncovered_fraction])?;
+        }
+        self.materials.iter().try_for_each(Material::check_numbers)?;
+        self.lights.iter().try_for_each(check_light)?;
+        self.cameras.iter().try_for_each(check_camera)
+    }
+}
+
+impl Material {
+    fn check_numbers(&self) -> Result<(), ManifestError> {
+        all_finite("a material's colour", &self.base_colour)?;
+        all_finite("a material's emission", &self.emissive)?;
+        all_finite("a material's alpha cutoff", self.alpha_cutoff.as_slice())?;
+        let uses = self.base_colour_texture.iter().chain(&self.emissive_texture);
+        uses.flat_map(|texture| &texture.transform)
+            .try_for_each(|transform| all_finite("a texture's transform", transform.as_flattened()))
+    }
+}
+
+fn check_light(light: &SceneLight) -> Result<(), ManifestError> {
+    let what = "a light";
+    all_finite(what, &light.strength)?;
+    match &light.kind {
+        LightKind::Point { position_m, range_m } => {
+            all_finite(what, position_m)?;
+            all_finite(what, range_m.as_slice())
+        }
+        LightKind::Spot { position_m, direction, inner_rad, outer_rad, range_m } => {
+            all_finite(what, &[*position_m, *direction].concat())?;
+            all_finite(what, &[*inner_rad, *outer_rad])?;
+            all_finite(what, range_m.as_slice())
+        }
+        LightKind::Sun { direction } => all_finite(what, direction),
+        LightKind::Sky { zenith, horizon } => all_finite(what, &[*zenith, *horizon].concat()),
+    }
+}
+
+fn check_camera(camera: &SceneCamera) -> Result<(), ManifestError> {
+    let what = "a camera";
+    all_finite(what, &[camera.eye_m, camera.target_m, camera.up].concat())?;
+    all_finite(what, &[camera.fov_y_rad])?;
+    all_finite(what, camera.orthographic_half_height_m.as_slice())
+}
+
+fn all_finite(what: &'static str, numbers: &[f32]) -> Result<(), ManifestError> {
+    if numbers.iter().all(|number| number.is_finite()) { Ok(()) } else { Err(ManifestError::Number { what }) }
 }
 
 /// Counts over the whole bake.

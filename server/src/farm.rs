@@ -10,7 +10,9 @@ use lightkiln_proto::api::{
 };
 use lightkiln_proto::bake::initial_plan;
 use lightkiln_proto::ids::{Digest, TaskKey};
-use lightkiln_proto::jobs::{TaskInput, TaskResult, TaskSpec};
+use lightkiln_proto::jobs::{
+    MAX_COUNTER, MAX_COUNTER_NAME_BYTES, MAX_COUNTERS, TaskInput, TaskResult, TaskSpec,
+};
 use tokio::sync::watch;
 use tokio::time::Instant;
 
@@ -213,6 +215,7 @@ impl Farm {
     /// Takes a result in. Its outputs must have been uploaded.
     pub async fn commit(&self, token: &str, result: TaskResult) -> Result<CommitVerdict, ServerError> {
         require_token(token)?;
+        check_counters(&result)?;
         self.require_outputs(&result).await?;
         self.forget_lost_results(&result.plan).await?;
         let verdict = self.store.commit(token, &result).await?;
@@ -375,6 +378,26 @@ fn check_claim(request: &ClaimRequest) -> Result<(), ServerError> {
         Some((name, _, range)) => Err(bad_request(format!("{name} must be within {range}"))),
         None => Ok(()),
     }
+}
+
+/// Sums of counters must stay numbers: JSON cannot say infinity, so a bake that had one could not be read any more.
+fn check_counters(result: &TaskResult) -> Result<(), ServerError> {
+    let count = result.counters.len();
+    if count > MAX_COUNTERS {
+        return Err(bad_request(format!("counters must be at most {MAX_COUNTERS}, not {count}")));
+    }
+    for (name, value) in &result.counters {
+        let shown: String = name.chars().take(40).collect();
+        if name.len() > MAX_COUNTER_NAME_BYTES {
+            let what = format!("the name of counter '{shown}…' has more than {MAX_COUNTER_NAME_BYTES} bytes");
+            return Err(bad_request(what));
+        }
+        if !(-MAX_COUNTER..=MAX_COUNTER).contains(value) {
+            let what = format!("counter '{shown}' must be within ±{MAX_COUNTER:e}, not {value:e}");
+            return Err(bad_request(what));
+        }
+    }
+    Ok(())
 }
 
 fn require_chars(name: &str, text: &str, min: usize, max: usize) -> Result<(), ServerError> {

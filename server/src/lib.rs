@@ -28,7 +28,7 @@ mod webhooks;
 
 pub use collect::Keeping;
 pub use error::ServerError;
-pub use http::{LimitConfig, openapi_json};
+pub use http::{LimitConfig, openapi_json, ranges};
 pub use server::{Config, Server, check_storage, open_store};
 pub use tls::TlsFiles;
 pub use webhooks::WebhookConfig;

@@ -14,7 +14,7 @@ use std::sync::Arc;
 
 use lightkiln_proto::api::MAX_CHUNK_BYTES;
 use lightkiln_proto::ids::Digest;
-use lightkiln_proto::manifest::{self, ChunkRef, Manifest};
+use lightkiln_proto::manifest::{self, ChunkRef, Manifest, ManifestError};
 
 use crate::error::{ClientError, Result};
 
@@ -121,17 +121,8 @@ fn read_limited(path: &Path, limit: u64) -> Result<Vec<u8>> {
 }
 
 fn parse_manifest(place: &str, bytes: &[u8]) -> Result<Manifest> {
-    let parsed: Manifest = serde_json::from_slice(bytes)
-        .map_err(|source| ClientError::Json { place: place.to_owned(), source })?;
-    if parsed.format != manifest::FORMAT || parsed.version != manifest::VERSION {
-        let problem = format!(
-            "format '{:.40}' version {}, this client reads '{}' version {}",
-            parsed.format,
-            parsed.version,
-            manifest::FORMAT,
-            manifest::VERSION
-        );
-        return Err(ClientError::inconsistent(place, problem));
-    }
-    Ok(parsed)
+    Manifest::from_json(bytes).map_err(|error| match error {
+        ManifestError::Json(source) => ClientError::Json { place: place.to_owned(), source },
+        error => ClientError::inconsistent(place, error.to_string()),
+    })
 }

@@ -43,6 +43,9 @@ impl ClusterHead {
             |what, value: usize, max: usize| in_range(section, what, value as u64, 0, max as u64).map(drop);
         let Shape { rank, bands, levels, .. } = self.shape;
         in_range(section, "levels", levels.into(), 1, LEVELS_MAX.into())?;
+        if let Some(axis) = (0..3).find(|&axis| self.bounds_m[0][axis] > self.bounds_m[1][axis]) {
+            return Err(ChunkError::Order { section, what: "bounds on axis", index: axis });
+        }
         limit("bands", bands as usize, BANDS_MAX)?;
         limit("rank", rank as usize, RANK_MAX)?;
         limit("receivers", self.receivers(), RECEIVERS_MAX)?;

@@ -63,6 +63,8 @@ fn check(set: &PatchSet) -> Result<(), ChunkError> {
     let of_patches: u64 = set.patches.iter().map(|patch| u64::from(patch.leaf_count)).sum();
     in_range(section, "leaves of all patches together", of_patches, 0, PATCH_LEVELS_MAX * leaves)?;
     for patch in &set.patches {
+        in_range(section, "level in a patch's key", patch.key.level(), 0, 14)?;
+        in_range(section, "direction in a patch's key", patch.key.direction(), 0, 5)?;
         in_range(section, "leaves of a patch", patch.leaf_count.into(), 1, leaves)?;
         in_range(section, "first leaf", patch.first_leaf.into(), 0, leaves - u64::from(patch.leaf_count))?;
     }

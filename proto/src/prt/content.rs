@@ -33,9 +33,20 @@ impl PatchKey {
         Self(Self::SKY_LEVEL << 60 | u64::from(index))
     }
 
-    /// Part of the sky that it names, if it names one.
+    /// Part of the sky that it names, if it names one: then nothing stands between the level and the part.
     pub fn sky(self) -> Option<u32> {
-        (self.0 >> 60 == Self::SKY_LEVEL).then_some(self.0 as u32)
+        let part = self.0 as u32;
+        (self == Self::of_sky(part)).then_some(part)
+    }
+
+    /// Level, 0…14 of a patch.
+    pub fn level(self) -> u64 {
+        self.0 >> 60
+    }
+
+    /// Direction, 0…5 of a patch.
+    pub fn direction(self) -> u64 {
+        self.0 >> 55 & 0x1f
     }
 }
 

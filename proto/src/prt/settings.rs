@@ -106,6 +106,11 @@ macro_rules! settings {
         }
 
         impl Settings {
+            /// The values of all numeric settings.
+            pub(crate) fn numbers(&self) -> Vec<f64> {
+                vec![$(f64::from(self.$name)),*]
+            }
+
             /// Every numeric setting.
             pub const TABLE: &'static [SettingRow] = &[$( SettingRow {
                 name: stringify!($name),

@@ -11,8 +11,9 @@ use lightkiln_proto::problem::Problem;
 use serde::Deserialize;
 use utoipa::IntoParams;
 
-use super::chunks::serve_bytes;
+use super::chunks::{Conditions, serve_bytes};
 use super::extract::{JsonBody, PathParam, UrlQuery, bad_request};
+use super::openapi::Binary;
 use super::trace::traceparent;
 use crate::error::ServerError;
 use crate::farm::Farm;
@@ -38,16 +39,26 @@ pub(super) struct ListQuery {
     limit: Option<u32>,
 }
 
+/// Headers of a submission.
+#[derive(IntoParams)]
+#[into_params(parameter_in = Header)]
+#[expect(dead_code, reason = "it describes headers; the handler reads them from the map")]
+pub(super) struct SubmitHeaders {
+    /// Makes trying again safe; 1 to 200 characters of ASCII.
+    #[param(rename = "Idempotency-Key", min_length = 1, max_length = 200, pattern = "^[!-~]([ -~]*[!-~])?$")]
+    idempotency_key: Option<String>,
+    /// Trace that the bake's tasks will belong to (W3C Trace Context).
+    traceparent: Option<String>,
+}
+
 /// Asks for a bake. The scene must be stored. The same Idempotency-Key with the same body gives the same bake.
 #[utoipa::path(post, path = "/v1/bakes", tag = "bakes", request_body = NewBake,
-    params(("Idempotency-Key" = Option<String>, Header, description = "Makes trying again safe; 1 to 200 characters"),
-        ("traceparent" = Option<String>, Header, description = "Trace that the bake's tasks will belong to (W3C Trace Context)")),
+    params(SubmitHeaders),
     responses(
         (status = 202, description = "Accepted", body = Bake),
         (status = 404, description = "The scene is not stored", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "The key belongs to another request", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "A setting is wrong", body = Problem, content_type = "application/problem+json"),
-        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+        (status = 422, description = "A setting is wrong", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn submit(
     State(farm): State<Arc<Farm>>,
     headers: HeaderMap,
@@ -63,7 +74,7 @@ pub(super) async fn submit(
 /// Lists bakes, newest first.
 #[utoipa::path(get, path = "/v1/bakes", tag = "bakes", params(ListQuery),
     responses((status = 200, description = "A page", body = BakePage),
-        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+        (status = 404, description = "`after` is no bake", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn list(
     State(farm): State<Arc<Farm>>,
     UrlQuery(query): UrlQuery<ListQuery>,
@@ -79,8 +90,7 @@ pub(super) async fn list(
 #[utoipa::path(get, path = "/v1/bakes/{id}", tag = "bakes",
     params(("id" = String, Path, description = "The bake")),
     responses((status = 200, description = "The bake", body = Bake),
-        (status = 404, description = "No such bake", body = Problem, content_type = "application/problem+json"),
-        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+        (status = 404, description = "No such bake", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn show(
     State(farm): State<Arc<Farm>>,
     PathParam(id): PathParam<String>,
@@ -93,8 +103,7 @@ pub(super) async fn show(
     params(("id" = String, Path, description = "The bake")),
     responses((status = 204, description = "Deleted"),
         (status = 404, description = "No such bake", body = Problem, content_type = "application/problem+json"),
-        (status = 409, description = "It has not ended", body = Problem, content_type = "application/problem+json"),
-        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+        (status = 409, description = "It has not ended", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn delete(
     State(farm): State<Arc<Farm>>,
     PathParam(id): PathParam<String>,
@@ -107,8 +116,7 @@ pub(super) async fn delete(
 #[utoipa::path(post, path = "/v1/bakes/{id}/cancel", tag = "bakes",
     params(("id" = String, Path, description = "The bake")),
     responses((status = 200, description = "The bake", body = Bake),
-        (status = 409, description = "It has ended", body = Problem, content_type = "application/problem+json"),
-        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+        (status = 409, description = "It has ended", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn cancel(
     State(farm): State<Arc<Farm>>,
     PathParam(id): PathParam<String>,
@@ -120,8 +128,7 @@ pub(super) async fn cancel(
 #[utoipa::path(post, path = "/v1/bakes/{id}/pause", tag = "bakes",
     params(("id" = String, Path, description = "The bake")),
     responses((status = 200, description = "The bake", body = Bake),
-        (status = 409, description = "It has ended", body = Problem, content_type = "application/problem+json"),
-        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+        (status = 409, description = "It has ended", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn pause(
     State(farm): State<Arc<Farm>>,
     PathParam(id): PathParam<String>,
@@ -133,8 +140,7 @@ pub(super) async fn pause(
 #[utoipa::path(post, path = "/v1/bakes/{id}/resume", tag = "bakes",
     params(("id" = String, Path, description = "The bake")),
     responses((status = 200, description = "The bake", body = Bake),
-        (status = 409, description = "It has ended", body = Problem, content_type = "application/problem+json"),
-        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+        (status = 409, description = "It has ended", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn resume(
     State(farm): State<Arc<Farm>>,
     PathParam(id): PathParam<String>,
@@ -146,8 +152,7 @@ pub(super) async fn resume(
 #[utoipa::path(post, path = "/v1/bakes/{id}/priority", tag = "bakes", request_body = NewPriority,
     params(("id" = String, Path, description = "The bake")),
     responses((status = 200, description = "The bake", body = Bake),
-        (status = 409, description = "It has ended", body = Problem, content_type = "application/problem+json"),
-        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+        (status = 409, description = "It has ended", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn reprioritise(
     State(farm): State<Arc<Farm>>,
     PathParam(id): PathParam<String>,
@@ -169,8 +174,7 @@ pub(super) struct WorkerQuery {
 #[utoipa::path(get, path = "/v1/bakes/{id}/blocklist", tag = "bakes",
     params(("id" = String, Path, description = "The bake")),
     responses((status = 200, description = "By name", body = Blocklist),
-        (status = 404, description = "No such bake", body = Problem, content_type = "application/problem+json"),
-        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+        (status = 404, description = "No such bake", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn blocklist(
     State(farm): State<Arc<Farm>>,
     PathParam(id): PathParam<String>,
@@ -182,8 +186,7 @@ pub(super) async fn blocklist(
 #[utoipa::path(delete, path = "/v1/bakes/{id}/blocklist", tag = "bakes",
     params(("id" = String, Path, description = "The bake"), WorkerQuery),
     responses((status = 200, description = "What is left", body = Blocklist),
-        (status = 404, description = "No such bake", body = Problem, content_type = "application/problem+json"),
-        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+        (status = 404, description = "No such bake", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn clear_blocklist(
     State(farm): State<Arc<Farm>>,
     PathParam(id): PathParam<String>,
@@ -194,10 +197,12 @@ pub(super) async fn clear_blocklist(
 
 /// Gives a finished bake's manifest.
 #[utoipa::path(get, path = "/v1/bakes/{id}/manifest", tag = "bakes",
-    params(("id" = String, Path, description = "The bake")),
+    params(("id" = String, Path, description = "The bake"), Conditions),
     responses((status = 200, description = "The manifest", body = serde_json::Value),
-        (status = 409, description = "The bake is not done", body = Problem, content_type = "application/problem+json"),
-        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+        (status = 206, description = "The range", body = inline(Binary), content_type = "application/json"),
+        (status = 304, description = "The caller has the bytes"),
+        (status = 416, description = "The range lies outside", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "The bake is not done", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn manifest(
     State(farm): State<Arc<Farm>>,
     PathParam(id): PathParam<String>,
@@ -210,10 +215,12 @@ pub(super) async fn manifest(
 
 /// Gives a finished bake's report.
 #[utoipa::path(get, path = "/v1/bakes/{id}/report", tag = "bakes",
-    params(("id" = String, Path, description = "The bake")),
+    params(("id" = String, Path, description = "The bake"), Conditions),
     responses((status = 200, description = "The report", body = serde_json::Value),
-        (status = 409, description = "The bake is not done", body = Problem, content_type = "application/problem+json"),
-        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+        (status = 206, description = "The range", body = inline(Binary), content_type = "application/json"),
+        (status = 304, description = "The caller has the bytes"),
+        (status = 416, description = "The range lies outside", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "The bake is not done", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn report(
     State(farm): State<Arc<Farm>>,
     PathParam(id): PathParam<String>,
@@ -226,8 +233,7 @@ pub(super) async fn report(
 
 /// Lists workers heard of in the last ten minutes.
 #[utoipa::path(get, path = "/v1/workers", tag = "workers",
-    responses((status = 200, description = "By name", body = WorkerPage),
-        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+    responses((status = 200, description = "By name", body = WorkerPage)))]
 pub(super) async fn workers(State(farm): State<Arc<Farm>>) -> Result<Json<WorkerPage>, ServerError> {
     Ok(Json(WorkerPage { workers: farm.store.workers().await? }))
 }

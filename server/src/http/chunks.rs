@@ -11,6 +11,7 @@ use futures::{StreamExt, TryStreamExt};
 use lightkiln_proto::api::{MAX_CHUNK_BYTES, MAX_SCENE_PART_BYTES, SceneParts, SceneProgress, SceneStored};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::problem::Problem;
+use utoipa::IntoParams;
 
 use super::extract::{JsonBody, PathParam, content_length, text_header};
 use super::openapi::Binary;
@@ -24,6 +25,22 @@ const MAX_JSON_BYTES: usize = 1 << 20;
 /// Bytes under a digest never change.
 const FOREVER: &str = "public, max-age=31536000, immutable";
 
+/// Headers with which a GET asks for a part, or for nothing that the caller has.
+#[derive(IntoParams)]
+#[into_params(parameter_in = Header)]
+#[expect(dead_code, reason = "it describes headers; handlers read them from the map")]
+pub(super) struct Conditions {
+    /// One range of bytes.
+    #[param(rename = "Range")]
+    range: Option<String>,
+    /// Serve the range only if this is the entity tag.
+    #[param(rename = "If-Range")]
+    if_range: Option<String>,
+    /// Answer 304 if this is the entity tag.
+    #[param(rename = "If-None-Match")]
+    if_none_match: Option<String>,
+}
+
 /// Stores a chunk.
 #[utoipa::path(put, path = "/v1/chunks/{digest}", tag = "chunks",
     params(("digest" = Digest, Path, description = "blake3 digest of the bytes")),
@@ -32,8 +49,7 @@ const FOREVER: &str = "public, max-age=31536000, immutable";
         (status = 201, description = "Stored"),
         (status = 200, description = "Was stored already"),
         (status = 413, description = "Too large", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "The bytes have another digest", body = Problem, content_type = "application/problem+json"),
-        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+        (status = 422, description = "The bytes have another digest", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn put_chunk(
     State(farm): State<Arc<Farm>>,
     PathParam(digest): PathParam<Digest>,
@@ -51,8 +67,7 @@ pub(super) async fn put_chunk(
         (status = 201, description = "Stored", body = SceneStored),
         (status = 200, description = "Was stored already", body = SceneStored),
         (status = 413, description = "Too large", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "The bytes have another digest", body = Problem, content_type = "application/problem+json"),
-        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+        (status = 422, description = "The bytes have another digest", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn put_scene(
     State(farm): State<Arc<Farm>>,
     PathParam(digest): PathParam<Digest>,
@@ -71,8 +86,7 @@ pub(super) async fn put_scene(
         (status = 201, description = "Stored"),
         (status = 200, description = "Was stored already"),
         (status = 413, description = "Too large", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "The bytes have another digest", body = Problem, content_type = "application/problem+json"),
-        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+        (status = 422, description = "The bytes have another digest", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn put_scene_part(
     State(farm): State<Arc<Farm>>,
     PathParam(digest): PathParam<Digest>,
@@ -88,8 +102,7 @@ pub(super) async fn put_scene_part(
     responses(
         (status = 200, description = "What is missing, or that the scene is stored", body = SceneProgress),
         (status = 413, description = "Too large", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "The parts make other bytes", body = Problem, content_type = "application/problem+json"),
-        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+        (status = 422, description = "The parts make other bytes", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn put_scene_together(
     State(farm): State<Arc<Farm>>,
     PathParam(digest): PathParam<Digest>,
@@ -125,8 +138,7 @@ fn status_of(stored: Stored) -> StatusCode {
 /// Says whether a scene is stored, so that it need not be uploaded again.
 #[utoipa::path(head, path = "/v1/scenes/{digest}", tag = "scenes",
     params(("digest" = Digest, Path, description = "blake3 digest of the bundle")),
-    responses((status = 200, description = "It is stored"), (status = 404, description = "It is not"),
-        (status = "default", description = "Another problem, without its words, as the method has no body")))]
+    responses((status = 200, description = "It is stored"), (status = 404, description = "It is not")))]
 pub(super) async fn head_scene(
     State(farm): State<Arc<Farm>>,
     PathParam(digest): PathParam<Digest>,
@@ -139,16 +151,13 @@ pub(super) async fn head_scene(
 #[utoipa::path(get, path = "/v1/chunks/{digest}", tag = "chunks",
     params(
         ("digest" = Digest, Path, description = "blake3 digest of the bytes"),
-        ("Range" = Option<String>, Header, description = "One range of bytes"),
-        ("If-Range" = Option<String>, Header, description = "Serve the range only if this is the entity tag"),
-        ("If-None-Match" = Option<String>, Header, description = "Answer 304 if this is the entity tag")),
+        Conditions),
     responses(
         (status = 200, description = "All bytes", body = inline(Binary), content_type = "application/octet-stream"),
         (status = 206, description = "The range", body = inline(Binary), content_type = "application/octet-stream"),
         (status = 304, description = "The caller has the bytes"),
         (status = 404, description = "Not stored", body = Problem, content_type = "application/problem+json"),
-        (status = 416, description = "The range lies outside", body = Problem, content_type = "application/problem+json"),
-        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+        (status = 416, description = "The range lies outside", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn get_chunk(
     State(farm): State<Arc<Farm>>,
     PathParam(digest): PathParam<Digest>,
@@ -161,8 +170,7 @@ pub(super) async fn get_chunk(
 /// Says whether a chunk is stored, and how long it is.
 #[utoipa::path(head, path = "/v1/chunks/{digest}", tag = "chunks",
     params(("digest" = Digest, Path, description = "blake3 digest of the bytes")),
-    responses((status = 200, description = "It is stored"), (status = 404, description = "It is not"),
-        (status = "default", description = "Another problem, without its words, as the method has no body")))]
+    responses((status = 200, description = "It is stored"), (status = 404, description = "It is not")))]
 pub(super) async fn head_chunk(
     State(farm): State<Arc<Farm>>,
     PathParam(digest): PathParam<Digest>,

@@ -20,8 +20,7 @@ const MAX_JSON_BYTES: usize = 4 << 10;
 /// for an hour and for one token; the same call again gives the same answer.
 #[utoipa::path(post, path = "/v1/enrolments", tag = "workers", request_body = Enrolment,
     responses((status = 200, description = "The token is good from now on", body = Enrolled),
-        (status = 401, description = "The code is unknown, too old, or was used", body = Problem, content_type = "application/problem+json"),
-        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+        (status = 401, description = "The code is unknown, too old, or was used", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn enrol(
     State(farm): State<Arc<Farm>>,
     headers: HeaderMap,

@@ -20,6 +20,8 @@ use super::extract::{PathParam, UrlQuery, bad_request, text_header};
 use crate::error::ServerError;
 use crate::farm::{Farm, MAX_WAIT_SECS};
 
+/// Largest `seq` that the farm's database can hold.
+const MAX_SEQ: u64 = i64::MAX as u64;
 /// Events on a page.
 const PAGE_EVENTS: u32 = 1000;
 /// A comment is sent when nothing happened for this long, so that proxies keep the stream open.
@@ -31,21 +33,30 @@ const KEEP_ALIVE: Duration = Duration::from_secs(15);
 #[serde(deny_unknown_fields)]
 pub(super) struct EventsQuery {
     /// Give events with a greater `seq` only; 0 unless set.
+    #[param(maximum = 9223372036854775807_i64)]
     after: Option<u64>,
     /// Wait this long for an event, 0..=60; 0 unless set. Has no meaning for a stream.
     #[param(maximum = 60)]
     wait_secs: Option<u32>,
 }
 
+/// Where a stream that was cut goes on.
+#[derive(IntoParams)]
+#[into_params(parameter_in = Header)]
+#[expect(dead_code, reason = "it describes a header; the handler reads it from the map")]
+pub(super) struct LastEvent {
+    /// Go on after this event; goes before `after`.
+    #[param(rename = "Last-Event-ID", maximum = 9223372036854775807_i64)]
+    last_event_id: Option<u64>,
+}
+
 /// Tells what happened to a bake. With `Accept: text/event-stream` it is a stream that ends with the bake; each event's
 /// `id` is its `seq`, and `Last-Event-ID` goes on after it.
 #[utoipa::path(get, path = "/v1/bakes/{id}/events", tag = "bakes",
-    params(("id" = String, Path, description = "The bake"), EventsQuery,
-        ("Last-Event-ID" = Option<u64>, Header, description = "Go on after this event; goes before `after`")),
+    params(("id" = String, Path, description = "The bake"), EventsQuery, LastEvent),
     responses(
         (status = 200, description = "Events", content((EventPage = "application/json"), (BakeEvent = "text/event-stream"))),
-        (status = 404, description = "No such bake", body = Problem, content_type = "application/problem+json"),
-        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+        (status = 404, description = "No such bake", body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn events(
     State(farm): State<Arc<Farm>>,
     PathParam(id): PathParam<String>,
@@ -60,6 +71,11 @@ pub(super) async fn events(
     if let Some(last) = headers.get("Last-Event-ID") {
         let last = last.to_str().ok().and_then(|last| last.trim().parse().ok());
         after = last.ok_or_else(|| bad_request("Last-Event-ID must be the seq of an event"))?;
+    }
+    if let Some(too_large) = [Some(after), query.after].into_iter().flatten().find(|seq| *seq > MAX_SEQ) {
+        return Err(bad_request(format!(
+            "after and Last-Event-ID must be at most {MAX_SEQ}, not {too_large}"
+        )));
     }
     let streams = |accept: &str| accept.contains("text/event-stream");
     if text_header(&headers, header::ACCEPT).is_some_and(streams) {

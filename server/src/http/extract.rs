@@ -25,11 +25,38 @@ impl<S: Send + Sync, T: DeserializeOwned, const LIMIT: usize> FromRequest<S> for
             return Err(bad_request("the body must have the Content-Type application/json"));
         }
         let body = read_body(request, LIMIT).await?;
+        if has_escaped_nul(&body) {
+            return Err(bad_request("the body has the character U+0000 (\\u0000), which no text may have"));
+        }
         let parsed = serde_json::from_slice(&body);
         parsed
             .map(Self)
             .map_err(|error| bad_request(format!("the body is not what this call takes: {error}")))
     }
+}
+
+/// Whether a JSON text says U+0000 anywhere: databases cannot keep it. Unescaped it is no JSON at all.
+fn has_escaped_nul(json: &[u8]) -> bool {
+    let mut rest = json;
+    // A backslash stands in texts only, and with what comes after it.
+    while let Some(at) = rest.iter().position(|&byte| byte == b'\\') {
+        rest = &rest[at + 1..];
+        if rest.starts_with(b"u0000") {
+            return true;
+        }
+        rest = rest.get(1..).unwrap_or_default();
+    }
+    false
+}
+
+/// Errs if a decoded part of the URL has U+0000.
+fn without_nul(what: &str, encoded: &str) -> Result<(), ServerError> {
+    if encoded.contains("%00") {
+        return Err(bad_request(format!(
+            "the {what} has the character U+0000 (%00), which no text may have"
+        )));
+    }
+    Ok(())
 }
 
 async fn read_body(request: Request, limit: usize) -> Result<Vec<u8>, ServerError> {
@@ -59,6 +86,7 @@ where
     type Rejection = ServerError;
 
     async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, ServerError> {
+        without_nul("path", parts.uri.path())?;
         let text = Path::<String>::from_request_parts(parts, state).await;
         let Path(text) = text.map_err(|error| bad_request(error.body_text()))?;
         text.parse().map(Self).map_err(|error: T::Err| bad_request(error.to_string()))
@@ -72,6 +100,7 @@ impl<S: Send + Sync, T: DeserializeOwned> FromRequestParts<S> for UrlQuery<T> {
     type Rejection = ServerError;
 
     async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, ServerError> {
+        without_nul("query", parts.uri.query().unwrap_or_default())?;
         let query = Query::<T>::from_request_parts(parts, state).await;
         query.map(|Query(query)| Self(query)).map_err(|error| bad_request(error.body_text()))
     }
@@ -90,4 +119,20 @@ pub(super) fn content_length(headers: &HeaderMap) -> Option<u64> {
 /// A malformed request.
 pub(super) fn bad_request(what: impl Into<String>) -> ServerError {
     ServerError::BadRequest { what: what.into() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_the_escape_of_nul_is_found() {
+        for with in [r#"{"a":"\u0000"}"#, r#""x\\\u0000""#, r#""\n\u0000""#] {
+            assert!(has_escaped_nul(with.as_bytes()), "{with}");
+        }
+        for without in ["", r#""\\u0000""#, r#""u0000""#, r#""\u0001""#, r#""\\\\u0000""#, "\\", r#""\u000"#]
+        {
+            assert!(!has_escaped_nul(without.as_bytes()), "{without}");
+        }
+    }
 }

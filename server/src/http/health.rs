@@ -30,8 +30,7 @@ pub(super) async fn readyz(State(farm): State<Arc<Farm>>) -> Result<&'static str
 
 /// Figures in Prometheus' text format.
 #[utoipa::path(get, path = "/metrics", tag = "operation",
-    responses((status = 200, description = "Prometheus text format", body = String, content_type = "text/plain"),
-        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+    responses((status = 200, description = "Prometheus text format", body = String, content_type = "text/plain")))]
 pub(super) async fn metrics(
     State(farm): State<Arc<Farm>>,
 ) -> Result<([(HeaderName, &'static str); 1], String), ServerError> {

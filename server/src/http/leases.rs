@@ -21,8 +21,7 @@ const MAX_RESULT_BYTES: usize = 256 << 20;
 
 /// Claims tasks. Waits up to `wait_secs` for some.
 #[utoipa::path(post, path = "/v1/leases", tag = "leases", request_body = ClaimRequest,
-    responses((status = 200, description = "Leases, perhaps none", body = ClaimAnswer),
-        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+    responses((status = 200, description = "Leases, perhaps none", body = ClaimAnswer)))]
 pub(super) async fn claim(
     State(farm): State<Arc<Farm>>,
     JsonBody(request): JsonBody<ClaimRequest, MAX_JSON_BYTES>,
@@ -32,9 +31,8 @@ pub(super) async fn claim(
 
 /// Says that a task is still being worked on.
 #[utoipa::path(post, path = "/v1/leases/{token}/heartbeat", tag = "leases", request_body = Heartbeat,
-    params(("token" = String, Path, description = "The lease's token")),
-    responses((status = 200, description = "What to do", body = HeartbeatAnswer),
-        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+    params(("token" = String, Path, description = "The lease's token: 32 lower-case hex digits", pattern = "^[0-9a-f]{32}$")),
+    responses((status = 200, description = "What to do", body = HeartbeatAnswer)))]
 pub(super) async fn heartbeat(
     State(farm): State<Arc<Farm>>,
     PathParam(token): PathParam<String>,
@@ -45,12 +43,11 @@ pub(super) async fn heartbeat(
 
 /// Hands in a result. Safe to try again with the same token.
 #[utoipa::path(post, path = "/v1/leases/{token}/commit", tag = "leases", request_body = TaskResult,
-    params(("token" = String, Path, description = "The lease's token")),
+    params(("token" = String, Path, description = "The lease's token: 32 lower-case hex digits", pattern = "^[0-9a-f]{32}$")),
     responses((status = 200, description = "What became of it", body = CommitAnswer),
         (status = 400, description = "The plan is none", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "An output is not stored, or no more: upload it and hand the result in again",
-            body = Problem, content_type = "application/problem+json"),
-        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+            body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn commit(
     State(farm): State<Arc<Farm>>,
     PathParam(token): PathParam<String>,
@@ -61,9 +58,8 @@ pub(super) async fn commit(
 
 /// Ends an attempt without a result. A lease that is gone already is no error.
 #[utoipa::path(post, path = "/v1/leases/{token}/fail", tag = "leases", request_body = Failure,
-    params(("token" = String, Path, description = "The lease's token")),
-    responses((status = 204, description = "Noted"),
-        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+    params(("token" = String, Path, description = "The lease's token: 32 lower-case hex digits", pattern = "^[0-9a-f]{32}$")),
+    responses((status = 204, description = "Noted")))]
 pub(super) async fn fail(
     State(farm): State<Arc<Farm>>,
     PathParam(token): PathParam<String>,
@@ -75,9 +71,8 @@ pub(super) async fn fail(
 
 /// Gives a task back; no attempt is counted. A lease that is gone already is no error.
 #[utoipa::path(post, path = "/v1/leases/{token}/release", tag = "leases",
-    params(("token" = String, Path, description = "The lease's token")),
-    responses((status = 204, description = "Noted"),
-        (status = "default", description = "Problem", body = Problem, content_type = "application/problem+json")))]
+    params(("token" = String, Path, description = "The lease's token: 32 lower-case hex digits", pattern = "^[0-9a-f]{32}$")),
+    responses((status = 204, description = "Noted")))]
 pub(super) async fn release(
     State(farm): State<Arc<Farm>>,
     PathParam(token): PathParam<String>,

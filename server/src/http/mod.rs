@@ -11,7 +11,7 @@ mod leases;
 mod limits;
 mod openapi;
 mod problem;
-mod ranges;
+pub mod ranges;
 mod trace;
 
 use std::sync::Arc;

@@ -1,8 +1,11 @@
 //! The API's description, made from the handlers and checked in as `server/openapi.json`.
 
 use lightkiln_proto::ids::Digest;
-use utoipa::openapi::schema::{KnownFormat, ObjectBuilder, Schema, SchemaFormat, Type};
+use lightkiln_proto::problem::ProblemCode;
+use utoipa::openapi::path::{Operation, Parameter};
+use utoipa::openapi::schema::{KnownFormat, ObjectBuilder, Schema, SchemaFormat, SchemaType, Type};
 use utoipa::openapi::security::{Http, HttpAuthScheme, SecurityScheme};
+use utoipa::openapi::{Content, Ref, RefOr, Response, ResponseBuilder};
 use utoipa::{Modify, OpenApi, PartialSchema, ToSchema, openapi};
 
 use super::{bakes, chunks, enrolments, events, health, leases};
@@ -32,7 +35,7 @@ use super::{bakes, chunks, enrolments, events, health, leases};
         health::healthz, health::readyz, health::metrics, health::openapi,
     ),
     components(schemas(Digest)),
-    modifiers(&Bearer),
+    modifiers(&Bearer, &Problems),
     security((), ("bearer" = []))
 )]
 struct Description;
@@ -45,6 +48,96 @@ impl Modify for Bearer {
         let scheme = SecurityScheme::Http(Http::new(HttpAuthScheme::Bearer));
         description.components.get_or_insert_default().add_security_scheme("bearer", scheme);
     }
+}
+
+/// Names in each call the problems that no handler speaks of: what stands before every call, and what may lack behind it.
+/// So a status that is not described is a fault.
+struct Problems;
+
+impl Modify for Problems {
+    fn modify(&self, description: &mut openapi::OpenApi) {
+        for (path, item) in &mut description.paths.paths {
+            let calls = [
+                (&mut item.get, false),
+                (&mut item.head, false),
+                (&mut item.post, true),
+                (&mut item.put, true),
+                (&mut item.delete, true),
+            ];
+            for (call, writes) in calls {
+                let Some(call) = call else { continue };
+                call.parameters.iter_mut().flatten().for_each(absent_is_not_null);
+                for code in common_problems(path, call, writes) {
+                    let responses = &mut call.responses.responses;
+                    let reference = RefOr::Ref(Ref::from_response_name(response_name(code)));
+                    responses.entry(code.row().0.to_string()).or_insert(reference);
+                }
+            }
+        }
+        let responses = &mut description.components.get_or_insert_default().responses;
+        for code in COMMON {
+            responses.insert(response_name(code), RefOr::T(problem_response(code)));
+        }
+    }
+}
+
+/// A parameter that need not be there is left out; there is no null in a URL or a header.
+fn absent_is_not_null(parameter: &mut RefOr<Parameter>) {
+    if let RefOr::T(Parameter { schema: Some(RefOr::T(Schema::Object(object))), .. }) = parameter
+        && let SchemaType::Array(types) = &mut object.schema_type
+    {
+        types.retain(|kind| *kind != Type::Null);
+        if let [kind] = types.as_slice() {
+            object.schema_type = SchemaType::Type(kind.clone());
+        }
+    }
+}
+
+/// Problems of more than one call, each with a status of its own.
+const COMMON: [ProblemCode; 10] = [
+    ProblemCode::BadRequest,
+    ProblemCode::Unauthorized,
+    ProblemCode::Forbidden,
+    ProblemCode::NotFound,
+    ProblemCode::BrokeOff,
+    ProblemCode::TooLarge,
+    ProblemCode::TooManyRequests,
+    ProblemCode::StorageFull,
+    ProblemCode::Unavailable,
+    ProblemCode::Internal,
+];
+
+/// Those of [`COMMON`] that a call may answer with.
+fn common_problems(path: &str, call: &Operation, writes: bool) -> Vec<ProblemCode> {
+    use ProblemCode::*;
+    let mut codes = match path {
+        "/healthz" => return Vec::new(),
+        "/readyz" => return vec![Unavailable, StorageFull, Internal],
+        "/openapi.json" => return vec![TooManyRequests, Internal],
+        _ => vec![Unauthorized, Forbidden, TooManyRequests, Unavailable, Internal],
+    };
+    if call.parameters.is_some() || call.request_body.is_some() {
+        codes.push(BadRequest);
+    }
+    if call.request_body.is_some() {
+        codes.extend([BrokeOff, TooLarge]);
+    }
+    if path.contains('{') {
+        codes.push(NotFound);
+    }
+    if writes {
+        codes.push(StorageFull);
+    }
+    codes
+}
+
+fn response_name(code: ProblemCode) -> String {
+    format!("{code:?}")
+}
+
+fn problem_response(code: ProblemCode) -> Response {
+    let problem = Content::new(Some(Ref::from_schema_name("Problem")));
+    ResponseBuilder::new().description(code.row().2).content("application/problem+json", problem).build()
 }
 
 /// Plain bytes, as the description has them.

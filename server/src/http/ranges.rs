@@ -4,7 +4,7 @@ use std::ops::Range;
 
 /// What a Range header asks for.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) enum Wanted {
+pub enum Wanted {
     /// Everything: no range, several ranges, another unit, or one that makes no sense.
     All,
     /// These bytes.
@@ -14,7 +14,7 @@ pub(super) enum Wanted {
 }
 
 /// Reads `bytes=first-last`, `bytes=first-` or `bytes=-count` against bytes of a known length.
-pub(super) fn wanted(range: Option<&str>, length: u64) -> Wanted {
+pub fn wanted(range: Option<&str>, length: u64) -> Wanted {
     let Some(spec) = range.and_then(|range| range.trim().strip_prefix("bytes=")) else { return Wanted::All };
     let Some((first, last)) = spec.trim().split_once('-') else { return Wanted::All };
     match (number(first), number(last)) {
@@ -44,14 +44,14 @@ fn number(text: &str) -> Option<Option<u64>> {
 }
 
 /// Whether an If-None-Match names the entity tag, so that the caller has the bytes already.
-pub(super) fn is_known(if_none_match: Option<&str>, etag: &str) -> bool {
+pub fn is_known(if_none_match: Option<&str>, etag: &str) -> bool {
     let Some(tags) = if_none_match else { return false };
     let matches = |tag: &str| tag == "*" || tag.strip_prefix("W/").unwrap_or(tag) == etag;
     tags.split(',').any(|tag| matches(tag.trim()))
 }
 
 /// Whether a range may be served: with If-Range, only if it names the very bytes.
-pub(super) fn range_applies(if_range: Option<&str>, etag: &str) -> bool {
+pub fn range_applies(if_range: Option<&str>, etag: &str) -> bool {
     if_range.is_none_or(|tag| tag.trim() == etag)
 }
 

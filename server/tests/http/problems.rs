@@ -48,6 +48,22 @@ async fn malformed_parts_of_requests_are_problems() {
         server.call(method, path, headers, body).await.problem(ProblemCode::BadRequest);
     }
     server.get("/v1/bakes?after=none").await.problem(ProblemCode::NotFound);
+    let with_nul: [(&str, &str, &[u8]); 3] = [
+        ("GET", "/v1/bakes/a%00b", b""),
+        ("GET", "/v1/bakes?after=%00", b""),
+        (
+            "POST",
+            "/v1/leases",
+            br#"{"worker":"a\u0000","kinds":[],"threads":1,"max":1,"ttl_secs":5,"wait_secs":0}"#,
+        ),
+    ];
+    for (method, path, body) in with_nul {
+        let problem = server.call(method, path, JSON, body).await.problem(ProblemCode::BadRequest);
+        assert!(problem.detail.contains("U+0000"), "{}", problem.detail);
+    }
+    for path in ["/v1/bakes/x/events?after=9223372036854775808", "/v1/bakes/x/events?wait_secs=61"] {
+        server.get(path).await.problem(ProblemCode::BadRequest);
+    }
 }
 
 #[tokio::test]
@@ -94,6 +110,22 @@ async fn leases_are_checked() {
         let mut claim = request(0);
         change(&mut claim);
         server.post("/v1/leases", &claim).await.problem(ProblemCode::BadRequest);
+    }
+}
+
+#[tokio::test]
+async fn counters_that_no_sum_can_hold_are_refused() {
+    let server = start().await;
+    let commit = format!("/v1/leases/{}/commit", "0".repeat(32));
+    let many: serde_json::Map<_, _> = (0..257).map(|index| (format!("c{index}"), json!(1.0))).collect();
+    for (counters, told) in [
+        (json!({ "secs": 1e300 }), "'secs' must be within"),
+        (json!({ "x".repeat(201): 1.0 }), "more than 200 bytes"),
+        (many.into(), "at most 256"),
+    ] {
+        let result = json!({ "outputs": [], "plan": [], "counters": counters });
+        let problem = server.post(&commit, &result).await.problem(ProblemCode::BadRequest);
+        assert!(problem.detail.contains(told), "{}", problem.detail);
     }
 }
 

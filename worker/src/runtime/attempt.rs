@@ -211,8 +211,10 @@ fn chain(error: &dyn StdError) -> String {
     cut(&text)
 }
 
+/// As much of a message as a server keeps; U+0000 would be refused.
 fn cut(text: &str) -> String {
-    text.chars().take(MESSAGE_CHARS_MAX).collect()
+    let kept = text.chars().take(MESSAGE_CHARS_MAX);
+    kept.map(|c| if c == '\0' { char::REPLACEMENT_CHARACTER } else { c }).collect()
 }
 
 fn panic_message(panic: &(dyn Any + Send)) -> String {

@@ -4,7 +4,7 @@ use std::borrow::Cow;
 use std::io::Cursor;
 
 use image::error::{DecodingError, ImageFormatHint};
-use image::{DynamicImage, ImageError, ImageFormat, ImageReader};
+use image::{DynamicImage, ImageDecoder, ImageError, ImageFormat, ImageReader};
 
 use super::buffers::read_uri;
 use super::context::Context;
@@ -15,6 +15,11 @@ use super::model::SceneImage;
 
 /// Memory for decoding beside 8 bytes a pixel, in bytes.
 const DECODER_SLACK_BYTES: u64 = 64 << 20;
+
+/// Most decoded bytes per byte of an image file: deflate makes 1032 of one, and eight pixels of a byte.
+const EXPANSION_MAX: u64 = 8 * 1032;
+/// Decoded bytes that any image may have.
+const EXPANSION_FREE_BYTES: u64 = 1 << 20;
 
 /// Start of a Git LFS pointer, which stands where an image should when the real one was not fetched.
 const LFS_POINTER: &[u8] = b"version https://git-lfs";
@@ -103,5 +108,11 @@ fn decode_as(bytes: &[u8], format: ImageFormat) -> Result<DynamicImage, ImageErr
     let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
     reader.limits(limits);
     let decoder = reader.into_decoder()?;
+    // Room for all pixels is made before the first is read.
+    if decoder.total_bytes() > EXPANSION_FREE_BYTES + EXPANSION_MAX * bytes.len() as u64 {
+        let problem =
+            format!("{} bytes cannot hold the {width} × {height} pixels of its header", bytes.len());
+        return Err(ImageError::Decoding(DecodingError::new(format.into(), problem)));
+    }
     DynamicImage::from_decoder(decoder)
 }

@@ -6,6 +6,7 @@ mod chaos;
 mod ci;
 mod commands;
 mod deployment;
+mod description;
 mod embedded;
 mod enrolment;
 mod evaluation;

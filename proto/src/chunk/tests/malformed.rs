@@ -199,6 +199,29 @@ fn numbers_that_are_not_finite_are_refused() {
 }
 
 #[test]
+fn keys_that_are_no_patchs_are_refused() {
+    for (key, told) in [
+        (PatchKey::of_sky(0), "level"),
+        (PatchKey(PatchKey::of_cell(14, [0; 3], 5, 0).0 + (1 << 60)), "level"),
+        (PatchKey(PatchKey::of_cell(1, [0; 3], 5, 0).0 + (1 << 55)), "direction"),
+    ] {
+        let mut set = patches(2);
+        set.patches[0].key = key;
+        assert!(encode_patches(&set).unwrap_err().to_string().contains(told), "{key:?}");
+    }
+    let stray = PatchKey(PatchKey::of_sky(7).0 | 1 << 40);
+    assert_eq!((PatchKey::of_sky(7).sky(), stray.sky()), (Some(7), None));
+}
+
+#[test]
+fn bounds_that_are_inside_out_are_refused() {
+    let (_, mut bytes) = chunks().remove(0);
+    // The head begins with the lower corner.
+    bytes[HEADER_BYTES + 4..HEADER_BYTES + 8].copy_from_slice(&1e9_f32.to_le_bytes());
+    assert!(matches!(decode_cluster(&bytes), Err(ChunkError::Order { index: 1, .. })));
+}
+
+#[test]
 fn digest_of_other_bytes_is_noticed() {
     let (_, bytes) = chunks().remove(0);
     let digest = crate::ids::Digest::of(&bytes);
