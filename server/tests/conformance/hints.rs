@@ -173,12 +173,13 @@ pub async fn result_without_its_bytes_is_refused(world: World) {
     let farm = hinted(&world);
     submit(&farm).await;
     let lease = farm.claim(request("w")).await.unwrap().leases.remove(0);
-    let digest = Digest::of(b"never stored");
-    for (digest, bytes) in [(digest, 12), (Digest::of(SCENE), 6)] {
+    let never_stored = (Digest::of(b"never stored"), 12, ProblemCode::NotStored);
+    let of_another_length = (Digest::of(SCENE), 6, ProblemCode::BadRequest);
+    for (digest, bytes, code) in [never_stored, of_another_length] {
         let outputs = vec![Artefact { name: "out".into(), digest, bytes }];
         let result = TaskResult { outputs, ..TaskResult::default() };
         let error = farm.commit(&lease.token, result).await.unwrap_err();
-        assert_eq!(error.code(), ProblemCode::NotStored, "{error}");
+        assert_eq!(error.code(), code, "{error}");
     }
     assert_eq!(world.store.stats().await.unwrap().tasks_run, 0);
 }

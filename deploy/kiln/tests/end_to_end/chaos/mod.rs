@@ -27,8 +27,8 @@ use faults::Dice;
 use troupe::Troupe;
 use verdict::Books;
 
-/// Faults of a short run: each kind twice.
-const ROUNDS: u64 = 16;
+/// Faults of a short run: one of each kind.
+const ROUNDS: u64 = 8;
 /// Dice of a short run.
 const SEED: u64 = 1;
 /// The shortest lease there is, so that workers are missed soon.
@@ -47,7 +47,7 @@ const MANY: [&str; 8] = [
     "--set",
     "probes_target=40",
     "--set",
-    "cluster_receivers=32",
+    "cluster_receivers=64",
 ];
 
 /// Waits for something, up to a limit.
@@ -132,7 +132,7 @@ impl Story {
                 assert_eq!(bundle(&out), expected, "bake {number}");
                 return;
             }
-            self.history.push(format!("bake failed: {:?}", ended.failure));
+            eprintln!("the bake failed, and is tried again: {:?}", ended.failure);
         }
         panic!("bake {number} failed {TRIES_OF_A_BAKE} times");
     }

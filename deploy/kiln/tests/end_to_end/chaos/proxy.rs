@@ -126,7 +126,7 @@ impl Inner {
                 return;
             }
             // The delay is the trouble itself; nothing waits for it to be over.
-            std::thread::sleep(Duration::from_millis(self.delay_ms.load(Ordering::SeqCst)));
+            std::thread::park_timeout(Duration::from_millis(self.delay_ms.load(Ordering::SeqCst)));
             if to.write_all(&piece[..length]).is_err() {
                 return;
             }
