@@ -32,7 +32,10 @@ impl FromStr for DatabasePlace {
         let wanted = "database: sqlite:PATH or postgres://USER:PASSWORD@HOST:PORT/NAME";
         match text.split_once(':') {
             Some(("sqlite", path)) if !path.trim_start_matches('/').is_empty() => {
-                Ok(Self::Sqlite(path.strip_prefix("//").unwrap_or(path).into()))
+                let path = path.strip_prefix("//").unwrap_or(path);
+                // More slashes than one mean one, as in any path; two would read as the end of a scheme.
+                let rest = path.trim_start_matches('/');
+                Ok(Self::Sqlite(if path.starts_with('/') { format!("/{rest}").into() } else { rest.into() }))
             }
             Some(("postgres" | "postgresql", rest)) if rest.starts_with("//") => {
                 Ok(Self::Postgres(text.to_owned()))
@@ -111,6 +114,7 @@ mod tests {
             ("sqlite:/var/farm.sqlite", "sqlite:/var/farm.sqlite"),
             ("sqlite:///var/farm.sqlite", "sqlite:/var/farm.sqlite"),
             ("sqlite:farm.sqlite", "sqlite:farm.sqlite"),
+            ("sqlite://///var//farm.sqlite", "sqlite:/var//farm.sqlite"),
             ("postgres://u:se@cret@db:5432/farm?password=secret", "postgres://db:5432/farm"),
             ("postgresql://db/farm?sslmode=require", "postgres://db/farm"),
         ] {

@@ -15,12 +15,16 @@ pub struct Postgres {
 }
 
 impl Postgres {
-    /// Starts a server with an empty database.
+    /// Starts a server with an empty database. Nothing is flushed: what tests end are sessions and servers, not machines.
     pub fn start() -> Self {
+        Self::start_with("-c fsync=off")
+    }
+
+    /// Starts one with an empty database, with more arguments.
+    pub fn start_with(more: &str) -> Self {
         let programs = programs();
         let programs = programs.display();
         let port = AtomicU16::new(0);
-        // Nothing is flushed: what these tests end are sessions and servers, not machines.
         let script = || {
             port.store(free_port(), Ordering::Relaxed);
             let port = port.load(Ordering::Relaxed);
@@ -29,7 +33,7 @@ impl Postgres {
                 [ -d "$folder/data" ] || "{programs}/initdb" -D "$folder/data" -U kiln -A trust -E UTF8 --locale=C --no-sync >log 2>&1 ||
                     {{ cat log; exit 1; }}
                 "{programs}/postgres" -D "$folder/data" -p {port} -c listen_addresses=127.0.0.1 \
-                    -c unix_socket_directories= -c max_connections=400 -c shared_buffers=64MB -c fsync=off 2>&1 &
+                    -c unix_socket_directories= -c max_connections=400 -c shared_buffers=64MB {more} 2>&1 &
                 server=$! stop=QUIT
                 "#
             )

@@ -1,5 +1,6 @@
-//! The stored test scenes are what their generators say, and sound geometry.
+//! The stored test scenes are what their generators say, and sound geometry; hostile input does no harm.
 
+mod hostile;
 mod reader;
 
 use std::collections::BTreeSet;

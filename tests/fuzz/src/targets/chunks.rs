@@ -1,0 +1,227 @@
+//! Chunks of every kind: as they are, and with the bytes taken for the unpacked form of one.
+
+use lightkiln_proto::chunk::*;
+use lightkiln_proto::prt::*;
+
+use super::container::{packed, unpacked};
+use super::{Target, taken};
+
+/// A cluster.
+pub const CLUSTER: Target = Target {
+    name: "cluster",
+    read: |bytes| read(bytes, decode_cluster),
+    check: |bytes| {
+        each_form(bytes, check_cluster);
+        each_form(bytes, check_prefix);
+    },
+    seeds: || seeds(&[include_bytes!("../../../../proto/fixtures/cluster-v1.lkc"), &larger_cluster()]),
+    memory_max,
+};
+
+/// A batch of probes.
+pub const PROBES: Target = Target {
+    name: "probes",
+    read: |bytes| read(bytes, decode_probe_batch),
+    check: |bytes| each_form(bytes, check_probes),
+    seeds: || seeds(&[include_bytes!("../../../../proto/fixtures/probes-v1.lkc")]),
+    memory_max,
+};
+
+/// Meshes.
+pub const GEOMETRY: Target = Target {
+    name: "geometry",
+    read: |bytes| read(bytes, decode_geometry),
+    check: |bytes| each_form(bytes, check_geometry),
+    seeds: || seeds(&[include_bytes!("../../../../proto/fixtures/geometry-v1.lkc")]),
+    memory_max,
+};
+
+/// An image file.
+pub const TEXTURE: Target = Target {
+    name: "texture",
+    read: |bytes| read(bytes, decode_texture),
+    check: |bytes| each_form(bytes, check_texture),
+    seeds: || seeds(&[include_bytes!("../../../../proto/fixtures/texture-v1.lkc")]),
+    memory_max,
+};
+
+/// Surface patches.
+pub const PATCHES: Target = Target {
+    name: "patches",
+    read: |bytes| read(bytes, decode_patches),
+    check: |bytes| each_form(bytes, check_patches),
+    seeds: || seeds(&[include_bytes!("../../../../proto/fixtures/patches-v1.lkc"), &larger_patches()]),
+    memory_max,
+};
+
+/// FORMAT.md allows content of 16 MiB + 4096 × the stored bytes; decoding holds sections beside it.
+fn memory_max(bytes: usize) -> u64 {
+    3 * (limits::EXPANSION_FREE_BYTES + limits::EXPANSION_MAX * (bytes as u64 + 1024))
+}
+
+fn seeds(chunks: &[&[u8]]) -> Vec<Vec<u8>> {
+    chunks.iter().flat_map(|chunk| [chunk.to_vec(), unpacked(chunk)]).collect()
+}
+
+fn read<T>(bytes: &[u8], decode: impl Fn(&[u8]) -> Result<T, ChunkError>) -> bool {
+    let as_unpacked = packed(bytes).is_some_and(|bytes| taken(&decode(&bytes)));
+    taken(&decode(bytes)) || as_unpacked
+}
+
+fn each_form(bytes: &[u8], check: impl Fn(&[u8])) {
+    check(bytes);
+    if let Some(bytes) = packed(bytes) {
+        check(&bytes);
+    }
+}
+
+fn check_cluster(bytes: &[u8]) {
+    let Ok(cluster) = decode_cluster(bytes) else { return };
+    assert_whole(&cluster);
+    let settings = QuantisationSettings::default();
+    let again = encode_cluster(&cluster, settings).expect("what was decoded can be encoded");
+    let again = decode_cluster(&again.bytes).expect("what was encoded can be decoded");
+    let named = |cluster: &ClusterTransport| -> Vec<BlockKey> {
+        cluster.receivers.block.iter().map(|&block| cluster.receivers.blocks[usize::from(block)]).collect()
+    };
+    assert_eq!(named(&again), named(&cluster));
+    let factors_aside = |cluster: ClusterTransport| {
+        // Factors come back within an error; blocks that no receiver lies in are left out.
+        let receivers = Receivers { blocks: Vec::new(), block: Vec::new(), ..cluster.receivers };
+        ClusterTransport { receivers, u: Vec::new(), vt: Vec::new(), ..cluster }
+    };
+    assert_eq!(factors_aside(again), factors_aside(cluster));
+}
+
+/// The first half of a chunk is a coarser cluster, or an error.
+fn check_prefix(bytes: &[u8]) {
+    let _ = cluster_layers(bytes, bytes.len() as u64);
+    for length in [bytes.len() / 2, bytes.len() * 9 / 10] {
+        if let Ok((cluster, layer)) = decode_cluster_prefix(&bytes[..length], bytes.len() as u64) {
+            assert_whole(&cluster);
+            assert!(layer.bytes <= length as u64);
+        }
+    }
+}
+
+/// Every array has its length, every index its target, every number is finite.
+fn assert_whole(cluster: &ClusterTransport) {
+    let Receivers { blocks, block, texel, position_m, normal, albedo, emission, links } = &cluster.receivers;
+    let count = texel.len();
+    assert_eq!([block.len(), position_m.len(), normal.len()], [count; 3]);
+    assert_eq!([albedo.len(), emission.len(), links.len()], [count; 3]);
+    assert!(block.iter().all(|&block| usize::from(block) < blocks.len()));
+    assert_eq!(cluster.u.len(), count * cluster.rank as usize);
+    assert_eq!(cluster.vt.len(), cluster.columns() * cluster.rank as usize);
+    assert!(cluster.emitters.iter().all(|emitter| emitter.irradiance.len() == count));
+    let lit = cluster.emitters.iter().flat_map(|emitter| emitter.irradiance.as_flattened());
+    let vectors = [position_m, normal, albedo, emission].into_iter().flat_map(|v| v.as_flattened());
+    assert!(cluster.u.iter().chain(&cluster.vt).chain(lit).chain(vectors).all(|x| x.is_finite()));
+    assert!(albedo.as_flattened().iter().all(|albedo| (0.0..1.0).contains(albedo)));
+    assert!((0..3).all(|axis| cluster.bounds_m[0][axis] <= cluster.bounds_m[1][axis]), "bounds inside out");
+}
+
+fn check_probes(bytes: &[u8]) {
+    let Ok(batch) = decode_probe_batch(bytes) else { return };
+    let again = encode_probe_batch(&batch).expect("what was decoded can be encoded");
+    let again = decode_probe_batch(&again).expect("what was encoded can be decoded");
+    assert_eq!((&again.probes, again.relight_rays), (&batch.probes, batch.relight_rays));
+    let named = |batch: &ProbeBatch| -> Vec<(RelightHit, Option<BlockKey>)> {
+        let name = |hit: &RelightHit| match *hit {
+            RelightHit::Receiver { block, texel } => {
+                (RelightHit::Receiver { block: 0, texel }, Some(batch.blocks[usize::from(block)]))
+            }
+            other => (other, None),
+        };
+        batch.hits.iter().map(name).collect()
+    };
+    assert_eq!(named(&again), named(&batch));
+}
+
+fn check_geometry(bytes: &[u8]) {
+    let Ok(geometry) = decode_geometry(bytes) else { return };
+    for draw in &geometry.draws {
+        let count = draw.position_m.len();
+        assert_eq!([draw.normal.len(), draw.lightmap_texel.len()], [count; 2]);
+        assert!([0, count].contains(&draw.uv.len()) && [0, count].contains(&draw.colour.len()));
+        assert!(draw.triangles.as_flattened().iter().all(|&index| (index as usize) < count));
+    }
+    // Lightmap coordinates may be rounded once; what they are rounded to stays.
+    let once = encode_geometry(&geometry).expect("what was decoded can be encoded");
+    let decoded = decode_geometry(&once).expect("what was encoded can be decoded");
+    assert_eq!(encode_geometry(&decoded).expect("and encoded again"), once);
+    for (draw, again) in geometry.draws.iter().zip(&decoded.draws) {
+        let exact = |draw: &Draw| Draw { lightmap_texel: Vec::new(), ..draw.clone() };
+        assert_eq!(exact(draw), exact(again));
+    }
+}
+
+fn check_texture(bytes: &[u8]) {
+    let Ok(texture) = decode_texture(bytes) else { return };
+    let again = encode_texture(&texture.media_type, &texture.bytes).expect("what was decoded can be encoded");
+    assert_eq!(decode_texture(&again).expect("what was encoded can be decoded"), texture);
+}
+
+fn check_patches(bytes: &[u8]) {
+    let Ok(set) = decode_patches(bytes) else { return };
+    for patch in &set.patches {
+        assert!(patch.key.sky().is_none(), "a patch has the key of a part of the sky");
+    }
+    let again = encode_patches(&set).expect("what was decoded can be encoded");
+    assert_eq!(decode_patches(&again).expect("what was encoded can be decoded"), set);
+}
+
+/// A wall of 12² texels in two blocks, with several layers.
+fn larger_cluster() -> Vec<u8> {
+    let mut cluster = ClusterTransport {
+        bounds_m: [[0.0, -1.0, 2.0], [4.0, 3.0, 2.0]],
+        probes: vec![3, 70, 900],
+        bands: 3,
+        sky: true,
+        rank: 9,
+        ..ClusterTransport::default()
+    };
+    cluster.receivers.blocks = vec![11, 12];
+    let mut texels: Vec<(u16, Texel)> =
+        (0..144_u16).map(|i| (u16::from(i >= 100), [i % 12, i / 12])).collect();
+    texels.sort_by_key(|&(block, texel)| (4 - Receivers::level(texel, 3), block, texel[1], texel[0]));
+    for (block, texel) in texels {
+        let [x, y] = texel.map(|t| f32::from(t) / 12.0);
+        cluster.receivers.block.push(block);
+        cluster.receivers.texel.push(texel);
+        cluster.receivers.position_m.push([4.0 * x, 4.0 * y - 1.0, 2.0]);
+        cluster.receivers.links.push((texel[0] % 16) as u8);
+        cluster.receivers.normal.push([0.0, 0.0, -1.0]);
+        cluster.receivers.albedo.push(if x < 0.5 { [0.5, 0.25, 0.0] } else { [0.73; 3] });
+        cluster.receivers.emission.push(if texel == [1, 1] { [10.0, 8.0, 0.1] } else { [0.0; 3] });
+        cluster.u.extend((0..9).map(|i| (x * (1 + i) as f32 + y).sin() / 12.0));
+    }
+    let columns = cluster.columns();
+    cluster.vt = (0..9 * columns).map(|i| (i as f32).cos() * (-0.01 * i as f32).exp()).collect();
+    let lit = |r: usize| if r.is_multiple_of(3) { [0.0; 3] } else { [1e-6 * r as f32, 1.0, 1e6] };
+    let irradiance = (0..144).map(lit).collect();
+    cluster.emitters = vec![EmitterIrradiance { emitter: 4, irradiance }];
+    encode_cluster(&cluster, QuantisationSettings::default()).expect("a good cluster").bytes
+}
+
+/// Two levels of a tree of patches over 24 receivers, and a sky.
+fn larger_patches() -> Vec<u8> {
+    let patch = |level: u32, x: i32, first_leaf: u32, leaf_count: u32| Patch {
+        key: PatchKey::of_cell(level, [x, -3, 14], (x % 6) as u8, 0),
+        first_leaf,
+        leaf_count,
+    };
+    let mut patches: Vec<Patch> = (0..8).map(|x| patch(2, x, x as u32, 1)).collect();
+    patches.extend((0..4).map(|x| patch(3, x, 2 * x as u32, 2)));
+    patches.sort_by_key(|patch| patch.key);
+    let set = PatchSet {
+        patches,
+        leaf_starts: (0..=8).map(|leaf| 3 * leaf).collect(),
+        blocks: vec![5, 6],
+        block: (0..24).map(|r| u16::from(r >= 12)).collect(),
+        texel: (0..24).map(|r| [r % 5, r / 5]).collect(),
+        area: (0..24).map(|r| AreaCode(100 + r)).collect(),
+        sky_parts: 64,
+    };
+    encode_patches(&set).expect("good patches")
+}

@@ -1,0 +1,114 @@
+//! JSON that roles say to each other: manifests, bakes, plans.
+
+use lightkiln_proto::api::{ClaimRequest, NewBake};
+use lightkiln_proto::bake::initial_plan;
+use lightkiln_proto::ids::Digest;
+use lightkiln_proto::jobs::{TaskInput, TaskResult, TaskSpec};
+use lightkiln_proto::manifest::Manifest;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
+use super::{Target, taken};
+
+/// A bake's manifest.
+pub const MANIFEST: Target = Target {
+    name: "manifest",
+    read: |bytes| taken(&Manifest::from_json(bytes)),
+    check: |bytes| {
+        let Ok(manifest) = Manifest::from_json(bytes) else { return };
+        let text = serde_json::to_vec(&manifest).expect("what was read can be written");
+        assert_eq!(Manifest::from_json(&text).expect("what was written can be read"), manifest);
+    },
+    seeds: || vec![manifest().to_string().into_bytes()],
+    memory_max,
+};
+
+/// Calls of people and workers, and the first tasks of a bake.
+pub const JOB: Target = Target {
+    name: "job",
+    read: |bytes| {
+        let bake = serde_json::from_slice::<NewBake>(bytes);
+        let planned =
+            bake.as_ref().is_ok_and(|bake| taken(&initial_plan(&bake.kind, bake.scene, &bake.settings)));
+        let claim = taken(&serde_json::from_slice::<ClaimRequest>(bytes));
+        let result = taken(&serde_json::from_slice::<TaskResult>(bytes));
+        taken(&bake) || planned || claim || result
+    },
+    check: |bytes| {
+        check_again::<NewBake>(bytes);
+        check_again::<ClaimRequest>(bytes);
+        check_again::<TaskResult>(bytes);
+        let Ok(bake) = serde_json::from_slice::<NewBake>(bytes) else { return };
+        let Ok(plan) = initial_plan(&bake.kind, bake.scene, &bake.settings) else { return };
+        assert_eq!(plan, initial_plan(&bake.kind, bake.scene, &bake.settings).expect("it was planned"));
+        assert!(!plan.is_empty(), "a bake has tasks");
+    },
+    seeds: jobs,
+    memory_max,
+};
+
+/// Values are read as they come, so memory follows the bytes.
+fn memory_max(bytes: usize) -> u64 {
+    (1 << 20) + 400 * bytes as u64
+}
+
+fn check_again<T: DeserializeOwned + Serialize + PartialEq + std::fmt::Debug>(bytes: &[u8]) {
+    let Ok(value) = serde_json::from_slice::<T>(bytes) else { return };
+    let text = serde_json::to_string(&value).expect("what was read can be written");
+    assert_eq!(serde_json::from_str::<T>(&text).expect("what was written can be read"), value);
+}
+
+fn digest() -> String {
+    Digest::of(b"seed").to_string()
+}
+
+fn jobs() -> Vec<Vec<u8>> {
+    let scene = Digest::of(b"seed");
+    let input = TaskInput::Artefact { name: "scene".into(), digest: scene };
+    let task = TaskSpec::new("prt.relight", 1, "batch 0", serde_json::json!({ "rays": 64 }), vec![input], 9);
+    let result = serde_json::json!({
+        "outputs": [{ "name": "chunk/0", "digest": digest(), "bytes": 12 }],
+        "plan": [task],
+        "counters": { "secs": 1.25 },
+    });
+    let bake = serde_json::json!({
+        "name": "hall", "scene": digest(), "settings": { "preset": "draft", "rank_max": 16 }, "priority": -3,
+        "needs": { "memory_mib": 4096, "threads": 2, "labels": ["gpu"] }, "attempt_limit_secs": 60,
+    });
+    let claim = serde_json::json!({
+        "worker": "oven", "kinds": ["prt.relight"], "threads": 4, "memory_mib": 2048, "labels": ["gpu"],
+        "max": 2, "ttl_secs": 60, "wait_secs": 20,
+    });
+    [bake, claim, result].map(|value| value.to_string().into_bytes()).to_vec()
+}
+
+fn manifest() -> serde_json::Value {
+    let raw = lightkiln_proto::prt::RawSettings::default();
+    let settings = raw.validate().expect("the defaults are good");
+    let chunk = serde_json::json!({ "digest": digest(), "bytes": 300 });
+    serde_json::json!({
+        "format": "lightkiln-manifest", "version": 1, "kind": "prt", "scene": digest(), "settings": settings,
+        "texel_m": 0.25, "probe_spacing_m": 1.5, "bounds_m": [[0.0, 0.0, 0.0], [4.0, 3.0, 5.5]],
+        "totals": {
+            "receivers": 9, "probes": 2, "patches": 3, "clusters": 1, "triangles": 12, "mean_rank": 3.5, "rank_max": 4,
+            "uncovered_fraction": 0.01, "left_out_fraction": 0.0, "receivers_without_light": 1, "bytes": 900,
+            "bytes_light": 500,
+        },
+        "pages": [[64, 32]],
+        "blocks": [{ "key": "00000000000000ff", "name": "wall", "size": [8, 8], "page": 0, "origin": [1, 1] }],
+        "materials": [{
+            "name": "red", "base_colour": [0.5, 0.1, 0.1, 1.0],
+            "base_colour_texture": { "texture": 0, "wrap": ["repeat", "mirror"], "transform": null },
+            "emissive": [0.0, 0.0, 0.0], "emissive_texture": null, "emitter": 0, "alpha_cutoff": 0.5,
+            "double_sided": true,
+        }],
+        "emitters": [{ "name": "lamp", "area_m2": 0.5 }],
+        "lights": [], "cameras": [], "textures": [chunk], "geometry": [chunk], "probes": [chunk],
+        "patches": [chunk],
+        "clusters": [{
+            "digest": digest(), "bytes": 396, "bounds_m": [[0.0, 0.0, 0.0], [4.0, 3.0, 5.5]], "receivers": 9,
+            "probes": 2, "rank": 3, "truncation_error": 0.01, "quantisation_error": 0.002, "uncovered_fraction": 0.0,
+            "layers": [{ "bytes": 200, "level": 1, "bands": 0, "rank": 2 }],
+        }],
+    })
+}
