@@ -118,7 +118,13 @@ fn farm() -> (MemoryStore, Vec<String>) {
         needs: Needs::default(),
         attempt_limit_secs: None,
     };
-    let submission = Submission { idempotency_key: None, body_hash: Digest::of(b""), bake, plan: Vec::new() };
+    let submission = Submission {
+        idempotency_key: None,
+        traceparent: None,
+        body_hash: Digest::of(b""),
+        bake,
+        plan: Vec::new(),
+    };
     let submit = || pollster::block_on(store.submit(&submission)).expect("a bake without tasks").bake.id;
     let ids = (0..3).map(|_| submit()).collect();
     (store, ids)
