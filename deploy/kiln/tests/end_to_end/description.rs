@@ -22,10 +22,10 @@ struct Farm {
 
 impl Farm {
     fn start(state: &Path, more: &[&str]) -> Self {
-        let create = [&["token", "create", "all", "--scope", "admin"], &more[..]].concat();
+        let create = [&["token", "create", "all", "--scope", "admin"][..], more].concat();
         let token = run(kiln(state), &create, 0).stdout().trim().to_owned();
         let unlimited = ["--calls-per-sec", "0", "--calls-at-a-time", "0"];
-        let server = Server::start_with(kiln(state), &[&unlimited, &more[..]].concat());
+        let server = Server::start_with(kiln(state), &[&unlimited[..], more].concat());
         Self { server, token }
     }
 

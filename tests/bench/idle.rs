@@ -1,0 +1,67 @@
+//! A thousand workers that wait for work.
+
+use std::io::{Read as _, Write as _};
+use std::net::TcpStream;
+use std::time::{Duration, Instant};
+
+use crate::farm::Server;
+use crate::parts::postgres::Postgres;
+use crate::report::row;
+
+/// Workers that wait.
+const WORKERS: usize = 1_000;
+/// Longest that a claim may wait, in seconds.
+const WAIT_SECS: u32 = 60;
+/// How long they are looked at while they wait.
+const LOOK: Duration = Duration::from_secs(20);
+
+/// Measures both databases.
+pub fn measure() {
+    measure_on("SQLite", None);
+    let postgres = Postgres::start_with("");
+    measure_on("PostgreSQL", Some(&postgres.url(None)));
+}
+
+fn measure_on(name: &str, database: Option<&str>) {
+    let folder = tempfile::tempdir().unwrap();
+    let server = Server::start(folder.path(), database);
+    let address = server.url.strip_prefix("http://").unwrap();
+    let before = server.process.memory();
+    let mut waiting: Vec<TcpStream> = (0..WORKERS).map(|index| claim(address, index)).collect();
+    let (cpu, started) = (server.process.cpu(), Instant::now());
+    let mut memory = 0;
+    while started.elapsed() < LOOK {
+        memory = memory.max(server.process.memory());
+        std::thread::sleep(Duration::from_millis(200));
+    }
+    let share = (server.process.cpu() - cpu).as_secs_f64() / started.elapsed().as_secs_f64();
+    for stream in &mut waiting {
+        stream.set_nonblocking(true).unwrap();
+        let nothing = stream.read(&mut [0; 16]).unwrap_err();
+        assert_eq!(nothing.kind(), std::io::ErrorKind::WouldBlock, "a claim was answered: nobody waited");
+    }
+    let mib = |bytes: u64| bytes as f64 / f64::from(1 << 20);
+    let figure = format!(
+        "{:.0} MiB ({:.0} MiB before, {:.0} KiB a worker), {:.1} % of one processor",
+        mib(memory),
+        mib(before),
+        (memory - before) as f64 / WORKERS as f64 / 1024.0,
+        100.0 * share
+    );
+    row(&format!("server with {WORKERS} idle workers"), name, &figure);
+}
+
+fn claim(address: &str, index: usize) -> TcpStream {
+    let claim = serde_json::json!({
+        "worker": format!("worker {index}"), "kinds": ["prt.transport"], "threads": 4, "max": 1, "ttl_secs": 60,
+        "wait_secs": WAIT_SECS,
+    });
+    let body = claim.to_string();
+    let mut stream = TcpStream::connect(address).unwrap();
+    let head = format!(
+        "POST /v1/leases HTTP/1.1\r\nHost: {address}\r\nContent-Type: application/json\r\nContent-Length: {}\r\n\r\n",
+        body.len()
+    );
+    stream.write_all(format!("{head}{body}").as_bytes()).unwrap();
+    stream
+}

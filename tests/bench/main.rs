@@ -1,0 +1,42 @@
+//! The load bench: what the queue costs and carries. `tests/bench/run` builds what it needs and runs it.
+//!
+//! Arguments name parts (`stores`, `queue`, `idle`, `workers`); without any, all are measured. Figures go to standard
+//! output as rows of one table, which `tests/bench/README.md` keeps.
+
+#![allow(clippy::unwrap_used, reason = "a bench may end at any error")]
+#![allow(clippy::disallowed_methods, reason = "a bench looks from time to time at what other processes do")]
+
+mod calls;
+mod farm;
+mod idle;
+#[path = "../../server/tests/parts/mod.rs"]
+mod parts;
+mod queue;
+mod report;
+mod stores;
+mod workers;
+
+/// What is measured, by name.
+const PARTS: [(&str, fn()); 4] = [
+    ("stores", stores::measure),
+    ("queue", queue::measure),
+    ("idle", idle::measure),
+    ("workers", workers::measure),
+];
+
+fn main() {
+    // Cargo adds a flag of its own.
+    let wanted: Vec<String> =
+        std::env::args().skip(1).filter(|argument| !argument.starts_with("--")).collect();
+    for name in &wanted {
+        let names = PARTS.map(|(part, _)| part);
+        assert!(names.contains(&name.as_str()), "there is no part '{name}', only {names:?}");
+    }
+    report::begin();
+    for (name, measure) in PARTS {
+        if wanted.is_empty() || wanted.iter().any(|wanted| wanted == name) {
+            measure();
+        }
+    }
+    report::end();
+}
