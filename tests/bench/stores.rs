@@ -61,8 +61,13 @@ async fn plan(store: &dyn FarmStore, run: usize) {
     let planner = task(&format!("plan {run}"), &[]);
     let parts: Vec<TaskSpec> = (0..TASKS).map(|i| task(&format!("{run} {i}"), &[&planner])).collect();
     let last = task(&format!("last {run}"), &parts.iter().collect::<Vec<_>>());
-    let submission =
-        Submission { idempotency_key: None, body_hash: Digest::of(b""), bake: bake(), plan: vec![planner] };
+    let submission = Submission {
+        idempotency_key: None,
+        traceparent: None,
+        body_hash: Digest::of(b""),
+        bake: bake(),
+        plan: vec![planner],
+    };
     store.submit(&submission).await.unwrap();
     let lease = store.claim(&request("planner")).await.unwrap().remove(0);
     let plan = parts.into_iter().chain([last]).collect();
