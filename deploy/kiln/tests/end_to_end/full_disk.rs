@@ -2,7 +2,7 @@
 //! by itself when there is room again.
 //!
 //! The disk is a small one in memory, which only the server sees: mounts of its namespace go with it. Where no user may
-//! have a namespace of their own, only root can run this; others are told so.
+//! have a namespace of their own, only root can run this.
 
 use std::io::Write as _;
 use std::os::unix::fs::MetadataExt as _;
@@ -41,10 +41,6 @@ impl SmallDisk {
             command.args(["--user", "--map-root-user"]);
         }
         command
-    }
-
-    fn is_possible() -> bool {
-        Self::namespace().arg("true").output().unwrap().status.success()
     }
 
     fn start(state: &Path) -> Self {
@@ -119,11 +115,8 @@ fn idle_bake(scene: Digest, number: usize) -> NewBake {
 }
 
 #[test]
+#[ignore = "needs leave to mount a small disk, as root has it; tests/run runs it where it may"]
 fn farm_on_a_full_disk_refuses_with_507_and_goes_on_when_there_is_room() {
-    if !SmallDisk::is_possible() {
-        eprintln!("ignored: this user may not mount a small disk; root may");
-        return;
-    }
     let folder = tempfile::tempdir().unwrap();
     let expected = embedded_bundle(folder.path());
     let disk = SmallDisk::start(&folder.path().join("disk"));
