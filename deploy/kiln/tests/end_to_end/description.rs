@@ -142,7 +142,11 @@ fn assert_as_described(more: &[&str]) {
         .arg("--no-color")
         .arg("--config-file")
         .arg(&config)
-        .args(["run", "--checks", "all", "--report", "junit", "--report-junit-path"])
+        .args(["run", "--checks", "all"])
+        // A DELETE of a blocklist clears it, and the list is there all the same; stateful runs cannot be told so for one
+        // call. That a deleted bake is gone is tested in server/tests/http.
+        .args(["--exclude-checks", "use_after_free"])
+        .args(["--report", "junit", "--report-junit-path"])
         .arg(&report)
         .arg(format!("{}/openapi.json", farm.server.url))
         .envs(seed)
