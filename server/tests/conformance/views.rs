@@ -55,7 +55,12 @@ pub async fn events_tell_what_became_of_each_attempt(world: World) {
     let lease = end("v", 20).await;
     world.store.fail(&lease.token, Blame::Worker, "why").await.unwrap();
     world.clock.advance_ms(60_000);
+    // A worker that never said that it has the task may not have heard of it: that counts for no attempt.
     end("w", TTL_MS).await;
+    world.store.reap().await.unwrap();
+    let lease = end("w", 0).await;
+    world.store.heartbeat(&lease.token, 0.5).await.unwrap();
+    world.clock.advance_ms(TTL_MS);
     world.store.reap().await.unwrap();
     let lease = end("w", 30).await;
     world.commit(&lease).await;
@@ -82,6 +87,8 @@ pub async fn events_tell_what_became_of_each_attempt(world: World) {
             "released v 10",
             "started v 1",
             "failed 1 20",
+            "started w 2",
+            "expired 2 30000",
             "started w 2",
             "expired 2 30000",
             "started w 3",
