@@ -14,6 +14,8 @@ const WORKERS: usize = 1_000;
 const WAIT_SECS: u32 = 60;
 /// How long they are looked at while they wait.
 const LOOK: Duration = Duration::from_secs(20);
+/// Time between two looks at memory.
+const BETWEEN_LOOKS: Duration = Duration::from_millis(200);
 
 /// Measures both databases.
 pub fn measure() {
@@ -32,14 +34,10 @@ fn measure_on(name: &str, database: Option<&str>) {
     let mut memory = 0;
     while started.elapsed() < LOOK {
         memory = memory.max(server.process.memory());
-        std::thread::sleep(Duration::from_millis(200));
+        assert_nothing_comes(&mut waiting[0], BETWEEN_LOOKS);
     }
     let share = (server.process.cpu() - cpu).as_secs_f64() / started.elapsed().as_secs_f64();
-    for stream in &mut waiting {
-        stream.set_nonblocking(true).unwrap();
-        let nothing = stream.read(&mut [0; 16]).unwrap_err();
-        assert_eq!(nothing.kind(), std::io::ErrorKind::WouldBlock, "a claim was answered: nobody waited");
-    }
+    waiting.iter_mut().for_each(|stream| assert_nothing_comes(stream, Duration::from_nanos(1)));
     let mib = |bytes: u64| bytes as f64 / f64::from(1 << 20);
     let figure = format!(
         "{:.0} MiB ({:.0} MiB before, {:.0} KiB a worker), {:.1} % of one processor",
@@ -49,6 +47,13 @@ fn measure_on(name: &str, database: Option<&str>) {
         100.0 * share
     );
     row(&format!("server with {WORKERS} idle workers"), name, &figure);
+}
+
+/// Waits for an answer that must not come yet.
+fn assert_nothing_comes(stream: &mut TcpStream, wait: Duration) {
+    stream.set_read_timeout(Some(wait)).unwrap();
+    let nothing = stream.read(&mut [0; 16]).expect_err("a claim was answered: nobody waited");
+    assert_eq!(nothing.kind(), std::io::ErrorKind::WouldBlock, "a claim was answered: nobody waited");
 }
 
 fn claim(address: &str, index: usize) -> TcpStream {
