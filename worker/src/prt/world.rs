@@ -4,8 +4,9 @@ use std::sync::Arc;
 
 use glam::{Vec2, Vec3};
 use lightkiln_proto::prt::BlockKey;
+use rayon::prelude::*;
 
-use crate::prt::stage::{NO_RECEIVER, Receiver, Stage};
+use crate::prt::stage::{NO_RECEIVER, Stage};
 use crate::prt::transport::EmitterSet;
 use crate::rays::{AlphaTest, Hit, Tracer};
 use crate::scene::model::Scene;
@@ -159,6 +160,8 @@ pub struct World {
     /// Emissive triangles.
     pub emitters: EmitterSet,
     texels: TexelTable,
+    /// Points of receivers, raised, see [`World::raised_receiver`].
+    raised_m: Vec<Vec3>,
 }
 
 impl World {
@@ -172,7 +175,11 @@ impl World {
     pub fn with_geometry(scene: Scene, stage: Stage, images: Arc<DecodedImages>, geometry: Geometry) -> Self {
         let texels = TexelTable::new(&scene, &stage);
         let emitters = EmitterSet::new(&scene, &images, &geometry);
-        Self { scene, stage, images, geometry, emitters, texels }
+        let mut world = Self { scene, stage, images, geometry, emitters, texels, raised_m: Vec::new() };
+        let (receivers, height_m) = (&world.stage.receivers, world.link_height_m());
+        world.raised_m =
+            receivers.par_iter().map(|r| world.raised(r.position_m, r.face_normal, height_m)).collect();
+        world
     }
 
     /// Material of the instance that a triangle belongs to.
@@ -217,15 +224,12 @@ impl World {
     /// texel that a wall cuts in two stands for its centre's side only.
     pub fn linked_surface_at(&self, hit: &Hit, point_m: Vec3) -> Surface {
         let Surface::Receiver(own) = self.surface_at(hit) else { return Surface::Dark };
-        let height_m = self.link_height_m();
-        let from_m = point_m + self.side_normal(hit) * height_m;
-        let linked = |receiver: &Receiver| {
-            self.is_linked(from_m, receiver.position_m + receiver.face_normal * height_m)
-        };
-        let receiver = &self.stage.receivers[own as usize];
-        if linked(receiver) {
+        let from_m = self.raised(point_m, self.side_normal(hit), self.link_height_m());
+        let linked = |receiver: u32| self.is_linked(from_m, self.raised_m[receiver as usize]);
+        if linked(own) {
             return Surface::Receiver(own);
         }
+        let receiver = &self.stage.receivers[own as usize];
         let [x, y] = receiver.texel.map(i32::from);
         let ring = |radius: i32| {
             let side = 2 * radius + 1;
@@ -237,14 +241,28 @@ impl World {
         let nearest = |radius: i32| {
             ring(radius)
                 .filter_map(|[dx, dy]| self.receiver_on(receiver.block, x + dx, y + dy))
-                .filter(|&index| linked(&self.stage.receivers[index as usize]))
+                .filter(|&index| linked(index))
                 .min_by(|&a, &b| distance(a).total_cmp(&distance(b)).then(a.cmp(&b)))
         };
         (1..=LINKED_RINGS).find_map(nearest).map_or(Surface::Dark, Surface::Receiver)
     }
 
-    /// How far points are raised before they are tested for a wall between them, in metres: above the bulge of
-    /// curved surfaces, below anything that one would call a wall.
+    /// A point of a surface raised along its normal by at most `height_m`, to be tested for walls between it and others:
+    /// half way to what stands above it at most, as a gap may be narrower.
+    pub fn raised(&self, point_m: Vec3, normal: Vec3, height_m: f32) -> Vec3 {
+        let tracer = &self.geometry.tracer;
+        let foot_m = point_m + normal * tracer.ray_offset_m();
+        let free_m = tracer.closest(foot_m, normal, 2.0 * height_m).map_or(height_m, |hit| 0.5 * hit.t);
+        foot_m + normal * free_m
+    }
+
+    /// As [`World::raised`] by [`World::link_height_m`], of a receiver.
+    pub fn raised_receiver(&self, receiver: u32) -> Vec3 {
+        self.raised_m[receiver as usize]
+    }
+
+    /// How far points are raised at most before they are tested for a wall between them, in metres: above the bulge
+    /// of curved surfaces, below anything that one would call a wall.
     pub fn link_height_m(&self) -> f32 {
         self.stage.texel_m * 0.25
     }

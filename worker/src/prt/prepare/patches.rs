@@ -261,14 +261,8 @@ fn surfaces(
 
 /// No wall stands between two items: raised above their surfaces they see each other.
 fn are_in_sight(world: &World, height_m: f32, a: &Item, b: &Item) -> bool {
-    let tracer = &world.geometry.tracer;
-    // Half way to what is above at most: there is room there, under whatever ceiling.
-    let raised = |item: &Item| {
-        let foot_m = item.point_m + item.normal * tracer.ray_offset_m();
-        let free_m = tracer.closest(foot_m, item.normal, 2.0 * height_m).map_or(height_m, |hit| 0.5 * hit.t);
-        foot_m + item.normal * free_m
-    };
-    !tracer.is_occluded(raised(a), raised(b))
+    let raised = |item: &Item| world.raised(item.point_m, item.normal, height_m);
+    world.is_linked(raised(a), raised(b))
 }
 
 /// Edges between items as edges between what they were joined to.
