@@ -126,7 +126,7 @@ settings! {
     /// Size of a lightmap texel in metres; 0 chooses it from `receivers_target`. Smaller → sharper light, more
     /// receivers, time and bytes with its square.
     texel_m: f32 = [0.0, 0.0, 0.0], |v| v == 0.0 || (1e-4..=100.0).contains(&v), "0 (automatic) or 0.0001..=100 m";
-    /// Receivers to aim at when `texel_m` is 0, in a scene of many triangles; scenes of few get a fifth of it and 4 per
+    /// Receivers to aim at when `texel_m` is 0, in a scene of many triangles; scenes of few get a fifth of it and 20 per
     /// triangle. (A texel is one of 1, 1.5 × a power of two, so the count is met within a factor of about two.) More →
     /// finer texels.
     receivers_target: u32 = [30_000, 200_000, 600_000], |v| (100..=20_000_000).contains(&v), "100..=20000000";

@@ -10,7 +10,7 @@ use crate::task::{Progress, TaskError};
 use crate::unwrap::{Unwrap, UnwrapSettings, unwrap_from_second_uv, unwrap_generated};
 
 /// Receivers per triangle beyond the fifth of the target that every scene gets.
-const RECEIVERS_PER_TRIANGLE: f64 = 4.0;
+const RECEIVERS_PER_TRIANGLE: f64 = 20.0;
 
 /// Most texels of all blocks of one side together.
 const TEXELS_MAX: u64 = 256 << 20;
