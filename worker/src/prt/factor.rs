@@ -68,6 +68,8 @@ const OVERSAMPLING: usize = 8;
 const ITERATIONS: usize = 2;
 /// Columns of `AᵀQ` that one thread sums at a time.
 const COLUMN_BLOCK: usize = 256;
+/// Rows of a tall matrix that one thread takes at a time.
+const ROW_BLOCK: usize = 256;
 
 /// Factors of the smallest rank k ≤ `rank_max` with `Σ_{i>k} s² ≤ error² Σ s²`; of `rank_max` where none suffices.
 ///
@@ -113,8 +115,8 @@ fn range_of(a: &Matrix, width: usize, seeds: &[u64]) -> Vec<f32> {
     let mut left = times(a, &right, width);
     orthonormalise(&mut left, width);
     for _ in 0..ITERATIONS {
+        // Not made orthonormal in between, on its long side: what lies below σ₁·√ε is lost, far below any rank's error.
         right = transpose_times(a, &left, width);
-        orthonormalise(&mut right, width);
         left = times(a, &right, width);
         orthonormalise(&mut left, width);
     }
@@ -187,15 +189,21 @@ fn dot(a: &[f32], b: &[f32]) -> f64 {
     (sums[0] + sums[1]) + (sums[2] + sums[3])
 }
 
-/// XᵀX of a row-major n × width matrix, in f64.
+/// XᵀX of a row-major n × width matrix, in f64: blocks of rows apart, then their sum in order.
 fn gram(x: &[f32], width: usize) -> Vec<f64> {
-    let mut gram = vec![0.0; width * width];
-    for row in x.chunks_exact(width) {
-        for (a, out) in row.iter().zip(gram.chunks_exact_mut(width)) {
-            out.iter_mut().zip(row).for_each(|(out, b)| *out += f64::from(*a) * f64::from(*b));
+    let of_block = |block: &[f32]| {
+        let mut gram = vec![0.0; width * width];
+        for row in block.chunks_exact(width) {
+            for (a, out) in row.iter().zip(gram.chunks_exact_mut(width)) {
+                out.iter_mut().zip(row).for_each(|(out, b)| *out += f64::from(*a) * f64::from(*b));
+            }
         }
-    }
-    gram
+        gram
+    };
+    let blocks: Vec<Vec<f64>> = x.par_chunks(ROW_BLOCK * width).map(of_block).collect();
+    let mut sum = vec![0.0; width * width];
+    blocks.iter().for_each(|block| sum.iter_mut().zip(block).for_each(|(sum, value)| *sum += value));
+    sum
 }
 
 /// Eigenvalues, largest first, and eigenvectors as columns of a row-major matrix: cyclic Jacobi rotations.
@@ -249,14 +257,21 @@ fn rotate(a: &mut [f64], vectors: &mut [f64], n: usize, p: usize, q: usize) {
 
 /// X W[:, ..rank] for row-major X (rows × width) and W (width × width): rows × rank.
 fn times_small(x: &[f32], width: usize, w: &[f64], rank: usize) -> Vec<f32> {
-    let mut product = Vec::with_capacity(x.len() / width * rank);
-    for row in x.chunks_exact(width) {
-        for column in 0..rank {
-            let sum: f64 =
-                row.iter().enumerate().map(|(i, value)| f64::from(*value) * w[i * width + column]).sum();
-            product.push(sum as f32);
-        }
+    if rank == 0 {
+        return Vec::new();
     }
+    let mut product = vec![0.0; x.len() / width * rank];
+    let blocks = product.par_chunks_mut(ROW_BLOCK * rank).zip(x.par_chunks(ROW_BLOCK * width));
+    blocks.for_each(|(out, x)| {
+        let mut sums = vec![0.0; rank];
+        for (out, row) in out.chunks_exact_mut(rank).zip(x.chunks_exact(width)) {
+            sums.fill(0.0);
+            for (value, w) in row.iter().zip(w.chunks_exact(width)) {
+                sums.iter_mut().zip(w).for_each(|(sum, w)| *sum += f64::from(*value) * w);
+            }
+            out.iter_mut().zip(&sums).for_each(|(out, sum)| *out = *sum as f32);
+        }
+    });
     product
 }
 

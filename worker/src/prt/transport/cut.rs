@@ -11,6 +11,8 @@
 //! What all receivers have in common is known better: `Σ_r D² ≥ (Σ_r D)² / R`. Where something hides the same parts from
 //! all of them, it says so, and the cell's energy hangs on it, as what is hidden from receivers often is from lamps.
 
+use rayon::prelude::*;
+
 use super::expectation::Expectation;
 use crate::prt::stage::PatchTree;
 
@@ -156,10 +158,13 @@ impl<'a> Seen<'a> {
             }
             let own = patches.len();
             let parts: Vec<u32> = tree.parts(patch).collect();
-            let gain = if parts.is_empty() { 0.0 } else { gain(met, expectation, patch) };
-            patches.push(SeenPatch { patch, parent, gain, parts: parts.len() });
+            patches.push(SeenPatch { patch, parent, gain: 0.0, parts: parts.len() });
             next.extend(parts.into_iter().rev().map(|part| (part, Some(own))));
         }
+        patches
+            .par_iter_mut()
+            .filter(|seen| seen.parts > 0)
+            .for_each(|seen| seen.gain = gain(met, expectation, seen.patch));
         Self { tree, patches }
     }
 

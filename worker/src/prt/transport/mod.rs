@@ -160,9 +160,12 @@ fn store(pieces: &[Piece], settings: &Settings, mut index: CellIndex) -> Result<
         ("clusters".to_owned(), pieces.len() as f64),
         ("receivers_without_light".to_owned(), index.receivers_without_light as f64),
     ]);
-    for (number, piece) in pieces.iter().enumerate() {
-        let encoded = encode_cluster(&piece.transport, quantisation)
-            .map_err(|error| TaskError::bad_input_from("a cluster cannot be stored", error))?;
+    let encoded: Vec<_> = pieces
+        .par_iter()
+        .map(|piece| encode_cluster(&piece.transport, quantisation))
+        .collect::<Result<_, _>>()
+        .map_err(|error| TaskError::bad_input_from("a cluster cannot be stored", error))?;
+    for (number, (piece, encoded)) in pieces.iter().zip(encoded).enumerate() {
         index.s1_criterion_bounds.push(piece.s1_criterion_bound);
         index.clusters.push(ClusterRef {
             digest: Digest::of(&encoded.bytes),

@@ -6,6 +6,8 @@ use lightkiln_proto::prt::{
 };
 use lightkiln_proto::sh::band_of;
 
+use rayon::prelude::*;
+
 use super::alpha::Row;
 use super::components::components;
 use crate::prt::factor::{Factors, Matrix, factorise};
@@ -61,12 +63,14 @@ pub fn pieces(
     // Dead receivers are left out: their texels are filled from their neighbours, which keeps edges from turning dark.
     let live: Vec<usize> = (0..rows.len()).filter(|&row| !rows[row].is_dead()).collect();
     let links: Vec<Vec<u32>> = live.iter().map(|&row| splitter.groups_used(&rows[row])).collect();
-    let mut pieces = Vec::new();
-    for group in components(&links, keys.len()) {
-        let receivers = group.iter().map(|&index| cell.receivers[live[index]]).collect();
-        splitter.factor_into(ClusterCell { bounds_m: cell.bounds_m, receivers }, &mut pieces);
-    }
-    pieces
+    let parts: Vec<Vec<Piece>> = components(&links, keys.len())
+        .into_par_iter()
+        .map(|group| {
+            let receivers = group.iter().map(|&index| cell.receivers[live[index]]).collect();
+            splitter.pieces_of(ClusterCell { bounds_m: cell.bounds_m, receivers })
+        })
+        .collect();
+    parts.into_iter().flatten().collect()
 }
 
 /// Index of the first key that stands for a part of the sky; all of them come last.
@@ -94,10 +98,10 @@ fn weighed(settings: &Settings, keys: &[ProbeKey], rows: &[Row]) -> [Vec<Vec<f32
 }
 
 impl Splitter<'_> {
-    /// Adds the cell's cluster, or those of its halves where `rank_max` does not suffice.
-    fn factor_into(&self, cell: ClusterCell, pieces: &mut Vec<Piece>) {
+    /// The cell's cluster, or those of its halves where `rank_max` does not suffice.
+    fn pieces_of(&self, cell: ClusterCell) -> Vec<Piece> {
         if cell.receivers.is_empty() {
-            return;
+            return Vec::new();
         }
         let settings = self.settings;
         let (matrix, columns) = self.matrix(&cell.receivers);
@@ -110,12 +114,12 @@ impl Splitter<'_> {
             && size.max_element() > self.world.stage.texel_m;
         if factors.truncation_error > error_max && may_split {
             let position_m = |receiver: u32| self.world.stage.receivers[receiver as usize].position_m;
-            for half in halves(&cell, position_m) {
-                self.factor_into(half, pieces);
-            }
-            return;
+            let [a, b] = halves(&cell, position_m);
+            let (mut pieces, others) = rayon::join(|| self.pieces_of(a), || self.pieces_of(b));
+            pieces.extend(others);
+            return pieces;
         }
-        pieces.push(self.piece(&cell.receivers, &columns, factors));
+        vec![self.piece(&cell.receivers, &columns, factors)]
     }
 
     /// Factors of a matrix with columns weighted by band, and the error that it may have.
