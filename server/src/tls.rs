@@ -6,8 +6,10 @@ use std::path::PathBuf;
 
 use axum::Router;
 use axum::extract::connect_info::IntoMakeServiceWithConnectInfo;
+use axum::serve::ListenerExt;
 use axum_server::Handle;
-use axum_server::tls_rustls::RustlsConfig;
+use axum_server::accept::NoDelayAcceptor;
+use axum_server::tls_rustls::{RustlsAcceptor, RustlsConfig};
 use tokio::net::TcpListener;
 
 use crate::error::ServerError;
@@ -47,6 +49,10 @@ pub(crate) async fn serve(
     stop: impl Future<Output = ()> + Send + 'static,
 ) -> io::Result<()> {
     let Some(tls) = tls else {
+        // Without delay: the end of an answer would wait for the caller to acknowledge its beginning, for 40 ms.
+        let listener = listener.tap_io(|stream| {
+            let _ = stream.set_nodelay(true);
+        });
         return axum::serve(listener, app).with_graceful_shutdown(stop).await;
     };
     let handle = Handle::new();
@@ -56,5 +62,6 @@ pub(crate) async fn serve(
         // Whoever called this puts an end to requests that take too long.
         stopping.graceful_shutdown(None);
     });
-    axum_server::from_tcp_rustls(listener.into_std()?, tls)?.handle(handle).serve(app).await
+    let acceptor = RustlsAcceptor::new(tls).acceptor(NoDelayAcceptor::new());
+    axum_server::from_tcp(listener.into_std()?)?.acceptor(acceptor).handle(handle).serve(app).await
 }
