@@ -9,7 +9,7 @@ use lightkiln_server::farm::Farm;
 use lightkiln_server::store::StoreError;
 use lightkiln_server::{Config, Server, ServerError};
 use lightkiln_worker::prt::PrtRunner;
-use lightkiln_worker::runtime::{Level, ShutdownFlag, Worker, WorkerConfig, WorkerError};
+use lightkiln_worker::runtime::{Level, ShutdownFlag, Worker, WorkerConfig, WorkerError, usual_tasks};
 use tokio::runtime::Runtime;
 use tokio::sync::oneshot;
 
@@ -68,6 +68,7 @@ impl EmbeddedFarm {
         };
         let mut config = WorkerConfig::new(&farm.url, "embedded");
         config.threads = threads;
+        config.tasks = usual_tasks(threads);
         config.lease_secs = LEASE_SECS;
         let worker = Worker::new(config, Arc::new(PrtRunner))
             .map_err(|error| failed("the embedded worker cannot start").caused_by(&error))?;

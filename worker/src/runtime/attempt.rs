@@ -10,6 +10,7 @@ use std::time::{Duration, Instant};
 use lightkiln_proto::api::{Blame, CommitVerdict, Failure, Lease, TaskResult};
 use lightkiln_proto::problem::RetryClass;
 use lightkiln_proto::trace::TARGET;
+use rayon::ThreadPool;
 
 use super::backoff::Backoff;
 use super::farm::CallError;
@@ -46,14 +47,14 @@ enum NoResult {
 
 impl Worker {
     /// Does the task of `lease` to its end, whatever that is; when it returns the lease needs nothing more.
-    pub(super) fn attempt(&self, lease: &Lease, shutdown: &ShutdownFlag) -> Outcome {
+    pub(super) fn attempt(&self, lease: &Lease, pool: &ThreadPool, shutdown: &ShutdownFlag) -> Outcome {
         let span = trace::attempt_span(lease, &self.config.name);
-        let outcome = span.in_scope(|| self.attempt_in_span(lease, shutdown));
+        let outcome = span.in_scope(|| self.attempt_in_span(lease, pool, shutdown));
         trace::note_outcome(&span, outcome);
         outcome
     }
 
-    fn attempt_in_span(&self, lease: &Lease, shutdown: &ShutdownFlag) -> Outcome {
+    fn attempt_in_span(&self, lease: &Lease, pool: &ThreadPool, shutdown: &ShutdownFlag) -> Outcome {
         let progress = Progress::new();
         let watch = LeaseWatch {
             farm: &self.farm,
@@ -70,7 +71,7 @@ impl Worker {
             scope.spawn(|| watch.run());
             // `work` catches panics, so `finish` is always reached and the scope can end.
             let worked = match watch.acknowledge(&store) {
-                Ok(()) => self.work(lease, &store),
+                Ok(()) => self.work(lease, pool, &store),
                 Err(gave_up) => Err(no_result_of_call("the task could not be begun", gave_up)),
             };
             let outcome = self.settle(lease, worked, &watch);
@@ -79,9 +80,14 @@ impl Worker {
         })
     }
 
-    fn work(&self, lease: &Lease, store: &LeaseStore<'_>) -> Result<CommitVerdict, NoResult> {
+    fn work(
+        &self,
+        lease: &Lease,
+        pool: &ThreadPool,
+        store: &LeaseStore<'_>,
+    ) -> Result<CommitVerdict, NoResult> {
         let started = Instant::now();
-        let mut output = self.run_task(lease, store).map_err(no_result_of_task)?;
+        let mut output = self.run_task(lease, pool, store).map_err(no_result_of_task)?;
         count(&mut output, started.elapsed(), store.progress);
         let artefacts = output.artefacts;
         let mut result = TaskResult { outputs: Vec::new(), plan: output.plan, counters: output.counters };
@@ -105,13 +111,18 @@ impl Worker {
         }
     }
 
-    fn run_task(&self, lease: &Lease, store: &LeaseStore<'_>) -> Result<TaskOutput, TaskError> {
+    fn run_task(
+        &self,
+        lease: &Lease,
+        pool: &ThreadPool,
+        store: &LeaseStore<'_>,
+    ) -> Result<TaskOutput, TaskError> {
         let span = step(|| tracing::info_span!(target: TARGET, "run"));
         // The span goes with the task to the pool's thread, where its inputs are fetched.
         let run = || {
             span.in_scope(|| self.runner.run(&lease.task, &lease.inputs, store, &self.memory, store.progress))
         };
-        match catch_unwind(AssertUnwindSafe(|| self.pool.install(run))) {
+        match catch_unwind(AssertUnwindSafe(|| pool.install(run))) {
             Ok(outcome) => outcome,
             Err(panic) => Err(TaskError::Panicked { message: panic_message(panic.as_ref()) }),
         }

@@ -1,5 +1,6 @@
 //! The worker as a process sees it: claims tasks over HTTP, runs them, hands results in. Blocking calls on plain
-//! threads; one task at a time, with all threads inside it.
+//! threads; few tasks at a time, each with all threads inside it: one goes on while another talks to the server, or has
+//! a step that is not parallel.
 //!
 //! What holds whatever happens: a result is handed in only under a lease not known to be lost; a task whose lease ends
 //! here without a result is failed, released, or runs out, so another worker gets it; the same task gives the same
@@ -17,6 +18,7 @@ mod tests;
 mod trace;
 mod watch;
 
+use std::panic::resume_unwind;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
@@ -24,6 +26,7 @@ use std::time::Duration;
 use lightkiln_proto::api::ClaimRequest;
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::problem::RetryClass;
+use rayon::ThreadPool;
 use thiserror::Error;
 use ureq::tls::RootCerts;
 
@@ -52,7 +55,9 @@ pub struct WorkerConfig {
     pub name: String,
     /// Threads for a task. More → faster, with more memory in use.
     pub threads: usize,
-    /// Memory in MiB that tasks may use; bakes that need more go to other workers.
+    /// Tasks in hand at a time; each may use `threads` and `memory_mib`. More → less idle time, with more memory in use.
+    pub tasks: usize,
+    /// Memory in MiB that a task may use; bakes that need more go to other workers.
     pub memory_mib: u32,
     /// Labels that bakes may ask for.
     pub labels: Vec<String>,
@@ -71,14 +76,16 @@ pub struct WorkerConfig {
 }
 
 impl WorkerConfig {
-    /// A worker for the server at `server_url`, with a thread per processor and no cache on disk.
+    /// A worker for the server at `server_url`, with a thread per processor, [`usual_tasks`] and no cache on disk.
     pub fn new(server_url: impl Into<String>, name: impl Into<String>) -> Self {
+        let threads = std::thread::available_parallelism().map_or(1, usize::from);
         Self {
             server_url: server_url.into(),
             token: None,
             ca_pem: None,
             name: name.into(),
-            threads: std::thread::available_parallelism().map_or(1, usize::from),
+            threads,
+            tasks: usual_tasks(threads),
             memory_mib: 0,
             labels: Vec::new(),
             cache_dir: None,
@@ -89,6 +96,11 @@ impl WorkerConfig {
             drain_grace: Duration::from_secs(20),
         }
     }
+}
+
+/// Tasks in hand at a time where nobody says: two, but one where there is one thread, to keep to that.
+pub fn usual_tasks(threads: usize) -> usize {
+    threads.clamp(1, 2)
 }
 
 /// A worker that cannot start or cannot go on.
@@ -129,7 +141,9 @@ pub struct Worker {
     farm: Arc<Farm>,
     disk: Option<DiskCache>,
     memory: MemoryCache,
-    pool: rayon::ThreadPool,
+    /// Threads of each task in hand. Not one pool for all: a thread that waits for part of one task would take up another
+    /// as a whole, under whatever locks it holds.
+    pools: Vec<ThreadPool>,
 }
 
 /// Exchanges a code for the right to work with `token`, which whoever calls made and keeps; the worker's name on the farm.
@@ -158,26 +172,39 @@ impl Worker {
         };
         let disk = config.cache_dir.as_ref().map(open).transpose()?;
         let threads = config.threads.max(1);
-        let pool = rayon::ThreadPoolBuilder::new()
-            .num_threads(threads)
-            .thread_name(|index| format!("bake-{index}"))
-            .build()
-            .map_err(|source| WorkerError::Threads { threads, source })?;
+        let pool = |task: usize| {
+            let name = move |index| format!("bake-{task}-{index}");
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).thread_name(name).build();
+            pool.map_err(|source| WorkerError::Threads { threads, source })
+        };
+        let pools = (0..config.tasks.max(1)).map(pool).collect::<Result<_, _>>()?;
         let roots = roots(config.ca_pem.as_deref())?;
         let farm = Arc::new(Farm::trusting(roots, &config.server_url, config.token.as_deref()));
         let memory = MemoryCache::new(config.memory_bytes);
-        Ok(Self { config, runner, farm, disk, memory, pool })
+        Ok(Self { config, runner, farm, disk, memory, pools })
     }
 
     /// Claims and does tasks until `shutdown` is raised. A server that is away is waited for.
     pub fn run(&self, shutdown: &ShutdownFlag) -> Result<(), WorkerError> {
+        std::thread::scope(|scope| {
+            let start = |pool| scope.spawn(move || self.take_tasks(pool, shutdown));
+            let running: Vec<_> = self.pools.iter().map(start).collect();
+            let ended =
+                running.into_iter().map(|thread| thread.join().unwrap_or_else(|panic| resume_unwind(panic)));
+            // Who is refused for good ends alone: the others will be refused as well, and have a task to end.
+            ended.fold(Ok(()), |all, one| all.and(one))
+        })
+    }
+
+    /// Claims and does one task after the other.
+    fn take_tasks(&self, pool: &ThreadPool, shutdown: &ShutdownFlag) -> Result<(), WorkerError> {
         let mut backoff = Backoff::new();
         while shutdown.level() == Level::Run {
             match claim::claim(&self.farm, self.claim_request(), shutdown) {
                 Ok(Some(lease)) => {
                     backoff.reset();
                     tracing::info!(kind = lease.task.kind, label = lease.task.label, "took");
-                    self.attempt(&lease, shutdown);
+                    self.attempt(&lease, pool, shutdown);
                 }
                 Ok(None) => {
                     backoff.reset();
@@ -200,7 +227,7 @@ impl Worker {
         ClaimRequest {
             worker: self.config.name.clone(),
             kinds: self.runner.kinds(),
-            threads: u32::try_from(self.pool.current_num_threads()).unwrap_or(u32::MAX),
+            threads: u32::try_from(self.config.threads.max(1)).unwrap_or(u32::MAX),
             memory_mib: self.config.memory_mib,
             labels: self.config.labels.clone(),
             max: 1,

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use clap::Args;
 use lightkiln_worker::prt::PrtRunner;
-use lightkiln_worker::runtime::{Worker, WorkerConfig, WorkerError};
+use lightkiln_worker::runtime::{Worker, WorkerConfig, WorkerError, usual_tasks};
 
 use super::bake::all_processors;
 use super::submitting::own_token;
@@ -27,7 +27,11 @@ pub struct Arguments {
     /// Threads for a task [default: one per processor]
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
-    /// Memory in MiB that tasks may use; bakes that need more go to other workers [default: all that this machine has]
+    /// Tasks in hand at a time, each with as many threads and as much memory as a task may use: one goes on while another
+    /// waits for the server [default: 2, or 1 with one thread]
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=64))]
+    tasks: Option<u16>,
+    /// Memory in MiB that a task may use; bakes that need more go to other workers [default: all that this machine has]
     #[arg(long, value_name = "MIB")]
     memory_mib: Option<u32>,
     /// A label that bakes may ask for with --needs-label; may be repeated
@@ -74,6 +78,7 @@ pub fn run(arguments: Arguments) -> Result<()> {
         }
     };
     config.threads = arguments.threads.map_or_else(all_processors, usize::from);
+    config.tasks = arguments.tasks.map_or_else(|| usual_tasks(config.threads), usize::from);
     config.memory_mib = arguments.memory_mib.unwrap_or_else(all_memory_mib);
     config.labels = arguments.labels;
     config.cache_dir = Some(cache);

@@ -76,6 +76,7 @@ impl Running {
     ) -> Self {
         let mut config = WorkerConfig::new(farm.url(), "worker");
         config.threads = 2;
+        config.tasks = 1;
         config.lease_secs = 1;
         change(&mut config);
         let worker = Worker::new(config, Arc::new(FakeRunner(Box::new(run)))).unwrap();
