@@ -19,8 +19,9 @@ const FIRST_BATCHES: u32 = 32;
 /// How sure estimates must be.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Precision {
-    /// Standard error of the indirect part's luminance over the larger of it and the mean of all sites. Smaller → more
-    /// paths, with its inverse square.
+    /// Standard error of the indirect part's luminance over the mean of all sites, or over the geometric mean of both where
+    /// it is brighter: sums of squares over sites have most of their noise from the brightest. Smaller → more paths,
+    /// with its inverse square.
     pub rel_error: f64,
     /// Most paths per site.
     pub paths_max: u32,
@@ -59,7 +60,7 @@ impl Sums {
 impl Reference<'_> {
     /// Irradiance at every site, in their order.
     ///
-    /// A first round gives the mean of all sites, which is the floor of the relative error; then each site doubles its
+    /// A first round gives the mean of all sites, which errors are relative to; then each site doubles its
     /// paths until it is sure enough or has [`Precision::paths_max`].
     pub fn irradiance(
         &self,
@@ -149,5 +150,5 @@ impl Reference<'_> {
 
 fn is_sure(sums: &Sums, floor: f64, rel_error: f64) -> bool {
     let estimate = sums.indirect.estimate();
-    estimate.luminance_error <= rel_error * estimate.luminance().max(floor)
+    estimate.luminance_error <= rel_error * (estimate.luminance().max(floor) * floor).sqrt()
 }

@@ -13,8 +13,8 @@ pub struct EvaluationArguments {
     /// worker/src/evaluate/light_file.rs [default: chosen from the scene, and said]
     #[arg(long, value_name = "FILE", help_heading = "Evaluation")]
     pub lights: Option<PathBuf>,
-    /// Standard error of the reference over the larger of the value and the mean; smaller takes longer, with its
-    /// inverse square
+    /// Standard error of the reference over the mean, or over the geometric mean of it and the value where that is brighter;
+    /// smaller takes longer, with its inverse square
     #[arg(long, value_name = "E", default_value_t = 0.03, value_parser = parse_rel_error, help_heading = "Evaluation")]
     pub rel_error: f64,
     /// Receivers to measure at, spread by area

@@ -103,8 +103,8 @@ fn table(evaluation: &Evaluation, pictures: &[LightPictures]) -> String {
 fn notes(evaluation: &Evaluation) -> String {
     let mut html = format!(
         "<p>E_ind at {} receivers, weighted by area, over the mean of the reference. The reference’s variance is \
-         subtracted from the squared errors, not from the percentiles; its standard error was asked to be {:.1} % of the larger of \
-         the value and the mean. Transport: full-rank rows against the reference, at the same receivers. Factorisation \
+         subtracted from the squared errors, not from the percentiles; its standard error was asked to be {:.1} % of \
+         the mean, or of the geometric mean of it and the value where that is brighter. Transport: full-rank rows against the reference, at the same receivers. Factorisation \
          and quantisation: at all receivers of {} of {} clusters, made anew. All lights: root mean square over lights, \
          mean of energy ratios. {:.2} % of the lit area has no receiver. Pictures by paths hold some noise, and so \
          does their ꟻLIP.</p>",
