@@ -24,7 +24,10 @@ pub const STUDIES: &[Study] = &[
     Study {
         name: "receivers",
         question: "How many receivers are needed? ([Sedlacek2019] §5.1.2)",
-        answer: "",
+        answer: "Where light is smooth, few: Cornell's error hardly falls from 3,000 receivers to 21,000, while the bytes of each fall to less than \
+                 half. Where it comes round a bend, texels must be small against what it passes: the corridor's error falls from 14 to \
+                 5 %. So presets aim at a number of receivers, a scene of few triangles gets a fifth of it, and each triangle 20 more. \
+                 (7,500 and 15,000 snap to one texel size.)",
         scenes: ROOMS,
         fixed: &[],
         lines: ONE,
