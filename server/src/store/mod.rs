@@ -74,6 +74,20 @@ pub struct KnownResult {
     pub key: TaskKey,
     /// Its outputs.
     pub outputs: Vec<Artefact>,
+    /// Artefacts named by those tasks that it planned and that are not done.
+    pub named: BTreeSet<Digest>,
+}
+
+impl KnownResult {
+    /// The results found along a plan, in that order.
+    fn all(found: Vec<(TaskKey, TaskResult)>) -> Vec<Self> {
+        let done: BTreeSet<TaskKey> = found.iter().map(|(key, _)| *key).collect();
+        let known = |(key, result): (TaskKey, TaskResult)| {
+            let open = result.plan.iter().filter(|task| !done.contains(&task.key));
+            Self { key, named: open.flat_map(rules::named_artefacts).collect(), outputs: result.outputs }
+        };
+        found.into_iter().map(known).collect()
+    }
 }
 
 /// What became of a reported failure.
@@ -172,8 +186,9 @@ pub trait FarmStore: Send + Sync {
     /// Results that `plan` would reuse, plans of reused results included.
     async fn reusable(&self, plan: &[TaskSpec]) -> Result<Vec<KnownResult>, StoreError>;
 
-    /// Forgets results whose bytes are lost: tasks that a live bake wants run again, dependants wait again. Bakes that
-    /// have ended count the result as lost ([`Bake::results_lost`]) until a bake runs the task again.
+    /// Forgets results whose bytes are lost: tasks that a live bake wants run again; dependants, and tasks that name an
+    /// output by its digest, wait for them again. A worker whose attempt fails after it lost an input is not to blame. A
+    /// bake fails when its tasks still need bytes that were not made again. Bakes that have ended count the result as lost ([`Bake::results_lost`]) until a bake runs the task again.
     async fn forget(&self, keys: &[TaskKey]) -> Result<(), StoreError>;
 
     /// Hands out up to `max` ready tasks. One by one they come from the bake with the highest priority, of those from the

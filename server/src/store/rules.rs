@@ -137,6 +137,21 @@ pub fn given_up_message(label: &str, kind: &str, attempts: u32, workers: u32, me
     ))
 }
 
+/// Why a bake failed when a task that was run again gave other bytes than before, and others had named those.
+pub fn made_otherwise_message(label: &str, kind: &str, before: &Artefact) -> String {
+    let Artefact { name, digest, .. } = before;
+    cut_message(&format!(
+        "{label} ({kind}) was run again because bytes of its result were lost, and its output '{name}' is not {digest} any \
+         more, which other tasks read; the same task must give the same bytes: look whether workers of different versions \
+         took part, then submit the bake again"
+    ))
+}
+
+/// Outputs of a task's result before it was forgotten whose bytes are not among those of the new one.
+pub fn outputs_gone<'a>(before: &'a [Artefact], now: &'a [Artefact]) -> impl Iterator<Item = &'a Artefact> {
+    before.iter().filter(|output| now.iter().all(|other| other.digest != output.digest))
+}
+
 /// Why an attempt ended when its lease ran out.
 pub fn expiry_message(worker: &str) -> String {
     format!("worker {worker} was not heard from until its lease ran out")
@@ -225,6 +240,14 @@ pub fn dependencies(task: &TaskSpec) -> Vec<TaskKey> {
     keys.sort_unstable();
     keys.dedup();
     keys
+}
+
+/// Artefacts that a task names.
+pub fn named_artefacts(task: &TaskSpec) -> impl Iterator<Item = Digest> + '_ {
+    task.inputs.iter().filter_map(|input| match input {
+        TaskInput::Artefact { digest, .. } => Some(*digest),
+        TaskInput::Task { .. } => None,
+    })
 }
 
 /// A task's inputs as its worker sees them; `outputs_of` gives the outputs of a finished task.

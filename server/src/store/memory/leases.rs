@@ -142,7 +142,7 @@ impl Farm {
             TaskState::Done
         } else if task.lease.is_some() {
             TaskState::Leased
-        } else if rules::dependencies(&task.spec).iter().all(is_done) {
+        } else if rules::dependencies(&task.spec).iter().all(is_done) && task.makers.is_empty() {
             TaskState::Ready
         } else {
             TaskState::Waiting
@@ -211,16 +211,14 @@ impl Farm {
             deadline_ms,
             cancelled: false,
             was_heard: false,
+            input_lost: false,
         };
         self.leases.insert(token.clone(), lease);
         if let Some(task) = self.tasks.get_mut(&key) {
             task.lease = Some(token.clone());
         }
         let task = self.tasks[&key].spec.clone();
-        let inputs = rules::resolve_inputs(&task, |key| {
-            let done = self.tasks.get(key).and_then(|task| task.done.as_ref());
-            done.map(|(result, _)| result.outputs.clone()).unwrap_or_default()
-        });
+        let inputs = rules::resolve_inputs(&task, |key| self.outputs_of(key));
         let BakeEntry { id, traceparent, .. } = &self.bakes[bake];
         let (bake, traceparent) = (id.clone(), traceparent.clone());
         Ok(Lease { token, bake, task, inputs, expires_ms, traceparent })
@@ -289,7 +287,9 @@ impl Farm {
         let key = lease.key;
         let Some(task) = self.tasks.get_mut(&key) else { return Ok(CommitVerdict::Stale) };
         task.done = Some((result.clone(), token.to_owned()));
+        let before = std::mem::take(&mut task.outputs_before);
         let (spec, attempt) = (task.spec.clone(), task.attempts + 1);
+        self.release_readers(key);
         for bake in &mut self.bakes {
             if let Some(member) = bake.members.get_mut(&key).filter(|member| member.lost) {
                 (member.held, member.lost) = (true, false);
@@ -308,6 +308,10 @@ impl Farm {
             let elapsed_ms = lease.elapsed_ms(now_ms);
             let done = EventKind::TaskDone { key, kind, label, worker, attempt, elapsed_ms };
             self.event(bake, now_ms, done);
+            if let Some(failure) = self.failure_by_making(bake, key, &before) {
+                self.close(bake, BakeState::Failed, Some(failure), now_ms);
+                continue;
+            }
             self.apply_plan(bake, &result.plan, now_ms)?;
             self.finish_if_done(bake, now_ms);
         }
@@ -335,6 +339,11 @@ impl Farm {
                 let attempt = self.tasks[&lease.key].attempts + 1;
                 self.give_up(&lease, attempt, &message, &failure, now_ms);
                 FailVerdict::GivenUp
+            }
+            Blame::Worker if lease.input_lost => {
+                let attempt = self.tasks[&lease.key].attempts + 1;
+                self.task_failed(&lease, attempt, &message, Some(0), now_ms);
+                FailVerdict::Retry
             }
             Blame::Worker => {
                 let Some(attempts) = self.blame_worker(&lease, &message, now_ms) else {

@@ -2,6 +2,7 @@
 
 use lightkiln_proto::api::{EventKind, HeartbeatAnswer, Verdict};
 use lightkiln_proto::ids::TaskKey;
+use lightkiln_proto::jobs::Artefact;
 
 use super::conn::{Conn, query};
 use super::ledger::{Ledger, live_bakes_of};
@@ -23,6 +24,10 @@ pub(super) struct Ended {
     pub(super) has_hit_limit: bool,
     /// The worker said that it had the task.
     pub(super) was_heard: bool,
+    /// Something that the task reads was lost meanwhile.
+    pub(super) input_lost: bool,
+    /// What the task gave before its result was forgotten; nothing if that did not happen.
+    pub(super) outputs_before: Vec<Artefact>,
 }
 
 pub(super) async fn heartbeat(
@@ -92,8 +97,8 @@ pub(super) async fn end(conn: &mut Conn, token: &str, now_ms: i64) -> Result<Opt
 /// Takes a lease, good or not; nothing when it was cancelled or is gone.
 pub(super) async fn take(conn: &mut Conn, token: &str, now_ms: i64) -> Result<Option<Ended>, StoreError> {
     let sql =
-        "SELECT l.task, l.worker, l.started_ms, l.expires_ms, l.deadline_ms, l.progress, t.key, t.kind, t.label, t.cost, t.attempts
-               FROM leases l JOIN tasks t ON t.id = l.task WHERE l.token = $1";
+        "SELECT l.task, l.worker, l.started_ms, l.expires_ms, l.deadline_ms, l.progress, l.input_lost, t.key, t.kind,
+               t.label, t.cost, t.attempts, coalesce(t.outputs_before, '[]') AS outputs_before FROM leases l JOIN tasks t ON t.id = l.task WHERE l.token = $1";
     let row = query(sql).bind(token).optional(conn).await?;
     query("DELETE FROM leases WHERE token = $1").bind(token).run(conn).await?;
     let Some(row) = row else { return Ok(None) };
@@ -108,6 +113,8 @@ pub(super) async fn take(conn: &mut Conn, token: &str, now_ms: i64) -> Result<Op
         elapsed_ms: u64::try_from(now_ms - row.get::<i64>("started_ms")?).unwrap_or(0),
         has_hit_limit: row.get::<i64>("expires_ms")? >= row.get::<i64>("deadline_ms")?,
         was_heard: row.get::<f64>("progress")? > rules::UNHEARD,
+        input_lost: row.get::<i64>("input_lost")? != 0,
+        outputs_before: row.json("outputs_before")?,
     }))
 }
 

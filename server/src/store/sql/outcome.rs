@@ -11,6 +11,7 @@ use super::forget;
 use super::leases::{self, Ended, requeue};
 use super::ledger::{Ledger, live_bakes_of};
 use super::plan::apply_plan;
+use super::remake;
 use crate::store::rules::{self, add_counters, check_plan};
 use crate::store::{FailVerdict, Reaped, StoreError};
 
@@ -27,9 +28,18 @@ pub(super) async fn commit(
     let Some(ended) = leases::end(conn, token, now_ms).await? else { return Ok(CommitVerdict::Stale) };
     write_result(conn, token, &ended, result).await?;
     unlock_dependants(conn, ended.task, now_ms).await?;
+    if !ended.outputs_before.is_empty() {
+        remake::release_readers(conn, ended.task, ended.key).await?;
+    }
+    let gone = remake::not_made_again(conn, &ended.outputs_before, &result.outputs).await?;
     for bake in live_bakes_of(conn, ended.task).await? {
         let mut bake = Ledger::load(conn, bake).await?;
         count_done(conn, &mut bake, &ended, result, now_ms).await?;
+        if let Some(output) = remake::first_named(conn, bake.seq, &gone).await? {
+            let failure = rules::made_otherwise_message(&ended.label, &ended.kind, output);
+            bake.close(conn, BakeState::Failed, Some(failure), now_ms).await?;
+            continue;
+        }
         apply_plan(conn, &mut bake, &result.plan, now_ms).await?;
         bake.save_or_finish(conn, now_ms).await?;
     }
@@ -75,7 +85,10 @@ async fn write_result(
         .await?;
     let outputs = result.outputs.iter().map(|output| output.digest).collect();
     chunks::refer_outputs(conn, ended.task, &outputs).await?;
-    query("UPDATE tasks SET state = 'done' WHERE id = $1").bind(ended.task).run(conn).await?;
+    query("UPDATE tasks SET state = 'done', outputs_before = NULL WHERE id = $1")
+        .bind(ended.task)
+        .run(conn)
+        .await?;
     forget::give_back(conn, ended.task, ended.key).await
 }
 
@@ -131,15 +144,19 @@ pub(super) async fn fail(
         give_up(conn, &ended, &message, &failure, now_ms).await?;
         return Ok(FailVerdict::GivenUp);
     }
-    if blame_worker(conn, &ended, &message, now_ms).await? {
-        return Ok(FailVerdict::GivenUp);
+    let mut wait_ms = 0;
+    // Whoever lost an input is not to blame, and tries again once that is there.
+    if !ended.input_lost {
+        if blame_worker(conn, &ended, &message, now_ms).await? {
+            return Ok(FailVerdict::GivenUp);
+        }
+        wait_ms = rules::retry_wait_ms(ended.key, ended.attempts + 1);
+        query("UPDATE tasks SET not_before_ms = $1 WHERE id = $2")
+            .bind(now_ms + wait_ms)
+            .bind(ended.task)
+            .run(conn)
+            .await?;
     }
-    let wait_ms = rules::retry_wait_ms(ended.key, ended.attempts + 1);
-    query("UPDATE tasks SET not_before_ms = $1 WHERE id = $2")
-        .bind(now_ms + wait_ms)
-        .bind(ended.task)
-        .run(conn)
-        .await?;
     requeue(conn, &ended, now_ms).await?;
     for bake in live_bakes_of(conn, ended.task).await? {
         let mut bake = Ledger::load(conn, bake).await?;
