@@ -38,7 +38,7 @@ use crate::chunks::ChunkName;
 use chunk::{ChunkRow, CollectRules, Collected, Kept, KeptChunk, Usage};
 pub use error::{PlanError, StoreError};
 pub use memory::MemoryStore;
-pub use rules::{BACKOFF_MAX_MS, MAX_ATTEMPTS, POISON_WORKERS, backoff_ms};
+pub use rules::{BACKOFF_MAX_MS, MAX_ATTEMPTS, MAX_PARDONS, POISON_WORKERS, backoff_ms};
 pub use sql::{FaultPoint, Faults, SqlStore};
 pub use token::is_token;
 pub(crate) use token::{random_id, random_secret, random_u64};
@@ -218,7 +218,9 @@ pub trait FarmStore: Send + Sync {
     async fn clear_blocklist(&self, bake: &str, worker: Option<&str>) -> Result<Blocklist, StoreError>;
 
     /// Ends leases that have run out. Each counts as an attempt failed by its worker, unless the worker was never heard
-    /// about it: then the answer to its claim was lost, or the worker had gone, and nothing was attempted.
+    /// about it: then the answer to its claim was lost, or the worker had gone, and nothing was attempted. A worker that is
+    /// heard later, by a heartbeat, commit or release of that lease, was silent and is alive: the attempt is given back, up to
+    /// [`MAX_PARDONS`] times for a task. A crash never is, nor an attempt that took too long, nor one that failed.
     async fn reap(&self) -> Result<Reaped, StoreError>;
 
     /// Holds a bake's tasks back; leases go on.

@@ -120,6 +120,9 @@ conformance! {
         attempts_are_limited
         leases_that_run_out_count_as_attempts
         leases_that_nobody_was_heard_about_count_no_attempt
+        attempt_of_a_worker_that_was_silent_and_is_alive_is_given_back
+        failure_that_is_reported_late_still_counts
+        attempt_keeps_its_number_when_an_earlier_one_is_given_back
         failed_bake_drops_its_other_tasks
         failed_task_gets_another_chance_in_a_new_bake;
     scheduling:

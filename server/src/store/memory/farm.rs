@@ -19,6 +19,8 @@ pub(super) struct Farm {
     pub(super) tasks: BTreeMap<TaskKey, Task>,
     /// By token. A lease whose task was dropped stays until it runs out, so that its holder can be told.
     pub(super) leases: BTreeMap<String, LeaseEntry>,
+    /// By token.
+    pub(super) expired: BTreeMap<String, ExpiredEntry>,
     /// By name.
     pub(super) workers: BTreeMap<String, WorkerEntry>,
     /// By name.
@@ -83,6 +85,8 @@ pub(super) struct Task {
     /// Token of the attempt under way.
     pub(super) lease: Option<String>,
     pub(super) attempts: u32,
+    /// Attempts that were given back, or not counted, as their workers were silent for a while, and alive.
+    pub(super) pardons: u32,
     pub(super) not_before_ms: i64,
     /// Workers that failed at it.
     pub(super) blamed: BTreeSet<String>,
@@ -106,6 +110,19 @@ pub(super) struct LeaseEntry {
     pub(super) was_heard: bool,
     /// Something that the task reads was lost meanwhile.
     pub(super) input_lost: bool,
+    /// The worker was heard again after the lease had run out.
+    pub(super) is_late: bool,
+    /// Which attempt at the task it is.
+    pub(super) attempt: u32,
+}
+
+/// An attempt that was counted because its lease ran out.
+#[derive(Clone)]
+pub(super) struct ExpiredEntry {
+    pub(super) key: TaskKey,
+    pub(super) worker: String,
+    /// The worker had not failed at the task before.
+    pub(super) has_blamed: bool,
 }
 
 #[derive(Clone)]
@@ -259,6 +276,7 @@ impl Farm {
             }
         }
         self.release_readers(key);
+        self.expired.retain(|_, expired| expired.key != key);
         self.tasks.remove(&key)
     }
 
@@ -323,6 +341,7 @@ impl Farm {
             return;
         }
         self.hold_readers(key);
+        self.expired.retain(|_, expired| expired.key != key);
         let Some(task) = self.tasks.get_mut(&key) else { return };
         let outputs_before = task.done.take().map(|(result, _)| result.outputs).unwrap_or_default();
         *task = Task { makers: task.makers.clone(), outputs_before, ..Task::new(task.spec.clone()) };
@@ -460,7 +479,18 @@ impl BakeEntry {
 impl Task {
     fn new(spec: TaskSpec) -> Self {
         let (blamed, makers, outputs_before) = (BTreeSet::new(), BTreeSet::new(), Vec::new());
-        Self { spec, done: None, lease: None, attempts: 0, not_before_ms: 0, blamed, makers, outputs_before }
+        let (attempts, pardons, not_before_ms) = (0, 0, 0);
+        Self {
+            spec,
+            done: None,
+            lease: None,
+            attempts,
+            pardons,
+            not_before_ms,
+            blamed,
+            makers,
+            outputs_before,
+        }
     }
 
     /// All that it waits for until it is done.

@@ -10,10 +10,10 @@ use lightkiln_proto::api::{
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{TaskResult, TaskSpec};
 
-use super::farm::{BakeEntry, Farm, LeaseEntry, Member, Task, WorkerEntry};
+use super::farm::{BakeEntry, ExpiredEntry, Farm, LeaseEntry, Member, Task, WorkerEntry};
 use crate::store::rules::{
-    self, Abilities, BLOCK_TASKS, CLAIM_WINDOW, Contender, WORKER_PRESENT_MS, WORKER_SEEN_GRAIN_MS,
-    add_counters, next_contender,
+    self, Abilities, BLOCK_TASKS, CLAIM_WINDOW, Contender, MAX_PARDONS, WORKER_PRESENT_MS,
+    WORKER_SEEN_GRAIN_MS, add_counters, next_contender,
 };
 use crate::store::{FailVerdict, Reaped, StoreError, TaskState, token};
 
@@ -212,6 +212,8 @@ impl Farm {
             cancelled: false,
             was_heard: false,
             input_lost: false,
+            is_late: false,
+            attempt,
         };
         self.leases.insert(token.clone(), lease);
         if let Some(task) = self.tasks.get_mut(&key) {
@@ -225,6 +227,7 @@ impl Farm {
     }
 
     pub(super) fn heartbeat(&mut self, token: &str, _progress: f32, now_ms: i64) -> HeartbeatAnswer {
+        self.hear_late(token, now_ms);
         let Some(lease) = self.leases.get_mut(token) else {
             return HeartbeatAnswer { verdict: Verdict::Lost, expires_ms: now_ms };
         };
@@ -235,7 +238,7 @@ impl Farm {
             verdict = Verdict::Lost;
         } else {
             lease.expires_ms = (now_ms + lease.ttl_ms).min(lease.deadline_ms);
-            lease.was_heard = true;
+            (lease.was_heard, lease.is_late) = (true, false);
         }
         if let Some(worker) = self.workers.get_mut(&lease.worker)
             && now_ms - worker.seen_ms >= WORKER_SEEN_GRAIN_MS
@@ -243,6 +246,25 @@ impl Farm {
             worker.seen_ms = now_ms;
         }
         HeartbeatAnswer { verdict, expires_ms: lease.expires_ms }
+    }
+
+    /// A holder whose lease has run out turns out to be alive: its attempt is given back, once, and not for ever.
+    fn hear_late(&mut self, token: &str, now_ms: i64) {
+        if let Some(lease) = self.leases.get_mut(token) {
+            lease.is_late |=
+                lease.was_heard && lease.expires_ms <= now_ms && lease.expires_ms < lease.deadline_ms;
+        }
+        let Some(expired) = self.expired.remove(token) else { return };
+        if let Some(task) = self.tasks.get_mut(&expired.key)
+            && task.done.is_none()
+            && task.attempts > 0
+            && task.pardons < MAX_PARDONS
+        {
+            (task.attempts, task.pardons) = (task.attempts - 1, task.pardons + 1);
+            if expired.has_blamed {
+                task.blamed.remove(&expired.worker);
+            }
+        }
     }
 
     /// Takes the lease away if it is still good. A cancelled one goes too, but gives nothing.
@@ -283,12 +305,13 @@ impl Farm {
         if self.leases.get(token).is_some_and(is_good) {
             result.outputs.iter().try_for_each(|output| self.chunks.require(output.digest))?;
         }
+        self.hear_late(token, now_ms);
         let Some(lease) = self.end_lease(token, now_ms) else { return Ok(CommitVerdict::Stale) };
         let key = lease.key;
         let Some(task) = self.tasks.get_mut(&key) else { return Ok(CommitVerdict::Stale) };
         task.done = Some((result.clone(), token.to_owned()));
         let before = std::mem::take(&mut task.outputs_before);
-        let (spec, attempt) = (task.spec.clone(), task.attempts + 1);
+        let (spec, attempt) = (task.spec.clone(), lease.attempt);
         self.release_readers(key);
         for bake in &mut self.bakes {
             if let Some(member) = bake.members.get_mut(&key).filter(|member| member.lost) {
@@ -319,6 +342,7 @@ impl Farm {
     }
 
     pub(super) fn release(&mut self, token: &str, now_ms: i64) -> bool {
+        self.hear_late(token, now_ms);
         let Some(lease) = self.end_lease(token, now_ms) else { return false };
         let key = lease.key;
         for bake in self.live_bakes_of(key) {
@@ -336,13 +360,11 @@ impl Farm {
             Blame::Task => {
                 let TaskSpec { label, kind, .. } = &self.tasks[&lease.key].spec;
                 let failure = rules::task_fault_message(label, kind, &lease.worker, &message);
-                let attempt = self.tasks[&lease.key].attempts + 1;
-                self.give_up(&lease, attempt, &message, &failure, now_ms);
+                self.give_up(&lease, &message, &failure, now_ms);
                 FailVerdict::GivenUp
             }
             Blame::Worker if lease.input_lost => {
-                let attempt = self.tasks[&lease.key].attempts + 1;
-                self.task_failed(&lease, attempt, &message, Some(0), now_ms);
+                self.task_failed(&lease, &message, Some(0), now_ms);
                 FailVerdict::Retry
             }
             Blame::Worker => {
@@ -353,7 +375,7 @@ impl Farm {
                 if let Some(task) = self.tasks.get_mut(&lease.key) {
                     task.not_before_ms = now_ms + wait_ms;
                 }
-                self.task_failed(&lease, attempts, &message, Some(wait_ms), now_ms);
+                self.task_failed(&lease, &message, Some(wait_ms), now_ms);
                 FailVerdict::Retry
             }
         }
@@ -370,25 +392,18 @@ impl Farm {
         }
         let TaskSpec { label, kind, .. } = &task.spec;
         let failure = rules::given_up_message(label, kind, attempts, workers, message);
-        self.give_up(lease, attempts, message, &failure, now_ms);
+        self.give_up(lease, message, &failure, now_ms);
         None
     }
 
-    fn give_up(&mut self, lease: &LeaseEntry, attempt: u32, message: &str, failure: &str, now_ms: i64) {
-        self.task_failed(lease, attempt, message, None, now_ms);
+    fn give_up(&mut self, lease: &LeaseEntry, message: &str, failure: &str, now_ms: i64) {
+        self.task_failed(lease, message, None, now_ms);
         for bake in self.live_bakes_of(lease.key) {
             self.close(bake, BakeState::Failed, Some(failure.to_owned()), now_ms);
         }
     }
 
-    fn task_failed(
-        &mut self,
-        lease: &LeaseEntry,
-        attempt: u32,
-        message: &str,
-        wait_ms: Option<i64>,
-        now_ms: i64,
-    ) {
+    fn task_failed(&mut self, lease: &LeaseEntry, message: &str, wait_ms: Option<i64>, now_ms: i64) {
         let TaskSpec { kind, label, .. } = self.tasks[&lease.key].spec.clone();
         let failed = EventKind::TaskFailed {
             key: lease.key,
@@ -397,7 +412,7 @@ impl Farm {
             worker: lease.worker.clone(),
             message: message.to_owned(),
             retry: wait_ms.is_some(),
-            attempt,
+            attempt: lease.attempt,
             elapsed_ms: lease.elapsed_ms(now_ms),
             wait_ms: wait_ms.and_then(|wait_ms| u64::try_from(wait_ms).ok()).unwrap_or(0),
         };
@@ -422,14 +437,22 @@ impl Farm {
             let took_too_long = lease.expires_ms >= lease.deadline_ms;
             for bake in self.live_bakes_of(key) {
                 let TaskSpec { kind, label, .. } = self.tasks[&key].spec.clone();
-                let (worker, attempt) = (lease.worker.clone(), self.tasks[&key].attempts + 1);
+                let (worker, attempt) = (lease.worker.clone(), lease.attempt);
                 let elapsed_ms = lease.elapsed_ms(now_ms);
                 let expired =
                     EventKind::LeaseExpired { key, kind, label, worker, attempt, elapsed_ms, took_too_long };
                 self.event(bake, now_ms, expired);
             }
-            if !lease.was_heard {
+            let Some(task) = self.tasks.get_mut(&key) else { continue };
+            let is_pardoned = lease.is_late && task.pardons < MAX_PARDONS;
+            task.pardons += u32::from(is_pardoned);
+            if !lease.was_heard || is_pardoned {
                 continue;
+            }
+            if !took_too_long {
+                let has_blamed = !task.blamed.contains(&lease.worker);
+                let expired = ExpiredEntry { key, worker: lease.worker.clone(), has_blamed };
+                self.expired.insert(token, expired);
             }
             let message =
                 if took_too_long { rules::limit_message } else { rules::expiry_message }(&lease.worker);
