@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bytes::Bytes;
-use lightkiln_proto::api::{Bake, BakeState, ClaimRequest, CommitVerdict, Needs, NewBake};
+use lightkiln_proto::api::{Bake, BakeState, ClaimRequest, CommitVerdict};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{Artefact, TaskInput, TaskResult, TaskSpec};
 use lightkiln_proto::problem::ProblemCode;
@@ -15,7 +15,7 @@ use lightkiln_server::wakeup::{LocalWakeup, NoWakeup, Wakeup};
 use tokio::sync::watch;
 use tokio::time::Instant;
 
-use crate::support::{SCENE, World, task};
+use crate::support::{SCENE, World, new_bake, task};
 
 /// Longer than any test may take: who waits this long has missed a hint.
 const LONG: Duration = Duration::from_secs(3600);
@@ -50,17 +50,7 @@ fn polled(world: &World) -> Arc<Farm> {
 async fn submit(farm: &Farm) -> Bake {
     let scene = Digest::of(SCENE);
     farm.storage.put(scene, Bytes::from_static(SCENE)).await.unwrap();
-    let settings = serde_json::json!({});
-    let bake = NewBake {
-        name: "bake".into(),
-        scene,
-        kind: "prt".into(),
-        settings,
-        priority: 0,
-        needs: Needs::default(),
-        attempt_limit_secs: None,
-    };
-    farm.submit(bake, None, None).await.unwrap()
+    farm.submit(new_bake("bake", "prt"), None, None).await.unwrap()
 }
 
 fn request(worker: &str) -> ClaimRequest {
