@@ -81,6 +81,7 @@ conformance! {
         late_removal_does_not_meet_what_was_stored_meanwhile
         uploads_beside_collections_lose_nothing
         damaged_bytes_are_given_up_when_they_are_read
+        chunk_that_was_stored_again_meanwhile_is_not_lost
         upload_beyond_the_quota_leaves_nothing_and_works_when_there_is_room
         bytes_from_before_generations_are_found;
     checks:
