@@ -1,6 +1,5 @@
 //! What the farm does when asked: store, chunks and hints put together, without HTTP.
 
-use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -21,7 +20,7 @@ use crate::error::ServerError;
 use crate::metrics::Metrics;
 use crate::storage::{Removed, Storage};
 use crate::store::chunk::CollectRules;
-use crate::store::{FarmStore, StoreError, Submission, is_token};
+use crate::store::{FarmStore, KnownResult, StoreError, Submission, is_token};
 use crate::wakeup::Wakeup;
 
 /// Longest name of a bake, in characters.
@@ -111,25 +110,34 @@ impl Farm {
         Ok(submitted.bake)
     }
 
-    /// Forgets results that `plan` would reuse but whose bytes are gone, so that their tasks run again.
+    /// Forgets results that `plan` would reuse but whose bytes are gone, so that their tasks run again. So do those that
+    /// planned tasks for bytes that are gone: they plan them anew once what makes the bytes has run.
     async fn forget_lost_results(&self, plan: &[TaskSpec]) -> Result<(), ServerError> {
         if plan.is_empty() {
             return Ok(());
         }
-        let known = self.store.reusable(plan).await?;
-        let outputs = known.iter().flat_map(|result| &result.outputs);
-        let wanted: BTreeSet<Digest> = outputs.map(|output| output.digest).collect();
-        let there = self.storage.lengths(&wanted).await?;
-        let has_lost = |result: &&crate::store::KnownResult| {
-            result.outputs.iter().any(|output| there.get(&output.digest) != Some(&output.bytes))
-        };
-        let keys: Vec<TaskKey> = known.iter().filter(has_lost).map(|result| result.key).collect();
-        if keys.is_empty() {
-            return Ok(());
+        // What is forgotten may have planned, or be planned by, what was whole a moment ago.
+        loop {
+            let keys = self.lost_results(plan).await?;
+            if keys.is_empty() {
+                return Ok(());
+            }
+            tracing::warn!(results = keys.len(), "results lost their bytes; their tasks will run again");
+            self.metrics.forgotten_results.add(keys.len() as u64);
+            self.store.forget(&keys).await?;
         }
-        tracing::warn!(results = keys.len(), "results lost their bytes; their tasks will run again");
-        self.metrics.forgotten_results.add(keys.len() as u64);
-        Ok(self.store.forget(&keys).await?)
+    }
+
+    async fn lost_results(&self, plan: &[TaskSpec]) -> Result<Vec<TaskKey>, ServerError> {
+        let known = self.store.reusable(plan).await?;
+        let outputs = known.iter().flat_map(|result| &result.outputs).map(|output| output.digest);
+        let named = known.iter().flat_map(|result| &result.named).copied();
+        let there = self.storage.lengths(&outputs.chain(named).collect()).await?;
+        let has_lost = |result: &&KnownResult| {
+            result.outputs.iter().any(|output| there.get(&output.digest) != Some(&output.bytes))
+                || result.named.iter().any(|named| !there.contains_key(named))
+        };
+        Ok(known.iter().filter(has_lost).map(|result| result.key).collect())
     }
 
     /// Hands out tasks, waiting for some if asked to.

@@ -218,6 +218,11 @@ impl Storage {
 
     /// Gives up a chunk whose bytes are lost or damaged; tasks of live bakes that made it run again.
     pub async fn lose(&self, name: ChunkName) -> Result<(), StoreError> {
+        let kept = self.store.find_chunks(&[name.digest]).await?;
+        if kept.first().is_none_or(|kept| kept.name != name) {
+            // Cleared away, or stored again, since somebody looked: nothing is lost.
+            return Ok(());
+        }
         let results = self.store.lose_chunk(name).await?;
         self.lost.add(1);
         tracing::error!(digest = %name.digest, results, "a chunk's bytes are lost or damaged; what made it will run again");

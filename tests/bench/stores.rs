@@ -1,4 +1,5 @@
-//! Claims and commits a second on each store, without HTTP: one caller that waits for each answer, and sixteen.
+//! Claims and commits a second on each store, without HTTP: one caller that waits for each answer, and sixteen. Before,
+//! how long a plan of that many tasks takes to be taken in; after, how long the same bake takes that reuses them all.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -14,8 +15,10 @@ use lightkiln_server::store::{FarmStore, MemoryStore, SqlStore, Submission};
 use crate::parts::postgres::Postgres;
 use crate::report::row;
 
-/// Tasks of a run.
-const TASKS: usize = 5_000;
+/// Tasks of a run. More → longer: each costs a few milliseconds.
+const TASKS: usize = 2_000;
+/// The same for the model, which counts all afresh with each call: its time grows with the square.
+const MODEL_TASKS: usize = 300;
 /// Callers beside one alone.
 const CALLERS: usize = 16;
 
@@ -24,20 +27,27 @@ pub fn measure() {
     let runtime = tokio::runtime::Runtime::new().unwrap();
     runtime.block_on(async {
         let clock = Arc::new(SystemClock);
-        measure_store("memory", Arc::new(MemoryStore::new(clock.clone()))).await;
+        measure_store("memory", Arc::new(MemoryStore::new(clock.clone())), MODEL_TASKS).await;
         let folder = tempfile::tempdir().unwrap();
         let sqlite = SqlStore::open_sqlite(&folder.path().join("farm.sqlite"), clock).await.unwrap();
-        measure_store("SQLite", Arc::new(sqlite)).await;
+        measure_store("SQLite", Arc::new(sqlite), TASKS).await;
         // With its flushes, unlike in tests.
         let server = Postgres::start_with("");
         let postgres = SqlStore::open_postgres(&server.url(None), None).await.unwrap();
-        measure_store("PostgreSQL", Arc::new(postgres)).await;
+        measure_store("PostgreSQL", Arc::new(postgres), TASKS).await;
     });
 }
 
-async fn measure_store(name: &str, store: Arc<dyn FarmStore>) {
+async fn measure_store(name: &str, store: Arc<dyn FarmStore>, tasks: usize) {
     for callers in [1, CALLERS] {
-        plan(&*store, callers).await;
+        let place = format!("{name}, {callers} caller{}", if callers == 1 { "" } else { "s" });
+        eprintln!("stores: {tasks} tasks on {place}");
+        let run = Run::new(callers, tasks);
+        if callers == 1 {
+            row(&format!("plan of {} tasks", tasks + 1), name, &millis(run.plan(&*store).await));
+        } else {
+            run.plan(&*store).await;
+        }
         let started = Instant::now();
         let runs = (0..callers).map(|caller| tokio::spawn(work(store.clone(), caller)));
         let (mut done, mut claiming, mut committing) = (0, Duration::ZERO, Duration::ZERO);
@@ -48,30 +58,54 @@ async fn measure_store(name: &str, store: Arc<dyn FarmStore>) {
         let rate = f64::from(done) / started.elapsed().as_secs_f64();
         let [claim, commit] =
             [claiming, committing].map(|time| time.as_secs_f64() * 1000.0 / f64::from(done));
-        let place = format!("{name}, {callers} caller{}", if callers == 1 { "" } else { "s" });
         let figure = format!("{rate:.0} of each a second; a claim {claim:.2} ms, a commit {commit:.2} ms");
         row("claims and commits", &place, &figure);
+        if callers == 1 {
+            let started = Instant::now();
+            run.submit(&*store).await;
+            row(&format!("bake that reuses {} results", tasks + 2), name, &millis(started.elapsed()));
+        }
     }
 }
 
-/// A bake with [`TASKS`] ready tasks: one plans them, as preparing does, and a last one needs them all.
-async fn plan(store: &dyn FarmStore, run: usize) {
-    let scene = KeptChunk { name: ChunkName::from(Digest::of(b"")), bytes: 0 };
-    store.keep_chunk(scene, None, None).await.unwrap();
-    let planner = task(&format!("plan {run}"), &[]);
-    let parts: Vec<TaskSpec> = (0..TASKS).map(|i| task(&format!("{run} {i}"), &[&planner])).collect();
-    let last = task(&format!("last {run}"), &parts.iter().collect::<Vec<_>>());
-    let submission = Submission {
-        idempotency_key: None,
-        traceparent: None,
-        body_hash: Digest::of(b""),
-        bake: bake(),
-        plan: vec![planner],
-    };
-    store.submit(&submission).await.unwrap();
-    let lease = store.claim(&request("planner")).await.unwrap().remove(0);
-    let plan = parts.into_iter().chain([last]).collect();
-    store.commit(&lease.token, &TaskResult { plan, ..TaskResult::default() }).await.unwrap();
+fn millis(time: Duration) -> String {
+    format!("{:.0} ms", time.as_secs_f64() * 1000.0)
+}
+
+/// A bake: one task plans the others, as preparing does, and a last one needs them all.
+struct Run {
+    planner: TaskSpec,
+    planned: Vec<TaskSpec>,
+}
+
+impl Run {
+    fn new(number: usize, tasks: usize) -> Self {
+        let planner = task(&format!("plan {number}"), &[]);
+        let parts: Vec<TaskSpec> = (0..tasks).map(|i| task(&format!("{number} {i}"), &[&planner])).collect();
+        let last = task(&format!("last {number}"), &parts.iter().collect::<Vec<_>>());
+        Self { planner, planned: parts.into_iter().chain([last]).collect() }
+    }
+
+    async fn submit(&self, store: &dyn FarmStore) {
+        let (body_hash, plan) = (Digest::of(b""), vec![self.planner.clone()]);
+        let submission =
+            Submission { idempotency_key: None, traceparent: None, body_hash, bake: bake(), plan };
+        store.submit(&submission).await.unwrap();
+    }
+
+    /// Submits, and runs the planner; how long it took to take its plan in.
+    async fn plan(&self, store: &dyn FarmStore) -> Duration {
+        let scene = KeptChunk { name: ChunkName::from(Digest::of(b"")), bytes: 0 };
+        store.keep_chunk(scene, None, None).await.unwrap();
+        self.submit(store).await;
+        let lease = store.claim(&request("planner")).await.unwrap().remove(0);
+        let started = Instant::now();
+        store
+            .commit(&lease.token, &TaskResult { plan: self.planned.clone(), ..TaskResult::default() })
+            .await
+            .unwrap();
+        started.elapsed()
+    }
 }
 
 /// Claims and commits until nothing is ready: tasks, time of claims, time of commits.

@@ -4,9 +4,10 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand};
 
+use crate::commands::actions::{self, Action};
 use crate::commands::{
-    bake, blocklist, cancel, delete, evaluate, fetch, fsck, inspect, list, logs, pause, preview, priority,
-    resume, server, settings, show, submit, token, top, watch, worker,
+    bake, blocklist, evaluate, fetch, fsck, inspect, list, logs, preview, priority, server, settings, show,
+    submit, token, top, watch, worker,
 };
 use crate::failure::{EXIT_CODES, Failure, Result};
 
@@ -45,17 +46,17 @@ pub enum Command {
     /// Follows a bake until it ends
     Watch(watch::Arguments),
     /// Cancels a bake
-    Cancel(cancel::Arguments),
+    Cancel(actions::Arguments),
     /// Holds a bake's tasks back; those under way go on
-    Pause(pause::Arguments),
+    Pause(actions::Arguments),
     /// Lets a paused bake go on
-    Resume(resume::Arguments),
+    Resume(actions::Arguments),
     /// Changes a bake's priority
     Priority(priority::Arguments),
     /// Lists workers that failed at tasks of a bake, or gives them another chance
     Blocklist(blocklist::Arguments),
     /// Deletes a bake that has ended
-    Delete(delete::Arguments),
+    Delete(actions::Arguments),
     /// Downloads a finished bake as a bundle
     Fetch(fetch::Arguments),
     /// Draws a picture of a bake
@@ -115,12 +116,12 @@ impl Command {
             Self::Logs(arguments) => logs::run(arguments),
             Self::Top(arguments) => top::run(arguments),
             Self::Watch(arguments) => watch::run(arguments),
-            Self::Cancel(arguments) => cancel::run(arguments),
-            Self::Pause(arguments) => pause::run(arguments),
-            Self::Resume(arguments) => resume::run(arguments),
+            Self::Cancel(arguments) => Action::Cancel.run(arguments),
+            Self::Pause(arguments) => Action::Pause.run(arguments),
+            Self::Resume(arguments) => Action::Resume.run(arguments),
             Self::Priority(arguments) => priority::run(arguments),
             Self::Blocklist(arguments) => blocklist::run(arguments),
-            Self::Delete(arguments) => delete::run(arguments),
+            Self::Delete(arguments) => Action::Delete.run(arguments),
             Self::Fsck(arguments) => fsck::run(arguments),
             Self::Fetch(arguments) => fetch::run(arguments),
             Self::Preview(arguments) => preview::run(arguments),

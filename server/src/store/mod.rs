@@ -38,7 +38,7 @@ use crate::chunks::ChunkName;
 use chunk::{ChunkRow, CollectRules, Collected, Kept, KeptChunk, Usage};
 pub use error::{PlanError, StoreError};
 pub use memory::MemoryStore;
-pub use rules::{BACKOFF_MAX_MS, MAX_ATTEMPTS, POISON_WORKERS, backoff_ms};
+pub use rules::{BACKOFF_MAX_MS, MAX_ATTEMPTS, MAX_PARDONS, POISON_WORKERS, backoff_ms};
 pub use sql::{FaultPoint, Faults, SqlStore};
 pub use token::is_token;
 pub(crate) use token::{random_id, random_secret, random_u64};
@@ -74,6 +74,20 @@ pub struct KnownResult {
     pub key: TaskKey,
     /// Its outputs.
     pub outputs: Vec<Artefact>,
+    /// Artefacts named by those tasks that it planned and that are not done.
+    pub named: BTreeSet<Digest>,
+}
+
+impl KnownResult {
+    /// The results found along a plan, in that order.
+    fn all(found: Vec<(TaskKey, TaskResult)>) -> Vec<Self> {
+        let done: BTreeSet<TaskKey> = found.iter().map(|(key, _)| *key).collect();
+        let known = |(key, result): (TaskKey, TaskResult)| {
+            let open = result.plan.iter().filter(|task| !done.contains(&task.key));
+            Self { key, named: open.flat_map(rules::named_artefacts).collect(), outputs: result.outputs }
+        };
+        found.into_iter().map(known).collect()
+    }
 }
 
 /// What became of a reported failure.
@@ -172,8 +186,9 @@ pub trait FarmStore: Send + Sync {
     /// Results that `plan` would reuse, plans of reused results included.
     async fn reusable(&self, plan: &[TaskSpec]) -> Result<Vec<KnownResult>, StoreError>;
 
-    /// Forgets results whose bytes are lost: tasks that a live bake wants run again, dependants wait again. Bakes that
-    /// have ended count the result as lost ([`Bake::results_lost`]) until a bake runs the task again.
+    /// Forgets results whose bytes are lost: tasks that a live bake wants run again; dependants, and tasks that name an
+    /// output by its digest, wait for them again. A worker whose attempt fails after it lost an input is not to blame. A
+    /// bake fails when its tasks still need bytes that were not made again. Bakes that have ended count the result as lost ([`Bake::results_lost`]) until a bake runs the task again.
     async fn forget(&self, keys: &[TaskKey]) -> Result<(), StoreError>;
 
     /// Hands out up to `max` ready tasks. One by one they come from the bake with the highest priority, of those from the
@@ -203,7 +218,9 @@ pub trait FarmStore: Send + Sync {
     async fn clear_blocklist(&self, bake: &str, worker: Option<&str>) -> Result<Blocklist, StoreError>;
 
     /// Ends leases that have run out. Each counts as an attempt failed by its worker, unless the worker was never heard
-    /// about it: then the answer to its claim was lost, or the worker had gone, and nothing was attempted.
+    /// about it: then the answer to its claim was lost, or the worker had gone, and nothing was attempted. A worker that is
+    /// heard later, by a heartbeat, commit or release of that lease, was silent and is alive: the attempt is given back, up to
+    /// [`MAX_PARDONS`] times for a task. A crash never is, nor an attempt that took too long, nor one that failed.
     async fn reap(&self) -> Result<Reaped, StoreError>;
 
     /// Holds a bake's tasks back; leases go on.

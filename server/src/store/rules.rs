@@ -37,6 +37,11 @@ pub const CHUNK_USED_GRAIN_MS: i64 = 60_000;
 /// Progress of a lease that its holder has not been heard about: the answer to the claim may have been lost, or the worker
 /// been gone before it came. When it runs out nobody failed at anything.
 pub const UNHEARD: f64 = -1.0;
+/// The same once a holder that had been heard is heard again after its lease ran out, and before anybody noticed.
+pub const LATE: f64 = -2.0;
+/// Most attempts at a task that are given back because their workers were silent for longer than a lease, and alive. More
+/// → a database that is slow for long fails fewer bakes, and a worker that is stuck again and again holds a task up for longer.
+pub const MAX_PARDONS: u32 = MAX_ATTEMPTS;
 /// Longest failure message kept, in characters.
 pub const MAX_MESSAGE_CHARS: usize = 4_000;
 /// Longest kind and label of a task, in bytes.
@@ -137,6 +142,21 @@ pub fn given_up_message(label: &str, kind: &str, attempts: u32, workers: u32, me
     ))
 }
 
+/// Why a bake failed when a task that was run again gave other bytes than before, and others had named those.
+pub fn made_otherwise_message(label: &str, kind: &str, before: &Artefact) -> String {
+    let Artefact { name, digest, .. } = before;
+    cut_message(&format!(
+        "{label} ({kind}) was run again because bytes of its result were lost, and its output '{name}' is not {digest} any \
+         more, which other tasks read; the same task must give the same bytes: look whether workers of different versions \
+         took part, then submit the bake again"
+    ))
+}
+
+/// Outputs of a task's result before it was forgotten whose bytes are not among those of the new one.
+pub fn outputs_gone<'a>(before: &'a [Artefact], now: &'a [Artefact]) -> impl Iterator<Item = &'a Artefact> {
+    before.iter().filter(|output| now.iter().all(|other| other.digest != output.digest))
+}
+
 /// Why an attempt ended when its lease ran out.
 pub fn expiry_message(worker: &str) -> String {
     format!("worker {worker} was not heard from until its lease ran out")
@@ -225,6 +245,14 @@ pub fn dependencies(task: &TaskSpec) -> Vec<TaskKey> {
     keys.sort_unstable();
     keys.dedup();
     keys
+}
+
+/// Artefacts that a task names.
+pub fn named_artefacts(task: &TaskSpec) -> impl Iterator<Item = Digest> + '_ {
+    task.inputs.iter().filter_map(|input| match input {
+        TaskInput::Artefact { digest, .. } => Some(*digest),
+        TaskInput::Task { .. } => None,
+    })
 }
 
 /// A task's inputs as its worker sees them; `outputs_of` gives the outputs of a finished task.

@@ -376,6 +376,18 @@ pub async fn damaged_bytes_are_given_up_when_they_are_read(world: World) {
     assert_eq!(read(&storage, out, 5).await.unwrap(), b"right");
 }
 
+/// Somebody looks for bytes that are being replaced, or cleared away: they are gone, and nothing is lost.
+pub async fn chunk_that_was_stored_again_meanwhile_is_not_lost(world: World) {
+    let (storage, _) = storage(&world, None);
+    let out = put(&storage, b"right").await;
+    let now = world.store.find_chunks(&[out]).await.unwrap()[0].name;
+    storage.lose(chunk(out, now.generation ^ 1).name).await.unwrap();
+    storage.lose(chunk(digest("cleared away"), 1).name).await.unwrap();
+    assert_eq!((storage.lost(), is_kept(&world, out).await), (0, true));
+    storage.lose(now).await.unwrap();
+    assert_eq!((storage.lost(), is_kept(&world, out).await), (1, false));
+}
+
 pub async fn upload_beyond_the_quota_leaves_nothing_and_works_when_there_is_room(world: World) {
     let used = world.store.usage().await.unwrap().bytes;
     let (storage, objects) = storage(&world, Some(used + 10));

@@ -3,9 +3,11 @@
 use std::slice::from_ref;
 
 use lightkiln_proto::api::{BakeState, Blame, CommitVerdict, EventKind, Lease, Verdict};
-use lightkiln_server::store::{BACKOFF_MAX_MS, FailVerdict, MAX_ATTEMPTS, POISON_WORKERS, backoff_ms};
+use lightkiln_server::store::{
+    BACKOFF_MAX_MS, FailVerdict, MAX_ATTEMPTS, MAX_PARDONS, POISON_WORKERS, backoff_ms,
+};
 
-use crate::support::{World, task};
+use crate::support::{TTL_MS, World, task};
 
 async fn fail(world: &World, lease: &Lease, blame: Blame) -> FailVerdict {
     world.store.fail(&lease.token, blame, "out of memory").await.unwrap()
@@ -116,6 +118,79 @@ pub async fn leases_that_nobody_was_heard_about_count_no_attempt(world: World) {
         world.expire_leases().await;
     }
     assert_eq!(world.state(&bake).await, BakeState::Failed);
+}
+
+/// Its database was slow, or its machine slept: the worker is heard again after its lease has run out.
+pub async fn attempt_of_a_worker_that_was_silent_and_is_alive_is_given_back(world: World) {
+    let bake = world.submit("bake", &[task("a", &[])]).await;
+    for number in 0..MAX_PARDONS {
+        let lease = world.begin_one(&format!("w{number}")).await;
+        world.clock.advance_ms(TTL_MS);
+        let is_noticed = number % 2 == 0;
+        if is_noticed {
+            world.store.reap().await.unwrap();
+            assert_eq!(world.store.blocklist(&bake.id).await.unwrap().workers.len(), 1);
+        }
+        for _ in 0..2 {
+            match number % 3 {
+                0 => assert_eq!(world.commit(&lease).await, CommitVerdict::Stale),
+                1 => assert!(!world.store.release(&lease.token).await.unwrap()),
+                _ => {
+                    let answer = world.store.heartbeat(&lease.token, 0.5).await.unwrap();
+                    assert_eq!(answer.verdict, Verdict::Lost);
+                }
+            }
+        }
+        assert_eq!(world.store.reap().await.unwrap().expired, u64::from(!is_noticed));
+        assert_eq!(world.store.blocklist(&bake.id).await.unwrap().workers, []);
+    }
+    // Who is silent again and again is stuck.
+    for attempt in 1..=MAX_ATTEMPTS {
+        assert_eq!(world.state(&bake).await, BakeState::Running, "attempt {attempt}");
+        let lease = world.begin_one("w").await;
+        assert_eq!(world.expire_leases().await, 1);
+        world.store.heartbeat(&lease.token, 0.5).await.unwrap();
+    }
+    assert_eq!(world.state(&bake).await, BakeState::Failed);
+}
+
+pub async fn failure_that_is_reported_late_still_counts(world: World) {
+    let bake = world.submit("bake", &[task("a", &[])]).await;
+    for is_noticed in [true, false] {
+        let lease = world.begin_one("w").await;
+        world.clock.advance_ms(TTL_MS);
+        if is_noticed {
+            world.store.reap().await.unwrap();
+        }
+        assert_eq!(fail(&world, &lease, Blame::Worker).await, FailVerdict::Stale);
+        world.store.reap().await.unwrap();
+    }
+    let started = |event: &EventKind| match event {
+        EventKind::TaskStarted { attempt, .. } => Some(*attempt),
+        _ => None,
+    };
+    world.claim_one("w").await;
+    let events = world.events(&bake).await;
+    let attempts: Vec<u32> = events.iter().filter_map(|event| started(&event.event)).collect();
+    assert_eq!(attempts, [1, 2, 3]);
+}
+
+/// Attempt 2 began before the holder of attempt 1 was heard again.
+pub async fn attempt_keeps_its_number_when_an_earlier_one_is_given_back(world: World) {
+    let bake = world.submit("bake", &[task("a", &[])]).await;
+    let late = world.begin_one("w").await;
+    world.expire_leases().await;
+    let lease = world.begin_one("v").await;
+    world.store.heartbeat(&late.token, 0.5).await.unwrap();
+    assert_eq!(world.commit(&lease).await, CommitVerdict::Committed);
+    // Heard once more, when there is nothing to give back.
+    assert_eq!(world.store.heartbeat(&late.token, 0.5).await.unwrap().verdict, Verdict::Lost);
+    let events = world.events(&bake).await;
+    let done = events.iter().find_map(|event| match &event.event {
+        EventKind::TaskDone { attempt, .. } => Some(*attempt),
+        _ => None,
+    });
+    assert_eq!(done, Some(2));
 }
 
 pub async fn failed_bake_drops_its_other_tasks(world: World) {

@@ -4,9 +4,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bytes::Bytes;
-use lightkiln_proto::api::{Bake, BakeState, ClaimRequest, CommitVerdict, Needs, NewBake};
+use lightkiln_proto::api::{Bake, BakeState, ClaimRequest, CommitVerdict};
 use lightkiln_proto::ids::Digest;
-use lightkiln_proto::jobs::{Artefact, TaskResult, TaskSpec};
+use lightkiln_proto::jobs::{Artefact, TaskInput, TaskResult, TaskSpec};
 use lightkiln_proto::problem::ProblemCode;
 use lightkiln_server::chunks::{ChunkStore, ObjectChunks};
 use lightkiln_server::farm::Farm;
@@ -15,7 +15,7 @@ use lightkiln_server::wakeup::{LocalWakeup, NoWakeup, Wakeup};
 use tokio::sync::watch;
 use tokio::time::Instant;
 
-use crate::support::{SCENE, World, task};
+use crate::support::{SCENE, World, new_bake, task};
 
 /// Longer than any test may take: who waits this long has missed a hint.
 const LONG: Duration = Duration::from_secs(3600);
@@ -50,17 +50,7 @@ fn polled(world: &World) -> Arc<Farm> {
 async fn submit(farm: &Farm) -> Bake {
     let scene = Digest::of(SCENE);
     farm.storage.put(scene, Bytes::from_static(SCENE)).await.unwrap();
-    let settings = serde_json::json!({});
-    let bake = NewBake {
-        name: "bake".into(),
-        scene,
-        kind: "prt".into(),
-        settings,
-        priority: 0,
-        needs: Needs::default(),
-        attempt_limit_secs: None,
-    };
-    farm.submit(bake, None, None).await.unwrap()
+    farm.submit(new_bake("bake", "prt"), None, None).await.unwrap()
 }
 
 fn request(worker: &str) -> ClaimRequest {
@@ -167,6 +157,28 @@ pub async fn results_whose_bytes_are_gone_are_run_again(world: World) {
     assert_eq!((again.state, again.tasks_reused), (BakeState::Running, 1));
     run_one(&farm, b"prepared").await;
     assert_eq!(world.state(&again).await, BakeState::Done);
+}
+
+/// A bake is cancelled halfway; then bytes are lost that tasks which never ran would have read.
+pub async fn plans_whose_bytes_are_gone_are_made_again(world: World) {
+    let chunks = Arc::new(ObjectChunks::in_memory());
+    let farm = farm_over(&world, chunks.clone(), Arc::new(LocalWakeup::default()), LONG);
+    let first = submit(&farm).await;
+    let imported = run_one(&farm, b"imported").await;
+    let inputs = vec![TaskInput::Artefact { name: "scene".into(), digest: imported }];
+    let planned = TaskSpec::new("prt.transport", 1, "planned", serde_json::Value::Null, inputs, 1);
+    let plan = || TaskResult { plan: vec![planned.clone()], ..TaskResult::default() };
+    let lease = farm.claim(request("w")).await.unwrap().leases.remove(0);
+    farm.commit(&lease.token, plan()).await.unwrap();
+    world.store.cancel(&first.id).await.unwrap();
+    let name = world.store.find_chunks(&[imported]).await.unwrap()[0].name;
+    chunks.delete(name).await.unwrap();
+    let second = submit(&farm).await;
+    assert_eq!((second.state, second.tasks_reused), (BakeState::Running, 0));
+    run_one(&farm, b"imported").await;
+    let lease = farm.claim(request("w")).await.unwrap().leases.remove(0);
+    assert_eq!(farm.commit(&lease.token, plan()).await.unwrap(), CommitVerdict::Committed);
+    assert_eq!(world.show(&second).await.stages.iter().map(|stage| stage.total).sum::<u64>(), 3);
 }
 
 pub async fn result_without_its_bytes_is_refused(world: World) {

@@ -2,7 +2,7 @@
 
 use lightkiln_proto::api::{Bake, BakeEvent, Blame, Lease, Worker};
 use lightkiln_proto::ids::Digest;
-use lightkiln_proto::jobs::{TaskResult, TaskSpec};
+use lightkiln_proto::jobs::{TaskInput, TaskResult, TaskSpec};
 use lightkiln_server::store::chunk::{ChunkRow, CollectRules, Usage};
 use lightkiln_server::store::{Stats, StoreError};
 use proptest::collection::vec;
@@ -11,11 +11,13 @@ use proptest::prelude::*;
 use crate::support::{SCENE, World, chunk, in_time, output, outputs, request, submission, task_of};
 
 /// Tasks of the universe.
-const TASKS: usize = 9;
+const TASKS: usize = 12;
 /// Dependencies of each task; all come before it.
-const NEEDS: [&[usize]; TASKS] = [&[], &[], &[0], &[0, 1], &[2], &[3], &[3, 4], &[], &[7]];
+const NEEDS: [&[usize]; TASKS] = [&[], &[], &[0], &[0, 1], &[2], &[3], &[3, 4], &[], &[7], &[1], &[], &[10]];
 /// What each task plans; task 7 plans one that needs task 5, which its bake may not hold.
-const PLANS: [&[usize]; TASKS] = [&[1, 2], &[], &[4], &[5], &[], &[], &[], &[8, 7], &[]];
+const PLANS: [&[usize]; TASKS] = [&[1, 2], &[9], &[4], &[5], &[], &[], &[], &[8, 7], &[], &[], &[], &[]];
+/// Which of the outputs each task names.
+const NAMES: [&[u8]; TASKS] = [&[], &[], &[], &[], &[], &[0], &[], &[], &[1], &[0, 2], &[2], &[3, 1]];
 
 /// Something that happens. Numbers name bakes, leases, tasks and workers, modulo how many there are.
 #[derive(Clone, Debug)]
@@ -79,8 +81,12 @@ fn universe() -> Vec<TaskSpec> {
     for (index, needs) in NEEDS.iter().enumerate() {
         let needs: Vec<&TaskSpec> = needs.iter().map(|needs| &tasks[*needs]).collect();
         let kind = if index % 3 == 2 { "more" } else { "work" };
-        let task = task_of(kind, &format!("task {index}"), &needs, index as u64 % 4);
-        tasks.push(task);
+        let TaskSpec { kind, label, params, mut inputs, cost, .. } =
+            task_of(kind, &format!("task {index}"), &needs, index as u64 % 4);
+        for number in NAMES[index] {
+            inputs.push(TaskInput::Artefact { name: format!("named {number}"), digest: output(*number) });
+        }
+        tasks.push(TaskSpec::new(&kind, 1, label, params, inputs, cost));
     }
     tasks
 }

@@ -18,6 +18,7 @@ mod locks;
 mod migration;
 #[path = "../parts/mod.rs"]
 mod parts;
+mod remaking;
 mod replicas;
 mod reuse;
 mod scheduling;
@@ -80,6 +81,7 @@ conformance! {
         late_removal_does_not_meet_what_was_stored_meanwhile
         uploads_beside_collections_lose_nothing
         damaged_bytes_are_given_up_when_they_are_read
+        chunk_that_was_stored_again_meanwhile_is_not_lost
         upload_beyond_the_quota_leaves_nothing_and_works_when_there_is_room
         bytes_from_before_generations_are_found;
     checks:
@@ -119,6 +121,9 @@ conformance! {
         attempts_are_limited
         leases_that_run_out_count_as_attempts
         leases_that_nobody_was_heard_about_count_no_attempt
+        attempt_of_a_worker_that_was_silent_and_is_alive_is_given_back
+        failure_that_is_reported_late_still_counts
+        attempt_keeps_its_number_when_an_earlier_one_is_given_back
         failed_bake_drops_its_other_tasks
         failed_task_gets_another_chance_in_a_new_bake;
     scheduling:
@@ -139,12 +144,22 @@ conformance! {
         forgotten_result_is_run_again
         forgotten_result_makes_dependants_wait
         reusable_follows_plans;
+    remaking:
+        readers_of_a_lost_artefact_wait_until_it_is_made_again
+        attempt_that_lost_its_input_counts_for_nobody_also_after_it_is_made_again
+        reader_that_runs_again_waits_too
+        reader_that_makes_the_same_bytes_does_not_wait_for_itself
+        bake_does_not_wait_for_what_only_another_one_makes
+        artefact_that_is_made_otherwise_fails_the_bake_and_says_so
+        artefact_that_nobody_reads_may_be_made_otherwise
+        results_say_what_their_plans_still_need;
     hints:
         waiting_claim_gets_what_is_submitted_later
         waiting_claim_needs_no_hint
         workers_without_hints_finish_a_bake
         waiting_for_events_ends_with_one
         results_whose_bytes_are_gone_are_run_again
+        plans_whose_bytes_are_gone_are_made_again
         result_without_its_bytes_is_refused;
     views:
         events_have_no_gaps_and_tell_the_story

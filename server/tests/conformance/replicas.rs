@@ -7,9 +7,7 @@ use std::time::Duration;
 
 use async_trait::async_trait;
 use bytes::Bytes;
-use lightkiln_proto::api::{
-    Bake, BakeState, ClaimRequest, CommitVerdict, EventKind, Needs, NewBake, Verdict,
-};
+use lightkiln_proto::api::{Bake, BakeState, ClaimRequest, CommitVerdict, EventKind, Verdict};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::TaskSpec;
 use lightkiln_server::chunks::ObjectChunks;
@@ -23,7 +21,7 @@ use tokio::sync::watch;
 
 use crate::crash::end_sessions;
 use crate::parts::postgres::empty_schema;
-use crate::support::{in_time, request, result, stock, submission, task};
+use crate::support::{SCENE, in_time, new_bake, request, result, stock, submission, task};
 
 /// Longer than any test may take.
 const LONG: Duration = Duration::from_secs(3600);
@@ -275,22 +273,11 @@ async fn hint_of_one_server_wakes_a_claim_at_the_other() {
     let (url, stores) = replicas().await;
     let chunks = Arc::new(ObjectChunks::in_memory());
     let farms = [farm(&url, &stores[0], &chunks).await, farm(&url, &stores[1], &chunks).await];
-    let scene = Digest::of(b"scene");
-    farms[0].storage.put(scene, Bytes::from_static(b"scene")).await.unwrap();
+    farms[0].storage.put(Digest::of(SCENE), Bytes::from_static(SCENE)).await.unwrap();
     let waiting = ClaimRequest { kinds: vec!["prt.import".into()], wait_secs: 60, ..request("w", 1) };
-    let settings = serde_json::json!({});
-    let bake = NewBake {
-        name: "bake".into(),
-        scene,
-        kind: "prt".into(),
-        settings,
-        priority: 0,
-        needs: Needs::default(),
-        attempt_limit_secs: None,
-    };
     let submit_when_it_waits = async {
         while stores[0].workers().await.unwrap().is_empty() {}
-        farms[1].submit(bake, None, None).await.unwrap();
+        farms[1].submit(new_bake("bake", "prt"), None, None).await.unwrap();
     };
     let (answer, ()) = in_time(futures::future::join(farms[0].claim(waiting), submit_when_it_waits)).await;
     assert_eq!(answer.unwrap().leases.len(), 1);

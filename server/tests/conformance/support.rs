@@ -50,17 +50,23 @@ pub fn task_of(kind: &str, name: &str, needs: &[&TaskSpec], cost: u64) -> TaskSp
     TaskSpec::new(kind, 1, name, serde_json::json!({ "name": name }), inputs.collect(), cost)
 }
 
-/// A submission without an idempotency key.
-pub fn submission(name: &str, plan: &[TaskSpec]) -> Submission {
-    let bake = NewBake {
+/// A bake of the scene.
+pub fn new_bake(name: &str, kind: &str) -> NewBake {
+    NewBake {
         name: name.into(),
         scene: Digest::of(SCENE),
-        kind: "test".into(),
-        settings: serde_json::json!({ "preset": "draft" }),
+        kind: kind.into(),
+        settings: serde_json::json!({}),
         priority: 0,
         needs: Needs::default(),
         attempt_limit_secs: None,
-    };
+    }
+}
+
+/// A submission without an idempotency key.
+pub fn submission(name: &str, plan: &[TaskSpec]) -> Submission {
+    let settings = serde_json::json!({ "preset": "draft" });
+    let bake = NewBake { settings, ..new_bake(name, "test") };
     let body_hash = Digest::of(name.as_bytes());
     Submission { idempotency_key: None, body_hash, traceparent: None, bake, plan: plan.to_vec() }
 }

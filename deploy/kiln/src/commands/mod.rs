@@ -1,9 +1,8 @@
-//! The subcommands, one file each, and the steps that several of them take.
+//! The subcommands, one file each (those that need a bake's id alone share one), and the steps that several of them take.
 
+pub mod actions;
 pub mod bake;
 pub mod blocklist;
-pub mod cancel;
-pub mod delete;
 pub mod evaluate;
 pub mod fetch;
 pub mod following;
@@ -11,10 +10,8 @@ pub mod fsck;
 pub mod inspect;
 pub mod list;
 pub mod logs;
-pub mod pause;
 pub mod preview;
 pub mod priority;
-pub mod resume;
 pub mod server;
 pub mod settings;
 pub mod show;

@@ -6,6 +6,7 @@ use lightkiln_client::fetch::ApiClient;
 use lightkiln_proto::api::EventKind;
 
 use super::processes::{LIMIT, Server, kiln, run};
+use super::upkeep::chunk_files;
 use super::{SMALL, bundle, cornell};
 
 pub fn arguments(command: &str, more: &[&str]) -> Vec<String> {
@@ -91,4 +92,51 @@ fn terminated_worker_gives_its_task_back_and_exits_cleanly() {
     let blamed =
         |kind: &EventKind| matches!(kind, EventKind::LeaseExpired { .. } | EventKind::TaskFailed { .. });
     assert!(!page.events.iter().any(|event| blamed(&event.event)), "{:?}", page.events);
+}
+
+/// All that the farm has made is gone from its disk, while half of the tasks that read it have not begun. What is missing
+/// is met one by one.
+#[test]
+fn bytes_lost_under_a_live_bake_are_made_again_while_their_readers_wait() {
+    let folder = tempfile::tempdir().unwrap();
+    let expected = embedded_bundle(folder.path());
+    let state = folder.path().join("server");
+    let server = Server::start(&state);
+    let client = ApiClient::new(&server.url, None).unwrap();
+    let submitted = run(kiln(folder.path()), &arguments("submit", &["--server", &server.url]), 0);
+    let bake = submitted.stdout().trim().to_owned();
+    let first = server.worker(folder.path(), "first", 2);
+    wait_for_stage(&client, &bake, "prt.transport");
+    first.signal("TERM");
+    assert_eq!(first.wait(), Some(0));
+    let shown = client.bake(&bake).unwrap();
+    assert!(!shown.state.is_final(), "it was stopped too late: {:?}", shown.stages);
+    let scene = shown.scene.to_string();
+    let mut removed = 0;
+    for file in chunk_files(&state.join("server")) {
+        if !file.file_name().unwrap().to_string_lossy().starts_with(&scene[2..]) {
+            std::fs::remove_file(file).unwrap();
+            removed += 1;
+        }
+    }
+    assert!(removed > 3, "{removed} chunks");
+    let _second = server.worker(folder.path(), "second", 2);
+    run(kiln(folder.path()), &["watch", &bake, "--server", &server.url], 0);
+    let out = folder.path().join("out").display().to_string();
+    run(kiln(folder.path()), &["fetch", &bake, "--server", &server.url, "--out", &out], 0);
+    assert_eq!(bundle(Path::new(&out)), expected);
+    let (mut lost, mut seen) = (0, 0);
+    loop {
+        let page = client.events(&bake, seen, 0).unwrap();
+        let Some(last) = page.events.last() else { break };
+        seen = last.seq;
+        for event in page.events {
+            match event.event {
+                EventKind::ResultLost { .. } => lost += 1,
+                EventKind::TaskStarted { label, attempt, .. } => assert_eq!(attempt, 1, "{label}"),
+                _ => (),
+            }
+        }
+    }
+    assert!(lost > 2, "{lost} results were lost");
 }

@@ -7,7 +7,7 @@ use super::farm::arguments;
 use super::processes::{Server, kiln, run};
 
 /// Files of stored chunks, by name.
-fn chunk_files(state: &Path) -> Vec<PathBuf> {
+pub fn chunk_files(state: &Path) -> Vec<PathBuf> {
     let shards = std::fs::read_dir(state.join("chunks")).unwrap().map(|entry| entry.unwrap().path());
     let files = shards.flat_map(|shard| std::fs::read_dir(shard).unwrap());
     let mut files: Vec<PathBuf> = files.map(|entry| entry.unwrap().path()).collect();

@@ -1,7 +1,7 @@
 //! Every prefix of a cluster or probe chunk is a coarser version or an error.
 
-use super::malformed::assert_whole;
 use super::scenes::{batch, wall};
+use super::whole::assert_whole;
 use crate::chunk::*;
 use crate::manifest::Layer;
 use crate::prt::*;

@@ -6,3 +6,6 @@ mod layers;
 mod malformed;
 mod round_trip;
 mod scenes;
+mod whole;
+
+use crate::prt::*;

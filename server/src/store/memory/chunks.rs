@@ -3,7 +3,6 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use lightkiln_proto::ids::{Digest, TaskKey};
-use lightkiln_proto::jobs::{TaskInput, TaskSpec};
 
 use super::farm::Farm;
 use crate::chunks::ChunkName;
@@ -31,6 +30,11 @@ impl Chunks {
     pub(super) fn kept(&self, digest: Digest) -> Option<KeptChunk> {
         let row = self.rows.get(&digest)?;
         Some(KeptChunk { name: ChunkName { digest, generation: row.generation? }, bytes: row.bytes })
+    }
+
+    /// Whether anything is known of a chunk, be it lost.
+    pub(super) fn is_known(&self, digest: Digest) -> bool {
+        self.rows.contains_key(&digest)
     }
 
     pub(super) fn touch(&mut self, digest: Digest, now_ms: i64) -> Option<KeptChunk> {
@@ -109,14 +113,6 @@ impl Chunks {
         }
         condemned
     }
-}
-
-/// Artefacts that a task names.
-pub(super) fn named_artefacts(task: &TaskSpec) -> impl Iterator<Item = Digest> + '_ {
-    task.inputs.iter().filter_map(|input| match input {
-        TaskInput::Artefact { digest, .. } => Some(*digest),
-        TaskInput::Task { .. } => None,
-    })
 }
 
 impl Farm {

@@ -6,9 +6,9 @@ use lightkiln_proto::api::{Bake, BakeEvent, BakeState, EventKind, NewBake};
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{Artefact, MANIFEST_OUTPUT, REPORT_OUTPUT, TaskResult, TaskSpec};
 
-use super::chunks::{Chunks, named_artefacts};
+use super::chunks::Chunks;
 use crate::access::Bearer;
-use crate::store::rules::{self, Abilities, add_counters, check_plan, is_same_task};
+use crate::store::rules::{self, Abilities, add_counters, check_plan, is_same_task, named_artefacts};
 use crate::store::{KnownResult, PlanError, StoreError, Submission, Submitted, require_live, token};
 
 /// Everything a farm knows.
@@ -19,6 +19,8 @@ pub(super) struct Farm {
     pub(super) tasks: BTreeMap<TaskKey, Task>,
     /// By token. A lease whose task was dropped stays until it runs out, so that its holder can be told.
     pub(super) leases: BTreeMap<String, LeaseEntry>,
+    /// By token.
+    pub(super) expired: BTreeMap<String, ExpiredEntry>,
     /// By name.
     pub(super) workers: BTreeMap<String, WorkerEntry>,
     /// By name.
@@ -83,9 +85,15 @@ pub(super) struct Task {
     /// Token of the attempt under way.
     pub(super) lease: Option<String>,
     pub(super) attempts: u32,
+    /// Attempts that were given back, or not counted, as their workers were silent for a while, and alive.
+    pub(super) pardons: u32,
     pub(super) not_before_ms: i64,
     /// Workers that failed at it.
     pub(super) blamed: BTreeSet<String>,
+    /// Tasks that are to make again what it names.
+    pub(super) makers: BTreeSet<TaskKey>,
+    /// What it gave before its result was forgotten.
+    pub(super) outputs_before: Vec<Artefact>,
 }
 
 #[derive(Clone)]
@@ -100,6 +108,21 @@ pub(super) struct LeaseEntry {
     pub(super) cancelled: bool,
     /// The worker said that it had the task.
     pub(super) was_heard: bool,
+    /// Something that the task reads was lost meanwhile.
+    pub(super) input_lost: bool,
+    /// The worker was heard again after the lease had run out.
+    pub(super) is_late: bool,
+    /// Which attempt at the task it is.
+    pub(super) attempt: u32,
+}
+
+/// An attempt that was counted because its lease ran out.
+#[derive(Clone)]
+pub(super) struct ExpiredEntry {
+    pub(super) key: TaskKey,
+    pub(super) worker: String,
+    /// The worker had not failed at the task before.
+    pub(super) has_blamed: bool,
 }
 
 #[derive(Clone)]
@@ -183,9 +206,10 @@ impl Farm {
             }
             entry.add_member(task, now_ms);
             for digest in named_artefacts(&task.spec) {
-                if self.chunks.kept(digest).is_some() {
+                if self.chunks.is_known(digest) {
                     entry.artefacts.insert(digest);
-                } else if task.done.is_none() {
+                }
+                if task.done.is_none() && self.chunks.kept(digest).is_none() {
                     missing.insert(digest);
                 }
             }
@@ -251,6 +275,8 @@ impl Farm {
                 member.held = false;
             }
         }
+        self.release_readers(key);
+        self.expired.retain(|_, expired| expired.key != key);
         self.tasks.remove(&key)
     }
 
@@ -293,11 +319,11 @@ impl Farm {
             if let Some((result, _)) = result
                 && seen.insert(spec.key)
             {
-                known.push(KnownResult { key: spec.key, outputs: result.outputs.clone() });
+                known.push((spec.key, result.clone()));
                 queue.extend(&result.plan);
             }
         }
-        known
+        KnownResult::all(known)
     }
 
     pub(super) fn forget(&mut self, key: TaskKey, now_ms: i64) {
@@ -314,8 +340,11 @@ impl Farm {
             self.drop_task(key);
             return;
         }
+        self.hold_readers(key);
+        self.expired.retain(|_, expired| expired.key != key);
         let Some(task) = self.tasks.get_mut(&key) else { return };
-        *task = Task::new(task.spec.clone());
+        let outputs_before = task.done.take().map(|(result, _)| result.outputs).unwrap_or_default();
+        *task = Task { makers: task.makers.clone(), outputs_before, ..Task::new(task.spec.clone()) };
         let (kind, label) = (task.spec.kind.clone(), task.spec.label.clone());
         for bake in wanted_by {
             let lost = EventKind::ResultLost { key, kind: kind.clone(), label: label.clone() };
@@ -325,6 +354,70 @@ impl Farm {
                 (member.done, member.reused) = (false, false);
             }
         }
+    }
+
+    /// Lets tasks that name an output of `maker`, whose result is about to be forgotten, wait for it, unless it waits for
+    /// them or one of their live bakes does not hold it. Attempts under way at them have lost an input.
+    fn hold_readers(&mut self, maker: TaskKey) {
+        let outputs = self.outputs_of(&maker);
+        let digests: BTreeSet<Digest> = outputs.iter().map(|output| output.digest).collect();
+        let holders: Vec<usize> = self.live_bakes_of(maker);
+        let needed = self.all_needed_by(maker);
+        for bake in holders.iter().filter(|bake| !self.bakes[**bake].artefacts.is_disjoint(&digests)) {
+            for key in self.bakes[*bake].members.keys().filter(|key| !needed.contains(*key)) {
+                if self.live_bakes_of(*key).iter().all(|bake| holders.contains(bake))
+                    && let Some(task) = self.tasks.get_mut(key)
+                    && named_artefacts(&task.spec).any(|digest| digests.contains(&digest))
+                {
+                    task.makers.insert(maker);
+                }
+            }
+        }
+        for lease in self.leases.values_mut() {
+            let task = self.tasks.get(&lease.key);
+            lease.input_lost |= task.is_some_and(|task| task.needs().contains(&maker));
+        }
+    }
+
+    /// Lets nobody wait for `maker` but its dependants.
+    pub(super) fn release_readers(&mut self, maker: TaskKey) {
+        for task in self.tasks.values_mut() {
+            task.makers.remove(&maker);
+        }
+    }
+
+    pub(super) fn outputs_of(&self, key: &TaskKey) -> Vec<Artefact> {
+        let done = self.tasks.get(key).and_then(|task| task.done.as_ref());
+        done.map(|(result, _)| result.outputs.clone()).unwrap_or_default()
+    }
+
+    /// A task, and all that it waits for if nothing is done.
+    fn all_needed_by(&self, key: TaskKey) -> BTreeSet<TaskKey> {
+        let (mut needed, mut open) = (BTreeSet::new(), vec![key]);
+        while let Some(key) = open.pop() {
+            if let Some(task) = self.tasks.get(&key)
+                && needed.insert(key)
+            {
+                open.extend(task.needs());
+            }
+        }
+        needed
+    }
+
+    /// Why a bake cannot go on: one of its open tasks names an output that `key`, run again, has not given again.
+    pub(super) fn failure_by_making(&self, bake: usize, key: TaskKey, before: &[Artefact]) -> Option<String> {
+        let now = self.outputs_of(&key);
+        let open = self.bakes[bake].members.iter().filter(|(_, member)| !member.done);
+        let named: BTreeSet<Digest> = open
+            .filter_map(|(key, _)| self.tasks.get(key))
+            .flat_map(|task| named_artefacts(&task.spec))
+            .collect();
+        let is_lost = |output: &&Artefact| self.chunks.kept(output.digest).is_none();
+        let gone = rules::outputs_gone(before, &now)
+            .filter(is_lost)
+            .find(|output| named.contains(&output.digest))?;
+        let TaskSpec { label, kind, .. } = &self.tasks[&key].spec;
+        Some(rules::made_otherwise_message(label, kind, gone))
     }
 }
 
@@ -385,6 +478,23 @@ impl BakeEntry {
 
 impl Task {
     fn new(spec: TaskSpec) -> Self {
-        Self { spec, done: None, lease: None, attempts: 0, not_before_ms: 0, blamed: BTreeSet::new() }
+        let (blamed, makers, outputs_before) = (BTreeSet::new(), BTreeSet::new(), Vec::new());
+        let (attempts, pardons, not_before_ms) = (0, 0, 0);
+        Self {
+            spec,
+            done: None,
+            lease: None,
+            attempts,
+            pardons,
+            not_before_ms,
+            blamed,
+            makers,
+            outputs_before,
+        }
+    }
+
+    /// All that it waits for until it is done.
+    fn needs(&self) -> BTreeSet<TaskKey> {
+        self.spec.dependencies().chain(self.makers.iter().copied()).collect()
     }
 }

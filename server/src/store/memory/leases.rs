@@ -10,10 +10,10 @@ use lightkiln_proto::api::{
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{TaskResult, TaskSpec};
 
-use super::farm::{BakeEntry, Farm, LeaseEntry, Member, Task, WorkerEntry};
+use super::farm::{BakeEntry, ExpiredEntry, Farm, LeaseEntry, Member, Task, WorkerEntry};
 use crate::store::rules::{
-    self, Abilities, BLOCK_TASKS, CLAIM_WINDOW, Contender, WORKER_PRESENT_MS, WORKER_SEEN_GRAIN_MS,
-    add_counters, next_contender,
+    self, Abilities, BLOCK_TASKS, CLAIM_WINDOW, Contender, MAX_PARDONS, WORKER_PRESENT_MS,
+    WORKER_SEEN_GRAIN_MS, add_counters, next_contender,
 };
 use crate::store::{FailVerdict, Reaped, StoreError, TaskState, token};
 
@@ -142,7 +142,7 @@ impl Farm {
             TaskState::Done
         } else if task.lease.is_some() {
             TaskState::Leased
-        } else if rules::dependencies(&task.spec).iter().all(is_done) {
+        } else if rules::dependencies(&task.spec).iter().all(is_done) && task.makers.is_empty() {
             TaskState::Ready
         } else {
             TaskState::Waiting
@@ -211,22 +211,23 @@ impl Farm {
             deadline_ms,
             cancelled: false,
             was_heard: false,
+            input_lost: false,
+            is_late: false,
+            attempt,
         };
         self.leases.insert(token.clone(), lease);
         if let Some(task) = self.tasks.get_mut(&key) {
             task.lease = Some(token.clone());
         }
         let task = self.tasks[&key].spec.clone();
-        let inputs = rules::resolve_inputs(&task, |key| {
-            let done = self.tasks.get(key).and_then(|task| task.done.as_ref());
-            done.map(|(result, _)| result.outputs.clone()).unwrap_or_default()
-        });
+        let inputs = rules::resolve_inputs(&task, |key| self.outputs_of(key));
         let BakeEntry { id, traceparent, .. } = &self.bakes[bake];
         let (bake, traceparent) = (id.clone(), traceparent.clone());
         Ok(Lease { token, bake, task, inputs, expires_ms, traceparent })
     }
 
     pub(super) fn heartbeat(&mut self, token: &str, _progress: f32, now_ms: i64) -> HeartbeatAnswer {
+        self.hear_late(token, now_ms);
         let Some(lease) = self.leases.get_mut(token) else {
             return HeartbeatAnswer { verdict: Verdict::Lost, expires_ms: now_ms };
         };
@@ -237,7 +238,7 @@ impl Farm {
             verdict = Verdict::Lost;
         } else {
             lease.expires_ms = (now_ms + lease.ttl_ms).min(lease.deadline_ms);
-            lease.was_heard = true;
+            (lease.was_heard, lease.is_late) = (true, false);
         }
         if let Some(worker) = self.workers.get_mut(&lease.worker)
             && now_ms - worker.seen_ms >= WORKER_SEEN_GRAIN_MS
@@ -245,6 +246,25 @@ impl Farm {
             worker.seen_ms = now_ms;
         }
         HeartbeatAnswer { verdict, expires_ms: lease.expires_ms }
+    }
+
+    /// A holder whose lease has run out turns out to be alive: its attempt is given back, once, and not for ever.
+    fn hear_late(&mut self, token: &str, now_ms: i64) {
+        if let Some(lease) = self.leases.get_mut(token) {
+            lease.is_late |=
+                lease.was_heard && lease.expires_ms <= now_ms && lease.expires_ms < lease.deadline_ms;
+        }
+        let Some(expired) = self.expired.remove(token) else { return };
+        if let Some(task) = self.tasks.get_mut(&expired.key)
+            && task.done.is_none()
+            && task.attempts > 0
+            && task.pardons < MAX_PARDONS
+        {
+            (task.attempts, task.pardons) = (task.attempts - 1, task.pardons + 1);
+            if expired.has_blamed {
+                task.blamed.remove(&expired.worker);
+            }
+        }
     }
 
     /// Takes the lease away if it is still good. A cancelled one goes too, but gives nothing.
@@ -285,11 +305,14 @@ impl Farm {
         if self.leases.get(token).is_some_and(is_good) {
             result.outputs.iter().try_for_each(|output| self.chunks.require(output.digest))?;
         }
+        self.hear_late(token, now_ms);
         let Some(lease) = self.end_lease(token, now_ms) else { return Ok(CommitVerdict::Stale) };
         let key = lease.key;
         let Some(task) = self.tasks.get_mut(&key) else { return Ok(CommitVerdict::Stale) };
         task.done = Some((result.clone(), token.to_owned()));
-        let (spec, attempt) = (task.spec.clone(), task.attempts + 1);
+        let before = std::mem::take(&mut task.outputs_before);
+        let (spec, attempt) = (task.spec.clone(), lease.attempt);
+        self.release_readers(key);
         for bake in &mut self.bakes {
             if let Some(member) = bake.members.get_mut(&key).filter(|member| member.lost) {
                 (member.held, member.lost) = (true, false);
@@ -308,6 +331,10 @@ impl Farm {
             let elapsed_ms = lease.elapsed_ms(now_ms);
             let done = EventKind::TaskDone { key, kind, label, worker, attempt, elapsed_ms };
             self.event(bake, now_ms, done);
+            if let Some(failure) = self.failure_by_making(bake, key, &before) {
+                self.close(bake, BakeState::Failed, Some(failure), now_ms);
+                continue;
+            }
             self.apply_plan(bake, &result.plan, now_ms)?;
             self.finish_if_done(bake, now_ms);
         }
@@ -315,6 +342,7 @@ impl Farm {
     }
 
     pub(super) fn release(&mut self, token: &str, now_ms: i64) -> bool {
+        self.hear_late(token, now_ms);
         let Some(lease) = self.end_lease(token, now_ms) else { return false };
         let key = lease.key;
         for bake in self.live_bakes_of(key) {
@@ -332,9 +360,12 @@ impl Farm {
             Blame::Task => {
                 let TaskSpec { label, kind, .. } = &self.tasks[&lease.key].spec;
                 let failure = rules::task_fault_message(label, kind, &lease.worker, &message);
-                let attempt = self.tasks[&lease.key].attempts + 1;
-                self.give_up(&lease, attempt, &message, &failure, now_ms);
+                self.give_up(&lease, &message, &failure, now_ms);
                 FailVerdict::GivenUp
+            }
+            Blame::Worker if lease.input_lost => {
+                self.task_failed(&lease, &message, Some(0), now_ms);
+                FailVerdict::Retry
             }
             Blame::Worker => {
                 let Some(attempts) = self.blame_worker(&lease, &message, now_ms) else {
@@ -344,7 +375,7 @@ impl Farm {
                 if let Some(task) = self.tasks.get_mut(&lease.key) {
                     task.not_before_ms = now_ms + wait_ms;
                 }
-                self.task_failed(&lease, attempts, &message, Some(wait_ms), now_ms);
+                self.task_failed(&lease, &message, Some(wait_ms), now_ms);
                 FailVerdict::Retry
             }
         }
@@ -361,25 +392,18 @@ impl Farm {
         }
         let TaskSpec { label, kind, .. } = &task.spec;
         let failure = rules::given_up_message(label, kind, attempts, workers, message);
-        self.give_up(lease, attempts, message, &failure, now_ms);
+        self.give_up(lease, message, &failure, now_ms);
         None
     }
 
-    fn give_up(&mut self, lease: &LeaseEntry, attempt: u32, message: &str, failure: &str, now_ms: i64) {
-        self.task_failed(lease, attempt, message, None, now_ms);
+    fn give_up(&mut self, lease: &LeaseEntry, message: &str, failure: &str, now_ms: i64) {
+        self.task_failed(lease, message, None, now_ms);
         for bake in self.live_bakes_of(lease.key) {
             self.close(bake, BakeState::Failed, Some(failure.to_owned()), now_ms);
         }
     }
 
-    fn task_failed(
-        &mut self,
-        lease: &LeaseEntry,
-        attempt: u32,
-        message: &str,
-        wait_ms: Option<i64>,
-        now_ms: i64,
-    ) {
+    fn task_failed(&mut self, lease: &LeaseEntry, message: &str, wait_ms: Option<i64>, now_ms: i64) {
         let TaskSpec { kind, label, .. } = self.tasks[&lease.key].spec.clone();
         let failed = EventKind::TaskFailed {
             key: lease.key,
@@ -388,7 +412,7 @@ impl Farm {
             worker: lease.worker.clone(),
             message: message.to_owned(),
             retry: wait_ms.is_some(),
-            attempt,
+            attempt: lease.attempt,
             elapsed_ms: lease.elapsed_ms(now_ms),
             wait_ms: wait_ms.and_then(|wait_ms| u64::try_from(wait_ms).ok()).unwrap_or(0),
         };
@@ -413,14 +437,22 @@ impl Farm {
             let took_too_long = lease.expires_ms >= lease.deadline_ms;
             for bake in self.live_bakes_of(key) {
                 let TaskSpec { kind, label, .. } = self.tasks[&key].spec.clone();
-                let (worker, attempt) = (lease.worker.clone(), self.tasks[&key].attempts + 1);
+                let (worker, attempt) = (lease.worker.clone(), lease.attempt);
                 let elapsed_ms = lease.elapsed_ms(now_ms);
                 let expired =
                     EventKind::LeaseExpired { key, kind, label, worker, attempt, elapsed_ms, took_too_long };
                 self.event(bake, now_ms, expired);
             }
-            if !lease.was_heard {
+            let Some(task) = self.tasks.get_mut(&key) else { continue };
+            let is_pardoned = lease.is_late && task.pardons < MAX_PARDONS;
+            task.pardons += u32::from(is_pardoned);
+            if !lease.was_heard || is_pardoned {
                 continue;
+            }
+            if !took_too_long {
+                let has_blamed = !task.blamed.contains(&lease.worker);
+                let expired = ExpiredEntry { key, worker: lease.worker.clone(), has_blamed };
+                self.expired.insert(token, expired);
             }
             let message =
                 if took_too_long { rules::limit_message } else { rules::expiry_message }(&lease.worker);

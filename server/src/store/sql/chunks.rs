@@ -3,7 +3,6 @@
 use std::collections::BTreeSet;
 
 use lightkiln_proto::ids::Digest;
-use lightkiln_proto::jobs::TaskInput;
 
 use super::codec::{ROWS_PER_STATEMENT, to_json};
 use super::conn::{Conn, Row, query};
@@ -95,7 +94,7 @@ pub(super) async fn usage(conn: &mut Conn) -> Result<Usage, StoreError> {
     Ok(Usage { chunks: row.count("chunks")?, bytes: row.count("bytes")? })
 }
 
-/// Makes a bake refer to artefacts; those of `required` must be kept.
+/// Makes a bake refer to artefacts, lost ones included; those of `required` must be kept.
 pub(super) async fn refer(
     conn: &mut Conn,
     bake: i64,
@@ -110,7 +109,7 @@ pub(super) async fn refer(
     let named: Vec<Digest> = named.iter().copied().collect();
     let sql =
         "INSERT INTO bake_chunks SELECT $1, c.digest FROM json_each($2) j JOIN chunks c ON c.digest = j.value
-               WHERE c.generation IS NOT NULL ON CONFLICT DO NOTHING";
+               WHERE true ON CONFLICT DO NOTHING";
     for named in named.chunks(ROWS_PER_STATEMENT) {
         query(sql).bind(bake).bind(to_json(named)?).run(conn).await?;
     }
@@ -143,14 +142,6 @@ async fn require(conn: &mut Conn, digests: &[Digest]) -> Result<(), StoreError> 
         }
     }
     Ok(())
-}
-
-/// Artefacts that a task names.
-pub(super) fn named_artefacts(inputs: &[TaskInput]) -> impl Iterator<Item = Digest> + '_ {
-    inputs.iter().filter_map(|input| match input {
-        TaskInput::Artefact { digest, .. } => Some(*digest),
-        TaskInput::Task { .. } => None,
-    })
 }
 
 pub(super) async fn collect(

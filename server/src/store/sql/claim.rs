@@ -312,13 +312,16 @@ async fn lease(
     request: &ClaimRequest,
     now_ms: i64,
 ) -> Result<Vec<Lease>, StoreError> {
-    let row = |chosen: &Chosen| json!([chosen.token, chosen.task, chosen.expires_ms, chosen.deadline_ms]);
+    let row = |chosen: &Chosen| {
+        let attempt = taken.get(&chosen.task).map_or(1, |taken| taken.attempt);
+        json!([chosen.token, chosen.task, chosen.expires_ms, chosen.deadline_ms, attempt])
+    };
     let rows: Vec<_> = chosen.iter().map(row).collect();
     let sql = conn.pick(
-        "INSERT INTO leases SELECT value ->> 0, value ->> 1, $2, $3, value ->> 2, $4, value ->> 3, $5
-         FROM json_each($1)",
-        "INSERT INTO leases SELECT v ->> 0, (v ->> 1)::bigint, $2, $3, (v ->> 2)::bigint, $4, (v ->> 3)::bigint, $5
-         FROM jsonb_array_elements($1::jsonb) AS j (v)",
+        "INSERT INTO leases SELECT value ->> 0, value ->> 1, $2, $3, value ->> 2, $4, value ->> 3, $5, 0,
+         value ->> 4 FROM json_each($1)",
+        "INSERT INTO leases SELECT v ->> 0, (v ->> 1)::bigint, $2, $3, (v ->> 2)::bigint, $4, (v ->> 3)::bigint, $5, 0,
+         (v ->> 4)::bigint FROM jsonb_array_elements($1::jsonb) AS j (v)",
     );
     let ttl_ms = i64::from(request.ttl_secs) * 1000;
     let insert = query(sql).bind(to_json(&rows)?).bind(&request.worker).bind(ttl_ms);

@@ -4,12 +4,13 @@ use std::collections::BTreeSet;
 
 use lightkiln_proto::api::EventKind;
 use lightkiln_proto::ids::TaskKey;
-use lightkiln_proto::jobs::TaskSpec;
+use lightkiln_proto::jobs::{TaskResult, TaskSpec};
 
 use super::codec::{ROWS_PER_STATEMENT, to_json};
 use super::conn::{Conn, query};
 use super::leases::offer;
 use super::ledger::{Ledger, live_bakes_of};
+use super::remake;
 use crate::store::{KnownResult, StoreError};
 
 pub(super) async fn reusable(conn: &mut Conn, plan: &[TaskSpec]) -> Result<Vec<KnownResult>, StoreError> {
@@ -23,15 +24,15 @@ pub(super) async fn reusable(conn: &mut Conn, plan: &[TaskSpec]) -> Result<Vec<K
         let mut next = Vec::new();
         for keys in layer.chunks(ROWS_PER_STATEMENT) {
             for row in query(sql).bind(to_json(keys)?).all(conn).await? {
-                let outputs = row.json("outputs")?;
-                known.push(KnownResult { key: row.digest("key")?, outputs });
-                let plan: Vec<TaskSpec> = row.json("plan")?;
+                let (outputs, plan) = (row.json("outputs")?, row.json::<Vec<TaskSpec>>("plan")?);
                 next.extend(plan.iter().map(|spec| spec.key));
+                let result = TaskResult { outputs, plan, ..TaskResult::default() };
+                known.push((row.digest("key")?, result));
             }
         }
         layer = next;
     }
-    Ok(known)
+    Ok(KnownResult::all(known))
 }
 
 pub(super) async fn forget_all(conn: &mut Conn, keys: &[TaskKey], now_ms: i64) -> Result<(), StoreError> {
@@ -51,6 +52,7 @@ async fn forget(conn: &mut Conn, key: TaskKey, now_ms: i64) -> Result<(), StoreE
         query("DELETE FROM tasks WHERE id = $1").bind(task).run(conn).await?;
         return Ok(());
     }
+    remake::hold_readers(conn, task).await?;
     undo_result(conn, task).await?;
     let (kind, cost) = (row.text("kind")?, row.count("cost")?);
     for bake in wanted_by {
@@ -87,9 +89,11 @@ pub(super) async fn give_back(conn: &mut Conn, task: i64, key: TaskKey) -> Resul
 /// Makes the task as if it had never run, and lets its dependants wait for it.
 async fn undo_result(conn: &mut Conn, task: i64) -> Result<(), StoreError> {
     for sql in [
+        "UPDATE tasks SET outputs_before = (SELECT outputs FROM results r WHERE r.task = tasks.id) WHERE id = $1",
         "DELETE FROM results WHERE task = $1",
         "DELETE FROM blames WHERE task = $1",
-        "UPDATE tasks SET attempts = 0, not_before_ms = 0, waiting_count = (
+        "DELETE FROM expired WHERE task = $1",
+        "UPDATE tasks SET attempts = 0, pardons = 0, not_before_ms = 0, waiting_count = (
              SELECT count(*) FROM task_needs n JOIN tasks d ON d.id = n.needs
              WHERE n.task = tasks.id AND d.state <> 'done') WHERE id = $1",
         "UPDATE tasks SET state = CASE waiting_count WHEN 0 THEN 'ready' ELSE 'waiting' END WHERE id = $1",

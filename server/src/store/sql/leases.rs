@@ -2,6 +2,7 @@
 
 use lightkiln_proto::api::{EventKind, HeartbeatAnswer, Verdict};
 use lightkiln_proto::ids::TaskKey;
+use lightkiln_proto::jobs::Artefact;
 
 use super::conn::{Conn, query};
 use super::ledger::{Ledger, live_bakes_of};
@@ -15,7 +16,10 @@ pub(super) struct Ended {
     pub(super) kind: String,
     pub(super) label: String,
     pub(super) cost: u64,
+    /// Attempts that have failed.
     pub(super) attempts: u32,
+    /// Which attempt this was.
+    pub(super) attempt: u32,
     pub(super) worker: String,
     /// How long the attempt took.
     pub(super) elapsed_ms: u64,
@@ -23,6 +27,12 @@ pub(super) struct Ended {
     pub(super) has_hit_limit: bool,
     /// The worker said that it had the task.
     pub(super) was_heard: bool,
+    /// It was heard again after the lease had run out, and may be pardoned.
+    pub(super) is_pardoned: bool,
+    /// Something that the task reads was lost meanwhile.
+    pub(super) input_lost: bool,
+    /// What the task gave before its result was forgotten; nothing if that did not happen.
+    pub(super) outputs_before: Vec<Artefact>,
 }
 
 pub(super) async fn heartbeat(
@@ -33,6 +43,7 @@ pub(super) async fn heartbeat(
 ) -> Result<HeartbeatAnswer, StoreError> {
     let sql = "SELECT task, worker, ttl_ms, expires_ms, deadline_ms FROM leases WHERE token = $1";
     let Some(row) = query(sql).bind(token).optional(conn).await? else {
+        hear_late(conn, token).await?;
         return Ok(HeartbeatAnswer { verdict: Verdict::Lost, expires_ms: now_ms });
     };
     let mut expires_ms: i64 = row.get("expires_ms")?;
@@ -40,6 +51,7 @@ pub(super) async fn heartbeat(
     if row.get::<Option<i64>>("task")?.is_none() {
         verdict = Verdict::Cancel;
     } else if expires_ms <= now_ms {
+        hear_late(conn, token).await?;
         verdict = Verdict::Lost;
     } else {
         expires_ms = (now_ms + row.get::<i64>("ttl_ms")?).min(row.get("deadline_ms")?);
@@ -60,7 +72,10 @@ pub(super) async fn heartbeat(
 }
 
 pub(super) async fn release(conn: &mut Conn, token: &str, now_ms: i64) -> Result<bool, StoreError> {
-    let Some(ended) = end(conn, token, now_ms).await? else { return Ok(false) };
+    let Some(ended) = end(conn, token, now_ms).await? else {
+        hear_late(conn, token).await?;
+        return Ok(false);
+    };
     requeue(conn, &ended, now_ms).await?;
     for bake in live_bakes_of(conn, ended.task).await? {
         let mut bake = Ledger::load(conn, bake).await?;
@@ -78,6 +93,25 @@ pub(super) async fn extend(conn: &mut Conn, now_ms: i64) -> Result<u64, StoreErr
     query(sql).bind(now_ms).run(conn).await
 }
 
+/// A holder whose lease has run out turns out to be alive. If that was counted as an attempt, it is given back, once and
+/// not for ever; if nobody has noticed yet, it will not be.
+pub(super) async fn hear_late(conn: &mut Conn, token: &str) -> Result<(), StoreError> {
+    let sql =
+        "UPDATE leases SET progress = $1 WHERE token = $2 AND progress > $3 AND expires_ms < deadline_ms";
+    query(sql).bind(rules::LATE).bind(token).bind(rules::UNHEARD).run(conn).await?;
+    let sql = "DELETE FROM expired WHERE token = $1 RETURNING task, worker, has_blamed";
+    let Some(row) = query(sql).bind(token).optional(conn).await? else { return Ok(()) };
+    let task: i64 = row.get("task")?;
+    let sql = "UPDATE tasks SET attempts = attempts - 1, pardons = pardons + 1
+               WHERE id = $1 AND attempts > 0 AND pardons < $2 AND state <> 'done'";
+    let is_pardoned = query(sql).bind(task).bind(rules::MAX_PARDONS).run(conn).await? > 0;
+    if is_pardoned && row.get::<i64>("has_blamed")? != 0 {
+        let sql = "DELETE FROM blames WHERE task = $1 AND worker = $2";
+        query(sql).bind(task).bind(row.text("worker")?).run(conn).await?;
+    }
+    Ok(())
+}
+
 /// Takes a lease that is still good from its holder. A cancelled one goes too, but gives nothing.
 pub(super) async fn end(conn: &mut Conn, token: &str, now_ms: i64) -> Result<Option<Ended>, StoreError> {
     let sql = "SELECT task, expires_ms FROM leases WHERE token = $1";
@@ -92,22 +126,28 @@ pub(super) async fn end(conn: &mut Conn, token: &str, now_ms: i64) -> Result<Opt
 /// Takes a lease, good or not; nothing when it was cancelled or is gone.
 pub(super) async fn take(conn: &mut Conn, token: &str, now_ms: i64) -> Result<Option<Ended>, StoreError> {
     let sql =
-        "SELECT l.task, l.worker, l.started_ms, l.expires_ms, l.deadline_ms, l.progress, t.key, t.kind, t.label, t.cost, t.attempts
-               FROM leases l JOIN tasks t ON t.id = l.task WHERE l.token = $1";
+        "SELECT l.task, l.worker, l.started_ms, l.expires_ms, l.deadline_ms, l.progress, l.input_lost, l.attempt, t.key, t.kind,
+               t.label, t.cost, t.attempts, t.pardons, coalesce(t.outputs_before, '[]') AS outputs_before FROM leases l JOIN tasks t ON t.id = l.task WHERE l.token = $1";
     let row = query(sql).bind(token).optional(conn).await?;
     query("DELETE FROM leases WHERE token = $1").bind(token).run(conn).await?;
     let Some(row) = row else { return Ok(None) };
+    let small = |column: &str| Ok::<_, StoreError>(u32::try_from(row.count(column)?).unwrap_or(u32::MAX));
+    let progress: f64 = row.get("progress")?;
     Ok(Some(Ended {
         task: row.get("task")?,
         key: row.digest("key")?,
         kind: row.get("kind")?,
         label: row.get("label")?,
         cost: row.count("cost")?,
-        attempts: u32::try_from(row.count("attempts")?).unwrap_or(u32::MAX),
+        attempts: small("attempts")?,
+        attempt: small("attempt")?,
         worker: row.get("worker")?,
         elapsed_ms: u64::try_from(now_ms - row.get::<i64>("started_ms")?).unwrap_or(0),
         has_hit_limit: row.get::<i64>("expires_ms")? >= row.get::<i64>("deadline_ms")?,
-        was_heard: row.get::<f64>("progress")? > rules::UNHEARD,
+        was_heard: progress > rules::UNHEARD || progress <= rules::LATE,
+        is_pardoned: progress <= rules::LATE && small("pardons")? < rules::MAX_PARDONS,
+        input_lost: row.get::<i64>("input_lost")? != 0,
+        outputs_before: row.json("outputs_before")?,
     }))
 }
 

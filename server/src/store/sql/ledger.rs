@@ -8,6 +8,7 @@ use lightkiln_proto::jobs::{Artefact, MANIFEST_OUTPUT, REPORT_OUTPUT};
 
 use super::codec::to_json;
 use super::conn::{Conn, corrupt, query};
+use super::remake;
 use crate::store::StoreError;
 
 /// The part of a bake's row that changes, and events not yet written.
@@ -150,6 +151,7 @@ impl Ledger {
         self.finished_ms = Some(now_ms);
         self.event(now_ms, EventKind::State { state });
         self.save(conn).await?;
+        remake::let_go(conn, self.seq, now_ms).await?;
         for sql in [
             "DELETE FROM ready WHERE bake = $1",
             "UPDATE stages SET leased = 0 WHERE bake = $1",

@@ -11,6 +11,7 @@ use super::forget;
 use super::leases::{self, Ended, requeue};
 use super::ledger::{Ledger, live_bakes_of};
 use super::plan::apply_plan;
+use super::remake;
 use crate::store::rules::{self, add_counters, check_plan};
 use crate::store::{FailVerdict, Reaped, StoreError};
 
@@ -24,12 +25,24 @@ pub(super) async fn commit(
         return Ok(CommitVerdict::AlreadyCommitted);
     }
     check_plan(&result.plan)?;
-    let Some(ended) = leases::end(conn, token, now_ms).await? else { return Ok(CommitVerdict::Stale) };
+    let Some(ended) = leases::end(conn, token, now_ms).await? else {
+        leases::hear_late(conn, token).await?;
+        return Ok(CommitVerdict::Stale);
+    };
     write_result(conn, token, &ended, result).await?;
     unlock_dependants(conn, ended.task, now_ms).await?;
+    if !ended.outputs_before.is_empty() {
+        remake::release_readers(conn, ended.task, ended.key).await?;
+    }
+    let gone = remake::not_made_again(conn, &ended.outputs_before, &result.outputs).await?;
     for bake in live_bakes_of(conn, ended.task).await? {
         let mut bake = Ledger::load(conn, bake).await?;
         count_done(conn, &mut bake, &ended, result, now_ms).await?;
+        if let Some(output) = remake::first_named(conn, bake.seq, &gone).await? {
+            let failure = rules::made_otherwise_message(&ended.label, &ended.kind, output);
+            bake.close(conn, BakeState::Failed, Some(failure), now_ms).await?;
+            continue;
+        }
         apply_plan(conn, &mut bake, &result.plan, now_ms).await?;
         bake.save_or_finish(conn, now_ms).await?;
     }
@@ -75,7 +88,10 @@ async fn write_result(
         .await?;
     let outputs = result.outputs.iter().map(|output| output.digest).collect();
     chunks::refer_outputs(conn, ended.task, &outputs).await?;
-    query("UPDATE tasks SET state = 'done' WHERE id = $1").bind(ended.task).run(conn).await?;
+    query("UPDATE tasks SET state = 'done', outputs_before = NULL WHERE id = $1")
+        .bind(ended.task)
+        .run(conn)
+        .await?;
     forget::give_back(conn, ended.task, ended.key).await
 }
 
@@ -131,15 +147,19 @@ pub(super) async fn fail(
         give_up(conn, &ended, &message, &failure, now_ms).await?;
         return Ok(FailVerdict::GivenUp);
     }
-    if blame_worker(conn, &ended, &message, now_ms).await? {
-        return Ok(FailVerdict::GivenUp);
+    let mut wait_ms = 0;
+    // Whoever lost an input is not to blame, and tries again once that is there.
+    if !ended.input_lost {
+        if blame_worker(conn, &ended, &message, now_ms).await? {
+            return Ok(FailVerdict::GivenUp);
+        }
+        wait_ms = rules::retry_wait_ms(ended.key, ended.attempts + 1);
+        query("UPDATE tasks SET not_before_ms = $1 WHERE id = $2")
+            .bind(now_ms + wait_ms)
+            .bind(ended.task)
+            .run(conn)
+            .await?;
     }
-    let wait_ms = rules::retry_wait_ms(ended.key, ended.attempts + 1);
-    query("UPDATE tasks SET not_before_ms = $1 WHERE id = $2")
-        .bind(now_ms + wait_ms)
-        .bind(ended.task)
-        .run(conn)
-        .await?;
     requeue(conn, &ended, now_ms).await?;
     for bake in live_bakes_of(conn, ended.task).await? {
         let mut bake = Ledger::load(conn, bake).await?;
@@ -147,6 +167,23 @@ pub(super) async fn fail(
         bake.save(conn).await?;
     }
     Ok(FailVerdict::Retry)
+}
+
+/// Counts an attempt whose lease ran out, like any failure, until its worker turns out to be alive.
+async fn blame_silent(
+    conn: &mut Conn,
+    token: &str,
+    ended: &Ended,
+    message: &str,
+    now_ms: i64,
+) -> Result<bool, StoreError> {
+    if !ended.has_hit_limit {
+        let sql = "INSERT INTO expired SELECT $1, t.id, $2,
+                   CASE WHEN EXISTS (SELECT 1 FROM blames x WHERE x.task = t.id AND x.worker = $2) THEN 0 ELSE 1 END
+                   FROM tasks t WHERE t.id = $3";
+        query(sql).bind(token).bind(&ended.worker).bind(ended.task).run(conn).await?;
+    }
+    blame_worker(conn, ended, message, now_ms).await
 }
 
 /// Counts an attempt against its worker; true when the task was given up for that.
@@ -195,7 +232,7 @@ fn task_done(ended: &Ended) -> EventKind {
         kind: ended.kind.clone(),
         label: ended.label.clone(),
         worker: ended.worker.clone(),
-        attempt: ended.attempts + 1,
+        attempt: ended.attempt,
         elapsed_ms: ended.elapsed_ms,
     }
 }
@@ -209,7 +246,7 @@ fn task_failed(ended: &Ended, message: &str, wait_ms: Option<i64>) -> EventKind 
         worker: ended.worker.clone(),
         message: message.to_owned(),
         retry: wait_ms.is_some(),
-        attempt: ended.attempts + 1,
+        attempt: ended.attempt,
         elapsed_ms: ended.elapsed_ms,
         wait_ms: wait_ms.and_then(|wait_ms| u64::try_from(wait_ms).ok()).unwrap_or(0),
     }
@@ -221,7 +258,7 @@ fn lease_expired(ended: &Ended) -> EventKind {
         kind: ended.kind.clone(),
         label: ended.label.clone(),
         worker: ended.worker.clone(),
-        attempt: ended.attempts + 1,
+        attempt: ended.attempt,
         elapsed_ms: ended.elapsed_ms,
         took_too_long: ended.has_hit_limit,
     }
@@ -233,20 +270,24 @@ pub(super) async fn reap(conn: &mut Conn, now_ms: i64) -> Result<Reaped, StoreEr
     let rows = query(sql).bind(now_ms).all(conn).await?;
     let mut reaped = Reaped::default();
     for row in rows {
-        let Some(ended) = leases::take(conn, &row.text("token")?, now_ms).await? else { continue };
+        let token = row.text("token")?;
+        let Some(ended) = leases::take(conn, &token, now_ms).await? else { continue };
         reaped.expired += 1;
         for bake in live_bakes_of(conn, ended.task).await? {
             let mut bake = Ledger::load(conn, bake).await?;
             bake.event(now_ms, lease_expired(&ended));
             bake.save(conn).await?;
         }
-        if !ended.was_heard {
+        if ended.is_pardoned {
+            query("UPDATE tasks SET pardons = pardons + 1 WHERE id = $1").bind(ended.task).run(conn).await?;
+        }
+        if !ended.was_heard || ended.is_pardoned {
             requeue(conn, &ended, now_ms).await?;
             continue;
         }
         let message = if ended.has_hit_limit { rules::limit_message } else { rules::expiry_message };
         let message = message(&ended.worker);
-        if blame_worker(conn, &ended, &message, now_ms).await? {
+        if blame_silent(conn, &token, &ended, &message, now_ms).await? {
             reaped.given_up += 1;
         } else {
             requeue(conn, &ended, now_ms).await?;

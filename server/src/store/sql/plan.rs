@@ -11,7 +11,7 @@ use super::chunks;
 use super::codec::{ROWS_PER_STATEMENT, to_json};
 use super::conn::{Conn, query};
 use super::ledger::Ledger;
-use crate::store::rules::{add_counters, dependencies, is_same_task};
+use crate::store::rules::{add_counters, dependencies, is_same_task, named_artefacts};
 use crate::store::{PlanError, StoreError};
 
 /// A task that the farm has.
@@ -124,9 +124,9 @@ impl Addition<'_> {
     }
 
     fn count(&mut self, spec: &TaskSpec, state: &str) {
-        self.named.extend(chunks::named_artefacts(&spec.inputs));
+        self.named.extend(named_artefacts(spec));
         if state != "done" {
-            self.required.extend(chunks::named_artefacts(&spec.inputs));
+            self.required.extend(named_artefacts(spec));
         }
         let index = self.stages.iter().position(|(kind, _)| *kind == spec.kind).unwrap_or_else(|| {
             self.stages.push((spec.kind.clone(), StageGain::default()));

@@ -1,5 +1,7 @@
 //! What callers see.
 
+use std::collections::BTreeMap;
+
 use lightkiln_proto::api::{Bake, BakeEvent, BakePage, BakeState, EventPage, StageCount, Worker};
 use lightkiln_proto::ids::Digest;
 
@@ -109,13 +111,15 @@ pub(super) async fn events_after(
 pub(super) async fn workers(conn: &mut Conn, now_ms: i64) -> Result<Vec<Worker>, StoreError> {
     let sql = "SELECT name, kinds, threads, seen_ms, memory_mib, labels FROM workers WHERE seen_ms > $1 ORDER BY name";
     let rows = query(sql).bind(now_ms - WORKER_LISTED_MS).all(conn).await?;
+    let sql = "SELECT l.worker, t.label FROM leases l JOIN tasks t ON t.id = l.task ORDER BY t.label";
+    let mut held: BTreeMap<String, Vec<String>> = BTreeMap::new();
+    for row in query(sql).all(conn).await? {
+        held.entry(row.get("worker")?).or_default().push(row.get("label")?);
+    }
     let mut workers = Vec::with_capacity(rows.len());
     for row in rows {
         let name: String = row.get("name")?;
-        let sql =
-            "SELECT t.label FROM leases l JOIN tasks t ON t.id = l.task WHERE l.worker = $1 ORDER BY t.label";
-        let held = query(sql).bind(&name).all(conn).await?;
-        let holds = held.iter().map(|row| row.text("label")).collect::<Result<_, _>>()?;
+        let holds = held.remove(&name).unwrap_or_default();
         let kinds = row.json("kinds")?;
         let threads = u32::try_from(row.count("threads")?).unwrap_or(u32::MAX);
         let memory_mib = u32::try_from(row.count("memory_mib")?).unwrap_or(u32::MAX);

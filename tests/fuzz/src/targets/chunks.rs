@@ -1,10 +1,14 @@
 //! Chunks of every kind: as they are, and with the bytes taken for the unpacked form of one.
 
+#[path = "../../../../proto/src/chunk/tests/whole.rs"]
+mod whole;
+
 use lightkiln_proto::chunk::*;
 use lightkiln_proto::prt::*;
 
 use super::container::{packed, unpacked};
 use super::{Target, taken};
+use whole::{assert_batch, assert_geometry, assert_patches, assert_whole};
 
 /// A cluster.
 pub const CLUSTER: Target = Target {
@@ -104,25 +108,9 @@ fn check_prefix(bytes: &[u8]) {
     }
 }
 
-/// Every array has its length, every index its target, every number is finite.
-fn assert_whole(cluster: &ClusterTransport) {
-    let Receivers { blocks, block, texel, position_m, normal, albedo, emission, links } = &cluster.receivers;
-    let count = texel.len();
-    assert_eq!([block.len(), position_m.len(), normal.len()], [count; 3]);
-    assert_eq!([albedo.len(), emission.len(), links.len()], [count; 3]);
-    assert!(block.iter().all(|&block| usize::from(block) < blocks.len()));
-    assert_eq!(cluster.u.len(), count * cluster.rank as usize);
-    assert_eq!(cluster.vt.len(), cluster.columns() * cluster.rank as usize);
-    assert!(cluster.emitters.iter().all(|emitter| emitter.irradiance.len() == count));
-    let lit = cluster.emitters.iter().flat_map(|emitter| emitter.irradiance.as_flattened());
-    let vectors = [position_m, normal, albedo, emission].into_iter().flat_map(|v| v.as_flattened());
-    assert!(cluster.u.iter().chain(&cluster.vt).chain(lit).chain(vectors).all(|x| x.is_finite()));
-    assert!(albedo.as_flattened().iter().all(|albedo| (0.0..1.0).contains(albedo)));
-    assert!((0..3).all(|axis| cluster.bounds_m[0][axis] <= cluster.bounds_m[1][axis]), "bounds inside out");
-}
-
 fn check_probes(bytes: &[u8]) {
     let Ok(batch) = decode_probe_batch(bytes) else { return };
+    assert_batch(&batch);
     let again = encode_probe_batch(&batch).expect("what was decoded can be encoded");
     let again = decode_probe_batch(&again).expect("what was encoded can be decoded");
     assert_eq!((&again.probes, again.relight_rays), (&batch.probes, batch.relight_rays));
@@ -140,12 +128,7 @@ fn check_probes(bytes: &[u8]) {
 
 fn check_geometry(bytes: &[u8]) {
     let Ok(geometry) = decode_geometry(bytes) else { return };
-    for draw in &geometry.draws {
-        let count = draw.position_m.len();
-        assert_eq!([draw.normal.len(), draw.lightmap_texel.len()], [count; 2]);
-        assert!([0, count].contains(&draw.uv.len()) && [0, count].contains(&draw.colour.len()));
-        assert!(draw.triangles.as_flattened().iter().all(|&index| (index as usize) < count));
-    }
+    assert_geometry(&geometry);
     // Lightmap coordinates may be rounded once; what they are rounded to stays.
     let once = encode_geometry(&geometry).expect("what was decoded can be encoded");
     let decoded = decode_geometry(&once).expect("what was encoded can be decoded");
@@ -164,6 +147,7 @@ fn check_texture(bytes: &[u8]) {
 
 fn check_patches(bytes: &[u8]) {
     let Ok(set) = decode_patches(bytes) else { return };
+    assert_patches(&set);
     for patch in &set.patches {
         assert!(patch.key.sky().is_none(), "a patch has the key of a part of the sky");
     }

@@ -1,0 +1,53 @@
+//! `kiln pause`, `resume`, `cancel` and `delete`: what is done to a bake whose id is all there is to say.
+
+use clap::Args;
+use lightkiln_client::fetch::ApiClient;
+
+use super::submitting::connect;
+use crate::arguments::ServerArgument;
+use crate::failure::Result;
+use crate::interrupt::Interrupt;
+
+/// Arguments of each of them.
+#[derive(Args, Debug)]
+pub struct Arguments {
+    /// The bake's id
+    id: String,
+    #[command(flatten)]
+    server: ServerArgument,
+}
+
+/// What is done.
+#[derive(Clone, Copy, Debug)]
+pub enum Action {
+    /// Tasks are held back; those under way go on.
+    Pause,
+    /// The pause ends.
+    Resume,
+    /// The bake ends; what was done of it stays and is used again by a later bake.
+    Cancel,
+    /// The bake goes, with the results that no other bake holds; the server frees their room after its grace.
+    Delete,
+}
+
+impl Action {
+    /// Does it, and says so.
+    pub fn run(self, arguments: Arguments) -> Result<()> {
+        let Arguments { id, server } = arguments;
+        let client = connect(&server.server, &server.trust, &Interrupt::default())?;
+        eprintln!("bake {id} {}", self.take(&client, &id)?);
+        Ok(())
+    }
+
+    /// Does it; what the bake is afterwards.
+    fn take(self, client: &ApiClient, id: &str) -> Result<String> {
+        Ok(match self {
+            Self::Pause => {
+                client.pause(id).map(|_| format!("is paused; 'kiln resume {id}' lets it go on"))?
+            }
+            Self::Resume => client.resume(id).map(|_| "goes on".to_owned())?,
+            Self::Cancel => client.cancel(id).map(|_| "is cancelled".to_owned())?,
+            Self::Delete => client.delete(id).map(|()| "is deleted".to_owned())?,
+        })
+    }
+}

@@ -1,0 +1,51 @@
+//! What every decoded chunk is, whatever the bytes were. Tests of this crate and fuzz targets share it; whoever takes it in
+//! has the types in scope.
+
+use super::{ClusterTransport, Geometry, PatchSet, ProbeBatch, Receivers, RelightHit};
+
+/// Every array has its length, every index its target, every number is finite.
+pub fn assert_whole(cluster: &ClusterTransport) {
+    let Receivers { blocks, block, texel, position_m, normal, albedo, emission, links } = &cluster.receivers;
+    let count = texel.len();
+    assert_eq!([block.len(), position_m.len(), normal.len()], [count; 3]);
+    assert_eq!([albedo.len(), emission.len(), links.len()], [count; 3]);
+    assert!(block.iter().all(|&block| usize::from(block) < blocks.len()));
+    assert_eq!(cluster.u.len(), count * cluster.rank as usize);
+    assert_eq!(cluster.vt.len(), cluster.columns() * cluster.rank as usize);
+    assert!(cluster.emitters.iter().all(|emitter| emitter.irradiance.len() == count));
+    let emitted = cluster.emitters.iter().flat_map(|emitter| emitter.irradiance.as_flattened());
+    let vectors = [position_m, normal, albedo, emission].into_iter().flat_map(|v| v.as_flattened());
+    assert!(cluster.u.iter().chain(&cluster.vt).chain(emitted).chain(vectors).all(|x| x.is_finite()));
+    assert!(albedo.as_flattened().iter().all(|albedo| (0.0..1.0).contains(albedo)));
+    assert!((0..3).all(|axis| cluster.bounds_m[0][axis] <= cluster.bounds_m[1][axis]), "bounds inside out");
+}
+
+/// Every probe has its hits, and every hit its block.
+pub fn assert_batch(batch: &ProbeBatch) {
+    assert_eq!(batch.hits.len(), batch.probes.len() * batch.relight_rays as usize);
+    let known = |hit: &RelightHit| match *hit {
+        RelightHit::Receiver { block, .. } => usize::from(block) < batch.blocks.len(),
+        _ => true,
+    };
+    assert!(batch.hits.iter().all(known));
+}
+
+/// Patches are in order, each over leaves that are there, each leaf over texels that are.
+pub fn assert_patches(set: &PatchSet) {
+    let leaves = set.leaf_starts.len() - 1;
+    assert!(set.patches.iter().all(|p| p.leaf_count > 0 && (p.first_leaf + p.leaf_count) as usize <= leaves));
+    assert!(set.patches.windows(2).all(|pair| pair[0].key < pair[1].key));
+    assert!(set.leaf_starts.windows(2).all(|pair| pair[0] < pair[1]));
+    assert_eq!([set.block.len(), set.leaf_starts[leaves] as usize], [set.texel.len(); 2]);
+    assert!(set.block.iter().all(|&block| usize::from(block) < set.blocks.len()));
+}
+
+/// Vertices have all that they need, and triangles their vertices.
+pub fn assert_geometry(geometry: &Geometry) {
+    for draw in &geometry.draws {
+        let count = draw.position_m.len();
+        assert_eq!([draw.normal.len(), draw.lightmap_texel.len()], [count; 2]);
+        assert!([0, count].contains(&draw.uv.len()) && [0, count].contains(&draw.colour.len()));
+        assert!(draw.triangles.as_flattened().iter().all(|&index| (index as usize) < count));
+    }
+}
