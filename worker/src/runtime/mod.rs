@@ -21,6 +21,7 @@ mod watch;
 use std::panic::resume_unwind;
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::thread::ScopedJoinHandle;
 use std::time::Duration;
 
 use lightkiln_proto::api::ClaimRequest;
@@ -189,10 +190,11 @@ impl Worker {
         std::thread::scope(|scope| {
             let start = |pool| scope.spawn(move || self.take_tasks(pool, shutdown));
             let running: Vec<_> = self.pools.iter().map(start).collect();
-            let ended =
-                running.into_iter().map(|thread| thread.join().unwrap_or_else(|panic| resume_unwind(panic)));
+            let join =
+                |thread: ScopedJoinHandle<_>| thread.join().unwrap_or_else(|panic| resume_unwind(panic));
             // Who is refused for good ends alone: the others will be refused as well, and have a task to end.
-            ended.fold(Ok(()), |all, one| all.and(one))
+            let ended: Vec<Result<(), WorkerError>> = running.into_iter().map(join).collect();
+            ended.into_iter().collect()
         })
     }
 
