@@ -137,7 +137,7 @@ mod tests {
             ("file:///srv/chunks", ChunksPlace::Folder("/srv/chunks".into())),
             ("chunks", ChunksPlace::Folder("chunks".into())),
             ("s3://farm", s3("farm", "")),
-            ("s3://farm/chunks/v1/", s3("farm", "chunks/v1")),
+            ("s3://BUCKET/PREFIX/MORE/", s3("BUCKET", "PREFIX/MORE")),
         ] {
             assert_eq!(text.parse(), Ok(wanted), "{text}");
         }

@@ -68,7 +68,7 @@ pub const PLACE: Target = Target {
             "http://user:secret@2130706433/",
             "postgres://u:secret@db:5432/farm?options[search_path]=x",
             "sqlite:///var/farm.sqlite",
-            "s3://farm/chunks/v1/",
+            "s3://BUCKET/PREFIX/MORE/",
             "file:///srv/chunks",
             &Digest::of(b"seed").to_string(),
         ])
