@@ -36,6 +36,14 @@ fn farm_gives_the_embedded_bakes_chunks_with_one_two_and_four_threads() {
     }
 }
 
+/// The bundle of a bake of the farm once it has ended.
+fn fetched(folder: &Path, server: &Server, bake: &str) -> std::collections::BTreeMap<String, String> {
+    run(kiln(folder), &["watch", bake, "--server", &server.url], 0);
+    let out = folder.join("out").display().to_string();
+    run(kiln(folder), &["fetch", bake, "--server", &server.url, "--out", &out], 0);
+    bundle(Path::new(&out))
+}
+
 /// Waits until a task of `kind` is held by a worker or done.
 pub fn wait_for_stage(client: &ApiClient, bake: &str, kind: &str) {
     let deadline = std::time::Instant::now() + LIMIT;
@@ -70,10 +78,7 @@ fn worker_killed_in_the_middle_is_replaced_and_the_chunks_are_the_same() {
     let stages = client.bake(&bake).unwrap().stages;
     assert!(stages.iter().any(|stage| stage.done < stage.total), "it was killed too late: {stages:?}");
     let _second = server.worker(folder.path(), "second", 2);
-    run(kiln(folder.path()), &["watch", &bake, "--server", &server.url], 0);
-    let out = folder.path().join("out").display().to_string();
-    run(kiln(folder.path()), &["fetch", &bake, "--server", &server.url, "--out", &out], 0);
-    assert_eq!(bundle(Path::new(&out)), expected);
+    assert_eq!(fetched(folder.path(), &server, &bake), expected);
 }
 
 #[test]
@@ -121,10 +126,7 @@ fn bytes_lost_under_a_live_bake_are_made_again_while_their_readers_wait() {
     }
     assert!(removed > 3, "{removed} chunks");
     let _second = server.worker(folder.path(), "second", 2);
-    run(kiln(folder.path()), &["watch", &bake, "--server", &server.url], 0);
-    let out = folder.path().join("out").display().to_string();
-    run(kiln(folder.path()), &["fetch", &bake, "--server", &server.url, "--out", &out], 0);
-    assert_eq!(bundle(Path::new(&out)), expected);
+    assert_eq!(fetched(folder.path(), &server, &bake), expected);
     let (mut lost, mut seen) = (0, 0);
     loop {
         let page = client.events(&bake, seen, 0).unwrap();
