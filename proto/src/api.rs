@@ -248,7 +248,7 @@ pub struct BakePage {
     /// The page.
     pub bakes: Vec<Bake>,
     /// Give as `after` for the next page; absent on the last.
-    pub next: Option<String>,
+    pub next: Option<u64>,
 }
 
 /// A worker as the server sees it.

@@ -165,7 +165,7 @@ async fn note(
 async fn list_incomplete(store: &dyn FarmStore, findings: &mut Findings) -> Result<(), ServerError> {
     let mut after = None;
     loop {
-        let page = store.list(after.as_deref(), PAGE).await?;
+        let page = store.list(after, PAGE).await?;
         let incomplete =
             page.bakes.into_iter().filter(|bake| bake.state == BakeState::Done && bake.results_lost > 0);
         findings.incomplete.extend(incomplete.map(|bake| Incomplete {

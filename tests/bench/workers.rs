@@ -13,7 +13,7 @@ use crate::report::row;
 const PAIRS: usize = 3;
 /// A bake of some dozen seconds on one thread.
 const SETTINGS: [&str; 6] =
-    ["--preset", "draft", "--set", "receivers_target=40000", "--set", "transport_rays=512"];
+    ["--preset", "draft", "--set", "receivers_target=160000", "--set", "transport_rays=512"];
 /// Longest that a bake may take.
 const LIMIT: Duration = Duration::from_secs(900);
 

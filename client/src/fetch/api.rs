@@ -135,8 +135,8 @@ impl ApiClient {
     }
 
     /// Bakes, newest first; `after` is the `next` of the page before.
-    pub fn bakes(&self, after: Option<&str>, limit: u32) -> Result<BakePage> {
-        let after = after.map(|cursor| format!("&after={}", escape(cursor))).unwrap_or_default();
+    pub fn bakes(&self, after: Option<u64>, limit: u32) -> Result<BakePage> {
+        let after = after.map(|place| format!("&after={place}")).unwrap_or_default();
         self.http.json(Call::new(Method::Get, &format!("/v1/bakes?limit={limit}{after}")))
     }
 

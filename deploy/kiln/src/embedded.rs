@@ -119,7 +119,7 @@ impl Drop for EmbeddedFarm {
 async fn cancel_left_over(farm: &Farm) -> std::result::Result<(), ServerError> {
     let mut after = None;
     loop {
-        let page = farm.store.list(after.as_deref(), PAGE_BAKES).await?;
+        let page = farm.store.list(after, PAGE_BAKES).await?;
         for bake in page.bakes.iter().filter(|bake| !bake.state.is_final()) {
             tracing::info!(bake = bake.id, "a bake was left by a process that has ended; it is cancelled");
             farm.store.cancel(&bake.id).await?;

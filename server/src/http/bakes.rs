@@ -12,6 +12,7 @@ use serde::Deserialize;
 use utoipa::IntoParams;
 
 use super::chunks::{Conditions, serve_bytes};
+use super::events::MAX_SEQ;
 use super::extract::{JsonBody, PathParam, UrlQuery, bad_request};
 use super::openapi::Binary;
 use super::trace::traceparent;
@@ -33,7 +34,8 @@ const REVALIDATE: &str = "no-cache";
 #[serde(deny_unknown_fields)]
 pub(super) struct ListQuery {
     /// `next` of the page before.
-    after: Option<String>,
+    #[param(maximum = 9223372036854775807_i64)]
+    after: Option<u64>,
     /// Bakes on the page, 1..=500; 50 unless set.
     #[param(minimum = 1, maximum = 500)]
     limit: Option<u32>,
@@ -73,8 +75,7 @@ pub(super) async fn submit(
 
 /// Lists bakes, newest first.
 #[utoipa::path(get, path = "/v1/bakes", tag = "bakes", params(ListQuery),
-    responses((status = 200, description = "A page", body = BakePage),
-        (status = 404, description = "`after` is no bake", body = Problem, content_type = "application/problem+json")))]
+    responses((status = 200, description = "A page", body = BakePage)))]
 pub(super) async fn list(
     State(farm): State<Arc<Farm>>,
     UrlQuery(query): UrlQuery<ListQuery>,
@@ -83,7 +84,10 @@ pub(super) async fn list(
     if !(1..=MAX_PAGE_BAKES).contains(&limit) {
         return Err(bad_request(format!("limit must be within 1..={MAX_PAGE_BAKES}, not {limit}")));
     }
-    Ok(Json(farm.store.list(query.after.as_deref(), limit).await?))
+    if query.after.is_some_and(|after| after > MAX_SEQ) {
+        return Err(bad_request(format!("after must be within 0..={MAX_SEQ}")));
+    }
+    Ok(Json(farm.store.list(query.after, limit).await?))
 }
 
 /// Shows a bake.

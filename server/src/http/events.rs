@@ -20,8 +20,8 @@ use super::extract::{PathParam, UrlQuery, bad_request, text_header};
 use crate::error::ServerError;
 use crate::farm::{Farm, MAX_WAIT_SECS};
 
-/// Largest `seq` that the farm's database can hold.
-const MAX_SEQ: u64 = i64::MAX as u64;
+/// Largest `seq` that the farm's database can hold, of a bake or an event.
+pub(super) const MAX_SEQ: u64 = i64::MAX as u64;
 /// Events on a page.
 const PAGE_EVENTS: u32 = 1000;
 /// A comment is sent when nothing happened for this long, so that proxies keep the stream open.

@@ -38,7 +38,7 @@ use crate::chunks::ChunkName;
 use chunk::{ChunkRow, CollectRules, Collected, Kept, KeptChunk, Usage};
 pub use error::{PlanError, StoreError};
 pub use memory::MemoryStore;
-pub use rules::{BACKOFF_MAX_MS, MAX_ATTEMPTS, MAX_PARDONS, POISON_WORKERS, backoff_ms};
+pub use rules::{BACKOFF_MAX_MS, MAX_ATTEMPTS, MAX_GRACES, MAX_PARDONS, POISON_WORKERS, backoff_ms};
 pub use sql::{FaultPoint, Faults, SqlStore};
 pub use token::is_token;
 pub(crate) use token::{random_id, random_secret, random_u64};
@@ -208,7 +208,7 @@ pub trait FarmStore: Send + Sync {
     async fn release(&self, token: &str) -> Result<bool, StoreError>;
 
     /// Gives every lease that runs out soon its whole length again: the farm did not hear its workers for a while.
-    /// Returns how many.
+    /// [`rules::MAX_GRACES`] times at most until the holder is heard again. Returns how many.
     async fn extend_leases(&self) -> Result<u64, StoreError>;
 
     /// Workers that failed at tasks of a bake.
@@ -239,7 +239,7 @@ pub trait FarmStore: Send + Sync {
     async fn show(&self, bake: &str) -> Result<Bake, StoreError>;
 
     /// Bakes, newest first, after the one named by `after`.
-    async fn list(&self, after: Option<&str>, limit: u32) -> Result<BakePage, StoreError>;
+    async fn list(&self, after: Option<u64>, limit: u32) -> Result<BakePage, StoreError>;
 
     /// Events with a `seq` above `after`, and the bake as it stands.
     async fn events_after(&self, bake: &str, after: u64, limit: u32) -> Result<EventPage, StoreError>;

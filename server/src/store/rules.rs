@@ -42,6 +42,9 @@ pub const LATE: f64 = -2.0;
 /// Most attempts at a task that are given back because their workers were silent for longer than a lease, and alive. More
 /// → a database that is slow for long fails fewer bakes, and a worker that is stuck again and again holds a task up for longer.
 pub const MAX_PARDONS: u32 = MAX_ATTEMPTS;
+/// How often a lease is given its whole length again for the farm's silence before its worker is heard again. More → workers
+/// outlast more restarts in quick succession, and while a server crashes again and again, tasks of dead workers wait longer.
+pub const MAX_GRACES: u32 = 5;
 /// Longest failure message kept, in characters.
 pub const MAX_MESSAGE_CHARS: usize = 4_000;
 /// Longest kind and label of a task, in bytes.

@@ -147,7 +147,7 @@ impl Watcher {
         let most = if self.has_looked { usize::MAX } else { BAKES_AT_START };
         let (mut after, mut seen) = (None, 0);
         loop {
-            let page = farm.store.list(after.as_deref(), PAGE_BAKES).await?;
+            let page = farm.store.list(after, PAGE_BAKES).await?;
             seen += page.bakes.len();
             let has_known = page.bakes.iter().any(|bake| self.knows(bake));
             for bake in page.bakes {

@@ -121,6 +121,5 @@ pub async fn unknown_bake_is_an_error(world: World) {
     assert!(is_unknown(world.store.show("none").await.map(drop)));
     assert!(is_unknown(world.store.cancel("none").await.map(drop)));
     assert!(is_unknown(world.store.pause("none").await.map(drop)));
-    assert!(is_unknown(world.store.list(Some("none"), 1).await.map(drop)));
     assert!(is_unknown(world.store.events_after("none", 0, 1).await.map(drop)));
 }

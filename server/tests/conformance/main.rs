@@ -135,6 +135,7 @@ conformance! {
         attempt_that_takes_too_long_is_ended_although_its_worker_is_heard
         bake_that_always_takes_too_long_says_so
         leases_run_on_after_the_farm_could_not_hear_anybody
+        lease_is_extended_so_often_until_its_worker_is_heard_again
         hundred_bakes_are_all_served;
     reuse:
         done_task_is_not_run_again_and_its_plan_is_followed
@@ -166,6 +167,7 @@ conformance! {
         events_tell_what_became_of_each_attempt
         events_page_through
         list_pages_newest_first
+        list_goes_on_behind_a_bake_that_was_deleted
         stages_count_what_happens
         results_are_named_when_done
         workers_show_what_they_hold

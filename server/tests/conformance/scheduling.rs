@@ -3,7 +3,7 @@
 use lightkiln_proto::api::{Bake, BakeState, Blame, BlockedWorker, CommitVerdict, Needs, Verdict};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::TaskSpec;
-use lightkiln_server::store::{BACKOFF_MAX_MS, FailVerdict, MAX_ATTEMPTS};
+use lightkiln_server::store::{BACKOFF_MAX_MS, FailVerdict, MAX_ATTEMPTS, MAX_GRACES};
 
 use crate::support::{TTL_MS, World, chunk, request, submission, task};
 
@@ -188,6 +188,31 @@ pub async fn leases_run_on_after_the_farm_could_not_hear_anybody(world: World) {
     world.clock.advance_ms(TTL_MS - 1);
     assert_eq!(world.commit(&leases[1]).await, CommitVerdict::Committed);
     assert_eq!(world.commit(&leases[0]).await, CommitVerdict::Committed);
+}
+
+/// A server that starts again and again, faster than leases run out, keeps no dead worker's task for ever.
+pub async fn lease_is_extended_so_often_until_its_worker_is_heard_again(world: World) {
+    world.submit("bake", &[task("a", &[])]).await;
+    let lease = world.begin_one("w").await;
+    for _ in 0..3 {
+        for _ in 0..MAX_GRACES {
+            world.clock.advance_ms(TTL_MS / 2);
+            assert_eq!(world.store.extend_leases().await.unwrap(), 1);
+        }
+        assert_eq!(world.store.heartbeat(&lease.token, 0.5).await.unwrap().verdict, Verdict::Keep);
+    }
+    for _ in 0..MAX_GRACES {
+        world.clock.advance_ms(TTL_MS / 2);
+        world.store.extend_leases().await.unwrap();
+    }
+    world.clock.advance_ms(TTL_MS / 2);
+    assert_eq!(world.store.extend_leases().await.unwrap(), 0);
+    assert_eq!(world.store.reap().await.unwrap().expired, 0);
+    world.clock.advance_ms(TTL_MS / 2);
+    assert_eq!(world.store.extend_leases().await.unwrap(), 0);
+    assert_eq!(world.store.reap().await.unwrap().expired, 1);
+    world.clock.advance_ms(BACKOFF_MAX_MS);
+    assert_eq!(world.begin_one("other").await.task.key, lease.task.key);
 }
 
 pub async fn hundred_bakes_are_all_served(world: World) {

@@ -57,7 +57,7 @@ pub const STUDIES: &[Study] = &[
         fixed: &[],
         lines: ONE,
         varied: "patches_max",
-        values: &["16", "64", "256", "1024", "4096"],
+        values: &["64", "256", "1024", "4096"],
         axis: Axis::Value,
     },
     Study {
@@ -68,7 +68,7 @@ pub const STUDIES: &[Study] = &[
         fixed: &[],
         lines: BASES,
         varied: "rank_error",
-        values: &["0.08", "0.04", "0.02", "0.01", "0.005"],
+        values: &["0.08", "0.02", "0.005"],
         axis: Axis::Bytes,
     },
     Study {
@@ -79,7 +79,7 @@ pub const STUDIES: &[Study] = &[
         fixed: &[],
         lines: BASES,
         varied: "transport_rays",
-        values: &["64", "256", "1024", "4096"],
+        values: &["64", "512", "4096"],
         axis: Axis::Megarays,
     },
     Study {
@@ -90,7 +90,7 @@ pub const STUDIES: &[Study] = &[
         fixed: &[],
         lines: ONE,
         varied: "cluster_receivers",
-        values: &["64", "128", "256", "512", "1024"],
+        values: &["64", "256", "1024"],
         axis: Axis::Bytes,
     },
     Study {
@@ -101,7 +101,7 @@ pub const STUDIES: &[Study] = &[
         fixed: SH,
         lines: ONE,
         varied: "window_strength",
-        values: &["0", "0.25", "0.5", "2", "8"],
+        values: &["0", "0.25", "1", "8"],
         axis: Axis::Value,
     },
 ];

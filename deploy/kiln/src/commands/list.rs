@@ -16,9 +16,9 @@ pub struct Arguments {
     /// Lists at most this many
     #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=100))]
     limit: u32,
-    /// Goes on after this bake
-    #[arg(long, value_name = "ID")]
-    after: Option<String>,
+    /// Goes on where a page before ended, which said with what number
+    #[arg(long, value_name = "NUMBER")]
+    after: Option<u64>,
     /// Prints the page as JSON
     #[arg(long)]
     json: bool,
@@ -27,7 +27,7 @@ pub struct Arguments {
 /// Prints the bakes as a table or as JSON.
 pub fn run(arguments: Arguments) -> Result<()> {
     let client = connect(&arguments.server.server, &arguments.server.trust, &Interrupt::default())?;
-    let page = client.bakes(arguments.after.as_deref(), arguments.limit)?;
+    let page = client.bakes(arguments.after, arguments.limit)?;
     if arguments.json {
         println!("{}", serde_json::json!(page));
         return Ok(());

@@ -35,6 +35,8 @@ pub(super) struct Farm {
 
 #[derive(Clone)]
 pub(super) struct BakeEntry {
+    /// Its place among all bakes, in order of submission.
+    pub(super) seq: u64,
     pub(super) id: String,
     pub(super) idempotency_key: Option<String>,
     pub(super) body_hash: Digest,
@@ -114,6 +116,8 @@ pub(super) struct LeaseEntry {
     pub(super) is_late: bool,
     /// Which attempt at the task it is.
     pub(super) attempt: u32,
+    /// How often it was given its whole length again since the worker was heard.
+    pub(super) graces: u32,
 }
 
 /// An attempt that was counted because its lease ran out.
@@ -176,7 +180,8 @@ impl Farm {
         check_plan(&submission.plan)?;
         self.chunks.require(submission.bake.scene)?;
         let index = self.bakes.len();
-        self.bakes.push(BakeEntry::new(submission, token::random_id()?, now_ms));
+        let seq = self.bakes.last().map_or(1, |bake| bake.seq + 1);
+        self.bakes.push(BakeEntry::new(submission, seq, token::random_id()?, now_ms));
         self.event(index, now_ms, EventKind::Submitted);
         self.apply_plan(index, &submission.plan, now_ms)?;
         self.finish_if_done(index, now_ms);
@@ -422,8 +427,9 @@ impl Farm {
 }
 
 impl BakeEntry {
-    fn new(submission: &Submission, id: String, now_ms: i64) -> Self {
+    fn new(submission: &Submission, seq: u64, id: String, now_ms: i64) -> Self {
         Self {
+            seq,
             id,
             idempotency_key: submission.idempotency_key.clone(),
             body_hash: submission.body_hash,

@@ -12,7 +12,7 @@ use lightkiln_proto::jobs::{TaskResult, TaskSpec};
 
 use super::farm::{BakeEntry, ExpiredEntry, Farm, LeaseEntry, Member, Task, WorkerEntry};
 use crate::store::rules::{
-    self, Abilities, BLOCK_TASKS, CLAIM_WINDOW, Contender, MAX_PARDONS, WORKER_PRESENT_MS,
+    self, Abilities, BLOCK_TASKS, CLAIM_WINDOW, Contender, MAX_GRACES, MAX_PARDONS, WORKER_PRESENT_MS,
     WORKER_SEEN_GRAIN_MS, add_counters, next_contender,
 };
 use crate::store::{FailVerdict, Reaped, StoreError, TaskState, token};
@@ -120,8 +120,9 @@ impl Farm {
         let mut extended = 0;
         for lease in self.leases.values_mut().filter(|lease| !lease.cancelled) {
             let until = (now_ms + lease.ttl_ms).min(lease.deadline_ms);
-            if lease.expires_ms < until {
+            if lease.expires_ms < until && lease.graces < MAX_GRACES {
                 lease.expires_ms = until;
+                lease.graces += 1;
                 extended += 1;
             }
         }
@@ -214,6 +215,7 @@ impl Farm {
             input_lost: false,
             is_late: false,
             attempt,
+            graces: 0,
         };
         self.leases.insert(token.clone(), lease);
         if let Some(task) = self.tasks.get_mut(&key) {
@@ -238,7 +240,7 @@ impl Farm {
             verdict = Verdict::Lost;
         } else {
             lease.expires_ms = (now_ms + lease.ttl_ms).min(lease.deadline_ms);
-            (lease.was_heard, lease.is_late) = (true, false);
+            (lease.was_heard, lease.is_late, lease.graces) = (true, false, 0);
         }
         if let Some(worker) = self.workers.get_mut(&lease.worker)
             && now_ms - worker.seen_ms >= WORKER_SEEN_GRAIN_MS

@@ -143,8 +143,8 @@ impl FarmStore for MemoryStore {
         Ok(farm.view(farm.index_of(bake)?))
     }
 
-    async fn list(&self, after: Option<&str>, limit: u32) -> Result<BakePage, StoreError> {
-        self.farm().list(after, limit)
+    async fn list(&self, after: Option<u64>, limit: u32) -> Result<BakePage, StoreError> {
+        Ok(self.farm().list(after, limit))
     }
 
     async fn events_after(&self, bake: &str, after: u64, limit: u32) -> Result<EventPage, StoreError> {

@@ -62,12 +62,12 @@ impl Farm {
         self.tasks.get(key).is_some_and(|task| task.lease.is_some())
     }
 
-    pub(super) fn list(&self, after: Option<&str>, limit: u32) -> Result<BakePage, StoreError> {
-        let end = after.map_or(Ok(self.bakes.len()), |bake| self.index_of(bake))?;
+    pub(super) fn list(&self, after: Option<u64>, limit: u32) -> BakePage {
+        let end = after.map_or(self.bakes.len(), |after| self.bakes.partition_point(|bake| bake.seq < after));
         let start = end.saturating_sub(limit as usize);
         let bakes: Vec<Bake> = (start..end).rev().map(|index| self.view(index)).collect();
-        let next = bakes.last().filter(|_| start > 0).map(|bake| bake.id.clone());
-        Ok(BakePage { bakes, next })
+        let next = self.bakes[start..end].first().filter(|_| start > 0).map(|bake| bake.seq);
+        BakePage { bakes, next }
     }
 
     pub(super) fn events_after(&self, bake: &str, after: u64, limit: u32) -> Result<EventPage, StoreError> {

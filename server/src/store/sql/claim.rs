@@ -319,9 +319,9 @@ async fn lease(
     let rows: Vec<_> = chosen.iter().map(row).collect();
     let sql = conn.pick(
         "INSERT INTO leases SELECT value ->> 0, value ->> 1, $2, $3, value ->> 2, $4, value ->> 3, $5, 0,
-         value ->> 4 FROM json_each($1)",
+         value ->> 4, 0 FROM json_each($1)",
         "INSERT INTO leases SELECT v ->> 0, (v ->> 1)::bigint, $2, $3, (v ->> 2)::bigint, $4, (v ->> 3)::bigint, $5, 0,
-         (v ->> 4)::bigint FROM jsonb_array_elements($1::jsonb) AS j (v)",
+         (v ->> 4)::bigint, 0 FROM jsonb_array_elements($1::jsonb) AS j (v)",
     );
     let ttl_ms = i64::from(request.ttl_secs) * 1000;
     let insert = query(sql).bind(to_json(&rows)?).bind(&request.worker).bind(ttl_ms);

@@ -55,7 +55,7 @@ pub(super) async fn heartbeat(
         verdict = Verdict::Lost;
     } else {
         expires_ms = (now_ms + row.get::<i64>("ttl_ms")?).min(row.get("deadline_ms")?);
-        query("UPDATE leases SET expires_ms = $1, progress = $2 WHERE token = $3")
+        query("UPDATE leases SET expires_ms = $1, progress = $2, graces = 0 WHERE token = $3")
             .bind(expires_ms)
             .bind(f64::from(progress))
             .bind(token)
@@ -88,9 +88,10 @@ pub(super) async fn release(conn: &mut Conn, token: &str, now_ms: i64) -> Result
 }
 
 pub(super) async fn extend(conn: &mut Conn, now_ms: i64) -> Result<u64, StoreError> {
-    let sql = "UPDATE leases SET expires_ms = CASE WHEN deadline_ms < $1 + ttl_ms THEN deadline_ms ELSE $1 + ttl_ms END
-               WHERE task IS NOT NULL AND expires_ms < $1 + ttl_ms AND expires_ms < deadline_ms";
-    query(sql).bind(now_ms).run(conn).await
+    let sql = "UPDATE leases SET expires_ms = CASE WHEN deadline_ms < $1 + ttl_ms THEN deadline_ms ELSE $1 + ttl_ms END,
+               graces = graces + 1
+               WHERE task IS NOT NULL AND expires_ms < $1 + ttl_ms AND expires_ms < deadline_ms AND graces < $2";
+    query(sql).bind(now_ms).bind(rules::MAX_GRACES).run(conn).await
 }
 
 /// A holder whose lease has run out turns out to be alive. If that was counted as an attempt, it is given back, once and

@@ -340,7 +340,7 @@ impl FarmStore for SqlStore {
         transact!(self, Read, "show", |conn, _now_ms| view::bake(conn, bake))
     }
 
-    async fn list(&self, after: Option<&str>, limit: u32) -> Result<BakePage, StoreError> {
+    async fn list(&self, after: Option<u64>, limit: u32) -> Result<BakePage, StoreError> {
         transact!(self, Read, "list", |conn, _now_ms| view::list(conn, after, limit))
     }
 

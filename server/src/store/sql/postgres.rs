@@ -49,7 +49,7 @@ const ACQUIRE_TIMEOUT: Duration = Duration::from_secs(30);
 /// Lowest version that is tested.
 const VERSION_MIN: i32 = 150_000;
 /// What brings the database from one version to the next.
-const MIGRATIONS: [&str; 7] = [
+const MIGRATIONS: [&str; 8] = [
     include_str!("schema/postgres_1.sql"),
     include_str!("schema/postgres_2.sql"),
     include_str!("schema/postgres_3.sql"),
@@ -57,6 +57,7 @@ const MIGRATIONS: [&str; 7] = [
     include_str!("schema/postgres_5.sql"),
     include_str!("schema/postgres_6.sql"),
     include_str!("schema/postgres_7.sql"),
+    include_str!("schema/postgres_8.sql"),
 ];
 
 /// Settings of every connection. Shorter timeouts → a server that hangs holds the others up for less, and a slow

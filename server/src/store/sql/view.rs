@@ -72,19 +72,18 @@ async fn stages(conn: &mut Conn, bake: i64) -> Result<Vec<StageCount>, StoreErro
     Ok(stages)
 }
 
-pub(super) async fn list(conn: &mut Conn, after: Option<&str>, limit: u32) -> Result<BakePage, StoreError> {
-    let below = match after {
-        Some(id) => seq_of(conn, id).await?,
-        None => i64::MAX,
-    };
+pub(super) async fn list(conn: &mut Conn, after: Option<u64>, limit: u32) -> Result<BakePage, StoreError> {
+    let below = after.and_then(|after| i64::try_from(after).ok()).unwrap_or(i64::MAX);
     let sql = concat!(bakes!(), " WHERE seq < $1 ORDER BY seq DESC LIMIT $2");
     let rows = query(sql).bind(below).bind(i64::from(limit) + 1).all(conn).await?;
     let has_more = rows.len() > limit as usize;
     let mut bakes = Vec::with_capacity(rows.len());
+    let mut last = None;
     for row in rows.iter().take(limit as usize) {
         bakes.push(bake_from(conn, row).await?);
+        last = Some(row.count("seq")?);
     }
-    let next = bakes.last().filter(|_| has_more).map(|bake| bake.id.clone());
+    let next = last.filter(|_| has_more);
     Ok(BakePage { bakes, next })
 }
 
