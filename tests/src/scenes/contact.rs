@@ -38,6 +38,16 @@ pub fn box_on_floor(bottom_m: f32) -> Vec<u8> {
     glb.finish()
 }
 
+/// A square slab along the axes, of so half a width, on a floor of 5 × 5 m under the open sky.
+pub fn slab_on_floor(half_m: f32) -> Vec<u8> {
+    let mut glb = Glb::new("slab_on_floor");
+    let plaster = glb.material(Surface::diffuse("plaster", PLASTER));
+    glb.object("floor", &floor(2.5), plaster);
+    let half = Vec3::new(half_m, 0.0, half_m);
+    glb.object("slab", &shapes::cuboid(-half, half + Vec3::Y * 0.02, &[]), plaster);
+    glb.finish()
+}
+
 /// A closed room of 4 × 2.5 × 4 m whose floor is `tiles × tiles` coplanar meshes; the edges of the inner ones lie on
 /// no line of the texel lattice.
 pub fn tiled_floor(tiles: u32) -> Vec<u8> {

@@ -22,7 +22,9 @@ pub mod shapes;
 pub mod texture;
 
 pub use atrium::atrium;
-pub use contact::{BOX_HALF_M, COLUMN_HALF_M, box_on_floor, column, lone_floor, outside_m, tiled_floor};
+pub use contact::{
+    BOX_HALF_M, COLUMN_HALF_M, box_on_floor, column, lone_floor, outside_m, slab_on_floor, tiled_floor,
+};
 pub use cornell::{cornell, cornell_large};
 pub use doors::{closet, mirrored_room};
 pub use hall::open_hall;

@@ -79,6 +79,19 @@ fn assert_is_as_the_reference(lit: &Lit, what: &str, receivers: &[u32], [energy,
     assert!(error < each, "{what}: relative error {error}");
 }
 
+/// What is seen of a texel is often no more than a strip beside what lies on it: a tenth of it here.
+#[test]
+fn texels_of_which_a_strip_is_seen_have_its_light() {
+    const SEEN_M: f32 = 0.1 * TEXEL_M;
+    let half_m = 5.0 * TEXEL_M - SEEN_M;
+    let held = Held::new(scenes::slab_on_floor(half_m), &with_texels("patches", TEXEL_M, 256)).unwrap();
+    let outside = |r: &Receiver| r.position_m.x.abs().max(r.position_m.z.abs()) - half_m;
+    let strip = held.receivers(|r| is_floor(r) && (0.0..SEEN_M).contains(&outside(r)));
+    assert_eq!(strip.len(), 10 * 10 - 8 * 8, "texels with a point in the strip");
+    let lit = held.under(&daylight()).unwrap();
+    assert_is_as_the_reference(&lit, "floor beside a slab", &strip, NEAR);
+}
+
 fn column_casts_no_dark_leak_around_its_foot(basis: &str) {
     let held = Held::new(scenes::column(), &careful(basis, TEXEL_M)).unwrap();
     let lit = held.under(&lamp_at(Vec3::new(1.6, 2.0, 1.1))).unwrap();

@@ -22,6 +22,8 @@ use crate::unwrap::{Unwrap, UnwrapBlock, UnwrappedTriangle};
 const OPENNESS_MIN: f32 = 0.5;
 /// How much more open another point must be to stand for the texel.
 const OPENNESS_GAIN_MIN: f32 = 1.5;
+/// What the openness of a point off the surface counts for: a point on it is looked for and taken if it is open too.
+const LIFTED_WORTH: f32 = 0.3;
 
 /// Sides of an instance that have receivers.
 fn sides(scene: &Scene, instance: usize) -> u32 {
@@ -115,15 +117,16 @@ pub fn place(
     Ok(placed)
 }
 
-/// Lets another point stand for each texel whose own is in a crevice, or in a solid: texels on a rim often have their
-/// middle under what lies on the surface, while only the rim is seen.
+/// Lets another point stand for each texel whose own is in a crevice, or in a solid, or was lifted onto one: texels on a
+/// rim often have their middle under what lies on the surface, while only the rim is seen.
 fn open_up(
     block: &UnwrapBlock,
     covered: &[CoveredTexel],
     standing: &mut [Option<Standing>],
     stand: impl Fn(&CoveredTexel) -> Option<Standing> + Sync,
 ) {
-    let openness = |standing: &Option<Standing>| standing.as_ref().map_or(0.0, |standing| standing.openness);
+    let worth = |standing: &Standing| standing.openness * if standing.is_lifted { LIFTED_WORTH } else { 1.0 };
+    let openness = |standing: &Option<Standing>| standing.as_ref().map_or(0.0, worth);
     let closed: Vec<usize> = (0..covered.len()).filter(|&i| openness(&standing[i]) < OPENNESS_MIN).collect();
     let wanted: Vec<CoveredTexel> = closed.iter().map(|&index| covered[index]).collect();
     let better: Vec<Option<Standing>> = alternatives(block, &wanted)
@@ -131,7 +134,7 @@ fn open_up(
         .map(|points| {
             let all = points.iter().filter_map(&stand);
             // Of equally open points the first: the result does not hang on the order of threads.
-            all.reduce(|best, other| if other.openness > best.openness { other } else { best })
+            all.reduce(|best, other| if worth(&other) > worth(&best) { other } else { best })
         })
         .collect();
     for (&index, better) in closed.iter().zip(&better) {

@@ -32,6 +32,8 @@ pub struct Standing {
     pub receiver: Receiver,
     /// Mean free path above it in texels, each ray counted up to one and by its cosine.
     pub openness: f32,
+    /// It was moved off its surface, out through the top of what lies on that, not beside it.
+    pub is_lifted: bool,
 }
 
 /// What the test rays of a receiver met.
@@ -64,7 +66,7 @@ impl<'a> Shifter<'a> {
         let start_m = receiver.position_m + receiver.face_normal * offset_m;
         let found = self.probe(start_m, receiver.face_normal, seed);
         if found.back_share < self.back_face_min || found.escaped {
-            return Some(Standing { receiver, openness: found.openness });
+            return Some(Standing { receiver, openness: found.openness, is_lifted: false });
         }
         let (direction, distance_m) = found.nearest?;
         if distance_m > self.texel_m * SHIFT_MAX_TEXELS {
@@ -73,7 +75,9 @@ impl<'a> Shifter<'a> {
         let moved_m = start_m + direction * (distance_m + 8.0 * offset_m);
         let moved = self.probe(moved_m, receiver.face_normal, seed);
         let receiver = Receiver { position_m: moved_m, ..receiver };
-        (moved.back_share < self.back_face_min).then_some(Standing { receiver, openness: moved.openness })
+        let is_lifted = direction.dot(receiver.face_normal) > 0.5;
+        let standing = Standing { receiver, openness: moved.openness, is_lifted };
+        (moved.back_share < self.back_face_min).then_some(standing)
     }
 
     /// Closest-hit rays cast since the last call.

@@ -130,14 +130,18 @@ pub fn areas(block: &UnwrapBlock, coverage: &Coverage, area: impl Fn(&UnwrappedT
     areas
 }
 
-/// The middle of what a triangle covers of the texel at `corner`, and the points of a grid in the texel that it holds.
+/// The middle of what a triangle covers of the texel at `corner`, and those points of a grid in the texel, and on its very
+/// rim, that the triangle holds: often no more of a texel than a strip along one side is seen, or a corner.
 fn points_inside(corners: &[Vec2; 3], corner: Vec2) -> Vec<Vec2> {
     const SIDE: u32 = 4;
+    const RIM: [f32; 3] = [1.0 / 16.0, 0.5, 15.0 / 16.0];
     let middle = area_and_middle(&clipped(corners, corner, corner + 1.0)).map(|(_, middle)| middle);
-    let grid = (0..SIDE * SIDE)
-        .map(|i| corner + (Vec2::new((i % SIDE) as f32, (i / SIDE) as f32) + 0.5) / SIDE as f32)
-        .filter(|&point| is_inside(corners, point));
-    middle.into_iter().chain(grid).collect()
+    let grid =
+        (0..SIDE * SIDE).map(|i| (Vec2::new((i % SIDE) as f32, (i / SIDE) as f32) + 0.5) / SIDE as f32);
+    let rim =
+        RIM.into_iter().flat_map(|y| RIM.map(|x| Vec2::new(x, y))).filter(|point| *point != Vec2::splat(0.5));
+    let held = grid.chain(rim).map(|point| corner + point).filter(|&point| is_inside(corners, point));
+    middle.into_iter().chain(held).collect()
 }
 
 fn collect(block: &UnwrapBlock, claims: &[Claim], has_receiver: &[bool], stand_in: &[u32]) -> Coverage {
