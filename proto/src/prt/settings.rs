@@ -138,7 +138,7 @@ settings! {
     /// Probes to aim at when `probe_spacing_m` is 0. More → as a smaller `probe_spacing_m`.
     probes_target: u32 = [60, 250, 700], |v| (1..=100_000).contains(&v), "1..=100000";
     /// Probes that support a receiver; sets the probes' radius. More → smoother light, more columns and time.
-    n_overlaps: u32 = [8, 10, 10], |v| (1..=64).contains(&v), "1..=64 probes";
+    n_overlaps: u32 = [5, 5, 5], |v| (1..=64).contains(&v), "1..=64 probes";
     /// Relight rays per probe (a power of two). More → less noise in moving light, more run-time cost.
     relight_rays: u32 = [256, 512, 1024], |v| v.is_power_of_two() && (16..=16_384).contains(&v), "a power of two in 16..=16384";
     /// Most patches that a cluster tells apart with `basis=patches`, besides the parts of the sky; those whose telling apart
