@@ -13,7 +13,11 @@ pub const STUDIES: &[Study] = &[
     Study {
         name: "probes",
         question: "How many probes do spherical harmonics need? ([Sedlacek2019] §5.1.1)",
-        answer: "",
+        answer: "Enough that each place sees several close by: Cornell's error falls from 18 % with 11 probes to 8.1 % \
+                 with 291, the corridor's from 34 % with 4 to 13.4 % with 141. Then little is gained (12.6 % with \
+                 230), as what is left is the blur of four bands, while the bytes of a receiver keep growing with the \
+                 columns: so presets aim at 60, 250 and 700 probes, the last for scenes of many rooms. (Spacings come \
+                 in steps: in Cornell 250 and 500 give the same probes. Measured with n_overlaps=10.)",
         scenes: ROOMS,
         fixed: SH,
         lines: ONE,
