@@ -11,7 +11,7 @@ use crate::report::row;
 
 /// Pairs of bakes, in turns, so that both meet the same load of others.
 const PAIRS: usize = 3;
-/// A bake of some dozen seconds on one thread.
+/// A bake of a dozen seconds on one thread.
 const SETTINGS: [&str; 6] =
     ["--preset", "draft", "--set", "receivers_target=160000", "--set", "transport_rays=512"];
 /// Longest that a bake may take.

@@ -207,7 +207,7 @@ pub trait FarmStore: Send + Sync {
     /// Gives a task back; no attempt is counted. False when the lease was gone.
     async fn release(&self, token: &str) -> Result<bool, StoreError>;
 
-    /// Gives every lease that runs out soon its whole length again: the farm did not hear its workers for a while.
+    /// Gives every lease that has at most half its length left the whole again: the farm did not hear its workers for a while.
     /// [`rules::MAX_GRACES`] times at most until the holder is heard again. Returns how many.
     async fn extend_leases(&self) -> Result<u64, StoreError>;
 
@@ -238,7 +238,7 @@ pub trait FarmStore: Send + Sync {
     /// One bake.
     async fn show(&self, bake: &str) -> Result<Bake, StoreError>;
 
-    /// Bakes, newest first, after the one named by `after`.
+    /// Bakes, newest first; those submitted before place `after`, which `next` of the page before gave. The bake there may be gone.
     async fn list(&self, after: Option<u64>, limit: u32) -> Result<BakePage, StoreError>;
 
     /// Events with a `seq` above `after`, and the bake as it stands.

@@ -15,11 +15,11 @@ pub const STUDIES: &[Study] = &[
         question: "How many probes do spherical harmonics need? ([Sedlacek2019] §5.1.1)",
         answer: "Enough that each place sees several close by: Cornell's error falls from 18 % with 11 probes to 8.1 % \
                  with 291, the corridor's from 34 % with 4 to 13.4 % with 141. Then little is gained (12.6 % with \
-                 230), as what is left is the blur of four bands, while the bytes of a receiver keep growing with the \
+                 230), as what is left is the blur of eight bands, while the bytes of a receiver keep growing with the \
                  columns: so presets aim at 60, 250 and 700 probes, the last for scenes of many rooms. (Spacings come \
-                 in steps: in Cornell 250 and 500 give the same probes. Measured with n_overlaps=10.)",
+                 in steps: in Cornell 250 and 500 give the same probes.)",
         scenes: ROOMS,
-        fixed: SH,
+        fixed: &["basis=sh", "cluster_receivers=1024", "n_overlaps=10"],
         lines: ONE,
         varied: "probes_target",
         values: &["15", "60", "250", "500"],
@@ -43,11 +43,12 @@ pub const STUDIES: &[Study] = &[
         name: "no_hit",
         question: "What of hits that no probe sees, and how many probes share one? ([Sedlacek2019] §5.1.3)",
         answer: "Unseen hits hardly matter where, as in this corridor, every hit is seen by some probe: no light is \
-                 left unseen with either rule once five probes share a hit. More than five buy nothing: from 5 to 10 \
-                 the rays double and the bytes grow by a third, at the same error (in Cornell at medium 8.7 % with 5, \
-                 8.5 % with 10, at 1.6 times the time of the bake), and 20 begin to blur. So a hit is shared by 5. \
-                 What a hit is worth that no probe sees only the reference could tell, so coverage is made good first: \
-                 probes are added where most hits are unseen until 0.5 % are left or there are twice as many.",
+                 left unseen with either rule once a receiver is in reach of five probes. More than five buy nothing: \
+                 from 5 to 10 the rays double and the bytes grow by a third, at the same error (in Cornell at medium \
+                 8.7 % with 5, 8.5 % with 10, at 1.6 times the time of the bake), and 20 begin to blur. So there are \
+                 5. What a hit is worth that no probe sees only the reference could tell, so coverage is made good \
+                 first: probes are added where most hits are unseen, until uncovered_max is met or probes_added_max \
+                 times as many were added (medium and high: 0.5 %, as many again).",
         scenes: &["u_corridor"],
         fixed: SH,
         lines: &[
@@ -62,10 +63,10 @@ pub const STUDIES: &[Study] = &[
         name: "contact",
         question: "How fine must light be told apart where surfaces touch? ([Sedlacek2019] §5.1.4)",
         answer: "Finely enough that a cell opens the patches it touches: a box's foot or a column needs small patches \
-                 close by. With 256 patches a cluster Cornell's error is still half as large again as with 1,024, the \
-                 hall's nearly three times as large; from 1,024 to 4,096 hardly anything is gained, at a quarter more \
-                 bytes in the hall. So a draft has 1,024; medium has 4,096 and high 8,192, where finer texels touch \
-                 finer things, and what a scene does not need is not stored.",
+                 close by. With 256 patches a cluster Cornell's error is a third larger than with 1,024, the hall's \
+                 nearly three times as large; from 1,024 to 4,096 hardly anything is gained, at a quarter more bytes \
+                 in the hall. So a draft has 1,024; medium has 4,096 and high 8,192, where finer texels touch finer \
+                 things, and what a scene does not need is not stored.",
         scenes: &["cornell", "open_hall"],
         fixed: &[],
         lines: ONE,

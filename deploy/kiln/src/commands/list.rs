@@ -16,7 +16,7 @@ pub struct Arguments {
     /// Lists at most this many
     #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=100))]
     limit: u32,
-    /// Goes on where a page before ended, which said with what number
+    /// Goes on behind this number, which the page before ended with
     #[arg(long, value_name = "NUMBER")]
     after: Option<u64>,
     /// Prints the page as JSON

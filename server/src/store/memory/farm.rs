@@ -28,6 +28,8 @@ pub(super) struct Farm {
     pub(super) chunks: Chunks,
     /// Since when tasks of live bakes, by the bake's id, could have been claimed.
     pub(super) ready_since_ms: BTreeMap<(String, TaskKey), i64>,
+    /// Bakes that there ever were; numbers are not given out again.
+    pub(super) submitted: u64,
     /// Tasks run and reused that the bakes' own counts no longer have.
     pub(super) gone_run: u64,
     pub(super) gone_reused: u64,
@@ -180,8 +182,8 @@ impl Farm {
         check_plan(&submission.plan)?;
         self.chunks.require(submission.bake.scene)?;
         let index = self.bakes.len();
-        let seq = self.bakes.last().map_or(1, |bake| bake.seq + 1);
-        self.bakes.push(BakeEntry::new(submission, seq, token::random_id()?, now_ms));
+        self.submitted += 1;
+        self.bakes.push(BakeEntry::new(submission, self.submitted, token::random_id()?, now_ms));
         self.event(index, now_ms, EventKind::Submitted);
         self.apply_plan(index, &submission.plan, now_ms)?;
         self.finish_if_done(index, now_ms);

@@ -120,7 +120,8 @@ impl Farm {
         let mut extended = 0;
         for lease in self.leases.values_mut().filter(|lease| !lease.cancelled) {
             let until = (now_ms + lease.ttl_ms).min(lease.deadline_ms);
-            if lease.expires_ms < until && lease.graces < MAX_GRACES {
+            let runs_out_soon = lease.expires_ms <= now_ms + lease.ttl_ms / 2;
+            if runs_out_soon && lease.expires_ms < until && lease.graces < MAX_GRACES {
                 lease.expires_ms = until;
                 lease.graces += 1;
                 extended += 1;

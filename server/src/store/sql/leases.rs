@@ -90,7 +90,7 @@ pub(super) async fn release(conn: &mut Conn, token: &str, now_ms: i64) -> Result
 pub(super) async fn extend(conn: &mut Conn, now_ms: i64) -> Result<u64, StoreError> {
     let sql = "UPDATE leases SET expires_ms = CASE WHEN deadline_ms < $1 + ttl_ms THEN deadline_ms ELSE $1 + ttl_ms END,
                graces = graces + 1
-               WHERE task IS NOT NULL AND expires_ms < $1 + ttl_ms AND expires_ms < deadline_ms AND graces < $2";
+               WHERE task IS NOT NULL AND expires_ms <= $1 + ttl_ms / 2 AND expires_ms < deadline_ms AND graces < $2";
     query(sql).bind(now_ms).bind(rules::MAX_GRACES).run(conn).await
 }
 

@@ -1,4 +1,6 @@
 //! Support radii: the distance at which receivers have about `n_overlaps` probes; varies in space.
+//!
+//! We differ: five probes, not ten, see `tests/studies/no_hit.md`.
 
 use glam::Vec3;
 use lightkiln_proto::prt::Probe;
