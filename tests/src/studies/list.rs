@@ -119,7 +119,9 @@ pub const STUDIES: &[Study] = &[
     Study {
         name: "window",
         question: "How strongly should spherical harmonics be windowed?",
-        answer: "",
+        answer: "Weakly: without a window the error is smallest, 7.8 % in Cornell, and 1 costs little, 8.4 %; 8 blurs, \
+                 10.8 %. The root mean square does not see what a window is for, negative light around small lamps, so \
+                 0.5 stays, which costs about a twenty-fifth of the error. (Measured with n_overlaps=10.)",
         scenes: ROOMS,
         fixed: SH,
         lines: ONE,
