@@ -108,7 +108,9 @@ pub const STUDIES: &[Study] = &[
     Study {
         name: "clusters",
         question: "How large should clusters be with patches?",
-        answer: "",
+        answer: "It does not matter much: errors are the same, and from 64 to 1,024 receivers bytes of a receiver go \
+                 from 102 to 93 in Cornell and from 94 to 106 in the corridor. 256 stays: small enough for many \
+                 workers and for streaming, large enough that its factors are shared by many.",
         scenes: ROOMS,
         fixed: &[],
         lines: ONE,
