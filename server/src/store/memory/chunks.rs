@@ -125,7 +125,7 @@ impl Farm {
 
     /// Finished tasks whose results have the chunk among their outputs.
     fn producers(&self, digest: Digest) -> Vec<TaskKey> {
-        let has = |task: &super::farm::Task| {
+        let has = |task: &super::entries::Task| {
             let result = task.done.as_ref().map(|(result, _)| result);
             result.is_some_and(|result| result.outputs.iter().any(|output| output.digest == digest))
         };

@@ -10,7 +10,8 @@ use lightkiln_proto::api::{
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{TaskResult, TaskSpec};
 
-use super::farm::{BakeEntry, ExpiredEntry, Farm, LeaseEntry, Member, Task, WorkerEntry};
+use super::entries::{BakeEntry, ExpiredEntry, LeaseEntry, Member, Task, WorkerEntry};
+use super::farm::Farm;
 use crate::store::rules::{
     self, Abilities, BLOCK_TASKS, CLAIM_WINDOW, Contender, MAX_GRACES, MAX_PARDONS, WORKER_PRESENT_MS,
     WORKER_SEEN_GRAIN_MS, add_counters, next_contender,

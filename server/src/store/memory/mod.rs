@@ -3,6 +3,7 @@
 //! It says what the other stores must do. It keeps nothing when the process ends.
 
 mod chunks;
+mod entries;
 mod farm;
 mod leases;
 mod view;

@@ -5,7 +5,8 @@ use std::collections::BTreeMap;
 use lightkiln_proto::api::{Bake, BakePage, BakeState, EventPage, StageCount, Worker};
 use lightkiln_proto::ids::TaskKey;
 
-use super::farm::{BakeEntry, Farm, Stage};
+use super::entries::{BakeEntry, Stage};
+use super::farm::Farm;
 use crate::store::rules::WORKER_LISTED_MS;
 use crate::store::{Demand, Stats, StoreError, TaskCount, TaskState};
 
@@ -78,7 +79,7 @@ impl Farm {
 
     pub(super) fn workers(&self, now_ms: i64) -> Vec<Worker> {
         let lately = self.workers.iter().filter(|(_, worker)| worker.seen_ms > now_ms - WORKER_LISTED_MS);
-        let view = |(name, worker): (&String, &super::farm::WorkerEntry)| Worker {
+        let view = |(name, worker): (&String, &super::entries::WorkerEntry)| Worker {
             name: name.clone(),
             kinds: worker.abilities.kinds.clone(),
             threads: worker.abilities.threads,

@@ -1,0 +1,193 @@
+//! What the model knows of a bake, a task, a lease, a worker.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use lightkiln_proto::api::{BakeEvent, BakeState, NewBake};
+use lightkiln_proto::ids::{Digest, TaskKey};
+use lightkiln_proto::jobs::{Artefact, MANIFEST_OUTPUT, REPORT_OUTPUT, TaskResult, TaskSpec};
+
+use crate::store::Submission;
+use crate::store::rules::Abilities;
+
+#[derive(Clone)]
+pub(super) struct BakeEntry {
+    /// Its place among all bakes, in order of submission.
+    pub(super) seq: u64,
+    pub(super) id: String,
+    pub(super) idempotency_key: Option<String>,
+    pub(super) body_hash: Digest,
+    pub(super) traceparent: Option<String>,
+    pub(super) new: NewBake,
+    pub(super) state: BakeState,
+    pub(super) members: BTreeMap<TaskKey, Member>,
+    /// Its scene, and stored artefacts that its tasks name.
+    pub(super) artefacts: BTreeSet<Digest>,
+    /// Kinds in the order of their first appearance.
+    pub(super) stages: Vec<Stage>,
+    pub(super) events: Vec<BakeEvent>,
+    pub(super) tasks_run: u64,
+    pub(super) counters: BTreeMap<String, f64>,
+    pub(super) counters_reused: BTreeMap<String, f64>,
+    pub(super) manifest: Option<Digest>,
+    pub(super) report: Option<Digest>,
+    pub(super) failure: Option<String>,
+    pub(super) created_ms: i64,
+    pub(super) finished_ms: Option<i64>,
+}
+
+/// A task as one bake counts it; stays when the task itself is dropped.
+#[derive(Clone)]
+pub(super) struct Member {
+    pub(super) kind: String,
+    pub(super) cost: u64,
+    pub(super) done: bool,
+    pub(super) reused: bool,
+    /// The bake holds the task, and its result: false once the task was dropped.
+    pub(super) held: bool,
+    /// The bake had ended when the result was forgotten; it holds it again when the task has run again.
+    pub(super) lost: bool,
+}
+
+#[derive(Clone)]
+pub(super) struct Stage {
+    pub(super) kind: String,
+    pub(super) first_claim_ms: Option<i64>,
+    pub(super) last_commit_ms: Option<i64>,
+}
+
+#[derive(Clone)]
+pub(super) struct Task {
+    pub(super) spec: TaskSpec,
+    /// Result, and the token that committed it.
+    pub(super) done: Option<(TaskResult, String)>,
+    /// Token of the attempt under way.
+    pub(super) lease: Option<String>,
+    pub(super) attempts: u32,
+    /// Attempts that were given back, or not counted, as their workers were silent for a while, and alive.
+    pub(super) pardons: u32,
+    pub(super) not_before_ms: i64,
+    /// Workers that failed at it.
+    pub(super) blamed: BTreeSet<String>,
+    /// Tasks that are to make again what it names.
+    pub(super) makers: BTreeSet<TaskKey>,
+    /// What it gave before its result was forgotten.
+    pub(super) outputs_before: Vec<Artefact>,
+}
+
+#[derive(Clone)]
+pub(super) struct LeaseEntry {
+    pub(super) key: TaskKey,
+    pub(super) worker: String,
+    pub(super) ttl_ms: i64,
+    pub(super) started_ms: i64,
+    pub(super) expires_ms: i64,
+    /// When the attempt has taken too long.
+    pub(super) deadline_ms: i64,
+    pub(super) cancelled: bool,
+    /// The worker said that it had the task.
+    pub(super) was_heard: bool,
+    /// Something that the task reads was lost meanwhile.
+    pub(super) input_lost: bool,
+    /// The worker was heard again after the lease had run out.
+    pub(super) is_late: bool,
+    /// Which attempt at the task it is.
+    pub(super) attempt: u32,
+    /// How often it was given its whole length again since the worker was heard.
+    pub(super) graces: u32,
+}
+
+/// An attempt that was counted because its lease ran out.
+#[derive(Clone)]
+pub(super) struct ExpiredEntry {
+    pub(super) key: TaskKey,
+    pub(super) worker: String,
+    /// The worker had not failed at the task before.
+    pub(super) has_blamed: bool,
+}
+
+#[derive(Clone)]
+pub(super) struct WorkerEntry {
+    pub(super) abilities: Abilities,
+    pub(super) seen_ms: i64,
+    /// Scene of the bake that it last got a task of.
+    pub(super) scene: Option<Digest>,
+}
+
+impl BakeEntry {
+    pub(super) fn new(submission: &Submission, seq: u64, id: String, now_ms: i64) -> Self {
+        Self {
+            seq,
+            id,
+            idempotency_key: submission.idempotency_key.clone(),
+            body_hash: submission.body_hash,
+            traceparent: submission.traceparent.clone(),
+            new: submission.bake.clone(),
+            state: BakeState::Running,
+            members: BTreeMap::new(),
+            artefacts: BTreeSet::from([submission.bake.scene]),
+            stages: Vec::new(),
+            events: Vec::new(),
+            tasks_run: 0,
+            counters: BTreeMap::new(),
+            counters_reused: BTreeMap::new(),
+            manifest: None,
+            report: None,
+            failure: None,
+            created_ms: now_ms,
+            finished_ms: None,
+        }
+    }
+
+    pub(super) fn add_member(&mut self, task: &Task, now_ms: i64) {
+        let done = task.done.is_some();
+        let (kind, cost) = (task.spec.kind.clone(), task.spec.cost);
+        let stage = self.stage(&kind);
+        if task.lease.is_some() {
+            stage.first_claim_ms.get_or_insert(now_ms);
+        }
+        self.members
+            .insert(task.spec.key, Member { kind, cost, done, reused: done, held: true, lost: false });
+    }
+
+    /// The stage of a kind, made at its first appearance.
+    pub(super) fn stage(&mut self, kind: &str) -> &mut Stage {
+        let index = self.stages.iter().position(|stage| stage.kind == kind).unwrap_or_else(|| {
+            self.stages.push(Stage { kind: kind.to_owned(), first_claim_ms: None, last_commit_ms: None });
+            self.stages.len() - 1
+        });
+        &mut self.stages[index]
+    }
+
+    pub(super) fn note_outputs(&mut self, outputs: &[Artefact]) {
+        for output in outputs {
+            match output.name.as_str() {
+                MANIFEST_OUTPUT => self.manifest = Some(output.digest),
+                REPORT_OUTPUT => self.report = Some(output.digest),
+                _ => (),
+            }
+        }
+    }
+}
+
+impl Task {
+    pub(super) fn new(spec: TaskSpec) -> Self {
+        let (blamed, makers, outputs_before) = (BTreeSet::new(), BTreeSet::new(), Vec::new());
+        let (attempts, pardons, not_before_ms) = (0, 0, 0);
+        Self {
+            spec,
+            done: None,
+            lease: None,
+            attempts,
+            pardons,
+            not_before_ms,
+            blamed,
+            makers,
+            outputs_before,
+        }
+    }
+
+    /// All that it waits for until it is done.
+    pub(super) fn needs(&self) -> BTreeSet<TaskKey> {
+        self.spec.dependencies().chain(self.makers.iter().copied()).collect()
+    }
+}
