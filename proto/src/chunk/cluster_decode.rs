@@ -32,6 +32,7 @@ pub fn decode_cluster_prefix(bytes: &[u8], total_len: u64) -> Result<(ClusterTra
 pub fn cluster_layers(bytes: &[u8], total_len: u64) -> Result<Vec<Layer>, ChunkError> {
     let container = Container::prefix(ChunkKind::Cluster, bytes, total_len)?;
     let head = ClusterHead::read(container.head, container.entries.len())?;
+    check_sections(&container, &head)?;
     Ok(head.layers.iter().map(|&(sections, layer)| layer.with_bytes(container.end_of(sections))).collect())
 }
 

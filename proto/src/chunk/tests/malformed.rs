@@ -25,7 +25,13 @@ fn chunks() -> Vec<(ChunkKind, Vec<u8>)> {
 /// Decodes as any kind; what comes out must be of one piece.
 fn decode(kind: ChunkKind, bytes: &[u8]) -> Result<(), ChunkError> {
     match kind {
-        ChunkKind::Cluster => decode_cluster(bytes).map(|cluster| assert_whole(&cluster)),
+        ChunkKind::Cluster => {
+            let layers = cluster_layers(bytes, bytes.len() as u64);
+            let cluster = decode_cluster(bytes)?;
+            assert_whole(&cluster);
+            assert_eq!(layers?.last().map(|layer| layer.bytes), Some(bytes.len() as u64));
+            Ok(())
+        }
         ChunkKind::Probes => decode_probe_batch(bytes).map(|batch| assert_batch(&batch)),
         ChunkKind::Geometry => decode_geometry(bytes).map(|geometry| assert_geometry(&geometry)),
         ChunkKind::Patches => decode_patches(bytes).map(|set| assert_patches(&set)),
@@ -90,6 +96,20 @@ fn oversized_counts_and_lengths_are_refused() {
     assert!(
         matches!(decode_cluster(&bytes), Err(ChunkError::OutOfRange { value, .. }) if value >= u64::from(u32::MAX))
     );
+}
+
+/// Counts of 0 where none may be: a layer of no sections once made the reader of the layers panic.
+#[test]
+fn a_byte_that_is_zeroed_ahead_of_the_sections_does_no_harm() {
+    for (kind, mut bytes) in chunks() {
+        let container = Container::whole(kind, &bytes).unwrap();
+        let sections = HEADER_BYTES + container.head.len() + ENTRY_BYTES * container.entries.len();
+        for place in 0..sections {
+            let byte = std::mem::take(&mut bytes[place]);
+            let _ = decode(kind, &bytes);
+            bytes[place] = byte;
+        }
+    }
 }
 
 #[test]
