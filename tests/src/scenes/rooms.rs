@@ -171,3 +171,27 @@ fn ceiling_panel(centre_m: Vec3, width_m: f32) -> Mesh {
     let (min, max) = (Vec3::new(-half, 0.0, -half), Vec3::new(half, 0.0, half));
     shapes::cuboid(min - drop_m, max, &[Side::Top]).translated(centre_m)
 }
+
+/// A closed room of 3 × 2.5 × 3 m whose furniture has double-sided faces: a hollow bar along x, open at its
+/// end at +x; a duct, open at its top; and a board that lies a gap above the floor.
+pub fn hollow_furniture() -> Vec<u8> {
+    let mut glb = Glb::new("hollow_furniture");
+    let plaster = glb.material(Surface::diffuse("plaster", [0.7, 0.69, 0.66]));
+    let white = glb.material(Surface::diffuse("white", [0.9; 3]).double_sided());
+    let (min, max) = (Vec3::new(-1.5, 0.0, -1.5), Vec3::new(1.5, 2.5, 1.5));
+    glb.object("room", &shapes::room(min, max, &[]), plaster);
+    let mut hollow = |name: &str, [min, max]: [Vec3; 2], omitted: &[Side]| {
+        glb.object(name, &shapes::cuboid(min, max, omitted), white);
+    };
+    hollow("bar", BAR_M, &[Side::Right]);
+    hollow("duct", DUCT_M, &[Side::Top]);
+    hollow("board", BOARD_M, &[]);
+    glb.finish()
+}
+
+/// Corners of the bar of [`hollow_furniture`].
+pub const BAR_M: [Vec3; 2] = [Vec3::new(-0.8, 1.5, -0.02), Vec3::new(0.8, 1.54, 0.02)];
+/// Corners of its duct.
+pub const DUCT_M: [Vec3; 2] = [Vec3::new(-1.2, 0.3, -1.2), Vec3::new(-0.8, 1.3, -0.8)];
+/// Corners of its board.
+pub const BOARD_M: [Vec3; 2] = [Vec3::new(0.2, 0.04, 0.2), Vec3::new(1.0, 0.06, 1.0)];

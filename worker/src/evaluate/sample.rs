@@ -2,10 +2,10 @@
 
 use std::collections::BTreeMap;
 
-use glam::Vec3;
+use glam::{Mat3, Vec3};
 
 use crate::prt::stage::Stage;
-use crate::prt::{Surface, World, corners_of};
+use crate::prt::{Surface, World, corners_of, weights_of};
 use crate::rays::Hit;
 use crate::rays::sampling::{R2, uniform_triangle};
 use crate::reference::Site;
@@ -31,6 +31,8 @@ pub struct Sample {
     pub area_m2: f64,
     /// Share of it whose surface is too small or too deep in geometry for a receiver.
     pub share_without: f64,
+    /// Share of it in cavities that nothing in the open sees, which get no receivers.
+    pub share_in_cavities: f64,
 }
 
 /// One lit side of a triangle.
@@ -45,33 +47,58 @@ impl Sample {
     /// Cuts the lit area into `count` equal strata along a Morton curve over the triangles, takes the point of a
     /// low-discrepancy sequence in each, and of that point the receiver that stands for it.
     pub fn new(world: &World, count: u32) -> Self {
-        let sides = sides(world);
-        let area_m2: f64 = sides.iter().map(|side| side.area_m2).sum();
+        let (hits, area_m2) = strata(world, count);
         let stratum_m2 = area_m2 / f64::from(count);
-        let points = R2::new(0);
         let mut area_of: BTreeMap<u32, f64> = BTreeMap::new();
-        let (mut next, mut before_m2, mut without_m2) = (0, 0.0, 0.0);
-        for side in &sides {
-            while next < count && (f64::from(next) + 0.5) * stratum_m2 < before_m2 + side.area_m2 {
-                let barycentric = uniform_triangle(points.point(next));
-                let hit = Hit { t: 0.0, triangle: side.triangle, barycentric, front: side.front };
-                match world.surface_at(&hit) {
-                    Surface::Receiver(receiver) => *area_of.entry(receiver).or_default() += stratum_m2,
-                    Surface::Dark => without_m2 += stratum_m2,
-                }
-                next += 1;
+        let (mut without_m2, mut in_cavities_m2) = (0.0, 0.0);
+        for hit in hits {
+            match world.surface_at(&hit) {
+                Surface::Receiver(receiver) => *area_of.entry(receiver).or_default() += stratum_m2,
+                Surface::Dark if world.is_in_cavity(&hit) => in_cavities_m2 += stratum_m2,
+                Surface::Dark => without_m2 += stratum_m2,
             }
-            before_m2 += side.area_m2;
         }
         let receivers =
             area_of.into_iter().map(|(receiver, area_m2)| Sampled { receiver, area_m2 }).collect();
-        Self { receivers, area_m2, share_without: if area_m2 > 0.0 { without_m2 / area_m2 } else { 0.0 } }
+        let share_of = |part_m2: f64| if area_m2 > 0.0 { part_m2 / area_m2 } else { 0.0 };
+        let (share_without, share_in_cavities) = (share_of(without_m2), share_of(in_cavities_m2));
+        Self { receivers, area_m2, share_without, share_in_cavities }
     }
 
     /// Their places, in order.
     pub fn sites(&self, stage: &Stage) -> Vec<Site> {
         self.receivers.iter().map(|sampled| site_of(stage, sampled.receiver)).collect()
     }
+}
+
+/// Sites spread over the scene by area: of the scene alone, however it was baked.
+pub fn spread_sites(world: &World, count: u32) -> Vec<Site> {
+    let site = |hit: Hit| {
+        let [a, b, c] = corners_of(&world.scene, world.geometry.triangles[hit.triangle as usize]);
+        let position_m = Mat3::from_cols(a, b, c) * weights_of(hit.barycentric);
+        let normal = world.side_normal(&hit);
+        Site { position_m, normal, face_normal: normal }
+    };
+    strata(world, count).0.into_iter().map(site).collect()
+}
+
+/// A point in each of `count` equal strata of the lit area, as if a ray had met it, and that area in m².
+fn strata(world: &World, count: u32) -> (Vec<Hit>, f64) {
+    let sides = sides(world);
+    let area_m2: f64 = sides.iter().map(|side| side.area_m2).sum();
+    let stratum_m2 = area_m2 / f64::from(count);
+    let points = R2::new(0);
+    let mut hits = Vec::with_capacity(count as usize);
+    let mut before_m2 = 0.0;
+    for side in &sides {
+        while hits.len() < count as usize && (hits.len() as f64 + 0.5) * stratum_m2 < before_m2 + side.area_m2
+        {
+            let barycentric = uniform_triangle(points.point(hits.len() as u32));
+            hits.push(Hit { t: 0.0, triangle: side.triangle, barycentric, front: side.front });
+        }
+        before_m2 += side.area_m2;
+    }
+    (hits, area_m2)
 }
 
 /// A receiver as a site of the reference.

@@ -11,6 +11,8 @@ use crate::unwrap::Unwrap;
 pub const MAGIC: &[u8; 4] = b"LKst";
 /// No receiver, in [`StageBlock::receiver_of_texel`].
 pub const NO_RECEIVER: u32 = u32::MAX;
+/// No receiver, as the texel lies in a cavity that nothing in the open sees.
+pub const CAVITY: u32 = u32::MAX - 1;
 
 /// What prepare gives to the tasks that it plans.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -48,7 +50,7 @@ pub struct StageBlock {
     pub size: [u32; 2],
     /// Instance.
     pub instance: u32,
-    /// Receiver that stands for each texel, row by row; [`NO_RECEIVER`] where the block is empty.
+    /// Receiver that stands for each texel, row by row; [`NO_RECEIVER`] where the block is empty, or [`CAVITY`].
     pub receiver_of_texel: Vec<u32>,
 }
 

@@ -6,7 +6,7 @@ use glam::{Vec2, Vec3};
 use lightkiln_proto::prt::BlockKey;
 use rayon::prelude::*;
 
-use crate::prt::stage::{NO_RECEIVER, Stage};
+use crate::prt::stage::{CAVITY, Stage};
 use crate::prt::transport::EmitterSet;
 use crate::rays::{AlphaTest, Hit, Tracer};
 use crate::scene::model::Scene;
@@ -188,13 +188,47 @@ impl World {
         &self.scene.materials[self.scene.instances[instance as usize].material_index as usize]
     }
 
+    /// The back of a single-sided surface was met.
+    pub fn is_back(&self, hit: &Hit) -> bool {
+        !hit.front && !self.material(hit.triangle).double_sided
+    }
+
     /// What stands for a hit (METHOD.md §1 "Materials and sides").
     pub fn surface_at(&self, hit: &Hit) -> Surface {
         let Some((block, texel)) = self.block_at(hit) else { return Surface::Dark };
-        match self.receiver_near(block, texel) {
-            NO_RECEIVER => Surface::Dark,
-            receiver => Surface::Receiver(receiver),
+        self.receiver_near(block, texel).map_or(Surface::Dark, Surface::Receiver)
+    }
+
+    /// The texel of a hit has no receiver, as it lies in a cavity that nothing in the open sees.
+    pub fn is_in_cavity(&self, hit: &Hit) -> bool {
+        self.block_at(hit).is_some_and(|(block, texel)| {
+            let block = &self.stage.blocks[block as usize];
+            let [x, y] = texel.max(Vec2::ZERO).as_uvec2().to_array();
+            let index = y.min(block.size[1] - 1) * block.size[0] + x.min(block.size[0] - 1);
+            block.receiver_of_texel[index as usize] == CAVITY
+        })
+    }
+
+    /// Leaves out receivers: those that are not to be kept were found to be in cavities.
+    pub fn retain_receivers(&mut self, kept: &[bool]) {
+        let mut next = 0;
+        let renumbered: Vec<u32> = kept
+            .iter()
+            .map(|&kept| {
+                next += u32::from(kept);
+                if kept { next - 1 } else { CAVITY }
+            })
+            .collect();
+        for slot in self.stage.blocks.iter_mut().flat_map(|block| &mut block.receiver_of_texel) {
+            *slot = renumbered.get(*slot as usize).copied().unwrap_or(*slot);
         }
+        let is_kept = |index: &mut usize| {
+            *index += 1;
+            kept[*index - 1]
+        };
+        let (mut receiver, mut raised) = (0, 0);
+        self.stage.receivers.retain(|_| is_kept(&mut receiver));
+        self.raised_m.retain(|_| is_kept(&mut raised));
     }
 
     /// Key of the block of a hit, and the place in it in texels; `None` on backs of single-sided surfaces.
@@ -284,23 +318,16 @@ impl World {
     }
 
     /// Receiver of a texel, or of the nearest of its eight neighbours: rounding may step over a chart's rim.
-    fn receiver_near(&self, block: u32, texel: Vec2) -> u32 {
+    fn receiver_near(&self, block: u32, texel: Vec2) -> Option<u32> {
         let block = &self.stage.blocks[block as usize];
         let (x, y) = (texel.x.floor() as i64, texel.y.floor() as i64);
         let at = |x: i64, y: i64| {
             let inside = x >= 0 && y >= 0 && x < i64::from(block.size[0]) && y < i64::from(block.size[1]);
-            if inside {
-                block.receiver_of_texel[(y * i64::from(block.size[0]) + x) as usize]
-            } else {
-                NO_RECEIVER
-            }
+            inside.then(|| block.receiver_of_texel[(y * i64::from(block.size[0]) + x) as usize])
         };
         const RING: [(i64, i64); 9] =
             [(0, 0), (-1, 0), (1, 0), (0, -1), (0, 1), (-1, -1), (1, -1), (-1, 1), (1, 1)];
-        RING.iter()
-            .map(|(dx, dy)| at(x + dx, y + dy))
-            .find(|&found| found != NO_RECEIVER)
-            .unwrap_or(NO_RECEIVER)
+        RING.iter().filter_map(|(dx, dy)| at(x + dx, y + dy)).find(|&found| found < CAVITY)
     }
 }
 

@@ -103,6 +103,7 @@ fn summed_up(
         classes,
         lights,
         share_without_receiver: evaluator.sample().share_without,
+        share_in_cavities: evaluator.sample().share_in_cavities,
         cells_made_anew,
         clusters_made_anew,
         clusters: manifest.clusters.len(),

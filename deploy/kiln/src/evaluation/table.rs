@@ -22,6 +22,8 @@ pub struct Evaluation {
     pub rel_error: f64,
     /// Share of the lit area that has no receiver.
     pub share_without_receiver: f64,
+    /// Share of it in cavities that nothing in the open sees.
+    pub share_in_cavities: f64,
     /// Cluster cells, and clusters, whose factors were made anew to tell factorisation from quantisation.
     pub cells_made_anew: usize,
     /// See `cells_made_anew`.
@@ -111,11 +113,13 @@ pub fn words(evaluation: &Evaluation) -> String {
     }
     line("all", &evaluation.figures, &evaluation.classes);
     text += &format!(
-        "{} receivers; {} of {} clusters made anew for factors; {:.2} % of the area has no receiver\n",
+        "{} receivers; {} of {} clusters made anew for factors; {:.2} % of the area has no receiver, and \
+         {:.1} % as it lies in cavities that nothing in the open sees\n",
         evaluation.receivers,
         evaluation.clusters_made_anew,
         evaluation.clusters,
         100.0 * evaluation.share_without_receiver,
+        100.0 * evaluation.share_in_cavities,
     );
     text
 }

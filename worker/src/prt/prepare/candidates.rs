@@ -62,7 +62,7 @@ pub fn candidate_at(world: &World, cell: IVec3, step_m: f32, back_face_max: f32)
         let direction = relight_direction(ray, LOOK_RAYS);
         let Some(hit) = world.geometry.tracer.closest(position_m, direction, f32::INFINITY) else { continue };
         nearest_m = nearest_m.min(hit.t);
-        if !hit.front && !world.material(hit.triangle).double_sided {
+        if world.is_back(&hit) {
             back += 1;
         } else if matches!(world.surface_at(&hit), Surface::Receiver(_)) {
             lit += 1;
