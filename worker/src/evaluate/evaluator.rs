@@ -123,7 +123,7 @@ impl Evaluator {
 
     /// Lights chosen from the scene.
     pub fn default_lights(&self) -> Chosen {
-        default_lights(&self.world, &self.sample)
+        default_lights(&self.world)
     }
 
     /// Refuses lights that stand inside solids; leaves out suns and skies where the scene has no opening, and says so.
@@ -137,7 +137,7 @@ impl Evaluator {
             let from_outside =
                 |kind: &LightKind| matches!(kind, LightKind::Sky { .. } | LightKind::Sun { .. });
             let needs_opening = light.lighting.lights.iter().any(|lamp| from_outside(&lamp.kind));
-            let openness = openness.get_or_insert_with(|| Openness::of(&self.world, &self.sample));
+            let openness = openness.get_or_insert_with(|| Openness::of(&self.world));
             if needs_opening && !openness.has_opening() {
                 let note = format!("light '{}' is left out: the scene has no opening to the sky", light.name);
                 usable.notes.push(note);

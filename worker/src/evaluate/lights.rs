@@ -7,7 +7,7 @@ use lightkiln_proto::scene::{LightKind, SceneLight};
 use lightkiln_proto::sh::relight_direction;
 use rayon::prelude::*;
 
-use super::sample::Sample;
+use super::sample::spread_sites;
 use super::solid::{Look, is_free, look};
 use crate::prt::World;
 use crate::rays::sampling::{R2, seed_of};
@@ -25,8 +25,8 @@ const BACK_SHARE_MAX: f32 = 0.02;
 const SUNS: u32 = 64;
 /// Lowest sun tried, as the sine of its height.
 const SUN_LOWEST: f32 = 0.2;
-/// Receivers that a sun is tried on, and rays that tell how open each is.
-const TRIED_RECEIVERS: usize = 512;
+/// Sites that a sun is tried on, and rays that tell how open each is.
+const TRIED_SITES: u32 = 2048;
 const OPENNESS_RAYS: u32 = 32;
 /// Share of its directions up to which a site sees the sky past something, and the share of sites beyond which the scene is
 /// open anyway.
@@ -55,7 +55,8 @@ pub struct Chosen {
     pub notes: Vec<String>,
 }
 
-/// How the sample's receivers see the sky.
+/// How the scene's surfaces see the sky. Like all that lights are chosen by, it does not hang on the bake that is measured,
+/// so that figures of several can be held against each other.
 pub(super) struct Openness {
     sites: Vec<Site>,
     /// Share of each site's directions that leave the scene.
@@ -63,24 +64,28 @@ pub(super) struct Openness {
 }
 
 impl Openness {
-    /// Looks out from an even choice of the sample.
-    pub fn of(world: &World, sample: &Sample) -> Self {
-        let all = sample.sites(&world.stage);
-        let step = all.len().div_ceil(TRIED_RECEIVERS).max(1);
-        let sites: Vec<Site> = all.into_iter().step_by(step).collect();
+    /// Looks out from sites spread over the scene.
+    pub fn of(world: &World) -> Self {
+        let sites = spread_sites(world, TRIED_SITES);
         let offset_m = world.geometry.tracer.ray_offset_m();
-        let open = sites
-            .par_iter()
-            .map(|site| {
-                let points = R2::new(seed_of(&site.identity()));
-                let escapes = |ray: &u32| {
-                    let direction = site.direction(points.point(*ray));
-                    let origin_m = site.ray_origin_m(offset_m);
-                    world.geometry.tracer.closest(origin_m, direction, f32::INFINITY).is_none()
-                };
-                (0..OPENNESS_RAYS).filter(escapes).count() as f32 / OPENNESS_RAYS as f32
-            })
-            .collect();
+        // A site that sees backs of single-sided surfaces stands outside the scene: on a rim of a wall that sticks out.
+        let open_of = |site: &Site| {
+            let points = R2::new(seed_of(&site.identity()));
+            let (mut escaped, mut backs) = (0, 0);
+            for ray in 0..OPENNESS_RAYS {
+                let direction = site.direction(points.point(ray));
+                let origin_m = site.ray_origin_m(offset_m);
+                match world.geometry.tracer.closest(origin_m, direction, f32::INFINITY) {
+                    None => escaped += 1,
+                    Some(hit) => backs += u32::from(world.is_back(&hit)),
+                }
+            }
+            let share = |count: u32| count as f32 / OPENNESS_RAYS as f32;
+            (share(backs) <= BACK_SHARE_MAX).then(|| share(escaped))
+        };
+        let looked: Vec<Option<f32>> = sites.par_iter().map(open_of).collect();
+        let (sites, open) =
+            sites.into_iter().zip(looked).filter_map(|(site, open)| Some((site, open?))).unzip();
         Self { sites, open }
     }
 
@@ -92,7 +97,8 @@ impl Openness {
         self.open.iter().any(partly) || seeing as f32 > SEEING_MIN * self.open.len() as f32
     }
 
-    /// How much a sun lights places that see little sky, and how many it lights: `Σ cosθ · (1 − openness)`.
+    /// How much a sun lights places that see little sky, and how many it lights: `Σ cosθ · (1 − openness)⁸`, so that it shines
+    /// on a room's floor rather than on the reveals of its windows.
     fn lit_by(&self, world: &World, travel: Vec3) -> (f32, usize) {
         let far_m = extent_m(world) * 2.0 + 1.0;
         let offset_m = world.geometry.tracer.ray_offset_m();
@@ -101,7 +107,7 @@ impl Openness {
             let cosine = site.lamp_cosine(-travel) as f32;
             let origin_m = site.ray_origin_m(offset_m);
             if cosine > 0.0 && !world.geometry.tracer.is_occluded(origin_m, origin_m - travel * far_m) {
-                sum += cosine * (1.0 - open);
+                sum += cosine * (1.0 - open).powi(8);
                 count += 1;
             }
         }
@@ -116,8 +122,8 @@ struct Standpoint {
 }
 
 /// Chooses the lights of a scene.
-pub fn default_lights(world: &World, sample: &Sample) -> Chosen {
-    let openness = Openness::of(world, sample);
+pub fn default_lights(world: &World) -> Chosen {
+    let openness = Openness::of(world);
     let mut chosen = Chosen::default();
     let places = standpoints(world);
     if places.is_empty() {
@@ -217,7 +223,7 @@ fn spot(world: &World, places: &[Standpoint]) -> Option<TestLight> {
         let direction = relight_direction(ray, AIM_RAYS);
         let hit = world.geometry.tracer.closest(from_m, direction, f32::INFINITY)?;
         let normal = world.side_normal(&hit);
-        let lit = hit.front || world.material(hit.triangle).double_sided;
+        let lit = !world.is_back(&hit);
         let is_wall = normal.y.abs() < 0.5 && hit.t > 0.5 * view_m && hit.t < 2.0 * view_m;
         (lit && is_wall).then(|| (-direction.dot(normal), Reverse(ray), direction, hit))
     };

@@ -40,7 +40,7 @@ pub(super) fn look(world: &World, from_m: Vec3) -> Look {
         };
         look.nearest_m = look.nearest_m.min(hit.t);
         look.mean_m += hit.t / LOOK_RAYS as f32;
-        if hit.front || world.material(hit.triangle).double_sided {
+        if !world.is_back(&hit) {
             continue;
         }
         look.back_share += 1.0 / LOOK_RAYS as f32;
