@@ -175,10 +175,10 @@ settings! {
     probe_back_face_max: f32 = [0.25, 0.25, 0.25], |v| (0.0..=1.0).contains(&v), "0..=1";
     /// A receiver is shifted out of geometry when at least this share of its rays meets back faces and none escapes.
     shift_back_face_min: f32 = [0.6, 0.6, 0.6], |v| (0.0..=1.0).contains(&v), "0..=1";
-    /// Places of a mean free path below so many texels that nothing in the open sees get no receivers: the insides of
+    /// Places of a mean free path below so many metres that nothing in the open sees get no receivers: the insides of
     /// hollow bars and walls whose faces are double-sided. (Never more than a quarter of the scene's typical free path.)
     /// 0 keeps them all. More → fewer receivers, less time and bytes.
-    cavity_texels: f32 = [2.0, 4.0, 8.0], |v| (0.0..=8.0).contains(&v), "0 (keep them all)..=8 texels";
+    cavity_m: f32 = [0.3, 0.3, 0.3], |v| (0.0..=100.0).contains(&v), "0 (keep them all)..=100 m";
 }
 
 impl Settings {

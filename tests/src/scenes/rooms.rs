@@ -173,7 +173,7 @@ fn ceiling_panel(centre_m: Vec3, width_m: f32) -> Mesh {
 }
 
 /// A closed room of 3 × 2.5 × 3 m whose furniture has double-sided faces: a hollow bar along x, open at its
-/// end at +x; a duct, open at its top; and a board that lies a gap above the floor.
+/// end at +x; a duct, open at its top; a board that lies a gap above the floor; and a closed chest.
 pub fn hollow_furniture() -> Vec<u8> {
     let mut glb = Glb::new("hollow_furniture");
     let plaster = glb.material(Surface::diffuse("plaster", [0.7, 0.69, 0.66]));
@@ -186,6 +186,7 @@ pub fn hollow_furniture() -> Vec<u8> {
     hollow("bar", BAR_M, &[Side::Right]);
     hollow("duct", DUCT_M, &[Side::Top]);
     hollow("board", BOARD_M, &[]);
+    hollow("chest", CHEST_M, &[]);
     glb.finish()
 }
 
@@ -195,3 +196,5 @@ pub const BAR_M: [Vec3; 2] = [Vec3::new(-0.8, 1.5, -0.02), Vec3::new(0.8, 1.54, 
 pub const DUCT_M: [Vec3; 2] = [Vec3::new(-1.2, 0.3, -1.2), Vec3::new(-0.8, 1.3, -0.8)];
 /// Corners of its board.
 pub const BOARD_M: [Vec3; 2] = [Vec3::new(0.2, 0.04, 0.2), Vec3::new(1.0, 0.06, 1.0)];
+/// Corners of its chest.
+pub const CHEST_M: [Vec3; 2] = [Vec3::new(0.5, 0.3, -1.2), Vec3::new(1.1, 0.9, -0.6)];

@@ -28,6 +28,8 @@ const SUN_LOWEST: f32 = 0.2;
 /// Sites that a sun is tried on, and rays that tell how open each is.
 const TRIED_SITES: u32 = 2048;
 const OPENNESS_RAYS: u32 = 32;
+/// Share of a site's rays that meet backs beyond which it stands outside.
+const OUTSIDE_BACK_SHARE: f32 = 0.25;
 /// Share of its directions up to which a site sees the sky past something, and the share of sites beyond which the scene is
 /// open anyway.
 const PARTLY_MAX: f32 = 0.75;
@@ -68,7 +70,7 @@ impl Openness {
     pub fn of(world: &World) -> Self {
         let sites = spread_sites(world, TRIED_SITES);
         let offset_m = world.geometry.tracer.ray_offset_m();
-        // A site that sees backs of single-sided surfaces stands outside the scene: on a rim of a wall that sticks out.
+        // A site that mostly sees backs of single-sided surfaces stands outside: on a rim of a wall that sticks out.
         let open_of = |site: &Site| {
             let points = R2::new(seed_of(&site.identity()));
             let (mut escaped, mut backs) = (0, 0);
@@ -81,7 +83,7 @@ impl Openness {
                 }
             }
             let share = |count: u32| count as f32 / OPENNESS_RAYS as f32;
-            (share(backs) <= BACK_SHARE_MAX).then(|| share(escaped))
+            (share(backs) <= OUTSIDE_BACK_SHARE).then(|| share(escaped))
         };
         let looked: Vec<Option<f32>> = sites.par_iter().map(open_of).collect();
         let (sites, open) =

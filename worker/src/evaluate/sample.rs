@@ -31,7 +31,7 @@ pub struct Sample {
     pub area_m2: f64,
     /// Share of it whose surface is too small or too deep in geometry for a receiver.
     pub share_without: f64,
-    /// Share of it in cavities that nothing in the open sees, which get no receivers.
+    /// Share of the area in cavities that nothing in the open sees, not in `share_without`.
     pub share_in_cavities: f64,
 }
 

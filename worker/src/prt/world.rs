@@ -209,6 +209,12 @@ impl World {
         })
     }
 
+    /// Albedo, without its texture, of what was met in a cavity: what it reflects is lost.
+    pub fn lost_in_cavity(&self, hit: &Hit) -> f32 {
+        let [r, g, b, _] = self.material(hit.triangle).base_colour;
+        if self.is_in_cavity(hit) { (r + g + b) / 3.0 } else { 0.0 }
+    }
+
     /// Leaves out receivers: those that are not to be kept were found to be in cavities.
     pub fn retain_receivers(&mut self, kept: &[bool]) {
         let mut next = 0;

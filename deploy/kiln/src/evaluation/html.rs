@@ -106,8 +106,8 @@ fn notes(evaluation: &Evaluation) -> String {
          subtracted from the squared errors, not from the percentiles; its standard error was asked to be {:.1} % of \
          the mean, or of the geometric mean of it and the value where that is brighter. Transport: full-rank rows against the reference, at the same receivers. Factorisation \
          and quantisation: at all receivers of {} of {} clusters, made anew. All lights: root mean square over lights, \
-         mean of energy ratios. {:.2} % of the lit area has no receiver, and {:.1} % as it lies in cavities that nothing \
-         in the open sees. Pictures by paths hold some noise, and so \
+         mean of energy ratios. {:.2} % of the lit area is too small or too deep for receivers; {:.1} % more lies in \
+         cavities that nothing in the open sees and was left out. Pictures by paths hold some noise, and so \
          does their ꟻLIP.</p>",
         evaluation.receivers,
         100.0 * evaluation.rel_error,

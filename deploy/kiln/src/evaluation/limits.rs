@@ -6,7 +6,7 @@ use super::table::Evaluation;
 use crate::failure::{Exit, Failure, Result};
 
 /// Figures that a limit may name.
-const FIGURES: [&str; 8] = [
+const FIGURES: [&str; 10] = [
     "rel_rmse",
     "energy_ratio",
     "p95",
@@ -15,6 +15,8 @@ const FIGURES: [&str; 8] = [
     "factorisation",
     "quantisation",
     "reference_rel_error",
+    "share_without_receiver",
+    "share_in_cavities",
 ];
 
 /// When to fail: `FIGURE<NUMBER`, of all lights together, or `LIGHT.FIGURE<NUMBER` of one.
@@ -81,6 +83,8 @@ impl Limit {
             "transport" => classes.transport,
             "factorisation" => classes.factorisation,
             "quantisation" => classes.quantisation,
+            "share_without_receiver" => evaluation.share_without_receiver,
+            "share_in_cavities" => evaluation.share_in_cavities,
             _ => figures.reference_rel_error,
         })
     }

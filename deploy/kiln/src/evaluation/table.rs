@@ -22,7 +22,7 @@ pub struct Evaluation {
     pub rel_error: f64,
     /// Share of the lit area that has no receiver.
     pub share_without_receiver: f64,
-    /// Share of it in cavities that nothing in the open sees.
+    /// Share of the lit area in cavities that nothing in the open sees, not in `share_without_receiver`.
     pub share_in_cavities: f64,
     /// Cluster cells, and clusters, whose factors were made anew to tell factorisation from quantisation.
     pub cells_made_anew: usize,
@@ -113,8 +113,8 @@ pub fn words(evaluation: &Evaluation) -> String {
     }
     line("all", &evaluation.figures, &evaluation.classes);
     text += &format!(
-        "{} receivers; {} of {} clusters made anew for factors; {:.2} % of the area has no receiver, and \
-         {:.1} % as it lies in cavities that nothing in the open sees\n",
+        "{} receivers; {} of {} clusters made anew for factors; {:.2} % of the lit area is too small or \
+         too deep for receivers; {:.1} % more lies in cavities that nothing in the open sees and was left out\n",
         evaluation.receivers,
         evaluation.clusters_made_anew,
         evaluation.clusters,

@@ -1,19 +1,23 @@
 //! Finds receivers in cavities: narrow places that nothing in the open sees, as the insides of hollow bars and of panels
 //! whose faces are double-sided, or between the two sheets of a wall. They would cost as much as others, and what light
 //! gets in by cracks no texel tells.
+//!
+//! We differ from METHOD.md §1 "Receivers": backs of faces tell that a receiver is inside a solid, and double-sided faces
+//! have none.
 
+use glam::Vec3;
 use lightkiln_proto::prt::Settings;
 use rayon::prelude::*;
 
 use crate::prt::world::{Surface, World};
-use crate::rays::Hit;
 use crate::rays::sampling::{R2, seed_of, tangent_frame, uniform_sphere};
 use crate::task::{Progress, TaskError};
 
 /// Rays that measure how narrow it is around a receiver.
 const PATH_RAYS: u32 = 32;
-/// Length in texels at which their paths end.
-const PATH_MAX_TEXELS: f32 = 32.0;
+/// Length at which a path ends, in widths of narrow places: for what is typical of the scene, and for what tells narrow
+/// places, as at the end of a long slot a few paths would be long.
+const PATH_MOST: [f32; 2] = [16.0, 2.0];
 /// Share of the scene's typical path that no narrow place has: of a scene a few texels wide not all is a cavity.
 const TYPICAL_SHARE: f32 = 0.25;
 /// Rays that look for the open from a narrow place; a gap that lets one of them out is seen.
@@ -22,14 +26,16 @@ const LOOK_RAYS: u32 = 256;
 /// Whether each receiver of the stage is to be kept.
 pub fn kept(world: &World, settings: &Settings, progress: &Progress) -> Result<Vec<bool>, TaskError> {
     let count = world.stage.receivers.len() as u32;
-    if settings.cavity_texels == 0.0 {
+    if settings.cavity_m == 0.0 {
         return Ok(vec![true; count as usize]);
     }
-    let paths: Vec<f32> = (0..count).into_par_iter().map(|receiver| path_texels(world, receiver)).collect();
+    let most_m = PATH_MOST.map(|most| most * settings.cavity_m);
+    let paths_m: Vec<[f32; 2]> =
+        (0..count).into_par_iter().map(|receiver| mean_paths_m(world, receiver, most_m)).collect();
     progress.add_rays_closest(u64::from(count) * u64::from(PATH_RAYS));
     progress.check()?;
-    let narrow_texels = settings.cavity_texels.min(TYPICAL_SHARE * typical(&paths));
-    let is_open = |receiver: u32| paths[receiver as usize] >= narrow_texels;
+    let narrow_m = settings.cavity_m.min(TYPICAL_SHARE * typical_m(&paths_m));
+    let is_open = |receiver: u32| paths_m[receiver as usize][1] >= narrow_m;
     let looked: Vec<(bool, u32)> = (0..count)
         .into_par_iter()
         .map(|receiver| {
@@ -41,43 +47,63 @@ pub fn kept(world: &World, settings: &Settings, progress: &Progress) -> Result<V
     Ok(looked.into_iter().map(|(seen, _)| seen).collect())
 }
 
-/// Mean free path above a receiver in texels, weighted by cosines.
-fn path_texels(world: &World, receiver: u32) -> f32 {
-    let texel_m = world.stage.texel_m;
-    let length_texels = |ray| {
-        let (cosine, hit) = look(world, receiver, ray, PATH_MAX_TEXELS * texel_m);
-        2.0 * cosine * hit.map_or(PATH_MAX_TEXELS, |hit| hit.t / texel_m)
-    };
-    (0..PATH_RAYS).map(length_texels).sum::<f32>() / PATH_RAYS as f32
+/// Mean free paths above a receiver, weighted by cosines, where none counts for more than each of `most_m`.
+fn mean_paths_m(world: &World, receiver: u32, most_m: [f32; 2]) -> [f32; 2] {
+    let mut sums_m = [0.0; 2];
+    for ray in 0..PATH_RAYS {
+        let (local, direction) = direction_of(world, receiver, ray);
+        let met = world.geometry.tracer.closest(origin_m(world, receiver), direction, most_m[0]);
+        let length_m = met.map_or(most_m[0], |hit| hit.t);
+        sums_m = [0, 1].map(|which| sums_m[which] + 2.0 * local.z * length_m.min(most_m[which]));
+    }
+    sums_m.map(|sum_m| sum_m / PATH_RAYS as f32)
 }
 
 /// The mean of paths where each counts as much as it is long: of a scene half of whose surfaces are in cavities, that of
 /// the others.
-fn typical(paths: &[f32]) -> f32 {
-    let sum = |power: i32| paths.iter().map(|path| f64::from(*path).powi(power)).sum::<f64>();
+fn typical_m(paths_m: &[[f32; 2]]) -> f32 {
+    let sum = |power: i32| paths_m.iter().map(|[path_m, _]| f64::from(*path_m).powi(power)).sum::<f64>();
     (sum(2) / sum(1).max(f64::MIN_POSITIVE)) as f32
 }
 
-/// Whether a look around from a receiver leaves the scene or meets a receiver in the open, and the rays cast.
+/// Whether a look around from anywhere on a receiver's texel leaves the scene or meets a receiver in the open, and the
+/// rays cast. Of a texel at the mouth of a cavity, what is seen is often not its middle.
 fn sees_open(world: &World, receiver: u32, is_open: impl Fn(u32) -> bool) -> (bool, u32) {
-    let meets_open = |ray| match look(world, receiver, ray, f32::INFINITY).1 {
-        None => true,
-        Some(hit) => matches!(world.surface_at(&hit), Surface::Receiver(met) if is_open(met)),
+    let tracer = &world.geometry.tracer;
+    let middle_m = origin_m(world, receiver);
+    let (tangent, bitangent) = tangent_frame(world.stage.receivers[receiver as usize].face_normal);
+    let places = R2::new(seed_of(&[seed(world, receiver), 7]));
+    let meets_open = |ray| {
+        let (_, direction) = direction_of(world, receiver, PATH_RAYS + ray);
+        let [u, v] = places.point(ray).map(|share| (share - 0.5) * world.stage.texel_m);
+        let beside_m = middle_m + tangent * u + bitangent * v;
+        let from_m = if tracer.is_occluded(middle_m, beside_m) { middle_m } else { beside_m };
+        let Some(hit) = tracer.closest(from_m, direction, f32::INFINITY) else { return true };
+        // Of a texel that a wall cuts in two, the side that was met.
+        let met = world.linked_surface_at(&hit, from_m + direction * hit.t);
+        matches!(met, Surface::Receiver(met) if is_open(met))
     };
     (0..LOOK_RAYS).find(|&ray| meets_open(ray)).map_or((false, LOOK_RAYS), |ray| (true, ray + 1))
 }
 
-/// What ray number `ray` of a receiver's, uniform over its hemisphere, meets up to `most_m`, and the ray's cosine.
-fn look(world: &World, receiver: u32, ray: u32, most_m: f32) -> (f32, Option<Hit>) {
+/// Seed of a receiver's rays.
+fn seed(world: &World, receiver: u32) -> u64 {
     let receiver = &world.stage.receivers[receiver as usize];
     let [x, y] = receiver.texel.map(u64::from);
-    let points = R2::new(seed_of(&[world.stage.blocks[receiver.block as usize].key, x, y, 4]));
-    let [u, v] = points.point(ray);
+    seed_of(&[world.stage.blocks[receiver.block as usize].key, x, y, 4])
+}
+
+/// Direction of a receiver's ray number `ray`, uniform over its hemisphere, in its own frame and in the world's.
+fn direction_of(world: &World, receiver: u32, ray: u32) -> (Vec3, Vec3) {
+    let [u, v] = R2::new(seed(world, receiver)).point(ray);
+    let receiver = &world.stage.receivers[receiver as usize];
     let local = uniform_sphere(0.5 * u, v);
-    let normal = receiver.face_normal;
-    let (tangent, bitangent) = tangent_frame(normal);
-    let direction = tangent * local.x + bitangent * local.y + normal * local.z;
-    let tracer = &world.geometry.tracer;
-    let origin_m = receiver.position_m + normal * tracer.ray_offset_m();
-    (local.z, tracer.closest(origin_m, direction, most_m))
+    let (tangent, bitangent) = tangent_frame(receiver.face_normal);
+    (local, tangent * local.x + bitangent * local.y + receiver.face_normal * local.z)
+}
+
+/// Where a receiver's rays start.
+fn origin_m(world: &World, receiver: u32) -> Vec3 {
+    let receiver = &world.stage.receivers[receiver as usize];
+    receiver.position_m + receiver.face_normal * world.geometry.tracer.ray_offset_m()
 }

@@ -13,7 +13,7 @@ use super::candidates::{Candidate, candidate_at};
 use super::lattice::cell_of;
 use super::radius::{is_sampled, set_radii};
 use crate::prt::stage::Receiver;
-use crate::prt::transport::{CAVITY_TEXELS, Supporter, Supporters};
+use crate::prt::transport::{DEAD_PATH_TEXELS, Supporter, Supporters};
 use crate::prt::world::{Surface, World};
 use crate::rays::sampling::{R2, cosine_hemisphere, seed_of, tangent_frame};
 use crate::task::{Progress, TaskError};
@@ -123,7 +123,7 @@ fn unseen_from(world: &World, supporters: &Supporters, receiver: &Receiver) -> (
         }
     }
     // Nothing shines in a cavity: it is left alone.
-    if !open && path_m / (RAYS as f32) < world.stage.texel_m * CAVITY_TEXELS {
+    if !open && path_m / (RAYS as f32) < world.stage.texel_m * DEAD_PATH_TEXELS {
         return (Vec::new(), 0, rays);
     }
     (unseen, lit, rays)

@@ -138,7 +138,12 @@ impl<'a> AlphaSampler<'a> {
 
     /// `w_p V_p(y) Y_j(Ψ_p(y)) / Σ_q w_q V_q(y)` into the columns of the probes that see the hit.
     fn add_hit(&self, gather: &mut Gather, hit: &Hit, direction: Vec3) {
-        let Surface::Receiver(met) = self.world.surface_at(hit) else { return };
+        let Surface::Receiver(met) = self.world.surface_at(hit) else {
+            let (row, lost) = (&mut gather.row, self.world.lost_in_cavity(hit));
+            (row.lit, row.uncovered, row.left_out) =
+                (row.lit + lost, row.uncovered + lost, row.left_out + lost);
+            return;
+        };
         let tracer = &self.world.geometry.tracer;
         let side = self.world.side_normal(hit);
         let point_m = gather.origin_m + direction * hit.t + side * tracer.ray_offset_m();

@@ -39,8 +39,8 @@ pub struct Params {
     settings: Settings,
 }
 
-/// Free path, in texels, below which a place that nothing can see is a cavity of a solid: the inside of a column, say.
-pub const CAVITY_TEXELS: f32 = 4.0;
+/// Free path, in texels, below which a place that no light can reach misses nothing: the inside of a column, say.
+pub const DEAD_PATH_TEXELS: f32 = 4.0;
 
 /// Error of quantisation as a share of that of truncation, with patches.
 const QUANTISATION_SHARE: f32 = 0.7;
@@ -59,7 +59,7 @@ pub fn run(context: &Context, params: &Params) -> Result<TaskOutput, TaskError> 
     let settings = &params.settings;
     let cell_rows = rows(&world, settings, &cell.receivers, Detail::AsBaked, context.progress)?;
     let pieces = pieces(&world, settings, &cell_rows.keys, cell, &cell_rows.rows);
-    store(&pieces, settings, CellIndex::of(&cell_rows.rows, CAVITY_TEXELS * world.stage.texel_m))
+    store(&pieces, settings, CellIndex::of(&cell_rows.rows, DEAD_PATH_TEXELS * world.stage.texel_m))
 }
 
 /// The transport matrix of some receivers.

@@ -65,12 +65,13 @@ fn gather(world: &World, settings: &Settings, sky: &[Vec3], receiver: u32) -> Ga
         let point_m = hemisphere.origin_m + direction * hit.t;
         let lit = |receiver: u32| world.stage.receivers[receiver as usize].albedo.iter().sum::<f32>() / 3.0;
         let Surface::Receiver(met) = world.linked_surface_at(hit, point_m) else {
-            // Walls stand between the hit and all texels around it: no texel stands for it.
-            if let Surface::Receiver(own) = world.surface_at(hit) {
-                let lost = lit(own);
-                (row.lit, row.uncovered, row.left_out) =
-                    (row.lit + lost, row.uncovered + lost, row.left_out + lost);
-            }
+            let lost = match world.surface_at(hit) {
+                // Walls stand between the hit and all texels around it: no texel stands for it.
+                Surface::Receiver(own) => lit(own),
+                Surface::Dark => world.lost_in_cavity(hit),
+            };
+            (row.lit, row.uncovered, row.left_out) =
+                (row.lit + lost, row.uncovered + lost, row.left_out + lost);
             return;
         };
         row.lit += lit(met);
