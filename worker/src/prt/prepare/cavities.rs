@@ -23,6 +23,9 @@ const TYPICAL_SHARE: f32 = 0.25;
 /// Rays that look for the open from a narrow place; a gap that lets one of them out is seen.
 const LOOK_RAYS: u32 = 256;
 
+/// How far above and below a texel's plane its surface is looked for beside its middle, in texels.
+const BESIDE_HEIGHT: f32 = 0.02;
+
 /// Whether each receiver of the stage is to be kept.
 pub fn kept(world: &World, settings: &Settings, progress: &Progress) -> Result<Vec<bool>, TaskError> {
     let count = world.stage.receivers.len() as u32;
@@ -66,18 +69,27 @@ fn typical_m(paths_m: &[[f32; 2]]) -> f32 {
     (sum(2) / sum(1).max(f64::MIN_POSITIVE)) as f32
 }
 
-/// Whether a look around from anywhere on a receiver's texel leaves the scene or meets a receiver in the open, and the
-/// rays cast. Of a texel at the mouth of a cavity, what is seen is often not its middle.
+/// Whether a look around from anywhere on what reads a receiver's texel leaves the scene or meets a receiver in the open, and the
+/// rays cast. Of a texel at the mouth of a cavity, or cut in two by the wall of one, what is seen
+/// is often not its middle, and a texel may stand for those beside it.
 fn sees_open(world: &World, receiver: u32, is_open: impl Fn(u32) -> bool) -> (bool, u32) {
     let tracer = &world.geometry.tracer;
     let middle_m = origin_m(world, receiver);
-    let (tangent, bitangent) = tangent_frame(world.stage.receivers[receiver as usize].face_normal);
+    let normal = world.stage.receivers[receiver as usize].face_normal;
+    let (tangent, bitangent) = tangent_frame(normal);
     let places = R2::new(seed_of(&[seed(world, receiver), 7]));
+    let height_m = BESIDE_HEIGHT * world.stage.texel_m;
+    // A point beside the middle, if the surface goes on there.
+    let beside = |ray| {
+        let [u, v] = places.point(ray).map(|share| (2.0 * share - 1.0) * world.stage.texel_m);
+        let above_m = middle_m + tangent * u + bitangent * v + normal * height_m;
+        let below = tracer.closest(above_m, -normal, 2.0 * height_m)?;
+        let goes_on = world.side_normal(&below).dot(normal) > 0.9 && !world.is_back(&below);
+        goes_on.then(|| above_m - normal * (below.t - tracer.ray_offset_m()))
+    };
     let meets_open = |ray| {
         let (_, direction) = direction_of(world, receiver, PATH_RAYS + ray);
-        let [u, v] = places.point(ray).map(|share| (share - 0.5) * world.stage.texel_m);
-        let beside_m = middle_m + tangent * u + bitangent * v;
-        let from_m = if tracer.is_occluded(middle_m, beside_m) { middle_m } else { beside_m };
+        let from_m = beside(ray).unwrap_or(middle_m);
         let Some(hit) = tracer.closest(from_m, direction, f32::INFINITY) else { return true };
         // Of a texel that a wall cuts in two, the side that was met.
         let met = world.linked_surface_at(&hit, from_m + direction * hit.t);
