@@ -215,6 +215,14 @@ impl World {
         if self.is_in_cavity(hit) { (r + g + b) / 3.0 } else { 0.0 }
     }
 
+    /// Lets another point of its surface stand for a receiver.
+    pub fn move_receiver(&mut self, receiver: u32, position_m: Vec3) {
+        let moved = &mut self.stage.receivers[receiver as usize];
+        moved.position_m = position_m;
+        let normal = moved.face_normal;
+        self.raised_m[receiver as usize] = self.raised(position_m, normal, self.link_height_m());
+    }
+
     /// Leaves out receivers: those that are not to be kept were found to be in cavities.
     pub fn retain_receivers(&mut self, kept: &[bool]) {
         let mut next = 0;

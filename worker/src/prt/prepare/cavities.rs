@@ -25,12 +25,36 @@ const LOOK_RAYS: u32 = 256;
 
 /// How far above and below a texel's plane its surface is looked for beside its middle, in texels.
 const BESIDE_HEIGHT: f32 = 0.02;
+/// How far from its middle a texel reaches along the axes of any frame, in texels, about.
+const BESIDE: f32 = 0.7;
 
-/// Whether each receiver of the stage is to be kept.
-pub fn kept(world: &World, settings: &Settings, progress: &Progress) -> Result<Vec<bool>, TaskError> {
+/// What becomes of a receiver.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Fate {
+    Stays,
+    /// To the point in metres that is seen of its texel.
+    Moves(Vec3),
+    Goes,
+}
+
+/// Leaves out the receivers in cavities and gives their number. Those of whose texel only a part is seen, at a cavity's
+/// mouth or beside its wall, move there.
+pub fn leave_out(world: &mut World, settings: &Settings, progress: &Progress) -> Result<usize, TaskError> {
+    let fates = fates(world, settings, progress)?;
+    for (receiver, fate) in fates.iter().enumerate() {
+        if let Fate::Moves(position_m) = fate {
+            world.move_receiver(receiver as u32, *position_m);
+        }
+    }
+    let kept: Vec<bool> = fates.iter().map(|fate| *fate != Fate::Goes).collect();
+    world.retain_receivers(&kept);
+    Ok(kept.into_iter().filter(|kept| !kept).count())
+}
+
+fn fates(world: &World, settings: &Settings, progress: &Progress) -> Result<Vec<Fate>, TaskError> {
     let count = world.stage.receivers.len() as u32;
     if settings.cavity_m == 0.0 {
-        return Ok(vec![true; count as usize]);
+        return Ok(vec![Fate::Stays; count as usize]);
     }
     let most_m = PATH_MOST.map(|most| most * settings.cavity_m);
     let paths_m: Vec<[f32; 2]> =
@@ -39,15 +63,15 @@ pub fn kept(world: &World, settings: &Settings, progress: &Progress) -> Result<V
     progress.check()?;
     let narrow_m = settings.cavity_m.min(TYPICAL_SHARE * typical_m(&paths_m));
     let is_open = |receiver: u32| paths_m[receiver as usize][1] >= narrow_m;
-    let looked: Vec<(bool, u32)> = (0..count)
+    let looked: Vec<(Fate, u32)> = (0..count)
         .into_par_iter()
         .map(|receiver| {
             progress.check()?;
-            Ok(if is_open(receiver) { (true, 0) } else { sees_open(world, receiver, is_open) })
+            Ok(if is_open(receiver) { (Fate::Stays, 0) } else { fate(world, receiver, is_open) })
         })
         .collect::<Result<_, TaskError>>()?;
     progress.add_rays_closest(looked.iter().map(|(_, rays)| u64::from(*rays)).sum());
-    Ok(looked.into_iter().map(|(seen, _)| seen).collect())
+    Ok(looked.into_iter().map(|(fate, _)| fate).collect())
 }
 
 /// Mean free paths above a receiver, weighted by cosines, where none counts for more than each of `most_m`.
@@ -69,33 +93,39 @@ fn typical_m(paths_m: &[[f32; 2]]) -> f32 {
     (sum(2) / sum(1).max(f64::MIN_POSITIVE)) as f32
 }
 
-/// Whether a look around from anywhere on what reads a receiver's texel leaves the scene or meets a receiver in the open, and the
-/// rays cast. Of a texel at the mouth of a cavity, or cut in two by the wall of one, what is seen
-/// is often not its middle, and a texel may stand for those beside it.
-fn sees_open(world: &World, receiver: u32, is_open: impl Fn(u32) -> bool) -> (bool, u32) {
+/// Looks around from a narrow place, and then from all over its texel: whether a ray leaves the scene or meets a receiver
+/// in the open. Gives the rays cast, too.
+fn fate(world: &World, receiver: u32, is_open: impl Fn(u32) -> bool) -> (Fate, u32) {
     let tracer = &world.geometry.tracer;
     let middle_m = origin_m(world, receiver);
+    let sees_open = |from_m: Vec3, ray: u32| {
+        let (_, direction) = direction_of(world, receiver, PATH_RAYS + ray);
+        let Some(hit) = tracer.closest(from_m, direction, f32::INFINITY) else { return true };
+        // Of a texel that a wall cuts in two, the side that was met.
+        let met = world.linked_surface_at(&hit, from_m + direction * hit.t);
+        matches!(met, Surface::Receiver(met) if is_open(met))
+    };
+    if let Some(ray) = (0..LOOK_RAYS).find(|&ray| sees_open(middle_m, ray)) {
+        return (Fate::Stays, ray + 1);
+    }
     let normal = world.stage.receivers[receiver as usize].face_normal;
     let (tangent, bitangent) = tangent_frame(normal);
     let places = R2::new(seed_of(&[seed(world, receiver), 7]));
     let height_m = BESIDE_HEIGHT * world.stage.texel_m;
     // A point beside the middle, if the surface goes on there.
     let beside = |ray| {
-        let [u, v] = places.point(ray).map(|share| (2.0 * share - 1.0) * world.stage.texel_m);
+        let [u, v] = places.point(ray).map(|share| BESIDE * (2.0 * share - 1.0) * world.stage.texel_m);
         let above_m = middle_m + tangent * u + bitangent * v + normal * height_m;
         let below = tracer.closest(above_m, -normal, 2.0 * height_m)?;
         let goes_on = world.side_normal(&below).dot(normal) > 0.9 && !world.is_back(&below);
-        goes_on.then(|| above_m - normal * (below.t - tracer.ray_offset_m()))
+        goes_on.then(|| above_m - normal * below.t)
     };
-    let meets_open = |ray| {
-        let (_, direction) = direction_of(world, receiver, PATH_RAYS + ray);
-        let from_m = beside(ray).unwrap_or(middle_m);
-        let Some(hit) = tracer.closest(from_m, direction, f32::INFINITY) else { return true };
-        // Of a texel that a wall cuts in two, the side that was met.
-        let met = world.linked_surface_at(&hit, from_m + direction * hit.t);
-        matches!(met, Surface::Receiver(met) if is_open(met))
-    };
-    (0..LOOK_RAYS).find(|&ray| meets_open(ray)).map_or((false, LOOK_RAYS), |ray| (true, ray + 1))
+    let seen = (0..LOOK_RAYS).find_map(|ray| {
+        let at_m = beside(ray)?;
+        sees_open(at_m + normal * tracer.ray_offset_m(), ray)
+            .then_some((Fate::Moves(at_m), LOOK_RAYS + ray + 1))
+    });
+    seen.unwrap_or((Fate::Goes, 2 * LOOK_RAYS))
 }
 
 /// Seed of a receiver's rays.

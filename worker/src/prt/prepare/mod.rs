@@ -79,15 +79,14 @@ pub fn run(context: &Context, params: &Params) -> Result<TaskOutput, TaskError> 
         clusters: Vec::new(),
     };
     let mut world = World::with_geometry(scene, stage, images, geometry);
-    let kept = cavities::kept(&world, settings, progress)?;
-    world.retain_receivers(&kept);
+    let in_cavities = cavities::leave_out(&mut world, settings, progress)?;
     let (links, rays) = links::links(&world);
     progress.add_rays_occlusion(rays);
     world.stage.receivers.iter_mut().zip(links).for_each(|(receiver, links)| receiver.links = links);
 
     progress.begin(0.6, 0.9, 1);
     let mut counters = BTreeMap::new();
-    counters.insert("texels_in_cavities".to_owned(), kept.iter().filter(|kept| !**kept).count() as f64);
+    counters.insert("texels_in_cavities".to_owned(), in_cavities as f64);
     match settings.basis {
         BasisKind::Sh => {
             let spacing_m = probes::spacing_m(&world, settings);
