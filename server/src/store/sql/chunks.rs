@@ -116,23 +116,8 @@ pub(super) async fn refer(
     Ok(())
 }
 
-/// Makes a result refer to its outputs, which must be kept.
-pub(super) async fn refer_outputs(
-    conn: &mut Conn,
-    task: i64,
-    outputs: &BTreeSet<Digest>,
-) -> Result<(), StoreError> {
-    let outputs: Vec<Digest> = outputs.iter().copied().collect();
-    if outputs.is_empty() {
-        return Ok(());
-    }
-    let sql = "INSERT INTO result_chunks SELECT $1, c.digest FROM json_each($2) j JOIN chunks c ON c.digest = j.value
-               WHERE c.generation IS NOT NULL";
-    let referred = query(sql).bind(task).bind(to_json(&outputs)?).run(conn).await?;
-    if referred < outputs.len() as u64 { require(conn, &outputs).await } else { Ok(()) }
-}
-
-async fn require(conn: &mut Conn, digests: &[Digest]) -> Result<(), StoreError> {
+/// Refuses if one of them is not kept.
+pub(super) async fn require(conn: &mut Conn, digests: &[Digest]) -> Result<(), StoreError> {
     let sql = "SELECT j.value AS digest FROM json_each($1) j WHERE NOT EXISTS (
                    SELECT 1 FROM chunks c WHERE c.digest = j.value AND c.generation IS NOT NULL)
                ORDER BY j.value LIMIT 1";

@@ -12,10 +12,10 @@ use lightkiln_proto::jobs::{Artefact, TaskSpec};
 use serde_json::json;
 
 use super::codec::to_json;
-use super::conn::{Conn, query};
+use super::conn::{Conn, query, steps};
 use crate::store::rules::{
     self, Abilities, BLOCK_TASKS, CLAIM_WINDOW, Contender, WORKER_PRESENT_MS, WORKER_SEEN_GRAIN_MS,
-    next_contender, resolve_inputs,
+    dependencies, next_contender, resolve_inputs,
 };
 use crate::store::{StoreError, token};
 
@@ -82,6 +82,8 @@ struct Claim<'a> {
     now_ms: i64,
     /// The others, if this worker ever failed.
     others: Option<Vec<Other>>,
+    /// The scene of the task that the worker was given last.
+    scene: Option<Digest>,
     /// Tasks chosen, and tasks left to others.
     passed: BTreeSet<i64>,
     chosen: Vec<Chosen>,
@@ -92,11 +94,12 @@ pub(super) async fn claim(
     request: &ClaimRequest,
     now_ms: i64,
 ) -> Result<Vec<Lease>, StoreError> {
-    see_worker(conn, request, now_ms).await?;
-    let others = others_if_failed(conn, request, now_ms).await?;
+    let seen = see_worker(conn, request, now_ms).await?;
+    let others = if seen.has_failed { Some(others(conn, request, now_ms).await?) } else { None };
     let (kinds, abilities) = (to_json(&request.kinds)?, Abilities::of(request));
     let (passed, chosen) = (BTreeSet::new(), Vec::new());
-    let mut claim = Claim { conn, request, kinds, abilities, now_ms, others, passed, chosen };
+    let scene = seen.scene;
+    let mut claim = Claim { conn, request, kinds, abilities, now_ms, others, scene, passed, chosen };
     claim.choose_all().await?;
     let chosen = claim.chosen;
     if chosen.is_empty() {
@@ -105,45 +108,57 @@ pub(super) async fn claim(
     let tasks: Vec<i64> = chosen.iter().map(|chosen| chosen.task).collect();
     let tasks = to_json(&tasks)?;
     let taken = take_tasks(conn, &tasks).await?;
-    let starts = starts(&chosen, &taken, &request.worker);
-    let leases = lease(conn, chosen, taken, &tasks, request, now_ms).await?;
-    count_leased(conn, &tasks, now_ms).await?;
-    tell_bakes(conn, &tasks, &starts, now_ms).await?;
-    Ok(leases)
+    write_leases(conn, &chosen, &taken, &tasks, request, now_ms).await?;
+    leases(conn, chosen, taken, &tasks).await
 }
 
-/// Notes the worker, unless that was done a moment ago: an idle worker's polls write nothing.
-async fn see_worker(conn: &mut Conn, request: &ClaimRequest, now_ms: i64) -> Result<(), StoreError> {
-    let sql = "INSERT INTO workers (name, kinds, threads, seen_ms, memory_mib, labels)
-               VALUES ($1, $2, $3, $4, $6, $7) ON CONFLICT (name) DO UPDATE SET
-               kinds = excluded.kinds, threads = excluded.threads, seen_ms = excluded.seen_ms,
-               memory_mib = excluded.memory_mib, labels = excluded.labels
-               WHERE workers.kinds <> excluded.kinds OR workers.threads <> excluded.threads
-               OR workers.memory_mib <> excluded.memory_mib OR workers.labels <> excluded.labels
-               OR excluded.seen_ms - workers.seen_ms >= $5";
-    query(sql)
+/// What the farm knows of the worker that claims.
+struct Seen {
+    /// The scene of the task that it was given last.
+    scene: Option<Digest>,
+    /// It failed at a task that is still there.
+    has_failed: bool,
+}
+
+/// Looks the worker up and notes it, unless that was done a moment ago: an idle worker's polls write nothing.
+async fn see_worker(conn: &mut Conn, request: &ClaimRequest, now_ms: i64) -> Result<Seen, StoreError> {
+    let (kinds, labels) = (to_json(&request.kinds)?, to_json(&request.labels)?);
+    let sql = "SELECT w.scene, EXISTS (SELECT 1 FROM blames x WHERE x.worker = n.name) AS has_failed,
+               coalesce(w.kinds = $2 AND w.labels = $3 AND w.threads = $4 AND w.memory_mib = $5
+                        AND $6 - w.seen_ms < $7, false) AS is_noted
+               FROM (SELECT CAST($1 AS TEXT) AS name) n LEFT JOIN workers w ON w.name = n.name";
+    let row = query(sql)
         .bind(&request.worker)
-        .bind(to_json(&request.kinds)?)
+        .bind(&kinds)
+        .bind(&labels)
         .bind(request.threads)
+        .bind(request.memory_mib)
         .bind(now_ms)
         .bind(WORKER_SEEN_GRAIN_MS)
+        .one(conn)
+        .await?;
+    let seen = Seen { scene: row.digest_if_any("scene")?, has_failed: row.get("has_failed")? };
+    if row.get("is_noted")? {
+        return Ok(seen);
+    }
+    let sql = "INSERT INTO workers (name, kinds, threads, seen_ms, memory_mib, labels)
+               VALUES ($1, $2, $3, $4, $5, $6) ON CONFLICT (name) DO UPDATE SET
+               kinds = excluded.kinds, threads = excluded.threads, seen_ms = excluded.seen_ms,
+               memory_mib = excluded.memory_mib, labels = excluded.labels";
+    query(sql)
+        .bind(&request.worker)
+        .bind(&kinds)
+        .bind(request.threads)
+        .bind(now_ms)
         .bind(request.memory_mib)
-        .bind(to_json(&request.labels)?)
+        .bind(&labels)
         .run(conn)
         .await?;
-    Ok(())
+    Ok(seen)
 }
 
-/// Other workers that are present, if this one ever failed at a task that is still there.
-async fn others_if_failed(
-    conn: &mut Conn,
-    request: &ClaimRequest,
-    now_ms: i64,
-) -> Result<Option<Vec<Other>>, StoreError> {
-    let sql = "SELECT 1 FROM blames WHERE worker = $1 LIMIT 1";
-    if query(sql).bind(&request.worker).optional(conn).await?.is_none() {
-        return Ok(None);
-    }
+/// Other workers that are present.
+async fn others(conn: &mut Conn, request: &ClaimRequest, now_ms: i64) -> Result<Vec<Other>, StoreError> {
     let sql =
         "SELECT name, kinds, threads, memory_mib, labels FROM workers WHERE seen_ms > $1 AND name <> $2";
     let rows = query(sql).bind(now_ms - WORKER_PRESENT_MS).bind(&request.worker).all(conn).await?;
@@ -155,7 +170,7 @@ async fn others_if_failed(
             Abilities { kinds: row.json("kinds")?, threads, memory_mib, labels: row.json("labels")? };
         others.push(Other { name: row.get("name")?, abilities });
     }
-    Ok(Some(others))
+    Ok(others)
 }
 
 impl Claim<'_> {
@@ -165,9 +180,6 @@ impl Claim<'_> {
 
     async fn choose_all(&mut self) -> Result<(), StoreError> {
         let (mut priority, mut seq) = (i64::MAX, 0_i64);
-        let sql = "SELECT scene FROM workers WHERE name = $1";
-        let mut scene = None;
-        let mut is_first = true;
         while !self.is_full() {
             let rows = query(OPEN_BAKES)
                 .bind(priority)
@@ -179,10 +191,6 @@ impl Claim<'_> {
                 .await?;
             let Some(last) = rows.last() else { return Ok(()) };
             (priority, seq) = (last.get("priority")?, last.get("seq")?);
-            if std::mem::take(&mut is_first) {
-                let row = query(sql).bind(&self.request.worker).one(self.conn).await?;
-                scene = row.digest_if_any("scene")?;
-            }
             let mut contenders = Vec::with_capacity(rows.len());
             for row in rows {
                 let limit = row.get::<Option<i64>>("attempt_limit_secs")?;
@@ -196,21 +204,18 @@ impl Claim<'_> {
                 };
                 if self.abilities.suffice(&bake.needs) && !self.is_blocked(&bake).await? {
                     let (priority, leased) = (row.get("priority")?, row.get("leased")?);
-                    let is_local = scene == Some(bake.scene);
+                    let is_local = self.scene == Some(bake.scene);
                     contenders.push(Contender { bake, priority, leased, is_local });
                 }
             }
-            scene = self.choose_among(contenders).await?.or(scene);
+            self.choose_among(contenders).await?;
         }
         Ok(())
     }
 
-    /// Chooses until there is enough, or nothing; returns the scene of the last one chosen.
-    async fn choose_among(
-        &mut self,
-        mut contenders: Vec<Contender<OpenBake>>,
-    ) -> Result<Option<Digest>, StoreError> {
-        let mut scene = None;
+    /// Chooses until there is enough, or nothing.
+    async fn choose_among(&mut self, mut contenders: Vec<Contender<OpenBake>>) -> Result<(), StoreError> {
+        let scene_before = self.scene;
         while !self.is_full()
             && let Some(index) = next_contender(&contenders)
         {
@@ -231,16 +236,16 @@ impl Claim<'_> {
                         traceparent,
                     });
                     contenders[index].leased += 1;
-                    scene = Some(bake.scene);
+                    self.scene = Some(bake.scene);
                 }
                 None => drop(contenders.remove(index)),
             }
         }
-        if let Some(scene) = scene {
-            let sql = "UPDATE workers SET scene = $1 WHERE name = $2 AND (scene IS NULL OR scene <> $1)";
+        if let Some(scene) = self.scene.filter(|_| self.scene != scene_before) {
+            let sql = "UPDATE workers SET scene = $1 WHERE name = $2";
             query(sql).bind(scene.to_string()).bind(&self.request.worker).run(self.conn).await?;
         }
-        Ok(scene)
+        Ok(())
     }
 
     /// The bake's first ready task that this worker need not leave to others.
@@ -304,31 +309,67 @@ async fn failures(conn: &mut Conn, bake: i64, worker: &str) -> Result<u64, Store
     query(sql).bind(bake).bind(worker).one(conn).await?.count("tasks")
 }
 
-async fn lease(
+/// Writes leases and their starts, and counts them, in every live bake that holds the tasks.
+async fn write_leases(
     conn: &mut Conn,
-    chosen: Vec<Chosen>,
-    mut taken: BTreeMap<i64, Taken>,
+    chosen: &[Chosen],
+    taken: &BTreeMap<i64, Taken>,
     tasks: &str,
     request: &ClaimRequest,
     now_ms: i64,
-) -> Result<Vec<Lease>, StoreError> {
+) -> Result<(), StoreError> {
+    if conn.has_concurrent_claims() {
+        // One order for all claims, or two of them could wait for each other; then come the bakes', in one order too.
+        let sql = "SELECT 1 FROM stages WHERE (bake, kind) IN (
+                       SELECT m.bake, t.kind FROM bake_tasks m JOIN tasks t ON t.id = m.task
+                       WHERE t.id IN (SELECT CAST(value AS BIGINT) FROM json_each($1)))
+                   ORDER BY bake, kind FOR UPDATE";
+        query(sql).bind(tasks).run(conn).await?;
+    }
     let row = |chosen: &Chosen| {
         let attempt = taken.get(&chosen.task).map_or(1, |taken| taken.attempt);
         json!([chosen.token, chosen.task, chosen.expires_ms, chosen.deadline_ms, attempt])
     };
     let rows: Vec<_> = chosen.iter().map(row).collect();
-    let sql = conn.pick(
+    let insert = conn.pick(
         "INSERT INTO leases SELECT value ->> 0, value ->> 1, $2, $3, value ->> 2, $4, value ->> 3, $5, 0,
          value ->> 4, 0 FROM json_each($1)",
         "INSERT INTO leases SELECT v ->> 0, (v ->> 1)::bigint, $2, $3, (v ->> 2)::bigint, $4, (v ->> 3)::bigint, $5, 0,
          (v ->> 4)::bigint, 0 FROM jsonb_array_elements($1::jsonb) AS j (v)",
     );
-    let ttl_ms = i64::from(request.ttl_secs) * 1000;
-    let insert = query(sql).bind(to_json(&rows)?).bind(&request.worker).bind(ttl_ms);
-    insert.bind(rules::UNHEARD).bind(now_ms).run(conn).await?;
-    let sql = "DELETE FROM ready WHERE task IN (SELECT CAST(value AS BIGINT) FROM json_each($1))";
-    query(sql).bind(tasks).run(conn).await?;
-    let outputs = outputs_of_needs(conn, tasks).await?;
+    steps([
+        insert,
+        "DELETE FROM ready WHERE task IN (SELECT CAST(value AS BIGINT) FROM json_each($6))",
+        "UPDATE stages SET leased = leased + n.fresh, first_claim_ms = coalesce(first_claim_ms, $5)
+         FROM (SELECT m.bake, t.kind, count(*) AS fresh
+               FROM bake_tasks m JOIN tasks t ON t.id = m.task JOIN bakes b ON b.seq = m.bake
+               WHERE t.id IN (SELECT CAST(value AS BIGINT) FROM json_each($6))
+               AND b.state IN ('running', 'paused') GROUP BY m.bake, t.kind) AS n
+         WHERE stages.bake = n.bake AND stages.kind = n.kind",
+    ])
+    .bind(to_json(&rows)?)
+    .bind(&request.worker)
+    .bind(i64::from(request.ttl_secs) * 1000)
+    .bind(rules::UNHEARD)
+    .bind(now_ms)
+    .bind(tasks)
+    .run(conn)
+    .await?;
+    for (bake, starts) in starts(chosen, taken, &request.worker)? {
+        tell_bake(conn, bake, &starts, now_ms).await?;
+    }
+    Ok(())
+}
+
+/// What the worker is told of its leases.
+async fn leases(
+    conn: &mut Conn,
+    chosen: Vec<Chosen>,
+    mut taken: BTreeMap<i64, Taken>,
+    tasks: &str,
+) -> Result<Vec<Lease>, StoreError> {
+    let has_needs = taken.values().any(|taken| !dependencies(&taken.spec).is_empty());
+    let outputs = if has_needs { outputs_of_needs(conn, tasks).await? } else { BTreeMap::new() };
     let leased =
         chosen.into_iter().filter_map(|Chosen { task, bake, token, expires_ms, traceparent, .. }| {
             let task = taken.remove(&task)?.spec;
@@ -342,13 +383,22 @@ async fn lease(
 struct Taken {
     spec: TaskSpec,
     attempt: u32,
+    /// Live bakes that hold it.
+    bakes: Vec<i64>,
 }
 
 /// Marks tasks as leased, and says what they are.
 async fn take_tasks(conn: &mut Conn, tasks: &str) -> Result<BTreeMap<i64, Taken>, StoreError> {
-    let sql =
+    let sql = conn.pick(
         "UPDATE tasks SET state = 'leased' WHERE id IN (SELECT CAST(value AS BIGINT) FROM json_each($1))
-               RETURNING id, key, kind, label, params, inputs, cost, attempts";
+         RETURNING id, key, kind, label, params, inputs, cost, attempts,
+         (SELECT json_group_array(m.bake) FROM bake_tasks m JOIN bakes b ON b.seq = m.bake
+          WHERE m.task = tasks.id AND b.state IN ('running', 'paused')) AS bakes",
+        "UPDATE tasks SET state = 'leased' WHERE id IN (SELECT CAST(value AS BIGINT) FROM json_each($1))
+         RETURNING id, key, kind, label, params, inputs, cost, attempts,
+         (SELECT CAST(coalesce(json_agg(m.bake), '[]') AS TEXT) FROM bake_tasks m JOIN bakes b ON b.seq = m.bake
+          WHERE m.task = tasks.id AND b.state IN ('running', 'paused')) AS bakes",
+    );
     let mut taken = BTreeMap::new();
     for row in query(sql).bind(tasks).all(conn).await? {
         let spec = TaskSpec {
@@ -360,50 +410,45 @@ async fn take_tasks(conn: &mut Conn, tasks: &str) -> Result<BTreeMap<i64, Taken>
             cost: row.count("cost")?,
         };
         let attempt = u32::try_from(row.count("attempts")?).unwrap_or(u32::MAX).saturating_add(1);
-        taken.insert(row.get("id")?, Taken { spec, attempt });
+        taken.insert(row.get("id")?, Taken { spec, attempt, bakes: row.json("bakes")? });
     }
     Ok(taken)
 }
 
-/// The starts of the chosen tasks, in their order.
-fn starts(chosen: &[Chosen], taken: &BTreeMap<i64, Taken>, worker: &str) -> Vec<(i64, EventKind)> {
-    let start = |chosen: &Chosen| {
-        let Taken { spec, attempt } = taken.get(&chosen.task)?;
+/// The starts of the chosen tasks, in their order, by live bake that holds them.
+fn starts(
+    chosen: &[Chosen],
+    taken: &BTreeMap<i64, Taken>,
+    worker: &str,
+) -> Result<BTreeMap<i64, Vec<String>>, StoreError> {
+    let mut starts: BTreeMap<i64, Vec<String>> = BTreeMap::new();
+    for Taken { spec, attempt, bakes } in chosen.iter().filter_map(|chosen| taken.get(&chosen.task)) {
         let TaskSpec { key, kind, label, .. } = spec.clone();
         let (worker, attempt) = (worker.to_owned(), *attempt);
-        Some((chosen.task, EventKind::TaskStarted { key, kind, label, worker, attempt }))
-    };
-    chosen.iter().filter_map(start).collect()
+        let start = to_json(&EventKind::TaskStarted { key, kind, label, worker, attempt })?;
+        for bake in bakes {
+            starts.entry(*bake).or_default().push(start.clone());
+        }
+    }
+    Ok(starts)
 }
 
-/// Tells every live bake that holds them of the tasks' starts. Bakes come in one order for all claims, after their stages.
-async fn tell_bakes(
-    conn: &mut Conn,
-    tasks: &str,
-    starts: &[(i64, EventKind)],
-    now_ms: i64,
-) -> Result<(), StoreError> {
-    let sql = "SELECT m.bake, m.task FROM bake_tasks m JOIN bakes b ON b.seq = m.bake
-               WHERE m.task IN (SELECT CAST(value AS BIGINT) FROM json_each($1)) AND b.state IN ('running', 'paused')";
-    let mut bakes: BTreeMap<i64, BTreeSet<i64>> = BTreeMap::new();
-    for row in query(sql).bind(tasks).all(conn).await? {
-        bakes.entry(row.get("bake")?).or_default().insert(row.get("task")?);
-    }
+/// Tells a bake of starts. The row is changed before it is read: claims beside this one wait for it.
+async fn tell_bake(conn: &mut Conn, bake: i64, starts: &[String], now_ms: i64) -> Result<(), StoreError> {
+    let events: Vec<_> = (1..).zip(starts).map(|(index, start)| json!([index, start])).collect();
     let insert = conn.pick(
-        "INSERT INTO events SELECT $1, $2 + (value ->> 0), $3, value ->> 1 FROM json_each($4)",
-        "INSERT INTO events SELECT $1, $2 + (v ->> 0)::bigint, $3, v ->> 1
-         FROM jsonb_array_elements($4::jsonb) AS j (v)",
+        "INSERT INTO events SELECT b.seq, b.last_event - $2 + (value ->> 0), $3, value ->> 1
+         FROM bakes b, json_each($4) WHERE b.seq = $1",
+        "INSERT INTO events SELECT b.seq, b.last_event - $2 + (v ->> 0)::bigint, $3, v ->> 1
+         FROM bakes b, jsonb_array_elements($4::jsonb) AS j (v) WHERE b.seq = $1",
     );
-    for (bake, held) in bakes {
-        let mut events = Vec::new();
-        for (_, event) in starts.iter().filter(|(task, _)| held.contains(task)) {
-            events.push(json!([events.len() + 1, to_json(event)?]));
-        }
-        let sql = "UPDATE bakes SET last_event = last_event + $1 WHERE seq = $2 RETURNING last_event";
-        let row = query(sql).bind(events.len()).bind(bake).one(conn).await?;
-        let before = row.get::<i64>("last_event")? - events.len() as i64;
-        query(insert).bind(bake).bind(before).bind(now_ms).bind(to_json(&events)?).run(conn).await?;
-    }
+    steps(["UPDATE bakes SET last_event = last_event + $2 WHERE seq = $1", insert])
+        .bind(bake)
+        .bind(events.len())
+        .bind(now_ms)
+        .bind(to_json(&events)?)
+        .run(conn)
+        .await?;
     Ok(())
 }
 
@@ -418,24 +463,4 @@ async fn outputs_of_needs(
         outputs.insert(row.digest("key")?, row.json("outputs")?);
     }
     Ok(outputs)
-}
-
-/// Counts new leases in every live bake that holds their tasks.
-async fn count_leased(conn: &mut Conn, tasks: &str, now_ms: i64) -> Result<(), StoreError> {
-    if conn.has_concurrent_claims() {
-        // One order for all claims, or two of them could wait for each other.
-        let sql = "SELECT 1 FROM stages WHERE (bake, kind) IN (
-                       SELECT m.bake, t.kind FROM bake_tasks m JOIN tasks t ON t.id = m.task
-                       WHERE t.id IN (SELECT CAST(value AS BIGINT) FROM json_each($1)))
-                   ORDER BY bake, kind FOR UPDATE";
-        query(sql).bind(tasks).run(conn).await?;
-    }
-    let sql = "UPDATE stages SET leased = leased + n.fresh, first_claim_ms = coalesce(first_claim_ms, $2)
-               FROM (SELECT m.bake, t.kind, count(*) AS fresh
-                     FROM bake_tasks m JOIN tasks t ON t.id = m.task JOIN bakes b ON b.seq = m.bake
-                     WHERE t.id IN (SELECT CAST(value AS BIGINT) FROM json_each($1))
-                     AND b.state IN ('running', 'paused') GROUP BY m.bake, t.kind) AS n
-               WHERE stages.bake = n.bake AND stages.kind = n.kind";
-    query(sql).bind(tasks).bind(now_ms).run(conn).await?;
-    Ok(())
 }

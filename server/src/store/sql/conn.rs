@@ -4,7 +4,7 @@
 
 use std::sync::Arc;
 
-use sqlx::{ColumnIndex, Postgres, Row as _, Sqlite, Transaction};
+use sqlx::{AssertSqlSafe, ColumnIndex, Postgres, Row as _, Sqlite, Transaction};
 
 use super::faults::{FaultPoint, Faults};
 use crate::store::StoreError;
@@ -74,6 +74,7 @@ async fn at(
 }
 
 /// A value for a parameter.
+#[derive(Clone)]
 pub(super) enum Value {
     Int(Option<i64>),
     Real(f64),
@@ -112,10 +113,21 @@ pub(super) fn query(sql: &'static str) -> Query {
     Query { sql, values: Vec::new() }
 }
 
+/// Statements without answers that share their parameters, one after the other.
+pub(super) struct Steps<const N: usize> {
+    parts: [&'static str; N],
+    values: Vec<Value>,
+}
+
+/// Statements with parameters `$1`, `$2`, … still to be bound; each has the same ones, and leaves out what it likes.
+pub(super) fn steps<const N: usize>(parts: [&'static str; N]) -> Steps<N> {
+    Steps { parts, values: Vec::new() }
+}
+
 macro_rules! bound {
-    ($database:ty, $query:ident) => {{
-        let mut bound = sqlx::query::<$database>($query.sql);
-        for value in $query.values {
+    ($database:ty, $sql:expr, $values:expr) => {{
+        let mut bound = sqlx::query::<$database>($sql);
+        for value in $values {
             bound = match value {
                 Value::Int(value) => bound.bind(value),
                 Value::Real(value) => bound.bind(value),
@@ -136,8 +148,10 @@ impl Query {
     pub(super) async fn run(self, conn: &mut Conn) -> Result<u64, StoreError> {
         conn.point(self.sql).await?;
         Ok(match &mut conn.tx {
-            Tx::Sqlite(tx) => bound!(Sqlite, self).execute(&mut **tx).await?.rows_affected(),
-            Tx::Postgres(tx) => bound!(Postgres, self).execute(&mut **tx).await?.rows_affected(),
+            Tx::Sqlite(tx) => bound!(Sqlite, self.sql, self.values).execute(&mut **tx).await?.rows_affected(),
+            Tx::Postgres(tx) => {
+                bound!(Postgres, self.sql, self.values).execute(&mut **tx).await?.rows_affected()
+            }
         })
     }
 
@@ -146,11 +160,11 @@ impl Query {
         conn.point(self.sql).await?;
         Ok(match &mut conn.tx {
             Tx::Sqlite(tx) => {
-                let rows = bound!(Sqlite, self).fetch_all(&mut **tx).await?;
+                let rows = bound!(Sqlite, self.sql, self.values).fetch_all(&mut **tx).await?;
                 rows.into_iter().map(Row::Sqlite).collect()
             }
             Tx::Postgres(tx) => {
-                let rows = bound!(Postgres, self).fetch_all(&mut **tx).await?;
+                let rows = bound!(Postgres, self.sql, self.values).fetch_all(&mut **tx).await?;
                 rows.into_iter().map(Row::Postgres).collect()
             }
         })
@@ -165,6 +179,32 @@ impl Query {
     pub(super) async fn one(self, conn: &mut Conn) -> Result<Row, StoreError> {
         let sql = self.sql;
         self.optional(conn).await?.ok_or_else(|| corrupt("a row is missing", sql))
+    }
+}
+
+impl<const N: usize> Steps<N> {
+    pub(super) fn bind(mut self, value: impl Into<Value>) -> Self {
+        self.values.push(value.into());
+        self
+    }
+
+    /// Runs them; returns how many rows they touched together. SQLite takes them in one piece: what a small statement
+    /// costs there is the way to its thread and back.
+    pub(super) async fn run(self, conn: &mut Conn) -> Result<u64, StoreError> {
+        let mut touched = 0;
+        for sql in self.parts {
+            conn.point(sql).await?;
+            if let Tx::Postgres(tx) = &mut conn.tx {
+                let bound = bound!(Postgres, sql, self.values.clone());
+                touched += bound.execute(&mut **tx).await?.rows_affected();
+            }
+        }
+        if let Tx::Sqlite(tx) = &mut conn.tx {
+            // Made of nothing but statements of this program.
+            let sql = AssertSqlSafe(self.parts.join(";"));
+            touched = bound!(Sqlite, sql, self.values).execute(&mut **tx).await?.rows_affected();
+        }
+        Ok(touched)
     }
 }
 

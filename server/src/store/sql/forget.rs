@@ -7,9 +7,9 @@ use lightkiln_proto::ids::TaskKey;
 use lightkiln_proto::jobs::{TaskResult, TaskSpec};
 
 use super::codec::{ROWS_PER_STATEMENT, to_json};
-use super::conn::{Conn, query};
+use super::conn::{Conn, query, steps};
 use super::leases::offer;
-use super::ledger::{Ledger, live_bakes_of};
+use super::ledger::Ledger;
 use super::remake;
 use crate::store::{KnownResult, StoreError};
 
@@ -47,7 +47,7 @@ async fn forget(conn: &mut Conn, key: TaskKey, now_ms: i64) -> Result<(), StoreE
     let Some(row) = query(sql).bind(key.to_string()).optional(conn).await? else { return Ok(()) };
     let task: i64 = row.get("id")?;
     take_from_ended(conn, task, key).await?;
-    let wanted_by = live_bakes_of(conn, task).await?;
+    let wanted_by = Ledger::live_of(conn, task).await?;
     if wanted_by.is_empty() {
         query("DELETE FROM tasks WHERE id = $1").bind(task).run(conn).await?;
         return Ok(());
@@ -55,8 +55,7 @@ async fn forget(conn: &mut Conn, key: TaskKey, now_ms: i64) -> Result<(), StoreE
     remake::hold_readers(conn, task).await?;
     undo_result(conn, task).await?;
     let (kind, cost) = (row.text("kind")?, row.count("cost")?);
-    for bake in wanted_by {
-        let mut bake = Ledger::load(conn, bake).await?;
+    for mut bake in wanted_by {
         count_undone(conn, &mut bake, task, &kind, cost).await?;
         let (kind, label) = (kind.clone(), row.text("label")?);
         bake.event(now_ms, EventKind::ResultLost { key, kind, label });
@@ -88,7 +87,7 @@ pub(super) async fn give_back(conn: &mut Conn, task: i64, key: TaskKey) -> Resul
 
 /// Makes the task as if it had never run, and lets its dependants wait for it.
 async fn undo_result(conn: &mut Conn, task: i64) -> Result<(), StoreError> {
-    for sql in [
+    steps([
         "UPDATE tasks SET outputs_before = (SELECT outputs FROM results r WHERE r.task = tasks.id) WHERE id = $1",
         "DELETE FROM results WHERE task = $1",
         "DELETE FROM blames WHERE task = $1",
@@ -101,9 +100,10 @@ async fn undo_result(conn: &mut Conn, task: i64) -> Result<(), StoreError> {
         "UPDATE tasks SET waiting_count = waiting_count + 1,
          state = CASE state WHEN 'ready' THEN 'waiting' ELSE state END
          WHERE id IN (SELECT task FROM task_needs WHERE needs = $1) AND state <> 'done'",
-    ] {
-        query(sql).bind(task).run(conn).await?;
-    }
+    ])
+    .bind(task)
+    .run(conn)
+    .await?;
     Ok(())
 }
 

@@ -5,7 +5,7 @@ use lightkiln_proto::ids::TaskKey;
 use lightkiln_proto::jobs::Artefact;
 
 use super::conn::{Conn, query};
-use super::ledger::{Ledger, live_bakes_of};
+use super::ledger::Ledger;
 use crate::store::StoreError;
 use crate::store::rules::{self, WORKER_SEEN_GRAIN_MS};
 
@@ -33,6 +33,10 @@ pub(super) struct Ended {
     pub(super) input_lost: bool,
     /// What the task gave before its result was forgotten; nothing if that did not happen.
     pub(super) outputs_before: Vec<Artefact>,
+    /// Other tasks wait for this one.
+    pub(super) has_dependants: bool,
+    /// Bakes that have ended lack the task's result.
+    pub(super) is_missed: bool,
 }
 
 pub(super) async fn heartbeat(
@@ -77,8 +81,7 @@ pub(super) async fn release(conn: &mut Conn, token: &str, now_ms: i64) -> Result
         return Ok(false);
     };
     requeue(conn, &ended, now_ms).await?;
-    for bake in live_bakes_of(conn, ended.task).await? {
-        let mut bake = Ledger::load(conn, bake).await?;
+    for mut bake in Ledger::live_of(conn, ended.task).await? {
         let (kind, label, worker) = (ended.kind.clone(), ended.label.clone(), ended.worker.clone());
         let elapsed_ms = ended.elapsed_ms;
         bake.event(now_ms, EventKind::TaskReleased { key: ended.key, kind, label, worker, elapsed_ms });
@@ -115,23 +118,35 @@ pub(super) async fn hear_late(conn: &mut Conn, token: &str) -> Result<(), StoreE
 
 /// Takes a lease that is still good from its holder. A cancelled one goes too, but gives nothing.
 pub(super) async fn end(conn: &mut Conn, token: &str, now_ms: i64) -> Result<Option<Ended>, StoreError> {
-    let sql = "SELECT task, expires_ms FROM leases WHERE token = $1";
-    let Some(row) = query(sql).bind(token).optional(conn).await? else { return Ok(None) };
-    let cancelled = row.get::<Option<i64>>("task")?.is_none();
-    if !cancelled && row.get::<i64>("expires_ms")? <= now_ms {
-        return Ok(None);
-    }
-    take(conn, token, now_ms).await
+    take_if(conn, token, now_ms, |expires_ms| expires_ms > now_ms).await
 }
 
 /// Takes a lease, good or not; nothing when it was cancelled or is gone.
 pub(super) async fn take(conn: &mut Conn, token: &str, now_ms: i64) -> Result<Option<Ended>, StoreError> {
-    let sql =
-        "SELECT l.task, l.worker, l.started_ms, l.expires_ms, l.deadline_ms, l.progress, l.input_lost, l.attempt, t.key, t.kind,
-               t.label, t.cost, t.attempts, t.pardons, coalesce(t.outputs_before, '[]') AS outputs_before FROM leases l JOIN tasks t ON t.id = l.task WHERE l.token = $1";
-    let row = query(sql).bind(token).optional(conn).await?;
+    take_if(conn, token, now_ms, |_| true).await
+}
+
+/// Takes a lease if its end is one that `may` have; a cancelled one goes in any case.
+async fn take_if(
+    conn: &mut Conn,
+    token: &str,
+    now_ms: i64,
+    may: impl Fn(i64) -> bool + Send,
+) -> Result<Option<Ended>, StoreError> {
+    let sql = "SELECT l.task, l.worker, l.started_ms, l.expires_ms, l.deadline_ms, l.progress, l.input_lost, l.attempt,
+               t.key, t.kind, t.label, t.cost, t.attempts, t.pardons, coalesce(t.outputs_before, '[]') AS outputs_before,
+               EXISTS (SELECT 1 FROM task_needs n WHERE n.needs = t.id) AS has_dependants,
+               EXISTS (SELECT 1 FROM lost_results x WHERE x.key = t.key) AS is_missed
+               FROM leases l LEFT JOIN tasks t ON t.id = l.task WHERE l.token = $1";
+    let Some(row) = query(sql).bind(token).optional(conn).await? else { return Ok(None) };
+    let is_cancelled = row.get::<Option<i64>>("task")?.is_none();
+    if !is_cancelled && !may(row.get("expires_ms")?) {
+        return Ok(None);
+    }
     query("DELETE FROM leases WHERE token = $1").bind(token).run(conn).await?;
-    let Some(row) = row else { return Ok(None) };
+    if is_cancelled {
+        return Ok(None);
+    }
     let small = |column: &str| Ok::<_, StoreError>(u32::try_from(row.count(column)?).unwrap_or(u32::MAX));
     let progress: f64 = row.get("progress")?;
     Ok(Some(Ended {
@@ -149,6 +164,8 @@ pub(super) async fn take(conn: &mut Conn, token: &str, now_ms: i64) -> Result<Op
         is_pardoned: progress <= rules::LATE && small("pardons")? < rules::MAX_PARDONS,
         input_lost: row.get::<i64>("input_lost")? != 0,
         outputs_before: row.json("outputs_before")?,
+        has_dependants: row.get("has_dependants")?,
+        is_missed: row.get("is_missed")?,
     }))
 }
 

@@ -5,9 +5,10 @@ use std::collections::BTreeMap;
 use lightkiln_proto::api::{BakeState, EventKind};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{Artefact, MANIFEST_OUTPUT, REPORT_OUTPUT};
+use serde_json::json;
 
 use super::codec::to_json;
-use super::conn::{Conn, corrupt, query};
+use super::conn::{Conn, Row, corrupt, query, steps};
 use super::remake;
 use crate::store::StoreError;
 
@@ -54,18 +55,21 @@ pub(super) async fn seq_of(conn: &mut Conn, id: &str) -> Result<i64, StoreError>
     seq.ok_or_else(|| StoreError::NoSuchBake { bake: id.to_owned() })?.get("seq")
 }
 
-/// Live bakes that hold a task, oldest first.
-pub(super) async fn live_bakes_of(conn: &mut Conn, task: i64) -> Result<Vec<i64>, StoreError> {
-    let sql = "SELECT b.seq FROM bake_tasks m JOIN bakes b ON b.seq = m.bake
-               WHERE m.task = $1 AND b.state IN ('running', 'paused') ORDER BY b.seq";
-    query(sql).bind(task).all(conn).await?.iter().map(|row| row.get("seq")).collect()
-}
-
 impl Ledger {
     pub(super) async fn load(conn: &mut Conn, seq: i64) -> Result<Self, StoreError> {
-        let row = query("SELECT * FROM bakes WHERE seq = $1").bind(seq).one(conn).await?;
+        Self::read(&query("SELECT * FROM bakes WHERE seq = $1").bind(seq).one(conn).await?)
+    }
+
+    /// Live bakes that hold a task, oldest first. A change of one of them leaves the others' rows as they are.
+    pub(super) async fn live_of(conn: &mut Conn, task: i64) -> Result<Vec<Self>, StoreError> {
+        let sql = "SELECT b.* FROM bake_tasks m JOIN bakes b ON b.seq = m.bake
+                   WHERE m.task = $1 AND b.state IN ('running', 'paused') ORDER BY b.seq";
+        query(sql).bind(task).all(conn).await?.iter().map(Self::read).collect()
+    }
+
+    fn read(row: &Row) -> Result<Self, StoreError> {
         Ok(Self {
-            seq,
+            seq: row.get("seq")?,
             id: row.get("id")?,
             state: state_from(&row.text("state")?)?,
             open_count: row.count("open_count")?,
@@ -98,20 +102,21 @@ impl Ledger {
 
     /// Writes the row and the events.
     pub(super) async fn save(&mut self, conn: &mut Conn) -> Result<(), StoreError> {
+        let mut events = Vec::with_capacity(self.events.len());
         for (at_ms, event) in std::mem::take(&mut self.events) {
             self.last_event += 1;
-            query("INSERT INTO events VALUES ($1, $2, $3, $4)")
-                .bind(self.seq)
-                .bind(self.last_event)
-                .bind(at_ms)
-                .bind(to_json(&event)?)
-                .run(conn)
-                .await?;
+            events.push(json!([self.last_event, at_ms, to_json(&event)?]));
         }
-        let sql = "UPDATE bakes SET state = $1, open_count = $2, tasks_run = $3, tasks_reused = $4, counters = $5,
-                   counters_reused = $6, manifest = $7, report = $8, failure = $9, finished_ms = $10, last_event = $11
-                   WHERE seq = $12";
-        query(sql)
+        let insert = conn.pick(
+            "INSERT INTO events SELECT $12, value ->> 0, value ->> 1, value ->> 2 FROM json_each($13)",
+            "INSERT INTO events SELECT $12, (v ->> 0)::bigint, (v ->> 1)::bigint, v ->> 2
+             FROM jsonb_array_elements($13::jsonb) AS j (v)",
+        );
+        let update =
+            "UPDATE bakes SET state = $1, open_count = $2, tasks_run = $3, tasks_reused = $4, counters = $5,
+                      counters_reused = $6, manifest = $7, report = $8, failure = $9, finished_ms = $10,
+                      last_event = $11 WHERE seq = $12";
+        steps([insert, update])
             .bind(state_name(self.state))
             .bind(self.open_count)
             .bind(self.tasks_run)
@@ -124,6 +129,7 @@ impl Ledger {
             .bind(self.finished_ms)
             .bind(self.last_event)
             .bind(self.seq)
+            .bind(to_json(&events)?)
             .run(conn)
             .await?;
         Ok(())
@@ -152,16 +158,17 @@ impl Ledger {
         self.event(now_ms, EventKind::State { state });
         self.save(conn).await?;
         remake::let_go(conn, self.seq, now_ms).await?;
-        for sql in [
+        steps([
             "DELETE FROM ready WHERE bake = $1",
             "UPDATE stages SET leased = 0 WHERE bake = $1",
             "DELETE FROM tasks WHERE id IN (SELECT task FROM bake_tasks WHERE bake = $1 AND done = 0)
              AND NOT EXISTS (SELECT 1 FROM bake_tasks o JOIN bakes b ON b.seq = o.bake
                              WHERE o.task = tasks.id AND b.state IN ('running', 'paused'))",
             "DELETE FROM bake_tasks WHERE bake = $1 AND done = 0",
-        ] {
-            query(sql).bind(self.seq).run(conn).await?;
-        }
+        ])
+        .bind(self.seq)
+        .run(conn)
+        .await?;
         Ok(())
     }
 }

@@ -47,7 +47,7 @@ use crate::access::{Bearer, Scope};
 use crate::chunks::ChunkName;
 use crate::clock::Clock;
 use batch::{CommitQueue, Waiting};
-use conn::{Conn, query};
+use conn::Conn;
 use postgres::PostgresDatabase;
 use sqlite::SqliteFile;
 
@@ -70,15 +70,14 @@ enum Kind {
 }
 
 enum Database {
-    Sqlite(SqliteFile),
-    Postgres(PostgresDatabase),
+    Sqlite(SqliteFile, Arc<dyn Clock>),
+    /// Without a clock the database's own time counts.
+    Postgres(PostgresDatabase, Option<Arc<dyn Clock>>),
 }
 
 /// A farm in a database.
 pub struct SqlStore {
     database: Database,
-    /// None: the database's own.
-    clock: Option<Arc<dyn Clock>>,
     faults: Option<Arc<dyn Faults>>,
     commits: CommitQueue,
 }
@@ -86,16 +85,16 @@ pub struct SqlStore {
 impl SqlStore {
     /// Opens the SQLite file at `path`, making or migrating it as needed.
     pub async fn open_sqlite(path: &Path, clock: Arc<dyn Clock>) -> Result<Self, StoreError> {
-        let database = Database::Sqlite(SqliteFile::open(path).await?);
-        Ok(Self { database, clock: Some(clock), faults: None, commits: CommitQueue::default() })
+        let database = Database::Sqlite(SqliteFile::open(path).await?, clock);
+        Ok(Self { database, faults: None, commits: CommitQueue::default() })
     }
 
     /// Opens the PostgreSQL database at `url` (`postgres://…`), making or migrating its tables as needed.
     ///
     /// Without a clock the database's own time counts, as it must where several servers share it.
     pub async fn open_postgres(url: &str, clock: Option<Arc<dyn Clock>>) -> Result<Self, StoreError> {
-        let database = Database::Postgres(PostgresDatabase::open(url).await?);
-        Ok(Self { database, clock, faults: None, commits: CommitQueue::default() })
+        let database = Database::Postgres(PostgresDatabase::open(url).await?, clock);
+        Ok(Self { database, faults: None, commits: CommitQueue::default() })
     }
 
     /// Tells `faults` of every step from now on; for tests.
@@ -108,32 +107,24 @@ impl SqlStore {
     /// Waits for running transactions and closes all connections.
     pub async fn close(&self) {
         match &self.database {
-            Database::Sqlite(file) => file.close().await,
-            Database::Postgres(database) => database.close().await,
+            Database::Sqlite(file, _) => file.close().await,
+            Database::Postgres(database, _) => database.close().await,
         }
     }
 
     async fn begin(&self, kind: Kind, call: &'static str) -> Result<Conn, StoreError> {
-        let tx = match &self.database {
-            Database::Sqlite(file) => file.begin(kind).await?,
-            Database::Postgres(database) => database.begin(kind).await?,
+        let (tx, now_ms) = match &self.database {
+            Database::Sqlite(file, clock) => {
+                let tx = file.begin(kind).await?;
+                (tx, clock.now_ms())
+            }
+            Database::Postgres(database, clock) => {
+                let (tx, now_ms) = database.begin(kind).await?;
+                (tx, clock.as_ref().map_or(now_ms, |clock| clock.now_ms()))
+            }
         };
-        let mut conn = Conn::new(tx, 0, call, self.faults.clone());
-        conn.now_ms = match &self.clock {
-            Some(clock) => clock.now_ms(),
-            None => time_of(&mut conn).await?,
-        };
-        Ok(conn)
+        Ok(Conn::new(tx, now_ms, call, self.faults.clone()))
     }
-}
-
-/// The database's time, now that the transaction has its lock.
-async fn time_of(conn: &mut Conn) -> Result<i64, StoreError> {
-    let sql = conn.pick(
-        "SELECT CAST(unixepoch('subsec') * 1000 AS INTEGER) AS now_ms",
-        "SELECT CAST(extract(epoch FROM clock_timestamp()) * 1000 AS BIGINT) AS now_ms",
-    );
-    query(sql).one(conn).await?.get("now_ms")
 }
 
 /// Whether a call that failed before its COMMIT may be tried again; waits a little if so.

@@ -1,15 +1,18 @@
 //! Ends of attempts: commit, failure, expiry.
 
+use std::collections::BTreeSet;
+
 use lightkiln_proto::api::{BakeState, Blame, CommitVerdict, EventKind};
+use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{Artefact, TaskResult};
 
 use super::batch::Waiting;
 use super::chunks;
 use super::codec::to_json;
-use super::conn::{Conn, query};
+use super::conn::{Conn, query, steps};
 use super::forget;
 use super::leases::{self, Ended, requeue};
-use super::ledger::{Ledger, live_bakes_of};
+use super::ledger::Ledger;
 use super::plan::apply_plan;
 use super::remake;
 use crate::store::rules::{self, add_counters, check_plan};
@@ -21,22 +24,25 @@ pub(super) async fn commit(
     result: &TaskResult,
     now_ms: i64,
 ) -> Result<CommitVerdict, StoreError> {
-    if was_committed(conn, token, result).await? {
-        return Ok(CommitVerdict::AlreadyCommitted);
-    }
-    check_plan(&result.plan)?;
     let Some(ended) = leases::end(conn, token, now_ms).await? else {
+        // A token that committed has no lease any more.
+        if was_committed(conn, token, result).await? {
+            return Ok(CommitVerdict::AlreadyCommitted);
+        }
+        check_plan(&result.plan)?;
         leases::hear_late(conn, token).await?;
         return Ok(CommitVerdict::Stale);
     };
+    check_plan(&result.plan)?;
     write_result(conn, token, &ended, result).await?;
-    unlock_dependants(conn, ended.task, now_ms).await?;
+    if ended.has_dependants {
+        unlock_dependants(conn, ended.task, now_ms).await?;
+    }
     if !ended.outputs_before.is_empty() {
         remake::release_readers(conn, ended.task, ended.key).await?;
     }
     let gone = remake::not_made_again(conn, &ended.outputs_before, &result.outputs).await?;
-    for bake in live_bakes_of(conn, ended.task).await? {
-        let mut bake = Ledger::load(conn, bake).await?;
+    for mut bake in Ledger::live_of(conn, ended.task).await? {
         count_done(conn, &mut bake, &ended, result, now_ms).await?;
         if let Some(output) = remake::first_named(conn, bake.seq, &gone).await? {
             let failure = rules::made_otherwise_message(&ended.label, &ended.kind, output);
@@ -78,35 +84,46 @@ async fn write_result(
     ended: &Ended,
     result: &TaskResult,
 ) -> Result<(), StoreError> {
-    query("INSERT INTO results VALUES ($1, $2, $3, $4, $5)")
-        .bind(ended.task)
-        .bind(token)
-        .bind(to_json(&result.outputs)?)
-        .bind(to_json(&result.plan)?)
-        .bind(to_json(&result.counters)?)
-        .run(conn)
-        .await?;
-    let outputs = result.outputs.iter().map(|output| output.digest).collect();
-    chunks::refer_outputs(conn, ended.task, &outputs).await?;
-    query("UPDATE tasks SET state = 'done', outputs_before = NULL WHERE id = $1")
-        .bind(ended.task)
-        .run(conn)
-        .await?;
-    forget::give_back(conn, ended.task, ended.key).await
+    let outputs: BTreeSet<Digest> = result.outputs.iter().map(|output| output.digest).collect();
+    let outputs: Vec<Digest> = outputs.into_iter().collect();
+    let touched = steps([
+        "UPDATE tasks SET state = 'done', outputs_before = NULL WHERE id = $1",
+        "INSERT INTO results VALUES ($1, $2, $3, $4, $5)",
+        "INSERT INTO result_chunks SELECT $1, c.digest FROM json_each($6) j JOIN chunks c ON c.digest = j.value
+         WHERE c.generation IS NOT NULL",
+    ])
+    .bind(ended.task)
+    .bind(token)
+    .bind(to_json(&result.outputs)?)
+    .bind(to_json(&result.plan)?)
+    .bind(to_json(&result.counters)?)
+    .bind(to_json(&outputs)?)
+    .run(conn)
+    .await?;
+    // One row of the task, one of its result, and one for each output that is kept.
+    if touched < 2 + outputs.len() as u64 {
+        chunks::require(conn, &outputs).await?;
+    }
+    if ended.is_missed { forget::give_back(conn, ended.task, ended.key).await } else { Ok(()) }
 }
 
 async fn unlock_dependants(conn: &mut Conn, task: i64, now_ms: i64) -> Result<(), StoreError> {
-    let sql = "UPDATE tasks SET waiting_count = waiting_count - 1
-               WHERE id IN (SELECT task FROM task_needs WHERE needs = $1) AND state <> 'done'";
-    query(sql).bind(task).run(conn).await?;
-    let sql = "INSERT INTO ready SELECT m.bake, t.cost, t.key, t.id, t.kind, t.not_before_ms, $2
-               FROM task_needs n JOIN tasks t ON t.id = n.task JOIN bake_tasks m ON m.task = t.id
-               JOIN bakes b ON b.seq = m.bake WHERE n.needs = $1 AND t.state = 'waiting' AND t.waiting_count = 0
-               AND b.state IN ('running', 'paused')";
-    query(sql).bind(task).bind(now_ms).run(conn).await?;
-    let sql = "UPDATE tasks SET state = 'ready' WHERE id IN (SELECT task FROM task_needs WHERE needs = $1)
-               AND state = 'waiting' AND waiting_count = 0";
-    query(sql).bind(task).run(conn).await?;
+    // None of them was ready: each waited for this task at least.
+    let sql = "UPDATE tasks SET waiting_count = waiting_count - 1,
+               state = CASE WHEN state = 'waiting' AND waiting_count = 1 THEN 'ready' ELSE state END
+               WHERE id IN (SELECT task FROM task_needs WHERE needs = $1) AND state <> 'done'
+               RETURNING state = 'ready' AS is_ready";
+    let mut is_any_ready = false;
+    for row in query(sql).bind(task).all(conn).await? {
+        is_any_ready |= row.get::<bool>("is_ready")?;
+    }
+    if is_any_ready {
+        let sql = "INSERT INTO ready SELECT m.bake, t.cost, t.key, t.id, t.kind, t.not_before_ms, $2
+                   FROM task_needs n JOIN tasks t ON t.id = n.task JOIN bake_tasks m ON m.task = t.id
+                   JOIN bakes b ON b.seq = m.bake WHERE n.needs = $1 AND t.state = 'ready'
+                   AND b.state IN ('running', 'paused')";
+        query(sql).bind(task).bind(now_ms).run(conn).await?;
+    }
     Ok(())
 }
 
@@ -117,14 +134,18 @@ async fn count_done(
     result: &TaskResult,
     now_ms: i64,
 ) -> Result<(), StoreError> {
-    query("UPDATE bake_tasks SET done = 1 WHERE bake = $1 AND task = $2")
-        .bind(bake.seq)
-        .bind(ended.task)
-        .run(conn)
-        .await?;
-    let sql = "UPDATE stages SET done = done + 1, leased = leased - 1, cost_done = cost_done + $1,
-               last_commit_ms = $2 WHERE bake = $3 AND kind = $4";
-    query(sql).bind(ended.cost).bind(now_ms).bind(bake.seq).bind(&ended.kind).run(conn).await?;
+    steps([
+        "UPDATE bake_tasks SET done = 1 WHERE bake = $1 AND task = $2",
+        "UPDATE stages SET done = done + 1, leased = leased - 1, cost_done = cost_done + $3, last_commit_ms = $4
+         WHERE bake = $1 AND kind = $5",
+    ])
+    .bind(bake.seq)
+    .bind(ended.task)
+    .bind(ended.cost)
+    .bind(now_ms)
+    .bind(&ended.kind)
+    .run(conn)
+    .await?;
     bake.open_count -= 1;
     bake.tasks_run += 1;
     add_counters(&mut bake.counters, &result.counters);
@@ -161,8 +182,7 @@ pub(super) async fn fail(
             .await?;
     }
     requeue(conn, &ended, now_ms).await?;
-    for bake in live_bakes_of(conn, ended.task).await? {
-        let mut bake = Ledger::load(conn, bake).await?;
+    for mut bake in Ledger::live_of(conn, ended.task).await? {
         bake.event(now_ms, task_failed(&ended, &message, Some(wait_ms)));
         bake.save(conn).await?;
     }
@@ -218,8 +238,7 @@ async fn give_up(
     failure: &str,
     now_ms: i64,
 ) -> Result<(), StoreError> {
-    for bake in live_bakes_of(conn, ended.task).await? {
-        let mut bake = Ledger::load(conn, bake).await?;
+    for mut bake in Ledger::live_of(conn, ended.task).await? {
         bake.event(now_ms, task_failed(ended, message, None));
         bake.close(conn, BakeState::Failed, Some(failure.to_owned()), now_ms).await?;
     }
@@ -273,8 +292,7 @@ pub(super) async fn reap(conn: &mut Conn, now_ms: i64) -> Result<Reaped, StoreEr
         let token = row.text("token")?;
         let Some(ended) = leases::take(conn, &token, now_ms).await? else { continue };
         reaped.expired += 1;
-        for bake in live_bakes_of(conn, ended.task).await? {
-            let mut bake = Ledger::load(conn, bake).await?;
+        for mut bake in Ledger::live_of(conn, ended.task).await? {
             bake.event(now_ms, lease_expired(&ended));
             bake.save(conn).await?;
         }

@@ -34,7 +34,7 @@ use std::str::FromStr;
 use std::time::Duration;
 
 use sqlx::postgres::{PgConnectOptions, PgConnection, PgDatabaseError, PgPool, PgPoolOptions};
-use sqlx::{ConnectOptions, Executor, Postgres, Transaction};
+use sqlx::{ConnectOptions, Executor, Row as _};
 
 use super::conn::Tx;
 use super::{Class, Kind, too_new};
@@ -93,24 +93,34 @@ impl PostgresDatabase {
         Ok(Self { writers, readers: pool(READERS).connect_with(options).await? })
     }
 
-    pub(super) async fn begin(&self, kind: Kind) -> Result<Tx, StoreError> {
-        Ok(Tx::Postgres(match kind {
-            Kind::Read => self.readers.begin_with("BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY").await?,
-            Kind::Lease => {
-                let lock = "SET LOCAL synchronous_commit = off; LOCK TABLE turnstile IN ROW SHARE MODE";
-                self.begin_locked(lock).await?
-            }
-            Kind::Write => self.begin_locked("LOCK TABLE turnstile IN EXCLUSIVE MODE").await?,
-        }))
-    }
-
-    /// Begins, then locks. In one step, a caller that goes away while it waits for the lock, or a lock that takes too
-    /// long, would leave the pool a connection in a transaction that nobody ends: it would hold the lock, or refuse
-    /// every statement, until the database ended its session.
-    async fn begin_locked(&self, lock: &'static str) -> Result<Transaction<'static, Postgres>, StoreError> {
-        let mut tx = self.writers.begin_with("BEGIN ISOLATION LEVEL READ COMMITTED").await?;
-        sqlx::raw_sql(lock).execute(&mut *tx).await?;
-        Ok(tx)
+    /// A transaction, and the database's time, once it has its lock.
+    pub(super) async fn begin(&self, kind: Kind) -> Result<(Tx, i64), StoreError> {
+        // The time comes with the answer to the lock: a round trip less.
+        let (pool, begin, lock) = match kind {
+            Kind::Read => (
+                &self.readers,
+                "BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY",
+                "SELECT CAST(extract(epoch FROM clock_timestamp()) * 1000 AS BIGINT)",
+            ),
+            Kind::Lease => (
+                &self.writers,
+                "BEGIN ISOLATION LEVEL READ COMMITTED",
+                "SET LOCAL synchronous_commit = off; LOCK TABLE turnstile IN ROW SHARE MODE;
+                 SELECT CAST(extract(epoch FROM clock_timestamp()) * 1000 AS BIGINT)",
+            ),
+            Kind::Write => (
+                &self.writers,
+                "BEGIN ISOLATION LEVEL READ COMMITTED",
+                "LOCK TABLE turnstile IN EXCLUSIVE MODE;
+                 SELECT CAST(extract(epoch FROM clock_timestamp()) * 1000 AS BIGINT)",
+            ),
+        };
+        // Begins, then locks. In one step, a caller that goes away while it waits for the lock, or a lock that takes too
+        // long, would leave the pool a connection in a transaction that nobody ends: it would hold the lock, or refuse
+        // every statement, until the database ended its session.
+        let mut tx = pool.begin_with(begin).await?;
+        let now_ms = sqlx::raw_sql(lock).fetch_one(&mut *tx).await?.try_get(0)?;
+        Ok((Tx::Postgres(tx), now_ms))
     }
 
     /// Waits for running transactions and closes all connections.

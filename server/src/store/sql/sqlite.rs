@@ -87,8 +87,10 @@ async fn pool(path: &Path, connections: u32, read_only: bool) -> Result<SqlitePo
 /// Whether a connection may be used again. When there is no room, SQLite may end a transaction by itself, and the driver,
 /// whose ROLLBACK is then refused, thinks for ever that it is in one: such a connection is closed.
 async fn is_out_of_transaction(connection: &mut SqliteConnection) -> Result<bool, sqlx::Error> {
-    // Comes after the rollback of a transaction that was dropped.
-    connection.ping().await?;
+    if connection.is_in_transaction() {
+        // Comes after the rollback of a transaction that was dropped.
+        connection.ping().await?;
+    }
     Ok(!connection.is_in_transaction())
 }
 
