@@ -17,6 +17,7 @@ use tokio::time::Instant;
 
 use crate::access::Guard;
 use crate::error::ServerError;
+use crate::lookout::Lookout;
 use crate::metrics::Metrics;
 use crate::storage::{Removed, Storage};
 use crate::store::chunk::CollectRules;
@@ -39,6 +40,8 @@ pub const MAX_LEASES: u32 = 64;
 pub const MAX_KINDS: usize = 64;
 /// Lease lengths in seconds.
 pub const TTL_SECS: std::ops::RangeInclusive<u32> = 5..=3600;
+/// A claim that waits says by claiming again that its worker is still there.
+const CLAIM_AGAIN_AFTER: Duration = Duration::from_secs(5);
 /// Longest wait of a long poll, in seconds.
 pub const MAX_WAIT_SECS: u32 = 60;
 
@@ -54,6 +57,8 @@ pub struct Farm {
     pub guard: Guard,
     /// Counts since start.
     pub(crate) metrics: Metrics,
+    /// Looks for work for claims that wait.
+    lookout: Lookout,
     /// Held while a scene is put together.
     pub(crate) scene_parts: tokio::sync::Mutex<()>,
     /// A waiting call looks again this often, hint or not.
@@ -73,7 +78,8 @@ impl Farm {
     ) -> Self {
         let guard = Guard::new(store.clone());
         let (metrics, scene_parts) = (Metrics::default(), tokio::sync::Mutex::default());
-        Self { guard, store, storage, wakeup, metrics, scene_parts, poll_interval, closing }
+        let lookout = Lookout::default();
+        Self { guard, store, storage, wakeup, metrics, lookout, scene_parts, poll_interval, closing }
     }
 
     /// Takes a bake in. The scene must be there, and results to be reused must still have their bytes.
@@ -144,17 +150,32 @@ impl Farm {
     pub async fn claim(&self, request: ClaimRequest) -> Result<ClaimAnswer, ServerError> {
         check_claim(&request)?;
         let deadline = Instant::now() + Duration::from_secs(request.wait_secs.into());
-        loop {
-            let mark = self.wakeup.mark();
-            let mut leases = self.store.claim(&request).await?;
-            if !leases.is_empty() || !self.wait(mark, deadline).await {
-                self.metrics.claims.add(leases.len() as u64);
-                if let Err(error) = self.fill_all_lengths(&mut leases).await {
-                    self.take_back(&leases).await;
-                    return Err(error);
-                }
-                return Ok(ClaimAnswer { leases });
+        let (mut mark, mut claimed) = (self.wakeup.mark(), Instant::now());
+        let mut leases = self.store.claim(&request).await?;
+        while leases.is_empty() && self.wait(mark, deadline).await {
+            mark = self.wakeup.mark();
+            if claimed.elapsed() >= CLAIM_AGAIN_AFTER
+                || self.is_any_ready(&request.kinds, mark, deadline).await?
+            {
+                claimed = Instant::now();
+                leases = self.store.claim(&request).await?;
             }
+        }
+        self.metrics.claims.add(leases.len() as u64);
+        if let Err(error) = self.fill_all_lengths(&mut leases).await {
+            self.take_back(&leases).await;
+            return Err(error);
+        }
+        Ok(ClaimAnswer { leases })
+    }
+
+    /// Whether anything of these kinds is ready; no if that is not known by the deadline or the end.
+    async fn is_any_ready(&self, kinds: &[String], mark: u64, deadline: Instant) -> Result<bool, StoreError> {
+        let mut closing = self.closing.clone();
+        tokio::select! {
+            seen = self.lookout.is_any_ready(&*self.store, kinds, mark) => seen,
+            () = tokio::time::sleep_until(deadline) => Ok(false),
+            _ = closing.wait_for(|closing| *closing) => Ok(false),
         }
     }
 

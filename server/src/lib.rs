@@ -6,6 +6,7 @@
 //! - [`store`] is the queue behind one trait, [`chunks`] the bytes, [`wakeup`] lossy hints.
 //! - [`storage`] is the bytes that count, `collect` clears away the others, [`fsck`] checks them.
 //! - [`access`] says who may call.
+//! - `lookout` looks for work on behalf of all claims that wait.
 //! - [`farm`] puts them together, `http` makes calls of it.
 
 pub mod access;
@@ -16,6 +17,7 @@ mod error;
 pub mod farm;
 pub mod fsck;
 mod http;
+mod lookout;
 mod metrics;
 pub mod places;
 mod scene_parts;

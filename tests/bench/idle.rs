@@ -4,9 +4,10 @@ use std::io::{Read as _, Write as _};
 use std::net::TcpStream;
 use std::time::{Duration, Instant};
 
+use crate::calls::Caller;
 use crate::farm::Server;
 use crate::parts::postgres::Postgres;
-use crate::report::row;
+use crate::report::{quantiles, row};
 
 /// Workers that wait.
 const WORKERS: usize = 1_000;
@@ -14,6 +15,8 @@ const WORKERS: usize = 1_000;
 const WAIT_SECS: u32 = 60;
 /// How long they are looked at while they wait.
 const LOOK: Duration = Duration::from_secs(20);
+/// Tasks that a worker runs beside them.
+const TASKS: u32 = 100;
 /// Time between two looks at memory.
 const BETWEEN_LOOKS: Duration = Duration::from_millis(200);
 
@@ -37,6 +40,7 @@ fn measure_on(name: &str, database: Option<&str>) {
         assert_nothing_comes(&mut waiting[0], BETWEEN_LOOKS);
     }
     let share = (server.process.cpu() - cpu).as_secs_f64() / started.elapsed().as_secs_f64();
+    let beside = run_beside(&server);
     waiting.iter_mut().for_each(|stream| assert_nothing_comes(stream, Duration::from_nanos(1)));
     let mib = |bytes: u64| bytes as f64 / f64::from(1 << 20);
     let figure = format!(
@@ -47,6 +51,22 @@ fn measure_on(name: &str, database: Option<&str>) {
         100.0 * share
     );
     row(&format!("server with {WORKERS} idle workers"), name, &figure);
+    row(&format!("claim, upload and commit beside {WORKERS} idle workers"), name, &beside);
+}
+
+/// How long tasks of another kind take that one worker runs meanwhile; the others hear of each commit.
+fn run_beside(server: &Server) -> String {
+    let caller = Caller::new(&server.url);
+    caller.fill(TASKS as usize);
+    let mut rounds: Vec<Duration> = (0..TASKS)
+        .map(|index| {
+            let started = Instant::now();
+            let token = caller.claim("busy", &["bench.work"]).unwrap();
+            caller.commit(&token, &index.to_le_bytes(), serde_json::json!([]));
+            started.elapsed()
+        })
+        .collect();
+    quantiles(&mut rounds)
 }
 
 /// Waits for an answer that must not come yet.

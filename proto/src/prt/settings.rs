@@ -74,15 +74,27 @@ macro_rules! settings {
             $( $(#[doc = $doc])* pub $name: Option<$kind>, )*
         }
 
-        /// Validated settings; every bake states all of them in its manifest.
+        /// Validated settings; every bake states all of them in its manifest. What an older one did not know yet is read as
+        /// its preset has it.
         #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-        #[serde(deny_unknown_fields)]
+        #[serde(try_from = "RawSettings")]
         pub struct Settings {
             /// Preset that the rest started from.
             pub preset: Preset,
             /// What carries light.
             pub basis: BasisKind,
             $( $(#[doc = $doc])* pub $name: $kind, )*
+        }
+
+        impl TryFrom<RawSettings> for Settings {
+            type Error = SettingsError;
+
+            fn try_from(raw: RawSettings) -> Result<Self, SettingsError> {
+                if raw.preset.is_none() {
+                    return Err(SettingsError::Malformed("settings that name no preset".into()));
+                }
+                raw.validate()
+            }
         }
 
         impl RawSettings {
@@ -222,6 +234,20 @@ mod tests {
         let of = |preset: &str| Settings::from_json(&json!({ "preset": preset })).unwrap();
         assert!(of("draft").transport_rays < of("medium").transport_rays);
         assert!(of("medium").transport_rays < of("high").transport_rays);
+    }
+
+    #[test]
+    fn settings_of_a_bake_that_did_not_know_one_yet_are_read_with_its_presets_value() {
+        let settings = Settings::from_json(&json!({ "preset": "high", "texel_m": 0.25 })).unwrap();
+        let mut stated = serde_json::to_value(&settings).unwrap();
+        assert_eq!(serde_json::from_value::<Settings>(stated.clone()).unwrap(), settings);
+        stated.as_object_mut().unwrap().remove("cavity_m");
+        assert_eq!(serde_json::from_value::<Settings>(stated.clone()).unwrap(), settings);
+        stated["relight_rays"] = json!(100);
+        assert!(serde_json::from_value::<Settings>(stated.clone()).is_err());
+        stated["relight_rays"] = json!(256);
+        stated.as_object_mut().unwrap().remove("preset");
+        assert!(serde_json::from_value::<Settings>(stated).is_err());
     }
 
     #[test]

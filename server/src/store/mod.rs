@@ -195,6 +195,9 @@ pub trait FarmStore: Send + Sync {
     /// one with the fewest tasks under way ([`rules`] says more), of a bake by cost, then key.
     async fn claim(&self, request: &ClaimRequest) -> Result<Vec<Lease>, StoreError>;
 
+    /// Whether a running bake has a ready task of one of these kinds, whoever may take it.
+    async fn is_any_ready(&self, kinds: &[String]) -> Result<bool, StoreError>;
+
     /// Prolongs a lease, or says why not. The first one says that the lease has arrived.
     async fn heartbeat(&self, token: &str, progress: f32) -> Result<HeartbeatAnswer, StoreError>;
 

@@ -1,21 +1,26 @@
 //! The farm over each store, with hints and without: they change how soon, never whether.
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 
+use async_trait::async_trait;
 use bytes::Bytes;
 use lightkiln_proto::api::{Bake, BakeState, ClaimRequest, CommitVerdict};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{Artefact, TaskInput, TaskResult, TaskSpec};
 use lightkiln_proto::problem::ProblemCode;
 use lightkiln_server::chunks::{ChunkStore, ObjectChunks};
+use lightkiln_server::clock::ManualClock;
 use lightkiln_server::farm::Farm;
 use lightkiln_server::storage::Storage;
+use lightkiln_server::store::{FarmStore, FaultPoint, Faults, StoreError};
 use lightkiln_server::wakeup::{LocalWakeup, NoWakeup, Wakeup};
 use tokio::sync::watch;
 use tokio::time::Instant;
 
-use crate::support::{SCENE, World, new_bake, task};
+use crate::crash::open_file;
+use crate::support::{SCENE, World, in_time, new_bake, task};
 
 /// Longer than any test may take: who waits this long has missed a hint.
 const LONG: Duration = Duration::from_secs(3600);
@@ -32,11 +37,20 @@ fn farm_over(
     wakeup: Arc<dyn Wakeup>,
     poll_interval: Duration,
 ) -> Arc<Farm> {
+    farm_of(world.store.clone(), chunks, wakeup, poll_interval)
+}
+
+fn farm_of(
+    store: Arc<dyn FarmStore>,
+    chunks: Arc<ObjectChunks>,
+    wakeup: Arc<dyn Wakeup>,
+    poll_interval: Duration,
+) -> Arc<Farm> {
     let (closing, is_closing) = watch::channel(false);
     // Open until the process ends.
     std::mem::forget(closing);
-    let storage = Storage::new(world.store.clone(), chunks, None);
-    Arc::new(Farm::new(world.store.clone(), storage, wakeup, poll_interval, is_closing))
+    let storage = Storage::new(store.clone(), chunks, None);
+    Arc::new(Farm::new(store, storage, wakeup, poll_interval, is_closing))
 }
 
 fn hinted(world: &World) -> Arc<Farm> {
@@ -81,6 +95,65 @@ pub async fn waiting_claim_gets_what_is_submitted_later(world: World) {
 
 pub async fn waiting_claim_needs_no_hint(world: World) {
     claim_while_submitting(polled(&world)).await;
+}
+
+/// Counts transactions by call.
+#[derive(Default)]
+struct Transactions {
+    claims: AtomicU32,
+    looks: AtomicU32,
+}
+
+#[async_trait]
+impl Faults for Transactions {
+    async fn at(&self, point: FaultPoint) -> Result<(), StoreError> {
+        if point.before == "COMMIT" {
+            match point.call {
+                "claim" => drop(self.claims.fetch_add(1, Ordering::SeqCst)),
+                "is_any_ready" => drop(self.looks.fetch_add(1, Ordering::SeqCst)),
+                _ => (),
+            }
+        }
+        Ok(())
+    }
+}
+
+#[tokio::test]
+async fn hints_that_bring_no_work_are_looked_into_once_for_all_who_wait() {
+    const WAITING: u32 = 40;
+    let (folder, clock) = (tempfile::tempdir().unwrap(), Arc::new(ManualClock::at(0)));
+    let transactions = Arc::new(Transactions::default());
+    let store = Arc::new(open_file(folder.path(), &clock).await.with_faults(transactions.clone()));
+    let farm = farm_of(store, Arc::new(ObjectChunks::in_memory()), Arc::new(LocalWakeup::default()), LONG);
+    let started = Instant::now();
+    let waiting: Vec<_> = (0..WAITING)
+        .map(|worker| {
+            let farm = farm.clone();
+            tokio::spawn(async move { farm.claim(request(&format!("w{worker}"))).await })
+        })
+        .collect();
+    let claims = || transactions.claims.load(Ordering::SeqCst);
+    let looks = || transactions.looks.load(Ordering::SeqCst);
+    in_time(async {
+        while claims() < WAITING {
+            tokio::task::yield_now().await;
+        }
+        for hint in 1..=5 {
+            farm.wakeup.hint();
+            while looks() < hint {
+                tokio::task::yield_now().await;
+            }
+        }
+    })
+    .await;
+    // After five seconds each says again that it is there.
+    if started.elapsed() < Duration::from_secs(5) {
+        assert_eq!(claims(), WAITING);
+        assert!(looks() < 15, "{} looks for 5 hints", looks());
+    }
+    submit(&farm).await;
+    let got = in_time(futures::future::select_all(waiting)).await.0.unwrap().unwrap();
+    assert_eq!(got.leases.len(), 1);
 }
 
 pub async fn workers_without_hints_finish_a_bake(world: World) {

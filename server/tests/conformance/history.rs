@@ -103,6 +103,8 @@ struct Seen {
     bakes: Vec<(Bake, Vec<BakeEvent>)>,
     workers: Vec<Worker>,
     stats: Stats,
+    /// Whether anything is ready of each kind.
+    is_any_ready: [bool; 2],
     rows: Vec<ChunkRow>,
     usage: Usage,
 }
@@ -248,7 +250,11 @@ impl Side {
         }
         let (rows, usage) = (store.chunk_rows(None, 100).await.unwrap(), store.usage().await.unwrap());
         let (workers, stats) = (store.workers().await.unwrap(), store.stats().await.unwrap());
-        Seen { bakes, workers, stats, rows, usage }
+        let mut is_any_ready = [false; 2];
+        for (is_any, kind) in is_any_ready.iter_mut().zip(["work", "more"]) {
+            *is_any = store.is_any_ready(&[kind.to_owned()]).await.unwrap();
+        }
+        Seen { bakes, workers, stats, is_any_ready, rows, usage }
     }
 
     /// Lets everything end: every live bake must, for nothing may wait for ever.
@@ -354,6 +360,7 @@ async fn assert_same(store: &Side, model: &Side, when: &str) {
     }
     assert_eq!(found.workers, expected.workers, "{when}");
     assert_eq!(found.stats, expected.stats, "{when}");
+    assert_eq!(found.is_any_ready, expected.is_any_ready, "{when}");
     assert_eq!(found.rows, expected.rows, "{when}");
     assert_eq!(found.usage, expected.usage, "{when}");
 }

@@ -2,6 +2,7 @@
 //! a file may be.
 
 mod crates;
+mod faults;
 mod files;
 mod words;
 

@@ -60,7 +60,7 @@ impl Farm {
             let mut tasks = bake.members.keys().filter_map(|key| self.tasks.get(key));
             bake.state == BakeState::Running
                 && abilities.suffice(&bake.new.needs)
-                && tasks.any(|task| self.is_due(task, request, now_ms))
+                && tasks.any(|task| self.is_due(task, &request.kinds, now_ms))
                 && !self.is_blocked(*index, request, now_ms)
         };
         let mut bakes: Vec<usize> = (0..self.bakes.len()).filter(is_open).collect();
@@ -157,14 +157,21 @@ impl Farm {
         let open = self.bakes[bake].members.iter().filter(|(_, member)| !member.done);
         let tasks = open.filter_map(|(key, _)| self.tasks.get(key));
         let claimable = tasks.filter(|task| {
-            self.is_due(task, request, now_ms) && !self.is_left_to_others(bake, task, &request.worker, now_ms)
+            self.is_due(task, &request.kinds, now_ms)
+                && !self.is_left_to_others(bake, task, &request.worker, now_ms)
         });
         let best = claimable.min_by_key(|task| (Reverse(task.spec.cost), task.spec.key))?;
         Some(best.spec.key)
     }
 
-    fn is_due(&self, task: &Task, request: &ClaimRequest, now_ms: i64) -> bool {
-        request.kinds.contains(&task.spec.kind)
+    pub(super) fn is_any_ready(&self, kinds: &[String], now_ms: i64) -> bool {
+        let running = self.bakes.iter().filter(|bake| bake.state == BakeState::Running);
+        let open = running.flat_map(|bake| bake.members.iter().filter(|(_, member)| !member.done));
+        open.filter_map(|(key, _)| self.tasks.get(key)).any(|task| self.is_due(task, kinds, now_ms))
+    }
+
+    fn is_due(&self, task: &Task, kinds: &[String], now_ms: i64) -> bool {
+        kinds.contains(&task.spec.kind)
             && task.not_before_ms <= now_ms
             && self.state_of(task) == TaskState::Ready
     }

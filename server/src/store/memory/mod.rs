@@ -78,6 +78,10 @@ impl FarmStore for MemoryStore {
         self.change(|farm, now_ms| farm.claim(request, now_ms))
     }
 
+    async fn is_any_ready(&self, kinds: &[String]) -> Result<bool, StoreError> {
+        Ok(self.farm().is_any_ready(kinds, self.now_ms()))
+    }
+
     async fn heartbeat(&self, token: &str, progress: f32) -> Result<HeartbeatAnswer, StoreError> {
         Ok(self.farm().heartbeat(token, progress, self.now_ms()))
     }

@@ -108,8 +108,18 @@ pub(super) async fn claim(
     let tasks: Vec<i64> = chosen.iter().map(|chosen| chosen.task).collect();
     let tasks = to_json(&tasks)?;
     let taken = take_tasks(conn, &tasks).await?;
+    let has_needs = taken.values().any(|taken| !dependencies(&taken.spec).is_empty());
+    let outputs = if has_needs { outputs_of_needs(conn, &tasks).await? } else { BTreeMap::new() };
     write_leases(conn, &chosen, &taken, &tasks, request, now_ms).await?;
-    leases(conn, chosen, taken, &tasks).await
+    Ok(leases(chosen, taken, &outputs))
+}
+
+pub(super) async fn is_any_ready(conn: &mut Conn, kinds: &[String], now_ms: i64) -> Result<bool, StoreError> {
+    let sql = "SELECT EXISTS (
+                   SELECT 1 FROM bakes b WHERE b.state = 'running' AND EXISTS (
+                       SELECT 1 FROM ready r WHERE r.bake = b.seq AND r.not_before_ms <= $1
+                       AND r.kind IN (SELECT value FROM json_each($2)))) AS is_any_ready";
+    query(sql).bind(now_ms).bind(to_json(kinds)?).one(conn).await?.get("is_any_ready")
 }
 
 /// What the farm knows of the worker that claims.
@@ -143,7 +153,8 @@ async fn see_worker(conn: &mut Conn, request: &ClaimRequest, now_ms: i64) -> Res
     }
     let sql = "INSERT INTO workers (name, kinds, threads, seen_ms, memory_mib, labels)
                VALUES ($1, $2, $3, $4, $5, $6) ON CONFLICT (name) DO UPDATE SET
-               kinds = excluded.kinds, threads = excluded.threads, seen_ms = excluded.seen_ms,
+               kinds = excluded.kinds, threads = excluded.threads,
+               seen_ms = CASE WHEN excluded.seen_ms > workers.seen_ms THEN excluded.seen_ms ELSE workers.seen_ms END,
                memory_mib = excluded.memory_mib, labels = excluded.labels";
     query(sql)
         .bind(&request.worker)
@@ -318,14 +329,6 @@ async fn write_leases(
     request: &ClaimRequest,
     now_ms: i64,
 ) -> Result<(), StoreError> {
-    if conn.has_concurrent_claims() {
-        // One order for all claims, or two of them could wait for each other; then come the bakes', in one order too.
-        let sql = "SELECT 1 FROM stages WHERE (bake, kind) IN (
-                       SELECT m.bake, t.kind FROM bake_tasks m JOIN tasks t ON t.id = m.task
-                       WHERE t.id IN (SELECT CAST(value AS BIGINT) FROM json_each($1)))
-                   ORDER BY bake, kind FOR UPDATE";
-        query(sql).bind(tasks).run(conn).await?;
-    }
     let row = |chosen: &Chosen| {
         let attempt = taken.get(&chosen.task).map_or(1, |taken| taken.attempt);
         json!([chosen.token, chosen.task, chosen.expires_ms, chosen.deadline_ms, attempt])
@@ -337,24 +340,35 @@ async fn write_leases(
         "INSERT INTO leases SELECT v ->> 0, (v ->> 1)::bigint, $2, $3, (v ->> 2)::bigint, $4, (v ->> 3)::bigint, $5, 0,
          (v ->> 4)::bigint, 0 FROM jsonb_array_elements($1::jsonb) AS j (v)",
     );
-    steps([
-        insert,
-        "DELETE FROM ready WHERE task IN (SELECT CAST(value AS BIGINT) FROM json_each($6))",
+    let mut parts =
+        vec![insert, "DELETE FROM ready WHERE task IN (SELECT CAST(value AS BIGINT) FROM json_each($6))"];
+    if conn.has_concurrent_claims() {
+        // One order for all claims, or two of them could wait for each other; then come the bakes', in one order too.
+        // As late as can be: from here on a claim of the same kind waits for this one.
+        parts.push(
+            "SELECT 1 FROM stages WHERE (bake, kind) IN (
+                 SELECT m.bake, t.kind FROM bake_tasks m JOIN tasks t ON t.id = m.task
+                 WHERE t.id IN (SELECT CAST(value AS BIGINT) FROM json_each($6)))
+             ORDER BY bake, kind FOR UPDATE",
+        );
+    }
+    parts.push(
         "UPDATE stages SET leased = leased + n.fresh, first_claim_ms = coalesce(first_claim_ms, $5)
          FROM (SELECT m.bake, t.kind, count(*) AS fresh
                FROM bake_tasks m JOIN tasks t ON t.id = m.task JOIN bakes b ON b.seq = m.bake
                WHERE t.id IN (SELECT CAST(value AS BIGINT) FROM json_each($6))
                AND b.state IN ('running', 'paused') GROUP BY m.bake, t.kind) AS n
          WHERE stages.bake = n.bake AND stages.kind = n.kind",
-    ])
-    .bind(to_json(&rows)?)
-    .bind(&request.worker)
-    .bind(i64::from(request.ttl_secs) * 1000)
-    .bind(rules::UNHEARD)
-    .bind(now_ms)
-    .bind(tasks)
-    .run(conn)
-    .await?;
+    );
+    steps(parts)
+        .bind(to_json(&rows)?)
+        .bind(&request.worker)
+        .bind(i64::from(request.ttl_secs) * 1000)
+        .bind(rules::UNHEARD)
+        .bind(now_ms)
+        .bind(tasks)
+        .run(conn)
+        .await?;
     for (bake, starts) in starts(chosen, taken, &request.worker)? {
         tell_bake(conn, bake, &starts, now_ms).await?;
     }
@@ -362,21 +376,18 @@ async fn write_leases(
 }
 
 /// What the worker is told of its leases.
-async fn leases(
-    conn: &mut Conn,
+fn leases(
     chosen: Vec<Chosen>,
     mut taken: BTreeMap<i64, Taken>,
-    tasks: &str,
-) -> Result<Vec<Lease>, StoreError> {
-    let has_needs = taken.values().any(|taken| !dependencies(&taken.spec).is_empty());
-    let outputs = if has_needs { outputs_of_needs(conn, tasks).await? } else { BTreeMap::new() };
+    outputs: &BTreeMap<TaskKey, Vec<Artefact>>,
+) -> Vec<Lease> {
     let leased =
         chosen.into_iter().filter_map(|Chosen { task, bake, token, expires_ms, traceparent, .. }| {
             let task = taken.remove(&task)?.spec;
             let inputs = resolve_inputs(&task, |key| outputs.get(key).cloned().unwrap_or_default());
             Some(Lease { token, bake, task, inputs, expires_ms, traceparent })
         });
-    Ok(leased.collect())
+    leased.collect()
 }
 
 /// A task that was taken, and which attempt at it begins.

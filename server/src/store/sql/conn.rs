@@ -81,6 +81,16 @@ pub(super) enum Value {
     Text(Option<String>),
 }
 
+impl Value {
+    /// NULL of the same type.
+    fn nothing(&self) -> Self {
+        match self {
+            Self::Int(_) | Self::Real(_) => Self::Int(None),
+            Self::Text(_) => Self::Text(None),
+        }
+    }
+}
+
 macro_rules! value_from {
     ($($from:ty, $value:ident => $into:expr;)+) => {
         $(impl From<$from> for Value { fn from($value: $from) -> Self { $into } })+
@@ -114,14 +124,21 @@ pub(super) fn query(sql: &'static str) -> Query {
 }
 
 /// Statements without answers that share their parameters, one after the other.
-pub(super) struct Steps<const N: usize> {
-    parts: [&'static str; N],
+pub(super) struct Steps {
+    parts: Vec<&'static str>,
     values: Vec<Value>,
 }
 
 /// Statements with parameters `$1`, `$2`, … still to be bound; each has the same ones, and leaves out what it likes.
-pub(super) fn steps<const N: usize>(parts: [&'static str; N]) -> Steps<N> {
-    Steps { parts, values: Vec::new() }
+pub(super) fn steps(parts: impl Into<Vec<&'static str>>) -> Steps {
+    Steps { parts: parts.into(), values: Vec::new() }
+}
+
+/// Whether a statement names parameter `number`.
+fn names(sql: &str, number: usize) -> bool {
+    let name = format!("${number}");
+    let ends = |rest: &str| !rest.starts_with(|next: char| next.is_ascii_digit());
+    sql.match_indices(&name).any(|(at, _)| ends(&sql[at + name.len()..]))
 }
 
 macro_rules! bound {
@@ -182,7 +199,7 @@ impl Query {
     }
 }
 
-impl<const N: usize> Steps<N> {
+impl Steps {
     pub(super) fn bind(mut self, value: impl Into<Value>) -> Self {
         self.values.push(value.into());
         self
@@ -192,10 +209,14 @@ impl<const N: usize> Steps<N> {
     /// costs there is the way to its thread and back.
     pub(super) async fn run(self, conn: &mut Conn) -> Result<u64, StoreError> {
         let mut touched = 0;
-        for sql in self.parts {
+        for &sql in &self.parts {
             conn.point(sql).await?;
             if let Tx::Postgres(tx) = &mut conn.tx {
-                let bound = bound!(Postgres, sql, self.values.clone());
+                // What a statement does not name need not travel: a plan may be long.
+                let of_part = |(number, value): (usize, &Value)| {
+                    if names(sql, number) { value.clone() } else { value.nothing() }
+                };
+                let bound = bound!(Postgres, sql, (1..).zip(&self.values).map(of_part));
                 touched += bound.execute(&mut **tx).await?.rows_affected();
             }
         }
@@ -262,4 +283,15 @@ fn to_column(count: u64) -> i64 {
 /// A stored value that makes no sense.
 pub(super) fn corrupt(what: &str, error: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> StoreError {
     StoreError::Corrupt { what: what.to_owned(), source: Some(error.into()) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::names;
+
+    #[test]
+    fn parameter_is_named_by_its_whole_number() {
+        let sql = "UPDATE t SET a = $12, b = $3 WHERE c = $12";
+        assert_eq!([1, 2, 3, 12, 123].map(|number| names(sql, number)), [false, false, true, true, false]);
+    }
 }

@@ -273,6 +273,10 @@ impl FarmStore for SqlStore {
         transact!(self, Lease, "claim", |conn, now_ms| claim::claim(conn, request, now_ms))
     }
 
+    async fn is_any_ready(&self, kinds: &[String]) -> Result<bool, StoreError> {
+        transact!(self, Read, "is_any_ready", |conn, now_ms| claim::is_any_ready(conn, kinds, now_ms))
+    }
+
     async fn heartbeat(&self, token: &str, progress: f32) -> Result<HeartbeatAnswer, StoreError> {
         transact!(self, Lease, "heartbeat", |conn, now_ms| leases::heartbeat(conn, token, progress, now_ms))
     }
