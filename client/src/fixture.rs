@@ -11,8 +11,8 @@ use lightkiln_proto::manifest::{
     Block, Emitter, FORMAT, Manifest, Material, TextureUse, Totals, VERSION, Wrap,
 };
 use lightkiln_proto::prt::{
-    AreaCode, BasisKind, ClusterTransport, Draw, EmitterIrradiance, Geometry, Patch, PatchKey, PatchSet,
-    Probe, ProbeBatch, Receivers, RelightHit, Settings,
+    AreaCode, BasisKind, ClusterTransport, Draw, EmitterIrradiance, Geometry, NearSurface, Patch, PatchKey,
+    PatchSet, Probe, ProbeBatch, Receivers, RelightHit, Settings,
 };
 use lightkiln_proto::scene::{LightKind, SceneCamera, SceneLight};
 use lightkiln_proto::sh::{ShBasis, relight_direction};
@@ -229,6 +229,35 @@ pub fn contents(basis: BasisKind) -> Contents {
 /// The whole bake.
 pub fn bake(basis: BasisKind) -> LoadedBake {
     LoadedBake::assemble(manifest(basis), contents(basis)).unwrap()
+}
+
+/// The bake in patches as if the floor were narrow: some of its receivers meet points of the first wall, and one texel that
+/// no cluster has.
+pub fn narrow_contents() -> Contents {
+    let mut contents = contents(BasisKind::Patches);
+    let wall = contents.clusters[1].receivers.clone();
+    let count = contents.clusters[0].receivers.len();
+    let near = &mut contents.clusters[0].near;
+    (near.reach_m, near.blocks) = (1.5, wall.blocks);
+    for receiver in 0..count {
+        let hits = if receiver % 3 == 0 { 1 + receiver % 5 } else { 0 };
+        near.count.push(hits as u8);
+        near.weight.push(0.4);
+        for hit in 0..hits {
+            let texel = if hit == 3 { [0, 0] } else { wall.texel[(7 * receiver + hit) % wall.texel.len()] };
+            near.surface.push(match hit {
+                1 => NearSurface::Own { albedo: [0.1, 0.2, 0.3], normal: [0.0, 1.0, 0.0] },
+                _ => NearSurface::Texel { block: 0, texel },
+            });
+            near.offset.push([-1000 + 97 * hit as i16, 700, 31 * receiver as i16]);
+        }
+    }
+    contents
+}
+
+/// The whole bake of [`narrow_contents`].
+pub fn narrow_bake() -> LoadedBake {
+    LoadedBake::assemble(manifest(BasisKind::Patches), narrow_contents()).unwrap()
 }
 
 fn cluster(basis: BasisKind, walls: &[Quad], index: usize, back: bool) -> ClusterTransport {

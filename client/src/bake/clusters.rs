@@ -4,8 +4,8 @@ use glam::Vec4;
 use lightkiln_proto::manifest::Manifest;
 use lightkiln_proto::prt::{BasisKind, BlockKey, ClusterTransport, ProbeKey, Receivers};
 
-use super::MAX_RECEIVERS;
 use super::atlas::AtlasLayout;
+use super::{MAX_RECEIVERS, near};
 use crate::error::{ClientError, Result};
 
 /// Highest rank of a cluster that is read.
@@ -122,13 +122,13 @@ impl ClusterTable {
 /// Joins clusters; receivers get slots and enter the atlas.
 pub(super) fn join(
     manifest: &Manifest,
-    contents: Vec<ClusterTransport>,
+    contents: &[ClusterTransport],
     atlas: &mut AtlasLayout,
 ) -> Result<(ReceiverTable, ClusterTable)> {
     let (mut receivers, mut table) = (ReceiverTable::default(), ClusterTable::default());
-    for (index, content) in contents.into_iter().enumerate() {
+    for (index, content) in contents.iter().enumerate() {
         let wrong = |problem: String| ClientError::inconsistent(format!("cluster {index}"), problem);
-        check(&content, manifest).map_err(wrong)?;
+        check(content, manifest).map_err(wrong)?;
         if receivers.len() + content.receivers.len() > MAX_RECEIVERS {
             return Err(wrong(format!("brings the receivers above {MAX_RECEIVERS}")));
         }
@@ -139,7 +139,7 @@ pub(super) fn join(
 }
 
 impl ClusterTable {
-    fn push(&mut self, content: ClusterTransport, receivers_after: usize) {
+    fn push(&mut self, content: &ClusterTransport, receivers_after: usize) {
         let receiver_count = content.receivers.len();
         let first_receiver = receivers_after - receiver_count;
         let first_support = self.support_keys.len();
@@ -159,10 +159,10 @@ impl ClusterTable {
         self.b_len += content.rank as usize;
         self.u.extend_from_slice(&content.u);
         self.vt.extend_from_slice(&content.vt);
-        self.emitters.extend(content.emitters.into_iter().map(|part| EmitterPart {
+        self.emitters.extend(content.emitters.iter().map(|part| EmitterPart {
             emitter: part.emitter,
             first_receiver,
-            irradiance: part.irradiance,
+            irradiance: part.irradiance.clone(),
         }));
     }
 }
@@ -205,7 +205,7 @@ fn check(content: &ClusterTransport, manifest: &Manifest) -> std::result::Result
             return Err(format!("its light from emitter {} has a wrong length or no emitter", part.emitter));
         }
     }
-    Ok(())
+    near::check(&content.near, count)
 }
 
 fn enter_receivers(

@@ -7,6 +7,7 @@ mod atlas;
 mod clusters;
 mod draws;
 mod load;
+mod near;
 mod patches;
 mod probes;
 #[cfg(test)]
@@ -22,6 +23,7 @@ use crate::error::{ClientError, Result};
 pub use atlas::{AtlasLayout, AtlasTexel, EXTENSION_TEXELS, NO_RECEIVER, PlacedBlock};
 pub use clusters::{Cluster, ClusterTable, EmitterPart, ReceiverTable};
 pub use draws::{DrawTable, LoadedDraw, NO_BLOCK, Vertex};
+pub use near::{NearRow, NearTable};
 pub use patches::{PatchRow, PatchTable};
 pub use probes::{HIT_DARK, HIT_SKY, ProbeTable};
 pub use texture::Texture;
@@ -49,6 +51,8 @@ pub struct LoadedBake {
     pub probes: ProbeTable,
     /// Surface patches; empty unless the basis is patches.
     pub patches: PatchTable,
+    /// What receivers in narrow places meet close by.
+    pub near: NearTable,
     /// Where receivers lie in the atlas, and how its edges are extended.
     pub atlas: AtlasLayout,
     /// Meshes to draw.
@@ -79,7 +83,12 @@ impl LoadedBake {
     pub fn assemble(manifest: Manifest, contents: Contents) -> Result<Self> {
         let mut warnings = Vec::new();
         let mut atlas = AtlasLayout::place(&manifest)?;
-        let (receivers, mut clusters) = clusters::join(&manifest, contents.clusters, &mut atlas)?;
+        let (receivers, mut clusters) = clusters::join(&manifest, &contents.clusters, &mut atlas)?;
+        let mut near = NearTable::default();
+        for (index, (content, cluster)) in contents.clusters.iter().zip(&clusters.clusters).enumerate() {
+            near.add(&content.near, cluster.first_receiver, &receivers, &atlas)
+                .map_err(|problem| ClientError::inconsistent(format!("cluster {index}"), problem))?;
+        }
         let probes = probes::join(&manifest, contents.probes, &atlas)?;
         let patches = match (manifest.settings.basis, &contents.patches[..]) {
             (BasisKind::Sh, _) => PatchTable::default(),
@@ -102,7 +111,7 @@ impl LoadedBake {
         let draws = draws::join(&manifest, contents.geometry, &atlas, &mut warnings)?;
         let textures = contents.textures;
         check_textures(&manifest, textures.len())?;
-        Ok(Self { manifest, receivers, clusters, probes, patches, atlas, draws, textures, warnings })
+        Ok(Self { manifest, receivers, clusters, probes, patches, near, atlas, draws, textures, warnings })
     }
 
     /// Entries of λ: probes and the sky times their coefficients, or patches and parts of the sky.

@@ -23,6 +23,8 @@ pub struct Resident {
     pub e_emit: wgpu::Buffer,
     /// E_ind by slot, W·m⁻².
     pub e_ind: wgpu::Buffer,
+    /// What near hits give, by slot, W·m⁻².
+    pub e_near: wgpu::Buffer,
     /// `lambda[p·J + j]`, or one entry per patch; the sky last.
     pub lambda: wgpu::Buffer,
     /// b of all clusters.
@@ -49,6 +51,7 @@ impl Resident {
             e_dir: gpu.blank("E_dir", by_slot)?,
             e_emit: gpu.storage("E_emit", e_emit)?,
             e_ind: gpu.blank("E_ind", by_slot)?,
+            e_near: gpu.blank("E of near hits", by_slot)?,
             lambda: gpu.blank("lambda", lambda_count as u64 * four)?,
             b: gpu.blank("b", bake.clusters.b_len as u64 * four)?,
             receiver_count: receivers.len(),

@@ -10,6 +10,7 @@ use crate::lights::Sky;
 use crate::passes::atlas::reference::spread;
 use crate::passes::basis::reference::basis;
 use crate::passes::direct::reference::direct;
+use crate::passes::near::reference::near;
 use crate::passes::patches::reference::mean_radiance;
 use crate::passes::patches::sky_radiance;
 use crate::passes::reconstruct::reference::reconstruct;
@@ -17,7 +18,7 @@ use crate::passes::relight::RelightTable;
 use crate::passes::relight::reference::{Irradiance, relight};
 use crate::passes::shade::ShadeView;
 use crate::passes::shade::reference::{Lit, shade};
-use crate::passes::shadow::reference::draw;
+use crate::passes::shadow::reference::{ShadowMaps, draw};
 use crate::picture::{Film, Picture};
 
 /// Irradiance after the bounces have settled.
@@ -33,7 +34,7 @@ pub(super) struct Settled {
 pub(super) fn render(prepared: &Prepared<'_>) -> Result<Picture> {
     let Prepared { bake, view, plan, sky } = prepared;
     let maps = draw(bake, plan);
-    let settled = settle(prepared, direct(&bake.receivers, plan, &maps));
+    let settled = settle(prepared, &maps);
     let atlas = spread(&bake.atlas, &settled.emit, &settled.ind);
     let lit = Lit { bake, plan, maps: &maps, atlas: &atlas, emitter_scale: &view.emitter_scale };
     let mut film: Option<Film> = None;
@@ -73,8 +74,10 @@ impl Lambda {
 }
 
 /// Feeds bounces back until E_ind changes by less than the view's limit.
-pub(super) fn settle(prepared: &Prepared<'_>, dir: Vec<Vec4>) -> Settled {
-    let Prepared { bake, view, sky, .. } = prepared;
+pub(super) fn settle(prepared: &Prepared<'_>, maps: &ShadowMaps) -> Settled {
+    let Prepared { bake, view, plan, sky } = prepared;
+    let dir = direct(&bake.receivers.position_m, &bake.receivers.normal, plan, maps);
+    let dir_near = direct(&bake.near.position_m, &bake.near.normal, plan, maps);
     let lambda_of = Lambda::new(bake, *sky);
     let emit = bake.emitter_irradiance(&view.emitter_scale);
     let ind = vec![Vec4::ZERO; bake.receivers.len()];
@@ -83,7 +86,8 @@ pub(super) fn settle(prepared: &Prepared<'_>, dir: Vec<Vec4>) -> Settled {
         let irradiance = Irradiance { dir: &settled.dir, emit: &settled.emit, ind: &settled.ind };
         let lambda = lambda_of.next(bake, irradiance);
         let b = basis(&bake.clusters, &lambda, bake.coefficients());
-        let next = reconstruct(&bake.clusters, &b, &settled.emit);
+        let near = near(bake, &dir_near, irradiance);
+        let next = reconstruct(&bake.clusters, &b, &near, &settled.emit);
         settled.converged = change(&settled.ind, &next) < view.change_max;
         settled.ind = next;
         settled.frames += 1;

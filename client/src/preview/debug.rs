@@ -8,7 +8,6 @@ use crate::bake::LoadedBake;
 use crate::error::Result;
 use crate::lights::{Caster, Sky};
 use crate::passes::atlas::reference::spread;
-use crate::passes::direct::reference::direct;
 use crate::passes::shadow::ShadowPlan;
 use crate::passes::shadow::reference::draw;
 use crate::picture::{Film, Picture};
@@ -18,7 +17,7 @@ pub fn atlas_picture(bake: &LoadedBake, view: &View, page: usize) -> Result<Pict
     let plan = ShadowPlan::new(&Caster::of(&view.lights), bake.manifest.bounds_m, view.shadow_side)?;
     let prepared = Prepared { bake, view, plan, sky: Sky::of(&view.lights) };
     let maps = draw(bake, &prepared.plan);
-    let settled = settle(&prepared, direct(&bake.receivers, &prepared.plan, &maps));
+    let settled = settle(&prepared, &maps);
     let straight: Vec<Vec4> = settled.dir.iter().zip(&settled.emit).map(|(dir, emit)| *dir + *emit).collect();
     let picture = page_picture(bake, view, page, &straight, &settled.ind);
     Ok(Picture { frames: settled.frames, converged: settled.converged, ..picture })

@@ -8,9 +8,10 @@ use super::{Prepared, jitters};
 use crate::error::Result;
 use crate::passes::atlas::AtlasPass;
 use crate::passes::basis::BasisPass;
-use crate::passes::direct::DirectPass;
+use crate::passes::direct::{DirectPass, Points};
 use crate::passes::gpu::Gpu;
 use crate::passes::meshes::Meshes;
+use crate::passes::near::NearPass;
 use crate::passes::patches::PatchesPass;
 use crate::passes::reconstruct::ReconstructPass;
 use crate::passes::relight::{RelightPass, RelightTable};
@@ -48,6 +49,7 @@ pub(crate) struct Frame {
     pub direct: DirectPass,
     pub relight: LightPass,
     pub basis: BasisPass,
+    pub near: NearPass,
     pub reconstruct: ReconstructPass,
     pub atlas: AtlasPass,
     pub shade: ShadePass,
@@ -60,7 +62,13 @@ impl Frame {
         let resident = Resident::new(gpu, bake, &emit)?;
         let meshes = Meshes::new(gpu, bake)?;
         let shadow = ShadowPass::new(gpu, bake, &meshes, plan)?;
-        let direct = DirectPass::new(gpu, &shadow, &resident)?;
+        let points = Points {
+            count: resident.receiver_count as u32,
+            positions: &resident.positions,
+            normals: &resident.normals,
+            e_dir: &resident.e_dir,
+        };
+        let direct = DirectPass::new(gpu, &shadow, points);
         let relight = match bake.manifest.settings.basis {
             BasisKind::Sh => {
                 LightPass::Probes(RelightPass::new(gpu, bake, &RelightTable::new(bake, *sky), &resident)?)
@@ -68,12 +76,13 @@ impl Frame {
             BasisKind::Patches => LightPass::Patches(PatchesPass::new(gpu, bake, *sky, &resident)?),
         };
         let basis = BasisPass::new(gpu, bake, &resident)?;
+        let near = NearPass::new(gpu, bake, &shadow, &resident)?;
         let reconstruct = ReconstructPass::new(gpu, bake, &resident)?;
         let atlas = AtlasPass::new(gpu, bake, &resident)?;
         let scale = &view.emitter_scale;
         let shade = ShadePass::new(gpu, bake, &meshes, &shadow, &atlas.texture, scale, view.size())?;
         gpu.check()?;
-        Ok(Self { resident, meshes, shadow, direct, relight, basis, reconstruct, atlas, shade })
+        Ok(Self { resident, meshes, shadow, direct, relight, basis, near, reconstruct, atlas, shade })
     }
 
     /// Shadow maps and E_dir.
@@ -82,6 +91,7 @@ impl Frame {
             self.shadow.record(encoder, &self.meshes);
             let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
             self.direct.record(&mut pass, &self.shadow);
+            self.near.light(&mut pass, &self.shadow);
         });
     }
 
@@ -91,6 +101,7 @@ impl Frame {
             let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
             self.relight.record(&mut pass);
             self.basis.record(&mut pass);
+            self.near.record(&mut pass);
             self.reconstruct.record(&mut pass);
         });
     }

@@ -3,6 +3,7 @@
 use super::bytes::{put_f32s, put_u64s};
 use super::cluster_factors::write_factors;
 use super::cluster_head::ClusterHead;
+use super::cluster_near::StoredNear;
 use super::cluster_receivers::{LINKS_MAX, ReceiverCodec, palette_of, write_irradiance};
 use super::container::{ChunkKind, ContainerWriter, SectionId};
 use super::error::{ChunkError, all_finite, all_numbers, in_range};
@@ -24,6 +25,8 @@ pub(super) mod tags {
     pub const FACTORS: u8 = 3;
     /// Low parts of the same numbers.
     pub const FACTORS_LOW: u8 = 4;
+    /// Near hits of the layer's new receivers, in clusters that have any.
+    pub const NEAR: u8 = 5;
 }
 
 /// How exactly a cluster is stored.
@@ -69,7 +72,7 @@ pub fn encode_cluster(
     let mut head = stored.head.clone();
     let mut before = None;
     for (index, layer) in stored.head.shape.layers().into_iter().enumerate() {
-        for id in sections_of(index) {
+        for id in sections_of(index, head.near) {
             writer.push(id, &stored.section(id, before, layer))?;
         }
         head.layers.push((writer.section_count(), layer));
@@ -82,10 +85,10 @@ pub fn encode_cluster(
 }
 
 /// Sections that layer number `index` adds, in stored order.
-pub(super) fn sections_of(index: usize) -> Vec<SectionId> {
-    let tags = [tags::BASE, tags::RECEIVERS, tags::FACTORS, tags::FACTORS_LOW];
-    let first = usize::from(index > 0);
-    tags[first..].iter().map(|&tag| SectionId::new(tag, [index as u8, 0, 0])).collect()
+pub(super) fn sections_of(index: usize, near: bool) -> Vec<SectionId> {
+    let tags = [tags::BASE, tags::RECEIVERS, tags::FACTORS, tags::FACTORS_LOW, tags::NEAR];
+    let used = usize::from(index > 0)..tags.len() - usize::from(!near);
+    tags[used].iter().map(|&tag| SectionId::new(tag, [index as u8, 0, 0])).collect()
 }
 
 fn check_input(cluster: &ClusterTransport, settings: QuantisationSettings) -> Result<(), ChunkError> {
@@ -137,12 +140,14 @@ struct Stored {
     probes: Vec<ProbeKey>,
     emitters: Vec<EmitterIrradiance>,
     factors: Quantised,
+    near: Option<StoredNear>,
 }
 
 impl Stored {
     fn of(cluster: &ClusterTransport, settings: QuantisationSettings) -> Result<Self, ChunkError> {
         let arrangement = Arrangement::of(&cluster.receivers, settings.levels)?;
         let receivers = sorted_receivers(&cluster.receivers, &arrangement);
+        let near = StoredNear::of(cluster, &arrangement)?;
         let (mut probes, probe_source) = ascending(&cluster.probes, "probe", |&key| key)?;
         let (mut emitters, _) = ascending(&cluster.emitters, "emitter", |entry| entry.emitter)?;
         emitters.iter_mut().for_each(|entry| entry.irradiance = arrangement.sorted(&entry.irradiance));
@@ -166,6 +171,7 @@ impl Stored {
             blocks: receivers.blocks.len(),
             emitters: emitters.len(),
             sky: cluster.sky,
+            near: near.is_some(),
             layers: Vec::new(),
         };
         head.check("encoder")?;
@@ -175,7 +181,7 @@ impl Stored {
         for level in shape.levels_in(shape.full()) {
             predictor.extend(&receivers, shape.rows_of(level), level);
         }
-        Ok(Self { head, receivers, codec, predictor, probes, emitters, factors })
+        Ok(Self { head, receivers, codec, predictor, probes, emitters, factors, near })
     }
 
     fn section(&self, id: SectionId, before: Option<LayerBox>, layer: LayerBox) -> Vec<u8> {
@@ -184,7 +190,8 @@ impl Stored {
             tags::BASE => self.base(),
             tags::RECEIVERS => self.new_receivers(before, layer),
             tags::FACTORS => factors().0,
-            _ => factors().1,
+            tags::FACTORS_LOW => factors().1,
+            _ => self.near(before, layer),
         }
     }
 
@@ -197,6 +204,18 @@ impl Stored {
         self.emitters.iter().for_each(|entry| out.extend_from_slice(&entry.emitter.to_le_bytes()));
         out.extend_from_slice(&(self.codec.palette.len() as u16).to_le_bytes());
         put_f32s(&mut out, self.codec.palette.as_flattened());
+        out
+    }
+
+    fn near(&self, before: Option<LayerBox>, layer: LayerBox) -> Vec<u8> {
+        let mut out = Vec::new();
+        let Some(near) = &self.near else { return out };
+        if before.is_none() {
+            near.begin(&mut out);
+        }
+        for level in self.head.shape.new_levels(before, layer) {
+            near.write(&mut out, self.head.shape.rows_of(level));
+        }
         out
     }
 

@@ -4,6 +4,7 @@ use super::bytes::Reader;
 use super::cluster::sections_of;
 use super::cluster_factors::{FactorReader, factors_bytes_max};
 use super::cluster_head::ClusterHead;
+use super::cluster_near::{HIT_BYTES, begin_bytes_max, near_bytes_max, read_begin, read_near};
 use super::cluster_receivers::{PALETTE_MAX, ReceiverCodec, read_irradiance, receivers_bytes_max};
 use super::container::{ChunkKind, Container, SectionId};
 use super::error::{ChunkError, all_numbers, in_range};
@@ -59,7 +60,7 @@ fn decode(container: &Container, total_len: u64) -> Result<(ClusterTransport, La
 fn check_sections(container: &Container, head: &ClusterHead) -> Result<(), ChunkError> {
     let mut wanted: Vec<SectionId> = Vec::new();
     for (index, &(sections, _)) in head.layers.iter().enumerate() {
-        wanted.extend(sections_of(index));
+        wanted.extend(sections_of(index, head.near));
         let (count, end) = (wanted.len() as u64, sections as u64);
         in_range("cluster head", "layer's sections", end, count, count)?;
     }
@@ -70,7 +71,7 @@ fn check_sections(container: &Container, head: &ClusterHead) -> Result<(), Chunk
 fn decoded_bytes(head: &ClusterHead, layer: LayerBox) -> u64 {
     let receivers = head.shape.receivers_in(layer.level);
     let factors = layer.rank as usize * (receivers + head.shape.columns(layer.bands));
-    (4 * factors + receivers * (56 + 12 * head.emitters) + 8 * (head.probes + head.blocks)) as u64
+    (4 * factors + receivers * (61 + 12 * head.emitters) + 8 * (head.probes + head.blocks)) as u64
 }
 
 /// A cluster that fills up layer by layer.
@@ -111,9 +112,10 @@ impl<'a> Decoder<'a> {
         }
     }
 
-    /// Reads the sections of layer number `index`: its last three.
+    /// Reads the sections of layer number `index`, but the base.
     fn layer(&mut self, container: &Container, index: usize) -> Result<(), ChunkError> {
-        let (sections, layer) = self.head.layers[index];
+        let (end, layer) = self.head.layers[index];
+        let sections = end - usize::from(self.head.near);
         let before = index.checked_sub(1).map(|before| self.head.layers[before].1);
         let shape = &self.head.shape;
         let levels: Vec<u32> = shape.new_levels(before, layer).collect();
@@ -126,7 +128,31 @@ impl<'a> Decoder<'a> {
         let high = container.section(sections - 2, "factors", high_max)?;
         let low = container.section(sections - 1, "low parts", low_max)?;
         let reader = FactorReader { shape, steps: [&self.u_step, &self.vt_step], predictor: &self.predictor };
-        reader.read([&high, &low], before, layer, &mut self.u_codes, &mut self.cluster)
+        reader.read([&high, &low], before, layer, &mut self.u_codes, &mut self.cluster)?;
+        if self.head.near {
+            self.near(container, index, &levels)?;
+        }
+        Ok(())
+    }
+
+    /// Reads the near hits of layer number `index`, its last section.
+    fn near(&mut self, container: &Container, index: usize, levels: &[u32]) -> Result<(), ChunkError> {
+        let shape = &self.head.shape;
+        let of_levels: u64 = levels.iter().map(|&level| near_bytes_max(shape.counts[level as usize])).sum();
+        let bytes_max = of_levels + if index == 0 { begin_bytes_max() } else { 0 };
+        let (sections, layer) = self.head.layers[index];
+        let raw = container.section(sections - 1, "near hits", bytes_max)?;
+        let mut reader = Reader::new("near hits", &raw);
+        let near = &mut self.cluster.near;
+        if index == 0 {
+            read_begin(&mut reader, near)?;
+        }
+        let without = decoded_bytes(self.head, layer) + 8 * near.blocks.len() as u64;
+        for &level in levels {
+            let may_take = |hits: u64| container.check_expansion(without + HIT_BYTES * hits);
+            read_near(&mut reader, near, shape.counts[level as usize], may_take)?;
+        }
+        reader.end()
     }
 
     fn receivers(&mut self, raw: &[u8], levels: &[u32]) -> Result<(), ChunkError> {

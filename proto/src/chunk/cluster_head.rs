@@ -27,6 +27,8 @@ pub(super) struct ClusterHead {
     pub emitters: usize,
     /// Whether sky columns follow the probes'.
     pub sky: bool,
+    /// Whether near hits follow the factors of each layer.
+    pub near: bool,
     /// Layers, smallest first, each with its number of sections.
     pub layers: Vec<(usize, LayerBox)>,
 }
@@ -76,10 +78,10 @@ impl ClusterHead {
             [reader.u8("levels")?, reader.u8("bands")?, reader.u8("rank")?].map(u32::from);
         let sky = in_range("cluster head", "sky flag", reader.u8("sky flag")?.into(), 0, 1)? == 1;
         let layer_count = reader.u8("layer count")?;
-        in_range("cluster head", "reserved byte", reader.u8("reserved")?.into(), 0, 0)?;
+        let near = in_range("cluster head", "near flag", reader.u8("near flag")?.into(), 0, 1)? == 1;
         let column_groups = probes + usize::from(sky);
         let shape = Shape { counts, levels, bands, rank, column_groups };
-        let mut head = Self { bounds_m, shape, probes, blocks, emitters, sky, layers: Vec::new() };
+        let mut head = Self { bounds_m, shape, probes, blocks, emitters, sky, near, layers: Vec::new() };
         head.check("cluster head")?;
         let layer_count = in_range("cluster head", "layer count", layer_count.into(), 1, LAYERS_MAX as u64)?;
         head.layers = read_layers(&mut reader, layer_count, &head.shape, section_count)?;
@@ -97,7 +99,7 @@ impl ClusterHead {
         out.extend_from_slice(&(self.emitters as u16).to_le_bytes());
         let Shape { levels, bands, rank, .. } = self.shape;
         out.extend_from_slice(&[levels as u8, bands as u8, rank as u8, self.sky.into()]);
-        out.extend_from_slice(&[self.layers.len() as u8, 0]);
+        out.extend_from_slice(&[self.layers.len() as u8, self.near.into()]);
         for (sections, layer) in &self.layers {
             out.extend_from_slice(&(*sections as u16).to_le_bytes());
             out.extend_from_slice(&[layer.level as u8, layer.bands as u8, layer.rank as u8, 0, 0, 0]);

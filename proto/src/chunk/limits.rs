@@ -16,6 +16,8 @@ pub const VT_ENTRIES_MAX: usize = 1 << 24;
 pub const EMITTERS_MAX: usize = 1024;
 /// Most irradiances of emitters in a cluster: receivers × emitters.
 pub const EMITTER_ENTRIES_MAX: usize = 1 << 22;
+/// Most near hits in a cluster.
+pub const NEAR_HITS_MAX: usize = 1 << 22;
 /// Most blocks that a chunk names.
 pub const BLOCKS_MAX: usize = 65_536;
 /// Most probes in a batch.

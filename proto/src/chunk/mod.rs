@@ -8,6 +8,7 @@ mod cluster;
 mod cluster_decode;
 mod cluster_factors;
 mod cluster_head;
+mod cluster_near;
 mod cluster_receivers;
 mod container;
 mod error;
@@ -27,6 +28,7 @@ mod vertices;
 
 pub use cluster::{EncodedCluster, QuantisationSettings, encode_cluster};
 pub use cluster_decode::{cluster_layers, decode_cluster, decode_cluster_prefix};
+pub use cluster_near::NEAR_WEIGHT_ERROR;
 pub use container::{
     CHUNK_BYTES_MAX, ChunkKind, ENTRY_BYTES, HEAD_BYTES_MAX, HEADER_BYTES, MAGIC, SECTIONS_MAX, VERSION,
 };

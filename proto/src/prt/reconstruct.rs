@@ -4,14 +4,19 @@
 //! ```text
 //! λ_pj = 4π/K · Σ_k L(y_pk) Y_j(ω_k)      relight          probes' coefficients
 //! b_c  = (ΣVᵀ) λ|_c                        cluster_basis    k numbers per cluster
-//! E_r  = max(0, U_r · b_c + Σ_e s_e E_re)  irradiance       at receivers, W·m⁻²
+//! N_r  = Σ_y w_r L_y                       near_irradiance  from hits in narrow places
+//! E_r  = max(0, N_r + U_r · b_c + Σ_e s_e E_re)  irradiance  at receivers, W·m⁻²
 //! ```
 //! A cluster decoded from a prefix of its chunk has fewer bands, ranks or receivers; everything here takes it as it
 //! is, with the probes' full coefficients.
 
+use std::ops::Range;
+
 use glam::Vec3;
 
-use super::{BlockKey, ClusterTransport, Patch, PatchKey, PatchSet, ProbeBatch, ProbeKey, RelightHit, Texel};
+use super::{
+    BlockKey, ClusterTransport, NearHits, Patch, PatchKey, PatchSet, ProbeBatch, ProbeKey, RelightHit, Texel,
+};
 use crate::sh::{ShBasis, relight_direction};
 
 /// A linear RGB quantity.
@@ -160,13 +165,32 @@ pub fn cluster_basis<'a>(
     basis
 }
 
-/// Irradiance at a cluster's receivers: `E_r = max(0, Σ_i U_ri b_i + Σ_e s_e E_re)` in W·m⁻², in order of receivers.
+/// Irradiance that a cluster's receivers get from their near hits: `N_r = Σ_y w_r L_y` in W·m⁻², in order of receivers;
+/// nothing where no receiver has any.
 ///
-/// `emitter_scale` gives s_e, the strength of an emitter (an index into the manifest's) relative to the bake. Negative
+/// `radiance` gives `L_y = ρ_t/π · (E_dir(y) + E_ind(t))` in W·m⁻²·sr⁻¹ of a hit by its number.
+pub fn near_irradiance(near: &NearHits, mut radiance: impl FnMut(usize) -> Rgb) -> Vec<Rgb> {
+    let of_receiver = |(hits, &weight): (Range<usize>, &f32)| {
+        let mut sum = [0.0; 3];
+        hits.for_each(|hit| add_scaled(&mut sum, weight, radiance(hit)));
+        sum
+    };
+    near.ranges().zip(&near.weight).map(of_receiver).collect()
+}
+
+/// Irradiance at a cluster's receivers: `E_r = max(0, N_r + Σ_i U_ri b_i + Σ_e s_e E_re)` in W·m⁻², in order of receivers.
+///
+/// `near` is [`near_irradiance`]; `emitter_scale` gives s_e, the strength of an emitter (an index into the manifest's) relative to the bake. Negative
 /// sums (ringing) are clamped at the very end, so that light is not gained by clamping parts.
-pub fn irradiance(cluster: &ClusterTransport, basis: &[Rgb], emitter_scale: impl Fn(u16) -> f32) -> Vec<Rgb> {
+pub fn irradiance(
+    cluster: &ClusterTransport,
+    basis: &[Rgb],
+    near: Vec<Rgb>,
+    emitter_scale: impl Fn(u16) -> f32,
+) -> Vec<Rgb> {
     let rank = cluster.rank as usize;
-    let mut irradiance = vec![[0.0; 3]; cluster.receivers.len()];
+    let mut irradiance = near;
+    irradiance.resize(cluster.receivers.len(), [0.0; 3]);
     if rank > 0 {
         for (sum, row) in irradiance.iter_mut().zip(cluster.u.chunks_exact(rank)) {
             row.iter().zip(basis).for_each(|(&u, &b)| add_scaled(sum, u, b));
@@ -295,8 +319,8 @@ mod tests {
         let basis = cluster_basis(&cluster, of, &[[1.0, 0.0, 0.0]]);
         assert_eq!(basis, [[102.0, 0.0, 1.0], [5.0, 0.0, 0.5]]);
         let scale = |emitter: u16| if emitter == 5 { 2.0 } else { 0.0 };
-        assert_eq!(irradiance(&cluster, &basis, scale), [[102.0, 0.0, 1.0], [201.0, 4.0, 7.5]]);
-        assert_eq!(irradiance(&cluster, &[[-1.0; 3], [0.0; 3]], |_| 0.0), [[0.0; 3]; 2]);
+        assert_eq!(irradiance(&cluster, &basis, Vec::new(), scale), [[102.0, 0.0, 1.0], [201.0, 4.0, 7.5]]);
+        assert_eq!(irradiance(&cluster, &[[-1.0; 3], [0.0; 3]], Vec::new(), |_| 0.0), [[0.0; 3]; 2]);
     }
 
     #[test]
@@ -304,6 +328,6 @@ mod tests {
         let receivers = Receivers { texel: vec![[0, 0]], ..Receivers::default() };
         let cluster = ClusterTransport { receivers, ..ClusterTransport::default() };
         let basis = cluster_basis(&cluster, |_| None, &[]);
-        assert_eq!(irradiance(&cluster, &basis, |_| 1.0), [[0.0; 3]]);
+        assert_eq!(irradiance(&cluster, &basis, Vec::new(), |_| 1.0), [[0.0; 3]]);
     }
 }

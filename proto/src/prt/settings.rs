@@ -187,6 +187,12 @@ settings! {
     probe_back_face_max: f32 = [0.25, 0.25, 0.25], |v| (0.0..=1.0).contains(&v), "0..=1";
     /// A receiver is shifted out of geometry when at least this share of its rays meets back faces and none escapes.
     shift_back_face_min: f32 = [0.6, 0.6, 0.6], |v| (0.0..=1.0).contains(&v), "0..=1";
+    /// How close hits are, in texels, that are read at their very points with `basis=patches`, in places so narrow that a
+    /// quarter of a receiver's rays meet something as close. More → more such places, sharper light in gaps, more bytes.
+    near_texels: f32 = [2.0, 2.0, 2.0], |v| (0.01..=16.0).contains(&v), "0.01..=16 texels";
+    /// Points that a receiver in a narrow place keeps of them; 0: none, all light is that of texels. More → less noise in
+    /// gaps that a lamp shines into, more bytes and run-time cost.
+    near_hits: u32 = [0, 32, 32], |v| v <= 255, "0..=255";
     /// Places of a mean free path below so many metres that nothing in the open sees get no receivers: the insides of
     /// hollow bars and walls whose faces are double-sided. (Never more than a quarter of the scene's typical free path.)
     /// 0 keeps them all; 0.3 suits rooms. More → fewer receivers, less time and bytes, dark spots beside narrow gaps.

@@ -43,7 +43,7 @@ impl TaskKind {
     pub fn version(self) -> u32 {
         match self {
             Self::Prepare => 8,
-            Self::Transport => 7,
+            Self::Transport => 8,
             Self::Relight => 2,
             Self::Import | Self::Assemble => 1,
         }

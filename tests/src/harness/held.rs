@@ -1,14 +1,15 @@
 //! A bake held against the path tracer at chosen receivers, both under the same lights.
 
+use std::collections::BTreeMap;
+
 use anyhow::{Context, Result};
 use glam::{DVec3, Vec3};
 use lightkiln_proto::scene::LightKind;
-use lightkiln_worker::evaluate::{Baked, EvaluationError, Incoming, Settled, site_of};
+use lightkiln_worker::evaluate::{Baked, EvaluationError, Incoming, Place, Settled, site_of};
 use lightkiln_worker::prt::World;
 use lightkiln_worker::prt::stage::Receiver;
 use lightkiln_worker::reference::{Lighting, Precision, Reference, luminance};
 use lightkiln_worker::task::Progress;
-use rayon::prelude::*;
 
 use super::{LocalBake, bake};
 
@@ -71,17 +72,13 @@ impl Held {
     pub fn under(&self, lighting: &Lighting) -> Result<Lit<'_>> {
         let world = &self.world;
         let reference = Reference::new(&world.scene, &world.images, &world.geometry, lighting)?;
-        let mut direct: Vec<Vec<[f32; 3]>> =
-            self.baked.clusters.iter().map(|cluster| vec![[0.0; 3]; cluster.receivers.len()]).collect();
-        let at = |index: u32| {
-            let place = self.place(index)?;
-            let found = reference.direct_irradiance(&site_of(&world.stage, index), PANEL_POINTS);
-            Some((place, found.as_vec3().to_array()))
-        };
-        let found: Vec<_> = (0..world.stage.receivers.len() as u32).into_par_iter().filter_map(at).collect();
-        for ((cluster, receiver), irradiance) in found {
-            direct[cluster][receiver] = irradiance;
-        }
+        let receivers = 0..world.stage.receivers.len() as u32;
+        let stage_of: BTreeMap<Place, u32> =
+            receivers.filter_map(|index| Some((self.place(index)?, index))).collect();
+        let direct = self.baked.direct(|at| -> Result<_> {
+            let site = at.site(|place| site_of(&world.stage, stage_of[&place]));
+            Ok(reference.direct_irradiance(&site, PANEL_POINTS).as_vec3().to_array())
+        })?;
         let mut sky = [[0.0; 3]; 2];
         for light in &lighting.lights {
             if let LightKind::Sky { zenith, horizon } = &light.kind {

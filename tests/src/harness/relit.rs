@@ -7,6 +7,7 @@ use glam::Vec3;
 use lightkiln_proto::prt::reconstruct::Rgb;
 use lightkiln_proto::prt::{BlockKey, Texel};
 use lightkiln_worker::evaluate::{Baked, EvaluationError, Incoming, Settled, names};
+use lightkiln_worker::reference::Site;
 
 use super::LocalBake;
 
@@ -48,12 +49,15 @@ pub fn relit(bake: &LocalBake, lighting: &Lighting) -> Result<Vec<RelitReceiver>
         let found = bake.artefacts.get(&digest).map(|bytes| bytes.as_ref().clone());
         found.ok_or_else(|| EvaluationError::Missing { digest, source: "no task gave it".into() })
     })?;
-    let direct = baked.clusters.iter().map(|cluster| {
-        let receivers = &cluster.receivers;
-        let points = receivers.position_m.iter().zip(&receivers.normal);
-        points.map(|(p, n)| (lighting.direct)(Vec3::from_array(*p), Vec3::from_array(*n))).collect()
-    });
-    let incoming = Incoming { direct: direct.collect(), sky: lighting.sky, emitter_scale: 1.0 };
+    let direct = baked.direct(|at| -> Result<_> {
+        let site = at.site(|(c, r)| {
+            let receivers = &baked.clusters[c].receivers;
+            let normal = Vec3::from_array(receivers.normal[r]);
+            Site { position_m: Vec3::from_array(receivers.position_m[r]), normal, face_normal: normal }
+        });
+        Ok((lighting.direct)(site.position_m, site.normal))
+    })?;
+    let incoming = Incoming { direct, sky: lighting.sky, emitter_scale: 1.0 };
     let settled = baked.settle(&incoming);
     Ok(receivers(bake, &baked, &settled))
 }

@@ -2,17 +2,21 @@
 
 use std::collections::BTreeMap;
 
+use glam::Vec3;
 use lightkiln_proto::chunk::{decode_cluster, decode_patches, decode_probe_batch};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::manifest::Manifest;
 use lightkiln_proto::prt::reconstruct::{
-    Rgb, cluster_basis, irradiance, patch_radiance, relight, relight_basis, sky_coefficients,
+    Rgb, cluster_basis, irradiance, near_irradiance, patch_radiance, relight, relight_basis, sky_coefficients,
 };
-use lightkiln_proto::prt::{BasisKind, BlockKey, ClusterTransport, PatchSet, ProbeBatch, ProbeKey, Texel};
+use lightkiln_proto::prt::{
+    BasisKind, BlockKey, ClusterTransport, NearSurface, PatchSet, ProbeBatch, ProbeKey, Texel,
+};
 use lightkiln_proto::units::{Albedo, Irradiance, Radiance, leaving_radiance};
 use rayon::prelude::*;
 
 use super::error::EvaluationError;
+use crate::reference::Site;
 
 /// Most bounces; a closed room of albedo 0.98 is within a thousandth of its end after 342.
 const BOUNCES_MAX: usize = 400;
@@ -32,13 +36,59 @@ pub struct Baked {
     basis: BasisKind,
     bands: u32,
     place_of: BTreeMap<(BlockKey, Texel), Place>,
+    /// What each near hit lies on, by cluster; `None` for those that no light can reach.
+    near: Vec<Vec<Option<NearPlace>>>,
+}
+
+/// What a near hit lies on.
+#[derive(Clone, Copy, Debug)]
+struct NearPlace {
+    albedo: [f32; 3],
+    /// Its own, or none for that of the texel.
+    normal: Option<[f32; 3]>,
+    /// Whose E_ind it has: the texel, or the receiver that meets it.
+    light: Place,
+}
+
+/// Where E_dir is asked for.
+#[derive(Clone, Copy, Debug)]
+pub enum DirectAt {
+    /// At a receiver.
+    Receiver(Place),
+    /// At a point of a receiver's texel, in metres.
+    Texel(Place, [f32; 3]),
+    /// At a point in metres with a normal.
+    Point([f32; 3], [f32; 3]),
+}
+
+impl DirectAt {
+    /// As a site of the reference, `of` giving those of receivers.
+    pub fn site(self, of: impl Fn(Place) -> Site) -> Site {
+        match self {
+            Self::Receiver(place) => of(place),
+            Self::Texel(place, point_m) => Site { position_m: Vec3::from_array(point_m), ..of(place) },
+            Self::Point(point_m, normal) => {
+                let normal = Vec3::from_array(normal);
+                Site { position_m: Vec3::from_array(point_m), normal, face_normal: normal }
+            }
+        }
+    }
+}
+
+/// E_dir wherever the run time reads it, W·m⁻².
+#[derive(Clone, Debug, Default)]
+pub struct Direct {
+    /// At each receiver by cluster.
+    pub receivers: Vec<Vec<Rgb>>,
+    /// At each near hit by cluster.
+    pub near: Vec<Vec<Rgb>>,
 }
 
 /// Light that is not the scene's own geometry's to know: what the run time is given from frame to frame.
 #[derive(Clone, Debug)]
 pub struct Incoming {
-    /// E_dir of each receiver by cluster, W·m⁻².
-    pub direct: Vec<Vec<Rgb>>,
+    /// E_dir.
+    pub direct: Direct,
     /// Radiance of the sky at zenith and horizon, W·m⁻²·sr⁻¹.
     pub sky: [Rgb; 2],
     /// Strength of the scene's emitters relative to the bake.
@@ -50,6 +100,8 @@ pub struct Incoming {
 pub struct Settled {
     /// E_ind of each receiver by cluster, W·m⁻².
     pub indirect: Vec<Vec<Rgb>>,
+    /// What near hits gave of it, likewise; nothing in clusters without any.
+    pub near: Vec<Vec<Rgb>>,
     /// λ that gave it, by probe.
     pub lambda: BTreeMap<ProbeKey, Vec<Rgb>>,
     /// λ of the sky.
@@ -61,6 +113,11 @@ pub struct Settled {
 }
 
 impl Settled {
+    /// What near hits gave receiver r of cluster c, W·m⁻².
+    pub fn near_of(&self, c: usize, r: usize) -> Rgb {
+        self.near[c].get(r).copied().unwrap_or_default()
+    }
+
     /// λ of a probe; nothing for one that is in no batch.
     pub fn lambda_of(&self, probe: ProbeKey) -> Option<&[Rgb]> {
         self.lambda.get(&probe).map(Vec::as_slice)
@@ -96,7 +153,51 @@ impl Baked {
             }
         }
         let (basis, bands) = (manifest.settings.basis, manifest.settings.bands);
-        Ok(Self { clusters, batches, patches, basis, bands, place_of })
+        let near_places = |(c, cluster): (usize, &ClusterTransport)| {
+            let place = |(own, surface): (usize, &NearSurface)| match *surface {
+                NearSurface::Texel { block, texel } => {
+                    let name = (cluster.near.blocks[usize::from(block)], texel);
+                    let light = place_of.get(&name).copied()?;
+                    Some(NearPlace {
+                        albedo: clusters[light.0].receivers.albedo[light.1],
+                        normal: None,
+                        light,
+                    })
+                }
+                NearSurface::Own { albedo, normal } => {
+                    Some(NearPlace { albedo, normal: Some(normal), light: (c, own) })
+                }
+            };
+            cluster.near.receivers().zip(&cluster.near.surface).map(place).collect()
+        };
+        let near = clusters.par_iter().enumerate().map(near_places).collect();
+        Ok(Self { clusters, batches, patches, basis, bands, place_of, near })
+    }
+
+    /// E_dir wherever the run time reads it, W·m⁻², as `at` gives it.
+    pub fn direct<E: Send>(&self, at: impl Fn(DirectAt) -> Result<Rgb, E> + Sync) -> Result<Direct, E> {
+        let receivers = |c: usize| -> Result<Vec<Rgb>, E> {
+            let count = self.clusters[c].receivers.len();
+            (0..count).into_par_iter().map(|r| at(DirectAt::Receiver((c, r)))).collect()
+        };
+        let near = |c: usize| -> Result<Vec<Rgb>, E> {
+            let ClusterTransport { receivers, near, .. } = &self.clusters[c];
+            let at_hit = |(hit, (place, r)): (usize, (&Option<NearPlace>, usize))| {
+                let point_m = near.position_m(hit, receivers.position_m[r]);
+                match *place {
+                    Some(NearPlace { normal: Some(normal), .. }) => at(DirectAt::Point(point_m, normal)),
+                    Some(NearPlace { light, .. }) => at(DirectAt::Texel(light, point_m)),
+                    None => Ok([0.0; 3]),
+                }
+            };
+            let own: Vec<usize> = near.receivers().collect();
+            self.near[c].par_iter().zip(own).enumerate().map(at_hit).collect()
+        };
+        let clusters = || 0..self.clusters.len();
+        Ok(Direct {
+            receivers: clusters().map(receivers).collect::<Result<_, _>>()?,
+            near: clusters().map(near).collect::<Result<_, _>>()?,
+        })
     }
 
     /// Where the receiver of a texel is; `None` for those that no light can reach, which chunks leave out.
@@ -125,6 +226,7 @@ impl Baked {
         let mut total = 0.0;
         while settled.bounces < BOUNCES_MAX && !settled.converged {
             settled.lambda = self.lambda(incoming, &settled.indirect);
+            settled.near = self.near_light(incoming, &settled.indirect);
             settled.indirect = self.reconstruct(&settled, incoming.emitter_scale);
             let sum: f64 = settled.indirect.iter().flatten().flatten().map(|e| f64::from(*e)).sum();
             settled.converged = (sum - total).abs() <= CHANGE_MAX * sum;
@@ -139,7 +241,8 @@ impl Baked {
         let radiance = |block, texel| {
             // Receivers that no light can reach are left out of the chunks.
             let Some((c, r)) = self.place(block, texel) else { return [0.0; 3] };
-            let e = [0, 1, 2].map(|channel| incoming.direct[c][r][channel] + indirect[c][r][channel]);
+            let e =
+                [0, 1, 2].map(|channel| incoming.direct.receivers[c][r][channel] + indirect[c][r][channel]);
             let albedo = Albedo(self.clusters[c].receivers.albedo[r]);
             leaving_radiance(Radiance::default(), albedo, Irradiance(e)).0
         };
@@ -160,17 +263,36 @@ impl Baked {
         }
     }
 
+    /// What near hits give the receivers of each cluster.
+    fn near_light(&self, incoming: &Incoming, indirect: &[Vec<Rgb>]) -> Vec<Vec<Rgb>> {
+        let of_cluster = |(c, cluster): (usize, &ClusterTransport)| {
+            near_irradiance(&cluster.near, |hit| {
+                let Some(NearPlace { albedo, light, .. }) = self.near[c][hit] else { return [0.0; 3] };
+                let (direct, indirect) = (incoming.direct.near[c][hit], indirect[light.0][light.1]);
+                let e = [0, 1, 2].map(|channel| direct[channel] + indirect[channel]);
+                leaving_radiance(Radiance::default(), Albedo(albedo), Irradiance(e)).0
+            })
+        };
+        self.clusters.par_iter().enumerate().map(of_cluster).collect()
+    }
+
     /// E_ind of every receiver from λ.
     fn reconstruct(&self, settled: &Settled, emitter_scale: f32) -> Vec<Vec<Rgb>> {
-        let of = |cluster| reconstructed(cluster, settled, emitter_scale);
-        self.clusters.par_iter().map(of).collect()
+        let of =
+            |(cluster, near): (_, &Vec<Rgb>)| reconstructed(cluster, settled, near.clone(), emitter_scale);
+        self.clusters.par_iter().zip(&settled.near).map(of).collect()
     }
 }
 
-/// E_ind at a cluster's receivers from λ, W·m⁻².
-pub fn reconstructed(cluster: &ClusterTransport, settled: &Settled, emitter_scale: f32) -> Vec<Rgb> {
+/// E_ind at a cluster's receivers from λ and what near hits give, W·m⁻².
+pub fn reconstructed(
+    cluster: &ClusterTransport,
+    settled: &Settled,
+    near: Vec<Rgb>,
+    emitter_scale: f32,
+) -> Vec<Rgb> {
     let basis = cluster_basis(cluster, |probe| settled.lambda_of(probe), &settled.lambda_sky);
-    irradiance(cluster, &basis, |_| emitter_scale)
+    irradiance(cluster, &basis, near, |_| emitter_scale)
 }
 
 /// Block and texel of a cluster's receivers.

@@ -5,7 +5,8 @@
 //! factorisation   U (ΣVᵀ) λ in f32 at the bake's rank     against Σ α λ               at all receivers of some cells
 //! quantisation    the decoded chunk's U (ΣVᵀ) λ           against U (ΣVᵀ) λ in f32    at the same
 //! ```
-//! With patches, Σ α λ is over the finest ones: the cut through their tree is a part of the factorisation.
+//! With patches, Σ α λ is over the finest ones: the cut through their tree is a part of the factorisation. What near hits give
+//! is the same in all three, as the chunk has it: its error is in that of transport.
 //! Rows and factors are computed anew by the code of the transport tasks.
 
 use std::collections::BTreeMap;
@@ -16,7 +17,7 @@ use lightkiln_proto::prt::{BasisKind, BlockKey, ProbeKey, Settings, Texel};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::baked::{Baked, Settled, names, reconstructed};
+use super::baked::{Baked, Place, Settled, names, reconstructed};
 use super::sample::Sample;
 use crate::prt::{CellRows, Detail, Piece, Row, World, pieces, rows};
 use crate::reference::luminance;
@@ -83,10 +84,12 @@ impl Anew {
         self.cells.iter().map(|cell| cell.pieces.len()).sum()
     }
 
-    /// Full-rank E_ind of each sampled receiver.
-    pub fn full_rank(&self, settled: &Settled, emitter_scale: f32) -> Vec<DVec3> {
-        let of = |found: &CellRows| full_rank(&found.rows[0], &found.keys, settled, emitter_scale);
-        self.rows.par_iter().map(of).collect()
+    /// Full-rank E_ind of each sampled receiver; `near` is what near hits give it.
+    pub fn full_rank(&self, near: Vec<Rgb>, settled: &Settled, emitter_scale: f32) -> Vec<DVec3> {
+        let of = |(found, near): (&CellRows, Rgb)| {
+            full_rank(&found.rows[0], &found.keys, near, settled, emitter_scale)
+        };
+        self.rows.par_iter().zip(near).map(of).collect()
     }
 
     /// Root mean square errors of factorisation and of quantisation, W·m⁻² of luminance.
@@ -132,11 +135,16 @@ impl CellAnew {
         }
         let (mut sums, mut count) = ([0.0; 2], 0_u64);
         for piece in &self.pieces {
-            let by_factors = reconstructed(&piece.transport, settled, scale);
-            for (name, factored) in names(&piece.transport).zip(&by_factors) {
+            let places = || names(&piece.transport).map(|name| baked.place(name.0, name.1));
+            let near_of = |place: Option<Place>| place.map_or([0.0; 3], |(c, r)| settled.near_of(c, r));
+            let near: Vec<Rgb> = places().map(near_of).collect();
+            let by_factors = reconstructed(&piece.transport, settled, near.clone(), scale);
+            for (((name, place), near), factored) in
+                names(&piece.transport).zip(places()).zip(near).zip(&by_factors)
+            {
                 let Some(row) = row_of.get(&name) else { continue };
-                let full = full_rank(row, &self.rows.keys, settled, scale);
-                let decoded = baked.place(name.0, name.1).map_or([0.0; 3], |(c, r)| settled.indirect[c][r]);
+                let full = full_rank(row, &self.rows.keys, near, settled, scale);
+                let decoded = place.map_or([0.0; 3], |(c, r)| settled.indirect[c][r]);
                 sums[0] += (luminance(wide(*factored)) - luminance(full)).powi(2);
                 sums[1] += (luminance(wide(decoded)) - luminance(wide(*factored))).powi(2);
                 count += 1;
@@ -146,10 +154,10 @@ impl CellAnew {
     }
 }
 
-/// `max(0, Σ_p Σ_j α_pj λ_pj + Σ_e s E_e)`, in f64.
-fn full_rank(row: &Row, keys: &[ProbeKey], settled: &Settled, emitter_scale: f32) -> DVec3 {
+/// `max(0, N + Σ_p Σ_j α_pj λ_pj + Σ_e s E_e)`, in f64.
+fn full_rank(row: &Row, keys: &[ProbeKey], near: Rgb, settled: &Settled, emitter_scale: f32) -> DVec3 {
     let coefficients = row.alpha.len() / (keys.len() + 1);
-    let mut sum = DVec3::ZERO;
+    let mut sum = wide(near);
     let mut add = |alpha: &[f32], lambda: &[Rgb]| {
         for (alpha, lambda) in alpha.iter().zip(lambda) {
             sum += f64::from(*alpha) * wide(*lambda);

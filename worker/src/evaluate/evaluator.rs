@@ -8,7 +8,6 @@ use lightkiln_proto::manifest::Manifest;
 use lightkiln_proto::prt::reconstruct::Rgb;
 use lightkiln_proto::prt::{BlockKey, Texel};
 use lightkiln_proto::scene::LightKind;
-use rayon::prelude::*;
 
 use super::baked::{Baked, Incoming, Settled, names};
 use super::classes::{Anew, Classes, wide};
@@ -178,7 +177,9 @@ impl Evaluator {
         let baked = self.baked_at_sample(&settled);
         let counted = self.counted(&estimates);
         let scale = light.lighting.emitter_scale;
-        let full = self.anew.full_rank(&settled, scale);
+        let near =
+            self.sample.receivers.iter().map(|sampled| self.near_at(sampled.receiver, &settled)).collect();
+        let full = self.anew.full_rank(near, &settled, scale);
         let figures = Figures::of(&self.pairs(&baked, &estimates, &counted));
         let transport = Figures::of(&self.pairs(&full, &estimates, &counted)).rel_rmse;
         let mean = figures.mean_irradiance.max(f64::MIN_POSITIVE);
@@ -204,16 +205,11 @@ impl Evaluator {
         lighting: &Lighting,
         progress: &Progress,
     ) -> Result<Settled, Cancelled> {
-        let direct_at = |receiver: &u32| -> Result<Rgb, Cancelled> {
+        let direct = self.baked.direct(|at| -> Result<Rgb, Cancelled> {
             progress.check()?;
-            let site = site_of(&self.world.stage, *receiver);
+            let site = at.site(|(c, r)| site_of(&self.world.stage, self.stage_of[c][r]));
             Ok(reference.direct_irradiance(&site, PANEL_POINTS).as_vec3().to_array())
-        };
-        let direct = self
-            .stage_of
-            .iter()
-            .map(|receivers| receivers.par_iter().map(direct_at).collect::<Result<Vec<_>, _>>())
-            .collect::<Result<_, _>>()?;
+        })?;
         let mut sky = [[0.0; 3]; 2];
         for lamp in &lighting.lights {
             if let LightKind::Sky { zenith, horizon } = &lamp.kind {
@@ -231,6 +227,11 @@ impl Evaluator {
             Some(wide(settled.indirect[c][r]))
         };
         self.sample.receivers.iter().map(|sampled| of(sampled.receiver).unwrap_or_default()).collect()
+    }
+
+    /// What near hits give a receiver.
+    fn near_at(&self, receiver: u32, settled: &Settled) -> Rgb {
+        self.place(receiver).map_or([0.0; 3], |(c, r)| settled.near_of(c, r))
     }
 
     /// Cluster of a receiver of the stage and its place there; `None` for those that no light can reach.

@@ -18,7 +18,7 @@ mod solid;
 #[cfg(test)]
 mod tests;
 
-pub use baked::{Baked, Incoming, Settled, names};
+pub use baked::{Baked, Direct, DirectAt, Incoming, Place, Settled, names};
 pub use classes::Classes;
 pub use clusters::{ClusterError, cluster_errors};
 pub use error::EvaluationError;

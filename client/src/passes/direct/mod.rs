@@ -4,9 +4,7 @@ pub mod reference;
 
 use wgpu::ShaderStages as Stages;
 
-use crate::error::Result;
 use crate::passes::gpu::{Gpu, groups_2d, storage_read, storage_write, uniform};
-use crate::passes::resident::Resident;
 use crate::passes::shadow::ShadowPass;
 
 /// The shader, with the lights' part in front.
@@ -37,26 +35,38 @@ pub struct DirectPass {
     groups: [u32; 2],
 }
 
+/// Points to light.
+#[derive(Clone, Copy, Debug)]
+pub struct Points<'a> {
+    /// How many.
+    pub count: u32,
+    /// Positions in metres.
+    pub positions: &'a wgpu::Buffer,
+    /// Unit normals.
+    pub normals: &'a wgpu::Buffer,
+    /// Where E_dir goes, W·m⁻².
+    pub e_dir: &'a wgpu::Buffer,
+}
+
 impl DirectPass {
-    /// Binds receivers; the lights are the shadow pass'.
-    pub fn new(gpu: &Gpu, shadow: &ShadowPass, resident: &Resident) -> Result<Self> {
+    /// Binds points; the lights are the shadow pass'.
+    pub fn new(gpu: &Gpu, shadow: &ShadowPass, points: Points<'_>) -> Self {
         let kinds = [uniform(false), storage_read(), storage_read(), storage_write()];
         let layout = gpu.bind_layout(&kinds.map(|kind| (Stages::COMPUTE, kind)));
         let pipeline_layout = gpu.pipeline_layout(&[&shadow.light_layout, &layout]);
         let pipeline = gpu.compute_with("direct", SHADER, "direct", Some(&pipeline_layout));
-        let count = resident.receiver_count as u32;
-        let groups = groups_2d(count.div_ceil(THREADS));
-        let numbers = DirectNumbers { count, stride: groups[0] * THREADS };
+        let groups = groups_2d(points.count.div_ceil(THREADS));
+        let numbers = DirectNumbers { count: points.count, stride: groups[0] * THREADS };
         let group = gpu.bind(
             &layout,
             &[
                 gpu.uniform("receivers", &numbers).as_entire_binding(),
-                resident.positions.as_entire_binding(),
-                resident.normals.as_entire_binding(),
-                resident.e_dir.as_entire_binding(),
+                points.positions.as_entire_binding(),
+                points.normals.as_entire_binding(),
+                points.e_dir.as_entire_binding(),
             ],
         );
-        Ok(Self { pipeline, group, groups })
+        Self { pipeline, group, groups }
     }
 
     /// Records the pass.

@@ -3,7 +3,6 @@
 use glam::{Vec2, Vec3, Vec4};
 use rayon::prelude::*;
 
-use crate::bake::ReceiverTable;
 use crate::lights::Shape;
 use crate::passes::shadow::reference::ShadowMaps;
 use crate::passes::shadow::{Face, Light, ShadowPlan};
@@ -11,13 +10,13 @@ use crate::passes::shadow::{Face, Light, ShadowPlan};
 const FILTER_REACH: f32 = 2.0;
 const FILTER_MARGIN: f32 = 0.5;
 
-/// `E_dir` at every receiver in W·m⁻², by slot.
-pub fn direct(receivers: &ReceiverTable, plan: &ShadowPlan, maps: &ShadowMaps) -> Vec<Vec4> {
+/// `E_dir` at points in metres with their normals, in W·m⁻².
+pub fn direct(positions_m: &[Vec4], normals: &[Vec4], plan: &ShadowPlan, maps: &ShadowMaps) -> Vec<Vec4> {
     let at = |(position, normal): (&Vec4, &Vec4)| {
         let normal = normal.truncate();
         direct_irradiance(plan, maps, position.truncate(), normal, normal).extend(0.0)
     };
-    receivers.position_m.par_iter().zip(&receivers.normal).map(at).collect()
+    positions_m.par_iter().zip(normals).map(at).collect()
 }
 
 /// Irradiance of all lights at a point, shadowed, in W·m⁻²; `facet` is the surface's own normal.

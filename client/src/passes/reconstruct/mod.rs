@@ -1,4 +1,4 @@
-//! Cluster coefficients → irradiance at receivers: `E_ind(r) = max(U_r · b_c, −E_emit(r))`.
+//! Cluster coefficients → irradiance at receivers: `E_ind(r) = max(N(r) + U_r · b_c, −E_emit(r))`.
 
 pub mod reference;
 
@@ -57,6 +57,7 @@ impl ReconstructPass {
                     gpu.storage("u", &table.u[first_u..end_u.unwrap_or(first_u)])?.as_entire_binding(),
                     resident.b.as_entire_binding(),
                     resident.e_emit.as_entire_binding(),
+                    resident.e_near.as_entire_binding(),
                     resident.e_ind.as_entire_binding(),
                 ],
             );

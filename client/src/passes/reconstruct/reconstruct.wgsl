@@ -1,4 +1,4 @@
-// E_ind(r) = max(U_r · b_c, −E_emit(r)); twin: reference.rs. One thread per receiver of one cluster.
+// E_ind(r) = max(N(r) + U_r · b_c, −E_emit(r)); twin: reference.rs. One thread per receiver of one cluster.
 
 struct Cluster {
     first_receiver: u32,
@@ -24,7 +24,9 @@ struct Reconstruct {
 @group(0) @binding(2) var<storage, read> u: array<f32>;
 @group(0) @binding(3) var<storage, read> b: array<vec4f>;
 @group(0) @binding(4) var<storage, read> e_emit: array<vec4f>;
-@group(0) @binding(5) var<storage, read_write> e_ind: array<vec4f>;
+// Of near hits.
+@group(0) @binding(5) var<storage, read> e_near: array<vec4f>;
+@group(0) @binding(6) var<storage, read_write> e_ind: array<vec4f>;
 
 @compute @workgroup_size(64)
 fn expand(@builtin(global_invocation_id) id: vec3u) {
@@ -37,10 +39,10 @@ fn expand(@builtin(global_invocation_id) id: vec3u) {
         return;
     }
     let row = cluster.first_factor + id.x * cluster.rank;
-    var sum = vec3f(0.0);
+    let slot = cluster.first_receiver + id.x;
+    var sum = e_near[slot].rgb;
     for (var i = 0u; i < cluster.rank; i++) {
         sum += u[row + i] * b[cluster.first_b + i].rgb;
     }
-    let slot = cluster.first_receiver + id.x;
     e_ind[slot] = vec4f(max(sum, -e_emit[slot].rgb), 0.0);
 }

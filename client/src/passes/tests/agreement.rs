@@ -4,13 +4,14 @@ use glam::Vec4;
 use lightkiln_proto::prt::BasisKind;
 
 use super::{adapter_or_skip, fixture_view, fixture_view_of, prepared};
+use crate::fixture;
 use crate::passes::compare::Difference;
 use crate::passes::gpu::Gpu;
 use crate::passes::relight::RelightTable;
 use crate::passes::relight::reference::Irradiance;
 use crate::passes::shade::ShadeView;
 use crate::passes::shade::reference::Lit;
-use crate::passes::{atlas, basis, direct, patches, reconstruct, relight, shade, shadow};
+use crate::passes::{atlas, basis, direct, near, patches, reconstruct, relight, shade, shadow};
 use crate::preview::{Backend, Frame, render};
 
 /// Numbers of either sign without pattern, the same every time.
@@ -85,7 +86,8 @@ fn direct_agrees_with_the_reference_on_the_same_shadow_maps() {
     frame.light(&gpu);
     let got: Vec<Vec4> = gpu.read(&frame.resident.e_dir, bake.receivers.len()).unwrap();
     let maps = frame.shadow.read(&gpu).unwrap();
-    let wanted = direct::reference::direct(&bake.receivers, &prepared.plan, &maps);
+    let wanted =
+        direct::reference::direct(&bake.receivers.position_m, &bake.receivers.normal, &prepared.plan, &maps);
     held("direct", &Difference::of(&got, &wanted, direct::TOLERANCE), direct::OUTLIERS);
 }
 
@@ -121,6 +123,34 @@ fn patches_agree_with_the_reference() {
 }
 
 #[test]
+fn near_hits_agree_with_the_reference() {
+    let Some(gpu) = adapter_or_skip("near_hits_agree_with_the_reference") else { return };
+    let (_, view) = fixture_view_of(BasisKind::Patches);
+    let bake = fixture::narrow_bake();
+    let prepared = prepared(&bake, &view);
+    let frame = Frame::new(&gpu, &prepared).unwrap();
+    frame.light(&gpu);
+    let got: Vec<Vec4> = gpu.read(&frame.near.e_dir, bake.near.len()).unwrap();
+    let maps = frame.shadow.read(&gpu).unwrap();
+    let (positions_m, normals) = (&bake.near.position_m, &bake.near.normal);
+    let wanted = direct::reference::direct(positions_m, normals, &prepared.plan, &maps);
+    assert!(wanted.iter().any(|e| e.x > 0.0) && wanted.len() > 40);
+    held("E_dir of near hits", &Difference::of(&got, &wanted, direct::TOLERANCE), direct::OUTLIERS);
+
+    let light = [1, 2, 3].map(|seed| positive_noise(bake.receivers.len(), seed));
+    let dir = positive_noise(bake.near.len(), 12);
+    gpu.write(&frame.near.e_dir, &dir);
+    gpu.write(&frame.resident.e_emit, &light[1]);
+    gpu.write(&frame.resident.e_ind, &light[2]);
+    gpu.submit(|encoder| frame.near.record(&mut encoder.begin_compute_pass(&Default::default())));
+    let got: Vec<Vec4> = gpu.read(&frame.resident.e_near, bake.receivers.len()).unwrap();
+    let wanted = near::reference::near(&bake, &dir, irradiance(&light));
+    let lit = wanted.iter().filter(|e| e.y > 0.0).count();
+    assert!(lit > 15 && lit < bake.receivers.len() / 4, "{lit}");
+    held("near hits", &Difference::of(&got, &wanted, near::TOLERANCE), 0.0);
+}
+
+#[test]
 fn basis_agrees_with_the_reference() {
     with_and_without_paging("basis_agrees_with_the_reference", |gpu| {
         let (mut bake, view) = fixture_view();
@@ -144,10 +174,12 @@ fn reconstruct_agrees_with_the_reference() {
         let frame = Frame::new(gpu, &prepared(&bake, &view)).unwrap();
         let b = noise(frame.resident.b_count, 6);
         gpu.write(&frame.resident.b, &b);
+        let emit = bake.emitter_irradiance(&view.emitter_scale);
+        let near = positive_noise(bake.receivers.len(), 11);
+        gpu.write(&frame.resident.e_near, &near);
         gpu.submit(|encoder| frame.reconstruct.record(&mut encoder.begin_compute_pass(&Default::default())));
         let got: Vec<Vec4> = gpu.read(&frame.resident.e_ind, bake.receivers.len()).unwrap();
-        let emit = bake.emitter_irradiance(&view.emitter_scale);
-        let wanted = reconstruct::reference::reconstruct(&bake.clusters, &b, &emit);
+        let wanted = reconstruct::reference::reconstruct(&bake.clusters, &b, &near, &emit);
         assert!(wanted.iter().any(|e| e.x == 0.0) && wanted.iter().any(|e| e.x < 0.0));
         held("reconstruct", &Difference::of(&got, &wanted, reconstruct::TOLERANCE), 0.0);
     });
@@ -217,8 +249,8 @@ fn whole_pictures_of_adapter_and_processor_agree() {
     if adapter_or_skip("whole_pictures_of_adapter_and_processor_agree").is_none() {
         return;
     }
-    for basis in [BasisKind::Sh, BasisKind::Patches] {
-        let (bake, view) = fixture_view_of(basis);
+    let [(sh, view), (patches, _)] = [BasisKind::Sh, BasisKind::Patches].map(fixture_view_of);
+    for bake in [sh, patches, fixture::narrow_bake()] {
         let [got, wanted] =
             [Backend::Gpu, Backend::Cpu].map(|backend| render(&bake, &view, backend).unwrap());
         assert!(got.converged && wanted.converged && !got.by_reference && wanted.by_reference);

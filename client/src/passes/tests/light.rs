@@ -170,7 +170,7 @@ fn direct_light_at_receivers_is_that_of_the_points() {
     let (bake, view) = fixture_view();
     let prepared = prepared(&bake, &view);
     let maps = draw(&bake, &prepared.plan);
-    let all = direct(&bake.receivers, &prepared.plan, &maps);
+    let all = direct(&bake.receivers.position_m, &bake.receivers.normal, &prepared.plan, &maps);
     assert_eq!(all.len(), bake.receivers.len());
     let lit = all.iter().filter(|e| e.x > 0.0).count();
     assert!(lit > all.len() / 2 && lit < all.len(), "{lit} of {}", all.len());

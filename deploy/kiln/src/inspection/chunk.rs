@@ -14,7 +14,7 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 /// Names of section tags 1, 2, … by kind, as FORMAT.md has them.
-const CLUSTER_SECTIONS: &[&str] = &["base", "receivers", "factors", "factors low"];
+const CLUSTER_SECTIONS: &[&str] = &["base", "receivers", "factors", "factors low", "near"];
 const PROBES_SECTIONS: &[&str] = &["base", "hits"];
 const GEOMETRY_SECTIONS: &[&str] =
     &["draws", "positions", "normals", "lightmap", "triangles", "uvs", "colours"];
@@ -88,6 +88,8 @@ fn cluster(bytes: &[u8]) -> Result<Value, ChunkError> {
         "sky": cluster.sky,
         "rank": cluster.rank,
         "emitters": cluster.emitters.len(),
+        "near hits": cluster.near.len(),
+        "receivers with near hits": cluster.near.ranges().filter(|hits| !hits.is_empty()).count(),
         "bounds_m": cluster.bounds_m,
     }))
 }

@@ -6,6 +6,7 @@ use crate::chunk::*;
 use crate::prt::*;
 
 const CLUSTER_V1: &[u8] = include_bytes!("../../../fixtures/cluster-v1.lkc");
+const NEAR_V1: &[u8] = include_bytes!("../../../fixtures/cluster-near-v1.lkc");
 const PROBES_V1: &[u8] = include_bytes!("../../../fixtures/probes-v1.lkc");
 const PATCHES_V1: &[u8] = include_bytes!("../../../fixtures/patches-v1.lkc");
 const GEOMETRY_V1: &[u8] = include_bytes!("../../../fixtures/geometry-v1.lkc");
@@ -36,7 +37,24 @@ fn cluster() -> ClusterTransport {
             emitter: 3,
             irradiance: vec![[4.0, 2.0, 1.0], [0.0; 3], [8.0, 4.0, 2.0], [0.0; 3]],
         }],
+        near: NearHits::default(),
     }
+}
+
+/// The wall, and beside its second texel something of another block.
+fn cluster_with_near_hits() -> ClusterTransport {
+    let near = NearHits {
+        reach_m: 0.25,
+        count: vec![0, 2, 0, 0],
+        weight: vec![0.0, std::f32::consts::PI, 0.0, 0.0],
+        blocks: vec![7],
+        surface: vec![
+            NearSurface::Texel { block: 0, texel: [3, 4] },
+            NearSurface::Own { albedo: [0.0; 3], normal: [0.0, 1.0, 0.0] },
+        ],
+        offset: vec![[-2047, 0, 1], [2047, 300, 20]],
+    };
+    ClusterTransport { near, ..cluster() }
 }
 
 fn probes() -> ProbeBatch {
@@ -101,10 +119,11 @@ fn geometry() -> Geometry {
     }
 }
 
-fn encoded() -> [(&'static str, Vec<u8>, &'static [u8]); 5] {
-    let cluster = encode_cluster(&cluster(), QuantisationSettings::default()).unwrap().bytes;
+fn encoded() -> [(&'static str, Vec<u8>, &'static [u8]); 6] {
+    let encode = |cluster| encode_cluster(&cluster, QuantisationSettings::default()).unwrap().bytes;
     [
-        ("cluster-v1.lkc", cluster, CLUSTER_V1),
+        ("cluster-v1.lkc", encode(cluster()), CLUSTER_V1),
+        ("cluster-near-v1.lkc", encode(cluster_with_near_hits()), NEAR_V1),
         ("probes-v1.lkc", encode_probe_batch(&probes()).unwrap(), PROBES_V1),
         ("patches-v1.lkc", encode_patches(&patches()).unwrap(), PATCHES_V1),
         ("geometry-v1.lkc", encode_geometry(&geometry()).unwrap(), GEOMETRY_V1),
@@ -138,6 +157,7 @@ fn version_1_still_decodes_to_what_went_in() {
         },
         wanted
     );
+    assert_eq!(decode_cluster(NEAR_V1).unwrap().near, cluster_with_near_hits().near);
     assert_eq!(decode_probe_batch(PROBES_V1).unwrap(), probes());
     assert_eq!(decode_patches(PATCHES_V1).unwrap(), patches());
     assert_eq!(decode_geometry(GEOMETRY_V1).unwrap(), geometry());

@@ -1,6 +1,6 @@
 //! Every prefix of a cluster or probe chunk is a coarser version or an error.
 
-use super::scenes::{batch, wall};
+use super::scenes::{batch, narrow, wall};
 use super::whole::assert_whole;
 use crate::chunk::*;
 use crate::manifest::Layer;
@@ -39,6 +39,49 @@ fn every_layer_prefix_is_the_leading_part_of_the_whole() {
         assert_eq!(part.emitters[0].irradiance, full.emitters[0].irradiance[..receivers]);
         assert_eq!((part.bands, part.rank), (layer.bands, layer.rank));
     }
+}
+
+#[test]
+fn every_layer_has_the_near_hits_of_its_receivers() {
+    let encoded = encode_cluster(&narrow(16, 5), QuantisationSettings::default()).unwrap();
+    let full = decode_cluster(&encoded.bytes).unwrap().near;
+    let total = encoded.bytes.len() as u64;
+    assert!(encoded.layers.len() > 2);
+    for layer in &encoded.layers {
+        let (part, _) = decode_cluster_prefix(&encoded.bytes[..layer.bytes as usize], total).unwrap();
+        assert_whole(&part);
+        let (receivers, hits) = (part.receivers.len(), part.near.len());
+        assert!(hits > 0);
+        assert_eq!(
+            (&part.near.count[..], &part.near.weight[..]),
+            (&full.count[..receivers], &full.weight[..receivers])
+        );
+        assert_eq!(
+            (&part.near.surface[..], &part.near.offset[..]),
+            (&full.surface[..hits], &full.offset[..hits])
+        );
+    }
+}
+
+#[test]
+fn order_of_near_hits_and_their_blocks_does_not_matter() {
+    let mut cluster = narrow(8, 2);
+    let bytes =
+        |cluster: &ClusterTransport| encode_cluster(cluster, QuantisationSettings::default()).unwrap().bytes;
+    let wanted = bytes(&cluster);
+    let near = &mut cluster.near;
+    near.blocks = vec![700, 5, 11];
+    for surface in &mut near.surface {
+        if let NearSurface::Texel { block, .. } = surface {
+            *block = 2 - 2 * *block;
+        }
+    }
+    let ranges: Vec<_> = near.ranges().collect();
+    for hits in ranges {
+        near.surface[hits.clone()].reverse();
+        near.offset[hits].reverse();
+    }
+    assert_eq!(bytes(&cluster), wanted);
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! What goes in comes out, within the stated errors.
 
-use super::scenes::{batch, patches, quads, wall};
+use super::scenes::{batch, narrow, patches, quads, wall};
 use crate::chunk::*;
 use crate::prt::*;
 
@@ -49,6 +49,51 @@ fn cluster_comes_back_within_its_stated_errors() {
             assert!(if *wanted == 0.0 { *got == 0.0 } else { within }, "{got} {wanted}");
         }
     }
+}
+
+#[test]
+fn near_hits_come_back_exactly_and_without_them_nothing_is_stored_of_them() {
+    let cluster = narrow(16, 3);
+    let bytes = encode_cluster(&cluster, QuantisationSettings::default()).unwrap().bytes;
+    let decoded = decode_cluster(&bytes).unwrap().near;
+    for (got, wanted) in decoded.weight.iter().zip(&cluster.near.weight) {
+        assert!((got - wanted).abs() <= NEAR_WEIGHT_ERROR, "{got} {wanted}");
+    }
+    assert_eq!(NearHits { weight: cluster.near.weight.clone(), ..decoded }, cluster.near);
+    let without = ClusterTransport { near: NearHits::default(), ..cluster };
+    let fewer = encode_cluster(&without, QuantisationSettings::default()).unwrap().bytes;
+    assert_eq!(decode_cluster(&fewer).unwrap().near, NearHits::default());
+    assert!(fewer.len() < bytes.len());
+}
+
+#[test]
+fn near_hits_that_are_none_are_refused() {
+    let refused = |change: fn(&mut NearHits)| {
+        let mut cluster = narrow(8, 3);
+        change(&mut cluster.near);
+        encode_cluster(&cluster, QuantisationSettings::default()).unwrap_err().to_string()
+    };
+    assert!(refused(|near| near.count[0] += 1).contains("near hits of all receivers"));
+    assert!(refused(|near| near.offset[1][2] = 2048).contains("offset of a near hit"));
+    assert!(
+        refused(|near| near.surface[0] = NearSurface::Texel { block: 2, texel: [0; 2] })
+            .contains("block index")
+    );
+    let own = |near: &mut NearHits| near.surface[0] = NearSurface::Own { albedo: [1.0; 3], normal: [0.0; 3] };
+    assert!(refused(own).contains("albedo"));
+    assert!(refused(|near| near.weight[0] = 4.0).contains("weight of near hits"));
+    assert!(refused(|near| near.reach_m = 0.0).contains("reach of near hits"));
+}
+
+#[test]
+fn place_of_a_near_hit_is_within_half_a_step() {
+    let near = NearHits { reach_m: 0.2, ..NearHits::default() };
+    let (from_m, to_m) = ([1.0, 2.0, 3.0], [1.1234, 1.8001, 3.0]);
+    let near = NearHits { offset: vec![NearHits::offset_of(from_m, to_m, near.reach_m)], ..near };
+    for (got, wanted) in near.position_m(0, from_m).iter().zip(to_m) {
+        assert!((got - wanted).abs() <= 0.5001 * 0.2 / 2047.0, "{got} {wanted}");
+    }
+    assert_eq!(NearHits::offset_of(from_m, [9.0, 2.0, -9.0], 0.2), [2047, 0, -2047]);
 }
 
 #[test]

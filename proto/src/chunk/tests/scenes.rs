@@ -58,6 +58,28 @@ pub(super) fn wall(side: u16, probes: usize, bands: u32, rank: u32, seed: u64) -
     cluster
 }
 
+/// As [`wall`], where every third receiver has near hits, as they come back: ascending, and no block without any.
+pub(super) fn narrow(side: u16, seed: u64) -> ClusterTransport {
+    let mut noise = Noise(seed + 1);
+    let mut cluster = wall(side, 3, 3, 9, seed);
+    let near = &mut cluster.near;
+    (near.reach_m, near.blocks) = (0.125, vec![11, 700]);
+    for receiver in 0..cluster.receivers.len() {
+        let count = if receiver % 3 == 0 { 2 + receiver as u8 % 7 } else { 0 };
+        near.count.push(count);
+        near.weight.push(if count > 0 { std::f32::consts::PI / f32::from(count) } else { 0.0 });
+        for hit in 0..u16::from(count) {
+            near.surface.push(match hit {
+                0..3 => NearSurface::Texel { block: hit / 2, texel: [40 + hit, 9] },
+                _ => NearSurface::Own { albedo: [0.0; 3], normal: [-1.0, 0.0, 0.0] },
+            });
+            let across = [-2047.0, 2047.0].map(|most| (most * noise.next()) as i16);
+            near.offset.push([hit as i16, across[0], across[1]]);
+        }
+    }
+    cluster
+}
+
 /// A batch with every kind of hit.
 pub(super) fn batch(probes: usize, rays: u32, seed: u64) -> ProbeBatch {
     let mut noise = Noise(seed);

@@ -1,7 +1,7 @@
 //! What every decoded chunk is, whatever the bytes were. Tests of this crate and fuzz targets share it; whoever takes it in
 //! has the types in scope.
 
-use super::{ClusterTransport, Geometry, PatchSet, ProbeBatch, Receivers, RelightHit};
+use super::{ClusterTransport, Geometry, NearHits, NearSurface, PatchSet, ProbeBatch, Receivers, RelightHit};
 
 /// Every array has its length, every index its target, every number is finite.
 pub fn assert_whole(cluster: &ClusterTransport) {
@@ -18,6 +18,24 @@ pub fn assert_whole(cluster: &ClusterTransport) {
     assert!(cluster.u.iter().chain(&cluster.vt).chain(emitted).chain(vectors).all(|x| x.is_finite()));
     assert!(albedo.as_flattened().iter().all(|albedo| (0.0..1.0).contains(albedo)));
     assert!((0..3).all(|axis| cluster.bounds_m[0][axis] <= cluster.bounds_m[1][axis]), "bounds inside out");
+    assert_near(&cluster.near, count);
+}
+
+/// Every near hit has a receiver, a block and a place within the reach.
+fn assert_near(near: &NearHits, receivers: usize) {
+    let hits = near.len();
+    assert_eq!(near.offset.len(), hits);
+    assert!([0, receivers].contains(&near.count.len()) && near.count.len() == near.weight.len());
+    assert_eq!(near.ranges().last().map_or(0, |last| last.end), hits);
+    let is_there = |surface: &NearSurface| match surface {
+        NearSurface::Texel { block, .. } => usize::from(*block) < near.blocks.len(),
+        NearSurface::Own { albedo, normal } => {
+            albedo.iter().all(|albedo| (0.0..1.0).contains(albedo)) && normal.iter().all(|x| x.is_finite())
+        }
+    };
+    assert!(near.surface.iter().all(is_there));
+    assert!(near.offset.as_flattened().iter().all(|code| code.abs() <= NearHits::STEPS));
+    assert!(near.weight.iter().all(|weight| (0.0..3.15).contains(weight)) && near.reach_m.is_finite());
 }
 
 /// Every probe has its hits, and every hit its block.

@@ -3,6 +3,8 @@
 #[path = "../../../../proto/src/chunk/tests/whole.rs"]
 mod whole;
 
+use std::ops::Range;
+
 use lightkiln_proto::chunk::*;
 use lightkiln_proto::prt::*;
 
@@ -18,7 +20,13 @@ pub const CLUSTER: Target = Target {
         each_form(bytes, check_cluster);
         each_form(bytes, check_prefix);
     },
-    seeds: || seeds(&[include_bytes!("../../../../proto/fixtures/cluster-v1.lkc"), &larger_cluster()]),
+    seeds: || {
+        seeds(&[
+            include_bytes!("../../../../proto/fixtures/cluster-v1.lkc"),
+            include_bytes!("../../../../proto/fixtures/cluster-near-v1.lkc"),
+            &larger_cluster(),
+        ])
+    },
     memory_max,
 };
 
@@ -89,12 +97,38 @@ fn check_cluster(bytes: &[u8]) {
         cluster.receivers.block.iter().map(|&block| cluster.receivers.blocks[usize::from(block)]).collect()
     };
     assert_eq!(named(&again), named(&cluster));
+    assert_eq!(near_hits(&again.near), near_hits(&cluster.near));
     let factors_aside = |cluster: ClusterTransport| {
         // Factors come back within an error; blocks that no receiver lies in are left out.
         let receivers = Receivers { blocks: Vec::new(), block: Vec::new(), ..cluster.receivers };
-        ClusterTransport { receivers, u: Vec::new(), vt: Vec::new(), ..cluster }
+        let near = NearHits::default();
+        ClusterTransport { receivers, near, u: Vec::new(), vt: Vec::new(), ..cluster }
     };
     assert_eq!(factors_aside(again), factors_aside(cluster));
+}
+
+/// A near hit: block and texel or normal and albedo, and its offset.
+type NamedHit = (Option<(BlockKey, Texel)>, [u32; 6], [i16; 3]);
+
+/// Near hits by receiver in one order; where there are none, nothing.
+fn near_hits(near: &NearHits) -> Vec<(u32, Vec<NamedHit>)> {
+    if near.is_empty() {
+        return Vec::new();
+    }
+    let named = |hit: usize| match near.surface[hit] {
+        NearSurface::Texel { block, texel } => (Some((near.blocks[usize::from(block)], texel)), [0; 6]),
+        NearSurface::Own { albedo: [r, g, b], normal: [x, y, z] } => {
+            (None, [r, g, b, x, y, z].map(f32::to_bits))
+        }
+    };
+    let of_receiver = |(range, weight): (Range<usize>, &f32)| {
+        let weight = if range.is_empty() { 0 } else { weight.to_bits() };
+        let hit = |hit: usize| (named(hit).0, named(hit).1, near.offset[hit]);
+        let mut hits: Vec<_> = range.map(hit).collect();
+        hits.sort_unstable();
+        (weight, hits)
+    };
+    near.ranges().zip(&near.weight).map(of_receiver).collect()
 }
 
 /// The first half of a chunk is a coarser cluster, or an error.

@@ -8,6 +8,7 @@ use lightkiln_proto::prt::Settings;
 use lightkiln_proto::sh::{MAX_COEFFICIENTS, ShBasis, band_of};
 
 use super::hemisphere::Hemisphere;
+use super::near::NearHit;
 use super::supporters::{Supporter, Supporters};
 use crate::prt::stage::Receiver;
 use crate::prt::world::{Surface, World};
@@ -31,6 +32,10 @@ pub struct Row {
     pub uncovered: f32,
     /// The part of `uncovered` that was left out, as no supporting probe is in sight of the receiver either.
     pub left_out: f32,
+    /// Hits that are read at their very points; they are not in `alpha`.
+    pub near: Vec<NearHit>,
+    /// What each of them counts by, `∫ cosθ dω`.
+    pub near_weight: f32,
     /// Mean length of the rays that met something, in metres.
     pub mean_path_m: f32,
     /// Closest-hit rays cast.
@@ -50,7 +55,8 @@ impl Row {
     /// No light can ever come here: no probe, sky or emitter is in sight of anything in sight. So it is in cavities of
     /// solids and on parts of surfaces that are sunk in others.
     pub fn is_dead(&self) -> bool {
-        self.alpha.iter().all(|alpha| *alpha == 0.0) && self.emitters.iter().flatten().all(|e| *e == 0.0)
+        let no_hits = self.near.is_empty() && self.alpha.iter().all(|alpha| *alpha == 0.0);
+        no_hits && self.emitters.iter().flatten().all(|e| *e == 0.0)
     }
 }
 

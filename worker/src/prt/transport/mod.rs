@@ -6,6 +6,7 @@ mod cut;
 mod emitters;
 mod expectation;
 mod hemisphere;
+mod near;
 mod patches;
 mod split;
 mod supporters;

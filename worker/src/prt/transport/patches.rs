@@ -10,6 +10,7 @@ use super::alpha::Row;
 use super::cut::{Meeting, Met, cut, leaves};
 use super::expectation::Expectation;
 use super::hemisphere::Hemisphere;
+use super::near::{self, NearHit};
 use super::{CellRows, Detail};
 use crate::prt::world::{Surface, World};
 use crate::task::{Cancelled, Progress};
@@ -54,6 +55,10 @@ fn gather(world: &World, settings: &Settings, sky: &[Vec3], receiver: u32) -> Ga
     let hemisphere = Hemisphere::new(world, receiver, settings.transport_rays);
     let mut row = Row { rays_closest: u64::from(settings.transport_rays), ..Row::default() };
     let (mut leaves, mut parts) = (Vec::new(), Vec::new());
+    // Near hits, and what they are among the leaves where the place is not narrow.
+    let (mut near, mut near_leaves) = (Vec::new(), Vec::new());
+    let texel_m = world.stage.texel_m;
+    let reach_m = near::reach_m(settings, texel_m);
     let mut sign = -1;
     let (emitters, mean_path_m, rays_occlusion) = hemisphere.cast(settings.emitter_rays, |direction, hit| {
         sign = -sign;
@@ -64,7 +69,10 @@ fn gather(world: &World, settings: &Settings, sky: &[Vec3], receiver: u32) -> Ga
         };
         let point_m = hemisphere.origin_m + direction * hit.t;
         let lit = |receiver: u32| world.stage.receivers[receiver as usize].albedo.iter().sum::<f32>() / 3.0;
-        let Surface::Receiver(met) = world.linked_surface_at(hit, point_m) else {
+        let linked = world.linked_surface_at(hit, point_m);
+        let near_hit = if hit.t < reach_m { NearHit::of(world, hit, linked, point_m) } else { None };
+        near.extend(near_hit);
+        let Surface::Receiver(met) = linked else {
             let lost = match world.surface_at(hit) {
                 // Walls stand between the hit and all texels around it: no texel stands for it.
                 Surface::Receiver(own) => lit(own),
@@ -75,8 +83,18 @@ fn gather(world: &World, settings: &Settings, sky: &[Vec3], receiver: u32) -> Ga
             return;
         };
         row.lit += lit(met);
-        leaves.push((world.stage.patches.leaf_of_receiver[met as usize], sign));
+        let leaf = (world.stage.patches.leaf_of_receiver[met as usize], sign);
+        if near_hit.is_some() {
+            near_leaves.push(leaf)
+        } else {
+            leaves.push(leaf)
+        };
     });
+    if near::is_narrow(near.len(), settings) {
+        near::keep(&mut row, near, settings, texel_m);
+    } else {
+        leaves.append(&mut near_leaves);
+    }
     (row.emitters, row.mean_path_m, row.rays_occlusion) = (emitters, mean_path_m, rays_occlusion);
     leaves.sort_unstable();
     parts.sort_unstable();

@@ -10,6 +10,7 @@ use rayon::prelude::*;
 
 use super::alpha::Row;
 use super::components::components;
+use super::near;
 use crate::prt::factor::{Factors, Matrix, factorise};
 use crate::prt::prepare::halves;
 use crate::prt::stage::{ClusterCell, Receiver};
@@ -261,6 +262,7 @@ impl Splitter<'_> {
             u: factors.u,
             vt: factors.vt,
             emitters: emitters(&rows),
+            near: near::of_rows(stage, self.settings, receivers, &rows),
         };
         let uncovered_fraction = if lit > 0.0 { uncovered / lit } else { 0.0 };
         Piece {
