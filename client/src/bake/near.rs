@@ -68,7 +68,7 @@ impl NearTable {
                     }
                 };
                 self.slots.push(light);
-                self.position_m.push(four(near.position_m(hit, from_m)));
+                self.position_m.push(four(near.position_m(hit, from_m, normal.truncate().into())));
                 self.normal.push(normal);
                 self.albedo.push(albedo);
             }

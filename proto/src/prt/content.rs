@@ -116,10 +116,12 @@ impl NearHits {
         })
     }
 
-    /// Place of a hit in metres, from its receiver's.
-    pub fn position_m(&self, hit: usize, from_m: [f32; 3]) -> [f32; 3] {
+    /// Place of a hit in metres, from its receiver's, on a surface of that normal: raised by two steps, as rounding may
+    /// have put it below.
+    pub fn position_m(&self, hit: usize, from_m: [f32; 3], normal: [f32; 3]) -> [f32; 3] {
         let step_m = self.reach_m / f32::from(Self::STEPS);
-        [0, 1, 2].map(|axis| from_m[axis] + f32::from(self.offset[hit][axis]) * step_m)
+        let steps = |axis: usize| f32::from(self.offset[hit][axis]) + 2.0 * normal[axis];
+        [0, 1, 2].map(|axis| from_m[axis] + steps(axis) * step_m)
     }
 
     /// How many hits there are.

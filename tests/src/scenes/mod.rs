@@ -29,7 +29,7 @@ pub use cornell::{cornell, cornell_large};
 pub use doors::{closet, mirrored_room};
 pub use hall::open_hall;
 pub use rooms::{
-    BAR_M, BOARD_M, CHEST_M, DUCT_M, furnace, hollow_furniture, sealed_box, two_rooms,
+    BAR_M, BOARD_M, CHEST_M, DUCT_M, SLATS_M, furnace, hollow_furniture, sealed_box, shutter, two_rooms,
     two_rooms_under_the_sky, two_rooms_with_wall_at, u_corridor,
 };
 

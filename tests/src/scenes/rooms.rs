@@ -190,6 +190,26 @@ pub fn hollow_furniture() -> Vec<u8> {
     glb.finish()
 }
 
+/// Corners of the stack of slats of [`shutter`].
+pub const SLATS_M: [Vec3; 2] = [Vec3::new(-0.25, 0.5, -0.1875), Vec3::new(0.25, 0.7, 0.1875)];
+
+/// Eight level slats of 50 × 37.5 cm, 4 mm thick and 2.4 cm apart, above the ground.
+pub fn shutter() -> Vec<u8> {
+    let mut glb = Glb::new("shutter");
+    let ground = glb.material(Surface::diffuse("ground", [0.35, 0.33, 0.29]));
+    let white = glb.material(Surface::diffuse("white", [0.75; 3]));
+    let mut plain = Mesh::default();
+    plain.rectangle(Vec3::new(-1.0, 0.0, 1.0), Vec3::X * 2.0, Vec3::Z * -2.0);
+    glb.object("ground", &plain, ground);
+    let [min, max] = SLATS_M;
+    for slat in 0..8 {
+        let low = min.y + 0.028 * slat as f32;
+        let (min, max) = (min.with_y(low), max.with_y(low + 0.004));
+        glb.object(&format!("slat {slat}"), &shapes::cuboid(min, max, &[]), white);
+    }
+    glb.finish()
+}
+
 /// Corners of the bar of [`hollow_furniture`].
 pub const BAR_M: [Vec3; 2] = [Vec3::new(-0.8, 1.5, -0.02), Vec3::new(0.8, 1.54, 0.02)];
 /// Corners of its duct.

@@ -12,6 +12,7 @@ mod corridor;
 mod determinism;
 mod energy;
 mod leaks;
+mod narrow;
 mod seams;
 mod setup;
 mod transforms;

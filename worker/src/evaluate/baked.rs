@@ -183,12 +183,14 @@ impl Baked {
         let near = |c: usize| -> Result<Vec<Rgb>, E> {
             let ClusterTransport { receivers, near, .. } = &self.clusters[c];
             let at_hit = |(hit, (place, r)): (usize, (&Option<NearPlace>, usize))| {
-                let point_m = near.position_m(hit, receivers.position_m[r]);
-                match *place {
-                    Some(NearPlace { normal: Some(normal), .. }) => at(DirectAt::Point(point_m, normal)),
-                    Some(NearPlace { light, .. }) => at(DirectAt::Texel(light, point_m)),
-                    None => Ok([0.0; 3]),
-                }
+                let Some(NearPlace { normal: own, light, .. }) = *place else { return Ok([0.0; 3]) };
+                let normal = own.unwrap_or_else(|| self.clusters[light.0].receivers.normal[light.1]);
+                let point_m = near.position_m(hit, receivers.position_m[r], normal);
+                at(if own.is_some() {
+                    DirectAt::Point(point_m, normal)
+                } else {
+                    DirectAt::Texel(light, point_m)
+                })
             };
             let own: Vec<usize> = near.receivers().collect();
             self.near[c].par_iter().zip(own).enumerate().map(at_hit).collect()

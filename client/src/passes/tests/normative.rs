@@ -96,15 +96,16 @@ fn references_of_patches_give_what_the_contract_says() {
     let slot = |(block, texel)| bake.atlas.slot(bake.atlas.block_index(block).unwrap(), texel);
     let near_radiance = |cluster: &ClusterTransport, hit: usize| -> prt::Rgb {
         let own = cluster.near.receivers().nth(hit).unwrap();
-        let (light, albedo) = match cluster.near.surface[hit] {
-            NearSurface::Own { albedo, .. } => (own, four(&[albedo])[0]),
+        let (light, albedo, normal) = match cluster.near.surface[hit] {
+            NearSurface::Own { albedo, normal } => (own, four(&[albedo])[0], normal),
             NearSurface::Texel { block, texel } => {
                 let name = (cluster.near.blocks[usize::from(block)], texel);
                 let Some(on) = slot(name) else { return [0.0; 3] };
-                (on as usize, bake.receivers.albedo[on as usize])
+                let on = on as usize;
+                (on, bake.receivers.albedo[on], bake.receivers.normal[on].truncate().into())
             }
         };
-        let y = cluster.near.position_m(hit, cluster.receivers.position_m[own])[1];
+        let y = cluster.near.position_m(hit, cluster.receivers.position_m[own], normal)[1];
         let e = Vec4::new(y, 0.5, 0.1, 0.0) + emit[light] + ind[light];
         (albedo * FRAC_1_PI * e).truncate().into()
     };

@@ -86,12 +86,14 @@ fn near_hits_that_are_none_are_refused() {
 }
 
 #[test]
-fn place_of_a_near_hit_is_within_half_a_step() {
+fn place_of_a_near_hit_is_within_half_a_step_of_two_above_its_surface() {
     let near = NearHits { reach_m: 0.2, ..NearHits::default() };
     let (from_m, to_m) = ([1.0, 2.0, 3.0], [1.1234, 1.8001, 3.0]);
     let near = NearHits { offset: vec![NearHits::offset_of(from_m, to_m, near.reach_m)], ..near };
-    for (got, wanted) in near.position_m(0, from_m).iter().zip(to_m) {
-        assert!((got - wanted).abs() <= 0.5001 * 0.2 / 2047.0, "{got} {wanted}");
+    let step_m = 0.2 / 2047.0;
+    let raised = [to_m[0], to_m[1] + 2.0 * step_m, to_m[2]];
+    for (got, wanted) in near.position_m(0, from_m, [0.0, 1.0, 0.0]).iter().zip(raised) {
+        assert!((got - wanted).abs() <= 0.501 * step_m, "{got} {wanted}");
     }
     assert_eq!(NearHits::offset_of(from_m, [9.0, 2.0, -9.0], 0.2), [2047, 0, -2047]);
 }

@@ -1,5 +1,5 @@
 //! Receivers that share no probe are factorised apart: then the error of one room's factors cannot shine into the
-//! next, and a dark room stays exactly dark.
+//! next, and a dark room stays exactly dark. (With patches: no patch, and no texel close by.)
 
 /// Groups rows that are linked by columns' probes. `links[r]` lists the probes that row r uses.
 ///

@@ -43,6 +43,11 @@ impl NearHit {
         };
         Some(Self { receiver, own_normal, position_m })
     }
+
+    /// Receiver of the texel that has its light, if one does.
+    pub fn texel(&self) -> Option<u32> {
+        self.own_normal.is_none().then_some(self.receiver)
+    }
 }
 
 /// Distance in metres up to which a hit is near; 0 where none is.

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use super::alpha::Row;
 use super::components::components;
-use super::near;
+use super::near::{self, NearHit};
 use crate::prt::factor::{Factors, Matrix, factorise};
 use crate::prt::prepare::halves;
 use crate::prt::stage::{ClusterCell, Receiver};
@@ -63,8 +63,8 @@ pub fn pieces(
     let splitter = Splitter { world, settings, keys, receivers: &cell.receivers, rows, weighed };
     // Dead receivers are left out: their texels are filled from their neighbours, which keeps edges from turning dark.
     let live: Vec<usize> = (0..rows.len()).filter(|&row| !rows[row].is_dead()).collect();
-    let links: Vec<Vec<u32>> = live.iter().map(|&row| splitter.groups_used(&rows[row])).collect();
-    let parts: Vec<Vec<Piece>> = components(&links, keys.len())
+    let (links, linking) = splitter.links(&live);
+    let parts: Vec<Vec<Piece>> = components(&links, linking)
         .into_par_iter()
         .map(|group| {
             let receivers = group.iter().map(|&index| cell.receivers[live[index]]).collect();
@@ -182,6 +182,23 @@ impl Splitter<'_> {
     fn row_of(&self, receiver: u32) -> &Row {
         let index = self.receivers.binary_search(&receiver).unwrap_or_default();
         &self.rows[index]
+    }
+
+    /// What rows have in common with others: column groups, and texels that are met close by, which have no columns; and the
+    /// number of both.
+    fn links(&self, live: &[usize]) -> (Vec<Vec<u32>>, usize) {
+        let mut texels: Vec<u32> =
+            self.rows.iter().flat_map(|row| &row.near).filter_map(NearHit::texel).collect();
+        texels.sort_unstable();
+        texels.dedup();
+        let node = |texel: u32| Some((self.keys.len() + texels.binary_search(&texel).ok()?) as u32);
+        let of_row = |&row: &usize| {
+            let met = self.rows[row].near.iter().filter_map(NearHit::texel);
+            let mut links = self.groups_used(&self.rows[row]);
+            links.extend(met.chain([self.receivers[row]]).filter_map(node));
+            links
+        };
+        (live.iter().map(of_row).collect(), self.keys.len() + texels.len())
     }
 
     /// Column groups but the sky's with anything in them: the sky is above rooms that have nothing else in common.
