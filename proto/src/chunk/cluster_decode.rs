@@ -138,19 +138,21 @@ impl<'a> Decoder<'a> {
     /// Reads the near hits of layer number `index`, its last section.
     fn near(&mut self, container: &Container, index: usize, levels: &[u32]) -> Result<(), ChunkError> {
         let shape = &self.head.shape;
-        let of_levels: u64 = levels.iter().map(|&level| near_bytes_max(shape.counts[level as usize])).sum();
-        let bytes_max = of_levels + if index == 0 { begin_bytes_max() } else { 0 };
-        let (sections, layer) = self.head.layers[index];
+        let counts: Vec<usize> = levels.iter().map(|&level| shape.counts[level as usize]).collect();
+        let bytes_max = near_bytes_max(&counts) + if index == 0 { begin_bytes_max() } else { 0 };
+        let (sections, _) = self.head.layers[index];
+        let content = decoded_bytes(self.head, shape.full());
+        container.check_expansion(content + container.raw_bytes(sections - 1))?;
         let raw = container.section(sections - 1, "near hits", bytes_max)?;
         let mut reader = Reader::new("near hits", &raw);
         let near = &mut self.cluster.near;
         if index == 0 {
             read_begin(&mut reader, near)?;
         }
-        let without = decoded_bytes(self.head, layer) + 8 * near.blocks.len() as u64;
-        for &level in levels {
+        let without = content + 8 * near.blocks.len() as u64;
+        for count in counts {
             let may_take = |hits: u64| container.check_expansion(without + HIT_BYTES * hits);
-            read_near(&mut reader, near, shape.counts[level as usize], may_take)?;
+            read_near(&mut reader, near, count, may_take)?;
         }
         reader.end()
     }

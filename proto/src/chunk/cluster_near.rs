@@ -222,6 +222,7 @@ pub(super) fn read_near(
         let (block, (x, y)) = (blocks.next()?, texels.next()?);
         Some(NearSurface::Texel { block: block as u16, texel: [x as u16, y as u16] })
     };
+    near.surface.reserve(new);
     near.surface.extend(is_own.into_iter().filter_map(&mut surface));
     let mut offsets =
         || ints::take_deltas(reader, "offset of a near hit", new, -OFFSET_CODE_MAX..=OFFSET_CODE_MAX);
@@ -231,10 +232,12 @@ pub(super) fn read_near(
     Ok(())
 }
 
-/// Most raw bytes of the hits of `count` receivers, without what the first section begins with.
-pub(super) fn near_bytes_max(count: usize) -> u64 {
-    let hits = (count * usize::from(u8::MAX)).min(NEAR_HITS_MAX);
-    2 * ints::bytes_max(count) + 12 * ints::bytes_max(hits)
+/// Most raw bytes of the hits of levels of so many receivers, without what the first section begins with.
+pub(super) fn near_bytes_max(counts: &[usize]) -> u64 {
+    let receivers: usize = counts.iter().sum();
+    let hits = (receivers * usize::from(u8::MAX)).min(NEAR_HITS_MAX);
+    // An array takes a byte more than its numbers do.
+    2 * ints::bytes_max(receivers) + 12 * ints::bytes_max(hits) + 14 * counts.len() as u64
 }
 
 /// Most raw bytes of what the first section begins with.

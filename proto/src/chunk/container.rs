@@ -159,6 +159,11 @@ impl<'a> Container<'a> {
         self.bytes.len() as u64
     }
 
+    /// Bytes that section `index` says its content has.
+    pub fn raw_bytes(&self, index: usize) -> u64 {
+        self.entries[index].raw_bytes as u64
+    }
+
     /// Decompresses section `index`, whose content may have up to `raw_bytes_max` bytes.
     pub fn section(
         &self,

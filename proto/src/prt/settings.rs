@@ -75,7 +75,7 @@ macro_rules! settings {
         }
 
         /// Validated settings; every bake states all of them in its manifest. What an older one did not know yet is read as
-        /// its preset has it.
+        /// its preset has it; but it has no near hits.
         #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
         #[serde(try_from = "RawSettings")]
         pub struct Settings {
@@ -90,6 +90,9 @@ macro_rules! settings {
             type Error = SettingsError;
 
             fn try_from(raw: RawSettings) -> Result<Self, SettingsError> {
+                let mut raw = raw;
+                // A bake of before near hits has none.
+                raw.near_hits.get_or_insert(0);
                 if raw.preset.is_none() {
                     return Err(SettingsError::Malformed("settings that name no preset".into()));
                 }
@@ -249,6 +252,10 @@ mod tests {
         assert_eq!(serde_json::from_value::<Settings>(stated.clone()).unwrap(), settings);
         stated.as_object_mut().unwrap().remove("cavity_m");
         assert_eq!(serde_json::from_value::<Settings>(stated.clone()).unwrap(), settings);
+        stated.as_object_mut().unwrap().remove("near_hits");
+        let without = Settings { near_hits: 0, ..settings.clone() };
+        assert!(settings.near_hits > 0);
+        assert_eq!(serde_json::from_value::<Settings>(stated.clone()).unwrap(), without);
         stated["relight_rays"] = json!(100);
         assert!(serde_json::from_value::<Settings>(stated.clone()).is_err());
         stated["relight_rays"] = json!(256);

@@ -7,6 +7,7 @@ use super::{adapter_or_skip, fixture_view, fixture_view_of, prepared};
 use crate::fixture;
 use crate::passes::compare::Difference;
 use crate::passes::gpu::Gpu;
+use crate::passes::near::NearPass;
 use crate::passes::relight::RelightTable;
 use crate::passes::relight::reference::Irradiance;
 use crate::passes::shade::ShadeView;
@@ -124,30 +125,39 @@ fn patches_agree_with_the_reference() {
 
 #[test]
 fn near_hits_agree_with_the_reference() {
-    let Some(gpu) = adapter_or_skip("near_hits_agree_with_the_reference") else { return };
+    let Some(mut gpu) = adapter_or_skip("near_hits_agree_with_the_reference") else { return };
     let (_, view) = fixture_view_of(BasisKind::Patches);
     let bake = fixture::narrow_bake();
     let prepared = prepared(&bake, &view);
     let frame = Frame::new(&gpu, &prepared).unwrap();
     frame.light(&gpu);
-    let got: Vec<Vec4> = gpu.read(&frame.near.e_dir, bake.near.len()).unwrap();
     let maps = frame.shadow.read(&gpu).unwrap();
     let (positions_m, normals) = (&bake.near.position_m, &bake.near.normal);
     let wanted = direct::reference::direct(positions_m, normals, &prepared.plan, &maps);
     assert!(wanted.iter().any(|e| e.x > 0.0) && wanted.len() > 40);
-    held("E_dir of near hits", &Difference::of(&got, &wanted, direct::TOLERANCE), direct::OUTLIERS);
-
     let light = [1, 2, 3].map(|seed| positive_noise(bake.receivers.len(), seed));
-    let dir = positive_noise(bake.near.len(), 12);
-    gpu.write(&frame.near.e_dir, &dir);
     gpu.write(&frame.resident.e_emit, &light[1]);
     gpu.write(&frame.resident.e_ind, &light[2]);
-    gpu.submit(|encoder| frame.near.record(&mut encoder.begin_compute_pass(&Default::default())));
-    let got: Vec<Vec4> = gpu.read(&frame.resident.e_near, bake.receivers.len()).unwrap();
-    let wanted = near::reference::near(&bake, &dir, irradiance(&light));
-    let lit = wanted.iter().filter(|e| e.y > 0.0).count();
-    assert!(lit > 15 && lit < bake.receivers.len() / 4, "{lit}");
-    held("near hits", &Difference::of(&got, &wanted, near::TOLERANCE), 0.0);
+    // In one page, and in pages of at most twenty hits.
+    for binding_max in [gpu.binding_max, 20 * size_of::<Vec4>() as u64] {
+        gpu.binding_max = binding_max;
+        let pass = NearPass::new(&gpu, &bake, &frame.shadow, &frame.resident).unwrap();
+        gpu.write(&frame.resident.e_near, &vec![Vec4::ZERO; bake.receivers.len()]);
+        gpu.submit(|encoder| {
+            let mut compute = encoder.begin_compute_pass(&Default::default());
+            pass.light(&mut compute, &frame.shadow);
+            pass.record(&mut compute);
+        });
+        let pages = pass.read_e_dir(&gpu).unwrap();
+        assert_eq!(pages.len() > 2, binding_max < 1000);
+        let dir = pages.concat();
+        held("E_dir of near hits", &Difference::of(&dir, &wanted, direct::TOLERANCE), direct::OUTLIERS);
+        let got: Vec<Vec4> = gpu.read(&frame.resident.e_near, bake.receivers.len()).unwrap();
+        let sums = near::reference::near(&bake, &dir, irradiance(&light));
+        let lit = sums.iter().filter(|e| e.y > 0.0).count();
+        assert!(lit > 15 && lit < bake.receivers.len() / 4, "{lit}");
+        held("near hits", &Difference::of(&got, &sums, near::TOLERANCE), 0.0);
+    }
 }
 
 #[test]

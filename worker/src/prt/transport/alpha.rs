@@ -55,7 +55,8 @@ impl Row {
     /// No light can ever come here: no probe, sky or emitter is in sight of anything in sight. So it is in cavities of
     /// solids and on parts of surfaces that are sunk in others.
     pub fn is_dead(&self) -> bool {
-        let no_hits = self.near.is_empty() && self.alpha.iter().all(|alpha| *alpha == 0.0);
+        let no_hits =
+            self.near.iter().all(|hit| hit.texel().is_none()) && self.alpha.iter().all(|alpha| *alpha == 0.0);
         no_hits && self.emitters.iter().flatten().all(|e| *e == 0.0)
     }
 }

@@ -69,7 +69,8 @@ pub fn keep(row: &mut Row, mut hits: Vec<NearHit>, settings: &Settings, texel_m:
     hits.sort_by_cached_key(|hit| {
         (hit.own_normal.is_some(), hit.receiver, place_order(hit.position_m, texel_m))
     });
-    row.near_weight = PI / settings.transport_rays as f32 * hits.len() as f32 / kept as f32;
+    let share = hits.len() as f32 / (settings.transport_rays as usize * kept) as f32;
+    row.near_weight = PI * share.min(1.0);
     row.near = (0..kept).map(|k| hits[(2 * k + 1) * hits.len() / (2 * kept)]).collect();
 }
 

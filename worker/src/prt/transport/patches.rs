@@ -56,7 +56,7 @@ fn gather(world: &World, settings: &Settings, sky: &[Vec3], receiver: u32) -> Ga
     let mut row = Row { rays_closest: u64::from(settings.transport_rays), ..Row::default() };
     let (mut leaves, mut parts) = (Vec::new(), Vec::new());
     // Near hits, and what they are among the leaves where the place is not narrow.
-    let (mut near, mut near_leaves) = (Vec::new(), Vec::new());
+    let (mut near, mut near_leaves, mut near_lost) = (Vec::new(), Vec::new(), 0.0);
     let texel_m = world.stage.texel_m;
     let reach_m = near::reach_m(settings, texel_m);
     let mut sign = -1;
@@ -78,8 +78,9 @@ fn gather(world: &World, settings: &Settings, sky: &[Vec3], receiver: u32) -> Ga
                 Surface::Receiver(own) => lit(own),
                 Surface::Dark => world.lost_in_cavity(hit),
             };
-            (row.lit, row.uncovered, row.left_out) =
-                (row.lit + lost, row.uncovered + lost, row.left_out + lost);
+            row.lit += lost;
+            let lost_if_wide = if near_hit.is_some() { &mut near_lost } else { &mut row.uncovered };
+            *lost_if_wide += lost;
             return;
         };
         row.lit += lit(met);
@@ -94,7 +95,9 @@ fn gather(world: &World, settings: &Settings, sky: &[Vec3], receiver: u32) -> Ga
         near::keep(&mut row, near, settings, texel_m);
     } else {
         leaves.append(&mut near_leaves);
+        row.uncovered += near_lost;
     }
+    row.left_out = row.uncovered;
     (row.emitters, row.mean_path_m, row.rays_occlusion) = (emitters, mean_path_m, rays_occlusion);
     leaves.sort_unstable();
     parts.sort_unstable();
