@@ -30,7 +30,7 @@ pub const MAX_SAMPLES: u32 = 64;
 /// Who draws.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Backend {
-    /// The graphics adapter if there is one that can, else the processor.
+    /// The graphics adapter if there is one that can and is no software, else the processor, which outruns such by far.
     #[default]
     Auto,
     /// The graphics adapter or nothing.
@@ -67,15 +67,22 @@ pub struct View {
 }
 
 impl View {
-    /// The view of the bake's own file: its first camera and its lights; what it lacks is chosen, and said in notes.
-    pub fn of_bake(bake: &LoadedBake) -> (Self, Vec<String>) {
+    /// A view of a bake. Without `camera` it is that of the file, its first; without `lights` they are the file's; what the
+    /// file lacks too is chosen, and said in notes.
+    pub fn of_bake(
+        bake: &LoadedBake,
+        camera: Option<SceneCamera>,
+        mut lights: Vec<SceneLight>,
+    ) -> (Self, Vec<String>) {
         let mut notes = bake.warnings.clone();
-        let camera = bake.manifest.cameras.first().cloned().unwrap_or_else(|| {
+        let camera = camera.or_else(|| bake.manifest.cameras.first().cloned()).unwrap_or_else(|| {
             let (camera, note) = default_camera(bake);
             notes.push(note);
             camera
         });
-        let mut lights = bake.manifest.lights.clone();
+        if lights.is_empty() {
+            lights.clone_from(&bake.manifest.lights);
+        }
         if lights.is_empty() && bake.manifest.emitters.is_empty() {
             let (sun, note) = default_sun(bake);
             notes.push(note);
@@ -160,16 +167,24 @@ pub fn render(bake: &LoadedBake, view: &View, backend: Backend) -> Result<Pictur
     let prepared = Prepared { bake, view, plan, sky: Sky::of(&view.lights) };
     match backend {
         Backend::Cpu => by_reference(&prepared, "as asked"),
-        Backend::Gpu => by_adapter(&prepared),
-        Backend::Auto => match by_adapter(&prepared) {
-            Err(ClientError::Adapter { problem }) => by_reference(&prepared, &problem),
-            drawn => drawn,
-        },
+        Backend::Gpu => by_adapter(Gpu::open()?, &prepared),
+        Backend::Auto => {
+            let drawn = match Gpu::open() {
+                Ok(gpu) if gpu.software => {
+                    return by_reference(&prepared, &format!("{} is one itself", gpu.name));
+                }
+                Ok(gpu) => by_adapter(gpu, &prepared),
+                Err(error) => Err(error),
+            };
+            match drawn {
+                Err(ClientError::Adapter { problem }) => by_reference(&prepared, &problem),
+                drawn => drawn,
+            }
+        }
     }
 }
 
-fn by_adapter(prepared: &Prepared<'_>) -> Result<Picture> {
-    let gpu = Gpu::open()?;
+fn by_adapter(gpu: Gpu, prepared: &Prepared<'_>) -> Result<Picture> {
     let picture = gpu::render(&gpu, prepared)?;
     Ok(Picture { drawn_by: gpu.name, ..picture })
 }

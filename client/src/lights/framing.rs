@@ -11,15 +11,16 @@ use crate::bake::{HIT_SKY, LoadedBake};
 const FOV_DEG: f32 = 60.0;
 /// Irradiance of a chosen sun on a surface that faces it, in W·m⁻².
 const SUN_IRRADIANCE: f32 = 10.0;
-/// Share of probes' rays that meet the sky from which on a scene is looked at from outside.
-const OPEN_SHARE: f32 = 0.3;
+/// Share of a probe's rays that meet the sky up to which it is in a room.
+const ROOM_SKY: f32 = 0.15;
+/// Share of probes in rooms from which on a scene is looked at from inside.
+const ROOM_PROBES: f32 = 0.125;
 
-/// A camera for a bake whose file has none: from outside when the scene is open, else from a probe with a wide view.
+/// A camera for a bake whose file has none: from a probe in a room with a wide view, or from outside where rooms are few.
 ///
 /// Returns the camera and a note that says how it was chosen.
 pub fn default_camera(bake: &LoadedBake) -> (SceneCamera, String) {
-    let seen = if sky_share(bake) < OPEN_SHARE { best_inside(bake) } else { None };
-    let (eye, target, note) = match seen {
+    let (eye, target, note) = match best_inside(bake) {
         Some((eye, target)) => {
             (eye, target, "inside the scene, where a probe sees lit surfaces farthest away")
         }
@@ -50,7 +51,7 @@ pub fn default_camera(bake: &LoadedBake) -> (SceneCamera, String) {
 ///
 /// In a closed scene a sun would light nothing: there, a lamp at the probe nearest to the top of the middle.
 pub fn default_sun(bake: &LoadedBake) -> (SceneLight, String) {
-    let lamp = if sky_share(bake) < 0.01 { lamp_position(bake) } else { None };
+    let lamp = if sky_share(&bake.probes.hits) < 0.01 { lamp_position(bake) } else { None };
     if let Some(position) = lamp {
         let [low, high] = corners(bake);
         let size = (high - low).length();
@@ -75,8 +76,7 @@ fn corners(bake: &LoadedBake) -> [Vec3; 2] {
     bake.manifest.bounds_m.map(Vec3::from)
 }
 
-fn sky_share(bake: &LoadedBake) -> f32 {
-    let hits = &bake.probes.hits;
+fn sky_share(hits: &[u32]) -> f32 {
     if hits.is_empty() {
         return 1.0;
     }
@@ -98,12 +98,19 @@ fn outside(bake: &LoadedBake) -> (Vec3, Vec3) {
     (centre + Vec3::new(0.45, 0.35, 1.0).normalize() * distance, centre)
 }
 
-/// The probe, and a point straight ahead, whose level view meets lit receivers farthest away on average.
+/// The probe in a room, and a point straight ahead, whose level view meets lit receivers farthest away on average; none
+/// when rooms are few.
 fn best_inside(bake: &LoadedBake) -> Option<(Vec3, Vec3)> {
+    let probes = &bake.probes.position_m;
+    let rooms: Vec<usize> =
+        (0..probes.len()).filter(|&probe| sky_share(bake.probes.hits_of(probe)) < ROOM_SKY).collect();
+    if (rooms.len() as f32) < ROOM_PROBES * probes.len() as f32 {
+        return None;
+    }
     let lit = lit_receivers(bake);
     let mut best: Option<(f32, Vec3, Vec3)> = None;
-    for (probe, &eye) in bake.probes.position_m.iter().enumerate() {
-        let hits = bake.probes.hits_of(probe);
+    for probe in rooms {
+        let (eye, hits) = (probes[probe], bake.probes.hits_of(probe));
         for turn in 0..16 {
             let angle = turn as f32 * std::f32::consts::TAU / 16.0;
             let forward = Vec3::new(angle.cos(), -0.08, angle.sin()).normalize();

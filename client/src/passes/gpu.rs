@@ -25,6 +25,8 @@ pub struct Gpu {
     pub queue: wgpu::Queue,
     /// Name and kind, for people.
     pub name: String,
+    /// Whether it is a program that runs on the processor.
+    pub software: bool,
     /// Most bytes of one storage binding; larger arrays are split into pages.
     pub binding_max: u64,
     failure: Arc<Mutex<Option<String>>>,
@@ -64,7 +66,8 @@ impl Gpu {
             heard.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error.to_string());
         }));
         let name = format!("{} ({:?}, {:?})", described.name, described.device_type, described.backend);
-        Ok(Self { device, queue, name, binding_max: BINDING_MAX, failure })
+        let software = described.device_type == wgpu::DeviceType::Cpu;
+        Ok(Self { device, queue, name, software, binding_max: BINDING_MAX, failure })
     }
 
     /// The first thing that went wrong since the last call, if anything did.

@@ -50,7 +50,7 @@ fn camera_and_sun_are_chosen_and_said_when_the_file_has_none() {
     manifest.cameras.clear();
     manifest.lights.clear();
     let bake = LoadedBake::assemble(manifest, fixture::contents(BasisKind::Sh)).unwrap();
-    let (_, notes) = View::of_bake(&bake);
+    let (_, notes) = View::of_bake(&bake, None, Vec::new());
     assert!(notes.iter().any(|note| note.contains("no camera")), "{notes:?}");
     // The fixture has an emitter: it is lit without a sun.
     assert!(!notes.iter().any(|note| note.contains("no light")), "{notes:?}");

@@ -39,7 +39,7 @@ pub struct PictureArguments {
         help_heading = "Picture"
     )]
     exposure: f32,
-    /// Who draws; auto takes the graphics adapter if there is one
+    /// Who draws; auto takes the graphics adapter if there is one that is no software
     #[arg(long, value_enum, default_value = "auto", help_heading = "Picture")]
     backend: BackendName,
     /// Draws something else than the scene, to find faults
@@ -65,7 +65,7 @@ pub enum ToneName {
 /// Who draws.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum BackendName {
-    /// The graphics adapter if there is one that can, else the processor
+    /// The graphics adapter if there is one that can, else the processor, which is faster than an adapter in software
     Auto,
     /// The graphics adapter or nothing
     Gpu,
@@ -93,14 +93,10 @@ impl PictureArguments {
     /// Draws the bake and writes it as PNG; says on standard error what was chosen and who drew.
     pub fn draw(&self, source: &Source, png: &Path) -> Result<()> {
         let bake = LoadedBake::load(source)?;
-        let (mut view, notes) = View::of_bake(&bake);
-        if let Some(camera) = &self.camera {
-            view.camera = parse_camera(camera)?;
-        }
-        if !self.light.is_empty() {
-            view.lights =
-                self.light.iter().map(|light| parse_light(light)).collect::<std::result::Result<_, _>>()?;
-        }
+        let camera = self.camera.as_deref().map(parse_camera).transpose()?;
+        let lights =
+            self.light.iter().map(|light| parse_light(light)).collect::<std::result::Result<Vec<_>, _>>()?;
+        let (mut view, notes) = View::of_bake(&bake, camera, lights);
         (view.width, view.height) = self.size;
         view.tone = self.tone.into();
         view.exposure = Exposure::Auto { stops: self.exposure };
@@ -154,7 +150,8 @@ impl From<BackendName> for Backend {
     }
 }
 
-fn parse_size(text: &str) -> std::result::Result<(u32, u32), String> {
+/// A size as `WIDTHxHEIGHT`, each 1..=16384 pixels.
+pub fn parse_size(text: &str) -> std::result::Result<(u32, u32), String> {
     let wrong = || "write width x height in pixels, e.g. 1280x720".to_owned();
     let (width, height) = text.split_once(['x', 'X']).ok_or_else(wrong)?;
     match (width.parse(), height.parse()) {

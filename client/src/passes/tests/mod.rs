@@ -40,7 +40,7 @@ pub(crate) fn fixture_view() -> (LoadedBake, View) {
 /// As [`fixture_view`], in some basis.
 pub(crate) fn fixture_view_of(basis: BasisKind) -> (LoadedBake, View) {
     let bake = fixture::bake(basis);
-    let (view, notes) = View::of_bake(&bake);
+    let (view, notes) = View::of_bake(&bake, None, Vec::new());
     assert!(notes.is_empty(), "{notes:?}");
     (bake, View { width: 160, height: 120, shadow_side: 512, emitter_scale: vec![1.5], ..view })
 }

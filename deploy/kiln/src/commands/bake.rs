@@ -63,6 +63,7 @@ pub fn run(arguments: Arguments) -> Result<()> {
     let started = Instant::now();
     let settings = arguments.settings.resolve()?;
     arguments.picture.check()?;
+    arguments.wanted.own_lights()?;
     if !arguments.evaluate && !arguments.wanted.fail_if.is_empty() {
         return Err(Failure::bad_input("--fail-if has nothing to look at").try_this("--evaluate beside it"));
     }

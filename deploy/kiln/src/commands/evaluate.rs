@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use lightkiln_client::fetch::Source;
+use lightkiln_client::lights::parse_camera;
 
 use super::submitting::PackedScene;
 use crate::evaluation::{
@@ -11,6 +12,7 @@ use crate::evaluation::{
 };
 use crate::failure::{EXIT_CODES, Result};
 use crate::interrupt::Interrupt;
+use crate::picture::parse_size;
 
 /// Arguments of `kiln evaluate`.
 #[derive(Args, Debug)]
@@ -24,6 +26,13 @@ pub struct Arguments {
     /// Folder to write a page with pictures to (evaluation.html, evaluation.json)
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
+    /// Camera of the pictures of --out, e.g. "eye=0,1.6,4 target=0,1,0 fov=50" (metres, degrees) [default: the scene's
+    /// first, else one is chosen and said]
+    #[arg(long, value_name = "CAMERA", requires = "out")]
+    camera: Option<String>,
+    /// Width and height in pixels of the pictures of --out; every light takes as long as its paths do
+    #[arg(long, value_name = "WxH", default_value = "256x192", value_parser = parse_size)]
+    size: (u32, u32),
     /// Writes place, normal, area, baked and reference E_ind of every receiver and light
     #[arg(long, value_name = "FILE.csv")]
     dump: Option<PathBuf>,
@@ -37,6 +46,7 @@ pub struct Arguments {
 
 /// Measures, writes what is wanted, and holds the figures to the limits.
 pub fn run(arguments: Arguments) -> Result<()> {
+    let camera = arguments.camera.as_deref().map(parse_camera).transpose()?;
     let source = Source::bundle(&arguments.bundle)?;
     let path = match &arguments.scene {
         Some(scene) => scene.clone(),
@@ -49,7 +59,7 @@ pub fn run(arguments: Arguments) -> Result<()> {
     }
     eprint!("{}", words(&measured.evaluation));
     if let Some(out) = &arguments.out {
-        write_page(out, &measured, &draw(&source, &measured)?)?;
+        write_page(out, &measured, &draw(&source, &measured, camera, arguments.size)?)?;
     }
     if arguments.json {
         println!("{}", serde_json::json!(measured.evaluation));

@@ -1,10 +1,13 @@
 //! What an evaluation measures and when it fails, as the command line says it.
 
+use std::fs;
 use std::path::PathBuf;
 
 use clap::Args;
+use lightkiln_worker::evaluate::{TestLight, lights_of_file};
 
 use super::limits::Limit;
+use crate::failure::{Failure, Result};
 
 /// Arguments that `kiln evaluate` and `kiln bake --evaluate` share.
 #[derive(Args, Clone, Debug)]
@@ -32,7 +35,19 @@ pub struct EvaluationArguments {
     pub fail_if: Vec<Limit>,
 }
 
-fn parse_rel_error(text: &str) -> Result<f64, String> {
+impl EvaluationArguments {
+    /// The lights of --lights; cheap, so that a wrong file is said before anything is baked or prepared.
+    pub fn own_lights(&self) -> Result<Option<Vec<TestLight>>> {
+        let Some(path) = &self.lights else { return Ok(None) };
+        let failed = |problem: &str, error: &(dyn std::error::Error + 'static)| {
+            Failure::bad_input(format!("{} {problem}", path.display())).caused_by(error)
+        };
+        let json = fs::read(path).map_err(|error| failed("cannot be read", &error))?;
+        lights_of_file(&json).map(Some).map_err(|error| failed("cannot be measured with", &error))
+    }
+}
+
+fn parse_rel_error(text: &str) -> std::result::Result<f64, String> {
     match text.parse() {
         Ok(value @ 0.0005..=1.0) => Ok(value),
         _ => Err("write a number in 0.0005..=1, e.g. 0.03".to_owned()),

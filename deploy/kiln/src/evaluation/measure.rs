@@ -1,13 +1,9 @@
 //! The measurement itself: bundle and scene in, figures and everything that pictures need out.
 
-use std::fs;
-
 use lightkiln_client::fetch::Source;
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::manifest::{ChunkRef, Manifest};
-use lightkiln_worker::evaluate::{
-    EvaluationError, Evaluator, LightResult, Options, cluster_errors, lights_of_file,
-};
+use lightkiln_worker::evaluate::{EvaluationError, Evaluator, LightResult, Options, cluster_errors};
 use lightkiln_worker::reference::Precision;
 use lightkiln_worker::task::Progress;
 
@@ -37,6 +33,7 @@ pub fn measure(
     wanted: &EvaluationArguments,
     interrupt: &Interrupt,
 ) -> Result<Measured> {
+    let own = wanted.own_lights()?;
     let name = scene.name.clone();
     let (_, manifest) = source.manifest()?;
     let progress = Progress::new();
@@ -46,14 +43,8 @@ pub fn measure(
     let bytes = |digest| chunk(source, &manifest, digest);
     let evaluator =
         Evaluator::new(&manifest, scene.into_bytes(), bytes, options, &progress).map_err(failure)?;
-    let chosen = match &wanted.lights {
-        Some(path) => {
-            let json = fs::read(path).map_err(|error| {
-                Failure::bad_input(format!("the file of lights {} cannot be read", path.display()))
-                    .caused_by(&error)
-            })?;
-            evaluator.usable(lights_of_file(&json).map_err(failure)?)
-        }
+    let chosen = match own {
+        Some(lights) => evaluator.usable(lights),
         None => {
             let chosen = evaluator.default_lights();
             evaluator.usable(chosen.lights).map(|mut usable| {

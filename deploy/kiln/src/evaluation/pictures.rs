@@ -16,8 +16,8 @@ use super::heat::{Bitmap, atlas, colour};
 use super::measure::Measured;
 use crate::failure::{Exit, Failure, Result};
 
-/// Pixels down; the width follows.
-const SIZE: PictureSize = PictureSize { width: 256, height: 192, grid: 14 };
+/// Paths along a pixel's side: their square go through it.
+const PATHS_A_SIDE: u32 = 14;
 /// Side in pixels of the blocks in which differences are shown.
 const HEAT_BLOCK: usize = 2;
 /// Points over a panel for E_dir at a pixel's sample.
@@ -41,13 +41,23 @@ pub struct LightPictures {
     pub atlas: Vec<Bitmap>,
 }
 
-/// Draws every light of a measurement; says on standard error which.
-pub fn draw(source: &Source, measured: &Measured) -> Result<Vec<LightPictures>> {
+/// Draws every light of a measurement by `camera`, or the scene's first, or one chosen; says on standard error which.
+pub fn draw(
+    source: &Source,
+    measured: &Measured,
+    camera: Option<SceneCamera>,
+    (width, height): (u32, u32),
+) -> Result<Vec<LightPictures>> {
     let bake = LoadedBake::load(source)?;
-    let camera = bake.manifest.cameras.first().cloned().unwrap_or_else(|| default_camera(&bake).0);
+    let camera = camera.or_else(|| bake.manifest.cameras.first().cloned()).unwrap_or_else(|| {
+        let (camera, note) = default_camera(&bake);
+        eprintln!("note: {note}");
+        camera
+    });
+    let size = PictureSize { width, height, grid: PATHS_A_SIDE };
     let draw = |result: &LightResult| {
         eprintln!("{}: pictures", result.light.name);
-        one(&bake, &camera, measured, result)
+        one(&bake, &camera, &size, measured, result)
     };
     measured.results.iter().map(draw).collect()
 }
@@ -55,6 +65,7 @@ pub fn draw(source: &Source, measured: &Measured) -> Result<Vec<LightPictures>> 
 fn one(
     bake: &LoadedBake,
     camera: &SceneCamera,
+    size: &PictureSize,
     measured: &Measured,
     result: &LightResult,
 ) -> Result<LightPictures> {
@@ -75,14 +86,15 @@ fn one(
         direct + indirect.unwrap_or_default()
     };
     let progress = Progress::new();
-    let baked = reference.picture_by(camera, &SIZE, &progress, irradiance).map_err(|error| failed(&error))?;
-    let traced = reference.picture(camera, &SIZE, &progress).map_err(|error| failed(&error))?;
+    let baked = reference.picture_by(camera, size, &progress, irradiance).map_err(|error| failed(&error))?;
+    let traced = reference.picture(camera, size, &progress).map_err(|error| failed(&error))?;
     let opaque: Vec<Vec4> = traced.radiance.iter().map(|l| Vec4::new(l[0], l[1], l[2], 1.0)).collect();
     let exposure = automatic_exposure(&opaque);
+    let bitmap = |pixels: Vec<[u8; 4]>| Bitmap { width: size.width, height: size.height, pixels };
     let shown = |film: &Film| bitmap(developed(&film.radiance, exposure, Tone::Filmic));
     let (baked_shown, traced_shown) = (shown(&baked), shown(&traced));
-    let flip = difference(SIZE.width, SIZE.height, &traced_shown.pixels, &baked_shown.pixels);
-    let heat = compared(&baked, &traced);
+    let flip = difference(size.width, size.height, &traced_shown.pixels, &baked_shown.pixels);
+    let heat = bitmap(compared(size, &baked, &traced));
     Ok(LightPictures {
         name: result.light.name.clone(),
         baked: baked_shown,
@@ -94,18 +106,14 @@ fn one(
     })
 }
 
-fn bitmap(pixels: Vec<[u8; 4]>) -> Bitmap {
-    Bitmap { width: SIZE.width, height: SIZE.height, pixels }
-}
-
 /// Signed difference over the mean luminance of the reference, in blocks of pixels, which halves the noise of paths.
-fn compared(baked: &Film, traced: &Film) -> Bitmap {
+fn compared(size: &PictureSize, baked: &Film, traced: &Film) -> Vec<[u8; 4]> {
     let of = |film: &Film| -> Vec<f64> {
         film.radiance.iter().map(|pixel| luminance(glam::Vec3::from(*pixel).as_dvec3())).collect()
     };
     let (baked, traced) = (of(baked), of(traced));
     let mean = (traced.iter().sum::<f64>() / traced.len().max(1) as f64).max(f64::MIN_POSITIVE);
-    let [width, height] = [SIZE.width, SIZE.height].map(|side| side as usize);
+    let [width, height] = [size.width, size.height].map(|side| side as usize);
     let block_of =
         |pixel: usize| pixel / width / HEAT_BLOCK * width.div_ceil(HEAT_BLOCK) + pixel % width / HEAT_BLOCK;
     let mut blocks = vec![(0.0, 0_u32); width.div_ceil(HEAT_BLOCK) * height.div_ceil(HEAT_BLOCK)];
@@ -117,5 +125,5 @@ fn compared(baked: &Film, traced: &Film) -> Bitmap {
         let (sum, count) = blocks[block_of(pixel)];
         colour(sum / f64::from(count))
     };
-    bitmap((0..baked.len()).map(shown).collect())
+    (0..baked.len()).map(shown).collect()
 }

@@ -37,7 +37,8 @@ fn evaluation_of_a_bundle_finds_its_scene_and_writes_figures_page_and_table() {
     let folder = tempfile::tempdir().unwrap();
     baked(folder.path(), &[], 0);
     let files = ["--out", "page", "--dump", "receivers.csv", "--json"];
-    let done = evaluated(folder.path(), &[&ROUGH[..], &files[..]].concat(), 0);
+    let view = ["--camera", "eye=0,2.5,1 target=0,2.5,-3 fov=60", "--size", "72x50"];
+    let done = evaluated(folder.path(), &[&ROUGH[..], &files[..], &view[..]].concat(), 0);
     let figures = done.json();
     assert_eq!(figures["scene"], "cornell");
     let names: Vec<&str> =
@@ -79,6 +80,15 @@ fn bake_that_breaks_a_limit_ends_with_4_and_one_that_keeps_it_with_0() {
 }
 
 #[test]
+fn lights_that_cannot_be_measured_with_are_said_before_anything_is_baked() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("wrong.json"), r#"{"lights": [{"name": "a", "type": "candle"}]}"#).unwrap();
+    let stderr = baked(folder.path(), &["--evaluate", "--lights", "wrong.json"], 2).stderr();
+    assert!(stderr.contains("wrong.json") && stderr.contains("candle"), "{stderr}");
+    assert!(!folder.path().join("box.kiln").exists());
+}
+
+#[test]
 fn evaluation_refuses_what_it_cannot_measure_and_says_what_to_do() {
     let folder = tempfile::tempdir().unwrap();
     baked(folder.path(), &[], 0);
@@ -90,6 +100,8 @@ fn evaluation_refuses_what_it_cannot_measure_and_says_what_to_do() {
     refused(&["--fail-if", "rmse>1"], &["rel_rmse"]);
     refused(&["--rel-error", "0"], &["0.0005"]);
     refused(&["--lights", "absent.json"], &["absent.json"]);
+    refused(&["--out", "page", "--camera", "eye=0"], &["camera"]);
+    refused(&["--out", "page", "--size", "0x9"], &["1..=16384"]);
     let other = cornell().with_file_name("two_rooms.glb").display().to_string();
     refused(&["--scene", &other], &["digest", "baked from"]);
     let lit_by = |light: &str| {
