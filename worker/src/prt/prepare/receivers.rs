@@ -22,6 +22,9 @@ use crate::unwrap::{Unwrap, UnwrapBlock, UnwrappedTriangle};
 const OPENNESS_MIN: f32 = 0.5;
 /// How much more open another point must be to stand for the texel.
 const OPENNESS_GAIN_MIN: f32 = 1.5;
+/// Cosine between faces from which on a texel bends: where a narrow edge has parts that look into a gap and parts that
+/// look out of it, those that look out are what is seen of the texel.
+const BENT_COSINE_MAX: f32 = std::f32::consts::FRAC_1_SQRT_2;
 /// What the openness of a point off the surface counts for: a point on it is looked for and taken if it is open too.
 const LIFTED_WORTH: f32 = 0.3;
 
@@ -106,7 +109,7 @@ pub fn place(
                 shifter.shifted(if side == 0 { front } else { turned(&front) }, key)
             };
             let mut standing: Vec<Option<Standing>> = coverage.covered.par_iter().map(stand).collect();
-            open_up(block, &coverage.covered, &mut standing, stand);
+            open_up(block, &coverage.covered, &mut standing, |texel| maker.face_normal(texel), stand);
             progress.add_rays_closest(shifter.take_rays());
             blocks[block_index as usize].receiver_of_texel =
                 number(&coverage, &standing, &areas, &mut placed);
@@ -118,21 +121,28 @@ pub fn place(
 }
 
 /// Lets another point stand for each texel whose own is in a crevice, or in a solid, or was lifted onto one: texels on a
-/// rim often have their middle under what lies on the surface, while only the rim is seen.
+/// rim often have their middle under what lies on the surface, while only the rim is seen. Where a texel bends, a point
+/// that is less closed than that gives way too, to one that looks elsewhere.
 fn open_up(
     block: &UnwrapBlock,
     covered: &[CoveredTexel],
     standing: &mut [Option<Standing>],
+    face_normal: impl Fn(&CoveredTexel) -> Vec3 + Sync,
     stand: impl Fn(&CoveredTexel) -> Option<Standing> + Sync,
 ) {
     let worth = |standing: &Standing| standing.openness * if standing.is_lifted { LIFTED_WORTH } else { 1.0 };
     let openness = |standing: &Option<Standing>| standing.as_ref().map_or(0.0, worth);
-    let closed: Vec<usize> = (0..covered.len()).filter(|&i| openness(&standing[i]) < OPENNESS_MIN).collect();
+    let may_gain = |index: &usize| openness(&standing[*index]) * OPENNESS_GAIN_MIN < 1.0;
+    let closed: Vec<usize> = (0..covered.len()).filter(may_gain).collect();
     let wanted: Vec<CoveredTexel> = closed.iter().map(|&index| covered[index]).collect();
     let better: Vec<Option<Standing>> = alternatives(block, &wanted)
         .par_iter()
-        .map(|points| {
-            let all = points.iter().filter_map(&stand);
+        .zip(&closed)
+        .map(|(points, &index)| {
+            let is_crevice = openness(&standing[index]) < OPENNESS_MIN;
+            let own = face_normal(&covered[index]);
+            let bends = |point: &&CoveredTexel| is_crevice || face_normal(point).dot(own) < BENT_COSINE_MAX;
+            let all = points.iter().filter(bends).filter_map(&stand);
             // Of equally open points the first: the result does not hang on the order of threads.
             all.reduce(|best, other| if worth(&other) > worth(&best) { other } else { best })
         })
@@ -185,6 +195,13 @@ impl Maker<'_> {
         0.5 * (b - a).cross(c - a).length() / (self.texel_m * self.texel_m)
     }
 
+    /// Normal of the triangle that a texel's point lies on, on its front.
+    fn face_normal(&self, covered: &CoveredTexel) -> Vec3 {
+        let reference = TriangleRef { instance: self.instance as u32, triangle: covered.triangle };
+        let [a, b, c] = corners_of(self.scene, reference);
+        (b - a).cross(c - a).normalize_or(Vec3::Y)
+    }
+
     /// The front's receiver of a texel; its block is filled in later.
     fn receiver(&self, covered: &CoveredTexel) -> Receiver {
         let instance = &self.scene.instances[self.instance];
@@ -192,7 +209,7 @@ impl Maker<'_> {
         let reference = TriangleRef { instance: self.instance as u32, triangle: covered.triangle };
         let [a, b, c] = corners_of(self.scene, reference);
         let [wa, wb, wc] = covered.weights;
-        let face_normal = (b - a).cross(c - a).normalize_or(Vec3::Y);
+        let face_normal = self.face_normal(covered);
         let shading = normal_at(instance, triangle, covered.weights);
         let footprint = Footprint::square(instance, triangle, self.texel_m);
         let surface =
