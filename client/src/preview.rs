@@ -171,7 +171,7 @@ pub fn render(bake: &LoadedBake, view: &View, backend: Backend) -> Result<Pictur
         Backend::Auto => {
             let drawn = match Gpu::open() {
                 Ok(gpu) if gpu.software => {
-                    return by_reference(&prepared, &format!("{} is one itself", gpu.name));
+                    return by_reference(&prepared, &format!("{} is software", gpu.name));
                 }
                 Ok(gpu) => by_adapter(gpu, &prepared),
                 Err(error) => Err(error),
