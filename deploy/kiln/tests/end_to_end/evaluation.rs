@@ -100,7 +100,7 @@ fn evaluation_refuses_what_it_cannot_measure_and_says_what_to_do() {
     refused(&["--fail-if", "rmse>1"], &["rel_rmse"]);
     refused(&["--rel-error", "0"], &["0.0005"]);
     refused(&["--lights", "absent.json"], &["absent.json"]);
-    refused(&["--out", "page", "--camera", "eye=0"], &["camera"]);
+    refused(&["--out", "page", "--camera", "eye=0"], &["eye=0", "target=x,y,z"]);
     refused(&["--out", "page", "--size", "0x9"], &["1..=16384"]);
     let other = cornell().with_file_name("two_rooms.glb").display().to_string();
     refused(&["--scene", &other], &["digest", "baked from"]);
