@@ -30,7 +30,7 @@ pub const MAX_SAMPLES: u32 = 64;
 /// Who draws.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Backend {
-    /// The graphics adapter if there is one that can and is no software, else the processor, which outruns such by far.
+    /// The graphics adapter if there is one that can and is no software, else the processor, which is faster than such.
     #[default]
     Auto,
     /// The graphics adapter or nothing.
