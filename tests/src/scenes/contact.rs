@@ -12,6 +12,8 @@ const YAW_RAD: f32 = 0.35;
 
 /// Half the width of the box of [`box_on_floor`].
 pub const BOX_HALF_M: f32 = 0.6;
+/// Height of the plate of [`hollow_pier_on_plate`].
+pub const PLATE_TOP_M: f32 = 0.25;
 /// Half the width of [`column`].
 pub const COLUMN_HALF_M: f32 = 0.11;
 
@@ -45,6 +47,22 @@ pub fn slab_on_floor(half_m: f32) -> Vec<u8> {
     glb.object("floor", &floor(2.5), plaster);
     let half = Vec3::new(half_m, 0.0, half_m);
     glb.object("slab", &shapes::cuboid(-half, half + Vec3::Y * 0.02, &[]), plaster);
+    glb.finish()
+}
+
+/// On a floor under the open sky a square plate of half a width `plate_half_m`, its top at [`PLATE_TOP_M`], and on that a
+/// pier of half a width `pier_half_m` that is hollow: four walls without thickness and a cap, no bottom.
+pub fn hollow_pier_on_plate(plate_half_m: f32, pier_half_m: f32) -> Vec<u8> {
+    let mut glb = Glb::new("hollow_pier_on_plate");
+    let plaster = glb.material(Surface::diffuse("plaster", PLASTER));
+    let sheet = glb.material(Surface::diffuse("sheet", PLASTER).double_sided());
+    glb.object("floor", &floor(2.5), plaster);
+    let standing = |half_m: f32, low_m: f32, high_m: f32| {
+        let half = Vec3::new(half_m, 0.0, half_m);
+        shapes::cuboid(-half + Vec3::Y * low_m, half + Vec3::Y * high_m, &[Side::Bottom])
+    };
+    glb.object("plate", &standing(plate_half_m, 0.0, PLATE_TOP_M), plaster);
+    glb.object("pier", &standing(pier_half_m, PLATE_TOP_M, PLATE_TOP_M + 0.8), sheet);
     glb.finish()
 }
 

@@ -3,7 +3,7 @@
 use glam::Vec3;
 use lightkiln_proto::scene::{LightKind, SceneLight};
 use lightkiln_tests::harness::{Held, Lit};
-use lightkiln_tests::scenes::{self, BOX_HALF_M, COLUMN_HALF_M, outside_m};
+use lightkiln_tests::scenes::{self, BOX_HALF_M, COLUMN_HALF_M, PLATE_TOP_M, outside_m};
 use lightkiln_worker::prt::stage::Receiver;
 
 use super::setup::{
@@ -90,6 +90,25 @@ fn texels_of_which_a_strip_is_seen_have_its_light() {
     assert_eq!(strip.len(), 10 * 10 - 8 * 8, "texels with a point in the strip");
     let lit = held.under(&daylight()).unwrap();
     assert_is_as_the_reference(&lit, "floor beside a slab", &strip, NEAR);
+}
+
+/// A rim that its chart only touches, beside the wall of a hollow pier: the texels that would stand for it lie in the pier.
+#[test]
+fn rim_beside_a_hollow_pier_has_the_light_outside_of_it() {
+    const RIM_M: f32 = 0.1 * TEXEL_M;
+    let pier_half_m = 5.0 * TEXEL_M;
+    let scene = scenes::hollow_pier_on_plate(pier_half_m + RIM_M, pier_half_m);
+    let held = Held::new(scene, &with_texels("patches", TEXEL_M, 256)).unwrap();
+    let is_top = |r: &Receiver| r.normal.y > 0.9 && (r.position_m.y - PLATE_TOP_M).abs() < 0.01;
+    let outside = |r: &Receiver| r.position_m.x.abs().max(r.position_m.z.abs()) - pier_half_m;
+    let rim = held.receivers(|r| is_top(r) && outside(r) > 0.0);
+    // Of corners, where two triangles meet, each has too little.
+    assert!((40..=44).contains(&rim.len()), "texels of the rim with a point of their own: {}", rim.len());
+    let lit = held.under(&daylight()).unwrap();
+    assert_is_as_the_reference(&lit, "rim beside a hollow pier", &rim, NEAR);
+    let hollow = held.receivers(|r| is_top(r) && outside(r) < 0.0);
+    assert_eq!(hollow.len(), 10 * 10);
+    assert!(hollow.iter().all(|&receiver| lit.baked(receiver).max_element() == 0.0), "light in the pier");
 }
 
 fn column_casts_no_dark_leak_around_its_foot(basis: &str) {

@@ -30,6 +30,12 @@ pub struct Geometry {
     pub triangles: Vec<TriangleRef>,
 }
 
+/// How far points are raised at most before they are tested for a wall between them, in metres: above the bulge of
+/// curved surfaces, below anything that one would call a wall.
+pub fn link_height_m(texel_m: f32) -> f32 {
+    texel_m * 0.25
+}
+
 impl Geometry {
     /// Gathers triangles and builds the tree.
     pub fn new(scene: &Scene, images: &Arc<DecodedImages>) -> Self {
@@ -44,6 +50,14 @@ impl Geometry {
         }
         let alpha = Masks::alpha_test(scene, images, &triangles);
         Self { tracer: Tracer::new(&corners, alpha), triangles }
+    }
+
+    /// A point of a surface raised along its normal by at most `height_m`, to be tested for walls between it and others:
+    /// half way to what stands above it at most, as a gap may be narrower.
+    pub fn raised(&self, point_m: Vec3, normal: Vec3, height_m: f32) -> Vec3 {
+        let foot_m = point_m + normal * self.tracer.ray_offset_m();
+        let free_m = self.tracer.closest(foot_m, normal, 2.0 * height_m).map_or(height_m, |hit| 0.5 * hit.t);
+        foot_m + normal * free_m
     }
 
     /// Unit normal of a triangle's front.
@@ -295,13 +309,9 @@ impl World {
         (1..=LINKED_RINGS).find_map(nearest).map_or(Surface::Dark, Surface::Receiver)
     }
 
-    /// A point of a surface raised along its normal by at most `height_m`, to be tested for walls between it and others:
-    /// half way to what stands above it at most, as a gap may be narrower.
+    /// As [`Geometry::raised`].
     pub fn raised(&self, point_m: Vec3, normal: Vec3, height_m: f32) -> Vec3 {
-        let tracer = &self.geometry.tracer;
-        let foot_m = point_m + normal * tracer.ray_offset_m();
-        let free_m = tracer.closest(foot_m, normal, 2.0 * height_m).map_or(height_m, |hit| 0.5 * hit.t);
-        foot_m + normal * free_m
+        self.geometry.raised(point_m, normal, height_m)
     }
 
     /// As [`World::raised`] by [`World::link_height_m`], of a receiver.
@@ -309,10 +319,9 @@ impl World {
         self.raised_m[receiver as usize]
     }
 
-    /// How far points are raised at most before they are tested for a wall between them, in metres: above the bulge
-    /// of curved surfaces, below anything that one would call a wall.
+    /// As [`link_height_m`], for the texels of this world.
     pub fn link_height_m(&self) -> f32 {
-        self.stage.texel_m * 0.25
+        link_height_m(self.stage.texel_m)
     }
 
     /// No wall stands between two raised points.

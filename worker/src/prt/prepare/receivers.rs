@@ -28,6 +28,10 @@ const BENT_COSINE_MAX: f32 = std::f32::consts::FRAC_1_SQRT_2;
 /// What the openness of a point off the surface counts for: a point on it is looked for and taken if it is open too.
 const LIFTED_WORTH: f32 = 0.3;
 
+/// Share of rays to back faces from which on a point is beyond the walls of what is seen: the foot of a wall that reaches
+/// through the floor.
+const BEYOND_SHARE_MIN: f32 = 0.125;
+
 /// Sides of an instance that have receivers.
 fn sides(scene: &Scene, instance: usize) -> u32 {
     if scene.materials[scene.instances[instance].material_index as usize].double_sided { 2 } else { 1 }
@@ -99,17 +103,19 @@ pub fn place(
     for (instance, part) in parts {
         progress.check()?;
         let block = &unwraps[instance].blocks[part];
-        let coverage = cover(block);
+        let found = cover(block);
         let maker = Maker { scene, images, instance, texel_m };
-        let areas = areas(block, &coverage, |triangle| maker.area_texels(triangle));
         for side in 0..sides(scene, instance) {
             let key = blocks[block_index as usize].key;
             let stand = |texel: &CoveredTexel| {
                 let front = Receiver { block: block_index, ..maker.receiver(texel) };
                 shifter.shifted(if side == 0 { front } else { turned(&front) }, key)
             };
+            let mut coverage = found.clone();
             let mut standing: Vec<Option<Standing>> = coverage.covered.par_iter().map(stand).collect();
             open_up(block, &coverage.covered, &mut standing, |texel| maker.face_normal(texel), stand);
+            set_apart(block, &mut coverage, &mut standing, |a, b| shifter.is_parted(a, b), stand);
+            let areas = areas(block, &coverage, |triangle| maker.area_texels(triangle));
             progress.add_rays_closest(shifter.take_rays());
             blocks[block_index as usize].receiver_of_texel =
                 number(&coverage, &standing, &areas, &mut placed);
@@ -130,8 +136,6 @@ fn open_up(
     face_normal: impl Fn(&CoveredTexel) -> Vec3 + Sync,
     stand: impl Fn(&CoveredTexel) -> Option<Standing> + Sync,
 ) {
-    let worth = |standing: &Standing| standing.openness * if standing.is_lifted { LIFTED_WORTH } else { 1.0 };
-    let openness = |standing: &Option<Standing>| standing.as_ref().map_or(0.0, worth);
     let may_gain = |index: &usize| openness(&standing[*index]) * OPENNESS_GAIN_MIN < 1.0;
     let closed: Vec<usize> = (0..covered.len()).filter(may_gain).collect();
     let wanted: Vec<CoveredTexel> = closed.iter().map(|&index| covered[index]).collect();
@@ -152,6 +156,38 @@ fn open_up(
             standing[index] = *better;
         }
     }
+}
+
+/// Gives an open texel that its chart only touches a receiver of its own where a wall parts it from what stands for it: the
+/// bevel of a rail, when all of the rail's texels beside it lie in a hollow pier.
+fn set_apart(
+    block: &UnwrapBlock,
+    coverage: &mut Coverage,
+    standing: &mut Vec<Option<Standing>>,
+    is_parted: impl Fn(&Receiver, &Receiver) -> bool + Sync,
+    stand: impl Fn(&CoveredTexel) -> Option<Standing> + Sync,
+) {
+    let apart = |texel: &CoveredTexel| {
+        let other =
+            standing[coverage.stands_for[Coverage::place(texel.texel, block.width)] as usize].as_ref();
+        let own =
+            stand(texel).filter(|own| worth(own) > OPENNESS_MIN && own.back_share < BEYOND_SHARE_MIN)?;
+        let is_apart = other.is_none_or(|other| is_parted(&own.receiver, &other.receiver));
+        is_apart.then_some((*texel, Some(own)))
+    };
+    let (texels, own): (Vec<CoveredTexel>, Vec<Option<Standing>>) =
+        coverage.touched.par_iter().filter_map(apart).unzip();
+    if !texels.is_empty() {
+        coverage.set_apart(&texels, &own, standing, block.width);
+    }
+}
+
+fn worth(standing: &Standing) -> f32 {
+    standing.openness * if standing.is_lifted { LIFTED_WORTH } else { 1.0 }
+}
+
+fn openness(standing: &Option<Standing>) -> f32 {
+    standing.as_ref().map_or(0.0, worth)
 }
 
 /// Appends the valid receivers and gives the block's table of them.

@@ -6,7 +6,7 @@ use glam::Vec3;
 use lightkiln_proto::prt::Settings;
 
 use crate::prt::stage::Receiver;
-use crate::prt::world::Geometry;
+use crate::prt::world::{Geometry, link_height_m};
 use crate::rays::sampling::{R2, seed_of, tangent_frame, uniform_sphere};
 use crate::scene::model::Scene;
 
@@ -32,6 +32,8 @@ pub struct Standing {
     pub receiver: Receiver,
     /// Mean free path above it in texels, each ray counted up to one and by its cosine.
     pub openness: f32,
+    /// Share of its rays that meet back faces of single-sided surfaces.
+    pub back_share: f32,
     /// It was moved off its surface, out through the top of what lies on that, not beside it.
     pub is_lifted: bool,
 }
@@ -66,7 +68,8 @@ impl<'a> Shifter<'a> {
         let start_m = receiver.position_m + receiver.face_normal * offset_m;
         let found = self.probe(start_m, receiver.face_normal, seed);
         if found.back_share < self.back_face_min || found.escaped {
-            return Some(Standing { receiver, openness: found.openness, is_lifted: false });
+            let Probing { openness, back_share, .. } = found;
+            return Some(Standing { receiver, openness, back_share, is_lifted: false });
         }
         let (direction, distance_m) = found.nearest?;
         if distance_m > self.texel_m * SHIFT_MAX_TEXELS {
@@ -76,8 +79,17 @@ impl<'a> Shifter<'a> {
         let moved = self.probe(moved_m, receiver.face_normal, seed);
         let receiver = Receiver { position_m: moved_m, ..receiver };
         let is_lifted = direction.dot(receiver.face_normal) > 0.5;
-        let standing = Standing { receiver, openness: moved.openness, is_lifted };
+        let Probing { openness, back_share, .. } = moved;
+        let standing = Standing { receiver, openness, back_share, is_lifted };
         (moved.back_share < self.back_face_min).then_some(standing)
+    }
+
+    /// A wall stands between two receivers, both raised as for their links.
+    pub fn is_parted(&self, a: &Receiver, b: &Receiver) -> bool {
+        let height_m = link_height_m(self.texel_m);
+        let [a_m, b_m] = [a, b].map(|r| self.geometry.raised(r.position_m, r.face_normal, height_m));
+        self.rays.fetch_add(2, Ordering::Relaxed);
+        self.geometry.tracer.is_occluded(a_m, b_m)
     }
 
     /// Closest-hit rays cast since the last call.

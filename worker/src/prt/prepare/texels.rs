@@ -6,6 +6,10 @@ use glam::{UVec2, Vec2, Vec3};
 
 use crate::unwrap::{UnwrapBlock, UnwrappedTriangle};
 
+/// Least width, in texels, of what a triangle covers of a texel for a receiver to stand in its middle though another could
+/// stand for it: points beside a rim see past the wall that meets it there.
+const APART_WIDTH_MIN: f32 = 1.0 / 32.0;
+
 /// A texel that gets a receiver.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CoveredTexel {
@@ -24,6 +28,34 @@ pub struct Coverage {
     pub covered: Vec<CoveredTexel>,
     /// For each texel, index into `covered` of what stands for it, or `u32::MAX`.
     pub stands_for: Vec<u32>,
+    /// Texels that another stands for, with the middle of what the chart covers of them, where that is no mere rim.
+    pub touched: Vec<CoveredTexel>,
+}
+
+impl Coverage {
+    /// Index of a texel of a block that is `width` texels wide into `stands_for`.
+    pub fn place(texel: [u16; 2], width: u32) -> usize {
+        usize::from(texel[1]) * width as usize + usize::from(texel[0])
+    }
+
+    /// Gives touched texels receivers of their own, in the raster's order. `more` is what goes with each, `with` what goes
+    /// with `covered`.
+    pub fn set_apart<T: Copy>(&mut self, apart: &[CoveredTexel], more: &[T], with: &mut Vec<T>, width: u32) {
+        for texel in apart {
+            self.stands_for[Self::place(texel.texel, width)] = self.covered.len() as u32;
+            self.covered.push(*texel);
+        }
+        with.extend_from_slice(more);
+        let mut order: Vec<usize> = (0..self.covered.len()).collect();
+        order.sort_by_key(|&index| Self::place(self.covered[index].texel, width));
+        let mut rank = vec![0; order.len()];
+        order.iter().enumerate().for_each(|(new, &old)| rank[old] = new as u32);
+        self.covered = order.iter().map(|&old| self.covered[old]).collect();
+        *with = order.iter().map(|&old| with[old]).collect();
+        for index in self.stands_for.iter_mut().filter(|index| **index != u32::MAX) {
+            *index = rank[*index as usize];
+        }
+    }
 }
 
 #[derive(Clone, Copy)]
@@ -34,11 +66,14 @@ struct Claim {
     centred: bool,
     /// Area of the triangle inside the texel, in texels.
     area: f32,
+    /// Width of it.
+    width: f32,
     /// Point of the triangle that stands for the texel: its centre, or the middle of what the triangle covers of it.
     point: Vec2,
 }
 
-const UNCLAIMED: Claim = Claim { triangle: u32::MAX, centred: false, area: 0.0, point: Vec2::ZERO };
+const UNCLAIMED: Claim =
+    Claim { triangle: u32::MAX, centred: false, area: 0.0, width: 0.0, point: Vec2::ZERO };
 
 /// Finds the receivers' texels.
 ///
@@ -145,18 +180,25 @@ fn points_inside(corners: &[Vec2; 3], corner: Vec2) -> Vec<Vec2> {
 }
 
 fn collect(block: &UnwrapBlock, claims: &[Claim], has_receiver: &[bool], stand_in: &[u32]) -> Coverage {
-    let mut coverage = Coverage { covered: Vec::new(), stands_for: vec![u32::MAX; claims.len()] };
-    for (index, claim) in claims.iter().enumerate().filter(|(index, _)| has_receiver[*index]) {
+    let mut coverage =
+        Coverage { stands_for: vec![u32::MAX; claims.len()], covered: Vec::new(), touched: Vec::new() };
+    let texel_of = |index: usize, claim: &Claim| {
         let triangle = &block.triangles[claim.triangle as usize];
-        coverage.stands_for[index] = coverage.covered.len() as u32;
-        coverage.covered.push(CoveredTexel {
+        CoveredTexel {
             texel: [(index % block.width as usize) as u16, (index / block.width as usize) as u16],
             triangle: triangle.source_triangle,
             weights: source_weights(triangle, claim.point),
-        });
+        }
+    };
+    for (index, claim) in claims.iter().enumerate().filter(|(index, _)| has_receiver[*index]) {
+        coverage.stands_for[index] = coverage.covered.len() as u32;
+        coverage.covered.push(texel_of(index, claim));
     }
     for (index, &other) in stand_in.iter().enumerate().filter(|(_, other)| **other != u32::MAX) {
         coverage.stands_for[index] = coverage.stands_for[other as usize];
+        if claims[index].width >= APART_WIDTH_MIN {
+            coverage.touched.push(texel_of(index, &claims[index]));
+        }
     }
     coverage
 }
@@ -196,11 +238,18 @@ fn texel_bounds(triangle: &UnwrappedTriangle, block: &UnwrapBlock) -> ([u32; 2],
 fn claim_of(triangle: u32, corners: &[Vec2; 3], corner: Vec2) -> Option<Claim> {
     let centre = corner + 0.5;
     if is_inside(corners, centre) {
-        return Some(Claim { triangle, centred: true, area: 1.0, point: centre });
+        return Some(Claim { triangle, centred: true, area: 1.0, width: 1.0, point: centre });
     }
     let covered = clipped(corners, corner, corner + 1.0);
     let (area, point) = area_and_middle(&covered)?;
-    Some(Claim { triangle, centred: false, area, point })
+    Some(Claim { triangle, centred: false, area, width: width_of(&covered, area), point })
+}
+
+/// Width of a long polygon; of others about that.
+fn width_of(polygon: &[Vec2], area: f32) -> f32 {
+    let before = polygon.iter().cycle().skip(polygon.len() - 1);
+    let perimeter: f32 = polygon.iter().zip(before).map(|(to, from)| to.distance(*from)).sum();
+    if perimeter > 0.0 { 2.0 * area / perimeter } else { 0.0 }
 }
 
 fn is_inside(corners: &[Vec2; 3], point: Vec2) -> bool {
@@ -311,6 +360,36 @@ mod tests {
         let touched = coverage.stands_for.iter().filter(|&&index| index != u32::MAX).count();
         assert!(touched > coverage.covered.len());
         assert!(coverage.stands_for.iter().all(|&i| i == u32::MAX || (i as usize) < coverage.covered.len()));
+    }
+
+    #[test]
+    fn texels_set_apart_stand_for_themselves_in_order_of_the_raster() {
+        let block = block(&[[Vec2::new(1.2, 1.2), Vec2::new(6.4, 1.2), Vec2::new(1.2, 6.4)]]);
+        let before = cover(&block);
+        let mut after = before.clone();
+        let mut with: Vec<[u16; 2]> = before.covered.iter().map(|covered| covered.texel).collect();
+        let more: Vec<[u16; 2]> = before.touched.iter().map(|touched| touched.texel).collect();
+        assert!(!more.is_empty());
+        after.set_apart(&before.touched, &more, &mut with, block.width);
+        let places: Vec<usize> =
+            after.covered.iter().map(|covered| Coverage::place(covered.texel, block.width)).collect();
+        assert!(places.is_sorted() && places.len() == before.covered.len() + more.len());
+        assert!(after.covered.iter().zip(&with).all(|(covered, texel)| covered.texel == *texel));
+        for (index, place) in places.iter().enumerate() {
+            assert_eq!(after.stands_for[*place], index as u32);
+        }
+    }
+
+    #[test]
+    fn what_is_no_wider_than_a_rim_is_not_set_apart() {
+        let strip = |width: f32| {
+            let [low, high] = [Vec2::new(2.0, 2.0), Vec2::new(4.0 + width, 5.0)];
+            let mut both =
+                block(&[[low, Vec2::new(high.x, low.y), high], [low, high, Vec2::new(low.x, high.y)]]);
+            both.triangles[1].chart = both.triangles[0].chart;
+            cover(&both).touched.len()
+        };
+        assert_eq!([strip(0.1), strip(0.01)], [3, 0]);
     }
 
     #[test]
