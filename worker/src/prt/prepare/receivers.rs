@@ -158,8 +158,8 @@ fn open_up(
     }
 }
 
-/// Gives an open texel that its chart only touches a receiver of its own where a wall parts it from what stands for it: the
-/// bevel of a rail, when all of the rail's texels beside it lie in a hollow pier.
+/// Gives a texel that its chart only touches a receiver of its own where an open part of it is beyond a wall from what
+/// stands for it: the bevel of a rail, when all of the rail's texels beside it lie in a hollow pier.
 fn set_apart(
     block: &UnwrapBlock,
     coverage: &mut Coverage,
@@ -167,16 +167,21 @@ fn set_apart(
     is_parted: impl Fn(&Receiver, &Receiver) -> bool + Sync,
     stand: impl Fn(&CoveredTexel) -> Option<Standing> + Sync,
 ) {
-    let apart = |texel: &CoveredTexel| {
-        let other =
-            standing[coverage.stands_for[Coverage::place(texel.texel, block.width)] as usize].as_ref();
-        let own =
-            stand(texel).filter(|own| worth(own) > OPENNESS_MIN && own.back_share < BEYOND_SHARE_MIN)?;
-        let is_apart = other.is_none_or(|other| is_parted(&own.receiver, &other.receiver));
-        is_apart.then_some((*texel, Some(own)))
+    let apart = |parts: &[CoveredTexel]| {
+        let place = Coverage::place(parts[0].texel, block.width);
+        let other = standing[coverage.stands_for[place] as usize].as_ref();
+        let is_apart = |own: &Standing| {
+            let is_open = worth(own) > OPENNESS_MIN && own.back_share < BEYOND_SHARE_MIN;
+            is_open && other.is_none_or(|other| is_parted(&own.receiver, &other.receiver))
+        };
+        let all = parts.iter().filter_map(|part| Some((*part, stand(part).filter(is_apart)?)));
+        // Of equally open parts the first.
+        let best = all.reduce(|best, next| if worth(&next.1) > worth(&best.1) { next } else { best })?;
+        Some((best.0, Some(best.1)))
     };
+    let texels: Vec<&[CoveredTexel]> = coverage.touched.chunk_by(|a, b| a.texel == b.texel).collect();
     let (texels, own): (Vec<CoveredTexel>, Vec<Option<Standing>>) =
-        coverage.touched.par_iter().filter_map(apart).unzip();
+        texels.par_iter().filter_map(|parts| apart(parts)).unzip();
     if !texels.is_empty() {
         coverage.set_apart(&texels, &own, standing, block.width);
     }

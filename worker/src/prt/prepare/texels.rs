@@ -28,7 +28,8 @@ pub struct Coverage {
     pub covered: Vec<CoveredTexel>,
     /// For each texel, index into `covered` of what stands for it, or `u32::MAX`.
     pub stands_for: Vec<u32>,
-    /// Texels that another stands for, with the middle of what the chart covers of them, where that is no mere rim.
+    /// Middles of what the triangles of its chart cover of each texel that another stands for, in the raster's order and the
+    /// triangles', without what is a mere rim.
     pub touched: Vec<CoveredTexel>,
 }
 
@@ -66,14 +67,11 @@ struct Claim {
     centred: bool,
     /// Area of the triangle inside the texel, in texels.
     area: f32,
-    /// Width of it.
-    width: f32,
     /// Point of the triangle that stands for the texel: its centre, or the middle of what the triangle covers of it.
     point: Vec2,
 }
 
-const UNCLAIMED: Claim =
-    Claim { triangle: u32::MAX, centred: false, area: 0.0, width: 0.0, point: Vec2::ZERO };
+const UNCLAIMED: Claim = Claim { triangle: u32::MAX, centred: false, area: 0.0, point: Vec2::ZERO };
 
 /// Finds the receivers' texels.
 ///
@@ -180,26 +178,39 @@ fn points_inside(corners: &[Vec2; 3], corner: Vec2) -> Vec<Vec2> {
 }
 
 fn collect(block: &UnwrapBlock, claims: &[Claim], has_receiver: &[bool], stand_in: &[u32]) -> Coverage {
-    let mut coverage =
-        Coverage { stands_for: vec![u32::MAX; claims.len()], covered: Vec::new(), touched: Vec::new() };
-    let texel_of = |index: usize, claim: &Claim| {
+    let mut coverage = Coverage { stands_for: vec![u32::MAX; claims.len()], ..Coverage::default() };
+    for (index, claim) in claims.iter().enumerate().filter(|(index, _)| has_receiver[*index]) {
         let triangle = &block.triangles[claim.triangle as usize];
-        CoveredTexel {
+        coverage.stands_for[index] = coverage.covered.len() as u32;
+        coverage.covered.push(CoveredTexel {
             texel: [(index % block.width as usize) as u16, (index / block.width as usize) as u16],
             triangle: triangle.source_triangle,
             weights: source_weights(triangle, claim.point),
-        }
-    };
-    for (index, claim) in claims.iter().enumerate().filter(|(index, _)| has_receiver[*index]) {
-        coverage.stands_for[index] = coverage.covered.len() as u32;
-        coverage.covered.push(texel_of(index, claim));
+        });
     }
     for (index, &other) in stand_in.iter().enumerate().filter(|(_, other)| **other != u32::MAX) {
         coverage.stands_for[index] = coverage.stands_for[other as usize];
-        if claims[index].width >= APART_WIDTH_MIN {
-            coverage.touched.push(texel_of(index, &claims[index]));
+    }
+    let is_touched = |index: usize| stand_in[index] != u32::MAX;
+    let chart = |index: usize| block.triangles[claims[index].triangle as usize].chart;
+    for triangle in &block.triangles {
+        let ([low_x, low_y], [high_x, high_y]) = texel_bounds(triangle, block);
+        for texel in (low_y..=high_y).flat_map(|y| (low_x..=high_x).map(move |x| [x as u16, y as u16])) {
+            let index = Coverage::place(texel, block.width);
+            if !is_touched(index) || chart(index) != triangle.chart {
+                continue;
+            }
+            let corner = Vec2::from(texel.map(f32::from));
+            let part = clipped(&triangle.uv_texels, corner, corner + 1.0);
+            if let Some((area, middle)) = area_and_middle(&part)
+                && width_of(&part, area) >= APART_WIDTH_MIN
+            {
+                let weights = source_weights(triangle, middle);
+                coverage.touched.push(CoveredTexel { texel, triangle: triangle.source_triangle, weights });
+            }
         }
     }
+    coverage.touched.sort_by_key(|part| Coverage::place(part.texel, block.width));
     coverage
 }
 
@@ -238,11 +249,11 @@ fn texel_bounds(triangle: &UnwrappedTriangle, block: &UnwrapBlock) -> ([u32; 2],
 fn claim_of(triangle: u32, corners: &[Vec2; 3], corner: Vec2) -> Option<Claim> {
     let centre = corner + 0.5;
     if is_inside(corners, centre) {
-        return Some(Claim { triangle, centred: true, area: 1.0, width: 1.0, point: centre });
+        return Some(Claim { triangle, centred: true, area: 1.0, point: centre });
     }
     let covered = clipped(corners, corner, corner + 1.0);
     let (area, point) = area_and_middle(&covered)?;
-    Some(Claim { triangle, centred: false, area, width: width_of(&covered, area), point })
+    Some(Claim { triangle, centred: false, area, point })
 }
 
 /// Width of a long polygon; of others about that.
@@ -368,9 +379,11 @@ mod tests {
         let before = cover(&block);
         let mut after = before.clone();
         let mut with: Vec<[u16; 2]> = before.covered.iter().map(|covered| covered.texel).collect();
-        let more: Vec<[u16; 2]> = before.touched.iter().map(|touched| touched.texel).collect();
+        let apart: Vec<CoveredTexel> =
+            before.touched.chunk_by(|a, b| a.texel == b.texel).map(|parts| parts[0]).collect();
+        let more: Vec<[u16; 2]> = apart.iter().map(|part| part.texel).collect();
         assert!(!more.is_empty());
-        after.set_apart(&before.touched, &more, &mut with, block.width);
+        after.set_apart(&apart, &more, &mut with, block.width);
         let places: Vec<usize> =
             after.covered.iter().map(|covered| Coverage::place(covered.texel, block.width)).collect();
         assert!(places.is_sorted() && places.len() == before.covered.len() + more.len());
@@ -387,9 +400,9 @@ mod tests {
             let mut both =
                 block(&[[low, Vec2::new(high.x, low.y), high], [low, high, Vec2::new(low.x, high.y)]]);
             both.triangles[1].chart = both.triangles[0].chart;
-            cover(&both).touched.len()
+            cover(&both).touched.chunk_by(|a, b| a.texel == b.texel).count()
         };
-        assert_eq!([strip(0.1), strip(0.01)], [3, 0]);
+        assert_eq!([strip(0.2), strip(0.01)], [3, 0]);
     }
 
     #[test]
