@@ -34,6 +34,8 @@ fn cavities_get_no_receivers_and_what_is_seen_keeps_its_own(basis: &str) {
     let with_cavities = |cavity_m: f32| {
         let mut settings = with_texels(basis, TEXEL_M, 256);
         settings["cavity_m"] = cavity_m.into();
+        // A draft's truncation alone changes the light under the board by 4 % when other receivers are gone.
+        settings["rank_error"] = 0.002.into();
         Held::new(scenes::hollow_furniture(), &settings).unwrap()
     };
     let (without, with) = (with_cavities(0.3), with_cavities(0.0));

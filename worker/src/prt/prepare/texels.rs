@@ -79,7 +79,8 @@ const UNCLAIMED: Claim = Claim { triangle: u32::MAX, centred: false, area: 0.0, 
 /// no touched neighbour of the same chart has: then thin charts are not lost. Other touched texels are stood for by
 /// that neighbour.
 pub fn cover(block: &UnwrapBlock) -> Coverage {
-    let claims = claim_texels(block);
+    let mut claims = claim_texels(block);
+    settle_in_middles(block, &mut claims);
     let (width, height) = (block.width as i64, block.height as i64);
     let chart = |index: usize| {
         let triangle = claims[index].triangle;
@@ -231,6 +232,48 @@ fn claim_texels(block: &UnwrapBlock) -> Vec<Claim> {
         }
     }
     claims
+}
+
+/// Moves points to the middle of what the whole chart covers of their texel, where one of its triangles holds that: the
+/// middles of single triangles wander across a strip with its diagonals.
+fn settle_in_middles(block: &UnwrapBlock, claims: &mut [Claim]) {
+    let mut covered = vec![(0.0, Vec2::ZERO); claims.len()];
+    let each = |claims: &[Claim], found: &mut dyn FnMut(usize, usize, Vec2)| {
+        for (index, triangle) in block.triangles.iter().enumerate() {
+            let ([low_x, low_y], [high_x, high_y]) = texel_bounds(triangle, block);
+            for y in low_y..=high_y {
+                for x in low_x..=high_x {
+                    let place = (y * block.width + x) as usize;
+                    let claim = &claims[place];
+                    let is_of_chart = !claim.centred
+                        && claim.triangle != u32::MAX
+                        && block.triangles[claim.triangle as usize].chart == triangle.chart;
+                    if is_of_chart {
+                        found(index, place, Vec2::new(x as f32, y as f32));
+                    }
+                }
+            }
+        }
+    };
+    each(claims, &mut |index, place, corner| {
+        let polygon = clipped(&block.triangles[index].uv_texels, corner, corner + 1.0);
+        if let Some((area, middle)) = area_and_middle(&polygon) {
+            covered[place].0 += area;
+            covered[place].1 += middle * area;
+        }
+    });
+    let mut held = vec![u32::MAX; claims.len()];
+    each(claims, &mut |index, place, _| {
+        let (area, moment) = covered[place];
+        if held[place] == u32::MAX && is_inside(&block.triangles[index].uv_texels, moment / area) {
+            held[place] = index as u32;
+        }
+    });
+    for (claim, (triangle, (area, moment))) in claims.iter_mut().zip(held.iter().zip(&covered)) {
+        if *triangle != u32::MAX {
+            (claim.triangle, claim.point) = (*triangle, *moment / *area);
+        }
+    }
 }
 
 /// First and last texel that a triangle may touch.
@@ -390,6 +433,22 @@ mod tests {
         assert!(after.covered.iter().zip(&with).all(|(covered, texel)| covered.texel == *texel));
         for (index, place) in places.iter().enumerate() {
             assert_eq!(after.stands_for[*place], index as u32);
+        }
+    }
+
+    #[test]
+    fn points_along_a_strip_lie_in_its_middle_whatever_its_diagonal() {
+        let [low, high] = [Vec2::new(1.0, 2.1), Vec2::new(6.0, 2.4)];
+        let mut both = block(&[[low, Vec2::new(high.x, low.y), high], [low, high, Vec2::new(low.x, high.y)]]);
+        both.triangles[1].chart = both.triangles[0].chart;
+        let covered = cover(&both).covered;
+        assert!(covered.len() > 1);
+        for texel in &covered {
+            let corners = both.triangles[texel.triangle as usize].uv_texels;
+            let point: Vec2 =
+                corners.iter().zip(texel.weights).map(|(corner, weight)| *corner * weight).sum();
+            assert!((point.y - 2.25).abs() < 1e-5, "{point}");
+            assert!((point.x.fract() - 0.5).abs() < 1e-5, "{point}");
         }
     }
 
