@@ -9,6 +9,8 @@ mod lattice;
 mod links;
 mod patches;
 mod plan;
+mod polygon;
+mod pools;
 mod probes;
 mod radius;
 mod receivers;

@@ -103,8 +103,8 @@ pub fn place(
     for (instance, part) in parts {
         progress.check()?;
         let block = &unwraps[instance].blocks[part];
-        let found = cover(block);
         let maker = Maker { scene, images, instance, texel_m };
+        let found = cover(block, |triangle| maker.face_normal(triangle));
         for side in 0..sides(scene, instance) {
             let key = blocks[block_index as usize].key;
             let stand = |texel: &CoveredTexel| {
@@ -113,7 +113,13 @@ pub fn place(
             };
             let mut coverage = found.clone();
             let mut standing: Vec<Option<Standing>> = coverage.covered.par_iter().map(stand).collect();
-            open_up(block, &coverage.covered, &mut standing, |texel| maker.face_normal(texel), stand);
+            open_up(
+                block,
+                &coverage.covered,
+                &mut standing,
+                |texel| maker.face_normal(texel.triangle),
+                stand,
+            );
             set_apart(block, &mut coverage, &mut standing, |a, b| shifter.is_parted(a, b), stand);
             let areas = areas(block, &coverage, |triangle| maker.area_texels(triangle));
             progress.add_rays_closest(shifter.take_rays());
@@ -171,12 +177,13 @@ fn set_apart(
         let place = Coverage::place(parts[0].texel, block.width);
         let other = standing[coverage.stands_for[place] as usize].as_ref();
         let is_apart = |own: &Standing| {
-            let is_open = worth(own) > OPENNESS_MIN && own.back_share < BEYOND_SHARE_MIN;
-            is_open && other.is_none_or(|other| is_parted(&own.receiver, &other.receiver))
+            // What was moved is beyond a wall in any case.
+            let is_seen = own.openness > OPENNESS_MIN && own.back_share < BEYOND_SHARE_MIN && !own.is_moved;
+            is_seen && other.is_none_or(|other| is_parted(&own.receiver, &other.receiver))
         };
         let all = parts.iter().filter_map(|part| Some((*part, stand(part).filter(is_apart)?)));
         // Of equally open parts the first.
-        let best = all.reduce(|best, next| if worth(&next.1) > worth(&best.1) { next } else { best })?;
+        let best = all.reduce(|best, next| if next.1.openness > best.1.openness { next } else { best })?;
         Some((best.0, Some(best.1)))
     };
     let texels: Vec<&[CoveredTexel]> = coverage.touched.chunk_by(|a, b| a.texel == b.texel).collect();
@@ -236,9 +243,9 @@ impl Maker<'_> {
         0.5 * (b - a).cross(c - a).length() / (self.texel_m * self.texel_m)
     }
 
-    /// Normal of the triangle that a texel's point lies on, on its front.
-    fn face_normal(&self, covered: &CoveredTexel) -> Vec3 {
-        let reference = TriangleRef { instance: self.instance as u32, triangle: covered.triangle };
+    /// Normal of a triangle's front.
+    fn face_normal(&self, triangle: u32) -> Vec3 {
+        let reference = TriangleRef { instance: self.instance as u32, triangle };
         let [a, b, c] = corners_of(self.scene, reference);
         (b - a).cross(c - a).normalize_or(Vec3::Y)
     }
@@ -250,7 +257,7 @@ impl Maker<'_> {
         let reference = TriangleRef { instance: self.instance as u32, triangle: covered.triangle };
         let [a, b, c] = corners_of(self.scene, reference);
         let [wa, wb, wc] = covered.weights;
-        let face_normal = self.face_normal(covered);
+        let face_normal = self.face_normal(covered.triangle);
         let shading = normal_at(instance, triangle, covered.weights);
         let footprint = Footprint::square(instance, triangle, self.texel_m);
         let surface =

@@ -34,6 +34,8 @@ pub struct Standing {
     pub openness: f32,
     /// Share of its rays that meet back faces of single-sided surfaces.
     pub back_share: f32,
+    /// It was moved off its surface.
+    pub is_moved: bool,
     /// It was moved off its surface, out through the top of what lies on that, not beside it.
     pub is_lifted: bool,
 }
@@ -69,7 +71,7 @@ impl<'a> Shifter<'a> {
         let found = self.probe(start_m, receiver.face_normal, seed);
         if found.back_share < self.back_face_min || found.escaped {
             let Probing { openness, back_share, .. } = found;
-            return Some(Standing { receiver, openness, back_share, is_lifted: false });
+            return Some(Standing { receiver, openness, back_share, is_moved: false, is_lifted: false });
         }
         let (direction, distance_m) = found.nearest?;
         if distance_m > self.texel_m * SHIFT_MAX_TEXELS {
@@ -80,7 +82,7 @@ impl<'a> Shifter<'a> {
         let receiver = Receiver { position_m: moved_m, ..receiver };
         let is_lifted = direction.dot(receiver.face_normal) > 0.5;
         let Probing { openness, back_share, .. } = moved;
-        let standing = Standing { receiver, openness, back_share, is_lifted };
+        let standing = Standing { receiver, openness, back_share, is_moved: true, is_lifted };
         (moved.back_share < self.back_face_min).then_some(standing)
     }
 

@@ -2,11 +2,13 @@
 
 use std::collections::BTreeMap;
 
-use glam::{UVec2, Vec2, Vec3};
+use glam::{Vec2, Vec3};
 
+use super::polygon::{area_and_middle, clipped, is_inside, source_weights, texels_of};
+use super::pools::{Pool, pools};
 use crate::unwrap::{UnwrapBlock, UnwrappedTriangle};
 
-/// Least width, in texels, of what a triangle covers of a texel for a receiver to stand in its middle though another could
+/// Least width, in texels, of what a face covers of a texel for a receiver to stand in its middle though another could
 /// stand for it: points beside a rim see past the wall that meets it there.
 const APART_WIDTH_MIN: f32 = 1.0 / 32.0;
 
@@ -28,8 +30,8 @@ pub struct Coverage {
     pub covered: Vec<CoveredTexel>,
     /// For each texel, index into `covered` of what stands for it, or `u32::MAX`.
     pub stands_for: Vec<u32>,
-    /// Middles of what the triangles of its chart cover of each texel that another stands for, in the raster's order and the
-    /// triangles', without what is a mere rim.
+    /// Middles of the faces that its chart has in each texel that another stands for, in the raster's order, the largest face
+    /// first, without those that are a mere rim.
     pub touched: Vec<CoveredTexel>,
 }
 
@@ -78,9 +80,20 @@ const UNCLAIMED: Claim = Claim { triangle: u32::MAX, centred: false, area: 0.0, 
 /// A texel whose centre lies in a triangle has a receiver there. A texel that a chart only touches has one too if
 /// no touched neighbour of the same chart has: then thin charts are not lost. Other touched texels are stood for by
 /// that neighbour.
-pub fn cover(block: &UnwrapBlock) -> Coverage {
+///
+/// A texel that holds no centre of its own has its point in the middle of the largest face that the chart has there, not
+/// of a triangle, whose middle wanders across a strip with its diagonals. `normal` is that of a source triangle's face.
+pub fn cover(block: &UnwrapBlock, normal: impl Fn(u32) -> Vec3) -> Coverage {
     let mut claims = claim_texels(block);
-    settle_in_middles(block, &mut claims);
+    let chart_of = |place: usize| {
+        let Claim { triangle, centred, .. } = claims[place];
+        (triangle != u32::MAX && !centred).then(|| block.triangles[triangle as usize].chart)
+    };
+    let pools = pools(block, chart_of, |index| normal(block.triangles[index as usize].source_triangle));
+    for largest in pools.chunk_by(|a, b| a.place == b.place).map(|pools| pools[0]) {
+        let claim = &mut claims[largest.place];
+        (claim.triangle, claim.point) = (largest.triangle, largest.point);
+    }
     let (width, height) = (block.width as i64, block.height as i64);
     let chart = |index: usize| {
         let triangle = claims[index].triangle;
@@ -107,7 +120,7 @@ pub fn cover(block: &UnwrapBlock) -> Coverage {
             None => has_receiver[index] = true,
         }
     }
-    collect(block, &claims, &has_receiver, &stand_in)
+    collect(block, &claims, &has_receiver, &stand_in, &pools)
 }
 
 /// Other points of some texels that could stand for them: for each of `wanted` (ascending texels with a triangle of
@@ -120,20 +133,16 @@ pub fn alternatives(block: &UnwrapBlock, wanted: &[CoveredTexel]) -> Vec<Vec<Cov
     let chart_of: BTreeMap<u32, u32> = block.triangles.iter().map(|t| (t.source_triangle, t.chart)).collect();
     let order = |texel: [u16; 2]| (texel[1], texel[0]);
     for triangle in &block.triangles {
-        let ([low_x, low_y], [high_x, high_y]) = texel_bounds(triangle, block);
-        for y in low_y..=high_y {
-            for x in low_x..=high_x {
-                let texel = [x as u16, y as u16];
-                let place = wanted.binary_search_by_key(&order(texel), |covered| order(covered.texel));
-                let Ok(place) = place else { continue };
-                if chart_of.get(&wanted[place].triangle) == Some(&triangle.chart) {
-                    let points = points_inside(&triangle.uv_texels, Vec2::new(x as f32, y as f32));
-                    found[place].extend(points.into_iter().map(|point| CoveredTexel {
-                        texel,
-                        triangle: triangle.source_triangle,
-                        weights: source_weights(triangle, point),
-                    }));
-                }
+        for (_, texel, corner) in texels_of(triangle, block) {
+            let place = wanted.binary_search_by_key(&order(texel), |covered| order(covered.texel));
+            let Ok(place) = place else { continue };
+            if chart_of.get(&wanted[place].triangle) == Some(&triangle.chart) {
+                let points = points_inside(&triangle.uv_texels, corner);
+                found[place].extend(points.into_iter().map(|point| CoveredTexel {
+                    texel,
+                    triangle: triangle.source_triangle,
+                    weights: source_weights(triangle, point),
+                }));
             }
         }
     }
@@ -144,16 +153,12 @@ pub fn alternatives(block: &UnwrapBlock, wanted: &[CoveredTexel]) -> Vec<Vec<Cov
 pub fn areas(block: &UnwrapBlock, coverage: &Coverage, area: impl Fn(&UnwrappedTriangle) -> f32) -> Vec<f32> {
     let mut areas = vec![0.0; coverage.covered.len()];
     for triangle in &block.triangles {
-        let ([low_x, low_y], [high_x, high_y]) = texel_bounds(triangle, block);
         let mut found: Vec<(u32, f32)> = Vec::new();
-        for y in low_y..=high_y {
-            for x in low_x..=high_x {
-                let corner = Vec2::new(x as f32, y as f32);
-                let polygon = clipped(&triangle.uv_texels, corner, corner + 1.0);
-                let covered = coverage.stands_for[(y * block.width + x) as usize];
-                if let (Some((part, _)), true) = (area_and_middle(&polygon), covered != u32::MAX) {
-                    found.push((covered, part));
-                }
+        for (place, _, corner) in texels_of(triangle, block) {
+            let polygon = clipped(&triangle.uv_texels, corner, corner + 1.0);
+            let covered = coverage.stands_for[place];
+            if let (Some((part, _)), true) = (area_and_middle(&polygon), covered != u32::MAX) {
+                found.push((covered, part));
             }
         }
         // Shares of what was found, so that slivers collapsed in the block count with their whole area.
@@ -178,40 +183,32 @@ fn points_inside(corners: &[Vec2; 3], corner: Vec2) -> Vec<Vec2> {
     middle.into_iter().chain(held).collect()
 }
 
-fn collect(block: &UnwrapBlock, claims: &[Claim], has_receiver: &[bool], stand_in: &[u32]) -> Coverage {
-    let mut coverage = Coverage { stands_for: vec![u32::MAX; claims.len()], ..Coverage::default() };
-    for (index, claim) in claims.iter().enumerate().filter(|(index, _)| has_receiver[*index]) {
-        let triangle = &block.triangles[claim.triangle as usize];
-        coverage.stands_for[index] = coverage.covered.len() as u32;
-        coverage.covered.push(CoveredTexel {
-            texel: [(index % block.width as usize) as u16, (index / block.width as usize) as u16],
+fn collect(
+    block: &UnwrapBlock,
+    claims: &[Claim],
+    has_receiver: &[bool],
+    stand_in: &[u32],
+    pools: &[Pool],
+) -> Coverage {
+    let covered_at = |place: usize, triangle: u32, point: Vec2| {
+        let triangle = &block.triangles[triangle as usize];
+        CoveredTexel {
+            texel: [(place % block.width as usize) as u16, (place / block.width as usize) as u16],
             triangle: triangle.source_triangle,
-            weights: source_weights(triangle, claim.point),
-        });
-    }
-    for (index, &other) in stand_in.iter().enumerate().filter(|(_, other)| **other != u32::MAX) {
-        coverage.stands_for[index] = coverage.stands_for[other as usize];
-    }
-    let is_touched = |index: usize| stand_in[index] != u32::MAX;
-    let chart = |index: usize| block.triangles[claims[index].triangle as usize].chart;
-    for triangle in &block.triangles {
-        let ([low_x, low_y], [high_x, high_y]) = texel_bounds(triangle, block);
-        for texel in (low_y..=high_y).flat_map(|y| (low_x..=high_x).map(move |x| [x as u16, y as u16])) {
-            let index = Coverage::place(texel, block.width);
-            if !is_touched(index) || chart(index) != triangle.chart {
-                continue;
-            }
-            let corner = Vec2::from(texel.map(f32::from));
-            let part = clipped(&triangle.uv_texels, corner, corner + 1.0);
-            if let Some((area, middle)) = area_and_middle(&part)
-                && width_of(&part, area) >= APART_WIDTH_MIN
-            {
-                let weights = source_weights(triangle, middle);
-                coverage.touched.push(CoveredTexel { texel, triangle: triangle.source_triangle, weights });
-            }
+            weights: source_weights(triangle, point),
         }
+    };
+    let mut coverage = Coverage { stands_for: vec![u32::MAX; claims.len()], ..Coverage::default() };
+    for (place, claim) in claims.iter().enumerate().filter(|(place, _)| has_receiver[*place]) {
+        coverage.stands_for[place] = coverage.covered.len() as u32;
+        coverage.covered.push(covered_at(place, claim.triangle, claim.point));
     }
-    coverage.touched.sort_by_key(|part| Coverage::place(part.texel, block.width));
+    for (place, &other) in stand_in.iter().enumerate().filter(|(_, other)| **other != u32::MAX) {
+        coverage.stands_for[place] = coverage.stands_for[other as usize];
+    }
+    let touched =
+        pools.iter().filter(|pool| stand_in[pool.place] != u32::MAX && pool.width >= APART_WIDTH_MIN);
+    coverage.touched = touched.map(|pool| covered_at(pool.place, pool.triangle, pool.point)).collect();
     coverage
 }
 
@@ -219,76 +216,21 @@ fn collect(block: &UnwrapBlock, claims: &[Claim], has_receiver: &[bool], stand_i
 fn claim_texels(block: &UnwrapBlock) -> Vec<Claim> {
     let mut claims = vec![UNCLAIMED; block.width as usize * block.height as usize];
     for (index, triangle) in block.triangles.iter().enumerate() {
-        let ([low_x, low_y], [high_x, high_y]) = texel_bounds(triangle, block);
-        for y in low_y..=high_y {
-            for x in low_x..=high_x {
-                let corner = Vec2::new(x as f32, y as f32);
-                let Some(found) = claim_of(index as u32, &triangle.uv_texels, corner) else { continue };
-                let claim = &mut claims[(y * block.width + x) as usize];
-                if (found.centred, found.area) > (claim.centred, claim.area) && !claim.centred {
-                    *claim = found;
-                }
+        for (place, _, corner) in texels_of(triangle, block) {
+            let Some(found) = claim_of(index as u32, &triangle.uv_texels, corner) else { continue };
+            let claim = &mut claims[place];
+            if (found.centred, found.area) > (claim.centred, claim.area) && !claim.centred {
+                *claim = found;
             }
         }
     }
     claims
 }
 
-/// Moves points to the middle of what the whole chart covers of their texel, where one of its triangles holds that: the
-/// middles of single triangles wander across a strip with its diagonals.
-fn settle_in_middles(block: &UnwrapBlock, claims: &mut [Claim]) {
-    let mut covered = vec![(0.0, Vec2::ZERO); claims.len()];
-    let each = |claims: &[Claim], found: &mut dyn FnMut(usize, usize, Vec2)| {
-        for (index, triangle) in block.triangles.iter().enumerate() {
-            let ([low_x, low_y], [high_x, high_y]) = texel_bounds(triangle, block);
-            for y in low_y..=high_y {
-                for x in low_x..=high_x {
-                    let place = (y * block.width + x) as usize;
-                    let claim = &claims[place];
-                    let is_of_chart = !claim.centred
-                        && claim.triangle != u32::MAX
-                        && block.triangles[claim.triangle as usize].chart == triangle.chart;
-                    if is_of_chart {
-                        found(index, place, Vec2::new(x as f32, y as f32));
-                    }
-                }
-            }
-        }
-    };
-    each(claims, &mut |index, place, corner| {
-        let polygon = clipped(&block.triangles[index].uv_texels, corner, corner + 1.0);
-        if let Some((area, middle)) = area_and_middle(&polygon) {
-            covered[place].0 += area;
-            covered[place].1 += middle * area;
-        }
-    });
-    let mut held = vec![u32::MAX; claims.len()];
-    each(claims, &mut |index, place, _| {
-        let (area, moment) = covered[place];
-        if held[place] == u32::MAX && is_inside(&block.triangles[index].uv_texels, moment / area) {
-            held[place] = index as u32;
-        }
-    });
-    for (claim, (triangle, (area, moment))) in claims.iter_mut().zip(held.iter().zip(&covered)) {
-        if *triangle != u32::MAX {
-            (claim.triangle, claim.point) = (*triangle, *moment / *area);
-        }
-    }
-}
-
-/// First and last texel that a triangle may touch.
-fn texel_bounds(triangle: &UnwrappedTriangle, block: &UnwrapBlock) -> ([u32; 2], [u32; 2]) {
-    let [a, b, c] = triangle.uv_texels;
-    let last = UVec2::new(block.width - 1, block.height - 1);
-    let low = a.min(b).min(c).floor().max(Vec2::ZERO).as_uvec2();
-    let high = a.max(b).max(c).floor().max(Vec2::ZERO).as_uvec2();
-    (low.to_array(), high.min(last).to_array())
-}
-
 /// What a triangle claims of the texel at `corner`.
 ///
-/// Where it does not hold the centre, the middle of the covered part stands for the texel, not the nearest point: that
-/// would lie on the triangle's rim, which is often just inside what the surface stands on.
+/// Where it does not hold the centre, that is the middle of the covered part, not the nearest point: that would lie on the
+/// triangle's rim, which is often just inside what the surface stands on.
 fn claim_of(triangle: u32, corners: &[Vec2; 3], corner: Vec2) -> Option<Claim> {
     let centre = corner + 0.5;
     if is_inside(corners, centre) {
@@ -297,77 +239,6 @@ fn claim_of(triangle: u32, corners: &[Vec2; 3], corner: Vec2) -> Option<Claim> {
     let covered = clipped(corners, corner, corner + 1.0);
     let (area, point) = area_and_middle(&covered)?;
     Some(Claim { triangle, centred: false, area, point })
-}
-
-/// Width of a long polygon; of others about that.
-fn width_of(polygon: &[Vec2], area: f32) -> f32 {
-    let before = polygon.iter().cycle().skip(polygon.len() - 1);
-    let perimeter: f32 = polygon.iter().zip(before).map(|(to, from)| to.distance(*from)).sum();
-    if perimeter > 0.0 { 2.0 * area / perimeter } else { 0.0 }
-}
-
-fn is_inside(corners: &[Vec2; 3], point: Vec2) -> bool {
-    let [a, b, c] = *corners;
-    let side = |from: Vec2, to: Vec2| (to - from).perp_dot(point - from);
-    let (u, v, w) = (side(a, b), side(b, c), side(c, a));
-    (u >= 0.0 && v >= 0.0 && w >= 0.0) || (u <= 0.0 && v <= 0.0 && w <= 0.0)
-}
-
-/// The triangle cut by a box, as a polygon (Sutherland–Hodgman).
-fn clipped(corners: &[Vec2; 3], low: Vec2, high: Vec2) -> Vec<Vec2> {
-    let mut polygon = corners.to_vec();
-    for axis in 0..2 {
-        for (limit, sign) in [(low[axis], 1.0), (high[axis], -1.0)] {
-            let inside = |point: Vec2| (point[axis] - limit) * sign;
-            let mut kept = Vec::with_capacity(polygon.len() + 1);
-            for (index, &to) in polygon.iter().enumerate() {
-                let from = polygon[(index + polygon.len() - 1) % polygon.len()];
-                let (d_from, d_to) = (inside(from), inside(to));
-                if (d_from < 0.0) != (d_to < 0.0) {
-                    kept.push(from.lerp(to, d_from / (d_from - d_to)));
-                }
-                if d_to >= 0.0 {
-                    kept.push(to);
-                }
-            }
-            polygon = kept;
-        }
-    }
-    polygon
-}
-
-/// Area and centroid of a convex polygon; of one without area, the mean of its corners. `None` when it is empty.
-fn area_and_middle(polygon: &[Vec2]) -> Option<(f32, Vec2)> {
-    let first = *polygon.first()?;
-    let (mut doubled, mut moment) = (0.0, Vec2::ZERO);
-    for pair in polygon[1..].windows(2) {
-        let area = (pair[0] - first).perp_dot(pair[1] - first).abs();
-        doubled += area;
-        moment += (pair[0] + pair[1] + first) / 3.0 * area;
-    }
-    let mean = polygon.iter().sum::<Vec2>() / polygon.len() as f32;
-    // Slivers may have no area in f32; they still get a receiver.
-    Some(if doubled > 0.0 { (doubled * 0.5, moment / doubled) } else { (f32::MIN_POSITIVE, mean) })
-}
-
-/// Weights of the source triangle's corners at a point in texels.
-fn source_weights(triangle: &UnwrappedTriangle, point: Vec2) -> [f32; 3] {
-    let [a, b, c] = triangle.uv_texels.map(|corner| corner.as_dvec2());
-    let point = point.as_dvec2();
-    let area = (b - a).perp_dot(c - a);
-    let inner = if area == 0.0 {
-        [1.0, 0.0, 0.0]
-    } else {
-        let v = (point - a).perp_dot(c - a) / area;
-        let w = (b - a).perp_dot(point - a) / area;
-        [1.0 - v - w, v, w]
-    };
-    let mut weights = Vec3::from_array(inner.map(|weight| weight as f32));
-    if let Some([p, q, r]) = triangle.piece_corners.as_deref() {
-        weights = *p * weights.x + *q * weights.y + *r * weights.z;
-    }
-    weights = weights.max(Vec3::ZERO);
-    (weights / weights.element_sum()).to_array()
 }
 
 #[cfg(test)]
@@ -388,11 +259,15 @@ mod tests {
         UnwrapBlock { width: 8, height: 8, triangles }
     }
 
+    fn cover_flat(block: &UnwrapBlock) -> Coverage {
+        cover(block, |_| Vec3::Y)
+    }
+
     #[test]
     fn quad_on_the_lattice_covers_its_texels_and_no_other() {
         let (low, high) = (Vec2::new(2.0, 2.0), Vec2::new(5.0, 4.0));
         let (a, b) = (Vec2::new(high.x, low.y), Vec2::new(low.x, high.y));
-        let coverage = cover(&block(&[[low, a, high], [low, high, b]]));
+        let coverage = cover_flat(&block(&[[low, a, high], [low, high, b]]));
         assert_eq!(coverage.covered.len(), 6);
         assert!(
             coverage.covered.iter().all(|t| (2..5).contains(&t.texel[0]) && (2..4).contains(&t.texel[1]))
@@ -401,7 +276,8 @@ mod tests {
 
     #[test]
     fn sliver_between_centres_still_gets_a_receiver_on_itself() {
-        let coverage = cover(&block(&[[Vec2::new(2.6, 1.1), Vec2::new(2.7, 1.1), Vec2::new(2.65, 4.9)]]));
+        let coverage =
+            cover_flat(&block(&[[Vec2::new(2.6, 1.1), Vec2::new(2.7, 1.1), Vec2::new(2.65, 4.9)]]));
         assert!(!coverage.covered.is_empty());
         for texel in &coverage.covered {
             assert!(texel.weights.iter().all(|w| (0.0..=1.0).contains(w)));
@@ -410,7 +286,7 @@ mod tests {
 
     #[test]
     fn touched_texel_is_stood_for_by_its_neighbour() {
-        let coverage = cover(&block(&[[Vec2::new(1.2, 1.2), Vec2::new(6.4, 1.2), Vec2::new(1.2, 6.4)]]));
+        let coverage = cover_flat(&block(&[[Vec2::new(1.2, 1.2), Vec2::new(6.4, 1.2), Vec2::new(1.2, 6.4)]]));
         let touched = coverage.stands_for.iter().filter(|&&index| index != u32::MAX).count();
         assert!(touched > coverage.covered.len());
         assert!(coverage.stands_for.iter().all(|&i| i == u32::MAX || (i as usize) < coverage.covered.len()));
@@ -419,7 +295,7 @@ mod tests {
     #[test]
     fn texels_set_apart_stand_for_themselves_in_order_of_the_raster() {
         let block = block(&[[Vec2::new(1.2, 1.2), Vec2::new(6.4, 1.2), Vec2::new(1.2, 6.4)]]);
-        let before = cover(&block);
+        let before = cover_flat(&block);
         let mut after = before.clone();
         let mut with: Vec<[u16; 2]> = before.covered.iter().map(|covered| covered.texel).collect();
         let apart: Vec<CoveredTexel> =
@@ -441,7 +317,7 @@ mod tests {
         let [low, high] = [Vec2::new(1.0, 2.1), Vec2::new(6.0, 2.4)];
         let mut both = block(&[[low, Vec2::new(high.x, low.y), high], [low, high, Vec2::new(low.x, high.y)]]);
         both.triangles[1].chart = both.triangles[0].chart;
-        let covered = cover(&both).covered;
+        let covered = cover_flat(&both).covered;
         assert!(covered.len() > 1);
         for texel in &covered {
             let corners = both.triangles[texel.triangle as usize].uv_texels;
@@ -459,7 +335,7 @@ mod tests {
             let mut both =
                 block(&[[low, Vec2::new(high.x, low.y), high], [low, high, Vec2::new(low.x, high.y)]]);
             both.triangles[1].chart = both.triangles[0].chart;
-            cover(&both).touched.chunk_by(|a, b| a.texel == b.texel).count()
+            cover_flat(&both).touched.chunk_by(|a, b| a.texel == b.texel).count()
         };
         assert_eq!([strip(0.2), strip(0.01)], [3, 0]);
     }
@@ -469,7 +345,7 @@ mod tests {
         let strip = [Vec2::new(1.0, 1.0), Vec2::new(1.9, 1.0), Vec2::new(1.0, 1.9)];
         let rest = [Vec2::new(1.9, 1.0), Vec2::new(1.9, 1.9), Vec2::new(1.0, 1.9)];
         let mut both = block(&[strip, rest]);
-        let wanted = cover(&both).covered;
+        let wanted = cover_flat(&both).covered;
         let in_own_chart = alternatives(&both, &wanted);
         both.triangles[1].chart = both.triangles[0].chart;
         let in_both = alternatives(&both, &wanted);
