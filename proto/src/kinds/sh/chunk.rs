@@ -3,18 +3,51 @@
 
 use std::ops::Range;
 
-use super::bytes::{Reader, put_f32s, put_u64s};
-use super::cluster::ascending;
-use super::cluster_decode::ascending_keys;
-use super::container::{ChunkKind, Container, ContainerWriter, SectionId};
-use super::error::{ChunkError, all_finite, all_numbers, in_range};
-use super::ints;
-use super::limits::*;
-use crate::prt::{BlockKey, Probe, ProbeBatch, RelightHit};
+use serde_json::{Value, json};
+
+use super::content::{Probe, ProbeBatch, RelightHit};
+use crate::chunk::bytes::{Reader, put_f32s, put_u64s};
+use crate::chunk::container::{Container, ContainerWriter, SectionId};
+use crate::chunk::error::{all_finite, all_numbers, in_range};
+use crate::chunk::limits::BLOCKS_MAX;
+use crate::chunk::{ChunkError, ChunkKind, ChunkRow, ascending, ascending_keys, ints, morton, normal_code};
+use crate::content::BlockKey;
 use crate::sh::relight_direction;
 
+/// Most probes in a batch.
+pub const BATCH_PROBES_MAX: usize = 16_384;
+/// Most relight rays of a probe; always a power of two.
+pub const RELIGHT_RAYS_MAX: usize = 16_384;
+/// Most hits in a batch: probes × rays.
+pub const HITS_MAX: usize = 1 << 24;
+
+/// A batch of probes with what their relight rays meet.
+pub const PROBES: ChunkKind = ChunkKind(2);
+
+/// Its row in the table of chunk kinds.
+pub const ROW: ChunkRow = ChunkRow {
+    kind: PROBES,
+    name: "probes",
+    sections: &[(tags::BASE, "base"), (tags::HITS, "hits")],
+    describe,
+    layers: None,
+};
+
+fn describe(bytes: &[u8]) -> Result<Value, ChunkError> {
+    let batch = decode_probe_batch(bytes)?;
+    let count = |wanted: fn(&RelightHit) -> bool| batch.hits.iter().filter(|hit| wanted(hit)).count();
+    Ok(json!({
+        "probes": batch.probes.len(),
+        "relight_rays": batch.relight_rays,
+        "blocks": batch.blocks.len(),
+        "hits_receiver": count(|hit| matches!(hit, RelightHit::Receiver { .. })),
+        "hits_sky": count(|hit| matches!(hit, RelightHit::Sky)),
+        "hits_dark": count(|hit| matches!(hit, RelightHit::Dark)),
+    }))
+}
+
 /// Section tags of probe chunks.
-pub(super) mod tags {
+pub(crate) mod tags {
     /// Keys, positions and radii. Part: 0, 0, 0.
     pub const BASE: u8 = 1;
     /// Hits of a group of rays. Part: group, 0, 0.
@@ -22,7 +55,7 @@ pub(super) mod tags {
 }
 
 /// Bytes of a probe chunk's head.
-pub(super) const PROBES_HEAD_BYTES: usize = 12;
+const PROBES_HEAD_BYTES: usize = 12;
 /// Groups of rays: [0, K/4), [K/4, K/2), [K/2, K).
 pub const RAY_GROUPS: usize = 3;
 
@@ -53,7 +86,7 @@ pub fn encode_probe_batch(batch: &ProbeBatch) -> Result<Vec<u8>, ChunkError> {
 
     let (probes, source) = ascending(&batch.probes, "probe", |probe| probe.key)?;
     let (blocks, index_of) = used_blocks(batch)?;
-    let mut writer = ContainerWriter::new(ChunkKind::Probes);
+    let mut writer = ContainerWriter::new(PROBES);
     writer.push(SectionId::new(tags::BASE, [0; 3]), &base(&probes, &blocks))?;
     for group in 0..RAY_GROUPS {
         let order = coherent(rays_of(group, rays), batch.relight_rays);
@@ -79,9 +112,9 @@ fn check_rays(section: &'static str, rays: u32) -> Result<usize, ChunkError> {
 fn coherent(rays: Range<usize>, count: u32) -> Vec<usize> {
     let mut keyed: Vec<(u32, usize)> = rays
         .map(|ray| {
-            let code = super::numbers::normal_code(relight_direction(ray as u32, count).to_array());
+            let code = normal_code(relight_direction(ray as u32, count).to_array());
             let cell = code.map(|w| (i32::from(w) + 32_768) as u16);
-            (super::order::morton(cell), ray)
+            (morton(cell), ray)
         })
         .collect();
     keyed.sort_unstable();
@@ -142,7 +175,7 @@ fn write_hits(hits: &[RelightHit], index_of: &[u32]) -> Vec<u8> {
 
 /// Decodes a whole batch.
 pub fn decode_probe_batch(bytes: &[u8]) -> Result<ProbeBatch, ChunkError> {
-    let container = Container::whole(ChunkKind::Probes, bytes)?;
+    let container = Container::whole(PROBES, bytes)?;
     Ok(decode(&container)?.0)
 }
 
@@ -151,7 +184,7 @@ pub fn decode_probe_batch(bytes: &[u8]) -> Result<ProbeBatch, ChunkError> {
 ///
 /// Directions of a shortened batch are `relight_direction(k, K)` with the **full** K.
 pub fn decode_probe_batch_prefix(bytes: &[u8], total_len: u64) -> Result<(ProbeBatch, u32), ChunkError> {
-    decode(&Container::prefix(ChunkKind::Probes, bytes, total_len)?)
+    decode(&Container::prefix(PROBES, bytes, total_len)?)
 }
 
 fn decode(container: &Container) -> Result<(ProbeBatch, u32), ChunkError> {
