@@ -45,6 +45,10 @@ impl Kind for Two {
         Settings::rows()
     }
 
+    fn resolve(&self, settings: &Value) -> Result<Value, SettingsError> {
+        Ok(Settings::from_json(settings)?.stated())
+    }
+
     fn first_tasks(&self, scene: Digest, settings: &Value) -> Result<Vec<TaskSpec>, SettingsError> {
         let settings = Settings::from_json(settings)?;
         let bundle = TaskInput::Artefact { name: "bundle".into(), digest: scene };

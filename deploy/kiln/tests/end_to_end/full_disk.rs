@@ -12,7 +12,6 @@ use std::process::Command;
 use lightkiln_client::ClientError;
 use lightkiln_client::fetch::{ApiClient, RetryPolicy};
 use lightkiln_proto::api::{EventKind, Needs, NewBake};
-use lightkiln_proto::bake::PRT;
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::problem::ProblemCode;
 
@@ -106,7 +105,7 @@ fn idle_bake(scene: Digest, number: usize) -> NewBake {
     NewBake {
         name: format!("idle {number}"),
         scene,
-        kind: PRT.to_owned(),
+        kind: String::new(),
         settings: serde_json::json!({ "preset": "draft" }),
         priority: 0,
         needs: Needs { labels: vec!["none such".to_owned()], ..Needs::default() },
