@@ -36,7 +36,16 @@ fn contract_touches_no_files_clocks_or_threads() {
 
 #[test]
 fn bake_maths_knows_no_network_clock_or_randomness() {
-    let words = ["ureq", "std::net", "Instant", "SystemTime", "std::thread", "RandomState", "std::env"];
+    let words = [
+        "lightkiln_http",
+        "ureq",
+        "std::net",
+        "Instant",
+        "SystemTime",
+        "std::thread",
+        "RandomState",
+        "std::env",
+    ];
     let is_runtime = |path: &Path| path.starts_with("worker/src/runtime") || is_test(path);
     assert_absent("worker/src", &words, is_runtime);
 }

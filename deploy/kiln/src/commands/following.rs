@@ -2,7 +2,8 @@
 
 use std::time::Duration;
 
-use lightkiln_client::fetch::{ApiClient, RetryPolicy};
+use lightkiln_client::fetch::ApiClient;
+use lightkiln_http::RetryPolicy;
 use lightkiln_proto::api::{Bake, BakeState, EventKind};
 use lightkiln_proto::kinds::SceneTask;
 
@@ -13,11 +14,10 @@ use crate::progress::ProgressView;
 /// Seconds that one poll waits for news; short, so that Ctrl-C is heard soon.
 const POLL_SECS: u32 = 1;
 /// A bake outlives a server's restart, so this waits some minutes for one.
-const PATIENCE: RetryPolicy = RetryPolicy {
-    attempts: 40,
-    first_wait: Duration::from_millis(250),
-    longest_wait: Duration::from_secs(8),
-};
+const PATIENCE: RetryPolicy = RetryPolicy::new()
+    .with_min_delay(Duration::from_millis(250))
+    .with_max_delay(Duration::from_secs(8))
+    .with_max_times(80);
 
 /// A bake that has ended, well or not.
 pub struct Ended {

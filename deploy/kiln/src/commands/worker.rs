@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use clap::Args;
 use lightkiln_worker::kinds::{BakeKinds, Runner};
-use lightkiln_worker::runtime::{Worker, WorkerConfig, WorkerError, usual_tasks};
+use lightkiln_worker::runtime::{CallError, Worker, WorkerConfig, WorkerError, usual_tasks};
 
 use super::bake::all_processors;
 use super::submitting::own_token;
@@ -110,7 +110,8 @@ fn default_name() -> String {
 fn worker_failure(error: WorkerError) -> Failure {
     let (exit, next_step) = match &error {
         WorkerError::Cache { .. } => (Exit::BadInput, "another folder with --cache DIR"),
-        WorkerError::Certificates => (Exit::BadInput, "another file with --ca"),
+        WorkerError::Server(CallError::Certificates { .. }) => (Exit::BadInput, "another file with --ca"),
+        WorkerError::Server(_) => (Exit::BadInput, "the URL of a Lightkiln server with --server"),
         WorkerError::Threads { .. } => (Exit::BadInput, "fewer threads with --threads N"),
         WorkerError::Refused(error) if error.is_about_tokens() => (
             Exit::BadInput,
