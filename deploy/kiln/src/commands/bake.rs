@@ -65,6 +65,7 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     let wanted = arguments.settings.resolve(&kinds.contract)?;
     arguments.picture.check()?;
     arguments.wanted.own_lights()?;
+    arguments.wanted.check_figures(&kinds.worker)?;
     if !arguments.evaluate && !arguments.wanted.fail_if.is_empty() {
         return Err(Failure::bad_input("--fail-if has nothing to look at").try_this("--evaluate beside it"));
     }

@@ -48,6 +48,7 @@ pub struct Arguments {
 /// Measures, writes what is wanted, and holds the figures to the limits.
 pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     let camera = arguments.camera.as_deref().map(parse_camera).transpose()?;
+    arguments.wanted.check_figures(&kinds.worker)?;
     let source = Source::bundle(&arguments.bundle)?;
     let path = match &arguments.scene {
         Some(scene) => scene.clone(),
