@@ -1,4 +1,4 @@
-//! A flag that tells a worker to wind down, and on which its threads wait.
+//! A flag that tells a role to wind down, and on which its threads wait.
 
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -9,13 +9,13 @@ pub enum Level {
     /// Go on.
     #[default]
     Run,
-    /// Claim nothing more; finish the task in hand within the grace period, else release it.
+    /// Begin nothing more, end waits; a worker finishes the task in hand within the grace period, else releases it.
     Drain,
-    /// Release the task in hand now.
+    /// End now; a worker releases the task in hand.
     Stop,
 }
 
-/// Shared by whoever may end a worker and by the worker's threads; clones are the same flag.
+/// Shared by whoever may end a role and by the role's threads; clones are the same flag.
 #[derive(Clone, Debug, Default)]
 pub struct ShutdownFlag(Arc<Inner>);
 
@@ -44,7 +44,7 @@ impl ShutdownFlag {
     }
 
     /// Makes all who wait look at their condition again. Call it after changing what a condition reads.
-    pub(super) fn wake(&self) {
+    pub fn wake(&self) {
         let _lock = self.lock();
         self.0.changed.notify_all();
     }
