@@ -92,6 +92,9 @@ impl FactoredBake {
     }
 }
 
+/// Classes of error of a factorised bake.
+pub const ERROR_CLASSES: [&str; 3] = ["transport", "factorisation", "quantisation"];
+
 impl Evaluated for FactoredBake {
     fn geometry(&self) -> &Geometry {
         &self.world.geometry
@@ -170,12 +173,10 @@ impl Relit for RelitBake<'_> {
         let lightmap = &self.bake.world.lightmap;
         let [factorisation, quantisation] =
             anew.factor_errors(lightmap, &self.bake.baked, &self.settled, self.emitter_scale);
-        let class = |name, about, measure| ErrorClass { name, about, measure };
-        vec![
-            class("transport", "of rays and basis", Measure::AtSample(full)),
-            class("factorisation", "of the rank and of columns left out", Measure::Rms(factorisation)),
-            class("quantisation", "of the chunk's numbers", Measure::Rms(quantisation)),
-        ]
+        let abouts = ["of rays and basis", "of the rank and of columns left out", "of the chunk's numbers"];
+        let measures = [Measure::AtSample(full), Measure::Rms(factorisation), Measure::Rms(quantisation)];
+        let named = ERROR_CLASSES.into_iter().zip(abouts).zip(measures);
+        named.map(|((name, about), measure)| ErrorClass { name, about, measure }).collect()
     }
 }
 

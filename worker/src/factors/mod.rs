@@ -22,7 +22,7 @@ pub use baked::{
 pub use cells::{CELLS_ARTEFACT, ClusterCell, cell_of_task, cells, cells_of_task, encoded};
 pub use cluster::{attributes, bounds_m, emitters};
 pub use components::components;
-pub use evaluated::FactoredBake;
+pub use evaluated::{ERROR_CLASSES, FactoredBake};
 pub use split::{Truncation, split};
 pub use store::{CellIndex, stored};
 pub use svd::{Factors, Matrix, factorise};

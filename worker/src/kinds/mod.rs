@@ -36,6 +36,11 @@ pub trait BakeKind: Send + Sync {
     /// Tasks of the kind's own.
     fn tasks(&self) -> Vec<TaskRow>;
 
+    /// Names of the classes of error that it tells apart.
+    fn error_classes(&self) -> &'static [&'static str] {
+        &[]
+    }
+
     /// A bake of the kind as evaluation sees it: its world made anew from the scene bundle, its chunks decoded.
     ///
     /// Errors when the world is prepared otherwise now than it was then.
@@ -68,6 +73,14 @@ impl BakeKinds {
     /// The kind of that name.
     pub fn get(&self, name: &str) -> Option<&'static dyn BakeKind> {
         self.0.iter().copied().find(|kind| kind.name() == name)
+    }
+
+    /// Names of the classes of error that some kind tells apart, each once.
+    pub fn error_classes(&self) -> Vec<&'static str> {
+        let mut names: Vec<&str> = self.0.iter().flat_map(|kind| kind.error_classes()).copied().collect();
+        names.sort_unstable();
+        names.dedup();
+        names
     }
 
     /// A bake as evaluation sees it, by the kind that its manifest names.

@@ -23,7 +23,7 @@ use serde::{Deserialize, Serialize};
 use super::{BakeKind, TaskRow};
 use crate::emitters::EmitterSet;
 use crate::evaluate::{ChunkBytes, Evaluated, EvaluationError};
-use crate::factors::{CellIndex, CellRows, ClusterCell, Detail, Piece, Transport, cell_of_task, stored};
+use crate::factors::{self, CellIndex, CellRows, ClusterCell, Detail, Piece, Transport, cell_of_task, stored};
 use crate::lightmap::World;
 use crate::patches::PatchTree;
 use crate::task::{Cancelled, Context, Progress, TaskError, TaskOutput, params};
@@ -50,6 +50,10 @@ impl BakeKind for Prt {
             TaskRow { name: PrtTask::Transport.name(), run: run_transport },
             TaskRow { name: PrtTask::Assemble.name(), run: assemble::run },
         ]
+    }
+
+    fn error_classes(&self) -> &'static [&'static str] {
+        &factors::ERROR_CLASSES
     }
 
     fn evaluated(

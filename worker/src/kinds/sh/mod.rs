@@ -27,7 +27,7 @@ use serde::{Deserialize, Serialize};
 use super::{BakeKind, TaskRow};
 use crate::emitters::EmitterSet;
 use crate::evaluate::{ChunkBytes, Evaluated, EvaluationError};
-use crate::factors::{CellIndex, CellRows, ClusterCell, Detail, Piece, Transport, cell_of_task, stored};
+use crate::factors::{self, CellIndex, CellRows, ClusterCell, Detail, Piece, Transport, cell_of_task, stored};
 use crate::lightmap::World;
 use crate::task::{Cancelled, Context, Progress, TaskError, TaskOutput, artefact, params};
 use crate::transport::DEAD_PATH_TEXELS;
@@ -54,6 +54,10 @@ impl BakeKind for Sh {
             TaskRow { name: ShTask::Transport.name(), run: run_transport },
             TaskRow { name: ShTask::Assemble.name(), run: assemble::run },
         ]
+    }
+
+    fn error_classes(&self) -> &'static [&'static str] {
+        &factors::ERROR_CLASSES
     }
 
     fn evaluated(
