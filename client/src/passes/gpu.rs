@@ -285,6 +285,14 @@ pub(crate) fn groups_2d(groups: u32) -> [u32; 2] {
     [x, groups.div_ceil(x).max(1)]
 }
 
+/// A view of all layers of a texture, even when there is one.
+pub(crate) fn array_view(texture: &wgpu::Texture) -> wgpu::TextureView {
+    texture.create_view(&wgpu::TextureViewDescriptor {
+        dimension: Some(wgpu::TextureViewDimension::D2Array),
+        ..Default::default()
+    })
+}
+
 /// Kinds of binding, in short.
 pub(crate) fn storage_read() -> wgpu::BindingType {
     buffer_kind(wgpu::BufferBindingType::Storage { read_only: true }, false)
