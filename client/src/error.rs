@@ -171,7 +171,8 @@ impl ClientError {
         }
     }
 
-    pub(crate) fn inconsistent(place: impl Into<String>, problem: impl Into<String>) -> Self {
+    /// A contradiction between a manifest and its chunks.
+    pub fn inconsistent(place: impl Into<String>, problem: impl Into<String>) -> Self {
         Self::Inconsistent { place: place.into(), problem: problem.into() }
     }
 }

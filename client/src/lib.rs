@@ -33,3 +33,4 @@ mod threads;
 
 pub use error::{ClientError, Result};
 pub use threads::Threads;
+pub use wgpu;
