@@ -15,13 +15,14 @@ use lightkiln_proto::jobs::{
 use tokio::sync::watch;
 use tokio::time::Instant;
 
-use crate::access::Guard;
 use crate::error::ServerError;
+use crate::guard::Guard;
 use crate::lookout::Lookout;
 use crate::metrics::Metrics;
+use crate::random::is_fencing_token;
 use crate::storage::{Removed, Storage};
 use crate::store::chunk::CollectRules;
-use crate::store::{FarmStore, KnownResult, StoreError, Submission, is_token};
+use crate::store::{FarmStore, KnownResult, StoreError, Submission};
 use crate::wakeup::Wakeup;
 
 /// Longest name of a bake, in characters.
@@ -438,7 +439,7 @@ fn require_chars(name: &str, text: &str, min: usize, max: usize) -> Result<(), S
 }
 
 fn require_token(token: &str) -> Result<(), ServerError> {
-    if is_token(token) { Ok(()) } else { Err(ServerError::NoSuchLease) }
+    if is_fencing_token(token) { Ok(()) } else { Err(ServerError::NoSuchLease) }
 }
 
 fn bad_request(what: String) -> ServerError {

@@ -96,7 +96,11 @@ impl Server {
     /// Opens queue and bytes; fails if another server has the queue's file open.
     pub async fn open(config: Config) -> Result<Self, ServerError> {
         let tls = match &config.tls {
-            Some(files) => Some(files.read().await?),
+            Some(files) => Some(files.read().await.map_err(|source| ServerError::Tls {
+                cert: files.cert.clone(),
+                key: files.key.clone(),
+                source,
+            })?),
             None => None,
         };
         let in_state = DatabasePlace::Sqlite(config.state_dir.join("farm.sqlite"));

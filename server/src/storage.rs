@@ -84,7 +84,7 @@ impl Storage {
             return Ok(Stored { is_new: false, bytes });
         }
         self.require_room(length.unwrap_or(0)).await?;
-        let name = ChunkName::fresh(digest)?;
+        let name = ChunkName::fresh(digest);
         let written = self.chunks.put_stream(name, bytes, limit).await?;
         let replaces = known.map(|known| known.name.generation);
         let is_new = self.take_in(KeptChunk { name, bytes: written.bytes }, replaces).await?;
@@ -255,7 +255,7 @@ impl Storage {
     /// Writes, reads and removes a few bytes, to show that the chunk store works.
     pub async fn probe(&self) -> Result<(), ServerError> {
         const CONTENT: &[u8] = b"lightkiln readiness probe\n";
-        let name = ChunkName::fresh(Digest::of(CONTENT))?;
+        let name = ChunkName::fresh(Digest::of(CONTENT));
         self.chunks.put_if_absent(name, Bytes::from_static(CONTENT)).await?;
         self.chunks.get(name, CONTENT.len() as u64).await?;
         Ok(self.chunks.delete(name).await?)

@@ -12,8 +12,6 @@ use axum_server::accept::NoDelayAcceptor;
 use axum_server::tls_rustls::{RustlsAcceptor, RustlsConfig};
 use tokio::net::TcpListener;
 
-use crate::error::ServerError;
-
 /// What a server shows of itself. Read once, when the server is opened.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TlsFiles {
@@ -25,13 +23,9 @@ pub struct TlsFiles {
 
 impl TlsFiles {
     /// Reads both.
-    pub(crate) async fn read(&self) -> Result<RustlsConfig, ServerError> {
+    pub(crate) async fn read(&self) -> io::Result<RustlsConfig> {
         use_ring();
-        RustlsConfig::from_pem_file(&self.cert, &self.key).await.map_err(|source| ServerError::Tls {
-            cert: self.cert.clone(),
-            key: self.key.clone(),
-            source,
-        })
+        RustlsConfig::from_pem_file(&self.cert, &self.key).await
     }
 }
 

@@ -11,10 +11,9 @@ use lightkiln_proto::problem::Problem;
 use serde::Deserialize;
 use utoipa::IntoParams;
 
-use super::chunks::{Conditions, serve_bytes};
+use super::chunks::{Binary, Conditions, serve_bytes};
 use super::events::MAX_SEQ;
 use super::extract::{JsonBody, PathParam, UrlQuery, bad_request};
-use super::openapi::Binary;
 use super::trace::traceparent;
 use crate::error::ServerError;
 use crate::farm::Farm;

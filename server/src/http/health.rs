@@ -44,10 +44,3 @@ pub(super) async fn metrics(
     let text = metrics::render(&farm.metrics, &figures);
     Ok(([(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], text))
 }
-
-/// This description.
-#[utoipa::path(get, path = "/openapi.json", tag = "operation",
-    responses((status = 200, description = "OpenAPI description", body = serde_json::Value)))]
-pub(super) async fn openapi() -> ([(HeaderName, &'static str); 1], String) {
-    ([(header::CONTENT_TYPE, "application/json")], super::openapi_json())
-}

@@ -17,10 +17,8 @@
 
 pub mod chunk;
 mod error;
-mod memory;
-mod rules;
+pub mod rules;
 mod sql;
-mod token;
 
 use std::collections::BTreeSet;
 
@@ -37,11 +35,8 @@ use crate::chunks::ChunkName;
 
 use chunk::{ChunkRow, CollectRules, Collected, Kept, KeptChunk, Usage};
 pub use error::{PlanError, StoreError};
-pub use memory::MemoryStore;
 pub use rules::{BACKOFF_MAX_MS, MAX_ATTEMPTS, MAX_GRACES, MAX_PARDONS, POISON_WORKERS, backoff_ms};
 pub use sql::{FaultPoint, Faults, SqlStore};
-pub use token::is_token;
-pub(crate) use token::{random_id, random_secret, random_u64};
 
 /// A bake to take in.
 #[derive(Clone, Debug)]
@@ -80,7 +75,7 @@ pub struct KnownResult {
 
 impl KnownResult {
     /// The results found along a plan, in that order.
-    fn all(found: Vec<(TaskKey, TaskResult)>) -> Vec<Self> {
+    pub fn all(found: Vec<(TaskKey, TaskResult)>) -> Vec<Self> {
         let done: BTreeSet<TaskKey> = found.iter().map(|(key, _)| *key).collect();
         let known = |(key, result): (TaskKey, TaskResult)| {
             let open = result.plan.iter().filter(|task| !done.contains(&task.key));
@@ -312,7 +307,7 @@ pub trait FarmStore: Send + Sync {
 }
 
 /// Refuses calls that only a live bake allows.
-fn require_live(bake: &str, state: BakeState, action: &'static str) -> Result<(), StoreError> {
+pub fn require_live(bake: &str, state: BakeState, action: &'static str) -> Result<(), StoreError> {
     if state.is_final() {
         return Err(StoreError::StateConflict { bake: bake.to_owned(), state, action });
     }
@@ -320,7 +315,7 @@ fn require_live(bake: &str, state: BakeState, action: &'static str) -> Result<()
 }
 
 /// Refuses calls that only an ended bake allows.
-fn require_ended(bake: &str, state: BakeState, action: &'static str) -> Result<(), StoreError> {
+pub fn require_ended(bake: &str, state: BakeState, action: &'static str) -> Result<(), StoreError> {
     if !state.is_final() {
         return Err(StoreError::StateConflict { bake: bake.to_owned(), state, action });
     }
@@ -328,6 +323,6 @@ fn require_ended(bake: &str, state: BakeState, action: &'static str) -> Result<(
 }
 
 /// The bearer that has the name already, if it is the one to make.
-fn same_bearer(found: Bearer, hash: Digest) -> Result<Bearer, StoreError> {
+pub fn same_bearer(found: Bearer, hash: Digest) -> Result<Bearer, StoreError> {
     if found.hash == hash { Ok(found) } else { Err(StoreError::BearerExists { name: found.name }) }
 }

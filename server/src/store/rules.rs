@@ -72,25 +72,30 @@ pub fn retry_wait_ms(key: TaskKey, attempts: u32) -> i64 {
 /// What a worker is and has, as far as claims go.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Abilities {
-    pub(crate) kinds: Vec<String>,
-    pub(crate) threads: u32,
-    pub(crate) memory_mib: u32,
-    pub(crate) labels: Vec<String>,
+    /// Kinds of tasks that it runs.
+    pub kinds: Vec<String>,
+    /// Threads that its tasks may use.
+    pub threads: u32,
+    /// Memory that its tasks may use.
+    pub memory_mib: u32,
+    /// Labels that bakes may ask for.
+    pub labels: Vec<String>,
 }
 
 impl Abilities {
-    pub(crate) fn of(request: &ClaimRequest) -> Self {
+    /// Those of the worker that claims.
+    pub fn of(request: &ClaimRequest) -> Self {
         let ClaimRequest { kinds, threads, memory_mib, labels, .. } = request.clone();
         Self { kinds, threads, memory_mib, labels }
     }
 
     /// Whether such a worker could do what another asks for.
-    pub(crate) fn can_replace(&self, request: &ClaimRequest, needs: &Needs) -> bool {
+    pub fn can_replace(&self, request: &ClaimRequest, needs: &Needs) -> bool {
         self.kinds.iter().any(|kind| request.kinds.contains(kind)) && self.suffice(needs)
     }
 
     /// Whether such a worker may take a bake's tasks.
-    pub(crate) fn suffice(&self, needs: &Needs) -> bool {
+    pub fn suffice(&self, needs: &Needs) -> bool {
         self.threads >= needs.threads
             && self.memory_mib >= needs.memory_mib
             && needs.labels.iter().all(|label| self.labels.contains(label))
@@ -100,12 +105,14 @@ impl Abilities {
 /// A bake with ready tasks, as a claim weighs it.
 #[derive(Clone, Debug)]
 pub struct Contender<B> {
-    pub(crate) bake: B,
-    pub(crate) priority: i64,
+    /// The bake, in whatever form the store has it.
+    pub bake: B,
+    /// Its priority; higher ones come first.
+    pub priority: i64,
     /// Tasks of it under way.
-    pub(crate) leased: i64,
+    pub leased: i64,
     /// The worker had its scene last.
-    pub(crate) is_local: bool,
+    pub is_local: bool,
 }
 
 /// Which of the contenders, oldest first, gets the next task: of those with the highest priority the one with the

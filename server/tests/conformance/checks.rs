@@ -44,7 +44,7 @@ pub async fn check_finds_what_is_wrong_and_makes_it_good(world: World) {
         run_with(&world, &[output]).await.unwrap();
     }
     let orphan = Digest::of(b"orphan");
-    objects.put_if_absent(ChunkName::fresh(orphan).unwrap(), Bytes::from_static(b"orphan")).await.unwrap();
+    objects.put_if_absent(ChunkName::fresh(orphan), Bytes::from_static(b"orphan")).await.unwrap();
     let check = async |reads, repairs, grace| {
         let checks = Checks { reads, repairs, grace };
         fsck::check(&*world.store, &*objects, &storage, checks).await.unwrap()

@@ -16,6 +16,8 @@ mod history;
 mod leases;
 mod locks;
 mod migration;
+#[path = "../model/mod.rs"]
+mod model;
 #[path = "../parts/mod.rs"]
 mod parts;
 mod remaking;

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use crate::model::MemoryStore;
 use crate::parts::postgres::empty_schema;
 use lightkiln_proto::api::{
     Bake, BakeEvent, BakeState, ClaimRequest, CommitVerdict, Lease, Needs, NewBake, Verdict,
@@ -12,7 +13,7 @@ use lightkiln_proto::jobs::{Artefact, TaskInput, TaskResult, TaskSpec};
 use lightkiln_server::chunks::ChunkName;
 use lightkiln_server::clock::ManualClock;
 use lightkiln_server::store::chunk::KeptChunk;
-use lightkiln_server::store::{FarmStore, MemoryStore, SqlStore, Submission};
+use lightkiln_server::store::{FarmStore, SqlStore, Submission};
 
 /// Lease length of the tests' claims.
 pub const TTL_SECS: u32 = 30;

@@ -13,11 +13,12 @@ use serde_json::json;
 
 use super::codec::to_json;
 use super::conn::{Conn, query, steps};
+use crate::random;
+use crate::store::StoreError;
 use crate::store::rules::{
     self, Abilities, BLOCK_TASKS, CLAIM_WINDOW, Contender, WORKER_PRESENT_MS, WORKER_SEEN_GRAIN_MS,
     dependencies, next_contender, resolve_inputs,
 };
-use crate::store::{StoreError, token};
 
 /// Running bakes with ready tasks, behind one of that priority and number.
 const OPEN_BAKES: &str = "
@@ -237,7 +238,7 @@ impl Claim<'_> {
                     let deadline_ms = rules::deadline_ms(self.now_ms, bake.attempt_limit_secs);
                     let expires_ms = self.now_ms + i64::from(self.request.ttl_secs) * 1000;
                     let expires_ms = expires_ms.min(deadline_ms);
-                    let (token, traceparent) = (token::new_token()?, bake.traceparent);
+                    let (token, traceparent) = (random::fencing_token(), bake.traceparent);
                     self.chosen.push(Chosen {
                         task,
                         bake: bake.id,

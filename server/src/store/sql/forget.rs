@@ -8,9 +8,8 @@ use lightkiln_proto::jobs::{TaskResult, TaskSpec};
 
 use super::codec::{ROWS_PER_STATEMENT, to_json};
 use super::conn::{Conn, query, steps};
-use super::leases::offer;
 use super::ledger::Ledger;
-use super::remake;
+use super::{ready, remake};
 use crate::store::{KnownResult, StoreError};
 
 pub(super) async fn reusable(conn: &mut Conn, plan: &[TaskSpec]) -> Result<Vec<KnownResult>, StoreError> {
@@ -61,7 +60,7 @@ async fn forget(conn: &mut Conn, key: TaskKey, now_ms: i64) -> Result<(), StoreE
         bake.event(now_ms, EventKind::ResultLost { key, kind, label });
         bake.save(conn).await?;
     }
-    offer(conn, task, now_ms).await
+    ready::offer(conn, task, now_ms).await
 }
 
 /// Bakes that have ended hold the result no more; whoever runs the task again gives it back ([`give_back`]).

@@ -6,6 +6,7 @@ use lightkiln_proto::jobs::Artefact;
 
 use super::conn::{Conn, query};
 use super::ledger::Ledger;
+use super::ready;
 use crate::store::StoreError;
 use crate::store::rules::{self, WORKER_SEEN_GRAIN_MS};
 
@@ -174,17 +175,8 @@ pub(super) async fn requeue(conn: &mut Conn, ended: &Ended, now_ms: i64) -> Resu
     let sql =
         "UPDATE tasks SET state = CASE waiting_count WHEN 0 THEN 'ready' ELSE 'waiting' END WHERE id = $1";
     query(sql).bind(ended.task).run(conn).await?;
-    offer(conn, ended.task, now_ms).await?;
+    ready::offer(conn, ended.task, now_ms).await?;
     change_leased(conn, ended.task, &ended.kind, -1, now_ms).await
-}
-
-/// Offers a task for claims in every live bake that holds it, if it is ready.
-pub(super) async fn offer(conn: &mut Conn, task: i64, now_ms: i64) -> Result<(), StoreError> {
-    let sql = "INSERT INTO ready SELECT m.bake, t.cost, t.key, t.id, t.kind, t.not_before_ms, $2
-               FROM tasks t JOIN bake_tasks m ON m.task = t.id JOIN bakes b ON b.seq = m.bake
-               WHERE t.id = $1 AND t.state = 'ready' AND b.state IN ('running', 'paused')";
-    query(sql).bind(task).bind(now_ms).run(conn).await?;
-    Ok(())
 }
 
 /// Counts a lease more or less in every live bake that holds the task.

@@ -24,6 +24,7 @@ mod ledger;
 mod outcome;
 mod plan;
 mod postgres;
+mod ready;
 mod remake;
 mod sqlite;
 mod view;

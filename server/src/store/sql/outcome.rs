@@ -7,14 +7,12 @@ use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{Artefact, TaskResult};
 
 use super::batch::Waiting;
-use super::chunks;
 use super::codec::to_json;
 use super::conn::{Conn, query, steps};
-use super::forget;
 use super::leases::{self, Ended, requeue};
 use super::ledger::Ledger;
 use super::plan::apply_plan;
-use super::remake;
+use super::{chunks, forget, ready, remake};
 use crate::store::rules::{self, add_counters, check_plan};
 use crate::store::{FailVerdict, Reaped, StoreError};
 
@@ -108,7 +106,6 @@ async fn write_result(
 }
 
 async fn unlock_dependants(conn: &mut Conn, task: i64, now_ms: i64) -> Result<(), StoreError> {
-    // None of them was ready: each waited for this task at least.
     let sql = "UPDATE tasks SET waiting_count = waiting_count - 1,
                state = CASE WHEN state = 'waiting' AND waiting_count = 1 THEN 'ready' ELSE state END
                WHERE id IN (SELECT task FROM task_needs WHERE needs = $1) AND state <> 'done'
@@ -118,11 +115,7 @@ async fn unlock_dependants(conn: &mut Conn, task: i64, now_ms: i64) -> Result<()
         is_any_ready |= row.get::<bool>("is_ready")?;
     }
     if is_any_ready {
-        let sql = "INSERT INTO ready SELECT m.bake, t.cost, t.key, t.id, t.kind, t.not_before_ms, $2
-                   FROM task_needs n JOIN tasks t ON t.id = n.task JOIN bake_tasks m ON m.task = t.id
-                   JOIN bakes b ON b.seq = m.bake WHERE n.needs = $1 AND t.state = 'ready'
-                   AND b.state IN ('running', 'paused')";
-        query(sql).bind(task).bind(now_ms).run(conn).await?;
+        ready::offer_dependants(conn, task, now_ms).await?;
     }
     Ok(())
 }

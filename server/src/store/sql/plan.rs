@@ -11,6 +11,7 @@ use super::chunks;
 use super::codec::{ROWS_PER_STATEMENT, to_json};
 use super::conn::{Conn, query};
 use super::ledger::Ledger;
+use super::ready;
 use crate::store::rules::{add_counters, dependencies, is_same_task, named_artefacts};
 use crate::store::{PlanError, StoreError};
 
@@ -261,7 +262,8 @@ impl Addition<'_> {
             query(count).bind(&fresh).run(self.conn).await?;
             query(wait).bind(&fresh).run(self.conn).await?;
         }
-        self.offer(now_ms).await
+        let ids: Vec<i64> = self.added.iter().filter_map(|task| self.ids.get(&task.key).copied()).collect();
+        ready::offer_in(self.conn, self.bake.seq, &ids, now_ms).await
     }
 
     /// Finds the ids of dependencies that the bake held before.
@@ -276,16 +278,6 @@ impl Addition<'_> {
             for row in query(sql).bind(to_json(keys)?).bind(self.bake.seq).all(self.conn).await? {
                 self.ids.insert(row.digest("key")?, row.get("id")?);
             }
-        }
-        Ok(())
-    }
-
-    async fn offer(&mut self, now_ms: i64) -> Result<(), StoreError> {
-        let sql = "INSERT INTO ready SELECT $1, t.cost, t.key, t.id, t.kind, t.not_before_ms, $3
-                   FROM json_each($2) j JOIN tasks t ON t.id = CAST(j.value AS BIGINT) WHERE t.state = 'ready'";
-        let ids: Vec<i64> = self.added.iter().filter_map(|task| self.ids.get(&task.key).copied()).collect();
-        for ids in ids.chunks(ROWS_PER_STATEMENT) {
-            query(sql).bind(self.bake.seq).bind(to_json(ids)?).bind(now_ms).run(self.conn).await?;
         }
         Ok(())
     }

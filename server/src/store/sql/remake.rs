@@ -9,7 +9,7 @@ use lightkiln_proto::jobs::Artefact;
 
 use super::codec::to_json;
 use super::conn::{Conn, query};
-use super::leases::offer;
+use super::ready;
 use crate::store::StoreError;
 use crate::store::rules;
 
@@ -102,7 +102,7 @@ pub(super) async fn let_go(conn: &mut Conn, bake: i64, now_ms: i64) -> Result<()
         let sql = "UPDATE tasks SET waiting_count = waiting_count - $1,
                    state = CASE WHEN state = 'waiting' AND waiting_count = $1 THEN 'ready' ELSE state END WHERE id = $2";
         query(sql).bind(row.get::<i64>("needs")?).bind(task).run(conn).await?;
-        offer(conn, task, now_ms).await?;
+        ready::offer(conn, task, now_ms).await?;
     }
     Ok(())
 }

@@ -1,6 +1,6 @@
 //! The plain model of a farm: maps in memory, everything recounted when asked for.
 //!
-//! It says what the other stores must do. It keeps nothing when the process ends.
+//! It says how the stores in databases must behave, in the fewest words. It keeps nothing when the process ends.
 
 mod chunks;
 mod entries;
@@ -19,15 +19,15 @@ use lightkiln_proto::api::{
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{TaskResult, TaskSpec};
 
-use super::chunk::{ChunkRow, CollectRules, Collected, Kept, KeptChunk, Usage};
-use super::{
+use farm::Farm;
+use lightkiln_server::access::{Bearer, Scope};
+use lightkiln_server::chunks::ChunkName;
+use lightkiln_server::clock::Clock;
+use lightkiln_server::store::chunk::{ChunkRow, CollectRules, Collected, Kept, KeptChunk, Usage};
+use lightkiln_server::store::{
     FailVerdict, FarmStore, KnownResult, Reaped, Stats, StoreError, Submission, Submitted, require_live,
     same_bearer,
 };
-use crate::access::{Bearer, Scope};
-use crate::chunks::ChunkName;
-use crate::clock::Clock;
-use farm::Farm;
 
 /// A farm in memory.
 pub struct MemoryStore {

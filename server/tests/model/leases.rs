@@ -12,11 +12,12 @@ use lightkiln_proto::jobs::{TaskResult, TaskSpec};
 
 use super::entries::{BakeEntry, ExpiredEntry, LeaseEntry, Member, Task, WorkerEntry};
 use super::farm::Farm;
-use crate::store::rules::{
+use lightkiln_server::random;
+use lightkiln_server::store::rules::{
     self, Abilities, BLOCK_TASKS, CLAIM_WINDOW, Contender, MAX_GRACES, MAX_PARDONS, WORKER_PRESENT_MS,
     WORKER_SEEN_GRAIN_MS, add_counters, next_contender,
 };
-use crate::store::{FailVerdict, Reaped, StoreError, TaskState, token};
+use lightkiln_server::store::{FailVerdict, Reaped, StoreError, TaskState};
 
 impl LeaseEntry {
     /// How long the attempt has taken.
@@ -194,7 +195,7 @@ impl Farm {
         request: &ClaimRequest,
         now_ms: i64,
     ) -> Result<Lease, StoreError> {
-        let token = token::new_token()?;
+        let token = random::fencing_token();
         let ttl_ms = i64::from(request.ttl_secs) * 1000;
         let deadline_ms = rules::deadline_ms(now_ms, self.bakes[bake].new.attempt_limit_secs);
         let expires_ms = (now_ms + ttl_ms).min(deadline_ms);

@@ -6,8 +6,8 @@ use lightkiln_proto::api::{BakeEvent, BakeState, NewBake};
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{Artefact, MANIFEST_OUTPUT, REPORT_OUTPUT, TaskResult, TaskSpec};
 
-use crate::store::Submission;
-use crate::store::rules::Abilities;
+use lightkiln_server::store::Submission;
+use lightkiln_server::store::rules::Abilities;
 
 #[derive(Clone)]
 pub(super) struct BakeEntry {
@@ -86,10 +86,10 @@ pub(super) struct LeaseEntry {
     pub(super) cancelled: bool,
     /// The worker said that it had the task.
     pub(super) was_heard: bool,
-    /// Something that the task reads was lost meanwhile.
-    pub(super) input_lost: bool,
     /// The worker was heard again after the lease had run out.
     pub(super) is_late: bool,
+    /// Something that the task reads was lost meanwhile.
+    pub(super) input_lost: bool,
     /// Which attempt at the task it is.
     pub(super) attempt: u32,
     /// How often it was given its whole length again since the worker was heard.

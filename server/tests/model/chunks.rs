@@ -5,10 +5,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use lightkiln_proto::ids::{Digest, TaskKey};
 
 use super::farm::Farm;
-use crate::chunks::ChunkName;
-use crate::store::chunk::{ChunkRow, CollectRules, Collected, Kept, KeptChunk, Usage};
-use crate::store::rules::CHUNK_USED_GRAIN_MS;
-use crate::store::{StoreError, require_ended};
+use lightkiln_server::chunks::ChunkName;
+use lightkiln_server::store::chunk::{ChunkRow, CollectRules, Collected, Kept, KeptChunk, Usage};
+use lightkiln_server::store::rules::CHUNK_USED_GRAIN_MS;
+use lightkiln_server::store::{StoreError, require_ended};
 
 /// What is stored.
 #[derive(Clone, Default)]
