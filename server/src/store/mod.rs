@@ -17,6 +17,7 @@
 
 pub mod chunk;
 mod error;
+mod lease;
 pub mod rules;
 mod sql;
 
@@ -35,6 +36,7 @@ use crate::chunks::ChunkName;
 
 use chunk::{ChunkRow, CollectRules, Collected, Kept, KeptChunk, Usage};
 pub use error::{PlanError, StoreError};
+pub use lease::LeaseState;
 pub use rules::{BACKOFF_MAX_MS, MAX_ATTEMPTS, MAX_GRACES, MAX_PARDONS, POISON_WORKERS, backoff_ms};
 pub use sql::{FaultPoint, Faults, SqlStore};
 

@@ -34,11 +34,6 @@ pub const WORKER_LISTED_MS: i64 = 600_000;
 pub const WORKER_SEEN_GRAIN_MS: i64 = 5_000;
 /// That a chunk was asked for is written at most this often.
 pub const CHUNK_USED_GRAIN_MS: i64 = 60_000;
-/// Progress of a lease that its holder has not been heard about: the answer to the claim may have been lost, or the worker
-/// been gone before it came. When it runs out nobody failed at anything.
-pub const UNHEARD: f64 = -1.0;
-/// The same once a holder that had been heard is heard again after its lease ran out, and before anybody noticed.
-pub const LATE: f64 = -2.0;
 /// Most attempts at a task that are given back because their workers were silent for longer than a lease, and alive. More
 /// → a database that is slow for long fails fewer bakes, and a worker that is stuck again and again holds a task up for longer.
 pub const MAX_PARDONS: u32 = MAX_ATTEMPTS;

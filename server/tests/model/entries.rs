@@ -6,8 +6,8 @@ use lightkiln_proto::api::{BakeEvent, BakeState, NewBake};
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{Artefact, MANIFEST_OUTPUT, REPORT_OUTPUT, TaskResult, TaskSpec};
 
-use lightkiln_server::store::Submission;
 use lightkiln_server::store::rules::Abilities;
+use lightkiln_server::store::{LeaseState, Submission};
 
 #[derive(Clone)]
 pub(super) struct BakeEntry {
@@ -84,10 +84,7 @@ pub(super) struct LeaseEntry {
     /// When the attempt has taken too long.
     pub(super) deadline_ms: i64,
     pub(super) cancelled: bool,
-    /// The worker said that it had the task.
-    pub(super) was_heard: bool,
-    /// The worker was heard again after the lease had run out.
-    pub(super) is_late: bool,
+    pub(super) state: LeaseState,
     /// Something that the task reads was lost meanwhile.
     pub(super) input_lost: bool,
     /// Which attempt at the task it is.

@@ -14,11 +14,11 @@ use serde_json::json;
 use super::codec::to_json;
 use super::conn::{Conn, query, steps};
 use crate::random;
-use crate::store::StoreError;
 use crate::store::rules::{
     self, Abilities, BLOCK_TASKS, CLAIM_WINDOW, Contender, WORKER_PRESENT_MS, WORKER_SEEN_GRAIN_MS,
     dependencies, next_contender, resolve_inputs,
 };
+use crate::store::{LeaseState, StoreError};
 
 /// Running bakes with ready tasks, behind one of that priority and number.
 const OPEN_BAKES: &str = "
@@ -336,10 +336,11 @@ async fn write_leases(
     };
     let rows: Vec<_> = chosen.iter().map(row).collect();
     let insert = conn.pick(
-        "INSERT INTO leases SELECT value ->> 0, value ->> 1, $2, $3, value ->> 2, $4, value ->> 3, $5, 0,
-         value ->> 4, 0 FROM json_each($1)",
-        "INSERT INTO leases SELECT v ->> 0, (v ->> 1)::bigint, $2, $3, (v ->> 2)::bigint, $4, (v ->> 3)::bigint, $5, 0,
-         (v ->> 4)::bigint, 0 FROM jsonb_array_elements($1::jsonb) AS j (v)",
+        "INSERT INTO leases (token, task, expires_ms, deadline_ms, attempt, worker, ttl_ms, state, progress, started_ms)
+         SELECT value ->> 0, value ->> 1, value ->> 2, value ->> 3, value ->> 4, $2, $3, $4, 0, $5 FROM json_each($1)",
+        "INSERT INTO leases (token, task, expires_ms, deadline_ms, attempt, worker, ttl_ms, state, progress, started_ms)
+         SELECT v ->> 0, (v ->> 1)::bigint, (v ->> 2)::bigint, (v ->> 3)::bigint, (v ->> 4)::bigint, $2, $3, $4, 0, $5
+         FROM jsonb_array_elements($1::jsonb) AS j (v)",
     );
     let mut parts =
         vec![insert, "DELETE FROM ready WHERE task IN (SELECT CAST(value AS BIGINT) FROM json_each($6))"];
@@ -365,7 +366,7 @@ async fn write_leases(
         .bind(to_json(&rows)?)
         .bind(&request.worker)
         .bind(i64::from(request.ttl_secs) * 1000)
-        .bind(rules::UNHEARD)
+        .bind(LeaseState::Granted.name())
         .bind(now_ms)
         .bind(tasks)
         .run(conn)
@@ -449,9 +450,9 @@ fn starts(
 async fn tell_bake(conn: &mut Conn, bake: i64, starts: &[String], now_ms: i64) -> Result<(), StoreError> {
     let events: Vec<_> = (1..).zip(starts).map(|(index, start)| json!([index, start])).collect();
     let insert = conn.pick(
-        "INSERT INTO events SELECT b.seq, b.last_event - $2 + (value ->> 0), $3, value ->> 1
+        "INSERT INTO events (bake, seq, at_ms, event) SELECT b.seq, b.last_event - $2 + (value ->> 0), $3, value ->> 1
          FROM bakes b, json_each($4) WHERE b.seq = $1",
-        "INSERT INTO events SELECT b.seq, b.last_event - $2 + (v ->> 0)::bigint, $3, v ->> 1
+        "INSERT INTO events (bake, seq, at_ms, event) SELECT b.seq, b.last_event - $2 + (v ->> 0)::bigint, $3, v ->> 1
          FROM bakes b, jsonb_array_elements($4::jsonb) AS j (v) WHERE b.seq = $1",
     );
     steps(["UPDATE bakes SET last_event = last_event + $2 WHERE seq = $1", insert])

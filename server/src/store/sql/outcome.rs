@@ -14,7 +14,7 @@ use super::ledger::Ledger;
 use super::plan::apply_plan;
 use super::{chunks, forget, ready, remake};
 use crate::store::rules::{self, add_counters, check_plan};
-use crate::store::{FailVerdict, Reaped, StoreError};
+use crate::store::{FailVerdict, LeaseState, Reaped, StoreError};
 
 pub(super) async fn commit(
     conn: &mut Conn,
@@ -86,8 +86,8 @@ async fn write_result(
     let outputs: Vec<Digest> = outputs.into_iter().collect();
     let touched = steps([
         "UPDATE tasks SET state = 'done', outputs_before = NULL WHERE id = $1",
-        "INSERT INTO results VALUES ($1, $2, $3, $4, $5)",
-        "INSERT INTO result_chunks SELECT $1, c.digest FROM json_each($6) j JOIN chunks c ON c.digest = j.value
+        "INSERT INTO results (task, token, outputs, plan, counters) VALUES ($1, $2, $3, $4, $5)",
+        "INSERT INTO result_chunks (task, digest) SELECT $1, c.digest FROM json_each($6) j JOIN chunks c ON c.digest = j.value
          WHERE c.generation IS NOT NULL",
     ])
     .bind(ended.task)
@@ -191,7 +191,7 @@ async fn blame_silent(
     now_ms: i64,
 ) -> Result<bool, StoreError> {
     if !ended.has_hit_limit {
-        let sql = "INSERT INTO expired SELECT $1, t.id, $2,
+        let sql = "INSERT INTO expired (token, task, worker, has_blamed) SELECT $1, t.id, $2,
                    CASE WHEN EXISTS (SELECT 1 FROM blames x WHERE x.task = t.id AND x.worker = $2) THEN 0 ELSE 1 END
                    FROM tasks t WHERE t.id = $3";
         query(sql).bind(token).bind(&ended.worker).bind(ended.task).run(conn).await?;
@@ -208,7 +208,7 @@ async fn blame_worker(
 ) -> Result<bool, StoreError> {
     let attempts = ended.attempts + 1;
     query("UPDATE tasks SET attempts = $1 WHERE id = $2").bind(attempts).bind(ended.task).run(conn).await?;
-    query("INSERT INTO blames VALUES ($1, $2) ON CONFLICT DO NOTHING")
+    query("INSERT INTO blames (task, worker) VALUES ($1, $2) ON CONFLICT DO NOTHING")
         .bind(ended.task)
         .bind(&ended.worker)
         .run(conn)
@@ -292,7 +292,7 @@ pub(super) async fn reap(conn: &mut Conn, now_ms: i64) -> Result<Reaped, StoreEr
         if ended.is_pardoned {
             query("UPDATE tasks SET pardons = pardons + 1 WHERE id = $1").bind(ended.task).run(conn).await?;
         }
-        if !ended.was_heard || ended.is_pardoned {
+        if ended.state == LeaseState::Granted || ended.is_pardoned {
             requeue(conn, &ended, now_ms).await?;
             continue;
         }

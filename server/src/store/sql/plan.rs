@@ -199,8 +199,9 @@ impl Addition<'_> {
 
     async fn insert_members(&mut self, members: &[(i64, bool)]) -> Result<(), StoreError> {
         let sql = self.conn.pick(
-            "INSERT INTO bake_tasks SELECT $1, value ->> 0, value ->> 1, value ->> 1 FROM json_each($2)",
-            "INSERT INTO bake_tasks
+            "INSERT INTO bake_tasks (bake, task, done, reused)
+             SELECT $1, value ->> 0, value ->> 1, value ->> 1 FROM json_each($2)",
+            "INSERT INTO bake_tasks (bake, task, done, reused)
              SELECT $1, (v ->> 0)::bigint, (v ->> 1)::boolean::int, (v ->> 1)::boolean::int
              FROM jsonb_array_elements($2::jsonb) AS j (v)",
         );
@@ -246,8 +247,8 @@ impl Addition<'_> {
         }
         // A task that was there has its edges, unless a dependency was forgotten meanwhile.
         let sql = self.conn.pick(
-            "INSERT OR IGNORE INTO task_needs SELECT value ->> 0, value ->> 1 FROM json_each($1)",
-            "INSERT INTO task_needs SELECT (v ->> 0)::bigint, (v ->> 1)::bigint
+            "INSERT OR IGNORE INTO task_needs (task, needs) SELECT value ->> 0, value ->> 1 FROM json_each($1)",
+            "INSERT INTO task_needs (task, needs) SELECT (v ->> 0)::bigint, (v ->> 1)::bigint
              FROM jsonb_array_elements($1::jsonb) AS j (v) ON CONFLICT DO NOTHING",
         );
         for edges in edges.chunks(ROWS_PER_STATEMENT) {

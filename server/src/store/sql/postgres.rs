@@ -49,7 +49,7 @@ const ACQUIRE_TIMEOUT: Duration = Duration::from_secs(30);
 /// Lowest version that is tested.
 const VERSION_MIN: i32 = 150_000;
 /// What brings the database from one version to the next.
-const MIGRATIONS: [&str; 8] = [
+const MIGRATIONS: [&str; 9] = [
     include_str!("schema/postgres_1.sql"),
     include_str!("schema/postgres_2.sql"),
     include_str!("schema/postgres_3.sql"),
@@ -58,6 +58,7 @@ const MIGRATIONS: [&str; 8] = [
     include_str!("schema/postgres_6.sql"),
     include_str!("schema/postgres_7.sql"),
     include_str!("schema/postgres_8.sql"),
+    include_str!("schema/postgres_9.sql"),
 ];
 
 /// Settings of every connection. Shorter timeouts → a server that hangs holds the others up for less, and a slow
@@ -172,7 +173,10 @@ async fn migrate(connection: &mut PgConnection) -> Result<(), StoreError> {
     for (index, migration) in MIGRATIONS.iter().enumerate().skip(done) {
         sqlx::raw_sql(*migration).execute(&mut *tx).await?;
         let version = i64::try_from(index + 1).unwrap_or(i64::MAX);
-        sqlx::query("INSERT INTO schema_version VALUES ($1)").bind(version).execute(&mut *tx).await?;
+        sqlx::query("INSERT INTO schema_version (version) VALUES ($1)")
+            .bind(version)
+            .execute(&mut *tx)
+            .await?;
     }
     Ok(tx.commit().await?)
 }

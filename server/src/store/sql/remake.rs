@@ -27,7 +27,7 @@ pub(super) async fn hold_readers(conn: &mut Conn, task: i64) -> Result<(), Store
     let bakes = rows.iter().map(|row| row.get("bake")).collect::<Result<Vec<i64>, _>>()?;
     if !bakes.is_empty() {
         // A digest is found as text: nothing else in a task's inputs looks like it.
-        let sql = "INSERT INTO task_needs SELECT t.id, $1 FROM tasks t
+        let sql = "INSERT INTO task_needs (task, needs) SELECT t.id, $1 FROM tasks t
                    WHERE t.id IN (SELECT m.task FROM bake_tasks m
                                   WHERE m.bake IN (SELECT CAST(value AS BIGINT) FROM json_each($2)))
                    AND EXISTS (SELECT 1 FROM json_each($3) d WHERE t.inputs LIKE '%' || d.value || '%')

@@ -171,7 +171,8 @@ fn task_state_from(name: &str) -> Result<TaskState, StoreError> {
 
 /// Writes something.
 pub(super) async fn probe(conn: &mut Conn, now_ms: i64) -> Result<(), StoreError> {
-    let sql = "INSERT INTO probe VALUES (1, $1) ON CONFLICT (id) DO UPDATE SET at_ms = excluded.at_ms";
+    let sql =
+        "INSERT INTO probe (id, at_ms) VALUES (1, $1) ON CONFLICT (id) DO UPDATE SET at_ms = excluded.at_ms";
     query(sql).bind(now_ms).run(conn).await?;
     Ok(())
 }
