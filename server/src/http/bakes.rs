@@ -115,7 +115,7 @@ pub(super) async fn delete(
     Ok(StatusCode::NO_CONTENT)
 }
 
-/// Cancels a bake; what no other bake wants is dropped.
+/// Cancels a bake; tasks that no other bake wants are dropped.
 #[utoipa::path(post, path = "/v1/bakes/{id}/cancel", tag = "bakes",
     params(("id" = String, Path, description = "The bake")),
     responses((status = 200, description = "The bake", body = Bake),
@@ -164,7 +164,7 @@ pub(super) async fn reprioritise(
     Ok(Json(farm.change(farm.store.reprioritise(&id, new.priority)).await?))
 }
 
-/// Whose failures to forget.
+/// The worker whose failures are forgotten.
 #[derive(Deserialize, IntoParams)]
 #[into_params(parameter_in = Query)]
 #[serde(deny_unknown_fields)]

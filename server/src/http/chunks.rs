@@ -140,7 +140,7 @@ async fn store_up_to(
     }
     let bytes = body.into_data_stream().map_err(|error| ChunkError::Broken(error.into()));
     let stored = farm.storage.put_stream(digest, bytes.boxed(), limit, content_length(headers)).await?;
-    farm.metrics.bytes_in.add(stored.bytes);
+    farm.metrics.received_bytes.inc_by(stored.bytes);
     Ok(stored)
 }
 
@@ -221,9 +221,11 @@ pub(super) async fn serve_bytes(
     let body = if method == Method::HEAD {
         Body::empty()
     } else {
-        let sent = farm.metrics.bytes_out.clone();
+        let sent = farm.metrics.sent_bytes.clone();
         let bytes = farm.storage.read(digest, part.clone()).await?;
-        Body::from_stream(bytes.inspect_ok(move |piece| sent.add(piece.len() as u64)))
+        Body::from_stream(bytes.inspect_ok(move |piece| {
+            sent.inc_by(piece.len() as u64);
+        }))
     };
     let size = (part.end - part.start).to_string();
     let sized = [(header::CONTENT_TYPE, content_type.to_owned()), (header::CONTENT_LENGTH, size)];

@@ -83,7 +83,7 @@ async fn measure(State(farm): State<Arc<Farm>>, request: Request, next: Next) ->
     let is_known = [Method::GET, Method::HEAD, Method::POST, Method::PUT, Method::DELETE].contains(&method);
     let method = if is_known { method.as_str() } else { "other" };
     trace::note_status(response.status().as_u16());
-    farm.metrics.latencies.note(method, &route, response.status().as_u16(), started.elapsed());
+    farm.metrics.note_latency(method, &route, response.status().as_u16(), started.elapsed());
     response
 }
 

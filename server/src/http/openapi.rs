@@ -51,7 +51,7 @@ impl Modify for Bearer {
     }
 }
 
-/// Names in each call the problems that no handler speaks of: what stands before every call, and what may lack behind it.
+/// Names in each call the problems that no handler speaks of: those of the checks before it, and of the stores behind it.
 /// So a status that is not described is a fault.
 struct Problems;
 

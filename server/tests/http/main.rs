@@ -9,6 +9,7 @@ mod enrolments;
 mod events;
 mod life;
 mod limits;
+mod metrics;
 mod problems;
 mod support;
 mod webhooks;
