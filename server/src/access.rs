@@ -1,4 +1,4 @@
-//! Who may do what: bearer tokens, known by their digests, and the scopes that they open.
+//! Bearer tokens, known by their digests, and the scopes that they open.
 //!
 //! [`crate::guard`] asks for the tokens.
 
@@ -15,15 +15,15 @@ use crate::random;
 
 /// Longest name of a bearer, in characters.
 const NAME_CHARS_MAX: usize = 64;
-/// What tokens begin with, so that they are recognised where they should not be.
+/// Prefix of tokens, so that they are recognised where they should not be.
 const TOKEN_PREFIX: &str = "kiln_";
-/// What codes begin with.
+/// Prefix of codes.
 const CODE_PREFIX: &str = "kilncode_";
-/// What stands in a code's name behind that of the worker; random characters follow, as names are given once.
+/// Stands in a code's name behind that of the worker; random characters follow, as names are given once.
 const CODE_MARK: &str = ".code-";
-/// How many of them.
+/// Number of these characters.
 const CODE_MARK_CHARS: usize = 8;
-/// How long a code is good for. Longer → more time to walk to a machine, and for whoever finds the code.
+/// Lifetime of a code. Longer → more time to walk to a machine, and for whoever finds the code.
 pub const CODE_LIFETIME: Duration = Duration::from_secs(3600);
 
 /// A part of the API.
@@ -77,19 +77,19 @@ impl FromStr for Scope {
     }
 }
 
-/// What is wrong with a bearer.
+/// Errors in a bearer's name or scopes.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum AccessError {
     /// No such scope.
     #[error("'{text}' is no scope; there are read, submit, worker and admin")]
     NoScope {
-        /// What was given.
+        /// The text given.
         text: String,
     },
     /// No good name.
     #[error("a token's name has 1 to {NAME_CHARS_MAX} letters, digits, '.', '_' or '-', unlike '{text}'")]
     Name {
-        /// What was given.
+        /// The text given.
         text: String,
     },
 }
@@ -101,11 +101,11 @@ pub struct Bearer {
     pub name: String,
     /// Digest of the token.
     pub hash: Digest,
-    /// What it opens.
+    /// Scopes that it opens.
     pub scopes: BTreeSet<Scope>,
     /// When it was made, in Unix milliseconds.
     pub created_ms: i64,
-    /// Since when it opens nothing any more.
+    /// Time of its revocation, in Unix milliseconds; it opens nothing any more.
     pub revoked_ms: Option<i64>,
 }
 
@@ -143,7 +143,7 @@ impl NewBearer {
         Ok(Self { token: format!("{CODE_PREFIX}{}", random::secret()), ..named })
     }
 
-    /// What is stored of the token.
+    /// The digest that is stored of the token.
     pub fn hash(&self) -> Digest {
         Digest::of(self.token.as_bytes())
     }

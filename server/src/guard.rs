@@ -15,9 +15,9 @@ use crate::clock::{Clock as _, SystemClock};
 use crate::error::ServerError;
 use crate::store::{FarmStore, StoreError};
 
-/// What servers know of the tokens is at most this old. Longer → fewer reads, and a revoked token is good for longer.
+/// Age limit of the tokens that a server remembers. Longer → fewer reads, and a revoked token is good for longer.
 const KNOWN_FOR: Duration = Duration::from_secs(2);
-/// After this every server has read a change: what it knows is too old by then, however long the reading took.
+/// After this every server has read a change: its memory is too old by then, however long the reading took.
 const KNOWN_BY_ALL_AFTER: Duration = Duration::from_secs(3);
 /// Longest token that is looked at, in bytes.
 const TOKEN_BYTES_MAX: usize = 256;

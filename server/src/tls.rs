@@ -12,7 +12,7 @@ use axum_server::accept::NoDelayAcceptor;
 use axum_server::tls_rustls::{RustlsAcceptor, RustlsConfig};
 use tokio::net::TcpListener;
 
-/// What a server shows of itself. Read once, when the server is opened.
+/// Files of a server's certificate. Read once, when the server is opened.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TlsFiles {
     /// PEM file: the certificate, then those between it and one that callers trust.
@@ -53,7 +53,7 @@ pub(crate) async fn serve(
     let stopping = handle.clone();
     tokio::spawn(async move {
         stop.await;
-        // Whoever called this puts an end to requests that take too long.
+        // The caller of this function ends requests that take too long.
         stopping.graceful_shutdown(None);
     });
     let acceptor = RustlsAcceptor::new(tls).acceptor(NoDelayAcceptor::new());

@@ -1,4 +1,4 @@
-//! What can go wrong with stored bytes.
+//! Errors of chunk stores.
 
 use std::error::Error;
 use std::io;
@@ -26,13 +26,13 @@ pub enum ChunkError {
     /// No such bytes.
     #[error("there is no chunk {digest}")]
     NotFound {
-        /// What was asked for.
+        /// The chunk asked for.
         digest: Digest,
     },
     /// The bytes stored under the digest are others.
     #[error("the stored bytes of chunk {digest} are damaged")]
     Damaged {
-        /// Whose bytes.
+        /// The chunk.
         digest: Digest,
     },
     /// The bytes stopped coming.

@@ -4,8 +4,8 @@
 //! They never change.
 //!
 //! **Names.** Each time that bytes are written anew they get a name of their own, digest and generation, and a name is
-//! never used twice. So a removal that comes late, from a process that slept meanwhile, cannot meet what somebody stored
-//! after it. Which generation counts is what the queue's store says ([`crate::storage`]).
+//! never used twice. So a removal that comes late, from a process that slept meanwhile, cannot meet bytes that were
+//! stored after it. The queue's store says which generation counts ([`crate::storage`]).
 
 mod error;
 mod objects;
@@ -58,7 +58,7 @@ pub struct Listed {
     pub written_ms: i64,
 }
 
-/// What became of bytes to store.
+/// Outcome of storing bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Stored {
     /// False when they were there already.
@@ -70,7 +70,7 @@ pub struct Stored {
 /// Bytes as they arrive or leave.
 pub type ByteStream<E = ChunkError> = BoxStream<'static, Result<Bytes, E>>;
 
-/// Where bytes are kept.
+/// A store of bytes.
 #[async_trait]
 pub trait ChunkStore: Send + Sync {
     /// Stores bytes that are at hand.

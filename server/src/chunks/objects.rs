@@ -80,7 +80,7 @@ impl ObjectChunks {
         Self { objects: Arc::new(InMemory::new()) }
     }
 
-    /// Writes the rest of a stream in parts; `head` is what has come so far.
+    /// Writes the rest of a stream in parts; `head` is its beginning.
     async fn put_parts(
         &self,
         name: ChunkName,
@@ -107,7 +107,7 @@ impl ObjectChunks {
                 Ok(Stored { is_new, bytes: length })
             }
             Err(error) => {
-                // What was staged is invisible; failing to remove it changes nothing for the caller.
+                // Staged parts are invisible; failing to remove them changes nothing for the caller.
                 let _ = upload.abort().await;
                 Err(error)
             }

@@ -42,7 +42,7 @@ pub(super) fn open(
             builder = builder.with_config(key, value);
         }
     }
-    // Who names an endpoint without TLS means it.
+    // An endpoint without TLS is meant as it is named.
     let endpoint = builder.get_config_value(&AmazonS3ConfigKey::Endpoint).unwrap_or_default();
     let client = ClientOptions::new()
         .with_connect_timeout(CONNECT_TIMEOUT)

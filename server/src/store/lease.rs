@@ -10,7 +10,7 @@
 //! ```
 //! A lease that its holder ends (commit, failure, release), or whose task was dropped, is gone in any state.
 
-/// How much has been heard of a lease's holder.
+/// State of a lease, by the last word of its holder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LeaseState {
     /// Nothing: the answer to the claim may have been lost, or the worker gone before it came.

@@ -49,13 +49,13 @@ pub struct Submission {
     pub body_hash: Digest,
     /// Trace that the submission belongs to, as W3C Trace Context writes it.
     pub traceparent: Option<String>,
-    /// What was asked for.
+    /// The bake asked for.
     pub bake: NewBake,
     /// Its first tasks.
     pub plan: Vec<TaskSpec>,
 }
 
-/// What became of a submission.
+/// Outcome of a submission.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Submitted {
     /// The bake.
@@ -64,7 +64,7 @@ pub struct Submitted {
     pub is_new: bool,
 }
 
-/// A task that is done already, and what it gave.
+/// A task that is done already, and its outputs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct KnownResult {
     /// The task.
@@ -87,7 +87,7 @@ impl KnownResult {
     }
 }
 
-/// What became of a reported failure.
+/// Outcome of a reported failure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FailVerdict {
     /// The task will be tried again.
@@ -98,7 +98,7 @@ pub enum FailVerdict {
     Stale,
 }
 
-/// What the reaper found.
+/// Expired leases that the reaper ended.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Reaped {
     /// Leases that had run out.
@@ -107,7 +107,7 @@ pub struct Reaped {
     pub given_up: u64,
 }
 
-/// Where a task stands.
+/// State of a task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum TaskState {
     /// Some of its dependencies are not done.
@@ -132,14 +132,14 @@ impl TaskState {
     }
 }
 
-/// How many tasks of a kind stand where.
+/// Number of tasks of a kind in one state.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct TaskCount {
     /// Task kind.
     pub kind: String,
-    /// Where they stand.
+    /// Their state.
     pub state: TaskState,
-    /// How many.
+    /// Their number.
     pub count: u64,
 }
 
@@ -148,9 +148,9 @@ pub struct TaskCount {
 pub struct Demand {
     /// Task kind.
     pub kind: String,
-    /// What their bakes need.
+    /// Needs of their bakes.
     pub needs: Needs,
-    /// How many.
+    /// Their number.
     pub ready: u64,
     /// For how long the one that has waited longest could have been claimed, in milliseconds: since it became ready, its
     /// wait after a failure was over, or its bake's pause ended.
@@ -162,7 +162,7 @@ pub struct Demand {
 pub struct Stats {
     /// Tasks by kind and state, ascending; none with a count of 0.
     pub tasks: Vec<TaskCount>,
-    /// What waits for which workers, by kind; none with a count of 0.
+    /// Ready tasks by kind and needs; none with a count of 0.
     pub demand: Vec<Demand>,
     /// Bakes that are running or paused.
     pub bakes_live: u64,
@@ -298,7 +298,7 @@ pub trait FarmStore: Send + Sync {
     /// Condemns those of `chunks` that are neither kept nor condemned; returns their names.
     async fn condemn_strangers(&self, chunks: &[KeptChunk]) -> Result<Vec<ChunkName>, StoreError>;
 
-    /// How full the storage is.
+    /// Fill of the storage.
     async fn usage(&self) -> Result<Usage, StoreError>;
 
     /// Figures about the whole farm.

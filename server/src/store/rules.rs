@@ -32,12 +32,12 @@ pub const WORKER_PRESENT_MS: i64 = 60_000;
 pub const WORKER_LISTED_MS: i64 = 600_000;
 /// A worker's last-heard time is written at most this often: idle polling costs no disk writes.
 pub const WORKER_SEEN_GRAIN_MS: i64 = 5_000;
-/// That a chunk was asked for is written at most this often.
+/// A chunk's last use is written at most this often.
 pub const CHUNK_USED_GRAIN_MS: i64 = 60_000;
 /// Most attempts at a task that are given back because their workers were silent for longer than a lease, and alive. More
 /// → a database that is slow for long fails fewer bakes, and a worker that is stuck again and again holds a task up for longer.
 pub const MAX_PARDONS: u32 = MAX_ATTEMPTS;
-/// How often a lease is given its whole length again for the farm's silence before its worker is heard again. More → workers
+/// Most times that a lease is given its whole length again, for the farm's silence, before its worker is heard. More → workers
 /// outlast more restarts in quick succession, and while a server crashes again and again, tasks of dead workers wait longer.
 pub const MAX_GRACES: u32 = 5;
 /// Longest failure message kept, in characters.
@@ -64,7 +64,7 @@ pub fn retry_wait_ms(key: TaskKey, attempts: u32) -> i64 {
     wait / 2 + (((wait - wait / 2) * share) >> 32)
 }
 
-/// What a worker is and has, as far as claims go.
+/// Properties of a worker that claims compare with needs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Abilities {
     /// Kinds of tasks that it runs.
@@ -84,7 +84,7 @@ impl Abilities {
         Self { kinds, threads, memory_mib, labels }
     }
 
-    /// Whether such a worker could do what another asks for.
+    /// Whether such a worker could do tasks that another asks for.
     pub fn can_replace(&self, request: &ClaimRequest, needs: &Needs) -> bool {
         self.kinds.iter().any(|kind| request.kinds.contains(kind)) && self.suffice(needs)
     }
@@ -100,7 +100,7 @@ impl Abilities {
 /// A bake with ready tasks, as a claim weighs it.
 #[derive(Clone, Debug)]
 pub struct Contender<B> {
-    /// The bake, in whatever form the store has it.
+    /// The bake, in the store's own form.
     pub bake: B,
     /// Its priority; higher ones come first.
     pub priority: i64,
@@ -110,7 +110,7 @@ pub struct Contender<B> {
     pub is_local: bool,
 }
 
-/// Which of the contenders, oldest first, gets the next task: of those with the highest priority the one with the
+/// Index of the contender that gets the next task, of a list with the oldest first: of those with the highest priority the one with the
 /// fewest tasks under way, where the scene that the worker has counts for some; of equals the oldest.
 pub fn next_contender<B>(contenders: &[Contender<B>]) -> Option<usize> {
     let rank = |contender: &Contender<B>| {

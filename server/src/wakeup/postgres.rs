@@ -99,7 +99,7 @@ async fn pass_on(
     local: &LocalWakeup,
 ) -> Result<(), sqlx::Error> {
     listener.listen(channel).await?;
-    // What was said before, nobody heard.
+    // Nobody heard earlier notifications.
     local.hint();
     while let Some(notification) = listener.try_recv().await? {
         if notification.payload() != own_id {

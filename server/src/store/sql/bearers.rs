@@ -1,4 +1,4 @@
-//! Those who have tokens.
+//! Bearers of tokens.
 
 use std::collections::BTreeSet;
 

@@ -95,22 +95,29 @@ pub(super) async fn claim(
     request: &ClaimRequest,
     now_ms: i64,
 ) -> Result<Vec<Lease>, StoreError> {
+    // Note that the worker is present: tasks are left to workers that are.
     let seen = see_worker(conn, request, now_ms).await?;
+    // Load the other workers for one that failed before: it leaves tasks to them, nobody else does.
     let others = if seen.has_failed { Some(others(conn, request, now_ms).await?) } else { None };
+    // Choose before anything is written: on PostgreSQL the rows of chosen tasks are locked, and other claims pass them over.
     let (kinds, abilities) = (to_json(&request.kinds)?, Abilities::of(request));
     let (passed, chosen) = (BTreeSet::new(), Vec::new());
     let scene = seen.scene;
     let mut claim = Claim { conn, request, kinds, abilities, now_ms, others, scene, passed, chosen };
     claim.choose_all().await?;
     let chosen = claim.chosen;
+    // Write nothing for an idle worker's poll.
     if chosen.is_empty() {
         return Ok(Vec::new());
     }
+    // Mark all chosen tasks in one statement: round trips are most of a claim's time.
     let tasks: Vec<i64> = chosen.iter().map(|chosen| chosen.task).collect();
     let tasks = to_json(&tasks)?;
     let taken = take_tasks(conn, &tasks).await?;
+    // Read the outputs of dependencies only where there are any, as inputs name them by their tasks.
     let has_needs = taken.values().any(|taken| !dependencies(&taken.spec).is_empty());
     let outputs = if has_needs { outputs_of_needs(conn, &tasks).await? } else { BTreeMap::new() };
+    // Lock counters and events last, as claims beside this one wait for these rows until the transaction ends.
     write_leases(conn, &chosen, &taken, &tasks, request, now_ms).await?;
     Ok(leases(chosen, taken, &outputs))
 }
@@ -123,7 +130,7 @@ pub(super) async fn is_any_ready(conn: &mut Conn, kinds: &[String], now_ms: i64)
     query(sql).bind(now_ms).bind(to_json(kinds)?).one(conn).await?.get("is_any_ready")
 }
 
-/// What the farm knows of the worker that claims.
+/// Facts about the worker that claims.
 struct Seen {
     /// The scene of the task that it was given last.
     scene: Option<Digest>,
@@ -193,6 +200,7 @@ impl Claim<'_> {
     async fn choose_all(&mut self) -> Result<(), StoreError> {
         let (mut priority, mut seq) = (i64::MAX, 0_i64);
         while !self.is_full() {
+            // Read a window of bakes: fairness holds among them, and the cost does not grow with all bakes of the farm.
             let rows = query(OPEN_BAKES)
                 .bind(priority)
                 .bind(seq)
@@ -202,7 +210,9 @@ impl Claim<'_> {
                 .all(self.conn)
                 .await?;
             let Some(last) = rows.last() else { return Ok(()) };
+            // Go on behind this window if it does not fill the claim.
             (priority, seq) = (last.get("priority")?, last.get("seq")?);
+            // Leave out bakes whose tasks this worker cannot do, or should not.
             let mut contenders = Vec::with_capacity(rows.len());
             for row in rows {
                 let limit = row.get::<Option<i64>>("attempt_limit_secs")?;
@@ -234,9 +244,11 @@ impl Claim<'_> {
             let bake = contenders[index].bake.clone();
             match self.first(&bake).await? {
                 Some(task) => {
+                    // Pass the task over from now on: it is offered until the leases are written.
                     self.passed.insert(task);
                     let deadline_ms = rules::deadline_ms(self.now_ms, bake.attempt_limit_secs);
                     let expires_ms = self.now_ms + i64::from(self.request.ttl_secs) * 1000;
+                    // End the lease with the attempt's limit, so that no heartbeat carries it beyond.
                     let expires_ms = expires_ms.min(deadline_ms);
                     let (token, traceparent) = (random::fencing_token(), bake.traceparent);
                     self.chosen.push(Chosen {
@@ -247,12 +259,15 @@ impl Claim<'_> {
                         deadline_ms,
                         traceparent,
                     });
+                    // Count the lease at once, so that the next task may be another bake's.
                     contenders[index].leased += 1;
                     self.scene = Some(bake.scene);
                 }
+                // Leave the bake: its ready tasks are taken, or left to others.
                 None => drop(contenders.remove(index)),
             }
         }
+        // Keep the scene with the worker, whose next claims prefer it.
         if let Some(scene) = self.scene.filter(|_| self.scene != scene_before) {
             let sql = "UPDATE workers SET scene = $1 WHERE name = $2";
             query(sql).bind(scene.to_string()).bind(&self.request.worker).run(self.conn).await?;
@@ -377,7 +392,7 @@ async fn write_leases(
     Ok(())
 }
 
-/// What the worker is told of its leases.
+/// The leases as the worker gets them.
 fn leases(
     chosen: Vec<Chosen>,
     mut taken: BTreeMap<i64, Taken>,
@@ -400,7 +415,7 @@ struct Taken {
     bakes: Vec<i64>,
 }
 
-/// Marks tasks as leased, and says what they are.
+/// Marks tasks as leased, and returns them.
 async fn take_tasks(conn: &mut Conn, tasks: &str) -> Result<BTreeMap<i64, Taken>, StoreError> {
     let sql = conn.pick(
         "UPDATE tasks SET state = 'leased' WHERE id IN (SELECT CAST(value AS BIGINT) FROM json_each($1))

@@ -19,20 +19,20 @@ pub(super) struct Ended {
     pub(super) cost: u64,
     /// Attempts that have failed.
     pub(super) attempts: u32,
-    /// Which attempt this was.
+    /// Number of this attempt.
     pub(super) attempt: u32,
     pub(super) worker: String,
-    /// How long the attempt took.
+    /// Duration of the attempt.
     pub(super) elapsed_ms: u64,
     /// The attempt had all the time that one may take.
     pub(super) has_hit_limit: bool,
-    /// What state the lease was in.
+    /// State of the lease.
     pub(super) state: LeaseState,
     /// It is late, and its task was not pardoned too often.
     pub(super) is_pardoned: bool,
     /// Something that the task reads was lost meanwhile.
     pub(super) input_lost: bool,
-    /// What the task gave before its result was forgotten; nothing if that did not happen.
+    /// Outputs of the task before its result was forgotten; none if that did not happen.
     pub(super) outputs_before: Vec<Artefact>,
     /// Other tasks wait for this one.
     pub(super) has_dependants: bool,

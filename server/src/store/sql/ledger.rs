@@ -144,7 +144,7 @@ impl Ledger {
         }
     }
 
-    /// Ends the bake and drops what no other live bake wants.
+    /// Ends the bake and drops tasks that no other live bake wants.
     pub(super) async fn close(
         &mut self,
         conn: &mut Conn,

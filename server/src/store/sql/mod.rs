@@ -6,8 +6,8 @@
 //! are kept with each change, never recounted.
 //!
 //! **Trying again.** A transaction whose connection died before COMMIT was sent never happened, nor did one that the
-//! database gave up to resolve a deadlock; both are run again here. When the connection dies during COMMIT nobody knows
-//! what became of it: the caller is told, and asks again with the same token or Idempotency-Key, which is safe.
+//! database gave up to resolve a deadlock; both are run again here. When the connection dies during COMMIT its outcome
+//! is unknown: the caller is told, and asks again with the same token or Idempotency-Key, which is safe.
 
 mod bakes;
 mod batch;
@@ -59,7 +59,7 @@ const TRIES_MAX: u32 = 5;
 /// Wait before the second try; doubles with each.
 const FIRST_WAIT: Duration = Duration::from_millis(20);
 
-/// What a transaction is for.
+/// Kinds of transactions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
     /// Sees one moment of the farm.
@@ -159,7 +159,7 @@ fn too_new(found: i64, known: usize) -> StoreError {
     StoreError::Corrupt { what, source: None }
 }
 
-/// What an error of a database means to the farm.
+/// Classes of a database's errors.
 enum Class {
     /// No room.
     Full,
@@ -228,7 +228,7 @@ impl SqlStore {
         transact!(self, Write, "commit", |conn, now_ms| outcome::commit(conn, token, result, now_ms))
     }
 
-    /// Commits all in one transaction. If that fails for what may be the fault of one of them, each in its own.
+    /// Commits all in one transaction. If that fails and may be the fault of one of them, each in its own.
     async fn commit_batch(&self, batch: Vec<Waiting>) {
         if batch.len() > 1 {
             let verdicts: Result<_, StoreError> =

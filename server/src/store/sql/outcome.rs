@@ -22,31 +22,40 @@ pub(super) async fn commit(
     result: &TaskResult,
     now_ms: i64,
 ) -> Result<CommitVerdict, StoreError> {
+    // Take the lease first: who commits with a token that is not the newest of its task changes nothing else.
     let Some(ended) = leases::end(conn, token, now_ms).await? else {
-        // A token that committed has no lease any more.
+        // Answer a commit that is sent again as the first one, whose answer may have been lost.
         if was_committed(conn, token, result).await? {
             return Ok(CommitVerdict::AlreadyCommitted);
         }
         check_plan(&result.plan)?;
+        // Give the attempt back if the lease ran out under a worker that is alive.
         leases::hear_late(conn, token).await?;
         return Ok(CommitVerdict::Stale);
     };
+    // Refuse a bad plan by an error: it undoes the transaction, so the holder keeps its lease and can report the failure.
     check_plan(&result.plan)?;
     write_result(conn, token, &ended, result).await?;
+    // Unlock dependants in this transaction, so that no crash leaves them waiting for a task that is done.
     if ended.has_dependants {
         unlock_dependants(conn, ended.task, now_ms).await?;
     }
+    // Remove the edges of tasks that only waited for a lost output, after they were unlocked along these.
     if !ended.outputs_before.is_empty() {
         remake::release_readers(conn, ended.task, ended.key).await?;
     }
+    // Find outputs that came out otherwise than before: tasks that name the former bytes could wait for ever.
     let gone = remake::not_made_again(conn, &ended.outputs_before, &result.outputs).await?;
+    // Tell every live bake that holds the task: each has counts, events and a plan of its own.
     for mut bake in Ledger::live_of(conn, ended.task).await? {
         count_done(conn, &mut bake, &ended, result, now_ms).await?;
+        // Fail a bake that reads bytes which nobody will make again, instead of letting it wait.
         if let Some(output) = remake::first_named(conn, bake.seq, &gone).await? {
             let failure = rules::made_otherwise_message(&ended.label, &ended.kind, output);
             bake.close(conn, BakeState::Failed, Some(failure), now_ms).await?;
             continue;
         }
+        // Add the planned tasks before the bake may finish: it is done when none is open.
         apply_plan(conn, &mut bake, &result.plan, now_ms).await?;
         bake.save_or_finish(conn, now_ms).await?;
     }
@@ -162,7 +171,7 @@ pub(super) async fn fail(
         return Ok(FailVerdict::GivenUp);
     }
     let mut wait_ms = 0;
-    // Whoever lost an input is not to blame, and tries again once that is there.
+    // A worker that lost an input is not to blame, and tries again once that is there.
     if !ended.input_lost {
         if blame_worker(conn, &ended, &message, now_ms).await? {
             return Ok(FailVerdict::GivenUp);

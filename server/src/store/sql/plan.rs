@@ -29,7 +29,7 @@ struct Added {
     needs: Vec<TaskKey>,
 }
 
-/// What one kind of task gained.
+/// Growth of one kind of task.
 #[derive(Default)]
 struct StageGain {
     total: u64,
@@ -211,7 +211,7 @@ impl Addition<'_> {
         Ok(())
     }
 
-    /// Takes over the results of tasks that are done; returns what they planned.
+    /// Takes over the results of tasks that are done; returns the tasks that they planned.
     async fn reuse(&mut self, done: &[i64]) -> Result<Vec<TaskSpec>, StoreError> {
         let sql =
             "SELECT r.outputs, r.plan, r.counters FROM json_each($1) j JOIN results r ON r.task = CAST(j.value AS BIGINT)
@@ -233,7 +233,7 @@ impl Addition<'_> {
         Ok(planned)
     }
 
-    /// Writes who waits for whom, and makes ready what waits for nothing.
+    /// Writes the edges of dependencies, and offers tasks without open ones.
     async fn link(&mut self, now_ms: i64) -> Result<(), StoreError> {
         self.find_dependencies().await?;
         let mut edges = Vec::new();

@@ -47,7 +47,7 @@ pub(super) async fn hold_readers(conn: &mut Conn, task: i64) -> Result<(), Store
     Ok(())
 }
 
-/// Lets nobody wait for `task`, which has made again what it made before, but its dependants.
+/// Lets nobody but its dependants wait for `task`, which has made its outputs again.
 pub(super) async fn release_readers(conn: &mut Conn, task: i64, key: TaskKey) -> Result<(), StoreError> {
     let sql = "DELETE FROM task_needs WHERE needs = $1
                AND task IN (SELECT t.id FROM task_needs n JOIN tasks t ON t.id = n.task
@@ -88,7 +88,7 @@ pub(super) async fn first_named<'a>(
     Ok(None)
 }
 
-/// Lets nobody wait for what goes with a bake that has ended: tasks of other bakes may, if these took them in later.
+/// Lets nobody wait for tasks that go with an ended bake: tasks of other bakes may, if these took them in later.
 pub(super) async fn let_go(conn: &mut Conn, bake: i64, now_ms: i64) -> Result<(), StoreError> {
     let sql = "SELECT n.task, count(*) AS needs FROM bake_tasks m JOIN task_needs n ON n.needs = m.task
                WHERE m.bake = $1 AND m.done = 0
