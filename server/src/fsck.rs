@@ -216,8 +216,8 @@ async fn check_objects(
     while let Some(page) = pages.try_next().await? {
         let old: Vec<Listed> = page.into_iter().filter(|chunk| chunk.written_ms <= old_ms).collect();
         let names: Vec<ChunkName> = old.iter().map(|chunk| chunk.name).collect();
-        let strangers = store.strangers(&names).await?;
-        let orphans = old.into_iter().filter(|chunk| strangers.contains(&chunk.name));
+        let orphans = store.orphans(&names).await?;
+        let orphans = old.into_iter().filter(|chunk| orphans.contains(&chunk.name));
         let orphans: Vec<KeptChunk> =
             orphans.map(|chunk| KeptChunk { name: chunk.name, bytes: chunk.bytes }).collect();
         for orphan in &orphans {
@@ -225,7 +225,7 @@ async fn check_objects(
             findings.orphaned.push(flaw);
         }
         if checks.repairs {
-            let condemned = store.condemn_strangers(&orphans).await?;
+            let condemned = store.condemn_orphans(&orphans).await?;
             storage.remove_condemned(&condemned).await?;
         }
     }

@@ -247,7 +247,7 @@ impl Storage {
         });
         removals.buffer_unordered(CALLS_IN_FLIGHT).try_collect::<Vec<()>>().await?;
         if !names.is_empty() {
-            self.store.bury(names).await?;
+            self.store.purge(names).await?;
         }
         Ok(())
     }

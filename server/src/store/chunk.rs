@@ -1,7 +1,7 @@
 //! Stored bytes as the queue's store knows them: the generation that counts, its references, its end.
 //!
 //! ```text
-//!  keep ──▶ kept ──nobody refers to it, and it was not asked for within the grace──▶ condemned ──bury──▶ gone
+//!  keep ──▶ kept ──nobody refers to it, and it was not asked for within the grace──▶ condemned ──purge──▶ gone
 //!            │ bytes found lost or damaged
 //!            └─────▶ lost (kept again when somebody uploads it)
 //! ```
@@ -52,7 +52,7 @@ pub struct Collected {
     pub bakes: u64,
     /// Chunks condemned now.
     pub condemned: u64,
-    /// Condemned chunks whose bytes are to be removed and then buried, earlier ones included.
+    /// Condemned chunks whose bytes are to be removed and then purged, earlier ones included.
     pub to_remove: Vec<ChunkName>,
 }
 

@@ -9,6 +9,8 @@
 //!       nothing was attempted   an attempt failed, until its worker is heard          an attempt is pardoned
 //! ```
 //! A lease that its holder ends (commit, failure, release), or whose task was dropped, is gone in any state.
+//!
+//! The claim asks for the length of the lease (`ttl_secs`, within [`crate::farm::TTL_SECS`]); each heartbeat gives it anew.
 
 /// State of a lease, by the last word of its holder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

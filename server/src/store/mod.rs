@@ -283,7 +283,7 @@ pub trait FarmStore: Send + Sync {
     async fn collect(&self, rules: &CollectRules) -> Result<Collected, StoreError>;
 
     /// Forgets condemned chunks whose bytes have been removed.
-    async fn bury(&self, names: &[ChunkName]) -> Result<(), StoreError>;
+    async fn purge(&self, names: &[ChunkName]) -> Result<(), StoreError>;
 
     /// Gives up a chunk whose bytes are lost or damaged: results with it among their outputs are forgotten, as by
     /// [`FarmStore::forget`]. Returns how many. Nothing happens if the chunk has another generation by now.
@@ -293,10 +293,10 @@ pub trait FarmStore: Send + Sync {
     async fn chunk_rows(&self, after: Option<Digest>, limit: u32) -> Result<Vec<ChunkRow>, StoreError>;
 
     /// Those of `names` that are neither kept nor condemned.
-    async fn strangers(&self, names: &[ChunkName]) -> Result<Vec<ChunkName>, StoreError>;
+    async fn orphans(&self, names: &[ChunkName]) -> Result<Vec<ChunkName>, StoreError>;
 
     /// Condemns those of `chunks` that are neither kept nor condemned; returns their names.
-    async fn condemn_strangers(&self, chunks: &[KeptChunk]) -> Result<Vec<ChunkName>, StoreError>;
+    async fn condemn_orphans(&self, chunks: &[KeptChunk]) -> Result<Vec<ChunkName>, StoreError>;
 
     /// Fill of the storage.
     async fn usage(&self) -> Result<Usage, StoreError>;

@@ -1,4 +1,4 @@
-//! What every chunk store must do: one suite, run over files, memory and S3.
+//! Rules of all chunk stores: one suite, run over files, memory and S3.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
@@ -76,7 +76,7 @@ impl Kind {
         self.objects.put(&Self::path(digest), bytes.to_vec().into()).await.unwrap();
     }
 
-    /// What lies in the store, under whatever name.
+    /// Objects of the store, under any name.
     async fn all_objects(&self) -> Vec<Path> {
         self.objects.list(None).map_ok(|meta| meta.location).try_collect().await.unwrap()
     }
@@ -268,7 +268,7 @@ async fn scene_is_put_together_from_parts_that_are_cleared_away_later(kind: Kind
     let (_closing, closing) = tokio::sync::watch::channel(false);
     let wakeup = Arc::new(LocalWakeup::default());
     let farm = Arc::new(Farm::new(store, storage, wakeup, Duration::from_secs(1), closing));
-    // Enough for several pieces of what the store writes at a time.
+    // Enough for several pieces as the store writes them.
     let pieces: Vec<Bytes> = (0..6).map(|i| Bytes::from(vec![i as u8; 3 << 20])).collect();
     let scene = Digest::of(&pieces.concat());
     let part = |piece: &Bytes| ScenePart { digest: Digest::of(piece), bytes: piece.len() as u64 };

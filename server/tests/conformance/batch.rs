@@ -12,7 +12,7 @@ use lightkiln_server::store::{FarmStore, FaultPoint, Faults, SqlStore, StoreErro
 use crate::crash::{crashed, open_file};
 use crate::support::{in_time, request, result, submission, task};
 
-/// What happens in one of the transactions.
+/// Incidents of one of the transactions.
 #[derive(Clone, Copy, PartialEq)]
 enum Fate {
     Commits,

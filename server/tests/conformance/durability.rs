@@ -1,4 +1,4 @@
-//! What an SQLite farm keeps when its process ends at any moment.
+//! Durability of an SQLite farm whose process ends at any moment.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -16,7 +16,7 @@ async fn open(folder: &Path, clock: &Arc<ManualClock>) -> SqlStore {
     store
 }
 
-/// What a process that is killed now leaves behind: the files as they are, nothing closed.
+/// Remains of a process that is killed now: the files as they are, nothing closed.
 fn files_after_crash(folder: &Path) -> tempfile::TempDir {
     let copy = tempfile::tempdir().unwrap();
     let mut count = 0;

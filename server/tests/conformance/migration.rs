@@ -1,4 +1,4 @@
-//! Farms of earlier versions: what they wrote is there and goes on under this version.
+//! Farms of earlier versions: their bakes and bytes are there and go on under this version.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -15,7 +15,7 @@ use sqlx::{Connection, Executor, PgConnection, SqliteConnection};
 use crate::parts::postgres::empty_schema;
 use crate::support::{TTL_MS, in_time, request, task};
 
-/// What earlier versions made of an empty database, one step after the other.
+/// Schemas of earlier versions, one step after the other.
 const SQLITE: [&str; 8] = [
     include_str!("../../src/store/sql/schema/sqlite_1.sql"),
     include_str!("../../src/store/sql/schema/sqlite_2.sql"),
@@ -294,7 +294,7 @@ async fn assert_bakes_are_as_they_were(store: &SqlStore, past: &Past) {
     assert_eq!(names, ["live", "old"]);
 }
 
-/// Outputs are those of results; what is known of a scene is who needs it, until somebody looks for its bytes.
+/// Outputs are those of results; of a scene only its references are known, until somebody looks for its bytes.
 async fn assert_bytes_are_counted(store: &SqlStore, past: &Past) {
     let row = |digest, generation, bytes, refs| {
         let is_live_scene = digest == past.scene;
@@ -349,6 +349,6 @@ async fn assert_bytes_go_when_nobody_needs_them(store: &SqlStore, clock: &Manual
     let rules = CollectRules { grace_ms: 0, keep_bakes_ms: None, max: 10 };
     let collected = store.collect(&rules).await.unwrap();
     assert_eq!(collected.to_remove.len(), 3);
-    store.bury(&collected.to_remove).await.unwrap();
+    store.purge(&collected.to_remove).await.unwrap();
     assert_eq!(store.usage().await.unwrap(), Usage { chunks: 0, bytes: 0 });
 }

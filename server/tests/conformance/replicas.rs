@@ -137,7 +137,7 @@ fn lattice(name: &str, layers: usize, width: usize) -> Vec<TaskSpec> {
     tasks
 }
 
-/// Runs two bakes that share tasks, with workers at both servers, and checks what came of it.
+/// Runs two bakes that share tasks, with workers at both servers, and checks the outcome.
 async fn run_shared_bakes(stores: &[Arc<SqlStore>; 2]) {
     let tasks = lattice("shared", 6, 8);
     let first = submit(&stores[0], "first", &tasks).await;
@@ -161,7 +161,7 @@ async fn run_shared_bakes(stores: &[Arc<SqlStore>; 2]) {
     assert_eq!(done.len(), tasks.len(), "every task is committed once");
 }
 
-/// Follows a bake to its end; what it sees has no gaps at any time.
+/// Follows a bake to its end; its events have no gaps at any time.
 async fn watch_events(store: &SqlStore, bake: &str) -> Vec<EventKind> {
     let mut seen = Vec::new();
     loop {
@@ -292,7 +292,7 @@ async fn hints_are_heard_again_after_their_connection_was_lost() {
                WHERE application_name = 'lightkiln hints' AND query LIKE '%LISTEN%'";
     // Until both listen, there is nothing to end.
     in_time(async { while connection.execute(end).await.unwrap().rows_affected() < 2 {} }).await;
-    // It hints once when it listens again, for nobody knows what was missed; then hints of the other come through.
+    // It hints once when it listens again, for nobody knows which ones were missed; then hints of the other come through.
     let mark = a.mark();
     in_time(a.wait(mark, LONG)).await;
     let mark = a.mark();

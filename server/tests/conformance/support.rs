@@ -190,7 +190,7 @@ impl World {
         self.store.commit(&lease.token, &result(lease, plan)).await.unwrap()
     }
 
-    /// Runs everything that is ready, and what follows from it; returns how many tasks ran.
+    /// Runs all ready tasks, and those that become ready by it; returns their number.
     pub async fn drain(&self, worker: &str) -> usize {
         let mut count = 0;
         loop {

@@ -4,7 +4,7 @@ use lightkiln_proto::api::{Bake, BakeState};
 use lightkiln_proto::problem::ProblemCode;
 use lightkiln_server::{Config, Server, ServerError};
 
-use crate::bakes::{claim_one, commit, request, run, submit};
+use crate::bakes::{claim_one, commit, request, submit};
 use crate::support::{start, start_in};
 
 #[tokio::test]

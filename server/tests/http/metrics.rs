@@ -79,7 +79,7 @@ fn parse_sample(line: &str, name: &str) -> Sample {
     }
 }
 
-/// Holds a family against what its type promises.
+/// Holds a family against the rules of its type.
 fn check(name: &str, family: &Family) {
     let suffixes: &[&str] = match family.kind.as_str() {
         "counter" => &["_total"],

@@ -1,4 +1,4 @@
-//! What the model knows of a bake, a task, a lease, a worker.
+//! Bakes, tasks, leases and workers of the model.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -68,9 +68,9 @@ pub(super) struct Task {
     pub(super) not_before_ms: i64,
     /// Workers that failed at it.
     pub(super) blamed: BTreeSet<String>,
-    /// Tasks that are to make again what it names.
+    /// Tasks that are to make again the artefacts that it names.
     pub(super) makers: BTreeSet<TaskKey>,
-    /// What it gave before its result was forgotten.
+    /// Its outputs before its result was forgotten.
     pub(super) outputs_before: Vec<Artefact>,
 }
 

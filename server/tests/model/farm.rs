@@ -151,7 +151,7 @@ impl Farm {
         }
     }
 
-    /// Ends a bake and drops what nobody else wants.
+    /// Ends a bake and drops tasks that nobody else wants.
     pub(super) fn close(&mut self, bake: usize, state: BakeState, failure: Option<String>, now_ms: i64) {
         let entry = &mut self.bakes[bake];
         entry.state = state;

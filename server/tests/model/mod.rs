@@ -50,7 +50,7 @@ impl MemoryStore {
         self.clock.now_ms()
     }
 
-    /// Changes the farm, and notes what became ready by it.
+    /// Changes the farm, and notes tasks that became ready by it.
     fn change<T>(&self, change: impl FnOnce(&mut Farm, i64) -> T) -> T {
         let (mut farm, now_ms) = (self.farm(), self.now_ms());
         let changed = change(&mut farm, now_ms);
@@ -214,8 +214,8 @@ impl FarmStore for MemoryStore {
         Ok(self.change(|farm, now_ms| farm.collect(rules, now_ms)))
     }
 
-    async fn bury(&self, names: &[ChunkName]) -> Result<(), StoreError> {
-        self.farm().chunks.bury(names);
+    async fn purge(&self, names: &[ChunkName]) -> Result<(), StoreError> {
+        self.farm().chunks.purge(names);
         Ok(())
     }
 
@@ -227,12 +227,12 @@ impl FarmStore for MemoryStore {
         Ok(self.farm().chunk_rows(after, limit))
     }
 
-    async fn strangers(&self, names: &[ChunkName]) -> Result<Vec<ChunkName>, StoreError> {
-        Ok(self.farm().chunks.strangers(names))
+    async fn orphans(&self, names: &[ChunkName]) -> Result<Vec<ChunkName>, StoreError> {
+        Ok(self.farm().chunks.orphans(names))
     }
 
-    async fn condemn_strangers(&self, chunks: &[KeptChunk]) -> Result<Vec<ChunkName>, StoreError> {
-        Ok(self.farm().chunks.condemn_strangers(chunks))
+    async fn condemn_orphans(&self, chunks: &[KeptChunk]) -> Result<Vec<ChunkName>, StoreError> {
+        Ok(self.farm().chunks.condemn_orphans(chunks))
     }
 
     async fn usage(&self) -> Result<Usage, StoreError> {

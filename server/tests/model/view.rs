@@ -1,4 +1,4 @@
-//! What callers see of the model: everything is counted afresh.
+//! Views of the model for callers: everything is counted afresh.
 
 use std::collections::BTreeMap;
 

@@ -1,4 +1,4 @@
-//! Chunks: kept, referred to, condemned, buried. The references are counted by triggers.
+//! Chunks: kept, referred to, condemned, purged. The references are counted by triggers.
 
 use std::collections::BTreeSet;
 
@@ -166,7 +166,7 @@ pub(super) async fn collect(
     Ok(collected)
 }
 
-pub(super) async fn bury(conn: &mut Conn, names: &[ChunkName]) -> Result<(), StoreError> {
+pub(super) async fn purge(conn: &mut Conn, names: &[ChunkName]) -> Result<(), StoreError> {
     let sql = "DELETE FROM condemned WHERE digest = $1 AND generation = $2 RETURNING bytes";
     for name in names {
         let deleted = query(sql).bind(name.digest.to_string()).bind(name.generation).optional(conn).await?;
@@ -239,26 +239,26 @@ pub(super) async fn rows(
 }
 
 /// Those that are neither kept nor condemned.
-pub(super) async fn strangers(conn: &mut Conn, names: &[ChunkName]) -> Result<Vec<ChunkName>, StoreError> {
+pub(super) async fn orphans(conn: &mut Conn, names: &[ChunkName]) -> Result<Vec<ChunkName>, StoreError> {
     let sql = "SELECT 1 FROM chunks WHERE digest = $1 AND generation = $2
                UNION ALL SELECT 1 FROM condemned WHERE digest = $1 AND generation = $2";
-    let mut strangers = Vec::new();
+    let mut orphans = Vec::new();
     for name in names {
         let found = query(sql).bind(name.digest.to_string()).bind(name.generation).optional(conn).await?;
         if found.is_none() {
-            strangers.push(*name);
+            orphans.push(*name);
         }
     }
-    Ok(strangers)
+    Ok(orphans)
 }
 
 /// Condemns those that are neither kept nor condemned; returns them.
-pub(super) async fn condemn_strangers(
+pub(super) async fn condemn_orphans(
     conn: &mut Conn,
     chunks: &[KeptChunk],
 ) -> Result<Vec<ChunkName>, StoreError> {
     let names: Vec<ChunkName> = chunks.iter().map(|chunk| chunk.name).collect();
-    let condemned = strangers(conn, &names).await?;
+    let condemned = orphans(conn, &names).await?;
     for chunk in chunks.iter().filter(|chunk| condemned.contains(&chunk.name)) {
         query("INSERT INTO condemned (digest, generation, bytes) VALUES ($1, $2, $3)")
             .bind(chunk.name.digest.to_string())

@@ -401,8 +401,8 @@ impl FarmStore for SqlStore {
         transact!(self, Write, "collect", |conn, now_ms| chunks::collect(conn, rules, now_ms))
     }
 
-    async fn bury(&self, names: &[ChunkName]) -> Result<(), StoreError> {
-        transact!(self, Write, "bury", |conn, _now_ms| chunks::bury(conn, names))
+    async fn purge(&self, names: &[ChunkName]) -> Result<(), StoreError> {
+        transact!(self, Write, "purge", |conn, _now_ms| chunks::purge(conn, names))
     }
 
     async fn lose_chunk(&self, name: ChunkName) -> Result<u64, StoreError> {
@@ -413,12 +413,12 @@ impl FarmStore for SqlStore {
         transact!(self, Read, "chunk_rows", |conn, _now_ms| chunks::rows(conn, after, limit))
     }
 
-    async fn strangers(&self, names: &[ChunkName]) -> Result<Vec<ChunkName>, StoreError> {
-        transact!(self, Read, "strangers", |conn, _now_ms| chunks::strangers(conn, names))
+    async fn orphans(&self, names: &[ChunkName]) -> Result<Vec<ChunkName>, StoreError> {
+        transact!(self, Read, "orphans", |conn, _now_ms| chunks::orphans(conn, names))
     }
 
-    async fn condemn_strangers(&self, chunks: &[KeptChunk]) -> Result<Vec<ChunkName>, StoreError> {
-        transact!(self, Write, "condemn_strangers", |conn, _now_ms| chunks::condemn_strangers(conn, chunks))
+    async fn condemn_orphans(&self, chunks: &[KeptChunk]) -> Result<Vec<ChunkName>, StoreError> {
+        transact!(self, Write, "condemn_orphans", |conn, _now_ms| chunks::condemn_orphans(conn, chunks))
     }
 
     async fn usage(&self) -> Result<Usage, StoreError> {
