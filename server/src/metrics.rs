@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use prometheus_client::collector::Collector;
 use prometheus_client::encoding::text::{encode, encode_registry};
-use prometheus_client::encoding::{DescriptorEncoder, EncodeLabelSet, EncodeMetric};
+use prometheus_client::encoding::{DescriptorEncoder, EncodeGaugeValue, EncodeLabelSet, EncodeMetric};
 use prometheus_client::metrics::MetricType;
 use prometheus_client::metrics::counter::{ConstCounter, Counter};
 use prometheus_client::metrics::family::Family;
@@ -14,7 +14,7 @@ use prometheus_client::metrics::histogram::Histogram;
 use prometheus_client::registry::Registry;
 
 use crate::store::chunk::Usage;
-use crate::store::{Demand, Stats};
+use crate::store::{Demand, Stats, TaskCount};
 
 /// The type of an answer with metrics.
 pub const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
@@ -23,37 +23,51 @@ const PREFIX: &str = "lightkiln";
 /// Bounds of the latency histogram's buckets, in seconds; one without a bound follows.
 const BUCKETS_SECS: [f64; 7] = [0.005, 0.025, 0.1, 0.5, 2.5, 10.0, 60.0];
 
-/// Counts since this process started.
-#[derive(Debug)]
-pub struct Metrics {
-    registry: Registry,
-    /// Bakes taken in.
-    pub submissions: Counter,
-    /// Tasks handed out.
-    pub claims: Counter,
-    /// Results taken in.
-    pub commits: Counter,
-    /// Results refused because their lease was gone.
-    pub stale_commits: Counter,
-    /// Attempts that a worker reported as failed.
-    pub failures: Counter,
-    /// Leases given back.
-    pub releases: Counter,
-    /// Leases that ran out.
-    pub expiries: Counter,
-    /// Results forgotten because their bytes were gone.
-    pub forgotten_results: Counter,
-    /// Bakes deleted because they ended long ago.
-    pub deleted_bakes: Counter,
-    /// Chunks removed because nobody needed them.
-    pub removed_chunks: Counter,
-    /// Bytes of chunks and scenes taken in.
-    pub received_bytes: Counter,
-    /// Bytes of chunks, manifests and reports given out.
-    pub sent_bytes: Counter,
-    /// Durations of requests until their answers began, by method, route and status.
-    latencies: Family<Call, Histogram, fn() -> Histogram>,
+/// The counters of this process: each is a field, and the metric `lightkiln_NAME_total`.
+macro_rules! counters {
+    ($($name:ident: $help:literal;)+) => {
+        /// Metrics of this process since it started.
+        #[derive(Debug)]
+        pub struct Metrics {
+            registry: Registry,
+            latencies: Latencies,
+            $(#[doc = $help] pub $name: Counter,)+
+        }
+
+        impl Metrics {
+            /// All counts are 0; `lost_chunks` is counted elsewhere.
+            pub fn new(lost_chunks: Counter) -> Self {
+                let mut registry = Registry::with_prefix(PREFIX);
+                let help = "Chunks given up because their bytes were lost or damaged";
+                registry.register("lost_chunks", help, lost_chunks);
+                let latencies = Latencies::new_with_constructor(|| Histogram::new(BUCKETS_SECS));
+                let help = "Time until answers began; claims and events wait for news by design";
+                registry.register("http_request_duration_seconds", help, latencies.clone());
+                $(let $name = Counter::default();
+                registry.register(stringify!($name), $help, $name.clone());)+
+                Self { registry, latencies, $($name,)+ }
+            }
+        }
+    };
 }
+
+counters! {
+    submissions: "Bakes taken in by this process";
+    claims: "Tasks handed out by this process";
+    commits: "Results taken in by this process";
+    stale_commits: "Results refused because their lease was gone";
+    failures: "Attempts that a worker reported as failed";
+    releases: "Leases given back by workers";
+    expiries: "Leases that ran out";
+    forgotten_results: "Results forgotten because their bytes were gone";
+    deleted_bakes: "Bakes deleted because they ended long ago";
+    removed_chunks: "Chunks removed because nobody needed them";
+    received_bytes: "Bytes of chunks and scenes taken in";
+    sent_bytes: "Bytes of chunks, manifests and reports given out";
+}
+
+/// Durations of requests until their answers began.
+type Latencies = Family<Call, Histogram, fn() -> Histogram>;
 
 /// Requests of one kind.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
@@ -64,51 +78,6 @@ struct Call {
 }
 
 impl Metrics {
-    /// All counts are 0; `lost_chunks` is counted elsewhere.
-    pub fn new(lost_chunks: Counter) -> Self {
-        let mut registry = Registry::with_prefix(PREFIX);
-        let mut counter = |name, help| {
-            let counter = Counter::default();
-            registry.register(name, help, counter.clone());
-            counter
-        };
-        let submissions = counter("submissions", "Bakes taken in by this process");
-        let claims = counter("claims", "Tasks handed out by this process");
-        let commits = counter("commits", "Results taken in by this process");
-        let stale_commits = counter("stale_commits", "Results refused because their lease was gone");
-        let failures = counter("failures", "Attempts that a worker reported as failed");
-        let releases = counter("releases", "Leases given back by workers");
-        let expiries = counter("expiries", "Leases that ran out");
-        let forgotten_results =
-            counter("forgotten_results", "Results forgotten because their bytes were gone");
-        let deleted_bakes = counter("deleted_bakes", "Bakes deleted because they ended long ago");
-        let removed_chunks = counter("removed_chunks", "Chunks removed because nobody needed them");
-        let received_bytes = counter("received_bytes", "Bytes of chunks and scenes taken in");
-        let sent_bytes = counter("sent_bytes", "Bytes of chunks, manifests and reports given out");
-        let help = "Chunks given up because their bytes were lost or damaged";
-        registry.register("lost_chunks", help, lost_chunks);
-        let latencies: Family<Call, Histogram, fn() -> Histogram> =
-            Family::new_with_constructor(|| Histogram::new(BUCKETS_SECS));
-        let help = "Time until answers began; claims and events wait for news by design";
-        registry.register("http_request_duration_seconds", help, latencies.clone());
-        Self {
-            registry,
-            submissions,
-            claims,
-            commits,
-            stale_commits,
-            failures,
-            releases,
-            expiries,
-            forgotten_results,
-            deleted_bakes,
-            removed_chunks,
-            received_bytes,
-            sent_bytes,
-            latencies,
-        }
-    }
-
     /// Notes a request; `route` is one of the router's, so that there are few.
     pub fn note_latency(&self, method: &str, route: &str, status: u16, took: Duration) {
         let call = Call { method: method.to_owned(), route: route.to_owned(), status };
@@ -142,8 +111,7 @@ pub struct Figures {
 impl Collector for Figures {
     fn encode(&self, mut encoder: DescriptorEncoder) -> fmt::Result {
         self.encode_totals(&mut encoder)?;
-        self.encode_tasks(&mut encoder)?;
-        self.encode_demand(&mut encoder)
+        self.encode_queue(&mut encoder)
     }
 }
 
@@ -178,45 +146,41 @@ impl Figures {
         Ok(())
     }
 
-    fn encode_tasks(&self, encoder: &mut DescriptorEncoder) -> fmt::Result {
+    fn encode_queue(&self, encoder: &mut DescriptorEncoder) -> fmt::Result {
+        let Stats { tasks, demand, .. } = &self.farm;
         let help = "Tasks that the farm holds, by kind and state.";
-        let mut family = encoder.encode_descriptor("tasks", help, None, MetricType::Gauge)?;
-        for count in &self.farm.tasks {
-            let labels = [("kind", count.kind.as_str()), ("state", count.state.name())];
-            family.encode_family(&labels)?.encode_gauge(&count.count)?;
-        }
-        Ok(())
-    }
-
-    fn encode_demand(&self, encoder: &mut DescriptorEncoder) -> fmt::Result {
+        let label = |count: &TaskCount| {
+            ([("kind", count.kind.clone()), ("state", count.state.name().to_owned())], count.count)
+        };
+        gauges(encoder, "tasks", help, tasks.iter().map(label))?;
         let help = "Ready tasks of running bakes, by kind and what a worker needs.";
-        let mut family = encoder.encode_descriptor("ready_tasks", help, None, MetricType::Gauge)?;
-        for demand in &self.farm.demand {
-            family.encode_family(&labels_of(demand))?.encode_gauge(&demand.ready)?;
-        }
-        let (name, help) = (
-            "oldest_ready_task_age_seconds",
-            "For how long the oldest of them has been waiting for a worker.",
-        );
-        let mut family = encoder.encode_descriptor(name, help, None, MetricType::Gauge)?;
-        for demand in &self.farm.demand {
-            let secs = demand.waited_ms as f64 / 1e3;
-            family.encode_family(&labels_of(demand))?.encode_gauge(&secs)?;
-        }
-        Ok(())
+        gauges(encoder, "ready_tasks", help, demand.iter().map(|demand| (labels_of(demand), demand.ready)))?;
+        let help = "For how long the oldest of them has been waiting for a worker.";
+        let age = |demand: &Demand| (labels_of(demand), demand.waited_ms as f64 / 1e3);
+        gauges(encoder, "oldest_ready_task_age_seconds", help, demand.iter().map(age))
     }
+}
+
+/// Writes the gauges of one name, by their labels.
+fn gauges<const LABELS: usize>(
+    encoder: &mut DescriptorEncoder,
+    name: &str,
+    help: &str,
+    gauges: impl Iterator<Item = ([(&'static str, String); LABELS], impl EncodeGaugeValue)>,
+) -> fmt::Result {
+    let mut family = encoder.encode_descriptor(name, help, None, MetricType::Gauge)?;
+    for (labels, value) in gauges {
+        family.encode_family(&labels)?.encode_gauge(&value)?;
+    }
+    Ok(())
 }
 
 /// Labels of a kind of tasks, and of the workers that may take them.
 fn labels_of(demand: &Demand) -> [(&'static str, String); 4] {
     let Demand { kind, needs, .. } = demand;
-    let (memory_mib, threads) = (needs.memory_mib.to_string(), needs.threads.to_string());
-    [
-        ("kind", kind.clone()),
-        ("memory_mib", memory_mib),
-        ("threads", threads),
-        ("labels", needs.labels.join(",")),
-    ]
+    let [memory_mib, threads] = [needs.memory_mib, needs.threads].map(|count| count.to_string());
+    let labels = needs.labels.join(",");
+    [("kind", kind.clone()), ("memory_mib", memory_mib), ("threads", threads), ("labels", labels)]
 }
 
 #[cfg(test)]
@@ -226,7 +190,7 @@ mod tests {
     use lightkiln_proto::api::Needs;
 
     use super::*;
-    use crate::store::{TaskCount, TaskState};
+    use crate::store::TaskState;
 
     fn text() -> String {
         let metrics = Metrics::new(Counter::default());

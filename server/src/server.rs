@@ -96,10 +96,9 @@ impl Server {
     /// Opens queue and bytes; fails if another server has the queue's file open.
     pub async fn open(config: Config) -> Result<Self, ServerError> {
         let tls = match &config.tls {
-            Some(files) => Some(files.read().await.map_err(|source| ServerError::Tls {
-                cert: files.cert.clone(),
-                key: files.key.clone(),
-                source,
+            Some(files) => Some(files.read().await.map_err(|source| {
+                let TlsFiles { cert, key } = files.clone();
+                ServerError::Tls { cert, key, source }
             })?),
             None => None,
         };

@@ -1,4 +1,4 @@
-//! Chunks in an object store: local files, memory, S3.
+//! Chunks in an object store: local files, S3.
 
 use std::ffi::OsString;
 use std::io;
@@ -12,7 +12,6 @@ use futures::stream::BoxStream;
 use futures::{StreamExt, TryStreamExt};
 use lightkiln_proto::ids::Digest;
 use object_store::local::LocalFileSystem;
-use object_store::memory::InMemory;
 use object_store::path::Path;
 use object_store::{GetOptions, GetRange, ObjectStore, ObjectStoreExt, PutPayload, WriteMultipart};
 
@@ -73,11 +72,6 @@ impl ObjectChunks {
         std::fs::create_dir_all(folder).map_err(unavailable)?;
         let files = LocalFileSystem::new_with_prefix(folder)?;
         Ok(Self { objects: Arc::new(files.with_fsync(true)) })
-    }
-
-    /// Chunks in memory.
-    pub fn in_memory() -> Self {
-        Self { objects: Arc::new(InMemory::new()) }
     }
 
     /// Writes the rest of a stream in parts; `head` is its beginning.

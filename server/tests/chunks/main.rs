@@ -2,6 +2,8 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
+#[path = "../clock/mod.rs"]
+mod clock;
 #[path = "../model/mod.rs"]
 mod model;
 #[path = "../parts/mod.rs"]
@@ -17,7 +19,6 @@ use futures::{StreamExt, TryStreamExt};
 use lightkiln_proto::api::{ScenePart, SceneParts, SceneProgress};
 use lightkiln_proto::ids::Digest;
 use lightkiln_server::chunks::{ByteStream, ChunkError, ChunkName, ChunkStore, Listed, ObjectChunks, Stored};
-use lightkiln_server::clock::ManualClock;
 use lightkiln_server::farm::Farm;
 use lightkiln_server::places::ChunksPlace;
 use lightkiln_server::storage::Storage;
@@ -30,6 +31,7 @@ use object_store::path::Path;
 use object_store::prefix::PrefixStore;
 use object_store::{ObjectStore, ObjectStoreExt};
 
+use clock::ManualClock;
 use model::MemoryStore;
 
 /// A store, and another way to its objects.

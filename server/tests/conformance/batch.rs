@@ -6,9 +6,9 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use async_trait::async_trait;
 use lightkiln_proto::api::{CommitVerdict, Lease};
 use lightkiln_proto::jobs::TaskSpec;
-use lightkiln_server::clock::ManualClock;
 use lightkiln_server::store::{FarmStore, FaultPoint, Faults, SqlStore, StoreError};
 
+use crate::clock::ManualClock;
 use crate::crash::{crashed, open_file};
 use crate::support::{in_time, request, result, submission, task};
 

@@ -15,7 +15,7 @@ use lightkiln_server::storage::Storage;
 use lightkiln_server::store::StoreError;
 use lightkiln_server::store::chunk::{CollectRules, Collected, Kept, Usage};
 
-use crate::support::{SCENE, World, chunk, output, result, submission, task};
+use crate::support::{SCENE, World, chunk, chunks_in_memory, output, result, submission, task};
 
 /// Grace of the tests' collections.
 pub const GRACE_MS: i64 = 3_600_000;
@@ -267,7 +267,7 @@ pub async fn orphans_are_condemned_and_others_are_not(world: World) {
 
 /// A storage over the world's store, and its bytes.
 pub fn storage(world: &World, quota_bytes: Option<u64>) -> (Storage, Arc<ObjectChunks>) {
-    let objects = Arc::new(ObjectChunks::in_memory());
+    let objects = Arc::new(chunks_in_memory());
     (Storage::new(world.store.clone(), objects.clone(), quota_bytes), objects)
 }
 

@@ -14,11 +14,11 @@ use lightkiln_proto::api::{BakeState, Blame, EventKind, Lease};
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::TaskSpec;
 use lightkiln_server::access::Scope;
-use lightkiln_server::clock::ManualClock;
 use lightkiln_server::store::chunk::CollectRules;
 use lightkiln_server::store::{FarmStore, FaultPoint, Faults, SqlStore, StoreError};
 use sqlx::{Connection, Executor, PgConnection};
 
+use crate::clock::ManualClock;
 use crate::parts::postgres::empty_schema;
 use crate::support::{TTL_MS, chunk, request, result, stock, submission, task, task_of};
 

@@ -5,9 +5,9 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use lightkiln_proto::api::{BakeState, CommitVerdict};
-use lightkiln_server::clock::ManualClock;
 use lightkiln_server::store::{FarmStore, SqlStore, StoreError};
 
+use crate::clock::ManualClock;
 use crate::support::{TTL_MS, request, result, stock, submission, task};
 
 async fn open(folder: &Path, clock: &Arc<ManualClock>) -> SqlStore {

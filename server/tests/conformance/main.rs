@@ -7,6 +7,8 @@ mod batch;
 mod bearers;
 mod checks;
 mod chunks;
+#[path = "../clock/mod.rs"]
+mod clock;
 mod crash;
 mod durability;
 mod failure;

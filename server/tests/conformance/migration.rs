@@ -6,12 +6,12 @@ use std::sync::Arc;
 use lightkiln_proto::api::{Bake, BakeState, CommitVerdict, EventKind, Needs, Verdict};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{Artefact, TaskResult, TaskSpec};
-use lightkiln_server::clock::ManualClock;
 use lightkiln_server::store::chunk::{ChunkRow, CollectRules, KeptChunk, Usage};
 use lightkiln_server::store::{BACKOFF_MAX_MS, FarmStore, SqlStore};
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{Connection, Executor, PgConnection, SqliteConnection};
 
+use crate::clock::ManualClock;
 use crate::parts::postgres::empty_schema;
 use crate::support::{TTL_MS, in_time, request, task};
 

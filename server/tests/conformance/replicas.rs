@@ -21,7 +21,7 @@ use tokio::sync::watch;
 
 use crate::crash::end_sessions;
 use crate::parts::postgres::empty_schema;
-use crate::support::{SCENE, in_time, new_bake, request, result, stock, submission, task};
+use crate::support::{SCENE, chunks_in_memory, in_time, new_bake, request, result, stock, submission, task};
 
 /// Longer than any test may take.
 const LONG: Duration = Duration::from_secs(3600);
@@ -271,7 +271,7 @@ async fn farm(url: &str, store: &Arc<SqlStore>, chunks: &Arc<ObjectChunks>) -> F
 #[tokio::test]
 async fn hint_of_one_server_wakes_a_claim_at_the_other() {
     let (url, stores) = replicas().await;
-    let chunks = Arc::new(ObjectChunks::in_memory());
+    let chunks = Arc::new(chunks_in_memory());
     let farms = [farm(&url, &stores[0], &chunks).await, farm(&url, &stores[1], &chunks).await];
     farms[0].storage.put(Digest::of(SCENE), Bytes::from_static(SCENE)).await.unwrap();
     let waiting = ClaimRequest { kinds: vec!["prt.import".into()], wait_secs: 60, ..request("w", 1) };

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use crate::clock::ManualClock;
 use crate::model::MemoryStore;
 use crate::parts::postgres::empty_schema;
 use lightkiln_proto::api::{
@@ -10,10 +11,10 @@ use lightkiln_proto::api::{
 };
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{Artefact, TaskInput, TaskResult, TaskSpec};
-use lightkiln_server::chunks::ChunkName;
-use lightkiln_server::clock::ManualClock;
+use lightkiln_server::chunks::{ChunkName, ObjectChunks};
 use lightkiln_server::store::chunk::KeptChunk;
 use lightkiln_server::store::{FarmStore, SqlStore, Submission};
+use object_store::memory::InMemory;
 
 /// Lease length of the tests' claims.
 pub const TTL_SECS: u32 = 30;
@@ -222,4 +223,9 @@ impl World {
         self.clock.advance_ms(TTL_MS);
         self.store.reap().await.unwrap().expired
     }
+}
+
+/// A chunk store without files.
+pub fn chunks_in_memory() -> ObjectChunks {
+    ObjectChunks::over(Arc::new(InMemory::new()))
 }
