@@ -213,7 +213,7 @@ fn arrows_of(folder: &str) -> (BTreeSet<String>, BTreeMap<(String, String), Stri
         .collect();
     let files: Vec<(String, Module, String)> = files_below(&folder.display().to_string(), "rs")
         .into_iter()
-        .filter(|file| !file.iter().any(|part| part == "tests" || part == "bin"))
+        .filter(|file| !file.iter().any(|part| part == "tests" || part == "tests.rs" || part == "bin"))
         .map(|file| (file.display().to_string(), module_of(&file, source), text_of(&file)))
         .collect();
     let rooms: BTreeSet<String> =
