@@ -2,6 +2,7 @@
 
 mod arguments;
 mod bundle;
+mod command_line;
 mod commands;
 mod embedded;
 mod enrolment;
@@ -25,7 +26,7 @@ use clap::Parser as _;
 use tracing::Span;
 
 fn main() -> ExitCode {
-    let command = arguments::Arguments::parse().command;
+    let command = command_line::CommandLine::parse().command;
     let role = command.name();
     // Ends, and exports what is left, when the command has.
     let _telemetry = logging::start(role);
