@@ -15,3 +15,4 @@ pub mod scene;
 pub mod sh;
 pub mod trace;
 pub mod units;
+pub mod words;

@@ -3,8 +3,8 @@
 use glam::Vec3;
 use lightkiln_proto::scene::{LightKind, SceneCamera, SceneLight};
 use lightkiln_proto::sh::relight_direction;
+use lightkiln_proto::words::upright;
 
-use super::parse::upright;
 use crate::bake::{HIT_SKY, LoadedBake};
 
 /// Vertical field of view of chosen cameras, in degrees.

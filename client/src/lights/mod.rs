@@ -1,7 +1,6 @@
 //! Lights and cameras of a view: words of the command line, defaults, and what each light sends.
 
 mod framing;
-mod parse;
 mod words;
 
 use std::f32::consts::FRAC_PI_2;
@@ -10,7 +9,7 @@ use glam::Vec3;
 use lightkiln_proto::scene::{LightKind, SceneLight};
 
 pub use framing::{default_camera, default_sun};
-pub use parse::{parse_camera, parse_light};
+pub use words::{parse_camera, parse_light};
 
 /// Radiance from outside, `strength · mix(horizon, zenith, max(d.y, 0))`, in W·m⁻²·sr⁻¹.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
