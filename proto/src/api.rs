@@ -88,8 +88,8 @@ pub struct NewBake {
     pub name: String,
     /// Digest of an uploaded scene bundle.
     pub scene: Digest,
-    /// Kind of bake; `prt` is the relightable one.
-    #[serde(default = "default_kind")]
+    /// Kind of bake; absent or empty means the server's default.
+    #[serde(default)]
     pub kind: String,
     /// Settings as the kind of bake documents them; absent or null means its defaults.
     #[serde(default)]
@@ -137,10 +137,6 @@ impl Needs {
     pub fn is_none(&self) -> bool {
         *self == Self::default()
     }
-}
-
-fn default_kind() -> String {
-    crate::bake::PRT.to_owned()
 }
 
 /// Where a bake stands.

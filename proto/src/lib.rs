@@ -1,17 +1,20 @@
-//! The contract between Lightkiln's roles: ids, units, API types, job and plan types, spherical harmonics, and the
-//! chunk format with its normative CPU decoder. No I/O happens here.
+//! The contract between Lightkiln's roles: ids, units, API types, job and plan types, the table of kinds of
+//! bake with their settings, manifests, and the chunk format with its normative CPU decoder. No I/O happens here.
 
 pub mod address;
 pub mod api;
-pub mod bake;
 pub mod chunk;
+pub mod content;
 pub mod events;
 pub mod ids;
 pub mod jobs;
+pub mod kinds;
 pub mod manifest;
 pub mod problem;
 pub mod prt;
+pub mod relight;
 pub mod scene;
+pub mod settings;
 pub mod sh;
 pub mod trace;
 pub mod units;

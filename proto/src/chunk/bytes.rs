@@ -3,7 +3,7 @@
 use super::error::ChunkError;
 
 /// Reads from the front of some bytes.
-pub(super) struct Reader<'a> {
+pub struct Reader<'a> {
     section: &'static str,
     bytes: &'a [u8],
     offset: usize,
@@ -89,11 +89,11 @@ impl<'a> Reader<'a> {
 }
 
 /// Appends `numbers`, little endian.
-pub(super) fn put_f32s(out: &mut Vec<u8>, numbers: &[f32]) {
+pub fn put_f32s(out: &mut Vec<u8>, numbers: &[f32]) {
     numbers.iter().for_each(|number| out.extend_from_slice(&number.to_le_bytes()));
 }
 
 /// Appends `numbers`, little endian.
-pub(super) fn put_u64s(out: &mut Vec<u8>, numbers: &[u64]) {
+pub fn put_u64s(out: &mut Vec<u8>, numbers: &[u64]) {
     numbers.iter().for_each(|number| out.extend_from_slice(&number.to_le_bytes()));
 }

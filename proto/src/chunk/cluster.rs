@@ -5,15 +5,16 @@ use super::cluster_factors::write_factors;
 use super::cluster_head::ClusterHead;
 use super::cluster_near::StoredNear;
 use super::cluster_receivers::{LINKS_MAX, ReceiverCodec, palette_of, write_irradiance};
-use super::container::{ChunkKind, ContainerWriter, SectionId};
+use super::container::{ContainerWriter, SectionId};
 use super::error::{ChunkError, all_finite, all_numbers, in_range};
 use super::layers::{LayerBox, Shape};
 use super::numbers::IRRADIANCE_MAX;
 use super::order::{Arrangement, LEVELS_MAX};
 use super::predict::Predictor;
 use super::quantise::{Quantised, RELATIVE_ERROR_MAX, RELATIVE_ERROR_MIN, quantise};
+use super::table::CLUSTER;
+use crate::content::{ClusterTransport, ColumnKey, EmitterIrradiance, Receivers};
 use crate::manifest::Layer;
-use crate::prt::{ClusterTransport, EmitterIrradiance, ProbeKey, Receivers};
 
 /// Section tags of cluster chunks; part is layer, 0, 0.
 pub(super) mod tags {
@@ -53,11 +54,11 @@ pub struct EncodedCluster {
     pub layers: Vec<Layer>,
     /// `‖U·ΣVᵀ − decoded‖/‖U·ΣVᵀ‖`, measured on what a decoder will have.
     pub quantisation_error: f32,
-    /// Probes named: of patches, those without a code are left out.
-    pub probes: u32,
+    /// Keys named: patches without a code are left out.
+    pub keys: u32,
 }
 
-/// Encodes a cluster. The order of its receivers, probes, blocks and emitters does not matter: receivers are stored
+/// Encodes a cluster. The order of its receivers, keys, blocks and emitters does not matter: receivers are stored
 /// by level, block key and texel, the others by key. Patches whose column of ΣVᵀ is worth no code are left out.
 ///
 /// Errs if arrays disagree in length, a number is not finite or out of its range, two receivers share a texel, or a
@@ -68,7 +69,7 @@ pub fn encode_cluster(
 ) -> Result<EncodedCluster, ChunkError> {
     check_input(cluster, settings)?;
     let stored = Stored::of(cluster, settings)?;
-    let mut writer = ContainerWriter::new(ChunkKind::Cluster);
+    let mut writer = ContainerWriter::new(CLUSTER);
     let mut head = stored.head.clone();
     let mut before = None;
     for (index, layer) in stored.head.shape.layers().into_iter().enumerate() {
@@ -81,7 +82,7 @@ pub fn encode_cluster(
     let (bytes, ends) = writer.finish(&head.write())?;
     let layers = head.layers.iter().map(|&(sections, layer)| layer.with_bytes(ends[sections - 1])).collect();
     let quantisation_error = stored.factors.relative_error as f32;
-    Ok(EncodedCluster { bytes, layers, quantisation_error, probes: stored.probes.len() as u32 })
+    Ok(EncodedCluster { bytes, layers, quantisation_error, keys: stored.keys.len() as u32 })
 }
 
 /// Sections that layer number `index` adds, in stored order.
@@ -137,7 +138,7 @@ struct Stored {
     receivers: Receivers,
     codec: ReceiverCodec,
     predictor: Predictor,
-    probes: Vec<ProbeKey>,
+    keys: Vec<ColumnKey>,
     emitters: Vec<EmitterIrradiance>,
     factors: Quantised,
     near: Option<StoredNear>,
@@ -148,26 +149,26 @@ impl Stored {
         let arrangement = Arrangement::of(&cluster.receivers, settings.levels)?;
         let receivers = sorted_receivers(&cluster.receivers, &arrangement);
         let near = StoredNear::of(cluster, &arrangement)?;
-        let (mut probes, probe_source) = ascending(&cluster.probes, "probe", |&key| key)?;
+        let (mut keys, key_source) = ascending(&cluster.keys, "column key", |&key| key)?;
         let (mut emitters, _) = ascending(&cluster.emitters, "emitter", |entry| entry.emitter)?;
         emitters.iter_mut().for_each(|entry| entry.irradiance = arrangement.sorted(&entry.irradiance));
         let u = rank_major(&cluster.u, cluster.rank as usize, &arrangement.source);
-        let vt = sorted_columns(cluster, &probe_source);
+        let vt = sorted_columns(cluster, &key_source);
         let mut factors = quantise(&u, &vt, cluster.rank as usize, settings.relative_error)?;
         if cluster.bands == 0 && !cluster.sky {
-            factors.vt = without_zeros(&factors.vt, &mut probes);
+            factors.vt = without_zeros(&factors.vt, &mut keys);
         }
         let shape = Shape {
             counts: arrangement.counts,
             levels: settings.levels,
             bands: cluster.bands,
             rank: cluster.rank,
-            column_groups: probes.len() + usize::from(cluster.sky),
+            column_groups: keys.len() + usize::from(cluster.sky),
         };
         let head = ClusterHead {
             bounds_m: grown(cluster.bounds_m, &receivers.position_m),
             shape,
-            probes: probes.len(),
+            keys: keys.len(),
             blocks: receivers.blocks.len(),
             emitters: emitters.len(),
             sky: cluster.sky,
@@ -181,7 +182,7 @@ impl Stored {
         for level in shape.levels_in(shape.full()) {
             predictor.extend(&receivers, shape.rows_of(level), level);
         }
-        Ok(Self { head, receivers, codec, predictor, probes, emitters, factors, near })
+        Ok(Self { head, receivers, codec, predictor, keys, emitters, factors, near })
     }
 
     fn section(&self, id: SectionId, before: Option<LayerBox>, layer: LayerBox) -> Vec<u8> {
@@ -198,7 +199,7 @@ impl Stored {
     fn base(&self) -> Vec<u8> {
         let mut out = Vec::new();
         put_u64s(&mut out, &self.receivers.blocks);
-        put_u64s(&mut out, &self.probes);
+        put_u64s(&mut out, &self.keys);
         put_f32s(&mut out, &self.factors.u_step);
         put_f32s(&mut out, &self.factors.vt_step);
         self.emitters.iter().for_each(|entry| out.extend_from_slice(&entry.emitter.to_le_bytes()));
@@ -246,7 +247,7 @@ fn sorted_receivers(receivers: &Receivers, arrangement: &Arrangement) -> Receive
 }
 
 /// `items` ascending by key, and where each came from; errs if two share a key.
-pub(super) fn ascending<T: Clone, K: Ord>(
+pub fn ascending<T: Clone, K: Ord>(
     items: &[T],
     what: &'static str,
     key: impl Fn(&T) -> K,
@@ -272,13 +273,13 @@ fn grown(bounds_m: [[f32; 3]; 2], positions: &[[f32; 3]]) -> [[f32; 3]; 2] {
     [lo, hi]
 }
 
-/// Codes of ΣVᵀ of one column per probe without the columns that are zero in every rank, and `probes` without theirs.
-fn without_zeros(vt: &[i32], probes: &mut Vec<ProbeKey>) -> Vec<i32> {
-    let columns = probes.len().max(1);
+/// Codes of ΣVᵀ of one column per key without the columns that are zero in every rank, and `keys` without theirs.
+fn without_zeros(vt: &[i32], keys: &mut Vec<ColumnKey>) -> Vec<i32> {
+    let columns = keys.len().max(1);
     let is_used: Vec<bool> =
         (0..columns).map(|c| vt.iter().skip(c).step_by(columns).any(|code| *code != 0)).collect();
     let mut used = is_used.iter();
-    probes.retain(|_| used.next().copied().unwrap_or_default());
+    keys.retain(|_| used.next().copied().unwrap_or_default());
     vt.iter().zip(is_used.iter().cycle()).filter(|(_, used)| **used).map(|(code, _)| *code).collect()
 }
 
@@ -287,16 +288,16 @@ fn rank_major(u: &[f32], rank: usize, source: &[usize]) -> Vec<f32> {
     (0..rank).flat_map(|i| source.iter().map(move |&receiver| u[receiver * rank + i])).collect()
 }
 
-/// `vt` with its probes' columns in the order of `probe_source`; the sky's stay last.
-fn sorted_columns(cluster: &ClusterTransport, probe_source: &[usize]) -> Vec<f32> {
+/// `vt` with its keys' columns in the order of `key_source`; the sky's stay last.
+fn sorted_columns(cluster: &ClusterTransport, key_source: &[usize]) -> Vec<f32> {
     let coefficients = cluster.coefficients();
-    let groups = cluster.probes.len() + usize::from(cluster.sky);
+    let groups = cluster.keys.len() + usize::from(cluster.sky);
     let mut vt = Vec::with_capacity(cluster.vt.len());
     for row in cluster.vt.chunks_exact((groups * coefficients).max(1)) {
-        for &probe in probe_source {
-            vt.extend_from_slice(&row[probe * coefficients..][..coefficients]);
+        for &key in key_source {
+            vt.extend_from_slice(&row[key * coefficients..][..coefficients]);
         }
-        vt.extend_from_slice(&row[probe_source.len() * coefficients..]);
+        vt.extend_from_slice(&row[key_source.len() * coefficients..]);
     }
     vt
 }
@@ -307,11 +308,11 @@ mod tests {
 
     #[test]
     fn patches_without_a_code_are_not_named() {
-        let mut probes = vec![3, 5, 8, 9];
+        let mut keys = vec![3, 5, 8, 9];
         let vt = [0, 1, 0, 0, 0, -2, 0, 7];
-        assert_eq!(without_zeros(&vt, &mut probes), [1, 0, -2, 7]);
-        assert_eq!(probes, [5, 9]);
-        assert_eq!(without_zeros(&[], &mut probes), [0; 0]);
-        assert!(probes.is_empty());
+        assert_eq!(without_zeros(&vt, &mut keys), [1, 0, -2, 7]);
+        assert_eq!(keys, [5, 9]);
+        assert_eq!(without_zeros(&[], &mut keys), [0; 0]);
+        assert!(keys.is_empty());
     }
 }

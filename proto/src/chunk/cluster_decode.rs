@@ -6,17 +6,18 @@ use super::cluster_factors::{FactorReader, factors_bytes_max};
 use super::cluster_head::ClusterHead;
 use super::cluster_near::{HIT_BYTES, begin_bytes_max, near_bytes_max, read_begin, read_near};
 use super::cluster_receivers::{PALETTE_MAX, ReceiverCodec, read_irradiance, receivers_bytes_max};
-use super::container::{ChunkKind, Container, SectionId};
+use super::container::{Container, SectionId};
 use super::error::{ChunkError, all_numbers, in_range};
 use super::layers::LayerBox;
 use super::predict::Predictor;
 use super::quantise::STEP_MAX;
+use super::table::CLUSTER;
+use crate::content::{ClusterTransport, EmitterIrradiance};
 use crate::manifest::Layer;
-use crate::prt::{ClusterTransport, EmitterIrradiance};
 
 /// Decodes a whole cluster chunk.
 pub fn decode_cluster(bytes: &[u8]) -> Result<ClusterTransport, ChunkError> {
-    let container = Container::whole(ChunkKind::Cluster, bytes)?;
+    let container = Container::whole(CLUSTER, bytes)?;
     Ok(decode(&container, bytes.len() as u64)?.0)
 }
 
@@ -25,13 +26,13 @@ pub fn decode_cluster(bytes: &[u8]) -> Result<ClusterTransport, ChunkError> {
 /// The cluster has that layer's receivers, bands and rank and nothing more; `Layer::bytes` is the layer's own length.
 /// Errs if not even the smallest layer is there.
 pub fn decode_cluster_prefix(bytes: &[u8], total_len: u64) -> Result<(ClusterTransport, Layer), ChunkError> {
-    let container = Container::prefix(ChunkKind::Cluster, bytes, total_len)?;
+    let container = Container::prefix(CLUSTER, bytes, total_len)?;
     decode(&container, total_len)
 }
 
 /// Layers of a cluster chunk, from its first bytes: header, head and section table must be there.
 pub fn cluster_layers(bytes: &[u8], total_len: u64) -> Result<Vec<Layer>, ChunkError> {
-    let container = Container::prefix(ChunkKind::Cluster, bytes, total_len)?;
+    let container = Container::prefix(CLUSTER, bytes, total_len)?;
     let head = ClusterHead::read(container.head, container.entries.len())?;
     check_sections(&container, &head)?;
     Ok(head.layers.iter().map(|&(sections, layer)| layer.with_bytes(container.end_of(sections))).collect())
@@ -71,7 +72,7 @@ fn check_sections(container: &Container, head: &ClusterHead) -> Result<(), Chunk
 fn decoded_bytes(head: &ClusterHead, layer: LayerBox) -> u64 {
     let receivers = head.shape.receivers_in(layer.level);
     let factors = layer.rank as usize * (receivers + head.shape.columns(layer.bands));
-    (4 * factors + receivers * (61 + 12 * head.emitters) + 8 * (head.probes + head.blocks)) as u64
+    (4 * factors + receivers * (61 + 12 * head.emitters) + 8 * (head.keys + head.blocks)) as u64
 }
 
 /// A cluster that fills up layer by layer.
@@ -171,15 +172,15 @@ impl<'a> Decoder<'a> {
     }
 
     fn base_bytes_max(&self) -> u64 {
-        let ClusterHead { blocks, probes, emitters, shape, .. } = self.head;
-        (8 * (blocks + probes) + 8 * shape.rank as usize + 2 * emitters + 2 + 12 * PALETTE_MAX) as u64
+        let ClusterHead { blocks, keys, emitters, shape, .. } = self.head;
+        (8 * (blocks + keys) + 8 * shape.rank as usize + 2 * emitters + 2 + 12 * PALETTE_MAX) as u64
     }
 
     fn base(&mut self, raw: &[u8]) -> Result<(), ChunkError> {
         let mut reader = Reader::new("base", raw);
         let rank = self.head.shape.rank as usize;
         self.cluster.receivers.blocks = ascending_keys(&mut reader, "block", self.head.blocks)?;
-        self.cluster.probes = ascending_keys(&mut reader, "probe", self.head.probes)?;
+        self.cluster.keys = ascending_keys(&mut reader, "column key", self.head.keys)?;
         for (what, steps) in [("steps of U", &mut self.u_step), ("steps of ΣVᵀ", &mut self.vt_step)] {
             *steps = reader.f32s(what, rank)?;
             all_numbers("base", what, steps, "0..=1e28", |step| (0.0..=STEP_MAX).contains(&step))?;
@@ -201,11 +202,7 @@ impl<'a> Decoder<'a> {
 }
 
 /// `count` keys, each larger than the one before.
-pub(super) fn ascending_keys(
-    reader: &mut Reader,
-    what: &'static str,
-    count: usize,
-) -> Result<Vec<u64>, ChunkError> {
+pub fn ascending_keys(reader: &mut Reader, what: &'static str, count: usize) -> Result<Vec<u64>, ChunkError> {
     let keys = reader.u64s(what, count)?;
     match keys.windows(2).position(|pair| pair[0] >= pair[1]) {
         Some(index) => Err(ChunkError::Order { section: reader.section(), what, index: index + 1 }),

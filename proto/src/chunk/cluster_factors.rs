@@ -8,7 +8,7 @@ use super::error::{ChunkError, in_range};
 use super::layers::{LayerBox, Shape, band_groups, coefficients_of, rank_groups, ranks_of};
 use super::predict::Predictor;
 use super::quantise::{Quantised, value};
-use crate::prt::ClusterTransport;
+use crate::content::ClusterTransport;
 
 /// Receivers per cell of U.
 const U_CELL: usize = 48;
@@ -22,7 +22,7 @@ const GUESSED: u8 = 1;
 /// A part of the factors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Part {
-    /// Rows of ΣVᵀ: a rank group, and in it a band group of every probe.
+    /// Rows of ΣVᵀ: a rank group, and in it a band group of every key.
     Vt { ranks: usize, bands: usize },
     /// Columns of U: the receivers of a level, a rank group.
     U { level: u32, ranks: usize },

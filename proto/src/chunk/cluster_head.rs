@@ -19,13 +19,13 @@ pub(super) struct ClusterHead {
     pub bounds_m: [[f32; 3]; 2],
     /// Counts that decide the grid of sections.
     pub shape: Shape,
-    /// Supporting probes.
-    pub probes: usize,
+    /// Keys of columns.
+    pub keys: usize,
     /// Blocks named.
     pub blocks: usize,
     /// Emitters that reach the cluster.
     pub emitters: usize,
-    /// Whether sky columns follow the probes'.
+    /// Whether sky columns follow those of the keys.
     pub sky: bool,
     /// Whether near hits follow the factors of each layer.
     pub near: bool,
@@ -52,7 +52,7 @@ impl ClusterHead {
         limit("rank", rank as usize, RANK_MAX)?;
         limit("receivers", self.receivers(), RECEIVERS_MAX)?;
         limit("receivers of levels not in use", self.shape.counts[levels as usize..].iter().sum(), 0)?;
-        limit("probes", self.probes, CLUSTER_PROBES_MAX)?;
+        limit("column keys", self.keys, CLUSTER_KEYS_MAX)?;
         limit("blocks", self.blocks, BLOCKS_MAX)?;
         limit("emitters", self.emitters, EMITTERS_MAX)?;
         limit("irradiances of emitters", self.emitters * self.receivers(), EMITTER_ENTRIES_MAX)?;
@@ -71,7 +71,7 @@ impl ClusterHead {
             let found = reader.u32("receivers of a level")?;
             *count = in_range("cluster head", "receivers of a level", found.into(), 0, RECEIVERS_MAX as u64)?;
         }
-        let probes = reader.u32("probes")? as usize;
+        let keys = reader.u32("column keys")? as usize;
         let blocks = reader.u32("blocks")? as usize;
         let emitters = usize::from(reader.u16("emitters")?);
         let [levels, bands, rank] =
@@ -79,9 +79,9 @@ impl ClusterHead {
         let sky = in_range("cluster head", "sky flag", reader.u8("sky flag")?.into(), 0, 1)? == 1;
         let layer_count = reader.u8("layer count")?;
         let near = in_range("cluster head", "near flag", reader.u8("near flag")?.into(), 0, 1)? == 1;
-        let column_groups = probes + usize::from(sky);
+        let column_groups = keys + usize::from(sky);
         let shape = Shape { counts, levels, bands, rank, column_groups };
-        let mut head = Self { bounds_m, shape, probes, blocks, emitters, sky, near, layers: Vec::new() };
+        let mut head = Self { bounds_m, shape, keys, blocks, emitters, sky, near, layers: Vec::new() };
         head.check("cluster head")?;
         let layer_count = in_range("cluster head", "layer count", layer_count.into(), 1, LAYERS_MAX as u64)?;
         head.layers = read_layers(&mut reader, layer_count, &head.shape, section_count)?;
@@ -94,7 +94,7 @@ impl ClusterHead {
         let mut out = Vec::with_capacity(CLUSTER_HEAD_BYTES + LAYER_BYTES * self.layers.len());
         put_f32s(&mut out, self.bounds_m.as_flattened());
         self.shape.counts.iter().for_each(|&count| out.extend_from_slice(&(count as u32).to_le_bytes()));
-        out.extend_from_slice(&(self.probes as u32).to_le_bytes());
+        out.extend_from_slice(&(self.keys as u32).to_le_bytes());
         out.extend_from_slice(&(self.blocks as u32).to_le_bytes());
         out.extend_from_slice(&(self.emitters as u16).to_le_bytes());
         let Shape { levels, bands, rank, .. } = self.shape;

@@ -9,7 +9,7 @@ use super::ints;
 use super::limits::{BLOCKS_MAX, NEAR_HITS_MAX};
 use super::numbers::{albedo_code, albedo_of, normal_code, normal_of};
 use super::order::{Arrangement, morton};
-use crate::prt::{BlockKey, ClusterTransport, NearHits, NearSurface, Texel};
+use crate::content::{BlockKey, ClusterTransport, NearHits, NearSurface, Texel};
 
 /// Largest code of an offset: the reach.
 const OFFSET_CODE_MAX: i32 = NearHits::STEPS as i32;

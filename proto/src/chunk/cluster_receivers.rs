@@ -8,7 +8,7 @@ use super::ints;
 use super::numbers::*;
 use super::order::{morton, texel_of};
 use super::predict::Predictor;
-use crate::prt::{EmitterIrradiance, LINKS, Receivers};
+use crate::content::{EmitterIrradiance, LINKS, Receivers};
 
 /// Most albedos in a palette; clusters with more distinct ones use 8-bit codes.
 pub(super) const PALETTE_MAX: usize = 256;

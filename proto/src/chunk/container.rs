@@ -26,36 +26,13 @@ const LEVEL_SMALL: i32 = 19;
 const LEVEL_LARGE: i32 = 9;
 const SMALL_SECTION_BYTES: usize = 1 << 20;
 
-/// Kinds of chunk.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[repr(u8)]
-pub enum ChunkKind {
-    /// A cluster's factorised transport.
-    Cluster = 1,
-    /// A batch of probes.
-    Probes = 2,
-    /// Meshes to draw.
-    Geometry = 3,
-    /// An image file as it was in the scene.
-    Texture = 4,
-    /// Surface patches.
-    Patches = 5,
-}
-
-impl ChunkKind {
-    /// All kinds and their names.
-    pub const ALL: [(Self, &'static str); 5] = [
-        (Self::Cluster, "cluster"),
-        (Self::Probes, "probes"),
-        (Self::Geometry, "geometry"),
-        (Self::Texture, "texture"),
-        (Self::Patches, "patches"),
-    ];
-}
+/// Kind of a chunk: the number in its header. Rows of the table of chunk kinds say what each number is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct ChunkKind(pub u8);
 
 /// What a section is: its tag and up to three part numbers, whose meaning is the tag's.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) struct SectionId {
+pub struct SectionId {
     /// Tag, unique within the chunk's kind.
     pub tag: u8,
     /// Part numbers, 0 where unused.
@@ -76,7 +53,7 @@ impl SectionId {
 
 /// A section as the table lists it.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Entry {
+pub struct Entry {
     /// What it is.
     pub id: SectionId,
     start: usize,
@@ -85,7 +62,7 @@ pub(super) struct Entry {
 }
 
 /// A chunk whose header and section table have been read and checked.
-pub(super) struct Container<'a> {
+pub struct Container<'a> {
     /// The kind's own head.
     pub head: &'a [u8],
     /// All sections in order, whether their bytes are there or not.
@@ -184,7 +161,12 @@ impl<'a> Container<'a> {
     }
 }
 
-fn read_fixed(kind: ChunkKind, reader: &mut Reader) -> Result<(usize, usize), ChunkError> {
+/// Kind of a chunk, from its header.
+pub fn kind_of(bytes: &[u8]) -> Result<ChunkKind, ChunkError> {
+    read_start(&mut Reader::new("header", bytes))
+}
+
+fn read_start(reader: &mut Reader) -> Result<ChunkKind, ChunkError> {
     let magic = reader.take("magic", 4, 1)?;
     if magic != MAGIC {
         return Err(ChunkError::Magic { found: [magic[0], magic[1], magic[2], magic[3]] });
@@ -193,9 +175,13 @@ fn read_fixed(kind: ChunkKind, reader: &mut Reader) -> Result<(usize, usize), Ch
     if version != VERSION {
         return Err(ChunkError::Version { found: version });
     }
-    let found = reader.u8("kind")?;
-    if found != kind as u8 {
-        return Err(ChunkError::Kind { wanted: kind as u8, found });
+    reader.u8("kind").map(ChunkKind)
+}
+
+fn read_fixed(kind: ChunkKind, reader: &mut Reader) -> Result<(usize, usize), ChunkError> {
+    let found = read_start(reader)?;
+    if found != kind {
+        return Err(ChunkError::Kind { wanted: kind.0, found: found.0 });
     }
     let zero = reader.u8("reserved")?;
     in_range("header", "reserved byte", zero.into(), 0, 0)?;
@@ -217,7 +203,7 @@ fn read_entry(raw: &[u8], start: usize) -> Result<Entry, ChunkError> {
 }
 
 /// Puts a chunk together.
-pub(super) struct ContainerWriter {
+pub struct ContainerWriter {
     kind: ChunkKind,
     table: Vec<u8>,
     body: Vec<u8>,
@@ -256,7 +242,7 @@ impl ContainerWriter {
         let mut bytes = Vec::with_capacity(HEADER_BYTES + head.len() + self.table.len() + self.body.len());
         bytes.extend_from_slice(&MAGIC);
         bytes.extend_from_slice(&VERSION.to_le_bytes());
-        bytes.extend_from_slice(&[self.kind as u8, 0]);
+        bytes.extend_from_slice(&[self.kind.0, 0]);
         bytes.extend_from_slice(&(head.len() as u16).to_le_bytes());
         bytes.extend_from_slice(&(self.ends.len() as u16).to_le_bytes());
         bytes.extend_from_slice(head);

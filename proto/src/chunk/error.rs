@@ -43,6 +43,12 @@ pub enum ChunkError {
         /// Version in the header.
         found: u16,
     },
+    /// A kind that no row of the table of chunk kinds has.
+    #[error("chunk kind {found} is not known; a newer kiln may read it")]
+    UnknownKind {
+        /// Kind in the header.
+        found: u8,
+    },
     /// A chunk of another kind.
     #[error("the chunk is of kind {found}, wanted {wanted}")]
     Kind {
@@ -121,7 +127,7 @@ pub enum ChunkError {
 }
 
 /// `value` if it lies in `min..=max`, else the error that says so.
-pub(super) fn in_range(
+pub fn in_range(
     section: &'static str,
     what: &'static str,
     value: u64,
@@ -136,16 +142,12 @@ pub(super) fn in_range(
 }
 
 /// Errs on the first number that is not finite.
-pub(super) fn all_finite(
-    section: &'static str,
-    what: &'static str,
-    numbers: &[f32],
-) -> Result<(), ChunkError> {
+pub fn all_finite(section: &'static str, what: &'static str, numbers: &[f32]) -> Result<(), ChunkError> {
     all_numbers(section, what, numbers, "a finite number", f32::is_finite)
 }
 
 /// Errs on the first number that is not `wanted`.
-pub(super) fn all_numbers(
+pub fn all_numbers(
     section: &'static str,
     what: &'static str,
     numbers: &[f32],

@@ -1,12 +1,13 @@
 //! Meshes to draw. All draws share the sections: one holds all positions, one all normals, and so on.
 
-use super::container::{ChunkKind, ContainerWriter, SectionId};
+use super::container::{ContainerWriter, SectionId};
 use super::error::{ChunkError, all_finite, in_range};
 use super::ints;
 use super::limits::{DRAWS_MAX, TRIANGLES_MAX, VERTICES_MAX};
 use super::numbers::normal_code;
+use super::table::GEOMETRY;
 use super::vertices::{Steps, put_vectors};
-use crate::prt::{Draw, Geometry};
+use crate::content::{Draw, Geometry};
 
 /// Section tags of geometry chunks; parts are 0, 0, 0. Each comes once, in this order.
 pub(super) mod tags {
@@ -53,7 +54,7 @@ pub(super) const HAS_COLOUR: u32 = 4;
 pub fn encode_geometry(geometry: &Geometry) -> Result<Vec<u8>, ChunkError> {
     let draws = &geometry.draws;
     let counts = check_input(draws)?;
-    let mut writer = ContainerWriter::new(ChunkKind::Geometry);
+    let mut writer = ContainerWriter::new(GEOMETRY);
     for (tag, _) in tags::ALL {
         let raw = match tag {
             tags::DRAWS => write_draws(draws),

@@ -1,21 +1,22 @@
 //! Decoding meshes.
 
 use super::bytes::Reader;
-use super::container::{ChunkKind, Container, SectionId};
+use super::container::{Container, SectionId};
 use super::error::{ChunkError, in_range};
 use super::geometry::{HAS_BACK, HAS_COLOUR, HAS_UV, tags};
 use super::ints;
 use super::limits::{DRAWS_MAX, TRIANGLES_MAX, VERTICES_MAX};
 use super::numbers::normal_of;
+use super::table::GEOMETRY;
 use super::vertices::{Steps, take_vectors, vectors_bytes_max};
-use crate::prt::{Draw, Geometry};
+use crate::content::{Draw, Geometry};
 
 /// Most raw bytes of a draw's entry in the draws section: four numbers and two keys.
 const DRAW_BYTES_MAX: u64 = 4 * 4 + 2 * 8;
 
 /// Decodes a geometry chunk.
 pub fn decode_geometry(bytes: &[u8]) -> Result<Geometry, ChunkError> {
-    let container = Container::whole(ChunkKind::Geometry, bytes)?;
+    let container = Container::whole(GEOMETRY, bytes)?;
     let mut reader = Reader::new("geometry head", container.head);
     let mut count = |what, max: usize| -> Result<usize, ChunkError> {
         in_range("geometry head", what, reader.u32(what)?.into(), 0, max as u64)

@@ -8,17 +8,17 @@ use super::bytes::Reader;
 use super::error::{ChunkError, in_range};
 
 /// 0, −1, 1, −2, … to 0, 1, 2, 3, ….
-pub(super) fn zigzag(value: i32) -> u32 {
+pub fn zigzag(value: i32) -> u32 {
     ((value << 1) ^ (value >> 31)) as u32
 }
 
 /// Inverse of [`zigzag`].
-pub(super) fn unzigzag(code: u32) -> i32 {
+pub fn unzigzag(code: u32) -> i32 {
     (code >> 1) as i32 ^ -((code & 1) as i32)
 }
 
 /// Appends an array.
-pub(super) fn put_u32s(out: &mut Vec<u8>, values: &[u32]) {
+pub fn put_u32s(out: &mut Vec<u8>, values: &[u32]) {
     let all = values.iter().fold(0, |bits, value| bits | value);
     let width = 4 - all.leading_zeros() / 8;
     out.push(width as u8);
@@ -28,17 +28,13 @@ pub(super) fn put_u32s(out: &mut Vec<u8>, values: &[u32]) {
 }
 
 /// Appends an array of signed numbers.
-pub(super) fn put_i32s(out: &mut Vec<u8>, values: &[i32]) {
+pub fn put_i32s(out: &mut Vec<u8>, values: &[i32]) {
     let codes: Vec<u32> = values.iter().map(|&value| zigzag(value)).collect();
     put_u32s(out, &codes);
 }
 
 /// Reads an array of `count` numbers; the caller has checked `count`.
-pub(super) fn take_u32s(
-    reader: &mut Reader,
-    what: &'static str,
-    count: usize,
-) -> Result<Vec<u32>, ChunkError> {
+pub fn take_u32s(reader: &mut Reader, what: &'static str, count: usize) -> Result<Vec<u32>, ChunkError> {
     let width = reader.u8(what)?;
     let width = in_range(reader.section(), "byte width", width.into(), 0, 4)?;
     let planes = reader.take(what, count, width)?;
@@ -54,27 +50,23 @@ pub(super) fn take_u32s(
 }
 
 /// Reads an array of `count` signed numbers.
-pub(super) fn take_i32s(
-    reader: &mut Reader,
-    what: &'static str,
-    count: usize,
-) -> Result<Vec<i32>, ChunkError> {
+pub fn take_i32s(reader: &mut Reader, what: &'static str, count: usize) -> Result<Vec<i32>, ChunkError> {
     Ok(take_u32s(reader, what, count)?.into_iter().map(unzigzag).collect())
 }
 
 /// Most bytes that an array of `count` numbers takes.
-pub(super) fn bytes_max(count: usize) -> u64 {
+pub fn bytes_max(count: usize) -> u64 {
     1 + 4 * count as u64
 }
 
 /// Appends numbers as they are, one plane per byte of their bits.
-pub(super) fn put_f32_planes(out: &mut Vec<u8>, numbers: &[f32]) {
+pub fn put_f32_planes(out: &mut Vec<u8>, numbers: &[f32]) {
     let bits: Vec<u32> = numbers.iter().map(|number| number.to_bits()).collect();
     put_u32s(out, &bits);
 }
 
 /// Reads `count` finite numbers written by [`put_f32_planes`].
-pub(super) fn take_f32_planes(
+pub fn take_f32_planes(
     reader: &mut Reader,
     what: &'static str,
     count: usize,
@@ -85,14 +77,14 @@ pub(super) fn take_f32_planes(
 }
 
 /// Appends the differences between neighbours.
-pub(super) fn put_deltas(out: &mut Vec<u8>, values: impl Iterator<Item = i32>) {
+pub fn put_deltas(out: &mut Vec<u8>, values: impl Iterator<Item = i32>) {
     let mut before = 0;
     let deltas: Vec<i32> = values.map(|value| value - std::mem::replace(&mut before, value)).collect();
     put_i32s(out, &deltas);
 }
 
 /// Reads what [`put_deltas`] wrote; every value must lie in `allowed`.
-pub(super) fn take_deltas(
+pub fn take_deltas(
     reader: &mut Reader,
     what: &'static str,
     count: usize,

@@ -26,7 +26,7 @@ pub(super) struct Shape {
     pub bands: u32,
     /// Rank.
     pub rank: u32,
-    /// Supporting probes, and one more for the sky.
+    /// Keys of columns, and one more for the sky.
     pub column_groups: usize,
 }
 

@@ -4,8 +4,8 @@ use crate::sh::MAX_BANDS;
 
 /// Most receivers in a cluster.
 pub const RECEIVERS_MAX: usize = 65_536;
-/// Most probes that support a cluster.
-pub const CLUSTER_PROBES_MAX: usize = 16_384;
+/// Most keys of a cluster's columns: patches, or probes.
+pub const CLUSTER_KEYS_MAX: usize = 16_384;
 /// Highest rank of a cluster's factors.
 pub const RANK_MAX: usize = 64;
 /// Highest spherical-harmonic band.
@@ -20,12 +20,6 @@ pub const EMITTER_ENTRIES_MAX: usize = 1 << 22;
 pub const NEAR_HITS_MAX: usize = 1 << 22;
 /// Most blocks that a chunk names.
 pub const BLOCKS_MAX: usize = 65_536;
-/// Most probes in a batch.
-pub const BATCH_PROBES_MAX: usize = 16_384;
-/// Most relight rays of a probe; always a power of two.
-pub const RELIGHT_RAYS_MAX: usize = 16_384;
-/// Most hits in a batch: probes × rays.
-pub const HITS_MAX: usize = 1 << 24;
 /// Most surface patches of a bake.
 pub const PATCHES_MAX: usize = 1 << 24;
 /// Most receivers of all patches' leaves.

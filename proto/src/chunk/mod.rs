@@ -1,8 +1,9 @@
-//! Chunks: the stored form of what a bake gives (FORMAT.md), with their encoders and their normative decoder.
+//! Chunks: the stored form of a bake (FORMAT.md), with their encoders and their normative decoder. Kinds of bake add
+//! chunks of their own with [`container`], [`bytes`] and [`ints`], and name them in their rows of the table ([`ChunkRow`]).
 //!
 //! A decoder checks every length, count, index and number before it uses it; malformed input is a [`ChunkError`].
 
-mod bytes;
+pub mod bytes;
 mod cells;
 mod cluster;
 mod cluster_decode;
@@ -10,24 +11,24 @@ mod cluster_factors;
 mod cluster_head;
 mod cluster_near;
 mod cluster_receivers;
-mod container;
-mod error;
+pub mod container;
+pub mod error;
 mod geometry;
 mod geometry_decode;
-mod ints;
+pub mod ints;
 mod layers;
 pub mod limits;
 mod numbers;
 mod order;
 mod patches;
 mod predict;
-mod probes;
 mod quantise;
+mod table;
 mod texture;
 mod vertices;
 
-pub use cluster::{EncodedCluster, QuantisationSettings, encode_cluster};
-pub use cluster_decode::{cluster_layers, decode_cluster, decode_cluster_prefix};
+pub use cluster::{EncodedCluster, QuantisationSettings, ascending, encode_cluster};
+pub use cluster_decode::{ascending_keys, cluster_layers, decode_cluster, decode_cluster_prefix};
 pub use cluster_near::NEAR_WEIGHT_ERROR;
 pub use container::{
     CHUNK_BYTES_MAX, ChunkKind, ENTRY_BYTES, HEAD_BYTES_MAX, HEADER_BYTES, MAGIC, SECTIONS_MAX, VERSION,
@@ -38,12 +39,12 @@ pub use geometry_decode::decode_geometry;
 pub use layers::{BAND_GROUP_LASTS, LAYERS_MAX, RANK_GROUP_ENDS};
 pub use numbers::{
     ALBEDO_ERROR, ALBEDO_MAX, IRRADIANCE_MAX, IRRADIANCE_MIN, IRRADIANCE_RELATIVE_ERROR, NORMAL_ERROR_RAD,
-    position_error_m,
+    normal_code, position_error_m,
 };
-pub use order::LEVELS_MAX;
+pub use order::{LEVELS_MAX, morton};
 pub use patches::{decode_patches, encode_patches};
-pub use probes::{RAY_GROUPS, decode_probe_batch, decode_probe_batch_prefix, encode_probe_batch};
 pub use quantise::{RELATIVE_ERROR_MAX, RELATIVE_ERROR_MIN};
+pub use table::{CLUSTER, ChunkRow, GEOMETRY, PATCHES, SHARED, TEXTURE};
 pub use texture::{Texture, decode_texture, encode_texture};
 pub use vertices::LIGHTMAP_ERROR_TEXELS;
 

@@ -42,7 +42,7 @@ pub fn position_error_m(bounds: [f32; 2]) -> f32 {
 
 /// Octahedral code of a unit vector: the octahedron |x| + |y| + |z| = 1 with its lower half folded outwards,
 /// as two numbers in −32767…32767.
-pub(super) fn normal_code(normal: [f32; 3]) -> [i16; 2] {
+pub fn normal_code(normal: [f32; 3]) -> [i16; 2] {
     let [x, y, z] = normal.map(f64::from);
     let length = x.abs() + y.abs() + z.abs();
     if length == 0.0 {
@@ -54,7 +54,7 @@ pub(super) fn normal_code(normal: [f32; 3]) -> [i16; 2] {
 }
 
 /// Unit vector of an octahedral code.
-pub(super) fn normal_of(code: [i16; 2]) -> [f32; 3] {
+pub fn normal_of(code: [i16; 2]) -> [f32; 3] {
     let [u, v] = code.map(|w| f64::from(w.max(-32_767)) / 32_767.0);
     let z = 1.0 - u.abs() - v.abs();
     let (x, y) = if z < 0.0 { fold(u, v) } else { (u, v) };

@@ -2,13 +2,13 @@
 //! texel. The same receivers give the same bytes, however the baker listed them.
 
 use super::error::{ChunkError, in_range};
-use crate::prt::{BlockKey, Receivers, Texel};
+use crate::content::{BlockKey, Receivers, Texel};
 
 /// Most levels of receivers.
 pub const LEVELS_MAX: u32 = 4;
 
 /// Bits of x and y interleaved, x lowest: neighbours in the code are mostly neighbours in the plane.
-pub(super) fn morton(texel: Texel) -> u32 {
+pub fn morton(texel: Texel) -> u32 {
     spread(texel[0]) | spread(texel[1]) << 1
 }
 

@@ -3,11 +3,12 @@
 use super::bytes::{Reader, put_u64s};
 use super::cluster::ascending;
 use super::cluster_decode::ascending_keys;
-use super::container::{ChunkKind, Container, ContainerWriter, SectionId};
+use super::container::{Container, ContainerWriter, SectionId};
 use super::error::{ChunkError, in_range};
 use super::ints;
 use super::limits::*;
-use crate::prt::{AreaCode, Patch, PatchKey, PatchSet, Texel};
+use super::table::PATCHES;
+use crate::content::{AreaCode, Patch, PatchKey, PatchSet, Texel};
 
 /// Section tags of patch chunks; part is 0, 0, 0.
 pub(super) mod tags {
@@ -26,7 +27,7 @@ const SECTIONS: [SectionId; 2] =
 pub fn encode_patches(set: &PatchSet) -> Result<Vec<u8>, ChunkError> {
     let (patches, _) = ascending(&set.patches, "patch", |patch| patch.key)?;
     check(set)?;
-    let mut writer = ContainerWriter::new(ChunkKind::Patches);
+    let mut writer = ContainerWriter::new(PATCHES);
     writer.push(SECTIONS[0], &write_patches(set, &patches))?;
     writer.push(SECTIONS[1], &write_leaves(set))?;
     let leaves = set.leaf_starts.len().saturating_sub(1);
@@ -120,7 +121,7 @@ fn write_leaves(set: &PatchSet) -> Vec<u8> {
 
 /// Decodes patches.
 pub fn decode_patches(bytes: &[u8]) -> Result<PatchSet, ChunkError> {
-    let container = Container::whole(ChunkKind::Patches, bytes)?;
+    let container = Container::whole(PATCHES, bytes)?;
     let mut reader = Reader::new("patches head", container.head);
     let counts = [
         reader.u32("patches")?,

@@ -6,7 +6,7 @@
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-use crate::prt::{Receivers, Texel};
+use crate::content::{Receivers, Texel};
 
 /// Most receivers that one is guessed from.
 const SOURCES_MAX: usize = 4;

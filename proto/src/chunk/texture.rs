@@ -1,9 +1,10 @@
 //! Textures: an image file as it was in the scene, with its media type. Stored as it is: PNG and JPEG are compressed.
 
 use super::bytes::Reader;
-use super::container::{ChunkKind, Container, ContainerWriter, SectionId};
+use super::container::{Container, ContainerWriter, SectionId};
 use super::error::{ChunkError, in_range};
 use super::limits::{MEDIA_TYPE_BYTES_MAX, TEXTURE_BYTES_MAX};
+use super::table::TEXTURE;
 
 /// Section tags of texture chunks.
 pub(super) mod tags {
@@ -24,14 +25,14 @@ pub struct Texture {
 pub fn encode_texture(media_type: &str, bytes: &[u8]) -> Result<Vec<u8>, ChunkError> {
     check_media_type("encoder", media_type.as_bytes())?;
     in_range("encoder", "file length", bytes.len() as u64, 0, TEXTURE_BYTES_MAX as u64)?;
-    let mut writer = ContainerWriter::new(ChunkKind::Texture);
+    let mut writer = ContainerWriter::new(TEXTURE);
     writer.push(SectionId::new(tags::FILE, [0; 3]), bytes)?;
     Ok(writer.finish(media_type.as_bytes())?.0)
 }
 
 /// Decodes a texture chunk. The image itself is not looked at.
 pub fn decode_texture(bytes: &[u8]) -> Result<Texture, ChunkError> {
-    let container = Container::whole(ChunkKind::Texture, bytes)?;
+    let container = Container::whole(TEXTURE, bytes)?;
     let media_type = check_media_type("texture head", container.head)?;
     container.check_sections(&[SectionId::new(tags::FILE, [0; 3])])?;
     let bytes = container.section(0, "file", TEXTURE_BYTES_MAX as u64)?;

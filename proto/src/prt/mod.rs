@@ -1,10 +1,6 @@
-//! The relightable bake's contract: settings, first tasks, what its chunks hold, and reconstruction on the CPU.
+//! Run time of relightable bakes on the processor.
 
-mod content;
 pub mod reconstruct;
-mod settings;
-mod tasks;
 
-pub use content::*;
-pub use settings::{BasisKind, Preset, RawSettings, SettingRow, Settings, SettingsError};
-pub use tasks::{TaskKind, initial_plan};
+pub use crate::content::*;
+pub use crate::kinds::sh::{Probe, ProbeBatch, ProbeKey, RelightHit};

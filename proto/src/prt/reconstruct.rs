@@ -150,7 +150,7 @@ pub fn cluster_basis<'a>(
     let coefficients = cluster.coefficients();
     let mut lambda = vec![[0.0; 3]; cluster.columns()];
     let mut columns = lambda.chunks_exact_mut(coefficients);
-    for (&probe, column) in cluster.probes.iter().zip(columns.by_ref()) {
+    for (&probe, column) in cluster.keys.iter().zip(columns.by_ref()) {
         if let Some(found) = lambda_of(probe) {
             column.iter_mut().zip(found).for_each(|(to, &from)| *to = from);
         }
@@ -304,7 +304,7 @@ mod tests {
     fn basis_and_irradiance_are_the_factors_times_the_coefficients() {
         let cluster = ClusterTransport {
             receivers: Receivers { texel: vec![[0, 0], [1, 0]], ..Receivers::default() },
-            probes: vec![3, 9],
+            keys: vec![3, 9],
             bands: 0,
             sky: true,
             rank: 2,

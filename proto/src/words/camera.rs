@@ -36,7 +36,7 @@ pub fn camera_from_text(text: &str) -> Result<SceneCamera, WordsError> {
 }
 
 /// Straight up, or the view's top when it looks straight up or down.
-pub fn upright(forward: Vec3) -> Vec3 {
+fn upright(forward: Vec3) -> Vec3 {
     if forward.y.abs() > 0.999 { Vec3::NEG_Z } else { Vec3::Y }
 }
 

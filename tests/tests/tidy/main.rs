@@ -4,6 +4,7 @@
 mod crates;
 mod faults;
 mod files;
+mod kinds;
 mod words;
 
 use std::path::{Path, PathBuf};

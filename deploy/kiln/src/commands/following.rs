@@ -5,7 +5,7 @@ use std::time::Duration;
 use lightkiln_client::fetch::ApiClient;
 use lightkiln_http::RetryPolicy;
 use lightkiln_proto::api::{Bake, BakeState, EventKind};
-use lightkiln_proto::prt::TaskKind;
+use lightkiln_proto::kinds::SceneTask;
 
 use crate::failure::{Exit, Failure, Result};
 use crate::interrupt::Interrupt;
@@ -88,7 +88,7 @@ impl Ended {
             BakeState::Failed => {
                 let why = bake.failure.as_deref().unwrap_or("no reason was given");
                 // Import reads nothing but the scene's own files: when it fails, they are wrong.
-                let is_import = self.failed_kind.as_deref() == Some(TaskKind::Import.name());
+                let is_import = self.failed_kind.as_deref() == Some(SceneTask::Import.name());
                 let exit = if is_import { Exit::BadInput } else { Exit::Failed };
                 Err(Failure::new(exit, format!("bake {} failed: {why}", bake.id)))
             }

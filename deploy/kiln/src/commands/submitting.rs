@@ -89,7 +89,7 @@ impl PackedScene {
         let mut bake = NewBake {
             name: self.name.clone(),
             scene: stored.scene,
-            kind: lightkiln_proto::bake::PRT.to_owned(),
+            kind: String::new(),
             settings: Value::Null,
             priority: 0,
             needs: Needs::default(),

@@ -13,7 +13,6 @@ use lightkiln_client::ClientError;
 use lightkiln_client::fetch::ApiClient;
 use lightkiln_http::USUAL;
 use lightkiln_proto::api::{EventKind, Needs, NewBake};
-use lightkiln_proto::bake::PRT;
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::problem::ProblemCode;
 
@@ -107,7 +106,7 @@ fn idle_bake(scene: Digest, number: usize) -> NewBake {
     NewBake {
         name: format!("idle {number}"),
         scene,
-        kind: PRT.to_owned(),
+        kind: String::new(),
         settings: serde_json::json!({ "preset": "draft" }),
         priority: 0,
         needs: Needs { labels: vec!["none such".to_owned()], ..Needs::default() },

@@ -1,7 +1,9 @@
 //! FORMAT.md says what the code does.
 
+use crate::chunk::container;
 use crate::chunk::*;
-use crate::chunk::{cluster, container, geometry, patches, probes, texture};
+use crate::kinds::Kinds;
+use crate::kinds::sh::{BATCH_PROBES_MAX, HITS_MAX, RELIGHT_RAYS_MAX};
 
 const FORMAT: &str = include_str!("../../../FORMAT.md");
 
@@ -17,26 +19,11 @@ fn magic_version_kinds_and_tags_are_those_of_the_code() {
     assert_row(&format!("| magic | `{}` |", String::from_utf8_lossy(&MAGIC)));
     assert_row(&format!("| version | {VERSION} |"));
     assert_row(&format!("# Chunk format, version {VERSION}"));
-    for (kind, name) in ChunkKind::ALL {
-        assert_row(&format!("| kind {name} | {} |", kind as u8));
-    }
-    let tags = [
-        ("cluster base", cluster::tags::BASE),
-        ("cluster receivers", cluster::tags::RECEIVERS),
-        ("cluster factors", cluster::tags::FACTORS),
-        ("cluster factors low", cluster::tags::FACTORS_LOW),
-        ("cluster near", cluster::tags::NEAR),
-        ("probes base", probes::tags::BASE),
-        ("probes hits", probes::tags::HITS),
-        ("texture file", texture::tags::FILE),
-        ("patches patches", patches::tags::PATCHES),
-        ("patches leaves", patches::tags::LEAVES),
-    ];
-    for (name, tag) in tags {
-        assert_row(&format!("| {name} | {tag} |"));
-    }
-    for (tag, name) in geometry::tags::ALL {
-        assert_row(&format!("| geometry {name} | {tag} |"));
+    for row in Kinds::new().chunks() {
+        assert_row(&format!("| kind {} | {} |", row.name, row.kind.0));
+        for (tag, section) in row.sections {
+            assert_row(&format!("| {} {section} | {tag} |", row.name));
+        }
     }
 }
 
@@ -45,7 +32,7 @@ fn limits_are_those_of_the_code() {
     use limits::*;
     let rows = [
         ("receivers in a cluster", RECEIVERS_MAX),
-        ("probes that support a cluster", CLUSTER_PROBES_MAX),
+        ("column keys of a cluster", CLUSTER_KEYS_MAX),
         ("rank", RANK_MAX),
         ("highest band", BANDS_MAX),
         ("numbers in ΣVᵀ", VT_ENTRIES_MAX),

@@ -3,7 +3,8 @@
 use std::path::PathBuf;
 
 use crate::chunk::*;
-use crate::prt::*;
+use crate::content::*;
+use crate::kinds::sh::*;
 
 const CLUSTER_V1: &[u8] = include_bytes!("../../../fixtures/cluster-v1.lkc");
 const NEAR_V1: &[u8] = include_bytes!("../../../fixtures/cluster-near-v1.lkc");
@@ -27,7 +28,7 @@ fn cluster() -> ClusterTransport {
             emission: vec![[0.0; 3], [0.0; 3], [0.0; 3], [20.0, 10.0, 5.0]],
             links: vec![0b0111, 0b1010, 0b0001, 0],
         },
-        probes: vec![0xfeed_0000_0000_0001],
+        keys: vec![0xfeed_0000_0000_0001],
         bands: 1,
         sky: true,
         rank: 2,

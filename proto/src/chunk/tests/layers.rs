@@ -3,8 +3,9 @@
 use super::scenes::{batch, narrow, wall};
 use super::whole::assert_whole;
 use crate::chunk::*;
+use crate::content::*;
+use crate::kinds::sh::*;
 use crate::manifest::Layer;
-use crate::prt::*;
 
 /// What `full` becomes when only `layer` of it is kept.
 fn kept(full: &ClusterTransport, layer: Layer) -> (usize, Vec<f32>, Vec<f32>) {
@@ -136,7 +137,7 @@ fn order_of_receivers_probes_blocks_and_emitters_does_not_matter() {
     receivers.emission = source.iter().map(|&i| cluster.receivers.emission[i]).collect();
     receivers.links = source.iter().map(|&i| cluster.receivers.links[i]).collect();
     shuffled.u = source.iter().flat_map(|&i| cluster.u[i * 5..(i + 1) * 5].to_vec()).collect();
-    shuffled.probes.reverse();
+    shuffled.keys.reverse();
     let j = cluster.coefficients();
     let rows = cluster.vt.chunks_exact(cluster.columns());
     shuffled.vt = rows

@@ -6,37 +6,36 @@ use super::scenes::{batch, narrow, patches, quads, wall};
 use super::whole::{assert_batch, assert_geometry, assert_patches, assert_whole};
 use crate::chunk::container::{Container, ContainerWriter, SectionId};
 use crate::chunk::*;
-use crate::prt::*;
+use crate::content::*;
+use crate::kinds::sh::*;
 
 /// A chunk of each kind, small enough to be cut at every byte.
 fn chunks() -> Vec<(ChunkKind, Vec<u8>)> {
     vec![
-        (
-            ChunkKind::Cluster,
-            encode_cluster(&wall(8, 3, 3, 9, 1), QuantisationSettings::default()).unwrap().bytes,
-        ),
-        (ChunkKind::Probes, encode_probe_batch(&batch(3, 16, 2)).unwrap()),
-        (ChunkKind::Geometry, encode_geometry(&quads()).unwrap()),
-        (ChunkKind::Patches, encode_patches(&patches(3)).unwrap()),
-        (ChunkKind::Texture, encode_texture("image/jpeg", &[7; 300]).unwrap()),
-        (ChunkKind::Cluster, encode_cluster(&narrow(8, 1), QuantisationSettings::default()).unwrap().bytes),
+        (CLUSTER, encode_cluster(&wall(8, 3, 3, 9, 1), QuantisationSettings::default()).unwrap().bytes),
+        (PROBES_CHUNK, encode_probe_batch(&batch(3, 16, 2)).unwrap()),
+        (GEOMETRY, encode_geometry(&quads()).unwrap()),
+        (PATCHES, encode_patches(&patches(3)).unwrap()),
+        (TEXTURE, encode_texture("image/jpeg", &[7; 300]).unwrap()),
+        (CLUSTER, encode_cluster(&narrow(8, 1), QuantisationSettings::default()).unwrap().bytes),
     ]
 }
 
 /// Decodes as any kind; what comes out must be of one piece.
 fn decode(kind: ChunkKind, bytes: &[u8]) -> Result<(), ChunkError> {
     match kind {
-        ChunkKind::Cluster => {
+        CLUSTER => {
             let layers = cluster_layers(bytes, bytes.len() as u64);
             let cluster = decode_cluster(bytes)?;
             assert_whole(&cluster);
             assert_eq!(layers?.last().map(|layer| layer.bytes), Some(bytes.len() as u64));
             Ok(())
         }
-        ChunkKind::Probes => decode_probe_batch(bytes).map(|batch| assert_batch(&batch)),
-        ChunkKind::Geometry => decode_geometry(bytes).map(|geometry| assert_geometry(&geometry)),
-        ChunkKind::Patches => decode_patches(bytes).map(|set| assert_patches(&set)),
-        ChunkKind::Texture => decode_texture(bytes).map(drop),
+        PROBES_CHUNK => decode_probe_batch(bytes).map(|batch| assert_batch(&batch)),
+        GEOMETRY => decode_geometry(bytes).map(|geometry| assert_geometry(&geometry)),
+        PATCHES => decode_patches(bytes).map(|set| assert_patches(&set)),
+        TEXTURE => decode_texture(bytes).map(drop),
+        kind => unreachable!("{kind:?} is not among the chunks"),
     }
 }
 
@@ -115,7 +114,7 @@ fn a_byte_that_is_zeroed_ahead_of_the_sections_does_no_harm() {
 
 #[test]
 fn decompression_bomb_is_refused_before_it_goes_off() {
-    let is_bounded = |kind| !matches!(kind, ChunkKind::Patches | ChunkKind::Texture);
+    let is_bounded = |kind| !matches!(kind, PATCHES | TEXTURE);
     for (kind, bytes) in chunks().into_iter().filter(|(kind, _)| is_bounded(*kind)) {
         let count = Container::whole(kind, &bytes).unwrap().entries.len();
         for bomb in 0..count {
@@ -133,7 +132,7 @@ fn decompression_bomb_is_refused_before_it_goes_off() {
 
 #[test]
 fn a_frame_longer_than_its_declared_length_is_refused() {
-    let mut writer = ContainerWriter::new(ChunkKind::Texture);
+    let mut writer = ContainerWriter::new(TEXTURE);
     writer.push(SectionId::new(1, [0; 3]), &[0; 1 << 20]).unwrap();
     let (mut bytes, _) = writer.finish(b"image/png").unwrap();
     let raw_length = HEADER_BYTES + 9 + 8;
@@ -148,8 +147,8 @@ fn counts_that_would_swell_a_small_chunk_are_refused() {
     for count in [1_u32, limits::VERTICES_MAX as u32, 0] {
         head.extend_from_slice(&count.to_le_bytes());
     }
-    let container = Container::whole(ChunkKind::Geometry, &bytes).unwrap();
-    let mut writer = ContainerWriter::new(ChunkKind::Geometry);
+    let container = Container::whole(GEOMETRY, &bytes).unwrap();
+    let mut writer = ContainerWriter::new(GEOMETRY);
     for entry in &container.entries {
         // Widths of 0: every array claims to be all zeros.
         writer.push(entry.id, &[0; 5]).unwrap();

@@ -8,4 +8,5 @@ mod round_trip;
 mod scenes;
 mod whole;
 
-use crate::prt::*;
+use crate::content::*;
+use crate::kinds::sh::{ProbeBatch, RelightHit};

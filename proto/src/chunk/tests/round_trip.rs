@@ -2,7 +2,8 @@
 
 use super::scenes::{batch, narrow, patches, quads, wall};
 use crate::chunk::*;
-use crate::prt::*;
+use crate::content::*;
+use crate::kinds::sh::*;
 
 fn product(cluster: &ClusterTransport) -> Vec<f64> {
     let (rank, columns) = (cluster.rank as usize, cluster.columns());
@@ -28,7 +29,7 @@ fn cluster_comes_back_within_its_stated_errors() {
     let decoded = decode_cluster(&encoded.bytes).unwrap();
     let error = relative_error(&product(&cluster), &product(&decoded));
     assert!(error <= 0.003 && (error - f64::from(encoded.quantisation_error)).abs() < 1e-5, "{error}");
-    assert_eq!(decoded.probes, cluster.probes);
+    assert_eq!(decoded.keys, cluster.keys);
     assert_eq!(decoded.bounds_m, cluster.bounds_m);
     assert_eq!((decoded.bands, decoded.sky, decoded.rank), (4, true, 12));
     let (got, wanted) = (&decoded.receivers, &cluster.receivers);

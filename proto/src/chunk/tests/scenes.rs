@@ -1,6 +1,7 @@
 //! Small contents to encode.
 
-use crate::prt::*;
+use crate::content::*;
+use crate::kinds::sh::*;
 
 /// Numbers in 0..1 that look random and are the same everywhere.
 pub(super) struct Noise(pub u64);
@@ -17,11 +18,11 @@ impl Noise {
 }
 
 /// A cluster of a square wall of `side`² texels, in stored order.
-pub(super) fn wall(side: u16, probes: usize, bands: u32, rank: u32, seed: u64) -> ClusterTransport {
+pub(super) fn wall(side: u16, keys: usize, bands: u32, rank: u32, seed: u64) -> ClusterTransport {
     let mut noise = Noise(seed);
     let mut cluster = ClusterTransport {
         bounds_m: [[0.0, -1.0, 2.0], [4.0, 3.0, 2.0]],
-        probes: (0..probes as u64).map(|p| p * p * 977 + 5).collect(),
+        keys: (0..keys as u64).map(|p| p * p * 977 + 5).collect(),
         bands,
         sky: true,
         rank,

@@ -40,16 +40,8 @@ const TRIES_OF_A_BAKE: u32 = 10;
 const ROUND_LIMIT: Duration = LIMIT;
 
 /// Settings of a bake with many small tasks.
-const MANY: [&str; 8] = [
-    "--preset",
-    "draft",
-    "--set",
-    "receivers_target=12000",
-    "--set",
-    "probes_target=40",
-    "--set",
-    "cluster_receivers=64",
-];
+const MANY: [&str; 6] =
+    ["--preset", "draft", "--set", "receivers_target=12000", "--set", "cluster_receivers=64"];
 
 /// Waits for something, up to a limit.
 struct Patience {

@@ -1,0 +1,192 @@
+//! The references against physics.
+
+use glam::{Vec3, Vec4};
+use lightkiln_proto::scene::{LightKind, SceneLight};
+
+use super::{fixture_light, fixture_view, prepared};
+use crate::fixture::ROOM;
+use crate::lights::{Caster, parse_light};
+use crate::passes::atlas::reference::{sample, spread};
+use crate::passes::direct::reference::{direct, direct_irradiance};
+use crate::passes::shadow::ShadowPlan;
+use crate::passes::shadow::reference::{ShadowMaps, draw};
+use crate::preview::{Backend, View, render};
+
+/// A light of its own in the fixture, and its shadow maps.
+struct Lamp {
+    plan: ShadowPlan,
+    maps: ShadowMaps,
+}
+
+impl Lamp {
+    fn new(light: &str) -> Self {
+        let (bake, view) = fixture_view();
+        let view = View { lights: vec![parse_light(light).unwrap()], ..view };
+        let plan = prepared(&bake, &view).plan;
+        let maps = draw(&bake.scene, &plan);
+        Self { plan, maps }
+    }
+
+    fn at(&self, position: Vec3, normal: Vec3) -> f32 {
+        direct_irradiance(&self.plan, &self.maps, position, normal, normal).x
+    }
+}
+
+#[test]
+fn point_light_falls_off_with_the_square_of_distance_and_the_cosine() {
+    let lamp = Lamp::new("point pos=3.5,2.5,3.5 power=125.66371");
+    let floor = |x: f32, z: f32| lamp.at(Vec3::new(x, 0.0, z), Vec3::Y);
+    assert!((floor(3.5, 3.5) - 10.0 / 6.25).abs() < 1e-3, "{}", floor(3.5, 3.5));
+    let distance2: f32 = 6.25 + 1.0;
+    let wanted = 10.0 / distance2 * 2.5 / distance2.sqrt();
+    assert!((floor(3.5, 2.5) - wanted).abs() < 1e-3, "{}", floor(3.5, 2.5));
+}
+
+#[test]
+fn sheet_casts_a_shadow_with_holes_and_walls_cast_theirs() {
+    let sun = Lamp::new("sun dir=0,-1,0 irradiance=2");
+    let lit = sun.at(Vec3::new(0.3, 0.0, 3.7), Vec3::Y);
+    assert!((lit - 2.0).abs() < 1e-4, "{lit}");
+    // Straight below the sheet, whose holes let some light through.
+    let below: Vec<f32> = (0..40)
+        .flat_map(|i| (0..40).map(move |j| [i as f32 / 40.0, j as f32 / 40.0]))
+        .map(|[u, v]| Vec3::new(1.4 + 1.1 * u, 0.0, 1.2 + 0.5 * u + 0.3 * v))
+        .map(|position| sun.at(position, Vec3::Y))
+        .collect();
+    let dark = below.iter().filter(|e| **e < 0.01).count();
+    let bright = below.iter().filter(|e| **e > 1.99).count();
+    assert!(dark > below.len() / 2 && bright > 3, "{dark} dark, {bright} bright of {}", below.len());
+    // Behind a wall there is nothing.
+    let lamp = Lamp::new("point pos=2,1.5,2 power=100");
+    assert_eq!(lamp.at(Vec3::new(-0.5, 1.0, 2.0), Vec3::X), 0.0);
+}
+
+#[test]
+fn flat_surfaces_never_shadow_themselves() {
+    let lights = [
+        "point pos=2,2.9,2 power=10",
+        "point pos=0.05,0.05,3.9 power=10",
+        "spot pos=0.2,0.1,0.2 target=4,0,4 outer=80 power=10",
+        "sun dir=0.7,-0.1,0.7 irradiance=1",
+        "sun dir=0,-1,0.02 irradiance=1",
+    ];
+    for light in lights {
+        // Without the sheet every floor point that the walls do not shade is fully lit.
+        let (mut bake, view) = fixture_view();
+        bake.scene.draws.draws.truncate(5);
+        let view = View { lights: vec![parse_light(light).unwrap()], ..view };
+        let plan = prepared(&bake, &view).plan;
+        let maps = draw(&bake.scene, &plan);
+        let mut open = maps.clone();
+        open.depth.fill(0.0);
+        // Nearer to a wall the filter may reach the wall itself, which a low light sees in front of the floor.
+        let floor =
+            (0..4000).map(|i| Vec3::new(0.1 + (i % 80) as f32 * 0.048, 0.0, 0.1 + (i / 80) as f32 * 0.076));
+        let partial = floor.filter(|position| {
+            let e = |maps| direct_irradiance(&plan, maps, *position, Vec3::Y, Vec3::Y).x;
+            let share = e(&maps) / e(&open).max(1e-9);
+            share > 0.0 && share < 0.999
+        });
+        let partial: Vec<Vec3> = partial.collect();
+        // The sun from the side throws one straight edge per wall; acne would be everywhere.
+        let edge = if light.starts_with("sun dir=0.7") { 160 } else { 0 };
+        assert!(partial.len() <= edge, "{light}: {} such as {:?}", partial.len(), partial.first());
+    }
+}
+
+#[test]
+fn sky_alone_settles_soon_and_lights_the_open_floor() {
+    let (bake, view) = fixture_view();
+    let sky = parse_light("sky zenith=1,1,1 horizon=1,1,1 strength=2").unwrap();
+    let view = View { lights: vec![sky], emitter_scale: vec![0.0], ..view };
+    let picture = render(&bake, &view, Backend::Cpu).unwrap();
+    assert!(picture.converged && picture.bounces < 60, "{}", picture.bounces);
+    assert!(picture.linear.iter().all(|pixel| pixel[1] > 0.0));
+}
+
+#[test]
+fn no_light_gives_a_black_picture_and_settles_at_once() {
+    let (bake, view) = fixture_view();
+    let view = View { lights: Vec::new(), emitter_scale: vec![0.0], ..view };
+    let picture = render(&bake, &view, Backend::Cpu).unwrap();
+    assert!(picture.linear.iter().flatten().all(|value| *value == 0.0));
+    assert_eq!(picture.bounces, 1);
+}
+
+#[test]
+fn atlas_reads_at_chart_edges_are_never_dark() {
+    let (scene, light) = fixture_light();
+    let lit = vec![Vec4::ONE; light.transport.receivers.len()];
+    let black = vec![Vec4::ZERO; lit.len()];
+    let atlas = spread(&scene.lightmap, &light.texels, &lit, &black);
+    for block in 0..scene.lightmap.blocks.len() as u32 {
+        for step in 0..=160 {
+            let at = step as f32 * 0.05;
+            for texel in [[at, 0.0], [0.0, at], [at, at], [8.0, at]] {
+                let read = sample(&scene.lightmap, &atlas, block, texel);
+                assert!((read - Vec3::ONE).length() < 1e-5, "block {block} at {texel:?}: {read}");
+            }
+        }
+    }
+}
+
+#[test]
+fn spot_cone_and_range_end_where_they_should() {
+    let spot = SceneLight {
+        name: String::new(),
+        kind: LightKind::Spot {
+            position_m: [2.0, 2.0, 2.0],
+            direction: [0.0, -1.0, 0.0],
+            inner_rad: 0.2,
+            outer_rad: 0.4,
+            range_m: Some(2.5),
+        },
+        strength: [4.0; 3],
+    };
+    let (bake, _) = fixture_view();
+    let plan = ShadowPlan::new(&Caster::of(&[spot]), [[0.0; 3], ROOM.into()], 512).unwrap();
+    let mut maps = draw(&bake.scene, &plan);
+    maps.depth.fill(0.0);
+    let at = |x: f32, y: f32| direct_irradiance(&plan, &maps, Vec3::new(x, y, 2.0), Vec3::Y, Vec3::Y).x;
+    let window = 1.0 - (1.0_f32 / 2.5).powi(4);
+    assert!((at(2.0, 1.0) - 4.0 * window).abs() < 1e-3, "{}", at(2.0, 1.0));
+    assert_eq!(at(2.0 + 0.43, 1.0), 0.0);
+    assert_eq!(at(2.0, -0.6), 0.0);
+}
+
+#[test]
+fn direct_light_at_receivers_is_that_of_the_points() {
+    let (bake, view) = fixture_view();
+    let prepared = prepared(&bake, &view);
+    let maps = draw(&bake.scene, &prepared.plan);
+    let receivers = fixture_light().1.transport.receivers;
+    let all = direct(&receivers.position_m, &receivers.normal, &prepared.plan, &maps);
+    assert_eq!(all.len(), receivers.len());
+    let lit = all.iter().filter(|e| e.x > 0.0).count();
+    assert!(lit > all.len() / 2 && lit < all.len(), "{lit} of {}", all.len());
+}
+
+#[test]
+fn picture_does_not_interpolate_across_a_wall_that_stands_on_the_floor() {
+    let (scene, light) = fixture_light();
+    // The floor's right half is lit; between columns 3 and 4 the fixture has no links.
+    let (floor, slots) = (&light.transport.clusters.clusters[0], &light.transport.slots);
+    let block = scene.lightmap.block_index(100).unwrap();
+    let mut lit = vec![Vec4::ZERO; light.transport.receivers.len()];
+    for (y, x) in (0..8).flat_map(|y| (4..8).map(move |x| (y, x))) {
+        if let Some(slot) = slots.slot(block, [x, y]) {
+            assert!((slot as usize) < floor.receiver_count);
+            lit[slot as usize] = Vec4::ONE;
+        }
+    }
+    let atlas = spread(&scene.lightmap, &light.texels, &lit, &vec![Vec4::ZERO; lit.len()]);
+    for step in 1..160 {
+        let at = step as f32 * 0.05;
+        let read = |x: f32| sample(&scene.lightmap, &atlas, block, [x, at]).x;
+        assert!(read(3.95) < 1e-5 && read(3.6) < 1e-5, "at {at}: {} {}", read(3.95), read(3.6));
+        // Near the floor's hole, column 4 has no receiver to be nearest.
+        if !(3.5..=5.5).contains(&at) {
+            assert!(read(4.05) > 0.999 && read(4.4) > 0.999, "at {at}: {} {}", read(4.05), read(4.4));
+        }
+    }
+}

@@ -1,0 +1,57 @@
+//! Clusters: receivers that share one factorised transport matrix (METHOD.md §2 "Clusters and factors").
+
+use super::near::NearHits;
+use super::receivers::Receivers;
+
+/// Identity of a group of columns: a patch, a part of the sky, a probe.
+pub type ColumnKey = u64;
+
+/// One cluster: its receivers, what supports them, and the factorised transport `A ≈ U (ΣVᵀ)`.
+///
+/// Columns of A, hence of `vt`: for each of `keys` in order, coefficients j = 0…J−1; then J columns of the sky (`sky` true)
+/// or none. A kind of bake says what its keys name: surface patches and parts of the sky have one coefficient each (`bands`
+/// is 0, `sky` false), probes one for each spherical harmonic.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ClusterTransport {
+    /// Lower and upper corner of the receivers' bounds in metres.
+    pub bounds_m: [[f32; 3]; 2],
+    /// Receivers, coarse levels first.
+    pub receivers: Receivers,
+    /// What the columns speak of, ascending.
+    pub keys: Vec<ColumnKey>,
+    /// Highest spherical-harmonic band.
+    pub bands: u32,
+    /// Whether columns of the sky follow those of the keys.
+    pub sky: bool,
+    /// Rank k of the factors; 0 when nothing reaches the cluster.
+    pub rank: u32,
+    /// U, receiver-major: `u[r·k + i]`.
+    pub u: Vec<f32>,
+    /// ΣVᵀ, rank-major: `vt[i·n + column]`.
+    pub vt: Vec<f32>,
+    /// Irradiance straight from emissive surfaces, one entry per emitter that reaches the cluster.
+    pub emitters: Vec<EmitterIrradiance>,
+    /// Near hits of receivers in narrow places; they are not in the factors.
+    pub near: NearHits,
+}
+
+impl ClusterTransport {
+    /// Coefficients per key, J.
+    pub fn coefficients(&self) -> usize {
+        (self.bands as usize + 1) * (self.bands as usize + 1)
+    }
+
+    /// Columns of A: n.
+    pub fn columns(&self) -> usize {
+        (self.keys.len() + usize::from(self.sky)) * self.coefficients()
+    }
+}
+
+/// Irradiance at a cluster's receivers straight from one emitter at scale 1, shadowed, in W·m⁻².
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct EmitterIrradiance {
+    /// Index into the manifest's emitters.
+    pub emitter: u16,
+    /// One per receiver.
+    pub irradiance: Vec<[f32; 3]>,
+}

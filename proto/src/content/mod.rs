@@ -1,0 +1,13 @@
+//! What chunks hold, decoded: plain arrays in the notation of METHOD.md §2, shared by the kinds of bake.
+
+mod cluster;
+mod drawing;
+mod near;
+mod patches;
+mod receivers;
+
+pub use cluster::{ClusterTransport, ColumnKey, EmitterIrradiance};
+pub use drawing::{Draw, Geometry};
+pub use near::{NearHits, NearSurface};
+pub use patches::{AreaCode, Patch, PatchKey, PatchSet};
+pub use receivers::{BlockKey, LINKS, Receivers, Texel};

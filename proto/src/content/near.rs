@@ -1,0 +1,89 @@
+//! Near hits: points close to receivers whose light is read at the very point.
+
+use std::ops::Range;
+
+use super::receivers::{BlockKey, Texel};
+
+/// Points close to receivers whose light is read at the very point: in narrow places, where a texel has strips of light
+/// and shadow. A hit at y on the texel t gives its receiver `weight · ρ_t/π · (E_dir(y) + E_ind(t))`, with E_dir for the
+/// normal of t. What is so closed in that a wall parts it from the middles of all texels around has an albedo and a normal
+/// of its own, and the E_ind of the receiver that meets it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct NearHits {
+    /// Longest distance of a hit from its receiver along an axis, in metres.
+    pub reach_m: f32,
+    /// Hits of each receiver, which follow each other in the arrays below. Empty where no receiver has any.
+    pub count: Vec<u8>,
+    /// What each hit of a receiver counts by, at most π: the integral of cosθ over the directions that it stands for.
+    pub weight: Vec<f32>,
+    /// Blocks that hits lie in; `block` indexes it.
+    pub blocks: Vec<BlockKey>,
+    /// Surface of each hit.
+    pub surface: Vec<NearSurface>,
+    /// How far its place y is from the receiver's, in shares of the reach of 1/[`NearHits::STEPS`].
+    pub offset: Vec<[i16; 3]>,
+}
+
+impl NearHits {
+    /// Steps of an offset along the reach.
+    pub const STEPS: i16 = 2047;
+
+    /// Offset of a hit at `to_m` from its receiver at `from_m`; farther than the reach is at the reach.
+    pub fn offset_of(from_m: [f32; 3], to_m: [f32; 3], reach_m: f32) -> [i16; 3] {
+        [0, 1, 2].map(|axis| {
+            let share = ((to_m[axis] - from_m[axis]) / reach_m).clamp(-1.0, 1.0);
+            libm::roundf(share * f32::from(Self::STEPS)) as i16
+        })
+    }
+
+    /// Place of a hit in metres, from its receiver's, on a surface of that normal: raised by two steps, as rounding may
+    /// have put it below.
+    pub fn position_m(&self, hit: usize, from_m: [f32; 3], normal: [f32; 3]) -> [f32; 3] {
+        let step_m = self.reach_m / f32::from(Self::STEPS);
+        let steps = |axis: usize| f32::from(self.offset[hit][axis]) + 2.0 * normal[axis];
+        [0, 1, 2].map(|axis| from_m[axis] + steps(axis) * step_m)
+    }
+
+    /// How many hits there are.
+    pub fn len(&self) -> usize {
+        self.surface.len()
+    }
+
+    /// There are none.
+    pub fn is_empty(&self) -> bool {
+        self.surface.is_empty()
+    }
+
+    /// Which hits each receiver has, receiver by receiver.
+    pub fn ranges(&self) -> impl Iterator<Item = Range<usize>> + '_ {
+        self.count.iter().scan(0, |end, &count| {
+            let start = *end;
+            *end += usize::from(count);
+            Some(start..*end)
+        })
+    }
+
+    /// The receiver of every hit.
+    pub fn receivers(&self) -> impl Iterator<Item = usize> + '_ {
+        self.ranges().enumerate().flat_map(|(receiver, hits)| hits.map(move |_| receiver))
+    }
+}
+
+/// What a near hit lies on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum NearSurface {
+    /// A texel.
+    Texel {
+        /// Index into [`NearHits::blocks`].
+        block: u16,
+        /// Texel in the block. Where no cluster has a receiver of it, no light reaches it: it counts as dark.
+        texel: Texel,
+    },
+    /// A surface that no texel stands for.
+    Own {
+        /// Diffuse albedo ρ, linear Rec.709, below 1.
+        albedo: [f32; 3],
+        /// Unit normal towards the lit side.
+        normal: [f32; 3],
+    },
+}

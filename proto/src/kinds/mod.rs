@@ -1,0 +1,163 @@
+//! Kinds of bake: a table that says of each kind its settings, its first tasks, its chunks and its figures. The server asks
+//! the table and reads nothing of a kind; worker and client have tables of their own beside it.
+//!
+//! A kind is one folder here, one in `worker/src/kinds`, one in `client/src/kinds`, and one row in each table.
+
+mod figures;
+pub mod prt;
+mod scene_tasks;
+pub mod sh;
+
+use serde_json::Value;
+use thiserror::Error;
+
+use crate::chunk::{self, ChunkKind, ChunkRow};
+use crate::ids::Digest;
+use crate::jobs::TaskSpec;
+use crate::manifest::{Manifest, ManifestError};
+use crate::settings::{SettingRow, SettingsError};
+
+pub use figures::{Figures, cluster_figures};
+pub use scene_tasks::{SceneTask, SceneTasks};
+
+/// What the roles need to know of a kind of bake. Pure.
+pub trait Kind: Send + Sync {
+    /// Name on the wire and in manifests: lower-case letters.
+    fn name(&self) -> &'static str;
+
+    /// One line for people.
+    fn about(&self) -> &'static str;
+
+    /// Every setting.
+    fn settings(&self) -> Vec<SettingRow>;
+
+    /// All settings, checked; given as a request has them, `null` for all defaults.
+    fn resolve(&self, settings: &Value) -> Result<Value, SettingsError>;
+
+    /// First tasks over a scene; settings as a request gives them, `null` for all defaults.
+    fn first_tasks(&self, scene: Digest, settings: &Value) -> Result<Vec<TaskSpec>, SettingsError>;
+
+    /// Rows of chunk kinds that are the kind's own.
+    fn chunks(&self) -> &'static [ChunkRow];
+
+    /// Checks settings and body of a manifest of this kind.
+    fn check(&self, manifest: &Manifest) -> Result<(), ManifestError>;
+
+    /// Figures of a bake for its summary: a few, whose names are a contract.
+    fn summary(&self, manifest: &Manifest) -> Result<Figures, ManifestError>;
+
+    /// Figures of a bake for whoever looks into it: all of them.
+    fn inspection(&self, manifest: &Manifest) -> Result<Figures, ManifestError>;
+}
+
+/// Why a bake cannot be planned.
+#[derive(Debug, Error)]
+pub enum BakeError {
+    /// No such kind.
+    #[error("there is no bake kind '{kind:.40}'; known kinds: {known}")]
+    UnknownKind {
+        /// What was asked for.
+        kind: String,
+        /// Names of the table.
+        known: String,
+    },
+    /// The settings are wrong.
+    #[error("the settings cannot be used")]
+    Settings(#[from] SettingsError),
+}
+
+/// A table of kinds; the first is the default.
+#[derive(Clone)]
+pub struct Kinds(Vec<&'static dyn Kind>);
+
+impl Kinds {
+    /// The kinds of this crate.
+    pub fn new() -> Self {
+        Self(vec![&prt::Prt, &sh::Sh])
+    }
+
+    /// The table with one more kind.
+    ///
+    /// # Panics
+    /// If the table has a kind or a chunk kind of that name or number: two kinds must never be mistaken.
+    #[must_use]
+    pub fn with(mut self, kind: &'static dyn Kind) -> Self {
+        assert!(self.get(kind.name()).is_none(), "two kinds are named '{}'", kind.name());
+        for row in kind.chunks() {
+            assert!(self.chunk(row.kind).is_none(), "two chunk kinds have the number {}", row.kind.0);
+        }
+        self.0.push(kind);
+        self
+    }
+
+    /// All kinds, the default first.
+    pub fn iter(&self) -> impl Iterator<Item = &'static dyn Kind> + '_ {
+        self.0.iter().copied()
+    }
+
+    /// The default kind.
+    pub fn default_kind(&self) -> &'static dyn Kind {
+        self.0[0]
+    }
+
+    /// The kind of that name.
+    pub fn get(&self, name: &str) -> Option<&'static dyn Kind> {
+        self.iter().find(|kind| kind.name() == name)
+    }
+
+    /// The kind of that name, the default for an empty one.
+    pub fn named(&self, name: &str) -> Result<&'static dyn Kind, BakeError> {
+        if name.is_empty() {
+            return Ok(self.default_kind());
+        }
+        self.get(name).ok_or_else(|| BakeError::UnknownKind { kind: name.to_owned(), known: self.names() })
+    }
+
+    /// The first tasks of a bake of `kind` over `scene`.
+    pub fn first_tasks(
+        &self,
+        kind: &str,
+        scene: Digest,
+        settings: &Value,
+    ) -> Result<Vec<TaskSpec>, BakeError> {
+        Ok(self.named(kind)?.first_tasks(scene, settings)?)
+    }
+
+    /// Checks what [`Manifest::from_json`] leaves to the kind, and gives the kind.
+    pub fn check(&self, manifest: &Manifest) -> Result<&'static dyn Kind, ManifestError> {
+        let unknown = || ManifestError::Kind { kind: manifest.kind.clone(), known: self.names() };
+        let kind = self.get(&manifest.kind).ok_or_else(unknown)?;
+        kind.check(manifest)?;
+        Ok(kind)
+    }
+
+    /// Rows of all chunk kinds.
+    pub fn chunks(&self) -> impl Iterator<Item = &'static ChunkRow> + '_ {
+        chunk::SHARED.iter().chain(self.iter().flat_map(Kind::chunks))
+    }
+
+    /// The row of a chunk kind.
+    pub fn chunk(&self, kind: ChunkKind) -> Option<&'static ChunkRow> {
+        self.chunks().find(|row| row.kind == kind)
+    }
+
+    /// Names, for messages.
+    pub fn names(&self) -> String {
+        self.iter().map(Kind::name).collect::<Vec<_>>().join(", ")
+    }
+}
+
+impl Default for Kinds {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl std::fmt::Debug for Kinds {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_list().entries(self.iter().map(Kind::name)).finish()
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,92 @@
+//! The relightable bake (METHOD.md §2): light from surface patches and parts of the sky to lightmap receivers, factorised
+//! by cluster, relit at run time.
+
+mod settings;
+mod tasks;
+
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+
+use super::{Figures, Kind, cluster_figures};
+use crate::chunk::ChunkRow;
+use crate::ids::Digest;
+use crate::jobs::TaskSpec;
+use crate::manifest::{ClusterRow, ClusterTotals, Manifest, ManifestError, check_clusters};
+use crate::settings::{SettingRow, SettingsError};
+
+pub use settings::{PatchSettings, Settings};
+pub use tasks::{PrtTask, first_tasks};
+
+/// Name of the kind.
+pub const NAME: &str = "prt";
+/// Role of the chunk of surface patches.
+pub const PATCHES: &str = "patches";
+
+/// The kind's row.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Prt;
+
+/// What manifests of this kind hold beside the shared part.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Body {
+    /// Sums over clusters.
+    pub totals: ClusterTotals,
+    /// Surface patches.
+    pub patches: u64,
+    /// Clusters, one for each chunk of role [`crate::manifest::CLUSTERS`].
+    pub clusters: Vec<ClusterRow>,
+}
+
+impl Kind for Prt {
+    fn name(&self) -> &'static str {
+        NAME
+    }
+
+    fn about(&self) -> &'static str {
+        "relightable lightmap: lights can move, every bounce follows"
+    }
+
+    fn settings(&self) -> Vec<SettingRow> {
+        Settings::rows()
+    }
+
+    fn resolve(&self, settings: &Value) -> Result<Value, SettingsError> {
+        Ok(Settings::from_json(settings)?.stated())
+    }
+
+    fn first_tasks(&self, scene: Digest, settings: &Value) -> Result<Vec<TaskSpec>, SettingsError> {
+        Ok(first_tasks(scene, &Settings::from_json(settings)?))
+    }
+
+    fn chunks(&self) -> &'static [ChunkRow] {
+        &[]
+    }
+
+    fn check(&self, manifest: &Manifest) -> Result<(), ManifestError> {
+        manifest.settings::<Settings>()?;
+        check_clusters(manifest, &manifest.body::<Body>()?.clusters)?;
+        match manifest.chunks(PATCHES).len() {
+            1 => Ok(()),
+            count => {
+                let problem = format!("it has {count} sets of surface patches, wanted 1");
+                Err(ManifestError::Contradiction { problem })
+            }
+        }
+    }
+
+    fn summary(&self, manifest: &Manifest) -> Result<Figures, ManifestError> {
+        let Body { totals, patches, .. } = manifest.body()?;
+        let mut figures = totals.summary(manifest, &format!("{patches} patches"));
+        figures.json.insert("patches".into(), json!(patches));
+        Ok(figures)
+    }
+
+    fn inspection(&self, manifest: &Manifest) -> Result<Figures, ManifestError> {
+        let Body { totals, patches, clusters } = manifest.body()?;
+        let mut figures = cluster_figures(manifest, &totals, &clusters);
+        figures.json.insert("patches".into(), json!(patches));
+        figures.words.insert_str(0, &format!("patches     {patches}\n"));
+        Ok(figures)
+    }
+}

@@ -1,0 +1,129 @@
+//! Clusters as a manifest lists them, and sums over them, for kinds whose chunks are factorised clusters.
+
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+
+use super::{ChunkRef, Manifest, ManifestError, all_finite};
+use crate::kinds::Figures;
+
+/// Role of cluster chunks.
+pub const CLUSTERS: &str = "clusters";
+
+/// A cluster, as one must know it to choose how much of its chunk to fetch. Row i belongs to the i-th chunk of role
+/// [`CLUSTERS`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ClusterRow {
+    /// Bounds of its receivers, in metres.
+    pub bounds_m: [[f32; 3]; 2],
+    /// Receivers.
+    pub receivers: u32,
+    /// Keys of its columns.
+    pub keys: u32,
+    /// Rank.
+    pub rank: u32,
+    /// Relative truncation error √(Σ_{i>k} s²/Σ s²).
+    pub truncation_error: f32,
+    /// Relative error of quantisation, ‖decoded − exact‖/‖exact‖ of U·ΣVᵀ.
+    pub quantisation_error: f32,
+    /// Share of the rays along which light can come, weighted by albedo, whose end the columns do not know.
+    pub uncovered_fraction: f32,
+    /// Prefixes of the chunk that are coarser versions, smallest first.
+    pub layers: Vec<Layer>,
+}
+
+/// A usable prefix of a cluster chunk.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Layer {
+    /// Bytes from the start of the chunk.
+    pub bytes: u64,
+    /// Finest receiver level in it (0 is finest of all).
+    pub level: u32,
+    /// Highest band in it.
+    pub bands: u32,
+    /// Rank in it.
+    pub rank: u32,
+}
+
+/// Sums over the clusters of a bake.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ClusterTotals {
+    /// Receivers.
+    pub receivers: u64,
+    /// Clusters.
+    pub clusters: u64,
+    /// Mean rank over clusters, weighted by receivers.
+    pub mean_rank: f64,
+    /// Highest rank.
+    pub rank_max: u32,
+    /// Share of the rays along which light can come, weighted by albedo, whose end the columns do not know.
+    pub uncovered_fraction: f64,
+    /// Part of it that is left out; the rest is spread over columns that the receiver sees.
+    pub left_out_fraction: f64,
+    /// Receivers that no light can reach, left out of the clusters: inside solids, or where no probe could stand.
+    pub receivers_without_light: u64,
+}
+
+impl ClusterTotals {
+    /// Counts and ranks of `rows`; the fractions are the caller's.
+    pub fn of(rows: &[ClusterRow]) -> Self {
+        let receivers: u64 = rows.iter().map(|row| u64::from(row.receivers)).sum();
+        let rank_sum: f64 = rows.iter().map(|row| f64::from(row.receivers) * f64::from(row.rank)).sum();
+        Self {
+            receivers,
+            clusters: rows.len() as u64,
+            mean_rank: rank_sum / receivers.max(1) as f64,
+            rank_max: rows.iter().map(|row| row.rank).max().unwrap_or(0),
+            ..Self::default()
+        }
+    }
+}
+
+impl ClusterTotals {
+    /// Figures of a summary; `carriers` says how many of which carry light, e.g. `900 patches`.
+    pub fn summary(&self, manifest: &Manifest, carriers: &str) -> Figures {
+        let bytes_per_receiver = manifest.bytes_light() as f64 / self.receivers.max(1) as f64;
+        let json = [
+            ("receivers", json!(self.receivers)),
+            ("clusters", json!(self.clusters)),
+            ("mean_rank", json!(self.mean_rank)),
+            ("rank_max", json!(self.rank_max)),
+            ("uncovered_fraction", json!(self.uncovered_fraction)),
+            ("bytes_per_receiver", json!(bytes_per_receiver)),
+        ];
+        let words = format!(
+            "{} receivers, {carriers}, {} clusters (mean rank {:.1}, highest {})\n{bytes_per_receiver:.0} bytes a \
+             receiver for light\n",
+            self.receivers, self.clusters, self.mean_rank, self.rank_max,
+        );
+        Figures { json: json.map(|(name, value)| (name.to_owned(), value)).into_iter().collect(), words }
+    }
+}
+
+impl ClusterRow {
+    fn check_numbers(&self) -> Result<(), ManifestError> {
+        all_finite("a cluster's bounds", self.bounds_m.as_flattened())?;
+        let Self { truncation_error, quantisation_error, uncovered_fraction, .. } = *self;
+        all_finite("a cluster's errors", &[truncation_error, quantisation_error, uncovered_fraction])
+    }
+}
+
+/// Errs unless every cluster has a chunk and finite numbers.
+pub fn check_clusters(manifest: &Manifest, rows: &[ClusterRow]) -> Result<(), ManifestError> {
+    let chunks = manifest.chunks(CLUSTERS).len();
+    if chunks != rows.len() {
+        let problem = format!("it has {} clusters and {chunks} chunks of them", rows.len());
+        return Err(ManifestError::Contradiction { problem });
+    }
+    rows.iter().try_for_each(ClusterRow::check_numbers)
+}
+
+/// The rows with their chunks.
+pub fn with_chunks<'a>(
+    manifest: &'a Manifest,
+    rows: &'a [ClusterRow],
+) -> impl Iterator<Item = (&'a ClusterRow, &'a ChunkRef)> {
+    rows.iter().zip(manifest.chunks(CLUSTERS))
+}

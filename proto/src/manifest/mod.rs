@@ -1,0 +1,227 @@
+//! The manifest: what a bake was made from, what is drawn, which chunks it has, and a body that its kind reads.
+//!
+//! JSON, canonical (sorted keys, no spaces), a pure function of scene and settings.
+
+mod clusters;
+mod framing;
+mod lightmap;
+mod materials;
+
+use std::collections::BTreeMap;
+
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use thiserror::Error;
+
+use crate::ids::Digest;
+use crate::scene::{LightKind, SceneCamera, SceneLight};
+
+pub use clusters::{CLUSTERS, ClusterRow, ClusterTotals, Layer, check_clusters, with_chunks};
+pub use framing::{Chosen, Framing};
+pub use lightmap::{Block, Lightmap};
+pub use materials::{Emitter, Material, TextureUse, Wrap};
+
+/// Value of [`Manifest::format`].
+pub const FORMAT: &str = "lightkiln-manifest";
+/// Version of the manifest that this code reads and writes.
+pub const VERSION: u32 = 2;
+/// Largest manifest that is read.
+pub const MAX_BYTES: usize = 256 << 20;
+
+/// Role of texture chunks: image files as in the scene, in the order in which materials name them.
+pub const TEXTURES: &str = "textures";
+/// Role of geometry chunks.
+pub const GEOMETRY: &str = "geometry";
+
+/// A whole bake.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Manifest {
+    /// Always [`FORMAT`].
+    pub format: String,
+    /// Version, [`VERSION`].
+    pub version: u32,
+    /// Kind of bake: it says what `settings`, `body` and the roles of chunks mean.
+    pub kind: String,
+    /// Scene bundle of which it was made.
+    pub scene: Digest,
+    /// Settings of the kind, all of them.
+    pub settings: Value,
+    /// Bounds of everything that is drawn, in metres.
+    pub bounds_m: [[f32; 3]; 2],
+    /// Triangles drawn.
+    pub triangles: u64,
+    /// Layout of the lightmap.
+    pub lightmap: Lightmap,
+    /// Materials that draws name.
+    pub materials: Vec<Material>,
+    /// Emissive materials whose strength may be changed at run time.
+    pub emitters: Vec<Emitter>,
+    /// Lights of the scene's file.
+    pub lights: Vec<SceneLight>,
+    /// Cameras of the scene's file.
+    pub cameras: Vec<SceneCamera>,
+    /// Camera and light that were chosen where the file has none.
+    pub framing: Framing,
+    /// Chunks by role; [`TEXTURES`] and [`GEOMETRY`] are every kind's, the others the kind's own.
+    pub chunks: BTreeMap<String, Vec<ChunkRef>>,
+    /// What the kind alone knows.
+    pub body: Value,
+}
+
+/// Why bytes are no manifest, or one that cannot be used.
+#[derive(Debug, Error)]
+pub enum ManifestError {
+    /// Not the JSON of one.
+    #[error("it is no manifest")]
+    Json(#[from] serde_json::Error),
+    /// Of another format or version.
+    #[error(
+        "its format is '{format:.40}' version {version}, wanted '{FORMAT}' version {VERSION}: use the kiln that wrote \
+         it, or bake the scene again"
+    )]
+    Format {
+        /// Format found.
+        format: String,
+        /// Version found.
+        version: u64,
+    },
+    /// A number too large for its type.
+    #[error("{what} has a number that is not finite")]
+    Number {
+        /// Whose number.
+        what: &'static str,
+    },
+    /// Of a kind that this program does not know.
+    #[error("it is of kind '{kind:.40}'; this kiln knows: {known}")]
+    Kind {
+        /// Kind found.
+        kind: String,
+        /// Kinds known.
+        known: String,
+    },
+    /// A body or settings that the kind cannot read.
+    #[error("its {part} is not one of kind '{kind}'")]
+    Body {
+        /// Part of the manifest.
+        part: &'static str,
+        /// Kind.
+        kind: String,
+        /// Why.
+        #[source]
+        source: serde_json::Error,
+    },
+    /// Two parts that do not agree.
+    #[error("{problem}")]
+    Contradiction {
+        /// What does not agree.
+        problem: String,
+    },
+}
+
+/// The part of every version that tells which one it is.
+#[derive(Deserialize)]
+struct Header {
+    format: String,
+    version: u64,
+}
+
+impl Manifest {
+    /// Reads a manifest. Errs unless it is of this version and all numbers of its shared part are finite; its kind checks
+    /// the rest ([`crate::kinds::Kinds::check`]).
+    pub fn from_json(bytes: &[u8]) -> Result<Self, ManifestError> {
+        let Header { format, version } = serde_json::from_slice(bytes)?;
+        if format != FORMAT || version != u64::from(VERSION) {
+            return Err(ManifestError::Format { format, version });
+        }
+        let manifest: Self = serde_json::from_slice(bytes)?;
+        manifest.check_numbers()?;
+        Ok(manifest)
+    }
+
+    /// Chunks of a role; none where the bake has no such role.
+    pub fn chunks(&self, role: &str) -> &[ChunkRef] {
+        self.chunks.get(role).map_or(&[], Vec::as_slice)
+    }
+
+    /// Bytes of a role's chunks.
+    pub fn bytes_of(&self, role: &str) -> u64 {
+        self.chunks(role).iter().map(|chunk| chunk.bytes).sum()
+    }
+
+    /// Bytes of all chunks.
+    pub fn bytes(&self) -> u64 {
+        self.chunks.keys().map(|role| self.bytes_of(role)).sum()
+    }
+
+    /// Bytes of the chunks that relighting needs: all but meshes and textures.
+    pub fn bytes_light(&self) -> u64 {
+        self.bytes() - self.bytes_of(TEXTURES) - self.bytes_of(GEOMETRY)
+    }
+
+    /// The body as the kind's own type.
+    pub fn body<T: DeserializeOwned>(&self) -> Result<T, ManifestError> {
+        self.part("body", &self.body)
+    }
+
+    /// The settings as the kind's own type.
+    pub fn settings<T: DeserializeOwned>(&self) -> Result<T, ManifestError> {
+        self.part("settings", &self.settings)
+    }
+
+    fn part<T: DeserializeOwned>(&self, part: &'static str, json: &Value) -> Result<T, ManifestError> {
+        let kind = || self.kind.clone();
+        T::deserialize(json).map_err(|source| ManifestError::Body { part, kind: kind(), source })
+    }
+
+    /// JSON numbers may be larger than an f32 holds.
+    fn check_numbers(&self) -> Result<(), ManifestError> {
+        all_finite("the texel's size", &[self.lightmap.texel_m])?;
+        all_finite("the bounds", self.bounds_m.as_flattened())?;
+        self.materials.iter().try_for_each(Material::check_numbers)?;
+        let Framing { camera, light } = &self.framing;
+        self.lights.iter().chain(light.iter().map(|chosen| &chosen.value)).try_for_each(check_light)?;
+        self.cameras.iter().chain(camera.iter().map(|chosen| &chosen.value)).try_for_each(check_camera)
+    }
+}
+
+fn check_light(light: &SceneLight) -> Result<(), ManifestError> {
+    let what = "a light";
+    all_finite(what, &light.strength)?;
+    match &light.kind {
+        LightKind::Point { position_m, range_m } => {
+            all_finite(what, position_m)?;
+            all_finite(what, range_m.as_slice())
+        }
+        LightKind::Spot { position_m, direction, inner_rad, outer_rad, range_m } => {
+            all_finite(what, &[*position_m, *direction].concat())?;
+            all_finite(what, &[*inner_rad, *outer_rad])?;
+            all_finite(what, range_m.as_slice())
+        }
+        LightKind::Sun { direction } => all_finite(what, direction),
+        LightKind::Sky { zenith, horizon } => all_finite(what, &[*zenith, *horizon].concat()),
+    }
+}
+
+fn check_camera(camera: &SceneCamera) -> Result<(), ManifestError> {
+    let what = "a camera";
+    all_finite(what, &[camera.eye_m, camera.target_m, camera.up].concat())?;
+    all_finite(what, &[camera.fov_y_rad])?;
+    all_finite(what, camera.orthographic_half_height_m.as_slice())
+}
+
+/// Errs unless every number is finite; `what` names whose they are.
+pub fn all_finite(what: &'static str, numbers: &[f32]) -> Result<(), ManifestError> {
+    if numbers.iter().all(|number| number.is_finite()) { Ok(()) } else { Err(ManifestError::Number { what }) }
+}
+
+/// A chunk.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ChunkRef {
+    /// Digest of its bytes.
+    pub digest: Digest,
+    /// Length.
+    pub bytes: u64,
+}
