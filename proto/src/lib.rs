@@ -18,3 +18,4 @@ pub mod settings;
 pub mod sh;
 pub mod trace;
 pub mod units;
+pub mod words;
