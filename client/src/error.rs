@@ -3,9 +3,10 @@
 use std::io;
 use std::path::PathBuf;
 
+use lightkiln_http::CallError;
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::manifest::ManifestError;
-use lightkiln_proto::problem::{Problem, RetryClass};
+use lightkiln_proto::problem::RetryClass;
 use thiserror::Error;
 
 /// Result of the client's calls.
@@ -14,38 +15,10 @@ pub type Result<T> = std::result::Result<T, ClientError>;
 /// The client's one error.
 #[derive(Debug, Error)]
 pub enum ClientError {
-    /// The server answered with a problem (RFC 9457).
-    #[error("{call}: the server says {}: {}", .problem.title, .problem.detail)]
-    Server {
-        /// Method and URL.
-        call: String,
-        /// What the server said.
-        problem: Box<Problem>,
-    },
-    /// The server answered with an error that is no problem document.
-    #[error("{call}: answered with status {status}; is this a Lightkiln server, and is the URL right?")]
-    Status {
-        /// Method and URL.
-        call: String,
-        /// HTTP status.
-        status: u16,
-    },
-    /// The server was not reached, or the connection broke.
-    #[error("{call}: no answer; check that the server runs and that the URL is right")]
-    Network {
-        /// Method and URL.
-        call: String,
-        /// Why.
-        #[source]
-        source: Box<ureq::Error>,
-    },
-    /// A call was stopped by its owner while it waited.
-    #[error("{call}: stopped")]
-    Stopped {
-        /// Method and URL, or what was waited for.
-        call: String,
-    },
-    /// A URL or a path that cannot be a source.
+    /// A server cannot be called, or gave no answer of use.
+    #[error(transparent)]
+    Call(#[from] CallError),
+    /// A path that cannot be a source, or a server that cannot be one any more.
     #[error("'{text}' {problem}")]
     Source {
         /// What was given.
@@ -152,12 +125,8 @@ impl ClientError {
     /// Whether the same call may succeed later.
     pub fn retry_class(&self) -> RetryClass {
         match self {
-            Self::Server { problem, .. } => problem.code.row().1,
-            Self::Status { status: 408 | 425 | 429 | 500 | 502 | 503 | 504 | 507, .. } => RetryClass::Backoff,
-            Self::Network { source, .. } => network_retry_class(source),
-            Self::Status { .. }
-            | Self::Stopped { .. }
-            | Self::Source { .. }
+            Self::Call(error) => error.retry_class(),
+            Self::Source { .. }
             | Self::File { .. }
             | Self::TooLarge { .. }
             | Self::WrongDigest { .. }
@@ -180,16 +149,5 @@ impl ClientError {
 impl From<ManifestError> for ClientError {
     fn from(source: ManifestError) -> Self {
         Self::Manifest { place: "the manifest".to_owned(), source }
-    }
-}
-
-fn network_retry_class(error: &ureq::Error) -> RetryClass {
-    match error {
-        ureq::Error::Io(_)
-        | ureq::Error::Timeout(_)
-        | ureq::Error::HostNotFound
-        | ureq::Error::ConnectionFailed
-        | ureq::Error::Protocol(_) => RetryClass::Backoff,
-        _ => RetryClass::Never,
     }
 }

@@ -3,8 +3,8 @@
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
-use lightkiln_proto::bake::BakeError;
 use lightkiln_proto::ids::Digest;
+use lightkiln_proto::kinds::BakeError;
 use lightkiln_proto::problem::{ProblemCode, RetryClass};
 use thiserror::Error;
 

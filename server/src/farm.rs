@@ -7,11 +7,11 @@ use lightkiln_proto::api::{
     Bake, BakeState, Blame, ClaimAnswer, ClaimRequest, CommitVerdict, EventPage, HeartbeatAnswer, Lease,
     NewBake,
 };
-use lightkiln_proto::bake::initial_plan;
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{
     MAX_COUNTER, MAX_COUNTER_NAME_BYTES, MAX_COUNTERS, TaskInput, TaskResult, TaskSpec,
 };
+use lightkiln_proto::kinds::{BakeError, Kinds};
 use tokio::sync::watch;
 use tokio::time::Instant;
 
@@ -53,6 +53,8 @@ pub struct Farm {
     pub storage: Storage,
     /// Hints between calls.
     pub wakeup: Arc<dyn Wakeup>,
+    /// Kinds of bake that it takes in.
+    kinds: Kinds,
     /// Who may call.
     pub guard: Guard,
     /// Counts since start.
@@ -73,20 +75,21 @@ impl Farm {
         store: Arc<dyn FarmStore>,
         storage: Storage,
         wakeup: Arc<dyn Wakeup>,
+        kinds: Kinds,
         poll_interval: Duration,
         closing: watch::Receiver<bool>,
     ) -> Self {
         let guard = Guard::new(store.clone());
         let (metrics, scene_parts) = (Metrics::default(), tokio::sync::Mutex::default());
         let lookout = Lookout::default();
-        Self { guard, store, storage, wakeup, metrics, lookout, scene_parts, poll_interval, closing }
+        Self { kinds, guard, store, storage, wakeup, metrics, lookout, scene_parts, poll_interval, closing }
     }
 
     /// Takes a bake in. The scene must be there, and results to be reused must still have their bytes.
     /// `traceparent` names the trace that the submission belongs to.
     pub async fn submit(
         &self,
-        bake: NewBake,
+        mut bake: NewBake,
         idempotency_key: Option<String>,
         traceparent: Option<String>,
     ) -> Result<Bake, ServerError> {
@@ -95,7 +98,9 @@ impl Farm {
             require_chars("Idempotency-Key", key, 1, MAX_ID_CHARS)?;
         }
         check_needs(&bake)?;
-        let plan = initial_plan(&bake.kind, bake.scene, &bake.settings)?;
+        let kind = self.kinds.named(&bake.kind)?;
+        kind.name().clone_into(&mut bake.kind);
+        let plan = kind.first_tasks(bake.scene, &bake.settings).map_err(BakeError::from)?;
         let scene = bake.scene;
         if self.storage.length(scene).await?.is_none() {
             return Err(ServerError::NoSuchScene { scene });

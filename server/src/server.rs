@@ -15,6 +15,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum_server::tls_rustls::RustlsConfig;
+use lightkiln_proto::kinds::Kinds;
 use tokio::net::TcpListener;
 use tokio::sync::watch;
 
@@ -47,6 +48,8 @@ pub struct Config {
     pub tls: Option<TlsFiles>,
     /// Who is told when a bake has ended. Default: nobody.
     pub webhooks: Option<WebhookConfig>,
+    /// Kinds of bake that are taken in. Default: all that the contract knows.
+    pub kinds: Kinds,
     /// How much callers may ask for.
     pub limits: LimitConfig,
     /// Most bytes of chunks at a time; uploads beyond are refused until there is room. Default: no limit but the disk's.
@@ -71,6 +74,7 @@ impl Config {
             allow_non_loopback: false,
             tls: None,
             webhooks: None,
+            kinds: Kinds::new(),
             limits: LimitConfig::default(),
             quota_bytes: None,
             keeping: Keeping::default(),
@@ -107,7 +111,8 @@ impl Server {
         let chunks = Arc::new(ObjectChunks::open(config.chunks.as_ref().unwrap_or(&in_state))?);
         let (closing, is_closing) = watch::channel(false);
         let storage = Storage::new(store.clone(), chunks, config.quota_bytes);
-        let farm = Farm::new(store.clone(), storage, wakeup, config.poll_interval, is_closing);
+        let kinds = config.kinds.clone();
+        let farm = Farm::new(store.clone(), storage, wakeup, kinds, config.poll_interval, is_closing);
         let farm = Arc::new(farm);
         Ok(Self { config, farm, store, tls, closing, _lock: lock })
     }

@@ -58,14 +58,17 @@ impl Caller {
     pub fn fill(&self, tasks: usize) {
         let scene = self.put("scenes", b"a scene that is never read");
         self.submit(scene, 0);
-        let import = self.claim("planner", &["prt.import"]).unwrap();
-        self.commit(&import, b"imported", json!([]));
-        let prepare = self.claim("planner", &["prt.prepare"]).unwrap();
+        let before = ["import", "unwrap", "frame", "draw", "place", "patches"];
+        for name in before.map(|name| format!("scene.{name}")) {
+            let task = self.claim("planner", &[&name]).unwrap();
+            self.commit(&task, name.as_bytes(), json!([]));
+        }
+        let plan = self.claim("planner", &["prt.plan"]).unwrap();
         let task = |index: usize| {
             let key = Digest::of(&index.to_le_bytes());
             json!({ "key": key, "kind": "bench.work", "label": format!("task {index}"), "params": { "index": index },
                 "inputs": [], "cost": 1 + index % 97 })
         };
-        self.commit(&prepare, b"prepared", (0..tasks).map(task).collect());
+        self.commit(&plan, b"planned", (0..tasks).map(task).collect());
     }
 }

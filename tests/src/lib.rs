@@ -1,5 +1,6 @@
 //! What Lightkiln is tested with: scenes of our own, the harness that bakes them, and measured studies.
 
+pub mod ambient;
 pub mod harness;
 pub mod scenes;
 pub mod studies;

@@ -1,7 +1,6 @@
 //! People's side of the HTTP API, typed ([`lightkiln_proto::api`]): scenes, bakes, events, results.
 
-use std::sync::Arc;
-
+use lightkiln_http::{Call, HttpClient, RetryPolicy, ShutdownFlag};
 use lightkiln_proto::api::{
     Bake, BakePage, Blocklist, EventPage, MAX_CHUNK_BYTES, NewBake, NewPriority, SCENE_PART_BYTES, ScenePart,
     SceneParts, SceneProgress, SceneStored, WorkerPage,
@@ -11,8 +10,6 @@ use lightkiln_proto::manifest;
 use lightkiln_proto::trace::TARGET;
 use rayon::prelude::*;
 
-use super::http::{Call, Http, Method, RetryPolicy};
-use super::stop::Stop;
 use crate::error::{ClientError, Result};
 
 /// Longest wait of one polling call for events, in seconds.
@@ -20,44 +17,39 @@ pub const MAX_WAIT_SECS: u32 = 60;
 
 /// How often parts of a scene are uploaded before a server that keeps missing some is given up.
 const UPLOAD_ROUNDS_MAX: u32 = 4;
-/// The header of calls whose body is plain bytes.
-const BYTES: [(&str, &str); 1] = [("content-type", "application/octet-stream")];
 
 /// A Lightkiln server. Calls block; those that fail in a way that may pass are tried again.
 #[derive(Clone)]
 pub struct ApiClient {
-    http: Http,
+    http: HttpClient,
 }
 
 impl ApiClient {
     /// A server by its base URL (`http://host:port`), with a bearer token if it wants one.
-    pub fn new(base: &str, token: Option<String>) -> Result<Self> {
-        Ok(Self { http: Http::new(base, token)? })
+    pub fn new(base: &str, token: Option<&str>) -> Result<Self> {
+        Self::trusting(base, token, None)
+    }
+
+    /// The same, trusted if its certificate is signed by one of these (PEM) instead of the web's authorities.
+    pub fn trusting(base: &str, token: Option<&str>, ca_pem: Option<&[u8]>) -> Result<Self> {
+        Ok(Self { http: HttpClient::new(base, token, ca_pem)? })
     }
 
     /// The same server with other patience.
     #[must_use]
-    pub fn with_retry(mut self, retry: RetryPolicy) -> Self {
-        self.http.retry = retry;
-        self
+    pub fn with_retry(self, retry: RetryPolicy) -> Self {
+        Self { http: self.http.with_retry(retry) }
     }
 
-    /// The same server; waits between tries end when `stop` is wished.
+    /// The same server; waits between tries end when `shutdown` is raised.
     #[must_use]
-    pub fn with_stop(mut self, stop: Arc<Stop>) -> Self {
-        self.http.stop = stop;
-        self
-    }
-
-    /// The same server, trusted if its certificate is signed by one of these (PEM) instead of the usual ones.
-    pub fn with_trust(mut self, pem: &[u8]) -> Result<Self> {
-        self.http.trust(pem)?;
-        Ok(self)
+    pub fn with_shutdown(self, shutdown: ShutdownFlag) -> Self {
+        Self { http: self.http.with_shutdown(shutdown) }
     }
 
     /// Base URL, without a slash at its end.
     pub fn base(&self) -> &str {
-        &self.http.base
+        self.http.base()
     }
 
     /// Uploads a scene bundle unless the server has it already. Of a big one only those parts go that the server has not:
@@ -74,14 +66,23 @@ impl ApiClient {
         let scene = Digest::of(bundle);
         let _span = tracing::info_span!(target: TARGET, "upload scene", %scene, bytes).entered();
         let path = format!("/v1/scenes/{scene}");
-        if self.http.exists(&path)? {
+        if self.is_stored(&path)? {
             return Ok(SceneStored { scene, bytes });
         }
         if bundle.len() > SCENE_PART_BYTES {
             self.upload_in_parts(scene, bundle)?;
             return Ok(SceneStored { scene, bytes });
         }
-        self.http.json(Call { headers: &BYTES, body: bundle, ..Call::new(Method::Put, &path) })
+        Ok(self.http.json(&Call::put(path, bundle))?)
+    }
+
+    /// Whether the server has bytes at `path`.
+    fn is_stored(&self, path: &str) -> Result<bool> {
+        match self.http.call(&Call::head(path), |_| Ok(())) {
+            Ok(()) => Ok(true),
+            Err(error) if error.status() == Some(404) => Ok(false),
+            Err(error) => Err(error.into()),
+        }
     }
 
     /// Uploads the parts that the server has not, be they left over from an upload that was cut, or of another scene.
@@ -89,20 +90,18 @@ impl ApiClient {
         let pieces: Vec<&[u8]> = bundle.chunks(SCENE_PART_BYTES).collect();
         let part = |piece: &&[u8]| ScenePart { digest: Digest::of(piece), bytes: piece.len() as u64 };
         let parts: Vec<ScenePart> = pieces.par_iter().map(part).collect();
-        let list = serde_json::to_vec(&SceneParts { parts: parts.clone() })
-            .map_err(|source| ClientError::Json { place: "the scene's parts".to_owned(), source })?;
-        let together = format!("/v1/scenes/{scene}/parts");
-        let headers = [("content-type", "application/json")];
+        let together =
+            Call::post_json(format!("/v1/scenes/{scene}/parts"), &SceneParts { parts: parts.clone() })?;
         for _ in 0..UPLOAD_ROUNDS_MAX {
-            let call = Call { headers: &headers, body: &list, ..Call::new(Method::Post, &together) };
-            let progress: SceneProgress = self.http.json(call)?;
+            let progress: SceneProgress = self.http.json(&together)?;
             if progress.is_stored {
                 return Ok(());
             }
             tracing::info!(missing = progress.missing.len(), parts = parts.len(), "uploading a scene");
             for (part, piece) in parts.iter().zip(&pieces) {
                 if progress.missing.contains(&part.digest) {
-                    self.upload_part(part.digest, piece)?;
+                    self.http.check_shutdown()?;
+                    self.http.bytes(&Call::put(format!("/v1/scene-parts/{}", part.digest), piece), 0)?;
                 }
             }
         }
@@ -112,107 +111,93 @@ impl ApiClient {
         Err(ClientError::Source { text: self.base().to_owned(), problem })
     }
 
-    fn upload_part(&self, digest: Digest, piece: &[u8]) -> Result<()> {
-        let path = format!("/v1/scene-parts/{digest}");
-        if self.http.stop.is_wished() {
-            return Err(ClientError::Stopped { call: format!("PUT {}{path}", self.base()) });
-        }
-        let call = Call { headers: &BYTES, body: piece, ..Call::new(Method::Put, &path) };
-        self.http.bytes(call, 0).map(|_| ())
-    }
-
     /// Asks for a bake; the same key with the same body gives the same bake.
     pub fn submit(&self, bake: &NewBake, idempotency_key: &str) -> Result<Bake> {
         if idempotency_key.is_empty() || !idempotency_key.bytes().all(|byte| byte.is_ascii_graphic()) {
             let problem = "an Idempotency-Key is printable ASCII without spaces, not empty".to_owned();
             return Err(ClientError::Argument { what: idempotency_key.to_owned(), problem });
         }
-        let body = serde_json::to_vec(bake)
-            .map_err(|source| ClientError::Json { place: "the bake to submit".to_owned(), source })?;
         let _span = tracing::info_span!(target: TARGET, "submit", scene = %bake.scene).entered();
-        let headers = [("idempotency-key", idempotency_key), ("content-type", "application/json")];
-        self.http.json(Call { headers: &headers, body: &body, ..Call::new(Method::Post, "/v1/bakes") })
+        let call = Call::post_json("/v1/bakes", bake)?.header("idempotency-key", idempotency_key);
+        Ok(self.http.json(&call)?)
     }
 
     /// Bakes, newest first; `after` is the `next` of the page before.
     pub fn bakes(&self, after: Option<u64>, limit: u32) -> Result<BakePage> {
         let after = after.map(|place| format!("&after={place}")).unwrap_or_default();
-        self.http.json(Call::new(Method::Get, &format!("/v1/bakes?limit={limit}{after}")))
+        Ok(self.http.json(&Call::get(format!("/v1/bakes?limit={limit}{after}")))?)
     }
 
     /// A bake as it stands.
     pub fn bake(&self, id: &str) -> Result<Bake> {
-        self.http.json(Call::new(Method::Get, &bake_path(id, "")))
+        Ok(self.http.json(&Call::get(bake_path(id, "")))?)
     }
 
     /// Cancels a bake.
     pub fn cancel(&self, id: &str) -> Result<Bake> {
-        self.http.json(Call::new(Method::Post, &bake_path(id, "/cancel")))
+        Ok(self.http.json(&Call::post(bake_path(id, "/cancel")))?)
     }
 
     /// Holds a bake's tasks back.
     pub fn pause(&self, id: &str) -> Result<Bake> {
-        self.http.json(Call::new(Method::Post, &bake_path(id, "/pause")))
+        Ok(self.http.json(&Call::post(bake_path(id, "/pause")))?)
     }
 
     /// Ends a bake's pause.
     pub fn resume(&self, id: &str) -> Result<Bake> {
-        self.http.json(Call::new(Method::Post, &bake_path(id, "/resume")))
+        Ok(self.http.json(&Call::post(bake_path(id, "/resume")))?)
     }
 
     /// Changes a bake's priority; bigger runs first.
     pub fn reprioritise(&self, id: &str, priority: i32) -> Result<Bake> {
-        let body = serde_json::to_vec(&NewPriority { priority })
-            .map_err(|source| ClientError::Json { place: "the priority".to_owned(), source })?;
-        let headers = [("content-type", "application/json")];
-        let path = bake_path(id, "/priority");
-        self.http.json(Call { headers: &headers, body: &body, ..Call::new(Method::Post, &path) })
+        let call = Call::post_json(bake_path(id, "/priority"), &NewPriority { priority })?;
+        Ok(self.http.json(&call)?)
     }
 
     /// Workers that failed at tasks of a bake.
     pub fn blocklist(&self, id: &str) -> Result<Blocklist> {
-        self.http.json(Call::new(Method::Get, &bake_path(id, "/blocklist")))
+        Ok(self.http.json(&Call::get(bake_path(id, "/blocklist")))?)
     }
 
     /// Forgets that a worker, or any, failed at tasks of a bake; gives what is left.
     pub fn clear_blocklist(&self, id: &str, worker: Option<&str>) -> Result<Blocklist> {
         let query = worker.map(|worker| format!("?worker={}", escape(worker))).unwrap_or_default();
-        self.http.json(Call::new(Method::Delete, &bake_path(id, &format!("/blocklist{query}"))))
+        Ok(self.http.json(&Call::delete(bake_path(id, &format!("/blocklist{query}"))))?)
     }
 
     /// Deletes a bake that has ended, with the results that no other bake holds.
     pub fn delete(&self, id: &str) -> Result<()> {
-        self.http.bytes(Call::new(Method::Delete, &bake_path(id, "")), 0).map(|_| ())
+        self.http.bytes(&Call::delete(bake_path(id, "")), 0)?;
+        Ok(())
     }
 
     /// Events after number `after` (0 for all), waiting up to `wait_secs` for the first.
     pub fn events(&self, id: &str, after: u64, wait_secs: u32) -> Result<EventPage> {
         let wait_secs = wait_secs.min(MAX_WAIT_SECS);
         let query = format!("/events?after={after}&wait_secs={wait_secs}");
-        let headers = [("accept", "application/json")];
-        self.http.json(Call { headers: &headers, ..Call::new(Method::Get, &bake_path(id, &query)) })
+        Ok(self.http.json(&Call::get(bake_path(id, &query)).header("accept", "application/json"))?)
     }
 
     /// A finished bake's manifest, as its bytes.
     pub fn manifest(&self, id: &str) -> Result<Vec<u8>> {
-        self.http.bytes(Call::new(Method::Get, &bake_path(id, "/manifest")), manifest::MAX_BYTES as u64)
+        Ok(self.http.bytes(&Call::get(bake_path(id, "/manifest")), manifest::MAX_BYTES as u64)?)
     }
 
     /// A finished bake's report, as its bytes (JSON).
     pub fn report(&self, id: &str) -> Result<Vec<u8>> {
-        self.http.bytes(Call::new(Method::Get, &bake_path(id, "/report")), manifest::MAX_BYTES as u64)
+        Ok(self.http.bytes(&Call::get(bake_path(id, "/report")), manifest::MAX_BYTES as u64)?)
     }
 
     /// A chunk of at most `limit_bytes`, verified.
     pub fn chunk(&self, digest: Digest, limit_bytes: u64) -> Result<Vec<u8>> {
         let path = format!("/v1/chunks/{digest}");
-        let bytes = self.http.bytes(Call::new(Method::Get, &path), limit_bytes)?;
+        let bytes = self.http.bytes(&Call::get(path.as_str()), limit_bytes)?;
         super::verify(&format!("{}{path}", self.base()), digest, bytes)
     }
 
     /// Workers heard of lately.
     pub fn workers(&self) -> Result<WorkerPage> {
-        self.http.json(Call::new(Method::Get, "/v1/workers"))
+        Ok(self.http.json(&Call::get("/v1/workers"))?)
     }
 }
 

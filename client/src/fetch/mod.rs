@@ -2,8 +2,6 @@
 
 pub mod api;
 mod bundle;
-mod http;
-mod stop;
 #[cfg(test)]
 mod tests;
 
@@ -20,8 +18,6 @@ use crate::error::{ClientError, Result};
 
 pub use api::ApiClient;
 pub use bundle::{Downloaded, chunk_refs, download_bundle, fetch_all, write_atomically};
-pub use http::RetryPolicy;
-pub use stop::Stop;
 
 /// The manifest's file in a bundle.
 pub const MANIFEST_FILE: &str = "manifest.json";

@@ -10,6 +10,7 @@ use crate::commands::{
     submit, token, top, watch, worker,
 };
 use crate::failure::{EXIT_CODES, Failure, Result};
+use crate::kinds::KindTables;
 
 /// Bakes relightable global illumination for glTF scenes: on this machine, or on a farm over HTTP.
 #[derive(Parser, Debug)]
@@ -104,13 +105,13 @@ impl Command {
     }
 
     /// Runs the command to its end.
-    pub fn run(self) -> Result<()> {
+    pub fn run(self, kinds: &KindTables) -> Result<()> {
         match self {
-            Self::Bake(arguments) => bake::run(arguments),
-            Self::Server(arguments) => server::run(arguments),
-            Self::Worker(arguments) => worker::run(arguments),
+            Self::Bake(arguments) => bake::run(arguments, kinds),
+            Self::Server(arguments) => server::run(arguments, &kinds.contract),
+            Self::Worker(arguments) => worker::run(arguments, &kinds.worker),
             Self::Token(arguments) => token::run(arguments),
-            Self::Submit(arguments) => submit::run(arguments),
+            Self::Submit(arguments) => submit::run(arguments, &kinds.contract),
             Self::List(arguments) => list::run(arguments),
             Self::Show(arguments) => show::run(arguments),
             Self::Logs(arguments) => logs::run(arguments),
@@ -123,11 +124,11 @@ impl Command {
             Self::Blocklist(arguments) => blocklist::run(arguments),
             Self::Delete(arguments) => Action::Delete.run(arguments),
             Self::Fsck(arguments) => fsck::run(arguments),
-            Self::Fetch(arguments) => fetch::run(arguments),
-            Self::Preview(arguments) => preview::run(arguments),
-            Self::Evaluate(arguments) => evaluate::run(arguments),
-            Self::Inspect(arguments) => inspect::run(arguments),
-            Self::Settings(arguments) => settings::run(arguments),
+            Self::Fetch(arguments) => fetch::run(arguments, &kinds.contract),
+            Self::Preview(arguments) => preview::run(arguments, kinds),
+            Self::Evaluate(arguments) => evaluate::run(arguments, kinds),
+            Self::Inspect(arguments) => inspect::run(arguments, &kinds.contract),
+            Self::Settings(arguments) => settings::run(arguments, &kinds.contract),
         }
     }
 }

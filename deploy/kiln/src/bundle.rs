@@ -9,6 +9,7 @@ use lightkiln_client::ClientError;
 use lightkiln_client::fetch::{ApiClient, CHUNKS_FOLDER, Downloaded, Source, chunk_refs, download_bundle};
 use lightkiln_proto::api::Bake;
 use lightkiln_proto::ids::Digest;
+use lightkiln_proto::kinds::Kinds;
 use lightkiln_proto::manifest::Manifest;
 use serde_json::Value;
 
@@ -36,6 +37,7 @@ pub fn refuse_foreign_folder(out: &Path) -> Result<()> {
 /// Writes the bundle of a bake that is done to `out`, and prints the scene's warnings on standard error. `scene` is
 /// what the summary calls it; `started` is when the command did.
 pub fn write_bundle(
+    kinds: &Kinds,
     client: &ApiClient,
     bake: &Bake,
     scene: &str,
@@ -51,7 +53,8 @@ pub fn write_bundle(
     }
     let downloaded = download_bundle(&source, out, |_, _| {})?;
     remove_left_over(out, &manifest)?;
-    let summary = Summary::new(bake, &manifest, scene, out, started.elapsed());
+    let summary = Summary::new(kinds, bake, &manifest, scene, out, started.elapsed())
+        .map_err(|error| Failure::bad_input("the bake cannot be read").caused_by(&error))?;
     write_report(out, &report, &summary)?;
     Ok((summary, downloaded))
 }

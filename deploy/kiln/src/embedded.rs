@@ -8,12 +8,13 @@ use std::time::Duration;
 use lightkiln_server::farm::Farm;
 use lightkiln_server::store::StoreError;
 use lightkiln_server::{Config, Server, ServerError};
-use lightkiln_worker::prt::PrtRunner;
+use lightkiln_worker::kinds::Runner;
 use lightkiln_worker::runtime::{Level, ShutdownFlag, Worker, WorkerConfig, WorkerError, usual_tasks};
 use tokio::runtime::Runtime;
 use tokio::sync::oneshot;
 
 use crate::failure::{Exit, Failure, Result};
+use crate::kinds::KindTables;
 
 /// Lease length: long enough for a machine that is busy or was asleep; what a crash leaves is cancelled at the start.
 const LEASE_SECS: u32 = 60;
@@ -33,7 +34,7 @@ impl EmbeddedFarm {
     /// Opens the state folder, making it if need be, and starts to serve and to work with `threads` threads.
     ///
     /// Bakes that a killed process left are cancelled: nobody waits for them. Their finished tasks stay.
-    pub fn start(state: &Path, threads: usize) -> Result<Self> {
+    pub fn start(state: &Path, threads: usize, kinds: &KindTables) -> Result<Self> {
         let failed = |what: &str| Failure::new(Exit::Failed, what.to_owned());
         let runtime = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(2)
@@ -41,7 +42,7 @@ impl EmbeddedFarm {
             .build()
             .map_err(|error| failed("the server's threads cannot be started").caused_by(&error))?;
         let opened = runtime.block_on(async {
-            let server = Server::open(Config::new(state)).await?;
+            let server = Server::open(Config { kinds: kinds.contract.clone(), ..Config::new(state) }).await?;
             cancel_left_over(&server.farm()).await?;
             let listener = server.bind("127.0.0.1:0").await?;
             Ok((server, listener))
@@ -70,7 +71,7 @@ impl EmbeddedFarm {
         config.threads = threads;
         config.tasks = usual_tasks(threads);
         config.lease_secs = LEASE_SECS;
-        let worker = Worker::new(config, Arc::new(PrtRunner))
+        let worker = Worker::new(config, Arc::new(Runner::new(&kinds.worker)))
             .map_err(|error| failed("the embedded worker cannot start").caused_by(&error))?;
         let flag = farm.worker_flag.clone();
         farm.worker = Some(std::thread::spawn(move || worker.run(&flag)));

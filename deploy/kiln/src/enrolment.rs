@@ -4,17 +4,14 @@ use std::fs::{self, File};
 use std::io::{ErrorKind, Write as _};
 use std::os::unix::fs::{OpenOptionsExt as _, PermissionsExt as _};
 use std::path::Path;
-use std::time::Duration;
 
-use lightkiln_proto::problem::RetryClass;
+use lightkiln_http::{CallError, FOREVER, Level, retry};
 use lightkiln_server::access::NewBearer;
-use lightkiln_worker::runtime::{Level, WorkerConfig, WorkerError, enrol};
+use lightkiln_worker::runtime::{WorkerConfig, enrol};
 
 use crate::failure::{Exit, Failure, Result};
 use crate::interrupt::Interrupt;
 
-/// Wait between tries to reach the server.
-const WAIT: Duration = Duration::from_secs(2);
 /// Longest token that a file may hold, in bytes.
 const TOKEN_BYTES_MAX: u64 = 4096;
 
@@ -37,25 +34,21 @@ pub fn token_of_worker(
     match exchange(config, code, &token, interrupt) {
         Ok(name) => eprintln!("enrolled as {name}; the token is kept in {}", file.display()),
         // The code was used up when the token was made, long ago perhaps.
-        Err(Refusal::Code(error)) if !is_new => {
+        Err(error) if error.is_about_tokens() && !is_new => {
             tracing::info!(%error, "the code is not taken any more; going on with the token that is kept");
         }
-        Err(Refusal::Code(error)) => {
+        Err(error) if error.is_about_tokens() => {
             let _ = fs::remove_file(file);
             let failure = Failure::bad_input("this worker was not enrolled").caused_by(&error);
             return Err(failure.try_this("another code, from 'kiln token enrol NAME'"));
         }
-        Err(Refusal::Interrupted) => return Err(Failure::new(Exit::Interrupted, "interrupted")),
-        Err(Refusal::Other(failure)) => return Err(failure),
+        Err(CallError::Stopped) => return Err(Failure::new(Exit::Interrupted, "interrupted")),
+        Err(error) => {
+            let failure = Failure::bad_input("this worker cannot be enrolled").caused_by(&error);
+            return Err(failure.try_this("the URL of a Lightkiln server with --server"));
+        }
     }
     Ok(Some(token))
-}
-
-/// Why there is no token.
-enum Refusal {
-    Code(WorkerError),
-    Interrupted,
-    Other(Failure),
 }
 
 /// Waits for a server that is away.
@@ -64,25 +57,13 @@ fn exchange(
     code: &str,
     token: &str,
     interrupt: &Interrupt,
-) -> std::result::Result<String, Refusal> {
-    loop {
-        match enrol(&config.server_url, config.ca_pem.as_deref(), code, token) {
-            Ok(name) => return Ok(name),
-            Err(WorkerError::Refused(error)) if error.retry_class() == RetryClass::Backoff => {
-                tracing::warn!(%error, "this worker could not be enrolled; trying again");
-            }
-            Err(WorkerError::Refused(error)) if error.is_about_tokens() => {
-                return Err(Refusal::Code(WorkerError::Refused(error)));
-            }
-            Err(error) => {
-                let failure = Failure::bad_input("this worker cannot be enrolled").caused_by(&error);
-                return Err(Refusal::Other(failure.try_this("the URL of a Lightkiln server with --server")));
-            }
-        }
-        if interrupt.flag().wait(WAIT, |level| level > Level::Run) > Level::Run {
-            return Err(Refusal::Interrupted);
-        }
-    }
+) -> std::result::Result<String, CallError> {
+    let is_over = |level| level > Level::Run;
+    let pause = |error: &CallError, wait| {
+        tracing::warn!(%error, "this worker could not be enrolled; trying again");
+        if is_over(interrupt.flag().wait(wait, is_over)) { Err(CallError::Stopped) } else { Ok(()) }
+    };
+    retry(FOREVER, || enrol(&config.server_url, config.ca_pem.as_deref(), code, token), pause)
 }
 
 fn read(file: &Path) -> Result<Option<String>> {

@@ -5,6 +5,7 @@ use std::fmt;
 use std::process::ExitCode;
 
 use lightkiln_client::ClientError;
+use lightkiln_http::CallError;
 use lightkiln_proto::problem::{ProblemCode, RetryClass};
 
 /// Exit codes, for `--help`.
@@ -109,17 +110,13 @@ impl fmt::Display for Failure {
 impl From<ClientError> for Failure {
     fn from(error: ClientError) -> Self {
         let exit = match &error {
-            ClientError::Stopped { .. } => Exit::Interrupted,
-            ClientError::Network { .. } | ClientError::Status { .. } => Exit::Unreachable,
-            // It was reached; only its owner can make room.
-            ClientError::Server { problem, .. } if problem.code == ProblemCode::StorageFull => Exit::Failed,
-            ClientError::Server { .. } if error.retry_class() == RetryClass::Backoff => Exit::Unreachable,
-            ClientError::Server { .. }
-            | ClientError::Source { .. }
+            ClientError::Call(error) => exit_of_call(error),
+            ClientError::Source { .. }
             | ClientError::Argument { .. }
             | ClientError::TooLarge { .. }
             | ClientError::WrongDigest { .. }
             | ClientError::Json { .. }
+            | ClientError::Manifest { .. }
             | ClientError::Chunk { .. }
             | ClientError::Inconsistent { .. } => Exit::BadInput,
             ClientError::File { .. } | ClientError::Adapter { .. } | ClientError::Picture { .. } => {
@@ -130,13 +127,29 @@ impl From<ClientError> for Failure {
         if let Some(source) = error.source() {
             failure = failure.caused_by(source);
         }
-        let is_busy = matches!(&error, ClientError::Server { problem, .. } if problem.code == ProblemCode::TooManyRequests);
+        let is_busy =
+            matches!(&error, ClientError::Call(error) if error.code() == Some(ProblemCode::TooManyRequests));
         if is_busy {
             failure = failure.try_this("the same command a little later");
         } else if exit == Exit::Unreachable {
             failure = failure.try_this("start one with 'kiln server', or bake without --server");
         }
         failure
+    }
+}
+
+fn exit_of_call(error: &CallError) -> Exit {
+    match error {
+        CallError::Stopped => Exit::Interrupted,
+        CallError::Network { .. } | CallError::Foreign { .. } => Exit::Unreachable,
+        // It was reached; only its owner can make room.
+        CallError::Refused { problem, .. } if problem.code == ProblemCode::StorageFull => Exit::Failed,
+        CallError::Refused { .. } if error.retry_class() == RetryClass::Backoff => Exit::Unreachable,
+        CallError::Refused { .. }
+        | CallError::Address { .. }
+        | CallError::Certificates { .. }
+        | CallError::Json { .. }
+        | CallError::TooLarge { .. } => Exit::BadInput,
     }
 }
 
@@ -149,8 +162,9 @@ mod tests {
     #[test]
     fn full_server_fails_in_its_own_words_and_is_not_said_to_be_away() {
         let problem = Problem::new(ProblemCode::StorageFull, "free 3 GiB under /srv/farm");
-        let error = ClientError::Server { call: "PUT /v1/scenes".to_owned(), problem: Box::new(problem) };
-        let failure = Failure::from(error);
+        let (call, problem) = ("PUT /v1/scenes".to_owned(), Box::new(problem));
+        let error = CallError::Refused { call, problem, retry_after: None };
+        let failure = Failure::from(ClientError::from(error));
         assert_eq!(failure.exit(), Exit::Failed);
         let text = failure.to_string();
         assert!(text.contains("free 3 GiB") && !text.contains("kiln server"), "{text}");

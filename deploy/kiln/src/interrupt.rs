@@ -1,9 +1,6 @@
 //! Ctrl-C and SIGTERM: the first winds the command down, the second ends the process at once.
 
-use std::sync::Arc;
-
-use lightkiln_client::fetch::Stop;
-use lightkiln_worker::runtime::{Level, ShutdownFlag};
+use lightkiln_http::{Level, ShutdownFlag};
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 
@@ -13,7 +10,6 @@ use crate::failure::{Exit, Failure, Result};
 #[derive(Clone, Default)]
 pub struct Interrupt {
     flag: ShutdownFlag,
-    stop: Arc<Stop>,
 }
 
 impl Interrupt {
@@ -29,7 +25,6 @@ impl Interrupt {
                     std::process::exit(Exit::Interrupted as i32);
                 }
                 raised.flag.raise(Level::Drain);
-                raised.stop.wish();
             }
         });
         Ok(interrupt)
@@ -40,13 +35,8 @@ impl Interrupt {
         self.flag.level() > Level::Run
     }
 
-    /// For workers: drains on the first signal.
+    /// Drains workers and ends waits for a server on the first signal.
     pub fn flag(&self) -> &ShutdownFlag {
         &self.flag
-    }
-
-    /// For calls to a server: ends their waits on the first signal.
-    pub fn stop(&self) -> Arc<Stop> {
-        self.stop.clone()
     }
 }

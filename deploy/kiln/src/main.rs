@@ -1,41 +1,9 @@
-//! `kiln`: every role of Lightkiln as a subcommand. Bakes relightable global illumination for glTF scenes.
-
-mod arguments;
-mod bundle;
-mod commands;
-mod embedded;
-mod enrolment;
-mod evaluation;
-mod failure;
-mod inspection;
-mod interrupt;
-mod junit;
-mod logging;
-mod picture;
-mod progress;
-mod settings;
-mod summary;
-mod telemetry;
-#[cfg(test)]
-mod tests;
+//! The program `kiln` with the kinds of bake that Lightkiln has.
 
 use std::process::ExitCode;
 
-use clap::Parser as _;
-use tracing::Span;
+use kiln::kinds::KindTables;
 
 fn main() -> ExitCode {
-    let command = arguments::Arguments::parse().command;
-    let role = command.name();
-    // Ends, and exports what is left, when the command has.
-    let _telemetry = logging::start(role);
-    // A server and a worker live for months: what they do belongs to the traces of those who ask for it.
-    let span = if command.stays() { Span::none() } else { telemetry::command_span(role) };
-    match span.in_scope(|| command.run()) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(failure) => {
-            eprint!("{failure}");
-            failure.exit().into()
-        }
-    }
+    kiln::run(&KindTables::new())
 }

@@ -4,7 +4,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
-use lightkiln_proto::prt::Settings;
+use lightkiln_proto::api::NewBake;
+use lightkiln_proto::kinds::{Kind, Kinds};
 use serde_json::{Map, Value};
 
 use crate::failure::{Failure, Result};
@@ -13,7 +14,8 @@ use crate::failure::{Failure, Result};
 const ENVIRONMENT_PREFIX: &str = "KILN_SET_";
 /// Environment variable that names the preset.
 const PRESET_VARIABLE: &str = "KILN_PRESET";
-const HELP_STEP: &str = "'kiln settings' lists every setting with its range and presets";
+/// Environment variable that names the kind of bake.
+const KIND_VARIABLE: &str = "KILN_KIND";
 
 /// How much work a bake spends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -26,33 +28,60 @@ pub enum PresetName {
     High,
 }
 
-/// Settings on the command line.
+/// A kind of bake and what differs from its defaults.
+#[derive(Clone)]
+pub struct Wanted {
+    /// Kind.
+    pub kind: &'static dyn Kind,
+    /// Settings, checked, as a request carries them.
+    pub settings: Value,
+}
+
+impl Wanted {
+    /// Writes kind and settings into a request.
+    pub fn set(&self, bake: &mut NewBake) {
+        self.kind.name().clone_into(&mut bake.kind);
+        bake.settings.clone_from(&self.settings);
+    }
+}
+
+/// Kind and settings on the command line.
 #[derive(Args, Clone, Debug, Default)]
 pub struct SettingsArguments {
+    /// Kind of bake; 'kiln settings --kind KIND' lists its settings [env: KILN_KIND; default: prt, the relightable lightmap]
+    #[arg(long)]
+    pub kind: Option<String>,
     /// How much work to spend: draft, medium (the default) or high [env: KILN_PRESET]
     #[arg(long)]
     pub preset: Option<PresetName>,
     /// Sets one setting, e.g. --set transport_rays=512; may be given often [env: KILN_SET_<SETTING>]
     #[arg(long = "set", value_name = "SETTING=VALUE")]
     pub set: Vec<String>,
-    /// JSON file of settings, e.g. {"preset": "draft", "bands": 3}
+    /// JSON file of settings, e.g. {"preset": "draft", "texel_m": 0.2}
     #[arg(long, value_name = "FILE")]
     pub settings: Option<PathBuf>,
 }
 
 impl SettingsArguments {
-    /// What differs from the defaults, checked, as a request carries it.
-    pub fn resolve(&self) -> Result<Value> {
+    /// The kind, and what differs from its defaults.
+    pub fn resolve(&self, kinds: &Kinds) -> Result<Wanted> {
         let environment = std::env::vars_os().filter_map(|(name, value)| {
             Some((name.into_string().ok()?, value.to_string_lossy().into_owned()))
         });
-        self.resolve_with(environment)
+        self.resolve_with(kinds, environment)
     }
 
-    fn resolve_with(&self, environment: impl Iterator<Item = (String, String)>) -> Result<Value> {
+    fn resolve_with(
+        &self,
+        kinds: &Kinds,
+        environment: impl Iterator<Item = (String, String)>,
+    ) -> Result<Wanted> {
+        let mut kind = self.kind.clone();
         let mut settings = self.settings.as_deref().map_or_else(|| Ok(Map::new()), read_file)?;
         for (name, value) in environment {
-            if name == PRESET_VARIABLE {
+            if name == KIND_VARIABLE {
+                kind.get_or_insert(value);
+            } else if name == PRESET_VARIABLE {
                 settings.insert("preset".into(), Value::String(value));
             } else if let Some(setting) = name.strip_prefix(ENVIRONMENT_PREFIX) {
                 settings.insert(setting.to_lowercase(), parse_value(&value));
@@ -70,11 +99,21 @@ impl SettingsArguments {
             settings.insert(name.trim().to_owned(), parse_value(value.trim()));
         }
         let settings = Value::Object(settings);
-        Settings::from_json(&settings).map_err(|error| {
-            Failure::bad_input("the settings cannot be used").caused_by(&error).try_this(HELP_STEP)
+        let kind = kind_named(kinds, kind.as_deref().unwrap_or_default())?;
+        kind.resolve(&settings).map_err(|error| {
+            let step =
+                format!("'kiln settings --kind {}', which lists every setting with its range", kind.name());
+            Failure::bad_input("the settings cannot be used").caused_by(&error).try_this(step)
         })?;
-        Ok(settings)
+        Ok(Wanted { kind, settings })
     }
+}
+
+/// The kind of that name; the default for an empty one.
+pub fn kind_named(kinds: &Kinds, name: &str) -> Result<&'static dyn Kind> {
+    kinds
+        .named(name)
+        .map_err(|error| Failure::bad_input(error.to_string()).try_this("--kind with one of them"))
 }
 
 /// Numbers and words as JSON has them; anything else is a text.
@@ -111,30 +150,53 @@ mod tests {
     fn flag_wins_over_environment_over_file() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("settings.json");
-        fs::write(&file, r#"{"preset": "high", "bands": 2, "transport_rays": 32, "rank_max": 8}"#).unwrap();
-        let arguments = SettingsArguments { preset: None, set: vec!["bands=4".into()], settings: Some(file) };
+        fs::write(&file, r#"{"preset": "high", "sky_parts": 16, "transport_rays": 32, "rank_max": 8}"#)
+            .unwrap();
+        let arguments = SettingsArguments {
+            set: vec!["sky_parts=64".into()],
+            settings: Some(file),
+            ..Default::default()
+        };
         let variables =
-            environment(&[("KILN_SET_BANDS", "3"), ("KILN_SET_TRANSPORT_RAYS", "64"), ("HOME", "/")]);
-        let resolved = arguments.resolve_with(variables).unwrap();
-        assert_eq!(resolved, json!({"preset": "high", "bands": 4, "transport_rays": 64, "rank_max": 8}));
+            environment(&[("KILN_SET_SKY_PARTS", "32"), ("KILN_SET_TRANSPORT_RAYS", "64"), ("HOME", "/")]);
+        let resolved = arguments.resolve_with(&Kinds::new(), variables).unwrap().settings;
+        assert_eq!(resolved, json!({"preset": "high", "sky_parts": 64, "transport_rays": 64, "rank_max": 8}));
     }
 
     #[test]
     fn preset_comes_from_the_environment_unless_the_flag_is_given() {
         let variables = || environment(&[("KILN_PRESET", "draft")]);
-        let resolved = SettingsArguments::default().resolve_with(variables()).unwrap();
+        let resolved =
+            SettingsArguments::default().resolve_with(&Kinds::new(), variables()).unwrap().settings;
         assert_eq!(resolved, json!({"preset": "draft"}));
         let flagged = SettingsArguments { preset: Some(PresetName::High), ..Default::default() };
-        assert_eq!(flagged.resolve_with(variables()).unwrap(), json!({"preset": "high"}));
+        assert_eq!(
+            flagged.resolve_with(&Kinds::new(), variables()).unwrap().settings,
+            json!({"preset": "high"})
+        );
     }
 
     #[test]
     fn wrong_settings_are_bad_input_and_named() {
-        for (set, named) in [("bands", "SETTING=VALUE"), ("bands=99", "bands = 99"), ("colour=1", "colour")] {
+        for (set, named) in
+            [("sky_parts", "SETTING=VALUE"), ("sky_parts=99", "sky_parts = 99"), ("colour=1", "colour")]
+        {
             let arguments = SettingsArguments { set: vec![set.into()], ..Default::default() };
-            let failure = arguments.resolve_with(environment(&[])).unwrap_err();
+            let failure = arguments.resolve_with(&Kinds::new(), environment(&[])).err().unwrap();
             assert_eq!(failure.exit(), crate::failure::Exit::BadInput);
             assert!(failure.to_string().contains(named), "{failure}");
         }
+    }
+
+    #[test]
+    fn kind_comes_from_the_flag_before_the_environment_and_an_unknown_one_is_named() {
+        let resolve = |flag: Option<&str>, variable: &str| {
+            let arguments = SettingsArguments { kind: flag.map(str::to_owned), ..Default::default() };
+            arguments.resolve_with(&Kinds::new(), environment(&[("KILN_KIND", variable)]))
+        };
+        assert_eq!(resolve(None, "sh").unwrap().kind.name(), "sh");
+        assert_eq!(resolve(Some("prt"), "sh").unwrap().kind.name(), "prt");
+        let failure = resolve(Some("photons"), "sh").err().unwrap().to_string();
+        assert!(failure.contains("photons") && failure.contains("prt"), "{failure}");
     }
 }

@@ -8,9 +8,10 @@ use std::time::Duration;
 use lightkiln_client::ClientError;
 use lightkiln_client::fetch::write_atomically;
 use lightkiln_proto::api::Bake;
-use lightkiln_proto::manifest::Manifest;
+use lightkiln_proto::kinds::{Figures, Kinds};
+use lightkiln_proto::manifest::{Manifest, ManifestError};
 use serde::Serialize;
-use serde_json::{Value, json};
+use serde_json::{Map, Value, json};
 
 use crate::evaluation::Evaluation;
 use crate::failure::{Exit, Failure, Result};
@@ -27,32 +28,24 @@ pub struct Summary {
     pub scene: String,
     /// Bundle written.
     pub out: String,
-    /// Receivers.
-    pub receivers: u64,
-    /// Probes.
-    pub probes: u64,
-    /// Surface patches; 0 unless the basis is patches.
-    pub patches: u64,
-    /// Clusters.
-    pub clusters: u64,
+    /// Kind of bake.
+    pub kind: &'static str,
+    /// Figures of its kind.
+    #[serde(flatten)]
+    pub figures: Map<String, Value>,
+    /// The same in lines for people.
+    #[serde(skip)]
+    figure_words: String,
     /// Tasks run for this bake.
     pub tasks_run: u64,
     /// Tasks whose result was there already.
     pub tasks_reused: u64,
-    /// Mean rank, weighted by receivers.
-    pub mean_rank: f64,
-    /// Highest rank.
-    pub rank_max: u32,
     /// Closest-hit rays cast for this bake; those of reused tasks are not in it.
     pub rays_closest: u64,
     /// Occlusion rays cast for this bake.
     pub rays_occlusion: u64,
-    /// Share of transported energy that no probe sees.
-    pub uncovered_fraction: f64,
     /// Bytes of all chunks.
     pub bytes_total: u64,
-    /// Bytes of the chunks that relighting needs (probes and clusters), by receiver.
-    pub bytes_per_receiver: f64,
     /// Seconds from the command's start to the written bundle.
     pub elapsed_secs: f64,
     /// Seconds from the first claim to the last commit of each stage.
@@ -64,54 +57,41 @@ pub struct Summary {
 
 impl Summary {
     /// Sums a finished bake up.
-    pub fn new(bake: &Bake, manifest: &Manifest, scene: &str, out: &Path, elapsed: Duration) -> Self {
-        let totals = &manifest.totals;
+    ///
+    /// Errors when the manifest's kind is not in the table.
+    pub fn new(
+        kinds: &Kinds,
+        bake: &Bake,
+        manifest: &Manifest,
+        scene: &str,
+        out: &Path,
+        elapsed: Duration,
+    ) -> std::result::Result<Self, ManifestError> {
+        let kind = kinds.check(manifest)?;
+        let Figures { json: figures, words: figure_words } = kind.summary(manifest)?;
         let counter = |name: &str| bake.counters.get(name).map_or(0, |value| *value as u64);
         let stages = bake.stages.iter();
-        Self {
+        Ok(Self {
             bake: bake.id.clone(),
             scene: scene.to_owned(),
             out: out.display().to_string(),
-            receivers: totals.receivers,
-            probes: totals.probes,
-            patches: totals.patches,
-            clusters: totals.clusters,
+            kind: kind.name(),
+            figures,
+            figure_words,
             tasks_run: bake.tasks_run,
             tasks_reused: bake.tasks_reused,
-            mean_rank: totals.mean_rank,
-            rank_max: totals.rank_max,
             rays_closest: counter("rays_closest"),
             rays_occlusion: counter("rays_occlusion"),
-            uncovered_fraction: totals.uncovered_fraction,
-            bytes_total: totals.bytes,
-            bytes_per_receiver: totals.bytes_light as f64 / totals.receivers.max(1) as f64,
+            bytes_total: manifest.bytes(),
             elapsed_secs: elapsed.as_secs_f64(),
             stages: stages.map(|stage| (stage_name(&stage.kind), stage.elapsed_ms as f64 / 1e3)).collect(),
             evaluation: None,
-        }
+        })
     }
 
     /// A few lines for people.
     pub fn words(&self) -> String {
-        let carriers = match self.patches {
-            0 => format!("{} probes", self.probes),
-            patches => format!("{patches} patches"),
-        };
-        let mut words = format!(
-            "{} receivers, {}, {} clusters (mean rank {:.1}, highest {})\n{} bytes, {:.0} a receiver for light",
-            self.receivers,
-            carriers,
-            self.clusters,
-            self.mean_rank,
-            self.rank_max,
-            self.bytes_total,
-            self.bytes_per_receiver,
-        );
-        // Patches leave no light unseen.
-        if self.patches == 0 {
-            words += &format!("; {:.2} % of the light reaches no probe", 100.0 * self.uncovered_fraction);
-        }
-        words.push('\n');
+        let mut words = format!("{}{} bytes in all\n", self.figure_words, self.bytes_total);
         let total = self.tasks_run + self.tasks_reused;
         words += &match (self.tasks_run, self.tasks_reused) {
             (0, _) => format!("nothing to do: all {total} tasks were done before\n"),

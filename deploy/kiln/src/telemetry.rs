@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use async_trait::async_trait;
-use lightkiln_proto::address::is_loopback;
+use lightkiln_http::foreign;
 use lightkiln_proto::trace::TARGET;
 use opentelemetry::trace::TracerProvider as _;
 use opentelemetry_http::{Bytes, HttpClient, HttpError, Request, Response};
@@ -18,7 +18,6 @@ use tracing::{Span, Subscriber};
 use tracing_subscriber::Layer;
 use tracing_subscriber::filter::filter_fn;
 use tracing_subscriber::registry::LookupSpan;
-use ureq::Agent;
 
 /// Longest time of one export; what takes longer is dropped.
 const EXPORT_TIMEOUT: Duration = Duration::from_secs(10);
@@ -108,7 +107,7 @@ struct Collector {
 #[async_trait]
 impl HttpClient for Collector {
     async fn send_bytes(&self, request: Request<Bytes>) -> Result<Response<Bytes>, HttpError> {
-        let sent = send(request);
+        let sent = foreign::send(request.map(Into::into), EXPORT_TIMEOUT, ANSWER_BYTES_MAX);
         let failure = match &sent {
             Ok(answer) if answer.status().is_success() => None,
             Ok(answer) => Some(format!("the collector answered {}", answer.status())),
@@ -124,18 +123,6 @@ impl HttpClient for Collector {
             None => self.has_failed.store(false, Ordering::Relaxed),
             Some(_) => (),
         }
-        sent
+        Ok(sent?.map(Into::into))
     }
-}
-
-fn send(request: Request<Bytes>) -> Result<Response<Bytes>, HttpError> {
-    let (parts, body) = request.into_parts();
-    let mut config = Agent::config_builder().http_status_as_error(false).timeout_global(Some(EXPORT_TIMEOUT));
-    if is_loopback(&parts.uri.to_string()) {
-        config = config.proxy(None);
-    }
-    let answer = config.build().new_agent().run(Request::from_parts(parts, body.to_vec()))?;
-    let (parts, mut body) = answer.into_parts();
-    let body = body.with_config().limit(ANSWER_BYTES_MAX).read_to_vec()?;
-    Ok(Response::from_parts(parts, body.into()))
 }

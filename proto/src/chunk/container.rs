@@ -161,7 +161,12 @@ impl<'a> Container<'a> {
     }
 }
 
-fn read_fixed(kind: ChunkKind, reader: &mut Reader) -> Result<(usize, usize), ChunkError> {
+/// Kind of a chunk, from its header.
+pub fn kind_of(bytes: &[u8]) -> Result<ChunkKind, ChunkError> {
+    read_start(&mut Reader::new("header", bytes))
+}
+
+fn read_start(reader: &mut Reader) -> Result<ChunkKind, ChunkError> {
     let magic = reader.take("magic", 4, 1)?;
     if magic != MAGIC {
         return Err(ChunkError::Magic { found: [magic[0], magic[1], magic[2], magic[3]] });
@@ -170,9 +175,13 @@ fn read_fixed(kind: ChunkKind, reader: &mut Reader) -> Result<(usize, usize), Ch
     if version != VERSION {
         return Err(ChunkError::Version { found: version });
     }
-    let found = reader.u8("kind")?;
-    if found != kind.0 {
-        return Err(ChunkError::Kind { wanted: kind.0, found });
+    reader.u8("kind").map(ChunkKind)
+}
+
+fn read_fixed(kind: ChunkKind, reader: &mut Reader) -> Result<(usize, usize), ChunkError> {
+    let found = read_start(reader)?;
+    if found != kind {
+        return Err(ChunkError::Kind { wanted: kind.0, found: found.0 });
     }
     let zero = reader.u8("reserved")?;
     in_range("header", "reserved byte", zero.into(), 0, 0)?;

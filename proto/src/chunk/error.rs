@@ -43,6 +43,12 @@ pub enum ChunkError {
         /// Version in the header.
         found: u16,
     },
+    /// A kind that no row of the table of chunk kinds has.
+    #[error("chunk kind {found} is not known; a newer kiln may read it")]
+    UnknownKind {
+        /// Kind in the header.
+        found: u8,
+    },
     /// A chunk of another kind.
     #[error("the chunk is of kind {found}, wanted {wanted}")]
     Kind {

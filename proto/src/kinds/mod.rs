@@ -31,6 +31,9 @@ pub trait Kind: Send + Sync {
     /// Every setting.
     fn settings(&self) -> Vec<SettingRow>;
 
+    /// All settings, checked; given as a request has them, `null` for all defaults.
+    fn resolve(&self, settings: &Value) -> Result<Value, SettingsError>;
+
     /// First tasks over a scene; settings as a request gives them, `null` for all defaults.
     fn first_tasks(&self, scene: Digest, settings: &Value) -> Result<Vec<TaskSpec>, SettingsError>;
 

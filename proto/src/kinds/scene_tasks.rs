@@ -72,7 +72,7 @@ pub struct SceneTasks {
     pub frame: TaskSpec,
     /// Inputs `import/…`, `unwrap/…` → output `lightmap`.
     pub place: TaskSpec,
-    /// Inputs `place/…` → output `patches`.
+    /// Inputs `import/…`, `unwrap/…`, `place/…` → output `patches`.
     pub patches: TaskSpec,
 }
 
@@ -88,7 +88,8 @@ impl SceneTasks {
         let frame = SceneTask::Frame.task(Value::Null, vec![imported()], 2);
         let params = json!({ "place": place });
         let place = SceneTask::Place.task(params, vec![imported(), unwrapped()], 10);
-        let patches = SceneTask::Patches.task(Value::Null, vec![task_input("place", place.key)], 5);
+        let placed = task_input("place", place.key);
+        let patches = SceneTask::Patches.task(Value::Null, vec![imported(), unwrapped(), placed], 5);
         Self { import, unwrap, draw, frame, place, patches }
     }
 

@@ -91,6 +91,13 @@ macro_rules! kind_settings {
                 let preset = $crate::settings::preset_of(&given)?;
                 Ok(Self { preset, $( $field: <$group>::read(&given, preset)?, )* })
             }
+
+            /// All settings as JSON, as tasks and manifests state them.
+            pub fn stated(&self) -> $crate::settings::Json {
+                let mut object = $crate::settings::Map::new();
+                $crate::settings::SettingsGroup::write(self, &mut object);
+                $crate::settings::Json::Object(object)
+            }
         }
 
         impl $crate::settings::SettingsGroup for $settings {

@@ -20,6 +20,7 @@ use tokio::sync::watch;
 use tokio::time::Instant;
 
 use crate::crash::open_file;
+use crate::parts::kind::kinds;
 use crate::support::{SCENE, World, in_time, new_bake, task};
 
 /// Longer than any test may take: who waits this long has missed a hint.
@@ -50,7 +51,7 @@ fn farm_of(
     // Open until the process ends.
     std::mem::forget(closing);
     let storage = Storage::new(store.clone(), chunks, None);
-    Arc::new(Farm::new(store, storage, wakeup, poll_interval, is_closing))
+    Arc::new(Farm::new(store, storage, wakeup, kinds(), poll_interval, is_closing))
 }
 
 fn hinted(world: &World) -> Arc<Farm> {
@@ -64,11 +65,11 @@ fn polled(world: &World) -> Arc<Farm> {
 async fn submit(farm: &Farm) -> Bake {
     let scene = Digest::of(SCENE);
     farm.storage.put(scene, Bytes::from_static(SCENE)).await.unwrap();
-    farm.submit(new_bake("bake", "prt"), None, None).await.unwrap()
+    farm.submit(new_bake("bake", "two"), None, None).await.unwrap()
 }
 
 fn request(worker: &str) -> ClaimRequest {
-    let kinds = ["prt.import", "prt.prepare", "work"].map(str::to_owned).to_vec();
+    let kinds = ["two.first", "two.second", "work"].map(str::to_owned).to_vec();
     ClaimRequest {
         worker: worker.into(),
         kinds,
@@ -86,7 +87,7 @@ async fn claim_while_submitting(farm: Arc<Farm>) {
     let (answer, _) = futures::future::join(claim, submit(&farm)).await;
     let leases = answer.unwrap().leases;
     assert_eq!(leases.len(), 1);
-    assert_eq!((leases[0].task.kind.as_str(), leases[0].inputs[0].bytes), ("prt.import", 5));
+    assert_eq!((leases[0].task.kind.as_str(), leases[0].inputs[0].bytes), ("two.first", 5));
 }
 
 pub async fn waiting_claim_gets_what_is_submitted_later(world: World) {
@@ -182,14 +183,14 @@ pub async fn workers_without_hints_finish_a_bake(world: World) {
 }
 
 fn initial(bake: &Bake) -> Vec<TaskSpec> {
-    lightkiln_proto::bake::initial_plan(&bake.kind, bake.scene, &bake.settings).unwrap()
+    kinds().first_tasks(&bake.kind, bake.scene, &bake.settings).unwrap()
 }
 
 /// Takes tasks for ever; preparing plans the given tasks.
 async fn work(farm: Arc<Farm>, worker: String, planned: Vec<TaskSpec>) {
     loop {
         for lease in farm.claim(request(&worker)).await.unwrap().leases {
-            let plan = if lease.task.kind == "prt.prepare" { planned.clone() } else { Vec::new() };
+            let plan = if lease.task.kind == "two.second" { planned.clone() } else { Vec::new() };
             let result = TaskResult { plan, ..TaskResult::default() };
             farm.commit(&lease.token, result).await.unwrap();
         }
@@ -239,7 +240,7 @@ pub async fn plans_whose_bytes_are_gone_are_made_again(world: World) {
     let first = submit(&farm).await;
     let imported = run_one(&farm, b"imported").await;
     let inputs = vec![TaskInput::Artefact { name: "scene".into(), digest: imported }];
-    let planned = TaskSpec::new("prt.transport", 1, "planned", serde_json::Value::Null, inputs, 1);
+    let planned = TaskSpec::new("two.more", 1, "planned", serde_json::Value::Null, inputs, 1);
     let plan = || TaskResult { plan: vec![planned.clone()], ..TaskResult::default() };
     let lease = farm.claim(request("w")).await.unwrap().leases.remove(0);
     farm.commit(&lease.token, plan()).await.unwrap();

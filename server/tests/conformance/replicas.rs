@@ -20,6 +20,7 @@ use sqlx::{Connection, Executor, PgConnection};
 use tokio::sync::watch;
 
 use crate::crash::end_sessions;
+use crate::parts::kind::kinds;
 use crate::parts::postgres::empty_schema;
 use crate::support::{SCENE, in_time, new_bake, request, result, stock, submission, task};
 
@@ -265,7 +266,7 @@ async fn farm(url: &str, store: &Arc<SqlStore>, chunks: &Arc<ObjectChunks>) -> F
     std::mem::forget(closing);
     let wakeup = Arc::new(PostgresWakeup::connect(url).await.unwrap());
     let storage = Storage::new(store.clone(), chunks.clone(), None);
-    Farm::new(store.clone(), storage, wakeup, LONG, is_closing)
+    Farm::new(store.clone(), storage, wakeup, kinds(), LONG, is_closing)
 }
 
 #[tokio::test]
@@ -274,10 +275,10 @@ async fn hint_of_one_server_wakes_a_claim_at_the_other() {
     let chunks = Arc::new(ObjectChunks::in_memory());
     let farms = [farm(&url, &stores[0], &chunks).await, farm(&url, &stores[1], &chunks).await];
     farms[0].storage.put(Digest::of(SCENE), Bytes::from_static(SCENE)).await.unwrap();
-    let waiting = ClaimRequest { kinds: vec!["prt.import".into()], wait_secs: 60, ..request("w", 1) };
+    let waiting = ClaimRequest { kinds: vec!["two.first".into()], wait_secs: 60, ..request("w", 1) };
     let submit_when_it_waits = async {
         while stores[0].workers().await.unwrap().is_empty() {}
-        farms[1].submit(new_bake("bake", "prt"), None, None).await.unwrap();
+        farms[1].submit(new_bake("bake", "two"), None, None).await.unwrap();
     };
     let (answer, ()) = in_time(futures::future::join(farms[0].claim(waiting), submit_when_it_waits)).await;
     assert_eq!(answer.unwrap().leases.len(), 1);

@@ -19,7 +19,7 @@ pub fn new_bake(scene: Digest, settings: Value) -> NewBake {
     NewBake {
         name: "bake".into(),
         scene,
-        kind: "prt".into(),
+        kind: "two".into(),
         settings,
         priority: 0,
         needs: Needs::default(),
@@ -38,7 +38,7 @@ pub async fn submit(server: &Running) -> Bake {
 }
 
 pub fn request(wait_secs: u32) -> ClaimRequest {
-    let kinds = ["prt.import", "prt.prepare"].map(str::to_owned).to_vec();
+    let kinds = ["two.first", "two.second"].map(str::to_owned).to_vec();
     ClaimRequest {
         worker: "w".into(),
         kinds,
@@ -86,7 +86,7 @@ async fn bake_goes_from_upload_to_manifest() {
     let path = format!("/v1/bakes/{}", bake.id);
 
     let import = claim_one(&server).await;
-    assert_eq!((import.task.kind.as_str(), &import.bake), ("prt.import", &bake.id));
+    assert_eq!((import.task.kind.as_str(), &import.bake), ("two.first", &bake.id));
     assert_eq!((import.inputs[0].name.as_str(), import.inputs[0].bytes), ("bundle", 7));
     let heartbeat = format!("/v1/leases/{}/heartbeat", import.token);
     let answer: HeartbeatAnswer = server.post(&heartbeat, &Heartbeat { progress: 0.5 }).await.json(200);
@@ -136,8 +136,8 @@ async fn bake_without_its_scene_or_with_bad_settings_is_refused() {
     assert!(refused.problem(ProblemCode::NotFound).detail.contains(&scene.to_string()));
     put_scene(&server).await;
     for (kind, settings, hint) in [
-        ("prt", json!({ "no_such_setting": 1 }), "no_such_setting"),
-        ("prt", json!({ "preset": "huge" }), "huge"),
+        ("two", json!({ "no_such_setting": 1 }), "no_such_setting"),
+        ("two", json!({ "preset": "huge" }), "huge"),
         ("other", json!({}), "other"),
     ] {
         let bake = NewBake { kind: kind.into(), ..new_bake(scene, settings) };
@@ -214,7 +214,7 @@ async fn result_runs_again_after(harm: impl FnOnce(&Path)) {
     let again = submit(&server).await;
     assert_eq!((again.state, again.tasks_reused), (BakeState::Running, 1));
     let lease = claim_one(&server).await;
-    assert_eq!(lease.task.kind, "prt.import");
+    assert_eq!(lease.task.kind, "two.first");
     commit(&server, &lease, &[("scene", b"imported")]).await;
     let again: Bake = server.get(&format!("/v1/bakes/{}", again.id)).await.json(200);
     assert_eq!(again.state, BakeState::Done);

@@ -77,7 +77,7 @@ async fn health_readiness_and_metrics_are_told() {
         "lightkiln_stored_chunks 4",
         "lightkiln_lost_chunks_total 0",
         "lightkiln_http_request_duration_seconds_count{method=\"GET\",route=\"/readyz\",status=\"200\"} 1",
-        "lightkiln_tasks{kind=\"prt.import\",state=\"done\"} 1",
+        "lightkiln_tasks{kind=\"two.first\",state=\"done\"} 1",
     ] {
         assert!(text.lines().any(|found| found == line), "{line} is not in\n{text}");
     }

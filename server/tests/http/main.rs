@@ -9,6 +9,8 @@ mod enrolments;
 mod events;
 mod life;
 mod limits;
+#[path = "../parts/mod.rs"]
+mod parts;
 mod problems;
 mod support;
 mod webhooks;

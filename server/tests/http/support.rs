@@ -13,6 +13,8 @@ use tokio::net::TcpStream;
 use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
 
+use crate::parts::kind::kinds;
+
 pub struct Running {
     pub address: SocketAddr,
     pub folder: tempfile::TempDir,
@@ -41,7 +43,7 @@ pub async fn start_with(folder: tempfile::TempDir, limits: LimitConfig) -> Runni
 }
 
 pub async fn start_config(folder: tempfile::TempDir, change: impl FnOnce(Config) -> Config) -> Running {
-    let config = change(Config::new(folder.path()));
+    let config = change(Config { kinds: kinds(), ..Config::new(folder.path()) });
     let server = Server::open(config).await.unwrap();
     let listener = server.bind("127.0.0.1:0").await.unwrap();
     let address = listener.local_addr().unwrap();

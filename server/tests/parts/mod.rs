@@ -3,5 +3,6 @@
 #![allow(dead_code, reason = "no test binary uses every part")]
 
 pub mod keeper;
+pub mod kind;
 pub mod postgres;
 pub mod s3;

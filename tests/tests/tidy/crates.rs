@@ -80,11 +80,15 @@ fn arrows_between_crates_point_to_the_contract_alone() {
         graph.direct(name).into_iter().filter(|name| name.starts_with("lightkiln-")).collect()
     };
     assert_eq!(house("lightkiln-proto"), [""; 0]);
-    for role in ["lightkiln-server", "lightkiln-worker", "lightkiln-client"] {
-        assert_eq!(house(role), ["lightkiln-proto"], "{role} may know no other role");
+    let contract = ["lightkiln-http", "lightkiln-proto"];
+    assert_eq!(house("lightkiln-http"), contract[1..]);
+    assert_eq!(house("lightkiln-server"), contract[1..], "a server calls no server");
+    for role in ["lightkiln-worker", "lightkiln-client"] {
+        assert_eq!(house(role), contract, "{role} may know no other role");
     }
-    let roles = ["lightkiln-client", "lightkiln-proto", "lightkiln-server", "lightkiln-worker"];
-    assert_eq!(house("kiln"), roles, "the binary alone sees all");
+    let all =
+        ["lightkiln-client", "lightkiln-http", "lightkiln-proto", "lightkiln-server", "lightkiln-worker"];
+    assert_eq!(house("kiln"), all, "the binary alone sees all");
 }
 
 #[test]

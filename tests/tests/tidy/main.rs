@@ -4,6 +4,7 @@
 mod crates;
 mod faults;
 mod files;
+mod kinds;
 mod words;
 
 use std::path::{Path, PathBuf};
@@ -15,7 +16,7 @@ fn root() -> PathBuf {
 }
 
 /// Crate folders of the workspace.
-const CRATES: [&str; 6] = ["proto", "server", "worker", "client", "deploy/kiln", "tests"];
+const CRATES: [&str; 7] = ["proto", "proto/http", "server", "worker", "client", "deploy/kiln", "tests"];
 
 /// Files below `folder` whose name ends with `.ending`, ascending, as paths from the root; panics if there are none.
 fn files_below(folder: &str, ending: &str) -> Vec<PathBuf> {

@@ -1,4 +1,4 @@
-//! Error by cluster: where in the scene a bake is wrong.
+//! Error by chunk: the parts of the scene where a bake is wrong.
 
 use std::collections::BTreeMap;
 
@@ -34,14 +34,14 @@ struct Sums {
 /// Errors of all clusters that the sample meets, worst first.
 pub fn cluster_errors(evaluator: &Evaluator, results: &[LightResult]) -> Vec<ClusterError> {
     let mut by_cluster: BTreeMap<Option<usize>, Sums> = BTreeMap::new();
-    for (index, sampled) in evaluator.sample().receivers.iter().enumerate() {
-        let cluster = evaluator.place(sampled.receiver).map(|(cluster, _)| cluster);
+    for (index, sampled) in evaluator.sample().places.iter().enumerate() {
+        let cluster = evaluator.bake().chunk_of(sampled.place);
         let counted: Vec<&LightResult> = results.iter().filter(|result| result.counted[index]).collect();
         if counted.is_empty() {
             continue;
         }
         let sums = by_cluster.entry(cluster).or_default();
-        sums.position += evaluator.world().stage.receivers[sampled.receiver as usize].position_m;
+        sums.position += evaluator.bake().site(sampled.place).position_m;
         sums.receivers += 1;
         for result in counted {
             let mean = result.figures.mean_irradiance;

@@ -2,6 +2,7 @@
 
 use lightkiln_proto::chunk::ChunkError;
 use lightkiln_proto::ids::Digest;
+use lightkiln_proto::manifest::ManifestError;
 use thiserror::Error;
 
 use crate::reference::LightingError;
@@ -38,6 +39,15 @@ pub enum EvaluationError {
         /// The scene's.
         found: Digest,
     },
+    /// No kind of bake of this program.
+    #[error("the bundle is of kind '{kind:.40}', which this program cannot evaluate")]
+    UnknownKind {
+        /// The manifest's.
+        kind: String,
+    },
+    /// Its settings or body cannot be read.
+    #[error("the bundle's manifest cannot be used")]
+    Manifest(#[from] ManifestError),
     /// Import and prepare give something else than they did for the bake.
     #[error(
         "this version of Lightkiln prepares the scene otherwise than the bundle's did ({what}): bake it again"

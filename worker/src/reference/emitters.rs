@@ -1,29 +1,30 @@
 //! The scene's emissive triangles, sampled by what a site can get from each.
 
+use std::ops::Deref;
+
 use glam::{DVec3, Vec3};
 
-use super::site::Site;
 use super::tally::luminance;
-use crate::prt::{Geometry, corners_of, weights_of};
+use crate::emitters::{EmissiveTriangle, emissive_triangles};
+use crate::geometry::{Geometry, Site, weights_of};
 use crate::rays::sampling::uniform_triangle;
-use crate::scene::model::Scene;
-use crate::scene::surface::{Footprint, surface_at};
-use crate::scene::texture::DecodedImages;
 
 /// Triangles up to which every site weighs each one by distance and facing; beyond, all choose by power alone.
 const WEIGHED_MAX: usize = 64;
 
-/// An emissive triangle.
+/// An emissive triangle and its power: area × luminance of the mean radiance.
 #[derive(Clone, Copy, Debug)]
 struct Emitter {
-    /// Triangle through all instances.
-    triangle: u32,
-    corners: [Vec3; 3],
-    normal: Vec3,
-    area_m2: f64,
-    double_sided: bool,
-    /// Area × luminance of the mean radiance.
+    of: EmissiveTriangle,
     power: f64,
+}
+
+impl Deref for Emitter {
+    type Target = EmissiveTriangle;
+
+    fn deref(&self) -> &EmissiveTriangle {
+        &self.of
+    }
 }
 
 /// All of them.
@@ -62,35 +63,18 @@ pub(super) struct EmitterSample {
 
 impl Emitters {
     /// Finds them; none when `scale` is 0.
-    pub fn new(scene: &Scene, images: &DecodedImages, geometry: &Geometry, scale: f32) -> Self {
+    pub fn new(geometry: &Geometry, scale: f32) -> Self {
         let mut set = Self { scale: f64::from(scale), ..Self::default() };
-        if scale <= 0.0 || scene.materials.iter().all(|material| material.emissive == [0.0; 3]) {
+        if scale <= 0.0 || geometry.scene.materials.iter().all(|material| material.emissive == [0.0; 3]) {
             return set;
         }
         set.index_of = vec![u32::MAX; geometry.triangles.len()];
-        for (index, &reference) in geometry.triangles.iter().enumerate() {
-            let instance = &scene.instances[reference.instance as usize];
-            let material = &scene.materials[instance.material_index as usize];
-            if material.emissive == [0.0; 3] {
-                continue;
-            }
-            let corners = corners_of(scene, reference);
-            let scaled = (corners[1] - corners[0]).cross(corners[2] - corners[0]);
-            let area_m2 = 0.5 * f64::from(scaled.length());
-            let (instance_index, local) = (reference.instance as usize, reference.triangle as usize);
-            let footprint = Footprint::square(instance, local, area_m2.sqrt() as f32);
-            let mean = surface_at(scene, images, instance_index, local, [1.0 / 3.0; 3], &footprint).emission;
+        for of in emissive_triangles(geometry) {
+            set.index_of[of.triangle as usize] = set.emitters.len() as u32;
+            let luminance_of = |radiance: [f32; 3]| luminance(Vec3::from(radiance).as_dvec3());
             // A texture may be dark in the mean and still hold a lamp: a hundredth of the factor at least.
-            let floor = 0.01 * luminance(Vec3::from(material.emissive).as_dvec3());
-            set.index_of[index] = set.emitters.len() as u32;
-            set.emitters.push(Emitter {
-                triangle: index as u32,
-                corners,
-                normal: scaled.normalize_or(Vec3::Y),
-                area_m2,
-                double_sided: material.double_sided,
-                power: area_m2 * luminance(Vec3::from(mean).as_dvec3()).max(floor),
-            });
+            let mean = luminance_of(of.mean_radiance).max(0.01 * luminance_of(of.factor));
+            set.emitters.push(Emitter { of, power: f64::from(of.area_m2) * mean });
         }
         set.by_power = running_share(set.emitters.iter().map(|emitter| emitter.power));
         set
@@ -174,7 +158,7 @@ impl Emitters {
             Some((weights, total)) => weights[index] / total,
             None => self.by_power[index] - if index == 0 { 0.0 } else { self.by_power[index - 1] },
         };
-        let density = chance * squared_m2 / (emitter.area_m2 * facing.abs());
+        let density = chance * squared_m2 / (f64::from(emitter.area_m2) * facing.abs());
         (density > 0.0 && density.is_finite()).then_some(density)
     }
 }
@@ -189,7 +173,7 @@ impl Emitter {
             return 0.0;
         }
         let centre_m = (self.corners[0] + self.corners[1] + self.corners[2]) / 3.0;
-        self.power / f64::from(centre_m.distance_squared(site.position_m)).max(self.area_m2)
+        self.power / f64::from(centre_m.distance_squared(site.position_m)).max(f64::from(self.area_m2))
     }
 }
 

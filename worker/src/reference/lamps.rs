@@ -5,9 +5,7 @@ use super::lighting::{Lighting, LightingError};
 use super::panel::Panel;
 use super::punctual::Punctual;
 use super::sky::Sky;
-use crate::prt::Geometry;
-use crate::scene::model::Scene;
-use crate::scene::texture::DecodedImages;
+use crate::geometry::Geometry;
 
 /// Light sources, ready to be sampled.
 #[derive(Clone, Debug)]
@@ -19,18 +17,13 @@ pub(super) struct Lamps {
 }
 
 impl Lamps {
-    pub fn new(
-        scene: &Scene,
-        images: &DecodedImages,
-        geometry: &Geometry,
-        lighting: &Lighting,
-    ) -> Result<Self, LightingError> {
+    pub fn new(geometry: &Geometry, lighting: &Lighting) -> Result<Self, LightingError> {
         lighting.check()?;
         Ok(Self {
             punctual: lighting.lights.iter().filter_map(Punctual::new).collect(),
             panels: lighting.panels.iter().filter_map(Panel::new).collect(),
             sky: Sky::of(&lighting.lights),
-            emitters: Emitters::new(scene, images, geometry, lighting.emitter_scale),
+            emitters: Emitters::new(geometry, lighting.emitter_scale),
         })
     }
 }

@@ -25,22 +25,17 @@ mod panel;
 mod path;
 mod picture;
 mod punctual;
-mod site;
 mod sky;
 mod tally;
 #[cfg(test)]
 mod tests;
 
-use glam::Vec3;
+use crate::geometry::Geometry;
 
-use crate::prt::Geometry;
-use crate::scene::model::Scene;
-use crate::scene::texture::DecodedImages;
-
+pub use crate::geometry::Site;
 pub use irradiance::{IrradianceEstimate, Precision};
 pub use lighting::{Lighting, LightingError, PanelLight};
 pub use picture::{EyeSurface, Film, PictureSize, camera_ray};
-pub use site::Site;
 pub use tally::{Estimate, luminance};
 
 use lamps::Lamps;
@@ -72,8 +67,6 @@ impl Strategy {
 
 /// A scene under some light, ready to be traced.
 pub struct Reference<'a> {
-    scene: &'a Scene,
-    images: &'a DecodedImages,
     geometry: &'a Geometry,
     lamps: Lamps,
     strategy: Strategy,
@@ -85,14 +78,10 @@ impl<'a> Reference<'a> {
     /// Checks the lights and finds the scene's own emitters.
     ///
     /// Errors with the first light that has a number out of range.
-    pub fn new(
-        scene: &'a Scene,
-        images: &'a DecodedImages,
-        geometry: &'a Geometry,
-        lighting: &Lighting,
-    ) -> Result<Self, LightingError> {
-        let lamps = Lamps::new(scene, images, geometry, lighting)?;
-        Ok(Self { scene, images, geometry, lamps, strategy: Strategy::default(), far_m: far_m(scene) })
+    pub fn new(geometry: &'a Geometry, lighting: &Lighting) -> Result<Self, LightingError> {
+        let lamps = Lamps::new(geometry, lighting)?;
+        let far_m = 2.0 * geometry.diagonal_m() + 1.0;
+        Ok(Self { geometry, lamps, strategy: Strategy::default(), far_m })
     }
 
     /// The same with another way to find lamps; all give the same mean.
@@ -101,13 +90,4 @@ impl<'a> Reference<'a> {
         self.strategy = strategy;
         self
     }
-}
-
-/// Twice the diagonal of the scene's bounds and a metre.
-fn far_m(scene: &Scene) -> f32 {
-    let (mut low, mut high) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
-    for position in scene.instances.iter().flat_map(|instance| &instance.positions_m) {
-        (low, high) = (low.min(*position), high.max(*position));
-    }
-    2.0 * (high - low).max(Vec3::ZERO).length() + 1.0
 }

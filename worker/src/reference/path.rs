@@ -8,7 +8,7 @@ use super::emitters::{Chances, emission_of};
 use super::punctual::Target;
 use super::tally::luminance;
 use super::{EyeSurface, Reference, Site};
-use crate::prt::{Geometry, weights_of};
+use crate::geometry::{Geometry, weights_of};
 use crate::rays::Hit;
 use crate::rays::sampling::Sequence;
 use crate::scene::surface::{Footprint, SurfaceSample, normal_at, surface_at};
@@ -62,29 +62,27 @@ impl Reference<'_> {
         self.geometry.tracer.ray_offset_m()
     }
 
-    /// The surface at a hit, its point taken from the triangle rather than along the ray, which rounds less.
+    /// The surface at a hit.
     pub(super) fn met(&self, hit: &Hit) -> Met {
-        let reference = self.geometry.triangles[hit.triangle as usize];
-        let instance = &self.scene.instances[reference.instance as usize];
-        let weights = weights_of(hit.barycentric);
-        let [a, b, c] = crate::prt::corners_of(self.scene, reference);
+        let weights = weights_of(hit.barycentric).to_array();
+        let local = self.geometry.triangles[hit.triangle as usize].triangle as usize;
         let side = if hit.front { 1.0 } else { -1.0 };
-        let face_normal = side * Geometry::face_normal(self.geometry, self.scene, reference);
-        let shading = side * normal_at(instance, reference.triangle as usize, weights.to_array());
+        let face_normal = self.geometry.side_normal(hit);
+        let shading = side * normal_at(self.geometry.instance(hit.triangle), local, weights);
         let site = Site {
-            position_m: a * weights.x + b * weights.y + c * weights.z,
+            position_m: self.geometry.point_of(hit),
             normal: if shading.dot(face_normal) > LEAN_MIN { shading } else { face_normal },
             face_normal,
         };
-        let lit = hit.front || self.scene.materials[instance.material_index as usize].double_sided;
-        Met { site, lit, surface: self.surface(hit.triangle, hit.barycentric) }
+        Met { site, lit: !self.geometry.is_back(hit), surface: self.surface(hit.triangle, hit.barycentric) }
     }
 
     fn surface(&self, triangle: u32, barycentric: [f32; 2]) -> SurfaceSample {
-        let reference = self.geometry.triangles[triangle as usize];
+        let Geometry { scene, images, triangles, .. } = self.geometry;
+        let reference = triangles[triangle as usize];
         let weights = weights_of(barycentric).to_array();
         let (instance, local) = (reference.instance as usize, reference.triangle as usize);
-        surface_at(self.scene, self.images, instance, local, weights, &Footprint::POINT)
+        surface_at(scene, images, instance, local, weights, &Footprint::POINT)
     }
 
     /// Irradiance straight from points, spots and suns: exact but for rounding.
@@ -173,9 +171,7 @@ impl Reference<'_> {
 
     /// The point is a hole of an alpha-masked surface.
     fn lets_through(&self, triangle: u32, surface: &SurfaceSample) -> bool {
-        let instance = self.geometry.triangles[triangle as usize].instance;
-        let material = &self.scene.materials[self.scene.instances[instance as usize].material_index as usize];
-        material.alpha_cutoff.is_some_and(|cutoff| surface.alpha < cutoff)
+        self.geometry.material(triangle).alpha_cutoff.is_some_and(|cutoff| surface.alpha < cutoff)
     }
 
     /// Irradiance straight from the sky, by one direction.

@@ -3,7 +3,7 @@
 use glam::{DVec3, Vec3};
 use lightkiln_proto::scene::{LightKind, SceneLight};
 
-use super::site::Site;
+use crate::geometry::Site;
 
 /// Smallest squared distance to a point light, in m².
 const NEAREST_M2: f32 = 1e-8;

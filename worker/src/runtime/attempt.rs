@@ -7,17 +7,16 @@ use std::sync::Mutex;
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
+use lightkiln_http::{CallError, FOREVER, ShutdownFlag, retry};
 use lightkiln_proto::api::{Blame, CommitVerdict, Failure, Lease, TaskResult};
-use lightkiln_proto::problem::RetryClass;
+use lightkiln_proto::problem::ProblemCode;
 use lightkiln_proto::trace::TARGET;
 use rayon::ThreadPool;
 
-use super::backoff::Backoff;
-use super::farm::CallError;
-use super::store::{GaveUp, LeaseStore};
+use super::Worker;
+use super::store::LeaseStore;
 use super::trace::{self, step};
 use super::watch::{LEASE_INTERVALS, LastWords, LeaseWatch, StopReason};
-use super::{Worker, shutdown::ShutdownFlag};
 use crate::task::{Progress, TaskError, TaskOutput};
 
 /// Most characters of a failure message.
@@ -72,7 +71,7 @@ impl Worker {
             // `work` catches panics, so `finish` is always reached and the scope can end.
             let worked = match watch.acknowledge(&store) {
                 Ok(()) => self.work(lease, pool, &store),
-                Err(gave_up) => Err(no_result_of_call("the task could not be begun", gave_up)),
+                Err(error) => Err(no_result_of_call("the task could not be begun", error)),
             };
             let outcome = self.settle(lease, worked, &watch);
             watch.finish();
@@ -97,16 +96,16 @@ impl Worker {
             let stored = artefacts.iter().map(|(name, bytes)| store.put(name.clone(), bytes)).collect();
             result.outputs = match stored {
                 Ok(outputs) => outputs,
-                Err(gave_up) => return Err(no_result_of_call("the outputs could not be stored", gave_up)),
+                Err(error) => return Err(no_result_of_call("the outputs could not be stored", error)),
             };
             let _span = step(|| tracing::info_span!(target: TARGET, "commit")).entered();
             match store.insist(|| self.farm.commit(&lease.token, &result)) {
                 Ok(verdict) => return Ok(verdict),
                 // A database that dies forgets the last moments; what was stored then has to be told again.
-                Err(GaveUp::Refused(error)) if error.is_about_missing_bytes() && uploads < UPLOADS_MAX => {
+                Err(error) if error.code() == Some(ProblemCode::NotStored) && uploads < UPLOADS_MAX => {
                     tracing::warn!(%error, "the server no longer knows of an output; uploading again");
                 }
-                Err(gave_up) => return Err(no_result_of_call("the result was not accepted", gave_up)),
+                Err(error) => return Err(no_result_of_call("the result was not accepted", error)),
             }
         }
     }
@@ -162,15 +161,13 @@ impl Worker {
 /// Makes a report until it is heard. It is given up when the lease has surely run out, or nobody may wait any more: then
 /// the server finds out by itself, and counts an attempt.
 fn tell(what: &str, patience: &LastWords<'_>, mut call: impl FnMut() -> Result<(), CallError>) {
-    let mut backoff = Backoff::new();
+    let pause = |error: &CallError, wait| {
+        tracing::warn!(%error, "a {what} could not be reported yet");
+        if patience.wait(wait) { Ok(()) } else { Err(CallError::Stopped) }
+    };
     // At once a second time: a connection that was kept open may have been closed meanwhile.
-    let mut outcome = call().or_else(|_| call());
-    while let Err(error) = outcome {
-        if error.retry_class() == RetryClass::Never || !patience.wait(backoff.wait()) {
-            tracing::warn!(%error, "a {what} could not be reported; the lease will run out instead");
-            return;
-        }
-        outcome = call();
+    if let Err(error) = call().or_else(|_| retry(FOREVER, call, pause)) {
+        tracing::warn!(%error, "a {what} could not be reported; the lease will run out instead");
     }
 }
 
@@ -192,22 +189,16 @@ fn no_result_of_task(error: TaskError) -> NoResult {
     }
 }
 
-fn no_result_of_call(what: &str, gave_up: GaveUp) -> NoResult {
-    match gave_up {
-        GaveUp::Cancelled(_) => NoResult::Stopped,
-        // Every worker's output would be as large.
-        GaveUp::Refused(error) if error.is_too_large() => NoResult::Failed(Failure {
-            blame: Blame::Task,
-            message: cut(&format!(
-                "{what}: {}; split the scene, or lower its textures' sizes",
-                chain(&error)
-            )),
-        }),
-        GaveUp::Refused(error) => NoResult::Failed(Failure {
-            blame: Blame::Worker,
-            message: cut(&format!("{what}: {}", chain(&error))),
-        }),
+fn no_result_of_call(what: &str, error: CallError) -> NoResult {
+    if matches!(error, CallError::Stopped) {
+        return NoResult::Stopped;
     }
+    // Every worker's output would be as large.
+    let (blame, next_step) = match error.is_too_large() {
+        true => (Blame::Task, "; split the scene, or lower its textures' sizes"),
+        false => (Blame::Worker, ""),
+    };
+    NoResult::Failed(Failure { blame, message: cut(&format!("{what}: {}{next_step}", chain(&error))) })
 }
 
 /// The error and what caused it, as one line.

@@ -3,10 +3,10 @@
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
+use lightkiln_http::{CallError, Level, ShutdownFlag};
 use lightkiln_proto::api::{ClaimRequest, Lease};
 
-use super::farm::{CallError, Farm};
-use super::shutdown::{Level, ShutdownFlag};
+use super::farm::Farm;
 
 /// Longer than any claim takes; a claim ends by its own timeout first.
 const PATIENCE: Duration = Duration::from_secs(600);

@@ -7,11 +7,9 @@
 //! bytes, so doing one twice is a waste and never an error.
 
 mod attempt;
-mod backoff;
 mod claim;
 mod disk_cache;
 mod farm;
-mod shutdown;
 mod store;
 #[cfg(test)]
 mod tests;
@@ -24,21 +22,18 @@ use std::sync::Arc;
 use std::thread::ScopedJoinHandle;
 use std::time::Duration;
 
+use lightkiln_http::{FOREVER, retry};
 use lightkiln_proto::api::ClaimRequest;
 use lightkiln_proto::ids::Digest;
-use lightkiln_proto::problem::RetryClass;
 use rayon::ThreadPool;
 use thiserror::Error;
-use ureq::tls::RootCerts;
 
 use crate::task::{MemoryCache, TaskRunner};
-use backoff::Backoff;
 use farm::Farm;
 
 pub use attempt::Outcome;
 pub use disk_cache::DiskCache;
-pub use farm::CallError;
-pub use shutdown::{Level, ShutdownFlag};
+pub use lightkiln_http::{CallError, Level, ShutdownFlag};
 
 /// Pause after an answer without tasks, so that a server that does not hold claims open is not asked in a tight loop.
 const EMPTY_ANSWER_PAUSE: Duration = Duration::from_millis(20);
@@ -125,11 +120,9 @@ pub enum WorkerError {
         #[source]
         source: rayon::ThreadPoolBuildError,
     },
-    /// The certificates to trust are none.
-    #[error(
-        "the certificates to trust are broken, or there are none; give a PEM file, with BEGIN CERTIFICATE in it"
-    )]
-    Certificates,
+    /// The server cannot be called by this URL, or with these certificates.
+    #[error(transparent)]
+    Server(CallError),
     /// The server refuses this worker for good.
     #[error("the server gives this worker no tasks")]
     Refused(#[source] CallError),
@@ -149,19 +142,9 @@ pub struct Worker {
 
 /// Exchanges a code for the right to work with `token`, which whoever calls made and keeps; the worker's name on the farm.
 /// The same call again is safe.
-pub fn enrol(
-    server_url: &str,
-    ca_pem: Option<&[u8]>,
-    code: &str,
-    token: &str,
-) -> Result<String, WorkerError> {
-    let farm = Farm::trusting(roots(ca_pem)?, server_url, Some(code));
-    let enrolled = farm.enrol(Digest::of(token.as_bytes())).map_err(WorkerError::Refused)?;
-    Ok(enrolled.name)
-}
-
-fn roots(ca_pem: Option<&[u8]>) -> Result<RootCerts, WorkerError> {
-    ca_pem.map_or(Ok(RootCerts::WebPki), |pem| farm::certificates(pem).ok_or(WorkerError::Certificates))
+pub fn enrol(server_url: &str, ca_pem: Option<&[u8]>, code: &str, token: &str) -> Result<String, CallError> {
+    let farm = Farm::new(server_url, Some(code), ca_pem)?;
+    Ok(farm.enrol(Digest::of(token.as_bytes()))?.name)
 }
 
 impl Worker {
@@ -179,8 +162,8 @@ impl Worker {
             pool.map_err(|source| WorkerError::Threads { threads, source })
         };
         let pools = (0..config.tasks.max(1)).map(pool).collect::<Result<_, _>>()?;
-        let roots = roots(config.ca_pem.as_deref())?;
-        let farm = Arc::new(Farm::trusting(roots, &config.server_url, config.token.as_deref()));
+        let farm = Farm::new(&config.server_url, config.token.as_deref(), config.ca_pem.as_deref());
+        let farm = Arc::new(farm.map_err(WorkerError::Server)?);
         let memory = MemoryCache::new(config.memory_bytes);
         Ok(Self { config, runner, farm, disk, memory, pools })
     }
@@ -200,26 +183,22 @@ impl Worker {
 
     /// Claims and does one task after the other.
     fn take_tasks(&self, pool: &ThreadPool, shutdown: &ShutdownFlag) -> Result<(), WorkerError> {
-        let mut backoff = Backoff::new();
-        while shutdown.level() == Level::Run {
-            match claim::claim(&self.farm, self.claim_request(), shutdown) {
+        let is_over = |level| level > Level::Run;
+        let pause = |error: &CallError, wait: Duration| {
+            tracing::warn!(%error, wait_secs = wait.as_secs_f64(), "no task could be claimed; trying again");
+            if is_over(shutdown.wait(wait, is_over)) { Err(CallError::Stopped) } else { Ok(()) }
+        };
+        while !is_over(shutdown.level()) {
+            match retry(FOREVER, || claim::claim(&self.farm, self.claim_request(), shutdown), pause) {
                 Ok(Some(lease)) => {
-                    backoff.reset();
                     tracing::info!(kind = lease.task.kind, label = lease.task.label, "took");
                     self.attempt(&lease, pool, shutdown);
                 }
                 Ok(None) => {
-                    backoff.reset();
-                    shutdown.wait(EMPTY_ANSWER_PAUSE, |level| level > Level::Run);
+                    shutdown.wait(EMPTY_ANSWER_PAUSE, is_over);
                 }
-                Err(error) if error.retry_class() == RetryClass::Never => {
-                    return Err(WorkerError::Refused(error));
-                }
-                Err(error) => {
-                    let wait = backoff.wait();
-                    tracing::warn!(%error, wait_secs = wait.as_secs_f64(), "no task could be claimed; trying again");
-                    shutdown.wait(wait, |level| level > Level::Run);
-                }
+                Err(CallError::Stopped) => break,
+                Err(error) => return Err(WorkerError::Refused(error)),
             }
         }
         Ok(())

@@ -3,30 +3,19 @@
 
 use std::sync::Arc;
 
+use lightkiln_http::{CallError, FOREVER, Level, ShutdownFlag, retry};
 use lightkiln_proto::api::MAX_CHUNK_BYTES;
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::Artefact;
-use lightkiln_proto::problem::RetryClass;
 use lightkiln_proto::trace::TARGET;
 
-use super::backoff::Backoff;
 use super::disk_cache::DiskCache;
-use super::farm::{CallError, Farm};
-use super::shutdown::{Level, ShutdownFlag};
+use super::farm::Farm;
 use super::trace::step;
 use crate::task::{ArtefactSource, Cancelled, FetchError, Progress};
 
 /// How often an artefact may arrive with other bytes than its digest says.
 const DAMAGED_ARRIVALS_MAX: u32 = 3;
-
-/// Why a call was given up.
-#[derive(Debug)]
-pub(super) enum GaveUp {
-    /// The task was.
-    Cancelled(Cancelled),
-    /// The same call would fail again.
-    Refused(CallError),
-}
 
 /// Artefacts for the length of one lease.
 pub(super) struct LeaseStore<'a> {
@@ -38,41 +27,32 @@ pub(super) struct LeaseStore<'a> {
 
 impl LeaseStore<'_> {
     /// Makes `call` until it succeeds, is refused for good, or the task is given up.
-    pub(super) fn insist<T>(&self, mut call: impl FnMut() -> Result<T, CallError>) -> Result<T, GaveUp> {
-        let mut backoff = Backoff::new();
-        loop {
-            self.progress.check().map_err(GaveUp::Cancelled)?;
-            if self.shutdown.level() == Level::Stop {
-                return Err(GaveUp::Cancelled(Cancelled));
-            }
-            match call() {
-                Ok(answer) => return Ok(answer),
-                Err(error) if error.retry_class() == RetryClass::Never => return Err(GaveUp::Refused(error)),
-                Err(error) => {
-                    let wait = backoff.wait();
-                    tracing::warn!(%error, wait_secs = wait.as_secs_f64(), "a call failed; trying again");
-                    let given_up = |level| level == Level::Stop || self.progress.is_cancelled();
-                    self.shutdown.wait(wait, given_up);
-                }
-            }
-        }
+    pub(super) fn insist<T>(&self, call: impl FnMut() -> Result<T, CallError>) -> Result<T, CallError> {
+        let is_given_up = |level| level == Level::Stop || self.progress.is_cancelled();
+        let check = |level| if is_given_up(level) { Err(CallError::Stopped) } else { Ok(()) };
+        check(self.shutdown.level())?;
+        retry(FOREVER, call, |error, wait| {
+            tracing::warn!(%error, wait_secs = wait.as_secs_f64(), "a call failed; trying again");
+            check(self.shutdown.wait(wait, is_given_up))
+        })
     }
 
     /// Stores an artefact unless the server has it, and keeps it for tasks that read it here.
-    pub(super) fn put(&self, name: String, bytes: &[u8]) -> Result<Artefact, GaveUp> {
+    pub(super) fn put(&self, name: String, bytes: &[u8]) -> Result<Artefact, CallError> {
+        let length = bytes.len() as u64;
         // Asked for here, as a server may hang up on an upload before its refusal is read.
-        if bytes.len() as u64 > MAX_CHUNK_BYTES {
-            return Err(GaveUp::Refused(CallError::TooLarge { bytes: bytes.len() as u64 }));
+        if length > MAX_CHUNK_BYTES {
+            let body = format!("the output '{name}'");
+            return Err(CallError::TooLarge { body, bytes: length, limit: MAX_CHUNK_BYTES });
         }
         let digest = Digest::of(bytes);
-        let length = bytes.len();
         let _span =
             step(|| tracing::info_span!(target: TARGET, "upload", name, %digest, bytes = length)).entered();
-        if !self.insist(|| self.farm.has_artefact(digest, bytes.len() as u64))? {
+        if !self.insist(|| self.farm.has_artefact(digest, length))? {
             self.insist(|| self.farm.put_artefact(digest, bytes))?;
         }
         self.keep(digest, bytes);
-        Ok(Artefact { name, digest, bytes: bytes.len() as u64 })
+        Ok(Artefact { name, digest, bytes: length })
     }
 
     /// A cache that cannot be written costs time later, not the task now.
@@ -85,9 +65,9 @@ impl LeaseStore<'_> {
     fn fetch(&self, digest: Digest) -> Result<Vec<u8>, FetchError> {
         let _span = step(|| tracing::info_span!(target: TARGET, "fetch", %digest)).entered();
         for _ in 0..DAMAGED_ARRIVALS_MAX {
-            let arrived = self.insist(|| self.farm.artefact(digest)).map_err(|gave_up| match gave_up {
-                GaveUp::Cancelled(cancelled) => FetchError::Cancelled(cancelled),
-                GaveUp::Refused(error) => FetchError::Unavailable { digest, source: Box::new(error) },
+            let arrived = self.insist(|| self.farm.artefact(digest)).map_err(|error| match error {
+                CallError::Stopped => FetchError::Cancelled(Cancelled),
+                error => FetchError::Unavailable { digest, source: Box::new(error) },
             })?;
             let bytes = arrived.ok_or(FetchError::NotFound { digest })?;
             if Digest::of(&bytes) == digest {

@@ -5,11 +5,11 @@ use std::sync::PoisonError;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use lightkiln_http::{CallError, Level, ShutdownFlag};
 use lightkiln_proto::api::Verdict;
 
 use super::farm::Farm;
-use super::shutdown::{Level, ShutdownFlag};
-use super::store::{GaveUp, LeaseStore};
+use super::store::LeaseStore;
 use crate::task::Progress;
 
 /// Pause after a heartbeat without an answer: a lease has time for several tries.
@@ -104,10 +104,10 @@ impl LeaseWatch<'_> {
     /// answer to its claim, nothing was attempted, and the server counts no attempt.
     ///
     /// A lease that is gone by then, as the answer took that long, stops the task before it starts.
-    pub(super) fn acknowledge(&self, store: &LeaseStore<'_>) -> Result<(), GaveUp> {
+    pub(super) fn acknowledge(&self, store: &LeaseStore<'_>) -> Result<(), CallError> {
         let answer = store.insist(|| self.farm.heartbeat(self.token, 0.0, self.interval))?;
         self.heed(answer.verdict);
-        self.progress.check().map_err(GaveUp::Cancelled)
+        self.progress.check().map_err(|_| CallError::Stopped)
     }
 
     /// Sends a heartbeat and heeds the answer; gives the time until the next one.

@@ -21,6 +21,7 @@ mod pack;
 mod placement;
 mod primitives;
 pub mod surface;
+pub mod task;
 pub mod texture;
 mod uri;
 mod warnings;
@@ -39,6 +40,13 @@ use context::{Budgets, Context};
 use materials::MaterialTable;
 use model::{Imported, Scene};
 use warnings::Warnings;
+
+/// Magic of the imported-scene artefact.
+pub const ARTEFACT_MAGIC: &[u8; 4] = b"LKsc";
+/// Name under which tasks see it.
+pub const ARTEFACT: &str = "import/scene";
+/// Name under which tasks see the import's warnings.
+pub const WARNINGS: &str = "import/warnings";
 
 /// Reads the bundle's glTF as one flat scene in world space.
 ///

@@ -14,6 +14,7 @@ use crate::embedded::{EmbeddedFarm, default_state};
 use crate::evaluation::{EvaluationArguments, check, measure, relative_path, words};
 use crate::failure::{EXIT_CODES, Exit, Failure, Result};
 use crate::interrupt::Interrupt;
+use crate::kinds::KindTables;
 use crate::picture::PictureArguments;
 use crate::settings::SettingsArguments;
 use crate::summary::complete_report;
@@ -51,19 +52,20 @@ pub struct Arguments {
     evaluate: bool,
     #[command(flatten)]
     wanted: EvaluationArguments,
-    /// Ends with one JSON object on standard output: bake, scene, out, receivers, probes, patches, clusters,
-    /// tasks_run, tasks_reused, mean_rank, rank_max, rays_closest, rays_occlusion, uncovered_fraction, bytes_total,
-    /// bytes_per_receiver, elapsed_secs, stages; with --evaluate also evaluation
+    /// Ends with one JSON object on standard output: bake, scene, out, kind, tasks_run, tasks_reused, rays_closest,
+    /// rays_occlusion, bytes_total, elapsed_secs, stages, and the kind's own figures (prt: receivers, patches, clusters,
+    /// mean_rank, rank_max, uncovered_fraction, bytes_per_receiver); with --evaluate also evaluation
     #[arg(long)]
     json: bool,
 }
 
 /// Bakes, writes the bundle, and draws the picture if one is wanted.
-pub fn run(arguments: Arguments) -> Result<()> {
+pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     let started = Instant::now();
-    let settings = arguments.settings.resolve()?;
+    let wanted = arguments.settings.resolve(&kinds.contract)?;
     arguments.picture.check()?;
     arguments.wanted.own_lights()?;
+    arguments.wanted.check_figures(&kinds.worker)?;
     if !arguments.evaluate && !arguments.wanted.fail_if.is_empty() {
         return Err(Failure::bad_input("--fail-if has nothing to look at").try_this("--evaluate beside it"));
     }
@@ -71,23 +73,23 @@ pub fn run(arguments: Arguments) -> Result<()> {
     refuse_foreign_folder(&out)?;
     let scene = PackedScene::read(&arguments.scene)?;
     let interrupt = Interrupt::listen()?;
-    let farm = Place::open(&arguments)?;
+    let farm = Place::open(&arguments, kinds)?;
     let client = connect(farm.url(), &arguments.trust, &interrupt)?;
-    let bake = scene.submit(&client, |bake| bake.settings = settings.clone())?;
+    let bake = scene.submit(&client, |bake| wanted.set(bake))?;
     let bake = follow(&client, &bake.id, &interrupt, || farm.check())
         .map_err(|failure| wind_down(failure, &farm, &client, &bake.id))?;
     let scene_name = arguments.scene.display().to_string();
-    let (mut summary, _) = write_bundle(&client, &bake, &scene_name, &out, started)?;
+    let (mut summary, _) = write_bundle(&kinds.contract, &client, &bake, &scene_name, &out, started)?;
     drop(farm);
     let source = Source::bundle(&out)?;
     let scene_path = relative_path(&out, &arguments.scene);
     complete_report(&out, scene_path.clone(), &summary)?;
     if arguments.evaluate {
-        summary.evaluation = Some(measure(&source, scene, &arguments.wanted, &interrupt)?.evaluation);
+        summary.evaluation = Some(measure(kinds, &source, scene, &arguments.wanted, &interrupt)?.evaluation);
         complete_report(&out, scene_path, &summary)?;
     }
     if let Some(png) = &arguments.preview {
-        arguments.picture.draw(&source, png)?;
+        arguments.picture.draw(&kinds.client, &source, png)?;
         eprintln!("picture: {}", png.display());
     }
     eprint!("{}", summary.words());
@@ -108,13 +110,13 @@ enum Place {
 }
 
 impl Place {
-    fn open(arguments: &Arguments) -> Result<Self> {
+    fn open(arguments: &Arguments, kinds: &KindTables) -> Result<Self> {
         if let Some(url) = &arguments.server {
             return Ok(Self::Farm(url.clone()));
         }
         let state = arguments.state.clone().map_or_else(default_state, Ok)?;
         let threads = arguments.threads.map_or_else(all_processors, usize::from);
-        Ok(Self::Embedded(Box::new(EmbeddedFarm::start(&state, threads)?)))
+        Ok(Self::Embedded(Box::new(EmbeddedFarm::start(&state, threads, kinds)?)))
     }
 
     fn url(&self) -> &str {

@@ -12,6 +12,7 @@ use crate::evaluation::{
 };
 use crate::failure::{EXIT_CODES, Result};
 use crate::interrupt::Interrupt;
+use crate::kinds::KindTables;
 use crate::picture::parse_size;
 
 /// Arguments of `kiln evaluate`.
@@ -45,21 +46,22 @@ pub struct Arguments {
 }
 
 /// Measures, writes what is wanted, and holds the figures to the limits.
-pub fn run(arguments: Arguments) -> Result<()> {
+pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     let camera = arguments.camera.as_deref().map(parse_camera).transpose()?;
+    arguments.wanted.check_figures(&kinds.worker)?;
     let source = Source::bundle(&arguments.bundle)?;
     let path = match &arguments.scene {
         Some(scene) => scene.clone(),
         None => scene_of_bundle(&arguments.bundle)?,
     };
     let scene = PackedScene::read(&path)?;
-    let measured = measure(&source, scene, &arguments.wanted, &Interrupt::default())?;
+    let measured = measure(kinds, &source, scene, &arguments.wanted, &Interrupt::default())?;
     if let Some(csv) = &arguments.dump {
         write_dump(csv, &measured)?;
     }
     eprint!("{}", words(&measured.evaluation));
     if let Some(out) = &arguments.out {
-        write_page(out, &measured, &draw(&source, &measured, camera, arguments.size)?)?;
+        write_page(out, &measured, &draw(kinds, &source, &measured, camera, arguments.size)?)?;
     }
     if arguments.json {
         println!("{}", serde_json::json!(measured.evaluation));

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use clap::Args;
+use lightkiln_proto::kinds::Kinds;
 
 use super::submitting::connect;
 use crate::arguments::ServerArgument;
@@ -24,12 +25,12 @@ pub struct Arguments {
 }
 
 /// Downloads manifest, chunks and report; the same command again goes on after an interruption.
-pub fn run(arguments: Arguments) -> Result<()> {
+pub fn run(arguments: Arguments, kinds: &Kinds) -> Result<()> {
     let started = Instant::now();
     let interrupt = Interrupt::listen()?;
     let client = connect(&arguments.server.server, &arguments.server.trust, &interrupt)?;
     let bake = client.bake(&arguments.id)?;
-    let written = write_bundle(&client, &bake, &bake.name, &arguments.out, started);
+    let written = write_bundle(kinds, &client, &bake, &bake.name, &arguments.out, started);
     let (_, done) = written.map_err(|failure| match bake.results_lost {
         0 => failure,
         lost => failure.try_this(format!(

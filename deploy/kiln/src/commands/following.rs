@@ -2,9 +2,10 @@
 
 use std::time::Duration;
 
-use lightkiln_client::fetch::{ApiClient, RetryPolicy};
+use lightkiln_client::fetch::ApiClient;
+use lightkiln_http::RetryPolicy;
 use lightkiln_proto::api::{Bake, BakeState, EventKind};
-use lightkiln_proto::prt::TaskKind;
+use lightkiln_proto::kinds::SceneTask;
 
 use crate::failure::{Exit, Failure, Result};
 use crate::interrupt::Interrupt;
@@ -13,11 +14,10 @@ use crate::progress::ProgressView;
 /// Seconds that one poll waits for news; short, so that Ctrl-C is heard soon.
 const POLL_SECS: u32 = 1;
 /// A bake outlives a server's restart, so this waits some minutes for one.
-const PATIENCE: RetryPolicy = RetryPolicy {
-    attempts: 40,
-    first_wait: Duration::from_millis(250),
-    longest_wait: Duration::from_secs(8),
-};
+const PATIENCE: RetryPolicy = RetryPolicy::new()
+    .with_min_delay(Duration::from_millis(250))
+    .with_max_delay(Duration::from_secs(8))
+    .with_max_times(80);
 
 /// A bake that has ended, well or not.
 pub struct Ended {
@@ -88,7 +88,7 @@ impl Ended {
             BakeState::Failed => {
                 let why = bake.failure.as_deref().unwrap_or("no reason was given");
                 // Import reads nothing but the scene's own files: when it fails, they are wrong.
-                let is_import = self.failed_kind.as_deref() == Some(TaskKind::Import.name());
+                let is_import = self.failed_kind.as_deref() == Some(SceneTask::Import.name());
                 let exit = if is_import { Exit::BadInput } else { Exit::Failed };
                 Err(Failure::new(exit, format!("bake {} failed: {why}", bake.id)))
             }

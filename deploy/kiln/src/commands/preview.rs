@@ -9,6 +9,7 @@ use super::submitting::connect;
 use crate::arguments::TrustArgument;
 use crate::failure::Result;
 use crate::interrupt::Interrupt;
+use crate::kinds::KindTables;
 use crate::picture::PictureArguments;
 
 /// Arguments of `kiln preview`.
@@ -30,7 +31,7 @@ pub struct Arguments {
 }
 
 /// Draws the picture.
-pub fn run(arguments: Arguments) -> Result<()> {
+pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     arguments.picture.check()?;
     let source = match &arguments.server {
         Some(url) => {
@@ -39,5 +40,5 @@ pub fn run(arguments: Arguments) -> Result<()> {
         }
         None => Source::bundle(&arguments.bake)?,
     };
-    arguments.picture.draw(&source, &arguments.out)
+    arguments.picture.draw(&kinds.client, &source, &arguments.out)
 }

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::Args;
+use lightkiln_proto::kinds::Kinds;
 use lightkiln_server::places::{ChunksPlace, DatabasePlace};
 use lightkiln_server::{Config, Keeping, LimitConfig, Server, TlsFiles, WebhookConfig};
 use lightkiln_worker::runtime::Level;
@@ -89,7 +90,7 @@ fn parse_size(text: &str) -> std::result::Result<u64, String> {
 }
 
 /// Serves until a signal comes.
-pub fn run(arguments: Arguments) -> Result<()> {
+pub fn run(arguments: Arguments, kinds: &Kinds) -> Result<()> {
     let interrupt = Interrupt::listen()?;
     let state = match arguments.state {
         Some(state) => state,
@@ -98,6 +99,7 @@ pub fn run(arguments: Arguments) -> Result<()> {
     let tls = arguments.tls_cert.zip(arguments.tls_key).map(|(cert, key)| TlsFiles { cert, key });
     let scheme = if tls.is_some() { "https" } else { "http" };
     let config = Config {
+        kinds: kinds.clone(),
         tls,
         webhooks: webhooks(&arguments.webhook, arguments.webhook_allow_local)?,
         limits: LimitConfig {

@@ -1,42 +1,52 @@
-//! `kiln settings`: every setting of a bake with its range, presets and effect.
+//! `kiln settings`: every setting of a kind of bake with its range, presets and effect.
 
 use clap::Args;
-use lightkiln_proto::prt::{SettingRow, Settings};
-use serde_json::json;
+use lightkiln_proto::kinds::{Kind, Kinds};
+use lightkiln_proto::settings::SettingRow;
+use serde_json::{Value, json};
 
 use crate::failure::Result;
+use crate::settings::kind_named;
 
 /// Arguments of `kiln settings`.
 #[derive(Args, Debug)]
 pub struct Arguments {
+    /// Kind of bake [default: the first that is listed at the end]
+    #[arg(long, default_value = "", hide_default_value = true)]
+    kind: String,
     /// Prints them as JSON
     #[arg(long)]
     json: bool,
 }
 
 /// Prints the table for people or as JSON.
-pub fn run(arguments: Arguments) -> Result<()> {
+pub fn run(arguments: Arguments, kinds: &Kinds) -> Result<()> {
+    let kind = kind_named(kinds, &arguments.kind)?;
+    let rows = kind.settings();
     if arguments.json {
-        println!("{}", json!(Settings::TABLE.iter().map(as_json).collect::<Vec<_>>()));
+        println!("{}", json!(rows.iter().map(as_json).collect::<Vec<_>>()));
         return Ok(());
     }
+    println!("{}: {}\n", kind.name(), kind.about());
     println!("{:22} {:>10} {:>10} {:>10}  range", "setting", "draft", "medium", "high");
-    for row in Settings::TABLE {
-        let [draft, medium, high] = row.presets.map(short);
+    for row in &rows {
+        let [draft, medium, high] = row.presets.each_ref().map(short);
         println!("{:22} {draft:>10} {medium:>10} {high:>10}  {}", row.name, row.range);
         println!("    {}\n", row.effect.trim());
     }
-    println!("set one with --set SETTING=VALUE, KILN_SET_<SETTING> or in a file given with --settings");
+    println!("set one with --set SETTING=VALUE, KILN_SET_<SETTING> or in a file given with --settings\n");
+    println!("kinds of bake, for --kind:");
+    kinds.iter().for_each(|kind: &dyn Kind| println!("  {:8} {}", kind.name(), kind.about()));
     Ok(())
 }
 
-fn as_json(row: &SettingRow) -> serde_json::Value {
-    let [draft, medium, high] = row.presets;
+fn as_json(row: &SettingRow) -> Value {
+    let [draft, medium, high] = &row.presets;
     let (name, range, effect) = (row.name, row.range, row.effect.trim());
     json!({ "name": name, "range": range, "draft": draft, "medium": medium, "high": high, "effect": effect })
 }
 
-/// The table's values were f32 once: nine digits of 0.04_f32 help nobody.
-fn short(value: f64) -> String {
-    (value as f32).to_string()
+/// A word without quotes, a number as it is.
+fn short(value: &Value) -> String {
+    value.as_str().map_or_else(|| value.to_string(), str::to_owned)
 }

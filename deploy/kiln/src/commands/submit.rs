@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 
 use clap::Args;
 use lightkiln_proto::api::{Bake, Needs, NewBake};
+use lightkiln_proto::kinds::Kinds;
 use serde_json::{Value, json};
 
 use super::following::{Ended, wait_for_end};
@@ -58,9 +59,9 @@ pub struct Arguments {
 }
 
 /// Prints the bake's id on standard output, or with `--json` an object.
-pub fn run(arguments: Arguments) -> Result<()> {
+pub fn run(arguments: Arguments, kinds: &Kinds) -> Result<()> {
     let started = Instant::now();
-    let ended = submit(&arguments);
+    let ended = submit(&arguments, kinds);
     let elapsed = started.elapsed();
     if let Some(path) = &arguments.junit {
         let report = junit::report(&arguments.scene.display().to_string(), &ended, elapsed);
@@ -76,8 +77,8 @@ pub fn run(arguments: Arguments) -> Result<()> {
 }
 
 /// The bake as it stands when the command is to end.
-fn submit(arguments: &Arguments) -> Result<Ended> {
-    let settings = arguments.settings.resolve()?;
+fn submit(arguments: &Arguments, kinds: &Kinds) -> Result<Ended> {
+    let wanted = arguments.settings.resolve(kinds)?;
     let scene = PackedScene::read(&arguments.scene)?;
     let needs = Needs {
         memory_mib: arguments.needs_memory_mib,
@@ -87,7 +88,7 @@ fn submit(arguments: &Arguments) -> Result<Ended> {
     let interrupt = Interrupt::listen()?;
     let client = connect(&arguments.server.server, &arguments.server.trust, &interrupt)?;
     let set = |bake: &mut NewBake| {
-        bake.settings = settings;
+        wanted.set(bake);
         bake.priority = arguments.priority;
         bake.needs = needs;
         bake.attempt_limit_secs = arguments.attempt_limit_secs;

@@ -4,7 +4,8 @@ use std::hash::{BuildHasher as _, Hasher as _, RandomState};
 use std::path::Path;
 use std::time::{Duration, SystemTime};
 
-use lightkiln_client::fetch::{ApiClient, RetryPolicy};
+use lightkiln_client::fetch::ApiClient;
+use lightkiln_http::RetryPolicy;
 use lightkiln_proto::api::{Bake, BakeState, Needs, NewBake, SCENE_PART_BYTES};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::problem::RetryClass;
@@ -16,8 +17,10 @@ use crate::failure::{Exit, Failure, Result};
 use crate::interrupt::Interrupt;
 
 /// Few and quick, as a person waits for the first answer.
-const FIRST_CONTACT: RetryPolicy =
-    RetryPolicy { attempts: 4, first_wait: Duration::from_millis(250), longest_wait: Duration::from_secs(1) };
+const FIRST_CONTACT: RetryPolicy = RetryPolicy::new()
+    .with_min_delay(Duration::from_millis(250))
+    .with_max_delay(Duration::from_secs(1))
+    .with_max_times(4);
 /// Longest name of a bake.
 const NAME_CHARS_MAX: usize = 200;
 /// Bakes of one commit that may have failed or been cancelled before. More → a commit can be tried more often.
@@ -86,7 +89,7 @@ impl PackedScene {
         let mut bake = NewBake {
             name: self.name.clone(),
             scene: stored.scene,
-            kind: lightkiln_proto::bake::PRT.to_owned(),
+            kind: String::new(),
             settings: Value::Null,
             priority: 0,
             needs: Needs::default(),
@@ -99,11 +102,8 @@ impl PackedScene {
 
 /// A server that answers quickly or not at all; its waits end on Ctrl-C.
 pub fn connect(url: &str, trust: &TrustArgument, interrupt: &Interrupt) -> Result<ApiClient> {
-    let client = ApiClient::new(url, own_token()?)?.with_retry(FIRST_CONTACT).with_stop(interrupt.stop());
-    Ok(match trust.pem()? {
-        Some(pem) => client.with_trust(&pem)?,
-        None => client,
-    })
+    let client = ApiClient::trusting(url, own_token()?.as_deref(), trust.pem()?.as_deref())?;
+    Ok(client.with_retry(FIRST_CONTACT).with_shutdown(interrupt.flag().clone()))
 }
 
 /// The token for calls to a farm, from the variable `KILN_TOKEN`: command lines can be read by others.

@@ -4,8 +4,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use clap::Args;
-use lightkiln_worker::prt::PrtRunner;
-use lightkiln_worker::runtime::{Worker, WorkerConfig, WorkerError, usual_tasks};
+use lightkiln_worker::kinds::{BakeKinds, Runner};
+use lightkiln_worker::runtime::{CallError, Worker, WorkerConfig, WorkerError, usual_tasks};
 
 use super::bake::all_processors;
 use super::submitting::own_token;
@@ -59,7 +59,7 @@ pub struct Arguments {
 }
 
 /// Works until a signal comes.
-pub fn run(arguments: Arguments) -> Result<()> {
+pub fn run(arguments: Arguments, kinds: &BakeKinds) -> Result<()> {
     let interrupt = Interrupt::listen()?;
     let cache = match arguments.cache {
         Some(cache) => cache,
@@ -85,7 +85,7 @@ pub fn run(arguments: Arguments) -> Result<()> {
     config.lease_secs = arguments.lease_secs;
     config.cache_bytes = arguments.cache_gib << 30;
     let name = config.name.clone();
-    let worker = Worker::new(config, Arc::new(PrtRunner)).map_err(worker_failure)?;
+    let worker = Worker::new(config, Arc::new(Runner::new(kinds))).map_err(worker_failure)?;
     eprintln!("worker {name} takes tasks from {}", arguments.server.server);
     worker.run(interrupt.flag()).map_err(worker_failure)
 }
@@ -110,7 +110,8 @@ fn default_name() -> String {
 fn worker_failure(error: WorkerError) -> Failure {
     let (exit, next_step) = match &error {
         WorkerError::Cache { .. } => (Exit::BadInput, "another folder with --cache DIR"),
-        WorkerError::Certificates => (Exit::BadInput, "another file with --ca"),
+        WorkerError::Server(CallError::Certificates { .. }) => (Exit::BadInput, "another file with --ca"),
+        WorkerError::Server(_) => (Exit::BadInput, "the URL of a Lightkiln server with --server"),
         WorkerError::Threads { .. } => (Exit::BadInput, "fewer threads with --threads N"),
         WorkerError::Refused(error) if error.is_about_tokens() => (
             Exit::BadInput,

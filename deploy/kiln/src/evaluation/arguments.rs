@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use lightkiln_worker::evaluate::{TestLight, lights_of_file};
+use lightkiln_worker::kinds::BakeKinds;
 
 use super::limits::Limit;
 use crate::failure::{Failure, Result};
@@ -20,7 +21,7 @@ pub struct EvaluationArguments {
     /// smaller takes longer, with its inverse square
     #[arg(long, value_name = "E", default_value_t = 0.03, value_parser = parse_rel_error, help_heading = "Evaluation")]
     pub rel_error: f64,
-    /// Receivers to measure at, spread by area
+    /// Places to measure at, spread by area
     #[arg(
         long,
         value_name = "N",
@@ -36,6 +37,12 @@ pub struct EvaluationArguments {
 }
 
 impl EvaluationArguments {
+    /// Errs when a limit names neither a figure nor a class of error of some kind of bake; cheap, as [`Self::own_lights`].
+    pub fn check_figures(&self, kinds: &BakeKinds) -> Result<()> {
+        let classes = kinds.error_classes();
+        self.fail_if.iter().try_for_each(|limit| limit.check_figure(&classes))
+    }
+
     /// The lights of --lights; cheap, so that a wrong file is said before anything is baked or prepared.
     pub fn own_lights(&self) -> Result<Option<Vec<TestLight>>> {
         let Some(path) = &self.lights else { return Ok(None) };

@@ -3,35 +3,46 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
+use glam::DVec3;
 use lightkiln_client::fetch::write_atomically;
+use lightkiln_worker::evaluate::{ClassResult, LightResult};
 
 use super::measure::Measured;
 use crate::failure::Result;
 
-/// First line of the file.
-const HEADER: &str = "light,receiver,x_m,y_m,z_m,nx,ny,nz,area_m2,baked_r,baked_g,baked_b,full_rank_r,full_rank_g,\
-                      full_rank_b,reference_r,reference_g,reference_b,error_r,error_g,error_b,direct_r,direct_g,\
-                      direct_b,paths,counted\n";
+/// First columns of the file; after them, a column of each class of error that is known at the places.
+const HEADER: &str = "light,receiver,x_m,y_m,z_m,nx,ny,nz,area_m2,baked_r,baked_g,baked_b,reference_r,reference_g,\
+                      reference_b,error_r,error_g,error_b,direct_r,direct_g,direct_b,paths,counted";
 
-/// Writes one line per light and receiver: place, normal, area, E_ind in W·m⁻² as baked, by full-rank transport and
-/// by the reference with its standard error, and E_dir.
+/// Writes one line per light and place: position, normal, area, E_ind in W·m⁻² as baked and by the reference with its
+/// standard error, E_dir, and E_ind with no other error than that of a class.
 pub fn write_dump(path: &Path, measured: &Measured) -> Result<()> {
-    let stage = &measured.evaluator.world().stage;
     let mut text = HEADER.to_owned();
+    let at_sample = |result: &LightResult| -> Vec<ClassResult> {
+        result.classes.iter().filter(|class| !class.at_sample.is_empty()).cloned().collect()
+    };
+    for class in measured.results.first().map(at_sample).unwrap_or_default() {
+        text.extend(["r", "g", "b"].map(|channel| format!(",{}_only_{channel}", class.name)));
+    }
+    text.push('\n');
     for result in &measured.results {
-        for (index, sampled) in measured.evaluator.sample().receivers.iter().enumerate() {
-            let receiver = &stage.receivers[sampled.receiver as usize];
-            let (p, n) = (receiver.position_m, receiver.normal);
-            let (baked, full_rank) = (result.baked[index], result.full_rank[index]);
+        let classes = at_sample(result);
+        for (index, sampled) in measured.evaluator.sample().places.iter().enumerate() {
+            let site = measured.evaluator.bake().site(sampled.place);
+            let (p, n) = (site.position_m, site.normal);
             let reference = &result.reference[index];
-            let (mean, error, direct) =
-                (reference.indirect.mean, reference.indirect.error, reference.direct.mean);
+            let colours = [
+                result.baked[index],
+                reference.indirect.mean,
+                reference.indirect.error,
+                reference.direct.mean,
+            ];
             // Writing to a String cannot fail.
-            let _ = writeln!(
+            let _ = write!(
                 text,
-                "{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{}",
+                "{},{},{},{},{},{},{},{},{}",
                 field(&result.light.name),
-                sampled.receiver,
+                sampled.place,
                 p.x,
                 p.y,
                 p.z,
@@ -39,27 +50,19 @@ pub fn write_dump(path: &Path, measured: &Measured) -> Result<()> {
                 n.y,
                 n.z,
                 sampled.area_m2,
-                baked.x,
-                baked.y,
-                baked.z,
-                full_rank.x,
-                full_rank.y,
-                full_rank.z,
-                mean.x,
-                mean.y,
-                mean.z,
-                error.x,
-                error.y,
-                error.z,
-                direct.x,
-                direct.y,
-                direct.z,
-                reference.paths,
-                u8::from(result.counted[index]),
             );
+            colours.iter().for_each(|colour| text += &channels(*colour));
+            let _ = write!(text, ",{},{}", reference.paths, u8::from(result.counted[index]));
+            classes.iter().for_each(|class| text += &channels(class.at_sample[index]));
+            text.push('\n');
         }
     }
     Ok(write_atomically(path, text.as_bytes())?)
+}
+
+/// Three fields, each after a comma.
+fn channels(colour: DVec3) -> String {
+    format!(",{},{},{}", colour.x, colour.y, colour.z)
 }
 
 /// A text as a CSV field ([RFC 4180]): quoted where it must be.

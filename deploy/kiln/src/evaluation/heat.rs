@@ -1,6 +1,6 @@
 //! Signed differences as colours: blue where the bake is too dark, white where it is right, red where it is too bright.
 
-use lightkiln_client::bake::LoadedBake;
+use lightkiln_client::passes::atlas::Lightmap;
 use lightkiln_worker::evaluate::LightResult;
 use lightkiln_worker::reference::luminance;
 
@@ -35,11 +35,15 @@ pub struct Bitmap {
 }
 
 /// The difference of E_ind on every atlas page: each texel as the nearest measured receiver of its block.
-pub fn atlas(measured: &Measured, result: &LightResult, bake: &LoadedBake) -> Vec<Bitmap> {
-    let shrinks: Vec<u32> =
-        bake.atlas.pages.iter().map(|page| page[0].max(page[1]).div_ceil(ATLAS_SIDE_MAX).max(1)).collect();
-    let mut pages: Vec<Bitmap> = bake
-        .atlas
+pub fn atlas(measured: &Measured, result: &LightResult, lightmap: &Lightmap<'_>) -> Vec<Bitmap> {
+    let shrinks: Vec<u32> = lightmap
+        .layout
+        .pages
+        .iter()
+        .map(|page| page[0].max(page[1]).div_ceil(ATLAS_SIDE_MAX).max(1))
+        .collect();
+    let mut pages: Vec<Bitmap> = lightmap
+        .layout
         .pages
         .iter()
         .zip(&shrinks)
@@ -48,15 +52,15 @@ pub fn atlas(measured: &Measured, result: &LightResult, bake: &LoadedBake) -> Ve
             Bitmap { width, height, pixels: vec![BLANK; width as usize * height as usize] }
         })
         .collect();
-    let differences = differences_by_block(measured, result, bake);
-    for (index, block) in bake.atlas.blocks.iter().enumerate() {
+    let differences = differences_by_block(measured, result, lightmap);
+    for (index, block) in lightmap.layout.blocks.iter().enumerate() {
         if differences[index].is_empty() {
             continue;
         }
         let (shrink, page) = (shrinks[block.page as usize], &mut pages[block.page as usize]);
         for y in (0..block.size[1]).filter(|y| (block.origin[1] + y) % shrink == 0) {
             for x in (0..block.size[0]).filter(|x| (block.origin[0] + x) % shrink == 0) {
-                if bake.atlas.slot(index as u32, [x as u16, y as u16]).is_none() {
+                if lightmap.slots.slot(index as u32, [x as u16, y as u16]).is_none() {
                     continue;
                 }
                 let squared = |[i, j]: [u16; 2]| {
@@ -75,17 +79,16 @@ pub fn atlas(measured: &Measured, result: &LightResult, bake: &LoadedBake) -> Ve
 fn differences_by_block(
     measured: &Measured,
     result: &LightResult,
-    bake: &LoadedBake,
+    lightmap: &Lightmap<'_>,
 ) -> Vec<Vec<([u16; 2], f64)>> {
-    let stage = &measured.evaluator.world().stage;
-    let mut by_block = vec![Vec::new(); bake.atlas.blocks.len()];
-    for (index, sampled) in measured.evaluator.sample().receivers.iter().enumerate() {
-        let receiver = &stage.receivers[sampled.receiver as usize];
-        let block = bake.atlas.block_index(stage.blocks[receiver.block as usize].key);
+    let mut by_block = vec![Vec::new(); lightmap.layout.blocks.len()];
+    for (index, sampled) in measured.evaluator.sample().places.iter().enumerate() {
+        let Some((key, texel)) = measured.evaluator.bake().texel(sampled.place) else { continue };
+        let block = lightmap.layout.block_index(key);
         if let Some(block) = block.filter(|_| result.counted[index]) {
             let difference = luminance(result.baked[index]) - result.reference[index].indirect.luminance();
             let relative = difference / result.figures.mean_irradiance.max(f64::MIN_POSITIVE);
-            by_block[block as usize].push((receiver.texel, relative));
+            by_block[block as usize].push((texel, relative));
         }
     }
     by_block

@@ -7,12 +7,12 @@ use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use lightkiln_client::fetch::write_atomically;
 use lightkiln_client::picture::encode_png;
-use lightkiln_worker::evaluate::{Classes, ClusterError, Figures, cluster_errors};
+use lightkiln_worker::evaluate::{ClusterError, Figures, cluster_errors};
 
 use super::heat::{Bitmap, FULL_COLOUR, colour};
 use super::measure::Measured;
 use super::pictures::LightPictures;
-use super::table::Evaluation;
+use super::table::{Classes, Evaluation};
 use crate::failure::{Exit, Failure, Result};
 
 /// Name of the page in its folder.
@@ -52,7 +52,7 @@ fn page(measured: &Measured, pictures: &[LightPictures]) -> Result<String> {
          <style>{STYLE}</style><h1>How right is the bake of {scene}?</h1>"
     );
     html += &table(evaluation, pictures);
-    html += &notes(evaluation);
+    html += &notes(evaluation, &about_classes(measured));
     let clusters = cluster_errors(&measured.evaluator, &measured.results);
     html += "<h2>Error by cluster</h2>";
     html += &histogram(&clusters);
@@ -79,15 +79,17 @@ fn page(measured: &Measured, pictures: &[LightPictures]) -> Result<String> {
 fn table(evaluation: &Evaluation, pictures: &[LightPictures]) -> String {
     let mut html =
         "<table><tr><th>light<th>relative RMSE<th>energy ratio<th>p95<th>p99<th>red<th>green<th>blue\
-                    <th>transport<th>factorisation<th>quantisation<th>reference’s error<th>ꟻLIP"
-            .to_owned();
+        "
+        .to_owned();
+    evaluation.classes.iter().for_each(|(name, _)| html += &format!("<th>{}", escaped(name)));
+    html += "<th>reference’s error<th>ꟻLIP";
     let mut row = |name: &str, figures: &Figures, classes: &Classes, flip: Option<f64>| {
         let percent = |value: f64| format!("<td>{:.2} %", 100.0 * value);
         html +=
             &format!("<tr><td>{}{}<td>{:.3}", escaped(name), percent(figures.rel_rmse), figures.energy_ratio);
         let shares =
             [figures.p95, figures.p99, figures.channels[0], figures.channels[1], figures.channels[2]];
-        let classes = [classes.transport, classes.factorisation, classes.quantisation];
+        let classes = classes.iter().map(|(_, error)| error);
         for value in shares.into_iter().chain(classes).chain([figures.reference_rel_error]) {
             html += &percent(value);
         }
@@ -100,19 +102,20 @@ fn table(evaluation: &Evaluation, pictures: &[LightPictures]) -> String {
     html + "</table>"
 }
 
-fn notes(evaluation: &Evaluation) -> String {
+fn notes(evaluation: &Evaluation, classes: &str) -> String {
     let mut html = format!(
-        "<p>E_ind at {} receivers, weighted by area, over the mean of the reference. The reference’s variance is \
+        "<p>E_ind at {} places, weighted by area, over the mean of the reference. The reference’s variance is \
          subtracted from the squared errors, not from the percentiles; its standard error was asked to be {:.1} % of \
-         the mean, or of the geometric mean of it and the value where that is brighter. Transport: full-rank rows against the reference, at the same receivers. Factorisation \
-         and quantisation: at all receivers of {} of {} clusters, made anew. All lights: root mean square over lights, \
-         mean of energy ratios. {:.2} % of the lit area is too small or too deep for receivers; {:.1} % more lies in \
+         the mean, or of the geometric mean of it and the value where that is brighter. {} Of {} chunks of light, {} were made \
+         anew to tell these apart. All lights: root mean square over lights, mean of energy ratios. {:.2} % of the lit \
+         area is too small or too deep for the bake; {:.1} % more lies in \
          cavities that nothing in the open sees and was left out. Pictures by paths hold some noise, and so \
          does their ꟻLIP.</p>",
         evaluation.receivers,
         100.0 * evaluation.rel_error,
-        evaluation.clusters_made_anew,
-        evaluation.clusters,
+        classes,
+        evaluation.chunks,
+        evaluation.chunks_made_anew,
         100.0 * evaluation.share_without_receiver,
         100.0 * evaluation.share_in_cavities,
     );
@@ -120,6 +123,17 @@ fn notes(evaluation: &Evaluation) -> String {
         let _ = write!(html, "<p>Note: {}</p>", escaped(note));
     }
     html
+}
+
+/// The classes of error in words.
+fn about_classes(measured: &Measured) -> String {
+    let Some(result) = measured.results.first() else { return String::new() };
+    result
+        .classes
+        .iter()
+        .map(|class| format!("{}: {}.", escaped(class.name), escaped(class.about)))
+        .collect::<Vec<_>>()
+        .join(" ")
 }
 
 /// Clusters by error, as bars.

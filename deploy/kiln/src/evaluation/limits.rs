@@ -5,15 +5,12 @@ use std::str::FromStr;
 use super::table::Evaluation;
 use crate::failure::{Exit, Failure, Result};
 
-/// Figures that a limit may name.
-const FIGURES: [&str; 10] = [
+/// Figures that a limit may name, beside the classes of error of a kind of bake.
+const FIGURES: [&str; 7] = [
     "rel_rmse",
     "energy_ratio",
     "p95",
     "p99",
-    "transport",
-    "factorisation",
-    "quantisation",
     "reference_rel_error",
     "share_without_receiver",
     "share_in_cavities",
@@ -24,7 +21,7 @@ const FIGURES: [&str; 10] = [
 pub struct Limit {
     text: String,
     light: Option<String>,
-    figure: &'static str,
+    figure: String,
     comparison: Comparison,
     bound: f64,
 }
@@ -58,34 +55,49 @@ impl FromStr for Limit {
             Some((light, name)) => (Some(light.to_owned()), name),
             None => (None, left),
         };
-        let figure = FIGURES.iter().copied().find(|figure| *figure == name);
-        let figure =
-            figure.ok_or_else(|| format!("'{name}' is no figure; there are {}", FIGURES.join(", ")))?;
-        Ok(Self { text: text.trim().to_owned(), light, figure, comparison, bound })
+        Ok(Self { text: text.trim().to_owned(), light, figure: name.to_owned(), comparison, bound })
     }
 }
 
 impl Limit {
-    /// The figure's value; `None` when no light has the name.
-    fn value(&self, evaluation: &Evaluation) -> Option<f64> {
+    /// Errs unless the limit names a figure or one of `classes`.
+    pub fn check_figure(&self, classes: &[&str]) -> Result<()> {
+        let mut known = FIGURES.iter().chain(classes);
+        if known.clone().any(|figure| *figure == self.figure) {
+            return Ok(());
+        }
+        let names = known.by_ref().copied().collect::<Vec<_>>().join(", ");
+        let what = format!("--fail-if '{}' names no figure", self.text);
+        Err(Failure::bad_input(what).try_this(format!("one of {names}")))
+    }
+
+    /// The figure's value; errs when no light has the name, or the bake no such class of error.
+    fn value(&self, evaluation: &Evaluation) -> Result<f64> {
         let (figures, classes) = match &self.light {
             None => (&evaluation.figures, &evaluation.classes),
             Some(name) => {
-                let row = evaluation.lights.iter().find(|row| row.name == *name)?;
+                let row = evaluation.lights.iter().find(|row| row.name == *name);
+                let row = row.ok_or_else(|| {
+                    let names: Vec<&str> = evaluation.lights.iter().map(|row| row.name.as_str()).collect();
+                    let what = format!("--fail-if '{}' names a light that was not measured", self.text);
+                    Failure::bad_input(what).try_this(format!("one of {}", names.join(", ")))
+                })?;
                 (&row.figures, &row.classes)
             }
         };
-        Some(match self.figure {
+        Ok(match self.figure.as_str() {
             "rel_rmse" => figures.rel_rmse,
             "energy_ratio" => figures.energy_ratio,
             "p95" => figures.p95,
             "p99" => figures.p99,
-            "transport" => classes.transport,
-            "factorisation" => classes.factorisation,
-            "quantisation" => classes.quantisation,
             "share_without_receiver" => evaluation.share_without_receiver,
             "share_in_cavities" => evaluation.share_in_cavities,
-            _ => figures.reference_rel_error,
+            "reference_rel_error" => figures.reference_rel_error,
+            class => classes.get(class).ok_or_else(|| {
+                let what =
+                    format!("--fail-if '{}' names a class of error that this kind of bake lacks", self.text);
+                Failure::bad_input(what).try_this("a figure that the table shows")
+            })?,
         })
     }
 
@@ -103,11 +115,7 @@ impl Limit {
 pub fn check(limits: &[Limit], evaluation: &Evaluation) -> Result<()> {
     let mut broken = Vec::new();
     for limit in limits {
-        let Some(value) = limit.value(evaluation) else {
-            let names: Vec<&str> = evaluation.lights.iter().map(|row| row.name.as_str()).collect();
-            let what = format!("--fail-if '{}' names a light that was not measured", limit.text);
-            return Err(Failure::bad_input(what).try_this(format!("one of {}", names.join(", "))));
-        };
+        let value = limit.value(evaluation)?;
         if limit.is_broken_by(value) {
             broken.push(format!("{} (it is {value:.4})", limit.text));
         }
@@ -115,23 +123,28 @@ pub fn check(limits: &[Limit], evaluation: &Evaluation) -> Result<()> {
     if broken.is_empty() {
         return Ok(());
     }
-    let what = format!("the evaluation meets --fail-if: {}", broken.join("; "));
+    let what = format!("the evaluation fails by --fail-if: {}", broken.join("; "));
     Err(Failure::new(Exit::LimitBroken, what)
         .try_this("a higher --preset, or 'kiln evaluate --out DIR' to see where"))
 }
 
 #[cfg(test)]
 mod tests {
-    use lightkiln_worker::evaluate::{Classes, Figures};
+    use lightkiln_worker::evaluate::Figures;
 
     use super::*;
-    use crate::evaluation::table::LightRow;
+    use crate::evaluation::table::{Classes, LightRow};
 
     fn evaluation() -> Evaluation {
         let figures = |rel_rmse| Figures { rel_rmse, energy_ratio: 0.95, ..Figures::default() };
-        let classes = Classes { transport: 0.07, ..Classes::default() };
-        let row =
-            LightRow { name: "sun".into(), words: String::new(), figures: figures(0.2), classes, bounces: 1 };
+        let classes = Classes::from_iter([("transport", 0.07)]);
+        let row = LightRow {
+            name: "sun".into(),
+            words: String::new(),
+            figures: figures(0.2),
+            classes: classes.clone(),
+            bounces: 1,
+        };
         Evaluation { figures: figures(0.09), classes, lights: vec![row], ..Evaluation::default() }
     }
 
@@ -155,23 +168,33 @@ mod tests {
                 assert!(failure.to_string().contains(text), "{failure}");
             }
         }
-        let failure = check(&["moon.p95>1".parse().unwrap()], &evaluation()).unwrap_err();
-        assert_eq!(failure.exit(), Exit::BadInput);
+        for wrong in ["moon.p95>1", "quantisation>1"] {
+            let failure = check(&[wrong.parse().unwrap()], &evaluation()).unwrap_err();
+            assert_eq!(failure.exit(), Exit::BadInput, "{wrong}");
+        }
     }
 
     #[test]
     fn nonsense_is_refused_with_what_would_be_right() {
         for (text, said) in [
             ("rel_rmse", "FIGURE>NUMBER"),
-            ("rmse>1", "rel_rmse"),
             ("rel_rmse>much", "'much'"),
             ("rel_rmse>NaN", "finite"),
             ("rel_rmse=0.1", "FIGURE>NUMBER"),
-            (">0.1", "no figure"),
             ("rel_rmse>=", "no number"),
         ] {
             let error = text.parse::<Limit>().unwrap_err();
             assert!(error.contains(said), "{text}: {error}");
+        }
+    }
+
+    #[test]
+    fn unknown_figures_are_refused_before_anything_is_measured() {
+        let check = |text: &str| text.parse::<Limit>().unwrap().check_figure(&["transport"]);
+        assert!(check("rel_rmse>1").is_ok() && check("sun.transport>1").is_ok());
+        for wrong in ["rmse>1", ">0.1", "quantisation>1"] {
+            let failure = check(wrong).unwrap_err();
+            assert!(failure.to_string().contains("rel_rmse"), "{failure}");
         }
     }
 }

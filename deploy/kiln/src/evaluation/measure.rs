@@ -2,7 +2,7 @@
 
 use lightkiln_client::fetch::Source;
 use lightkiln_proto::ids::Digest;
-use lightkiln_proto::manifest::{ChunkRef, Manifest};
+use lightkiln_proto::manifest::{ChunkRef, GEOMETRY, Manifest, TEXTURES};
 use lightkiln_worker::evaluate::{EvaluationError, Evaluator, LightResult, Options, cluster_errors};
 use lightkiln_worker::reference::Precision;
 use lightkiln_worker::task::Progress;
@@ -12,6 +12,7 @@ use super::table::{Evaluation, LightRow, over_lights};
 use crate::commands::submitting::PackedScene;
 use crate::failure::{Exit, Failure, Result};
 use crate::interrupt::Interrupt;
+use crate::kinds::KindTables;
 
 /// Worst clusters that are named.
 const WORST: usize = 12;
@@ -28,6 +29,7 @@ pub struct Measured {
 
 /// Measures a bundle against its scene. Says on standard error what it does.
 pub fn measure(
+    kinds: &KindTables,
     source: &Source,
     scene: PackedScene,
     wanted: &EvaluationArguments,
@@ -36,13 +38,17 @@ pub fn measure(
     let own = wanted.own_lights()?;
     let name = scene.name.clone();
     let (_, manifest) = source.manifest()?;
+    kinds
+        .contract
+        .check(&manifest)
+        .map_err(|error| Failure::bad_input("the bundle cannot be read").caused_by(&error))?;
     let progress = Progress::new();
     let precision = Precision { rel_error: wanted.rel_error, ..Precision::default() };
     let options = Options { receivers: wanted.receivers, precision, ..Options::default() };
-    eprintln!("preparing the scene anew, and the rows of {} receivers", wanted.receivers);
+    eprintln!("preparing the scene anew, and what {} places need", wanted.receivers);
     let bytes = |digest| chunk(source, &manifest, digest);
-    let evaluator =
-        Evaluator::new(&manifest, scene.into_bytes(), bytes, options, &progress).map_err(failure)?;
+    let bake = kinds.worker.evaluated(&manifest, scene.into_bytes(), &bytes, &progress).map_err(failure)?;
+    let evaluator = Evaluator::new(bake, options, &progress).map_err(failure)?;
     let chosen = match own {
         Some(lights) => evaluator.usable(lights),
         None => {
@@ -80,28 +86,34 @@ fn summed_up(
     mut notes: Vec<String>,
 ) -> Evaluation {
     let lights: Vec<LightRow> = results.iter().map(LightRow::of).collect();
-    let unsettled = results.iter().filter(|result| !result.settled.converged);
+    let unsettled = results.iter().filter(|result| !result.converged);
     notes.extend(
         unsettled.map(|result| format!("under '{}' the bounces had not converged", result.light.name)),
     );
     let (figures, classes) = over_lights(&lights);
-    let [cells_made_anew, clusters_made_anew] = evaluator.made_anew();
+    let [units_made_anew, chunks_made_anew] = evaluator.bake().traced();
     let mut worst_clusters = cluster_errors(evaluator, results);
     worst_clusters.truncate(WORST);
     Evaluation {
-        receivers: evaluator.sample().receivers.len(),
+        receivers: evaluator.sample().places.len(),
         figures,
         classes,
         lights,
         share_without_receiver: evaluator.sample().share_without,
         share_in_cavities: evaluator.sample().share_in_cavities,
-        cells_made_anew,
-        clusters_made_anew,
-        clusters: manifest.clusters.len(),
+        units_made_anew,
+        chunks_made_anew,
+        chunks: light_chunks(manifest),
         worst_clusters,
         notes,
         ..Evaluation::default()
     }
+}
+
+/// Chunks that are neither meshes nor textures.
+fn light_chunks(manifest: &Manifest) -> usize {
+    let of_light = manifest.chunks.iter().filter(|(role, _)| *role != TEXTURES && *role != GEOMETRY);
+    of_light.map(|(_, chunks)| chunks.len()).sum()
 }
 
 fn chunk(
@@ -109,9 +121,8 @@ fn chunk(
     manifest: &Manifest,
     digest: Digest,
 ) -> std::result::Result<Vec<u8>, EvaluationError> {
-    let clusters = manifest.clusters.iter().map(|cluster| (cluster.digest, cluster.bytes));
-    let probes = manifest.probes.iter().chain(&manifest.patches).map(|batch| (batch.digest, batch.bytes));
-    let bytes = clusters.chain(probes).find(|(known, _)| *known == digest).map_or(0, |(_, bytes)| bytes);
+    let known = manifest.chunks.values().flatten().find(|chunk| chunk.digest == digest);
+    let bytes = known.map_or(0, |chunk| chunk.bytes);
     source
         .chunk(&ChunkRef { digest, bytes })
         .map_err(|source| EvaluationError::Missing { digest, source: Box::new(source) })

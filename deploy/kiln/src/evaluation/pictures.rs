@@ -3,11 +3,13 @@
 use glam::{DVec3, Vec4};
 use lightkiln_client::bake::LoadedBake;
 use lightkiln_client::fetch::Source;
-use lightkiln_client::lights::default_camera;
-use lightkiln_client::passes::atlas::reference::{sample, spread};
+use lightkiln_client::lights::camera_of;
+use lightkiln_client::passes::atlas::Lightmap;
+use lightkiln_client::passes::atlas::reference::{AtlasPages, sample, spread};
 use lightkiln_client::picture::{Tone, automatic_exposure, developed};
+use lightkiln_proto::manifest::Manifest;
 use lightkiln_proto::scene::SceneCamera;
-use lightkiln_worker::evaluate::LightResult;
+use lightkiln_worker::evaluate::{Answer, LightResult, Relit};
 use lightkiln_worker::reference::{EyeSurface, Film, PictureSize, luminance};
 use lightkiln_worker::task::Progress;
 
@@ -15,6 +17,7 @@ use super::flip::difference;
 use super::heat::{Bitmap, atlas, colour};
 use super::measure::Measured;
 use crate::failure::{Exit, Failure, Result};
+use crate::kinds::KindTables;
 
 /// Paths along a pixel's side: their square go through it.
 const PATHS_A_SIDE: u32 = 14;
@@ -43,17 +46,21 @@ pub struct LightPictures {
 
 /// Draws every light of a measurement by `camera`, or the scene's first, or one chosen; says on standard error which.
 pub fn draw(
+    kinds: &KindTables,
     source: &Source,
     measured: &Measured,
     camera: Option<SceneCamera>,
     (width, height): (u32, u32),
 ) -> Result<Vec<LightPictures>> {
-    let bake = LoadedBake::load(source)?;
-    let camera = camera.or_else(|| bake.manifest.cameras.first().cloned()).unwrap_or_else(|| {
-        let (camera, note) = default_camera(&bake);
-        eprintln!("note: {note}");
-        camera
-    });
+    let bake = LoadedBake::load(source, &kinds.client)?;
+    let camera = match camera {
+        Some(camera) => camera,
+        None => {
+            let (camera, note) = camera_of(&bake.scene.manifest)?;
+            note.iter().for_each(|note| eprintln!("note: {note}"));
+            camera
+        }
+    };
     let size = PictureSize { width, height, grid: PATHS_A_SIDE };
     let draw = |result: &LightResult| {
         eprintln!("{}: pictures", result.light.name);
@@ -73,19 +80,26 @@ fn one(
         Failure::new(Exit::Failed, "a picture failed").caused_by(error)
     };
     let reference = measured.evaluator.reference(&result.light.lighting).map_err(|error| failed(&error))?;
-    let e_ind: Vec<Vec4> =
-        result.settled.indirect.iter().flatten().map(|e| Vec4::new(e[0], e[1], e[2], 0.0)).collect();
-    let pages = spread(&bake.atlas, &vec![Vec4::ZERO; e_ind.len()], &e_ind);
-    let irradiance = |surface: &EyeSurface| -> DVec3 {
-        let direct = reference.direct_irradiance(&surface.site, PANEL_POINTS);
-        let place = measured.evaluator.world().lightmap_at(&surface.hit);
-        let indirect = place.and_then(|(key, texel)| {
-            let block = bake.atlas.block_index(key)?;
-            Some(sample(&bake.atlas, &pages, block, texel.to_array()).as_dvec3())
-        });
-        direct + indirect.unwrap_or_default()
-    };
     let progress = Progress::new();
+    let relit = measured.evaluator.relit(&result.light, &progress).map_err(|error| failed(&error))?;
+    let lightmap = bake.light.lightmap(&bake.scene);
+    let pages =
+        lightmap.as_ref().map(|lightmap| pages_of(measured, relit.as_ref(), &bake.scene.manifest, lightmap));
+    let indirect = |surface: &EyeSurface| -> Option<DVec3> {
+        let evaluated = measured.evaluator.bake();
+        if let (Some(lightmap), Some(pages)) = (&lightmap, &pages) {
+            let (key, texel) = evaluated.lightmap_at(&surface.hit)?;
+            let block = lightmap.layout.block_index(key)?;
+            return Some(sample(lightmap.layout, pages, block, texel.to_array()).as_dvec3());
+        }
+        match evaluated.answer_at(&surface.hit) {
+            Answer::Place(place) => relit.irradiance(place),
+            Answer::Cavity | Answer::TooSmall => None,
+        }
+    };
+    let irradiance = |surface: &EyeSurface| -> DVec3 {
+        reference.direct_irradiance(&surface.site, PANEL_POINTS) + indirect(surface).unwrap_or_default()
+    };
     let baked = reference.picture_by(camera, size, &progress, irradiance).map_err(|error| failed(&error))?;
     let traced = reference.picture(camera, size, &progress).map_err(|error| failed(&error))?;
     let opaque: Vec<Vec4> = traced.radiance.iter().map(|l| Vec4::new(l[0], l[1], l[2], 1.0)).collect();
@@ -102,8 +116,30 @@ fn one(
         heat,
         flip: bitmap(flip.map),
         flip_mean: flip.mean,
-        atlas: atlas(measured, result, bake),
+        atlas: lightmap.map(|lightmap| atlas(measured, result, &lightmap)).unwrap_or_default(),
     })
+}
+
+/// Lightmap pages of a relit bake, as the client reads them.
+fn pages_of(
+    measured: &Measured,
+    relit: &dyn Relit,
+    manifest: &Manifest,
+    lightmap: &Lightmap<'_>,
+) -> AtlasPages {
+    let slots = lightmap.texels.sources.iter().max().map_or(0, |slot| *slot as usize + 1);
+    let mut e_ind = vec![Vec4::ZERO; slots];
+    for (index, block) in manifest.lightmap.blocks.iter().enumerate() {
+        for texel in (0..block.size[1]).flat_map(|y| (0..block.size[0]).map(move |x| [x as u16, y as u16])) {
+            let place = measured.evaluator.bake().place_of(block.key, texel);
+            let slot = lightmap.slots.slot(index as u32, texel);
+            let light = place.and_then(|place| relit.irradiance(place));
+            if let (Some(slot), Some(light)) = (slot, light) {
+                e_ind[slot as usize] = light.as_vec3().extend(0.0);
+            }
+        }
+    }
+    spread(lightmap.layout, lightmap.texels, &vec![Vec4::ZERO; slots], &e_ind)
 }
 
 /// Signed difference over the mean luminance of the reference, in blocks of pixels, which halves the noise of paths.

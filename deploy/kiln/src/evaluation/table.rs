@@ -1,14 +1,52 @@
 //! The figures of an evaluation: as JSON, whose keys are a contract, and as a table for people.
 
-use lightkiln_worker::evaluate::{Classes, ClusterError, Figures, LightResult};
-use serde::Serialize;
+use lightkiln_worker::evaluate::{ClassResult, ClusterError, Figures, LightResult};
+use serde::ser::SerializeMap as _;
+use serde::{Serialize, Serializer};
+
+/// Classes of error in their order, as the kind of bake names them; a map in JSON.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Classes(Vec<(&'static str, f64)>);
+
+impl Classes {
+    /// Classes of one light.
+    fn of(classes: &[ClassResult]) -> Self {
+        classes.iter().map(|class| (class.name, class.rel_rmse)).collect()
+    }
+
+    /// Names and errors relative to the mean of the reference.
+    pub fn iter(&self) -> impl Iterator<Item = (&'static str, f64)> + '_ {
+        self.0.iter().copied()
+    }
+
+    /// The error of a class.
+    pub fn get(&self, name: &str) -> Option<f64> {
+        self.iter().find(|(known, _)| *known == name).map(|(_, error)| error)
+    }
+}
+
+impl FromIterator<(&'static str, f64)> for Classes {
+    fn from_iter<I: IntoIterator<Item = (&'static str, f64)>>(classes: I) -> Self {
+        Self(classes.into_iter().collect())
+    }
+}
+
+impl Serialize for Classes {
+    fn serialize<S: Serializer>(&self, serializer: S) -> std::result::Result<S::Ok, S::Error> {
+        let mut map = serializer.serialize_map(Some(self.0.len()))?;
+        for (name, error) in self.iter() {
+            map.serialize_entry(name, &error)?;
+        }
+        map.end()
+    }
+}
 
 /// A whole evaluation.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Evaluation {
     /// Scene as given, or as the bundle names it.
     pub scene: String,
-    /// Receivers measured at.
+    /// Places measured at.
     pub receivers: usize,
     /// Root mean square over lights of each error; means over lights of energy ratios. Beside `rel_rmse`, `energy_ratio`,
     /// `p95`, `p99` also per channel.
@@ -20,16 +58,16 @@ pub struct Evaluation {
     pub lights: Vec<LightRow>,
     /// Standard error that was asked of the reference.
     pub rel_error: f64,
-    /// Share of the lit area that has no receiver.
+    /// Share of the lit area where the bake has no answer.
     pub share_without_receiver: f64,
     /// Share of the lit area in cavities that nothing in the open sees, not in `share_without_receiver`.
     pub share_in_cavities: f64,
-    /// Cluster cells, and clusters, whose factors were made anew to tell factorisation from quantisation.
-    pub cells_made_anew: usize,
-    /// See `cells_made_anew`.
-    pub clusters_made_anew: usize,
-    /// Clusters of the bake.
-    pub clusters: usize,
+    /// Units of work, and chunks in them, that were made anew to tell classes of error apart.
+    pub units_made_anew: usize,
+    /// See `units_made_anew`.
+    pub chunks_made_anew: usize,
+    /// Chunks of light of the bake.
+    pub chunks: usize,
     /// The worst clusters.
     pub worst_clusters: Vec<ClusterError>,
     /// What was left out, and why.
@@ -59,8 +97,8 @@ impl LightRow {
             name: result.light.name.clone(),
             words: result.light.words.clone(),
             figures: result.figures,
-            classes: result.classes,
-            bounces: result.settled.bounces,
+            classes: Classes::of(&result.classes),
+            bounces: result.bounces,
         }
     }
 }
@@ -80,44 +118,38 @@ pub fn over_lights(rows: &[LightRow]) -> (Figures, Classes) {
         reference_rel_error: root(&|row| row.figures.reference_rel_error),
         mean_irradiance: mean(&|row| row.figures.mean_irradiance),
     };
-    let classes = Classes {
-        transport: root(&|row| row.classes.transport),
-        factorisation: root(&|row| row.classes.factorisation),
-        quantisation: root(&|row| row.classes.quantisation),
-    };
-    (figures, classes)
+    let of_class = |name: &'static str| (name, root(&|row| row.classes.get(name).unwrap_or_default()));
+    let names = rows.first().into_iter().flat_map(|row| row.classes.iter());
+    (figures, names.map(|(name, _)| of_class(name)).collect())
 }
 
 /// A table for people.
 pub fn words(evaluation: &Evaluation) -> String {
-    let mut text = format!(
-        "{:<14} {:>8} {:>7} {:>7} {:>7} {:>9} {:>9} {:>9} {:>9}\n",
-        "light", "rel RMSE", "energy", "p95", "p99", "transport", "factors", "quantised", "reference"
-    );
+    let mut text = format!("{:<14} {:>8} {:>7} {:>7} {:>7}", "light", "rel RMSE", "energy", "p95", "p99");
+    evaluation.classes.iter().for_each(|(name, _)| text += &format!(" {name:>13}"));
+    text += &format!(" {:>9}\n", "reference");
     let mut line = |name: &str, figures: &Figures, classes: &Classes| {
         text += &format!(
-            "{:<14} {:>6.2} % {:>7.3} {:>5.1} % {:>5.1} % {:>7.2} % {:>7.2} % {:>7.2} % {:>7.2} %\n",
+            "{:<14} {:>6.2} % {:>7.3} {:>5.1} % {:>5.1} %",
             name,
             100.0 * figures.rel_rmse,
             figures.energy_ratio,
             100.0 * figures.p95,
             100.0 * figures.p99,
-            100.0 * classes.transport,
-            100.0 * classes.factorisation,
-            100.0 * classes.quantisation,
-            100.0 * figures.reference_rel_error,
         );
+        classes.iter().for_each(|(_, error)| text += &format!(" {:>11.2} %", 100.0 * error));
+        text += &format!(" {:>7.2} %\n", 100.0 * figures.reference_rel_error);
     };
     for row in &evaluation.lights {
         line(&row.name, &row.figures, &row.classes);
     }
     line("all", &evaluation.figures, &evaluation.classes);
     text += &format!(
-        "{} receivers; {} of {} clusters made anew for factors; {:.2} % of the lit area is too small or \
-         too deep for receivers; {:.1} % more lies in cavities that nothing in the open sees and was left out\n",
+        "{} places; {} of {} chunks made anew for classes of error; {:.2} % of the lit area is too small or too \
+         deep for the bake; {:.1} % more lies in cavities that nothing in the open sees and was left out\n",
         evaluation.receivers,
-        evaluation.clusters_made_anew,
-        evaluation.clusters,
+        evaluation.chunks_made_anew,
+        evaluation.chunks,
         100.0 * evaluation.share_without_receiver,
         100.0 * evaluation.share_in_cavities,
     );

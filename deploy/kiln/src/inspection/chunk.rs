@@ -3,23 +3,12 @@
 
 use std::fmt;
 
-use lightkiln_proto::chunk::{
-    self, ChunkError, ChunkKind, ENTRY_BYTES, HEADER_BYTES, cluster_layers, decode_cluster, decode_geometry,
-    decode_patches, decode_probe_batch, decode_texture,
-};
+use lightkiln_proto::chunk::{ChunkError, ENTRY_BYTES, HEADER_BYTES, container};
 use lightkiln_proto::ids::Digest;
+use lightkiln_proto::kinds::Kinds;
 use lightkiln_proto::manifest::Layer;
-use lightkiln_proto::prt::RelightHit;
 use serde::Serialize;
-use serde_json::{Value, json};
-
-/// Names of section tags 1, 2, … by kind, as FORMAT.md has them.
-const CLUSTER_SECTIONS: &[&str] = &["base", "receivers", "factors", "factors low", "near"];
-const PROBES_SECTIONS: &[&str] = &["base", "hits"];
-const GEOMETRY_SECTIONS: &[&str] =
-    &["draws", "positions", "normals", "lightmap", "triangles", "uvs", "colours"];
-const TEXTURE_SECTIONS: &[&str] = &["file"];
-const PATCHES_SECTIONS: &[&str] = &["patches", "leaves"];
+use serde_json::Value;
 
 /// A chunk in figures.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -32,7 +21,7 @@ pub struct ChunkFigures {
     pub bytes: u64,
     /// What it holds, by name.
     pub content: Value,
-    /// Prefixes that are coarser versions, smallest first; clusters only.
+    /// Prefixes that are coarser versions, smallest first.
     pub layers: Vec<Layer>,
     /// Sections in order.
     pub sections: Vec<Section>,
@@ -54,92 +43,27 @@ pub struct Section {
 }
 
 impl ChunkFigures {
-    /// Decodes a chunk of any kind and counts what is in it.
-    pub fn of(bytes: &[u8]) -> Result<Self, ChunkError> {
-        let kind_byte = bytes.get(chunk::MAGIC.len() + 2).copied().unwrap_or(0);
-        // A kind that is none is reported by the decoder of the first.
-        let found = ChunkKind::ALL.into_iter().find(|(kind, _)| *kind as u8 == kind_byte);
-        let (kind, name) = found.unwrap_or(ChunkKind::ALL[0]);
-        let (content, section_names) = match kind {
-            ChunkKind::Cluster => (cluster(bytes)?, CLUSTER_SECTIONS),
-            ChunkKind::Probes => (probes(bytes)?, PROBES_SECTIONS),
-            ChunkKind::Geometry => (geometry(bytes)?, GEOMETRY_SECTIONS),
-            ChunkKind::Texture => (texture(bytes)?, TEXTURE_SECTIONS),
-            ChunkKind::Patches => (patches(bytes)?, PATCHES_SECTIONS),
-        };
+    /// Decodes a chunk of any kind in the table and counts its content.
+    pub fn of(kinds: &Kinds, bytes: &[u8]) -> Result<Self, ChunkError> {
+        let kind = container::kind_of(bytes)?;
+        let row = kinds.chunk(kind).ok_or(ChunkError::UnknownKind { found: kind.0 })?;
+        let content = (row.describe)(bytes)?;
         let length = bytes.len() as u64;
-        let layers = match kind {
-            ChunkKind::Cluster => cluster_layers(bytes, length)?,
-            _ => Vec::new(),
-        };
+        let layers = row.layers.map_or_else(|| Ok(Vec::new()), |layers| layers(bytes, length))?;
         let digest = Digest::of(bytes).to_string();
-        let sections = sections(bytes, section_names);
-        Ok(Self { kind: name, digest, bytes: length, content, layers, sections })
+        let sections = sections(bytes, row.sections);
+        Ok(Self { kind: row.name, digest, bytes: length, content, layers, sections })
     }
 }
 
-fn cluster(bytes: &[u8]) -> Result<Value, ChunkError> {
-    let cluster = decode_cluster(bytes)?;
-    Ok(json!({
-        "receivers": cluster.receivers.len(),
-        "blocks": cluster.receivers.blocks.len(),
-        "probes": cluster.probes.len(),
-        "bands": cluster.bands,
-        "sky": cluster.sky,
-        "rank": cluster.rank,
-        "emitters": cluster.emitters.len(),
-        "near hits": cluster.near.len(),
-        "receivers with near hits": cluster.near.ranges().filter(|hits| !hits.is_empty()).count(),
-        "bounds_m": cluster.bounds_m,
-    }))
-}
-
-fn probes(bytes: &[u8]) -> Result<Value, ChunkError> {
-    let batch = decode_probe_batch(bytes)?;
-    let count = |wanted: fn(&RelightHit) -> bool| batch.hits.iter().filter(|hit| wanted(hit)).count();
-    Ok(json!({
-        "probes": batch.probes.len(),
-        "relight_rays": batch.relight_rays,
-        "blocks": batch.blocks.len(),
-        "hits_receiver": count(|hit| matches!(hit, RelightHit::Receiver { .. })),
-        "hits_sky": count(|hit| matches!(hit, RelightHit::Sky)),
-        "hits_dark": count(|hit| matches!(hit, RelightHit::Dark)),
-    }))
-}
-
-fn geometry(bytes: &[u8]) -> Result<Value, ChunkError> {
-    let draws = decode_geometry(bytes)?.draws;
-    Ok(json!({
-        "draws": draws.len(),
-        "vertices": draws.iter().map(|draw| draw.position_m.len()).sum::<usize>(),
-        "triangles": draws.iter().map(|draw| draw.triangles.len()).sum::<usize>(),
-    }))
-}
-
-fn patches(bytes: &[u8]) -> Result<Value, ChunkError> {
-    let set = decode_patches(bytes)?;
-    Ok(json!({
-        "patches": set.patches.len(),
-        "leaves": set.leaf_starts.len().saturating_sub(1),
-        "receivers": set.texel.len(),
-        "blocks": set.blocks.len(),
-        "sky_parts": set.sky_parts,
-    }))
-}
-
-fn texture(bytes: &[u8]) -> Result<Value, ChunkError> {
-    let texture = decode_texture(bytes)?;
-    Ok(json!({ "media_type": texture.media_type, "file_bytes": texture.bytes.len() }))
-}
-
 /// Reads the section table of a chunk that has been decoded, so its lengths hold.
-fn sections(bytes: &[u8], names: &[&'static str]) -> Vec<Section> {
+fn sections(bytes: &[u8], names: &[(u8, &'static str)]) -> Vec<Section> {
     let short = |at: usize| usize::from(u16::from_le_bytes([bytes[at], bytes[at + 1]]));
     let long = |raw: &[u8]| u32::from_le_bytes([raw[0], raw[1], raw[2], raw[3]]);
     let (head_bytes, count) = (short(HEADER_BYTES - 4), short(HEADER_BYTES - 2));
     let table = &bytes[HEADER_BYTES + head_bytes..][..count * ENTRY_BYTES];
     let section = |raw: &[u8]| Section {
-        name: names.get(usize::from(raw[0]).wrapping_sub(1)).copied().unwrap_or("unknown"),
+        name: names.iter().find(|(tag, _)| *tag == raw[0]).map_or("unknown", |(_, name)| name),
         tag: raw[0],
         part: [raw[1], raw[2], raw[3]],
         stored_bytes: long(&raw[4..8]),
@@ -174,7 +98,7 @@ mod tests {
     #[test]
     fn texture_chunk_is_told_with_its_sections() {
         let bytes = encode_texture("image/png", &[7; 1000]).unwrap();
-        let figures = ChunkFigures::of(&bytes).unwrap();
+        let figures = ChunkFigures::of(&Kinds::new(), &bytes).unwrap();
         assert_eq!((figures.kind, figures.bytes), ("texture", bytes.len() as u64));
         assert_eq!(figures.content["file_bytes"], 1000);
         assert_eq!(figures.sections.len(), 1);
@@ -185,7 +109,7 @@ mod tests {
     #[test]
     fn bytes_that_are_no_chunk_are_an_error() {
         for bytes in [&b""[..], b"LKCH", b"hello, this is no chunk", &[0xff; 64]] {
-            assert!(ChunkFigures::of(bytes).is_err(), "{bytes:?}");
+            assert!(ChunkFigures::of(&Kinds::new(), bytes).is_err(), "{bytes:?}");
         }
     }
 }

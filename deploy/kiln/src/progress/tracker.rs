@@ -148,10 +148,10 @@ mod tests {
         let start = Instant::now();
         let mut tracker = Tracker::new(start);
         let at = |secs| start + Duration::from_secs(secs);
-        let early = tracker.observe(&bake(vec![stage("prt.import", 0, 1)], 0.0), at(1));
+        let early = tracker.observe(&bake(vec![stage("scene.import", 0, 1)], 0.0), at(1));
         assert_eq!((early.stage.as_str(), early.left, early.rays_per_sec), ("import", None, None));
         let planned =
-            |done, rays| bake(vec![stage("prt.import", 1, 1), stage("prt.transport", done, 9)], rays);
+            |done, rays| bake(vec![stage("scene.import", 1, 1), stage("prt.transport", done, 9)], rays);
         assert_eq!(tracker.observe(&planned(0, 0.0), at(10)).left, None);
         let later = tracker.observe(&planned(3, 2e6), at(16));
         assert_eq!((later.stage.as_str(), later.done, later.total), ("transport", 3, 9));
@@ -162,10 +162,10 @@ mod tests {
     #[test]
     fn stage_that_is_worked_on_is_told_even_when_an_earlier_one_waits() {
         let held = StageCount { leased: 1, ..stage("prt.transport", 2, 9) };
-        let stages = [stage("prt.import", 1, 1), stage("prt.relight", 0, 1), held];
+        let stages = [stage("scene.import", 1, 1), stage("prt.plan", 0, 1), held];
         assert_eq!(current_stage(&stages).map(|stage| stage.kind.as_str()), Some("prt.transport"));
-        assert_eq!(current_stage(&stages[..2]).map(|stage| stage.kind.as_str()), Some("prt.relight"));
-        assert_eq!(current_stage(&stages[..1]).map(|stage| stage.kind.as_str()), Some("prt.import"));
+        assert_eq!(current_stage(&stages[..2]).map(|stage| stage.kind.as_str()), Some("prt.plan"));
+        assert_eq!(current_stage(&stages[..1]).map(|stage| stage.kind.as_str()), Some("scene.import"));
     }
 
     #[test]

@@ -48,7 +48,7 @@ fn figures_that_scaling_and_the_page_name_are_those_of_a_server() {
     }
     assert!(checked > 4, "{checked} figures are named: the walk is broken");
     let ready = |line: &&str| {
-        line.starts_with("lightkiln_tasks{kind=\"prt.import\"")
+        line.starts_with("lightkiln_tasks{kind=\"scene.import\"")
             && line.contains("state=\"ready\"")
             && line.ends_with(" 1")
     };

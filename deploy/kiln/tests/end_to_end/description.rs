@@ -58,7 +58,7 @@ impl Farm {
     /// Tokens of as many tasks as are ready, at most `max`.
     fn claim(&self, worker: &str, max: u32) -> Vec<String> {
         let claim = json!({
-            "worker": worker, "kinds": ["prt.import", "prt.prepare"], "threads": 1, "labels": ["seed"],
+            "worker": worker, "kinds": ["scene.import", "scene.unwrap", "scene.frame"], "threads": 1, "labels": ["seed"],
             "max": max, "ttl_secs": 3600, "wait_secs": 0,
         });
         let answer = self.post("/v1/leases", claim);

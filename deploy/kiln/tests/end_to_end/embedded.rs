@@ -38,9 +38,9 @@ fn json_has_the_agreed_keys_and_a_bundle_lies_at_its_out() {
         "bake",
         "scene",
         "out",
+        "kind",
         "receivers",
         "patches",
-        "probes",
         "clusters",
         "tasks_run",
         "tasks_reused",
@@ -58,7 +58,10 @@ fn json_has_the_agreed_keys_and_a_bundle_lies_at_its_out() {
     assert_eq!(keys.keys().map(String::as_str).collect::<Vec<_>>(), wanted);
     assert_eq!(summary["out"], out.display().to_string());
     let stages: Vec<&String> = summary["stages"].as_object().unwrap().keys().collect();
-    assert_eq!(stages, ["assemble", "import", "prepare", "relight", "transport"]);
+    assert_eq!(
+        stages,
+        ["assemble", "draw", "frame", "import", "patches", "place", "plan", "transport", "unwrap"]
+    );
     let report: Value = serde_json::from_slice(&fs::read(out.join("report.json")).unwrap()).unwrap();
     assert_eq!(report["run"]["receivers"], summary["receivers"]);
 }
@@ -68,7 +71,7 @@ fn chunks_of_an_earlier_bake_leave_the_bundle() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out");
     let mut coarse = bake_arguments(&out);
-    coarse.extend(["--set".to_owned(), "bands=2".to_owned()]);
+    coarse.extend(["--set".to_owned(), "sky_parts=16".to_owned()]);
     run(kiln(folder.path()), &coarse, 0);
     let earlier = bundle(&out);
     run(kiln(folder.path()), &bake_arguments(&out), 0);

@@ -89,7 +89,7 @@ fn terminated_worker_gives_its_task_back_and_exits_cleanly() {
     let submitted = run(kiln(folder.path()), &arguments("submit", &["--server", &server.url]), 0);
     let bake = submitted.stdout().trim().to_owned();
     let worker = server.worker(folder.path(), "leaving", 1);
-    wait_for_stage(&client, &bake, "prt.prepare");
+    wait_for_stage(&client, &bake, "scene.place");
     worker.signal("TERM");
     assert_eq!(worker.wait(), Some(0));
     let page = client.events(&bake, 0, 0).unwrap();

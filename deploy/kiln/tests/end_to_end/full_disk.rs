@@ -10,9 +10,9 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use lightkiln_client::ClientError;
-use lightkiln_client::fetch::{ApiClient, RetryPolicy};
+use lightkiln_client::fetch::ApiClient;
+use lightkiln_http::USUAL;
 use lightkiln_proto::api::{EventKind, Needs, NewBake};
-use lightkiln_proto::bake::PRT;
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::problem::ProblemCode;
 
@@ -98,7 +98,7 @@ impl SmallDisk {
 }
 
 fn is_full(error: &ClientError) -> bool {
-    matches!(error, ClientError::Server { problem, .. } if problem.code == ProblemCode::StorageFull)
+    matches!(error, ClientError::Call(error) if error.code() == Some(ProblemCode::StorageFull))
 }
 
 /// A bake that waits for a worker that nobody has.
@@ -106,7 +106,7 @@ fn idle_bake(scene: Digest, number: usize) -> NewBake {
     NewBake {
         name: format!("idle {number}"),
         scene,
-        kind: PRT.to_owned(),
+        kind: String::new(),
         settings: serde_json::json!({ "preset": "draft" }),
         priority: 0,
         needs: Needs { labels: vec!["none such".to_owned()], ..Needs::default() },
@@ -122,7 +122,7 @@ fn farm_on_a_full_disk_refuses_with_507_and_goes_on_when_there_is_room() {
     let disk = SmallDisk::start(&folder.path().join("disk"));
     let url = &disk.server.url;
     let client = ApiClient::new(url, None).unwrap();
-    let once = client.clone().with_retry(RetryPolicy { attempts: 1, ..RetryPolicy::default() });
+    let once = client.clone().with_retry(USUAL.with_max_times(0));
     let submitted = run(kiln(folder.path()), &arguments("submit", &["--server", url]), 0);
     let bake = submitted.stdout().trim().to_owned();
     let _worker = disk.server.worker(folder.path(), "worker", 1);

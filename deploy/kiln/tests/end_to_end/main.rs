@@ -32,13 +32,11 @@ fn cornell() -> PathBuf {
 }
 
 /// Settings of a small bake that still has several tasks of each kind.
-const SMALL: [&str; 10] = [
+const SMALL: [&str; 8] = [
     "--preset",
     "draft",
     "--set",
     "receivers_target=3000",
-    "--set",
-    "probes_target=40",
     "--set",
     "cluster_receivers=256",
     "--set",

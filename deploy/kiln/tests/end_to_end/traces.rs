@@ -141,7 +141,7 @@ fn one_trace_leads_from_the_submission_to_the_chunks() {
         of_task("prt.transport", &["kiln-worker run"]),
         // Later tasks find what they read in the worker's cache.
         of_task(
-            "prt.import",
+            "scene.import",
             &["kiln-server GET /v1/chunks/{digest}", "kiln-worker fetch", "kiln-worker run"],
         ),
         of_task("prt.transport", &["kiln-server PUT /v1/chunks/{digest}", "kiln-worker upload"]),

@@ -62,6 +62,10 @@ impl Kind for Sh {
         Settings::rows()
     }
 
+    fn resolve(&self, settings: &Value) -> Result<Value, SettingsError> {
+        Ok(Settings::from_json(settings)?.stated())
+    }
+
     fn first_tasks(&self, scene: Digest, settings: &Value) -> Result<Vec<TaskSpec>, SettingsError> {
         Ok(first_tasks(scene, &Settings::from_json(settings)?))
     }

@@ -6,7 +6,8 @@ mod whole;
 use std::ops::Range;
 
 use lightkiln_proto::chunk::*;
-use lightkiln_proto::prt::*;
+use lightkiln_proto::content::*;
+use lightkiln_proto::kinds::sh::*;
 
 use super::container::{packed, unpacked};
 use super::{Target, taken};

@@ -1,9 +1,9 @@
 //! JSON that roles say to each other: manifests, bakes, plans.
 
 use lightkiln_proto::api::{ClaimRequest, NewBake};
-use lightkiln_proto::bake::initial_plan;
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{TaskInput, TaskResult, TaskSpec};
+use lightkiln_proto::kinds::{BakeError, Kinds};
 use lightkiln_proto::manifest::Manifest;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -13,11 +13,18 @@ use super::{Target, taken};
 /// A bake's manifest.
 pub const MANIFEST: Target = Target {
     name: "manifest",
-    read: |bytes| taken(&Manifest::from_json(bytes)),
+    read: |bytes| {
+        let manifest = Manifest::from_json(bytes);
+        taken(&manifest) && manifest.is_ok_and(|manifest| taken(&Kinds::new().check(&manifest).map(drop)))
+    },
     check: |bytes| {
         let Ok(manifest) = Manifest::from_json(bytes) else { return };
         let text = serde_json::to_vec(&manifest).expect("what was read can be written");
         assert_eq!(Manifest::from_json(&text).expect("what was written can be read"), manifest);
+        if let Ok(kind) = Kinds::new().check(&manifest) {
+            kind.summary(&manifest).expect("a checked manifest has a summary");
+            kind.inspection(&manifest).expect("a checked manifest has figures");
+        }
     },
     seeds: || vec![manifest().to_string().into_bytes()],
     memory_max,
@@ -28,8 +35,7 @@ pub const JOB: Target = Target {
     name: "job",
     read: |bytes| {
         let bake = serde_json::from_slice::<NewBake>(bytes);
-        let planned =
-            bake.as_ref().is_ok_and(|bake| taken(&initial_plan(&bake.kind, bake.scene, &bake.settings)));
+        let planned = bake.as_ref().is_ok_and(|bake| taken(&first_tasks(bake)));
         let claim = taken(&serde_json::from_slice::<ClaimRequest>(bytes));
         let result = taken(&serde_json::from_slice::<TaskResult>(bytes));
         taken(&bake) || planned || claim || result
@@ -39,13 +45,17 @@ pub const JOB: Target = Target {
         check_again::<ClaimRequest>(bytes);
         check_again::<TaskResult>(bytes);
         let Ok(bake) = serde_json::from_slice::<NewBake>(bytes) else { return };
-        let Ok(plan) = initial_plan(&bake.kind, bake.scene, &bake.settings) else { return };
-        assert_eq!(plan, initial_plan(&bake.kind, bake.scene, &bake.settings).expect("it was planned"));
+        let Ok(plan) = first_tasks(&bake) else { return };
+        assert_eq!(plan, first_tasks(&bake).expect("it was planned"));
         assert!(!plan.is_empty(), "a bake has tasks");
     },
     seeds: jobs,
     memory_max,
 };
+
+fn first_tasks(bake: &NewBake) -> Result<Vec<TaskSpec>, BakeError> {
+    Kinds::new().first_tasks(&bake.kind, bake.scene, &bake.settings)
+}
 
 /// Values are read as they come, so memory follows the bytes.
 fn memory_max(bytes: usize) -> u64 {
@@ -65,7 +75,7 @@ fn digest() -> String {
 fn jobs() -> Vec<Vec<u8>> {
     let scene = Digest::of(b"seed");
     let input = TaskInput::Artefact { name: "scene".into(), digest: scene };
-    let task = TaskSpec::new("prt.relight", 1, "batch 0", serde_json::json!({ "rays": 64 }), vec![input], 9);
+    let task = TaskSpec::new("sh.relight", 1, "batch 0", serde_json::json!({ "rays": 64 }), vec![input], 9);
     let result = serde_json::json!({
         "outputs": [{ "name": "chunk/0", "digest": digest(), "bytes": 12 }],
         "plan": [task],
@@ -76,26 +86,23 @@ fn jobs() -> Vec<Vec<u8>> {
         "needs": { "memory_mib": 4096, "threads": 2, "labels": ["gpu"] }, "attempt_limit_secs": 60,
     });
     let claim = serde_json::json!({
-        "worker": "oven", "kinds": ["prt.relight"], "threads": 4, "memory_mib": 2048, "labels": ["gpu"],
+        "worker": "oven", "kinds": ["sh.relight"], "threads": 4, "memory_mib": 2048, "labels": ["gpu"],
         "max": 2, "ttl_secs": 60, "wait_secs": 20,
     });
     [bake, claim, result].map(|value| value.to_string().into_bytes()).to_vec()
 }
 
 fn manifest() -> serde_json::Value {
-    let raw = lightkiln_proto::prt::RawSettings::default();
-    let settings = raw.validate().expect("the defaults are good");
+    let settings =
+        Kinds::new().default_kind().resolve(&serde_json::Value::Null).expect("the defaults are good");
     let chunk = serde_json::json!({ "digest": digest(), "bytes": 300 });
     serde_json::json!({
-        "format": "lightkiln-manifest", "version": 1, "kind": "prt", "scene": digest(), "settings": settings,
-        "texel_m": 0.25, "probe_spacing_m": 1.5, "bounds_m": [[0.0, 0.0, 0.0], [4.0, 3.0, 5.5]],
-        "totals": {
-            "receivers": 9, "probes": 2, "patches": 3, "clusters": 1, "triangles": 12, "mean_rank": 3.5, "rank_max": 4,
-            "uncovered_fraction": 0.01, "left_out_fraction": 0.0, "receivers_without_light": 1, "bytes": 900,
-            "bytes_light": 500,
+        "format": "lightkiln-manifest", "version": 2, "kind": "prt", "scene": digest(), "settings": settings,
+        "bounds_m": [[0.0, 0.0, 0.0], [4.0, 3.0, 5.5]], "triangles": 12,
+        "lightmap": {
+            "texel_m": 0.25, "pages": [[64, 32]],
+            "blocks": [{ "key": "00000000000000ff", "name": "wall", "size": [8, 8], "page": 0, "origin": [1, 1] }],
         },
-        "pages": [[64, 32]],
-        "blocks": [{ "key": "00000000000000ff", "name": "wall", "size": [8, 8], "page": 0, "origin": [1, 1] }],
         "materials": [{
             "name": "red", "base_colour": [0.5, 0.1, 0.1, 1.0],
             "base_colour_texture": { "texture": 0, "wrap": ["repeat", "mirror"], "transform": null },
@@ -103,12 +110,22 @@ fn manifest() -> serde_json::Value {
             "double_sided": true,
         }],
         "emitters": [{ "name": "lamp", "area_m2": 0.5 }],
-        "lights": [], "cameras": [], "textures": [chunk], "geometry": [chunk], "probes": [chunk],
-        "patches": [chunk],
-        "clusters": [{
-            "digest": digest(), "bytes": 396, "bounds_m": [[0.0, 0.0, 0.0], [4.0, 3.0, 5.5]], "receivers": 9,
-            "probes": 2, "rank": 3, "truncation_error": 0.01, "quantisation_error": 0.002, "uncovered_fraction": 0.0,
-            "layers": [{ "bytes": 200, "level": 1, "bands": 0, "rank": 2 }],
-        }],
+        "lights": [], "cameras": [],
+        "framing": { "light": { "note": "chosen", "value": {
+            "name": "sun", "kind": { "type": "sun", "direction": [0.0, -1.0, 0.0] }, "strength": [1.0, 1.0, 1.0],
+        } } },
+        "chunks": { "textures": [chunk], "geometry": [chunk], "patches": [chunk], "clusters": [chunk] },
+        "body": {
+            "totals": {
+                "receivers": 9, "clusters": 1, "mean_rank": 3.5, "rank_max": 4, "uncovered_fraction": 0.01,
+                "left_out_fraction": 0.0, "receivers_without_light": 1,
+            },
+            "patches": 3,
+            "clusters": [{
+                "bounds_m": [[0.0, 0.0, 0.0], [4.0, 3.0, 5.5]], "receivers": 9, "keys": 2, "rank": 3,
+                "truncation_error": 0.01, "quantisation_error": 0.002, "uncovered_fraction": 0.0,
+                "layers": [{ "bytes": 200, "level": 1, "bands": 0, "rank": 2 }],
+            }],
+        },
     })
 }

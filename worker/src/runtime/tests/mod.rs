@@ -157,7 +157,7 @@ fn heartbeat_without_an_answer_is_soon_sent_again() {
     let server = FakeFarm::start();
     server.state().refuse = vec!["POST /v1/leases/t1/heartbeat"];
     let watch = LeaseWatch {
-        farm: &Farm::new(server.url(), None),
+        farm: &Farm::new(server.url(), None, None).unwrap(),
         token: "t1",
         interval: LIMIT,
         grace: Duration::ZERO,

@@ -18,7 +18,8 @@ mod verdict;
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
-use lightkiln_client::fetch::{ApiClient, RetryPolicy};
+use lightkiln_client::fetch::ApiClient;
+use lightkiln_http::USUAL;
 use lightkiln_proto::api::{Bake, BakeState};
 
 use super::processes::{LIMIT, Running, kiln, run};
@@ -39,16 +40,8 @@ const TRIES_OF_A_BAKE: u32 = 10;
 const ROUND_LIMIT: Duration = LIMIT;
 
 /// Settings of a bake with many small tasks.
-const MANY: [&str; 8] = [
-    "--preset",
-    "draft",
-    "--set",
-    "receivers_target=12000",
-    "--set",
-    "probes_target=40",
-    "--set",
-    "cluster_receivers=64",
-];
+const MANY: [&str; 6] =
+    ["--preset", "draft", "--set", "receivers_target=12000", "--set", "cluster_receivers=64"];
 
 /// Waits for something, up to a limit.
 struct Patience {
@@ -97,8 +90,7 @@ impl Drop for Story {
 impl Story {
     fn new(seed: u64, rounds: u64) -> Self {
         let troupe = Troupe::start(2, 4, &format!("chaos-{seed}-{rounds}"));
-        let patience = RetryPolicy { attempts: 60, ..RetryPolicy::default() };
-        let client = ApiClient::new(&troupe.url(), None).unwrap().with_retry(patience);
+        let client = ApiClient::new(&troupe.url(), None).unwrap().with_retry(USUAL.with_max_times(120));
         let (dice, books) = (Dice::new(seed), Books::default());
         Self { seed, rounds, troupe, dice, client, books, history: Vec::new() }
     }

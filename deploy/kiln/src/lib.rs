@@ -1,0 +1,47 @@
+//! `kiln`: every role of Lightkiln as a subcommand. Bakes relightable global illumination for glTF scenes.
+//!
+//! The program is a function of the kinds of bake that it knows ([`run`]), so that another program can add its own.
+
+mod arguments;
+mod bundle;
+mod commands;
+mod embedded;
+mod enrolment;
+mod evaluation;
+mod failure;
+mod inspection;
+mod interrupt;
+mod junit;
+pub mod kinds;
+mod logging;
+mod picture;
+mod progress;
+mod settings;
+mod summary;
+mod telemetry;
+#[cfg(test)]
+mod tests;
+
+use std::process::ExitCode;
+
+use clap::Parser as _;
+use tracing::Span;
+
+use kinds::KindTables;
+
+/// Runs the command line of this process to its end; bakes may be of `kinds`.
+pub fn run(kinds: &KindTables) -> ExitCode {
+    let command = arguments::Arguments::parse().command;
+    let role = command.name();
+    // Ends, and exports what is left, when the command has.
+    let _telemetry = logging::start(role);
+    // A server and a worker live for months: what they do belongs to the traces of those who ask for it.
+    let span = if command.stays() { Span::none() } else { telemetry::command_span(role) };
+    match span.in_scope(|| command.run(kinds)) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            eprint!("{failure}");
+            failure.exit().into()
+        }
+    }
+}

@@ -1,0 +1,119 @@
+//! The part of manifests and reports that every kind of bake has: pages of the lightmap, materials, draws, framing.
+//!
+//! It reads the scene and its charts; no ray is cast.
+
+mod materials;
+mod pages;
+
+use std::collections::BTreeMap;
+
+use lightkiln_proto::ids::Digest;
+use lightkiln_proto::jobs::{MANIFEST_OUTPUT, REPORT_OUTPUT};
+use lightkiln_proto::manifest::{
+    Block, ChunkRef, FORMAT, Framing, GEOMETRY, Lightmap, Manifest, TEXTURES, VERSION,
+};
+use serde::Serialize;
+use serde_json::{Value, json};
+
+use crate::geometry::bounds_of;
+use crate::lightmap::Charts;
+use crate::lightmap::place::blocks;
+use crate::scene::model::Scene;
+use crate::task::{Context, TaskError, TaskOutput};
+
+/// The part of a manifest that only its kind knows.
+pub struct KindPart<'a, S, B> {
+    /// Name of the kind.
+    pub kind: &'static str,
+    /// Scene bundle.
+    pub scene: Digest,
+    /// All settings.
+    pub settings: &'a S,
+    /// Body.
+    pub body: &'a B,
+    /// The kind's own chunks by role.
+    pub chunks: Vec<(&'static str, Vec<ChunkRef>)>,
+    /// The kind's part of the report: an object.
+    pub report: Value,
+}
+
+/// Outputs of an assemble task, whose inputs are the outputs of `scene.import`, `.unwrap`, `.draw` and `.frame` and the
+/// kind's own: the manifest and the report.
+pub fn assembled<S: Serialize, B: Serialize>(
+    context: &Context,
+    part: KindPart<'_, S, B>,
+) -> Result<TaskOutput, TaskError> {
+    let (scene, _): (Scene, _) = context.decoded(crate::scene::ARTEFACT_MAGIC, crate::scene::ARTEFACT)?;
+    let charts = Charts::of(context)?;
+    let mut chunks: BTreeMap<String, Vec<ChunkRef>> =
+        part.chunks.into_iter().map(|(role, refs)| (role.to_owned(), refs)).collect();
+    chunks.insert(TEXTURES.to_owned(), chunk_refs(context, "draw/texture/"));
+    chunks.insert(GEOMETRY.to_owned(), chunk_refs(context, "draw/geometry/"));
+    let (materials, emitters) = materials::materials(&scene);
+    let manifest = Manifest {
+        format: FORMAT.to_owned(),
+        version: VERSION,
+        kind: part.kind.to_owned(),
+        scene: part.scene,
+        settings: as_json(part.settings)?,
+        bounds_m: bounds_of(&scene).map(|corner| corner.to_array()),
+        triangles: scene.instances.iter().map(|instance| instance.triangles.len() as u64).sum(),
+        lightmap: layout(&scene, &charts)?,
+        materials,
+        emitters,
+        lights: scene.lights.clone(),
+        cameras: scene.cameras.clone(),
+        framing: framing(context)?,
+        chunks,
+        body: as_json(part.body)?,
+    };
+    let mut report = part.report;
+    report["import"] = json_of(context, crate::scene::WARNINGS)?;
+    report["texel_m"] = json!(charts.texel_m);
+    // By way of a JSON value: its maps are sorted, which makes the manifest canonical.
+    let canonical = as_json(&manifest)?;
+    Ok(TaskOutput {
+        artefacts: vec![
+            (MANIFEST_OUTPUT.into(), canonical.to_string().into_bytes()),
+            (REPORT_OUTPUT.into(), report.to_string().into_bytes()),
+        ],
+        ..TaskOutput::default()
+    })
+}
+
+/// The task's inputs whose names begin with `prefix`, as chunks in their order.
+pub fn chunk_refs(context: &Context, prefix: &str) -> Vec<ChunkRef> {
+    let named = context.inputs.iter().filter(|artefact| artefact.name.starts_with(prefix));
+    named.map(|artefact| ChunkRef { digest: artefact.digest, bytes: artefact.bytes }).collect()
+}
+
+/// Blocks in the order of their keys, placed in pages.
+fn layout(scene: &Scene, charts: &Charts) -> Result<Lightmap, TaskError> {
+    let mut blocks = blocks(scene, charts)?;
+    blocks.sort_by_key(|block| block.key);
+    let sizes: Vec<[u32; 2]> = blocks.iter().map(|block| block.size).collect();
+    let pages = pages::pack(&sizes);
+    let placed = blocks.into_iter().zip(&pages.places).map(|(block, &(page, origin))| Block {
+        key: block.key,
+        name: block.name,
+        size: block.size,
+        page,
+        origin,
+    });
+    Ok(Lightmap { texel_m: charts.texel_m, blocks: placed.collect(), pages: pages.sizes })
+}
+
+fn framing(context: &Context) -> Result<Framing, TaskError> {
+    serde_json::from_slice(&context.bytes(crate::vantage::FRAMING)?)
+        .map_err(|error| TaskError::bad_input_from("the scene's framing cannot be read", error))
+}
+
+fn json_of(context: &Context, name: &str) -> Result<Value, TaskError> {
+    serde_json::from_slice(&context.bytes(name)?)
+        .map_err(|error| TaskError::bad_input_from(format!("'{name}' cannot be read"), error))
+}
+
+fn as_json(value: &impl Serialize) -> Result<Value, TaskError> {
+    serde_json::to_value(value)
+        .map_err(|error| TaskError::bad_input_from("the manifest cannot be written", error))
+}

@@ -1,0 +1,225 @@
+//! Irradiance straight from emissive surfaces, by sampling them and by the receivers' own rays.
+//!
+//! We differ from METHOD.md's "static light goes through the same path": a lamp is met by a handful of rays, so its energy
+//! would be off by tens of percent at each receiver and its shadows blurred by the basis. Here both estimators are weighted
+//! by the balance heuristic ([Veach1995]), so neither a small nor a near lamp is noisy; the basis then carries only light
+//! that has bounced.
+
+use std::borrow::Cow;
+use std::ops::Deref;
+use std::sync::Arc;
+
+use glam::Vec3;
+
+use super::{EmissiveTriangle, emissive_triangles, emitter_of_material};
+use crate::geometry::{Geometry, Site, weights_of};
+use crate::rays::Hit;
+use crate::rays::sampling::{R2, Sequence, seed_of, uniform_triangle};
+use crate::scene::surface::{Footprint, surface_at};
+use crate::task::{Context, TaskError};
+
+/// Emissive triangles up to which each receiver weighs every one by the light it can get from it; beyond, all receivers
+/// choose by power alone.
+const WEIGHED_MAX: usize = 4096;
+
+/// A triangle with its chance where nothing else is known: area × mean radiance.
+#[derive(Clone, Copy, Debug)]
+struct Weighted {
+    of: EmissiveTriangle,
+    power: f32,
+}
+
+impl Deref for Weighted {
+    type Target = EmissiveTriangle;
+
+    fn deref(&self) -> &EmissiveTriangle {
+        &self.of
+    }
+}
+
+/// All emissive triangles of a scene, ready to be sampled.
+#[derive(Clone, Debug, Default)]
+pub struct EmitterSet {
+    triangles: Vec<Weighted>,
+    /// Index into `triangles` of each triangle of the scene, or `u32::MAX`; empty when nothing emits.
+    index_of: Vec<u32>,
+    /// Emitters, i.e. emissive materials.
+    count: usize,
+    /// Summed share of power of each triangle, where there are too many to weigh.
+    by_power: Vec<f32>,
+}
+
+impl EmitterSet {
+    /// Finds the emissive triangles.
+    pub fn new(geometry: &Geometry) -> Self {
+        let count = emitter_of_material(&geometry.scene).iter().flatten().count();
+        let mut set = Self { count, ..Self::default() };
+        if count == 0 {
+            return set;
+        }
+        set.index_of = vec![u32::MAX; geometry.triangles.len()];
+        for of in emissive_triangles(geometry) {
+            set.index_of[of.triangle as usize] = set.triangles.len() as u32;
+            // A texture may be dark on the average and still hold a lamp: never below a hundredth of the factor.
+            let floor = of.factor.iter().sum::<f32>() * 0.01;
+            let power = of.area_m2 * of.mean_radiance.iter().sum::<f32>().max(floor);
+            set.triangles.push(Weighted { of, power });
+        }
+        if set.triangles.len() > WEIGHED_MAX {
+            set.by_power = summed(set.triangles.iter().map(|triangle| triangle.power));
+        }
+        set
+    }
+
+    /// Emitters of the scene among a task's inputs, found once per worker.
+    pub fn of(context: &Context, geometry: &Geometry) -> Result<Arc<Self>, TaskError> {
+        context.memory.get_or_insert(context.digest(crate::scene::ARTEFACT)?, || {
+            let set = Self::new(geometry);
+            let bytes = 4 * set.index_of.len() + size_of::<Weighted>() * set.triangles.len();
+            Ok((set, bytes))
+        })
+    }
+}
+
+/// Sums one receiver's irradiance from each emitter.
+pub struct EmitterIrradianceSum<'a> {
+    geometry: &'a Geometry,
+    set: &'a EmitterSet,
+    site: Site,
+    origin_m: Vec3,
+    own_rays: f32,
+    samples: u32,
+    /// Chance of each emissive triangle, summed; empty when none can reach the receiver.
+    cumulative: Cow<'a, [f32]>,
+    sums: Vec<[f32; 3]>,
+}
+
+impl<'a> EmitterIrradianceSum<'a> {
+    /// Nothing summed yet; `own_rays` cosine-distributed rays and `samples` shadow rays will be.
+    pub fn new(geometry: &'a Geometry, set: &'a EmitterSet, site: Site, own_rays: u32, samples: u32) -> Self {
+        let origin_m = site.ray_origin_m(geometry.tracer.ray_offset_m());
+        let cumulative = if set.by_power.is_empty() {
+            Cow::Owned(summed(set.triangles.iter().map(|triangle| chance(triangle, &site, origin_m))))
+        } else {
+            Cow::Borrowed(set.by_power.as_slice())
+        };
+        let sums = vec![[0.0; 3]; set.count];
+        Self { geometry, set, site, origin_m, own_rays: own_rays as f32, samples, cumulative, sums }
+    }
+
+    /// Adds the emitter that one of the receiver's own rays meets: `π/N · Lₑ` times its weight against sampling.
+    pub fn add_hit(&mut self, hit: &Hit, direction: Vec3) {
+        let set = self.set;
+        let Some(&index) = set.index_of.get(hit.triangle as usize) else { return };
+        let Some(triangle) = set.triangles.get(index as usize) else { return };
+        if !hit.front && !triangle.double_sided {
+            return;
+        }
+        let cosine = direction.dot(self.site.normal);
+        if cosine <= 0.0 {
+            return;
+        }
+        let own = self.own_rays * cosine / std::f32::consts::PI;
+        let facing = triangle.normal.dot(direction).abs().max(1e-9);
+        let sampled = self.samples as f32 * self.density(index as usize) * hit.t * hit.t / facing;
+        let Some(emission) = self.emission(triangle, hit.barycentric) else { return };
+        self.add(triangle.emitter, emission, std::f32::consts::PI / self.own_rays * own / (own + sampled));
+    }
+
+    /// Casts the shadow rays; gives how many.
+    pub fn sample_emitters(&mut self, seed: u64) -> u64 {
+        if self.cumulative.is_empty() {
+            return 0;
+        }
+        let points = R2::new(seed_of(&[seed, 4]));
+        // Of its own seed: a stratum's place must not tell the point that is taken in it.
+        let shift = Sequence::new(seed_of(&[seed, 6])).next_f32();
+        let mut rays = 0;
+        for sample in 0..self.samples {
+            let pick = (sample as f32 + shift) / self.samples as f32;
+            let index = self.cumulative.partition_point(|sum| *sum <= pick).min(self.cumulative.len() - 1);
+            rays += u64::from(self.add_sample(index, uniform_triangle(points.point(sample))));
+        }
+        rays
+    }
+
+    /// The sums, one per emitter.
+    pub fn finish(self) -> Vec<[f32; 3]> {
+        self.sums
+    }
+
+    /// `Lₑ cosθ_x cosθ_y / d² / density`, weighted against the receiver's own rays; true if a ray was cast.
+    fn add_sample(&mut self, index: usize, barycentric: [f32; 2]) -> bool {
+        let triangle = &self.set.triangles[index];
+        let weights = weights_of(barycentric);
+        let [a, b, c] = triangle.corners;
+        let point_m = a * weights.x + b * weights.y + c * weights.z;
+        let to_light = point_m - self.origin_m;
+        let squared_m2 = to_light.length_squared();
+        let Some(direction) = to_light.try_normalize() else { return false };
+        let cosine = direction.dot(self.site.normal);
+        let facing = -direction.dot(triangle.normal);
+        let above = direction.dot(self.site.face_normal) > 0.0;
+        if cosine <= 0.0 || !above || (facing <= 0.0 && !triangle.double_sided) || facing == 0.0 {
+            return false;
+        }
+        let offset_m = self.geometry.tracer.ray_offset_m();
+        let lifted_m = point_m + triangle.normal * offset_m.copysign(facing);
+        if self.geometry.tracer.is_occluded(self.origin_m, lifted_m) {
+            return true;
+        }
+        let density = self.density(index) * squared_m2 / facing.abs();
+        let sampled = self.samples as f32 * density;
+        let own = self.own_rays * cosine / std::f32::consts::PI;
+        let Some(emission) = self.emission(triangle, barycentric) else { return true };
+        // cosθ / (M · density) · M·density / (M·density + N·cosθ/π)
+        self.add(triangle.emitter, emission, cosine / (sampled + own));
+        true
+    }
+
+    /// Density of sampled points on an emissive triangle, per m².
+    fn density(&self, index: usize) -> f32 {
+        let Some(&to) = self.cumulative.get(index) else { return 0.0 };
+        let from = if index == 0 { 0.0 } else { self.cumulative[index - 1] };
+        (to - from) / self.set.triangles[index].area_m2.max(1e-12)
+    }
+
+    /// Lₑ at a point of an emissive triangle; `None` in the holes of a masked one.
+    fn emission(&self, triangle: &Weighted, barycentric: [f32; 2]) -> Option<[f32; 3]> {
+        let Geometry { scene, images, triangles, .. } = self.geometry;
+        let reference = triangles[triangle.triangle as usize];
+        let weights = weights_of(barycentric).to_array();
+        let (instance, local) = (reference.instance as usize, reference.triangle as usize);
+        let surface = surface_at(scene, images, instance, local, weights, &Footprint::POINT);
+        let cutoff = self.geometry.material(triangle.triangle).alpha_cutoff;
+        cutoff.is_none_or(|cutoff| surface.alpha >= cutoff).then_some(surface.emission)
+    }
+
+    fn add(&mut self, emitter: u16, emission: [f32; 3], factor: f32) {
+        let sum = &mut self.sums[emitter as usize];
+        sum.iter_mut().zip(emission).for_each(|(sum, emission)| *sum += emission * factor);
+    }
+}
+
+/// Running sums of chances, normalised to end in 1; empty when all are 0.
+fn summed(chances: impl Iterator<Item = f32>) -> Vec<f32> {
+    let mut total = 0.0_f64;
+    let sums: Vec<f64> = chances
+        .map(|chance| {
+            total += f64::from(chance);
+            total
+        })
+        .collect();
+    if total > 0.0 { sums.iter().map(|sum| (sum / total) as f32).collect() } else { Vec::new() }
+}
+
+/// Chance, not yet normalised, that a site samples an emissive triangle; 0 only where no light can come from it.
+fn chance(triangle: &Weighted, site: &Site, origin_m: Vec3) -> f32 {
+    let behind = (origin_m - triangle.corners[0]).dot(triangle.normal) <= 0.0 && !triangle.double_sided;
+    let below = triangle.corners.iter().all(|corner| (*corner - origin_m).dot(site.normal) <= 0.0);
+    if behind || below {
+        return 0.0;
+    }
+    let centre_m = (triangle.corners[0] + triangle.corners[1] + triangle.corners[2]) / 3.0;
+    triangle.power / (centre_m - origin_m).length_squared().max(triangle.area_m2)
+}

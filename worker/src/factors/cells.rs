@@ -1,0 +1,109 @@
+//! World-aligned cells of receivers: an edit in one place leaves the cells of all others as they were.
+
+use std::sync::Arc;
+
+use glam::Vec3;
+use serde::{Deserialize, Serialize};
+
+use crate::lightmap::Lightmap;
+use crate::task::{Context, TaskError, artefact};
+
+/// A world-aligned cell of receivers that are factorised together.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ClusterCell {
+    /// Lower and upper corner in metres; the upper one is outside.
+    pub bounds_m: [Vec3; 2],
+    /// Ascending receiver indices.
+    pub receivers: Vec<u32>,
+}
+
+/// Magic of the cells' artefact.
+const ARTEFACT_MAGIC: &[u8; 4] = b"LKcl";
+/// Name under which tasks see it.
+pub const CELLS_ARTEFACT: &str = "cells";
+
+/// Cells as an artefact.
+pub fn encoded(cells: &[ClusterCell]) -> Result<Vec<u8>, TaskError> {
+    artefact::encode(ARTEFACT_MAGIC, &cells)
+}
+
+/// Cells among a task's inputs.
+pub fn cells_of_task(context: &Context) -> Result<Arc<Vec<ClusterCell>>, TaskError> {
+    context.shared(ARTEFACT_MAGIC, CELLS_ARTEFACT)
+}
+
+/// Cell of that index of those among a task's inputs.
+pub fn cell_of_task(context: &Context, index: usize) -> Result<ClusterCell, TaskError> {
+    let cells = cells_of_task(context)?;
+    let absent = || TaskError::bad_input("the task names a cluster that the plan does not have");
+    cells.get(index).cloned().ok_or_else(absent)
+}
+
+/// Deepest split by place.
+const DEPTH_MAX: u32 = 60;
+
+/// Splits space in halves at world-aligned planes until a cell holds at most `cluster_receivers` receivers.
+///
+/// Cells start as cubes of a power of two around the origin and are halved along x, y, z in turn.
+pub fn cells(lightmap: &Lightmap, cluster_receivers: u32) -> Vec<ClusterCell> {
+    let positions_m: Vec<Vec3> = lightmap.receivers.iter().map(|receiver| receiver.position_m).collect();
+    let reach_m =
+        positions_m.iter().fold(1.0_f32, |reach, position_m| reach.max(position_m.abs().max_element()));
+    let mut half_m = 1.0;
+    while half_m <= reach_m {
+        half_m *= 2.0;
+    }
+    let all = (0..positions_m.len() as u32).collect();
+    let root = ClusterCell { bounds_m: [Vec3::splat(-half_m), Vec3::splat(half_m)], receivers: all };
+    let mut cells = Vec::new();
+    split_into(&positions_m, root, 0, cluster_receivers as usize, &mut cells);
+    cells
+}
+
+/// Adds `cell`, or its halves if it holds too many.
+fn split_into(
+    positions_m: &[Vec3],
+    cell: ClusterCell,
+    depth: u32,
+    most: usize,
+    cells: &mut Vec<ClusterCell>,
+) {
+    if cell.receivers.is_empty() {
+        return;
+    }
+    if cell.receivers.len() <= most {
+        cells.push(cell);
+        return;
+    }
+    if depth == DEPTH_MAX {
+        // All in one place, as with thousands of copies of one mesh: by their order.
+        let parts = cell.receivers.chunks(most);
+        cells.extend(parts.map(|part| ClusterCell { bounds_m: cell.bounds_m, receivers: part.to_vec() }));
+        return;
+    }
+    for half in halves(&cell, |receiver| positions_m[receiver as usize]) {
+        split_into(positions_m, half, depth + 1, most, cells);
+    }
+}
+
+/// The two halves of a cell across its longest axis (x before y before z).
+pub fn halves(cell: &ClusterCell, position_m: impl Fn(u32) -> Vec3) -> [ClusterCell; 2] {
+    let [low, high] = cell.bounds_m;
+    let size = high - low;
+    let axis = if size.x >= size.y && size.x >= size.z {
+        0
+    } else if size.y >= size.z {
+        1
+    } else {
+        2
+    };
+    let middle = (low[axis] + high[axis]) * 0.5;
+    let (mut low_end, mut high_start) = (high, low);
+    low_end[axis] = middle;
+    high_start[axis] = middle;
+    let (lower, upper) = cell.receivers.iter().partition(|&&receiver| position_m(receiver)[axis] < middle);
+    [
+        ClusterCell { bounds_m: [low, low_end], receivers: lower },
+        ClusterCell { bounds_m: [high_start, high], receivers: upper },
+    ]
+}

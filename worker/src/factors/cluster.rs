@@ -1,0 +1,45 @@
+//! The part of a cluster that does not depend on the basis: its receivers and their emitters.
+
+use glam::Vec3;
+use lightkiln_proto::content::{EmitterIrradiance, Receivers};
+
+use crate::lightmap::{Lightmap, Numbering, Receiver};
+use crate::transport::Row;
+
+/// Receivers as a chunk lists them, in the order given.
+pub fn attributes(lightmap: &Lightmap, receivers: &[u32]) -> Receivers {
+    let all: Vec<&Receiver> = receivers.iter().map(|&r| &lightmap.receivers[r as usize]).collect();
+    let blocks = Numbering::of(all.iter().map(|receiver| receiver.block));
+    Receivers {
+        block: all.iter().map(|receiver| blocks.place_u16(receiver.block)).collect(),
+        texel: all.iter().map(|receiver| receiver.texel).collect(),
+        position_m: all.iter().map(|receiver| receiver.position_m.to_array()).collect(),
+        normal: all.iter().map(|receiver| receiver.normal.to_array()).collect(),
+        albedo: all.iter().map(|receiver| receiver.albedo).collect(),
+        emission: all.iter().map(|receiver| receiver.emission).collect(),
+        links: all.iter().map(|receiver| receiver.links).collect(),
+        blocks: blocks.values().iter().map(|&block| lightmap.blocks[block as usize].key).collect(),
+    }
+}
+
+/// Lower and upper corner of receivers in metres.
+pub fn bounds_m(lightmap: &Lightmap, receivers: &[u32]) -> [[f32; 3]; 2] {
+    let (mut low, mut high) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
+    for &receiver in receivers {
+        let position_m = lightmap.receivers[receiver as usize].position_m;
+        (low, high) = (low.min(position_m), high.max(position_m));
+    }
+    [low.to_array(), high.to_array()]
+}
+
+/// Irradiance of the emitters that reach any of the rows.
+pub fn emitters(rows: &[&Row]) -> Vec<EmitterIrradiance> {
+    let count = rows.first().map_or(0, |row| row.emitters.len());
+    (0..count)
+        .map(|emitter| EmitterIrradiance {
+            emitter: emitter as u16,
+            irradiance: rows.iter().map(|row| row.emitters[emitter]).collect(),
+        })
+        .filter(|column| column.irradiance.iter().flatten().any(|channel| *channel > 0.0))
+        .collect()
+}

@@ -1,0 +1,177 @@
+//! Kinds of bake: one folder each, and a table that runner and evaluation ask. No other room names a kind.
+
+pub mod prt;
+pub mod sh;
+
+use std::sync::Arc;
+
+use lightkiln_proto::ids::Digest;
+use lightkiln_proto::jobs::{Artefact, TaskSpec};
+use lightkiln_proto::kinds::SceneTask;
+use lightkiln_proto::manifest::Manifest;
+
+use crate::evaluate::{ChunkBytes, Evaluated, EvaluationError};
+use crate::task::{
+    ArtefactSource, Context, LocalRun, MemoryCache, Progress, TaskError, TaskOutput, TaskRunner,
+};
+use crate::{draw, lightmap, patches, scene, vantage};
+
+/// Bytes of decoded values that a bake made anew may hold between its tasks.
+const MEMORY_BYTES: usize = 4 << 30;
+
+/// A task kind and its code.
+#[derive(Clone, Copy)]
+pub struct TaskRow {
+    /// Name on the wire.
+    pub name: &'static str,
+    /// Runs one task of the kind.
+    pub run: fn(&Context, &TaskSpec) -> Result<TaskOutput, TaskError>,
+}
+
+/// The worker's side of a kind of bake.
+pub trait BakeKind: Send + Sync {
+    /// Name, as in manifests.
+    fn name(&self) -> &'static str;
+
+    /// Tasks of the kind's own.
+    fn tasks(&self) -> Vec<TaskRow>;
+
+    /// Names of the classes of error that it tells apart.
+    fn error_classes(&self) -> &'static [&'static str] {
+        &[]
+    }
+
+    /// A bake of the kind as evaluation sees it: its world made anew from the scene bundle, its chunks decoded.
+    ///
+    /// Errors when the world is prepared otherwise now than it was then.
+    fn evaluated(
+        &self,
+        manifest: &Manifest,
+        scene: Vec<u8>,
+        bytes: ChunkBytes,
+        progress: &Progress,
+    ) -> Result<Box<dyn Evaluated>, EvaluationError>;
+}
+
+/// A table of kinds.
+#[derive(Clone)]
+pub struct BakeKinds(Vec<&'static dyn BakeKind>);
+
+impl BakeKinds {
+    /// The kinds of this crate.
+    pub fn new() -> Self {
+        Self(vec![&prt::Prt, &sh::Sh])
+    }
+
+    /// The table with one more kind.
+    #[must_use]
+    pub fn with(mut self, kind: &'static dyn BakeKind) -> Self {
+        self.0.push(kind);
+        self
+    }
+
+    /// The kind of that name.
+    pub fn get(&self, name: &str) -> Option<&'static dyn BakeKind> {
+        self.0.iter().copied().find(|kind| kind.name() == name)
+    }
+
+    /// Names of the classes of error that some kind tells apart, each once.
+    pub fn error_classes(&self) -> Vec<&'static str> {
+        let mut names: Vec<&str> = self.0.iter().flat_map(|kind| kind.error_classes()).copied().collect();
+        names.sort_unstable();
+        names.dedup();
+        names
+    }
+
+    /// A bake as evaluation sees it, by the kind that its manifest names.
+    ///
+    /// Errors when the scene is not the one of the manifest, or no kind of the table made it.
+    pub fn evaluated(
+        &self,
+        manifest: &Manifest,
+        scene: Vec<u8>,
+        bytes: ChunkBytes,
+        progress: &Progress,
+    ) -> Result<Box<dyn Evaluated>, EvaluationError> {
+        let found = Digest::of(&scene);
+        if found != manifest.scene {
+            return Err(EvaluationError::OtherScene { wanted: manifest.scene, found });
+        }
+        let unknown = || EvaluationError::UnknownKind { kind: manifest.kind.clone() };
+        self.get(&manifest.kind).ok_or_else(unknown)?.evaluated(manifest, scene, bytes, progress)
+    }
+}
+
+impl Default for BakeKinds {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// Tasks over a scene that kinds share.
+fn scene_tasks() -> Vec<TaskRow> {
+    let run = |task: SceneTask| match task {
+        SceneTask::Import => scene::task::run,
+        SceneTask::Unwrap => lightmap::charts::run,
+        SceneTask::Draw => draw::run,
+        SceneTask::Frame => vantage::run,
+        SceneTask::Place => lightmap::place::run,
+        SceneTask::Patches => patches::run,
+    };
+    SceneTask::ALL.map(|task| TaskRow { name: task.name(), run: run(task) }).into()
+}
+
+/// Runs the shared tasks and those of a table of kinds.
+#[derive(Clone)]
+pub struct Runner(Arc<Vec<TaskRow>>);
+
+impl Runner {
+    /// A runner of the table's kinds.
+    pub fn new(kinds: &BakeKinds) -> Self {
+        let of_kinds = kinds.0.iter().flat_map(|kind| kind.tasks());
+        Self(Arc::new(scene_tasks().into_iter().chain(of_kinds).collect()))
+    }
+}
+
+impl TaskRunner for Runner {
+    fn kinds(&self) -> Vec<String> {
+        self.0.iter().map(|row| row.name.to_owned()).collect()
+    }
+
+    fn run(
+        &self,
+        task: &TaskSpec,
+        inputs: &[Artefact],
+        source: &dyn ArtefactSource,
+        memory: &MemoryCache,
+        progress: &Progress,
+    ) -> Result<TaskOutput, TaskError> {
+        let row = self.0.iter().find(|row| row.name == task.kind);
+        let row = row.ok_or_else(|| TaskError::UnknownKind { kind: task.kind.clone() })?;
+        (row.run)(&Context { inputs, source, memory, progress }, task)
+    }
+}
+
+/// Runs a bake's first tasks up to its plan, and gives what `made` makes of the surroundings of its transport tasks, the
+/// first tasks of that kind in the plan.
+///
+/// Errors as the bake's own tasks would.
+fn made_anew<T>(
+    runner: &BakeKinds,
+    plan: impl FnOnce(Digest) -> Vec<TaskSpec>,
+    transport: &str,
+    scene: Vec<u8>,
+    progress: &Progress,
+    made: impl FnOnce(&Context, &LocalRun) -> Result<T, EvaluationError>,
+) -> Result<T, EvaluationError> {
+    let mut run = LocalRun::new(MEMORY_BYTES, progress);
+    let scene = run.shelf.put(scene);
+    let plan = plan(scene);
+    let own: Vec<String> = plan.iter().map(|task| task.kind.clone()).collect();
+    let is_first = |kind: &str| own.iter().any(|known| known == kind);
+    let left_out = run.run(&Runner::new(runner), plan, is_first, |_| {}).map_err(EvaluationError::Prepare)?;
+    let absent = || TaskError::bad_input(format!("the plan has no task '{transport}'"));
+    let task = left_out.iter().find(|task| task.kind == transport).ok_or_else(absent);
+    let inputs = run.resolved(task.map_err(EvaluationError::Prepare)?);
+    made(&run.context(&inputs), &run)
+}

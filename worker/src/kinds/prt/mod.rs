@@ -1,0 +1,153 @@
+//! Kind `prt`: light from surface patches and parts of the sky to lightmap receivers (METHOD.md §2).
+//!
+//! `prt.plan` (cells, the chunk of patches) → `prt.transport` by cell → `prt.assemble`.
+
+mod assemble;
+mod cut;
+mod evaluated;
+mod expectation;
+mod gather;
+mod near;
+mod plan;
+mod truncate;
+
+use std::sync::Arc;
+
+use lightkiln_proto::chunk::QuantisationSettings;
+use lightkiln_proto::ids::Digest;
+use lightkiln_proto::jobs::TaskSpec;
+use lightkiln_proto::kinds::prt::{NAME, PrtTask, Settings};
+use lightkiln_proto::manifest::Manifest;
+use serde::{Deserialize, Serialize};
+
+use super::{BakeKind, TaskRow};
+use crate::emitters::EmitterSet;
+use crate::evaluate::{ChunkBytes, Evaluated, EvaluationError};
+use crate::factors::{self, CellIndex, CellRows, ClusterCell, Detail, Piece, Transport, cell_of_task, stored};
+use crate::lightmap::World;
+use crate::patches::PatchTree;
+use crate::task::{Cancelled, Context, Progress, TaskError, TaskOutput, params};
+use crate::transport::{self, DEAD_PATH_TEXELS};
+use near::NearHit;
+
+/// Error of quantisation as a share of that of truncation: columns are differences, and most of them are then worth no bits.
+const QUANTISATION_SHARE: f32 = 0.7;
+/// Least and most error of quantisation.
+const QUANTISATION_ERROR: [f32; 2] = [2e-4, 0.05];
+
+/// The kind's row.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Prt;
+
+impl BakeKind for Prt {
+    fn name(&self) -> &'static str {
+        NAME
+    }
+
+    fn tasks(&self) -> Vec<TaskRow> {
+        vec![
+            TaskRow { name: PrtTask::Plan.name(), run: plan::run },
+            TaskRow { name: PrtTask::Transport.name(), run: run_transport },
+            TaskRow { name: PrtTask::Assemble.name(), run: assemble::run },
+        ]
+    }
+
+    fn error_classes(&self) -> &'static [&'static str] {
+        &factors::ERROR_CLASSES
+    }
+
+    fn evaluated(
+        &self,
+        manifest: &Manifest,
+        scene: Vec<u8>,
+        bytes: ChunkBytes,
+        progress: &Progress,
+    ) -> Result<Box<dyn Evaluated>, EvaluationError> {
+        Ok(Box::new(evaluated::evaluated(manifest, scene, bytes, progress)?))
+    }
+}
+
+/// Parameters of plan and assemble.
+#[derive(Debug, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+struct BakeParams {
+    settings: Settings,
+    /// Scene bundle, named in the manifest.
+    scene: Digest,
+}
+
+/// Parameters of transport.
+#[derive(Debug, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+struct TransportParams {
+    /// Index of the cluster cell.
+    cluster: usize,
+    settings: Settings,
+}
+
+/// One receiver's row over patches.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Row {
+    /// The part that every kind has.
+    pub shared: transport::Row,
+    /// Importance-weighted columns (see `expectation`), which are truncated, and the split-half noise in them: the values by
+    /// rays of even number less those by rays of odd number. One column more for the common part of all patches, before the
+    /// sky's, and one for all of the sky, after them. Empty where nothing is truncated.
+    pub importance: [Vec<f32>; 2],
+    /// Near hits, whose light is not in the columns.
+    pub near: Vec<NearHit>,
+    /// Weight of each of them, `∫ cosθ dω`.
+    pub near_weight: f32,
+}
+
+impl Row {
+    /// No light can ever come here: no receiver, sky or emitter is in sight. So it is in cavities of solids and on parts of
+    /// surfaces that are sunk in others.
+    fn is_dead(&self) -> bool {
+        self.near.iter().all(|hit| hit.texel().is_none()) && self.shared.is_dark()
+    }
+}
+
+/// Transport from patches to receivers.
+pub struct PatchTransport {
+    world: Arc<World>,
+    emitters: Arc<EmitterSet>,
+    tree: Arc<PatchTree>,
+    settings: Settings,
+}
+
+impl PatchTransport {
+    /// Of the scene, lightmap and patches among a task's inputs.
+    pub fn of(context: &Context, settings: Settings) -> Result<Self, TaskError> {
+        let world = World::of(context)?;
+        let emitters = EmitterSet::of(context, &world.geometry)?;
+        Ok(Self { emitters, tree: PatchTree::of(context)?, world, settings })
+    }
+}
+
+impl Transport for PatchTransport {
+    fn rows(&self, receivers: &[u32], detail: Detail, progress: &Progress) -> Result<CellRows, Cancelled> {
+        let found = gather::trace(self, receivers, detail, progress)?;
+        Ok(CellRows { keys: found.keys, rows: found.rows.into_iter().map(|row| row.shared).collect() })
+    }
+
+    fn pieces(&self, cell: &ClusterCell, progress: &Progress) -> Result<(Vec<Piece>, CellIndex), Cancelled> {
+        let found = gather::trace(self, &cell.receivers, Detail::AsBaked, progress)?;
+        let cavity_m = DEAD_PATH_TEXELS * self.world.lightmap.texel_m;
+        let index = CellIndex::of(found.rows.iter().map(|row| (&row.shared, row.is_dead())), cavity_m);
+        Ok((truncate::pieces(self, &found.keys, cell, &found.rows), index))
+    }
+}
+
+/// Runs task `prt.transport`: inputs of [`PatchTransport::of`] and `cells`; outputs `chunk/N` and `index`.
+fn run_transport(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> {
+    let TransportParams { cluster, settings } = params(task)?;
+    let quantisation = QuantisationSettings {
+        relative_error: (QUANTISATION_SHARE * settings.factors.rank_error)
+            .clamp(QUANTISATION_ERROR[0], QUANTISATION_ERROR[1]),
+        levels: settings.texels.lod_levels,
+    };
+    let cell = cell_of_task(context, cluster)?;
+    let (pieces, index) = PatchTransport::of(context, settings)?.pieces(&cell, context.progress)?;
+    stored(&pieces, quantisation, index)
+}

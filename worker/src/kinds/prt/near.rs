@@ -1,0 +1,109 @@
+//! Near hits: in narrow places, light is read at the very points that a receiver's rays meet, and not at the middles of the
+//! texels that they lie on. Between the slats of a shutter light falls on strips of millimetres, and a texel there is lit
+//! or dark as a whole.
+//!
+//! `N(r) = π/N Σ_n ρ/π · (E_dir(y_n) + E_ind(t_n))` over the rays n that meet something, y_n on the texel t_n, closer than
+//! the reach; of that sum a few hits are kept that are spread evenly over what was met.
+
+use std::f32::consts::PI;
+
+use glam::Vec3;
+use lightkiln_proto::content::{NearHits, NearSurface};
+use lightkiln_proto::kinds::prt::Settings;
+
+use super::Row;
+use crate::lightmap::{Lightmap, Numbering, Receiver, Surface, World};
+use crate::rays::Hit;
+
+/// Share of its rays that must end within the reach for a place to be narrow: more than those beside a wall.
+const NARROW_SHARE: f32 = 0.25;
+/// Cells of a texel's side that tell the places of hits apart when they are put in order.
+const ORDER_CELLS: f32 = 64.0;
+
+/// A hit close to a receiver.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NearHit {
+    /// Receiver of the texel that it lies on.
+    receiver: u32,
+    /// Normal of its own, where a wall stands between the hit and the middles of all texels around: none has its light.
+    own_normal: Option<Vec3>,
+    /// Place in metres.
+    position_m: Vec3,
+}
+
+impl NearHit {
+    /// A hit as it is kept, `linked` being the texel that stands for it; `None` where no texel has its albedo.
+    pub fn of(world: &World, hit: &Hit, linked: Surface, position_m: Vec3) -> Option<Self> {
+        let (receiver, own_normal) = match linked {
+            Surface::Receiver(linked) => (linked, None),
+            Surface::Dark => match world.surface_at(hit) {
+                Surface::Receiver(own) => (own, Some(world.geometry.side_normal(hit))),
+                Surface::Dark => return None,
+            },
+        };
+        Some(Self { receiver, own_normal, position_m })
+    }
+
+    /// Receiver of the texel that has its light, if one does.
+    pub fn texel(&self) -> Option<u32> {
+        self.own_normal.is_none().then_some(self.receiver)
+    }
+}
+
+/// Distance in metres up to which a hit is near; 0 where none is.
+pub fn reach_m(settings: &Settings, texel_m: f32) -> f32 {
+    if settings.patches.near_hits == 0 { 0.0 } else { settings.patches.near_texels * texel_m }
+}
+
+/// Whether so many near hits of a receiver are those of a narrow place.
+pub fn is_narrow(hits: usize, settings: &Settings) -> bool {
+    hits as f32 >= NARROW_SHARE * settings.transport.transport_rays as f32
+}
+
+/// Gives a row its near hits: at most `near_hits` that stand for all.
+pub fn keep(row: &mut Row, mut hits: Vec<NearHit>, settings: &Settings, texel_m: f32) {
+    let kept = hits.len().min(settings.patches.near_hits as usize);
+    if kept == 0 {
+        return;
+    }
+    hits.sort_by_cached_key(|hit| {
+        (hit.own_normal.is_some(), hit.receiver, place_order(hit.position_m, texel_m))
+    });
+    let share = hits.len() as f32 / (settings.transport.transport_rays as usize * kept) as f32;
+    row.near_weight = PI * share.min(1.0);
+    row.near = (0..kept).map(|k| hits[(2 * k + 1) * hits.len() / (2 * kept)]).collect();
+}
+
+/// Morton code of the place's cell: near places have near codes.
+fn place_order(position_m: Vec3, texel_m: f32) -> u64 {
+    let spread = |value: i64| (0..21).fold(0, |bits, bit| bits | (value as u64 >> bit & 1) << (3 * bit));
+    let [x, y, z] = (position_m / texel_m * ORDER_CELLS).floor().as_i64vec3().to_array().map(spread);
+    x | y << 1 | z << 2
+}
+
+/// The near hits of some rows as a chunk has them, with the receiver of each row.
+pub fn of_rows(lightmap: &Lightmap, settings: &Settings, receivers: &[u32], rows: &[&Row]) -> NearHits {
+    if rows.iter().all(|row| row.near.is_empty()) {
+        return NearHits::default();
+    }
+    let on_texels = rows.iter().flat_map(|row| &row.near).filter_map(NearHit::texel);
+    let blocks = Numbering::of(on_texels.map(|texel| lightmap.block_key(texel)));
+    let mut near = NearHits { reach_m: reach_m(settings, lightmap.texel_m), ..NearHits::default() };
+    for (&receiver, row) in receivers.iter().zip(rows) {
+        let from_m = lightmap.receivers[receiver as usize].position_m.to_array();
+        near.count.push(row.near.len() as u8);
+        near.weight.push(if row.near.is_empty() { 0.0 } else { row.near_weight });
+        for hit in &row.near {
+            let Receiver { texel, albedo, .. } = lightmap.receivers[hit.receiver as usize];
+            near.surface.push(match hit.own_normal {
+                Some(normal) => NearSurface::Own { albedo, normal: normal.to_array() },
+                None => {
+                    NearSurface::Texel { block: blocks.place_u16(lightmap.block_key(hit.receiver)), texel }
+                }
+            });
+            near.offset.push(NearHits::offset_of(from_m, hit.position_m.to_array(), near.reach_m));
+        }
+    }
+    near.blocks = blocks.into_values();
+    near
+}

@@ -1,0 +1,112 @@
+//! The lightmap: charts of the scene's surfaces in blocks of texels, and the receivers that stand for texels.
+//!
+//! Tasks `scene.unwrap` (charts) and `scene.place` (receivers). Both depend on the scene and on settings of texels alone,
+//! so kinds of bake that agree on those share them.
+
+pub mod charts;
+mod numbering;
+pub mod place;
+mod world;
+
+use glam::Vec3;
+use lightkiln_proto::content::{AreaCode, BlockKey, Texel};
+use serde::{Deserialize, Serialize};
+
+use crate::geometry::Site;
+
+pub use charts::Charts;
+pub use numbering::Numbering;
+pub use world::{Surface, World, link_height_m};
+
+/// Magic of the lightmap artefact.
+pub const ARTEFACT_MAGIC: &[u8; 4] = b"LKlm";
+/// Name under which tasks see it.
+pub const ARTEFACT: &str = "place/lightmap";
+/// No receiver, in [`Block::receiver_of_texel`].
+pub const NO_RECEIVER: u32 = u32::MAX;
+/// No receiver, as the texel lies in a cavity that nothing in the open sees.
+pub const CAVITY: u32 = u32::MAX - 1;
+
+/// All receivers of a scene: the artefact of `scene.place`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Lightmap {
+    /// Texel size in metres.
+    pub texel_m: f32,
+    /// Index of the first block of each instance; its blocks follow part by part, front before back.
+    pub first_block: Vec<u32>,
+    /// Blocks.
+    pub blocks: Vec<Block>,
+    /// Receivers, block by block in raster order.
+    pub receivers: Vec<Receiver>,
+}
+
+/// The receivers of one side of one part of an instance's unwrap.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Block {
+    /// Identity: digest of path, part and side.
+    pub key: BlockKey,
+    /// Path, part and side in words.
+    pub name: String,
+    /// Width and height in texels.
+    pub size: [u32; 2],
+    /// Instance.
+    pub instance: u32,
+    /// Receiver that stands for each texel, row by row; [`NO_RECEIVER`] where the block is empty, or [`CAVITY`].
+    pub receiver_of_texel: Vec<u32>,
+}
+
+/// A receiver r (METHOD.md §1).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Receiver {
+    /// Index into [`Lightmap::blocks`].
+    pub block: u32,
+    /// Texel in the block.
+    pub texel: Texel,
+    /// x_r: on the surface, or shifted out of geometry, in metres.
+    pub position_m: Vec3,
+    /// n_r: unit shading normal of the lit side.
+    pub normal: Vec3,
+    /// Unit normal of the triangle, of the lit side.
+    pub face_normal: Vec3,
+    /// ρ, linear, below 1.
+    pub albedo: [f32; 3],
+    /// Lₑ in W·m⁻²·sr⁻¹.
+    pub emission: [f32; 3],
+    /// Bits of `lightkiln_proto::content::LINKS`, of the last step of placement; 0 before.
+    pub links: u8,
+    /// Surface that reads this texel, of one side.
+    pub area: AreaCode,
+}
+
+impl Receiver {
+    /// The place that it gathers light at.
+    pub fn site(&self) -> Site {
+        Site { position_m: self.position_m, normal: self.normal, face_normal: self.face_normal }
+    }
+}
+
+impl Lightmap {
+    /// Key of the block of a receiver.
+    pub fn block_key(&self, receiver: u32) -> BlockKey {
+        self.blocks[self.receivers[receiver as usize].block as usize].key
+    }
+
+    /// Block and texel of a receiver: its identity in every bake of the scene.
+    pub fn name_of(&self, receiver: u32) -> (BlockKey, Texel) {
+        (self.block_key(receiver), self.receivers[receiver as usize].texel)
+    }
+
+    /// Numbers that seed a receiver's random numbers: its identity, and `purpose`, which tells one use from another.
+    pub fn seed_of(&self, receiver: &Receiver, purpose: u64) -> u64 {
+        let [x, y] = receiver.texel.map(u64::from);
+        crate::rays::sampling::seed_of(&[self.blocks[receiver.block as usize].key, x, y, purpose])
+    }
+
+    /// Longest side of the receivers' bounds in metres.
+    pub fn extent_m(&self) -> f32 {
+        let positions = || self.receivers.iter().map(|receiver| receiver.position_m);
+        let low = positions().fold(Vec3::INFINITY, Vec3::min);
+        let high = positions().fold(Vec3::NEG_INFINITY, Vec3::max);
+        (high - low).max_element().max(0.0)
+    }
+}

@@ -1,0 +1,122 @@
+//! Step "test": each candidate looks round, and is shifted out of geometry ([Sedlacek2019] §5.1.4) or found invalid.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use glam::Vec3;
+use lightkiln_proto::settings::PlaceSettings;
+
+use crate::geometry::Geometry;
+use crate::lightmap::{Receiver, link_height_m};
+use crate::rays::sampling::{R2, seed_of, tangent_frame, uniform_sphere};
+
+/// Test rays per receiver.
+const TEST_RAYS: u32 = 32;
+/// Farthest shift in texels. We differ: the source shifts any distance, which moves texels deep inside a solid to
+/// places that they have nothing to do with; such texels are never seen and are left out.
+const SHIFT_MAX_TEXELS: f32 = 1.5;
+
+/// Tests receivers against the scene's back faces.
+pub struct Tester<'a> {
+    geometry: &'a Geometry,
+    back_face_min: f32,
+    texel_m: f32,
+    rays: AtomicU64,
+}
+
+/// A receiver at a point where it can be.
+#[derive(Clone, Copy, Debug)]
+pub struct Candidate {
+    /// The receiver, shifted if need be.
+    pub receiver: Receiver,
+    /// Mean free path above it in texels, each ray counted up to one and by its cosine.
+    pub openness: f32,
+    /// Share of its rays that meet back faces of single-sided surfaces.
+    pub back_share: f32,
+    /// It was shifted off its surface.
+    pub is_shifted: bool,
+    /// It was shifted off its surface, out through the top of a thing that lies on that, not beside it.
+    pub is_lifted: bool,
+}
+
+/// Surroundings of a point by its test rays.
+struct Look {
+    openness: f32,
+    back_share: f32,
+    escaped: bool,
+    /// Direction and distance of the nearest back face.
+    nearest: Option<(Vec3, f32)>,
+}
+
+impl<'a> Tester<'a> {
+    /// A tester for texels of `texel_m` metres.
+    pub fn new(geometry: &'a Geometry, settings: &PlaceSettings, texel_m: f32) -> Self {
+        Self { geometry, back_face_min: settings.shift_back_face_min, texel_m, rays: AtomicU64::new(0) }
+    }
+
+    /// The receiver where it can be: as it is, shifted through the nearest back face when at least the set share
+    /// of test rays meets back faces and none escapes, or `None` when it is inside geometry for good.
+    pub fn candidate(&self, receiver: Receiver, block_key: u64) -> Option<Candidate> {
+        let [x, y] = receiver.texel.map(u64::from);
+        let seed = seed_of(&[block_key, x, y, 1]);
+        let offset_m = self.geometry.tracer.ray_offset_m();
+        let start_m = receiver.position_m + receiver.face_normal * offset_m;
+        let found = self.look(start_m, receiver.face_normal, seed);
+        if found.back_share < self.back_face_min || found.escaped {
+            let Look { openness, back_share, .. } = found;
+            return Some(Candidate { receiver, openness, back_share, is_shifted: false, is_lifted: false });
+        }
+        let (direction, distance_m) = found.nearest?;
+        if distance_m > self.texel_m * SHIFT_MAX_TEXELS {
+            return None;
+        }
+        let moved_m = start_m + direction * (distance_m + 8.0 * offset_m);
+        let moved = self.look(moved_m, receiver.face_normal, seed);
+        let receiver = Receiver { position_m: moved_m, ..receiver };
+        let is_lifted = direction.dot(receiver.face_normal) > 0.5;
+        let Look { openness, back_share, .. } = moved;
+        let shifted = Candidate { receiver, openness, back_share, is_shifted: true, is_lifted };
+        (moved.back_share < self.back_face_min).then_some(shifted)
+    }
+
+    /// A wall stands between two receivers, both raised as for their links.
+    pub fn is_parted(&self, a: &Receiver, b: &Receiver) -> bool {
+        let height_m = link_height_m(self.texel_m);
+        let [a_m, b_m] = [a, b].map(|r| self.geometry.raised(r.position_m, r.face_normal, height_m));
+        self.rays.fetch_add(2, Ordering::Relaxed);
+        self.geometry.tracer.is_occluded(a_m, b_m)
+    }
+
+    /// Closest-hit rays cast since the last call.
+    pub fn take_rays(&self) -> u64 {
+        self.rays.swap(0, Ordering::Relaxed)
+    }
+
+    fn look(&self, start_m: Vec3, normal: Vec3, seed: u64) -> Look {
+        let (tangent, bitangent) = tangent_frame(normal);
+        let points = R2::new(seed);
+        let mut found = Look { openness: 0.0, back_share: 0.0, escaped: false, nearest: None };
+        let (mut back, mut free) = (0, 0.0);
+        for ray in 0..TEST_RAYS {
+            let [u, v] = points.point(ray);
+            let local = uniform_sphere(u * 0.5, v);
+            let direction = tangent * local.x + bitangent * local.y + normal * local.z;
+            let Some(hit) = self.geometry.tracer.closest(start_m, direction, f32::INFINITY) else {
+                found.escaped = true;
+                free += 2.0 * local.z;
+                continue;
+            };
+            free += (hit.t / self.texel_m).min(1.0) * 2.0 * local.z;
+            if !self.geometry.is_back(&hit) {
+                continue;
+            }
+            back += 1;
+            if found.nearest.is_none_or(|(_, nearest)| hit.t < nearest) {
+                found.nearest = Some((direction, hit.t));
+            }
+        }
+        self.rays.fetch_add(u64::from(TEST_RAYS), Ordering::Relaxed);
+        found.openness = free / TEST_RAYS as f32;
+        found.back_share = back as f32 / TEST_RAYS as f32;
+        found
+    }
+}

@@ -1,0 +1,118 @@
+//! The point that stands for a texel: of candidates that are gathered first, the one of highest score.
+//!
+//! A texel is a piece of surface, its receiver is one point of it. The point ought to get the light that the visible part
+//! of the texel gets, so
+//! ```text
+//! score = openness · (1 on the surface, 0.3 lifted off it) · (1.5 central, 1 elsewhere)
+//! ```
+//! - openness: the cosine-weighted mean free path above the point, up to one texel. A point in a crevice, or under a thing
+//!   that lies on the texel, is dark where the rest of the texel is lit.
+//! - lifted: the point was inside of a thing and was shifted out through its top; the light there is that thing's.
+//! - central: the texel's centre, or the middle of the largest coplanar region. Light is interpolated between texels as if
+//!   their points were there; another point must be worth that error.
+//!
+//! Candidates are the central point and, where that scores less than any other could, a grid of points of the same chart in
+//! the texel. Those count only if they are open, and, unless the central point is in a crevice, look elsewhere: where a
+//! narrow edge has parts that look into a gap and parts that look out of it, the latter are what is seen.
+//!
+//! A texel that its chart only touches is stood for by its neighbour's point, unless a wall parts the two: then by the best
+//! of its own, if that is open and on its own side of the wall.
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::candidate::Candidate;
+use super::cover::{Coverage, TexelPoint, other_points};
+use crate::lightmap::Receiver;
+use crate::unwrap::UnwrapBlock;
+
+/// Openness from which on a point is not in a crevice. The foot of a wall that a texel's middle just misses has about this.
+const OPEN_MIN: f32 = 0.5;
+/// Factor on the score of the central point.
+const CENTRAL: f32 = 1.5;
+/// Factor on the score of a point that was lifted off its surface.
+const LIFTED: f32 = 0.3;
+/// Highest score of a point elsewhere: beside a plane in the open.
+const ELSEWHERE_MAX: f32 = 1.0;
+/// Cosine between faces below which one looks elsewhere than the other.
+const BENT_COSINE_MAX: f32 = std::f32::consts::FRAC_1_SQRT_2;
+/// Share of rays to back faces from which on a point is beyond the walls of the room: the foot of a wall that reaches
+/// through the floor.
+const BEYOND_SHARE_MIN: f32 = 0.125;
+
+/// Questions that the choice asks of the scene.
+pub trait Site: Sync {
+    /// The point as a candidate; `None` where no receiver can be.
+    fn candidate(&self, point: &TexelPoint) -> Option<Candidate>;
+    /// Normal of the face that the point lies on.
+    fn face_normal(&self, point: &TexelPoint) -> Vec3;
+    /// A wall stands between two receivers.
+    fn is_parted(&self, a: &Receiver, b: &Receiver) -> bool;
+}
+
+/// Score of a point that is not central; 0 where there is none.
+fn score(candidate: Option<&Candidate>) -> f32 {
+    candidate.map_or(0.0, |candidate| candidate.openness * if candidate.is_lifted { LIFTED } else { 1.0 })
+}
+
+/// The candidate that stands for each covered texel; `None` where none can.
+pub fn chosen(chart: &UnwrapBlock, covered: &[TexelPoint], site: &impl Site) -> Vec<Option<Candidate>> {
+    let mut chosen: Vec<Option<Candidate>> = covered.par_iter().map(|point| site.candidate(point)).collect();
+    // Gather other points only where one of them could have a higher score.
+    let is_contested = |index: &usize| CENTRAL * score(chosen[*index].as_ref()) < ELSEWHERE_MAX;
+    let contested: Vec<usize> = (0..covered.len()).filter(is_contested).collect();
+    let wanted: Vec<TexelPoint> = contested.iter().map(|&index| covered[index]).collect();
+    let better: Vec<Option<Candidate>> = other_points(chart, &wanted)
+        .par_iter()
+        .zip(&contested)
+        .map(|(others, &index)| best(&covered[index], chosen[index], others, site))
+        .collect();
+    for (&index, better) in contested.iter().zip(better) {
+        chosen[index] = better;
+    }
+    chosen
+}
+
+/// The candidate of highest score; of equals the central one, then the first.
+fn best(
+    point: &TexelPoint,
+    central: Option<Candidate>,
+    others: &[TexelPoint],
+    site: &impl Site,
+) -> Option<Candidate> {
+    let in_crevice = score(central.as_ref()) < OPEN_MIN;
+    let own = site.face_normal(point);
+    let is_admitted = |other: &&TexelPoint| in_crevice || site.face_normal(other).dot(own) < BENT_COSINE_MAX;
+    let mut best = (CENTRAL * score(central.as_ref()), central);
+    for other in others.iter().filter(is_admitted).filter_map(|other| site.candidate(other)) {
+        let found = score(Some(&other));
+        if found > OPEN_MIN && found > best.0 {
+            best = (found, Some(other));
+        }
+    }
+    best.1
+}
+
+/// Points of their own for texels that are touched only, and that a wall parts from the point that stands for them: the
+/// bevel of a rail, when all of the rail's texels beside it lie in a hollow pier.
+pub fn parted(
+    chart: &UnwrapBlock,
+    coverage: &Coverage,
+    chosen: &[Option<Candidate>],
+    site: &impl Site,
+) -> Vec<(TexelPoint, Candidate)> {
+    let own = |regions: &[TexelPoint]| {
+        let place = Coverage::place(regions[0].texel, chart.width);
+        let neighbour = chosen[coverage.stands_for[place] as usize].as_ref();
+        let is_admitted = |own: &Candidate| {
+            // A shifted point is beyond a wall in any case.
+            let is_seen = own.openness > OPEN_MIN && own.back_share < BEYOND_SHARE_MIN && !own.is_shifted;
+            is_seen && neighbour.is_none_or(|other| site.is_parted(&own.receiver, &other.receiver))
+        };
+        let all =
+            regions.iter().filter_map(|&point| Some((point, site.candidate(&point).filter(is_admitted)?)));
+        all.reduce(|best, next| if score(Some(&next.1)) > score(Some(&best.1)) { next } else { best })
+    };
+    let texels: Vec<&[TexelPoint]> = coverage.touched.chunk_by(|a, b| a.texel == b.texel).collect();
+    texels.par_iter().filter_map(|regions| own(regions)).collect()
+}

@@ -1,0 +1,42 @@
+//! Step "link": the neighbouring texels that no wall parts from a texel, see `Receivers::links`.
+
+use std::sync::Arc;
+
+use lightkiln_proto::content::LINKS;
+use rayon::prelude::*;
+
+use crate::geometry::Geometry;
+use crate::lightmap::{Charts, Lightmap, World};
+use crate::task::Progress;
+
+/// The lightmap with the links of every receiver.
+pub fn linked(
+    geometry: &Arc<Geometry>,
+    charts: &Charts,
+    lightmap: Lightmap,
+    progress: &Progress,
+) -> Lightmap {
+    let world = World::new(Arc::clone(geometry), charts, lightmap);
+    let receivers = 0..world.lightmap.receivers.len() as u32;
+    let found: Vec<(u8, u64)> = receivers.into_par_iter().map(|index| links_of(&world, index)).collect();
+    progress.add_rays_occlusion(found.iter().map(|(_, rays)| rays).sum());
+    let mut lightmap = world.into_lightmap();
+    for (receiver, (links, _)) in lightmap.receivers.iter_mut().zip(found) {
+        receiver.links = links;
+    }
+    lightmap
+}
+
+fn links_of(world: &World, index: u32) -> (u8, u64) {
+    let receiver = &world.lightmap.receivers[index as usize];
+    let (mut links, mut rays) = (0, 0);
+    for (bit, [dx, dy]) in LINKS.into_iter().enumerate() {
+        let [x, y] = receiver.texel.map(i32::from);
+        let Some(other) = world.receiver_on(receiver.block, x + dx, y + dy) else { continue };
+        rays += 1;
+        if world.is_linked(world.raised_receiver(index), world.raised_receiver(other)) {
+            links |= 1 << bit;
+        }
+    }
+    (links, rays)
+}

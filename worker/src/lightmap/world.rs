@@ -1,0 +1,229 @@
+//! The world that kinds of bake cast rays in: geometry, and the receiver that stands for each point of it.
+
+use std::sync::Arc;
+
+use glam::{Vec2, Vec3};
+use lightkiln_proto::content::BlockKey;
+use rayon::prelude::*;
+
+use super::{CAVITY, Charts, Lightmap};
+use crate::geometry::{Geometry, weights_of};
+use crate::rays::Hit;
+use crate::scene::model::Scene;
+use crate::task::{Context, TaskError};
+use crate::unwrap::{UnwrappedTriangle, weights_in_part};
+
+/// How far points are raised at most before they are tested for a wall between them, in metres: above the bulge of
+/// curved surfaces, below anything that one would call a wall.
+pub fn link_height_m(texel_m: f32) -> f32 {
+    texel_m * 0.25
+}
+
+/// Rings of texels around a hit's own in which one is looked for that no wall separates from it.
+const LINKED_RINGS: i32 = 2;
+
+/// Surface that a ray meets, as transport reads it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Surface {
+    /// A lit surface, read at its receiver.
+    Receiver(u32),
+    /// The back of a single-sided surface, or a surface too small for a texel: blocks light, returns none.
+    Dark,
+}
+
+/// A scene with its lightmap: rays tell which receiver stands for the surface that they hit. Whole from the start, and
+/// never changed.
+pub struct World {
+    /// Triangles ready for rays.
+    pub geometry: Arc<Geometry>,
+    /// Blocks and receivers.
+    pub lightmap: Lightmap,
+    texels: TexelTable,
+    /// Points of receivers, raised, see [`World::raised_receiver`].
+    raised_m: Vec<Vec3>,
+}
+
+impl World {
+    /// Builds the table of texels and raises the receivers' points.
+    pub fn new(geometry: Arc<Geometry>, charts: &Charts, lightmap: Lightmap) -> Self {
+        let texels = TexelTable::new(&geometry.scene, charts);
+        let height_m = link_height_m(lightmap.texel_m);
+        let receivers = &lightmap.receivers;
+        let raised_m = receivers
+            .par_iter()
+            .map(|receiver| geometry.raised(receiver.position_m, receiver.face_normal, height_m))
+            .collect();
+        Self { geometry, lightmap, texels, raised_m }
+    }
+
+    /// The lightmap alone.
+    pub fn into_lightmap(self) -> Lightmap {
+        self.lightmap
+    }
+
+    /// World of the scene, charts and lightmap among a task's inputs, built once per worker.
+    pub fn of(context: &Context) -> Result<Arc<Self>, TaskError> {
+        let geometry = Geometry::of(context)?;
+        context.memory.get_or_insert(context.digest(super::ARTEFACT)?, || {
+            let charts = Charts::of(context)?;
+            let (lightmap, bytes): (Lightmap, _) = context.decoded(super::ARTEFACT_MAGIC, super::ARTEFACT)?;
+            let receivers = lightmap.receivers.len();
+            Ok((Self::new(geometry, &charts, lightmap), 2 * bytes + 100 * receivers))
+        })
+    }
+
+    /// Receiver that stands for a hit (METHOD.md §1 "Materials and sides").
+    pub fn surface_at(&self, hit: &Hit) -> Surface {
+        let Some((block, texel)) = self.block_at(hit) else { return Surface::Dark };
+        self.receiver_near(block, texel).map_or(Surface::Dark, Surface::Receiver)
+    }
+
+    /// The texel of a hit has no receiver, as it lies in a cavity that nothing in the open sees.
+    pub fn is_in_cavity(&self, hit: &Hit) -> bool {
+        self.block_at(hit).is_some_and(|(block, texel)| {
+            let block = &self.lightmap.blocks[block as usize];
+            let [x, y] = texel.max(Vec2::ZERO).as_uvec2().to_array();
+            let index = y.min(block.size[1] - 1) * block.size[0] + x.min(block.size[0] - 1);
+            block.receiver_of_texel[index as usize] == CAVITY
+        })
+    }
+
+    /// Albedo, without its texture, of a hit in a cavity, whose reflected light is lost; 0 of any other hit.
+    pub fn lost_in_cavity(&self, hit: &Hit) -> f32 {
+        let [r, g, b, _] = self.geometry.material(hit.triangle).base_colour;
+        if self.is_in_cavity(hit) { (r + g + b) / 3.0 } else { 0.0 }
+    }
+
+    /// Key of the block of a hit, and the place in it in texels; `None` on backs of single-sided surfaces.
+    pub fn lightmap_at(&self, hit: &Hit) -> Option<(BlockKey, Vec2)> {
+        let (block, texel) = self.block_at(hit)?;
+        Some((self.lightmap.blocks[block as usize].key, texel))
+    }
+
+    fn block_at(&self, hit: &Hit) -> Option<(u32, Vec2)> {
+        let double_sided = self.geometry.material(hit.triangle).double_sided;
+        if !hit.front && !double_sided {
+            return None;
+        }
+        let (part, texel) = self.texels.locate(hit.triangle, weights_of(hit.barycentric))?;
+        let instance = self.geometry.triangles[hit.triangle as usize].instance;
+        let sides = if double_sided { 2 } else { 1 };
+        Some((self.lightmap.first_block[instance as usize] + part * sides + u32::from(!hit.front), texel))
+    }
+
+    /// As [`World::surface_at`], but of the receivers around the hit, the nearest that no wall separates from it: a
+    /// texel that a wall cuts in two stands for its centre's side only.
+    pub fn linked_surface_at(&self, hit: &Hit, point_m: Vec3) -> Surface {
+        let Surface::Receiver(own) = self.surface_at(hit) else { return Surface::Dark };
+        let from_m = self.geometry.raised(point_m, self.geometry.side_normal(hit), self.link_height_m());
+        let linked = |receiver: u32| self.is_linked(from_m, self.raised_m[receiver as usize]);
+        if linked(own) {
+            return Surface::Receiver(own);
+        }
+        let receiver = &self.lightmap.receivers[own as usize];
+        let [x, y] = receiver.texel.map(i32::from);
+        let ring = |radius: i32| {
+            let side = 2 * radius + 1;
+            (0..side * side)
+                .map(move |i| [i % side - radius, i / side - radius])
+                .filter(move |offset| offset[0].abs().max(offset[1].abs()) == radius)
+        };
+        let distance =
+            |index: u32| self.lightmap.receivers[index as usize].position_m.distance_squared(point_m);
+        let nearest = |radius: i32| {
+            ring(radius)
+                .filter_map(|[dx, dy]| self.receiver_on(receiver.block, x + dx, y + dy))
+                .filter(|&index| linked(index))
+                .min_by(|&a, &b| distance(a).total_cmp(&distance(b)).then(a.cmp(&b)))
+        };
+        (1..=LINKED_RINGS).find_map(nearest).map_or(Surface::Dark, Surface::Receiver)
+    }
+
+    /// Point of a receiver, raised as [`Geometry::raised`] does by [`World::link_height_m`].
+    pub fn raised_receiver(&self, receiver: u32) -> Vec3 {
+        self.raised_m[receiver as usize]
+    }
+
+    /// As [`link_height_m`], for the texels of this world.
+    pub fn link_height_m(&self) -> f32 {
+        link_height_m(self.lightmap.texel_m)
+    }
+
+    /// No wall stands between two raised points.
+    pub fn is_linked(&self, from_m: Vec3, to_m: Vec3) -> bool {
+        !self.geometry.tracer.is_occluded(from_m, to_m)
+    }
+
+    /// The receiver whose own texel this is, if any.
+    pub fn receiver_on(&self, block: u32, x: i32, y: i32) -> Option<u32> {
+        let size = self.lightmap.blocks[block as usize].size.map(|side| side as i32);
+        if x < 0 || y < 0 || x >= size[0] || y >= size[1] {
+            return None;
+        }
+        let index = self.lightmap.blocks[block as usize].receiver_of_texel[(y * size[0] + x) as usize];
+        let receiver = self.lightmap.receivers.get(index as usize)?;
+        (receiver.texel.map(i32::from) == [x, y]).then_some(index)
+    }
+
+    /// Receiver of a texel, or of the nearest of its eight neighbours: rounding may step over a chart's rim.
+    fn receiver_near(&self, block: u32, texel: Vec2) -> Option<u32> {
+        let block = &self.lightmap.blocks[block as usize];
+        let (x, y) = (texel.x.floor() as i64, texel.y.floor() as i64);
+        let at = |x: i64, y: i64| {
+            let inside = x >= 0 && y >= 0 && x < i64::from(block.size[0]) && y < i64::from(block.size[1]);
+            inside.then(|| block.receiver_of_texel[(y * i64::from(block.size[0]) + x) as usize])
+        };
+        const RING: [(i64, i64); 9] =
+            [(0, 0), (-1, 0), (1, 0), (0, -1), (0, 1), (-1, -1), (1, -1), (-1, 1), (1, 1)];
+        RING.iter().filter_map(|(dx, dy)| at(x + dx, y + dy)).find(|&found| found < CAVITY)
+    }
+}
+
+/// Where each triangle lies in its instance's unwrap.
+struct TexelTable {
+    /// First entry of each triangle, and the end.
+    starts: Vec<u32>,
+    entries: Vec<TexelPart>,
+}
+
+struct TexelPart {
+    part: u32,
+    triangle: UnwrappedTriangle,
+}
+
+impl TexelTable {
+    fn new(scene: &Scene, charts: &Charts) -> Self {
+        let mut by_triangle = Vec::new();
+        let mut first_triangle = 0_u32;
+        for (instance, unwrap) in scene.instances.iter().zip(&charts.unwraps) {
+            for (part, block) in unwrap.blocks.iter().enumerate() {
+                for triangle in &block.triangles {
+                    let entry = TexelPart { part: part as u32, triangle: triangle.clone() };
+                    by_triangle.push((first_triangle + triangle.source_triangle, entry));
+                }
+            }
+            first_triangle += instance.triangles.len() as u32;
+        }
+        by_triangle.sort_by_key(|(triangle, _)| *triangle);
+        let mut starts = vec![0_u32; first_triangle as usize + 1];
+        for (triangle, _) in &by_triangle {
+            starts[*triangle as usize + 1] += 1;
+        }
+        for index in 1..starts.len() {
+            starts[index] += starts[index - 1];
+        }
+        Self { starts, entries: by_triangle.into_iter().map(|(_, entry)| entry).collect() }
+    }
+
+    /// Part and place in texels of a point of a triangle; of a triangle cut in pieces, the piece that holds it.
+    fn locate(&self, triangle: u32, weights: Vec3) -> Option<(u32, Vec2)> {
+        let range = self.starts[triangle as usize] as usize..self.starts[triangle as usize + 1] as usize;
+        let pieces = self.entries[range].iter().map(|entry| {
+            let inner = weights_in_part(&entry.triangle, weights);
+            (inner.min_element(), entry, inner)
+        });
+        let (_, entry, inner) = pieces.max_by(|a, b| a.0.total_cmp(&b.0))?;
+        let [a, b, c] = entry.triangle.uv_texels;
+        Some((entry.part, a * inner.x + b * inner.y + c * inner.z))
+    }
+}

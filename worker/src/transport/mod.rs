@@ -1,0 +1,51 @@
+//! Rows of the transport matrix, as every kind gathers them: cosine-distributed rays, and emitters beside them.
+
+mod hemisphere;
+
+use crate::task::Progress;
+
+pub use hemisphere::{Hemisphere, Surroundings};
+
+/// Free path, in texels, below which a place that no light can reach misses nothing: the inside of a column, say.
+pub const DEAD_PATH_TEXELS: f32 = 4.0;
+
+/// One receiver's row, and its account of the rays.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Row {
+    /// α, in the order of the columns' keys; then the sky's coefficients.
+    pub alpha: Vec<f32>,
+    /// Irradiance straight from each emitter of the scene, W·m⁻².
+    pub emitters: Vec<[f32; 3]>,
+    /// Rays that light can come along: those to the sky, and those to surfaces by their albedo.
+    pub lit: f32,
+    /// The part of `lit` whose light no column carries rightly.
+    pub uncovered: f32,
+    /// The part of `uncovered` that is left out altogether.
+    pub left_out: f32,
+    /// Mean length of the rays that met something, in metres.
+    pub mean_path_m: f32,
+    /// Closest-hit rays cast.
+    pub rays_closest: u64,
+    /// Occlusion rays cast.
+    pub rays_occlusion: u64,
+}
+
+impl Row {
+    /// Adds the rays to the task's progress, and one receiver done.
+    pub fn count(&self, progress: &Progress) {
+        progress.add_rays_closest(self.rays_closest);
+        progress.add_rays_occlusion(self.rays_occlusion);
+        progress.advance(1);
+    }
+
+    /// No column and no emitter gives it any light.
+    pub fn is_dark(&self) -> bool {
+        self.alpha.iter().all(|alpha| *alpha == 0.0) && self.emitters.iter().flatten().all(|e| *e == 0.0)
+    }
+
+    /// Takes over the hemisphere's own findings.
+    pub fn add_surroundings(&mut self, found: Surroundings) {
+        (self.emitters, self.mean_path_m) = (found.emitters, found.mean_path_m);
+        self.rays_occlusion += found.rays_occlusion;
+    }
+}

@@ -1,0 +1,138 @@
+//! A camera for a scene whose file has none: in a room where the view is long and lit, or outside where rooms are few.
+
+use glam::Vec3;
+use lightkiln_proto::manifest::Chosen;
+use lightkiln_proto::scene::{LightKind, SceneCamera, SceneLight};
+
+use super::VantagePoint;
+use super::look::view;
+use crate::emitters::{EmissiveTriangle, emissive_triangles};
+use crate::geometry::Geometry;
+use crate::rays::Hit;
+use rayon::prelude::*;
+
+/// Vertical field of view, in degrees.
+const FOV_DEG: f32 = 60.0;
+/// Share of a point's view that is sky up to which it is in a room.
+const ROOM_SKY: f32 = 0.15;
+/// Share of points in rooms from which on a scene is looked at from inside.
+const ROOM_POINTS: f32 = 0.125;
+/// Points tried, those of the widest view.
+const TRIED: usize = 64;
+/// Level views tried from each.
+const TURNS: u32 = 16;
+/// Slope of a level view: a little downwards.
+const SLOPE: f32 = -0.08;
+/// Cosine to the middle of the view of its rays.
+const VIEW_COSINE_MIN: f32 = 0.75;
+/// Weight of an unlit surface in a view.
+const UNLIT: f32 = 0.1;
+/// Emissive triangles that a surface is looked at from, those of most power.
+const EMITTERS_MAX: usize = 32;
+
+/// The camera, and how it was chosen.
+pub fn chosen(geometry: &Geometry, points: &[VantagePoint]) -> Chosen<SceneCamera> {
+    let (eye, target, note) = match inside(geometry, points) {
+        Some((eye, target)) => (eye, target, "inside the scene, where lit surfaces are farthest away"),
+        None => {
+            let (eye, target) = outside(geometry);
+            (eye, target, "outside, framing the scene's bounds")
+        }
+    };
+    let camera = SceneCamera {
+        name: "chosen".to_owned(),
+        eye_m: eye.into(),
+        target_m: target.into(),
+        up: Vec3::Y.into(),
+        fov_y_rad: FOV_DEG.to_radians(),
+        orthographic_half_height_m: None,
+    };
+    Chosen { value: camera, note: format!("the file has no camera; chose one {note}") }
+}
+
+/// Before the bounds, a little from above and from the right.
+fn outside(geometry: &Geometry) -> (Vec3, Vec3) {
+    let [low, high] = geometry.bounds_m();
+    let centre = low.lerp(high, 0.5);
+    let radius_m = (0.5 * (high - low).length()).max(1e-3);
+    let distance_m = radius_m / libm::sinf(0.5 * FOV_DEG.to_radians());
+    (centre + Vec3::new(0.45, 0.35, 1.0).normalize() * distance_m, centre)
+}
+
+/// The point in a room, and a point straight ahead, of the level view of highest score; none where rooms are few.
+fn inside(geometry: &Geometry, points: &[VantagePoint]) -> Option<(Vec3, Vec3)> {
+    let rooms: Vec<Vec3> =
+        points.iter().filter(|point| point.look.sky_share < ROOM_SKY).map(|point| point.position_m).collect();
+    if rooms.is_empty() || (rooms.len() as f32) < ROOM_POINTS * points.len() as f32 {
+        return None;
+    }
+    let lamps = Lamps::of(geometry);
+    let best_of = |eye_m: &Vec3| {
+        let rays: Vec<(Vec3, f32)> = view(geometry, *eye_m)
+            .map(|(direction, hit)| (direction, hit.map_or(0.0, |hit| lamps.worth_seeing(geometry, &hit))))
+            .collect();
+        let turns = (0..TURNS).map(|turn| {
+            let angle = turn as f32 * std::f32::consts::TAU / TURNS as f32;
+            let forward = Vec3::new(libm::cosf(angle), SLOPE, libm::sinf(angle)).normalize();
+            (score(&rays, forward), *eye_m, *eye_m + forward)
+        });
+        // Of equal views the first.
+        turns.reduce(|best, next| if next.0 > best.0 { next } else { best })
+    };
+    let tried: Vec<_> = rooms.par_iter().take(TRIED).filter_map(best_of).collect();
+    let best = tried.into_iter().reduce(|best, next| if next.0 > best.0 { next } else { best });
+    best.map(|(_, eye_m, target_m)| (eye_m, target_m))
+}
+
+/// Mean worth of the rays of a view.
+fn score(rays: &[(Vec3, f32)], forward: Vec3) -> f32 {
+    let seen = rays.iter().filter(|(direction, _)| direction.dot(forward) >= VIEW_COSINE_MIN);
+    let (sum, count) = seen.fold((0.0, 0_u32), |(sum, count), (_, worth)| (sum + worth, count + 1));
+    sum / count.max(1) as f32
+}
+
+/// The scene's own sources of light.
+struct Lamps<'a> {
+    lights: &'a [SceneLight],
+    emitters: Vec<EmissiveTriangle>,
+}
+
+impl<'a> Lamps<'a> {
+    fn of(geometry: &'a Geometry) -> Self {
+        let mut emitters = emissive_triangles(geometry);
+        let power = |of: &EmissiveTriangle| of.area_m2 * of.mean_radiance.iter().sum::<f32>();
+        emitters.sort_by(|a, b| power(b).total_cmp(&power(a)).then(a.triangle.cmp(&b.triangle)));
+        emitters.truncate(EMITTERS_MAX);
+        Self { lights: &geometry.scene.lights, emitters }
+    }
+
+    /// √distance of a hit, a part of it where nothing shines on it; nothing for backs.
+    fn worth_seeing(&self, geometry: &Geometry, hit: &Hit) -> f32 {
+        if geometry.is_back(hit) {
+            return 0.0;
+        }
+        hit.t.sqrt() * if self.shine_on(geometry, hit) { 1.0 } else { UNLIT }
+    }
+
+    /// A light of the file is before the surface, or an emitter in sight of it.
+    fn shine_on(&self, geometry: &Geometry, hit: &Hit) -> bool {
+        let (at_m, normal) = (geometry.point_of(hit), geometry.side_normal(hit));
+        let faces = |light: &SceneLight| match &light.kind {
+            LightKind::Point { position_m, .. } | LightKind::Spot { position_m, .. } => {
+                normal.dot(Vec3::from(*position_m) - at_m) > 0.0
+            }
+            LightKind::Sun { direction } => normal.dot(Vec3::from(*direction)) < 0.0,
+            LightKind::Sky { .. } => true,
+        };
+        let offset_m = geometry.tracer.ray_offset_m();
+        let in_sight = |emitter: &EmissiveTriangle| {
+            let centre_m = emitter.corners.iter().sum::<Vec3>() / 3.0;
+            let to_emitter = centre_m - at_m;
+            let facing = -to_emitter.dot(emitter.normal);
+            let above = normal.dot(to_emitter) > 0.0 && (facing > 0.0 || emitter.double_sided);
+            let lifted_m = centre_m + emitter.normal * offset_m.copysign(facing);
+            above && !geometry.tracer.is_occluded(at_m + normal * offset_m, lifted_m)
+        };
+        self.lights.iter().any(faces) || self.emitters.iter().any(in_sight)
+    }
+}
