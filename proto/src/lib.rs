@@ -11,6 +11,7 @@ pub mod jobs;
 pub mod kinds;
 pub mod manifest;
 pub mod problem;
+pub mod prt;
 pub mod relight;
 pub mod scene;
 pub mod settings;
