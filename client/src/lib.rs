@@ -1,7 +1,7 @@
 //! Lightkiln's thin client: fetches a bake's manifest and chunks, and relights the scene.
 //!
-//! [`fetch`] reads bundles and servers, [`scene`] and [`bake`] hold a bake in memory, [`kinds`] say what its light is made
-//! of, [`passes`] are the steps of the frame (each on the graphics adapter and, as its reference, on the processor),
+//! [`fetch`] reads bundles and servers, [`scene`] and [`bake`] hold a bake in memory, [`kinds`] load its
+//! light, [`passes`] are the steps of the frame (each on the graphics adapter and, as its reference, on the processor),
 //! [`preview`] draws pictures. Nothing here panics on a bad chunk: malformed input is a [`ClientError`].
 //!
 //! ```no_run

@@ -1,4 +1,4 @@
-//! Bundles and servers: what is fetched, kept, refused and tried again.
+//! Bundles and servers: chunks fetched and kept, broken ones refused, calls tried again.
 
 use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Read, Write};

@@ -4,7 +4,7 @@ use glam::Vec3;
 
 use crate::error::{ClientError, Result};
 
-/// The words of one argument; each is taken once, and what is left over is an error.
+/// The words of one argument; each is taken once, and any left over is an error.
 pub(super) struct Words<'a> {
     text: &'a str,
     grammar: &'static str,
