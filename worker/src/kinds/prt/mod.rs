@@ -23,7 +23,9 @@ use serde::{Deserialize, Serialize};
 use super::{BakeKind, TaskRow};
 use crate::emitters::EmitterSet;
 use crate::evaluate::{ChunkBytes, Evaluated, EvaluationError};
-use crate::factors::{self, CellIndex, CellRows, ClusterCell, Detail, Piece, Transport, cell_of_task, stored};
+use crate::factors::{
+    self, CellIndex, CellRows, ClusterCell, Detail, Piece, Transport, cell_of_task, stored,
+};
 use crate::lightmap::World;
 use crate::patches::PatchTree;
 use crate::task::{Cancelled, Context, Progress, TaskError, TaskOutput, params};
