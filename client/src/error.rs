@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use lightkiln_http::CallError;
 use lightkiln_proto::ids::Digest;
+use lightkiln_proto::manifest::ManifestError;
 use lightkiln_proto::problem::RetryClass;
 use thiserror::Error;
 
@@ -67,13 +68,22 @@ pub enum ClientError {
         #[source]
         source: serde_json::Error,
     },
+    /// A manifest that cannot be used.
+    #[error("{place} cannot be used")]
+    Manifest {
+        /// Where it came from.
+        place: String,
+        /// Why.
+        #[source]
+        source: ManifestError,
+    },
     /// A chunk that does not decode.
-    #[error("chunk {digest} ({kind}) does not decode; fetch or bake it again")]
+    #[error("chunk {digest} of role '{role}' does not decode; fetch or bake it again")]
     Chunk {
         /// Its digest.
         digest: Digest,
-        /// What it should hold.
-        kind: &'static str,
+        /// Its role in the manifest.
+        role: &'static str,
         /// Why.
         #[source]
         source: Box<dyn std::error::Error + Send + Sync>,
@@ -121,6 +131,7 @@ impl ClientError {
             | Self::TooLarge { .. }
             | Self::WrongDigest { .. }
             | Self::Json { .. }
+            | Self::Manifest { .. }
             | Self::Chunk { .. }
             | Self::Inconsistent { .. }
             | Self::Argument { .. }
@@ -129,7 +140,14 @@ impl ClientError {
         }
     }
 
-    pub(crate) fn inconsistent(place: impl Into<String>, problem: impl Into<String>) -> Self {
+    /// A contradiction between a manifest and its chunks.
+    pub fn inconsistent(place: impl Into<String>, problem: impl Into<String>) -> Self {
         Self::Inconsistent { place: place.into(), problem: problem.into() }
+    }
+}
+
+impl From<ManifestError> for ClientError {
+    fn from(source: ManifestError) -> Self {
+        Self::Manifest { place: "the manifest".to_owned(), source }
     }
 }

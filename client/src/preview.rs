@@ -6,16 +6,18 @@ mod gpu;
 
 use std::path::Path;
 
+use lightkiln_proto::relight::Limit;
 use lightkiln_proto::scene::{LightKind, SceneCamera, SceneLight};
 
-use crate::bake::LoadedBake;
+use crate::bake::{LitScene, LoadedBake, Unshadowed};
 use crate::error::{ClientError, Result};
-use crate::lights::{Caster, Sky, default_camera, default_sun};
+use crate::lights::{Caster, Sky, camera_of, lights_of};
 use crate::passes::gpu::Gpu;
+use crate::passes::shadow::reference::ShadowMaps;
 use crate::passes::shadow::{self, ShadowPlan};
 use crate::picture::{Exposure, Picture, Tone};
 
-pub use debug::{atlas_picture, cluster_picture};
+pub use debug::debug_picture;
 #[cfg(test)]
 pub(crate) use gpu::Frame;
 
@@ -60,35 +62,34 @@ pub struct View {
     pub samples: u32,
     /// Texels along a side of a shadow map, a power of two; many lights get fewer. More → sharper shadows, more memory.
     pub shadow_side: u32,
-    /// Most frames (bounces) before the picture is drawn.
-    pub frames_max: u32,
-    /// Relative change of E_ind from frame to frame below which bounces have converged. Smaller → more frames.
-    pub change_max: f32,
+    /// End of the bounces before the picture is drawn.
+    pub limit: Limit,
 }
 
 impl View {
-    /// A view of a bake. Without `camera` it is that of the file, its first; without `lights` they are the file's; what the
-    /// file lacks too is chosen, and said in notes.
+    /// A view of a bake. Without `camera` it is that of the bake; without `lights` they are the bake's; notes say which were
+    /// chosen because the file has none.
     pub fn of_bake(
         bake: &LoadedBake,
         camera: Option<SceneCamera>,
         mut lights: Vec<SceneLight>,
-    ) -> (Self, Vec<String>) {
-        let mut notes = bake.warnings.clone();
-        let camera = camera.or_else(|| bake.manifest.cameras.first().cloned()).unwrap_or_else(|| {
-            let (camera, note) = default_camera(bake);
-            notes.push(note);
-            camera
-        });
+    ) -> Result<(Self, Vec<String>)> {
+        let manifest = &bake.scene.manifest;
+        let mut notes = bake.scene.warnings.clone();
+        let camera = match camera {
+            Some(camera) => camera,
+            None => {
+                let (camera, note) = camera_of(manifest)?;
+                notes.extend(note);
+                camera
+            }
+        };
         if lights.is_empty() {
-            lights.clone_from(&bake.manifest.lights);
+            let note;
+            (lights, note) = lights_of(manifest);
+            notes.extend(note);
         }
-        if lights.is_empty() && bake.manifest.emitters.is_empty() {
-            let (sun, note) = default_sun(bake);
-            notes.push(note);
-            lights.push(sun);
-        }
-        (Self::new(camera, lights), notes)
+        Ok((Self::new(camera, lights), notes))
     }
 
     /// A view with everything else at its default.
@@ -103,8 +104,7 @@ impl View {
             exposure: Exposure::default(),
             samples: 4,
             shadow_side: 2048,
-            frames_max: 200,
-            change_max: 1e-3,
+            limit: Limit::default(),
         }
     }
 
@@ -119,9 +119,9 @@ impl View {
         if self.size().iter().any(|side| !(1..=MAX_SIDE).contains(side)) {
             return wrong(format!("size {}x{}", self.width, self.height), "sides are 1..=16384 pixels");
         }
-        if !(1..=MAX_SAMPLES).contains(&self.samples) || self.frames_max == 0 {
-            let what = format!("{} samples, {} frames", self.samples, self.frames_max);
-            return wrong(what, "samples are 1..=64, frames at least 1");
+        if !(1..=MAX_SAMPLES).contains(&self.samples) || self.limit.bounces_max == 0 {
+            let what = format!("{} samples, {} bounces", self.samples, self.limit.bounces_max);
+            return wrong(what, "samples are 1..=64, bounces at least 1");
         }
         if !self.shadow_side.is_power_of_two()
             || !(shadow::MIN_SIDE..=shadow::MAX_SIDE).contains(&self.shadow_side)
@@ -152,7 +152,7 @@ impl View {
     }
 }
 
-/// What both backends start from.
+/// A view of a bake with its lights planned, for either backend.
 pub(crate) struct Prepared<'a> {
     pub bake: &'a LoadedBake,
     pub view: &'a View,
@@ -160,11 +160,27 @@ pub(crate) struct Prepared<'a> {
     pub sky: Sky,
 }
 
+impl<'a> Prepared<'a> {
+    pub fn new(bake: &'a LoadedBake, view: &'a View) -> Result<Self> {
+        view.check()?;
+        let bounds_m = bake.scene.manifest.bounds_m;
+        let plan = ShadowPlan::new(&Caster::of(&view.lights), bounds_m, view.shadow_side)?;
+        Ok(Self { bake, view, plan, sky: Sky::of(&view.lights) })
+    }
+
+    /// The scene under its lights, for the processor.
+    pub fn lit(&'a self, maps: &'a ShadowMaps) -> LitScene<'a> {
+        LitScene { scene: &self.bake.scene, plan: &self.plan, maps, unshadowed: self.unshadowed() }
+    }
+
+    pub fn unshadowed(&self) -> Unshadowed<'_> {
+        Unshadowed { sky: self.sky, emitter_scale: &self.view.emitter_scale }
+    }
+}
+
 /// Draws a picture.
 pub fn render(bake: &LoadedBake, view: &View, backend: Backend) -> Result<Picture> {
-    view.check()?;
-    let plan = ShadowPlan::new(&Caster::of(&view.lights), bake.manifest.bounds_m, view.shadow_side)?;
-    let prepared = Prepared { bake, view, plan, sky: Sky::of(&view.lights) };
+    let prepared = Prepared::new(bake, view)?;
     match backend {
         Backend::Cpu => by_reference(&prepared, "as asked"),
         Backend::Gpu => by_adapter(Gpu::open()?, &prepared),

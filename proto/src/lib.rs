@@ -12,6 +12,7 @@ pub mod kinds;
 pub mod manifest;
 pub mod problem;
 pub mod prt;
+pub mod relight;
 pub mod scene;
 pub mod settings;
 pub mod sh;

@@ -30,14 +30,8 @@ pub struct Downloaded {
 
 /// Every chunk that a manifest names, once, ascending by digest.
 pub fn chunk_refs(manifest: &Manifest) -> Vec<ChunkRef> {
-    let clusters =
-        manifest.clusters.iter().map(|cluster| ChunkRef { digest: cluster.digest, bytes: cluster.bytes });
-    let others = [&manifest.textures, &manifest.geometry, &manifest.probes, &manifest.patches]
-        .into_iter()
-        .flatten()
-        .cloned();
-    let by_digest: BTreeMap<Digest, ChunkRef> =
-        others.chain(clusters).map(|chunk| (chunk.digest, chunk)).collect();
+    let all = manifest.chunks.values().flatten().cloned();
+    let by_digest: BTreeMap<Digest, ChunkRef> = all.map(|chunk| (chunk.digest, chunk)).collect();
     by_digest.into_values().collect()
 }
 

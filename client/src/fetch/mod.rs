@@ -119,6 +119,6 @@ fn read_limited(path: &Path, limit: u64) -> Result<Vec<u8>> {
 fn parse_manifest(place: &str, bytes: &[u8]) -> Result<Manifest> {
     Manifest::from_json(bytes).map_err(|error| match error {
         ManifestError::Json(source) => ClientError::Json { place: place.to_owned(), source },
-        error => ClientError::inconsistent(place, error.to_string()),
+        source => ClientError::Manifest { place: place.to_owned(), source },
     })
 }

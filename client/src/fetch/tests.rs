@@ -8,80 +8,52 @@ use std::time::Duration;
 
 use lightkiln_http::{CallError, RetryPolicy};
 use lightkiln_proto::api::NewBake;
-use lightkiln_proto::chunk;
-use lightkiln_proto::manifest::ClusterRef;
+use lightkiln_proto::kinds::{prt, sh};
 use lightkiln_proto::problem::{Problem, ProblemCode};
-use lightkiln_proto::prt::BasisKind;
+use lightkiln_proto::relight::PatchTable;
 
 use super::*;
 use crate::bake::LoadedBake;
 use crate::fixture;
-
-/// Writes the fixture's bake as a bundle.
-fn write_fixture(folder: &Path, basis: BasisKind) -> Manifest {
-    let mut manifest = fixture::manifest(basis);
-    let contents = fixture::contents(basis);
-    let chunks = folder.join(CHUNKS_FOLDER);
-    fs::create_dir_all(&chunks).unwrap();
-    let store = |bytes: Vec<u8>| {
-        let chunk = ChunkRef { digest: Digest::of(&bytes), bytes: bytes.len() as u64 };
-        fs::write(chunk_path(folder, chunk.digest), bytes).unwrap();
-        chunk
-    };
-    for cluster in &contents.clusters {
-        let encoded = chunk::encode_cluster(cluster, Default::default()).unwrap();
-        let stored = store(encoded.bytes);
-        manifest.clusters.push(ClusterRef {
-            digest: stored.digest,
-            bytes: stored.bytes,
-            bounds_m: cluster.bounds_m,
-            receivers: cluster.receivers.len() as u32,
-            probes: cluster.probes.len() as u32,
-            rank: cluster.rank,
-            truncation_error: 0.0,
-            quantisation_error: encoded.quantisation_error,
-            uncovered_fraction: 0.0,
-            layers: encoded.layers,
-        });
-    }
-    manifest.probes =
-        contents.probes.iter().map(|batch| store(chunk::encode_probe_batch(batch).unwrap())).collect();
-    manifest.patches =
-        contents.patches.iter().map(|set| store(chunk::encode_patches(set).unwrap())).collect();
-    manifest.geometry =
-        contents.geometry.iter().map(|geometry| store(chunk::encode_geometry(geometry).unwrap())).collect();
-    let mut png = Vec::new();
-    let level = &contents.textures[0].levels[0];
-    let pixels = image::RgbaImage::from_raw(level.width, level.height, level.texels.concat()).unwrap();
-    pixels.write_to(&mut std::io::Cursor::new(&mut png), image::ImageFormat::Png).unwrap();
-    manifest.textures = vec![store(chunk::encode_texture("image/png", &png).unwrap())];
-    fs::write(folder.join(MANIFEST_FILE), serde_json::to_vec(&manifest).unwrap()).unwrap();
-    manifest
-}
+use crate::kinds;
+use crate::lightmap::LightmapLight;
 
 #[test]
 fn bundle_loads_into_the_bake_that_was_written() {
-    for basis in [BasisKind::Sh, BasisKind::Patches] {
-        let folder = tempfile::tempdir().unwrap();
-        write_fixture(folder.path(), basis);
-        let loaded = LoadedBake::load(&Source::bundle(folder.path()).unwrap()).unwrap();
-        let made = fixture::bake(basis);
-        assert_eq!(loaded.receivers.len(), made.receivers.len());
-        assert_eq!(loaded.textures, made.textures);
-        assert_eq!(loaded.probes.hits.len(), made.probes.hits.len());
-        assert_eq!(loaded.draws.triangle_count(), made.draws.triangle_count());
-        assert!(loaded.probes.hits.iter().any(|hit| (*hit as usize) < loaded.receivers.len()));
-        // Stored by receivers, so that slots, which depend on the order of clusters, are only as many.
-        assert_eq!(loaded.patches.patches, made.patches.patches);
-        assert_eq!(loaded.patches.slots.len(), made.patches.slots.len());
-        assert_eq!(loaded.patches.is_empty(), basis == BasisKind::Sh);
-    }
+    let folder = tempfile::tempdir().unwrap();
+    fixture::write_bundle(folder.path(), prt::NAME);
+    let source = Source::bundle(folder.path()).unwrap();
+    let loaded = LoadedBake::load(&source, &kinds::all()).unwrap();
+    let (scene, made) = fixture::prt_light(&fixture::prt_contents());
+    assert_eq!(loaded.scene.textures, scene.textures);
+    assert_eq!(loaded.scene.draws.triangle_count(), scene.draws.triangle_count());
+    let light: LightmapLight<PatchTable> = kinds::prt::load(&source, &scene_of(&source)).unwrap();
+    assert_eq!(light.transport.receivers.len(), made.transport.receivers.len());
+    // Stored by receivers, so that slots, which depend on the order of clusters, are only as many.
+    assert_eq!(light.transport.columns.patches, made.transport.columns.patches);
+    assert_eq!(light.transport.columns.slots.len(), made.transport.columns.slots.len());
+}
+
+#[test]
+fn bundle_of_probes_loads_into_the_bake_that_was_written() {
+    let folder = tempfile::tempdir().unwrap();
+    fixture::write_bundle(folder.path(), sh::NAME);
+    let source = Source::bundle(folder.path()).unwrap();
+    let light = kinds::sh::load(&source, &scene_of(&source)).unwrap();
+    let (_, made) = fixture::sh_light(&fixture::sh_contents());
+    let [found, made] = [&light, &made].map(|light| &light.transport);
+    assert_eq!(found.columns.hits.len(), made.columns.hits.len());
+    assert!(found.columns.hits.iter().any(|hit| (*hit as usize) < found.receivers.len()));
+}
+
+fn scene_of(source: &Source) -> crate::scene::LoadedScene {
+    crate::scene::LoadedScene::load(source).unwrap()
 }
 
 #[test]
 fn download_is_whole_and_keeps_right_chunks() {
     let [from, to] = [(); 2].map(|()| tempfile::tempdir().unwrap());
-    let manifest = write_fixture(from.path(), BasisKind::Sh);
+    let manifest = fixture::write_bundle(from.path(), prt::NAME);
     let source = Source::bundle(from.path()).unwrap();
     let refs = chunk_refs(&manifest);
     assert!(refs.len() > 5);
@@ -94,7 +66,7 @@ fn download_is_whole_and_keeps_right_chunks() {
     fs::remove_file(to.path().join(MANIFEST_FILE)).unwrap();
     let second = download_bundle(&source, to.path(), |_, _| {}).unwrap();
     assert_eq!((second.fetched, second.kept), (1, all - 1));
-    LoadedBake::load(&Source::bundle(to.path()).unwrap()).unwrap();
+    LoadedBake::load(&Source::bundle(to.path()).unwrap(), &kinds::all()).unwrap();
     let left = fs::read_dir(to.path().join(CHUNKS_FOLDER)).unwrap().count() as u64;
     assert_eq!(left, all, "temporary files are left");
 }
@@ -102,7 +74,7 @@ fn download_is_whole_and_keeps_right_chunks() {
 #[test]
 fn failed_download_leaves_no_manifest() {
     let [from, to] = [(); 2].map(|()| tempfile::tempdir().unwrap());
-    let manifest = write_fixture(from.path(), BasisKind::Sh);
+    let manifest = fixture::write_bundle(from.path(), prt::NAME);
     fs::remove_file(chunk_path(from.path(), chunk_refs(&manifest)[2].digest)).unwrap();
     let error = download_bundle(&Source::bundle(from.path()).unwrap(), to.path(), |_, _| {}).unwrap_err();
     assert!(matches!(error, ClientError::File { .. }), "{error}");
@@ -112,9 +84,9 @@ fn failed_download_leaves_no_manifest() {
 #[test]
 fn wrong_bytes_and_wrong_lengths_are_refused() {
     let folder = tempfile::tempdir().unwrap();
-    let manifest = write_fixture(folder.path(), BasisKind::Sh);
+    let manifest = fixture::write_bundle(folder.path(), prt::NAME);
     let source = Source::bundle(folder.path()).unwrap();
-    let chunk = manifest.probes[0].clone();
+    let chunk = manifest.chunks(prt::PATCHES)[0].clone();
     let path = chunk_path(folder.path(), chunk.digest);
     let bytes = fs::read(&path).unwrap();
     let mut flipped = bytes.clone();
@@ -132,7 +104,7 @@ fn wrong_bytes_and_wrong_lengths_are_refused() {
 #[test]
 fn manifest_of_another_format_is_refused() {
     let folder = tempfile::tempdir().unwrap();
-    let mut manifest = fixture::manifest(BasisKind::Sh);
+    let mut manifest = fixture::manifest(prt::NAME);
     manifest.version = 99;
     fs::write(folder.path().join(MANIFEST_FILE), serde_json::to_vec(&manifest).unwrap()).unwrap();
     let error = Source::bundle(folder.path()).unwrap().manifest().unwrap_err().to_string();

@@ -1,4 +1,4 @@
-//! Lights and cameras of a view: words of the command line, defaults, and what each light sends.
+//! Lights and cameras of a view: words of the command line, the bake's own, and the light that each sends.
 
 mod framing;
 mod parse;
@@ -9,36 +9,9 @@ use std::f32::consts::FRAC_PI_2;
 use glam::Vec3;
 use lightkiln_proto::scene::{LightKind, SceneLight};
 
-pub use framing::{default_camera, default_sun};
+pub use framing::{camera_of, lights_of};
+pub use lightkiln_proto::relight::Sky;
 pub use parse::{parse_camera, parse_light};
-
-/// Radiance from outside, `strength · mix(horizon, zenith, max(d.y, 0))`, in W·m⁻²·sr⁻¹.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Sky {
-    /// Radiance straight up.
-    pub zenith: Vec3,
-    /// Radiance at and below the horizon.
-    pub horizon: Vec3,
-}
-
-impl Sky {
-    /// Sum of the skies among `lights`; black when there is none.
-    pub fn of(lights: &[SceneLight]) -> Self {
-        let mut sum = Self::default();
-        for light in lights {
-            if let LightKind::Sky { zenith, horizon } = &light.kind {
-                sum.zenith += Vec3::from(*zenith) * Vec3::from(light.strength);
-                sum.horizon += Vec3::from(*horizon) * Vec3::from(light.strength);
-            }
-        }
-        sum
-    }
-
-    /// Radiance that arrives from unit direction `towards_sky`.
-    pub fn radiance(&self, towards_sky: Vec3) -> Vec3 {
-        self.horizon.lerp(self.zenith, towards_sky.y.clamp(0.0, 1.0))
-    }
-}
 
 /// A light that casts shadows, ready for the direct pass.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -285,16 +285,26 @@ pub(crate) fn groups_2d(groups: u32) -> [u32; 2] {
     [x, groups.div_ceil(x).max(1)]
 }
 
-/// Kinds of binding, in short.
-pub(crate) fn storage_read() -> wgpu::BindingType {
+/// A view of all layers of a texture, even when there is one.
+pub fn array_view(texture: &wgpu::Texture) -> wgpu::TextureView {
+    texture.create_view(&wgpu::TextureViewDescriptor {
+        dimension: Some(wgpu::TextureViewDimension::D2Array),
+        ..Default::default()
+    })
+}
+
+/// Kind of binding of a storage buffer that is read.
+pub fn storage_read() -> wgpu::BindingType {
     buffer_kind(wgpu::BufferBindingType::Storage { read_only: true }, false)
 }
 
-pub(crate) fn storage_write() -> wgpu::BindingType {
+/// Kind of binding of a storage buffer that is written.
+pub fn storage_write() -> wgpu::BindingType {
     buffer_kind(wgpu::BufferBindingType::Storage { read_only: false }, false)
 }
 
-pub(crate) fn uniform(dynamic: bool) -> wgpu::BindingType {
+/// Kind of binding of a uniform buffer.
+pub fn uniform(dynamic: bool) -> wgpu::BindingType {
     buffer_kind(wgpu::BufferBindingType::Uniform, dynamic)
 }
 
@@ -302,13 +312,15 @@ fn buffer_kind(ty: wgpu::BufferBindingType, has_dynamic_offset: bool) -> wgpu::B
     wgpu::BindingType::Buffer { ty, has_dynamic_offset, min_binding_size: None }
 }
 
-pub(crate) fn texture(
+/// Kind of binding of a texture.
+pub fn texture(
     sample_type: wgpu::TextureSampleType,
     view_dimension: wgpu::TextureViewDimension,
 ) -> wgpu::BindingType {
     wgpu::BindingType::Texture { sample_type, view_dimension, multisampled: false }
 }
 
-pub(crate) fn failed(problem: String) -> ClientError {
+/// An error of the adapter, in words.
+pub fn failed(problem: String) -> ClientError {
     ClientError::Adapter { problem }
 }

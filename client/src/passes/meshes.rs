@@ -1,11 +1,11 @@
-//! Meshes and textures of a bake on the adapter, shared by the shadow and the shade pass.
+//! Meshes and textures of a scene on the adapter, shared by the shadow and the shade pass.
 
 use lightkiln_proto::manifest::{TextureUse, Wrap};
 use wgpu::{ShaderStages as Stages, TextureViewDimension as Dimension};
 
 use super::gpu::{Gpu, failed, texture};
-use crate::bake::{LoadedBake, Texture, Vertex};
 use crate::error::Result;
+use crate::scene::{LoadedScene, Texture, Vertex};
 
 /// A mesh's buffers.
 #[derive(Debug)]
@@ -55,9 +55,9 @@ pub(in crate::passes) fn uv_rows(used: Option<&TextureUse>) -> [[f32; 4]; 2] {
 
 impl Meshes {
     /// Uploads meshes and textures.
-    pub fn new(gpu: &Gpu, bake: &LoadedBake) -> Result<Self> {
+    pub fn new(gpu: &Gpu, scene: &LoadedScene) -> Result<Self> {
         let mut meshes = Vec::new();
-        for draw in &bake.draws.draws {
+        for draw in &scene.draws.draws {
             let (vertex_bytes, index_bytes) =
                 (size_of_val(&draw.vertices[..]), size_of_val(&draw.triangles[..]));
             if vertex_bytes.max(index_bytes) as u64 > gpu.device.limits().max_buffer_size {
@@ -72,7 +72,7 @@ impl Meshes {
             let index_count = 3 * draw.triangles.len() as u32;
             meshes.push(Mesh { vertices, indices, index_count, material: draw.material as usize });
         }
-        let views = bake.textures.iter().map(|texture| upload(gpu, texture)).collect::<Result<_>>()?;
+        let views = scene.textures.iter().map(|texture| upload(gpu, texture)).collect::<Result<_>>()?;
         let white = upload(gpu, &Texture::new(1, 1, vec![[255; 4]]))?;
         let wraps = [Wrap::Repeat, Wrap::Clamp, Wrap::Mirror];
         let pairs = wraps.into_iter().flat_map(|u| wraps.map(|v| [u, v]));

@@ -1,4 +1,4 @@
-//! The steps of a frame: shadow maps → direct → relight or patches → basis → near → reconstruct → atlas → shade.
+//! The steps of a frame: shadow maps → direct → patches → basis → near → reconstruct → atlas → shade.
 //!
 //! Each pass is a folder: the shader, what calls it, and `reference.rs`, which does the same on the processor over the
 //! same arrays. `TOLERANCE` says how far the two may differ, and a test holds them to it.
@@ -12,15 +12,11 @@ pub mod meshes;
 pub mod near;
 pub mod patches;
 pub mod reconstruct;
-pub mod relight;
 pub mod resident;
 pub mod shade;
 pub mod shadow;
 
-#[cfg(test)]
-pub(crate) mod tests;
-
-/// Every shader: name and whole source, as the adapter compiles it.
+/// Shaders of the passes that stand alone: name and whole source. The shading pass' is [`shade::Shading::shader`].
 pub const SHADERS: &[(&str, &str)] = &[
     ("atlas", atlas::SHADER),
     ("basis", basis::SHADER),
@@ -28,7 +24,5 @@ pub const SHADERS: &[(&str, &str)] = &[
     ("near", near::SHADER),
     ("patches", patches::SHADER),
     ("reconstruct", reconstruct::SHADER),
-    ("relight", relight::SHADER),
-    ("shade", shade::SHADER),
     ("shadow", shadow::SHADER),
 ];

@@ -1,11 +1,11 @@
-//! Arrays of a bake on the adapter that several passes share.
+//! Arrays of receivers and clusters on the adapter that several passes share.
 
 use std::ops::Range;
 
 use glam::Vec4;
+use lightkiln_proto::relight::{Cluster, Columns, Transport};
 
 use super::gpu::{Gpu, failed};
-use crate::bake::{Cluster, LoadedBake};
 use crate::error::Result;
 
 /// Receivers, and what passes hand to each other. Same layouts as the references' slices.
@@ -23,9 +23,9 @@ pub struct Resident {
     pub e_emit: wgpu::Buffer,
     /// E_ind by slot, W·m⁻².
     pub e_ind: wgpu::Buffer,
-    /// What near hits give, by slot, W·m⁻².
+    /// N of near hits by slot, W·m⁻².
     pub e_near: wgpu::Buffer,
-    /// `lambda[p·J + j]`, or one entry per patch; the sky last.
+    /// λ, J entries a column; the sky last.
     pub lambda: wgpu::Buffer,
     /// b of all clusters.
     pub b: wgpu::Buffer,
@@ -39,10 +39,20 @@ pub struct Resident {
 
 impl Resident {
     /// Uploads what does not change and makes room for the rest.
-    pub fn new(gpu: &Gpu, bake: &LoadedBake, e_emit: &[Vec4]) -> Result<Self> {
-        let receivers = &bake.receivers;
+    ///
+    /// `sky` is the end of λ, which no pass writes.
+    pub fn new(
+        gpu: &Gpu,
+        transport: &Transport<impl Columns>,
+        e_emit: &[Vec4],
+        sky: &[Vec4],
+    ) -> Result<Self> {
+        let (receivers, clusters) = (&transport.receivers, &transport.clusters);
         let four = size_of::<Vec4>() as u64;
-        let lambda_count = bake.lambda_count();
+        let lambda_count = transport.columns.lambda_count();
+        let lambda = gpu.blank("lambda", lambda_count as u64 * four)?;
+        let sky_start = (lambda_count - sky.len()) as u64 * four;
+        gpu.queue.write_buffer(&lambda, sky_start, bytemuck::cast_slice(sky));
         let by_slot = receivers.len() as u64 * four;
         Ok(Self {
             positions: gpu.storage("positions", &receivers.position_m)?,
@@ -52,13 +62,19 @@ impl Resident {
             e_emit: gpu.storage("E_emit", e_emit)?,
             e_ind: gpu.blank("E_ind", by_slot)?,
             e_near: gpu.blank("E of near hits", by_slot)?,
-            lambda: gpu.blank("lambda", lambda_count as u64 * four)?,
-            b: gpu.blank("b", bake.clusters.b_len as u64 * four)?,
+            lambda,
+            b: gpu.blank("b", clusters.b_len as u64 * four)?,
             receiver_count: receivers.len(),
             lambda_count,
-            b_count: bake.clusters.b_len,
+            b_count: clusters.b_len,
         })
     }
+}
+
+/// The pass of a bake that makes λ of the light at receivers.
+pub trait ColumnsPass: std::fmt::Debug {
+    /// Records the pass.
+    fn record(&self, pass: &mut wgpu::ComputePass<'_>);
 }
 
 /// A cluster as shaders read it; twin of `Cluster` in `basis.wgsl` and `reconstruct.wgsl`.
@@ -71,9 +87,9 @@ pub struct ClusterRow {
     pub receiver_count: u32,
     /// First entry in the support list.
     pub first_support: u32,
-    /// Supporting probes, the sky included.
+    /// Columns' patches or probes, the sky included.
     pub support_count: u32,
-    /// Coefficients per probe, J of this cluster.
+    /// Coefficients of each, J of this cluster.
     pub coefficients: u32,
     /// Rank k.
     pub rank: u32,

@@ -10,8 +10,8 @@ use image::error::{ParameterError, ParameterErrorKind};
 use image::{ExtendedColorType, ImageEncoder, ImageError};
 use rayon::prelude::*;
 
-use crate::bake::srgb_of_linear;
 use crate::error::{ClientError, Result};
+use crate::scene::srgb_of_linear;
 
 pub use tone::{Exposure, Tone, automatic_exposure};
 
@@ -32,8 +32,8 @@ pub struct Picture {
     pub drawn_by: String,
     /// It was drawn by the processor, slower.
     pub by_reference: bool,
-    /// Frames until the bounces had converged.
-    pub frames: u32,
+    /// Bounces before it was drawn; 0 where there is no feedback.
+    pub bounces: u32,
     /// Whether they had, within the frames allowed.
     pub converged: bool,
 }
@@ -83,7 +83,7 @@ impl Film {
             exposure: self.exposure,
             drawn_by: String::new(),
             by_reference: false,
-            frames: 0,
+            bounces: 0,
             converged: false,
         }
     }

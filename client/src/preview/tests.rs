@@ -1,10 +1,11 @@
 //! The preview end to end.
 
-use lightkiln_proto::prt::BasisKind;
+use lightkiln_proto::manifest::Chosen;
 
 use super::*;
 use crate::fixture;
-use crate::passes::tests::fixture_view;
+use crate::lightmap::{ATLAS, CLUSTERS};
+use crate::tests::fixture_view;
 
 #[test]
 fn processor_draws_a_picture_to_a_file() {
@@ -30,10 +31,10 @@ fn processor_draws_a_picture_to_a_file() {
 #[test]
 fn debug_pictures_show_the_atlas_and_its_clusters() {
     let (bake, view) = fixture_view();
-    let irradiance = atlas_picture(&bake, &view, 0).unwrap();
+    let irradiance = debug_picture(&bake, &view, ATLAS, 0).unwrap();
     assert_eq!((irradiance.width, irradiance.height), (40, 16));
     assert!(irradiance.linear.iter().any(|value| value[0] > 0.0));
-    let clusters = cluster_picture(&bake, &view, 1);
+    let clusters = debug_picture(&bake, &view, CLUSTERS, 1).unwrap();
     let colours = |picture: &Picture| {
         let mut colours: Vec<_> = picture.ldr.clone();
         colours.sort();
@@ -42,20 +43,27 @@ fn debug_pictures_show_the_atlas_and_its_clusters() {
     };
     // Three blocks, each a cluster of its own, and black.
     assert_eq!(colours(&clusters), 4);
+    let [unknown, beyond] = [("probes", 0), (ATLAS, 9)]
+        .map(|(name, page)| debug_picture(&bake, &view, name, page).unwrap_err().to_string());
+    assert!(unknown.contains("atlas, clusters") && beyond.contains("2 pages"), "{unknown}; {beyond}");
 }
 
 #[test]
-fn camera_and_sun_are_chosen_and_said_when_the_file_has_none() {
-    let mut manifest = fixture::manifest(BasisKind::Sh);
-    manifest.cameras.clear();
+fn camera_and_light_chosen_at_the_bake_are_used_and_said() {
+    let (mut bake, _) = fixture_view();
+    let manifest = &mut bake.scene.manifest;
+    let (camera, light) = (manifest.cameras.remove(0), manifest.lights.remove(0));
     manifest.lights.clear();
-    let bake = LoadedBake::assemble(manifest, fixture::contents(BasisKind::Sh)).unwrap();
-    let (_, notes) = View::of_bake(&bake, None, Vec::new());
-    assert!(notes.iter().any(|note| note.contains("no camera")), "{notes:?}");
-    // The fixture has an emitter: it is lit without a sun.
-    assert!(!notes.iter().any(|note| note.contains("no light")), "{notes:?}");
-    let (sun, note) = default_sun(&bake);
-    assert!(matches!(sun.kind, LightKind::Sun { .. }) && note.contains("sun"), "{note}");
+    assert!(View::of_bake(&bake, None, Vec::new()).unwrap_err().to_string().contains("--camera"));
+    let manifest = &mut bake.scene.manifest;
+    manifest.framing.camera = Some(Chosen { value: camera.clone(), note: "no camera".to_owned() });
+    manifest.framing.light = Some(Chosen { value: light.clone(), note: "no light".to_owned() });
+    let (view, notes) = View::of_bake(&bake, None, Vec::new()).unwrap();
+    // The fixture has an emitter: it is lit without a chosen light.
+    assert_eq!((&view.camera, view.lights.len(), &notes[..]), (&camera, 0, &["no camera".to_owned()][..]));
+    bake.scene.manifest.emitters.clear();
+    let (view, notes) = View::of_bake(&bake, Some(fixture::camera()), Vec::new()).unwrap();
+    assert_eq!((view.lights, &notes[..]), (vec![light], &["no light".to_owned()][..]));
 }
 
 #[test]

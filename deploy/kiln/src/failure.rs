@@ -116,6 +116,7 @@ impl From<ClientError> for Failure {
             | ClientError::TooLarge { .. }
             | ClientError::WrongDigest { .. }
             | ClientError::Json { .. }
+            | ClientError::Manifest { .. }
             | ClientError::Chunk { .. }
             | ClientError::Inconsistent { .. } => Exit::BadInput,
             ClientError::File { .. } | ClientError::Adapter { .. } | ClientError::Picture { .. } => {

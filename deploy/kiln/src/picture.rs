@@ -3,13 +3,13 @@
 use std::path::Path;
 
 use clap::{Args, ValueEnum};
-use lightkiln_client::bake::LoadedBake;
+use lightkiln_client::bake::{ClientKinds, LoadedBake};
 use lightkiln_client::fetch::Source;
 use lightkiln_client::lights::{parse_camera, parse_light};
 use lightkiln_client::picture::{Exposure, Picture, Tone};
-use lightkiln_client::preview::{Backend, View, atlas_picture, cluster_picture, render};
+use lightkiln_client::preview::{Backend, View, debug_picture, render};
 
-use crate::failure::{Failure, Result};
+use crate::failure::Result;
 
 /// How to draw.
 #[derive(Args, Clone, Debug)]
@@ -42,10 +42,10 @@ pub struct PictureArguments {
     /// Who draws; auto takes the graphics adapter if there is one that is no software
     #[arg(long, value_enum, default_value = "auto", help_heading = "Picture")]
     backend: BackendName,
-    /// Draws something else than the scene, to find faults
-    #[arg(long, value_enum, help_heading = "Picture")]
-    debug: Option<DebugPicture>,
-    /// Atlas page of --debug
+    /// Draws another picture than the scene, to find faults: of lightmaps, 'atlas' (irradiance) or 'clusters'
+    #[arg(long, value_name = "PICTURE", help_heading = "Picture")]
+    debug: Option<String>,
+    /// Page of --debug
     #[arg(long, default_value_t = 0, requires = "debug", help_heading = "Picture")]
     page: usize,
 }
@@ -73,15 +73,6 @@ pub enum BackendName {
     Cpu,
 }
 
-/// Pictures for finding faults.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum DebugPicture {
-    /// Irradiance of an atlas page
-    Atlas,
-    /// Clusters of an atlas page, a colour each
-    Clusters,
-}
-
 impl PictureArguments {
     /// Refuses a camera or light that cannot be read, before any work is done.
     pub fn check(&self) -> Result<()> {
@@ -91,12 +82,12 @@ impl PictureArguments {
     }
 
     /// Draws the bake and writes it as PNG; says on standard error what was chosen and who drew.
-    pub fn draw(&self, source: &Source, png: &Path) -> Result<()> {
-        let bake = LoadedBake::load(source)?;
+    pub fn draw(&self, kinds: &ClientKinds, source: &Source, png: &Path) -> Result<()> {
+        let bake = LoadedBake::load(source, kinds)?;
         let camera = self.camera.as_deref().map(parse_camera).transpose()?;
         let lights =
             self.light.iter().map(|light| parse_light(light)).collect::<std::result::Result<Vec<_>, _>>()?;
-        let (mut view, notes) = View::of_bake(&bake, camera, lights);
+        let (mut view, notes) = View::of_bake(&bake, camera, lights)?;
         (view.width, view.height) = self.size;
         view.tone = self.tone.into();
         view.exposure = Exposure::Auto { stops: self.exposure };
@@ -104,11 +95,10 @@ impl PictureArguments {
             eprintln!("note: {note}");
         }
         let picture = self.picture_of(&bake, &view)?;
-        // Pictures without light have no frames.
-        if picture.frames > 0 && !picture.converged {
+        if !picture.converged {
             eprintln!(
-                "warning: after {} frames the bounces had not converged; the picture is not yet as bright as it would be",
-                picture.frames
+                "warning: after {} bounces the light had not converged; the picture is not yet as bright as it would be",
+                picture.bounces
             );
         }
         picture.write_png(png)?;
@@ -117,16 +107,10 @@ impl PictureArguments {
     }
 
     fn picture_of(&self, bake: &LoadedBake, view: &View) -> Result<Picture> {
-        let Some(debug) = self.debug else { return Ok(render(bake, view, self.backend.into())?) };
-        let pages = bake.manifest.pages.len();
-        if self.page >= pages {
-            let what = format!("the atlas has no page {}; its pages are 0..{pages}", self.page);
-            return Err(Failure::bad_input(what).try_this("--page 0"));
+        match &self.debug {
+            None => Ok(render(bake, view, self.backend.into())?),
+            Some(name) => Ok(debug_picture(bake, view, name, self.page)?),
         }
-        Ok(match debug {
-            DebugPicture::Atlas => atlas_picture(bake, view, self.page)?,
-            DebugPicture::Clusters => cluster_picture(bake, view, self.page),
-        })
     }
 }
 

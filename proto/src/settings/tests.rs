@@ -50,7 +50,8 @@ fn rows_tell_numbers_and_words_by_preset() {
 #[test]
 fn stated_settings_come_back_and_must_name_their_preset() {
     let settings = Settings::from_json(&json!({ "preset": "draft", "size_m": 0.02 })).unwrap();
-    let mut stated = serde_json::to_value(&settings).unwrap();
+    let mut stated = settings.stated();
+    assert_eq!(stated, serde_json::to_value(&settings).unwrap());
     assert_eq!(stated["size_m"], json!(0.02), "the shortest decimal");
     assert_eq!(serde_json::from_value::<Settings>(stated.clone()).unwrap(), settings);
     // A setting that an older bake did not know has its preset's value.

@@ -68,7 +68,7 @@ pub trait Evaluated: Send + Sync {
 }
 
 /// A bake under some lights.
-pub trait Relit {
+pub trait Relit: Sync {
     /// E_ind at a place, W·m⁻²; `None` where the bake left the place out as unreachable.
     fn irradiance(&self, place: PlaceId) -> Option<DVec3>;
 

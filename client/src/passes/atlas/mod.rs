@@ -1,18 +1,39 @@
-//! Irradiance of receivers spread into the atlas, chart edges extended into empty texels.
+//! Irradiance of receivers spread into the lightmap's pages, chart edges extended into empty texels; and how a surface
+//! reads it.
 
+mod placement;
 pub mod reference;
+mod texels;
 
-use crate::bake::{AtlasLayout, LoadedBake};
+use lightkiln_proto::relight::SlotTable;
+
 use crate::error::Result;
-use crate::passes::gpu::{Gpu, groups_2d};
+use crate::passes::gpu::{Gpu, array_view, groups_2d};
 use crate::passes::resident::Resident;
+use crate::scene::LightmapLayout;
+
+pub use placement::{Placement, placements};
+pub use texels::{AtlasTexel, AtlasTexels, EXTENSION_TEXELS};
 
 /// The shader.
 pub const SHADER: &str = include_str!("atlas.wgsl");
+/// Indirect light of a surface from the pages, for the shading pass: `indirect_irradiance`.
+pub const INDIRECT: &str = include_str!("lightmap.wgsl");
 /// Largest difference from the reference, relative to the largest value: a mean of at most 32 f32 in the same order.
 pub const TOLERANCE: f32 = 1e-6;
 /// Threads of a workgroup in the shader.
 const THREADS: u32 = 64;
+
+/// A lightmap: its layout, which texel is which receiver, and which texels hold irradiance.
+#[derive(Clone, Copy, Debug)]
+pub struct Lightmap<'a> {
+    /// Pages and blocks.
+    pub layout: &'a LightmapLayout,
+    /// Slot of each texel.
+    pub slots: &'a SlotTable,
+    /// Texels that hold irradiance.
+    pub texels: &'a AtlasTexels,
+}
 
 /// Numbers of the pass; twin of `Atlas` in the shader.
 #[repr(C)]
@@ -24,7 +45,7 @@ pub struct AtlasNumbers {
     pub stride: u32,
 }
 
-/// The pass on the adapter, and the pages that it writes: rgb irradiance, alpha 1 where there is any.
+/// The pass on the adapter, and the pages that it writes: rgb irradiance, in alpha [`AtlasTexel::kind`].
 #[derive(Debug)]
 pub struct AtlasPass {
     pipeline: wgpu::ComputePipeline,
@@ -32,15 +53,21 @@ pub struct AtlasPass {
     groups: [u32; 2],
     /// One layer per page, all as large as the largest.
     pub texture: wgpu::Texture,
+    /// All layers, even when there is one.
+    pub view: wgpu::TextureView,
 }
 
 impl AtlasPass {
     /// Uploads the layout.
-    pub fn new(gpu: &Gpu, bake: &LoadedBake, resident: &Resident) -> Result<Self> {
-        let layout = &bake.atlas;
+    pub fn new(
+        gpu: &Gpu,
+        layout: &LightmapLayout,
+        texels: &AtlasTexels,
+        resident: &Resident,
+    ) -> Result<Self> {
         let pipeline = gpu.compute("atlas", SHADER, "spread");
-        let groups = groups_2d((layout.texels.len() as u32).div_ceil(THREADS));
-        let numbers = AtlasNumbers { texel_count: layout.texels.len() as u32, stride: groups[0] * THREADS };
+        let groups = groups_2d((texels.texels.len() as u32).div_ceil(THREADS));
+        let numbers = AtlasNumbers { texel_count: texels.texels.len() as u32, stride: groups[0] * THREADS };
         let texture = gpu.device.create_texture(&wgpu::TextureDescriptor {
             label: Some("atlas"),
             size: texture_size(layout),
@@ -58,14 +85,14 @@ impl AtlasPass {
             &pipeline.get_bind_group_layout(0),
             &[
                 gpu.uniform("atlas", &numbers).as_entire_binding(),
-                gpu.storage("atlas texels", &layout.texels)?.as_entire_binding(),
-                gpu.storage("atlas sources", &layout.sources)?.as_entire_binding(),
+                gpu.storage("atlas texels", &texels.texels)?.as_entire_binding(),
+                gpu.storage("atlas sources", &texels.sources)?.as_entire_binding(),
                 resident.e_emit.as_entire_binding(),
                 resident.e_ind.as_entire_binding(),
                 wgpu::BindingResource::TextureView(&view),
             ],
         );
-        Ok(Self { pipeline, group, groups, texture })
+        Ok(Self { pipeline, group, groups, texture, view })
     }
 
     /// Records the pass.
@@ -76,16 +103,8 @@ impl AtlasPass {
     }
 }
 
-fn texture_size(layout: &AtlasLayout) -> wgpu::Extent3d {
+fn texture_size(layout: &LightmapLayout) -> wgpu::Extent3d {
     let longest = |axis: usize| layout.pages.iter().map(|page| page[axis]).max().unwrap_or(1);
     let depth_or_array_layers = layout.pages.len().max(1) as u32;
     wgpu::Extent3d { width: longest(0), height: longest(1), depth_or_array_layers }
-}
-
-/// A view of all layers, even when there is one.
-pub(in crate::passes) fn array_view(texture: &wgpu::Texture) -> wgpu::TextureView {
-    texture.create_view(&wgpu::TextureViewDescriptor {
-        dimension: Some(wgpu::TextureViewDimension::D2Array),
-        ..Default::default()
-    })
 }

@@ -1,10 +1,12 @@
-//! Irradiance of receivers into atlas texels, on the processor; and bilinear reads of them.
+//! Irradiance of receivers into lightmap texels, on the processor; and bilinear reads of them.
 
 use glam::{Vec3, Vec4};
 
-use crate::bake::{AtlasLayout, NO_BLOCK};
+use super::AtlasTexels;
+use crate::passes::shade::Surface;
+use crate::scene::{LightmapLayout, LoadedScene};
 
-/// Atlas pages with irradiance (rgb) and what a texel is: 0 empty, else [`crate::bake::AtlasTexel::kind`].
+/// Lightmap pages: irradiance in rgb; the fourth component is 0 in empty texels, else [`super::AtlasTexel::kind`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct AtlasPages {
     /// Width and height of every page.
@@ -14,11 +16,11 @@ pub struct AtlasPages {
 }
 
 /// Writes `E_emit + E_ind` of receivers (by slot, W·m⁻²) to their texels and extends chart edges.
-pub fn spread(layout: &AtlasLayout, e_emit: &[Vec4], e_ind: &[Vec4]) -> AtlasPages {
+pub fn spread(layout: &LightmapLayout, texels: &AtlasTexels, e_emit: &[Vec4], e_ind: &[Vec4]) -> AtlasPages {
     let blank = |size: &[u32; 2]| vec![Vec4::ZERO; size[0] as usize * size[1] as usize];
     let mut pages: Vec<Vec<Vec4>> = layout.pages.iter().map(blank).collect();
-    for texel in &layout.texels {
-        let sources = &layout.sources[texel.first as usize..][..texel.count() as usize];
+    for texel in &texels.texels {
+        let sources = &texels.sources[texel.first as usize..][..texel.count() as usize];
         let sum: Vec4 = sources.iter().map(|slot| e_emit[*slot as usize] + e_ind[*slot as usize]).sum();
         let page = texel.page() as usize;
         let index = texel.y as usize * layout.pages[page][0] as usize + texel.x as usize;
@@ -27,13 +29,17 @@ pub fn spread(layout: &AtlasLayout, e_emit: &[Vec4], e_ind: &[Vec4]) -> AtlasPag
     AtlasPages { sizes: layout.pages.clone(), pages }
 }
 
+/// Indirect light of a surface, W·m⁻²: twin of `indirect_irradiance` in `lightmap.wgsl`.
+pub fn read(scene: &LoadedScene, pages: &AtlasPages, surface: &Surface) -> Vec3 {
+    let draw = &scene.draws.draws[surface.draw as usize];
+    let block = if surface.front { draw.front } else { draw.back };
+    sample(&scene.lightmap, pages, block, surface.lightmap_texel)
+}
+
 /// Irradiance at lightmap coordinates of a block, W·m⁻²: bilinear over the receivers that no wall parts from the
 /// nearest one; over filled texels where there is no receiver.
-pub fn sample(layout: &AtlasLayout, atlas: &AtlasPages, block: u32, texel: [f32; 2]) -> Vec3 {
-    if block == NO_BLOCK {
-        return Vec3::ZERO;
-    }
-    let block = &layout.blocks[block as usize];
+pub fn sample(layout: &LightmapLayout, atlas: &AtlasPages, block: u32, texel: [f32; 2]) -> Vec3 {
+    let Some(block) = layout.block(block) else { return Vec3::ZERO };
     let page = &atlas.pages[block.page as usize];
     let width = atlas.sizes[block.page as usize][0];
     let (x, y) = (texel[0] - 0.5, texel[1] - 0.5);
@@ -53,7 +59,7 @@ pub fn sample(layout: &AtlasLayout, atlas: &AtlasPages, block: u32, texel: [f32;
     blend(taps, weights)
 }
 
-/// Taps in the order (0,0), (1,0), (0,1), (1,1); their w says what they are, see [`crate::bake::AtlasTexel::kind`].
+/// Taps in the order (0,0), (1,0), (0,1), (1,1); their w is [`super::AtlasTexel::kind`].
 fn blend(taps: [Vec4; 4], weights: [f32; 4]) -> Vec3 {
     let mut home = 4;
     for tap in 0..4 {

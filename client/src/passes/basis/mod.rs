@@ -1,8 +1,9 @@
-//! Probe coefficients → cluster coefficients: `b_c = (ΣVᵀ) λ|_c`.
+//! λ → cluster coefficients: `b_c = (ΣVᵀ) λ|_c`.
 
 pub mod reference;
 
-use crate::bake::LoadedBake;
+use lightkiln_proto::relight::ClusterTable;
+
 use crate::error::Result;
 use crate::passes::gpu::{Gpu, groups_2d};
 use crate::passes::resident::{ClusterRow, Resident, pages};
@@ -17,7 +18,7 @@ pub const TOLERANCE: f32 = 2e-5;
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct BasisNumbers {
-    /// Coefficients per probe in lambda.
+    /// Coefficients J of a column in lambda.
     pub coefficients: u32,
     /// Clusters in a row of the dispatch.
     pub stride: u32,
@@ -35,10 +36,9 @@ pub struct BasisPass {
 }
 
 impl BasisPass {
-    /// Uploads ΣVᵀ of all clusters.
-    pub fn new(gpu: &Gpu, bake: &LoadedBake, resident: &Resident) -> Result<Self> {
+    /// Uploads ΣVᵀ of all clusters, which read λ of J `coefficients`.
+    pub fn new(gpu: &Gpu, table: &ClusterTable, coefficients: usize, resident: &Resident) -> Result<Self> {
         let pipeline = gpu.compute("basis", SHADER, "project");
-        let table = &bake.clusters;
         let support = gpu.storage("support", &table.support)?;
         let bytes = table.clusters.iter().map(|cluster| 4 * (cluster.rank * cluster.columns()) as u64);
         let mut groups = Vec::new();
@@ -54,7 +54,7 @@ impl BasisPass {
             let rank_max = clusters.iter().map(|cluster| cluster.rank as u32).max().unwrap_or(0);
             let [stride, layers] = groups_2d(rows.len() as u32);
             let numbers = BasisNumbers {
-                coefficients: bake.coefficients() as u32,
+                coefficients: coefficients as u32,
                 stride,
                 cluster_count: rows.len() as u32,
                 pad: 0,

@@ -5,8 +5,8 @@ pub mod reference;
 use std::ops::Range;
 
 use glam::Vec4;
+use lightkiln_proto::relight::{NearRow, NearTable};
 
-use crate::bake::{LoadedBake, NearRow};
 use crate::error::Result;
 use crate::passes::direct::{DirectPass, Points};
 use crate::passes::gpu::{Gpu, groups_2d};
@@ -52,11 +52,11 @@ struct Page {
 
 impl NearPass {
     /// Uploads the hits.
-    pub fn new(gpu: &Gpu, bake: &LoadedBake, shadow: &ShadowPass, resident: &Resident) -> Result<Self> {
+    pub fn new(gpu: &Gpu, table: &NearTable, shadow: &ShadowPass, resident: &Resident) -> Result<Self> {
         let pipeline = gpu.compute("near hits", SHADER, "gather");
-        let rows = &bake.near.rows;
+        let rows = &table.rows;
         let bytes = rows.iter().map(|row| u64::from(row.count) * size_of::<Vec4>() as u64);
-        let page = |run: Range<usize>| Page::new(gpu, bake, &rows[run], shadow, resident, &pipeline);
+        let page = |run: Range<usize>| Page::new(gpu, table, &rows[run], shadow, resident, &pipeline);
         let pages =
             pages(gpu, "receiver's near hits", bytes)?.into_iter().map(page).collect::<Result<_>>()?;
         Ok(Self { pipeline, pages })
@@ -86,13 +86,12 @@ impl NearPass {
 impl Page {
     fn new(
         gpu: &Gpu,
-        bake: &LoadedBake,
+        table: &NearTable,
         rows: &[NearRow],
         shadow: &ShadowPass,
         resident: &Resident,
         pipeline: &wgpu::ComputePipeline,
     ) -> Result<Self> {
-        let table = &bake.near;
         let start = rows.first().map_or(0, |row| row.first);
         let end = rows.last().map_or(0, |row| row.first + row.count);
         let hits = start as usize..end as usize;

@@ -1,15 +1,13 @@
-//! Radiance of receivers → mean radiance of surface patches, for bakes with `basis=patches`.
+//! Radiance of receivers → mean radiance of surface patches.
 
 pub mod reference;
 
 use glam::Vec4;
-use lightkiln_proto::prt::reconstruct::sky_part_radiance;
+use lightkiln_proto::relight::PatchTable;
 
-use crate::bake::LoadedBake;
 use crate::error::Result;
-use crate::lights::Sky;
 use crate::passes::gpu::{Gpu, groups_2d};
-use crate::passes::resident::Resident;
+use crate::passes::resident::{ColumnsPass, Resident};
 
 /// The shader.
 pub const SHADER: &str = include_str!("patches.wgsl");
@@ -33,12 +31,6 @@ pub struct PatchNumbers {
     pub stride: u32,
 }
 
-/// Radiance of the parts of the sky.
-pub fn sky_radiance(bake: &LoadedBake, sky: Sky) -> Vec<Vec4> {
-    let parts = sky_part_radiance(bake.patches.sky_parts, [sky.zenith.into(), sky.horizon.into()]);
-    parts.map(|[r, g, b]| Vec4::new(r, g, b, 0.0)).collect()
-}
-
 /// The pass on the adapter: leaves, then patches.
 #[derive(Debug)]
 pub struct PatchesPass {
@@ -46,16 +38,12 @@ pub struct PatchesPass {
 }
 
 impl PatchesPass {
-    /// Uploads the patches; the sky does not change and is written once, behind them.
-    pub fn new(gpu: &Gpu, bake: &LoadedBake, sky: Sky, resident: &Resident) -> Result<Self> {
-        let table = &bake.patches;
-        let sky = sky_radiance(bake, sky);
-        let sky_start = (table.patches.len() * size_of::<Vec4>()) as u64;
-        gpu.queue.write_buffer(&resident.lambda, sky_start, bytemuck::cast_slice(&sky));
+    /// Uploads the patches.
+    pub fn new(gpu: &Gpu, table: &PatchTable, resident: &Resident) -> Result<Self> {
         let leaf_starts = gpu.storage("leaf starts", &table.leaf_starts)?;
         let leaves = gpu.blank("leaves", (table.leaf_count().max(1) * size_of::<Vec4>()) as u64)?;
         let numbers = |groups: [u32; 2]| PatchNumbers {
-            receiver_count: bake.receivers.len() as u32,
+            receiver_count: resident.receiver_count as u32,
             leaf_count: table.leaf_count() as u32,
             patch_count: table.patches.len() as u32,
             stride: groups[0] * THREADS,
@@ -89,9 +77,10 @@ impl PatchesPass {
         );
         Ok(Self { steps: vec![(sum, sum_group, leaf_groups), (mean, mean_group, patch_groups)] })
     }
+}
 
-    /// Records the pass.
-    pub fn record(&self, pass: &mut wgpu::ComputePass<'_>) {
+impl ColumnsPass for PatchesPass {
+    fn record(&self, pass: &mut wgpu::ComputePass<'_>) {
         for (pipeline, group, [x, y]) in &self.steps {
             pass.set_pipeline(pipeline);
             pass.set_bind_group(0, group, &[]);

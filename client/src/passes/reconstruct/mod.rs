@@ -2,7 +2,8 @@
 
 pub mod reference;
 
-use crate::bake::LoadedBake;
+use lightkiln_proto::relight::ClusterTable;
+
 use crate::error::Result;
 use crate::passes::gpu::{Gpu, groups_2d};
 use crate::passes::resident::{ClusterRow, Resident, pages};
@@ -34,9 +35,8 @@ pub struct ReconstructPass {
 
 impl ReconstructPass {
     /// Uploads U of all clusters.
-    pub fn new(gpu: &Gpu, bake: &LoadedBake, resident: &Resident) -> Result<Self> {
+    pub fn new(gpu: &Gpu, table: &ClusterTable, resident: &Resident) -> Result<Self> {
         let pipeline = gpu.compute("reconstruct", SHADER, "expand");
-        let table = &bake.clusters;
         let bytes = table.clusters.iter().map(|cluster| 4 * (cluster.rank * cluster.receiver_count) as u64);
         let mut groups = Vec::new();
         for run in pages(gpu, "cluster's U", bytes)? {

@@ -2,15 +2,14 @@
 
 use glam::Vec4;
 use lightkiln_proto::manifest::Material;
-use wgpu::{ShaderStages as Stages, TextureViewDimension as Dimension};
+use wgpu::ShaderStages as Stages;
 
-use super::{SHADER, ShadeView};
-use crate::bake::{AtlasLayout, LoadedBake, LoadedDraw, NO_BLOCK};
+use super::{ShadeView, Shading};
 use crate::error::Result;
-use crate::passes::atlas::array_view;
-use crate::passes::gpu::{Gpu, failed, texture, uniform};
+use crate::passes::gpu::{Gpu, failed, uniform};
 use crate::passes::meshes::{Meshes, sampled, uv_rows, vertex_layout};
 use crate::passes::shadow::{ShadowPass, cleared_depth, nearer_wins};
+use crate::scene::{LoadedDraw, LoadedScene};
 
 /// What a draw looks like; twin of `ShadeDraw` in the shader.
 #[repr(C)]
@@ -28,22 +27,14 @@ pub struct ShadeDraw {
     pub emissive_row0: [f32; 4],
     /// Second row.
     pub emissive_row1: [f32; 4],
-    /// Block of the front: page, origin.
-    pub front: [u32; 4],
-    /// Its size; 0 when there is none.
-    pub front_size: [u32; 4],
-    /// Block of the back: page, origin.
-    pub back: [u32; 4],
-    /// Its size; 0 when there is none.
-    pub back_size: [u32; 4],
     /// Alpha below it is not drawn.
     pub cutoff: f32,
+    /// Number of the draw.
+    pub index: u32,
     /// Nothing.
     pub pad0: f32,
     /// Nothing.
     pub pad1: f32,
-    /// Nothing.
-    pub pad2: f32,
 }
 
 /// The pass and its target.
@@ -63,31 +54,30 @@ pub struct ShadePass {
 }
 
 impl ShadePass {
-    /// Makes pipelines and a target of `size` pixels; `atlas` is the atlas pass' texture.
+    /// Makes pipelines and a target of `size` pixels; `resources` are those of `shading`'s bindings.
     pub fn new(
         gpu: &Gpu,
-        bake: &LoadedBake,
+        scene: &LoadedScene,
         meshes: &Meshes,
         shadow: &ShadowPass,
-        atlas: &wgpu::Texture,
+        (shading, resources): (&Shading, &[wgpu::BindingResource<'_>]),
         emitter_scale: &[f32],
         size: [u32; 2],
     ) -> Result<Self> {
         check_size(gpu, size)?;
-        let pages = texture(wgpu::TextureSampleType::Float { filterable: false }, Dimension::D2Array);
-        let view_layout =
-            gpu.bind_layout(&[(Stages::VERTEX_FRAGMENT, uniform(false)), (Stages::FRAGMENT, pages)]);
+        let mut kinds = vec![(Stages::VERTEX_FRAGMENT, uniform(false))];
+        kinds.extend(shading.bindings.iter().map(|kind| (Stages::FRAGMENT, *kind)));
+        let view_layout = gpu.bind_layout(&kinds);
         let draw_layout = gpu.bind_layout(&[(Stages::VERTEX_FRAGMENT, uniform(true))]);
         let material_layout = gpu.bind_layout(&[sampled(), sampled()].concat());
         let layout =
             gpu.pipeline_layout(&[&shadow.light_layout, &view_layout, &draw_layout, &material_layout]);
-        let module = gpu.module("shade", SHADER);
+        let module = gpu.module("shade", &shading.shader());
         let view = gpu.buffer("view", size_of::<ShadeView>() as u64, wgpu::BufferUsages::UNIFORM);
-        let array = array_view(atlas);
-        let atlas_view = wgpu::BindingResource::TextureView(&array);
-        let view_group = gpu.bind(&view_layout, &[view.as_entire_binding(), atlas_view]);
+        let view_group = gpu.bind(&view_layout, &[&[view.as_entire_binding()], resources].concat());
+        let draws = scene.draws.draws.iter().zip(0..);
         let values: Vec<_> =
-            bake.draws.draws.iter().map(|draw| shade_draw(bake, draw, emitter_scale)).collect();
+            draws.map(|(draw, index)| shade_draw(scene, draw, index, emitter_scale)).collect();
         let (values, draw_stride) = gpu.uniforms("draws", &values);
         let window = wgpu::BufferBinding {
             buffer: &values,
@@ -109,8 +99,8 @@ impl ShadePass {
             view_group,
             draws,
             draw_stride,
-            materials: bake.manifest.materials.iter().map(bind_material).collect(),
-            is_double_sided: bake.manifest.materials.iter().map(|material| material.double_sided).collect(),
+            materials: scene.manifest.materials.iter().map(bind_material).collect(),
+            is_double_sided: scene.manifest.materials.iter().map(|material| material.double_sided).collect(),
             target,
             depth,
         })
@@ -171,14 +161,12 @@ fn check_size(gpu: &Gpu, size: [u32; 2]) -> Result<()> {
     Ok(())
 }
 
-fn shade_draw(bake: &LoadedBake, draw: &LoadedDraw, emitter_scale: &[f32]) -> ShadeDraw {
-    let material = &bake.manifest.materials[draw.material as usize];
+fn shade_draw(scene: &LoadedScene, draw: &LoadedDraw, index: u32, emitter_scale: &[f32]) -> ShadeDraw {
+    let material = &scene.manifest.materials[draw.material as usize];
     let scale =
         material.emitter.and_then(|emitter| emitter_scale.get(usize::from(emitter))).copied().unwrap_or(1.0);
     let [base_row0, base_row1] = uv_rows(material.base_colour_texture.as_ref());
     let [emissive_row0, emissive_row1] = uv_rows(material.emissive_texture.as_ref());
-    let [front, front_size] = placed(&bake.atlas, draw.front);
-    let [back, back_size] = placed(&bake.atlas, draw.back);
     let [r, g, b] = material.emissive.map(|channel| channel * scale);
     ShadeDraw {
         base_colour: material.base_colour,
@@ -187,24 +175,11 @@ fn shade_draw(bake: &LoadedBake, draw: &LoadedDraw, emitter_scale: &[f32]) -> Sh
         base_row1,
         emissive_row0,
         emissive_row1,
-        front,
-        front_size,
-        back,
-        back_size,
         cutoff: material.alpha_cutoff.unwrap_or(-1.0),
+        index,
         pad0: 0.0,
         pad1: 0.0,
-        pad2: 0.0,
     }
-}
-
-/// Page and origin, and size, of a block; zeros when there is none.
-fn placed(atlas: &AtlasLayout, block: u32) -> [[u32; 4]; 2] {
-    if block == NO_BLOCK {
-        return [[0; 4]; 2];
-    }
-    let block = &atlas.blocks[block as usize];
-    [[block.page, block.origin[0], block.origin[1], 0], [block.size[0], block.size[1], 0, 0]]
 }
 
 fn create_targets(gpu: &Gpu, size: [u32; 2]) -> (wgpu::Texture, wgpu::TextureView) {

@@ -1,14 +1,17 @@
-//! The picture: every pixel's radiance, with direct light per pixel and indirect light from the atlas.
+//! The picture: every pixel's radiance, with direct light per pixel and indirect light from the bake's kind.
 
 mod gpu;
+mod indirect;
 pub mod reference;
 pub mod surface;
 mod view;
 
 pub use gpu::{ShadeDraw, ShadePass};
+pub use indirect::{IndirectIrradiance, Shading};
+pub use surface::Surface;
 pub use view::ShadeView;
 
-/// The shader, with the lights' part in front.
+/// The shader, with the lights' part in front; [`Shading::shader`] adds indirect light.
 pub const SHADER: &str = concat!(include_str!("../shared/light.wgsl"), include_str!("shade.wgsl"));
 /// Largest difference from the reference, relative to the picture's mean, for all but [`OUTLIERS`]: adapters read
 /// textures with 8-bit weights and derive facet normals and mip levels from neighbouring pixels.

@@ -6,14 +6,13 @@ use std::ops::Range;
 use glam::{Vec3, Vec4};
 use rayon::prelude::*;
 
-use super::ShadeView;
 use super::surface::surface_at;
-use crate::bake::LoadedBake;
-use crate::passes::atlas::reference::{AtlasPages, sample};
+use super::{IndirectIrradiance, ShadeView};
 use crate::passes::direct::reference::direct_irradiance;
 use crate::passes::shadow::ShadowPlan;
 use crate::passes::shadow::reference::{ShadowMaps, masked_out};
 use crate::raster::{ScreenTriangle, set_up};
+use crate::scene::LoadedScene;
 
 /// Rows that one thread draws at a time.
 const BAND_ROWS: usize = 32;
@@ -23,14 +22,14 @@ const NOTHING: u32 = u32::MAX;
 /// Everything that shading reads.
 #[derive(Clone, Copy)]
 pub struct Lit<'a> {
-    /// The bake.
-    pub bake: &'a LoadedBake,
+    /// The scene.
+    pub scene: &'a LoadedScene,
     /// Lights.
     pub plan: &'a ShadowPlan,
     /// Their shadow maps.
     pub maps: &'a ShadowMaps,
-    /// `E_emit + E_ind`.
-    pub atlas: &'a AtlasPages,
+    /// Indirect light.
+    pub indirect: &'a dyn IndirectIrradiance,
     /// One factor per emitter, 1 if absent.
     pub emitter_scale: &'a [f32],
 }
@@ -43,13 +42,13 @@ struct Drawn {
 
 /// Radiance per pixel (rgb, W·m⁻²·sr⁻¹) and whether a surface is seen (alpha 1) or the sky (0), row after row.
 pub fn shade(lit: Lit<'_>, view: &ShadeView, size: [u32; 2]) -> Vec<Vec4> {
-    let drawn = set_up_scene(lit.bake, view, size);
+    let drawn = set_up_scene(lit.scene, view, size);
     let width = size[0] as usize;
     let mut picture = vec![Vec4::ZERO; width * size[1] as usize];
     picture.par_chunks_mut(BAND_ROWS * width).enumerate().for_each(|(band, pixels)| {
         let first = (band * BAND_ROWS) as u32;
         let rows = first..first + (pixels.len() / width) as u32;
-        let seen = visible(lit.bake, &drawn, size[0], rows.clone());
+        let seen = visible(lit.scene, &drawn, size[0], rows.clone());
         for (index, (pixel, seen)) in pixels.iter_mut().zip(seen).enumerate() {
             let at = [(index % width) as f64 + 0.5, f64::from(first) + (index / width) as f64 + 0.5];
             *pixel = match drawn.get(seen as usize) {
@@ -61,12 +60,12 @@ pub fn shade(lit: Lit<'_>, view: &ShadeView, size: [u32; 2]) -> Vec<Vec4> {
     picture
 }
 
-fn set_up_scene(bake: &LoadedBake, view: &ShadeView, size: [u32; 2]) -> Vec<Drawn> {
+fn set_up_scene(scene: &LoadedScene, view: &ShadeView, size: [u32; 2]) -> Vec<Drawn> {
     let clip_from_world = view.projection();
     let mut drawn = Vec::new();
     let mut set = Vec::new();
-    for (draw, mesh) in bake.draws.draws.iter().enumerate() {
-        let double_sided = bake.manifest.materials[mesh.material as usize].double_sided;
+    for (draw, mesh) in scene.draws.draws.iter().enumerate() {
+        let double_sided = scene.manifest.materials[mesh.material as usize].double_sided;
         let clip =
             |index: u32| clip_from_world * Vec3::from(mesh.vertices[index as usize].position_m).extend(1.0);
         for (index, corners) in mesh.triangles.iter().enumerate() {
@@ -79,14 +78,14 @@ fn set_up_scene(bake: &LoadedBake, view: &ShadeView, size: [u32; 2]) -> Vec<Draw
 }
 
 /// Index of the nearest triangle per pixel of some rows, or [`NOTHING`].
-fn visible(bake: &LoadedBake, drawn: &[Drawn], width: u32, rows: Range<u32>) -> Vec<u32> {
+fn visible(scene: &LoadedScene, drawn: &[Drawn], width: u32, rows: Range<u32>) -> Vec<u32> {
     let count = (rows.end - rows.start) as usize * width as usize;
     let (mut depth, mut seen) = (vec![0.0; count], vec![NOTHING; count]);
     for (index, Drawn { draw, triangle }) in drawn.iter().enumerate() {
         triangle.rasterise(width, rows.clone(), |x, y, fragment| {
             let pixel = ((y - rows.start) * width + x) as usize;
             let nearer = fragment.depth > depth[pixel];
-            if nearer && !masked_out(bake, *draw as usize, triangle.source, fragment.barycentric) {
+            if nearer && !masked_out(scene, *draw as usize, triangle.source, fragment.barycentric) {
                 depth[pixel] = fragment.depth;
                 seen[pixel] = index as u32;
             }
@@ -95,12 +94,10 @@ fn visible(bake: &LoadedBake, drawn: &[Drawn], width: u32, rows: Range<u32>) -> 
     seen
 }
 
-/// `L = Lₑ + ρ/π·(E_dir + E_atlas)`, METHOD §1.
+/// `L = Lₑ + ρ/π·(E_dir + E)` with indirect light E, METHOD §1.
 fn radiance(lit: Lit<'_>, drawn: &Drawn, [x, y]: [f64; 2]) -> Vec3 {
-    let mesh = &lit.bake.draws.draws[drawn.draw as usize];
-    let surface = surface_at(lit.bake, mesh, &drawn.triangle, (x, y), lit.emitter_scale);
-    let block = if drawn.triangle.front { mesh.front } else { mesh.back };
-    let e_atlas = sample(&lit.bake.atlas, lit.atlas, block, surface.lightmap_texel);
+    let shaded = surface_at(lit.scene, drawn.draw, &drawn.triangle, (x, y), lit.emitter_scale);
+    let surface = &shaded.surface;
     let e_dir = direct_irradiance(lit.plan, lit.maps, surface.position, surface.normal, surface.facet);
-    surface.emission + surface.albedo / PI * (e_dir + e_atlas)
+    shaded.emission + shaded.albedo / PI * (e_dir + lit.indirect.indirect_irradiance(surface))
 }

@@ -1,5 +1,6 @@
-// Radiance that reaches the camera: Lₑ + ρ/π·(E_dir + E_atlas), the sky where nothing is; twin: reference.rs.
-// `light.wgsl` is joined in front and holds group 0.
+// Radiance that reaches the camera: Lₑ + ρ/π·(E_dir + E), the sky where nothing is; twin: reference.rs.
+// `light.wgsl` is joined in front and holds group 0. Indirect light E is the kind's: its snippet is joined behind, has
+// `fn indirect_irradiance(surface: Surface) -> vec3f` and its bindings in group 1 from 1.
 
 struct ShadeView {
     clip_from_world: mat4x4f,
@@ -21,20 +22,29 @@ struct ShadeDraw {
     base_row1: vec4f,
     emissive_row0: vec4f,
     emissive_row1: vec4f,
-    // Block of the front and of the back: page, origin; width 0 when there is none.
-    front: vec4u,
-    front_size: vec4u,
-    back: vec4u,
-    back_size: vec4u,
     // Alpha below it is not drawn.
     cutoff: f32,
+    // Number of the draw.
+    index: u32,
     pad0: f32,
     pad1: f32,
-    pad2: f32,
+}
+
+// A point that the camera sees.
+struct Surface {
+    // Metres.
+    position: vec3f,
+    // Shading normal on the seen side.
+    normal: vec3f,
+    // The triangle's own normal on the seen side.
+    facet: vec3f,
+    draw: u32,
+    front: bool,
+    // Lightmap coordinates in texels of the side's block.
+    lightmap_texel: vec2f,
 }
 
 @group(1) @binding(0) var<uniform> view: ShadeView;
-@group(1) @binding(1) var atlas: texture_2d_array<f32>;
 @group(2) @binding(0) var<uniform> draw: ShadeDraw;
 @group(3) @binding(0) var base_colour: texture_2d<f32>;
 @group(3) @binding(1) var base_sampler: sampler;
@@ -70,62 +80,6 @@ fn mapped(row0: vec4f, row1: vec4f, uv: vec2f) -> vec2f {
     return vec2f(dot(row0.xyz, vec3f(uv, 1.0)), dot(row1.xyz, vec3f(uv, 1.0)));
 }
 
-// Whether no wall stands between two taps that are receivers; each link is a bit of the earlier tap.
-fn linked(first_kind: f32, second_kind: f32, first: u32, second: u32) -> bool {
-    if first_kind <= 0.0 || second_kind <= 0.0 {
-        return false;
-    }
-    var bit = 3u;
-    if first == 0u && second == 3u {
-        bit = 2u;
-    } else if second - first == 2u {
-        bit = 1u;
-    } else if first != 1u {
-        bit = 0u;
-    }
-    return (((u32(first_kind) - 1u) >> bit) & 1u) == 1u;
-}
-
-// Bilinear over the receivers that no wall parts from the nearest one; over filled texels where there is no receiver.
-fn atlas_irradiance(block: vec4u, size: vec4u, texel: vec2f) -> vec3f {
-    if size.x == 0u {
-        return vec3f(0.0);
-    }
-    let at = texel - 0.5;
-    let base = floor(at);
-    let share = at - base;
-    let last = vec2f(size.xy) - 1.0;
-    var taps: array<vec4f, 4>;
-    var weights: array<f32, 4>;
-    var home = 4u;
-    for (var tap = 0u; tap < 4u; tap++) {
-        let step = vec2f(f32(tap & 1u), f32(tap >> 1u));
-        let inside = vec2u(clamp(base + step, vec2f(0.0), last));
-        let weight = mix(1.0 - share, share, step);
-        // Never quite 0, so that a lone receiver counts wherever it lies.
-        weights[tap] = weight.x * weight.y + 1e-6;
-        taps[tap] = textureLoad(atlas, block.yz + inside, i32(block.x), 0);
-        if taps[tap].w > 0.0 && (home == 4u || weights[tap] > weights[min(home, 3u)]) {
-            home = tap;
-        }
-    }
-    var sum = vec3f(0.0);
-    var total = 0.0;
-    for (var tap = 0u; tap < 4u; tap++) {
-        var counts = taps[tap].w < 0.0;
-        if home < 4u {
-            let first = min(home, tap);
-            let second = max(home, tap);
-            counts = tap == home || linked(taps[first].w, taps[second].w, first, second);
-        }
-        if counts {
-            sum += weights[tap] * taps[tap].rgb;
-            total += weights[tap];
-        }
-    }
-    return select(vec3f(0.0), sum / max(total, 1e-9), total > 0.0);
-}
-
 @fragment
 fn shade(corner: Corner, @builtin(front_facing) front: bool) -> @location(0) vec4f {
     let base_uv = mapped(draw.base_row0, draw.base_row1, corner.uv);
@@ -143,14 +97,9 @@ fn shade(corner: Corner, @builtin(front_facing) front: bool) -> @location(0) vec
     let length2 = dot(across, across);
     var facet = select(normal, across * inverseSqrt(max(length2, 1e-38)), length2 > 1e-30);
     facet = select(-facet, facet, dot(facet, normal) >= 0.0);
-    var e_atlas: vec3f;
-    if front {
-        e_atlas = atlas_irradiance(draw.front, draw.front_size, corner.lightmap_texel);
-    } else {
-        e_atlas = atlas_irradiance(draw.back, draw.back_size, corner.lightmap_texel);
-    }
+    let surface = Surface(corner.position, normal, facet, draw.index, front, corner.lightmap_texel);
     let rho = clamp(colour.rgb, vec3f(0.0), vec3f(1.0));
-    let e = direct_irradiance(corner.position, normal, facet) + e_atlas;
+    let e = direct_irradiance(surface.position, surface.normal, surface.facet) + indirect_irradiance(surface);
     return vec4f(glow + rho * (1.0 / PI) * e, 1.0);
 }
 

@@ -3,8 +3,8 @@
 use glam::{Vec2, Vec3, Vec4};
 use lightkiln_proto::manifest::TextureUse;
 
-use crate::bake::{LoadedBake, LoadedDraw, Vertex};
 use crate::raster::ScreenTriangle;
+use crate::scene::{LoadedScene, Vertex};
 
 /// Coordinates of a texture from a draw's `uv`.
 pub fn mapped_uv(used: &TextureUse, uv: [f32; 2]) -> [f32; 2] {
@@ -14,17 +14,29 @@ pub fn mapped_uv(used: &TextureUse, uv: [f32; 2]) -> [f32; 2] {
     }
 }
 
-/// A drawn point.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Surface {
+/// A point that the camera sees; twin of `Surface` in `shade.wgsl`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Surface {
+    /// Metres.
     pub position: Vec3,
     /// Shading normal on the seen side.
     pub normal: Vec3,
     /// The triangle's own normal on the seen side.
     pub facet: Vec3,
+    /// Number of the draw.
+    pub draw: u32,
+    /// Whether the front is seen.
+    pub front: bool,
+    /// Lightmap coordinates in texels of the side's block.
+    pub lightmap_texel: [f32; 2],
+}
+
+/// A drawn point and its material.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Shaded {
+    pub surface: Surface,
     pub albedo: Vec3,
     pub emission: Vec3,
-    pub lightmap_texel: [f32; 2],
 }
 
 /// Values of the corners of a triangle, mixed by weights.
@@ -38,27 +50,28 @@ impl Corners<'_> {
     }
 }
 
-/// The surface seen at a pixel centre `(x, y)` of a set-up triangle of draw `mesh`.
+/// The surface seen at a pixel centre `(x, y)` of a set-up triangle of draw `draw`.
 pub(super) fn surface_at(
-    bake: &LoadedBake,
-    mesh: &LoadedDraw,
+    scene: &LoadedScene,
+    draw: u32,
     triangle: &ScreenTriangle,
     (x, y): (f64, f64),
     emitter_scale: &[f32],
-) -> Surface {
+) -> Shaded {
+    let mesh = &scene.draws.draws[draw as usize];
     let indices = mesh.triangles[triangle.source as usize];
     let corners = Corners(indices.map(|index| &mesh.vertices[index as usize]));
     let here = triangle.barycentric_at(x, y);
     let step_x = triangle.barycentric_at(x + 1.0, y);
     let step_y = triangle.barycentric_at(x, y + 1.0);
-    let material = &bake.manifest.materials[mesh.material as usize];
+    let material = &scene.manifest.materials[mesh.material as usize];
     let texel = |used: &Option<TextureUse>| match used {
         None => Vec4::ONE,
         Some(used) => {
             let uv = |at| mapped_uv(used, corners.mix(at, |vertex| vertex.uv));
             let (uv_here, uv_x, uv_y) = (uv(here), uv(step_x), uv(step_y));
             let step = |to: [f32; 2]| [to[0] - uv_here[0], to[1] - uv_here[1]];
-            let texture = &bake.textures[used.texture as usize];
+            let texture = &scene.textures[used.texture as usize];
             texture.sample(uv_here, used.wrap, texture.lod(step(uv_x), step(uv_y)))
         }
     };
@@ -74,14 +87,15 @@ pub(super) fn surface_at(
     };
     let side = if triangle.front { 1.0 } else { -1.0 };
     let normal = side * Vec3::from(corners.mix(here, |vertex| vertex.normal)).normalize_or(Vec3::Y);
-    Surface {
+    let surface = Surface {
         position: corners.mix(here, |vertex| vertex.position_m).into(),
         normal,
         facet: facet(&corners, normal),
-        albedo: colour.truncate().clamp(Vec3::ZERO, Vec3::ONE),
-        emission,
+        draw,
+        front: triangle.front,
         lightmap_texel: corners.mix(here, |vertex| vertex.lightmap_texel),
-    }
+    };
+    Shaded { surface, albedo: colour.truncate().clamp(Vec3::ZERO, Vec3::ONE), emission }
 }
 
 /// The triangle's own normal on the side of the shading normal.

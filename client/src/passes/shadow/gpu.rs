@@ -5,11 +5,10 @@ use wgpu::{ShaderStages as Stages, TextureViewDimension as Dimension};
 
 use super::reference::ShadowMaps;
 use super::{SHADER, ShadowPlan};
-use crate::bake::LoadedBake;
 use crate::error::Result;
-use crate::passes::atlas::array_view;
-use crate::passes::gpu::{Gpu, storage_read, texture, uniform};
+use crate::passes::gpu::{Gpu, array_view, storage_read, texture, uniform};
 use crate::passes::meshes::{Meshes, sampled, uv_rows, vertex_layout};
+use crate::scene::LoadedScene;
 
 /// Alpha mask of a draw; twin of `Mask` in the shader.
 #[repr(C)]
@@ -48,7 +47,7 @@ pub struct ShadowPass {
 
 impl ShadowPass {
     /// Uploads lights and makes room for their maps.
-    pub fn new(gpu: &Gpu, bake: &LoadedBake, meshes: &Meshes, plan: &ShadowPlan) -> Result<Self> {
+    pub fn new(gpu: &Gpu, scene: &LoadedScene, meshes: &Meshes, plan: &ShadowPlan) -> Result<Self> {
         let face_layout = gpu.bind_layout(&[(Stages::VERTEX, uniform(true))]);
         let [base, sampler] = sampled();
         let mask_layout = gpu.bind_layout(&[(Stages::VERTEX_FRAGMENT, uniform(false)), base, sampler]);
@@ -66,7 +65,7 @@ impl ShadowPass {
         let maps = create_maps(gpu, plan);
         let (light_layout, light_group) = bind_lights(gpu, plan, &maps)?;
         let face_views = (0..plan.faces.len() as u32).map(|layer| face_view(&maps, layer)).collect();
-        let material = |material: usize| &bake.manifest.materials[material];
+        let material = |material: usize| &scene.manifest.materials[material];
         let masks = meshes
             .meshes
             .iter()

@@ -7,9 +7,9 @@ use lightkiln_proto::manifest::Wrap;
 use rayon::prelude::*;
 
 use super::ShadowPlan;
-use crate::bake::{LoadedBake, LoadedDraw};
 use crate::passes::shade::surface::mapped_uv;
 use crate::raster::{ScreenTriangle, set_up};
+use crate::scene::{LoadedDraw, LoadedScene};
 
 /// Shadow maps: reversed depth, face after face, row after row; 0 where nothing is.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -24,16 +24,16 @@ pub struct ShadowMaps {
 const BAND_ROWS: usize = 128;
 
 /// Draws all faces of a plan.
-pub fn draw(bake: &LoadedBake, plan: &ShadowPlan) -> ShadowMaps {
+pub fn draw(scene: &LoadedScene, plan: &ShadowPlan) -> ShadowMaps {
     let side = plan.count.side;
     let area = side as usize * side as usize;
     let mut depth = vec![0.0; area * plan.faces.len()];
     for (face, map) in plan.faces.iter().zip(depth.chunks_mut(area)) {
-        let triangles = set_up_scene(bake, face.projection(), side);
+        let triangles = set_up_scene(scene, face.projection(), side);
         map.par_chunks_mut(BAND_ROWS * side as usize).enumerate().for_each(|(band, rows)| {
             let first = (band * BAND_ROWS) as u32;
             let last = first + (rows.len() / side as usize) as u32;
-            draw_band(bake, &triangles, side, first..last, rows);
+            draw_band(scene, &triangles, side, first..last, rows);
         });
     }
     ShadowMaps { side, depth }
@@ -45,7 +45,7 @@ struct DrawnMesh {
     triangles: Vec<ScreenTriangle>,
 }
 
-fn set_up_scene(bake: &LoadedBake, clip_from_world: Mat4, side: u32) -> Vec<DrawnMesh> {
+fn set_up_scene(scene: &LoadedScene, clip_from_world: Mat4, side: u32) -> Vec<DrawnMesh> {
     let set_up_draw = |(draw, mesh): (usize, &LoadedDraw)| {
         let clip = |index: u32| {
             clip_from_world * glam::Vec3::from(mesh.vertices[index as usize].position_m).extend(1.0)
@@ -56,15 +56,15 @@ fn set_up_scene(bake: &LoadedBake, clip_from_world: Mat4, side: u32) -> Vec<Draw
         }
         DrawnMesh { draw, triangles }
     };
-    bake.draws.draws.par_iter().enumerate().map(set_up_draw).collect()
+    scene.draws.draws.par_iter().enumerate().map(set_up_draw).collect()
 }
 
-fn draw_band(bake: &LoadedBake, meshes: &[DrawnMesh], side: u32, rows: Range<u32>, depth: &mut [f32]) {
+fn draw_band(scene: &LoadedScene, meshes: &[DrawnMesh], side: u32, rows: Range<u32>, depth: &mut [f32]) {
     for mesh in meshes {
         for triangle in &mesh.triangles {
             triangle.rasterise(side, rows.clone(), |x, y, fragment| {
                 let texel = &mut depth[((y - rows.start) * side + x) as usize];
-                let opaque = || !masked_out(bake, mesh.draw, triangle.source, fragment.barycentric);
+                let opaque = || !masked_out(scene, mesh.draw, triangle.source, fragment.barycentric);
                 if fragment.depth > *texel && opaque() {
                     *texel = fragment.depth;
                 }
@@ -75,22 +75,22 @@ fn draw_band(bake: &LoadedBake, meshes: &[DrawnMesh], side: u32, rows: Range<u32
 
 /// Whether the alpha mask of a draw leaves a point of a triangle out.
 pub(in crate::passes) fn masked_out(
-    bake: &LoadedBake,
+    scene: &LoadedScene,
     draw: usize,
     triangle: u32,
     barycentric: glam::Vec2,
 ) -> bool {
-    let mesh = &bake.draws.draws[draw];
-    let material = &bake.manifest.materials[mesh.material as usize];
+    let mesh = &scene.draws.draws[draw];
+    let material = &scene.manifest.materials[mesh.material as usize];
     let Some(cutoff) = material.alpha_cutoff else { return false };
     let corners = mesh.triangles[triangle as usize].map(|index| &mesh.vertices[index as usize]);
     let weights = [1.0 - barycentric.x - barycentric.y, barycentric.x, barycentric.y];
-    let mix = |of: fn(&crate::bake::Vertex) -> f32| (0..3).map(|i| weights[i] * of(corners[i])).sum::<f32>();
+    let mix = |of: fn(&crate::scene::Vertex) -> f32| (0..3).map(|i| weights[i] * of(corners[i])).sum::<f32>();
     let mut alpha = material.base_colour[3] * mix(|vertex| vertex.colour[3]);
     if let Some(used) = &material.base_colour_texture {
         let uv = [mix(|vertex| vertex.uv[0]), mix(|vertex| vertex.uv[1])];
         let wrap: [Wrap; 2] = used.wrap;
-        alpha *= bake.textures[used.texture as usize].sample(mapped_uv(used, uv), wrap, 0.0).w;
+        alpha *= scene.textures[used.texture as usize].sample(mapped_uv(used, uv), wrap, 0.0).w;
     }
     alpha < cutoff
 }

@@ -3,6 +3,7 @@
 
 mod chunk;
 mod content;
+mod relight;
 mod settings;
 mod tasks;
 
@@ -21,6 +22,7 @@ pub use chunk::{
     decode_probe_batch, decode_probe_batch_prefix, encode_probe_batch,
 };
 pub use content::{Probe, ProbeBatch, ProbeKey, RelightHit};
+pub use relight::{HIT_DARK, HIT_SKY, ProbeTable, relight_basis, sky_coefficients};
 pub use settings::{ProbeSettings, Settings};
 pub use tasks::{ShTask, first_tasks};
 

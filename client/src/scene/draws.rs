@@ -1,13 +1,10 @@
 //! Meshes to draw, checked and interleaved for the adapter and the software rasteriser alike.
 
+use lightkiln_proto::content::{Draw, Geometry};
 use lightkiln_proto::manifest::Manifest;
-use lightkiln_proto::prt::{Draw, Geometry};
 
-use super::atlas::AtlasLayout;
+use super::lightmap::{LightmapLayout, NO_BLOCK};
 use crate::error::{ClientError, Result};
-
-/// Marks a side of a draw that has no block.
-pub const NO_BLOCK: u32 = u32::MAX;
 
 /// A vertex, in world space.
 #[repr(C)]
@@ -58,7 +55,7 @@ impl DrawTable {
 pub(super) fn join(
     manifest: &Manifest,
     contents: Vec<Geometry>,
-    atlas: &AtlasLayout,
+    lightmap: &LightmapLayout,
     warnings: &mut Vec<String>,
 ) -> Result<DrawTable> {
     let mut table = DrawTable::default();
@@ -67,14 +64,14 @@ pub(super) fn join(
         let index = table.draws.len();
         check(&draw, manifest)
             .map_err(|problem| ClientError::inconsistent(format!("draw {index}"), problem))?;
-        let front = atlas.block_index(draw.front).unwrap_or(NO_BLOCK);
-        let back = draw.back.and_then(|key| atlas.block_index(key)).unwrap_or(NO_BLOCK);
+        let front = lightmap.block_index(draw.front).unwrap_or(NO_BLOCK);
+        let back = draw.back.and_then(|key| lightmap.block_index(key)).unwrap_or(NO_BLOCK);
         without_block += usize::from(front == NO_BLOCK);
         let vertices = (0..draw.position_m.len()).map(|vertex| interleave(&draw, vertex)).collect();
         let material = draw.material;
         table.draws.push(LoadedDraw { material, front, back, vertices, triangles: draw.triangles });
     }
-    if without_block > 0 {
+    if without_block > 0 && !lightmap.blocks.is_empty() {
         warnings
             .push(format!("{without_block} meshes have no receivers and are drawn without indirect light"));
     }

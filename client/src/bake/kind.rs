@@ -1,0 +1,50 @@
+//! The table of kinds of bake that a client plays.
+
+use std::sync::Arc;
+
+use lightkiln_proto::manifest::Manifest;
+
+use super::Light;
+use crate::error::{ClientError, Result};
+use crate::fetch::Source;
+use crate::scene::LoadedScene;
+
+/// A kind of bake as the client plays it.
+pub trait ClientKind: Send + Sync {
+    /// Name in manifests.
+    fn name(&self) -> &'static str;
+
+    /// Fetches and decodes the light of a bake whose scene is loaded.
+    fn load(&self, source: &Source, scene: &LoadedScene) -> Result<Box<dyn Light>>;
+}
+
+/// Kinds by name.
+#[derive(Clone, Default)]
+pub struct ClientKinds(Vec<Arc<dyn ClientKind>>);
+
+impl ClientKinds {
+    /// A table without kinds.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// The table with a kind more; it takes the place of one of the same name.
+    #[must_use]
+    pub fn with(mut self, kind: impl ClientKind + 'static) -> Self {
+        self.0.retain(|known| known.name() != kind.name());
+        self.0.push(Arc::new(kind));
+        self
+    }
+
+    /// The kind of a manifest.
+    pub fn of(&self, manifest: &Manifest) -> Result<&dyn ClientKind> {
+        let found = self.0.iter().find(|kind| kind.name() == manifest.kind);
+        found.map(AsRef::as_ref).ok_or_else(|| {
+            let known: Vec<&str> = self.0.iter().map(|kind| kind.name()).collect();
+            let text = manifest.kind.chars().take(40).collect();
+            let problem =
+                format!("is no kind of bake that can be drawn here; known are {}", known.join(", "));
+            ClientError::Source { text, problem }
+        })
+    }
+}

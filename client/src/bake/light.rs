@@ -1,0 +1,121 @@
+//! Light of a bake, whatever its kind: the work before shading, and what shading reads.
+
+use std::fmt::Debug;
+
+use glam::Vec4;
+use lightkiln_proto::relight::{Limit, Sky};
+
+use crate::error::Result;
+use crate::passes::atlas::Lightmap;
+use crate::passes::gpu::Gpu;
+use crate::passes::shade::{IndirectIrradiance, Shading};
+use crate::passes::shadow::reference::ShadowMaps;
+use crate::passes::shadow::{ShadowPass, ShadowPlan};
+use crate::scene::LoadedScene;
+
+/// A scene under lights, with the shadow maps of the processor.
+#[derive(Clone, Copy, Debug)]
+pub struct LitScene<'a> {
+    /// The scene.
+    pub scene: &'a LoadedScene,
+    /// Lights that cast shadows.
+    pub plan: &'a ShadowPlan,
+    /// Their shadow maps.
+    pub maps: &'a ShadowMaps,
+    /// Their light that no shadow map has.
+    pub unshadowed: Unshadowed<'a>,
+}
+
+/// Light that no shadow map has.
+#[derive(Clone, Copy, Debug)]
+pub struct Unshadowed<'a> {
+    /// The sky.
+    pub sky: Sky,
+    /// One factor per emitter of the manifest; 1 where absent.
+    pub emitter_scale: &'a [f32],
+}
+
+/// Indirect light after the last bounce, on the processor.
+pub struct SettledLight<'a> {
+    /// The shading function.
+    pub indirect: Box<dyn IndirectIrradiance + 'a>,
+    /// Bounces; 0 for a kind without feedback.
+    pub bounces: u32,
+    /// Whether they had converged before the last one allowed.
+    pub converged: bool,
+}
+
+/// One page of a picture for finding faults.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DebugPage {
+    /// Width and height in texels.
+    pub size: [u32; 2],
+    /// Row after row.
+    pub texels: Vec<Vec4>,
+    /// Bounces before it was drawn.
+    pub bounces: u32,
+    /// Whether they had converged.
+    pub converged: bool,
+}
+
+/// The light of a loaded bake.
+pub trait Light: Debug + Send + Sync {
+    /// The shading function in WGSL.
+    fn shading(&self) -> Shading;
+
+    /// Work before shading on the processor: bounces until they converge.
+    fn settle<'a>(&'a self, lit: &LitScene<'a>, limit: Limit) -> SettledLight<'a>;
+
+    /// Work before shading on the adapter, with the buffers that it needs.
+    fn passes(
+        &self,
+        gpu: &Gpu,
+        scene: &LoadedScene,
+        shadow: &ShadowPass,
+        unshadowed: Unshadowed<'_>,
+    ) -> Result<Box<dyn LightPasses>>;
+
+    /// Names of the pictures for finding faults that the kind draws.
+    fn debug_pictures(&self) -> &'static [&'static str] {
+        &[]
+    }
+
+    /// A page of one of [`Light::debug_pictures`]; `None` for other names and pages.
+    fn debug_page(&self, name: &str, page: usize, lit: &LitScene<'_>, limit: Limit) -> Option<DebugPage> {
+        let _ = (name, page, lit, limit);
+        None
+    }
+
+    /// The lightmap, where the kind has one.
+    fn lightmap<'a>(&'a self, scene: &'a LoadedScene) -> Option<Lightmap<'a>> {
+        let _ = scene;
+        None
+    }
+}
+
+/// Work before shading on the adapter.
+pub trait LightPasses {
+    /// Records the work that a change of lights asks for, with new shadow maps.
+    fn relit(&self, pass: &mut wgpu::ComputePass<'_>, shadow: &ShadowPass) {
+        let _ = (pass, shadow);
+    }
+
+    /// Records one bounce.
+    fn bounce(&self, pass: &mut wgpu::ComputePass<'_>) {
+        let _ = pass;
+    }
+
+    /// Records the step from the bounces' result to the bindings of shading.
+    fn publish(&self, pass: &mut wgpu::ComputePass<'_>) {
+        let _ = pass;
+    }
+
+    /// E_ind that bounces feed back, as so many [`Vec4`], whose change tells when they have converged; `None` for a kind
+    /// without feedback.
+    fn feedback(&self) -> Option<(&wgpu::Buffer, usize)> {
+        None
+    }
+
+    /// Resources of [`Shading::bindings`].
+    fn bindings(&self) -> Vec<wgpu::BindingResource<'_>>;
+}

@@ -1,0 +1,11 @@
+//! Kinds of bake that this client plays, a folder each.
+
+pub mod prt;
+pub mod sh;
+
+use crate::bake::ClientKinds;
+
+/// All of them.
+pub fn all() -> ClientKinds {
+    ClientKinds::new().with(prt::Prt).with(sh::Sh)
+}

@@ -1,0 +1,64 @@
+//! Relightable light over surface patches.
+
+use lightkiln_proto::chunk;
+use lightkiln_proto::content::{ClusterTransport, PatchSet};
+use lightkiln_proto::kinds::prt;
+use lightkiln_proto::manifest::CLUSTERS;
+use lightkiln_proto::relight::PatchTable;
+
+use crate::bake::{ClientKind, Light};
+use crate::error::{ClientError, Result};
+use crate::fetch::Source;
+use crate::lightmap::{ClientColumns, LightmapLight};
+use crate::passes::gpu::Gpu;
+use crate::passes::patches::PatchesPass;
+use crate::passes::resident::{ColumnsPass, Resident};
+use crate::scene::{LoadedScene, decoded};
+
+/// The kind.
+#[derive(Clone, Copy, Debug)]
+pub struct Prt;
+
+/// Decoded chunks of its light, in the manifest's order.
+#[derive(Debug, Default)]
+pub struct Contents {
+    /// Clusters.
+    pub clusters: Vec<ClusterTransport>,
+    /// Surface patches, one set.
+    pub patches: Vec<PatchSet>,
+}
+
+impl ClientKind for Prt {
+    fn name(&self) -> &'static str {
+        prt::NAME
+    }
+
+    fn load(&self, source: &Source, scene: &LoadedScene) -> Result<Box<dyn Light>> {
+        Ok(Box::new(load(source, scene)?))
+    }
+}
+
+/// Fetches and decodes the light of a bake.
+pub fn load(source: &Source, scene: &LoadedScene) -> Result<LightmapLight<PatchTable>> {
+    let manifest = &scene.manifest;
+    let contents = Contents {
+        clusters: decoded(source, manifest, CLUSTERS, |bytes| Ok(chunk::decode_cluster(bytes)?))?,
+        patches: decoded(source, manifest, prt::PATCHES, |bytes| Ok(chunk::decode_patches(bytes)?))?,
+    };
+    assemble(scene, &contents)
+}
+
+/// Joins decoded chunks; anything that contradicts the manifest or another chunk is an error.
+pub fn assemble(scene: &LoadedScene, contents: &Contents) -> Result<LightmapLight<PatchTable>> {
+    let [set] = &contents.patches[..] else {
+        let problem = format!("a bake has one set of them, not {}", contents.patches.len());
+        return Err(ClientError::inconsistent("patches", problem));
+    };
+    LightmapLight::assemble(scene, &contents.clusters, |slots| PatchTable::new(set, slots))
+}
+
+impl ClientColumns for PatchTable {
+    fn pass(&self, gpu: &Gpu, resident: &Resident) -> Result<Box<dyn ColumnsPass>> {
+        Ok(Box::new(PatchesPass::new(gpu, self, resident)?))
+    }
+}

@@ -1,0 +1,129 @@
+//! Light in a lightmap: receivers on texels, lit by factorised transport whose columns a kind gives.
+
+mod debug;
+mod passes;
+#[cfg(test)]
+mod tests;
+
+use glam::{Vec3, Vec4};
+use lightkiln_proto::content::ClusterTransport;
+use lightkiln_proto::manifest::Manifest;
+use lightkiln_proto::relight::{Columns, Incoming, Inconsistent, Limit, Settled, SlotTable, Transport};
+use wgpu::TextureViewDimension as Dimension;
+
+use crate::bake::{DebugPage, Light, LightPasses, LitScene, SettledLight, Unshadowed};
+use crate::error::{ClientError, Result};
+use crate::passes::atlas::reference::{AtlasPages, read, spread};
+use crate::passes::atlas::{AtlasTexels, INDIRECT, Lightmap};
+use crate::passes::direct::reference::direct;
+use crate::passes::gpu::{Gpu, storage_read, texture};
+use crate::passes::resident::{ColumnsPass, Resident};
+use crate::passes::shade::{IndirectIrradiance, Shading, Surface};
+use crate::passes::shadow::ShadowPass;
+use crate::scene::LoadedScene;
+use crate::threads::Threads;
+
+pub use debug::{ATLAS, CLUSTERS};
+pub use passes::LightmapPasses;
+
+/// Columns with their pass on the adapter.
+pub trait ClientColumns: Columns + 'static {
+    /// Uploads the pass that makes λ of the light at receivers.
+    fn pass(&self, gpu: &Gpu, resident: &Resident) -> Result<Box<dyn ColumnsPass>>;
+}
+
+/// Light in a lightmap, its columns read from `C`.
+#[derive(Debug)]
+pub struct LightmapLight<C> {
+    /// Receivers, clusters, near hits and columns.
+    pub transport: Transport<C>,
+    /// Lightmap texels that hold irradiance.
+    pub texels: AtlasTexels,
+}
+
+impl<C: Columns> LightmapLight<C> {
+    /// Joins decoded clusters with the scene's layout; `columns` makes the columns, with all receivers in their slots.
+    pub fn assemble(
+        scene: &LoadedScene,
+        clusters: &[ClusterTransport],
+        columns: impl FnOnce(&SlotTable) -> std::result::Result<C, Inconsistent>,
+    ) -> Result<Self> {
+        let Manifest { lightmap, emitters, .. } = &scene.manifest;
+        let blocks = lightmap.blocks.iter().map(|block| (block.key, block.size));
+        let transport = Transport::join(blocks, emitters.len(), clusters, columns)
+            .map_err(|Inconsistent { place, problem }| ClientError::inconsistent(place, problem))?;
+        let texels = AtlasTexels::new(&scene.lightmap, &transport.slots, &transport.receivers.links);
+        Ok(Self { transport, texels })
+    }
+
+    /// Bounces until they converge, E_dir from shadow maps.
+    pub fn settled(&self, lit: &LitScene<'_>, limit: Limit) -> Lit {
+        let Transport { receivers, near, .. } = &self.transport;
+        let dir = direct(&receivers.position_m, &receivers.normal, lit.plan, lit.maps);
+        let dir_near = direct(&near.position_m, &near.normal, lit.plan, lit.maps);
+        let Unshadowed { sky, emitter_scale } = lit.unshadowed;
+        let incoming = Incoming { dir: &dir, near: &dir_near, sky, emitter_scale };
+        let light = self.transport.settle(&Threads, &incoming, limit);
+        Lit { dir, light }
+    }
+}
+
+/// Light at receivers by slot.
+#[derive(Clone, Debug)]
+pub struct Lit {
+    /// E_dir, W·m⁻².
+    pub dir: Vec<Vec4>,
+    /// Everything else.
+    pub light: Settled,
+}
+
+/// Pages with irradiance, and the scene whose surfaces read them.
+struct LitPages<'a> {
+    scene: &'a LoadedScene,
+    pages: AtlasPages,
+}
+
+impl IndirectIrradiance for LitPages<'_> {
+    fn indirect_irradiance(&self, surface: &Surface) -> Vec3 {
+        read(self.scene, &self.pages, surface)
+    }
+}
+
+impl<C: ClientColumns> Light for LightmapLight<C> {
+    fn shading(&self) -> Shading {
+        let pages = texture(wgpu::TextureSampleType::Float { filterable: false }, Dimension::D2Array);
+        Shading { snippet: INDIRECT, bindings: vec![pages, storage_read()] }
+    }
+
+    fn settle<'a>(&'a self, lit: &LitScene<'a>, limit: Limit) -> SettledLight<'a> {
+        let Settled { emit, ind, bounces, converged, .. } = self.settled(lit, limit).light;
+        let pages = spread(&lit.scene.lightmap, &self.texels, &emit, &ind);
+        SettledLight { indirect: Box::new(LitPages { scene: lit.scene, pages }), bounces, converged }
+    }
+
+    fn passes(
+        &self,
+        gpu: &Gpu,
+        scene: &LoadedScene,
+        shadow: &ShadowPass,
+        unshadowed: Unshadowed<'_>,
+    ) -> Result<Box<dyn LightPasses>> {
+        Ok(Box::new(LightmapPasses::new(gpu, scene, self, shadow, unshadowed)?))
+    }
+
+    fn debug_pictures(&self) -> &'static [&'static str] {
+        &[ATLAS, CLUSTERS]
+    }
+
+    fn debug_page(&self, name: &str, page: usize, lit: &LitScene<'_>, limit: Limit) -> Option<DebugPage> {
+        match name {
+            ATLAS => self.irradiance_page(page, lit, limit),
+            CLUSTERS => self.cluster_page(page, lit.scene),
+            _ => None,
+        }
+    }
+
+    fn lightmap<'a>(&'a self, scene: &'a LoadedScene) -> Option<Lightmap<'a>> {
+        Some(Lightmap { layout: &scene.lightmap, slots: &self.transport.slots, texels: &self.texels })
+    }
+}

@@ -1,0 +1,87 @@
+//! The passes of light in a lightmap on the adapter, with their buffers.
+
+use super::{ClientColumns, LightmapLight};
+use crate::bake::{LightPasses, Unshadowed};
+use crate::error::Result;
+use crate::passes::atlas::{AtlasPass, placements};
+use crate::passes::basis::BasisPass;
+use crate::passes::direct::{DirectPass, Points};
+use crate::passes::gpu::Gpu;
+use crate::passes::near::NearPass;
+use crate::passes::reconstruct::ReconstructPass;
+use crate::passes::resident::{ColumnsPass, Resident};
+use crate::passes::shadow::ShadowPass;
+use crate::scene::LoadedScene;
+
+/// direct → columns → basis → near → reconstruct → atlas.
+#[derive(Debug)]
+pub struct LightmapPasses {
+    pub(crate) resident: Resident,
+    direct: DirectPass,
+    pub(crate) columns: Box<dyn ColumnsPass>,
+    pub(crate) basis: BasisPass,
+    pub(crate) near: NearPass,
+    pub(crate) reconstruct: ReconstructPass,
+    pub(crate) atlas: AtlasPass,
+    placements: wgpu::Buffer,
+}
+
+impl LightmapPasses {
+    /// Uploads the light of a bake.
+    pub fn new<C: ClientColumns>(
+        gpu: &Gpu,
+        scene: &LoadedScene,
+        light: &LightmapLight<C>,
+        shadow: &ShadowPass,
+        Unshadowed { sky, emitter_scale }: Unshadowed<'_>,
+    ) -> Result<Self> {
+        let transport = &light.transport;
+        let emit = transport.emitter_irradiance(emitter_scale);
+        let resident = Resident::new(gpu, transport, &emit, &transport.columns.sky_lambda(sky))?;
+        let points = Points {
+            count: resident.receiver_count as u32,
+            positions: &resident.positions,
+            normals: &resident.normals,
+            e_dir: &resident.e_dir,
+        };
+        Ok(Self {
+            direct: DirectPass::new(gpu, shadow, points),
+            columns: transport.columns.pass(gpu, &resident)?,
+            basis: BasisPass::new(gpu, &transport.clusters, transport.columns.coefficients(), &resident)?,
+            near: NearPass::new(gpu, &transport.near, shadow, &resident)?,
+            reconstruct: ReconstructPass::new(gpu, &transport.clusters, &resident)?,
+            atlas: AtlasPass::new(gpu, &scene.lightmap, &light.texels, &resident)?,
+            placements: gpu.storage("placements", &placements(scene))?,
+            resident,
+        })
+    }
+}
+
+impl LightPasses for LightmapPasses {
+    /// E_dir at receivers and near hits.
+    fn relit(&self, pass: &mut wgpu::ComputePass<'_>, shadow: &ShadowPass) {
+        self.direct.record(pass, shadow);
+        self.near.light(pass, shadow);
+    }
+
+    /// E_ind of the bounce before → E_ind.
+    fn bounce(&self, pass: &mut wgpu::ComputePass<'_>) {
+        self.columns.record(pass);
+        self.basis.record(pass);
+        self.near.record(pass);
+        self.reconstruct.record(pass);
+    }
+
+    /// E_emit + E_ind into the pages.
+    fn publish(&self, pass: &mut wgpu::ComputePass<'_>) {
+        self.atlas.record(pass);
+    }
+
+    fn feedback(&self) -> Option<(&wgpu::Buffer, usize)> {
+        Some((&self.resident.e_ind, self.resident.receiver_count))
+    }
+
+    fn bindings(&self) -> Vec<wgpu::BindingResource<'_>> {
+        vec![wgpu::BindingResource::TextureView(&self.atlas.view), self.placements.as_entire_binding()]
+    }
+}

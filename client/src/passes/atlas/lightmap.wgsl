@@ -1,0 +1,78 @@
+// Indirect light of a surface, read from the lightmap's pages; twin: `read` and `sample` in reference.rs.
+// Joined behind `shade.wgsl`, with its bindings in group 1 from 1.
+
+// Block of the front and of the back: page, origin; width 0 when there is none.
+struct Placement {
+    front: vec4u,
+    front_size: vec4u,
+    back: vec4u,
+    back_size: vec4u,
+}
+
+@group(1) @binding(1) var lightmap_pages: texture_2d_array<f32>;
+// By draw.
+@group(1) @binding(2) var<storage, read> placements: array<Placement>;
+
+// Whether no wall stands between two taps that are receivers; each link is a bit of the earlier tap.
+fn linked(first_kind: f32, second_kind: f32, first: u32, second: u32) -> bool {
+    if first_kind <= 0.0 || second_kind <= 0.0 {
+        return false;
+    }
+    var bit = 3u;
+    if first == 0u && second == 3u {
+        bit = 2u;
+    } else if second - first == 2u {
+        bit = 1u;
+    } else if first != 1u {
+        bit = 0u;
+    }
+    return (((u32(first_kind) - 1u) >> bit) & 1u) == 1u;
+}
+
+// Bilinear over the receivers that no wall parts from the nearest one; over filled texels where there is no receiver.
+fn lightmap_irradiance(block: vec4u, size: vec4u, texel: vec2f) -> vec3f {
+    if size.x == 0u {
+        return vec3f(0.0);
+    }
+    let at = texel - 0.5;
+    let base = floor(at);
+    let share = at - base;
+    let last = vec2f(size.xy) - 1.0;
+    var taps: array<vec4f, 4>;
+    var weights: array<f32, 4>;
+    var home = 4u;
+    for (var tap = 0u; tap < 4u; tap++) {
+        let step = vec2f(f32(tap & 1u), f32(tap >> 1u));
+        let inside = vec2u(clamp(base + step, vec2f(0.0), last));
+        let weight = mix(1.0 - share, share, step);
+        // Never quite 0, so that a lone receiver counts wherever it lies.
+        weights[tap] = weight.x * weight.y + 1e-6;
+        taps[tap] = textureLoad(lightmap_pages, block.yz + inside, i32(block.x), 0);
+        if taps[tap].w > 0.0 && (home == 4u || weights[tap] > weights[min(home, 3u)]) {
+            home = tap;
+        }
+    }
+    var sum = vec3f(0.0);
+    var total = 0.0;
+    for (var tap = 0u; tap < 4u; tap++) {
+        var counts = taps[tap].w < 0.0;
+        if home < 4u {
+            let first = min(home, tap);
+            let second = max(home, tap);
+            counts = tap == home || linked(taps[first].w, taps[second].w, first, second);
+        }
+        if counts {
+            sum += weights[tap] * taps[tap].rgb;
+            total += weights[tap];
+        }
+    }
+    return select(vec3f(0.0), sum / max(total, 1e-9), total > 0.0);
+}
+
+fn indirect_irradiance(surface: Surface) -> vec3f {
+    let placement = placements[surface.draw];
+    if surface.front {
+        return lightmap_irradiance(placement.front, placement.front_size, surface.lightmap_texel);
+    }
+    return lightmap_irradiance(placement.back, placement.back_size, surface.lightmap_texel);
+}

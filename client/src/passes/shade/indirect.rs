@@ -1,0 +1,27 @@
+//! Indirect light as the shading pass reads it: a snippet of WGSL with its bindings, and the twin on the processor.
+
+use glam::Vec3;
+
+use super::{SHADER, Surface};
+
+/// Indirect light on the processor.
+pub trait IndirectIrradiance: Sync {
+    /// Irradiance at a surface that did not come straight from a light, W·m⁻².
+    fn indirect_irradiance(&self, surface: &Surface) -> Vec3;
+}
+
+/// Indirect light on the adapter.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Shading {
+    /// Snippet with `fn indirect_irradiance(surface: Surface) -> vec3f`, joined behind `shade.wgsl`.
+    pub snippet: &'static str,
+    /// Kinds of its bindings, in group 1 from 1.
+    pub bindings: Vec<wgpu::BindingType>,
+}
+
+impl Shading {
+    /// The whole shader.
+    pub fn shader(&self) -> String {
+        [SHADER, self.snippet].concat()
+    }
+}

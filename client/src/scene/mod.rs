@@ -1,0 +1,62 @@
+//! The scene of a bake: manifest, meshes, textures and the lightmap's layout, which every kind of bake has.
+
+mod draws;
+mod lightmap;
+mod load;
+mod texture;
+
+use lightkiln_proto::content::Geometry;
+use lightkiln_proto::manifest::Manifest;
+
+use crate::error::{ClientError, Result};
+use crate::fetch::Source;
+
+pub use draws::{DrawTable, LoadedDraw, Vertex};
+pub use lightmap::{LightmapLayout, MAX_ATLAS_TEXELS, MAX_PAGE_SIDE, MAX_PAGES, NO_BLOCK, PlacedBlock};
+pub use load::decoded;
+pub use texture::Texture;
+pub(crate) use texture::srgb_of_linear;
+
+/// A scene, ready to be drawn.
+#[derive(Debug)]
+pub struct LoadedScene {
+    /// What the bake says about itself.
+    pub manifest: Manifest,
+    /// Meshes to draw.
+    pub draws: DrawTable,
+    /// Textures, with mip levels.
+    pub textures: Vec<Texture>,
+    /// Where blocks lie in lightmap pages.
+    pub lightmap: LightmapLayout,
+    /// Things that were left out, in words.
+    pub warnings: Vec<String>,
+}
+
+impl LoadedScene {
+    /// Fetches, verifies and decodes the scene's chunks.
+    pub fn load(source: &Source) -> Result<Self> {
+        let (_, manifest) = source.manifest()?;
+        let (geometry, textures) = load::scene_chunks(source, &manifest)?;
+        Self::assemble(manifest, geometry, textures)
+    }
+
+    /// Joins decoded chunks; anything that contradicts the manifest is an error.
+    pub fn assemble(manifest: Manifest, geometry: Vec<Geometry>, textures: Vec<Texture>) -> Result<Self> {
+        let mut warnings = Vec::new();
+        let lightmap = LightmapLayout::new(&manifest)?;
+        let draws = draws::join(&manifest, geometry, &lightmap, &mut warnings)?;
+        check_textures(&manifest, textures.len())?;
+        Ok(Self { manifest, draws, textures, lightmap, warnings })
+    }
+}
+
+fn check_textures(manifest: &Manifest, count: usize) -> Result<()> {
+    for (index, material) in manifest.materials.iter().enumerate() {
+        let uses = [&material.base_colour_texture, &material.emissive_texture];
+        if let Some(bad) = uses.into_iter().flatten().find(|used| used.texture as usize >= count) {
+            let problem = format!("names texture {} of {count}", bad.texture);
+            return Err(ClientError::inconsistent(format!("material {index}"), problem));
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,322 @@
+//! Every pass on the adapter against its reference on the very same input, in linear f32.
+//!
+//! Ignored by default, so that a machine without an adapter never reports them as passed; `tests/run` asks for them where
+//! it finds a driver: `cargo test -p lightkiln-client --lib -- --ignored adapter`.
+
+use glam::Vec4;
+use lightkiln_proto::relight::{Columns, Irradiance, Sky};
+
+use super::{fixture_light, prepared, view_of};
+use crate::bake::{LightPasses, LoadedBake, Unshadowed};
+use crate::fixture;
+use crate::kinds::sh::relight;
+use crate::lightmap::{ClientColumns, LightmapLight, LightmapPasses};
+use crate::passes::compare::Difference;
+use crate::passes::gpu::Gpu;
+use crate::passes::meshes::Meshes;
+use crate::passes::near::NearPass;
+use crate::passes::shade::ShadeView;
+use crate::passes::shade::reference::Lit;
+use crate::passes::shadow::{ShadowPass, ShadowPlan};
+use crate::passes::{atlas, basis, direct, near, patches, reconstruct, shade, shadow};
+use crate::preview::{Backend, Frame, View, render};
+use crate::scene::LoadedScene;
+
+/// Numbers of either sign without pattern, the same every time.
+fn noise(count: usize, seed: u32) -> Vec<Vec4> {
+    let mut state = seed;
+    let mut next = || {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (state >> 8) as f32 / (1 << 23) as f32 - 1.0
+    };
+    (0..count).map(|_| Vec4::new(next(), next(), next(), 0.0)).collect()
+}
+
+fn positive_noise(count: usize, seed: u32) -> Vec<Vec4> {
+    noise(count, seed).into_iter().map(Vec4::abs).collect()
+}
+
+fn held(pass: &str, difference: &Difference, outliers: f32) {
+    println!("{pass}: {difference}");
+    assert!(difference.agrees(outliers), "{pass}: {difference}");
+}
+
+/// Runs `test` on the adapter twice: with room for everything, and with so little that every array is paged.
+fn with_and_without_paging(test: impl Fn(&Gpu)) {
+    let mut gpu = Gpu::open().unwrap();
+    test(&gpu);
+    // One cluster's factors are 45 · 64 floats.
+    gpu.binding_max = 16 << 10;
+    test(&gpu);
+}
+
+/// Light in a lightmap with its passes.
+struct Stage<C> {
+    scene: LoadedScene,
+    light: LightmapLight<C>,
+    plan: ShadowPlan,
+    meshes: Meshes,
+    shadow: ShadowPass,
+    passes: LightmapPasses,
+}
+
+impl<C: ClientColumns> Stage<C> {
+    fn new(gpu: &Gpu, (scene, light): (LoadedScene, LightmapLight<C>)) -> Self {
+        let lights = &scene.manifest.lights;
+        let casters = crate::lights::Caster::of(lights);
+        let plan = ShadowPlan::new(&casters, scene.manifest.bounds_m, 512).unwrap();
+        let meshes = Meshes::new(gpu, &scene).unwrap();
+        let shadow = ShadowPass::new(gpu, &scene, &meshes, &plan).unwrap();
+        let unshadowed = Unshadowed { sky: Sky::of(lights), emitter_scale: &[1.5] };
+        let passes = LightmapPasses::new(gpu, &scene, &light, &shadow, unshadowed).unwrap();
+        Self { scene, light, plan, meshes, shadow, passes }
+    }
+
+    fn run(&self, gpu: &Gpu, record: impl FnOnce(&mut wgpu::ComputePass<'_>)) {
+        gpu.submit(|encoder| record(&mut encoder.begin_compute_pass(&Default::default())));
+    }
+
+    /// Shadow maps, and E_dir.
+    fn relit(&self, gpu: &Gpu) {
+        gpu.submit(|encoder| {
+            self.shadow.record(encoder, &self.meshes);
+            self.passes.relit(&mut encoder.begin_compute_pass(&Default::default()), &self.shadow);
+        });
+    }
+
+    fn receivers(&self) -> usize {
+        self.light.transport.receivers.len()
+    }
+
+    /// λ that the adapter makes of E_dir, E_emit and E_ind, and the reference's.
+    fn lambdas(&self, gpu: &Gpu) -> [Vec<Vec4>; 2] {
+        let [dir, emit, ind] = [1, 2, 3].map(|seed| positive_noise(self.receivers(), seed));
+        let resident = &self.passes.resident;
+        gpu.write(&resident.e_dir, &dir);
+        gpu.write(&resident.e_emit, &emit);
+        gpu.write(&resident.e_ind, &ind);
+        self.run(gpu, |pass| self.passes.columns.record(pass));
+        let got = gpu.read(&resident.lambda, resident.lambda_count).unwrap();
+        let sky = self.light.transport.columns.sky_lambda(Sky::of(&self.scene.manifest.lights));
+        let irradiance = Irradiance { dir: &dir, emit: &emit, ind: &ind };
+        [got, self.light.transport.lambda(&crate::Threads, irradiance, &sky)]
+    }
+}
+
+#[test]
+#[ignore = "needs a graphics adapter"]
+fn shadow_maps_agree_with_the_reference() {
+    let gpu = Gpu::open().unwrap();
+    let stage = Stage::new(&gpu, fixture_light());
+    stage.relit(&gpu);
+    let got = stage.shadow.read(&gpu).unwrap();
+    let wanted = shadow::reference::draw(&stage.scene, &stage.plan);
+    assert_eq!((got.side, got.depth.len()), (wanted.side, wanted.depth.len()));
+    let off =
+        |(got, wanted): (&f32, &f32)| got.is_nan() || (got - wanted).abs() > shadow::TOLERANCE * wanted.abs();
+    let outliers = got.depth.iter().zip(&wanted.depth).filter(|pair| off(*pair)).count();
+    let drawn = wanted.depth.iter().filter(|depth| **depth > 0.0).count();
+    println!("shadow: {outliers} of {} texels differ, {drawn} drawn", got.depth.len());
+    assert!(drawn > got.depth.len() / 4, "{drawn}");
+    assert!((outliers as f32) < shadow::OUTLIERS * got.depth.len() as f32, "{outliers}");
+}
+
+#[test]
+#[ignore = "needs a graphics adapter"]
+fn direct_agrees_with_the_reference_on_the_same_shadow_maps() {
+    let gpu = Gpu::open().unwrap();
+    let stage = Stage::new(&gpu, fixture_light());
+    stage.relit(&gpu);
+    let got: Vec<Vec4> = gpu.read(&stage.passes.resident.e_dir, stage.receivers()).unwrap();
+    let maps = stage.shadow.read(&gpu).unwrap();
+    let receivers = &stage.light.transport.receivers;
+    let wanted = direct::reference::direct(&receivers.position_m, &receivers.normal, &stage.plan, &maps);
+    held("direct", &Difference::of(&got, &wanted, direct::TOLERANCE), direct::OUTLIERS);
+}
+
+#[test]
+#[ignore = "needs a graphics adapter"]
+fn relight_agrees_with_the_reference() {
+    with_and_without_paging(|gpu| {
+        // The sky's coefficients lie behind those of the probes and must survive.
+        let [got, wanted] = Stage::new(gpu, fixture::sh_light(&fixture::sh_contents())).lambdas(gpu);
+        held("relight", &Difference::of(&got, &wanted, relight::TOLERANCE), 0.0);
+    });
+}
+
+#[test]
+#[ignore = "needs a graphics adapter"]
+fn patches_agree_with_the_reference() {
+    let gpu = Gpu::open().unwrap();
+    let stage = Stage::new(&gpu, fixture_light());
+    let [got, wanted] = stage.lambdas(&gpu);
+    // Five walls of four leaves, and the sky's parts behind them.
+    assert_eq!(wanted.len(), 25 + stage.light.transport.columns.sky_parts as usize);
+    assert!(wanted.iter().all(|mean| mean.y > 0.0));
+    held("patches", &Difference::of(&got, &wanted, patches::TOLERANCE), 0.0);
+}
+
+#[test]
+#[ignore = "needs a graphics adapter"]
+fn near_hits_agree_with_the_reference() {
+    let mut gpu = Gpu::open().unwrap();
+    let stage = Stage::new(&gpu, fixture::prt_light(&fixture::narrow_contents()));
+    stage.relit(&gpu);
+    let maps = stage.shadow.read(&gpu).unwrap();
+    let table = &stage.light.transport.near;
+    let wanted = direct::reference::direct(&table.position_m, &table.normal, &stage.plan, &maps);
+    assert!(wanted.iter().any(|e| e.x > 0.0) && wanted.len() > 40);
+    let count = stage.receivers();
+    let [emit, ind] = [2, 3].map(|seed| positive_noise(count, seed));
+    let resident = &stage.passes.resident;
+    gpu.write(&resident.e_emit, &emit);
+    gpu.write(&resident.e_ind, &ind);
+    // In one page, and in pages of at most twenty hits.
+    for binding_max in [gpu.binding_max, 20 * size_of::<Vec4>() as u64] {
+        gpu.binding_max = binding_max;
+        let pass = NearPass::new(&gpu, table, &stage.shadow, resident).unwrap();
+        gpu.write(&resident.e_near, &vec![Vec4::ZERO; count]);
+        stage.run(&gpu, |compute| {
+            pass.light(compute, &stage.shadow);
+            pass.record(compute);
+        });
+        let pages = pass.read_e_dir(&gpu).unwrap();
+        assert_eq!(pages.len() > 2, binding_max < 1000);
+        let dir = pages.concat();
+        held("E_dir of near hits", &Difference::of(&dir, &wanted, direct::TOLERANCE), direct::OUTLIERS);
+        let got: Vec<Vec4> = gpu.read(&resident.e_near, count).unwrap();
+        let irradiance = Irradiance { dir: &ind, emit: &emit, ind: &ind };
+        let sums = near::reference::near(table, &dir, irradiance);
+        let lit = sums.iter().filter(|e| e.y > 0.0).count();
+        assert!(lit > 15 && lit < count / 4, "{lit}");
+        held("near hits", &Difference::of(&got, &sums, near::TOLERANCE), 0.0);
+    }
+}
+
+#[test]
+#[ignore = "needs a graphics adapter"]
+fn basis_agrees_with_the_reference() {
+    with_and_without_paging(|gpu| {
+        let (scene, mut light) = fixture::sh_light(&fixture::sh_contents());
+        // The fixture's ΣVᵀ is the identity, which would hide a transposition.
+        let values = noise(light.transport.clusters.vt.len(), 4);
+        light.transport.clusters.vt = values.iter().map(|value| value.x).collect();
+        let stage = Stage::new(gpu, (scene, light));
+        let resident = &stage.passes.resident;
+        let lambda = noise(resident.lambda_count, 5);
+        gpu.write(&resident.lambda, &lambda);
+        stage.run(gpu, |pass| stage.passes.basis.record(pass));
+        let got: Vec<Vec4> = gpu.read(&resident.b, resident.b_count).unwrap();
+        let transport = &stage.light.transport;
+        let wanted = basis::reference::basis(&transport.clusters, &lambda, transport.columns.coefficients());
+        held("basis", &Difference::of(&got, &wanted, basis::TOLERANCE), 0.0);
+    });
+}
+
+#[test]
+#[ignore = "needs a graphics adapter"]
+fn reconstruct_agrees_with_the_reference() {
+    with_and_without_paging(|gpu| {
+        let stage = Stage::new(gpu, fixture::sh_light(&fixture::sh_contents()));
+        let resident = &stage.passes.resident;
+        let b = noise(resident.b_count, 6);
+        gpu.write(&resident.b, &b);
+        let emit = stage.light.transport.emitter_irradiance(&[1.5]);
+        let near = positive_noise(stage.receivers(), 11);
+        gpu.write(&resident.e_near, &near);
+        stage.run(gpu, |pass| stage.passes.reconstruct.record(pass));
+        let got: Vec<Vec4> = gpu.read(&resident.e_ind, stage.receivers()).unwrap();
+        let clusters = &stage.light.transport.clusters;
+        let wanted = reconstruct::reference::reconstruct(clusters, &b, &near, &emit);
+        assert!(wanted.iter().any(|e| e.x == 0.0) && wanted.iter().any(|e| e.x < 0.0));
+        held("reconstruct", &Difference::of(&got, &wanted, reconstruct::TOLERANCE), 0.0);
+    });
+}
+
+#[test]
+#[ignore = "needs a graphics adapter"]
+fn atlas_agrees_with_the_reference() {
+    let gpu = Gpu::open().unwrap();
+    let stage = Stage::new(&gpu, fixture_light());
+    let [emit, ind] = [7, 8].map(|seed| positive_noise(stage.receivers(), seed));
+    gpu.write(&stage.passes.resident.e_emit, &emit);
+    gpu.write(&stage.passes.resident.e_ind, &ind);
+    stage.run(&gpu, |pass| stage.passes.publish(pass));
+    let wanted = atlas::reference::spread(&stage.scene.lightmap, &stage.light.texels, &emit, &ind);
+    let texture = &stage.passes.atlas.texture;
+    let stride = texture.width() as usize;
+    for (page, (texels, size)) in wanted.pages.iter().zip(&wanted.sizes).enumerate() {
+        let layer: Vec<Vec4> = gpu.read_layer(texture, page as u32, wgpu::TextureAspect::All).unwrap();
+        let rows = layer.chunks(stride).take(size[1] as usize);
+        let got: Vec<Vec4> = rows.flat_map(|row| row[..size[0] as usize].to_vec()).collect();
+        assert!(
+            got.iter().zip(texels).all(|(got, wanted)| got.w == wanted.w),
+            "page {page}: other texels are lit"
+        );
+        held("atlas", &Difference::of(&got, texels, atlas::TOLERANCE), 0.0);
+    }
+}
+
+#[test]
+#[ignore = "needs a graphics adapter"]
+fn shade_agrees_with_the_reference_on_the_same_maps_and_light() {
+    let gpu = Gpu::open().unwrap();
+    let bakes = [fixture::prt_bake(&fixture::prt_contents()), super::ambient::bake()];
+    for bake in &bakes {
+        let view = view_of(bake);
+        let prepared = prepared(bake, &view);
+        let frame = Frame::new(&gpu, &prepared).unwrap();
+        frame.relit(&gpu);
+        for _ in 0..3 {
+            frame.bounce(&gpu);
+        }
+        frame.publish(&gpu);
+        let maps = frame.shadow.read(&gpu).unwrap();
+        let limit = lightkiln_proto::relight::Limit { bounces_max: 3, change_max: 0.0 };
+        let settled = bake.light.settle(&prepared.lit(&maps), limit);
+        for jitter in [[0.0, 0.0], [0.375, -0.125]] {
+            agree_on_a_picture(&gpu, bake, &view, &frame, &settled, &maps, jitter);
+        }
+    }
+}
+
+fn agree_on_a_picture(
+    gpu: &Gpu,
+    bake: &LoadedBake,
+    view: &View,
+    frame: &Frame,
+    settled: &crate::bake::SettledLight<'_>,
+    maps: &shadow::reference::ShadowMaps,
+    jitter: [f32; 2],
+) {
+    let prepared = prepared(bake, view);
+    let (scene, bounds_m) = (&bake.scene, bake.scene.manifest.bounds_m);
+    let shade_view = ShadeView::new(&view.camera, view.size(), bounds_m, prepared.sky, jitter).unwrap();
+    let got = frame.shade.draw(gpu, &frame.meshes, &frame.shadow, &shade_view).unwrap();
+    let (indirect, emitter_scale) = (&*settled.indirect, &view.emitter_scale[..]);
+    let lit = Lit { scene, plan: &prepared.plan, maps, indirect, emitter_scale };
+    let wanted = shade::reference::shade(lit, &shade_view, view.size());
+    held("shade", &Difference::of_mean(&got, &wanted, shade::TOLERANCE), shade::OUTLIERS);
+    let sky = |pixels: &[Vec4]| pixels.iter().filter(|pixel| pixel.w < 0.5).count();
+    let (drawn, found) = (sky(&wanted), sky(&got));
+    assert!(drawn > 100 && drawn.abs_diff(found) < 40, "{drawn} {found}");
+}
+
+#[test]
+#[ignore = "needs a graphics adapter"]
+fn whole_pictures_of_adapter_and_processor_agree() {
+    let [patches, narrow] =
+        [fixture::prt_contents(), fixture::narrow_contents()].map(|contents| fixture::prt_bake(&contents));
+    for bake in [patches, narrow, fixture::sh_bake(), super::ambient::bake()] {
+        let view = view_of(&bake);
+        let [got, wanted] =
+            [Backend::Gpu, Backend::Cpu].map(|backend| render(&bake, &view, backend).unwrap());
+        assert!(got.converged && wanted.converged && !got.by_reference && wanted.by_reference);
+        let four = |pixels: &[[f32; 3]]| -> Vec<Vec4> {
+            pixels.iter().map(|[r, g, b]| Vec4::new(*r, *g, *b, 0.0)).collect()
+        };
+        let difference = Difference::of_mean(&four(&got.linear), &four(&wanted.linear), shade::TOLERANCE);
+        // Samples at outlines are shared among more pixels than without supersampling.
+        held("picture", &difference, 2.0 * shade::OUTLIERS);
+    }
+}

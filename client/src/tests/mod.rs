@@ -1,0 +1,40 @@
+//! Tests across rooms: shaders are valid and agree with their Rust twins, adapter and reference agree in numbers, light
+//! obeys physics, and a kind of bake of the tests' own works.
+
+mod adapter;
+mod ambient;
+mod formula;
+mod light;
+mod shaders;
+
+use lightkiln_proto::relight::PatchTable;
+
+use crate::bake::LoadedBake;
+use crate::fixture;
+use crate::lightmap::LightmapLight;
+use crate::preview::{Prepared, View};
+use crate::scene::LoadedScene;
+
+/// The fixture's view of a bake, small enough for the processor.
+pub(crate) fn view_of(bake: &LoadedBake) -> View {
+    let (view, notes) = View::of_bake(bake, None, Vec::new()).unwrap();
+    assert!(notes.is_empty(), "{notes:?}");
+    View { width: 160, height: 120, shadow_side: 512, emitter_scale: vec![1.5], ..view }
+}
+
+/// The fixture over patches with its view.
+pub(crate) fn fixture_view() -> (LoadedBake, View) {
+    let bake = fixture::prt_bake(&fixture::prt_contents());
+    let view = view_of(&bake);
+    (bake, view)
+}
+
+/// The same bake once more, its light as the type that it is.
+pub(crate) fn fixture_light() -> (LoadedScene, LightmapLight<PatchTable>) {
+    fixture::prt_light(&fixture::prt_contents())
+}
+
+/// A view prepared for either backend.
+pub(crate) fn prepared<'a>(bake: &'a LoadedBake, view: &'a View) -> Prepared<'a> {
+    Prepared::new(bake, view).unwrap()
+}

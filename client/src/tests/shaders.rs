@@ -1,0 +1,179 @@
+//! Every shader parses and validates, and its structs are those of Rust, byte for byte.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::mem::offset_of;
+use std::path::Path;
+
+use lightkiln_proto::relight::{NearRow, PatchRow};
+use naga::valid::{Capabilities, ValidationFlags, Validator};
+use naga::{AddressSpace, TypeInner};
+
+use crate::kinds::sh::relight::{self, RelightNumbers};
+use crate::passes::atlas::{AtlasNumbers, AtlasTexel, INDIRECT, Placement};
+use crate::passes::basis::BasisNumbers;
+use crate::passes::direct::DirectNumbers;
+use crate::passes::near::NearNumbers;
+use crate::passes::patches::PatchNumbers;
+use crate::passes::reconstruct::ReconstructNumbers;
+use crate::passes::resident::ClusterRow;
+use crate::passes::shade::{ShadeDraw, ShadeView};
+use crate::passes::shadow::{Face, Light, LightCount, Mask};
+use crate::passes::{SHADERS, shade};
+
+/// Every shader: name and whole source, as the adapter compiles it.
+fn shaders() -> Vec<(&'static str, String)> {
+    let shared = SHADERS.iter().map(|(name, source)| (*name, (*source).to_owned()));
+    let lightmap = shade::Shading { snippet: INDIRECT, bindings: Vec::new() };
+    let joined = [("relight", relight::SHADER.to_owned()), ("shade", lightmap.shader())];
+    shared.chain(joined).collect()
+}
+
+fn parsed(source: &str) -> naga::Module {
+    naga::front::wgsl::parse_str(source).unwrap_or_else(|error| panic!("{}", error.emit_to_string(source)))
+}
+
+#[test]
+fn every_shader_parses_and_validates() {
+    for (name, source) in shaders() {
+        let module = parsed(&source);
+        let mut validator = Validator::new(ValidationFlags::all(), Capabilities::empty());
+        if let Err(error) = validator.validate(&module) {
+            panic!("{name}: {}", error.emit_to_string(&source));
+        }
+        assert!(!module.entry_points.is_empty(), "{name}");
+    }
+}
+
+#[test]
+fn every_shader_file_is_part_of_a_listed_shader() {
+    let mut files = Vec::new();
+    let mut folders = vec![Path::new(env!("CARGO_MANIFEST_DIR")).join("src")];
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                folders.push(path);
+            } else if path.extension().is_some_and(|extension| extension == "wgsl") {
+                files.push(path);
+            }
+        }
+    }
+    let shaders = shaders();
+    assert!(files.len() > shaders.len(), "only {} shader files found", files.len());
+    for file in files {
+        let text = fs::read_to_string(&file).unwrap();
+        let is_part = shaders.iter().any(|(_, source)| source.contains(&text));
+        assert!(is_part, "{} is in no shader", file.display());
+        assert!(text.lines().count() <= 250, "{} is longer than 250 lines", file.display());
+    }
+}
+
+/// A struct: size, and names and offsets of its fields.
+#[derive(Debug, PartialEq)]
+struct Layout {
+    size: usize,
+    fields: Vec<(String, usize)>,
+}
+
+macro_rules! twins {
+    ($($name:literal: $kind:ty { $($field:ident),+ $(,)? })+) => {
+        BTreeMap::from([$(($name, Layout {
+            size: size_of::<$kind>(),
+            fields: vec![$((stringify!($field).to_owned(), offset_of!($kind, $field))),+],
+        })),+])
+    };
+}
+
+/// The Rust twin of every struct that a shader reads or writes through a binding, by its name in WGSL.
+fn twins() -> BTreeMap<&'static str, Layout> {
+    twins! {
+        "Atlas": AtlasNumbers { texel_count, stride }
+        "AtlasTexel": AtlasTexel { x, y, first, packed }
+        "Basis": BasisNumbers { coefficients, stride, cluster_count, pad }
+        "Cluster": ClusterRow {
+            first_receiver, receiver_count, first_support, support_count, coefficients, rank, first_b, first_factor
+        }
+        "Face": Face { clip_from_world, right, texel_at_unit_w, up, pad }
+        "Light": Light {
+            position, range_m, direction, shape, strength, first_face, cone_cos_inner, cone_cos_outer, face_count,
+            half_extent
+        }
+        "LightCount": LightCount { count, side, bias_m, pad }
+        "Mask": Mask { uv_row0, uv_row1, alpha, cutoff, pad0, pad1 }
+        "Near": NearNumbers { row_count, stride }
+        "NearRow": NearRow { slot, first, count, weight }
+        "PatchRow": PatchRow { first_leaf, leaf_count }
+        "Patches": PatchNumbers { receiver_count, leaf_count, patch_count, stride }
+        "Placement": Placement { front, front_size, back, back_size }
+        "Receivers": DirectNumbers { count, stride }
+        "Reconstruct": ReconstructNumbers { stride, cluster_count }
+        "Relight": RelightNumbers { first_probe, receiver_count, rays, coefficients }
+        "ShadeDraw": ShadeDraw {
+            base_colour, emissive, base_row0, base_row1, emissive_row0, emissive_row1, cutoff, index, pad0, pad1
+        }
+        "ShadeView": ShadeView { clip_from_world, zenith, horizon, ray, ray_per_x, ray_per_y }
+    }
+}
+
+/// Structs in buffers that a shader binds, found through arrays and members.
+fn bound_structs(module: &naga::Module) -> BTreeMap<String, Layout> {
+    let mut found = BTreeMap::new();
+    let in_buffer = |space| matches!(space, AddressSpace::Uniform | AddressSpace::Storage { .. });
+    let bound = module.global_variables.iter().filter(|(_, variable)| in_buffer(variable.space));
+    let mut open: Vec<_> = bound.map(|(_, variable)| variable.ty).collect();
+    while let Some(handle) = open.pop() {
+        match &module.types[handle].inner {
+            TypeInner::Array { base, .. } => open.push(*base),
+            TypeInner::Struct { members, span } => {
+                open.extend(members.iter().map(|member| member.ty));
+                let field = |member: &naga::StructMember| {
+                    (member.name.clone().unwrap_or_default(), member.offset as usize)
+                };
+                let layout = Layout { size: *span as usize, fields: members.iter().map(field).collect() };
+                found.insert(module.types[handle].name.clone().unwrap_or_default(), layout);
+            }
+            _ => {}
+        }
+    }
+    found
+}
+
+/// Panics when a bound struct of a shader has no twin or another layout.
+fn assert_twins(shader: &str, module: &naga::Module, twins: &BTreeMap<&str, Layout>) -> BTreeSet<String> {
+    let found = bound_structs(module);
+    for (name, layout) in &found {
+        let twin = twins.get(name.as_str()).unwrap_or_else(|| panic!("{shader}: {name} has no Rust twin"));
+        assert_eq!(layout, twin, "{shader}: {name} and its Rust twin differ");
+    }
+    found.into_keys().collect()
+}
+
+#[test]
+fn every_bound_struct_has_a_rust_twin_of_the_same_layout() {
+    let twins = twins();
+    let all = shaders();
+    let found: BTreeSet<String> =
+        all.iter().flat_map(|(name, source)| assert_twins(name, &parsed(source), &twins)).collect();
+    let unused: Vec<_> = twins.keys().filter(|name| !found.contains(**name)).collect();
+    assert!(unused.is_empty(), "no shader binds {unused:?}");
+}
+
+#[test]
+#[should_panic(expected = "LightCount and its Rust twin differ")]
+fn comparison_of_structs_fails_when_a_field_moves() {
+    let moved = crate::passes::direct::SHADER.replacen(
+        "    count: u32,\n",
+        "    pad_before: u32,\n    count: u32,\n",
+        1,
+    );
+    assert_ne!(moved, crate::passes::direct::SHADER);
+    assert_twins("direct", &parsed(&moved), &twins());
+}
+
+#[test]
+#[should_panic(expected = "Novel has no Rust twin")]
+fn comparison_of_structs_fails_when_one_is_not_registered() {
+    let novel = "struct Novel { a: u32 } @group(0) @binding(0) var<storage, read> novel: array<Novel>;";
+    assert_twins("novel", &parsed(novel), &twins());
+}

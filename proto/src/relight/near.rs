@@ -1,0 +1,151 @@
+//! Near hits of all clusters, their texels resolved to slots.
+
+use std::f32::consts::FRAC_1_PI;
+
+use glam::Vec4;
+
+use super::{ClusterTable, DirectAt, Inconsistent, Irradiance, Parallel, ReceiverTable, SlotTable, four};
+use crate::content::{ClusterTransport, NearHits, NearSurface};
+
+/// The hits of one receiver as shaders read them.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
+pub struct NearRow {
+    /// Slot of the receiver.
+    pub slot: u32,
+    /// First of its hits.
+    pub first: u32,
+    /// Its hits.
+    pub count: u32,
+    /// Weight of each, `∫ cosθ dω`.
+    pub weight: f32,
+}
+
+/// Near hits of a bake. Hits on texels that no light reaches are left out: they are dark.
+#[derive(Debug, Default)]
+pub struct NearTable {
+    /// Receivers that have hits, by slot.
+    pub rows: Vec<NearRow>,
+    /// Slot whose E_emit and E_ind each hit has: that of its texel, or of the receiver that meets it.
+    pub slots: Vec<u32>,
+    /// Whether each hit lies on the texel of its slot; else on a surface that no texel stands for.
+    pub on_texel: Vec<bool>,
+    /// Place of each hit in metres.
+    pub position_m: Vec<Vec4>,
+    /// Its unit normal.
+    pub normal: Vec<Vec4>,
+    /// Its diffuse albedo ρ.
+    pub albedo: Vec<Vec4>,
+}
+
+impl NearTable {
+    /// Joins the hits of all clusters.
+    pub fn join(
+        contents: &[ClusterTransport],
+        clusters: &ClusterTable,
+        receivers: &ReceiverTable,
+        slots: &SlotTable,
+    ) -> Result<Self, Inconsistent> {
+        let mut table = Self::default();
+        for (index, (content, cluster)) in contents.iter().zip(&clusters.clusters).enumerate() {
+            check(&content.near, cluster.receiver_count)
+                .and_then(|()| table.push(&content.near, cluster.first_receiver, receivers, slots))
+                .map_err(|problem| Inconsistent::new(format!("cluster {index}"), problem))?;
+        }
+        Ok(table)
+    }
+
+    /// Hits.
+    pub fn len(&self) -> usize {
+        self.slots.len()
+    }
+
+    /// There are none.
+    pub fn is_empty(&self) -> bool {
+        self.slots.is_empty()
+    }
+
+    /// Place where E_dir of a hit is read.
+    pub fn direct_at(&self, hit: usize) -> DirectAt {
+        let (position_m, normal) = (self.position_m[hit].truncate(), self.normal[hit].truncate());
+        if self.on_texel[hit] {
+            DirectAt::Texel { slot: self.slots[hit], position_m, normal }
+        } else {
+            DirectAt::Point { position_m, normal }
+        }
+    }
+
+    /// `N(r) = w_r Σ_y ρ/π · (E_dir(y) + E_emit + E_ind)` by slot, W·m⁻²; `dir` is E_dir by hit, `irradiance` that of
+    /// receivers.
+    pub fn gather(&self, parallel: &impl Parallel, dir: &[Vec4], irradiance: Irradiance<'_>) -> Vec<Vec4> {
+        let sums = parallel.map(self.rows.len(), |row| {
+            let row = &self.rows[row];
+            let hits = row.first as usize..(row.first + row.count) as usize;
+            let each = hits.map(|hit| {
+                let slot = self.slots[hit] as usize;
+                self.albedo[hit] * FRAC_1_PI * (dir[hit] + irradiance.emit[slot] + irradiance.ind[slot])
+            });
+            each.sum::<Vec4>() * row.weight
+        });
+        let mut all = vec![Vec4::ZERO; irradiance.ind.len()];
+        self.rows.iter().zip(sums).for_each(|(row, sum)| all[row.slot as usize] = sum);
+        all
+    }
+
+    /// Adds the hits of a cluster whose receivers begin at slot `first_receiver`.
+    fn push(
+        &mut self,
+        near: &NearHits,
+        first_receiver: usize,
+        receivers: &ReceiverTable,
+        slots: &SlotTable,
+    ) -> Result<(), String> {
+        let blocks = slots.block_indices(&near.blocks)?;
+        for (receiver, (hits, &weight)) in near.ranges().zip(&near.weight).enumerate() {
+            let slot = first_receiver + receiver;
+            let from_m = receivers.position_m[slot].truncate().into();
+            let first = self.len() as u32;
+            for hit in hits {
+                let (light, normal, albedo, on_texel) = match near.surface[hit] {
+                    NearSurface::Own { albedo, normal } => (slot as u32, four(normal), four(albedo), false),
+                    NearSurface::Texel { block, texel } => {
+                        let Some(on) = slots.slot(blocks[usize::from(block)], texel) else { continue };
+                        (on, receivers.normal[on as usize], receivers.albedo[on as usize], true)
+                    }
+                };
+                self.slots.push(light);
+                self.on_texel.push(on_texel);
+                self.position_m.push(four(near.position_m(hit, from_m, normal.truncate().into())));
+                self.normal.push(normal);
+                self.albedo.push(albedo);
+            }
+            let count = self.len() as u32 - first;
+            if count > 0 {
+                self.rows.push(NearRow { slot: slot as u32, first, count, weight });
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Checks the hits of a cluster of so many receivers.
+fn check(near: &NearHits, receivers: usize) -> Result<(), String> {
+    let hits: usize = near.count.iter().map(|&count| usize::from(count)).sum();
+    let by_hit = [near.surface.len(), near.offset.len()];
+    let by_receiver = [near.count.len(), near.weight.len()];
+    let is_blank = by_receiver == [0; 2];
+    if by_hit != [hits; 2] || !is_blank && by_receiver != [receivers; 2] {
+        return Err(format!("its near hits differ in length: {hits}, {by_hit:?}, {by_receiver:?}"));
+    }
+    let is_number = near.reach_m.is_finite() && near.weight.iter().all(|weight| weight.is_finite());
+    let is_there = |surface: &NearSurface| match surface {
+        NearSurface::Texel { block, .. } => usize::from(*block) < near.blocks.len(),
+        NearSurface::Own { albedo, normal } => {
+            normal.iter().all(|x| x.is_finite()) && albedo.iter().all(|albedo| (0.0..=1.0).contains(albedo))
+        }
+    };
+    if !is_number || !near.surface.iter().all(is_there) {
+        return Err("a near hit names no block, or one of its numbers is none".to_owned());
+    }
+    Ok(())
+}

@@ -1,0 +1,138 @@
+//! Surface patches, their receivers resolved to slots: irradiance → mean radiance of patches and parts of the sky.
+
+use std::collections::HashMap;
+
+use glam::Vec4;
+
+use super::{Columns, DARK, Inconsistent, Irradiance, Parallel, ReceiverTable, Sky, SlotTable};
+use crate::chunk::limits::SKY_PARTS_MAX;
+use crate::content::{PatchKey, PatchSet};
+use crate::sh::relight_direction;
+
+/// A patch as shaders read it: a run of leaves.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
+pub struct PatchRow {
+    /// First leaf.
+    pub first_leaf: u32,
+    /// Leaves.
+    pub leaf_count: u32,
+}
+
+/// The surface patches of a bake, and the parts of its sky; λ has one number for each.
+#[derive(Debug, Default)]
+pub struct PatchTable {
+    /// Patches.
+    pub patches: Vec<PatchRow>,
+    /// First entry of each leaf in `slots`, and the end.
+    pub leaf_starts: Vec<u32>,
+    /// Receiver slots, leaf by leaf, or [`DARK`].
+    pub slots: Vec<u32>,
+    /// Area of each in texels: its weight in the mean.
+    pub areas: Vec<f32>,
+    /// Parts of the sky.
+    pub sky_parts: u32,
+    by_key: HashMap<PatchKey, u32>,
+}
+
+impl PatchTable {
+    /// The set of a bake.
+    pub fn new(set: &PatchSet, slots: &SlotTable) -> Result<Self, Inconsistent> {
+        Self::resolve(set, slots).map_err(|problem| Inconsistent::new("patches", problem))
+    }
+
+    fn resolve(set: &PatchSet, slots: &SlotTable) -> Result<Self, String> {
+        if set.sky_parts as usize > SKY_PARTS_MAX {
+            return Err(format!("has {} parts of the sky", set.sky_parts));
+        }
+        let blocks = slots.block_indices(&set.blocks)?;
+        let mut table =
+            Self { leaf_starts: set.leaf_starts.clone(), sky_parts: set.sky_parts, ..Self::default() };
+        table.areas = set.area.iter().map(|area| area.texels()).collect();
+        for (&block, &texel) in set.block.iter().zip(&set.texel) {
+            let found = blocks.get(usize::from(block)).ok_or_else(|| format!("names block {block}"))?;
+            // The baker leaves out receivers that no light can reach.
+            table.slots.push(slots.slot(*found, texel).unwrap_or(DARK));
+        }
+        for (index, patch) in set.patches.iter().enumerate() {
+            table.by_key.insert(patch.key, index as u32);
+            table.patches.push(PatchRow { first_leaf: patch.first_leaf, leaf_count: patch.leaf_count });
+        }
+        Ok(table)
+    }
+
+    /// Patches and parts of the sky.
+    pub fn len(&self) -> usize {
+        self.patches.len() + self.sky_parts as usize
+    }
+
+    /// There are none.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Leaves.
+    pub fn leaf_count(&self) -> usize {
+        self.leaf_starts.len().saturating_sub(1)
+    }
+
+    /// Radiance summed over the surface of each leaf; the fourth component is the leaf's area.
+    fn leaf_sums(
+        &self,
+        parallel: &impl Parallel,
+        receivers: &ReceiverTable,
+        irradiance: Irradiance<'_>,
+    ) -> Vec<Vec4> {
+        parallel.map(self.leaf_count(), |leaf| {
+            let of_leaf = self.leaf_starts[leaf] as usize..self.leaf_starts[leaf + 1] as usize;
+            let areas = &self.areas[of_leaf.clone()];
+            let each = self.slots[of_leaf].iter().zip(areas);
+            let sum: Vec4 = each.map(|(&slot, &area)| irradiance.radiance(receivers, slot) * area).sum();
+            sum.truncate().extend(areas.iter().sum())
+        })
+    }
+}
+
+impl Columns for PatchTable {
+    fn bands(&self) -> u32 {
+        0
+    }
+
+    fn lambda_count(&self) -> usize {
+        self.len()
+    }
+
+    fn index(&self, key: u64) -> Option<u32> {
+        let key = PatchKey(key);
+        match key.sky() {
+            Some(part) => (part < self.sky_parts).then(|| self.patches.len() as u32 + part),
+            None => self.by_key.get(&key).copied(),
+        }
+    }
+
+    fn sky_index(&self) -> Option<u32> {
+        None
+    }
+
+    /// Radiance of each part at its middle.
+    fn sky_lambda(&self, sky: Sky) -> Vec<Vec4> {
+        let part = |part| sky.radiance(relight_direction(part, self.sky_parts)).extend(0.0);
+        (0..self.sky_parts).map(part).collect()
+    }
+
+    /// Area-weighted mean of L over each patch, W·m⁻²·sr⁻¹.
+    fn surface_lambda(
+        &self,
+        parallel: &impl Parallel,
+        receivers: &ReceiverTable,
+        irradiance: Irradiance<'_>,
+    ) -> Vec<Vec4> {
+        let leaves = self.leaf_sums(parallel, receivers, irradiance);
+        parallel.map(self.patches.len(), |patch| {
+            let patch = &self.patches[patch];
+            let leaves = &leaves[patch.first_leaf as usize..][..patch.leaf_count as usize];
+            let sum: Vec4 = leaves.iter().sum();
+            (sum.truncate() / sum.w).extend(0.0)
+        })
+    }
+}

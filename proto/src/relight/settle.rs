@@ -1,0 +1,91 @@
+//! Bounces fed back until the light changes no more.
+
+use glam::Vec4;
+
+use super::{Columns, Irradiance, Parallel, Sky, Transport};
+
+/// Light that the bake is lit by.
+#[derive(Clone, Copy, Debug)]
+pub struct Incoming<'a> {
+    /// E_dir at receivers by slot, W·m⁻².
+    pub dir: &'a [Vec4],
+    /// E_dir by near hit, W·m⁻².
+    pub near: &'a [Vec4],
+    /// The sky.
+    pub sky: Sky,
+    /// One factor per emitter of the manifest; 1 where absent.
+    pub emitter_scale: &'a [f32],
+}
+
+/// End of the bounces.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Limit {
+    /// Most bounces. More → brighter where bounces have not converged yet.
+    pub bounces_max: u32,
+    /// Relative change of E_ind from bounce to bounce below which they have converged. Smaller → more bounces.
+    pub change_max: f32,
+}
+
+impl Default for Limit {
+    fn default() -> Self {
+        Self { bounces_max: 200, change_max: 1e-3 }
+    }
+}
+
+/// Light after the last bounce, by slot in W·m⁻².
+#[derive(Clone, Debug, Default)]
+pub struct Settled {
+    /// E_emit.
+    pub emit: Vec<Vec4>,
+    /// E_ind.
+    pub ind: Vec<Vec4>,
+    /// The part of it from near hits.
+    pub near: Vec<Vec4>,
+    /// λ that gave it.
+    pub lambda: Vec<Vec4>,
+    /// Bounces.
+    pub bounces: u32,
+    /// Whether they had converged before the last one allowed.
+    pub converged: bool,
+}
+
+impl Settled {
+    /// E_emit + E_ind at a slot: everything that did not come straight from a light.
+    pub fn indirect(&self, slot: u32) -> Vec4 {
+        self.emit[slot as usize] + self.ind[slot as usize]
+    }
+
+    /// Relative change from one bounce's E_ind to the next: Σ|next − last| / Σ|next|; 0 when both are black.
+    pub fn change(last: &[Vec4], next: &[Vec4]) -> f32 {
+        let (mut difference, mut total) = (0.0_f64, 0.0_f64);
+        for (last, next) in last.iter().zip(next) {
+            difference += f64::from((*next - *last).truncate().abs().element_sum());
+            total += f64::from(next.truncate().abs().element_sum());
+        }
+        if total > 0.0 { (difference / total) as f32 } else { 0.0 }
+    }
+}
+
+impl<C: Columns> Transport<C> {
+    /// Feeds bounces back until E_ind changes by less than the limit: the run time's passes, one after the other.
+    pub fn settle(&self, parallel: &impl Parallel, incoming: &Incoming<'_>, limit: Limit) -> Settled {
+        let Self { receivers, clusters, near, columns, .. } = self;
+        let sky = columns.sky_lambda(incoming.sky);
+        let mut settled = Settled {
+            emit: self.emitter_irradiance(incoming.emitter_scale),
+            ind: vec![Vec4::ZERO; receivers.len()],
+            ..Settled::default()
+        };
+        while settled.bounces < limit.bounces_max && !settled.converged {
+            let irradiance = Irradiance { dir: incoming.dir, emit: &settled.emit, ind: &settled.ind };
+            let lambda = self.lambda(parallel, irradiance, &sky);
+            let b = clusters.basis(parallel, &lambda, columns.coefficients());
+            let gathered = near.gather(parallel, incoming.near, irradiance);
+            let next = clusters.reconstruct(parallel, &b, &gathered, &settled.emit);
+            settled.converged = Settled::change(&settled.ind, &next) < limit.change_max;
+            (settled.lambda, settled.near, settled.ind) = (lambda, gathered, next);
+            settled.bounces += 1;
+        }
+        settled
+    }
+}

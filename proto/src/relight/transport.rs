@@ -1,0 +1,112 @@
+//! The decoded transport of a bake: receivers, clusters, near hits, and the columns that clusters read.
+
+use std::fmt::Debug;
+
+use glam::{Vec3, Vec4};
+
+use super::{ClusterTable, Inconsistent, Irradiance, NearTable, Parallel, ReceiverTable, Sky, SlotTable};
+use crate::content::{BlockKey, ClusterTransport};
+
+/// Meaning of the clusters' columns: how λ is made of the light at receivers and of the sky.
+///
+/// λ holds J coefficients for each patch or probe, then the sky's.
+pub trait Columns: Debug + Send + Sync {
+    /// Highest band D; J = (D+1)².
+    fn bands(&self) -> u32;
+
+    /// Length of λ.
+    fn lambda_count(&self) -> usize;
+
+    /// Place of a column in λ by its key, in units of J.
+    fn index(&self, key: u64) -> Option<u32>;
+
+    /// Place in λ of the sky as one column, where it is one.
+    fn sky_index(&self) -> Option<u32>;
+
+    /// The end of λ: the sky, which no bounce changes.
+    fn sky_lambda(&self, sky: Sky) -> Vec<Vec4>;
+
+    /// The start of λ, from the light at receivers.
+    fn surface_lambda(
+        &self,
+        parallel: &impl Parallel,
+        receivers: &ReceiverTable,
+        irradiance: Irradiance<'_>,
+    ) -> Vec<Vec4>;
+
+    /// Coefficients J.
+    fn coefficients(&self) -> usize {
+        (self.bands() as usize + 1).pow(2)
+    }
+}
+
+/// Place where the run time reads E_dir.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum DirectAt {
+    /// At the receiver of a slot.
+    Receiver(u32),
+    /// At another point of a receiver's texel.
+    Texel {
+        /// The receiver.
+        slot: u32,
+        /// The point in metres.
+        position_m: Vec3,
+        /// The receiver's normal.
+        normal: Vec3,
+    },
+    /// At a point of a surface that no texel stands for.
+    Point {
+        /// The point in metres.
+        position_m: Vec3,
+        /// Its unit normal.
+        normal: Vec3,
+    },
+}
+
+/// The decoded transport of a bake, its columns read from `C`.
+#[derive(Debug, Default)]
+pub struct Transport<C> {
+    /// Texel → slot.
+    pub slots: SlotTable,
+    /// Receivers by slot.
+    pub receivers: ReceiverTable,
+    /// Clusters and their factors.
+    pub clusters: ClusterTable,
+    /// Near hits.
+    pub near: NearTable,
+    /// The clusters' columns.
+    pub columns: C,
+}
+
+impl<C: Columns> Transport<C> {
+    /// Joins decoded clusters. `blocks` are the manifest's by key and size, `emitters` the number of its emitters;
+    /// `columns` makes the columns, with all receivers in their slots.
+    pub fn join(
+        blocks: impl IntoIterator<Item = (BlockKey, [u32; 2])>,
+        emitters: usize,
+        contents: &[ClusterTransport],
+        columns: impl FnOnce(&SlotTable) -> Result<C, Inconsistent>,
+    ) -> Result<Self, Inconsistent> {
+        let (mut slots, mut receivers) = (SlotTable::new(blocks)?, ReceiverTable::default());
+        for (index, content) in contents.iter().enumerate() {
+            let named = |problem| Inconsistent::new(format!("cluster {index}"), problem);
+            receivers.push(&content.receivers, &mut slots).map_err(named)?;
+        }
+        let columns = columns(&slots)?;
+        let clusters = ClusterTable::join(contents, &columns, emitters)?;
+        let near = NearTable::join(contents, &clusters, &receivers, &slots)?;
+        Ok(Self { slots, receivers, clusters, near, columns })
+    }
+
+    /// Irradiance straight from emissive surfaces by slot, W·m⁻²; `scale` is one factor per emitter, 1 if absent.
+    pub fn emitter_irradiance(&self, scale: &[f32]) -> Vec<Vec4> {
+        self.clusters.emitter_irradiance(self.receivers.len(), scale)
+    }
+
+    /// λ of the light at receivers; `sky` is [`Columns::sky_lambda`].
+    pub fn lambda(&self, parallel: &impl Parallel, irradiance: Irradiance<'_>, sky: &[Vec4]) -> Vec<Vec4> {
+        let mut lambda = self.columns.surface_lambda(parallel, &self.receivers, irradiance);
+        lambda.extend_from_slice(sky);
+        lambda
+    }
+}
