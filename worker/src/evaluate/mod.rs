@@ -23,3 +23,6 @@ pub use figures::{Figures, Pair};
 pub use light_file::lights_of_file;
 pub use lights::{Chosen, TestLight, default_lights};
 pub use sample::{Sample, Sampled};
+
+#[cfg(test)]
+mod tests;

@@ -16,7 +16,7 @@ use crate::unwrap::{Unwrap, UnwrapSettings, unwrap_from_second_uv, unwrap_genera
 /// Magic of the charts' artefact.
 const ARTEFACT_MAGIC: &[u8; 4] = b"LKch";
 /// Name under which tasks see it.
-const ARTEFACT: &str = "unwrap/unwrap";
+pub const ARTEFACT: &str = "unwrap/unwrap";
 
 /// Receivers per triangle beyond the fifth of the target that every scene gets.
 const RECEIVERS_PER_TRIANGLE: f64 = 20.0;

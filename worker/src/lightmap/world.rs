@@ -10,7 +10,7 @@ use super::{CAVITY, Charts, Lightmap};
 use crate::geometry::{Geometry, weights_of};
 use crate::rays::Hit;
 use crate::scene::model::Scene;
-use crate::task::{Context, TaskError};
+use crate::task::{Context, LocalRun, TaskError};
 use crate::unwrap::{UnwrappedTriangle, weights_in_part};
 
 /// How far points are raised at most before they are tested for a wall between them, in metres: above the bulge of
@@ -59,6 +59,12 @@ impl World {
     /// The lightmap alone.
     pub fn into_lightmap(self) -> Lightmap {
         self.lightmap
+    }
+
+    /// World of the last scene, charts and lightmap that tasks of a local run gave.
+    pub fn of_run(run: &LocalRun) -> Result<Arc<Self>, TaskError> {
+        let paths = [crate::scene::ARTEFACT, super::charts::ARTEFACT, super::ARTEFACT];
+        Self::of(&run.context(&run.inputs_named(&paths)))
     }
 
     /// World of the scene, charts and lightmap among a task's inputs, built once per worker.

@@ -100,6 +100,15 @@ impl<'p> LocalRun<'p> {
         &self.outputs
     }
 
+    /// The last output of each name that ends a path, as an input of that path: of `import/scene`, output `scene`.
+    pub fn inputs_named(&self, paths: &[&str]) -> Vec<Artefact> {
+        let of_path = |path: &&str| {
+            let digest = self.output(path.rsplit('/').next()?)?;
+            Some(Artefact { name: (*path).to_owned(), digest, bytes: self.length(digest) })
+        };
+        paths.iter().filter_map(of_path).collect()
+    }
+
     /// Where a task with these inputs would run.
     pub fn context<'a>(&'a self, inputs: &'a [Artefact]) -> super::Context<'a> {
         super::Context { inputs, source: &self.shelf, memory: &self.memory, progress: self.progress }

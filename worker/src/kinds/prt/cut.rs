@@ -240,26 +240,26 @@ mod tests {
         }
     }
 
-    fn evenly_met() -> Vec<LeafHits> {
+    fn evenly_hit() -> Vec<LeafHits> {
         (0..4).map(|leaf| LeafHits { leaf, row: 0, count: 100, excess: 0 }).collect()
     }
 
     fn cut_of(leaf_hits: &[LeafHits], columns_max: usize) -> Vec<u32> {
         let tree = tree();
-        let met = PatchHits { tree: &tree, meetings, rows: 1 };
+        let met = PatchHits { tree: &tree, leaves: leaf_hits, rows: 1 };
         cut(met, &Expectation::new(&tree, 0.1), columns_max, 0.01)
     }
 
     #[test]
-    fn patch_met_as_its_areas_promise_stays_whole() {
-        assert_eq!(cut_of(&evenly_met(), 100), [0]);
+    fn patch_hit_as_its_areas_promise_stays_whole() {
+        assert_eq!(cut_of(&evenly_hit(), 100), [0]);
     }
 
     #[test]
-    fn patch_is_opened_as_deep_as_its_parts_are_met_otherwise() {
+    fn patch_is_opened_as_deep_as_its_parts_are_hit_otherwise() {
         let met = |counts: [u32; 4]| -> Vec<LeafHits> {
-            let meeting = |(leaf, count)| LeafHits { leaf, row: 0, count, excess: 0 };
-            (0..4).zip(counts).filter(|(_, count)| *count > 0).map(meeting).collect()
+            let hits = |(leaf, count)| LeafHits { leaf, row: 0, count, excess: 0 };
+            (0..4).zip(counts).filter(|(_, count)| *count > 0).map(hits).collect()
         };
         assert_eq!(cut_of(&met([200, 200, 0, 0]), 100), [0, 1, 4]);
         assert_eq!(cut_of(&met([200, 200, 200, 0]), 100), [0, 1, 4, 5, 6]);
@@ -269,12 +269,12 @@ mod tests {
 
     #[test]
     fn differences_that_halves_of_the_rays_do_not_share_open_nothing() {
-        let meeting =
+        let of_row =
             |row: u32| LeafHits { leaf: row % 4, row, count: 1, excess: 1 - 2 * (row as i32 / 4 % 2) };
-        let mut met: Vec<LeafHits> = (0..64).map(meeting).collect();
+        let mut met: Vec<LeafHits> = (0..64).map(of_row).collect();
         met.sort_unstable_by_key(|hits| (hits.leaf, hits.row));
         let tree = tree();
-        let met = PatchHits { tree: &tree, meetings: &met, rows: 64 };
+        let met = PatchHits { tree: &tree, leaves: &met, rows: 64 };
         assert_eq!(cut(met, &Expectation::new(&tree, 0.1), 100, 0.01), [0]);
     }
 
@@ -302,10 +302,10 @@ mod tests {
             let leaves = patch.first_leaf as usize..(patch.first_leaf + patch.leaf_count) as usize;
             values[leaves].iter().sum()
         };
-        let meetings: Vec<LeafHits> = (0..3)
+        let leaf_hits: Vec<LeafHits> = (0..3)
             .map(|leaf| LeafHits { leaf, row: 0, count: counts[leaf as usize] as u32, excess: 0 })
             .collect();
-        let met = PatchHits { tree: &tree, meetings: &meetings, rows: 1 };
+        let met = PatchHits { tree: &tree, leaves: &leaf_hits, rows: 1 };
         let mean = |patch: u32| of(light, patch) / f64::from(tree.patches[patch as usize].leaf_count);
         let mut sum = met.counts(0)[0][0] * mean(0);
         for (part, parent) in [(1, 0), (4, 0), (2, 1), (3, 1), (5, 4), (6, 4)] {

@@ -3,18 +3,17 @@
 use glam::Vec3;
 
 use super::*;
-use crate::scene::model::{Material, MeshInstance};
+use crate::scene::model::{Material, MeshInstance, Scene};
 
-/// A scene under construction, and everything that a reference borrows.
+/// A scene under construction, and the geometry that a reference borrows.
 pub struct Room {
     scene: Scene,
-    images: Option<DecodedImages>,
     geometry: Option<Geometry>,
 }
 
 impl Room {
     pub fn new() -> Self {
-        Self { scene: Scene::default(), images: None, geometry: None }
+        Self { scene: Scene::default(), geometry: None }
     }
 
     /// Triangles of one material, their fronts counter-clockwise.
@@ -76,15 +75,12 @@ impl Room {
 
     /// Ready to be traced.
     pub fn built(mut self) -> Self {
-        let images = DecodedImages::decode(&self.scene).unwrap();
-        self.geometry = Some(Geometry::new(&self.scene, &std::sync::Arc::new(images.clone())));
-        self.images = Some(images);
+        self.geometry = Some(Geometry::new(self.scene.clone()).unwrap());
         self
     }
 
     pub fn under(&self, lighting: &Lighting) -> Reference<'_> {
-        let (images, geometry) = (self.images.as_ref().unwrap(), self.geometry.as_ref().unwrap());
-        Reference::new(&self.scene, images, geometry, lighting).unwrap()
+        Reference::new(self.geometry.as_ref().unwrap(), lighting).unwrap()
     }
 }
 

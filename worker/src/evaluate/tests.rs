@@ -1,0 +1,208 @@
+//! The reference and the sample, held against light that is computed in another way.
+
+use std::sync::Arc;
+
+use glam::{DVec3, Vec2, Vec3};
+use lightkiln_proto::content::{BlockKey, Texel};
+use lightkiln_proto::kinds::prt::Settings;
+use lightkiln_proto::kinds::{SceneTask, SceneTasks};
+use lightkiln_proto::scene::{LightKind, SceneLight};
+use rayon::prelude::*;
+use serde_json::json;
+
+use super::*;
+use crate::geometry::{Geometry, Site};
+use crate::kinds::{BakeKinds, Runner};
+use crate::lightmap::{Surface, World};
+use crate::rays::Hit;
+use crate::rays::sampling::{R2, seed_of};
+use crate::reference::{Lighting, Precision, Reference};
+use crate::task::{Cancelled, LocalRun, Progress};
+
+/// A scene of the tests, its lightmap placed with few receivers.
+fn world(scene: &[u8], receivers: u32) -> Arc<World> {
+    let settings = json!({ "preset": "draft", "receivers_target": 5 * receivers });
+    let settings = Settings::from_json(&settings).unwrap();
+    let progress = Progress::new();
+    let mut run = LocalRun::new(1 << 30, &progress);
+    let tasks = SceneTasks::of(run.shelf.put(scene.to_vec()), &settings.texels, &settings.place);
+    let tasks = tasks.only(&[SceneTask::Import, SceneTask::Unwrap, SceneTask::Place]);
+    run.run(&Runner::new(&BakeKinds::new()), tasks, |_| true, |_| {}).unwrap();
+    World::of_run(&run).unwrap()
+}
+
+/// A bake that shows no light: places are receivers.
+struct Dark(Arc<World>);
+
+impl Evaluated for Dark {
+    fn geometry(&self) -> &Geometry {
+        &self.0.geometry
+    }
+
+    fn answer_at(&self, hit: &Hit) -> Answer {
+        match self.0.surface_at(hit) {
+            Surface::Receiver(receiver) => Answer::Place(receiver),
+            Surface::Dark => Answer::TooSmall,
+        }
+    }
+
+    fn site(&self, place: PlaceId) -> Site {
+        self.0.lightmap.receivers[place as usize].site()
+    }
+
+    fn texel(&self, _: PlaceId) -> Option<(BlockKey, Texel)> {
+        None
+    }
+
+    fn lightmap_at(&self, _: &Hit) -> Option<(BlockKey, Vec2)> {
+        None
+    }
+
+    fn chunk_of(&self, _: PlaceId) -> Option<usize> {
+        None
+    }
+
+    fn trace(&mut self, _: &[PlaceId], _: usize, _: &Progress) -> Result<(), Cancelled> {
+        Ok(())
+    }
+
+    fn traced(&self) -> [usize; 2] {
+        [0; 2]
+    }
+
+    fn relit<'a>(
+        &'a self,
+        _: &Reference,
+        _: &Lighting,
+        _: &Progress,
+    ) -> Result<Box<dyn Relit + 'a>, Cancelled> {
+        Ok(Box::new(Nothing))
+    }
+}
+
+struct Nothing;
+
+impl Relit for Nothing {
+    fn irradiance(&self, _: PlaceId) -> Option<DVec3> {
+        Some(DVec3::ZERO)
+    }
+
+    fn bounces(&self) -> (usize, bool) {
+        (0, true)
+    }
+
+    fn classes(&self, _: &[PlaceId]) -> Vec<ErrorClass> {
+        Vec::new()
+    }
+}
+
+const CORNELL: &[u8] = include_bytes!("../../../tests/scenes/cornell.glb");
+const TWO_ROOMS: &[u8] = include_bytes!("../../../tests/scenes/two_rooms.glb");
+
+/// Radiosity on texels: `E(r) = 1/N Σ ρ (E_dir + E)` over the receivers that N cosine-distributed rays meet; no probes.
+fn radiosity(world: &World, direct: &[DVec3], rays: u32, bounces: usize) -> Vec<DVec3> {
+    let receivers = &world.lightmap.receivers;
+    let offset_m = world.geometry.tracer.ray_offset_m();
+    let met: Vec<Vec<u32>> = (0..receivers.len() as u32)
+        .into_par_iter()
+        .map(|receiver| {
+            let site = world.lightmap.receivers[receiver as usize].site();
+            let points = R2::new(seed_of(&[u64::from(receiver), 99]));
+            let meets = |ray| {
+                let direction = site.direction(points.point(ray));
+                let hit =
+                    world.geometry.tracer.closest(site.ray_origin_m(offset_m), direction, f32::INFINITY)?;
+                match world.surface_at(&hit) {
+                    Surface::Receiver(other) => Some(other),
+                    Surface::Dark => None,
+                }
+            };
+            (0..rays).filter_map(meets).collect()
+        })
+        .collect();
+    let mut light = vec![DVec3::ZERO; receivers.len()];
+    for _ in 0..bounces {
+        let leaving: Vec<DVec3> = receivers
+            .iter()
+            .zip(direct)
+            .zip(&light)
+            .map(|((receiver, direct), light)| Vec3::from(receiver.albedo).as_dvec3() * (*direct + *light))
+            .collect();
+        let gathered = |met: &Vec<u32>| met.iter().map(|&other| leaving[other as usize]).sum::<DVec3>();
+        light = met.par_iter().map(|met| gathered(met) / f64::from(rays)).collect();
+    }
+    light
+}
+
+#[test]
+fn radiosity_on_texels_agrees_with_the_path_tracer() {
+    let world = world(CORNELL, 5000);
+    let kind = LightKind::Point { position_m: [0.4, 3.0, -2.0], range_m: None };
+    let lamp = SceneLight { name: "lamp".into(), kind, strength: [10.0; 3] };
+    let lighting = Lighting { lights: vec![lamp], ..Lighting::default() };
+    let reference = Reference::new(&world.geometry, &lighting).unwrap();
+    let direct: Vec<DVec3> = (0..world.lightmap.receivers.len() as u32)
+        .into_par_iter()
+        .map(|receiver| reference.direct_irradiance(&world.lightmap.receivers[receiver as usize].site(), 1))
+        .collect();
+    let light = radiosity(&world, &direct, 256, 24);
+    let sample = Sample::new(&Dark(Arc::clone(&world)), 400);
+    assert!(sample.places.len() > 300);
+    let sites: Vec<Site> =
+        sample.ids().iter().map(|&place| world.lightmap.receivers[place as usize].site()).collect();
+    let precision = Precision { rel_error: 0.03, paths_max: 4096 };
+    let estimates = reference.irradiance(&sites, &precision, &Progress::new()).unwrap();
+    let pairs: Vec<Pair> = sample
+        .places
+        .iter()
+        .zip(&estimates)
+        .map(|(sampled, estimate)| Pair {
+            area_m2: sampled.area_m2,
+            found: light[sampled.place as usize],
+            reference: estimate.indirect,
+        })
+        .collect();
+    let figures = Figures::of(&pairs);
+    assert!((figures.energy_ratio - 1.0).abs() < 0.015, "{figures:?}");
+    assert!(figures.rel_rmse < 0.06, "{figures:?}");
+    assert!(figures.channel_energy_ratios.iter().all(|ratio| (ratio - 1.0).abs() < 0.02), "{figures:?}");
+}
+
+#[test]
+fn sample_holds_the_whole_area_and_weighs_surfaces_by_it() {
+    let world = world(CORNELL, 2000);
+    let sample = Sample::new(&Dark(Arc::clone(&world)), 2000);
+    let held: f64 = sample.places.iter().map(|sampled| sampled.area_m2).sum();
+    assert!((held + sample.share_without * sample.area_m2 - sample.area_m2).abs() < 1e-6 * sample.area_m2);
+    // The back wall, 5.5 m × 5.5 m.
+    let on_back_wall = |receiver: u32| {
+        let receiver = &world.lightmap.receivers[receiver as usize];
+        receiver.normal.z > 0.99 && receiver.position_m.z < -5.49
+    };
+    let wall = sample.places.iter().filter(|sampled| on_back_wall(sampled.place));
+    let wall_m2: f64 = wall.map(|sampled| sampled.area_m2).sum();
+    assert!((wall_m2 / 30.25 - 1.0).abs() < 0.03, "{wall_m2}");
+    // Walls, floor and ceiling, the boxes and the part of the floor below them: all but that part has receivers.
+    assert!(sample.share_without < 0.04, "{}", sample.share_without);
+}
+
+#[test]
+fn chosen_lights_hang_on_the_scene_alone() {
+    let coarse = default_lights(&world(CORNELL, 1000).geometry);
+    let wanted = ["point", "spot", "panel", "sun", "sky-uniform", "sky-gradient", "emitters"];
+    assert_eq!(coarse.lights.iter().map(|light| light.name.as_str()).collect::<Vec<_>>(), wanted);
+    assert!(coarse.notes.is_empty(), "{:?}", coarse.notes);
+    assert_eq!(coarse, default_lights(&world(CORNELL, 3000).geometry));
+}
+
+#[test]
+fn closed_scene_gets_neither_sun_nor_sky_and_says_so() {
+    let world = world(TWO_ROOMS, 2000);
+    let chosen = default_lights(&world.geometry);
+    let outside = |name: &str| name == "sun" || name.starts_with("sky");
+    assert!(chosen.lights.iter().all(|light| !outside(&light.name)), "{chosen:?}");
+    assert!(
+        chosen.lights.len() >= 3 && chosen.notes.iter().any(|note| note.contains("no opening")),
+        "{chosen:?}"
+    );
+}
