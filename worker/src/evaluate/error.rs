@@ -3,6 +3,7 @@
 use lightkiln_proto::chunk::ChunkError;
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::manifest::ManifestError;
+use lightkiln_proto::relight::Inconsistent;
 use thiserror::Error;
 
 use crate::reference::LightingError;
@@ -48,6 +49,9 @@ pub enum EvaluationError {
     /// Its settings or body cannot be read.
     #[error("the bundle's manifest cannot be used")]
     Manifest(#[from] ManifestError),
+    /// Its chunks contradict each other.
+    #[error("the bundle's chunks contradict each other; bake the scene again")]
+    Inconsistent(#[from] Inconsistent),
     /// Import and prepare give something else than they did for the bake.
     #[error(
         "this version of Lightkiln prepares the scene otherwise than the bundle's did ({what}): bake it again"

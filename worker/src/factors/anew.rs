@@ -11,12 +11,12 @@
 
 use std::collections::BTreeMap;
 
-use glam::DVec3;
+use glam::{DVec3, Vec4};
 use lightkiln_proto::content::{BlockKey, Texel};
-use lightkiln_proto::prt::reconstruct::Rgb;
+use lightkiln_proto::relight::{ClusterTable, Columns};
 use rayon::prelude::*;
 
-use super::baked::{Baked, Place, Settled, names, reconstructed};
+use super::baked::{Baked, Light, Threads};
 use super::{CellRows, ClusterCell, Detail, Piece, Transport};
 use crate::lightmap::Lightmap;
 use crate::reference::luminance;
@@ -72,25 +72,29 @@ impl Anew {
         self.cells.iter().map(|cell| cell.pieces.len()).sum()
     }
 
-    /// Full-rank E_ind of each sampled receiver; `near` is the light of its near hits.
-    pub fn full_rank(&self, near: Vec<Rgb>, settled: &Settled, emitter_scale: f32) -> Vec<DVec3> {
-        let of = |(found, near): (&CellRows, Rgb)| {
-            full_rank(&found.rows[0], &found.keys, near, settled, emitter_scale)
+    /// Full-rank E_ind of each sampled receiver, by its slot.
+    pub fn full_rank<C: Columns>(
+        &self,
+        slots: &[Option<u32>],
+        baked: &Baked<C>,
+        light: &Light,
+    ) -> Vec<DVec3> {
+        let of = |(found, slot): (&CellRows, &Option<u32>)| {
+            full_rank(&found.rows[0], &found.keys, *slot, baked, light)
         };
-        self.rows.par_iter().zip(near).map(of).collect()
+        self.rows.par_iter().zip(slots).map(of).collect()
     }
 
     /// Root mean square errors of factorisation and of quantisation, W·m⁻² of luminance.
-    pub fn factor_errors(
+    pub fn factor_errors<C: Columns>(
         &self,
         lightmap: &Lightmap,
-        baked: &Baked,
-        settled: &Settled,
-        emitter_scale: f32,
+        baked: &Baked<C>,
+        light: &Light,
     ) -> [f64; 2] {
         let mut squares = [0.0; 2];
         for cell in &self.cells {
-            let of_cell = cell.squared_errors(lightmap, baked, settled, emitter_scale);
+            let of_cell = cell.squared_errors(lightmap, baked, light);
             squares = [0, 1].map(|class| squares[class] + of_cell[class] / self.cells.len() as f64);
         }
         squares.map(f64::sqrt)
@@ -105,25 +109,23 @@ impl CellAnew {
     }
 
     /// Mean squared errors of both classes over the cell's live receivers.
-    fn squared_errors(&self, lightmap: &Lightmap, baked: &Baked, settled: &Settled, scale: f32) -> [f64; 2] {
-        let mut row_of: BTreeMap<(BlockKey, Texel), &Row> = BTreeMap::new();
-        for (receiver, row) in self.receivers.iter().zip(&self.rows.rows) {
-            row_of.insert(lightmap.name_of(*receiver), row);
-        }
+    fn squared_errors<C: Columns>(&self, lightmap: &Lightmap, baked: &Baked<C>, light: &Light) -> [f64; 2] {
+        let names = self.receivers.iter().map(|&receiver| lightmap.name_of(receiver));
+        let row_of: BTreeMap<(BlockKey, Texel), &Row> = names.zip(&self.rows.rows).collect();
         let (mut sums, mut count) = ([0.0; 2], 0_u64);
         for piece in &self.pieces {
-            let places = || names(&piece.transport).map(|name| baked.place(name.0, name.1));
-            let near_of = |place: Option<Place>| place.map_or([0.0; 3], |(c, r)| settled.near_of(c, r));
-            let near: Vec<Rgb> = places().map(near_of).collect();
-            let by_factors = reconstructed(&piece.transport, settled, near.clone(), scale);
-            for (((name, place), near), factored) in
-                names(&piece.transport).zip(places()).zip(near).zip(&by_factors)
-            {
-                let Some(row) = row_of.get(&name) else { continue };
-                let full = full_rank(row, &self.rows.keys, near, settled, scale);
-                let decoded = place.map_or([0.0; 3], |(c, r)| settled.indirect[c][r]);
-                sums[0] += (luminance(wide(*factored)) - luminance(full)).powi(2);
-                sums[1] += (luminance(wide(decoded)) - luminance(wide(*factored))).powi(2);
+            let receivers = &piece.transport.receivers;
+            let names = receivers.block.iter().zip(&receivers.texel);
+            let names: Vec<(BlockKey, Texel)> =
+                names.map(|(block, texel)| (receivers.blocks[usize::from(*block)], *texel)).collect();
+            let slots: Vec<Option<u32>> =
+                names.iter().map(|&(block, texel)| baked.transport.slots.slot_of(block, texel)).collect();
+            let by_factors = factored(piece, &slots, baked, light);
+            for ((name, slot), factored) in names.iter().zip(slots).zip(by_factors) {
+                let full = full_rank(row_of[name], &self.rows.keys, slot, baked, light);
+                let decoded = slot.map_or(Vec4::ZERO, |slot| light.settled.indirect(slot));
+                sums[0] += (luminance(wide(factored)) - luminance(full)).powi(2);
+                sums[1] += (luminance(wide(decoded)) - luminance(wide(factored))).powi(2);
                 count += 1;
             }
         }
@@ -131,26 +133,46 @@ impl CellAnew {
     }
 }
 
-/// `max(0, N + Σ_p Σ_j α_pj λ_pj + Σ_e s E_e)`, in f64.
-fn full_rank(row: &Row, keys: &[u64], near: Rgb, settled: &Settled, emitter_scale: f32) -> DVec3 {
-    let coefficients = row.alpha.len() / (keys.len() + 1);
-    let mut sum = wide(near);
-    let mut add = |alpha: &[f32], lambda: &[Rgb]| {
+/// Light of near hits at a slot, as the chunk has it.
+fn near_of(slot: Option<u32>, light: &Light) -> Vec4 {
+    slot.and_then(|slot| light.settled.near.get(slot as usize).copied()).unwrap_or(Vec4::ZERO)
+}
+
+/// E_emit + E_ind of a piece's receivers by its unquantised factors, under the λ of the decoded bake.
+fn factored<C: Columns>(piece: &Piece, slots: &[Option<u32>], baked: &Baked<C>, light: &Light) -> Vec<Vec4> {
+    let columns = &baked.transport.columns;
+    let table =
+        ClusterTable::join(std::slice::from_ref(&piece.transport), columns, light.emitter_scale.len())
+            .expect("a piece made anew has columns of its own bake");
+    let b = table.basis(&Threads, &light.settled.lambda, columns.coefficients());
+    let emit = table.emitter_irradiance(slots.len(), &light.emitter_scale);
+    let near: Vec<Vec4> = slots.iter().map(|&slot| near_of(slot, light)).collect();
+    let ind = table.reconstruct(&Threads, &b, &near, &emit);
+    emit.into_iter().zip(ind).map(|(emit, ind)| emit + ind).collect()
+}
+
+/// `max(0, N + Σ_p Σ_j α_pj λ_pj + Σ_e s_e E_e)`, in f64.
+fn full_rank<C: Columns>(
+    row: &Row,
+    keys: &[u64],
+    slot: Option<u32>,
+    baked: &Baked<C>,
+    light: &Light,
+) -> DVec3 {
+    let (columns, lambda) = (&baked.transport.columns, &light.settled.lambda);
+    let coefficients = columns.coefficients();
+    let places = keys.iter().map(|&key| columns.index(key)).chain([columns.sky_index()]);
+    let mut sum = wide(near_of(slot, light));
+    for (place, alpha) in places.zip(row.alpha.chunks_exact(coefficients)) {
+        // A carrier that the bake lacks, as it was left out of its chunks, carries no light.
+        let Some(place) = place else { continue };
+        let lambda = &lambda[place as usize * coefficients..][..coefficients];
         for (alpha, lambda) in alpha.iter().zip(lambda) {
             sum += f64::from(*alpha) * wide(*lambda);
         }
-    };
-    let mut columns = row.alpha.chunks_exact(coefficients);
-    for (&key, alpha) in keys.iter().zip(columns.by_ref()) {
-        if let Some(lambda) = settled.lambda_of(key) {
-            add(alpha, lambda);
-        }
     }
-    if let Some(alpha) = columns.next() {
-        add(alpha, &settled.lambda_sky);
-    }
-    for emitter in &row.emitters {
-        sum += wide(*emitter) * f64::from(emitter_scale);
+    for (emitter, scale) in row.emitters.iter().zip(&light.emitter_scale) {
+        sum += glam::Vec3::from(*emitter).as_dvec3() * f64::from(*scale);
     }
     sum.max(DVec3::ZERO)
 }
@@ -176,6 +198,6 @@ fn chosen_cells(cells: &[ClusterCell], cells_max: usize) -> Vec<usize> {
 }
 
 /// A colour in f64.
-pub(super) fn wide(colour: Rgb) -> DVec3 {
-    glam::Vec3::from(colour).as_dvec3()
+pub(super) fn wide(colour: Vec4) -> DVec3 {
+    colour.truncate().as_dvec3()
 }

@@ -6,11 +6,10 @@ use std::sync::Arc;
 use glam::{DVec3, Vec2};
 use lightkiln_proto::content::{BlockKey, Texel};
 use lightkiln_proto::manifest::Manifest;
-use lightkiln_proto::prt::reconstruct::Rgb;
-use lightkiln_proto::scene::LightKind;
+use lightkiln_proto::relight::{Columns, Inconsistent, SlotTable};
 
 use super::anew::{Anew, wide};
-use super::baked::{Baked, Carriers, Incoming, Place, Settled};
+use super::baked::{Baked, Light};
 use super::{ClusterCell, Transport, cells_of_task};
 use crate::evaluate::{Answer, ChunkBytes, ErrorClass, Evaluated, EvaluationError, Measure, PlaceId, Relit};
 use crate::geometry::{Geometry, Site};
@@ -22,18 +21,21 @@ use crate::task::{Cancelled, Context, Progress};
 /// Points over a panel that give E_dir at every receiver of the bake.
 const PANEL_POINTS: u32 = 64;
 
+/// Names of the classes of error, in the order of [`Relit::classes`].
+pub const ERROR_CLASSES: [&str; 3] = ["transport", "factorisation", "quantisation"];
+
 /// A decoded bake in its world, made anew.
-pub struct FactoredBake {
+pub struct FactoredBake<C> {
     world: Arc<World>,
     transport: Box<dyn Transport>,
-    baked: Baked,
+    baked: Baked<C>,
     cells: Vec<ClusterCell>,
-    /// Index of each cluster's receivers in the lightmap.
-    receiver_of: Vec<Vec<u32>>,
+    /// Index in the lightmap of the receiver at each slot.
+    receiver_of: Vec<u32>,
     anew: Option<Anew>,
 }
 
-impl FactoredBake {
+impl<C: Columns> FactoredBake<C> {
     /// Decodes a bake's clusters and finds their receivers in the world that `context` has, that of its transport tasks.
     ///
     /// Errors when the world is not the one that was baked.
@@ -42,60 +44,37 @@ impl FactoredBake {
         bytes: ChunkBytes,
         context: &Context,
         transport: Box<dyn Transport>,
-        carriers: Box<dyn Carriers>,
+        columns: impl FnOnce(&SlotTable) -> Result<C, Inconsistent>,
     ) -> Result<Self, EvaluationError> {
         let world = World::of(context).map_err(EvaluationError::Prepare)?;
         let cells = cells_of_task(context).map_err(EvaluationError::Prepare)?.as_ref().clone();
-        let baked = Baked::decode(manifest, bytes, carriers)?;
+        let baked = Baked::decode(manifest, bytes, columns)?;
         let receiver_of = same_world(manifest, &world, &baked)?;
         Ok(Self { world, transport, baked, cells, receiver_of, anew: None })
     }
 
-    /// The world.
-    pub fn world(&self) -> &World {
-        &self.world
-    }
-
-    /// The decoded bake.
-    pub fn baked(&self) -> &Baked {
-        &self.baked
-    }
-
-    /// Cluster of a receiver and its place there; `None` for those that no light can reach.
-    pub fn place(&self, receiver: u32) -> Option<Place> {
+    /// Slot of a receiver; `None` for those that no light can reach.
+    fn slot(&self, receiver: PlaceId) -> Option<u32> {
         let (block, texel) = self.world.lightmap.name_of(receiver);
-        self.baked.place(block, texel)
+        self.baked.transport.slots.slot_of(block, texel)
     }
 
     /// The bake relit until bounces converge, E_dir by exact rays.
-    pub fn settled(
+    fn lit(
         &self,
         reference: &Reference,
         lighting: &Lighting,
         progress: &Progress,
-    ) -> Result<Settled, Cancelled> {
-        let receivers = &self.world.lightmap.receivers;
-        let direct = self.baked.direct(|at| -> Result<Rgb, Cancelled> {
+    ) -> Result<Light, Cancelled> {
+        let site = |slot: u32| self.site(self.receiver_of[slot as usize]);
+        self.baked.lit(lighting, site, |site| {
             progress.check()?;
-            let site = at.site(|(c, r)| receivers[self.receiver_of[c][r] as usize].site());
-            Ok(reference.direct_irradiance(&site, PANEL_POINTS).as_vec3().to_array())
-        })?;
-        let mut sky = [[0.0; 3]; 2];
-        for lamp in &lighting.lights {
-            if let LightKind::Sky { zenith, horizon } = &lamp.kind {
-                for (sum, colour) in sky.iter_mut().zip([zenith, horizon]) {
-                    *sum = [0, 1, 2].map(|c| sum[c] + colour[c] * lamp.strength[c]);
-                }
-            }
-        }
-        Ok(self.baked.settle(&Incoming { direct, sky, emitter_scale: lighting.emitter_scale }))
+            Ok(reference.direct_irradiance(site, PANEL_POINTS))
+        })
     }
 }
 
-/// Classes of error of a factorised bake.
-pub const ERROR_CLASSES: [&str; 3] = ["transport", "factorisation", "quantisation"];
-
-impl Evaluated for FactoredBake {
+impl<C: Columns> Evaluated for FactoredBake<C> {
     fn geometry(&self) -> &Geometry {
         &self.world.geometry
     }
@@ -117,11 +96,12 @@ impl Evaluated for FactoredBake {
     }
 
     fn place_of(&self, block: BlockKey, texel: Texel) -> Option<PlaceId> {
-        self.baked.place(block, texel).map(|(c, r)| self.receiver_of[c][r])
+        let slot = self.baked.transport.slots.slot_of(block, texel)?;
+        Some(self.receiver_of[slot as usize])
     }
 
     fn chunk_of(&self, place: PlaceId) -> Option<usize> {
-        self.place(place).map(|(cluster, _)| cluster)
+        self.slot(place).map(|slot| self.baked.cluster_of(slot))
     }
 
     fn lightmap_at(&self, hit: &Hit) -> Option<(BlockKey, Vec2)> {
@@ -143,57 +123,53 @@ impl Evaluated for FactoredBake {
         lighting: &Lighting,
         progress: &Progress,
     ) -> Result<Box<dyn Relit + 'a>, Cancelled> {
-        let settled = self.settled(reference, lighting, progress)?;
-        Ok(Box::new(RelitBake { bake: self, settled, emitter_scale: lighting.emitter_scale }))
+        Ok(Box::new(RelitBake { bake: self, light: self.lit(reference, lighting, progress)? }))
     }
 }
 
 /// A bake under some lights.
-struct RelitBake<'a> {
-    bake: &'a FactoredBake,
-    settled: Settled,
-    emitter_scale: f32,
+struct RelitBake<'a, C> {
+    bake: &'a FactoredBake<C>,
+    light: Light,
 }
 
-impl Relit for RelitBake<'_> {
+impl<C: Columns> Relit for RelitBake<'_, C> {
     fn irradiance(&self, place: PlaceId) -> Option<DVec3> {
-        self.bake.place(place).map(|(c, r)| wide(self.settled.indirect[c][r]))
+        self.bake.slot(place).map(|slot| wide(self.light.settled.indirect(slot)))
     }
 
     fn bounces(&self) -> (usize, bool) {
-        (self.settled.bounces, self.settled.converged)
+        (self.light.settled.bounces as usize, self.light.settled.converged)
     }
 
     fn classes(&self, sample: &[PlaceId]) -> Vec<ErrorClass> {
         let Some(anew) = &self.bake.anew else { return Vec::new() };
-        let near_of =
-            |&place: &PlaceId| self.bake.place(place).map_or([0.0; 3], |(c, r)| self.settled.near_of(c, r));
-        let near = sample.iter().map(near_of).collect();
-        let full = anew.full_rank(near, &self.settled, self.emitter_scale);
+        let slots: Vec<Option<u32>> = sample.iter().map(|&place| self.bake.slot(place)).collect();
+        let full = anew.full_rank(&slots, &self.bake.baked, &self.light);
         let lightmap = &self.bake.world.lightmap;
-        let [factorisation, quantisation] =
-            anew.factor_errors(lightmap, &self.bake.baked, &self.settled, self.emitter_scale);
-        let abouts = ["of rays and basis", "of the rank and of columns left out", "of the chunk's numbers"];
-        let measures = [Measure::AtSample(full), Measure::Rms(factorisation), Measure::Rms(quantisation)];
-        let named = ERROR_CLASSES.into_iter().zip(abouts).zip(measures);
-        named.map(|((name, about), measure)| ErrorClass { name, about, measure }).collect()
+        let [factorisation, quantisation] = anew.factor_errors(lightmap, &self.bake.baked, &self.light);
+        let class = |which: usize, about, measure| ErrorClass { name: ERROR_CLASSES[which], about, measure };
+        vec![
+            class(0, "of rays and basis", Measure::AtSample(full)),
+            class(1, "of the rank and of columns left out", Measure::Rms(factorisation)),
+            class(2, "of the chunk's numbers", Measure::Rms(quantisation)),
+        ]
     }
 }
 
-/// Index in the lightmap of each receiver by cluster; errors with the first difference between world and bake.
-fn same_world(manifest: &Manifest, world: &World, baked: &Baked) -> Result<Vec<Vec<u32>>, EvaluationError> {
+/// Index in the lightmap of the receiver at each slot; errors with the first difference between world and bake.
+fn same_world<C>(manifest: &Manifest, world: &World, baked: &Baked<C>) -> Result<Vec<u32>, EvaluationError> {
     let (lightmap, baked_m) = (&world.lightmap, manifest.lightmap.texel_m);
+    let other = |what: String| EvaluationError::OtherStage { what };
     if lightmap.texel_m != baked_m {
-        let what = format!("texels of {} m, not {baked_m} m", lightmap.texel_m);
-        return Err(EvaluationError::OtherStage { what });
+        return Err(other(format!("texels of {} m, not {baked_m} m", lightmap.texel_m)));
     }
-    let receivers = 0..lightmap.receivers.len() as u32;
-    let index_of: BTreeMap<_, u32> = receivers.map(|index| (lightmap.name_of(index), index)).collect();
-    let of_cluster = |cluster| {
-        let found: Option<Vec<u32>> =
-            super::names(cluster).map(|name| index_of.get(&name).copied()).collect();
-        let absent = || EvaluationError::OtherStage { what: "a receiver of the bundle is not there".into() };
-        found.ok_or_else(absent)
-    };
-    baked.clusters.iter().map(of_cluster).collect()
+    let slots = &baked.transport.slots;
+    let mut receiver_of = BTreeMap::new();
+    for receiver in 0..lightmap.receivers.len() as u32 {
+        let (block, texel) = lightmap.name_of(receiver);
+        receiver_of.extend(slots.slot_of(block, texel).map(|slot| (slot, receiver)));
+    }
+    let found = (0..baked.transport.receivers.len() as u32).map(|slot| receiver_of.get(&slot).copied());
+    found.collect::<Option<_>>().ok_or_else(|| other("a receiver of the bundle is not there".into()))
 }

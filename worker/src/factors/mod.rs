@@ -16,9 +16,7 @@ use lightkiln_proto::content::ClusterTransport;
 use crate::task::{Cancelled, Progress};
 use crate::transport::Row;
 
-pub use baked::{
-    Baked, Carriers, Direct, DirectAt, Incoming, Lambda, Place, Settled, decoded, names, reconstructed,
-};
+pub use baked::{Baked, Light, Threads, decoded};
 pub use cells::{CELLS_ARTEFACT, ClusterCell, cell_of_task, cells, cells_of_task, encoded};
 pub use cluster::{attributes, bounds_m, emitters};
 pub use components::components;

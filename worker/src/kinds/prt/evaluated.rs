@@ -1,32 +1,16 @@
 //! A bake over patches as evaluation sees it.
 
 use lightkiln_proto::chunk::decode_patches;
-use lightkiln_proto::content::{BlockKey, PatchSet, Texel};
 use lightkiln_proto::kinds::prt::{PATCHES, PrtTask, Settings, first_tasks};
 use lightkiln_proto::manifest::Manifest;
-use lightkiln_proto::prt::reconstruct::{Rgb, patch_radiance};
+use lightkiln_proto::relight::PatchTable;
 
 use super::PatchTransport;
 use super::plan::PATCH_SET;
 use crate::evaluate::{ChunkBytes, EvaluationError};
-use crate::factors::{Carriers, FactoredBake, Lambda, decoded};
+use crate::factors::{FactoredBake, decoded};
 use crate::kinds::{BakeKinds, made_anew};
 use crate::task::Progress;
-
-/// The decoded set of patches.
-struct Patches(PatchSet);
-
-impl Carriers for Patches {
-    fn lambda(&self, radiance: &(dyn Fn(BlockKey, Texel) -> Rgb + Sync), sky: [Rgb; 2]) -> Lambda {
-        let means = patch_radiance(&self.0, radiance, sky);
-        means.into_iter().map(|(key, mean)| (key.0, vec![mean])).collect()
-    }
-
-    fn lambda_sky(&self, _: [Rgb; 2]) -> Vec<Rgb> {
-        // The sky's parts have keys.
-        Vec::new()
-    }
-}
 
 /// Makes the bake's world anew and decodes its chunks.
 pub fn evaluated(
@@ -34,7 +18,7 @@ pub fn evaluated(
     scene: Vec<u8>,
     bytes: ChunkBytes,
     progress: &Progress,
-) -> Result<FactoredBake, EvaluationError> {
+) -> Result<FactoredBake<PatchTable>, EvaluationError> {
     let settings: Settings = manifest.settings()?;
     let plan = |scene| first_tasks(scene, &settings);
     made_anew(&BakeKinds::new(), plan, PrtTask::Transport.name(), scene, progress, |context, run| {
@@ -44,6 +28,7 @@ pub fn evaluated(
         }
         let patches = decoded(&chunks[0], bytes, decode_patches)?;
         let transport = PatchTransport::of(context, settings.clone()).map_err(EvaluationError::Prepare)?;
-        FactoredBake::new(manifest, bytes, context, Box::new(transport), Box::new(Patches(patches)))
+        let columns = |slots: &_| PatchTable::new(&patches, slots);
+        FactoredBake::new(manifest, bytes, context, Box::new(transport), columns)
     })
 }
