@@ -11,7 +11,6 @@ pub mod jobs;
 pub mod kinds;
 pub mod manifest;
 pub mod problem;
-pub mod prt;
 pub mod relight;
 pub mod scene;
 pub mod settings;

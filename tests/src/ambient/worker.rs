@@ -6,7 +6,9 @@ use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::TaskSpec;
 use lightkiln_proto::manifest::{ChunkRef, Manifest};
 use lightkiln_worker::assemble::{KindPart, assembled};
-use lightkiln_worker::evaluate::{Answer, ChunkBytes, ErrorClass, Evaluated, EvaluationError, PlaceId, Relit};
+use lightkiln_worker::evaluate::{
+    Answer, ChunkBytes, ErrorClass, Evaluated, EvaluationError, PlaceId, Relit,
+};
 use lightkiln_worker::geometry::{Geometry, Site};
 use lightkiln_worker::kinds::{BakeKind, TaskRow};
 use lightkiln_worker::rays::Hit;

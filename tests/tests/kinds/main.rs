@@ -57,7 +57,8 @@ fn kind_is_baked_inspected_and_drawn() {
     let figures = json(&run(folder.path(), &["inspect", "out", "--json"], 0));
     assert_eq!((&figures["kind"], &figures["irradiance"]), (&NAME.into(), &2.0.into()));
     let chunk = format!("out/chunks/{}", manifest.chunks(ambient::ROLE)[0].digest);
-    let chunk = [chunk.clone(), format!("{chunk}.lkc")].into_iter().find(|path| folder.path().join(path).exists());
+    let chunk =
+        [chunk.clone(), format!("{chunk}.lkc")].into_iter().find(|path| folder.path().join(path).exists());
     let chunk = json(&run(folder.path(), &["inspect", &chunk.unwrap(), "--json"], 0));
     assert_eq!((&chunk["kind"], &chunk["content"]["irradiance"][0]), (&NAME.into(), &2.0.into()));
     let size = ["preview", "out", "--out", "a.png", "--size", "64x48", "--backend", "cpu"];
@@ -74,7 +75,8 @@ fn kind_is_baked_inspected_and_drawn() {
 fn kind_is_held_against_the_path_tracer() {
     let folder = tempfile::tempdir().unwrap();
     bake(folder.path());
-    let lights = r#"{"lights": [{"name": "lamp", "type": "point", "position": [0, 1, 0], "intensity": [1, 1, 1]}]}"#;
+    let lights =
+        r#"{"lights": [{"name": "lamp", "type": "point", "position": [0, 1, 0], "intensity": [1, 1, 1]}]}"#;
     std::fs::write(folder.path().join("lights.json"), lights).unwrap();
     let rough = ["--receivers", "20", "--rel-error", "0.5", "--lights", "lights.json", "--json"];
     let arguments = [&["evaluate", "out"], &rough[..]].concat();
@@ -119,11 +121,13 @@ fn kind_is_baked_by_a_farm_over_http() {
     let mut worker = program(folder.path());
     let _worker = Running(worker.args(["worker", "--server", &url, "--threads", "1"]).spawn().unwrap());
     let scene = scene();
-    let arguments = ["bake", scene.to_str().unwrap(), "--kind", NAME, "--server", &url, "--out", "out", "--json"];
+    let arguments =
+        ["bake", scene.to_str().unwrap(), "--kind", NAME, "--server", &url, "--out", "out", "--json"];
     let summary = json(&run(folder.path(), &arguments, 0));
     assert_eq!(summary["irradiance"], 1.0);
     // The same scene as another kind shares the tasks that are the same.
-    let other = ["bake", scene.to_str().unwrap(), "--server", &url, "--out", "prt", "--preset", "draft", "--json"];
+    let other =
+        ["bake", scene.to_str().unwrap(), "--server", &url, "--out", "prt", "--preset", "draft", "--json"];
     let small = ["--set", "receivers_target=200", "--set", "transport_rays=16"];
     let summary = json(&run(folder.path(), &[&other[..], &small].concat(), 0));
     assert!(summary["tasks_reused"].as_u64().unwrap() >= 2, "import and frame are shared: {summary}");
