@@ -1,4 +1,4 @@
-//! Everything that can go wrong in the client: what was wrong, where, and what to do.
+//! The client's errors: each says the fault, its place, and the way out.
 
 use std::io;
 use std::path::PathBuf;
@@ -21,9 +21,9 @@ pub enum ClientError {
     /// A path that cannot be a source, or a server that cannot be one any more.
     #[error("'{text}' {problem}")]
     Source {
-        /// What was given.
+        /// Text given.
         text: String,
-        /// What is wrong and what to do.
+        /// Fault and way out.
         problem: String,
     },
     /// A file could not be read or written.
@@ -40,7 +40,7 @@ pub enum ClientError {
     /// Something is larger than its limit.
     #[error("{what} has {bytes} bytes, more than the {limit} that are read; it is broken or not ours")]
     TooLarge {
-        /// What it is.
+        /// Name of the thing.
         what: String,
         /// Its length.
         bytes: u64,
@@ -52,7 +52,7 @@ pub enum ClientError {
         "{place}: chunk {wanted} holds other bytes (their digest is {got}); delete it and fetch it again"
     )]
     WrongDigest {
-        /// Where the bytes came from.
+        /// Source of the bytes.
         place: String,
         /// Digest asked for.
         wanted: Digest,
@@ -60,9 +60,9 @@ pub enum ClientError {
         got: Digest,
     },
     /// Text that should be JSON of a known shape.
-    #[error("{place} is not what it should be")]
+    #[error("{place} is malformed")]
     Json {
-        /// Where it came from.
+        /// Its source.
         place: String,
         /// Why.
         #[source]
@@ -71,7 +71,7 @@ pub enum ClientError {
     /// A manifest that cannot be used.
     #[error("{place} cannot be used")]
     Manifest {
-        /// Where it came from.
+        /// Its source.
         place: String,
         /// Why.
         #[source]
@@ -88,12 +88,12 @@ pub enum ClientError {
         #[source]
         source: Box<dyn std::error::Error + Send + Sync>,
     },
-    /// Manifest and chunks contradict each other, or exceed a limit.
+    /// Manifest and chunks contradict each other or exceed a limit.
     #[error("the bake is inconsistent: {place}: {problem}; bake it again")]
     Inconsistent {
         /// Manifest entry or chunk.
         place: String,
-        /// What is wrong with it.
+        /// The contradiction.
         problem: String,
     },
     /// A camera, light or size given by hand that cannot be used.
@@ -101,7 +101,7 @@ pub enum ClientError {
     Argument {
         /// The argument as given.
         what: String,
-        /// What is wrong and how it should look.
+        /// Fault, and an example of the right form.
         problem: String,
     },
     /// The graphics adapter is absent or cannot hold the bake.

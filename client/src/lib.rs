@@ -1,14 +1,14 @@
 //! Lightkiln's thin client: fetches a bake's manifest and chunks, and relights the scene.
 //!
-//! [`fetch`] reads bundles and servers, [`scene`] and [`bake`] hold a bake in memory, [`kinds`] say what its light is made
-//! of, [`passes`] are the steps of the frame (each on the graphics adapter and, as its reference, on the processor),
+//! [`fetch`] reads bundles and servers, [`scene`] and [`bake`] hold a bake in memory, [`kinds`] load its
+//! light, [`passes`] are the steps of the frame (each on the graphics adapter and, as its reference, on the processor),
 //! [`preview`] draws pictures. Nothing here panics on a bad chunk: malformed input is a [`ClientError`].
 //!
 //! ```no_run
 //! use lightkiln_client::{bake::LoadedBake, fetch::Source, kinds, preview};
 //!
 //! let bake = LoadedBake::load(&Source::bundle("room.bake")?, &kinds::all())?;
-//! let (view, notes) = preview::View::of_bake(&bake, None, Vec::new());
+//! let (view, notes) = preview::View::of_bake(&bake, None, Vec::new())?;
 //! notes.iter().for_each(|note| eprintln!("{note}"));
 //! preview::render_png(&bake, &view, preview::Backend::Auto, "room.png".as_ref())?;
 //! # Ok::<(), lightkiln_client::ClientError>(())

@@ -29,7 +29,7 @@ pub const MAX_SIDE: u32 = 16_384;
 /// Most samples per pixel.
 pub const MAX_SAMPLES: u32 = 64;
 
-/// Who draws.
+/// Adapter or processor.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Backend {
     /// The graphics adapter if there is one that can and is no software, else the processor, which is faster than such.
@@ -41,7 +41,7 @@ pub enum Backend {
     Cpu,
 }
 
-/// What to draw.
+/// A picture to draw: camera, size, lights, quality.
 #[derive(Clone, Debug, PartialEq)]
 pub struct View {
     /// Camera.

@@ -17,3 +17,4 @@ pub mod settings;
 pub mod sh;
 pub mod trace;
 pub mod units;
+pub mod words;

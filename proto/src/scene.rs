@@ -55,6 +55,21 @@ pub enum LightKind {
     },
 }
 
+/// A rectangle that shines evenly from its front and neither blocks light nor reflects it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PanelLight {
+    /// Name for messages.
+    pub name: String,
+    /// Centre in metres.
+    pub centre_m: [f32; 3],
+    /// From the centre to the middle of the right edge, in metres.
+    pub half_u_m: [f32; 3],
+    /// From the centre to the middle of the upper edge, in metres; light leaves along `half_u_m × half_v_m`.
+    pub half_v_m: [f32; 3],
+    /// Radiance in W·m⁻²·sr⁻¹.
+    pub radiance: [f32; 3],
+}
+
 /// A camera in world space.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]

@@ -1,6 +1,5 @@
-//! Time as the stores see it; tests turn the hands themselves.
+//! Time as the stores see it; tests give clocks of their own.
 
-use std::sync::atomic::{AtomicI64, Ordering};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 /// Tells the time. Every lease, backoff and event takes it from here.
@@ -19,29 +18,5 @@ impl Clock for SystemClock {
         SystemTime::now()
             .duration_since(UNIX_EPOCH)
             .map_or(0, |since| i64::try_from(since.as_millis()).unwrap_or(i64::MAX))
-    }
-}
-
-/// A clock that stands still until it is moved.
-#[derive(Debug, Default)]
-pub struct ManualClock {
-    now_ms: AtomicI64,
-}
-
-impl ManualClock {
-    /// A clock that shows `now_ms`.
-    pub fn at(now_ms: i64) -> Self {
-        Self { now_ms: AtomicI64::new(now_ms) }
-    }
-
-    /// Moves the hands forward.
-    pub fn advance_ms(&self, by_ms: i64) {
-        self.now_ms.fetch_add(by_ms, Ordering::SeqCst);
-    }
-}
-
-impl Clock for ManualClock {
-    fn now_ms(&self) -> i64 {
-        self.now_ms.load(Ordering::SeqCst)
     }
 }

@@ -1,4 +1,4 @@
-//! The clearing away of what nobody needs, now and then. Any number of servers may do it beside each other.
+//! Garbage collection of bakes and chunks, now and then. Any number of servers may do it beside each other.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -9,7 +9,7 @@ use crate::store::chunk::CollectRules;
 /// Bakes and chunks of one transaction. More → fewer transactions, and longer waits of others meanwhile.
 const BATCH: u32 = 500;
 
-/// What is kept for how long.
+/// Retention of chunks and bakes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Keeping {
     /// Chunks that nobody refers to stay this long after they were last asked for. Shorter → room is free sooner;

@@ -15,10 +15,10 @@ use crate::store::StoreError;
 /// Everything that can go wrong in a server.
 #[derive(Debug, Error)]
 pub enum ServerError {
-    /// The request is not what the call takes.
+    /// The call does not take such a request.
     #[error("{what}")]
     BadRequest {
-        /// What was wrong, where, and what to do.
+        /// The fault, where it is, and the way out.
         what: String,
     },
     /// The bake cannot be planned from its settings.
@@ -47,7 +47,7 @@ pub enum ServerError {
          with a token that the farm's owner makes with 'kiln token create'"
     )]
     Unauthorized {
-        /// What is wrong with the token.
+        /// The fault of the token.
         why: &'static str,
     },
     /// The token is good for other calls.
@@ -56,7 +56,7 @@ pub enum ServerError {
         /// Scopes that would do.
         wanted: String,
     },
-    /// Somebody's token or name is not as it should be.
+    /// A bearer's name or scopes are malformed.
     #[error(transparent)]
     Access(#[from] AccessError),
     /// No such lease.
@@ -67,7 +67,7 @@ pub enum ServerError {
     NoResult {
         /// The bake.
         bake: String,
-        /// What was asked for.
+        /// The result asked for.
         what: &'static str,
         /// Its state, in words.
         why: String,
@@ -121,9 +121,9 @@ pub enum ServerError {
     /// A file or folder of the state cannot be used.
     #[error("cannot {action} {}", path.display())]
     State {
-        /// What was tried.
+        /// The action tried.
         action: &'static str,
-        /// On what.
+        /// The file or folder.
         path: PathBuf,
         /// Why not.
         #[source]
@@ -167,7 +167,7 @@ pub enum ServerError {
     /// Webhooks that cannot be.
     #[error("webhooks cannot be delivered: {what}")]
     Webhook {
-        /// What is wrong with them.
+        /// Their fault.
         what: String,
     },
     /// A bug.

@@ -1,4 +1,4 @@
-//! What the farm does when asked: store, chunks and hints put together, without HTTP.
+//! The calls of a farm without HTTP: store, chunks and hints put together.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -15,13 +15,14 @@ use lightkiln_proto::kinds::{BakeError, Kinds};
 use tokio::sync::watch;
 use tokio::time::Instant;
 
-use crate::access::Guard;
 use crate::error::ServerError;
+use crate::guard::Guard;
 use crate::lookout::Lookout;
 use crate::metrics::Metrics;
+use crate::random::is_fencing_token;
 use crate::storage::{Removed, Storage};
 use crate::store::chunk::CollectRules;
-use crate::store::{FarmStore, KnownResult, StoreError, Submission, is_token};
+use crate::store::{FarmStore, KnownResult, StoreError, Submission};
 use crate::wakeup::Wakeup;
 
 /// Longest name of a bake, in characters.
@@ -53,9 +54,9 @@ pub struct Farm {
     pub storage: Storage,
     /// Hints between calls.
     pub wakeup: Arc<dyn Wakeup>,
-    /// Kinds of bake that it takes in.
+    /// Kinds of bake that are taken in.
     kinds: Kinds,
-    /// Who may call.
+    /// Checks of tokens.
     pub guard: Guard,
     /// Counts since start.
     pub(crate) metrics: Metrics,
@@ -80,7 +81,8 @@ impl Farm {
         closing: watch::Receiver<bool>,
     ) -> Self {
         let guard = Guard::new(store.clone());
-        let (metrics, scene_parts) = (Metrics::default(), tokio::sync::Mutex::default());
+        let metrics = Metrics::new(storage.lost().clone());
+        let scene_parts = tokio::sync::Mutex::default();
         let lookout = Lookout::default();
         Self { kinds, guard, store, storage, wakeup, metrics, lookout, scene_parts, poll_interval, closing }
     }
@@ -115,26 +117,26 @@ impl Farm {
             error => error.into(),
         })?;
         if submitted.is_new {
-            self.metrics.submissions.add(1);
+            self.metrics.submissions.inc();
             self.wakeup.hint();
         }
         Ok(submitted.bake)
     }
 
     /// Forgets results that `plan` would reuse but whose bytes are gone, so that their tasks run again. So do those that
-    /// planned tasks for bytes that are gone: they plan them anew once what makes the bytes has run.
+    /// planned tasks for bytes that are gone: they plan them anew once the makers of these bytes have run.
     async fn forget_lost_results(&self, plan: &[TaskSpec]) -> Result<(), ServerError> {
         if plan.is_empty() {
             return Ok(());
         }
-        // What is forgotten may have planned, or be planned by, what was whole a moment ago.
+        // A forgotten result may have planned tasks, or been planned by one, whose results were whole a moment ago.
         loop {
             let keys = self.lost_results(plan).await?;
             if keys.is_empty() {
                 return Ok(());
             }
             tracing::warn!(results = keys.len(), "results lost their bytes; their tasks will run again");
-            self.metrics.forgotten_results.add(keys.len() as u64);
+            self.metrics.forgotten_results.inc_by(keys.len() as u64);
             self.store.forget(&keys).await?;
         }
     }
@@ -166,7 +168,7 @@ impl Farm {
                 leases = self.store.claim(&request).await?;
             }
         }
-        self.metrics.claims.add(leases.len() as u64);
+        self.metrics.claims.inc_by(leases.len() as u64);
         if let Err(error) = self.fill_all_lengths(&mut leases).await {
             self.take_back(&leases).await;
             return Err(error);
@@ -255,12 +257,12 @@ impl Farm {
         let verdict = self.store.commit(token, &result).await?;
         match verdict {
             CommitVerdict::Committed => {
-                self.metrics.commits.add(1);
+                self.metrics.commits.inc();
                 self.wakeup.hint();
             }
             CommitVerdict::AlreadyCommitted => (),
             CommitVerdict::Stale => {
-                self.metrics.stale_commits.add(1);
+                self.metrics.stale_commits.inc();
                 tracing::warn!("a result came after its lease was gone and was refused");
             }
         }
@@ -289,7 +291,7 @@ impl Farm {
         require_token(token)?;
         let verdict = self.store.fail(token, blame, message).await?;
         tracing::warn!(?blame, ?verdict, message, "an attempt failed");
-        self.metrics.failures.add(1);
+        self.metrics.failures.inc();
         self.wakeup.hint();
         Ok(())
     }
@@ -298,7 +300,7 @@ impl Farm {
     pub async fn release(&self, token: &str) -> Result<(), ServerError> {
         require_token(token)?;
         if self.store.release(token).await? {
-            self.metrics.releases.add(1);
+            self.metrics.releases.inc();
             self.wakeup.hint();
         }
         Ok(())
@@ -318,7 +320,7 @@ impl Farm {
         let reaped = self.store.reap().await?;
         if reaped.expired > 0 {
             tracing::warn!(expired = reaped.expired, given_up = reaped.given_up, "leases ran out");
-            self.metrics.expiries.add(reaped.expired);
+            self.metrics.expiries.inc_by(reaped.expired);
             self.wakeup.hint();
         }
         Ok(())
@@ -329,8 +331,8 @@ impl Farm {
         let removed = self.storage.collect(rules).await?;
         if removed.bakes > 0 || removed.chunks > 0 {
             tracing::info!(bakes = removed.bakes, chunks = removed.chunks, "cleared away");
-            self.metrics.deleted_bakes.add(removed.bakes);
-            self.metrics.removed_chunks.add(removed.chunks);
+            self.metrics.deleted_bakes.inc_by(removed.bakes);
+            self.metrics.removed_chunks.inc_by(removed.chunks);
         }
         Ok(removed)
     }
@@ -443,7 +445,7 @@ fn require_chars(name: &str, text: &str, min: usize, max: usize) -> Result<(), S
 }
 
 fn require_token(token: &str) -> Result<(), ServerError> {
-    if is_token(token) { Ok(()) } else { Err(ServerError::NoSuchLease) }
+    if is_fencing_token(token) { Ok(()) } else { Err(ServerError::NoSuchLease) }
 }
 
 fn bad_request(what: String) -> ServerError {

@@ -1,7 +1,7 @@
-//! A check of the stored bytes: what is missing, damaged, or nobody's.
+//! A check of the stored bytes: missing ones, damaged ones and orphans.
 //!
 //! It may run beside servers. Repairing goes the ways that they go: chunks whose bytes are missing or damaged are given
-//! up, so that what made them runs again where a live bake needs it, and bytes that nobody knows of are condemned first.
+//! up, so that their tasks run again where a live bake needs them, and bytes that nobody knows of are condemned first.
 
 use std::time::{Duration, SystemTime};
 
@@ -21,12 +21,12 @@ const PAGE: u32 = 500;
 /// Chunks that are looked at or read at a time.
 const CALLS_IN_FLIGHT: usize = 8;
 
-/// What a check does.
+/// Depth of a check, and whether it repairs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Checks {
     /// Reads all bytes and compares their digests; else only lengths are looked at.
     pub reads: bool,
-    /// Makes good what can be made good.
+    /// Repairs what it can.
     pub repairs: bool,
     /// Bytes that nobody knows of count as left over once they are so old: younger ones may be uploads under way.
     pub grace: Duration,
@@ -54,7 +54,7 @@ pub struct Incomplete {
     pub results_lost: u64,
 }
 
-/// What a check found.
+/// Findings of a check.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Findings {
     /// Chunks that should be there.
@@ -69,7 +69,7 @@ pub struct Findings {
     pub orphaned: Vec<Flaw>,
     /// Scenes that bakes under way need and that are known to be lost: no task makes them, only an upload does.
     pub lost: Vec<Flaw>,
-    /// Bakes that lost results after their end: true of them whatever is repaired, until a new bake of the scene.
+    /// Bakes that lost results after their end: no repair changes that, only a new bake of the scene does.
     pub incomplete: Vec<Incomplete>,
     /// Results forgotten by the repair; their tasks run again where a live bake needs them.
     pub results_forgotten: u64,
@@ -78,14 +78,14 @@ pub struct Findings {
 }
 
 impl Findings {
-    /// Nothing is wrong any more with what the farm has. What bakes lost after their end is no fault that stays.
+    /// Whether the farm has all bytes that it needs. Results that bakes lost after their end are no fault.
     pub fn is_sound(&self) -> bool {
         let open = self.missing.len() + self.corrupt.len() + self.orphaned.len();
         self.lost.is_empty() && (open == 0 || self.repaired)
     }
 }
 
-/// What is wrong with a chunk's bytes.
+/// Faults of a chunk's bytes.
 enum Wrong {
     Missing,
     Corrupt,
@@ -216,8 +216,8 @@ async fn check_objects(
     while let Some(page) = pages.try_next().await? {
         let old: Vec<Listed> = page.into_iter().filter(|chunk| chunk.written_ms <= old_ms).collect();
         let names: Vec<ChunkName> = old.iter().map(|chunk| chunk.name).collect();
-        let strangers = store.strangers(&names).await?;
-        let orphans = old.into_iter().filter(|chunk| strangers.contains(&chunk.name));
+        let orphans = store.orphans(&names).await?;
+        let orphans = old.into_iter().filter(|chunk| orphans.contains(&chunk.name));
         let orphans: Vec<KeptChunk> =
             orphans.map(|chunk| KeptChunk { name: chunk.name, bytes: chunk.bytes }).collect();
         for orphan in &orphans {
@@ -225,7 +225,7 @@ async fn check_objects(
             findings.orphaned.push(flaw);
         }
         if checks.repairs {
-            let condemned = store.condemn_strangers(&orphans).await?;
+            let condemned = store.condemn_orphans(&orphans).await?;
             storage.remove_condemned(&condemned).await?;
         }
     }

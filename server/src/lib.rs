@@ -5,7 +5,7 @@
 //! - [`Server`] opens a state folder and serves it; [`Config`] says how.
 //! - [`store`] is the queue behind one trait, [`chunks`] the bytes, [`wakeup`] lossy hints.
 //! - [`storage`] is the bytes that count, `collect` clears away the others, [`fsck`] checks them.
-//! - [`access`] says who may call.
+//! - [`access`] says who may call, [`guard`] asks for the tokens.
 //! - `lookout` looks for work on behalf of all claims that wait.
 //! - [`farm`] puts them together, `http` makes calls of it.
 
@@ -16,10 +16,12 @@ mod collect;
 mod error;
 pub mod farm;
 pub mod fsck;
+pub mod guard;
 mod http;
 mod lookout;
 mod metrics;
 pub mod places;
+pub mod random;
 mod scene_parts;
 mod server;
 pub mod storage;

@@ -11,13 +11,13 @@ use tokio::time::Instant;
 
 use crate::store::{FarmStore, StoreError};
 
-/// How long a look counts when no hint says that something changed: hints may be lost, and tasks become ready by time.
+/// Lifetime of a look when no hint says that something changed: hints may be lost, and tasks become ready by time.
 const LOOK_COUNTS_FOR: Duration = Duration::from_millis(250);
 /// Sets of kinds whose looks are remembered, and the longest of them, in bytes of all names.
 const SETS_MAX: usize = 64;
 const SET_BYTES_MAX: usize = 4096;
 
-/// What was seen, and when.
+/// The outcome of a look, and its time.
 struct Look {
     /// Mark of the hints that was taken before it.
     mark: u64,
@@ -46,7 +46,7 @@ impl Lookout {
         if kinds.iter().map(String::len).sum::<usize>() > SET_BYTES_MAX {
             return store.is_any_ready(&kinds).await;
         }
-        // Held while one looks: those who come meanwhile wait for what it sees.
+        // Held while one looks: those who come meanwhile wait for its outcome.
         let mut looks = self.looks.lock().await;
         if let Some(look) = looks.get(&kinds)
             && look.mark >= mark

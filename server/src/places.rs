@@ -1,4 +1,4 @@
-//! Where a farm keeps its state: addresses as the command line gives them.
+//! Addresses of a farm's state, as the command line gives them.
 
 use std::fmt;
 use std::path::PathBuf;
@@ -10,13 +10,13 @@ use thiserror::Error;
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error("'{text}' is no {wanted}")]
 pub struct PlaceError {
-    /// What was given, up to its first colon, as the rest may hold a password.
+    /// The text given, up to its first colon, as the rest may hold a password.
     pub text: String,
-    /// What was wanted, in words.
+    /// The address wanted, in words.
     pub wanted: &'static str,
 }
 
-/// Where the queue is kept. Displayed without user and password.
+/// Address of the queue's database. Displayed without user and password.
 #[derive(Clone, PartialEq, Eq)]
 pub enum DatabasePlace {
     /// An SQLite file, which one server opens at a time.
@@ -64,7 +64,7 @@ impl fmt::Debug for DatabasePlace {
     }
 }
 
-/// Where the bytes are kept.
+/// Address of the chunk store.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum ChunksPlace {
     /// Files below a folder.
@@ -73,7 +73,7 @@ pub enum ChunksPlace {
     S3 {
         /// The bucket.
         bucket: String,
-        /// What all keys begin with; may be empty.
+        /// Prefix of all keys; may be empty.
         prefix: String,
     },
 }

@@ -33,28 +33,28 @@ use crate::tls::{self, TlsFiles};
 use crate::wakeup::{LocalWakeup, PostgresWakeup, Wakeup};
 use crate::webhooks::{self, WebhookConfig};
 
-/// How a server runs. `Config::new(folder)` gives the defaults.
+/// Configuration of a server. `Config::new(folder)` gives the defaults.
 #[derive(Clone, Debug)]
 pub struct Config {
     /// Folder of all state that has no other place; made if need be.
     pub state_dir: PathBuf,
-    /// Where the queue is. Default: `farm.sqlite` in the state folder.
+    /// Address of the queue's database. Default: `farm.sqlite` in the state folder.
     pub database: Option<DatabasePlace>,
-    /// Where the bytes are. Default: `chunks` in the state folder.
+    /// Address of the chunk store. Default: `chunks` in the state folder.
     pub chunks: Option<ChunksPlace>,
     /// Serve addresses that other machines can reach although nobody has a token. Default: no.
     pub allow_non_loopback: bool,
     /// Serve with TLS. Default: without.
     pub tls: Option<TlsFiles>,
-    /// Who is told when a bake has ended. Default: nobody.
+    /// Webhooks that are told when a bake has ended. Default: none.
     pub webhooks: Option<WebhookConfig>,
     /// Kinds of bake that are taken in. Default: all that the contract knows.
     pub kinds: Kinds,
-    /// How much callers may ask for.
+    /// Limits of calls.
     pub limits: LimitConfig,
     /// Most bytes of chunks at a time; uploads beyond are refused until there is room. Default: no limit but the disk's.
     pub quota_bytes: Option<u64>,
-    /// What is kept for how long.
+    /// Retention of chunks and bakes.
     pub keeping: Keeping,
     /// Expired leases are looked for this often. Shorter → lost workers are noticed sooner. Default: 1 s.
     pub reap_interval: Duration,
@@ -100,7 +100,10 @@ impl Server {
     /// Opens queue and bytes; fails if another server has the queue's file open.
     pub async fn open(config: Config) -> Result<Self, ServerError> {
         let tls = match &config.tls {
-            Some(files) => Some(files.read().await?),
+            Some(files) => Some(files.read().await.map_err(|source| {
+                let TlsFiles { cert, key } = files.clone();
+                ServerError::Tls { cert, key, source }
+            })?),
             None => None,
         };
         let in_state = DatabasePlace::Sqlite(config.state_dir.join("farm.sqlite"));

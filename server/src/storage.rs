@@ -1,7 +1,7 @@
 //! Stored bytes as the farm has them: which generation counts is in the queue's store, the bytes in the chunk store.
 //!
 //! Bytes are written under a name of their own first and taken in afterwards, so a name that the store gives always has
-//! its bytes; what is written and never taken in (the server died) is found by `kiln fsck`. Bytes that turn out to be
+//! its bytes; `kiln fsck` finds bytes that were never taken in, as the server died. Bytes that turn out to be
 //! lost or damaged are given up, and the tasks that made them run again.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -12,27 +12,27 @@ use bytes::Bytes;
 use futures::{StreamExt, TryStreamExt};
 use lightkiln_proto::api::ScenePart;
 use lightkiln_proto::ids::Digest;
+use prometheus_client::metrics::counter::Counter;
 
 use crate::chunks::{ByteStream, ChunkError, ChunkName, ChunkStore, Stored, StreamCheck};
 use crate::error::ServerError;
-use crate::metrics::Counter;
 use crate::store::chunk::{CollectRules, Kept, KeptChunk};
 use crate::store::{FarmStore, StoreError};
 
 /// Chunks that one check looks up, and one collection removes, at a time.
 const CALLS_IN_FLIGHT: usize = 16;
 
-/// Where the bytes are, and which of them count.
+/// The bytes, and the generations that count.
 #[derive(Clone)]
 pub struct Storage {
     store: Arc<dyn FarmStore>,
     chunks: Arc<dyn ChunkStore>,
     /// Most bytes stored at a time.
     quota_bytes: Option<u64>,
-    lost: Arc<Counter>,
+    lost: Counter,
 }
 
-/// What a collection removed.
+/// Bakes and chunks removed by a collection.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Removed {
     /// Bakes that ended long ago.
@@ -46,12 +46,12 @@ pub struct Removed {
 impl Storage {
     /// Puts the two together.
     pub fn new(store: Arc<dyn FarmStore>, chunks: Arc<dyn ChunkStore>, quota_bytes: Option<u64>) -> Self {
-        Self { store, chunks, quota_bytes, lost: Arc::default() }
+        Self { store, chunks, quota_bytes, lost: Counter::default() }
     }
 
-    /// Chunks given up since this process started, as their bytes were lost or damaged.
-    pub fn lost(&self) -> u64 {
-        self.lost.get()
+    /// Counts the chunks given up since this process started, as their bytes were lost or damaged.
+    pub fn lost(&self) -> &Counter {
+        &self.lost
     }
 
     /// Most bytes stored at a time.
@@ -84,7 +84,7 @@ impl Storage {
             return Ok(Stored { is_new: false, bytes });
         }
         self.require_room(length.unwrap_or(0)).await?;
-        let name = ChunkName::fresh(digest)?;
+        let name = ChunkName::fresh(digest);
         let written = self.chunks.put_stream(name, bytes, limit).await?;
         let replaces = known.map(|known| known.name.generation);
         let is_new = self.take_in(KeptChunk { name, bytes: written.bytes }, replaces).await?;
@@ -149,7 +149,7 @@ impl Storage {
         Ok(false)
     }
 
-    /// Removes bytes that nobody knows of. What cannot be removed costs room until the storage is checked.
+    /// Removes bytes that nobody knows of. Bytes that cannot be removed cost room until the storage is checked.
     async fn remove(&self, name: ChunkName) {
         if let Err(error) = self.chunks.delete(name).await {
             tracing::warn!(%error, digest = %name.digest, "bytes of no use could not be removed; 'kiln fsck' will find them");
@@ -224,7 +224,7 @@ impl Storage {
             return Ok(());
         }
         let results = self.store.lose_chunk(name).await?;
-        self.lost.add(1);
+        self.lost.inc();
         tracing::error!(digest = %name.digest, results, "a chunk's bytes are lost or damaged; what made it will run again");
         Ok(())
     }
@@ -247,7 +247,7 @@ impl Storage {
         });
         removals.buffer_unordered(CALLS_IN_FLIGHT).try_collect::<Vec<()>>().await?;
         if !names.is_empty() {
-            self.store.bury(names).await?;
+            self.store.purge(names).await?;
         }
         Ok(())
     }
@@ -255,7 +255,7 @@ impl Storage {
     /// Writes, reads and removes a few bytes, to show that the chunk store works.
     pub async fn probe(&self) -> Result<(), ServerError> {
         const CONTENT: &[u8] = b"lightkiln readiness probe\n";
-        let name = ChunkName::fresh(Digest::of(CONTENT))?;
+        let name = ChunkName::fresh(Digest::of(CONTENT));
         self.chunks.put_if_absent(name, Bytes::from_static(CONTENT)).await?;
         self.chunks.get(name, CONTENT.len() as u64).await?;
         Ok(self.chunks.delete(name).await?)

@@ -12,9 +12,7 @@ use axum_server::accept::NoDelayAcceptor;
 use axum_server::tls_rustls::{RustlsAcceptor, RustlsConfig};
 use tokio::net::TcpListener;
 
-use crate::error::ServerError;
-
-/// What a server shows of itself. Read once, when the server is opened.
+/// Files of a server's certificate. Read once, when the server is opened.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TlsFiles {
     /// PEM file: the certificate, then those between it and one that callers trust.
@@ -25,13 +23,9 @@ pub struct TlsFiles {
 
 impl TlsFiles {
     /// Reads both.
-    pub(crate) async fn read(&self) -> Result<RustlsConfig, ServerError> {
+    pub(crate) async fn read(&self) -> io::Result<RustlsConfig> {
         use_ring();
-        RustlsConfig::from_pem_file(&self.cert, &self.key).await.map_err(|source| ServerError::Tls {
-            cert: self.cert.clone(),
-            key: self.key.clone(),
-            source,
-        })
+        RustlsConfig::from_pem_file(&self.cert, &self.key).await
     }
 }
 
@@ -59,7 +53,7 @@ pub(crate) async fn serve(
     let stopping = handle.clone();
     tokio::spawn(async move {
         stop.await;
-        // Whoever called this puts an end to requests that take too long.
+        // The caller of this function ends requests that take too long.
         stopping.graceful_shutdown(None);
     });
     let acceptor = RustlsAcceptor::new(tls).acceptor(NoDelayAcceptor::new());

@@ -9,6 +9,8 @@
 mod calls;
 mod farm;
 mod idle;
+#[path = "../../server/tests/model/mod.rs"]
+mod model;
 #[path = "../../server/tests/parts/mod.rs"]
 mod parts;
 mod queue;

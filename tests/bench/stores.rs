@@ -10,8 +10,9 @@ use lightkiln_proto::jobs::{TaskInput, TaskResult, TaskSpec};
 use lightkiln_server::chunks::ChunkName;
 use lightkiln_server::clock::SystemClock;
 use lightkiln_server::store::chunk::KeptChunk;
-use lightkiln_server::store::{FarmStore, MemoryStore, SqlStore, Submission};
+use lightkiln_server::store::{FarmStore, SqlStore, Submission};
 
+use crate::model::MemoryStore;
 use crate::parts::postgres::Postgres;
 use crate::report::row;
 

@@ -1,4 +1,4 @@
-//! Light of a bake, whatever its kind: the work before shading, and what shading reads.
+//! Light of a bake of any kind: the work before shading, and the inputs of shading.
 
 use std::fmt::Debug;
 

@@ -17,7 +17,7 @@ use crate::error::{ClientError, Result};
 /// Chunks fetched at the same time. More → faster over long lines, more memory.
 const PARALLEL: usize = 8;
 
-/// What a download did.
+/// Result of a download.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Downloaded {
     /// Chunks fetched now.
@@ -45,7 +45,7 @@ pub fn fetch_all(
 }
 
 /// Writes the bake into `folder`. Chunks that are there and right are kept; the manifest is written last, so a
-/// folder with a manifest is whole. Calls `progress` after each chunk with what was done so far and the total.
+/// folder with a manifest is whole. Calls `progress` after each chunk with the chunks done and the total.
 pub fn download_bundle(
     source: &Source,
     folder: &Path,

@@ -1,4 +1,4 @@
-//! Where a bake comes from: a bundle on disk or a server; digests are verified, limits are checked.
+//! Sources of bakes: bundles on disk and servers. Digests are verified, limits are checked.
 
 pub mod api;
 mod bundle;
@@ -24,7 +24,7 @@ pub const MANIFEST_FILE: &str = "manifest.json";
 /// The folder of chunks in a bundle.
 pub const CHUNKS_FOLDER: &str = "chunks";
 
-/// Where a bake comes from.
+/// Source of a bake.
 #[derive(Clone)]
 pub enum Source {
     /// A bundle: `manifest.json` and `chunks/<digest>`.
@@ -55,7 +55,7 @@ impl Source {
         Self::Server { client: Arc::new(client), bake: bake.into() }
     }
 
-    /// The manifest's bytes and what they say.
+    /// The manifest, as bytes and decoded.
     pub fn manifest(&self) -> Result<(Vec<u8>, Manifest)> {
         let (place, bytes) = match self {
             Self::Bundle(folder) => {
@@ -87,7 +87,7 @@ pub fn chunk_path(folder: &Path, digest: Digest) -> PathBuf {
     folder.join(CHUNKS_FOLDER).join(digest.to_string())
 }
 
-/// Bytes that a chunk may have: what the manifest says, if that is below [`MAX_CHUNK_BYTES`].
+/// Most bytes of a chunk: its length in the manifest, which must be at most [`MAX_CHUNK_BYTES`].
 fn chunk_limit(chunk: &ChunkRef) -> Result<u64> {
     if chunk.bytes <= MAX_CHUNK_BYTES {
         return Ok(chunk.bytes);

@@ -1,4 +1,4 @@
-//! Bundles and servers: what is fetched, kept, refused and tried again.
+//! Bundles and servers: chunks fetched and kept, broken ones refused, calls tried again.
 
 use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Read, Write};
@@ -107,8 +107,10 @@ fn manifest_of_another_format_is_refused() {
     let mut manifest = fixture::manifest(prt::NAME);
     manifest.version = 99;
     fs::write(folder.path().join(MANIFEST_FILE), serde_json::to_vec(&manifest).unwrap()).unwrap();
-    let error = Source::bundle(folder.path()).unwrap().manifest().unwrap_err().to_string();
-    assert!(error.contains("version 99"), "{error}");
+    let error = Source::bundle(folder.path()).unwrap().manifest().unwrap_err();
+    assert!(error.to_string().contains("cannot be used"), "{error}");
+    let cause = std::error::Error::source(&error).unwrap().to_string();
+    assert!(cause.contains("version 99"), "{cause}");
     assert!(Source::bundle(folder.path().join("nowhere")).is_err());
 }
 

@@ -1,7 +1,6 @@
 //! Lights and cameras of a view: words of the command line, the bake's own, and the light that each sends.
 
 mod framing;
-mod parse;
 mod words;
 
 use std::f32::consts::FRAC_PI_2;
@@ -11,7 +10,7 @@ use lightkiln_proto::scene::{LightKind, SceneLight};
 
 pub use framing::{camera_of, lights_of};
 pub use lightkiln_proto::relight::Sky;
-pub use parse::{parse_camera, parse_light};
+pub use words::{parse_camera, parse_light};
 
 /// A light that casts shadows, ready for the direct pass.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,17 +1,17 @@
-//! Compares what the adapter and the reference computed, in linear f32.
+//! Compares arrays of the adapter with those of the reference, in linear f32.
 
 use std::fmt;
 
 use glam::Vec4;
 
-/// How two arrays differ.
+/// Difference of two arrays.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Difference {
     /// Values compared.
     pub count: usize,
     /// Mean absolute value of the reference; differences are relative to `scale`.
     pub mean: f32,
-    /// What differences are relative to.
+    /// Value to which differences are relative.
     pub scale: f32,
     /// Largest relative difference.
     pub largest: f32,

@@ -9,7 +9,7 @@ use wgpu::{BufferUsages as Usage, ShaderStages as Stages};
 
 use crate::error::{ClientError, Result};
 
-/// Longest wait for the adapter to finish what it was given.
+/// Longest wait for the adapter to finish its work.
 const PATIENCE: Duration = Duration::from_secs(300);
 /// Smallest buffer: bindings must hold at least one element, and none of ours is larger.
 const SMALLEST_BUFFER: u64 = 256;
@@ -127,7 +127,7 @@ impl Gpu {
         self.queue.write_buffer(buffer, 0, bytemuck::cast_slice(values));
     }
 
-    /// Runs what `record` records.
+    /// Runs the commands that `record` records.
     pub fn submit(&self, record: impl FnOnce(&mut wgpu::CommandEncoder)) {
         let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         record(&mut encoder);

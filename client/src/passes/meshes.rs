@@ -95,7 +95,7 @@ impl Meshes {
         [wgpu::BindingResource::TextureView(view), wgpu::BindingResource::Sampler(sampler)]
     }
 
-    /// Draws one mesh with what is bound.
+    /// Draws one mesh with the pipeline and groups that are bound.
     pub(in crate::passes) fn draw(&self, pass: &mut wgpu::RenderPass<'_>, mesh: &Mesh) {
         if mesh.index_count == 0 {
             return;

@@ -1,7 +1,7 @@
 //! The steps of a frame: shadow maps → direct → patches → basis → near → reconstruct → atlas → shade.
 //!
-//! Each pass is a folder: the shader, what calls it, and `reference.rs`, which does the same on the processor over the
-//! same arrays. `TOLERANCE` says how far the two may differ, and a test holds them to it.
+//! Each pass is a folder: the shader, its caller, and `reference.rs`, which does the same on the processor over the same
+//! arrays. `TOLERANCE` bounds the difference between the two, and a test holds them to it.
 
 pub mod atlas;
 pub mod basis;

@@ -8,7 +8,7 @@ use lightkiln_proto::relight::{Cluster, Columns, Transport};
 use super::gpu::{Gpu, failed};
 use crate::error::Result;
 
-/// Receivers, and what passes hand to each other. Same layouts as the references' slices.
+/// Receivers, and the arrays that passes hand to each other. Same layouts as the references' slices.
 #[derive(Debug)]
 pub struct Resident {
     /// Positions by slot, in metres.
@@ -38,7 +38,7 @@ pub struct Resident {
 }
 
 impl Resident {
-    /// Uploads what does not change and makes room for the rest.
+    /// Uploads the constant arrays and makes room for the others.
     ///
     /// `sky` is the end of λ, which no pass writes.
     pub fn new(
@@ -87,7 +87,7 @@ pub struct ClusterRow {
     pub receiver_count: u32,
     /// First entry in the support list.
     pub first_support: u32,
-    /// Columns' patches or probes, the sky included.
+    /// Entries in the support list, the sky included.
     pub support_count: u32,
     /// Coefficients of each, J of this cluster.
     pub coefficients: u32,

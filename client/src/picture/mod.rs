@@ -28,18 +28,18 @@ pub struct Picture {
     pub ldr: Vec<[u8; 4]>,
     /// Factor on radiance before tone mapping.
     pub exposure: f32,
-    /// What drew it, and why not the other.
+    /// Adapter or processor that drew it, with the reason.
     pub drawn_by: String,
     /// It was drawn by the processor, slower.
     pub by_reference: bool,
     /// Bounces before it was drawn; 0 where there is no feedback.
     pub bounces: u32,
-    /// Whether they had, within the frames allowed.
+    /// Whether bounces had converged by then.
     pub converged: bool,
 }
 
-/// Sums samples per pixel: the mean radiance, and the mean of what each sample shows, so that the edge of a lamp is
-/// smooth on the screen although its radiance is far above white.
+/// Sums samples per pixel: mean radiance, and mean of the tone-mapped samples, which keeps the edge of a lamp far above
+/// white smooth on the screen.
 #[derive(Debug)]
 pub(crate) struct Film {
     size: [u32; 2],

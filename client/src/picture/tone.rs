@@ -1,4 +1,4 @@
-//! Exposure and tone mapping: from radiance to what a screen can show.
+//! Exposure and tone mapping: from radiance to the range of a screen.
 
 use glam::{Vec3, Vec4};
 
@@ -11,7 +11,7 @@ const BRIGHTEST_SHARE: usize = 20;
 /// Exposed luminance above which the curves are nearly flat.
 const WHITE: f32 = 1.0;
 
-/// How radiance is fitted into 0..=1.
+/// Curve from radiance into 0..=1.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Tone {
     /// Cut off at 1: for measurements.

@@ -42,7 +42,7 @@ pub struct Fragment {
     pub barycentric: Vec2,
 }
 
-/// Clips a triangle given in clip space and appends what is left of it: 0, 1 or 2 triangles.
+/// Clips a triangle given in clip space and appends the rest: 0, 1 or 2 triangles.
 pub fn set_up(clip: [Vec4; 3], size: [u32; 2], source: u32, out: &mut Vec<ScreenTriangle>) {
     let corner = |index: usize, barycentric| Corner { clip: clip[index], barycentric };
     let corners = [corner(0, Vec2::ZERO), corner(1, Vec2::X), corner(2, Vec2::Y)];

@@ -1,4 +1,4 @@
-//! The lightmap's layout: pages, and where blocks lie in them.
+//! The lightmap's layout: pages, and the places of blocks in them.
 
 use std::collections::HashMap;
 
@@ -16,7 +16,7 @@ pub const MAX_PAGE_SIDE: u32 = 1 << 14;
 /// Marks a side of a draw that has no block.
 pub const NO_BLOCK: u32 = u32::MAX;
 
-/// A block and where it lies.
+/// A block and its place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PlacedBlock {
     /// Page.

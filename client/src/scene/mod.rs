@@ -20,15 +20,15 @@ pub(crate) use texture::srgb_of_linear;
 /// A scene, ready to be drawn.
 #[derive(Debug)]
 pub struct LoadedScene {
-    /// What the bake says about itself.
+    /// Manifest of the bake.
     pub manifest: Manifest,
     /// Meshes to draw.
     pub draws: DrawTable,
     /// Textures, with mip levels.
     pub textures: Vec<Texture>,
-    /// Where blocks lie in lightmap pages.
+    /// Pages of the lightmap, and the blocks in them.
     pub lightmap: LightmapLayout,
-    /// Things that were left out, in words.
+    /// Warnings about meshes that are drawn with less than they need.
     pub warnings: Vec<String>,
 }
 

@@ -23,7 +23,7 @@ struct Before {
     dir: Vec<Vec4>,
     emit: Vec<Vec4>,
     ind: Vec<Vec4>,
-    /// E_dir by near hit: what stands for it is the hit's height.
+    /// E_dir by near hit; the hit's height stands for it.
     near: Vec<Vec4>,
 }
 

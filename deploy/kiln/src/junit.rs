@@ -5,41 +5,38 @@ use std::path::Path;
 use std::time::Duration;
 
 use lightkiln_proto::api::StageCount;
-use quick_xml::events::BytesText;
-use quick_xml::writer::Writer;
+use quick_junit::{NonSuccessKind, Report, TestCase, TestCaseStatus, TestSuite};
 
 use crate::commands::following::Ended;
 use crate::failure::{Exit, Failure, Result};
 use crate::summary::stage_name;
 
-/// A stage, and what became of it.
-struct Case {
-    name: String,
-    secs: f64,
-    verdict: Verdict,
-}
-
-/// What JUnit knows: passed, or one element with a message.
-enum Verdict {
-    Passed,
-    /// `failure`: the bake is wrong. `error`: it could not be told. `skipped`: the stage never ended.
-    Not {
-        element: &'static str,
-        message: String,
-    },
-}
-
 /// The report of a bake of `scene`, or of why there is none.
 pub fn report(scene: &str, ended: &Result<Ended>, elapsed: Duration) -> String {
-    let (id, cases) = match ended {
-        Ok(ended) => (Some(ended.bake.id.as_str()), cases(ended, elapsed)),
-        Err(failure) => {
-            let verdict = Verdict::Not { element: "error", message: failure.to_string() };
-            (None, vec![Case { name: "bake".to_owned(), secs: elapsed.as_secs_f64(), verdict }])
-        }
+    let mut suite = TestSuite::new(format!("kiln {scene}"));
+    suite.set_time(elapsed);
+    let mut add = |name: &str, time: Duration, status: TestCaseStatus| {
+        let mut case = TestCase::new(name, status);
+        case.set_classname(scene).set_time(time);
+        suite.add_test_case(case);
     };
+    match ended {
+        Ok(ended) => {
+            for stage in &ended.bake.stages {
+                let elapsed = Duration::from_millis(stage.elapsed_ms);
+                add(&stage_name(&stage.kind), elapsed, stage_status(ended, stage));
+            }
+            let failed = |failure: Failure| told(NonSuccessKind::Failure, failure.message());
+            add("bake", elapsed, ended.judge().err().map_or_else(TestCaseStatus::success, failed));
+            suite.set_system_out(format!("bake {}\n", ended.bake.id));
+        }
+        // Nobody can tell how the bake ended.
+        Err(failure) => add("bake", elapsed, told(NonSuccessKind::Error, &failure.to_string())),
+    }
+    let mut report = Report::unnamed();
+    report.add_test_suite(suite);
     // Writing to memory cannot fail.
-    xml(scene, id, &cases, elapsed).unwrap_or_default()
+    report.to_string().unwrap_or_default()
 }
 
 /// Writes the report, making its folder if need be.
@@ -52,85 +49,24 @@ pub fn write(path: &Path, report: &str) -> Result<()> {
     })
 }
 
-/// The stages in their order, and the bake as a whole.
-fn cases(ended: &Ended, elapsed: Duration) -> Vec<Case> {
-    let judged = ended.judge();
-    let stages = ended.bake.stages.iter().map(|stage| Case {
-        name: stage_name(&stage.kind),
-        secs: stage.elapsed_ms as f64 / 1e3,
-        verdict: stage_verdict(ended, stage),
-    });
-    let verdict = match &judged {
-        Ok(()) => Verdict::Passed,
-        Err(failure) => Verdict::Not { element: "failure", message: failure.message().to_owned() },
-    };
-    let whole = Case { name: "bake".to_owned(), secs: elapsed.as_secs_f64(), verdict };
-    stages.chain([whole]).collect()
-}
-
-fn stage_verdict(ended: &Ended, stage: &StageCount) -> Verdict {
+fn stage_status(ended: &Ended, stage: &StageCount) -> TestCaseStatus {
     if ended.failed_kind() == Some(stage.kind.as_str()) {
-        let message = ended.bake.failure.clone().unwrap_or_else(|| "no reason was given".to_owned());
-        return Verdict::Not { element: "failure", message };
+        let message = ended.bake.failure.as_deref().unwrap_or("no reason was given");
+        return told(NonSuccessKind::Failure, message);
     }
     if stage.done == stage.total {
-        return Verdict::Passed;
+        return TestCaseStatus::success();
     }
-    let message = format!("{} of {} tasks were done when the bake ended", stage.done, stage.total);
-    Verdict::Not { element: "skipped", message }
+    let mut status = TestCaseStatus::skipped();
+    status.set_message(format!("{} of {} tasks were done when the bake ended", stage.done, stage.total));
+    status
 }
 
-fn xml(scene: &str, id: Option<&str>, cases: &[Case], elapsed: Duration) -> std::io::Result<String> {
-    let count = |wanted: &str| {
-        let is_so =
-            |case: &&Case| matches!(&case.verdict, Verdict::Not { element, .. } if *element == wanted);
-        cases.iter().filter(is_so).count().to_string()
-    };
-    let [tests, failures, errors, skipped] =
-        [cases.len().to_string(), count("failure"), count("error"), count("skipped")];
-    let secs = |secs: f64| format!("{secs:.3}");
-    let mut writer = Writer::new_with_indent(Vec::new(), b' ', 2);
-    writer.create_element("testsuites").write_inner_content(|writer| {
-        let suite = writer.create_element("testsuite").with_attributes([
-            ("name", clean(&format!("kiln {scene}")).as_str()),
-            ("tests", &tests),
-            ("failures", &failures),
-            ("errors", &errors),
-            ("skipped", &skipped),
-            ("time", &secs(elapsed.as_secs_f64())),
-        ]);
-        suite.write_inner_content(|writer| {
-            for case in cases {
-                let name =
-                    [("classname", clean(scene)), ("name", case.name.clone()), ("time", secs(case.secs))];
-                let name = name.iter().map(|(name, value)| (*name, value.as_str()));
-                let element = writer.create_element("testcase").with_attributes(name);
-                match &case.verdict {
-                    Verdict::Passed => element.write_empty()?,
-                    Verdict::Not { element: verdict, message } => element.write_inner_content(|writer| {
-                        let first = clean(message.lines().next().unwrap_or_default());
-                        let told =
-                            writer.create_element(*verdict).with_attribute(("message", first.as_str()));
-                        told.write_text_content(BytesText::new(&clean(message))).map(drop)
-                    })?,
-                };
-            }
-            if let Some(id) = id {
-                let told = format!("bake {}\n", clean(id));
-                writer.create_element("system-out").write_text_content(BytesText::new(&told))?;
-            }
-            Ok(())
-        })?;
-        Ok(())
-    })?;
-    let body = String::from_utf8(writer.into_inner()).unwrap_or_default();
-    Ok(format!("<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n{body}\n"))
-}
-
-/// Without the characters that XML 1.0 has no way to write.
-fn clean(text: &str) -> String {
-    let is_fine = |c: &char| matches!(c, '\t' | '\n' | '\r' | ' '..='\u{d7ff}' | '\u{e000}'..='\u{fffd}' | '\u{10000}'..);
-    text.chars().filter(is_fine).collect()
+/// A case that is no success: the first line as its message, the whole as its text.
+fn told(kind: NonSuccessKind, message: &str) -> TestCaseStatus {
+    let mut status = TestCaseStatus::non_success(kind);
+    status.set_message(message.lines().next().unwrap_or_default()).set_description(message);
+    status
 }
 
 #[cfg(test)]
@@ -177,7 +113,7 @@ mod tests {
         assert_eq!((attribute(&elements[1], "tests"), attribute(&elements[1], "errors")), ("1", "1"));
         assert_eq!(attribute(&elements[1], "time"), "1.500");
         assert_eq!(attribute(&elements[2], "classname"), "a&b.glb");
-        assert_eq!(attribute(&elements[3], "message"), "error: a <scene> & \"more\" [31m]]>");
+        assert_eq!(attribute(&elements[3], "message"), "error: a <scene> & \"more\" ]]>");
         assert!(!xml.contains('\u{0}') && !xml.contains('\u{1b}'));
     }
 

@@ -4,6 +4,7 @@
 
 mod arguments;
 mod bundle;
+mod command_line;
 mod commands;
 mod embedded;
 mod enrolment;
@@ -31,7 +32,7 @@ use kinds::KindTables;
 
 /// Runs the command line of this process to its end; bakes may be of `kinds`.
 pub fn run(kinds: &KindTables) -> ExitCode {
-    let command = arguments::Arguments::parse().command;
+    let command = command_line::CommandLine::parse().command;
     let role = command.name();
     // Ends, and exports what is left, when the command has.
     let _telemetry = logging::start(role);

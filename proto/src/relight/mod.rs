@@ -49,7 +49,7 @@ mod slots;
 mod transport;
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 
 use std::f32::consts::FRAC_1_PI;
 

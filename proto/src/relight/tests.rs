@@ -9,10 +9,8 @@ use crate::content::{
     AreaCode, ClusterTransport, EmitterIrradiance, NearHits, NearSurface, Patch, PatchKey, PatchSet,
     Receivers,
 };
-use crate::kinds::sh::{Probe, ProbeBatch, ProbeTable, RelightHit, relight_basis, sky_coefficients};
-use crate::sh::{ShBasis, relight_direction};
 
-const BLOCK: u64 = 50;
+pub(crate) const BLOCK: u64 = 50;
 
 /// Receivers in one row of block [`BLOCK`], of albedo 1.
 fn receivers(count: u16) -> Receivers {
@@ -29,62 +27,69 @@ fn receivers(count: u16) -> Receivers {
     }
 }
 
-fn cluster(count: u16) -> ClusterTransport {
+pub(crate) fn cluster(count: u16) -> ClusterTransport {
     ClusterTransport { receivers: receivers(count), ..ClusterTransport::default() }
 }
 
-fn joined<C: Columns>(
+pub(crate) fn joined<C: Columns>(
     cluster: ClusterTransport,
     columns: impl FnOnce(&SlotTable) -> Result<C, Inconsistent>,
 ) -> Result<Transport<C>, Inconsistent> {
     Transport::join([(BLOCK, [16, 1])], 6, &[cluster], columns)
 }
 
+/// Columns by key with a sky behind them, whose λ the tests write themselves.
+#[derive(Debug)]
+struct Given {
+    keys: Vec<u64>,
+    bands: u32,
+}
+
+impl Columns for Given {
+    fn bands(&self) -> u32 {
+        self.bands
+    }
+
+    fn lambda_count(&self) -> usize {
+        (self.keys.len() + 1) * self.coefficients()
+    }
+
+    fn index(&self, key: u64) -> Option<u32> {
+        self.keys.iter().position(|known| *known == key).map(|index| index as u32)
+    }
+
+    fn sky_index(&self) -> Option<u32> {
+        Some(self.keys.len() as u32)
+    }
+
+    fn sky_lambda(&self, _: Sky) -> Vec<Vec4> {
+        vec![Vec4::ZERO; self.coefficients()]
+    }
+
+    fn surface_lambda(&self, _: &impl Parallel, _: &ReceiverTable, _: Irradiance<'_>) -> Vec<Vec4> {
+        vec![Vec4::ZERO; self.keys.len() * self.coefficients()]
+    }
+}
+
+/// One column with the coefficients of bands 0 and 1.
+fn given(_: &SlotTable) -> Result<Given, Inconsistent> {
+    Ok(Given { keys: vec![3], bands: 1 })
+}
+
 fn patches(set: PatchSet) -> impl FnOnce(&SlotTable) -> Result<PatchTable, Inconsistent> {
     move |slots| PatchTable::new(&set, slots)
 }
 
-fn probes(hits: Vec<RelightHit>, bands: u32) -> impl FnOnce(&SlotTable) -> Result<ProbeTable, Inconsistent> {
-    let probe = Probe { key: 3, position_m: [0.0; 3], radius_m: 1.0 };
-    let rays = hits.len() as u32;
-    let batch = ProbeBatch { probes: vec![probe], relight_rays: rays, blocks: vec![BLOCK], hits };
-    move |slots| ProbeTable::join(&[batch], rays, bands, slots)
-}
-
 /// λ where receivers of albedo 1 send these radiances; the sky is black.
-fn lambda<C: Columns>(transport: &Transport<C>, radiance: &[Vec3]) -> Vec<Vec4> {
+pub(crate) fn lambda<C: Columns>(transport: &Transport<C>, radiance: &[Vec3]) -> Vec<Vec4> {
     let dir: Vec<Vec4> = radiance.iter().map(|l| (PI * *l).extend(0.0)).collect();
     let black = vec![Vec4::ZERO; dir.len()];
     let irradiance = Irradiance { dir: &dir, emit: &black, ind: &black };
     transport.lambda(&Serial, irradiance, &transport.columns.sky_lambda(Sky::default()))
 }
 
-fn close(a: f32, b: f32) -> bool {
+pub(crate) fn close(a: f32, b: f32) -> bool {
     (a - b).abs() <= 1e-4 * (1.0 + b.abs())
-}
-
-#[test]
-fn probe_in_uniform_radiance_has_the_constant_coefficient_alone() {
-    let hit = RelightHit::Receiver { block: 0, texel: [1, 0] };
-    let transport = joined(cluster(2), probes(vec![hit; 1024], 3)).unwrap();
-    let lambda = lambda(&transport, &[Vec3::splat(9.0), Vec3::new(1.0, 2.0, 0.0)]);
-    let constant = (4.0 * PI).sqrt();
-    assert!(close(lambda[0].x, constant) && close(lambda[0].y, 2.0 * constant));
-    assert!(lambda[1..].iter().all(|x| x.abs().max_element() < 0.02), "{lambda:?}");
-}
-
-#[test]
-fn sky_dark_hits_and_texels_without_receiver_add_nothing_to_a_probe() {
-    let hits = vec![RelightHit::Sky, RelightHit::Dark, RelightHit::Receiver { block: 0, texel: [7, 0] }];
-    let hits = [hits, vec![RelightHit::Dark]].concat();
-    let transport = joined(cluster(1), probes(hits, 1)).unwrap();
-    assert_eq!(lambda(&transport, &[Vec3::ONE]), vec![Vec4::ZERO; 8]);
-}
-
-#[test]
-fn half_the_rays_still_give_the_radiance() {
-    let basis = relight_basis(256, 1024, 0);
-    assert!(close(basis.iter().sum(), (4.0 * PI).sqrt()));
 }
 
 #[test]
@@ -113,27 +118,7 @@ fn patch_has_the_mean_of_its_receivers_by_area_and_the_sky_its_own() {
     assert_eq!((transport.columns.index(PatchKey::of_sky(16).0), transport.columns.index(9)), (None, None));
 }
 
-#[test]
-fn sky_coefficients_are_the_projection_of_the_gradient() {
-    let sky = Sky { zenith: Vec3::new(1.0, 3.0, 0.0), horizon: Vec3::new(0.5, 1.0, 2.0) };
-    let lambda = sky_coefficients(sky, 10);
-    let (sh, rays) = (ShBasis::new(10), 16_384);
-    let mut y = vec![0.0; sh.coefficients()];
-    let mut wanted = vec![glam::DVec3::ZERO; sh.coefficients()];
-    for ray in 0..rays {
-        let direction = relight_direction(ray, rays);
-        sh.evaluate(direction, &mut y);
-        for (sum, &y) in wanted.iter_mut().zip(&y) {
-            *sum += (sky.radiance(direction) * y).as_dvec3() * 4.0 * std::f64::consts::PI / f64::from(rays);
-        }
-    }
-    for (j, (got, wanted)) in lambda.iter().zip(&wanted).enumerate() {
-        let off = (got.truncate().as_dvec3() - *wanted).abs().max_element();
-        assert!(off < 2e-3, "{j}: {got} {wanted}");
-    }
-}
-
-/// Two receivers lit by two ranks over a probe and the sky, and by emitter 5.
+/// Two receivers lit by two ranks over a column and the sky, and by emitter 5.
 fn factored() -> ClusterTransport {
     ClusterTransport {
         keys: vec![3],
@@ -148,8 +133,8 @@ fn factored() -> ClusterTransport {
 
 #[test]
 fn basis_and_irradiance_are_the_factors_times_the_coefficients() {
-    // The bake has four coefficients a probe, the cluster one: the rest is left out.
-    let transport = joined(factored(), probes(vec![RelightHit::Dark; 2], 1)).unwrap();
+    // The bake has four coefficients a column, the cluster one: the rest is left out.
+    let transport = joined(factored(), given).unwrap();
     let table = &transport.clusters;
     let mut lambda = vec![Vec4::splat(99.0); 8];
     (lambda[0], lambda[4]) = (Vec4::new(2.0, 0.0, 1.0, 0.0), Vec4::new(1.0, 0.0, 0.0, 0.0));
@@ -236,7 +221,7 @@ fn contradictions_between_chunks_are_named() {
     let refused = |change: fn(&mut ClusterTransport)| {
         let mut content = factored();
         change(&mut content);
-        joined(content, probes(vec![RelightHit::Dark; 2], 1)).unwrap_err().to_string()
+        joined(content, given).unwrap_err().to_string()
     };
     let cases = [
         ("outside its block", refused(|cluster| cluster.receivers.texel[0] = [16, 0])),

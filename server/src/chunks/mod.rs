@@ -4,9 +4,10 @@
 //! They never change.
 //!
 //! **Names.** Each time that bytes are written anew they get a name of their own, digest and generation, and a name is
-//! never used twice. So a removal that comes late, from a process that slept meanwhile, cannot meet what somebody stored
-//! after it. Which generation counts is what the queue's store says ([`crate::storage`]).
+//! never used twice. So a removal that comes late, from a process that slept meanwhile, cannot meet bytes that were
+//! stored after it. The queue's store says which generation counts ([`crate::storage`]).
 
+mod error;
 mod objects;
 mod s3;
 
@@ -16,68 +17,12 @@ use async_trait::async_trait;
 use bytes::Bytes;
 use futures::stream::BoxStream;
 use lightkiln_proto::ids::Digest;
-use lightkiln_proto::problem::ProblemCode;
-use thiserror::Error;
 
-use crate::store::{StoreError, random_u64};
+use crate::random;
 
+pub use error::ChunkError;
 pub use objects::ObjectChunks;
 pub(crate) use objects::StreamCheck;
-
-/// Why bytes could not be stored or read.
-#[derive(Debug, Error)]
-pub enum ChunkError {
-    /// The bytes are not those of the digest.
-    #[error("the bytes given for {wanted} have the digest {found}")]
-    DigestMismatch {
-        /// Digest in the call.
-        wanted: Digest,
-        /// Digest of the bytes.
-        found: Digest,
-    },
-    /// More bytes than may be stored under one digest.
-    #[error("more than {limit} bytes")]
-    TooLarge {
-        /// Limit in bytes.
-        limit: u64,
-    },
-    /// No such bytes.
-    #[error("there is no chunk {digest}")]
-    NotFound {
-        /// What was asked for.
-        digest: Digest,
-    },
-    /// The bytes stored under the digest are others.
-    #[error("the stored bytes of chunk {digest} are damaged")]
-    Damaged {
-        /// Whose bytes.
-        digest: Digest,
-    },
-    /// The bytes stopped coming.
-    #[error("the upload broke off")]
-    Broken(#[source] Box<dyn std::error::Error + Send + Sync>),
-    /// No room.
-    #[error("no room left for chunks")]
-    Full(#[source] object_store::Error),
-    /// The storage does not answer as it should.
-    #[error("the chunk store does not answer")]
-    Unavailable(#[source] object_store::Error),
-}
-
-impl ChunkError {
-    /// The problem that a caller sees.
-    pub fn code(&self) -> ProblemCode {
-        match self {
-            Self::DigestMismatch { .. } => ProblemCode::DigestMismatch,
-            Self::TooLarge { .. } => ProblemCode::TooLarge,
-            Self::NotFound { .. } => ProblemCode::NotFound,
-            Self::Damaged { .. } => ProblemCode::Internal,
-            Self::Broken(_) => ProblemCode::BrokeOff,
-            Self::Full(_) => ProblemCode::StorageFull,
-            Self::Unavailable(_) => ProblemCode::Unavailable,
-        }
-    }
-}
 
 /// Name of stored bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -90,9 +35,8 @@ pub struct ChunkName {
 
 impl ChunkName {
     /// A name that nobody has used.
-    pub fn fresh(digest: Digest) -> Result<Self, StoreError> {
-        // Half of the range, so that it fits a signed column; a name is used twice once in 2⁶³.
-        Ok(Self { digest, generation: (random_u64()? >> 1).max(1) })
+    pub fn fresh(digest: Digest) -> Self {
+        Self { digest, generation: random::generation() }
     }
 }
 
@@ -114,7 +58,7 @@ pub struct Listed {
     pub written_ms: i64,
 }
 
-/// What became of bytes to store.
+/// Outcome of storing bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Stored {
     /// False when they were there already.
@@ -126,7 +70,7 @@ pub struct Stored {
 /// Bytes as they arrive or leave.
 pub type ByteStream<E = ChunkError> = BoxStream<'static, Result<Bytes, E>>;
 
-/// Where bytes are kept.
+/// A store of bytes.
 #[async_trait]
 pub trait ChunkStore: Send + Sync {
     /// Stores bytes that are at hand.

@@ -1,6 +1,5 @@
-//! Chunks in an object store: local files, memory, S3.
+//! Chunks in an object store: local files, S3.
 
-use std::error::Error;
 use std::ffi::OsString;
 use std::io;
 use std::ops::Range;
@@ -13,7 +12,6 @@ use futures::stream::BoxStream;
 use futures::{StreamExt, TryStreamExt};
 use lightkiln_proto::ids::Digest;
 use object_store::local::LocalFileSystem;
-use object_store::memory::InMemory;
 use object_store::path::Path;
 use object_store::{GetOptions, GetRange, ObjectStore, ObjectStoreExt, PutPayload, WriteMultipart};
 
@@ -67,20 +65,16 @@ impl ObjectChunks {
     ///
     /// A file appears under its name only when it is whole, and both it and its folder are flushed to disk first.
     pub fn in_folder(folder: &FilePath) -> Result<Self, ChunkError> {
-        let unavailable = |source: io::Error| {
-            from_store(object_store::Error::Generic { store: "LocalFileSystem", source: source.into() })
+        let unavailable = |source: io::Error| object_store::Error::Generic {
+            store: "LocalFileSystem",
+            source: source.into(),
         };
         std::fs::create_dir_all(folder).map_err(unavailable)?;
-        let files = LocalFileSystem::new_with_prefix(folder).map_err(from_store)?;
+        let files = LocalFileSystem::new_with_prefix(folder)?;
         Ok(Self { objects: Arc::new(files.with_fsync(true)) })
     }
 
-    /// Chunks in memory.
-    pub fn in_memory() -> Self {
-        Self { objects: Arc::new(InMemory::new()) }
-    }
-
-    /// Writes the rest of a stream in parts; `head` is what has come so far.
+    /// Writes the rest of a stream in parts; `head` is its beginning.
     async fn put_parts(
         &self,
         name: ChunkName,
@@ -88,14 +82,14 @@ impl ObjectChunks {
         mut bytes: ByteStream,
         mut check: StreamCheck,
     ) -> Result<Stored, ChunkError> {
-        let upload = self.objects.put_multipart(&path_of(name)).await.map_err(from_store)?;
+        let upload = self.objects.put_multipart(&path_of(name)).await?;
         let mut upload = WriteMultipart::new_with_chunk_size(upload, PART_BYTES);
         upload.write(&head);
         drop(head);
         let written = async {
             while let Some(piece) = bytes.try_next().await? {
                 check.take(&piece)?;
-                upload.wait_for_capacity(PARTS_IN_FLIGHT).await.map_err(from_store)?;
+                upload.wait_for_capacity(PARTS_IN_FLIGHT).await?;
                 upload.put(piece);
             }
             check.finish(name.digest)
@@ -103,11 +97,11 @@ impl ObjectChunks {
         match written.await {
             Ok(length) => {
                 let is_new = self.head(name).await? != Some(length);
-                upload.finish().await.map_err(from_store)?;
+                upload.finish().await?;
                 Ok(Stored { is_new, bytes: length })
             }
             Err(error) => {
-                // What was staged is invisible; failing to remove it changes nothing for the caller.
+                // Staged parts are invisible; failing to remove them changes nothing for the caller.
                 let _ = upload.abort().await;
                 Err(error)
             }
@@ -156,7 +150,7 @@ impl ChunkStore for ObjectChunks {
         if self.head(name).await? == Some(length) {
             return Ok(Stored { is_new: false, bytes: length });
         }
-        self.objects.put(&path_of(name), PutPayload::from_bytes(bytes)).await.map_err(from_store)?;
+        self.objects.put(&path_of(name), PutPayload::from_bytes(bytes)).await?;
         Ok(Stored { is_new: true, bytes: length })
     }
 
@@ -179,7 +173,7 @@ impl ChunkStore for ObjectChunks {
         if self.head(name).await? == Some(length) {
             return Ok(Stored { is_new: false, bytes: length });
         }
-        self.objects.put(&path_of(name), head.into()).await.map_err(from_store)?;
+        self.objects.put(&path_of(name), head.into()).await?;
         Ok(Stored { is_new: true, bytes: length })
     }
 
@@ -188,7 +182,7 @@ impl ChunkStore for ObjectChunks {
         if found.meta.size > limit {
             return Err(ChunkError::TooLarge { limit });
         }
-        let bytes = found.bytes().await.map_err(from_store)?;
+        let bytes = found.bytes().await?;
         if Digest::of(&bytes) != name.digest {
             return Err(ChunkError::Damaged { digest: name.digest });
         }
@@ -203,7 +197,7 @@ impl ChunkStore for ObjectChunks {
         let found = self.objects.get_opts(&path_of(name), options).await;
         let found = found.map_err(|error| missing(name.digest, error))?;
         let is_whole = range == (0..found.meta.size);
-        let bytes = found.into_stream().map_err(from_store).boxed();
+        let bytes = found.into_stream().map_err(ChunkError::from).boxed();
         Ok(if is_whole { verified(name.digest, bytes) } else { bytes })
     }
 
@@ -211,14 +205,14 @@ impl ChunkStore for ObjectChunks {
         match self.objects.head(&path_of(name)).await {
             Ok(meta) => Ok(Some(meta.size)),
             Err(object_store::Error::NotFound { .. }) => Ok(None),
-            Err(error) => Err(from_store(error)),
+            Err(error) => Err(error.into()),
         }
     }
 
     async fn delete(&self, name: ChunkName) -> Result<(), ChunkError> {
         match self.objects.delete(&path_of(name)).await {
             Ok(()) | Err(object_store::Error::NotFound { .. }) => Ok(()),
-            Err(error) => Err(from_store(error)),
+            Err(error) => Err(error.into()),
         }
     }
 
@@ -227,7 +221,7 @@ impl ChunkStore for ObjectChunks {
             let name = name_of(&meta.location)?;
             Some(Listed { name, bytes: meta.size, written_ms: meta.last_modified.timestamp_millis() })
         };
-        let listed = self.objects.list(None).map_err(from_store);
+        let listed = self.objects.list(None).map_err(ChunkError::from);
         listed.try_filter_map(move |meta| futures::future::ready(Ok(chunk(meta)))).boxed()
     }
 }
@@ -274,37 +268,6 @@ fn name_of(path: &Path) -> Option<ChunkName> {
 fn missing(digest: Digest, error: object_store::Error) -> ChunkError {
     match error {
         object_store::Error::NotFound { .. } => ChunkError::NotFound { digest },
-        error => from_store(error),
-    }
-}
-
-/// Tells a full disk from other trouble.
-pub(super) fn from_store(error: object_store::Error) -> ChunkError {
-    let mut cause: Option<&(dyn Error + 'static)> = Some(&error);
-    while let Some(error) = cause {
-        let kind = error.downcast_ref::<io::Error>().map(io::Error::kind);
-        if matches!(kind, Some(io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded)) {
-            break;
-        }
-        cause = error.source();
-    }
-    let is_full = cause.is_some();
-    if is_full { ChunkError::Full(error) } else { ChunkError::Unavailable(error) }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn full_disk() -> object_store::Error {
-        let source = io::Error::from(io::ErrorKind::StorageFull);
-        object_store::Error::Generic { store: "test", source: Box::new(source) }
-    }
-
-    #[test]
-    fn full_disk_is_told_apart() {
-        assert!(matches!(from_store(full_disk()), ChunkError::Full(_)));
-        let other = object_store::Error::Generic { store: "test", source: "other".into() };
-        assert!(matches!(from_store(other), ChunkError::Unavailable(_)));
+        error => error.into(),
     }
 }

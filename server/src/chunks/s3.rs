@@ -13,7 +13,6 @@ use object_store::prefix::PrefixStore;
 use object_store::{BackoffConfig, ClientOptions, ObjectStore, RetryConfig};
 
 use super::ChunkError;
-use super::objects::from_store;
 use crate::tls::use_ring;
 
 /// Wait for a connection. Longer → slow networks work, and a store that is away is noticed later.
@@ -43,7 +42,7 @@ pub(super) fn open(
             builder = builder.with_config(key, value);
         }
     }
-    // Who names an endpoint without TLS means it.
+    // An endpoint without TLS is meant as it is named.
     let endpoint = builder.get_config_value(&AmazonS3ConfigKey::Endpoint).unwrap_or_default();
     let client = ClientOptions::new()
         .with_connect_timeout(CONNECT_TIMEOUT)
@@ -55,15 +54,10 @@ pub(super) fn open(
         max_retries: RETRIES,
         retry_timeout: RETRY_TIMEOUT,
     };
-    let store = builder
-        .with_bucket_name(bucket)
-        .with_client_options(client)
-        .with_retry(retry)
-        .build()
-        .map_err(from_store)?;
+    let store = builder.with_bucket_name(bucket).with_client_options(client).with_retry(retry).build()?;
     if prefix.is_empty() {
         return Ok(Arc::new(store));
     }
-    let prefix = Path::parse(prefix).map_err(|error| from_store(error.into()))?;
+    let prefix = Path::parse(prefix).map_err(object_store::Error::from)?;
     Ok(Arc::new(PrefixStore::new(store, prefix)))
 }

@@ -11,10 +11,9 @@ use lightkiln_proto::problem::Problem;
 use serde::Deserialize;
 use utoipa::IntoParams;
 
-use super::chunks::{Conditions, serve_bytes};
+use super::chunks::{Binary, Conditions, serve_bytes};
 use super::events::MAX_SEQ;
 use super::extract::{JsonBody, PathParam, UrlQuery, bad_request};
-use super::openapi::Binary;
 use super::trace::traceparent;
 use crate::error::ServerError;
 use crate::farm::Farm;
@@ -116,7 +115,7 @@ pub(super) async fn delete(
     Ok(StatusCode::NO_CONTENT)
 }
 
-/// Cancels a bake; what no other bake wants is dropped.
+/// Cancels a bake; tasks that no other bake wants are dropped.
 #[utoipa::path(post, path = "/v1/bakes/{id}/cancel", tag = "bakes",
     params(("id" = String, Path, description = "The bake")),
     responses((status = 200, description = "The bake", body = Bake),
@@ -165,7 +164,7 @@ pub(super) async fn reprioritise(
     Ok(Json(farm.change(farm.store.reprioritise(&id, new.priority)).await?))
 }
 
-/// Whose failures to forget.
+/// The worker whose failures are forgotten.
 #[derive(Deserialize, IntoParams)]
 #[into_params(parameter_in = Query)]
 #[serde(deny_unknown_fields)]

@@ -11,10 +11,11 @@ use futures::{StreamExt, TryStreamExt};
 use lightkiln_proto::api::{MAX_CHUNK_BYTES, MAX_SCENE_PART_BYTES, SceneParts, SceneProgress, SceneStored};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::problem::Problem;
-use utoipa::IntoParams;
+use utoipa::openapi::RefOr;
+use utoipa::openapi::schema::{KnownFormat, ObjectBuilder, Schema, SchemaFormat, Type};
+use utoipa::{IntoParams, PartialSchema, ToSchema};
 
 use super::extract::{JsonBody, PathParam, content_length, text_header};
-use super::openapi::Binary;
 use super::ranges::{Wanted, is_known, range_applies, wanted};
 use crate::chunks::{ChunkError, Stored};
 use crate::error::ServerError;
@@ -24,6 +25,18 @@ use crate::farm::Farm;
 const MAX_JSON_BYTES: usize = 1 << 20;
 /// Bytes under a digest never change.
 const FOREVER: &str = "public, max-age=31536000, immutable";
+
+/// Plain bytes, as the description has them.
+pub(super) enum Binary {}
+
+impl PartialSchema for Binary {
+    fn schema() -> RefOr<Schema> {
+        let binary = Some(SchemaFormat::KnownFormat(KnownFormat::Binary));
+        ObjectBuilder::new().schema_type(Type::String).format(binary).into()
+    }
+}
+
+impl ToSchema for Binary {}
 
 /// Headers with which a GET asks for a part, or for nothing that the caller has.
 #[derive(IntoParams)]
@@ -127,7 +140,7 @@ async fn store_up_to(
     }
     let bytes = body.into_data_stream().map_err(|error| ChunkError::Broken(error.into()));
     let stored = farm.storage.put_stream(digest, bytes.boxed(), limit, content_length(headers)).await?;
-    farm.metrics.bytes_in.add(stored.bytes);
+    farm.metrics.received_bytes.inc_by(stored.bytes);
     Ok(stored)
 }
 
@@ -208,9 +221,11 @@ pub(super) async fn serve_bytes(
     let body = if method == Method::HEAD {
         Body::empty()
     } else {
-        let sent = farm.metrics.bytes_out.clone();
+        let sent = farm.metrics.sent_bytes.clone();
         let bytes = farm.storage.read(digest, part.clone()).await?;
-        Body::from_stream(bytes.inspect_ok(move |piece| sent.add(piece.len() as u64)))
+        Body::from_stream(bytes.inspect_ok(move |piece| {
+            sent.inc_by(piece.len() as u64);
+        }))
     };
     let size = (part.end - part.start).to_string();
     let sized = [(header::CONTENT_TYPE, content_type.to_owned()), (header::CONTENT_LENGTH, size)];

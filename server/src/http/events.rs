@@ -1,4 +1,4 @@
-//! What happens to a bake: as pages for polling, or as a stream of server-sent events.
+//! Events of a bake: as pages for polling, or as a stream of server-sent events.
 
 use std::convert::Infallible;
 use std::sync::Arc;
@@ -40,7 +40,7 @@ pub(super) struct EventsQuery {
     wait_secs: Option<u32>,
 }
 
-/// Where a stream that was cut goes on.
+/// Place at which a stream that was cut goes on.
 #[derive(IntoParams)]
 #[into_params(parameter_in = Header)]
 #[expect(dead_code, reason = "it describes a header; the handler reads it from the map")]
@@ -50,7 +50,7 @@ pub(super) struct LastEvent {
     last_event_id: Option<u64>,
 }
 
-/// Tells what happened to a bake. With `Accept: text/event-stream` it is a stream that ends with the bake; each event's
+/// Tells the events of a bake. With `Accept: text/event-stream` it is a stream that ends with the bake; each event's
 /// `id` is its `seq`, and `Last-Event-ID` goes on after it.
 #[utoipa::path(get, path = "/v1/bakes/{id}/events", tag = "bakes",
     params(("id" = String, Path, description = "The bake"), EventsQuery, LastEvent),

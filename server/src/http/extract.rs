@@ -38,7 +38,7 @@ impl<S: Send + Sync, T: DeserializeOwned, const LIMIT: usize> FromRequest<S> for
 /// Whether a JSON text says U+0000 anywhere: databases cannot keep it. Unescaped it is no JSON at all.
 fn has_escaped_nul(json: &[u8]) -> bool {
     let mut rest = json;
-    // A backslash stands in texts only, and with what comes after it.
+    // A backslash stands in texts only, and escapes the next character.
     while let Some(at) = rest.iter().position(|&byte| byte == b'\\') {
         rest = &rest[at + 1..];
         if rest.starts_with(b"u0000") {

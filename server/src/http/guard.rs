@@ -1,4 +1,4 @@
-//! Which scopes a call needs; a call that is not named here needs the highest. What is too much is refused here, too.
+//! Scopes that calls need; a call that is not named here needs the highest. Calls beyond the limits are refused here, too.
 
 use std::net::{IpAddr, Ipv6Addr, SocketAddr};
 use std::sync::Arc;
@@ -33,7 +33,7 @@ fn scopes_for(method: &Method, route: &str) -> &'static [Scope] {
     }
 }
 
-/// What stands before every call.
+/// Checks of every call, before its handler.
 pub(super) struct Doorman {
     pub(super) farm: Arc<Farm>,
     pub(super) limits: Limits,

@@ -8,7 +8,7 @@ use lightkiln_proto::problem::Problem;
 
 use crate::error::ServerError;
 use crate::farm::Farm;
-use crate::metrics::{self, Figures};
+use crate::metrics::{CONTENT_TYPE, Figures};
 
 /// Says that the process runs.
 #[utoipa::path(get, path = "/healthz", tag = "operation",
@@ -28,9 +28,10 @@ pub(super) async fn readyz(State(farm): State<Arc<Farm>>) -> Result<&'static str
     Ok("ready\n")
 }
 
-/// Figures in Prometheus' text format.
+/// Metrics of this server and its farm, for Prometheus.
 #[utoipa::path(get, path = "/metrics", tag = "operation",
-    responses((status = 200, description = "Prometheus text format", body = String, content_type = "text/plain")))]
+    responses((status = 200, description = "The text format of OpenMetrics", body = String,
+        content_type = "application/openmetrics-text")))]
 pub(super) async fn metrics(
     State(farm): State<Arc<Farm>>,
 ) -> Result<([(HeaderName, &'static str); 1], String), ServerError> {
@@ -39,15 +40,6 @@ pub(super) async fn metrics(
         workers: farm.store.workers().await?.len() as u64,
         usage: farm.store.usage().await?,
         quota_bytes: farm.storage.quota_bytes(),
-        lost: farm.storage.lost(),
     };
-    let text = metrics::render(&farm.metrics, &figures);
-    Ok(([(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], text))
-}
-
-/// This description.
-#[utoipa::path(get, path = "/openapi.json", tag = "operation",
-    responses((status = 200, description = "OpenAPI description", body = serde_json::Value)))]
-pub(super) async fn openapi() -> ([(HeaderName, &'static str); 1], String) {
-    ([(header::CONTENT_TYPE, "application/json")], super::openapi_json())
+    Ok(([(header::CONTENT_TYPE, CONTENT_TYPE)], farm.metrics.render(figures)))
 }

@@ -1,4 +1,4 @@
-//! How much one caller may ask for, and how much all of them at a time: what is too much is answered 429 at once.
+//! Rate limits of one caller, and a limit of all calls at a time: calls beyond are answered 429 at once.
 
 use std::net::IpAddr;
 use std::num::NonZeroU32;
@@ -24,7 +24,7 @@ const CALLS_BETWEEN_SWEEPS: u32 = 4096;
 /// Seconds after which a caller may come again when all places are taken: how long is not known.
 const BUSY_RETRY_SECS: u64 = 1;
 
-/// What limits are there.
+/// Limits of calls.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LimitConfig {
     /// Calls a second of one caller, in the long run; twice as many at once. A caller is a token at an address, or an
@@ -41,7 +41,7 @@ impl Default for LimitConfig {
     }
 }
 
-/// Who calls: an address, with the token that opened the call if one did.
+/// A caller: an address, with the token that opened the call if one did.
 pub(super) type Caller = (IpAddr, Option<Digest>);
 
 /// The limits of one server.

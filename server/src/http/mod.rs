@@ -63,7 +63,7 @@ pub(crate) fn router(farm: Arc<Farm>, limits: LimitConfig) -> Router {
         .route("/healthz", get(health::healthz))
         .route("/readyz", get(health::readyz))
         .route("/metrics", get(health::metrics))
-        .route("/openapi.json", get(health::openapi))
+        .route("/openapi.json", get(openapi::show))
         .fallback(no_such_path)
         .method_not_allowed_fallback(method_not_allowed)
         .layer(axum::middleware::from_fn_with_state(doorman, guard::guard))
@@ -83,7 +83,7 @@ async fn measure(State(farm): State<Arc<Farm>>, request: Request, next: Next) ->
     let is_known = [Method::GET, Method::HEAD, Method::POST, Method::PUT, Method::DELETE].contains(&method);
     let method = if is_known { method.as_str() } else { "other" };
     trace::note_status(response.status().as_u16());
-    farm.metrics.latencies.note(method, &route, response.status().as_u16(), started.elapsed());
+    farm.metrics.note_latency(method, &route, response.status().as_u16(), started.elapsed());
     response
 }
 

@@ -1,12 +1,13 @@
 //! The API's description, made from the handlers and checked in as `server/openapi.json`.
 
+use axum::http::{HeaderName, header};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::problem::ProblemCode;
 use utoipa::openapi::path::{Operation, Parameter};
-use utoipa::openapi::schema::{KnownFormat, ObjectBuilder, Schema, SchemaFormat, SchemaType, Type};
+use utoipa::openapi::schema::{Schema, SchemaType, Type};
 use utoipa::openapi::security::{Http, HttpAuthScheme, SecurityScheme};
 use utoipa::openapi::{Content, Ref, RefOr, Response, ResponseBuilder};
-use utoipa::{Modify, OpenApi, PartialSchema, ToSchema, openapi};
+use utoipa::{Modify, OpenApi, openapi};
 
 use super::{bakes, chunks, enrolments, events, health, leases};
 
@@ -32,7 +33,7 @@ use super::{bakes, chunks, enrolments, events, health, leases};
         bakes::manifest, bakes::report, bakes::workers, events::events,
         leases::claim, leases::heartbeat, leases::commit, leases::fail, leases::release,
         enrolments::enrol,
-        health::healthz, health::readyz, health::metrics, health::openapi,
+        health::healthz, health::readyz, health::metrics, show,
     ),
     components(schemas(Digest)),
     modifiers(&Bearer, &Problems),
@@ -50,7 +51,7 @@ impl Modify for Bearer {
     }
 }
 
-/// Names in each call the problems that no handler speaks of: what stands before every call, and what may lack behind it.
+/// Names in each call the problems that no handler speaks of: those of the checks before it, and of the stores behind it.
 /// So a status that is not described is a fault.
 struct Problems;
 
@@ -140,17 +141,12 @@ fn problem_response(code: ProblemCode) -> Response {
     ResponseBuilder::new().description(code.row().2).content("application/problem+json", problem).build()
 }
 
-/// Plain bytes, as the description has them.
-pub(super) enum Binary {}
-
-impl PartialSchema for Binary {
-    fn schema() -> openapi::RefOr<Schema> {
-        let binary = Some(SchemaFormat::KnownFormat(KnownFormat::Binary));
-        ObjectBuilder::new().schema_type(Type::String).format(binary).into()
-    }
+/// This description.
+#[utoipa::path(get, path = "/openapi.json", tag = "operation", operation_id = "openapi",
+    responses((status = 200, description = "OpenAPI description", body = serde_json::Value)))]
+pub(super) async fn show() -> ([(HeaderName, &'static str); 1], String) {
+    ([(header::CONTENT_TYPE, "application/json")], openapi_json())
 }
-
-impl ToSchema for Binary {}
 
 /// The OpenAPI description as JSON text.
 pub fn openapi_json() -> String {

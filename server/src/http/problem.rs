@@ -14,7 +14,7 @@ impl IntoResponse for ServerError {
         let code = self.code();
         let chain = self.chain();
         let detail = match code {
-            // What went wrong inside is for the log, not for callers.
+            // Inner causes are for the log, not for callers.
             ProblemCode::Internal | ProblemCode::Unavailable | ProblemCode::StorageFull => {
                 tracing::error!(error = chain, "a request failed");
                 self.to_string()

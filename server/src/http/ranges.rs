@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-/// What a Range header asks for.
+/// Bytes that a Range header asks for.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Wanted {
     /// Everything: no range, several ranges, another unit, or one that makes no sense.

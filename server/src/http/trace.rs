@@ -14,7 +14,7 @@ use super::extract::text_header;
 /// Calls that only ask whether there is news: hours of them would drown a trace.
 const POLLS: [&str; 3] = ["/v1/bakes/{id}/events", "/v1/leases/{token}/heartbeat", "/v1/leases"];
 
-/// What a request is logged and traced as: its route, as paths hold tokens. Calls of no trace begin none.
+/// The span of a request in log and trace: it has the route, as paths hold tokens. Calls of no trace begin none.
 pub(super) fn span(request: &Request) -> Span {
     let route = request.extensions().get::<MatchedPath>().map_or("none", MatchedPath::as_str);
     let method = request.method();
@@ -42,7 +42,7 @@ pub(super) fn note_status(status: u16) {
     Span::current().record("http.response.status_code", status);
 }
 
-/// Where the trace goes on for what this call leads to: this call's span, or the caller's where nothing records here.
+/// Parent of the spans that this call leads to: this call's span, or the caller's where nothing records here.
 pub(super) fn traceparent(headers: &HeaderMap) -> Option<String> {
     let mut own = HeaderMap::new();
     let context = Span::current().context();

@@ -1,7 +1,7 @@
-//! What the queue's store knows of the stored bytes: which generation counts, who needs it, what may go.
+//! Stored bytes as the queue's store knows them: the generation that counts, its references, its end.
 //!
 //! ```text
-//!  keep ──▶ kept ──nobody refers to it, and it was not asked for within the grace──▶ condemned ──bury──▶ gone
+//!  keep ──▶ kept ──nobody refers to it, and it was not asked for within the grace──▶ condemned ──purge──▶ gone
 //!            │ bytes found lost or damaged
 //!            └─────▶ lost (kept again when somebody uploads it)
 //! ```
@@ -23,7 +23,7 @@ pub struct KeptChunk {
     pub bytes: u64,
 }
 
-/// What became of bytes that somebody stored.
+/// Outcome of taking stored bytes in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kept {
     /// They are the chunk's now.
@@ -34,7 +34,7 @@ pub enum Kept {
     Condemned,
 }
 
-/// What a collection follows.
+/// Rules of a collection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CollectRules {
     /// Chunks that nobody refers to stay this long after they were last asked for.
@@ -45,14 +45,14 @@ pub struct CollectRules {
     pub max: u32,
 }
 
-/// What a collection did, and what is left to do.
+/// Outcome of a collection.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Collected {
     /// Bakes deleted because they ended long ago.
     pub bakes: u64,
     /// Chunks condemned now.
     pub condemned: u64,
-    /// Condemned chunks whose bytes are to be removed and then buried, earlier ones included.
+    /// Condemned chunks whose bytes are to be removed and then purged, earlier ones included.
     pub to_remove: Vec<ChunkName>,
 }
 
@@ -71,7 +71,7 @@ pub struct ChunkRow {
     pub is_live_scene: bool,
 }
 
-/// How full the storage is.
+/// Fill of the storage.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Usage {
     /// Chunks stored, condemned ones included.

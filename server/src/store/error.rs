@@ -1,4 +1,4 @@
-//! What can go wrong in a farm store.
+//! Errors of farm stores.
 
 use lightkiln_proto::api::BakeState;
 use lightkiln_proto::ids::{Digest, TaskKey};
@@ -11,7 +11,7 @@ pub enum StoreError {
     /// No bake of that id.
     #[error("there is no bake '{bake}'")]
     NoSuchBake {
-        /// What was asked for.
+        /// The name asked for.
         bake: String,
     },
     /// The key was used with another body.
@@ -29,7 +29,7 @@ pub enum StoreError {
     /// No bearer of that name.
     #[error("there is no token of '{name}'")]
     NoSuchBearer {
-        /// What was asked for.
+        /// The name asked for.
         name: String,
     },
     /// The bake's state does not allow the call.
@@ -39,13 +39,13 @@ pub enum StoreError {
         bake: String,
         /// Its state.
         state: BakeState,
-        /// What was asked for, as a participle.
+        /// The change asked for, as a participle.
         action: &'static str,
     },
     /// Bytes that a bake or a result names are not stored.
     #[error("chunk {digest} is not stored; PUT /v1/chunks/{digest} first")]
     MissingChunk {
-        /// Which.
+        /// The chunk.
         digest: Digest,
     },
     /// No room under the farm's quota.
@@ -73,7 +73,7 @@ pub enum StoreError {
     /// Stored state cannot be read, or was written by a newer version.
     #[error("the farm's state cannot be used: {what}")]
     Corrupt {
-        /// Which part.
+        /// The unusable part.
         what: String,
         /// Why.
         #[source]
@@ -114,7 +114,7 @@ pub enum PlanError {
     Field {
         /// The task.
         key: TaskKey,
-        /// What is wrong, and the limit.
+        /// The fault, and the limit.
         what: String,
     },
     /// One key, two different tasks.

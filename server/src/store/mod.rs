@@ -17,10 +17,9 @@
 
 pub mod chunk;
 mod error;
-mod memory;
-mod rules;
+mod lease;
+pub mod rules;
 mod sql;
-mod token;
 
 use std::collections::BTreeSet;
 
@@ -37,11 +36,9 @@ use crate::chunks::ChunkName;
 
 use chunk::{ChunkRow, CollectRules, Collected, Kept, KeptChunk, Usage};
 pub use error::{PlanError, StoreError};
-pub use memory::MemoryStore;
+pub use lease::LeaseState;
 pub use rules::{BACKOFF_MAX_MS, MAX_ATTEMPTS, MAX_GRACES, MAX_PARDONS, POISON_WORKERS, backoff_ms};
 pub use sql::{FaultPoint, Faults, SqlStore};
-pub use token::is_token;
-pub(crate) use token::{random_id, random_secret, random_u64};
 
 /// A bake to take in.
 #[derive(Clone, Debug)]
@@ -52,13 +49,13 @@ pub struct Submission {
     pub body_hash: Digest,
     /// Trace that the submission belongs to, as W3C Trace Context writes it.
     pub traceparent: Option<String>,
-    /// What was asked for.
+    /// The bake asked for.
     pub bake: NewBake,
     /// Its first tasks.
     pub plan: Vec<TaskSpec>,
 }
 
-/// What became of a submission.
+/// Outcome of a submission.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Submitted {
     /// The bake.
@@ -67,7 +64,7 @@ pub struct Submitted {
     pub is_new: bool,
 }
 
-/// A task that is done already, and what it gave.
+/// A task that is done already, and its outputs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct KnownResult {
     /// The task.
@@ -80,7 +77,7 @@ pub struct KnownResult {
 
 impl KnownResult {
     /// The results found along a plan, in that order.
-    fn all(found: Vec<(TaskKey, TaskResult)>) -> Vec<Self> {
+    pub fn all(found: Vec<(TaskKey, TaskResult)>) -> Vec<Self> {
         let done: BTreeSet<TaskKey> = found.iter().map(|(key, _)| *key).collect();
         let known = |(key, result): (TaskKey, TaskResult)| {
             let open = result.plan.iter().filter(|task| !done.contains(&task.key));
@@ -90,7 +87,7 @@ impl KnownResult {
     }
 }
 
-/// What became of a reported failure.
+/// Outcome of a reported failure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FailVerdict {
     /// The task will be tried again.
@@ -101,7 +98,7 @@ pub enum FailVerdict {
     Stale,
 }
 
-/// What the reaper found.
+/// Expired leases that the reaper ended.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Reaped {
     /// Leases that had run out.
@@ -110,7 +107,7 @@ pub struct Reaped {
     pub given_up: u64,
 }
 
-/// Where a task stands.
+/// State of a task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum TaskState {
     /// Some of its dependencies are not done.
@@ -135,14 +132,14 @@ impl TaskState {
     }
 }
 
-/// How many tasks of a kind stand where.
+/// Number of tasks of a kind in one state.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct TaskCount {
     /// Task kind.
     pub kind: String,
-    /// Where they stand.
+    /// Their state.
     pub state: TaskState,
-    /// How many.
+    /// Their number.
     pub count: u64,
 }
 
@@ -151,9 +148,9 @@ pub struct TaskCount {
 pub struct Demand {
     /// Task kind.
     pub kind: String,
-    /// What their bakes need.
+    /// Needs of their bakes.
     pub needs: Needs,
-    /// How many.
+    /// Their number.
     pub ready: u64,
     /// For how long the one that has waited longest could have been claimed, in milliseconds: since it became ready, its
     /// wait after a failure was over, or its bake's pause ended.
@@ -165,7 +162,7 @@ pub struct Demand {
 pub struct Stats {
     /// Tasks by kind and state, ascending; none with a count of 0.
     pub tasks: Vec<TaskCount>,
-    /// What waits for which workers, by kind; none with a count of 0.
+    /// Ready tasks by kind and needs; none with a count of 0.
     pub demand: Vec<Demand>,
     /// Bakes that are running or paused.
     pub bakes_live: u64,
@@ -286,7 +283,7 @@ pub trait FarmStore: Send + Sync {
     async fn collect(&self, rules: &CollectRules) -> Result<Collected, StoreError>;
 
     /// Forgets condemned chunks whose bytes have been removed.
-    async fn bury(&self, names: &[ChunkName]) -> Result<(), StoreError>;
+    async fn purge(&self, names: &[ChunkName]) -> Result<(), StoreError>;
 
     /// Gives up a chunk whose bytes are lost or damaged: results with it among their outputs are forgotten, as by
     /// [`FarmStore::forget`]. Returns how many. Nothing happens if the chunk has another generation by now.
@@ -296,12 +293,12 @@ pub trait FarmStore: Send + Sync {
     async fn chunk_rows(&self, after: Option<Digest>, limit: u32) -> Result<Vec<ChunkRow>, StoreError>;
 
     /// Those of `names` that are neither kept nor condemned.
-    async fn strangers(&self, names: &[ChunkName]) -> Result<Vec<ChunkName>, StoreError>;
+    async fn orphans(&self, names: &[ChunkName]) -> Result<Vec<ChunkName>, StoreError>;
 
     /// Condemns those of `chunks` that are neither kept nor condemned; returns their names.
-    async fn condemn_strangers(&self, chunks: &[KeptChunk]) -> Result<Vec<ChunkName>, StoreError>;
+    async fn condemn_orphans(&self, chunks: &[KeptChunk]) -> Result<Vec<ChunkName>, StoreError>;
 
-    /// How full the storage is.
+    /// Fill of the storage.
     async fn usage(&self) -> Result<Usage, StoreError>;
 
     /// Figures about the whole farm.
@@ -312,7 +309,7 @@ pub trait FarmStore: Send + Sync {
 }
 
 /// Refuses calls that only a live bake allows.
-fn require_live(bake: &str, state: BakeState, action: &'static str) -> Result<(), StoreError> {
+pub fn require_live(bake: &str, state: BakeState, action: &'static str) -> Result<(), StoreError> {
     if state.is_final() {
         return Err(StoreError::StateConflict { bake: bake.to_owned(), state, action });
     }
@@ -320,7 +317,7 @@ fn require_live(bake: &str, state: BakeState, action: &'static str) -> Result<()
 }
 
 /// Refuses calls that only an ended bake allows.
-fn require_ended(bake: &str, state: BakeState, action: &'static str) -> Result<(), StoreError> {
+pub fn require_ended(bake: &str, state: BakeState, action: &'static str) -> Result<(), StoreError> {
     if !state.is_final() {
         return Err(StoreError::StateConflict { bake: bake.to_owned(), state, action });
     }
@@ -328,6 +325,6 @@ fn require_ended(bake: &str, state: BakeState, action: &'static str) -> Result<(
 }
 
 /// The bearer that has the name already, if it is the one to make.
-fn same_bearer(found: Bearer, hash: Digest) -> Result<Bearer, StoreError> {
+pub fn same_bearer(found: Bearer, hash: Digest) -> Result<Bearer, StoreError> {
     if found.hash == hash { Ok(found) } else { Err(StoreError::BearerExists { name: found.name }) }
 }

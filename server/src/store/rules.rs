@@ -32,17 +32,12 @@ pub const WORKER_PRESENT_MS: i64 = 60_000;
 pub const WORKER_LISTED_MS: i64 = 600_000;
 /// A worker's last-heard time is written at most this often: idle polling costs no disk writes.
 pub const WORKER_SEEN_GRAIN_MS: i64 = 5_000;
-/// That a chunk was asked for is written at most this often.
+/// A chunk's last use is written at most this often.
 pub const CHUNK_USED_GRAIN_MS: i64 = 60_000;
-/// Progress of a lease that its holder has not been heard about: the answer to the claim may have been lost, or the worker
-/// been gone before it came. When it runs out nobody failed at anything.
-pub const UNHEARD: f64 = -1.0;
-/// The same once a holder that had been heard is heard again after its lease ran out, and before anybody noticed.
-pub const LATE: f64 = -2.0;
 /// Most attempts at a task that are given back because their workers were silent for longer than a lease, and alive. More
 /// → a database that is slow for long fails fewer bakes, and a worker that is stuck again and again holds a task up for longer.
 pub const MAX_PARDONS: u32 = MAX_ATTEMPTS;
-/// How often a lease is given its whole length again for the farm's silence before its worker is heard again. More → workers
+/// Most times that a lease is given its whole length again, for the farm's silence, before its worker is heard. More → workers
 /// outlast more restarts in quick succession, and while a server crashes again and again, tasks of dead workers wait longer.
 pub const MAX_GRACES: u32 = 5;
 /// Longest failure message kept, in characters.
@@ -69,28 +64,33 @@ pub fn retry_wait_ms(key: TaskKey, attempts: u32) -> i64 {
     wait / 2 + (((wait - wait / 2) * share) >> 32)
 }
 
-/// What a worker is and has, as far as claims go.
+/// Properties of a worker that claims compare with needs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Abilities {
-    pub(crate) kinds: Vec<String>,
-    pub(crate) threads: u32,
-    pub(crate) memory_mib: u32,
-    pub(crate) labels: Vec<String>,
+    /// Kinds of tasks that it runs.
+    pub kinds: Vec<String>,
+    /// Threads that its tasks may use.
+    pub threads: u32,
+    /// Memory that its tasks may use.
+    pub memory_mib: u32,
+    /// Labels that bakes may ask for.
+    pub labels: Vec<String>,
 }
 
 impl Abilities {
-    pub(crate) fn of(request: &ClaimRequest) -> Self {
+    /// Those of the worker that claims.
+    pub fn of(request: &ClaimRequest) -> Self {
         let ClaimRequest { kinds, threads, memory_mib, labels, .. } = request.clone();
         Self { kinds, threads, memory_mib, labels }
     }
 
-    /// Whether such a worker could do what another asks for.
-    pub(crate) fn can_replace(&self, request: &ClaimRequest, needs: &Needs) -> bool {
+    /// Whether such a worker could do tasks that another asks for.
+    pub fn can_replace(&self, request: &ClaimRequest, needs: &Needs) -> bool {
         self.kinds.iter().any(|kind| request.kinds.contains(kind)) && self.suffice(needs)
     }
 
     /// Whether such a worker may take a bake's tasks.
-    pub(crate) fn suffice(&self, needs: &Needs) -> bool {
+    pub fn suffice(&self, needs: &Needs) -> bool {
         self.threads >= needs.threads
             && self.memory_mib >= needs.memory_mib
             && needs.labels.iter().all(|label| self.labels.contains(label))
@@ -100,15 +100,17 @@ impl Abilities {
 /// A bake with ready tasks, as a claim weighs it.
 #[derive(Clone, Debug)]
 pub struct Contender<B> {
-    pub(crate) bake: B,
-    pub(crate) priority: i64,
+    /// The bake, in the store's own form.
+    pub bake: B,
+    /// Its priority; higher ones come first.
+    pub priority: i64,
     /// Tasks of it under way.
-    pub(crate) leased: i64,
+    pub leased: i64,
     /// The worker had its scene last.
-    pub(crate) is_local: bool,
+    pub is_local: bool,
 }
 
-/// Which of the contenders, oldest first, gets the next task: of those with the highest priority the one with the
+/// Index of the contender that gets the next task, of a list with the oldest first: of those with the highest priority the one with the
 /// fewest tasks under way, where the scene that the worker has counts for some; of equals the oldest.
 pub fn next_contender<B>(contenders: &[Contender<B>]) -> Option<usize> {
     let rank = |contender: &Contender<B>| {

@@ -55,23 +55,6 @@ impl Wakeup for LocalWakeup {
     }
 }
 
-/// No hints at all: every wait lasts until its timeout.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct NoWakeup;
-
-#[async_trait]
-impl Wakeup for NoWakeup {
-    fn mark(&self) -> u64 {
-        0
-    }
-
-    fn hint(&self) {}
-
-    async fn wait(&self, _mark: u64, timeout: Duration) {
-        tokio::time::sleep(timeout).await;
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -98,6 +81,5 @@ mod tests {
     #[tokio::test]
     async fn wait_without_a_hint_ends_at_its_timeout() {
         LocalWakeup::default().wait(0, Duration::from_millis(1)).await;
-        NoWakeup.wait(0, Duration::from_millis(1)).await;
     }
 }

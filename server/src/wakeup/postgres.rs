@@ -15,6 +15,7 @@ use tokio::sync::Notify;
 use tokio::task::JoinHandle;
 
 use super::{LocalWakeup, Wakeup};
+use crate::random;
 use crate::store::StoreError;
 
 /// One connection to listen, one to notify.
@@ -36,7 +37,7 @@ impl PostgresWakeup {
         let pool = PgPoolOptions::new().max_connections(CONNECTIONS).connect_with(options).await?;
         let schema: String = sqlx::query_scalar("SELECT current_schema()::text").fetch_one(&pool).await?;
         let channel = format!("lightkiln_{:016x}", Digest::of(schema.as_bytes()).short());
-        let own_id = crate::store::random_id()?;
+        let own_id = random::id();
         let (local, send) = (Arc::new(LocalWakeup::default()), Arc::new(Notify::new()));
         let listening = PgListener::connect_with(&pool).await?;
         let tasks = [
@@ -98,7 +99,7 @@ async fn pass_on(
     local: &LocalWakeup,
 ) -> Result<(), sqlx::Error> {
     listener.listen(channel).await?;
-    // What was said before, nobody heard.
+    // Nobody heard earlier notifications.
     local.hint();
     while let Some(notification) = listener.try_recv().await? {
         if notification.payload() != own_id {

@@ -1,11 +1,11 @@
-//! Which addresses may be called.
+//! Addresses that webhooks may call.
 
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 
 use reqwest::Url;
 use url::Host;
 
-/// A URL to post to, or what is wrong with it. A name is looked up, and checked again, for each delivery.
+/// A URL to post to, or its fault. A name is looked up, and checked again, for each delivery.
 pub(super) fn checked(text: &str, allow_local: bool) -> Result<Url, String> {
     let url: Url = text.parse().map_err(|error| format!("'{text}' is no URL: {error}"))?;
     if !matches!(url.scheme(), "http" | "https") {
@@ -25,7 +25,7 @@ pub(super) fn checked(text: &str, allow_local: bool) -> Result<Url, String> {
     }
 }
 
-/// Where a URL's host is now: every address that may be called.
+/// Addresses of a URL's host at this moment, all of which may be called.
 pub(super) async fn resolve(url: &Url, allow_local: bool) -> Result<Vec<SocketAddr>, String> {
     let port = url.port_or_known_default().unwrap_or(443);
     let host = match url.host() {

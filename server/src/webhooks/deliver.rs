@@ -13,7 +13,7 @@ use crate::clock::{Clock as _, SystemClock};
 /// Longest wait between tries.
 const LONGEST_WAIT: Duration = Duration::from_secs(300);
 
-/// What is told, and where.
+/// A message and its address.
 pub(super) struct Delivery {
     id: String,
     url: Url,

@@ -2,8 +2,8 @@
 //!
 //! A watcher looks at the farm's bakes from time to time, as any client could, and hands each end to deliveries of its
 //! own: the queue knows nothing of them and waits for nothing. Delivery is at least once: a server that starts tells
-//! again what ended within the last hour, and every server that has the flag tells. An end's id is always the same, so
-//! that receivers can drop what they know.
+//! ends of the last hour again, and every server that has the flag tells. An end's id is always the same, so
+//! that receivers can drop repeats.
 
 mod address;
 mod deliver;
@@ -37,12 +37,12 @@ const TOLD_MAX: usize = 10_000;
 /// Deliveries under way to one address at a time; others wait.
 const DELIVERIES_AT_A_TIME: usize = 16;
 
-/// Who is told, and how.
+/// Receivers of webhooks, and the rules of delivery.
 #[derive(Clone)]
 pub struct WebhookConfig {
     /// Addresses that ends are posted to.
     pub urls: Vec<Url>,
-    /// What deliveries are signed with.
+    /// Key of the signatures of deliveries.
     pub secret: Arc<[u8]>,
     /// Deliver to this machine and its link, too. Default: no.
     pub allow_local: bool,
@@ -123,7 +123,7 @@ fn spawn_deliveries(config: &Arc<WebhookConfig>, places: &[Arc<Semaphore>], bake
     }
 }
 
-/// What is known of the farm's bakes.
+/// Bakes of the farm as the watcher knows them.
 #[derive(Default)]
 struct Watcher {
     has_looked: bool,

@@ -1,7 +1,11 @@
-//! What every chunk store must do: one suite, run over files, memory and S3.
+//! Rules of all chunk stores: one suite, run over files, memory and S3.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
+#[path = "../clock/mod.rs"]
+mod clock;
+#[path = "../model/mod.rs"]
+mod model;
 #[path = "../parts/mod.rs"]
 mod parts;
 
@@ -15,11 +19,9 @@ use futures::{StreamExt, TryStreamExt};
 use lightkiln_proto::api::{ScenePart, SceneParts, SceneProgress};
 use lightkiln_proto::ids::Digest;
 use lightkiln_server::chunks::{ByteStream, ChunkError, ChunkName, ChunkStore, Listed, ObjectChunks, Stored};
-use lightkiln_server::clock::ManualClock;
 use lightkiln_server::farm::Farm;
 use lightkiln_server::places::ChunksPlace;
 use lightkiln_server::storage::Storage;
-use lightkiln_server::store::MemoryStore;
 use lightkiln_server::store::chunk::CollectRules;
 use lightkiln_server::wakeup::LocalWakeup;
 use object_store::aws::{AmazonS3Builder, AmazonS3ConfigKey};
@@ -28,6 +30,9 @@ use object_store::memory::InMemory;
 use object_store::path::Path;
 use object_store::prefix::PrefixStore;
 use object_store::{ObjectStore, ObjectStoreExt};
+
+use clock::ManualClock;
+use model::MemoryStore;
 
 /// A store, and another way to its objects.
 struct Kind {
@@ -73,7 +78,7 @@ impl Kind {
         self.objects.put(&Self::path(digest), bytes.to_vec().into()).await.unwrap();
     }
 
-    /// What lies in the store, under whatever name.
+    /// Objects of the store, under any name.
     async fn all_objects(&self) -> Vec<Path> {
         self.objects.list(None).map_ok(|meta| meta.location).try_collect().await.unwrap()
     }
@@ -244,7 +249,7 @@ async fn generations_are_stored_beside_each_other(kind: Kind) {
     let chunks = &kind.chunks;
     let bytes = Bytes::from_static(b"0123456789");
     let first = ChunkName::from(Digest::of(&bytes));
-    let (second, third) = (ChunkName::fresh(first.digest).unwrap(), ChunkName::fresh(first.digest).unwrap());
+    let (second, third) = (ChunkName::fresh(first.digest), ChunkName::fresh(first.digest));
     assert_ne!(second, third);
     for name in [first, second] {
         assert!(chunks.put_if_absent(name, bytes.clone()).await.unwrap().is_new);
@@ -264,9 +269,8 @@ async fn scene_is_put_together_from_parts_that_are_cleared_away_later(kind: Kind
     let storage = Storage::new(store.clone(), chunks.clone(), None);
     let (_closing, closing) = tokio::sync::watch::channel(false);
     let wakeup = Arc::new(LocalWakeup::default());
-    let farm =
-        Arc::new(Farm::new(store, storage, wakeup, parts::kind::kinds(), Duration::from_secs(1), closing));
-    // Enough for several pieces of what the store writes at a time.
+    let farm = Arc::new(Farm::new(store, storage, wakeup, parts::kind::kinds(), Duration::from_secs(1), closing));
+    // Enough for several pieces as the store writes them.
     let pieces: Vec<Bytes> = (0..6).map(|i| Bytes::from(vec![i as u8; 3 << 20])).collect();
     let scene = Digest::of(&pieces.concat());
     let part = |piece: &Bytes| ScenePart { digest: Digest::of(piece), bytes: piece.len() as u64 };

@@ -6,13 +6,13 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use async_trait::async_trait;
 use lightkiln_proto::api::{CommitVerdict, Lease};
 use lightkiln_proto::jobs::TaskSpec;
-use lightkiln_server::clock::ManualClock;
 use lightkiln_server::store::{FarmStore, FaultPoint, Faults, SqlStore, StoreError};
 
+use crate::clock::ManualClock;
 use crate::crash::{crashed, open_file};
 use crate::support::{in_time, request, result, submission, task};
 
-/// What happens in one of the transactions.
+/// Incidents of one of the transactions.
 #[derive(Clone, Copy, PartialEq)]
 enum Fate {
     Commits,

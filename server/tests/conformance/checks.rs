@@ -1,4 +1,4 @@
-//! Checks of the storage: what they find wrong, what they make good, and what bakes say of what they lost.
+//! Checks of the storage: their findings, their repairs, and lost results of bakes.
 
 use std::slice::from_ref;
 use std::sync::Arc;
@@ -44,7 +44,7 @@ pub async fn check_finds_what_is_wrong_and_makes_it_good(world: World) {
         run_with(&world, &[output]).await.unwrap();
     }
     let orphan = Digest::of(b"orphan");
-    objects.put_if_absent(ChunkName::fresh(orphan).unwrap(), Bytes::from_static(b"orphan")).await.unwrap();
+    objects.put_if_absent(ChunkName::fresh(orphan), Bytes::from_static(b"orphan")).await.unwrap();
     let check = async |reads, repairs, grace| {
         let checks = Checks { reads, repairs, grace };
         fsck::check(&*world.store, &*objects, &storage, checks).await.unwrap()
@@ -76,7 +76,7 @@ pub async fn check_finds_what_is_wrong_and_makes_it_good(world: World) {
     assert_eq!(sound, Findings { chunks: 4, bytes: 24, ..Findings::default() });
 }
 
-/// Makes the farm's bytes real, and gives the names of what checks look at.
+/// Makes the farm's bytes real, and gives the names that checks look at.
 async fn checked_farm(world: &World) -> (Storage, Arc<ObjectChunks>) {
     let (storage, objects) = storage(world, None);
     collect_all(world).await;
@@ -131,7 +131,7 @@ pub async fn artefact_that_an_ended_bake_names_is_made_again_by_the_next(world: 
     remove(&world, &objects, made).await;
     let repaired = repair(&world, &storage, &objects).await;
     assert!(repaired.is_sound() && repaired.results_forgotten == 1, "{repaired:?}");
-    // What is true of the bake stays said, and is no fault of the storage.
+    // Lost results stay with the bake, and are no fault of the storage.
     let again = repair(&world, &storage, &objects).await;
     assert!(again.is_sound(), "{again:?}");
     let incomplete = Incomplete { bake: first.id.clone(), name: "first".into(), results_lost: 1 };

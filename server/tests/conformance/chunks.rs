@@ -1,4 +1,4 @@
-//! Stored bytes: who needs them, when they may go, and what happens to those that are lost.
+//! Stored bytes: their references, their end, and their loss.
 
 use std::collections::BTreeSet;
 use std::slice::from_ref;
@@ -15,7 +15,7 @@ use lightkiln_server::storage::Storage;
 use lightkiln_server::store::StoreError;
 use lightkiln_server::store::chunk::{CollectRules, Collected, Kept, Usage};
 
-use crate::support::{SCENE, World, chunk, output, result, submission, task};
+use crate::support::{SCENE, World, chunk, chunks_in_memory, output, result, submission, task};
 
 /// Grace of the tests' collections.
 pub const GRACE_MS: i64 = 3_600_000;
@@ -71,7 +71,7 @@ pub async fn replaced_bytes_are_condemned(world: World) {
     let now = world.store.usage().await.unwrap();
     assert_eq!((now.chunks, now.bytes), (before.chunks + 1, before.bytes + 32));
     assert_eq!(world.store.collect(&RULES).await.unwrap().to_remove, [chunk(a, 7).name]);
-    world.store.bury(&[chunk(a, 7).name]).await.unwrap();
+    world.store.purge(&[chunk(a, 7).name]).await.unwrap();
     assert_eq!(world.store.usage().await.unwrap(), before);
 }
 
@@ -87,10 +87,10 @@ pub async fn chunk_that_nobody_needs_goes_after_the_grace(world: World) {
     let collected = world.store.collect(&RULES).await.unwrap();
     assert!(is_kept(&world, a).await && !is_kept(&world, b).await);
     assert!(collected.to_remove.contains(&chunk(b, 1).name) && collected.condemned > 0);
-    // Until they are buried they are named again: who was to remove them may have died.
+    // Until they are purged they are named again: the process that was to remove them may have died.
     let again = world.store.collect(&RULES).await.unwrap();
     assert_eq!((again.condemned, &again.to_remove), (0, &collected.to_remove));
-    world.store.bury(&collected.to_remove).await.unwrap();
+    world.store.purge(&collected.to_remove).await.unwrap();
     assert_eq!(world.store.collect(&RULES).await.unwrap(), Collected::default());
     assert_eq!(world.store.usage().await.unwrap(), Usage { chunks: 1, bytes: 32 });
 }
@@ -179,7 +179,7 @@ pub async fn result_whose_output_went_is_refused_until_it_is_stored_again(world:
     // A condemned name is dead, another one is not, and a late burial does not touch it.
     assert_eq!(keep(&world, out, 1).await, Kept::Condemned);
     assert_eq!(keep(&world, out, 2).await, Kept::Fresh);
-    world.store.bury(&collected.to_remove).await.unwrap();
+    world.store.purge(&collected.to_remove).await.unwrap();
     assert_eq!(world.store.commit(&lease.token, &result).await.unwrap(), CommitVerdict::Committed);
     assert_eq!(world.store.find_chunks(&[out]).await.unwrap(), [chunk(out, 2)]);
 }
@@ -244,20 +244,20 @@ pub async fn quota_refuses_what_would_exceed_it(world: World) {
     assert_eq!(keep("a").await.unwrap(), Kept::Known(chunk(digest("a"), 1)));
     let collected = collect_all(&world).await;
     keep("b").await.unwrap_err();
-    world.store.bury(&collected.to_remove).await.unwrap();
+    world.store.purge(&collected.to_remove).await.unwrap();
     assert_eq!(keep("b").await.unwrap(), Kept::Fresh);
 }
 
-pub async fn strangers_are_condemned_and_others_are_not(world: World) {
+pub async fn orphans_are_condemned_and_others_are_not(world: World) {
     let [a, b] = [digest("a"), digest("b")];
     keep(&world, a, 1).await;
     let all = [chunk(a, 1), chunk(a, 2), chunk(b, 0)];
     let names = all.map(|chunk| chunk.name);
     let sorted = BTreeSet::from([names[1], names[2]]);
-    assert_eq!(world.store.strangers(&names).await.unwrap(), names[1..]);
-    assert_eq!(world.store.condemn_strangers(&all).await.unwrap(), names[1..]);
-    assert_eq!(world.store.strangers(&names).await.unwrap(), []);
-    assert!(world.store.condemn_strangers(&all).await.unwrap().is_empty());
+    assert_eq!(world.store.orphans(&names).await.unwrap(), names[1..]);
+    assert_eq!(world.store.condemn_orphans(&all).await.unwrap(), names[1..]);
+    assert_eq!(world.store.orphans(&names).await.unwrap(), []);
+    assert!(world.store.condemn_orphans(&all).await.unwrap().is_empty());
     // An upload that ends only now is told that its bytes are dead.
     assert_eq!(keep(&world, b, 0).await, Kept::Condemned);
     let to_remove = world.store.collect(&RULES).await.unwrap().to_remove;
@@ -267,7 +267,7 @@ pub async fn strangers_are_condemned_and_others_are_not(world: World) {
 
 /// A storage over the world's store, and its bytes.
 pub fn storage(world: &World, quota_bytes: Option<u64>) -> (Storage, Arc<ObjectChunks>) {
-    let objects = Arc::new(ObjectChunks::in_memory());
+    let objects = Arc::new(chunks_in_memory());
     (Storage::new(world.store.clone(), objects.clone(), quota_bytes), objects)
 }
 
@@ -370,7 +370,7 @@ pub async fn damaged_bytes_are_given_up_when_they_are_read(world: World) {
     let name = world.store.find_chunks(&[out]).await.unwrap()[0].name;
     objects.delete(name).await.unwrap();
     assert_eq!(read(&storage, out, 5).await, Err(ProblemCode::NotFound));
-    assert_eq!(storage.lost(), 1);
+    assert_eq!(storage.lost().get(), 1);
     assert_eq!(world.claim_labels("w", 10).await, ["a"], "it runs again");
     assert_eq!(put(&storage, b"right").await, out);
     assert_eq!(read(&storage, out, 5).await.unwrap(), b"right");
@@ -383,9 +383,9 @@ pub async fn chunk_that_was_stored_again_meanwhile_is_not_lost(world: World) {
     let now = world.store.find_chunks(&[out]).await.unwrap()[0].name;
     storage.lose(chunk(out, now.generation ^ 1).name).await.unwrap();
     storage.lose(chunk(digest("cleared away"), 1).name).await.unwrap();
-    assert_eq!((storage.lost(), is_kept(&world, out).await), (0, true));
+    assert_eq!((storage.lost().get(), is_kept(&world, out).await), (0, true));
     storage.lose(now).await.unwrap();
-    assert_eq!((storage.lost(), is_kept(&world, out).await), (1, false));
+    assert_eq!((storage.lost().get(), is_kept(&world, out).await), (1, false));
 }
 
 pub async fn upload_beyond_the_quota_leaves_nothing_and_works_when_there_is_room(world: World) {

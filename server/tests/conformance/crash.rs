@@ -1,8 +1,8 @@
-//! A crash between any two steps: whatever call a process dies in, and wherever, the farm goes on from a state in
+//! A crash between any two steps: in any call that a process dies in, and anywhere in it, the farm goes on from a state in
 //! which the call happened wholly or not at all.
 //!
 //! One story with every kind of call is told once for each point that it passes. There the process ends; the next one
-//! opens what is left, and callers ask again, as they do when an answer is lost.
+//! opens the database that is left, and callers ask again, as they do when an answer is lost.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -14,15 +14,15 @@ use lightkiln_proto::api::{BakeState, Blame, EventKind, Lease};
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::TaskSpec;
 use lightkiln_server::access::Scope;
-use lightkiln_server::clock::ManualClock;
 use lightkiln_server::store::chunk::CollectRules;
 use lightkiln_server::store::{FarmStore, FaultPoint, Faults, SqlStore, StoreError};
 use sqlx::{Connection, Executor, PgConnection};
 
+use crate::clock::ManualClock;
 use crate::parts::postgres::empty_schema;
 use crate::support::{TTL_MS, chunk, request, result, stock, submission, task, task_of};
 
-/// What happens at the point that is reached `target`-th.
+/// The fault at the point that is reached `target`-th.
 struct At<F> {
     target: u32,
     passed: AtomicU32,
@@ -83,13 +83,13 @@ impl Cast {
         Self { number, planner, planned, first, second }
     }
 
-    /// What the planner plans; others plan nothing.
+    /// Plan of the planner; others plan nothing.
     fn plan_of(&self, key: TaskKey) -> &[TaskSpec] {
         if key == self.planner.key { &self.planned } else { &[] }
     }
 }
 
-/// How the farm stands at the end, whatever happened on the way.
+/// State of the farm at the end, with or without crashes on the way.
 #[derive(Debug, PartialEq)]
 struct Ending {
     states: [BakeState; 1],
@@ -181,7 +181,7 @@ impl Teller<'_> {
         call!(self, |store| store.revoke_bearer(&bearer));
         self.finish(cast, &first).await;
         self.clear_away(cast, &second).await;
-        // What another process sees is what counts, and its looking is not part of the story.
+        // Another process's view counts, and its looking is not part of the story.
         self.restart().await;
         self.ending(&[first]).await
     }
@@ -209,7 +209,7 @@ impl Teller<'_> {
         self.clock.advance_ms(TTL_MS * 10);
         call!(self, |store| store.touch_chunk(digest));
         call!(self, |store| store.lose_chunk(chunk(digest, 1).name));
-        call!(self, |store| store.condemn_strangers(&[chunk(digest, 2), chunk(digest, 1)]));
+        call!(self, |store| store.condemn_orphans(&[chunk(digest, 2), chunk(digest, 1)]));
         call!(self, |store| store.keep_chunk(chunk(digest, 3), None, None));
         match call!(self, |store| store.touch_chunk(digest)) {
             Some(kept) => assert_eq!(kept, chunk(digest, 3)),
@@ -219,7 +219,7 @@ impl Teller<'_> {
         self.clock.advance_ms(1);
         let collected = call!(self, |store| store.collect(&rules));
         assert!(collected.to_remove.contains(&chunk(digest, 3).name), "{collected:?}");
-        call!(self, |store| store.bury(&collected.to_remove));
+        call!(self, |store| store.purge(&collected.to_remove));
         // Asked again, it is gone already: the first call's answer was lost.
         if let Err(error) = self.store.delete_bake(ended).await {
             let is_gone = matches!(error, StoreError::NoSuchBake { .. });
@@ -299,9 +299,9 @@ fn assert_all_calls(points: &BTreeSet<FaultPoint>) {
         "clear_blocklist",
         "touch_chunk",
         "lose_chunk",
-        "condemn_strangers",
+        "condemn_orphans",
         "collect",
-        "bury",
+        "purge",
         "delete_bake",
     ] {
         assert!(calls.contains(call), "{call} is not in the story");

@@ -1,13 +1,13 @@
-//! What an SQLite farm keeps when its process ends at any moment.
+//! Durability of an SQLite farm whose process ends at any moment.
 
 use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use lightkiln_proto::api::{BakeState, CommitVerdict};
-use lightkiln_server::clock::ManualClock;
 use lightkiln_server::store::{FarmStore, SqlStore, StoreError};
 
+use crate::clock::ManualClock;
 use crate::support::{TTL_MS, request, result, stock, submission, task};
 
 async fn open(folder: &Path, clock: &Arc<ManualClock>) -> SqlStore {
@@ -16,7 +16,7 @@ async fn open(folder: &Path, clock: &Arc<ManualClock>) -> SqlStore {
     store
 }
 
-/// What a process that is killed now leaves behind: the files as they are, nothing closed.
+/// Remains of a process that is killed now: the files as they are, nothing closed.
 fn files_after_crash(folder: &Path) -> tempfile::TempDir {
     let copy = tempfile::tempdir().unwrap();
     let mut count = 0;

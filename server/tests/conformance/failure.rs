@@ -111,7 +111,7 @@ pub async fn leases_that_nobody_was_heard_about_count_no_attempt(world: World) {
     assert_eq!(world.store.blocklist(&bake.id).await.unwrap().workers, []);
     let stages = world.show(&bake).await.stages;
     assert_eq!((stages[0].leased, stages[0].done), (0, 0));
-    // Heard once is heard: what follows is the worker's doing.
+    // Heard once is heard: silence after it is the worker's doing.
     for attempt in 1..=MAX_ATTEMPTS {
         assert_eq!(world.state(&bake).await, BakeState::Running, "attempt {attempt}");
         world.begin_one("w").await;

@@ -11,17 +11,34 @@ use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{Artefact, TaskInput, TaskResult, TaskSpec};
 use lightkiln_proto::problem::ProblemCode;
 use lightkiln_server::chunks::{ChunkStore, ObjectChunks};
-use lightkiln_server::clock::ManualClock;
 use lightkiln_server::farm::Farm;
 use lightkiln_server::storage::Storage;
 use lightkiln_server::store::{FarmStore, FaultPoint, Faults, StoreError};
-use lightkiln_server::wakeup::{LocalWakeup, NoWakeup, Wakeup};
+use lightkiln_server::wakeup::{LocalWakeup, Wakeup};
 use tokio::sync::watch;
 use tokio::time::Instant;
 
+use crate::clock::ManualClock;
 use crate::crash::open_file;
 use crate::parts::kind::kinds;
-use crate::support::{SCENE, World, in_time, new_bake, task};
+use crate::support::{SCENE, World, chunks_in_memory, in_time, new_bake, task};
+
+/// No hints at all: every wait lasts until its timeout.
+#[derive(Clone, Copy, Debug, Default)]
+struct NoWakeup;
+
+#[async_trait]
+impl Wakeup for NoWakeup {
+    fn mark(&self) -> u64 {
+        0
+    }
+
+    fn hint(&self) {}
+
+    async fn wait(&self, _mark: u64, timeout: Duration) {
+        tokio::time::sleep(timeout).await;
+    }
+}
 
 /// Longer than any test may take: who waits this long has missed a hint.
 const LONG: Duration = Duration::from_secs(3600);
@@ -29,7 +46,7 @@ const LONG: Duration = Duration::from_secs(3600);
 const SHORT: Duration = Duration::from_millis(2);
 
 fn farm(world: &World, wakeup: Arc<dyn Wakeup>, poll_interval: Duration) -> Arc<Farm> {
-    farm_over(world, Arc::new(ObjectChunks::in_memory()), wakeup, poll_interval)
+    farm_over(world, Arc::new(chunks_in_memory()), wakeup, poll_interval)
 }
 
 fn farm_over(
@@ -125,7 +142,7 @@ async fn hints_that_bring_no_work_are_looked_into_once_for_all_who_wait() {
     let (folder, clock) = (tempfile::tempdir().unwrap(), Arc::new(ManualClock::at(0)));
     let transactions = Arc::new(Transactions::default());
     let store = Arc::new(open_file(folder.path(), &clock).await.with_faults(transactions.clone()));
-    let farm = farm_of(store, Arc::new(ObjectChunks::in_memory()), Arc::new(LocalWakeup::default()), LONG);
+    let farm = farm_of(store, Arc::new(chunks_in_memory()), Arc::new(LocalWakeup::default()), LONG);
     let started = Instant::now();
     let waiting: Vec<_> = (0..WAITING)
         .map(|worker| {
@@ -219,7 +236,7 @@ async fn run_one(farm: &Farm, content: &'static [u8]) -> Digest {
 }
 
 pub async fn results_whose_bytes_are_gone_are_run_again(world: World) {
-    let chunks = Arc::new(ObjectChunks::in_memory());
+    let chunks = Arc::new(chunks_in_memory());
     let farm = farm_over(&world, chunks.clone(), Arc::new(LocalWakeup::default()), LONG);
     submit(&farm).await;
     run_one(&farm, b"imported").await;
@@ -235,7 +252,7 @@ pub async fn results_whose_bytes_are_gone_are_run_again(world: World) {
 
 /// A bake is cancelled halfway; then bytes are lost that tasks which never ran would have read.
 pub async fn plans_whose_bytes_are_gone_are_made_again(world: World) {
-    let chunks = Arc::new(ObjectChunks::in_memory());
+    let chunks = Arc::new(chunks_in_memory());
     let farm = farm_over(&world, chunks.clone(), Arc::new(LocalWakeup::default()), LONG);
     let first = submit(&farm).await;
     let imported = run_one(&farm, b"imported").await;

@@ -1,4 +1,4 @@
-//! Random histories: the stores in databases do what the plain model does, step by step.
+//! Random histories: the stores in databases behave as the plain model, step by step.
 
 use lightkiln_proto::api::{Bake, BakeEvent, Blame, Lease, Worker};
 use lightkiln_proto::ids::Digest;
@@ -14,7 +14,7 @@ use crate::support::{SCENE, World, chunk, in_time, output, outputs, request, sub
 const TASKS: usize = 12;
 /// Dependencies of each task; all come before it.
 const NEEDS: [&[usize]; TASKS] = [&[], &[], &[0], &[0, 1], &[2], &[3], &[3, 4], &[], &[7], &[1], &[], &[10]];
-/// What each task plans; task 7 plans one that needs task 5, which its bake may not hold.
+/// Plans of the tasks; task 7 plans one that needs task 5, which its bake may not hold.
 const PLANS: [&[usize]; TASKS] = [&[1, 2], &[9], &[4], &[5], &[], &[], &[], &[8, 7], &[], &[], &[], &[]];
 /// Which of the outputs each task names.
 const NAMES: [&[u8]; TASKS] = [&[], &[], &[], &[], &[], &[0], &[], &[], &[1], &[0, 2], &[2], &[3, 1]];
@@ -118,7 +118,7 @@ impl Side {
         self.bakes.iter().position(|known| known == bake).expect("a bake that was submitted")
     }
 
-    /// Takes a step and says what came of it.
+    /// Takes a step and tells its outcome.
     async fn take(&mut self, step: &Step, tasks: &[TaskSpec]) -> String {
         let store = self.world.store.clone();
         let lease = |number: &usize| self.leases.get(number % self.leases.len().max(1)).cloned();
@@ -202,7 +202,7 @@ impl Side {
                 let rules = CollectRules { grace_ms: *grace_ms, keep_bakes_ms: *keep_bakes_ms, max: 3 };
                 let collected = store.collect(&rules).await.unwrap();
                 if *buries {
-                    store.bury(&collected.to_remove).await.unwrap();
+                    store.purge(&collected.to_remove).await.unwrap();
                 }
                 self.drop_deleted().await;
                 format!("{collected:?}")
@@ -225,7 +225,7 @@ impl Side {
         }
     }
 
-    /// Forgets the names of bakes that are no more, and of what was leased for them.
+    /// Forgets the names of bakes that are no more, and of their leases.
     async fn drop_deleted(&mut self) {
         let mut left = Vec::new();
         for id in std::mem::take(&mut self.bakes) {
@@ -313,7 +313,7 @@ where
     }
 }
 
-/// Whatever was cleared away is stored again, under names that nobody has used.
+/// Chunks that were cleared away are stored again, under names that nobody has used.
 async fn stock_again(world: &World) {
     for number in 0..5 {
         world.store.keep_chunk(chunk(chunk_of(number), 9), None, None).await.unwrap();

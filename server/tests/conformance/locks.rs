@@ -87,7 +87,7 @@ async fn connection_that_did_not_get_the_lock_in_time_works_afterwards() {
     let store = held.store.clone();
     let call = tokio::spawn(async move { store.submit(&submission("late", &[])).await });
     let session = in_time(held.waiting()).await;
-    // What the database does by itself when `lock_timeout` is over, only sooner.
+    // As the database does by itself when `lock_timeout` is over, only sooner.
     sqlx::query("SELECT pg_cancel_backend($1)").bind(session).execute(&mut held.watcher).await.unwrap();
     let refused = in_time(call).await.unwrap().unwrap_err();
     assert!(matches!(refused, StoreError::Unavailable(_)), "{refused:?}");

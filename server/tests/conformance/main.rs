@@ -1,4 +1,4 @@
-//! What every store of the farm must do: one suite, run over each of them.
+//! Rules of all stores of the farm: one suite, run over each of them.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
@@ -7,6 +7,8 @@ mod batch;
 mod bearers;
 mod checks;
 mod chunks;
+#[path = "../clock/mod.rs"]
+mod clock;
 mod crash;
 mod durability;
 mod failure;
@@ -16,6 +18,8 @@ mod history;
 mod leases;
 mod locks;
 mod migration;
+#[path = "../model/mod.rs"]
+mod model;
 #[path = "../parts/mod.rs"]
 mod parts;
 mod remaking;
@@ -76,7 +80,7 @@ conformance! {
         lost_chunk_makes_its_task_run_again
         lost_scene_can_be_uploaded_again
         quota_refuses_what_would_exceed_it
-        strangers_are_condemned_and_others_are_not
+        orphans_are_condemned_and_others_are_not
         equal_bytes_are_stored_once_and_removed_when_nobody_needs_them
         late_removal_does_not_meet_what_was_stored_meanwhile
         uploads_beside_collections_lose_nothing

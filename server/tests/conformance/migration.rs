@@ -1,4 +1,4 @@
-//! Farms of earlier versions: what they wrote is there and goes on under this version.
+//! Farms of earlier versions: their bakes and bytes are there and go on under this version.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -6,24 +6,38 @@ use std::sync::Arc;
 use lightkiln_proto::api::{Bake, BakeState, CommitVerdict, EventKind, Needs, Verdict};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{Artefact, TaskResult, TaskSpec};
-use lightkiln_server::clock::ManualClock;
 use lightkiln_server::store::chunk::{ChunkRow, CollectRules, KeptChunk, Usage};
-use lightkiln_server::store::{FarmStore, SqlStore};
+use lightkiln_server::store::{BACKOFF_MAX_MS, FarmStore, SqlStore};
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{Connection, Executor, PgConnection, SqliteConnection};
 
+use crate::clock::ManualClock;
 use crate::parts::postgres::empty_schema;
 use crate::support::{TTL_MS, in_time, request, task};
 
-/// What earlier versions made of an empty database, one step after the other.
-const SQLITE: [&str; 2] = [
+/// Schemas of earlier versions, one step after the other.
+const SQLITE: [&str; 8] = [
     include_str!("../../src/store/sql/schema/sqlite_1.sql"),
     include_str!("../../src/store/sql/schema/sqlite_2.sql"),
+    include_str!("../../src/store/sql/schema/sqlite_3.sql"),
+    include_str!("../../src/store/sql/schema/sqlite_4.sql"),
+    include_str!("../../src/store/sql/schema/sqlite_5.sql"),
+    include_str!("../../src/store/sql/schema/sqlite_6.sql"),
+    include_str!("../../src/store/sql/schema/sqlite_7.sql"),
+    include_str!("../../src/store/sql/schema/sqlite_8.sql"),
 ];
-const POSTGRES: [&str; 2] = [
+const POSTGRES: [&str; 8] = [
     include_str!("../../src/store/sql/schema/postgres_1.sql"),
     include_str!("../../src/store/sql/schema/postgres_2.sql"),
+    include_str!("../../src/store/sql/schema/postgres_3.sql"),
+    include_str!("../../src/store/sql/schema/postgres_4.sql"),
+    include_str!("../../src/store/sql/schema/postgres_5.sql"),
+    include_str!("../../src/store/sql/schema/postgres_6.sql"),
+    include_str!("../../src/store/sql/schema/postgres_7.sql"),
+    include_str!("../../src/store/sql/schema/postgres_8.sql"),
 ];
+/// The last version whose tables [`Past::rows`] fills; later steps find its rows.
+const FILLED: usize = 2;
 
 /// Now, in the tests.
 const NOW_MS: i64 = 1_000_000;
@@ -35,6 +49,8 @@ struct Past {
     shared: Artefact,
     own: Artefact,
     tasks: [TaskSpec; 5],
+    /// Of the lease under way; numbers below 0 stood for states.
+    progress: f64,
 }
 
 impl Past {
@@ -47,7 +63,8 @@ impl Past {
         let d = task("d", &[&b]);
         let e = task("e", &[&c, &d]);
         let scene = Digest::of(b"an old scene");
-        Self { scene, shared: artefact("shared", 7), own: artefact("own", 9), tasks: [a, b, c, d, e] }
+        let (shared, own) = (artefact("shared", 7), artefact("own", 9));
+        Self { scene, shared, own, tasks: [a, b, c, d, e], progress: 0.25 }
     }
 
     fn outputs(&self, task: usize) -> Vec<Artefact> {
@@ -56,7 +73,7 @@ impl Past {
 
     /// Rows in words that both databases read; numbers of bakes and tasks are given by them, from 1.
     fn rows(&self, version: usize) -> String {
-        let Self { scene, shared, own, .. } = self;
+        let Self { scene, shared, own, progress, .. } = self;
         let mut rows = vec![
             format!(
                 "INSERT INTO bakes (id, idempotency_key, body_hash, name, kind, scene, settings, priority, state, open_count,
@@ -103,7 +120,7 @@ impl Past {
                 "INSERT INTO bake_tasks VALUES (1, 1, 1, 0), (1, 2, 1, 0), (2, 1, 1, 1), (2, 2, 1, 1), (2, 3, 0, 0),
                  (2, 4, 0, 0), (2, 5, 0, 0)".to_owned(),
                 format!("INSERT INTO ready VALUES (2, 1, '{d}', 4, 'work', 0)"),
-                format!("INSERT INTO leases VALUES ('{}', 3, 'holder', {TTL_MS}, {expires_ms}, 0.25)", token()),
+                format!("INSERT INTO leases VALUES ('{}', 3, 'holder', {TTL_MS}, {expires_ms}, {progress:.2})", token()),
                 "INSERT INTO stages VALUES (1, 'work', 0, 2, 2, 0, 0, 2, 2, 600, 800)".to_owned(),
                 "INSERT INTO stages VALUES (2, 'work', 0, 5, 2, 2, 1, 5, 2, 970, NULL)".to_owned(),
                 "INSERT INTO events VALUES (1, 1, 500, '{\"type\":\"submitted\"}'),
@@ -126,11 +143,15 @@ fn token() -> String {
 async fn sqlite_file(path: &Path, past: &Past, version: usize) {
     let options = SqliteConnectOptions::new().filename(path).create_if_missing(true).foreign_keys(true);
     let mut connection = SqliteConnection::connect_with(&options).await.unwrap();
-    for step in &SQLITE[..version] {
+    for (index, step) in SQLITE[..version].iter().enumerate() {
         sqlx::raw_sql(*step).execute(&mut connection).await.unwrap();
+        if index + 1 == version.min(FILLED) {
+            let rows = sqlx::AssertSqlSafe(past.rows(version));
+            sqlx::raw_sql(rows).execute(&mut connection).await.unwrap();
+        }
     }
-    let rows = format!("{};\nPRAGMA user_version = {version}", past.rows(version));
-    sqlx::raw_sql(sqlx::AssertSqlSafe(rows)).execute(&mut connection).await.unwrap();
+    let done = sqlx::AssertSqlSafe(format!("PRAGMA user_version = {version}"));
+    sqlx::raw_sql(done).execute(&mut connection).await.unwrap();
     connection.close().await.unwrap();
 }
 
@@ -146,8 +167,11 @@ async fn postgres_schema(past: &Past, version: usize) -> String {
             .execute(&mut connection)
             .await
             .unwrap();
+        if index + 1 == version.min(FILLED) {
+            let rows = sqlx::AssertSqlSafe(past.rows(version));
+            sqlx::raw_sql(rows).execute(&mut connection).await.unwrap();
+        }
     }
-    sqlx::raw_sql(sqlx::AssertSqlSafe(past.rows(version))).execute(&mut connection).await.unwrap();
     connection.close().await.unwrap();
     url
 }
@@ -179,6 +203,61 @@ async fn postgres_database_of_an_earlier_version_goes_on() {
         store.close().await;
         SqlStore::open_postgres(&url, Some(clock)).await.unwrap().probe().await.unwrap();
     }
+}
+
+/// Numbers of version 8 that stood for the states of a lease, those states, and whether a lease that runs out in them counts
+/// as a failed attempt.
+const STATES: [(f64, &str, bool); 3] =
+    [(-1.0, "granted", false), (-2.0, "late", false), (0.25, "held", true)];
+
+#[tokio::test]
+async fn lease_of_a_sqlite_file_keeps_its_state() {
+    for (progress, name, counts) in STATES {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("farm.sqlite");
+        sqlite_file(&path, &Past { progress, ..Past::new() }, SQLITE.len()).await;
+        let clock = Arc::new(ManualClock::at(NOW_MS));
+        let store = SqlStore::open_sqlite(&path, clock.clone()).await.unwrap();
+        let mut connection = SqliteConnection::connect(&path.display().to_string()).await.unwrap();
+        let state: String =
+            sqlx::query_scalar("SELECT state FROM leases").fetch_one(&mut connection).await.unwrap();
+        assert_eq!(state, name);
+        in_time(lease_ends(&store, &clock, counts)).await;
+    }
+}
+
+#[tokio::test]
+async fn lease_of_a_postgres_database_keeps_its_state() {
+    for (progress, name, counts) in STATES {
+        let url = postgres_schema(&Past { progress, ..Past::new() }, POSTGRES.len()).await;
+        let clock = Arc::new(ManualClock::at(NOW_MS));
+        let store = SqlStore::open_postgres(&url, Some(clock.clone())).await.unwrap();
+        let mut connection = PgConnection::connect(&url).await.unwrap();
+        let state: String =
+            sqlx::query_scalar("SELECT state FROM leases").fetch_one(&mut connection).await.unwrap();
+        assert_eq!(state, name);
+        in_time(lease_ends(&store, &clock, counts)).await;
+    }
+}
+
+/// Lets the old lease run out.
+async fn lease_ends(store: &SqlStore, clock: &ManualClock, counts: bool) {
+    clock.advance_ms(TTL_MS);
+    assert_eq!(store.reap().await.unwrap().expired, 1);
+    let blamed = store.blocklist("live").await.unwrap().workers;
+    assert_eq!(blamed.iter().any(|blamed| blamed.worker == "holder"), counts, "{blamed:?}");
+    // The attempt of 'clumsy' was the first.
+    let attempt = if counts { 3 } else { 2 };
+    clock.advance_ms(BACKOFF_MAX_MS);
+    let lease = store.claim(&request("holder", 10)).await.unwrap();
+    let c = lease.iter().find(|lease| lease.task.label == "c").expect("c is ready again");
+    assert_eq!(store.commit(&c.token, &TaskResult::default()).await.unwrap(), CommitVerdict::Committed);
+    let events = store.events_after("live", 0, 100).await.unwrap().events;
+    let done = events.iter().find_map(|event| match &event.event {
+        EventKind::TaskDone { label, attempt, .. } if label == "c" => Some(*attempt),
+        _ => None,
+    });
+    assert_eq!(done, Some(attempt), "{events:?}");
 }
 
 async fn goes_on(store: &SqlStore, clock: &ManualClock, past: &Past, version: usize) {
@@ -215,7 +294,7 @@ async fn assert_bakes_are_as_they_were(store: &SqlStore, past: &Past) {
     assert_eq!(names, ["live", "old"]);
 }
 
-/// Outputs are those of results; what is known of a scene is who needs it, until somebody looks for its bytes.
+/// Outputs are those of results; of a scene only its references are known, until somebody looks for its bytes.
 async fn assert_bytes_are_counted(store: &SqlStore, past: &Past) {
     let row = |digest, generation, bytes, refs| {
         let is_live_scene = digest == past.scene;
@@ -270,6 +349,6 @@ async fn assert_bytes_go_when_nobody_needs_them(store: &SqlStore, clock: &Manual
     let rules = CollectRules { grace_ms: 0, keep_bakes_ms: None, max: 10 };
     let collected = store.collect(&rules).await.unwrap();
     assert_eq!(collected.to_remove.len(), 3);
-    store.bury(&collected.to_remove).await.unwrap();
+    store.purge(&collected.to_remove).await.unwrap();
     assert_eq!(store.usage().await.unwrap(), Usage { chunks: 0, bytes: 0 });
 }

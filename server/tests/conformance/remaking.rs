@@ -1,4 +1,4 @@
-//! Artefacts that are lost while tasks wait to read them: what made them runs again, and the readers wait for it.
+//! Artefacts that are lost while tasks wait to read them: their makers run again, and the readers wait.
 
 use std::slice::from_ref;
 
@@ -104,7 +104,7 @@ pub async fn attempt_that_lost_its_input_counts_for_nobody_also_after_it_is_made
     assert_eq!(world.state(&bake).await, BakeState::Done);
 }
 
-/// The result of a reader is lost while what it names is being made again, and the other way round.
+/// The result of a reader is lost while its artefact is being made again, and the other way round.
 pub async fn reader_that_runs_again_waits_too(world: World) {
     for is_reader_first in [true, false] {
         let name = |what: &str| format!("{what} {is_reader_first}");
@@ -130,7 +130,7 @@ pub async fn reader_that_runs_again_waits_too(world: World) {
     }
 }
 
-/// A trivial artefact: what reads it gives the same bytes. Nobody waits in a ring.
+/// A trivial artefact: its reader gives the same bytes. Nobody waits in a ring.
 pub async fn reader_that_makes_the_same_bytes_does_not_wait_for_itself(world: World) {
     let empty = digest("[]");
     keep(&world, empty, 1).await;
@@ -150,7 +150,7 @@ pub async fn reader_that_makes_the_same_bytes_does_not_wait_for_itself(world: Wo
     assert_eq!(world.state(&bake).await, BakeState::Done);
 }
 
-/// Two bakes share a reader; only one of them holds what makes the artefact.
+/// Two bakes share a reader; only one of them holds the maker of the artefact.
 pub async fn bake_does_not_wait_for_what_only_another_one_makes(world: World) {
     let (bake, made) = bake_with_readers(&world).await;
     let shared = reader("first", made, &[]);
@@ -159,7 +159,7 @@ pub async fn bake_does_not_wait_for_what_only_another_one_makes(world: World) {
     let other = world.submit("other", from_ref(&shared)).await;
     assert_eq!(world.claim_labels("w", 10).await, ["makes"]);
     world.store.cancel(&bake.id).await.unwrap();
-    // What was to make it has gone with its bake.
+    // Its maker has gone with its bake.
     assert_eq!(world.claim_labels("w", 10).await, ["first"]);
     world.expire_leases().await;
     // From the beginning: the second bake was there before the loss.
@@ -189,7 +189,7 @@ pub async fn artefact_that_is_made_otherwise_fails_the_bake_and_says_so(world: W
     assert!(world.claim("w", 10).await.is_empty());
 }
 
-/// Nobody reads what is missing: other bytes are no reason to stop.
+/// Nobody reads the missing bytes: other ones are no reason to stop.
 pub async fn artefact_that_nobody_reads_may_be_made_otherwise(world: World) {
     let made = digest("made");
     keep(&world, made, 1).await;

@@ -22,7 +22,7 @@ use tokio::sync::watch;
 use crate::crash::end_sessions;
 use crate::parts::kind::kinds;
 use crate::parts::postgres::empty_schema;
-use crate::support::{SCENE, in_time, new_bake, request, result, stock, submission, task};
+use crate::support::{SCENE, chunks_in_memory, in_time, new_bake, request, result, stock, submission, task};
 
 /// Longer than any test may take.
 const LONG: Duration = Duration::from_secs(3600);
@@ -138,7 +138,7 @@ fn lattice(name: &str, layers: usize, width: usize) -> Vec<TaskSpec> {
     tasks
 }
 
-/// Runs two bakes that share tasks, with workers at both servers, and checks what came of it.
+/// Runs two bakes that share tasks, with workers at both servers, and checks the outcome.
 async fn run_shared_bakes(stores: &[Arc<SqlStore>; 2]) {
     let tasks = lattice("shared", 6, 8);
     let first = submit(&stores[0], "first", &tasks).await;
@@ -162,7 +162,7 @@ async fn run_shared_bakes(stores: &[Arc<SqlStore>; 2]) {
     assert_eq!(done.len(), tasks.len(), "every task is committed once");
 }
 
-/// Follows a bake to its end; what it sees has no gaps at any time.
+/// Follows a bake to its end; its events have no gaps at any time.
 async fn watch_events(store: &SqlStore, bake: &str) -> Vec<EventKind> {
     let mut seen = Vec::new();
     loop {
@@ -272,7 +272,7 @@ async fn farm(url: &str, store: &Arc<SqlStore>, chunks: &Arc<ObjectChunks>) -> F
 #[tokio::test]
 async fn hint_of_one_server_wakes_a_claim_at_the_other() {
     let (url, stores) = replicas().await;
-    let chunks = Arc::new(ObjectChunks::in_memory());
+    let chunks = Arc::new(chunks_in_memory());
     let farms = [farm(&url, &stores[0], &chunks).await, farm(&url, &stores[1], &chunks).await];
     farms[0].storage.put(Digest::of(SCENE), Bytes::from_static(SCENE)).await.unwrap();
     let waiting = ClaimRequest { kinds: vec!["two.first".into()], wait_secs: 60, ..request("w", 1) };
@@ -293,7 +293,7 @@ async fn hints_are_heard_again_after_their_connection_was_lost() {
                WHERE application_name = 'lightkiln hints' AND query LIKE '%LISTEN%'";
     // Until both listen, there is nothing to end.
     in_time(async { while connection.execute(end).await.unwrap().rows_affected() < 2 {} }).await;
-    // It hints once when it listens again, for nobody knows what was missed; then hints of the other come through.
+    // It hints once when it listens again, for nobody knows which ones were missed; then hints of the other come through.
     let mark = a.mark();
     in_time(a.wait(mark, LONG)).await;
     let mark = a.mark();

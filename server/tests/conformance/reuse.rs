@@ -12,7 +12,7 @@ pub async fn done_task_is_not_run_again_and_its_plan_is_followed(world: World) {
     world.submit("first", from_ref(&planner)).await;
     let lease = world.claim_one("w").await;
     world.commit_plan(&lease, from_ref(&planned)).await;
-    // The planner is done, what it planned is not.
+    // The planner is done, its planned tasks are not.
     let second = world.submit("second", &[planner.clone(), task("own", &[&planned])]).await;
     assert_eq!((second.tasks_reused, second.stages[0].total), (1, 3));
     assert_eq!(world.drain("w").await, 2);

@@ -3,16 +3,18 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use crate::clock::ManualClock;
+use crate::model::MemoryStore;
 use crate::parts::postgres::empty_schema;
 use lightkiln_proto::api::{
     Bake, BakeEvent, BakeState, ClaimRequest, CommitVerdict, Lease, Needs, NewBake, Verdict,
 };
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{Artefact, TaskInput, TaskResult, TaskSpec};
-use lightkiln_server::chunks::ChunkName;
-use lightkiln_server::clock::ManualClock;
+use lightkiln_server::chunks::{ChunkName, ObjectChunks};
 use lightkiln_server::store::chunk::KeptChunk;
-use lightkiln_server::store::{FarmStore, MemoryStore, SqlStore, Submission};
+use lightkiln_server::store::{FarmStore, SqlStore, Submission};
+use object_store::memory::InMemory;
 
 /// Lease length of the tests' claims.
 pub const TTL_SECS: u32 = 30;
@@ -189,7 +191,7 @@ impl World {
         self.store.commit(&lease.token, &result(lease, plan)).await.unwrap()
     }
 
-    /// Runs everything that is ready, and what follows from it; returns how many tasks ran.
+    /// Runs all ready tasks, and those that become ready by it; returns their number.
     pub async fn drain(&self, worker: &str) -> usize {
         let mut count = 0;
         loop {
@@ -221,4 +223,9 @@ impl World {
         self.clock.advance_ms(TTL_MS);
         self.store.reap().await.unwrap().expired
     }
+}
+
+/// A chunk store without files.
+pub fn chunks_in_memory() -> ObjectChunks {
+    ObjectChunks::over(Arc::new(InMemory::new()))
 }

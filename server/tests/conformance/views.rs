@@ -1,4 +1,4 @@
-//! What callers see: events, pages, counts, workers.
+//! Views for callers: events, pages, counts, workers.
 
 use std::slice::from_ref;
 

@@ -1,4 +1,4 @@
-//! What is too much is refused at once, and says when to come again.
+//! Calls beyond the limits are refused at once, and told when to come again.
 
 use lightkiln_proto::problem::ProblemCode;
 use lightkiln_server::LimitConfig;

@@ -70,7 +70,7 @@ impl Keeper {
         child.stdin.as_mut().unwrap().write_all(b"again\n").unwrap();
     }
 
-    /// An error holds what it said instead.
+    /// An error holds its words instead.
     fn try_start(script: &str, ready: &str, refuses_root: bool) -> Result<(Self, String), Vec<String>> {
         let folder = tempfile::tempdir().unwrap().keep();
         let mut command = Command::new("sh");

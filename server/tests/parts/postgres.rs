@@ -15,7 +15,7 @@ pub struct Postgres {
 }
 
 impl Postgres {
-    /// Starts a server with an empty database. Nothing is flushed: what tests end are sessions and servers, not machines.
+    /// Starts a server with an empty database. Nothing is flushed: tests end sessions and servers, not machines.
     pub fn start() -> Self {
         Self::start_with("-c fsync=off")
     }
@@ -47,7 +47,7 @@ impl Postgres {
         self.port
     }
 
-    /// Ends it at once, as a crash would, and starts it again; its sessions and what was not flushed are lost. Nobody
+    /// Ends it at once, as a crash would, and starts it again; its sessions and unflushed changes are lost. Nobody
     /// waits until it answers.
     pub fn crash(&self) {
         self.keeper.restart();

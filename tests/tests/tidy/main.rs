@@ -1,10 +1,11 @@
-//! The house rules that a compiler does not check: who may depend on whom, what is named in ARCHITECTURE.md, how long
-//! a file may be.
+//! The house rules that a compiler does not check: who may depend on whom, which rooms may name which, what is named in
+//! ARCHITECTURE.md, how long a file may be.
 
 mod crates;
 mod faults;
 mod files;
 mod kinds;
+mod rooms;
 mod words;
 
 use std::path::{Path, PathBuf};

@@ -57,6 +57,21 @@ fn server_does_not_read_what_a_plan_means() {
 }
 
 #[test]
+fn every_insert_of_the_server_names_its_columns() {
+    let mut checked = 0;
+    for path in files_below("server/src", "rs") {
+        let text = text_of(&path);
+        for statement in text.split("INSERT ").skip(1) {
+            let (_, into) = statement.split_once("INTO ").expect("an INSERT says where it inserts");
+            let columns = into.trim_start_matches(|c: char| c.is_ascii_lowercase() || c == '_').trim_start();
+            assert!(columns.starts_with('('), "{}: INSERT {statement:.60}…", path.display());
+            checked += 1;
+        }
+    }
+    assert!(checked > 20, "{checked} INSERTs found: the walk is broken");
+}
+
+#[test]
 fn words_in_tests_and_comments_are_not_code() {
     let text = "let a = 1; // Instant\n/// Instant\n#[cfg(test)]\nInstant";
     assert!(code_of(text).all(|line| !line.contains("Instant")));

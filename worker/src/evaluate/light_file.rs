@@ -13,17 +13,18 @@
 //! ] }
 //! ```
 //! The bake is measured under each light apart. Units: metres, degrees (half angles), W·sr⁻¹ (points, spots), W·m⁻² (suns),
-//! W·m⁻²·sr⁻¹ (skies, panels). Directions are those of travel; a panel shines along `half_u_m × half_v_m`.
+//! W·m⁻²·sr⁻¹ (skies, panels). Directions are those of travel; a panel shines along `half_u_m × half_v_m`. The words of
+//! `kiln preview --light` are good here as well (`lightkiln_proto::words`).
 
 use std::collections::BTreeSet;
 
-use lightkiln_proto::scene::{LightKind, SceneLight};
+use lightkiln_proto::words::LightSpec;
 use serde::Deserialize;
 use serde_json::Value;
 
 use super::error::EvaluationError;
 use super::lights::TestLight;
-use crate::reference::{Lighting, PanelLight};
+use crate::reference::Lighting;
 
 /// Most lights in a file.
 const LIGHTS_MAX: usize = 64;
@@ -32,17 +33,6 @@ const LIGHTS_MAX: usize = 64;
 #[serde(deny_unknown_fields)]
 struct File {
     lights: Vec<serde_json::Map<String, Value>>,
-}
-
-#[derive(Deserialize)]
-#[serde(tag = "type", rename_all = "snake_case", deny_unknown_fields)]
-enum Entry {
-    Point { position_m: [f32; 3], strength: [f32; 3] },
-    Spot { position_m: [f32; 3], direction: [f32; 3], inner_deg: f32, outer_deg: f32, strength: [f32; 3] },
-    Sun { direction: [f32; 3], strength: [f32; 3] },
-    Sky { zenith: [f32; 3], horizon: [f32; 3] },
-    Panel { centre_m: [f32; 3], half_u_m: [f32; 3], half_v_m: [f32; 3], radiance: [f32; 3] },
-    Emitters { scale: f32 },
 }
 
 /// Reads a file of lights; every number is checked.
@@ -62,38 +52,20 @@ pub fn lights_of_file(json: &[u8]) -> Result<Vec<TestLight>, EvaluationError> {
         if !seen.insert(name.clone()) {
             return Err(wrong(format!("two lights have the name '{name}'")));
         }
-        let entry: Entry = serde_json::from_value(Value::Object(entry))
-            .map_err(|error| wrong(format!("light '{name}': {error}")))?;
-        let lighting = entry.lighting(&name);
+        let light = LightSpec::from_json(&name, entry)
+            .map_err(|error| wrong(format!("light '{name}': {}", error.problem)))?;
+        let lighting = lighting(light);
         lighting.check()?;
         lights.push(TestLight { words: format!("'{name}' of the file of lights"), name, lighting });
     }
     Ok(lights)
 }
 
-impl Entry {
-    fn lighting(self, name: &str) -> Lighting {
-        let of_kind = |kind, strength| Lighting {
-            lights: vec![SceneLight { name: name.to_owned(), kind, strength }],
-            ..Lighting::default()
-        };
-        match self {
-            Self::Point { position_m, strength } => {
-                of_kind(LightKind::Point { position_m, range_m: None }, strength)
-            }
-            Self::Spot { position_m, direction, inner_deg, outer_deg, strength } => {
-                let (inner_rad, outer_rad) = (inner_deg.to_radians(), outer_deg.to_radians());
-                let range_m = None;
-                of_kind(LightKind::Spot { position_m, direction, inner_rad, outer_rad, range_m }, strength)
-            }
-            Self::Sun { direction, strength } => of_kind(LightKind::Sun { direction }, strength),
-            Self::Sky { zenith, horizon } => of_kind(LightKind::Sky { zenith, horizon }, [1.0; 3]),
-            Self::Panel { centre_m, half_u_m, half_v_m, radiance } => {
-                let panel = PanelLight { name: name.to_owned(), centre_m, half_u_m, half_v_m, radiance };
-                Lighting { panels: vec![panel], ..Lighting::default() }
-            }
-            Self::Emitters { scale } => Lighting { emitter_scale: scale, ..Lighting::default() },
-        }
+fn lighting(light: LightSpec) -> Lighting {
+    match light {
+        LightSpec::Scene(light) => Lighting { lights: vec![light], ..Lighting::default() },
+        LightSpec::Panel(panel) => Lighting { panels: vec![panel], ..Lighting::default() },
+        LightSpec::Emitters(scale) => Lighting { emitter_scale: scale, ..Lighting::default() },
     }
 }
 

@@ -1,22 +1,8 @@
 //! What shines on a scene, as a caller says it.
 
+pub use lightkiln_proto::scene::PanelLight;
 use lightkiln_proto::scene::{LightKind, SceneLight};
 use thiserror::Error;
-
-/// A rectangle that shines evenly from its front and neither blocks light nor reflects it.
-#[derive(Clone, Debug, PartialEq)]
-pub struct PanelLight {
-    /// Name for messages.
-    pub name: String,
-    /// Centre in metres.
-    pub centre_m: [f32; 3],
-    /// From the centre to the middle of the right edge, in metres.
-    pub half_u_m: [f32; 3],
-    /// From the centre to the middle of the upper edge, in metres; light leaves along `half_u_m × half_v_m`.
-    pub half_v_m: [f32; 3],
-    /// Radiance in W·m⁻²·sr⁻¹.
-    pub radiance: [f32; 3],
-}
 
 /// All light on a scene.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -1,53 +1,47 @@
 //! Decoded artefacts kept in memory between tasks, by digest.
 
 use std::any::{Any, TypeId};
-use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use lightkiln_proto::ids::Digest;
 
-type Key = (Digest, TypeId);
 type Value = Arc<dyn Any + Send + Sync>;
+/// Holds a value once one caller has decoded it; the others wait on the lock meanwhile.
+type Slot = Mutex<Option<Value>>;
 
 /// Byte-bounded cache of decoded artefacts; the least recently used one goes first.
 ///
 /// The same digest may be held as several types. A value in use stays alive after it was dropped from the cache.
+///
+/// We differ from `moka` and `quick_cache`, which are made for many small values: the former gives the error of the task
+/// that decodes, its cancellation among them, to the tasks that wait; the latter admits no value of half the room.
 #[derive(Debug)]
 pub struct MemoryCache {
     bytes_max: usize,
-    state: Mutex<State>,
-}
-
-#[derive(Debug, Default)]
-struct State {
-    entries: BTreeMap<Key, Entry>,
-    bytes: usize,
-    uses: u64,
+    /// The least recently used first.
+    entries: Mutex<Vec<Entry>>,
 }
 
 #[derive(Debug)]
 struct Entry {
+    key: (Digest, TypeId),
     slot: Arc<Slot>,
+    /// 0 until the value is decoded.
     bytes: usize,
-    last_use: u64,
 }
-
-/// Holds a value once one caller has decoded it; the others wait on the lock meanwhile.
-#[derive(Debug, Default)]
-struct Slot(Mutex<Option<Value>>);
 
 impl MemoryCache {
     /// An empty cache that keeps at most `bytes_max` bytes, by the sizes that [`get_or_insert`](Self::get_or_insert)
     /// is told.
     pub fn new(bytes_max: usize) -> Self {
-        Self { bytes_max, state: Mutex::default() }
+        Self { bytes_max, entries: Mutex::default() }
     }
 
     /// The value of `digest` as a `T`; `decode` gives it and its size in bytes if it is not held.
     ///
     /// Callers that ask for the same digest at the same time wait for one decoding. So ask before a parallel loop, not
     /// inside one: a rayon thread that waits here may hold the work that the decoding waits for. An error is given to
-    /// the caller whose `decode` it was and nothing is kept.
+    /// the caller whose `decode` it was, and the next in line decodes.
     pub fn get_or_insert<T, E>(
         &self,
         digest: Digest,
@@ -56,74 +50,51 @@ impl MemoryCache {
     where
         T: Any + Send + Sync,
     {
-        let key = (digest, TypeId::of::<T>());
-        let slot = self.slot(key);
-        let mut held = lock(&slot.0);
+        let slot = self.slot((digest, TypeId::of::<T>()));
+        let mut held = lock(&slot);
         if let Some(value) = held.clone().and_then(|value| value.downcast::<T>().ok()) {
             return Ok(value);
         }
-        match decode() {
-            Ok((value, bytes)) => {
-                let value = Arc::new(value);
-                *held = Some(value.clone());
-                drop(held);
-                // A value without size would never be dropped.
-                self.account(key, &slot, bytes.max(1));
-                Ok(value)
-            }
-            Err(error) => {
-                drop(held);
-                self.forget_if_empty(key, &slot);
-                Err(error)
-            }
-        }
+        let (value, bytes) = decode()?;
+        let value = Arc::new(value);
+        *held = Some(value.clone());
+        drop(held);
+        self.account(&slot, bytes);
+        Ok(value)
     }
 
     /// Bytes held.
     pub fn bytes(&self) -> usize {
-        lock(&self.state).bytes
+        lock(&self.entries).iter().map(|entry| entry.bytes).sum()
     }
 
-    fn slot(&self, key: Key) -> Arc<Slot> {
-        let mut state = lock(&self.state);
-        state.uses += 1;
-        let last_use = state.uses;
-        let entry =
-            state.entries.entry(key).or_insert_with(|| Entry { slot: Arc::default(), bytes: 0, last_use });
-        entry.last_use = last_use;
-        entry.slot.clone()
+    /// The slot of `key`, from now on the most recently used.
+    fn slot(&self, key: (Digest, TypeId)) -> Arc<Slot> {
+        let mut entries = lock(&self.entries);
+        let entry = match entries.iter().position(|entry| entry.key == key) {
+            Some(index) => entries.remove(index),
+            None => Entry { key, slot: Arc::default(), bytes: 0 },
+        };
+        let slot = entry.slot.clone();
+        entries.push(entry);
+        slot
     }
 
-    fn account(&self, key: Key, slot: &Arc<Slot>, bytes: usize) {
-        let mut state = lock(&self.state);
-        match state.entries.get_mut(&key) {
-            Some(entry) if Arc::ptr_eq(&entry.slot, slot) => entry.bytes = bytes,
-            _ => return,
+    /// Counts a decoded value, and drops others until there is room.
+    fn account(&self, slot: &Arc<Slot>, bytes: usize) {
+        let mut entries = lock(&self.entries);
+        // Slots whose decoding failed and that nobody waits for.
+        entries.retain(|entry| entry.bytes > 0 || Arc::strong_count(&entry.slot) > 1);
+        if let Some(entry) = entries.iter_mut().find(|entry| Arc::ptr_eq(&entry.slot, slot)) {
+            // A value without size would never be dropped.
+            entry.bytes = bytes.max(1);
         }
-        state.bytes += bytes;
-        while state.bytes > self.bytes_max {
-            // Entries still being decoded count nothing yet: dropping them would free nothing.
-            let filled = state.entries.iter().filter(|(_, entry)| entry.bytes > 0);
-            let Some(oldest) = filled.min_by_key(|(_, entry)| entry.last_use).map(|(key, _)| *key) else {
-                break;
-            };
-            if let Some(entry) = state.entries.remove(&oldest) {
-                state.bytes -= entry.bytes;
-            }
-        }
-    }
-
-    /// Drops the entry unless another caller has filled it or is about to.
-    fn forget_if_empty(&self, key: Key, slot: &Arc<Slot>) {
-        let mut state = lock(&self.state);
-        let unused = state
-            .entries
-            .get(&key)
-            // Two references are this call's and the map's own.
-            .is_some_and(|entry| Arc::ptr_eq(&entry.slot, slot) && Arc::strong_count(slot) == 2);
-        if unused && state.entries.get(&key).is_some_and(|entry| entry.bytes == 0) {
-            state.entries.remove(&key);
-        }
+        let mut held: usize = entries.iter().map(|entry| entry.bytes).sum();
+        entries.retain(|entry| {
+            let goes = held > self.bytes_max && entry.bytes > 0;
+            held -= if goes { entry.bytes } else { 0 };
+            !goes
+        });
     }
 }
 

@@ -1,4 +1,4 @@
-//! Where the texels of a draw's sides lie, as shaders read it.
+//! Places of the texels of a draw's sides, as shaders read them.
 
 use crate::scene::{LightmapLayout, LoadedScene};
 

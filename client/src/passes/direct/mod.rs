@@ -38,13 +38,13 @@ pub struct DirectPass {
 /// Points to light.
 #[derive(Clone, Copy, Debug)]
 pub struct Points<'a> {
-    /// How many.
+    /// Number of points.
     pub count: u32,
     /// Positions in metres.
     pub positions: &'a wgpu::Buffer,
     /// Unit normals.
     pub normals: &'a wgpu::Buffer,
-    /// Where E_dir goes, W·m⁻².
+    /// E_dir, written by the pass, W·m⁻².
     pub e_dir: &'a wgpu::Buffer,
 }
 

@@ -11,7 +11,7 @@ use crate::passes::meshes::{Meshes, sampled, uv_rows, vertex_layout};
 use crate::passes::shadow::{ShadowPass, cleared_depth, nearer_wins};
 use crate::scene::{LoadedDraw, LoadedScene};
 
-/// What a draw looks like; twin of `ShadeDraw` in the shader.
+/// Look of a draw; twin of `ShadeDraw` in the shader.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct ShadeDraw {

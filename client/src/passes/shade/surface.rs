@@ -1,4 +1,4 @@
-//! What a point of a drawn triangle looks like: the parts of `shade.wgsl` about materials.
+//! Material and geometry at a point of a drawn triangle: the parts of `shade.wgsl` before lighting.
 
 use glam::{Vec2, Vec3, Vec4};
 use lightkiln_proto::manifest::TextureUse;

@@ -1,4 +1,4 @@
-//! Which shadow maps a set of lights needs: six faces around a point, one for a narrow spot, tiles for a sun.
+//! Shadow maps of a set of lights: six faces around a point, one for a narrow spot, tiles for a sun.
 
 use glam::{Mat4, Vec3};
 

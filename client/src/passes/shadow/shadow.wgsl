@@ -1,9 +1,5 @@
 // Depth of the scene as a light sees it; twin: reference.rs. Both sides of every surface block light.
 
-struct ShadowFace {
-    clip_from_world: mat4x4f,
-}
-
 struct Mask {
     // 2×3 map from uv to the base-colour texture's coordinates.
     uv_row0: vec4f,
@@ -15,7 +11,7 @@ struct Mask {
     pad1: f32,
 }
 
-@group(0) @binding(0) var<uniform> face: ShadowFace;
+@group(0) @binding(0) var<uniform> clip_from_world: mat4x4f;
 @group(1) @binding(0) var<uniform> material: Mask;
 @group(1) @binding(1) var base_colour: texture_2d<f32>;
 @group(1) @binding(2) var base_sampler: sampler;
@@ -28,14 +24,14 @@ struct Corner {
 
 @vertex
 fn solid(@location(0) position: vec3f) -> @builtin(position) vec4f {
-    return face.clip_from_world * vec4f(position, 1.0);
+    return clip_from_world * vec4f(position, 1.0);
 }
 
 @vertex
 fn masked(@location(0) position: vec3f, @location(2) uv: vec2f, @location(3) colour: vec4f) -> Corner {
     let at = vec3f(uv, 1.0);
     let mapped = vec2f(dot(material.uv_row0.xyz, at), dot(material.uv_row1.xyz, at));
-    return Corner(face.clip_from_world * vec4f(position, 1.0), mapped, colour.a * material.alpha);
+    return Corner(clip_from_world * vec4f(position, 1.0), mapped, colour.a * material.alpha);
 }
 
 @fragment

@@ -41,7 +41,7 @@ struct LightCount {
 const POINT = 0u;
 const SPOT = 1u;
 const SUN = 2u;
-// Reach of the filter in texels, and what is added against rounding.
+// Reach of the filter in texels, and a margin against rounding.
 const FILTER_REACH = 2.0;
 const FILTER_MARGIN = 0.5;
 

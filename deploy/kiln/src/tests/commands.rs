@@ -3,12 +3,12 @@
 use clap::{CommandFactory as _, Parser as _};
 
 use super::{documents, names_in, text_of, texts};
-use crate::arguments::Arguments;
+use crate::command_line::CommandLine;
 
 /// Panics unless the program takes these arguments.
 fn assert_taken(place: &str, arguments: &[String]) {
     let line = ["kiln".to_owned()].into_iter().chain(arguments.iter().cloned());
-    if let Err(error) = Arguments::try_parse_from(line) {
+    if let Err(error) = CommandLine::try_parse_from(line) {
         let is_help = matches!(
             error.kind(),
             clap::error::ErrorKind::DisplayHelp | clap::error::ErrorKind::DisplayVersion
@@ -80,7 +80,7 @@ fn words_between_backticks_that_begin_with_the_programs_name_are_commands() {
             }
             let Some(name) = words.next() else { continue };
             let name = name.trim_end_matches(['…', ',']);
-            let known = Arguments::command();
+            let known = CommandLine::command();
             let is_known = name.starts_with('-') || matches!(name, "help" | "COMMAND");
             assert!(is_known || known.find_subcommand(name).is_some(), "{page}: `{code}`");
             checked += 1;

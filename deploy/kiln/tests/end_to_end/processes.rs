@@ -16,9 +16,7 @@ pub const LIMIT: Duration = Duration::from_secs(300);
 pub fn kiln(state: &Path) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_kiln"));
     for (name, _) in std::env::vars_os().filter(|(name, _)| name.to_string_lossy().starts_with("KILN_")) {
-        if name != "KILN_REQUIRE_ADAPTER" {
-            command.env_remove(name);
-        }
+        command.env_remove(name);
     }
     command.env("KILN_STATE", state).stdin(Stdio::null());
     command

@@ -188,3 +188,65 @@ fn cosine_moment(l: usize) -> f64 {
         _ => (2..l).step_by(2).fold(0.125, |c, l| -c * (l as f64 - 1.0) / (l as f64 + 4.0)),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::kinds::sh::Probe;
+    use crate::relight::tests::{BLOCK, close, cluster, joined, lambda};
+
+    fn probes(
+        hits: Vec<RelightHit>,
+        bands: u32,
+    ) -> impl FnOnce(&SlotTable) -> Result<ProbeTable, Inconsistent> {
+        let probe = Probe { key: 3, position_m: [0.0; 3], radius_m: 1.0 };
+        let rays = hits.len() as u32;
+        let batch = ProbeBatch { probes: vec![probe], relight_rays: rays, blocks: vec![BLOCK], hits };
+        move |slots| ProbeTable::join(&[batch], rays, bands, slots)
+    }
+
+    #[test]
+    fn probe_in_uniform_radiance_has_the_constant_coefficient_alone() {
+        let hit = RelightHit::Receiver { block: 0, texel: [1, 0] };
+        let transport = joined(cluster(2), probes(vec![hit; 1024], 3)).unwrap();
+        let lambda = lambda(&transport, &[Vec3::splat(9.0), Vec3::new(1.0, 2.0, 0.0)]);
+        let constant = (4.0 * PI).sqrt();
+        assert!(close(lambda[0].x, constant) && close(lambda[0].y, 2.0 * constant));
+        assert!(lambda[1..].iter().all(|x| x.abs().max_element() < 0.02), "{lambda:?}");
+    }
+
+    #[test]
+    fn sky_dark_hits_and_texels_without_receiver_add_nothing_to_a_probe() {
+        let hits = vec![RelightHit::Sky, RelightHit::Dark, RelightHit::Receiver { block: 0, texel: [7, 0] }];
+        let hits = [hits, vec![RelightHit::Dark]].concat();
+        let transport = joined(cluster(1), probes(hits, 1)).unwrap();
+        assert_eq!(lambda(&transport, &[Vec3::ONE]), vec![Vec4::ZERO; 8]);
+    }
+
+    #[test]
+    fn half_the_rays_still_give_the_radiance() {
+        let basis = relight_basis(256, 1024, 0);
+        assert!(close(basis.iter().sum(), (4.0 * PI).sqrt()));
+    }
+
+    #[test]
+    fn sky_coefficients_are_the_projection_of_the_gradient() {
+        let sky = Sky { zenith: Vec3::new(1.0, 3.0, 0.0), horizon: Vec3::new(0.5, 1.0, 2.0) };
+        let lambda = sky_coefficients(sky, 10);
+        let (sh, rays) = (ShBasis::new(10), 16_384);
+        let mut y = vec![0.0; sh.coefficients()];
+        let mut wanted = vec![glam::DVec3::ZERO; sh.coefficients()];
+        for ray in 0..rays {
+            let direction = relight_direction(ray, rays);
+            sh.evaluate(direction, &mut y);
+            for (sum, &y) in wanted.iter_mut().zip(&y) {
+                *sum +=
+                    (sky.radiance(direction) * y).as_dvec3() * 4.0 * std::f64::consts::PI / f64::from(rays);
+            }
+        }
+        for (j, (got, wanted)) in lambda.iter().zip(&wanted).enumerate() {
+            let off = (got.truncate().as_dvec3() - *wanted).abs().max_element();
+            assert!(off < 2e-3, "{j}: {got} {wanted}");
+        }
+    }
+}

@@ -8,8 +8,9 @@ use super::conn::{Conn, query};
 use super::ledger::{Ledger, seq_of};
 use super::plan::apply_plan;
 use super::view;
+use crate::random;
 use crate::store::rules::check_plan;
-use crate::store::{StoreError, Submission, Submitted, require_live, token};
+use crate::store::{StoreError, Submission, Submitted, require_live};
 
 pub(super) async fn submit(
     conn: &mut Conn,
@@ -48,7 +49,7 @@ async fn insert(conn: &mut Conn, submission: &Submission, now_ms: i64) -> Result
                VALUES ($1, $2, $3, $4, $5, $6, $7, $8, 'running', 0, 0, 0, '{}', '{}', $9, 0, $10, $11, $12) RETURNING seq";
     let new = &submission.bake;
     let query = query(sql)
-        .bind(token::random_id()?)
+        .bind(random::id())
         .bind(&submission.idempotency_key)
         .bind(submission.body_hash.to_string())
         .bind(&new.name)

@@ -1,6 +1,6 @@
 //! Commits that arrive while another one is being written share the next transaction: one lock and one flush for all.
 //!
-//! Whoever finds nobody writing writes for all who wait. When that caller goes away in the middle, its transaction never
+//! A caller that finds nobody writing writes for all who wait. When it goes away in the middle, its transaction never
 //! happened or was not told of; the others notice and ask again, which is safe as each token commits once.
 
 use std::sync::{Mutex, PoisonError};
@@ -69,7 +69,7 @@ impl CommitQueue {
             let _writing = self.writer.lock().await;
             match verdict.try_recv() {
                 Ok(verdict) => return verdict,
-                // Whoever wrote it went away before the answer.
+                // Its writer went away before the answer.
                 Err(TryRecvError::Closed) => verdict = self.push(token, result),
                 Err(TryRecvError::Empty) => write(self.take()).await,
             }

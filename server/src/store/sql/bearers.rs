@@ -1,4 +1,4 @@
-//! Those who have tokens.
+//! Bearers of tokens.
 
 use std::collections::BTreeSet;
 
@@ -19,7 +19,7 @@ pub(super) async fn add(
     if let Some(bearer) = find(conn, name).await? {
         return same_bearer(bearer, hash);
     }
-    query("INSERT INTO bearers VALUES ($1, $2, $3, $4, NULL)")
+    query("INSERT INTO bearers (name, hash, scopes, created_ms) VALUES ($1, $2, $3, $4)")
         .bind(name)
         .bind(hash.to_string())
         .bind(to_json(scopes)?)

@@ -1,4 +1,4 @@
-//! Chunks: kept, referred to, condemned, buried. The references are counted by triggers.
+//! Chunks: kept, referred to, condemned, purged. The references are counted by triggers.
 
 use std::collections::BTreeSet;
 
@@ -67,11 +67,12 @@ pub(super) async fn keep(
         return Ok(Kept::Condemned);
     }
     if let Some(replaces) = replaces {
-        let sql = "INSERT INTO condemned SELECT digest, generation, bytes FROM chunks
+        let sql =
+            "INSERT INTO condemned (digest, generation, bytes) SELECT digest, generation, bytes FROM chunks
                    WHERE digest = $1 AND generation = $2 ON CONFLICT DO NOTHING";
         query(sql).bind(&digest).bind(replaces).run(conn).await?;
     }
-    let sql = "INSERT INTO chunks VALUES ($1, $2, $3, 0, $4) ON CONFLICT (digest) DO UPDATE SET
+    let sql = "INSERT INTO chunks (digest, generation, bytes, used_ms) VALUES ($1, $2, $3, $4) ON CONFLICT (digest) DO UPDATE SET
                generation = excluded.generation, bytes = excluded.bytes, used_ms = excluded.used_ms
                WHERE chunks.generation IS NULL OR chunks.generation = $5";
     let insert = query(sql).bind(&digest).bind(generation).bind(chunk.bytes).bind(now_ms);
@@ -108,7 +109,7 @@ pub(super) async fn refer(
     require(conn, &required).await?;
     let named: Vec<Digest> = named.iter().copied().collect();
     let sql =
-        "INSERT INTO bake_chunks SELECT $1, c.digest FROM json_each($2) j JOIN chunks c ON c.digest = j.value
+        "INSERT INTO bake_chunks (bake, digest) SELECT $1, c.digest FROM json_each($2) j JOIN chunks c ON c.digest = j.value
                WHERE true ON CONFLICT DO NOTHING";
     for named in named.chunks(ROWS_PER_STATEMENT) {
         query(sql).bind(bake).bind(to_json(named)?).run(conn).await?;
@@ -152,7 +153,7 @@ pub(super) async fn collect(
     }
     let digests = to_json(&digests)?;
     for sql in [
-        "INSERT INTO condemned SELECT c.digest, c.generation, c.bytes FROM json_each($1) j
+        "INSERT INTO condemned (digest, generation, bytes) SELECT c.digest, c.generation, c.bytes FROM json_each($1) j
          JOIN chunks c ON c.digest = j.value WHERE c.generation IS NOT NULL ON CONFLICT DO NOTHING",
         "DELETE FROM chunks WHERE digest IN (SELECT value FROM json_each($1))",
     ] {
@@ -165,7 +166,7 @@ pub(super) async fn collect(
     Ok(collected)
 }
 
-pub(super) async fn bury(conn: &mut Conn, names: &[ChunkName]) -> Result<(), StoreError> {
+pub(super) async fn purge(conn: &mut Conn, names: &[ChunkName]) -> Result<(), StoreError> {
     let sql = "DELETE FROM condemned WHERE digest = $1 AND generation = $2 RETURNING bytes";
     for name in names {
         let deleted = query(sql).bind(name.digest.to_string()).bind(name.generation).optional(conn).await?;
@@ -202,7 +203,7 @@ async fn delete(conn: &mut Conn, bake: i64) -> Result<(), StoreError> {
 pub(super) async fn lose(conn: &mut Conn, name: ChunkName, now_ms: i64) -> Result<u64, StoreError> {
     let (digest, generation) = (name.digest.to_string(), name.generation);
     for sql in [
-        "INSERT INTO condemned SELECT digest, generation, bytes FROM chunks
+        "INSERT INTO condemned (digest, generation, bytes) SELECT digest, generation, bytes FROM chunks
          WHERE digest = $1 AND generation = $2 ON CONFLICT DO NOTHING",
         "UPDATE chunks SET generation = NULL WHERE digest = $1 AND generation = $2",
     ] {
@@ -238,28 +239,28 @@ pub(super) async fn rows(
 }
 
 /// Those that are neither kept nor condemned.
-pub(super) async fn strangers(conn: &mut Conn, names: &[ChunkName]) -> Result<Vec<ChunkName>, StoreError> {
+pub(super) async fn orphans(conn: &mut Conn, names: &[ChunkName]) -> Result<Vec<ChunkName>, StoreError> {
     let sql = "SELECT 1 FROM chunks WHERE digest = $1 AND generation = $2
                UNION ALL SELECT 1 FROM condemned WHERE digest = $1 AND generation = $2";
-    let mut strangers = Vec::new();
+    let mut orphans = Vec::new();
     for name in names {
         let found = query(sql).bind(name.digest.to_string()).bind(name.generation).optional(conn).await?;
         if found.is_none() {
-            strangers.push(*name);
+            orphans.push(*name);
         }
     }
-    Ok(strangers)
+    Ok(orphans)
 }
 
 /// Condemns those that are neither kept nor condemned; returns them.
-pub(super) async fn condemn_strangers(
+pub(super) async fn condemn_orphans(
     conn: &mut Conn,
     chunks: &[KeptChunk],
 ) -> Result<Vec<ChunkName>, StoreError> {
     let names: Vec<ChunkName> = chunks.iter().map(|chunk| chunk.name).collect();
-    let condemned = strangers(conn, &names).await?;
+    let condemned = orphans(conn, &names).await?;
     for chunk in chunks.iter().filter(|chunk| condemned.contains(&chunk.name)) {
-        query("INSERT INTO condemned VALUES ($1, $2, $3)")
+        query("INSERT INTO condemned (digest, generation, bytes) VALUES ($1, $2, $3)")
             .bind(chunk.name.digest.to_string())
             .bind(chunk.name.generation)
             .bind(chunk.bytes)

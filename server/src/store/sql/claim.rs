@@ -13,11 +13,12 @@ use serde_json::json;
 
 use super::codec::to_json;
 use super::conn::{Conn, query, steps};
+use crate::random;
 use crate::store::rules::{
     self, Abilities, BLOCK_TASKS, CLAIM_WINDOW, Contender, WORKER_PRESENT_MS, WORKER_SEEN_GRAIN_MS,
     dependencies, next_contender, resolve_inputs,
 };
-use crate::store::{StoreError, token};
+use crate::store::{LeaseState, StoreError};
 
 /// Running bakes with ready tasks, behind one of that priority and number.
 const OPEN_BAKES: &str = "
@@ -94,22 +95,29 @@ pub(super) async fn claim(
     request: &ClaimRequest,
     now_ms: i64,
 ) -> Result<Vec<Lease>, StoreError> {
+    // Note that the worker is present: tasks are left to workers that are.
     let seen = see_worker(conn, request, now_ms).await?;
+    // Load the other workers for one that failed before: it leaves tasks to them, nobody else does.
     let others = if seen.has_failed { Some(others(conn, request, now_ms).await?) } else { None };
+    // Choose before anything is written: on PostgreSQL the rows of chosen tasks are locked, and other claims pass them over.
     let (kinds, abilities) = (to_json(&request.kinds)?, Abilities::of(request));
     let (passed, chosen) = (BTreeSet::new(), Vec::new());
     let scene = seen.scene;
     let mut claim = Claim { conn, request, kinds, abilities, now_ms, others, scene, passed, chosen };
     claim.choose_all().await?;
     let chosen = claim.chosen;
+    // Write nothing for an idle worker's poll.
     if chosen.is_empty() {
         return Ok(Vec::new());
     }
+    // Mark all chosen tasks in one statement: round trips are most of a claim's time.
     let tasks: Vec<i64> = chosen.iter().map(|chosen| chosen.task).collect();
     let tasks = to_json(&tasks)?;
     let taken = take_tasks(conn, &tasks).await?;
+    // Read the outputs of dependencies only where there are any, as inputs name them by their tasks.
     let has_needs = taken.values().any(|taken| !dependencies(&taken.spec).is_empty());
     let outputs = if has_needs { outputs_of_needs(conn, &tasks).await? } else { BTreeMap::new() };
+    // Lock counters and events last, as claims beside this one wait for these rows until the transaction ends.
     write_leases(conn, &chosen, &taken, &tasks, request, now_ms).await?;
     Ok(leases(chosen, taken, &outputs))
 }
@@ -122,7 +130,7 @@ pub(super) async fn is_any_ready(conn: &mut Conn, kinds: &[String], now_ms: i64)
     query(sql).bind(now_ms).bind(to_json(kinds)?).one(conn).await?.get("is_any_ready")
 }
 
-/// What the farm knows of the worker that claims.
+/// Facts about the worker that claims.
 struct Seen {
     /// The scene of the task that it was given last.
     scene: Option<Digest>,
@@ -192,6 +200,7 @@ impl Claim<'_> {
     async fn choose_all(&mut self) -> Result<(), StoreError> {
         let (mut priority, mut seq) = (i64::MAX, 0_i64);
         while !self.is_full() {
+            // Read a window of bakes: fairness holds among them, and the cost does not grow with all bakes of the farm.
             let rows = query(OPEN_BAKES)
                 .bind(priority)
                 .bind(seq)
@@ -201,7 +210,9 @@ impl Claim<'_> {
                 .all(self.conn)
                 .await?;
             let Some(last) = rows.last() else { return Ok(()) };
+            // Go on behind this window if it does not fill the claim.
             (priority, seq) = (last.get("priority")?, last.get("seq")?);
+            // Leave out bakes whose tasks this worker cannot do, or should not.
             let mut contenders = Vec::with_capacity(rows.len());
             for row in rows {
                 let limit = row.get::<Option<i64>>("attempt_limit_secs")?;
@@ -233,11 +244,13 @@ impl Claim<'_> {
             let bake = contenders[index].bake.clone();
             match self.first(&bake).await? {
                 Some(task) => {
+                    // Pass the task over from now on: it is offered until the leases are written.
                     self.passed.insert(task);
                     let deadline_ms = rules::deadline_ms(self.now_ms, bake.attempt_limit_secs);
                     let expires_ms = self.now_ms + i64::from(self.request.ttl_secs) * 1000;
+                    // End the lease with the attempt's limit, so that no heartbeat carries it beyond.
                     let expires_ms = expires_ms.min(deadline_ms);
-                    let (token, traceparent) = (token::new_token()?, bake.traceparent);
+                    let (token, traceparent) = (random::fencing_token(), bake.traceparent);
                     self.chosen.push(Chosen {
                         task,
                         bake: bake.id,
@@ -246,12 +259,15 @@ impl Claim<'_> {
                         deadline_ms,
                         traceparent,
                     });
+                    // Count the lease at once, so that the next task may be another bake's.
                     contenders[index].leased += 1;
                     self.scene = Some(bake.scene);
                 }
+                // Leave the bake: its ready tasks are taken, or left to others.
                 None => drop(contenders.remove(index)),
             }
         }
+        // Keep the scene with the worker, whose next claims prefer it.
         if let Some(scene) = self.scene.filter(|_| self.scene != scene_before) {
             let sql = "UPDATE workers SET scene = $1 WHERE name = $2";
             query(sql).bind(scene.to_string()).bind(&self.request.worker).run(self.conn).await?;
@@ -335,10 +351,11 @@ async fn write_leases(
     };
     let rows: Vec<_> = chosen.iter().map(row).collect();
     let insert = conn.pick(
-        "INSERT INTO leases SELECT value ->> 0, value ->> 1, $2, $3, value ->> 2, $4, value ->> 3, $5, 0,
-         value ->> 4, 0 FROM json_each($1)",
-        "INSERT INTO leases SELECT v ->> 0, (v ->> 1)::bigint, $2, $3, (v ->> 2)::bigint, $4, (v ->> 3)::bigint, $5, 0,
-         (v ->> 4)::bigint, 0 FROM jsonb_array_elements($1::jsonb) AS j (v)",
+        "INSERT INTO leases (token, task, expires_ms, deadline_ms, attempt, worker, ttl_ms, state, progress, started_ms)
+         SELECT value ->> 0, value ->> 1, value ->> 2, value ->> 3, value ->> 4, $2, $3, $4, 0, $5 FROM json_each($1)",
+        "INSERT INTO leases (token, task, expires_ms, deadline_ms, attempt, worker, ttl_ms, state, progress, started_ms)
+         SELECT v ->> 0, (v ->> 1)::bigint, (v ->> 2)::bigint, (v ->> 3)::bigint, (v ->> 4)::bigint, $2, $3, $4, 0, $5
+         FROM jsonb_array_elements($1::jsonb) AS j (v)",
     );
     let mut parts =
         vec![insert, "DELETE FROM ready WHERE task IN (SELECT CAST(value AS BIGINT) FROM json_each($6))"];
@@ -364,7 +381,7 @@ async fn write_leases(
         .bind(to_json(&rows)?)
         .bind(&request.worker)
         .bind(i64::from(request.ttl_secs) * 1000)
-        .bind(rules::UNHEARD)
+        .bind(LeaseState::Granted.name())
         .bind(now_ms)
         .bind(tasks)
         .run(conn)
@@ -375,7 +392,7 @@ async fn write_leases(
     Ok(())
 }
 
-/// What the worker is told of its leases.
+/// The leases as the worker gets them.
 fn leases(
     chosen: Vec<Chosen>,
     mut taken: BTreeMap<i64, Taken>,
@@ -398,7 +415,7 @@ struct Taken {
     bakes: Vec<i64>,
 }
 
-/// Marks tasks as leased, and says what they are.
+/// Marks tasks as leased, and returns them.
 async fn take_tasks(conn: &mut Conn, tasks: &str) -> Result<BTreeMap<i64, Taken>, StoreError> {
     let sql = conn.pick(
         "UPDATE tasks SET state = 'leased' WHERE id IN (SELECT CAST(value AS BIGINT) FROM json_each($1))
@@ -448,9 +465,9 @@ fn starts(
 async fn tell_bake(conn: &mut Conn, bake: i64, starts: &[String], now_ms: i64) -> Result<(), StoreError> {
     let events: Vec<_> = (1..).zip(starts).map(|(index, start)| json!([index, start])).collect();
     let insert = conn.pick(
-        "INSERT INTO events SELECT b.seq, b.last_event - $2 + (value ->> 0), $3, value ->> 1
+        "INSERT INTO events (bake, seq, at_ms, event) SELECT b.seq, b.last_event - $2 + (value ->> 0), $3, value ->> 1
          FROM bakes b, json_each($4) WHERE b.seq = $1",
-        "INSERT INTO events SELECT b.seq, b.last_event - $2 + (v ->> 0)::bigint, $3, v ->> 1
+        "INSERT INTO events (bake, seq, at_ms, event) SELECT b.seq, b.last_event - $2 + (v ->> 0)::bigint, $3, v ->> 1
          FROM bakes b, jsonb_array_elements($4::jsonb) AS j (v) WHERE b.seq = $1",
     );
     steps(["UPDATE bakes SET last_event = last_event + $2 WHERE seq = $1", insert])

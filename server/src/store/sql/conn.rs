@@ -54,7 +54,7 @@ impl Conn {
         at(self.faults.as_deref(), call, step, "after COMMIT").await
     }
 
-    /// Where tests end the process between two steps; nothing else happens here.
+    /// The point between two steps at which tests end the process; nothing else happens here.
     async fn point(&mut self, before: &'static str) -> Result<(), StoreError> {
         self.step += 1;
         at(self.faults.as_deref(), self.call, self.step, before).await
@@ -129,7 +129,7 @@ pub(super) struct Steps {
     values: Vec<Value>,
 }
 
-/// Statements with parameters `$1`, `$2`, … still to be bound; each has the same ones, and leaves out what it likes.
+/// Statements with parameters `$1`, `$2`, … still to be bound; all share them, and each names those that it needs.
 pub(super) fn steps(parts: impl Into<Vec<&'static str>>) -> Steps {
     Steps { parts: parts.into(), values: Vec::new() }
 }
@@ -205,14 +205,14 @@ impl Steps {
         self
     }
 
-    /// Runs them; returns how many rows they touched together. SQLite takes them in one piece: what a small statement
-    /// costs there is the way to its thread and back.
+    /// Runs them; returns how many rows they touched together. SQLite takes them in one piece: most of a small
+    /// statement's time there is the way to its thread and back.
     pub(super) async fn run(self, conn: &mut Conn) -> Result<u64, StoreError> {
         let mut touched = 0;
         for &sql in &self.parts {
             conn.point(sql).await?;
             if let Tx::Postgres(tx) = &mut conn.tx {
-                // What a statement does not name need not travel: a plan may be long.
+                // Values that a statement does not name need not travel: a plan may be long.
                 let of_part = |(number, value): (usize, &Value)| {
                     if names(sql, number) { value.clone() } else { value.nothing() }
                 };

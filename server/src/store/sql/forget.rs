@@ -8,9 +8,8 @@ use lightkiln_proto::jobs::{TaskResult, TaskSpec};
 
 use super::codec::{ROWS_PER_STATEMENT, to_json};
 use super::conn::{Conn, query, steps};
-use super::leases::offer;
 use super::ledger::Ledger;
-use super::remake;
+use super::{ready, remake};
 use crate::store::{KnownResult, StoreError};
 
 pub(super) async fn reusable(conn: &mut Conn, plan: &[TaskSpec]) -> Result<Vec<KnownResult>, StoreError> {
@@ -61,12 +60,12 @@ async fn forget(conn: &mut Conn, key: TaskKey, now_ms: i64) -> Result<(), StoreE
         bake.event(now_ms, EventKind::ResultLost { key, kind, label });
         bake.save(conn).await?;
     }
-    offer(conn, task, now_ms).await
+    ready::offer(conn, task, now_ms).await
 }
 
 /// Bakes that have ended hold the result no more; whoever runs the task again gives it back ([`give_back`]).
 async fn take_from_ended(conn: &mut Conn, task: i64, key: TaskKey) -> Result<(), StoreError> {
-    let sql = "INSERT INTO lost_results SELECT $1, m.bake FROM bake_tasks m JOIN bakes b ON b.seq = m.bake
+    let sql = "INSERT INTO lost_results (key, bake) SELECT $1, m.bake FROM bake_tasks m JOIN bakes b ON b.seq = m.bake
                WHERE m.task = $2 AND b.state NOT IN ('running', 'paused')";
     query(sql).bind(key.to_string()).bind(task).run(conn).await?;
     let sql =
@@ -79,7 +78,7 @@ async fn take_from_ended(conn: &mut Conn, task: i64, key: TaskKey) -> Result<(),
 pub(super) async fn give_back(conn: &mut Conn, task: i64, key: TaskKey) -> Result<(), StoreError> {
     let sql = "DELETE FROM lost_results WHERE key = $1 RETURNING bake";
     for row in query(sql).bind(key.to_string()).all(conn).await? {
-        let sql = "INSERT INTO bake_tasks VALUES ($1, $2, 1, 0)";
+        let sql = "INSERT INTO bake_tasks (bake, task, done, reused) VALUES ($1, $2, 1, 0)";
         query(sql).bind(row.get::<i64>("bake")?).bind(task).run(conn).await?;
     }
     Ok(())

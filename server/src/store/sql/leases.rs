@@ -4,10 +4,11 @@ use lightkiln_proto::api::{EventKind, HeartbeatAnswer, Verdict};
 use lightkiln_proto::ids::TaskKey;
 use lightkiln_proto::jobs::Artefact;
 
-use super::conn::{Conn, query};
+use super::conn::{Conn, corrupt, query};
 use super::ledger::Ledger;
-use crate::store::StoreError;
+use super::ready;
 use crate::store::rules::{self, WORKER_SEEN_GRAIN_MS};
+use crate::store::{LeaseState, StoreError};
 
 /// An attempt that just ended, and its task.
 pub(super) struct Ended {
@@ -18,20 +19,20 @@ pub(super) struct Ended {
     pub(super) cost: u64,
     /// Attempts that have failed.
     pub(super) attempts: u32,
-    /// Which attempt this was.
+    /// Number of this attempt.
     pub(super) attempt: u32,
     pub(super) worker: String,
-    /// How long the attempt took.
+    /// Duration of the attempt.
     pub(super) elapsed_ms: u64,
     /// The attempt had all the time that one may take.
     pub(super) has_hit_limit: bool,
-    /// The worker said that it had the task.
-    pub(super) was_heard: bool,
-    /// It was heard again after the lease had run out, and may be pardoned.
+    /// State of the lease.
+    pub(super) state: LeaseState,
+    /// It is late, and its task was not pardoned too often.
     pub(super) is_pardoned: bool,
     /// Something that the task reads was lost meanwhile.
     pub(super) input_lost: bool,
-    /// What the task gave before its result was forgotten; nothing if that did not happen.
+    /// Outputs of the task before its result was forgotten; none if that did not happen.
     pub(super) outputs_before: Vec<Artefact>,
     /// Other tasks wait for this one.
     pub(super) has_dependants: bool,
@@ -59,8 +60,9 @@ pub(super) async fn heartbeat(
         verdict = Verdict::Lost;
     } else {
         expires_ms = (now_ms + row.get::<i64>("ttl_ms")?).min(row.get("deadline_ms")?);
-        query("UPDATE leases SET expires_ms = $1, progress = $2, graces = 0 WHERE token = $3")
+        query("UPDATE leases SET expires_ms = $1, state = $2, progress = $3, graces = 0 WHERE token = $4")
             .bind(expires_ms)
+            .bind(LeaseState::Held.name())
             .bind(f64::from(progress))
             .bind(token)
             .run(conn)
@@ -100,9 +102,9 @@ pub(super) async fn extend(conn: &mut Conn, now_ms: i64) -> Result<u64, StoreErr
 /// A holder whose lease has run out turns out to be alive. If that was counted as an attempt, it is given back, once and
 /// not for ever; if nobody has noticed yet, it will not be.
 pub(super) async fn hear_late(conn: &mut Conn, token: &str) -> Result<(), StoreError> {
-    let sql =
-        "UPDATE leases SET progress = $1 WHERE token = $2 AND progress > $3 AND expires_ms < deadline_ms";
-    query(sql).bind(rules::LATE).bind(token).bind(rules::UNHEARD).run(conn).await?;
+    let sql = "UPDATE leases SET state = $1 WHERE token = $2 AND state = $3 AND expires_ms < deadline_ms";
+    let (late, held) = (LeaseState::Late.name(), LeaseState::Held.name());
+    query(sql).bind(late).bind(token).bind(held).run(conn).await?;
     let sql = "DELETE FROM expired WHERE token = $1 RETURNING task, worker, has_blamed";
     let Some(row) = query(sql).bind(token).optional(conn).await? else { return Ok(()) };
     let task: i64 = row.get("task")?;
@@ -133,7 +135,7 @@ async fn take_if(
     now_ms: i64,
     may: impl Fn(i64) -> bool + Send,
 ) -> Result<Option<Ended>, StoreError> {
-    let sql = "SELECT l.task, l.worker, l.started_ms, l.expires_ms, l.deadline_ms, l.progress, l.input_lost, l.attempt,
+    let sql = "SELECT l.task, l.worker, l.started_ms, l.expires_ms, l.deadline_ms, l.state, l.input_lost, l.attempt,
                t.key, t.kind, t.label, t.cost, t.attempts, t.pardons, coalesce(t.outputs_before, '[]') AS outputs_before,
                EXISTS (SELECT 1 FROM task_needs n WHERE n.needs = t.id) AS has_dependants,
                EXISTS (SELECT 1 FROM lost_results x WHERE x.key = t.key) AS is_missed
@@ -148,7 +150,9 @@ async fn take_if(
         return Ok(None);
     }
     let small = |column: &str| Ok::<_, StoreError>(u32::try_from(row.count(column)?).unwrap_or(u32::MAX));
-    let progress: f64 = row.get("progress")?;
+    let name = row.text("state")?;
+    let state = LeaseState::named(&name)
+        .ok_or_else(|| corrupt("a lease's state", format!("'{name}' is no state")))?;
     Ok(Some(Ended {
         task: row.get("task")?,
         key: row.digest("key")?,
@@ -160,8 +164,8 @@ async fn take_if(
         worker: row.get("worker")?,
         elapsed_ms: u64::try_from(now_ms - row.get::<i64>("started_ms")?).unwrap_or(0),
         has_hit_limit: row.get::<i64>("expires_ms")? >= row.get::<i64>("deadline_ms")?,
-        was_heard: progress > rules::UNHEARD || progress <= rules::LATE,
-        is_pardoned: progress <= rules::LATE && small("pardons")? < rules::MAX_PARDONS,
+        state,
+        is_pardoned: state == LeaseState::Late && small("pardons")? < rules::MAX_PARDONS,
         input_lost: row.get::<i64>("input_lost")? != 0,
         outputs_before: row.json("outputs_before")?,
         has_dependants: row.get("has_dependants")?,
@@ -174,17 +178,8 @@ pub(super) async fn requeue(conn: &mut Conn, ended: &Ended, now_ms: i64) -> Resu
     let sql =
         "UPDATE tasks SET state = CASE waiting_count WHEN 0 THEN 'ready' ELSE 'waiting' END WHERE id = $1";
     query(sql).bind(ended.task).run(conn).await?;
-    offer(conn, ended.task, now_ms).await?;
+    ready::offer(conn, ended.task, now_ms).await?;
     change_leased(conn, ended.task, &ended.kind, -1, now_ms).await
-}
-
-/// Offers a task for claims in every live bake that holds it, if it is ready.
-pub(super) async fn offer(conn: &mut Conn, task: i64, now_ms: i64) -> Result<(), StoreError> {
-    let sql = "INSERT INTO ready SELECT m.bake, t.cost, t.key, t.id, t.kind, t.not_before_ms, $2
-               FROM tasks t JOIN bake_tasks m ON m.task = t.id JOIN bakes b ON b.seq = m.bake
-               WHERE t.id = $1 AND t.state = 'ready' AND b.state IN ('running', 'paused')";
-    query(sql).bind(task).bind(now_ms).run(conn).await?;
-    Ok(())
 }
 
 /// Counts a lease more or less in every live bake that holds the task.

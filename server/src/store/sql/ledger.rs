@@ -108,8 +108,8 @@ impl Ledger {
             events.push(json!([self.last_event, at_ms, to_json(&event)?]));
         }
         let insert = conn.pick(
-            "INSERT INTO events SELECT $12, value ->> 0, value ->> 1, value ->> 2 FROM json_each($13)",
-            "INSERT INTO events SELECT $12, (v ->> 0)::bigint, (v ->> 1)::bigint, v ->> 2
+            "INSERT INTO events (bake, seq, at_ms, event) SELECT $12, value ->> 0, value ->> 1, value ->> 2 FROM json_each($13)",
+            "INSERT INTO events (bake, seq, at_ms, event) SELECT $12, (v ->> 0)::bigint, (v ->> 1)::bigint, v ->> 2
              FROM jsonb_array_elements($13::jsonb) AS j (v)",
         );
         let update =
@@ -144,7 +144,7 @@ impl Ledger {
         }
     }
 
-    /// Ends the bake and drops what no other live bake wants.
+    /// Ends the bake and drops tasks that no other live bake wants.
     pub(super) async fn close(
         &mut self,
         conn: &mut Conn,

@@ -6,8 +6,8 @@
 //! are kept with each change, never recounted.
 //!
 //! **Trying again.** A transaction whose connection died before COMMIT was sent never happened, nor did one that the
-//! database gave up to resolve a deadlock; both are run again here. When the connection dies during COMMIT nobody knows
-//! what became of it: the caller is told, and asks again with the same token or Idempotency-Key, which is safe.
+//! database gave up to resolve a deadlock; both are run again here. When the connection dies during COMMIT its outcome
+//! is unknown: the caller is told, and asks again with the same token or Idempotency-Key, which is safe.
 
 mod bakes;
 mod batch;
@@ -24,6 +24,7 @@ mod ledger;
 mod outcome;
 mod plan;
 mod postgres;
+mod ready;
 mod remake;
 mod sqlite;
 mod view;
@@ -58,7 +59,7 @@ const TRIES_MAX: u32 = 5;
 /// Wait before the second try; doubles with each.
 const FIRST_WAIT: Duration = Duration::from_millis(20);
 
-/// What a transaction is for.
+/// Kinds of transactions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
     /// Sees one moment of the farm.
@@ -158,7 +159,7 @@ fn too_new(found: i64, known: usize) -> StoreError {
     StoreError::Corrupt { what, source: None }
 }
 
-/// What an error of a database means to the farm.
+/// Classes of a database's errors.
 enum Class {
     /// No room.
     Full,
@@ -227,7 +228,7 @@ impl SqlStore {
         transact!(self, Write, "commit", |conn, now_ms| outcome::commit(conn, token, result, now_ms))
     }
 
-    /// Commits all in one transaction. If that fails for what may be the fault of one of them, each in its own.
+    /// Commits all in one transaction. If that fails and may be the fault of one of them, each in its own.
     async fn commit_batch(&self, batch: Vec<Waiting>) {
         if batch.len() > 1 {
             let verdicts: Result<_, StoreError> =
@@ -400,8 +401,8 @@ impl FarmStore for SqlStore {
         transact!(self, Write, "collect", |conn, now_ms| chunks::collect(conn, rules, now_ms))
     }
 
-    async fn bury(&self, names: &[ChunkName]) -> Result<(), StoreError> {
-        transact!(self, Write, "bury", |conn, _now_ms| chunks::bury(conn, names))
+    async fn purge(&self, names: &[ChunkName]) -> Result<(), StoreError> {
+        transact!(self, Write, "purge", |conn, _now_ms| chunks::purge(conn, names))
     }
 
     async fn lose_chunk(&self, name: ChunkName) -> Result<u64, StoreError> {
@@ -412,12 +413,12 @@ impl FarmStore for SqlStore {
         transact!(self, Read, "chunk_rows", |conn, _now_ms| chunks::rows(conn, after, limit))
     }
 
-    async fn strangers(&self, names: &[ChunkName]) -> Result<Vec<ChunkName>, StoreError> {
-        transact!(self, Read, "strangers", |conn, _now_ms| chunks::strangers(conn, names))
+    async fn orphans(&self, names: &[ChunkName]) -> Result<Vec<ChunkName>, StoreError> {
+        transact!(self, Read, "orphans", |conn, _now_ms| chunks::orphans(conn, names))
     }
 
-    async fn condemn_strangers(&self, chunks: &[KeptChunk]) -> Result<Vec<ChunkName>, StoreError> {
-        transact!(self, Write, "condemn_strangers", |conn, _now_ms| chunks::condemn_strangers(conn, chunks))
+    async fn condemn_orphans(&self, chunks: &[KeptChunk]) -> Result<Vec<ChunkName>, StoreError> {
+        transact!(self, Write, "condemn_orphans", |conn, _now_ms| chunks::condemn_orphans(conn, chunks))
     }
 
     async fn usage(&self) -> Result<Usage, StoreError> {

@@ -7,16 +7,14 @@ use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{Artefact, TaskResult};
 
 use super::batch::Waiting;
-use super::chunks;
 use super::codec::to_json;
 use super::conn::{Conn, query, steps};
-use super::forget;
 use super::leases::{self, Ended, requeue};
 use super::ledger::Ledger;
 use super::plan::apply_plan;
-use super::remake;
+use super::{chunks, forget, ready, remake};
 use crate::store::rules::{self, add_counters, check_plan};
-use crate::store::{FailVerdict, Reaped, StoreError};
+use crate::store::{FailVerdict, LeaseState, Reaped, StoreError};
 
 pub(super) async fn commit(
     conn: &mut Conn,
@@ -24,31 +22,40 @@ pub(super) async fn commit(
     result: &TaskResult,
     now_ms: i64,
 ) -> Result<CommitVerdict, StoreError> {
+    // Take the lease first: who commits with a token that is not the newest of its task changes nothing else.
     let Some(ended) = leases::end(conn, token, now_ms).await? else {
-        // A token that committed has no lease any more.
+        // Answer a commit that is sent again as the first one, whose answer may have been lost.
         if was_committed(conn, token, result).await? {
             return Ok(CommitVerdict::AlreadyCommitted);
         }
         check_plan(&result.plan)?;
+        // Give the attempt back if the lease ran out under a worker that is alive.
         leases::hear_late(conn, token).await?;
         return Ok(CommitVerdict::Stale);
     };
+    // Refuse a bad plan by an error: it undoes the transaction, so the holder keeps its lease and can report the failure.
     check_plan(&result.plan)?;
     write_result(conn, token, &ended, result).await?;
+    // Unlock dependants in this transaction, so that no crash leaves them waiting for a task that is done.
     if ended.has_dependants {
         unlock_dependants(conn, ended.task, now_ms).await?;
     }
+    // Remove the edges of tasks that only waited for a lost output, after they were unlocked along these.
     if !ended.outputs_before.is_empty() {
         remake::release_readers(conn, ended.task, ended.key).await?;
     }
+    // Find outputs that came out otherwise than before: tasks that name the former bytes could wait for ever.
     let gone = remake::not_made_again(conn, &ended.outputs_before, &result.outputs).await?;
+    // Tell every live bake that holds the task: each has counts, events and a plan of its own.
     for mut bake in Ledger::live_of(conn, ended.task).await? {
         count_done(conn, &mut bake, &ended, result, now_ms).await?;
+        // Fail a bake that reads bytes which nobody will make again, instead of letting it wait.
         if let Some(output) = remake::first_named(conn, bake.seq, &gone).await? {
             let failure = rules::made_otherwise_message(&ended.label, &ended.kind, output);
             bake.close(conn, BakeState::Failed, Some(failure), now_ms).await?;
             continue;
         }
+        // Add the planned tasks before the bake may finish: it is done when none is open.
         apply_plan(conn, &mut bake, &result.plan, now_ms).await?;
         bake.save_or_finish(conn, now_ms).await?;
     }
@@ -88,8 +95,8 @@ async fn write_result(
     let outputs: Vec<Digest> = outputs.into_iter().collect();
     let touched = steps([
         "UPDATE tasks SET state = 'done', outputs_before = NULL WHERE id = $1",
-        "INSERT INTO results VALUES ($1, $2, $3, $4, $5)",
-        "INSERT INTO result_chunks SELECT $1, c.digest FROM json_each($6) j JOIN chunks c ON c.digest = j.value
+        "INSERT INTO results (task, token, outputs, plan, counters) VALUES ($1, $2, $3, $4, $5)",
+        "INSERT INTO result_chunks (task, digest) SELECT $1, c.digest FROM json_each($6) j JOIN chunks c ON c.digest = j.value
          WHERE c.generation IS NOT NULL",
     ])
     .bind(ended.task)
@@ -108,7 +115,6 @@ async fn write_result(
 }
 
 async fn unlock_dependants(conn: &mut Conn, task: i64, now_ms: i64) -> Result<(), StoreError> {
-    // None of them was ready: each waited for this task at least.
     let sql = "UPDATE tasks SET waiting_count = waiting_count - 1,
                state = CASE WHEN state = 'waiting' AND waiting_count = 1 THEN 'ready' ELSE state END
                WHERE id IN (SELECT task FROM task_needs WHERE needs = $1) AND state <> 'done'
@@ -118,11 +124,7 @@ async fn unlock_dependants(conn: &mut Conn, task: i64, now_ms: i64) -> Result<()
         is_any_ready |= row.get::<bool>("is_ready")?;
     }
     if is_any_ready {
-        let sql = "INSERT INTO ready SELECT m.bake, t.cost, t.key, t.id, t.kind, t.not_before_ms, $2
-                   FROM task_needs n JOIN tasks t ON t.id = n.task JOIN bake_tasks m ON m.task = t.id
-                   JOIN bakes b ON b.seq = m.bake WHERE n.needs = $1 AND t.state = 'ready'
-                   AND b.state IN ('running', 'paused')";
-        query(sql).bind(task).bind(now_ms).run(conn).await?;
+        ready::offer_dependants(conn, task, now_ms).await?;
     }
     Ok(())
 }
@@ -169,7 +171,7 @@ pub(super) async fn fail(
         return Ok(FailVerdict::GivenUp);
     }
     let mut wait_ms = 0;
-    // Whoever lost an input is not to blame, and tries again once that is there.
+    // A worker that lost an input is not to blame, and tries again once that is there.
     if !ended.input_lost {
         if blame_worker(conn, &ended, &message, now_ms).await? {
             return Ok(FailVerdict::GivenUp);
@@ -198,7 +200,7 @@ async fn blame_silent(
     now_ms: i64,
 ) -> Result<bool, StoreError> {
     if !ended.has_hit_limit {
-        let sql = "INSERT INTO expired SELECT $1, t.id, $2,
+        let sql = "INSERT INTO expired (token, task, worker, has_blamed) SELECT $1, t.id, $2,
                    CASE WHEN EXISTS (SELECT 1 FROM blames x WHERE x.task = t.id AND x.worker = $2) THEN 0 ELSE 1 END
                    FROM tasks t WHERE t.id = $3";
         query(sql).bind(token).bind(&ended.worker).bind(ended.task).run(conn).await?;
@@ -215,7 +217,7 @@ async fn blame_worker(
 ) -> Result<bool, StoreError> {
     let attempts = ended.attempts + 1;
     query("UPDATE tasks SET attempts = $1 WHERE id = $2").bind(attempts).bind(ended.task).run(conn).await?;
-    query("INSERT INTO blames VALUES ($1, $2) ON CONFLICT DO NOTHING")
+    query("INSERT INTO blames (task, worker) VALUES ($1, $2) ON CONFLICT DO NOTHING")
         .bind(ended.task)
         .bind(&ended.worker)
         .run(conn)
@@ -299,7 +301,7 @@ pub(super) async fn reap(conn: &mut Conn, now_ms: i64) -> Result<Reaped, StoreEr
         if ended.is_pardoned {
             query("UPDATE tasks SET pardons = pardons + 1 WHERE id = $1").bind(ended.task).run(conn).await?;
         }
-        if !ended.was_heard || ended.is_pardoned {
+        if ended.state == LeaseState::Granted || ended.is_pardoned {
             requeue(conn, &ended, now_ms).await?;
             continue;
         }

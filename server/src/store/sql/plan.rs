@@ -11,6 +11,7 @@ use super::chunks;
 use super::codec::{ROWS_PER_STATEMENT, to_json};
 use super::conn::{Conn, query};
 use super::ledger::Ledger;
+use super::ready;
 use crate::store::rules::{add_counters, dependencies, is_same_task, named_artefacts};
 use crate::store::{PlanError, StoreError};
 
@@ -28,7 +29,7 @@ struct Added {
     needs: Vec<TaskKey>,
 }
 
-/// What one kind of task gained.
+/// Growth of one kind of task.
 #[derive(Default)]
 struct StageGain {
     total: u64,
@@ -198,8 +199,9 @@ impl Addition<'_> {
 
     async fn insert_members(&mut self, members: &[(i64, bool)]) -> Result<(), StoreError> {
         let sql = self.conn.pick(
-            "INSERT INTO bake_tasks SELECT $1, value ->> 0, value ->> 1, value ->> 1 FROM json_each($2)",
-            "INSERT INTO bake_tasks
+            "INSERT INTO bake_tasks (bake, task, done, reused)
+             SELECT $1, value ->> 0, value ->> 1, value ->> 1 FROM json_each($2)",
+            "INSERT INTO bake_tasks (bake, task, done, reused)
              SELECT $1, (v ->> 0)::bigint, (v ->> 1)::boolean::int, (v ->> 1)::boolean::int
              FROM jsonb_array_elements($2::jsonb) AS j (v)",
         );
@@ -209,7 +211,7 @@ impl Addition<'_> {
         Ok(())
     }
 
-    /// Takes over the results of tasks that are done; returns what they planned.
+    /// Takes over the results of tasks that are done; returns the tasks that they planned.
     async fn reuse(&mut self, done: &[i64]) -> Result<Vec<TaskSpec>, StoreError> {
         let sql =
             "SELECT r.outputs, r.plan, r.counters FROM json_each($1) j JOIN results r ON r.task = CAST(j.value AS BIGINT)
@@ -231,7 +233,7 @@ impl Addition<'_> {
         Ok(planned)
     }
 
-    /// Writes who waits for whom, and makes ready what waits for nothing.
+    /// Writes the edges of dependencies, and offers tasks without open ones.
     async fn link(&mut self, now_ms: i64) -> Result<(), StoreError> {
         self.find_dependencies().await?;
         let mut edges = Vec::new();
@@ -245,8 +247,8 @@ impl Addition<'_> {
         }
         // A task that was there has its edges, unless a dependency was forgotten meanwhile.
         let sql = self.conn.pick(
-            "INSERT OR IGNORE INTO task_needs SELECT value ->> 0, value ->> 1 FROM json_each($1)",
-            "INSERT INTO task_needs SELECT (v ->> 0)::bigint, (v ->> 1)::bigint
+            "INSERT OR IGNORE INTO task_needs (task, needs) SELECT value ->> 0, value ->> 1 FROM json_each($1)",
+            "INSERT INTO task_needs (task, needs) SELECT (v ->> 0)::bigint, (v ->> 1)::bigint
              FROM jsonb_array_elements($1::jsonb) AS j (v) ON CONFLICT DO NOTHING",
         );
         for edges in edges.chunks(ROWS_PER_STATEMENT) {
@@ -261,7 +263,8 @@ impl Addition<'_> {
             query(count).bind(&fresh).run(self.conn).await?;
             query(wait).bind(&fresh).run(self.conn).await?;
         }
-        self.offer(now_ms).await
+        let ids: Vec<i64> = self.added.iter().filter_map(|task| self.ids.get(&task.key).copied()).collect();
+        ready::offer_in(self.conn, self.bake.seq, &ids, now_ms).await
     }
 
     /// Finds the ids of dependencies that the bake held before.
@@ -276,16 +279,6 @@ impl Addition<'_> {
             for row in query(sql).bind(to_json(keys)?).bind(self.bake.seq).all(self.conn).await? {
                 self.ids.insert(row.digest("key")?, row.get("id")?);
             }
-        }
-        Ok(())
-    }
-
-    async fn offer(&mut self, now_ms: i64) -> Result<(), StoreError> {
-        let sql = "INSERT INTO ready SELECT $1, t.cost, t.key, t.id, t.kind, t.not_before_ms, $3
-                   FROM json_each($2) j JOIN tasks t ON t.id = CAST(j.value AS BIGINT) WHERE t.state = 'ready'";
-        let ids: Vec<i64> = self.added.iter().filter_map(|task| self.ids.get(&task.key).copied()).collect();
-        for ids in ids.chunks(ROWS_PER_STATEMENT) {
-            query(sql).bind(self.bake.seq).bind(to_json(ids)?).bind(now_ms).run(self.conn).await?;
         }
         Ok(())
     }

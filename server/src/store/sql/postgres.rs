@@ -12,7 +12,7 @@
 //! So there is one change at a time on the whole farm, as on SQLite, and every statement of it sees all changes before
 //! it: READ COMMITTED takes a new snapshot for each statement, the first one after the lock was granted. (SERIALIZABLE
 //! would take its snapshot before, and fail.) Bakes share tasks, and a commit unlocks the tasks of all of them: an
-//! order of row locks that excludes lost wake-ups is hard to keep true, this one is plain. What it costs is small: a
+//! order of row locks that excludes lost wake-ups is hard to keep true, this one is plain. Its cost is small: a
 //! change takes a few milliseconds, a task seconds, and the changes that wait in one process share a transaction.
 //!
 //! **Claims** run beside each other. Each locks the rows of the tasks that it takes with SKIP LOCKED and looks at their
@@ -48,8 +48,8 @@ const READERS: u32 = 4;
 const ACQUIRE_TIMEOUT: Duration = Duration::from_secs(30);
 /// Lowest version that is tested.
 const VERSION_MIN: i32 = 150_000;
-/// What brings the database from one version to the next.
-const MIGRATIONS: [&str; 8] = [
+/// Steps of the schema, from one version to the next.
+const MIGRATIONS: [&str; 9] = [
     include_str!("schema/postgres_1.sql"),
     include_str!("schema/postgres_2.sql"),
     include_str!("schema/postgres_3.sql"),
@@ -58,6 +58,7 @@ const MIGRATIONS: [&str; 8] = [
     include_str!("schema/postgres_6.sql"),
     include_str!("schema/postgres_7.sql"),
     include_str!("schema/postgres_8.sql"),
+    include_str!("schema/postgres_9.sql"),
 ];
 
 /// Settings of every connection. Shorter timeouts → a server that hangs holds the others up for less, and a slow
@@ -139,7 +140,7 @@ fn pool(connections: u32) -> PgPoolOptions {
         .after_connect(|connection, _| Box::pin(require_primary(connection)))
 }
 
-/// Refuses a standby: it would answer reads with what was true a while ago. After a failover the old primary's
+/// Refuses a standby: it would answer reads with stale rows. After a failover the old primary's
 /// connections die, and new ones come through here.
 async fn require_primary(connection: &mut PgConnection) -> Result<(), sqlx::Error> {
     let standby: bool = sqlx::query_scalar("SELECT pg_is_in_recovery()").fetch_one(connection).await?;
@@ -172,12 +173,15 @@ async fn migrate(connection: &mut PgConnection) -> Result<(), StoreError> {
     for (index, migration) in MIGRATIONS.iter().enumerate().skip(done) {
         sqlx::raw_sql(*migration).execute(&mut *tx).await?;
         let version = i64::try_from(index + 1).unwrap_or(i64::MAX);
-        sqlx::query("INSERT INTO schema_version VALUES ($1)").bind(version).execute(&mut *tx).await?;
+        sqlx::query("INSERT INTO schema_version (version) VALUES ($1)")
+            .bind(version)
+            .execute(&mut *tx)
+            .await?;
     }
     Ok(tx.commit().await?)
 }
 
-/// What an error of PostgreSQL means to the farm, by its SQLSTATE.
+/// The class of an error of PostgreSQL, by its SQLSTATE.
 pub(super) fn class_of(error: &PgDatabaseError) -> Class {
     match error.code() {
         // Serialization failure, deadlock.

@@ -9,7 +9,7 @@ use lightkiln_proto::jobs::Artefact;
 
 use super::codec::to_json;
 use super::conn::{Conn, query};
-use super::leases::offer;
+use super::ready;
 use crate::store::StoreError;
 use crate::store::rules;
 
@@ -27,7 +27,7 @@ pub(super) async fn hold_readers(conn: &mut Conn, task: i64) -> Result<(), Store
     let bakes = rows.iter().map(|row| row.get("bake")).collect::<Result<Vec<i64>, _>>()?;
     if !bakes.is_empty() {
         // A digest is found as text: nothing else in a task's inputs looks like it.
-        let sql = "INSERT INTO task_needs SELECT t.id, $1 FROM tasks t
+        let sql = "INSERT INTO task_needs (task, needs) SELECT t.id, $1 FROM tasks t
                    WHERE t.id IN (SELECT m.task FROM bake_tasks m
                                   WHERE m.bake IN (SELECT CAST(value AS BIGINT) FROM json_each($2)))
                    AND EXISTS (SELECT 1 FROM json_each($3) d WHERE t.inputs LIKE '%' || d.value || '%')
@@ -47,7 +47,7 @@ pub(super) async fn hold_readers(conn: &mut Conn, task: i64) -> Result<(), Store
     Ok(())
 }
 
-/// Lets nobody wait for `task`, which has made again what it made before, but its dependants.
+/// Lets nobody but its dependants wait for `task`, which has made its outputs again.
 pub(super) async fn release_readers(conn: &mut Conn, task: i64, key: TaskKey) -> Result<(), StoreError> {
     let sql = "DELETE FROM task_needs WHERE needs = $1
                AND task IN (SELECT t.id FROM task_needs n JOIN tasks t ON t.id = n.task
@@ -88,7 +88,7 @@ pub(super) async fn first_named<'a>(
     Ok(None)
 }
 
-/// Lets nobody wait for what goes with a bake that has ended: tasks of other bakes may, if these took them in later.
+/// Lets nobody wait for tasks that go with an ended bake: tasks of other bakes may, if these took them in later.
 pub(super) async fn let_go(conn: &mut Conn, bake: i64, now_ms: i64) -> Result<(), StoreError> {
     let sql = "SELECT n.task, count(*) AS needs FROM bake_tasks m JOIN task_needs n ON n.needs = m.task
                WHERE m.bake = $1 AND m.done = 0
@@ -102,7 +102,7 @@ pub(super) async fn let_go(conn: &mut Conn, bake: i64, now_ms: i64) -> Result<()
         let sql = "UPDATE tasks SET waiting_count = waiting_count - $1,
                    state = CASE WHEN state = 'waiting' AND waiting_count = $1 THEN 'ready' ELSE state END WHERE id = $2";
         query(sql).bind(row.get::<i64>("needs")?).bind(task).run(conn).await?;
-        offer(conn, task, now_ms).await?;
+        ready::offer(conn, task, now_ms).await?;
     }
     Ok(())
 }

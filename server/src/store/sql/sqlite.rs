@@ -1,6 +1,6 @@
 //! One SQLite file: WAL, one writing connection, a few reading ones.
 //!
-//! What a caller may rely on is flushed to the disk before it hears of it (`synchronous=FULL`). Claims and heartbeats
+//! Changes are flushed to the disk before their callers hear of them (`synchronous=FULL`). Claims and heartbeats
 //! are not: if the machine loses power their leases are lost, and the tasks run again; half of a task's flushes are
 //! saved by it.
 
@@ -23,8 +23,8 @@ const READERS: u32 = 4;
 const BUSY_TIMEOUT: Duration = Duration::from_secs(10);
 /// Wait for a free connection before giving up.
 const ACQUIRE_TIMEOUT: Duration = Duration::from_secs(30);
-/// What brings the file from one `user_version` to the next.
-const MIGRATIONS: [&str; 8] = [
+/// Steps of the schema, from one `user_version` to the next.
+const MIGRATIONS: [&str; 9] = [
     include_str!("schema/sqlite_1.sql"),
     include_str!("schema/sqlite_2.sql"),
     include_str!("schema/sqlite_3.sql"),
@@ -33,6 +33,7 @@ const MIGRATIONS: [&str; 8] = [
     include_str!("schema/sqlite_6.sql"),
     include_str!("schema/sqlite_7.sql"),
     include_str!("schema/sqlite_8.sql"),
+    include_str!("schema/sqlite_9.sql"),
 ];
 
 /// An open file.
@@ -108,7 +109,7 @@ async fn migrate(writer: &SqlitePool) -> Result<(), StoreError> {
     Ok(tx.commit().await?)
 }
 
-/// What an error of SQLite means to the farm.
+/// The class of an error of SQLite.
 pub(super) fn class_of(error: &SqliteError) -> Class {
     const BUSY: i32 = 5;
     const LOCKED: i32 = 6;

@@ -1,4 +1,4 @@
-//! What callers see.
+//! Views of the farm for callers.
 
 use std::collections::BTreeMap;
 
@@ -10,7 +10,7 @@ use super::ledger::{seq_of, state_from};
 use crate::store::rules::WORKER_LISTED_MS;
 use crate::store::{Demand, Stats, StoreError, TaskCount, TaskState};
 
-/// Rows of bakes, and what they lost.
+/// Rows of bakes, with the number of results that each lost.
 macro_rules! bakes {
     () => {
         "SELECT *, (SELECT count(*) FROM lost_results l WHERE l.bake = bakes.seq) AS results_lost FROM bakes"
@@ -171,7 +171,8 @@ fn task_state_from(name: &str) -> Result<TaskState, StoreError> {
 
 /// Writes something.
 pub(super) async fn probe(conn: &mut Conn, now_ms: i64) -> Result<(), StoreError> {
-    let sql = "INSERT INTO probe VALUES (1, $1) ON CONFLICT (id) DO UPDATE SET at_ms = excluded.at_ms";
+    let sql =
+        "INSERT INTO probe (id, at_ms) VALUES (1, $1) ON CONFLICT (id) DO UPDATE SET at_ms = excluded.at_ms";
     query(sql).bind(now_ms).run(conn).await?;
     Ok(())
 }

@@ -3,6 +3,8 @@
 
 mod chunks;
 mod container;
+#[path = "../../../../server/tests/model/mod.rs"]
+mod model;
 mod scenes;
 mod server;
 mod texts;

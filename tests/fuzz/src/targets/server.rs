@@ -11,8 +11,9 @@ use lightkiln_server::clock::SystemClock;
 use lightkiln_server::places::{ChunksPlace, DatabasePlace};
 use lightkiln_server::ranges::{Wanted, is_known, range_applies, wanted};
 use lightkiln_server::store::chunk::KeptChunk;
-use lightkiln_server::store::{FarmStore, MemoryStore, Submission};
+use lightkiln_server::store::{FarmStore, Submission};
 
+use super::model::MemoryStore;
 use super::{Target, taken};
 
 /// The headers Range, If-Range and If-None-Match, one a line.

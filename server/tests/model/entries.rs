@@ -1,4 +1,4 @@
-//! What the model knows of a bake, a task, a lease, a worker.
+//! Bakes, tasks, leases and workers of the model.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -6,8 +6,8 @@ use lightkiln_proto::api::{BakeEvent, BakeState, NewBake};
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{Artefact, MANIFEST_OUTPUT, REPORT_OUTPUT, TaskResult, TaskSpec};
 
-use crate::store::Submission;
-use crate::store::rules::Abilities;
+use lightkiln_server::store::rules::Abilities;
+use lightkiln_server::store::{LeaseState, Submission};
 
 #[derive(Clone)]
 pub(super) struct BakeEntry {
@@ -68,9 +68,9 @@ pub(super) struct Task {
     pub(super) not_before_ms: i64,
     /// Workers that failed at it.
     pub(super) blamed: BTreeSet<String>,
-    /// Tasks that are to make again what it names.
+    /// Tasks that are to make again the artefacts that it names.
     pub(super) makers: BTreeSet<TaskKey>,
-    /// What it gave before its result was forgotten.
+    /// Its outputs before its result was forgotten.
     pub(super) outputs_before: Vec<Artefact>,
 }
 
@@ -84,12 +84,9 @@ pub(super) struct LeaseEntry {
     /// When the attempt has taken too long.
     pub(super) deadline_ms: i64,
     pub(super) cancelled: bool,
-    /// The worker said that it had the task.
-    pub(super) was_heard: bool,
+    pub(super) state: LeaseState,
     /// Something that the task reads was lost meanwhile.
     pub(super) input_lost: bool,
-    /// The worker was heard again after the lease had run out.
-    pub(super) is_late: bool,
     /// Which attempt at the task it is.
     pub(super) attempt: u32,
     /// How often it was given its whole length again since the worker was heard.

@@ -5,12 +5,12 @@ use std::collections::{BTreeMap, BTreeSet};
 use lightkiln_proto::ids::{Digest, TaskKey};
 
 use super::farm::Farm;
-use crate::chunks::ChunkName;
-use crate::store::chunk::{ChunkRow, CollectRules, Collected, Kept, KeptChunk, Usage};
-use crate::store::rules::CHUNK_USED_GRAIN_MS;
-use crate::store::{StoreError, require_ended};
+use lightkiln_server::chunks::ChunkName;
+use lightkiln_server::store::chunk::{ChunkRow, CollectRules, Collected, Kept, KeptChunk, Usage};
+use lightkiln_server::store::rules::CHUNK_USED_GRAIN_MS;
+use lightkiln_server::store::{StoreError, require_ended};
 
-/// What is stored.
+/// Stored chunks.
 #[derive(Clone, Default)]
 pub(super) struct Chunks {
     rows: BTreeMap<Digest, Row>,
@@ -82,7 +82,7 @@ impl Chunks {
         Ok(Kept::Fresh)
     }
 
-    pub(super) fn bury(&mut self, names: &[ChunkName]) {
+    pub(super) fn purge(&mut self, names: &[ChunkName]) {
         for name in names {
             if let Some(bytes) = self.condemned.remove(name) {
                 self.usage.chunks -= 1;
@@ -99,11 +99,11 @@ impl Chunks {
         self.condemned.contains_key(&name) || self.kept(name.digest).is_some_and(|kept| kept.name == name)
     }
 
-    pub(super) fn strangers(&self, names: &[ChunkName]) -> Vec<ChunkName> {
+    pub(super) fn orphans(&self, names: &[ChunkName]) -> Vec<ChunkName> {
         names.iter().copied().filter(|name| !self.has(*name)).collect()
     }
 
-    pub(super) fn condemn_strangers(&mut self, chunks: &[KeptChunk]) -> Vec<ChunkName> {
+    pub(super) fn condemn_orphans(&mut self, chunks: &[KeptChunk]) -> Vec<ChunkName> {
         let mut condemned = Vec::new();
         for chunk in chunks.iter().filter(|chunk| !self.has(chunk.name)).copied().collect::<Vec<_>>() {
             self.condemned.insert(chunk.name, chunk.bytes);

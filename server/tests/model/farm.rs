@@ -8,9 +8,10 @@ use lightkiln_proto::jobs::{Artefact, TaskSpec};
 
 use super::chunks::Chunks;
 use super::entries::{BakeEntry, ExpiredEntry, LeaseEntry, Task, WorkerEntry};
-use crate::access::Bearer;
-use crate::store::rules::{self, add_counters, check_plan, is_same_task, named_artefacts};
-use crate::store::{KnownResult, PlanError, StoreError, Submission, Submitted, require_live, token};
+use lightkiln_server::access::Bearer;
+use lightkiln_server::random;
+use lightkiln_server::store::rules::{self, add_counters, check_plan, is_same_task, named_artefacts};
+use lightkiln_server::store::{KnownResult, PlanError, StoreError, Submission, Submitted, require_live};
 
 /// Everything a farm knows.
 #[derive(Clone, Default)]
@@ -80,7 +81,7 @@ impl Farm {
         self.chunks.require(submission.bake.scene)?;
         let index = self.bakes.len();
         self.submitted += 1;
-        self.bakes.push(BakeEntry::new(submission, self.submitted, token::random_id()?, now_ms));
+        self.bakes.push(BakeEntry::new(submission, self.submitted, random::id(), now_ms));
         self.event(index, now_ms, EventKind::Submitted);
         self.apply_plan(index, &submission.plan, now_ms)?;
         self.finish_if_done(index, now_ms);
@@ -150,7 +151,7 @@ impl Farm {
         }
     }
 
-    /// Ends a bake and drops what nobody else wants.
+    /// Ends a bake and drops tasks that nobody else wants.
     pub(super) fn close(&mut self, bake: usize, state: BakeState, failure: Option<String>, now_ms: i64) {
         let entry = &mut self.bakes[bake];
         entry.state = state;

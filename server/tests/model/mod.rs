@@ -1,6 +1,6 @@
 //! The plain model of a farm: maps in memory, everything recounted when asked for.
 //!
-//! It says what the other stores must do. It keeps nothing when the process ends.
+//! It says how the stores in databases must behave, in the fewest words. It keeps nothing when the process ends.
 
 mod chunks;
 mod entries;
@@ -19,15 +19,15 @@ use lightkiln_proto::api::{
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{TaskResult, TaskSpec};
 
-use super::chunk::{ChunkRow, CollectRules, Collected, Kept, KeptChunk, Usage};
-use super::{
+use farm::Farm;
+use lightkiln_server::access::{Bearer, Scope};
+use lightkiln_server::chunks::ChunkName;
+use lightkiln_server::clock::Clock;
+use lightkiln_server::store::chunk::{ChunkRow, CollectRules, Collected, Kept, KeptChunk, Usage};
+use lightkiln_server::store::{
     FailVerdict, FarmStore, KnownResult, Reaped, Stats, StoreError, Submission, Submitted, require_live,
     same_bearer,
 };
-use crate::access::{Bearer, Scope};
-use crate::chunks::ChunkName;
-use crate::clock::Clock;
-use farm::Farm;
 
 /// A farm in memory.
 pub struct MemoryStore {
@@ -50,7 +50,7 @@ impl MemoryStore {
         self.clock.now_ms()
     }
 
-    /// Changes the farm, and notes what became ready by it.
+    /// Changes the farm, and notes tasks that became ready by it.
     fn change<T>(&self, change: impl FnOnce(&mut Farm, i64) -> T) -> T {
         let (mut farm, now_ms) = (self.farm(), self.now_ms());
         let changed = change(&mut farm, now_ms);
@@ -214,8 +214,8 @@ impl FarmStore for MemoryStore {
         Ok(self.change(|farm, now_ms| farm.collect(rules, now_ms)))
     }
 
-    async fn bury(&self, names: &[ChunkName]) -> Result<(), StoreError> {
-        self.farm().chunks.bury(names);
+    async fn purge(&self, names: &[ChunkName]) -> Result<(), StoreError> {
+        self.farm().chunks.purge(names);
         Ok(())
     }
 
@@ -227,12 +227,12 @@ impl FarmStore for MemoryStore {
         Ok(self.farm().chunk_rows(after, limit))
     }
 
-    async fn strangers(&self, names: &[ChunkName]) -> Result<Vec<ChunkName>, StoreError> {
-        Ok(self.farm().chunks.strangers(names))
+    async fn orphans(&self, names: &[ChunkName]) -> Result<Vec<ChunkName>, StoreError> {
+        Ok(self.farm().chunks.orphans(names))
     }
 
-    async fn condemn_strangers(&self, chunks: &[KeptChunk]) -> Result<Vec<ChunkName>, StoreError> {
-        Ok(self.farm().chunks.condemn_strangers(chunks))
+    async fn condemn_orphans(&self, chunks: &[KeptChunk]) -> Result<Vec<ChunkName>, StoreError> {
+        Ok(self.farm().chunks.condemn_orphans(chunks))
     }
 
     async fn usage(&self) -> Result<Usage, StoreError> {

@@ -12,11 +12,12 @@ use lightkiln_proto::jobs::{TaskResult, TaskSpec};
 
 use super::entries::{BakeEntry, ExpiredEntry, LeaseEntry, Member, Task, WorkerEntry};
 use super::farm::Farm;
-use crate::store::rules::{
+use lightkiln_server::random;
+use lightkiln_server::store::rules::{
     self, Abilities, BLOCK_TASKS, CLAIM_WINDOW, Contender, MAX_GRACES, MAX_PARDONS, WORKER_PRESENT_MS,
     WORKER_SEEN_GRAIN_MS, add_counters, next_contender,
 };
-use crate::store::{FailVerdict, Reaped, StoreError, TaskState, token};
+use lightkiln_server::store::{FailVerdict, LeaseState, Reaped, StoreError, TaskState};
 
 impl LeaseEntry {
     /// How long the attempt has taken.
@@ -194,7 +195,7 @@ impl Farm {
         request: &ClaimRequest,
         now_ms: i64,
     ) -> Result<Lease, StoreError> {
-        let token = token::new_token()?;
+        let token = random::fencing_token();
         let ttl_ms = i64::from(request.ttl_secs) * 1000;
         let deadline_ms = rules::deadline_ms(now_ms, self.bakes[bake].new.attempt_limit_secs);
         let expires_ms = (now_ms + ttl_ms).min(deadline_ms);
@@ -220,9 +221,8 @@ impl Farm {
             expires_ms,
             deadline_ms,
             cancelled: false,
-            was_heard: false,
+            state: LeaseState::Granted,
             input_lost: false,
-            is_late: false,
             attempt,
             graces: 0,
         };
@@ -249,7 +249,7 @@ impl Farm {
             verdict = Verdict::Lost;
         } else {
             lease.expires_ms = (now_ms + lease.ttl_ms).min(lease.deadline_ms);
-            (lease.was_heard, lease.is_late, lease.graces) = (true, false, 0);
+            (lease.state, lease.graces) = (LeaseState::Held, 0);
         }
         if let Some(worker) = self.workers.get_mut(&lease.worker)
             && now_ms - worker.seen_ms >= WORKER_SEEN_GRAIN_MS
@@ -261,9 +261,12 @@ impl Farm {
 
     /// A holder whose lease has run out turns out to be alive: its attempt is given back, once, and not for ever.
     fn hear_late(&mut self, token: &str, now_ms: i64) {
-        if let Some(lease) = self.leases.get_mut(token) {
-            lease.is_late |=
-                lease.was_heard && lease.expires_ms <= now_ms && lease.expires_ms < lease.deadline_ms;
+        if let Some(lease) = self.leases.get_mut(token)
+            && lease.state == LeaseState::Held
+            && lease.expires_ms <= now_ms
+            && lease.expires_ms < lease.deadline_ms
+        {
+            lease.state = LeaseState::Late;
         }
         let Some(expired) = self.expired.remove(token) else { return };
         if let Some(task) = self.tasks.get_mut(&expired.key)
@@ -455,9 +458,9 @@ impl Farm {
                 self.event(bake, now_ms, expired);
             }
             let Some(task) = self.tasks.get_mut(&key) else { continue };
-            let is_pardoned = lease.is_late && task.pardons < MAX_PARDONS;
+            let is_pardoned = lease.state == LeaseState::Late && task.pardons < MAX_PARDONS;
             task.pardons += u32::from(is_pardoned);
-            if !lease.was_heard || is_pardoned {
+            if lease.state == LeaseState::Granted || is_pardoned {
                 continue;
             }
             if !took_too_long {

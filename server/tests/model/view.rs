@@ -1,4 +1,4 @@
-//! What callers see of the model: everything is counted afresh.
+//! Views of the model for callers: everything is counted afresh.
 
 use std::collections::BTreeMap;
 
@@ -7,8 +7,8 @@ use lightkiln_proto::ids::TaskKey;
 
 use super::entries::{BakeEntry, Stage};
 use super::farm::Farm;
-use crate::store::rules::WORKER_LISTED_MS;
-use crate::store::{Demand, Stats, StoreError, TaskCount, TaskState};
+use lightkiln_server::store::rules::WORKER_LISTED_MS;
+use lightkiln_server::store::{Demand, Stats, StoreError, TaskCount, TaskState};
 
 impl Farm {
     pub(super) fn view(&self, index: usize) -> Bake {
