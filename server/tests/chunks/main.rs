@@ -269,7 +269,8 @@ async fn scene_is_put_together_from_parts_that_are_cleared_away_later(kind: Kind
     let storage = Storage::new(store.clone(), chunks.clone(), None);
     let (_closing, closing) = tokio::sync::watch::channel(false);
     let wakeup = Arc::new(LocalWakeup::default());
-    let farm = Arc::new(Farm::new(store, storage, wakeup, parts::kind::kinds(), Duration::from_secs(1), closing));
+    let farm =
+        Arc::new(Farm::new(store, storage, wakeup, parts::kind::kinds(), Duration::from_secs(1), closing));
     // Enough for several pieces as the store writes them.
     let pieces: Vec<Bytes> = (0..6).map(|i| Bytes::from(vec![i as u8; 3 << 20])).collect();
     let scene = Digest::of(&pieces.concat());

@@ -1,11 +1,11 @@
 //! Bakes scenes inside the test process, and holds them against the path tracer.
 
-mod gather;
+mod decoded;
 mod held;
 mod local_bake;
 mod relit;
 
-pub use gather::gathered;
+pub use decoded::{Decoded, clusters};
 pub use held::{Compared, Held, Lit};
-pub use local_bake::{LocalBake, bake};
-pub use relit::{Lighting, RelitReceiver, relit};
+pub use local_bake::{LocalBake, Recipe, bake, bake_in_world};
+pub use relit::{Lighting, RelitReceiver, Rgb, relit};

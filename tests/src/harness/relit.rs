@@ -1,36 +1,28 @@
-//! Relights a bake with the normative CPU reconstruction until bounces have converged.
-
-use std::collections::BTreeMap;
+//! Relights a bake by the run time's own passes until bounces have converged, with E_dir in closed form.
 
 use anyhow::Result;
-use glam::Vec3;
-use lightkiln_proto::prt::reconstruct::Rgb;
-use lightkiln_proto::prt::{BlockKey, Texel};
-use lightkiln_worker::evaluate::{Baked, EvaluationError, Incoming, Settled, names};
-use lightkiln_worker::reference::Site;
+use glam::{DVec3, Vec3};
+use lightkiln_proto::scene::{LightKind, SceneLight};
+use lightkiln_worker::geometry::Site;
+use lightkiln_worker::reference;
 
-use super::LocalBake;
+use super::{Decoded, LocalBake, clusters};
+
+/// Linear colour.
+pub type Rgb = [f32; 3];
 
 /// A receiver and its light.
 #[derive(Clone, Debug)]
 pub struct RelitReceiver {
-    /// Block's name in the manifest: instance path, part and side.
-    pub block: String,
-    /// Texel in the block.
-    pub texel: Texel,
     /// Position in metres.
     pub position_m: Vec3,
     /// Unit normal.
     pub normal: Vec3,
-    /// Albedo.
-    pub albedo: Rgb,
     /// Irradiance that did not come straight from a dynamic light, W·m⁻².
     pub indirect: Rgb,
-    /// The part of `indirect` that came straight from emissive surfaces, W·m⁻².
-    pub emitted: Rgb,
 }
 
-/// What shines on the scene besides its emissive surfaces.
+/// Light on the scene besides its emissive surfaces.
 pub struct Lighting<'a> {
     /// E_dir of dynamic lights at a point with a normal, W·m⁻².
     pub direct: &'a (dyn Fn(Vec3, Vec3) -> Rgb + Sync),
@@ -45,44 +37,23 @@ impl Lighting<'_> {
 
 /// Light at every receiver of a bake, in the order of clusters.
 pub fn relit(bake: &LocalBake, lighting: &Lighting) -> Result<Vec<RelitReceiver>> {
-    let baked = Baked::decode(&bake.manifest, |digest| {
-        let found = bake.artefacts.get(&digest).map(|bytes| bytes.as_ref().clone());
-        found.ok_or_else(|| EvaluationError::Missing { digest, source: "no task gave it".into() })
-    })?;
-    let direct = baked.direct(|at| -> Result<_> {
-        let site = at.site(|(c, r)| {
-            let receivers = &baked.clusters[c].receivers;
-            let normal = Vec3::from_array(receivers.normal[r]);
-            Site { position_m: Vec3::from_array(receivers.position_m[r]), normal, face_normal: normal }
-        });
-        Ok((lighting.direct)(site.position_m, site.normal))
-    })?;
-    let incoming = Incoming { direct, sky: lighting.sky, emitter_scale: 1.0 };
-    let settled = baked.settle(&incoming);
-    Ok(receivers(bake, &baked, &settled))
-}
-
-fn receivers(bake: &LocalBake, baked: &Baked, settled: &Settled) -> Vec<RelitReceiver> {
-    let block_names: BTreeMap<BlockKey, &str> =
-        bake.manifest.blocks.iter().map(|block| (block.key, block.name.as_str())).collect();
-    let mut all = Vec::new();
-    for (cluster, light) in baked.clusters.iter().zip(&settled.indirect) {
-        let receivers = &cluster.receivers;
-        for (r, ((block, texel), indirect)) in names(cluster).zip(light).enumerate() {
-            let mut emitted = [0.0; 3];
-            for emitter in &cluster.emitters {
-                emitted = [0, 1, 2].map(|c| emitted[c] + emitter.irradiance[r][c]);
-            }
-            all.push(RelitReceiver {
-                block: block_names.get(&block).copied().unwrap_or_default().to_owned(),
-                texel,
-                position_m: Vec3::from_array(receivers.position_m[r]),
-                normal: Vec3::from_array(receivers.normal[r]),
-                albedo: receivers.albedo[r],
-                indirect: *indirect,
-                emitted,
-            });
-        }
-    }
-    all
+    let decoded = Decoded::new(bake)?;
+    let [zenith, horizon] = lighting.sky;
+    let kind = LightKind::Sky { zenith, horizon };
+    let sky = SceneLight { name: "sky".into(), kind, strength: [1.0; 3] };
+    let under =
+        reference::Lighting { lights: vec![sky], emitter_scale: 1.0, ..reference::Lighting::default() };
+    let site = |slot: u32| {
+        let [position_m, normal, _] = decoded.receiver(slot);
+        Site { position_m, normal, face_normal: normal }
+    };
+    let direct = |site: &Site| DVec3::from((lighting.direct)(site.position_m, site.normal).map(f64::from));
+    let light = decoded.lit(&under, site, direct);
+    let count: usize = clusters(bake)?.iter().map(|cluster| cluster.receivers.len()).sum();
+    let receiver = |slot: u32| {
+        let [position_m, normal, _] = decoded.receiver(slot);
+        let indirect = light.settled.indirect(slot).truncate().to_array();
+        RelitReceiver { position_m, normal, indirect }
+    };
+    Ok((0..count as u32).map(receiver).collect())
 }

@@ -3,10 +3,10 @@
 use super::{Axis, Study};
 
 /// Spherical harmonics, as the thesis has them: its clusters are larger than those that suit patches.
-const SH: &[&str] = &["basis=sh", "cluster_receivers=1024"];
+const SH: &[&str] = &["kind=sh", "cluster_receivers=1024"];
 /// The same with the probes that a receiver had when most studies were run.
-const SH_OF_TEN: &[&str] = &["basis=sh", "cluster_receivers=1024", "n_overlaps=10"];
-const BASES: &[(&str, &[&str])] = &[("patches", &["basis=patches"]), ("sh", SH_OF_TEN)];
+const SH_OF_TEN: &[&str] = &["kind=sh", "cluster_receivers=1024", "n_overlaps=10"];
+const BASES: &[(&str, &[&str])] = &[("patches", &["kind=prt"]), ("sh", SH_OF_TEN)];
 const ONE: &[(&str, &[&str])] = &[("", &[])];
 const ROOMS: &[&str] = &["cornell", "u_corridor"];
 

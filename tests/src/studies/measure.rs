@@ -64,9 +64,12 @@ impl Kiln {
         }
         let mut bake = Command::new(&self.program);
         bake.arg("bake").arg(&scene).arg("--out").arg(&bundle).arg("--state").arg(&state).arg("--json");
-        settings.iter().for_each(|setting| {
-            bake.args(["--set", setting]);
-        });
+        for setting in settings {
+            match setting.strip_prefix("kind=") {
+                Some(kind) => bake.args(["--kind", kind]),
+                None => bake.args(["--set", setting]),
+            };
+        }
         let mut evaluate = Command::new(&self.program);
         evaluate.arg("evaluate").arg(&bundle).arg("--scene").arg(&scene).args(EVALUATION);
         Ok((last_json(bake)?, last_json(evaluate)?))

@@ -10,7 +10,7 @@ pub use list::STUDIES;
 pub use measure::{Kiln, Measured};
 pub use report::write;
 
-/// `KEY=VALUE` as `kiln bake --set` takes it.
+/// `KEY=VALUE` as `kiln bake --set` takes it; `kind=NAME` names the kind of bake.
 pub type Setting = &'static str;
 
 /// What a plot's horizontal axis shows.

@@ -3,10 +3,10 @@
 use glam::Vec3;
 use lightkiln_tests::harness::{Held, Lit};
 use lightkiln_tests::scenes::{self, BAR_M, BOARD_M, CHEST_M, DUCT_M};
-use lightkiln_worker::prt::stage::Receiver;
+use lightkiln_worker::lightmap::Receiver;
 use lightkiln_worker::reference::luminance;
 
-use super::setup::{in_both_bases, lamp_at, with_texels};
+use super::setup::{in_both_kinds, lamp_at, with_texels};
 
 const TEXEL_M: f32 = 0.0625;
 
@@ -28,15 +28,13 @@ fn is_under_board(receiver: &Receiver) -> bool {
     is_inside(gap, receiver)
 }
 
-in_both_bases!(cavities_get_no_receivers_and_what_is_seen_keeps_its_own);
+in_both_kinds!(cavities_get_no_receivers_and_what_is_seen_keeps_its_own);
 
-fn cavities_get_no_receivers_and_what_is_seen_keeps_its_own(basis: &str) {
+fn cavities_get_no_receivers_and_what_is_seen_keeps_its_own(kind: &'static str) {
     let with_cavities = |cavity_m: f32| {
-        let mut settings = with_texels(basis, TEXEL_M, 256);
-        settings["cavity_m"] = cavity_m.into();
         // A draft's truncation alone changes the light under the board by 4 % when other receivers are gone.
-        settings["rank_error"] = 0.002.into();
-        Held::new(scenes::hollow_furniture(), &settings).unwrap()
+        let recipe = with_texels(kind, TEXEL_M, 256).with("cavity_m", cavity_m).with("rank_error", 0.002);
+        Held::new(scenes::hollow_furniture(), &recipe).unwrap()
     };
     let (without, with) = (with_cavities(0.3), with_cavities(0.0));
     let count = |held: &Held, which: Which| held.receivers(which).len();
@@ -70,7 +68,7 @@ fn cavities_get_no_receivers_and_what_is_seen_keeps_its_own(basis: &str) {
     ];
     for (what, seen, tolerance) in groups {
         let ratio = light(&without, &lit_without, seen) / light(&with, &lit_with, seen);
-        println!("{basis}, {what}: {ratio} of the light with cavities");
-        assert!((ratio - 1.0).abs() < tolerance, "{basis}, {what}: {ratio} of the light with cavities");
+        println!("{kind}, {what}: {ratio} of the light with cavities");
+        assert!((ratio - 1.0).abs() < tolerance, "{kind}, {what}: {ratio} of the light with cavities");
     }
 }

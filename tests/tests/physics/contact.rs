@@ -4,13 +4,13 @@ use glam::Vec3;
 use lightkiln_proto::scene::{LightKind, SceneLight};
 use lightkiln_tests::harness::{Held, Lit};
 use lightkiln_tests::scenes::{self, BOX_HALF_M, COLUMN_HALF_M, PLATE_TOP_M, outside_m};
-use lightkiln_worker::prt::stage::Receiver;
+use lightkiln_worker::lightmap::Receiver;
 
 use super::setup::{
-    assert_same_energy, careful, in_both_bases, lamp_at, only, rel_rmse, spread, with_texels,
+    assert_same_energy, careful, in_both_kinds, lamp_at, only, rel_rmse, spread, with_texels,
 };
 
-in_both_bases!(
+in_both_kinds!(
     box_standing_on_a_floor_has_no_aura,
     box_sunk_through_a_floor_has_no_aura,
     column_casts_no_dark_leak_around_its_foot,
@@ -31,35 +31,35 @@ fn daylight() -> lightkiln_worker::reference::Lighting {
     lighting
 }
 
-fn box_standing_on_a_floor_has_no_aura(basis: &str) {
-    assert_box_has_no_aura(basis, 0.0);
+fn box_standing_on_a_floor_has_no_aura(kind: &'static str) {
+    assert_box_has_no_aura(kind, 0.0);
 }
 
-fn box_sunk_through_a_floor_has_no_aura(basis: &str) {
-    assert_box_has_no_aura(basis, -0.45);
+fn box_sunk_through_a_floor_has_no_aura(kind: &'static str) {
+    assert_box_has_no_aura(kind, -0.45);
 }
 
-fn assert_box_has_no_aura(basis: &str, bottom_m: f32) {
-    let held = Held::new(scenes::box_on_floor(bottom_m), &with_texels(basis, TEXEL_M, 256)).unwrap();
+fn assert_box_has_no_aura(kind: &'static str, bottom_m: f32) {
+    let held = Held::new(scenes::box_on_floor(bottom_m), &with_texels(kind, TEXEL_M, 256)).unwrap();
     let lit = held.under(&daylight()).unwrap();
-    let tolerance = if basis == "patches" { NEAR } else { BLURRED };
+    let tolerance = if kind == "prt" { NEAR } else { BLURRED };
     let outside = |receiver: &Receiver| outside_m(receiver.position_m, BOX_HALF_M);
     for (from_m, to_m) in [(0.0, 0.1), (0.1, 0.25), (0.25, 0.6)] {
         let ring = held.receivers(|r| is_floor(r) && (from_m..to_m).contains(&outside(r)));
         assert_is_as_the_reference(
             &lit,
-            &format!("{basis}: floor {from_m}..{to_m} m from the box"),
+            &format!("{kind}: floor {from_m}..{to_m} m from the box"),
             &ring,
             tolerance,
         );
     }
     let foot = held.receivers(|r| r.normal.y.abs() < 0.1 && (0.0..0.2).contains(&r.position_m.y));
-    assert_is_as_the_reference(&lit, &format!("{basis}: foot of the box"), &foot, tolerance);
+    assert_is_as_the_reference(&lit, &format!("{kind}: foot of the box"), &foot, tolerance);
 
     // As it is now, the floor has no receivers there at all: they stand among backs of faces.
     for receiver in held.receivers(|r| is_floor(r) && outside(r) < -TEXEL_M) {
         let found = lit.baked(receiver);
-        let position_m = held.world.stage.receivers[receiver as usize].position_m;
+        let position_m = held.world.lightmap.receivers[receiver as usize].position_m;
         assert_eq!(found.max_element(), 0.0, "light under the box at {position_m}");
     }
 }
@@ -84,7 +84,7 @@ fn assert_is_as_the_reference(lit: &Lit, what: &str, receivers: &[u32], [energy,
 fn texels_of_which_a_strip_is_seen_have_its_light() {
     const SEEN_M: f32 = 0.1 * TEXEL_M;
     let half_m = 5.0 * TEXEL_M - SEEN_M;
-    let held = Held::new(scenes::slab_on_floor(half_m), &with_texels("patches", TEXEL_M, 256)).unwrap();
+    let held = Held::new(scenes::slab_on_floor(half_m), &with_texels("prt", TEXEL_M, 256)).unwrap();
     let outside = |r: &Receiver| r.position_m.x.abs().max(r.position_m.z.abs()) - half_m;
     let strip = held.receivers(|r| is_floor(r) && (0.0..SEEN_M).contains(&outside(r)));
     assert_eq!(strip.len(), 10 * 10 - 8 * 8, "texels with a point in the strip");
@@ -98,11 +98,11 @@ fn rim_beside_a_hollow_pier_has_the_light_outside_of_it() {
     const RIM_M: f32 = 0.1 * TEXEL_M;
     let pier_half_m = 5.0 * TEXEL_M;
     let scene = scenes::hollow_pier_on_plate(pier_half_m + RIM_M, pier_half_m);
-    let held = Held::new(scene, &with_texels("patches", TEXEL_M, 256)).unwrap();
+    let held = Held::new(scene, &with_texels("prt", TEXEL_M, 256)).unwrap();
     let is_top = |r: &Receiver| r.normal.y > 0.9 && (r.position_m.y - PLATE_TOP_M).abs() < 0.01;
     let outside = |r: &Receiver| r.position_m.x.abs().max(r.position_m.z.abs()) - pier_half_m;
     let far_from_the_pier = scenes::hollow_pier_on_plate(pier_half_m + RIM_M, 2.0 * TEXEL_M);
-    let free = Held::new(far_from_the_pier, &with_texels("patches", TEXEL_M, 16)).unwrap();
+    let free = Held::new(far_from_the_pier, &with_texels("prt", TEXEL_M, 16)).unwrap();
     let apart = free.receivers(|r| is_top(r) && outside(r) > 0.0);
     assert!(apart.is_empty(), "no wall parts these from their neighbours: {apart:?}");
     let rim = held.receivers(|r| is_top(r) && outside(r) > 0.0);
@@ -114,19 +114,19 @@ fn rim_beside_a_hollow_pier_has_the_light_outside_of_it() {
     assert!(hollow.iter().all(|&receiver| lit.baked(receiver).max_element() == 0.0), "light in the pier");
 }
 
-fn column_casts_no_dark_leak_around_its_foot(basis: &str) {
-    let held = Held::new(scenes::column(), &careful(basis, TEXEL_M)).unwrap();
+fn column_casts_no_dark_leak_around_its_foot(kind: &'static str) {
+    let held = Held::new(scenes::column(), &careful(kind, TEXEL_M)).unwrap();
     let lit = held.under(&lamp_at(Vec3::new(1.6, 2.0, 1.1))).unwrap();
     let outside = |receiver: &Receiver| outside_m(receiver.position_m, COLUMN_HALF_M);
     for (from_m, to_m) in [(0.0, 0.12), (0.12, 0.3)] {
         let ring = held.receivers(|r| is_floor(r) && (from_m..to_m).contains(&outside(r)));
         assert_is_as_the_reference(
             &lit,
-            &format!("{basis}: floor {from_m}..{to_m} m from the column"),
+            &format!("{kind}: floor {from_m}..{to_m} m from the column"),
             &ring,
             NEAR,
         );
     }
     let foot = held.receivers(|r| outside(r).abs() < 0.02 && (0.0..0.5).contains(&r.position_m.y));
-    assert_is_as_the_reference(&lit, &format!("{basis}: foot of the column"), &foot, NEAR);
+    assert_is_as_the_reference(&lit, &format!("{kind}: foot of the column"), &foot, NEAR);
 }

@@ -3,24 +3,24 @@
 use std::f32::consts::PI;
 
 use glam::Vec3;
-use lightkiln_proto::prt::reconstruct::{Rgb, cluster_basis};
+use lightkiln_proto::content::ClusterTransport;
+use lightkiln_proto::kinds::sh;
 use lightkiln_proto::scene::LightKind;
 use lightkiln_proto::sh::{ShBasis, band_of};
-use lightkiln_tests::harness::{Held, Lighting, bake, relit};
+use lightkiln_tests::harness::{Held, Lighting, bake, clusters, relit};
 use lightkiln_tests::scenes;
 use lightkiln_worker::rays::sampling::{R2, cosine_hemisphere, tangent_frame};
-use serde_json::json;
 
-use super::setup::{in_both_bases, luminance, mean, only, small, with_texels};
+use super::setup::{in_both_kinds, luminance, mean, only, small, with_texels};
 
-in_both_bases!(
+in_both_kinds!(
     white_furnace_converges_to_emission_over_one_minus_albedo,
     floor_under_a_gradient_sky_has_the_irradiance_of_the_closed_form,
 );
 
-fn white_furnace_converges_to_emission_over_one_minus_albedo(basis: &str) {
+fn white_furnace_converges_to_emission_over_one_minus_albedo(kind: &'static str) {
     for albedo in [0.2, 0.5, 0.8] {
-        let bake = bake(scenes::furnace(albedo, 1.0, 4.0), &small(basis, 1500)).unwrap();
+        let bake = bake(scenes::furnace(albedo, 1.0, 4.0), &small(kind, 1500)).unwrap();
         let receivers = relit(&bake, &Lighting::NONE).unwrap();
         assert!(receivers.len() > 500);
         // L = e + ρ/π·E = e/(1 − ρ), hence E = π·e/(1 − ρ).
@@ -28,7 +28,7 @@ fn white_furnace_converges_to_emission_over_one_minus_albedo(basis: &str) {
         let all: Vec<_> = receivers.iter().collect();
         let found = mean(&all);
         let worst = all.iter().map(|r| (luminance(r.indirect) / wanted - 1.0).abs()).fold(0.0, f32::max);
-        println!("{basis}, albedo {albedo}: mean {:.4} of what is wanted, worst {worst:.4}", found / wanted);
+        println!("{kind}, albedo {albedo}: mean {:.4} of what is wanted, worst {worst:.4}", found / wanted);
         assert!((found / wanted - 1.0).abs() < 0.01, "albedo {albedo}: mean {found}, wanted {wanted}");
         assert!(worst < 0.06, "albedo {albedo}: a receiver is off by {worst}");
     }
@@ -36,13 +36,13 @@ fn white_furnace_converges_to_emission_over_one_minus_albedo(basis: &str) {
 
 /// How far the irradiance of a gradient sky may be off. With patches, 64 parts of the sky stand for it, each by the colour
 /// at its middle: −1.4 % at the zenith's colour, +3.2 % at the horizon's were measured; −0.3 % and +0.9 % with sh.
-fn sky_tolerance(basis: &str) -> f64 {
-    if basis == "patches" { 0.04 } else { 0.015 }
+fn sky_tolerance(kind: &'static str) -> f64 {
+    if kind == "prt" { 0.04 } else { 0.015 }
 }
 
 /// `E = ∫_H (h + (z − h) cosθ) cosθ dω = π h + ⅔ π (z − h)` for L(ω) from h at the horizon to z at the zenith.
-fn floor_under_a_gradient_sky_has_the_irradiance_of_the_closed_form(basis: &str) {
-    let held = Held::new(scenes::lone_floor(2.0), &with_texels(basis, 0.25, 256)).unwrap();
+fn floor_under_a_gradient_sky_has_the_irradiance_of_the_closed_form(kind: &'static str) {
+    let held = Held::new(scenes::lone_floor(2.0), &with_texels(kind, 0.25, 256)).unwrap();
     let (zenith, horizon) = ([2.0, 0.0, 1.0], [0.0, 1.0, 1.0]);
     let lit = held.under(&only(LightKind::Sky { zenith, horizon }, 1.0)).unwrap();
     let receivers = held.receivers(|_| true);
@@ -51,9 +51,9 @@ fn floor_under_a_gradient_sky_has_the_irradiance_of_the_closed_form(basis: &str)
         let (z, h) = (f64::from(zenith[channel]), f64::from(horizon[channel]));
         let wanted = std::f64::consts::PI * (h + 2.0 / 3.0 * (z - h));
         let found = receivers.iter().map(|&r| lit.baked(r)[channel]).sum::<f64>() / receivers.len() as f64;
-        println!("{basis}: {found:.4}, wanted {wanted:.4}");
+        println!("{kind}: {found:.4}, wanted {wanted:.4}");
         assert!(
-            (found / wanted - 1.0).abs() < sky_tolerance(basis),
+            (found / wanted - 1.0).abs() < sky_tolerance(kind),
             "channel {channel}: {found}, wanted {wanted}"
         );
     }
@@ -63,27 +63,26 @@ fn floor_under_a_gradient_sky_has_the_irradiance_of_the_closed_form(basis: &str)
 /// Legendre's polynomials.
 #[test]
 fn every_band_of_the_sky_reaches_receivers_in_its_strength() {
-    let mut exact = with_texels("sh", 0.25, 256);
     // Truncation takes from the high bands first.
-    exact["rank_error"] = json!(0.002);
-    exact["rank_max"] = json!(64);
+    let exact = with_texels(sh::NAME, 0.25, 256).with("rank_error", 0.002).with("rank_max", 64);
     let held = Held::new(scenes::box_on_floor(0.0), &exact).unwrap();
-    let settings = &held.bake.manifest.settings;
+    let settings = held.bake.manifest.settings::<sh::Settings>().unwrap().probes;
+    let clusters = clusters(&held.bake).unwrap();
     let axis = Vec3::new(0.5, 0.6, 0.3).normalize();
     let sh = ShBasis::new(settings.bands as usize);
     let mut y = vec![0.0; sh.coefficients()];
     sh.evaluate(axis, &mut y);
     assert!(settings.bands >= 5);
     for band in 0..=settings.bands as usize {
-        let of = |j: usize| if band_of(j) == band { [y[j]; 3] } else { [0.0; 3] };
-        let lambda: Vec<Rgb> = (0..y.len()).map(of).collect();
+        let of = |j: usize| if band_of(j) == band { y[j] } else { 0.0 };
+        let of_sky: Vec<f32> = (0..y.len()).map(of).collect();
         let window = f64::from(sh.window(band, settings.window_strength));
         let (mut product, mut square, mut error) = (0.0, 0.0, 0.0);
-        for cluster in &held.baked.clusters {
-            let basis = cluster_basis(cluster, |_| None, &lambda);
+        for cluster in &clusters {
+            let basis = basis_of_sky(cluster, &of_sky);
             let receivers = &cluster.receivers;
             for (r, row) in cluster.u.chunks_exact(cluster.rank as usize).enumerate().step_by(7) {
-                let found: f64 = row.iter().zip(&basis).map(|(u, b)| f64::from(u * b[0])).sum();
+                let found: f64 = row.iter().zip(&basis).map(|(u, b)| f64::from(u * b)).sum();
                 let [position_m, normal] = [receivers.position_m[r], receivers.normal[r]].map(Vec3::from);
                 let wanted = window * seen_of_band(&held, band, axis, position_m, normal);
                 product += found * wanted;
@@ -95,6 +94,17 @@ fn every_band_of_the_sky_reaches_receivers_in_its_strength() {
         println!("band {band}: slope {slope:.3}, rel. error {error:.3}");
         assert!((slope - 1.0).abs() < 0.1, "band {band} comes in at {slope} of its strength");
     }
+}
+
+/// `(ΣVᵀ) λ` of a cluster under a sky of one coefficient for each column, nothing else shining.
+fn basis_of_sky(cluster: &ClusterTransport, of_sky: &[f32]) -> Vec<f32> {
+    assert!(cluster.sky, "the cluster has no columns of the sky");
+    let columns = cluster.columns();
+    let row = |values: &[f32]| {
+        let sky = &values[columns - of_sky.len()..];
+        sky.iter().zip(of_sky).map(|(vt, lambda)| vt * lambda).sum()
+    };
+    cluster.vt.chunks_exact(columns).map(row).collect()
 }
 
 /// `∫_H V(ω) (2l+1)/4π P_l(ω·a) cosθ dω`.

@@ -6,9 +6,9 @@ use lightkiln_tests::scenes;
 use lightkiln_worker::rays::Tracer;
 use lightkiln_worker::reference::luminance;
 
-use super::setup::{assert_same_energy, careful, in_both_bases, lamp_at, mean, small, spread, tracer};
+use super::setup::{assert_same_energy, careful, in_both_kinds, lamp_at, mean, small, spread, tracer};
 
-in_both_bases!(
+in_both_kinds!(
     sealed_box_in_full_sun_and_sky_is_exactly_dark_inside,
     dark_room_behind_a_wall_of_two_centimetres_stays_dark,
     dark_room_stays_dark_where_the_wall_cuts_texels_in_two,
@@ -16,9 +16,9 @@ in_both_bases!(
     lamp_in_a_closet_lights_the_room_through_the_gap_of_the_door_alone,
 );
 
-fn sealed_box_in_full_sun_and_sky_is_exactly_dark_inside(basis: &str) {
+fn sealed_box_in_full_sun_and_sky_is_exactly_dark_inside(kind: &'static str) {
     let scene = scenes::sealed_box(0.1);
-    let bake = bake(scene.clone(), &small(basis, 3000)).unwrap();
+    let bake = bake(scene.clone(), &small(kind, 3000)).unwrap();
     let rays = tracer(&scene);
     let to_sun = Vec3::new(0.3, 0.8, 0.2).normalize();
     let direct = |position: Vec3, normal: Vec3| {
@@ -46,8 +46,8 @@ fn is_enclosed(rays: &Tracer, receiver: &RelitReceiver) -> bool {
 
 /// A point light in the left room of two; panics when the right one gets more than 1e-4 of what the left one has, both
 /// by receivers clear of the wall.
-fn assert_right_room_is_dark(basis: &str, scene: Vec<u8>, thickness_m: f32, wall_x_m: f32) {
-    let bake = bake(scene.clone(), &small(basis, 4000)).unwrap();
+fn assert_right_room_is_dark(kind: &'static str, scene: Vec<u8>, thickness_m: f32, wall_x_m: f32) {
+    let bake = bake(scene.clone(), &small(kind, 4000)).unwrap();
     let rays = tracer(&scene);
     let direct = |position: Vec3, normal: Vec3| {
         let lamp = Vec3::new(-2.0, 1.5, 0.3);
@@ -57,46 +57,46 @@ fn assert_right_room_is_dark(basis: &str, scene: Vec<u8>, thickness_m: f32, wall
         [if hidden { 0.0 } else { 50.0 * cosine / to_lamp.length_squared() }; 3]
     };
     let receivers = relit(&bake, &Lighting { direct: &direct, sky: [[0.0; 3]; 2] }).unwrap();
-    let clear = thickness_m * 0.5 + bake.manifest.texel_m;
+    let clear = thickness_m * 0.5 + bake.manifest.lightmap.texel_m;
     let left: Vec<_> = receivers.iter().filter(|r| r.position_m.x < wall_x_m - clear).collect();
     let right: Vec<_> = receivers.iter().filter(|r| r.position_m.x > wall_x_m + clear).collect();
     assert!(left.len() > 300 && right.len() > 300);
     let (lit, dark) = (mean(&left), mean(&right));
-    println!("{basis}, wall at {wall_x_m}: {dark} against {lit}");
+    println!("{kind}, wall at {wall_x_m}: {dark} against {lit}");
     assert!(lit > 0.1, "the lit room is dark: the test shows nothing");
     assert!(dark <= 1e-4 * lit, "wall at {wall_x_m}: {dark} against {lit}");
 }
 
-fn dark_room_behind_a_wall_of_two_centimetres_stays_dark(basis: &str) {
-    assert_right_room_is_dark(basis, scenes::two_rooms(0.02), 0.02, 0.0);
+fn dark_room_behind_a_wall_of_two_centimetres_stays_dark(kind: &'static str) {
+    assert_right_room_is_dark(kind, scenes::two_rooms(0.02), 0.02, 0.0);
 }
 
-fn dark_room_stays_dark_where_the_wall_cuts_texels_in_two(basis: &str) {
+fn dark_room_stays_dark_where_the_wall_cuts_texels_in_two(kind: &'static str) {
     for wall_x_m in [0.07, -0.07, 0.03] {
         let scene = scenes::two_rooms_with_wall_at(0.02, wall_x_m);
-        assert_right_room_is_dark(basis, scene, 0.02, wall_x_m);
+        assert_right_room_is_dark(kind, scene, 0.02, wall_x_m);
     }
 }
 
-fn dark_room_behind_a_sheet_without_thickness_stays_dark(basis: &str) {
-    assert_right_room_is_dark(basis, scenes::two_rooms(0.0), 0.0, 0.0);
+fn dark_room_behind_a_sheet_without_thickness_stays_dark(kind: &'static str) {
+    assert_right_room_is_dark(kind, scenes::two_rooms(0.0), 0.0, 0.0);
 }
 
 /// Parts of the sky are all that the rooms have in common. Probes above both would see into either, hence patches alone.
 #[test]
 fn dark_room_stays_dark_though_both_rooms_see_the_sky() {
-    assert_right_room_is_dark("patches", scenes::two_rooms_under_the_sky(0.02), 0.02, 0.0);
+    assert_right_room_is_dark("prt", scenes::two_rooms_under_the_sky(0.02), 0.02, 0.0);
 }
 
 /// How far the energy in the room may be from the reference. With sh, probes in front of the gap blur the lit strips that
 /// they see in it: 32 % too much in the room were measured, and 8 % with patches.
-fn room_tolerance(basis: &str) -> f64 {
-    if basis == "patches" { 0.08 } else { 0.36 }
+fn room_tolerance(kind: &'static str) -> f64 {
+    if kind == "prt" { 0.08 } else { 0.36 }
 }
 
-fn lamp_in_a_closet_lights_the_room_through_the_gap_of_the_door_alone(basis: &str) {
+fn lamp_in_a_closet_lights_the_room_through_the_gap_of_the_door_alone(kind: &'static str) {
     let lamp = lamp_at(Vec3::new(-0.7, 1.4, 0.1));
-    let settings = careful(basis, 0.125);
+    let settings = careful(kind, 0.125);
     let is_outside = |p: Vec3| p.x > 0.1;
     let is_inside = |p: Vec3| p.x < -0.1 && p.x > -1.19 && p.z.abs() < 0.79;
 
@@ -108,15 +108,15 @@ fn lamp_in_a_closet_lights_the_room_through_the_gap_of_the_door_alone(basis: &st
     };
     let inside = mean(&shut.receivers(|r| is_inside(r.position_m)));
     let outside = mean(&shut.receivers(|r| is_outside(r.position_m)));
-    println!("{basis}, shut: {outside} outside, {inside} inside");
+    println!("{kind}, shut: {outside} outside, {inside} inside");
     assert!(inside > 0.1, "the closet is dark: the test shows nothing");
     assert!(outside <= 1e-4 * inside, "the door is shut, and there is {outside} outside, {inside} inside");
 
     let ajar = Held::new(scenes::closet(0.2), &settings).unwrap();
     let lit = ajar.under(&lamp).unwrap();
     let inside = spread(&ajar.receivers(|r| is_inside(r.position_m)), 40);
-    assert_same_energy(&format!("{basis}: closet"), &lit.compared(&inside, 0.05).unwrap(), 0.05);
+    assert_same_energy(&format!("{kind}: closet"), &lit.compared(&inside, 0.05).unwrap(), 0.05);
     let outside = spread(&ajar.receivers(|r| is_outside(r.position_m)), 80);
     let outside = lit.compared(&outside, 0.05).unwrap();
-    assert_same_energy(&format!("{basis}: room"), &outside, room_tolerance(basis));
+    assert_same_energy(&format!("{kind}: room"), &outside, room_tolerance(kind));
 }

@@ -2,9 +2,9 @@
 
 use glam::Vec3;
 use lightkiln_proto::scene::LightKind;
-use lightkiln_tests::harness::{Compared, Held};
+use lightkiln_tests::harness::{Compared, Held, Recipe};
 use lightkiln_tests::scenes::{self, SLATS_M};
-use lightkiln_worker::prt::stage::Receiver;
+use lightkiln_worker::lightmap::Receiver;
 
 use super::setup::{only, spread};
 
@@ -32,7 +32,7 @@ fn light_between_slats_is_that_of_the_strips_that_the_sun_falls_on() {
     };
     let errors = [0, 32].map(|near_hits| {
         let settings = serde_json::json!({ "texel_m": TEXEL_M, "near_hits": near_hits });
-        let held = Held::new(scenes::shutter(), &settings).unwrap();
+        let held = Held::new(scenes::shutter(), &Recipe { kind: "prt", settings }).unwrap();
         let receivers = spread(&held.receivers(is_between), RECEIVERS);
         assert!(receivers.len() > RECEIVERS / 2);
         error(&held.under(&sun).unwrap().compared(&receivers, 0.03).unwrap())

@@ -5,9 +5,9 @@ use lightkiln_tests::harness::Held;
 use lightkiln_tests::scenes;
 use lightkiln_worker::reference::luminance;
 
-use super::setup::{assert_same_energy, in_both_bases, lamp_at, spread, with_texels};
+use super::setup::{assert_same_energy, in_both_kinds, lamp_at, spread, with_texels};
 
-in_both_bases!(tiles_of_one_plane_show_no_seam);
+in_both_kinds!(tiles_of_one_plane_show_no_seam);
 
 const TEXEL_M: f32 = 0.125;
 const TILES: u32 = 3;
@@ -22,17 +22,17 @@ fn from_joint_m(position_m: Vec3) -> f32 {
 
 /// Place and luminance of E_ind of a floor's receivers clear of the walls. Asserts that the floor is lit as in the reference,
 /// at joints and apart from them.
-fn floor(basis: &str, tiles: u32) -> Vec<(Vec3, f64)> {
-    let held = Held::new(scenes::tiled_floor(tiles), &with_texels(basis, TEXEL_M, 256)).unwrap();
+fn floor(kind: &'static str, tiles: u32) -> Vec<(Vec3, f64)> {
+    let held = Held::new(scenes::tiled_floor(tiles), &with_texels(kind, TEXEL_M, 256)).unwrap();
     let lit = held.under(&lamp_at(Vec3::new(-0.8, 1.6, 0.6))).unwrap();
     let clear = |p: Vec3| p.y.abs() < 0.01 && p.x.abs().max(p.z.abs()) < 1.7;
     let receivers = held.receivers(|r| r.normal.y > 0.9 && clear(r.position_m));
-    let position_m = |receiver: u32| held.world.stage.receivers[receiver as usize].position_m;
+    let position_m = |receiver: u32| held.world.lightmap.receivers[receiver as usize].position_m;
     let (at, apart): (Vec<u32>, Vec<u32>) =
         receivers.iter().partition(|&&receiver| from_joint_m(position_m(receiver)) < 0.5 * TEXEL_M);
     for (place, receivers) in [("at joints", at), ("apart from joints", apart)] {
         let pairs = lit.compared(&spread(&receivers, 60), 0.05).unwrap();
-        assert_same_energy(&format!("{basis}, {tiles} × {tiles} tiles, {place}"), &pairs, 0.03);
+        assert_same_energy(&format!("{kind}, {tiles} × {tiles} tiles, {place}"), &pairs, 0.03);
     }
     receivers.iter().map(|&receiver| (position_m(receiver), luminance(lit.baked(receiver)))).collect()
 }
@@ -43,8 +43,8 @@ fn figures(all: &[f64]) -> [f64; 3] {
     [all.iter().sum::<f64>() / count, (all.iter().map(|d| d * d).sum::<f64>() / count).sqrt(), count]
 }
 
-fn tiles_of_one_plane_show_no_seam(basis: &str) {
-    let (whole, tiled) = (floor(basis, 1), floor(basis, TILES));
+fn tiles_of_one_plane_show_no_seam(kind: &'static str) {
+    let (whole, tiled) = (floor(kind, 1), floor(kind, TILES));
     assert!(whole.len() > 400 && tiled.len() >= whole.len(), "{} and {}", whole.len(), tiled.len());
     let mean = whole.iter().map(|(_, light)| light).sum::<f64>() / whole.len() as f64;
     assert!(mean > 0.1, "the floor is dark: the test shows nothing");
@@ -59,7 +59,7 @@ fn tiles_of_one_plane_show_no_seam(basis: &str) {
     }
     let ([bias, step, count], [bias_apart, step_apart, _]) = (figures(&at), figures(&apart));
     println!(
-        "{basis}: at {count} joints {bias:.4} and rms {step:.4}, apart {bias_apart:.4} and {step_apart:.4}"
+        "{kind}: at {count} joints {bias:.4} and rms {step:.4}, apart {bias_apart:.4} and {step_apart:.4}"
     );
     assert!(count > 60.0);
     assert!((bias - bias_apart).abs() < 0.005, "joints are off by {bias}, the rest by {bias_apart}");

@@ -2,19 +2,19 @@
 
 use glam::Vec3;
 use lightkiln_proto::scene::{LightKind, SceneLight};
-use lightkiln_tests::harness::{Compared, RelitReceiver};
+use lightkiln_tests::harness::{Compared, Recipe, RelitReceiver};
 use lightkiln_worker::rays::Tracer;
 use lightkiln_worker::reference::Lighting;
 use lightkiln_worker::scene::{Bundle, Limits, import};
-use serde_json::{Value, json};
+use serde_json::json;
 
-/// Makes two tests of a function that takes a basis: `name::patches` and `name::sh`.
-macro_rules! in_both_bases {
+/// Makes two tests of a function that takes a kind of bake: `name::prt` and `name::sh`.
+macro_rules! in_both_kinds {
     ($($name:ident),+ $(,)?) => {
         $(mod $name {
             #[test]
-            fn patches() {
-                super::$name("patches");
+            fn prt() {
+                super::$name("prt");
             }
             #[test]
             fn sh() {
@@ -23,26 +23,30 @@ macro_rules! in_both_bases {
         })+
     };
 }
-pub(crate) use in_both_bases;
+pub(crate) use in_both_kinds;
 
 /// Settings for about so many receivers in a scene of few triangles.
-pub fn small(basis: &str, receivers: u32) -> Value {
-    json!({ "preset": "draft", "basis": basis, "receivers_target": receivers * 5, "transport_rays": 128 })
+pub fn small(kind: &'static str, receivers: u32) -> Recipe {
+    let settings = json!({ "preset": "draft", "receivers_target": receivers * 5, "transport_rays": 128 });
+    Recipe { kind, settings }
 }
 
 /// Settings with texels of a given size.
-pub fn with_texels(basis: &str, texel_m: f32, transport_rays: u32) -> Value {
-    json!({ "preset": "draft", "basis": basis, "texel_m": texel_m, "transport_rays": transport_rays })
+pub fn with_texels(kind: &'static str, texel_m: f32, transport_rays: u32) -> Recipe {
+    let settings = json!({ "preset": "draft", "texel_m": texel_m, "transport_rays": transport_rays });
+    Recipe { kind, settings }
 }
 
-/// Settings for places where small things count. With patches: twice the columns of a draft and a third of its error of
+/// Settings for places where small things count. Of patches: twice the columns of a draft and a third of its error of
 /// truncation, as a draft is too bright there by a tenth and more; 6 to 8 % of it are left with these.
-pub fn careful(basis: &str, texel_m: f32) -> Value {
-    match basis {
-        "patches" => json!({
-            "preset": "medium", "basis": basis, "texel_m": texel_m, "rank_error": 0.01, "emitter_rays": 32
-        }),
-        _ => with_texels(basis, texel_m, 128),
+pub fn careful(kind: &'static str, texel_m: f32) -> Recipe {
+    match kind {
+        "prt" => {
+            let settings =
+                json!({ "preset": "medium", "texel_m": texel_m, "rank_error": 0.01, "emitter_rays": 32 });
+            Recipe { kind, settings }
+        }
+        _ => with_texels(kind, texel_m, 128),
     }
 }
 

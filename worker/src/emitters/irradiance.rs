@@ -20,7 +20,7 @@ use crate::task::{Context, TaskError};
 
 /// Emissive triangles up to which each receiver weighs every one by the light it can get from it; beyond, all receivers
 /// choose by power alone.
-const WEIGHED_MAX: usize = 4096;
+const BY_REACH_MAX: usize = 4096;
 
 /// A triangle with its chance where nothing else is known: area × mean radiance.
 #[derive(Clone, Copy, Debug)]
@@ -65,7 +65,7 @@ impl EmitterSet {
             let power = of.area_m2 * of.mean_radiance.iter().sum::<f32>().max(floor);
             set.triangles.push(Weighted { of, power });
         }
-        if set.triangles.len() > WEIGHED_MAX {
+        if set.triangles.len() > BY_REACH_MAX {
             set.by_power = summed(set.triangles.iter().map(|triangle| triangle.power));
         }
         set

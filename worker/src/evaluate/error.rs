@@ -1,4 +1,4 @@
-//! What can go wrong in an evaluation.
+//! Errors of an evaluation.
 
 use lightkiln_proto::chunk::ChunkError;
 use lightkiln_proto::ids::Digest;
@@ -17,7 +17,7 @@ pub enum EvaluationError {
     Chunk {
         /// Which.
         digest: Digest,
-        /// What is wrong with it.
+        /// Its fault.
         #[source]
         source: ChunkError,
     },
@@ -69,7 +69,7 @@ pub enum EvaluationError {
     /// The file of lights cannot be read.
     #[error("the file of lights is wrong: {problem}")]
     LightFile {
-        /// What and where.
+        /// Fault and place.
         problem: String,
     },
     /// Nothing is left to be measured.

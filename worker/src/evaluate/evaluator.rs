@@ -18,12 +18,12 @@ use crate::vantage::Openness;
 /// insides of solids.
 const LIGHTLESS_SHARE: f64 = 1e-3;
 
-/// How much work to spend.
+/// Work to spend.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Options {
     /// Strata of area, with a place in each. More → surer figures, more time.
     pub receivers: u32,
-    /// How sure the reference must be.
+    /// Precision of the reference.
     pub precision: Precision,
     /// Parts of the bake that are made anew to tell its classes of error apart. More → surer, more time.
     pub cells: usize,

@@ -46,7 +46,7 @@ pub struct CellRows {
     pub rows: Vec<Row>,
 }
 
-/// How finely columns tell light apart.
+/// Fineness of columns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Detail {
     /// As the bake has it.

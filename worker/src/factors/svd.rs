@@ -73,7 +73,7 @@ const ROW_BLOCK: usize = 256;
 
 /// Factors of the smallest rank k ≤ `rank_max` with `Σ_{i>k} s² ≤ error² Σ s²`; of `rank_max` where none suffices.
 ///
-/// `seeds` holds one number per column, from the identity of what the column stands for.
+/// `seeds` holds one number per column, from the identity of its carrier of light.
 pub fn factorise(a: &Matrix, rank_max: usize, error: f32, seeds: &[u64]) -> Factors {
     let energy: f64 = a.values.iter().map(|value| f64::from(*value) * f64::from(*value)).sum();
     if energy == 0.0 {
@@ -115,7 +115,7 @@ fn range_of(a: &Matrix, width: usize, seeds: &[u64]) -> Vec<f32> {
     let mut left = times(a, &right, width);
     orthonormalise(&mut left, width);
     for _ in 0..ITERATIONS {
-        // Not made orthonormal in between, on its long side: what lies below σ₁·√ε is lost, far below any rank's error.
+        // Not made orthonormal in between, on its long side: directions below σ₁·√ε are lost, far below any rank's error.
         right = transpose_times(a, &left, width);
         left = times(a, &right, width);
         orthonormalise(&mut left, width);

@@ -29,7 +29,7 @@ pub fn alpha_test(
     if masks.masked.is_empty() { None } else { Some(Box::new(masks)) }
 }
 
-/// Alpha-masked triangles with what their test reads.
+/// Alpha-masked triangles with the textures that their test reads.
 struct Masks {
     /// Per triangle: index into `masked`, or none.
     index: Vec<u32>,

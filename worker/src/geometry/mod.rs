@@ -1,4 +1,4 @@
-//! The scene's triangles ready for rays, and what is known of a hit from the scene alone: its side, its material.
+//! The scene's triangles ready for rays, and the properties of a hit that need the scene alone: side, material, normal.
 
 pub mod lattice;
 mod masks;

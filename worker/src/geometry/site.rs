@@ -28,7 +28,7 @@ impl Site {
         f64::from(direction.dot(self.normal).max(0.0) + mirrored.dot(self.normal).max(0.0)) / PI
     }
 
-    /// What lamps in a direction count by: `max(0, n·ω)`, 0 below the face.
+    /// Cosine by which lamps in a direction count: `max(0, n·ω)`, 0 below the face.
     pub fn lamp_cosine(&self, direction: Vec3) -> f64 {
         if direction.dot(self.face_normal) > 0.0 {
             f64::from(direction.dot(self.normal).max(0.0))
@@ -46,7 +46,7 @@ impl Site {
         if above < 0.0 { direction - self.face_normal * (2.0 * above) } else { direction }
     }
 
-    /// Where rays from here start.
+    /// Start of rays from here.
     pub fn ray_origin_m(&self, offset_m: f32) -> Vec3 {
         self.position_m + self.face_normal * offset_m
     }

@@ -13,7 +13,7 @@ use obvhs::{Boundable, BvhBuildParams};
 
 use super::watertight::WatertightRay;
 
-/// What a ray meets first.
+/// First hit of a ray.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hit {
     /// Distance in units of the ray's direction.
@@ -84,7 +84,7 @@ impl Tracer {
         Self { bvh, corners, triangle, masked, alpha, ray_offset_m: reach * 7.6e-6 }
     }
 
-    /// How far ray origins are lifted off surfaces, in metres; grows with the coordinates.
+    /// Lift of ray origins off surfaces, in metres; grows with the coordinates.
     pub fn ray_offset_m(&self) -> f32 {
         self.ray_offset_m
     }

@@ -1,4 +1,4 @@
-//! The scene's emissive triangles, sampled by what a site can get from each.
+//! The scene's emissive triangles, sampled by the light that a site can get from each.
 
 use std::ops::Deref;
 
@@ -10,7 +10,7 @@ use crate::geometry::{Geometry, Site, weights_of};
 use crate::rays::sampling::uniform_triangle;
 
 /// Triangles up to which every site weighs each one by distance and facing; beyond, all choose by power alone.
-const WEIGHED_MAX: usize = 64;
+const BY_REACH_MAX: usize = 64;
 
 /// An emissive triangle and its power: area × luminance of the mean radiance.
 #[derive(Clone, Copy, Debug)]
@@ -41,7 +41,7 @@ pub(super) struct Emitters {
 /// Chances of the emitters as one site sees them.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Chances {
-    weighed: Option<([f64; WEIGHED_MAX], f64)>,
+    by_reach: Option<([f64; BY_REACH_MAX], f64)>,
 }
 
 /// A point taken on an emitter.
@@ -90,14 +90,14 @@ impl Emitters {
         self.scale
     }
 
-    /// What a site chooses by.
+    /// Chances by which a site chooses.
     pub fn chances(&self, site: &Site) -> Chances {
-        if self.emitters.len() > WEIGHED_MAX {
-            return Chances { weighed: None };
+        if self.emitters.len() > BY_REACH_MAX {
+            return Chances { by_reach: None };
         }
-        let mut weights = [0.0; WEIGHED_MAX];
+        let mut weights = [0.0; BY_REACH_MAX];
         weights.iter_mut().zip(&self.emitters).for_each(|(weight, emitter)| *weight = emitter.reach(site));
-        Chances { weighed: Some((weights, weights.iter().sum())) }
+        Chances { by_reach: Some((weights, weights.iter().sum())) }
     }
 
     /// A point on an emitter; `None` when none can reach the site, or the one chosen faces away.
@@ -132,7 +132,7 @@ impl Emitters {
     }
 
     fn choose(&self, chances: &Chances, pick: f64) -> Option<usize> {
-        let Some((weights, total)) = &chances.weighed else {
+        let Some((weights, total)) = &chances.by_reach else {
             return Some(self.by_power.partition_point(|sum| *sum <= pick).min(self.emitters.len() - 1));
         };
         let mut left = pick * total;
@@ -154,7 +154,7 @@ impl Emitters {
         if facing == 0.0 || (facing < 0.0 && !emitter.double_sided) {
             return None;
         }
-        let chance = match &chances.weighed {
+        let chance = match &chances.by_reach {
             Some((weights, total)) => weights[index] / total,
             None => self.by_power[index] - if index == 0 { 0.0 } else { self.by_power[index - 1] },
         };

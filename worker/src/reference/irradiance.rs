@@ -16,7 +16,7 @@ const BATCH: u32 = 16;
 /// Batches of the first round: enough for an error of the error of an eighth.
 const FIRST_BATCHES: u32 = 32;
 
-/// How sure estimates must be.
+/// Precision of estimates.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Precision {
     /// Standard error of the indirect part's luminance over the mean of all sites, or over the geometric mean of both where

@@ -1,4 +1,4 @@
-//! What shines on a scene, as a caller says it.
+//! Lights on a scene, as a caller says them.
 
 pub use lightkiln_proto::scene::PanelLight;
 use lightkiln_proto::scene::{LightKind, SceneLight};
@@ -21,7 +21,7 @@ pub struct Lighting {
 pub struct LightingError {
     /// The light's name.
     pub light: String,
-    /// What is wrong with it, and what would be right.
+    /// Fault and remedy.
     pub problem: String,
 }
 

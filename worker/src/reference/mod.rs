@@ -40,7 +40,7 @@ pub use tally::{Estimate, luminance};
 
 use lamps::Lamps;
 
-/// How emitters, panels and the sky are found.
+/// Technique by which emitters, panels and the sky are found.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Strategy {
     /// By both of the following, each weighted by the balance heuristic.

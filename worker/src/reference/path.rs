@@ -1,4 +1,4 @@
-//! Paths: what each vertex gets from lamps that it samples, and what its direction meets.
+//! Paths: light of each vertex from lamps that it samples, and from the surface that its direction hits.
 
 use std::f64::consts::PI;
 
@@ -42,10 +42,10 @@ pub(super) struct Gathered {
     pub rest: DVec3,
 }
 
-/// The surface that a ray met.
+/// The surface that a ray hit.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Met {
-    /// The side that was met.
+pub(super) struct HitSurface {
+    /// The side that was hit.
     pub site: Site,
     /// That side is lit; the back of a single-sided surface is not.
     pub lit: bool,
@@ -53,7 +53,7 @@ pub(super) struct Met {
     pub surface: SurfaceSample,
 }
 
-/// What a direction was chosen by: the site and its chances of emitters. `None` for an eye's rays, which no lamp sampling
+/// Origin of a direction's density: the site and its chances of emitters. `None` for an eye's rays, which no lamp sampling
 /// competes with.
 type From<'a> = Option<(&'a Site, &'a Chances)>;
 
@@ -63,7 +63,7 @@ impl Reference<'_> {
     }
 
     /// The surface at a hit.
-    pub(super) fn met(&self, hit: &Hit) -> Met {
+    pub(super) fn met(&self, hit: &Hit) -> HitSurface {
         let weights = weights_of(hit.barycentric).to_array();
         let local = self.geometry.triangles[hit.triangle as usize].triangle as usize;
         let side = if hit.front { 1.0 } else { -1.0 };
@@ -74,7 +74,11 @@ impl Reference<'_> {
             normal: if shading.dot(face_normal) > LEAN_MIN { shading } else { face_normal },
             face_normal,
         };
-        Met { site, lit: !self.geometry.is_back(hit), surface: self.surface(hit.triangle, hit.barycentric) }
+        HitSurface {
+            site,
+            lit: !self.geometry.is_back(hit),
+            surface: self.surface(hit.triangle, hit.barycentric),
+        }
     }
 
     fn surface(&self, triangle: u32, barycentric: [f32; 2]) -> SurfaceSample {
@@ -93,7 +97,7 @@ impl Reference<'_> {
             .fold(DVec3::ZERO, |sum, arrival| sum + arrival.irradiance)
     }
 
-    /// As [`Reference::by_punctual`], by one of the lights, chosen by what it would send unshadowed.
+    /// As [`Reference::by_punctual`], by one of the lights, chosen by its unshadowed irradiance.
     fn by_one_punctual(&self, site: &Site, pick: f32) -> DVec3 {
         if self.lamps.punctual.len() < 2 {
             return self.by_punctual(site);
@@ -204,24 +208,30 @@ impl Reference<'_> {
         let mut gathered = Gathered::default();
         let mut throughput = DVec3::ONE;
         for vertex in 0.. {
+            // Find the next surface, and the panels before it: they block nothing.
             let hit = self.geometry.tracer.closest(origin_m, direction, f32::INFINITY);
             let by = from.as_ref().map(|(site, chances)| (site, chances));
             let t_max = hit.map_or(f32::INFINITY, |hit| hit.t);
             let panels = throughput * self.panels_met(by, origin_m, direction, t_max);
+            // Panels seen directly are E_dir, bounced ones E_ind.
             if vertex == 0 {
                 gathered.panels += panels;
             } else {
                 gathered.rest += panels;
             }
+            // A ray that leaves the scene ends in the sky, weighted against the sky's own samples.
             let Some(hit) = hit else {
                 gathered.rest += throughput * self.sky_met(by, direction);
                 break;
             };
+            // The back of a single-sided surface returns no light.
             let met = self.met(&hit);
             if !met.lit {
                 break;
             }
+            // Add the surface's emission, weighted against sampling it from the vertex before.
             gathered.rest += throughput * self.emission_met(by, &hit, &met, direction);
+            // Reflect, and end long paths by chance in proportion to the energy that they still carry.
             throughput *= Vec3::from(met.surface.albedo).as_dvec3();
             if vertex >= ROULETTE_FROM {
                 let survival = throughput.max_element().min(SURVIVAL_MAX);
@@ -230,9 +240,11 @@ impl Reference<'_> {
                 }
                 throughput /= survival;
             }
+            // Sample the lamps from here (next-event estimation).
             let chances = self.lamps.emitters.chances(&met.site);
             let straight = self.by_lamps(&met.site, &chances, random);
             gathered.rest += throughput * straight / PI;
+            // Go on in a direction of density K/π, which cancels the cosine: the throughput stays the albedo's product.
             origin_m = met.site.ray_origin_m(self.offset_m());
             direction = met.site.direction([random.next_f32(), random.next_f32()]);
             from = Some((met.site, chances));
@@ -240,7 +252,7 @@ impl Reference<'_> {
         gathered
     }
 
-    /// What an eye sees straight along a ray (lamps, emission, sky), and the surface that it ends at.
+    /// Radiance straight along an eye's ray (lamps, emission, sky), and the surface that it ends at.
     pub(super) fn seen(&self, origin_m: Vec3, direction: Vec3) -> (DVec3, Option<EyeSurface>) {
         let hit = self.geometry.tracer.closest(origin_m, direction, f32::INFINITY);
         let t_max = hit.map_or(f32::INFINITY, |hit| hit.t);
@@ -274,7 +286,7 @@ impl Reference<'_> {
         sum
     }
 
-    fn emission_met(&self, from: From, hit: &Hit, met: &Met, direction: Vec3) -> DVec3 {
+    fn emission_met(&self, from: From, hit: &Hit, met: &HitSurface, direction: Vec3) -> DVec3 {
         if self.lamps.emitters.is_empty() || met.surface.emission == [0.0; 3] {
             return DVec3::ZERO;
         }

@@ -31,7 +31,7 @@ pub struct Film {
     pub radiance: Vec<[f32; 3]>,
 }
 
-/// What an eye's ray meets, for those who shade it by other means.
+/// Surface that an eye's ray hits, for those who shade it by other means.
 #[derive(Clone, Copy, Debug)]
 pub struct EyeSurface {
     /// The hit.

@@ -30,12 +30,12 @@ struct Cone {
     cos_outer: f32,
 }
 
-/// What arrives unshadowed, and where the light is.
+/// Irradiance that arrives unshadowed, and the place of the light.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Arrival {
     /// Irradiance in W·m⁻².
     pub irradiance: DVec3,
-    /// What must not be hidden.
+    /// Target that must not be hidden.
     pub target: Target,
 }
 

@@ -25,10 +25,10 @@ const MESSAGE_CHARS_MAX: usize = 4000;
 /// Most times that a result's outputs are uploaded before the attempt fails.
 const UPLOADS_MAX: u32 = 4;
 
-/// What became of a lease.
+/// Fate of a lease.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome {
-    /// A result was handed in, and this is what the server made of it.
+    /// A result was handed in, with the server's answer.
     HandedIn(CommitVerdict),
     /// The attempt failed and was reported.
     Failed(Blame),
@@ -101,7 +101,7 @@ impl Worker {
             let _span = step(|| tracing::info_span!(target: TARGET, "commit")).entered();
             match store.insist(|| self.farm.commit(&lease.token, &result)) {
                 Ok(verdict) => return Ok(verdict),
-                // A database that dies forgets the last moments; what was stored then has to be told again.
+                // A database that dies forgets the last moments; uploads of then have to be told again.
                 Err(error) if error.code() == Some(ProblemCode::NotStored) && uploads < UPLOADS_MAX => {
                     tracing::warn!(%error, "the server no longer knows of an output; uploading again");
                 }

@@ -11,10 +11,10 @@ use super::farm::Farm;
 /// Longer than any claim takes; a claim ends by its own timeout first.
 const PATIENCE: Duration = Duration::from_secs(600);
 
-/// How long a worker that is to stop still waits for an answer that may be on its way.
+/// Time for which a worker that is to stop still waits for an answer that may be on its way.
 const LAST_LOOK: Duration = Duration::from_millis(100);
 
-/// Where a claim under way stands.
+/// State of a claim under way.
 #[derive(Debug)]
 enum Handoff {
     /// The worker waits for it.

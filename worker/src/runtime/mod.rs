@@ -2,7 +2,7 @@
 //! threads; few tasks at a time, each with all threads inside it: one goes on while another talks to the server, or has
 //! a step that is not parallel.
 //!
-//! What holds whatever happens: a result is handed in only under a lease not known to be lost; a task whose lease ends
+//! Invariants, whatever happens: a result is handed in only under a lease not known to be lost; a task whose lease ends
 //! here without a result is failed, released, or runs out, so another worker gets it; the same task gives the same
 //! bytes, so doing one twice is a waste and never an error.
 
@@ -38,7 +38,7 @@ pub use lightkiln_http::{CallError, Level, ShutdownFlag};
 /// Pause after an answer without tasks, so that a server that does not hold claims open is not asked in a tight loop.
 const EMPTY_ANSWER_PAUSE: Duration = Duration::from_millis(20);
 
-/// What a worker is told at its start.
+/// Configuration of a worker.
 #[derive(Clone, Debug)]
 pub struct WorkerConfig {
     /// Base URL of the server.
@@ -67,7 +67,7 @@ pub struct WorkerConfig {
     pub lease_secs: u32,
     /// Seconds that the server may hold a claim open, 0..=60. More → fewer calls while there is no work.
     pub claim_wait_secs: u32,
-    /// How long a task may still take once draining began, before it is given back.
+    /// Time that a task may still take once draining began, before it is given back.
     pub drain_grace: Duration,
 }
 
@@ -114,7 +114,7 @@ pub enum WorkerError {
     /// The threads cannot be started.
     #[error("{threads} threads cannot be started; ask for fewer")]
     Threads {
-        /// How many were asked for.
+        /// Count asked for.
         threads: usize,
         /// Why.
         #[source]

@@ -14,7 +14,7 @@ use super::farm::Farm;
 use super::trace::step;
 use crate::task::{ArtefactSource, Cancelled, FetchError, Progress};
 
-/// How often an artefact may arrive with other bytes than its digest says.
+/// Times that an artefact may arrive with other bytes than its digest says.
 const DAMAGED_ARRIVALS_MAX: u32 = 3;
 
 /// Artefacts for the length of one lease.

@@ -1,4 +1,4 @@
-//! What a worker does for a task, as spans of the trace that the bake's submission began.
+//! A worker's steps for a task, as spans of the trace that the bake's submission began.
 
 use lightkiln_http::trace::follow;
 use lightkiln_proto::api::Lease;

@@ -43,7 +43,7 @@ pub(super) struct LeaseWatch<'a> {
     pub(super) stop: Mutex<Option<StopReason>>,
 }
 
-/// How long a worker goes on saying how an attempt ended.
+/// Time for which a worker goes on saying how an attempt ended.
 pub(super) struct LastWords<'a> {
     shutdown: &'a ShutdownFlag,
     until: Instant,

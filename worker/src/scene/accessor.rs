@@ -22,7 +22,7 @@ pub(super) struct Reader<'a> {
     sparse: Option<Sparse<'a>>,
 }
 
-/// What one element looks like.
+/// Layout of one element.
 #[derive(Clone, Copy)]
 struct Layout {
     component: ComponentType,
@@ -38,9 +38,9 @@ struct Sparse<'a> {
     count: usize,
 }
 
-/// How an accessor may be used, and by whom.
+/// Allowed use of an accessor, and its user.
 pub(super) struct Wanted<'w> {
-    /// What is read, for messages.
+    /// Quantity read, for messages.
     pub(super) place: &'w dyn Fn() -> String,
     /// Element types that fit.
     pub(super) types: &'w [Type],
@@ -119,7 +119,7 @@ impl<'a> Reader<'a> {
         (gaps as u64).checked_mul(self.stride as u64)?.checked_add(self.layout.element_bytes() as u64)
     }
 
-    /// How many elements there are.
+    /// Count of elements.
     pub(super) fn count(&self) -> usize {
         self.count
     }

@@ -1,4 +1,4 @@
-//! What every step of an import shares: the document, its bytes, the budgets and the warnings.
+//! State that every step of an import shares: the document, its bytes, the budgets and the warnings.
 
 use gltf::json::Root;
 

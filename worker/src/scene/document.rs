@@ -113,12 +113,12 @@ where
     })
 }
 
-/// How messages call a buffer.
+/// Name in messages of a buffer.
 pub(super) fn buffer_place(root: &Root, index: usize) -> String {
     place_of("buffer", index, root.buffers.get(index).and_then(|buffer| buffer.name.as_deref()))
 }
 
-/// How messages call an image.
+/// Name in messages of an image.
 pub(super) fn image_place(root: &Root, index: usize) -> String {
     let image = root.images.get(index);
     let name = image.and_then(|image| image.name.as_deref());
@@ -126,12 +126,12 @@ pub(super) fn image_place(root: &Root, index: usize) -> String {
     place_of("image", index, name.or(uri))
 }
 
-/// How messages call a node.
+/// Name in messages of a node.
 pub(super) fn node_place(root: &Root, index: usize) -> String {
     place_of("node", index, root.nodes.get(index).and_then(|node| node.name.as_deref()))
 }
 
-/// How messages call a mesh's primitive.
+/// Name in messages of a mesh's primitive.
 pub(super) fn primitive_place(root: &Root, mesh_index: usize, primitive_index: usize) -> String {
     let name = root.meshes.get(mesh_index).and_then(|mesh| mesh.name.as_deref());
     format!("{} primitive {primitive_index}", place_of("mesh", mesh_index, name))

@@ -16,7 +16,7 @@ const BIN_CHUNK: &[u8; 4] = b"BIN\0";
 pub(super) struct Glb<'a> {
     /// The glTF JSON.
     pub(super) json: &'a [u8],
-    /// The first binary chunk: what buffer 0 without a URI means.
+    /// The first binary chunk: buffer 0 without a URI.
     pub(super) bin: Option<&'a [u8]>,
 }
 

@@ -59,7 +59,7 @@ pub(super) fn read_light(
     }))
 }
 
-/// Colour × intensity, without what is negative or not finite.
+/// Colour × intensity, without numbers that are negative or not finite.
 fn light_strength(context: &mut Context<'_>, light: &Light, index: usize) -> [f32; 3] {
     let stated = light.color.map(|channel| channel * light.intensity);
     let usable = stated.map(|channel| if channel.is_finite() { channel.max(0.0) } else { 0.0 });
@@ -134,7 +134,7 @@ fn projection(camera: &Camera) -> Option<(f32, Option<f32>)> {
     }
 }
 
-/// Where a node's origin lies and which way its −z and +y point; scale and shear do not count.
+/// A node's origin and the directions of its −z and +y; scale and shear do not count.
 struct Axes {
     position_m: Vec3,
     forward: Vec3,

@@ -1,4 +1,4 @@
-//! What an import may cost at most: every size that a file can state is compared with one of these first.
+//! Highest costs of an import: every size that a file can state is compared with one of these first.
 
 use super::error::ImportError;
 
@@ -85,7 +85,7 @@ impl Budget {
         within(self.what, self.used, self.limit)
     }
 
-    /// What has been spent.
+    /// Bytes spent.
     pub(super) fn used(&self) -> u64 {
         self.used
     }

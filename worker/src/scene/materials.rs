@@ -15,7 +15,7 @@ use super::images::read_image;
 use super::model::{Material, SceneImage, TextureUse, Wrap};
 use super::primitives::LocalMesh;
 
-/// Where BLEND materials are cut into a mask: half covered is opaque.
+/// Alpha at which BLEND materials are cut into a mask: half covered is opaque.
 const BLEND_CUTOFF: f32 = 0.5;
 
 /// The identity as a 2×3 affine map.
@@ -29,7 +29,7 @@ const NO_IMAGE: usize = u32::MAX as usize;
 pub(super) struct MaterialTable {
     pub(super) materials: Vec<Material>,
     pub(super) images: Vec<SceneImage>,
-    /// Where each image of the file went; `None` for those in formats that are not read.
+    /// New index of each image of the file; `None` for those in formats that are not read.
     image_slots: BTreeMap<usize, Option<u32>>,
     default_index: Option<u32>,
 }

@@ -1,7 +1,7 @@
 //! Scene import: glTF and GLB to one flat, validated [`model::Scene`].
 //!
 //! An upload is a [`Bundle`]; [`import`] turns it into an [`model::Imported`]. Nothing here trusts a size, an index or
-//! a name of the file: every one is compared with what is there and with [`Limits`] before it is used.
+//! a name of the file: every one is compared with the bytes that are there and with [`Limits`] before it is used.
 
 mod accessor;
 mod buffers;
@@ -50,7 +50,7 @@ pub const WARNINGS: &str = "import/warnings";
 
 /// Reads the bundle's glTF as one flat scene in world space.
 ///
-/// The result is a pure function of the bundle. Errors say what is wrong, where, and what to do; whatever is merely
+/// The result is a pure function of the bundle. Errors say fault, place and remedy; whatever is merely
 /// not honoured becomes a warning.
 pub fn import(source: &Bundle, limits: &Limits) -> Result<Imported, ImportError> {
     let (root, bin) = document::parse(source.root_bytes(), limits)?;

@@ -1,4 +1,4 @@
-//! The imported scene: what every later stage of a bake starts from.
+//! The imported scene, from which every later stage of a bake starts.
 //!
 //! World space is glTF's: metres, right-handed, y up. Colours are linear Rec.709.
 
@@ -46,7 +46,7 @@ pub struct MeshInstance {
     pub colours: Vec<[f32; 4]>,
     /// Triangles, counter-clockwise seen from the front *in world space* (mirrored nodes are already flipped).
     pub triangles: Vec<[u32; 3]>,
-    /// Where the node stands, for tools that draw handles; positions above already include it.
+    /// Place of the node, for tools that draw handles; positions above already include it.
     pub world_from_object: Mat4,
 }
 
@@ -69,7 +69,7 @@ pub struct Material {
     pub double_sided: bool,
 }
 
-/// How a material reads an image.
+/// A material's reading of an image.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TextureUse {
     /// Index into [`Scene::images`].
@@ -111,11 +111,11 @@ pub struct SceneImage {
 pub struct Warning {
     /// Stable kebab-case name, e.g. `skin-ignored`.
     pub code: String,
-    /// What and where, in words.
+    /// Fault and place, in words.
     pub message: String,
 }
 
-/// What an import gives: the scene and what was not honoured.
+/// Result of an import: the scene, and warnings of features that were not honoured.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Imported {
     /// The scene.

@@ -16,7 +16,7 @@ use super::model::{MeshInstance, Scene};
 use super::placement::place_in_world;
 use super::primitives::PrimitiveReader;
 
-/// How far a squared quaternion length may be from 1 before it is worth a warning.
+/// Distance of a squared quaternion length from 1 from which on it deserves a warning.
 const ROTATION_TOLERANCE: f64 = 1e-3;
 
 /// Flattens the scene into instances, lights and cameras of `scene`; gives the count of degenerate triangles.

@@ -10,10 +10,10 @@ use super::warnings::Warnings;
 /// a smaller height is rounding.
 const MIN_RELATIVE_AREA: f64 = 1e-8;
 
-/// How far a squared normal length may be from 1 before it is worth a warning; 8-bit normals stay within it.
+/// Distance of a squared normal length from 1 from which on it deserves a warning; 8-bit normals stay within it.
 const UNIT_TOLERANCE: f32 = 0.05;
 
-/// What became of a primitive under a node.
+/// Fate of a primitive under a node.
 pub(super) struct Placed {
     /// The mesh in world space, with unit normals.
     pub(super) mesh: LocalMesh,

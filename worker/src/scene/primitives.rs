@@ -131,7 +131,7 @@ fn triangle_source(
     Ok(Some((mode, position_index)))
 }
 
-/// How many whole triangles `corner_count` corners make.
+/// Count of whole triangles that `corner_count` corners make.
 fn triangle_count(
     context: &mut Context<'_>,
     mode: Mode,

@@ -1,4 +1,4 @@
-//! What a point of the scene's surface looks like to light: factor × texture × vertex colour.
+//! Albedo and emission at a point of the scene's surface: factor × texture × vertex colour.
 
 use glam::{DVec3, Vec3};
 

@@ -11,7 +11,7 @@ const BASE64: GeneralPurpose = GeneralPurpose::new(
     GeneralPurposeConfig::new().with_decode_padding_mode(DecodePaddingMode::Indifferent),
 );
 
-/// What a URI in a glTF can be.
+/// Forms of a URI in a glTF.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum Uri<'a> {
     /// `data:[media type][;base64],payload`, the payload still encoded.

@@ -1,4 +1,4 @@
-//! Collects what was not honoured, each kind once with a count.
+//! Collects features that were not honoured, each kind once with a count.
 
 use super::model::Warning;
 

@@ -1,4 +1,4 @@
-//! What a task sees while it runs: its inputs by name, the cache of decoded values, its progress.
+//! Surroundings of a running task: its inputs by name, the cache of decoded values, its progress.
 
 use std::any::Any;
 use std::sync::Arc;

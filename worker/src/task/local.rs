@@ -109,7 +109,7 @@ impl<'p> LocalRun<'p> {
         paths.iter().filter_map(of_path).collect()
     }
 
-    /// Where a task with these inputs would run.
+    /// Surroundings of a task with these inputs.
     pub fn context<'a>(&'a self, inputs: &'a [Artefact]) -> super::Context<'a> {
         super::Context { inputs, source: &self.shelf, memory: &self.memory, progress: self.progress }
     }

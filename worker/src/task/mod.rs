@@ -1,5 +1,4 @@
-//! What a task is to the code that runs it: where its inputs come from, what it gives, how it fails, how it tells its
-//! progress. Bake maths sees this module and nothing of HTTP, files or clocks.
+//! A task as its runner sees it: source of inputs, outputs, errors, progress. Bake maths sees this module and nothing of HTTP, files or clocks.
 
 pub mod artefact;
 mod context;
@@ -45,7 +44,7 @@ pub trait ArtefactSource: Send + Sync {
     fn get(&self, digest: Digest) -> Result<Arc<Vec<u8>>, FetchError>;
 }
 
-/// What a finished task gives, before it is stored.
+/// Outputs of a finished task, before they are stored.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TaskOutput {
     /// Name inside the task and bytes; a pure function of the task's key.
@@ -62,19 +61,19 @@ pub enum FetchError {
     /// Nobody has it.
     #[error("artefact {digest} is not in the store; submit the bake again so that it is made anew")]
     NotFound {
-        /// What was asked for.
+        /// Digest asked for.
         digest: Digest,
     },
     /// It came with other bytes than its digest says, more than once.
     #[error("artefact {digest} arrived damaged each time it was fetched")]
     Corrupt {
-        /// What was asked for.
+        /// Digest asked for.
         digest: Digest,
     },
     /// The store does not answer.
     #[error("artefact {digest} could not be fetched")]
     Unavailable {
-        /// What was asked for.
+        /// Digest asked for.
         digest: Digest,
         /// Why.
         #[source]
@@ -88,10 +87,10 @@ pub enum FetchError {
 /// A task ended without a result.
 #[derive(Debug, Error)]
 pub enum TaskError {
-    /// What the task was given cannot be baked, on this worker or any other.
+    /// Input that cannot be baked, on this worker or any other.
     #[error("{what}")]
     BadInput {
-        /// What was wrong, where, and what to do.
+        /// Fault, place and remedy.
         what: String,
         /// The cause, if another error was.
         #[source]
@@ -115,10 +114,10 @@ pub enum TaskError {
         /// The panic's message.
         message: String,
     },
-    /// This worker has not what the task needs (memory, disk, threads).
+    /// This worker lacks a resource of the task's (memory, disk, threads).
     #[error("the worker has not enough {resource} for this task")]
     Exhausted {
-        /// What ran out.
+        /// Resource that ran out.
         resource: &'static str,
         /// The cause, if another error was.
         #[source]
@@ -141,7 +140,7 @@ impl TaskError {
         Self::BadInput { what: what.into(), source: None }
     }
 
-    /// Bad input found by another error: `what` says where, `source` what was wrong.
+    /// Bad input found by another error: `what` says the place, `source` the fault.
     pub fn bad_input_from(
         what: impl Into<String>,
         source: impl Into<Box<dyn StdError + Send + Sync>>,

@@ -1,4 +1,4 @@
-//! How far a task is, how many rays it has cast, and whether it should stop.
+//! A task's progress, the rays that it has cast, and whether it should stop.
 
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 

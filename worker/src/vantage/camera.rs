@@ -3,13 +3,13 @@
 use glam::Vec3;
 use lightkiln_proto::manifest::Chosen;
 use lightkiln_proto::scene::{LightKind, SceneCamera, SceneLight};
+use rayon::prelude::*;
 
 use super::VantagePoint;
 use super::look::view;
 use crate::emitters::{EmissiveTriangle, emissive_triangles};
 use crate::geometry::Geometry;
 use crate::rays::Hit;
-use rayon::prelude::*;
 
 /// Vertical field of view, in degrees.
 const FOV_DEG: f32 = 60.0;
@@ -69,7 +69,7 @@ fn inside(geometry: &Geometry, points: &[VantagePoint]) -> Option<(Vec3, Vec3)> 
     let lamps = Lamps::of(geometry);
     let best_of = |eye_m: &Vec3| {
         let rays: Vec<(Vec3, f32)> = view(geometry, *eye_m)
-            .map(|(direction, hit)| (direction, hit.map_or(0.0, |hit| lamps.worth_seeing(geometry, &hit))))
+            .map(|(direction, hit)| (direction, hit.map_or(0.0, |hit| lamps.interest(geometry, &hit))))
             .collect();
         let turns = (0..TURNS).map(|turn| {
             let angle = turn as f32 * std::f32::consts::TAU / TURNS as f32;
@@ -84,10 +84,10 @@ fn inside(geometry: &Geometry, points: &[VantagePoint]) -> Option<(Vec3, Vec3)> 
     best.map(|(_, eye_m, target_m)| (eye_m, target_m))
 }
 
-/// Mean worth of the rays of a view.
+/// Mean interest of the rays of a view.
 fn score(rays: &[(Vec3, f32)], forward: Vec3) -> f32 {
     let seen = rays.iter().filter(|(direction, _)| direction.dot(forward) >= VIEW_COSINE_MIN);
-    let (sum, count) = seen.fold((0.0, 0_u32), |(sum, count), (_, worth)| (sum + worth, count + 1));
+    let (sum, count) = seen.fold((0.0, 0_u32), |(sum, count), (_, interest)| (sum + interest, count + 1));
     sum / count.max(1) as f32
 }
 
@@ -107,7 +107,7 @@ impl<'a> Lamps<'a> {
     }
 
     /// √distance of a hit, a part of it where nothing shines on it; nothing for backs.
-    fn worth_seeing(&self, geometry: &Geometry, hit: &Hit) -> f32 {
+    fn interest(&self, geometry: &Geometry, hit: &Hit) -> f32 {
         if geometry.is_back(hit) {
             return 0.0;
         }

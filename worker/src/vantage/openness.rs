@@ -58,7 +58,7 @@ impl Openness {
         self.open.iter().any(partly) || seeing as f32 > SEEING_MIN * self.open.len() as f32
     }
 
-    /// How much a sun lights places that see little sky, and how many it lights: `Σ cosθ · (1 − openness)⁸`, so that it shines
+    /// Sum over sites that a sun lights, weighted towards those that see little sky, and their count: `Σ cosθ · (1 − openness)⁸`, so that it shines
     /// on a room's floor rather than on the reveals of its windows.
     pub fn lit_by(&self, geometry: &Geometry, travel: Vec3) -> (f32, usize) {
         let far_m = geometry.diagonal_m() * 2.0 + 1.0;

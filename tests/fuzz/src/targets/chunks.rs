@@ -194,7 +194,7 @@ fn check_patches(bytes: &[u8]) {
 fn larger_cluster() -> Vec<u8> {
     let mut cluster = ClusterTransport {
         bounds_m: [[0.0, -1.0, 2.0], [4.0, 3.0, 2.0]],
-        probes: vec![3, 70, 900],
+        keys: vec![3, 70, 900],
         bands: 3,
         sky: true,
         rank: 9,

@@ -1,7 +1,7 @@
 //! The cut through the tree of patches that a cell tells apart.
 //!
-//! With A_n what a receiver sees of patch n, and p its parent, `D_n = A_n − (area_n / area_p) A_p` is how much more of n it
-//! sees than n's share of p's area promises, and `Σ_leaves A L = Σ_roots A L + Σ_others D L` for the mean radiances L of
+//! With A_n the share of patch n in a receiver's view, and p its parent, `D_n = A_n − (area_n / area_p) A_p` is the excess
+//! of n over its share of p's area, and `Σ_leaves A L = Σ_roots A L + Σ_others D L` for the mean radiances L of
 //! patches: the field of transport in the unnormalised Haar basis of the tree. Where the D of a patch's parts are small for
 //! all receivers of the cell, the patch need not be opened. The gain of opening is `Σ_parts σ² Σ_r D²`, with σ² the variance
 //! that the parts' radiance is expected to have about their parent's ([`super::expectation`]).
@@ -16,7 +16,7 @@ use rayon::prelude::*;
 use super::expectation::Expectation;
 use crate::patches::PatchTree;
 
-/// How many deviations of chance a gain is lowered by before it counts.
+/// Deviations of chance by which a gain is lowered before it counts.
 const CHANCE: f64 = 1.0;
 /// Steps of the search for the least gain that a column must bring.
 const SEARCH_STEPS: usize = 40;
@@ -138,7 +138,7 @@ fn gain(hits: PatchHits<'_>, expectation: &Expectation, patch: u32) -> f64 {
 /// The patches that were hit.
 struct Seen<'a> {
     tree: &'a PatchTree,
-    /// Ascending, so that parts come after what they are part of.
+    /// Ascending, so that parts come after their wholes.
     patches: Vec<SeenPatch>,
 }
 
@@ -263,7 +263,7 @@ mod tests {
         };
         assert_eq!(cut_of(&met([200, 200, 0, 0]), 100), [0, 1, 4]);
         assert_eq!(cut_of(&met([200, 200, 200, 0]), 100), [0, 1, 4, 5, 6]);
-        // Halves that are met alike are opened for the sake of what is in them.
+        // Halves that are hit alike are opened for the sake of their parts.
         assert_eq!(cut_of(&met([200, 0, 200, 0]), 100), [0, 1, 2, 3, 4, 5, 6]);
     }
 

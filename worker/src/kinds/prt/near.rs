@@ -3,7 +3,7 @@
 //! or dark as a whole.
 //!
 //! `N(r) = π/N Σ_n ρ/π · (E_dir(y_n) + E_ind(t_n))` over the rays n that meet something, y_n on the texel t_n, closer than
-//! the reach; of that sum a few hits are kept that are spread evenly over what was met.
+//! the reach; of that sum a few hits are kept that are spread evenly over all.
 
 use std::f32::consts::PI;
 

@@ -26,7 +26,7 @@ pub struct AlphaSampler<'a> {
     emitter_rays: u32,
 }
 
-/// What one receiver's rays share.
+/// State that one receiver's rays share.
 struct Gather<'a> {
     receiver: &'a Receiver,
     origin_m: Vec3,

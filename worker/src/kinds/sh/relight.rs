@@ -17,7 +17,7 @@ use crate::task::{Context, TaskError, TaskOutput, params};
 pub struct Params {
     /// First probe of the plan.
     pub first: usize,
-    /// How many.
+    /// Count of probes.
     pub count: usize,
     /// K.
     pub relight_rays: u32,

@@ -1,4 +1,4 @@
-//! What lamps send is what walls absorb.
+//! Walls absorb the energy that lamps send.
 
 use glam::{DVec3, Vec3};
 use lightkiln_proto::scene::{LightKind, SceneLight};

@@ -29,7 +29,7 @@ fn emitters() -> Lighting {
     Lighting { emitter_scale: 1.0, ..Lighting::default() }
 }
 
-/// Asserts that an estimate is what it should be within so many standard errors, and that these are small.
+/// Asserts that an estimate is right within so many standard errors, and that these are small.
 fn assert_sure(found: &Estimate, wanted: f64, sigmas: f64, what: &str) {
     let off = (found.mean.y - wanted).abs();
     assert!(found.error.y <= 0.02 * wanted.abs(), "{what}: the error {} hides anything", found.error.y);

@@ -16,7 +16,7 @@ use lightkiln_proto::problem::{Problem, ProblemCode};
 /// Longest that a test waits for something to happen.
 pub const LIMIT: Duration = Duration::from_secs(60);
 
-/// What the farm holds and has heard.
+/// Contents of the farm, and the calls that it has heard.
 #[derive(Default)]
 pub struct State {
     /// Leases to hand out.
@@ -37,7 +37,7 @@ pub struct State {
     pub lose_answers: Vec<&'static str>,
     /// Calls whose text begins so are answered with 503 and not done; each once.
     pub refuse: Vec<&'static str>,
-    /// So often, the farm has forgotten what was stored when a result comes.
+    /// So often, the farm has forgotten stored bytes when a result comes.
     pub forgetful: u32,
     /// Artefacts are refused as too large.
     pub is_narrow: bool,

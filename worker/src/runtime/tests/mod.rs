@@ -1,4 +1,4 @@
-//! What a worker does when all goes well, and when server, task or machine do not.
+//! A worker when all goes well, and when server, task or machine fail.
 
 mod fake_farm;
 

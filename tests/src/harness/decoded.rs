@@ -1,0 +1,94 @@
+//! A bake's light from its decoded chunks, whatever carries it.
+
+use anyhow::{Context, Result, ensure};
+use glam::{DVec3, Vec3, Vec4};
+use lightkiln_proto::chunk::decode_patches;
+use lightkiln_proto::content::{BlockKey, ClusterTransport, Texel};
+use lightkiln_proto::kinds::{prt, sh};
+use lightkiln_proto::manifest::CLUSTERS;
+use lightkiln_proto::relight::PatchTable;
+use lightkiln_worker::evaluate::EvaluationError;
+use lightkiln_worker::factors::{Baked, Light};
+use lightkiln_worker::geometry::Site;
+use lightkiln_worker::reference::Lighting;
+
+use super::LocalBake;
+
+/// Decoded clusters over the columns of either kind.
+#[derive(Debug)]
+pub enum Decoded {
+    /// Over surface patches.
+    Patches(Baked<PatchTable>),
+    /// Over probes.
+    Probes(Baked<sh::ProbeTable>),
+}
+
+/// Runs an expression with the clusters of either kind.
+macro_rules! either {
+    ($decoded:expr, $baked:ident => $value:expr) => {
+        match $decoded {
+            Decoded::Patches($baked) => $value,
+            Decoded::Probes($baked) => $value,
+        }
+    };
+}
+
+impl Decoded {
+    /// Decodes all chunks of light.
+    pub fn new(bake: &LocalBake) -> Result<Self> {
+        let manifest = &bake.manifest;
+        let bytes = |digest| {
+            bake.chunk(digest).map_err(|error| EvaluationError::Missing { digest, source: error.into() })
+        };
+        match manifest.kind.as_str() {
+            prt::NAME => {
+                let chunk = manifest.chunks(prt::PATCHES).first().context("no patches")?;
+                let set = decode_patches(&bake.chunk(chunk.digest)?)?;
+                Ok(Self::Patches(Baked::decode(manifest, &bytes, |slots| PatchTable::new(&set, slots))?))
+            }
+            kind => {
+                ensure!(kind == sh::NAME, "there is no '{kind}' here");
+                let settings: sh::Settings = manifest.settings()?;
+                let chunks = manifest.chunks(sh::PROBES).iter();
+                let batches: Vec<sh::ProbeBatch> = chunks
+                    .map(|chunk| Ok(sh::decode_probe_batch(&bake.chunk(chunk.digest)?)?))
+                    .collect::<Result<_>>()?;
+                let (rays, bands) = (settings.probes.relight_rays, settings.probes.bands);
+                let columns = |slots: &_| sh::ProbeTable::join(&batches, rays, bands, slots);
+                Ok(Self::Probes(Baked::decode(manifest, &bytes, columns)?))
+            }
+        }
+    }
+
+    /// Light under some lights, E_dir at sites given by `direct`.
+    pub fn lit(
+        &self,
+        lighting: &Lighting,
+        site: impl Fn(u32) -> Site + Sync,
+        direct: impl Fn(&Site) -> DVec3 + Sync,
+    ) -> Light {
+        let direct =
+            |site: &Site| -> std::result::Result<DVec3, std::convert::Infallible> { Ok(direct(site)) };
+        let lit = either!(self, baked => baked.lit(lighting, site, direct));
+        let Ok(light) = lit;
+        light
+    }
+
+    /// Slot of a texel; `None` for those that no light can reach.
+    pub fn slot(&self, block: BlockKey, texel: Texel) -> Option<u32> {
+        either!(self, baked => baked.transport.slots.slot_of(block, texel))
+    }
+
+    /// Place, normal and albedo of a slot.
+    pub fn receiver(&self, slot: u32) -> [Vec3; 3] {
+        let slot = slot as usize;
+        let table = either!(self, baked => &baked.transport.receivers);
+        [table.position_m[slot], table.normal[slot], table.albedo[slot]].map(Vec4::truncate)
+    }
+}
+
+/// The bake's clusters, decoded.
+pub fn clusters(bake: &LocalBake) -> Result<Vec<ClusterTransport>> {
+    let chunks = bake.manifest.chunks(CLUSTERS).iter();
+    chunks.map(|chunk| Ok(lightkiln_proto::chunk::decode_cluster(&bake.chunk(chunk.digest)?)?)).collect()
+}
