@@ -44,7 +44,7 @@ pub use numbers::{
 pub use order::{LEVELS_MAX, morton};
 pub use patches::{decode_patches, encode_patches};
 pub use quantise::{RELATIVE_ERROR_MAX, RELATIVE_ERROR_MIN};
-pub use table::{CLUSTER, ChunkRow, GEOMETRY, PATCHES, SHARED, TEXTURE};
+pub use table::{CLUSTER, ChunkRow, GEOMETRY, ListLayers, PATCHES, SHARED, TEXTURE};
 pub use texture::{Texture, decode_texture, encode_texture};
 pub use vertices::LIGHTMAP_ERROR_TEXELS;
 

@@ -18,6 +18,9 @@ pub const TEXTURE: ChunkKind = ChunkKind(4);
 /// Surface patches.
 pub const PATCHES: ChunkKind = ChunkKind(5);
 
+/// Lists the layers of a chunk, of which the first bytes and the whole length are given.
+pub type ListLayers = fn(&[u8], u64) -> Result<Vec<Layer>, ChunkError>;
+
 /// One kind of chunk.
 #[derive(Clone, Copy, Debug)]
 pub struct ChunkRow {
@@ -30,7 +33,7 @@ pub struct ChunkRow {
     /// Decodes a whole chunk and counts its content, by name.
     pub describe: fn(&[u8]) -> Result<Value, ChunkError>,
     /// Lists the prefixes that are coarser versions, smallest first; `None` where a chunk is of use only as a whole.
-    pub layers: Option<fn(&[u8], u64) -> Result<Vec<Layer>, ChunkError>>,
+    pub layers: Option<ListLayers>,
 }
 
 /// Rows that kinds of bake share.

@@ -94,7 +94,7 @@ impl SceneTasks {
     }
 
     /// Inputs through which a later task sees the outputs of all of `tasks`, by the names above.
-    pub fn inputs<'a>(&'a self, tasks: impl IntoIterator<Item = SceneTask>) -> Vec<TaskInput> {
+    pub fn inputs(&self, tasks: impl IntoIterator<Item = SceneTask>) -> Vec<TaskInput> {
         let input = |task: SceneTask| {
             let (name, spec) = match task {
                 SceneTask::Import => ("import", &self.import),
