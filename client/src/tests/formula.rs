@@ -5,9 +5,9 @@ use std::f32::consts::{FRAC_1_PI, PI};
 
 use glam::{Vec3, Vec4};
 use lightkiln_proto::content::{ClusterTransport, NearSurface, PatchKey};
+use lightkiln_proto::harmonics::{ShBasis, relight_direction};
 use lightkiln_proto::kinds::sh::{RelightHit, sky_coefficients};
 use lightkiln_proto::relight::{Columns, Irradiance, Sky, Transport};
-use lightkiln_proto::sh::{ShBasis, relight_direction};
 
 use crate::Threads;
 use crate::fixture;

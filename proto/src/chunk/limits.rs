@@ -1,6 +1,6 @@
 //! Limits on every count in a chunk. Encoders refuse more, decoders check them before they allocate.
 
-use crate::sh::MAX_BANDS;
+use crate::harmonics::MAX_BANDS;
 
 /// Most receivers in a cluster.
 pub const RECEIVERS_MAX: usize = 65_536;

@@ -60,7 +60,7 @@ pub struct PatchSet {
     pub texel: Vec<Texel>,
     /// Surface of each receiver: its weight in the mean.
     pub area: Vec<AreaCode>,
-    /// Parts of the sky S; part s is what is nearest to direction [`crate::sh::relight_direction`]`(s, S)`.
+    /// Parts of the sky S; part s is what is nearest to direction [`crate::harmonics::relight_direction`]`(s, S)`.
     pub sky_parts: u32,
 }
 

@@ -7,7 +7,7 @@ use glam::Vec4;
 use super::{Columns, DARK, Inconsistent, Irradiance, Parallel, ReceiverTable, Sky, SlotTable};
 use crate::chunk::limits::SKY_PARTS_MAX;
 use crate::content::{PatchKey, PatchSet};
-use crate::sh::relight_direction;
+use crate::harmonics::relight_direction;
 
 /// A patch as shaders read it: a run of leaves.
 #[repr(C)]

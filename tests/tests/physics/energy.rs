@@ -4,9 +4,9 @@ use std::f32::consts::PI;
 
 use glam::Vec3;
 use lightkiln_proto::content::ClusterTransport;
+use lightkiln_proto::harmonics::{ShBasis, band_of};
 use lightkiln_proto::kinds::sh;
 use lightkiln_proto::scene::LightKind;
-use lightkiln_proto::sh::{ShBasis, band_of};
 use lightkiln_tests::harness::{Held, Lighting, bake, clusters, relit};
 use lightkiln_tests::scenes;
 use lightkiln_worker::rays::sampling::{R2, cosine_hemisphere, tangent_frame};

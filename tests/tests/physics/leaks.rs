@@ -38,7 +38,7 @@ fn sealed_box_in_full_sun_and_sky_is_exactly_dark_inside(kind: &'static str) {
 /// No ray leaves the scene from there.
 fn is_enclosed(rays: &Tracer, receiver: &RelitReceiver) -> bool {
     (0..256).all(|ray| {
-        let direction = lightkiln_proto::sh::relight_direction(ray, 256);
+        let direction = lightkiln_proto::harmonics::relight_direction(ray, 256);
         let up = if direction.dot(receiver.normal) < 0.0 { -direction } else { direction };
         rays.closest(receiver.position_m + receiver.normal * 1e-4, up, f32::INFINITY).is_some()
     })

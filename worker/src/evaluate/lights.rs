@@ -3,8 +3,8 @@
 use std::cmp::Reverse;
 
 use glam::Vec3;
+use lightkiln_proto::harmonics::relight_direction;
 use lightkiln_proto::scene::{LightKind, SceneLight};
-use lightkiln_proto::sh::relight_direction;
 use rayon::prelude::*;
 
 use super::solid::is_free;

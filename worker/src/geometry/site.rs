@@ -76,7 +76,7 @@ mod tests {
             let direction = site.direction(points.point(index));
             assert!(direction.y >= 0.0);
             sampled += f64::from(direction.x) / f64::from(count);
-            let uniform = lightkiln_proto::sh::relight_direction(index % 16_384, 16_384);
+            let uniform = lightkiln_proto::harmonics::relight_direction(index % 16_384, 16_384);
             let share = site.density(uniform) * 4.0 * PI / 16_384.0;
             if index < 16_384 {
                 weighted += f64::from(uniform.x) * share;

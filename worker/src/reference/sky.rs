@@ -88,7 +88,7 @@ mod tests {
     fn directions_follow_the_stated_density() {
         for sky in [sky(3.0, 1.0), sky(1.0, 4.0), sky(2.0, 0.0), sky(0.0, 1.0), sky(1.0, 1.0)] {
             let rays = 16_384;
-            let uniform = (0..rays).map(|ray| lightkiln_proto::sh::relight_direction(ray, rays));
+            let uniform = (0..rays).map(|ray| lightkiln_proto::harmonics::relight_direction(ray, rays));
             let share = 4.0 * PI / f64::from(rays);
             let (mut total, mut mean_y) = (0.0, 0.0);
             for direction in uniform {

@@ -1,7 +1,7 @@
 //! The view from a point, and the points of a lattice that have one.
 
 use glam::{UVec3, Vec3};
-use lightkiln_proto::sh::relight_direction;
+use lightkiln_proto::harmonics::relight_direction;
 use rayon::prelude::*;
 
 use crate::geometry::Geometry;

@@ -48,7 +48,7 @@ pub(super) fn wall(side: u16, keys: usize, bands: u32, rank: u32, seed: u64) -> 
     let coefficients = cluster.coefficients();
     for i in 0..rank {
         for column in 0..cluster.columns() {
-            let band = crate::sh::band_of(column % coefficients) as f32;
+            let band = crate::harmonics::band_of(column % coefficients) as f32;
             let strength = libm::expf(-0.25 * i as f32 - 0.4 * band);
             cluster.vt.push((noise.next() - 0.5) * strength);
         }

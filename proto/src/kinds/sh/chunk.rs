@@ -12,7 +12,7 @@ use crate::chunk::error::{all_finite, all_numbers, in_range};
 use crate::chunk::limits::BLOCKS_MAX;
 use crate::chunk::{ChunkError, ChunkKind, ChunkRow, ascending, ascending_keys, ints, morton, normal_code};
 use crate::content::BlockKey;
-use crate::sh::relight_direction;
+use crate::harmonics::relight_direction;
 
 /// Most probes in a batch.
 pub const BATCH_PROBES_MAX: usize = 16_384;

@@ -12,7 +12,7 @@ pub type ProbeKey = u64;
 pub struct ProbeBatch {
     /// Probes, ascending by key.
     pub probes: Vec<Probe>,
-    /// Relight rays per probe K; directions are [`crate::sh::relight_direction`].
+    /// Relight rays per probe K; directions are [`crate::harmonics::relight_direction`].
     pub relight_rays: u32,
     /// Blocks that hits name.
     pub blocks: Vec<BlockKey>,

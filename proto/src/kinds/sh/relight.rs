@@ -6,8 +6,8 @@ use std::f32::consts::PI;
 use glam::{Vec3, Vec4};
 
 use super::{ProbeBatch, ProbeKey, RelightHit};
+use crate::harmonics::{MAX_BANDS, ShBasis, band_of, relight_direction};
 use crate::relight::{Columns, DARK, Inconsistent, Irradiance, Parallel, ReceiverTable, Sky, SlotTable};
-use crate::sh::{MAX_BANDS, ShBasis, band_of, relight_direction};
 
 /// A hit that is the sky.
 pub const HIT_SKY: u32 = u32::MAX;

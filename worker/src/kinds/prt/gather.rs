@@ -3,7 +3,7 @@
 
 use glam::Vec3;
 use lightkiln_proto::content::PatchKey;
-use lightkiln_proto::sh::relight_direction;
+use lightkiln_proto::harmonics::relight_direction;
 use rayon::prelude::*;
 
 use super::cut::{LeafHits, PatchHits, cut, leaves};

@@ -4,7 +4,7 @@
 //! the sky's columns.
 
 use glam::Vec3;
-use lightkiln_proto::sh::{MAX_COEFFICIENTS, ShBasis, band_of};
+use lightkiln_proto::harmonics::{MAX_COEFFICIENTS, ShBasis, band_of};
 
 use super::ProbeTransport;
 use super::supporters::{Supporter, Supporters};

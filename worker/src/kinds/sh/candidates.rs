@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use glam::{IVec3, Vec3};
-use lightkiln_proto::sh::relight_direction;
+use lightkiln_proto::harmonics::relight_direction;
 use rayon::prelude::*;
 
 use crate::geometry::lattice::{cell_of, centre_of, key_of};

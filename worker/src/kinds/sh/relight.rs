@@ -1,9 +1,9 @@
 //! Task `sh.relight`: hits of the relight rays of a batch of probes (METHOD.md §2 "Relight").
 
 use glam::Vec3;
+use lightkiln_proto::harmonics::relight_direction;
 use lightkiln_proto::jobs::TaskSpec;
 use lightkiln_proto::kinds::sh::{Probe, ProbeBatch, RelightHit, encode_probe_batch};
-use lightkiln_proto::sh::relight_direction;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 

@@ -2,8 +2,8 @@
 
 use glam::Vec3;
 use lightkiln_proto::content::{ClusterTransport, NearHits};
+use lightkiln_proto::harmonics::band_of;
 use lightkiln_proto::kinds::sh::Settings;
-use lightkiln_proto::sh::band_of;
 
 use super::ProbeTransport;
 use crate::factors::{
