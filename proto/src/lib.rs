@@ -7,7 +7,6 @@ pub mod chunk;
 pub mod content;
 pub mod events;
 pub mod harmonics;
-pub mod harmonics;
 pub mod ids;
 pub mod jobs;
 pub mod kinds;

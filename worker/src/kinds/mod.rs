@@ -152,8 +152,7 @@ impl TaskRunner for Runner {
     }
 }
 
-/// Runs a bake's first tasks up to its plan, and gives what `made` makes of the surroundings of its transport tasks, the
-/// first tasks of that kind in the plan.
+/// Runs a bake's first tasks up to its plan, and calls `made` with the surroundings of its transport tasks.
 ///
 /// Errors as the bake's own tasks would.
 fn made_anew<T>(
@@ -175,3 +174,6 @@ fn made_anew<T>(
     let inputs = run.resolved(task.map_err(EvaluationError::Prepare)?);
     made(&run.context(&inputs), &run)
 }
+
+#[cfg(test)]
+mod tests;

@@ -18,7 +18,7 @@ use crate::geometry::lattice::cell_of;
 use crate::lightmap::World;
 use crate::task::TaskError;
 
-/// Side of the finest cells in texels: a texel's neighbour may lie under what stands on it, and be dark.
+/// Side of the finest cells in texels: a texel's neighbour may lie under a thing that stands on it, and be dark.
 const LEAF_TEXELS: f32 = 1.0;
 /// Levels at most; 4 bits of a key, the last value being the sky's.
 const LEVELS_MAX: u32 = 14;
@@ -231,7 +231,7 @@ fn are_in_sight(world: &World, height_m: f32, a: &Item, b: &Item) -> bool {
     world.is_linked(raised(a), raised(b))
 }
 
-/// Edges between items as edges between what they were joined to.
+/// Edges between items as edges between their parents.
 fn lifted(edges: &[[u32; 2]], parent_of: &[u32]) -> Vec<[u32; 2]> {
     let mut lifted: Vec<[u32; 2]> = edges
         .par_iter()

@@ -13,7 +13,7 @@
 //!
 //! Candidates are the central point and, where that scores less than any other could, a grid of points of the same chart in
 //! the texel. Those count only if they are open, and, unless the central point is in a crevice, look elsewhere: where a
-//! narrow edge has parts that look into a gap and parts that look out of it, the latter are what is seen.
+//! narrow edge has parts that look into a gap and parts that look out of it, the latter are seen.
 //!
 //! A texel that its chart only touches is stood for by its neighbour's point, unless a wall parts the two: then by the best
 //! of its own, if that is open and on its own side of the wall.

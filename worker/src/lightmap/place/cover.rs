@@ -161,7 +161,7 @@ pub fn areas(block: &UnwrapBlock, coverage: &Coverage, area: impl Fn(&UnwrappedT
                 found.push((covered, part));
             }
         }
-        // Shares of what was found, so that slivers collapsed in the block count with their whole area.
+        // Shares of the parts found, so that slivers collapsed in the block count with their whole area.
         let all: f32 = found.iter().map(|(_, part)| part).sum();
         let whole = area(triangle);
         found.into_iter().for_each(|(covered, part)| areas[covered as usize] += whole * (part / all));

@@ -1,4 +1,4 @@
-//! Triangles of a block in its texels: which they touch, and what they cover of each.
+//! Triangles of a block in its texels: the texels that they touch, and the part of each that they cover.
 
 use glam::{UVec2, Vec2, Vec3};
 
