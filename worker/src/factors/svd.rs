@@ -1,6 +1,6 @@
 //! Truncated singular value decomposition of a cluster's transport matrix: `A ≈ U (ΣVᵀ)`.
 //!
-//! Randomised subspace iteration ([Halko2011] alg. 4.4), with every sum in a fixed order. Own code, because the
+//! Randomised subspace iteration (\[Halko2011\] alg. 4.4), with every sum in a fixed order. Own code, because the
 //! kernels of the linear-algebra crates choose their vector width and blocking by the processor they meet: two workers
 //! of different make would give chunks of different digests.
 
@@ -28,7 +28,7 @@ pub struct Factors {
     pub vt: Vec<f32>,
     /// √(Σ_{i>k} s² / Σ s²); 0 for a matrix of zeros.
     pub truncation_error: f32,
-    /// Upper bound of [Sedlacek2019] §3.2.4.2's criterion `1 − √(Σ_{i≤k} s / Σ s)`. The singular values beyond those
+    /// Upper bound of \[Sedlacek2019\] §3.2.4.2's criterion `1 − √(Σ_{i≤k} s / Σ s)`. The singular values beyond those
     /// computed are known by their squares' sum alone, which bounds their sum by Cauchy–Schwarz.
     pub s1_criterion_bound: f32,
 }

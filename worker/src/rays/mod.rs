@@ -1,7 +1,7 @@
 //! Rays against triangles: closest hits and occlusion, exact to the last tie.
 //!
 //! Nodes come from obvhs' BVH2 (its CWBVH loses rays that start on axis-aligned walls); triangles are tested by the
-//! watertight test of [Woop2013], so that nothing leaks between two triangles that share an edge.
+//! watertight test of \[Woop2013\], so that nothing leaks between two triangles that share an edge.
 
 mod tracer;
 mod watertight;

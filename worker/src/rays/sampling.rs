@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 
-/// Mixes 64 bits so that every input bit reaches every output bit ([Steele2014], the finaliser of SplitMix64).
+/// Mixes 64 bits so that every input bit reaches every output bit (\[Steele2014\], the finaliser of SplitMix64).
 pub fn mix(value: u64) -> u64 {
     let mut z = value.wrapping_add(0x9e37_79b9_7f4a_7c15);
     z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -37,7 +37,7 @@ impl Sequence {
     }
 }
 
-/// Low-discrepancy points in the unit square: the R₂ sequence [Roberts2018], shifted by an identity's seed.
+/// Low-discrepancy points in the unit square: the R₂ sequence \[Roberts2018\], shifted by an identity's seed.
 #[derive(Clone, Copy, Debug)]
 pub struct R2 {
     shift: [f32; 2],
@@ -70,7 +70,7 @@ pub fn uniform_sphere(u: f32, v: f32) -> Vec3 {
     Vec3::new(radius * cosine, radius * sine, z)
 }
 
-/// Direction about +z with density cosθ/π, from a point of the unit square (concentric map, [Shirley1997]).
+/// Direction about +z with density cosθ/π, from a point of the unit square (concentric map, \[Shirley1997\]).
 pub fn cosine_hemisphere([u, v]: [f32; 2]) -> Vec3 {
     let (a, b) = (2.0 * u - 1.0, 2.0 * v - 1.0);
     if a == 0.0 && b == 0.0 {
@@ -84,7 +84,7 @@ pub fn cosine_hemisphere([u, v]: [f32; 2]) -> Vec3 {
     Vec3::new(x, y, (1.0 - x * x - y * y).max(0.0).sqrt())
 }
 
-/// Two unit vectors that complete `normal` to a right-handed frame ([Duff2017]).
+/// Two unit vectors that complete `normal` to a right-handed frame (\[Duff2017\]).
 pub fn tangent_frame(normal: Vec3) -> (Vec3, Vec3) {
     let sign = 1.0_f32.copysign(normal.z);
     let a = -1.0 / (sign + normal.z);
@@ -95,7 +95,7 @@ pub fn tangent_frame(normal: Vec3) -> (Vec3, Vec3) {
     )
 }
 
-/// Point of a triangle, uniform over its area, as barycentric weights of corners 1 and 2 ([Heitz2019]).
+/// Point of a triangle, uniform over its area, as barycentric weights of corners 1 and 2 (\[Heitz2019\]).
 pub fn uniform_triangle([u, v]: [f32; 2]) -> [f32; 2] {
     if v > u {
         let b1 = u * 0.5;

@@ -1,4 +1,4 @@
-//! Watertight ray–triangle intersection: [Woop2013] "Watertight Ray/Triangle Intersection", JCGT 2(1), §3.
+//! Watertight ray–triangle intersection: \[Woop2013\] "Watertight Ray/Triangle Intersection", JCGT 2(1), §3.
 
 use glam::Vec3;
 

@@ -7,7 +7,7 @@
 //! ω' is ω mirrored at the face: where the shading normal n leans, directions below the face are mirrored above it, as in
 //! the bake, so K is cosθ wherever the two normals agree. Lamps (punctual lights, panels, emissive triangles) count by
 //! max(0, n·ω) alone, as in any renderer. Each vertex samples its lamps and the sky (next-event estimation) and one
-//! direction with density K/π; the two are joined by the balance heuristic ([Veach1995]). Paths end by Russian roulette,
+//! direction with density K/π; the two are joined by the balance heuristic (\[Veach1995\]). Paths end by Russian roulette,
 //! which changes no mean.
 //!
 //! The material model is METHOD.md §1's, so that error means error: diffuse albedo below 1, alpha-masked texels let rays

@@ -30,7 +30,7 @@ impl Estimate {
     }
 }
 
-/// Running mean and squared deviations of batch means ([Welford1962]): r, g, b, luminance.
+/// Running mean and squared deviations of batch means (\[Welford1962\]): r, g, b, luminance.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Tally {
     count: u32,

@@ -6,9 +6,9 @@
 //! coplanar surfaces line up across meshes, a level of detail chosen from a texel's coordinates means the same
 //! everywhere, and an edit of one mesh leaves the texels of all others where they were.
 //!
-//! Stages, each a file: [`soup`] welds and measures triangles, [`adjacency`] finds neighbours and hard edges,
-//! [`grow`] forms charts, [`overlap`] keeps their projections from overlapping, [`absorb`] merges scraps into
-//! neighbours, [`cut`] splits what no block can hold, [`pack`] places charts in blocks. [`second_uv`] adopts an
+//! Stages, each a file: `soup` welds and measures triangles, `adjacency` finds neighbours and hard edges,
+//! `grow` forms charts, `overlap` keeps their projections from overlapping, `absorb` merges scraps into
+//! neighbours, `cut` splits what no block can hold, `pack` places charts in blocks. `second_uv` adopts an
 //! unwrap that came with the mesh.
 //!
 //! Everything runs in a fixed order on one thread: the same input gives the same bytes.

@@ -1,4 +1,4 @@
-//! The relightable bake as [Sedlacek2019] has it: light carried by spherical harmonics at probes. Kept for comparison with
+//! The relightable bake as \[Sedlacek2019\] has it: light carried by spherical harmonics at probes. Kept for comparison with
 //! surface patches, and for the source's own studies.
 
 mod chunk;

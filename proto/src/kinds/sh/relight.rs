@@ -119,7 +119,7 @@ impl Columns for ProbeTable {
         sky_coefficients(sky, self.bands)
     }
 
-    /// `λ_pj = 4π/K Σ_k L(y_pk) Y_j(ω_k)`, probe-major, W·m⁻²·sr⁻¹; [Sedlacek2019] §3.3.1.
+    /// `λ_pj = 4π/K Σ_k L(y_pk) Y_j(ω_k)`, probe-major, W·m⁻²·sr⁻¹; \[Sedlacek2019\] §3.3.1.
     ///
     /// Rays that meet the sky add nothing to a probe, as the sky has columns of its own. We differ: emission is left out.
     fn surface_lambda(

@@ -1,4 +1,4 @@
-//! Kind `sh`: light carried by spherical harmonics at probes, as [Sedlacek2019] has it (METHOD.md §2).
+//! Kind `sh`: light carried by spherical harmonics at probes, as \[Sedlacek2019\] has it (METHOD.md §2).
 //!
 //! `sh.plan` (probes, cells) → `sh.relight` by batch of probes, `sh.transport` by cell → `sh.assemble`.
 

@@ -1,6 +1,6 @@
 //! Probe placement: spacing, and thinning to even density by a rule among neighbours.
 //!
-//! [Sedlacek2019] §3.2.2 removes the densest probe of the whole scene again and again; we differ: a candidate is kept
+//! \[Sedlacek2019\] §3.2.2 removes the densest probe of the whole scene again and again; we differ: a candidate is kept
 //! or not by its neighbours alone, in the order of its identity, so that one chair does not change every probe.
 
 use std::collections::BTreeMap;

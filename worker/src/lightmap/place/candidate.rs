@@ -1,4 +1,4 @@
-//! Step "test": each candidate looks round, and is shifted out of geometry ([Sedlacek2019] §5.1.4) or found invalid.
+//! Step "test": each candidate looks round, and is shifted out of geometry (\[Sedlacek2019\] §5.1.4) or found invalid.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 

@@ -6,7 +6,7 @@
 //! of a      candi-   per texel  of blocks
 //! block     date
 //! ```
-//! Every step takes plain data and gives plain data. Where a step casts rays, a [`World`] is built of the
+//! Every step takes plain data and gives plain data. Where a step casts rays, a [`World`](super::World) is built of the
 //! lightmap that the step before it gave.
 
 mod attributes;
