@@ -25,7 +25,9 @@ pub fn code_of(text: &str) -> impl Iterator<Item = &str> {
 }
 
 pub fn is_test(path: &Path) -> bool {
-    path.components().any(|part| part.as_os_str() == "tests") || path.ends_with("tests.rs")
+    let folders = ["tests", "fixture"];
+    path.components().any(|part| folders.iter().any(|folder| part.as_os_str() == *folder))
+        || path.ends_with("tests.rs")
 }
 
 #[test]

@@ -34,8 +34,8 @@ const MISSING_BUFFER: &[u8] = br#"{"asset":{"version":"2.0"},"buffers":[{"uri":"
 fn wrong_arguments_exit_with_2_and_name_what_is_wrong() {
     assert_refused("bake", 2, &["SCENE"]);
     assert_refused("bake {scene} --preset best", 2, &["best", "draft"]);
-    assert_refused("bake {scene} --set bands", 2, &["SETTING=VALUE", "try: "]);
-    assert_refused("bake {scene} --set bands=99", 2, &["bands = 99", "kiln settings"]);
+    assert_refused("bake {scene} --set sky_parts", 2, &["SETTING=VALUE", "try: "]);
+    assert_refused("bake {scene} --set sky_parts=99", 2, &["sky_parts = 99", "kiln settings"]);
     assert_refused("bake {scene} --set colour=red", 2, &["colour", "kiln settings"]);
     assert_refused("bake {scene} --settings settings.json", 2, &["settings.json", "JSON object"]);
     assert_refused("bake {scene} --camera eye=1,2", 2, &["eye"]);
