@@ -99,7 +99,7 @@ async fn bake_goes_from_upload_to_manifest() {
     let refused = server.get(&format!("{path}/manifest")).await.problem(ProblemCode::StateConflict);
     assert!(refused.detail.contains("not done yet"), "{}", refused.detail);
     let prepare = claim_one(&server).await;
-    assert_eq!(prepare.inputs[0].name, "import/scene");
+    assert_eq!(prepare.inputs[0].name, "first/scene");
     commit(&server, &prepare, &[(MANIFEST_OUTPUT, b"{\"a\":1}"), (REPORT_OUTPUT, b"{\"b\":2}")]).await;
     let done: Bake = server.get(&path).await.json(200);
     assert_eq!((done.state, done.tasks_run), (BakeState::Done, 2));

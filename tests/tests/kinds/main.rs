@@ -76,7 +76,7 @@ fn kind_is_held_against_the_path_tracer() {
     let folder = tempfile::tempdir().unwrap();
     bake(folder.path());
     let lights =
-        r#"{"lights": [{"name": "lamp", "type": "point", "position": [0, 1, 0], "intensity": [1, 1, 1]}]}"#;
+        r#"{"lights": [{"name": "lamp", "type": "point", "position_m": [0, 1, 0], "strength": [1, 1, 1]}]}"#;
     std::fs::write(folder.path().join("lights.json"), lights).unwrap();
     let rough = ["--receivers", "20", "--rel-error", "0.5", "--lights", "lights.json", "--json"];
     let arguments = [&["evaluate", "out"], &rough[..]].concat();
