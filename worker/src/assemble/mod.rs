@@ -5,13 +5,14 @@
 mod materials;
 mod pages;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{MANIFEST_OUTPUT, REPORT_OUTPUT};
 use lightkiln_proto::manifest::{
     Block, ChunkRef, FORMAT, Framing, GEOMETRY, Lightmap, Manifest, TEXTURES, VERSION,
 };
+use rayon::prelude::*;
 use serde::Serialize;
 use serde_json::{Value, json};
 
@@ -49,6 +50,7 @@ pub fn assembled<S: Serialize, B: Serialize>(
         part.chunks.into_iter().map(|(role, refs)| (role.to_owned(), refs)).collect();
     chunks.insert(TEXTURES.to_owned(), chunk_refs(context, "draw/texture/"));
     chunks.insert(GEOMETRY.to_owned(), chunk_refs(context, "draw/geometry/"));
+    require_stored(context, &chunks)?;
     let (materials, emitters) = materials::materials(&scene);
     let manifest = Manifest {
         format: FORMAT.to_owned(),
@@ -79,6 +81,17 @@ pub fn assembled<S: Serialize, B: Serialize>(
         ],
         ..TaskOutput::default()
     })
+}
+
+/// Errs unless every chunk among the task's inputs is stored: no task reads them, so that bytes which were lost meanwhile
+/// would be missed by whoever fetches the bundle. An input that is not there is made again.
+fn require_stored(context: &Context, chunks: &BTreeMap<String, Vec<ChunkRef>>) -> Result<(), TaskError> {
+    let named: BTreeSet<Digest> = chunks.values().flatten().map(|chunk| chunk.digest).collect();
+    context
+        .inputs
+        .par_iter()
+        .filter(|artefact| named.contains(&artefact.digest))
+        .try_for_each(|artefact| Ok(context.source.require(artefact)?))
 }
 
 /// The task's inputs whose names begin with `prefix`, as chunks in their order.

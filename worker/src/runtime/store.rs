@@ -65,10 +65,8 @@ impl LeaseStore<'_> {
     fn fetch(&self, digest: Digest) -> Result<Vec<u8>, FetchError> {
         let _span = step(|| tracing::info_span!(target: TARGET, "fetch", %digest)).entered();
         for _ in 0..DAMAGED_ARRIVALS_MAX {
-            let arrived = self.insist(|| self.farm.artefact(digest)).map_err(|error| match error {
-                CallError::Stopped => FetchError::Cancelled(Cancelled),
-                error => FetchError::Unavailable { digest, source: Box::new(error) },
-            })?;
+            let arrived =
+                self.insist(|| self.farm.artefact(digest)).map_err(|error| unavailable(digest, error))?;
             let bytes = arrived.ok_or(FetchError::NotFound { digest })?;
             if Digest::of(&bytes) == digest {
                 return Ok(bytes);
@@ -76,6 +74,13 @@ impl LeaseStore<'_> {
             tracing::warn!(%digest, "an artefact arrived damaged; fetching it again");
         }
         Err(FetchError::Corrupt { digest })
+    }
+}
+
+fn unavailable(digest: Digest, error: CallError) -> FetchError {
+    match error {
+        CallError::Stopped => FetchError::Cancelled(Cancelled),
+        error => FetchError::Unavailable { digest, source: Box::new(error) },
     }
 }
 
@@ -87,5 +92,15 @@ impl ArtefactSource for LeaseStore<'_> {
         let bytes = self.fetch(digest)?;
         self.keep(digest, &bytes);
         Ok(Arc::new(bytes))
+    }
+
+    /// Asks the server, as this worker's own copy is nobody else's.
+    fn require(&self, artefact: &Artefact) -> Result<(), FetchError> {
+        let Artefact { digest, bytes, .. } = *artefact;
+        match self.insist(|| self.farm.has_artefact(digest, bytes)) {
+            Ok(true) => Ok(()),
+            Ok(false) => Err(FetchError::NotFound { digest }),
+            Err(error) => Err(unavailable(digest, error)),
+        }
     }
 }

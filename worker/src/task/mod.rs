@@ -42,6 +42,11 @@ pub trait TaskRunner: Send + Sync {
 pub trait ArtefactSource: Send + Sync {
     /// The bytes whose blake3 digest is `digest`.
     fn get(&self, digest: Digest) -> Result<Arc<Vec<u8>>, FetchError>;
+
+    /// Errs with [`FetchError::NotFound`] unless the artefact is stored where others can fetch it.
+    fn require(&self, artefact: &Artefact) -> Result<(), FetchError> {
+        self.get(artefact.digest).map(drop)
+    }
 }
 
 /// Outputs of a finished task, before they are stored.

@@ -80,7 +80,7 @@ fn bakes_are_paused_resumed_hurried_cancelled_and_deleted() {
     call(&["pause", &id], 2);
     let log = call(&["logs", &id, "--follow"], 0).stdout();
     for told in
-        ["submitted", "planned   2 tasks", "state     paused", "state     running", "state     cancelled"]
+        ["submitted", "planned   7 tasks", "state     paused", "state     running", "state     cancelled"]
     {
         assert!(log.contains(told), "{told} is not in\n{log}");
     }
