@@ -16,9 +16,9 @@ const WHITE: f32 = 1.0;
 pub enum Tone {
     /// Cut off at 1: for measurements.
     Linear,
-    /// `c·(1 + Y/4²)/(1 + Y)` by luminance Y [Reinhard2002] eq. 4, white at 4: soft, keeps hues.
+    /// `c·(1 + Y/4²)/(1 + Y)` by luminance Y \[Reinhard2002\] eq. 4, white at 4: soft, keeps hues.
     Reinhard,
-    /// A film-like curve with toe and shoulder, the fit of [Narkowicz2015] to ACES: more contrast.
+    /// A film-like curve with toe and shoulder, the fit of \[Narkowicz2015\] to ACES: more contrast.
     #[default]
     Filmic,
 }

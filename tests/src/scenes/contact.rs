@@ -14,7 +14,7 @@ const YAW_RAD: f32 = 0.35;
 pub const BOX_HALF_M: f32 = 0.6;
 /// Height of the plate of [`hollow_pier_on_plate`].
 pub const PLATE_TOP_M: f32 = 0.25;
-/// Half the width of [`column`].
+/// Half the width of [`column()`].
 pub const COLUMN_HALF_M: f32 = 0.11;
 
 /// A floor under the open sky and nothing else.
@@ -107,7 +107,7 @@ fn floor(half_m: f32) -> Mesh {
     floor
 }
 
-/// Horizontal distance of a point from the turned square of [`box_on_floor`] or [`column`] around the origin; below 0
+/// Horizontal distance of a point from the turned square of [`box_on_floor`] or [`column()`] around the origin; below 0
 /// inside.
 pub fn outside_m(position_m: Vec3, half_m: f32) -> f32 {
     let (sin, cos) = (libm::sinf(YAW_RAD), libm::cosf(YAW_RAD));
