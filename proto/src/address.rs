@@ -1,4 +1,4 @@
-//! What can be told of a server from its URL alone.
+//! Properties of a server that follow from its URL alone.
 
 use core::net::IpAddr;
 

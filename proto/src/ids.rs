@@ -17,9 +17,9 @@ pub type TaskKey = Digest;
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error("'{text}' is not {wanted}")]
 pub struct IdError {
-    /// What was given (cut to 80 characters).
+    /// Text given (cut to 80 characters).
     pub text: String,
-    /// What was wanted, in words.
+    /// Wanted form, in words.
     pub wanted: &'static str,
 }
 

@@ -1,4 +1,4 @@
-//! The job graph: tasks, what they read and what they give (DESIGN: "A bake is a graph of jobs").
+//! The job graph: tasks, what they read and what they give (ARCHITECTURE.md: "A bake is a graph of tasks").
 //!
 //! The server stores and schedules tasks without reading `kind` or `params`; only workers know what they mean.
 

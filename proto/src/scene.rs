@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-/// A light that can move at run time (METHOD.md §2 "dynamic light"), in world space.
+/// A light that can move at run time (METHOD.md §1, dynamic light), in world space.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SceneLight {

@@ -18,7 +18,7 @@ mod report;
 mod stores;
 mod workers;
 
-/// What is measured, by name.
+/// Measurements by name.
 const PARTS: [(&str, fn()); 4] = [
     ("stores", stores::measure),
     ("queue", queue::measure),

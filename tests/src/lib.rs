@@ -1,4 +1,4 @@
-//! What Lightkiln is tested with: scenes of our own, the harness that bakes them, and measured studies.
+//! Means of testing Lightkiln: scenes of our own, the harness that bakes them, and measured studies.
 
 pub mod ambient;
 pub mod harness;

@@ -89,7 +89,7 @@ fn remove_files(folder: &Path, is_left_over: impl Fn(&Path) -> bool) -> Result<(
     Ok(())
 }
 
-/// What comes before the dot.
+/// The name before the dot.
 fn stem(path: &Path) -> Option<&str> {
     path.file_stem().and_then(OsStr::to_str)
 }

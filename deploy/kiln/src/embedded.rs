@@ -16,7 +16,7 @@ use tokio::sync::oneshot;
 use crate::failure::{Exit, Failure, Result};
 use crate::kinds::KindTables;
 
-/// Lease length: long enough for a machine that is busy or was asleep; what a crash leaves is cancelled at the start.
+/// Lease length: long enough for a machine that is busy or was asleep; leases that a crash leaves are cancelled at the start.
 const LEASE_SECS: u32 = 60;
 /// Bakes that one look at the queue lists.
 const PAGE_BAKES: u32 = 100;

@@ -50,7 +50,7 @@ pub struct Failure {
     next_step: Option<String>,
 }
 
-/// What a command gives.
+/// Result of a command.
 pub type Result<T> = std::result::Result<T, Failure>;
 
 impl Failure {
@@ -82,7 +82,7 @@ impl Failure {
         self
     }
 
-    /// What was wrong, without causes.
+    /// The fault, without causes.
     pub fn message(&self) -> &str {
         &self.message
     }

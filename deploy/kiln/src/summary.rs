@@ -1,4 +1,4 @@
-//! What a finished bake was: the object of `bake --json`, the figures for people, and the bundle's report.
+//! Summary of a finished bake: the object of `bake --json`, the figures for people, and the bundle's report.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -129,7 +129,7 @@ pub fn complete_report(out: &Path, scene_path: Option<String>, summary: &Summary
     Ok(write_atomically(&path, format!("{whole:#}\n").as_bytes())?)
 }
 
-/// What the import of the scene could not honour, from a bake's report, as lines.
+/// Warnings of the scene's import, from a bake's report, as lines.
 pub fn warnings(report: &Value) -> Vec<String> {
     let warnings = report["import"]["warnings"].as_array().cloned().unwrap_or_default();
     let line = |warning: Value| match (warning["code"].as_str(), warning["message"].as_str()) {

@@ -19,14 +19,14 @@ use tracing_subscriber::Layer;
 use tracing_subscriber::filter::filter_fn;
 use tracing_subscriber::registry::LookupSpan;
 
-/// Longest time of one export; what takes longer is dropped.
+/// Longest time of one export; a longer one is dropped.
 const EXPORT_TIMEOUT: Duration = Duration::from_secs(10);
 /// Longest time that a process stays for its last export.
 const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(5);
 /// Largest answer of a collector that is read.
 const ANSWER_BYTES_MAX: u64 = 1 << 20;
 
-/// The export of traces, if there is one; what is not exported yet goes when it is dropped.
+/// The export of traces, if there is one; spans that are not exported yet go when it is dropped.
 pub struct Telemetry {
     provider: Option<SdkTracerProvider>,
     /// Why there is none although one was asked for.
@@ -61,7 +61,7 @@ impl Telemetry {
         Self { provider: Some(provider), trouble: None }
     }
 
-    /// What hands spans of traces to the export.
+    /// The layer that hands spans of traces to the export.
     pub fn layer<S>(&self) -> Option<impl Layer<S> + use<S>>
     where
         S: Subscriber + for<'span> LookupSpan<'span>,

@@ -38,7 +38,7 @@ fn parts_of(shape: &Shape, layer: LayerBox) -> Vec<Part> {
     parts
 }
 
-/// What `layer` adds to `before`.
+/// Parts that `layer` adds to `before`.
 fn new_parts(shape: &Shape, before: Option<LayerBox>, layer: LayerBox) -> Vec<Part> {
     let known = before.map(|before| parts_of(shape, before)).unwrap_or_default();
     parts_of(shape, layer).into_iter().filter(|part| !known.contains(part)).collect()

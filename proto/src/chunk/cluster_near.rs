@@ -87,7 +87,7 @@ impl StoredNear {
         Ok(Some(Self { reach_m: near.reach_m, blocks, weights, hits }))
     }
 
-    /// What the first layer's section begins with.
+    /// Writes the head of the first layer's section.
     pub fn begin(&self, out: &mut Vec<u8>) {
         out.extend_from_slice(&self.reach_m.to_le_bytes());
         out.extend_from_slice(&(self.blocks.len() as u32).to_le_bytes());

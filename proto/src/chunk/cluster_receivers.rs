@@ -1,4 +1,4 @@
-//! Receivers of a cluster chunk, level by level: where they are, what they are made of, what emitters give them.
+//! Receivers of a cluster chunk, level by level: places, materials, irradiance of emitters.
 
 use std::ops::Range;
 

@@ -30,7 +30,7 @@ const SMALL_SECTION_BYTES: usize = 1 << 20;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct ChunkKind(pub u8);
 
-/// What a section is: its tag and up to three part numbers, whose meaning is the tag's.
+/// Identity of a section: its tag and up to three part numbers, whose meaning is the tag's.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct SectionId {
     /// Tag, unique within the chunk's kind.
@@ -54,7 +54,7 @@ impl SectionId {
 /// A section as the table lists it.
 #[derive(Clone, Copy, Debug)]
 pub struct Entry {
-    /// What it is.
+    /// Its identity.
     pub id: SectionId,
     start: usize,
     stored_bytes: usize,

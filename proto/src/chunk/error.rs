@@ -1,4 +1,4 @@
-//! What can be wrong with a chunk, or with what is to become one.
+//! Faults of a chunk, or of content that is to become one.
 
 use thiserror::Error;
 
@@ -82,7 +82,7 @@ pub enum ChunkError {
         index: usize,
         /// Value found.
         value: f32,
-        /// What is allowed.
+        /// Allowed values.
         wanted: &'static str,
     },
     /// A section is missing, twice there or before one that it builds on.
@@ -112,7 +112,7 @@ pub enum ChunkError {
         section: &'static str,
         /// Declared length.
         raw_bytes: usize,
-        /// What zstd says, if it failed.
+        /// Error of zstd, if it failed.
         #[source]
         source: Option<std::io::Error>,
     },

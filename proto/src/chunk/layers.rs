@@ -15,7 +15,7 @@ pub const BAND_GROUP_LASTS: [u32; 4] = [2, 4, 7, 10];
 /// Most layers of a cluster.
 pub const LAYERS_MAX: usize = 4;
 
-/// What decides a cluster's grid of sections.
+/// Counts that decide a cluster's grid of sections.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Shape {
     /// Receivers of each level, finest first.

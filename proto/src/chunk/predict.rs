@@ -1,4 +1,4 @@
-//! What a receiver's value is guessed from: neighbouring texels that are stored before it.
+//! Guesses of a receiver's value, from neighbouring texels that are stored before it.
 //!
 //! Coarse levels come first, so a finer texel mostly lies between two that are known already. Values of smooth
 //! quantities are stored as differences from the mean of those.

@@ -140,7 +140,7 @@ fn code(value: f32, step: f32) -> i32 {
     if scaled.abs() < DEAD_ZONE { 0 } else { libm::round(scaled) as i32 }
 }
 
-/// What a decoder makes of a code.
+/// The number that a decoder makes of a code.
 pub(super) fn value(code: i32, step: f32) -> f32 {
     code as f32 * step
 }

@@ -1,4 +1,4 @@
-//! Clusters: receivers that share one factorised transport matrix (METHOD.md §2 "Clusters and factors").
+//! Clusters: receivers that share one factorised transport matrix (METHOD.md §2.9).
 
 use super::near::NearHits;
 use super::receivers::Receivers;
@@ -6,7 +6,7 @@ use super::receivers::Receivers;
 /// Identity of a group of columns: a patch, a part of the sky, a probe.
 pub type ColumnKey = u64;
 
-/// One cluster: its receivers, what supports them, and the factorised transport `A ≈ U (ΣVᵀ)`.
+/// One cluster: its receivers, its columns' keys, and the factorised transport `A ≈ U (ΣVᵀ)`.
 ///
 /// Columns of A, hence of `vt`: for each of `keys` in order, coefficients j = 0…J−1; then J columns of the sky (`sky` true)
 /// or none. A kind of bake says what its keys name: surface patches and parts of the sky have one coefficient each (`bands`
@@ -17,7 +17,7 @@ pub struct ClusterTransport {
     pub bounds_m: [[f32; 3]; 2],
     /// Receivers, coarse levels first.
     pub receivers: Receivers,
-    /// What the columns speak of, ascending.
+    /// Keys of the columns, ascending.
     pub keys: Vec<ColumnKey>,
     /// Highest spherical-harmonic band.
     pub bands: u32,

@@ -1,4 +1,4 @@
-//! What chunks hold, decoded: plain arrays in the notation of METHOD.md §2, shared by the kinds of bake.
+//! Decoded content of chunks that kinds of bake share: plain arrays in the notation of METHOD.md §2.
 
 mod cluster;
 mod drawing;

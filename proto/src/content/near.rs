@@ -14,7 +14,7 @@ pub struct NearHits {
     pub reach_m: f32,
     /// Hits of each receiver, which follow each other in the arrays below. Empty where no receiver has any.
     pub count: Vec<u8>,
-    /// What each hit of a receiver counts by, at most π: the integral of cosθ over the directions that it stands for.
+    /// Weight of each hit of a receiver, at most π: the integral of cosθ over the directions that it stands for.
     pub weight: Vec<f32>,
     /// Blocks that hits lie in; `block` indexes it.
     pub blocks: Vec<BlockKey>,
@@ -69,7 +69,7 @@ impl NearHits {
     }
 }
 
-/// What a near hit lies on.
+/// Surface of a near hit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum NearSurface {
     /// A texel.

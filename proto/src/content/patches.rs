@@ -1,10 +1,10 @@
-//! Surface patches: one world-aligned tree over all receivers (METHOD.md §2 "Basis").
+//! Surface patches: one world-aligned tree over all receivers (METHOD.md §2.3).
 
 use serde::{Deserialize, Serialize};
 
 use super::receivers::{BlockKey, Texel};
 
-/// Identity of a surface patch, or of a part of the sky: what a cluster's columns speak of when the basis is patches.
+/// Identity of a surface patch, or of a part of the sky: a column key of clusters whose columns are patches.
 ///
 /// Made of the patch's place, so that it does not depend on the rest of the scene, and neighbours have near keys.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -60,7 +60,7 @@ pub struct PatchSet {
     pub texel: Vec<Texel>,
     /// Surface of each receiver: its weight in the mean.
     pub area: Vec<AreaCode>,
-    /// Parts of the sky S; part s is what is nearest to direction [`crate::harmonics::relight_direction`]`(s, S)`.
+    /// Parts of the sky S; part s holds the directions nearest to [`crate::harmonics::relight_direction`]`(s, S)`.
     pub sky_parts: u32,
 }
 

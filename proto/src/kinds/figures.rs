@@ -12,7 +12,7 @@ const WORST_COUNT: usize = 5;
 /// Figures by name, and the same in lines for people.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Figures {
-    /// By name; what `--json` prints.
+    /// By name, as `--json` prints them.
     pub json: Map<String, Value>,
     /// Lines, each ended.
     pub words: String,

@@ -20,7 +20,7 @@ use crate::settings::{SettingRow, SettingsError};
 pub use figures::{Figures, cluster_figures};
 pub use scene_tasks::{SceneTask, SceneTasks};
 
-/// What the roles need to know of a kind of bake. Pure.
+/// A kind of bake, as far as every role knows it. Pure.
 pub trait Kind: Send + Sync {
     /// Name on the wire and in manifests: lower-case letters.
     fn name(&self) -> &'static str;
@@ -56,7 +56,7 @@ pub enum BakeError {
     /// No such kind.
     #[error("there is no bake kind '{kind:.40}'; known kinds: {known}")]
     UnknownKind {
-        /// What was asked for.
+        /// Name asked for.
         kind: String,
         /// Names of the table.
         known: String,

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::scene::{SceneCamera, SceneLight};
 
-/// What was chosen; nothing where the file has its own.
+/// Choices for files without a camera or a light; none where the file has its own.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Framing {

@@ -1,4 +1,4 @@
-//! The manifest: what a bake was made from, what is drawn, which chunks it has, and a body that its kind reads.
+//! The manifest: a bake's scene, settings, draws and chunks, and a body that its kind reads.
 //!
 //! JSON, canonical (sorted keys, no spaces), a pure function of scene and settings.
 
@@ -66,7 +66,7 @@ pub struct Manifest {
     pub framing: Framing,
     /// Chunks by role; [`TEXTURES`] and [`GEOMETRY`] are every kind's, the others the kind's own.
     pub chunks: BTreeMap<String, Vec<ChunkRef>>,
-    /// What the kind alone knows.
+    /// Part that the kind alone reads.
     pub body: Value,
 }
 
@@ -115,7 +115,7 @@ pub enum ManifestError {
     /// Two parts that do not agree.
     #[error("{problem}")]
     Contradiction {
-        /// What does not agree.
+        /// The two parts, and how they differ.
         problem: String,
     },
 }

@@ -1,5 +1,5 @@
 //! The run time of baked light on the processor: the normative form of the client's passes, as pure functions over flat
-//! arrays in a fixed order of summation (METHOD.md §2 "Relight", "Reconstruct", "Clusters and factors").
+//! arrays in a fixed order of summation (METHOD.md §2.9, §2.10).
 //!
 //! ```text
 //! L_r  = ρ_r/π · (E_dir + E_emit + E_ind)           radiance      of receiver r

@@ -1,4 +1,4 @@
-//! The queue: bakes, tasks, leases and events, behind one trait (DESIGN "The queue").
+//! The queue: bakes, tasks, leases and events, behind one trait.
 //!
 //! **Delivery** is at least once, the **effect** exactly once. Every claim gives a fencing token; [`FarmStore::commit`]
 //! compares it in the transaction that writes the result, the events, the plan's new tasks and the unlocking of

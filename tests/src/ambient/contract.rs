@@ -44,7 +44,7 @@ kind_settings! {
     }
 }
 
-/// What the manifest holds beside the shared part.
+/// Body of manifests of this kind.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Body {

@@ -22,9 +22,9 @@ pub struct Measured {
     pub line: String,
     /// Value of the setting that is varied.
     pub value: &'static str,
-    /// What `kiln bake --json` ended with.
+    /// Last line of `kiln bake --json`.
     pub bake: Value,
-    /// What `kiln evaluate --json` ended with.
+    /// Last line of `kiln evaluate --json`.
     pub evaluation: Value,
 }
 

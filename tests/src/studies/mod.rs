@@ -13,7 +13,7 @@ pub use report::write;
 /// `KEY=VALUE` as `kiln bake --set` takes it; `kind=NAME` names the kind of bake.
 pub type Setting = &'static str;
 
-/// What a plot's horizontal axis shows.
+/// Quantity on a plot's horizontal axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Axis {
     /// Probes placed.
@@ -33,9 +33,9 @@ pub enum Axis {
 pub struct Study {
     /// Name on the command line and of the files.
     pub name: &'static str,
-    /// What is asked.
+    /// The question.
     pub question: &'static str,
-    /// What the figures say, and the default that is chosen.
+    /// The answer by the figures, and the default that is chosen.
     pub answer: &'static str,
     /// Scenes of `tests/scenes`.
     pub scenes: &'static [&'static str],
@@ -47,7 +47,7 @@ pub struct Study {
     pub varied: &'static str,
     /// Its values.
     pub values: &'static [&'static str],
-    /// What the plot's horizontal axis shows.
+    /// Quantity on the plot's horizontal axis.
     pub axis: Axis,
 }
 

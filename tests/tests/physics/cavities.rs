@@ -59,7 +59,7 @@ fn cavities_get_no_receivers_and_what_is_seen_keeps_its_own(kind: &'static str) 
         let receivers = held.receivers(which);
         receivers.iter().map(|&receiver| luminance(lit.baked(receiver))).sum::<f64>() / receivers.len() as f64
     };
-    // At the mouth of the bar, what would come back from its depths is missing.
+    // At the mouth of the bar, light that would come back from its depths is missing.
     let groups: [(&str, Which, f64); 4] = [
         ("room", &rest, 0.01),
         ("under the board", &is_under_board, 0.03),

@@ -67,7 +67,7 @@ fn assert_box_has_no_aura(kind: &'static str, bottom_m: f32) {
 /// How far the energy of a group of receivers, and each receiver in the mean of squares, may be from the reference.
 type Tolerance = [f64; 2];
 const NEAR: Tolerance = [0.05, 0.15];
-/// With sh, what a probe sees is blurred over half a metre here, and floor close to the box gets light of the floor further
+/// With sh, a probe's radiance is blurred over half a metre here, and floor close to the box gets light of the floor further
 /// off: 16 % too much of it were measured.
 const BLURRED: Tolerance = [0.2, 0.25];
 
@@ -79,7 +79,7 @@ fn assert_is_as_the_reference(lit: &Lit, what: &str, receivers: &[u32], [energy,
     assert!(error < each, "{what}: relative error {error}");
 }
 
-/// What is seen of a texel is often no more than a strip beside what lies on it: a tenth of it here.
+/// The visible part of a texel is often no more than a strip beside the thing that lies on it: a tenth of it here.
 #[test]
 fn texels_of_which_a_strip_is_seen_have_its_light() {
     const SEEN_M: f32 = 0.1 * TEXEL_M;

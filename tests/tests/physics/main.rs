@@ -1,4 +1,4 @@
-//! What makes a bake right (METHOD.md §4), on scenes of our own at small size, with either kind.
+//! The eight checks of a right bake (METHOD.md §4), on scenes of our own at small size, with either kind.
 //!
 //! Where the right answer is not known in closed form, it is the path tracer's at the same receivers: tolerances are of the
 //! bake, and three standard errors of the reference come on top. Every test also asserts that the light it looks for is

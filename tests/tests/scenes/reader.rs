@@ -48,7 +48,7 @@ fn collect(file: &gltf::Gltf, node: &gltf::Node, world_from_parent: Mat4, found:
     }
 }
 
-/// What is wrong with a triangle by itself: no area, normals that are not unit, or a winding that contradicts them.
+/// Fault of a triangle by itself: no area, normals that are not unit, or a winding that contradicts them.
 pub fn fault(triangle: &Triangle) -> Option<&'static str> {
     let [a, b, c] = triangle.corners_m;
     let across = (b - a).cross(c - a);

@@ -1,5 +1,5 @@
-//! The house rules that a compiler does not check: who may depend on whom, which rooms may name which, what is named in
-//! ARCHITECTURE.md, how long a file may be.
+//! House rules that a compiler does not check: arrows between crates and between rooms, names in ARCHITECTURE.md, the
+//! length of files.
 
 mod crates;
 mod faults;

@@ -10,7 +10,7 @@ use proc_macro2::{Delimiter, TokenStream, TokenTree};
 
 use super::{files_below, text_of};
 
-/// What begins a list.
+/// Words that begin a list.
 const HEAD: &str = "rooms of ";
 
 type Module = Vec<String>;
@@ -22,7 +22,7 @@ struct List {
     rooms: Vec<String>,
     /// From, to.
     arrows: BTreeSet<(String, String)>,
-    /// What is wrong with the list itself.
+    /// Faults of the list itself.
     faults: Vec<String>,
 }
 

@@ -1,9 +1,9 @@
 //! Irradiance straight from emissive surfaces, by sampling them and by the receivers' own rays.
 //!
-//! We differ from METHOD.md's "static light goes through the same path": a lamp is met by a handful of rays, so its energy
-//! would be off by tens of percent at each receiver and its shadows blurred by the basis. Here both estimators are weighted
-//! by the balance heuristic (\[Veach1995\]), so neither a small nor a near lamp is noisy; the basis then carries only light
-//! that has bounced.
+//! We differ from relighting emission like any other radiance (METHOD.md §2.7): a lamp is met by a handful of rays, so its
+//! energy would be off by tens of percent at each receiver and its shadows blurred by the columns. Here both estimators are
+//! weighted by the balance heuristic (\[Veach1995\]), so neither a small nor a near lamp is noisy; columns then carry only
+//! light that has bounced.
 
 use std::borrow::Cow;
 use std::ops::Deref;

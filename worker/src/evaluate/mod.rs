@@ -1,4 +1,4 @@
-//! Error of a bake: E_ind at places under lights that it never met, against the path tracer (METHOD.md §4.5).
+//! Error of a bake: E_ind at places under lights that it has not seen, against the path tracer (METHOD.md §3).
 //!
 //! A kind of bake answers through [`Evaluated`]: it makes the bake's world anew, decodes its chunks, and says how much light
 //! is at a hit under given lights. [`Evaluator`] draws a [`Sample`] of such places by area, compares each answer with

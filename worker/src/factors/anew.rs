@@ -6,7 +6,7 @@
 //! factorisation   U (ΣVᵀ) λ in f32 at the bake's rank     against Σ α λ               at all receivers of some cells
 //! quantisation    the decoded chunk's U (ΣVᵀ) λ           against U (ΣVᵀ) λ in f32    at the same
 //! ```
-//! Σ α λ is over the finest columns of the basis: the bake's own choice of columns is a part of the factorisation. The light
+//! Σ α λ is over the finest columns of the kind: the bake's own choice of columns is a part of the factorisation. The light
 //! of near hits is the same in all three, as the chunk has it: its error is in that of transport.
 
 use std::collections::BTreeMap;

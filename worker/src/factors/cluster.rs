@@ -1,4 +1,4 @@
-//! The part of a cluster that does not depend on the basis: its receivers and their emitters.
+//! The part of a cluster that is the same for every kind: its receivers and their emitters.
 
 use glam::Vec3;
 use lightkiln_proto::content::{EmitterIrradiance, Receivers};

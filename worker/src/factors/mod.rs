@@ -51,7 +51,7 @@ pub struct CellRows {
 pub enum Detail {
     /// As the bake has it.
     AsBaked,
-    /// As finely as the basis can: the bake's own choice of columns stands in for it.
+    /// As finely as the kind can: the bake's own choice of columns approximates it.
     Finest,
 }
 

@@ -4,8 +4,8 @@
 //! level to level, and a patch's parent holds the patches of its cell of the next level that are one surface: linked by
 //! neighbouring texels, or in sight of each other. So no patch has two sides of a wall.
 //!
-//! We differ from METHOD "Basis at the probe": patches belong to surfaces, not to a probe. A hit then always has a patch,
-//! whoever else sees it, near patches are small, far ones large, and each texel's light is summed once for all.
+//! We differ from \[Sedlacek2019\] (METHOD.md §2.3): coefficients belong to surfaces, not to probes. A hit then always has a
+//! patch, whoever else sees it, near patches are small, far ones large, and each texel's light is summed once for all.
 
 use std::collections::BTreeMap;
 

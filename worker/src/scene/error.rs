@@ -12,7 +12,7 @@ pub enum ImportError {
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// Error of the system.
         #[source]
         source: std::io::Error,
     },
@@ -22,7 +22,7 @@ pub enum ImportError {
     /// The GLB container is broken.
     #[error("broken GLB: {problem}; export the file again")]
     Glb {
-        /// What is wrong.
+        /// The fault.
         problem: String,
     },
     /// The JSON is not glTF.
@@ -35,7 +35,7 @@ pub enum ImportError {
     /// Another glTF version than 2.
     #[error("glTF version {version:?} is not supported; export the scene as glTF 2.0")]
     Version {
-        /// What `asset.version` (or the GLB header) says.
+        /// Version by `asset.version` or the GLB header.
         version: String,
     },
     /// The zip container is broken, encrypted or compressed by an unsupported method.
@@ -43,7 +43,7 @@ pub enum ImportError {
     Zip {
         /// Which entry, or the archive as a whole.
         place: String,
-        /// What the reader said.
+        /// Error of the reader.
         #[source]
         source: zip::result::ZipError,
     },
@@ -52,7 +52,7 @@ pub enum ImportError {
     ZipEntry {
         /// The entry.
         place: String,
-        /// What the decompressor said.
+        /// Error of the decompressor.
         #[source]
         source: std::io::Error,
     },
@@ -99,7 +99,7 @@ pub enum ImportError {
     DataUri {
         /// Buffer or image.
         place: String,
-        /// What is wrong.
+        /// The fault.
         problem: String,
     },
     /// A size beyond what is accepted.
@@ -117,7 +117,7 @@ pub enum ImportError {
     UnsupportedExtension {
         /// The extension.
         name: String,
-        /// What to do.
+        /// Next step for the user.
         advice: &'static str,
     },
     /// An index in the JSON that points to nothing.
@@ -125,7 +125,7 @@ pub enum ImportError {
     MissingReference {
         /// Who names it.
         place: String,
-        /// What it names.
+        /// Kind of the thing that it names.
         kind: &'static str,
         /// The index named.
         index: usize,
@@ -137,7 +137,7 @@ pub enum ImportError {
     Buffer {
         /// Which buffer.
         place: String,
-        /// What is wrong.
+        /// The fault.
         problem: String,
     },
     /// A primitive's attribute or index list that cannot be read.
@@ -145,7 +145,7 @@ pub enum ImportError {
     Accessor {
         /// Mesh, primitive and attribute.
         place: String,
-        /// What is wrong.
+        /// The fault.
         problem: String,
     },
     /// A vertex index beyond the primitive's vertices.
@@ -187,16 +187,16 @@ pub enum ImportError {
     Image {
         /// Which image.
         place: String,
-        /// What it looks like instead, if that is known.
+        /// Format that it looks like instead, if that is known.
         hint: &'static str,
-        /// What the decoder said.
+        /// Error of the decoder.
         #[source]
         source: image::ImageError,
     },
     /// Writing the upload's zip failed.
     #[error("cannot pack the scene's files")]
     Pack {
-        /// What the zip writer said.
+        /// Error of the zip writer.
         #[source]
         source: zip::result::ZipError,
     },

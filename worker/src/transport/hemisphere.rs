@@ -1,4 +1,4 @@
-//! The cosine-distributed rays of a receiver, along which every basis gathers light.
+//! The cosine-distributed rays of a receiver, along which every kind gathers light.
 
 use glam::Vec3;
 
@@ -19,7 +19,7 @@ pub struct Hemisphere<'a> {
     rays: u32,
 }
 
-/// Findings that do not depend on the basis.
+/// Findings that are the same for every kind.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Surroundings {
     /// Irradiance straight from each emitter, W·m⁻².

@@ -112,7 +112,7 @@ pub enum UnwrapError {
     BadSetting {
         /// Field of [`UnwrapSettings`].
         field: &'static str,
-        /// What is wrong with it.
+        /// The fault.
         reason: &'static str,
     },
 }

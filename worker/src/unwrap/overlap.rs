@@ -189,7 +189,7 @@ enum Undo {
     Small { x: i32, y: i32, cell: SmallCell },
 }
 
-/// What one chart covers.
+/// Cells that one chart covers.
 pub(super) struct Cover {
     cell_texels: f64,
     large: Vec<Footprint>,

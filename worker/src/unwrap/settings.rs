@@ -1,4 +1,4 @@
-//! What a user may turn.
+//! Settings of the unwrap.
 
 use serde::{Deserialize, Serialize};
 

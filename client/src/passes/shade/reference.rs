@@ -94,7 +94,7 @@ fn visible(scene: &LoadedScene, drawn: &[Drawn], width: u32, rows: Range<u32>) -
     seen
 }
 
-/// `L = Lₑ + ρ/π·(E_dir + E)` with indirect light E, METHOD §1.
+/// `L = Lₑ + ρ/π·(E_dir + E)` with indirect light E, METHOD.md §1.
 fn radiance(lit: Lit<'_>, drawn: &Drawn, [x, y]: [f64; 2]) -> Vec3 {
     let shaded = surface_at(lit.scene, drawn.draw, &drawn.triangle, (x, y), lit.emitter_scale);
     let surface = &shaded.surface;

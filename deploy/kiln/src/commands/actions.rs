@@ -17,14 +17,14 @@ pub struct Arguments {
     server: ServerArgument,
 }
 
-/// What is done.
+/// A change of a bake.
 #[derive(Clone, Copy, Debug)]
 pub enum Action {
     /// Tasks are held back; those under way go on.
     Pause,
     /// The pause ends.
     Resume,
-    /// The bake ends; what was done of it stays and is used again by a later bake.
+    /// The bake ends; its finished tasks stay and are used again by a later bake.
     Cancel,
     /// The bake goes, with the results that no other bake holds; the server frees their room after its grace.
     Delete,
@@ -39,7 +39,7 @@ impl Action {
         Ok(())
     }
 
-    /// Does it; what the bake is afterwards.
+    /// Does it; gives the bake's state afterwards, in words.
     fn take(self, client: &ApiClient, id: &str) -> Result<String> {
         Ok(match self {
             Self::Pause => {

@@ -28,7 +28,7 @@ const TRIES_OF_A_COMMIT: usize = 50;
 
 /// A scene packed for upload.
 pub struct PackedScene {
-    /// What people call it: the file's stem.
+    /// Name for people: the file's stem.
     pub name: String,
     bytes: Vec<u8>,
 }

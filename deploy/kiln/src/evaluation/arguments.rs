@@ -1,4 +1,4 @@
-//! What an evaluation measures and when it fails, as the command line says it.
+//! Arguments of an evaluation: lights, precision, limits.
 
 use std::fs;
 use std::path::PathBuf;

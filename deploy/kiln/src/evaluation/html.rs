@@ -182,7 +182,7 @@ fn worst(clusters: &[ClusterError]) -> String {
     html + "</table>"
 }
 
-/// What the colours of differences mean.
+/// Legend of the colours of differences.
 fn legend() -> String {
     let mut html = "<h2>Differences</h2><p>".to_owned();
     for step in -4..=4 {

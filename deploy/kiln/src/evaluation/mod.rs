@@ -1,4 +1,4 @@
-//! A bundle held against the path tracer: where its scene is, what is measured, limits, tables and pages.
+//! A bundle held against the path tracer: its scene, the measurement, limits, tables and pages.
 
 mod arguments;
 mod dump;

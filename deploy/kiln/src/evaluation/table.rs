@@ -70,7 +70,7 @@ pub struct Evaluation {
     pub chunks: usize,
     /// The worst clusters.
     pub worst_clusters: Vec<ClusterError>,
-    /// What was left out, and why.
+    /// Notes on lights and places that were left out, and why.
     pub notes: Vec<String>,
 }
 
@@ -79,7 +79,7 @@ pub struct Evaluation {
 pub struct LightRow {
     /// Name.
     pub name: String,
-    /// What it is and where.
+    /// Its type and place, in words.
     pub words: String,
     /// Errors.
     #[serde(flatten)]

@@ -19,7 +19,7 @@ pub struct ChunkFigures {
     pub digest: String,
     /// Length.
     pub bytes: u64,
-    /// What it holds, by name.
+    /// Its content, by name.
     pub content: Value,
     /// Prefixes that are coarser versions, smallest first.
     pub layers: Vec<Layer>,

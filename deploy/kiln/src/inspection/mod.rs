@@ -1,4 +1,4 @@
-//! What is in a bundle or a chunk, for people and as JSON.
+//! Figures of a bundle or a chunk, for people and as JSON.
 
 mod bundle;
 mod chunk;

@@ -104,7 +104,7 @@ fn duration_words(duration: Duration) -> String {
     }
 }
 
-/// What people should hear of at once.
+/// An event that people should hear of at once, in words.
 fn trouble(event: &EventKind) -> Option<String> {
     match event {
         EventKind::TaskFailed { label, kind, worker, message, retry: true, .. } => {

@@ -51,7 +51,7 @@ fn github_job_has_few_rights_an_end_and_its_secrets_from_outside() {
     assert_eq!(job["env"]["KILN_COMMIT"], "${{ github.sha }}");
     let steps = job["steps"].as_array().unwrap();
     for step in steps {
-        // What comes from outside reaches a shell as a variable, never as its text.
+        // Text from outside reaches a shell as a variable, never as its code.
         assert!(step["run"].as_str().is_none_or(|run| !run.contains("${{")), "{step}");
         let uses = step["uses"].as_str();
         assert!(uses.is_none_or(|uses| uses.starts_with("actions/") && uses.contains("@v")), "{step}");

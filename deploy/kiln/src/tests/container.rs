@@ -17,7 +17,7 @@ fn instructions(text: &str) -> Vec<(String, String)> {
         .collect()
 }
 
-/// What the instruction says, in the order of the file.
+/// Arguments of an instruction, in the order of the file.
 fn all<'a>(instructions: &'a [(String, String)], name: &str) -> Vec<&'a str> {
     instructions.iter().filter(|(known, _)| known == name).map(|(_, rest)| rest.as_str()).collect()
 }

@@ -1,4 +1,4 @@
-//! What CI systems rely on: one bake for one commit, exit codes, the JSON object, the JUnit report.
+//! The contract with CI systems: one bake for one commit, exit codes, the JSON object, the JUnit report.
 
 use std::path::{Path, PathBuf};
 

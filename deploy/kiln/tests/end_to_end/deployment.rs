@@ -1,4 +1,4 @@
-//! What the files of `deploy/` ask of a server, asked of one that runs.
+//! Calls that the files of `deploy/` make, made to a server that runs.
 
 use std::collections::BTreeSet;
 use std::io::{Read as _, Write as _};

@@ -86,7 +86,7 @@ impl Farm {
         }
     }
 
-    /// Fills the farm; what Schemathesis is told of it.
+    /// Fills the farm; gives the names that Schemathesis is told.
     fn seed(&self) -> Vec<(&'static str, String)> {
         let scene = self.put("scenes", SCENE);
         let done = [self.submit(scene, 9), self.submit(scene, 9)];

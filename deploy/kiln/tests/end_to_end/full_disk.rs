@@ -160,7 +160,7 @@ fn farm_on_a_full_disk_refuses_with_507_and_goes_on_when_there_is_room() {
     run(kiln(folder.path()), &["fetch", &bake, "--server", url, "--out", &out], 0);
     assert_eq!(bundle(Path::new(&out)), expected);
     assert!(disk.assert_chunks_are_whole() > 10);
-    // What was refused was not done, and can be done now.
+    // Refused calls changed nothing, and succeed now.
     assert_eq!(once.upload_scene(&big).unwrap().bytes, big.len() as u64);
     once.submit(&idle_bake(scene, taken), &format!("key-{taken}")).unwrap();
     let bakes = client.bakes(None, 500).unwrap().bakes.len();

@@ -85,7 +85,7 @@ impl Running {
         }
     }
 
-    /// What came on standard error since somebody last looked.
+    /// Lines of standard error since somebody last looked.
     pub fn stderr_so_far(&self) -> Vec<String> {
         self.stderr.try_iter().collect()
     }
@@ -126,7 +126,7 @@ impl Running {
     }
 }
 
-/// What is left of a process.
+/// Remains of a process.
 pub struct Ended {
     /// Exit code; `None` if a signal ended it.
     pub exit: Option<i32>,

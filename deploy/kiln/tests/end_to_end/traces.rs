@@ -121,7 +121,7 @@ fn one_trace_leads_from_the_submission_to_the_chunks() {
     let worker = Running::start(command);
     let wait = ["--server", &server.url, "--wait", "--json"];
     let ended = run(collector.traced(folder.path()), &arguments("submit", &wait), 0).json();
-    // What is not exported yet is when a process ends.
+    // Spans that are not exported yet are when a process ends.
     worker.signal("TERM");
     assert_eq!(worker.wait(), Some(0));
     assert_eq!(server.stop(), Some(0));

@@ -1,4 +1,4 @@
-//! What keeps a farm in order: checks of its bytes, and commands that change its bakes.
+//! Upkeep of a farm: checks of its bytes, and commands that change its bakes.
 
 use std::path::{Path, PathBuf};
 

@@ -53,7 +53,7 @@ fn carry(mut from: TcpStream, mut to: TcpStream, may: impl Fn(u64) -> bool) {
     let _ = (from.shutdown(Shutdown::Both), to.shutdown(Shutdown::Both));
 }
 
-/// A scene of that many bytes that nothing can compress; what is in it only a worker would look at.
+/// A scene of that many bytes that nothing can compress; only a worker would look into it.
 fn big_scene(length: usize) -> Vec<u8> {
     let mut state = 0x2545_f491_4f6c_dd1d_u64;
     let mut scene = b"PK\x03\x04".to_vec();

@@ -7,7 +7,7 @@ use crate::content::*;
 use crate::kinds::sh::*;
 use crate::manifest::Layer;
 
-/// What `full` becomes when only `layer` of it is kept.
+/// `full` when only `layer` of it is kept.
 fn kept(full: &ClusterTransport, layer: Layer) -> (usize, Vec<f32>, Vec<f32>) {
     let level = |texel: &Texel| Receivers::level(*texel, 3);
     let receivers = full.receivers.texel.iter().take_while(|texel| level(texel) >= layer.level).count();

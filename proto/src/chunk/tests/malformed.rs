@@ -21,7 +21,7 @@ fn chunks() -> Vec<(ChunkKind, Vec<u8>)> {
     ]
 }
 
-/// Decodes as any kind; what comes out must be of one piece.
+/// Decodes as any kind; decoded content must be of one piece.
 fn decode(kind: ChunkKind, bytes: &[u8]) -> Result<(), ChunkError> {
     match kind {
         CLUSTER => {

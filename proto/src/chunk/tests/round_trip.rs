@@ -1,4 +1,4 @@
-//! What goes in comes out, within the stated errors.
+//! Content comes back from its chunk within the stated errors.
 
 use super::scenes::{batch, narrow, patches, quads, wall};
 use crate::chunk::*;
@@ -116,7 +116,7 @@ fn patches_come_back_exactly_and_by_key() {
     assert!(matches!(encode_patches(&outside), Err(ChunkError::OutOfRange { .. })));
 }
 
-/// What hits name, whatever the order of blocks.
+/// Hits with the blocks that they name, whatever the order of blocks.
 fn named(batch: &ProbeBatch) -> Vec<(RelightHit, Option<BlockKey>)> {
     let name = |hit: &RelightHit| match *hit {
         RelightHit::Receiver { block, texel } => {

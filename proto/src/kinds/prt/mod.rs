@@ -26,7 +26,7 @@ pub const PATCHES: &str = "patches";
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Prt;
 
-/// What manifests of this kind hold beside the shared part.
+/// Body of manifests of this kind.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Body {

@@ -31,7 +31,7 @@ pub struct Probe {
     pub radius_m: f32,
 }
 
-/// What a relight ray meets.
+/// Surface that a relight ray meets, or the sky.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum RelightHit {
     /// A receiver: index into the batch's `blocks`, and its texel there.

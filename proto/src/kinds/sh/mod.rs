@@ -35,7 +35,7 @@ pub const PROBES: &str = "probes";
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Sh;
 
-/// What manifests of this kind hold beside the shared part.
+/// Body of manifests of this kind.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Body {

@@ -164,7 +164,7 @@ fn check_probes(bytes: &[u8]) {
 fn check_geometry(bytes: &[u8]) {
     let Ok(geometry) = decode_geometry(bytes) else { return };
     assert_geometry(&geometry);
-    // Lightmap coordinates may be rounded once; what they are rounded to stays.
+    // Lightmap coordinates may be rounded once; rounded ones stay.
     let once = encode_geometry(&geometry).expect("what was decoded can be encoded");
     let decoded = decode_geometry(&once).expect("what was encoded can be decoded");
     assert_eq!(encode_geometry(&decoded).expect("and encoded again"), once);

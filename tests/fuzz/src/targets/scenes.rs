@@ -45,7 +45,7 @@ fn limits() -> Limits {
     }
 }
 
-/// What [`limits`] allow, with room: 60,000 vertices of some 100 bytes, two million pixels of up to 16 bytes, four MiB of
+/// Memory that [`limits`] allow, with room: 60,000 vertices of some 100 bytes, two million pixels of up to 16 bytes, four MiB of
 /// files, and a JSON tree of several hundred bytes for each byte.
 fn memory_max(bytes: usize) -> u64 {
     (64 << 20) + 1000 * bytes as u64

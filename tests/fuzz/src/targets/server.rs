@@ -1,4 +1,4 @@
-//! What callers write into URLs and headers, and owners onto command lines.
+//! Texts that callers write into URLs and headers, and owners onto command lines.
 
 use std::net::IpAddr;
 use std::sync::Arc;
@@ -153,7 +153,7 @@ fn check_place(text: &str) {
         let url = &config.urls[0];
         assert!(matches!(url.scheme(), "http" | "https"), "{url}");
         let host = url.host_str().expect("a host").trim_matches(['[', ']']);
-        // A name may look like the beginning of an address; what it stands for is tested when it is called.
+        // A name may look like the beginning of an address; the address behind it is tested when it is called.
         let is_near = |address: IpAddr| match address {
             IpAddr::V4(address) => address.is_loopback() || address.is_link_local(),
             IpAddr::V6(address) => address.is_loopback(),

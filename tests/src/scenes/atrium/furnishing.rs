@@ -1,4 +1,4 @@
-//! What fills the atrium: cloths, fountain, trees, doors.
+//! Furnishing of the atrium: cloths, fountain, trees, doors.
 
 use core::f32::consts::PI;
 

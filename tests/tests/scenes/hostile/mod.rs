@@ -18,7 +18,7 @@ fn measured(target: &Target, bytes: &[u8]) -> (u64, bool) {
     (memory.bytes_max, was_taken)
 }
 
-/// What is wrong with how a target reads the bytes.
+/// Fault in a target's reading of the bytes.
 fn fault(target: &Target, bytes: &[u8]) -> Option<String> {
     let (memory, _) = measured(target, bytes);
     let max = (target.memory_max)(bytes.len());

@@ -1,4 +1,4 @@
-//! Task `sh.relight`: hits of the relight rays of a batch of probes (METHOD.md §2 "Relight").
+//! Task `sh.relight`: hits of the relight rays of a batch of probes (METHOD.md §2.11).
 
 use glam::Vec3;
 use lightkiln_proto::harmonics::relight_direction;

@@ -2,8 +2,7 @@
 //! of panels whose faces are double-sided, or between the two sheets of a wall. They would cost as much as others, and light
 //! that gets in by cracks is finer than any texel.
 //!
-//! We differ from METHOD.md §1 "Receivers": backs of faces tell that a receiver is inside a solid, and double-sided faces
-//! have none.
+//! We differ (METHOD.md §2.2): backs of faces tell that a receiver is inside a solid, and double-sided faces have none.
 
 use std::sync::Arc;
 
@@ -72,7 +71,7 @@ fn kept(lightmap: Lightmap, fates: &[Fate]) -> Lightmap {
     }
     let mut blocks = lightmap.blocks;
     for slot in blocks.iter_mut().flat_map(|block| &mut block.receiver_of_texel) {
-        // What is no receiver's number already says why there is none.
+        // Entries beyond the receivers' numbers say already why there is no receiver.
         *slot = number_of.get(*slot as usize).copied().unwrap_or(*slot);
     }
     Lightmap { blocks, receivers, ..lightmap }

@@ -1,4 +1,4 @@
-//! What every unwrap must keep, as one check for all tests.
+//! Rules that every unwrap must keep, as one check for all tests.
 
 use glam::{DVec2, Vec3};
 
@@ -6,7 +6,7 @@ use super::meshes::{Mesh, wall};
 use crate::unwrap::overlap::{FOLD_TEXELS, Footprint, PENETRATION_TEXELS, any_cell, penetration};
 use crate::unwrap::{Unwrap, UnwrapBlock, UnwrapSettings, UnwrappedTriangle};
 
-/// What `check` found worth comparing.
+/// Figures of an unwrap that tests compare.
 pub struct Checked {
     pub chart_count: usize,
 }

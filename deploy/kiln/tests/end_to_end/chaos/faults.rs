@@ -1,11 +1,11 @@
-//! What happens to the farm, by the dice.
+//! Faults that befall the farm, by the dice.
 
 use std::time::Duration;
 
 use super::Patience;
 use super::troupe::Troupe;
 
-/// What can happen.
+/// A fault.
 #[derive(Clone, Copy, Debug)]
 enum Fault {
     KillWorker,

@@ -3,7 +3,7 @@
 //! after the request was done. What comes out must be what comes out of an undisturbed bake, and the farm's books must
 //! be right.
 //!
-//! The same seed throws the same dice; what the processes are at when it strikes is up to the machine. `KILN_CHAOS_SEED`
+//! The same seed throws the same dice; the moment at which a fault strikes is up to the machine. `KILN_CHAOS_SEED`
 //! and `KILN_CHAOS_ROUNDS` say which, and for how long:
 //! ```sh
 //! KILN_CHAOS_SEED=7 KILN_CHAOS_ROUNDS=200 cargo test --release -p kiln --test end_to_end chaos::farm -- --nocapture

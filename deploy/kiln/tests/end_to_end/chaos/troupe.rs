@@ -17,7 +17,7 @@ pub struct Member {
     running: Option<Running>,
     /// Port that it listens on, if it is a server.
     port: u16,
-    /// What it wrote in its earlier lives.
+    /// Lines that it wrote in its earlier lives.
     said: Vec<String>,
 }
 

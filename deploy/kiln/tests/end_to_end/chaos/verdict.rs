@@ -1,4 +1,4 @@
-//! What must be true at the end, whatever happened.
+//! The verdict: conditions that must hold at the end, whatever happened.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -11,7 +11,7 @@ use super::super::processes::{kiln, run};
 use super::Patience;
 use super::troupe::Troupe;
 
-/// What the bakes' events tell, added up over all of them.
+/// Counts from the bakes' events, added up over all of them.
 #[derive(Default)]
 pub struct Books {
     /// How often each task was committed.
