@@ -1,4 +1,4 @@
-//! What happens to a bake, as its log tells it ([`crate::api`] has the calls).
+//! Events of a bake, as its log tells them ([`crate::api`] has the calls).
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;

@@ -1,4 +1,4 @@
-//! The job graph: tasks, what they read and what they give (ARCHITECTURE.md: "A bake is a graph of tasks").
+//! The job graph: tasks, their inputs and their outputs (ARCHITECTURE.md: "A bake is a graph of tasks").
 //!
 //! The server stores and schedules tasks without reading `kind` or `params`; only workers know what they mean.
 

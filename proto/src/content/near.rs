@@ -6,7 +6,7 @@ use super::receivers::{BlockKey, Texel};
 
 /// Points close to receivers whose light is read at the very point: in narrow places, where a texel has strips of light
 /// and shadow. A hit at y on the texel t gives its receiver `weight · ρ_t/π · (E_dir(y) + E_ind(t))`, with E_dir for the
-/// normal of t. What is so closed in that a wall parts it from the middles of all texels around has an albedo and a normal
+/// normal of t. A hit that walls part from the middles of all texels around has an albedo and a normal
 /// of its own, and the E_ind of the receiver that meets it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct NearHits {

@@ -60,7 +60,7 @@ fn stations(segments: u32, drop_m: f32) -> Vec<Station> {
     list
 }
 
-/// Sweeps sharp-edged profile points (radius, z) along an arch. What it shows: outwards where z
+/// Sweeps sharp-edged profile points (radius, z) along an arch. Its front looks outwards where z
 /// grows, the +z side where the radius shrinks, inwards where z falls.
 fn sweep(profile: &[ProfilePoint], stations: &[Station]) -> Mesh {
     let mut mesh = Mesh::default();

@@ -11,7 +11,7 @@ use super::setup::{only, spread};
 const TEXEL_M: f32 = 0.0625;
 /// Receivers that are looked at.
 const RECEIVERS: usize = 80;
-/// Root mean square error of E_ind over its mean. Measured: 0.46, and 1.86 without near hits. What is left is E_ind, which
+/// Root mean square error of E_ind over its mean. Measured: 0.46, and 1.86 without near hits. The rest is E_ind, which
 /// changes within these texels too, and is that of their middles.
 const ERROR_MAX: f64 = 0.6;
 

@@ -99,8 +99,8 @@ fn terminated_worker_gives_its_task_back_and_exits_cleanly() {
     assert!(!page.events.iter().any(|event| blamed(&event.event)), "{:?}", page.events);
 }
 
-/// All that the farm has made is gone from its disk, while half of the tasks that read it have not begun. What is missing
-/// is met one by one.
+/// All that the farm has made is gone from its disk, while half of the tasks that read it have not begun. Missing bytes
+/// are met one by one.
 #[test]
 fn bytes_lost_under_a_live_bake_are_made_again_while_their_readers_wait() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! What every decoded chunk is, whatever the bytes were. Tests of this crate and fuzz targets share it; whoever takes it in
+//! Rules that every decoded chunk keeps, whatever the bytes were. Tests of this crate and fuzz targets share it; whoever takes it in
 //! has the types in scope.
 
 use super::{ClusterTransport, Geometry, NearHits, NearSurface, PatchSet, ProbeBatch, Receivers, RelightHit};

@@ -1,6 +1,6 @@
 //! Everything that can go wrong around a farm goes wrong, by the dice: workers and servers are killed, workers are stopped
 //! for longer than their leases, PostgreSQL loses its sessions and crashes, connections are cut, slow, and lose answers
-//! after the request was done. What comes out must be what comes out of an undisturbed bake, and the farm's books must
+//! after the request was done. The result must be that of an undisturbed bake, and the farm's books must
 //! be right.
 //!
 //! The same seed throws the same dice; the moment at which a fault strikes is up to the machine. `KILN_CHAOS_SEED`
