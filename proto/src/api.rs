@@ -98,7 +98,7 @@ pub struct NewBake {
     /// Bigger runs first; 0 unless set.
     #[serde(default)]
     pub priority: i32,
-    /// What a worker must have to take tasks of this bake; nothing unless set.
+    /// Requirements on workers that take tasks of this bake; none unless set.
     #[serde(default, skip_serializing_if = "Needs::is_none")]
     pub needs: Needs,
     /// Seconds that one attempt at a task may take, 1..=604800; then it counts as failed by its worker, however often
@@ -108,7 +108,7 @@ pub struct NewBake {
     pub attempt_limit_secs: Option<u32>,
 }
 
-/// What a worker must have to take a bake's tasks.
+/// Requirements of a bake on the workers that take its tasks.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Needs {
@@ -126,7 +126,7 @@ pub struct Needs {
     pub labels: Vec<String>,
 }
 
-/// What a label looks like, for the API's description.
+/// Pattern of a label, for the API's description.
 #[derive(ToSchema)]
 #[schema(min_length = 1, max_length = 64)]
 #[expect(dead_code, reason = "it describes texts, which stay texts")]
@@ -178,7 +178,7 @@ pub struct Bake {
     pub settings: serde_json::Value,
     /// Bigger runs first.
     pub priority: i32,
-    /// What a worker must have to take its tasks.
+    /// Requirements on workers that take its tasks.
     #[serde(default)]
     pub needs: Needs,
     /// Where it stands.
@@ -361,7 +361,7 @@ pub struct Heartbeat {
     pub progress: f32,
 }
 
-/// What a worker should do with a task that it holds.
+/// Order to a worker about a task that it holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
@@ -376,13 +376,13 @@ pub enum Verdict {
 /// Answer to a heartbeat.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct HeartbeatAnswer {
-    /// What to do.
+    /// The order.
     pub verdict: Verdict,
     /// New expiry, Unix milliseconds.
     pub expires_ms: i64,
 }
 
-/// What became of a result.
+/// Fate of a result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum CommitVerdict {
@@ -397,7 +397,7 @@ pub enum CommitVerdict {
 /// Answer to a result.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct CommitAnswer {
-    /// What became of it.
+    /// Its fate.
     pub verdict: CommitVerdict,
 }
 
@@ -432,6 +432,6 @@ pub enum Blame {
 pub struct Failure {
     /// Who is to blame.
     pub blame: Blame,
-    /// What happened and what to do; only the first 4,000 characters are kept.
+    /// Event and remedy; only the first 4,000 characters are kept.
     pub message: String,
 }

@@ -13,7 +13,7 @@ pub struct BakeEvent {
     pub seq: u64,
     /// Unix milliseconds.
     pub at_ms: i64,
-    /// What happened.
+    /// The event.
     pub event: EventKind,
 }
 

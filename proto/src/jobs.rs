@@ -13,7 +13,7 @@ use crate::ids::{Digest, TaskKey};
 pub struct TaskSpec {
     /// Digest of everything the result can depend on, see [`TaskSpec::new`].
     pub key: TaskKey,
-    /// What to run, e.g. `prt.transport`; a worker claims only kinds that it knows. 1 to 400 bytes.
+    /// Task kind, e.g. `prt.transport`; a worker claims only kinds that it knows. 1 to 400 bytes.
     #[schema(min_length = 1, max_length = 400)]
     pub kind: String,
     /// For people and events, e.g. `cluster 12`. At most 400 bytes.
@@ -60,7 +60,7 @@ pub struct Artefact {
     pub bytes: u64,
 }
 
-/// What a finished task gives: artefacts already uploaded, more tasks, and counters.
+/// Results of a finished task: artefacts already uploaded, more tasks, and counters.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TaskResult {

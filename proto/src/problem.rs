@@ -116,7 +116,7 @@ pub struct Problem {
     pub title: String,
     /// HTTP status.
     pub status: u16,
-    /// What was wrong this time, where, and what to do.
+    /// The fault this time, its place and the remedy.
     pub detail: String,
     /// The code behind the type.
     pub code: ProblemCode,

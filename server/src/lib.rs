@@ -30,7 +30,7 @@ mod tls;
 pub mod wakeup;
 mod webhooks;
 
-pub use collect::Keeping;
+pub use collect::Retention;
 pub use error::ServerError;
 pub use http::{LimitConfig, openapi_json, ranges};
 pub use server::{Config, Server, check_storage, open_store};

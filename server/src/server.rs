@@ -21,7 +21,7 @@ use tokio::sync::watch;
 
 use crate::chunks::ObjectChunks;
 use crate::clock::SystemClock;
-use crate::collect::{self, Keeping};
+use crate::collect::{self, Retention};
 use crate::error::ServerError;
 use crate::farm::Farm;
 use crate::fsck::{self, Checks, Findings};
@@ -55,7 +55,7 @@ pub struct Config {
     /// Most bytes of chunks at a time; uploads beyond are refused until there is room. Default: no limit but the disk's.
     pub quota_bytes: Option<u64>,
     /// Retention of chunks and bakes.
-    pub keeping: Keeping,
+    pub retention: Retention,
     /// Expired leases are looked for this often. Shorter → lost workers are noticed sooner. Default: 1 s.
     pub reap_interval: Duration,
     /// Waiting calls look again this often without a hint. Shorter → sooner, at more load. Default: 1 s.
@@ -77,7 +77,7 @@ impl Config {
             kinds: Kinds::new(),
             limits: LimitConfig::default(),
             quota_bytes: None,
-            keeping: Keeping::default(),
+            retention: Retention::default(),
             reap_interval: Duration::from_secs(1),
             poll_interval: Duration::from_secs(1),
             stop_grace: Duration::from_secs(10),
@@ -156,7 +156,7 @@ impl Server {
             self.config.webhooks.clone().map(|config| {
                 tokio::spawn(webhooks::run(self.farm.clone(), config, self.closing.subscribe()))
             });
-        let collector = tokio::spawn(collect::run(self.farm.clone(), self.config.keeping));
+        let collector = tokio::spawn(collect::run(self.farm.clone(), self.config.retention));
         let closing = self.closing.clone();
         let stop = async move {
             shutdown.await;

@@ -28,10 +28,17 @@ impl ClientKinds {
         Self::default()
     }
 
-    /// The table with a kind more; it takes the place of one of the same name.
+    /// The table with one more kind.
+    ///
+    /// # Panics
+    /// If the table has a kind of that name.
     #[must_use]
     pub fn with(mut self, kind: impl ClientKind + 'static) -> Self {
-        self.0.retain(|known| known.name() != kind.name());
+        assert!(
+            self.0.iter().all(|known| known.name() != kind.name()),
+            "two kinds are named '{}'",
+            kind.name()
+        );
         self.0.push(Arc::new(kind));
         self
     }

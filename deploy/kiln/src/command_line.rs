@@ -14,7 +14,7 @@ use crate::kinds::KindTables;
 #[derive(Parser, Debug)]
 #[command(name = "kiln", version, after_help = EXIT_CODES)]
 pub struct CommandLine {
-    /// What to do.
+    /// The command.
     #[command(subcommand)]
     pub command: Command,
 }

@@ -48,7 +48,7 @@ impl Wanted {
 /// Kind and settings on the command line.
 #[derive(Args, Clone, Debug, Default)]
 pub struct SettingsArguments {
-    /// Kind of bake; 'kiln settings --kind KIND' lists its settings [env: KILN_KIND; default: prt, the relightable lightmap]
+    /// Kind of bake; 'kiln settings --kind KIND' lists its settings [env: KILN_KIND; default: the first that it lists]
     #[arg(long)]
     pub kind: Option<String>,
     /// How much work to spend: draft, medium (the default) or high [env: KILN_PRESET]

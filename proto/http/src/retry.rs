@@ -1,4 +1,4 @@
-//! When a failed call is made again: growing waits with full jitter, none shorter than the server asks for.
+//! When a failed call is made again: growing waits with half jitter, none shorter than the server asks for.
 
 use std::time::Duration;
 
@@ -28,8 +28,8 @@ const RETRY_AFTER_MAX: Duration = Duration::from_secs(60);
 /// Makes `call` until it succeeds, fails for good, or the policy's waits are used up. `pause` waits before the next try,
 /// or ends the series with an error of its own.
 ///
-/// A wait is uniform between zero and the policy's (full jitter), so that callers that were cut off together come back
-/// one by one; it is added to the time that the server asks for. We differ from `backon`'s own loop: its waits can
+/// A wait is uniform between half the policy's and all of it, so that callers that were cut off together come back one by
+/// one, and none gives up at once; it is added to the time that the server asks for. We differ from `backon`'s own loop: its waits can
 /// neither be cut short nor depend on the error.
 pub fn retry<T>(
     policy: RetryPolicy,
@@ -44,7 +44,7 @@ pub fn retry<T>(
         };
         let Some(longest) = waits.next() else { return Err(error) };
         let asked = error.retry_after().unwrap_or_default().min(RETRY_AFTER_MAX);
-        pause(&error, asked + longest.mul_f64(fastrand::f64()))?;
+        pause(&error, asked + longest.mul_f64(0.5 + 0.5 * fastrand::f64()))?;
     }
 }
 
@@ -68,14 +68,16 @@ mod tests {
     }
 
     #[test]
-    fn waits_fill_the_time_up_to_the_longest_and_are_never_longer() {
+    fn waits_lie_between_half_the_longest_and_the_longest() {
         let policy = RetryPolicy::new().with_max_delay(Duration::from_secs(4)).with_max_times(500);
         let waits = waits(policy, || busy(None));
         assert_eq!(waits.len(), 500);
         assert!(waits[0] <= Duration::from_secs(1) && waits[1] <= Duration::from_secs(2));
-        assert!(waits.iter().all(|wait| *wait <= Duration::from_secs(4)), "{waits:?}");
-        let mean = waits.iter().sum::<Duration>() / 500;
-        assert!((1.5..2.5).contains(&mean.as_secs_f64()), "{mean:?}");
+        let later = &waits[5..];
+        let bounds = Duration::from_secs(2)..=Duration::from_secs(4);
+        assert!(later.iter().all(|wait| bounds.contains(wait)), "{waits:?}");
+        let mean = later.iter().sum::<Duration>().as_secs_f64() / later.len() as f64;
+        assert!((2.8..3.2).contains(&mean), "{mean:?}");
     }
 
     #[test]

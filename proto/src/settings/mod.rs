@@ -63,6 +63,20 @@ pub enum SettingsError {
     /// Settings that a bake states without its preset.
     #[error("stated settings name no preset")]
     NoPreset,
+    /// A stated setting that this version does not know.
+    #[error(
+        "stated settings have '{name:.40}', which this version does not know; is it older than the server?"
+    )]
+    NotRead {
+        /// Key found.
+        name: String,
+    },
+    /// A group that is not stated in full.
+    #[error("stated settings lack '{name}'; is this version newer than the server?")]
+    NotStated {
+        /// Key wanted.
+        name: &'static str,
+    },
 }
 
 /// How much work to spend; sets every default.
@@ -115,8 +129,19 @@ pub trait SettingsGroup: Sized {
 }
 
 /// Settings as a task or a manifest states them; of a kind's, all must name their preset.
+///
+/// Errors on a key without a row. A group by itself, as in a task's parameters, must state every row: nothing says which
+/// preset would fill in the rest.
 #[doc(hidden)]
 pub fn stated<G: SettingsGroup>(object: &Map) -> Result<G, SettingsError> {
+    let rows = G::rows();
+    if let Some(name) = object.keys().find(|key| rows.iter().all(|row| row.name != key.as_str())) {
+        return Err(SettingsError::NotRead { name: name.clone() });
+    }
+    let names_preset = rows.iter().any(|row| row.name == preset_row().name);
+    if let Some(row) = rows.iter().find(|row| !names_preset && !object.contains_key(row.name)) {
+        return Err(SettingsError::NotStated { name: row.name });
+    }
     G::read(object, Preset::default())
 }
 

@@ -62,6 +62,22 @@ fn stated_settings_come_back_and_must_name_their_preset() {
 }
 
 #[test]
+fn group_in_parameters_is_stated_in_full_and_has_no_other_key() {
+    let own = Settings::from_json(&json!({ "preset": "draft" })).unwrap().own;
+    let stated = serde_json::to_value(&own).unwrap();
+    assert_eq!(serde_json::from_value::<Own>(stated.clone()).unwrap(), own);
+    let error = |change: fn(&mut Map)| {
+        let mut stated = stated.clone();
+        change(stated.as_object_mut().unwrap());
+        serde_json::from_value::<Own>(stated).unwrap_err().to_string()
+    };
+    let lacking = error(|stated| drop(stated.remove("size_m")));
+    assert!(lacking.contains("lack 'size_m'"), "{lacking}");
+    let newer = error(|stated| drop(stated.insert("shape".into(), json!(1))));
+    assert!(newer.contains("'shape'"), "{newer}");
+}
+
+#[test]
 fn unknown_keys_wrong_types_and_ranges_are_refused_by_name() {
     let error = |json| Settings::from_json(&json).unwrap_err();
     assert!(matches!(error(json!({ "texel": 1 })), SettingsError::Unknown { name, .. } if name == "texel"));

@@ -47,8 +47,6 @@ pub struct LocalBake {
     pub scene: Digest,
     /// Every artefact by digest, chunks among them.
     pub artefacts: BTreeMap<Digest, Arc<Vec<u8>>>,
-    /// Digest of the last output of each name.
-    pub outputs: BTreeMap<String, Digest>,
     /// Closest-hit and occlusion rays cast.
     pub rays: [u64; 2],
     /// Seconds per task kind.
@@ -76,7 +74,9 @@ pub fn bake_in_world(bundle: Vec<u8>, recipe: &Recipe) -> Result<(LocalBake, Arc
     };
     run.run(&Runner::new(&BakeKinds::new()), plan, |_| true, ended)?;
     let bytes_of = |name: &str| -> Result<Arc<Vec<u8>>> {
-        Ok(run.shelf.get(run.output(name).with_context(|| format!("no task gave '{name}'"))?)?)
+        Ok(run
+            .shelf
+            .get(run.outputs_named(name).next().with_context(|| format!("no task gave '{name}'"))?)?)
     };
     let manifest_bytes = bytes_of(MANIFEST_OUTPUT)?.as_ref().clone();
     let report = serde_json::from_slice(&bytes_of(REPORT_OUTPUT)?)?;
@@ -88,7 +88,6 @@ pub fn bake_in_world(bundle: Vec<u8>, recipe: &Recipe) -> Result<(LocalBake, Arc
         manifest_bytes,
         report,
         scene,
-        outputs: run.outputs().clone(),
         rays: [progress.rays_closest(), progress.rays_occlusion()],
         secs,
         artefacts: run.shelf.into_artefacts(),

@@ -43,12 +43,12 @@ pub const STUDIES: &[Study] = &[
     },
     Study {
         name: "no_hit",
-        question: "What of hits that no probe sees, and how many probes share one? ([Sedlacek2019] §5.1.3)",
+        question: "How much do hits that no probe sees matter, and how many probes share one? ([Sedlacek2019] §5.1.3)",
         answer: "Unseen hits hardly matter where, as in this corridor, every hit is seen by some probe: no light is \
                  left unseen with either rule once a receiver is in reach of five probes. More than five buy nothing: \
                  from 5 to 10 the rays double and the bytes grow by a third, at the same error (in Cornell at medium \
                  8.7 % with 5, 8.5 % with 10, at 1.6 times the time of the bake), and 20 begin to blur. So there are \
-                 5. What a hit is worth that no probe sees only the reference could tell, so coverage is made good \
+                 5. Only the reference could tell the worth of a hit that no probe sees, so coverage is made good \
                  first: probes are added where most hits are unseen, until uncovered_max is met or probes_added_max \
                  times as many were added (medium and high: 0.5 %, as many again).",
         scenes: &["u_corridor"],

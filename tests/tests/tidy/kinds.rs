@@ -21,6 +21,12 @@ fn names_of_kinds(text: &str, kinds: &BTreeSet<String>) -> Vec<String> {
     code_of(text).filter(named).map(str::to_owned).collect()
 }
 
+/// Doc comments of fields and variants, which command lines print as help.
+fn help_of(text: &str) -> String {
+    let lines = text.lines().filter(|line| line.starts_with(' '));
+    lines.filter_map(|line| line.trim_start().strip_prefix("///")).map(|line| format!("{line}\n")).collect()
+}
+
 fn all_kinds() -> BTreeSet<String> {
     let names: BTreeSet<String> = Kinds::new().iter().map(|kind| kind.name().to_owned()).collect();
     assert!(names.len() > 1, "next to no kinds: the table is broken");
@@ -38,7 +44,11 @@ fn shared_rooms_name_no_kind() {
                 continue;
             }
             checked += 1;
-            let lines = names_of_kinds(&text_of(&path), &kinds);
+            let text = text_of(&path);
+            let mut lines = names_of_kinds(&text, &kinds);
+            if folder.starts_with("deploy") {
+                lines.extend(names_of_kinds(&help_of(&text), &kinds));
+            }
             found.extend(lines.into_iter().map(|line| format!("{}: {}", path.display(), line.trim())));
         }
     }
@@ -61,5 +71,6 @@ fn a_name_in_a_path_a_text_or_a_type_is_found_and_one_in_a_comment_or_a_longer_w
     let kinds = ["prt".to_owned(), "sh".to_owned()].into();
     let found = |text: &str| names_of_kinds(text, &kinds).len();
     assert_eq!(found("use kinds::prt::Settings;\nlet a = \"prt.plan\";\nlet b = Prt;\nfn f(sh: u32) {}"), 4);
+    assert_eq!(help_of("/// prt\n    /// By prt.\n    pub a: u8,"), " By prt.\n");
     assert_eq!(found("// prt\nlet shade = \"wash\"; let prts = 1;"), 0);
 }

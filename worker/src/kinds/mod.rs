@@ -64,15 +64,29 @@ impl BakeKinds {
     }
 
     /// The table with one more kind.
+    ///
+    /// # Panics
+    /// If the table has a kind or a task of that name.
     #[must_use]
     pub fn with(mut self, kind: &'static dyn BakeKind) -> Self {
+        assert!(self.get(kind.name()).is_none(), "two kinds are named '{}'", kind.name());
         self.0.push(kind);
+        let rows = self.rows();
+        for task in kind.tasks() {
+            let like = rows.iter().filter(|row| row.name == task.name).count();
+            assert!(like == 1, "two tasks are named '{}'", task.name);
+        }
         self
     }
 
     /// The kind of that name.
     pub fn get(&self, name: &str) -> Option<&'static dyn BakeKind> {
         self.0.iter().copied().find(|kind| kind.name() == name)
+    }
+
+    /// The shared tasks and those of the kinds.
+    fn rows(&self) -> Vec<TaskRow> {
+        scene_tasks().into_iter().chain(self.0.iter().flat_map(|kind| kind.tasks())).collect()
     }
 
     /// Names of the classes of error that some kind tells apart, each once.
@@ -128,8 +142,7 @@ pub struct Runner(Arc<Vec<TaskRow>>);
 impl Runner {
     /// A runner of the table's kinds.
     pub fn new(kinds: &BakeKinds) -> Self {
-        let of_kinds = kinds.0.iter().flat_map(|kind| kind.tasks());
-        Self(Arc::new(scene_tasks().into_iter().chain(of_kinds).collect()))
+        Self(Arc::new(kinds.rows()))
     }
 }
 

@@ -38,3 +38,55 @@ fn bakes_of_two_kinds_of_one_scene_share_the_tasks_over_it() {
     assert_eq!(ran[0].iter().filter(is_shared).count(), SceneTask::ALL.len());
     assert!(!ran[1..].iter().flatten().any(|task| is_shared(&task)), "{ran:?}");
 }
+
+#[test]
+fn bakes_that_differ_by_the_name_of_the_preset_share_the_transport() {
+    let (progress, runner) = (Progress::new(), Runner::new(&BakeKinds::new()));
+    for kind in Kinds::new().iter() {
+        let mut run = LocalRun::new(1 << 30, &progress);
+        let scene = run.shelf.put(FURNACE.to_vec());
+        let settings = json!({ "preset": "draft", "receivers_target": 2000, "transport_rays": 16 });
+        let mut settings = kind.resolve(&settings).unwrap();
+        let mut transported = |settings: &serde_json::Value| {
+            let plan = kind.first_tasks(scene, settings).unwrap();
+            let mut ran = Vec::new();
+            run.run(&runner, plan, |_| true, |task| ran.push(task.kind.clone())).unwrap();
+            ran.iter().filter(|task| task.ends_with(".transport")).count()
+        };
+        assert!(transported(&settings) > 0);
+        settings["preset"] = json!("high");
+        assert_eq!(transported(&settings), 0, "{}", kind.name());
+        settings["transport_rays"] = json!(32);
+        assert!(transported(&settings) > 0);
+    }
+}
+
+#[test]
+#[should_panic(expected = "two kinds are named")]
+fn table_refuses_a_second_kind_of_a_name() {
+    drop(BakeKinds::new().with(&prt::Prt));
+}
+
+#[test]
+#[should_panic(expected = "two tasks are named 'scene.import'")]
+fn table_refuses_a_kind_with_a_task_of_another() {
+    struct Thief;
+    impl BakeKind for Thief {
+        fn name(&self) -> &'static str {
+            "thief"
+        }
+        fn tasks(&self) -> Vec<TaskRow> {
+            vec![TaskRow { name: SceneTask::Import.name(), run: scene::task::run }]
+        }
+        fn evaluated(
+            &self,
+            _: &Manifest,
+            _: Vec<u8>,
+            _: ChunkBytes,
+            _: &Progress,
+        ) -> Result<Box<dyn Evaluated>, EvaluationError> {
+            Err(EvaluationError::UnknownKind { kind: self.name().to_owned() })
+        }
+    }
+    drop(BakeKinds::new().with(&Thief));
+}

@@ -44,6 +44,9 @@ pub struct World {
 }
 
 impl World {
+    /// Inputs that a world is made of.
+    const PARTS: [&'static str; 3] = [crate::scene::ARTEFACT, super::charts::ARTEFACT, super::ARTEFACT];
+
     /// Builds the table of texels and raises the receivers' points.
     pub fn new(geometry: Arc<Geometry>, charts: &Charts, lightmap: Lightmap) -> Self {
         let texels = TexelTable::new(&geometry.scene, charts);
@@ -63,14 +66,15 @@ impl World {
 
     /// World of the last scene, charts and lightmap that tasks of a local run gave.
     pub fn of_run(run: &LocalRun) -> Result<Arc<Self>, TaskError> {
-        let paths = [crate::scene::ARTEFACT, super::charts::ARTEFACT, super::ARTEFACT];
-        Self::of(&run.context(&run.inputs_named(&paths)))
+        Self::of(&run.context(&run.scene_inputs(&Self::PARTS)))
     }
 
     /// World of the scene, charts and lightmap among a task's inputs, built once per worker.
     pub fn of(context: &Context) -> Result<Arc<Self>, TaskError> {
         let geometry = Geometry::of(context)?;
-        context.memory.get_or_insert(context.digest(super::ARTEFACT)?, || {
+        // Other scenes may have an equal lightmap: an alpha cutoff, or a sliver too small for receivers, is not in it.
+        let key = context.digest_of_all(&Self::PARTS)?;
+        context.memory.get_or_insert(key, || {
             let charts = Charts::of(context)?;
             let (lightmap, bytes): (Lightmap, _) = context.decoded(super::ARTEFACT_MAGIC, super::ARTEFACT)?;
             let receivers = lightmap.receivers.len();
@@ -231,5 +235,38 @@ impl TexelTable {
         let (_, entry, inner) = pieces.max_by(|a, b| a.0.total_cmp(&b.0))?;
         let [a, b, c] = entry.triangle.uv_texels;
         Some((entry.part, a * inner.x + b * inner.y + c * inner.z))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use lightkiln_proto::kinds::prt::Settings;
+    use lightkiln_proto::kinds::{SceneTask, SceneTasks};
+    use serde_json::json;
+
+    use super::*;
+    use crate::kinds::{BakeKinds, Runner};
+    use crate::scene::{self, model::Scene};
+    use crate::task::{Progress, artefact};
+
+    #[test]
+    fn scenes_with_equal_lightmaps_have_worlds_of_their_own() {
+        let settings = Settings::from_json(&json!({ "preset": "draft", "receivers_target": 2000 })).unwrap();
+        let progress = Progress::new();
+        let mut run = LocalRun::new(1 << 30, &progress);
+        let bundle = run.shelf.put(include_bytes!("../../../tests/scenes/furnace.glb").to_vec());
+        let tasks = SceneTasks::of(bundle, &settings.texels, &settings.place);
+        let tasks = tasks.only(&[SceneTask::Import, SceneTask::Unwrap, SceneTask::Place]);
+        run.run(&Runner::new(&BakeKinds::new()), tasks, |_| true, |_| {}).unwrap();
+        let mut inputs = run.scene_inputs(&World::PARTS);
+        let first = World::of(&run.context(&inputs)).unwrap();
+        assert!(Arc::ptr_eq(&first, &World::of(&run.context(&inputs)).unwrap()), "built once");
+
+        let (mut other, _): (Scene, _) =
+            run.context(&inputs).decoded(scene::ARTEFACT_MAGIC, scene::ARTEFACT).unwrap();
+        other.materials[0].base_colour[0] *= 0.5;
+        inputs[0].digest = run.shelf.put(artefact::encode(scene::ARTEFACT_MAGIC, &other).unwrap());
+        let second = World::of(&run.context(&inputs)).unwrap();
+        assert_eq!(second.geometry.scene.materials[0].base_colour, other.materials[0].base_colour);
     }
 }

@@ -33,6 +33,12 @@ impl Context<'_> {
         Ok(input(self.inputs, name)?.digest)
     }
 
+    /// Key in memory of a value made of all inputs of these names.
+    pub fn digest_of_all(&self, names: &[&str]) -> Result<Digest, TaskError> {
+        let digests: Result<Vec<_>, _> = names.iter().map(|name| self.digest(name)).collect();
+        Ok(Digest::of(digests?.iter().map(Digest::to_string).collect::<Vec<_>>().join(" ").as_bytes()))
+    }
+
     /// The inputs whose names `is_wanted`, as inputs of a later task.
     pub fn as_inputs(&self, is_wanted: impl Fn(&str) -> bool) -> Vec<TaskInput> {
         let wanted = self.inputs.iter().filter(|artefact| is_wanted(&artefact.name));

@@ -42,7 +42,8 @@ pub struct LocalRun<'p> {
     pub progress: &'p Progress,
     memory: MemoryCache,
     done: BTreeMap<TaskKey, Vec<Artefact>>,
-    outputs: BTreeMap<String, Digest>,
+    /// By task kind and name; of several tasks of a kind, the last one's.
+    outputs: BTreeMap<(String, String), Digest>,
 }
 
 impl<'p> LocalRun<'p> {
@@ -90,20 +91,21 @@ impl<'p> LocalRun<'p> {
         }
     }
 
-    /// Digest of the last output of that name.
-    pub fn output(&self, name: &str) -> Option<Digest> {
-        self.outputs.get(name).copied()
+    /// Digest of the output of that name of the last task of a kind.
+    pub fn output(&self, kind: &str, name: &str) -> Option<Digest> {
+        self.outputs.get(&(kind.to_owned(), name.to_owned())).copied()
     }
 
-    /// Digest of the last output of each name.
-    pub fn outputs(&self) -> &BTreeMap<String, Digest> {
-        &self.outputs
+    /// Digests of the last outputs of that name of each task kind.
+    pub fn outputs_named<'a>(&'a self, name: &'a str) -> impl Iterator<Item = Digest> + 'a {
+        self.outputs.iter().filter(move |((_, known), _)| known == name).map(|(_, digest)| *digest)
     }
 
-    /// The last output of each name that ends a path, as an input of that path: of `import/scene`, output `scene`.
-    pub fn inputs_named(&self, paths: &[&str]) -> Vec<Artefact> {
+    /// Outputs of shared tasks as inputs of a later one: of `import/scene`, output `scene` of `scene.import`.
+    pub fn scene_inputs(&self, paths: &[&str]) -> Vec<Artefact> {
         let of_path = |path: &&str| {
-            let digest = self.output(path.rsplit('/').next()?)?;
+            let (task, name) = path.split_once('/')?;
+            let digest = self.output(&format!("scene.{task}"), name)?;
             Some(Artefact { name: (*path).to_owned(), digest, bytes: self.length(digest) })
         };
         paths.iter().filter_map(of_path).collect()
@@ -122,7 +124,7 @@ impl<'p> LocalRun<'p> {
         for (name, bytes) in output.artefacts {
             let length = bytes.len() as u64;
             let digest = self.shelf.put(bytes);
-            self.outputs.insert(name.clone(), digest);
+            self.outputs.insert((task.kind.clone(), name.clone()), digest);
             outputs.push(Artefact { name, digest, bytes: length });
         }
         self.done.insert(task.key, outputs);

@@ -53,8 +53,7 @@ pub struct Arguments {
     #[command(flatten)]
     wanted: EvaluationArguments,
     /// Ends with one JSON object on standard output: bake, scene, out, kind, tasks_run, tasks_reused, rays_closest,
-    /// rays_occlusion, bytes_total, elapsed_secs, stages, and the kind's own figures (prt: receivers, patches, clusters,
-    /// mean_rank, rank_max, uncovered_fraction, bytes_per_receiver); with --evaluate also evaluation
+    /// rays_occlusion, bytes_total, elapsed_secs, stages, and the kind's own figures; with --evaluate also evaluation
     #[arg(long)]
     json: bool,
 }

@@ -7,7 +7,7 @@ use std::time::Duration;
 use clap::Args;
 use lightkiln_proto::kinds::Kinds;
 use lightkiln_server::places::{ChunksPlace, DatabasePlace};
-use lightkiln_server::{Config, Keeping, LimitConfig, Server, TlsFiles, WebhookConfig};
+use lightkiln_server::{Config, LimitConfig, Retention, Server, TlsFiles, WebhookConfig};
 use lightkiln_worker::runtime::Level;
 use tokio::runtime::Runtime;
 
@@ -110,10 +110,10 @@ pub fn run(arguments: Arguments, kinds: &Kinds) -> Result<()> {
         database: arguments.database,
         chunks: arguments.chunks,
         quota_bytes: arguments.quota,
-        keeping: Keeping {
+        retention: Retention {
             grace: HOUR * arguments.grace_hours,
             bakes: arguments.keep_days.map(|days| 24 * HOUR * days),
-            ..Keeping::default()
+            ..Retention::default()
         },
         ..Config::new(&state)
     };

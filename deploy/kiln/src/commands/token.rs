@@ -22,7 +22,7 @@ use crate::failure::{Exit, Failure, Result};
                         notice changes within seconds."
 )]
 pub struct Arguments {
-    /// What to do
+    /// The action
     #[command(subcommand)]
     action: Action,
     /// The state folder of the farm's server [default: that of 'kiln server']
@@ -39,7 +39,7 @@ enum Action {
     Create {
         /// Whose it is; unique on the farm, for ever
         name: String,
-        /// What it opens: read, submit (send and change bakes, and read), worker, admin (everything)
+        /// Rights: read, submit (send and change bakes, and read), worker, admin (everything)
         #[arg(long = "scope", value_name = "SCOPE", required = true, value_delimiter = ',')]
         scopes: Vec<Scope>,
     },

@@ -23,11 +23,11 @@ pub fn evaluated(
     let plan = |scene| first_tasks(scene, &settings);
     made_anew(&BakeKinds::new(), plan, PrtTask::Transport.name(), scene, progress, |context, run| {
         let chunks = manifest.chunks(PATCHES);
-        if chunks.iter().map(|chunk| Some(chunk.digest)).ne([run.output(PATCH_SET)]) {
+        if chunks.iter().map(|chunk| Some(chunk.digest)).ne([run.output(PrtTask::Plan.name(), PATCH_SET)]) {
             return Err(EvaluationError::OtherStage { what: "other surface patches".into() });
         }
         let patches = decoded(&chunks[0], bytes, decode_patches)?;
-        let transport = PatchTransport::of(context, settings.clone()).map_err(EvaluationError::Prepare)?;
+        let transport = PatchTransport::of(context, (&settings).into()).map_err(EvaluationError::Prepare)?;
         let columns = |slots: &_| PatchTable::new(&patches, slots);
         FactoredBake::new(manifest, bytes, context, Box::new(transport), columns)
     })

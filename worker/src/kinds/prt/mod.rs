@@ -16,8 +16,9 @@ use std::sync::Arc;
 use lightkiln_proto::chunk::QuantisationSettings;
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::TaskSpec;
-use lightkiln_proto::kinds::prt::{NAME, PrtTask, Settings};
+use lightkiln_proto::kinds::prt::{NAME, PatchSettings, PrtTask, Settings};
 use lightkiln_proto::manifest::Manifest;
+use lightkiln_proto::settings::{FactorSettings, TransportSettings};
 use serde::{Deserialize, Serialize};
 
 use super::{BakeKind, TaskRow};
@@ -84,7 +85,28 @@ struct BakeParams {
 struct TransportParams {
     /// Index of the cluster cell.
     cluster: usize,
-    settings: Settings,
+    settings: TracedSettings,
+}
+
+/// The settings that transport depends on: bakes that agree in them share its results by key.
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct TracedSettings {
+    lod_levels: u32,
+    transport: TransportSettings,
+    patches: PatchSettings,
+    factors: FactorSettings,
+}
+
+impl From<&Settings> for TracedSettings {
+    fn from(settings: &Settings) -> Self {
+        Self {
+            lod_levels: settings.texels.lod_levels,
+            transport: settings.transport.clone(),
+            patches: settings.patches.clone(),
+            factors: settings.factors.clone(),
+        }
+    }
 }
 
 /// One receiver's row over patches.
@@ -115,12 +137,12 @@ pub struct PatchTransport {
     world: Arc<World>,
     emitters: Arc<EmitterSet>,
     tree: Arc<PatchTree>,
-    settings: Settings,
+    settings: TracedSettings,
 }
 
 impl PatchTransport {
     /// Of the scene, lightmap and patches among a task's inputs.
-    pub fn of(context: &Context, settings: Settings) -> Result<Self, TaskError> {
+    pub fn of(context: &Context, settings: TracedSettings) -> Result<Self, TaskError> {
         let world = World::of(context)?;
         let emitters = EmitterSet::of(context, &world.geometry)?;
         Ok(Self { emitters, tree: PatchTree::of(context)?, world, settings })
@@ -147,7 +169,7 @@ fn run_transport(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskE
     let quantisation = QuantisationSettings {
         relative_error: (QUANTISATION_SHARE * settings.factors.rank_error)
             .clamp(QUANTISATION_ERROR[0], QUANTISATION_ERROR[1]),
-        levels: settings.texels.lod_levels,
+        levels: settings.lod_levels,
     };
     let cell = cell_of_task(context, cluster)?;
     let (pieces, index) = PatchTransport::of(context, settings)?.pieces(&cell, context.progress)?;

@@ -9,9 +9,8 @@ use std::f32::consts::PI;
 
 use glam::Vec3;
 use lightkiln_proto::content::{NearHits, NearSurface};
-use lightkiln_proto::kinds::prt::Settings;
 
-use super::Row;
+use super::{Row, TracedSettings};
 use crate::lightmap::{Lightmap, Numbering, Receiver, Surface, World};
 use crate::rays::Hit;
 
@@ -51,17 +50,17 @@ impl NearHit {
 }
 
 /// Distance in metres up to which a hit is near; 0 where none is.
-pub fn reach_m(settings: &Settings, texel_m: f32) -> f32 {
+pub fn reach_m(settings: &TracedSettings, texel_m: f32) -> f32 {
     if settings.patches.near_hits == 0 { 0.0 } else { settings.patches.near_texels * texel_m }
 }
 
 /// Whether so many near hits of a receiver are those of a narrow place.
-pub fn is_narrow(hits: usize, settings: &Settings) -> bool {
+pub fn is_narrow(hits: usize, settings: &TracedSettings) -> bool {
     hits as f32 >= NARROW_SHARE * settings.transport.transport_rays as f32
 }
 
 /// Gives a row its near hits: at most `near_hits` that stand for all.
-pub fn keep(row: &mut Row, mut hits: Vec<NearHit>, settings: &Settings, texel_m: f32) {
+pub fn keep(row: &mut Row, mut hits: Vec<NearHit>, settings: &TracedSettings, texel_m: f32) {
     let kept = hits.len().min(settings.patches.near_hits as usize);
     if kept == 0 {
         return;
@@ -82,7 +81,7 @@ fn place_order(position_m: Vec3, texel_m: f32) -> u64 {
 }
 
 /// The near hits of some rows as a chunk has them, with the receiver of each row.
-pub fn of_rows(lightmap: &Lightmap, settings: &Settings, receivers: &[u32], rows: &[&Row]) -> NearHits {
+pub fn of_rows(lightmap: &Lightmap, settings: &TracedSettings, receivers: &[u32], rows: &[&Row]) -> NearHits {
     if rows.iter().all(|row| row.near.is_empty()) {
         return NearHits::default();
     }

@@ -34,7 +34,7 @@ pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> 
         let rays = cell.receivers.len() as u64 * u64::from(settings.transport.transport_rays);
         let mut inputs = context.as_inputs(is_read_by_transport);
         inputs.push(own[0].clone());
-        let of_cell = json!(TransportParams { cluster, settings: settings.clone() });
+        let of_cell = json!(TransportParams { cluster, settings: settings.into() });
         let label = format!("cluster {cluster}");
         plan.push(PrtTask::Transport.task(label, of_cell, inputs, RAYS_PER_RAY * rays / 1000));
     }

@@ -1,12 +1,11 @@
 //! From the rows of a cell to factorised clusters, by the columns that light is expected to need.
 
 use lightkiln_proto::content::{ClusterTransport, PatchKey};
-use lightkiln_proto::kinds::prt::Settings;
 
 use glam::Vec3;
 
 use super::near::{self, NearHit};
-use super::{PatchTransport, Row};
+use super::{PatchTransport, Row, TracedSettings};
 use crate::factors::{
     ClusterCell, Factors, Matrix, Piece, Truncation, attributes, bounds_m, emitters, factorise, split,
 };
@@ -23,7 +22,7 @@ const SIGNAL_MIN: f64 = 1e-6;
 /// A cell while it is factorised.
 struct Cell<'a> {
     lightmap: &'a Lightmap,
-    settings: &'a Settings,
+    settings: &'a TracedSettings,
     /// Patches, then parts of the sky.
     keys: &'a [u64],
     receivers: Numbering<u32>,

@@ -30,7 +30,7 @@ pub fn evaluated(
         if baked.ne(set.probes.iter().map(|probe| probe.key)) {
             return Err(EvaluationError::OtherStage { what: "other probes".into() });
         }
-        let transport = ProbeTransport::of(context, settings.clone()).map_err(EvaluationError::Prepare)?;
+        let transport = ProbeTransport::of(context, (&settings).into()).map_err(EvaluationError::Prepare)?;
         let (rays, bands) = (settings.probes.relight_rays, settings.probes.bands);
         let columns = |slots: &_| ProbeTable::join(&batches, rays, bands, slots);
         FactoredBake::new(manifest, bytes, context, Box::new(transport), columns)

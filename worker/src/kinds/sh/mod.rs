@@ -19,8 +19,9 @@ use std::sync::Arc;
 use lightkiln_proto::chunk::QuantisationSettings;
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::TaskSpec;
-use lightkiln_proto::kinds::sh::{NAME, Probe, Settings, ShTask};
+use lightkiln_proto::kinds::sh::{NAME, Probe, ProbeSettings, Settings, ShTask};
 use lightkiln_proto::manifest::Manifest;
+use lightkiln_proto::settings::{FactorSettings, TransportSettings};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -88,7 +89,28 @@ struct BakeParams {
 struct TransportParams {
     /// Index of the cluster cell.
     cluster: usize,
-    settings: Settings,
+    settings: TracedSettings,
+}
+
+/// The settings that transport depends on: bakes that agree in them share its results by key.
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct TracedSettings {
+    lod_levels: u32,
+    transport: TransportSettings,
+    probes: ProbeSettings,
+    factors: FactorSettings,
+}
+
+impl From<&Settings> for TracedSettings {
+    fn from(settings: &Settings) -> Self {
+        Self {
+            lod_levels: settings.texels.lod_levels,
+            transport: settings.transport.clone(),
+            probes: settings.probes.clone(),
+            factors: settings.factors.clone(),
+        }
+    }
 }
 
 /// Probes of a bake: an artefact of the plan.
@@ -116,12 +138,12 @@ pub struct ProbeTransport {
     world: Arc<World>,
     emitters: Arc<EmitterSet>,
     probes: Arc<ProbeSet>,
-    settings: Settings,
+    settings: TracedSettings,
 }
 
 impl ProbeTransport {
     /// Of the scene, lightmap and probes among a task's inputs.
-    pub fn of(context: &Context, settings: Settings) -> Result<Self, TaskError> {
+    pub fn of(context: &Context, settings: TracedSettings) -> Result<Self, TaskError> {
         let world = World::of(context)?;
         let emitters = EmitterSet::of(context, &world.geometry)?;
         Ok(Self { emitters, probes: ProbeSet::of(context)?, world, settings })
@@ -155,7 +177,7 @@ impl Transport for ProbeTransport {
 fn run_transport(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> {
     let TransportParams { cluster, settings } = params(task)?;
     let quantisation =
-        QuantisationSettings { levels: settings.texels.lod_levels, ..QuantisationSettings::default() };
+        QuantisationSettings { levels: settings.lod_levels, ..QuantisationSettings::default() };
     let cell = cell_of_task(context, cluster)?;
     let (pieces, index) = ProbeTransport::of(context, settings)?.pieces(&cell, context.progress)?;
     stored(&pieces, quantisation, index)

@@ -50,7 +50,7 @@ pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> 
     }
     for (cluster, cell) in cells.iter().enumerate() {
         let rays = cell.receivers.len() as u64 * u64::from(settings.transport.transport_rays);
-        let of_cell = json!(TransportParams { cluster, settings: settings.clone() });
+        let of_cell = json!(TransportParams { cluster, settings: settings.into() });
         let inputs = [of_world(), vec![own(0), own(1)]].concat();
         let cost = rays * u64::from(settings.probes.n_overlaps) / 1000;
         plan.push(ShTask::Transport.task(format!("cluster {cluster}"), of_cell, inputs, cost));

@@ -3,9 +3,8 @@
 use glam::Vec3;
 use lightkiln_proto::content::{ClusterTransport, NearHits};
 use lightkiln_proto::harmonics::band_of;
-use lightkiln_proto::kinds::sh::Settings;
 
-use super::ProbeTransport;
+use super::{ProbeTransport, TracedSettings};
 use crate::factors::{
     ClusterCell, Factors, Matrix, Piece, Truncation, attributes, bounds_m, emitters, factorise, split,
 };
@@ -16,7 +15,7 @@ use crate::transport::Row;
 /// A cell while it is factorised.
 struct Cell<'a> {
     lightmap: &'a Lightmap,
-    settings: &'a Settings,
+    settings: &'a TracedSettings,
     /// Probes of the groups of columns, ascending; the sky's group follows.
     keys: &'a [u64],
     receivers: Numbering<u32>,
