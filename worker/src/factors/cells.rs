@@ -23,7 +23,7 @@ const ARTEFACT_MAGIC: &[u8; 4] = b"LKcl";
 pub const CELLS_ARTEFACT: &str = "cells";
 
 /// Cells as an artefact.
-pub fn encoded(cells: &[ClusterCell]) -> Result<Vec<u8>, TaskError> {
+pub fn encoded_cells(cells: &[ClusterCell]) -> Result<Vec<u8>, TaskError> {
     artefact::encode(ARTEFACT_MAGIC, &cells)
 }
 

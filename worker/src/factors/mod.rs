@@ -6,9 +6,10 @@ mod baked;
 mod cells;
 mod cluster;
 mod components;
+mod encode;
 mod evaluated;
 mod split;
-mod store;
+
 mod svd;
 
 use lightkiln_proto::content::ClusterTransport;
@@ -17,12 +18,12 @@ use crate::task::{Cancelled, Progress};
 use crate::transport::Row;
 
 pub use baked::{Baked, Light, Threads, decoded};
-pub use cells::{CELLS_ARTEFACT, ClusterCell, cell_of_task, cells, cells_of_task, encoded};
+pub use cells::{CELLS_ARTEFACT, ClusterCell, cell_of_task, cells, cells_of_task, encoded_cells};
 pub use cluster::{attributes, bounds_m, emitters};
 pub use components::components;
+pub use encode::{CellIndex, stored};
 pub use evaluated::{ERROR_CLASSES, FactoredBake};
 pub use split::{Truncation, split};
-pub use store::{CellIndex, stored};
 pub use svd::{Factors, Matrix, factorise};
 
 /// A factorised cluster and its errors.

@@ -87,12 +87,16 @@ impl WorkerConfig {
             cache_dir: None,
             cache_bytes: 20 << 30,
             memory_bytes: 2 << 30,
-            lease_secs: 30,
+            lease_secs: LEASE_SECS,
             claim_wait_secs: 20,
             drain_grace: Duration::from_secs(20),
         }
     }
 }
+
+/// Seconds of a lease where nobody says. Longer → a slow or sleepy machine keeps its task; shorter → a dead one's task is
+/// given on sooner.
+pub const LEASE_SECS: u32 = 30;
 
 /// Tasks in hand at a time where nobody says: two, but one where there is one thread, to keep to that.
 pub fn usual_tasks(threads: usize) -> usize {

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use clap::Args;
 use lightkiln_worker::kinds::{BakeKinds, Runner};
-use lightkiln_worker::runtime::{CallError, Worker, WorkerConfig, WorkerError, usual_tasks};
+use lightkiln_worker::runtime::{CallError, LEASE_SECS, Worker, WorkerConfig, WorkerError, usual_tasks};
 
 use super::bake::all_processors;
 use super::submitting::own_token;
@@ -44,7 +44,7 @@ pub struct Arguments {
     #[arg(long, value_name = "GIB", default_value_t = 20, value_parser = clap::value_parser!(u64).range(1..=65536))]
     cache_gib: u64,
     /// Seconds after which the task of a worker that is not heard from goes to another
-    #[arg(long, value_name = "SECS", default_value_t = 30, value_parser = clap::value_parser!(u32).range(5..=3600))]
+    #[arg(long, value_name = "SECS", default_value_t = LEASE_SECS, value_parser = clap::value_parser!(u32).range(5..=3600))]
     lease_secs: u32,
     /// Code from 'kiln token enrol', to get a token of this worker's own, once; the token is kept in the token file
     #[arg(long, value_name = "CODE", env = "KILN_ENROL", hide_env_values = true)]

@@ -105,7 +105,7 @@ fn one(
     let opaque: Vec<Vec4> = traced.radiance.iter().map(|l| Vec4::new(l[0], l[1], l[2], 1.0)).collect();
     let exposure = automatic_exposure(&opaque);
     let bitmap = |pixels: Vec<[u8; 4]>| Bitmap { width: size.width, height: size.height, pixels };
-    let shown = |film: &Film| bitmap(developed(&film.radiance, exposure, Tone::Filmic));
+    let shown = |film: &Film| bitmap(developed(&film.radiance, exposure, Tone::default()));
     let (baked_shown, traced_shown) = (shown(&baked), shown(&traced));
     let flip = difference(size.width, size.height, &traced_shown.pixels, &baked_shown.pixels);
     let heat = bitmap(compared(size, &baked, &traced));

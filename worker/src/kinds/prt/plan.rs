@@ -6,7 +6,7 @@ use lightkiln_proto::kinds::prt::PrtTask;
 use serde_json::json;
 
 use super::{BakeParams, TransportParams};
-use crate::factors::{CELLS_ARTEFACT, cells, encoded};
+use crate::factors::{CELLS_ARTEFACT, cells, encoded_cells};
 use crate::lightmap::{self, Lightmap};
 use crate::patches::{self, PatchTree};
 use crate::task::{Context, TaskError, TaskOutput, params};
@@ -23,7 +23,7 @@ pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> 
     let lightmap: Lightmap = context.decoded(lightmap::ARTEFACT_MAGIC, lightmap::ARTEFACT)?.0;
     let tree = PatchTree::of(context)?;
     let cells = cells(&lightmap, settings.factors.cluster_receivers);
-    let cells_bytes = encoded(&cells)?;
+    let cells_bytes = encoded_cells(&cells)?;
     let patches = patches::encoded(&tree, &lightmap, settings.patches.sky_parts)?;
     let own = [(CELLS_ARTEFACT, &cells_bytes), (PATCH_SET, &patches)];
     let own = own.map(|(name, bytes)| TaskInput::Artefact { name: name.into(), digest: Digest::of(bytes) });

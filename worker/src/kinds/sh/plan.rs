@@ -7,7 +7,7 @@ use lightkiln_proto::kinds::sh::ShTask;
 use serde_json::json;
 
 use super::{BakeParams, PROBES_ARTEFACT, ProbeSet, TransportParams, coverage, probes, relight};
-use crate::factors::{CELLS_ARTEFACT, cells, encoded};
+use crate::factors::{CELLS_ARTEFACT, cells, encoded_cells};
 use crate::lightmap::World;
 use crate::task::{Context, TaskError, TaskOutput, params, results_of};
 
@@ -27,7 +27,7 @@ pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> 
     let probes = coverage::complete(&world, &settings.probes, spacing_m, placed, context.progress)?;
     let cells = cells(&world.lightmap, settings.factors.cluster_receivers);
     let artefacts = vec![
-        (CELLS_ARTEFACT.to_owned(), encoded(&cells)?),
+        (CELLS_ARTEFACT.to_owned(), encoded_cells(&cells)?),
         (PROBES_ARTEFACT.to_owned(), ProbeSet { spacing_m, probes: probes.clone() }.encoded()?),
     ];
     let own = |which: usize| {
