@@ -9,7 +9,6 @@ mod components;
 mod encode;
 mod evaluated;
 mod split;
-
 mod svd;
 
 use lightkiln_proto::content::ClusterTransport;
