@@ -9,6 +9,7 @@ use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{Artefact, TaskSpec};
 use lightkiln_proto::kinds::SceneTask;
 use lightkiln_proto::manifest::Manifest;
+use serde::{Deserialize, Serialize};
 
 use crate::evaluate::{ChunkBytes, Evaluated, EvaluationError};
 use crate::task::{
@@ -120,6 +121,24 @@ impl Default for BakeKinds {
     fn default() -> Self {
         Self::new()
     }
+}
+
+/// Parameters of a kind's plan and assemble.
+#[derive(Debug, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+struct BakeParams<S> {
+    settings: S,
+    /// Scene bundle, named in the manifest.
+    scene: Digest,
+}
+
+/// Parameters of a kind's transport, with the settings that it depends on.
+#[derive(Debug, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+struct TransportParams<S> {
+    /// Index of the cluster cell.
+    cluster: usize,
+    settings: S,
 }
 
 /// Tasks over a scene that kinds share.

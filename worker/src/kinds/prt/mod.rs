@@ -14,7 +14,6 @@ mod truncate;
 use std::sync::Arc;
 
 use lightkiln_proto::chunk::QuantisationSettings;
-use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::TaskSpec;
 use lightkiln_proto::kinds::prt::{NAME, PatchSettings, PrtTask, Settings};
 use lightkiln_proto::manifest::Manifest;
@@ -70,23 +69,8 @@ impl BakeKind for Prt {
     }
 }
 
-/// Parameters of plan and assemble.
-#[derive(Debug, Deserialize, Serialize)]
-#[serde(deny_unknown_fields)]
-struct BakeParams {
-    settings: Settings,
-    /// Scene bundle, named in the manifest.
-    scene: Digest,
-}
-
-/// Parameters of transport.
-#[derive(Debug, Deserialize, Serialize)]
-#[serde(deny_unknown_fields)]
-struct TransportParams {
-    /// Index of the cluster cell.
-    cluster: usize,
-    settings: TracedSettings,
-}
+type BakeParams = super::BakeParams<Settings>;
+type TransportParams = super::TransportParams<TracedSettings>;
 
 /// The settings that transport depends on: bakes that agree in them share its results by key.
 #[derive(Clone, Debug, Deserialize, Serialize)]
