@@ -48,8 +48,9 @@ impl<C: Columns> LightmapLight<C> {
         clusters: &[ClusterTransport],
         columns: impl FnOnce(&SlotTable) -> std::result::Result<C, Inconsistent>,
     ) -> Result<Self> {
-        let Manifest { lightmap, emitters, .. } = &scene.manifest;
-        let blocks = lightmap.blocks.iter().map(|block| (block.key, block.size));
+        let Manifest { emitters, .. } = &scene.manifest;
+        let layout = scene.manifest.layout()?;
+        let blocks = layout.blocks.iter().map(|block| (block.key, block.size));
         let transport = Transport::join(blocks, emitters.len(), clusters, columns)
             .map_err(|Inconsistent { place, problem }| ClientError::inconsistent(place, problem))?;
         let texels = AtlasTexels::new(&scene.lightmap, &transport.slots, &transport.receivers.links);

@@ -55,11 +55,20 @@ fn contradictions_of_the_scene_are_named() {
     };
     let without_texture = LoadedScene::assemble(manifest("prt"), vec![geometry()], Vec::new());
     let cases = [
-        ("does not fit", refused_scene(|manifest| manifest.lightmap.blocks[0].origin = [39, 0])),
-        ("page that does not exist", refused_scene(|manifest| manifest.lightmap.blocks[0].page = 9)),
-        ("no texels", refused_scene(|manifest| manifest.lightmap.blocks[0].size = [0, 4])),
-        ("key of another", refused_scene(|manifest| manifest.lightmap.blocks[1].key = 100)),
-        ("atlas pages", refused_scene(|manifest| manifest.lightmap.pages[0] = [u32::MAX; 2])),
+        (
+            "does not fit",
+            refused_scene(|manifest| manifest.lightmap.as_mut().unwrap().blocks[0].origin = [39, 0]),
+        ),
+        (
+            "page that does not exist",
+            refused_scene(|manifest| manifest.lightmap.as_mut().unwrap().blocks[0].page = 9),
+        ),
+        ("no texels", refused_scene(|manifest| manifest.lightmap.as_mut().unwrap().blocks[0].size = [0, 4])),
+        ("key of another", refused_scene(|manifest| manifest.lightmap.as_mut().unwrap().blocks[1].key = 100)),
+        (
+            "atlas pages",
+            refused_scene(|manifest| manifest.lightmap.as_mut().unwrap().pages[0] = [u32::MAX; 2]),
+        ),
         ("names a vertex", geometry_names_a_vertex),
         ("names texture", without_texture.unwrap_err().to_string()),
     ];
@@ -98,7 +107,7 @@ fn hit_on_a_texel_that_no_light_reaches_is_dark() {
 #[test]
 fn mesh_without_receivers_is_drawn_and_said() {
     let mut geometry = geometry();
-    geometry.draws[0].front = 999;
+    geometry.draws[0].front = Some(999);
     let scene = LoadedScene::assemble(manifest("prt"), vec![geometry], vec![texture()]).unwrap();
     assert!(scene.warnings[0].contains("1 mesh"), "{:?}", scene.warnings);
 }

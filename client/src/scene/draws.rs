@@ -1,6 +1,6 @@
 //! Meshes to draw, checked and interleaved for the adapter and the software rasteriser alike.
 
-use lightkiln_proto::content::{Draw, Geometry};
+use lightkiln_proto::content::{BlockKey, Draw, Geometry};
 use lightkiln_proto::manifest::Manifest;
 
 use super::lightmap::{LightmapLayout, NO_BLOCK};
@@ -64,8 +64,9 @@ pub(super) fn join(
         let index = table.draws.len();
         check(&draw, manifest)
             .map_err(|problem| ClientError::inconsistent(format!("draw {index}"), problem))?;
-        let front = lightmap.block_index(draw.front).unwrap_or(NO_BLOCK);
-        let back = draw.back.and_then(|key| lightmap.block_index(key)).unwrap_or(NO_BLOCK);
+        let index_of =
+            |key: Option<BlockKey>| key.and_then(|key| lightmap.block_index(key)).unwrap_or(NO_BLOCK);
+        let (front, back) = (index_of(draw.front), index_of(draw.back));
         without_block += usize::from(front == NO_BLOCK);
         let vertices = (0..draw.position_m.len()).map(|vertex| interleave(&draw, vertex)).collect();
         let material = draw.material;
@@ -84,15 +85,16 @@ fn interleave(draw: &Draw, vertex: usize) -> Vertex {
         normal: draw.normal[vertex],
         uv: draw.uv.get(vertex).copied().unwrap_or_default(),
         colour: draw.colour.get(vertex).copied().unwrap_or([1.0; 4]),
-        lightmap_texel: draw.lightmap_texel[vertex],
+        lightmap_texel: draw.lightmap_texel.get(vertex).copied().unwrap_or_default(),
     }
 }
 
 fn check(draw: &Draw, manifest: &Manifest) -> std::result::Result<(), String> {
     let count = draw.position_m.len();
     let optional = |length: usize| length == 0 || length == count;
+    let texels = if draw.front.is_some() { count } else { 0 };
     if draw.normal.len() != count
-        || draw.lightmap_texel.len() != count
+        || draw.lightmap_texel.len() != texels
         || !optional(draw.uv.len())
         || !optional(draw.colour.len())
     {

@@ -19,6 +19,8 @@ pub const NO_BLOCK: u32 = u32::MAX;
 /// A block and its place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PlacedBlock {
+    /// Identity.
+    pub key: BlockKey,
     /// Page.
     pub page: u32,
     /// Corner in the page, in texels.
@@ -38,9 +40,9 @@ pub struct LightmapLayout {
 }
 
 impl LightmapLayout {
-    /// Reads the manifest's blocks; every block must lie inside its page.
+    /// Reads the manifest's blocks, if it has some; every block must lie inside its page.
     pub(super) fn new(manifest: &Manifest) -> Result<Self> {
-        let Lightmap { pages, blocks, .. } = &manifest.lightmap;
+        let Some(Lightmap { pages, blocks, .. }) = &manifest.lightmap else { return Ok(Self::default()) };
         check_pages(pages)?;
         let mut layout = Self { pages: pages.clone(), ..Self::default() };
         for (index, block) in blocks.iter().enumerate() {
@@ -74,7 +76,7 @@ fn placed(block: &Block, pages: &[[u32; 2]]) -> std::result::Result<PlacedBlock,
     if !inside(0) || !inside(1) {
         return Err("does not fit into its page");
     }
-    Ok(PlacedBlock { page: block.page, origin: block.origin, size: block.size })
+    Ok(PlacedBlock { key: block.key, page: block.page, origin: block.origin, size: block.size })
 }
 
 fn check_pages(pages: &[[u32; 2]]) -> Result<()> {

@@ -94,7 +94,7 @@ fn kinds() -> ClientKinds {
 pub(super) fn bake() -> LoadedBake {
     let folder = tempfile::tempdir().unwrap();
     let mut writer = BundleWriter::new(folder.path(), NAME);
-    writer.manifest.lightmap = Default::default();
+    writer.manifest.lightmap = None;
     writer.add(NAME, b"[3.0, 2.0, 1.0]".to_vec());
     writer.finish();
     LoadedBake::load(&Source::bundle(folder.path()).unwrap(), &kinds()).unwrap()

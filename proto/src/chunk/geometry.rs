@@ -45,6 +45,8 @@ pub(super) const HAS_BACK: u32 = 1;
 pub(super) const HAS_UV: u32 = 2;
 /// The draw has colours.
 pub(super) const HAS_COLOUR: u32 = 4;
+/// The draw is outside the lightmap: it has neither blocks nor lightmap coordinates.
+pub(super) const NO_LIGHTMAP: u32 = 8;
 
 /// Encodes meshes, in their order. Positions, UVs, colours and triangles are exact; normals within
 /// [`NORMAL_ERROR_RAD`](super::NORMAL_ERROR_RAD), lightmap coordinates within
@@ -94,12 +96,14 @@ fn check_draw(draw: &Draw) -> Result<(), ChunkError> {
     let or_none = |length: usize| if length == 0 { 0 } else { vertices };
     for (what, length, wanted) in [
         ("normals", draw.normal.len(), vertices),
-        ("lightmap coordinates", draw.lightmap_texel.len(), vertices),
+        ("lightmap coordinates", draw.lightmap_texel.len(), if draw.front.is_some() { vertices } else { 0 }),
         ("texture coordinates", draw.uv.len(), or_none(draw.uv.len())),
         ("colours", draw.colour.len(), or_none(draw.colour.len())),
     ] {
         in_range(section, what, length as u64, wanted as u64, wanted as u64)?;
     }
+    let blocks_max = if draw.front.is_some() { 1 } else { 0 };
+    in_range(section, "back blocks", draw.back.iter().len() as u64, 0, blocks_max)?;
     for (what, numbers) in [
         ("position", draw.position_m.as_flattened()),
         ("normal", draw.normal.as_flattened()),
@@ -115,7 +119,7 @@ fn check_draw(draw: &Draw) -> Result<(), ChunkError> {
     Ok(())
 }
 
-/// Arrays over draws: material, flags, vertices, triangles, then keys of front and back blocks.
+/// Arrays over draws: material, flags, vertices, triangles, then keys of front and of back blocks, of draws that have them.
 fn write_draws(draws: &[Draw]) -> Vec<u8> {
     let mut out = Vec::new();
     let mut put =
@@ -123,13 +127,16 @@ fn write_draws(draws: &[Draw]) -> Vec<u8> {
     put(|draw| draw.material);
     put(|draw| {
         let flag = |set: bool, flag: u32| if set { flag } else { 0 };
-        let back = flag(draw.back.is_some(), HAS_BACK);
-        back | flag(!draw.uv.is_empty(), HAS_UV) | flag(!draw.colour.is_empty(), HAS_COLOUR)
+        flag(draw.back.is_some(), HAS_BACK)
+            | flag(!draw.uv.is_empty(), HAS_UV)
+            | flag(!draw.colour.is_empty(), HAS_COLOUR)
+            | flag(draw.front.is_none(), NO_LIGHTMAP)
     });
     put(|draw| draw.position_m.len() as u32);
     put(|draw| draw.triangles.len() as u32);
-    draws.iter().for_each(|draw| out.extend_from_slice(&draw.front.to_le_bytes()));
-    draws.iter().filter_map(|draw| draw.back).for_each(|key| out.extend_from_slice(&key.to_le_bytes()));
+    let fronts = draws.iter().filter_map(|draw| draw.front);
+    let backs = draws.iter().filter_map(|draw| draw.back);
+    fronts.chain(backs).for_each(|key| out.extend_from_slice(&key.to_le_bytes()));
     out
 }
 

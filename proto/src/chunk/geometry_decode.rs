@@ -3,7 +3,7 @@
 use super::bytes::Reader;
 use super::container::{Container, SectionId};
 use super::error::{ChunkError, in_range};
-use super::geometry::{HAS_BACK, HAS_COLOUR, HAS_UV, tags};
+use super::geometry::{HAS_BACK, HAS_COLOUR, HAS_UV, NO_LIGHTMAP, tags};
 use super::ints;
 use super::limits::{DRAWS_MAX, TRIANGLES_MAX, VERTICES_MAX};
 use super::numbers::normal_of;
@@ -45,6 +45,7 @@ pub fn decode_geometry(bytes: &[u8]) -> Result<Geometry, ChunkError> {
 struct DrawShape {
     vertices: usize,
     triangles: usize,
+    lightmap_texels: usize,
     uvs: usize,
     colours: usize,
 }
@@ -65,21 +66,36 @@ fn read_shapes(
     let total = |counts: &[u32]| counts.iter().map(|&n| u64::from(n)).sum();
     in_range(section, "vertices", total(&vertex_counts), vertices as u64, vertices as u64)?;
     in_range(section, "triangles", total(&triangle_counts), triangles as u64, triangles as u64)?;
-    let fronts = reader.u64s("front block", count)?;
-    let backs = flags.iter().filter(|&&flags| flags & HAS_BACK != 0).count();
-    let mut backs = reader.u64s("back block", backs)?.into_iter();
+    flags.iter().try_for_each(|&flags| check_flags(flags))?;
+    let with = |flag: u32| flags.iter().filter(|&&flags| flags & flag != 0).count();
+    let mut fronts = reader.u64s("front block", count - with(NO_LIGHTMAP))?.into_iter();
+    let mut backs = reader.u64s("back block", with(HAS_BACK))?.into_iter();
     reader.end()?;
     let (mut draws, mut shapes) = (Vec::with_capacity(count), Vec::with_capacity(count));
     for index in 0..count {
-        let flags = in_range(section, "flags", flags[index].into(), 0, 7)? as u32;
+        let has = |flag: u32| flags[index] & flag != 0;
         let vertices = vertex_counts[index] as usize;
-        let if_set = |flag: u32| if flags & flag != 0 { vertices } else { 0 };
-        let back = if flags & HAS_BACK != 0 { backs.next() } else { None };
-        draws.push(Draw { material: materials[index], front: fronts[index], back, ..Draw::default() });
-        let (triangles, uvs, colours) = (triangle_counts[index] as usize, if_set(HAS_UV), if_set(HAS_COLOUR));
-        shapes.push(DrawShape { vertices, triangles, uvs, colours });
+        let vertices_if = |set: bool| if set { vertices } else { 0 };
+        let front = if has(NO_LIGHTMAP) { None } else { fronts.next() };
+        let back = if has(HAS_BACK) { backs.next() } else { None };
+        draws.push(Draw { material: materials[index], front, back, ..Draw::default() });
+        shapes.push(DrawShape {
+            vertices,
+            triangles: triangle_counts[index] as usize,
+            lightmap_texels: vertices_if(!has(NO_LIGHTMAP)),
+            uvs: vertices_if(has(HAS_UV)),
+            colours: vertices_if(has(HAS_COLOUR)),
+        });
     }
     Ok((draws, shapes))
+}
+
+/// Errs on flags that mean nothing, and on a back block outside the lightmap.
+fn check_flags(flags: u32) -> Result<(), ChunkError> {
+    in_range("draws", "flags", flags.into(), 0, 15)?;
+    let both = NO_LIGHTMAP | HAS_BACK;
+    in_range("draws", "back blocks outside the lightmap", u64::from(flags & both == both), 0, 0)?;
+    Ok(())
 }
 
 /// Hands the shared arrays out to the draws.
@@ -93,7 +109,9 @@ impl Decoder {
         match tag {
             tags::POSITIONS => self.vectors(reader, Steps::Never, |s| s.vertices, |d| &mut d.position_m),
             tags::NORMALS => self.normals(reader),
-            tags::LIGHTMAP => self.vectors(reader, Steps::Near256, |s| s.vertices, |d| &mut d.lightmap_texel),
+            tags::LIGHTMAP => {
+                self.vectors(reader, Steps::Near256, |s| s.lightmap_texels, |d| &mut d.lightmap_texel)
+            }
             tags::TRIANGLES => self.triangles(reader),
             tags::UVS => self.vectors(reader, Steps::Never, |s| s.uvs, |d| &mut d.uv),
             _ => self.vectors(reader, Steps::Exact255, |s| s.colours, |d| &mut d.colour),

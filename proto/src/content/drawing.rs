@@ -14,9 +14,9 @@ pub struct Geometry {
 pub struct Draw {
     /// Index into the manifest's materials.
     pub material: u32,
-    /// Block of the front side.
-    pub front: BlockKey,
-    /// Block of the back side, for double-sided materials.
+    /// Block of the front side; `None` for a mesh outside the lightmap.
+    pub front: Option<BlockKey>,
+    /// Block of the back side, for double-sided materials in the lightmap.
     pub back: Option<BlockKey>,
     /// Positions in metres.
     pub position_m: Vec<[f32; 3]>,
@@ -26,7 +26,7 @@ pub struct Draw {
     pub uv: Vec<[f32; 2]>,
     /// Linear vertex colours; empty when there are none.
     pub colour: Vec<[f32; 4]>,
-    /// Lightmap coordinates in texels of the block.
+    /// Lightmap coordinates in texels of the block; empty for a mesh outside the lightmap.
     pub lightmap_texel: Vec<[f32; 2]>,
     /// Triangles, counter-clockwise from the front.
     pub triangles: Vec<[u32; 3]>,

@@ -30,14 +30,9 @@ pub fn cluster_figures(manifest: &Manifest, totals: &ClusterTotals, rows: &[Clus
     let worst_truncated = worst(manifest, rows, |row| row.truncation_error);
     let bytes_per_receiver = manifest.bytes_light() as f64 / totals.receivers.max(1) as f64;
     let mut words = format!(
-        "receivers   {} in {} blocks, texel {} m\nclusters    {}, mean rank {:.2}, highest {}\n\
+        "receivers   {}\nclusters    {}, mean rank {:.2}, highest {}\n\
          light       {bytes_per_receiver:.1} bytes a receiver\nlayers      {layer_bytes:?} bytes, coarsest first\nranks      ",
-        totals.receivers,
-        manifest.lightmap.blocks.len(),
-        manifest.lightmap.texel_m,
-        totals.clusters,
-        totals.mean_rank,
-        totals.rank_max,
+        totals.receivers, totals.clusters, totals.mean_rank, totals.rank_max,
     );
     for (rank, count) in &ranks {
         words += &format!(" {rank}×{count}");

@@ -2,14 +2,16 @@
 //! and settings which agree in those share the results by key.
 //!
 //! ```text
-//! bundle ─▶ import ─▶ unwrap ─┬▶ draw      meshes and textures as chunks
-//!                     │       └▶ place ─▶ patches
-//!                     └▶ frame             camera and light where the file has none
+//! bundle ─▶ import ─┬▶ frame                camera and light where the file has none
+//!                   ├▶ draw                 meshes and textures as chunks, in the lightmap if there is one
+//!                   └▶ unwrap ─▶ place ─▶ patches
 //! ```
+
+use std::collections::BTreeMap;
 
 use serde_json::{Value, json};
 
-use crate::ids::{Digest, TaskKey};
+use crate::ids::Digest;
 use crate::jobs::{TaskInput, TaskSpec};
 use crate::settings::{PlaceSettings, TexelSettings};
 
@@ -20,7 +22,7 @@ pub enum SceneTask {
     Import,
     /// Imported scene → a lightmap chart for every triangle.
     Unwrap,
-    /// Scene and unwrap → chunks of meshes and textures.
+    /// Scene, and unwrap where there is one → chunks of meshes and textures.
     Draw,
     /// Scene → vantage points: a camera and a light where the file has none.
     Frame,
@@ -54,69 +56,76 @@ impl SceneTask {
         }
     }
 
-    fn task(self, params: Value, inputs: Vec<TaskInput>, cost: u64) -> TaskSpec {
-        TaskSpec::new(self.name(), self.version(), "scene", params, inputs, cost)
+    /// Name before the slash under which later tasks see its outputs.
+    fn input_name(self) -> &'static str {
+        self.name().trim_start_matches("scene.")
     }
 }
 
-/// The shared tasks of one scene.
+/// Shared tasks of one scene: all that a kind's own are built on.
 #[derive(Clone, Debug)]
-pub struct SceneTasks {
-    /// Bundle → outputs `scene`, `warnings`.
-    pub import: TaskSpec,
-    /// Input `import/…` → output `unwrap`.
-    pub unwrap: TaskSpec,
-    /// Inputs `import/…`, `unwrap/…` → outputs `geometry/N`, `texture/N`.
-    pub draw: TaskSpec,
-    /// Input `import/…` → output `framing` (JSON).
-    pub frame: TaskSpec,
-    /// Inputs `import/…`, `unwrap/…` → output `lightmap`.
-    pub place: TaskSpec,
-    /// Inputs `import/…`, `unwrap/…`, `place/…` → output `patches`.
-    pub patches: TaskSpec,
-}
+pub struct SceneTasks(BTreeMap<SceneTask, TaskSpec>);
 
 impl SceneTasks {
-    /// The tasks over a scene bundle.
-    pub fn of(scene: Digest, texels: &TexelSettings, place: &PlaceSettings) -> Self {
+    /// Import, draws and framing over a scene bundle, without a lightmap.
+    pub fn of(scene: Digest) -> Self {
         let bundle = TaskInput::Artefact { name: "bundle".into(), digest: scene };
-        let import = SceneTask::Import.task(Value::Null, vec![bundle], 1);
-        let imported = || task_input("import", import.key);
-        let unwrap = SceneTask::Unwrap.task(json!({ "texels": texels }), vec![imported()], 5);
-        let unwrapped = || task_input("unwrap", unwrap.key);
-        let draw = SceneTask::Draw.task(Value::Null, vec![imported(), unwrapped()], 2);
-        let frame = SceneTask::Frame.task(Value::Null, vec![imported()], 2);
+        let mut tasks = Self(BTreeMap::new());
+        let import = SceneTask::Import;
+        let spec = TaskSpec::new(import.name(), import.version(), "scene", Value::Null, vec![bundle], 1);
+        tasks.0.insert(import, spec);
+        tasks.follow(SceneTask::Draw, [SceneTask::Import], Value::Null, 2);
+        tasks.follow(SceneTask::Frame, [SceneTask::Import], Value::Null, 2);
+        tasks
+    }
+
+    /// Adds the charts of a lightmap; draws then have coordinates in it.
+    #[must_use]
+    pub fn unwrapped(mut self, texels: &TexelSettings) -> Self {
+        self.follow(SceneTask::Unwrap, [SceneTask::Import], json!({ "texels": texels }), 5);
+        self.follow(SceneTask::Draw, [SceneTask::Import, SceneTask::Unwrap], Value::Null, 2);
+        self
+    }
+
+    /// Adds the receivers of a lightmap.
+    ///
+    /// # Panics
+    /// If there are no charts.
+    #[must_use]
+    pub fn placed(mut self, place: &PlaceSettings) -> Self {
         let params = json!({ "place": place });
-        let place = SceneTask::Place.task(params, vec![imported(), unwrapped()], 10);
-        let placed = task_input("place", place.key);
-        let patches = SceneTask::Patches.task(Value::Null, vec![imported(), unwrapped(), placed], 5);
-        Self { import, unwrap, draw, frame, place, patches }
+        self.follow(SceneTask::Place, [SceneTask::Import, SceneTask::Unwrap], params, 10);
+        self
     }
 
-    /// Inputs through which a later task sees the outputs of all of `tasks`, by the names above.
-    pub fn inputs(&self, tasks: impl IntoIterator<Item = SceneTask>) -> Vec<TaskInput> {
-        let input = |task: SceneTask| {
-            let (name, spec) = match task {
-                SceneTask::Import => ("import", &self.import),
-                SceneTask::Unwrap => ("unwrap", &self.unwrap),
-                SceneTask::Draw => ("draw", &self.draw),
-                SceneTask::Frame => ("frame", &self.frame),
-                SceneTask::Place => ("place", &self.place),
-                SceneTask::Patches => ("patches", &self.patches),
-            };
-            task_input(name, spec.key)
-        };
-        tasks.into_iter().map(input).collect()
+    /// Adds the tree of patches over the receivers.
+    ///
+    /// # Panics
+    /// If there are no receivers.
+    #[must_use]
+    pub fn patched(mut self) -> Self {
+        let inputs = [SceneTask::Import, SceneTask::Unwrap, SceneTask::Place];
+        self.follow(SceneTask::Patches, inputs, Value::Null, 5);
+        self
     }
 
-    /// The tasks named, in their order.
-    pub fn only(self, tasks: &[SceneTask]) -> Vec<TaskSpec> {
-        let Self { import, unwrap, draw, frame, place, patches } = self;
-        let all = SceneTask::ALL.into_iter().zip([import, unwrap, draw, frame, place, patches]);
-        all.filter(|(task, _)| tasks.contains(task)).map(|(_, spec)| spec).collect()
+    /// Inputs through which a later task sees all outputs, as `import/…`, `draw/…` and so on.
+    pub fn inputs(&self) -> Vec<TaskInput> {
+        self.0.keys().map(|task| self.input(*task)).collect()
     }
-}
 
-fn task_input(name: &str, key: TaskKey) -> TaskInput {
-    TaskInput::Task { name: name.to_owned(), key }
+    /// The tasks in the order of the graph.
+    pub fn into_specs(self) -> impl Iterator<Item = TaskSpec> {
+        self.0.into_values()
+    }
+
+    fn follow<const N: usize>(&mut self, task: SceneTask, after: [SceneTask; N], params: Value, cost: u64) {
+        let inputs = after.map(|before| self.input(before)).into();
+        self.0.insert(task, TaskSpec::new(task.name(), task.version(), "scene", params, inputs, cost));
+    }
+
+    fn input(&self, task: SceneTask) -> TaskInput {
+        let spec = self.0.get(&task).expect("a task is added after those that it reads");
+        TaskInput::Task { name: task.input_name().to_owned(), key: spec.key }
+    }
 }

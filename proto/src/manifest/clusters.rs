@@ -110,8 +110,9 @@ impl ClusterRow {
     }
 }
 
-/// Errs unless every cluster has a chunk and finite numbers.
+/// Errs unless there is a lightmap, and every cluster has a chunk and finite numbers.
 pub fn check_clusters(manifest: &Manifest, rows: &[ClusterRow]) -> Result<(), ManifestError> {
+    manifest.layout()?;
     let chunks = manifest.chunks(CLUSTERS).len();
     if chunks != rows.len() {
         let problem = format!("it has {} clusters and {chunks} chunks of them", rows.len());

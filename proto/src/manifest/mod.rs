@@ -52,8 +52,8 @@ pub struct Manifest {
     pub bounds_m: [[f32; 3]; 2],
     /// Triangles drawn.
     pub triangles: u64,
-    /// Layout of the lightmap.
-    pub lightmap: Lightmap,
+    /// Layout of the lightmap, where the bake has one.
+    pub lightmap: Option<Lightmap>,
     /// Materials that draws name.
     pub materials: Vec<Material>,
     /// Emissive materials whose strength may be changed at run time.
@@ -170,6 +170,12 @@ impl Manifest {
         self.part("settings", &self.settings)
     }
 
+    /// The lightmap's layout; errs where the bake has none, for kinds that need one.
+    pub fn layout(&self) -> Result<&Lightmap, ManifestError> {
+        let absent = || ManifestError::Contradiction { problem: "it has no lightmap".into() };
+        self.lightmap.as_ref().ok_or_else(absent)
+    }
+
     fn part<T: DeserializeOwned>(&self, part: &'static str, json: &Value) -> Result<T, ManifestError> {
         let kind = || self.kind.clone();
         T::deserialize(json).map_err(|source| ManifestError::Body { part, kind: kind(), source })
@@ -177,7 +183,7 @@ impl Manifest {
 
     /// JSON numbers may be larger than an f32 holds.
     fn check_numbers(&self) -> Result<(), ManifestError> {
-        all_finite("the texel's size", &[self.lightmap.texel_m])?;
+        all_finite("the texel's size", self.lightmap.as_ref().map(|lightmap| lightmap.texel_m).as_slice())?;
         all_finite("the bounds", self.bounds_m.as_flattened())?;
         self.materials.iter().try_for_each(Material::check_numbers)?;
         let Framing { camera, light } = &self.framing;

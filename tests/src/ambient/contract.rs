@@ -5,9 +5,9 @@ use lightkiln_proto::chunk::container::{Container, ContainerWriter, SectionId};
 use lightkiln_proto::chunk::{ChunkError, ChunkKind, ChunkRow};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::TaskSpec;
-use lightkiln_proto::kinds::{Figures, Kind, SceneTask, SceneTasks};
+use lightkiln_proto::kinds::{Figures, Kind, SceneTasks};
 use lightkiln_proto::manifest::{Manifest, ManifestError};
-use lightkiln_proto::settings::{PlaceSettings, SettingRow, SettingsError, SettingsGroup, TexelSettings};
+use lightkiln_proto::settings::{SettingRow, SettingsError};
 use lightkiln_proto::{kind_settings, settings_group};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -23,9 +23,6 @@ pub const CHUNK: ChunkKind = ChunkKind(200);
 
 /// Tag of the chunk's one section: three floats.
 const IRRADIANCE: u8 = 1;
-/// Shared tasks that the kind is made of.
-const SHARED: [SceneTask; 4] = [SceneTask::Import, SceneTask::Unwrap, SceneTask::Draw, SceneTask::Frame];
-
 settings_group! {
     /// The light.
     LightSettings {
@@ -37,8 +34,6 @@ settings_group! {
 kind_settings! {
     /// Settings of a bake of ambient light.
     Settings of NAME => {
-        /// Texels of the draws' lightmap coordinates.
-        texels: TexelSettings,
         /// The light.
         light: LightSettings,
     }
@@ -75,11 +70,10 @@ impl Kind for Ambient {
 
     fn first_tasks(&self, scene: Digest, settings: &Value) -> Result<Vec<TaskSpec>, SettingsError> {
         let settings = Settings::from_json(settings)?;
-        let place = PlaceSettings::read(&Default::default(), settings.preset)?;
-        let shared = SceneTasks::of(scene, &settings.texels, &place);
+        let shared = SceneTasks::of(scene);
         let params = json!({ "settings": settings, "scene": scene });
-        let light = TaskSpec::new(TASK, 1, "scene", params, shared.inputs(SHARED), 1);
-        Ok(shared.only(&SHARED).into_iter().chain([light]).collect())
+        let light = TaskSpec::new(TASK, 1, "scene", params, shared.inputs(), 1);
+        Ok(shared.into_specs().chain([light]).collect())
     }
 
     fn chunks(&self) -> &'static [ChunkRow] {

@@ -1,14 +1,11 @@
 //! The worker's side of the kind: its one task, and its answer to an evaluation.
 
-use glam::{DVec3, Vec2};
-use lightkiln_proto::content::{BlockKey, Texel};
+use glam::DVec3;
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::TaskSpec;
 use lightkiln_proto::manifest::{ChunkRef, Manifest};
 use lightkiln_worker::assemble::{KindPart, assembled};
-use lightkiln_worker::evaluate::{
-    Answer, ChunkBytes, ErrorClass, Evaluated, EvaluationError, PlaceId, Relit,
-};
+use lightkiln_worker::evaluate::{Answer, ChunkBytes, Evaluated, EvaluationError, Place, Relit};
 use lightkiln_worker::geometry::{Geometry, Site};
 use lightkiln_worker::kinds::{BakeKind, TaskRow};
 use lightkiln_worker::rays::Hit;
@@ -82,7 +79,7 @@ fn geometry_of(bundle: Vec<u8>) -> Result<Geometry, TaskError> {
     Geometry::new(import(&bundle, &limits).map_err(refused)?.scene)
 }
 
-/// A decoded bake; its places are the sides of triangles.
+/// A decoded bake: it answers at every point.
 struct EvaluatedAmbient {
     geometry: Geometry,
     irradiance: DVec3,
@@ -94,34 +91,13 @@ impl Evaluated for EvaluatedAmbient {
     }
 
     fn answer_at(&self, hit: &Hit) -> Answer {
-        Answer::Place(2 * hit.triangle + u32::from(!hit.front))
+        let normal = self.geometry.side_normal(hit);
+        let site = Site { position_m: self.geometry.point_of(hit), normal, face_normal: normal };
+        Answer::Place(Place { site, number: None })
     }
 
-    fn site(&self, place: PlaceId) -> Site {
-        let [a, b, c] = self.geometry.corners(place / 2);
-        let front = self.geometry.face_normal(place / 2);
-        let normal = if place.is_multiple_of(2) { front } else { -front };
-        Site { position_m: (a + b + c) / 3.0, normal, face_normal: normal }
-    }
-
-    fn texel(&self, _: PlaceId) -> Option<(BlockKey, Texel)> {
-        None
-    }
-
-    fn lightmap_at(&self, _: &Hit) -> Option<(BlockKey, Vec2)> {
-        None
-    }
-
-    fn chunk_of(&self, _: PlaceId) -> Option<usize> {
+    fn chunk_of(&self, _: &Place) -> Option<usize> {
         Some(0)
-    }
-
-    fn trace(&mut self, _: &[PlaceId], _: usize, _: &Progress) -> Result<(), Cancelled> {
-        Ok(())
-    }
-
-    fn traced(&self) -> [usize; 2] {
-        [0, 0]
     }
 
     fn relit<'a>(
@@ -138,15 +114,11 @@ impl Evaluated for EvaluatedAmbient {
 struct Constant(DVec3);
 
 impl Relit for Constant {
-    fn irradiance(&self, _: PlaceId) -> Option<DVec3> {
+    fn irradiance(&self, _: &Place) -> Option<DVec3> {
         Some(self.0)
     }
 
     fn bounces(&self) -> (usize, bool) {
         (0, true)
-    }
-
-    fn classes(&self, _: &[PlaceId]) -> Vec<ErrorClass> {
-        Vec::new()
     }
 }

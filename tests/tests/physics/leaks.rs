@@ -57,7 +57,7 @@ fn assert_right_room_is_dark(kind: &'static str, scene: Vec<u8>, thickness_m: f3
         [if hidden { 0.0 } else { 50.0 * cosine / to_lamp.length_squared() }; 3]
     };
     let receivers = relit(&bake, &Lighting { direct: &direct, sky: [[0.0; 3]; 2] }).unwrap();
-    let clear = thickness_m * 0.5 + bake.manifest.lightmap.texel_m;
+    let clear = thickness_m * 0.5 + bake.manifest.layout().unwrap().texel_m;
     let left: Vec<_> = receivers.iter().filter(|r| r.position_m.x < wall_x_m - clear).collect();
     let right: Vec<_> = receivers.iter().filter(|r| r.position_m.x > wall_x_m + clear).collect();
     assert!(left.len() > 300 && right.len() > 300);

@@ -1,6 +1,6 @@
-//! The part of manifests and reports that every kind of bake has: pages of the lightmap, materials, draws, framing.
+//! The part of manifests and reports that every kind of bake has: materials, draws, framing, and a lightmap's pages.
 //!
-//! It reads the scene and its charts; no ray is cast.
+//! It reads the scene, and its charts where there are some; no ray is cast.
 
 mod materials;
 mod pages;
@@ -38,14 +38,14 @@ pub struct KindPart<'a, S, B> {
     pub report: Value,
 }
 
-/// Outputs of an assemble task, whose inputs are the outputs of `scene.import`, `.unwrap`, `.draw` and `.frame` and the
-/// kind's own: the manifest and the report.
+/// Outputs of an assemble task, whose inputs are the outputs of `scene.import`, `.draw` and `.frame`, of `.unwrap` for a lightmap,
+/// and the kind's own: the manifest and the report.
 pub fn assembled<S: Serialize, B: Serialize>(
     context: &Context,
     part: KindPart<'_, S, B>,
 ) -> Result<TaskOutput, TaskError> {
     let (scene, _): (Scene, _) = context.decoded(crate::scene::ARTEFACT_MAGIC, crate::scene::ARTEFACT)?;
-    let charts = Charts::of(context)?;
+    let charts = Charts::if_any(context)?;
     let mut chunks: BTreeMap<String, Vec<ChunkRef>> =
         part.chunks.into_iter().map(|(role, refs)| (role.to_owned(), refs)).collect();
     chunks.insert(TEXTURES.to_owned(), chunk_refs(context, "draw/texture/"));
@@ -60,7 +60,7 @@ pub fn assembled<S: Serialize, B: Serialize>(
         settings: as_json(part.settings)?,
         bounds_m: bounds_of(&scene).map(|corner| corner.to_array()),
         triangles: scene.instances.iter().map(|instance| instance.triangles.len() as u64).sum(),
-        lightmap: layout(&scene, &charts)?,
+        lightmap: charts.as_ref().map(|charts| layout(&scene, charts)).transpose()?,
         materials,
         emitters,
         lights: scene.lights.clone(),
@@ -71,7 +71,9 @@ pub fn assembled<S: Serialize, B: Serialize>(
     };
     let mut report = part.report;
     report["import"] = json_of(context, crate::scene::WARNINGS)?;
-    report["texel_m"] = json!(charts.texel_m);
+    if let Some(charts) = charts {
+        report["texel_m"] = json!(charts.texel_m);
+    }
     // By way of a JSON value: its maps are sorted, which makes the manifest canonical.
     let canonical = as_json(&manifest)?;
     Ok(TaskOutput {

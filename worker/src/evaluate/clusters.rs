@@ -35,13 +35,13 @@ struct Sums {
 pub fn cluster_errors(evaluator: &Evaluator, results: &[LightResult]) -> Vec<ClusterError> {
     let mut by_cluster: BTreeMap<Option<usize>, Sums> = BTreeMap::new();
     for (index, sampled) in evaluator.sample().places.iter().enumerate() {
-        let cluster = evaluator.bake().chunk_of(sampled.place);
+        let cluster = evaluator.bake().chunk_of(&sampled.place);
         let counted: Vec<&LightResult> = results.iter().filter(|result| result.counted[index]).collect();
         if counted.is_empty() {
             continue;
         }
         let sums = by_cluster.entry(cluster).or_default();
-        sums.position += evaluator.bake().site(sampled.place).position_m;
+        sums.position += sampled.place.site.position_m;
         sums.receivers += 1;
         for result in counted {
             let mean = result.figures.mean_irradiance;

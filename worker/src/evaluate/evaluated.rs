@@ -4,7 +4,7 @@ use glam::{DVec3, Vec2};
 use lightkiln_proto::content::{BlockKey, Texel};
 use lightkiln_proto::ids::Digest;
 
-use super::EvaluationError;
+use super::{EvaluationError, Sample};
 use crate::geometry::{Geometry, Site};
 use crate::rays::Hit;
 use crate::reference::{Lighting, Reference};
@@ -13,14 +13,21 @@ use crate::task::{Cancelled, Progress};
 /// Gives the bytes of a bake's chunk.
 pub type ChunkBytes<'a> = &'a (dyn Fn(Digest) -> Result<Vec<u8>, EvaluationError> + Sync);
 
-/// A place whose light a bake knows, as the kind numbers them: a receiver, say.
-pub type PlaceId = u32;
+/// A place whose light a bake is asked for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Place {
+    /// Point and normals.
+    pub site: Site,
+    /// Number by which the kind knows the place again, a receiver's say: answers of one number are one place. `None` where
+    /// the kind answers at any point.
+    pub number: Option<u32>,
+}
 
 /// A bake's answer to a hit.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Answer {
     /// It shows the light of that place.
-    Place(PlaceId),
+    Place(Place),
     /// None: the surface lies in a cavity that nothing in the open sees.
     Cavity,
     /// None: the surface is too small, or too deep in geometry.
@@ -35,28 +42,29 @@ pub trait Evaluated: Send + Sync {
     /// The place whose light is shown at a hit.
     fn answer_at(&self, hit: &Hit) -> Answer;
 
-    /// The point and normal that a place's light is of.
-    fn site(&self, place: PlaceId) -> Site;
+    /// Places to measure at, about `count`: spread over the lit surfaces by area, unless the kind's light is elsewhere.
+    fn sample(&self, count: u32) -> Sample {
+        Sample::of_surfaces(self.geometry(), |hit| self.answer_at(hit), count)
+    }
 
-    /// Texel of a place in the lightmap, if the kind has one.
-    fn texel(&self, place: PlaceId) -> Option<(BlockKey, Texel)>;
-
-    /// The place of a texel of the lightmap, if the kind has one there.
-    fn place_of(&self, _: BlockKey, _: Texel) -> Option<PlaceId> {
+    /// The lightmap, if the kind has one.
+    fn lightmap(&self) -> Option<&dyn EvaluatedLightmap> {
         None
     }
 
-    /// Block and texel that pictures read at a hit, if the kind has a lightmap.
-    fn lightmap_at(&self, hit: &Hit) -> Option<(BlockKey, Vec2)>;
-
     /// Chunk that holds a place's light, as an index among those of its role; `None` where the bake left the place out.
-    fn chunk_of(&self, place: PlaceId) -> Option<usize>;
+    fn chunk_of(&self, place: &Place) -> Option<usize>;
 
     /// Prepares to tell classes of error apart at some places, once for all lights. More `effort` → surer, more time.
-    fn trace(&mut self, sample: &[PlaceId], effort: usize, progress: &Progress) -> Result<(), Cancelled>;
+    fn trace(&mut self, sample: &[Place], effort: usize, progress: &Progress) -> Result<(), Cancelled> {
+        let _ = (sample, effort, progress);
+        Ok(())
+    }
 
     /// Units of work, and chunks in them, that [`Evaluated::trace`] made anew.
-    fn traced(&self) -> [usize; 2];
+    fn traced(&self) -> [usize; 2] {
+        [0; 2]
+    }
 
     /// The bake under some lights, all bounces in.
     fn relit<'a>(
@@ -67,16 +75,31 @@ pub trait Evaluated: Send + Sync {
     ) -> Result<Box<dyn Relit + 'a>, Cancelled>;
 }
 
+/// The lightmap of a bake, for pictures of it.
+pub trait EvaluatedLightmap: Sync {
+    /// Texel that holds a place's light.
+    fn texel_of(&self, place: &Place) -> Option<(BlockKey, Texel)>;
+
+    /// The place whose light a texel holds.
+    fn place_of(&self, block: BlockKey, texel: Texel) -> Option<Place>;
+
+    /// Block and texel that pictures read at a hit.
+    fn texel_at(&self, hit: &Hit) -> Option<(BlockKey, Vec2)>;
+}
+
 /// A bake under some lights.
 pub trait Relit: Sync {
     /// E_ind at a place, W·m⁻²; `None` where the bake left the place out as unreachable.
-    fn irradiance(&self, place: PlaceId) -> Option<DVec3>;
+    fn irradiance(&self, place: &Place) -> Option<DVec3>;
 
     /// Bounces until it changed no more, and whether it did before the last one allowed.
     fn bounces(&self) -> (usize, bool);
 
     /// The kind's classes of error, at the places of [`Evaluated::trace`].
-    fn classes(&self, sample: &[PlaceId]) -> Vec<ErrorClass>;
+    fn classes(&self, sample: &[Place]) -> Vec<ErrorClass> {
+        let _ = sample;
+        Vec::new()
+    }
 }
 
 /// A cause of error, told apart from the others.

@@ -4,7 +4,7 @@ use glam::DVec3;
 use lightkiln_proto::scene::LightKind;
 
 use super::error::EvaluationError;
-use super::evaluated::{Evaluated, Measure, PlaceId, Relit};
+use super::evaluated::{Evaluated, Measure, Place, Relit};
 use super::figures::{Figures, Pair};
 use super::lights::{Chosen, TestLight, default_lights};
 use super::sample::Sample;
@@ -83,8 +83,8 @@ impl Evaluator {
         options: Options,
         progress: &Progress,
     ) -> Result<Self, EvaluationError> {
-        let sample = Sample::new(bake.as_ref(), options.receivers);
-        bake.trace(&sample.ids(), options.cells, progress)?;
+        let sample = bake.sample(options.receivers);
+        bake.trace(&sample.bare(), options.cells, progress)?;
         Ok(Self { bake, sample, options })
     }
 
@@ -158,19 +158,19 @@ impl Evaluator {
     pub fn measure(&self, light: &TestLight, progress: &Progress) -> Result<LightResult, EvaluationError> {
         let reference = self.reference(&light.lighting)?;
         let relit = self.bake.relit(&reference, &light.lighting, progress)?;
-        let ids = self.sample.ids();
-        let sites: Vec<Site> = ids.iter().map(|&place| self.bake.site(place)).collect();
+        let places = self.sample.bare();
+        let sites: Vec<Site> = places.iter().map(|place| place.site).collect();
         let estimates = reference.irradiance(&sites, &self.options.precision, progress)?;
         let lit = estimates.iter().any(|e| e.indirect.luminance() > 0.0 || e.direct.luminance() > 0.0);
         if !lit {
             let problem = "it reaches no surface of the scene; move it or turn it";
             return Err(LightingError::new(&light.name, problem).into());
         }
-        let found: Vec<Option<DVec3>> = ids.iter().map(|&place| relit.irradiance(place)).collect();
+        let found: Vec<Option<DVec3>> = places.iter().map(|place| relit.irradiance(place)).collect();
         let counted = counted(&found, &estimates);
         let baked: Vec<DVec3> = found.into_iter().map(Option::unwrap_or_default).collect();
         let figures = Figures::of(&self.pairs(&baked, &estimates, &counted));
-        let classes = self.classes(relit.as_ref(), &ids, &estimates, &counted, figures.mean_irradiance);
+        let classes = self.classes(relit.as_ref(), &places, &estimates, &counted, figures.mean_irradiance);
         let (bounces, converged) = relit.bounces();
         let light = light.clone();
         Ok(LightResult { light, figures, classes, baked, reference: estimates, counted, bounces, converged })
@@ -180,7 +180,7 @@ impl Evaluator {
     fn classes(
         &self,
         relit: &dyn Relit,
-        ids: &[PlaceId],
+        places: &[Place],
         estimates: &[IrradianceEstimate],
         counted: &[bool],
         mean_irradiance: f64,
@@ -194,7 +194,7 @@ impl Evaluator {
             };
             ClassResult { name: class.name, about: class.about, rel_rmse, at_sample }
         };
-        relit.classes(ids).into_iter().map(of_class).collect()
+        relit.classes(places).into_iter().map(of_class).collect()
     }
 
     fn pairs(&self, found: &[DVec3], estimates: &[IrradianceEstimate], counted: &[bool]) -> Vec<Pair> {

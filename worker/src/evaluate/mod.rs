@@ -17,7 +17,7 @@ mod solid;
 
 pub use clusters::{ClusterError, cluster_errors};
 pub use error::EvaluationError;
-pub use evaluated::{Answer, ChunkBytes, ErrorClass, Evaluated, Measure, PlaceId, Relit};
+pub use evaluated::{Answer, ChunkBytes, ErrorClass, Evaluated, EvaluatedLightmap, Measure, Place, Relit};
 pub use evaluator::{ClassResult, Evaluator, LightResult, Options};
 pub use figures::{Figures, Pair};
 pub use light_file::lights_of_file;

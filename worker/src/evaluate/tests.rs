@@ -2,22 +2,21 @@
 
 use std::sync::Arc;
 
-use glam::{DVec3, Vec2, Vec3};
-use lightkiln_proto::content::{BlockKey, Texel};
+use glam::{DVec3, Vec3};
+use lightkiln_proto::kinds::SceneTasks;
 use lightkiln_proto::kinds::prt::Settings;
-use lightkiln_proto::kinds::{SceneTask, SceneTasks};
 use lightkiln_proto::scene::{LightKind, SceneLight};
 use rayon::prelude::*;
 use serde_json::json;
 
 use super::*;
-use crate::geometry::{Geometry, Site};
+use crate::geometry::Site;
 use crate::kinds::{BakeKinds, Runner};
 use crate::lightmap::{Surface, World};
 use crate::rays::Hit;
 use crate::rays::sampling::{R2, seed_of};
 use crate::reference::{Lighting, Precision, Reference};
-use crate::task::{Cancelled, LocalRun, Progress};
+use crate::task::{LocalRun, Progress};
 
 /// A scene of the tests, its lightmap placed with few receivers.
 fn world(scene: &[u8], receivers: u32) -> Arc<World> {
@@ -25,75 +24,22 @@ fn world(scene: &[u8], receivers: u32) -> Arc<World> {
     let settings = Settings::from_json(&settings).unwrap();
     let progress = Progress::new();
     let mut run = LocalRun::new(1 << 30, &progress);
-    let tasks = SceneTasks::of(run.shelf.put(scene.to_vec()), &settings.texels, &settings.place);
-    let tasks = tasks.only(&[SceneTask::Import, SceneTask::Unwrap, SceneTask::Place]);
-    run.run(&Runner::new(&BakeKinds::new()), tasks, |_| true, |_| {}).unwrap();
+    let tasks =
+        SceneTasks::of(run.shelf.put(scene.to_vec())).unwrapped(&settings.texels).placed(&settings.place);
+    run.run(&Runner::new(&BakeKinds::new()), tasks.into_specs().collect(), |_| true, |_| {}).unwrap();
     World::of_run(&run).unwrap()
 }
 
-/// A bake that shows no light: places are receivers.
-struct Dark(Arc<World>);
-
-impl Evaluated for Dark {
-    fn geometry(&self) -> &Geometry {
-        &self.0.geometry
-    }
-
-    fn answer_at(&self, hit: &Hit) -> Answer {
-        match self.0.surface_at(hit) {
-            Surface::Receiver(receiver) => Answer::Place(receiver),
-            Surface::Dark => Answer::TooSmall,
+/// A sample of the receivers of a world.
+fn sample_of(world: &World, count: u32) -> Sample {
+    let answer_at = |hit: &Hit| match world.surface_at(hit) {
+        Surface::Receiver(receiver) => {
+            let site = world.lightmap.receivers[receiver as usize].site();
+            Answer::Place(Place { site, number: Some(receiver) })
         }
-    }
-
-    fn site(&self, place: PlaceId) -> Site {
-        self.0.lightmap.receivers[place as usize].site()
-    }
-
-    fn texel(&self, _: PlaceId) -> Option<(BlockKey, Texel)> {
-        None
-    }
-
-    fn lightmap_at(&self, _: &Hit) -> Option<(BlockKey, Vec2)> {
-        None
-    }
-
-    fn chunk_of(&self, _: PlaceId) -> Option<usize> {
-        None
-    }
-
-    fn trace(&mut self, _: &[PlaceId], _: usize, _: &Progress) -> Result<(), Cancelled> {
-        Ok(())
-    }
-
-    fn traced(&self) -> [usize; 2] {
-        [0; 2]
-    }
-
-    fn relit<'a>(
-        &'a self,
-        _: &Reference,
-        _: &Lighting,
-        _: &Progress,
-    ) -> Result<Box<dyn Relit + 'a>, Cancelled> {
-        Ok(Box::new(Nothing))
-    }
-}
-
-struct Nothing;
-
-impl Relit for Nothing {
-    fn irradiance(&self, _: PlaceId) -> Option<DVec3> {
-        Some(DVec3::ZERO)
-    }
-
-    fn bounces(&self) -> (usize, bool) {
-        (0, true)
-    }
-
-    fn classes(&self, _: &[PlaceId]) -> Vec<ErrorClass> {
-        Vec::new()
-    }
+        Surface::Dark => Answer::TooSmall,
+    };
+    Sample::of_surfaces(&world.geometry, answer_at, count)
 }
 
 const CORNELL: &[u8] = include_bytes!("../../../tests/scenes/cornell.glb");
@@ -146,10 +92,9 @@ fn radiosity_on_texels_agrees_with_the_path_tracer() {
         .map(|receiver| reference.direct_irradiance(&world.lightmap.receivers[receiver as usize].site(), 1))
         .collect();
     let light = radiosity(&world, &direct, 256, 24);
-    let sample = Sample::new(&Dark(Arc::clone(&world)), 400);
+    let sample = sample_of(&world, 400);
     assert!(sample.places.len() > 300);
-    let sites: Vec<Site> =
-        sample.ids().iter().map(|&place| world.lightmap.receivers[place as usize].site()).collect();
+    let sites: Vec<Site> = sample.places.iter().map(|sampled| sampled.place.site).collect();
     let precision = Precision { rel_error: 0.03, paths_max: 4096 };
     let estimates = reference.irradiance(&sites, &precision, &Progress::new()).unwrap();
     let pairs: Vec<Pair> = sample
@@ -158,7 +103,7 @@ fn radiosity_on_texels_agrees_with_the_path_tracer() {
         .zip(&estimates)
         .map(|(sampled, estimate)| Pair {
             area_m2: sampled.area_m2,
-            found: light[sampled.place as usize],
+            found: light[sampled.place.number.unwrap() as usize],
             reference: estimate.indirect,
         })
         .collect();
@@ -171,15 +116,12 @@ fn radiosity_on_texels_agrees_with_the_path_tracer() {
 #[test]
 fn sample_holds_the_whole_area_and_weighs_surfaces_by_it() {
     let world = world(CORNELL, 2000);
-    let sample = Sample::new(&Dark(Arc::clone(&world)), 2000);
+    let sample = sample_of(&world, 2000);
     let held: f64 = sample.places.iter().map(|sampled| sampled.area_m2).sum();
     assert!((held + sample.share_without * sample.area_m2 - sample.area_m2).abs() < 1e-6 * sample.area_m2);
     // The back wall, 5.5 m × 5.5 m.
-    let on_back_wall = |receiver: u32| {
-        let receiver = &world.lightmap.receivers[receiver as usize];
-        receiver.normal.z > 0.99 && receiver.position_m.z < -5.49
-    };
-    let wall = sample.places.iter().filter(|sampled| on_back_wall(sampled.place));
+    let on_back_wall = |site: &Site| site.normal.z > 0.99 && site.position_m.z < -5.49;
+    let wall = sample.places.iter().filter(|sampled| on_back_wall(&sampled.place.site));
     let wall_m2: f64 = wall.map(|sampled| sampled.area_m2).sum();
     assert!((wall_m2 / 30.25 - 1.0).abs() < 0.03, "{wall_m2}");
     // Walls, floor and ceiling, the boxes and the part of the floor below them: all but that part has receivers.

@@ -53,7 +53,7 @@ impl<C: Columns> Baked<C> {
         let decode = |chunk: &ChunkRef| decoded(chunk, bytes, decode_cluster);
         let clusters: Vec<ClusterTransport> =
             manifest.chunks(CLUSTERS).par_iter().map(decode).collect::<Result<_, EvaluationError>>()?;
-        let blocks = manifest.lightmap.blocks.iter().map(|block| (block.key, block.size));
+        let blocks = manifest.layout()?.blocks.iter().map(|block| (block.key, block.size));
         let emitters = manifest.emitters.len();
         let transport = Transport::join(blocks, emitters, &clusters, columns)?;
         Ok(Self { transport, emitters })

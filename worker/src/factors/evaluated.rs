@@ -11,8 +11,10 @@ use lightkiln_proto::relight::{Columns, Inconsistent, SlotTable};
 use super::anew::{Anew, wide};
 use super::baked::{Baked, Light};
 use super::{ClusterCell, Transport, cells_of_task};
-use crate::evaluate::{Answer, ChunkBytes, ErrorClass, Evaluated, EvaluationError, Measure, PlaceId, Relit};
-use crate::geometry::{Geometry, Site};
+use crate::evaluate::{
+    Answer, ChunkBytes, ErrorClass, Evaluated, EvaluatedLightmap, EvaluationError, Measure, Place, Relit,
+};
+use crate::geometry::Geometry;
 use crate::lightmap::{Surface, World};
 use crate::rays::Hit;
 use crate::reference::{Lighting, Reference};
@@ -53,9 +55,14 @@ impl<C: Columns> FactoredBake<C> {
         Ok(Self { world, transport, baked, cells, receiver_of, anew: None })
     }
 
-    /// Slot of a receiver; `None` for those that no light can reach.
-    fn slot(&self, receiver: PlaceId) -> Option<u32> {
-        let (block, texel) = self.world.lightmap.name_of(receiver);
+    /// A receiver as a place.
+    fn place(&self, receiver: u32) -> Place {
+        Place { site: self.world.lightmap.receivers[receiver as usize].site(), number: Some(receiver) }
+    }
+
+    /// Slot of a place's receiver; `None` for those that no light can reach.
+    fn slot(&self, place: &Place) -> Option<u32> {
+        let (block, texel) = self.world.lightmap.name_of(receiver_of(place));
         self.baked.transport.slots.slot_of(block, texel)
     }
 
@@ -66,7 +73,7 @@ impl<C: Columns> FactoredBake<C> {
         lighting: &Lighting,
         progress: &Progress,
     ) -> Result<Light, Cancelled> {
-        let site = |slot: u32| self.site(self.receiver_of[slot as usize]);
+        let site = |slot: u32| self.place(self.receiver_of[slot as usize]).site;
         self.baked.lit(lighting, site, |site| {
             progress.check()?;
             Ok(reference.direct_irradiance(site, PANEL_POINTS))
@@ -81,35 +88,23 @@ impl<C: Columns> Evaluated for FactoredBake<C> {
 
     fn answer_at(&self, hit: &Hit) -> Answer {
         match self.world.surface_at(hit) {
-            Surface::Receiver(receiver) => Answer::Place(receiver),
+            Surface::Receiver(receiver) => Answer::Place(self.place(receiver)),
             Surface::Dark if self.world.is_in_cavity(hit) => Answer::Cavity,
             Surface::Dark => Answer::TooSmall,
         }
     }
 
-    fn site(&self, place: PlaceId) -> Site {
-        self.world.lightmap.receivers[place as usize].site()
+    fn lightmap(&self) -> Option<&dyn EvaluatedLightmap> {
+        Some(self)
     }
 
-    fn texel(&self, place: PlaceId) -> Option<(BlockKey, Texel)> {
-        Some(self.world.lightmap.name_of(place))
-    }
-
-    fn place_of(&self, block: BlockKey, texel: Texel) -> Option<PlaceId> {
-        let slot = self.baked.transport.slots.slot_of(block, texel)?;
-        Some(self.receiver_of[slot as usize])
-    }
-
-    fn chunk_of(&self, place: PlaceId) -> Option<usize> {
+    fn chunk_of(&self, place: &Place) -> Option<usize> {
         self.slot(place).map(|slot| self.baked.cluster_of(slot))
     }
 
-    fn lightmap_at(&self, hit: &Hit) -> Option<(BlockKey, Vec2)> {
-        self.world.lightmap_at(hit)
-    }
-
-    fn trace(&mut self, sample: &[PlaceId], effort: usize, progress: &Progress) -> Result<(), Cancelled> {
-        self.anew = Some(Anew::trace(self.transport.as_ref(), &self.cells, sample, effort, progress)?);
+    fn trace(&mut self, sample: &[Place], effort: usize, progress: &Progress) -> Result<(), Cancelled> {
+        let receivers: Vec<u32> = sample.iter().map(receiver_of).collect();
+        self.anew = Some(Anew::trace(self.transport.as_ref(), &self.cells, &receivers, effort, progress)?);
         Ok(())
     }
 
@@ -127,6 +122,26 @@ impl<C: Columns> Evaluated for FactoredBake<C> {
     }
 }
 
+impl<C: Columns> EvaluatedLightmap for FactoredBake<C> {
+    fn texel_of(&self, place: &Place) -> Option<(BlockKey, Texel)> {
+        Some(self.world.lightmap.name_of(receiver_of(place)))
+    }
+
+    fn place_of(&self, block: BlockKey, texel: Texel) -> Option<Place> {
+        let slot = self.baked.transport.slots.slot_of(block, texel)?;
+        Some(self.place(self.receiver_of[slot as usize]))
+    }
+
+    fn texel_at(&self, hit: &Hit) -> Option<(BlockKey, Vec2)> {
+        self.world.lightmap_at(hit)
+    }
+}
+
+/// The receiver of a place of a bake of clusters, whose every place has one.
+fn receiver_of(place: &Place) -> u32 {
+    place.number.expect("the place is one of this bake's, which all have numbers")
+}
+
 /// A bake under some lights.
 struct RelitBake<'a, C> {
     bake: &'a FactoredBake<C>,
@@ -134,7 +149,7 @@ struct RelitBake<'a, C> {
 }
 
 impl<C: Columns> Relit for RelitBake<'_, C> {
-    fn irradiance(&self, place: PlaceId) -> Option<DVec3> {
+    fn irradiance(&self, place: &Place) -> Option<DVec3> {
         self.bake.slot(place).map(|slot| wide(self.light.settled.indirect(slot)))
     }
 
@@ -142,9 +157,9 @@ impl<C: Columns> Relit for RelitBake<'_, C> {
         (self.light.settled.bounces as usize, self.light.settled.converged)
     }
 
-    fn classes(&self, sample: &[PlaceId]) -> Vec<ErrorClass> {
+    fn classes(&self, sample: &[Place]) -> Vec<ErrorClass> {
         let Some(anew) = &self.bake.anew else { return Vec::new() };
-        let slots: Vec<Option<u32>> = sample.iter().map(|&place| self.bake.slot(place)).collect();
+        let slots: Vec<Option<u32>> = sample.iter().map(|place| self.bake.slot(place)).collect();
         let full = anew.full_rank(&slots, &self.bake.baked, &self.light);
         let lightmap = &self.bake.world.lightmap;
         let [factorisation, quantisation] = anew.factor_errors(lightmap, &self.bake.baked, &self.light);
@@ -159,7 +174,7 @@ impl<C: Columns> Relit for RelitBake<'_, C> {
 
 /// Index in the lightmap of the receiver at each slot; errors with the first difference between world and bake.
 fn same_world<C>(manifest: &Manifest, world: &World, baked: &Baked<C>) -> Result<Vec<u32>, EvaluationError> {
-    let (lightmap, baked_m) = (&world.lightmap, manifest.lightmap.texel_m);
+    let (lightmap, baked_m) = (&world.lightmap, manifest.layout()?.texel_m);
     let other = |what: String| EvaluationError::OtherStage { what };
     if lightmap.texel_m != baked_m {
         return Err(other(format!("texels of {} m, not {baked_m} m", lightmap.texel_m)));

@@ -38,6 +38,11 @@ impl Charts {
     pub fn of(context: &Context) -> Result<Arc<Self>, TaskError> {
         context.shared(ARTEFACT_MAGIC, ARTEFACT)
     }
+
+    /// The charts, if a task has them among its inputs: a bake may have no lightmap.
+    pub fn if_any(context: &Context) -> Result<Option<Arc<Self>>, TaskError> {
+        context.has(ARTEFACT).then(|| Self::of(context)).transpose()
+    }
 }
 
 #[derive(Deserialize)]

@@ -240,8 +240,8 @@ impl TexelTable {
 
 #[cfg(test)]
 mod tests {
+    use lightkiln_proto::kinds::SceneTasks;
     use lightkiln_proto::kinds::prt::Settings;
-    use lightkiln_proto::kinds::{SceneTask, SceneTasks};
     use serde_json::json;
 
     use super::*;
@@ -255,9 +255,8 @@ mod tests {
         let progress = Progress::new();
         let mut run = LocalRun::new(1 << 30, &progress);
         let bundle = run.shelf.put(include_bytes!("../../../tests/scenes/furnace.glb").to_vec());
-        let tasks = SceneTasks::of(bundle, &settings.texels, &settings.place);
-        let tasks = tasks.only(&[SceneTask::Import, SceneTask::Unwrap, SceneTask::Place]);
-        run.run(&Runner::new(&BakeKinds::new()), tasks, |_| true, |_| {}).unwrap();
+        let tasks = SceneTasks::of(bundle).unwrapped(&settings.texels).placed(&settings.place);
+        run.run(&Runner::new(&BakeKinds::new()), tasks.into_specs().collect(), |_| true, |_| {}).unwrap();
         let mut inputs = run.scene_inputs(&World::PARTS);
         let first = World::of(&run.context(&inputs)).unwrap();
         assert!(Arc::ptr_eq(&first, &World::of(&run.context(&inputs)).unwrap()), "built once");

@@ -79,7 +79,12 @@ pub fn surface_at(
 
 /// The world-space normal at a point of a triangle, interpolated and unit.
 pub fn normal_at(instance: &MeshInstance, triangle: usize, barycentrics: [f32; 3]) -> Vec3 {
-    let corners = instance.triangles[triangle].map(|vertex| instance.normals[vertex as usize]);
+    normal_of(instance, instance.triangles[triangle], barycentrics)
+}
+
+/// As [`normal_at`], of a triangle by its vertices.
+pub fn normal_of(instance: &MeshInstance, vertices: [u32; 3], barycentrics: [f32; 3]) -> Vec3 {
+    let corners = vertices.map(|vertex| instance.normals[vertex as usize]);
     let sum: Vec3 = corners.into_iter().zip(barycentrics).map(|(normal, weight)| normal * weight).sum();
     sum.try_normalize().unwrap_or(corners[0])
 }

@@ -28,6 +28,11 @@ impl Context<'_> {
         Ok(self.source.get(self.digest(name)?)?)
     }
 
+    /// Whether there is an input of that name.
+    pub fn has(&self, name: &str) -> bool {
+        self.inputs.iter().any(|artefact| artefact.name == name)
+    }
+
     /// Digest of the input of that name.
     pub fn digest(&self, name: &str) -> Result<Digest, TaskError> {
         Ok(input(self.inputs, name)?.digest)

@@ -10,7 +10,7 @@ use lightkiln_worker::evaluate::{ClassResult, LightResult};
 use super::measure::Measured;
 use crate::failure::Result;
 
-/// First columns of the file; after them, a column of each class of error that is known at the places.
+/// First columns of the file, `receiver` empty for kinds that answer at any point; after them, a column of each class of error that is known at the places.
 const HEADER: &str = "light,receiver,x_m,y_m,z_m,nx,ny,nz,area_m2,baked_r,baked_g,baked_b,reference_r,reference_g,\
                       reference_b,error_r,error_g,error_b,direct_r,direct_g,direct_b,paths,counted";
 
@@ -28,7 +28,7 @@ pub fn write_dump(path: &Path, measured: &Measured) -> Result<()> {
     for result in &measured.results {
         let classes = at_sample(result);
         for (index, sampled) in measured.evaluator.sample().places.iter().enumerate() {
-            let site = measured.evaluator.bake().site(sampled.place);
+            let site = &sampled.place.site;
             let (p, n) = (site.position_m, site.normal);
             let reference = &result.reference[index];
             let colours = [
@@ -42,7 +42,7 @@ pub fn write_dump(path: &Path, measured: &Measured) -> Result<()> {
                 text,
                 "{},{},{},{},{},{},{},{},{}",
                 field(&result.light.name),
-                sampled.place,
+                sampled.place.number.map_or(String::new(), |number| number.to_string()),
                 p.x,
                 p.y,
                 p.z,

@@ -82,8 +82,9 @@ fn differences_by_block(
     lightmap: &Lightmap<'_>,
 ) -> Vec<Vec<([u16; 2], f64)>> {
     let mut by_block = vec![Vec::new(); lightmap.layout.blocks.len()];
+    let Some(evaluated) = measured.evaluator.bake().lightmap() else { return by_block };
     for (index, sampled) in measured.evaluator.sample().places.iter().enumerate() {
-        let Some((key, texel)) = measured.evaluator.bake().texel(sampled.place) else { continue };
+        let Some((key, texel)) = evaluated.texel_of(&sampled.place) else { continue };
         let block = lightmap.layout.block_index(key);
         if let Some(block) = block.filter(|_| result.counted[index]) {
             let difference = luminance(result.baked[index]) - result.reference[index].indirect.luminance();

@@ -7,7 +7,6 @@ use lightkiln_client::lights::camera_of;
 use lightkiln_client::passes::atlas::Lightmap;
 use lightkiln_client::passes::atlas::reference::{AtlasPages, sample, spread};
 use lightkiln_client::picture::{Tone, automatic_exposure, developed};
-use lightkiln_proto::manifest::Manifest;
 use lightkiln_proto::scene::SceneCamera;
 use lightkiln_worker::evaluate::{Answer, LightResult, Relit};
 use lightkiln_worker::reference::{EyeSurface, Film, PictureSize, luminance};
@@ -83,17 +82,16 @@ fn one(
     let progress = Progress::new();
     let relit = measured.evaluator.relit(&result.light, &progress).map_err(|error| failed(&error))?;
     let lightmap = bake.light.lightmap(&bake.scene);
-    let pages =
-        lightmap.as_ref().map(|lightmap| pages_of(measured, relit.as_ref(), &bake.scene.manifest, lightmap));
+    let pages = lightmap.as_ref().map(|lightmap| pages_of(measured, relit.as_ref(), lightmap));
     let indirect = |surface: &EyeSurface| -> Option<DVec3> {
         let evaluated = measured.evaluator.bake();
         if let (Some(lightmap), Some(pages)) = (&lightmap, &pages) {
-            let (key, texel) = evaluated.lightmap_at(&surface.hit)?;
+            let (key, texel) = evaluated.lightmap()?.texel_at(&surface.hit)?;
             let block = lightmap.layout.block_index(key)?;
             return Some(sample(lightmap.layout, pages, block, texel.to_array()).as_dvec3());
         }
         match evaluated.answer_at(&surface.hit) {
-            Answer::Place(place) => relit.irradiance(place),
+            Answer::Place(place) => relit.irradiance(&place),
             Answer::Cavity | Answer::TooSmall => None,
         }
     };
@@ -121,19 +119,15 @@ fn one(
 }
 
 /// Lightmap pages of a relit bake, as the client reads them.
-fn pages_of(
-    measured: &Measured,
-    relit: &dyn Relit,
-    manifest: &Manifest,
-    lightmap: &Lightmap<'_>,
-) -> AtlasPages {
+fn pages_of(measured: &Measured, relit: &dyn Relit, lightmap: &Lightmap<'_>) -> AtlasPages {
     let slots = lightmap.texels.sources.iter().max().map_or(0, |slot| *slot as usize + 1);
     let mut e_ind = vec![Vec4::ZERO; slots];
-    for (index, block) in manifest.lightmap.blocks.iter().enumerate() {
+    let evaluated = measured.evaluator.bake().lightmap();
+    for (index, block) in lightmap.layout.blocks.iter().enumerate() {
         for texel in (0..block.size[1]).flat_map(|y| (0..block.size[0]).map(move |x| [x as u16, y as u16])) {
-            let place = measured.evaluator.bake().place_of(block.key, texel);
+            let place = evaluated.and_then(|evaluated| evaluated.place_of(block.key, texel));
             let slot = lightmap.slots.slot(index as u32, texel);
-            let light = place.and_then(|place| relit.irradiance(place));
+            let light = place.and_then(|place| relit.irradiance(&place));
             if let (Some(slot), Some(light)) = (slot, light) {
                 e_ind[slot as usize] = light.as_vec3().extend(0.0);
             }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use lightkiln_proto::kinds::{Figures, Kinds};
-use lightkiln_proto::manifest::{Manifest, ManifestError};
+use lightkiln_proto::manifest::{Lightmap, Manifest, ManifestError};
 use serde::Serialize;
 use serde_json::{Map, Value};
 
@@ -15,12 +15,9 @@ pub struct BundleFigures {
     pub kind: &'static str,
     /// Triangles drawn.
     pub triangles: u64,
-    /// Texel size in metres.
-    pub texel_m: f32,
-    /// Atlas pages: width and height in texels.
-    pub pages: Vec<[u32; 2]>,
-    /// Blocks in them.
-    pub blocks: usize,
+    /// Lightmap, if it has one.
+    #[serde(flatten)]
+    pub lightmap: Option<LightmapFigures>,
     /// Bytes of all chunks.
     pub bytes_total: u64,
     /// Bytes by role of chunks.
@@ -33,6 +30,23 @@ pub struct BundleFigures {
     words: String,
 }
 
+/// A lightmap in figures.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct LightmapFigures {
+    /// Texel size in metres.
+    pub texel_m: f32,
+    /// Atlas pages: width and height in texels.
+    pub pages: Vec<[u32; 2]>,
+    /// Blocks in them.
+    pub blocks: usize,
+}
+
+impl LightmapFigures {
+    fn of(Lightmap { texel_m, pages, blocks }: &Lightmap) -> Self {
+        Self { texel_m: *texel_m, pages: pages.clone(), blocks: blocks.len() }
+    }
+}
+
 impl BundleFigures {
     /// Sums a manifest up; errs when its kind is not in the table, or does not know its body.
     pub fn of(kinds: &Kinds, manifest: &Manifest) -> Result<Self, ManifestError> {
@@ -42,9 +56,7 @@ impl BundleFigures {
         Ok(Self {
             kind: kind.name(),
             triangles: manifest.triangles,
-            texel_m: manifest.lightmap.texel_m,
-            pages: manifest.lightmap.pages.clone(),
-            blocks: manifest.lightmap.blocks.len(),
+            lightmap: manifest.lightmap.as_ref().map(LightmapFigures::of),
             bytes_total: manifest.bytes(),
             bytes,
             figures,
@@ -57,7 +69,9 @@ impl fmt::Display for BundleFigures {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(f, "kind        {}", self.kind)?;
         writeln!(f, "triangles   {}", self.triangles)?;
-        writeln!(f, "pages       {:?} of {} blocks", self.pages, self.blocks)?;
+        if let Some(LightmapFigures { texel_m, pages, blocks }) = &self.lightmap {
+            writeln!(f, "pages       {pages:?} of {blocks} blocks, texel {texel_m} m")?;
+        }
         write!(f, "bytes       {}:", self.bytes_total)?;
         for (role, bytes) in &self.bytes {
             write!(f, " {role} {bytes}")?;

@@ -108,7 +108,7 @@ fn geometry() -> Geometry {
     Geometry {
         draws: vec![Draw {
             material: 2,
-            front: 0x0123_4567_89ab_cdef,
+            front: Some(0x0123_4567_89ab_cdef),
             back: Some(7),
             position_m: vec![[0.0, 0.0, -1.0], [1.0, 0.0, -1.0], [0.1, 2.0, -1.0]],
             normal: vec![[0.0, 0.0, 1.0]; 3],

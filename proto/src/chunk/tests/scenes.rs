@@ -127,11 +127,11 @@ pub(super) fn patches(leaves: u32) -> PatchSet {
     }
 }
 
-/// Two draws: a plain quad, and a double-sided one with texture coordinates and colours.
+/// Three draws: a plain quad, one outside the lightmap, and a double-sided one with texture coordinates and colours.
 pub(super) fn quads() -> Geometry {
     let plain = Draw {
         material: 3,
-        front: 77,
+        front: Some(77),
         position_m: vec![[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.1, 1.0], [0.0, 0.1, 1.0]],
         normal: vec![[0.0, 1.0, 0.0]; 4],
         lightmap_texel: vec![[0.5, 0.5], [10.5, 0.5], [10.5, 12.25], [0.5, 12.25]],
@@ -144,5 +144,6 @@ pub(super) fn quads() -> Geometry {
         colour: vec![[1.0, 0.5, 0.25, 1.0], [0.1, 0.2, 0.3, 0.4], [0.0; 4], [2.0; 4]],
         ..plain.clone()
     };
-    Geometry { draws: vec![plain, rich] }
+    let outside = Draw { front: None, back: None, lightmap_texel: Vec::new(), ..rich.clone() };
+    Geometry { draws: vec![plain, outside, rich] }
 }

@@ -5,7 +5,7 @@ use serde_json::{Value, json};
 use super::Settings;
 use crate::ids::Digest;
 use crate::jobs::{TaskInput, TaskSpec};
-use crate::kinds::{SceneTask, SceneTasks};
+use crate::kinds::SceneTasks;
 
 /// Tasks of the kind's own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -53,8 +53,8 @@ impl PrtTask {
 
 /// The tasks that every kind of a scene shares, and the plan of the rest.
 pub fn first_tasks(scene: Digest, settings: &Settings) -> Vec<TaskSpec> {
-    let shared = SceneTasks::of(scene, &settings.texels, &settings.place);
+    let shared = SceneTasks::of(scene).unwrapped(&settings.texels).placed(&settings.place).patched();
     let params = json!({ "settings": settings, "scene": scene });
-    let plan = PrtTask::Plan.task("clusters", params, shared.inputs(SceneTask::ALL), 10);
-    shared.only(&SceneTask::ALL).into_iter().chain([plan]).collect()
+    let plan = PrtTask::Plan.task("clusters", params, shared.inputs(), 10);
+    shared.into_specs().chain([plan]).collect()
 }

@@ -5,11 +5,7 @@ use serde_json::{Value, json};
 use super::Settings;
 use crate::ids::Digest;
 use crate::jobs::{TaskInput, TaskSpec};
-use crate::kinds::{SceneTask, SceneTasks};
-
-/// Shared tasks that the kind is made of: all but the tree of patches.
-const SHARED: [SceneTask; 5] =
-    [SceneTask::Import, SceneTask::Unwrap, SceneTask::Draw, SceneTask::Frame, SceneTask::Place];
+use crate::kinds::SceneTasks;
 
 /// Tasks of the kind's own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -59,8 +55,8 @@ impl ShTask {
 
 /// The tasks that kinds of a scene share, and the plan of the rest.
 pub fn first_tasks(scene: Digest, settings: &Settings) -> Vec<TaskSpec> {
-    let shared = SceneTasks::of(scene, &settings.texels, &settings.place);
+    let shared = SceneTasks::of(scene).unwrapped(&settings.texels).placed(&settings.place);
     let params = json!({ "settings": settings, "scene": scene });
-    let plan = ShTask::Plan.task("probes", params, shared.inputs(SHARED), 10);
-    shared.only(&SHARED).into_iter().chain([plan]).collect()
+    let plan = ShTask::Plan.task("probes", params, shared.inputs(), 10);
+    shared.into_specs().chain([plan]).collect()
 }
