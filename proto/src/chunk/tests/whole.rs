@@ -62,7 +62,9 @@ pub fn assert_patches(set: &PatchSet) {
 pub fn assert_geometry(geometry: &Geometry) {
     for draw in &geometry.draws {
         let count = draw.position_m.len();
-        assert_eq!([draw.normal.len(), draw.lightmap_texel.len()], [count; 2]);
+        let in_lightmap = if draw.front.is_some() { count } else { 0 };
+        assert_eq!([draw.normal.len(), draw.lightmap_texel.len()], [count, in_lightmap]);
+        assert!(draw.front.is_some() || draw.back.is_none());
         assert!([0, count].contains(&draw.uv.len()) && [0, count].contains(&draw.colour.len()));
         assert!(draw.triangles.as_flattened().iter().all(|&index| (index as usize) < count));
     }
