@@ -107,6 +107,7 @@ impl<C: ClientColumns> Light for LightmapLight<C> {
         scene: &LoadedScene,
         shadow: &ShadowPass,
         unshadowed: Unshadowed<'_>,
+        _: [u32; 2],
     ) -> Result<Box<dyn LightPasses>> {
         Ok(Box::new(LightmapPasses::new(gpu, scene, self, shadow, unshadowed)?))
     }

@@ -60,6 +60,7 @@ impl Light for Constant {
         _: &LoadedScene,
         _: &ShadowPass,
         _: Unshadowed<'_>,
+        _: [u32; 2],
     ) -> Result<Box<dyn LightPasses>> {
         Ok(Box::new(Uploaded(gpu.uniform(NAME, &self.0.extend(0.0)))))
     }
