@@ -76,9 +76,10 @@ pub trait Light: Debug + Send + Sync {
         size: [u32; 2],
     ) -> Result<Box<dyn LightPasses>>;
 
-    /// Names of the pictures for finding faults that the kind draws.
-    fn debug_pictures(&self) -> &'static [&'static str] {
-        &[]
+    /// Pictures for finding faults that the kind draws: name and number of pages.
+    fn debug_pictures(&self, scene: &LoadedScene) -> Vec<(&'static str, usize)> {
+        let _ = scene;
+        Vec::new()
     }
 
     /// A page of one of [`Light::debug_pictures`]; `None` for other names and pages.

@@ -112,8 +112,8 @@ impl<C: ClientColumns> Light for LightmapLight<C> {
         Ok(Box::new(LightmapPasses::new(gpu, scene, self, shadow, unshadowed)?))
     }
 
-    fn debug_pictures(&self) -> &'static [&'static str] {
-        &[ATLAS, CLUSTERS]
+    fn debug_pictures(&self, scene: &LoadedScene) -> Vec<(&'static str, usize)> {
+        [ATLAS, CLUSTERS].map(|name| (name, scene.lightmap.pages.len())).into()
     }
 
     fn debug_page(&self, name: &str, page: usize, lit: &LitScene<'_>, limit: Limit) -> Option<DebugPage> {
