@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use lightkiln_proto::kinds::Kind;
 use lightkiln_proto::manifest::Manifest;
 
 use super::Light;
@@ -11,10 +12,10 @@ use crate::scene::LoadedScene;
 
 /// A kind of bake as the client plays it.
 pub trait ClientKind: Send + Sync {
-    /// Name in manifests.
-    fn name(&self) -> &'static str;
+    /// The kind's row of the contract: its name, and the check of its manifests.
+    fn contract(&self) -> &'static dyn Kind;
 
-    /// Fetches and decodes the light of a bake whose scene is loaded.
+    /// Fetches and decodes the light of a bake whose scene is loaded, and whose manifest the contract has checked.
     fn load(&self, source: &Source, scene: &LoadedScene) -> Result<Box<dyn Light>>;
 }
 
@@ -34,24 +35,27 @@ impl ClientKinds {
     /// If the table has a kind of that name.
     #[must_use]
     pub fn with(mut self, kind: impl ClientKind + 'static) -> Self {
-        assert!(
-            self.0.iter().all(|known| known.name() != kind.name()),
-            "two kinds are named '{}'",
-            kind.name()
-        );
+        let name = kind.contract().name();
+        assert!(self.names().all(|known| known != name), "two kinds are named '{name}'");
         self.0.push(Arc::new(kind));
         self
     }
 
-    /// The kind of a manifest.
+    /// The kind of a manifest, whose settings and body that kind has checked.
     pub fn of(&self, manifest: &Manifest) -> Result<&dyn ClientKind> {
-        let found = self.0.iter().find(|kind| kind.name() == manifest.kind);
-        found.map(AsRef::as_ref).ok_or_else(|| {
-            let known: Vec<&str> = self.0.iter().map(|kind| kind.name()).collect();
+        let found = self.0.iter().find(|kind| kind.contract().name() == manifest.kind);
+        let kind = found.ok_or_else(|| {
+            let known: Vec<&str> = self.names().collect();
             let text = manifest.kind.chars().take(40).collect();
             let problem =
                 format!("is no kind of bake that can be drawn here; known are {}", known.join(", "));
             ClientError::Source { text, problem }
-        })
+        })?;
+        kind.contract().check(manifest)?;
+        Ok(kind.as_ref())
+    }
+
+    fn names(&self) -> impl Iterator<Item = &'static str> {
+        self.0.iter().map(|kind| kind.contract().name())
     }
 }

@@ -8,7 +8,7 @@ use lightkiln_proto::relight::{Limit, Sky};
 use crate::error::Result;
 use crate::passes::atlas::Lightmap;
 use crate::passes::gpu::Gpu;
-use crate::passes::shade::{IndirectIrradiance, Shading};
+use crate::passes::shade::{IndirectIrradiance, ShadeView, Shading};
 use crate::passes::shadow::reference::ShadowMaps;
 use crate::passes::shadow::{ShadowPass, ShadowPlan};
 use crate::scene::LoadedScene;
@@ -66,18 +66,20 @@ pub trait Light: Debug + Send + Sync {
     /// Work before shading on the processor: bounces until they converge.
     fn settle<'a>(&'a self, lit: &LitScene<'a>, limit: Limit) -> SettledLight<'a>;
 
-    /// Work before shading on the adapter, with the buffers that it needs.
+    /// Work before shading on the adapter, with the buffers that it needs, for views of `size`: width and height in pixels.
     fn passes(
         &self,
         gpu: &Gpu,
         scene: &LoadedScene,
         shadow: &ShadowPass,
         unshadowed: Unshadowed<'_>,
+        size: [u32; 2],
     ) -> Result<Box<dyn LightPasses>>;
 
-    /// Names of the pictures for finding faults that the kind draws.
-    fn debug_pictures(&self) -> &'static [&'static str] {
-        &[]
+    /// Pictures for finding faults that the kind draws: name and number of pages.
+    fn debug_pictures(&self, scene: &LoadedScene) -> Vec<(&'static str, usize)> {
+        let _ = scene;
+        Vec::new()
     }
 
     /// A page of one of [`Light::debug_pictures`]; `None` for other names and pages.
@@ -93,21 +95,28 @@ pub trait Light: Debug + Send + Sync {
     }
 }
 
-/// Work before shading on the adapter.
+/// Work before shading on the adapter, in the order of the hooks: `relit` once, `bounce` often, `publish` once,
+/// `prepare_view` for each view. A kind records passes and copies in its own order.
 pub trait LightPasses {
     /// Records the work that a change of lights asks for, with new shadow maps.
-    fn relit(&self, pass: &mut wgpu::ComputePass<'_>, shadow: &ShadowPass) {
-        let _ = (pass, shadow);
+    fn relit(&self, encoder: &mut wgpu::CommandEncoder, shadow: &ShadowPass) {
+        let _ = (encoder, shadow);
     }
 
     /// Records one bounce.
-    fn bounce(&self, pass: &mut wgpu::ComputePass<'_>) {
-        let _ = pass;
+    fn bounce(&self, encoder: &mut wgpu::CommandEncoder) {
+        let _ = encoder;
     }
 
     /// Records the step from the bounces' result to the bindings of shading.
-    fn publish(&self, pass: &mut wgpu::ComputePass<'_>) {
-        let _ = pass;
+    fn publish(&self, encoder: &mut wgpu::CommandEncoder) {
+        let _ = encoder;
+    }
+
+    /// Records the work that a view asks for before it is shaded; buffers written through `gpu` hold their values when the
+    /// work runs. Twin: [`IndirectIrradiance::prepare_view`].
+    fn prepare_view(&self, gpu: &Gpu, encoder: &mut wgpu::CommandEncoder, view: &ShadeView) {
+        let _ = (gpu, encoder, view);
     }
 
     /// E_ind that bounces feed back, as so many [`Vec4`], whose change tells when they have converged; `None` for a kind

@@ -24,7 +24,7 @@ pub struct LoadedBake {
 }
 
 impl LoadedBake {
-    /// Fetches, verifies and decodes every chunk of a bake, whose kind must be among `kinds`.
+    /// Fetches, verifies and decodes every chunk of a bake, whose kind must be among `kinds` and must approve the manifest.
     ///
     /// ```no_run
     /// use lightkiln_client::{bake::LoadedBake, fetch::Source, kinds};
@@ -34,8 +34,10 @@ impl LoadedBake {
     /// # Ok::<(), lightkiln_client::ClientError>(())
     /// ```
     pub fn load(source: &Source, kinds: &ClientKinds) -> Result<Self> {
-        let scene = LoadedScene::load(source)?;
-        let light = kinds.of(&scene.manifest)?.load(source, &scene)?;
+        let (_, manifest) = source.manifest()?;
+        let kind = kinds.of(&manifest)?;
+        let scene = LoadedScene::fetch(source, manifest)?;
+        let light = kind.load(source, &scene)?;
         Ok(Self { scene, light })
     }
 }

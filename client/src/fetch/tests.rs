@@ -13,7 +13,7 @@ use lightkiln_proto::problem::{Problem, ProblemCode};
 use lightkiln_proto::relight::PatchTable;
 
 use super::*;
-use crate::bake::LoadedBake;
+use crate::bake::{ClientKinds, LoadedBake};
 use crate::fixture;
 use crate::kinds;
 use crate::lightmap::LightmapLight;
@@ -48,6 +48,22 @@ fn bundle_of_probes_loads_into_the_bake_that_was_written() {
 
 fn scene_of(source: &Source) -> crate::scene::LoadedScene {
     crate::scene::LoadedScene::load(source).unwrap()
+}
+
+#[test]
+fn manifest_that_its_kind_refuses_ends_the_load_before_any_chunk() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut manifest = fixture::write_bundle(folder.path(), prt::NAME);
+    fs::remove_dir_all(folder.path().join(CHUNKS_FOLDER)).unwrap();
+    let load =
+        |kinds: ClientKinds| LoadedBake::load(&Source::bundle(folder.path()).unwrap(), &kinds).unwrap_err();
+    assert!(matches!(load(kinds::all()), ClientError::File { .. }));
+    let foreign = load(ClientKinds::new().with(kinds::sh::Sh)).to_string();
+    assert!(foreign.contains("'prt'") && foreign.contains("sh"), "{foreign}");
+    manifest.body["clusters"] = serde_json::json!([]);
+    fs::write(folder.path().join(MANIFEST_FILE), serde_json::to_vec(&manifest).unwrap()).unwrap();
+    let contradiction = load(kinds::all());
+    assert!(matches!(contradiction, ClientError::Manifest { .. }), "{contradiction}");
 }
 
 #[test]

@@ -108,12 +108,13 @@ impl<C: ClientColumns> Light for LightmapLight<C> {
         scene: &LoadedScene,
         shadow: &ShadowPass,
         unshadowed: Unshadowed<'_>,
+        _: [u32; 2],
     ) -> Result<Box<dyn LightPasses>> {
         Ok(Box::new(LightmapPasses::new(gpu, scene, self, shadow, unshadowed)?))
     }
 
-    fn debug_pictures(&self) -> &'static [&'static str] {
-        &[ATLAS, CLUSTERS]
+    fn debug_pictures(&self, scene: &LoadedScene) -> Vec<(&'static str, usize)> {
+        [ATLAS, CLUSTERS].map(|name| (name, scene.lightmap.pages.len())).into()
     }
 
     fn debug_page(&self, name: &str, page: usize, lit: &LitScene<'_>, limit: Limit) -> Option<DebugPage> {

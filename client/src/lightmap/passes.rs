@@ -59,22 +59,24 @@ impl LightmapPasses {
 
 impl LightPasses for LightmapPasses {
     /// E_dir at receivers and near hits.
-    fn relit(&self, pass: &mut wgpu::ComputePass<'_>, shadow: &ShadowPass) {
-        self.direct.record(pass, shadow);
-        self.near.light(pass, shadow);
+    fn relit(&self, encoder: &mut wgpu::CommandEncoder, shadow: &ShadowPass) {
+        let mut pass = encoder.begin_compute_pass(&Default::default());
+        self.direct.record(&mut pass, shadow);
+        self.near.light(&mut pass, shadow);
     }
 
     /// E_ind of the bounce before → E_ind.
-    fn bounce(&self, pass: &mut wgpu::ComputePass<'_>) {
-        self.columns.record(pass);
-        self.basis.record(pass);
-        self.near.record(pass);
-        self.reconstruct.record(pass);
+    fn bounce(&self, encoder: &mut wgpu::CommandEncoder) {
+        let mut pass = encoder.begin_compute_pass(&Default::default());
+        self.columns.record(&mut pass);
+        self.basis.record(&mut pass);
+        self.near.record(&mut pass);
+        self.reconstruct.record(&mut pass);
     }
 
     /// E_emit + E_ind into the pages.
-    fn publish(&self, pass: &mut wgpu::ComputePass<'_>) {
-        self.atlas.record(pass);
+    fn publish(&self, encoder: &mut wgpu::CommandEncoder) {
+        self.atlas.record(&mut encoder.begin_compute_pass(&Default::default()));
     }
 
     fn feedback(&self) -> Option<(&wgpu::Buffer, usize)> {

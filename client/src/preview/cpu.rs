@@ -12,12 +12,13 @@ pub(super) fn render(prepared: &Prepared<'_>) -> Result<Picture> {
     let Prepared { bake, view, plan, sky } = prepared;
     let scene = &bake.scene;
     let maps = draw(scene, plan);
-    let settled = bake.light.settle(&prepared.lit(&maps), view.limit);
-    let lit =
-        Lit { scene, plan, maps: &maps, indirect: &*settled.indirect, emitter_scale: &view.emitter_scale };
+    let mut settled = bake.light.settle(&prepared.lit(&maps), view.limit);
     let mut film: Option<Film> = None;
     for jitter in jitters(view.samples) {
         let shade_view = ShadeView::new(&view.camera, view.size(), scene.manifest.bounds_m, *sky, jitter)?;
+        settled.indirect.prepare_view(&shade_view, view.size());
+        let (indirect, emitter_scale) = (&*settled.indirect, &view.emitter_scale[..]);
+        let lit = Lit { scene, plan, maps: &maps, indirect, emitter_scale };
         let radiance = shade(lit, &shade_view, view.size());
         film.get_or_insert_with(|| Film::new(view.size(), view.tone, view.exposure, &radiance))
             .add(&radiance);

@@ -29,7 +29,7 @@ impl Frame {
         let (scene, unshadowed) = (&bake.scene, prepared.unshadowed());
         let meshes = Meshes::new(gpu, scene)?;
         let shadow = ShadowPass::new(gpu, scene, &meshes, plan)?;
-        let light = bake.light.passes(gpu, scene, &shadow, unshadowed)?;
+        let light = bake.light.passes(gpu, scene, &shadow, unshadowed, view.size())?;
         let shading = (&bake.light.shading(), &light.bindings()[..]);
         let scale = unshadowed.emitter_scale;
         let shade = ShadePass::new(gpu, scene, &meshes, &shadow, shading, scale, view.size())?;
@@ -41,25 +41,24 @@ impl Frame {
     pub fn relit(&self, gpu: &Gpu) {
         gpu.submit(|encoder| {
             self.shadow.record(encoder, &self.meshes);
-            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-            self.light.relit(&mut pass, &self.shadow);
+            self.light.relit(encoder, &self.shadow);
         });
     }
 
     /// One bounce: E_ind of the bounce before → E_ind.
     pub fn bounce(&self, gpu: &Gpu) {
-        gpu.submit(|encoder| {
-            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-            self.light.bounce(&mut pass);
-        });
+        gpu.submit(|encoder| self.light.bounce(encoder));
     }
 
     /// The bounces' result to the bindings of shading.
     pub fn publish(&self, gpu: &Gpu) {
-        gpu.submit(|encoder| {
-            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-            self.light.publish(&mut pass);
-        });
+        gpu.submit(|encoder| self.light.publish(encoder));
+    }
+
+    /// One sample per pixel of a view, read back: rgb radiance, alpha 1 on surfaces.
+    pub fn draw(&self, gpu: &Gpu, view: &ShadeView) -> Result<Vec<Vec4>> {
+        gpu.submit(|encoder| self.light.prepare_view(gpu, encoder, view));
+        self.shade.draw(gpu, &self.meshes, &self.shadow, view)
     }
 }
 
@@ -74,7 +73,7 @@ pub(super) fn render(gpu: &Gpu, prepared: &Prepared<'_>) -> Result<Picture> {
     let mut film: Option<Film> = None;
     for jitter in jitters(view.samples) {
         let shade_view = ShadeView::new(&view.camera, view.size(), bounds_m, *sky, jitter)?;
-        let radiance = frame.shade.draw(gpu, &frame.meshes, &frame.shadow, &shade_view)?;
+        let radiance = frame.draw(gpu, &shade_view)?;
         film.get_or_insert_with(|| Film::new(view.size(), view.tone, view.exposure, &radiance))
             .add(&radiance);
     }

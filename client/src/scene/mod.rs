@@ -33,9 +33,14 @@ pub struct LoadedScene {
 }
 
 impl LoadedScene {
-    /// Fetches, verifies and decodes the scene's chunks.
+    /// Fetches the manifest and the scene's chunks; the kind's part of the manifest is not checked.
     pub fn load(source: &Source) -> Result<Self> {
         let (_, manifest) = source.manifest()?;
+        Self::fetch(source, manifest)
+    }
+
+    /// Fetches, verifies and decodes the scene's chunks.
+    pub fn fetch(source: &Source, manifest: Manifest) -> Result<Self> {
         let (geometry, textures) = load::scene_chunks(source, &manifest)?;
         Self::assemble(manifest, geometry, textures)
     }

@@ -80,7 +80,7 @@ impl<C: ClientColumns> Stage<C> {
     fn relit(&self, gpu: &Gpu) {
         gpu.submit(|encoder| {
             self.shadow.record(encoder, &self.meshes);
-            self.passes.relit(&mut encoder.begin_compute_pass(&Default::default()), &self.shadow);
+            self.passes.relit(encoder, &self.shadow);
         });
     }
 
@@ -241,7 +241,7 @@ fn atlas_agrees_with_the_reference() {
     let [emit, ind] = [7, 8].map(|seed| positive_noise(stage.receivers(), seed));
     gpu.write(&stage.passes.resident.e_emit, &emit);
     gpu.write(&stage.passes.resident.e_ind, &ind);
-    stage.run(&gpu, |pass| stage.passes.publish(pass));
+    gpu.submit(|encoder| stage.passes.publish(encoder));
     let wanted = atlas::reference::spread(&stage.scene.lightmap, &stage.light.texels, &emit, &ind);
     let texture = &stage.passes.atlas.texture;
     let stride = texture.width() as usize;
@@ -261,7 +261,7 @@ fn atlas_agrees_with_the_reference() {
 #[ignore = "needs a graphics adapter"]
 fn shade_agrees_with_the_reference_on_the_same_maps_and_light() {
     let gpu = Gpu::open().unwrap();
-    let bakes = [fixture::prt_bake(&fixture::prt_contents()), super::ambient::bake()];
+    let bakes = [fixture::prt_bake(&fixture::prt_contents()), super::facing::bake()];
     for bake in &bakes {
         let view = view_of(bake);
         let prepared = prepared(bake, &view);
@@ -273,9 +273,9 @@ fn shade_agrees_with_the_reference_on_the_same_maps_and_light() {
         frame.publish(&gpu);
         let maps = frame.shadow.read(&gpu).unwrap();
         let limit = lightkiln_proto::relight::Limit { bounces_max: 3, change_max: 0.0 };
-        let settled = bake.light.settle(&prepared.lit(&maps), limit);
+        let mut settled = bake.light.settle(&prepared.lit(&maps), limit);
         for jitter in [[0.0, 0.0], [0.375, -0.125]] {
-            agree_on_a_picture(&gpu, bake, &view, &frame, &settled, &maps, jitter);
+            agree_on_a_picture(&gpu, bake, &view, &frame, &mut settled, &maps, jitter);
         }
     }
 }
@@ -285,14 +285,15 @@ fn agree_on_a_picture(
     bake: &LoadedBake,
     view: &View,
     frame: &Frame,
-    settled: &crate::bake::SettledLight<'_>,
+    settled: &mut crate::bake::SettledLight<'_>,
     maps: &shadow::reference::ShadowMaps,
     jitter: [f32; 2],
 ) {
     let prepared = prepared(bake, view);
     let (scene, bounds_m) = (&bake.scene, bake.scene.manifest.bounds_m);
     let shade_view = ShadeView::new(&view.camera, view.size(), bounds_m, prepared.sky, jitter).unwrap();
-    let got = frame.shade.draw(gpu, &frame.meshes, &frame.shadow, &shade_view).unwrap();
+    let got = frame.draw(gpu, &shade_view).unwrap();
+    settled.indirect.prepare_view(&shade_view, view.size());
     let (indirect, emitter_scale) = (&*settled.indirect, &view.emitter_scale[..]);
     let lit = Lit { scene, plan: &prepared.plan, maps, indirect, emitter_scale };
     let wanted = shade::reference::shade(lit, &shade_view, view.size());
@@ -307,7 +308,7 @@ fn agree_on_a_picture(
 fn whole_pictures_of_adapter_and_processor_agree() {
     let [patches, narrow] =
         [fixture::prt_contents(), fixture::narrow_contents()].map(|contents| fixture::prt_bake(&contents));
-    for bake in [patches, narrow, fixture::sh_bake(), super::ambient::bake()] {
+    for bake in [patches, narrow, fixture::sh_bake(), super::facing::bake()] {
         let view = view_of(&bake);
         let [got, wanted] =
             [Backend::Gpu, Backend::Cpu].map(|backend| render(&bake, &view, backend).unwrap());

@@ -1,8 +1,8 @@
 //! Tests across rooms: shaders are valid and agree with their Rust twins, adapter and reference agree in numbers, light
-//! obeys physics, and a kind of bake of the tests' own works.
+//! obeys physics, and light can follow the view.
 
 mod adapter;
-mod ambient;
+mod facing;
 mod formula;
 mod light;
 mod shaders;

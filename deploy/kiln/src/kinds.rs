@@ -1,8 +1,8 @@
 //! Kinds of bake as every role knows them: the three tables that a command may ask.
 
-use lightkiln_client::bake::ClientKinds;
+use lightkiln_client::bake::{ClientKind, ClientKinds};
 use lightkiln_client::kinds;
-use lightkiln_proto::kinds::{Kind, Kinds};
+use lightkiln_proto::kinds::Kinds;
 use lightkiln_worker::kinds::{BakeKind, BakeKinds};
 
 /// One table for each role.
@@ -22,16 +22,11 @@ impl KindTables {
         Self { contract: Kinds::new(), worker: BakeKinds::new(), client: kinds::all() }
     }
 
-    /// The tables with one more kind.
+    /// The tables with one more kind, whose contract the client's row names.
     #[must_use]
-    pub fn with(
-        self,
-        contract: &'static dyn Kind,
-        worker: &'static dyn BakeKind,
-        client: impl lightkiln_client::bake::ClientKind + 'static,
-    ) -> Self {
+    pub fn with(self, worker: &'static dyn BakeKind, client: impl ClientKind + 'static) -> Self {
         Self {
-            contract: self.contract.with(contract),
+            contract: self.contract.with(client.contract()),
             worker: self.worker.with(worker),
             client: self.client.with(client),
         }

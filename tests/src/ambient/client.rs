@@ -8,9 +8,10 @@ use lightkiln_client::passes::shade::{IndirectIrradiance, Shading, Surface};
 use lightkiln_client::passes::shadow::ShadowPass;
 use lightkiln_client::scene::{LoadedScene, decoded};
 use lightkiln_client::{ClientError, Result, wgpu};
+use lightkiln_proto::kinds::Kind;
 use lightkiln_proto::relight::Limit;
 
-use super::contract::{NAME, ROLE, decode};
+use super::contract::{self, NAME, ROLE, decode};
 
 /// The shading function.
 const SNIPPET: &str = "
@@ -22,8 +23,8 @@ fn indirect_irradiance(surface: Surface) -> vec3f { return ambient.rgb; }
 pub struct Ambient;
 
 impl ClientKind for Ambient {
-    fn name(&self) -> &'static str {
-        NAME
+    fn contract(&self) -> &'static dyn Kind {
+        &contract::Ambient
     }
 
     fn load(&self, source: &Source, scene: &LoadedScene) -> Result<Box<dyn Light>> {
@@ -60,6 +61,7 @@ impl Light for Constant {
         _: &LoadedScene,
         _: &ShadowPass,
         _: Unshadowed<'_>,
+        _: [u32; 2],
     ) -> Result<Box<dyn LightPasses>> {
         Ok(Box::new(Uploaded(gpu.uniform(NAME, &self.0.extend(0.0)))))
     }

@@ -13,5 +13,5 @@ use kiln::kinds::KindTables;
 
 /// Lightkiln's own kinds and this one.
 pub fn tables() -> KindTables {
-    KindTables::new().with(&Ambient, &worker::Ambient, client::Ambient)
+    KindTables::new().with(&worker::Ambient, client::Ambient)
 }

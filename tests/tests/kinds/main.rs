@@ -6,6 +6,9 @@ use std::io::{BufRead as _, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 
+use lightkiln_client::bake::LoadedBake;
+use lightkiln_client::fetch::Source;
+use lightkiln_client::preview::{Backend, View, render};
 use lightkiln_proto::manifest::Manifest;
 use lightkiln_tests::ambient::{self, NAME};
 use serde_json::Value;
@@ -70,6 +73,26 @@ fn kind_is_baked_inspected_and_drawn() {
     // Its pictures for finding faults are none, and that is said.
     let debug = run(folder.path(), &["preview", "out", "--out", "b.png", "--debug", "atlas"], 2);
     assert!(String::from_utf8_lossy(&debug.stderr).contains(NAME));
+}
+
+#[test]
+fn kind_is_drawn_by_the_library_as_bright_as_it_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let source = Source::bundle(bake(folder.path())).unwrap();
+    let loaded = LoadedBake::load(&source, &ambient::tables().client).unwrap();
+    assert!(loaded.light.lightmap(&loaded.scene).is_none());
+    let (view, notes) = View::of_bake(&loaded, None, Vec::new()).unwrap();
+    assert!(notes.is_empty(), "{notes:?}");
+    let size = View { width: 64, height: 48, samples: 1, ..view };
+    let dark = View { lights: Vec::new(), emitter_scale: vec![0.0], ..size };
+    let picture = render(&loaded, &dark, Backend::Cpu).unwrap();
+    assert_eq!((picture.bounces, picture.converged), (0, true));
+    // White walls: L = ρ/π · E.
+    let wanted = [0.725, 0.71, 0.68].map(|albedo| 2.0 * albedo / std::f32::consts::PI);
+    let close =
+        |found: &&[f32; 3]| found.iter().zip(wanted).all(|(found, wanted)| (found - wanted).abs() < 1e-5);
+    let white = picture.linear.iter().filter(close).count();
+    assert!(white > picture.linear.len() / 10, "{white} of {}", picture.linear.len());
 }
 
 #[test]

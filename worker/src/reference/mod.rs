@@ -35,7 +35,7 @@ use crate::geometry::Geometry;
 pub use crate::geometry::Site;
 pub use irradiance::{IrradianceEstimate, Precision};
 pub use lighting::{Lighting, LightingError, PanelLight};
-pub use picture::{EyeSurface, Film, PictureSize, camera_ray};
+pub use picture::{EyeSurface, PictureSize, TracedPicture, camera_ray};
 pub use tally::{Estimate, luminance};
 
 use lamps::Lamps;

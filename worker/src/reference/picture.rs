@@ -22,7 +22,7 @@ pub struct PictureSize {
 
 /// Radiance per pixel in W·m⁻²·sr⁻¹, row after row from the top.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Film {
+pub struct TracedPicture {
     /// Pixels across.
     pub width: u32,
     /// Pixels down.
@@ -69,8 +69,8 @@ impl Reference<'_> {
         camera: &SceneCamera,
         size: &PictureSize,
         progress: &Progress,
-    ) -> Result<Film, Cancelled> {
-        film(camera, size, progress, |origin_m, direction, random| {
+    ) -> Result<TracedPicture, Cancelled> {
+        traced(camera, size, progress, |origin_m, direction, random| {
             let gathered = self.arriving(None, origin_m, direction, random);
             gathered.panels + gathered.rest
         })
@@ -84,8 +84,8 @@ impl Reference<'_> {
         size: &PictureSize,
         progress: &Progress,
         irradiance: impl Fn(&EyeSurface) -> DVec3 + Sync,
-    ) -> Result<Film, Cancelled> {
-        film(camera, size, progress, |origin_m, direction, _| {
+    ) -> Result<TracedPicture, Cancelled> {
+        traced(camera, size, progress, |origin_m, direction, _| {
             let (straight, met) = self.seen(origin_m, direction);
             let Some(met) = met.filter(|met| met.lit) else { return straight };
             let albedo = Vec3::from(met.albedo).as_dvec3();
@@ -95,12 +95,12 @@ impl Reference<'_> {
 }
 
 /// Casts the grid of every pixel; random numbers come from the pixel.
-fn film(
+fn traced(
     camera: &SceneCamera,
     size: &PictureSize,
     progress: &Progress,
     radiance: impl Fn(Vec3, Vec3, &mut Sequence) -> DVec3 + Sync,
-) -> Result<Film, Cancelled> {
+) -> Result<TracedPicture, Cancelled> {
     let pixels: Vec<[f32; 3]> = (0..size.width * size.height)
         .into_par_iter()
         .map(|pixel| {
@@ -120,5 +120,5 @@ fn film(
             Ok((sum / f64::from(size.grid * size.grid)).as_vec3().to_array())
         })
         .collect::<Result<_, Cancelled>>()?;
-    Ok(Film { width: size.width, height: size.height, radiance: pixels })
+    Ok(TracedPicture { width: size.width, height: size.height, radiance: pixels })
 }

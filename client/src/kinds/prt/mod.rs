@@ -2,7 +2,7 @@
 
 use lightkiln_proto::chunk;
 use lightkiln_proto::content::{ClusterTransport, PatchSet};
-use lightkiln_proto::kinds::prt;
+use lightkiln_proto::kinds::{Kind, prt};
 use lightkiln_proto::manifest::CLUSTERS;
 use lightkiln_proto::relight::PatchTable;
 
@@ -29,8 +29,8 @@ pub struct Contents {
 }
 
 impl ClientKind for Prt {
-    fn name(&self) -> &'static str {
-        prt::NAME
+    fn contract(&self) -> &'static dyn Kind {
+        &prt::Prt
     }
 
     fn load(&self, source: &Source, scene: &LoadedScene) -> Result<Box<dyn Light>> {

@@ -4,6 +4,7 @@ pub mod relight;
 
 use lightkiln_proto::chunk;
 use lightkiln_proto::content::ClusterTransport;
+use lightkiln_proto::kinds::Kind;
 use lightkiln_proto::kinds::sh::{self, ProbeBatch, ProbeTable};
 use lightkiln_proto::manifest::CLUSTERS;
 
@@ -29,8 +30,8 @@ pub struct Contents {
 }
 
 impl ClientKind for Sh {
-    fn name(&self) -> &'static str {
-        sh::NAME
+    fn contract(&self) -> &'static dyn Kind {
+        &sh::Sh
     }
 
     fn load(&self, source: &Source, scene: &LoadedScene) -> Result<Box<dyn Light>> {

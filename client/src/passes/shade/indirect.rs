@@ -2,10 +2,16 @@
 
 use glam::Vec3;
 
-use super::{SHADER, Surface};
+use super::{SHADER, ShadeView, Surface};
 
 /// Indirect light on the processor.
 pub trait IndirectIrradiance: Sync {
+    /// Work that a view of `size` (width and height in pixels) asks for before it is shaded; nothing for light that looks
+    /// the same from everywhere.
+    fn prepare_view(&mut self, view: &ShadeView, size: [u32; 2]) {
+        let _ = (view, size);
+    }
+
     /// Irradiance at a surface that did not come straight from a light, W·m⁻².
     fn indirect_irradiance(&self, surface: &Surface) -> Vec3;
 }

@@ -9,7 +9,7 @@ use lightkiln_client::passes::atlas::reference::{AtlasPages, sample, spread};
 use lightkiln_client::picture::{Tone, automatic_exposure, developed};
 use lightkiln_proto::scene::SceneCamera;
 use lightkiln_worker::evaluate::{Answer, LightResult, Relit};
-use lightkiln_worker::reference::{EyeSurface, Film, PictureSize, luminance};
+use lightkiln_worker::reference::{EyeSurface, PictureSize, TracedPicture, luminance};
 use lightkiln_worker::task::Progress;
 
 use super::flip::difference;
@@ -103,7 +103,7 @@ fn one(
     let opaque: Vec<Vec4> = traced.radiance.iter().map(|l| Vec4::new(l[0], l[1], l[2], 1.0)).collect();
     let exposure = automatic_exposure(&opaque);
     let bitmap = |pixels: Vec<[u8; 4]>| Bitmap { width: size.width, height: size.height, pixels };
-    let shown = |film: &Film| bitmap(developed(&film.radiance, exposure, Tone::default()));
+    let shown = |picture: &TracedPicture| bitmap(developed(&picture.radiance, exposure, Tone::default()));
     let (baked_shown, traced_shown) = (shown(&baked), shown(&traced));
     let flip = difference(size.width, size.height, &traced_shown.pixels, &baked_shown.pixels);
     let heat = bitmap(compared(size, &baked, &traced));
@@ -137,9 +137,9 @@ fn pages_of(measured: &Measured, relit: &dyn Relit, lightmap: &Lightmap<'_>) -> 
 }
 
 /// Signed difference over the mean luminance of the reference, in blocks of pixels, which halves the noise of paths.
-fn compared(size: &PictureSize, baked: &Film, traced: &Film) -> Vec<[u8; 4]> {
-    let of = |film: &Film| -> Vec<f64> {
-        film.radiance.iter().map(|pixel| luminance(glam::Vec3::from(*pixel).as_dvec3())).collect()
+fn compared(size: &PictureSize, baked: &TracedPicture, traced: &TracedPicture) -> Vec<[u8; 4]> {
+    let of = |picture: &TracedPicture| -> Vec<f64> {
+        picture.radiance.iter().map(|pixel| luminance(glam::Vec3::from(*pixel).as_dvec3())).collect()
     };
     let (baked, traced) = (of(baked), of(traced));
     let mean = (traced.iter().sum::<f64>() / traced.len().max(1) as f64).max(f64::MIN_POSITIVE);
