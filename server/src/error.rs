@@ -12,6 +12,9 @@ use crate::access::AccessError;
 use crate::chunks::ChunkError;
 use crate::store::StoreError;
 
+/// Result of a server's call.
+pub type Result<T, E = ServerError> = std::result::Result<T, E>;
+
 /// Everything that can go wrong in a server.
 #[derive(Debug, Error)]
 pub enum ServerError {

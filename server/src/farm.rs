@@ -15,7 +15,7 @@ use lightkiln_proto::kinds::{BakeError, Kinds};
 use tokio::sync::watch;
 use tokio::time::Instant;
 
-use crate::error::ServerError;
+use crate::error::{Result, ServerError};
 use crate::guard::Guard;
 use crate::lookout::Lookout;
 use crate::metrics::Metrics;
@@ -94,7 +94,7 @@ impl Farm {
         mut bake: NewBake,
         idempotency_key: Option<String>,
         traceparent: Option<String>,
-    ) -> Result<Bake, ServerError> {
+    ) -> Result<Bake> {
         require_chars("name", &bake.name, 0, MAX_NAME_CHARS)?;
         if let Some(key) = &idempotency_key {
             require_chars("Idempotency-Key", key, 1, MAX_ID_CHARS)?;
@@ -125,7 +125,7 @@ impl Farm {
 
     /// Forgets results that `plan` would reuse but whose bytes are gone, so that their tasks run again. So do those that
     /// planned tasks for bytes that are gone: they plan them anew once the makers of these bytes have run.
-    async fn forget_lost_results(&self, plan: &[TaskSpec]) -> Result<(), ServerError> {
+    async fn forget_lost_results(&self, plan: &[TaskSpec]) -> Result<()> {
         if plan.is_empty() {
             return Ok(());
         }
@@ -141,7 +141,7 @@ impl Farm {
         }
     }
 
-    async fn lost_results(&self, plan: &[TaskSpec]) -> Result<Vec<TaskKey>, ServerError> {
+    async fn lost_results(&self, plan: &[TaskSpec]) -> Result<Vec<TaskKey>> {
         let known = self.store.reusable(plan).await?;
         let outputs = known.iter().flat_map(|result| &result.outputs).map(|output| output.digest);
         let named = known.iter().flat_map(|result| &result.named).copied();
@@ -154,7 +154,7 @@ impl Farm {
     }
 
     /// Hands out tasks, waiting for some if asked to.
-    pub async fn claim(&self, request: ClaimRequest) -> Result<ClaimAnswer, ServerError> {
+    pub async fn claim(&self, request: ClaimRequest) -> Result<ClaimAnswer> {
         check_claim(&request)?;
         let deadline = Instant::now() + Duration::from_secs(request.wait_secs.into());
         let (mut mark, mut claimed) = (self.wakeup.mark(), Instant::now());
@@ -196,7 +196,7 @@ impl Farm {
         self.wakeup.hint();
     }
 
-    async fn fill_all_lengths(&self, leases: &mut [Lease]) -> Result<(), ServerError> {
+    async fn fill_all_lengths(&self, leases: &mut [Lease]) -> Result<()> {
         for lease in leases {
             self.fill_lengths(&lease.task, &mut lease.inputs).await?;
         }
@@ -208,7 +208,7 @@ impl Farm {
         &self,
         task: &TaskSpec,
         inputs: &mut [lightkiln_proto::jobs::Artefact],
-    ) -> Result<(), ServerError> {
+    ) -> Result<()> {
         if !task.inputs.iter().any(|input| matches!(input, TaskInput::Artefact { .. })) {
             return Ok(());
         }
@@ -240,7 +240,7 @@ impl Farm {
     }
 
     /// Prolongs a lease.
-    pub async fn heartbeat(&self, token: &str, progress: f32) -> Result<HeartbeatAnswer, ServerError> {
+    pub async fn heartbeat(&self, token: &str, progress: f32) -> Result<HeartbeatAnswer> {
         require_token(token)?;
         if !(0.0..=1.0).contains(&progress) {
             return Err(bad_request(format!("progress must be within 0..=1, not {progress}")));
@@ -249,7 +249,7 @@ impl Farm {
     }
 
     /// Takes a result in. Its outputs must have been uploaded.
-    pub async fn commit(&self, token: &str, result: TaskResult) -> Result<CommitVerdict, ServerError> {
+    pub async fn commit(&self, token: &str, result: TaskResult) -> Result<CommitVerdict> {
         require_token(token)?;
         check_counters(&result)?;
         self.require_outputs(&result).await?;
@@ -269,7 +269,7 @@ impl Farm {
         Ok(verdict)
     }
 
-    async fn require_outputs(&self, result: &TaskResult) -> Result<(), ServerError> {
+    async fn require_outputs(&self, result: &TaskResult) -> Result<()> {
         let there =
             self.storage.lengths(&result.outputs.iter().map(|output| output.digest).collect()).await?;
         for output in &result.outputs {
@@ -287,7 +287,7 @@ impl Farm {
     }
 
     /// Ends an attempt without a result.
-    pub async fn fail(&self, token: &str, blame: Blame, message: &str) -> Result<(), ServerError> {
+    pub async fn fail(&self, token: &str, blame: Blame, message: &str) -> Result<()> {
         require_token(token)?;
         let verdict = self.store.fail(token, blame, message).await?;
         tracing::warn!(?blame, ?verdict, message, "an attempt failed");
@@ -297,7 +297,7 @@ impl Farm {
     }
 
     /// Gives a task back.
-    pub async fn release(&self, token: &str) -> Result<(), ServerError> {
+    pub async fn release(&self, token: &str) -> Result<()> {
         require_token(token)?;
         if self.store.release(token).await? {
             self.metrics.releases.inc();
@@ -307,7 +307,7 @@ impl Farm {
     }
 
     /// Gives leases their whole length again: nobody could be heard for a while.
-    pub async fn extend_leases(&self) -> Result<(), ServerError> {
+    pub async fn extend_leases(&self) -> Result<()> {
         let extended = self.store.extend_leases().await?;
         if extended > 0 {
             tracing::info!(extended, "leases run on, as their holders could not be heard for a while");
@@ -316,7 +316,7 @@ impl Farm {
     }
 
     /// Ends leases that have run out.
-    pub async fn reap(&self) -> Result<(), ServerError> {
+    pub async fn reap(&self) -> Result<()> {
         let reaped = self.store.reap().await?;
         if reaped.expired > 0 {
             tracing::warn!(expired = reaped.expired, given_up = reaped.given_up, "leases ran out");
@@ -327,7 +327,7 @@ impl Farm {
     }
 
     /// Deletes old bakes, and the bytes that nobody needs any more.
-    pub async fn collect(&self, rules: &CollectRules) -> Result<Removed, ServerError> {
+    pub async fn collect(&self, rules: &CollectRules) -> Result<Removed> {
         let removed = self.storage.collect(rules).await?;
         if removed.bakes > 0 || removed.chunks > 0 {
             tracing::info!(bakes = removed.bakes, chunks = removed.chunks, "cleared away");
@@ -341,20 +341,14 @@ impl Farm {
     pub async fn change<T>(
         &self,
         change: impl Future<Output = Result<T, crate::store::StoreError>>,
-    ) -> Result<T, ServerError> {
+    ) -> Result<T> {
         let changed = change.await?;
         self.wakeup.hint();
         Ok(changed)
     }
 
     /// Events after `after`, waiting for one if there is none and the bake goes on.
-    pub async fn events(
-        &self,
-        bake: &str,
-        after: u64,
-        limit: u32,
-        deadline: Instant,
-    ) -> Result<EventPage, ServerError> {
+    pub async fn events(&self, bake: &str, after: u64, limit: u32, deadline: Instant) -> Result<EventPage> {
         loop {
             let mark = self.wakeup.mark();
             let page = self.store.events_after(bake, after, limit).await?;
@@ -370,7 +364,7 @@ impl Farm {
         bake: &str,
         what: &'static str,
         pick: impl Fn(&Bake) -> Option<Digest>,
-    ) -> Result<Digest, ServerError> {
+    ) -> Result<Digest> {
         let shown = self.store.show(bake).await?;
         pick(&shown).ok_or_else(|| {
             let why = match shown.state {
@@ -384,7 +378,7 @@ impl Farm {
     }
 }
 
-fn check_needs(bake: &NewBake) -> Result<(), ServerError> {
+fn check_needs(bake: &NewBake) -> Result<()> {
     check_labels("needs.labels", &bake.needs.labels)?;
     match bake.attempt_limit_secs {
         Some(secs) if !ATTEMPT_LIMIT_SECS.contains(&secs) => {
@@ -394,14 +388,14 @@ fn check_needs(bake: &NewBake) -> Result<(), ServerError> {
     }
 }
 
-fn check_labels(name: &str, labels: &[String]) -> Result<(), ServerError> {
+fn check_labels(name: &str, labels: &[String]) -> Result<()> {
     if labels.len() > MAX_LABELS {
         return Err(bad_request(format!("{name} must be at most {MAX_LABELS}, not {}", labels.len())));
     }
     labels.iter().try_for_each(|label| require_chars(name, label, 1, MAX_LABEL_CHARS))
 }
 
-fn check_claim(request: &ClaimRequest) -> Result<(), ServerError> {
+fn check_claim(request: &ClaimRequest) -> Result<()> {
     require_chars("worker", &request.worker, 1, MAX_ID_CHARS)?;
     check_labels("labels", &request.labels)?;
     let limits = [
@@ -417,7 +411,7 @@ fn check_claim(request: &ClaimRequest) -> Result<(), ServerError> {
 }
 
 /// Sums of counters must stay numbers: JSON cannot say infinity, so a bake that had one could not be read any more.
-fn check_counters(result: &TaskResult) -> Result<(), ServerError> {
+fn check_counters(result: &TaskResult) -> Result<()> {
     let count = result.counters.len();
     if count > MAX_COUNTERS {
         return Err(bad_request(format!("counters must be at most {MAX_COUNTERS}, not {count}")));
@@ -436,7 +430,7 @@ fn check_counters(result: &TaskResult) -> Result<(), ServerError> {
     Ok(())
 }
 
-fn require_chars(name: &str, text: &str, min: usize, max: usize) -> Result<(), ServerError> {
+fn require_chars(name: &str, text: &str, min: usize, max: usize) -> Result<()> {
     let count = text.chars().count();
     if (min..=max).contains(&count) {
         return Ok(());
@@ -444,7 +438,7 @@ fn require_chars(name: &str, text: &str, min: usize, max: usize) -> Result<(), S
     Err(bad_request(format!("{name} must have {min} to {max} characters, not {count}")))
 }
 
-fn require_token(token: &str) -> Result<(), ServerError> {
+fn require_token(token: &str) -> Result<()> {
     if is_fencing_token(token) { Ok(()) } else { Err(ServerError::NoSuchLease) }
 }
 

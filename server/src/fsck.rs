@@ -11,7 +11,7 @@ use lightkiln_proto::ids::Digest;
 use serde::Serialize;
 
 use crate::chunks::{ChunkError, ChunkName, ChunkStore, Listed};
-use crate::error::ServerError;
+use crate::error::{Result, ServerError};
 use crate::storage::Storage;
 use crate::store::FarmStore;
 use crate::store::chunk::{ChunkRow, KeptChunk};
@@ -97,7 +97,7 @@ pub async fn check(
     chunks: &dyn ChunkStore,
     storage: &Storage,
     checks: Checks,
-) -> Result<Findings, ServerError> {
+) -> Result<Findings> {
     let mut findings = Findings::default();
     check_rows(store, chunks, checks, &mut findings).await?;
     check_objects(store, chunks, storage, checks, &mut findings).await?;
@@ -111,7 +111,7 @@ async fn check_rows(
     chunks: &dyn ChunkStore,
     checks: Checks,
     findings: &mut Findings,
-) -> Result<(), ServerError> {
+) -> Result<()> {
     let mut after = None;
     loop {
         let rows = store.chunk_rows(after, PAGE).await?;
@@ -132,7 +132,7 @@ async fn note(
     wrong: Option<Wrong>,
     checks: Checks,
     findings: &mut Findings,
-) -> Result<(), ServerError> {
+) -> Result<()> {
     let flaw = Flaw { digest: row.digest, bytes: row.bytes, references: row.refs };
     let Some(generation) = row.generation else {
         if row.is_live_scene {
@@ -162,7 +162,7 @@ async fn note(
     Ok(())
 }
 
-async fn list_incomplete(store: &dyn FarmStore, findings: &mut Findings) -> Result<(), ServerError> {
+async fn list_incomplete(store: &dyn FarmStore, findings: &mut Findings) -> Result<()> {
     let mut after = None;
     loop {
         let page = store.list(after, PAGE).await?;
@@ -210,7 +210,7 @@ async fn check_objects(
     storage: &Storage,
     checks: Checks,
     findings: &mut Findings,
-) -> Result<(), ServerError> {
+) -> Result<()> {
     let old_ms = unix_ms(SystemTime::now() - checks.grace);
     let mut pages = chunks.list().try_chunks(PAGE as usize).map_err(|error| error.1);
     while let Some(page) = pages.try_next().await? {

@@ -14,7 +14,7 @@ use lightkiln_proto::api::{
 use lightkiln_proto::ids::Digest;
 
 use crate::chunks::ChunkError;
-use crate::error::ServerError;
+use crate::error::{Result, ServerError};
 use crate::farm::Farm;
 
 /// Parts that are looked up at a time.
@@ -26,7 +26,7 @@ impl Farm {
         self: &Arc<Self>,
         scene: Digest,
         parts: SceneParts,
-    ) -> Result<SceneProgress, ServerError> {
+    ) -> Result<SceneProgress> {
         let parts = parts.parts;
         check(&parts)?;
         let done = SceneProgress { is_stored: true, missing: Vec::new() };
@@ -52,7 +52,7 @@ impl Farm {
     }
 
     /// Parts that are not stored, by digest. Those that are stay for the grace from now on.
-    async fn missing(&self, parts: &[ScenePart]) -> Result<Vec<Digest>, ServerError> {
+    async fn missing(&self, parts: &[ScenePart]) -> Result<Vec<Digest>> {
         let looks = futures::stream::iter(sizes(parts)?).map(|(digest, bytes)| async move {
             Ok::<_, ServerError>((digest, bytes, self.storage.length(digest).await?))
         });
@@ -72,7 +72,7 @@ impl Farm {
 }
 
 /// Lengths by digest.
-fn sizes(parts: &[ScenePart]) -> Result<BTreeMap<Digest, u64>, ServerError> {
+fn sizes(parts: &[ScenePart]) -> Result<BTreeMap<Digest, u64>> {
     let mut sizes = BTreeMap::new();
     for part in parts {
         if *sizes.entry(part.digest).or_insert(part.bytes) != part.bytes {
@@ -82,7 +82,7 @@ fn sizes(parts: &[ScenePart]) -> Result<BTreeMap<Digest, u64>, ServerError> {
     Ok(sizes)
 }
 
-fn check(parts: &[ScenePart]) -> Result<(), ServerError> {
+fn check(parts: &[ScenePart]) -> Result<()> {
     if !(1..=MAX_SCENE_PARTS).contains(&parts.len()) {
         return Err(bad_request(format!("parts must be 1 to {MAX_SCENE_PARTS}, not {}", parts.len())));
     }

@@ -15,7 +15,7 @@ use super::chunks::{Binary, Conditions, serve_bytes};
 use super::events::MAX_SEQ;
 use super::extract::{JsonBody, PathParam, UrlQuery, bad_request};
 use super::trace::traceparent;
-use crate::error::ServerError;
+use crate::error::Result;
 use crate::farm::Farm;
 
 /// Largest JSON body of people's calls.
@@ -64,7 +64,7 @@ pub(super) async fn submit(
     State(farm): State<Arc<Farm>>,
     headers: HeaderMap,
     JsonBody(bake): JsonBody<NewBake, MAX_JSON_BYTES>,
-) -> Result<(StatusCode, Json<Bake>), ServerError> {
+) -> Result<(StatusCode, Json<Bake>)> {
     let key = headers.get("Idempotency-Key").map(|value| {
         value.to_str().map(str::to_owned).map_err(|_| bad_request("Idempotency-Key must be visible ASCII"))
     });
@@ -78,7 +78,7 @@ pub(super) async fn submit(
 pub(super) async fn list(
     State(farm): State<Arc<Farm>>,
     UrlQuery(query): UrlQuery<ListQuery>,
-) -> Result<Json<BakePage>, ServerError> {
+) -> Result<Json<BakePage>> {
     let limit = query.limit.unwrap_or(PAGE_BAKES);
     if !(1..=MAX_PAGE_BAKES).contains(&limit) {
         return Err(bad_request(format!("limit must be within 1..={MAX_PAGE_BAKES}, not {limit}")));
@@ -97,7 +97,7 @@ pub(super) async fn list(
 pub(super) async fn show(
     State(farm): State<Arc<Farm>>,
     PathParam(id): PathParam<String>,
-) -> Result<Json<Bake>, ServerError> {
+) -> Result<Json<Bake>> {
     Ok(Json(farm.store.show(&id).await?))
 }
 
@@ -110,7 +110,7 @@ pub(super) async fn show(
 pub(super) async fn delete(
     State(farm): State<Arc<Farm>>,
     PathParam(id): PathParam<String>,
-) -> Result<StatusCode, ServerError> {
+) -> Result<StatusCode> {
     farm.store.delete_bake(&id).await?;
     Ok(StatusCode::NO_CONTENT)
 }
@@ -123,7 +123,7 @@ pub(super) async fn delete(
 pub(super) async fn cancel(
     State(farm): State<Arc<Farm>>,
     PathParam(id): PathParam<String>,
-) -> Result<Json<Bake>, ServerError> {
+) -> Result<Json<Bake>> {
     Ok(Json(farm.change(farm.store.cancel(&id)).await?))
 }
 
@@ -135,7 +135,7 @@ pub(super) async fn cancel(
 pub(super) async fn pause(
     State(farm): State<Arc<Farm>>,
     PathParam(id): PathParam<String>,
-) -> Result<Json<Bake>, ServerError> {
+) -> Result<Json<Bake>> {
     Ok(Json(farm.change(farm.store.pause(&id)).await?))
 }
 
@@ -147,7 +147,7 @@ pub(super) async fn pause(
 pub(super) async fn resume(
     State(farm): State<Arc<Farm>>,
     PathParam(id): PathParam<String>,
-) -> Result<Json<Bake>, ServerError> {
+) -> Result<Json<Bake>> {
     Ok(Json(farm.change(farm.store.resume(&id)).await?))
 }
 
@@ -160,7 +160,7 @@ pub(super) async fn reprioritise(
     State(farm): State<Arc<Farm>>,
     PathParam(id): PathParam<String>,
     JsonBody(new): JsonBody<NewPriority, MAX_JSON_BYTES>,
-) -> Result<Json<Bake>, ServerError> {
+) -> Result<Json<Bake>> {
     Ok(Json(farm.change(farm.store.reprioritise(&id, new.priority)).await?))
 }
 
@@ -181,7 +181,7 @@ pub(super) struct WorkerQuery {
 pub(super) async fn blocklist(
     State(farm): State<Arc<Farm>>,
     PathParam(id): PathParam<String>,
-) -> Result<Json<Blocklist>, ServerError> {
+) -> Result<Json<Blocklist>> {
     Ok(Json(farm.store.blocklist(&id).await?))
 }
 
@@ -194,7 +194,7 @@ pub(super) async fn clear_blocklist(
     State(farm): State<Arc<Farm>>,
     PathParam(id): PathParam<String>,
     UrlQuery(query): UrlQuery<WorkerQuery>,
-) -> Result<Json<Blocklist>, ServerError> {
+) -> Result<Json<Blocklist>> {
     Ok(Json(farm.change(farm.store.clear_blocklist(&id, query.worker.as_deref())).await?))
 }
 
@@ -211,7 +211,7 @@ pub(super) async fn manifest(
     PathParam(id): PathParam<String>,
     method: Method,
     headers: HeaderMap,
-) -> Result<Response, ServerError> {
+) -> Result<Response> {
     let digest = farm.result_of(&id, "manifest", |bake| bake.manifest).await?;
     serve_bytes(&farm, digest, &method, &headers, "application/json", REVALIDATE).await
 }
@@ -229,7 +229,7 @@ pub(super) async fn report(
     PathParam(id): PathParam<String>,
     method: Method,
     headers: HeaderMap,
-) -> Result<Response, ServerError> {
+) -> Result<Response> {
     let digest = farm.result_of(&id, "report", |bake| bake.report).await?;
     serve_bytes(&farm, digest, &method, &headers, "application/json", REVALIDATE).await
 }
@@ -237,6 +237,6 @@ pub(super) async fn report(
 /// Lists workers heard of in the last ten minutes.
 #[utoipa::path(get, path = "/v1/workers", tag = "workers",
     responses((status = 200, description = "By name", body = WorkerPage)))]
-pub(super) async fn workers(State(farm): State<Arc<Farm>>) -> Result<Json<WorkerPage>, ServerError> {
+pub(super) async fn workers(State(farm): State<Arc<Farm>>) -> Result<Json<WorkerPage>> {
     Ok(Json(WorkerPage { workers: farm.store.workers().await? }))
 }

@@ -18,7 +18,7 @@ use utoipa::{IntoParams, PartialSchema, ToSchema};
 use super::extract::{JsonBody, PathParam, content_length, text_header};
 use super::ranges::{Wanted, is_known, range_applies, wanted};
 use crate::chunks::{ChunkError, Stored};
-use crate::error::ServerError;
+use crate::error::{Result, ServerError};
 use crate::farm::Farm;
 
 /// Largest list of parts.
@@ -68,7 +68,7 @@ pub(super) async fn put_chunk(
     PathParam(digest): PathParam<Digest>,
     headers: HeaderMap,
     body: Body,
-) -> Result<StatusCode, ServerError> {
+) -> Result<StatusCode> {
     Ok(status_of(store(&farm, digest, &headers, body).await?))
 }
 
@@ -86,7 +86,7 @@ pub(super) async fn put_scene(
     PathParam(digest): PathParam<Digest>,
     headers: HeaderMap,
     body: Body,
-) -> Result<(StatusCode, Json<SceneStored>), ServerError> {
+) -> Result<(StatusCode, Json<SceneStored>)> {
     let stored = store(&farm, digest, &headers, body).await?;
     Ok((status_of(stored), Json(SceneStored { scene: digest, bytes: stored.bytes })))
 }
@@ -105,7 +105,7 @@ pub(super) async fn put_scene_part(
     PathParam(digest): PathParam<Digest>,
     headers: HeaderMap,
     body: Body,
-) -> Result<StatusCode, ServerError> {
+) -> Result<StatusCode> {
     Ok(status_of(store_up_to(&farm, digest, &headers, body, MAX_SCENE_PART_BYTES).await?))
 }
 
@@ -120,11 +120,11 @@ pub(super) async fn put_scene_together(
     State(farm): State<Arc<Farm>>,
     PathParam(digest): PathParam<Digest>,
     JsonBody(parts): JsonBody<SceneParts, MAX_JSON_BYTES>,
-) -> Result<Json<SceneProgress>, ServerError> {
+) -> Result<Json<SceneProgress>> {
     Ok(Json(farm.put_scene_together(digest, parts).await?))
 }
 
-async fn store(farm: &Farm, digest: Digest, headers: &HeaderMap, body: Body) -> Result<Stored, ServerError> {
+async fn store(farm: &Farm, digest: Digest, headers: &HeaderMap, body: Body) -> Result<Stored> {
     store_up_to(farm, digest, headers, body, MAX_CHUNK_BYTES).await
 }
 
@@ -134,7 +134,7 @@ async fn store_up_to(
     headers: &HeaderMap,
     body: Body,
     limit: u64,
-) -> Result<Stored, ServerError> {
+) -> Result<Stored> {
     if content_length(headers).is_some_and(|length| length > limit) {
         return Err(ChunkError::TooLarge { limit }.into());
     }
@@ -156,7 +156,7 @@ pub(super) async fn head_scene(
     State(farm): State<Arc<Farm>>,
     PathParam(digest): PathParam<Digest>,
     headers: HeaderMap,
-) -> Result<Response, ServerError> {
+) -> Result<Response> {
     serve_bytes(&farm, digest, &Method::HEAD, &headers, "application/octet-stream", FOREVER).await
 }
 
@@ -176,7 +176,7 @@ pub(super) async fn get_chunk(
     PathParam(digest): PathParam<Digest>,
     method: Method,
     headers: HeaderMap,
-) -> Result<Response, ServerError> {
+) -> Result<Response> {
     serve_bytes(&farm, digest, &method, &headers, "application/octet-stream", FOREVER).await
 }
 
@@ -188,7 +188,7 @@ pub(super) async fn head_chunk(
     State(farm): State<Arc<Farm>>,
     PathParam(digest): PathParam<Digest>,
     headers: HeaderMap,
-) -> Result<Response, ServerError> {
+) -> Result<Response> {
     serve_bytes(&farm, digest, &Method::HEAD, &headers, "application/octet-stream", FOREVER).await
 }
 
@@ -200,7 +200,7 @@ pub(super) async fn serve_bytes(
     headers: &HeaderMap,
     content_type: &'static str,
     cache_control: &'static str,
-) -> Result<Response, ServerError> {
+) -> Result<Response> {
     let length = farm.storage.length(digest).await?.ok_or(ChunkError::NotFound { digest })?;
     let etag = format!("\"{digest}\"");
     let fixed = [

@@ -10,7 +10,7 @@ use lightkiln_proto::problem::Problem;
 
 use super::extract::JsonBody;
 use super::guard::bearer_token;
-use crate::error::ServerError;
+use crate::error::Result;
 use crate::farm::Farm;
 
 /// Largest body: one digest fits many times.
@@ -25,7 +25,7 @@ pub(super) async fn enrol(
     State(farm): State<Arc<Farm>>,
     headers: HeaderMap,
     JsonBody(enrolment): JsonBody<Enrolment, MAX_JSON_BYTES>,
-) -> Result<Json<Enrolled>, ServerError> {
+) -> Result<Json<Enrolled>> {
     let code = bearer_token(&headers).unwrap_or_default();
     Ok(Json(Enrolled { name: farm.guard.enrol(code, enrolment.token).await? }))
 }

@@ -17,7 +17,7 @@ use tokio::time::Instant;
 use utoipa::IntoParams;
 
 use super::extract::{PathParam, UrlQuery, bad_request, text_header};
-use crate::error::ServerError;
+use crate::error::Result;
 use crate::farm::{Farm, MAX_WAIT_SECS};
 
 /// Largest `seq` that the farm's database can hold, of a bake or an event.
@@ -62,7 +62,7 @@ pub(super) async fn events(
     PathParam(id): PathParam<String>,
     UrlQuery(query): UrlQuery<EventsQuery>,
     headers: HeaderMap,
-) -> Result<Response, ServerError> {
+) -> Result<Response> {
     let wait_secs = query.wait_secs.unwrap_or(0);
     if wait_secs > MAX_WAIT_SECS {
         return Err(bad_request(format!("wait_secs must be within 0..={MAX_WAIT_SECS}, not {wait_secs}")));

@@ -8,7 +8,7 @@ use axum::http::{HeaderMap, header};
 use futures::StreamExt;
 use serde::de::DeserializeOwned;
 
-use crate::error::ServerError;
+use crate::error::{Result, ServerError};
 
 /// A JSON body of at most `LIMIT` bytes.
 pub(super) struct JsonBody<T, const LIMIT: usize>(pub(super) T);
@@ -16,7 +16,7 @@ pub(super) struct JsonBody<T, const LIMIT: usize>(pub(super) T);
 impl<S: Send + Sync, T: DeserializeOwned, const LIMIT: usize> FromRequest<S> for JsonBody<T, LIMIT> {
     type Rejection = ServerError;
 
-    async fn from_request(request: Request, _state: &S) -> Result<Self, ServerError> {
+    async fn from_request(request: Request, _state: &S) -> Result<Self> {
         // Pages of other sites can post forms and plain text to this server, but not JSON.
         let is_json = |value: &str| {
             value.split(';').next().is_some_and(|kind| kind.trim().eq_ignore_ascii_case("application/json"))
@@ -50,7 +50,7 @@ fn has_escaped_nul(json: &[u8]) -> bool {
 }
 
 /// Errs if a decoded part of the URL has U+0000.
-fn without_nul(what: &str, encoded: &str) -> Result<(), ServerError> {
+fn without_nul(what: &str, encoded: &str) -> Result<()> {
     if encoded.contains("%00") {
         return Err(bad_request(format!(
             "the {what} has the character U+0000 (%00), which no text may have"
@@ -59,7 +59,7 @@ fn without_nul(what: &str, encoded: &str) -> Result<(), ServerError> {
     Ok(())
 }
 
-async fn read_body(request: Request, limit: usize) -> Result<Vec<u8>, ServerError> {
+async fn read_body(request: Request, limit: usize) -> Result<Vec<u8>> {
     let too_large = || ServerError::BodyTooLarge { limit: limit as u64 };
     if content_length(request.headers()).is_some_and(|length| length > limit as u64) {
         return Err(too_large());
@@ -85,7 +85,7 @@ where
 {
     type Rejection = ServerError;
 
-    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, ServerError> {
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self> {
         without_nul("path", parts.uri.path())?;
         let text = Path::<String>::from_request_parts(parts, state).await;
         let Path(text) = text.map_err(|error| bad_request(error.body_text()))?;
@@ -99,7 +99,7 @@ pub(super) struct UrlQuery<T>(pub(super) T);
 impl<S: Send + Sync, T: DeserializeOwned> FromRequestParts<S> for UrlQuery<T> {
     type Rejection = ServerError;
 
-    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, ServerError> {
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self> {
         without_nul("query", parts.uri.query().unwrap_or_default())?;
         let query = Query::<T>::from_request_parts(parts, state).await;
         query.map(|Query(query)| Self(query)).map_err(|error| bad_request(error.body_text()))

@@ -6,7 +6,7 @@ use axum::extract::State;
 use axum::http::{HeaderName, header};
 use lightkiln_proto::problem::Problem;
 
-use crate::error::ServerError;
+use crate::error::Result;
 use crate::farm::Farm;
 use crate::metrics::{CONTENT_TYPE, Figures};
 
@@ -22,7 +22,7 @@ pub(super) async fn healthz() -> &'static str {
     responses((status = 200, description = "It is ready", body = String, content_type = "text/plain"),
         (status = 503, description = "It is not", body = Problem, content_type = "application/problem+json"),
         (status = 507, description = "The disk is full", body = Problem, content_type = "application/problem+json")))]
-pub(super) async fn readyz(State(farm): State<Arc<Farm>>) -> Result<&'static str, ServerError> {
+pub(super) async fn readyz(State(farm): State<Arc<Farm>>) -> Result<&'static str> {
     farm.store.probe().await?;
     farm.storage.probe().await?;
     Ok("ready\n")
@@ -34,7 +34,7 @@ pub(super) async fn readyz(State(farm): State<Arc<Farm>>) -> Result<&'static str
         content_type = "application/openmetrics-text")))]
 pub(super) async fn metrics(
     State(farm): State<Arc<Farm>>,
-) -> Result<([(HeaderName, &'static str); 1], String), ServerError> {
+) -> Result<([(HeaderName, &'static str); 1], String)> {
     let figures = Figures {
         farm: farm.store.stats().await?,
         workers: farm.store.workers().await?.len() as u64,

@@ -11,7 +11,7 @@ use lightkiln_proto::api::{
 use lightkiln_proto::problem::Problem;
 
 use super::extract::{JsonBody, PathParam};
-use crate::error::ServerError;
+use crate::error::Result;
 use crate::farm::Farm;
 
 /// Largest JSON body of small calls.
@@ -25,7 +25,7 @@ const MAX_RESULT_BYTES: usize = 256 << 20;
 pub(super) async fn claim(
     State(farm): State<Arc<Farm>>,
     JsonBody(request): JsonBody<ClaimRequest, MAX_JSON_BYTES>,
-) -> Result<Json<ClaimAnswer>, ServerError> {
+) -> Result<Json<ClaimAnswer>> {
     Ok(Json(farm.claim(request).await?))
 }
 
@@ -37,7 +37,7 @@ pub(super) async fn heartbeat(
     State(farm): State<Arc<Farm>>,
     PathParam(token): PathParam<String>,
     JsonBody(heartbeat): JsonBody<Heartbeat, MAX_JSON_BYTES>,
-) -> Result<Json<HeartbeatAnswer>, ServerError> {
+) -> Result<Json<HeartbeatAnswer>> {
     Ok(Json(farm.heartbeat(&token, heartbeat.progress).await?))
 }
 
@@ -52,7 +52,7 @@ pub(super) async fn commit(
     State(farm): State<Arc<Farm>>,
     PathParam(token): PathParam<String>,
     JsonBody(result): JsonBody<TaskResult, MAX_RESULT_BYTES>,
-) -> Result<Json<CommitAnswer>, ServerError> {
+) -> Result<Json<CommitAnswer>> {
     Ok(Json(CommitAnswer { verdict: farm.commit(&token, result).await? }))
 }
 
@@ -64,7 +64,7 @@ pub(super) async fn fail(
     State(farm): State<Arc<Farm>>,
     PathParam(token): PathParam<String>,
     JsonBody(failure): JsonBody<Failure, MAX_JSON_BYTES>,
-) -> Result<StatusCode, ServerError> {
+) -> Result<StatusCode> {
     farm.fail(&token, failure.blame, &failure.message).await?;
     Ok(StatusCode::NO_CONTENT)
 }
@@ -76,7 +76,7 @@ pub(super) async fn fail(
 pub(super) async fn release(
     State(farm): State<Arc<Farm>>,
     PathParam(token): PathParam<String>,
-) -> Result<StatusCode, ServerError> {
+) -> Result<StatusCode> {
     farm.release(&token).await?;
     Ok(StatusCode::NO_CONTENT)
 }

@@ -21,7 +21,7 @@ use tokio::time::Instant;
 use crate::clock::{Clock as _, SystemClock};
 use crate::error::ServerError;
 use crate::farm::Farm;
-use crate::store::StoreError;
+use crate::store::{Result, StoreError};
 use crate::tls::use_ring;
 use deliver::Delivery;
 
@@ -135,7 +135,7 @@ struct Watcher {
 
 impl Watcher {
     /// Bakes whose end is to be told now.
-    async fn look(&mut self, farm: &Farm) -> Result<Vec<Bake>, StoreError> {
+    async fn look(&mut self, farm: &Farm) -> Result<Vec<Bake>> {
         let mut ended = Vec::new();
         for id in self.live.clone() {
             match farm.store.show(&id).await {

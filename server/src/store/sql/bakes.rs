@@ -10,13 +10,9 @@ use super::plan::apply_plan;
 use super::view;
 use crate::random;
 use crate::store::rules::check_plan;
-use crate::store::{StoreError, Submission, Submitted, require_live};
+use crate::store::{Result, StoreError, Submission, Submitted, require_live};
 
-pub(super) async fn submit(
-    conn: &mut Conn,
-    submission: &Submission,
-    now_ms: i64,
-) -> Result<Submitted, StoreError> {
+pub(super) async fn submit(conn: &mut Conn, submission: &Submission, now_ms: i64) -> Result<Submitted> {
     if let Some(bake) = submitted_before(conn, submission).await? {
         return Ok(Submitted { bake, is_new: false });
     }
@@ -31,7 +27,7 @@ pub(super) async fn submit(
     Ok(Submitted { bake: view::bake(conn, &bake.id).await?, is_new: true })
 }
 
-async fn submitted_before(conn: &mut Conn, submission: &Submission) -> Result<Option<Bake>, StoreError> {
+async fn submitted_before(conn: &mut Conn, submission: &Submission) -> Result<Option<Bake>> {
     let Some(key) = &submission.idempotency_key else { return Ok(None) };
     let query = query("SELECT id, body_hash FROM bakes WHERE idempotency_key = $1").bind(key);
     let Some(row) = query.optional(conn).await? else { return Ok(None) };
@@ -41,7 +37,7 @@ async fn submitted_before(conn: &mut Conn, submission: &Submission) -> Result<Op
     Ok(Some(view::bake(conn, &row.text("id")?).await?))
 }
 
-async fn insert(conn: &mut Conn, submission: &Submission, now_ms: i64) -> Result<i64, StoreError> {
+async fn insert(conn: &mut Conn, submission: &Submission, now_ms: i64) -> Result<i64> {
     let sql =
         "INSERT INTO bakes (id, idempotency_key, body_hash, name, kind, scene, settings, priority, state,
                open_count, tasks_run, tasks_reused, counters, counters_reused, created_ms, last_event, needs,
@@ -71,7 +67,7 @@ pub(super) async fn set_state(
     state: BakeState,
     action: &'static str,
     now_ms: i64,
-) -> Result<Bake, StoreError> {
+) -> Result<Bake> {
     let mut bake = load_live(conn, id, action).await?;
     if bake.state != state {
         bake.state = state;
@@ -85,7 +81,7 @@ pub(super) async fn set_state(
     view::bake(conn, id).await
 }
 
-pub(super) async fn cancel(conn: &mut Conn, id: &str, now_ms: i64) -> Result<Bake, StoreError> {
+pub(super) async fn cancel(conn: &mut Conn, id: &str, now_ms: i64) -> Result<Bake> {
     let seq = seq_of(conn, id).await?;
     let mut bake = Ledger::load(conn, seq).await?;
     if bake.state != BakeState::Cancelled {
@@ -95,13 +91,13 @@ pub(super) async fn cancel(conn: &mut Conn, id: &str, now_ms: i64) -> Result<Bak
     view::bake(conn, id).await
 }
 
-pub(super) async fn reprioritise(conn: &mut Conn, id: &str, priority: i32) -> Result<Bake, StoreError> {
+pub(super) async fn reprioritise(conn: &mut Conn, id: &str, priority: i32) -> Result<Bake> {
     let bake = load_live(conn, id, "given another priority").await?;
     query("UPDATE bakes SET priority = $1 WHERE seq = $2").bind(priority).bind(bake.seq).run(conn).await?;
     view::bake(conn, id).await
 }
 
-async fn load_live(conn: &mut Conn, id: &str, action: &'static str) -> Result<Ledger, StoreError> {
+async fn load_live(conn: &mut Conn, id: &str, action: &'static str) -> Result<Ledger> {
     let seq = seq_of(conn, id).await?;
     let bake = Ledger::load(conn, seq).await?;
     require_live(id, bake.state, action)?;

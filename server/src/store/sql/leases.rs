@@ -8,7 +8,7 @@ use super::conn::{Conn, corrupt, query};
 use super::ledger::Ledger;
 use super::ready;
 use crate::store::rules::{self, WORKER_SEEN_GRAIN_MS};
-use crate::store::{LeaseState, StoreError};
+use crate::store::{LeaseState, Result, StoreError};
 
 /// An attempt that just ended, and its task.
 pub(super) struct Ended {
@@ -45,7 +45,7 @@ pub(super) async fn heartbeat(
     token: &str,
     progress: f32,
     now_ms: i64,
-) -> Result<HeartbeatAnswer, StoreError> {
+) -> Result<HeartbeatAnswer> {
     let sql = "SELECT task, worker, ttl_ms, expires_ms, deadline_ms FROM leases WHERE token = $1";
     let Some(row) = query(sql).bind(token).optional(conn).await? else {
         hear_late(conn, token).await?;
@@ -77,7 +77,7 @@ pub(super) async fn heartbeat(
     Ok(HeartbeatAnswer { verdict, expires_ms })
 }
 
-pub(super) async fn release(conn: &mut Conn, token: &str, now_ms: i64) -> Result<bool, StoreError> {
+pub(super) async fn release(conn: &mut Conn, token: &str, now_ms: i64) -> Result<bool> {
     let Some(ended) = end(conn, token, now_ms).await? else {
         hear_late(conn, token).await?;
         return Ok(false);
@@ -92,7 +92,7 @@ pub(super) async fn release(conn: &mut Conn, token: &str, now_ms: i64) -> Result
     Ok(true)
 }
 
-pub(super) async fn extend(conn: &mut Conn, now_ms: i64) -> Result<u64, StoreError> {
+pub(super) async fn extend(conn: &mut Conn, now_ms: i64) -> Result<u64> {
     let sql = "UPDATE leases SET expires_ms = CASE WHEN deadline_ms < $1 + ttl_ms THEN deadline_ms ELSE $1 + ttl_ms END,
                graces = graces + 1
                WHERE task IS NOT NULL AND expires_ms <= $1 + ttl_ms / 2 AND expires_ms < deadline_ms AND graces < $2";
@@ -101,7 +101,7 @@ pub(super) async fn extend(conn: &mut Conn, now_ms: i64) -> Result<u64, StoreErr
 
 /// A holder whose lease has run out turns out to be alive. If that was counted as an attempt, it is given back, once and
 /// not for ever; if nobody has noticed yet, it will not be.
-pub(super) async fn hear_late(conn: &mut Conn, token: &str) -> Result<(), StoreError> {
+pub(super) async fn hear_late(conn: &mut Conn, token: &str) -> Result<()> {
     let sql = "UPDATE leases SET state = $1 WHERE token = $2 AND state = $3 AND expires_ms < deadline_ms";
     let (late, held) = (LeaseState::Late.name(), LeaseState::Held.name());
     query(sql).bind(late).bind(token).bind(held).run(conn).await?;
@@ -119,12 +119,12 @@ pub(super) async fn hear_late(conn: &mut Conn, token: &str) -> Result<(), StoreE
 }
 
 /// Takes a lease that is still good from its holder. A cancelled one goes too, but gives nothing.
-pub(super) async fn end(conn: &mut Conn, token: &str, now_ms: i64) -> Result<Option<Ended>, StoreError> {
+pub(super) async fn end(conn: &mut Conn, token: &str, now_ms: i64) -> Result<Option<Ended>> {
     take_if(conn, token, now_ms, |expires_ms| expires_ms > now_ms).await
 }
 
 /// Takes a lease, good or not; nothing when it was cancelled or is gone.
-pub(super) async fn take(conn: &mut Conn, token: &str, now_ms: i64) -> Result<Option<Ended>, StoreError> {
+pub(super) async fn take(conn: &mut Conn, token: &str, now_ms: i64) -> Result<Option<Ended>> {
     take_if(conn, token, now_ms, |_| true).await
 }
 
@@ -134,7 +134,7 @@ async fn take_if(
     token: &str,
     now_ms: i64,
     may: impl Fn(i64) -> bool + Send,
-) -> Result<Option<Ended>, StoreError> {
+) -> Result<Option<Ended>> {
     let sql = "SELECT l.task, l.worker, l.started_ms, l.expires_ms, l.deadline_ms, l.state, l.input_lost, l.attempt,
                t.key, t.kind, t.label, t.cost, t.attempts, t.pardons, coalesce(t.outputs_before, '[]') AS outputs_before,
                EXISTS (SELECT 1 FROM task_needs n WHERE n.needs = t.id) AS has_dependants,
@@ -174,7 +174,7 @@ async fn take_if(
 }
 
 /// Makes a task claimable again, or waiting if a dependency was forgotten meanwhile.
-pub(super) async fn requeue(conn: &mut Conn, ended: &Ended, now_ms: i64) -> Result<(), StoreError> {
+pub(super) async fn requeue(conn: &mut Conn, ended: &Ended, now_ms: i64) -> Result<()> {
     let sql =
         "UPDATE tasks SET state = CASE waiting_count WHEN 0 THEN 'ready' ELSE 'waiting' END WHERE id = $1";
     query(sql).bind(ended.task).run(conn).await?;
@@ -189,7 +189,7 @@ pub(super) async fn change_leased(
     kind: &str,
     by: i64,
     now_ms: i64,
-) -> Result<(), StoreError> {
+) -> Result<()> {
     let sql = "UPDATE stages SET leased = leased + $1, first_claim_ms = coalesce(first_claim_ms, $2)
                WHERE kind = $3 AND bake IN (SELECT m.bake FROM bake_tasks m JOIN bakes b ON b.seq = m.bake
                                             WHERE m.task = $4 AND b.state IN ('running', 'paused'))";

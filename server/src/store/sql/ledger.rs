@@ -10,7 +10,7 @@ use serde_json::json;
 use super::codec::to_json;
 use super::conn::{Conn, Row, corrupt, query, steps};
 use super::remake;
-use crate::store::StoreError;
+use crate::store::{Result, StoreError};
 
 /// The part of a bake's row that changes, and events not yet written.
 pub(super) struct Ledger {
@@ -42,7 +42,7 @@ pub(super) fn state_name(state: BakeState) -> &'static str {
 }
 
 /// Reads a state's name.
-pub(super) fn state_from(name: &str) -> Result<BakeState, StoreError> {
+pub(super) fn state_from(name: &str) -> Result<BakeState> {
     use BakeState::{Cancelled, Done, Failed, Paused, Running};
     let found =
         [Running, Paused, Done, Failed, Cancelled].into_iter().find(|state| state_name(*state) == name);
@@ -50,24 +50,24 @@ pub(super) fn state_from(name: &str) -> Result<BakeState, StoreError> {
 }
 
 /// Row number of the bake named `id`.
-pub(super) async fn seq_of(conn: &mut Conn, id: &str) -> Result<i64, StoreError> {
+pub(super) async fn seq_of(conn: &mut Conn, id: &str) -> Result<i64> {
     let seq = query("SELECT seq FROM bakes WHERE id = $1").bind(id).optional(conn).await?;
     seq.ok_or_else(|| StoreError::NoSuchBake { bake: id.to_owned() })?.get("seq")
 }
 
 impl Ledger {
-    pub(super) async fn load(conn: &mut Conn, seq: i64) -> Result<Self, StoreError> {
+    pub(super) async fn load(conn: &mut Conn, seq: i64) -> Result<Self> {
         Self::read(&query("SELECT * FROM bakes WHERE seq = $1").bind(seq).one(conn).await?)
     }
 
     /// Live bakes that hold a task, oldest first. A change of one of them leaves the others' rows as they are.
-    pub(super) async fn live_of(conn: &mut Conn, task: i64) -> Result<Vec<Self>, StoreError> {
+    pub(super) async fn live_of(conn: &mut Conn, task: i64) -> Result<Vec<Self>> {
         let sql = "SELECT b.* FROM bake_tasks m JOIN bakes b ON b.seq = m.bake
                    WHERE m.task = $1 AND b.state IN ('running', 'paused') ORDER BY b.seq";
         query(sql).bind(task).all(conn).await?.iter().map(Self::read).collect()
     }
 
-    fn read(row: &Row) -> Result<Self, StoreError> {
+    fn read(row: &Row) -> Result<Self> {
         Ok(Self {
             seq: row.get("seq")?,
             id: row.get("id")?,
@@ -101,7 +101,7 @@ impl Ledger {
     }
 
     /// Writes the row and the events.
-    pub(super) async fn save(&mut self, conn: &mut Conn) -> Result<(), StoreError> {
+    pub(super) async fn save(&mut self, conn: &mut Conn) -> Result<()> {
         let mut events = Vec::with_capacity(self.events.len());
         for (at_ms, event) in std::mem::take(&mut self.events) {
             self.last_event += 1;
@@ -136,7 +136,7 @@ impl Ledger {
     }
 
     /// Saves, and ends the bake if no task is open.
-    pub(super) async fn save_or_finish(&mut self, conn: &mut Conn, now_ms: i64) -> Result<(), StoreError> {
+    pub(super) async fn save_or_finish(&mut self, conn: &mut Conn, now_ms: i64) -> Result<()> {
         if self.open_count == 0 {
             self.close(conn, BakeState::Done, None, now_ms).await
         } else {
@@ -151,7 +151,7 @@ impl Ledger {
         state: BakeState,
         failure: Option<String>,
         now_ms: i64,
-    ) -> Result<(), StoreError> {
+    ) -> Result<()> {
         self.state = state;
         self.failure = failure;
         self.finished_ms = Some(now_ms);

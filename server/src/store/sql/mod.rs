@@ -43,7 +43,7 @@ use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{TaskResult, TaskSpec};
 
 use super::chunk::{ChunkRow, CollectRules, Collected, Kept, KeptChunk, Usage};
-use super::{FailVerdict, FarmStore, KnownResult, Reaped, Stats, StoreError, Submission, Submitted};
+use super::{FailVerdict, FarmStore, KnownResult, Reaped, Result, Stats, StoreError, Submission, Submitted};
 use crate::access::{Bearer, Scope};
 use crate::chunks::ChunkName;
 use crate::clock::Clock;
@@ -85,7 +85,7 @@ pub struct SqlStore {
 
 impl SqlStore {
     /// Opens the SQLite file at `path`, making or migrating it as needed.
-    pub async fn open_sqlite(path: &Path, clock: Arc<dyn Clock>) -> Result<Self, StoreError> {
+    pub async fn open_sqlite(path: &Path, clock: Arc<dyn Clock>) -> Result<Self> {
         let database = Database::Sqlite(SqliteFile::open(path).await?, clock);
         Ok(Self { database, faults: None, commits: CommitQueue::default() })
     }
@@ -93,7 +93,7 @@ impl SqlStore {
     /// Opens the PostgreSQL database at `url` (`postgres://…`), making or migrating its tables as needed.
     ///
     /// Without a clock the database's own time counts, as it must where several servers share it.
-    pub async fn open_postgres(url: &str, clock: Option<Arc<dyn Clock>>) -> Result<Self, StoreError> {
+    pub async fn open_postgres(url: &str, clock: Option<Arc<dyn Clock>>) -> Result<Self> {
         let database = Database::Postgres(PostgresDatabase::open(url).await?, clock);
         Ok(Self { database, faults: None, commits: CommitQueue::default() })
     }
@@ -113,7 +113,7 @@ impl SqlStore {
         }
     }
 
-    async fn begin(&self, kind: Kind, call: &'static str) -> Result<Conn, StoreError> {
+    async fn begin(&self, kind: Kind, call: &'static str) -> Result<Conn> {
         let (tx, now_ms) = match &self.database {
             Database::Sqlite(file, clock) => {
                 let tx = file.begin(kind).await?;
@@ -224,14 +224,14 @@ macro_rules! transact {
 }
 
 impl SqlStore {
-    async fn commit_alone(&self, token: &str, result: &TaskResult) -> Result<CommitVerdict, StoreError> {
+    async fn commit_alone(&self, token: &str, result: &TaskResult) -> Result<CommitVerdict> {
         transact!(self, Write, "commit", |conn, now_ms| outcome::commit(conn, token, result, now_ms))
     }
 
     /// Commits all in one transaction. If that fails and may be the fault of one of them, each in its own.
     async fn commit_batch(&self, batch: Vec<Waiting>) {
         if batch.len() > 1 {
-            let verdicts: Result<_, StoreError> =
+            let verdicts: Result<_> =
                 transact!(self, Write, "commit", |conn, now_ms| outcome::commit_all(conn, &batch, now_ms));
             match verdicts {
                 Ok(verdicts) => {
@@ -258,31 +258,31 @@ impl SqlStore {
 
 #[async_trait]
 impl FarmStore for SqlStore {
-    async fn submit(&self, submission: &Submission) -> Result<Submitted, StoreError> {
+    async fn submit(&self, submission: &Submission) -> Result<Submitted> {
         transact!(self, Write, "submit", |conn, now_ms| bakes::submit(conn, submission, now_ms))
     }
 
-    async fn reusable(&self, plan: &[TaskSpec]) -> Result<Vec<KnownResult>, StoreError> {
+    async fn reusable(&self, plan: &[TaskSpec]) -> Result<Vec<KnownResult>> {
         transact!(self, Read, "reusable", |conn, _now_ms| forget::reusable(conn, plan))
     }
 
-    async fn forget(&self, keys: &[TaskKey]) -> Result<(), StoreError> {
+    async fn forget(&self, keys: &[TaskKey]) -> Result<()> {
         transact!(self, Write, "forget", |conn, now_ms| forget::forget_all(conn, keys, now_ms))
     }
 
-    async fn claim(&self, request: &ClaimRequest) -> Result<Vec<Lease>, StoreError> {
+    async fn claim(&self, request: &ClaimRequest) -> Result<Vec<Lease>> {
         transact!(self, Lease, "claim", |conn, now_ms| claim::claim(conn, request, now_ms))
     }
 
-    async fn is_any_ready(&self, kinds: &[String]) -> Result<bool, StoreError> {
+    async fn is_any_ready(&self, kinds: &[String]) -> Result<bool> {
         transact!(self, Read, "is_any_ready", |conn, now_ms| claim::is_any_ready(conn, kinds, now_ms))
     }
 
-    async fn heartbeat(&self, token: &str, progress: f32) -> Result<HeartbeatAnswer, StoreError> {
+    async fn heartbeat(&self, token: &str, progress: f32) -> Result<HeartbeatAnswer> {
         transact!(self, Lease, "heartbeat", |conn, now_ms| leases::heartbeat(conn, token, progress, now_ms))
     }
 
-    async fn commit(&self, token: &str, result: &TaskResult) -> Result<CommitVerdict, StoreError> {
+    async fn commit(&self, token: &str, result: &TaskResult) -> Result<CommitVerdict> {
         if result.plan.is_empty() {
             return self.commits.commit(token, result, |batch| self.commit_batch(batch)).await;
         }
@@ -290,87 +290,82 @@ impl FarmStore for SqlStore {
         self.commit_alone(token, result).await
     }
 
-    async fn fail(&self, token: &str, blame: Blame, message: &str) -> Result<FailVerdict, StoreError> {
+    async fn fail(&self, token: &str, blame: Blame, message: &str) -> Result<FailVerdict> {
         transact!(self, Write, "fail", |conn, now_ms| outcome::fail(conn, token, blame, message, now_ms))
     }
 
-    async fn release(&self, token: &str) -> Result<bool, StoreError> {
+    async fn release(&self, token: &str) -> Result<bool> {
         transact!(self, Write, "release", |conn, now_ms| leases::release(conn, token, now_ms))
     }
 
-    async fn extend_leases(&self) -> Result<u64, StoreError> {
+    async fn extend_leases(&self) -> Result<u64> {
         transact!(self, Lease, "extend_leases", |conn, now_ms| leases::extend(conn, now_ms))
     }
 
-    async fn blocklist(&self, bake: &str) -> Result<Blocklist, StoreError> {
+    async fn blocklist(&self, bake: &str) -> Result<Blocklist> {
         transact!(self, Read, "blocklist", |conn, _now_ms| blocklist::show(conn, bake))
     }
 
-    async fn clear_blocklist(&self, bake: &str, worker: Option<&str>) -> Result<Blocklist, StoreError> {
+    async fn clear_blocklist(&self, bake: &str, worker: Option<&str>) -> Result<Blocklist> {
         transact!(self, Write, "clear_blocklist", |conn, _now_ms| blocklist::clear(conn, bake, worker))
     }
 
-    async fn reap(&self) -> Result<Reaped, StoreError> {
+    async fn reap(&self) -> Result<Reaped> {
         transact!(self, Write, "reap", |conn, now_ms| outcome::reap(conn, now_ms))
     }
 
-    async fn pause(&self, bake: &str) -> Result<Bake, StoreError> {
+    async fn pause(&self, bake: &str) -> Result<Bake> {
         let (state, action) = (BakeState::Paused, "paused");
         transact!(self, Write, "pause", |conn, now_ms| bakes::set_state(conn, bake, state, action, now_ms))
     }
 
-    async fn resume(&self, bake: &str) -> Result<Bake, StoreError> {
+    async fn resume(&self, bake: &str) -> Result<Bake> {
         let (state, action) = (BakeState::Running, "resumed");
         transact!(self, Write, "resume", |conn, now_ms| bakes::set_state(conn, bake, state, action, now_ms))
     }
 
-    async fn cancel(&self, bake: &str) -> Result<Bake, StoreError> {
+    async fn cancel(&self, bake: &str) -> Result<Bake> {
         transact!(self, Write, "cancel", |conn, now_ms| bakes::cancel(conn, bake, now_ms))
     }
 
-    async fn reprioritise(&self, bake: &str, priority: i32) -> Result<Bake, StoreError> {
+    async fn reprioritise(&self, bake: &str, priority: i32) -> Result<Bake> {
         transact!(self, Write, "reprioritise", |conn, _now_ms| bakes::reprioritise(conn, bake, priority))
     }
 
-    async fn show(&self, bake: &str) -> Result<Bake, StoreError> {
+    async fn show(&self, bake: &str) -> Result<Bake> {
         transact!(self, Read, "show", |conn, _now_ms| view::bake(conn, bake))
     }
 
-    async fn list(&self, after: Option<u64>, limit: u32) -> Result<BakePage, StoreError> {
+    async fn list(&self, after: Option<u64>, limit: u32) -> Result<BakePage> {
         transact!(self, Read, "list", |conn, _now_ms| view::list(conn, after, limit))
     }
 
-    async fn events_after(&self, bake: &str, after: u64, limit: u32) -> Result<EventPage, StoreError> {
+    async fn events_after(&self, bake: &str, after: u64, limit: u32) -> Result<EventPage> {
         transact!(self, Read, "events_after", |conn, _now_ms| view::events_after(conn, bake, after, limit))
     }
 
-    async fn workers(&self) -> Result<Vec<Worker>, StoreError> {
+    async fn workers(&self) -> Result<Vec<Worker>> {
         transact!(self, Read, "workers", |conn, now_ms| view::workers(conn, now_ms))
     }
 
-    async fn add_bearer(
-        &self,
-        name: &str,
-        hash: Digest,
-        scopes: &BTreeSet<Scope>,
-    ) -> Result<Bearer, StoreError> {
+    async fn add_bearer(&self, name: &str, hash: Digest, scopes: &BTreeSet<Scope>) -> Result<Bearer> {
         transact!(self, Write, "add_bearer", |conn, now_ms| bearers::add(conn, name, hash, scopes, now_ms))
     }
 
-    async fn revoke_bearer(&self, name: &str) -> Result<Bearer, StoreError> {
+    async fn revoke_bearer(&self, name: &str) -> Result<Bearer> {
         transact!(self, Write, "revoke_bearer", |conn, now_ms| bearers::revoke(conn, name, now_ms))
     }
 
-    async fn bearers(&self) -> Result<Vec<Bearer>, StoreError> {
+    async fn bearers(&self) -> Result<Vec<Bearer>> {
         transact!(self, Read, "bearers", |conn, _now_ms| bearers::all(conn))
     }
 
-    async fn find_chunks(&self, digests: &[Digest]) -> Result<Vec<KeptChunk>, StoreError> {
+    async fn find_chunks(&self, digests: &[Digest]) -> Result<Vec<KeptChunk>> {
         transact!(self, Read, "find_chunks", |conn, _now_ms| chunks::find(conn, digests))
     }
 
-    async fn touch_chunk(&self, digest: Digest) -> Result<Option<KeptChunk>, StoreError> {
-        let looked: Result<_, StoreError> =
+    async fn touch_chunk(&self, digest: Digest) -> Result<Option<KeptChunk>> {
+        let looked: Result<_> =
             transact!(self, Read, "look_at_chunk", |conn, now_ms| chunks::look(conn, digest, now_ms));
         match looked? {
             None => Ok(None),
@@ -382,54 +377,49 @@ impl FarmStore for SqlStore {
         }
     }
 
-    async fn keep_chunk(
-        &self,
-        chunk: KeptChunk,
-        replaces: Option<u64>,
-        quota: Option<u64>,
-    ) -> Result<Kept, StoreError> {
+    async fn keep_chunk(&self, chunk: KeptChunk, replaces: Option<u64>, quota: Option<u64>) -> Result<Kept> {
         transact!(self, Lease, "keep_chunk", |conn, now_ms| chunks::keep(
             conn, chunk, replaces, quota, now_ms
         ))
     }
 
-    async fn delete_bake(&self, bake: &str) -> Result<(), StoreError> {
+    async fn delete_bake(&self, bake: &str) -> Result<()> {
         transact!(self, Write, "delete_bake", |conn, _now_ms| chunks::delete_bake(conn, bake))
     }
 
-    async fn collect(&self, rules: &CollectRules) -> Result<Collected, StoreError> {
+    async fn collect(&self, rules: &CollectRules) -> Result<Collected> {
         transact!(self, Write, "collect", |conn, now_ms| chunks::collect(conn, rules, now_ms))
     }
 
-    async fn purge(&self, names: &[ChunkName]) -> Result<(), StoreError> {
+    async fn purge(&self, names: &[ChunkName]) -> Result<()> {
         transact!(self, Write, "purge", |conn, _now_ms| chunks::purge(conn, names))
     }
 
-    async fn lose_chunk(&self, name: ChunkName) -> Result<u64, StoreError> {
+    async fn lose_chunk(&self, name: ChunkName) -> Result<u64> {
         transact!(self, Write, "lose_chunk", |conn, now_ms| chunks::lose(conn, name, now_ms))
     }
 
-    async fn chunk_rows(&self, after: Option<Digest>, limit: u32) -> Result<Vec<ChunkRow>, StoreError> {
+    async fn chunk_rows(&self, after: Option<Digest>, limit: u32) -> Result<Vec<ChunkRow>> {
         transact!(self, Read, "chunk_rows", |conn, _now_ms| chunks::rows(conn, after, limit))
     }
 
-    async fn orphans(&self, names: &[ChunkName]) -> Result<Vec<ChunkName>, StoreError> {
+    async fn orphans(&self, names: &[ChunkName]) -> Result<Vec<ChunkName>> {
         transact!(self, Read, "orphans", |conn, _now_ms| chunks::orphans(conn, names))
     }
 
-    async fn condemn_orphans(&self, chunks: &[KeptChunk]) -> Result<Vec<ChunkName>, StoreError> {
+    async fn condemn_orphans(&self, chunks: &[KeptChunk]) -> Result<Vec<ChunkName>> {
         transact!(self, Write, "condemn_orphans", |conn, _now_ms| chunks::condemn_orphans(conn, chunks))
     }
 
-    async fn usage(&self) -> Result<Usage, StoreError> {
+    async fn usage(&self) -> Result<Usage> {
         transact!(self, Read, "usage", |conn, _now_ms| chunks::usage(conn))
     }
 
-    async fn stats(&self) -> Result<Stats, StoreError> {
+    async fn stats(&self) -> Result<Stats> {
         transact!(self, Read, "stats", |conn, now_ms| view::stats(conn, now_ms))
     }
 
-    async fn probe(&self) -> Result<(), StoreError> {
+    async fn probe(&self) -> Result<()> {
         transact!(self, Write, "probe", |conn, now_ms| view::probe(conn, now_ms))
     }
 }

@@ -14,14 +14,14 @@ use super::ledger::Ledger;
 use super::plan::apply_plan;
 use super::{chunks, forget, ready, remake};
 use crate::store::rules::{self, add_counters, check_plan};
-use crate::store::{FailVerdict, LeaseState, Reaped, StoreError};
+use crate::store::{FailVerdict, LeaseState, Reaped, Result};
 
 pub(super) async fn commit(
     conn: &mut Conn,
     token: &str,
     result: &TaskResult,
     now_ms: i64,
-) -> Result<CommitVerdict, StoreError> {
+) -> Result<CommitVerdict> {
     // Take the lease first: who commits with a token that is not the newest of its task changes nothing else.
     let Some(ended) = leases::end(conn, token, now_ms).await? else {
         // Answer a commit that is sent again as the first one, whose answer may have been lost.
@@ -67,7 +67,7 @@ pub(super) async fn commit_all(
     conn: &mut Conn,
     batch: &[Waiting],
     now_ms: i64,
-) -> Result<Vec<CommitVerdict>, StoreError> {
+) -> Result<Vec<CommitVerdict>> {
     let mut verdicts = Vec::with_capacity(batch.len());
     for waiting in batch {
         verdicts.push(commit(conn, &waiting.token, &waiting.result, now_ms).await?);
@@ -75,7 +75,7 @@ pub(super) async fn commit_all(
     Ok(verdicts)
 }
 
-async fn was_committed(conn: &mut Conn, token: &str, result: &TaskResult) -> Result<bool, StoreError> {
+async fn was_committed(conn: &mut Conn, token: &str, result: &TaskResult) -> Result<bool> {
     let read = query("SELECT outputs FROM results WHERE token = $1").bind(token);
     let Some(row) = read.optional(conn).await? else { return Ok(false) };
     let outputs: Vec<Artefact> = row.json("outputs")?;
@@ -85,12 +85,7 @@ async fn was_committed(conn: &mut Conn, token: &str, result: &TaskResult) -> Res
     Ok(true)
 }
 
-async fn write_result(
-    conn: &mut Conn,
-    token: &str,
-    ended: &Ended,
-    result: &TaskResult,
-) -> Result<(), StoreError> {
+async fn write_result(conn: &mut Conn, token: &str, ended: &Ended, result: &TaskResult) -> Result<()> {
     let outputs: BTreeSet<Digest> = result.outputs.iter().map(|output| output.digest).collect();
     let outputs: Vec<Digest> = outputs.into_iter().collect();
     let touched = steps([
@@ -114,7 +109,7 @@ async fn write_result(
     if ended.is_missed { forget::give_back(conn, ended.task, ended.key).await } else { Ok(()) }
 }
 
-async fn unlock_dependants(conn: &mut Conn, task: i64, now_ms: i64) -> Result<(), StoreError> {
+async fn unlock_dependants(conn: &mut Conn, task: i64, now_ms: i64) -> Result<()> {
     let sql = "UPDATE tasks SET waiting_count = waiting_count - 1,
                state = CASE WHEN state = 'waiting' AND waiting_count = 1 THEN 'ready' ELSE state END
                WHERE id IN (SELECT task FROM task_needs WHERE needs = $1) AND state <> 'done'
@@ -135,7 +130,7 @@ async fn count_done(
     ended: &Ended,
     result: &TaskResult,
     now_ms: i64,
-) -> Result<(), StoreError> {
+) -> Result<()> {
     steps([
         "UPDATE bake_tasks SET done = 1 WHERE bake = $1 AND task = $2",
         "UPDATE stages SET done = done + 1, leased = leased - 1, cost_done = cost_done + $3, last_commit_ms = $4
@@ -162,7 +157,7 @@ pub(super) async fn fail(
     blame: Blame,
     message: &str,
     now_ms: i64,
-) -> Result<FailVerdict, StoreError> {
+) -> Result<FailVerdict> {
     let Some(ended) = leases::end(conn, token, now_ms).await? else { return Ok(FailVerdict::Stale) };
     let message = rules::cut_message(message);
     if blame == Blame::Task {
@@ -198,7 +193,7 @@ async fn blame_silent(
     ended: &Ended,
     message: &str,
     now_ms: i64,
-) -> Result<bool, StoreError> {
+) -> Result<bool> {
     if !ended.has_hit_limit {
         let sql = "INSERT INTO expired (token, task, worker, has_blamed) SELECT $1, t.id, $2,
                    CASE WHEN EXISTS (SELECT 1 FROM blames x WHERE x.task = t.id AND x.worker = $2) THEN 0 ELSE 1 END
@@ -209,12 +204,7 @@ async fn blame_silent(
 }
 
 /// Counts an attempt against its worker; true when the task was given up for that.
-async fn blame_worker(
-    conn: &mut Conn,
-    ended: &Ended,
-    message: &str,
-    now_ms: i64,
-) -> Result<bool, StoreError> {
+async fn blame_worker(conn: &mut Conn, ended: &Ended, message: &str, now_ms: i64) -> Result<bool> {
     let attempts = ended.attempts + 1;
     query("UPDATE tasks SET attempts = $1 WHERE id = $2").bind(attempts).bind(ended.task).run(conn).await?;
     query("INSERT INTO blames (task, worker) VALUES ($1, $2) ON CONFLICT DO NOTHING")
@@ -233,13 +223,7 @@ async fn blame_worker(
 }
 
 /// Fails every bake that wants the task.
-async fn give_up(
-    conn: &mut Conn,
-    ended: &Ended,
-    message: &str,
-    failure: &str,
-    now_ms: i64,
-) -> Result<(), StoreError> {
+async fn give_up(conn: &mut Conn, ended: &Ended, message: &str, failure: &str, now_ms: i64) -> Result<()> {
     for mut bake in Ledger::live_of(conn, ended.task).await? {
         bake.event(now_ms, task_failed(ended, message, None));
         bake.close(conn, BakeState::Failed, Some(failure.to_owned()), now_ms).await?;
@@ -285,7 +269,7 @@ fn lease_expired(ended: &Ended) -> EventKind {
     }
 }
 
-pub(super) async fn reap(conn: &mut Conn, now_ms: i64) -> Result<Reaped, StoreError> {
+pub(super) async fn reap(conn: &mut Conn, now_ms: i64) -> Result<Reaped> {
     let sql = "SELECT l.token FROM leases l LEFT JOIN tasks t ON t.id = l.task
                WHERE l.expires_ms <= $1 ORDER BY l.expires_ms, t.key";
     let rows = query(sql).bind(now_ms).all(conn).await?;

@@ -8,7 +8,7 @@ use lightkiln_proto::ids::Digest;
 use super::conn::{Conn, Row, corrupt, query};
 use super::ledger::{seq_of, state_from};
 use crate::store::rules::WORKER_LISTED_MS;
-use crate::store::{Demand, Stats, StoreError, TaskCount, TaskState};
+use crate::store::{Demand, Result, Stats, StoreError, TaskCount, TaskState};
 
 /// Rows of bakes, with the number of results that each lost.
 macro_rules! bakes {
@@ -17,16 +17,16 @@ macro_rules! bakes {
     };
 }
 
-pub(super) async fn bake(conn: &mut Conn, id: &str) -> Result<Bake, StoreError> {
+pub(super) async fn bake(conn: &mut Conn, id: &str) -> Result<Bake> {
     match query(concat!(bakes!(), " WHERE id = $1")).bind(id).optional(conn).await? {
         Some(row) => bake_from(conn, &row).await,
         None => Err(StoreError::NoSuchBake { bake: id.to_owned() }),
     }
 }
 
-async fn bake_from(conn: &mut Conn, row: &Row) -> Result<Bake, StoreError> {
+async fn bake_from(conn: &mut Conn, row: &Row) -> Result<Bake> {
     let state = state_from(&row.text("state")?)?;
-    let when_done = |column: &str| -> Result<Option<Digest>, StoreError> {
+    let when_done = |column: &str| -> Result<Option<Digest>> {
         Ok(row.digest_if_any(column)?.filter(|_| state == BakeState::Done))
     };
     Ok(Bake {
@@ -52,7 +52,7 @@ async fn bake_from(conn: &mut Conn, row: &Row) -> Result<Bake, StoreError> {
     })
 }
 
-async fn stages(conn: &mut Conn, bake: i64) -> Result<Vec<StageCount>, StoreError> {
+async fn stages(conn: &mut Conn, bake: i64) -> Result<Vec<StageCount>> {
     let sql = "SELECT *, coalesce(last_commit_ms - first_claim_ms, 0) AS elapsed_ms
                FROM stages WHERE bake = $1 ORDER BY position";
     let mut stages = Vec::new();
@@ -72,7 +72,7 @@ async fn stages(conn: &mut Conn, bake: i64) -> Result<Vec<StageCount>, StoreErro
     Ok(stages)
 }
 
-pub(super) async fn list(conn: &mut Conn, after: Option<u64>, limit: u32) -> Result<BakePage, StoreError> {
+pub(super) async fn list(conn: &mut Conn, after: Option<u64>, limit: u32) -> Result<BakePage> {
     let below = after.and_then(|after| i64::try_from(after).ok()).unwrap_or(i64::MAX);
     let sql = concat!(bakes!(), " WHERE seq < $1 ORDER BY seq DESC LIMIT $2");
     let rows = query(sql).bind(below).bind(i64::from(limit) + 1).all(conn).await?;
@@ -87,12 +87,7 @@ pub(super) async fn list(conn: &mut Conn, after: Option<u64>, limit: u32) -> Res
     Ok(BakePage { bakes, next })
 }
 
-pub(super) async fn events_after(
-    conn: &mut Conn,
-    id: &str,
-    after: u64,
-    limit: u32,
-) -> Result<EventPage, StoreError> {
+pub(super) async fn events_after(conn: &mut Conn, id: &str, after: u64, limit: u32) -> Result<EventPage> {
     let seq = seq_of(conn, id).await?;
     let sql = "SELECT seq, at_ms, event FROM events WHERE bake = $1 AND seq > $2 ORDER BY seq LIMIT $3";
     let rows = query(sql).bind(seq).bind(after).bind(limit).all(conn).await?;
@@ -107,7 +102,7 @@ pub(super) async fn events_after(
     Ok(EventPage { events, bake: bake(conn, id).await? })
 }
 
-pub(super) async fn workers(conn: &mut Conn, now_ms: i64) -> Result<Vec<Worker>, StoreError> {
+pub(super) async fn workers(conn: &mut Conn, now_ms: i64) -> Result<Vec<Worker>> {
     let sql = "SELECT name, kinds, threads, seen_ms, memory_mib, labels FROM workers WHERE seen_ms > $1 ORDER BY name";
     let rows = query(sql).bind(now_ms - WORKER_LISTED_MS).all(conn).await?;
     let sql = "SELECT l.worker, t.label FROM leases l JOIN tasks t ON t.id = l.task ORDER BY t.label";
@@ -129,7 +124,7 @@ pub(super) async fn workers(conn: &mut Conn, now_ms: i64) -> Result<Vec<Worker>,
     Ok(workers)
 }
 
-pub(super) async fn stats(conn: &mut Conn, now_ms: i64) -> Result<Stats, StoreError> {
+pub(super) async fn stats(conn: &mut Conn, now_ms: i64) -> Result<Stats> {
     let sql = "SELECT kind, state, count(*) AS count FROM tasks GROUP BY kind, state";
     let mut tasks = Vec::new();
     for row in query(sql).all(conn).await? {
@@ -163,14 +158,14 @@ pub(super) async fn stats(conn: &mut Conn, now_ms: i64) -> Result<Stats, StoreEr
     })
 }
 
-fn task_state_from(name: &str) -> Result<TaskState, StoreError> {
+fn task_state_from(name: &str) -> Result<TaskState> {
     use TaskState::{Done, Leased, Ready, Waiting};
     let found = [Waiting, Ready, Leased, Done].into_iter().find(|state| state.name() == name);
     found.ok_or_else(|| corrupt("a task's state", format!("'{name}' is no state")))
 }
 
 /// Writes something.
-pub(super) async fn probe(conn: &mut Conn, now_ms: i64) -> Result<(), StoreError> {
+pub(super) async fn probe(conn: &mut Conn, now_ms: i64) -> Result<()> {
     let sql =
         "INSERT INTO probe (id, at_ms) VALUES (1, $1) ON CONFLICT (id) DO UPDATE SET at_ms = excluded.at_ms";
     query(sql).bind(now_ms).run(conn).await?;
