@@ -13,7 +13,7 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Duration;
 
-use lightkiln_proto::api::{Bake, BakeState};
+use lightkiln_proto::api::Bake;
 use reqwest::Url;
 use tokio::sync::{Semaphore, watch};
 use tokio::time::Instant;
@@ -185,15 +185,5 @@ impl Watcher {
         if is_new && finished_ms >= SystemClock.now_ms() - LOOK_BACK_MS {
             ended.push(bake);
         }
-    }
-}
-
-/// The word for a bake's end.
-fn word(state: BakeState) -> Option<&'static str> {
-    match state {
-        BakeState::Done => Some("bake.done"),
-        BakeState::Failed => Some("bake.failed"),
-        BakeState::Cancelled => Some("bake.cancelled"),
-        BakeState::Running | BakeState::Paused => None,
     }
 }

@@ -14,7 +14,6 @@ pub(super) async fn add(
     name: &str,
     hash: Digest,
     scopes: &BTreeSet<Scope>,
-    now_ms: i64,
 ) -> Result<Bearer> {
     if let Some(bearer) = find(conn, name).await? {
         return same_bearer(bearer, hash);
@@ -23,15 +22,21 @@ pub(super) async fn add(
         .bind(name)
         .bind(hash.to_string())
         .bind(to_json(scopes)?)
-        .bind(now_ms)
+        .bind(conn.now_ms)
         .run(conn)
         .await?;
-    Ok(Bearer { name: name.to_owned(), hash, scopes: scopes.clone(), created_ms: now_ms, revoked_ms: None })
+    Ok(Bearer {
+        name: name.to_owned(),
+        hash,
+        scopes: scopes.clone(),
+        created_ms: conn.now_ms,
+        revoked_ms: None,
+    })
 }
 
-pub(super) async fn revoke(conn: &mut Conn, name: &str, now_ms: i64) -> Result<Bearer> {
+pub(super) async fn revoke(conn: &mut Conn, name: &str) -> Result<Bearer> {
     let sql = "UPDATE bearers SET revoked_ms = $1 WHERE name = $2 AND revoked_ms IS NULL";
-    query(sql).bind(now_ms).bind(name).run(conn).await?;
+    query(sql).bind(conn.now_ms).bind(name).run(conn).await?;
     let found = find(conn, name).await?;
     found.ok_or_else(|| StoreError::NoSuchBearer { name: name.to_owned() })
 }

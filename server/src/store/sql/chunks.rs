@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use lightkiln_proto::ids::Digest;
 
 use super::codec::{ROWS_PER_STATEMENT, to_json};
-use super::conn::{Conn, Row, query};
+use super::conn::{Conn, Row, query, to_column};
 use super::forget;
 use super::ledger::{seq_of, state_from};
 use crate::chunks::ChunkName;
@@ -28,20 +28,20 @@ pub(super) async fn find(conn: &mut Conn, digests: &[Digest]) -> Result<Vec<Kept
 }
 
 /// A kept chunk, and whether it was last asked for so long ago that it should be noted.
-pub(super) async fn look(conn: &mut Conn, digest: Digest, now_ms: i64) -> Result<Option<(KeptChunk, bool)>> {
+pub(super) async fn look(conn: &mut Conn, digest: Digest) -> Result<Option<(KeptChunk, bool)>> {
     let sql =
         "SELECT digest, generation, bytes, used_ms FROM chunks WHERE digest = $1 AND generation IS NOT NULL";
     let Some(row) = query(sql).bind(digest.to_string()).optional(conn).await? else { return Ok(None) };
-    let is_stale = now_ms - row.get::<i64>("used_ms")? >= CHUNK_USED_GRAIN_MS;
+    let is_stale = conn.now_ms - row.get::<i64>("used_ms")? >= CHUNK_USED_GRAIN_MS;
     Ok(Some((kept(&row)?, is_stale)))
 }
 
 /// Notes that a chunk was asked for.
-pub(super) async fn touch(conn: &mut Conn, digest: Digest, now_ms: i64) -> Result<Option<KeptChunk>> {
+pub(super) async fn touch(conn: &mut Conn, digest: Digest) -> Result<Option<KeptChunk>> {
     let sql =
         "UPDATE chunks SET used_ms = $1 WHERE digest = $2 AND generation IS NOT NULL AND $1 - used_ms >= $3";
-    query(sql).bind(now_ms).bind(digest.to_string()).bind(CHUNK_USED_GRAIN_MS).run(conn).await?;
-    Ok(look(conn, digest, now_ms).await?.map(|(kept, _)| kept))
+    query(sql).bind(conn.now_ms).bind(digest.to_string()).bind(CHUNK_USED_GRAIN_MS).run(conn).await?;
+    Ok(look(conn, digest).await?.map(|(kept, _)| kept))
 }
 
 pub(super) async fn keep(
@@ -49,7 +49,6 @@ pub(super) async fn keep(
     chunk: KeptChunk,
     replaces: Option<u64>,
     quota: Option<u64>,
-    now_ms: i64,
 ) -> Result<Kept> {
     let (digest, generation) = (chunk.name.digest.to_string(), chunk.name.generation);
     // A name does not take its own place.
@@ -67,10 +66,10 @@ pub(super) async fn keep(
     let sql = "INSERT INTO chunks (digest, generation, bytes, used_ms) VALUES ($1, $2, $3, $4) ON CONFLICT (digest) DO UPDATE SET
                generation = excluded.generation, bytes = excluded.bytes, used_ms = excluded.used_ms
                WHERE chunks.generation IS NULL OR chunks.generation = $5";
-    let insert = query(sql).bind(&digest).bind(generation).bind(chunk.bytes).bind(now_ms);
+    let insert = query(sql).bind(&digest).bind(generation).bind(chunk.bytes).bind(conn.now_ms);
     // No generation is below 0.
-    if insert.bind(replaces.map_or(-1, as_column)).run(conn).await? == 0 {
-        let known = touch(conn, chunk.name.digest, now_ms).await?;
+    if insert.bind(replaces.map_or(-1, to_column)).run(conn).await? == 0 {
+        let known = touch(conn, chunk.name.digest).await?;
         return Ok(known.map_or(Kept::Condemned, Kept::Known));
     }
     let sql = "UPDATE storage_usage SET chunks = chunks + 1, bytes = bytes + $1 WHERE bytes + $1 <= $2";
@@ -122,18 +121,18 @@ pub(super) async fn require(conn: &mut Conn, digests: &[Digest]) -> Result<()> {
     Ok(())
 }
 
-pub(super) async fn collect(conn: &mut Conn, rules: &CollectRules, now_ms: i64) -> Result<Collected> {
+pub(super) async fn collect(conn: &mut Conn, rules: &CollectRules) -> Result<Collected> {
     let mut collected = Collected::default();
     if let Some(keep_ms) = rules.keep_bakes_ms {
         let sql = "SELECT seq FROM bakes WHERE finished_ms <= $1 ORDER BY seq LIMIT $2";
-        for row in query(sql).bind(now_ms - keep_ms).bind(rules.max).all(conn).await? {
+        for row in query(sql).bind(conn.now_ms - keep_ms).bind(rules.max).all(conn).await? {
             delete(conn, row.get("seq")?).await?;
             collected.bakes += 1;
         }
     }
     let sql = "SELECT digest, generation, bytes FROM chunks WHERE refs = 0 AND used_ms <= $1
                ORDER BY used_ms, digest LIMIT $2";
-    let unused = query(sql).bind(now_ms - rules.grace_ms).bind(rules.max).all(conn).await?;
+    let unused = query(sql).bind(conn.now_ms - rules.grace_ms).bind(rules.max).all(conn).await?;
     let mut digests = Vec::with_capacity(unused.len());
     for row in &unused {
         digests.push(row.text("digest")?);
@@ -188,7 +187,7 @@ async fn delete(conn: &mut Conn, bake: i64) -> Result<()> {
 }
 
 /// Gives a chunk's bytes up; results that have it among their outputs are forgotten. Returns how many.
-pub(super) async fn lose(conn: &mut Conn, name: ChunkName, now_ms: i64) -> Result<u64> {
+pub(super) async fn lose(conn: &mut Conn, name: ChunkName) -> Result<u64> {
     let (digest, generation) = (name.digest.to_string(), name.generation);
     for sql in [
         "INSERT INTO condemned (digest, generation, bytes) SELECT digest, generation, bytes FROM chunks
@@ -203,7 +202,7 @@ pub(super) async fn lose(conn: &mut Conn, name: ChunkName, now_ms: i64) -> Resul
         "SELECT t.key FROM result_chunks r JOIN tasks t ON t.id = r.task WHERE r.digest = $1 ORDER BY t.key";
     let rows = query(sql).bind(&digest).all(conn).await?;
     let keys = rows.iter().map(|row| row.digest("key")).collect::<Result<Vec<_>, _>>()?;
-    forget::forget_all(conn, &keys, now_ms).await?;
+    forget::forget_all(conn, &keys).await?;
     Ok(keys.len() as u64)
 }
 
@@ -256,8 +255,4 @@ pub(super) async fn condemn_orphans(conn: &mut Conn, chunks: &[KeptChunk]) -> Re
 fn kept(row: &Row) -> Result<KeptChunk> {
     let name = ChunkName { digest: row.digest("digest")?, generation: row.count("generation")? };
     Ok(KeptChunk { name, bytes: row.count("bytes")? })
-}
-
-fn as_column(generation: u64) -> i64 {
-    i64::try_from(generation).unwrap_or(i64::MAX)
 }

@@ -268,10 +268,15 @@ impl Row {
     pub(super) fn count(&self, column: &str) -> Result<u64> {
         Ok(u64::try_from(self.get::<i64>(column)?).unwrap_or(0))
     }
+
+    /// A count of 32 bits.
+    pub(super) fn small(&self, column: &str) -> Result<u32> {
+        Ok(u32::try_from(self.count(column)?).unwrap_or(u32::MAX))
+    }
 }
 
 /// A count for a column; counts never come near 2⁶³.
-fn to_column(count: u64) -> i64 {
+pub(super) fn to_column(count: u64) -> i64 {
     i64::try_from(count).unwrap_or(i64::MAX)
 }
 

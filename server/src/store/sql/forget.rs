@@ -34,14 +34,14 @@ pub(super) async fn reusable(conn: &mut Conn, plan: &[TaskSpec]) -> Result<Vec<K
     Ok(KnownResult::all(known))
 }
 
-pub(super) async fn forget_all(conn: &mut Conn, keys: &[TaskKey], now_ms: i64) -> Result<()> {
+pub(super) async fn forget_all(conn: &mut Conn, keys: &[TaskKey]) -> Result<()> {
     for key in keys {
-        forget(conn, *key, now_ms).await?;
+        forget(conn, *key).await?;
     }
     Ok(())
 }
 
-async fn forget(conn: &mut Conn, key: TaskKey, now_ms: i64) -> Result<()> {
+async fn forget(conn: &mut Conn, key: TaskKey) -> Result<()> {
     let sql = "SELECT id, kind, label, cost FROM tasks WHERE key = $1 AND state = 'done'";
     let Some(row) = query(sql).bind(key.to_string()).optional(conn).await? else { return Ok(()) };
     let task: i64 = row.get("id")?;
@@ -57,10 +57,10 @@ async fn forget(conn: &mut Conn, key: TaskKey, now_ms: i64) -> Result<()> {
     for mut bake in wanted_by {
         count_undone(conn, &mut bake, task, &kind, cost).await?;
         let (kind, label) = (kind.clone(), row.text("label")?);
-        bake.event(now_ms, EventKind::ResultLost { key, kind, label });
+        bake.event(EventKind::ResultLost { key, kind, label });
         bake.save(conn).await?;
     }
-    ready::offer(conn, task, now_ms).await
+    ready::offer(conn, task).await
 }
 
 /// Bakes that have ended hold the result no more; whoever runs the task again gives it back ([`give_back`]).

@@ -27,25 +27,12 @@ pub(super) struct Ledger {
     failure: Option<String>,
     finished_ms: Option<i64>,
     last_event: u64,
-    events: Vec<(i64, EventKind)>,
-}
-
-/// Name of a state in its column.
-pub(super) fn state_name(state: BakeState) -> &'static str {
-    match state {
-        BakeState::Running => "running",
-        BakeState::Paused => "paused",
-        BakeState::Done => "done",
-        BakeState::Failed => "failed",
-        BakeState::Cancelled => "cancelled",
-    }
+    events: Vec<EventKind>,
 }
 
 /// Reads a state's name.
 pub(super) fn state_from(name: &str) -> Result<BakeState> {
-    use BakeState::{Cancelled, Done, Failed, Paused, Running};
-    let found =
-        [Running, Paused, Done, Failed, Cancelled].into_iter().find(|state| state_name(*state) == name);
+    let found = BakeState::ALL.into_iter().find(|state| state.name() == name);
     found.ok_or_else(|| corrupt("a bake's state", format!("'{name}' is no state")))
 }
 
@@ -86,8 +73,8 @@ impl Ledger {
         })
     }
 
-    pub(super) fn event(&mut self, at_ms: i64, event: EventKind) {
-        self.events.push((at_ms, event));
+    pub(super) fn event(&mut self, event: EventKind) {
+        self.events.push(event);
     }
 
     pub(super) fn note_outputs(&mut self, outputs: &[Artefact]) {
@@ -103,9 +90,9 @@ impl Ledger {
     /// Writes the row and the events.
     pub(super) async fn save(&mut self, conn: &mut Conn) -> Result<()> {
         let mut events = Vec::with_capacity(self.events.len());
-        for (at_ms, event) in std::mem::take(&mut self.events) {
+        for event in std::mem::take(&mut self.events) {
             self.last_event += 1;
-            events.push(json!([self.last_event, at_ms, to_json(&event)?]));
+            events.push(json!([self.last_event, conn.now_ms, to_json(&event)?]));
         }
         let insert = conn.pick(
             "INSERT INTO events (bake, seq, at_ms, event) SELECT $12, value ->> 0, value ->> 1, value ->> 2 FROM json_each($13)",
@@ -117,7 +104,7 @@ impl Ledger {
                       counters_reused = $6, manifest = $7, report = $8, failure = $9, finished_ms = $10,
                       last_event = $11 WHERE seq = $12";
         steps([insert, update])
-            .bind(state_name(self.state))
+            .bind(self.state.name())
             .bind(self.open_count)
             .bind(self.tasks_run)
             .bind(self.tasks_reused)
@@ -136,9 +123,9 @@ impl Ledger {
     }
 
     /// Saves, and ends the bake if no task is open.
-    pub(super) async fn save_or_finish(&mut self, conn: &mut Conn, now_ms: i64) -> Result<()> {
+    pub(super) async fn save_or_finish(&mut self, conn: &mut Conn) -> Result<()> {
         if self.open_count == 0 {
-            self.close(conn, BakeState::Done, None, now_ms).await
+            self.close(conn, BakeState::Done, None).await
         } else {
             self.save(conn).await
         }
@@ -150,14 +137,13 @@ impl Ledger {
         conn: &mut Conn,
         state: BakeState,
         failure: Option<String>,
-        now_ms: i64,
     ) -> Result<()> {
         self.state = state;
         self.failure = failure;
-        self.finished_ms = Some(now_ms);
-        self.event(now_ms, EventKind::State { state });
+        self.finished_ms = Some(conn.now_ms);
+        self.event(EventKind::State { state });
         self.save(conn).await?;
-        remake::let_go(conn, self.seq, now_ms).await?;
+        remake::let_go(conn, self.seq).await?;
         steps([
             "DELETE FROM ready WHERE bake = $1",
             "UPDATE stages SET leased = 0 WHERE bake = $1",

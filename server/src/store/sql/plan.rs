@@ -56,12 +56,7 @@ struct Addition<'a> {
 }
 
 /// Adds `plan` to the bake. The ledger is changed, not saved.
-pub(super) async fn apply_plan(
-    conn: &mut Conn,
-    bake: &mut Ledger,
-    plan: &[TaskSpec],
-    now_ms: i64,
-) -> Result<()> {
+pub(super) async fn apply_plan(conn: &mut Conn, bake: &mut Ledger, plan: &[TaskSpec]) -> Result<()> {
     let (added, ids, fresh, stages) = (Vec::new(), BTreeMap::new(), Vec::new(), Vec::new());
     let (named, required) = (BTreeSet::new(), BTreeSet::new());
     let mut addition = Addition { conn, bake, added, ids, fresh, stages, reused: 0, named, required };
@@ -72,13 +67,13 @@ pub(super) async fn apply_plan(
     if addition.added.is_empty() {
         return Ok(());
     }
-    addition.link(now_ms).await?;
+    addition.link().await?;
     chunks::refer(addition.conn, addition.bake.seq, &addition.named, &addition.required).await?;
-    addition.write_stages(now_ms).await?;
+    addition.write_stages().await?;
     let (tasks, reused) = (addition.added.len() as u64, addition.reused);
     bake.open_count += tasks - reused;
     bake.tasks_reused += reused;
-    bake.event(now_ms, EventKind::Planned { tasks, reused });
+    bake.event(EventKind::Planned { tasks, reused });
     Ok(())
 }
 
@@ -234,7 +229,7 @@ impl Addition<'_> {
     }
 
     /// Writes the edges of dependencies, and offers tasks without open ones.
-    async fn link(&mut self, now_ms: i64) -> Result<()> {
+    async fn link(&mut self) -> Result<()> {
         self.find_dependencies().await?;
         let mut edges = Vec::new();
         for task in &self.added {
@@ -264,7 +259,7 @@ impl Addition<'_> {
             query(wait).bind(&fresh).run(self.conn).await?;
         }
         let ids: Vec<i64> = self.added.iter().filter_map(|task| self.ids.get(&task.key).copied()).collect();
-        ready::offer_in(self.conn, self.bake.seq, &ids, now_ms).await
+        ready::offer_in(self.conn, self.bake.seq, &ids).await
     }
 
     /// Finds the ids of dependencies that the bake held before.
@@ -283,7 +278,7 @@ impl Addition<'_> {
         Ok(())
     }
 
-    async fn write_stages(&mut self, now_ms: i64) -> Result<()> {
+    async fn write_stages(&mut self) -> Result<()> {
         let sql = "INSERT INTO stages
                    (bake, kind, position, total, done, reused, leased, cost_total, cost_done, first_claim_ms)
                    VALUES ($1, $2, (SELECT count(*) FROM stages WHERE bake = $1), $3, $4, $4, $5, $6, $7, $8)
@@ -302,7 +297,7 @@ impl Addition<'_> {
                 .bind(gain.leased)
                 .bind(gain.cost_total)
                 .bind(gain.cost_done)
-                .bind((gain.leased > 0).then_some(now_ms))
+                .bind((gain.leased > 0).then_some(self.conn.now_ms))
                 .run(self.conn)
                 .await?;
         }

@@ -89,7 +89,7 @@ pub(super) async fn first_named<'a>(
 }
 
 /// Lets nobody wait for tasks that go with an ended bake: tasks of other bakes may, if these took them in later.
-pub(super) async fn let_go(conn: &mut Conn, bake: i64, now_ms: i64) -> Result<()> {
+pub(super) async fn let_go(conn: &mut Conn, bake: i64) -> Result<()> {
     let sql = "SELECT n.task, count(*) AS needs FROM bake_tasks m JOIN task_needs n ON n.needs = m.task
                WHERE m.bake = $1 AND m.done = 0
                AND EXISTS (SELECT 1 FROM bake_tasks o JOIN bakes b ON b.seq = o.bake
@@ -102,7 +102,7 @@ pub(super) async fn let_go(conn: &mut Conn, bake: i64, now_ms: i64) -> Result<()
         let sql = "UPDATE tasks SET waiting_count = waiting_count - $1,
                    state = CASE WHEN state = 'waiting' AND waiting_count = $1 THEN 'ready' ELSE state END WHERE id = $2";
         query(sql).bind(row.get::<i64>("needs")?).bind(task).run(conn).await?;
-        ready::offer(conn, task, now_ms).await?;
+        ready::offer(conn, task).await?;
     }
     Ok(())
 }

@@ -57,16 +57,15 @@ async fn stages(conn: &mut Conn, bake: i64) -> Result<Vec<StageCount>> {
                FROM stages WHERE bake = $1 ORDER BY position";
     let mut stages = Vec::new();
     for row in query(sql).bind(bake).all(conn).await? {
-        let count = |column: &str| row.count(column);
         stages.push(StageCount {
             kind: row.get("kind")?,
-            total: count("total")?,
-            done: count("done")?,
-            reused: count("reused")?,
-            leased: count("leased")?,
-            cost_total: count("cost_total")?,
-            cost_done: count("cost_done")?,
-            elapsed_ms: count("elapsed_ms")?,
+            total: row.count("total")?,
+            done: row.count("done")?,
+            reused: row.count("reused")?,
+            leased: row.count("leased")?,
+            cost_total: row.count("cost_total")?,
+            cost_done: row.count("cost_done")?,
+            elapsed_ms: row.count("elapsed_ms")?,
         });
     }
     Ok(stages)
@@ -102,9 +101,9 @@ pub(super) async fn events_after(conn: &mut Conn, id: &str, after: u64, limit: u
     Ok(EventPage { events, bake: bake(conn, id).await? })
 }
 
-pub(super) async fn workers(conn: &mut Conn, now_ms: i64) -> Result<Vec<Worker>> {
+pub(super) async fn workers(conn: &mut Conn) -> Result<Vec<Worker>> {
     let sql = "SELECT name, kinds, threads, seen_ms, memory_mib, labels FROM workers WHERE seen_ms > $1 ORDER BY name";
-    let rows = query(sql).bind(now_ms - WORKER_LISTED_MS).all(conn).await?;
+    let rows = query(sql).bind(conn.now_ms - WORKER_LISTED_MS).all(conn).await?;
     let sql = "SELECT l.worker, t.label FROM leases l JOIN tasks t ON t.id = l.task ORDER BY t.label";
     let mut held: BTreeMap<String, Vec<String>> = BTreeMap::new();
     for row in query(sql).all(conn).await? {
@@ -115,8 +114,8 @@ pub(super) async fn workers(conn: &mut Conn, now_ms: i64) -> Result<Vec<Worker>>
         let name: String = row.get("name")?;
         let holds = held.remove(&name).unwrap_or_default();
         let kinds = row.json("kinds")?;
-        let threads = u32::try_from(row.count("threads")?).unwrap_or(u32::MAX);
-        let memory_mib = u32::try_from(row.count("memory_mib")?).unwrap_or(u32::MAX);
+        let threads = row.small("threads")?;
+        let memory_mib = row.small("memory_mib")?;
         let labels = row.json("labels")?;
         let seen_ms = row.get("seen_ms")?;
         workers.push(Worker { name, kinds, threads, memory_mib, labels, seen_ms, holds });
@@ -124,7 +123,7 @@ pub(super) async fn workers(conn: &mut Conn, now_ms: i64) -> Result<Vec<Worker>>
     Ok(workers)
 }
 
-pub(super) async fn stats(conn: &mut Conn, now_ms: i64) -> Result<Stats> {
+pub(super) async fn stats(conn: &mut Conn) -> Result<Stats> {
     let sql = "SELECT kind, state, count(*) AS count FROM tasks GROUP BY kind, state";
     let mut tasks = Vec::new();
     for row in query(sql).all(conn).await? {
@@ -137,7 +136,7 @@ pub(super) async fn stats(conn: &mut Conn, now_ms: i64) -> Result<Stats> {
                FROM bakes b JOIN ready r ON r.bake = b.seq WHERE b.state = 'running' GROUP BY r.kind, b.needs";
     let mut demand = Vec::new();
     for row in query(sql).all(conn).await? {
-        let waited_ms = u64::try_from(now_ms - row.get::<i64>("oldest_ms")?).unwrap_or(0);
+        let waited_ms = u64::try_from(conn.now_ms - row.get::<i64>("oldest_ms")?).unwrap_or(0);
         let (kind, needs, ready) = (row.get("kind")?, row.json("needs")?, row.count("ready")?);
         demand.push(Demand { kind, needs, ready, waited_ms });
     }
@@ -147,14 +146,13 @@ pub(super) async fn stats(conn: &mut Conn, now_ms: i64) -> Result<Stats> {
                CAST(coalesce(sum(tasks_reused), 0) AS BIGINT) + (SELECT tasks_reused FROM farm_totals) AS reused
                FROM bakes";
     let row = query(sql).one(conn).await?;
-    let sum = |column: &str| row.count(column);
     Ok(Stats {
         tasks,
         demand,
-        bakes_live: sum("live")?,
-        bakes_total: sum("total")?,
-        tasks_run: sum("run")?,
-        tasks_reused: sum("reused")?,
+        bakes_live: row.count("live")?,
+        bakes_total: row.count("total")?,
+        tasks_run: row.count("run")?,
+        tasks_reused: row.count("reused")?,
     })
 }
 
@@ -165,9 +163,9 @@ fn task_state_from(name: &str) -> Result<TaskState> {
 }
 
 /// Writes something.
-pub(super) async fn probe(conn: &mut Conn, now_ms: i64) -> Result<()> {
+pub(super) async fn probe(conn: &mut Conn) -> Result<()> {
     let sql =
         "INSERT INTO probe (id, at_ms) VALUES (1, $1) ON CONFLICT (id) DO UPDATE SET at_ms = excluded.at_ms";
-    query(sql).bind(now_ms).run(conn).await?;
+    query(sql).bind(conn.now_ms).run(conn).await?;
     Ok(())
 }
