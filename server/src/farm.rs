@@ -108,7 +108,7 @@ impl Farm {
             return Err(ServerError::NoSuchScene { scene });
         }
         self.forget_lost_results(&plan).await?;
-        let body = serde_json::to_vec(&bake).map_err(|error| bad_request(error.to_string()))?;
+        let body = serde_json::to_vec(&bake).map_err(|error| ServerError::bad_request(error.to_string()))?;
         let body_hash = Digest::of(&body);
         let submission = Submission { idempotency_key, body_hash, traceparent, bake, plan };
         let submitted = self.store.submit(&submission).await.map_err(|error| match error {
@@ -243,7 +243,7 @@ impl Farm {
     pub async fn heartbeat(&self, token: &str, progress: f32) -> Result<HeartbeatAnswer> {
         require_token(token)?;
         if !(0.0..=1.0).contains(&progress) {
-            return Err(bad_request(format!("progress must be within 0..=1, not {progress}")));
+            return Err(ServerError::bad_request(format!("progress must be within 0..=1, not {progress}")));
         }
         Ok(self.store.heartbeat(token, progress).await?)
     }
@@ -278,7 +278,7 @@ impl Farm {
                 Some(length) if *length == bytes => (),
                 Some(length) => {
                     let what = format!("output '{name}' says {bytes} bytes, chunk {digest} has {length}");
-                    return Err(bad_request(what));
+                    return Err(ServerError::bad_request(what));
                 }
                 None => return Err(ServerError::NoSuchOutput { name: name.clone(), digest }),
             }
@@ -381,16 +381,19 @@ impl Farm {
 fn check_needs(bake: &NewBake) -> Result<()> {
     check_labels("needs.labels", &bake.needs.labels)?;
     match bake.attempt_limit_secs {
-        Some(secs) if !ATTEMPT_LIMIT_SECS.contains(&secs) => {
-            Err(bad_request(format!("attempt_limit_secs must be within {ATTEMPT_LIMIT_SECS:?}, not {secs}")))
-        }
+        Some(secs) if !ATTEMPT_LIMIT_SECS.contains(&secs) => Err(ServerError::bad_request(format!(
+            "attempt_limit_secs must be within {ATTEMPT_LIMIT_SECS:?}, not {secs}"
+        ))),
         _ => Ok(()),
     }
 }
 
 fn check_labels(name: &str, labels: &[String]) -> Result<()> {
     if labels.len() > MAX_LABELS {
-        return Err(bad_request(format!("{name} must be at most {MAX_LABELS}, not {}", labels.len())));
+        return Err(ServerError::bad_request(format!(
+            "{name} must be at most {MAX_LABELS}, not {}",
+            labels.len()
+        )));
     }
     labels.iter().try_for_each(|label| require_chars(name, label, 1, MAX_LABEL_CHARS))
 }
@@ -405,7 +408,7 @@ fn check_claim(request: &ClaimRequest) -> Result<()> {
         ("number of kinds", request.kinds.len() <= MAX_KINDS, format!("0..={MAX_KINDS}")),
     ];
     match limits.into_iter().find(|(_, is_within, _)| !is_within) {
-        Some((name, _, range)) => Err(bad_request(format!("{name} must be within {range}"))),
+        Some((name, _, range)) => Err(ServerError::bad_request(format!("{name} must be within {range}"))),
         None => Ok(()),
     }
 }
@@ -414,17 +417,19 @@ fn check_claim(request: &ClaimRequest) -> Result<()> {
 fn check_counters(result: &TaskResult) -> Result<()> {
     let count = result.counters.len();
     if count > MAX_COUNTERS {
-        return Err(bad_request(format!("counters must be at most {MAX_COUNTERS}, not {count}")));
+        return Err(ServerError::bad_request(format!(
+            "counters must be at most {MAX_COUNTERS}, not {count}"
+        )));
     }
     for (name, value) in &result.counters {
         let shown: String = name.chars().take(40).collect();
         if name.len() > MAX_COUNTER_NAME_BYTES {
             let what = format!("the name of counter '{shown}…' has more than {MAX_COUNTER_NAME_BYTES} bytes");
-            return Err(bad_request(what));
+            return Err(ServerError::bad_request(what));
         }
         if !(-MAX_COUNTER..=MAX_COUNTER).contains(value) {
             let what = format!("counter '{shown}' must be within ±{MAX_COUNTER:e}, not {value:e}");
-            return Err(bad_request(what));
+            return Err(ServerError::bad_request(what));
         }
     }
     Ok(())
@@ -435,13 +440,9 @@ fn require_chars(name: &str, text: &str, min: usize, max: usize) -> Result<()> {
     if (min..=max).contains(&count) {
         return Ok(());
     }
-    Err(bad_request(format!("{name} must have {min} to {max} characters, not {count}")))
+    Err(ServerError::bad_request(format!("{name} must have {min} to {max} characters, not {count}")))
 }
 
 fn require_token(token: &str) -> Result<()> {
     if is_fencing_token(token) { Ok(()) } else { Err(ServerError::NoSuchLease) }
-}
-
-fn bad_request(what: String) -> ServerError {
-    ServerError::BadRequest { what }
 }

@@ -62,7 +62,9 @@ impl Farm {
             match stored {
                 Some(length) if length == bytes => (),
                 Some(length) => {
-                    return Err(bad_request(format!("part {digest} has {length} bytes, not {bytes}")));
+                    return Err(ServerError::bad_request(format!(
+                        "part {digest} has {length} bytes, not {bytes}"
+                    )));
                 }
                 None => missing.push(digest),
             }
@@ -76,7 +78,7 @@ fn sizes(parts: &[ScenePart]) -> Result<BTreeMap<Digest, u64>> {
     let mut sizes = BTreeMap::new();
     for part in parts {
         if *sizes.entry(part.digest).or_insert(part.bytes) != part.bytes {
-            return Err(bad_request(format!("part {} is named with two lengths", part.digest)));
+            return Err(ServerError::bad_request(format!("part {} is named with two lengths", part.digest)));
         }
     }
     Ok(sizes)
@@ -84,11 +86,14 @@ fn sizes(parts: &[ScenePart]) -> Result<BTreeMap<Digest, u64>> {
 
 fn check(parts: &[ScenePart]) -> Result<()> {
     if !(1..=MAX_SCENE_PARTS).contains(&parts.len()) {
-        return Err(bad_request(format!("parts must be 1 to {MAX_SCENE_PARTS}, not {}", parts.len())));
+        return Err(ServerError::bad_request(format!(
+            "parts must be 1 to {MAX_SCENE_PARTS}, not {}",
+            parts.len()
+        )));
     }
     if let Some(part) = parts.iter().find(|part| !(1..=MAX_SCENE_PART_BYTES).contains(&part.bytes)) {
         let (digest, bytes) = (part.digest, part.bytes);
-        return Err(bad_request(format!(
+        return Err(ServerError::bad_request(format!(
             "part {digest} must have 1 to {MAX_SCENE_PART_BYTES} bytes, not {bytes}"
         )));
     }
@@ -97,8 +102,4 @@ fn check(parts: &[ScenePart]) -> Result<()> {
         return Err(ChunkError::TooLarge { limit: MAX_CHUNK_BYTES }.into());
     }
     Ok(())
-}
-
-fn bad_request(what: String) -> ServerError {
-    ServerError::BadRequest { what }
 }
