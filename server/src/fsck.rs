@@ -3,7 +3,7 @@
 //! It may run beside servers. Repairing goes the ways that they go: chunks whose bytes are missing or damaged are given
 //! up, so that their tasks run again where a live bake needs them, and bytes that nobody knows of are condemned first.
 
-use std::time::{Duration, SystemTime};
+use std::time::Duration;
 
 use futures::{StreamExt, TryStreamExt};
 use lightkiln_proto::api::BakeState;
@@ -11,6 +11,7 @@ use lightkiln_proto::ids::Digest;
 use serde::Serialize;
 
 use crate::chunks::{ChunkError, ChunkName, ChunkStore, Listed};
+use crate::clock::{Clock as _, SystemClock};
 use crate::error::{Result, ServerError};
 use crate::storage::Storage;
 use crate::store::FarmStore;
@@ -211,7 +212,8 @@ async fn check_objects(
     checks: Checks,
     findings: &mut Findings,
 ) -> Result<()> {
-    let old_ms = unix_ms(SystemTime::now() - checks.grace);
+    let grace_ms = i64::try_from(checks.grace.as_millis()).unwrap_or(i64::MAX);
+    let old_ms = SystemClock.now_ms().saturating_sub(grace_ms);
     let mut pages = chunks.list().try_chunks(PAGE as usize).map_err(|error| error.1);
     while let Some(page) = pages.try_next().await? {
         let old: Vec<Listed> = page.into_iter().filter(|chunk| chunk.written_ms <= old_ms).collect();
@@ -230,9 +232,4 @@ async fn check_objects(
         }
     }
     Ok(())
-}
-
-fn unix_ms(time: SystemTime) -> i64 {
-    let since = time.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
-    i64::try_from(since.as_millis()).unwrap_or(i64::MAX)
 }
