@@ -1,4 +1,4 @@
-//! The contract between Lightkiln's roles: ids, units, API types, job and plan types, the table of kinds of
+//! The contract between Lightkiln's roles: ids, API types, job and plan types, the table of kinds of
 //! bake with their settings, manifests, and the chunk format with its normative CPU decoder. No I/O happens here.
 
 pub mod address;
@@ -16,5 +16,4 @@ pub mod relight;
 pub mod scene;
 pub mod settings;
 pub mod trace;
-pub mod units;
 pub mod words;

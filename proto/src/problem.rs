@@ -1,5 +1,7 @@
 //! Errors over HTTP: RFC 9457 problems, and one table of code → status → retry.
 
+use std::error::Error;
+
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -104,6 +106,16 @@ impl ProblemCode {
         let name = name.as_ref().and_then(|value| value.as_str()).unwrap_or("internal");
         format!("urn:lightkiln:problem:{name}")
     }
+}
+
+/// An error and its causes, from the outermost in.
+pub fn causes<'a>(error: &'a (dyn Error + 'static)) -> impl Iterator<Item = &'a (dyn Error + 'static)> {
+    std::iter::successors(Some(error), |&error| error.source())
+}
+
+/// An error and its causes in one line.
+pub fn chain(error: &(dyn Error + 'static)) -> String {
+    causes(error).map(ToString::to_string).collect::<Vec<_>>().join(": ")
 }
 
 /// RFC 9457 problem details.

@@ -5,12 +5,15 @@ use std::path::PathBuf;
 
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::kinds::BakeError;
-use lightkiln_proto::problem::{ProblemCode, RetryClass};
+use lightkiln_proto::problem::{ProblemCode, RetryClass, chain};
 use thiserror::Error;
 
 use crate::access::AccessError;
 use crate::chunks::ChunkError;
 use crate::store::StoreError;
+
+/// Result of a server's call.
+pub type Result<T, E = ServerError> = std::result::Result<T, E>;
 
 /// Everything that can go wrong in a server.
 #[derive(Debug, Error)]
@@ -179,6 +182,11 @@ pub enum ServerError {
 }
 
 impl ServerError {
+    /// A request that its call does not take, and why.
+    pub(crate) fn bad_request(what: impl Into<String>) -> Self {
+        Self::BadRequest { what: what.into() }
+    }
+
     /// The problem that a caller sees.
     pub fn code(&self) -> ProblemCode {
         match self {
@@ -215,14 +223,7 @@ impl ServerError {
 
     /// The error and its causes in one line.
     pub fn chain(&self) -> String {
-        let mut text = self.to_string();
-        let mut cause = std::error::Error::source(self);
-        while let Some(error) = cause {
-            text.push_str(": ");
-            text.push_str(&error.to_string());
-            cause = error.source();
-        }
-        text
+        chain(self)
     }
 }
 

@@ -15,7 +15,7 @@ use lightkiln_proto::kinds::{BakeError, Kinds};
 use tokio::sync::watch;
 use tokio::time::Instant;
 
-use crate::error::ServerError;
+use crate::error::{Result, ServerError};
 use crate::guard::Guard;
 use crate::lookout::Lookout;
 use crate::metrics::Metrics;
@@ -94,7 +94,7 @@ impl Farm {
         mut bake: NewBake,
         idempotency_key: Option<String>,
         traceparent: Option<String>,
-    ) -> Result<Bake, ServerError> {
+    ) -> Result<Bake> {
         require_chars("name", &bake.name, 0, MAX_NAME_CHARS)?;
         if let Some(key) = &idempotency_key {
             require_chars("Idempotency-Key", key, 1, MAX_ID_CHARS)?;
@@ -108,7 +108,7 @@ impl Farm {
             return Err(ServerError::NoSuchScene { scene });
         }
         self.forget_lost_results(&plan).await?;
-        let body = serde_json::to_vec(&bake).map_err(|error| bad_request(error.to_string()))?;
+        let body = serde_json::to_vec(&bake).map_err(|error| ServerError::bad_request(error.to_string()))?;
         let body_hash = Digest::of(&body);
         let submission = Submission { idempotency_key, body_hash, traceparent, bake, plan };
         let submitted = self.store.submit(&submission).await.map_err(|error| match error {
@@ -125,7 +125,7 @@ impl Farm {
 
     /// Forgets results that `plan` would reuse but whose bytes are gone, so that their tasks run again. So do those that
     /// planned tasks for bytes that are gone: they plan them anew once the makers of these bytes have run.
-    async fn forget_lost_results(&self, plan: &[TaskSpec]) -> Result<(), ServerError> {
+    async fn forget_lost_results(&self, plan: &[TaskSpec]) -> Result<()> {
         if plan.is_empty() {
             return Ok(());
         }
@@ -141,7 +141,7 @@ impl Farm {
         }
     }
 
-    async fn lost_results(&self, plan: &[TaskSpec]) -> Result<Vec<TaskKey>, ServerError> {
+    async fn lost_results(&self, plan: &[TaskSpec]) -> Result<Vec<TaskKey>> {
         let known = self.store.reusable(plan).await?;
         let outputs = known.iter().flat_map(|result| &result.outputs).map(|output| output.digest);
         let named = known.iter().flat_map(|result| &result.named).copied();
@@ -154,7 +154,7 @@ impl Farm {
     }
 
     /// Hands out tasks, waiting for some if asked to.
-    pub async fn claim(&self, request: ClaimRequest) -> Result<ClaimAnswer, ServerError> {
+    pub async fn claim(&self, request: ClaimRequest) -> Result<ClaimAnswer> {
         check_claim(&request)?;
         let deadline = Instant::now() + Duration::from_secs(request.wait_secs.into());
         let (mut mark, mut claimed) = (self.wakeup.mark(), Instant::now());
@@ -196,7 +196,7 @@ impl Farm {
         self.wakeup.hint();
     }
 
-    async fn fill_all_lengths(&self, leases: &mut [Lease]) -> Result<(), ServerError> {
+    async fn fill_all_lengths(&self, leases: &mut [Lease]) -> Result<()> {
         for lease in leases {
             self.fill_lengths(&lease.task, &mut lease.inputs).await?;
         }
@@ -208,7 +208,7 @@ impl Farm {
         &self,
         task: &TaskSpec,
         inputs: &mut [lightkiln_proto::jobs::Artefact],
-    ) -> Result<(), ServerError> {
+    ) -> Result<()> {
         if !task.inputs.iter().any(|input| matches!(input, TaskInput::Artefact { .. })) {
             return Ok(());
         }
@@ -240,16 +240,16 @@ impl Farm {
     }
 
     /// Prolongs a lease.
-    pub async fn heartbeat(&self, token: &str, progress: f32) -> Result<HeartbeatAnswer, ServerError> {
+    pub async fn heartbeat(&self, token: &str, progress: f32) -> Result<HeartbeatAnswer> {
         require_token(token)?;
         if !(0.0..=1.0).contains(&progress) {
-            return Err(bad_request(format!("progress must be within 0..=1, not {progress}")));
+            return Err(ServerError::bad_request(format!("progress must be within 0..=1, not {progress}")));
         }
         Ok(self.store.heartbeat(token, progress).await?)
     }
 
     /// Takes a result in. Its outputs must have been uploaded.
-    pub async fn commit(&self, token: &str, result: TaskResult) -> Result<CommitVerdict, ServerError> {
+    pub async fn commit(&self, token: &str, result: TaskResult) -> Result<CommitVerdict> {
         require_token(token)?;
         check_counters(&result)?;
         self.require_outputs(&result).await?;
@@ -269,7 +269,7 @@ impl Farm {
         Ok(verdict)
     }
 
-    async fn require_outputs(&self, result: &TaskResult) -> Result<(), ServerError> {
+    async fn require_outputs(&self, result: &TaskResult) -> Result<()> {
         let there =
             self.storage.lengths(&result.outputs.iter().map(|output| output.digest).collect()).await?;
         for output in &result.outputs {
@@ -278,7 +278,7 @@ impl Farm {
                 Some(length) if *length == bytes => (),
                 Some(length) => {
                     let what = format!("output '{name}' says {bytes} bytes, chunk {digest} has {length}");
-                    return Err(bad_request(what));
+                    return Err(ServerError::bad_request(what));
                 }
                 None => return Err(ServerError::NoSuchOutput { name: name.clone(), digest }),
             }
@@ -287,7 +287,7 @@ impl Farm {
     }
 
     /// Ends an attempt without a result.
-    pub async fn fail(&self, token: &str, blame: Blame, message: &str) -> Result<(), ServerError> {
+    pub async fn fail(&self, token: &str, blame: Blame, message: &str) -> Result<()> {
         require_token(token)?;
         let verdict = self.store.fail(token, blame, message).await?;
         tracing::warn!(?blame, ?verdict, message, "an attempt failed");
@@ -297,7 +297,7 @@ impl Farm {
     }
 
     /// Gives a task back.
-    pub async fn release(&self, token: &str) -> Result<(), ServerError> {
+    pub async fn release(&self, token: &str) -> Result<()> {
         require_token(token)?;
         if self.store.release(token).await? {
             self.metrics.releases.inc();
@@ -307,7 +307,7 @@ impl Farm {
     }
 
     /// Gives leases their whole length again: nobody could be heard for a while.
-    pub async fn extend_leases(&self) -> Result<(), ServerError> {
+    pub async fn extend_leases(&self) -> Result<()> {
         let extended = self.store.extend_leases().await?;
         if extended > 0 {
             tracing::info!(extended, "leases run on, as their holders could not be heard for a while");
@@ -316,7 +316,7 @@ impl Farm {
     }
 
     /// Ends leases that have run out.
-    pub async fn reap(&self) -> Result<(), ServerError> {
+    pub async fn reap(&self) -> Result<()> {
         let reaped = self.store.reap().await?;
         if reaped.expired > 0 {
             tracing::warn!(expired = reaped.expired, given_up = reaped.given_up, "leases ran out");
@@ -327,7 +327,7 @@ impl Farm {
     }
 
     /// Deletes old bakes, and the bytes that nobody needs any more.
-    pub async fn collect(&self, rules: &CollectRules) -> Result<Removed, ServerError> {
+    pub async fn collect(&self, rules: &CollectRules) -> Result<Removed> {
         let removed = self.storage.collect(rules).await?;
         if removed.bakes > 0 || removed.chunks > 0 {
             tracing::info!(bakes = removed.bakes, chunks = removed.chunks, "cleared away");
@@ -341,20 +341,14 @@ impl Farm {
     pub async fn change<T>(
         &self,
         change: impl Future<Output = Result<T, crate::store::StoreError>>,
-    ) -> Result<T, ServerError> {
+    ) -> Result<T> {
         let changed = change.await?;
         self.wakeup.hint();
         Ok(changed)
     }
 
     /// Events after `after`, waiting for one if there is none and the bake goes on.
-    pub async fn events(
-        &self,
-        bake: &str,
-        after: u64,
-        limit: u32,
-        deadline: Instant,
-    ) -> Result<EventPage, ServerError> {
+    pub async fn events(&self, bake: &str, after: u64, limit: u32, deadline: Instant) -> Result<EventPage> {
         loop {
             let mark = self.wakeup.mark();
             let page = self.store.events_after(bake, after, limit).await?;
@@ -370,7 +364,7 @@ impl Farm {
         bake: &str,
         what: &'static str,
         pick: impl Fn(&Bake) -> Option<Digest>,
-    ) -> Result<Digest, ServerError> {
+    ) -> Result<Digest> {
         let shown = self.store.show(bake).await?;
         pick(&shown).ok_or_else(|| {
             let why = match shown.state {
@@ -384,24 +378,27 @@ impl Farm {
     }
 }
 
-fn check_needs(bake: &NewBake) -> Result<(), ServerError> {
+fn check_needs(bake: &NewBake) -> Result<()> {
     check_labels("needs.labels", &bake.needs.labels)?;
     match bake.attempt_limit_secs {
-        Some(secs) if !ATTEMPT_LIMIT_SECS.contains(&secs) => {
-            Err(bad_request(format!("attempt_limit_secs must be within {ATTEMPT_LIMIT_SECS:?}, not {secs}")))
-        }
+        Some(secs) if !ATTEMPT_LIMIT_SECS.contains(&secs) => Err(ServerError::bad_request(format!(
+            "attempt_limit_secs must be within {ATTEMPT_LIMIT_SECS:?}, not {secs}"
+        ))),
         _ => Ok(()),
     }
 }
 
-fn check_labels(name: &str, labels: &[String]) -> Result<(), ServerError> {
+fn check_labels(name: &str, labels: &[String]) -> Result<()> {
     if labels.len() > MAX_LABELS {
-        return Err(bad_request(format!("{name} must be at most {MAX_LABELS}, not {}", labels.len())));
+        return Err(ServerError::bad_request(format!(
+            "{name} must be at most {MAX_LABELS}, not {}",
+            labels.len()
+        )));
     }
     labels.iter().try_for_each(|label| require_chars(name, label, 1, MAX_LABEL_CHARS))
 }
 
-fn check_claim(request: &ClaimRequest) -> Result<(), ServerError> {
+fn check_claim(request: &ClaimRequest) -> Result<()> {
     require_chars("worker", &request.worker, 1, MAX_ID_CHARS)?;
     check_labels("labels", &request.labels)?;
     let limits = [
@@ -411,43 +408,41 @@ fn check_claim(request: &ClaimRequest) -> Result<(), ServerError> {
         ("number of kinds", request.kinds.len() <= MAX_KINDS, format!("0..={MAX_KINDS}")),
     ];
     match limits.into_iter().find(|(_, is_within, _)| !is_within) {
-        Some((name, _, range)) => Err(bad_request(format!("{name} must be within {range}"))),
+        Some((name, _, range)) => Err(ServerError::bad_request(format!("{name} must be within {range}"))),
         None => Ok(()),
     }
 }
 
 /// Sums of counters must stay numbers: JSON cannot say infinity, so a bake that had one could not be read any more.
-fn check_counters(result: &TaskResult) -> Result<(), ServerError> {
+fn check_counters(result: &TaskResult) -> Result<()> {
     let count = result.counters.len();
     if count > MAX_COUNTERS {
-        return Err(bad_request(format!("counters must be at most {MAX_COUNTERS}, not {count}")));
+        return Err(ServerError::bad_request(format!(
+            "counters must be at most {MAX_COUNTERS}, not {count}"
+        )));
     }
     for (name, value) in &result.counters {
         let shown: String = name.chars().take(40).collect();
         if name.len() > MAX_COUNTER_NAME_BYTES {
             let what = format!("the name of counter '{shown}…' has more than {MAX_COUNTER_NAME_BYTES} bytes");
-            return Err(bad_request(what));
+            return Err(ServerError::bad_request(what));
         }
         if !(-MAX_COUNTER..=MAX_COUNTER).contains(value) {
             let what = format!("counter '{shown}' must be within ±{MAX_COUNTER:e}, not {value:e}");
-            return Err(bad_request(what));
+            return Err(ServerError::bad_request(what));
         }
     }
     Ok(())
 }
 
-fn require_chars(name: &str, text: &str, min: usize, max: usize) -> Result<(), ServerError> {
+fn require_chars(name: &str, text: &str, min: usize, max: usize) -> Result<()> {
     let count = text.chars().count();
     if (min..=max).contains(&count) {
         return Ok(());
     }
-    Err(bad_request(format!("{name} must have {min} to {max} characters, not {count}")))
+    Err(ServerError::bad_request(format!("{name} must have {min} to {max} characters, not {count}")))
 }
 
-fn require_token(token: &str) -> Result<(), ServerError> {
+fn require_token(token: &str) -> Result<()> {
     if is_fencing_token(token) { Ok(()) } else { Err(ServerError::NoSuchLease) }
-}
-
-fn bad_request(what: String) -> ServerError {
-    ServerError::BadRequest { what }
 }

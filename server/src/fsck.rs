@@ -3,7 +3,7 @@
 //! It may run beside servers. Repairing goes the ways that they go: chunks whose bytes are missing or damaged are given
 //! up, so that their tasks run again where a live bake needs them, and bytes that nobody knows of are condemned first.
 
-use std::time::{Duration, SystemTime};
+use std::time::Duration;
 
 use futures::{StreamExt, TryStreamExt};
 use lightkiln_proto::api::BakeState;
@@ -11,7 +11,8 @@ use lightkiln_proto::ids::Digest;
 use serde::Serialize;
 
 use crate::chunks::{ChunkError, ChunkName, ChunkStore, Listed};
-use crate::error::ServerError;
+use crate::clock::{Clock as _, SystemClock};
+use crate::error::{Result, ServerError};
 use crate::storage::Storage;
 use crate::store::FarmStore;
 use crate::store::chunk::{ChunkRow, KeptChunk};
@@ -97,7 +98,7 @@ pub async fn check(
     chunks: &dyn ChunkStore,
     storage: &Storage,
     checks: Checks,
-) -> Result<Findings, ServerError> {
+) -> Result<Findings> {
     let mut findings = Findings::default();
     check_rows(store, chunks, checks, &mut findings).await?;
     check_objects(store, chunks, storage, checks, &mut findings).await?;
@@ -111,7 +112,7 @@ async fn check_rows(
     chunks: &dyn ChunkStore,
     checks: Checks,
     findings: &mut Findings,
-) -> Result<(), ServerError> {
+) -> Result<()> {
     let mut after = None;
     loop {
         let rows = store.chunk_rows(after, PAGE).await?;
@@ -132,7 +133,7 @@ async fn note(
     wrong: Option<Wrong>,
     checks: Checks,
     findings: &mut Findings,
-) -> Result<(), ServerError> {
+) -> Result<()> {
     let flaw = Flaw { digest: row.digest, bytes: row.bytes, references: row.refs };
     let Some(generation) = row.generation else {
         if row.is_live_scene {
@@ -162,7 +163,7 @@ async fn note(
     Ok(())
 }
 
-async fn list_incomplete(store: &dyn FarmStore, findings: &mut Findings) -> Result<(), ServerError> {
+async fn list_incomplete(store: &dyn FarmStore, findings: &mut Findings) -> Result<()> {
     let mut after = None;
     loop {
         let page = store.list(after, PAGE).await?;
@@ -210,8 +211,9 @@ async fn check_objects(
     storage: &Storage,
     checks: Checks,
     findings: &mut Findings,
-) -> Result<(), ServerError> {
-    let old_ms = unix_ms(SystemTime::now() - checks.grace);
+) -> Result<()> {
+    let grace_ms = i64::try_from(checks.grace.as_millis()).unwrap_or(i64::MAX);
+    let old_ms = SystemClock.now_ms().saturating_sub(grace_ms);
     let mut pages = chunks.list().try_chunks(PAGE as usize).map_err(|error| error.1);
     while let Some(page) = pages.try_next().await? {
         let old: Vec<Listed> = page.into_iter().filter(|chunk| chunk.written_ms <= old_ms).collect();
@@ -230,9 +232,4 @@ async fn check_objects(
         }
     }
     Ok(())
-}
-
-fn unix_ms(time: SystemTime) -> i64 {
-    let since = time.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
-    i64::try_from(since.as_millis()).unwrap_or(i64::MAX)
 }

@@ -12,7 +12,7 @@ use tokio::sync::Mutex;
 
 use crate::access::{Bearer, CODE_LIFETIME, Scope};
 use crate::clock::{Clock as _, SystemClock};
-use crate::error::ServerError;
+use crate::error::{Result, ServerError};
 use crate::store::{FarmStore, StoreError};
 
 /// Age limit of the tokens that a server remembers. Longer → fewer reads, and a revoked token is good for longer.
@@ -47,7 +47,7 @@ impl Known {
     }
 
     /// The digest of the token, if one was needed.
-    fn check(&self, token: Option<&str>, wanted: &[Scope]) -> Result<Option<Digest>, ServerError> {
+    fn check(&self, token: Option<&str>, wanted: &[Scope]) -> Result<Option<Digest>> {
         if !self.is_guarded || wanted.is_empty() {
             return Ok(None);
         }
@@ -71,11 +71,7 @@ impl Guard {
     }
 
     /// Refuses a call without a token that opens one of the scopes. The token's digest, if one was needed.
-    pub(crate) async fn check(
-        &self,
-        token: Option<&str>,
-        wanted: &[Scope],
-    ) -> Result<Option<Digest>, ServerError> {
+    pub(crate) async fn check(&self, token: Option<&str>, wanted: &[Scope]) -> Result<Option<Digest>> {
         let mut known = self.known.lock().await;
         match known.as_ref().filter(|known| known.at.elapsed() < KNOWN_FOR) {
             Some(known) => known.check(token, wanted),
@@ -86,7 +82,7 @@ impl Guard {
     /// Makes the token with this digest a worker's, for a code that is good; the worker's name.
     ///
     /// Names are given once, in one transaction of the store: that a code is good for one token rests on it.
-    pub(crate) async fn enrol(&self, code: &str, token: Digest) -> Result<String, ServerError> {
+    pub(crate) async fn enrol(&self, code: &str, token: Digest) -> Result<String> {
         let refused = |why| ServerError::Unauthorized { why };
         let hash = Digest::of(code.as_bytes());
         let bearers = self.store.bearers().await?;

@@ -9,7 +9,7 @@ use std::time::Duration;
 use tokio::sync::Mutex;
 use tokio::time::Instant;
 
-use crate::store::{FarmStore, StoreError};
+use crate::store::{FarmStore, Result};
 
 /// Lifetime of a look when no hint says that something changed: hints may be lost, and tasks become ready by time.
 const LOOK_COUNTS_FOR: Duration = Duration::from_millis(250);
@@ -34,12 +34,7 @@ pub struct Lookout {
 impl Lookout {
     /// Whether a task of one of the kinds is ready in a running bake, seen after the hint `mark`. May take as long as the
     /// store does for all who came before.
-    pub async fn is_any_ready(
-        &self,
-        store: &dyn FarmStore,
-        kinds: &[String],
-        mark: u64,
-    ) -> Result<bool, StoreError> {
+    pub async fn is_any_ready(&self, store: &dyn FarmStore, kinds: &[String], mark: u64) -> Result<bool> {
         let mut kinds = kinds.to_vec();
         kinds.sort_unstable();
         kinds.dedup();

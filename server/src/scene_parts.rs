@@ -14,7 +14,7 @@ use lightkiln_proto::api::{
 use lightkiln_proto::ids::Digest;
 
 use crate::chunks::ChunkError;
-use crate::error::ServerError;
+use crate::error::{Result, ServerError};
 use crate::farm::Farm;
 
 /// Parts that are looked up at a time.
@@ -26,7 +26,7 @@ impl Farm {
         self: &Arc<Self>,
         scene: Digest,
         parts: SceneParts,
-    ) -> Result<SceneProgress, ServerError> {
+    ) -> Result<SceneProgress> {
         let parts = parts.parts;
         check(&parts)?;
         let done = SceneProgress { is_stored: true, missing: Vec::new() };
@@ -52,7 +52,7 @@ impl Farm {
     }
 
     /// Parts that are not stored, by digest. Those that are stay for the grace from now on.
-    async fn missing(&self, parts: &[ScenePart]) -> Result<Vec<Digest>, ServerError> {
+    async fn missing(&self, parts: &[ScenePart]) -> Result<Vec<Digest>> {
         let looks = futures::stream::iter(sizes(parts)?).map(|(digest, bytes)| async move {
             Ok::<_, ServerError>((digest, bytes, self.storage.length(digest).await?))
         });
@@ -62,7 +62,9 @@ impl Farm {
             match stored {
                 Some(length) if length == bytes => (),
                 Some(length) => {
-                    return Err(bad_request(format!("part {digest} has {length} bytes, not {bytes}")));
+                    return Err(ServerError::bad_request(format!(
+                        "part {digest} has {length} bytes, not {bytes}"
+                    )));
                 }
                 None => missing.push(digest),
             }
@@ -72,23 +74,26 @@ impl Farm {
 }
 
 /// Lengths by digest.
-fn sizes(parts: &[ScenePart]) -> Result<BTreeMap<Digest, u64>, ServerError> {
+fn sizes(parts: &[ScenePart]) -> Result<BTreeMap<Digest, u64>> {
     let mut sizes = BTreeMap::new();
     for part in parts {
         if *sizes.entry(part.digest).or_insert(part.bytes) != part.bytes {
-            return Err(bad_request(format!("part {} is named with two lengths", part.digest)));
+            return Err(ServerError::bad_request(format!("part {} is named with two lengths", part.digest)));
         }
     }
     Ok(sizes)
 }
 
-fn check(parts: &[ScenePart]) -> Result<(), ServerError> {
+fn check(parts: &[ScenePart]) -> Result<()> {
     if !(1..=MAX_SCENE_PARTS).contains(&parts.len()) {
-        return Err(bad_request(format!("parts must be 1 to {MAX_SCENE_PARTS}, not {}", parts.len())));
+        return Err(ServerError::bad_request(format!(
+            "parts must be 1 to {MAX_SCENE_PARTS}, not {}",
+            parts.len()
+        )));
     }
     if let Some(part) = parts.iter().find(|part| !(1..=MAX_SCENE_PART_BYTES).contains(&part.bytes)) {
         let (digest, bytes) = (part.digest, part.bytes);
-        return Err(bad_request(format!(
+        return Err(ServerError::bad_request(format!(
             "part {digest} must have 1 to {MAX_SCENE_PART_BYTES} bytes, not {bytes}"
         )));
     }
@@ -97,8 +102,4 @@ fn check(parts: &[ScenePart]) -> Result<(), ServerError> {
         return Err(ChunkError::TooLarge { limit: MAX_CHUNK_BYTES }.into());
     }
     Ok(())
-}
-
-fn bad_request(what: String) -> ServerError {
-    ServerError::BadRequest { what }
 }

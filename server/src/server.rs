@@ -22,7 +22,7 @@ use tokio::sync::watch;
 use crate::chunks::ObjectChunks;
 use crate::clock::SystemClock;
 use crate::collect::{self, Retention};
-use crate::error::ServerError;
+use crate::error::{Result, ServerError};
 use crate::farm::Farm;
 use crate::fsck::{self, Checks, Findings};
 use crate::http::{self, LimitConfig};
@@ -98,7 +98,7 @@ pub struct Server {
 
 impl Server {
     /// Opens queue and bytes; fails if another server has the queue's file open.
-    pub async fn open(config: Config) -> Result<Self, ServerError> {
+    pub async fn open(config: Config) -> Result<Self> {
         let tls = match &config.tls {
             Some(files) => Some(files.read().await.map_err(|source| {
                 let TlsFiles { cert, key } = files.clone();
@@ -126,7 +126,7 @@ impl Server {
     }
 
     /// Listens on an address such as `127.0.0.1:0`, if it may be served.
-    pub async fn bind(&self, address: &str) -> Result<TcpListener, ServerError> {
+    pub async fn bind(&self, address: &str) -> Result<TcpListener> {
         let cannot = |source| ServerError::Listen { address: address.to_owned(), source };
         let resolved: Vec<SocketAddr> = tokio::net::lookup_host(address).await.map_err(cannot)?.collect();
         for address in &resolved {
@@ -135,7 +135,7 @@ impl Server {
         TcpListener::bind(&resolved[..]).await.map_err(cannot)
     }
 
-    async fn require_servable(&self, address: SocketAddr) -> Result<(), ServerError> {
+    async fn require_servable(&self, address: SocketAddr) -> Result<()> {
         let may_be_open = address.ip().is_loopback() || self.config.allow_non_loopback;
         if may_be_open || self.farm.guard.has_bearers().await? {
             return Ok(());
@@ -148,7 +148,7 @@ impl Server {
         self,
         listener: TcpListener,
         shutdown: impl Future<Output = ()> + Send + 'static,
-    ) -> Result<(), ServerError> {
+    ) -> Result<()> {
         let address = listener.local_addr().map_err(ServerError::Serve)?;
         self.require_servable(address).await?;
         let reaper = tokio::spawn(reap(self.farm.clone(), self.config.reap_interval));
@@ -215,7 +215,7 @@ type OpenDatabase = (SqlStore, Arc<dyn Wakeup>, Option<File>);
 /// The queue alone, beside a server that may be running on it.
 ///
 /// The place is that of [`Config::database`].
-pub async fn open_store(state_dir: &Path, database: Option<&DatabasePlace>) -> Result<SqlStore, ServerError> {
+pub async fn open_store(state_dir: &Path, database: Option<&DatabasePlace>) -> Result<SqlStore> {
     let in_state = DatabasePlace::Sqlite(state_dir.join("farm.sqlite"));
     Ok(match database.unwrap_or(&in_state) {
         DatabasePlace::Sqlite(path) => {
@@ -232,7 +232,7 @@ pub async fn check_storage(
     database: Option<&DatabasePlace>,
     chunks: Option<&ChunksPlace>,
     checks: Checks,
-) -> Result<Findings, ServerError> {
+) -> Result<Findings> {
     let store = Arc::new(open_store(state_dir, database).await?);
     let in_state = ChunksPlace::Folder(state_dir.join("chunks"));
     let chunks = Arc::new(ObjectChunks::open(chunks.unwrap_or(&in_state))?);
@@ -242,7 +242,7 @@ pub async fn check_storage(
     findings
 }
 
-async fn open_database(place: &DatabasePlace) -> Result<OpenDatabase, ServerError> {
+async fn open_database(place: &DatabasePlace) -> Result<OpenDatabase> {
     Ok(match place {
         DatabasePlace::Sqlite(path) => {
             let lock = lock_folder(path.parent().unwrap_or(Path::new("")))?;
@@ -257,7 +257,7 @@ async fn open_database(place: &DatabasePlace) -> Result<OpenDatabase, ServerErro
     })
 }
 
-fn lock_folder(folder: &Path) -> Result<File, ServerError> {
+fn lock_folder(folder: &Path) -> Result<File> {
     let cannot = |action, path: &Path| {
         let path = path.to_owned();
         move |source| ServerError::State { action, path, source }
@@ -273,7 +273,7 @@ fn lock_folder(folder: &Path) -> Result<File, ServerError> {
     }
 }
 
-fn make_folder(folder: &Path) -> Result<(), ServerError> {
+fn make_folder(folder: &Path) -> Result<()> {
     let path = folder.to_owned();
     std::fs::create_dir_all(folder).map_err(|source| ServerError::State { action: "make", path, source })
 }

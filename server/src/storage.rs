@@ -15,7 +15,7 @@ use lightkiln_proto::ids::Digest;
 use prometheus_client::metrics::counter::Counter;
 
 use crate::chunks::{ByteStream, ChunkError, ChunkName, ChunkStore, Stored, StreamCheck};
-use crate::error::ServerError;
+use crate::error::{Result, ServerError};
 use crate::store::chunk::{CollectRules, Kept, KeptChunk};
 use crate::store::{FarmStore, StoreError};
 
@@ -60,7 +60,7 @@ impl Storage {
     }
 
     /// Stores bytes that are at hand.
-    pub async fn put(&self, digest: Digest, bytes: Bytes) -> Result<Stored, ServerError> {
+    pub async fn put(&self, digest: Digest, bytes: Bytes) -> Result<Stored> {
         let length = bytes.len() as u64;
         let stream = futures::stream::once(async move { Ok(bytes) }).boxed();
         self.put_stream(digest, stream, length, Some(length)).await
@@ -75,7 +75,7 @@ impl Storage {
         bytes: ByteStream,
         limit: u64,
         length: Option<u64>,
-    ) -> Result<Stored, ServerError> {
+    ) -> Result<Stored> {
         let known = self.store.touch_chunk(digest).await?;
         if let Some(known) = known
             && self.chunks.head(known.name).await? == Some(known.bytes)
@@ -93,11 +93,7 @@ impl Storage {
 
     /// Stores bytes that are those of `parts`, one after the other. A part whose bytes turn out to be lost or damaged is
     /// given up, so that it counts as missing.
-    pub(crate) async fn put_together(
-        &self,
-        digest: Digest,
-        parts: &[ScenePart],
-    ) -> Result<Stored, ServerError> {
+    pub(crate) async fn put_together(&self, digest: Digest, parts: &[ScenePart]) -> Result<Stored> {
         let digests: BTreeSet<Digest> = parts.iter().map(|part| part.digest).collect();
         let digests: Vec<Digest> = digests.into_iter().collect();
         let kept = self.store.find_chunks(&digests).await?;
@@ -130,7 +126,7 @@ impl Storage {
     }
 
     /// Makes written bytes the chunk's; false when it has equal ones by now.
-    async fn take_in(&self, chunk: KeptChunk, replaces: Option<u64>) -> Result<bool, ServerError> {
+    async fn take_in(&self, chunk: KeptChunk, replaces: Option<u64>) -> Result<bool> {
         match self.store.keep_chunk(chunk, replaces, self.quota_bytes).await {
             Ok(Kept::Fresh) => return Ok(true),
             Ok(Kept::Known(_)) => (),
@@ -157,7 +153,7 @@ impl Storage {
     }
 
     /// Length of a chunk whose bytes are there. It then stays for the grace, whoever needs it.
-    pub async fn length(&self, digest: Digest) -> Result<Option<u64>, ServerError> {
+    pub async fn length(&self, digest: Digest) -> Result<Option<u64>> {
         if let Some(known) = self.store.touch_chunk(digest).await? {
             return Ok(self.is_whole(known).await?.then_some(known.bytes));
         }
@@ -165,7 +161,7 @@ impl Storage {
     }
 
     /// Takes in bytes from before generations.
-    async fn adopt(&self, digest: Digest) -> Result<Option<u64>, ServerError> {
+    async fn adopt(&self, digest: Digest) -> Result<Option<u64>> {
         let name = ChunkName::from(digest);
         let Some(bytes) = self.chunks.head(name).await? else { return Ok(None) };
         let kept = self.store.keep_chunk(KeptChunk { name, bytes }, None, None).await?;
@@ -173,7 +169,7 @@ impl Storage {
     }
 
     /// Looks whether a chunk's bytes are there, and gives it up if not.
-    async fn is_whole(&self, chunk: KeptChunk) -> Result<bool, ServerError> {
+    async fn is_whole(&self, chunk: KeptChunk) -> Result<bool> {
         let is_whole = self.chunks.head(chunk.name).await? == Some(chunk.bytes);
         if !is_whole {
             self.lose(chunk.name).await?;
@@ -182,7 +178,7 @@ impl Storage {
     }
 
     /// Lengths of those of `digests` whose bytes are there.
-    pub async fn lengths(&self, digests: &BTreeSet<Digest>) -> Result<BTreeMap<Digest, u64>, ServerError> {
+    pub async fn lengths(&self, digests: &BTreeSet<Digest>) -> Result<BTreeMap<Digest, u64>> {
         let digests: Vec<Digest> = digests.iter().copied().collect();
         let known = self.store.find_chunks(&digests).await?;
         let looked = futures::stream::iter(known)
@@ -194,7 +190,7 @@ impl Storage {
 
     /// Reads a range, which must lie within the chunk, as it comes. When it is the whole chunk and its bytes are
     /// damaged, the stream ends in an error before it is complete.
-    pub async fn read(&self, digest: Digest, range: Range<u64>) -> Result<ByteStream, ServerError> {
+    pub async fn read(&self, digest: Digest, range: Range<u64>) -> Result<ByteStream> {
         let found = self.store.find_chunks(&[digest]).await?;
         let chunk = found.first().copied().ok_or(ChunkError::NotFound { digest })?;
         let bytes = self.chunks.get_range(chunk.name, range).await;
@@ -230,7 +226,7 @@ impl Storage {
     }
 
     /// Deletes old bakes, and the bytes that nobody needs any more.
-    pub async fn collect(&self, rules: &CollectRules) -> Result<Removed, ServerError> {
+    pub async fn collect(&self, rules: &CollectRules) -> Result<Removed> {
         let collected = self.store.collect(rules).await?;
         let is_partial = [collected.bakes, collected.condemned, collected.to_remove.len() as u64]
             .iter()
@@ -240,7 +236,7 @@ impl Storage {
     }
 
     /// Removes the bytes of condemned chunks, then forgets them: a crash in between is made good by the next one.
-    pub async fn remove_condemned(&self, names: &[ChunkName]) -> Result<(), ServerError> {
+    pub async fn remove_condemned(&self, names: &[ChunkName]) -> Result<()> {
         let removals = futures::stream::iter(names.to_vec()).map(|name| {
             let chunks = self.chunks.clone();
             async move { chunks.delete(name).await }
@@ -253,7 +249,7 @@ impl Storage {
     }
 
     /// Writes, reads and removes a few bytes, to show that the chunk store works.
-    pub async fn probe(&self) -> Result<(), ServerError> {
+    pub async fn probe(&self) -> Result<()> {
         const CONTENT: &[u8] = b"lightkiln readiness probe\n";
         let name = ChunkName::fresh(Digest::of(CONTENT));
         self.chunks.put_if_absent(name, Bytes::from_static(CONTENT)).await?;

@@ -8,12 +8,16 @@ use lightkiln_proto::api::{
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::manifest;
 use lightkiln_proto::trace::TARGET;
+use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, PercentEncode, utf8_percent_encode};
 use rayon::prelude::*;
 
 use crate::error::{ClientError, Result};
 
 /// Longest wait of one polling call for events, in seconds.
 pub const MAX_WAIT_SECS: u32 = 60;
+
+/// Characters that a URL's path and query hold only when escaped.
+const RESERVED: &AsciiSet = &NON_ALPHANUMERIC.remove(b'-').remove(b'_').remove(b'.').remove(b'~');
 
 /// How often parts of a scene are uploaded before a server that keeps missing some is given up.
 const UPLOAD_ROUNDS_MAX: u32 = 4;
@@ -206,14 +210,6 @@ fn bake_path(id: &str, rest: &str) -> String {
 }
 
 /// Percent-encodes everything but unreserved characters.
-fn escape(text: &str) -> String {
-    let mut escaped = String::with_capacity(text.len());
-    for byte in text.bytes() {
-        if byte.is_ascii_alphanumeric() || b"-_.~".contains(&byte) {
-            escaped.push(char::from(byte));
-        } else {
-            escaped.push_str(&format!("%{byte:02X}"));
-        }
-    }
-    escaped
+fn escape(text: &str) -> PercentEncode<'_> {
+    utf8_percent_encode(text, RESERVED)
 }

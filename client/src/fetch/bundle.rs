@@ -45,12 +45,8 @@ pub fn fetch_all(
 }
 
 /// Writes the bake into `folder`. Chunks that are there and right are kept; the manifest is written last, so a
-/// folder with a manifest is whole. Calls `progress` after each chunk with the chunks done and the total.
-pub fn download_bundle(
-    source: &Source,
-    folder: &Path,
-    progress: impl Fn(Downloaded, u64) + Sync,
-) -> Result<Downloaded> {
+/// folder with a manifest is whole.
+pub fn download_bundle(source: &Source, folder: &Path) -> Result<Downloaded> {
     let (manifest_bytes, manifest) = source.manifest()?;
     let chunks = chunk_refs(&manifest);
     let chunks_folder = folder.join(CHUNKS_FOLDER);
@@ -74,7 +70,6 @@ pub fn download_bundle(
             done.fetched += 1;
             done.fetched_bytes += chunk.bytes;
         }
-        progress(*done, chunks.len() as u64);
         Ok(())
     })?;
     write_atomically(&folder.join(MANIFEST_FILE), &manifest_bytes)?;

@@ -23,6 +23,8 @@ pub use bundle::{Downloaded, chunk_refs, download_bundle, fetch_all, write_atomi
 pub const MANIFEST_FILE: &str = "manifest.json";
 /// The folder of chunks in a bundle.
 pub const CHUNKS_FOLDER: &str = "chunks";
+/// The report's file in a bundle; the only one that is not a pure function of scene and settings.
+pub const REPORT_FILE: &str = "report.json";
 
 /// Source of a bake.
 #[derive(Clone)]

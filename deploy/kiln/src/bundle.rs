@@ -51,7 +51,7 @@ pub fn write_bundle(
     for warning in warnings(&report) {
         eprintln!("warning: {warning}");
     }
-    let downloaded = download_bundle(&source, out, |_, _| {})?;
+    let downloaded = download_bundle(&source, out)?;
     remove_left_over(out, &manifest)?;
     let summary = Summary::new(kinds, bake, &manifest, scene, out, started.elapsed())
         .map_err(|error| Failure::bad_input("the bake cannot be read").caused_by(&error))?;

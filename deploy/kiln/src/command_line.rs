@@ -69,34 +69,6 @@ pub enum Command {
 }
 
 impl Command {
-    /// The word for it on the command line.
-    pub fn name(&self) -> &'static str {
-        match self {
-            Self::Bake(_) => "bake",
-            Self::Server(_) => "server",
-            Self::Worker(_) => "worker",
-            Self::Fsck(_) => "fsck",
-            Self::Token(_) => "token",
-            Self::Submit(_) => "submit",
-            Self::List(_) => "list",
-            Self::Show(_) => "show",
-            Self::Logs(_) => "logs",
-            Self::Top(_) => "top",
-            Self::Watch(_) => "watch",
-            Self::Cancel(_) => "cancel",
-            Self::Pause(_) => "pause",
-            Self::Resume(_) => "resume",
-            Self::Priority(_) => "priority",
-            Self::Blocklist(_) => "blocklist",
-            Self::Delete(_) => "delete",
-            Self::Fetch(_) => "fetch",
-            Self::Preview(_) => "preview",
-            Self::Evaluate(_) => "evaluate",
-            Self::Inspect(_) => "inspect",
-            Self::Settings(_) => "settings",
-        }
-    }
-
     /// It goes on until somebody stops it.
     pub fn stays(&self) -> bool {
         matches!(self, Self::Server(_) | Self::Worker(_) | Self::Top(_))

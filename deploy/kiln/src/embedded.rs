@@ -145,6 +145,11 @@ pub fn default_state() -> Result<PathBuf> {
         })
 }
 
+/// The folder given, or else `name` in the state folder.
+pub fn or_in_state(given: Option<PathBuf>, name: &str) -> Result<PathBuf> {
+    given.map_or_else(|| Ok(default_state()?.join(name)), Ok)
+}
+
 /// A server that cannot open, listen or go on, and what to do about it.
 pub fn server_failure(error: &ServerError) -> Failure {
     let (exit, next_step) = match error {

@@ -6,7 +6,7 @@ use std::process::ExitCode;
 
 use lightkiln_client::ClientError;
 use lightkiln_http::CallError;
-use lightkiln_proto::problem::{ProblemCode, RetryClass};
+use lightkiln_proto::problem::{ProblemCode, RetryClass, causes};
 
 /// Exit codes, for `--help`.
 pub const EXIT_CODES: &str = "Exit codes:
@@ -59,6 +59,14 @@ impl Failure {
         Self { exit, message: message.into(), causes: Vec::new(), next_step: None }
     }
 
+    /// A failure in the words of an error.
+    pub fn of(exit: Exit, error: &(dyn StdError + 'static)) -> Self {
+        Self {
+            causes: causes(error).skip(1).map(ToString::to_string).collect(),
+            ..Self::new(exit, error.to_string())
+        }
+    }
+
     /// Wrong arguments, settings or input files.
     pub fn bad_input(message: impl Into<String>) -> Self {
         Self::new(Exit::BadInput, message)
@@ -67,11 +75,7 @@ impl Failure {
     /// Adds an error and all that caused it.
     #[must_use]
     pub fn caused_by(mut self, error: &(dyn StdError + 'static)) -> Self {
-        let mut cause = Some(error);
-        while let Some(error) = cause {
-            self.causes.push(error.to_string());
-            cause = error.source();
-        }
+        self.causes.extend(causes(error).map(ToString::to_string));
         self
     }
 
@@ -123,18 +127,16 @@ impl From<ClientError> for Failure {
                 Exit::Failed
             }
         };
-        let mut failure = Self::new(exit, error.to_string());
-        if let Some(source) = error.source() {
-            failure = failure.caused_by(source);
-        }
+        let failure = Self::of(exit, &error);
         let is_busy =
             matches!(&error, ClientError::Call(error) if error.code() == Some(ProblemCode::TooManyRequests));
         if is_busy {
-            failure = failure.try_this("the same command a little later");
+            failure.try_this("the same command a little later")
         } else if exit == Exit::Unreachable {
-            failure = failure.try_this("start one with 'kiln server', or bake without --server");
+            failure.try_this("start one with 'kiln server', or bake without --server")
+        } else {
+            failure
         }
-        failure
     }
 }
 

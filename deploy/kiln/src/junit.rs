@@ -7,8 +7,8 @@ use std::time::Duration;
 use lightkiln_proto::api::StageCount;
 use quick_junit::{NonSuccessKind, Report, TestCase, TestCaseStatus, TestSuite};
 
-use crate::commands::following::Ended;
 use crate::failure::{Exit, Failure, Result};
+use crate::following::Ended;
 use crate::summary::stage_name;
 
 /// The report of a bake of `scene`, or of why there is none.

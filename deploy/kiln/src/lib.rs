@@ -10,6 +10,7 @@ mod embedded;
 mod enrolment;
 mod evaluation;
 mod failure;
+mod following;
 mod inspection;
 mod interrupt;
 mod junit;
@@ -18,6 +19,7 @@ mod logging;
 mod picture;
 mod progress;
 mod settings;
+mod submission;
 mod summary;
 mod telemetry;
 #[cfg(test)]
@@ -25,15 +27,17 @@ mod tests;
 
 use std::process::ExitCode;
 
-use clap::Parser as _;
+use clap::{CommandFactory as _, FromArgMatches as _};
 use tracing::Span;
 
+use command_line::CommandLine;
 use kinds::KindTables;
 
 /// Runs the command line of this process to its end; bakes may be of `kinds`.
 pub fn run(kinds: &KindTables) -> ExitCode {
-    let command = command_line::CommandLine::parse().command;
-    let role = command.name();
+    let matches = CommandLine::command().get_matches();
+    let role = matches.subcommand_name().unwrap_or_default();
+    let command = CommandLine::from_arg_matches(&matches).unwrap_or_else(|error| error.exit()).command;
     // Ends, and exports what is left, when the command has.
     let _telemetry = logging::start(role);
     // A server and a worker live for months: what they do belongs to the traces of those who ask for it.

@@ -6,7 +6,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use lightkiln_client::ClientError;
-use lightkiln_client::fetch::write_atomically;
+use lightkiln_client::fetch::{REPORT_FILE, write_atomically};
 use lightkiln_proto::api::Bake;
 use lightkiln_proto::kinds::{Figures, Kinds};
 use lightkiln_proto::manifest::{Manifest, ManifestError};
@@ -15,9 +15,6 @@ use serde_json::{Map, Value, json};
 
 use crate::evaluation::Evaluation;
 use crate::failure::{Exit, Failure, Result};
-
-/// Name of the report in a bundle; the only file in it that is not a pure function of scene and settings.
-pub const REPORT_FILE: &str = "report.json";
 
 /// The one JSON object at the end of `bake --json`: its keys are a contract.
 #[derive(Clone, Debug, PartialEq, Serialize)]

@@ -6,6 +6,9 @@ use std::io;
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::problem::ProblemCode;
 
+/// Result of a chunk store's call.
+pub type Result<T, E = ChunkError> = std::result::Result<T, E>;
+
 /// Why bytes could not be stored or read.
 #[derive(Debug, thiserror::Error)]
 pub enum ChunkError {

@@ -20,7 +20,7 @@ use lightkiln_proto::ids::Digest;
 
 use crate::random;
 
-pub use error::ChunkError;
+pub use error::{ChunkError, Result};
 pub use objects::ObjectChunks;
 pub(crate) use objects::StreamCheck;
 
@@ -74,26 +74,26 @@ pub type ByteStream<E = ChunkError> = BoxStream<'static, Result<Bytes, E>>;
 #[async_trait]
 pub trait ChunkStore: Send + Sync {
     /// Stores bytes that are at hand.
-    async fn put_if_absent(&self, name: ChunkName, bytes: Bytes) -> Result<Stored, ChunkError>;
+    async fn put_if_absent(&self, name: ChunkName, bytes: Bytes) -> Result<Stored>;
 
     /// Stores bytes as they arrive, at most `limit` of them; only a few MiB are in memory at a time.
     ///
     /// Nothing is stored unless all came and their digest is right. Bytes that are stored already are read all the same.
-    async fn put_stream(&self, name: ChunkName, bytes: ByteStream, limit: u64) -> Result<Stored, ChunkError>;
+    async fn put_stream(&self, name: ChunkName, bytes: ByteStream, limit: u64) -> Result<Stored>;
 
     /// Reads all of a chunk into memory; refuses those longer than `limit`.
-    async fn get(&self, name: ChunkName, limit: u64) -> Result<Bytes, ChunkError>;
+    async fn get(&self, name: ChunkName, limit: u64) -> Result<Bytes>;
 
     /// Reads a range, which must lie within the chunk, as it comes. When it is the whole chunk and its bytes are damaged,
     /// the stream ends in an error before it is complete.
-    async fn get_range(&self, name: ChunkName, range: Range<u64>) -> Result<ByteStream, ChunkError>;
+    async fn get_range(&self, name: ChunkName, range: Range<u64>) -> Result<ByteStream>;
 
     /// Length of a chunk, or none if it is not there.
-    async fn head(&self, name: ChunkName) -> Result<Option<u64>, ChunkError>;
+    async fn head(&self, name: ChunkName) -> Result<Option<u64>>;
 
     /// Removes a chunk, if it is there.
-    async fn delete(&self, name: ChunkName) -> Result<(), ChunkError>;
+    async fn delete(&self, name: ChunkName) -> Result<()>;
 
     /// All chunks, in no particular order.
-    fn list(&self) -> BoxStream<'static, Result<Listed, ChunkError>>;
+    fn list(&self) -> BoxStream<'static, Result<Listed>>;
 }

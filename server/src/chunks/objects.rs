@@ -15,7 +15,7 @@ use object_store::local::LocalFileSystem;
 use object_store::path::Path;
 use object_store::{GetOptions, GetRange, ObjectStore, ObjectStoreExt, PutPayload, WriteMultipart};
 
-use super::{ByteStream, ChunkError, ChunkName, ChunkStore, Listed, Stored, s3};
+use super::{ByteStream, ChunkError, ChunkName, ChunkStore, Listed, Result, Stored, s3};
 use crate::places::ChunksPlace;
 
 /// Size of the parts in which a stream is written.
@@ -32,7 +32,7 @@ pub struct ObjectChunks {
 
 impl ObjectChunks {
     /// Opens the store at a place.
-    pub fn open(place: &ChunksPlace) -> Result<Self, ChunkError> {
+    pub fn open(place: &ChunksPlace) -> Result<Self> {
         match place {
             ChunksPlace::Folder(folder) => Self::in_folder(folder),
             ChunksPlace::S3 { bucket, prefix } => {
@@ -52,7 +52,7 @@ impl ObjectChunks {
         bucket: &str,
         prefix: &str,
         settings: impl IntoIterator<Item = (String, String)>,
-    ) -> Result<Self, ChunkError> {
+    ) -> Result<Self> {
         Ok(Self::over(s3::open(bucket, prefix, settings)?))
     }
 
@@ -64,7 +64,7 @@ impl ObjectChunks {
     /// Chunks as files under `folder`, which is made if need be.
     ///
     /// A file appears under its name only when it is whole, and both it and its folder are flushed to disk first.
-    pub fn in_folder(folder: &FilePath) -> Result<Self, ChunkError> {
+    pub fn in_folder(folder: &FilePath) -> Result<Self> {
         let unavailable = |source: io::Error| object_store::Error::Generic {
             store: "LocalFileSystem",
             source: source.into(),
@@ -81,7 +81,7 @@ impl ObjectChunks {
         head: Vec<u8>,
         mut bytes: ByteStream,
         mut check: StreamCheck,
-    ) -> Result<Stored, ChunkError> {
+    ) -> Result<Stored> {
         let upload = self.objects.put_multipart(&path_of(name)).await?;
         let mut upload = WriteMultipart::new_with_chunk_size(upload, PART_BYTES);
         upload.write(&head);
@@ -121,7 +121,7 @@ impl StreamCheck {
         Self { hasher: blake3::Hasher::new(), length: 0, limit }
     }
 
-    pub(crate) fn take(&mut self, piece: &[u8]) -> Result<(), ChunkError> {
+    pub(crate) fn take(&mut self, piece: &[u8]) -> Result<()> {
         self.length += piece.len() as u64;
         if self.length > self.limit {
             return Err(ChunkError::TooLarge { limit: self.limit });
@@ -130,7 +130,7 @@ impl StreamCheck {
         Ok(())
     }
 
-    pub(crate) fn finish(&self, wanted: Digest) -> Result<u64, ChunkError> {
+    pub(crate) fn finish(&self, wanted: Digest) -> Result<u64> {
         let found = Digest(*self.hasher.finalize().as_bytes());
         if found != wanted {
             return Err(ChunkError::DigestMismatch { wanted, found });
@@ -141,7 +141,7 @@ impl StreamCheck {
 
 #[async_trait]
 impl ChunkStore for ObjectChunks {
-    async fn put_if_absent(&self, name: ChunkName, bytes: Bytes) -> Result<Stored, ChunkError> {
+    async fn put_if_absent(&self, name: ChunkName, bytes: Bytes) -> Result<Stored> {
         let found = Digest::of(&bytes);
         if found != name.digest {
             return Err(ChunkError::DigestMismatch { wanted: name.digest, found });
@@ -154,12 +154,7 @@ impl ChunkStore for ObjectChunks {
         Ok(Stored { is_new: true, bytes: length })
     }
 
-    async fn put_stream(
-        &self,
-        name: ChunkName,
-        mut bytes: ByteStream,
-        limit: u64,
-    ) -> Result<Stored, ChunkError> {
+    async fn put_stream(&self, name: ChunkName, mut bytes: ByteStream, limit: u64) -> Result<Stored> {
         let mut check = StreamCheck::new(limit);
         let mut head = Vec::new();
         while let Some(piece) = bytes.try_next().await? {
@@ -177,7 +172,7 @@ impl ChunkStore for ObjectChunks {
         Ok(Stored { is_new: true, bytes: length })
     }
 
-    async fn get(&self, name: ChunkName, limit: u64) -> Result<Bytes, ChunkError> {
+    async fn get(&self, name: ChunkName, limit: u64) -> Result<Bytes> {
         let found = self.objects.get(&path_of(name)).await.map_err(|error| missing(name.digest, error))?;
         if found.meta.size > limit {
             return Err(ChunkError::TooLarge { limit });
@@ -189,7 +184,7 @@ impl ChunkStore for ObjectChunks {
         Ok(bytes)
     }
 
-    async fn get_range(&self, name: ChunkName, range: Range<u64>) -> Result<ByteStream, ChunkError> {
+    async fn get_range(&self, name: ChunkName, range: Range<u64>) -> Result<ByteStream> {
         if range.is_empty() {
             return Ok(futures::stream::empty().boxed());
         }
@@ -201,7 +196,7 @@ impl ChunkStore for ObjectChunks {
         Ok(if is_whole { verified(name.digest, bytes) } else { bytes })
     }
 
-    async fn head(&self, name: ChunkName) -> Result<Option<u64>, ChunkError> {
+    async fn head(&self, name: ChunkName) -> Result<Option<u64>> {
         match self.objects.head(&path_of(name)).await {
             Ok(meta) => Ok(Some(meta.size)),
             Err(object_store::Error::NotFound { .. }) => Ok(None),
@@ -209,14 +204,14 @@ impl ChunkStore for ObjectChunks {
         }
     }
 
-    async fn delete(&self, name: ChunkName) -> Result<(), ChunkError> {
+    async fn delete(&self, name: ChunkName) -> Result<()> {
         match self.objects.delete(&path_of(name)).await {
             Ok(()) | Err(object_store::Error::NotFound { .. }) => Ok(()),
             Err(error) => Err(error.into()),
         }
     }
 
-    fn list(&self) -> BoxStream<'static, Result<Listed, ChunkError>> {
+    fn list(&self) -> BoxStream<'static, Result<Listed>> {
         let chunk = |meta: object_store::ObjectMeta| {
             let name = name_of(&meta.location)?;
             Some(Listed { name, bytes: meta.size, written_ms: meta.last_modified.timestamp_millis() })

@@ -12,7 +12,7 @@ use object_store::path::Path;
 use object_store::prefix::PrefixStore;
 use object_store::{BackoffConfig, ClientOptions, ObjectStore, RetryConfig};
 
-use super::ChunkError;
+use super::Result;
 use crate::tls::use_ring;
 
 /// Wait for a connection. Longer → slow networks work, and a store that is away is noticed later.
@@ -33,7 +33,7 @@ pub(super) fn open(
     bucket: &str,
     prefix: &str,
     settings: impl IntoIterator<Item = (String, String)>,
-) -> Result<Arc<dyn ObjectStore>, ChunkError> {
+) -> Result<Arc<dyn ObjectStore>> {
     use_ring();
     let mut builder = AmazonS3Builder::new();
     for (name, value) in settings {

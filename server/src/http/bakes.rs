@@ -1,22 +1,18 @@
 //! Bakes as people see them.
 
-use std::sync::Arc;
-
 use axum::Json;
 use axum::extract::State;
 use axum::http::{HeaderMap, Method, StatusCode};
 use axum::response::Response;
 use lightkiln_proto::api::{Bake, BakePage, Blocklist, NewBake, NewPriority, WorkerPage};
-use lightkiln_proto::problem::Problem;
 use serde::Deserialize;
 use utoipa::IntoParams;
 
 use super::chunks::{Binary, Conditions, serve_bytes};
 use super::events::MAX_SEQ;
-use super::extract::{JsonBody, PathParam, UrlQuery, bad_request};
+use super::extract::{Answer, FarmState, JsonBody, PathParam, UrlQuery};
 use super::trace::traceparent;
-use crate::error::ServerError;
-use crate::farm::Farm;
+use crate::error::{Result, ServerError};
 
 /// Largest JSON body of people's calls.
 const MAX_JSON_BYTES: usize = 1 << 20;
@@ -57,16 +53,19 @@ pub(super) struct SubmitHeaders {
     params(SubmitHeaders),
     responses(
         (status = 202, description = "Accepted", body = Bake),
-        (status = 404, description = "The scene is not stored", body = Problem, content_type = "application/problem+json"),
-        (status = 409, description = "The key belongs to another request", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "A setting is wrong", body = Problem, content_type = "application/problem+json")))]
+        (status = 404, description = "The scene is not stored"),
+        (status = 409, description = "The key belongs to another request"),
+        (status = 422, description = "A setting is wrong")))]
 pub(super) async fn submit(
-    State(farm): State<Arc<Farm>>,
+    State(farm): FarmState,
     headers: HeaderMap,
     JsonBody(bake): JsonBody<NewBake, MAX_JSON_BYTES>,
-) -> Result<(StatusCode, Json<Bake>), ServerError> {
+) -> Result<(StatusCode, Json<Bake>)> {
     let key = headers.get("Idempotency-Key").map(|value| {
-        value.to_str().map(str::to_owned).map_err(|_| bad_request("Idempotency-Key must be visible ASCII"))
+        value
+            .to_str()
+            .map(str::to_owned)
+            .map_err(|_| ServerError::bad_request("Idempotency-Key must be visible ASCII"))
     });
     let bake = farm.submit(bake, key.transpose()?, traceparent(&headers)).await?;
     Ok((StatusCode::ACCEPTED, Json(bake)))
@@ -75,16 +74,15 @@ pub(super) async fn submit(
 /// Lists bakes, newest first.
 #[utoipa::path(get, path = "/v1/bakes", tag = "bakes", params(ListQuery),
     responses((status = 200, description = "A page", body = BakePage)))]
-pub(super) async fn list(
-    State(farm): State<Arc<Farm>>,
-    UrlQuery(query): UrlQuery<ListQuery>,
-) -> Result<Json<BakePage>, ServerError> {
+pub(super) async fn list(State(farm): FarmState, UrlQuery(query): UrlQuery<ListQuery>) -> Answer<BakePage> {
     let limit = query.limit.unwrap_or(PAGE_BAKES);
     if !(1..=MAX_PAGE_BAKES).contains(&limit) {
-        return Err(bad_request(format!("limit must be within 1..={MAX_PAGE_BAKES}, not {limit}")));
+        return Err(ServerError::bad_request(format!(
+            "limit must be within 1..={MAX_PAGE_BAKES}, not {limit}"
+        )));
     }
     if query.after.is_some_and(|after| after > MAX_SEQ) {
-        return Err(bad_request(format!("after must be within 0..={MAX_SEQ}")));
+        return Err(ServerError::bad_request(format!("after must be within 0..={MAX_SEQ}")));
     }
     Ok(Json(farm.store.list(query.after, limit).await?))
 }
@@ -93,11 +91,8 @@ pub(super) async fn list(
 #[utoipa::path(get, path = "/v1/bakes/{id}", tag = "bakes",
     params(("id" = String, Path, description = "The bake")),
     responses((status = 200, description = "The bake", body = Bake),
-        (status = 404, description = "No such bake", body = Problem, content_type = "application/problem+json")))]
-pub(super) async fn show(
-    State(farm): State<Arc<Farm>>,
-    PathParam(id): PathParam<String>,
-) -> Result<Json<Bake>, ServerError> {
+        (status = 404, description = "No such bake")))]
+pub(super) async fn show(State(farm): FarmState, PathParam(id): PathParam<String>) -> Answer<Bake> {
     Ok(Json(farm.store.show(&id).await?))
 }
 
@@ -105,12 +100,9 @@ pub(super) async fn show(
 #[utoipa::path(delete, path = "/v1/bakes/{id}", tag = "bakes",
     params(("id" = String, Path, description = "The bake")),
     responses((status = 204, description = "Deleted"),
-        (status = 404, description = "No such bake", body = Problem, content_type = "application/problem+json"),
-        (status = 409, description = "It has not ended", body = Problem, content_type = "application/problem+json")))]
-pub(super) async fn delete(
-    State(farm): State<Arc<Farm>>,
-    PathParam(id): PathParam<String>,
-) -> Result<StatusCode, ServerError> {
+        (status = 404, description = "No such bake"),
+        (status = 409, description = "It has not ended")))]
+pub(super) async fn delete(State(farm): FarmState, PathParam(id): PathParam<String>) -> Result<StatusCode> {
     farm.store.delete_bake(&id).await?;
     Ok(StatusCode::NO_CONTENT)
 }
@@ -119,11 +111,8 @@ pub(super) async fn delete(
 #[utoipa::path(post, path = "/v1/bakes/{id}/cancel", tag = "bakes",
     params(("id" = String, Path, description = "The bake")),
     responses((status = 200, description = "The bake", body = Bake),
-        (status = 409, description = "It has ended", body = Problem, content_type = "application/problem+json")))]
-pub(super) async fn cancel(
-    State(farm): State<Arc<Farm>>,
-    PathParam(id): PathParam<String>,
-) -> Result<Json<Bake>, ServerError> {
+        (status = 409, description = "It has ended")))]
+pub(super) async fn cancel(State(farm): FarmState, PathParam(id): PathParam<String>) -> Answer<Bake> {
     Ok(Json(farm.change(farm.store.cancel(&id)).await?))
 }
 
@@ -131,11 +120,8 @@ pub(super) async fn cancel(
 #[utoipa::path(post, path = "/v1/bakes/{id}/pause", tag = "bakes",
     params(("id" = String, Path, description = "The bake")),
     responses((status = 200, description = "The bake", body = Bake),
-        (status = 409, description = "It has ended", body = Problem, content_type = "application/problem+json")))]
-pub(super) async fn pause(
-    State(farm): State<Arc<Farm>>,
-    PathParam(id): PathParam<String>,
-) -> Result<Json<Bake>, ServerError> {
+        (status = 409, description = "It has ended")))]
+pub(super) async fn pause(State(farm): FarmState, PathParam(id): PathParam<String>) -> Answer<Bake> {
     Ok(Json(farm.change(farm.store.pause(&id)).await?))
 }
 
@@ -143,11 +129,8 @@ pub(super) async fn pause(
 #[utoipa::path(post, path = "/v1/bakes/{id}/resume", tag = "bakes",
     params(("id" = String, Path, description = "The bake")),
     responses((status = 200, description = "The bake", body = Bake),
-        (status = 409, description = "It has ended", body = Problem, content_type = "application/problem+json")))]
-pub(super) async fn resume(
-    State(farm): State<Arc<Farm>>,
-    PathParam(id): PathParam<String>,
-) -> Result<Json<Bake>, ServerError> {
+        (status = 409, description = "It has ended")))]
+pub(super) async fn resume(State(farm): FarmState, PathParam(id): PathParam<String>) -> Answer<Bake> {
     Ok(Json(farm.change(farm.store.resume(&id)).await?))
 }
 
@@ -155,12 +138,12 @@ pub(super) async fn resume(
 #[utoipa::path(post, path = "/v1/bakes/{id}/priority", tag = "bakes", request_body = NewPriority,
     params(("id" = String, Path, description = "The bake")),
     responses((status = 200, description = "The bake", body = Bake),
-        (status = 409, description = "It has ended", body = Problem, content_type = "application/problem+json")))]
+        (status = 409, description = "It has ended")))]
 pub(super) async fn reprioritise(
-    State(farm): State<Arc<Farm>>,
+    State(farm): FarmState,
     PathParam(id): PathParam<String>,
     JsonBody(new): JsonBody<NewPriority, MAX_JSON_BYTES>,
-) -> Result<Json<Bake>, ServerError> {
+) -> Answer<Bake> {
     Ok(Json(farm.change(farm.store.reprioritise(&id, new.priority)).await?))
 }
 
@@ -177,11 +160,8 @@ pub(super) struct WorkerQuery {
 #[utoipa::path(get, path = "/v1/bakes/{id}/blocklist", tag = "bakes",
     params(("id" = String, Path, description = "The bake")),
     responses((status = 200, description = "By name", body = Blocklist),
-        (status = 404, description = "No such bake", body = Problem, content_type = "application/problem+json")))]
-pub(super) async fn blocklist(
-    State(farm): State<Arc<Farm>>,
-    PathParam(id): PathParam<String>,
-) -> Result<Json<Blocklist>, ServerError> {
+        (status = 404, description = "No such bake")))]
+pub(super) async fn blocklist(State(farm): FarmState, PathParam(id): PathParam<String>) -> Answer<Blocklist> {
     Ok(Json(farm.store.blocklist(&id).await?))
 }
 
@@ -189,12 +169,12 @@ pub(super) async fn blocklist(
 #[utoipa::path(delete, path = "/v1/bakes/{id}/blocklist", tag = "bakes",
     params(("id" = String, Path, description = "The bake"), WorkerQuery),
     responses((status = 200, description = "What is left", body = Blocklist),
-        (status = 404, description = "No such bake", body = Problem, content_type = "application/problem+json")))]
+        (status = 404, description = "No such bake")))]
 pub(super) async fn clear_blocklist(
-    State(farm): State<Arc<Farm>>,
+    State(farm): FarmState,
     PathParam(id): PathParam<String>,
     UrlQuery(query): UrlQuery<WorkerQuery>,
-) -> Result<Json<Blocklist>, ServerError> {
+) -> Answer<Blocklist> {
     Ok(Json(farm.change(farm.store.clear_blocklist(&id, query.worker.as_deref())).await?))
 }
 
@@ -204,14 +184,14 @@ pub(super) async fn clear_blocklist(
     responses((status = 200, description = "The manifest", body = serde_json::Value),
         (status = 206, description = "The range", body = inline(Binary), content_type = "application/json"),
         (status = 304, description = "The caller has the bytes"),
-        (status = 416, description = "The range lies outside", body = Problem, content_type = "application/problem+json"),
-        (status = 409, description = "The bake is not done", body = Problem, content_type = "application/problem+json")))]
+        (status = 416, description = "The range lies outside"),
+        (status = 409, description = "The bake is not done")))]
 pub(super) async fn manifest(
-    State(farm): State<Arc<Farm>>,
+    State(farm): FarmState,
     PathParam(id): PathParam<String>,
     method: Method,
     headers: HeaderMap,
-) -> Result<Response, ServerError> {
+) -> Result<Response> {
     let digest = farm.result_of(&id, "manifest", |bake| bake.manifest).await?;
     serve_bytes(&farm, digest, &method, &headers, "application/json", REVALIDATE).await
 }
@@ -222,14 +202,14 @@ pub(super) async fn manifest(
     responses((status = 200, description = "The report", body = serde_json::Value),
         (status = 206, description = "The range", body = inline(Binary), content_type = "application/json"),
         (status = 304, description = "The caller has the bytes"),
-        (status = 416, description = "The range lies outside", body = Problem, content_type = "application/problem+json"),
-        (status = 409, description = "The bake is not done", body = Problem, content_type = "application/problem+json")))]
+        (status = 416, description = "The range lies outside"),
+        (status = 409, description = "The bake is not done")))]
 pub(super) async fn report(
-    State(farm): State<Arc<Farm>>,
+    State(farm): FarmState,
     PathParam(id): PathParam<String>,
     method: Method,
     headers: HeaderMap,
-) -> Result<Response, ServerError> {
+) -> Result<Response> {
     let digest = farm.result_of(&id, "report", |bake| bake.report).await?;
     serve_bytes(&farm, digest, &method, &headers, "application/json", REVALIDATE).await
 }
@@ -237,6 +217,6 @@ pub(super) async fn report(
 /// Lists workers heard of in the last ten minutes.
 #[utoipa::path(get, path = "/v1/workers", tag = "workers",
     responses((status = 200, description = "By name", body = WorkerPage)))]
-pub(super) async fn workers(State(farm): State<Arc<Farm>>) -> Result<Json<WorkerPage>, ServerError> {
+pub(super) async fn workers(State(farm): FarmState) -> Answer<WorkerPage> {
     Ok(Json(WorkerPage { workers: farm.store.workers().await? }))
 }

@@ -1,7 +1,5 @@
 //! Stored bytes: chunks and scenes.
 
-use std::sync::Arc;
-
 use axum::Json;
 use axum::body::Body;
 use axum::extract::State;
@@ -10,15 +8,14 @@ use axum::response::{IntoResponse, Response};
 use futures::{StreamExt, TryStreamExt};
 use lightkiln_proto::api::{MAX_CHUNK_BYTES, MAX_SCENE_PART_BYTES, SceneParts, SceneProgress, SceneStored};
 use lightkiln_proto::ids::Digest;
-use lightkiln_proto::problem::Problem;
 use utoipa::openapi::RefOr;
 use utoipa::openapi::schema::{KnownFormat, ObjectBuilder, Schema, SchemaFormat, Type};
 use utoipa::{IntoParams, PartialSchema, ToSchema};
 
-use super::extract::{JsonBody, PathParam, content_length, text_header};
+use super::extract::{Answer, FarmState, JsonBody, PathParam, content_length, text_header};
 use super::ranges::{Wanted, is_known, range_applies, wanted};
 use crate::chunks::{ChunkError, Stored};
-use crate::error::ServerError;
+use crate::error::{Result, ServerError};
 use crate::farm::Farm;
 
 /// Largest list of parts.
@@ -61,14 +58,14 @@ pub(super) struct Conditions {
     responses(
         (status = 201, description = "Stored"),
         (status = 200, description = "Was stored already"),
-        (status = 413, description = "Too large", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "The bytes have another digest", body = Problem, content_type = "application/problem+json")))]
+        (status = 413, description = "Too large"),
+        (status = 422, description = "The bytes have another digest")))]
 pub(super) async fn put_chunk(
-    State(farm): State<Arc<Farm>>,
+    State(farm): FarmState,
     PathParam(digest): PathParam<Digest>,
     headers: HeaderMap,
     body: Body,
-) -> Result<StatusCode, ServerError> {
+) -> Result<StatusCode> {
     Ok(status_of(store(&farm, digest, &headers, body).await?))
 }
 
@@ -79,14 +76,14 @@ pub(super) async fn put_chunk(
     responses(
         (status = 201, description = "Stored", body = SceneStored),
         (status = 200, description = "Was stored already", body = SceneStored),
-        (status = 413, description = "Too large", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "The bytes have another digest", body = Problem, content_type = "application/problem+json")))]
+        (status = 413, description = "Too large"),
+        (status = 422, description = "The bytes have another digest")))]
 pub(super) async fn put_scene(
-    State(farm): State<Arc<Farm>>,
+    State(farm): FarmState,
     PathParam(digest): PathParam<Digest>,
     headers: HeaderMap,
     body: Body,
-) -> Result<(StatusCode, Json<SceneStored>), ServerError> {
+) -> Result<(StatusCode, Json<SceneStored>)> {
     let stored = store(&farm, digest, &headers, body).await?;
     Ok((status_of(stored), Json(SceneStored { scene: digest, bytes: stored.bytes })))
 }
@@ -98,14 +95,14 @@ pub(super) async fn put_scene(
     responses(
         (status = 201, description = "Stored"),
         (status = 200, description = "Was stored already"),
-        (status = 413, description = "Too large", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "The bytes have another digest", body = Problem, content_type = "application/problem+json")))]
+        (status = 413, description = "Too large"),
+        (status = 422, description = "The bytes have another digest")))]
 pub(super) async fn put_scene_part(
-    State(farm): State<Arc<Farm>>,
+    State(farm): FarmState,
     PathParam(digest): PathParam<Digest>,
     headers: HeaderMap,
     body: Body,
-) -> Result<StatusCode, ServerError> {
+) -> Result<StatusCode> {
     Ok(status_of(store_up_to(&farm, digest, &headers, body, MAX_SCENE_PART_BYTES).await?))
 }
 
@@ -114,17 +111,17 @@ pub(super) async fn put_scene_part(
     params(("digest" = Digest, Path, description = "blake3 digest of the bundle")),
     responses(
         (status = 200, description = "What is missing, or that the scene is stored", body = SceneProgress),
-        (status = 413, description = "Too large", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "The parts make other bytes", body = Problem, content_type = "application/problem+json")))]
+        (status = 413, description = "Too large"),
+        (status = 422, description = "The parts make other bytes")))]
 pub(super) async fn put_scene_together(
-    State(farm): State<Arc<Farm>>,
+    State(farm): FarmState,
     PathParam(digest): PathParam<Digest>,
     JsonBody(parts): JsonBody<SceneParts, MAX_JSON_BYTES>,
-) -> Result<Json<SceneProgress>, ServerError> {
+) -> Answer<SceneProgress> {
     Ok(Json(farm.put_scene_together(digest, parts).await?))
 }
 
-async fn store(farm: &Farm, digest: Digest, headers: &HeaderMap, body: Body) -> Result<Stored, ServerError> {
+async fn store(farm: &Farm, digest: Digest, headers: &HeaderMap, body: Body) -> Result<Stored> {
     store_up_to(farm, digest, headers, body, MAX_CHUNK_BYTES).await
 }
 
@@ -134,7 +131,7 @@ async fn store_up_to(
     headers: &HeaderMap,
     body: Body,
     limit: u64,
-) -> Result<Stored, ServerError> {
+) -> Result<Stored> {
     if content_length(headers).is_some_and(|length| length > limit) {
         return Err(ChunkError::TooLarge { limit }.into());
     }
@@ -153,10 +150,10 @@ fn status_of(stored: Stored) -> StatusCode {
     params(("digest" = Digest, Path, description = "blake3 digest of the bundle")),
     responses((status = 200, description = "It is stored"), (status = 404, description = "It is not")))]
 pub(super) async fn head_scene(
-    State(farm): State<Arc<Farm>>,
+    State(farm): FarmState,
     PathParam(digest): PathParam<Digest>,
     headers: HeaderMap,
-) -> Result<Response, ServerError> {
+) -> Result<Response> {
     serve_bytes(&farm, digest, &Method::HEAD, &headers, "application/octet-stream", FOREVER).await
 }
 
@@ -169,14 +166,14 @@ pub(super) async fn head_scene(
         (status = 200, description = "All bytes", body = inline(Binary), content_type = "application/octet-stream"),
         (status = 206, description = "The range", body = inline(Binary), content_type = "application/octet-stream"),
         (status = 304, description = "The caller has the bytes"),
-        (status = 404, description = "Not stored", body = Problem, content_type = "application/problem+json"),
-        (status = 416, description = "The range lies outside", body = Problem, content_type = "application/problem+json")))]
+        (status = 404, description = "Not stored"),
+        (status = 416, description = "The range lies outside")))]
 pub(super) async fn get_chunk(
-    State(farm): State<Arc<Farm>>,
+    State(farm): FarmState,
     PathParam(digest): PathParam<Digest>,
     method: Method,
     headers: HeaderMap,
-) -> Result<Response, ServerError> {
+) -> Result<Response> {
     serve_bytes(&farm, digest, &method, &headers, "application/octet-stream", FOREVER).await
 }
 
@@ -185,10 +182,10 @@ pub(super) async fn get_chunk(
     params(("digest" = Digest, Path, description = "blake3 digest of the bytes")),
     responses((status = 200, description = "It is stored"), (status = 404, description = "It is not")))]
 pub(super) async fn head_chunk(
-    State(farm): State<Arc<Farm>>,
+    State(farm): FarmState,
     PathParam(digest): PathParam<Digest>,
     headers: HeaderMap,
-) -> Result<Response, ServerError> {
+) -> Result<Response> {
     serve_bytes(&farm, digest, &Method::HEAD, &headers, "application/octet-stream", FOREVER).await
 }
 
@@ -200,7 +197,7 @@ pub(super) async fn serve_bytes(
     headers: &HeaderMap,
     content_type: &'static str,
     cache_control: &'static str,
-) -> Result<Response, ServerError> {
+) -> Result<Response> {
     let length = farm.storage.length(digest).await?.ok_or(ChunkError::NotFound { digest })?;
     let etag = format!("\"{digest}\"");
     let fixed = [

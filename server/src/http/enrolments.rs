@@ -1,17 +1,12 @@
 //! Codes for tokens.
 
-use std::sync::Arc;
-
 use axum::Json;
 use axum::extract::State;
 use axum::http::HeaderMap;
 use lightkiln_proto::api::{Enrolled, Enrolment};
-use lightkiln_proto::problem::Problem;
 
-use super::extract::JsonBody;
+use super::extract::{Answer, FarmState, JsonBody};
 use super::guard::bearer_token;
-use crate::error::ServerError;
-use crate::farm::Farm;
 
 /// Largest body: one digest fits many times.
 const MAX_JSON_BYTES: usize = 4 << 10;
@@ -20,12 +15,12 @@ const MAX_JSON_BYTES: usize = 4 << 10;
 /// for an hour and for one token; the same call again gives the same answer.
 #[utoipa::path(post, path = "/v1/enrolments", tag = "workers", request_body = Enrolment,
     responses((status = 200, description = "The token is good from now on", body = Enrolled),
-        (status = 401, description = "The code is unknown, too old, or was used", body = Problem, content_type = "application/problem+json")))]
+        (status = 401, description = "The code is unknown, too old, or was used")))]
 pub(super) async fn enrol(
-    State(farm): State<Arc<Farm>>,
+    State(farm): FarmState,
     headers: HeaderMap,
     JsonBody(enrolment): JsonBody<Enrolment, MAX_JSON_BYTES>,
-) -> Result<Json<Enrolled>, ServerError> {
+) -> Answer<Enrolled> {
     let code = bearer_token(&headers).unwrap_or_default();
     Ok(Json(Enrolled { name: farm.guard.enrol(code, enrolment.token).await? }))
 }

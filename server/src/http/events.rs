@@ -10,14 +10,13 @@ use axum::http::{HeaderMap, header};
 use axum::response::sse::{Event, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
 use futures::{Stream, StreamExt};
-use lightkiln_proto::api::{BakeEvent, EventKind, EventPage};
-use lightkiln_proto::problem::Problem;
+use lightkiln_proto::api::{BakeEvent, EventPage};
 use serde::Deserialize;
 use tokio::time::Instant;
 use utoipa::IntoParams;
 
-use super::extract::{PathParam, UrlQuery, bad_request, text_header};
-use crate::error::ServerError;
+use super::extract::{FarmState, PathParam, UrlQuery, text_header};
+use crate::error::{Result, ServerError};
 use crate::farm::{Farm, MAX_WAIT_SECS};
 
 /// Largest `seq` that the farm's database can hold, of a bake or an event.
@@ -56,24 +55,26 @@ pub(super) struct LastEvent {
     params(("id" = String, Path, description = "The bake"), EventsQuery, LastEvent),
     responses(
         (status = 200, description = "Events", content((EventPage = "application/json"), (BakeEvent = "text/event-stream"))),
-        (status = 404, description = "No such bake", body = Problem, content_type = "application/problem+json")))]
+        (status = 404, description = "No such bake")))]
 pub(super) async fn events(
-    State(farm): State<Arc<Farm>>,
+    State(farm): FarmState,
     PathParam(id): PathParam<String>,
     UrlQuery(query): UrlQuery<EventsQuery>,
     headers: HeaderMap,
-) -> Result<Response, ServerError> {
+) -> Result<Response> {
     let wait_secs = query.wait_secs.unwrap_or(0);
     if wait_secs > MAX_WAIT_SECS {
-        return Err(bad_request(format!("wait_secs must be within 0..={MAX_WAIT_SECS}, not {wait_secs}")));
+        return Err(ServerError::bad_request(format!(
+            "wait_secs must be within 0..={MAX_WAIT_SECS}, not {wait_secs}"
+        )));
     }
     let mut after = query.after.unwrap_or(0);
     if let Some(last) = headers.get("Last-Event-ID") {
         let last = last.to_str().ok().and_then(|last| last.trim().parse().ok());
-        after = last.ok_or_else(|| bad_request("Last-Event-ID must be the seq of an event"))?;
+        after = last.ok_or_else(|| ServerError::bad_request("Last-Event-ID must be the seq of an event"))?;
     }
     if let Some(too_large) = [Some(after), query.after].into_iter().flatten().find(|seq| *seq > MAX_SEQ) {
-        return Err(bad_request(format!(
+        return Err(ServerError::bad_request(format!(
             "after and Last-Event-ID must be at most {MAX_SEQ}, not {too_large}"
         )));
     }
@@ -123,17 +124,9 @@ async fn next_page(
     Some((events, (!is_end).then_some(last)))
 }
 
+/// An event under the name of its type.
 fn sse_event(event: &BakeEvent) -> Option<Event> {
-    let name = match event.event {
-        EventKind::Submitted => "submitted",
-        EventKind::Planned { .. } => "planned",
-        EventKind::TaskStarted { .. } => "task_started",
-        EventKind::TaskDone { .. } => "task_done",
-        EventKind::TaskFailed { .. } => "task_failed",
-        EventKind::LeaseExpired { .. } => "lease_expired",
-        EventKind::TaskReleased { .. } => "task_released",
-        EventKind::ResultLost { .. } => "result_lost",
-        EventKind::State { .. } => "state",
-    };
-    Event::default().id(event.seq.to_string()).event(name).json_data(event).ok()
+    let kind = serde_json::to_value(&event.event).ok()?;
+    let named = Event::default().id(event.seq.to_string()).event(kind["type"].as_str()?);
+    named.json_data(event).ok()
 }

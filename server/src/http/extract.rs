@@ -1,14 +1,22 @@
 //! Parts of a request, with problems for those that are malformed.
 
 use std::str::FromStr;
+use std::sync::Arc;
 
-use axum::extract::{FromRequest, FromRequestParts, Path, Query, Request};
+use axum::Json;
+use axum::extract::{FromRequest, FromRequestParts, Path, Query, Request, State};
 use axum::http::request::Parts;
 use axum::http::{HeaderMap, header};
 use futures::StreamExt;
 use serde::de::DeserializeOwned;
 
-use crate::error::ServerError;
+use crate::error::{Result, ServerError};
+use crate::farm::Farm;
+
+/// The farm that a call is about.
+pub(super) type FarmState = State<Arc<Farm>>;
+/// A JSON answer.
+pub(super) type Answer<T> = Result<Json<T>>;
 
 /// A JSON body of at most `LIMIT` bytes.
 pub(super) struct JsonBody<T, const LIMIT: usize>(pub(super) T);
@@ -16,22 +24,24 @@ pub(super) struct JsonBody<T, const LIMIT: usize>(pub(super) T);
 impl<S: Send + Sync, T: DeserializeOwned, const LIMIT: usize> FromRequest<S> for JsonBody<T, LIMIT> {
     type Rejection = ServerError;
 
-    async fn from_request(request: Request, _state: &S) -> Result<Self, ServerError> {
+    async fn from_request(request: Request, _state: &S) -> Result<Self> {
         // Pages of other sites can post forms and plain text to this server, but not JSON.
         let is_json = |value: &str| {
             value.split(';').next().is_some_and(|kind| kind.trim().eq_ignore_ascii_case("application/json"))
         };
         if !text_header(request.headers(), header::CONTENT_TYPE).is_some_and(is_json) {
-            return Err(bad_request("the body must have the Content-Type application/json"));
+            return Err(ServerError::bad_request("the body must have the Content-Type application/json"));
         }
         let body = read_body(request, LIMIT).await?;
         if has_escaped_nul(&body) {
-            return Err(bad_request("the body has the character U+0000 (\\u0000), which no text may have"));
+            return Err(ServerError::bad_request(
+                "the body has the character U+0000 (\\u0000), which no text may have",
+            ));
         }
         let parsed = serde_json::from_slice(&body);
-        parsed
-            .map(Self)
-            .map_err(|error| bad_request(format!("the body is not what this call takes: {error}")))
+        parsed.map(Self).map_err(|error| {
+            ServerError::bad_request(format!("the body is not what this call takes: {error}"))
+        })
     }
 }
 
@@ -50,16 +60,16 @@ fn has_escaped_nul(json: &[u8]) -> bool {
 }
 
 /// Errs if a decoded part of the URL has U+0000.
-fn without_nul(what: &str, encoded: &str) -> Result<(), ServerError> {
+fn without_nul(what: &str, encoded: &str) -> Result<()> {
     if encoded.contains("%00") {
-        return Err(bad_request(format!(
+        return Err(ServerError::bad_request(format!(
             "the {what} has the character U+0000 (%00), which no text may have"
         )));
     }
     Ok(())
 }
 
-async fn read_body(request: Request, limit: usize) -> Result<Vec<u8>, ServerError> {
+async fn read_body(request: Request, limit: usize) -> Result<Vec<u8>> {
     let too_large = || ServerError::BodyTooLarge { limit: limit as u64 };
     if content_length(request.headers()).is_some_and(|length| length > limit as u64) {
         return Err(too_large());
@@ -85,11 +95,11 @@ where
 {
     type Rejection = ServerError;
 
-    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, ServerError> {
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self> {
         without_nul("path", parts.uri.path())?;
         let text = Path::<String>::from_request_parts(parts, state).await;
-        let Path(text) = text.map_err(|error| bad_request(error.body_text()))?;
-        text.parse().map(Self).map_err(|error: T::Err| bad_request(error.to_string()))
+        let Path(text) = text.map_err(|error| ServerError::bad_request(error.body_text()))?;
+        text.parse().map(Self).map_err(|error: T::Err| ServerError::bad_request(error.to_string()))
     }
 }
 
@@ -99,10 +109,10 @@ pub(super) struct UrlQuery<T>(pub(super) T);
 impl<S: Send + Sync, T: DeserializeOwned> FromRequestParts<S> for UrlQuery<T> {
     type Rejection = ServerError;
 
-    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, ServerError> {
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self> {
         without_nul("query", parts.uri.query().unwrap_or_default())?;
         let query = Query::<T>::from_request_parts(parts, state).await;
-        query.map(|Query(query)| Self(query)).map_err(|error| bad_request(error.body_text()))
+        query.map(|Query(query)| Self(query)).map_err(|error| ServerError::bad_request(error.body_text()))
     }
 }
 
@@ -114,11 +124,6 @@ pub(super) fn text_header(headers: &HeaderMap, name: header::HeaderName) -> Opti
 /// The body's length, if the caller says it.
 pub(super) fn content_length(headers: &HeaderMap) -> Option<u64> {
     text_header(headers, header::CONTENT_LENGTH)?.parse().ok()
-}
-
-/// A malformed request.
-pub(super) fn bad_request(what: impl Into<String>) -> ServerError {
-    ServerError::BadRequest { what: what.into() }
 }
 
 #[cfg(test)]

@@ -12,7 +12,7 @@ use axum::response::Response;
 use super::extract::text_header;
 use super::limits::Limits;
 use crate::access::Scope;
-use crate::error::ServerError;
+use crate::error::Result;
 use crate::farm::Farm;
 
 /// Any of these scopes will do; none are needed where there are none.
@@ -42,7 +42,7 @@ pub(super) struct Doorman {
 impl Doorman {
     /// Counts the call, and refuses it without a token that opens it. Paths that do not exist are nobody's secret; calls
     /// about health are answered however many they are.
-    async fn check(&self, request: &Parts) -> Result<(), ServerError> {
+    async fn check(&self, request: &Parts) -> Result<()> {
         let route = request.extensions.get::<MatchedPath>().map(MatchedPath::as_str);
         if route.is_some_and(is_about_health) {
             return Ok(());
@@ -69,7 +69,7 @@ pub(super) async fn guard(
     State(doorman): State<Arc<Doorman>>,
     request: Request,
     next: Next,
-) -> Result<Response, ServerError> {
+) -> Result<Response> {
     let (parts, body) = request.into_parts();
     doorman.check(&parts).await?;
     let request = Request::from_parts(parts, body);

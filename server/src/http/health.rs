@@ -1,13 +1,10 @@
 //! For those who run the server: health, readiness, metrics, description.
 
-use std::sync::Arc;
-
 use axum::extract::State;
 use axum::http::{HeaderName, header};
-use lightkiln_proto::problem::Problem;
 
-use crate::error::ServerError;
-use crate::farm::Farm;
+use super::extract::FarmState;
+use crate::error::Result;
 use crate::metrics::{CONTENT_TYPE, Figures};
 
 /// Says that the process runs.
@@ -20,9 +17,9 @@ pub(super) async fn healthz() -> &'static str {
 /// Says that the database can be written, and the chunk store written and read.
 #[utoipa::path(get, path = "/readyz", tag = "operation",
     responses((status = 200, description = "It is ready", body = String, content_type = "text/plain"),
-        (status = 503, description = "It is not", body = Problem, content_type = "application/problem+json"),
-        (status = 507, description = "The disk is full", body = Problem, content_type = "application/problem+json")))]
-pub(super) async fn readyz(State(farm): State<Arc<Farm>>) -> Result<&'static str, ServerError> {
+        (status = 503, description = "It is not"),
+        (status = 507, description = "The disk is full")))]
+pub(super) async fn readyz(State(farm): FarmState) -> Result<&'static str> {
     farm.store.probe().await?;
     farm.storage.probe().await?;
     Ok("ready\n")
@@ -32,9 +29,7 @@ pub(super) async fn readyz(State(farm): State<Arc<Farm>>) -> Result<&'static str
 #[utoipa::path(get, path = "/metrics", tag = "operation",
     responses((status = 200, description = "The text format of OpenMetrics", body = String,
         content_type = "application/openmetrics-text")))]
-pub(super) async fn metrics(
-    State(farm): State<Arc<Farm>>,
-) -> Result<([(HeaderName, &'static str); 1], String), ServerError> {
+pub(super) async fn metrics(State(farm): FarmState) -> Result<([(HeaderName, &'static str); 1], String)> {
     let figures = Figures {
         farm: farm.store.stats().await?,
         workers: farm.store.workers().await?.len() as u64,

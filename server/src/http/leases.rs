@@ -1,18 +1,14 @@
 //! Leases as workers see them.
 
-use std::sync::Arc;
-
 use axum::Json;
 use axum::extract::State;
 use axum::http::StatusCode;
 use lightkiln_proto::api::{
     ClaimAnswer, ClaimRequest, CommitAnswer, Failure, Heartbeat, HeartbeatAnswer, TaskResult,
 };
-use lightkiln_proto::problem::Problem;
 
-use super::extract::{JsonBody, PathParam};
-use crate::error::ServerError;
-use crate::farm::Farm;
+use super::extract::{Answer, FarmState, JsonBody, PathParam};
+use crate::error::Result;
 
 /// Largest JSON body of small calls.
 const MAX_JSON_BYTES: usize = 1 << 20;
@@ -23,9 +19,9 @@ const MAX_RESULT_BYTES: usize = 256 << 20;
 #[utoipa::path(post, path = "/v1/leases", tag = "leases", request_body = ClaimRequest,
     responses((status = 200, description = "Leases, perhaps none", body = ClaimAnswer)))]
 pub(super) async fn claim(
-    State(farm): State<Arc<Farm>>,
+    State(farm): FarmState,
     JsonBody(request): JsonBody<ClaimRequest, MAX_JSON_BYTES>,
-) -> Result<Json<ClaimAnswer>, ServerError> {
+) -> Answer<ClaimAnswer> {
     Ok(Json(farm.claim(request).await?))
 }
 
@@ -34,10 +30,10 @@ pub(super) async fn claim(
     params(("token" = String, Path, description = "The lease's token: 32 lower-case hex digits", pattern = "^[0-9a-f]{32}$")),
     responses((status = 200, description = "What to do", body = HeartbeatAnswer)))]
 pub(super) async fn heartbeat(
-    State(farm): State<Arc<Farm>>,
+    State(farm): FarmState,
     PathParam(token): PathParam<String>,
     JsonBody(heartbeat): JsonBody<Heartbeat, MAX_JSON_BYTES>,
-) -> Result<Json<HeartbeatAnswer>, ServerError> {
+) -> Answer<HeartbeatAnswer> {
     Ok(Json(farm.heartbeat(&token, heartbeat.progress).await?))
 }
 
@@ -45,14 +41,13 @@ pub(super) async fn heartbeat(
 #[utoipa::path(post, path = "/v1/leases/{token}/commit", tag = "leases", request_body = TaskResult,
     params(("token" = String, Path, description = "The lease's token: 32 lower-case hex digits", pattern = "^[0-9a-f]{32}$")),
     responses((status = 200, description = "What became of it", body = CommitAnswer),
-        (status = 400, description = "The plan is none", body = Problem, content_type = "application/problem+json"),
-        (status = 409, description = "An output is not stored, or no more: upload it and hand the result in again",
-            body = Problem, content_type = "application/problem+json")))]
+        (status = 400, description = "The plan is none"),
+        (status = 409, description = "An output is not stored, or no more: upload it and hand the result in again")))]
 pub(super) async fn commit(
-    State(farm): State<Arc<Farm>>,
+    State(farm): FarmState,
     PathParam(token): PathParam<String>,
     JsonBody(result): JsonBody<TaskResult, MAX_RESULT_BYTES>,
-) -> Result<Json<CommitAnswer>, ServerError> {
+) -> Answer<CommitAnswer> {
     Ok(Json(CommitAnswer { verdict: farm.commit(&token, result).await? }))
 }
 
@@ -61,10 +56,10 @@ pub(super) async fn commit(
     params(("token" = String, Path, description = "The lease's token: 32 lower-case hex digits", pattern = "^[0-9a-f]{32}$")),
     responses((status = 204, description = "Noted")))]
 pub(super) async fn fail(
-    State(farm): State<Arc<Farm>>,
+    State(farm): FarmState,
     PathParam(token): PathParam<String>,
     JsonBody(failure): JsonBody<Failure, MAX_JSON_BYTES>,
-) -> Result<StatusCode, ServerError> {
+) -> Result<StatusCode> {
     farm.fail(&token, failure.blame, &failure.message).await?;
     Ok(StatusCode::NO_CONTENT)
 }
@@ -74,9 +69,9 @@ pub(super) async fn fail(
     params(("token" = String, Path, description = "The lease's token: 32 lower-case hex digits", pattern = "^[0-9a-f]{32}$")),
     responses((status = 204, description = "Noted")))]
 pub(super) async fn release(
-    State(farm): State<Arc<Farm>>,
+    State(farm): FarmState,
     PathParam(token): PathParam<String>,
-) -> Result<StatusCode, ServerError> {
+) -> Result<StatusCode> {
     farm.release(&token).await?;
     Ok(StatusCode::NO_CONTENT)
 }

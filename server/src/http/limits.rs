@@ -17,7 +17,7 @@ use governor::{Quota, RateLimiter};
 use lightkiln_proto::ids::Digest;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
-use crate::error::ServerError;
+use crate::error::{Result, ServerError};
 
 /// Callers that were not heard for a while are forgotten after this many calls.
 const CALLS_BETWEEN_SWEEPS: u32 = 4096;
@@ -66,7 +66,7 @@ impl Limits {
     }
 
     /// Counts a call of a caller.
-    pub(super) fn count(&self, caller: Caller) -> Result<(), ServerError> {
+    pub(super) fn count(&self, caller: Caller) -> Result<()> {
         let Some(rate) = &self.rate else { return Ok(()) };
         if self.calls.fetch_add(1, Ordering::Relaxed) % CALLS_BETWEEN_SWEEPS == CALLS_BETWEEN_SWEEPS - 1 {
             rate.retain_recent();
@@ -78,7 +78,7 @@ impl Limits {
     }
 
     /// A place for one call, held until its answer has been sent.
-    pub(super) fn place(&self) -> Result<Place, ServerError> {
+    pub(super) fn place(&self) -> Result<Place> {
         let Some(places) = &self.places else { return Ok(Place { _permit: None }) };
         match places.clone().try_acquire_owned() {
             Ok(permit) => Ok(Place { _permit: Some(permit) }),

@@ -2,13 +2,14 @@
 
 use axum::http::{HeaderName, header};
 use lightkiln_proto::ids::Digest;
-use lightkiln_proto::problem::ProblemCode;
+use lightkiln_proto::problem::{Problem, ProblemCode};
 use utoipa::openapi::path::{Operation, Parameter};
 use utoipa::openapi::schema::{Schema, SchemaType, Type};
 use utoipa::openapi::security::{Http, HttpAuthScheme, SecurityScheme};
 use utoipa::openapi::{Content, Ref, RefOr, Response, ResponseBuilder};
 use utoipa::{Modify, OpenApi, openapi};
 
+use super::problem::PROBLEM_JSON;
 use super::{bakes, chunks, enrolments, events, health, leases};
 
 #[derive(OpenApi)]
@@ -35,7 +36,7 @@ use super::{bakes, chunks, enrolments, events, health, leases};
         enrolments::enrol,
         health::healthz, health::readyz, health::metrics, show,
     ),
-    components(schemas(Digest)),
+    components(schemas(Digest, Problem)),
     modifiers(&Bearer, &Problems),
     security((), ("bearer" = []))
 )]
@@ -51,13 +52,18 @@ impl Modify for Bearer {
     }
 }
 
-/// Names in each call the problems that no handler speaks of: those of the checks before it, and of the stores behind it.
-/// So a status that is not described is a fault.
+/// Says that errors are problems, and names in each call those that no handler speaks of: those of the checks before it,
+/// and of the stores behind it. So a status that is not described is a fault.
 struct Problems;
 
 impl Modify for Problems {
     fn modify(&self, description: &mut openapi::OpenApi) {
         for (path, item) in &mut description.paths.paths {
+            // An answer to HEAD has no body.
+            for call in [&mut item.get, &mut item.post, &mut item.put, &mut item.delete].into_iter().flatten()
+            {
+                call.responses.responses.iter_mut().for_each(error_is_problem);
+            }
             let calls = [
                 (&mut item.get, false),
                 (&mut item.head, false),
@@ -79,6 +85,15 @@ impl Modify for Problems {
         for code in COMMON {
             responses.insert(response_name(code), RefOr::T(problem_response(code)));
         }
+    }
+}
+
+/// An error without a body of its own has a problem for one.
+fn error_is_problem((status, response): (&String, &mut RefOr<Response>)) {
+    if let RefOr::T(response) = response
+        && status.starts_with(['4', '5'])
+    {
+        response.content.entry(PROBLEM_JSON.to_owned()).or_insert_with(|| problem_content().into());
     }
 }
 
@@ -136,9 +151,12 @@ fn response_name(code: ProblemCode) -> String {
     format!("{code:?}")
 }
 
+fn problem_content() -> Content {
+    Content::new(Some(Ref::from_schema_name("Problem")))
+}
+
 fn problem_response(code: ProblemCode) -> Response {
-    let problem = Content::new(Some(Ref::from_schema_name("Problem")));
-    ResponseBuilder::new().description(code.row().2).content("application/problem+json", problem).build()
+    ResponseBuilder::new().description(code.row().2).content(PROBLEM_JSON, problem_content()).build()
 }
 
 /// This description.

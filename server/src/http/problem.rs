@@ -7,7 +7,7 @@ use lightkiln_proto::problem::{Problem, ProblemCode};
 use crate::error::ServerError;
 
 /// Media type of a problem.
-const PROBLEM_JSON: HeaderValue = HeaderValue::from_static("application/problem+json");
+pub(super) const PROBLEM_JSON: &str = "application/problem+json";
 
 impl IntoResponse for ServerError {
     fn into_response(self) -> Response {

@@ -5,6 +5,9 @@ use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::problem::ProblemCode;
 use thiserror::Error;
 
+/// Result of a store's call.
+pub type Result<T, E = StoreError> = std::result::Result<T, E>;
+
 /// Why a store refused or failed.
 #[derive(Debug, Error)]
 pub enum StoreError {

@@ -35,7 +35,7 @@ use crate::access::{Bearer, Scope};
 use crate::chunks::ChunkName;
 
 use chunk::{ChunkRow, CollectRules, Collected, Kept, KeptChunk, Usage};
-pub use error::{PlanError, StoreError};
+pub use error::{PlanError, Result, StoreError};
 pub use lease::LeaseState;
 pub use rules::{BACKOFF_MAX_MS, MAX_ATTEMPTS, MAX_GRACES, MAX_PARDONS, POISON_WORKERS, backoff_ms};
 pub use sql::{FaultPoint, Faults, SqlStore};
@@ -178,138 +178,128 @@ pub struct Stats {
 #[async_trait]
 pub trait FarmStore: Send + Sync {
     /// Takes a bake in. Tasks that are done already count as reused, and their plans are applied in turn.
-    async fn submit(&self, submission: &Submission) -> Result<Submitted, StoreError>;
+    async fn submit(&self, submission: &Submission) -> Result<Submitted>;
 
     /// Results that `plan` would reuse, plans of reused results included.
-    async fn reusable(&self, plan: &[TaskSpec]) -> Result<Vec<KnownResult>, StoreError>;
+    async fn reusable(&self, plan: &[TaskSpec]) -> Result<Vec<KnownResult>>;
 
     /// Forgets results whose bytes are lost: tasks that a live bake wants run again; dependants, and tasks that name an
     /// output by its digest, wait for them again. A worker whose attempt fails after it lost an input is not to blame. A
     /// bake fails when its tasks still need bytes that were not made again. Bakes that have ended count the result as lost ([`Bake::results_lost`]) until a bake runs the task again.
-    async fn forget(&self, keys: &[TaskKey]) -> Result<(), StoreError>;
+    async fn forget(&self, keys: &[TaskKey]) -> Result<()>;
 
     /// Hands out up to `max` ready tasks. One by one they come from the bake with the highest priority, of those from the
     /// one with the fewest tasks under way ([`rules`] says more), of a bake by cost, then key.
-    async fn claim(&self, request: &ClaimRequest) -> Result<Vec<Lease>, StoreError>;
+    async fn claim(&self, request: &ClaimRequest) -> Result<Vec<Lease>>;
 
     /// Whether a running bake has a ready task of one of these kinds, whoever may take it.
-    async fn is_any_ready(&self, kinds: &[String]) -> Result<bool, StoreError>;
+    async fn is_any_ready(&self, kinds: &[String]) -> Result<bool>;
 
     /// Prolongs a lease, or says why not. The first one says that the lease has arrived.
-    async fn heartbeat(&self, token: &str, progress: f32) -> Result<HeartbeatAnswer, StoreError>;
+    async fn heartbeat(&self, token: &str, progress: f32) -> Result<HeartbeatAnswer>;
 
     /// Takes a result in if the lease is still good.
-    async fn commit(&self, token: &str, result: &TaskResult) -> Result<CommitVerdict, StoreError>;
+    async fn commit(&self, token: &str, result: &TaskResult) -> Result<CommitVerdict>;
 
     /// Ends an attempt without a result.
-    async fn fail(&self, token: &str, blame: Blame, message: &str) -> Result<FailVerdict, StoreError>;
+    async fn fail(&self, token: &str, blame: Blame, message: &str) -> Result<FailVerdict>;
 
     /// Gives a task back; no attempt is counted. False when the lease was gone.
-    async fn release(&self, token: &str) -> Result<bool, StoreError>;
+    async fn release(&self, token: &str) -> Result<bool>;
 
     /// Gives every lease that has at most half its length left the whole again: the farm did not hear its workers for a while.
     /// [`rules::MAX_GRACES`] times at most until the holder is heard again. Returns how many.
-    async fn extend_leases(&self) -> Result<u64, StoreError>;
+    async fn extend_leases(&self) -> Result<u64>;
 
     /// Workers that failed at tasks of a bake.
-    async fn blocklist(&self, bake: &str) -> Result<Blocklist, StoreError>;
+    async fn blocklist(&self, bake: &str) -> Result<Blocklist>;
 
     /// Forgets that a worker, or any, failed at tasks of a bake.
-    async fn clear_blocklist(&self, bake: &str, worker: Option<&str>) -> Result<Blocklist, StoreError>;
+    async fn clear_blocklist(&self, bake: &str, worker: Option<&str>) -> Result<Blocklist>;
 
     /// Ends leases that have run out. Each counts as an attempt failed by its worker, unless the worker was never heard
     /// about it: then the answer to its claim was lost, or the worker had gone, and nothing was attempted. A worker that is
     /// heard later, by a heartbeat, commit or release of that lease, was silent and is alive: the attempt is given back, up to
     /// [`MAX_PARDONS`] times for a task. A crash never is, nor an attempt that took too long, nor one that failed.
-    async fn reap(&self) -> Result<Reaped, StoreError>;
+    async fn reap(&self) -> Result<Reaped>;
 
     /// Holds a bake's tasks back; leases go on.
-    async fn pause(&self, bake: &str) -> Result<Bake, StoreError>;
+    async fn pause(&self, bake: &str) -> Result<Bake>;
 
     /// Ends a pause.
-    async fn resume(&self, bake: &str) -> Result<Bake, StoreError>;
+    async fn resume(&self, bake: &str) -> Result<Bake>;
 
     /// Ends a bake; tasks that no other live bake wants are dropped.
-    async fn cancel(&self, bake: &str) -> Result<Bake, StoreError>;
+    async fn cancel(&self, bake: &str) -> Result<Bake>;
 
     /// Changes a live bake's priority.
-    async fn reprioritise(&self, bake: &str, priority: i32) -> Result<Bake, StoreError>;
+    async fn reprioritise(&self, bake: &str, priority: i32) -> Result<Bake>;
 
     /// One bake.
-    async fn show(&self, bake: &str) -> Result<Bake, StoreError>;
+    async fn show(&self, bake: &str) -> Result<Bake>;
 
     /// Bakes, newest first; those submitted before place `after`, which `next` of the page before gave. The bake there may be gone.
-    async fn list(&self, after: Option<u64>, limit: u32) -> Result<BakePage, StoreError>;
+    async fn list(&self, after: Option<u64>, limit: u32) -> Result<BakePage>;
 
     /// Events with a `seq` above `after`, and the bake as it stands.
-    async fn events_after(&self, bake: &str, after: u64, limit: u32) -> Result<EventPage, StoreError>;
+    async fn events_after(&self, bake: &str, after: u64, limit: u32) -> Result<EventPage>;
 
     /// Workers heard of lately, by name.
-    async fn workers(&self) -> Result<Vec<Worker>, StoreError>;
+    async fn workers(&self) -> Result<Vec<Worker>>;
 
     /// Makes a bearer. A name is given once; the same call again gives the same bearer.
-    async fn add_bearer(
-        &self,
-        name: &str,
-        hash: Digest,
-        scopes: &BTreeSet<Scope>,
-    ) -> Result<Bearer, StoreError>;
+    async fn add_bearer(&self, name: &str, hash: Digest, scopes: &BTreeSet<Scope>) -> Result<Bearer>;
 
     /// Makes a bearer's token useless, for ever.
-    async fn revoke_bearer(&self, name: &str) -> Result<Bearer, StoreError>;
+    async fn revoke_bearer(&self, name: &str) -> Result<Bearer>;
 
     /// All bearers ever made, by name.
-    async fn bearers(&self) -> Result<Vec<Bearer>, StoreError>;
+    async fn bearers(&self) -> Result<Vec<Bearer>>;
 
     /// Those of `digests` whose bytes are kept.
-    async fn find_chunks(&self, digests: &[Digest]) -> Result<Vec<KeptChunk>, StoreError>;
+    async fn find_chunks(&self, digests: &[Digest]) -> Result<Vec<KeptChunk>>;
 
     /// The same for one, which from now on stays for the grace.
-    async fn touch_chunk(&self, digest: Digest) -> Result<Option<KeptChunk>, StoreError>;
+    async fn touch_chunk(&self, digest: Digest) -> Result<Option<KeptChunk>>;
 
     /// Takes stored bytes in, in place of the generation `replaces` if that is what the chunk has. Refused if the farm
     /// would then store more than `quota` bytes.
-    async fn keep_chunk(
-        &self,
-        chunk: KeptChunk,
-        replaces: Option<u64>,
-        quota: Option<u64>,
-    ) -> Result<Kept, StoreError>;
+    async fn keep_chunk(&self, chunk: KeptChunk, replaces: Option<u64>, quota: Option<u64>) -> Result<Kept>;
 
     /// Deletes a bake that has ended, and the results that no other bake holds.
-    async fn delete_bake(&self, bake: &str) -> Result<(), StoreError>;
+    async fn delete_bake(&self, bake: &str) -> Result<()>;
 
     /// Deletes old bakes, condemns chunks that nobody needs, and says whose bytes are to be removed.
-    async fn collect(&self, rules: &CollectRules) -> Result<Collected, StoreError>;
+    async fn collect(&self, rules: &CollectRules) -> Result<Collected>;
 
     /// Forgets condemned chunks whose bytes have been removed.
-    async fn purge(&self, names: &[ChunkName]) -> Result<(), StoreError>;
+    async fn purge(&self, names: &[ChunkName]) -> Result<()>;
 
     /// Gives up a chunk whose bytes are lost or damaged: results with it among their outputs are forgotten, as by
     /// [`FarmStore::forget`]. Returns how many. Nothing happens if the chunk has another generation by now.
-    async fn lose_chunk(&self, name: ChunkName) -> Result<u64, StoreError>;
+    async fn lose_chunk(&self, name: ChunkName) -> Result<u64>;
 
     /// Chunks after `after`, by digest.
-    async fn chunk_rows(&self, after: Option<Digest>, limit: u32) -> Result<Vec<ChunkRow>, StoreError>;
+    async fn chunk_rows(&self, after: Option<Digest>, limit: u32) -> Result<Vec<ChunkRow>>;
 
     /// Those of `names` that are neither kept nor condemned.
-    async fn orphans(&self, names: &[ChunkName]) -> Result<Vec<ChunkName>, StoreError>;
+    async fn orphans(&self, names: &[ChunkName]) -> Result<Vec<ChunkName>>;
 
     /// Condemns those of `chunks` that are neither kept nor condemned; returns their names.
-    async fn condemn_orphans(&self, chunks: &[KeptChunk]) -> Result<Vec<ChunkName>, StoreError>;
+    async fn condemn_orphans(&self, chunks: &[KeptChunk]) -> Result<Vec<ChunkName>>;
 
     /// Fill of the storage.
-    async fn usage(&self) -> Result<Usage, StoreError>;
+    async fn usage(&self) -> Result<Usage>;
 
     /// Figures about the whole farm.
-    async fn stats(&self) -> Result<Stats, StoreError>;
+    async fn stats(&self) -> Result<Stats>;
 
     /// Writes something, to show that writing works.
-    async fn probe(&self) -> Result<(), StoreError>;
+    async fn probe(&self) -> Result<()>;
 }
 
 /// Refuses calls that only a live bake allows.
-pub fn require_live(bake: &str, state: BakeState, action: &'static str) -> Result<(), StoreError> {
+pub fn require_live(bake: &str, state: BakeState, action: &'static str) -> Result<()> {
     if state.is_final() {
         return Err(StoreError::StateConflict { bake: bake.to_owned(), state, action });
     }
@@ -317,7 +307,7 @@ pub fn require_live(bake: &str, state: BakeState, action: &'static str) -> Resul
 }
 
 /// Refuses calls that only an ended bake allows.
-pub fn require_ended(bake: &str, state: BakeState, action: &'static str) -> Result<(), StoreError> {
+pub fn require_ended(bake: &str, state: BakeState, action: &'static str) -> Result<()> {
     if !state.is_final() {
         return Err(StoreError::StateConflict { bake: bake.to_owned(), state, action });
     }
@@ -325,6 +315,6 @@ pub fn require_ended(bake: &str, state: BakeState, action: &'static str) -> Resu
 }
 
 /// The bearer that has the name already, if it is the one to make.
-pub fn same_bearer(found: Bearer, hash: Digest) -> Result<Bearer, StoreError> {
+pub fn same_bearer(found: Bearer, hash: Digest) -> Result<Bearer> {
     if found.hash == hash { Ok(found) } else { Err(StoreError::BearerExists { name: found.name }) }
 }

@@ -16,7 +16,7 @@ use tokio::task::JoinHandle;
 
 use super::{LocalWakeup, Wakeup};
 use crate::random;
-use crate::store::StoreError;
+use crate::store::Result;
 
 /// One connection to listen, one to notify.
 const CONNECTIONS: u32 = 2;
@@ -32,7 +32,7 @@ pub struct PostgresWakeup {
 
 impl PostgresWakeup {
     /// Listens on the farm's database at `url`.
-    pub async fn connect(url: &str) -> Result<Self, StoreError> {
+    pub async fn connect(url: &str) -> Result<Self> {
         let options = PgConnectOptions::from_str(url)?.application_name("lightkiln hints");
         let pool = PgPoolOptions::new().max_connections(CONNECTIONS).connect_with(options).await?;
         let schema: String = sqlx::query_scalar("SELECT current_schema()::text").fetch_one(&pool).await?;

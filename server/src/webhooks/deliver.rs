@@ -7,7 +7,7 @@ use reqwest::{Client, Url, redirect};
 use serde_json::json;
 use tokio::sync::Semaphore;
 
-use super::{WebhookConfig, address, sign, word};
+use super::{WebhookConfig, address, sign};
 use crate::clock::{Clock as _, SystemClock};
 
 /// Longest wait between tries.
@@ -23,9 +23,9 @@ pub(super) struct Delivery {
 impl Delivery {
     /// Of a bake that has ended; nothing of one that has not.
     pub(super) fn of(bake: &Bake, url: Url) -> Option<Self> {
-        let word = word(bake.state)?;
-        let id = format!("{}.{}", bake.id, word.rsplit('.').next().unwrap_or(word));
-        let body = json!({"id": id, "type": word, "at_ms": bake.finished_ms, "bake": bake});
+        let end = bake.state.is_final().then(|| bake.state.name())?;
+        let id = format!("{}.{end}", bake.id);
+        let body = json!({"id": id, "type": format!("bake.{end}"), "at_ms": bake.finished_ms, "bake": bake});
         Some(Self { body: serde_json::to_vec(&body).ok()?, id, url })
     }
 

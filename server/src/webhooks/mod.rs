@@ -13,7 +13,7 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Duration;
 
-use lightkiln_proto::api::{Bake, BakeState};
+use lightkiln_proto::api::Bake;
 use reqwest::Url;
 use tokio::sync::{Semaphore, watch};
 use tokio::time::Instant;
@@ -21,7 +21,7 @@ use tokio::time::Instant;
 use crate::clock::{Clock as _, SystemClock};
 use crate::error::ServerError;
 use crate::farm::Farm;
-use crate::store::StoreError;
+use crate::store::{Result, StoreError};
 use crate::tls::use_ring;
 use deliver::Delivery;
 
@@ -135,7 +135,7 @@ struct Watcher {
 
 impl Watcher {
     /// Bakes whose end is to be told now.
-    async fn look(&mut self, farm: &Farm) -> Result<Vec<Bake>, StoreError> {
+    async fn look(&mut self, farm: &Farm) -> Result<Vec<Bake>> {
         let mut ended = Vec::new();
         for id in self.live.clone() {
             match farm.store.show(&id).await {
@@ -185,15 +185,5 @@ impl Watcher {
         if is_new && finished_ms >= SystemClock.now_ms() - LOOK_BACK_MS {
             ended.push(bake);
         }
-    }
-}
-
-/// The word for a bake's end.
-fn word(state: BakeState) -> Option<&'static str> {
-    match state {
-        BakeState::Done => Some("bake.done"),
-        BakeState::Failed => Some("bake.failed"),
-        BakeState::Cancelled => Some("bake.cancelled"),
-        BakeState::Running | BakeState::Paused => None,
     }
 }

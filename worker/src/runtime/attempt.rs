@@ -1,7 +1,6 @@
 //! One attempt at one task: run it, store its outputs, hand in the result, or say why there is none.
 
 use std::any::Any;
-use std::error::Error as StdError;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Mutex;
 use std::sync::atomic::AtomicBool;
@@ -9,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use lightkiln_http::{CallError, FOREVER, ShutdownFlag, retry};
 use lightkiln_proto::api::{Blame, CommitVerdict, Failure, Lease, TaskResult};
-use lightkiln_proto::problem::ProblemCode;
+use lightkiln_proto::problem::{ProblemCode, chain};
 use lightkiln_proto::trace::TARGET;
 use rayon::ThreadPool;
 
@@ -185,7 +184,7 @@ fn count(output: &mut TaskOutput, elapsed: Duration, progress: &Progress) {
 fn no_result_of_task(error: TaskError) -> NoResult {
     match error {
         TaskError::Cancelled(_) => NoResult::Stopped,
-        error => NoResult::Failed(Failure { blame: error.blame(), message: chain(&error) }),
+        error => NoResult::Failed(Failure { blame: error.blame(), message: cut(&chain(&error)) }),
     }
 }
 
@@ -199,18 +198,6 @@ fn no_result_of_call(what: &str, error: CallError) -> NoResult {
         false => (Blame::Worker, ""),
     };
     NoResult::Failed(Failure { blame, message: cut(&format!("{what}: {}{next_step}", chain(&error))) })
-}
-
-/// The error and what caused it, as one line.
-fn chain(error: &dyn StdError) -> String {
-    let mut text = error.to_string();
-    let mut cause = error.source();
-    while let Some(error) = cause {
-        text.push_str(": ");
-        text.push_str(&error.to_string());
-        cause = error.source();
-    }
-    cut(&text)
 }
 
 /// As much of a message as a server keeps; U+0000 would be refused.

@@ -9,7 +9,7 @@ use gltf::json::{Accessor, Index, Root};
 
 use super::buffers::{Buffers, slice};
 use super::document;
-use super::error::ImportError;
+use super::error::{ImportError, Result};
 use super::limits::Budget;
 
 /// An accessor whose every element is known to lie inside its buffers.
@@ -58,7 +58,7 @@ impl<'a> Reader<'a> {
         sparse_budget: &mut Budget,
         index: Index<Accessor>,
         wanted: &Wanted<'_>,
-    ) -> Result<Self, ImportError> {
+    ) -> Result<Self> {
         let accessor = document::get(root, index, "accessor", wanted.place)?;
         let place = || format!("{} (accessor {})", (wanted.place)(), index.value());
         let fail = |problem: &str| ImportError::Accessor { place: place(), problem: problem.to_owned() };
@@ -93,7 +93,7 @@ impl<'a> Reader<'a> {
         buffers: &'a Buffers<'a>,
         accessor: &Accessor,
         place: &dyn Fn() -> String,
-    ) -> Result<(), ImportError> {
+    ) -> Result<()> {
         let Some(view_index) = accessor.buffer_view else { return Ok(()) };
         let view = document::get(root, view_index, "buffer view", place)?;
         let bytes = buffers.view(view_index, place)?;
@@ -188,7 +188,7 @@ impl<'a> Sparse<'a> {
         stated: &sparse::Sparse,
         reader: &Reader<'_>,
         place: &dyn Fn() -> String,
-    ) -> Result<Self, ImportError> {
+    ) -> Result<Self> {
         let fail = |problem: &str| ImportError::Accessor { place: place(), problem: problem.to_owned() };
         let Checked::Valid(index_type) = stated.indices.component_type else {
             return Err(fail("its sparse indices are not unsigned integers"));

@@ -7,7 +7,7 @@ use gltf::json::{Index, Root};
 
 use super::bundle::Bundle;
 use super::document::{self, buffer_place};
-use super::error::ImportError;
+use super::error::{ImportError, Result};
 use super::uri::{self, Uri};
 
 /// Every buffer's bytes, or `None` for the stand-ins of compressed views, which have none.
@@ -20,18 +20,14 @@ impl<'a> Buffers<'a> {
     /// Finds the bytes of all buffers: the GLB's chunk, data URIs or files of the bundle.
     ///
     /// Errors on a missing file, a broken data URI and on fewer bytes than a buffer states.
-    pub(super) fn load(
-        root: &'a Root,
-        bin: Option<&'a [u8]>,
-        bundle: &'a Bundle,
-    ) -> Result<Self, ImportError> {
+    pub(super) fn load(root: &'a Root, bin: Option<&'a [u8]>, bundle: &'a Bundle) -> Result<Self> {
         let load_one = |index| load_buffer(root, index, bin, bundle);
         let loaded = (0..root.buffers.len()).map(load_one).collect::<Result<_, _>>()?;
         Ok(Self { root, loaded })
     }
 
     /// The bytes of a view; `place` is who reads it.
-    pub(super) fn view(&self, index: Index<View>, place: &dyn Fn() -> String) -> Result<&[u8], ImportError> {
+    pub(super) fn view(&self, index: Index<View>, place: &dyn Fn() -> String) -> Result<&[u8]> {
         let view = document::get(self.root, index, "buffer view", place)?;
         let buffer_index = view.buffer.value();
         let in_view = || format!("buffer view {} of {}", index.value(), place());
@@ -62,7 +58,7 @@ fn load_buffer<'a>(
     index: usize,
     bin: Option<&'a [u8]>,
     bundle: &'a Bundle,
-) -> Result<Option<Cow<'a, [u8]>>, ImportError> {
+) -> Result<Option<Cow<'a, [u8]>>> {
     let buffer = &root.buffers[index];
     let place = || buffer_place(root, index);
     let bytes = match &buffer.uri {
@@ -92,11 +88,7 @@ fn is_compression_stand_in(buffer: &gltf::json::Buffer) -> bool {
 }
 
 /// The bytes that a URI of a buffer or image stands for.
-pub(super) fn read_uri<'a>(
-    uri: &str,
-    place: String,
-    bundle: &'a Bundle,
-) -> Result<Cow<'a, [u8]>, ImportError> {
+pub(super) fn read_uri<'a>(uri: &str, place: String, bundle: &'a Bundle) -> Result<Cow<'a, [u8]>> {
     match uri::classify(uri) {
         Uri::Data(rest) => match uri::decode_data(rest) {
             Ok(bytes) => Ok(Cow::Owned(bytes)),

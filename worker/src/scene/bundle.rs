@@ -5,7 +5,7 @@ use std::io::{Cursor, Read as _};
 
 use zip::ZipArchive;
 
-use super::error::{ImportError, shown};
+use super::error::{ImportError, Result, shown};
 use super::limits::{Budget, Limits, within};
 use super::{glb, uri};
 
@@ -26,7 +26,7 @@ impl Bundle {
     ///
     /// The format is read from the bytes, not from a name. Errors if it is none of these, on a zip that is broken,
     /// unsafe or beyond the limits, and on a zip without exactly one glTF.
-    pub fn from_bytes(bytes: Vec<u8>, limits: &Limits) -> Result<Self, ImportError> {
+    pub fn from_bytes(bytes: Vec<u8>, limits: &Limits) -> Result<Self> {
         within("bytes in the upload", bytes.len() as u64, limits.bundle_bytes)?;
         match Format::of(&bytes).ok_or(ImportError::UnknownFormat)? {
             Format::Glb => Ok(Self::single("scene.glb", bytes)),
@@ -45,7 +45,7 @@ impl Bundle {
     }
 
     /// The file that `uri` names, seen from the root; `place` is who asks.
-    pub(super) fn file(&self, place: &str, uri: &str) -> Result<&[u8], ImportError> {
+    pub(super) fn file(&self, place: &str, uri: &str) -> Result<&[u8]> {
         let folder = uri::folder_of(&self.root);
         let decoded = uri::resolve(folder, &uri::decode_file(uri));
         let found = decoded.as_ref().ok().and_then(|path| self.files.get(path));
@@ -99,7 +99,7 @@ impl Format {
     }
 }
 
-fn from_zip(bytes: &[u8], limits: &Limits) -> Result<Bundle, ImportError> {
+fn from_zip(bytes: &[u8], limits: &Limits) -> Result<Bundle> {
     // The zip reader allocates for its whole directory before it says how long that is.
     let signatures = bytes.windows(4).filter(|window| window == ZIP_DIRECTORY_ENTRY).count() as u64;
     within("files in the zip", signatures, limits.files.saturating_add(CHANCE_SIGNATURES))?;
@@ -124,7 +124,7 @@ fn read_entry(
     index: usize,
     limits: &Limits,
     budget: &mut Budget,
-) -> Result<Option<(String, Vec<u8>)>, ImportError> {
+) -> Result<Option<(String, Vec<u8>)>> {
     let at_index = |source| ImportError::Zip { place: format!("entry {index}"), source };
     let mut entry = archive.by_index(index).map_err(at_index)?;
     let name = entry.name().map_err(at_index)?.into_owned();
@@ -144,7 +144,7 @@ fn read_entry(
     Ok(Some((safe_name, content)))
 }
 
-fn checked_name(name: &str, limits: &Limits) -> Result<String, ImportError> {
+fn checked_name(name: &str, limits: &Limits) -> Result<String> {
     let refuse = |problem| ImportError::UnsafeEntry { name: shown(name), problem };
     if name.split(['/', '\\']).any(|part| part == "..") {
         return Err(refuse("it climbs out of a folder"));
@@ -160,7 +160,7 @@ fn is_finder_litter(path: &str) -> bool {
     path.starts_with("__MACOSX/") || name.starts_with("._")
 }
 
-fn find_root(files: &BTreeMap<String, Vec<u8>>) -> Result<String, ImportError> {
+fn find_root(files: &BTreeMap<String, Vec<u8>>) -> Result<String> {
     let is_gltf = |name: &&String| {
         let lower = name.to_ascii_lowercase();
         lower.ends_with(".gltf") || lower.ends_with(".glb")

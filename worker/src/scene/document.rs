@@ -2,7 +2,7 @@
 
 use gltf::json::{Index, Root, root::Get};
 
-use super::error::{ImportError, place_of, shown};
+use super::error::{ImportError, Result, place_of, shown};
 use super::glb;
 use super::limits::{Limits, within};
 use super::warnings::Warnings;
@@ -20,7 +20,7 @@ const GEOMETRY_COMPRESSION: [&str; 3] =
     ["KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression"];
 
 /// Parses a `.gltf` or `.glb` and checks version and required extensions. Gives the GLB's binary chunk beside it.
-pub(super) fn parse<'a>(bytes: &'a [u8], limits: &Limits) -> Result<(Root, Option<&'a [u8]>), ImportError> {
+pub(super) fn parse<'a>(bytes: &'a [u8], limits: &Limits) -> Result<(Root, Option<&'a [u8]>)> {
     let (json, bin) = if glb::is_glb(bytes) {
         let parts = glb::split(bytes)?;
         (parts.json, parts.bin)
@@ -36,7 +36,7 @@ pub(super) fn parse<'a>(bytes: &'a [u8], limits: &Limits) -> Result<(Root, Optio
 }
 
 /// Bounds what parsing can allocate, by counting outside strings before anything is built.
-fn check_json_size(json: &[u8], limits: &Limits) -> Result<(), ImportError> {
+fn check_json_size(json: &[u8], limits: &Limits) -> Result<()> {
     within("bytes of JSON", json.len() as u64, limits.json_bytes)?;
     let (mut object_count, mut value_count) = (0, 0);
     let (mut is_in_string, mut is_escaped) = (false, false);
@@ -57,14 +57,14 @@ fn check_json_size(json: &[u8], limits: &Limits) -> Result<(), ImportError> {
     within("values in the JSON", value_count, limits.json_values)
 }
 
-fn check_version(root: &Root) -> Result<(), ImportError> {
+fn check_version(root: &Root) -> Result<()> {
     let asset = &root.asset;
     let needed = asset.min_version.as_deref().unwrap_or(&asset.version);
     let is_2_0 = needed == "2.0" || (asset.min_version.is_none() && needed.starts_with("2."));
     if is_2_0 { Ok(()) } else { Err(ImportError::Version { version: shown(needed) }) }
 }
 
-fn check_required_extensions(root: &Root) -> Result<(), ImportError> {
+fn check_required_extensions(root: &Root) -> Result<()> {
     let is_supported = |name: &&String| SUPPORTED_EXTENSIONS.contains(&name.as_str());
     let Some(name) = root.extensions_required.iter().find(|name| !is_supported(name)) else {
         return Ok(());
@@ -101,7 +101,7 @@ pub(super) fn get<'a, T>(
     index: Index<T>,
     kind: &'static str,
     place: impl FnOnce() -> String,
-) -> Result<&'a T, ImportError>
+) -> Result<&'a T>
 where
     Root: Get<T> + AsRef<[T]>,
 {

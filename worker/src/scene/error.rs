@@ -2,6 +2,9 @@
 
 use std::path::PathBuf;
 
+/// Result of a step of an import.
+pub(super) type Result<T, E = ImportError> = std::result::Result<T, E>;
+
 /// An upload that cannot be baked as it stands.
 ///
 /// Every variant but [`ImportError::Io`] is a fault of the file: the same bytes fail again.

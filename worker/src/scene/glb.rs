@@ -3,7 +3,7 @@
 //! The `gltf` crate's own reader overflows on a stated length below 12 and refuses unknown chunks, which the
 //! specification asks to skip; so this one is ours.
 
-use super::error::ImportError;
+use super::error::{ImportError, Result};
 
 const MAGIC: &[u8; 4] = b"glTF";
 const HEADER_BYTES: usize = 12;
@@ -28,7 +28,7 @@ pub(super) fn is_glb(bytes: &[u8]) -> bool {
 /// Splits a GLB into its chunks.
 ///
 /// Errors on another version than 2, on lengths beyond the file and on a first chunk that is not JSON.
-pub(super) fn split(bytes: &[u8]) -> Result<Glb<'_>, ImportError> {
+pub(super) fn split(bytes: &[u8]) -> Result<Glb<'_>> {
     let version = read_u32(bytes, 4)?;
     if version != 2 {
         return Err(ImportError::Version { version: version.to_string() });
@@ -60,7 +60,7 @@ struct Chunks<'a> {
 }
 
 impl<'a> Chunks<'a> {
-    fn next_chunk(&mut self) -> Result<Option<Chunk<'a>>, ImportError> {
+    fn next_chunk(&mut self) -> Result<Option<Chunk<'a>>> {
         // Fewer bytes than a chunk header are padding that some exporters leave.
         if self.rest.len() < CHUNK_HEADER_BYTES {
             return Ok(None);
@@ -77,7 +77,7 @@ impl<'a> Chunks<'a> {
     }
 }
 
-fn read_u32(bytes: &[u8], offset: usize) -> Result<u32, ImportError> {
+fn read_u32(bytes: &[u8], offset: usize) -> Result<u32> {
     match bytes.get(offset..offset + 4) {
         Some(&[a, b, c, d]) => Ok(u32::from_le_bytes([a, b, c, d])),
         _ => Err(ImportError::Glb { problem: "it ends inside its header".to_owned() }),

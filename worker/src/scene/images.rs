@@ -9,7 +9,7 @@ use image::{DynamicImage, ImageDecoder, ImageError, ImageFormat, ImageReader};
 use super::buffers::read_uri;
 use super::context::Context;
 use super::document::image_place;
-use super::error::ImportError;
+use super::error::{ImportError, Result};
 use super::limits::within;
 use super::model::SceneImage;
 
@@ -27,7 +27,7 @@ const LFS_POINTER: &[u8] = b"version https://git-lfs";
 /// Reads image `index` of the file, or warns and gives `None` if its format is none that is read.
 ///
 /// Errors on missing files, images beyond the limits and images that do not decode.
-pub(super) fn read_image(context: &mut Context<'_>, index: usize) -> Result<Option<SceneImage>, ImportError> {
+pub(super) fn read_image(context: &mut Context<'_>, index: usize) -> Result<Option<SceneImage>> {
     let root = context.root;
     let place = || image_place(root, index);
     let bytes = image_bytes(context, index)?;
@@ -62,13 +62,13 @@ pub(super) fn read_image(context: &mut Context<'_>, index: usize) -> Result<Opti
 /// Decodes an image of an imported scene.
 ///
 /// Errors if its bytes do not decode, which a scene from [`super::import`] rules out.
-pub(super) fn decode(image: &SceneImage) -> Result<DynamicImage, ImportError> {
+pub(super) fn decode(image: &SceneImage) -> Result<DynamicImage> {
     let unreadable = |source| ImportError::Image { place: image.name.clone(), hint: "", source };
     let format = ImageFormat::from_mime_type(&image.media_type).unwrap_or(ImageFormat::Png);
     decode_as(&image.bytes, format).map_err(unreadable)
 }
 
-fn image_bytes<'a>(context: &Context<'a>, index: usize) -> Result<Cow<'a, [u8]>, ImportError> {
+fn image_bytes<'a>(context: &Context<'a>, index: usize) -> Result<Cow<'a, [u8]>> {
     let root = context.root;
     let place = || image_place(root, index);
     match (&root.images[index].uri, root.images[index].buffer_view) {

@@ -11,7 +11,7 @@ use lightkiln_proto::scene::{LightKind, SceneCamera, SceneLight};
 
 use super::context::Context;
 use super::document::{self, node_place};
-use super::error::{ImportError, shown};
+use super::error::{Result, shown};
 
 /// Smallest and largest vertical field of view taken as stated, in radians.
 const FOV_Y_RANGE_RAD: [f32; 2] = [1e-3, PI - 1e-3];
@@ -24,7 +24,7 @@ pub(super) fn read_light(
     context: &mut Context<'_>,
     node_index: usize,
     world_from_object: DAffine3,
-) -> Result<Option<SceneLight>, ImportError> {
+) -> Result<Option<SceneLight>> {
     let root = context.root;
     let node = &root.nodes[node_index];
     let Some(stated) = node.extensions.as_ref().and_then(|e| e.khr_lights_punctual.as_ref()) else {
@@ -91,7 +91,7 @@ pub(super) fn read_camera(
     context: &mut Context<'_>,
     node_index: usize,
     world_from_object: DAffine3,
-) -> Result<Option<SceneCamera>, ImportError> {
+) -> Result<Option<SceneCamera>> {
     let root = context.root;
     let node = &root.nodes[node_index];
     let Some(camera_index) = node.camera else { return Ok(None) };

@@ -1,6 +1,6 @@
 //! Highest costs of an import: every size that a file can state is compared with one of these first.
 
-use super::error::ImportError;
+use super::error::{ImportError, Result};
 
 /// Bounds on the size of an upload and of the scene in it.
 ///
@@ -80,7 +80,7 @@ impl Budget {
     }
 
     /// Adds `count`, or says that the limit is passed. Call it before allocating or looping over `count`.
-    pub(super) fn spend(&mut self, count: u64) -> Result<(), ImportError> {
+    pub(super) fn spend(&mut self, count: u64) -> Result<()> {
         self.used = self.used.saturating_add(count);
         within(self.what, self.used, self.limit)
     }
@@ -92,6 +92,6 @@ impl Budget {
 }
 
 /// Checks one stated size against its limit.
-pub(super) fn within(what: &'static str, found: u64, limit: u64) -> Result<(), ImportError> {
+pub(super) fn within(what: &'static str, found: u64, limit: u64) -> Result<()> {
     if found > limit { Err(ImportError::LimitExceeded { what, found, limit }) } else { Ok(()) }
 }

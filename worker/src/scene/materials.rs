@@ -10,7 +10,7 @@ use gltf::json::{Index, Root};
 
 use super::context::Context;
 use super::document;
-use super::error::{ImportError, place_of, shown};
+use super::error::{Result, place_of, shown};
 use super::images::read_image;
 use super::model::{Material, SceneImage, TextureUse, Wrap};
 use super::primitives::LocalMesh;
@@ -36,7 +36,7 @@ pub(super) struct MaterialTable {
 
 impl MaterialTable {
     /// Reads all materials of the file, in its order.
-    pub(super) fn read(context: &mut Context<'_>) -> Result<Self, ImportError> {
+    pub(super) fn read(context: &mut Context<'_>) -> Result<Self> {
         let mut table = Self::default();
         for index in 0..context.root.materials.len() {
             let material = table.read_material(context, index)?;
@@ -59,7 +59,7 @@ impl MaterialTable {
         root: &Root,
         named: Option<Index<gltf::json::Material>>,
         place: &dyn Fn() -> String,
-    ) -> Result<u32, ImportError> {
+    ) -> Result<u32> {
         let Some(index) = named else { return Ok(self.default_index()) };
         document::get(root, index, "material", place)?;
         Ok(index.value() as u32)
@@ -104,7 +104,7 @@ impl MaterialTable {
         }
     }
 
-    fn read_material(&mut self, context: &mut Context<'_>, index: usize) -> Result<Material, ImportError> {
+    fn read_material(&mut self, context: &mut Context<'_>, index: usize) -> Result<Material> {
         let stated = &context.root.materials[index];
         let place = || place_of("material", index, stated.name.as_deref());
         let pbr = &stated.pbr_metallic_roughness;
@@ -131,7 +131,7 @@ impl MaterialTable {
         context: &mut Context<'_>,
         info: Option<&Info>,
         place: &dyn Fn() -> String,
-    ) -> Result<Option<TextureUse>, ImportError> {
+    ) -> Result<Option<TextureUse>> {
         let Some(info) = info else { return Ok(None) };
         let root = context.root;
         let texture = document::get(root, info.index, "texture", place)?;
@@ -165,7 +165,7 @@ impl MaterialTable {
         Ok(Some(TextureUse { image_index, uv_set: uv_set as u8, uv_transform, wrap }))
     }
 
-    fn image_slot(&mut self, context: &mut Context<'_>, index: usize) -> Result<Option<u32>, ImportError> {
+    fn image_slot(&mut self, context: &mut Context<'_>, index: usize) -> Result<Option<u32>> {
         if let Some(&slot) = self.image_slots.get(&index) {
             return Ok(slot);
         }

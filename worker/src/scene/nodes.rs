@@ -8,7 +8,7 @@ use gltf::json::{Index, Node};
 
 use super::context::Context;
 use super::document::{self, node_place, primitive_place};
-use super::error::{ImportError, shown};
+use super::error::{ImportError, Result, shown};
 use super::lights_cameras::{read_camera, read_light};
 use super::limits::within;
 use super::materials::MaterialTable;
@@ -26,7 +26,7 @@ pub(super) fn flatten(
     context: &mut Context<'_>,
     materials: &mut MaterialTable,
     scene: &mut Scene,
-) -> Result<u64, ImportError> {
+) -> Result<u64> {
     within("nodes", context.root.nodes.len() as u64, context.limits.nodes)?;
     let mut walk = Walk {
         is_reached: vec![false; context.root.nodes.len()],
@@ -52,7 +52,7 @@ pub(super) fn flatten(
 }
 
 /// The root nodes of the default scene, else of the first, else all nodes without a parent.
-fn scene_roots(context: &mut Context<'_>) -> Result<Vec<Index<Node>>, ImportError> {
+fn scene_roots(context: &mut Context<'_>) -> Result<Vec<Index<Node>>> {
     let root = context.root;
     if root.scenes.len() > 1 {
         context.warnings.add("other-scenes-ignored", || {
@@ -103,7 +103,7 @@ impl Walk {
         scene: &mut Scene,
         here: Pending,
         pending: &mut Vec<Pending>,
-    ) -> Result<(), ImportError> {
+    ) -> Result<()> {
         let root = context.root;
         let node_index = here.index.value();
         let node = document::get(root, here.index, "node", || "the scene".to_owned())?;
@@ -141,7 +141,7 @@ impl Walk {
         mesh_index: usize,
         node_path: &str,
         world_from_object: DAffine3,
-    ) -> Result<(), ImportError> {
+    ) -> Result<()> {
         let root = context.root;
         let mesh = &root.meshes[mesh_index];
         if root.nodes[node_index].skin.is_some() {

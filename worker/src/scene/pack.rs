@@ -11,7 +11,7 @@ use zip::{CompressionMethod, DateTime, ZipWriter};
 
 use super::bundle::{Bundle, Format};
 use super::document::{self, buffer_place, image_place};
-use super::error::{ImportError, shown};
+use super::error::{ImportError, Result, shown};
 use super::limits::{Budget, Limits, within};
 use super::uri::{self, Uri};
 
@@ -24,7 +24,7 @@ impl Bundle {
     /// A file that names no other files is taken as it is. One that does becomes a zip of itself and those files, the
     /// same bytes for the same files whatever their dates and wherever they lie. Errors on files that are missing,
     /// outside the glTF's folder (also through symbolic links), remote or beyond the limits.
-    pub fn pack_path(path: &Path, limits: &Limits) -> Result<Vec<u8>, ImportError> {
+    pub fn pack_path(path: &Path, limits: &Limits) -> Result<Vec<u8>> {
         let mut budget = Budget::new("bytes to upload", limits.bundle_bytes);
         let bytes = read_file(path, &mut budget)?;
         if Format::of(&bytes).ok_or(ImportError::UnknownFormat)? == Format::Zip {
@@ -55,7 +55,7 @@ fn read_named_files(
     folder: &Path,
     limits: &Limits,
     budget: &mut Budget,
-) -> Result<BTreeMap<String, Vec<u8>>, ImportError> {
+) -> Result<BTreeMap<String, Vec<u8>>> {
     let mut files = BTreeMap::new();
     let buffers = root.buffers.iter().enumerate();
     let images = root.images.iter().enumerate();
@@ -89,16 +89,16 @@ fn read_named_files(
     Ok(files)
 }
 
-fn lies_inside(folder: &Path, name: &str) -> Result<bool, ImportError> {
+fn lies_inside(folder: &Path, name: &str) -> Result<bool> {
     let here = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
     Ok(real_path(&here.join(name))?.starts_with(real_path(here)?))
 }
 
-fn real_path(path: &Path) -> Result<std::path::PathBuf, ImportError> {
+fn real_path(path: &Path) -> Result<std::path::PathBuf> {
     fs::canonicalize(path).map_err(|source| ImportError::Io { path: path.to_owned(), source })
 }
 
-fn read_file(path: &Path, budget: &mut Budget) -> Result<Vec<u8>, ImportError> {
+fn read_file(path: &Path, budget: &mut Budget) -> Result<Vec<u8>> {
     let failed = |source| ImportError::Io { path: path.to_owned(), source };
     let metadata = fs::metadata(path).map_err(failed)?;
     if !metadata.is_file() {

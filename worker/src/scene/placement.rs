@@ -2,7 +2,7 @@
 
 use glam::{DAffine3, DMat3, DVec3, Vec3};
 
-use super::error::ImportError;
+use super::error::{ImportError, Result};
 use super::primitives::LocalMesh;
 use super::warnings::Warnings;
 
@@ -30,7 +30,7 @@ pub(super) fn place_in_world(
     world_from_object: DAffine3,
     warnings: &mut Warnings,
     place: &dyn Fn() -> String,
-) -> Result<Placed, ImportError> {
+) -> Result<Placed> {
     for (vertex, position) in mesh.positions.iter_mut().enumerate() {
         *position = world_from_object.transform_point3(position.as_dvec3()).as_vec3();
         if !position.is_finite() {

@@ -9,7 +9,7 @@ use gltf::json::{Accessor, Index};
 use super::accessor::{Reader, Wanted};
 use super::context::Context;
 use super::document::primitive_place;
-use super::error::ImportError;
+use super::error::{ImportError, Result};
 
 /// Marks a vertex that no triangle has used yet.
 const UNUSED: u32 = u32::MAX;
@@ -42,7 +42,7 @@ impl PrimitiveReader {
         context: &mut Context<'_>,
         mesh_index: usize,
         primitive_index: usize,
-    ) -> Result<Option<LocalMesh>, ImportError> {
+    ) -> Result<Option<LocalMesh>> {
         let root = context.root;
         let primitive = &root.meshes[mesh_index].primitives[primitive_index];
         let place = || primitive_place(root, mesh_index, primitive_index);
@@ -68,7 +68,7 @@ impl PrimitiveReader {
         triangle_count: usize,
         corners: &Corners<'_>,
         source: &Source<'_>,
-    ) -> Result<(Vec<[u32; 3]>, Vec<u32>), ImportError> {
+    ) -> Result<(Vec<[u32; 3]>, Vec<u32>)> {
         let mut triangles = Vec::with_capacity(triangle_count);
         let mut vertices = Vec::new();
         let result = (0..triangle_count).try_for_each(|triangle| {
@@ -104,7 +104,7 @@ fn triangle_source(
     context: &mut Context<'_>,
     primitive: &Primitive,
     place: &dyn Fn() -> String,
-) -> Result<Option<(Mode, Index<Accessor>)>, ImportError> {
+) -> Result<Option<(Mode, Index<Accessor>)>> {
     let fail = |problem: &str| ImportError::Accessor { place: place(), problem: problem.to_owned() };
     let Checked::Valid(mode) = primitive.mode else { return Err(fail("its mode is not one of glTF's")) };
     if !matches!(mode, Mode::Triangles | Mode::TriangleStrip | Mode::TriangleFan) {
@@ -166,7 +166,7 @@ struct Corners<'a> {
 }
 
 impl Corners<'_> {
-    fn vertex(&self, position: usize, place: &dyn Fn() -> String) -> Result<u32, ImportError> {
+    fn vertex(&self, position: usize, place: &dyn Fn() -> String) -> Result<u32> {
         let index = match &self.indices {
             Some(indices) => indices.unsigned(position),
             None => position as u32,
@@ -193,17 +193,13 @@ impl Source<'_> {
         types: &[Type],
         min_count: usize,
         is_always_normalized: bool,
-    ) -> Result<Reader<'a>, ImportError> {
+    ) -> Result<Reader<'a>> {
         let place = || format!("{attribute} of {}", (self.place)());
         let wanted = Wanted { place: &place, types, min_count, is_always_normalized };
         Reader::open(context.root, context.buffers, &mut context.budgets.sparse_elements, index, &wanted)
     }
 
-    fn corners<'a>(
-        &self,
-        context: &mut Context<'a>,
-        vertex_count: usize,
-    ) -> Result<Corners<'a>, ImportError> {
+    fn corners<'a>(&self, context: &mut Context<'a>, vertex_count: usize) -> Result<Corners<'a>> {
         let Some(index) = self.primitive.indices else {
             return Ok(Corners { indices: None, count: vertex_count, vertex_count });
         };
@@ -221,7 +217,7 @@ impl Source<'_> {
         positions: &Reader<'_>,
         vertices: &[u32],
         triangles: Vec<[u32; 3]>,
-    ) -> Result<LocalMesh, ImportError> {
+    ) -> Result<LocalMesh> {
         let count = positions.count();
         let read_position = |&vertex: &u32| {
             let position = Vec3::from(positions.floats(vertex as usize, 0.0));
@@ -257,7 +253,7 @@ impl Source<'_> {
         set: u32,
         vertices: &[u32],
         count: usize,
-    ) -> Result<Vec<Vec2>, ImportError> {
+    ) -> Result<Vec<Vec2>> {
         let Some(index) = self.find(Semantic::TexCoords(set)) else { return Ok(Vec::new()) };
         let reader = self.open(context, index, &format!("TEXCOORD_{set}"), &[Type::Vec2], count, false)?;
         let mut bad_count = 0;
@@ -278,7 +274,7 @@ impl Source<'_> {
         context: &mut Context<'_>,
         vertices: &[u32],
         count: usize,
-    ) -> Result<Vec<[f32; 4]>, ImportError> {
+    ) -> Result<Vec<[f32; 4]>> {
         let Some(index) = self.find(Semantic::Colors(0)) else { return Ok(Vec::new()) };
         // Integer colours are always fractions in glTF; exporters forget the flag.
         let reader = self.open(context, index, "COLOR_0", &[Type::Vec3, Type::Vec4], count, true)?;

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::error::ImportError;
+use super::error::Result;
 use super::images;
 use super::model::{Scene, TextureUse, Wrap};
 
@@ -42,7 +42,7 @@ impl DecodedImages {
     /// Decodes all images of a scene and builds their coarser levels.
     ///
     /// Errors if an image does not decode, which cannot be for a scene that [`super::import`] gave.
-    pub fn decode(scene: &Scene) -> Result<Self, ImportError> {
+    pub fn decode(scene: &Scene) -> Result<Self> {
         let linear_of_srgb: Vec<f32> = (0..=255).map(linear_of_srgb).collect();
         let build = |image| {
             let pixels = images::decode(image)?.into_rgba8();
@@ -50,7 +50,7 @@ impl DecodedImages {
             let base: Vec<[u8; 4]> = pixels.pixels().map(|pixel| pixel.0).collect();
             Ok(Pyramid::build(size_px, base, &linear_of_srgb))
         };
-        let pyramids = scene.images.par_iter().map(build).collect::<Result<_, ImportError>>()?;
+        let pyramids = scene.images.par_iter().map(build).collect::<Result<_>>()?;
         Ok(Self { pyramids, linear_of_srgb })
     }
 

@@ -27,7 +27,6 @@ mod settings;
 mod shelves;
 mod skyline;
 mod soup;
-mod stats;
 
 #[cfg(test)]
 mod tests;
@@ -40,7 +39,6 @@ pub(crate) use lookup::weights_in_part;
 pub use lookup::{TexelLocation, UnwrapLookup};
 pub use second_uv::{Uv1Rejected, unwrap_from_second_uv};
 pub use settings::UnwrapSettings;
-pub use stats::UnwrapStats;
 
 /// Most texels that the surface of one instance, and all blocks of one instance, may have.
 pub const MAX_INSTANCE_TEXELS: u64 = 64 << 20;

@@ -3,10 +3,8 @@
 use clap::Args;
 use lightkiln_client::fetch::ApiClient;
 
-use super::submitting::connect;
 use crate::arguments::ServerArgument;
 use crate::failure::Result;
-use crate::interrupt::Interrupt;
 
 /// Arguments of each of them.
 #[derive(Args, Debug)]
@@ -34,7 +32,7 @@ impl Action {
     /// Does it, and says so.
     pub fn run(self, arguments: Arguments) -> Result<()> {
         let Arguments { id, server } = arguments;
-        let client = connect(&server.server, &server.trust, &Interrupt::default())?;
+        let client = server.connect()?;
         eprintln!("bake {id} {}", self.take(&client, &id)?);
         Ok(())
     }

@@ -6,17 +6,17 @@ use std::time::Instant;
 use clap::Args;
 use lightkiln_client::fetch::{ApiClient, Source};
 
-use super::following::follow;
-use super::submitting::{PackedScene, connect};
 use crate::arguments::TrustArgument;
 use crate::bundle::{refuse_foreign_folder, write_bundle};
 use crate::embedded::{EmbeddedFarm, default_state};
 use crate::evaluation::{EvaluationArguments, check, measure, relative_path, words};
 use crate::failure::{EXIT_CODES, Exit, Failure, Result};
+use crate::following::follow;
 use crate::interrupt::Interrupt;
 use crate::kinds::KindTables;
 use crate::picture::PictureArguments;
 use crate::settings::SettingsArguments;
+use crate::submission::PackedScene;
 use crate::summary::complete_report;
 
 /// Arguments of `kiln bake`.
@@ -73,7 +73,7 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     let scene = PackedScene::read(&arguments.scene)?;
     let interrupt = Interrupt::listen()?;
     let farm = Place::open(&arguments, kinds)?;
-    let client = connect(farm.url(), &arguments.trust, &interrupt)?;
+    let client = arguments.trust.connect(farm.url(), &interrupt)?;
     let bake = scene.submit(&client, |bake| wanted.set(bake))?;
     let bake = follow(&client, &bake.id, &interrupt, || farm.check())
         .map_err(|failure| wind_down(failure, &farm, &client, &bake.id))?;

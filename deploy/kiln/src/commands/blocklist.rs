@@ -2,10 +2,8 @@
 
 use clap::Args;
 
-use super::submitting::connect;
 use crate::arguments::ServerArgument;
 use crate::failure::Result;
-use crate::interrupt::Interrupt;
 
 /// Arguments of `kiln blocklist`.
 #[derive(Args, Debug)]
@@ -30,7 +28,7 @@ pub struct Arguments {
 
 /// Prints the list, or what is left of it.
 pub fn run(arguments: Arguments) -> Result<()> {
-    let client = connect(&arguments.server.server, &arguments.server.trust, &Interrupt::default())?;
+    let client = arguments.server.connect()?;
     let list = if arguments.clear {
         client.clear_blocklist(&arguments.id, arguments.worker.as_deref())?
     } else {

@@ -6,7 +6,6 @@ use clap::Args;
 use lightkiln_client::fetch::Source;
 use lightkiln_client::lights::parse_camera;
 
-use super::submitting::PackedScene;
 use crate::evaluation::{
     EvaluationArguments, check, draw, measure, scene_of_bundle, words, write_dump, write_page,
 };
@@ -14,6 +13,7 @@ use crate::failure::{EXIT_CODES, Result};
 use crate::interrupt::Interrupt;
 use crate::kinds::KindTables;
 use crate::picture::parse_size;
+use crate::submission::PackedScene;
 
 /// Arguments of `kiln evaluate`.
 #[derive(Args, Debug)]

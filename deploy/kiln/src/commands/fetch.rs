@@ -6,7 +6,6 @@ use std::time::Instant;
 use clap::Args;
 use lightkiln_proto::kinds::Kinds;
 
-use super::submitting::connect;
 use crate::arguments::ServerArgument;
 use crate::bundle::write_bundle;
 use crate::failure::Result;
@@ -28,7 +27,7 @@ pub struct Arguments {
 pub fn run(arguments: Arguments, kinds: &Kinds) -> Result<()> {
     let started = Instant::now();
     let interrupt = Interrupt::listen()?;
-    let client = connect(&arguments.server.server, &arguments.server.trust, &interrupt)?;
+    let client = arguments.server.connect_until(&interrupt)?;
     let bake = client.bake(&arguments.id)?;
     let written = write_bundle(kinds, &client, &bake, &bake.name, &arguments.out, started);
     let (_, done) = written.map_err(|failure| match bake.results_lost {

@@ -1,15 +1,15 @@
 //! `kiln fsck`: checks a farm's stored bytes, and makes good what can be made good.
 
-use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::Args;
 use lightkiln_server::fsck::{Checks, Findings, Flaw, Incomplete};
-use lightkiln_server::places::{ChunksPlace, DatabasePlace};
+use lightkiln_server::places::ChunksPlace;
 use lightkiln_server::{ServerError, check_storage};
 use tokio::runtime::Runtime;
 
-use crate::embedded::{default_state, server_failure};
+use crate::arguments::StateArguments;
+use crate::embedded::server_failure;
 use crate::failure::{Exit, Failure, Result};
 
 /// Arguments of `kiln fsck`.
@@ -21,12 +21,8 @@ use crate::failure::{Exit, Failure, Result};
                         Lost scenes of bakes under way cannot be repaired: submitting them again uploads them."
 )]
 pub struct Arguments {
-    /// The state folder of the farm's server [default: that of 'kiln server']
-    #[arg(long, value_name = "DIR")]
-    state: Option<PathBuf>,
-    /// The farm's database, as given to 'kiln server' [default: a file in the state folder]
-    #[arg(long, value_name = "URL", env = "KILN_DATABASE", hide_env_values = true)]
-    database: Option<DatabasePlace>,
+    #[command(flatten)]
+    state: StateArguments,
     /// The farm's chunk store, as given to 'kiln server' [default: a folder in the state folder]
     #[arg(long, value_name = "URL", env = "KILN_CHUNKS")]
     chunks: Option<ChunksPlace>,
@@ -46,10 +42,6 @@ pub struct Arguments {
 
 /// Checks, and fails if something is wrong and was not made good.
 pub fn run(arguments: Arguments) -> Result<()> {
-    let state = match arguments.state {
-        Some(state) => state,
-        None => default_state()?.join("server"),
-    };
     let checks = Checks {
         reads: !arguments.quick,
         repairs: arguments.repair,
@@ -58,8 +50,8 @@ pub fn run(arguments: Arguments) -> Result<()> {
     let runtime = Runtime::new()
         .map_err(|error| Failure::new(Exit::Failed, "no thread can be started").caused_by(&error))?;
     let checked: std::result::Result<Findings, ServerError> = runtime.block_on(check_storage(
-        &state,
-        arguments.database.as_ref(),
+        &arguments.state.folder()?,
+        arguments.state.database.as_ref(),
         arguments.chunks.as_ref(),
         checks,
     ));

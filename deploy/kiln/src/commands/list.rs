@@ -2,11 +2,8 @@
 
 use clap::Args;
 
-use super::show::state_word;
-use super::submitting::connect;
 use crate::arguments::ServerArgument;
 use crate::failure::Result;
-use crate::interrupt::Interrupt;
 
 /// Arguments of `kiln list`.
 #[derive(Args, Debug)]
@@ -26,7 +23,7 @@ pub struct Arguments {
 
 /// Prints the bakes as a table or as JSON.
 pub fn run(arguments: Arguments) -> Result<()> {
-    let client = connect(&arguments.server.server, &arguments.server.trust, &Interrupt::default())?;
+    let client = arguments.server.connect()?;
     let page = client.bakes(arguments.after, arguments.limit)?;
     if arguments.json {
         println!("{}", serde_json::json!(page));
@@ -35,7 +32,7 @@ pub fn run(arguments: Arguments) -> Result<()> {
     for bake in &page.bakes {
         let total: u64 = bake.stages.iter().map(|stage| stage.total).sum();
         let done: u64 = bake.stages.iter().map(|stage| stage.done).sum();
-        println!("{}  {:9}  {:>6}/{:<6}  {}", bake.id, state_word(bake.state), done, total, bake.name);
+        println!("{}  {:9}  {:>6}/{:<6}  {}", bake.id, bake.state.name(), done, total, bake.name);
     }
     if page.bakes.is_empty() {
         eprintln!("no bakes here; 'kiln submit SCENE' makes one");

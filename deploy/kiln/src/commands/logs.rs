@@ -1,13 +1,11 @@
 //! `kiln logs`: what happened to a bake, a line an event.
 
 use std::io::Write as _;
-use std::time::Duration;
 
+use chrono::{DateTime, SecondsFormat};
 use clap::Args;
 use lightkiln_proto::api::{BakeEvent, EventKind};
 
-use super::show::state_word;
-use super::submitting::connect;
 use crate::arguments::ServerArgument;
 use crate::failure::Result;
 use crate::interrupt::Interrupt;
@@ -33,7 +31,7 @@ pub struct Arguments {
 /// Prints the events in order; Ctrl-C ends it, not the bake.
 pub fn run(arguments: Arguments) -> Result<()> {
     let interrupt = Interrupt::listen()?;
-    let client = connect(&arguments.server.server, &arguments.server.trust, &interrupt)?;
+    let client = arguments.server.connect_until(&interrupt)?;
     let wait_secs = if arguments.follow { POLL_SECS } else { 0 };
     let mut seen = 0;
     let mut out = std::io::stdout().lock();
@@ -90,7 +88,7 @@ fn words(event: &BakeEvent) -> String {
         EventKind::ResultLost { kind, label, .. } => {
             format!("lost      {kind} {label}: the bytes of its result are gone, it runs again")
         }
-        EventKind::State { state } => format!("state     {}", state_word(*state)),
+        EventKind::State { state } => format!("state     {}", state.name()),
     };
     format!("{}  {what}", utc(event.at_ms))
 }
@@ -111,26 +109,8 @@ fn which(attempt: u32) -> String {
 
 /// A time as `2026-01-31T12:00:00.000Z`.
 fn utc(unix_ms: i64) -> String {
-    let (days, ms) = (unix_ms.div_euclid(86_400_000), unix_ms.rem_euclid(86_400_000));
-    let time = Duration::from_millis(ms.unsigned_abs());
-    let (secs, ms) = (time.as_secs(), time.subsec_millis());
-    let (year, month, day) = date(days);
-    let (hour, minute, second) = (secs / 3600, secs / 60 % 60, secs % 60);
-    format!("{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{second:02}.{ms:03}Z")
-}
-
-/// Year, month and day of a day counted from 1970-01-01, in the Gregorian calendar.
-fn date(days: i64) -> (i64, i64, i64) {
-    // Years begin in March here, so that the leap day is their last; an era has 400 of them.
-    let days = days + 719_468;
-    let (era, day_of_era) = (days.div_euclid(146_097), days.rem_euclid(146_097));
-    let year_of_era = (day_of_era - day_of_era / 1_460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
-    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
-    let month_from_march = (5 * day_of_year + 2) / 153;
-    let day = day_of_year - (153 * month_from_march + 2) / 5 + 1;
-    let month = if month_from_march < 10 { month_from_march + 3 } else { month_from_march - 9 };
-    let year = year_of_era + 400 * era + i64::from(month <= 2);
-    (year, month, day)
+    let time = DateTime::from_timestamp_millis(unix_ms).unwrap_or_default();
+    time.to_rfc3339_opts(SecondsFormat::Millis, true)
 }
 
 #[cfg(test)]

@@ -1,11 +1,10 @@
-//! The subcommands, one file each (those that need a bake's id alone share one), and the steps that several of them take.
+//! The subcommands, one file each (those that need a bake's id alone share one).
 
 pub mod actions;
 pub mod bake;
 pub mod blocklist;
 pub mod evaluate;
 pub mod fetch;
-pub mod following;
 pub mod fsck;
 pub mod inspect;
 pub mod list;
@@ -16,7 +15,6 @@ pub mod server;
 pub mod settings;
 pub mod show;
 pub mod submit;
-pub mod submitting;
 pub mod token;
 pub mod top;
 pub mod watch;

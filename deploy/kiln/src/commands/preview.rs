@@ -5,7 +5,6 @@ use std::path::PathBuf;
 use clap::Args;
 use lightkiln_client::fetch::Source;
 
-use super::submitting::connect;
 use crate::arguments::TrustArgument;
 use crate::failure::Result;
 use crate::interrupt::Interrupt;
@@ -35,7 +34,7 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     arguments.picture.check()?;
     let source = match &arguments.server {
         Some(url) => {
-            let client = connect(url, &arguments.trust, &Interrupt::default())?;
+            let client = arguments.trust.connect(url, &Interrupt::default())?;
             Source::server(client, arguments.bake.to_string_lossy())
         }
         None => Source::bundle(&arguments.bake)?,

@@ -2,10 +2,8 @@
 
 use clap::Args;
 
-use super::submitting::connect;
 use crate::arguments::ServerArgument;
 use crate::failure::Result;
-use crate::interrupt::Interrupt;
 
 /// Arguments of `kiln priority`.
 #[derive(Args, Debug)]
@@ -21,7 +19,7 @@ pub struct Arguments {
 
 /// Changes the bake's priority; tasks under way go on.
 pub fn run(arguments: Arguments) -> Result<()> {
-    let client = connect(&arguments.server.server, &arguments.server.trust, &Interrupt::default())?;
+    let client = arguments.server.connect()?;
     let bake = client.reprioritise(&arguments.id, arguments.priority)?;
     eprintln!("bake {} has priority {}", bake.id, bake.priority);
     Ok(())

@@ -6,12 +6,13 @@ use std::time::Duration;
 
 use clap::Args;
 use lightkiln_proto::kinds::Kinds;
-use lightkiln_server::places::{ChunksPlace, DatabasePlace};
+use lightkiln_server::places::ChunksPlace;
 use lightkiln_server::{Config, LimitConfig, Retention, Server, TlsFiles, WebhookConfig};
 use lightkiln_worker::runtime::Level;
 use tokio::runtime::Runtime;
 
-use crate::embedded::{default_state, server_failure};
+use crate::arguments::StateArguments;
+use crate::embedded::server_failure;
 use crate::failure::{Exit, Failure, Result};
 use crate::interrupt::Interrupt;
 
@@ -28,13 +29,8 @@ pub struct Arguments {
     /// submit, read and cancel bakes. Without need where 'kiln token' made tokens
     #[arg(long)]
     allow_non_loopback: bool,
-    /// Folder for queue and chunks [default: server in the state folder of 'kiln bake']
-    #[arg(long, value_name = "DIR")]
-    state: Option<PathBuf>,
-    /// Database of the queue: sqlite:PATH, or postgres://USER:PASSWORD@HOST/NAME, which any number of servers may
-    /// share [default: a file in the state folder]
-    #[arg(long, value_name = "URL", env = "KILN_DATABASE", hide_env_values = true)]
-    database: Option<DatabasePlace>,
+    #[command(flatten)]
+    state: StateArguments,
     /// Store of the chunks: a folder, or s3://BUCKET/PREFIX with keys, region and endpoint in the usual variables
     /// AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY, AWS_REGION and AWS_ENDPOINT_URL [default: a folder in the state folder]
     #[arg(long, value_name = "URL", env = "KILN_CHUNKS")]
@@ -92,10 +88,6 @@ fn parse_size(text: &str) -> std::result::Result<u64, String> {
 /// Serves until a signal comes.
 pub fn run(arguments: Arguments, kinds: &Kinds) -> Result<()> {
     let interrupt = Interrupt::listen()?;
-    let state = match arguments.state {
-        Some(state) => state,
-        None => default_state()?.join("server"),
-    };
     let tls = arguments.tls_cert.zip(arguments.tls_key).map(|(cert, key)| TlsFiles { cert, key });
     let scheme = if tls.is_some() { "https" } else { "http" };
     let config = Config {
@@ -107,7 +99,7 @@ pub fn run(arguments: Arguments, kinds: &Kinds) -> Result<()> {
             calls_at_a_time: arguments.calls_at_a_time,
         },
         allow_non_loopback: arguments.allow_non_loopback,
-        database: arguments.database,
+        database: arguments.state.database.clone(),
         chunks: arguments.chunks,
         quota_bytes: arguments.quota,
         retention: Retention {
@@ -115,7 +107,7 @@ pub fn run(arguments: Arguments, kinds: &Kinds) -> Result<()> {
             bakes: arguments.keep_days.map(|days| 24 * HOUR * days),
             ..Retention::default()
         },
-        ..Config::new(&state)
+        ..Config::new(arguments.state.folder()?)
     };
     let failed =
         |what: &str, error: &(dyn StdError + 'static)| Failure::new(Exit::Failed, what).caused_by(error);

@@ -3,10 +3,8 @@
 use clap::Args;
 use lightkiln_proto::api::{Bake, BakeState};
 
-use super::submitting::connect;
 use crate::arguments::ServerArgument;
 use crate::failure::Result;
-use crate::interrupt::Interrupt;
 use crate::summary::stage_name;
 
 /// Arguments of `kiln show`.
@@ -23,7 +21,7 @@ pub struct Arguments {
 
 /// Prints the bake for people or as JSON.
 pub fn run(arguments: Arguments) -> Result<()> {
-    let client = connect(&arguments.server.server, &arguments.server.trust, &Interrupt::default())?;
+    let client = arguments.server.connect()?;
     let bake = client.bake(&arguments.id)?;
     if arguments.json {
         println!("{}", serde_json::json!(bake));
@@ -33,24 +31,13 @@ pub fn run(arguments: Arguments) -> Result<()> {
     Ok(())
 }
 
-/// A bake's state as people read it.
-pub fn state_word(state: BakeState) -> &'static str {
-    match state {
-        BakeState::Running => "running",
-        BakeState::Paused => "paused",
-        BakeState::Done => "done",
-        BakeState::Failed => "failed",
-        BakeState::Cancelled => "cancelled",
-    }
-}
-
 fn words(bake: &Bake) -> String {
     let mut words = format!(
         "bake      {}\nname      {}\nstate     {}\nscene     {}\nsettings  {}\n\
          tasks     {} run, {} done before\n",
         bake.id,
         bake.name,
-        state_word(bake.state),
+        bake.state.name(),
         bake.scene,
         bake.settings,
         bake.tasks_run,

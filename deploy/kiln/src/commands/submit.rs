@@ -8,13 +8,13 @@ use lightkiln_proto::api::{Bake, Needs, NewBake};
 use lightkiln_proto::kinds::Kinds;
 use serde_json::{Value, json};
 
-use super::following::{Ended, wait_for_end};
-use super::submitting::{PackedScene, connect};
 use crate::arguments::ServerArgument;
 use crate::failure::{EXIT_CODES, Result};
+use crate::following::{Ended, wait_for_end};
 use crate::interrupt::Interrupt;
 use crate::junit;
 use crate::settings::SettingsArguments;
+use crate::submission::PackedScene;
 use crate::summary::stage_name;
 
 /// Arguments of `kiln submit`.
@@ -86,7 +86,7 @@ fn submit(arguments: &Arguments, kinds: &Kinds) -> Result<Ended> {
         labels: arguments.needs_labels.clone(),
     };
     let interrupt = Interrupt::listen()?;
-    let client = connect(&arguments.server.server, &arguments.server.trust, &interrupt)?;
+    let client = arguments.server.connect_until(&interrupt)?;
     let set = |bake: &mut NewBake| {
         wanted.set(bake);
         bake.priority = arguments.priority;

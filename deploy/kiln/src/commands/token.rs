@@ -1,17 +1,16 @@
 //! `kiln token`: who may call a farm, and for what.
 
 use std::collections::BTreeSet;
-use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
 use lightkiln_server::access::{Bearer, CODE_LIFETIME, NewBearer, Scope};
-use lightkiln_server::places::DatabasePlace;
 use lightkiln_server::store::{FarmStore, SqlStore, StoreError};
 use lightkiln_server::{ServerError, open_store};
 use serde_json::json;
 use tokio::runtime::Runtime;
 
-use crate::embedded::{default_state, server_failure};
+use crate::arguments::StateArguments;
+use crate::embedded::server_failure;
 use crate::failure::{Exit, Failure, Result};
 
 /// Arguments of `kiln token`.
@@ -25,12 +24,8 @@ pub struct Arguments {
     /// The action
     #[command(subcommand)]
     action: Action,
-    /// The state folder of the farm's server [default: that of 'kiln server']
-    #[arg(long, value_name = "DIR", global = true)]
-    state: Option<PathBuf>,
-    /// The farm's database, as given to 'kiln server' [default: a file in the state folder]
-    #[arg(long, value_name = "URL", env = "KILN_DATABASE", hide_env_values = true, global = true)]
-    database: Option<DatabasePlace>,
+    #[command(flatten)]
+    state: StateArguments,
 }
 
 #[derive(Subcommand, Debug)]
@@ -63,14 +58,11 @@ enum Action {
 
 /// Changes or shows who has tokens.
 pub fn run(arguments: Arguments) -> Result<()> {
-    let state = match arguments.state {
-        Some(state) => state,
-        None => default_state()?.join("server"),
-    };
+    let state = arguments.state.folder()?;
     let runtime = Runtime::new()
         .map_err(|error| Failure::new(Exit::Failed, "no thread can be started").caused_by(&error))?;
     runtime.block_on(async {
-        let store = open_store(&state, arguments.database.as_ref()).await;
+        let store = open_store(&state, arguments.state.database.as_ref()).await;
         let store = store.map_err(|error| server_failure(&error))?;
         let done = act(&store, arguments.action).await;
         store.close().await;

@@ -2,14 +2,13 @@
 
 use std::fmt::Write as _;
 use std::io::{IsTerminal as _, Write as _};
-use std::time::{Duration, SystemTime};
+use std::time::Duration;
 
 use clap::Args;
 use lightkiln_proto::api::{Bake, Worker};
+use lightkiln_server::clock::{Clock as _, SystemClock};
 use lightkiln_worker::runtime::Level;
 
-use super::show::state_word;
-use super::submitting::connect;
 use crate::arguments::ServerArgument;
 use crate::failure::{Exit, Failure, Result};
 use crate::interrupt::Interrupt;
@@ -36,12 +35,12 @@ pub struct Arguments {
 /// Prints the table again and again until Ctrl-C.
 pub fn run(arguments: Arguments) -> Result<()> {
     let interrupt = Interrupt::listen()?;
-    let client = connect(&arguments.server.server, &arguments.server.trust, &interrupt)?;
+    let client = arguments.server.connect_until(&interrupt)?;
     let is_live = !arguments.once && std::io::stdout().is_terminal();
     loop {
         let bakes = client.bakes(None, arguments.limit)?.bakes;
         let workers = client.workers()?.workers;
-        let table = table(&bakes, &workers, unix_ms());
+        let table = table(&bakes, &workers, SystemClock.now_ms());
         let mut out = std::io::stdout().lock();
         let written = write!(out, "{}{table}", if is_live { CLEAR } else { "" }).and_then(|()| out.flush());
         written
@@ -70,7 +69,7 @@ fn table(bakes: &[Bake], workers: &[Worker], now_ms: i64) -> String {
             text,
             "{:16}  {:9}  {:>5}  {:>15}  {:>5}  {share:>5.1}%  {}",
             bake.id,
-            state_word(bake.state),
+            bake.state.name(),
             bake.priority,
             format!("{done}/{total}"),
             sum(|stage| stage.leased),
@@ -91,9 +90,4 @@ fn table(bakes: &[Bake], workers: &[Worker], now_ms: i64) -> String {
         );
     }
     text
-}
-
-fn unix_ms() -> i64 {
-    let since = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
-    i64::try_from(since.as_millis()).unwrap_or(i64::MAX)
 }

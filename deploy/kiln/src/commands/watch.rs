@@ -2,10 +2,9 @@
 
 use clap::Args;
 
-use super::following::follow;
-use super::submitting::connect;
 use crate::arguments::ServerArgument;
 use crate::failure::Result;
+use crate::following::follow;
 use crate::interrupt::Interrupt;
 
 /// Arguments of `kiln watch`.
@@ -20,7 +19,7 @@ pub struct Arguments {
 /// Shows progress until the bake is done; the exit code says how it ended. Ctrl-C ends the watch, not the bake.
 pub fn run(arguments: Arguments) -> Result<()> {
     let interrupt = Interrupt::listen()?;
-    let client = connect(&arguments.server.server, &arguments.server.trust, &interrupt)?;
+    let client = arguments.server.connect_until(&interrupt)?;
     let bake = follow(&client, &arguments.id, &interrupt, || Ok(()))?;
     eprintln!("done; 'kiln fetch {} --out DIR' downloads it", bake.id);
     Ok(())

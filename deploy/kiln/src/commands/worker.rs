@@ -8,9 +8,8 @@ use lightkiln_worker::kinds::{BakeKinds, Runner};
 use lightkiln_worker::runtime::{CallError, LEASE_SECS, Worker, WorkerConfig, WorkerError, usual_tasks};
 
 use super::bake::all_processors;
-use super::submitting::own_token;
-use crate::arguments::ServerArgument;
-use crate::embedded::default_state;
+use crate::arguments::{ServerArgument, own_token};
+use crate::embedded::or_in_state;
 use crate::enrolment::token_of_worker;
 use crate::failure::{Exit, Failure, Result};
 use crate::interrupt::Interrupt;
@@ -61,19 +60,12 @@ pub struct Arguments {
 /// Works until a signal comes.
 pub fn run(arguments: Arguments, kinds: &BakeKinds) -> Result<()> {
     let interrupt = Interrupt::listen()?;
-    let cache = match arguments.cache {
-        Some(cache) => cache,
-        None => default_state()?.join("worker"),
-    };
     let mut config = WorkerConfig::new(&arguments.server.server, arguments.name.unwrap_or_else(default_name));
     config.ca_pem = arguments.server.trust.pem()?;
     config.token = match own_token()? {
         Some(token) => Some(token),
         None => {
-            let file = match arguments.token_file {
-                Some(file) => file,
-                None => default_state()?.join("worker-token"),
-            };
+            let file = or_in_state(arguments.token_file, "worker-token")?;
             token_of_worker(&config, &file, arguments.enrol.as_deref(), &interrupt)?
         }
     };
@@ -81,7 +73,7 @@ pub fn run(arguments: Arguments, kinds: &BakeKinds) -> Result<()> {
     config.tasks = arguments.tasks.map_or_else(|| usual_tasks(config.threads), usize::from);
     config.memory_mib = arguments.memory_mib.unwrap_or_else(all_memory_mib);
     config.labels = arguments.labels;
-    config.cache_dir = Some(cache);
+    config.cache_dir = Some(or_in_state(arguments.cache, "worker")?);
     config.lease_secs = arguments.lease_secs;
     config.cache_bytes = arguments.cache_gib << 30;
     let name = config.name.clone();

@@ -81,7 +81,7 @@ fn table(evaluation: &Evaluation, pictures: &[LightPictures]) -> String {
         "<table><tr><th>light<th>relative RMSE<th>energy ratio<th>p95<th>p99<th>red<th>green<th>blue\
         "
         .to_owned();
-    evaluation.classes.iter().for_each(|(name, _)| html += &format!("<th>{}", escaped(name)));
+    evaluation.classes.keys().for_each(|name| html += &format!("<th>{}", escaped(name)));
     html += "<th>reference’s error<th>ꟻLIP";
     let mut row = |name: &str, figures: &Figures, classes: &Classes, flip: Option<f64>| {
         let percent = |value: f64| format!("<td>{:.2} %", 100.0 * value);
@@ -89,8 +89,8 @@ fn table(evaluation: &Evaluation, pictures: &[LightPictures]) -> String {
             &format!("<tr><td>{}{}<td>{:.3}", escaped(name), percent(figures.rel_rmse), figures.energy_ratio);
         let shares =
             [figures.p95, figures.p99, figures.channels[0], figures.channels[1], figures.channels[2]];
-        let classes = classes.iter().map(|(_, error)| error);
-        for value in shares.into_iter().chain(classes).chain([figures.reference_rel_error]) {
+        for value in shares.into_iter().chain(classes.values().copied()).chain([figures.reference_rel_error])
+        {
             html += &percent(value);
         }
         html += &flip.map_or("<td>".to_owned(), |flip| format!("<td>{flip:.4}"));

@@ -17,21 +17,14 @@ const FIGURES: [&str; 7] = [
 ];
 
 /// When to fail: `FIGURE<NUMBER`, of all lights together, or `LIGHT.FIGURE<NUMBER` of one.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct Limit {
     text: String,
     light: Option<String>,
     figure: String,
-    comparison: Comparison,
+    /// Whether a value breaks the limit, by its bound.
+    is_broken: fn(&f64, &f64) -> bool,
     bound: f64,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Comparison {
-    Greater,
-    GreaterOrEqual,
-    Less,
-    LessOrEqual,
 }
 
 impl FromStr for Limit {
@@ -40,11 +33,11 @@ impl FromStr for Limit {
     fn from_str(text: &str) -> std::result::Result<Self, String> {
         let at = text.find(['<', '>']).ok_or("write FIGURE>NUMBER or FIGURE<NUMBER, e.g. rel_rmse>0.08")?;
         let (left, right) = text.split_at(at);
-        let (comparison, number) = match right.as_bytes() {
-            [b'>', b'=', ..] => (Comparison::GreaterOrEqual, &right[2..]),
-            [b'<', b'=', ..] => (Comparison::LessOrEqual, &right[2..]),
-            [b'>', ..] => (Comparison::Greater, &right[1..]),
-            _ => (Comparison::Less, &right[1..]),
+        let (is_broken, number): (fn(&f64, &f64) -> bool, _) = match right.as_bytes() {
+            [b'>', b'=', ..] => (f64::ge, &right[2..]),
+            [b'<', b'=', ..] => (f64::le, &right[2..]),
+            [b'>', ..] => (f64::gt, &right[1..]),
+            _ => (f64::lt, &right[1..]),
         };
         let bound: f64 = number.trim().parse().map_err(|_| format!("'{}' is no number", number.trim()))?;
         if !bound.is_finite() {
@@ -55,7 +48,7 @@ impl FromStr for Limit {
             Some((light, name)) => (Some(light.to_owned()), name),
             None => (None, left),
         };
-        Ok(Self { text: text.trim().to_owned(), light, figure: name.to_owned(), comparison, bound })
+        Ok(Self { text: text.trim().to_owned(), light, figure: name.to_owned(), is_broken, bound })
     }
 }
 
@@ -93,21 +86,12 @@ impl Limit {
             "share_without_receiver" => evaluation.share_without_receiver,
             "share_in_cavities" => evaluation.share_in_cavities,
             "reference_rel_error" => figures.reference_rel_error,
-            class => classes.get(class).ok_or_else(|| {
+            class => *classes.get(class).ok_or_else(|| {
                 let what =
                     format!("--fail-if '{}' names a class of error that this kind of bake lacks", self.text);
                 Failure::bad_input(what).try_this("a figure that the table shows")
             })?,
         })
-    }
-
-    fn is_broken_by(&self, value: f64) -> bool {
-        match self.comparison {
-            Comparison::Greater => value > self.bound,
-            Comparison::GreaterOrEqual => value >= self.bound,
-            Comparison::Less => value < self.bound,
-            Comparison::LessOrEqual => value <= self.bound,
-        }
     }
 }
 
@@ -116,7 +100,7 @@ pub fn check(limits: &[Limit], evaluation: &Evaluation) -> Result<()> {
     let mut broken = Vec::new();
     for limit in limits {
         let value = limit.value(evaluation)?;
-        if limit.is_broken_by(value) {
+        if (limit.is_broken)(&value, &limit.bound) {
             broken.push(format!("{} (it is {value:.4})", limit.text));
         }
     }

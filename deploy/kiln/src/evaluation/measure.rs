@@ -9,10 +9,10 @@ use lightkiln_worker::task::Progress;
 
 use super::arguments::EvaluationArguments;
 use super::table::{Evaluation, LightRow, over_lights};
-use crate::commands::submitting::PackedScene;
 use crate::failure::{Exit, Failure, Result};
 use crate::interrupt::Interrupt;
 use crate::kinds::KindTables;
+use crate::submission::PackedScene;
 
 /// Worst clusters that are named.
 const WORST: usize = 12;
@@ -133,9 +133,5 @@ fn failure(error: EvaluationError) -> Failure {
         EvaluationError::Cancelled(_) => Exit::Interrupted,
         _ => Exit::BadInput,
     };
-    let mut failure = Failure::new(exit, error.to_string());
-    if let Some(source) = std::error::Error::source(&error) {
-        failure = failure.caused_by(source);
-    }
-    failure
+    Failure::of(exit, &error)
 }

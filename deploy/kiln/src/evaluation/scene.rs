@@ -3,10 +3,10 @@
 use std::fs;
 use std::path::{Component, Path, PathBuf};
 
+use lightkiln_client::fetch::REPORT_FILE;
 use serde_json::Value;
 
 use crate::failure::{Failure, Result};
-use crate::summary::REPORT_FILE;
 
 /// Path of the scene that a bundle was baked from, as its report notes it.
 ///

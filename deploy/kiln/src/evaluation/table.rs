@@ -1,45 +1,11 @@
 //! The figures of an evaluation: as JSON, whose keys are a contract, and as a table for people.
 
-use lightkiln_worker::evaluate::{ClassResult, ClusterError, Figures, LightResult};
-use serde::ser::SerializeMap as _;
-use serde::{Serialize, Serializer};
+use indexmap::IndexMap;
+use lightkiln_worker::evaluate::{ClusterError, Figures, LightResult};
+use serde::Serialize;
 
-/// Classes of error in their order, as the kind of bake names them; a map in JSON.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Classes(Vec<(&'static str, f64)>);
-
-impl Classes {
-    /// Classes of one light.
-    fn of(classes: &[ClassResult]) -> Self {
-        classes.iter().map(|class| (class.name, class.rel_rmse)).collect()
-    }
-
-    /// Names and errors relative to the mean of the reference.
-    pub fn iter(&self) -> impl Iterator<Item = (&'static str, f64)> + '_ {
-        self.0.iter().copied()
-    }
-
-    /// The error of a class.
-    pub fn get(&self, name: &str) -> Option<f64> {
-        self.iter().find(|(known, _)| *known == name).map(|(_, error)| error)
-    }
-}
-
-impl FromIterator<(&'static str, f64)> for Classes {
-    fn from_iter<I: IntoIterator<Item = (&'static str, f64)>>(classes: I) -> Self {
-        Self(classes.into_iter().collect())
-    }
-}
-
-impl Serialize for Classes {
-    fn serialize<S: Serializer>(&self, serializer: S) -> std::result::Result<S::Ok, S::Error> {
-        let mut map = serializer.serialize_map(Some(self.0.len()))?;
-        for (name, error) in self.iter() {
-            map.serialize_entry(name, &error)?;
-        }
-        map.end()
-    }
-}
+/// Errors relative to the mean of the reference by their class, in the order in which the kind of bake names them.
+pub type Classes = IndexMap<&'static str, f64>;
 
 /// A whole evaluation.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -97,7 +63,7 @@ impl LightRow {
             name: result.light.name.clone(),
             words: result.light.words.clone(),
             figures: result.figures,
-            classes: Classes::of(&result.classes),
+            classes: result.classes.iter().map(|class| (class.name, class.rel_rmse)).collect(),
             bounces: result.bounces,
         }
     }
@@ -118,15 +84,16 @@ pub fn over_lights(rows: &[LightRow]) -> (Figures, Classes) {
         reference_rel_error: root(&|row| row.figures.reference_rel_error),
         mean_irradiance: mean(&|row| row.figures.mean_irradiance),
     };
-    let of_class = |name: &'static str| (name, root(&|row| row.classes.get(name).unwrap_or_default()));
-    let names = rows.first().into_iter().flat_map(|row| row.classes.iter());
-    (figures, names.map(|(name, _)| of_class(name)).collect())
+    let of_class =
+        |name: &'static str| (name, root(&|row| row.classes.get(name).copied().unwrap_or_default()));
+    let names = rows.first().into_iter().flat_map(|row| row.classes.keys().copied());
+    (figures, names.map(of_class).collect())
 }
 
 /// A table for people.
 pub fn words(evaluation: &Evaluation) -> String {
     let mut text = format!("{:<14} {:>8} {:>7} {:>7} {:>7}", "light", "rel RMSE", "energy", "p95", "p99");
-    evaluation.classes.iter().for_each(|(name, _)| text += &format!(" {name:>13}"));
+    evaluation.classes.keys().for_each(|name| text += &format!(" {name:>13}"));
     text += &format!(" {:>9}\n", "reference");
     let mut line = |name: &str, figures: &Figures, classes: &Classes| {
         text += &format!(
@@ -137,7 +104,7 @@ pub fn words(evaluation: &Evaluation) -> String {
             100.0 * figures.p95,
             100.0 * figures.p99,
         );
-        classes.iter().for_each(|(_, error)| text += &format!(" {:>11.2} %", 100.0 * error));
+        classes.values().for_each(|error| text += &format!(" {:>11.2} %", 100.0 * error));
         text += &format!(" {:>7.2} %\n", 100.0 * figures.reference_rel_error);
     };
     for row in &evaluation.lights {

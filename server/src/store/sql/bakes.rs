@@ -10,28 +10,24 @@ use super::plan::apply_plan;
 use super::view;
 use crate::random;
 use crate::store::rules::check_plan;
-use crate::store::{StoreError, Submission, Submitted, require_live};
+use crate::store::{Result, StoreError, Submission, Submitted, require_live};
 
-pub(super) async fn submit(
-    conn: &mut Conn,
-    submission: &Submission,
-    now_ms: i64,
-) -> Result<Submitted, StoreError> {
+pub(super) async fn submit(conn: &mut Conn, submission: &Submission) -> Result<Submitted> {
     if let Some(bake) = submitted_before(conn, submission).await? {
         return Ok(Submitted { bake, is_new: false });
     }
     check_plan(&submission.plan)?;
-    let seq = insert(conn, submission, now_ms).await?;
+    let seq = insert(conn, submission).await?;
     let mut bake = Ledger::load(conn, seq).await?;
-    bake.event(now_ms, EventKind::Submitted);
+    bake.event(EventKind::Submitted);
     let scene = [submission.bake.scene].into();
     chunks::refer(conn, seq, &scene, &scene).await?;
-    apply_plan(conn, &mut bake, &submission.plan, now_ms).await?;
-    bake.save_or_finish(conn, now_ms).await?;
+    apply_plan(conn, &mut bake, &submission.plan).await?;
+    bake.save_or_finish(conn).await?;
     Ok(Submitted { bake: view::bake(conn, &bake.id).await?, is_new: true })
 }
 
-async fn submitted_before(conn: &mut Conn, submission: &Submission) -> Result<Option<Bake>, StoreError> {
+async fn submitted_before(conn: &mut Conn, submission: &Submission) -> Result<Option<Bake>> {
     let Some(key) = &submission.idempotency_key else { return Ok(None) };
     let query = query("SELECT id, body_hash FROM bakes WHERE idempotency_key = $1").bind(key);
     let Some(row) = query.optional(conn).await? else { return Ok(None) };
@@ -41,7 +37,7 @@ async fn submitted_before(conn: &mut Conn, submission: &Submission) -> Result<Op
     Ok(Some(view::bake(conn, &row.text("id")?).await?))
 }
 
-async fn insert(conn: &mut Conn, submission: &Submission, now_ms: i64) -> Result<i64, StoreError> {
+async fn insert(conn: &mut Conn, submission: &Submission) -> Result<i64> {
     let sql =
         "INSERT INTO bakes (id, idempotency_key, body_hash, name, kind, scene, settings, priority, state,
                open_count, tasks_run, tasks_reused, counters, counters_reused, created_ms, last_event, needs,
@@ -57,7 +53,7 @@ async fn insert(conn: &mut Conn, submission: &Submission, now_ms: i64) -> Result
         .bind(new.scene.to_string())
         .bind(to_json(&new.settings)?)
         .bind(new.priority)
-        .bind(now_ms)
+        .bind(conn.now_ms)
         .bind(to_json(&new.needs)?)
         .bind(new.attempt_limit_secs.map(i64::from))
         .bind(&submission.traceparent);
@@ -70,38 +66,37 @@ pub(super) async fn set_state(
     id: &str,
     state: BakeState,
     action: &'static str,
-    now_ms: i64,
-) -> Result<Bake, StoreError> {
+) -> Result<Bake> {
     let mut bake = load_live(conn, id, action).await?;
     if bake.state != state {
         bake.state = state;
         if state == BakeState::Running {
             let sql = "UPDATE ready SET since_ms = $1 WHERE bake = $2";
-            query(sql).bind(now_ms).bind(bake.seq).run(conn).await?;
+            query(sql).bind(conn.now_ms).bind(bake.seq).run(conn).await?;
         }
-        bake.event(now_ms, EventKind::State { state });
+        bake.event(EventKind::State { state });
         bake.save(conn).await?;
     }
     view::bake(conn, id).await
 }
 
-pub(super) async fn cancel(conn: &mut Conn, id: &str, now_ms: i64) -> Result<Bake, StoreError> {
+pub(super) async fn cancel(conn: &mut Conn, id: &str) -> Result<Bake> {
     let seq = seq_of(conn, id).await?;
     let mut bake = Ledger::load(conn, seq).await?;
     if bake.state != BakeState::Cancelled {
         require_live(id, bake.state, "cancelled")?;
-        bake.close(conn, BakeState::Cancelled, None, now_ms).await?;
+        bake.close(conn, BakeState::Cancelled, None).await?;
     }
     view::bake(conn, id).await
 }
 
-pub(super) async fn reprioritise(conn: &mut Conn, id: &str, priority: i32) -> Result<Bake, StoreError> {
+pub(super) async fn reprioritise(conn: &mut Conn, id: &str, priority: i32) -> Result<Bake> {
     let bake = load_live(conn, id, "given another priority").await?;
     query("UPDATE bakes SET priority = $1 WHERE seq = $2").bind(priority).bind(bake.seq).run(conn).await?;
     view::bake(conn, id).await
 }
 
-async fn load_live(conn: &mut Conn, id: &str, action: &'static str) -> Result<Ledger, StoreError> {
+async fn load_live(conn: &mut Conn, id: &str, action: &'static str) -> Result<Ledger> {
     let seq = seq_of(conn, id).await?;
     let bake = Ledger::load(conn, seq).await?;
     require_live(id, bake.state, action)?;

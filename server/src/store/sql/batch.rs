@@ -10,12 +10,12 @@ use lightkiln_proto::jobs::TaskResult;
 use tokio::sync::oneshot::error::TryRecvError;
 use tokio::sync::oneshot::{Receiver, Sender, channel};
 
-use crate::store::StoreError;
+use crate::store::{Result, StoreError};
 
 /// Most commits of one transaction. More → fewer flushes, and longer waits of those who come next.
 const COMMITS_MAX: usize = 64;
 
-type Verdict = Result<CommitVerdict, StoreError>;
+type Verdict = Result<CommitVerdict>;
 
 /// A commit that waits for its transaction.
 pub(super) struct Waiting {
@@ -78,7 +78,7 @@ impl CommitQueue {
 }
 
 /// An error that is no commit's own fault, made anew for each of them; any other error comes back.
-pub(super) fn trouble_of_all(error: StoreError) -> Result<impl Fn() -> StoreError, StoreError> {
+pub(super) fn trouble_of_all(error: StoreError) -> Result<impl Fn() -> StoreError> {
     let (kind, source): (fn(_) -> StoreError, _) = match error {
         StoreError::Full(source) => (StoreError::Full, source),
         StoreError::Unavailable(source) => (StoreError::Unavailable, source),

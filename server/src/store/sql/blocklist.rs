@@ -4,10 +4,10 @@ use lightkiln_proto::api::{BlockedWorker, Blocklist};
 
 use super::conn::{Conn, query};
 use super::ledger::seq_of;
-use crate::store::StoreError;
+use crate::store::Result;
 use crate::store::rules::BLOCK_TASKS;
 
-pub(super) async fn show(conn: &mut Conn, id: &str) -> Result<Blocklist, StoreError> {
+pub(super) async fn show(conn: &mut Conn, id: &str) -> Result<Blocklist> {
     let bake = seq_of(conn, id).await?;
     let sql = "SELECT x.worker, count(*) AS tasks FROM bake_tasks m JOIN blames x ON x.task = m.task
                WHERE m.bake = $1 GROUP BY x.worker";
@@ -20,7 +20,7 @@ pub(super) async fn show(conn: &mut Conn, id: &str) -> Result<Blocklist, StoreEr
     Ok(Blocklist { workers })
 }
 
-pub(super) async fn clear(conn: &mut Conn, id: &str, worker: Option<&str>) -> Result<Blocklist, StoreError> {
+pub(super) async fn clear(conn: &mut Conn, id: &str, worker: Option<&str>) -> Result<Blocklist> {
     let bake = seq_of(conn, id).await?;
     let sql = "DELETE FROM blames WHERE task IN (SELECT task FROM bake_tasks WHERE bake = $1)
                AND ($2 = '' OR worker = $2)";

@@ -18,7 +18,7 @@ use crate::store::rules::{
     self, Abilities, BLOCK_TASKS, CLAIM_WINDOW, Contender, WORKER_PRESENT_MS, WORKER_SEEN_GRAIN_MS,
     dependencies, next_contender, resolve_inputs,
 };
-use crate::store::{LeaseState, StoreError};
+use crate::store::{LeaseState, Result};
 
 /// Running bakes with ready tasks, behind one of that priority and number.
 const OPEN_BAKES: &str = "
@@ -80,7 +80,6 @@ struct Claim<'a> {
     request: &'a ClaimRequest,
     kinds: String,
     abilities: Abilities,
-    now_ms: i64,
     /// The others, if this worker ever failed.
     others: Option<Vec<Other>>,
     /// The scene of the task that the worker was given last.
@@ -90,20 +89,16 @@ struct Claim<'a> {
     chosen: Vec<Chosen>,
 }
 
-pub(super) async fn claim(
-    conn: &mut Conn,
-    request: &ClaimRequest,
-    now_ms: i64,
-) -> Result<Vec<Lease>, StoreError> {
+pub(super) async fn claim(conn: &mut Conn, request: &ClaimRequest) -> Result<Vec<Lease>> {
     // Note that the worker is present: tasks are left to workers that are.
-    let seen = see_worker(conn, request, now_ms).await?;
+    let seen = see_worker(conn, request).await?;
     // Load the other workers for one that failed before: it leaves tasks to them, nobody else does.
-    let others = if seen.has_failed { Some(others(conn, request, now_ms).await?) } else { None };
+    let others = if seen.has_failed { Some(others(conn, request).await?) } else { None };
     // Choose before anything is written: on PostgreSQL the rows of chosen tasks are locked, and other claims pass them over.
     let (kinds, abilities) = (to_json(&request.kinds)?, Abilities::of(request));
     let (passed, chosen) = (BTreeSet::new(), Vec::new());
     let scene = seen.scene;
-    let mut claim = Claim { conn, request, kinds, abilities, now_ms, others, scene, passed, chosen };
+    let mut claim = Claim { conn, request, kinds, abilities, others, scene, passed, chosen };
     claim.choose_all().await?;
     let chosen = claim.chosen;
     // Write nothing for an idle worker's poll.
@@ -118,16 +113,16 @@ pub(super) async fn claim(
     let has_needs = taken.values().any(|taken| !dependencies(&taken.spec).is_empty());
     let outputs = if has_needs { outputs_of_needs(conn, &tasks).await? } else { BTreeMap::new() };
     // Lock counters and events last, as claims beside this one wait for these rows until the transaction ends.
-    write_leases(conn, &chosen, &taken, &tasks, request, now_ms).await?;
+    write_leases(conn, &chosen, &taken, &tasks, request).await?;
     Ok(leases(chosen, taken, &outputs))
 }
 
-pub(super) async fn is_any_ready(conn: &mut Conn, kinds: &[String], now_ms: i64) -> Result<bool, StoreError> {
+pub(super) async fn is_any_ready(conn: &mut Conn, kinds: &[String]) -> Result<bool> {
     let sql = "SELECT EXISTS (
                    SELECT 1 FROM bakes b WHERE b.state = 'running' AND EXISTS (
                        SELECT 1 FROM ready r WHERE r.bake = b.seq AND r.not_before_ms <= $1
                        AND r.kind IN (SELECT value FROM json_each($2)))) AS is_any_ready";
-    query(sql).bind(now_ms).bind(to_json(kinds)?).one(conn).await?.get("is_any_ready")
+    query(sql).bind(conn.now_ms).bind(to_json(kinds)?).one(conn).await?.get("is_any_ready")
 }
 
 /// Facts about the worker that claims.
@@ -139,7 +134,7 @@ struct Seen {
 }
 
 /// Looks the worker up and notes it, unless that was done a moment ago: an idle worker's polls write nothing.
-async fn see_worker(conn: &mut Conn, request: &ClaimRequest, now_ms: i64) -> Result<Seen, StoreError> {
+async fn see_worker(conn: &mut Conn, request: &ClaimRequest) -> Result<Seen> {
     let (kinds, labels) = (to_json(&request.kinds)?, to_json(&request.labels)?);
     let sql = "SELECT w.scene, EXISTS (SELECT 1 FROM blames x WHERE x.worker = n.name) AS has_failed,
                coalesce(w.kinds = $2 AND w.labels = $3 AND w.threads = $4 AND w.memory_mib = $5
@@ -151,7 +146,7 @@ async fn see_worker(conn: &mut Conn, request: &ClaimRequest, now_ms: i64) -> Res
         .bind(&labels)
         .bind(request.threads)
         .bind(request.memory_mib)
-        .bind(now_ms)
+        .bind(conn.now_ms)
         .bind(WORKER_SEEN_GRAIN_MS)
         .one(conn)
         .await?;
@@ -168,7 +163,7 @@ async fn see_worker(conn: &mut Conn, request: &ClaimRequest, now_ms: i64) -> Res
         .bind(&request.worker)
         .bind(&kinds)
         .bind(request.threads)
-        .bind(now_ms)
+        .bind(conn.now_ms)
         .bind(request.memory_mib)
         .bind(&labels)
         .run(conn)
@@ -177,16 +172,18 @@ async fn see_worker(conn: &mut Conn, request: &ClaimRequest, now_ms: i64) -> Res
 }
 
 /// Other workers that are present.
-async fn others(conn: &mut Conn, request: &ClaimRequest, now_ms: i64) -> Result<Vec<Other>, StoreError> {
+async fn others(conn: &mut Conn, request: &ClaimRequest) -> Result<Vec<Other>> {
     let sql =
         "SELECT name, kinds, threads, memory_mib, labels FROM workers WHERE seen_ms > $1 AND name <> $2";
-    let rows = query(sql).bind(now_ms - WORKER_PRESENT_MS).bind(&request.worker).all(conn).await?;
+    let rows = query(sql).bind(conn.now_ms - WORKER_PRESENT_MS).bind(&request.worker).all(conn).await?;
     let mut others = Vec::with_capacity(rows.len());
     for row in rows {
-        let small = |column: &str| Ok::<_, StoreError>(u32::try_from(row.count(column)?).unwrap_or(u32::MAX));
-        let (threads, memory_mib) = (small("threads")?, small("memory_mib")?);
-        let abilities =
-            Abilities { kinds: row.json("kinds")?, threads, memory_mib, labels: row.json("labels")? };
+        let abilities = Abilities {
+            kinds: row.json("kinds")?,
+            threads: row.small("threads")?,
+            memory_mib: row.small("memory_mib")?,
+            labels: row.json("labels")?,
+        };
         others.push(Other { name: row.get("name")?, abilities });
     }
     Ok(others)
@@ -197,14 +194,14 @@ impl Claim<'_> {
         self.chosen.len() >= self.request.max as usize
     }
 
-    async fn choose_all(&mut self) -> Result<(), StoreError> {
+    async fn choose_all(&mut self) -> Result<()> {
         let (mut priority, mut seq) = (i64::MAX, 0_i64);
         while !self.is_full() {
             // Read a window of bakes: fairness holds among them, and the cost does not grow with all bakes of the farm.
             let rows = query(OPEN_BAKES)
                 .bind(priority)
                 .bind(seq)
-                .bind(self.now_ms)
+                .bind(self.conn.now_ms)
                 .bind(&self.kinds)
                 .bind(CLAIM_WINDOW)
                 .all(self.conn)
@@ -236,7 +233,7 @@ impl Claim<'_> {
     }
 
     /// Chooses until there is enough, or nothing.
-    async fn choose_among(&mut self, mut contenders: Vec<Contender<OpenBake>>) -> Result<(), StoreError> {
+    async fn choose_among(&mut self, mut contenders: Vec<Contender<OpenBake>>) -> Result<()> {
         let scene_before = self.scene;
         while !self.is_full()
             && let Some(index) = next_contender(&contenders)
@@ -246,8 +243,8 @@ impl Claim<'_> {
                 Some(task) => {
                     // Pass the task over from now on: it is offered until the leases are written.
                     self.passed.insert(task);
-                    let deadline_ms = rules::deadline_ms(self.now_ms, bake.attempt_limit_secs);
-                    let expires_ms = self.now_ms + i64::from(self.request.ttl_secs) * 1000;
+                    let deadline_ms = rules::deadline_ms(self.conn.now_ms, bake.attempt_limit_secs);
+                    let expires_ms = self.conn.now_ms + i64::from(self.request.ttl_secs) * 1000;
                     // End the lease with the attempt's limit, so that no heartbeat carries it beyond.
                     let expires_ms = expires_ms.min(deadline_ms);
                     let (token, traceparent) = (random::fencing_token(), bake.traceparent);
@@ -276,11 +273,11 @@ impl Claim<'_> {
     }
 
     /// The bake's first ready task that this worker need not leave to others.
-    async fn first(&mut self, bake: &OpenBake) -> Result<Option<i64>, StoreError> {
+    async fn first(&mut self, bake: &OpenBake) -> Result<Option<i64>> {
         loop {
             let row = query(self.conn.pick(FIRST, FIRST_LOCKED))
                 .bind(bake.seq)
-                .bind(self.now_ms)
+                .bind(self.conn.now_ms)
                 .bind(&self.kinds)
                 .bind(&self.request.worker)
                 .bind(to_json(&self.passed)?)
@@ -298,12 +295,7 @@ impl Claim<'_> {
     }
 
     /// A worker that failed at a task leaves it to others, if one that could do it and has not failed is present.
-    async fn is_left_to_others(
-        &mut self,
-        bake: &OpenBake,
-        task: i64,
-        kind: &str,
-    ) -> Result<bool, StoreError> {
+    async fn is_left_to_others(&mut self, bake: &OpenBake, task: i64, kind: &str) -> Result<bool> {
         let rows = query("SELECT worker FROM blames WHERE task = $1").bind(task).all(self.conn).await?;
         let blamed = rows.iter().map(|row| row.text("worker")).collect::<Result<BTreeSet<_>, _>>()?;
         let could = |other: &Other| {
@@ -315,7 +307,7 @@ impl Claim<'_> {
     }
 
     /// A worker that failed at many tasks of a bake gets none of it, if one that did not is present.
-    async fn is_blocked(&mut self, bake: &OpenBake) -> Result<bool, StoreError> {
+    async fn is_blocked(&mut self, bake: &OpenBake) -> Result<bool> {
         let Some(others) = &self.others else { return Ok(false) };
         if failures(self.conn, bake.seq, &self.request.worker).await? < BLOCK_TASKS {
             return Ok(false);
@@ -330,7 +322,7 @@ impl Claim<'_> {
 }
 
 /// Tasks of a bake at which a worker failed.
-async fn failures(conn: &mut Conn, bake: i64, worker: &str) -> Result<u64, StoreError> {
+async fn failures(conn: &mut Conn, bake: i64, worker: &str) -> Result<u64> {
     let sql = "SELECT count(*) AS tasks FROM blames x JOIN bake_tasks m ON m.task = x.task
                WHERE m.bake = $1 AND x.worker = $2";
     query(sql).bind(bake).bind(worker).one(conn).await?.count("tasks")
@@ -343,8 +335,7 @@ async fn write_leases(
     taken: &BTreeMap<i64, Taken>,
     tasks: &str,
     request: &ClaimRequest,
-    now_ms: i64,
-) -> Result<(), StoreError> {
+) -> Result<()> {
     let row = |chosen: &Chosen| {
         let attempt = taken.get(&chosen.task).map_or(1, |taken| taken.attempt);
         json!([chosen.token, chosen.task, chosen.expires_ms, chosen.deadline_ms, attempt])
@@ -382,12 +373,12 @@ async fn write_leases(
         .bind(&request.worker)
         .bind(i64::from(request.ttl_secs) * 1000)
         .bind(LeaseState::Granted.name())
-        .bind(now_ms)
+        .bind(conn.now_ms)
         .bind(tasks)
         .run(conn)
         .await?;
     for (bake, starts) in starts(chosen, taken, &request.worker)? {
-        tell_bake(conn, bake, &starts, now_ms).await?;
+        tell_bake(conn, bake, &starts).await?;
     }
     Ok(())
 }
@@ -416,7 +407,7 @@ struct Taken {
 }
 
 /// Marks tasks as leased, and returns them.
-async fn take_tasks(conn: &mut Conn, tasks: &str) -> Result<BTreeMap<i64, Taken>, StoreError> {
+async fn take_tasks(conn: &mut Conn, tasks: &str) -> Result<BTreeMap<i64, Taken>> {
     let sql = conn.pick(
         "UPDATE tasks SET state = 'leased' WHERE id IN (SELECT CAST(value AS BIGINT) FROM json_each($1))
          RETURNING id, key, kind, label, params, inputs, cost, attempts,
@@ -437,7 +428,7 @@ async fn take_tasks(conn: &mut Conn, tasks: &str) -> Result<BTreeMap<i64, Taken>
             inputs: row.json("inputs")?,
             cost: row.count("cost")?,
         };
-        let attempt = u32::try_from(row.count("attempts")?).unwrap_or(u32::MAX).saturating_add(1);
+        let attempt = row.small("attempts")?.saturating_add(1);
         taken.insert(row.get("id")?, Taken { spec, attempt, bakes: row.json("bakes")? });
     }
     Ok(taken)
@@ -448,7 +439,7 @@ fn starts(
     chosen: &[Chosen],
     taken: &BTreeMap<i64, Taken>,
     worker: &str,
-) -> Result<BTreeMap<i64, Vec<String>>, StoreError> {
+) -> Result<BTreeMap<i64, Vec<String>>> {
     let mut starts: BTreeMap<i64, Vec<String>> = BTreeMap::new();
     for Taken { spec, attempt, bakes } in chosen.iter().filter_map(|chosen| taken.get(&chosen.task)) {
         let TaskSpec { key, kind, label, .. } = spec.clone();
@@ -462,7 +453,7 @@ fn starts(
 }
 
 /// Tells a bake of starts. The row is changed before it is read: claims beside this one wait for it.
-async fn tell_bake(conn: &mut Conn, bake: i64, starts: &[String], now_ms: i64) -> Result<(), StoreError> {
+async fn tell_bake(conn: &mut Conn, bake: i64, starts: &[String]) -> Result<()> {
     let events: Vec<_> = (1..).zip(starts).map(|(index, start)| json!([index, start])).collect();
     let insert = conn.pick(
         "INSERT INTO events (bake, seq, at_ms, event) SELECT b.seq, b.last_event - $2 + (value ->> 0), $3, value ->> 1
@@ -473,17 +464,14 @@ async fn tell_bake(conn: &mut Conn, bake: i64, starts: &[String], now_ms: i64) -
     steps(["UPDATE bakes SET last_event = last_event + $2 WHERE seq = $1", insert])
         .bind(bake)
         .bind(events.len())
-        .bind(now_ms)
+        .bind(conn.now_ms)
         .bind(to_json(&events)?)
         .run(conn)
         .await?;
     Ok(())
 }
 
-async fn outputs_of_needs(
-    conn: &mut Conn,
-    tasks: &str,
-) -> Result<BTreeMap<TaskKey, Vec<Artefact>>, StoreError> {
+async fn outputs_of_needs(conn: &mut Conn, tasks: &str) -> Result<BTreeMap<TaskKey, Vec<Artefact>>> {
     let sql = "SELECT t.key, r.outputs FROM task_needs n JOIN tasks t ON t.id = n.needs
                JOIN results r ON r.task = t.id WHERE n.task IN (SELECT CAST(value AS BIGINT) FROM json_each($1))";
     let mut outputs = BTreeMap::new();

@@ -5,34 +5,34 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use super::conn::{Row, corrupt};
-use crate::store::StoreError;
+use crate::store::Result;
 
 /// Rows that one statement takes in as a JSON array.
 pub(super) const ROWS_PER_STATEMENT: usize = 2_000;
 
 /// JSON of a value for a column.
-pub(super) fn to_json<T: Serialize + ?Sized>(value: &T) -> Result<String, StoreError> {
+pub(super) fn to_json<T: Serialize + ?Sized>(value: &T) -> Result<String> {
     serde_json::to_string(value).map_err(|error| corrupt("a value cannot be written as JSON", error))
 }
 
 impl Row {
     /// A column of JSON.
-    pub(super) fn json<T: DeserializeOwned>(&self, column: &str) -> Result<T, StoreError> {
+    pub(super) fn json<T: DeserializeOwned>(&self, column: &str) -> Result<T> {
         let text = self.text(column)?;
         serde_json::from_str(&text).map_err(|error| corrupt(&format!("column {column}"), error))
     }
 
     /// A digest column.
-    pub(super) fn digest(&self, column: &str) -> Result<Digest, StoreError> {
+    pub(super) fn digest(&self, column: &str) -> Result<Digest> {
         digest(&self.text(column)?)
     }
 
     /// A digest column that may be empty.
-    pub(super) fn digest_if_any(&self, column: &str) -> Result<Option<Digest>, StoreError> {
+    pub(super) fn digest_if_any(&self, column: &str) -> Result<Option<Digest>> {
         self.get::<Option<String>>(column)?.as_deref().map(digest).transpose()
     }
 }
 
-fn digest(text: &str) -> Result<Digest, StoreError> {
+fn digest(text: &str) -> Result<Digest> {
     text.parse().map_err(|error| corrupt("a digest", error))
 }

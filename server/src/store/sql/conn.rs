@@ -7,7 +7,7 @@ use std::sync::Arc;
 use sqlx::{AssertSqlSafe, ColumnIndex, Postgres, Row as _, Sqlite, Transaction};
 
 use super::faults::{FaultPoint, Faults};
-use crate::store::StoreError;
+use crate::store::{Result, StoreError};
 
 /// A transaction under way. Dropped without [`Conn::commit`], it never happened.
 pub(super) struct Conn {
@@ -44,7 +44,7 @@ impl Conn {
     }
 
     /// Makes all of it happen.
-    pub(super) async fn commit(mut self) -> Result<(), StoreError> {
+    pub(super) async fn commit(mut self) -> Result<()> {
         self.point("COMMIT").await?;
         match self.tx {
             Tx::Sqlite(tx) => tx.commit().await?,
@@ -55,18 +55,13 @@ impl Conn {
     }
 
     /// The point between two steps at which tests end the process; nothing else happens here.
-    async fn point(&mut self, before: &'static str) -> Result<(), StoreError> {
+    async fn point(&mut self, before: &'static str) -> Result<()> {
         self.step += 1;
         at(self.faults.as_deref(), self.call, self.step, before).await
     }
 }
 
-async fn at(
-    faults: Option<&dyn Faults>,
-    call: &'static str,
-    step: u32,
-    before: &'static str,
-) -> Result<(), StoreError> {
+async fn at(faults: Option<&dyn Faults>, call: &'static str, step: u32, before: &'static str) -> Result<()> {
     match faults {
         None => Ok(()),
         Some(faults) => faults.at(FaultPoint { call, step, before }).await,
@@ -162,7 +157,7 @@ impl Query {
     }
 
     /// Runs it for its effect; returns how many rows it touched.
-    pub(super) async fn run(self, conn: &mut Conn) -> Result<u64, StoreError> {
+    pub(super) async fn run(self, conn: &mut Conn) -> Result<u64> {
         conn.point(self.sql).await?;
         Ok(match &mut conn.tx {
             Tx::Sqlite(tx) => bound!(Sqlite, self.sql, self.values).execute(&mut **tx).await?.rows_affected(),
@@ -173,7 +168,7 @@ impl Query {
     }
 
     /// All rows.
-    pub(super) async fn all(self, conn: &mut Conn) -> Result<Vec<Row>, StoreError> {
+    pub(super) async fn all(self, conn: &mut Conn) -> Result<Vec<Row>> {
         conn.point(self.sql).await?;
         Ok(match &mut conn.tx {
             Tx::Sqlite(tx) => {
@@ -188,12 +183,12 @@ impl Query {
     }
 
     /// The first row, if there is one.
-    pub(super) async fn optional(self, conn: &mut Conn) -> Result<Option<Row>, StoreError> {
+    pub(super) async fn optional(self, conn: &mut Conn) -> Result<Option<Row>> {
         Ok(self.all(conn).await?.into_iter().next())
     }
 
     /// The one row, which must be there.
-    pub(super) async fn one(self, conn: &mut Conn) -> Result<Row, StoreError> {
+    pub(super) async fn one(self, conn: &mut Conn) -> Result<Row> {
         let sql = self.sql;
         self.optional(conn).await?.ok_or_else(|| corrupt("a row is missing", sql))
     }
@@ -207,7 +202,7 @@ impl Steps {
 
     /// Runs them; returns how many rows they touched together. SQLite takes them in one piece: most of a small
     /// statement's time there is the way to its thread and back.
-    pub(super) async fn run(self, conn: &mut Conn) -> Result<u64, StoreError> {
+    pub(super) async fn run(self, conn: &mut Conn) -> Result<u64> {
         let mut touched = 0;
         for &sql in &self.parts {
             conn.point(sql).await?;
@@ -257,7 +252,7 @@ impl Row {
     pub(super) fn get<T: Column>(
         &self,
         column: impl ColumnIndex<sqlx::sqlite::SqliteRow> + ColumnIndex<sqlx::postgres::PgRow>,
-    ) -> Result<T, StoreError> {
+    ) -> Result<T> {
         Ok(match self {
             Self::Sqlite(row) => row.try_get(column)?,
             Self::Postgres(row) => row.try_get(column)?,
@@ -265,18 +260,23 @@ impl Row {
     }
 
     /// A text column.
-    pub(super) fn text(&self, column: &str) -> Result<String, StoreError> {
+    pub(super) fn text(&self, column: &str) -> Result<String> {
         self.get(column)
     }
 
     /// A count; checks in the schema keep them from being negative.
-    pub(super) fn count(&self, column: &str) -> Result<u64, StoreError> {
+    pub(super) fn count(&self, column: &str) -> Result<u64> {
         Ok(u64::try_from(self.get::<i64>(column)?).unwrap_or(0))
+    }
+
+    /// A count of 32 bits.
+    pub(super) fn small(&self, column: &str) -> Result<u32> {
+        Ok(u32::try_from(self.count(column)?).unwrap_or(u32::MAX))
     }
 }
 
 /// A count for a column; counts never come near 2⁶³.
-fn to_column(count: u64) -> i64 {
+pub(super) fn to_column(count: u64) -> i64 {
     i64::try_from(count).unwrap_or(i64::MAX)
 }
 

@@ -4,7 +4,7 @@
 
 use async_trait::async_trait;
 
-use crate::store::StoreError;
+use crate::store::Result;
 
 /// A place between two steps of a call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -21,5 +21,5 @@ pub struct FaultPoint {
 #[async_trait]
 pub trait Faults: Send + Sync {
     /// An error ends the call there, as the end of the process would: nothing more is sent to the database.
-    async fn at(&self, point: FaultPoint) -> Result<(), StoreError>;
+    async fn at(&self, point: FaultPoint) -> Result<()>;
 }

@@ -10,9 +10,9 @@ use super::codec::{ROWS_PER_STATEMENT, to_json};
 use super::conn::{Conn, query, steps};
 use super::ledger::Ledger;
 use super::{ready, remake};
-use crate::store::{KnownResult, StoreError};
+use crate::store::{KnownResult, Result};
 
-pub(super) async fn reusable(conn: &mut Conn, plan: &[TaskSpec]) -> Result<Vec<KnownResult>, StoreError> {
+pub(super) async fn reusable(conn: &mut Conn, plan: &[TaskSpec]) -> Result<Vec<KnownResult>> {
     let sql = "SELECT t.key, r.outputs, r.plan FROM json_each($1) j JOIN tasks t ON t.key = j.value
                JOIN results r ON r.task = t.id ORDER BY j.key";
     let mut seen = BTreeSet::new();
@@ -34,14 +34,14 @@ pub(super) async fn reusable(conn: &mut Conn, plan: &[TaskSpec]) -> Result<Vec<K
     Ok(KnownResult::all(known))
 }
 
-pub(super) async fn forget_all(conn: &mut Conn, keys: &[TaskKey], now_ms: i64) -> Result<(), StoreError> {
+pub(super) async fn forget_all(conn: &mut Conn, keys: &[TaskKey]) -> Result<()> {
     for key in keys {
-        forget(conn, *key, now_ms).await?;
+        forget(conn, *key).await?;
     }
     Ok(())
 }
 
-async fn forget(conn: &mut Conn, key: TaskKey, now_ms: i64) -> Result<(), StoreError> {
+async fn forget(conn: &mut Conn, key: TaskKey) -> Result<()> {
     let sql = "SELECT id, kind, label, cost FROM tasks WHERE key = $1 AND state = 'done'";
     let Some(row) = query(sql).bind(key.to_string()).optional(conn).await? else { return Ok(()) };
     let task: i64 = row.get("id")?;
@@ -57,14 +57,14 @@ async fn forget(conn: &mut Conn, key: TaskKey, now_ms: i64) -> Result<(), StoreE
     for mut bake in wanted_by {
         count_undone(conn, &mut bake, task, &kind, cost).await?;
         let (kind, label) = (kind.clone(), row.text("label")?);
-        bake.event(now_ms, EventKind::ResultLost { key, kind, label });
+        bake.event(EventKind::ResultLost { key, kind, label });
         bake.save(conn).await?;
     }
-    ready::offer(conn, task, now_ms).await
+    ready::offer(conn, task).await
 }
 
 /// Bakes that have ended hold the result no more; whoever runs the task again gives it back ([`give_back`]).
-async fn take_from_ended(conn: &mut Conn, task: i64, key: TaskKey) -> Result<(), StoreError> {
+async fn take_from_ended(conn: &mut Conn, task: i64, key: TaskKey) -> Result<()> {
     let sql = "INSERT INTO lost_results (key, bake) SELECT $1, m.bake FROM bake_tasks m JOIN bakes b ON b.seq = m.bake
                WHERE m.task = $2 AND b.state NOT IN ('running', 'paused')";
     query(sql).bind(key.to_string()).bind(task).run(conn).await?;
@@ -75,7 +75,7 @@ async fn take_from_ended(conn: &mut Conn, task: i64, key: TaskKey) -> Result<(),
 }
 
 /// Bakes that lost the result of a task after their end hold it again.
-pub(super) async fn give_back(conn: &mut Conn, task: i64, key: TaskKey) -> Result<(), StoreError> {
+pub(super) async fn give_back(conn: &mut Conn, task: i64, key: TaskKey) -> Result<()> {
     let sql = "DELETE FROM lost_results WHERE key = $1 RETURNING bake";
     for row in query(sql).bind(key.to_string()).all(conn).await? {
         let sql = "INSERT INTO bake_tasks (bake, task, done, reused) VALUES ($1, $2, 1, 0)";
@@ -85,7 +85,7 @@ pub(super) async fn give_back(conn: &mut Conn, task: i64, key: TaskKey) -> Resul
 }
 
 /// Makes the task as if it had never run, and lets its dependants wait for it.
-async fn undo_result(conn: &mut Conn, task: i64) -> Result<(), StoreError> {
+async fn undo_result(conn: &mut Conn, task: i64) -> Result<()> {
     steps([
         "UPDATE tasks SET outputs_before = (SELECT outputs FROM results r WHERE r.task = tasks.id) WHERE id = $1",
         "DELETE FROM results WHERE task = $1",
@@ -106,13 +106,7 @@ async fn undo_result(conn: &mut Conn, task: i64) -> Result<(), StoreError> {
     Ok(())
 }
 
-async fn count_undone(
-    conn: &mut Conn,
-    bake: &mut Ledger,
-    task: i64,
-    kind: &str,
-    cost: u64,
-) -> Result<(), StoreError> {
+async fn count_undone(conn: &mut Conn, bake: &mut Ledger, task: i64, kind: &str, cost: u64) -> Result<()> {
     let read = query("SELECT reused FROM bake_tasks WHERE bake = $1 AND task = $2");
     let reused: i64 = read.bind(bake.seq).bind(task).one(conn).await?.get("reused")?;
     query("UPDATE bake_tasks SET done = 0, reused = 0 WHERE bake = $1 AND task = $2")

@@ -8,7 +8,7 @@ use super::conn::{Conn, corrupt, query};
 use super::ledger::Ledger;
 use super::ready;
 use crate::store::rules::{self, WORKER_SEEN_GRAIN_MS};
-use crate::store::{LeaseState, StoreError};
+use crate::store::{LeaseState, Result};
 
 /// An attempt that just ended, and its task.
 pub(super) struct Ended {
@@ -40,26 +40,21 @@ pub(super) struct Ended {
     pub(super) is_missed: bool,
 }
 
-pub(super) async fn heartbeat(
-    conn: &mut Conn,
-    token: &str,
-    progress: f32,
-    now_ms: i64,
-) -> Result<HeartbeatAnswer, StoreError> {
+pub(super) async fn heartbeat(conn: &mut Conn, token: &str, progress: f32) -> Result<HeartbeatAnswer> {
     let sql = "SELECT task, worker, ttl_ms, expires_ms, deadline_ms FROM leases WHERE token = $1";
     let Some(row) = query(sql).bind(token).optional(conn).await? else {
         hear_late(conn, token).await?;
-        return Ok(HeartbeatAnswer { verdict: Verdict::Lost, expires_ms: now_ms });
+        return Ok(HeartbeatAnswer { verdict: Verdict::Lost, expires_ms: conn.now_ms });
     };
     let mut expires_ms: i64 = row.get("expires_ms")?;
     let mut verdict = Verdict::Keep;
     if row.get::<Option<i64>>("task")?.is_none() {
         verdict = Verdict::Cancel;
-    } else if expires_ms <= now_ms {
+    } else if expires_ms <= conn.now_ms {
         hear_late(conn, token).await?;
         verdict = Verdict::Lost;
     } else {
-        expires_ms = (now_ms + row.get::<i64>("ttl_ms")?).min(row.get("deadline_ms")?);
+        expires_ms = (conn.now_ms + row.get::<i64>("ttl_ms")?).min(row.get("deadline_ms")?);
         query("UPDATE leases SET expires_ms = $1, state = $2, progress = $3, graces = 0 WHERE token = $4")
             .bind(expires_ms)
             .bind(LeaseState::Held.name())
@@ -69,7 +64,7 @@ pub(super) async fn heartbeat(
             .await?;
     }
     query("UPDATE workers SET seen_ms = $1 WHERE name = $2 AND $1 - seen_ms >= $3")
-        .bind(now_ms)
+        .bind(conn.now_ms)
         .bind(row.text("worker")?)
         .bind(WORKER_SEEN_GRAIN_MS)
         .run(conn)
@@ -77,31 +72,31 @@ pub(super) async fn heartbeat(
     Ok(HeartbeatAnswer { verdict, expires_ms })
 }
 
-pub(super) async fn release(conn: &mut Conn, token: &str, now_ms: i64) -> Result<bool, StoreError> {
-    let Some(ended) = end(conn, token, now_ms).await? else {
+pub(super) async fn release(conn: &mut Conn, token: &str) -> Result<bool> {
+    let Some(ended) = end(conn, token).await? else {
         hear_late(conn, token).await?;
         return Ok(false);
     };
-    requeue(conn, &ended, now_ms).await?;
+    requeue(conn, &ended).await?;
     for mut bake in Ledger::live_of(conn, ended.task).await? {
         let (kind, label, worker) = (ended.kind.clone(), ended.label.clone(), ended.worker.clone());
         let elapsed_ms = ended.elapsed_ms;
-        bake.event(now_ms, EventKind::TaskReleased { key: ended.key, kind, label, worker, elapsed_ms });
+        bake.event(EventKind::TaskReleased { key: ended.key, kind, label, worker, elapsed_ms });
         bake.save(conn).await?;
     }
     Ok(true)
 }
 
-pub(super) async fn extend(conn: &mut Conn, now_ms: i64) -> Result<u64, StoreError> {
+pub(super) async fn extend(conn: &mut Conn) -> Result<u64> {
     let sql = "UPDATE leases SET expires_ms = CASE WHEN deadline_ms < $1 + ttl_ms THEN deadline_ms ELSE $1 + ttl_ms END,
                graces = graces + 1
                WHERE task IS NOT NULL AND expires_ms <= $1 + ttl_ms / 2 AND expires_ms < deadline_ms AND graces < $2";
-    query(sql).bind(now_ms).bind(rules::MAX_GRACES).run(conn).await
+    query(sql).bind(conn.now_ms).bind(rules::MAX_GRACES).run(conn).await
 }
 
 /// A holder whose lease has run out turns out to be alive. If that was counted as an attempt, it is given back, once and
 /// not for ever; if nobody has noticed yet, it will not be.
-pub(super) async fn hear_late(conn: &mut Conn, token: &str) -> Result<(), StoreError> {
+pub(super) async fn hear_late(conn: &mut Conn, token: &str) -> Result<()> {
     let sql = "UPDATE leases SET state = $1 WHERE token = $2 AND state = $3 AND expires_ms < deadline_ms";
     let (late, held) = (LeaseState::Late.name(), LeaseState::Held.name());
     query(sql).bind(late).bind(token).bind(held).run(conn).await?;
@@ -119,22 +114,17 @@ pub(super) async fn hear_late(conn: &mut Conn, token: &str) -> Result<(), StoreE
 }
 
 /// Takes a lease that is still good from its holder. A cancelled one goes too, but gives nothing.
-pub(super) async fn end(conn: &mut Conn, token: &str, now_ms: i64) -> Result<Option<Ended>, StoreError> {
-    take_if(conn, token, now_ms, |expires_ms| expires_ms > now_ms).await
+pub(super) async fn end(conn: &mut Conn, token: &str) -> Result<Option<Ended>> {
+    take_if(conn, token, false).await
 }
 
 /// Takes a lease, good or not; nothing when it was cancelled or is gone.
-pub(super) async fn take(conn: &mut Conn, token: &str, now_ms: i64) -> Result<Option<Ended>, StoreError> {
-    take_if(conn, token, now_ms, |_| true).await
+pub(super) async fn take(conn: &mut Conn, token: &str) -> Result<Option<Ended>> {
+    take_if(conn, token, true).await
 }
 
-/// Takes a lease if its end is one that `may` have; a cancelled one goes in any case.
-async fn take_if(
-    conn: &mut Conn,
-    token: &str,
-    now_ms: i64,
-    may: impl Fn(i64) -> bool + Send,
-) -> Result<Option<Ended>, StoreError> {
+/// Takes a lease, one that has run out only if `even_late`; a cancelled one goes in any case.
+async fn take_if(conn: &mut Conn, token: &str, even_late: bool) -> Result<Option<Ended>> {
     let sql = "SELECT l.task, l.worker, l.started_ms, l.expires_ms, l.deadline_ms, l.state, l.input_lost, l.attempt,
                t.key, t.kind, t.label, t.cost, t.attempts, t.pardons, coalesce(t.outputs_before, '[]') AS outputs_before,
                EXISTS (SELECT 1 FROM task_needs n WHERE n.needs = t.id) AS has_dependants,
@@ -142,14 +132,13 @@ async fn take_if(
                FROM leases l LEFT JOIN tasks t ON t.id = l.task WHERE l.token = $1";
     let Some(row) = query(sql).bind(token).optional(conn).await? else { return Ok(None) };
     let is_cancelled = row.get::<Option<i64>>("task")?.is_none();
-    if !is_cancelled && !may(row.get("expires_ms")?) {
+    if !is_cancelled && !even_late && row.get::<i64>("expires_ms")? <= conn.now_ms {
         return Ok(None);
     }
     query("DELETE FROM leases WHERE token = $1").bind(token).run(conn).await?;
     if is_cancelled {
         return Ok(None);
     }
-    let small = |column: &str| Ok::<_, StoreError>(u32::try_from(row.count(column)?).unwrap_or(u32::MAX));
     let name = row.text("state")?;
     let state = LeaseState::named(&name)
         .ok_or_else(|| corrupt("a lease's state", format!("'{name}' is no state")))?;
@@ -159,13 +148,13 @@ async fn take_if(
         kind: row.get("kind")?,
         label: row.get("label")?,
         cost: row.count("cost")?,
-        attempts: small("attempts")?,
-        attempt: small("attempt")?,
+        attempts: row.small("attempts")?,
+        attempt: row.small("attempt")?,
         worker: row.get("worker")?,
-        elapsed_ms: u64::try_from(now_ms - row.get::<i64>("started_ms")?).unwrap_or(0),
+        elapsed_ms: u64::try_from(conn.now_ms - row.get::<i64>("started_ms")?).unwrap_or(0),
         has_hit_limit: row.get::<i64>("expires_ms")? >= row.get::<i64>("deadline_ms")?,
         state,
-        is_pardoned: state == LeaseState::Late && small("pardons")? < rules::MAX_PARDONS,
+        is_pardoned: state == LeaseState::Late && row.small("pardons")? < rules::MAX_PARDONS,
         input_lost: row.get::<i64>("input_lost")? != 0,
         outputs_before: row.json("outputs_before")?,
         has_dependants: row.get("has_dependants")?,
@@ -174,25 +163,15 @@ async fn take_if(
 }
 
 /// Makes a task claimable again, or waiting if a dependency was forgotten meanwhile.
-pub(super) async fn requeue(conn: &mut Conn, ended: &Ended, now_ms: i64) -> Result<(), StoreError> {
+pub(super) async fn requeue(conn: &mut Conn, ended: &Ended) -> Result<()> {
     let sql =
         "UPDATE tasks SET state = CASE waiting_count WHEN 0 THEN 'ready' ELSE 'waiting' END WHERE id = $1";
     query(sql).bind(ended.task).run(conn).await?;
-    ready::offer(conn, ended.task, now_ms).await?;
-    change_leased(conn, ended.task, &ended.kind, -1, now_ms).await
-}
-
-/// Counts a lease more or less in every live bake that holds the task.
-pub(super) async fn change_leased(
-    conn: &mut Conn,
-    task: i64,
-    kind: &str,
-    by: i64,
-    now_ms: i64,
-) -> Result<(), StoreError> {
-    let sql = "UPDATE stages SET leased = leased + $1, first_claim_ms = coalesce(first_claim_ms, $2)
-               WHERE kind = $3 AND bake IN (SELECT m.bake FROM bake_tasks m JOIN bakes b ON b.seq = m.bake
-                                            WHERE m.task = $4 AND b.state IN ('running', 'paused'))";
-    query(sql).bind(by).bind(now_ms).bind(kind).bind(task).run(conn).await?;
+    ready::offer(conn, ended.task).await?;
+    // Count a lease less in every live bake that holds the task.
+    let sql = "UPDATE stages SET leased = leased - 1
+               WHERE kind = $1 AND bake IN (SELECT m.bake FROM bake_tasks m JOIN bakes b ON b.seq = m.bake
+                                            WHERE m.task = $2 AND b.state IN ('running', 'paused'))";
+    query(sql).bind(&ended.kind).bind(ended.task).run(conn).await?;
     Ok(())
 }

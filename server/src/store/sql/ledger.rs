@@ -10,7 +10,7 @@ use serde_json::json;
 use super::codec::to_json;
 use super::conn::{Conn, Row, corrupt, query, steps};
 use super::remake;
-use crate::store::StoreError;
+use crate::store::{Result, StoreError};
 
 /// The part of a bake's row that changes, and events not yet written.
 pub(super) struct Ledger {
@@ -27,47 +27,34 @@ pub(super) struct Ledger {
     failure: Option<String>,
     finished_ms: Option<i64>,
     last_event: u64,
-    events: Vec<(i64, EventKind)>,
-}
-
-/// Name of a state in its column.
-pub(super) fn state_name(state: BakeState) -> &'static str {
-    match state {
-        BakeState::Running => "running",
-        BakeState::Paused => "paused",
-        BakeState::Done => "done",
-        BakeState::Failed => "failed",
-        BakeState::Cancelled => "cancelled",
-    }
+    events: Vec<EventKind>,
 }
 
 /// Reads a state's name.
-pub(super) fn state_from(name: &str) -> Result<BakeState, StoreError> {
-    use BakeState::{Cancelled, Done, Failed, Paused, Running};
-    let found =
-        [Running, Paused, Done, Failed, Cancelled].into_iter().find(|state| state_name(*state) == name);
+pub(super) fn state_from(name: &str) -> Result<BakeState> {
+    let found = BakeState::ALL.into_iter().find(|state| state.name() == name);
     found.ok_or_else(|| corrupt("a bake's state", format!("'{name}' is no state")))
 }
 
 /// Row number of the bake named `id`.
-pub(super) async fn seq_of(conn: &mut Conn, id: &str) -> Result<i64, StoreError> {
+pub(super) async fn seq_of(conn: &mut Conn, id: &str) -> Result<i64> {
     let seq = query("SELECT seq FROM bakes WHERE id = $1").bind(id).optional(conn).await?;
     seq.ok_or_else(|| StoreError::NoSuchBake { bake: id.to_owned() })?.get("seq")
 }
 
 impl Ledger {
-    pub(super) async fn load(conn: &mut Conn, seq: i64) -> Result<Self, StoreError> {
+    pub(super) async fn load(conn: &mut Conn, seq: i64) -> Result<Self> {
         Self::read(&query("SELECT * FROM bakes WHERE seq = $1").bind(seq).one(conn).await?)
     }
 
     /// Live bakes that hold a task, oldest first. A change of one of them leaves the others' rows as they are.
-    pub(super) async fn live_of(conn: &mut Conn, task: i64) -> Result<Vec<Self>, StoreError> {
+    pub(super) async fn live_of(conn: &mut Conn, task: i64) -> Result<Vec<Self>> {
         let sql = "SELECT b.* FROM bake_tasks m JOIN bakes b ON b.seq = m.bake
                    WHERE m.task = $1 AND b.state IN ('running', 'paused') ORDER BY b.seq";
         query(sql).bind(task).all(conn).await?.iter().map(Self::read).collect()
     }
 
-    fn read(row: &Row) -> Result<Self, StoreError> {
+    fn read(row: &Row) -> Result<Self> {
         Ok(Self {
             seq: row.get("seq")?,
             id: row.get("id")?,
@@ -86,8 +73,8 @@ impl Ledger {
         })
     }
 
-    pub(super) fn event(&mut self, at_ms: i64, event: EventKind) {
-        self.events.push((at_ms, event));
+    pub(super) fn event(&mut self, event: EventKind) {
+        self.events.push(event);
     }
 
     pub(super) fn note_outputs(&mut self, outputs: &[Artefact]) {
@@ -101,11 +88,11 @@ impl Ledger {
     }
 
     /// Writes the row and the events.
-    pub(super) async fn save(&mut self, conn: &mut Conn) -> Result<(), StoreError> {
+    pub(super) async fn save(&mut self, conn: &mut Conn) -> Result<()> {
         let mut events = Vec::with_capacity(self.events.len());
-        for (at_ms, event) in std::mem::take(&mut self.events) {
+        for event in std::mem::take(&mut self.events) {
             self.last_event += 1;
-            events.push(json!([self.last_event, at_ms, to_json(&event)?]));
+            events.push(json!([self.last_event, conn.now_ms, to_json(&event)?]));
         }
         let insert = conn.pick(
             "INSERT INTO events (bake, seq, at_ms, event) SELECT $12, value ->> 0, value ->> 1, value ->> 2 FROM json_each($13)",
@@ -117,7 +104,7 @@ impl Ledger {
                       counters_reused = $6, manifest = $7, report = $8, failure = $9, finished_ms = $10,
                       last_event = $11 WHERE seq = $12";
         steps([insert, update])
-            .bind(state_name(self.state))
+            .bind(self.state.name())
             .bind(self.open_count)
             .bind(self.tasks_run)
             .bind(self.tasks_reused)
@@ -136,9 +123,9 @@ impl Ledger {
     }
 
     /// Saves, and ends the bake if no task is open.
-    pub(super) async fn save_or_finish(&mut self, conn: &mut Conn, now_ms: i64) -> Result<(), StoreError> {
+    pub(super) async fn save_or_finish(&mut self, conn: &mut Conn) -> Result<()> {
         if self.open_count == 0 {
-            self.close(conn, BakeState::Done, None, now_ms).await
+            self.close(conn, BakeState::Done, None).await
         } else {
             self.save(conn).await
         }
@@ -150,14 +137,13 @@ impl Ledger {
         conn: &mut Conn,
         state: BakeState,
         failure: Option<String>,
-        now_ms: i64,
-    ) -> Result<(), StoreError> {
+    ) -> Result<()> {
         self.state = state;
         self.failure = failure;
-        self.finished_ms = Some(now_ms);
-        self.event(now_ms, EventKind::State { state });
+        self.finished_ms = Some(conn.now_ms);
+        self.event(EventKind::State { state });
         self.save(conn).await?;
-        remake::let_go(conn, self.seq, now_ms).await?;
+        remake::let_go(conn, self.seq).await?;
         steps([
             "DELETE FROM ready WHERE bake = $1",
             "UPDATE stages SET leased = 0 WHERE bake = $1",

@@ -43,7 +43,7 @@ use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{TaskResult, TaskSpec};
 
 use super::chunk::{ChunkRow, CollectRules, Collected, Kept, KeptChunk, Usage};
-use super::{FailVerdict, FarmStore, KnownResult, Reaped, Stats, StoreError, Submission, Submitted};
+use super::{FailVerdict, FarmStore, KnownResult, Reaped, Result, Stats, StoreError, Submission, Submitted};
 use crate::access::{Bearer, Scope};
 use crate::chunks::ChunkName;
 use crate::clock::Clock;
@@ -85,7 +85,7 @@ pub struct SqlStore {
 
 impl SqlStore {
     /// Opens the SQLite file at `path`, making or migrating it as needed.
-    pub async fn open_sqlite(path: &Path, clock: Arc<dyn Clock>) -> Result<Self, StoreError> {
+    pub async fn open_sqlite(path: &Path, clock: Arc<dyn Clock>) -> Result<Self> {
         let database = Database::Sqlite(SqliteFile::open(path).await?, clock);
         Ok(Self { database, faults: None, commits: CommitQueue::default() })
     }
@@ -93,7 +93,7 @@ impl SqlStore {
     /// Opens the PostgreSQL database at `url` (`postgres://…`), making or migrating its tables as needed.
     ///
     /// Without a clock the database's own time counts, as it must where several servers share it.
-    pub async fn open_postgres(url: &str, clock: Option<Arc<dyn Clock>>) -> Result<Self, StoreError> {
+    pub async fn open_postgres(url: &str, clock: Option<Arc<dyn Clock>>) -> Result<Self> {
         let database = Database::Postgres(PostgresDatabase::open(url).await?, clock);
         Ok(Self { database, faults: None, commits: CommitQueue::default() })
     }
@@ -113,7 +113,7 @@ impl SqlStore {
         }
     }
 
-    async fn begin(&self, kind: Kind, call: &'static str) -> Result<Conn, StoreError> {
+    async fn begin(&self, kind: Kind, call: &'static str) -> Result<Conn> {
         let (tx, now_ms) = match &self.database {
             Database::Sqlite(file, clock) => {
                 let tx = file.begin(kind).await?;
@@ -197,13 +197,12 @@ impl From<sqlx::Error> for StoreError {
 
 /// Runs `$work` in a transaction of its own, again if that is safe and may help.
 macro_rules! transact {
-    ($store:ident, $kind:ident, $call:literal, |$conn:ident, $now_ms:ident| $work:expr) => {{
+    ($store:ident, $kind:ident, $call:expr, |$conn:ident| $work:expr) => {{
         let mut tries = 0;
         loop {
             tries += 1;
             let worked = async {
                 let mut held = $store.begin(Kind::$kind, $call).await?;
-                let $now_ms = held.now_ms;
                 let $conn = &mut held;
                 let value = $work.await?;
                 Ok::<_, StoreError>((held, value))
@@ -224,15 +223,15 @@ macro_rules! transact {
 }
 
 impl SqlStore {
-    async fn commit_alone(&self, token: &str, result: &TaskResult) -> Result<CommitVerdict, StoreError> {
-        transact!(self, Write, "commit", |conn, now_ms| outcome::commit(conn, token, result, now_ms))
+    async fn commit_alone(&self, token: &str, result: &TaskResult) -> Result<CommitVerdict> {
+        transact!(self, Write, "commit", |conn| outcome::commit(conn, token, result))
     }
 
     /// Commits all in one transaction. If that fails and may be the fault of one of them, each in its own.
     async fn commit_batch(&self, batch: Vec<Waiting>) {
         if batch.len() > 1 {
-            let verdicts: Result<_, StoreError> =
-                transact!(self, Write, "commit", |conn, now_ms| outcome::commit_all(conn, &batch, now_ms));
+            let verdicts: Result<_> =
+                transact!(self, Write, "commit", |conn| outcome::commit_all(conn, &batch));
             match verdicts {
                 Ok(verdicts) => {
                     let answered = batch.into_iter().zip(verdicts);
@@ -256,33 +255,70 @@ impl SqlStore {
     }
 }
 
-#[async_trait]
-impl FarmStore for SqlStore {
-    async fn submit(&self, submission: &Submission) -> Result<Submitted, StoreError> {
-        transact!(self, Write, "submit", |conn, now_ms| bakes::submit(conn, submission, now_ms))
+/// Makes the store of its calls. Most are a row each: the kind of the transaction, the call, and the work in it.
+macro_rules! farm_store {
+    (
+        rows { $($kind:ident $call:ident($($argument:ident: $type:ty),*) -> $answer:ty = |$conn:ident| $work:expr;)+ }
+        $($own:tt)*
+    ) => {
+        #[async_trait]
+        impl FarmStore for SqlStore {
+            $(async fn $call(&self, $($argument: $type),*) -> Result<$answer> {
+                transact!(self, $kind, stringify!($call), |$conn| $work)
+            })+
+            $($own)*
+        }
+    };
+}
+
+farm_store! {
+    rows {
+        Write submit(submission: &Submission) -> Submitted = |conn| bakes::submit(conn, submission);
+        Read reusable(plan: &[TaskSpec]) -> Vec<KnownResult> = |conn| forget::reusable(conn, plan);
+        Write forget(keys: &[TaskKey]) -> () = |conn| forget::forget_all(conn, keys);
+        Lease claim(request: &ClaimRequest) -> Vec<Lease> = |conn| claim::claim(conn, request);
+        Read is_any_ready(kinds: &[String]) -> bool = |conn| claim::is_any_ready(conn, kinds);
+        Lease heartbeat(token: &str, progress: f32) -> HeartbeatAnswer =
+            |conn| leases::heartbeat(conn, token, progress);
+        Write fail(token: &str, blame: Blame, message: &str) -> FailVerdict =
+            |conn| outcome::fail(conn, token, blame, message);
+        Write release(token: &str) -> bool = |conn| leases::release(conn, token);
+        Lease extend_leases() -> u64 = |conn| leases::extend(conn);
+        Read blocklist(bake: &str) -> Blocklist = |conn| blocklist::show(conn, bake);
+        Write clear_blocklist(bake: &str, worker: Option<&str>) -> Blocklist =
+            |conn| blocklist::clear(conn, bake, worker);
+        Write reap() -> Reaped = |conn| outcome::reap(conn);
+        Write pause(bake: &str) -> Bake = |conn| bakes::set_state(conn, bake, BakeState::Paused, "paused");
+        Write resume(bake: &str) -> Bake = |conn| bakes::set_state(conn, bake, BakeState::Running, "resumed");
+        Write cancel(bake: &str) -> Bake = |conn| bakes::cancel(conn, bake);
+        Write reprioritise(bake: &str, priority: i32) -> Bake = |conn| bakes::reprioritise(conn, bake, priority);
+        Read show(bake: &str) -> Bake = |conn| view::bake(conn, bake);
+        Read list(after: Option<u64>, limit: u32) -> BakePage = |conn| view::list(conn, after, limit);
+        Read events_after(bake: &str, after: u64, limit: u32) -> EventPage =
+            |conn| view::events_after(conn, bake, after, limit);
+        Read workers() -> Vec<Worker> = |conn| view::workers(conn);
+        Write add_bearer(name: &str, hash: Digest, scopes: &BTreeSet<Scope>) -> Bearer =
+            |conn| bearers::add(conn, name, hash, scopes);
+        Write revoke_bearer(name: &str) -> Bearer = |conn| bearers::revoke(conn, name);
+        Read bearers() -> Vec<Bearer> = |conn| bearers::all(conn);
+        Read find_chunks(digests: &[Digest]) -> Vec<KeptChunk> = |conn| chunks::find(conn, digests);
+        Lease keep_chunk(chunk: KeptChunk, replaces: Option<u64>, quota: Option<u64>) -> Kept =
+            |conn| chunks::keep(conn, chunk, replaces, quota);
+        Write delete_bake(bake: &str) -> () = |conn| chunks::delete_bake(conn, bake);
+        Write collect(rules: &CollectRules) -> Collected = |conn| chunks::collect(conn, rules);
+        Write purge(names: &[ChunkName]) -> () = |conn| chunks::purge(conn, names);
+        Write lose_chunk(name: ChunkName) -> u64 = |conn| chunks::lose(conn, name);
+        Read chunk_rows(after: Option<Digest>, limit: u32) -> Vec<ChunkRow> =
+            |conn| chunks::rows(conn, after, limit);
+        Read orphans(names: &[ChunkName]) -> Vec<ChunkName> = |conn| chunks::orphans(conn, names);
+        Write condemn_orphans(chunks: &[KeptChunk]) -> Vec<ChunkName> =
+            |conn| chunks::condemn_orphans(conn, chunks);
+        Read usage() -> Usage = |conn| chunks::usage(conn);
+        Read stats() -> Stats = |conn| view::stats(conn);
+        Write probe() -> () = |conn| view::probe(conn);
     }
 
-    async fn reusable(&self, plan: &[TaskSpec]) -> Result<Vec<KnownResult>, StoreError> {
-        transact!(self, Read, "reusable", |conn, _now_ms| forget::reusable(conn, plan))
-    }
-
-    async fn forget(&self, keys: &[TaskKey]) -> Result<(), StoreError> {
-        transact!(self, Write, "forget", |conn, now_ms| forget::forget_all(conn, keys, now_ms))
-    }
-
-    async fn claim(&self, request: &ClaimRequest) -> Result<Vec<Lease>, StoreError> {
-        transact!(self, Lease, "claim", |conn, now_ms| claim::claim(conn, request, now_ms))
-    }
-
-    async fn is_any_ready(&self, kinds: &[String]) -> Result<bool, StoreError> {
-        transact!(self, Read, "is_any_ready", |conn, now_ms| claim::is_any_ready(conn, kinds, now_ms))
-    }
-
-    async fn heartbeat(&self, token: &str, progress: f32) -> Result<HeartbeatAnswer, StoreError> {
-        transact!(self, Lease, "heartbeat", |conn, now_ms| leases::heartbeat(conn, token, progress, now_ms))
-    }
-
-    async fn commit(&self, token: &str, result: &TaskResult) -> Result<CommitVerdict, StoreError> {
+    async fn commit(&self, token: &str, result: &TaskResult) -> Result<CommitVerdict> {
         if result.plan.is_empty() {
             return self.commits.commit(token, result, |batch| self.commit_batch(batch)).await;
         }
@@ -290,146 +326,15 @@ impl FarmStore for SqlStore {
         self.commit_alone(token, result).await
     }
 
-    async fn fail(&self, token: &str, blame: Blame, message: &str) -> Result<FailVerdict, StoreError> {
-        transact!(self, Write, "fail", |conn, now_ms| outcome::fail(conn, token, blame, message, now_ms))
-    }
-
-    async fn release(&self, token: &str) -> Result<bool, StoreError> {
-        transact!(self, Write, "release", |conn, now_ms| leases::release(conn, token, now_ms))
-    }
-
-    async fn extend_leases(&self) -> Result<u64, StoreError> {
-        transact!(self, Lease, "extend_leases", |conn, now_ms| leases::extend(conn, now_ms))
-    }
-
-    async fn blocklist(&self, bake: &str) -> Result<Blocklist, StoreError> {
-        transact!(self, Read, "blocklist", |conn, _now_ms| blocklist::show(conn, bake))
-    }
-
-    async fn clear_blocklist(&self, bake: &str, worker: Option<&str>) -> Result<Blocklist, StoreError> {
-        transact!(self, Write, "clear_blocklist", |conn, _now_ms| blocklist::clear(conn, bake, worker))
-    }
-
-    async fn reap(&self) -> Result<Reaped, StoreError> {
-        transact!(self, Write, "reap", |conn, now_ms| outcome::reap(conn, now_ms))
-    }
-
-    async fn pause(&self, bake: &str) -> Result<Bake, StoreError> {
-        let (state, action) = (BakeState::Paused, "paused");
-        transact!(self, Write, "pause", |conn, now_ms| bakes::set_state(conn, bake, state, action, now_ms))
-    }
-
-    async fn resume(&self, bake: &str) -> Result<Bake, StoreError> {
-        let (state, action) = (BakeState::Running, "resumed");
-        transact!(self, Write, "resume", |conn, now_ms| bakes::set_state(conn, bake, state, action, now_ms))
-    }
-
-    async fn cancel(&self, bake: &str) -> Result<Bake, StoreError> {
-        transact!(self, Write, "cancel", |conn, now_ms| bakes::cancel(conn, bake, now_ms))
-    }
-
-    async fn reprioritise(&self, bake: &str, priority: i32) -> Result<Bake, StoreError> {
-        transact!(self, Write, "reprioritise", |conn, _now_ms| bakes::reprioritise(conn, bake, priority))
-    }
-
-    async fn show(&self, bake: &str) -> Result<Bake, StoreError> {
-        transact!(self, Read, "show", |conn, _now_ms| view::bake(conn, bake))
-    }
-
-    async fn list(&self, after: Option<u64>, limit: u32) -> Result<BakePage, StoreError> {
-        transact!(self, Read, "list", |conn, _now_ms| view::list(conn, after, limit))
-    }
-
-    async fn events_after(&self, bake: &str, after: u64, limit: u32) -> Result<EventPage, StoreError> {
-        transact!(self, Read, "events_after", |conn, _now_ms| view::events_after(conn, bake, after, limit))
-    }
-
-    async fn workers(&self) -> Result<Vec<Worker>, StoreError> {
-        transact!(self, Read, "workers", |conn, now_ms| view::workers(conn, now_ms))
-    }
-
-    async fn add_bearer(
-        &self,
-        name: &str,
-        hash: Digest,
-        scopes: &BTreeSet<Scope>,
-    ) -> Result<Bearer, StoreError> {
-        transact!(self, Write, "add_bearer", |conn, now_ms| bearers::add(conn, name, hash, scopes, now_ms))
-    }
-
-    async fn revoke_bearer(&self, name: &str) -> Result<Bearer, StoreError> {
-        transact!(self, Write, "revoke_bearer", |conn, now_ms| bearers::revoke(conn, name, now_ms))
-    }
-
-    async fn bearers(&self) -> Result<Vec<Bearer>, StoreError> {
-        transact!(self, Read, "bearers", |conn, _now_ms| bearers::all(conn))
-    }
-
-    async fn find_chunks(&self, digests: &[Digest]) -> Result<Vec<KeptChunk>, StoreError> {
-        transact!(self, Read, "find_chunks", |conn, _now_ms| chunks::find(conn, digests))
-    }
-
-    async fn touch_chunk(&self, digest: Digest) -> Result<Option<KeptChunk>, StoreError> {
-        let looked: Result<_, StoreError> =
-            transact!(self, Read, "look_at_chunk", |conn, now_ms| chunks::look(conn, digest, now_ms));
+    async fn touch_chunk(&self, digest: Digest) -> Result<Option<KeptChunk>> {
+        let looked: Result<_> = transact!(self, Read, "look_at_chunk", |conn| chunks::look(conn, digest));
         match looked? {
             None => Ok(None),
             // Asked for a moment ago: there is nothing to write.
             Some((kept, false)) => Ok(Some(kept)),
             Some((_, true)) => {
-                transact!(self, Lease, "touch_chunk", |conn, now_ms| chunks::touch(conn, digest, now_ms))
+                transact!(self, Lease, "touch_chunk", |conn| chunks::touch(conn, digest))
             }
         }
-    }
-
-    async fn keep_chunk(
-        &self,
-        chunk: KeptChunk,
-        replaces: Option<u64>,
-        quota: Option<u64>,
-    ) -> Result<Kept, StoreError> {
-        transact!(self, Lease, "keep_chunk", |conn, now_ms| chunks::keep(
-            conn, chunk, replaces, quota, now_ms
-        ))
-    }
-
-    async fn delete_bake(&self, bake: &str) -> Result<(), StoreError> {
-        transact!(self, Write, "delete_bake", |conn, _now_ms| chunks::delete_bake(conn, bake))
-    }
-
-    async fn collect(&self, rules: &CollectRules) -> Result<Collected, StoreError> {
-        transact!(self, Write, "collect", |conn, now_ms| chunks::collect(conn, rules, now_ms))
-    }
-
-    async fn purge(&self, names: &[ChunkName]) -> Result<(), StoreError> {
-        transact!(self, Write, "purge", |conn, _now_ms| chunks::purge(conn, names))
-    }
-
-    async fn lose_chunk(&self, name: ChunkName) -> Result<u64, StoreError> {
-        transact!(self, Write, "lose_chunk", |conn, now_ms| chunks::lose(conn, name, now_ms))
-    }
-
-    async fn chunk_rows(&self, after: Option<Digest>, limit: u32) -> Result<Vec<ChunkRow>, StoreError> {
-        transact!(self, Read, "chunk_rows", |conn, _now_ms| chunks::rows(conn, after, limit))
-    }
-
-    async fn orphans(&self, names: &[ChunkName]) -> Result<Vec<ChunkName>, StoreError> {
-        transact!(self, Read, "orphans", |conn, _now_ms| chunks::orphans(conn, names))
-    }
-
-    async fn condemn_orphans(&self, chunks: &[KeptChunk]) -> Result<Vec<ChunkName>, StoreError> {
-        transact!(self, Write, "condemn_orphans", |conn, _now_ms| chunks::condemn_orphans(conn, chunks))
-    }
-
-    async fn usage(&self) -> Result<Usage, StoreError> {
-        transact!(self, Read, "usage", |conn, _now_ms| chunks::usage(conn))
-    }
-
-    async fn stats(&self) -> Result<Stats, StoreError> {
-        transact!(self, Read, "stats", |conn, now_ms| view::stats(conn, now_ms))
-    }
-
-    async fn probe(&self) -> Result<(), StoreError> {
-        transact!(self, Write, "probe", |conn, now_ms| view::probe(conn, now_ms))
     }
 }

@@ -14,16 +14,11 @@ use super::ledger::Ledger;
 use super::plan::apply_plan;
 use super::{chunks, forget, ready, remake};
 use crate::store::rules::{self, add_counters, check_plan};
-use crate::store::{FailVerdict, LeaseState, Reaped, StoreError};
+use crate::store::{FailVerdict, LeaseState, Reaped, Result};
 
-pub(super) async fn commit(
-    conn: &mut Conn,
-    token: &str,
-    result: &TaskResult,
-    now_ms: i64,
-) -> Result<CommitVerdict, StoreError> {
+pub(super) async fn commit(conn: &mut Conn, token: &str, result: &TaskResult) -> Result<CommitVerdict> {
     // Take the lease first: who commits with a token that is not the newest of its task changes nothing else.
-    let Some(ended) = leases::end(conn, token, now_ms).await? else {
+    let Some(ended) = leases::end(conn, token).await? else {
         // Answer a commit that is sent again as the first one, whose answer may have been lost.
         if was_committed(conn, token, result).await? {
             return Ok(CommitVerdict::AlreadyCommitted);
@@ -38,7 +33,7 @@ pub(super) async fn commit(
     write_result(conn, token, &ended, result).await?;
     // Unlock dependants in this transaction, so that no crash leaves them waiting for a task that is done.
     if ended.has_dependants {
-        unlock_dependants(conn, ended.task, now_ms).await?;
+        unlock_dependants(conn, ended.task).await?;
     }
     // Remove the edges of tasks that only waited for a lost output, after they were unlocked along these.
     if !ended.outputs_before.is_empty() {
@@ -48,34 +43,30 @@ pub(super) async fn commit(
     let gone = remake::not_made_again(conn, &ended.outputs_before, &result.outputs).await?;
     // Tell every live bake that holds the task: each has counts, events and a plan of its own.
     for mut bake in Ledger::live_of(conn, ended.task).await? {
-        count_done(conn, &mut bake, &ended, result, now_ms).await?;
+        count_done(conn, &mut bake, &ended, result).await?;
         // Fail a bake that reads bytes which nobody will make again, instead of letting it wait.
         if let Some(output) = remake::first_named(conn, bake.seq, &gone).await? {
             let failure = rules::made_otherwise_message(&ended.label, &ended.kind, output);
-            bake.close(conn, BakeState::Failed, Some(failure), now_ms).await?;
+            bake.close(conn, BakeState::Failed, Some(failure)).await?;
             continue;
         }
         // Add the planned tasks before the bake may finish: it is done when none is open.
-        apply_plan(conn, &mut bake, &result.plan, now_ms).await?;
-        bake.save_or_finish(conn, now_ms).await?;
+        apply_plan(conn, &mut bake, &result.plan).await?;
+        bake.save_or_finish(conn).await?;
     }
     Ok(CommitVerdict::Committed)
 }
 
 /// Commits one after the other, as if each had come alone.
-pub(super) async fn commit_all(
-    conn: &mut Conn,
-    batch: &[Waiting],
-    now_ms: i64,
-) -> Result<Vec<CommitVerdict>, StoreError> {
+pub(super) async fn commit_all(conn: &mut Conn, batch: &[Waiting]) -> Result<Vec<CommitVerdict>> {
     let mut verdicts = Vec::with_capacity(batch.len());
     for waiting in batch {
-        verdicts.push(commit(conn, &waiting.token, &waiting.result, now_ms).await?);
+        verdicts.push(commit(conn, &waiting.token, &waiting.result).await?);
     }
     Ok(verdicts)
 }
 
-async fn was_committed(conn: &mut Conn, token: &str, result: &TaskResult) -> Result<bool, StoreError> {
+async fn was_committed(conn: &mut Conn, token: &str, result: &TaskResult) -> Result<bool> {
     let read = query("SELECT outputs FROM results WHERE token = $1").bind(token);
     let Some(row) = read.optional(conn).await? else { return Ok(false) };
     let outputs: Vec<Artefact> = row.json("outputs")?;
@@ -85,12 +76,7 @@ async fn was_committed(conn: &mut Conn, token: &str, result: &TaskResult) -> Res
     Ok(true)
 }
 
-async fn write_result(
-    conn: &mut Conn,
-    token: &str,
-    ended: &Ended,
-    result: &TaskResult,
-) -> Result<(), StoreError> {
+async fn write_result(conn: &mut Conn, token: &str, ended: &Ended, result: &TaskResult) -> Result<()> {
     let outputs: BTreeSet<Digest> = result.outputs.iter().map(|output| output.digest).collect();
     let outputs: Vec<Digest> = outputs.into_iter().collect();
     let touched = steps([
@@ -114,7 +100,7 @@ async fn write_result(
     if ended.is_missed { forget::give_back(conn, ended.task, ended.key).await } else { Ok(()) }
 }
 
-async fn unlock_dependants(conn: &mut Conn, task: i64, now_ms: i64) -> Result<(), StoreError> {
+async fn unlock_dependants(conn: &mut Conn, task: i64) -> Result<()> {
     let sql = "UPDATE tasks SET waiting_count = waiting_count - 1,
                state = CASE WHEN state = 'waiting' AND waiting_count = 1 THEN 'ready' ELSE state END
                WHERE id IN (SELECT task FROM task_needs WHERE needs = $1) AND state <> 'done'
@@ -124,18 +110,12 @@ async fn unlock_dependants(conn: &mut Conn, task: i64, now_ms: i64) -> Result<()
         is_any_ready |= row.get::<bool>("is_ready")?;
     }
     if is_any_ready {
-        ready::offer_dependants(conn, task, now_ms).await?;
+        ready::offer_dependants(conn, task).await?;
     }
     Ok(())
 }
 
-async fn count_done(
-    conn: &mut Conn,
-    bake: &mut Ledger,
-    ended: &Ended,
-    result: &TaskResult,
-    now_ms: i64,
-) -> Result<(), StoreError> {
+async fn count_done(conn: &mut Conn, bake: &mut Ledger, ended: &Ended, result: &TaskResult) -> Result<()> {
     steps([
         "UPDATE bake_tasks SET done = 1 WHERE bake = $1 AND task = $2",
         "UPDATE stages SET done = done + 1, leased = leased - 1, cost_done = cost_done + $3, last_commit_ms = $4
@@ -144,7 +124,7 @@ async fn count_done(
     .bind(bake.seq)
     .bind(ended.task)
     .bind(ended.cost)
-    .bind(now_ms)
+    .bind(conn.now_ms)
     .bind(&ended.kind)
     .run(conn)
     .await?;
@@ -152,69 +132,52 @@ async fn count_done(
     bake.tasks_run += 1;
     add_counters(&mut bake.counters, &result.counters);
     bake.note_outputs(&result.outputs);
-    bake.event(now_ms, task_done(ended));
+    bake.event(task_done(ended));
     Ok(())
 }
 
-pub(super) async fn fail(
-    conn: &mut Conn,
-    token: &str,
-    blame: Blame,
-    message: &str,
-    now_ms: i64,
-) -> Result<FailVerdict, StoreError> {
-    let Some(ended) = leases::end(conn, token, now_ms).await? else { return Ok(FailVerdict::Stale) };
+pub(super) async fn fail(conn: &mut Conn, token: &str, blame: Blame, message: &str) -> Result<FailVerdict> {
+    let Some(ended) = leases::end(conn, token).await? else { return Ok(FailVerdict::Stale) };
     let message = rules::cut_message(message);
     if blame == Blame::Task {
         let failure = rules::task_fault_message(&ended.label, &ended.kind, &ended.worker, &message);
-        give_up(conn, &ended, &message, &failure, now_ms).await?;
+        give_up(conn, &ended, &message, &failure).await?;
         return Ok(FailVerdict::GivenUp);
     }
     let mut wait_ms = 0;
     // A worker that lost an input is not to blame, and tries again once that is there.
     if !ended.input_lost {
-        if blame_worker(conn, &ended, &message, now_ms).await? {
+        if blame_worker(conn, &ended, &message).await? {
             return Ok(FailVerdict::GivenUp);
         }
         wait_ms = rules::retry_wait_ms(ended.key, ended.attempts + 1);
         query("UPDATE tasks SET not_before_ms = $1 WHERE id = $2")
-            .bind(now_ms + wait_ms)
+            .bind(conn.now_ms + wait_ms)
             .bind(ended.task)
             .run(conn)
             .await?;
     }
-    requeue(conn, &ended, now_ms).await?;
+    requeue(conn, &ended).await?;
     for mut bake in Ledger::live_of(conn, ended.task).await? {
-        bake.event(now_ms, task_failed(&ended, &message, Some(wait_ms)));
+        bake.event(task_failed(&ended, &message, Some(wait_ms)));
         bake.save(conn).await?;
     }
     Ok(FailVerdict::Retry)
 }
 
 /// Counts an attempt whose lease ran out, like any failure, until its worker turns out to be alive.
-async fn blame_silent(
-    conn: &mut Conn,
-    token: &str,
-    ended: &Ended,
-    message: &str,
-    now_ms: i64,
-) -> Result<bool, StoreError> {
+async fn blame_silent(conn: &mut Conn, token: &str, ended: &Ended, message: &str) -> Result<bool> {
     if !ended.has_hit_limit {
         let sql = "INSERT INTO expired (token, task, worker, has_blamed) SELECT $1, t.id, $2,
                    CASE WHEN EXISTS (SELECT 1 FROM blames x WHERE x.task = t.id AND x.worker = $2) THEN 0 ELSE 1 END
                    FROM tasks t WHERE t.id = $3";
         query(sql).bind(token).bind(&ended.worker).bind(ended.task).run(conn).await?;
     }
-    blame_worker(conn, ended, message, now_ms).await
+    blame_worker(conn, ended, message).await
 }
 
 /// Counts an attempt against its worker; true when the task was given up for that.
-async fn blame_worker(
-    conn: &mut Conn,
-    ended: &Ended,
-    message: &str,
-    now_ms: i64,
-) -> Result<bool, StoreError> {
+async fn blame_worker(conn: &mut Conn, ended: &Ended, message: &str) -> Result<bool> {
     let attempts = ended.attempts + 1;
     query("UPDATE tasks SET attempts = $1 WHERE id = $2").bind(attempts).bind(ended.task).run(conn).await?;
     query("INSERT INTO blames (task, worker) VALUES ($1, $2) ON CONFLICT DO NOTHING")
@@ -223,26 +186,20 @@ async fn blame_worker(
         .run(conn)
         .await?;
     let count = query("SELECT count(*) AS workers FROM blames WHERE task = $1").bind(ended.task);
-    let workers = u32::try_from(count.one(conn).await?.count("workers")?).unwrap_or(u32::MAX);
+    let workers = count.one(conn).await?.small("workers")?;
     if !rules::is_given_up(attempts, workers) {
         return Ok(false);
     }
     let failure = rules::given_up_message(&ended.label, &ended.kind, attempts, workers, message);
-    give_up(conn, ended, message, &failure, now_ms).await?;
+    give_up(conn, ended, message, &failure).await?;
     Ok(true)
 }
 
 /// Fails every bake that wants the task.
-async fn give_up(
-    conn: &mut Conn,
-    ended: &Ended,
-    message: &str,
-    failure: &str,
-    now_ms: i64,
-) -> Result<(), StoreError> {
+async fn give_up(conn: &mut Conn, ended: &Ended, message: &str, failure: &str) -> Result<()> {
     for mut bake in Ledger::live_of(conn, ended.task).await? {
-        bake.event(now_ms, task_failed(ended, message, None));
-        bake.close(conn, BakeState::Failed, Some(failure.to_owned()), now_ms).await?;
+        bake.event(task_failed(ended, message, None));
+        bake.close(conn, BakeState::Failed, Some(failure.to_owned())).await?;
     }
     Ok(())
 }
@@ -285,32 +242,32 @@ fn lease_expired(ended: &Ended) -> EventKind {
     }
 }
 
-pub(super) async fn reap(conn: &mut Conn, now_ms: i64) -> Result<Reaped, StoreError> {
+pub(super) async fn reap(conn: &mut Conn) -> Result<Reaped> {
     let sql = "SELECT l.token FROM leases l LEFT JOIN tasks t ON t.id = l.task
                WHERE l.expires_ms <= $1 ORDER BY l.expires_ms, t.key";
-    let rows = query(sql).bind(now_ms).all(conn).await?;
+    let rows = query(sql).bind(conn.now_ms).all(conn).await?;
     let mut reaped = Reaped::default();
     for row in rows {
         let token = row.text("token")?;
-        let Some(ended) = leases::take(conn, &token, now_ms).await? else { continue };
+        let Some(ended) = leases::take(conn, &token).await? else { continue };
         reaped.expired += 1;
         for mut bake in Ledger::live_of(conn, ended.task).await? {
-            bake.event(now_ms, lease_expired(&ended));
+            bake.event(lease_expired(&ended));
             bake.save(conn).await?;
         }
         if ended.is_pardoned {
             query("UPDATE tasks SET pardons = pardons + 1 WHERE id = $1").bind(ended.task).run(conn).await?;
         }
         if ended.state == LeaseState::Granted || ended.is_pardoned {
-            requeue(conn, &ended, now_ms).await?;
+            requeue(conn, &ended).await?;
             continue;
         }
         let message = if ended.has_hit_limit { rules::limit_message } else { rules::expiry_message };
         let message = message(&ended.worker);
-        if blame_silent(conn, &token, &ended, &message, now_ms).await? {
+        if blame_silent(conn, &token, &ended, &message).await? {
             reaped.given_up += 1;
         } else {
-            requeue(conn, &ended, now_ms).await?;
+            requeue(conn, &ended).await?;
         }
     }
     Ok(reaped)

@@ -13,7 +13,7 @@ use super::conn::{Conn, query};
 use super::ledger::Ledger;
 use super::ready;
 use crate::store::rules::{add_counters, dependencies, is_same_task, named_artefacts};
-use crate::store::{PlanError, StoreError};
+use crate::store::{PlanError, Result};
 
 /// A task that the farm has.
 struct Known {
@@ -56,12 +56,7 @@ struct Addition<'a> {
 }
 
 /// Adds `plan` to the bake. The ledger is changed, not saved.
-pub(super) async fn apply_plan(
-    conn: &mut Conn,
-    bake: &mut Ledger,
-    plan: &[TaskSpec],
-    now_ms: i64,
-) -> Result<(), StoreError> {
+pub(super) async fn apply_plan(conn: &mut Conn, bake: &mut Ledger, plan: &[TaskSpec]) -> Result<()> {
     let (added, ids, fresh, stages) = (Vec::new(), BTreeMap::new(), Vec::new(), Vec::new());
     let (named, required) = (BTreeSet::new(), BTreeSet::new());
     let mut addition = Addition { conn, bake, added, ids, fresh, stages, reused: 0, named, required };
@@ -72,19 +67,19 @@ pub(super) async fn apply_plan(
     if addition.added.is_empty() {
         return Ok(());
     }
-    addition.link(now_ms).await?;
+    addition.link().await?;
     chunks::refer(addition.conn, addition.bake.seq, &addition.named, &addition.required).await?;
-    addition.write_stages(now_ms).await?;
+    addition.write_stages().await?;
     let (tasks, reused) = (addition.added.len() as u64, addition.reused);
     bake.open_count += tasks - reused;
     bake.tasks_reused += reused;
-    bake.event(now_ms, EventKind::Planned { tasks, reused });
+    bake.event(EventKind::Planned { tasks, reused });
     Ok(())
 }
 
 impl Addition<'_> {
     /// Adds tasks, and returns those planned by the ones that are done already.
-    async fn add_layer(&mut self, layer: Vec<TaskSpec>) -> Result<Vec<TaskSpec>, StoreError> {
+    async fn add_layer(&mut self, layer: Vec<TaskSpec>) -> Result<Vec<TaskSpec>> {
         let known = self.known(&layer).await?;
         let mut fresh: BTreeMap<TaskKey, TaskSpec> = BTreeMap::new();
         let mut members: Vec<(i64, bool)> = Vec::new();
@@ -146,7 +141,7 @@ impl Addition<'_> {
         }
     }
 
-    async fn known(&mut self, layer: &[TaskSpec]) -> Result<BTreeMap<TaskKey, Known>, StoreError> {
+    async fn known(&mut self, layer: &[TaskSpec]) -> Result<BTreeMap<TaskKey, Known>> {
         let sql = "SELECT t.id, t.key, t.kind, t.params, t.inputs, t.cost, t.state,
                    EXISTS (SELECT 1 FROM bake_tasks m WHERE m.bake = $1 AND m.task = t.id) AS is_member
                    FROM json_each($2) j JOIN tasks t ON t.key = j.value";
@@ -171,7 +166,7 @@ impl Addition<'_> {
     }
 
     /// Makes new tasks, ready until [`Addition::link`] says otherwise; returns their ids.
-    async fn insert_tasks(&mut self, fresh: &BTreeMap<TaskKey, TaskSpec>) -> Result<Vec<i64>, StoreError> {
+    async fn insert_tasks(&mut self, fresh: &BTreeMap<TaskKey, TaskSpec>) -> Result<Vec<i64>> {
         let sql = self.conn.pick(
             "INSERT INTO tasks (key, kind, label, params, inputs, cost, state, waiting_count)
              SELECT value ->> 0, value ->> 1, value ->> 2, value ->> 3, value ->> 4, value ->> 5, 'ready', 0
@@ -197,7 +192,7 @@ impl Addition<'_> {
         Ok(ids)
     }
 
-    async fn insert_members(&mut self, members: &[(i64, bool)]) -> Result<(), StoreError> {
+    async fn insert_members(&mut self, members: &[(i64, bool)]) -> Result<()> {
         let sql = self.conn.pick(
             "INSERT INTO bake_tasks (bake, task, done, reused)
              SELECT $1, value ->> 0, value ->> 1, value ->> 1 FROM json_each($2)",
@@ -212,7 +207,7 @@ impl Addition<'_> {
     }
 
     /// Takes over the results of tasks that are done; returns the tasks that they planned.
-    async fn reuse(&mut self, done: &[i64]) -> Result<Vec<TaskSpec>, StoreError> {
+    async fn reuse(&mut self, done: &[i64]) -> Result<Vec<TaskSpec>> {
         let sql =
             "SELECT r.outputs, r.plan, r.counters FROM json_each($1) j JOIN results r ON r.task = CAST(j.value AS BIGINT)
                    ORDER BY j.key";
@@ -234,7 +229,7 @@ impl Addition<'_> {
     }
 
     /// Writes the edges of dependencies, and offers tasks without open ones.
-    async fn link(&mut self, now_ms: i64) -> Result<(), StoreError> {
+    async fn link(&mut self) -> Result<()> {
         self.find_dependencies().await?;
         let mut edges = Vec::new();
         for task in &self.added {
@@ -264,11 +259,11 @@ impl Addition<'_> {
             query(wait).bind(&fresh).run(self.conn).await?;
         }
         let ids: Vec<i64> = self.added.iter().filter_map(|task| self.ids.get(&task.key).copied()).collect();
-        ready::offer_in(self.conn, self.bake.seq, &ids, now_ms).await
+        ready::offer_in(self.conn, self.bake.seq, &ids).await
     }
 
     /// Finds the ids of dependencies that the bake held before.
-    async fn find_dependencies(&mut self) -> Result<(), StoreError> {
+    async fn find_dependencies(&mut self) -> Result<()> {
         let mut before: Vec<TaskKey> = self.added.iter().flat_map(|task| &task.needs).copied().collect();
         before.retain(|key| !self.ids.contains_key(key));
         before.sort_unstable();
@@ -283,7 +278,7 @@ impl Addition<'_> {
         Ok(())
     }
 
-    async fn write_stages(&mut self, now_ms: i64) -> Result<(), StoreError> {
+    async fn write_stages(&mut self) -> Result<()> {
         let sql = "INSERT INTO stages
                    (bake, kind, position, total, done, reused, leased, cost_total, cost_done, first_claim_ms)
                    VALUES ($1, $2, (SELECT count(*) FROM stages WHERE bake = $1), $3, $4, $4, $5, $6, $7, $8)
@@ -302,7 +297,7 @@ impl Addition<'_> {
                 .bind(gain.leased)
                 .bind(gain.cost_total)
                 .bind(gain.cost_done)
-                .bind((gain.leased > 0).then_some(now_ms))
+                .bind((gain.leased > 0).then_some(self.conn.now_ms))
                 .run(self.conn)
                 .await?;
         }

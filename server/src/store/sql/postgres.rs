@@ -38,7 +38,7 @@ use sqlx::{ConnectOptions, Executor, Row as _};
 
 use super::conn::Tx;
 use super::{Class, Kind, too_new};
-use crate::store::StoreError;
+use crate::store::{Result, StoreError};
 
 /// Connections for changes, claims and heartbeats.
 const WRITERS: u32 = 8;
@@ -84,7 +84,7 @@ pub(super) struct PostgresDatabase {
 }
 
 impl PostgresDatabase {
-    pub(super) async fn open(url: &str) -> Result<Self, StoreError> {
+    pub(super) async fn open(url: &str) -> Result<Self> {
         let options = PgConnectOptions::from_str(url)?
             .application_name("lightkiln")
             .options(SESSION)
@@ -95,7 +95,7 @@ impl PostgresDatabase {
     }
 
     /// A transaction, and the database's time, once it has its lock.
-    pub(super) async fn begin(&self, kind: Kind) -> Result<(Tx, i64), StoreError> {
+    pub(super) async fn begin(&self, kind: Kind) -> Result<(Tx, i64)> {
         // The time comes with the answer to the lock: a round trip less.
         let (pool, begin, lock) = match kind {
             Kind::Read => (
@@ -152,7 +152,7 @@ async fn require_primary(connection: &mut PgConnection) -> Result<(), sqlx::Erro
 }
 
 /// Brings the database to the schema of this version; servers that start together do so one after the other.
-async fn migrate(connection: &mut PgConnection) -> Result<(), StoreError> {
+async fn migrate(connection: &mut PgConnection) -> Result<()> {
     require_primary(connection).await?;
     let version: i32 = sqlx::query_scalar("SELECT current_setting('server_version_num')::int")
         .fetch_one(&mut *connection)

@@ -2,41 +2,36 @@
 
 use super::codec::{ROWS_PER_STATEMENT, to_json};
 use super::conn::{Conn, query};
-use crate::store::StoreError;
+use crate::store::Result;
 
 /// Offers a task in every live bake that holds it, if it is ready.
-pub(super) async fn offer(conn: &mut Conn, task: i64, now_ms: i64) -> Result<(), StoreError> {
+pub(super) async fn offer(conn: &mut Conn, task: i64) -> Result<()> {
     let sql = "INSERT INTO ready (bake, cost, key, task, kind, not_before_ms, since_ms)
                SELECT m.bake, t.cost, t.key, t.id, t.kind, t.not_before_ms, $2
                FROM tasks t JOIN bake_tasks m ON m.task = t.id JOIN bakes b ON b.seq = m.bake
                WHERE t.id = $1 AND t.state = 'ready' AND b.state IN ('running', 'paused')";
-    query(sql).bind(task).bind(now_ms).run(conn).await?;
+    query(sql).bind(task).bind(conn.now_ms).run(conn).await?;
     Ok(())
 }
 
 /// Offers the ready dependants of a task that has just been done. None of them was ready before: each waited for it.
-pub(super) async fn offer_dependants(conn: &mut Conn, task: i64, now_ms: i64) -> Result<(), StoreError> {
+pub(super) async fn offer_dependants(conn: &mut Conn, task: i64) -> Result<()> {
     let sql = "INSERT INTO ready (bake, cost, key, task, kind, not_before_ms, since_ms)
                SELECT m.bake, t.cost, t.key, t.id, t.kind, t.not_before_ms, $2
                FROM task_needs n JOIN tasks t ON t.id = n.task JOIN bake_tasks m ON m.task = t.id
                JOIN bakes b ON b.seq = m.bake WHERE n.needs = $1 AND t.state = 'ready'
                AND b.state IN ('running', 'paused')";
-    query(sql).bind(task).bind(now_ms).run(conn).await?;
+    query(sql).bind(task).bind(conn.now_ms).run(conn).await?;
     Ok(())
 }
 
 /// Offers those of `tasks` that are ready in one bake, which took them in just now.
-pub(super) async fn offer_in(
-    conn: &mut Conn,
-    bake: i64,
-    tasks: &[i64],
-    now_ms: i64,
-) -> Result<(), StoreError> {
+pub(super) async fn offer_in(conn: &mut Conn, bake: i64, tasks: &[i64]) -> Result<()> {
     let sql = "INSERT INTO ready (bake, cost, key, task, kind, not_before_ms, since_ms)
                SELECT $1, t.cost, t.key, t.id, t.kind, t.not_before_ms, $3
                FROM json_each($2) j JOIN tasks t ON t.id = CAST(j.value AS BIGINT) WHERE t.state = 'ready'";
     for tasks in tasks.chunks(ROWS_PER_STATEMENT) {
-        query(sql).bind(bake).bind(to_json(tasks)?).bind(now_ms).run(conn).await?;
+        query(sql).bind(bake).bind(to_json(tasks)?).bind(conn.now_ms).run(conn).await?;
     }
     Ok(())
 }

@@ -10,12 +10,12 @@ use lightkiln_proto::jobs::Artefact;
 use super::codec::to_json;
 use super::conn::{Conn, query};
 use super::ready;
-use crate::store::StoreError;
+use crate::store::Result;
 use crate::store::rules;
 
 /// Lets tasks that name an output of `task`, whose result is about to be forgotten, wait for it; attempts under way at
 /// them and at its dependants have lost an input.
-pub(super) async fn hold_readers(conn: &mut Conn, task: i64) -> Result<(), StoreError> {
+pub(super) async fn hold_readers(conn: &mut Conn, task: i64) -> Result<()> {
     let row = query("SELECT outputs FROM results WHERE task = $1").bind(task).one(conn).await?;
     let outputs: Vec<Artefact> = row.json("outputs")?;
     let digests: Vec<Digest> = outputs.iter().map(|output| output.digest).collect();
@@ -48,7 +48,7 @@ pub(super) async fn hold_readers(conn: &mut Conn, task: i64) -> Result<(), Store
 }
 
 /// Lets nobody but its dependants wait for `task`, which has made its outputs again.
-pub(super) async fn release_readers(conn: &mut Conn, task: i64, key: TaskKey) -> Result<(), StoreError> {
+pub(super) async fn release_readers(conn: &mut Conn, task: i64, key: TaskKey) -> Result<()> {
     let sql = "DELETE FROM task_needs WHERE needs = $1
                AND task IN (SELECT t.id FROM task_needs n JOIN tasks t ON t.id = n.task
                             WHERE n.needs = $1 AND t.inputs NOT LIKE '%' || $2 || '%')";
@@ -61,7 +61,7 @@ pub(super) async fn not_made_again(
     conn: &mut Conn,
     before: &[Artefact],
     now: &[Artefact],
-) -> Result<Vec<Artefact>, StoreError> {
+) -> Result<Vec<Artefact>> {
     let mut gone = Vec::new();
     for output in rules::outputs_gone(before, now) {
         let sql = "SELECT 1 FROM chunks WHERE digest = $1 AND generation IS NOT NULL";
@@ -77,7 +77,7 @@ pub(super) async fn first_named<'a>(
     conn: &mut Conn,
     bake: i64,
     gone: &'a [Artefact],
-) -> Result<Option<&'a Artefact>, StoreError> {
+) -> Result<Option<&'a Artefact>> {
     let sql = "SELECT 1 FROM bake_tasks m JOIN tasks t ON t.id = m.task
                WHERE m.bake = $1 AND m.done = 0 AND t.inputs LIKE '%' || $2 || '%' LIMIT 1";
     for output in gone {
@@ -89,7 +89,7 @@ pub(super) async fn first_named<'a>(
 }
 
 /// Lets nobody wait for tasks that go with an ended bake: tasks of other bakes may, if these took them in later.
-pub(super) async fn let_go(conn: &mut Conn, bake: i64, now_ms: i64) -> Result<(), StoreError> {
+pub(super) async fn let_go(conn: &mut Conn, bake: i64) -> Result<()> {
     let sql = "SELECT n.task, count(*) AS needs FROM bake_tasks m JOIN task_needs n ON n.needs = m.task
                WHERE m.bake = $1 AND m.done = 0
                AND EXISTS (SELECT 1 FROM bake_tasks o JOIN bakes b ON b.seq = o.bake
@@ -102,7 +102,7 @@ pub(super) async fn let_go(conn: &mut Conn, bake: i64, now_ms: i64) -> Result<()
         let sql = "UPDATE tasks SET waiting_count = waiting_count - $1,
                    state = CASE WHEN state = 'waiting' AND waiting_count = $1 THEN 'ready' ELSE state END WHERE id = $2";
         query(sql).bind(row.get::<i64>("needs")?).bind(task).run(conn).await?;
-        ready::offer(conn, task, now_ms).await?;
+        ready::offer(conn, task).await?;
     }
     Ok(())
 }

@@ -15,7 +15,7 @@ use sqlx::{ConnectOptions, Connection, SqliteConnection, SqlitePool};
 
 use super::conn::Tx;
 use super::{Class, Kind, too_new};
-use crate::store::StoreError;
+use crate::store::Result;
 
 /// Reading connections.
 const READERS: u32 = 4;
@@ -43,13 +43,13 @@ pub(super) struct SqliteFile {
 }
 
 impl SqliteFile {
-    pub(super) async fn open(path: &Path) -> Result<Self, StoreError> {
+    pub(super) async fn open(path: &Path) -> Result<Self> {
         let writer = pool(path, 1, false).await?;
         migrate(&writer).await?;
         Ok(Self { writer, readers: pool(path, READERS, true).await? })
     }
 
-    pub(super) async fn begin(&self, kind: Kind) -> Result<Tx, StoreError> {
+    pub(super) async fn begin(&self, kind: Kind) -> Result<Tx> {
         Ok(Tx::Sqlite(match kind {
             Kind::Read => self.readers.begin().await?,
             Kind::Lease => self.writer.begin_with("PRAGMA synchronous = NORMAL; BEGIN IMMEDIATE").await?,
@@ -64,7 +64,7 @@ impl SqliteFile {
     }
 }
 
-async fn pool(path: &Path, connections: u32, read_only: bool) -> Result<SqlitePool, StoreError> {
+async fn pool(path: &Path, connections: u32, read_only: bool) -> Result<SqlitePool> {
     let options = SqliteConnectOptions::new()
         .filename(path)
         .create_if_missing(!read_only)
@@ -96,7 +96,7 @@ async fn is_out_of_transaction(connection: &mut SqliteConnection) -> Result<bool
 }
 
 /// Brings the file to the schema of this version.
-async fn migrate(writer: &SqlitePool) -> Result<(), StoreError> {
+async fn migrate(writer: &SqlitePool) -> Result<()> {
     let mut tx = writer.begin_with("BEGIN IMMEDIATE").await?;
     let version: i64 = sqlx::query_scalar("PRAGMA user_version").fetch_one(&mut *tx).await?;
     let done = usize::try_from(version).ok().filter(|done| *done <= MIGRATIONS.len());

@@ -8,7 +8,7 @@ use lightkiln_proto::ids::Digest;
 use super::conn::{Conn, Row, corrupt, query};
 use super::ledger::{seq_of, state_from};
 use crate::store::rules::WORKER_LISTED_MS;
-use crate::store::{Demand, Stats, StoreError, TaskCount, TaskState};
+use crate::store::{Demand, Result, Stats, StoreError, TaskCount, TaskState};
 
 /// Rows of bakes, with the number of results that each lost.
 macro_rules! bakes {
@@ -17,16 +17,16 @@ macro_rules! bakes {
     };
 }
 
-pub(super) async fn bake(conn: &mut Conn, id: &str) -> Result<Bake, StoreError> {
+pub(super) async fn bake(conn: &mut Conn, id: &str) -> Result<Bake> {
     match query(concat!(bakes!(), " WHERE id = $1")).bind(id).optional(conn).await? {
         Some(row) => bake_from(conn, &row).await,
         None => Err(StoreError::NoSuchBake { bake: id.to_owned() }),
     }
 }
 
-async fn bake_from(conn: &mut Conn, row: &Row) -> Result<Bake, StoreError> {
+async fn bake_from(conn: &mut Conn, row: &Row) -> Result<Bake> {
     let state = state_from(&row.text("state")?)?;
-    let when_done = |column: &str| -> Result<Option<Digest>, StoreError> {
+    let when_done = |column: &str| -> Result<Option<Digest>> {
         Ok(row.digest_if_any(column)?.filter(|_| state == BakeState::Done))
     };
     Ok(Bake {
@@ -52,27 +52,26 @@ async fn bake_from(conn: &mut Conn, row: &Row) -> Result<Bake, StoreError> {
     })
 }
 
-async fn stages(conn: &mut Conn, bake: i64) -> Result<Vec<StageCount>, StoreError> {
+async fn stages(conn: &mut Conn, bake: i64) -> Result<Vec<StageCount>> {
     let sql = "SELECT *, coalesce(last_commit_ms - first_claim_ms, 0) AS elapsed_ms
                FROM stages WHERE bake = $1 ORDER BY position";
     let mut stages = Vec::new();
     for row in query(sql).bind(bake).all(conn).await? {
-        let count = |column: &str| row.count(column);
         stages.push(StageCount {
             kind: row.get("kind")?,
-            total: count("total")?,
-            done: count("done")?,
-            reused: count("reused")?,
-            leased: count("leased")?,
-            cost_total: count("cost_total")?,
-            cost_done: count("cost_done")?,
-            elapsed_ms: count("elapsed_ms")?,
+            total: row.count("total")?,
+            done: row.count("done")?,
+            reused: row.count("reused")?,
+            leased: row.count("leased")?,
+            cost_total: row.count("cost_total")?,
+            cost_done: row.count("cost_done")?,
+            elapsed_ms: row.count("elapsed_ms")?,
         });
     }
     Ok(stages)
 }
 
-pub(super) async fn list(conn: &mut Conn, after: Option<u64>, limit: u32) -> Result<BakePage, StoreError> {
+pub(super) async fn list(conn: &mut Conn, after: Option<u64>, limit: u32) -> Result<BakePage> {
     let below = after.and_then(|after| i64::try_from(after).ok()).unwrap_or(i64::MAX);
     let sql = concat!(bakes!(), " WHERE seq < $1 ORDER BY seq DESC LIMIT $2");
     let rows = query(sql).bind(below).bind(i64::from(limit) + 1).all(conn).await?;
@@ -87,12 +86,7 @@ pub(super) async fn list(conn: &mut Conn, after: Option<u64>, limit: u32) -> Res
     Ok(BakePage { bakes, next })
 }
 
-pub(super) async fn events_after(
-    conn: &mut Conn,
-    id: &str,
-    after: u64,
-    limit: u32,
-) -> Result<EventPage, StoreError> {
+pub(super) async fn events_after(conn: &mut Conn, id: &str, after: u64, limit: u32) -> Result<EventPage> {
     let seq = seq_of(conn, id).await?;
     let sql = "SELECT seq, at_ms, event FROM events WHERE bake = $1 AND seq > $2 ORDER BY seq LIMIT $3";
     let rows = query(sql).bind(seq).bind(after).bind(limit).all(conn).await?;
@@ -107,9 +101,9 @@ pub(super) async fn events_after(
     Ok(EventPage { events, bake: bake(conn, id).await? })
 }
 
-pub(super) async fn workers(conn: &mut Conn, now_ms: i64) -> Result<Vec<Worker>, StoreError> {
+pub(super) async fn workers(conn: &mut Conn) -> Result<Vec<Worker>> {
     let sql = "SELECT name, kinds, threads, seen_ms, memory_mib, labels FROM workers WHERE seen_ms > $1 ORDER BY name";
-    let rows = query(sql).bind(now_ms - WORKER_LISTED_MS).all(conn).await?;
+    let rows = query(sql).bind(conn.now_ms - WORKER_LISTED_MS).all(conn).await?;
     let sql = "SELECT l.worker, t.label FROM leases l JOIN tasks t ON t.id = l.task ORDER BY t.label";
     let mut held: BTreeMap<String, Vec<String>> = BTreeMap::new();
     for row in query(sql).all(conn).await? {
@@ -120,8 +114,8 @@ pub(super) async fn workers(conn: &mut Conn, now_ms: i64) -> Result<Vec<Worker>,
         let name: String = row.get("name")?;
         let holds = held.remove(&name).unwrap_or_default();
         let kinds = row.json("kinds")?;
-        let threads = u32::try_from(row.count("threads")?).unwrap_or(u32::MAX);
-        let memory_mib = u32::try_from(row.count("memory_mib")?).unwrap_or(u32::MAX);
+        let threads = row.small("threads")?;
+        let memory_mib = row.small("memory_mib")?;
         let labels = row.json("labels")?;
         let seen_ms = row.get("seen_ms")?;
         workers.push(Worker { name, kinds, threads, memory_mib, labels, seen_ms, holds });
@@ -129,7 +123,7 @@ pub(super) async fn workers(conn: &mut Conn, now_ms: i64) -> Result<Vec<Worker>,
     Ok(workers)
 }
 
-pub(super) async fn stats(conn: &mut Conn, now_ms: i64) -> Result<Stats, StoreError> {
+pub(super) async fn stats(conn: &mut Conn) -> Result<Stats> {
     let sql = "SELECT kind, state, count(*) AS count FROM tasks GROUP BY kind, state";
     let mut tasks = Vec::new();
     for row in query(sql).all(conn).await? {
@@ -142,7 +136,7 @@ pub(super) async fn stats(conn: &mut Conn, now_ms: i64) -> Result<Stats, StoreEr
                FROM bakes b JOIN ready r ON r.bake = b.seq WHERE b.state = 'running' GROUP BY r.kind, b.needs";
     let mut demand = Vec::new();
     for row in query(sql).all(conn).await? {
-        let waited_ms = u64::try_from(now_ms - row.get::<i64>("oldest_ms")?).unwrap_or(0);
+        let waited_ms = u64::try_from(conn.now_ms - row.get::<i64>("oldest_ms")?).unwrap_or(0);
         let (kind, needs, ready) = (row.get("kind")?, row.json("needs")?, row.count("ready")?);
         demand.push(Demand { kind, needs, ready, waited_ms });
     }
@@ -152,27 +146,26 @@ pub(super) async fn stats(conn: &mut Conn, now_ms: i64) -> Result<Stats, StoreEr
                CAST(coalesce(sum(tasks_reused), 0) AS BIGINT) + (SELECT tasks_reused FROM farm_totals) AS reused
                FROM bakes";
     let row = query(sql).one(conn).await?;
-    let sum = |column: &str| row.count(column);
     Ok(Stats {
         tasks,
         demand,
-        bakes_live: sum("live")?,
-        bakes_total: sum("total")?,
-        tasks_run: sum("run")?,
-        tasks_reused: sum("reused")?,
+        bakes_live: row.count("live")?,
+        bakes_total: row.count("total")?,
+        tasks_run: row.count("run")?,
+        tasks_reused: row.count("reused")?,
     })
 }
 
-fn task_state_from(name: &str) -> Result<TaskState, StoreError> {
+fn task_state_from(name: &str) -> Result<TaskState> {
     use TaskState::{Done, Leased, Ready, Waiting};
     let found = [Waiting, Ready, Leased, Done].into_iter().find(|state| state.name() == name);
     found.ok_or_else(|| corrupt("a task's state", format!("'{name}' is no state")))
 }
 
 /// Writes something.
-pub(super) async fn probe(conn: &mut Conn, now_ms: i64) -> Result<(), StoreError> {
+pub(super) async fn probe(conn: &mut Conn) -> Result<()> {
     let sql =
         "INSERT INTO probe (id, at_ms) VALUES (1, $1) ON CONFLICT (id) DO UPDATE SET at_ms = excluded.at_ms";
-    query(sql).bind(now_ms).run(conn).await?;
+    query(sql).bind(conn.now_ms).run(conn).await?;
     Ok(())
 }

@@ -2,25 +2,17 @@
 
 use std::hash::{BuildHasher as _, Hasher as _, RandomState};
 use std::path::Path;
-use std::time::{Duration, SystemTime};
+use std::time::SystemTime;
 
 use lightkiln_client::fetch::ApiClient;
-use lightkiln_http::RetryPolicy;
 use lightkiln_proto::api::{Bake, BakeState, Needs, NewBake, SCENE_PART_BYTES};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::problem::RetryClass;
 use lightkiln_worker::scene::{Bundle, Limits};
 use serde_json::Value;
 
-use crate::arguments::TrustArgument;
 use crate::failure::{Exit, Failure, Result};
-use crate::interrupt::Interrupt;
 
-/// Few and quick, as a person waits for the first answer.
-const FIRST_CONTACT: RetryPolicy = RetryPolicy::new()
-    .with_min_delay(Duration::from_millis(250))
-    .with_max_delay(Duration::from_secs(1))
-    .with_max_times(4);
 /// Longest name of a bake.
 const NAME_CHARS_MAX: usize = 200;
 /// Bakes of one commit that may have failed or been cancelled before. More → a commit can be tried more often.
@@ -98,27 +90,6 @@ impl PackedScene {
         set(&mut bake);
         Ok(bake)
     }
-}
-
-/// A server that answers quickly or not at all; its waits end on Ctrl-C.
-pub fn connect(url: &str, trust: &TrustArgument, interrupt: &Interrupt) -> Result<ApiClient> {
-    let client = ApiClient::trusting(url, own_token()?.as_deref(), trust.pem()?.as_deref())?;
-    Ok(client.with_retry(FIRST_CONTACT).with_shutdown(interrupt.flag().clone()))
-}
-
-/// The token for calls to a farm, from the variable `KILN_TOKEN`: command lines can be read by others.
-pub fn own_token() -> Result<Option<String>> {
-    let Some(token) = std::env::var_os("KILN_TOKEN").filter(|token| !token.is_empty()) else {
-        return Ok(None);
-    };
-    let token = token.into_string().ok().filter(|token| token.bytes().all(|byte| byte.is_ascii_graphic()));
-    let wrong = || {
-        Failure::bad_input(
-            "KILN_TOKEN holds what no token has: spaces, line ends or letters that are not ASCII",
-        )
-        .try_this("KILN_TOKEN with what 'kiln token create' printed")
-    };
-    token.map(Some).ok_or_else(wrong)
 }
 
 /// The same for the same commit, scene and settings. A digest: commits may be named by anything.
