@@ -13,7 +13,7 @@ use std::sync::Arc;
 
 use lightkiln_proto::chunk::QuantisationSettings;
 use lightkiln_proto::jobs::TaskSpec;
-use lightkiln_proto::kinds::prt::{NAME, PatchSettings, PrtTask, Settings};
+use lightkiln_proto::kinds::prt::{NAME, PatchSettings, Settings, tasks};
 use lightkiln_proto::manifest::Manifest;
 use lightkiln_proto::settings::{FactorSettings, TransportSettings};
 use serde::{Deserialize, Serialize};
@@ -46,9 +46,9 @@ impl BakeKind for Prt {
 
     fn tasks(&self) -> Vec<TaskRow> {
         vec![
-            TaskRow { name: PrtTask::Plan.name(), run: plan::run },
-            TaskRow { name: PrtTask::Transport.name(), run: run_transport },
-            TaskRow { name: PrtTask::Assemble.name(), run: assemble::run },
+            TaskRow { name: tasks::PLAN.name, run: plan::run },
+            TaskRow { name: tasks::TRANSPORT.name, run: run_transport },
+            TaskRow { name: tasks::ASSEMBLE.name, run: assemble::run },
         ]
     }
 
