@@ -26,7 +26,7 @@ impl<C: Columns> LightmapLight<C> {
     pub(super) fn cluster_page(&self, page: usize, scene: &LoadedScene) -> Option<DebugPage> {
         let mut colours = vec![Vec4::ZERO; self.transport.receivers.len()];
         for (index, cluster) in self.transport.clusters.clusters.iter().enumerate() {
-            colours[cluster.slots()].fill(hue(index as u32).extend(0.0));
+            colours[cluster.rows()].fill(hue(index as u32).extend(0.0));
         }
         let black = vec![Vec4::ZERO; colours.len()];
         self.page(scene, page, &colours, &black)

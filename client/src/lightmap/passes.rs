@@ -8,7 +8,7 @@ use crate::passes::basis::BasisPass;
 use crate::passes::direct::{DirectPass, Points};
 use crate::passes::gpu::Gpu;
 use crate::passes::near::NearPass;
-use crate::passes::reconstruct::ReconstructPass;
+use crate::passes::reconstruct::{ReconstructPass, RowArrays};
 use crate::passes::resident::{ColumnsPass, Resident};
 use crate::passes::shadow::ShadowPass;
 use crate::scene::LoadedScene;
@@ -44,12 +44,24 @@ impl LightmapPasses {
             normals: &resident.normals,
             e_dir: &resident.e_dir,
         };
+        let receivers = RowArrays {
+            b: &resident.b,
+            start: &resident.e_near,
+            beside: Some(&resident.e_emit),
+            result: &resident.e_ind,
+        };
         Ok(Self {
             direct: DirectPass::new(gpu, shadow, points),
             columns: transport.columns.pass(gpu, &resident)?,
-            basis: BasisPass::new(gpu, &transport.clusters, transport.columns.coefficients(), &resident)?,
+            basis: BasisPass::new(
+                gpu,
+                &transport.clusters,
+                transport.columns.coefficients(),
+                &resident.lambda,
+                &resident.b,
+            )?,
             near: NearPass::new(gpu, &transport.near, shadow, &resident)?,
-            reconstruct: ReconstructPass::new(gpu, &transport.clusters, &resident)?,
+            reconstruct: ReconstructPass::new(gpu, &transport.clusters, receivers)?,
             atlas: AtlasPass::new(gpu, &scene.lightmap, &light.texels, &resident)?,
             placements: gpu.storage("placements", &placements(scene))?,
             resident,

@@ -26,8 +26,8 @@ fn receivers_get_slots_in_the_order_of_clusters() {
     let transport = &light.transport;
     let mut next = 0;
     for cluster in &transport.clusters.clusters {
-        assert_eq!(cluster.first_receiver, next);
-        next += cluster.receiver_count;
+        assert_eq!(cluster.first_row, next);
+        next += cluster.row_count;
     }
     assert_eq!(next, transport.receivers.len());
     let block = scene.lightmap.block_index(100).unwrap();
@@ -82,8 +82,8 @@ fn contradictions_of_the_light_are_named() {
     let cases = [
         ("outside its block", refused(|contents| contents.clusters[0].receivers.texel[0] = [8, 0])),
         ("another receiver", refused(|contents| contents.clusters[0].receivers.texel[0] = [2, 0])),
-        ("lengths", refused(|contents| contents.clusters[2].u.truncate(5))),
-        ("is in no chunk", refused(|contents| contents.clusters[0].keys[2] = 7)),
+        ("lengths", refused(|contents| contents.clusters[2].factors.u.truncate(5))),
+        ("is in no chunk", refused(|contents| contents.clusters[0].factors.keys[2] = 7)),
         ("one set of them, not 0", refused(|contents| contents.patches.clear())),
         ("names block 99", refused(|contents| contents.patches[0].block[3] = 99)),
         ("parts of the sky", refused(|contents| contents.patches[0].sky_parts = u32::MAX)),

@@ -81,10 +81,10 @@ pub trait ColumnsPass: std::fmt::Debug {
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct ClusterRow {
-    /// First slot.
-    pub first_receiver: u32,
-    /// Receivers.
-    pub receiver_count: u32,
+    /// First row: the slot of its first receiver where rows are receivers.
+    pub first_row: u32,
+    /// Rows.
+    pub row_count: u32,
     /// First entry in the support list.
     pub first_support: u32,
     /// Entries in the support list, the sky included.
@@ -103,8 +103,8 @@ impl ClusterRow {
     /// The row of a cluster whose factor starts at `first_factor` of its page.
     pub fn new(cluster: &Cluster, first_factor: usize) -> Self {
         Self {
-            first_receiver: cluster.first_receiver as u32,
-            receiver_count: cluster.receiver_count as u32,
+            first_row: cluster.first_row as u32,
+            row_count: cluster.row_count as u32,
             first_support: cluster.first_support as u32,
             support_count: cluster.support_count as u32,
             coefficients: cluster.coefficients as u32,

@@ -15,6 +15,7 @@ use crate::passes::compare::Difference;
 use crate::passes::gpu::Gpu;
 use crate::passes::meshes::Meshes;
 use crate::passes::near::NearPass;
+use crate::passes::reconstruct::{ReconstructPass, RowArrays};
 use crate::passes::shade::ShadeView;
 use crate::passes::shade::reference::Lit;
 use crate::passes::shadow::{ShadowPass, ShadowPlan};
@@ -227,9 +228,18 @@ fn reconstruct_agrees_with_the_reference() {
         stage.run(gpu, |pass| stage.passes.reconstruct.record(pass));
         let got: Vec<Vec4> = gpu.read(&resident.e_ind, stage.receivers()).unwrap();
         let clusters = &stage.light.transport.clusters;
-        let wanted = reconstruct::reference::reconstruct(clusters, &b, &near, &emit);
+        let wanted = reconstruct::reference::reconstruct(clusters, &b, &near, Some(&emit));
         assert!(wanted.iter().any(|e| e.x == 0.0) && wanted.iter().any(|e| e.x < 0.0));
         held("reconstruct", &Difference::of(&got, &wanted, reconstruct::TOLERANCE), 0.0);
+        // Rows that have a sign are not clamped.
+        let (start, result) = (&resident.e_near, &resident.e_ind);
+        let rows = RowArrays { b: &resident.b, start, beside: None, result };
+        let signed = ReconstructPass::new(gpu, clusters, rows).unwrap();
+        stage.run(gpu, |pass| signed.record(pass));
+        let got: Vec<Vec4> = gpu.read(&resident.e_ind, stage.receivers()).unwrap();
+        let sums = reconstruct::reference::reconstruct(clusters, &b, &near, None);
+        assert!(sums.iter().zip(&wanted).any(|(sum, clamped)| sum.x < clamped.x));
+        held("signed rows", &Difference::of(&got, &sums, reconstruct::TOLERANCE), 0.0);
     });
 }
 

@@ -44,7 +44,7 @@ impl Before {
         let lambda = transport.lambda(&Threads, irradiance, &transport.columns.sky_lambda(sky));
         let b = transport.clusters.basis(&Threads, &lambda, transport.columns.coefficients());
         let near = transport.near.gather(&Threads, &self.near, irradiance);
-        let ind = transport.clusters.reconstruct(&Threads, &b, &near, &self.emit);
+        let ind = transport.clusters.reconstruct(&Threads, &b, &near, Some(&self.emit));
         ind.iter().zip(&self.emit).map(|(ind, emit)| *ind + *emit).collect()
     }
 
@@ -59,14 +59,15 @@ impl Before {
 
 /// `E_r = max(0, N_r + Σ_i U_ri Σ_c (ΣVᵀ)_ic λ_c + Σ_e s E_re)` of a cluster.
 fn irradiance(cluster: &ClusterTransport, lambda: &Lambda, sky: &[Vec3], near: &[Vec3]) -> Vec<Vec4> {
-    let dark = vec![Vec3::ZERO; cluster.coefficients()];
-    let of_keys = cluster.keys.iter().flat_map(|key| lambda.get(key).unwrap_or(&dark));
-    let columns: Vec<Vec3> = of_keys.chain(if cluster.sky { sky } else { &[] }).copied().collect();
-    let (rank, count) = (cluster.rank as usize, columns.len());
-    let row = |i: usize| columns.iter().zip(&cluster.vt[i * count..]).map(|(l, v)| *l * *v).sum::<Vec3>();
+    let dark = vec![Vec3::ZERO; cluster.factors.coefficients()];
+    let of_keys = cluster.factors.keys.iter().flat_map(|key| lambda.get(key).unwrap_or(&dark));
+    let columns: Vec<Vec3> = of_keys.chain(if cluster.factors.sky { sky } else { &[] }).copied().collect();
+    let (rank, count) = (cluster.factors.rank as usize, columns.len());
+    let row =
+        |i: usize| columns.iter().zip(&cluster.factors.vt[i * count..]).map(|(l, v)| *l * *v).sum::<Vec3>();
     let b: Vec<Vec3> = (0..rank).map(row).collect();
     let at = |r: usize| {
-        let factors = b.iter().zip(&cluster.u[r * rank..]).map(|(b, u)| *b * *u).sum::<Vec3>();
+        let factors = b.iter().zip(&cluster.factors.u[r * rank..]).map(|(b, u)| *b * *u).sum::<Vec3>();
         let emitted =
             cluster.emitters.iter().map(|part| SCALE * Vec3::from(part.irradiance[r])).sum::<Vec3>();
         (near[r] + factors + emitted).max(Vec3::ZERO).extend(0.0)

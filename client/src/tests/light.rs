@@ -175,7 +175,7 @@ fn picture_does_not_interpolate_across_a_wall_that_stands_on_the_floor() {
     let mut lit = vec![Vec4::ZERO; light.transport.receivers.len()];
     for (y, x) in (0..8).flat_map(|y| (4..8).map(move |x| (y, x))) {
         if let Some(slot) = slots.slot(block, [x, y]) {
-            assert!((slot as usize) < floor.receiver_count);
+            assert!((slot as usize) < floor.row_count);
             lit[slot as usize] = Vec4::ONE;
         }
     }

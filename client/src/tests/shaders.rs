@@ -92,7 +92,7 @@ fn twins() -> BTreeMap<&'static str, Layout> {
         "AtlasTexel": AtlasTexel { x, y, first, packed }
         "Basis": BasisNumbers { coefficients, stride, cluster_count, pad }
         "Cluster": ClusterRow {
-            first_receiver, receiver_count, first_support, support_count, coefficients, rank, first_b, first_factor
+            first_row, row_count, first_support, support_count, coefficients, rank, first_b, first_factor
         }
         "Face": Face { clip_from_world, right, texel_at_unit_w, up, pad }
         "Light": Light {
@@ -107,7 +107,7 @@ fn twins() -> BTreeMap<&'static str, Layout> {
         "Patches": PatchNumbers { receiver_count, leaf_count, patch_count, stride }
         "Placement": Placement { front, front_size, back, back_size }
         "Receivers": DirectNumbers { count, stride }
-        "Reconstruct": ReconstructNumbers { stride, cluster_count }
+        "Reconstruct": ReconstructNumbers { stride, cluster_count, has_beside }
         "Relight": RelightNumbers { first_probe, receiver_count, rays, coefficients }
         "ShadeDraw": ShadeDraw {
             base_colour, emissive, base_row0, base_row1, emissive_row0, emissive_row1, cutoff, index, pad0, pad1

@@ -1,19 +1,18 @@
 //! Encoding a cluster: canonical order, quantised factors, sections ordered coarse to fine.
 
 use super::bytes::{put_f32s, put_u64s};
-use super::cluster_factors::write_factors;
 use super::cluster_head::ClusterHead;
 use super::cluster_near::StoredNear;
 use super::cluster_receivers::{LINKS_MAX, ReceiverCodec, palette_of, write_irradiance};
 use super::container::{ContainerWriter, SectionId};
 use super::error::{ChunkError, all_finite, all_numbers, in_range};
-use super::layers::{LayerBox, Shape};
+use super::factors::StoredFactors;
+use super::layers::LayerBox;
 use super::numbers::IRRADIANCE_MAX;
 use super::order::{Arrangement, LEVELS_MAX};
 use super::predict::Predictor;
-use super::quantise::{Quantised, RELATIVE_ERROR_MAX, RELATIVE_ERROR_MIN, quantise};
 use super::table::CLUSTER;
-use crate::content::{ClusterTransport, ColumnKey, EmitterIrradiance, Receivers};
+use crate::content::{ClusterTransport, EmitterIrradiance, Receivers};
 use crate::manifest::Layer;
 
 /// Section tags of cluster chunks; part is layer, 0, 0.
@@ -81,8 +80,8 @@ pub fn encode_cluster(
     }
     let (bytes, ends) = writer.finish(&head.write())?;
     let layers = head.layers.iter().map(|&(sections, layer)| layer.with_bytes(ends[sections - 1])).collect();
-    let quantisation_error = stored.factors.relative_error as f32;
-    Ok(EncodedCluster { bytes, layers, quantisation_error, keys: stored.keys.len() as u32 })
+    let quantisation_error = stored.factors.relative_error();
+    Ok(EncodedCluster { bytes, layers, quantisation_error, keys: head.shape.keys as u32 })
 }
 
 /// Sections that layer number `index` adds, in stored order.
@@ -97,9 +96,6 @@ fn check_input(cluster: &ClusterTransport, settings: QuantisationSettings) -> Re
     let same = |what, length: usize, wanted: usize| {
         in_range(section, what, length as u64, wanted as u64, wanted as u64).map(drop)
     };
-    all_numbers(section, "relative error", &[settings.relative_error], "0.0001..=0.5", |error| {
-        (RELATIVE_ERROR_MIN..=RELATIVE_ERROR_MAX).contains(&error)
-    })?;
     in_range(section, "levels", settings.levels.into(), 1, LEVELS_MAX.into())?;
     let Receivers { block, texel, position_m, normal, albedo, emission, links, .. } = &cluster.receivers;
     let receivers = texel.len();
@@ -117,11 +113,6 @@ fn check_input(cluster: &ClusterTransport, settings: QuantisationSettings) -> Re
     all_finite(section, "normal", normal.as_flattened())?;
     all_numbers(section, "albedo", albedo.as_flattened(), "0 to below 1", |x| (0.0..1.0).contains(&x))?;
     all_numbers(section, "emission", emission.as_flattened(), "0 or more", |x| x >= 0.0 && x.is_finite())?;
-    let rank = cluster.rank as usize;
-    in_range(section, "bands", cluster.bands.into(), 0, super::limits::BANDS_MAX as u64)?;
-    in_range(section, "rank", rank as u64, 0, super::limits::RANK_MAX as u64)?;
-    same("entries of U", cluster.u.len(), receivers * rank)?;
-    same("entries of ΣVᵀ", cluster.vt.len(), cluster.columns() * rank)?;
     for emitter in &cluster.emitters {
         same("irradiances of an emitter", emitter.irradiance.len(), receivers)?;
         let irradiance = emitter.irradiance.as_flattened();
@@ -138,9 +129,8 @@ struct Stored {
     receivers: Receivers,
     codec: ReceiverCodec,
     predictor: Predictor,
-    keys: Vec<ColumnKey>,
     emitters: Vec<EmitterIrradiance>,
-    factors: Quantised,
+    factors: StoredFactors,
     near: Option<StoredNear>,
 }
 
@@ -149,44 +139,32 @@ impl Stored {
         let arrangement = Arrangement::of(&cluster.receivers, settings.levels)?;
         let receivers = sorted_receivers(&cluster.receivers, &arrangement);
         let near = StoredNear::of(cluster, &arrangement)?;
-        let (mut keys, key_source) = ascending(&cluster.keys, "column key", |&key| key)?;
         let (mut emitters, _) = ascending(&cluster.emitters, "emitter", |entry| entry.emitter)?;
         emitters.iter_mut().for_each(|entry| entry.irradiance = arrangement.sorted(&entry.irradiance));
-        let u = rank_major(&cluster.u, cluster.rank as usize, &arrangement.source);
-        let vt = sorted_columns(cluster, &key_source);
-        let mut factors = quantise(&u, &vt, cluster.rank as usize, settings.relative_error)?;
-        if cluster.bands == 0 && !cluster.sky {
-            factors.vt = without_zeros(&factors.vt, &mut keys);
-        }
-        let shape = Shape {
-            counts: arrangement.counts,
-            levels: settings.levels,
-            bands: cluster.bands,
-            rank: cluster.rank,
-            column_groups: keys.len() + usize::from(cluster.sky),
-        };
+        let Arrangement { source, counts, .. } = &arrangement;
+        let QuantisationSettings { relative_error, levels } = settings;
+        let factors = StoredFactors::of(&cluster.factors, source, *counts, levels, relative_error)?;
+        let shape = factors.shape;
         let head = ClusterHead {
             bounds_m: grown(cluster.bounds_m, &receivers.position_m),
             shape,
-            keys: keys.len(),
             blocks: receivers.blocks.len(),
             emitters: emitters.len(),
-            sky: cluster.sky,
             near: near.is_some(),
             layers: Vec::new(),
         };
         head.check("encoder")?;
-        let mut codec = ReceiverCodec::new(head.bounds_m, palette_of(&receivers.albedo), settings.levels);
+        let mut codec = ReceiverCodec::new(head.bounds_m, palette_of(&receivers.albedo), levels);
         codec.load(&receivers);
         let mut predictor = Predictor::default();
         for level in shape.levels_in(shape.full()) {
             predictor.extend(&receivers, shape.rows_of(level), level);
         }
-        Ok(Self { head, receivers, codec, predictor, keys, emitters, factors, near })
+        Ok(Self { head, receivers, codec, predictor, emitters, factors, near })
     }
 
     fn section(&self, id: SectionId, before: Option<LayerBox>, layer: LayerBox) -> Vec<u8> {
-        let factors = || write_factors(&self.head.shape, before, layer, &self.factors, &self.predictor);
+        let factors = || self.factors.layer(before, layer, &self.predictor);
         match id.tag {
             tags::BASE => self.base(),
             tags::RECEIVERS => self.new_receivers(before, layer),
@@ -199,9 +177,7 @@ impl Stored {
     fn base(&self) -> Vec<u8> {
         let mut out = Vec::new();
         put_u64s(&mut out, &self.receivers.blocks);
-        put_u64s(&mut out, &self.keys);
-        put_f32s(&mut out, &self.factors.u_step);
-        put_f32s(&mut out, &self.factors.vt_step);
+        self.factors.write_base(&mut out);
         self.emitters.iter().for_each(|entry| out.extend_from_slice(&entry.emitter.to_le_bytes()));
         out.extend_from_slice(&(self.codec.palette.len() as u16).to_le_bytes());
         put_f32s(&mut out, self.codec.palette.as_flattened());
@@ -271,48 +247,4 @@ fn grown(bounds_m: [[f32; 3]; 2], positions: &[[f32; 3]]) -> [[f32; 3]; 2] {
         }
     }
     [lo, hi]
-}
-
-/// Codes of ΣVᵀ of one column per key without the columns that are zero in every rank, and `keys` without theirs.
-fn without_zeros(vt: &[i32], keys: &mut Vec<ColumnKey>) -> Vec<i32> {
-    let columns = keys.len().max(1);
-    let is_used: Vec<bool> =
-        (0..columns).map(|c| vt.iter().skip(c).step_by(columns).any(|code| *code != 0)).collect();
-    let mut used = is_used.iter();
-    keys.retain(|_| used.next().copied().unwrap_or_default());
-    vt.iter().zip(is_used.iter().cycle()).filter(|(_, used)| **used).map(|(code, _)| *code).collect()
-}
-
-/// Receiver-major `u` as rank-major, its rows in the order of `source`.
-fn rank_major(u: &[f32], rank: usize, source: &[usize]) -> Vec<f32> {
-    (0..rank).flat_map(|i| source.iter().map(move |&receiver| u[receiver * rank + i])).collect()
-}
-
-/// `vt` with its keys' columns in the order of `key_source`; the sky's stay last.
-fn sorted_columns(cluster: &ClusterTransport, key_source: &[usize]) -> Vec<f32> {
-    let coefficients = cluster.coefficients();
-    let groups = cluster.keys.len() + usize::from(cluster.sky);
-    let mut vt = Vec::with_capacity(cluster.vt.len());
-    for row in cluster.vt.chunks_exact((groups * coefficients).max(1)) {
-        for &key in key_source {
-            vt.extend_from_slice(&row[key * coefficients..][..coefficients]);
-        }
-        vt.extend_from_slice(&row[key_source.len() * coefficients..]);
-    }
-    vt
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn patches_without_a_code_are_not_named() {
-        let mut keys = vec![3, 5, 8, 9];
-        let vt = [0, 1, 0, 0, 0, -2, 0, 7];
-        assert_eq!(without_zeros(&vt, &mut keys), [1, 0, -2, 7]);
-        assert_eq!(keys, [5, 9]);
-        assert_eq!(without_zeros(&[], &mut keys), [0; 0]);
-        assert!(keys.is_empty());
-    }
 }

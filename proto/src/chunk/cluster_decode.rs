@@ -2,15 +2,14 @@
 
 use super::bytes::Reader;
 use super::cluster::sections_of;
-use super::cluster_factors::{FactorReader, factors_bytes_max};
 use super::cluster_head::ClusterHead;
 use super::cluster_near::{HIT_BYTES, begin_bytes_max, near_bytes_max, read_begin, read_near};
 use super::cluster_receivers::{PALETTE_MAX, ReceiverCodec, read_irradiance, receivers_bytes_max};
 use super::container::{Container, SectionId};
 use super::error::{ChunkError, all_numbers, in_range};
+use super::factors::FactorDecoder;
 use super::layers::LayerBox;
 use super::predict::Predictor;
-use super::quantise::STEP_MAX;
 use super::table::CLUSTER;
 use crate::content::{ClusterTransport, EmitterIrradiance};
 use crate::manifest::Layer;
@@ -54,7 +53,8 @@ fn decode(container: &Container, total_len: u64) -> Result<(ClusterTransport, La
     for index in 0..=last {
         decoder.layer(container, index)?;
     }
-    Ok((decoder.cluster, layer.with_bytes(container.end_of(sections))))
+    let cluster = ClusterTransport { factors: decoder.factors.factors, ..decoder.cluster };
+    Ok((cluster, layer.with_bytes(container.end_of(sections))))
 }
 
 /// Errs unless the sections are those of each layer in turn, in their order.
@@ -71,8 +71,8 @@ fn check_sections(container: &Container, head: &ClusterHead) -> Result<(), Chunk
 /// Memory that a decoded layer takes, about.
 fn decoded_bytes(head: &ClusterHead, layer: LayerBox) -> u64 {
     let receivers = head.shape.receivers_in(layer.level);
-    let factors = layer.rank as usize * (receivers + head.shape.columns(layer.bands));
-    (4 * factors + receivers * (61 + 12 * head.emitters) + 8 * (head.keys + head.blocks)) as u64
+    let others = receivers * (61 + 12 * head.emitters) + 8 * head.blocks;
+    head.shape.layer_decoded_bytes(layer) + others as u64
 }
 
 /// A cluster that fills up layer by layer.
@@ -80,37 +80,18 @@ struct Decoder<'a> {
     head: &'a ClusterHead,
     codec: ReceiverCodec,
     predictor: Predictor,
+    /// All but its factors.
     cluster: ClusterTransport,
-    u_step: Vec<f32>,
-    vt_step: Vec<f32>,
-    /// Codes of U, one array per rank.
-    u_codes: Vec<Vec<i32>>,
+    factors: FactorDecoder,
 }
 
 impl<'a> Decoder<'a> {
     /// All counts have been checked against their limits.
     fn new(head: &'a ClusterHead, layer: LayerBox) -> Self {
-        let (rank, receivers) = (layer.rank as usize, head.shape.receivers_in(layer.level));
-        let cluster = ClusterTransport {
-            bounds_m: head.bounds_m,
-            bands: layer.bands,
-            sky: head.sky,
-            rank: layer.rank,
-            u: vec![0.0; receivers * rank],
-            vt: vec![0.0; rank * head.shape.columns(layer.bands)],
-            ..ClusterTransport::default()
-        };
+        let cluster = ClusterTransport { bounds_m: head.bounds_m, ..ClusterTransport::default() };
         let codec = ReceiverCodec::new(head.bounds_m, Vec::new(), head.shape.levels);
-        let (u_step, vt_step) = (Vec::new(), Vec::new());
-        Self {
-            head,
-            codec,
-            predictor: Predictor::default(),
-            cluster,
-            u_step,
-            vt_step,
-            u_codes: vec![Vec::new(); rank],
-        }
+        let factors = FactorDecoder::new(head.shape, layer);
+        Self { head, codec, predictor: Predictor::default(), cluster, factors }
     }
 
     /// Reads the sections of layer number `index`, but the base.
@@ -125,11 +106,10 @@ impl<'a> Decoder<'a> {
         };
         let raw = container.section(sections - 3, "receivers", levels.iter().map(bytes_max).sum())?;
         self.receivers(&raw, &levels)?;
-        let [high_max, low_max] = factors_bytes_max(shape, before, layer);
+        let [high_max, low_max] = shape.layer_bytes_max(before, layer);
         let high = container.section(sections - 2, "factors", high_max)?;
         let low = container.section(sections - 1, "low parts", low_max)?;
-        let reader = FactorReader { shape, steps: [&self.u_step, &self.vt_step], predictor: &self.predictor };
-        reader.read([&high, &low], before, layer, &mut self.u_codes, &mut self.cluster)?;
+        self.factors.layer([&high, &low], before, layer, &self.predictor)?;
         if self.head.near {
             self.near(container, index, &levels)?;
         }
@@ -172,19 +152,14 @@ impl<'a> Decoder<'a> {
     }
 
     fn base_bytes_max(&self) -> u64 {
-        let ClusterHead { blocks, keys, emitters, shape, .. } = self.head;
-        (8 * (blocks + keys) + 8 * shape.rank as usize + 2 * emitters + 2 + 12 * PALETTE_MAX) as u64
+        let ClusterHead { blocks, emitters, shape, .. } = self.head;
+        shape.base_bytes() + (8 * blocks + 2 * emitters + 2 + 12 * PALETTE_MAX) as u64
     }
 
     fn base(&mut self, raw: &[u8]) -> Result<(), ChunkError> {
         let mut reader = Reader::new("base", raw);
-        let rank = self.head.shape.rank as usize;
         self.cluster.receivers.blocks = ascending_keys(&mut reader, "block", self.head.blocks)?;
-        self.cluster.keys = ascending_keys(&mut reader, "column key", self.head.keys)?;
-        for (what, steps) in [("steps of U", &mut self.u_step), ("steps of ΣVᵀ", &mut self.vt_step)] {
-            *steps = reader.f32s(what, rank)?;
-            all_numbers("base", what, steps, "0..=1e28", |step| (0.0..=STEP_MAX).contains(&step))?;
-        }
+        self.factors.base(&mut reader)?;
         for index in 0..self.head.emitters {
             let emitter = reader.u16("emitter")?;
             if self.cluster.emitters.last().is_some_and(|before| before.emitter >= emitter) {

@@ -3,7 +3,7 @@
 
 use super::bytes::{Reader, put_f32s};
 use super::error::{ChunkError, in_range};
-use super::layers::{BAND_GROUP_LASTS, LAYERS_MAX, LayerBox, RANK_GROUP_ENDS, Shape};
+use super::layers::{BAND_GROUP_LASTS, FactorShape, LAYERS_MAX, LayerBox, RANK_GROUP_ENDS};
 use super::limits::*;
 use super::order::LEVELS_MAX;
 
@@ -18,15 +18,11 @@ pub(super) struct ClusterHead {
     /// Bounds of the receivers in metres.
     pub bounds_m: [[f32; 3]; 2],
     /// Counts that decide the grid of sections.
-    pub shape: Shape,
-    /// Keys of columns.
-    pub keys: usize,
+    pub shape: FactorShape,
     /// Blocks named.
     pub blocks: usize,
     /// Emitters that reach the cluster.
     pub emitters: usize,
-    /// Whether sky columns follow those of the keys.
-    pub sky: bool,
     /// Whether near hits follow the factors of each layer.
     pub near: bool,
     /// Layers, smallest first, each with its number of sections.
@@ -43,20 +39,13 @@ impl ClusterHead {
     pub fn check(&self, section: &'static str) -> Result<(), ChunkError> {
         let limit =
             |what, value: usize, max: usize| in_range(section, what, value as u64, 0, max as u64).map(drop);
-        let Shape { rank, bands, levels, .. } = self.shape;
-        in_range(section, "levels", levels.into(), 1, LEVELS_MAX.into())?;
+        self.shape.check(section)?;
         if let Some(axis) = (0..3).find(|&axis| self.bounds_m[0][axis] > self.bounds_m[1][axis]) {
             return Err(ChunkError::Order { section, what: "bounds on axis", index: axis });
         }
-        limit("bands", bands as usize, BANDS_MAX)?;
-        limit("rank", rank as usize, RANK_MAX)?;
-        limit("receivers", self.receivers(), RECEIVERS_MAX)?;
-        limit("receivers of levels not in use", self.shape.counts[levels as usize..].iter().sum(), 0)?;
-        limit("column keys", self.keys, CLUSTER_KEYS_MAX)?;
         limit("blocks", self.blocks, BLOCKS_MAX)?;
         limit("emitters", self.emitters, EMITTERS_MAX)?;
-        limit("irradiances of emitters", self.emitters * self.receivers(), EMITTER_ENTRIES_MAX)?;
-        limit("entries of ΣVᵀ", rank as usize * self.shape.columns(bands), VT_ENTRIES_MAX)
+        limit("irradiances of emitters", self.emitters * self.receivers(), EMITTER_ENTRIES_MAX)
     }
 
     /// Reads and checks a head.
@@ -79,9 +68,8 @@ impl ClusterHead {
         let sky = in_range("cluster head", "sky flag", reader.u8("sky flag")?.into(), 0, 1)? == 1;
         let layer_count = reader.u8("layer count")?;
         let near = in_range("cluster head", "near flag", reader.u8("near flag")?.into(), 0, 1)? == 1;
-        let column_groups = keys + usize::from(sky);
-        let shape = Shape { counts, levels, bands, rank, column_groups };
-        let mut head = Self { bounds_m, shape, keys, blocks, emitters, sky, near, layers: Vec::new() };
+        let shape = FactorShape { counts, levels, keys, sky, bands, rank };
+        let mut head = Self { bounds_m, shape, blocks, emitters, near, layers: Vec::new() };
         head.check("cluster head")?;
         let layer_count = in_range("cluster head", "layer count", layer_count.into(), 1, LAYERS_MAX as u64)?;
         head.layers = read_layers(&mut reader, layer_count, &head.shape, section_count)?;
@@ -94,11 +82,11 @@ impl ClusterHead {
         let mut out = Vec::with_capacity(CLUSTER_HEAD_BYTES + LAYER_BYTES * self.layers.len());
         put_f32s(&mut out, self.bounds_m.as_flattened());
         self.shape.counts.iter().for_each(|&count| out.extend_from_slice(&(count as u32).to_le_bytes()));
-        out.extend_from_slice(&(self.keys as u32).to_le_bytes());
+        out.extend_from_slice(&(self.shape.keys as u32).to_le_bytes());
         out.extend_from_slice(&(self.blocks as u32).to_le_bytes());
         out.extend_from_slice(&(self.emitters as u16).to_le_bytes());
-        let Shape { levels, bands, rank, .. } = self.shape;
-        out.extend_from_slice(&[levels as u8, bands as u8, rank as u8, self.sky.into()]);
+        let FactorShape { levels, bands, rank, sky, .. } = self.shape;
+        out.extend_from_slice(&[levels as u8, bands as u8, rank as u8, sky.into()]);
         out.extend_from_slice(&[self.layers.len() as u8, self.near.into()]);
         for (sections, layer) in &self.layers {
             out.extend_from_slice(&(*sections as u16).to_le_bytes());
@@ -111,7 +99,7 @@ impl ClusterHead {
 fn read_layers(
     reader: &mut Reader,
     count: usize,
-    shape: &Shape,
+    shape: &FactorShape,
     section_count: usize,
 ) -> Result<Vec<(usize, LayerBox)>, ChunkError> {
     let section = reader.section();

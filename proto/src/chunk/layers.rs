@@ -1,11 +1,14 @@
-//! How a cluster is cut into sections, and which prefixes of them are its coarser versions.
+//! How factors are cut into sections, and which prefixes of them are its coarser versions.
 //!
-//! U is cut by receiver level and rank group, ΣVᵀ by rank group and band group. A layer is a box (level, rank,
+//! U is cut by the rows' level and rank group, ΣVᵀ by rank group and band group. A layer is a box (level, rank,
 //! bands); layers are nested, and a layer's sections come right after those of the layer before it.
 
 use std::ops::Range;
 
+use super::error::{ChunkError, in_range};
+use super::limits::{BANDS_MAX, CLUSTER_KEYS_MAX, RANK_MAX, RECEIVERS_MAX, VT_ENTRIES_MAX};
 use super::order::LEVELS_MAX;
+use crate::content::TransportFactors;
 use crate::manifest::Layer;
 
 /// Ends of the groups of ranks: 0–8, 8–16, 16–32, 32–64.
@@ -15,19 +18,21 @@ pub const BAND_GROUP_LASTS: [u32; 4] = [2, 4, 7, 10];
 /// Most layers of a cluster.
 pub const LAYERS_MAX: usize = 4;
 
-/// Counts that decide a cluster's grid of sections.
+/// Counts that decide the grid of sections of some rows' factors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Shape {
-    /// Receivers of each level, finest first.
+pub struct FactorShape {
+    /// Rows of each level, finest first; rows without levels are all of the first.
     pub counts: [usize; LEVELS_MAX as usize],
     /// Levels in use.
     pub levels: u32,
+    /// Keys of columns.
+    pub keys: usize,
+    /// Whether columns of the sky follow those of the keys.
+    pub sky: bool,
     /// Highest band.
     pub bands: u32,
     /// Rank.
     pub rank: u32,
-    /// Keys of columns, and one more for the sky.
-    pub column_groups: usize,
 }
 
 /// A box of the grid that is usable alone: receivers of `level` and coarser, `bands`, `rank`.
@@ -48,15 +53,34 @@ impl LayerBox {
     }
 }
 
-impl Shape {
+impl FactorShape {
+    /// Of factors of so many rows without levels.
+    pub fn of_rows(rows: usize, factors: &TransportFactors) -> Self {
+        let TransportFactors { ref keys, sky, bands, rank, .. } = *factors;
+        Self { counts: [rows, 0, 0, 0], levels: 1, keys: keys.len(), sky, bands, rank }
+    }
+
+    /// Errs if a count passes its limit.
+    pub fn check(&self, section: &'static str) -> Result<(), ChunkError> {
+        let limit =
+            |what, value: usize, max: usize| in_range(section, what, value as u64, 0, max as u64).map(drop);
+        in_range(section, "levels", self.levels.into(), 1, LEVELS_MAX.into())?;
+        limit("bands", self.bands as usize, BANDS_MAX)?;
+        limit("rank", self.rank as usize, RANK_MAX)?;
+        limit("rows", self.receivers_in(0), RECEIVERS_MAX)?;
+        limit("rows of levels not in use", self.counts[self.levels as usize..].iter().sum(), 0)?;
+        limit("column keys", self.keys, CLUSTER_KEYS_MAX)?;
+        limit("entries of ΣVᵀ", self.rank as usize * self.columns(self.bands), VT_ENTRIES_MAX)
+    }
+
     /// Everything.
-    pub fn full(&self) -> LayerBox {
+    pub(super) fn full(&self) -> LayerBox {
         LayerBox { level: 0, bands: self.bands, rank: self.rank }
     }
 
     /// The layers, smallest first; the last is everything. Boxes without receivers or like the one before are left
     /// out.
-    pub fn layers(&self) -> Vec<LayerBox> {
+    pub(super) fn layers(&self) -> Vec<LayerBox> {
         let top = self.levels - 1;
         let boxed = |level: u32, bands: u32, rank: u32| LayerBox {
             level,
@@ -89,31 +113,40 @@ impl Shape {
     }
 
     /// Receivers of `level` and coarser.
-    pub fn receivers_in(&self, level: u32) -> usize {
+    pub(super) fn receivers_in(&self, level: u32) -> usize {
         self.counts[level as usize..].iter().sum()
     }
 
     /// Where receivers of `level` lie in stored order.
-    pub fn rows_of(&self, level: u32) -> Range<usize> {
+    pub(super) fn rows_of(&self, level: u32) -> Range<usize> {
         let first = self.receivers_in(level + 1);
         first..first + self.counts[level as usize]
     }
 
     /// Levels inside `layer` that have receivers, coarsest first.
-    pub fn levels_in(&self, layer: LayerBox) -> impl Iterator<Item = u32> + use<> {
+    pub(super) fn levels_in(&self, layer: LayerBox) -> impl Iterator<Item = u32> + use<> {
         let counts = self.counts;
         (layer.level..self.levels).rev().filter(move |&level| counts[level as usize] > 0)
     }
 
     /// Levels that `layer` adds to `before`, coarsest first.
-    pub fn new_levels(&self, before: Option<LayerBox>, layer: LayerBox) -> impl Iterator<Item = u32> + use<> {
+    pub(super) fn new_levels(
+        &self,
+        before: Option<LayerBox>,
+        layer: LayerBox,
+    ) -> impl Iterator<Item = u32> + use<> {
         let known = before.map_or(self.levels, |before| before.level);
         self.levels_in(layer).filter(move |&level| level < known)
     }
 
+    /// Groups of columns: keys, and the sky.
+    pub(super) fn column_groups(&self) -> usize {
+        self.keys + usize::from(self.sky)
+    }
+
     /// Columns of ΣVᵀ with bands up to `bands`.
-    pub fn columns(&self, bands: u32) -> usize {
-        self.column_groups * (bands as usize + 1) * (bands as usize + 1)
+    pub(super) fn columns(&self, bands: u32) -> usize {
+        self.column_groups() * (bands as usize + 1) * (bands as usize + 1)
     }
 }
 
@@ -144,8 +177,8 @@ pub(super) fn band_groups(bands: u32) -> Range<usize> {
 mod tests {
     use super::*;
 
-    fn shape(counts: [usize; 4], levels: u32, bands: u32, rank: u32) -> Shape {
-        Shape { counts, levels, bands, rank, column_groups: 3 }
+    fn shape(counts: [usize; 4], levels: u32, bands: u32, rank: u32) -> FactorShape {
+        FactorShape { counts, levels, keys: 3, sky: false, bands, rank }
     }
 
     #[test]

@@ -1,5 +1,5 @@
 //! Chunks: the stored form of a bake (FORMAT.md), with their encoders and their normative decoder. Kinds of bake add
-//! chunks of their own with [`container`], [`bytes`] and [`ints`], and name them in their rows of the table ([`ChunkRow`]).
+//! chunks of their own with [`container`], [`bytes`], [`ints`] and [`factors`], and name them in their rows of the table ([`ChunkRow`]).
 //!
 //! A decoder checks every length, count, index and number before it uses it; malformed input is a [`ChunkError`].
 
@@ -7,12 +7,12 @@ pub mod bytes;
 mod cells;
 mod cluster;
 mod cluster_decode;
-mod cluster_factors;
 mod cluster_head;
 mod cluster_near;
 mod cluster_receivers;
 pub mod container;
 pub mod error;
+pub mod factors;
 mod geometry;
 mod geometry_decode;
 pub mod ints;
@@ -36,7 +36,7 @@ pub use container::{
 pub use error::ChunkError;
 pub use geometry::encode_geometry;
 pub use geometry_decode::decode_geometry;
-pub use layers::{BAND_GROUP_LASTS, LAYERS_MAX, RANK_GROUP_ENDS};
+pub use layers::{BAND_GROUP_LASTS, FactorShape, LAYERS_MAX, RANK_GROUP_ENDS};
 pub use numbers::{
     ALBEDO_ERROR, ALBEDO_MAX, IRRADIANCE_MAX, IRRADIANCE_MIN, IRRADIANCE_RELATIVE_ERROR, NORMAL_ERROR_RAD,
     normal_code, position_error_m,

@@ -35,6 +35,11 @@ impl Sources {
 }
 
 impl Predictor {
+    /// Of rows of which none says anything about another.
+    pub fn none(rows: usize) -> Self {
+        Self { sources: vec![Sources::default(); rows], ..Self::default() }
+    }
+
     /// Takes in receivers `rows`, all of `level`, which follow those taken in before.
     pub fn extend(&mut self, receivers: &Receivers, rows: Range<usize>, level: u32) {
         for row in rows {

@@ -6,36 +6,28 @@ use super::receivers::Receivers;
 /// Identity of a group of columns: a patch, a part of the sky, a probe.
 pub type ColumnKey = u64;
 
-/// One cluster: its receivers, its columns' keys, and the factorised transport `A ≈ U (ΣVᵀ)`.
+/// Factorised transport `A ≈ U (ΣVᵀ)` of some rows: light at receivers, or anything else that is linear in the columns.
 ///
 /// Columns of A, hence of `vt`: for each of `keys` in order, coefficients j = 0…J−1; then J columns of the sky (`sky` true)
 /// or none. A kind of bake says what its keys name: surface patches and parts of the sky have one coefficient each (`bands`
 /// is 0, `sky` false), probes one for each spherical harmonic.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct ClusterTransport {
-    /// Lower and upper corner of the receivers' bounds in metres.
-    pub bounds_m: [[f32; 3]; 2],
-    /// Receivers, coarse levels first.
-    pub receivers: Receivers,
+pub struct TransportFactors {
     /// Keys of the columns, ascending.
     pub keys: Vec<ColumnKey>,
     /// Highest spherical-harmonic band.
     pub bands: u32,
     /// Whether columns of the sky follow those of the keys.
     pub sky: bool,
-    /// Rank k of the factors; 0 when nothing reaches the cluster.
+    /// Rank k of the factors; 0 when nothing reaches the rows.
     pub rank: u32,
-    /// U, receiver-major: `u[r·k + i]`.
+    /// U, row-major: `u[r·k + i]`.
     pub u: Vec<f32>,
     /// ΣVᵀ, rank-major: `vt[i·n + column]`.
     pub vt: Vec<f32>,
-    /// Irradiance straight from emissive surfaces, one entry per emitter that reaches the cluster.
-    pub emitters: Vec<EmitterIrradiance>,
-    /// Near hits of receivers in narrow places; they are not in the factors.
-    pub near: NearHits,
 }
 
-impl ClusterTransport {
+impl TransportFactors {
     /// Coefficients per key, J.
     pub fn coefficients(&self) -> usize {
         (self.bands as usize + 1) * (self.bands as usize + 1)
@@ -45,6 +37,21 @@ impl ClusterTransport {
     pub fn columns(&self) -> usize {
         (self.keys.len() + usize::from(self.sky)) * self.coefficients()
     }
+}
+
+/// One cluster: its receivers and their factorised transport.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ClusterTransport {
+    /// Lower and upper corner of the receivers' bounds in metres.
+    pub bounds_m: [[f32; 3]; 2],
+    /// Receivers, coarse levels first.
+    pub receivers: Receivers,
+    /// Transport to them, a row each.
+    pub factors: TransportFactors,
+    /// Irradiance straight from emissive surfaces, one entry per emitter that reaches the cluster.
+    pub emitters: Vec<EmitterIrradiance>,
+    /// Near hits of receivers in narrow places; they are not in the factors.
+    pub near: NearHits,
 }
 
 /// Irradiance at a cluster's receivers straight from one emitter at scale 1, shadowed, in W·m⁻².

@@ -7,6 +7,7 @@ mod figures;
 pub mod prt;
 mod scene_tasks;
 pub mod sh;
+mod tasks;
 
 use serde_json::Value;
 use thiserror::Error;
@@ -19,6 +20,7 @@ use crate::settings::{SettingRow, SettingsError};
 
 pub use figures::{Figures, cluster_figures};
 pub use scene_tasks::{SceneTask, SceneTasks};
+pub use tasks::TaskKind;
 
 /// A kind of bake, as far as every role knows it. Pure.
 pub trait Kind: Send + Sync {

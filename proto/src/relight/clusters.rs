@@ -1,9 +1,9 @@
-//! Clusters and their factors: λ → b → irradiance at receivers.
+//! Clusters and their factors: λ → b → irradiance at receivers, or whatever else their rows stand for.
 
 use glam::Vec4;
 
 use super::{Columns, Inconsistent, Parallel};
-use crate::content::ClusterTransport;
+use crate::content::{EmitterIrradiance, TransportFactors};
 
 /// Highest rank of a cluster that is read.
 pub const MAX_RANK: u32 = 256;
@@ -11,10 +11,10 @@ pub const MAX_RANK: u32 = 256;
 /// A cluster's share of the flat arrays.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Cluster {
-    /// First slot.
-    pub first_receiver: usize,
-    /// Receivers.
-    pub receiver_count: usize,
+    /// First row: the slot of its first receiver where rows are receivers.
+    pub first_row: usize,
+    /// Rows.
+    pub row_count: usize,
     /// First entry in [`ClusterTable::support`].
     pub first_support: usize,
     /// Patches or probes that support it, the sky included.
@@ -25,7 +25,7 @@ pub struct Cluster {
     pub rank: usize,
     /// First of its k entries in the array b.
     pub first_b: usize,
-    /// First element of U in [`ClusterTable::u`], receiver-major.
+    /// First element of U in [`ClusterTable::u`], row-major.
     pub first_u: usize,
     /// First element of ΣVᵀ in [`ClusterTable::vt`], rank-major.
     pub first_vt: usize,
@@ -37,21 +37,10 @@ impl Cluster {
         self.support_count * self.coefficients
     }
 
-    /// Its slots.
-    pub fn slots(&self) -> std::ops::Range<usize> {
-        self.first_receiver..self.first_receiver + self.receiver_count
+    /// Its rows.
+    pub fn rows(&self) -> std::ops::Range<usize> {
+        self.first_row..self.first_row + self.row_count
     }
-}
-
-/// Irradiance straight from one emitter at one cluster's receivers.
-#[derive(Clone, Debug, PartialEq)]
-pub struct EmitterPart {
-    /// Emitter.
-    pub emitter: u16,
-    /// First slot.
-    pub first_receiver: usize,
-    /// W·m⁻² at scale 1, one per receiver.
-    pub irradiance: Vec<[f32; 3]>,
 }
 
 /// Clusters and their factors.
@@ -67,76 +56,54 @@ pub struct ClusterTable {
     pub support: Vec<u32>,
     /// Length of the array b: Σ k.
     pub b_len: usize,
-    /// Irradiance straight from emissive surfaces.
-    pub emitters: Vec<EmitterPart>,
 }
 
 impl ClusterTable {
-    /// Joins clusters of a bake of so many emitters, whose columns read `columns`.
-    pub fn join(
-        contents: &[ClusterTransport],
+    /// Joins clusters, each given by its factors and the number of its rows, whose columns read `columns`.
+    pub fn join<'a>(
+        clusters: impl IntoIterator<Item = (&'a TransportFactors, usize)>,
         columns: &impl Columns,
-        emitters: usize,
     ) -> Result<Self, Inconsistent> {
-        let mut table = Self::default();
-        let mut first_receiver = 0;
-        for (index, content) in contents.iter().enumerate() {
-            check(content, columns, emitters)
-                .and_then(|()| table.push(content, columns, first_receiver))
+        let (mut table, mut first_row) = (Self::default(), 0);
+        for (index, (factors, rows)) in clusters.into_iter().enumerate() {
+            check(factors, rows, columns)
+                .and_then(|()| table.push(factors, columns, first_row, rows))
                 .map_err(|problem| Inconsistent::new(format!("cluster {index}"), problem))?;
-            first_receiver += content.receivers.len();
+            first_row += rows;
         }
         Ok(table)
     }
 
     fn push(
         &mut self,
-        content: &ClusterTransport,
+        factors: &TransportFactors,
         columns: &impl Columns,
-        first_receiver: usize,
+        first_row: usize,
+        row_count: usize,
     ) -> Result<(), String> {
         let first_support = self.support.len();
-        for &key in &content.keys {
+        for &key in &factors.keys {
             let found = columns.index(key);
             self.support.push(found.ok_or_else(|| format!("column {key:016x} is in no chunk"))?);
         }
-        if content.sky {
+        if factors.sky {
             self.support.push(columns.sky_index().ok_or("has columns of a sky that the bake lacks")?);
         }
         self.clusters.push(Cluster {
-            first_receiver,
-            receiver_count: content.receivers.len(),
+            first_row,
+            row_count,
             first_support,
             support_count: self.support.len() - first_support,
-            coefficients: content.coefficients(),
-            rank: content.rank as usize,
+            coefficients: factors.coefficients(),
+            rank: factors.rank as usize,
             first_b: self.b_len,
             first_u: self.u.len(),
             first_vt: self.vt.len(),
         });
-        self.b_len += content.rank as usize;
-        self.u.extend_from_slice(&content.u);
-        self.vt.extend_from_slice(&content.vt);
-        self.emitters.extend(content.emitters.iter().map(|part| EmitterPart {
-            emitter: part.emitter,
-            first_receiver,
-            irradiance: part.irradiance.clone(),
-        }));
+        self.b_len += factors.rank as usize;
+        self.u.extend_from_slice(&factors.u);
+        self.vt.extend_from_slice(&factors.vt);
         Ok(())
-    }
-
-    /// Irradiance straight from emissive surfaces at `receivers` slots, W·m⁻²; `scale` is one factor per emitter, 1 if
-    /// absent.
-    pub fn emitter_irradiance(&self, receivers: usize, scale: &[f32]) -> Vec<Vec4> {
-        let mut sum = vec![Vec4::ZERO; receivers];
-        for part in &self.emitters {
-            let factor = scale.get(usize::from(part.emitter)).copied().unwrap_or(1.0);
-            let slots = sum[part.first_receiver..].iter_mut();
-            for (slot, irradiance) in slots.zip(&part.irradiance) {
-                *slot += super::four(*irradiance) * factor;
-            }
-        }
-        sum
     }
 
     /// `b_c = (ΣVᵀ) λ|_c`, all clusters' k numbers one after the other.
@@ -165,50 +132,94 @@ impl ClusterTable {
         sum
     }
 
-    /// `E_ind(r) = max(N(r) + U_r · b_c, −E_emit(r))` in W·m⁻², by slot.
+    /// `E_r = max(N_r + U_r · b_c, −F_r)` in W·m⁻², by row; without F, as for rows that have a sign, the sum itself.
     ///
-    /// Truncation and ringing can make a sum slightly negative. The whole, E_emit + E_ind, is clamped at 0, not its parts, so
-    /// that no light is gained.
+    /// N is `start`. F is `beside`, light that is added to E: of receivers E_emit. Truncation and ringing can make a sum
+    /// slightly negative. The whole, E + F, is clamped at 0, not its parts, so that no light is gained.
     pub fn reconstruct(
         &self,
         parallel: &impl Parallel,
         b: &[Vec4],
-        near: &[Vec4],
-        emit: &[Vec4],
+        start: &[Vec4],
+        beside: Option<&[Vec4]>,
     ) -> Vec<Vec4> {
         let of_cluster = |index: usize| -> Vec<Vec4> {
             let cluster = &self.clusters[index];
             let b = &b[cluster.first_b..][..cluster.rank];
-            let at = |slot: usize| {
-                let row = cluster.first_u + (slot - cluster.first_receiver) * cluster.rank;
-                let u = &self.u[row..][..cluster.rank];
-                u.iter().zip(b).fold(near[slot], |sum, (u, b)| sum + *u * *b).max(-emit[slot])
+            let at = |row: usize| {
+                let first = cluster.first_u + (row - cluster.first_row) * cluster.rank;
+                let u = &self.u[first..][..cluster.rank];
+                let sum = u.iter().zip(b).fold(start[row], |sum, (u, b)| sum + *u * *b);
+                beside.map_or(sum, |beside| sum.max(-beside[row]))
             };
-            cluster.slots().map(at).collect()
+            cluster.rows().map(at).collect()
         };
         parallel.map(self.clusters.len(), of_cluster).concat()
     }
 }
 
-fn check(content: &ClusterTransport, columns: &impl Columns, emitters: usize) -> Result<(), String> {
-    let count = content.receivers.len();
-    if content.bands > columns.bands() {
-        return Err(format!("has {} bands, the bake {}", content.bands, columns.bands()));
+fn check(factors: &TransportFactors, rows: usize, columns: &impl Columns) -> Result<(), String> {
+    if factors.bands > columns.bands() {
+        return Err(format!("has {} bands, the bake {}", factors.bands, columns.bands()));
     }
-    if content.rank > MAX_RANK {
-        return Err(format!("has rank {}, at most {MAX_RANK}", content.rank));
+    if factors.rank > MAX_RANK {
+        return Err(format!("has rank {}, at most {MAX_RANK}", factors.rank));
     }
-    let rank = content.rank as usize;
-    if content.u.len() != count * rank || content.vt.len() != content.columns() * rank {
-        return Err("its factors do not have the lengths that rank, receivers and columns ask for".to_owned());
+    let rank = factors.rank as usize;
+    if factors.u.len() != rows * rank || factors.vt.len() != factors.columns() * rank {
+        return Err("its factors do not have the lengths that rank, rows and columns ask for".to_owned());
     }
-    if !content.u.iter().chain(&content.vt).all(|value| value.is_finite()) {
+    if !factors.u.iter().chain(&factors.vt).all(|value| value.is_finite()) {
         return Err("a factor is not a finite number".to_owned());
     }
-    for part in &content.emitters {
-        if part.irradiance.len() != count || usize::from(part.emitter) >= emitters {
-            return Err(format!("its light from emitter {} has a wrong length or no emitter", part.emitter));
-        }
-    }
     Ok(())
+}
+
+/// Irradiance straight from one emitter at one cluster's rows.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EmitterPart {
+    /// Emitter.
+    pub emitter: u16,
+    /// First row.
+    pub first_row: usize,
+    /// W·m⁻² at scale 1, one per row.
+    pub irradiance: Vec<[f32; 3]>,
+}
+
+/// Irradiance straight from emissive surfaces at all rows.
+#[derive(Debug, Default)]
+pub struct EmitterTable(pub Vec<EmitterPart>);
+
+impl EmitterTable {
+    /// Joins the parts of clusters, each with the number of its rows, of a bake of so many emitters.
+    pub fn join<'a>(
+        clusters: impl IntoIterator<Item = (&'a [EmitterIrradiance], usize)>,
+        emitters: usize,
+    ) -> Result<Self, Inconsistent> {
+        let (mut table, mut first_row) = (Self::default(), 0);
+        for (index, (parts, rows)) in clusters.into_iter().enumerate() {
+            for EmitterIrradiance { emitter, irradiance } in parts {
+                if irradiance.len() != rows || usize::from(*emitter) >= emitters {
+                    let problem =
+                        format!("its light from emitter {emitter} has a wrong length or no emitter");
+                    return Err(Inconsistent::new(format!("cluster {index}"), problem));
+                }
+                table.0.push(EmitterPart { emitter: *emitter, first_row, irradiance: irradiance.clone() });
+            }
+            first_row += rows;
+        }
+        Ok(table)
+    }
+
+    /// Irradiance at `rows` rows, W·m⁻²; `scale` is one factor per emitter, 1 if absent.
+    pub fn irradiance(&self, rows: usize, scale: &[f32]) -> Vec<Vec4> {
+        let mut sum = vec![Vec4::ZERO; rows];
+        for part in &self.0 {
+            let factor = scale.get(usize::from(part.emitter)).copied().unwrap_or(1.0);
+            for (row, irradiance) in sum[part.first_row..].iter_mut().zip(&part.irradiance) {
+                *row += super::four(*irradiance) * factor;
+            }
+        }
+        sum
+    }
 }

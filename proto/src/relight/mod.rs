@@ -56,7 +56,7 @@ use std::f32::consts::FRAC_1_PI;
 use glam::Vec4;
 use thiserror::Error;
 
-pub use clusters::{Cluster, ClusterTable, EmitterPart, MAX_RANK};
+pub use clusters::{Cluster, ClusterTable, EmitterPart, EmitterTable, MAX_RANK};
 pub use near::{NearRow, NearTable};
 pub use parallel::{Parallel, Serial};
 pub use patches::{PatchRow, PatchTable};

@@ -48,8 +48,8 @@ impl NearTable {
     ) -> Result<Self, Inconsistent> {
         let mut table = Self::default();
         for (index, (content, cluster)) in contents.iter().zip(&clusters.clusters).enumerate() {
-            check(&content.near, cluster.receiver_count)
-                .and_then(|()| table.push(&content.near, cluster.first_receiver, receivers, slots))
+            check(&content.near, cluster.row_count)
+                .and_then(|()| table.push(&content.near, cluster.first_row, receivers, slots))
                 .map_err(|problem| Inconsistent::new(format!("cluster {index}"), problem))?;
         }
         Ok(table)

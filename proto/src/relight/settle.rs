@@ -81,7 +81,7 @@ impl<C: Columns> Transport<C> {
             let lambda = self.lambda(parallel, irradiance, &sky);
             let b = clusters.basis(parallel, &lambda, columns.coefficients());
             let gathered = near.gather(parallel, incoming.near, irradiance);
-            let next = clusters.reconstruct(parallel, &b, &gathered, &settled.emit);
+            let next = clusters.reconstruct(parallel, &b, &gathered, Some(&settled.emit));
             settled.converged = Settled::change(&settled.ind, &next) < limit.change_max;
             (settled.lambda, settled.near, settled.ind) = (lambda, gathered, next);
             settled.bounces += 1;

@@ -7,7 +7,7 @@ use glam::{Vec3, Vec4};
 use super::*;
 use crate::content::{
     AreaCode, ClusterTransport, EmitterIrradiance, NearHits, NearSurface, Patch, PatchKey, PatchSet,
-    Receivers,
+    Receivers, TransportFactors,
 };
 
 pub(crate) const BLOCK: u64 = 50;
@@ -121,11 +121,14 @@ fn patch_has_the_mean_of_its_receivers_by_area_and_the_sky_its_own() {
 /// Two receivers lit by two ranks over a column and the sky, and by emitter 5.
 fn factored() -> ClusterTransport {
     ClusterTransport {
-        keys: vec![3],
-        sky: true,
-        rank: 2,
-        u: vec![1.0, 0.0, 2.0, -1.0],
-        vt: vec![1.0, 100.0, 0.5, 4.0],
+        factors: TransportFactors {
+            keys: vec![3],
+            bands: 0,
+            sky: true,
+            rank: 2,
+            u: vec![1.0, 0.0, 2.0, -1.0],
+            vt: vec![1.0, 100.0, 0.5, 4.0],
+        },
         emitters: vec![EmitterIrradiance { emitter: 5, irradiance: vec![[0.0; 3], [1.0, 2.0, 3.0]] }],
         ..cluster(2)
     }
@@ -142,16 +145,20 @@ fn basis_and_irradiance_are_the_factors_times_the_coefficients() {
     assert_eq!(b, [Vec4::new(102.0, 0.0, 1.0, 0.0), Vec4::new(5.0, 0.0, 0.5, 0.0)]);
     let emit = transport.emitter_irradiance(&[0.0, 0.0, 0.0, 0.0, 0.0, 2.0]);
     let black = vec![Vec4::ZERO; 2];
-    let ind = table.reconstruct(&Serial, &b, &black, &emit);
+    let ind = table.reconstruct(&Serial, &b, &black, Some(&emit));
     assert_eq!(ind[0] + emit[0], Vec4::new(102.0, 0.0, 1.0, 0.0));
     assert_eq!(ind[1] + emit[1], Vec4::new(201.0, 4.0, 7.5, 0.0));
     // Ringing takes no more than emitters give.
     let negative = [Vec4::splat(-1.0), Vec4::ZERO];
-    let ind = table.reconstruct(&Serial, &negative, &black, &emit);
+    let ind = table.reconstruct(&Serial, &negative, &black, Some(&emit));
     assert_eq!(
         [ind[0] + emit[0], ind[1] + emit[1]].map(Vec4::truncate),
         [Vec3::ZERO, Vec3::new(0.0, 2.0, 4.0)]
     );
+    // Rows that have a sign keep it, and add to what they start from.
+    let start = [Vec4::splat(0.25), Vec4::ZERO];
+    let signed = table.reconstruct(&Serial, &negative, &start, None);
+    assert_eq!(signed, [Vec4::splat(-0.75), Vec4::splat(-2.0)]);
 }
 
 #[test]
@@ -205,7 +212,14 @@ fn bounces_sum_to_the_geometric_series_or_say_that_they_were_cut_off() {
         area: vec![AreaCode::ONE],
         sky_parts: 0,
     };
-    let mut content = ClusterTransport { keys: vec![1], rank: 1, u: vec![PI], vt: vec![1.0], ..cluster(1) };
+    let factors = TransportFactors {
+        keys: vec![1],
+        rank: 1,
+        u: vec![PI],
+        vt: vec![1.0],
+        ..TransportFactors::default()
+    };
+    let mut content = ClusterTransport { factors, ..cluster(1) };
     content.receivers.albedo = vec![[0.5; 3]];
     let transport = joined(content, patches(set)).unwrap();
     let dir = [Vec4::new(3.0, 1.0, 0.0, 0.0)];
@@ -230,10 +244,10 @@ fn contradictions_between_chunks_are_named() {
         ("which the manifest lacks", refused(|cluster| cluster.receivers.blocks[0] = 51)),
         ("not finite", refused(|cluster| cluster.receivers.position_m[0] = [f32::NAN; 3])),
         ("albedo", refused(|cluster| cluster.receivers.albedo[0] = [2.0; 3])),
-        ("lengths", refused(|cluster| cluster.u.truncate(1))),
+        ("lengths", refused(|cluster| cluster.factors.u.truncate(1))),
         ("differ in length", refused(|cluster| cluster.receivers.links.clear())),
-        ("is in no chunk", refused(|cluster| cluster.keys[0] = 77)),
-        ("bands", refused(|cluster| cluster.bands = 2)),
+        ("is in no chunk", refused(|cluster| cluster.factors.keys[0] = 77)),
+        ("bands", refused(|cluster| cluster.factors.bands = 2)),
         ("emitter 6", refused(|cluster| cluster.emitters[0].emitter = 6)),
         ("near hits differ", refused(|cluster| cluster.near.count = vec![1])),
     ];

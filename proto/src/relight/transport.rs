@@ -4,7 +4,9 @@ use std::fmt::Debug;
 
 use glam::{Vec3, Vec4};
 
-use super::{ClusterTable, Inconsistent, Irradiance, NearTable, Parallel, ReceiverTable, Sky, SlotTable};
+use super::{
+    ClusterTable, EmitterTable, Inconsistent, Irradiance, NearTable, Parallel, ReceiverTable, Sky, SlotTable,
+};
 use crate::content::{BlockKey, ClusterTransport};
 
 /// Meaning of the clusters' columns: how λ is made of the light at receivers and of the sky.
@@ -72,6 +74,8 @@ pub struct Transport<C> {
     pub receivers: ReceiverTable,
     /// Clusters and their factors.
     pub clusters: ClusterTable,
+    /// Irradiance straight from emissive surfaces.
+    pub emitters: EmitterTable,
     /// Near hits.
     pub near: NearTable,
     /// The clusters' columns.
@@ -93,14 +97,17 @@ impl<C: Columns> Transport<C> {
             receivers.push(&content.receivers, &mut slots).map_err(named)?;
         }
         let columns = columns(&slots)?;
-        let clusters = ClusterTable::join(contents, &columns, emitters)?;
+        let of_clusters = contents.iter().map(|content| (&content.factors, content.receivers.len()));
+        let clusters = ClusterTable::join(of_clusters, &columns)?;
+        let of_emitters = contents.iter().map(|content| (&content.emitters[..], content.receivers.len()));
+        let emitters = EmitterTable::join(of_emitters, emitters)?;
         let near = NearTable::join(contents, &clusters, &receivers, &slots)?;
-        Ok(Self { slots, receivers, clusters, near, columns })
+        Ok(Self { slots, receivers, clusters, emitters, near, columns })
     }
 
     /// Irradiance straight from emissive surfaces by slot, W·m⁻²; `scale` is one factor per emitter, 1 if absent.
     pub fn emitter_irradiance(&self, scale: &[f32]) -> Vec<Vec4> {
-        self.clusters.emitter_irradiance(self.receivers.len(), scale)
+        self.emitters.irradiance(self.receivers.len(), scale)
     }
 
     /// λ of the light at receivers; `sky` is [`Columns::sky_lambda`].

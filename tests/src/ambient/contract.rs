@@ -5,7 +5,7 @@ use lightkiln_proto::chunk::container::{Container, ContainerWriter, SectionId};
 use lightkiln_proto::chunk::{ChunkError, ChunkKind, ChunkRow};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::TaskSpec;
-use lightkiln_proto::kinds::{Figures, Kind, SceneTasks};
+use lightkiln_proto::kinds::{Figures, Kind, SceneTasks, TaskKind};
 use lightkiln_proto::manifest::{Manifest, ManifestError};
 use lightkiln_proto::settings::{SettingRow, SettingsError};
 use lightkiln_proto::{kind_settings, settings_group};
@@ -15,7 +15,7 @@ use serde_json::{Value, json};
 /// Name of the kind.
 pub const NAME: &str = "ambient";
 /// Its one task.
-pub const TASK: &str = "ambient.light";
+pub const TASK: TaskKind = TaskKind { name: "ambient.light", version: 1 };
 /// Role of its one chunk.
 pub const ROLE: &str = "ambient";
 /// Kind of its chunk.
@@ -70,10 +70,7 @@ impl Kind for Ambient {
 
     fn first_tasks(&self, scene: Digest, settings: &Value) -> Result<Vec<TaskSpec>, SettingsError> {
         let settings = Settings::from_json(settings)?;
-        let shared = SceneTasks::of(scene);
-        let params = json!({ "settings": settings, "scene": scene });
-        let light = TaskSpec::new(TASK, 1, "scene", params, shared.inputs(), 1);
-        Ok(shared.into_specs().chain([light]).collect())
+        Ok(TASK.planned("scene", scene, &settings, SceneTasks::of(scene)))
     }
 
     fn chunks(&self) -> &'static [ChunkRow] {

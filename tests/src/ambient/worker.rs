@@ -25,7 +25,7 @@ impl BakeKind for Ambient {
     }
 
     fn tasks(&self) -> Vec<TaskRow> {
-        vec![TaskRow { name: TASK, run: light }]
+        vec![TaskRow { name: TASK.name, run: light }]
     }
 
     fn evaluated(

@@ -81,7 +81,9 @@ fn every_band_of_the_sky_reaches_receivers_in_its_strength() {
         for cluster in &clusters {
             let basis = basis_of_sky(cluster, &of_sky);
             let receivers = &cluster.receivers;
-            for (r, row) in cluster.u.chunks_exact(cluster.rank as usize).enumerate().step_by(7) {
+            for (r, row) in
+                cluster.factors.u.chunks_exact(cluster.factors.rank as usize).enumerate().step_by(7)
+            {
                 let found: f64 = row.iter().zip(&basis).map(|(u, b)| f64::from(u * b)).sum();
                 let [position_m, normal] = [receivers.position_m[r], receivers.normal[r]].map(Vec3::from);
                 let wanted = window * seen_of_band(&held, band, axis, position_m, normal);
@@ -98,13 +100,13 @@ fn every_band_of_the_sky_reaches_receivers_in_its_strength() {
 
 /// `(ΣVᵀ) λ` of a cluster under a sky of one coefficient for each column, nothing else shining.
 fn basis_of_sky(cluster: &ClusterTransport, of_sky: &[f32]) -> Vec<f32> {
-    assert!(cluster.sky, "the cluster has no columns of the sky");
-    let columns = cluster.columns();
+    assert!(cluster.factors.sky, "the cluster has no columns of the sky");
+    let columns = cluster.factors.columns();
     let row = |values: &[f32]| {
         let sky = &values[columns - of_sky.len()..];
         sky.iter().zip(of_sky).map(|(vt, lambda)| vt * lambda).sum()
     };
-    cluster.vt.chunks_exact(columns).map(row).collect()
+    cluster.factors.vt.chunks_exact(columns).map(row).collect()
 }
 
 /// `∫_H V(ω) (2l+1)/4π P_l(ω·a) cosθ dω`.

@@ -13,7 +13,7 @@ use std::collections::BTreeMap;
 
 use glam::{DVec3, Vec4};
 use lightkiln_proto::content::{BlockKey, Texel};
-use lightkiln_proto::relight::{ClusterTable, Columns};
+use lightkiln_proto::relight::{ClusterTable, Columns, EmitterTable};
 use rayon::prelude::*;
 
 use super::baked::{Baked, Light, Threads};
@@ -141,13 +141,14 @@ fn near_of(slot: Option<u32>, light: &Light) -> Vec4 {
 /// E_emit + E_ind of a piece's receivers by its unquantised factors, under the λ of the decoded bake.
 fn factored<C: Columns>(piece: &Piece, slots: &[Option<u32>], baked: &Baked<C>, light: &Light) -> Vec<Vec4> {
     let columns = &baked.transport.columns;
-    let table =
-        ClusterTable::join(std::slice::from_ref(&piece.transport), columns, light.emitter_scale.len())
-            .expect("a piece made anew has columns of its own bake");
+    let own = "a piece made anew has columns and emitters of its own bake";
+    let table = ClusterTable::join([(&piece.transport.factors, slots.len())], columns).expect(own);
+    let emitters =
+        EmitterTable::join([(&piece.transport.emitters[..], slots.len())], light.emitter_scale.len());
     let b = table.basis(&Threads, &light.settled.lambda, columns.coefficients());
-    let emit = table.emitter_irradiance(slots.len(), &light.emitter_scale);
+    let emit = emitters.expect(own).irradiance(slots.len(), &light.emitter_scale);
     let near: Vec<Vec4> = slots.iter().map(|&slot| near_of(slot, light)).collect();
-    let ind = table.reconstruct(&Threads, &b, &near, &emit);
+    let ind = table.reconstruct(&Threads, &b, &near, Some(&emit));
     emit.into_iter().zip(ind).map(|(emit, ind)| emit + ind).collect()
 }
 

@@ -88,7 +88,7 @@ impl<C: Columns> Baked<C> {
     /// Cluster of a slot.
     pub fn cluster_of(&self, slot: u32) -> usize {
         let clusters = &self.transport.clusters.clusters;
-        clusters.partition_point(|cluster| cluster.slots().end <= slot as usize)
+        clusters.partition_point(|cluster| cluster.rows().end <= slot as usize)
     }
 }
 

@@ -1,19 +1,18 @@
-//! World-aligned cells of receivers: an edit in one place leaves the cells of all others as they were.
+//! World-aligned cells of receivers, or of other points: an edit in one place leaves the cells of all others as they were.
 
 use std::sync::Arc;
 
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
-use crate::lightmap::Lightmap;
 use crate::task::{Context, TaskError, artefact};
 
-/// A world-aligned cell of receivers that are factorised together.
+/// A world-aligned cell of receivers, or of other points, that are factorised together.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ClusterCell {
     /// Lower and upper corner in metres; the upper one is outside.
     pub bounds_m: [Vec3; 2],
-    /// Ascending receiver indices.
+    /// Ascending indices of receivers, or of the points.
     pub receivers: Vec<u32>,
 }
 
@@ -42,11 +41,10 @@ pub fn cell_of_task(context: &Context, index: usize) -> Result<ClusterCell, Task
 /// Deepest split by place.
 const DEPTH_MAX: u32 = 60;
 
-/// Splits space in halves at world-aligned planes until a cell holds at most `cluster_receivers` receivers.
+/// Splits space in halves at world-aligned planes until a cell holds at most `most` of the points.
 ///
 /// Cells start as cubes of a power of two around the origin and are halved along x, y, z in turn.
-pub fn cells(lightmap: &Lightmap, cluster_receivers: u32) -> Vec<ClusterCell> {
-    let positions_m: Vec<Vec3> = lightmap.receivers.iter().map(|receiver| receiver.position_m).collect();
+pub fn cells(positions_m: &[Vec3], most: u32) -> Vec<ClusterCell> {
     let reach_m =
         positions_m.iter().fold(1.0_f32, |reach, position_m| reach.max(position_m.abs().max_element()));
     let mut half_m = 1.0;
@@ -56,7 +54,7 @@ pub fn cells(lightmap: &Lightmap, cluster_receivers: u32) -> Vec<ClusterCell> {
     let all = (0..positions_m.len() as u32).collect();
     let root = ClusterCell { bounds_m: [Vec3::splat(-half_m), Vec3::splat(half_m)], receivers: all };
     let mut cells = Vec::new();
-    split_into(&positions_m, root, 0, cluster_receivers as usize, &mut cells);
+    split_into(positions_m, root, 0, most as usize, &mut cells);
     cells
 }
 

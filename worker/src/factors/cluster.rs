@@ -1,13 +1,46 @@
 //! The part of a cluster that is the same for every kind: its receivers and their emitters.
 
 use glam::Vec3;
-use lightkiln_proto::content::{EmitterIrradiance, Receivers};
+use lightkiln_proto::content::{ClusterTransport, EmitterIrradiance, NearHits, Receivers, TransportFactors};
 
+use super::{Factors, Piece};
 use crate::lightmap::{Lightmap, Numbering, Receiver};
 use crate::transport::Row;
 
+impl Piece {
+    /// Of receivers, their rows, and factors over `columns`, whose own are empty.
+    pub fn of(
+        lightmap: &Lightmap,
+        receivers: &[u32],
+        rows: &[&Row],
+        columns: TransportFactors,
+        factors: Factors,
+        near: NearHits,
+    ) -> Self {
+        let lit: f32 = rows.iter().map(|row| row.lit).sum();
+        let uncovered: f32 = rows.iter().map(|row| row.uncovered).sum();
+        Self {
+            transport: ClusterTransport {
+                bounds_m: bounds_m(lightmap, receivers),
+                receivers: attributes(lightmap, receivers),
+                factors: TransportFactors {
+                    rank: factors.rank as u32,
+                    u: factors.u,
+                    vt: factors.vt,
+                    ..columns
+                },
+                emitters: emitters(rows),
+                near,
+            },
+            truncation_error: factors.truncation_error,
+            s1_criterion_bound: factors.s1_criterion_bound,
+            uncovered_fraction: if lit > 0.0 { uncovered / lit } else { 0.0 },
+        }
+    }
+}
+
 /// Receivers as a chunk lists them, in the order given.
-pub fn attributes(lightmap: &Lightmap, receivers: &[u32]) -> Receivers {
+fn attributes(lightmap: &Lightmap, receivers: &[u32]) -> Receivers {
     let all: Vec<&Receiver> = receivers.iter().map(|&r| &lightmap.receivers[r as usize]).collect();
     let blocks = Numbering::of(all.iter().map(|receiver| receiver.block));
     Receivers {
@@ -23,7 +56,7 @@ pub fn attributes(lightmap: &Lightmap, receivers: &[u32]) -> Receivers {
 }
 
 /// Lower and upper corner of receivers in metres.
-pub fn bounds_m(lightmap: &Lightmap, receivers: &[u32]) -> [[f32; 3]; 2] {
+fn bounds_m(lightmap: &Lightmap, receivers: &[u32]) -> [[f32; 3]; 2] {
     let (mut low, mut high) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
     for &receiver in receivers {
         let position_m = lightmap.receivers[receiver as usize].position_m;
@@ -33,7 +66,7 @@ pub fn bounds_m(lightmap: &Lightmap, receivers: &[u32]) -> [[f32; 3]; 2] {
 }
 
 /// Irradiance of the emitters that reach any of the rows.
-pub fn emitters(rows: &[&Row]) -> Vec<EmitterIrradiance> {
+fn emitters(rows: &[&Row]) -> Vec<EmitterIrradiance> {
     let count = rows.first().map_or(0, |row| row.emitters.len());
     (0..count)
         .map(|emitter| EmitterIrradiance {

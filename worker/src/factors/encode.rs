@@ -128,7 +128,7 @@ pub fn stored(
             bounds_m: piece.transport.bounds_m,
             receivers: piece.transport.receivers.len() as u32,
             keys: encoded.keys,
-            rank: piece.transport.rank,
+            rank: piece.transport.factors.rank,
             truncation_error: piece.truncation_error,
             quantisation_error: encoded.quantisation_error,
             uncovered_fraction: piece.uncovered_fraction,

@@ -8,6 +8,7 @@ mod cluster;
 mod components;
 mod encode;
 mod evaluated;
+mod patch_matrix;
 mod split;
 mod svd;
 
@@ -18,10 +19,10 @@ use crate::transport::Row;
 
 pub use baked::{Baked, Light, Threads, decoded};
 pub use cells::{CELLS_ARTEFACT, ClusterCell, cell_of_task, cells, cells_of_task, encoded_cells};
-pub use cluster::{attributes, bounds_m, emitters};
 pub use components::components;
 pub use encode::{CellIndex, stored};
 pub use evaluated::{ERROR_CLASSES, FactoredBake};
+pub use patch_matrix::PatchMatrix;
 pub use split::{Truncation, split};
 pub use svd::{Factors, Matrix, factorise};
 
@@ -40,7 +41,7 @@ pub struct Piece {
 
 /// The transport matrix of some receivers.
 pub struct CellRows {
-    /// Identity of each group of columns, ascending; the sky's group follows.
+    /// Identity of each group of columns, ascending; the sky's group follows where the sky has no keys.
     pub keys: Vec<u64>,
     /// One row per receiver, in order.
     pub rows: Vec<Row>,

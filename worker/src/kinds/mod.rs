@@ -184,25 +184,36 @@ impl TaskRunner for Runner {
     }
 }
 
-/// Runs a bake's first tasks up to its plan, and calls `made` with the surroundings of its transport tasks.
+/// A bake's tasks, as far as an evaluation runs them anew.
+pub struct FirstTasks<'a, P> {
+    /// Table that has the tasks to run, those of the kind among them.
+    pub kinds: &'a BakeKinds,
+    /// First tasks over a scene bundle, as the kind's contract plans them.
+    pub plan: P,
+    /// Names of the kind's own tasks that run beside the shared ones: its plan, and others that plan in turn.
+    pub run: &'a [&'a str],
+    /// Name of the task that is left out and whose inputs the evaluation reads, such as the kind's transport.
+    pub up_to: &'a str,
+}
+
+/// Makes a bake's world anew for [`BakeKind::evaluated`]: runs its first tasks inside the process, and calls `made` with the
+/// surroundings of the first task of the name `up_to`, and with all outputs.
 ///
-/// Errors as the bake's own tasks would.
-fn made_anew<T>(
-    runner: &BakeKinds,
-    plan: impl FnOnce(Digest) -> Vec<TaskSpec>,
-    transport: &str,
+/// Errors as the bake's own tasks would, and when no task of that name is planned or it waits for a task that is left out.
+pub fn made_anew<T>(
+    first: FirstTasks<impl FnOnce(Digest) -> Vec<TaskSpec>>,
     scene: Vec<u8>,
     progress: &Progress,
     made: impl FnOnce(&Context, &LocalRun) -> Result<T, EvaluationError>,
 ) -> Result<T, EvaluationError> {
+    let FirstTasks { kinds, plan, run: own, up_to } = first;
     let mut run = LocalRun::new(MEMORY_BYTES, progress);
-    let scene = run.shelf.put(scene);
-    let plan = plan(scene);
-    let own: Vec<String> = plan.iter().map(|task| task.kind.clone()).collect();
-    let is_first = |kind: &str| own.iter().any(|known| known == kind);
-    let left_out = run.run(&Runner::new(runner), plan, is_first, |_| {}).map_err(EvaluationError::Prepare)?;
-    let absent = || TaskError::bad_input(format!("the plan has no task '{transport}'"));
-    let task = left_out.iter().find(|task| task.kind == transport).ok_or_else(absent);
+    let plan = plan(run.shelf.put(scene));
+    let is_run = |kind: &str| own.contains(&kind) || SceneTask::ALL.iter().any(|task| task.name() == kind);
+    let left_out = run.run(&Runner::new(kinds), plan, is_run, |_| {}).map_err(EvaluationError::Prepare)?;
+    let absent = || TaskError::bad_input(format!("no task '{up_to}' is planned whose inputs are all there"));
+    let is_ready = |task: &&TaskSpec| task.kind == up_to && run.is_ready(task);
+    let task = left_out.iter().find(is_ready).ok_or_else(absent);
     let inputs = run.resolved(task.map_err(EvaluationError::Prepare)?);
     made(&run.context(&inputs), &run)
 }

@@ -90,3 +90,27 @@ fn table_refuses_a_kind_with_a_task_of_another() {
     }
     drop(BakeKinds::new().with(&Thief));
 }
+
+#[test]
+fn world_is_made_anew_up_to_the_task_that_is_named() {
+    use lightkiln_proto::kinds::prt::{Settings, first_tasks, tasks};
+    let settings = json!({ "preset": "draft", "receivers_target": 2000, "transport_rays": 16 });
+    let settings = Settings::from_json(&settings).unwrap();
+    let (kinds, progress) = (BakeKinds::new(), Progress::new());
+    let made = |run: &[&str], up_to: &str| {
+        let plan = |scene| first_tasks(scene, &settings);
+        let first = FirstTasks { kinds: &kinds, plan, run, up_to };
+        made_anew(first, FURNACE.to_vec(), &progress, |context, run| {
+            let transport = run.output(tasks::TRANSPORT.name, "index");
+            Ok((context.inputs.iter().map(|input| input.name.clone()).collect::<Vec<_>>(), transport))
+        })
+    };
+    let (inputs, transport) = made(&[tasks::PLAN.name], tasks::TRANSPORT.name).unwrap();
+    assert!(inputs.iter().any(|name| name == "patches/patches") && transport.is_none(), "{inputs:?}");
+    // Tasks that a plan plans run too where they are named.
+    let run = [tasks::PLAN.name, tasks::TRANSPORT.name];
+    let (inputs, transport) = made(&run, tasks::ASSEMBLE.name).unwrap();
+    assert!(inputs.iter().any(|name| name.ends_with("/index")) && transport.is_some(), "{inputs:?}");
+    let error = made(&[tasks::PLAN.name], tasks::ASSEMBLE.name).unwrap_err();
+    assert!(matches!(&error, EvaluationError::Prepare(_)), "{error}");
+}

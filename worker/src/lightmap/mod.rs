@@ -102,6 +102,11 @@ impl Lightmap {
         crate::rays::sampling::seed_of(&[self.blocks[receiver.block as usize].key, x, y, purpose])
     }
 
+    /// Positions of the receivers in metres.
+    pub fn positions_m(&self) -> Vec<Vec3> {
+        self.receivers.iter().map(|receiver| receiver.position_m).collect()
+    }
+
     /// Longest side of the receivers' bounds in metres.
     pub fn extent_m(&self) -> f32 {
         let positions = || self.receivers.iter().map(|receiver| receiver.position_m);

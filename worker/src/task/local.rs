@@ -76,8 +76,7 @@ impl<'p> LocalRun<'p> {
             for task in planned.into_iter().filter(|task| known.insert(task.key)) {
                 if wanted(&task.kind) { &mut waiting } else { &mut left_out }.push(task);
             }
-            let is_ready = |task: &TaskSpec| task.dependencies().all(|key| self.done.contains_key(&key));
-            let Some(ready) = waiting.iter().position(is_ready) else { break };
+            let Some(ready) = waiting.iter().position(|task| self.is_ready(task)) else { break };
             let task = waiting.remove(ready);
             planned = self.run_task(runner, &task)?;
             ended(&task);
@@ -89,6 +88,11 @@ impl<'p> LocalRun<'p> {
                 task.kind, task.label
             ))),
         }
+    }
+
+    /// All tasks that it depends on are done.
+    pub fn is_ready(&self, task: &TaskSpec) -> bool {
+        task.dependencies().all(|key| self.done.contains_key(&key))
     }
 
     /// Digest of the output of that name of the last task of a kind.

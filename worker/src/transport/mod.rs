@@ -1,10 +1,15 @@
-//! Rows of the transport matrix, as every kind gathers them: cosine-distributed rays, and emitters beside them.
+//! Rows of the transport matrix, as kinds gather them: cosine-distributed rays of receivers with emitters beside them, and
+//! sums of any rays' hits over surface patches.
 
+mod cut;
+mod expectation;
 mod hemisphere;
+mod patch_rows;
 
 use crate::task::Progress;
 
 pub use hemisphere::{Hemisphere, Surroundings};
+pub use patch_rows::{CutBounds, Met, PatchRow, PatchRows, RayHit, RowHits, Sources, patch_rows};
 
 /// Free path, in texels, below which a place that no light can reach misses nothing: the inside of a column, say.
 pub const DEAD_PATH_TEXELS: f32 = 4.0;
@@ -12,7 +17,7 @@ pub const DEAD_PATH_TEXELS: f32 = 4.0;
 /// One receiver's row, and its account of the rays.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Row {
-    /// α, in the order of the columns' keys; then the sky's coefficients.
+    /// α, in the order of the columns' keys; then the sky's coefficients, where the sky has no keys.
     pub alpha: Vec<f32>,
     /// Irradiance straight from each emitter of the scene, W·m⁻².
     pub emitters: Vec<[f32; 3]>,
@@ -49,3 +54,6 @@ impl Row {
         self.rays_occlusion += found.rays_occlusion;
     }
 }
+
+#[cfg(test)]
+mod tests;

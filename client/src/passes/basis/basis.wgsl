@@ -1,8 +1,8 @@
 // b_c = (ΣVᵀ) λ|_c; twin: reference.rs. One workgroup per row of one cluster's ΣVᵀ.
 
 struct Cluster {
-    first_receiver: u32,
-    receiver_count: u32,
+    first_row: u32,
+    row_count: u32,
     first_support: u32,
     support_count: u32,
     coefficients: u32,

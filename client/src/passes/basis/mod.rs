@@ -6,7 +6,7 @@ use lightkiln_proto::relight::ClusterTable;
 
 use crate::error::Result;
 use crate::passes::gpu::{Gpu, groups_2d};
-use crate::passes::resident::{ClusterRow, Resident, pages};
+use crate::passes::resident::{ClusterRow, pages};
 
 /// The shader.
 pub const SHADER: &str = include_str!("basis.wgsl");
@@ -36,8 +36,14 @@ pub struct BasisPass {
 }
 
 impl BasisPass {
-    /// Uploads ΣVᵀ of all clusters, which read λ of J `coefficients`.
-    pub fn new(gpu: &Gpu, table: &ClusterTable, coefficients: usize, resident: &Resident) -> Result<Self> {
+    /// Uploads ΣVᵀ of all clusters, which read `lambda` of J `coefficients`; `b` is of the table's clusters.
+    pub fn new(
+        gpu: &Gpu,
+        table: &ClusterTable,
+        coefficients: usize,
+        lambda: &wgpu::Buffer,
+        b: &wgpu::Buffer,
+    ) -> Result<Self> {
         let pipeline = gpu.compute("basis", SHADER, "project");
         let support = gpu.storage("support", &table.support)?;
         let bytes = table.clusters.iter().map(|cluster| 4 * (cluster.rank * cluster.columns()) as u64);
@@ -66,8 +72,8 @@ impl BasisPass {
                     gpu.storage("clusters", &rows)?.as_entire_binding(),
                     support.as_entire_binding(),
                     gpu.storage("vt", &table.vt[first_vt..end_vt.unwrap_or(first_vt)])?.as_entire_binding(),
-                    resident.lambda.as_entire_binding(),
-                    resident.b.as_entire_binding(),
+                    lambda.as_entire_binding(),
+                    b.as_entire_binding(),
                 ],
             );
             groups.push((group, [rank_max, stride, layers]));

@@ -1,4 +1,4 @@
-//! Cluster coefficients → irradiance at receivers: `E_ind(r) = max(N(r) + U_r · b_c, −E_emit(r))`.
+//! Cluster coefficients → irradiance at receivers or other rows: `E_r = max(N_r + U_r · b_c, −F_r)`.
 
 pub mod reference;
 
@@ -6,7 +6,7 @@ use lightkiln_proto::relight::ClusterTable;
 
 use crate::error::Result;
 use crate::passes::gpu::{Gpu, groups_2d};
-use crate::passes::resident::{ClusterRow, Resident, pages};
+use crate::passes::resident::{ClusterRow, pages};
 
 /// The shader.
 pub const SHADER: &str = include_str!("reconstruct.wgsl");
@@ -24,6 +24,21 @@ pub struct ReconstructNumbers {
     pub stride: u32,
     /// Clusters of the page.
     pub cluster_count: u32,
+    /// Whether there is F; else rows have a sign.
+    pub has_beside: u32,
+}
+
+/// Arrays of the pass, an entry a row but for b.
+#[derive(Clone, Copy, Debug)]
+pub struct RowArrays<'a> {
+    /// b of all clusters.
+    pub b: &'a wgpu::Buffer,
+    /// N: of receivers, the irradiance from near hits.
+    pub start: &'a wgpu::Buffer,
+    /// F, light that is added to E: of receivers, E_emit. None for rows that have a sign.
+    pub beside: Option<&'a wgpu::Buffer>,
+    /// E, which the pass writes.
+    pub result: &'a wgpu::Buffer,
 }
 
 /// The pass on the adapter: one dispatch per page of U.
@@ -35,33 +50,37 @@ pub struct ReconstructPass {
 
 impl ReconstructPass {
     /// Uploads U of all clusters.
-    pub fn new(gpu: &Gpu, table: &ClusterTable, resident: &Resident) -> Result<Self> {
+    pub fn new(gpu: &Gpu, table: &ClusterTable, rows: RowArrays<'_>) -> Result<Self> {
         let pipeline = gpu.compute("reconstruct", SHADER, "expand");
-        let bytes = table.clusters.iter().map(|cluster| 4 * (cluster.rank * cluster.receiver_count) as u64);
+        let bytes = table.clusters.iter().map(|cluster| 4 * (cluster.rank * cluster.row_count) as u64);
         let mut groups = Vec::new();
         for run in pages(gpu, "cluster's U", bytes)? {
             let clusters = &table.clusters[run];
             let first_u = clusters[0].first_u;
             let end_u =
-                clusters.iter().map(|cluster| cluster.first_u + cluster.rank * cluster.receiver_count).max();
-            let rows: Vec<_> =
+                clusters.iter().map(|cluster| cluster.first_u + cluster.rank * cluster.row_count).max();
+            let of_page: Vec<_> =
                 clusters.iter().map(|cluster| ClusterRow::new(cluster, cluster.first_u - first_u)).collect();
-            let receivers_max = clusters.iter().map(|cluster| cluster.receiver_count).max().unwrap_or(0);
-            let [stride, layers] = groups_2d(rows.len() as u32);
-            let numbers = ReconstructNumbers { stride, cluster_count: rows.len() as u32 };
+            let rows_max = clusters.iter().map(|cluster| cluster.row_count).max().unwrap_or(0);
+            let [stride, layers] = groups_2d(of_page.len() as u32);
+            let numbers = ReconstructNumbers {
+                stride,
+                cluster_count: of_page.len() as u32,
+                has_beside: rows.beside.is_some().into(),
+            };
             let group = gpu.bind(
                 &pipeline.get_bind_group_layout(0),
                 &[
                     gpu.uniform("reconstruct", &numbers).as_entire_binding(),
-                    gpu.storage("clusters", &rows)?.as_entire_binding(),
+                    gpu.storage("clusters", &of_page)?.as_entire_binding(),
                     gpu.storage("u", &table.u[first_u..end_u.unwrap_or(first_u)])?.as_entire_binding(),
-                    resident.b.as_entire_binding(),
-                    resident.e_emit.as_entire_binding(),
-                    resident.e_near.as_entire_binding(),
-                    resident.e_ind.as_entire_binding(),
+                    rows.b.as_entire_binding(),
+                    rows.start.as_entire_binding(),
+                    rows.beside.unwrap_or(rows.start).as_entire_binding(),
+                    rows.result.as_entire_binding(),
                 ],
             );
-            groups.push((group, [receivers_max.div_ceil(THREADS) as u32, stride, layers]));
+            groups.push((group, [rows_max.div_ceil(THREADS) as u32, stride, layers]));
         }
         Ok(Self { pipeline, pages: groups })
     }

@@ -1,8 +1,8 @@
-// E_ind(r) = max(N(r) + U_r · b_c, −E_emit(r)); twin: reference.rs. One thread per receiver of one cluster.
+// E_r = max(N_r + U_r · b_c, −F_r), or the sum itself; twin: reference.rs. One thread per row of one cluster.
 
 struct Cluster {
-    first_receiver: u32,
-    receiver_count: u32,
+    first_row: u32,
+    row_count: u32,
     first_support: u32,
     support_count: u32,
     coefficients: u32,
@@ -16,6 +16,8 @@ struct Reconstruct {
     // Clusters in a row of the dispatch.
     stride: u32,
     cluster_count: u32,
+    // Whether there is F; else rows have a sign.
+    has_beside: u32,
 }
 
 @group(0) @binding(0) var<uniform> reconstruct: Reconstruct;
@@ -23,10 +25,11 @@ struct Reconstruct {
 // u[r·k + i] of the page's clusters.
 @group(0) @binding(2) var<storage, read> u: array<f32>;
 @group(0) @binding(3) var<storage, read> b: array<vec4f>;
-@group(0) @binding(4) var<storage, read> e_emit: array<vec4f>;
-// Of near hits.
-@group(0) @binding(5) var<storage, read> e_near: array<vec4f>;
-@group(0) @binding(6) var<storage, read_write> e_ind: array<vec4f>;
+// N.
+@group(0) @binding(4) var<storage, read> start: array<vec4f>;
+// F, or anything where there is none.
+@group(0) @binding(5) var<storage, read> beside: array<vec4f>;
+@group(0) @binding(6) var<storage, read_write> result: array<vec4f>;
 
 @compute @workgroup_size(64)
 fn expand(@builtin(global_invocation_id) id: vec3u) {
@@ -35,14 +38,17 @@ fn expand(@builtin(global_invocation_id) id: vec3u) {
         return;
     }
     let cluster = clusters[index];
-    if id.x >= cluster.receiver_count {
+    if id.x >= cluster.row_count {
         return;
     }
-    let row = cluster.first_factor + id.x * cluster.rank;
-    let slot = cluster.first_receiver + id.x;
-    var sum = e_near[slot].rgb;
+    let first = cluster.first_factor + id.x * cluster.rank;
+    let row = cluster.first_row + id.x;
+    var sum = start[row].rgb;
     for (var i = 0u; i < cluster.rank; i++) {
-        sum += u[row + i] * b[cluster.first_b + i].rgb;
+        sum += u[first + i] * b[cluster.first_b + i].rgb;
     }
-    e_ind[slot] = vec4f(max(sum, -e_emit[slot].rgb), 0.0);
+    if reconstruct.has_beside != 0u {
+        sum = max(sum, -beside[row].rgb);
+    }
+    result[row] = vec4f(sum, 0.0);
 }

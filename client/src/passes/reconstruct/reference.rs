@@ -5,7 +5,7 @@ use lightkiln_proto::relight::ClusterTable;
 
 use crate::threads::Threads;
 
-/// `E_ind(r) = max(N(r) + U_r · b_c, −E_emit(r))`, as [`ClusterTable::reconstruct`].
-pub fn reconstruct(table: &ClusterTable, b: &[Vec4], e_near: &[Vec4], e_emit: &[Vec4]) -> Vec<Vec4> {
-    table.reconstruct(&Threads, b, e_near, e_emit)
+/// `E_r = max(N_r + U_r · b_c, −F_r)`, or the sum itself without F, as [`ClusterTable::reconstruct`].
+pub fn reconstruct(table: &ClusterTable, b: &[Vec4], start: &[Vec4], beside: Option<&[Vec4]>) -> Vec<Vec4> {
+    table.reconstruct(&Threads, b, start, beside)
 }

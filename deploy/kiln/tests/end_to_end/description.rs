@@ -7,7 +7,7 @@ use std::process::{Command, Stdio};
 
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::kinds::SceneTask;
-use lightkiln_proto::kinds::prt::PrtTask;
+use lightkiln_proto::kinds::prt::tasks;
 use serde_json::{Value, json};
 
 use super::parts::postgres;
@@ -81,7 +81,7 @@ impl Farm {
     fn finish(&self) {
         for task in kinds() {
             let leases = self.claim("quick", 1);
-            let outputs = if task == PrtTask::Plan.name() { &["manifest", "report"][..] } else { &["scene"] };
+            let outputs = if task == tasks::PLAN.name { &["manifest", "report"][..] } else { &["scene"] };
             self.commit(&leases[0], outputs);
         }
     }
@@ -168,7 +168,7 @@ fn assert_as_described(more: &[&str]) {
 
 /// Kinds of a bake's first tasks; the last one ends the bake.
 fn kinds() -> Vec<&'static str> {
-    SceneTask::ALL.map(SceneTask::name).into_iter().chain([PrtTask::Plan.name()]).collect()
+    SceneTask::ALL.map(SceneTask::name).into_iter().chain([tasks::PLAN.name]).collect()
 }
 
 #[test]

@@ -11,12 +11,14 @@ use crate::manifest::Layer;
 fn kept(full: &ClusterTransport, layer: Layer) -> (usize, Vec<f32>, Vec<f32>) {
     let level = |texel: &Texel| Receivers::level(*texel, 3);
     let receivers = full.receivers.texel.iter().take_while(|texel| level(texel) >= layer.level).count();
-    let (rank, full_rank) = (layer.rank as usize, full.rank as usize);
-    let u = full.u.chunks_exact(full_rank).take(receivers).flat_map(|row| row[..rank].to_vec()).collect();
+    let (rank, full_rank) = (layer.rank as usize, full.factors.rank as usize);
+    let u =
+        full.factors.u.chunks_exact(full_rank).take(receivers).flat_map(|row| row[..rank].to_vec()).collect();
     let coefficients = (layer.bands as usize + 1) * (layer.bands as usize + 1);
-    let rows = full.vt.chunks_exact(full.columns()).take(rank);
-    let vt =
-        rows.flat_map(|row| row.chunks_exact(full.coefficients()).flat_map(|p| p[..coefficients].to_vec()));
+    let rows = full.factors.vt.chunks_exact(full.factors.columns()).take(rank);
+    let vt = rows.flat_map(|row| {
+        row.chunks_exact(full.factors.coefficients()).flat_map(|p| p[..coefficients].to_vec())
+    });
     (receivers, u, vt.collect())
 }
 
@@ -34,11 +36,11 @@ fn every_layer_prefix_is_the_leading_part_of_the_whole() {
         assert_eq!(&found, layer);
         assert_whole(&part);
         let (receivers, u, vt) = kept(&full, layer.clone());
-        assert_eq!((part.receivers.len(), &part.u, &part.vt), (receivers, &u, &vt));
+        assert_eq!((part.receivers.len(), &part.factors.u, &part.factors.vt), (receivers, &u, &vt));
         assert_eq!(part.receivers.position_m, full.receivers.position_m[..receivers]);
         assert_eq!(part.receivers.links, full.receivers.links[..receivers]);
         assert_eq!(part.emitters[0].irradiance, full.emitters[0].irradiance[..receivers]);
-        assert_eq!((part.bands, part.rank), (layer.bands, layer.rank));
+        assert_eq!((part.factors.bands, part.factors.rank), (layer.bands, layer.rank));
     }
 }
 
@@ -136,11 +138,12 @@ fn order_of_receivers_probes_blocks_and_emitters_does_not_matter() {
     receivers.albedo = source.iter().map(|&i| cluster.receivers.albedo[i]).collect();
     receivers.emission = source.iter().map(|&i| cluster.receivers.emission[i]).collect();
     receivers.links = source.iter().map(|&i| cluster.receivers.links[i]).collect();
-    shuffled.u = source.iter().flat_map(|&i| cluster.u[i * 5..(i + 1) * 5].to_vec()).collect();
-    shuffled.keys.reverse();
-    let j = cluster.coefficients();
-    let rows = cluster.vt.chunks_exact(cluster.columns());
-    shuffled.vt = rows
+    shuffled.factors.u =
+        source.iter().flat_map(|&i| cluster.factors.u[i * 5..(i + 1) * 5].to_vec()).collect();
+    shuffled.factors.keys.reverse();
+    let j = cluster.factors.coefficients();
+    let rows = cluster.factors.vt.chunks_exact(cluster.factors.columns());
+    shuffled.factors.vt = rows
         .flat_map(|row| [&row[2 * j..3 * j], &row[j..2 * j], &row[..j], &row[3 * j..]].concat())
         .collect();
     for emitter in &mut shuffled.emitters {
@@ -158,15 +161,21 @@ fn order_of_receivers_probes_blocks_and_emitters_does_not_matter() {
 #[test]
 fn a_dark_cluster_and_an_empty_one_are_chunks_too() {
     let mut dark = wall(8, 3, 4, 6, 1);
-    dark.u.fill(0.0);
+    dark.factors.u.fill(0.0);
     dark.emitters.clear();
     let bytes = encode_cluster(&dark, QuantisationSettings::default()).unwrap().bytes;
     let decoded = decode_cluster(&bytes).unwrap();
-    assert!(decoded.u.iter().chain(&decoded.vt).all(|&x| x == 0.0), "a dark room is exactly dark");
-    let none = ClusterTransport { rank: 0, u: vec![], vt: vec![], ..dark };
+    assert!(
+        decoded.factors.u.iter().chain(&decoded.factors.vt).all(|&x| x == 0.0),
+        "a dark room is exactly dark"
+    );
+    let none = ClusterTransport {
+        factors: TransportFactors { rank: 0, u: vec![], vt: vec![], ..dark.factors },
+        ..dark
+    };
     let decoded =
         decode_cluster(&encode_cluster(&none, QuantisationSettings::default()).unwrap().bytes).unwrap();
-    assert_eq!((decoded.rank, decoded.receivers.len()), (0, 64));
+    assert_eq!((decoded.factors.rank, decoded.receivers.len()), (0, 64));
     let empty = encode_cluster(&ClusterTransport::default(), QuantisationSettings::default()).unwrap();
     assert_eq!(decode_cluster(&empty.bytes).unwrap(), ClusterTransport::default());
 }

@@ -161,7 +161,7 @@ fn counts_that_would_swell_a_small_chunk_are_refused() {
 #[test]
 fn numbers_that_are_not_finite_are_refused() {
     let mut cluster = wall(8, 3, 3, 9, 1);
-    cluster.vt[5] = f32::INFINITY;
+    cluster.factors.vt[5] = f32::INFINITY;
     assert!(encode_cluster(&cluster, QuantisationSettings::default()).is_err());
     let mut geometry = quads();
     geometry.draws[0].position_m[1][2] = f32::NAN;

@@ -6,11 +6,11 @@ use crate::content::*;
 use crate::kinds::sh::*;
 
 fn product(cluster: &ClusterTransport) -> Vec<f64> {
-    let (rank, columns) = (cluster.rank as usize, cluster.columns());
+    let (rank, columns) = (cluster.factors.rank as usize, cluster.factors.columns());
     let mut product = Vec::new();
-    for row in cluster.u.chunks_exact(rank) {
+    for row in cluster.factors.u.chunks_exact(rank) {
         for column in 0..columns {
-            let entry = |i: usize| f64::from(row[i]) * f64::from(cluster.vt[i * columns + column]);
+            let entry = |i: usize| f64::from(row[i]) * f64::from(cluster.factors.vt[i * columns + column]);
             product.push((0..rank).map(entry).sum());
         }
     }
@@ -29,9 +29,9 @@ fn cluster_comes_back_within_its_stated_errors() {
     let decoded = decode_cluster(&encoded.bytes).unwrap();
     let error = relative_error(&product(&cluster), &product(&decoded));
     assert!(error <= 0.003 && (error - f64::from(encoded.quantisation_error)).abs() < 1e-5, "{error}");
-    assert_eq!(decoded.keys, cluster.keys);
+    assert_eq!(decoded.factors.keys, cluster.factors.keys);
     assert_eq!(decoded.bounds_m, cluster.bounds_m);
-    assert_eq!((decoded.bands, decoded.sky, decoded.rank), (4, true, 12));
+    assert_eq!((decoded.factors.bands, decoded.factors.sky, decoded.factors.rank), (4, true, 12));
     let (got, wanted) = (&decoded.receivers, &cluster.receivers);
     assert_eq!(
         (&got.blocks, &got.block, &got.texel, &got.links),

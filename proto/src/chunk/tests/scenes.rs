@@ -22,10 +22,13 @@ pub(super) fn wall(side: u16, keys: usize, bands: u32, rank: u32, seed: u64) -> 
     let mut noise = Noise(seed);
     let mut cluster = ClusterTransport {
         bounds_m: [[0.0, -1.0, 2.0], [4.0, 3.0, 2.0]],
-        keys: (0..keys as u64).map(|p| p * p * 977 + 5).collect(),
-        bands,
-        sky: true,
-        rank,
+        factors: TransportFactors {
+            keys: (0..keys as u64).map(|p| p * p * 977 + 5).collect(),
+            bands,
+            sky: true,
+            rank,
+            ..TransportFactors::default()
+        },
         ..ClusterTransport::default()
     };
     let mut texels: Vec<Texel> = (0..side).flat_map(|y| (0..side).map(move |x| [x, y])).collect();
@@ -42,15 +45,15 @@ pub(super) fn wall(side: u16, keys: usize, bands: u32, rank: u32, seed: u64) -> 
         cluster.receivers.emission.push(if texel == [1, 1] { [10.0, 8.0, 0.1] } else { [0.0; 3] });
         for i in 0..rank {
             let wave = libm::sinf((1 + i) as f32 * x + 0.7) * libm::cosf(i as f32 * 1.3 * y);
-            cluster.u.push((wave + 0.05 * noise.next()) / f32::from(side));
+            cluster.factors.u.push((wave + 0.05 * noise.next()) / f32::from(side));
         }
     }
-    let coefficients = cluster.coefficients();
+    let coefficients = cluster.factors.coefficients();
     for i in 0..rank {
-        for column in 0..cluster.columns() {
+        for column in 0..cluster.factors.columns() {
             let band = crate::harmonics::band_of(column % coefficients) as f32;
             let strength = libm::expf(-0.25 * i as f32 - 0.4 * band);
-            cluster.vt.push((noise.next() - 0.5) * strength);
+            cluster.factors.vt.push((noise.next() - 0.5) * strength);
         }
     }
     let emitter = |r: usize| if r.is_multiple_of(3) { [0.0; 3] } else { [1e-6 * r as f32, 1.0, 1e6] };

@@ -10,12 +10,21 @@ pub fn assert_whole(cluster: &ClusterTransport) {
     assert_eq!([block.len(), position_m.len(), normal.len()], [count; 3]);
     assert_eq!([albedo.len(), emission.len(), links.len()], [count; 3]);
     assert!(block.iter().all(|&block| usize::from(block) < blocks.len()));
-    assert_eq!(cluster.u.len(), count * cluster.rank as usize);
-    assert_eq!(cluster.vt.len(), cluster.columns() * cluster.rank as usize);
+    assert_eq!(cluster.factors.u.len(), count * cluster.factors.rank as usize);
+    assert_eq!(cluster.factors.vt.len(), cluster.factors.columns() * cluster.factors.rank as usize);
     assert!(cluster.emitters.iter().all(|emitter| emitter.irradiance.len() == count));
     let emitted = cluster.emitters.iter().flat_map(|emitter| emitter.irradiance.as_flattened());
     let vectors = [position_m, normal, albedo, emission].into_iter().flat_map(|v| v.as_flattened());
-    assert!(cluster.u.iter().chain(&cluster.vt).chain(emitted).chain(vectors).all(|x| x.is_finite()));
+    assert!(
+        cluster
+            .factors
+            .u
+            .iter()
+            .chain(&cluster.factors.vt)
+            .chain(emitted)
+            .chain(vectors)
+            .all(|x| x.is_finite())
+    );
     assert!(albedo.as_flattened().iter().all(|albedo| (0.0..1.0).contains(albedo)));
     assert!((0..3).all(|axis| cluster.bounds_m[0][axis] <= cluster.bounds_m[1][axis]), "bounds inside out");
     assert_near(&cluster.near, count);

@@ -2,7 +2,7 @@
 //! by cluster, relit at run time.
 
 mod settings;
-mod tasks;
+pub mod tasks;
 
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -15,7 +15,7 @@ use crate::manifest::{ClusterRow, ClusterTotals, Manifest, ManifestError, check_
 use crate::settings::{SettingRow, SettingsError};
 
 pub use settings::{PatchSettings, Settings};
-pub use tasks::{PrtTask, first_tasks};
+pub use tasks::first_tasks;
 
 /// Name of the kind.
 pub const NAME: &str = "prt";

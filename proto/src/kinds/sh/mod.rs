@@ -5,7 +5,7 @@ mod chunk;
 mod content;
 mod relight;
 mod settings;
-mod tasks;
+pub mod tasks;
 
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -24,7 +24,7 @@ pub use chunk::{
 pub use content::{Probe, ProbeBatch, ProbeKey, RelightHit};
 pub use relight::{HIT_DARK, HIT_SKY, ProbeTable, relight_basis, sky_coefficients};
 pub use settings::{ProbeSettings, Settings};
-pub use tasks::{ShTask, first_tasks};
+pub use tasks::first_tasks;
 
 /// Name of the kind.
 pub const NAME: &str = "sh";

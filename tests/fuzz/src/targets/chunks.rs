@@ -103,7 +103,8 @@ fn check_cluster(bytes: &[u8]) {
         // Factors come back within an error; blocks that no receiver lies in are left out.
         let receivers = Receivers { blocks: Vec::new(), block: Vec::new(), ..cluster.receivers };
         let near = NearHits::default();
-        ClusterTransport { receivers, near, u: Vec::new(), vt: Vec::new(), ..cluster }
+        let factors = TransportFactors { u: Vec::new(), vt: Vec::new(), ..cluster.factors };
+        ClusterTransport { receivers, near, factors, ..cluster }
     };
     assert_eq!(factors_aside(again), factors_aside(cluster));
 }
@@ -194,10 +195,13 @@ fn check_patches(bytes: &[u8]) {
 fn larger_cluster() -> Vec<u8> {
     let mut cluster = ClusterTransport {
         bounds_m: [[0.0, -1.0, 2.0], [4.0, 3.0, 2.0]],
-        keys: vec![3, 70, 900],
-        bands: 3,
-        sky: true,
-        rank: 9,
+        factors: TransportFactors {
+            keys: vec![3, 70, 900],
+            bands: 3,
+            sky: true,
+            rank: 9,
+            ..TransportFactors::default()
+        },
         ..ClusterTransport::default()
     };
     cluster.receivers.blocks = vec![11, 12];
@@ -213,10 +217,10 @@ fn larger_cluster() -> Vec<u8> {
         cluster.receivers.normal.push([0.0, 0.0, -1.0]);
         cluster.receivers.albedo.push(if x < 0.5 { [0.5, 0.25, 0.0] } else { [0.73; 3] });
         cluster.receivers.emission.push(if texel == [1, 1] { [10.0, 8.0, 0.1] } else { [0.0; 3] });
-        cluster.u.extend((0..9).map(|i| (x * (1 + i) as f32 + y).sin() / 12.0));
+        cluster.factors.u.extend((0..9).map(|i| (x * (1 + i) as f32 + y).sin() / 12.0));
     }
-    let columns = cluster.columns();
-    cluster.vt = (0..9 * columns).map(|i| (i as f32).cos() * (-0.01 * i as f32).exp()).collect();
+    let columns = cluster.factors.columns();
+    cluster.factors.vt = (0..9 * columns).map(|i| (i as f32).cos() * (-0.01 * i as f32).exp()).collect();
     let lit = |r: usize| if r.is_multiple_of(3) { [0.0; 3] } else { [1e-6 * r as f32, 1.0, 1e6] };
     let irradiance = (0..144).map(lit).collect();
     cluster.emitters = vec![EmitterIrradiance { emitter: 4, irradiance }];

@@ -1,7 +1,7 @@
 //! A bake over patches as evaluation sees it.
 
 use lightkiln_proto::chunk::decode_patches;
-use lightkiln_proto::kinds::prt::{PATCHES, PrtTask, Settings, first_tasks};
+use lightkiln_proto::kinds::prt::{PATCHES, Settings, first_tasks, tasks};
 use lightkiln_proto::manifest::Manifest;
 use lightkiln_proto::relight::PatchTable;
 
@@ -9,7 +9,7 @@ use super::PatchTransport;
 use super::plan::PATCH_SET;
 use crate::evaluate::{ChunkBytes, EvaluationError};
 use crate::factors::{FactoredBake, decoded};
-use crate::kinds::{BakeKinds, made_anew};
+use crate::kinds::{BakeKinds, FirstTasks, made_anew};
 use crate::task::Progress;
 
 /// Makes the bake's world anew and decodes its chunks.
@@ -21,9 +21,11 @@ pub fn evaluated(
 ) -> Result<FactoredBake<PatchTable>, EvaluationError> {
     let settings: Settings = manifest.settings()?;
     let plan = |scene| first_tasks(scene, &settings);
-    made_anew(&BakeKinds::new(), plan, PrtTask::Transport.name(), scene, progress, |context, run| {
+    let first =
+        FirstTasks { kinds: &BakeKinds::new(), plan, run: &[tasks::PLAN.name], up_to: tasks::TRANSPORT.name };
+    made_anew(first, scene, progress, |context, run| {
         let chunks = manifest.chunks(PATCHES);
-        if chunks.iter().map(|chunk| Some(chunk.digest)).ne([run.output(PrtTask::Plan.name(), PATCH_SET)]) {
+        if chunks.iter().map(|chunk| Some(chunk.digest)).ne([run.output(tasks::PLAN.name, PATCH_SET)]) {
             return Err(EvaluationError::OtherStage { what: "other surface patches".into() });
         }
         let patches = decoded(&chunks[0], bytes, decode_patches)?;

@@ -3,9 +3,7 @@
 //! `prt.plan` (cells, the chunk of patches) → `prt.transport` by cell → `prt.assemble`.
 
 mod assemble;
-mod cut;
 mod evaluated;
-mod expectation;
 mod gather;
 mod near;
 mod plan;
@@ -15,7 +13,7 @@ use std::sync::Arc;
 
 use lightkiln_proto::chunk::QuantisationSettings;
 use lightkiln_proto::jobs::TaskSpec;
-use lightkiln_proto::kinds::prt::{NAME, PatchSettings, PrtTask, Settings};
+use lightkiln_proto::kinds::prt::{NAME, PatchSettings, Settings, tasks};
 use lightkiln_proto::manifest::Manifest;
 use lightkiln_proto::settings::{FactorSettings, TransportSettings};
 use serde::{Deserialize, Serialize};
@@ -48,9 +46,9 @@ impl BakeKind for Prt {
 
     fn tasks(&self) -> Vec<TaskRow> {
         vec![
-            TaskRow { name: PrtTask::Plan.name(), run: plan::run },
-            TaskRow { name: PrtTask::Transport.name(), run: run_transport },
-            TaskRow { name: PrtTask::Assemble.name(), run: assemble::run },
+            TaskRow { name: tasks::PLAN.name, run: plan::run },
+            TaskRow { name: tasks::TRANSPORT.name, run: run_transport },
+            TaskRow { name: tasks::ASSEMBLE.name, run: assemble::run },
         ]
     }
 
@@ -98,9 +96,7 @@ impl From<&Settings> for TracedSettings {
 pub struct Row {
     /// The part that every kind has.
     pub shared: transport::Row,
-    /// Importance-weighted columns (see `expectation`), which are truncated, and the split-half noise in them: the values by
-    /// rays of even number less those by rays of odd number. One column more for the common part of all patches, before the
-    /// sky's, and one for all of the sky, after them. Empty where nothing is truncated.
+    /// As in [`transport::PatchRow`].
     pub importance: [Vec<f32>; 2],
     /// Near hits, whose light is not in the columns.
     pub near: Vec<NearHit>,

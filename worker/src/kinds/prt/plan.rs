@@ -2,7 +2,7 @@
 
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{TaskInput, TaskSpec};
-use lightkiln_proto::kinds::prt::PrtTask;
+use lightkiln_proto::kinds::prt::tasks;
 use serde_json::json;
 
 use super::{BakeParams, TransportParams};
@@ -22,7 +22,7 @@ pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> 
     let settings = &bake.settings;
     let lightmap: Lightmap = context.decoded(lightmap::ARTEFACT_MAGIC, lightmap::ARTEFACT)?.0;
     let tree = PatchTree::of(context)?;
-    let cells = cells(&lightmap, settings.factors.cluster_receivers);
+    let cells = cells(&lightmap.positions_m(), settings.factors.cluster_receivers);
     let cells_bytes = encoded_cells(&cells)?;
     let patches = patches::encoded(&tree, &lightmap, settings.patches.sky_parts)?;
     let own = [(CELLS_ARTEFACT, &cells_bytes), (PATCH_SET, &patches)];
@@ -36,12 +36,12 @@ pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> 
         inputs.push(own[0].clone());
         let of_cell = json!(TransportParams { cluster, settings: settings.into() });
         let label = format!("cluster {cluster}");
-        plan.push(PrtTask::Transport.task(label, of_cell, inputs, RAYS_PER_RAY * rays / 1000));
+        plan.push(tasks::TRANSPORT.task(label, of_cell, inputs, RAYS_PER_RAY * rays / 1000));
     }
     let mut inputs = scene_outputs;
     inputs.push(own[1].clone());
     inputs.extend(crate::task::results_of(&plan));
-    plan.push(PrtTask::Assemble.task("bundle", json!(bake), inputs, 1));
+    plan.push(tasks::ASSEMBLE.task("bundle", json!(bake), inputs, 1));
     let artefacts = vec![(CELLS_ARTEFACT.to_owned(), cells_bytes), (PATCH_SET.to_owned(), patches)];
     Ok(TaskOutput { artefacts, plan, ..TaskOutput::default() })
 }

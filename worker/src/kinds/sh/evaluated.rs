@@ -1,7 +1,7 @@
 //! A bake over probes as evaluation sees it.
 
 use lightkiln_proto::kinds::sh::{
-    PROBES, ProbeBatch, ProbeTable, Settings, ShTask, decode_probe_batch, first_tasks,
+    PROBES, ProbeBatch, ProbeTable, Settings, decode_probe_batch, first_tasks, tasks,
 };
 use lightkiln_proto::manifest::{ChunkRef, Manifest};
 use rayon::prelude::*;
@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use super::{ProbeSet, ProbeTransport};
 use crate::evaluate::{ChunkBytes, EvaluationError};
 use crate::factors::{FactoredBake, decoded};
-use crate::kinds::{BakeKinds, made_anew};
+use crate::kinds::{BakeKinds, FirstTasks, made_anew};
 use crate::task::Progress;
 
 /// Makes the bake's world anew and decodes its chunks.
@@ -21,7 +21,9 @@ pub fn evaluated(
 ) -> Result<FactoredBake<ProbeTable>, EvaluationError> {
     let settings: Settings = manifest.settings()?;
     let plan = |scene| first_tasks(scene, &settings);
-    made_anew(&BakeKinds::new(), plan, ShTask::Transport.name(), scene, progress, |context, _| {
+    let first =
+        FirstTasks { kinds: &BakeKinds::new(), plan, run: &[tasks::PLAN.name], up_to: tasks::TRANSPORT.name };
+    made_anew(first, scene, progress, |context, _| {
         let decode = |chunk: &ChunkRef| decoded(chunk, bytes, decode_probe_batch);
         let batches: Vec<ProbeBatch> =
             manifest.chunks(PROBES).par_iter().map(decode).collect::<Result<_, EvaluationError>>()?;

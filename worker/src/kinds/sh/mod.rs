@@ -18,7 +18,7 @@ use std::sync::Arc;
 
 use lightkiln_proto::chunk::QuantisationSettings;
 use lightkiln_proto::jobs::TaskSpec;
-use lightkiln_proto::kinds::sh::{NAME, Probe, ProbeSettings, Settings, ShTask};
+use lightkiln_proto::kinds::sh::{NAME, Probe, ProbeSettings, Settings, tasks};
 use lightkiln_proto::manifest::Manifest;
 use lightkiln_proto::settings::{FactorSettings, TransportSettings};
 use rayon::prelude::*;
@@ -51,10 +51,10 @@ impl BakeKind for Sh {
 
     fn tasks(&self) -> Vec<TaskRow> {
         vec![
-            TaskRow { name: ShTask::Plan.name(), run: plan::run },
-            TaskRow { name: ShTask::Relight.name(), run: relight::run },
-            TaskRow { name: ShTask::Transport.name(), run: run_transport },
-            TaskRow { name: ShTask::Assemble.name(), run: assemble::run },
+            TaskRow { name: tasks::PLAN.name, run: plan::run },
+            TaskRow { name: tasks::RELIGHT.name, run: relight::run },
+            TaskRow { name: tasks::TRANSPORT.name, run: run_transport },
+            TaskRow { name: tasks::ASSEMBLE.name, run: assemble::run },
         ]
     }
 

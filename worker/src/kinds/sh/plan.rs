@@ -3,7 +3,7 @@
 
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{TaskInput, TaskSpec};
-use lightkiln_proto::kinds::sh::ShTask;
+use lightkiln_proto::kinds::sh::tasks;
 use serde_json::json;
 
 use super::{BakeParams, PROBES_ARTEFACT, ProbeSet, TransportParams, coverage, probes, relight};
@@ -25,7 +25,7 @@ pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> 
     let placed = probes::place(&world, &settings.probes, spacing_m, context.progress)?;
     let by_density = placed.len();
     let probes = coverage::complete(&world, &settings.probes, spacing_m, placed, context.progress)?;
-    let cells = cells(&world.lightmap, settings.factors.cluster_receivers);
+    let cells = cells(&world.lightmap.positions_m(), settings.factors.cluster_receivers);
     let artefacts = vec![
         (CELLS_ARTEFACT.to_owned(), encoded_cells(&cells)?),
         (PROBES_ARTEFACT.to_owned(), ProbeSet { spacing_m, probes: probes.clone() }.encoded()?),
@@ -46,17 +46,17 @@ pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> 
         let of_batch = json!(relight::Params { first, count, relight_rays });
         let inputs = [of_world(), vec![own(1)]].concat();
         let cost = count as u64 * u64::from(relight_rays) / 1000;
-        plan.push(ShTask::Relight.task(format!("probes {batch}"), of_batch, inputs, cost));
+        plan.push(tasks::RELIGHT.task(format!("probes {batch}"), of_batch, inputs, cost));
     }
     for (cluster, cell) in cells.iter().enumerate() {
         let rays = cell.receivers.len() as u64 * u64::from(settings.transport.transport_rays);
         let of_cell = json!(TransportParams { cluster, settings: settings.into() });
         let inputs = [of_world(), vec![own(0), own(1)]].concat();
         let cost = rays * u64::from(settings.probes.n_overlaps) / 1000;
-        plan.push(ShTask::Transport.task(format!("cluster {cluster}"), of_cell, inputs, cost));
+        plan.push(tasks::TRANSPORT.task(format!("cluster {cluster}"), of_cell, inputs, cost));
     }
     let inputs = [context.as_inputs(|_| true), vec![own(1)], results_of(&plan)].concat();
-    plan.push(ShTask::Assemble.task("bundle", json!(bake), inputs, 1));
+    plan.push(tasks::ASSEMBLE.task("bundle", json!(bake), inputs, 1));
     let counters = [("probes_by_density", by_density), ("probes_total", probes.len())];
     let counters = counters.map(|(name, count)| (name.to_owned(), count as f64)).into();
     Ok(TaskOutput { artefacts, plan, counters })

@@ -1,13 +1,11 @@
 //! From the rows of a cell to factorised clusters, with columns weighted by band.
 
 use glam::Vec3;
-use lightkiln_proto::content::{ClusterTransport, NearHits};
+use lightkiln_proto::content::{NearHits, TransportFactors};
 use lightkiln_proto::harmonics::band_of;
 
 use super::{ProbeTransport, TracedSettings};
-use crate::factors::{
-    ClusterCell, Factors, Matrix, Piece, Truncation, attributes, bounds_m, emitters, factorise, split,
-};
+use crate::factors::{ClusterCell, Factors, Matrix, Piece, Truncation, factorise, split};
 use crate::lightmap::{Lightmap, Numbering};
 use crate::rays::sampling::seed_of;
 use crate::transport::Row;
@@ -129,25 +127,12 @@ impl Cell<'_> {
 
     fn piece(&self, receivers: &[u32], Factored { factors, groups }: Factored) -> Piece {
         let rows: Vec<&Row> = receivers.iter().map(|&receiver| self.row_of(receiver)).collect();
-        let lit: f32 = rows.iter().map(|row| row.lit).sum();
-        let uncovered: f32 = rows.iter().map(|row| row.uncovered).sum();
-        let transport = ClusterTransport {
-            bounds_m: bounds_m(self.lightmap, receivers),
-            receivers: attributes(self.lightmap, receivers),
+        let columns = TransportFactors {
             keys: groups.iter().filter_map(|&group| self.keys.get(group as usize).copied()).collect(),
             bands: self.settings.probes.bands,
             sky: groups.last() == Some(&(self.keys.len() as u32)),
-            rank: factors.rank as u32,
-            u: factors.u,
-            vt: factors.vt,
-            emitters: emitters(&rows),
-            near: NearHits::default(),
+            ..TransportFactors::default()
         };
-        Piece {
-            transport,
-            truncation_error: factors.truncation_error,
-            s1_criterion_bound: factors.s1_criterion_bound,
-            uncovered_fraction: if lit > 0.0 { uncovered / lit } else { 0.0 },
-        }
+        Piece::of(self.lightmap, receivers, &rows, columns, factors, NearHits::default())
     }
 }

@@ -1,14 +1,14 @@
-//! The cut through the tree of patches that a cell tells apart.
+//! The cut through the tree of patches that rows of a cell tell apart.
 //!
-//! With A_n the share of patch n in a receiver's view, and p its parent, `D_n = A_n − (area_n / area_p) A_p` is the excess
+//! With A_n the share of patch n in a row, of receivers that in their view, and p its parent, `D_n = A_n − (area_n / area_p) A_p` is the excess
 //! of n over its share of p's area, and `Σ_leaves A L = Σ_roots A L + Σ_others D L` for the mean radiances L of
 //! patches: the field of transport in the unnormalised Haar basis of the tree. Where the D of a patch's parts are small for
-//! all receivers of the cell, the patch need not be opened. The gain of opening is `Σ_parts σ² Σ_r D²`, with σ² the variance
+//! all rows of the cell, the patch need not be opened. The gain of opening is `Σ_parts σ² Σ_r D²`, with σ² the variance
 //! that the parts' radiance is expected to have about their parent's ([`super::expectation`]).
 //!
-//! D² of single receivers is mostly chance, as few of their rays meet a part. With X as D, but of the rays of even number
+//! D² of single rows is mostly chance, as few of their rays meet a part. With X as D, but of the rays of even number
 //! less those of odd number, `D² − X²` is the product of two independent halves' estimates, and right in the mean (split-half
-//! noise). The common part of all receivers is known better: `Σ_r D² ≥ (Σ_r D)² / R`. It tells where a thing hides the same
+//! noise). The common part of all rows is known better: `Σ_r D² ≥ (Σ_r D)² / R`. It tells where a thing hides the same
 //! parts from all of them, and the cell's energy hangs on it, as parts hidden from receivers often are from lamps.
 
 use rayon::prelude::*;
@@ -21,17 +21,19 @@ const CHANCE: f64 = 1.0;
 /// Steps of the search for the least gain that a column must bring.
 const SEARCH_STEPS: usize = 40;
 
-/// Hits of a row's rays on a leaf.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// Hits of a row's rays on a leaf, each of the weight that the ray has in the row.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LeafHits {
     /// Leaf patch.
     pub leaf: u32,
     /// Row.
     pub row: u32,
-    /// Rays.
-    pub count: u32,
-    /// Rays of even number less those of odd number.
-    pub excess: i32,
+    /// Sum of weights: of receivers, whose rays weigh 1, their number.
+    pub sum: f32,
+    /// That of rays of even number less that of rays of odd number.
+    pub excess: f32,
+    /// Sum of squared weights.
+    pub squares: f32,
 }
 
 /// Hits of rays by patch.
@@ -54,15 +56,16 @@ impl<'a> PatchHits<'a> {
         &self.leaves[start..end]
     }
 
-    /// Rays of each row that hit a patch, and those of even number less those of odd number.
-    pub fn counts(self, patch: u32) -> Vec<[f64; 2]> {
-        let mut counts = vec![[0.0; 2]; self.rows];
+    /// `sum`, `excess` and `squares` of each row's hits on a patch.
+    pub fn sums(self, patch: u32) -> Vec<[f64; 3]> {
+        let mut sums = vec![[0.0; 3]; self.rows];
         for hits in self.of(patch) {
-            let count = &mut counts[hits.row as usize];
-            count[0] += f64::from(hits.count);
-            count[1] += f64::from(hits.excess);
+            let of_row = &mut sums[hits.row as usize];
+            of_row[0] += f64::from(hits.sum);
+            of_row[1] += f64::from(hits.excess);
+            of_row[2] += f64::from(hits.squares);
         }
-        counts
+        sums
     }
 
     /// Share of its parent's area that a part has.
@@ -79,7 +82,7 @@ pub fn cut(hits: PatchHits<'_>, expectation: &Expectation, columns_max: usize, e
     let seen = Seen::new(hits, expectation);
     // Take the error relative to the rows' own energy, so that a dim corner is cut as finely as a bright room.
     let mut sums = vec![0.0; hits.rows];
-    hits.leaves.iter().for_each(|of_leaf| sums[of_leaf.row as usize] += f64::from(of_leaf.count));
+    hits.leaves.iter().for_each(|of_leaf| sums[of_leaf.row as usize] += f64::from(of_leaf.sum));
     let total: f64 = sums.iter().map(|sum| sum * sum).sum();
     let least = total * f64::from(error).powi(2) / columns_max as f64;
     let mut best = seen.opened(least);
@@ -113,23 +116,23 @@ pub fn leaves(tree: &PatchTree, leaf_hits: &[LeafHits]) -> Vec<u32> {
 
 /// Value of opening a patch by itself: `Σ_parts σ² Σ_r D²`, less chance.
 fn gain(hits: PatchHits<'_>, expectation: &Expectation, patch: u32) -> f64 {
-    let whole = hits.counts(patch);
-    let seeing = whole.iter().filter(|count| count[0] > 0.0).count() as f64;
+    let whole = hits.sums(patch);
+    let seeing = whole.iter().filter(|sums| sums[2] > 0.0).count() as f64;
     let mut sum = 0.0;
     for part in hits.tree.parts(patch) {
         let share = hits.share(part, patch);
-        let (mut squares, mut all, mut rays) = (0.0, 0.0, 0.0);
-        for (part, whole) in hits.counts(part).iter().zip(&whole) {
+        let (mut squares, mut all, mut variance) = (0.0, 0.0, 0.0);
+        for (part, whole) in hits.sums(part).iter().zip(&whole) {
             // D, and X of the same rays with alternating signs: D² − X² is free of the noise of counting.
             let [d, x] = [0, 1].map(|i| part[i] - share * whole[i]);
             squares += d * d - x * x;
             all += d;
-            rays += part[0];
+            variance += part[2];
         }
-        // D and X of chance alone have about the variance of a count, D² − X² its square four times.
-        let of_each = squares - CHANCE * 2.0 * rays / seeing.sqrt();
+        // D and X of chance alone have about the sum of squared weights for variance, D² − X² its square four times.
+        let of_each = squares - CHANCE * 2.0 * variance / seeing.sqrt();
         // The common part is surer than its rows: a wall that hides the part from all of them shows here first.
-        let of_all = (all * all - CHANCE * 2.0 * rays) / hits.rows as f64;
+        let of_all = (all * all - CHANCE * 2.0 * variance) / hits.rows as f64;
         sum += expectation.variance(part, Some(patch)) * of_each.max(of_all);
     }
     sum
@@ -240,8 +243,13 @@ mod tests {
         }
     }
 
+    /// Hits of row 0 by so many rays of weight 1, half of them of even number.
+    fn hits(leaf: u32, count: u32) -> LeafHits {
+        LeafHits { leaf, row: 0, sum: count as f32, excess: 0.0, squares: count as f32 }
+    }
+
     fn evenly_hit() -> Vec<LeafHits> {
-        (0..4).map(|leaf| LeafHits { leaf, row: 0, count: 100, excess: 0 }).collect()
+        (0..4).map(|leaf| hits(leaf, 100)).collect()
     }
 
     fn cut_of(leaf_hits: &[LeafHits], columns_max: usize) -> Vec<u32> {
@@ -258,8 +266,11 @@ mod tests {
     #[test]
     fn patch_is_opened_as_deep_as_its_parts_are_hit_otherwise() {
         let met = |counts: [u32; 4]| -> Vec<LeafHits> {
-            let hits = |(leaf, count)| LeafHits { leaf, row: 0, count, excess: 0 };
-            (0..4).zip(counts).filter(|(_, count)| *count > 0).map(hits).collect()
+            (0..4)
+                .zip(counts)
+                .filter(|(_, count)| *count > 0)
+                .map(|(leaf, count)| hits(leaf, count))
+                .collect()
         };
         assert_eq!(cut_of(&met([200, 200, 0, 0]), 100), [0, 1, 4]);
         assert_eq!(cut_of(&met([200, 200, 200, 0]), 100), [0, 1, 4, 5, 6]);
@@ -270,7 +281,7 @@ mod tests {
     #[test]
     fn differences_that_halves_of_the_rays_do_not_share_open_nothing() {
         let of_row =
-            |row: u32| LeafHits { leaf: row % 4, row, count: 1, excess: 1 - 2 * (row as i32 / 4 % 2) };
+            |row: u32| LeafHits { row, excess: 1.0 - 2.0 * (row / 4 % 2) as f32, ..hits(row % 4, 1) };
         let mut met: Vec<LeafHits> = (0..64).map(of_row).collect();
         met.sort_unstable_by_key(|hits| (hits.leaf, hits.row));
         let tree = tree();
@@ -284,7 +295,7 @@ mod tests {
             .into_iter()
             .zip(0..)
             .filter(|(count, _)| *count > 0)
-            .map(|(count, leaf)| LeafHits { leaf, row: 0, count, excess: 0 })
+            .map(|(count, leaf)| hits(leaf, count))
             .collect();
         assert_eq!(cut_of(&skewed, 100), [0, 1, 2, 3, 4, 5, 6]);
         assert_eq!(cut_of(&skewed, 5), [0, 1, 2, 3, 4]);
@@ -302,14 +313,12 @@ mod tests {
             let leaves = patch.first_leaf as usize..(patch.first_leaf + patch.leaf_count) as usize;
             values[leaves].iter().sum()
         };
-        let leaf_hits: Vec<LeafHits> = (0..3)
-            .map(|leaf| LeafHits { leaf, row: 0, count: counts[leaf as usize] as u32, excess: 0 })
-            .collect();
+        let leaf_hits: Vec<LeafHits> = (0..3).map(|leaf| hits(leaf, counts[leaf as usize] as u32)).collect();
         let met = PatchHits { tree: &tree, leaves: &leaf_hits, rows: 1 };
         let mean = |patch: u32| of(light, patch) / f64::from(tree.patches[patch as usize].leaf_count);
-        let mut sum = met.counts(0)[0][0] * mean(0);
+        let mut sum = met.sums(0)[0][0] * mean(0);
         for (part, parent) in [(1, 0), (4, 0), (2, 1), (3, 1), (5, 4), (6, 4)] {
-            let difference = met.counts(part)[0][0] - met.share(part, parent) * met.counts(parent)[0][0];
+            let difference = met.sums(part)[0][0] - met.share(part, parent) * met.sums(parent)[0][0];
             sum += difference * mean(part);
         }
         let direct: f64 = counts.iter().zip(light).map(|(count, light)| count * light).sum();

@@ -3,7 +3,7 @@
 //!
 //! Radiance is taken for a sum of independent parts: one that all patches have in common, and one for each patch of the
 //! tree that its own parts share, with the variance σ² that a patch's mean has about its parent's. With A_n the share of
-//! patch n in a receiver's view, the error of irradiance that a truncation is expected to give is then that of the importance-weighted
+//! patch n in a row, the error of irradiance that a truncation is expected to give is then that of the importance-weighted
 //! columns `σ_n A_n`, so those are truncated: chance that moves rays between neighbours costs no rank.
 //! We differ from METHOD's plain Frobenius norm, which takes every column's radiance for independent.
 

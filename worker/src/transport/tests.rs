@@ -1,0 +1,86 @@
+//! Rows that are no receivers': coefficients of light at points in free space.
+
+use std::f32::consts::PI;
+
+use glam::Vec3;
+use lightkiln_proto::harmonics::{ShBasis, band_of, relight_direction};
+use lightkiln_proto::kinds::SceneTask;
+use lightkiln_proto::kinds::prt::{Settings, first_tasks};
+use serde_json::json;
+
+use super::*;
+use crate::factors::PatchMatrix;
+use crate::kinds::{BakeKinds, Runner};
+use crate::lightmap::World;
+use crate::patches::PatchTree;
+use crate::task::LocalRun;
+
+const FURNACE: &[u8] = include_bytes!("../../../tests/scenes/furnace.glb");
+const RAYS: u32 = 512;
+/// `A_l`: the cosine lobe's coefficient of each band.
+const COSINE_LOBE: [f32; 3] = [PI, 2.0 * PI / 3.0, PI / 4.0];
+
+/// Nine rows of a point, one per spherical harmonic: `q_j = A_l 4π/N Σ_k L(y_k) Y_j(ω_k)`.
+fn rows_of(world: &World, sources: &Sources, point_m: Vec3) -> Vec<RowHits> {
+    let basis = ShBasis::new(2);
+    let mut rows = vec![RowHits::default(); basis.coefficients()];
+    let mut y = vec![0.0; rows.len()];
+    for ray in 0..RAYS {
+        let direction = relight_direction(ray, RAYS);
+        basis.evaluate(direction, &mut y);
+        let hit = world.geometry.tracer.closest(point_m, direction, f32::INFINITY);
+        let leaf = hit.and_then(|hit| sources.at(&hit, point_m + direction * hit.t).leaf);
+        for (j, row) in rows.iter_mut().enumerate() {
+            let weight = COSINE_LOBE[band_of(j)] * y[j];
+            row.leaves.extend(leaf.map(|at| RayHit { at, is_even: ray % 2 == 0, weight }));
+        }
+    }
+    rows
+}
+
+#[test]
+fn rows_of_points_in_free_space_are_cut_factorised_and_bring_the_light_of_a_furnace() {
+    let progress = Progress::new();
+    let mut run = LocalRun::new(1 << 30, &progress);
+    let settings = json!({ "preset": "draft", "receivers_target": 2000 });
+    let settings = Settings::from_json(&settings).unwrap();
+    let plan = first_tasks(run.shelf.put(FURNACE.to_vec()), &settings);
+    let is_scene = |kind: &str| SceneTask::ALL.iter().any(|task| task.name() == kind);
+    run.run(&Runner::new(&BakeKinds::new()), plan, is_scene, |_| {}).unwrap();
+    let world = World::of_run(&run).unwrap();
+    let inputs = run.scene_inputs(&["patches/patches"]);
+    let tree = PatchTree::of(&run.context(&inputs)).unwrap();
+
+    let sources = Sources::new(&world, &tree, 16);
+    let [low, high] = tree.patches.iter().fold([Vec3::INFINITY, Vec3::NEG_INFINITY], |[low, high], patch| {
+        [low.min(patch.bounds_m[0]), high.max(patch.bounds_m[1])]
+    });
+    let points_m = [0.3, 0.5, 0.6].map(|at| low + (high - low) * at);
+    let hits: Vec<RowHits> = points_m.iter().flat_map(|&point| rows_of(&world, &sources, point)).collect();
+    let scale = 4.0 * PI / RAYS as f32;
+    let texel_m = world.lightmap.texel_m;
+    let bounds = Some(CutBounds { columns_max: 200, error: 0.01 });
+    let cut = patch_rows(&tree, texel_m, hits.clone(), scale, bounds);
+    let finest = patch_rows(&tree, texel_m, hits, scale, None);
+    assert!(cut.keys.len() > 6 && cut.keys.len() <= finest.keys.len(), "{} columns", cut.keys.len());
+
+    // Under radiance 1 from everywhere the irradiance is π along every normal, also by the factors.
+    let matrix = PatchMatrix::new(&cut.keys, cut.rows.iter().map(|row| (&row.alpha[..], &row.importance)));
+    let rows: Vec<usize> = (0..cut.rows.len()).collect();
+    let (factors, _) = matrix.factored(&rows, &settings.factors);
+    let columns = matrix.used(&rows).len();
+    assert!(factors.rank > 0 && factors.u.len() == rows.len() * factors.rank);
+    let b: Vec<f32> = factors.vt.chunks_exact(columns).map(|row| row.iter().sum()).collect();
+    let by_factors = factors.u.chunks_exact(factors.rank).map(|u| u.iter().zip(&b).map(|(u, b)| u * b).sum());
+    let by_sums = |found: &PatchRows| found.rows.iter().map(|row| row.alpha.iter().sum()).collect();
+    for q in [by_sums(&cut), by_sums(&finest), by_factors.collect::<Vec<f32>>()] {
+        for q in q.chunks_exact(9) {
+            let mut y = [0.0; 9];
+            for normal in [Vec3::X, Vec3::NEG_Y, Vec3::new(0.6, 0.0, 0.8)] {
+                ShBasis::new(2).evaluate(normal, &mut y);
+                let irradiance: f32 = q.iter().zip(&y).map(|(q, y)| q * y).sum();
+                assert!((irradiance - PI).abs() < 0.03 * PI, "{irradiance} along {normal}");
+            }
+        }
+    }
+}
