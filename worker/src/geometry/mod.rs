@@ -15,7 +15,7 @@ use crate::scene::texture::DecodedImages;
 use crate::task::{Context, TaskError};
 
 pub use site::Site;
-pub use strata::{Strata, spread_sites};
+pub use strata::{Strata, morton, spread_sites};
 
 /// A triangle of the scene by instance.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

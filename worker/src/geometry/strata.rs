@@ -55,22 +55,23 @@ pub fn spread_sites(geometry: &Geometry, count: u32) -> Vec<Site> {
     Strata::new(geometry, count).hits.iter().map(site).collect()
 }
 
+/// Place of a point on a Morton curve through some bounds.
+pub fn morton(point_m: Vec3, [low, high]: [Vec3; 2]) -> u32 {
+    let scale = MORTON_CELLS / (high - low).max_element().max(f32::MIN_POSITIVE);
+    let cell = ((point_m - low) * scale).clamp(Vec3::ZERO, Vec3::splat(MORTON_CELLS));
+    let [x, y, z] = [cell.x, cell.y, cell.z].map(|axis| spread(axis as u32));
+    x | y << 1 | z << 2
+}
+
 /// All lit sides, along the Morton curve of the triangles' middles.
 fn sides(geometry: &Geometry) -> Vec<Side> {
-    let [low, high] = geometry.bounds_m();
-    let scale = MORTON_CELLS / (high - low).max_element().max(f32::MIN_POSITIVE);
+    let bounds_m = geometry.bounds_m();
     let mut sides = Vec::new();
     for index in 0..geometry.triangles.len() as u32 {
         let [a, b, c] = geometry.corners(index);
         let area_m2 = 0.5 * f64::from((b - a).cross(c - a).length());
-        let cell = (((a + b + c) / 3.0 - low) * scale).clamp(Vec3::ZERO, Vec3::splat(MORTON_CELLS));
-        let morton = [cell.x, cell.y, cell.z].map(|axis| spread(axis as u32));
-        let side = |front| Side {
-            morton: morton[0] | morton[1] << 1 | morton[2] << 2,
-            triangle: index,
-            front,
-            area_m2,
-        };
+        let morton = morton((a + b + c) / 3.0, bounds_m);
+        let side = |front| Side { morton, triangle: index, front, area_m2 };
         sides.push(side(true));
         if geometry.material(index).double_sided {
             sides.push(side(false));

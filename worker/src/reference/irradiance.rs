@@ -1,11 +1,13 @@
-//! Irradiance at sites, each with its own standard error, in rounds until it is small enough.
+//! Irradiance at sites, each with its own standard error: a pilot that tells how many paths a site needs, then those.
 
 use std::f64::consts::PI;
 
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::path::LampPoints;
+use super::guide::Guide;
+use super::neighbours::neighbours;
+use super::path::{LampPoints, Walk};
 use super::tally::{Estimate, Tally};
 use super::{Reference, Site};
 use crate::rays::sampling::{R2, Sequence, seed_of};
@@ -13,8 +15,12 @@ use crate::task::{Cancelled, Progress};
 
 /// Paths of one batch; their first directions and lamp points are spread evenly, batches are independent.
 const BATCH: u32 = 16;
-/// Batches of the first round: enough for an error of the error of an eighth.
-const FIRST_BATCHES: u32 = 32;
+/// Batches of the pilot: enough for a variance within a third, with that of neighbours within a sixth.
+const PILOT_BATCHES: u32 = 16;
+/// Fewest batches of the main phase: enough for a standard error of its own.
+const MAIN_BATCHES_MIN: u32 = 8;
+/// Batches that a variance shared by neighbours counts for beside a site's own.
+const SHARED_BATCHES: f64 = 8.0;
 
 /// Precision of estimates.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -23,7 +29,7 @@ pub struct Precision {
     /// it is brighter: sums of squares over sites have most of their noise from the brightest. Smaller → more paths,
     /// with its inverse square.
     pub rel_error: f64,
-    /// Most paths per site.
+    /// Most paths per site, the pilot's not among them.
     pub paths_max: u32,
 }
 
@@ -40,6 +46,8 @@ pub struct IrradianceEstimate {
     pub direct: Estimate,
     /// E_ind: everything else, i.e. bounced light, the scene's own emitters and the sky.
     pub indirect: Estimate,
+    /// E_ind by every other batch: two estimates, independent of each other, whose mean is `indirect`'s.
+    pub halves: [DVec3; 2],
     /// Paths taken.
     pub paths: u32,
 }
@@ -49,47 +57,47 @@ pub struct IrradianceEstimate {
 struct Sums {
     direct: Tally,
     indirect: Tally,
+    halves: [DVec3; 2],
 }
 
-impl Sums {
-    fn paths(&self) -> u32 {
-        self.indirect.count() * BATCH
-    }
+/// Phase of an estimate; each has random numbers of its own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Phase {
+    Pilot = 20,
+    Main = 21,
 }
 
 impl Reference<'_> {
     /// Irradiance at every site, in their order.
     ///
-    /// A first round gives the mean of all sites, which errors are relative to; then each site doubles its
-    /// paths until it is sure enough or has [`Precision::paths_max`].
+    /// A pilot tells the mean of all sites, which errors are relative to, and how much the light of paths varies about each
+    /// site and its neighbours. From that alone follows how many paths the main phase takes at a site, and the main phase
+    /// alone gives the estimate: a number of paths that hung on what they found would count places as dark, and as sure,
+    /// whose light the first paths had missed.
     pub fn irradiance(
         &self,
         sites: &[Site],
         precision: &Precision,
         progress: &Progress,
     ) -> Result<Vec<IrradianceEstimate>, Cancelled> {
-        let first: Vec<Sums> = sites
+        let guide = self.guide(progress)?;
+        let pilot: Vec<Estimate> = sites
             .par_iter()
             .map(|site| {
                 progress.check()?;
-                let mut sums = Sums::default();
-                self.add_batches(site, &mut sums, FIRST_BATCHES);
-                Ok(sums)
+                Ok(self.summed(site, guide, Phase::Pilot, PILOT_BATCHES).indirect.estimate())
             })
             .collect::<Result<_, Cancelled>>()?;
-        let total: f64 = first.iter().map(|sums| sums.indirect.estimate().luminance()).sum();
-        let floor = total / sites.len().max(1) as f64;
+        let floor = pilot.iter().map(Estimate::luminance).sum::<f64>() / sites.len().max(1) as f64;
+        let expected = expected(neighbours(sites, self.geometry.bounds_m()), &pilot);
         sites
             .par_iter()
-            .zip(first)
-            .map(|(site, mut sums)| {
-                while sums.paths() < precision.paths_max && !is_sure(&sums, floor, precision.rel_error) {
-                    progress.check()?;
-                    let left = (precision.paths_max - sums.paths()).div_ceil(BATCH);
-                    let more = sums.indirect.count().min(left);
-                    self.add_batches(site, &mut sums, more);
-                }
-                Ok(self.finished(site, &sums))
+            .zip(expected)
+            .map(|(site, expected)| {
+                progress.check()?;
+                let batches = expected.batches(floor, precision);
+                let sums = self.summed(site, guide, Phase::Main, batches);
+                Ok(self.finished(site, &sums, &expected))
             })
             .collect()
     }
@@ -109,21 +117,24 @@ impl Reference<'_> {
         self.by_punctual(site) + panels
     }
 
-    fn add_batches(&self, site: &Site, sums: &mut Sums, count: u32) {
+    fn summed(&self, site: &Site, guide: Option<&Guide>, phase: Phase, batches: u32) -> Sums {
         let own = seed_of(&site.identity());
-        for _ in 0..count {
-            let (direct, indirect) = self.batch(site, seed_of(&[own, u64::from(sums.indirect.count()), 21]));
+        let mut sums = Sums::default();
+        for batch in 0..batches {
+            let seed = seed_of(&[own, u64::from(batch), phase as u64]);
+            let (direct, indirect) = self.batch(site, &mut Walk::new(seed, guide));
             sums.direct.add(direct);
             sums.indirect.add(indirect);
+            sums.halves[batch as usize % 2] += indirect;
         }
+        sums
     }
 
     /// Means of one batch: panels' part of E_dir, and E_ind.
-    fn batch(&self, site: &Site, seed: u64) -> (DVec3, DVec3) {
-        let mut random = Sequence::new(seed);
-        let directions = R2::new(random.next_u64());
-        let lamp_points = R2::new(random.next_u64());
-        let shift = random.next_f32();
+    fn batch(&self, site: &Site, walk: &mut Walk) -> (DVec3, DVec3) {
+        let directions = R2::new(walk.random.next_u64());
+        let lamp_points = R2::new(walk.random.next_u64());
+        let shift = walk.random.next_f32();
         let origin_m = site.ray_origin_m(self.geometry.tracer.ray_offset_m());
         let chances = self.lamps.emitters.chances(site);
         let (mut direct, mut indirect) = (DVec3::ZERO, DVec3::ZERO);
@@ -132,8 +143,9 @@ impl Reference<'_> {
             let points = LampPoints { pick, point: lamp_points.point(index) };
             direct += self.by_panels(site, points);
             indirect += self.by_emitters(site, &chances, points) + self.by_sky(site, points);
+            indirect += self.by_beam(site, walk);
             let direction = site.direction(directions.point(index));
-            let gathered = self.arriving(Some(site), origin_m, direction, &mut random);
+            let gathered = self.arriving(Some(site), origin_m, direction, walk);
             // π · L · K / (π · density), and density is K/π.
             direct += PI * gathered.panels;
             indirect += PI * gathered.rest;
@@ -141,14 +153,57 @@ impl Reference<'_> {
         (direct / f64::from(BATCH), indirect / f64::from(BATCH))
     }
 
-    fn finished(&self, site: &Site, sums: &Sums) -> IrradianceEstimate {
+    fn finished(&self, site: &Site, sums: &Sums, expected: &Expected) -> IrradianceEstimate {
         let mut direct = sums.direct.estimate();
         direct.mean += self.by_punctual(site);
-        IrradianceEstimate { direct, indirect: sums.indirect.estimate(), paths: sums.paths() }
+        let batches = sums.indirect.count();
+        let counts = [batches.div_ceil(2), batches / 2];
+        let halves = [0, 1].map(|half| sums.halves[half] / f64::from(counts[half]));
+        let indirect = sums.indirect.estimate_beside(expected.variance, SHARED_BATCHES);
+        IrradianceEstimate { direct, indirect, halves, paths: batches * BATCH }
     }
 }
 
-fn is_sure(sums: &Sums, floor: f64, rel_error: f64) -> bool {
-    let estimate = sums.indirect.estimate();
-    estimate.luminance_error <= rel_error * (estimate.luminance().max(floor) * floor).sqrt()
+/// What the pilot says of a site: mean luminance in W·m⁻², and variances of a batch about its mean: r, g, b, luminance.
+#[derive(Clone, Copy, Debug, Default)]
+struct Expected {
+    luminance: f64,
+    variance: [f64; 4],
+}
+
+impl Expected {
+    fn mean(of: impl Iterator<Item = Self>) -> Self {
+        let (mut sum, mut count) = (Self::default(), 0.0);
+        for one in of {
+            sum.luminance += one.luminance;
+            sum.variance = std::array::from_fn(|channel| sum.variance[channel] + one.variance[channel]);
+            count += 1.0;
+        }
+        Self { luminance: sum.luminance / count, variance: sum.variance.map(|variance| variance / count) }
+    }
+
+    /// Batches for the precision: an even number, for halves alike.
+    fn batches(&self, floor: f64, precision: &Precision) -> u32 {
+        let wanted = precision.rel_error * (self.luminance.max(floor) * floor).sqrt();
+        let most = (precision.paths_max / BATCH).max(2);
+        let least = MAIN_BATCHES_MIN.min(most);
+        let needed = (self.variance[3] / (wanted * wanted)).ceil();
+        // No variance over no error is no number: nothing is there to be found.
+        let batches = if needed.is_nan() { least } else { needed.clamp(least.into(), most.into()) as u32 };
+        batches & !1
+    }
+}
+
+/// Means over each site, its nearest neighbours that face alike, and one more that stands for all sites: a single pilot
+/// may miss what the others find.
+fn expected(neighbours: Vec<Vec<u32>>, pilot: &[Estimate]) -> Vec<Expected> {
+    let of_site = |estimate: &Estimate| {
+        let Estimate { error, luminance_error, .. } = *estimate;
+        let variance = [error.x, error.y, error.z, luminance_error]
+            .map(|error| error * error * f64::from(PILOT_BATCHES));
+        Expected { luminance: estimate.luminance(), variance }
+    };
+    let all = Expected::mean(pilot.iter().map(of_site));
+    let around = |near: Vec<u32>| near.into_iter().map(|site| of_site(&pilot[site as usize]));
+    neighbours.into_par_iter().map(|near| Expected::mean(around(near).chain([all]))).collect()
 }

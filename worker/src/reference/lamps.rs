@@ -1,5 +1,6 @@
 //! All light sources of a traced scene.
 
+use super::beams::Beam;
 use super::emitters::Emitters;
 use super::lighting::{Lighting, LightingError};
 use super::panel::Panel;
@@ -11,6 +12,8 @@ use crate::geometry::Geometry;
 #[derive(Clone, Debug)]
 pub(super) struct Lamps {
     pub punctual: Vec<Punctual>,
+    /// Rays of each of `punctual`.
+    pub beams: Vec<Beam>,
     pub panels: Vec<Panel>,
     pub sky: Sky,
     pub emitters: Emitters,
@@ -19,8 +22,11 @@ pub(super) struct Lamps {
 impl Lamps {
     pub fn new(geometry: &Geometry, lighting: &Lighting) -> Result<Self, LightingError> {
         lighting.check()?;
+        let punctual: Vec<Punctual> = lighting.lights.iter().filter_map(Punctual::new).collect();
+        let bounds_m = geometry.bounds_m();
         Ok(Self {
-            punctual: lighting.lights.iter().filter_map(Punctual::new).collect(),
+            beams: punctual.iter().map(|lamp| Beam::of(lamp, bounds_m)).collect(),
+            punctual,
             panels: lighting.panels.iter().filter_map(Panel::new).collect(),
             sky: Sky::of(&lighting.lights),
             emitters: Emitters::new(geometry, lighting.emitter_scale),

@@ -7,8 +7,9 @@
 //! ω' is ω mirrored at the face: where the shading normal n leans, directions below the face are mirrored above it, as in
 //! the bake, so K is cosθ wherever the two normals agree. Lamps (punctual lights, panels, emissive triangles) count by
 //! max(0, n·ω) alone, as in any renderer. Each vertex samples its lamps and the sky (next-event estimation) and one
-//! direction with density K/π; the two are joined by the balance heuristic (\[Veach1995\]). Paths end by Russian roulette,
-//! which changes no mean.
+//! direction with density K/π; the two are joined by the balance heuristic (\[Veach1995\]). Lamps without extent (points,
+//! spots, suns) are met by no ray; surfaces that they light are found by directions, and by rays of the lamp along which
+//! light was found to come before (`guide.rs`), joined likewise. Paths end by Russian roulette, which changes no mean.
 //!
 //! The material model is METHOD.md §1's, so that error means error: diffuse albedo below 1, alpha-masked texels let rays
 //! through, a double-sided face is lit on the side that is met, the back of a single-sided one blocks light and returns
@@ -17,10 +18,14 @@
 //! Random numbers come from the position or the pixel that they serve, sums run in f64 in a fixed order: the result is
 //! the same on any number of threads.
 
+mod beams;
 mod emitters;
+mod guide;
 mod irradiance;
 mod lamps;
+mod learn;
 mod lighting;
+mod neighbours;
 mod panel;
 mod path;
 mod picture;
@@ -30,6 +35,8 @@ mod tally;
 #[cfg(test)]
 mod tests;
 
+use std::sync::OnceLock;
+
 use crate::geometry::Geometry;
 
 pub use crate::geometry::Site;
@@ -38,15 +45,16 @@ pub use lighting::{Lighting, LightingError, PanelLight};
 pub use picture::{EyeSurface, PictureSize, TracedPicture, camera_ray};
 pub use tally::{Estimate, luminance};
 
+use guide::Guide;
 use lamps::Lamps;
 
-/// Technique by which emitters, panels and the sky are found.
+/// Technique by which emitters, panels, the sky and what lamps without extent light are found.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Strategy {
     /// By both of the following, each weighted by the balance heuristic.
     #[default]
     Both,
-    /// By sampling them alone.
+    /// By sampling emitters, panels and the sky alone; what lamps light, by directions.
     Lamps,
     /// By directions with density K/π alone.
     Directions,
@@ -72,6 +80,8 @@ pub struct Reference<'a> {
     strategy: Strategy,
     /// A distance that leaves the scene from anywhere in it, in metres.
     far_m: f32,
+    /// Learned when first it is needed.
+    guide: OnceLock<Guide>,
 }
 
 impl<'a> Reference<'a> {
@@ -81,7 +91,7 @@ impl<'a> Reference<'a> {
     pub fn new(geometry: &'a Geometry, lighting: &Lighting) -> Result<Self, LightingError> {
         let lamps = Lamps::new(geometry, lighting)?;
         let far_m = 2.0 * geometry.diagonal_m() + 1.0;
-        Ok(Self { geometry, lamps, strategy: Strategy::default(), far_m })
+        Ok(Self { geometry, lamps, strategy: Strategy::default(), far_m, guide: OnceLock::new() })
     }
 
     /// The same with another way to find lamps; all give the same mean.

@@ -5,6 +5,7 @@ use std::f64::consts::PI;
 use glam::{DVec3, Vec3};
 
 use super::emitters::{Chances, emission_of};
+use super::guide::{Finding, Guide, SQUARE, cell_at, square_of};
 use super::punctual::Target;
 use super::tally::luminance;
 use super::{EyeSurface, Reference, Site};
@@ -30,6 +31,39 @@ pub(super) struct LampPoints {
 impl LampPoints {
     fn next(random: &mut Sequence) -> Self {
         Self { pick: random.next_f32(), point: [random.next_f32(), random.next_f32()] }
+    }
+}
+
+/// A path under way.
+pub(super) struct Walk<'g> {
+    pub random: Sequence,
+    /// Where lamps' rays are tried; `None`: nowhere.
+    guide: Option<&'g Guide>,
+    /// Light that tries brought, if it is asked for.
+    findings: Option<Vec<Finding>>,
+}
+
+impl<'g> Walk<'g> {
+    /// A path of a seed.
+    pub fn new(seed: u64, guide: Option<&'g Guide>) -> Self {
+        Self { random: Sequence::new(seed), guide, findings: None }
+    }
+
+    /// A path that tells its findings.
+    pub fn telling(seed: u64, guide: &'g Guide) -> Self {
+        Self { findings: Some(Vec::new()), ..Self::new(seed, Some(guide)) }
+    }
+
+    /// The findings told.
+    pub fn into_findings(self) -> Vec<Finding> {
+        self.findings.unwrap_or_default()
+    }
+
+    fn tell(&mut self, region: u32, cell: u32, light: DVec3) {
+        let light = luminance(light);
+        if let Some(findings) = self.findings.as_mut().filter(|_| light > 0.0) {
+            findings.push(Finding { region, cell, light });
+        }
     }
 }
 
@@ -97,26 +131,78 @@ impl Reference<'_> {
             .fold(DVec3::ZERO, |sum, arrival| sum + arrival.irradiance)
     }
 
-    /// As [`Reference::by_punctual`], by one of the lights, chosen by its unshadowed irradiance.
-    fn by_one_punctual(&self, site: &Site, pick: f32) -> DVec3 {
-        if self.lamps.punctual.len() < 2 {
-            return self.by_punctual(site);
-        }
-        let power = |light: &super::punctual::Punctual| {
-            light.arrival(site).map_or(0.0, |arrival| luminance(arrival.irradiance))
+    /// As [`Reference::by_punctual`], by one of the lights, chosen by its unshadowed irradiance; and which one.
+    fn by_one_punctual(&self, site: &Site, pick: f32) -> Option<(usize, DVec3)> {
+        let arrivals = || {
+            let lamps = self.lamps.punctual.iter().enumerate();
+            lamps.filter_map(|(lamp, light)| Some((lamp, light.arrival(site)?)))
         };
-        let total: f64 = self.lamps.punctual.iter().map(power).sum();
+        let total: f64 = arrivals().map(|(_, arrival)| luminance(arrival.irradiance)).sum();
         let mut left = f64::from(pick) * total;
-        for light in &self.lamps.punctual {
-            let Some(arrival) = light.arrival(site) else { continue };
+        for (lamp, arrival) in arrivals() {
             let share = luminance(arrival.irradiance);
             if left < share {
                 let seen = self.sees(site, arrival.target);
-                return if seen { arrival.irradiance * (total / share) } else { DVec3::ZERO };
+                return seen.then(|| (lamp, arrival.irradiance * (total / share)));
             }
             left -= share;
         }
-        DVec3::ZERO
+        None
+    }
+
+    /// Irradiance by way of a surface that a lamp's ray, tried from the lamp, ends on: ρ E of it, weighted against the
+    /// direction from the site that would have met it (balance heuristic).
+    pub(super) fn by_beam(&self, site: &Site, walk: &mut Walk) -> DVec3 {
+        let Some(guide) = walk.guide else { return DVec3::ZERO };
+        // Try a ray of a cell that lit this region before.
+        let region = guide.region(site.position_m);
+        let Some((cell, chance)) = guide.pick(region, walk.random.next_f32()) else { return DVec3::ZERO };
+        let lamp = (cell / SQUARE) as usize;
+        let beam = &self.lamps.beams[lamp];
+        let within = [walk.random.next_f32(), walk.random.next_f32()];
+        let (from_m, direction) = beam.ray(square_of(cell, within));
+        let Some(hit) = self.geometry.tracer.closest(from_m, direction, f32::INFINITY) else {
+            return DVec3::ZERO;
+        };
+        // The lit side must face the site, and nothing stand between.
+        let met = self.met(&hit);
+        let by_direction = density_by_direction(site, &met.site);
+        if !met.lit || by_direction <= 0.0 {
+            return DVec3::ZERO;
+        }
+        let Some(arrival) = self.lamps.punctual[lamp].arrival(&met.site) else { return DVec3::ZERO };
+        if !self.sees(site, Target::At(met.site.ray_origin_m(self.offset_m()))) {
+            return DVec3::ZERO;
+        }
+        let by_beam = chance * f64::from(SQUARE) * beam.density(&met.site);
+        let albedo = Vec3::from(met.surface.albedo).as_dvec3();
+        // ρE/π · K cosθ/d² over the density, times its weight: K cosθ/d² is π `by_direction`.
+        let light = albedo * arrival.irradiance * (by_direction / (by_direction + by_beam));
+        walk.tell(region, cell, light);
+        light
+    }
+
+    /// Weight of a lamp's light on a site that a direction from `from` met, against the lamp's own rays.
+    fn met_beam_weight(&self, from: From, lamp: usize, met: &Site, walk: &Walk) -> (f64, Option<(u32, u32)>) {
+        let (Some((site, _)), Some(guide)) = (from, walk.guide) else { return (1.0, None) };
+        let beam = &self.lamps.beams[lamp];
+        let cell = cell_at(lamp, beam.square_at(met.position_m));
+        let region = guide.region(site.position_m);
+        let by_beam = guide.chance(region, cell) * f64::from(SQUARE) * beam.density(met);
+        let by_direction = density_by_direction(site, met);
+        let weight = if by_beam > 0.0 { by_direction / (by_direction + by_beam) } else { 1.0 };
+        (weight, Some((region, cell)))
+    }
+
+    /// Irradiance straight from points, spots and suns at a site that a direction met.
+    fn by_punctual_met(&self, from: From, met: &HitSurface, walk: &mut Walk) -> DVec3 {
+        let pick = walk.random.next_f32();
+        let Some((lamp, light)) = self.by_one_punctual(&met.site, pick) else { return DVec3::ZERO };
+        let (weight, found) = self.met_beam_weight(from, lamp, &met.site, walk);
+        if let Some((region, cell)) = found {
+            walk.tell(region, cell, Vec3::from(met.surface.albedo).as_dvec3() * light * weight);
+        }
+        light * weight
     }
 
     fn sees(&self, site: &Site, target: Target) -> bool {
@@ -200,7 +286,7 @@ impl Reference<'_> {
         site: Option<&Site>,
         origin_m: Vec3,
         direction: Vec3,
-        random: &mut Sequence,
+        walk: &mut Walk,
     ) -> Gathered {
         let first_chances = site.map(|site| self.lamps.emitters.chances(site));
         let mut from: Option<(Site, Chances)> = site.copied().zip(first_chances);
@@ -235,18 +321,18 @@ impl Reference<'_> {
             throughput *= Vec3::from(met.surface.albedo).as_dvec3();
             if vertex >= ROULETTE_FROM {
                 let survival = throughput.max_element().min(SURVIVAL_MAX);
-                if f64::from(random.next_f32()) >= survival {
+                if f64::from(walk.random.next_f32()) >= survival {
                     break;
                 }
                 throughput /= survival;
             }
             // Sample the lamps from here (next-event estimation).
             let chances = self.lamps.emitters.chances(&met.site);
-            let straight = self.by_lamps(&met.site, &chances, random);
+            let straight = self.by_punctual_met(by, &met, walk) + self.by_lamps(&met.site, &chances, walk);
             gathered.rest += throughput * straight / PI;
             // Go on in a direction of density K/π, which cancels the cosine: the throughput stays the albedo's product.
             origin_m = met.site.ray_origin_m(self.offset_m());
-            direction = met.site.direction([random.next_f32(), random.next_f32()]);
+            direction = met.site.direction([walk.random.next_f32(), walk.random.next_f32()]);
             from = Some((met.site, chances));
         }
         gathered
@@ -264,14 +350,13 @@ impl Reference<'_> {
         (panels + emission, Some(surface))
     }
 
-    /// Irradiance from one sample of each kind of lamp.
-    fn by_lamps(&self, site: &Site, chances: &Chances, random: &mut Sequence) -> DVec3 {
-        let pick = random.next_f32();
-        let mut points = || LampPoints::next(random);
-        self.by_one_punctual(site, pick)
-            + self.by_panels(site, points())
+    /// Irradiance from one sample of each kind of lamp with extent, and by one ray of a lamp without.
+    fn by_lamps(&self, site: &Site, chances: &Chances, walk: &mut Walk) -> DVec3 {
+        let mut points = || LampPoints::next(&mut walk.random);
+        let straight = self.by_panels(site, points())
             + self.by_emitters(site, chances, points())
-            + self.by_sky(site, points())
+            + self.by_sky(site, points());
+        straight + self.by_beam(site, walk)
     }
 
     /// Radiance of the panels that a ray passes, weighted against sampling them.
@@ -317,4 +402,15 @@ impl Reference<'_> {
         });
         sky.radiance(direction) * weight
     }
+}
+
+/// Density per m² with which directions from a site, of density K/π, end on another that faces it.
+fn density_by_direction(from: &Site, to: &Site) -> f64 {
+    let way = to.position_m - from.position_m;
+    let squared_m2 = f64::from(way.length_squared());
+    if squared_m2 <= 0.0 {
+        return 0.0;
+    }
+    let direction = way / way.length();
+    from.density(direction) * f64::from(-direction.dot(to.face_normal)).max(0.0) / squared_m2
 }

@@ -4,6 +4,7 @@ use glam::{DVec3, Vec3};
 use lightkiln_proto::scene::SceneCamera;
 use rayon::prelude::*;
 
+use super::path::Walk;
 use super::{Reference, Site};
 use crate::rays::Hit;
 use crate::rays::sampling::{Sequence, seed_of};
@@ -70,8 +71,9 @@ impl Reference<'_> {
         size: &PictureSize,
         progress: &Progress,
     ) -> Result<TracedPicture, Cancelled> {
-        traced(camera, size, progress, |origin_m, direction, random| {
-            let gathered = self.arriving(None, origin_m, direction, random);
+        let guide = self.guide(progress)?;
+        traced(camera, size, progress, |origin_m, direction, seed| {
+            let gathered = self.arriving(None, origin_m, direction, &mut Walk::new(seed, guide));
             gathered.panels + gathered.rest
         })
     }
@@ -99,7 +101,7 @@ fn traced(
     camera: &SceneCamera,
     size: &PictureSize,
     progress: &Progress,
-    radiance: impl Fn(Vec3, Vec3, &mut Sequence) -> DVec3 + Sync,
+    radiance: impl Fn(Vec3, Vec3, u64) -> DVec3 + Sync,
 ) -> Result<TracedPicture, Cancelled> {
     let pixels: Vec<[f32; 3]> = (0..size.width * size.height)
         .into_par_iter()
@@ -115,7 +117,7 @@ fn traced(
                     .map(|cell| (cell as f32 + jitter.next_f32()) / size.grid as f32);
                 let at = [x as f32 + within[0], y as f32 + within[1]];
                 let (origin_m, direction) = camera_ray(camera, size, at);
-                sum += radiance(origin_m, direction, &mut random);
+                sum += radiance(origin_m, direction, random.next_u64());
             }
             Ok((sum / f64::from(size.grid * size.grid)).as_vec3().to_array())
         })

@@ -14,20 +14,20 @@ const RIM_MIN_RAD: f32 = 5e-4;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Punctual {
     strength: DVec3,
-    shape: Shape,
+    pub(super) shape: Shape,
 }
 
 #[derive(Clone, Copy, Debug)]
-enum Shape {
+pub(super) enum Shape {
     Lamp { position_m: Vec3, range_m: Option<f32>, cone: Option<Cone> },
     Sun { towards: Vec3 },
 }
 
 #[derive(Clone, Copy, Debug)]
-struct Cone {
-    direction: Vec3,
+pub(super) struct Cone {
+    pub direction: Vec3,
     cos_inner: f32,
-    cos_outer: f32,
+    pub cos_outer: f32,
 }
 
 /// Irradiance that arrives unshadowed, and the place of the light.

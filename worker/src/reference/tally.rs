@@ -57,8 +57,17 @@ impl Tally {
 
     /// The mean and its error: √(Σ(x − x̄)² / (n(n − 1))).
     pub fn estimate(&self) -> Estimate {
+        self.estimate_beside([0.0; 4], 0.0)
+    }
+
+    /// The mean and its error, the variance of batches known beforehand as `prior`, from so many of them:
+    /// √((Σ(x − x̄)² + m v) / (n(n − 1 + m))).
+    pub fn estimate_beside(&self, prior: [f64; 4], prior_batches: f64) -> Estimate {
         let count = f64::from(self.count);
-        let error = self.squares.map(|sum| (sum / (count * (count - 1.0)).max(1.0)).sqrt());
+        let divisor = (count * (count - 1.0 + prior_batches)).max(1.0);
+        let error: [f64; 4] = std::array::from_fn(|channel| {
+            ((self.squares[channel] + prior_batches * prior[channel]) / divisor).sqrt()
+        });
         Estimate {
             mean: DVec3::new(self.mean[0], self.mean[1], self.mean[2]),
             error: DVec3::new(error[0], error[1], error[2]),

@@ -53,7 +53,8 @@ fn sphere_above_a_plane_gives_its_squared_sine() {
         let wanted = PI * f64::from(radiance) * f64::from(radius).powi(2) * to.y / to.length().powi(3);
         // The faceted sphere is a little smaller than the round one: by some (π/96)² of its outline.
         let off = (found.mean.y / wanted - 1.0).abs();
-        assert!(found.error.y < 0.007 * wanted, "{found:?}");
+        // The pilot knows the variance within a third, hence the error within a sixth, and this is a single site.
+        assert!(found.error.y < 0.008 * wanted, "{found:?}");
         assert!(off < 4.0 * found.error.y / wanted + 0.002, "{} wanted {wanted}", found.mean.y);
     }
 }

@@ -4,6 +4,7 @@ mod agreement;
 mod energy;
 mod form_factors;
 mod furnace;
+mod openings;
 mod rooms;
 
 use std::f64::consts::PI;
