@@ -2,10 +2,12 @@
 
 use std::collections::BTreeMap;
 
+use glam::DVec3;
 use serde::Serialize;
 
 use super::evaluator::{Evaluator, LightResult};
-use crate::reference::luminance;
+use super::figures::signed_root;
+use crate::reference::{IrradianceEstimate, luminance};
 
 /// The error of one cluster over some lights.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -16,7 +18,8 @@ pub struct ClusterError {
     pub position_m: [f32; 3],
     /// Sampled receivers in it.
     pub receivers: usize,
-    /// Root mean square over lights and sampled receivers of the error over the light's mean, noise subtracted.
+    /// Root mean square over lights and sampled receivers of the error over the light's mean, signed as
+    /// [`super::Figures::rel_rmse`].
     pub rel_rmse: f64,
     /// Mean of the signed error over the light's mean.
     pub rel_bias: f64,
@@ -48,12 +51,11 @@ pub fn cluster_errors(evaluator: &Evaluator, results: &[LightResult]) -> Vec<Clu
             if mean <= 0.0 {
                 continue;
             }
-            let reference = &result.reference[index].indirect;
-            let error = (luminance(result.baked[index]) - reference.luminance()) / mean;
-            let noise = reference.luminance_error / mean;
+            let IrradianceEstimate { indirect, halves, .. } = &result.reference[index];
+            let error = |light: DVec3| (luminance(result.baked[index]) - luminance(light)) / mean;
             sums.area += sampled.area_m2;
-            sums.squares += sampled.area_m2 * (error * error - noise * noise);
-            sums.bias += sampled.area_m2 * error;
+            sums.squares += sampled.area_m2 * error(halves[0]) * error(halves[1]);
+            sums.bias += sampled.area_m2 * error(indirect.mean);
         }
     }
     let mut errors: Vec<ClusterError> = by_cluster
@@ -63,7 +65,7 @@ pub fn cluster_errors(evaluator: &Evaluator, results: &[LightResult]) -> Vec<Clu
             cluster,
             position_m: (sums.position / sums.receivers as f32).to_array(),
             receivers: sums.receivers,
-            rel_rmse: (sums.squares / sums.area).max(0.0).sqrt(),
+            rel_rmse: signed_root(sums.squares / sums.area),
             rel_bias: sums.bias / sums.area,
         })
         .collect();

@@ -5,7 +5,7 @@ use lightkiln_proto::scene::LightKind;
 
 use super::error::EvaluationError;
 use super::evaluated::{Evaluated, Measure, Place, Relit};
-use super::figures::{Figures, Pair};
+use super::figures::{Draw, Figures, Pair};
 use super::lights::{Chosen, TestLight, default_lights};
 use super::sample::Sample;
 use super::solid::check_place;
@@ -62,6 +62,10 @@ pub struct LightResult {
     pub light: TestLight,
     /// Error figures.
     pub figures: Figures,
+    /// Those of draws of the sample.
+    pub draws: Vec<Draw>,
+    /// Whether the light reaches enough of the sample for figures that say something.
+    pub counts: bool,
     /// The error by the kind's classes.
     pub classes: Vec<ClassResult>,
     /// Baked E_ind of the sample's places, W·m⁻²; zero for those that the bake left out as unreachable.
@@ -169,11 +173,24 @@ impl Evaluator {
         let found: Vec<Option<DVec3>> = places.iter().map(|place| relit.irradiance(place)).collect();
         let counted = counted(&found, &estimates);
         let baked: Vec<DVec3> = found.into_iter().map(Option::unwrap_or_default).collect();
-        let figures = Figures::of(&self.pairs(&baked, &estimates, &counted));
+        let (figures, draws) = Figures::of(&self.pairs(&baked, &estimates, &counted));
+        let counts = figures.says_something(&draws);
         let classes = self.classes(relit.as_ref(), &places, &estimates, &counted, figures.mean_irradiance);
         let (bounces, converged) = relit.bounces();
         let light = light.clone();
-        Ok(LightResult { light, figures, classes, baked, reference: estimates, counted, bounces, converged })
+        let reference = estimates;
+        Ok(LightResult {
+            light,
+            figures,
+            draws,
+            counts,
+            classes,
+            baked,
+            reference,
+            counted,
+            bounces,
+            converged,
+        })
     }
 
     /// The kind's classes, relative to the mean of the reference.
@@ -189,7 +206,7 @@ impl Evaluator {
             let (rel_rmse, at_sample) = match class.measure {
                 Measure::Rms(rms) => (rms / mean_irradiance.max(f64::MIN_POSITIVE), Vec::new()),
                 Measure::AtSample(found) => {
-                    (Figures::of(&self.pairs(&found, estimates, counted)).rel_rmse, found)
+                    (Figures::of(&self.pairs(&found, estimates, counted)).0.rel_rmse, found)
                 }
             };
             ClassResult { name: class.name, about: class.about, rel_rmse, at_sample }
@@ -203,7 +220,7 @@ impl Evaluator {
             .map(|(((sampled, found), estimate), _)| Pair {
                 area_m2: sampled.area_m2,
                 found: *found,
-                reference: estimate.indirect,
+                reference: *estimate,
             })
             .collect()
     }

@@ -19,7 +19,7 @@ pub use clusters::{ClusterError, cluster_errors};
 pub use error::EvaluationError;
 pub use evaluated::{Answer, ChunkBytes, ErrorClass, Evaluated, EvaluatedLightmap, Measure, Place, Relit};
 pub use evaluator::{ClassResult, Evaluator, LightResult, Options};
-pub use figures::{Figures, Pair};
+pub use figures::{Draw, Figures, Intervals, Pair};
 pub use light_file::lights_of_file;
 pub use lights::{Chosen, TestLight, default_lights};
 pub use sample::{Sample, Sampled};

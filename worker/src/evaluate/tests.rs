@@ -104,10 +104,10 @@ fn radiosity_on_texels_agrees_with_the_path_tracer() {
         .map(|(sampled, estimate)| Pair {
             area_m2: sampled.area_m2,
             found: light[sampled.place.number.unwrap() as usize],
-            reference: estimate.indirect,
+            reference: *estimate,
         })
         .collect();
-    let figures = Figures::of(&pairs);
+    let (figures, _) = Figures::of(&pairs);
     assert!((figures.energy_ratio - 1.0).abs() < 0.015, "{figures:?}");
     assert!(figures.rel_rmse < 0.06, "{figures:?}");
     assert!(figures.channel_energy_ratios.iter().all(|ratio| (ratio - 1.0).abs() < 0.02), "{figures:?}");

@@ -12,7 +12,7 @@ use lightkiln_worker::evaluate::{ClusterError, Figures, cluster_errors};
 use super::heat::{Bitmap, FULL_COLOUR, colour};
 use super::measure::Measured;
 use super::pictures::LightPictures;
-use super::table::{Classes, Evaluation};
+use super::table::{Classes, Evaluation, energy_words, rmse_words};
 use crate::failure::{Exit, Failure, Result};
 
 /// Name of the page in its folder.
@@ -78,15 +78,14 @@ fn page(measured: &Measured, pictures: &[LightPictures]) -> Result<String> {
 
 fn table(evaluation: &Evaluation, pictures: &[LightPictures]) -> String {
     let mut html =
-        "<table><tr><th>light<th>relative RMSE<th>energy ratio<th>p95<th>p99<th>red<th>green<th>blue\
+        "<table><tr><th>light<th>relative RMSE, 95 %<th>energy ratio, 95 %<th>p95<th>p99<th>red<th>green<th>blue\
         "
         .to_owned();
     evaluation.classes.keys().for_each(|name| html += &format!("<th>{}", escaped(name)));
     html += "<th>reference’s error<th>ꟻLIP";
     let mut row = |name: &str, figures: &Figures, classes: &Classes, flip: Option<f64>| {
         let percent = |value: f64| format!("<td>{:.2} %", 100.0 * value);
-        html +=
-            &format!("<tr><td>{}{}<td>{:.3}", escaped(name), percent(figures.rel_rmse), figures.energy_ratio);
+        html += &format!("<tr><td>{}<td>{}<td>{}", escaped(name), rmse_words(figures), energy_words(figures));
         let shares =
             [figures.p95, figures.p99, figures.channels[0], figures.channels[1], figures.channels[2]];
         for value in shares.into_iter().chain(classes.values().copied()).chain([figures.reference_rel_error])
@@ -104,8 +103,10 @@ fn table(evaluation: &Evaluation, pictures: &[LightPictures]) -> String {
 
 fn notes(evaluation: &Evaluation, classes: &str) -> String {
     let mut html = format!(
-        "<p>E_ind at {} places, weighted by area, over the mean of the reference. The reference’s variance is \
-         subtracted from the squared errors, not from the percentiles; its standard error was asked to be {:.1} % of \
+        "<p>E_ind at {} places, weighted by area, over the mean of the reference. Squares are \
+         products of the errors against two halves of the reference, so that its noise cancels; where they sum up to less \
+         than 0, the error is lost in it and its sign is minus. Intervals hold the noise and the choice of places, \
+         percentiles the noise. The reference’s standard error was asked to be {:.1} % of \
          the mean, or of the geometric mean of it and the value where that is brighter. {} Of {} chunks of light, {} were made \
          anew to tell these apart. All lights: root mean square over lights, mean of energy ratios. {:.2} % of the lit \
          area is too small or too deep for the bake; {:.1} % more lies in \

@@ -90,6 +90,11 @@ fn summed_up(
     notes.extend(
         unsettled.map(|result| format!("under '{}' the bounces had not converged", result.light.name)),
     );
+    let dim = results.iter().filter(|result| !result.counts);
+    notes.extend(dim.map(|result| {
+        let name = &result.light.name;
+        format!("'{name}' reaches too few of the places to be measured by them: 'all' is without it; raise --receivers")
+    }));
     let (figures, classes) = over_lights(&lights);
     let [units_made_anew, chunks_made_anew] = evaluator.bake().traced();
     let mut worst_clusters = cluster_errors(evaluator, results);

@@ -1,7 +1,7 @@
 //! The figures of an evaluation: as JSON, whose keys are a contract, and as a table for people.
 
 use indexmap::IndexMap;
-use lightkiln_worker::evaluate::{ClusterError, Figures, LightResult};
+use lightkiln_worker::evaluate::{ClusterError, Draw, Figures, LightResult};
 use serde::Serialize;
 
 /// Errors relative to the mean of the reference by their class, in the order in which the kind of bake names them.
@@ -14,7 +14,7 @@ pub struct Evaluation {
     pub scene: String,
     /// Places measured at.
     pub receivers: usize,
-    /// Root mean square over lights of each error; means over lights of energy ratios. Beside `rel_rmse`, `energy_ratio`,
+    /// Root mean square over the lights that count of each error; means of energy ratios. Beside `rel_rmse`, `energy_ratio`,
     /// `p95`, `p99` also per channel.
     #[serde(flatten)]
     pub figures: Figures,
@@ -54,6 +54,11 @@ pub struct LightRow {
     pub classes: Classes,
     /// Bounces until the light changed no more.
     pub bounces: usize,
+    /// Whether the light reaches enough places to count among all lights.
+    pub counts: bool,
+    /// Figures of draws of the places.
+    #[serde(skip)]
+    pub draws: Vec<Draw>,
 }
 
 impl LightRow {
@@ -65,50 +70,61 @@ impl LightRow {
             figures: result.figures,
             classes: result.classes.iter().map(|class| (class.name, class.rel_rmse)).collect(),
             bounces: result.bounces,
+            counts: result.counts,
+            draws: result.draws.clone(),
         }
     }
 }
 
-/// Root mean square over lights of errors, mean of ratios.
+/// Figures and classes of the lights that count, together.
 pub fn over_lights(rows: &[LightRow]) -> (Figures, Classes) {
-    let count = rows.len().max(1) as f64;
-    let mean = |of: &dyn Fn(&LightRow) -> f64| rows.iter().map(of).sum::<f64>() / count;
-    let root = |of: &dyn Fn(&LightRow) -> f64| mean(&|row| of(row).powi(2)).sqrt();
-    let figures = Figures {
-        rel_rmse: root(&|row| row.figures.rel_rmse),
-        energy_ratio: mean(&|row| row.figures.energy_ratio),
-        p95: root(&|row| row.figures.p95),
-        p99: root(&|row| row.figures.p99),
-        channels: [0, 1, 2].map(|c| root(&|row| row.figures.channels[c])),
-        channel_energy_ratios: [0, 1, 2].map(|c| mean(&|row| row.figures.channel_energy_ratios[c])),
-        reference_rel_error: root(&|row| row.figures.reference_rel_error),
-        mean_irradiance: mean(&|row| row.figures.mean_irradiance),
+    let rows: Vec<&LightRow> = rows.iter().filter(|row| row.counts).collect();
+    let lights: Vec<(Figures, &[Draw])> = rows.iter().map(|row| (row.figures, &row.draws[..])).collect();
+    let of_class = |name: &'static str| {
+        let errors = rows.iter().map(|row| row.classes.get(name).copied().unwrap_or_default());
+        let mean = errors.map(|error| error * error.abs()).sum::<f64>() / rows.len() as f64;
+        (name, mean.abs().sqrt().copysign(mean))
     };
-    let of_class =
-        |name: &'static str| (name, root(&|row| row.classes.get(name).copied().unwrap_or_default()));
     let names = rows.first().into_iter().flat_map(|row| row.classes.keys().copied());
-    (figures, names.map(of_class).collect())
+    (Figures::over_lights(&lights), names.map(of_class).collect())
+}
+
+/// The relative error with its 95 % interval, in %.
+pub fn rmse_words(figures: &Figures) -> String {
+    let [low, high] = figures.interval_95.rel_rmse.map(|end| 100.0 * end);
+    format!("{:.2} ({low:.2} to {high:.2}) %", 100.0 * figures.rel_rmse)
+}
+
+/// The energy ratio with its 95 % interval.
+pub fn energy_words(figures: &Figures) -> String {
+    let [low, high] = figures.interval_95.energy_ratio;
+    format!("{:.3} ({low:.3} to {high:.3})", figures.energy_ratio)
 }
 
 /// A table for people.
 pub fn words(evaluation: &Evaluation) -> String {
-    let mut text = format!("{:<14} {:>8} {:>7} {:>7} {:>7}", "light", "rel RMSE", "energy", "p95", "p99");
+    let mut text = format!(
+        "{:<14} {:>22} {:>21} {:>7} {:>7} {:>7}",
+        "light", "rel RMSE, 95 %", "energy, 95 %", "p95", "p99", ">25 %"
+    );
     evaluation.classes.keys().for_each(|name| text += &format!(" {name:>13}"));
     text += &format!(" {:>9}\n", "reference");
     let mut line = |name: &str, figures: &Figures, classes: &Classes| {
         text += &format!(
-            "{:<14} {:>6.2} % {:>7.3} {:>5.1} % {:>5.1} %",
+            "{:<14} {:>22} {:>21} {:>5.1} % {:>5.1} % {:>5.1} %",
             name,
-            100.0 * figures.rel_rmse,
-            figures.energy_ratio,
+            rmse_words(figures),
+            energy_words(figures),
             100.0 * figures.p95,
             100.0 * figures.p99,
+            100.0 * figures.area_above[1],
         );
         classes.values().for_each(|error| text += &format!(" {:>11.2} %", 100.0 * error));
         text += &format!(" {:>7.2} %\n", 100.0 * figures.reference_rel_error);
     };
     for row in &evaluation.lights {
-        line(&row.name, &row.figures, &row.classes);
+        let name = if row.counts { row.name.clone() } else { format!("({})", row.name) };
+        line(&name, &row.figures, &row.classes);
     }
     line("all", &evaluation.figures, &evaluation.classes);
     text += &format!(
