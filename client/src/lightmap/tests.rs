@@ -125,7 +125,9 @@ fn emitters_scale_their_own_irradiance() {
 fn kind_that_needs_a_lightmap_refuses_a_manifest_without() {
     let kinds = lightkiln_proto::kinds::Kinds::new();
     for kind in ["prt", "sh"] {
-        let whole = manifest(kind);
+        let folder = tempfile::tempdir().unwrap();
+        crate::fixture::write_bundle(folder.path(), kind);
+        let (_, whole) = crate::fetch::Source::bundle(folder.path()).unwrap().manifest().unwrap();
         kinds.check(&whole).map(|_| ()).unwrap();
         let without = Manifest { lightmap: None, ..whole };
         let error = kinds.check(&without).map(|_| ()).unwrap_err().to_string();
