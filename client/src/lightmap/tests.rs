@@ -120,3 +120,17 @@ fn emitters_scale_their_own_irradiance() {
     assert!(once.iter().any(|e| e.x > 0.0) && once.iter().any(|e| e.x == 0.0));
     assert!(once.iter().zip(&thrice).all(|(once, thrice)| (*once * 3.0 - *thrice).length() < 1e-6));
 }
+
+#[test]
+fn kind_that_needs_a_lightmap_refuses_a_manifest_without() {
+    let kinds = lightkiln_proto::kinds::Kinds::new();
+    for kind in ["prt", "sh"] {
+        let folder = tempfile::tempdir().unwrap();
+        crate::fixture::write_bundle(folder.path(), kind);
+        let (_, whole) = crate::fetch::Source::bundle(folder.path()).unwrap().manifest().unwrap();
+        kinds.check(&whole).map(|_| ()).unwrap();
+        let without = Manifest { lightmap: None, ..whole };
+        let error = kinds.check(&without).map(|_| ()).unwrap_err().to_string();
+        assert!(error.contains("no lightmap"), "{error}");
+    }
+}

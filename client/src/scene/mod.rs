@@ -1,4 +1,4 @@
-//! The scene of a bake: manifest, meshes, textures and the lightmap's layout, which every kind of bake has.
+//! The scene of a bake: manifest, meshes, textures, and the lightmap's layout if it has one.
 
 mod draws;
 mod lightmap;

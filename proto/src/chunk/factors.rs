@@ -237,10 +237,10 @@ fn total(values: &[i32]) -> u64 {
     values.iter().map(|value| u64::from(value.unsigned_abs())).sum()
 }
 
-/// Decodes the three sections of rows without levels. `shape` is the chunk head's: the caller has checked its limits
-/// ([`FactorShape::check`]), the lengths of the sections ([`FactorShape::bytes_max`]) and that the chunk may ask for so much
-/// memory ([`FactorShape::decoded_bytes`]).
+/// Decodes the three sections of rows without levels. `shape` is the chunk head's: its limits are checked here, the
+/// lengths of the sections ([`FactorShape::bytes_max`]) by the caller, before it unpacks them.
 pub fn decode_factors(shape: FactorShape, sections: [&[u8]; 3]) -> Result<TransportFactors, ChunkError> {
+    shape.check("factors")?;
     let [base, high, low] = sections;
     let mut decoder = FactorDecoder::new(shape, shape.full());
     let mut reader = Reader::new("base", base);

@@ -8,7 +8,6 @@ use std::ops::Range;
 use super::error::{ChunkError, in_range};
 use super::limits::{BANDS_MAX, CLUSTER_KEYS_MAX, RANK_MAX, RECEIVERS_MAX, VT_ENTRIES_MAX};
 use super::order::LEVELS_MAX;
-use crate::content::TransportFactors;
 use crate::manifest::Layer;
 
 /// Ends of the groups of ranks: 0–8, 8–16, 16–32, 32–64.
@@ -54,12 +53,6 @@ impl LayerBox {
 }
 
 impl FactorShape {
-    /// Of factors of so many rows without levels.
-    pub fn of_rows(rows: usize, factors: &TransportFactors) -> Self {
-        let TransportFactors { ref keys, sky, bands, rank, .. } = *factors;
-        Self { counts: [rows, 0, 0, 0], levels: 1, keys: keys.len(), sky, bands, rank }
-    }
-
     /// Errs if a count passes its limit.
     pub fn check(&self, section: &'static str) -> Result<(), ChunkError> {
         let limit =

@@ -42,7 +42,8 @@ pub trait Kind: Send + Sync {
     /// Rows of chunk kinds that are the kind's own.
     fn chunks(&self) -> &'static [ChunkRow];
 
-    /// Checks settings and body of a manifest of this kind.
+    /// Checks a manifest of this kind, all but its settings: those who draw a bake need none, and whoever reads them
+    /// ([`Manifest::settings`]) is told what is wrong with them.
     fn check(&self, manifest: &Manifest) -> Result<(), ManifestError>;
 
     /// Figures of a bake for its summary: a few, whose names are a contract.

@@ -84,7 +84,6 @@ impl Kind for Ambient {
     }
 
     fn check(&self, manifest: &Manifest) -> Result<(), ManifestError> {
-        manifest.settings::<Settings>()?;
         manifest.body::<Body>()?;
         match manifest.chunks(ROLE).len() {
             1 => Ok(()),

@@ -7,7 +7,7 @@ use lightkiln_proto::manifest::{ChunkRef, Manifest};
 use lightkiln_worker::assemble::{KindPart, assembled};
 use lightkiln_worker::evaluate::{Answer, ChunkBytes, Evaluated, EvaluationError, Place, Relit};
 use lightkiln_worker::geometry::{Geometry, Site};
-use lightkiln_worker::kinds::{BakeKind, TaskRow};
+use lightkiln_worker::kinds::{BakeKind, BakeKinds, TaskRow};
 use lightkiln_worker::rays::Hit;
 use lightkiln_worker::reference::{Lighting, Reference};
 use lightkiln_worker::scene::{Bundle, Limits, import};
@@ -30,6 +30,7 @@ impl BakeKind for Ambient {
 
     fn evaluated(
         &self,
+        _: &BakeKinds,
         manifest: &Manifest,
         scene: Vec<u8>,
         bytes: ChunkBytes,

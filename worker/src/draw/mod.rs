@@ -14,15 +14,19 @@ use crate::scene::surface::normal_of;
 use crate::task::{Context, TaskError, TaskOutput};
 use crate::unwrap::UnwrappedTriangle;
 
-/// Triangles after which a geometry chunk is closed.
+/// Triangles after which a geometry chunk is closed; most triangles of a draw outside a lightmap.
 const CHUNK_TRIANGLES: usize = 200_000;
+/// Draws after which a geometry chunk is closed.
+const CHUNK_DRAWS: usize = 1 << 15;
 
 /// Runs the task: inputs `import/scene` and, for a lightmap, `unwrap/unwrap`; outputs `geometry/N`, `texture/N`.
 pub fn run(context: &Context, _: &TaskSpec) -> Result<TaskOutput, TaskError> {
     let (scene, _): (Scene, _) = context.decoded(crate::scene::ARTEFACT_MAGIC, crate::scene::ARTEFACT)?;
     let mut artefacts = match Charts::if_any(context)? {
         Some(charts) => geometry_chunks(draws_in_lightmap(&scene, &charts)?)?,
-        None => geometry_chunks(scene.instances.iter().map(|instance| draw_as_it_is(&scene, instance)))?,
+        None => {
+            geometry_chunks(scene.instances.iter().flat_map(|instance| draws_as_they_are(&scene, instance)))?
+        }
     };
     for (index, image) in scene.images.iter().enumerate() {
         let bytes = encode_texture(&image.media_type, &image.bytes).map_err(|error| {
@@ -47,7 +51,7 @@ fn geometry_chunks(draws: impl IntoIterator<Item = Draw>) -> Result<Vec<(String,
     for draw in draws {
         triangles += draw.triangles.len();
         open.draws.push(draw);
-        if triangles >= CHUNK_TRIANGLES {
+        if triangles >= CHUNK_TRIANGLES || open.draws.len() >= CHUNK_DRAWS {
             triangles = 0;
             close(&mut open)?;
         }
@@ -77,14 +81,20 @@ fn draws_in_lightmap<'a>(
 }
 
 /// An instance's own vertices and triangles, outside any lightmap.
-fn draw_as_it_is(scene: &Scene, instance: &MeshInstance) -> Draw {
+fn draws_as_they_are<'a>(scene: &'a Scene, instance: &'a MeshInstance) -> impl Iterator<Item = Draw> + 'a {
     let source = Source::of(scene, instance);
-    let mut draw = source.empty_draw();
-    for vertex in 0..instance.positions_m.len() as u32 {
-        source.push_vertex(&mut draw, [vertex; 3], [1.0, 0.0, 0.0]);
-    }
-    draw.triangles = instance.triangles.clone();
-    draw
+    instance.triangles.chunks(CHUNK_TRIANGLES).map(move |triangles| {
+        let mut draw = source.empty_draw();
+        let mut seen: BTreeMap<u32, u32> = BTreeMap::new();
+        let mut add = |vertex: u32| {
+            *seen.entry(vertex).or_insert_with(|| {
+                source.push_vertex(&mut draw, [vertex; 3], [1.0, 0.0, 0.0]);
+                draw.position_m.len() as u32 - 1
+            })
+        };
+        let triangles = triangles.iter().map(|corners| corners.map(&mut add)).collect();
+        Draw { triangles, ..draw }
+    })
 }
 
 /// Vertices and triangles of one part; vertices that agree in everything are shared.
@@ -174,14 +184,14 @@ mod tests {
     use crate::kinds::{BakeKinds, Runner};
     use crate::task::{ArtefactSource, LocalRun, Progress};
 
-    /// Corners of a triangle as bits: positions, normals, texture coordinates.
-    type Corners = [([u32; 3], [u32; 3], Option<[u32; 2]>); 3];
+    /// Corners of a triangle as bits: positions, normals, texture coordinates, colours.
+    type Corners = [([u32; 3], [u32; 3], Option<[u32; 2]>, Option<[u32; 4]>); 3];
 
     /// Triangles of all draws, sorted; and how many draws lie in a lightmap.
     fn drawn(tasks: impl FnOnce(SceneTasks) -> SceneTasks) -> (Vec<Corners>, usize, usize) {
         let progress = Progress::new();
         let mut run = LocalRun::new(1 << 30, &progress);
-        let bundle = run.shelf.put(include_bytes!("../../../tests/scenes/cornell.glb").to_vec());
+        let bundle = run.shelf.put(include_bytes!("../../../tests/scenes/atrium.glb").to_vec());
         let plan = tasks(SceneTasks::of(bundle)).into_specs().collect();
         run.run(&Runner::new(&BakeKinds::new()), plan, |_| true, |_| {}).unwrap();
         let bytes = run.shelf.get(run.output("scene.draw", "geometry/0").unwrap()).unwrap();
@@ -189,7 +199,8 @@ mod tests {
         let corner = |draw: &Draw, vertex: u32| {
             let vertex = vertex as usize;
             let uv = draw.uv.get(vertex).map(|uv| uv.map(f32::to_bits));
-            (draw.position_m[vertex].map(f32::to_bits), draw.normal[vertex].map(f32::to_bits), uv)
+            let colour = draw.colour.get(vertex).map(|colour| colour.map(f32::to_bits));
+            (draw.position_m[vertex].map(f32::to_bits), draw.normal[vertex].map(f32::to_bits), uv, colour)
         };
         let of_draw = |draw: &Draw| -> Vec<Corners> {
             draw.triangles.iter().map(|triangle| triangle.map(|vertex| corner(draw, vertex))).collect()
@@ -206,6 +217,7 @@ mod tests {
         assert_eq!(in_lightmap, all);
         let (outside, in_lightmap, _) = drawn(|tasks| tasks);
         assert_eq!(in_lightmap, 0);
-        assert!(inside.len() > 20 && inside == outside);
+        assert!(inside.len() > 1000 && inside == outside);
+        assert!(inside.iter().any(|corners| corners[0].2.is_some()), "no draw has texture coordinates");
     }
 }

@@ -11,7 +11,8 @@ use crate::rays::Hit;
 pub struct Sampled {
     /// The place.
     pub place: Place,
-    /// Area in m²; those of a sample sum up to the scene's, less the area without an answer.
+    /// Area in m², or the weight that a kind's own sample gives it; those of a sample of surfaces sum up to the scene's, less
+    /// the area without an answer.
     pub area_m2: f64,
 }
 

@@ -11,6 +11,7 @@ use lightkiln_proto::relight::{Columns, Inconsistent, SlotTable};
 use super::anew::{Anew, wide};
 use super::baked::{Baked, Light};
 use super::{ClusterCell, Transport, cells_of_task};
+use crate::emitters::emitter_of_material;
 use crate::evaluate::{
     Answer, ChunkBytes, ErrorClass, Evaluated, EvaluatedLightmap, EvaluationError, Measure, Place, Relit,
 };
@@ -176,6 +177,10 @@ impl<C: Columns> Relit for RelitBake<'_, C> {
 fn same_world<C>(manifest: &Manifest, world: &World, baked: &Baked<C>) -> Result<Vec<u32>, EvaluationError> {
     let (lightmap, baked_m) = (&world.lightmap, manifest.layout()?.texel_m);
     let other = |what: String| EvaluationError::OtherStage { what };
+    let emitters = emitter_of_material(&world.geometry.scene).iter().flatten().count();
+    if emitters != manifest.emitters.len() {
+        return Err(other(format!("{emitters} emissive materials, not {}", manifest.emitters.len())));
+    }
     if lightmap.texel_m != baked_m {
         return Err(other(format!("texels of {} m, not {baked_m} m", lightmap.texel_m)));
     }

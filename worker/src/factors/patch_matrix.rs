@@ -25,6 +25,9 @@ pub struct PatchMatrix<'a> {
 impl<'a> PatchMatrix<'a> {
     /// Of rows' α and importance, as [`crate::transport::PatchRow`] has them. The sky's columns count for no more than the
     /// others: where most of the hemisphere is sky, the rest is the whole light when it is dark.
+    ///
+    /// # Panics
+    /// If a row has no importance.
     pub fn new(keys: &'a [u64], rows: impl Iterator<Item = (&'a [f32], &'a [Vec<f32>; 2])>) -> Self {
         let (alpha, given): (Vec<_>, Vec<_>) = rows.unzip();
         let first_sky = first_sky(keys) + 1;

@@ -42,11 +42,13 @@ pub trait BakeKind: Send + Sync {
         &[]
     }
 
-    /// A bake of the kind as evaluation sees it: its world made anew from the scene bundle, its chunks decoded.
+    /// A bake of the kind as evaluation sees it: its world made anew from the scene bundle, its chunks decoded. `kinds` is
+    /// the whole table, for [`made_anew`].
     ///
     /// Errors when the world is prepared otherwise now than it was then.
     fn evaluated(
         &self,
+        kinds: &BakeKinds,
         manifest: &Manifest,
         scene: Vec<u8>,
         bytes: ChunkBytes,
@@ -113,7 +115,7 @@ impl BakeKinds {
             return Err(EvaluationError::OtherScene { wanted: manifest.scene, found });
         }
         let unknown = || EvaluationError::UnknownKind { kind: manifest.kind.clone() };
-        self.get(&manifest.kind).ok_or_else(unknown)?.evaluated(manifest, scene, bytes, progress)
+        self.get(&manifest.kind).ok_or_else(unknown)?.evaluated(self, manifest, scene, bytes, progress)
     }
 }
 
@@ -197,9 +199,9 @@ pub struct FirstTasks<'a, P> {
 }
 
 /// Makes a bake's world anew for [`BakeKind::evaluated`]: runs its first tasks inside the process, and calls `made` with the
-/// surroundings of the first task of the name `up_to`, and with all outputs.
+/// surroundings of the first task of the name `up_to` that is ready, and with all outputs.
 ///
-/// Errors as the bake's own tasks would, and when no task of that name is planned or it waits for a task that is left out.
+/// Errors as the bake's own tasks would, and when no task of that name is planned, or it waits for one that is not among those to run.
 pub fn made_anew<T>(
     first: FirstTasks<impl FnOnce(Digest) -> Vec<TaskSpec>>,
     scene: Vec<u8>,
@@ -211,7 +213,7 @@ pub fn made_anew<T>(
     let plan = plan(run.shelf.put(scene));
     let is_run = |kind: &str| own.contains(&kind) || SceneTask::ALL.iter().any(|task| task.name() == kind);
     let left_out = run.run(&Runner::new(kinds), plan, is_run, |_| {}).map_err(EvaluationError::Prepare)?;
-    let absent = || TaskError::bad_input(format!("no task '{up_to}' is planned whose inputs are all there"));
+    let absent = || TaskError::bad_input(format!("no task '{up_to}' is left whose inputs are all there"));
     let is_ready = |task: &&TaskSpec| task.kind == up_to && run.is_ready(task);
     let task = left_out.iter().find(is_ready).ok_or_else(absent);
     let inputs = run.resolved(task.map_err(EvaluationError::Prepare)?);

@@ -80,6 +80,7 @@ fn table_refuses_a_kind_with_a_task_of_another() {
         }
         fn evaluated(
             &self,
+            _: &BakeKinds,
             _: &Manifest,
             _: Vec<u8>,
             _: ChunkBytes,

@@ -84,7 +84,7 @@ impl<'p> LocalRun<'p> {
         match waiting.first() {
             None => Ok(left_out),
             Some(task) => Err(TaskError::bad_input(format!(
-                "'{} {}' waits for a task that is not in the plan",
+                "'{} {}' waits for a task that is not planned or is left out",
                 task.kind, task.label
             ))),
         }

@@ -85,8 +85,8 @@ fn one(
     let pages = lightmap.as_ref().map(|lightmap| pages_of(measured, relit.as_ref(), lightmap));
     let indirect = |surface: &EyeSurface| -> Option<DVec3> {
         let evaluated = measured.evaluator.bake();
-        if let (Some(lightmap), Some(pages)) = (&lightmap, &pages) {
-            let (key, texel) = evaluated.lightmap()?.texel_at(&surface.hit)?;
+        if let (Some(lightmap), Some(pages), Some(evaluated)) = (&lightmap, &pages, evaluated.lightmap()) {
+            let (key, texel) = evaluated.texel_at(&surface.hit)?;
             let block = lightmap.layout.block_index(key)?;
             return Some(sample(lightmap.layout, pages, block, texel.to_array()).as_dvec3());
         }

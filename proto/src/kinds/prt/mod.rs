@@ -64,7 +64,6 @@ impl Kind for Prt {
     }
 
     fn check(&self, manifest: &Manifest) -> Result<(), ManifestError> {
-        manifest.settings::<Settings>()?;
         check_clusters(manifest, &manifest.body::<Body>()?.clusters)?;
         match manifest.chunks(PATCHES).len() {
             1 => Ok(()),

@@ -75,7 +75,6 @@ impl Kind for Sh {
     }
 
     fn check(&self, manifest: &Manifest) -> Result<(), ManifestError> {
-        manifest.settings::<Settings>()?;
         let body: Body = manifest.body()?;
         all_finite("the probes' spacing", &[body.probe_spacing_m])?;
         check_clusters(manifest, &body.clusters)

@@ -45,7 +45,7 @@ pub const GEOMETRY: Target = Target {
     name: "geometry",
     read: |bytes| read(bytes, decode_geometry),
     check: |bytes| each_form(bytes, check_geometry),
-    seeds: || seeds(&[include_bytes!("../../../../proto/fixtures/geometry-v1.lkc")]),
+    seeds: || seeds(&[include_bytes!("../../../../proto/fixtures/geometry-v1.lkc"), &outside_lightmap()]),
     memory_max,
 };
 
@@ -225,6 +225,19 @@ fn larger_cluster() -> Vec<u8> {
     let irradiance = (0..144).map(lit).collect();
     cluster.emitters = vec![EmitterIrradiance { emitter: 4, irradiance }];
     encode_cluster(&cluster, QuantisationSettings::default()).expect("a good cluster").bytes
+}
+
+/// A mesh outside the lightmap beside one in it.
+fn outside_lightmap() -> Vec<u8> {
+    let outside = Draw {
+        material: 1,
+        position_m: vec![[0.0; 3], [1.0, 0.0, 0.5], [0.0, 2.0, 0.25]],
+        normal: vec![[0.0, 0.0, 1.0]; 3],
+        triangles: vec![[0, 1, 2]],
+        ..Draw::default()
+    };
+    let inside = Draw { front: Some(7), lightmap_texel: vec![[1.5, 2.0]; 3], ..outside.clone() };
+    encode_geometry(&Geometry { draws: vec![outside, inside] }).expect("the meshes are whole")
 }
 
 /// Two levels of a tree of patches over 24 receivers, and a sky.

@@ -18,7 +18,7 @@ use lightkiln_proto::manifest::Manifest;
 use lightkiln_proto::settings::{FactorSettings, TransportSettings};
 use serde::{Deserialize, Serialize};
 
-use super::{BakeKind, TaskRow};
+use super::{BakeKind, BakeKinds, TaskRow};
 use crate::emitters::EmitterSet;
 use crate::evaluate::{ChunkBytes, Evaluated, EvaluationError};
 use crate::factors::{
@@ -58,12 +58,13 @@ impl BakeKind for Prt {
 
     fn evaluated(
         &self,
+        kinds: &BakeKinds,
         manifest: &Manifest,
         scene: Vec<u8>,
         bytes: ChunkBytes,
         progress: &Progress,
     ) -> Result<Box<dyn Evaluated>, EvaluationError> {
-        Ok(Box::new(evaluated::evaluated(manifest, scene, bytes, progress)?))
+        Ok(Box::new(evaluated::evaluated(kinds, manifest, scene, bytes, progress)?))
     }
 }
 

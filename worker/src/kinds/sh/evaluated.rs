@@ -14,6 +14,7 @@ use crate::task::Progress;
 
 /// Makes the bake's world anew and decodes its chunks.
 pub fn evaluated(
+    kinds: &BakeKinds,
     manifest: &Manifest,
     scene: Vec<u8>,
     bytes: ChunkBytes,
@@ -21,8 +22,7 @@ pub fn evaluated(
 ) -> Result<FactoredBake<ProbeTable>, EvaluationError> {
     let settings: Settings = manifest.settings()?;
     let plan = |scene| first_tasks(scene, &settings);
-    let first =
-        FirstTasks { kinds: &BakeKinds::new(), plan, run: &[tasks::PLAN.name], up_to: tasks::TRANSPORT.name };
+    let first = FirstTasks { kinds, plan, run: &[tasks::PLAN.name], up_to: tasks::TRANSPORT.name };
     made_anew(first, scene, progress, |context, _| {
         let decode = |chunk: &ChunkRef| decoded(chunk, bytes, decode_probe_batch);
         let batches: Vec<ProbeBatch> =

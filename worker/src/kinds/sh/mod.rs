@@ -24,7 +24,7 @@ use lightkiln_proto::settings::{FactorSettings, TransportSettings};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::{BakeKind, TaskRow};
+use super::{BakeKind, BakeKinds, TaskRow};
 use crate::emitters::EmitterSet;
 use crate::evaluate::{ChunkBytes, Evaluated, EvaluationError};
 use crate::factors::{
@@ -64,12 +64,13 @@ impl BakeKind for Sh {
 
     fn evaluated(
         &self,
+        kinds: &BakeKinds,
         manifest: &Manifest,
         scene: Vec<u8>,
         bytes: ChunkBytes,
         progress: &Progress,
     ) -> Result<Box<dyn Evaluated>, EvaluationError> {
-        Ok(Box::new(evaluated::evaluated(manifest, scene, bytes, progress)?))
+        Ok(Box::new(evaluated::evaluated(kinds, manifest, scene, bytes, progress)?))
     }
 }
 
