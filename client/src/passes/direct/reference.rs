@@ -9,6 +9,7 @@ use crate::passes::shadow::{Face, Light, ShadowPlan};
 
 const FILTER_REACH: f32 = 2.0;
 const FILTER_MARGIN: f32 = 0.5;
+const SNAP: f32 = 0.031_25;
 
 /// `E_dir` at points in metres with their normals, in W·m⁻².
 pub fn direct(positions_m: &[Vec4], normals: &[Vec4], plan: &ShadowPlan, maps: &ShadowMaps) -> Vec<Vec4> {
@@ -33,8 +34,12 @@ pub fn direct_irradiance(
         if arriving.max_element() <= 0.0 {
             continue;
         }
-        let at = lifted(plan, face_of(plan, light, position), position, facet);
-        sum += arriving * visibility(plan, maps, face_of(plan, light, at), at);
+        let face = face_of(plan, light, position);
+        let at = lifted(plan, face, position, facet);
+        let share = visibility(plan, maps, face_of(plan, light, at), at);
+        if share > 0.0 && !is_behind(plan, maps, face, light, position) {
+            sum += arriving * share;
+        }
     }
     sum
 }
@@ -84,6 +89,46 @@ fn visibility(plan: &ShadowPlan, maps: &ShadowMaps, face_index: u32, position: V
         }
     }
     lit / 9.0
+}
+
+fn is_behind(plan: &ShadowPlan, maps: &ShadowMaps, face_index: u32, light: &Light, position: Vec3) -> bool {
+    let projection = plan.faces[face_index as usize].projection();
+    let towards = if light.shape == Shape::Sun as u32 {
+        -Vec3::from(light.direction)
+    } else {
+        (Vec3::from(light.position) - position).normalize_or(Vec3::Y)
+    };
+    let clip = projection * position.extend(1.0);
+    let nearer = projection * (position + towards * plan.count.bias_m).extend(1.0);
+    if clip.w <= 0.0 || nearer.w <= 0.0 {
+        return false;
+    }
+    let ndc = clip.truncate() / clip.w;
+    let side = maps.side as usize;
+    let at = (Vec2::new(ndc.x, -ndc.y) * 0.5 + 0.5) * side as f32 - 0.5;
+    let (base, share) = (at.floor(), at - at.floor());
+    let margin = nearer.z / nearer.w - ndc.z;
+    let map = &maps.depth[face_index as usize * side * side..][..side * side];
+    let depth_at = |x: i64, y: i64| {
+        let texel =
+            |start: f32, step: i64| (start as i64).saturating_add(step).clamp(0, side as i64 - 1) as usize;
+        map[texel(base.y, y) * side + texel(base.x, x)]
+    };
+    // Four texels on one plane, and on either axis a fifth that goes on as they do: no step of depth looks so.
+    let [d00, d10, d01, d11] = [depth_at(0, 0), depth_at(1, 0), depth_at(0, 1), depth_at(1, 1)];
+    let (across, down) = (d10 - d00, d01 - d00);
+    if d00.min(d10).min(d01).min(d11) <= 0.0 || (d11 - d00 - across - down).abs() > margin {
+        return false;
+    }
+    let left = (d00 - depth_at(-1, 0) - across).abs();
+    let right = (depth_at(2, 0) - d10 - across).abs();
+    let above = (d00 - depth_at(0, -1) - down).abs();
+    let below = (depth_at(0, 2) - d01 - down).abs();
+    if left.min(right) > margin || above.min(below) > margin {
+        return false;
+    }
+    let plane = d00 + across * share.x + down * share.y;
+    plane > ndc.z + margin + SNAP * (across.abs() + down.abs())
 }
 
 fn lifted(plan: &ShadowPlan, face_index: u32, position: Vec3, normal: Vec3) -> Vec3 {

@@ -44,6 +44,8 @@ const SUN = 2u;
 // Reach of the filter in texels, and a margin against rounding.
 const FILTER_REACH = 2.0;
 const FILTER_MARGIN = 0.5;
+// Texels by which an adapter may move corners onto its own grid.
+const SNAP = 0.03125;
 
 @group(0) @binding(0) var<storage, read> lights: array<Light>;
 @group(0) @binding(1) var<storage, read> faces: array<Face>;
@@ -101,6 +103,48 @@ fn visibility(face_index: u32, position: vec3f) -> f32 {
     return lit / 9.0;
 }
 
+// Whether the flat surface that the texels around a point see lies before it. It is met at the point's own place in the map,
+// not at the texels', so it may be as near to the point and as steep as it likes: the filter, which reaches past a wall's
+// foot or corner, would find light there.
+fn is_behind(face_index: u32, light: Light, position: vec3f) -> bool {
+    let clip = faces[face_index].clip_from_world * vec4f(position, 1.0);
+    let towards = select(normalize(light.position - position), -light.direction, light.shape == SUN);
+    let nearer = faces[face_index].clip_from_world * vec4f(position + towards * light_count.bias_m, 1.0);
+    if clip.w <= 0.0 || nearer.w <= 0.0 {
+        return false;
+    }
+    let ndc = clip.xyz / clip.w;
+    let side = f32(light_count.side);
+    let at = (vec2f(ndc.x, -ndc.y) * 0.5 + 0.5) * side - 0.5;
+    let share = at - floor(at);
+    let base = vec2i(floor(at));
+    let margin = nearer.z / nearer.w - ndc.z;
+    // Four texels on one plane, and on either axis a fifth that goes on as they do: no step of depth looks so.
+    let d00 = depth_at(face_index, base);
+    let d10 = depth_at(face_index, base + vec2i(1, 0));
+    let d01 = depth_at(face_index, base + vec2i(0, 1));
+    let d11 = depth_at(face_index, base + vec2i(1, 1));
+    let across = d10 - d00;
+    let down = d01 - d00;
+    if min(min(d00, d10), min(d01, d11)) <= 0.0 || abs(d11 - d00 - across - down) > margin {
+        return false;
+    }
+    let left = abs(d00 - depth_at(face_index, base + vec2i(-1, 0)) - across);
+    let right = abs(depth_at(face_index, base + vec2i(2, 0)) - d10 - across);
+    let above = abs(d00 - depth_at(face_index, base + vec2i(0, -1)) - down);
+    let below = abs(depth_at(face_index, base + vec2i(0, 2)) - d01 - down);
+    if min(left, right) > margin || min(above, below) > margin {
+        return false;
+    }
+    let plane = d00 + across * share.x + down * share.y;
+    return plane > ndc.z + margin + SNAP * (abs(across) + abs(down));
+}
+
+fn depth_at(face_index: u32, texel: vec2i) -> f32 {
+    let last = i32(light_count.side) - 1;
+    return textureLoad(shadow_maps, clamp(texel, vec2i(0), vec2i(last)), i32(face_index), 0);
+}
+
 // Moves a point along its normal until the filter's reach cannot meet the point's own surface.
 fn lifted(face_index: u32, position: vec3f, normal: vec3f) -> vec3f {
     let w = dot(vec4f(position, 1.0), vec4f(
@@ -144,8 +188,12 @@ fn direct_irradiance(position: vec3f, normal: vec3f, facet: vec3f) -> vec3f {
         if max(arriving.x, max(arriving.y, arriving.z)) <= 0.0 {
             continue;
         }
-        let at = lifted(face_of(light, position), position, facet);
-        sum += arriving * visibility(face_of(light, at), at);
+        let face = face_of(light, position);
+        let at = lifted(face, position, facet);
+        let share = visibility(face_of(light, at), at);
+        if share > 0.0 && !is_behind(face, light, position) {
+            sum += arriving * share;
+        }
     }
     return sum;
 }

@@ -39,8 +39,8 @@ pub struct Arguments {
     dump: Option<PathBuf>,
     #[command(flatten)]
     wanted: EvaluationArguments,
-    /// Ends with one JSON object on standard output: scene, receivers, rel_rmse, energy_ratio, p95, p99, classes, lights
-    /// and more
+    /// Ends with one JSON object on standard output: scene, receivers, rel_rmse, energy_ratio, p95, p99, interval_95,
+    /// area_above, classes, lights and more
     #[arg(long)]
     json: bool,
 }

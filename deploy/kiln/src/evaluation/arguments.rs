@@ -30,8 +30,8 @@ pub struct EvaluationArguments {
         help_heading = "Evaluation"
     )]
     pub receivers: u32,
-    /// Fails with exit code 4 when a figure is so, e.g. rel_rmse>0.08, energy_ratio<0.97, sun.p95>0.3; may be given
-    /// often
+    /// Fails with exit code 4 when a figure is so at both ends of its 95 % interval, e.g. rel_rmse>0.08,
+    /// energy_ratio<0.97, sun.p95>0.3; warns when at one; may be given often
     #[arg(long, value_name = "EXPR", help_heading = "Evaluation")]
     pub fail_if: Vec<Limit>,
 }

@@ -11,10 +11,10 @@ use super::measure::Measured;
 use crate::failure::Result;
 
 /// First columns of the file, `receiver` empty for kinds that answer at any point; after them, a column of each class of error that is known at the places.
-const HEADER: &str = "light,receiver,x_m,y_m,z_m,nx,ny,nz,area_m2,baked_r,baked_g,baked_b,reference_r,reference_g,\
+const HEADER: &str = "light,receiver,x_m,y_m,z_m,nx,ny,nz,face_x,face_y,face_z,area_m2,baked_r,baked_g,baked_b,reference_r,reference_g,\
                       reference_b,error_r,error_g,error_b,direct_r,direct_g,direct_b,paths,counted";
 
-/// Writes one line per light and place: position, normal, area, E_ind in W·m⁻² as baked and by the reference with its
+/// Writes one line per light and place: position, shading and face normal, area, E_ind in W·m⁻² as baked and by the reference with its
 /// standard error, E_dir, and E_ind with no other error than that of a class.
 pub fn write_dump(path: &Path, measured: &Measured) -> Result<()> {
     let mut text = HEADER.to_owned();
@@ -29,7 +29,7 @@ pub fn write_dump(path: &Path, measured: &Measured) -> Result<()> {
         let classes = at_sample(result);
         for (index, sampled) in measured.evaluator.sample().places.iter().enumerate() {
             let site = &sampled.place.site;
-            let (p, n) = (site.position_m, site.normal);
+            let (p, n, f) = (site.position_m, site.normal, site.face_normal);
             let reference = &result.reference[index];
             let colours = [
                 result.baked[index],
@@ -40,7 +40,7 @@ pub fn write_dump(path: &Path, measured: &Measured) -> Result<()> {
             // Writing to a String cannot fail.
             let _ = write!(
                 text,
-                "{},{},{},{},{},{},{},{},{}",
+                "{},{},{},{},{},{},{},{},{},{},{},{}",
                 field(&result.light.name),
                 sampled.place.number.map_or(String::new(), |number| number.to_string()),
                 p.x,
@@ -49,6 +49,9 @@ pub fn write_dump(path: &Path, measured: &Measured) -> Result<()> {
                 n.x,
                 n.y,
                 n.z,
+                f.x,
+                f.y,
+                f.z,
                 sampled.area_m2,
             );
             colours.iter().for_each(|colour| text += &channels(*colour));
