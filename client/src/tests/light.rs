@@ -1,16 +1,19 @@
 //! The references against physics.
 
 use glam::{Vec3, Vec4};
+use lightkiln_proto::content::{Draw, Geometry};
+use lightkiln_proto::manifest::Manifest;
 use lightkiln_proto::scene::{LightKind, SceneLight};
 
 use super::{fixture_light, fixture_view, prepared};
-use crate::fixture::ROOM;
+use crate::fixture::{ROOM, manifest, texture};
 use crate::lights::{Caster, parse_light};
 use crate::passes::atlas::reference::{sample, spread};
 use crate::passes::direct::reference::{direct, direct_irradiance};
 use crate::passes::shadow::ShadowPlan;
 use crate::passes::shadow::reference::{ShadowMaps, draw};
 use crate::preview::{Backend, View, render};
+use crate::scene::LoadedScene;
 
 /// A light of its own in the fixture, and its shadow maps.
 struct Lamp {
@@ -91,6 +94,49 @@ fn flat_surfaces_never_shadow_themselves() {
         // The sun from the side throws one straight edge per wall; acne would be everywhere.
         let edge = if light.starts_with("sun dir=0.7") { 160 } else { 0 };
         assert!(partial.len() <= edge, "{light}: {} such as {:?}", partial.len(), partial.first());
+    }
+}
+
+/// A wall (z = 0) on a floor, and a fin (x = 0) that stands on both; sheets without thickness, nothing else.
+fn wall_floor_and_fin() -> LoadedScene {
+    let sheet = |corner: Vec3, u: Vec3, v: Vec3| Draw {
+        position_m: [corner, corner + u, corner + u + v, corner + v].map(|at| at.to_array()).into(),
+        normal: vec![u.cross(v).normalize().to_array(); 4],
+        triangles: vec![[0, 1, 2], [0, 2, 3]],
+        ..Draw::default()
+    };
+    let draws = vec![
+        sheet(Vec3::new(-3.0, 0.0, 0.0), Vec3::X * 6.0, Vec3::Y * 4.0),
+        sheet(Vec3::new(-3.0, 0.0, 0.0), Vec3::Z * 3.0, Vec3::X * 6.0),
+        sheet(Vec3::ZERO, Vec3::Y * 4.0, Vec3::Z * 2.0),
+    ];
+    let manifest = Manifest { lightmap: None, ..manifest("prt") };
+    LoadedScene::assemble(manifest, vec![Geometry { draws }], vec![texture()]).unwrap()
+}
+
+#[test]
+fn no_light_passes_the_foot_or_the_corner_of_a_wall() {
+    let scene = wall_floor_and_fin();
+    let bounds_m = [[-3.0, 0.0, 0.0], [3.0, 4.0, 3.0]];
+    for angle in 0..48 {
+        // From behind the wall, so that the wall shades all that is near it on this side.
+        let (turn, height) = (-0.1 - 0.17 * (angle % 8) as f32, 0.3 + 0.2 * (angle / 8) as f32);
+        let direction =
+            Vec3::new(height.cos() * turn.sin(), -height.sin(), height.cos() * turn.cos()).normalize();
+        let words = format!("sun dir={},{},{} irradiance=1", direction.x, direction.y, direction.z);
+        let sun = Caster::of(&[parse_light(&words).unwrap()]);
+        let plan = ShadowPlan::new(&sun, bounds_m, 1024).unwrap();
+        let maps = draw(&scene, &plan);
+        for index in 0..400 {
+            let away_m = 2e-4 * 1.35_f32.powi(index % 20);
+            let along = 0.4 + 0.07 * (index / 20) as f32;
+            for (position, normal) in
+                [(Vec3::new(0.0, along, away_m), Vec3::X), (Vec3::new(along, 0.0, away_m), Vec3::Y)]
+            {
+                let e = direct_irradiance(&plan, &maps, position, normal, normal).x;
+                assert_eq!(e, 0.0, "{position} under a sun along {direction}");
+            }
+        }
     }
 }
 

@@ -1,6 +1,6 @@
 //! E_dir on the processor; twin of `shared/light.wgsl` and `direct.wgsl`, function by function.
 
-use glam::{Vec2, Vec3, Vec4};
+use glam::{IVec2, Vec2, Vec3, Vec4};
 use rayon::prelude::*;
 
 use crate::lights::Shape;
@@ -9,7 +9,9 @@ use crate::passes::shadow::{Face, Light, ShadowPlan};
 
 const FILTER_REACH: f32 = 2.0;
 const FILTER_MARGIN: f32 = 0.5;
-const SNAP: f32 = 0.031_25;
+const FILTER_WIDTH: f32 = 4.0;
+const PLANE_BIAS: f32 = 0.1;
+const SNAP: f32 = 0.007_812_5;
 
 /// `E_dir` at points in metres with their normals, in W·m⁻².
 pub fn direct(positions_m: &[Vec4], normals: &[Vec4], plan: &ShadowPlan, maps: &ShadowMaps) -> Vec<Vec4> {
@@ -37,7 +39,8 @@ pub fn direct_irradiance(
         let face = face_of(plan, light, position);
         let at = lifted(plan, face, position, facet);
         let share = visibility(plan, maps, face_of(plan, light, at), at);
-        if share > 0.0 && !is_behind(plan, maps, face, light, position) {
+        let lift_m = at.distance(position);
+        if share > 0.0 && !is_behind((plan, maps), face, light, position, facet, lift_m) {
             sum += arriving * share;
         }
     }
@@ -91,7 +94,14 @@ fn visibility(plan: &ShadowPlan, maps: &ShadowMaps, face_index: u32, position: V
     lit / 9.0
 }
 
-fn is_behind(plan: &ShadowPlan, maps: &ShadowMaps, face_index: u32, light: &Light, position: Vec3) -> bool {
+fn is_behind(
+    (plan, maps): (&ShadowPlan, &ShadowMaps),
+    face_index: u32,
+    light: &Light,
+    position: Vec3,
+    facet: Vec3,
+    lift_m: f32,
+) -> bool {
     let projection = plan.faces[face_index as usize].projection();
     let towards = if light.shape == Shape::Sun as u32 {
         -Vec3::from(light.direction)
@@ -99,36 +109,47 @@ fn is_behind(plan: &ShadowPlan, maps: &ShadowMaps, face_index: u32, light: &Ligh
         (Vec3::from(light.position) - position).normalize_or(Vec3::Y)
     };
     let clip = projection * position.extend(1.0);
-    let nearer = projection * (position + towards * plan.count.bias_m).extend(1.0);
+    let bias_m = PLANE_BIAS * plan.count.bias_m;
+    let nearer = projection * (position + towards * bias_m).extend(1.0);
     if clip.w <= 0.0 || nearer.w <= 0.0 {
         return false;
     }
     let ndc = clip.truncate() / clip.w;
-    let side = maps.side as usize;
-    let at = (Vec2::new(ndc.x, -ndc.y) * 0.5 + 0.5) * side as f32 - 0.5;
-    let (base, share) = (at.floor(), at - at.floor());
     let margin = nearer.z / nearer.w - ndc.z;
-    let map = &maps.depth[face_index as usize * side * side..][..side * side];
-    let depth_at = |x: i64, y: i64| {
-        let texel =
-            |start: f32, step: i64| (start as i64).saturating_add(step).clamp(0, side as i64 - 1) as usize;
-        map[texel(base.y, y) * side + texel(base.x, x)]
+    let at = (Vec2::new(ndc.x, -ndc.y) * 0.5 + 0.5) * maps.side as f32 - 0.5;
+    let base = at.floor().as_ivec2();
+    let depth_at = |texel| maps.depth_at(face_index, texel);
+    let goes_on = |texel, expected: f32| {
+        let found = depth_at(texel);
+        found <= 0.0 || (found - expected).abs() <= margin
     };
-    // Four texels on one plane, and on either axis a fifth that goes on as they do: no step of depth looks so.
-    let [d00, d10, d01, d11] = [depth_at(0, 0), depth_at(1, 0), depth_at(0, 1), depth_at(1, 1)];
-    let (across, down) = (d10 - d00, d01 - d00);
-    if d00.min(d10).min(d01).min(d11) <= 0.0 || (d11 - d00 - across - down).abs() > margin {
+    // Most points see their own surface.
+    let d = [IVec2::ZERO, IVec2::X, IVec2::Y].map(|step| depth_at(base + step));
+    let change = Vec2::new(d[1], d[2]) - d[0];
+    let open =
+        d[0] + change.dot(at - at.floor()) - ndc.z <= margin + SNAP * (change.x.abs() + change.y.abs());
+    if open && d.iter().all(|depth| *depth > 0.0) && goes_on(base + IVec2::ONE, d[1] + d[2] - d[0]) {
         return false;
     }
-    let left = (d00 - depth_at(-1, 0) - across).abs();
-    let right = (depth_at(2, 0) - d10 - across).abs();
-    let above = (d00 - depth_at(0, -1) - down).abs();
-    let below = (depth_at(0, 2) - d01 - down).abs();
-    if left.min(right) > margin || above.min(below) > margin {
-        return false;
-    }
-    let plane = d00 + across * share.x + down * share.y;
-    plane > ndc.z + margin + SNAP * (across.abs() + down.abs())
+    let far = margin / bias_m * lift_m / facet.dot(towards).max(0.01);
+    (0..4).any(|corner| {
+        // The plane of this texel and those behind it, seen from the point.
+        let inward = IVec2::new(1 - 2 * (corner & 1), 1 - 2 * (corner >> 1));
+        let texel = base + IVec2::new(corner & 1, corner >> 1);
+        let (x, y) = (inward * IVec2::X, inward * IVec2::Y);
+        let own = depth_at(texel);
+        let slope = own - Vec2::new(depth_at(texel - x), depth_at(texel - y));
+        let next = own - 2.0 * slope - Vec2::new(depth_at(texel - 2 * x), depth_at(texel - 2 * y));
+        // The three others go on with it, or see nothing at all.
+        let is_plane = own > 0.0
+            && next.abs().max_element() <= margin
+            && goes_on(texel + x, own + slope.x)
+            && goes_on(texel + y, own + slope.y)
+            && goes_on(texel + x + y, own + slope.x + slope.y);
+        let depth = own + slope.dot((at - texel.as_vec2()).abs()) - ndc.z;
+        let steep = slope.x.abs() + slope.y.abs();
+        is_plane && depth > margin + SNAP * steep && depth < far + FILTER_WIDTH * steep
+    })
 }
 
 fn lifted(plan: &ShadowPlan, face_index: u32, position: Vec3, normal: Vec3) -> Vec3 {

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use glam::Mat4;
+use glam::{IVec2, Mat4};
 use lightkiln_proto::manifest::Wrap;
 use rayon::prelude::*;
 
@@ -18,6 +18,15 @@ pub struct ShadowMaps {
     pub side: u32,
     /// `faces · side · side` depths.
     pub depth: Vec<f32>,
+}
+
+impl ShadowMaps {
+    /// Depth of a texel of a face; beyond the rim that of the rim.
+    pub(in crate::passes) fn depth_at(&self, face_index: u32, texel: IVec2) -> f32 {
+        let side = self.side as usize;
+        let inside = texel.clamp(IVec2::ZERO, IVec2::splat(self.side as i32 - 1)).as_uvec2();
+        self.depth[(face_index as usize * side + inside.y as usize) * side + inside.x as usize]
+    }
 }
 
 /// Rows that one thread draws at a time.

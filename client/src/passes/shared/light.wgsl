@@ -44,8 +44,11 @@ const SUN = 2u;
 // Reach of the filter in texels, and a margin against rounding.
 const FILTER_REACH = 2.0;
 const FILTER_MARGIN = 0.5;
-// Texels by which an adapter may move corners onto its own grid.
-const SNAP = 0.03125;
+// Texels across which the filter reads.
+const FILTER_WIDTH = 4.0;
+// Part of the constant offset that the test against planes needs, and texels by which adapters move corners.
+const PLANE_BIAS = 0.1;
+const SNAP = 0.0078125;
 
 @group(0) @binding(0) var<storage, read> lights: array<Light>;
 @group(0) @binding(1) var<storage, read> faces: array<Face>;
@@ -103,41 +106,63 @@ fn visibility(face_index: u32, position: vec3f) -> f32 {
     return lit / 9.0;
 }
 
-// Whether the flat surface that the texels around a point see lies before it. It is met at the point's own place in the map,
-// not at the texels', so it may be as near to the point and as steep as it likes: the filter, which reaches past a wall's
-// foot or corner, would find light there.
-fn is_behind(face_index: u32, light: Light, position: vec3f) -> bool {
+// Whether a flat surface that the texels around a point see lies before it, so near that the filter finds light past its
+// edge: within the filter's width along it, or within the lift along the light. It is met at the point's own place in the
+// map, not at the texels'.
+fn is_behind(face_index: u32, light: Light, position: vec3f, facet: vec3f, lift_m: f32) -> bool {
     let clip = faces[face_index].clip_from_world * vec4f(position, 1.0);
     let towards = select(normalize(light.position - position), -light.direction, light.shape == SUN);
-    let nearer = faces[face_index].clip_from_world * vec4f(position + towards * light_count.bias_m, 1.0);
+    let bias_m = PLANE_BIAS * light_count.bias_m;
+    let nearer = faces[face_index].clip_from_world * vec4f(position + towards * bias_m, 1.0);
     if clip.w <= 0.0 || nearer.w <= 0.0 {
         return false;
     }
     let ndc = clip.xyz / clip.w;
-    let side = f32(light_count.side);
-    let at = (vec2f(ndc.x, -ndc.y) * 0.5 + 0.5) * side - 0.5;
-    let share = at - floor(at);
-    let base = vec2i(floor(at));
     let margin = nearer.z / nearer.w - ndc.z;
-    // Four texels on one plane, and on either axis a fifth that goes on as they do: no step of depth looks so.
-    let d00 = depth_at(face_index, base);
-    let d10 = depth_at(face_index, base + vec2i(1, 0));
-    let d01 = depth_at(face_index, base + vec2i(0, 1));
-    let d11 = depth_at(face_index, base + vec2i(1, 1));
-    let across = d10 - d00;
-    let down = d01 - d00;
-    if min(min(d00, d10), min(d01, d11)) <= 0.0 || abs(d11 - d00 - across - down) > margin {
+    let at = (vec2f(ndc.x, -ndc.y) * 0.5 + 0.5) * f32(light_count.side) - 0.5;
+    let base = vec2i(floor(at));
+    // Most points see their own surface.
+    let d = vec3f(
+        depth_at(face_index, base),
+        depth_at(face_index, base + vec2i(1, 0)),
+        depth_at(face_index, base + vec2i(0, 1)),
+    );
+    let change = d.yz - d.x;
+    let open = d.x + dot(change, at - floor(at)) - ndc.z <= margin + SNAP * (abs(change.x) + abs(change.y));
+    if open && min(d.x, min(d.y, d.z)) > 0.0 && goes_on(face_index, base + vec2i(1, 1), d.y + d.z - d.x, margin) {
         return false;
     }
-    let left = abs(d00 - depth_at(face_index, base + vec2i(-1, 0)) - across);
-    let right = abs(depth_at(face_index, base + vec2i(2, 0)) - d10 - across);
-    let above = abs(d00 - depth_at(face_index, base + vec2i(0, -1)) - down);
-    let below = abs(depth_at(face_index, base + vec2i(0, 2)) - d01 - down);
-    if min(left, right) > margin || min(above, below) > margin {
-        return false;
+    let far = margin / bias_m * lift_m / max(dot(facet, towards), 0.01);
+    for (var corner = 0; corner < 4; corner++) {
+        // The plane of this texel and those behind it, seen from the point.
+        let inward = vec2i(1 - 2 * (corner & 1), 1 - 2 * (corner >> 1u));
+        let texel = base + vec2i(corner & 1, corner >> 1u);
+        let x = vec2i(inward.x, 0);
+        let y = vec2i(0, inward.y);
+        let own = depth_at(face_index, texel);
+        let slope = own - vec2f(depth_at(face_index, texel - x), depth_at(face_index, texel - y));
+        let next = own - 2.0 * slope - vec2f(depth_at(face_index, texel - 2 * x), depth_at(face_index, texel - 2 * y));
+        if own <= 0.0 || max(abs(next.x), abs(next.y)) > margin {
+            continue;
+        }
+        // The three others go on with it, or see nothing at all.
+        if !goes_on(face_index, texel + x, own + slope.x, margin)
+            || !goes_on(face_index, texel + y, own + slope.y, margin)
+            || !goes_on(face_index, texel + x + y, own + slope.x + slope.y, margin) {
+            continue;
+        }
+        let depth = own + dot(slope, abs(at - vec2f(texel))) - ndc.z;
+        let steep = abs(slope.x) + abs(slope.y);
+        if depth > margin + SNAP * steep && depth < far + FILTER_WIDTH * steep {
+            return true;
+        }
     }
-    let plane = d00 + across * share.x + down * share.y;
-    return plane > ndc.z + margin + SNAP * (abs(across) + abs(down));
+    return false;
+}
+
+fn goes_on(face_index: u32, texel: vec2i, expected: f32, margin: f32) -> bool {
+    let found = depth_at(face_index, texel);
+    return found <= 0.0 || abs(found - expected) <= margin;
 }
 
 fn depth_at(face_index: u32, texel: vec2i) -> f32 {
@@ -191,7 +216,7 @@ fn direct_irradiance(position: vec3f, normal: vec3f, facet: vec3f) -> vec3f {
         let face = face_of(light, position);
         let at = lifted(face, position, facet);
         let share = visibility(face_of(light, at), at);
-        if share > 0.0 && !is_behind(face, light, position) {
+        if share > 0.0 && !is_behind(face, light, position, facet, distance(at, position)) {
             sum += arriving * share;
         }
     }
