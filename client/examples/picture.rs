@@ -16,7 +16,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let bake = LoadedBake::load(&Source::bundle(folder)?, &kinds::all())?;
     // The bake's own camera; this lamp takes the place of the file's lights.
     let lamp = parse_light("point pos=0,2,0 color=1,0.9,0.8 power=100")?;
-    let (view, notes) = View::of_bake(&bake, None, vec![lamp])?;
+    let (view, notes) = View::of_bake(&bake, None, Some(vec![lamp]))?;
     notes.iter().for_each(|note| eprintln!("note: {note}"));
     let picture = render_png(&bake, &view, Backend::Auto, Path::new(png))?;
     println!("{} bounces, drawn by {}", picture.bounces, picture.drawn_by);

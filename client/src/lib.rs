@@ -8,7 +8,7 @@
 //! use lightkiln_client::{bake::LoadedBake, fetch::Source, kinds, preview};
 //!
 //! let bake = LoadedBake::load(&Source::bundle("room.bake")?, &kinds::all())?;
-//! let (view, notes) = preview::View::of_bake(&bake, None, Vec::new())?;
+//! let (view, notes) = preview::View::of_bake(&bake, None, None)?;
 //! notes.iter().for_each(|note| eprintln!("{note}"));
 //! preview::render_png(&bake, &view, preview::Backend::Auto, "room.png".as_ref())?;
 //! # Ok::<(), lightkiln_client::ClientError>(())

@@ -72,7 +72,7 @@ impl View {
     pub fn of_bake(
         bake: &LoadedBake,
         camera: Option<SceneCamera>,
-        mut lights: Vec<SceneLight>,
+        lights: Option<Vec<SceneLight>>,
     ) -> Result<(Self, Vec<String>)> {
         let manifest = &bake.scene.manifest;
         let mut notes = bake.scene.warnings.clone();
@@ -84,11 +84,11 @@ impl View {
                 camera
             }
         };
-        if lights.is_empty() {
-            let note;
-            (lights, note) = lights_of(manifest);
+        let lights = lights.unwrap_or_else(|| {
+            let (lights, note) = lights_of(manifest);
             notes.extend(note);
-        }
+            lights
+        });
         Ok((Self::new(camera, lights), notes))
     }
 

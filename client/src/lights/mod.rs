@@ -10,7 +10,7 @@ use lightkiln_proto::scene::{LightKind, SceneLight};
 
 pub use framing::{camera_of, lights_of};
 pub use lightkiln_proto::relight::Sky;
-pub use words::{parse_camera, parse_light};
+pub use words::{ParsedLights, parse_camera, parse_light, parse_lights};
 
 /// A light that casts shadows, ready for the direct pass.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -10,15 +10,43 @@ pub fn parse_camera(text: &str) -> Result<SceneCamera> {
     camera_from_text(text).map_err(|error| wrong(text, error.to_string()))
 }
 
+/// Lights as words ask for them.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ParsedLights {
+    /// Points, spots, suns and skies.
+    pub lights: Vec<SceneLight>,
+    /// Strength of the scene's emissive surfaces relative to the bake, if a text says it.
+    pub emitter_scale: Option<f32>,
+}
+
 /// Reads a light: `point`, `spot`, `sun` or `sky` and its words.
 pub fn parse_light(text: &str) -> Result<SceneLight> {
-    match LightSpec::from_text("command line", text) {
-        Ok(LightSpec::Scene(light)) => Ok(light),
-        Ok(LightSpec::Panel(_) | LightSpec::Emitters(_)) => {
-            Err(wrong(text, "a preview has no such light; write point, spot, sun or sky".to_owned()))
+    match spec(text)? {
+        LightSpec::Scene(light) => Ok(light),
+        LightSpec::Panel(_) | LightSpec::Emitters(_) => {
+            Err(wrong(text, "it is no single light; write point, spot, sun or sky".to_owned()))
         }
-        Err(error) => Err(wrong(text, error.to_string())),
     }
+}
+
+/// Reads lights, each as [`parse_light`] or `emitters scale=s`; of several scales the last counts.
+pub fn parse_lights(texts: &[impl AsRef<str>]) -> Result<ParsedLights> {
+    let mut parsed = ParsedLights::default();
+    for text in texts.iter().map(AsRef::as_ref) {
+        match spec(text)? {
+            LightSpec::Scene(light) => parsed.lights.push(light),
+            LightSpec::Emitters(scale) => parsed.emitter_scale = Some(scale),
+            LightSpec::Panel(_) => {
+                let problem = "a preview has no panels; write point, spot, sun, sky or emitters".to_owned();
+                return Err(wrong(text, problem));
+            }
+        }
+    }
+    Ok(parsed)
+}
+
+fn spec(text: &str) -> Result<LightSpec> {
+    LightSpec::from_text("command line", text).map_err(|error| wrong(text, error.to_string()))
 }
 
 fn wrong(text: &str, problem: String) -> ClientError {
@@ -28,6 +56,13 @@ fn wrong(text: &str, problem: String) -> ClientError {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn emitters_stand_beside_other_lights() {
+        let parsed = parse_lights(&["emitters scale=0.5", "sun dir=0,-1,0 irradiance=2"]).unwrap();
+        assert_eq!((parsed.lights.len(), parsed.emitter_scale), (1, Some(0.5)));
+        assert_eq!(parse_lights::<&str>(&[]).unwrap(), ParsedLights::default());
+    }
 
     #[test]
     fn errors_repeat_the_argument_and_say_what_would_be_right() {
@@ -40,6 +75,9 @@ mod tests {
             let error = of_light(text);
             assert!(error.contains(text) && error.contains(wanted), "{error}");
         }
+        let panel = "panel centre_m=0,0,0 half_u_m=1,0,0 half_v_m=0,1,0 radiance=1,1,1";
+        let error = parse_lights(&[panel]).unwrap_err().to_string();
+        assert!(error.contains(panel) && error.contains("no panels"), "{error}");
         let error = parse_camera("eye=0,0,0 target=0,0,0").unwrap_err().to_string();
         assert!(error.contains("same point") && error.contains("fov=degrees"), "{error}");
     }

@@ -54,15 +54,15 @@ fn camera_and_light_chosen_at_the_bake_are_used_and_said() {
     let manifest = &mut bake.scene.manifest;
     let (camera, light) = (manifest.cameras.remove(0), manifest.lights.remove(0));
     manifest.lights.clear();
-    assert!(View::of_bake(&bake, None, Vec::new()).unwrap_err().to_string().contains("--camera"));
+    assert!(View::of_bake(&bake, None, None).unwrap_err().to_string().contains("--camera"));
     let manifest = &mut bake.scene.manifest;
     manifest.framing.camera = Some(Chosen { value: camera.clone(), note: "no camera".to_owned() });
     manifest.framing.light = Some(Chosen { value: light.clone(), note: "no light".to_owned() });
-    let (view, notes) = View::of_bake(&bake, None, Vec::new()).unwrap();
+    let (view, notes) = View::of_bake(&bake, None, None).unwrap();
     // The fixture has an emitter: it is lit without a chosen light.
     assert_eq!((&view.camera, view.lights.len(), &notes[..]), (&camera, 0, &["no camera".to_owned()][..]));
     bake.scene.manifest.emitters.clear();
-    let (view, notes) = View::of_bake(&bake, Some(fixture::camera()), Vec::new()).unwrap();
+    let (view, notes) = View::of_bake(&bake, Some(fixture::camera()), None).unwrap();
     assert_eq!((view.lights, &notes[..]), (vec![light], &["no light".to_owned()][..]));
 }
 

@@ -17,7 +17,7 @@ use crate::scene::LoadedScene;
 
 /// The fixture's view of a bake, small enough for the processor.
 pub(crate) fn view_of(bake: &LoadedBake) -> View {
-    let (view, notes) = View::of_bake(bake, None, Vec::new()).unwrap();
+    let (view, notes) = View::of_bake(bake, None, None).unwrap();
     assert!(notes.is_empty(), "{notes:?}");
     View { width: 160, height: 120, shadow_side: 512, emitter_scale: vec![1.5], ..view }
 }

@@ -21,6 +21,7 @@ mod progress;
 mod settings;
 mod submission;
 mod summary;
+mod switched_off;
 mod telemetry;
 #[cfg(test)]
 mod tests;

@@ -5,11 +5,12 @@ use std::path::Path;
 use clap::{Args, ValueEnum};
 use lightkiln_client::bake::{ClientKinds, LoadedBake};
 use lightkiln_client::fetch::Source;
-use lightkiln_client::lights::{parse_camera, parse_light};
+use lightkiln_client::lights::{ParsedLights, parse_camera, parse_lights};
 use lightkiln_client::picture::{Exposure, Picture, Tone};
 use lightkiln_client::preview::{Backend, View, debug_picture, render};
 
 use crate::failure::Result;
+use crate::switched_off::SwitchedOff;
 
 /// How to draw.
 #[derive(Args, Clone, Debug)]
@@ -21,7 +22,8 @@ pub struct PictureArguments {
     /// Light of the picture instead of the scene's own; may be given often:
     /// "point pos=x,y,z color=r,g,b power=W",
     /// "spot pos=x,y,z target=x,y,z color=r,g,b power=W inner=deg outer=deg",
-    /// "sun dir=x,y,z color=r,g,b irradiance=W/m2", "sky zenith=r,g,b horizon=r,g,b strength=s"
+    /// "sun dir=x,y,z color=r,g,b irradiance=W/m2", "sky zenith=r,g,b horizon=r,g,b strength=s",
+    /// "emitters scale=s" (the scene's emissive surfaces, 1 unless said)
     #[arg(long, value_name = "LIGHT", help_heading = "Picture")]
     light: Vec<String>,
     /// Width and height in pixels
@@ -77,17 +79,20 @@ impl PictureArguments {
     /// Refuses a camera or light that cannot be read, before any work is done.
     pub fn check(&self) -> Result<()> {
         self.camera.as_deref().map(parse_camera).transpose()?;
-        self.light.iter().try_for_each(|light| parse_light(light).map(drop))?;
+        parse_lights(&self.light)?;
         Ok(())
     }
 
     /// Draws the bake and writes it as PNG; says on standard error what was chosen and who drew.
-    pub fn draw(&self, kinds: &ClientKinds, source: &Source, png: &Path) -> Result<()> {
+    pub fn draw(&self, kinds: &ClientKinds, off: &SwitchedOff, source: &Source, png: &Path) -> Result<()> {
         let bake = LoadedBake::load(source, kinds)?;
         let camera = self.camera.as_deref().map(parse_camera).transpose()?;
-        let lights =
-            self.light.iter().map(|light| parse_light(light)).collect::<std::result::Result<Vec<_>, _>>()?;
-        let (mut view, notes) = View::of_bake(&bake, camera, lights)?;
+        let ParsedLights { lights, emitter_scale } = parse_lights(&self.light)?;
+        let own = (!self.light.is_empty()).then_some(lights);
+        let (mut view, notes) = View::of_bake(&bake, camera, own)?;
+        let scale = off.emitter_scale(emitter_scale.unwrap_or(1.0));
+        view.emitter_scale = vec![scale; bake.scene.manifest.emitters.len()];
+        view.lights = off.rest(view.lights);
         (view.width, view.height) = self.size;
         view.tone = self.tone.into();
         view.exposure = Exposure::Auto { stops: self.exposure };

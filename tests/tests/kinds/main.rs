@@ -81,7 +81,7 @@ fn kind_is_drawn_by_the_library_as_bright_as_it_is() {
     let source = Source::bundle(bake(folder.path())).unwrap();
     let loaded = LoadedBake::load(&source, &ambient::tables().client).unwrap();
     assert!(loaded.light.lightmap(&loaded.scene).is_none());
-    let (view, notes) = View::of_bake(&loaded, None, Vec::new()).unwrap();
+    let (view, notes) = View::of_bake(&loaded, None, None).unwrap();
     assert!(notes.is_empty(), "{notes:?}");
     let size = View { width: 64, height: 48, samples: 1, ..view };
     let dark = View { lights: Vec::new(), emitter_scale: vec![0.0], ..size };

@@ -18,6 +18,7 @@ use crate::picture::PictureArguments;
 use crate::settings::SettingsArguments;
 use crate::submission::PackedScene;
 use crate::summary::complete_report;
+use crate::switched_off::SwitchedOff;
 
 /// Arguments of `kiln bake`.
 #[derive(Args, Debug)]
@@ -35,6 +36,8 @@ pub struct Arguments {
     preview: Option<PathBuf>,
     #[command(flatten)]
     picture: PictureArguments,
+    #[command(flatten)]
+    off: SwitchedOff,
     /// Bakes on the farm at this URL instead of in this process
     #[arg(long, value_name = "URL", conflicts_with_all = ["threads", "state"])]
     server: Option<String>,
@@ -84,11 +87,12 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     let scene_path = relative_path(&out, &arguments.scene);
     complete_report(&out, scene_path.clone(), &summary)?;
     if arguments.evaluate {
-        summary.evaluation = Some(measure(kinds, &source, scene, &arguments.wanted, &interrupt)?.evaluation);
+        summary.evaluation =
+            Some(measure(kinds, &source, scene, (&arguments.wanted, &arguments.off), &interrupt)?.evaluation);
         complete_report(&out, scene_path, &summary)?;
     }
     if let Some(png) = &arguments.preview {
-        arguments.picture.draw(&kinds.client, &source, png)?;
+        arguments.picture.draw(&kinds.client, &arguments.off, &source, png)?;
         eprintln!("picture: {}", png.display());
     }
     eprint!("{}", summary.words());

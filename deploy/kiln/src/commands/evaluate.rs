@@ -14,6 +14,7 @@ use crate::interrupt::Interrupt;
 use crate::kinds::KindTables;
 use crate::picture::parse_size;
 use crate::submission::PackedScene;
+use crate::switched_off::SwitchedOff;
 
 /// Arguments of `kiln evaluate`.
 #[derive(Args, Debug)]
@@ -39,6 +40,8 @@ pub struct Arguments {
     dump: Option<PathBuf>,
     #[command(flatten)]
     wanted: EvaluationArguments,
+    #[command(flatten)]
+    off: SwitchedOff,
     /// Ends with one JSON object on standard output: scene, receivers, rel_rmse, energy_ratio, p95, p99, interval_95,
     /// area_above, classes, lights and more
     #[arg(long)]
@@ -55,7 +58,8 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
         None => scene_of_bundle(&arguments.bundle)?,
     };
     let scene = PackedScene::read(&path)?;
-    let measured = measure(kinds, &source, scene, &arguments.wanted, &Interrupt::default())?;
+    let measured =
+        measure(kinds, &source, scene, (&arguments.wanted, &arguments.off), &Interrupt::default())?;
     if let Some(csv) = &arguments.dump {
         write_dump(csv, &measured)?;
     }

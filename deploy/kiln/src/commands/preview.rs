@@ -10,6 +10,7 @@ use crate::failure::Result;
 use crate::interrupt::Interrupt;
 use crate::kinds::KindTables;
 use crate::picture::PictureArguments;
+use crate::switched_off::SwitchedOff;
 
 /// Arguments of `kiln preview`.
 #[derive(Args, Debug)]
@@ -27,6 +28,8 @@ pub struct Arguments {
     out: PathBuf,
     #[command(flatten)]
     picture: PictureArguments,
+    #[command(flatten)]
+    off: SwitchedOff,
 }
 
 /// Draws the picture.
@@ -39,5 +42,5 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
         }
         None => Source::bundle(&arguments.bake)?,
     };
-    arguments.picture.draw(&kinds.client, &source, &arguments.out)
+    arguments.picture.draw(&kinds.client, &arguments.off, &source, &arguments.out)
 }

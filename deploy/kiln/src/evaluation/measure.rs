@@ -13,6 +13,7 @@ use crate::failure::{Exit, Failure, Result};
 use crate::interrupt::Interrupt;
 use crate::kinds::KindTables;
 use crate::submission::PackedScene;
+use crate::switched_off::SwitchedOff;
 
 /// Worst clusters that are named.
 const WORST: usize = 12;
@@ -32,7 +33,7 @@ pub fn measure(
     kinds: &KindTables,
     source: &Source,
     scene: PackedScene,
-    wanted: &EvaluationArguments,
+    (wanted, off): (&EvaluationArguments, &SwitchedOff),
     interrupt: &Interrupt,
 ) -> Result<Measured> {
     let own = wanted.own_lights()?;
@@ -50,10 +51,10 @@ pub fn measure(
     let bake = kinds.worker.evaluated(&manifest, scene.into_bytes(), &bytes, &progress).map_err(failure)?;
     let evaluator = Evaluator::new(bake, options, &progress).map_err(failure)?;
     let chosen = match own {
-        Some(lights) => evaluator.usable(lights),
+        Some(lights) => evaluator.usable(off.rest_of_tests(lights)),
         None => {
             let chosen = evaluator.default_lights();
-            evaluator.usable(chosen.lights).map(|mut usable| {
+            evaluator.usable(off.rest_of_tests(chosen.lights)).map(|mut usable| {
                 usable.notes.splice(0..0, chosen.notes);
                 usable
             })

@@ -69,13 +69,36 @@ fn evaluation_of_a_bundle_finds_its_scene_and_writes_figures_page_and_table() {
 }
 
 #[test]
+fn lights_are_told_apart_in_pictures_and_figures() {
+    let folder = tempfile::tempdir().unwrap();
+    baked(folder.path(), &[], 0);
+    let brightest = |more: &[&str]| {
+        let mut command = kiln(&folder.path().join("state"));
+        command.current_dir(folder.path());
+        let arguments = ["preview", "box.kiln", "--out", "a.png", "--size", "32x24", "--backend", "cpu"];
+        run(command, &words(&[&arguments, more]), 0);
+        let picture = image::open(folder.path().join("a.png")).unwrap().into_rgb8();
+        picture.pixels().flat_map(|pixel| pixel.0).max().unwrap()
+    };
+    // The box has its lamp and no other light.
+    assert!(brightest(&[]) > 100);
+    assert_eq!(brightest(&["--no-emitters"]), 0);
+    assert_eq!(brightest(&["--light", "emitters scale=0"]), 0);
+    assert_eq!(brightest(&["--no-emitters", "--no-sky", "--light", "sky strength=1"]), 0);
+    assert!(brightest(&["--no-emitters", "--light", "sky strength=1"]) > 100);
+    let figures = evaluated(folder.path(), &[&ROUGH[..], &["--no-emitters", "--json"]].concat(), 0).json();
+    let lights = figures["lights"].as_array().unwrap();
+    assert_eq!(lights.iter().map(|light| light["name"].as_str().unwrap()).collect::<Vec<_>>(), ["lamp"]);
+}
+
+#[test]
 fn bake_that_breaks_a_limit_ends_with_4_and_one_that_keeps_it_with_0() {
     let folder = tempfile::tempdir().unwrap();
     let with = |limit: &'static str| [&["--evaluate", "--fail-if", limit], &ROUGH[..]].concat();
     let broken = baked(folder.path(), &with("rel_rmse>0.0001"), 4);
     assert!(broken.stderr().contains("rel_rmse>0.0001 (it is "), "{}", broken.stderr());
     // Broken at one end of the interval alone: said, not failed.
-    let figures = baked(folder.path(), &[&["--evaluate", "--json"], &ROUGH[..]].concat(), 0).json();
+    let figures = baked(folder.path(), &[&["--evaluate"], &ROUGH[..]].concat(), 0).json();
     let [low, high] =
         [0, 1].map(|end| figures["evaluation"]["interval_95"]["rel_rmse"][end].as_f64().unwrap());
     let limit = format!("rel_rmse>{}", 0.5 * (low + high));
