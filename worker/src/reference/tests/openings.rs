@@ -96,6 +96,35 @@ fn kitchen() -> Room {
     room.rectangle(low + along, depth, up, 0.6, 0.0).built()
 }
 
+/// Sites deep in the room that 256 paths without a guide find nothing from.
+#[test]
+fn places_where_pilots_find_nothing_agree_with_their_own_long_run() {
+    let room = kitchen();
+    let lighting = lit(LightKind::Sun { direction: [0.92, -0.3, 0.25] }, 50.0);
+    let unguided = room.under(&lighting).with_strategy(Strategy::Lamps);
+    let few = Precision { rel_error: 0.0, paths_max: 256 };
+    let all = sites_on_walls(Vec3::new(4.0, 2.6, 5.0), 4.0);
+    let found = unguided.irradiance(&all, &few, &Progress::new()).unwrap();
+    let dark = all.iter().zip(&found).filter(|(_, found)| found.indirect.mean == DVec3::ZERO);
+    let sites: Vec<Site> = dark.map(|(site, _)| *site).take(20).collect();
+    assert_eq!(sites.len(), 20);
+    let one = irradiance(&room, &lighting, &sites, Precision::default());
+    let long = Precision { rel_error: 0.0, paths_max: 1 << 18 };
+    let long = unguided.irradiance(&sites, &long, &Progress::new()).unwrap();
+    for (one, long) in one.iter().zip(&long) {
+        let [one, long] = [one, long].map(|found| found.indirect);
+        let both = one.luminance_error.hypot(long.luminance_error);
+        println!(
+            "{:.5} ± {:.5}, long {:.5} ± {:.5}",
+            one.luminance(),
+            one.luminance_error,
+            long.luminance(),
+            long.luminance_error
+        );
+        assert!((one.luminance() - long.luminance()).abs() < 3.0 * both, "{one:?} {long:?}");
+    }
+}
+
 #[test]
 fn low_sun_through_a_deep_reveal_agrees_with_a_long_run_that_nothing_guides() {
     let room = kitchen();
