@@ -216,13 +216,13 @@ impl Evaluator {
 
     fn pairs(&self, found: &[DVec3], estimates: &[IrradianceEstimate], counted: &[bool]) -> Vec<Pair> {
         let all = self.sample.places.iter().zip(found).zip(estimates).zip(counted);
-        all.filter(|(_, counted)| **counted)
-            .map(|(((sampled, found), estimate), _)| Pair {
-                area_m2: sampled.area_m2,
-                found: *found,
-                reference: *estimate,
-            })
-            .collect()
+        // A place that does not count keeps its number, with no area: draws are then of the same places under all lights.
+        all.map(|(((sampled, found), estimate), counted)| Pair {
+            area_m2: if *counted { sampled.area_m2 } else { 0.0 },
+            found: *found,
+            reference: *estimate,
+        })
+        .collect()
     }
 }
 
