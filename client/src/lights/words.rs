@@ -61,7 +61,7 @@ mod tests {
     fn emitters_stand_beside_other_lights() {
         let parsed = parse_lights(&["emitters scale=0.5", "sun dir=0,-1,0 irradiance=2"]).unwrap();
         assert_eq!((parsed.lights.len(), parsed.emitter_scale), (1, Some(0.5)));
-        assert_eq!(parse_lights::<&str>(&[]).unwrap(), ParsedLights::default());
+        assert_eq!(parse_lights(&[] as &[&str]).unwrap(), ParsedLights::default());
     }
 
     #[test]

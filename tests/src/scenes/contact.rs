@@ -66,6 +66,19 @@ pub fn hollow_pier_on_plate(plate_half_m: f32, pier_half_m: f32) -> Vec<u8> {
     glb.finish()
 }
 
+/// A box of 1.2 m on a floor of 5 × 5 m under the open sky, turned about its middle, of sheets without thickness and
+/// without a bottom: the floor runs through under it.
+pub fn hollow_box_on_floor(yaw_rad: f32) -> Vec<u8> {
+    let mut glb = Glb::new("hollow_box_on_floor");
+    let plaster = glb.material(Surface::diffuse("plaster", PLASTER));
+    let sheet = glb.material(Surface::diffuse("sheet", PLASTER).double_sided());
+    glb.object("floor", &floor(2.5), plaster);
+    let half = Vec3::new(BOX_HALF_M, 0.0, BOX_HALF_M);
+    let hollow = shapes::cuboid(-half, half + Vec3::Y * (2.0 * BOX_HALF_M), &[Side::Bottom]);
+    glb.object("box", &hollow.turned(yaw_rad), sheet);
+    glb.finish()
+}
+
 /// A closed room of 4 × 2.5 × 4 m whose floor is `tiles × tiles` coplanar meshes; the edges of the inner ones lie on
 /// no line of the texel lattice.
 pub fn tiled_floor(tiles: u32) -> Vec<u8> {
@@ -110,7 +123,12 @@ fn floor(half_m: f32) -> Mesh {
 /// Horizontal distance of a point from the turned square of [`box_on_floor`] or [`column()`] around the origin; below 0
 /// inside.
 pub fn outside_m(position_m: Vec3, half_m: f32) -> f32 {
-    let (sin, cos) = (libm::sinf(YAW_RAD), libm::cosf(YAW_RAD));
+    outside_turned_m(position_m, half_m, YAW_RAD)
+}
+
+/// As [`outside_m`], of a square that is turned by `yaw_rad`.
+pub fn outside_turned_m(position_m: Vec3, half_m: f32, yaw_rad: f32) -> f32 {
+    let (sin, cos) = (libm::sinf(yaw_rad), libm::cosf(yaw_rad));
     let local = [cos * position_m.x - sin * position_m.z, cos * position_m.z + sin * position_m.x];
     let [x, z] = local.map(|axis| axis.abs() - half_m);
     if x > 0.0 && z > 0.0 { libm::sqrtf(x * x + z * z) } else { x.max(z) }

@@ -3,7 +3,7 @@
 use glam::Vec3;
 use lightkiln_proto::scene::{LightKind, SceneLight};
 use lightkiln_tests::harness::{Held, Lit};
-use lightkiln_tests::scenes::{self, BOX_HALF_M, COLUMN_HALF_M, PLATE_TOP_M, outside_m};
+use lightkiln_tests::scenes::{self, BOX_HALF_M, COLUMN_HALF_M, PLATE_TOP_M, outside_m, outside_turned_m};
 use lightkiln_worker::lightmap::Receiver;
 
 use super::setup::{
@@ -112,6 +112,28 @@ fn rim_beside_a_hollow_pier_has_the_light_outside_of_it() {
     let hollow = held.receivers(|r| is_top(r) && outside(r) < 0.0);
     assert_eq!(hollow.len(), 10 * 10);
     assert!(hollow.iter().all(|&receiver| lit.baked(receiver).max_element() == 0.0), "light in the pier");
+}
+
+#[test]
+fn floor_that_a_hollow_box_cuts_has_the_light_outside_of_it() {
+    for degrees in [7.0_f32, 20.0, 45.0] {
+        let yaw_rad = degrees.to_radians();
+        let scene = scenes::hollow_box_on_floor(yaw_rad);
+        let held = Held::new(scene, &with_texels("prt", TEXEL_M, 128)).unwrap();
+        let outside = |at_m: Vec3| outside_turned_m(at_m, BOX_HALF_M, yaw_rad);
+        // Share of the 8 × 8 parts of a receiver's texel that lie outside.
+        let share = |r: &Receiver| {
+            let corner = (r.position_m / TEXEL_M).floor() * TEXEL_M;
+            let part = |i: u32| Vec3::new((i % 8) as f32 + 0.5, 0.0, (i / 8) as f32 + 0.5) * (TEXEL_M / 8.0);
+            (0..64).filter(|&i| outside(corner + part(i)) > 0.0).count() as f32 / 64.0
+        };
+        let hidden = held.receivers(|r| is_floor(r) && outside(r.position_m) < 0.0 && share(r) > 0.2);
+        assert!(hidden.is_empty(), "{degrees}°: {} texels stand for the hollow", hidden.len());
+        let cut = held.receivers(|r| is_floor(r) && (0.2..0.8).contains(&share(r)));
+        assert!(cut.len() > 12, "{degrees}°: {}", cut.len());
+        let lit = held.under(&daylight()).unwrap();
+        assert_is_as_the_reference(&lit, &format!("floor cut by a box at {degrees}°"), &cut, NEAR);
+    }
 }
 
 fn column_casts_no_dark_leak_around_its_foot(kind: &'static str) {

@@ -32,6 +32,8 @@ pub struct Candidate {
     pub openness: f32,
     /// Share of its rays that meet back faces of single-sided surfaces.
     pub back_share: f32,
+    /// Mean free path above it in texels, weighted by the rays' cosine; infinite where one leaves the scene.
+    pub outlook: f32,
     /// It was shifted off its surface.
     pub is_shifted: bool,
     /// It was shifted off its surface, out through the top of a thing that lies on that, not beside it.
@@ -41,6 +43,7 @@ pub struct Candidate {
 /// Surroundings of a point by its test rays.
 struct Look {
     openness: f32,
+    outlook: f32,
     back_share: f32,
     escaped: bool,
     /// Direction and distance of the nearest back face.
@@ -62,8 +65,10 @@ impl<'a> Tester<'a> {
         let start_m = receiver.position_m + receiver.face_normal * offset_m;
         let found = self.look(start_m, receiver.face_normal, seed);
         if found.back_share < self.back_face_min || found.escaped {
-            let Look { openness, back_share, .. } = found;
-            return Some(Candidate { receiver, openness, back_share, is_shifted: false, is_lifted: false });
+            let Look { openness, back_share, outlook, .. } = found;
+            let own =
+                Candidate { receiver, openness, back_share, outlook, is_shifted: false, is_lifted: false };
+            return Some(own);
         }
         let (direction, distance_m) = found.nearest?;
         if distance_m > self.texel_m * SHIFT_MAX_TEXELS {
@@ -73,8 +78,8 @@ impl<'a> Tester<'a> {
         let moved = self.look(moved_m, receiver.face_normal, seed);
         let receiver = Receiver { position_m: moved_m, ..receiver };
         let is_lifted = direction.dot(receiver.face_normal) > 0.5;
-        let Look { openness, back_share, .. } = moved;
-        let shifted = Candidate { receiver, openness, back_share, is_shifted: true, is_lifted };
+        let Look { openness, back_share, outlook, .. } = moved;
+        let shifted = Candidate { receiver, openness, back_share, outlook, is_shifted: true, is_lifted };
         (moved.back_share < self.back_face_min).then_some(shifted)
     }
 
@@ -94,8 +99,8 @@ impl<'a> Tester<'a> {
     fn look(&self, start_m: Vec3, normal: Vec3, seed: u64) -> Look {
         let (tangent, bitangent) = tangent_frame(normal);
         let points = R2::new(seed);
-        let mut found = Look { openness: 0.0, back_share: 0.0, escaped: false, nearest: None };
-        let (mut back, mut free) = (0, 0.0);
+        let mut found = Look { openness: 0.0, outlook: 0.0, back_share: 0.0, escaped: false, nearest: None };
+        let (mut back, mut free, mut path, mut weight) = (0, 0.0, 0.0, 0.0);
         for ray in 0..TEST_RAYS {
             let [u, v] = points.point(ray);
             let local = uniform_sphere(u * 0.5, v);
@@ -103,8 +108,11 @@ impl<'a> Tester<'a> {
             let Some(hit) = self.geometry.tracer.closest(start_m, direction, f32::INFINITY) else {
                 found.escaped = true;
                 free += 2.0 * local.z;
+                path = f32::INFINITY;
                 continue;
             };
+            path += hit.t / self.texel_m * local.z;
+            weight += local.z;
             free += (hit.t / self.texel_m).min(1.0) * 2.0 * local.z;
             if !self.geometry.is_back(&hit) {
                 continue;
@@ -116,6 +124,7 @@ impl<'a> Tester<'a> {
         }
         self.rays.fetch_add(u64::from(TEST_RAYS), Ordering::Relaxed);
         found.openness = free / TEST_RAYS as f32;
+        found.outlook = if path.is_finite() { path / weight.max(f32::MIN_POSITIVE) } else { f32::INFINITY };
         found.back_share = back as f32 / TEST_RAYS as f32;
         found
     }

@@ -15,6 +15,10 @@
 //! the texel. Those count only if they are open, and, unless the central point is in a crevice, look elsewhere: where a
 //! narrow edge has parts that look into a gap and parts that look out of it, the latter are seen.
 //!
+//! A wall may cut a texel in two, and its central point lie in a thing that stands there: a hollow box or pier. Nobody looks
+//! into a hollow, so where that sees nothing but walls close by, and the part beyond the wall sees farther, the middle of
+//! that part stands for the texel.
+//!
 //! A texel that its chart only touches is stood for by its neighbour's point, unless a wall parts the two: then by the best
 //! of its own, if that is open and on its own side of the wall.
 
@@ -40,8 +44,15 @@ const BENT_COSINE_MAX: f32 = std::f32::consts::FRAC_1_SQRT_2;
 /// through the floor.
 const BEYOND_SHARE_MIN: f32 = 0.125;
 
+/// Longest mean free path, in texels, of a point in a hollow.
+const HOLLOW_MAX: f32 = 32.0;
+/// Factor by which the part of a texel beyond the wall of a hollow sees farther.
+const FARTHER: f32 = 1.5;
+
 /// Questions that the choice asks of the scene.
 pub trait Site: Sync {
+    /// The receiver at the point, wherever that is.
+    fn receiver(&self, point: &TexelPoint) -> Receiver;
     /// The point as a candidate; `None` where no receiver can be.
     fn candidate(&self, point: &TexelPoint) -> Option<Candidate>;
     /// Normal of the face that the point lies on.
@@ -59,7 +70,10 @@ fn score(candidate: Option<&Candidate>) -> f32 {
 pub fn chosen(chart: &UnwrapBlock, covered: &[TexelPoint], site: &impl Site) -> Vec<Option<Candidate>> {
     let mut chosen: Vec<Option<Candidate>> = covered.par_iter().map(|point| site.candidate(point)).collect();
     // Gather other points only where one of them could have a higher score.
-    let is_contested = |index: &usize| CENTRAL * score(chosen[*index].as_ref()) < ELSEWHERE_MAX;
+    let is_contested = |index: &usize| {
+        let central = chosen[*index].as_ref();
+        CENTRAL * score(central) < ELSEWHERE_MAX || central.is_some_and(may_be_in_hollow)
+    };
     let contested: Vec<usize> = (0..covered.len()).filter(is_contested).collect();
     let wanted: Vec<TexelPoint> = contested.iter().map(|&index| covered[index]).collect();
     let better: Vec<Option<Candidate>> = other_points(chart, &wanted)
@@ -73,6 +87,28 @@ pub fn chosen(chart: &UnwrapBlock, covered: &[TexelPoint], site: &impl Site) -> 
     chosen
 }
 
+/// Walls are close on all sides, one of them within a texel.
+fn may_be_in_hollow(central: &Candidate) -> bool {
+    central.openness < ELSEWHERE_MAX && central.outlook < HOLLOW_MAX
+}
+
+/// The middle of the texel's points beyond the wall of the hollow that the central one is in.
+fn out_of_hollow(central: &Candidate, others: &[TexelPoint], site: &impl Site) -> Option<Candidate> {
+    let beyond: Vec<(&TexelPoint, Vec3)> = others
+        .iter()
+        .map(|other| (other, site.receiver(other)))
+        .filter(|(_, other)| site.is_parted(&central.receiver, other))
+        .map(|(other, receiver)| (other, receiver.position_m))
+        .collect();
+    let middle_m = beyond.iter().map(|(_, at_m)| *at_m).sum::<Vec3>() / beyond.len().max(1) as f32;
+    let from_middle = |(_, at_m): &(&TexelPoint, Vec3)| at_m.distance_squared(middle_m);
+    let (point, _) = beyond.iter().min_by(|a, b| from_middle(a).total_cmp(&from_middle(b)))?;
+    site.candidate(point).filter(|out| {
+        let is_seen = out.openness > OPEN_MIN && out.back_share < BEYOND_SHARE_MIN && !out.is_shifted;
+        is_seen && out.outlook > FARTHER * central.outlook
+    })
+}
+
 /// The candidate of highest score; of equals the central one, then the first.
 fn best(
     point: &TexelPoint,
@@ -80,6 +116,10 @@ fn best(
     others: &[TexelPoint],
     site: &impl Site,
 ) -> Option<Candidate> {
+    let hollow = central.as_ref().filter(|central| may_be_in_hollow(central));
+    if let Some(out) = hollow.and_then(|central| out_of_hollow(central, others, site)) {
+        return Some(out);
+    }
     let in_crevice = score(central.as_ref()) < OPEN_MIN;
     let own = site.face_normal(point);
     let is_admitted = |other: &&TexelPoint| in_crevice || site.face_normal(other).dot(own) < BENT_COSINE_MAX;

@@ -133,9 +133,13 @@ impl Side<'_> {
 }
 
 impl choose::Site for Side<'_> {
-    fn candidate(&self, point: &TexelPoint) -> Option<Candidate> {
+    fn receiver(&self, point: &TexelPoint) -> Receiver {
         let front = Receiver { block: self.block, ..self.attributes.receiver(point) };
-        self.tester.candidate(if self.is_back { turned(&front) } else { front }, self.key)
+        if self.is_back { turned(&front) } else { front }
+    }
+
+    fn candidate(&self, point: &TexelPoint) -> Option<Candidate> {
+        self.tester.candidate(self.receiver(point), self.key)
     }
 
     fn face_normal(&self, point: &TexelPoint) -> Vec3 {
