@@ -141,6 +141,38 @@ fn no_light_passes_the_foot_or_the_corner_of_a_wall() {
 }
 
 #[test]
+fn narrow_facets_before_the_void_stay_lit() {
+    // A slab of 6 mm whose top and front the sun lights, with nothing behind it; texels of the map are wider.
+    let sheet = |corner: Vec3, u: Vec3, v: Vec3| Draw {
+        position_m: [corner, corner + u, corner + u + v, corner + v].map(|at| at.to_array()).into(),
+        normal: vec![u.cross(v).normalize().to_array(); 4],
+        triangles: vec![[0, 1, 2], [0, 2, 3]],
+        ..Draw::default()
+    };
+    let thick = Vec3::NEG_Z * 0.006;
+    let draws = vec![
+        sheet(Vec3::ZERO, Vec3::X * 2.0, Vec3::Y * 2.0),
+        sheet(Vec3::Y * 2.0, Vec3::X * 2.0, thick),
+        sheet(thick, Vec3::Y * 2.0, Vec3::X * 2.0),
+    ];
+    let manifest = Manifest { lightmap: None, ..manifest("prt") };
+    let scene = LoadedScene::assemble(manifest, vec![Geometry { draws }], vec![texture()]).unwrap();
+    for angle in 0..12 {
+        let height = 0.2 + 0.1 * angle as f32;
+        let sun = format!("sun dir=0.3,{},{} irradiance=1", -height.sin(), -height.cos());
+        let plan =
+            ShadowPlan::new(&Caster::of(&[parse_light(&sun).unwrap()]), [[0.0; 3], [2.0; 3]], 512).unwrap();
+        let maps = draw(&scene, &plan);
+        for index in 0..200 {
+            let position =
+                Vec3::new(0.1 + 0.009 * index as f32, 2.0, -0.0005 - 0.005 * (index % 7) as f32 / 6.0);
+            let e = direct_irradiance(&plan, &maps, position, Vec3::Y, Vec3::Y).x;
+            assert!(e > 0.0, "{position} under {sun}");
+        }
+    }
+}
+
+#[test]
 fn sky_alone_settles_soon_and_lights_the_open_floor() {
     let (bake, view) = fixture_view();
     let sky = parse_light("sky zenith=1,1,1 horizon=1,1,1 strength=2").unwrap();

@@ -27,7 +27,7 @@ impl SwitchedOff {
         lights
     }
 
-    /// The same of lights to measure with, without those that have then nothing left.
+    /// The same of lights to measure with, without those that have then nothing left; says which on standard error.
     pub fn rest_of_tests(&self, lights: Vec<TestLight>) -> Vec<TestLight> {
         let rest = |mut light: TestLight| {
             let lighting = &mut light.lighting;
@@ -35,6 +35,9 @@ impl SwitchedOff {
             lighting.lights = self.rest(std::mem::take(&mut lighting.lights));
             let dark =
                 lighting.emitter_scale <= 0.0 && lighting.lights.is_empty() && lighting.panels.is_empty();
+            if dark {
+                eprintln!("note: light '{}' is switched off", light.name);
+            }
             (!dark).then_some(light)
         };
         lights.into_iter().filter_map(rest).collect()

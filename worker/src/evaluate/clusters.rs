@@ -39,7 +39,8 @@ pub fn cluster_errors(evaluator: &Evaluator, results: &[LightResult]) -> Vec<Clu
     let mut by_cluster: BTreeMap<Option<usize>, Sums> = BTreeMap::new();
     for (index, sampled) in evaluator.sample().places.iter().enumerate() {
         let cluster = evaluator.bake().chunk_of(&sampled.place);
-        let counted: Vec<&LightResult> = results.iter().filter(|result| result.counted[index]).collect();
+        let counted: Vec<&LightResult> =
+            results.iter().filter(|result| result.counts && result.counted[index]).collect();
         if counted.is_empty() {
             continue;
         }

@@ -156,20 +156,13 @@ impl Evaluator {
         Ok(self.bake.relit(&self.reference(&light.lighting)?, &light.lighting, progress)?)
     }
 
-    /// Measures the bake under one light.
-    ///
-    /// Errors when the light reaches no surface at all.
+    /// Measures the bake under one light. One that reaches nothing does not count ([`LightResult::counts`]).
     pub fn measure(&self, light: &TestLight, progress: &Progress) -> Result<LightResult, EvaluationError> {
         let reference = self.reference(&light.lighting)?;
         let relit = self.bake.relit(&reference, &light.lighting, progress)?;
         let places = self.sample.bare();
         let sites: Vec<Site> = places.iter().map(|place| place.site).collect();
         let estimates = reference.irradiance(&sites, &self.options.precision, progress)?;
-        let lit = estimates.iter().any(|e| e.indirect.luminance() > 0.0 || e.direct.luminance() > 0.0);
-        if !lit {
-            let problem = "it reaches no surface of the scene; move it or turn it";
-            return Err(LightingError::new(&light.name, problem).into());
-        }
         let found: Vec<Option<DVec3>> = places.iter().map(|place| relit.irradiance(place)).collect();
         let counted = counted(&found, &estimates);
         let baked: Vec<DVec3> = found.into_iter().map(Option::unwrap_or_default).collect();
@@ -206,7 +199,7 @@ impl Evaluator {
             let (rel_rmse, at_sample) = match class.measure {
                 Measure::Rms(rms) => (rms / mean_irradiance.max(f64::MIN_POSITIVE), Vec::new()),
                 Measure::AtSample(found) => {
-                    (Figures::of(&self.pairs(&found, estimates, counted)).0.rel_rmse, found)
+                    (Figures::rel_rmse_of(&self.pairs(&found, estimates, counted)), found)
                 }
             };
             ClassResult { name: class.name, about: class.about, rel_rmse, at_sample }

@@ -149,6 +149,11 @@ impl Figures {
         (figures, draws)
     }
 
+    /// [`Figures::rel_rmse`] alone.
+    pub fn rel_rmse_of(pairs: &[Pair]) -> f64 {
+        signed_root(Moments::of(pairs, luminance).rel_square())
+    }
+
     /// Of several lights together: root mean square of errors, mean of ratios.
     pub fn over_lights(lights: &[(Self, &[Draw])]) -> Self {
         let count = lights.len().max(1) as f64;
@@ -280,7 +285,7 @@ impl Terms {
                 let local = term.reference.max(LOCAL_LIGHT_MIN * mean);
                 (term.found - term.reference).abs() > limit * local
             };
-            self.terms.iter().filter(above).map(|term| term.weight).sum::<f64>() / total
+            self.terms.iter().filter(above).fold(0.0, |sum, term| sum + term.weight) / total
         })
     }
 }

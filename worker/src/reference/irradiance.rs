@@ -29,7 +29,7 @@ pub struct Precision {
     /// it is brighter: sums of squares over sites have most of their noise from the brightest. Smaller → more paths,
     /// with its inverse square.
     pub rel_error: f64,
-    /// Most paths per site, the pilot's not among them.
+    /// Most paths per site, the pilot's not among them; 32 at least.
     pub paths_max: u32,
 }
 

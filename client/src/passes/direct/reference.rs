@@ -131,7 +131,10 @@ fn is_behind(
     if open && d.iter().all(|depth| *depth > 0.0) && goes_on(base + IVec2::ONE, d[1] + d[2] - d[0]) {
         return false;
     }
-    let far = margin / bias_m * lift_m / facet.dot(towards).max(0.01);
+    let depth_per_m = margin / bias_m;
+    let far = depth_per_m * lift_m / facet.dot(towards).max(0.01);
+    let face = &plan.faces[face_index as usize];
+    let texel_m = face.texel_at_unit_w * clip.w;
     (0..4).any(|corner| {
         // The plane of this texel and those behind it, seen from the point.
         let inward = IVec2::new(1 - 2 * (corner & 1), 1 - 2 * (corner >> 1));
@@ -140,9 +143,14 @@ fn is_behind(
         let own = depth_at(texel);
         let slope = own - Vec2::new(depth_at(texel - x), depth_at(texel - y));
         let next = own - 2.0 * slope - Vec2::new(depth_at(texel - 2 * x), depth_at(texel - 2 * y));
+        // An occluder is above the surface; what bends away from it, as the next facet of a thing does, is below.
+        let away = (texel.as_vec2() - at) * texel_m;
+        let seen = Vec3::from(face.right) * away.x - Vec3::from(face.up) * away.y;
+        let height_m = (seen + towards * ((own - ndc.z) / depth_per_m)).dot(facet);
         // The three others go on with it, or see nothing at all.
         let is_plane = own > 0.0
             && next.abs().max_element() <= margin
+            && height_m > 0.0
             && goes_on(texel + x, own + slope.x)
             && goes_on(texel + y, own + slope.y)
             && goes_on(texel + x + y, own + slope.x + slope.y);

@@ -132,7 +132,9 @@ fn is_behind(face_index: u32, light: Light, position: vec3f, facet: vec3f, lift_
     if open && min(d.x, min(d.y, d.z)) > 0.0 && goes_on(face_index, base + vec2i(1, 1), d.y + d.z - d.x, margin) {
         return false;
     }
-    let far = margin / bias_m * lift_m / max(dot(facet, towards), 0.01);
+    let depth_per_m = margin / bias_m;
+    let far = depth_per_m * lift_m / max(dot(facet, towards), 0.01);
+    let texel_m = faces[face_index].texel_at_unit_w * clip.w;
     for (var corner = 0; corner < 4; corner++) {
         // The plane of this texel and those behind it, seen from the point.
         let inward = vec2i(1 - 2 * (corner & 1), 1 - 2 * (corner >> 1u));
@@ -143,6 +145,12 @@ fn is_behind(face_index: u32, light: Light, position: vec3f, facet: vec3f, lift_
         let slope = own - vec2f(depth_at(face_index, texel - x), depth_at(face_index, texel - y));
         let next = own - 2.0 * slope - vec2f(depth_at(face_index, texel - 2 * x), depth_at(face_index, texel - 2 * y));
         if own <= 0.0 || max(abs(next.x), abs(next.y)) > margin {
+            continue;
+        }
+        // An occluder is above the surface; what bends away from it, as the next facet of a thing does, is below.
+        let away = (vec2f(texel) - at) * texel_m;
+        let seen = faces[face_index].right * away.x - faces[face_index].up * away.y;
+        if dot(seen + towards * ((own - ndc.z) / depth_per_m), facet) <= 0.0 {
             continue;
         }
         // The three others go on with it, or see nothing at all.

@@ -95,7 +95,7 @@ fn table(evaluation: &Evaluation, pictures: &[LightPictures]) -> String {
         html += &flip.map_or("<td>".to_owned(), |flip| format!("<td>{flip:.4}"));
     };
     for (light, picture) in evaluation.lights.iter().zip(pictures) {
-        row(&light.name, &light.figures, &light.classes, Some(picture.flip_mean));
+        row(&light.shown_name(), &light.figures, &light.classes, Some(picture.flip_mean));
     }
     row("all lights", &evaluation.figures, &evaluation.classes, None);
     html + "</table>"

@@ -76,6 +76,10 @@ impl Limit {
                     let what = format!("--fail-if '{}' names a light that was not measured", self.text);
                     Failure::bad_input(what).try_this(format!("one of {}", names.join(", ")))
                 })?;
+                if !row.counts {
+                    let what = format!("--fail-if '{}' names a light that reaches too few places", self.text);
+                    return Err(Failure::bad_input(what).try_this("more --receivers, or another light"));
+                }
                 (&row.figures, &row.classes)
             }
         };

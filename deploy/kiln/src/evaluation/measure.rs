@@ -72,6 +72,11 @@ pub fn measure(
         eprintln!("{}: {}", light.name, light.words);
         results.push(evaluator.measure(light, &progress).map_err(failure)?);
     }
+    if !results.iter().any(|result| result.counts) {
+        let names: Vec<String> = results.iter().map(|result| format!("'{}'", result.light.name)).collect();
+        let what = format!("{} reaches no surface of the scene, or too few of the places", names.join(", "));
+        return Err(Failure::bad_input(what).try_this("move it, turn it, or raise --receivers"));
+    }
     let evaluation = Evaluation {
         scene: name,
         rel_error: wanted.rel_error,

@@ -76,6 +76,13 @@ impl LightRow {
     }
 }
 
+impl LightRow {
+    /// Its name, in brackets if it does not count.
+    pub fn shown_name(&self) -> String {
+        if self.counts { self.name.clone() } else { format!("({})", self.name) }
+    }
+}
+
 /// Figures and classes of the lights that count, together.
 pub fn over_lights(rows: &[LightRow]) -> (Figures, Classes) {
     let rows: Vec<&LightRow> = rows.iter().filter(|row| row.counts).collect();
@@ -123,8 +130,7 @@ pub fn words(evaluation: &Evaluation) -> String {
         text += &format!(" {:>7.2} %\n", 100.0 * figures.reference_rel_error);
     };
     for row in &evaluation.lights {
-        let name = if row.counts { row.name.clone() } else { format!("({})", row.name) };
-        line(&name, &row.figures, &row.classes);
+        line(&row.shown_name(), &row.figures, &row.classes);
     }
     line("all", &evaluation.figures, &evaluation.classes);
     text += &format!(
