@@ -97,6 +97,32 @@ fn flat_surfaces_never_shadow_themselves() {
     }
 }
 
+#[test]
+fn far_ground_under_a_low_lamp_has_no_acne() {
+    // Two triangles of 60 m, whose nearest corner is 600 times as near to the lamp's plane as their farthest.
+    let ground = Draw {
+        position_m: vec![[-30.0, 0.0, -30.0], [-30.0, 0.0, 30.0], [30.0, 0.0, 30.0], [30.0, 0.0, -30.0]],
+        normal: vec![[0.0, 1.0, 0.0]; 4],
+        triangles: vec![[0, 1, 2], [0, 2, 3]],
+        ..Draw::default()
+    };
+    let manifest = Manifest { lightmap: None, ..manifest("prt") };
+    let scene =
+        LoadedScene::assemble(manifest, vec![Geometry { draws: vec![ground] }], vec![texture()]).unwrap();
+    for height in [0.7, 1.9, 3.3] {
+        let lamp = parse_light(&format!("point pos=0.3,{height},-0.2 power=1000")).unwrap();
+        let bounds_m = [[-30.0, 0.0, -30.0], [30.0, 4.0, 30.0]];
+        let plan = ShadowPlan::new(&Caster::of(&[lamp]), bounds_m, 1024).unwrap();
+        let maps = draw(&scene, &plan);
+        let dark = (0..40_000_u32).filter(|index| {
+            let along = |step: u32| -29.5 + 59.0 * (step as f32 + 0.5) / 200.0;
+            let position = Vec3::new(along(index % 200), 0.0, along(index / 200));
+            direct_irradiance(&plan, &maps, position, Vec3::Y, Vec3::Y).x <= 0.0
+        });
+        assert_eq!(dark.count(), 0, "lamp at {height} m");
+    }
+}
+
 /// A wall (z = 0) on a floor, and a fin (x = 0) that stands on both; sheets without thickness, nothing else.
 fn wall_floor_and_fin() -> LoadedScene {
     let sheet = |corner: Vec3, u: Vec3, v: Vec3| Draw {

@@ -102,7 +102,7 @@ fn kind_is_held_against_the_path_tracer() {
     let lights =
         r#"{"lights": [{"name": "lamp", "type": "point", "position_m": [0, 1, 0], "strength": [1, 1, 1]}]}"#;
     std::fs::write(folder.path().join("lights.json"), lights).unwrap();
-    let rough = ["--receivers", "20", "--rel-error", "0.5", "--lights", "lights.json", "--json"];
+    let rough = ["--receivers", "200", "--rel-error", "0.5", "--lights", "lights.json", "--json"];
     let arguments = [&["evaluate", "out"], &rough[..]].concat();
     let figures = json(&run(folder.path(), &arguments, 0));
     // Light that follows no lamp is wrong, and measured to be.

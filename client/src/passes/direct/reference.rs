@@ -10,7 +10,7 @@ use crate::passes::shadow::{Face, Light, ShadowPlan};
 const FILTER_REACH: f32 = 2.0;
 const FILTER_MARGIN: f32 = 0.5;
 const FILTER_WIDTH: f32 = 4.0;
-const PLANE_BIAS: f32 = 0.1;
+const PARALLEL_BIAS: f32 = 0.1;
 const SNAP: f32 = 0.007_812_5;
 
 /// `E_dir` at points in metres with their normals, in W·m⁻².
@@ -109,7 +109,9 @@ fn is_behind(
         (Vec3::from(light.position) - position).normalize_or(Vec3::Y)
     };
     let clip = projection * position.extend(1.0);
-    let bias_m = PLANE_BIAS * plan.count.bias_m;
+    // Depth of a perspective is rounded by the nearest corner of a triangle, however far the point.
+    let is_sun = light.shape == Shape::Sun as u32;
+    let bias_m = if is_sun { PARALLEL_BIAS } else { 1.0 } * plan.count.bias_m;
     let nearer = projection * (position + towards * bias_m).extend(1.0);
     if clip.w <= 0.0 || nearer.w <= 0.0 {
         return false;

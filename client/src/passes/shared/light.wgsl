@@ -46,8 +46,8 @@ const FILTER_REACH = 2.0;
 const FILTER_MARGIN = 0.5;
 // Texels across which the filter reads.
 const FILTER_WIDTH = 4.0;
-// Part of the constant offset that the test against planes needs, and texels by which adapters move corners.
-const PLANE_BIAS = 0.1;
+// Part of the constant offset that the test against planes needs under a sun, and texels by which adapters move corners.
+const PARALLEL_BIAS = 0.1;
 const SNAP = 0.0078125;
 
 @group(0) @binding(0) var<storage, read> lights: array<Light>;
@@ -112,7 +112,8 @@ fn visibility(face_index: u32, position: vec3f) -> f32 {
 fn is_behind(face_index: u32, light: Light, position: vec3f, facet: vec3f, lift_m: f32) -> bool {
     let clip = faces[face_index].clip_from_world * vec4f(position, 1.0);
     let towards = select(normalize(light.position - position), -light.direction, light.shape == SUN);
-    let bias_m = PLANE_BIAS * light_count.bias_m;
+    // Depth of a perspective is rounded by the nearest corner of a triangle, however far the point.
+    let bias_m = select(1.0, PARALLEL_BIAS, light.shape == SUN) * light_count.bias_m;
     let nearer = faces[face_index].clip_from_world * vec4f(position + towards * bias_m, 1.0);
     if clip.w <= 0.0 || nearer.w <= 0.0 {
         return false;
