@@ -97,70 +97,63 @@ fn flat_surfaces_never_shadow_themselves() {
     }
 }
 
+/// A rectangle with its front on the side of `u × v`, outside any lightmap.
+fn sheet(corner: Vec3, u: Vec3, v: Vec3) -> Draw {
+    Draw {
+        position_m: [corner, corner + u, corner + u + v, corner + v].map(|at| at.to_array()).into(),
+        normal: vec![u.cross(v).normalize().to_array(); 4],
+        triangles: vec![[0, 1, 2], [0, 2, 3]],
+        ..Draw::default()
+    }
+}
+
+/// A scene of nothing but these, and the shadow maps of one light on it.
+fn shadows(draws: &[Draw], light: &str, bounds_m: [[f32; 3]; 2], side: u32) -> Lamp {
+    let manifest = Manifest { lightmap: None, ..manifest("prt") };
+    let geometry = Geometry { draws: draws.to_vec() };
+    let scene = LoadedScene::assemble(manifest, vec![geometry], vec![texture()]).unwrap();
+    let plan = ShadowPlan::new(&Caster::of(&[parse_light(light).unwrap()]), bounds_m, side).unwrap();
+    let maps = draw(&scene, &plan);
+    Lamp { plan, maps }
+}
+
 #[test]
 fn far_ground_under_a_low_lamp_has_no_acne() {
     // Two triangles of 60 m, whose nearest corner is 600 times as near to the lamp's plane as their farthest.
-    let ground = Draw {
-        position_m: vec![[-30.0, 0.0, -30.0], [-30.0, 0.0, 30.0], [30.0, 0.0, 30.0], [30.0, 0.0, -30.0]],
-        normal: vec![[0.0, 1.0, 0.0]; 4],
-        triangles: vec![[0, 1, 2], [0, 2, 3]],
-        ..Draw::default()
-    };
-    let manifest = Manifest { lightmap: None, ..manifest("prt") };
-    let scene =
-        LoadedScene::assemble(manifest, vec![Geometry { draws: vec![ground] }], vec![texture()]).unwrap();
+    let ground = [sheet(Vec3::new(-30.0, 0.0, -30.0), Vec3::Z * 60.0, Vec3::X * 60.0)];
     for height in [0.7, 1.9, 3.3] {
-        let lamp = parse_light(&format!("point pos=0.3,{height},-0.2 power=1000")).unwrap();
-        let bounds_m = [[-30.0, 0.0, -30.0], [30.0, 4.0, 30.0]];
-        let plan = ShadowPlan::new(&Caster::of(&[lamp]), bounds_m, 1024).unwrap();
-        let maps = draw(&scene, &plan);
+        let light = format!("point pos=0.3,{height},-0.2 power=1000");
+        let lamp = shadows(&ground, &light, [[-30.0, 0.0, -30.0], [30.0, 4.0, 30.0]], 1024);
         let dark = (0..40_000_u32).filter(|index| {
             let along = |step: u32| -29.5 + 59.0 * (step as f32 + 0.5) / 200.0;
-            let position = Vec3::new(along(index % 200), 0.0, along(index / 200));
-            direct_irradiance(&plan, &maps, position, Vec3::Y, Vec3::Y).x <= 0.0
+            lamp.at(Vec3::new(along(index % 200), 0.0, along(index / 200)), Vec3::Y) <= 0.0
         });
         assert_eq!(dark.count(), 0, "lamp at {height} m");
     }
 }
 
-/// A wall (z = 0) on a floor, and a fin (x = 0) that stands on both; sheets without thickness, nothing else.
-fn wall_floor_and_fin() -> LoadedScene {
-    let sheet = |corner: Vec3, u: Vec3, v: Vec3| Draw {
-        position_m: [corner, corner + u, corner + u + v, corner + v].map(|at| at.to_array()).into(),
-        normal: vec![u.cross(v).normalize().to_array(); 4],
-        triangles: vec![[0, 1, 2], [0, 2, 3]],
-        ..Draw::default()
-    };
-    let draws = vec![
+#[test]
+fn no_light_passes_the_foot_or_the_corner_of_a_wall() {
+    // A wall (z = 0) on a floor, and a fin (x = 0) that stands on both.
+    let draws = [
         sheet(Vec3::new(-3.0, 0.0, 0.0), Vec3::X * 6.0, Vec3::Y * 4.0),
         sheet(Vec3::new(-3.0, 0.0, 0.0), Vec3::Z * 3.0, Vec3::X * 6.0),
         sheet(Vec3::ZERO, Vec3::Y * 4.0, Vec3::Z * 2.0),
     ];
-    let manifest = Manifest { lightmap: None, ..manifest("prt") };
-    LoadedScene::assemble(manifest, vec![Geometry { draws }], vec![texture()]).unwrap()
-}
-
-#[test]
-fn no_light_passes_the_foot_or_the_corner_of_a_wall() {
-    let scene = wall_floor_and_fin();
-    let bounds_m = [[-3.0, 0.0, 0.0], [3.0, 4.0, 3.0]];
     for angle in 0..48 {
         // From behind the wall, so that the wall shades all that is near it on this side.
         let (turn, height) = (-0.1 - 0.17 * (angle % 8) as f32, 0.3 + 0.2 * (angle / 8) as f32);
         let direction =
             Vec3::new(height.cos() * turn.sin(), -height.sin(), height.cos() * turn.cos()).normalize();
         let words = format!("sun dir={},{},{} irradiance=1", direction.x, direction.y, direction.z);
-        let sun = Caster::of(&[parse_light(&words).unwrap()]);
-        let plan = ShadowPlan::new(&sun, bounds_m, 1024).unwrap();
-        let maps = draw(&scene, &plan);
+        let sun = shadows(&draws, &words, [[-3.0, 0.0, 0.0], [3.0, 4.0, 3.0]], 1024);
         for index in 0..400 {
             let away_m = 2e-4 * 1.35_f32.powi(index % 20);
             let along = 0.4 + 0.07 * (index / 20) as f32;
             for (position, normal) in
                 [(Vec3::new(0.0, along, away_m), Vec3::X), (Vec3::new(along, 0.0, away_m), Vec3::Y)]
             {
-                let e = direct_irradiance(&plan, &maps, position, normal, normal).x;
-                assert_eq!(e, 0.0, "{position} under a sun along {direction}");
+                assert_eq!(sun.at(position, normal), 0.0, "{position} under a sun along {direction}");
             }
         }
     }
@@ -169,31 +162,19 @@ fn no_light_passes_the_foot_or_the_corner_of_a_wall() {
 #[test]
 fn narrow_facets_before_the_void_stay_lit() {
     // A slab of 6 mm whose top and front the sun lights, with nothing behind it; texels of the map are wider.
-    let sheet = |corner: Vec3, u: Vec3, v: Vec3| Draw {
-        position_m: [corner, corner + u, corner + u + v, corner + v].map(|at| at.to_array()).into(),
-        normal: vec![u.cross(v).normalize().to_array(); 4],
-        triangles: vec![[0, 1, 2], [0, 2, 3]],
-        ..Draw::default()
-    };
     let thick = Vec3::NEG_Z * 0.006;
-    let draws = vec![
+    let slab = [
         sheet(Vec3::ZERO, Vec3::X * 2.0, Vec3::Y * 2.0),
         sheet(Vec3::Y * 2.0, Vec3::X * 2.0, thick),
         sheet(thick, Vec3::Y * 2.0, Vec3::X * 2.0),
     ];
-    let manifest = Manifest { lightmap: None, ..manifest("prt") };
-    let scene = LoadedScene::assemble(manifest, vec![Geometry { draws }], vec![texture()]).unwrap();
     for angle in 0..12 {
         let height = 0.2 + 0.1 * angle as f32;
-        let sun = format!("sun dir=0.3,{},{} irradiance=1", -height.sin(), -height.cos());
-        let plan =
-            ShadowPlan::new(&Caster::of(&[parse_light(&sun).unwrap()]), [[0.0; 3], [2.0; 3]], 512).unwrap();
-        let maps = draw(&scene, &plan);
+        let light = format!("sun dir=0.3,{},{} irradiance=1", -height.sin(), -height.cos());
+        let sun = shadows(&slab, &light, [[0.0; 3], [2.0; 3]], 512);
         for index in 0..200 {
-            let position =
-                Vec3::new(0.1 + 0.009 * index as f32, 2.0, -0.0005 - 0.005 * (index % 7) as f32 / 6.0);
-            let e = direct_irradiance(&plan, &maps, position, Vec3::Y, Vec3::Y).x;
-            assert!(e > 0.0, "{position} under {sun}");
+            let (x, z) = (0.1 + 0.009 * index as f32, -0.0005 - 0.005 * (index % 7) as f32 / 6.0);
+            assert!(sun.at(Vec3::new(x, 2.0, z), Vec3::Y) > 0.0, "{x} {z} under {light}");
         }
     }
 }

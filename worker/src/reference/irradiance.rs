@@ -164,7 +164,7 @@ impl Reference<'_> {
     }
 }
 
-/// What the pilot says of a site: mean luminance in W·m⁻², and variances of a batch about its mean: r, g, b, luminance.
+/// Findings of the pilot about a site: mean luminance in W·m⁻², variances of a batch about its mean: r, g, b, luminance.
 #[derive(Clone, Copy, Debug, Default)]
 struct Expected {
     luminance: f64,
