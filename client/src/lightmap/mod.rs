@@ -15,7 +15,8 @@ use crate::bake::{DebugPage, Light, LightPasses, LitScene, SettledLight, Unshado
 use crate::error::{ClientError, Result};
 use crate::passes::atlas::reference::{AtlasPages, read, spread};
 use crate::passes::atlas::{AtlasTexels, INDIRECT, Lightmap};
-use crate::passes::direct::reference::direct;
+use crate::passes::direct::TexelPoints;
+use crate::passes::direct::reference::{direct, direct_texels};
 use crate::passes::gpu::{Gpu, storage_read, texture};
 use crate::passes::resident::{ColumnsPass, Resident};
 use crate::passes::shade::{IndirectIrradiance, Shading, Surface};
@@ -39,6 +40,8 @@ pub struct LightmapLight<C> {
     pub transport: Transport<C>,
     /// Lightmap texels that hold irradiance.
     pub texels: AtlasTexels,
+    /// Points of receivers' texels.
+    pub points: TexelPoints,
 }
 
 impl<C: Columns> LightmapLight<C> {
@@ -53,14 +56,15 @@ impl<C: Columns> LightmapLight<C> {
         let blocks = layout.blocks.iter().map(|block| (block.key, block.size));
         let transport = Transport::join(blocks, emitters.len(), clusters, columns)
             .map_err(|Inconsistent { place, problem }| ClientError::inconsistent(place, problem))?;
-        let texels = AtlasTexels::new(&scene.lightmap, &transport.slots, &transport.receivers.links);
-        Ok(Self { transport, texels })
+        let texels = AtlasTexels::new(&scene.lightmap, &transport.slots, &transport.receivers);
+        let points = TexelPoints::new(&scene.draws, &transport.slots, &transport.receivers);
+        Ok(Self { transport, texels, points })
     }
 
     /// Bounces until they converge, E_dir from shadow maps.
     pub fn settled(&self, lit: &LitScene<'_>, limit: Limit) -> Lit {
         let Transport { receivers, near, .. } = &self.transport;
-        let dir = direct(&receivers.position_m, &receivers.normal, lit.plan, lit.maps);
+        let dir = direct_texels(receivers, &self.points, lit.plan, lit.maps);
         let dir_near = direct(&near.position_m, &near.normal, lit.plan, lit.maps);
         let Unshadowed { sky, emitter_scale } = lit.unshadowed;
         let incoming = Incoming { dir: &dir, near: &dir_near, sky, emitter_scale };

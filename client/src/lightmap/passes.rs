@@ -5,7 +5,7 @@ use crate::bake::{LightPasses, Unshadowed};
 use crate::error::Result;
 use crate::passes::atlas::{AtlasPass, placements};
 use crate::passes::basis::BasisPass;
-use crate::passes::direct::{DirectPass, Points};
+use crate::passes::direct::TexelsPass;
 use crate::passes::gpu::Gpu;
 use crate::passes::near::NearPass;
 use crate::passes::reconstruct::{ReconstructPass, RowArrays};
@@ -17,7 +17,7 @@ use crate::scene::LoadedScene;
 #[derive(Debug)]
 pub struct LightmapPasses {
     pub(crate) resident: Resident,
-    direct: DirectPass,
+    direct: TexelsPass,
     pub(crate) columns: Box<dyn ColumnsPass>,
     pub(crate) basis: BasisPass,
     pub(crate) near: NearPass,
@@ -38,12 +38,6 @@ impl LightmapPasses {
         let transport = &light.transport;
         let emit = transport.emitter_irradiance(emitter_scale);
         let resident = Resident::new(gpu, transport, &emit, &transport.columns.sky_lambda(sky))?;
-        let points = Points {
-            count: resident.receiver_count as u32,
-            positions: &resident.positions,
-            normals: &resident.normals,
-            e_dir: &resident.e_dir,
-        };
         let receivers = RowArrays {
             b: &resident.b,
             start: &resident.e_near,
@@ -51,7 +45,7 @@ impl LightmapPasses {
             result: &resident.e_ind,
         };
         Ok(Self {
-            direct: DirectPass::new(gpu, shadow, points),
+            direct: TexelsPass::new(gpu, shadow, &resident, &light.points)?,
             columns: transport.columns.pass(gpu, &resident)?,
             basis: BasisPass::new(
                 gpu,

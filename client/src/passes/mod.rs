@@ -21,6 +21,7 @@ pub const SHADERS: &[(&str, &str)] = &[
     ("atlas", atlas::SHADER),
     ("basis", basis::SHADER),
     ("direct", direct::SHADER),
+    ("direct texels", direct::TEXELS_SHADER),
     ("near", near::SHADER),
     ("patches", patches::SHADER),
     ("reconstruct", reconstruct::SHADER),

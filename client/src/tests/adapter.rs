@@ -131,7 +131,8 @@ fn direct_agrees_with_the_reference_on_the_same_shadow_maps() {
     let got: Vec<Vec4> = gpu.read(&stage.passes.resident.e_dir, stage.receivers()).unwrap();
     let maps = stage.shadow.read(&gpu).unwrap();
     let receivers = &stage.light.transport.receivers;
-    let wanted = direct::reference::direct(&receivers.position_m, &receivers.normal, &stage.plan, &maps);
+    let points = &stage.light.points;
+    let wanted = direct::reference::direct_texels(receivers, points, &stage.plan, &maps);
     held("direct", &Difference::of(&got, &wanted, direct::TOLERANCE), direct::OUTLIERS);
 }
 

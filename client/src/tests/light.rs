@@ -9,7 +9,7 @@ use super::{fixture_light, fixture_view, prepared};
 use crate::fixture::{ROOM, manifest, texture};
 use crate::lights::{Caster, parse_light};
 use crate::passes::atlas::reference::{sample, spread};
-use crate::passes::direct::reference::{direct, direct_irradiance};
+use crate::passes::direct::reference::{direct_irradiance, direct_texels};
 use crate::passes::shadow::ShadowPlan;
 use crate::passes::shadow::reference::{ShadowMaps, draw};
 use crate::preview::{Backend, View, render};
@@ -241,15 +241,50 @@ fn spot_cone_and_range_end_where_they_should() {
 }
 
 #[test]
-fn direct_light_at_receivers_is_that_of_the_points() {
+fn direct_light_of_a_texel_is_the_mean_over_the_points_of_its_coverage() {
     let (bake, view) = fixture_view();
     let prepared = prepared(&bake, &view);
     let maps = draw(&bake.scene, &prepared.plan);
-    let receivers = fixture_light().1.transport.receivers;
-    let all = direct(&receivers.position_m, &receivers.normal, &prepared.plan, &maps);
-    assert_eq!(all.len(), receivers.len());
-    let lit = all.iter().filter(|e| e.x > 0.0).count();
-    assert!(lit > all.len() / 2 && lit < all.len(), "{lit} of {}", all.len());
+    let (_, light) = fixture_light();
+    let receivers = &light.transport.receivers;
+    let found = direct_texels(receivers, &light.points, &prepared.plan, &maps);
+    let (mut in_half_shadow, mut off) = (0, 0.0_f32);
+    for (slot, found) in found.iter().enumerate() {
+        let own = (receivers.position_m[slot].truncate(), receivers.normal[slot].truncate());
+        let texel = light.points.of(slot, own.0);
+        assert_eq!(texel.len() as u32, receivers.coverage[slot].count_ones(), "slot {slot}");
+        let points = (0..texel.len()).map(|point| texel.point(point));
+        let at = |(position, normal): (Vec3, Vec3)| {
+            direct_irradiance(&prepared.plan, &maps, position, normal, normal)
+        };
+        let each: Vec<Vec3> = if texel.is_empty() { vec![at(own)] } else { points.map(at).collect() };
+        let mean = each.iter().sum::<Vec3>() / each.len() as f32;
+        off = off.max((found.truncate() - mean).abs().max_element());
+        let bounds = each.iter().fold((f32::INFINITY, 0.0_f32), |(a, b), e| (a.min(e.x), b.max(e.x)));
+        in_half_shadow += u32::from(bounds.0 == 0.0 && bounds.1 > 0.0);
+    }
+    let brightest = found.iter().map(|e| e.max_element()).fold(0.0, f32::max);
+    assert!(in_half_shadow > 4, "{in_half_shadow}");
+    // Where the first points agree, the others are not asked.
+    assert!(off < 0.1 * brightest, "{off} of {brightest}");
+}
+
+#[test]
+fn points_of_a_texel_are_those_of_its_coverage_on_the_mesh() {
+    let (_, light) = fixture_light();
+    let receivers = &light.transport.receivers;
+    let of = |bits: u16| receivers.coverage.iter().position(|coverage| *coverage == bits).unwrap();
+    for (bits, wanted) in [(0x00FF, 8), (u16::MAX, 16), (0, 0)] {
+        let slot = of(bits);
+        let centre = receivers.position_m[slot].truncate();
+        let texel = light.points.of(slot, centre);
+        assert_eq!(texel.len(), wanted);
+        let offsets: Vec<Vec3> = (0..wanted).map(|point| texel.point(point).0 - centre).collect();
+        let (sum, normal) = (offsets.iter().sum::<Vec3>(), receivers.normal[slot].truncate());
+        assert!(offsets.iter().all(|offset| offset.dot(normal).abs() < 1e-4));
+        // Half a texel's points have their middle a quarter of it aside; the fixture's are a seventh of a room long at most.
+        assert_eq!(sum.length() > 0.1, bits == 0x00FF, "{bits:#x}: {sum}");
+    }
 }
 
 #[test]

@@ -12,7 +12,7 @@ use naga::{AddressSpace, TypeInner};
 use crate::kinds::sh::relight::{self, RelightNumbers};
 use crate::passes::atlas::{AtlasNumbers, AtlasTexel, INDIRECT, Placement};
 use crate::passes::basis::BasisNumbers;
-use crate::passes::direct::DirectNumbers;
+use crate::passes::direct::{DirectNumbers, TexelNumbers};
 use crate::passes::near::NearNumbers;
 use crate::passes::patches::PatchNumbers;
 use crate::passes::reconstruct::ReconstructNumbers;
@@ -89,11 +89,12 @@ macro_rules! twins {
 fn twins() -> BTreeMap<&'static str, Layout> {
     twins! {
         "Atlas": AtlasNumbers { texel_count, stride }
-        "AtlasTexel": AtlasTexel { x, y, first, packed }
+        "AtlasTexel": AtlasTexel { x, y, first, packed, kind }
         "Basis": BasisNumbers { coefficients, stride, cluster_count, pad }
         "Cluster": ClusterRow {
             first_row, row_count, first_support, support_count, coefficients, rank, first_b, first_factor
         }
+        "DirectNumbers": DirectNumbers { count, stride }
         "Face": Face { clip_from_world, right, texel_at_unit_w, up, pad }
         "Light": Light {
             position, range_m, direction, shape, strength, first_face, cone_cos_inner, cone_cos_outer, face_count,
@@ -106,12 +107,12 @@ fn twins() -> BTreeMap<&'static str, Layout> {
         "PatchRow": PatchRow { first_leaf, leaf_count }
         "Patches": PatchNumbers { receiver_count, leaf_count, patch_count, stride }
         "Placement": Placement { front, front_size, back, back_size }
-        "Receivers": DirectNumbers { count, stride }
         "Reconstruct": ReconstructNumbers { stride, cluster_count, has_beside }
         "Relight": RelightNumbers { first_probe, receiver_count, rays, coefficients }
         "ShadeDraw": ShadeDraw {
             base_colour, emissive, base_row0, base_row1, emissive_row0, emissive_row1, cutoff, index, pad0, pad1
         }
+        "TexelNumbers": TexelNumbers { first, count, stride, reach_m }
         "ShadeView": ShadeView { clip_from_world, zenith, horizon, ray, ray_per_x, ray_per_y }
     }
 }

@@ -4,7 +4,7 @@ use super::bytes::{put_f32s, put_u64s};
 use super::cluster_head::ClusterHead;
 use super::cluster_near::StoredNear;
 use super::cluster_receivers::{LINKS_MAX, ReceiverCodec, palette_of, write_irradiance};
-use super::container::{ContainerWriter, SectionId};
+use super::container::{ContainerWriter, SectionId, VERSION};
 use super::error::{ChunkError, all_finite, all_numbers, in_range};
 use super::factors::StoredFactors;
 use super::layers::LayerBox;
@@ -97,7 +97,8 @@ fn check_input(cluster: &ClusterTransport, settings: QuantisationSettings) -> Re
         in_range(section, what, length as u64, wanted as u64, wanted as u64).map(drop)
     };
     in_range(section, "levels", settings.levels.into(), 1, LEVELS_MAX.into())?;
-    let Receivers { block, texel, position_m, normal, albedo, emission, links, .. } = &cluster.receivers;
+    let Receivers { block, texel, position_m, normal, albedo, emission, links, coverage, .. } =
+        &cluster.receivers;
     let receivers = texel.len();
     same("blocks of receivers", block.len(), receivers)?;
     same("positions", position_m.len(), receivers)?;
@@ -105,6 +106,7 @@ fn check_input(cluster: &ClusterTransport, settings: QuantisationSettings) -> Re
     same("albedos", albedo.len(), receivers)?;
     same("emissions", emission.len(), receivers)?;
     same("links", links.len(), receivers)?;
+    same("coverage", coverage.len(), receivers)?;
     for &bits in links {
         in_range(section, "links", bits.into(), 0, LINKS_MAX)?;
     }
@@ -154,7 +156,7 @@ impl Stored {
             layers: Vec::new(),
         };
         head.check("encoder")?;
-        let mut codec = ReceiverCodec::new(head.bounds_m, palette_of(&receivers.albedo), levels);
+        let mut codec = ReceiverCodec::new(head.bounds_m, palette_of(&receivers.albedo), levels, VERSION);
         codec.load(&receivers);
         let mut predictor = Predictor::default();
         for level in shape.levels_in(shape.full()) {
@@ -219,6 +221,7 @@ fn sorted_receivers(receivers: &Receivers, arrangement: &Arrangement) -> Receive
         albedo: arrangement.sorted(&receivers.albedo),
         emission: arrangement.sorted(&receivers.emission),
         links: arrangement.sorted(&receivers.links),
+        coverage: arrangement.sorted(&receivers.coverage),
     }
 }
 

@@ -48,7 +48,7 @@ fn decode(container: &Container, total_len: u64) -> Result<(ClusterTransport, La
     };
     let (sections, layer) = head.layers[last];
     container.check_expansion(decoded_bytes(&head, layer))?;
-    let mut decoder = Decoder::new(&head, layer);
+    let mut decoder = Decoder::new(&head, layer, container.version);
     decoder.base(&container.section(0, "base", decoder.base_bytes_max())?)?;
     for index in 0..=last {
         decoder.layer(container, index)?;
@@ -71,7 +71,7 @@ fn check_sections(container: &Container, head: &ClusterHead) -> Result<(), Chunk
 /// Memory that a decoded layer takes, about.
 fn decoded_bytes(head: &ClusterHead, layer: LayerBox) -> u64 {
     let receivers = head.shape.receivers_in(layer.level);
-    let others = receivers * (61 + 12 * head.emitters) + 8 * head.blocks;
+    let others = receivers * (63 + 12 * head.emitters) + 8 * head.blocks;
     head.shape.layer_decoded_bytes(layer) + others as u64
 }
 
@@ -87,9 +87,9 @@ struct Decoder<'a> {
 
 impl<'a> Decoder<'a> {
     /// All counts have been checked against their limits.
-    fn new(head: &'a ClusterHead, layer: LayerBox) -> Self {
+    fn new(head: &'a ClusterHead, layer: LayerBox, version: u16) -> Self {
         let cluster = ClusterTransport { bounds_m: head.bounds_m, ..ClusterTransport::default() };
-        let codec = ReceiverCodec::new(head.bounds_m, Vec::new(), head.shape.levels);
+        let codec = ReceiverCodec::new(head.bounds_m, Vec::new(), head.shape.levels, version);
         let factors = FactorDecoder::new(head.shape, layer);
         Self { head, codec, predictor: Predictor::default(), cluster, factors }
     }

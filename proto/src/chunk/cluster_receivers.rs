@@ -40,13 +40,15 @@ pub(super) struct ReceiverCodec {
     pub palette: Vec<[f32; 3]>,
     /// Levels in use.
     pub levels: u32,
+    /// Whether coverage is stored: not in version 1.
+    has_coverage: bool,
     columns: [Vec<i32>; GUESSED_COLUMNS],
 }
 
 impl ReceiverCodec {
     /// A codec that has seen no receivers.
-    pub fn new(bounds_m: [[f32; 3]; 2], palette: Vec<[f32; 3]>, levels: u32) -> Self {
-        Self { bounds_m, palette, levels, columns: Default::default() }
+    pub fn new(bounds_m: [[f32; 3]; 2], palette: Vec<[f32; 3]>, levels: u32, version: u16) -> Self {
+        Self { bounds_m, palette, levels, has_coverage: version > 1, columns: Default::default() }
     }
 
     /// Takes in all receivers, in stored order, before any is written.
@@ -92,8 +94,9 @@ impl ReceiverCodec {
             ints::put_u32s(out, &receivers.albedo[rows.clone()].iter().map(index_of).collect::<Vec<_>>());
         }
         write_emission(out, &receivers.emission[rows.clone()]);
-        let links: Vec<u32> = receivers.links[rows].iter().map(|&bits| bits.into()).collect();
+        let links: Vec<u32> = receivers.links[rows.clone()].iter().map(|&bits| bits.into()).collect();
         ints::put_u32s(out, &links);
+        ints::put_u32s(out, &receivers.coverage[rows].iter().map(|&bits| (!bits).into()).collect::<Vec<_>>());
     }
 
     /// Reads `count` receivers of `level` and appends them to `receivers`; the predictor learns of them.
@@ -128,6 +131,14 @@ impl ReceiverCodec {
         read_emission(reader, receivers, count)?;
         for bits in ints::take_u32s(reader, "links", count)? {
             receivers.links.push(in_range("receivers", "links", bits.into(), 0, LINKS_MAX)? as u8);
+        }
+        if !self.has_coverage {
+            receivers.coverage.resize(receivers.len(), 0);
+            return Ok(());
+        }
+        for bits in ints::take_u32s(reader, "coverage", count)? {
+            let uncovered = in_range("receivers", "coverage", bits.into(), 0, u16::MAX.into())? as u16;
+            receivers.coverage.push(!uncovered);
         }
         Ok(())
     }
@@ -165,7 +176,7 @@ impl ReceiverCodec {
 
 /// Most raw bytes of `count` receivers of a level.
 pub(super) fn receivers_bytes_max(count: usize, blocks: usize, emitters: usize) -> u64 {
-    ints::bytes_max(blocks) + 14 * ints::bytes_max(count) + 4 * emitters as u64 * ints::bytes_max(count)
+    ints::bytes_max(blocks) + 15 * ints::bytes_max(count) + 4 * emitters as u64 * ints::bytes_max(count)
 }
 
 /// Per block its number of receivers, then per receiver how far its texel's Morton code at this level is past the one

@@ -8,8 +8,8 @@ use super::limits::{EXPANSION_FREE_BYTES, EXPANSION_MAX};
 
 /// First four bytes of every chunk.
 pub const MAGIC: [u8; 4] = *b"LKCH";
-/// Version that this code writes.
-pub const VERSION: u16 = 1;
+/// Version that this code writes; it reads those before too.
+pub const VERSION: u16 = 2;
 /// Bytes of the fixed part of the header.
 pub const HEADER_BYTES: usize = 12;
 /// Bytes of an entry of the section table.
@@ -63,6 +63,8 @@ pub struct Entry {
 
 /// A chunk whose header and section table have been read and checked.
 pub struct Container<'a> {
+    /// Version of its format.
+    pub version: u16,
     /// The kind's own head.
     pub head: &'a [u8],
     /// All sections in order, whether their bytes are there or not.
@@ -83,7 +85,7 @@ impl<'a> Container<'a> {
         let section = "header";
         in_range(section, "chunk length", total_bytes, bytes.len() as u64, CHUNK_BYTES_MAX as u64)?;
         let mut reader = Reader::new(section, bytes);
-        let (head_bytes, section_count) = read_fixed(kind, &mut reader)?;
+        let (version, head_bytes, section_count) = read_fixed(kind, &mut reader)?;
         let head = reader.take("head", head_bytes, 1)?;
         let table = reader.take("section table", section_count, ENTRY_BYTES)?;
         let mut start = reader.offset();
@@ -106,7 +108,7 @@ impl<'a> Container<'a> {
         if extra > 0 {
             return Err(ChunkError::Trailing { section, offset: start, extra });
         }
-        Ok(Self { head, entries, complete, bytes })
+        Ok(Self { version, head, entries, complete, bytes })
     }
 
     /// Where section `count − 1` ends: the length of the prefix that holds `count` sections.
@@ -163,23 +165,23 @@ impl<'a> Container<'a> {
 
 /// Kind of a chunk, from its header.
 pub fn kind_of(bytes: &[u8]) -> Result<ChunkKind, ChunkError> {
-    read_start(&mut Reader::new("header", bytes))
+    Ok(read_start(&mut Reader::new("header", bytes))?.1)
 }
 
-fn read_start(reader: &mut Reader) -> Result<ChunkKind, ChunkError> {
+fn read_start(reader: &mut Reader) -> Result<(u16, ChunkKind), ChunkError> {
     let magic = reader.take("magic", 4, 1)?;
     if magic != MAGIC {
         return Err(ChunkError::Magic { found: [magic[0], magic[1], magic[2], magic[3]] });
     }
     let version = reader.u16("version")?;
-    if version != VERSION {
+    if !(1..=VERSION).contains(&version) {
         return Err(ChunkError::Version { found: version });
     }
-    reader.u8("kind").map(ChunkKind)
+    Ok((version, ChunkKind(reader.u8("kind")?)))
 }
 
-fn read_fixed(kind: ChunkKind, reader: &mut Reader) -> Result<(usize, usize), ChunkError> {
-    let found = read_start(reader)?;
+fn read_fixed(kind: ChunkKind, reader: &mut Reader) -> Result<(u16, usize, usize), ChunkError> {
+    let (version, found) = read_start(reader)?;
     if found != kind {
         return Err(ChunkError::Kind { wanted: kind.0, found: found.0 });
     }
@@ -188,6 +190,7 @@ fn read_fixed(kind: ChunkKind, reader: &mut Reader) -> Result<(usize, usize), Ch
     let head_bytes = reader.u16("head length")?;
     let section_count = reader.u16("section count")?;
     Ok((
+        version,
         in_range("header", "head length", head_bytes.into(), 0, HEAD_BYTES_MAX as u64)?,
         in_range("header", "section count", section_count.into(), 0, SECTIONS_MAX as u64)?,
     ))

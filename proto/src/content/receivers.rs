@@ -27,7 +27,15 @@ pub struct Receivers {
     /// Which neighbouring texels no wall stands between: bits of [`LINKS`]. A picture interpolates along links only,
     /// so that light does not pass under a wall that stands on a floor.
     pub links: Vec<u8>,
+    /// Which of the texel's 4 × 4 points lie on surface, on the receiver's own side of every wall: bit `4·row + column`
+    /// for the point `((column, row) + ½) / 4` of the texel. 0 for a receiver off its surface, which is its only point.
+    pub coverage: Vec<u16>,
 }
+
+/// Points along each side of a texel, see [`Receivers::coverage`].
+pub const COVERAGE_SIDE: u32 = 4;
+/// Points of a texel.
+pub const COVERAGE_POINTS: u32 = COVERAGE_SIDE * COVERAGE_SIDE;
 
 /// Offset of the texel that each bit of [`Receivers::links`] speaks of, lowest bit first. The other four neighbours
 /// are linked by their own bits.

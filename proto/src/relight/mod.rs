@@ -26,6 +26,7 @@
 //!     normal: vec![[0.0, 1.0, 0.0]],
 //!     albedo: vec![[0.5; 3]],
 //!     links: vec![0],
+//!     coverage: vec![u16::MAX],
 //!     ..Receivers::default()
 //! };
 //! let cluster = ClusterTransport { receivers, ..ClusterTransport::default() };
@@ -46,6 +47,7 @@ mod receivers;
 mod settle;
 mod sky;
 mod slots;
+mod taps;
 mod transport;
 
 #[cfg(test)]
@@ -64,6 +66,7 @@ pub use receivers::{MAX_RECEIVERS, ReceiverTable};
 pub use settle::{Incoming, Limit, Settled};
 pub use sky::Sky;
 pub use slots::{DARK, MAX_TEXELS, SlotTable};
+pub use taps::{Taps, TexelKind, tap_weights};
 pub use transport::{Columns, DirectAt, Transport};
 
 /// Chunks that contradict the manifest or each other, or exceed a limit.

@@ -19,6 +19,8 @@ pub struct ReceiverTable {
     pub albedo: Vec<Vec4>,
     /// Neighbouring texels that no wall parts from it, bits of [`crate::content::LINKS`].
     pub links: Vec<u8>,
+    /// Points of its texel, bits of [`Receivers::coverage`].
+    pub coverage: Vec<u16>,
 }
 
 impl ReceiverTable {
@@ -56,6 +58,7 @@ impl ReceiverTable {
             self.normal.push(normal);
             self.albedo.push(albedo);
             self.links.push(receivers.links[index]);
+            self.coverage.push(receivers.coverage[index]);
         }
         Ok(())
     }
@@ -69,6 +72,7 @@ fn check_lengths(receivers: &Receivers) -> Result<(), String> {
         receivers.normal.len(),
         receivers.albedo.len(),
         receivers.links.len(),
+        receivers.coverage.len(),
     ];
     if lengths.iter().any(|length| *length != count) {
         return Err(format!("its receiver arrays differ in length: {count}, {lengths:?}"));

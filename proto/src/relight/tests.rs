@@ -24,6 +24,7 @@ fn receivers(count: u16) -> Receivers {
         albedo: vec![[1.0; 3]; each],
         emission: vec![[0.0; 3]; each],
         links: vec![0; each],
+        coverage: vec![u16::MAX; each],
     }
 }
 
@@ -246,6 +247,7 @@ fn contradictions_between_chunks_are_named() {
         ("albedo", refused(|cluster| cluster.receivers.albedo[0] = [2.0; 3])),
         ("lengths", refused(|cluster| cluster.factors.u.truncate(1))),
         ("differ in length", refused(|cluster| cluster.receivers.links.clear())),
+        ("differ in length", refused(|cluster| cluster.receivers.coverage.clear())),
         ("is in no chunk", refused(|cluster| cluster.factors.keys[0] = 77)),
         ("bands", refused(|cluster| cluster.factors.bands = 2)),
         ("emitter 6", refused(|cluster| cluster.emitters[0].emitter = 6)),

@@ -60,16 +60,18 @@ impl Decoded {
         }
     }
 
-    /// Light under some lights, E_dir at sites given by `direct`.
+    /// Light under some lights, E_dir at sites given by `direct`: the mean over `sites` of a slot's texel.
     pub fn lit(
         &self,
         lighting: &Lighting,
+        sites: impl Fn(u32) -> Vec<Site> + Sync,
         site: impl Fn(u32) -> Site + Sync,
         direct: impl Fn(&Site) -> DVec3 + Sync,
     ) -> Light {
-        let direct =
-            |site: &Site| -> std::result::Result<DVec3, std::convert::Infallible> { Ok(direct(site)) };
-        let lit = either!(self, baked => baked.lit(lighting, site, direct));
+        let direct = |sites: &[Site]| -> std::result::Result<DVec3, std::convert::Infallible> {
+            Ok(sites.iter().map(&direct).sum::<DVec3>() / sites.len() as f64)
+        };
+        let lit = either!(self, baked => baked.lit(lighting, sites, site, direct));
         let Ok(light) = lit;
         light
     }

@@ -73,8 +73,9 @@ impl Held {
     pub fn under(&self, lighting: &Lighting) -> Result<Lit<'_>> {
         let reference = Reference::new(&self.world.geometry, lighting)?;
         let site = |slot: u32| self.site(self.receiver_of[slot as usize]);
+        let sites = |slot: u32| self.world.lit_points_of(self.receiver_of[slot as usize]);
         let direct = |site: &Site| reference.direct_irradiance(site, PANEL_POINTS);
-        let light = self.decoded.lit(lighting, site, direct);
+        let light = self.decoded.lit(lighting, sites, site, direct);
         Ok(Lit { held: self, reference, light })
     }
 

@@ -48,7 +48,7 @@ pub fn relit(bake: &LocalBake, lighting: &Lighting) -> Result<Vec<RelitReceiver>
         Site { position_m, normal, face_normal: normal }
     };
     let direct = |site: &Site| DVec3::from((lighting.direct)(site.position_m, site.normal).map(f64::from));
-    let light = decoded.lit(&under, site, direct);
+    let light = decoded.lit(&under, |slot| vec![site(slot)], site, direct);
     let count: usize = clusters(bake)?.iter().map(|cluster| cluster.receivers.len()).sum();
     let receiver = |slot: u32| {
         let [position_m, normal, _] = decoded.receiver(slot);

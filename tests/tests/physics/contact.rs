@@ -136,6 +136,37 @@ fn floor_that_a_hollow_box_cuts_has_the_light_outside_of_it() {
     }
 }
 
+/// Light of a texel is the mean over points on its receiver's side of the wall: none of those beyond it count.
+#[test]
+fn points_of_a_texel_lie_on_its_receivers_side_of_walls() {
+    for degrees in [0.0_f32, 7.0, 20.0, 45.0] {
+        let yaw_rad = degrees.to_radians();
+        let held = Held::new(scenes::hollow_box_on_floor(yaw_rad), &with_texels("prt", TEXEL_M, 16)).unwrap();
+        let outside = |at_m: Vec3| outside_turned_m(at_m, BOX_HALF_M, yaw_rad);
+        let floor = held.receivers(|r| is_floor(r) && outside(r.position_m).abs() < TEXEL_M);
+        let (mut cut, mut whole) = (0, 0);
+        for receiver in floor {
+            let own = &held.world.lightmap.receivers[receiver as usize];
+            let is_inside = outside(own.position_m) < 0.0;
+            for (bit, site) in held.world.points_of(receiver) {
+                let away = outside(site.position_m);
+                if away.abs() > 0.01 * TEXEL_M {
+                    let counts = own.coverage >> bit & 1 == 1;
+                    assert_eq!(
+                        counts,
+                        (away < 0.0) == is_inside,
+                        "{degrees}°: {} of {own:?}",
+                        site.position_m
+                    );
+                }
+            }
+            cut += usize::from(own.coverage != u16::MAX);
+            whole += usize::from(own.coverage == u16::MAX);
+        }
+        assert!((degrees == 0.0 || cut > 10) && whole > 10, "{degrees}°: {cut} cut, {whole} whole");
+    }
+}
+
 fn column_casts_no_dark_leak_around_its_foot(kind: &'static str) {
     let held = Held::new(scenes::column(), &careful(kind, TEXEL_M)).unwrap();
     let lit = held.under(&lamp_at(Vec3::new(1.6, 2.0, 1.1))).unwrap();

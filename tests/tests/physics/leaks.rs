@@ -78,6 +78,24 @@ fn dark_room_stays_dark_where_the_wall_cuts_texels_in_two(kind: &'static str) {
     }
 }
 
+/// Direct light is the mean over the points of a texel: of one that the wall cuts, over those of its receiver's room.
+#[test]
+fn dark_room_gets_nothing_by_points_of_texels_that_the_wall_cuts() {
+    for wall_x_m in [0.07, -0.03] {
+        let scene = scenes::two_rooms_with_wall_at(0.02, wall_x_m);
+        let held = Held::new(scene, &small("prt", 4000)).unwrap();
+        let lit = held.under(&lamp_at(Vec3::new(-2.0, 1.5, 0.3))).unwrap();
+        let room = |side: f32| {
+            let receivers = held.receivers(|r| (r.position_m.x - wall_x_m) * side > 0.02);
+            assert!(receivers.len() > 300, "{}", receivers.len());
+            receivers.iter().map(|&r| luminance(lit.baked(r))).sum::<f64>() / receivers.len() as f64
+        };
+        let (bright, dark) = (room(-1.0), room(1.0));
+        assert!(bright > 0.1, "the lit room is dark: the test shows nothing");
+        assert!(dark <= 1e-4 * bright, "wall at {wall_x_m}: {dark} against {bright}");
+    }
+}
+
 fn dark_room_behind_a_sheet_without_thickness_stays_dark(kind: &'static str) {
     assert_right_room_is_dark(kind, scenes::two_rooms(0.0), 0.0, 0.0);
 }

@@ -59,20 +59,24 @@ impl<C: Columns> Baked<C> {
         Ok(Self { transport, emitters })
     }
 
-    /// The bake under lights until bounces converge. `direct` gives E_dir at a site, W·m⁻², `site` that of a slot.
+    /// The bake under lights until bounces converge. `direct` gives the mean of E_dir over sites, W·m⁻²; `sites` are those
+    /// of a slot's texel, `site` is that of its receiver.
     pub fn lit<E: Send>(
         &self,
         lighting: &Lighting,
+        sites: impl Fn(u32) -> Vec<Site> + Sync,
         site: impl Fn(u32) -> Site + Sync,
-        direct: impl Fn(&Site) -> Result<DVec3, E> + Sync,
+        direct: impl Fn(&[Site]) -> Result<DVec3, E> + Sync,
     ) -> Result<Light, E> {
         let at = |place: DirectAt| -> Result<Vec4, E> {
-            let site = match place {
-                DirectAt::Receiver(slot) => site(slot),
-                DirectAt::Texel { slot, position_m, .. } => Site { position_m, ..site(slot) },
-                DirectAt::Point { position_m, normal } => Site { position_m, normal, face_normal: normal },
+            let found = match place {
+                DirectAt::Receiver(slot) => direct(&sites(slot))?,
+                DirectAt::Texel { slot, position_m, .. } => direct(&[Site { position_m, ..site(slot) }])?,
+                DirectAt::Point { position_m, normal } => {
+                    direct(&[Site { position_m, normal, face_normal: normal }])?
+                }
             };
-            Ok(direct(&site)?.as_vec3().extend(0.0))
+            Ok(found.as_vec3().extend(0.0))
         };
         let Transport { receivers, near, .. } = &self.transport;
         let slots = (0..receivers.len() as u32).into_par_iter();

@@ -51,6 +51,7 @@ fn attributes(lightmap: &Lightmap, receivers: &[u32]) -> Receivers {
         albedo: all.iter().map(|receiver| receiver.albedo).collect(),
         emission: all.iter().map(|receiver| receiver.emission).collect(),
         links: all.iter().map(|receiver| receiver.links).collect(),
+        coverage: all.iter().map(|receiver| receiver.coverage).collect(),
         blocks: blocks.values().iter().map(|&block| lightmap.blocks[block as usize].key).collect(),
     }
 }

@@ -75,9 +75,12 @@ impl<C: Columns> FactoredBake<C> {
         progress: &Progress,
     ) -> Result<Light, Cancelled> {
         let site = |slot: u32| self.place(self.receiver_of[slot as usize]).site;
-        self.baked.lit(lighting, site, |site| {
+        let sites = |slot: u32| self.world.lit_points_of(self.receiver_of[slot as usize]);
+        self.baked.lit(lighting, sites, site, |sites| {
             progress.check()?;
-            Ok(reference.direct_irradiance(site, PANEL_POINTS))
+            let panel_points = PANEL_POINTS.div_ceil(sites.len() as u32);
+            let sum: DVec3 = sites.iter().map(|site| reference.direct_irradiance(site, panel_points)).sum();
+            Ok(sum / sites.len() as f64)
         })
     }
 }

@@ -18,6 +18,11 @@ pub struct Site {
 }
 
 impl Site {
+    /// The same point of the other side.
+    pub fn turned(&self) -> Self {
+        Self { normal: -self.normal, face_normal: -self.face_normal, ..*self }
+    }
+
     /// Density K(ω)/π with which [`Site::direction`] gives a direction, per steradian; 0 below the face.
     pub fn density(&self, direction: Vec3) -> f64 {
         let above = direction.dot(self.face_normal);

@@ -6,6 +6,8 @@
 pub mod charts;
 mod numbering;
 pub mod place;
+mod polygon;
+mod texel_points;
 mod world;
 
 use glam::Vec3;
@@ -72,8 +74,10 @@ pub struct Receiver {
     pub albedo: [f32; 3],
     /// Lₑ in W·m⁻²·sr⁻¹.
     pub emission: [f32; 3],
-    /// Bits of `lightkiln_proto::content::LINKS`, of the last step of placement; 0 before.
+    /// Bits of `lightkiln_proto::content::LINKS`, of the step of placement that finds them; 0 before.
     pub links: u8,
+    /// Points of its texel on its own side of every wall, bits of `Receivers::coverage`; 0 before the last step of placement.
+    pub coverage: u16,
     /// Surface that reads this texel, of one side.
     pub area: AreaCode,
 }

@@ -1,13 +1,14 @@
 //! The world that kinds of bake cast rays in: geometry, and the receiver that stands for each point of it.
 
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use glam::{Vec2, Vec3};
 use lightkiln_proto::content::BlockKey;
 use rayon::prelude::*;
 
+use super::texel_points::TexelTriangles;
 use super::{CAVITY, Charts, Lightmap};
-use crate::geometry::{Geometry, weights_of};
+use crate::geometry::{Geometry, Site, weights_of};
 use crate::rays::Hit;
 use crate::scene::model::Scene;
 use crate::task::{Context, LocalRun, TaskError};
@@ -41,6 +42,8 @@ pub struct World {
     texels: TexelTable,
     /// Points of receivers, raised, see [`World::raised_receiver`].
     raised_m: Vec<Vec3>,
+    /// Triangles of each receiver's texel, found when they are first asked for.
+    texel_triangles: OnceLock<TexelTriangles>,
 }
 
 impl World {
@@ -56,7 +59,7 @@ impl World {
             .par_iter()
             .map(|receiver| geometry.raised(receiver.position_m, receiver.face_normal, height_m))
             .collect();
-        Self { geometry, lightmap, texels, raised_m }
+        Self { geometry, lightmap, texels, raised_m, texel_triangles: OnceLock::new() }
     }
 
     /// The lightmap alone.
@@ -78,7 +81,7 @@ impl World {
             let charts = Charts::of(context)?;
             let (lightmap, bytes): (Lightmap, _) = context.decoded(super::ARTEFACT_MAGIC, super::ARTEFACT)?;
             let receivers = lightmap.receivers.len();
-            Ok((Self::new(geometry, &charts, lightmap), 2 * bytes + 100 * receivers))
+            Ok((Self::new(geometry, &charts, lightmap), 2 * bytes + 120 * receivers))
         })
     }
 
@@ -149,6 +152,25 @@ impl World {
         (1..=LINKED_RINGS).find_map(nearest).map_or(Surface::Dark, Surface::Receiver)
     }
 
+    /// The points of a receiver's texel that lie on surface, with their bits of `Receivers::coverage`.
+    pub fn points_of(&self, receiver: u32) -> impl Iterator<Item = (u32, Site)> + '_ {
+        let sides = |instance: u32| super::place::sides(&self.geometry.scene, instance as usize);
+        let find = || TexelTriangles::new(&self.lightmap, &self.texels, sides);
+        let triangles = self.texel_triangles.get_or_init(find);
+        let own = &self.lightmap.receivers[receiver as usize];
+        let instance = self.lightmap.blocks[own.block as usize].instance;
+        let side = (own.block - self.lightmap.first_block[instance as usize]) % sides(instance);
+        triangles.points(&self.geometry, &self.texels, (receiver, own, side == 1))
+    }
+
+    /// The points whose mean light a receiver's texel has: those of its coverage, or its own where there are none.
+    pub fn lit_points_of(&self, receiver: u32) -> Vec<Site> {
+        let own = &self.lightmap.receivers[receiver as usize];
+        let covered = |(bit, site): (u32, Site)| (own.coverage >> bit & 1 == 1).then_some(site);
+        let points: Vec<Site> = self.points_of(receiver).filter_map(covered).collect();
+        if points.is_empty() { vec![own.site()] } else { points }
+    }
+
     /// Point of a receiver, raised as [`Geometry::raised`] does by [`World::link_height_m`].
     pub fn raised_receiver(&self, receiver: u32) -> Vec3 {
         self.raised_m[receiver as usize]
@@ -190,25 +212,37 @@ impl World {
 }
 
 /// Where each triangle lies in its instance's unwrap.
-struct TexelTable {
+pub(super) struct TexelTable {
     /// First entry of each triangle, and the end.
     starts: Vec<u32>,
     entries: Vec<TexelPart>,
 }
 
 struct TexelPart {
+    instance: u32,
     part: u32,
     triangle: UnwrappedTriangle,
+}
+
+/// A triangle, or a piece of one, in an unwrap.
+pub(super) struct TexelEntry<'a> {
+    /// Instance.
+    pub instance: u32,
+    /// Part of its unwrap.
+    pub part: u32,
+    /// The triangle there.
+    pub triangle: &'a UnwrappedTriangle,
 }
 
 impl TexelTable {
     fn new(scene: &Scene, charts: &Charts) -> Self {
         let mut by_triangle = Vec::new();
         let mut first_triangle = 0_u32;
-        for (instance, unwrap) in scene.instances.iter().zip(&charts.unwraps) {
+        for (index, (instance, unwrap)) in scene.instances.iter().zip(&charts.unwraps).enumerate() {
             for (part, block) in unwrap.blocks.iter().enumerate() {
                 for triangle in &block.triangles {
-                    let entry = TexelPart { part: part as u32, triangle: triangle.clone() };
+                    let [instance, part] = [index, part].map(|index| index as u32);
+                    let entry = TexelPart { instance, part, triangle: triangle.clone() };
                     by_triangle.push((first_triangle + triangle.source_triangle, entry));
                 }
             }
@@ -223,6 +257,17 @@ impl TexelTable {
             starts[index] += starts[index - 1];
         }
         Self { starts, entries: by_triangle.into_iter().map(|(_, entry)| entry).collect() }
+    }
+
+    /// The triangle, or piece of one, of that index.
+    pub fn entry(&self, index: u32) -> TexelEntry<'_> {
+        let TexelPart { instance, part, triangle } = &self.entries[index as usize];
+        TexelEntry { instance: *instance, part: *part, triangle }
+    }
+
+    /// All triangles and pieces, in the order of their indices.
+    pub fn entries(&self) -> impl Iterator<Item = TexelEntry<'_>> {
+        (0..self.entries.len() as u32).map(|index| self.entry(index))
     }
 
     /// Part and place in texels of a point of a triangle; of a triangle cut in pieces, the piece that holds it.

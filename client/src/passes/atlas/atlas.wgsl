@@ -5,8 +5,10 @@ struct AtlasTexel {
     y: u32,
     // First of its sources.
     first: u32,
-    // Page in bits 0-15, links in bits 16-19, whether it is a receiver's in bit 20, number of sources in bits 24-31.
+    // Page in bits 0-15, number of sources in bits 24-31.
     packed: u32,
+    // 1 + links + 16 * coverage for a receiver's texel, -1 for a filled one.
+    kind: f32,
 }
 
 struct Atlas {
@@ -35,7 +37,5 @@ fn spread(@builtin(global_invocation_id) id: vec3u) {
         let slot = sources[texel.first + i];
         sum += e_emit[slot].rgb + e_ind[slot].rgb;
     }
-    // 1 + links for a receiver's texel, -1 for a filled one.
-    let kind = select(-1.0, f32(1u + ((texel.packed >> 16u) & 15u)), (texel.packed & 0x100000u) != 0u);
-    textureStore(pages, vec2u(texel.x, texel.y), i32(texel.packed & 0xffffu), vec4f(sum / f32(count), kind));
+    textureStore(pages, vec2u(texel.x, texel.y), i32(texel.packed & 0xffffu), vec4f(sum / f32(count), texel.kind));
 }

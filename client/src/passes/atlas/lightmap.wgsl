@@ -1,4 +1,4 @@
-// Indirect light of a surface, read from the lightmap's pages; twin: `read` and `sample` in reference.rs.
+// Indirect light of a surface, read from the lightmap's pages; twin: `read` and `sample` in reference.rs, `tap_weights` of the run time.
 // Joined behind `shade.wgsl`, with its bindings in group 1 from 1.
 
 // Block of the front and of the back: page, origin; width 0 when there is none.
@@ -29,7 +29,16 @@ fn linked(first_kind: f32, second_kind: f32, first: u32, second: u32) -> bool {
     return (((u32(first_kind) - 1u) >> bit) & 1u) == 1u;
 }
 
-// Bilinear over the receivers that no wall parts from the nearest one; over filled texels where there is no receiver.
+// Whether a point in the texel of the nearest tap is at a place that its coverage does not have.
+fn behind_wall(kind: f32, share: vec2f) -> bool {
+    let coverage = (u32(kind) - 1u) / 16u;
+    let inside = select(share + 0.5, share - 0.5, share >= vec2f(0.5));
+    let at = vec2u(clamp(inside * 4.0, vec2f(0.0), vec2f(3.0)));
+    return coverage != 0u && ((coverage >> (4u * at.y + at.x)) & 1u) == 0u;
+}
+
+// Bilinear over the receivers that no wall parts from the nearest one; over filled texels where there is no receiver. Beyond
+// a wall in the nearest one's texel, over those that no wall parts from the nearest of that side.
 fn lightmap_irradiance(block: vec4u, size: vec4u, texel: vec2f) -> vec3f {
     if size.x == 0u {
         return vec3f(0.0);
@@ -51,6 +60,18 @@ fn lightmap_irradiance(block: vec4u, size: vec4u, texel: vec2f) -> vec3f {
         if taps[tap].w > 0.0 && (home == 4u || weights[tap] > weights[min(home, 3u)]) {
             home = tap;
         }
+    }
+    let nearest = select(0u, 1u, share.x >= 0.5) + select(0u, 2u, share.y >= 0.5);
+    if home == nearest && behind_wall(taps[nearest].w, share) {
+        var beyond = 4u;
+        for (var tap = 0u; tap < 4u; tap++) {
+            let parted = tap != nearest && taps[tap].w > 0.0
+                && !linked(taps[min(nearest, tap)].w, taps[max(nearest, tap)].w, min(nearest, tap), max(nearest, tap));
+            if parted && (beyond == 4u || weights[tap] > weights[min(beyond, 3u)]) {
+                beyond = tap;
+            }
+        }
+        home = select(beyond, home, beyond == 4u);
     }
     var sum = vec3f(0.0);
     var total = 0.0;

@@ -1,27 +1,32 @@
-//! Irradiance from lights at receivers, by shadow maps.
+//! Irradiance from lights by shadow maps: at points, and of receivers as the mean over the points of their texels.
 
+pub mod points;
 pub mod reference;
+mod texels;
 
 use wgpu::ShaderStages as Stages;
 
 use crate::passes::gpu::{Gpu, groups_2d, storage_read, storage_write, uniform};
 use crate::passes::shadow::ShadowPass;
 
+pub use points::TexelPoints;
+pub use texels::{TEXELS_SHADER, TexelNumbers, TexelsPass};
+
 /// The shader, with the lights' part in front.
 pub const SHADER: &str = concat!(include_str!("../shared/light.wgsl"), include_str!("direct.wgsl"));
 /// Largest difference from the reference on the same shadow maps, relative to the largest value, for all but
 /// [`OUTLIERS`]: positions are projected in f32, and the filter's weights follow the projected position.
 pub const TOLERANCE: f32 = 2e-3;
-/// Share of receivers that may differ more: a texel's depth comparison can fall to either side by one rounding.
+/// Share of points that may differ more: a texel's depth comparison can fall to either side by one rounding.
 pub const OUTLIERS: f32 = 2e-3;
 /// Threads of a workgroup in the shader.
 const THREADS: u32 = 64;
 
-/// Numbers of the pass; twin of `Receivers` in the shader.
+/// Numbers of the pass; twin of `DirectNumbers` in the shader.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct DirectNumbers {
-    /// Receivers.
+    /// Points.
     pub count: u32,
     /// Threads in a row of the dispatch.
     pub stride: u32,
@@ -60,7 +65,7 @@ impl DirectPass {
         let group = gpu.bind(
             &layout,
             &[
-                gpu.uniform("receivers", &numbers).as_entire_binding(),
+                gpu.uniform("points", &numbers).as_entire_binding(),
                 points.positions.as_entire_binding(),
                 points.normals.as_entire_binding(),
                 points.e_dir.as_entire_binding(),

@@ -1,8 +1,10 @@
-//! E_dir on the processor; twin of `shared/light.wgsl` and `direct.wgsl`, function by function.
+//! E_dir on the processor; twin of `shared/light.wgsl`, `direct.wgsl` and `texels.wgsl`, function by function.
 
 use glam::{IVec2, Vec2, Vec3, Vec4};
+use lightkiln_proto::relight::ReceiverTable;
 use rayon::prelude::*;
 
+use super::points::{ALL_LIT, FEW_POINTS, TexelPoints};
 use crate::lights::Shape;
 use crate::passes::shadow::reference::ShadowMaps;
 use crate::passes::shadow::{Face, Light, ShadowPlan};
@@ -22,6 +24,47 @@ pub fn direct(positions_m: &[Vec4], normals: &[Vec4], plan: &ShadowPlan, maps: &
     positions_m.par_iter().zip(normals).map(at).collect()
 }
 
+/// `E_dir` of receivers by slot, each the mean over the points of its texel, in W·m⁻²; twin of `texels.wgsl`.
+pub fn direct_texels(
+    receivers: &ReceiverTable,
+    points: &TexelPoints,
+    plan: &ShadowPlan,
+    maps: &ShadowMaps,
+) -> Vec<Vec4> {
+    let of_slot = |slot: usize| {
+        let own = (receivers.position_m[slot].truncate(), receivers.normal[slot].truncate());
+        let texel = points.of(slot, own.0);
+        let mut sum = Vec3::ZERO;
+        for light in &plan.lights {
+            let at = |(position, normal): (Vec3, Vec3)| {
+                light_irradiance((plan, maps), light, position, normal, normal)
+            };
+            sum += match texel.len() {
+                0 => at(own).truncate(),
+                _ => mean_over(texel.len(), |point| at(texel.point(point))),
+            };
+        }
+        sum.extend(0.0)
+    };
+    (0..receivers.len()).into_par_iter().map(of_slot).collect()
+}
+
+/// Mean irradiance of a light over the points of a texel: of the first few, and of all where these do not agree.
+fn mean_over(count: usize, at: impl Fn(usize) -> Vec4) -> Vec3 {
+    let few = count.min(FEW_POINTS);
+    let (mut sum, mut least, mut most) = (Vec3::ZERO, 1.0_f32, 0.0_f32);
+    for point in 0..few {
+        let found = at(point);
+        sum += found.truncate();
+        (least, most) = (least.min(found.w), most.max(found.w));
+    }
+    if most <= 0.0 || least >= ALL_LIT {
+        return sum / few as f32;
+    }
+    (few..count).for_each(|point| sum += at(point).truncate());
+    sum / count as f32
+}
+
 /// Irradiance of all lights at a point, shadowed, in W·m⁻²; `facet` is the surface's own normal.
 pub fn direct_irradiance(
     plan: &ShadowPlan,
@@ -30,21 +73,30 @@ pub fn direct_irradiance(
     normal: Vec3,
     facet: Vec3,
 ) -> Vec3 {
-    let mut sum = Vec3::ZERO;
-    for light in &plan.lights {
-        let arriving = unshadowed(light, position, normal);
-        if arriving.max_element() <= 0.0 {
-            continue;
-        }
-        let face = face_of(plan, light, position);
-        let at = lifted(plan, face, position, facet);
-        let share = visibility(plan, maps, face_of(plan, light, at), at);
-        let lift_m = at.distance(position);
-        if share > 0.0 && !is_behind((plan, maps), face, light, position, facet, lift_m) {
-            sum += arriving * share;
-        }
+    let of_light = |light| light_irradiance((plan, maps), light, position, normal, facet).truncate();
+    plan.lights.iter().map(of_light).sum()
+}
+
+/// Irradiance of one light in W·m⁻², and the share of it that arrives.
+fn light_irradiance(
+    (plan, maps): (&ShadowPlan, &ShadowMaps),
+    light: &Light,
+    position: Vec3,
+    normal: Vec3,
+    facet: Vec3,
+) -> Vec4 {
+    let arriving = unshadowed(light, position, normal);
+    if arriving.max_element() <= 0.0 {
+        return Vec4::ZERO;
     }
-    sum
+    let face = face_of(plan, light, position);
+    let at = lifted(plan, face, position, facet);
+    let share = visibility(plan, maps, face_of(plan, light, at), at);
+    let lift_m = at.distance(position);
+    if share <= 0.0 || is_behind((plan, maps), face, light, position, facet, lift_m) {
+        return Vec4::ZERO;
+    }
+    (arriving * share).extend(share)
 }
 
 fn cube_face(d: Vec3) -> u32 {

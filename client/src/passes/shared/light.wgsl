@@ -213,21 +213,25 @@ fn unshadowed(light: Light, position: vec3f, normal: vec3f) -> vec3f {
     return light.strength * factor;
 }
 
-// `normal` is the shading normal, `facet` the surface's own.
+// Irradiance of one light in W/m2, and the share of it that arrives. `normal` is the shading normal, `facet` the surface's own.
+fn light_irradiance(light: Light, position: vec3f, normal: vec3f, facet: vec3f) -> vec4f {
+    let arriving = unshadowed(light, position, normal);
+    if max(arriving.x, max(arriving.y, arriving.z)) <= 0.0 {
+        return vec4f(0.0);
+    }
+    let face = face_of(light, position);
+    let at = lifted(face, position, facet);
+    let share = visibility(face_of(light, at), at);
+    if share <= 0.0 || is_behind(face, light, position, facet, distance(at, position)) {
+        return vec4f(0.0);
+    }
+    return vec4f(arriving * share, share);
+}
+
 fn direct_irradiance(position: vec3f, normal: vec3f, facet: vec3f) -> vec3f {
     var sum = vec3f(0.0);
     for (var index = 0u; index < light_count.count; index++) {
-        let light = lights[index];
-        let arriving = unshadowed(light, position, normal);
-        if max(arriving.x, max(arriving.y, arriving.z)) <= 0.0 {
-            continue;
-        }
-        let face = face_of(light, position);
-        let at = lifted(face, position, facet);
-        let share = visibility(face_of(light, at), at);
-        if share > 0.0 && !is_behind(face, light, position, facet, distance(at, position)) {
-            sum += arriving * share;
-        }
+        sum += light_irradiance(lights[index], position, normal, facet).rgb;
     }
     return sum;
 }

@@ -6,12 +6,31 @@ use crate::chunk::*;
 use crate::content::*;
 use crate::kinds::sh::*;
 
-const CLUSTER_V1: &[u8] = include_bytes!("../../../fixtures/cluster-v1.lkc");
-const NEAR_V1: &[u8] = include_bytes!("../../../fixtures/cluster-near-v1.lkc");
-const PROBES_V1: &[u8] = include_bytes!("../../../fixtures/probes-v1.lkc");
-const PATCHES_V1: &[u8] = include_bytes!("../../../fixtures/patches-v1.lkc");
-const GEOMETRY_V1: &[u8] = include_bytes!("../../../fixtures/geometry-v1.lkc");
-const TEXTURE_V1: &[u8] = include_bytes!("../../../fixtures/texture-v1.lkc");
+/// Chunks of each kind in one version.
+struct Fixtures {
+    cluster: &'static [u8],
+    near: &'static [u8],
+    probes: &'static [u8],
+    patches: &'static [u8],
+    geometry: &'static [u8],
+    texture: &'static [u8],
+}
+
+macro_rules! fixtures {
+    ($version:literal) => {
+        Fixtures {
+            cluster: include_bytes!(concat!("../../../fixtures/cluster-", $version, ".lkc")),
+            near: include_bytes!(concat!("../../../fixtures/cluster-near-", $version, ".lkc")),
+            probes: include_bytes!(concat!("../../../fixtures/probes-", $version, ".lkc")),
+            patches: include_bytes!(concat!("../../../fixtures/patches-", $version, ".lkc")),
+            geometry: include_bytes!(concat!("../../../fixtures/geometry-", $version, ".lkc")),
+            texture: include_bytes!(concat!("../../../fixtures/texture-", $version, ".lkc")),
+        }
+    };
+}
+
+const V1: Fixtures = fixtures!("v1");
+const V2: Fixtures = fixtures!("v2");
 
 /// A wall of 2 × 2 texels that one probe and the sky light. All its numbers survive quantisation but U, ΣVᵀ and the
 /// irradiance.
@@ -27,6 +46,7 @@ fn cluster() -> ClusterTransport {
             albedo: vec![[0.5, 0.25, 0.125], [0.5, 0.25, 0.125], [0.75; 3], [0.5, 0.25, 0.125]],
             emission: vec![[0.0; 3], [0.0; 3], [0.0; 3], [20.0, 10.0, 5.0]],
             links: vec![0b0111, 0b1010, 0b0001, 0],
+            coverage: vec![u16::MAX, 0, 0x000F, 0x8001],
         },
         factors: TransportFactors {
             keys: vec![0xfeed_0000_0000_0001],
@@ -125,19 +145,31 @@ fn geometry() -> Geometry {
 fn encoded() -> [(&'static str, Vec<u8>, &'static [u8]); 6] {
     let encode = |cluster| encode_cluster(&cluster, QuantisationSettings::default()).unwrap().bytes;
     [
-        ("cluster-v1.lkc", encode(cluster()), CLUSTER_V1),
-        ("cluster-near-v1.lkc", encode(cluster_with_near_hits()), NEAR_V1),
-        ("probes-v1.lkc", encode_probe_batch(&probes()).unwrap(), PROBES_V1),
-        ("patches-v1.lkc", encode_patches(&patches()).unwrap(), PATCHES_V1),
-        ("geometry-v1.lkc", encode_geometry(&geometry()).unwrap(), GEOMETRY_V1),
-        ("texture-v1.lkc", encode_texture("image/png", b"\x89PNG of no size").unwrap(), TEXTURE_V1),
+        ("cluster-v2.lkc", encode(cluster()), V2.cluster),
+        ("cluster-near-v2.lkc", encode(cluster_with_near_hits()), V2.near),
+        ("probes-v2.lkc", encode_probe_batch(&probes()).unwrap(), V2.probes),
+        ("patches-v2.lkc", encode_patches(&patches()).unwrap(), V2.patches),
+        ("geometry-v2.lkc", encode_geometry(&geometry()).unwrap(), V2.geometry),
+        ("texture-v2.lkc", encode_texture("image/png", b"\x89PNG of no size").unwrap(), V2.texture),
     ]
 }
 
 #[test]
 fn version_1_still_decodes_to_what_went_in() {
-    let wanted = cluster();
-    let found = decode_cluster(CLUSTER_V1).unwrap();
+    // It knew receivers' own points alone.
+    let points = |cluster: &mut ClusterTransport| cluster.receivers.coverage.fill(0);
+    assert_decoded(&V1, points);
+}
+
+#[test]
+fn version_2_still_decodes_to_what_went_in() {
+    assert_decoded(&V2, |_| {});
+}
+
+fn assert_decoded(stored: &Fixtures, less: impl Fn(&mut ClusterTransport)) {
+    let mut wanted = cluster();
+    less(&mut wanted);
+    let found = decode_cluster(stored.cluster).unwrap();
     // The weaker rank is stored coarsely; the product is what stays within 0.3 %.
     let near = |found: &[f32], wanted: &[f32], error: f32| {
         found.len() == wanted.len()
@@ -163,11 +195,11 @@ fn version_1_still_decodes_to_what_went_in() {
         },
         wanted
     );
-    assert_eq!(decode_cluster(NEAR_V1).unwrap().near, cluster_with_near_hits().near);
-    assert_eq!(decode_probe_batch(PROBES_V1).unwrap(), probes());
-    assert_eq!(decode_patches(PATCHES_V1).unwrap(), patches());
-    assert_eq!(decode_geometry(GEOMETRY_V1).unwrap(), geometry());
-    let texture = decode_texture(TEXTURE_V1).unwrap();
+    assert_eq!(decode_cluster(stored.near).unwrap().near, cluster_with_near_hits().near);
+    assert_eq!(decode_probe_batch(stored.probes).unwrap(), probes());
+    assert_eq!(decode_patches(stored.patches).unwrap(), patches());
+    assert_eq!(decode_geometry(stored.geometry).unwrap(), geometry());
+    let texture = decode_texture(stored.texture).unwrap();
     assert_eq!((texture.media_type.as_str(), &texture.bytes[..]), ("image/png", &b"\x89PNG of no size"[..]));
 }
 

@@ -4,9 +4,10 @@ use glam::Vec3;
 use lightkiln_proto::content::AreaCode;
 
 use super::cover::TexelPoint;
-use crate::geometry::{Geometry, TriangleRef, corners_of, face_normal_of};
+use crate::geometry::{Geometry, Site, TriangleRef, corners_of, face_normal_of};
 use crate::lightmap::Receiver;
-use crate::scene::surface::{Footprint, normal_at, surface_at};
+use crate::lightmap::texel_points::site_of;
+use crate::scene::surface::{Footprint, surface_at};
 use crate::unwrap::UnwrappedTriangle;
 
 /// The same texel seen from the back.
@@ -46,23 +47,20 @@ impl Attributes<'_> {
         let instance = &self.geometry.scene.instances[self.instance];
         let triangle = point.triangle as usize;
         let reference = TriangleRef { instance: self.instance as u32, triangle: point.triangle };
-        let [a, b, c] = corners_of(&self.geometry.scene, reference);
-        let [wa, wb, wc] = point.weights;
-        let face_normal = self.face_normal(point.triangle);
-        let shading = normal_at(instance, triangle, point.weights);
+        let Site { position_m, normal, face_normal } = site_of(self.geometry, reference, point.weights);
         let footprint = Footprint::square(instance, triangle, self.texel_m);
         let Geometry { scene, images, .. } = self.geometry;
         let surface = surface_at(scene, images, self.instance, triangle, point.weights, &footprint);
         Receiver {
             block: 0,
             texel: point.texel,
-            position_m: a * wa + b * wb + c * wc,
-            // A shading normal that points through the surface is a fault of the file.
-            normal: if shading.dot(face_normal) > 0.05 { shading } else { face_normal },
+            position_m,
+            normal,
             face_normal,
             albedo: surface.albedo,
             emission: surface.emission,
             links: 0,
+            coverage: 0,
             area: AreaCode::ONE,
         }
     }

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use glam::{Vec2, Vec3};
 
-use super::polygon::{area_and_middle, clipped, is_inside, source_weights, texels_of};
 use super::regions::{CoplanarRegion, coplanar_regions};
+use crate::lightmap::polygon::{area_and_middle, clipped, is_inside, source_weights, texels_of};
 use crate::unwrap::{UnwrapBlock, UnwrappedTriangle};
 
 /// Least width of a coplanar region, in texels, for a receiver of its own though a neighbour could stand for the texel:
@@ -133,7 +133,7 @@ pub fn other_points(block: &UnwrapBlock, wanted: &[TexelPoint]) -> Vec<Vec<Texel
     let chart_of: BTreeMap<u32, u32> = block.triangles.iter().map(|t| (t.source_triangle, t.chart)).collect();
     let order = |texel: [u16; 2]| (texel[1], texel[0]);
     for triangle in &block.triangles {
-        for (_, texel, corner) in texels_of(triangle, block) {
+        for (_, texel, corner) in texels_of(&triangle.uv_texels, [block.width, block.height]) {
             let place = wanted.binary_search_by_key(&order(texel), |covered| order(covered.texel));
             let Ok(place) = place else { continue };
             if chart_of.get(&wanted[place].triangle) == Some(&triangle.chart) {
@@ -154,7 +154,7 @@ pub fn areas(block: &UnwrapBlock, coverage: &Coverage, area: impl Fn(&UnwrappedT
     let mut areas = vec![0.0; coverage.covered.len()];
     for triangle in &block.triangles {
         let mut found: Vec<(u32, f32)> = Vec::new();
-        for (place, _, corner) in texels_of(triangle, block) {
+        for (place, _, corner) in texels_of(&triangle.uv_texels, [block.width, block.height]) {
             let polygon = clipped(&triangle.uv_texels, corner, corner + 1.0);
             let covered = coverage.stands_for[place];
             if let (Some((part, _)), true) = (area_and_middle(&polygon), covered != u32::MAX) {
@@ -216,7 +216,7 @@ fn collect(
 fn claim_texels(block: &UnwrapBlock) -> Vec<Claim> {
     let mut claims = vec![UNCLAIMED; block.width as usize * block.height as usize];
     for (index, triangle) in block.triangles.iter().enumerate() {
-        for (place, _, corner) in texels_of(triangle, block) {
+        for (place, _, corner) in texels_of(&triangle.uv_texels, [block.width, block.height]) {
             let Some(found) = claim_of(index as u32, &triangle.uv_texels, corner) else { continue };
             let claim = &mut claims[place];
             if (found.centred, found.area) > (claim.centred, claim.area) && !claim.centred {

@@ -2,7 +2,7 @@
 
 use glam::{Vec2, Vec3};
 
-use super::polygon::{area_and_middle, clipped, is_inside, texels_of};
+use crate::lightmap::polygon::{area_and_middle, clipped, is_inside, texels_of};
 use crate::unwrap::UnwrapBlock;
 
 /// Cosine between triangles from which on they are of one face.
@@ -43,7 +43,7 @@ pub fn coplanar_regions(
 ) -> Vec<CoplanarRegion> {
     let mut parts = Vec::new();
     for (index, triangle) in block.triangles.iter().enumerate() {
-        for (place, _, corner) in texels_of(triangle, block) {
+        for (place, _, corner) in texels_of(&triangle.uv_texels, [block.width, block.height]) {
             if chart_of(place) != Some(triangle.chart) {
                 continue;
             }

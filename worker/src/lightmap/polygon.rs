@@ -2,18 +2,18 @@
 
 use glam::{UVec2, Vec2, Vec3};
 
-use crate::unwrap::{UnwrapBlock, UnwrappedTriangle};
+use crate::unwrap::UnwrappedTriangle;
 
-/// Index in the block, texel and low corner of each texel that a triangle may touch, row by row.
+/// Index in a block of `size` texels, texel and low corner of each texel that a triangle may touch, row by row.
 pub fn texels_of(
-    triangle: &UnwrappedTriangle,
-    block: &UnwrapBlock,
-) -> impl Iterator<Item = (usize, [u16; 2], Vec2)> {
-    let [a, b, c] = triangle.uv_texels;
-    let last = UVec2::new(block.width - 1, block.height - 1);
+    corners: &[Vec2; 3],
+    size: [u32; 2],
+) -> impl Iterator<Item = (usize, [u16; 2], Vec2)> + use<> {
+    let [a, b, c] = *corners;
+    let last = UVec2::from(size) - 1;
     let low = a.min(b).min(c).floor().max(Vec2::ZERO).as_uvec2();
     let high = a.max(b).max(c).floor().max(Vec2::ZERO).as_uvec2();
-    let (high, width) = (high.min(last), block.width);
+    let (high, width) = (high.min(last), size[0]);
     (low.y..=high.y).flat_map(move |y| {
         (low.x..=high.x).map(move |x| {
             let place = y as usize * width as usize + x as usize;

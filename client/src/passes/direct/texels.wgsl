@@ -1,0 +1,85 @@
+// E_dir of receivers: the mean over the points of each texel; twin: reference.rs. One thread per receiver.
+
+struct TexelNumbers {
+    // Slot of the first receiver.
+    first: u32,
+    count: u32,
+    // Threads in a row of the dispatch.
+    stride: u32,
+    // Metres that an offset of 1 is.
+    reach_m: f32,
+}
+
+struct TexelPoint {
+    position: vec3f,
+    normal: vec3f,
+}
+
+// Points that are looked at first, and the share of light from which on a point counts as lit.
+const FEW_POINTS = 4u;
+const ALL_LIT = 0.999;
+
+@group(1) @binding(0) var<uniform> texels: TexelNumbers;
+// By slot, as e_dir.
+@group(1) @binding(1) var<storage, read> positions: array<vec4f>;
+@group(1) @binding(2) var<storage, read> normals: array<vec4f>;
+@group(1) @binding(3) var<storage, read_write> e_dir: array<vec4f>;
+// First point of each receiver from `first` on, and the end.
+@group(1) @binding(4) var<storage, read> starts: array<u32>;
+// Offset x, y and z as snorm16, octahedral normal as snorm8.
+@group(1) @binding(5) var<storage, read> points: array<vec2u>;
+
+fn texel_point(index: u32, from_m: vec3f) -> TexelPoint {
+    let words = points[index];
+    let offset = vec3f(unpack2x16snorm(words.x), unpack2x16snorm(words.y).x);
+    let folded = unpack4x8snorm(words.y).zw;
+    var normal = vec3f(folded, 1.0 - abs(folded.x) - abs(folded.y));
+    if normal.z < 0.0 {
+        let sign = select(vec2f(-1.0), vec2f(1.0), folded >= vec2f(0.0));
+        normal = vec3f((1.0 - abs(folded.yx)) * sign, normal.z);
+    }
+    return TexelPoint(from_m + texels.reach_m * offset, normalize(normal));
+}
+
+@compute @workgroup_size(64)
+fn direct_texels(@builtin(global_invocation_id) id: vec3u) {
+    let row = id.y * texels.stride + id.x;
+    if row >= texels.count {
+        return;
+    }
+    let slot = texels.first + row;
+    let own = positions[slot].xyz;
+    let begin = starts[row];
+    let end = starts[row + 1u];
+    if begin == end {
+        let normal = normals[slot].xyz;
+        e_dir[slot] = vec4f(direct_irradiance(own, normal, normal), 0.0);
+        return;
+    }
+    // All points only where the first few do not agree.
+    let few = min(begin + FEW_POINTS, end);
+    var sum = vec3f(0.0);
+    for (var index = 0u; index < light_count.count; index++) {
+        let light = lights[index];
+        var of_light = vec3f(0.0);
+        var least = 1.0;
+        var most = 0.0;
+        for (var i = begin; i < few; i++) {
+            let point = texel_point(i, own);
+            let found = light_irradiance(light, point.position, point.normal, point.normal);
+            of_light += found.rgb;
+            least = min(least, found.w);
+            most = max(most, found.w);
+        }
+        var counted = few;
+        if most > 0.0 && least < ALL_LIT {
+            for (var i = few; i < end; i++) {
+                let point = texel_point(i, own);
+                of_light += light_irradiance(light, point.position, point.normal, point.normal).rgb;
+            }
+            counted = end;
+        }
+        sum += of_light / f32(counted - begin);
+    }
+    e_dir[slot] = vec4f(sum, 0.0);
+}

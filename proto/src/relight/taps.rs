@@ -1,0 +1,163 @@
+//! Reading a lightmap between its texels: which of the four around a point count, and how much.
+
+use crate::content::COVERAGE_SIDE;
+
+/// Links have this many values; a texel's kind has them in its lowest digit.
+const LINKS_VALUES: u32 = 1 << crate::content::LINKS.len();
+
+/// What a texel of a lightmap holds, as the fourth component of its irradiance: 0 for nothing, −1 for the light of others,
+/// spread over a rim, and more for a receiver's own.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct TexelKind(pub f32);
+
+impl TexelKind {
+    /// A texel filled from those near it.
+    pub const FILLED: Self = Self(-1.0);
+
+    /// A receiver's own texel, from its [`crate::content::Receivers::links`] and coverage; exact in f32.
+    pub fn of_receiver(links: u8, coverage: u16) -> Self {
+        Self((1 + (u32::from(links) % LINKS_VALUES) + LINKS_VALUES * u32::from(coverage)) as f32)
+    }
+
+    /// It is a receiver's own.
+    pub fn is_receiver(self) -> bool {
+        self.0 > 0.0
+    }
+
+    fn is_linked(self, bit: u32) -> bool {
+        (self.0 as u32 - 1) >> bit & 1 == 1
+    }
+
+    fn coverage(self) -> u32 {
+        (self.0 as u32 - 1) / LINKS_VALUES
+    }
+}
+
+/// The four texels around a point, in the order (0, 0), (1, 0), (0, 1), (1, 1).
+pub type Taps = [TexelKind; 4];
+
+/// Shares of the four texels around a point in its light, which add up to 1, or all 0 where none has any. `share` is the
+/// point's place between their centres, 0..1 in x and y.
+///
+/// Bilinear over the receivers that no wall parts from the nearest one, the *home*; over filled texels where there is no
+/// receiver. Where the point lies on the other side of a wall in the nearest one's texel, the home is the nearest of those
+/// that a wall parts from that one.
+pub fn tap_weights(taps: Taps, share: [f32; 2]) -> [f32; 4] {
+    let weights: [f32; 4] = std::array::from_fn(|tap| {
+        let [x, y] = [tap & 1, tap >> 1];
+        let along = |share: f32, step: usize| if step == 0 { 1.0 - share } else { share };
+        // Never quite 0, so that a lone receiver counts wherever it lies.
+        along(share[0], x) * along(share[1], y) + 1e-6
+    });
+    let heaviest = |counts: &dyn Fn(usize) -> bool| {
+        let heavier = |best: Option<usize>, tap: usize| match best {
+            Some(other) if weights[other] >= weights[tap] => best,
+            _ => Some(tap),
+        };
+        (0..4).filter(|&tap| taps[tap].is_receiver() && counts(tap)).fold(None, heavier)
+    };
+    let mut home = heaviest(&|_| true);
+    if let Some(own) = home.filter(|&own| is_behind_wall(taps, own, share)) {
+        home = heaviest(&|tap| tap != own && !are_linked(taps, own, tap)).or(home);
+    }
+    let counted: [f32; 4] = std::array::from_fn(|tap| {
+        let counts = match home {
+            Some(home) => tap == home || are_linked(taps, home, tap),
+            None => taps[tap] == TexelKind::FILLED,
+        };
+        if counts { weights[tap] } else { 0.0 }
+    });
+    let total: f32 = counted.iter().sum();
+    counted.map(|weight| if total > 0.0 { weight / total } else { 0.0 })
+}
+
+/// The point lies in the texel of tap `own`, at a place that its coverage does not have.
+fn is_behind_wall(taps: Taps, own: usize, share: [f32; 2]) -> bool {
+    let nearest = usize::from(share[0] >= 0.5) + 2 * usize::from(share[1] >= 0.5);
+    let coverage = taps[own].coverage();
+    if own != nearest || coverage == 0 {
+        return false;
+    }
+    let side = COVERAGE_SIDE as f32;
+    let [x, y] = share.map(|share| {
+        let inside = if share >= 0.5 { share - 0.5 } else { share + 0.5 };
+        (inside * side).clamp(0.0, side - 1.0) as u32
+    });
+    coverage >> (COVERAGE_SIDE * y + x) & 1 == 0
+}
+
+/// Whether no wall stands between two taps that are receivers; each link is a bit of the earlier tap.
+fn are_linked(taps: Taps, one: usize, other: usize) -> bool {
+    let (first, second) = (one.min(other), one.max(other));
+    if !taps[first].is_receiver() || !taps[second].is_receiver() {
+        return false;
+    }
+    taps[first].is_linked(match (first, second) {
+        (0, 1) | (2, 3) => 0,
+        (0, 2) | (1, 3) => 1,
+        (0, 3) => 2,
+        _ => 3,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const ALL: u8 = 0b1111;
+
+    #[test]
+    fn full_texels_without_walls_are_bilinear() {
+        let taps = [TexelKind::of_receiver(ALL, u16::MAX); 4];
+        let found = tap_weights(taps, [0.25, 0.5]);
+        for (weight, wanted) in found.iter().zip([0.375, 0.125, 0.375, 0.125]) {
+            assert!((weight - wanted).abs() < 1e-5, "{found:?}");
+        }
+    }
+
+    #[test]
+    fn light_does_not_come_across_a_wall_between_texels() {
+        // Column 0 is linked to itself, as is column 1.
+        let [left, right] = [0b0010, 0b0010].map(|links| TexelKind::of_receiver(links, u16::MAX));
+        let found = tap_weights([left, right, left, right], [0.4, 0.2]);
+        assert!(found[1] == 0.0 && found[3] == 0.0 && (found[0] + found[2] - 1.0).abs() < 1e-6, "{found:?}");
+    }
+
+    #[test]
+    fn point_beyond_a_wall_in_its_texel_takes_the_light_of_that_side() {
+        // A wall cuts the left texels: their receivers stand for columns 0 and 1 of their points.
+        let left = TexelKind::of_receiver(0b0010, 0x3333);
+        let right = TexelKind::of_receiver(0b0010, u16::MAX);
+        let taps = [left, right, left, right];
+        let near = tap_weights(taps, [0.4, 0.2]);
+        assert!(near[0] == 0.0 && near[2] == 0.0, "beyond the wall: {near:?}");
+        // On this side of the wall, where the other three texels lie to the left of this one.
+        let own = tap_weights([right, left, right, left], [0.7, 0.2]);
+        assert!(own[0] == 0.0 && own[2] == 0.0, "before the wall: {own:?}");
+    }
+
+    #[test]
+    fn point_that_no_texel_stands_for_takes_the_nearest_light() {
+        let own = TexelKind::of_receiver(ALL, 0x3333);
+        let all_linked = tap_weights([own, TexelKind::of_receiver(ALL, u16::MAX), own, own], [0.4, 0.2]);
+        assert!(all_linked.iter().all(|weight| *weight > 0.0), "{all_linked:?}");
+        let alone =
+            tap_weights([own, TexelKind::FILLED, TexelKind::default(), TexelKind::FILLED], [0.4, 0.2]);
+        assert_eq!(alone, [1.0, 0.0, 0.0, 0.0]);
+        let rim = tap_weights(
+            [TexelKind::default(), TexelKind::FILLED, TexelKind::default(), TexelKind::FILLED],
+            [0.4, 0.2],
+        );
+        assert!((rim[1] + rim[3] - 1.0).abs() < 1e-6 && rim[0] == 0.0, "{rim:?}");
+        assert_eq!(tap_weights([TexelKind::default(); 4], [0.5; 2]), [0.0; 4]);
+    }
+
+    #[test]
+    fn kinds_are_exact() {
+        let kind = TexelKind::of_receiver(0b1010, 0xA5C3);
+        assert_eq!(kind.coverage(), 0xA5C3);
+        assert!(kind.is_linked(1) && kind.is_linked(3) && !kind.is_linked(0) && !kind.is_linked(2));
+        assert_eq!(TexelKind::of_receiver(0, 0).coverage(), 0);
+        assert_eq!(TexelKind::of_receiver(15, u16::MAX).0 as u32, 1 + 15 + 16 * 65_535);
+    }
+}
