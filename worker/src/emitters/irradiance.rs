@@ -1,9 +1,13 @@
-//! Irradiance straight from emissive surfaces, by sampling them and by the receivers' own rays.
+//! Irradiance straight from emissive surfaces, by sampling them from points of a receiver's texel and by the receiver's own
+//! rays.
 //!
 //! We differ from relighting emission like any other radiance (METHOD.md §2.7): a lamp is met by a handful of rays, so its
 //! energy would be off by tens of percent at each receiver and its shadows blurred by the columns. Here both estimators are
 //! weighted by the balance heuristic (\[Veach1995\]), so neither a small nor a near lamp is noisy; columns then carry only
 //! light that has bounced.
+//!
+//! Sampled light is the mean over the texel's points, as E_dir is, and light that the own rays meet that of the receiver's:
+//! what is so near and large that rays meet it casts no shadow that a point could miss.
 
 use std::borrow::Cow;
 use std::ops::Deref;
@@ -71,6 +75,11 @@ impl EmitterSet {
         set
     }
 
+    /// Nothing emits.
+    pub fn is_empty(&self) -> bool {
+        self.triangles.is_empty()
+    }
+
     /// Emitters of the scene among a task's inputs, found once per worker.
     pub fn of(context: &Context, geometry: &Geometry) -> Result<Arc<Self>, TaskError> {
         context.memory.get_or_insert(context.digest(crate::scene::ARTEFACT)?, || {
@@ -85,8 +94,10 @@ impl EmitterSet {
 pub struct EmitterIrradianceSum<'a> {
     geometry: &'a Geometry,
     set: &'a EmitterSet,
+    /// The receiver's own.
     site: Site,
-    origin_m: Vec3,
+    /// Points of its texel, at least one.
+    texel: &'a [Site],
     own_rays: f32,
     samples: u32,
     /// Chance of each emissive triangle, summed; empty when none can reach the receiver.
@@ -95,16 +106,23 @@ pub struct EmitterIrradianceSum<'a> {
 }
 
 impl<'a> EmitterIrradianceSum<'a> {
-    /// Nothing summed yet; `own_rays` cosine-distributed rays and `samples` shadow rays will be.
-    pub fn new(geometry: &'a Geometry, set: &'a EmitterSet, site: Site, own_rays: u32, samples: u32) -> Self {
-        let origin_m = site.ray_origin_m(geometry.tracer.ray_offset_m());
+    /// Nothing summed yet; `own_rays` cosine-distributed rays and `samples` shadow rays will be, these from the points of
+    /// the texel in turn.
+    pub fn new(
+        geometry: &'a Geometry,
+        set: &'a EmitterSet,
+        (site, texel): (Site, &'a [Site]),
+        own_rays: u32,
+        samples: u32,
+    ) -> Self {
         let cumulative = if set.by_power.is_empty() {
-            Cow::Owned(summed(set.triangles.iter().map(|triangle| chance(triangle, &site, origin_m))))
+            let reach = Reach::of(site, texel, geometry.tracer.ray_offset_m());
+            Cow::Owned(summed(set.triangles.iter().map(|triangle| reach.chance(triangle))))
         } else {
             Cow::Borrowed(set.by_power.as_slice())
         };
         let sums = vec![[0.0; 3]; set.count];
-        Self { geometry, set, site, origin_m, own_rays: own_rays as f32, samples, cumulative, sums }
+        Self { geometry, set, site, texel, own_rays: own_rays as f32, samples, cumulative, sums }
     }
 
     /// Adds the emitter that one of the receiver's own rays meets: `π/N · Lₑ` times its weight against sampling.
@@ -138,7 +156,8 @@ impl<'a> EmitterIrradianceSum<'a> {
         for sample in 0..self.samples {
             let pick = (sample as f32 + shift) / self.samples as f32;
             let index = self.cumulative.partition_point(|sum| *sum <= pick).min(self.cumulative.len() - 1);
-            rays += u64::from(self.add_sample(index, uniform_triangle(points.point(sample))));
+            let site = &self.texel[sample as usize % self.texel.len()];
+            rays += u64::from(self.add_sample(site, index, uniform_triangle(points.point(sample))));
         }
         rays
     }
@@ -149,23 +168,24 @@ impl<'a> EmitterIrradianceSum<'a> {
     }
 
     /// `Lₑ cosθ_x cosθ_y / d² / density`, weighted against the receiver's own rays; true if a ray was cast.
-    fn add_sample(&mut self, index: usize, barycentric: [f32; 2]) -> bool {
+    fn add_sample(&mut self, site: &Site, index: usize, barycentric: [f32; 2]) -> bool {
         let triangle = &self.set.triangles[index];
         let weights = weights_of(barycentric);
         let [a, b, c] = triangle.corners;
         let point_m = a * weights.x + b * weights.y + c * weights.z;
-        let to_light = point_m - self.origin_m;
+        let offset_m = self.geometry.tracer.ray_offset_m();
+        let origin_m = site.ray_origin_m(offset_m);
+        let to_light = point_m - origin_m;
         let squared_m2 = to_light.length_squared();
         let Some(direction) = to_light.try_normalize() else { return false };
-        let cosine = direction.dot(self.site.normal);
+        let cosine = direction.dot(site.normal);
         let facing = -direction.dot(triangle.normal);
-        let above = direction.dot(self.site.face_normal) > 0.0;
+        let above = direction.dot(site.face_normal) > 0.0;
         if cosine <= 0.0 || !above || (facing <= 0.0 && !triangle.double_sided) || facing == 0.0 {
             return false;
         }
-        let offset_m = self.geometry.tracer.ray_offset_m();
         let lifted_m = point_m + triangle.normal * offset_m.copysign(facing);
-        if self.geometry.tracer.is_occluded(self.origin_m, lifted_m) {
+        if self.geometry.tracer.is_occluded(origin_m, lifted_m) {
             return true;
         }
         let density = self.density(index) * squared_m2 / facing.abs();
@@ -213,13 +233,38 @@ fn summed(chances: impl Iterator<Item = f32>) -> Vec<f32> {
     if total > 0.0 { sums.iter().map(|sum| (sum / total) as f32).collect() } else { Vec::new() }
 }
 
-/// Chance, not yet normalised, that a site samples an emissive triangle; 0 only where no light can come from it.
-fn chance(triangle: &Weighted, site: &Site, origin_m: Vec3) -> f32 {
-    let behind = (origin_m - triangle.corners[0]).dot(triangle.normal) <= 0.0 && !triangle.double_sided;
-    let below = triangle.corners.iter().all(|corner| (*corner - origin_m).dot(site.normal) <= 0.0);
-    if behind || below {
-        return 0.0;
+/// A receiver, and how far the points of its texel may be from what it sees.
+struct Reach {
+    site: Site,
+    origin_m: Vec3,
+    /// Distance of the farthest point, in metres.
+    slack_m: f32,
+    /// Whether all have the receiver's normal.
+    is_flat: bool,
+}
+
+impl Reach {
+    fn of(site: Site, texel: &[Site], offset_m: f32) -> Self {
+        let apart = |point: &Site| point.position_m.distance(site.position_m);
+        Self {
+            origin_m: site.ray_origin_m(offset_m),
+            slack_m: texel.iter().map(apart).fold(0.0, f32::max),
+            is_flat: texel.iter().all(|point| point.normal == site.normal),
+            site,
+        }
     }
-    let centre_m = (triangle.corners[0] + triangle.corners[1] + triangle.corners[2]) / 3.0;
-    triangle.power / (centre_m - origin_m).length_squared().max(triangle.area_m2)
+
+    /// Chance, not yet normalised, that an emissive triangle is sampled; 0 only where no light can come from it.
+    fn chance(&self, triangle: &Weighted) -> f32 {
+        let Self { site, origin_m, slack_m, is_flat } = self;
+        let above_m = |corner: &Vec3| (*corner - *origin_m).dot(site.normal);
+        let before_m = (*origin_m - triangle.corners[0]).dot(triangle.normal);
+        let behind = before_m <= -slack_m && !triangle.double_sided;
+        let below = *is_flat && triangle.corners.iter().all(|corner| above_m(corner) <= -slack_m);
+        if behind || below {
+            return 0.0;
+        }
+        let centre_m = (triangle.corners[0] + triangle.corners[1] + triangle.corners[2]) / 3.0;
+        triangle.power / (centre_m - *origin_m).length_squared().max(triangle.area_m2)
+    }
 }

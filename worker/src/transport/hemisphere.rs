@@ -4,7 +4,7 @@ use glam::Vec3;
 
 use crate::emitters::{EmitterIrradianceSum, EmitterSet};
 use crate::geometry::{Geometry, Site};
-use crate::lightmap::{Receiver, World};
+use crate::lightmap::World;
 use crate::rays::Hit;
 use crate::rays::sampling::{R2, cosine_hemisphere, tangent_frame};
 
@@ -13,6 +13,8 @@ pub struct Hemisphere<'a> {
     geometry: &'a Geometry,
     emitters: &'a EmitterSet,
     site: Site,
+    /// Points of the receiver's texel, for light of emitters.
+    texel: Vec<Site>,
     /// Start of the rays in metres: the receiver's place, lifted off its surface.
     pub origin_m: Vec3,
     seed: u64,
@@ -32,17 +34,20 @@ pub struct Surroundings {
 
 impl<'a> Hemisphere<'a> {
     /// The hemisphere of a receiver. Its random numbers come from its block and texel alone.
-    pub fn new(world: &'a World, emitters: &'a EmitterSet, receiver: &Receiver, rays: u32) -> Self {
+    pub fn new(world: &'a World, emitters: &'a EmitterSet, receiver: u32, rays: u32) -> Self {
         let geometry = world.geometry.as_ref();
-        let (site, seed) = (receiver.site(), world.lightmap.seed_of(receiver, 3));
+        let own = &world.lightmap.receivers[receiver as usize];
+        let (site, seed) = (own.site(), world.lightmap.seed_of(own, 3));
         let origin_m = site.ray_origin_m(geometry.tracer.ray_offset_m());
-        Self { geometry, emitters, site, origin_m, seed, rays }
+        let texel = if emitters.is_empty() { vec![site] } else { world.lit_points_of(receiver) };
+        Self { geometry, emitters, site, texel, origin_m, seed, rays }
     }
 
     /// Casts the rays: calls `met` with each direction and its hit, and gives the light straight from emitters.
     pub fn cast(&self, emitter_rays: u32, mut met: impl FnMut(Vec3, Option<&Hit>)) -> Surroundings {
+        let sites = (self.site, &self.texel[..]);
         let mut emitted =
-            EmitterIrradianceSum::new(self.geometry, self.emitters, self.site, self.rays, emitter_rays);
+            EmitterIrradianceSum::new(self.geometry, self.emitters, sites, self.rays, emitter_rays);
         let Site { normal, face_normal, .. } = self.site;
         let (tangent, bitangent) = tangent_frame(normal);
         let points = R2::new(self.seed);

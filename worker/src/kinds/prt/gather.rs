@@ -75,7 +75,7 @@ pub fn trace(
 fn gather(transport: &PatchTransport, sources: &Sources, receiver: u32) -> Gathered {
     let PatchTransport { world, emitters, settings, .. } = transport;
     let rays = settings.transport.transport_rays;
-    let hemisphere = Hemisphere::new(world, emitters, &world.lightmap.receivers[receiver as usize], rays);
+    let hemisphere = Hemisphere::new(world, emitters, receiver, rays);
     let (mut gathered, mut near) = (Gathered::default(), Near::default());
     let texel_m = world.lightmap.texel_m;
     let reach_m = near::reach_m(settings, texel_m);

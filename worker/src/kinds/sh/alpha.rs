@@ -62,8 +62,8 @@ impl<'a> AlphaSampler<'a> {
 
     /// The row of a receiver.
     pub fn row(&self, receiver: u32) -> Row {
-        let receiver = &self.world.lightmap.receivers[receiver as usize];
         let hemisphere = Hemisphere::new(self.world, self.emitters, receiver, self.rays);
+        let receiver = &self.world.lightmap.receivers[receiver as usize];
         let mut gather = Gather {
             receiver,
             origin_m: hemisphere.origin_m,
