@@ -304,7 +304,11 @@ fn picture_does_not_interpolate_across_a_wall_that_stands_on_the_floor() {
     for step in 1..160 {
         let at = step as f32 * 0.05;
         let read = |x: f32| sample(&scene.lightmap, &atlas, block, [x, at]).x;
-        assert!(read(3.95) < 1e-5 && read(3.6) < 1e-5, "at {at}: {} {}", read(3.95), read(3.6));
+        // In row 6 the wall leans over column 3.
+        let is_cut = (6.0..7.0).contains(&at);
+        let near = read(3.95);
+        assert!(if is_cut { near > 0.999 } else { near < 1e-5 }, "at {at}: {near}");
+        assert!(read(3.45) < 1e-5, "at {at}: {}", read(3.45));
         // Near the floor's hole, column 4 has no receiver to be nearest.
         if !(3.5..=5.5).contains(&at) {
             assert!(read(4.05) > 0.999 && read(4.4) > 0.999, "at {at}: {} {}", read(4.05), read(4.4));

@@ -97,7 +97,7 @@ fn check_input(cluster: &ClusterTransport, settings: QuantisationSettings) -> Re
         in_range(section, what, length as u64, wanted as u64, wanted as u64).map(drop)
     };
     in_range(section, "levels", settings.levels.into(), 1, LEVELS_MAX.into())?;
-    let Receivers { block, texel, position_m, normal, albedo, emission, links, coverage, .. } =
+    let Receivers { block, texel, position_m, normal, albedo, emission, links, coverage, edge, .. } =
         &cluster.receivers;
     let receivers = texel.len();
     same("blocks of receivers", block.len(), receivers)?;
@@ -107,6 +107,7 @@ fn check_input(cluster: &ClusterTransport, settings: QuantisationSettings) -> Re
     same("emissions", emission.len(), receivers)?;
     same("links", links.len(), receivers)?;
     same("coverage", coverage.len(), receivers)?;
+    same("edges", edge.len(), receivers)?;
     for &bits in links {
         in_range(section, "links", bits.into(), 0, LINKS_MAX)?;
     }
@@ -222,6 +223,7 @@ fn sorted_receivers(receivers: &Receivers, arrangement: &Arrangement) -> Receive
         emission: arrangement.sorted(&receivers.emission),
         links: arrangement.sorted(&receivers.links),
         coverage: arrangement.sorted(&receivers.coverage),
+        edge: arrangement.sorted(&receivers.edge),
     }
 }
 

@@ -71,7 +71,7 @@ fn check_sections(container: &Container, head: &ClusterHead) -> Result<(), Chunk
 /// Memory that a decoded layer takes, about.
 fn decoded_bytes(head: &ClusterHead, layer: LayerBox) -> u64 {
     let receivers = head.shape.receivers_in(layer.level);
-    let others = receivers * (63 + 12 * head.emitters) + 8 * head.blocks;
+    let others = receivers * (65 + 12 * head.emitters) + 8 * head.blocks;
     head.shape.layer_decoded_bytes(layer) + others as u64
 }
 

@@ -8,7 +8,7 @@ use super::ints;
 use super::numbers::*;
 use super::order::{morton, texel_of};
 use super::predict::Predictor;
-use crate::content::{EmitterIrradiance, LINKS, Receivers};
+use crate::content::{EmitterIrradiance, LINKS, Receivers, TexelEdge};
 
 /// Most albedos in a palette; clusters with more distinct ones use 8-bit codes.
 pub(super) const PALETTE_MAX: usize = 256;
@@ -40,7 +40,7 @@ pub(super) struct ReceiverCodec {
     pub palette: Vec<[f32; 3]>,
     /// Levels in use.
     pub levels: u32,
-    /// Whether coverage is stored: not in version 1.
+    /// Whether coverage and edges are stored: not in version 1.
     has_coverage: bool,
     columns: [Vec<i32>; GUESSED_COLUMNS],
 }
@@ -96,7 +96,11 @@ impl ReceiverCodec {
         write_emission(out, &receivers.emission[rows.clone()]);
         let links: Vec<u32> = receivers.links[rows.clone()].iter().map(|&bits| bits.into()).collect();
         ints::put_u32s(out, &links);
-        ints::put_u32s(out, &receivers.coverage[rows].iter().map(|&bits| (!bits).into()).collect::<Vec<_>>());
+        ints::put_u32s(
+            out,
+            &receivers.coverage[rows.clone()].iter().map(|&bits| (!bits).into()).collect::<Vec<_>>(),
+        );
+        ints::put_u32s(out, &receivers.edge[rows].iter().map(|edge| edge.0.into()).collect::<Vec<_>>());
     }
 
     /// Reads `count` receivers of `level` and appends them to `receivers`; the predictor learns of them.
@@ -134,11 +138,16 @@ impl ReceiverCodec {
         }
         if !self.has_coverage {
             receivers.coverage.resize(receivers.len(), 0);
+            receivers.edge.resize(receivers.len(), TexelEdge::NONE);
             return Ok(());
         }
         for bits in ints::take_u32s(reader, "coverage", count)? {
             let uncovered = in_range("receivers", "coverage", bits.into(), 0, u16::MAX.into())? as u16;
             receivers.coverage.push(!uncovered);
+        }
+        for code in ints::take_u32s(reader, "edge", count)? {
+            let code = in_range("receivers", "edge", code.into(), 0, u16::MAX.into())?;
+            receivers.edge.push(TexelEdge(code as u16));
         }
         Ok(())
     }
@@ -176,7 +185,7 @@ impl ReceiverCodec {
 
 /// Most raw bytes of `count` receivers of a level.
 pub(super) fn receivers_bytes_max(count: usize, blocks: usize, emitters: usize) -> u64 {
-    ints::bytes_max(blocks) + 15 * ints::bytes_max(count) + 4 * emitters as u64 * ints::bytes_max(count)
+    ints::bytes_max(blocks) + 16 * ints::bytes_max(count) + 4 * emitters as u64 * ints::bytes_max(count)
 }
 
 /// Per block its number of receivers, then per receiver how far its texel's Morton code at this level is past the one

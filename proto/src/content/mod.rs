@@ -10,4 +10,4 @@ pub use cluster::{ClusterTransport, ColumnKey, EmitterIrradiance, TransportFacto
 pub use drawing::{Draw, Geometry};
 pub use near::{NearHits, NearSurface};
 pub use patches::{AreaCode, Patch, PatchKey, PatchSet};
-pub use receivers::{BlockKey, COVERAGE_POINTS, COVERAGE_SIDE, LINKS, Receivers, Texel};
+pub use receivers::{BlockKey, COVERAGE_POINTS, COVERAGE_SIDE, LINKS, Receivers, Texel, TexelEdge};

@@ -1,6 +1,8 @@
 //! Receivers: texels that take light in. A receiver's identity is (block key, texel); it does not depend on where the
 //! manifest places blocks.
 
+use serde::{Deserialize, Serialize};
+
 /// Identity of a block: first eight bytes of the digest of (instance path, side, part).
 pub type BlockKey = u64;
 
@@ -30,6 +32,37 @@ pub struct Receivers {
     /// Which of the texel's 4 × 4 points lie on surface, on the receiver's own side of every wall: bit `4·row + column`
     /// for the point `((column, row) + ½) / 4` of the texel. 0 for a receiver off its surface, which is its only point.
     pub coverage: Vec<u16>,
+    /// Where a wall cuts the texel: the straight edge of the receiver's own side, beyond which pictures show others' light.
+    pub edge: Vec<TexelEdge>,
+}
+
+/// A straight line through a texel, with a receiver's own side before it; or none.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct TexelEdge(pub u16);
+
+impl TexelEdge {
+    /// All of the texel is on the receiver's side.
+    pub const NONE: Self = Self(0);
+    /// Offsets are less than this, in texels.
+    const REACH: f32 = 0.75;
+
+    /// The edge across the unit direction `angle_rad` from the texel's x axis, so far from its middle in texels, to the
+    /// nearest 1/256 of a turn and 1/127 of ¾ of a texel.
+    pub fn new(angle_rad: f32, offset: f32) -> Self {
+        let turn = (angle_rad / std::f32::consts::TAU * 256.0).round().rem_euclid(256.0) as u16;
+        let along = (offset / Self::REACH * 127.0).round().clamp(-127.0, 127.0) as i16;
+        Self((turn % 256) << 8 | (128 + along) as u16)
+    }
+
+    /// A place in the texel, 0..1 in x and y, is beyond the edge.
+    pub fn is_beyond(self, [x, y]: [f32; 2]) -> bool {
+        if self == Self::NONE {
+            return false;
+        }
+        let angle_rad = f32::from(self.0 >> 8) * (std::f32::consts::TAU / 256.0);
+        let offset = (f32::from(self.0 & 0xFF) - 128.0) * (Self::REACH / 127.0);
+        (x - 0.5) * angle_rad.cos() + (y - 0.5) * angle_rad.sin() > offset
+    }
 }
 
 /// Points along each side of a texel, see [`Receivers::coverage`].

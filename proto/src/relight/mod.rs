@@ -15,7 +15,7 @@
 //! components of a [`Vec4`], the fourth is 0, so that adapters read the arrays as they are.
 //!
 //! ```
-//! use lightkiln_proto::content::{ClusterTransport, PatchSet, Receivers};
+//! use lightkiln_proto::content::{ClusterTransport, PatchSet, Receivers, TexelEdge};
 //! use lightkiln_proto::relight::{Incoming, Limit, PatchTable, Serial, Transport};
 //!
 //! let receivers = Receivers {
@@ -27,6 +27,7 @@
 //!     albedo: vec![[0.5; 3]],
 //!     links: vec![0],
 //!     coverage: vec![u16::MAX],
+//!     edge: vec![TexelEdge::NONE],
 //!     ..Receivers::default()
 //! };
 //! let cluster = ClusterTransport { receivers, ..ClusterTransport::default() };

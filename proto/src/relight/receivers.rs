@@ -3,7 +3,7 @@
 use glam::Vec4;
 
 use super::{SlotTable, four};
-use crate::content::Receivers;
+use crate::content::{Receivers, TexelEdge};
 
 /// Most receivers that a bake may have.
 pub const MAX_RECEIVERS: usize = 1 << 26;
@@ -21,6 +21,8 @@ pub struct ReceiverTable {
     pub links: Vec<u8>,
     /// Points of its texel, bits of [`Receivers::coverage`].
     pub coverage: Vec<u16>,
+    /// Where a wall cuts its texel.
+    pub edge: Vec<TexelEdge>,
 }
 
 impl ReceiverTable {
@@ -59,6 +61,7 @@ impl ReceiverTable {
             self.albedo.push(albedo);
             self.links.push(receivers.links[index]);
             self.coverage.push(receivers.coverage[index]);
+            self.edge.push(receivers.edge[index]);
         }
         Ok(())
     }
@@ -73,6 +76,7 @@ fn check_lengths(receivers: &Receivers) -> Result<(), String> {
         receivers.albedo.len(),
         receivers.links.len(),
         receivers.coverage.len(),
+        receivers.edge.len(),
     ];
     if lengths.iter().any(|length| *length != count) {
         return Err(format!("its receiver arrays differ in length: {count}, {lengths:?}"));

@@ -1,6 +1,6 @@
 //! Reading a lightmap between its texels: which of the four around a point count, and how much.
 
-use crate::content::COVERAGE_SIDE;
+use crate::content::TexelEdge;
 
 /// Links have this many values; a texel's kind has them in its lowest digit.
 const LINKS_VALUES: u32 = 1 << crate::content::LINKS.len();
@@ -14,9 +14,9 @@ impl TexelKind {
     /// A texel filled from those near it.
     pub const FILLED: Self = Self(-1.0);
 
-    /// A receiver's own texel, from its [`crate::content::Receivers::links`] and coverage; exact in f32.
-    pub fn of_receiver(links: u8, coverage: u16) -> Self {
-        Self((1 + (u32::from(links) % LINKS_VALUES) + LINKS_VALUES * u32::from(coverage)) as f32)
+    /// A receiver's own texel, from its [`crate::content::Receivers::links`] and edge; exact in f32.
+    pub fn of_receiver(links: u8, edge: TexelEdge) -> Self {
+        Self((1 + (u32::from(links) % LINKS_VALUES) + LINKS_VALUES * u32::from(edge.0)) as f32)
     }
 
     /// It is a receiver's own.
@@ -28,8 +28,8 @@ impl TexelKind {
         (self.0 as u32 - 1) >> bit & 1 == 1
     }
 
-    fn coverage(self) -> u32 {
-        (self.0 as u32 - 1) / LINKS_VALUES
+    fn edge(self) -> TexelEdge {
+        TexelEdge(((self.0 as u32 - 1) / LINKS_VALUES) as u16)
     }
 }
 
@@ -57,7 +57,7 @@ pub fn tap_weights(taps: Taps, share: [f32; 2]) -> [f32; 4] {
         (0..4).filter(|&tap| taps[tap].is_receiver() && counts(tap)).fold(None, heavier)
     };
     let mut home = heaviest(&|_| true);
-    if let Some(own) = home.filter(|&own| is_behind_wall(taps, own, share)) {
+    if let Some(own) = home.filter(|&own| is_beyond_wall(taps, own, share)) {
         home = heaviest(&|tap| tap != own && !are_linked(taps, own, tap)).or(home);
     }
     let counted: [f32; 4] = std::array::from_fn(|tap| {
@@ -71,19 +71,11 @@ pub fn tap_weights(taps: Taps, share: [f32; 2]) -> [f32; 4] {
     counted.map(|weight| if total > 0.0 { weight / total } else { 0.0 })
 }
 
-/// The point lies in the texel of tap `own`, at a place that its coverage does not have.
-fn is_behind_wall(taps: Taps, own: usize, share: [f32; 2]) -> bool {
+/// The point lies in the texel of tap `own`, beyond its edge.
+fn is_beyond_wall(taps: Taps, own: usize, share: [f32; 2]) -> bool {
     let nearest = usize::from(share[0] >= 0.5) + 2 * usize::from(share[1] >= 0.5);
-    let coverage = taps[own].coverage();
-    if own != nearest || coverage == 0 {
-        return false;
-    }
-    let side = COVERAGE_SIDE as f32;
-    let [x, y] = share.map(|share| {
-        let inside = if share >= 0.5 { share - 0.5 } else { share + 0.5 };
-        (inside * side).clamp(0.0, side - 1.0) as u32
-    });
-    coverage >> (COVERAGE_SIDE * y + x) & 1 == 0
+    let inside = share.map(|share| if share >= 0.5 { share - 0.5 } else { share + 0.5 });
+    own == nearest && taps[own].edge().is_beyond(inside)
 }
 
 /// Whether no wall stands between two taps that are receivers; each link is a bit of the earlier tap.
@@ -106,9 +98,16 @@ mod tests {
 
     const ALL: u8 = 0b1111;
 
+    const NONE: TexelEdge = TexelEdge::NONE;
+
+    /// The left half of a texel is its receiver's.
+    fn left_half() -> TexelEdge {
+        TexelEdge::new(0.0, 0.0)
+    }
+
     #[test]
-    fn full_texels_without_walls_are_bilinear() {
-        let taps = [TexelKind::of_receiver(ALL, u16::MAX); 4];
+    fn texels_without_walls_are_bilinear() {
+        let taps = [TexelKind::of_receiver(ALL, NONE); 4];
         let found = tap_weights(taps, [0.25, 0.5]);
         for (weight, wanted) in found.iter().zip([0.375, 0.125, 0.375, 0.125]) {
             assert!((weight - wanted).abs() < 1e-5, "{found:?}");
@@ -118,46 +117,46 @@ mod tests {
     #[test]
     fn light_does_not_come_across_a_wall_between_texels() {
         // Column 0 is linked to itself, as is column 1.
-        let [left, right] = [0b0010, 0b0010].map(|links| TexelKind::of_receiver(links, u16::MAX));
-        let found = tap_weights([left, right, left, right], [0.4, 0.2]);
+        let column = TexelKind::of_receiver(0b0010, NONE);
+        let found = tap_weights([column; 4], [0.4, 0.2]);
         assert!(found[1] == 0.0 && found[3] == 0.0 && (found[0] + found[2] - 1.0).abs() < 1e-6, "{found:?}");
     }
 
     #[test]
     fn point_beyond_a_wall_in_its_texel_takes_the_light_of_that_side() {
-        // A wall cuts the left texels: their receivers stand for columns 0 and 1 of their points.
-        let left = TexelKind::of_receiver(0b0010, 0x3333);
-        let right = TexelKind::of_receiver(0b0010, u16::MAX);
-        let taps = [left, right, left, right];
-        let near = tap_weights(taps, [0.4, 0.2]);
-        assert!(near[0] == 0.0 && near[2] == 0.0, "beyond the wall: {near:?}");
-        // On this side of the wall, where the other three texels lie to the left of this one.
-        let own = tap_weights([right, left, right, left], [0.7, 0.2]);
-        assert!(own[0] == 0.0 && own[2] == 0.0, "before the wall: {own:?}");
+        // A wall cuts the left texels in the middle: their receivers are left of it.
+        let left = TexelKind::of_receiver(0b0010, left_half());
+        let right = TexelKind::of_receiver(0b0010, NONE);
+        let beyond = tap_weights([left, right, left, right], [0.4, 0.2]);
+        assert!(beyond[0] == 0.0 && beyond[2] == 0.0, "beyond the wall: {beyond:?}");
+        // On this side of the wall, where the other texels lie to the left of this one.
+        let before = tap_weights([right, left, right, left], [0.7, 0.2]);
+        assert!(before[0] == 0.0 && before[2] == 0.0, "before the wall: {before:?}");
     }
 
     #[test]
     fn point_that_no_texel_stands_for_takes_the_nearest_light() {
-        let own = TexelKind::of_receiver(ALL, 0x3333);
-        let all_linked = tap_weights([own, TexelKind::of_receiver(ALL, u16::MAX), own, own], [0.4, 0.2]);
+        let own = TexelKind::of_receiver(ALL, left_half());
+        let all_linked = tap_weights([own, TexelKind::of_receiver(ALL, NONE), own, own], [0.4, 0.2]);
         assert!(all_linked.iter().all(|weight| *weight > 0.0), "{all_linked:?}");
-        let alone =
-            tap_weights([own, TexelKind::FILLED, TexelKind::default(), TexelKind::FILLED], [0.4, 0.2]);
-        assert_eq!(alone, [1.0, 0.0, 0.0, 0.0]);
-        let rim = tap_weights(
-            [TexelKind::default(), TexelKind::FILLED, TexelKind::default(), TexelKind::FILLED],
-            [0.4, 0.2],
-        );
-        assert!((rim[1] + rim[3] - 1.0).abs() < 1e-6 && rim[0] == 0.0, "{rim:?}");
-        assert_eq!(tap_weights([TexelKind::default(); 4], [0.5; 2]), [0.0; 4]);
+        let (none, rim) = (TexelKind::default(), TexelKind::FILLED);
+        assert_eq!(tap_weights([own, rim, none, rim], [0.4, 0.2]), [1.0, 0.0, 0.0, 0.0]);
+        let of_rim = tap_weights([none, rim, none, rim], [0.4, 0.2]);
+        assert!((of_rim[1] + of_rim[3] - 1.0).abs() < 1e-6 && of_rim[0] == 0.0, "{of_rim:?}");
+        assert_eq!(tap_weights([none; 4], [0.5; 2]), [0.0; 4]);
     }
 
     #[test]
-    fn kinds_are_exact() {
-        let kind = TexelKind::of_receiver(0b1010, 0xA5C3);
-        assert_eq!(kind.coverage(), 0xA5C3);
+    fn kinds_and_edges_are_exact() {
+        let kind = TexelKind::of_receiver(0b1010, TexelEdge(0xA5C3));
+        assert_eq!(kind.edge(), TexelEdge(0xA5C3));
         assert!(kind.is_linked(1) && kind.is_linked(3) && !kind.is_linked(0) && !kind.is_linked(2));
-        assert_eq!(TexelKind::of_receiver(0, 0).coverage(), 0);
-        assert_eq!(TexelKind::of_receiver(15, u16::MAX).0 as u32, 1 + 15 + 16 * 65_535);
+        assert_eq!(TexelKind::of_receiver(15, TexelEdge(u16::MAX)).0 as u32, 1 + 15 + 16 * 65_535);
+        for (angle_rad, offset) in [(0.0_f32, 0.3_f32), (2.0, -0.4), (6.2, 0.0), (-1.0, 0.7)] {
+            let edge = TexelEdge::new(angle_rad, offset);
+            assert!(edge != TexelEdge::NONE);
+            let at = |offset: f32| [0.5 + offset * angle_rad.cos(), 0.5 + offset * angle_rad.sin()];
+            assert!(edge.is_beyond(at(offset + 0.01)) && !edge.is_beyond(at(offset - 0.01)), "{angle_rad}");
+        }
     }
 }

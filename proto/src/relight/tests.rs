@@ -7,7 +7,7 @@ use glam::{Vec3, Vec4};
 use super::*;
 use crate::content::{
     AreaCode, ClusterTransport, EmitterIrradiance, NearHits, NearSurface, Patch, PatchKey, PatchSet,
-    Receivers, TransportFactors,
+    Receivers, TexelEdge, TransportFactors,
 };
 
 pub(crate) const BLOCK: u64 = 50;
@@ -25,6 +25,7 @@ fn receivers(count: u16) -> Receivers {
         emission: vec![[0.0; 3]; each],
         links: vec![0; each],
         coverage: vec![u16::MAX; each],
+        edge: vec![TexelEdge::NONE; each],
     }
 }
 
@@ -248,6 +249,7 @@ fn contradictions_between_chunks_are_named() {
         ("lengths", refused(|cluster| cluster.factors.u.truncate(1))),
         ("differ in length", refused(|cluster| cluster.receivers.links.clear())),
         ("differ in length", refused(|cluster| cluster.receivers.coverage.clear())),
+        ("differ in length", refused(|cluster| cluster.receivers.edge.clear())),
         ("is in no chunk", refused(|cluster| cluster.factors.keys[0] = 77)),
         ("bands", refused(|cluster| cluster.factors.bands = 2)),
         ("emitter 6", refused(|cluster| cluster.emitters[0].emitter = 6)),

@@ -52,6 +52,7 @@ fn attributes(lightmap: &Lightmap, receivers: &[u32]) -> Receivers {
         emission: all.iter().map(|receiver| receiver.emission).collect(),
         links: all.iter().map(|receiver| receiver.links).collect(),
         coverage: all.iter().map(|receiver| receiver.coverage).collect(),
+        edge: all.iter().map(|receiver| receiver.edge).collect(),
         blocks: blocks.values().iter().map(|&block| lightmap.blocks[block as usize].key).collect(),
     }
 }

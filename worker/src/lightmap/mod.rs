@@ -11,7 +11,7 @@ mod texel_points;
 mod world;
 
 use glam::Vec3;
-use lightkiln_proto::content::{AreaCode, BlockKey, Texel};
+use lightkiln_proto::content::{AreaCode, BlockKey, Texel, TexelEdge};
 use serde::{Deserialize, Serialize};
 
 use crate::geometry::Site;
@@ -78,6 +78,8 @@ pub struct Receiver {
     pub links: u8,
     /// Points of its texel on its own side of every wall, bits of `Receivers::coverage`; 0 before the last step of placement.
     pub coverage: u16,
+    /// Where a wall cuts its texel; none before the last step of placement.
+    pub edge: TexelEdge,
     /// Surface that reads this texel, of one side.
     pub area: AreaCode,
 }

@@ -1,7 +1,6 @@
-//! The 4 × 4 points of a receiver's texel on the surface, see `Receivers::coverage`.
+//! Points of receivers' texels on the surface.
 
 use glam::Vec2;
-use lightkiln_proto::content::{COVERAGE_POINTS, COVERAGE_SIDE};
 
 use super::polygon::{is_inside, source_weights, texels_of};
 use super::world::TexelTable;
@@ -45,30 +44,23 @@ impl TexelTriangles {
         Self { starts, entries: found.into_iter().map(|(_, entry)| entry).collect() }
     }
 
-    /// The points of a receiver's texel that lie on surface, with their bits.
-    pub fn points<'a>(
-        &'a self,
-        geometry: &'a Geometry,
-        texels: &'a TexelTable,
+    /// The surface at a place in a receiver's texel, 0..1 in x and y.
+    pub fn point(
+        &self,
+        geometry: &Geometry,
+        texels: &TexelTable,
         receiver: (u32, &Receiver, bool),
-    ) -> impl Iterator<Item = (u32, Site)> + 'a {
+        at: Vec2,
+    ) -> Option<Site> {
         let (index, Receiver { texel, .. }, is_back) = receiver;
-        let corner = Vec2::new(texel[0].into(), texel[1].into());
+        let point = Vec2::new(texel[0].into(), texel[1].into()) + at;
         let range = self.starts[index as usize] as usize..self.starts[index as usize + 1] as usize;
-        let entries = &self.entries[range];
-        (0..COVERAGE_POINTS).filter_map(move |bit| {
-            let at = Vec2::new((bit % COVERAGE_SIDE) as f32, (bit / COVERAGE_SIDE) as f32) + 0.5;
-            let point = corner + at / COVERAGE_SIDE as f32;
-            let entry = entries
-                .iter()
-                .map(|&entry| texels.entry(entry))
-                .find(|entry| is_inside(&entry.triangle.uv_texels, point))?;
-            let weights = source_weights(entry.triangle, point);
-            let reference =
-                TriangleRef { instance: entry.instance, triangle: entry.triangle.source_triangle };
-            let site = site_of(geometry, reference, weights);
-            Some((bit, if is_back { site.turned() } else { site }))
-        })
+        let entries = self.entries[range].iter().map(|&entry| texels.entry(entry));
+        let entry = { entries }.find(|entry| is_inside(&entry.triangle.uv_texels, point))?;
+        let weights = source_weights(entry.triangle, point);
+        let triangle = TriangleRef { instance: entry.instance, triangle: entry.triangle.source_triangle };
+        let site = site_of(geometry, triangle, weights);
+        Some(if is_back { site.turned() } else { site })
     }
 }
 

@@ -3,7 +3,7 @@
 use std::sync::{Arc, OnceLock};
 
 use glam::{Vec2, Vec3};
-use lightkiln_proto::content::BlockKey;
+use lightkiln_proto::content::{BlockKey, COVERAGE_POINTS, COVERAGE_SIDE};
 use rayon::prelude::*;
 
 use super::texel_points::TexelTriangles;
@@ -152,15 +152,23 @@ impl World {
         (1..=LINKED_RINGS).find_map(nearest).map_or(Surface::Dark, Surface::Receiver)
     }
 
-    /// The points of a receiver's texel that lie on surface, with their bits of `Receivers::coverage`.
-    pub fn points_of(&self, receiver: u32) -> impl Iterator<Item = (u32, Site)> + '_ {
+    /// The surface at a place in a receiver's texel, 0..1 in x and y.
+    pub fn point_of(&self, receiver: u32, at: Vec2) -> Option<Site> {
         let sides = |instance: u32| super::place::sides(&self.geometry.scene, instance as usize);
         let find = || TexelTriangles::new(&self.lightmap, &self.texels, sides);
         let triangles = self.texel_triangles.get_or_init(find);
         let own = &self.lightmap.receivers[receiver as usize];
         let instance = self.lightmap.blocks[own.block as usize].instance;
         let side = (own.block - self.lightmap.first_block[instance as usize]) % sides(instance);
-        triangles.points(&self.geometry, &self.texels, (receiver, own, side == 1))
+        triangles.point(&self.geometry, &self.texels, (receiver, own, side == 1), at)
+    }
+
+    /// The points of a receiver's texel that lie on surface, with their bits of `Receivers::coverage`.
+    pub fn points_of(&self, receiver: u32) -> impl Iterator<Item = (u32, Site)> + '_ {
+        (0..COVERAGE_POINTS).filter_map(move |bit| {
+            let at = Vec2::new((bit % COVERAGE_SIDE) as f32, (bit / COVERAGE_SIDE) as f32) + 0.5;
+            Some((bit, self.point_of(receiver, at / COVERAGE_SIDE as f32)?))
+        })
     }
 
     /// The points whose mean light a receiver's texel has: those of its coverage, or its own where there are none.

@@ -7,7 +7,7 @@ struct AtlasTexel {
     first: u32,
     // Page in bits 0-15, number of sources in bits 24-31.
     packed: u32,
-    // 1 + links + 16 * coverage for a receiver's texel, -1 for a filled one.
+    // 1 + links + 16 * edge for a receiver's texel, -1 for a filled one.
     kind: f32,
 }
 

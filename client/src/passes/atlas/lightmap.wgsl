@@ -29,12 +29,13 @@ fn linked(first_kind: f32, second_kind: f32, first: u32, second: u32) -> bool {
     return (((u32(first_kind) - 1u) >> bit) & 1u) == 1u;
 }
 
-// Whether a point in the texel of the nearest tap is at a place that its coverage does not have.
-fn behind_wall(kind: f32, share: vec2f) -> bool {
-    let coverage = (u32(kind) - 1u) / 16u;
-    let inside = select(share + 0.5, share - 0.5, share >= vec2f(0.5));
-    let at = vec2u(clamp(inside * 4.0, vec2f(0.0), vec2f(3.0)));
-    return coverage != 0u && ((coverage >> (4u * at.y + at.x)) & 1u) == 0u;
+// Whether a point in the texel of the nearest tap is beyond the edge of its receiver's side.
+fn beyond_wall(kind: f32, share: vec2f) -> bool {
+    let edge = (u32(kind) - 1u) / 16u;
+    let angle = f32(edge >> 8u) * (6.2831853 / 256.0);
+    let offset = (f32(edge & 255u) - 128.0) * (0.75 / 127.0);
+    let from_middle = select(share, share - 1.0, share >= vec2f(0.5));
+    return edge != 0u && dot(from_middle, vec2f(cos(angle), sin(angle))) > offset;
 }
 
 // Bilinear over the receivers that no wall parts from the nearest one; over filled texels where there is no receiver. Beyond
@@ -62,7 +63,7 @@ fn lightmap_irradiance(block: vec4u, size: vec4u, texel: vec2f) -> vec3f {
         }
     }
     let nearest = select(0u, 1u, share.x >= 0.5) + select(0u, 2u, share.y >= 0.5);
-    if home == nearest && behind_wall(taps[nearest].w, share) {
+    if home == nearest && beyond_wall(taps[nearest].w, share) {
         var beyond = 4u;
         for (var tap = 0u; tap < 4u; tap++) {
             let parted = tap != nearest && taps[tap].w > 0.0

@@ -77,7 +77,7 @@ impl AtlasTexels {
         let kind = match found {
             Some(0) => {
                 let slot = self.sources[first] as usize;
-                TexelKind::of_receiver(receivers.links[slot], receivers.coverage[slot])
+                TexelKind::of_receiver(receivers.links[slot], receivers.edge[slot])
             }
             _ => TexelKind::FILLED,
         };

@@ -47,6 +47,7 @@ fn cluster() -> ClusterTransport {
             emission: vec![[0.0; 3], [0.0; 3], [0.0; 3], [20.0, 10.0, 5.0]],
             links: vec![0b0111, 0b1010, 0b0001, 0],
             coverage: vec![u16::MAX, 0, 0x000F, 0x8001],
+            edge: [0, 0, 0x4080, 0x2090].map(TexelEdge).to_vec(),
         },
         factors: TransportFactors {
             keys: vec![0xfeed_0000_0000_0001],
@@ -157,7 +158,10 @@ fn encoded() -> [(&'static str, Vec<u8>, &'static [u8]); 6] {
 #[test]
 fn version_1_still_decodes_to_what_went_in() {
     // It knew receivers' own points alone.
-    let points = |cluster: &mut ClusterTransport| cluster.receivers.coverage.fill(0);
+    let points = |cluster: &mut ClusterTransport| {
+        cluster.receivers.coverage.fill(0);
+        cluster.receivers.edge.fill(TexelEdge::NONE);
+    };
     assert_decoded(&V1, points);
 }
 

@@ -40,6 +40,7 @@ fn every_layer_prefix_is_the_leading_part_of_the_whole() {
         assert_eq!(part.receivers.position_m, full.receivers.position_m[..receivers]);
         assert_eq!(part.receivers.links, full.receivers.links[..receivers]);
         assert_eq!(part.receivers.coverage, full.receivers.coverage[..receivers]);
+        assert_eq!(part.receivers.edge, full.receivers.edge[..receivers]);
         assert_eq!(part.emitters[0].irradiance, full.emitters[0].irradiance[..receivers]);
         assert_eq!((part.factors.bands, part.factors.rank), (layer.bands, layer.rank));
     }
@@ -140,6 +141,7 @@ fn order_of_receivers_probes_blocks_and_emitters_does_not_matter() {
     receivers.emission = source.iter().map(|&i| cluster.receivers.emission[i]).collect();
     receivers.links = source.iter().map(|&i| cluster.receivers.links[i]).collect();
     receivers.coverage = source.iter().map(|&i| cluster.receivers.coverage[i]).collect();
+    receivers.edge = source.iter().map(|&i| cluster.receivers.edge[i]).collect();
     shuffled.factors.u =
         source.iter().flat_map(|&i| cluster.factors.u[i * 5..(i + 1) * 5].to_vec()).collect();
     shuffled.factors.keys.reverse();

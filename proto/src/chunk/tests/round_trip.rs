@@ -34,8 +34,8 @@ fn cluster_comes_back_within_its_stated_errors() {
     assert_eq!((decoded.factors.bands, decoded.factors.sky, decoded.factors.rank), (4, true, 12));
     let (got, wanted) = (&decoded.receivers, &cluster.receivers);
     assert_eq!(
-        (&got.blocks, &got.block, &got.texel, &got.links, &got.coverage),
-        (&wanted.blocks, &wanted.block, &wanted.texel, &wanted.links, &wanted.coverage)
+        (&got.blocks, &got.block, &got.texel, &got.links, &got.coverage, &got.edge),
+        (&wanted.blocks, &wanted.block, &wanted.texel, &wanted.links, &wanted.coverage, &wanted.edge)
     );
     assert_eq!((&got.normal, &got.albedo, &got.emission), (&wanted.normal, &wanted.albedo, &wanted.emission));
     for (got, wanted) in got.position_m.iter().zip(&wanted.position_m) {

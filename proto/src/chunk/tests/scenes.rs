@@ -41,6 +41,7 @@ pub(super) fn wall(side: u16, keys: usize, bands: u32, rank: u32, seed: u64) -> 
         cluster.receivers.position_m.push([4.0 * x, 4.0 * y - 1.0, 2.0]);
         cluster.receivers.links.push((texel[0] % 16) as u8);
         cluster.receivers.coverage.push(if texel[0] == 0 { 0xEEEE } else { u16::MAX });
+        cluster.receivers.edge.push(TexelEdge(if texel[1] == 0 { 0x1280 } else { 0 }));
         cluster.receivers.normal.push([0.0, 0.0, -1.0]);
         cluster.receivers.albedo.push(if texel[0] < side / 2 { [0.5, 0.25, 0.0] } else { [0.73; 3] });
         cluster.receivers.emission.push(if texel == [1, 1] { [10.0, 8.0, 0.1] } else { [0.0; 3] });

@@ -5,11 +5,11 @@ use super::{ClusterTransport, Geometry, NearHits, NearSurface, PatchSet, ProbeBa
 
 /// Every array has its length, every index its target, every number is finite.
 pub fn assert_whole(cluster: &ClusterTransport) {
-    let Receivers { blocks, block, texel, position_m, normal, albedo, emission, links, coverage } =
+    let Receivers { blocks, block, texel, position_m, normal, albedo, emission, links, coverage, edge } =
         &cluster.receivers;
     let count = texel.len();
     assert_eq!([block.len(), position_m.len(), normal.len()], [count; 3]);
-    assert_eq!([albedo.len(), emission.len(), links.len(), coverage.len()], [count; 4]);
+    assert_eq!([albedo.len(), emission.len(), links.len(), coverage.len(), edge.len()], [count; 5]);
     assert!(block.iter().all(|&block| usize::from(block) < blocks.len()));
     assert_eq!(cluster.factors.u.len(), count * cluster.factors.rank as usize);
     assert_eq!(cluster.factors.vt.len(), cluster.factors.columns() * cluster.factors.rank as usize);

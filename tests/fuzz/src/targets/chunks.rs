@@ -215,6 +215,7 @@ fn larger_cluster() -> Vec<u8> {
         cluster.receivers.position_m.push([4.0 * x, 4.0 * y - 1.0, 2.0]);
         cluster.receivers.links.push((texel[0] % 16) as u8);
         cluster.receivers.coverage.push(u16::MAX << texel[0]);
+        cluster.receivers.edge.push(TexelEdge(texel[0]));
         cluster.receivers.normal.push([0.0, 0.0, -1.0]);
         cluster.receivers.albedo.push(if x < 0.5 { [0.5, 0.25, 0.0] } else { [0.73; 3] });
         cluster.receivers.emission.push(if texel == [1, 1] { [10.0, 8.0, 0.1] } else { [0.0; 3] });

@@ -1,7 +1,7 @@
 //! Position, normals, albedo and emission of the surface at a texel's point.
 
 use glam::Vec3;
-use lightkiln_proto::content::AreaCode;
+use lightkiln_proto::content::{AreaCode, TexelEdge};
 
 use super::cover::TexelPoint;
 use crate::geometry::{Geometry, Site, TriangleRef, corners_of, face_normal_of};
@@ -61,6 +61,7 @@ impl Attributes<'_> {
             emission: surface.emission,
             links: 0,
             coverage: 0,
+            edge: TexelEdge::NONE,
             area: AreaCode::ONE,
         }
     }

@@ -2,16 +2,26 @@
 //!
 //! Those that see the receiver's point, both raised as for links, and those that see one of these beside them: so a
 //! surface may bend, but no wall is crossed.
+//!
+//! Where some do not, a finer grid tells which part of the texel is beyond a wall, and a straight edge is laid before it,
+//! see `Receivers::edge`: such that none of the receiver's side is beyond it, and as much of the rest as can be.
 
 use std::sync::Arc;
 
-use glam::Vec3;
-use lightkiln_proto::content::{COVERAGE_POINTS, COVERAGE_SIDE};
+use glam::{Vec2, Vec3};
+use lightkiln_proto::content::{COVERAGE_POINTS, COVERAGE_SIDE, TexelEdge};
 use rayon::prelude::*;
 
-use crate::geometry::Geometry;
+use crate::geometry::{Geometry, Site};
 use crate::lightmap::{Charts, Lightmap, World};
 use crate::task::Progress;
+
+/// Points along each side of the finer grid.
+const FINE_SIDE: u32 = 12;
+/// Points of the coverage that are asked whether they see a place.
+const NEAREST: usize = 3;
+/// Directions that edges may have; of equally good ones the first is taken.
+const TURNS: u32 = 64;
 
 /// The lightmap with the points of every receiver's texel.
 pub fn covered(
@@ -22,42 +32,114 @@ pub fn covered(
 ) -> Lightmap {
     let world = World::new(Arc::clone(geometry), charts, lightmap);
     let receivers = 0..world.lightmap.receivers.len() as u32;
-    let found: Vec<(u16, u64)> = receivers.into_par_iter().map(|index| coverage_of(&world, index)).collect();
-    progress.add_rays_occlusion(found.iter().map(|(_, rays)| rays).sum());
+    let found: Vec<Found> = receivers.into_par_iter().map(|index| Found::of(&world, index)).collect();
+    progress.add_rays_occlusion(found.iter().map(|found| found.rays).sum());
     let mut lightmap = world.into_lightmap();
-    for (receiver, (coverage, _)) in lightmap.receivers.iter_mut().zip(found) {
-        receiver.coverage = coverage;
+    for (receiver, found) in lightmap.receivers.iter_mut().zip(found) {
+        (receiver.coverage, receiver.edge) = (found.coverage, found.edge);
     }
     lightmap
 }
 
-/// The bits of a receiver, and the rays cast.
-fn coverage_of(world: &World, receiver: u32) -> (u16, u64) {
-    let mut raised_m = [None; COVERAGE_POINTS as usize];
-    for (bit, site) in world.points_of(receiver) {
-        let at_m = world.geometry.raised(site.position_m, site.face_normal, world.link_height_m());
-        raised_m[bit as usize] = Some(at_m);
+/// Findings about a receiver's texel.
+#[derive(Default)]
+struct Found {
+    coverage: u16,
+    edge: TexelEdge,
+    /// Raised points of the coverage, by bit; of others too.
+    raised_m: [Option<Vec3>; COVERAGE_POINTS as usize],
+    rays: u64,
+}
+
+impl Found {
+    fn of(world: &World, receiver: u32) -> Self {
+        let mut found = Self::default();
+        for (bit, site) in world.points_of(receiver) {
+            found.raised_m[bit as usize] = Some(raised(world, &site));
+        }
+        found.cover(world, world.raised_receiver(receiver));
+        let is_parted = |bit: usize| found.raised_m[bit].is_some() && found.coverage & 1 << bit == 0;
+        if found.coverage != 0 && (0..COVERAGE_POINTS as usize).any(is_parted) {
+            found.edge = found.fitted(world, receiver);
+        }
+        found
     }
-    let (mut coverage, mut rays) = (0_u16, 0);
-    let mut open: Vec<usize> = Vec::new();
-    let mut add = |from_m: Vec3, bit: usize, coverage: &mut u16, open: &mut Vec<usize>| {
-        let Some(at_m) = raised_m[bit] else { return };
-        rays += 1;
-        if *coverage & 1 << bit == 0 && world.is_linked(from_m, at_m) {
-            *coverage |= 1 << bit;
+
+    /// Points that see the receiver's, then those that see one of these beside them.
+    fn cover(&mut self, world: &World, own_m: Vec3) {
+        let mut open: Vec<usize> = Vec::new();
+        for bit in 0..COVERAGE_POINTS as usize {
+            self.add(world, own_m, bit, &mut open);
+        }
+        while let Some(bit) = open.pop() {
+            let Some(from_m) = self.raised_m[bit] else { continue };
+            beside(bit).for_each(|beside| self.add(world, from_m, beside, &mut open));
+        }
+    }
+
+    fn add(&mut self, world: &World, from_m: Vec3, bit: usize, open: &mut Vec<usize>) {
+        let Some(at_m) = self.raised_m[bit] else { return };
+        if self.coverage & 1 << bit != 0 {
+            return;
+        }
+        self.rays += 1;
+        if world.is_linked(from_m, at_m) {
+            self.coverage |= 1 << bit;
             open.push(bit);
         }
-    };
-    for bit in 0..COVERAGE_POINTS as usize {
-        add(world.raised_receiver(receiver), bit, &mut coverage, &mut open);
     }
-    while let Some(bit) = open.pop() {
-        let Some(from_m) = raised_m[bit] else { continue };
-        for beside in beside(bit).filter(|beside| coverage & 1 << beside == 0).collect::<Vec<_>>() {
-            add(from_m, beside, &mut coverage, &mut open);
+
+    /// The edge before what is beyond a wall in a texel that has some of it.
+    fn fitted(&mut self, world: &World, receiver: u32) -> TexelEdge {
+        let (mut own, mut beyond) = (Vec::new(), Vec::new());
+        for index in 0..FINE_SIDE * FINE_SIDE {
+            let at =
+                (Vec2::new((index % FINE_SIDE) as f32, (index / FINE_SIDE) as f32) + 0.5) / FINE_SIDE as f32;
+            let Some(site) = world.point_of(receiver, at) else { continue };
+            let at_m = raised(world, &site);
+            if self.sees(world, at, at_m) { own.push(at - 0.5) } else { beyond.push(at - 0.5) }
+        }
+        edge_before(&own, &beyond)
+    }
+
+    /// A place is on the receiver's side: one of the nearest points of the coverage sees it.
+    fn sees(&mut self, world: &World, at: Vec2, at_m: Vec3) -> bool {
+        let covered = (0..COVERAGE_POINTS as usize).filter(|&bit| self.coverage & 1 << bit != 0);
+        let place = |bit: usize| {
+            let side = COVERAGE_SIDE as usize;
+            (Vec2::new((bit % side) as f32, (bit / side) as f32) + 0.5) / COVERAGE_SIDE as f32
+        };
+        let mut nearest: Vec<usize> = covered.collect();
+        nearest.sort_by(|&a, &b| {
+            let [a_far, b_far] = [a, b].map(|bit| place(bit).distance_squared(at));
+            a_far.total_cmp(&b_far).then(a.cmp(&b))
+        });
+        nearest.into_iter().take(NEAREST).any(|bit| {
+            self.rays += 1;
+            self.raised_m[bit].is_some_and(|from_m| world.is_linked(from_m, at_m))
+        })
+    }
+}
+
+fn raised(world: &World, site: &Site) -> Vec3 {
+    world.geometry.raised(site.position_m, site.face_normal, world.link_height_m())
+}
+
+/// The edge that has all of `own` before it, and most of `beyond` behind, by places from the texel's middle. None where
+/// nothing of it is.
+fn edge_before(own: &[Vec2], beyond: &[Vec2]) -> TexelEdge {
+    let mut best = (0, TexelEdge::NONE);
+    for turn in 0..TURNS {
+        let angle_rad = turn as f32 / TURNS as f32 * std::f32::consts::TAU;
+        let along = |at: &Vec2| at.dot(Vec2::from_angle(angle_rad));
+        let last = own.iter().map(along).fold(f32::NEG_INFINITY, f32::max);
+        let behind = || beyond.iter().map(along).filter(|far| *far > last);
+        let count = behind().count();
+        if count > best.0 {
+            best = (count, TexelEdge::new(angle_rad, 0.5 * (last + behind().fold(f32::INFINITY, f32::min))));
         }
     }
-    (coverage, rays)
+    best.1
 }
 
 /// The points left and right of a point, above and below it.
@@ -67,4 +149,46 @@ fn beside(bit: usize) -> impl Iterator<Item = usize> {
     let near = [(x > 0, bit.wrapping_sub(1)), (x + 1 < side, bit + 1)];
     let far = [(y > 0, bit.wrapping_sub(side)), (y + 1 < side, bit + side)];
     near.into_iter().chain(far).filter_map(|(is_there, bit)| is_there.then_some(bit))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Places of the finer grid, from the texel's middle.
+    fn places() -> impl Iterator<Item = Vec2> {
+        (0..FINE_SIDE * FINE_SIDE).map(|i| {
+            (Vec2::new((i % FINE_SIDE) as f32, (i / FINE_SIDE) as f32) + 0.5) / FINE_SIDE as f32 - 0.5
+        })
+    }
+
+    #[test]
+    fn edge_lies_along_a_straight_wall() {
+        for (angle_rad, offset) in [(0.3_f32, 0.1_f32), (2.0, -0.2), (4.0, 0.05)] {
+            let is_beyond = |at: &Vec2| at.dot(Vec2::from_angle(angle_rad)) > offset;
+            let (beyond, own): (Vec<Vec2>, Vec<Vec2>) = places().partition(is_beyond);
+            let edge = edge_before(&own, &beyond);
+            let found = |at: &Vec2| edge.is_beyond((*at + 0.5).to_array());
+            assert!(own.iter().all(|at| !found(at)), "{angle_rad} {offset}");
+            let missed = beyond.iter().filter(|at| !found(at)).count();
+            assert!(missed <= 3, "{angle_rad} {offset}: {missed} of {}", beyond.len());
+        }
+    }
+
+    #[test]
+    fn edge_never_cuts_what_is_the_receivers() {
+        // A box stands in a corner of the texel; a post in the middle of another has no straight edge at all.
+        let (beyond, own): (Vec<Vec2>, Vec<Vec2>) = places().partition(|at| at.x > 0.1 && at.y > 0.2);
+        let edge = edge_before(&own, &beyond);
+        assert!(edge != TexelEdge::NONE && own.iter().all(|at| !edge.is_beyond((*at + 0.5).to_array())));
+        let (post, around): (Vec<Vec2>, Vec<Vec2>) = places().partition(|at| at.length() < 0.2);
+        assert_eq!(edge_before(&around, &post), TexelEdge::NONE);
+    }
+
+    #[test]
+    fn points_beside_a_point_are_its_neighbours_in_the_texel() {
+        assert_eq!(beside(0).collect::<Vec<_>>(), [1, 4]);
+        assert_eq!(beside(6).collect::<Vec<_>>(), [5, 7, 2, 10]);
+        assert_eq!(beside(15).collect::<Vec<_>>(), [14, 11]);
+    }
 }
