@@ -45,6 +45,8 @@ impl TexelEdge {
     pub const NONE: Self = Self(0);
     /// Offsets are less than this, in texels.
     const REACH: f32 = 0.75;
+    /// Offsets are stored this exactly, in texels.
+    pub const ROUNDING: f32 = Self::REACH / 127.0 / 2.0;
 
     /// The edge across the unit direction `angle_rad` from the texel's x axis, so far from its middle in texels, to the
     /// nearest 1/256 of a turn and 1/127 of ¾ of a texel.

@@ -36,6 +36,9 @@ const OPEN_MIN: f32 = 0.5;
 const CENTRAL: f32 = 1.5;
 /// Factor on the score of a point that was lifted off its surface.
 const LIFTED: f32 = 0.3;
+/// Share of the highest score from which on points are about as good: beside a lamp that hangs close to a ceiling all of the
+/// ceiling's are open, and the first of them would be the brightest.
+const ABOUT_AS_GOOD: f32 = 0.9;
 /// Highest score of a point elsewhere: beside a plane in the open.
 const ELSEWHERE_MAX: f32 = 1.0;
 /// Cosine between faces below which one looks elsewhere than the other.
@@ -109,7 +112,7 @@ fn out_of_hollow(central: &Candidate, others: &[TexelPoint], site: &impl Site) -
     })
 }
 
-/// The candidate of highest score; of equals the central one, then the first.
+/// The candidate of highest score: the central one, or of others that score about as much the one nearest to their middle.
 fn best(
     point: &TexelPoint,
     central: Option<Candidate>,
@@ -123,14 +126,19 @@ fn best(
     let in_crevice = score(central.as_ref()) < OPEN_MIN;
     let own = site.face_normal(point);
     let is_admitted = |other: &&TexelPoint| in_crevice || site.face_normal(other).dot(own) < BENT_COSINE_MAX;
-    let mut best = (CENTRAL * score(central.as_ref()), central);
-    for other in others.iter().filter(is_admitted).filter_map(|other| site.candidate(other)) {
-        let found = score(Some(&other));
-        if found > OPEN_MIN && found > best.0 {
-            best = (found, Some(other));
-        }
+    let least = OPEN_MIN.max(CENTRAL * score(central.as_ref()));
+    let found: Vec<Candidate> =
+        others.iter().filter(is_admitted).filter_map(|other| site.candidate(other)).collect();
+    let highest = found.iter().map(|other| score(Some(other))).fold(0.0, f32::max);
+    if highest <= least {
+        return central;
     }
-    best.1
+    let about_as_good: Vec<Candidate> =
+        found.into_iter().filter(|other| score(Some(other)) > least.max(ABOUT_AS_GOOD * highest)).collect();
+    let place_m = |candidate: &Candidate| candidate.receiver.position_m;
+    let middle_m = about_as_good.iter().map(place_m).sum::<Vec3>() / about_as_good.len() as f32;
+    let from_middle = |candidate: &Candidate| place_m(candidate).distance_squared(middle_m);
+    about_as_good.into_iter().min_by(|a, b| from_middle(a).total_cmp(&from_middle(b)))
 }
 
 /// Points of their own for texels that are touched only, and that a wall parts from the point that stands for them: the

@@ -136,7 +136,8 @@ fn edge_before(own: &[Vec2], beyond: &[Vec2]) -> TexelEdge {
         let behind = || beyond.iter().map(along).filter(|far| *far > last);
         let count = behind().count();
         if count > best.0 {
-            best = (count, TexelEdge::new(angle_rad, 0.5 * (last + behind().fold(f32::INFINITY, f32::min))));
+            let middle = 0.5 * (last + behind().fold(f32::INFINITY, f32::min));
+            best = (count, TexelEdge::new(angle_rad, middle.max(last + TexelEdge::ROUNDING)));
         }
     }
     best.1
