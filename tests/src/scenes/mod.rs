@@ -30,8 +30,8 @@ pub use cornell::{cornell, cornell_large};
 pub use doors::{closet, mirrored_room};
 pub use hall::open_hall;
 pub use rooms::{
-    BAR_M, BOARD_M, CHEST_M, DUCT_M, SLATS_M, furnace, hollow_furniture, sealed_box, shutter, two_rooms,
-    two_rooms_under_the_sky, two_rooms_with_wall_at, u_corridor,
+    BAR_M, BOARD_M, CHEST_M, DUCT_M, SLATS_M, furnace, hollow_furniture, sealed_box, shutter,
+    small_sealed_boxes, two_rooms, two_rooms_under_the_sky, two_rooms_with_wall_at, u_corridor,
 };
 
 /// Every stored scene: file name without extension, and the bytes of its `.glb`.

@@ -45,6 +45,22 @@ pub fn sealed_box(thickness_m: f32) -> Vec<u8> {
     glb.finish()
 }
 
+/// Thirty-six sealed boxes of 16 cm, hollow with walls of 2 cm, in rows above a ground in the open.
+pub fn small_sealed_boxes() -> Vec<u8> {
+    let mut glb = Glb::new("small_sealed_boxes");
+    let shell = glb.material(Surface::diffuse("shell", PLASTER));
+    let ground = glb.material(Surface::diffuse("ground", [0.35, 0.33, 0.29]));
+    for index in 0..36_u8 {
+        let min = Vec3::new(f32::from(index % 6), 0.0, f32::from(index / 6)) * 0.3 + Vec3::Y * 0.05;
+        let mesh = shapes::hollow_box(min, min + Vec3::splat(0.16), 0.02);
+        glb.object(&format!("box {index}"), &mesh, shell);
+    }
+    let mut plain = Mesh::default();
+    plain.rectangle(Vec3::new(-0.4, 0.0, 2.1), Vec3::X * 2.5, Vec3::Z * -2.5);
+    glb.object("ground", &plain, ground);
+    glb.finish()
+}
+
 /// Two rooms of 4 × 3 × 4 m under one roof with a lamp in the left one only: the right one receives exactly 0.
 ///
 /// The wall between them is `thickness_m` thick, or a single double-sided sheet when that is 0. Floor, ceiling and

@@ -1,12 +1,14 @@
 //! Light does not pass through walls, and passes through gaps as much as it should.
 
 use glam::Vec3;
-use lightkiln_tests::harness::{Held, Lighting, RelitReceiver, bake, relit};
+use lightkiln_tests::harness::{Held, Lighting, LocalBake, RelitReceiver, bake, clusters, relit};
 use lightkiln_tests::scenes;
 use lightkiln_worker::rays::Tracer;
 use lightkiln_worker::reference::luminance;
 
-use super::setup::{assert_same_energy, careful, in_both_kinds, lamp_at, mean, small, spread, tracer};
+use super::setup::{
+    assert_same_energy, careful, in_both_kinds, lamp_at, mean, small, spread, tracer, with_texels,
+};
 
 in_both_kinds!(
     sealed_box_in_full_sun_and_sky_is_exactly_dark_inside,
@@ -18,15 +20,32 @@ in_both_kinds!(
 
 fn sealed_box_in_full_sun_and_sky_is_exactly_dark_inside(kind: &'static str) {
     let scene = scenes::sealed_box(0.1);
-    let bake = bake(scene.clone(), &small(kind, 3000)).unwrap();
-    let rays = tracer(&scene);
+    assert_is_dark_inside(&scene, &bake(scene.clone(), &small(kind, 3000)).unwrap());
+}
+
+/// Insides of small boxes have few receivers, which see nothing in common: they lie in clusters of one another and of the
+/// lit outside, and no light of these comes to them. Patches alone: no probe is in so small a box.
+#[test]
+fn small_sealed_boxes_share_clusters_and_are_exactly_dark_inside() {
+    let scene = scenes::small_sealed_boxes();
+    let bake = bake(scene.clone(), &with_texels("prt", 0.0625, 128)).unwrap();
+    assert_is_dark_inside(&scene, &bake);
+    let clusters = clusters(&bake).unwrap();
+    let receivers: usize = clusters.iter().map(|cluster| cluster.receivers.len()).sum();
+    println!("{receivers} receivers in {} clusters", clusters.len());
+    assert!(clusters.len() * 64 <= receivers, "{receivers} receivers in {} clusters", clusters.len());
+    assert!(clusters.iter().all(|cluster| cluster.factors.rank > 0), "a cluster has no factors");
+}
+
+fn assert_is_dark_inside(scene: &[u8], bake: &LocalBake) {
+    let rays = tracer(scene);
     let to_sun = Vec3::new(0.3, 0.8, 0.2).normalize();
     let direct = |position: Vec3, normal: Vec3| {
         let cosine = normal.dot(to_sun).max(0.0);
         let start = position + normal * 1e-4;
         [if rays.is_occluded(start, start + to_sun * 100.0) { 0.0 } else { 1000.0 * cosine }; 3]
     };
-    let receivers = relit(&bake, &Lighting { direct: &direct, sky: [[100.0; 3]; 2] }).unwrap();
+    let receivers = relit(bake, &Lighting { direct: &direct, sky: [[100.0; 3]; 2] }).unwrap();
     let (inside, outside): (Vec<_>, Vec<_>) = receivers.iter().partition(|r| is_enclosed(&rays, r));
     assert!(inside.len() > 100 && outside.len() > 100, "{} in, {} out", inside.len(), outside.len());
     assert!(mean(&outside) > 1.0, "the outside is dark: the test shows nothing");

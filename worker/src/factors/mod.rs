@@ -1,5 +1,5 @@
 //! From rows to factorised clusters: cells by place, groups that share columns, factors, halves where the rank does not
-//! suffice, chunks. Shared by all kinds whose light comes to receivers through a matrix.
+//! suffice, small ones joined, chunks. Shared by all kinds whose light comes to receivers through a matrix.
 
 mod anew;
 mod baked;
@@ -8,6 +8,7 @@ mod cluster;
 mod components;
 mod encode;
 mod evaluated;
+mod join;
 mod patch_matrix;
 mod split;
 mod svd;
@@ -22,8 +23,9 @@ pub use cells::{CELLS_ARTEFACT, ClusterCell, cell_of_task, cells, cells_of_task,
 pub use components::components;
 pub use encode::{CellIndex, stored};
 pub use evaluated::{ERROR_CLASSES, FactoredBake};
+pub use join::Part;
 pub use patch_matrix::PatchMatrix;
-pub use split::{Truncation, split};
+pub use split::{Factored, Truncation, split};
 pub use svd::{Factors, Matrix, factorise};
 
 /// A factorised cluster and its errors.

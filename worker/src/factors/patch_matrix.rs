@@ -10,7 +10,7 @@ use crate::rays::sampling::seed_of;
 /// decomposition looks for the largest.
 const NOISE_FACTOR: f64 = 2.0;
 /// Least share of a matrix that is taken for signal, in squares: of single rays nobody knows.
-const SIGNAL_MIN: f64 = 1e-6;
+const SIGNAL_MIN: f64 = 1e-3;
 
 /// Rows over patches, each with its importance-weighted columns; receivers' or any others.
 pub struct PatchMatrix<'a> {
@@ -49,11 +49,10 @@ impl<'a> PatchMatrix<'a> {
         (0..self.keys.len() as u32).filter(is_used).collect()
     }
 
-    /// Columns of patches with anything in them, as indices of keys.
-    pub fn used_patches(&self, row: usize) -> Vec<u32> {
-        let mut used = self.used(&[row]);
-        used.retain(|&column| column < first_sky(self.keys) as u32);
-        used
+    /// Patches that a row meets, as indices of keys; also those whose column is empty, as their parts have all.
+    pub fn met_patches(&self, row: usize) -> Vec<u32> {
+        let importance = &self.importance[0][row];
+        (0..first_sky(self.keys) as u32).filter(|&column| importance[column as usize] != 0.0).collect()
     }
 
     /// Factors of some rows over the columns that they use, and whether their error is within the bound that is set.
@@ -114,8 +113,8 @@ fn squares(values: &[f32]) -> f64 {
 
 /// The smallest rank whose dropped signal is within the error that is set, and that error.
 fn rank(factors: &Factors, weighted: &Matrix, noise: &Matrix, settings: &FactorSettings) -> (usize, f32) {
-    let values = squares(&weighted.values);
-    let total = (values - squares(&noise.values)).max(SIGNAL_MIN * values);
+    let [values, noises] = [weighted, noise].map(|matrix| squares(&matrix.values));
+    let total = (values - noises).max(SIGNAL_MIN * values);
     let columns = weighted.columns.max(1);
     let noise_of = factors.projected(noise);
     let of_ranks: Vec<[f64; 2]> = factors
@@ -124,8 +123,9 @@ fn rank(factors: &Factors, weighted: &Matrix, noise: &Matrix, settings: &FactorS
         .zip(noise_of.chunks_exact(columns))
         .map(|(values, noise)| [squares(values), squares(noise)])
         .collect();
+    // Beyond the ranks known, of values and noise alike: nothing is where the ranks span all rows, however noisy.
     let known: f64 = of_ranks.iter().map(|[values, noise]| values - noise).sum();
-    let mut left_out = (total - known).max(0.0);
+    let mut left_out = (values - noises - known).max(0.0);
     let allowed = f64::from(settings.rank_error).powi(2) * total;
     let mut rank = factors.rank;
     while rank > 0 {
@@ -136,5 +136,32 @@ fn rank(factors: &Factors, weighted: &Matrix, noise: &Matrix, settings: &FactorS
         }
         (left_out, rank) = (left_out + signal, rank - 1);
     }
-    (rank, (left_out / total).sqrt() as f32)
+    (rank, (left_out / total).sqrt().min(1.0) as f32)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn truncation_error_of_rows_that_are_all_noise_is_no_more_than_they_hold() {
+        // Two rows, each with one ray on a patch of its own: nothing is known to be signal.
+        let keys = [PatchKey::of_cell(0, [0; 3], 0, 0).0, PatchKey::of_cell(0, [1, 0, 0], 0, 0).0];
+        let alpha = [vec![1.0, 0.0], vec![0.0, 1.0]];
+        let importance = [[1.0, 0.0, 0.4, 0.0], [0.0, 1.0, 0.4, 0.0]].map(|row| {
+            let noise = row.map(|value: f32| -1.2 * value);
+            [row.to_vec(), noise.to_vec()]
+        });
+        let rows = alpha.iter().map(Vec::as_slice).zip(&importance);
+        let matrix = PatchMatrix::new(&keys, rows);
+        let settings = FactorSettings {
+            cluster_receivers: 256,
+            rank_max: 8,
+            rank_error: 0.01,
+            split_receivers_min: 256,
+        };
+        let (factors, suffices) = matrix.factored(&[0, 1], &settings);
+        assert!(suffices && factors.truncation_error <= 0.01, "{factors:?}");
+        assert!(factors.rank > 0, "the sum over rows is kept");
+    }
 }

@@ -212,6 +212,8 @@ impl Table<'_> {
     }
 
     /// The columns of patches: a patch that is part of another one of the cut has the difference from its share of that.
+    /// An opened patch with a part that no row meets has an empty column, and its parts have their light in full: else the
+    /// light of the hidden part, however bright, would be in sums that only exact numbers cancel.
     fn add_patches(&mut self) {
         let common = self.keys.len() - self.sky.len();
         for index in 0..self.patches.len() {
@@ -221,13 +223,16 @@ impl Table<'_> {
                 .parts(index)
                 .map(|part| (self.column(self.key(part)), self.hits.share(part, patch) as f32))
                 .collect();
+            let is_whole = self.parts(index).all(|part| !self.hits.of(part).is_empty());
             let parent = self.parent(index);
             let deviation = self.expectation.variance(patch, parent).sqrt() as f32;
             for hits in self.hits.of(patch) {
                 let row = &mut self.rows[hits.row as usize];
                 let [seen, excess] = [hits.sum, hits.excess].map(|sum| sum * self.scale);
-                row.alpha[own] += seen;
-                parts.iter().for_each(|&(part, share)| row.alpha[part] -= share * seen);
+                if is_whole {
+                    row.alpha[own] += seen;
+                    parts.iter().for_each(|&(part, share)| row.alpha[part] -= share * seen);
+                }
                 if self.is_truncated {
                     for (weighted, value) in row.importance.iter_mut().zip([seen, excess]) {
                         weighted[own] += deviation * value;
@@ -261,5 +266,51 @@ impl Table<'_> {
             .rev()
             .copied()
             .find(|&other| self.hits.tree.patches[other as usize].end > patch)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::patches::Patch;
+
+    /// A root of two leaves, each of one receiver, 1 m apart along x.
+    fn tree() -> PatchTree {
+        let patch = |key, first_leaf: u32, leaf_count: u32, end| Patch {
+            key: PatchKey(key),
+            first_leaf,
+            leaf_count,
+            end,
+            bounds_m: [first_leaf, first_leaf + leaf_count - 1].map(|leaf| Vec3::X * leaf as f32),
+            area_texels: leaf_count as f32,
+        };
+        PatchTree {
+            patches: vec![patch(2, 0, 2, 3), patch(0, 0, 1, 2), patch(1, 1, 1, 3)],
+            leaf_of_receiver: vec![0, 1],
+            receivers: vec![0, 1],
+            leaf_starts: vec![0, 1, 2],
+            by_key: vec![1, 2, 0],
+        }
+    }
+
+    /// α of a row that meets the leaves with so many rays, over both leaves and the root.
+    fn alpha(counts: [u32; 2]) -> Vec<f32> {
+        let ray = |at: u32, ray: u32| RayHit { at, is_even: ray.is_multiple_of(2), weight: 1.0 };
+        let of_leaf = |leaf: u32| (0..counts[leaf as usize]).map(move |index| ray(leaf, index));
+        let hits = RowHits { leaves: (0..2).flat_map(of_leaf).collect(), sky: Vec::new() };
+        let bounds = CutBounds { columns_max: 100, error: 0.01 };
+        let found = patch_rows(&tree(), 0.1, vec![hits], 1.0, Some(bounds));
+        assert_eq!(found.keys, [0, 1, 2]);
+        found.rows[0].alpha.clone()
+    }
+
+    #[test]
+    fn parts_that_are_met_are_differences_from_their_share() {
+        assert_eq!(alpha([300, 100]), [100.0, -100.0, 400.0]);
+    }
+
+    #[test]
+    fn hidden_part_is_in_no_column_and_neither_is_the_whole() {
+        assert_eq!(alpha([400, 0]), [400.0, 0.0, 0.0]);
     }
 }

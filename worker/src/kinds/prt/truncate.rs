@@ -5,7 +5,7 @@ use lightkiln_proto::content::TransportFactors;
 
 use super::near::{self, NearHit};
 use super::{PatchTransport, Row, TracedSettings};
-use crate::factors::{ClusterCell, Factors, PatchMatrix, Piece, Truncation, split};
+use crate::factors::{ClusterCell, Factored, Part, PatchMatrix, Piece, Truncation, split};
 use crate::lightmap::{Lightmap, Numbering};
 
 /// A cell while it is factorised.
@@ -35,15 +35,19 @@ pub fn pieces(transport: &PatchTransport, keys: &[u64], cell: &ClusterCell, rows
     let receivers: Vec<u32> = live.map(|(&receiver, _)| receiver).collect();
     // Factorise receivers apart that nothing joins, so that no error of a lit room shines into a dark one.
     let (links, linking) = own.links(&receivers);
-    let groups = split(&own, &ClusterCell { bounds_m: cell.bounds_m, receivers }, &links, linking);
-    groups.into_iter().map(|(receivers, factors)| own.piece(&receivers, factors)).collect()
+    let parts = split(&own, &ClusterCell { bounds_m: cell.bounds_m, receivers }, &links, linking);
+    parts.into_iter().map(|part| own.piece(part)).collect()
 }
 
 impl Truncation for Cell<'_> {
-    type Factored = Factors;
+    fn factored(&self, receivers: &[u32]) -> (Factored, bool) {
+        let places = self.places(receivers);
+        let (factors, suffices) = self.matrix.factored(&places, &self.settings.factors);
+        (Factored { factors, groups: self.matrix.used(&places) }, suffices)
+    }
 
-    fn factored(&self, receivers: &[u32]) -> (Factors, bool) {
-        self.matrix.factored(&self.places(receivers), &self.settings.factors)
+    fn has_columns(&self, receiver: u32) -> bool {
+        !self.matrix.used(&[self.receivers.place(receiver)]).is_empty()
     }
 
     fn position_m(&self, receiver: u32) -> Vec3 {
@@ -52,6 +56,10 @@ impl Truncation for Cell<'_> {
 
     fn may_split(&self, receivers: usize, size_m: f32) -> bool {
         receivers > self.settings.factors.split_receivers_min as usize && size_m > self.lightmap.texel_m
+    }
+
+    fn rank_max(&self) -> usize {
+        self.settings.factors.rank_max as usize
     }
 }
 
@@ -68,7 +76,7 @@ impl Cell<'_> {
         let texels = Numbering::of(self.rows.iter().flat_map(near_texels));
         let of_receiver = |&receiver: &u32| {
             let place = self.receivers.place(receiver);
-            let mut links = self.matrix.used_patches(place);
+            let mut links = self.matrix.met_patches(place);
             // The receiver's own texel is one of them where another row hits it.
             let hit = near_texels(&self.rows[place]).into_iter().chain([receiver]);
             links.extend(hit.filter_map(|texel| Some((self.keys.len() + texels.find(texel)?) as u32)));
@@ -77,13 +85,13 @@ impl Cell<'_> {
         (live.iter().map(of_receiver).collect(), self.keys.len() + texels.len())
     }
 
-    fn piece(&self, receivers: &[u32], factors: Factors) -> Piece {
-        let places = self.places(receivers);
+    fn piece(&self, Part { receivers, factored: Factored { factors, groups } }: Part) -> Piece {
+        let places = self.places(&receivers);
         let rows: Vec<&Row> = places.iter().map(|&place| &self.rows[place]).collect();
-        let keys = self.matrix.used(&places).iter().map(|&column| self.keys[column as usize]).collect();
+        let keys = groups.iter().map(|&column| self.keys[column as usize]).collect();
         let columns = TransportFactors { keys, ..TransportFactors::default() };
-        let near = near::of_rows(self.lightmap, self.settings, receivers, &rows);
+        let near = near::of_rows(self.lightmap, self.settings, &receivers, &rows);
         let shared: Vec<_> = rows.iter().map(|row| &row.shared).collect();
-        Piece::of(self.lightmap, receivers, &shared, columns, factors, near)
+        Piece::of(self.lightmap, &receivers, &shared, columns, factors, near)
     }
 }

@@ -5,7 +5,7 @@ use lightkiln_proto::content::{NearHits, TransportFactors};
 use lightkiln_proto::harmonics::band_of;
 
 use super::{ProbeTransport, TracedSettings};
-use crate::factors::{ClusterCell, Factors, Matrix, Piece, Truncation, factorise, split};
+use crate::factors::{ClusterCell, Factored, Matrix, Part, Piece, Truncation, factorise, split};
 use crate::lightmap::{Lightmap, Numbering};
 use crate::rays::sampling::seed_of;
 use crate::transport::Row;
@@ -19,12 +19,6 @@ struct Cell<'a> {
     receivers: Numbering<u32>,
     /// One per receiver.
     rows: &'a [Row],
-}
-
-/// Factors of some receivers and the groups of columns that they are over, the sky's being `keys.len()`.
-struct Factored {
-    factors: Factors,
-    groups: Vec<u32>,
 }
 
 /// Factorised clusters of a cell, in a fixed order.
@@ -41,13 +35,11 @@ pub fn pieces(transport: &ProbeTransport, keys: &[u64], cell: &ClusterCell, rows
     let receivers: Vec<u32> = live.map(|(&receiver, _)| receiver).collect();
     // Factorise receivers apart that share no probe. The sky joins none: it is above rooms that have nothing else in common.
     let links: Vec<Vec<u32>> = receivers.iter().map(|&receiver| own.probes_used(receiver)).collect();
-    let groups = split(&own, &ClusterCell { bounds_m: cell.bounds_m, receivers }, &links, keys.len());
-    groups.into_iter().map(|(receivers, factored)| own.piece(&receivers, factored)).collect()
+    let parts = split(&own, &ClusterCell { bounds_m: cell.bounds_m, receivers }, &links, keys.len());
+    parts.into_iter().map(|part| own.piece(part)).collect()
 }
 
 impl Truncation for Cell<'_> {
-    type Factored = Factored;
-
     fn factored(&self, receivers: &[u32]) -> (Factored, bool) {
         let (matrix, groups) = self.matrix(receivers);
         let settings = &self.settings.factors;
@@ -58,12 +50,20 @@ impl Truncation for Cell<'_> {
         (Factored { factors, groups }, suffices)
     }
 
+    fn has_columns(&self, receiver: u32) -> bool {
+        self.row_of(receiver).alpha.iter().any(|alpha| *alpha != 0.0)
+    }
+
     fn position_m(&self, receiver: u32) -> Vec3 {
         self.lightmap.receivers[receiver as usize].position_m
     }
 
     fn may_split(&self, receivers: usize, size_m: f32) -> bool {
         receivers > self.settings.factors.split_receivers_min as usize && size_m > self.lightmap.texel_m
+    }
+
+    fn rank_max(&self) -> usize {
+        self.settings.factors.rank_max as usize
     }
 }
 
@@ -95,7 +95,7 @@ impl Cell<'_> {
         (0..self.keys.len() as u32).filter(is_used).collect()
     }
 
-    /// A of some receivers with weighted columns, of groups that hold anything.
+    /// A of some receivers with weighted columns, of groups that hold anything, the sky's being `keys.len()`.
     fn matrix(&self, receivers: &[u32]) -> (Matrix, Vec<u32>) {
         let is_used =
             |group: &u32| receivers.iter().any(|&r| self.group(r, *group).iter().any(|alpha| *alpha != 0.0));
@@ -125,7 +125,7 @@ impl Cell<'_> {
         groups.iter().flat_map(|&group| (0..count).map(move |j| seed_of(&[key(group), j, 5]))).collect()
     }
 
-    fn piece(&self, receivers: &[u32], Factored { factors, groups }: Factored) -> Piece {
+    fn piece(&self, Part { receivers, factored: Factored { factors, groups } }: Part) -> Piece {
         let rows: Vec<&Row> = receivers.iter().map(|&receiver| self.row_of(receiver)).collect();
         let columns = TransportFactors {
             keys: groups.iter().filter_map(|&group| self.keys.get(group as usize).copied()).collect(),
@@ -133,6 +133,6 @@ impl Cell<'_> {
             sky: groups.last() == Some(&(self.keys.len() as u32)),
             ..TransportFactors::default()
         };
-        Piece::of(self.lightmap, receivers, &rows, columns, factors, NearHits::default())
+        Piece::of(self.lightmap, &receivers, &rows, columns, factors, NearHits::default())
     }
 }

@@ -21,7 +21,7 @@ const FINE_SIDE: u32 = 12;
 /// Points of the coverage that are asked whether they see a place.
 const NEAREST: usize = 3;
 /// Directions that edges may have; of equally good ones the first is taken.
-const TURNS: u32 = 64;
+const TURNS: u32 = 256;
 
 /// The lightmap with the points of every receiver's texel.
 pub fn covered(
