@@ -32,6 +32,9 @@ use crate::unwrap::UnwrapBlock;
 
 /// Openness from which on a point is not in a crevice. The foot of a wall that a texel's middle just misses has about this.
 const OPEN_MIN: f32 = 0.5;
+/// Openness that a point needs where the central one is on its surface, if in a crevice. At the mouth of the gap above a
+/// lamp half of the gap's light is seen, and pictures show the strip outside of it by the texel's edge.
+const OPEN_BESIDE_MIN: f32 = 0.75;
 /// Factor on the score of the central point.
 const CENTRAL: f32 = 1.5;
 /// Factor on the score of a point that was lifted off its surface.
@@ -126,7 +129,8 @@ fn best(
     let in_crevice = score(central.as_ref()) < OPEN_MIN;
     let own = site.face_normal(point);
     let is_admitted = |other: &&TexelPoint| in_crevice || site.face_normal(other).dot(own) < BENT_COSINE_MAX;
-    let least = OPEN_MIN.max(CENTRAL * score(central.as_ref()));
+    let is_sound = central.as_ref().is_some_and(|central| !central.is_shifted);
+    let least = if is_sound { OPEN_BESIDE_MIN } else { OPEN_MIN }.max(CENTRAL * score(central.as_ref()));
     let found: Vec<Candidate> =
         others.iter().filter(is_admitted).filter_map(|other| site.candidate(other)).collect();
     let highest = found.iter().map(|other| score(Some(other))).fold(0.0, f32::max);
