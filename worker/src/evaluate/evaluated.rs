@@ -47,12 +47,6 @@ pub trait Evaluated: Send + Sync {
         Sample::of_surfaces(self.geometry(), |hit| self.answer_at(hit), count)
     }
 
-    /// Whether a surface can be looked at from where light is; insides of solids cannot. Pixels are measured there alone.
-    fn is_seen(&self, hit: &Hit) -> bool {
-        let _ = hit;
-        true
-    }
-
     /// The lightmap, if the kind has one.
     fn lightmap(&self) -> Option<&dyn EvaluatedLightmap> {
         None

@@ -8,6 +8,7 @@ use super::evaluated::{Evaluated, Measure, Place, Relit};
 use super::figures::{Draw, Figures, Pair};
 use super::hunt::{Hunt, hunt};
 use super::lights::{Chosen, TestLight, default_lights};
+use super::open::OpenSpace;
 use super::pixels::{PixelFigures, Pixels, ShownLight};
 use super::sample::{Sample, SampledHit};
 use super::seams::{Borders, Seams};
@@ -53,6 +54,7 @@ pub struct Evaluator {
     sample: Sample,
     pixels: Pixels,
     borders: Borders,
+    open: OpenSpace,
     client: Option<Box<dyn ClientLights>>,
     options: Options,
 }
@@ -126,13 +128,16 @@ impl Evaluator {
             sample,
             pixels: Pixels::default(),
             borders: Borders::default(),
+            open: OpenSpace::default(),
             client: None,
             options,
         };
         if evaluator.options.pixels > 0 {
             let bake = evaluator.bake.as_ref();
-            evaluator.pixels = Pixels::of(bake, &evaluator.sample, evaluator.options.pixels);
-            evaluator.borders = bake.lightmap().map(|map| Borders::of(bake, map)).unwrap_or_default();
+            let open = OpenSpace::of(bake.geometry());
+            let pixels = Pixels::of(bake, &open, &evaluator.sample, evaluator.options.pixels);
+            let borders = bake.lightmap().map(|map| Borders::of(bake, &open, map)).unwrap_or_default();
+            (evaluator.pixels, evaluator.borders, evaluator.open) = (pixels, borders, open);
         }
         Ok(evaluator)
     }
@@ -291,8 +296,9 @@ impl Evaluator {
         let relit = light.mapped.unwrap_or(light.exact);
         let lightmap = bake.lightmap();
         let seams = lightmap.map(|lightmap| self.borders.jumps(lightmap, relit, mean_irradiance));
+        let is_seen = |site: &Site| self.open.sees(self.geometry(), site);
         let hunt = lightmap
-            .map(|lightmap| hunt(lightmap, relit, reference, self.options.hunted, progress))
+            .map(|lightmap| hunt(lightmap, relit, reference, (self.options.hunted, &is_seen), progress))
             .transpose()?;
         let by_shadow_maps = light.mapped.is_some();
         Ok(Some(PixelResult { shown, by_shadow_maps, direct, seams, hunt }))

@@ -34,7 +34,7 @@ pub struct Hunt {
     pub texels: usize,
     /// Those of them that stand out from their neighbours.
     pub standing_out: usize,
-    /// The worst of these, which were path-traced.
+    /// The worst of these that can be looked at; they were path-traced.
     pub traced: usize,
     /// Those of them where the reference does not stand out so.
     pub outliers: usize,
@@ -77,7 +77,7 @@ pub(super) fn hunt(
     lightmap: &dyn EvaluatedLightmap,
     relit: &dyn Relit,
     reference: &Reference,
-    traced_max: usize,
+    (traced_max, is_seen): (usize, &dyn Fn(&Site) -> bool),
     progress: &Progress,
 ) -> Result<Hunt, Cancelled> {
     let receivers = 0..lightmap.receivers();
@@ -91,7 +91,8 @@ pub(super) fn hunt(
         looked_at.into_iter().filter(|candidate| candidate.factor.abs() > FACTOR.ln()).collect();
     candidates.sort_by(|a, b| b.factor.abs().total_cmp(&a.factor.abs()).then(a.index.cmp(&b.index)));
     let standing_out = candidates.len();
-    candidates.truncate(traced_max);
+    let seen = candidates.into_iter().filter(|candidate| is_seen(&lightmap.receiver(candidate.index).site));
+    let candidates: Vec<Candidate> = seen.take(traced_max).collect();
     let found = traced(lightmap, reference, &candidates, floor, progress)?;
     let outliers: Vec<Outlier> = found.into_iter().flatten().collect();
     Ok(Hunt {

@@ -14,6 +14,7 @@ mod figures;
 mod hunt;
 mod light_file;
 mod lights;
+mod open;
 mod pixels;
 mod sample;
 mod seams;

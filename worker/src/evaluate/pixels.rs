@@ -6,6 +6,7 @@ use rayon::prelude::*;
 use super::evaluated::{Answer, Evaluated, Relit};
 use super::evaluator::counted;
 use super::figures::{Draw, Figures, Pair, RelativeRoot, SquareTerm};
+use super::open::OpenSpace;
 use super::sample::{Sample, SampledHit};
 use crate::geometry::Site;
 use crate::reference::{IrradianceEstimate, Precision, Reference, luminance};
@@ -50,9 +51,10 @@ pub(super) struct ShownLight<'a> {
 
 impl Pixels {
     /// Those of a sample that can be looked at; about `count` to be measured.
-    pub fn of(bake: &dyn Evaluated, sample: &Sample, count: u32) -> Self {
-        let seen: Vec<SampledHit> =
-            sample.hits.par_iter().filter(|sampled| bake.is_seen(&sampled.hit)).copied().collect();
+    pub fn of(bake: &dyn Evaluated, open: &OpenSpace, sample: &Sample, count: u32) -> Self {
+        let geometry = bake.geometry();
+        let is_seen = |sampled: &&SampledHit| open.sees(geometry, &geometry.site_at(&sampled.hit));
+        let seen: Vec<SampledHit> = sample.hits.par_iter().filter(is_seen).copied().collect();
         let count = (count as usize).min(seen.len());
         // The middles of equal runs.
         let measured = (0..count).map(|index| seen[(2 * index + 1) * seen.len() / (2 * count)]).collect();

@@ -7,13 +7,14 @@ use serde::Serialize;
 
 use super::evaluated::{Evaluated, EvaluatedLightmap, Relit};
 use super::figures::at_share;
+use super::open::OpenSpace;
 use crate::geometry::{Site, Strata};
 use crate::rays::Hit;
 use crate::rays::sampling::tangent_frame;
 use crate::reference::luminance;
 
 /// Points from which borders are looked for. More → more pairs, more time.
-const WALKS: u32 = 16_384;
+const WALKS: u32 = 65_536;
 /// Length of the way from each, and of its steps, in texels.
 const WALK_TEXELS: f32 = 1.5;
 const STEP_TEXELS: f32 = 0.125;
@@ -30,10 +31,10 @@ const CAST_TEXELS: f32 = 0.02;
 const RAISED_TEXELS: f32 = 0.25;
 /// Golden ratio's share of a turn, between the directions of walks.
 const TURN: f32 = 0.381_966;
-/// Rows of four texels inside clusters that those across borders are held against, at most.
-const ROWS_INSIDE: usize = 20_000;
+/// Rows of four texels across borders of clusters, and as many inside clusters, at most.
+const ROWS: usize = 8192;
 /// Light that a jump is over at least, as a share of the mean.
-const LOCAL_LIGHT_MIN: f64 = 0.01;
+const LOCAL_LIGHT_MIN: f64 = 0.1;
 
 /// Jumps of light over its mean on both sides.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
@@ -72,11 +73,11 @@ pub struct Borders {
 impl Borders {
     /// Finds them: those of charts and blocks by walks from points spread by area, so that a border's chance is its length;
     /// those of clusters by all texels.
-    pub fn of(bake: &dyn Evaluated, lightmap: &dyn EvaluatedLightmap) -> Self {
+    pub fn of(bake: &dyn Evaluated, open: &OpenSpace, lightmap: &dyn EvaluatedLightmap) -> Self {
         let starts = Strata::new(bake.geometry(), WALKS).hits;
         let found: Vec<[Hit; 2]> = (0..starts.len())
             .into_par_iter()
-            .filter_map(|index| Walk::new(bake, lightmap, &starts[index], index)?.border())
+            .filter_map(|index| Walk::new((bake, open), lightmap, &starts[index], index)?.border())
             .collect();
         let is_of_block = |pair: &[Hit; 2]| {
             let [one, other] = pair.map(|hit| lightmap.texel_at(&hit).map(|(block, _)| block));
@@ -85,14 +86,13 @@ impl Borders {
         let (blocks, charts) = found.into_iter().partition(is_of_block);
         let (clusters, inside): (Vec<_>, Vec<_>) =
             rows(bake, lightmap).into_iter().partition(|(crosses, _)| *crosses);
-        let every = inside.len().div_ceil(ROWS_INSIDE).max(1);
-        let row = |(_, row): (bool, [u32; 4])| row;
-        Self {
-            charts,
-            blocks,
-            clusters: clusters.into_iter().map(row).collect(),
-            inside: inside.into_iter().step_by(every).map(row).collect(),
-        }
+        let seen = |rows: Vec<(bool, [u32; 4])>| -> Vec<[u32; 4]> {
+            let every = rows.len().div_ceil(ROWS).max(1);
+            let is_seen = |row: &[u32; 4]| open.sees(bake.geometry(), &lightmap.receiver(row[1]).site);
+            let few: Vec<[u32; 4]> = rows.into_iter().step_by(every).map(|(_, row)| row).collect();
+            few.into_par_iter().filter(is_seen).collect()
+        };
+        Self { charts, blocks, clusters: seen(clusters), inside: seen(inside) }
     }
 
     /// Jumps of a light across them; `mean` is its mean luminance.
@@ -153,6 +153,7 @@ fn rows(bake: &dyn Evaluated, lightmap: &dyn EvaluatedLightmap) -> Vec<(bool, [u
 /// A straight way over a plane.
 struct Walk<'a> {
     bake: &'a dyn Evaluated,
+    open: &'a OpenSpace,
     lightmap: &'a dyn EvaluatedLightmap,
     start: Site,
     direction: Vec3,
@@ -170,7 +171,7 @@ struct Point {
 
 impl<'a> Walk<'a> {
     fn new(
-        bake: &'a dyn Evaluated,
+        (bake, open): (&'a dyn Evaluated, &'a OpenSpace),
         lightmap: &'a dyn EvaluatedLightmap,
         hit: &Hit,
         index: usize,
@@ -179,7 +180,7 @@ impl<'a> Walk<'a> {
         let start = bake.geometry().site_at(hit);
         let (tangent, bitangent) = tangent_frame(start.face_normal);
         let (sine, cosine) = libm::sincosf(std::f32::consts::TAU * (TURN * index as f32).fract());
-        Some(Self { bake, lightmap, start, direction: tangent * cosine + bitangent * sine })
+        Some(Self { bake, open, lightmap, start, direction: tangent * cosine + bitangent * sine })
     }
 
     /// Points right before and right behind the first border on the way, if there is one and no wall parts them.
@@ -212,7 +213,7 @@ impl<'a> Walk<'a> {
             points.map(|point| geometry.raised(point.site.position_m, point.site.face_normal, height_m));
         let is_open = !geometry.tracer.is_occluded(from_m, to_m)
             && before.site.normal.dot(behind.site.normal) > COPLANAR_COS
-            && points.iter().all(|point| self.bake.is_seen(&point.hit));
+            && points.iter().all(|point| self.open.sees(geometry, &point.site));
         (is_open && changes(&before, &behind) > JUMP_TEXELS).then_some(points.map(|point| point.hit))
     }
 

@@ -19,15 +19,11 @@ use crate::evaluate::{
 use crate::geometry::Geometry;
 use crate::lightmap::{Surface, World};
 use crate::rays::Hit;
-use crate::rays::sampling::{R2, seed_of};
 use crate::reference::{Lighting, Reference};
 use crate::task::{Cancelled, Context, Progress};
 
 /// Points over a panel that give E_dir at every receiver of the bake.
 const PANEL_POINTS: u32 = 64;
-
-/// Rays that look for a receiver from a surface.
-const SEEN_RAYS: u32 = 64;
 
 /// Names of the classes of error, in the order of [`Relit::classes`].
 pub const ERROR_CLASSES: [&str; 3] = ["transport", "factorisation", "quantisation"];
@@ -106,20 +102,6 @@ impl<C: Columns> Evaluated for FactoredBake<C> {
             Surface::Dark if self.world.is_in_cavity(hit) => Answer::Cavity,
             Surface::Dark => Answer::TooSmall,
         }
-    }
-
-    fn is_seen(&self, hit: &Hit) -> bool {
-        let tracer = &self.world.geometry.tracer;
-        let site = self.world.geometry.site_at(hit);
-        let points = R2::new(seed_of(&site.identity()));
-        let origin_m = site.ray_origin_m(tracer.ray_offset_m());
-        (0..SEEN_RAYS).any(|ray| {
-            let direction = site.direction(points.point(ray));
-            tracer.closest(origin_m, direction, f32::INFINITY).is_none_or(|met| {
-                let point_m = self.world.geometry.point_of(&met);
-                self.world.linked_surface_at(&met, point_m) != Surface::Dark
-            })
-        })
     }
 
     fn lightmap(&self) -> Option<&dyn EvaluatedLightmap> {
