@@ -112,7 +112,7 @@ fn texels_without_links_bring_an_error_of_interpolation() {
         [measured(&bake, 600, |_, _| {}), measured(&bake, 600, unlinked)].map(|result| result.shown);
     // The same pixels, the same paths: the difference is of the taps alone.
     let square = |root: f64| root * root.abs();
-    let [before, after] = [&linked, &unlinked].map(|shown| square(shown.interpolation.rel_rmse));
+    let [before, after] = [&linked, &unlinked].map(|shown| square(shown.interpolation.unwrap().rel_rmse));
     assert!(after - before > square(0.02), "{:?} and {:?}", linked.interpolation, unlinked.interpolation);
     assert!(unlinked.figures.rel_rmse > linked.figures.rel_rmse);
 }

@@ -243,10 +243,11 @@ impl Evaluator {
             counted: &counted,
         };
         let pixels = self.pixels_under(&reference, &shown, (maps.as_deref(), mean_irradiance), progress)?;
-        classes.extend(pixels.as_ref().map(|pixels| ClassResult {
+        let interpolation = pixels.as_ref().and_then(|pixels| pixels.shown.interpolation);
+        classes.extend(interpolation.map(|interpolation| ClassResult {
             name: PIXEL_CLASSES[0],
             about: "of reading texels between their receivers",
-            rel_rmse: pixels.shown.interpolation.rel_rmse,
+            rel_rmse: interpolation.rel_rmse,
             at_sample: Vec::new(),
         }));
         classes.extend(mapped.as_deref().map(|mapped| ClassResult {

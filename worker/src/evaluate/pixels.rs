@@ -29,8 +29,8 @@ pub struct PixelFigures {
     /// Those of draws of the pixels.
     pub draws: Vec<Draw>,
     /// Signed root of the mean square error at pixels less that at the receivers of the same pixels, E_dir by exact rays in
-    /// both.
-    pub interpolation: RelativeRoot,
+    /// both; `None` for a kind without a lightmap, which reads nothing between receivers.
+    pub interpolation: Option<RelativeRoot>,
     /// Its relative squares of draws of the pixels.
     pub interpolation_draws: Vec<f64>,
 }
@@ -92,8 +92,10 @@ impl Pixels {
             })
             .collect();
         let (figures, draws) = Figures::of(&pairs);
-        let terms = self.interpolation_terms(light, &exact, (&estimates, &counts));
-        let (interpolation, interpolation_draws) = RelativeRoot::of(&terms);
+        let terms = || self.interpolation_terms(light, &exact, (&estimates, &counts));
+        let (interpolation, interpolation_draws) =
+            bake.lightmap().map(|_| RelativeRoot::of(&terms())).unzip();
+        let interpolation_draws = interpolation_draws.unwrap_or_default();
         Ok(Some(PixelFigures { figures, draws, interpolation, interpolation_draws }))
     }
 

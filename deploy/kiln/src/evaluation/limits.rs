@@ -130,7 +130,7 @@ impl Limit {
             "pixel_p95" => return Some((figures.p95, interval.p95)),
             "pixel_p99" => return Some((figures.p99, interval.p99)),
             name if name == PIXEL_CLASSES[0] => {
-                return Some((interpolation.rel_rmse, interpolation.interval_95));
+                return interpolation.map(|root| (root.rel_rmse, root.interval_95));
             }
             "leak" => pixels.direct?.leak,
             "acne" => pixels.direct?.acne,
@@ -196,7 +196,7 @@ mod tests {
         let seams = Seams { charts: Jumps { pairs: 9, mean: 0.01, p95: 0.04 }, ..Seams::default() };
         let pixels = PixelRow {
             figures: figures(0.2),
-            interpolation: RelativeRoot { rel_rmse: -0.01, interval_95: [-0.03, 0.02] },
+            interpolation: Some(RelativeRoot { rel_rmse: -0.01, interval_95: [-0.03, 0.02] }),
             seams: Some(seams),
             hunt: Some(Hunt { outliers: 3, ..Hunt::default() }),
             ..PixelRow::default()

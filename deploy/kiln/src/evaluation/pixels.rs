@@ -16,8 +16,8 @@ pub struct PixelRow {
     /// Errors of E_ind as pictures show it.
     #[serde(flatten)]
     pub figures: Figures,
-    /// The part of it that reading between receivers brings, with its interval.
-    pub interpolation: RelativeRoot,
+    /// The part of it that reading between receivers brings, with its interval, if the kind has a lightmap.
+    pub interpolation: Option<RelativeRoot>,
     /// Whether E_dir was by the client's shadow maps; of all lights: under any of them.
     pub by_shadow_maps: bool,
     /// Faults of direct light.
@@ -55,7 +55,7 @@ impl PixelRow {
         let first = rows.first()?;
         let figures: Vec<(Figures, &[Draw])> = rows.iter().map(|row| (row.figures, &row.draws[..])).collect();
         let interpolation: Vec<(RelativeRoot, &[f64])> =
-            rows.iter().map(|row| (row.interpolation, &row.interpolation_draws[..])).collect();
+            rows.iter().filter_map(|row| Some((row.interpolation?, &row.interpolation_draws[..]))).collect();
         let hunts = rows.iter().filter_map(|row| row.hunt.as_ref());
         let summed = |sum: Hunt, hunt: &Hunt| Hunt {
             texels: sum.texels + hunt.texels,
@@ -66,7 +66,7 @@ impl PixelRow {
         };
         Some(Self {
             figures: Figures::over_lights(&figures),
-            interpolation: RelativeRoot::over_lights(&interpolation),
+            interpolation: (!interpolation.is_empty()).then(|| RelativeRoot::over_lights(&interpolation)),
             by_shadow_maps: rows.iter().any(|row| row.by_shadow_maps),
             direct: mean_shares(rows),
             seams: mean_seams(rows),
@@ -112,8 +112,10 @@ fn mean_seams(rows: &[&PixelRow]) -> Option<Seams> {
 
 /// The class with its 95 % interval, in %.
 pub fn interpolation_words(row: &PixelRow) -> String {
-    let [low, high] = row.interpolation.interval_95.map(|end| 100.0 * end);
-    format!("{:.1} ({low:.1} to {high:.1}) %", 100.0 * row.interpolation.rel_rmse)
+    row.interpolation.map_or(ABSENT.to_owned(), |root| {
+        let [low, high] = root.interval_95.map(|end| 100.0 * end);
+        format!("{:.1} ({low:.1} to {high:.1}) %", 100.0 * root.rel_rmse)
+    })
 }
 
 /// Leak and acne shares, in %.
@@ -218,7 +220,7 @@ mod tests {
     fn row(interpolation: f64, leak: Option<f64>, outliers: usize) -> PixelRow {
         let root = RelativeRoot { rel_rmse: interpolation, interval_95: [0.0; 2] };
         PixelRow {
-            interpolation: root,
+            interpolation: Some(root),
             direct: leak.map(|leak| DirectShares { leak, acne: 0.0, pixels: 10 }),
             hunt: Some(Hunt { outliers, traced: 64, ..Hunt::default() }),
             draws: vec![Draw::default(); 500],
@@ -233,7 +235,7 @@ mod tests {
         let all = PixelRow::over_lights(&rows.each_ref()).unwrap();
         assert_eq!(all.direct.unwrap().leak, 0.02);
         assert_eq!(all.outliers(), Some(5));
-        assert!((all.interpolation.rel_rmse - 0.2).abs() < 1e-12, "{:?}", all.interpolation);
+        assert!((all.interpolation.unwrap().rel_rmse - 0.2).abs() < 1e-12, "{:?}", all.interpolation);
         assert_eq!(share_words(&rows[1]), [ABSENT, ABSENT]);
         assert!(PixelRow::over_lights(&[]).is_none());
     }
