@@ -26,6 +26,8 @@ mod tests;
 
 /// Longest side of a picture in pixels.
 pub const MAX_SIDE: u32 = 16_384;
+/// Texels along a side of a shadow map unless a view says otherwise.
+pub const SHADOW_SIDE: u32 = 2048;
 /// Most samples per pixel.
 pub const MAX_SAMPLES: u32 = 64;
 
@@ -103,7 +105,7 @@ impl View {
             tone: Tone::default(),
             exposure: Exposure::default(),
             samples: 4,
-            shadow_side: 2048,
+            shadow_side: SHADOW_SIDE,
             limit: Limit::default(),
         }
     }

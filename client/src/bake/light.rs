@@ -35,6 +35,15 @@ pub struct Unshadowed<'a> {
     pub emitter_scale: &'a [f32],
 }
 
+/// Direct light that bounces start from, on the processor, W·m⁻².
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct IncomingDirect {
+    /// E_dir of receivers by slot.
+    pub receivers: Vec<Vec4>,
+    /// E_dir by near hit.
+    pub near: Vec<Vec4>,
+}
+
 /// Indirect light after the last bounce, on the processor.
 pub struct SettledLight<'a> {
     /// The shading function.
@@ -65,6 +74,12 @@ pub trait Light: Debug + Send + Sync {
 
     /// Work before shading on the processor: bounces until they converge.
     fn settle<'a>(&'a self, lit: &LitScene<'a>, limit: Limit) -> SettledLight<'a>;
+
+    /// The direct light that its bounces start from; `None` for a kind that takes none.
+    fn incoming(&self, lit: &LitScene<'_>) -> Option<IncomingDirect> {
+        let _ = lit;
+        None
+    }
 
     /// Work before shading on the adapter, with the buffers that it needs, for views of `size`: width and height in pixels.
     fn passes(

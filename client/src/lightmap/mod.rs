@@ -11,7 +11,7 @@ use lightkiln_proto::manifest::Manifest;
 use lightkiln_proto::relight::{Columns, Incoming, Inconsistent, Limit, Settled, SlotTable, Transport};
 use wgpu::TextureViewDimension as Dimension;
 
-use crate::bake::{DebugPage, Light, LightPasses, LitScene, SettledLight, Unshadowed};
+use crate::bake::{DebugPage, IncomingDirect, Light, LightPasses, LitScene, SettledLight, Unshadowed};
 use crate::error::{ClientError, Result};
 use crate::passes::atlas::reference::{AtlasPages, read, spread};
 use crate::passes::atlas::{AtlasTexels, INDIRECT, Lightmap};
@@ -63,13 +63,20 @@ impl<C: Columns> LightmapLight<C> {
 
     /// Bounces until they converge, E_dir from shadow maps.
     pub fn settled(&self, lit: &LitScene<'_>, limit: Limit) -> Lit {
-        let Transport { receivers, near, .. } = &self.transport;
-        let dir = direct_texels(receivers, &self.points, lit.plan, lit.maps);
-        let dir_near = direct(&near.position_m, &near.normal, lit.plan, lit.maps);
+        let IncomingDirect { receivers, near } = self.direct(lit);
         let Unshadowed { sky, emitter_scale } = lit.unshadowed;
-        let incoming = Incoming { dir: &dir, near: &dir_near, sky, emitter_scale };
+        let incoming = Incoming { dir: &receivers, near: &near, sky, emitter_scale };
         let light = self.transport.settle(&Threads, &incoming, limit);
-        Lit { dir, light }
+        Lit { dir: receivers, light }
+    }
+
+    /// E_dir of receivers and near hits from shadow maps.
+    fn direct(&self, lit: &LitScene<'_>) -> IncomingDirect {
+        let Transport { receivers, near, .. } = &self.transport;
+        IncomingDirect {
+            receivers: direct_texels(receivers, &self.points, lit.plan, lit.maps),
+            near: direct(&near.position_m, &near.normal, lit.plan, lit.maps),
+        }
     }
 }
 
@@ -104,6 +111,10 @@ impl<C: ClientColumns> Light for LightmapLight<C> {
         let Settled { emit, ind, bounces, converged, .. } = self.settled(lit, limit).light;
         let pages = spread(&lit.scene.lightmap, &self.texels, &emit, &ind);
         SettledLight { indirect: Box::new(LitPages { scene: lit.scene, pages }), bounces, converged }
+    }
+
+    fn incoming(&self, lit: &LitScene<'_>) -> Option<IncomingDirect> {
+        Some(self.direct(lit))
     }
 
     fn passes(

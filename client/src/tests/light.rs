@@ -3,6 +3,7 @@
 use glam::{Vec3, Vec4};
 use lightkiln_proto::content::{Draw, Geometry};
 use lightkiln_proto::manifest::Manifest;
+use lightkiln_proto::relight::{LightmapTexels, Transport};
 use lightkiln_proto::scene::{LightKind, SceneLight};
 
 use super::{fixture_light, fixture_view, prepared};
@@ -312,6 +313,25 @@ fn picture_does_not_interpolate_across_a_wall_that_stands_on_the_floor() {
         // Near the floor's hole, column 4 has no receiver to be nearest.
         if !(3.5..=5.5).contains(&at) {
             assert!(read(4.05) > 0.999 && read(4.4) > 0.999, "at {at}: {} {}", read(4.05), read(4.4));
+        }
+    }
+}
+
+#[test]
+fn pages_show_the_same_light_as_the_texels_that_evaluation_reads() {
+    let (scene, light) = fixture_light();
+    let Transport { slots, receivers, .. } = &light.transport;
+    let of_slot = |slot: u32| Vec4::new(1.0 + (slot % 7) as f32, 0.1 * slot as f32, 2.0, 0.0);
+    let lit: Vec<Vec4> = (0..receivers.len() as u32).map(of_slot).collect();
+    let pages = spread(&scene.lightmap, &light.texels, &lit, &vec![Vec4::ZERO; lit.len()]);
+    let texels = LightmapTexels { slots, receivers };
+    for (index, block) in scene.lightmap.blocks.iter().enumerate() {
+        let block_index = index as u32;
+        for step in 0..400_u16 {
+            let along = |axis: usize, step: u16| (f32::from(step) + 0.37) / 20.0 * block.size[axis] as f32;
+            let place = [along(0, step % 20), along(1, step / 20)];
+            let shown = texels.shown(block_index, place, of_slot).unwrap_or(Vec4::ZERO).truncate();
+            assert_eq!(sample(&scene.lightmap, &pages, block_index, place), shown, "{index} {place:?}");
         }
     }
 }

@@ -260,7 +260,7 @@ mod tests {
     fn sums_of_small_numbers_are_kept() {
         // Most numbers are far below the step that the largest ask for.
         let vt: Vec<f32> =
-            (0..200).map(|i| if i % 20 == 0 { 5.0 } else { 0.01 + 0.0002 * i as f32 }).collect();
+            (0..200).map(|i| if i % 20 == 0 { 5.0 } else { 0.02 + 0.0004 * i as f32 }).collect();
         let all: Vec<usize> = (0..200).filter(|column| column % 3 != 1).collect();
         let sum = |sums: &[Vec<usize>]| -> [f64; 2] {
             let codes = quantise(&wave(12, 1.0), &vt, 1, 0.02, sums).unwrap();
@@ -269,7 +269,7 @@ mod tests {
         };
         let exact: f64 = all.iter().map(|&column| f64::from(vt[column])).sum();
         let ([plain, _], [kept, step]) = (sum(&[]), sum(std::slice::from_ref(&all)));
-        assert!(plain < 0.97 * exact, "{plain} of {exact}");
+        assert!(plain < 0.95 * exact, "{plain} of {exact}");
         assert!((kept - exact).abs() <= 0.51 * step, "{kept} of {exact}, step {step}");
     }
 

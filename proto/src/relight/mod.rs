@@ -49,6 +49,7 @@ mod settle;
 mod sky;
 mod slots;
 mod taps;
+mod texels;
 mod transport;
 
 #[cfg(test)]
@@ -68,6 +69,7 @@ pub use settle::{Incoming, Limit, Settled};
 pub use sky::Sky;
 pub use slots::{DARK, MAX_TEXELS, SlotTable};
 pub use taps::{Taps, TexelKind, tap_weights};
+pub use texels::{EXTENSION_TEXELS, LightmapTexels, taps_around};
 pub use transport::{Columns, DirectAt, Transport};
 
 /// Chunks that contradict the manifest or each other, or exceed a limit.

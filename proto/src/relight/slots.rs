@@ -62,6 +62,11 @@ impl SlotTable {
         keys.iter().map(find).collect()
     }
 
+    /// Width and height of a block in texels.
+    pub fn size(&self, block: u32) -> Option<[u32; 2]> {
+        self.blocks.get(block as usize).map(|block| block.size)
+    }
+
     /// Slot of a receiver by its block's index; `None` when the block does not exist or the texel has no receiver.
     pub fn slot(&self, block: u32, texel: Texel) -> Option<u32> {
         let slot = self.slots[self.texel_index(block, texel)?];

@@ -13,6 +13,7 @@ mod determinism;
 mod energy;
 mod leaks;
 mod narrow;
+mod pixels;
 mod seams;
 mod setup;
 mod transforms;

@@ -78,6 +78,13 @@ pub enum EvaluationError {
         /// Why.
         problem: String,
     },
+    /// The client cannot light the bake.
+    #[error("the client cannot light the bake")]
+    Client {
+        /// Why.
+        #[source]
+        source: Box<dyn std::error::Error + Send + Sync>,
+    },
     /// The caller gave it up.
     #[error(transparent)]
     Cancelled(#[from] Cancelled),

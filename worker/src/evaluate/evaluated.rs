@@ -4,7 +4,7 @@ use glam::{DVec3, Vec2};
 use lightkiln_proto::content::{BlockKey, Texel};
 use lightkiln_proto::ids::Digest;
 
-use super::{EvaluationError, Sample};
+use super::{EvaluationError, MappedIncoming, Sample};
 use crate::geometry::{Geometry, Site};
 use crate::rays::Hit;
 use crate::reference::{Lighting, Reference};
@@ -73,10 +73,35 @@ pub trait Evaluated: Send + Sync {
         lighting: &Lighting,
         progress: &Progress,
     ) -> Result<Box<dyn Relit + 'a>, Cancelled>;
+
+    /// As [`Evaluated::relit`], with E_dir as a client's shadow maps have it; `None` where the kind bounces no such light.
+    fn relit_by_maps<'a>(
+        &'a self,
+        lighting: &Lighting,
+        direct: &MappedIncoming,
+    ) -> Option<Box<dyn Relit + 'a>> {
+        let _ = (lighting, direct);
+        None
+    }
 }
 
-/// The lightmap of a bake, for pictures of it.
+/// The lightmap of a bake: its receivers and what lies beside them.
 pub trait EvaluatedLightmap: Sync {
+    /// Side of a texel in metres.
+    fn texel_m(&self) -> f32;
+
+    /// Receivers that have light.
+    fn receivers(&self) -> u32;
+
+    /// The place of a receiver.
+    fn receiver(&self, index: u32) -> Place;
+
+    /// The receiver at an offset of one texel at most along each axis, if no wall parts it from another.
+    fn linked(&self, index: u32, offset: [i32; 2]) -> Option<u32>;
+
+    /// Path, part and side of a block in words.
+    fn block_name(&self, block: BlockKey) -> &str;
+
     /// Texel that holds a place's light.
     fn texel_of(&self, place: &Place) -> Option<(BlockKey, Texel)>;
 
@@ -91,6 +116,12 @@ pub trait EvaluatedLightmap: Sync {
 pub trait Relit: Sync {
     /// E_ind at a place, W·m⁻²; `None` where the bake left the place out as unreachable.
     fn irradiance(&self, place: &Place) -> Option<DVec3>;
+
+    /// E_ind that a picture shows at a hit, W·m⁻², of kinds with a lightmap; `None` where it shows none.
+    fn shown_at(&self, hit: &Hit) -> Option<DVec3> {
+        let _ = hit;
+        None
+    }
 
     /// Bounces until it changed no more, and whether it did before the last one allowed.
     fn bounces(&self) -> (usize, bool);

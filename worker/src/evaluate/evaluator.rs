@@ -6,11 +6,16 @@ use lightkiln_proto::scene::LightKind;
 use super::error::EvaluationError;
 use super::evaluated::{Evaluated, Measure, Place, Relit};
 use super::figures::{Draw, Figures, Pair};
+use super::hunt::{Hunt, hunt};
 use super::lights::{Chosen, TestLight, default_lights};
-use super::sample::Sample;
+use super::open::OpenSpace;
+use super::pixels::{PixelFigures, Pixels, ShownLight};
+use super::sample::{Sample, SampledHit};
+use super::seams::{Borders, Seams};
+use super::shadow::{ClientLights, DirectShares, MappedLight};
 use super::solid::check_place;
 use crate::geometry::{Geometry, Site};
-use crate::reference::{IrradianceEstimate, Lighting, LightingError, Precision, Reference};
+use crate::reference::{IrradianceEstimate, Lighting, LightingError, Precision, Reference, luminance};
 use crate::task::Progress;
 use crate::vantage::Openness;
 
@@ -27,18 +32,30 @@ pub struct Options {
     pub precision: Precision,
     /// Parts of the bake that are made anew to tell its classes of error apart. More → surer, more time.
     pub cells: usize,
+    /// Points of surfaces whose light is measured as pictures show it, one stratum at most for each. More → surer figures,
+    /// more time; 0 leaves out everything about pixels, seams and texels that stand out.
+    pub pixels: u32,
+    /// Texels that stand out from their neighbours and are path-traced, the worst first. More → fewer missed, more time.
+    pub hunted: usize,
 }
 
 impl Default for Options {
     fn default() -> Self {
-        Self { receivers: 2000, precision: Precision::default(), cells: 12 }
+        Self { receivers: 2000, precision: Precision::default(), cells: 12, pixels: 667, hunted: 64 }
     }
 }
+
+/// Names of the classes of error that come with pixels, beside those of kinds.
+pub const PIXEL_CLASSES: [&str; 2] = ["interpolation", "shadow"];
 
 /// A bake and everything that it is measured with.
 pub struct Evaluator {
     bake: Box<dyn Evaluated>,
     sample: Sample,
+    pixels: Pixels,
+    borders: Borders,
+    open: OpenSpace,
+    client: Option<Box<dyn ClientLights>>,
     options: Options,
 }
 
@@ -55,6 +72,21 @@ pub struct ClassResult {
     pub at_sample: Vec<DVec3>,
 }
 
+/// Findings under one light as pictures show the bake.
+#[derive(Clone, Debug)]
+pub struct PixelResult {
+    /// Error figures.
+    pub shown: PixelFigures,
+    /// Whether E_dir was by the client's shadow maps; else by exact rays.
+    pub by_shadow_maps: bool,
+    /// Faults of direct light by those.
+    pub direct: Option<DirectShares>,
+    /// Jumps across borders of the lightmap, if there is one.
+    pub seams: Option<Seams>,
+    /// Texels that stand out, likewise.
+    pub hunt: Option<Hunt>,
+}
+
 /// Findings under one light.
 #[derive(Clone, Debug)]
 pub struct LightResult {
@@ -68,6 +100,8 @@ pub struct LightResult {
     pub counts: bool,
     /// The error by the kind's classes.
     pub classes: Vec<ClassResult>,
+    /// Findings at pixels, if any were asked for.
+    pub pixels: Option<PixelResult>,
     /// Baked E_ind of the sample's places, W·m⁻²; zero for those that the bake left out as unreachable.
     pub baked: Vec<DVec3>,
     /// The reference of the same.
@@ -89,7 +123,34 @@ impl Evaluator {
     ) -> Result<Self, EvaluationError> {
         let sample = bake.sample(options.receivers);
         bake.trace(&sample.bare(), options.cells, progress)?;
-        Ok(Self { bake, sample, options })
+        let mut evaluator = Self {
+            bake,
+            sample,
+            pixels: Pixels::default(),
+            borders: Borders::default(),
+            open: OpenSpace::default(),
+            client: None,
+            options,
+        };
+        if evaluator.options.pixels > 0 {
+            let bake = evaluator.bake.as_ref();
+            let open = OpenSpace::of(bake.geometry());
+            let pixels = Pixels::of(bake, &open, &evaluator.sample, evaluator.options.pixels);
+            let borders = bake.lightmap().map(|map| Borders::of(bake, &open, map)).unwrap_or_default();
+            (evaluator.pixels, evaluator.borders, evaluator.open) = (pixels, borders, open);
+        }
+        Ok(evaluator)
+    }
+
+    /// The same, direct light at pixels by a client's shadow maps.
+    #[must_use]
+    pub fn with_client(self, client: Box<dyn ClientLights>) -> Self {
+        Self { client: Some(client), ..self }
+    }
+
+    /// The pixels that are measured.
+    pub fn pixels(&self) -> &Pixels {
+        &self.pixels
     }
 
     /// The bake.
@@ -165,11 +226,39 @@ impl Evaluator {
         let estimates = reference.irradiance(&sites, &self.options.precision, progress)?;
         let found: Vec<Option<DVec3>> = places.iter().map(|place| relit.irradiance(place)).collect();
         let counted = counted(&found, &estimates);
-        let baked: Vec<DVec3> = found.into_iter().map(Option::unwrap_or_default).collect();
+        let baked: Vec<DVec3> = found.iter().map(|found| found.unwrap_or_default()).collect();
         let (figures, draws) = Figures::of(&self.pairs(&baked, &estimates, &counted));
         let counts = figures.says_something(&draws);
-        let classes = self.classes(relit.as_ref(), &places, &estimates, &counted, figures.mean_irradiance);
+        let mean_irradiance = figures.mean_irradiance;
+        let mut classes = self.classes(relit.as_ref(), &places, &estimates, &counted, mean_irradiance);
+        let client = self.client.as_deref().filter(|_| self.options.pixels > 0 && has_shadows(light));
+        let maps = client.map(|client| client.under(&light.lighting)).transpose()?.flatten();
+        let incoming = maps.as_ref().and_then(|maps| maps.incoming());
+        let mapped = incoming.and_then(|incoming| self.bake.relit_by_maps(&light.lighting, &incoming));
+        let shown = ShownLight {
+            exact: relit.as_ref(),
+            mapped: mapped.as_deref(),
+            found: &found,
+            estimates: &estimates,
+            counted: &counted,
+        };
+        let pixels = self.pixels_under(&reference, &shown, (maps.as_deref(), mean_irradiance), progress)?;
+        let interpolation = pixels.as_ref().and_then(|pixels| pixels.shown.interpolation);
+        classes.extend(interpolation.map(|interpolation| ClassResult {
+            name: PIXEL_CLASSES[0],
+            about: "of reading texels between their receivers",
+            rel_rmse: interpolation.rel_rmse,
+            at_sample: Vec::new(),
+        }));
+        classes.extend(mapped.as_deref().map(|mapped| ClassResult {
+            name: PIXEL_CLASSES[1],
+            about: "of the client's shadow maps",
+            rel_rmse: self.shadow_rms(&baked, mapped, &counted) / mean_irradiance.max(f64::MIN_POSITIVE),
+            at_sample: Vec::new(),
+        }));
         let (bounces, converged) = relit.bounces();
+        drop(mapped);
+        drop(relit);
         let light = light.clone();
         let reference = estimates;
         Ok(LightResult {
@@ -178,12 +267,55 @@ impl Evaluator {
             draws,
             counts,
             classes,
+            pixels,
             baked,
             reference,
             counted,
             bounces,
             converged,
         })
+    }
+
+    /// Figures at pixels, seams, and texels that stand out.
+    fn pixels_under(
+        &self,
+        reference: &Reference,
+        light: &ShownLight<'_>,
+        (maps, mean_irradiance): (Option<&dyn MappedLight>, f64),
+        progress: &Progress,
+    ) -> Result<Option<PixelResult>, EvaluationError> {
+        let precision = &self.options.precision;
+        let bake = self.bake.as_ref();
+        let Some(shown) = self.pixels.figures(bake, light, reference, (precision, progress))? else {
+            return Ok(None);
+        };
+        let direct = maps.map(|maps| {
+            let site = |sampled: &SampledHit| self.geometry().site_at(&sampled.hit);
+            let sites: Vec<Site> = self.pixels.seen.iter().map(site).collect();
+            DirectShares::of(&sites, maps, reference)
+        });
+        let relit = light.mapped.unwrap_or(light.exact);
+        let lightmap = bake.lightmap();
+        let seams = lightmap.map(|lightmap| self.borders.jumps(lightmap, relit, mean_irradiance));
+        let is_seen = |site: &Site| self.open.sees(self.geometry(), site);
+        let hunt = lightmap
+            .map(|lightmap| hunt(lightmap, relit, reference, (self.options.hunted, &is_seen), progress))
+            .transpose()?;
+        let by_shadow_maps = light.mapped.is_some();
+        Ok(Some(PixelResult { shown, by_shadow_maps, direct, seams, hunt }))
+    }
+
+    /// Root mean square difference of luminance at the sample's places between light relit by shadow maps and by exact rays.
+    fn shadow_rms(&self, exact: &[DVec3], mapped: &dyn Relit, counted: &[bool]) -> f64 {
+        let (mut squares, mut area) = (0.0, 0.0);
+        for ((sampled, exact), _) in
+            self.sample.places.iter().zip(exact).zip(counted).filter(|(_, counted)| **counted)
+        {
+            let mapped = mapped.irradiance(&sampled.place).unwrap_or_default();
+            squares += sampled.area_m2 * (luminance(mapped) - luminance(*exact)).powi(2);
+            area += sampled.area_m2;
+        }
+        if area > 0.0 { (squares / area).sqrt() } else { 0.0 }
     }
 
     /// The kind's classes, relative to the mean of the reference.
@@ -219,8 +351,13 @@ impl Evaluator {
     }
 }
 
+/// Some light of it can cast a shadow.
+fn has_shadows(light: &TestLight) -> bool {
+    light.lighting.lights.iter().any(|lamp| !matches!(lamp.kind, LightKind::Sky { .. }))
+}
+
 /// All but places that neither the bake nor the reference lights.
-fn counted(found: &[Option<DVec3>], estimates: &[IrradianceEstimate]) -> Vec<bool> {
+pub(super) fn counted(found: &[Option<DVec3>], estimates: &[IrradianceEstimate]) -> Vec<bool> {
     let total: f64 = estimates.iter().map(|estimate| estimate.indirect.luminance()).sum();
     let least = LIGHTLESS_SHARE * total / estimates.len().max(1) as f64;
     let counts = |(found, estimate): (&Option<DVec3>, &IrradianceEstimate)| {

@@ -125,13 +125,7 @@ impl Figures {
         if whole.mean <= 0.0 {
             return (Self::default(), vec![Draw::default(); RESAMPLES]);
         }
-        let mut random = Sequence::new(SEED);
-        let draws: Vec<Draw> = (0..RESAMPLES)
-            .map(|_| {
-                let drawn = (0..pairs.len()).map(|_| (random.next_f32() * pairs.len() as f32) as u32);
-                terms.draw(&drawn.map(|place| place.min(pairs.len() as u32 - 1)).collect::<Vec<_>>())
-            })
-            .collect();
+        let draws: Vec<Draw> = drawn(pairs.len()).map(|places| terms.draw(&places)).collect();
         let channels = [0, 1, 2].map(|channel| Moments::of(pairs, |colour| colour[channel]));
         let all = Moments::of(pairs, luminance);
         let figures = Self {
@@ -184,13 +178,80 @@ impl Figures {
     }
 }
 
+/// A root mean square over the mean of the reference.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct RelativeRoot {
+    /// The root; minus that of the absolute value where the mean square is below 0.
+    pub rel_rmse: f64,
+    /// Its 95 % interval.
+    pub interval_95: [f64; 2],
+}
+
+/// One place's share of a [`RelativeRoot`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct SquareTerm {
+    /// Weight.
+    pub weight: f64,
+    /// A square, W²·m⁻⁴, or a difference of squares.
+    pub square: f64,
+    /// Luminance of the reference, W·m⁻².
+    pub reference: f64,
+}
+
+impl RelativeRoot {
+    /// Sums up, and gives the relative squares of draws of the places; all zero where the reference is dark.
+    pub(super) fn of(terms: &[SquareTerm]) -> (Self, Vec<f64>) {
+        let rel_square = |places: &mut dyn Iterator<Item = usize>| {
+            let (mut weight, mut square, mut reference) = (0.0, 0.0, 0.0);
+            for place in places {
+                let term = &terms[place];
+                weight += term.weight;
+                square += term.weight * term.square;
+                reference += term.weight * term.reference;
+            }
+            if reference > 0.0 { square * weight / (reference * reference) } else { 0.0 }
+        };
+        let whole = rel_square(&mut (0..terms.len()));
+        let draws: Vec<f64> = drawn(terms.len())
+            .map(|places| rel_square(&mut places.into_iter().map(|place| place as usize)))
+            .collect();
+        (Self::with_draws(whole, &draws), draws)
+    }
+
+    /// Of several lights together: the root mean square, with signs.
+    pub fn over_lights(lights: &[(Self, &[f64])]) -> Self {
+        let count = lights.len().max(1) as f64;
+        let square = |light: &Self| light.rel_rmse * light.rel_rmse.abs();
+        let mean = lights.iter().map(|(light, _)| square(light)).sum::<f64>() / count;
+        let joint = |draw: usize| lights.iter().map(|(_, draws)| draws[draw]).sum::<f64>() / count;
+        let draws: Vec<f64> = (0..if lights.is_empty() { 0 } else { RESAMPLES }).map(joint).collect();
+        Self::with_draws(mean, &draws)
+    }
+
+    fn with_draws(square: f64, draws: &[f64]) -> Self {
+        let mut roots: Vec<f64> = draws.iter().map(|square| signed_root(*square)).collect();
+        roots.sort_by(f64::total_cmp);
+        let interval_95 = [0.025, 0.975].map(|share| at_share(&roots, share));
+        Self { rel_rmse: signed_root(square), interval_95 }
+    }
+}
+
+/// Draws of `count` places with replacement, the same at each call.
+fn drawn(count: usize) -> impl Iterator<Item = Vec<u32>> {
+    let mut random = Sequence::new(SEED);
+    (0..RESAMPLES).map(move |_| {
+        let place = |_| ((random.next_f32() * count as f32) as u32).min(count as u32 - 1);
+        (0..count).map(place).collect()
+    })
+}
+
 /// √x, with the sign of x.
 pub(super) fn signed_root(square: f64) -> f64 {
     square.abs().sqrt().copysign(square)
 }
 
 /// The value below which that share of ascending values lies.
-fn at_share(values: &[f64], share: f64) -> f64 {
+pub(super) fn at_share(values: &[f64], share: f64) -> f64 {
     let index = (share * values.len() as f64) as usize;
     values.get(index.min(values.len().saturating_sub(1))).copied().unwrap_or_default()
 }
@@ -405,6 +466,25 @@ mod tests {
         pairs[1..].iter_mut().for_each(|dark| *dark = pair(1.0, 0.0, [0.0; 2], 0.0));
         let (figures, draws) = Figures::of(&pairs);
         assert!(!figures.says_something(&draws));
+    }
+
+    #[test]
+    fn roots_of_differences_of_squares_keep_their_sign_and_their_interval_holds_them() {
+        let term = |index: usize, square| SquareTerm {
+            weight: 1.0,
+            square: square + 0.02 * ((index % 5) as f64 - 2.0),
+            reference: 2.0,
+        };
+        for square in [0.16, -0.16] {
+            let terms: Vec<SquareTerm> = (0..200).map(|index| term(index, square)).collect();
+            let (root, draws) = RelativeRoot::of(&terms);
+            assert!((root.rel_rmse - 0.2 * square.signum()).abs() < 1e-9, "{root:?}");
+            let [low, high] = root.interval_95;
+            assert!(low < root.rel_rmse && root.rel_rmse < high && high - low < 0.02, "{root:?}");
+            let both = RelativeRoot::over_lights(&[(root, &draws), (root, &draws)]);
+            assert!((both.rel_rmse - root.rel_rmse).abs() < 1e-12 && both.interval_95 == root.interval_95);
+        }
+        assert_eq!(RelativeRoot::of(&[]).0, RelativeRoot::default());
     }
 
     #[test]

@@ -148,3 +148,46 @@ fn closed_scene_gets_neither_sun_nor_sky_and_says_so() {
         "{chosen:?}"
     );
 }
+
+/// Direct light of a lamp of 10 W·sr⁻¹ that a client shows by some share of the unshadowed light.
+struct ShownShare<F> {
+    lamp_m: Vec3,
+    share: F,
+}
+
+impl<F: Fn(&Site) -> f64 + Sync> MappedLight for ShownShare<F> {
+    fn incoming(&self) -> Option<MappedIncoming> {
+        None
+    }
+
+    fn at(&self, site: &Site) -> MappedPixel {
+        let way = self.lamp_m - site.position_m;
+        let unshadowed =
+            DVec3::splat(10.0 * site.lamp_cosine(way.normalize()) / f64::from(way.length_squared()));
+        MappedPixel { shown: unshadowed * (self.share)(site), unshadowed, filter_m: 0.02 }
+    }
+}
+
+#[test]
+fn light_everywhere_leaks_into_shadows_no_light_is_acne_and_exact_light_is_neither() {
+    let geometry = &world(CORNELL, 500).geometry;
+    let lamp_m = Vec3::new(0.4, 3.0, -2.0);
+    let kind = LightKind::Point { position_m: lamp_m.to_array(), range_m: None };
+    let lamp = SceneLight { name: "lamp".into(), kind, strength: [10.0; 3] };
+    let lighting = Lighting { lights: vec![lamp], ..Lighting::default() };
+    let reference = Reference::new(geometry, &lighting).unwrap();
+    let sites = crate::geometry::spread_sites(geometry, 500);
+    let shares = |share: &(dyn Fn(&Site) -> f64 + Sync)| {
+        DirectShares::of(&sites, &ShownShare { lamp_m, share }, &reference)
+    };
+    let is_lit = |site: &Site| f64::from(u8::from(reference.direct_irradiance(site, 1).x > 0.0));
+    let lit = sites.iter().map(is_lit).sum::<f64>() / sites.len() as f64;
+    assert!((0.3..0.95).contains(&lit), "{lit}");
+    let [everywhere, nowhere, exact] = [shares(&|_| 1.0), shares(&|_| 0.0), shares(&is_lit)];
+    assert!(
+        everywhere.leak > 0.05 && everywhere.leak <= 1.0 - lit && everywhere.acne == 0.0,
+        "{everywhere:?}"
+    );
+    assert!(nowhere.acne > 0.9 * lit && nowhere.acne <= lit && nowhere.leak == 0.0, "{nowhere:?}");
+    assert_eq!(exact, DirectShares { leak: 0.0, acne: 0.0, pixels: sites.len() });
+}

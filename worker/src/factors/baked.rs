@@ -83,10 +83,15 @@ impl<C: Columns> Baked<C> {
         let dir = slots.map(|slot| at(DirectAt::Receiver(slot))).collect::<Result<Vec<Vec4>, E>>()?;
         let hits = (0..near.len()).into_par_iter();
         let of_near = hits.map(|hit| at(near.direct_at(hit))).collect::<Result<Vec<Vec4>, E>>()?;
+        Ok(self.settled(lighting, &dir, &of_near))
+    }
+
+    /// The bake under lights until bounces converge, from E_dir by slot and by near hit, W·m⁻².
+    pub fn settled(&self, lighting: &Lighting, dir: &[Vec4], near: &[Vec4]) -> Light {
         let emitter_scale = vec![lighting.emitter_scale; self.emitters];
         let sky = Sky::of(&lighting.lights);
-        let incoming = Incoming { dir: &dir, near: &of_near, sky, emitter_scale: &emitter_scale };
-        Ok(Light { settled: self.transport.settle(&Threads, &incoming, LIMIT), emitter_scale })
+        let incoming = Incoming { dir, near, sky, emitter_scale: &emitter_scale };
+        Light { settled: self.transport.settle(&Threads, &incoming, LIMIT), emitter_scale }
     }
 
     /// Cluster of a slot.

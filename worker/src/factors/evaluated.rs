@@ -6,14 +6,15 @@ use std::sync::Arc;
 use glam::{DVec3, Vec2};
 use lightkiln_proto::content::{BlockKey, Texel};
 use lightkiln_proto::manifest::Manifest;
-use lightkiln_proto::relight::{Columns, Inconsistent, SlotTable};
+use lightkiln_proto::relight::{Columns, Inconsistent, LightmapTexels, SlotTable, Transport};
 
 use super::anew::{Anew, wide};
 use super::baked::{Baked, Light};
-use super::{ClusterCell, Transport, cells_of_task};
+use super::{ClusterCell, cells_of_task};
 use crate::emitters::emitter_of_material;
 use crate::evaluate::{
-    Answer, ChunkBytes, ErrorClass, Evaluated, EvaluatedLightmap, EvaluationError, Measure, Place, Relit,
+    Answer, ChunkBytes, ErrorClass, Evaluated, EvaluatedLightmap, EvaluationError, MappedIncoming, Measure,
+    Place, Relit,
 };
 use crate::geometry::Geometry;
 use crate::lightmap::{Surface, World};
@@ -30,7 +31,7 @@ pub const ERROR_CLASSES: [&str; 3] = ["transport", "factorisation", "quantisatio
 /// A decoded bake in its world, made anew.
 pub struct FactoredBake<C> {
     world: Arc<World>,
-    transport: Box<dyn Transport>,
+    transport: Box<dyn super::Transport>,
     baked: Baked<C>,
     cells: Vec<ClusterCell>,
     /// Index in the lightmap of the receiver at each slot.
@@ -46,7 +47,7 @@ impl<C: Columns> FactoredBake<C> {
         manifest: &Manifest,
         bytes: ChunkBytes,
         context: &Context,
-        transport: Box<dyn Transport>,
+        transport: Box<dyn super::Transport>,
         columns: impl FnOnce(&SlotTable) -> Result<C, Inconsistent>,
     ) -> Result<Self, EvaluationError> {
         let world = World::of(context).map_err(EvaluationError::Prepare)?;
@@ -54,6 +55,11 @@ impl<C: Columns> FactoredBake<C> {
         let baked = Baked::decode(manifest, bytes, columns)?;
         let receiver_of = same_world(manifest, &world, &baked)?;
         Ok(Self { world, transport, baked, cells, receiver_of, anew: None })
+    }
+
+    fn texels(&self) -> LightmapTexels<'_> {
+        let Transport { slots, receivers, .. } = &self.baked.transport;
+        LightmapTexels { slots, receivers }
     }
 
     /// A receiver as a place.
@@ -124,9 +130,45 @@ impl<C: Columns> Evaluated for FactoredBake<C> {
     ) -> Result<Box<dyn Relit + 'a>, Cancelled> {
         Ok(Box::new(RelitBake { bake: self, light: self.lit(reference, lighting, progress)? }))
     }
+
+    fn relit_by_maps<'a>(
+        &'a self,
+        lighting: &Lighting,
+        direct: &MappedIncoming,
+    ) -> Option<Box<dyn Relit + 'a>> {
+        let Transport { receivers, near, .. } = &self.baked.transport;
+        if [direct.receivers.len(), direct.near.len()] != [receivers.len(), near.len()] {
+            return None;
+        }
+        let light = self.baked.settled(lighting, &direct.receivers, &direct.near);
+        Some(Box::new(RelitBake { bake: self, light }))
+    }
 }
 
 impl<C: Columns> EvaluatedLightmap for FactoredBake<C> {
+    fn texel_m(&self) -> f32 {
+        self.world.lightmap.texel_m
+    }
+
+    fn receivers(&self) -> u32 {
+        self.receiver_of.len() as u32
+    }
+
+    fn receiver(&self, index: u32) -> Place {
+        self.place(self.receiver_of[index as usize])
+    }
+
+    fn linked(&self, index: u32, offset: [i32; 2]) -> Option<u32> {
+        let (block, texel) = self.world.lightmap.name_of(self.receiver_of[index as usize]);
+        let Transport { slots, .. } = &self.baked.transport;
+        self.texels().linked(slots.block_index(block)?, texel, offset)
+    }
+
+    fn block_name(&self, block: BlockKey) -> &str {
+        let found = self.world.lightmap.blocks.iter().find(|other| other.key == block);
+        found.map_or("", |block| &block.name)
+    }
+
     fn texel_of(&self, place: &Place) -> Option<(BlockKey, Texel)> {
         Some(self.world.lightmap.name_of(receiver_of(place)))
     }
@@ -155,6 +197,13 @@ struct RelitBake<'a, C> {
 impl<C: Columns> Relit for RelitBake<'_, C> {
     fn irradiance(&self, place: &Place) -> Option<DVec3> {
         self.bake.slot(place).map(|slot| wide(self.light.settled.indirect(slot)))
+    }
+
+    fn shown_at(&self, hit: &Hit) -> Option<DVec3> {
+        let (block, texel) = self.bake.world.lightmap_at(hit)?;
+        let block = self.bake.baked.transport.slots.block_index(block)?;
+        let light = |slot: u32| self.light.settled.indirect(slot);
+        self.bake.texels().shown(block, texel.to_array(), light).map(wide)
     }
 
     fn bounces(&self) -> (usize, bool) {

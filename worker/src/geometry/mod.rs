@@ -11,11 +11,15 @@ use glam::{Mat3, Vec3};
 
 use crate::rays::{Hit, Tracer};
 use crate::scene::model::{Material, MeshInstance, Scene};
+use crate::scene::surface::normal_at;
 use crate::scene::texture::DecodedImages;
 use crate::task::{Context, TaskError};
 
 pub use site::Site;
 pub use strata::{Strata, morton, spread_sites};
+
+/// Shading normals that lean further than this from the face are a fault of the file: the face's is taken instead.
+const LEAN_MIN: f32 = 0.05;
 
 /// A triangle of the scene by instance.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -105,6 +109,17 @@ impl Geometry {
     pub fn side_normal(&self, hit: &Hit) -> Vec3 {
         let normal = self.face_normal(hit.triangle);
         if hit.front { normal } else { -normal }
+    }
+
+    /// The side that was hit as a point that gathers light.
+    pub fn site_at(&self, hit: &Hit) -> Site {
+        let local = self.triangles[hit.triangle as usize].triangle as usize;
+        let side = if hit.front { 1.0 } else { -1.0 };
+        let face_normal = self.side_normal(hit);
+        let weights = weights_of(hit.barycentric).to_array();
+        let shading = side * normal_at(self.instance(hit.triangle), local, weights);
+        let normal = if shading.dot(face_normal) > LEAN_MIN { shading } else { face_normal };
+        Site { position_m: self.point_of(hit), normal, face_normal }
     }
 
     /// Point of a hit taken from its triangle rather than along the ray, which rounds less.

@@ -12,14 +12,12 @@ use super::{EyeSurface, Reference, Site};
 use crate::geometry::{Geometry, weights_of};
 use crate::rays::Hit;
 use crate::rays::sampling::Sequence;
-use crate::scene::surface::{Footprint, SurfaceSample, normal_at, surface_at};
+use crate::scene::surface::{Footprint, SurfaceSample, surface_at};
 
 /// Vertices before Russian roulette begins. More → less noise of long paths, more time.
 const ROULETTE_FROM: u32 = 4;
 /// Highest chance to go on, so that every path ends.
 const SURVIVAL_MAX: f64 = 0.98;
-/// Shading normals that lean further than this from the face are a fault of the file: the face's is taken instead.
-const LEAN_MIN: f32 = 0.05;
 
 /// Random numbers for one vertex' lamps.
 #[derive(Clone, Copy, Debug)]
@@ -98,18 +96,8 @@ impl Reference<'_> {
 
     /// The surface at a hit.
     pub(super) fn met(&self, hit: &Hit) -> HitSurface {
-        let weights = weights_of(hit.barycentric).to_array();
-        let local = self.geometry.triangles[hit.triangle as usize].triangle as usize;
-        let side = if hit.front { 1.0 } else { -1.0 };
-        let face_normal = self.geometry.side_normal(hit);
-        let shading = side * normal_at(self.geometry.instance(hit.triangle), local, weights);
-        let site = Site {
-            position_m: self.geometry.point_of(hit),
-            normal: if shading.dot(face_normal) > LEAN_MIN { shading } else { face_normal },
-            face_normal,
-        };
         HitSurface {
-            site,
+            site: self.geometry.site_at(hit),
             lit: !self.geometry.is_back(hit),
             surface: self.surface(hit.triangle, hit.barycentric),
         }

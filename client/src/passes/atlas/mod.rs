@@ -13,7 +13,7 @@ use crate::passes::resident::Resident;
 use crate::scene::LightmapLayout;
 
 pub use placement::{Placement, placements};
-pub use texels::{AtlasTexel, AtlasTexels, EXTENSION_TEXELS};
+pub use texels::{AtlasTexel, AtlasTexels};
 
 /// The shader.
 pub const SHADER: &str = include_str!("atlas.wgsl");

@@ -1,7 +1,7 @@
 //! Irradiance of receivers into lightmap texels, on the processor; and bilinear reads of them.
 
 use glam::{Vec3, Vec4};
-use lightkiln_proto::relight::{TexelKind, tap_weights};
+use lightkiln_proto::relight::{TexelKind, tap_weights, taps_around};
 
 use super::AtlasTexels;
 use crate::passes::shade::Surface;
@@ -42,17 +42,11 @@ pub fn sample(layout: &LightmapLayout, atlas: &AtlasPages, block: u32, texel: [f
     let Some(block) = layout.block(block) else { return Vec3::ZERO };
     let page = &atlas.pages[block.page as usize];
     let width = atlas.sizes[block.page as usize][0];
-    let (x, y) = (texel[0] - 0.5, texel[1] - 0.5);
-    let (x0, y0) = (x.floor(), y.floor());
-    let taps: [Vec4; 4] = std::array::from_fn(|tap| {
-        let column = block.origin[0] + inside(x0 + (tap & 1) as f32, block.size[0]);
-        let row = block.origin[1] + inside(y0 + (tap >> 1) as f32, block.size[1]);
+    let (texels, share) = taps_around(block.size, texel);
+    let taps: [Vec4; 4] = texels.map(|texel| {
+        let [column, row] = [0, 1].map(|axis| block.origin[axis] + u32::from(texel[axis]));
         page[row as usize * width as usize + column as usize]
     });
-    let weights = tap_weights(taps.map(|tap| TexelKind(tap.w)), [x - x0, y - y0]);
+    let weights = tap_weights(taps.map(|tap| TexelKind(tap.w)), share);
     taps.iter().zip(weights).map(|(tap, weight)| tap.truncate() * weight).sum()
-}
-
-fn inside(index: f32, size: u32) -> u32 {
-    index.clamp(0.0, size as f32 - 1.0) as u32
 }

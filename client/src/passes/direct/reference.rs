@@ -14,6 +14,8 @@ const FILTER_MARGIN: f32 = 0.5;
 const FILTER_WIDTH: f32 = 4.0;
 const PARALLEL_BIAS: f32 = 0.1;
 const SNAP: f32 = 0.007_812_5;
+/// Least cosine that the filter's reach along a surface grows by.
+const GRAZING_COS: f32 = 0.05;
 
 /// `E_dir` at points in metres with their normals, in W·m⁻².
 pub fn direct(positions_m: &[Vec4], normals: &[Vec4], plan: &ShadowPlan, maps: &ShadowMaps) -> Vec<Vec4> {
@@ -75,6 +77,41 @@ pub fn direct_irradiance(
 ) -> Vec3 {
     let of_light = |light| light_irradiance((plan, maps), light, position, normal, facet).truncate();
     plan.lights.iter().map(of_light).sum()
+}
+
+/// Direct light of a point, and what its shadows are judged by.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Shadowed {
+    /// Irradiance of all lights, shadowed, in W·m⁻².
+    pub irradiance: Vec3,
+    /// The same without shadows.
+    pub unshadowed: Vec3,
+    /// Reach of the widest of the lights' filters along the surface, in metres.
+    pub filter_m: f32,
+}
+
+/// As [`direct_irradiance`], with what its shadows are judged by.
+pub fn shadowed(plan: &ShadowPlan, maps: &ShadowMaps, position: Vec3, normal: Vec3, facet: Vec3) -> Shadowed {
+    let filter_m = |light: &Light| {
+        let face = &plan.faces[face_of(plan, light, position) as usize];
+        let texel_m = face.texel_at_unit_w * position.extend(1.0).dot(face.projection().row(3)).max(0.0);
+        let cosine = facet.dot(towards(light, position)).max(GRAZING_COS);
+        // The filter's corner lies this far from its middle.
+        std::f32::consts::SQRT_2 * FILTER_REACH * texel_m / cosine
+    };
+    Shadowed {
+        irradiance: direct_irradiance(plan, maps, position, normal, facet),
+        unshadowed: plan.lights.iter().map(|light| unshadowed(light, position, normal)).sum(),
+        filter_m: plan.lights.iter().map(filter_m).fold(0.0, f32::max),
+    }
+}
+
+/// Unit vector towards a light.
+fn towards(light: &Light, position: Vec3) -> Vec3 {
+    if light.shape == Shape::Sun as u32 {
+        return -Vec3::from(light.direction);
+    }
+    (Vec3::from(light.position) - position).normalize_or(Vec3::Y)
 }
 
 /// Irradiance of one light in W·m⁻², and the share of it that arrives.
@@ -155,11 +192,7 @@ fn is_behind(
     lift_m: f32,
 ) -> bool {
     let projection = plan.faces[face_index as usize].projection();
-    let towards = if light.shape == Shape::Sun as u32 {
-        -Vec3::from(light.direction)
-    } else {
-        (Vec3::from(light.position) - position).normalize_or(Vec3::Y)
-    };
+    let towards = towards(light, position);
     let clip = projection * position.extend(1.0);
     // Depth of a perspective is rounded by the nearest corner of a triangle, however far the point.
     let is_sun = light.shape == Shape::Sun as u32;

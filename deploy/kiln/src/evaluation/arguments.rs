@@ -4,7 +4,7 @@ use std::fs;
 use std::path::PathBuf;
 
 use clap::Args;
-use lightkiln_worker::evaluate::{TestLight, lights_of_file};
+use lightkiln_worker::evaluate::{PIXEL_CLASSES, TestLight, lights_of_file};
 use lightkiln_worker::kinds::BakeKinds;
 
 use super::limits::Limit;
@@ -30,6 +30,10 @@ pub struct EvaluationArguments {
         help_heading = "Evaluation"
     )]
     pub receivers: u32,
+    /// Places of those that are also measured as pictures show them: at points of surfaces, by the client's shadow maps, with
+    /// seams and texels that stand out; 0 for none [default: a third of --receivers]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=1_000_000), help_heading = "Evaluation")]
+    pub pixels: Option<u32>,
     /// Fails with exit code 4 when a figure is so at both ends of its 95 % interval, e.g. rel_rmse>0.08,
     /// energy_ratio<0.97, sun.p95>0.3; warns when at one; may be given often
     #[arg(long, value_name = "EXPR", help_heading = "Evaluation")]
@@ -39,7 +43,7 @@ pub struct EvaluationArguments {
 impl EvaluationArguments {
     /// Errs when a limit names neither a figure nor a class of error of some kind of bake; cheap, as [`Self::own_lights`].
     pub fn check_figures(&self, kinds: &BakeKinds) -> Result<()> {
-        let classes = kinds.error_classes();
+        let classes = [kinds.error_classes(), PIXEL_CLASSES.into()].concat();
         self.fail_if.iter().try_for_each(|limit| limit.check_figure(&classes))
     }
 

@@ -12,7 +12,8 @@ use lightkiln_worker::evaluate::{ClusterError, Figures, cluster_errors};
 use super::heat::{Bitmap, FULL_COLOUR, colour};
 use super::measure::Measured;
 use super::pictures::LightPictures;
-use super::table::{Classes, Evaluation, energy_words, rmse_words};
+use super::pixels::{PixelRow, interpolation_words, outlier_words, place_words, seam_words, share_words};
+use super::table::{ABSENT, Classes, Evaluation, LightRow, energy_words, rmse_words};
 use crate::failure::{Exit, Failure, Result};
 
 /// Name of the page in its folder.
@@ -53,6 +54,7 @@ fn page(measured: &Measured, pictures: &[LightPictures]) -> Result<String> {
     );
     html += &table(evaluation, pictures);
     html += &notes(evaluation, &about_classes(measured));
+    html += &at_pixels(evaluation);
     let clusters = cluster_errors(&measured.evaluator, &measured.results);
     html += "<h2>Error by cluster</h2>";
     html += &histogram(&clusters);
@@ -88,10 +90,11 @@ fn table(evaluation: &Evaluation, pictures: &[LightPictures]) -> String {
         html += &format!("<tr><td>{}<td>{}<td>{}", escaped(name), rmse_words(figures), energy_words(figures));
         let shares =
             [figures.p95, figures.p99, figures.channels[0], figures.channels[1], figures.channels[2]];
-        for value in shares.into_iter().chain(classes.values().copied()).chain([figures.reference_rel_error])
-        {
-            html += &percent(value);
+        shares.into_iter().for_each(|value| html += &percent(value));
+        for name in evaluation.classes.keys() {
+            html += &classes.get(name).map_or(format!("<td>{ABSENT}"), |error| percent(*error));
         }
+        html += &percent(figures.reference_rel_error);
         html += &flip.map_or("<td>".to_owned(), |flip| format!("<td>{flip:.4}"));
     };
     for (light, picture) in evaluation.lights.iter().zip(pictures) {
@@ -124,6 +127,48 @@ fn notes(evaluation: &Evaluation, classes: &str) -> String {
         let _ = write!(html, "<p>Note: {}</p>", escaped(note));
     }
     html
+}
+
+/// Figures at pixels and the texels that stand out; nothing where none were measured.
+fn at_pixels(evaluation: &Evaluation) -> String {
+    let Some(all) = &evaluation.pixels else { return String::new() };
+    let mut html = "<h2>At pixels</h2><table><tr><th>light<th>relative RMSE, 95 %<th>energy ratio, 95 %<th>p95<th>p99\
+                    <th>above 25 %<th>interpolation, 95 %<th>leak<th>acne<th>charts<th>blocks<th>clusters<th>inside\
+                    <th>outliers"
+        .to_owned();
+    let mut line = |name: &str, row: &PixelRow| {
+        let figures = &row.figures;
+        html += &format!("<tr><td>{}<td>{}<td>{}", escaped(name), rmse_words(figures), energy_words(figures));
+        for value in [figures.p95, figures.p99, figures.area_above[1]] {
+            html += &format!("<td>{:.2} %", 100.0 * value);
+        }
+        let words = [interpolation_words(row)].into_iter().chain(share_words(row)).chain(seam_words(row));
+        words.chain([outlier_words(row)]).for_each(|words| html += &format!("<td>{words}"));
+    };
+    for row in &evaluation.lights {
+        row.pixels.iter().for_each(|pixels| line(&row.shown_name(), pixels));
+    }
+    line("all lights", all);
+    let _ = write!(
+        html,
+        "</table><p>E_ind at {} points of surfaces, read from the lightmap as pictures read it, with direct light by the \
+         client’s shadow maps where it has the light. Interpolation: the signed root of the mean square error there less \
+         that at the receivers of the same points. Leak, acne: shares of the area where direct light is there, or is \
+         lacking, though exact rays all around within the reach of the shadow map’s filter say otherwise. Charts, \
+         blocks, clusters: the 95th percentile of jumps across their borders over the light there, inside: the same of \
+         texels inside clusters. Outliers: texels that stand out from their neighbours by a factor of 1.5 without the \
+         reference doing so, of the worst that were path-traced.</p>",
+        evaluation.pixels_measured
+    );
+    let worst = |row: &LightRow| -> Vec<String> {
+        let hunt = row.pixels.as_ref().and_then(|pixels| pixels.hunt.as_ref());
+        let named = hunt.into_iter().flat_map(|hunt| &hunt.worst);
+        named
+            .map(|outlier| format!("<li>{}: {}", escaped(&row.name), escaped(&place_words(outlier))))
+            .collect()
+    };
+    let worst: Vec<String> = evaluation.lights.iter().flat_map(worst).collect();
+    if worst.is_empty() { html } else { html + "<ul>" + &worst.concat() + "</ul>" }
 }
 
 /// The classes of error in words.

@@ -2,11 +2,14 @@
 
 use std::str::FromStr;
 
+use lightkiln_worker::evaluate::PIXEL_CLASSES;
+
+use super::pixels::PixelRow;
 use super::table::Evaluation;
 use crate::failure::{Exit, Failure, Result};
 
 /// Figures that a limit may name, beside the classes of error of a kind of bake.
-const FIGURES: [&str; 7] = [
+const FIGURES: [&str; 17] = [
     "rel_rmse",
     "energy_ratio",
     "p95",
@@ -14,6 +17,16 @@ const FIGURES: [&str; 7] = [
     "reference_rel_error",
     "share_without_receiver",
     "share_in_cavities",
+    "pixel_rel_rmse",
+    "pixel_energy_ratio",
+    "pixel_p95",
+    "pixel_p99",
+    "leak",
+    "acne",
+    "chart_seams",
+    "block_seams",
+    "cluster_seams",
+    "outliers",
 ];
 
 /// When to fail: `FIGURE<NUMBER`, of all lights together, or `LIGHT.FIGURE<NUMBER` of one.
@@ -67,8 +80,8 @@ impl Limit {
     /// The figure's value and the ends of its interval, or the value for both; errs when no light has the name, or the bake
     /// no such class of error.
     fn value(&self, evaluation: &Evaluation) -> Result<(f64, [f64; 2])> {
-        let (figures, classes) = match &self.light {
-            None => (&evaluation.figures, &evaluation.classes),
+        let (figures, classes, pixels) = match &self.light {
+            None => (&evaluation.figures, &evaluation.classes, &evaluation.pixels),
             Some(name) => {
                 let row = evaluation.lights.iter().find(|row| row.name == *name);
                 let row = row.ok_or_else(|| {
@@ -80,9 +93,12 @@ impl Limit {
                     let what = format!("--fail-if '{}' names a light that reaches too few places", self.text);
                     return Err(Failure::bad_input(what).try_this("more --receivers, or another light"));
                 }
-                (&row.figures, &row.classes)
+                (&row.figures, &row.classes, &row.pixels)
             }
         };
+        if let Some(found) = pixels.as_ref().and_then(|pixels| self.at_pixels(pixels)) {
+            return Ok(found);
+        }
         let interval = &figures.interval_95;
         let exact = match self.figure.as_str() {
             "rel_rmse" => return Ok((figures.rel_rmse, interval.rel_rmse)),
@@ -94,11 +110,37 @@ impl Limit {
             "reference_rel_error" => figures.reference_rel_error,
             class => *classes.get(class).ok_or_else(|| {
                 let what =
-                    format!("--fail-if '{}' names a class of error that this kind of bake lacks", self.text);
-                Failure::bad_input(what).try_this("a figure that the table shows")
+                    format!("--fail-if '{}' names a figure that this bake or this light lacks", self.text);
+                Failure::bad_input(what).try_this("a figure that the tables show")
             })?,
         };
         Ok((exact, [exact; 2]))
+    }
+}
+
+impl Limit {
+    /// As [`Limit::value`], of a figure at pixels; `None` where it is no such figure, or is not there.
+    fn at_pixels(&self, pixels: &PixelRow) -> Option<(f64, [f64; 2])> {
+        let PixelRow { figures, interpolation, .. } = pixels;
+        let interval = &figures.interval_95;
+        let seams = pixels.seams.as_ref();
+        let exact = match self.figure.as_str() {
+            "pixel_rel_rmse" => return Some((figures.rel_rmse, interval.rel_rmse)),
+            "pixel_energy_ratio" => return Some((figures.energy_ratio, interval.energy_ratio)),
+            "pixel_p95" => return Some((figures.p95, interval.p95)),
+            "pixel_p99" => return Some((figures.p99, interval.p99)),
+            name if name == PIXEL_CLASSES[0] => {
+                return interpolation.map(|root| (root.rel_rmse, root.interval_95));
+            }
+            "leak" => pixels.direct?.leak,
+            "acne" => pixels.direct?.acne,
+            "chart_seams" => seams?.charts.p95,
+            "block_seams" => seams?.blocks.p95,
+            "cluster_seams" => seams?.clusters.p95,
+            "outliers" => pixels.outliers()? as f64,
+            _ => return None,
+        };
+        Some((exact, [exact; 2]))
     }
 }
 
@@ -126,7 +168,7 @@ pub fn check(limits: &[Limit], evaluation: &Evaluation) -> Result<()> {
 
 #[cfg(test)]
 mod tests {
-    use lightkiln_worker::evaluate::{Figures, Intervals};
+    use lightkiln_worker::evaluate::{Figures, Hunt, Intervals, Jumps, RelativeRoot, Seams};
 
     use super::*;
     use crate::evaluation::table::{Classes, LightRow};
@@ -146,11 +188,21 @@ mod tests {
             words: String::new(),
             figures: figures(0.2),
             classes: classes.clone(),
+            pixels: None,
             bounces: 1,
             counts: true,
             draws: Vec::new(),
         };
-        Evaluation { figures: figures(0.09), classes, lights: vec![row], ..Evaluation::default() }
+        let seams = Seams { charts: Jumps { pairs: 9, mean: 0.01, p95: 0.04 }, ..Seams::default() };
+        let pixels = PixelRow {
+            figures: figures(0.2),
+            interpolation: Some(RelativeRoot { rel_rmse: -0.01, interval_95: [-0.03, 0.02] }),
+            seams: Some(seams),
+            hunt: Some(Hunt { outliers: 3, ..Hunt::default() }),
+            ..PixelRow::default()
+        };
+        let (lights, pixels) = (vec![row], Some(pixels));
+        Evaluation { figures: figures(0.09), classes, pixels, lights, ..Evaluation::default() }
     }
 
     #[test]
@@ -165,6 +217,12 @@ mod tests {
             ("energy_ratio<0.955", false),
             ("energy_ratio<=0.9", false),
             ("transport>0.05", true),
+            ("pixel_rel_rmse>0.19", true),
+            ("interpolation>0.03", false),
+            ("interpolation>-0.04", true),
+            ("chart_seams>0.03", true),
+            ("outliers>3", false),
+            ("outliers>2", true),
             ("sun.rel_rmse>0.1", true),
             ("sun.rel_rmse>0.3", false),
         ] {
@@ -176,7 +234,7 @@ mod tests {
                 assert!(failure.to_string().contains(text), "{failure}");
             }
         }
-        for wrong in ["moon.p95>1", "quantisation>1"] {
+        for wrong in ["moon.p95>1", "quantisation>1", "leak>0", "sun.pixel_p95>1"] {
             let failure = check(&[wrong.parse().unwrap()], &evaluation()).unwrap_err();
             assert_eq!(failure.exit(), Exit::BadInput, "{wrong}");
         }

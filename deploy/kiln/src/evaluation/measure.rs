@@ -1,5 +1,6 @@
 //! The measurement itself: bundle and scene in, figures and everything that pictures need out.
 
+use lightkiln_client::bake::LoadedBake;
 use lightkiln_client::fetch::Source;
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::manifest::{ChunkRef, GEOMETRY, Manifest, TEXTURES};
@@ -8,6 +9,7 @@ use lightkiln_worker::reference::Precision;
 use lightkiln_worker::task::Progress;
 
 use super::arguments::EvaluationArguments;
+use super::shadows::ClientBake;
 use super::table::{Evaluation, LightRow, over_lights};
 use crate::failure::{Exit, Failure, Result};
 use crate::interrupt::Interrupt;
@@ -15,6 +17,8 @@ use crate::kinds::KindTables;
 use crate::submission::PackedScene;
 use crate::switched_off::SwitchedOff;
 
+/// Strata of the sample of which one is measured at its pixel too.
+const PIXELS_SHARE: u32 = 3;
 /// Worst clusters that are named.
 const WORST: usize = 12;
 
@@ -45,11 +49,16 @@ pub fn measure(
         .map_err(|error| Failure::bad_input("the bundle cannot be read").caused_by(&error))?;
     let progress = Progress::new();
     let precision = Precision { rel_error: wanted.rel_error, ..Precision::default() };
-    let options = Options { receivers: wanted.receivers, precision, ..Options::default() };
+    let pixels = wanted.pixels.unwrap_or(wanted.receivers / PIXELS_SHARE);
+    let options = Options { receivers: wanted.receivers, precision, pixels, ..Options::default() };
     eprintln!("preparing the scene anew, and what {} places need", wanted.receivers);
     let bytes = |digest| chunk(source, &manifest, digest);
     let bake = kinds.worker.evaluated(&manifest, scene.into_bytes(), &bytes, &progress).map_err(failure)?;
-    let evaluator = Evaluator::new(bake, options, &progress).map_err(failure)?;
+    let mut evaluator = Evaluator::new(bake, options, &progress).map_err(failure)?;
+    if pixels > 0 {
+        let client = LoadedBake::load(source, &kinds.client)?;
+        evaluator = evaluator.with_client(Box::new(ClientBake(client)));
+    }
     let chosen = match own {
         Some(lights) => evaluator.usable(off.rest_of_tests(lights)),
         None => {
@@ -101,7 +110,7 @@ fn summed_up(
         let name = &result.light.name;
         format!("'{name}' reaches too few of the places to be measured by them: 'all' is without it; raise --receivers")
     }));
-    let (figures, classes) = over_lights(&lights);
+    let (figures, classes, pixels) = over_lights(&lights);
     let [units_made_anew, chunks_made_anew] = evaluator.bake().traced();
     let mut worst_clusters = cluster_errors(evaluator, results);
     worst_clusters.truncate(WORST);
@@ -109,6 +118,8 @@ fn summed_up(
         receivers: evaluator.sample().places.len(),
         figures,
         classes,
+        pixels_measured: evaluator.pixels().measured.len(),
+        pixels,
         lights,
         share_without_receiver: evaluator.sample().share_without,
         share_in_cavities: evaluator.sample().share_in_cavities,

@@ -8,7 +8,9 @@ mod html;
 mod limits;
 mod measure;
 mod pictures;
+mod pixels;
 mod scene;
+mod shadows;
 mod table;
 
 pub use arguments::EvaluationArguments;

@@ -4,6 +4,8 @@ use indexmap::IndexMap;
 use lightkiln_worker::evaluate::{ClusterError, Draw, Figures, LightResult};
 use serde::Serialize;
 
+use super::pixels::{PixelRow, pixel_words};
+
 /// Errors relative to the mean of the reference by their class, in the order in which the kind of bake names them.
 pub type Classes = IndexMap<&'static str, f64>;
 
@@ -20,6 +22,10 @@ pub struct Evaluation {
     pub figures: Figures,
     /// Root mean square over lights of each class.
     pub classes: Classes,
+    /// Pixels measured.
+    pub pixels_measured: usize,
+    /// The same at pixels, if they were measured.
+    pub pixels: Option<PixelRow>,
     /// Light by light.
     pub lights: Vec<LightRow>,
     /// Standard error that was asked of the reference.
@@ -52,6 +58,8 @@ pub struct LightRow {
     pub figures: Figures,
     /// Errors by class.
     pub classes: Classes,
+    /// Figures at pixels, if they were measured.
+    pub pixels: Option<PixelRow>,
     /// Bounces until the light changed no more.
     pub bounces: usize,
     /// Whether the light reaches enough places to count among all lights.
@@ -69,6 +77,7 @@ impl LightRow {
             words: result.light.words.clone(),
             figures: result.figures,
             classes: result.classes.iter().map(|class| (class.name, class.rel_rmse)).collect(),
+            pixels: result.pixels.as_ref().map(PixelRow::of),
             bounces: result.bounces,
             counts: result.counts,
             draws: result.draws.clone(),
@@ -83,17 +92,21 @@ impl LightRow {
     }
 }
 
-/// Figures and classes of the lights that count, together.
-pub fn over_lights(rows: &[LightRow]) -> (Figures, Classes) {
+/// Figures, classes and pixels of the lights that count, together. A class is over the lights that have it.
+pub fn over_lights(rows: &[LightRow]) -> (Figures, Classes, Option<PixelRow>) {
     let rows: Vec<&LightRow> = rows.iter().filter(|row| row.counts).collect();
     let lights: Vec<(Figures, &[Draw])> = rows.iter().map(|row| (row.figures, &row.draws[..])).collect();
-    let of_class = |name: &'static str| {
-        let errors = rows.iter().map(|row| row.classes.get(name).copied().unwrap_or_default());
-        let mean = errors.map(|error| error * error.abs()).sum::<f64>() / rows.len() as f64;
+    let mut classes: IndexMap<&'static str, (f64, f64)> = IndexMap::new();
+    for (name, error) in rows.iter().flat_map(|row| &row.classes) {
+        let (squares, count) = classes.entry(name).or_default();
+        (*squares, *count) = (*squares + error * error.abs(), *count + 1.0);
+    }
+    let root = |(name, (squares, count)): (&'static str, (f64, f64))| {
+        let mean = squares / count;
         (name, mean.abs().sqrt().copysign(mean))
     };
-    let names = rows.first().into_iter().flat_map(|row| row.classes.keys().copied());
-    (Figures::over_lights(&lights), names.map(of_class).collect())
+    let pixels: Vec<&PixelRow> = rows.iter().filter_map(|row| row.pixels.as_ref()).collect();
+    (Figures::over_lights(&lights), classes.into_iter().map(root).collect(), PixelRow::over_lights(&pixels))
 }
 
 /// The relative error with its 95 % interval, in %.
@@ -107,6 +120,9 @@ pub fn energy_words(figures: &Figures) -> String {
     let [low, high] = figures.interval_95.energy_ratio;
     format!("{:.3} ({low:.3} to {high:.3})", figures.energy_ratio)
 }
+
+/// Stands for a figure that a light does not have.
+pub const ABSENT: &str = "–";
 
 /// A table for people.
 pub fn words(evaluation: &Evaluation) -> String {
@@ -126,7 +142,10 @@ pub fn words(evaluation: &Evaluation) -> String {
             100.0 * figures.p99,
             100.0 * figures.area_above[1],
         );
-        classes.values().for_each(|error| text += &format!(" {:>11.2} %", 100.0 * error));
+        for name in evaluation.classes.keys() {
+            let error = classes.get(name).map(|error| format!("{:.2} %", 100.0 * error));
+            text += &format!(" {:>13}", error.as_deref().unwrap_or(ABSENT));
+        }
         text += &format!(" {:>7.2} %\n", 100.0 * figures.reference_rel_error);
     };
     for row in &evaluation.lights {
@@ -142,5 +161,5 @@ pub fn words(evaluation: &Evaluation) -> String {
         100.0 * evaluation.share_without_receiver,
         100.0 * evaluation.share_in_cavities,
     );
-    text
+    text + &pixel_words(evaluation)
 }

@@ -49,7 +49,7 @@ fn evaluation_of_a_bundle_finds_its_scene_and_writes_figures_page_and_table() {
         let [low, high] = [0, 1].map(|end| figures["interval_95"][key][end].as_f64().unwrap());
         assert!(value > 0.0 && low < high && low <= value && value <= high, "{key}: {figures}");
     }
-    for class in ["transport", "factorisation", "quantisation"] {
+    for class in ["transport", "factorisation", "quantisation", "interpolation", "shadow"] {
         assert!(figures["classes"][class].is_f64(), "{class}: {figures}");
     }
     assert!(figures["lights"][0]["reference_rel_error"].as_f64().unwrap() > 0.0);
@@ -58,7 +58,21 @@ fn evaluation_of_a_bundle_finds_its_scene_and_writes_figures_page_and_table() {
         figures["energy_ratio"].as_f64().unwrap() > 0.7 && figures["rel_rmse"].as_f64().unwrap() < 0.6,
         "{figures}"
     );
+    let [lamp, own] = [0, 1].map(|light| &figures["lights"][light]);
+    for row in [&figures["pixels"], &lamp["pixels"], &own["pixels"]] {
+        let [low, high] = [0, 1].map(|end| row["interpolation"]["interval_95"][end].as_f64().unwrap());
+        assert!(row["rel_rmse"].as_f64().unwrap() < 0.6 && low < high, "{row}");
+        assert!(row["seams"]["inside"]["pairs"].as_u64().unwrap() > 0, "{row}");
+        assert!(row["hunt"]["texels"].as_u64().unwrap() > 0, "{row}");
+    }
+    assert!(lamp["pixels"]["direct"]["leak"].is_f64() && own["pixels"]["direct"].is_null(), "{figures}");
+    assert!(lamp["classes"]["shadow"].is_f64() && own["classes"]["shadow"].is_null(), "{figures}");
     let page = fs::read_to_string(folder.path().join("page/evaluation.html")).unwrap();
+    assert!(page.contains("At pixels"));
+    let without =
+        evaluated(folder.path(), &[&ROUGH[..], &["--pixels", "0", "--json"][..]].concat(), 0).json();
+    assert!(without["pixels"].is_null() && without["classes"]["shadow"].is_null(), "{without}");
+    assert_eq!(without["rel_rmse"], figures["rel_rmse"]);
     assert!(page.contains("data:image/png;base64,") && !page.contains("<script") && !page.contains("http"));
     let table = fs::read_to_string(folder.path().join("receivers.csv")).unwrap();
     let receivers = figures["receivers"].as_u64().unwrap() as usize;

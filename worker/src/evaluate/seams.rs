@@ -1,0 +1,250 @@
+//! Seams: jumps of the light across borders of charts, blocks and clusters, where true light has none.
+
+use glam::{DVec3, Vec2, Vec3};
+use lightkiln_proto::content::BlockKey;
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::evaluated::{Evaluated, EvaluatedLightmap, Relit};
+use super::figures::at_share;
+use super::open::OpenSpace;
+use crate::geometry::{Site, Strata};
+use crate::rays::Hit;
+use crate::rays::sampling::tangent_frame;
+use crate::reference::luminance;
+
+/// Points from which borders are looked for. More → more pairs, more time.
+const WALKS: u32 = 65_536;
+/// Length of the way from each, and of its steps, in texels.
+const WALK_TEXELS: f32 = 1.5;
+const STEP_TEXELS: f32 = 0.125;
+/// A step over which the place in the lightmap changes by more than this many texels crosses a border: charts lie at least
+/// a gutter apart.
+const JUMP_TEXELS: f32 = 0.5;
+/// Halvings of a step: the points of a pair are then 0.008 texels apart.
+const HALVINGS: u32 = 4;
+/// Cosine between the normals of one plane, and of one shading normal.
+const COPLANAR_COS: f32 = 0.9995;
+/// Height in texels from which the way is cast onto the surface.
+const CAST_TEXELS: f32 = 0.02;
+/// Height in texels to which the points of a pair are raised at most to see each other.
+const RAISED_TEXELS: f32 = 0.25;
+/// Golden ratio's share of a turn, between the directions of walks.
+const TURN: f32 = 0.381_966;
+/// Rows of four texels across borders of clusters, and as many inside clusters, at most.
+const ROWS: usize = 8192;
+/// Light that a jump is over at least, as a share of the mean.
+const LOCAL_LIGHT_MIN: f64 = 0.1;
+
+/// Jumps of light over its mean on both sides.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Jumps {
+    /// Places measured.
+    pub pairs: usize,
+    /// Mean.
+    pub mean: f64,
+    /// 95th percentile.
+    pub p95: f64,
+}
+
+/// Jumps by the border that they are across.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Seams {
+    /// Between charts of a block.
+    pub charts: Jumps,
+    /// Between blocks.
+    pub blocks: Jumps,
+    /// Between clusters, of texels extrapolated to the border.
+    pub clusters: Jumps,
+    /// The same inside clusters: what texels differ by anyway.
+    pub inside: Jumps,
+}
+
+/// Borders of a bake's lightmap.
+#[derive(Clone, Debug, Default)]
+pub struct Borders {
+    charts: Vec<[Hit; 2]>,
+    blocks: Vec<[Hit; 2]>,
+    /// Receivers of four texels in a row, the border in their middle.
+    clusters: Vec<[u32; 4]>,
+    inside: Vec<[u32; 4]>,
+}
+
+impl Borders {
+    /// Finds them: those of charts and blocks by walks from points spread by area, so that a border's chance is its length;
+    /// those of clusters by all texels.
+    pub fn of(bake: &dyn Evaluated, open: &OpenSpace, lightmap: &dyn EvaluatedLightmap) -> Self {
+        let starts = Strata::new(bake.geometry(), WALKS).hits;
+        let found: Vec<[Hit; 2]> = (0..starts.len())
+            .into_par_iter()
+            .filter_map(|index| Walk::new((bake, open), lightmap, &starts[index], index)?.border())
+            .collect();
+        let is_of_block = |pair: &[Hit; 2]| {
+            let [one, other] = pair.map(|hit| lightmap.texel_at(&hit).map(|(block, _)| block));
+            one != other
+        };
+        let (blocks, charts) = found.into_iter().partition(is_of_block);
+        let (clusters, inside): (Vec<_>, Vec<_>) =
+            rows(bake, lightmap).into_iter().partition(|(crosses, _)| *crosses);
+        let seen = |rows: Vec<(bool, [u32; 4])>| -> Vec<[u32; 4]> {
+            let every = rows.len().div_ceil(ROWS).max(1);
+            let is_seen = |row: &[u32; 4]| open.sees(bake.geometry(), &lightmap.receiver(row[1]).site);
+            let few: Vec<[u32; 4]> = rows.into_iter().step_by(every).map(|(_, row)| row).collect();
+            few.into_par_iter().filter(is_seen).collect()
+        };
+        Self { charts, blocks, clusters: seen(clusters), inside: seen(inside) }
+    }
+
+    /// Jumps of a light across them; `mean` is its mean luminance.
+    pub(super) fn jumps(&self, lightmap: &dyn EvaluatedLightmap, relit: &dyn Relit, mean: f64) -> Seams {
+        let floor = LOCAL_LIGHT_MIN * mean;
+        let across = |pairs: &[[Hit; 2]]| {
+            let jump = |pair: &[Hit; 2]| {
+                let [one, other] = pair.map(|hit| relit.shown_at(&hit).map_or(0.0, luminance));
+                (one - other).abs() / (0.5 * (one + other)).max(floor)
+            };
+            Jumps::of(pairs.par_iter().map(jump).collect())
+        };
+        let along = |rows: &[[u32; 4]]| {
+            let at = |index: u32| relit.irradiance(&lightmap.receiver(index)).unwrap_or(DVec3::ZERO);
+            let jump = |row: &[u32; 4]| {
+                let [a, b, c, d] = row.map(|index| luminance(at(index)));
+                extrapolated([a, b, c, d]).abs() / (0.5 * (b + c)).max(floor)
+            };
+            Jumps::of(rows.par_iter().map(jump).collect())
+        };
+        Seams {
+            charts: across(&self.charts),
+            blocks: across(&self.blocks),
+            clusters: along(&self.clusters),
+            inside: along(&self.inside),
+        }
+    }
+}
+
+impl Jumps {
+    fn of(mut jumps: Vec<f64>) -> Self {
+        jumps.sort_by(f64::total_cmp);
+        let mean = jumps.iter().sum::<f64>() / jumps.len().max(1) as f64;
+        Self { pairs: jumps.len(), mean, p95: at_share(&jumps, 0.95) }
+    }
+}
+
+/// Jump at the middle of four values in a row: that of the lines through either two. None for light that changes evenly.
+fn extrapolated([a, b, c, d]: [f64; 4]) -> f64 {
+    (c - 0.5 * (d - c)) - (b + 0.5 * (b - a))
+}
+
+/// Linked rows of four texels: the border of two clusters in their middle and nowhere else, or all of one cluster; and
+/// which of these they are.
+fn rows(bake: &dyn Evaluated, lightmap: &dyn EvaluatedLightmap) -> Vec<(bool, [u32; 4])> {
+    let cluster = |index: u32| bake.chunk_of(&lightmap.receiver(index));
+    let row = |index: u32, [dx, dy]: [i32; 2]| -> Option<(bool, [u32; 4])> {
+        let before = lightmap.linked(index, [-dx, -dy])?;
+        let next = lightmap.linked(index, [dx, dy])?;
+        let last = lightmap.linked(next, [dx, dy])?;
+        let [a, b, c, d] = [before, index, next, last].map(cluster);
+        (a == b && c == d).then_some((b != c, [before, index, next, last]))
+    };
+    let of_texel = |index: u32| [[1, 0], [0, 1]].into_iter().filter_map(move |step| row(index, step));
+    (0..lightmap.receivers()).into_par_iter().flat_map_iter(of_texel).collect()
+}
+
+/// A straight way over a plane.
+struct Walk<'a> {
+    bake: &'a dyn Evaluated,
+    open: &'a OpenSpace,
+    lightmap: &'a dyn EvaluatedLightmap,
+    start: Site,
+    direction: Vec3,
+}
+
+/// A point of a way.
+#[derive(Clone, Copy)]
+struct Point {
+    along_m: f32,
+    hit: Hit,
+    site: Site,
+    block: BlockKey,
+    texel: Vec2,
+}
+
+impl<'a> Walk<'a> {
+    fn new(
+        (bake, open): (&'a dyn Evaluated, &'a OpenSpace),
+        lightmap: &'a dyn EvaluatedLightmap,
+        hit: &Hit,
+        index: usize,
+    ) -> Option<Self> {
+        lightmap.texel_at(hit)?;
+        let start = bake.geometry().site_at(hit);
+        let (tangent, bitangent) = tangent_frame(start.face_normal);
+        let (sine, cosine) = libm::sincosf(std::f32::consts::TAU * (TURN * index as f32).fract());
+        Some(Self { bake, open, lightmap, start, direction: tangent * cosine + bitangent * sine })
+    }
+
+    /// Points right before and right behind the first border on the way, if there is one and no wall parts them.
+    fn border(&self) -> Option<[Hit; 2]> {
+        let step_m = STEP_TEXELS * self.lightmap.texel_m();
+        let mut before = self.at(0.0)?;
+        for step in 1..=(WALK_TEXELS / STEP_TEXELS) as u32 {
+            let behind = self.at(step as f32 * step_m)?;
+            if changes(&before, &behind) > JUMP_TEXELS {
+                return self.halved(before, behind);
+            }
+            before = behind;
+        }
+        None
+    }
+
+    fn halved(&self, mut before: Point, mut behind: Point) -> Option<[Hit; 2]> {
+        for _ in 0..HALVINGS {
+            let middle = self.at(0.5 * (before.along_m + behind.along_m))?;
+            if changes(&before, &middle) > changes(&middle, &behind) {
+                behind = middle;
+            } else {
+                before = middle;
+            }
+        }
+        let points = [before, behind];
+        let geometry = self.bake.geometry();
+        let height_m = RAISED_TEXELS * self.lightmap.texel_m();
+        let [from_m, to_m] =
+            points.map(|point| geometry.raised(point.site.position_m, point.site.face_normal, height_m));
+        let is_open = !geometry.tracer.is_occluded(from_m, to_m)
+            && before.site.normal.dot(behind.site.normal) > COPLANAR_COS
+            && points.iter().all(|point| self.open.sees(geometry, &point.site));
+        (is_open && changes(&before, &behind) > JUMP_TEXELS).then_some(points.map(|point| point.hit))
+    }
+
+    /// The point so far along; `None` where the plane does not go on, or has no lightmap.
+    fn at(&self, along_m: f32) -> Option<Point> {
+        let geometry = self.bake.geometry();
+        let normal = self.start.face_normal;
+        let height_m = (CAST_TEXELS * self.lightmap.texel_m()).max(4.0 * geometry.tracer.ray_offset_m());
+        let from_m = self.start.position_m + self.direction * along_m + normal * height_m;
+        let hit = geometry.tracer.closest(from_m, -normal, 2.0 * height_m)?;
+        let site = geometry.site_at(&hit);
+        let (block, texel) = self.lightmap.texel_at(&hit)?;
+        let is_coplanar = site.face_normal.dot(normal) > COPLANAR_COS;
+        is_coplanar.then_some(Point { along_m, hit, site, block, texel })
+    }
+}
+
+/// Texels between the places of two points in the lightmap.
+fn changes(one: &Point, other: &Point) -> f32 {
+    if one.block == other.block { one.texel.distance(other.texel) } else { f32::INFINITY }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn light_that_changes_evenly_has_no_jump_and_a_step_has_its_height() {
+        assert_eq!(extrapolated([1.0, 2.0, 3.0, 4.0]), 0.0);
+        assert_eq!(extrapolated([1.0, 1.0, 3.0, 3.0]), 2.0);
+        let jumps = Jumps::of(vec![0.4, 0.0, 0.2, 0.2]);
+        assert!(jumps.pairs == 4 && (jumps.mean - 0.2).abs() < 1e-12 && jumps.p95 == 0.4, "{jumps:?}");
+    }
+}

@@ -1,0 +1,104 @@
+//! Direct light as a client's shadow maps have it, beside that of exact rays.
+
+use glam::{DVec3, Vec4};
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::EvaluationError;
+use crate::geometry::Site;
+use crate::rays::sampling::{R2, seed_of, tangent_frame};
+use crate::reference::{Lighting, Reference, luminance};
+
+/// Points around a pixel, within the filter of its shadow map, that exact rays look from.
+const AROUND: u32 = 32;
+/// Share of a light's unshadowed irradiance from which on its presence, or its lack, is counted.
+const SHARE_MIN: f64 = 0.05;
+
+/// A client that lights a scene by shadow maps.
+pub trait ClientLights: Send + Sync {
+    /// The client's direct light; `None` where it has no such lights, as panels.
+    fn under<'a>(&'a self, lighting: &Lighting)
+    -> Result<Option<Box<dyn MappedLight + 'a>>, EvaluationError>;
+}
+
+/// Direct light of one lighting by shadow maps.
+pub trait MappedLight: Sync {
+    /// Light that bounces start from; `None` for kinds that bounce no such light.
+    fn incoming(&self) -> Option<MappedIncoming>;
+
+    /// Direct light of a pixel.
+    fn at(&self, site: &Site) -> MappedPixel;
+}
+
+/// E_dir of receivers by slot and of near hits, W·m⁻².
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct MappedIncoming {
+    /// By slot.
+    pub receivers: Vec<Vec4>,
+    /// By near hit.
+    pub near: Vec<Vec4>,
+}
+
+/// Direct light of a pixel.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct MappedPixel {
+    /// E_dir as shown, W·m⁻².
+    pub shown: DVec3,
+    /// E_dir without any shadow.
+    pub unshadowed: DVec3,
+    /// Reach of the shadow map's filter on the surface, in metres.
+    pub filter_m: f32,
+}
+
+/// Shares of the area of pixels whose direct light is wrong beyond the reach of the filter.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct DirectShares {
+    /// Direct light is there, though exact rays all around find none.
+    pub leak: f64,
+    /// Direct light is lacking, though exact rays all around find it.
+    pub acne: f64,
+    /// Pixels looked at.
+    pub pixels: usize,
+}
+
+impl DirectShares {
+    /// Looks at sites of equal areas.
+    pub(super) fn of(sites: &[Site], mapped: &dyn MappedLight, reference: &Reference) -> Self {
+        let faults: Vec<[bool; 2]> =
+            sites.par_iter().map(|site| faults(site, &mapped.at(site), reference)).collect();
+        let share = |which: usize| {
+            faults.iter().filter(|fault| fault[which]).count() as f64 / sites.len().max(1) as f64
+        };
+        Self { leak: share(0), acne: share(1), pixels: sites.len() }
+    }
+}
+
+/// Whether a pixel's direct light leaks, and whether it is lacking.
+fn faults(site: &Site, pixel: &MappedPixel, reference: &Reference) -> [bool; 2] {
+    let [shown, unshadowed] = [pixel.shown, pixel.unshadowed].map(luminance);
+    if unshadowed <= 0.0 {
+        return [false; 2];
+    }
+    let share = shown / unshadowed;
+    let is_lit = |site: &Site| luminance(reference.direct_irradiance(site, 1)) > 0.0;
+    let around = || std::iter::once(*site).chain(around(site, pixel.filter_m));
+    [
+        share > SHARE_MIN && !around().any(|site| is_lit(&site)),
+        share < 1.0 - SHARE_MIN && around().all(|site| is_lit(&site)),
+    ]
+}
+
+/// Points of the plane of a site within a distance, half of them on its rim. Points in or under other surfaces count as
+/// dark, so that fewer pixels are called faulty there.
+fn around(site: &Site, reach_m: f32) -> impl Iterator<Item = Site> {
+    let site = *site;
+    let points = R2::new(seed_of(&site.identity()));
+    let (tangent, bitangent) = tangent_frame(site.face_normal);
+    (0..AROUND).map(move |index| {
+        let [turn, radius] = points.point(index);
+        let radius = if index % 2 == 0 { 1.0 } else { radius.sqrt() };
+        let (sine, cosine) = libm::sincosf(std::f32::consts::TAU * turn);
+        let offset_m = (tangent * cosine + bitangent * sine) * (radius * reach_m);
+        Site { position_m: site.position_m + offset_m, ..site }
+    })
+}
