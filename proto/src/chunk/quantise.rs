@@ -263,7 +263,7 @@ mod tests {
             (0..200).map(|i| if i % 20 == 0 { 5.0 } else { 0.02 + 0.0004 * i as f32 }).collect();
         let all: Vec<usize> = (0..200).filter(|column| column % 3 != 1).collect();
         let sum = |sums: &[Vec<usize>]| -> [f64; 2] {
-            let codes = quantise(&wave(12, 1.0), &vt, 1, 0.02, sums).unwrap();
+            let codes = quantise(&wave(12, 1.0), &vt, 1, 0.06, sums).unwrap();
             let decoded = |column: &usize| f64::from(value(codes.vt[*column], codes.vt_step[0]));
             [all.iter().map(decoded).sum(), codes.vt_step[0].into()]
         };
