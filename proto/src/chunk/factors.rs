@@ -14,7 +14,7 @@ use super::order::LEVELS_MAX;
 use super::predict::Predictor;
 use super::quantise::{Quantised, RELATIVE_ERROR_MAX, RELATIVE_ERROR_MIN, STEP_MAX, quantise, value};
 use super::{ascending, ascending_keys};
-use crate::content::{ColumnKey, PatchKey, TransportFactors};
+use crate::content::{ColumnKey, TransportFactors};
 
 /// Rows per cell of U.
 const U_CELL: usize = 48;
@@ -32,23 +32,6 @@ enum Part {
     Vt { ranks: usize, bands: usize },
     /// Columns of U: the rows of a level, a rank group.
     U { level: u32, ranks: usize },
-}
-
-/// Columns of patches that are part of no other one, and those of the sky: their light adds up, that of others is a
-/// difference. Of patches in one place with other numbers, all count as parts where one may be.
-fn whole_columns(keys: &[ColumnKey]) -> Vec<Vec<usize>> {
-    let is_there = |place: PatchKey| {
-        let next = keys.partition_point(|&key| key < place.0);
-        keys.get(next).is_some_and(|&key| PatchKey(key).place() == place)
-    };
-    let is_part =
-        |key: PatchKey| std::iter::successors(key.place_above(), |key| key.place_above()).any(is_there);
-    let of = |is_sky: bool| -> Vec<usize> {
-        let found = keys.iter().enumerate().map(|(column, &key)| (column, PatchKey(key)));
-        let whole = found.filter(|(_, key)| key.sky().is_some() == is_sky && !is_part(*key));
-        whole.map(|(column, _)| column).collect()
-    };
-    [of(false), of(true)].into_iter().filter(|columns| !columns.is_empty()).collect()
 }
 
 /// Parts of `layer`: by rank group, first ΣVᵀ by band group, then U from coarse to fine.
@@ -139,10 +122,8 @@ impl StoredFactors {
         let (mut keys, key_source) = ascending(&factors.keys, "column key", |&key| key)?;
         let u = rank_major(&factors.u, factors.rank as usize, source);
         let vt = sorted_columns(factors, &key_source);
-        let of_patches = factors.bands == 0 && !factors.sky;
-        let sums = if of_patches { whole_columns(&keys) } else { Vec::new() };
-        let mut codes = quantise(&u, &vt, factors.rank as usize, relative_error, &sums)?;
-        if of_patches {
+        let mut codes = quantise(&u, &vt, factors.rank as usize, relative_error)?;
+        if factors.bands == 0 && !factors.sky {
             codes.vt = without_zeros(&codes.vt, &mut keys);
         }
         let TransportFactors { bands, rank, sky, .. } = *factors;

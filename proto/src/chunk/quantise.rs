@@ -4,10 +4,6 @@
 //! ‖U_i‖ = 1. Codes of one step Δ in those weighted units spend bits where they count: the steps are
 //! `s_u[i] = Δ/‖(ΣVᵀ)_i‖` and `s_v[i] = Δ/‖U_i‖`, so that strong ranks get many levels and weak ones few. Δ is found by
 //! search; the error is measured on the numbers that a decoder will have.
-//!
-//! Many small numbers of one sign all fall to 0, and with them light that is never negative. So the rounding of ΣVᵀ keeps
-//! sums: of each row and group of columns whose light adds up, as many numbers are rounded the other way as the sum lacks
-//! steps, those first that were nearest to it.
 
 use super::error::{ChunkError, all_finite, all_numbers};
 
@@ -39,13 +35,12 @@ pub(super) struct Quantised {
     pub relative_error: f64,
 }
 
-/// Quantises factors, both rank-major: `u` is k × R, `vt` is k × n. `sums` are groups of columns whose sums are kept.
+/// Quantises factors, both rank-major: `u` is k × R, `vt` is k × n.
 pub(super) fn quantise(
     u: &[f32],
     vt: &[f32],
     rank: usize,
     relative_error: f32,
-    sums: &[Vec<usize>],
 ) -> Result<Quantised, ChunkError> {
     all_finite("encoder", "U", u)?;
     all_finite("encoder", "ΣVᵀ", vt)?;
@@ -69,7 +64,7 @@ pub(super) fn quantise(
     let (u_norm, vt_norm) = (weights(u, rows), weights(vt, columns));
     let first_step = norm * target * (12.0 / (u.len() + vt.len()) as f64).sqrt();
     let at = |step: f64| {
-        let mut codes = at_step(u, vt, [&u_norm, &vt_norm], step, sums);
+        let mut codes = at_step(u, vt, [&u_norm, &vt_norm], step);
         codes.relative_error = product_error(u, vt, &codes, rank) / norm;
         codes
     };
@@ -111,24 +106,23 @@ fn search(first_step: f64, target: f64, at: impl Fn(f64) -> Quantised) -> Option
 }
 
 /// Codes at step Δ, given ‖U_i‖ and ‖(ΣVᵀ)_i‖.
-fn at_step(u: &[f32], vt: &[f32], norms: [&[f64]; 2], step: f64, sums: &[Vec<usize>]) -> Quantised {
+fn at_step(u: &[f32], vt: &[f32], norms: [&[f64]; 2], step: f64) -> Quantised {
     let [u_norm, vt_norm] = norms;
     let steps = |weights: &[f64]| -> Vec<f32> {
         weights.iter().map(|&weight| if weight > 0.0 { (step / weight) as f32 } else { 0.0 }).collect()
     };
     let (mut u_step, mut vt_step) = (steps(vt_norm), steps(u_norm));
-    let (u, vt) = (codes(u, &mut u_step, &[]), codes(vt, &mut vt_step, sums));
+    let (u, vt) = (codes(u, &mut u_step), codes(vt, &mut vt_step));
     Quantised { u, vt, u_step, vt_step, relative_error: 0.0 }
 }
 
-/// Codes of rank-major numbers, with the sums of some columns kept; a rank whose codes are all zero has step 0.
-fn codes(factor: &[f32], steps: &mut [f32], sums: &[Vec<usize>]) -> Vec<i32> {
+/// Codes of rank-major numbers; a rank whose codes are all zero has step 0.
+fn codes(factor: &[f32], steps: &mut [f32]) -> Vec<i32> {
     let length = factor.len() / steps.len();
     let mut codes = Vec::with_capacity(factor.len());
     for (row, step) in factor.chunks_exact(length.max(1)).zip(steps) {
         let first = codes.len();
         codes.extend(row.iter().map(|&value| code(value, *step)));
-        sums.iter().for_each(|columns| keep_sum(row, *step, columns, &mut codes[first..]));
         if codes[first..].iter().all(|&code| code == 0) {
             *step = 0.0;
         }
@@ -144,27 +138,6 @@ fn code(value: f32, step: f32) -> i32 {
     }
     let scaled = f64::from(value) / f64::from(step);
     if scaled.abs() < DEAD_ZONE { 0 } else { libm::round(scaled) as i32 }
-}
-
-/// Rounds some numbers of a row the other way, so that the sum over `columns` is right to half a step.
-fn keep_sum(row: &[f32], step: f32, columns: &[usize], codes: &mut [i32]) {
-    if step == 0.0 {
-        return;
-    }
-    let lacks =
-        |column: usize, codes: &[i32]| f64::from(row[column]) / f64::from(step) - f64::from(codes[column]);
-    let total: f64 = columns.iter().map(|&column| lacks(column, codes)).sum();
-    let steps = libm::round(total.abs()) as usize;
-    if steps == 0 {
-        return;
-    }
-    let sign = if total < 0.0 { -1 } else { 1 };
-    let mut order: Vec<(f64, usize)> =
-        columns.iter().map(|&column| (lacks(column, codes) * f64::from(sign), column)).collect();
-    order.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
-    // Numbers that are nothing stay so.
-    let found = order.iter().filter(|(_, column)| row[*column] != 0.0).take(steps);
-    found.for_each(|(_, column)| codes[*column] += sign);
 }
 
 /// The number that a decoder makes of a code.
@@ -240,7 +213,7 @@ mod tests {
     fn measured_error_is_the_error_of_the_product_and_within_the_target() {
         let (u, vt) = (wave(3 * 20, 0.3), wave(3 * 50, 2.0));
         for target in [0.1, 0.01, 0.001] {
-            let codes = quantise(&u, &vt, 3, target, &[]).unwrap();
+            let codes = quantise(&u, &vt, 3, target).unwrap();
             let decode = |codes: &[i32], steps: &[f32]| -> Vec<f32> {
                 let length = codes.len() / 3;
                 codes.iter().enumerate().map(|(i, &code)| value(code, steps[i / length])).collect()
@@ -257,28 +230,11 @@ mod tests {
     }
 
     #[test]
-    fn sums_of_small_numbers_are_kept() {
-        // Most numbers are far below the step that the largest ask for.
-        let vt: Vec<f32> =
-            (0..200).map(|i| if i % 20 == 0 { 5.0 } else { 0.02 + 0.0004 * i as f32 }).collect();
-        let all: Vec<usize> = (0..200).filter(|column| column % 3 != 1).collect();
-        let sum = |sums: &[Vec<usize>]| -> [f64; 2] {
-            let codes = quantise(&wave(12, 1.0), &vt, 1, 0.06, sums).unwrap();
-            let decoded = |column: &usize| f64::from(value(codes.vt[*column], codes.vt_step[0]));
-            [all.iter().map(decoded).sum(), codes.vt_step[0].into()]
-        };
-        let exact: f64 = all.iter().map(|&column| f64::from(vt[column])).sum();
-        let ([plain, _], [kept, step]) = (sum(&[]), sum(std::slice::from_ref(&all)));
-        assert!(plain < 0.95 * exact, "{plain} of {exact}");
-        assert!((kept - exact).abs() <= 0.51 * step, "{kept} of {exact}, step {step}");
-    }
-
-    #[test]
     fn nothing_stays_exactly_nothing() {
-        let codes = quantise(&[0.0; 8], &wave(10, 1.0), 2, 0.003, &[]).unwrap();
+        let codes = quantise(&[0.0; 8], &wave(10, 1.0), 2, 0.003).unwrap();
         assert!(codes.u.iter().chain(&codes.vt).all(|&code| code == 0));
         assert_eq!(codes.relative_error, 0.0);
-        assert!(quantise(&[], &[], 0, 0.003, &[]).unwrap().u.is_empty());
-        assert!(quantise(&[f32::NAN], &[1.0], 1, 0.003, &[]).is_err());
+        assert!(quantise(&[], &[], 0, 0.003).unwrap().u.is_empty());
+        assert!(quantise(&[f32::NAN], &[1.0], 1, 0.003).is_err());
     }
 }

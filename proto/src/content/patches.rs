@@ -39,25 +39,6 @@ impl PatchKey {
         self.0 >> 60
     }
 
-    /// Key of the first patch of the next level that may have this one as a part: of its cell and direction. The sky's
-    /// parts are part of nothing.
-    pub fn place_above(self) -> Option<Self> {
-        if self.level() + 1 >= Self::SKY_LEVEL {
-            return None;
-        }
-        let axis = |shift: u64| {
-            let cell = (self.0 >> 10 >> shift & 0x7fff) as i64 - (1 << 14);
-            ((cell.div_euclid(2) + (1 << 14)) as u64 & 0x7fff) << shift
-        };
-        let place = axis(30) | axis(15) | axis(0);
-        Some(Self((self.level() + 1) << 60 | self.direction() << 55 | place << 10))
-    }
-
-    /// The same place, whatever its number there.
-    pub fn place(self) -> Self {
-        Self(self.0 & !0x3ff)
-    }
-
     /// Direction, 0…5 of a patch.
     pub fn direction(self) -> u64 {
         self.0 >> 55 & 0x1f
@@ -113,19 +94,4 @@ pub struct Patch {
     pub first_leaf: u32,
     /// Leaves.
     pub leaf_count: u32,
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn place_above_is_that_of_the_cell_twice_as_large() {
-        let of = |level, cell| PatchKey::of_cell(level, cell, 3, 0);
-        let part = PatchKey::of_cell(2, [5, -3, 8], 3, 7);
-        assert_eq!(part.place(), of(2, [5, -3, 8]));
-        assert_eq!(part.place_above(), Some(of(3, [2, -2, 4])));
-        assert_eq!(of(14, [0, 0, 0]).place_above(), None);
-        assert_eq!(PatchKey::of_sky(3).place_above(), None);
-    }
 }

@@ -1,9 +1,9 @@
 //! Task `scene.place`: which texels have receivers, and where each stands.
 //!
 //! ```text
-//! cover ──▶ test ──▶ choose ──▶ number ──▶ leave out ──▶ link ───────▶ points
-//! texels    each     one point  in order   cavities      texels that   of a texel on its receiver's
-//! of a      candi-   per texel  of blocks                no wall parts side of every wall
+//! cover ──▶ test ──▶ choose ──▶ number ──▶ leave out ──▶ points ───────────────────▶ link
+//! texels    each     one point  in order   cavities      of a texel on its receiver's texels that
+//! of a      candi-   per texel  of blocks                side of every wall           no wall parts
 //! block     date
 //! ```
 //! Every step takes plain data and gives plain data. Where a step casts rays, a [`World`](super::World) is built of the
@@ -95,8 +95,8 @@ pub fn place(
     }
     progress.begin(0.6, 1.0, 1);
     let (lightmap, in_cavities) = cavities::left_out(geometry, charts, lightmap, settings, progress)?;
-    let lightmap = links::linked(geometry, charts, lightmap, progress);
     let lightmap = points::covered(geometry, charts, lightmap, progress);
+    let lightmap = links::linked(geometry, charts, lightmap, progress);
     Ok((lightmap, in_cavities))
 }
 

@@ -3,7 +3,8 @@
 //! Those that see the receiver's point, both raised as for links, and those that see one of these beside them: so a
 //! surface may bend, but no wall is crossed.
 //!
-//! Where some do not, a finer grid tells which part of the texel is beyond a wall, and a straight edge is laid before it,
+//! Where some do not, the receiver moves to the one of its points that is nearest to their middle: beside a wall, or the
+//! mouth of a gap, a texel's centre may have light of millimetres of it alone. And a finer grid tells which part of the texel is beyond a wall, and a straight edge is laid before it,
 //! see `Receivers::edge`: such that none of the receiver's side is beyond it, and as much of the rest as can be.
 
 use std::sync::Arc;
@@ -37,6 +38,9 @@ pub fn covered(
     let mut lightmap = world.into_lightmap();
     for (receiver, found) in lightmap.receivers.iter_mut().zip(found) {
         (receiver.coverage, receiver.edge) = (found.coverage, found.edge);
+        if let Some(Site { position_m, normal, face_normal }) = found.moved {
+            (receiver.position_m, receiver.normal, receiver.face_normal) = (position_m, normal, face_normal);
+        }
     }
     lightmap
 }
@@ -46,6 +50,8 @@ pub fn covered(
 struct Found {
     coverage: u16,
     edge: TexelEdge,
+    /// Where the receiver moves.
+    moved: Option<Site>,
     /// Raised points of the coverage, by bit; of others too.
     raised_m: [Option<Vec3>; COVERAGE_POINTS as usize],
     rays: u64,
@@ -61,8 +67,18 @@ impl Found {
         let is_parted = |bit: usize| found.raised_m[bit].is_some() && found.coverage & 1 << bit == 0;
         if found.coverage != 0 && (0..COVERAGE_POINTS as usize).any(is_parted) {
             found.edge = found.fitted(world, receiver);
+            found.moved = found.middle(world, receiver);
         }
         found
+    }
+
+    /// The point of the coverage that is nearest to the middle of all.
+    fn middle(&self, world: &World, receiver: u32) -> Option<Site> {
+        let is_covered = |(bit, _): &(u32, Site)| self.coverage >> bit & 1 == 1;
+        let covered: Vec<Site> = world.points_of(receiver).filter(is_covered).map(|(_, site)| site).collect();
+        let middle_m = covered.iter().map(|site| site.position_m).sum::<Vec3>() / covered.len() as f32;
+        let from_middle = |site: &Site| site.position_m.distance_squared(middle_m);
+        covered.into_iter().min_by(|a, b| from_middle(a).total_cmp(&from_middle(b)))
     }
 
     /// Points that see the receiver's, then those that see one of these beside them.
