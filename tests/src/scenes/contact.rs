@@ -14,6 +14,12 @@ const YAW_RAD: f32 = 0.35;
 pub const BOX_HALF_M: f32 = 0.6;
 /// Height of the plate of [`hollow_pier_on_plate`].
 pub const PLATE_TOP_M: f32 = 0.25;
+/// Distance of the lamp of [`lamp_close_to_a_ceiling`] from the ceiling.
+pub const LAMP_GAP_M: f32 = 0.005;
+/// Middle of the box there: its far sides see no lamp.
+pub const BOX_BESIDE_LAMP_M: Vec3 = Vec3::new(0.93, 0.0, 0.91);
+/// Half its width: its rim ends no texel of a decimal size.
+pub const LAMP_HALF_M: f32 = 0.504;
 /// Half the width of [`column()`].
 pub const COLUMN_HALF_M: f32 = 0.11;
 
@@ -76,6 +82,25 @@ pub fn hollow_box_on_floor(yaw_rad: f32) -> Vec<u8> {
     let half = Vec3::new(BOX_HALF_M, 0.0, BOX_HALF_M);
     let hollow = shapes::cuboid(-half, half + Vec3::Y * (2.0 * BOX_HALF_M), &[Side::Bottom]);
     glb.object("box", &hollow.turned(yaw_rad), sheet);
+    glb.finish()
+}
+
+/// A closed room of 3 × 2.5 × 3 m with a lamp that shines to both sides, [`LAMP_GAP_M`] below the ceiling and so far from
+/// the room's middle to each side as [`LAMP_HALF_M`], and a box without a bottom on its floor, half as wide as
+/// [`BOX_HALF_M`] and turned by `yaw_rad`, at [`BOX_BESIDE_LAMP_M`].
+pub fn lamp_close_to_a_ceiling(yaw_rad: f32) -> Vec<u8> {
+    let mut glb = Glb::new("lamp_close_to_a_ceiling");
+    let plaster = glb.material(Surface::diffuse("plaster", PLASTER));
+    let sheet = glb.material(Surface::diffuse("sheet", PLASTER).double_sided());
+    let lamp = glb.material(Surface::diffuse("lamp", [0.78; 3]).emitting([17.0; 3]).double_sided());
+    let (min, max) = (Vec3::new(-1.5, 0.0, -1.5), Vec3::new(1.5, 2.5, 1.5));
+    glb.object("room", &shapes::room(min, max, &[]), plaster);
+    let half = Vec3::new(LAMP_HALF_M, 0.0, LAMP_HALF_M);
+    let height = Vec3::Y * (max.y - LAMP_GAP_M);
+    glb.object("lamp", &shapes::room_side(height - half, height + half, Side::Top), lamp);
+    let half = Vec3::new(0.5 * BOX_HALF_M, 0.0, 0.5 * BOX_HALF_M);
+    let hollow = shapes::cuboid(-half, half + Vec3::Y * BOX_HALF_M, &[Side::Bottom]);
+    glb.object("box", &hollow.turned(yaw_rad).translated(BOX_BESIDE_LAMP_M), sheet);
     glb.finish()
 }
 

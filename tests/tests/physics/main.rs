@@ -14,6 +14,7 @@ mod energy;
 mod leaks;
 mod narrow;
 mod pixels;
+mod rims;
 mod seams;
 mod setup;
 mod transforms;

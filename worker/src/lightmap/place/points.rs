@@ -4,8 +4,8 @@
 //! surface may bend, but no wall is crossed.
 //!
 //! Where some do not, the receiver moves to the one of its points that is nearest to their middle: beside a wall, or the
-//! mouth of a gap, a texel's centre may have light of millimetres of it alone. And a finer grid tells which part of the texel is beyond a wall, and a straight edge is laid before it,
-//! see `Receivers::edge`: such that none of the receiver's side is beyond it, and as much of the rest as can be.
+//! mouth of a gap, a texel's centre may have light of millimetres of it alone. And the foot of the wall is found, along which
+//! a straight edge is laid, see `Receivers::edge`; where it is not straight, such that none of the receiver's side is beyond.
 
 use std::sync::Arc;
 
@@ -19,6 +19,10 @@ use crate::task::Progress;
 
 /// Points along each side of the finer grid.
 const FINE_SIDE: u32 = 12;
+/// Halvings of the distance between two of its points that tell where a wall stands.
+const BISECTIONS: u32 = 5;
+/// Distance in texels by which points may lie off a straight edge.
+const STRAIGHT: f32 = 0.02;
 /// Points of the coverage that are asked whether they see a place.
 const NEAREST: usize = 3;
 /// Directions that edges may have; of equally good ones the first is taken.
@@ -64,10 +68,19 @@ impl Found {
             found.raised_m[bit as usize] = Some(raised(world, &site));
         }
         found.cover(world, world.raised_receiver(receiver));
+        if found.coverage == 0 {
+            return found;
+        }
         let is_parted = |bit: usize| found.raised_m[bit].is_some() && found.coverage & 1 << bit == 0;
-        if found.coverage != 0 && (0..COVERAGE_POINTS as usize).any(is_parted) {
-            found.edge = found.fitted(world, receiver);
+        if (0..COVERAGE_POINTS as usize).any(is_parted) {
             found.moved = found.middle(world, receiver);
+        }
+        // A straight wall has a corner of the texel beyond it, however thin the strip there.
+        let corners = [0, FINE_SIDE - 1, FINE_SIDE * (FINE_SIDE - 1), FINE_SIDE * FINE_SIDE - 1];
+        let is_cut = found.moved.is_some()
+            || corners.into_iter().any(|at| found.is_own(world, receiver, fine_place(at)) == Some(false));
+        if is_cut {
+            found.edge = found.fitted(world, receiver);
         }
         found
     }
@@ -107,15 +120,48 @@ impl Found {
 
     /// The edge before what is beyond a wall in a texel that has some of it.
     fn fitted(&mut self, world: &World, receiver: u32) -> TexelEdge {
-        let (mut own, mut beyond) = (Vec::new(), Vec::new());
-        for index in 0..FINE_SIDE * FINE_SIDE {
-            let at =
-                (Vec2::new((index % FINE_SIDE) as f32, (index / FINE_SIDE) as f32) + 0.5) / FINE_SIDE as f32;
-            let Some(site) = world.point_of(receiver, at) else { continue };
-            let at_m = raised(world, &site);
-            if self.sees(world, at, at_m) { own.push(at - 0.5) } else { beyond.push(at - 0.5) }
+        let count = FINE_SIDE * FINE_SIDE;
+        let side: Vec<Option<bool>> =
+            (0..count).map(|index| self.is_own(world, receiver, fine_place(index))).collect();
+        let places = |own: bool| -> Vec<Vec2> {
+            let found = (0..count).filter(|&index| side[index as usize] == Some(own));
+            found.map(|index| fine_place(index) - 0.5).collect()
+        };
+        let (own, beyond) = (places(true), places(false));
+        let mut foot = Vec::new();
+        for index in 0..count {
+            let right = ((index + 1) % FINE_SIDE != 0).then_some(index + 1);
+            let below = (index + FINE_SIDE < count).then_some(index + FINE_SIDE);
+            for next in [right, below].into_iter().flatten() {
+                let [a, b] = [index, next].map(fine_place);
+                match [side[index as usize], side[next as usize]] {
+                    [Some(true), Some(false)] => foot.push(self.foot(world, receiver, a, b) - 0.5),
+                    [Some(false), Some(true)] => foot.push(self.foot(world, receiver, b, a) - 0.5),
+                    _ => {}
+                }
+            }
         }
-        edge_before(&own, &beyond)
+        edge_along(&foot, &own).unwrap_or_else(|| edge_before(&[own, foot].concat(), &beyond))
+    }
+
+    /// Whether a place of the texel is on the receiver's side; `None` where there is no surface.
+    fn is_own(&mut self, world: &World, receiver: u32, at: Vec2) -> Option<bool> {
+        let site = world.point_of(receiver, at)?;
+        let at_m = raised(world, &site);
+        Some(self.sees(world, at, at_m))
+    }
+
+    /// Where a wall stands between a place of the receiver's side and one beyond.
+    fn foot(&mut self, world: &World, receiver: u32, own: Vec2, beyond: Vec2) -> Vec2 {
+        let (mut own, mut beyond) = (own, beyond);
+        for _ in 0..BISECTIONS {
+            let middle = own.midpoint(beyond);
+            match self.is_own(world, receiver, middle) {
+                Some(true) => own = middle,
+                Some(false) | None => beyond = middle,
+            }
+        }
+        own.midpoint(beyond)
     }
 
     /// A place is on the receiver's side: one of the nearest points of the coverage sees it.
@@ -141,6 +187,32 @@ fn raised(world: &World, site: &Site) -> Vec3 {
     world.geometry.raised(site.position_m, site.face_normal, world.link_height_m())
 }
 
+/// A place of the finer grid: from rim to rim.
+fn fine_place(index: u32) -> Vec2 {
+    const RIM: f32 = 0.01;
+    let at = Vec2::new((index % FINE_SIDE) as f32, (index / FINE_SIDE) as f32) / (FINE_SIDE - 1) as f32;
+    RIM + (1.0 - 2.0 * RIM) * at
+}
+
+/// The edge along the foot of a straight wall, by points of it; `None` where it is not straight, or parts of `own` lie beyond.
+fn edge_along(foot: &[Vec2], own: &[Vec2]) -> Option<TexelEdge> {
+    let middle = foot.iter().sum::<Vec2>() / foot.len().max(1) as f32;
+    let [xx, xy, yy] = foot.iter().map(|at| *at - middle).fold([0.0; 3], |[xx, xy, yy], away| {
+        [xx + away.x * away.x, xy + away.x * away.y, yy + away.y * away.y]
+    });
+    if xx + yy <= 0.0 {
+        return None;
+    }
+    // Along the longer axis of the points' scatter; across it lies the edge's direction.
+    let along = Vec2::from_angle(0.5 * libm::atan2f(2.0 * xy, xx - yy));
+    let own_side = own.iter().sum::<Vec2>() / own.len().max(1) as f32 - middle;
+    let across = if along.perp().dot(own_side) > 0.0 { -along.perp() } else { along.perp() };
+    let beyond = |at: &Vec2| (*at - middle).dot(across);
+    let is_straight = foot.iter().all(|at| beyond(at).abs() < STRAIGHT);
+    (is_straight && own.iter().all(|at| beyond(at) < STRAIGHT))
+        .then(|| TexelEdge::new(libm::atan2f(across.y, across.x), middle.dot(across)))
+}
+
 /// The edge that has all of `own` before it, and most of `beyond` behind, by places from the texel's middle. None where
 /// nothing of it is.
 fn edge_before(own: &[Vec2], beyond: &[Vec2]) -> TexelEdge {
@@ -152,8 +224,9 @@ fn edge_before(own: &[Vec2], beyond: &[Vec2]) -> TexelEdge {
         let behind = || beyond.iter().map(along).filter(|far| *far > last);
         let count = behind().count();
         if count > best.0 {
-            let middle = 0.5 * (last + behind().fold(f32::INFINITY, f32::min));
-            best = (count, TexelEdge::new(angle_rad, middle.max(last + TexelEdge::ROUNDING)));
+            // As late as can be: what is beyond a wall is often never seen, as the inside of a box.
+            let first = behind().fold(f32::INFINITY, f32::min) - 2.0 * TexelEdge::ROUNDING;
+            best = (count, TexelEdge::new(angle_rad, first.max(last + TexelEdge::ROUNDING)));
         }
     }
     best.1

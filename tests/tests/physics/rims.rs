@@ -1,0 +1,129 @@
+//! Rims that lie oblique to the texel lattice, or between its lines, look right at every pixel: no notches along the foot of a
+//! box, no ragged edge around a lamp, no steps on a dark face.
+
+use glam::{DVec3, Vec3};
+use lightkiln_tests::harness::bake;
+use lightkiln_tests::scenes::{self, BOX_BESIDE_LAMP_M, BOX_HALF_M, LAMP_HALF_M};
+use lightkiln_worker::evaluate::{Evaluated, EvaluationError, Relit};
+use lightkiln_worker::geometry::Site;
+use lightkiln_worker::kinds::BakeKinds;
+use lightkiln_worker::rays::Hit;
+use lightkiln_worker::reference::{Lighting, Precision, Reference};
+use lightkiln_worker::task::Progress;
+
+use super::setup::careful;
+
+const TEXEL_M: f32 = 0.1;
+/// Half the width of the box.
+const HALF_M: f32 = 0.5 * BOX_HALF_M;
+const YAWS_DEG: [f32; 3] = [7.0, 20.0, 45.0];
+
+/// Least and most light of the floor beside the box, over the reference: in its corners light changes within a texel. Measured
+/// are 0.38 and 2.2; texels that show the light inside of the box give 0.
+const FLOOR: [f64; 2] = [0.25, 3.0];
+
+/// Light at a pixel by a picture and by the reference, W·m⁻².
+struct Pixel {
+    shown: f64,
+    reference: f64,
+}
+
+/// What pictures show at some points of a room with a lamp, each found by a ray from a point along a direction.
+fn pixels(evaluated: &dyn Evaluated, rays: &[[Vec3; 2]]) -> Vec<Pixel> {
+    let (lighting, progress) = (Lighting { emitter_scale: 1.0, ..Lighting::default() }, Progress::new());
+    let geometry = evaluated.geometry();
+    let reference = Reference::new(geometry, &lighting).unwrap();
+    let relit: Box<dyn Relit> = evaluated.relit(&reference, &lighting, &progress).unwrap();
+    let hits: Vec<(Hit, Site)> = rays
+        .iter()
+        .map(|&[from_m, direction]| {
+            let hit = geometry.tracer.closest(from_m, direction, f32::INFINITY).unwrap();
+            let normal = geometry.side_normal(&hit);
+            (hit, Site { position_m: from_m + direction * hit.t, normal, face_normal: normal })
+        })
+        .collect();
+    let sites: Vec<Site> = hits.iter().map(|(_, site)| *site).collect();
+    let precision = Precision { rel_error: 0.05, ..Precision::default() };
+    let estimates = reference.irradiance(&sites, &precision, &progress).unwrap();
+    let luminance = |found: DVec3| found.dot(DVec3::new(0.2126, 0.7152, 0.0722));
+    hits.iter()
+        .zip(estimates)
+        .map(|((hit, _), estimate)| Pixel {
+            shown: relit.shown_at(hit).map_or(0.0, luminance),
+            reference: estimate.indirect.luminance(),
+        })
+        .collect()
+}
+
+fn baked(yaw_rad: f32) -> Box<dyn Evaluated> {
+    let bake = bake(scenes::lamp_close_to_a_ceiling(yaw_rad), &careful("prt", TEXEL_M)).unwrap();
+    let bytes = |digest| {
+        bake.chunk(digest).map_err(|error| EvaluationError::Missing { digest, source: error.into() })
+    };
+    let scene = bake.artefacts[&bake.scene].as_ref().clone();
+    BakeKinds::new().evaluated(&bake.manifest, scene, &bytes, &Progress::new()).unwrap()
+}
+
+/// Panics where a pixel has less than `least` of its light, or more than `most`.
+fn assert_within(what: &str, found: &[Pixel], least: f64, most: f64) {
+    let ratio = |pixel: &Pixel| pixel.shown / pixel.reference;
+    let (low, high) =
+        found.iter().map(ratio).fold((f64::INFINITY, 0.0_f64), |(a, b), r| (a.min(r), b.max(r)));
+    println!("{what}: {low:.2} to {high:.2} of the reference, {} pixels", found.len());
+    assert!(low > least && high < most, "{what}: {low} to {high} of the reference");
+}
+
+/// A ray for each step along the four sides of a turned square around a point.
+fn around(middle_m: Vec3, half_m: f32, yaw_rad: f32, direction: Vec3) -> Vec<[Vec3; 2]> {
+    let along = (0..48).map(|step| (step as f32 + 0.5) / 48.0 * 2.0 - 1.0);
+    let square = along.flat_map(|t| [(t, 1.0), (t, -1.0), (1.0, t), (-1.0, t)]);
+    let turn = glam::Quat::from_rotation_y(yaw_rad);
+    square.map(|(x, z)| [turn * Vec3::new(x * half_m, 0.0, z * half_m) + middle_m, direction]).collect()
+}
+
+#[test]
+fn rims_show_the_light_that_falls_on_them() {
+    for degrees in YAWS_DEG {
+        let yaw_rad = degrees.to_radians();
+        let evaluated = baked(yaw_rad);
+        // The foot of the box, from 4 to 40 mm outside of it.
+        for away_m in [0.004, 0.015, 0.04] {
+            let foot = pixels(
+                evaluated.as_ref(),
+                &around(BOX_BESIDE_LAMP_M + Vec3::Y, HALF_M + away_m, yaw_rad, Vec3::NEG_Y),
+            );
+            assert_within(&format!("{degrees}°: floor {away_m} m from the box"), &foot, FLOOR[0], FLOOR[1]);
+        }
+        if degrees > YAWS_DEG[0] {
+            continue;
+        }
+        // The ceiling beside the lamp, which is very bright behind it.
+        for away_m in [0.03, 0.06, 0.1] {
+            let ceiling =
+                pixels(evaluated.as_ref(), &around(2.4 * Vec3::Y, LAMP_HALF_M + away_m, 0.0, Vec3::Y));
+            assert_within(&format!("ceiling {away_m} m from the lamp"), &ceiling, 0.5, 2.2);
+        }
+    }
+}
+
+/// The face that sees no lamp is lit by bounces alone: between neighbours 1 cm apart nothing jumps.
+#[test]
+fn dark_face_of_a_box_has_no_steps() {
+    let yaw_rad = YAWS_DEG[1].to_radians();
+    let evaluated = baked(yaw_rad);
+    let turn = glam::Quat::from_rotation_y(yaw_rad);
+    for row in [0.1, 0.3, 0.5] {
+        let rays: Vec<[Vec3; 2]> = (0..50)
+            .map(|step| {
+                let x = (step as f32 + 0.5) / 50.0 * 2.0 - 1.0;
+                let before_m = turn * Vec3::new(x * HALF_M, row, HALF_M + 0.2) + BOX_BESIDE_LAMP_M;
+                [before_m, turn * Vec3::NEG_Z]
+            })
+            .collect();
+        let shown: Vec<f64> = pixels(evaluated.as_ref(), &rays).iter().map(|pixel| pixel.shown).collect();
+        let jump =
+            shown.windows(2).map(|pair| (pair[1] - pair[0]).abs() / pair[0].max(pair[1])).fold(0.0, f64::max);
+        println!("{row} m up: largest jump {jump:.3}");
+        assert!(jump < 0.1, "{row} m up: a jump by {jump}");
+    }
+}
