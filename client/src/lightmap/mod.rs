@@ -57,7 +57,8 @@ impl<C: Columns> LightmapLight<C> {
         let transport = Transport::join(blocks, emitters.len(), clusters, columns)
             .map_err(|Inconsistent { place, problem }| ClientError::inconsistent(place, problem))?;
         let texels = AtlasTexels::new(&scene.lightmap, &transport.slots, &transport.receivers);
-        let points = TexelPoints::new(&scene.draws, &transport.slots, &transport.receivers);
+        let points =
+            TexelPoints::new((&scene.draws, &scene.lightmap), &transport.slots, &transport.receivers);
         Ok(Self { transport, texels, points })
     }
 

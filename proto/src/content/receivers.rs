@@ -30,7 +30,8 @@ pub struct Receivers {
     /// so that light does not pass under a wall that stands on a floor.
     pub links: Vec<u8>,
     /// Which of the texel's 4 × 4 points lie on surface, on the receiver's own side of every wall: bit `4·row + column`
-    /// for the point `((column, row) + ½) / 4` of the texel. 0 for a receiver off its surface, which is its only point.
+    /// for the point `((column, row) + ½) / 4` of the texel. 0 where none does: the receiver's own
+    /// place is then the only one.
     pub coverage: Vec<u16>,
     /// Where a wall cuts the texel: the straight edge of the receiver's own side, beyond which pictures show others' light.
     pub edge: Vec<TexelEdge>,
@@ -63,7 +64,7 @@ impl TexelEdge {
         }
         let angle_rad = f32::from(self.0 >> 8) * (std::f32::consts::TAU / 256.0);
         let offset = (f32::from(self.0 & 0xFF) - 128.0) * (Self::REACH / 127.0);
-        (x - 0.5) * angle_rad.cos() + (y - 0.5) * angle_rad.sin() > offset
+        (x - 0.5) * libm::cosf(angle_rad) + (y - 0.5) * libm::sinf(angle_rad) > offset
     }
 }
 

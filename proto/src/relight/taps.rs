@@ -41,7 +41,7 @@ pub type Taps = [TexelKind; 4];
 ///
 /// Bilinear over the receivers that no wall parts from the nearest one, the *home*; over filled texels where there is no
 /// receiver. Where the point lies on the other side of a wall in the nearest one's texel, the home is the nearest of those
-/// that a wall parts from that one.
+/// there that a wall parts from that one.
 pub fn tap_weights(taps: Taps, share: [f32; 2]) -> [f32; 4] {
     let weights: [f32; 4] = std::array::from_fn(|tap| {
         let [x, y] = [tap & 1, tap >> 1];
@@ -58,7 +58,11 @@ pub fn tap_weights(taps: Taps, share: [f32; 2]) -> [f32; 4] {
     };
     let mut home = heaviest(&|_| true);
     if let Some(own) = home.filter(|&own| is_beyond_wall(taps, own, share)) {
-        home = heaviest(&|tap| tap != own && !are_linked(taps, own, tap)).or(home);
+        let is_there = |tap: usize| {
+            let from_own = |shift: u32| 0.5 + (tap >> shift & 1) as f32 - (own >> shift & 1) as f32;
+            taps[own].edge().is_beyond([from_own(0), from_own(1)])
+        };
+        home = heaviest(&|tap| is_there(tap) && !are_linked(taps, own, tap)).or(home);
     }
     let counted: [f32; 4] = std::array::from_fn(|tap| {
         let counts = match home {

@@ -26,6 +26,9 @@ use crate::task::{Context, TaskError};
 /// choose by power alone.
 const BY_REACH_MAX: usize = 4096;
 
+/// Fraction of the golden ratio: its multiples are spread evenly, any run of them.
+const GOLDEN: f32 = 0.618_034;
+
 /// A triangle with its chance where nothing else is known: area × mean radiance.
 #[derive(Clone, Copy, Debug)]
 struct Weighted {
@@ -152,11 +155,14 @@ impl<'a> EmitterIrradianceSum<'a> {
         let points = R2::new(seed_of(&[seed, 4]));
         // Of its own seed: a stratum's place must not tell the point that is taken in it.
         let shift = Sequence::new(seed_of(&[seed, 6])).next_f32();
+        let turn = Sequence::new(seed_of(&[seed, 7])).next_f32();
         let mut rays = 0;
         for sample in 0..self.samples {
             let pick = (sample as f32 + shift) / self.samples as f32;
             let index = self.cumulative.partition_point(|sum| *sum <= pick).min(self.cumulative.len() - 1);
-            let site = &self.texel[sample as usize % self.texel.len()];
+            // Of its own sequence: strata are those of triangles, and each is to be seen from all over the texel.
+            let place = (sample as f32 * GOLDEN + turn).fract() * self.texel.len() as f32;
+            let site = &self.texel[(place as usize).min(self.texel.len() - 1)];
             rays += u64::from(self.add_sample(site, index, uniform_triangle(points.point(sample))));
         }
         rays

@@ -83,7 +83,8 @@ pub(super) fn hunt(
     let receivers = 0..lightmap.receivers();
     let light_of = |index: u32| relit.irradiance(&lightmap.receiver(index)).map_or(0.0, luminance);
     let lights: Vec<f64> = receivers.clone().into_par_iter().map(light_of).collect();
-    let floor = FLOOR * lights.iter().sum::<f64>() / lights.len().max(1) as f64;
+    let finite = || lights.iter().filter(|light| light.is_finite());
+    let floor = FLOOR * finite().sum::<f64>() / finite().count().max(1) as f64;
     let looked_at: Vec<Candidate> =
         receivers.into_par_iter().filter_map(|index| candidate(lightmap, &lights, floor, index)).collect();
     let texels = looked_at.len();
@@ -115,7 +116,9 @@ fn candidate(lightmap: &dyn EvaluatedLightmap, lights: &[f64], floor: f64, index
     let light = lights[index as usize];
     let first = (beside.len() - TRACED_NEIGHBOURS) / 2;
     let beside = beside[first..first + TRACED_NEIGHBOURS].to_vec();
-    Some(Candidate { index, beside, light, around, factor: ((light + floor) / (around + floor)).ln() })
+    // A number that is none stands out from all.
+    let factor = if light.is_finite() { ((light + floor) / (around + floor)).ln() } else { f64::INFINITY };
+    Some(Candidate { index, beside, light, around, factor })
 }
 
 /// The outliers among candidates, by paths from each and from its neighbours.

@@ -101,7 +101,7 @@ impl Borders {
         let across = |pairs: &[[Hit; 2]]| {
             let jump = |pair: &[Hit; 2]| {
                 let [one, other] = pair.map(|hit| relit.shown_at(&hit).map_or(0.0, luminance));
-                (one - other).abs() / (0.5 * (one + other)).max(floor)
+                (one - other).abs() / (0.5 * (one + other)).max(floor).max(f64::MIN_POSITIVE)
             };
             Jumps::of(pairs.par_iter().map(jump).collect())
         };
@@ -109,7 +109,7 @@ impl Borders {
             let at = |index: u32| relit.irradiance(&lightmap.receiver(index)).unwrap_or(DVec3::ZERO);
             let jump = |row: &[u32; 4]| {
                 let [a, b, c, d] = row.map(|index| luminance(at(index)));
-                extrapolated([a, b, c, d]).abs() / (0.5 * (b + c)).max(floor)
+                extrapolated([a, b, c, d]).abs() / (0.5 * (b + c)).max(floor).max(f64::MIN_POSITIVE)
             };
             Jumps::of(rows.par_iter().map(jump).collect())
         };

@@ -2,9 +2,9 @@
 
 use glam::Vec2;
 
-use super::polygon::{is_inside, source_weights, texels_of};
+use super::polygon::{clipped, is_inside, source_weights, texels_of};
 use super::world::TexelTable;
-use super::{Lightmap, NO_RECEIVER, Receiver};
+use super::{Lightmap, Receiver};
 use crate::geometry::{Geometry, Site, TriangleRef, corners_of, face_normal_of};
 use crate::scene::surface::normal_at;
 
@@ -26,10 +26,12 @@ impl TexelTriangles {
             let front = lightmap.first_block[entry.instance as usize] + entry.part * sides;
             for block in front..front + sides {
                 let table = &lightmap.blocks[block as usize];
-                for (place, texel, _) in texels_of(&entry.triangle.uv_texels, table.size) {
+                let corners = &entry.triangle.uv_texels;
+                for (place, texel, corner) in texels_of(corners, table.size) {
                     let receiver = table.receiver_of_texel[place];
                     let own = lightmap.receivers.get(receiver as usize);
-                    if receiver != NO_RECEIVER && own.is_some_and(|own| own.texel == texel) {
+                    let is_own = own.is_some_and(|own| own.texel == texel);
+                    if is_own && !clipped(corners, corner, corner + 1.0).is_empty() {
                         found.push((receiver, index as u32));
                     }
                 }

@@ -223,7 +223,7 @@ impl Table<'_> {
                 .parts(index)
                 .map(|part| (self.column(self.key(part)), self.hits.share(part, patch) as f32))
                 .collect();
-            let is_whole = self.parts(index).all(|part| !self.hits.of(part).is_empty());
+            let is_whole = self.is_whole(index);
             let parent = self.parent(index);
             let deviation = self.expectation.variance(patch, parent).sqrt() as f32;
             for hits in self.hits.of(patch) {
@@ -243,6 +243,14 @@ impl Table<'_> {
                 }
             }
         }
+    }
+
+    /// Rows meet all parts of a patch of the cut, and all of theirs.
+    fn is_whole(&self, index: usize) -> bool {
+        self.parts(index).all(|part| {
+            let is_met = !self.hits.of(part).is_empty();
+            is_met && self.patches.binary_search(&part).is_ok_and(|part| self.is_whole(part))
+        })
     }
 
     fn key(&self, patch: u32) -> PatchKey {

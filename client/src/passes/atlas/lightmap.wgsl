@@ -29,12 +29,11 @@ fn linked(first_kind: f32, second_kind: f32, first: u32, second: u32) -> bool {
     return (((u32(first_kind) - 1u) >> bit) & 1u) == 1u;
 }
 
-// Whether a point in the texel of the nearest tap is beyond the edge of its receiver's side.
-fn beyond_wall(kind: f32, share: vec2f) -> bool {
+// Whether a place, from the middle of a receiver's texel, is beyond the edge of its side.
+fn beyond_wall(kind: f32, from_middle: vec2f) -> bool {
     let edge = (u32(kind) - 1u) / 16u;
     let angle = f32(edge >> 8u) * (6.2831853 / 256.0);
     let offset = (f32(edge & 255u) - 128.0) * (0.75 / 127.0);
-    let from_middle = select(share, share - 1.0, share >= vec2f(0.5));
     return edge != 0u && dot(from_middle, vec2f(cos(angle), sin(angle))) > offset;
 }
 
@@ -63,10 +62,11 @@ fn lightmap_irradiance(block: vec4u, size: vec4u, texel: vec2f) -> vec3f {
         }
     }
     let nearest = select(0u, 1u, share.x >= 0.5) + select(0u, 2u, share.y >= 0.5);
-    if home == nearest && beyond_wall(taps[nearest].w, share) {
+    if home == nearest && beyond_wall(taps[nearest].w, select(share, share - 1.0, share >= vec2f(0.5))) {
         var beyond = 4u;
         for (var tap = 0u; tap < 4u; tap++) {
-            let parted = tap != nearest && taps[tap].w > 0.0
+            let from_nearest = vec2f(f32(tap & 1u), f32(tap >> 1u)) - vec2f(f32(nearest & 1u), f32(nearest >> 1u));
+            let parted = beyond_wall(taps[nearest].w, from_nearest) && taps[tap].w > 0.0
                 && !linked(taps[min(nearest, tap)].w, taps[max(nearest, tap)].w, min(nearest, tap), max(nearest, tap));
             if parted && (beyond == 4u || weights[tap] > weights[min(beyond, 3u)]) {
                 beyond = tap;

@@ -1,10 +1,10 @@
 //! The points of receivers' texels that E_dir is the mean over: those of `Receivers::coverage`, where the meshes have them.
 
-use glam::{Vec2, Vec2Swizzles, Vec3};
+use glam::{UVec2, Vec2, Vec2Swizzles, Vec3};
 use lightkiln_proto::content::{COVERAGE_POINTS, COVERAGE_SIDE};
 use lightkiln_proto::relight::{ReceiverTable, SlotTable};
 
-use crate::scene::{DrawTable, LoadedDraw, NO_BLOCK};
+use crate::scene::{DrawTable, LightmapLayout, LoadedDraw, Vertex};
 
 /// Points that are looked at first: a square turned to the lattice, whose rows and columns all differ.
 pub const FEW_POINTS: usize = 4;
@@ -42,12 +42,17 @@ struct Point {
 
 impl TexelPoints {
     /// Finds the points of receivers on the meshes that read their texels.
-    pub fn new(draws: &DrawTable, slots: &SlotTable, receivers: &ReceiverTable) -> Self {
+    pub fn new(
+        (draws, layout): (&DrawTable, &LightmapLayout),
+        slots: &SlotTable,
+        receivers: &ReceiverTable,
+    ) -> Self {
         let sides = draws.draws.iter().flat_map(|draw| [(draw, draw.front, 1.0), (draw, draw.back, -1.0)]);
         let mut found: Vec<(u32, u8, Point)> = Vec::new();
-        for (draw, block, side) in sides.filter(|(_, block, _)| *block != NO_BLOCK) {
+        for (draw, block, side) in sides {
+            let Some(placed) = layout.block(block) else { continue };
             for triangle in &draw.triangles {
-                of_triangle(draw, triangle, side, |texel, bit, point| {
+                of_triangle(draw, triangle, (side, placed.size), |texel, bit, point| {
                     if let Some(slot) = slots.slot(block, texel)
                         && receivers.coverage[slot as usize] >> bit & 1 == 1
                     {
@@ -110,30 +115,41 @@ impl OfTexel<'_> {
     }
 }
 
-/// Calls `met` with the texel, bit and place of each point that the triangle holds, on its rim too.
-fn of_triangle(draw: &LoadedDraw, triangle: &[u32; 3], side: f32, mut met: impl FnMut([u16; 2], u8, Point)) {
+/// Calls `met` with the texel, bit and place of each point in a block of `size` texels that the triangle holds, on its rim too.
+fn of_triangle(
+    draw: &LoadedDraw,
+    triangle: &[u32; 3],
+    (side, size): (f32, [u32; 2]),
+    mut met: impl FnMut([u16; 2], u8, Point),
+) {
     let corners = triangle.map(|vertex| &draw.vertices[vertex as usize]);
     let [a, b, c] = corners.map(|vertex| Vec2::from(vertex.lightmap_texel) * COVERAGE_SIDE as f32);
     let area = (b - a).perp_dot(c - a);
-    let most = f32::from(u16::MAX) * COVERAGE_SIDE as f32;
-    let low = (a.min(b).min(c) - 0.5).ceil().clamp(Vec2::ZERO, Vec2::splat(most)).as_uvec2();
-    let high = (a.max(b).max(c) - 0.5).floor().clamp(Vec2::NEG_ONE, Vec2::splat(most)).as_ivec2();
-    if area == 0.0 {
+    if area == 0.0 || !area.is_finite() {
         return;
     }
-    for y in low.y as i32..=high.y {
-        for x in low.x as i32..=high.x {
+    let last = (UVec2::from(size) * COVERAGE_SIDE).as_vec2() - 1.0;
+    let low = (a.min(b).min(c) - 0.5).ceil().clamp(Vec2::ZERO, last).as_ivec2();
+    let high = (a.max(b).max(c) - 0.5).floor().clamp(Vec2::NEG_ONE, last).as_ivec2();
+    let [p, q, r] = corners.map(|vertex| Vec3::from(vertex.position_m));
+    let face = (q - p).cross(r - p).normalize_or(Vec3::from(corners[0].normal));
+    for y in low.y..=high.y {
+        for x in low.x..=high.x {
             let at = Vec2::new(x as f32, y as f32) + 0.5;
-            let v = (at - a).perp_dot(c - a) / area;
-            let w = (b - a).perp_dot(at - a) / area;
-            let weights = [1.0 - v - w, v, w];
-            if weights.iter().any(|weight| *weight < 0.0) {
+            // Each edge by itself, so that two triangles that share one leave no point between them.
+            let shares = [(b, c), (c, a), (a, b)].map(|(from, to)| (to - from).perp_dot(at - from) / area);
+            if !shares.iter().all(|share| *share >= 0.0) {
                 continue;
             }
-            let mixed = |of: fn(&crate::scene::Vertex) -> [f32; 3]| -> Vec3 {
-                corners.iter().zip(weights).map(|(vertex, weight)| Vec3::from(of(vertex)) * weight).sum()
+            let total: f32 = shares.iter().sum();
+            let mixed = |of: fn(&Vertex) -> [f32; 3]| -> Vec3 {
+                let weighted =
+                    corners.iter().zip(shares).map(|(vertex, share)| Vec3::from(of(vertex)) * share);
+                weighted.sum::<Vec3>() / total
             };
-            let normal = mixed(|vertex| vertex.normal).normalize_or(Vec3::from(corners[0].normal)) * side;
+            let shading = mixed(|vertex| vertex.normal).normalize_or_zero();
+            // A shading normal that points through the surface is a fault of the file.
+            let normal = if shading.dot(face) > 0.05 { shading } else { face } * side;
             let step = COVERAGE_SIDE as i32;
             let texel = [(x / step) as u16, (y / step) as u16];
             let bit = (y % step * step + x % step) as u8;

@@ -79,7 +79,7 @@ impl TexelsPass {
         let bytes =
             points.starts.windows(2).map(|pair| u64::from(pair[1] - pair[0]) * size_of::<[u32; 2]>() as u64);
         // A receiver without points takes room in the table of starts alone.
-        let bytes = bytes.map(|bytes| bytes.max(size_of::<u32>() as u64));
+        let bytes = bytes.map(|bytes| bytes.max(2 * size_of::<u32>() as u64));
         let pages = pages(gpu, "receiver's points", bytes)?.into_iter().map(page).collect::<Result<_>>()?;
         Ok(Self { pipeline, pages })
     }

@@ -6,9 +6,9 @@ use crate::jobs::TaskSpec;
 use crate::kinds::{SceneTasks, TaskKind};
 
 /// Receivers and patches → cluster cells, the chunk of patches, and the plan of the rest.
-pub const PLAN: TaskKind = TaskKind { name: "prt.plan", version: 2 };
+pub const PLAN: TaskKind = TaskKind { name: "prt.plan", version: 3 };
 /// A cluster cell → its factorised transport.
-pub const TRANSPORT: TaskKind = TaskKind { name: "prt.transport", version: 14 };
+pub const TRANSPORT: TaskKind = TaskKind { name: "prt.transport", version: 15 };
 /// Everything → manifest and report.
 pub const ASSEMBLE: TaskKind = TaskKind { name: "prt.assemble", version: 2 };
 

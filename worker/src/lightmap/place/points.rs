@@ -187,6 +187,10 @@ fn raised(world: &World, site: &Site) -> Vec3 {
     world.geometry.raised(site.position_m, site.face_normal, world.link_height_m())
 }
 
+fn direction(angle_rad: f32) -> Vec2 {
+    Vec2::new(libm::cosf(angle_rad), libm::sinf(angle_rad))
+}
+
 /// A place of the finer grid: from rim to rim.
 fn fine_place(index: u32) -> Vec2 {
     const RIM: f32 = 0.01;
@@ -204,7 +208,7 @@ fn edge_along(foot: &[Vec2], own: &[Vec2]) -> Option<TexelEdge> {
         return None;
     }
     // Along the longer axis of the points' scatter; across it lies the edge's direction.
-    let along = Vec2::from_angle(0.5 * libm::atan2f(2.0 * xy, xx - yy));
+    let along = direction(0.5 * libm::atan2f(2.0 * xy, xx - yy));
     let own_side = own.iter().sum::<Vec2>() / own.len().max(1) as f32 - middle;
     let across = if along.perp().dot(own_side) > 0.0 { -along.perp() } else { along.perp() };
     let beyond = |at: &Vec2| (*at - middle).dot(across);
@@ -219,7 +223,7 @@ fn edge_before(own: &[Vec2], beyond: &[Vec2]) -> TexelEdge {
     let mut best = (0, TexelEdge::NONE);
     for turn in 0..TURNS {
         let angle_rad = turn as f32 / TURNS as f32 * std::f32::consts::TAU;
-        let along = |at: &Vec2| at.dot(Vec2::from_angle(angle_rad));
+        let along = |at: &Vec2| at.dot(direction(angle_rad));
         let last = own.iter().map(along).fold(f32::NEG_INFINITY, f32::max);
         let behind = || beyond.iter().map(along).filter(|far| *far > last);
         let count = behind().count();
