@@ -23,7 +23,7 @@ pub mod texture;
 
 pub use atrium::atrium;
 pub use contact::{
-    BOX_BESIDE_LAMP_M, BOX_HALF_M, COLUMN_HALF_M, LAMP_HALF_M, PLATE_TOP_M, box_on_floor, column,
+    BOX_BESIDE_LAMP_M, BOX_HALF_M, COLUMN_HALF_M, LAMP_GAP_M, LAMP_HALF_M, PLATE_TOP_M, box_on_floor, column,
     hollow_box_on_floor, hollow_pier_on_plate, lamp_close_to_a_ceiling, lone_floor, outside_m,
     outside_turned_m, slab_on_floor, tiled_floor,
 };
