@@ -5,7 +5,7 @@ use crate::content::TexelEdge;
 /// Links have this many values; a texel's kind has them in its lowest digit.
 const LINKS_VALUES: u32 = 1 << crate::content::LINKS.len();
 
-/// What a texel of a lightmap holds, as the fourth component of its irradiance: 0 for nothing, −1 for the light of others,
+/// Content of a lightmap texel, as the fourth component of its irradiance: 0 for nothing, −1 for the light of others,
 /// spread over a rim, and more for a receiver's own.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TexelKind(pub f32);

@@ -28,7 +28,7 @@ struct Pixel {
     reference: f64,
 }
 
-/// What pictures show at some points of a room with a lamp, each found by a ray from a point along a direction.
+/// Pixels of a room with a lamp, each at the hit of a ray from a point along a direction.
 fn pixels(evaluated: &dyn Evaluated, rays: &[[Vec3; 2]]) -> Vec<Pixel> {
     let (lighting, progress) = (Lighting { emitter_scale: 1.0, ..Lighting::default() }, Progress::new());
     let geometry = evaluated.geometry();

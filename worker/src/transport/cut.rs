@@ -209,7 +209,7 @@ impl<'a> Seen<'a> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use glam::Vec3;
     use lightkiln_proto::content::PatchKey;
 
@@ -217,7 +217,7 @@ mod tests {
     use crate::patches::Patch;
 
     /// A root of two parts, each of two leaves of one receiver, 1 m apart along x.
-    fn tree() -> PatchTree {
+    pub fn tree() -> PatchTree {
         let patch = |key, first_leaf: u32, leaf_count: u32, end| Patch {
             key: PatchKey(key),
             first_leaf,

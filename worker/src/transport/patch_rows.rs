@@ -279,46 +279,27 @@ impl Table<'_> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::cut::tests::tree;
     use super::*;
-    use crate::patches::Patch;
 
-    /// A root of two leaves, each of one receiver, 1 m apart along x.
-    fn tree() -> PatchTree {
-        let patch = |key, first_leaf: u32, leaf_count: u32, end| Patch {
-            key: PatchKey(key),
-            first_leaf,
-            leaf_count,
-            end,
-            bounds_m: [first_leaf, first_leaf + leaf_count - 1].map(|leaf| Vec3::X * leaf as f32),
-            area_texels: leaf_count as f32,
-        };
-        PatchTree {
-            patches: vec![patch(2, 0, 2, 3), patch(0, 0, 1, 2), patch(1, 1, 1, 3)],
-            leaf_of_receiver: vec![0, 1],
-            receivers: vec![0, 1],
-            leaf_starts: vec![0, 1, 2],
-            by_key: vec![1, 2, 0],
-        }
-    }
-
-    /// α of a row that meets the leaves with so many rays, over both leaves and the root.
-    fn alpha(counts: [u32; 2]) -> Vec<f32> {
+    /// α of a row that meets the leaves with so many rays, over the root, its first part with both leaves, and its second.
+    fn alpha(counts: [u32; 4]) -> Vec<f32> {
         let ray = |at: u32, ray: u32| RayHit { at, is_even: ray.is_multiple_of(2), weight: 1.0 };
         let of_leaf = |leaf: u32| (0..counts[leaf as usize]).map(move |index| ray(leaf, index));
-        let hits = RowHits { leaves: (0..2).flat_map(of_leaf).collect(), sky: Vec::new() };
+        let hits = RowHits { leaves: (0..4).flat_map(of_leaf).collect(), sky: Vec::new() };
         let bounds = CutBounds { columns_max: 100, error: 0.01 };
         let found = patch_rows(&tree(), 0.1, vec![hits], 1.0, Some(bounds));
-        assert_eq!(found.keys, [0, 1, 2]);
+        assert_eq!(found.keys, [0, 1, 2, 3, 4]);
         found.rows[0].alpha.clone()
     }
 
     #[test]
     fn parts_that_are_met_are_differences_from_their_share() {
-        assert_eq!(alpha([300, 100]), [100.0, -100.0, 400.0]);
+        assert_eq!(alpha([400, 200, 150, 150]), [900.0, 150.0, 100.0, -100.0, -150.0]);
     }
 
     #[test]
-    fn hidden_part_is_in_no_column_and_neither_is_the_whole() {
-        assert_eq!(alpha([400, 0]), [400.0, 0.0, 0.0]);
+    fn hidden_part_is_in_no_column_and_neither_is_anything_that_holds_it() {
+        assert_eq!(alpha([600, 0, 150, 150]), [0.0, 0.0, 600.0, 0.0, 300.0]);
     }
 }
