@@ -20,6 +20,8 @@ pub fn link_height_m(texel_m: f32) -> f32 {
     texel_m * 0.25
 }
 
+/// Coverage of a texel that no wall cuts: all of its points are on its receiver's side.
+const WHOLE: u16 = u16::MAX;
 /// Rings of texels around a hit's own in which one is looked for that no wall separates from it.
 const LINKED_RINGS: i32 = 2;
 
@@ -125,9 +127,12 @@ impl World {
     }
 
     /// As [`World::surface_at`], but of the receivers around the hit, the nearest that no wall separates from it: a
-    /// texel that a wall cuts in two stands for its centre's side only.
+    /// texel that a wall cuts in two stands for its centre's side only. A texel that placement found whole is not asked again.
     pub fn linked_surface_at(&self, hit: &Hit, point_m: Vec3) -> Surface {
         let Surface::Receiver(own) = self.surface_at(hit) else { return Surface::Dark };
+        if self.lightmap.receivers[own as usize].coverage == WHOLE {
+            return Surface::Receiver(own);
+        }
         let from_m = self.geometry.raised(point_m, self.geometry.side_normal(hit), self.link_height_m());
         let linked = |receiver: u32| self.is_linked(from_m, self.raised_m[receiver as usize]);
         if linked(own) {
