@@ -6,7 +6,7 @@ use super::cluster_head::ClusterHead;
 use super::cluster_near::{HIT_BYTES, begin_bytes_max, near_bytes_max, read_begin, read_near};
 use super::cluster_receivers::{PALETTE_MAX, ReceiverCodec, read_irradiance, receivers_bytes_max};
 use super::container::{Container, SectionId};
-use super::error::{ChunkError, all_numbers, in_range};
+use super::error::{ChunkError, all_ascending, all_numbers, in_range};
 use super::factors::FactorDecoder;
 use super::layers::LayerBox;
 use super::predict::Predictor;
@@ -78,6 +78,7 @@ fn decoded_bytes(head: &ClusterHead, layer: LayerBox) -> u64 {
 /// A cluster that fills up layer by layer.
 struct Decoder<'a> {
     head: &'a ClusterHead,
+    version: u16,
     codec: ReceiverCodec,
     predictor: Predictor,
     /// All but its factors.
@@ -91,7 +92,7 @@ impl<'a> Decoder<'a> {
         let cluster = ClusterTransport { bounds_m: head.bounds_m, ..ClusterTransport::default() };
         let codec = ReceiverCodec::new(head.bounds_m, Vec::new(), head.shape.levels, version);
         let factors = FactorDecoder::new(head.shape, layer);
-        Self { head, codec, predictor: Predictor::default(), cluster, factors }
+        Self { head, version, codec, predictor: Predictor::default(), cluster, factors }
     }
 
     /// Reads the sections of layer number `index`, but the base.
@@ -153,13 +154,13 @@ impl<'a> Decoder<'a> {
 
     fn base_bytes_max(&self) -> u64 {
         let ClusterHead { blocks, emitters, shape, .. } = self.head;
-        shape.base_bytes() + (8 * blocks + 2 * emitters + 2 + 12 * PALETTE_MAX) as u64
+        shape.base_bytes_max() + (8 * blocks + 2 * emitters + 2 + 12 * PALETTE_MAX) as u64
     }
 
     fn base(&mut self, raw: &[u8]) -> Result<(), ChunkError> {
         let mut reader = Reader::new("base", raw);
         self.cluster.receivers.blocks = ascending_keys(&mut reader, "block", self.head.blocks)?;
-        self.factors.base(&mut reader)?;
+        self.factors.base(&mut reader, self.version)?;
         for index in 0..self.head.emitters {
             let emitter = reader.u16("emitter")?;
             if self.cluster.emitters.last().is_some_and(|before| before.emitter >= emitter) {
@@ -179,8 +180,6 @@ impl<'a> Decoder<'a> {
 /// `count` keys, each larger than the one before.
 pub fn ascending_keys(reader: &mut Reader, what: &'static str, count: usize) -> Result<Vec<u64>, ChunkError> {
     let keys = reader.u64s(what, count)?;
-    match keys.windows(2).position(|pair| pair[0] >= pair[1]) {
-        Some(index) => Err(ChunkError::Order { section: reader.section(), what, index: index + 1 }),
-        None => Ok(keys),
-    }
+    all_ascending(reader.section(), what, &keys)?;
+    Ok(keys)
 }

@@ -159,3 +159,15 @@ pub fn all_numbers(
         Some(index) => Err(ChunkError::BadNumber { section, what, index, value: numbers[index], wanted }),
     }
 }
+
+/// Errs on the first key that is not larger than the one before.
+pub fn all_ascending<T: Ord>(
+    section: &'static str,
+    what: &'static str,
+    keys: &[T],
+) -> Result<(), ChunkError> {
+    match keys.windows(2).position(|pair| pair[0] >= pair[1]) {
+        None => Ok(()),
+        Some(index) => Err(ChunkError::Order { section, what, index: index + 1 }),
+    }
+}

@@ -5,15 +5,16 @@
 
 use std::ops::Range;
 
-use super::bytes::{Reader, put_f32s, put_u64s};
+use super::ascending;
+use super::bytes::{Reader, put_f32s};
 use super::cells::{CellReader, CellWriter};
+use super::column_keys::{keys_bytes_max, put_keys, take_keys};
 use super::error::{ChunkError, all_numbers, in_range};
 use super::layers::{FactorShape, LayerBox, band_groups, coefficients_of, rank_groups, ranks_of};
 use super::limits::{BANDS_MAX, RANK_MAX};
 use super::order::LEVELS_MAX;
 use super::predict::Predictor;
 use super::quantise::{Quantised, RELATIVE_ERROR_MAX, RELATIVE_ERROR_MIN, STEP_MAX, quantise, value};
-use super::{ascending, ascending_keys};
 use crate::content::{ColumnKey, TransportFactors};
 
 /// Rows per cell of U.
@@ -147,7 +148,7 @@ impl StoredFactors {
 
     /// Appends keys and steps.
     pub(super) fn write_base(&self, out: &mut Vec<u8>) {
-        put_u64s(out, &self.keys);
+        put_keys(out, &self.keys);
         put_f32s(out, &self.codes.u_step);
         put_f32s(out, &self.codes.vt_step);
     }
@@ -238,13 +239,17 @@ fn total(values: &[i32]) -> u64 {
 }
 
 /// Decodes the three sections of rows without levels. `shape` is the chunk head's: its limits are checked here, the
-/// lengths of the sections ([`FactorShape::bytes_max`]) by the caller, before it unpacks them.
-pub fn decode_factors(shape: FactorShape, sections: [&[u8]; 3]) -> Result<TransportFactors, ChunkError> {
+/// lengths of the sections ([`FactorShape::bytes_max`]) by the caller, before it unpacks them; `version` is the chunk's.
+pub fn decode_factors(
+    shape: FactorShape,
+    version: u16,
+    sections: [&[u8]; 3],
+) -> Result<TransportFactors, ChunkError> {
     shape.check("factors")?;
     let [base, high, low] = sections;
     let mut decoder = FactorDecoder::new(shape, shape.full());
     let mut reader = Reader::new("base", base);
-    decoder.base(&mut reader)?;
+    decoder.base(&mut reader, version)?;
     reader.end()?;
     decoder.layer([high, low], None, shape.full(), &Predictor::none(shape.receivers_in(0)))?;
     Ok(decoder.factors)
@@ -254,7 +259,7 @@ impl FactorShape {
     /// Most raw bytes of the three sections of rows without levels.
     pub fn bytes_max(&self) -> [u64; 3] {
         let [high, low] = self.layer_bytes_max(None, self.full());
-        [self.base_bytes(), high, low]
+        [self.base_bytes_max(), high, low]
     }
 
     /// Memory that the decoded factors take, about.
@@ -262,9 +267,9 @@ impl FactorShape {
         self.layer_decoded_bytes(self.full())
     }
 
-    /// Raw bytes of keys and steps.
-    pub(super) fn base_bytes(&self) -> u64 {
-        8 * (self.keys + self.rank as usize) as u64
+    /// Most raw bytes of keys and steps.
+    pub(super) fn base_bytes_max(&self) -> u64 {
+        keys_bytes_max(self.keys) + 8 * u64::from(self.rank)
     }
 
     /// Memory that a decoded layer's factors and keys take, about.
@@ -308,10 +313,10 @@ impl FactorDecoder {
         Self { shape, factors, u_step: Vec::new(), vt_step: Vec::new(), u_codes: vec![Vec::new(); rank] }
     }
 
-    /// Reads keys and steps.
-    pub fn base(&mut self, reader: &mut Reader) -> Result<(), ChunkError> {
+    /// Reads keys and steps of a chunk of `version`.
+    pub fn base(&mut self, reader: &mut Reader, version: u16) -> Result<(), ChunkError> {
         let rank = self.shape.rank as usize;
-        self.factors.keys = ascending_keys(reader, "column key", self.shape.keys)?;
+        self.factors.keys = take_keys(reader, self.shape.keys, version)?;
         for (what, steps) in [("steps of U", &mut self.u_step), ("steps of ΣVᵀ", &mut self.vt_step)] {
             *steps = reader.f32s(what, rank)?;
             all_numbers("base", what, steps, "0..=1e28", |step| (0.0..=STEP_MAX).contains(&step))?;
@@ -384,6 +389,7 @@ impl FactorDecoder {
 
 #[cfg(test)]
 mod tests {
+    use super::super::VERSION;
     use super::*;
 
     #[test]
@@ -408,14 +414,15 @@ mod tests {
             let sections = stored.sections();
             let lengths = sections.each_ref().map(|section| section.len() as u64);
             assert!(lengths.iter().zip(stored.shape.bytes_max()).all(|(length, max)| *length <= max));
-            let decoded = decode_factors(stored.shape, sections.each_ref().map(Vec::as_slice)).unwrap();
+            let decoded =
+                decode_factors(stored.shape, VERSION, sections.each_ref().map(Vec::as_slice)).unwrap();
             assert!(decoded.keys.is_sorted() && decoded.keys == stored.keys);
             let near = |a: &f32, b: &f32| (a - b).abs() < 0.01;
             assert!(decoded.u.len() == 270 && decoded.u.iter().zip(&factors.u).all(|(a, b)| near(a, b)));
             let in_order = TransportFactors { vt: sorted_columns(&factors, &reversed(&factors)), ..factors };
             assert!(decoded.vt.iter().zip(&in_order.vt).all(|(a, b)| near(a, b)));
             let short = [&sections[0][..], &sections[1][1..], &sections[2][..]];
-            assert!(decode_factors(stored.shape, short).is_err());
+            assert!(decode_factors(stored.shape, VERSION, short).is_err());
         }
     }
 

@@ -10,6 +10,7 @@ mod cluster_decode;
 mod cluster_head;
 mod cluster_near;
 mod cluster_receivers;
+mod column_keys;
 pub mod container;
 pub mod error;
 pub mod factors;

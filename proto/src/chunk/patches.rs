@@ -4,7 +4,7 @@ use super::bytes::{Reader, put_u64s};
 use super::cluster::ascending;
 use super::cluster_decode::ascending_keys;
 use super::container::{Container, ContainerWriter, SectionId};
-use super::error::{ChunkError, in_range};
+use super::error::{ChunkError, all_ascending, in_range};
 use super::ints;
 use super::limits::*;
 use super::table::PATCHES;
@@ -43,9 +43,7 @@ fn check(set: &PatchSet) -> Result<(), ChunkError> {
     let receivers = set.texel.len() as u64;
     check_counts(section, [set.patches.len() as u64, leaves, receivers, set.blocks.len() as u64])?;
     check_sky(section, set.sky_parts)?;
-    if let Some(index) = set.blocks.windows(2).position(|pair| pair[0] >= pair[1]) {
-        return Err(ChunkError::Order { section, what: "block", index: index + 1 });
-    }
+    all_ascending(section, "block", &set.blocks)?;
     in_range(section, "blocks of receivers", set.block.len() as u64, receivers, receivers)?;
     in_range(section, "areas of receivers", set.area.len() as u64, receivers, receivers)?;
     in_range(

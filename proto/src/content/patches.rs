@@ -43,6 +43,16 @@ impl PatchKey {
     pub fn direction(self) -> u64 {
         self.0 >> 55 & 0x1f
     }
+
+    /// Cell x, y, z of a patch on the lattice of its level.
+    pub fn cell(self) -> [i32; 3] {
+        [10, 40, 25].map(|shift| (self.0 >> shift & 0x7fff) as i32 - (1 << 14))
+    }
+
+    /// Number of a patch among those of its place.
+    pub fn ordinal(self) -> u32 {
+        (self.0 & 0x3ff) as u32
+    }
 }
 
 /// The surface patches of a bake, and how many parts its sky has.

@@ -53,8 +53,9 @@ impl SceneTask {
     pub fn version(self) -> u32 {
         match self {
             Self::Place => 10,
-            Self::Draw => 2,
-            Self::Import | Self::Unwrap | Self::Frame | Self::Patches => 1,
+            Self::Draw => 3,
+            Self::Patches => 2,
+            Self::Import | Self::Unwrap | Self::Frame => 1,
         }
     }
 

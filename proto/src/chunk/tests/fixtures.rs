@@ -31,6 +31,7 @@ macro_rules! fixtures {
 
 const V1: Fixtures = fixtures!("v1");
 const V2: Fixtures = fixtures!("v2");
+const V3: Fixtures = fixtures!("v3");
 
 /// A wall of 2 × 2 texels that one probe and the sky light. All its numbers survive quantisation but U, ΣVᵀ and the
 /// irradiance.
@@ -65,8 +66,13 @@ fn cluster() -> ClusterTransport {
     }
 }
 
-/// The wall, and beside its second texel something of another block.
+/// The wall lit by patches of the floor and a part of the sky, and beside its second texel something of another block.
 fn cluster_with_near_hits() -> ClusterTransport {
+    let floor = |cell: i32| PatchKey::of_cell(0, [cell % 4 - 2, -1, cell / 4], 2, 0).0;
+    let coarse = [0, 3].map(|ordinal| PatchKey::of_cell(2, [-1, -1, 0], 2, ordinal).0);
+    let keys: Vec<ColumnKey> = (0..16).map(floor).chain(coarse).chain([PatchKey::of_sky(7).0]).collect();
+    let vt = (0..2 * keys.len()).map(|entry| 1.0 + entry as f32).collect();
+    let factors = TransportFactors { keys, bands: 0, sky: false, vt, ..cluster().factors };
     let near = NearHits {
         reach_m: 0.25,
         count: vec![0, 2, 0, 0],
@@ -78,7 +84,7 @@ fn cluster_with_near_hits() -> ClusterTransport {
         ],
         offset: vec![[-2047, 0, 1], [2047, 300, 20]],
     };
-    ClusterTransport { near, ..cluster() }
+    ClusterTransport { near, factors, ..cluster() }
 }
 
 fn probes() -> ProbeBatch {
@@ -146,12 +152,12 @@ fn geometry() -> Geometry {
 fn encoded() -> [(&'static str, Vec<u8>, &'static [u8]); 6] {
     let encode = |cluster| encode_cluster(&cluster, QuantisationSettings::default()).unwrap().bytes;
     [
-        ("cluster-v2.lkc", encode(cluster()), V2.cluster),
-        ("cluster-near-v2.lkc", encode(cluster_with_near_hits()), V2.near),
-        ("probes-v2.lkc", encode_probe_batch(&probes()).unwrap(), V2.probes),
-        ("patches-v2.lkc", encode_patches(&patches()).unwrap(), V2.patches),
-        ("geometry-v2.lkc", encode_geometry(&geometry()).unwrap(), V2.geometry),
-        ("texture-v2.lkc", encode_texture("image/png", b"\x89PNG of no size").unwrap(), V2.texture),
+        ("cluster-v3.lkc", encode(cluster()), V3.cluster),
+        ("cluster-near-v3.lkc", encode(cluster_with_near_hits()), V3.near),
+        ("probes-v3.lkc", encode_probe_batch(&probes()).unwrap(), V3.probes),
+        ("patches-v3.lkc", encode_patches(&patches()).unwrap(), V3.patches),
+        ("geometry-v3.lkc", encode_geometry(&geometry()).unwrap(), V3.geometry),
+        ("texture-v3.lkc", encode_texture("image/png", b"\x89PNG of no size").unwrap(), V3.texture),
     ]
 }
 
@@ -168,6 +174,14 @@ fn version_1_still_decodes_to_what_went_in() {
 #[test]
 fn version_2_still_decodes_to_what_went_in() {
     assert_decoded(&V2, |_| {});
+}
+
+#[test]
+fn version_3_still_decodes_to_what_went_in() {
+    assert_decoded(&V3, |_| {});
+    // The versions before had the key of a probe here too.
+    let near = decode_cluster(V3.near).unwrap();
+    assert_eq!(near.factors.keys, cluster_with_near_hits().factors.keys);
 }
 
 fn assert_decoded(stored: &Fixtures, less: impl Fn(&mut ClusterTransport)) {

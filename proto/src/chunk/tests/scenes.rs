@@ -64,10 +64,14 @@ pub(super) fn wall(side: u16, keys: usize, bands: u32, rank: u32, seed: u64) -> 
     cluster
 }
 
-/// As [`wall`], where every third receiver has near hits, as they come back: ascending, and no block without any.
+/// As [`wall`], lit by patches of a wall across, where every third receiver has near hits, as they come back: ascending, and
+/// no block without any.
 pub(super) fn narrow(side: u16, seed: u64) -> ClusterTransport {
     let mut noise = Noise(seed + 1);
-    let mut cluster = wall(side, 3, 3, 9, seed);
+    let mut cluster = wall(side, 39, 0, 9, seed);
+    let patch = |p: i32| PatchKey::of_cell((p / 32) as u32, [p % 8 - 4, -1, p % 32 / 8], 4, 0).0;
+    cluster.factors.keys = (0..40).map(patch).collect();
+    cluster.factors.sky = false;
     let near = &mut cluster.near;
     (near.reach_m, near.blocks) = (0.125, vec![11, 700]);
     for receiver in 0..cluster.receivers.len() {

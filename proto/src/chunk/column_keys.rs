@@ -1,0 +1,450 @@
+//! Sets of column keys. Those of patches and parts of the sky are a walk through the cells that hold patches, level by
+//! level; others stand as they are.
+//!
+//! A cluster names most patches of a cut of their tree, so keys have much in common: a cell's place follows from a bit
+//! of the cell around it. Bytes of one kind lie side by side, and flat surfaces of all directions have equal bytes.
+
+use std::collections::BTreeMap;
+
+use super::ascending_keys;
+use super::bytes::{Reader, put_u64s};
+use super::error::{ChunkError, all_ascending, in_range};
+use super::ints::{put_deltas, put_u32s, take_deltas, take_u32s};
+use crate::content::{ColumnKey, PatchKey};
+
+/// Mode: all keys as they are.
+const PLAIN: u8 = 0;
+/// Mode: a walk.
+const WALK: u8 = 1;
+/// Last version that has keys as they are, without a mode.
+const LAST_WITHOUT_MODE: u16 = 2;
+/// Highest level of a patch.
+const LEVEL_MAX: u64 = 14;
+/// Directions of patches.
+const DIRECTIONS: usize = 6;
+/// Cells of an axis lie in `-CELL_END..CELL_END`.
+const CELL_END: i32 = 1 << 14;
+/// Highest number of a patch among those of its place.
+const ORDINAL_MAX: u32 = (1 << 10) - 1;
+/// Code of a cell whose patches are listed.
+const LISTED: u8 = 3;
+/// Codes in a byte, of 2 bits each.
+const CODES_PER_BYTE: usize = 4;
+
+/// Most raw bytes that `count` keys take.
+pub(super) fn keys_bytes_max(count: usize) -> u64 {
+    1 + 8 * count as u64
+}
+
+/// Appends `keys`, ascending: as a walk if they can be one and it is shorter.
+pub(super) fn put_keys(out: &mut Vec<u8>, keys: &[ColumnKey]) {
+    match walk_of(keys).filter(|walk| walk.len() < 8 * keys.len()) {
+        Some(mut walk) => {
+            out.push(WALK);
+            out.append(&mut walk);
+        }
+        None => {
+            out.push(PLAIN);
+            put_u64s(out, keys);
+        }
+    }
+}
+
+/// Reads `count` keys of a chunk of `version`, ascending; the caller has checked `count`.
+pub(super) fn take_keys(
+    reader: &mut Reader,
+    count: usize,
+    version: u16,
+) -> Result<Vec<ColumnKey>, ChunkError> {
+    let mode = if version > LAST_WITHOUT_MODE { reader.u8("mode of keys")? } else { PLAIN };
+    match in_range(reader.section(), "mode of keys", mode.into(), PLAIN.into(), WALK.into())? as u8 {
+        WALK => take_walk(reader, count),
+        _ => ascending_keys(reader, "column key", count),
+    }
+}
+
+/// Contents of a visited cell.
+#[derive(Default)]
+struct Held {
+    /// A bit of each visited sub-cell.
+    sub_cells: u8,
+    /// Numbers of the patches of this cell and its level, ascending.
+    ordinals: Vec<u32>,
+}
+
+impl Held {
+    /// Number of the one patch; in cells with sub-cells 0 for none, else that number plus 1; [`LISTED`] for all others.
+    fn code(&self) -> u8 {
+        let inner = u32::from(self.sub_cells != 0);
+        match self.ordinals[..] {
+            [] => 0,
+            [ordinal] if ordinal + inner < LISTED.into() => (ordinal + inner) as u8,
+            _ => LISTED,
+        }
+    }
+}
+
+/// The walk, or none if a key is neither a patch's nor a sky part's.
+fn walk_of(keys: &[ColumnKey]) -> Option<Vec<u8>> {
+    let (patches, sky) = keys.split_at(keys.partition_point(|&key| PatchKey(key).level() <= LEVEL_MAX));
+    if patches.iter().any(|&key| PatchKey(key).direction() >= DIRECTIONS as u64) {
+        return None;
+    }
+    let sky = sky.iter().map(|&key| PatchKey(key).sky()).collect::<Option<Vec<u32>>>()?;
+    let levels = visited(patches);
+    let cells = || levels.iter().rev().flat_map(BTreeMap::values);
+    let mut out = vec![levels.len() as u8 - 1];
+    put_highest(&mut out, levels.last()?.keys());
+    out.extend(levels[1..].iter().rev().flat_map(BTreeMap::values).map(|held| held.sub_cells));
+    for inner in [false, true] {
+        let codes = cells().filter(|held| (held.sub_cells != 0) == inner).map(Held::code);
+        put_codes(&mut out, &codes.collect::<Vec<u8>>());
+    }
+    let listed: Vec<&[u32]> =
+        cells().filter(|held| held.code() == LISTED).map(|held| &held.ordinals[..]).collect();
+    put_u32s(&mut out, &listed.iter().map(|ordinals| ordinals.len() as u32 - 1).collect::<Vec<_>>());
+    put_u32s(&mut out, &listed.into_iter().flat_map(gaps).collect::<Vec<_>>());
+    put_u32s(&mut out, &gaps(&sky));
+    Some(out)
+}
+
+/// Cells by level, from 0 to the highest that a patch has, each by the key of its first patch.
+fn visited(patches: &[ColumnKey]) -> Vec<BTreeMap<PatchKey, Held>> {
+    let highest = patches.last().map_or(0, |&key| PatchKey(key).level());
+    let mut levels: Vec<BTreeMap<PatchKey, Held>> = Vec::new();
+    levels.resize_with(highest as usize + 1, BTreeMap::new);
+    for key in patches.iter().map(|&key| PatchKey(key)) {
+        let place = PatchKey(key.0 - u64::from(key.ordinal()));
+        levels[key.level() as usize].entry(place).or_default().ordinals.push(key.ordinal());
+    }
+    for level in 1..levels.len() {
+        let (below, above) = levels.split_at_mut(level);
+        for (&cell, bit) in below[level - 1].keys().map(|cell| (cell, sub_cell_of(*cell))) {
+            above[0].entry(around(cell)).or_default().sub_cells |= bit;
+        }
+    }
+    levels
+}
+
+/// Axes of a cell from the highest bit of a sub-cell's number to the lowest. That along the direction is first.
+fn axes(cell: PatchKey) -> [usize; 3] {
+    let along = cell.direction() as usize / 2;
+    [along, (along + 1) % 3, (along + 2) % 3]
+}
+
+/// The cell of the next level around `cell`.
+fn around(cell: PatchKey) -> PatchKey {
+    PatchKey::of_cell(cell.level() as u32 + 1, cell.cell().map(|c| c >> 1), cell.direction() as u8, 0)
+}
+
+/// Bit of `cell` among the sub-cells of the one around it.
+fn sub_cell_of(cell: PatchKey) -> u8 {
+    1 << axes(cell).iter().fold(0, |number, &axis| number << 1 | cell.cell()[axis] & 1)
+}
+
+/// Sub-cell `number`, 0…7, of `cell`, whose level is 1 or more.
+fn sub_cell(cell: PatchKey, number: u8) -> PatchKey {
+    let mut at = cell.cell().map(|c| 2 * c);
+    for (place, axis) in axes(cell).into_iter().enumerate() {
+        at[axis] += i32::from(number >> (2 - place) & 1);
+    }
+    PatchKey::of_cell(cell.level() as u32 - 1, at, cell.direction() as u8, 0)
+}
+
+/// Appends the cells of the highest level.
+fn put_highest<'a>(out: &mut Vec<u8>, cells: impl Iterator<Item = &'a PatchKey> + Clone) {
+    let mut of_direction = [0; DIRECTIONS];
+    cells.clone().for_each(|cell| of_direction[cell.direction() as usize] += 1);
+    put_u32s(out, &of_direction);
+    (0..3).for_each(|axis| put_deltas(out, cells.clone().map(|cell| cell.cell()[axis])));
+}
+
+fn put_codes(out: &mut Vec<u8>, codes: &[u8]) {
+    let packed = |codes: &[u8]| codes.iter().rev().fold(0, |byte, code| byte << 2 | code);
+    out.extend(codes.chunks(CODES_PER_BYTE).map(packed));
+}
+
+/// Numbers left out before each of `ascending`, since the one before.
+fn gaps(ascending: &[u32]) -> Vec<u32> {
+    let mut next = 0;
+    ascending.iter().map(|&number| number - std::mem::replace(&mut next, number.wrapping_add(1))).collect()
+}
+
+/// Inverse of [`gaps`]; errs on numbers above `max`.
+fn ascending_of(
+    section: &'static str,
+    what: &'static str,
+    gaps: impl Iterator<Item = u32>,
+    max: u32,
+) -> Result<Vec<u32>, ChunkError> {
+    let mut next = 0;
+    let number = |gap| {
+        let number = in_range(section, what, next + u64::from(gap), 0, max.into())? as u64;
+        next = number + 1;
+        Ok(number as u32)
+    };
+    gaps.map(number).collect()
+}
+
+/// Errs unless the sub-cells of `cell` lie on their lattice.
+fn check_divisible(section: &'static str, cell: PatchKey) -> Result<(), ChunkError> {
+    cell.cell().into_iter().try_for_each(|c| {
+        let place = (c + CELL_END) as u64;
+        let half = CELL_END as u64 / 2;
+        in_range(section, "place of a divided cell + 2¹⁴", place, half, 3 * half - 1).map(drop)
+    })
+}
+
+/// Reads a walk to `count` keys: patches of all visited cells, and as many sky parts as are left. Each visited cell holds
+/// a patch at least, so no level has more cells.
+fn take_walk(reader: &mut Reader, count: usize) -> Result<Vec<ColumnKey>, ChunkError> {
+    let section = reader.section();
+    let cells = take_cells(reader, count)?;
+    let (mut keys, listed) = take_single(reader, cells)?;
+    let more = take_u32s(reader, "patches of a cell", listed.len())?;
+    let in_lists = more.iter().map(|&more| u64::from(more) + 1).sum();
+    let left = count.saturating_sub(keys.len());
+    in_range(section, "patches", keys.len() as u64, 0, count as u64)?;
+    let in_lists = in_range(section, "listed patches", in_lists, 0, left as u64)?;
+    let mut lists = take_u32s(reader, "number of a patch", in_lists)?.into_iter();
+    for (cell, more) in listed.into_iter().zip(more) {
+        let list = lists.by_ref().take(more as usize + 1);
+        let ordinals = ascending_of(section, "number of a patch", list, ORDINAL_MAX)?;
+        keys.extend(ordinals.into_iter().map(|ordinal| cell.0 + u64::from(ordinal)));
+    }
+    let sky = take_u32s(reader, "part of the sky", left - in_lists)?;
+    let sky = ascending_of(section, "part of the sky", sky.into_iter(), u32::MAX)?;
+    keys.extend(sky.into_iter().map(|part| PatchKey::of_sky(part).0));
+    keys.sort_unstable();
+    Ok(keys)
+}
+
+/// Reads the visited cells, from the highest level down, each with a bit of each sub-cell.
+fn take_cells(reader: &mut Reader, count: usize) -> Result<Vec<(PatchKey, u8)>, ChunkError> {
+    let section = reader.section();
+    let mut cells = take_highest(reader, count)?;
+    let mut visited = Vec::new();
+    while cells.first().is_some_and(|cell| cell.level() > 0) {
+        let bits = reader.take("sub-cells", cells.len(), 1)?;
+        let below = bits.iter().map(|bits| u64::from(bits.count_ones())).sum();
+        let mut sub_cells =
+            Vec::with_capacity(in_range(section, "cells of a level", below, 0, count as u64)?);
+        for (cell, &bits) in cells.into_iter().zip(bits) {
+            if bits != 0 {
+                check_divisible(section, cell)?;
+            }
+            let inside = (0..8).filter(|number| bits >> number & 1 == 1);
+            sub_cells.extend(inside.map(|number| sub_cell(cell, number)));
+            visited.push((cell, bits));
+        }
+        sub_cells.sort_unstable();
+        cells = sub_cells;
+    }
+    visited.extend(cells.into_iter().map(|cell| (cell, 0)));
+    Ok(visited)
+}
+
+/// Reads the cells of the highest level, ascending.
+fn take_highest(reader: &mut Reader, count: usize) -> Result<Vec<PatchKey>, ChunkError> {
+    let section = reader.section();
+    let level = in_range(section, "highest level", reader.u8("highest level")?.into(), 0, LEVEL_MAX)?;
+    let of_direction = take_u32s(reader, "cells of a direction", DIRECTIONS)?;
+    let total = of_direction.iter().map(|&cells| u64::from(cells)).sum();
+    let total = in_range(section, "cells of the highest level", total, 0, count as u64)?;
+    let mut places = || take_deltas(reader, "place of a cell", total, -CELL_END..=CELL_END - 1);
+    let places = [places()?, places()?, places()?];
+    let directions = (0..).zip(of_direction).flat_map(|(of, cells)| std::iter::repeat_n(of, cells as usize));
+    let cell = |(index, direction)| {
+        let at = places.each_ref().map(|axis: &Vec<i32>| axis[index]);
+        PatchKey::of_cell(level as u32, at, direction, 0)
+    };
+    let cells: Vec<PatchKey> = directions.enumerate().map(cell).collect();
+    all_ascending(section, "cell", &cells)?;
+    Ok(cells)
+}
+
+/// Reads the codes of `cells`: keys of cells with one patch, and cells whose patches are listed.
+fn take_single(
+    reader: &mut Reader,
+    cells: Vec<(PatchKey, u8)>,
+) -> Result<(Vec<ColumnKey>, Vec<PatchKey>), ChunkError> {
+    let inner = cells.iter().filter(|(_, sub_cells)| *sub_cells != 0).count();
+    let mut codes = [take_codes(reader, cells.len() - inner)?, take_codes(reader, inner)?];
+    let (mut keys, mut listed) = (Vec::new(), Vec::new());
+    for (cell, sub_cells) in cells {
+        let inner = u8::from(sub_cells != 0);
+        match codes[usize::from(inner)].next().unwrap_or_default() {
+            LISTED => listed.push(cell),
+            code => keys.extend(code.checked_sub(inner).map(|ordinal| cell.0 + u64::from(ordinal))),
+        }
+    }
+    Ok((keys, listed))
+}
+
+/// Reads `count` codes.
+fn take_codes<'a>(
+    reader: &mut Reader<'a>,
+    count: usize,
+) -> Result<impl Iterator<Item = u8> + use<'a>, ChunkError> {
+    let packed = reader.take("codes of cells", count.div_ceil(CODES_PER_BYTE), 1)?;
+    let codes = |byte: &u8| [0, 2, 4, 6].map(|shift| *byte >> shift & LISTED);
+    Ok(packed.iter().flat_map(codes))
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn stored(keys: &[ColumnKey]) -> Vec<u8> {
+        let mut out = Vec::new();
+        put_keys(&mut out, keys);
+        assert!(out.len() as u64 <= keys_bytes_max(keys.len()));
+        out
+    }
+
+    fn read(bytes: &[u8], count: usize) -> Result<Vec<ColumnKey>, ChunkError> {
+        let mut reader = Reader::new("test", bytes);
+        let keys = take_keys(&mut reader, count, LAST_WITHOUT_MODE + 1)?;
+        reader.end()?;
+        Ok(keys)
+    }
+
+    fn sorted(mut keys: Vec<ColumnKey>) -> Vec<ColumnKey> {
+        keys.sort_unstable();
+        keys.dedup();
+        keys
+    }
+
+    /// A wall of 32² patches of level 0 in direction `direction`, and around each 4² one of level 2.
+    fn wall(direction: u8) -> Vec<ColumnKey> {
+        let cell = |level: u32, u: i32, v: i32| {
+            let mut cell = [-1; 3];
+            (cell[usize::from(direction / 2 + 1) % 3], cell[usize::from(direction / 2 + 2) % 3]) = (u, v);
+            PatchKey::of_cell(level, cell, direction, 0).0
+        };
+        let fine = (-16..16).flat_map(|u| (-16..16).map(move |v| cell(0, u, v)));
+        let coarse = (-4..4).flat_map(|u| (-4..4).map(move |v| cell(2, u, v)));
+        sorted(fine.chain(coarse).collect())
+    }
+
+    #[test]
+    fn cut_of_a_flat_wall_takes_a_tenth_of_its_keys_and_the_same_in_every_direction() {
+        let sub_cells: Vec<Vec<u8>> = (0..6)
+            .map(|direction| {
+                let keys = wall(direction);
+                let bytes = stored(&keys);
+                assert_eq!(bytes[0], WALK);
+                assert!(10 * bytes.len() < 8 * keys.len(), "{} bytes of {} keys", bytes.len(), keys.len());
+                assert_eq!(read(&bytes, keys.len()).unwrap(), keys);
+                take_cells(&mut Reader::new("test", &bytes[1..]), keys.len())
+                    .unwrap()
+                    .into_iter()
+                    .map(|(_, sub_cells)| sub_cells)
+                    .collect()
+            })
+            .collect();
+        assert!(sub_cells.iter().all(|of| *of == sub_cells[0]));
+    }
+
+    #[test]
+    fn keys_that_no_patch_has_are_stored_as_they_are() {
+        for keys in
+            [vec![], vec![3, u64::MAX], vec![6 << 55, 7 << 55], (0..99).map(|i| 6 << 55 | i).collect()]
+        {
+            let bytes = stored(&keys);
+            assert_eq!((bytes[0], bytes.len()), (PLAIN, 1 + 8 * keys.len()));
+            assert_eq!(read(&bytes, keys.len()).unwrap(), keys);
+            let old = take_keys(&mut Reader::new("test", &bytes[1..]), keys.len(), LAST_WITHOUT_MODE);
+            assert_eq!(old.unwrap(), keys);
+        }
+    }
+
+    #[test]
+    fn broken_walks_are_refused_by_their_fault() {
+        let keys = wall(3);
+        let bytes = stored(&keys);
+        for count in [0, 1, 63, 64, 700, keys.len() - 1] {
+            assert!(read(&bytes, count).is_err(), "{count}");
+        }
+        assert!((0..bytes.len()).all(|length| read(&bytes[..length], keys.len()).is_err()));
+        let refused = |highest: &[PatchKey], rest: &[u8]| {
+            let mut bytes = vec![WALK, highest[0].level() as u8];
+            put_highest(&mut bytes, highest.iter());
+            bytes.extend_from_slice(rest);
+            read(&bytes, 2).unwrap_err().to_string()
+        };
+        let cell = |level, x| PatchKey::of_cell(level, [x, 0, 0], 0, 0);
+        // Sub-cells; codes; how many are listed, their numbers; parts of the sky.
+        assert!(refused(&[cell(1, -8193)], &[1, 0, 0, 0, 0, 0]).contains("place of a divided cell"));
+        assert!(refused(&[cell(1, 8192)], &[1, 0, 0, 0, 0, 0]).contains("place of a divided cell"));
+        assert!(refused(&[cell(1, 0)], &[7]).contains("cells of a level"));
+        assert!(refused(&[cell(0, 0); 2], &[]).contains("does not ascend"));
+        assert!(refused(&[cell(0, 1), cell(0, 0)], &[]).contains("does not ascend"));
+        assert!(refused(&[cell(0, 0)], &[LISTED, 1, 2, 0, 0]).contains("listed patches"));
+        assert!(refused(&[cell(0, 0)], &[LISTED, 0, 2, 0, 4, 0]).contains("number of a patch"));
+        assert!(refused(&[cell(0, 0)], &[0, 0, 0, 0, 0]).contains("left over"));
+    }
+
+    /// Cuts: each visited cell is named, divided or both, and parts may be missing.
+    fn cut(noise: &mut impl Iterator<Item = u8>, cell: PatchKey, keys: &mut Vec<ColumnKey>) {
+        let draw = noise.next().unwrap_or_default();
+        if draw & 1 == 1 {
+            let ordinals = [&[0][..], &[1], &[0, 1], &[2, 1023]][usize::from(draw >> 1 & 3)];
+            keys.extend(ordinals.iter().map(|ordinal| cell.0 + ordinal));
+        }
+        if draw & 8 == 8 && cell.level() > 0 {
+            let there = noise.next().unwrap_or_default();
+            for number in (0..8).filter(|number| there >> number & 1 == 1) {
+                cut(noise, sub_cell(cell, number), keys);
+            }
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn cuts_come_back(
+            roots in prop::collection::vec((0_u32..=14, prop::array::uniform3(-8192..8192), 0_u8..6), 0..4),
+            noise in prop::collection::vec(any::<u8>(), 0..600),
+            sky in prop::collection::vec(prop_oneof![0_u32..64, any::<u32>()], 0..9))
+        {
+            let mut keys: Vec<ColumnKey> = sky.into_iter().map(|part| PatchKey::of_sky(part).0).collect();
+            let mut noise = noise.into_iter();
+            for (level, cell, direction) in roots {
+                cut(&mut noise, PatchKey::of_cell(level, cell, direction, 0), &mut keys);
+            }
+            let keys = sorted(keys);
+            prop_assert_eq!(read(&stored(&keys), keys.len()).unwrap(), &keys[..]);
+            // The walk comes back where keys as they are would be shorter too.
+            let walk = walk_of(&keys).unwrap();
+            prop_assert_eq!(take_walk(&mut Reader::new("test", &walk), keys.len()).unwrap(), keys);
+        }
+
+        #[test]
+        fn any_keys_come_back(
+            near in prop::collection::vec(any::<u64>(), 0..60), mask in any::<u64>(), bits in any::<u64>())
+        {
+            let keys = sorted(near.into_iter().map(|key| key & mask | bits).collect());
+            prop_assert_eq!(read(&stored(&keys), keys.len()).unwrap(), &keys[..]);
+            if let Some(walk) = walk_of(&keys) {
+                prop_assert_eq!(take_walk(&mut Reader::new("test", &walk), keys.len()).unwrap(), keys);
+            }
+        }
+
+        #[test]
+        fn changed_walks_are_refused_or_are_ascending_keys(
+            changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..5), direction in 0_u8..6)
+        {
+            let keys = wall(direction);
+            let mut bytes = stored(&keys);
+            for (index, value) in changes {
+                let at = index.index(bytes.len());
+                bytes[at] = value;
+            }
+            if let Ok(read) = read(&bytes, keys.len()) {
+                prop_assert!(read.len() == keys.len() && read.is_sorted_by(|a, b| a < b));
+            }
+        }
+    }
+}
