@@ -9,6 +9,7 @@ use super::ascending;
 use super::bytes::{Reader, put_f32s};
 use super::cells::{CellReader, CellWriter};
 use super::column_keys::{keys_bytes_max, put_keys, take_keys};
+use super::column_order::ColumnOrder;
 use super::error::{ChunkError, all_numbers, in_range};
 use super::layers::{FactorShape, LayerBox, band_groups, coefficients_of, rank_groups, ranks_of};
 use super::limits::{BANDS_MAX, RANK_MAX};
@@ -21,6 +22,8 @@ use crate::content::{ColumnKey, TransportFactors};
 const U_CELL: usize = 48;
 /// Columns per cell of ΣVᵀ where each group of columns has but one.
 const VT_CELL: usize = 48;
+/// Last version that stores the columns of every rank by key.
+const LAST_BY_KEY: u16 = 2;
 /// Codes of a column of U are stored as they are.
 const AS_IS: u8 = 0;
 /// Codes of a column of U are stored as differences from guesses.
@@ -97,6 +100,7 @@ pub struct StoredFactors {
     pub shape: FactorShape,
     /// Keys named, ascending: those whose column of ΣVᵀ is worth no code are left out where keys have one column each.
     pub keys: Vec<ColumnKey>,
+    /// ΣVᵀ in stored order, where keys have one column each.
     codes: Quantised,
 }
 
@@ -125,7 +129,7 @@ impl StoredFactors {
         let vt = sorted_columns(factors, &key_source);
         let mut codes = quantise(&u, &vt, factors.rank as usize, relative_error)?;
         if factors.bands == 0 && !factors.sky {
-            codes.vt = without_zeros(&codes.vt, &mut keys);
+            codes.vt = largest_first(&without_zeros(&codes.vt, &mut keys), keys.len());
         }
         let TransportFactors { bands, rank, sky, .. } = *factors;
         let shape = FactorShape { counts, levels, keys: keys.len(), sky, bands, rank };
@@ -216,6 +220,17 @@ fn without_zeros(vt: &[i32], keys: &mut Vec<ColumnKey>) -> Vec<i32> {
     vt.iter().zip(is_used.iter().cycle()).filter(|(_, used)| **used).map(|(code, _)| *code).collect()
 }
 
+/// Codes of ΣVᵀ of one column per key in stored order, rank by rank.
+fn largest_first(vt: &[i32], columns: usize) -> Vec<i32> {
+    let mut order = ColumnOrder::new(columns);
+    let mut stored = Vec::with_capacity(vt.len());
+    for row in vt.chunks_exact(columns.max(1)) {
+        stored.extend(order.columns().iter().map(|&column| row[column as usize]));
+        order.advance(row);
+    }
+    stored
+}
+
 /// Row-major `u` as rank-major, its rows in the order of `source`.
 fn rank_major(u: &[f32], rank: usize, source: &[usize]) -> Vec<f32> {
     (0..rank).flat_map(|i| source.iter().map(move |&row| u[row * rank + i])).collect()
@@ -296,6 +311,8 @@ pub(super) struct FactorDecoder {
     vt_step: Vec<f32>,
     /// Codes of U that later layers guess from, one array per rank, in stored order of rows.
     u_codes: Vec<Vec<i32>>,
+    /// Of the next rank of ΣVᵀ, where keys have one column each and are not stored in their own order.
+    order: Option<ColumnOrder>,
 }
 
 impl FactorDecoder {
@@ -310,13 +327,16 @@ impl FactorDecoder {
             u: vec![0.0; rows * rank],
             vt: vec![0.0; rank * shape.columns(layer.bands)],
         };
-        Self { shape, factors, u_step: Vec::new(), vt_step: Vec::new(), u_codes: vec![Vec::new(); rank] }
+        let u_codes = vec![Vec::new(); rank];
+        Self { shape, factors, u_step: Vec::new(), vt_step: Vec::new(), u_codes, order: None }
     }
 
     /// Reads keys and steps of a chunk of `version`.
     pub fn base(&mut self, reader: &mut Reader, version: u16) -> Result<(), ChunkError> {
         let rank = self.shape.rank as usize;
         self.factors.keys = take_keys(reader, self.shape.keys, version)?;
+        let is_ordered = version > LAST_BY_KEY && self.shape.bands == 0 && !self.shape.sky;
+        self.order = is_ordered.then(|| ColumnOrder::new(self.shape.keys));
         for (what, steps) in [("steps of U", &mut self.u_step), ("steps of ΣVᵀ", &mut self.vt_step)] {
             *steps = reader.f32s(what, rank)?;
             all_numbers("base", what, steps, "0..=1e28", |step| (0.0..=STEP_MAX).contains(&step))?;
@@ -358,15 +378,19 @@ impl FactorDecoder {
     fn read_vt(&mut self, ranks: usize, bands: usize, cells: &mut CellReader) {
         let columns = self.shape.columns(self.factors.bands);
         let of_row = vt_cells(&self.shape, self.factors.bands, bands);
-        let mut codes = Vec::new();
+        let (mut codes, mut by_key) = (Vec::new(), vec![0; columns]);
         for i in ranks_of(ranks, self.shape.rank) {
             let row = &mut self.factors.vt[i * columns..][..columns];
             for cell in &of_row {
                 codes.clear();
                 cells.next(cell.len(), &mut codes);
-                let entries = row[cell.clone()].iter_mut().zip(&codes);
-                entries.for_each(|(entry, &code)| *entry = value(code, self.vt_step[i]));
+                for (place, &code) in cell.clone().zip(&codes) {
+                    let column = self.order.as_ref().map_or(place, |order| order.columns()[place] as usize);
+                    by_key[column] = code;
+                    row[column] = value(code, self.vt_step[i]);
+                }
             }
+            self.order.iter_mut().for_each(|order| order.advance(&by_key));
         }
     }
 

@@ -11,6 +11,7 @@ mod cluster_head;
 mod cluster_near;
 mod cluster_receivers;
 mod column_keys;
+mod column_order;
 pub mod container;
 pub mod error;
 pub mod factors;
