@@ -19,6 +19,7 @@ pub mod mesh;
 pub mod moulding;
 mod rooms;
 pub mod shapes;
+mod stripes;
 pub mod texture;
 
 pub use atrium::atrium;
@@ -33,6 +34,9 @@ pub use hall::open_hall;
 pub use rooms::{
     BAR_M, BOARD_M, CHEST_M, DUCT_M, SLATS_M, furnace, hollow_furniture, sealed_box, shutter,
     small_sealed_boxes, two_rooms, two_rooms_under_the_sky, two_rooms_with_wall_at, u_corridor,
+};
+pub use stripes::{
+    FLOOR_BORDERS_M, PANELS_BORDER_M, STRIPE_BORDERS_M, bent_panel, parted_floor, striped_wall,
 };
 
 /// Every stored scene: file name without extension, and the bytes of its `.glb`.

@@ -17,4 +17,5 @@ mod pixels;
 mod rims;
 mod seams;
 mod setup;
+mod stripes;
 mod transforms;

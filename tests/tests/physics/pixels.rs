@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 
 use glam::Vec3;
 use lightkiln_proto::chunk::{QuantisationSettings, decode_cluster, encode_cluster};
-use lightkiln_proto::content::ClusterTransport;
+use lightkiln_proto::content::{BlockKey, ClusterTransport};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::manifest::CLUSTERS;
 use lightkiln_tests::harness::{LocalBake, bake};
@@ -55,11 +55,11 @@ fn measured(bake: &LocalBake, pixels: u32, change: impl Fn(usize, &mut ClusterTr
     evaluator.measure(&light, &progress).unwrap().pixels.unwrap()
 }
 
-/// Scales the light of the receivers of a cluster that `chosen` takes by their positions.
-fn scale(cluster: &mut ClusterTransport, factor: f32, chosen: impl Fn(Vec3) -> bool) {
-    let rank = cluster.factors.rank as usize;
-    for (row, position_m) in cluster.receivers.position_m.iter().enumerate() {
-        if !chosen(Vec3::from(*position_m)) {
+/// Scales the light of the receivers of a cluster that `chosen` takes by their blocks and positions.
+fn scale(cluster: &mut ClusterTransport, factor: f32, chosen: impl Fn(BlockKey, Vec3) -> bool) {
+    let (receivers, rank) = (&cluster.receivers, cluster.factors.rank as usize);
+    for (row, position_m) in receivers.position_m.iter().enumerate() {
+        if !chosen(receivers.blocks[usize::from(receivers.block[row])], Vec3::from(*position_m)) {
             continue;
         }
         cluster.factors.u[row * rank..(row + 1) * rank].iter_mut().for_each(|u| *u *= factor);
@@ -83,7 +83,7 @@ fn texel_made_black_is_hunted_down() {
         .min_by(|a, b| a.length().total_cmp(&b.length()))
         .filter(|position_m| is_on_middle_tile(*position_m))
         .unwrap();
-    let black = |_: usize, cluster: &mut ClusterTransport| scale(cluster, 0.0, |at| at == middle);
+    let black = |_: usize, cluster: &mut ClusterTransport| scale(cluster, 0.0, |_, at| at == middle);
     let is_found = |result: &PixelResult| {
         result
             .hunt
@@ -120,10 +120,14 @@ fn texels_without_links_bring_an_error_of_interpolation() {
 #[test]
 fn mesh_and_cluster_that_are_too_bright_show_as_seams() {
     let bake = room(TEXEL_M);
-    let brighter_tile = |_: usize, cluster: &mut ClusterTransport| scale(cluster, 1.5, is_on_middle_tile);
+    // Its neighbours have receivers with its light.
+    let blocks = &bake.manifest.layout().unwrap().blocks;
+    let middle = blocks.iter().find(|block| block.name.contains("tile 1 1")).unwrap().key;
+    let brighter_tile =
+        |_: usize, cluster: &mut ClusterTransport| scale(cluster, 1.5, |block, _| block == middle);
     let brighter_cluster = |index: usize, cluster: &mut ClusterTransport| {
         if index == 0 {
-            scale(cluster, 1.5, |_| true);
+            scale(cluster, 1.5, |_, _| true);
         }
     };
     let [whole, tile, cluster] = [

@@ -38,7 +38,7 @@ pub struct Lightmap {
     pub first_block: Vec<u32>,
     /// Blocks.
     pub blocks: Vec<Block>,
-    /// Receivers, block by block in raster order.
+    /// Receivers, block by block in raster order, guests among them.
     pub receivers: Vec<Receiver>,
 }
 
@@ -53,7 +53,8 @@ pub struct Block {
     pub size: [u32; 2],
     /// Instance.
     pub instance: u32,
-    /// Receiver that stands for each texel, row by row; [`NO_RECEIVER`] where the block is empty, or [`CAVITY`].
+    /// Receiver that stands for each texel, row by row, never a guest; [`NO_RECEIVER`] where the block is empty, or
+    /// [`CAVITY`].
     pub receiver_of_texel: Vec<u32>,
 }
 
@@ -64,7 +65,7 @@ pub struct Receiver {
     pub block: u32,
     /// Texel in the block.
     pub texel: Texel,
-    /// x_r: on the surface, or shifted out of geometry, in metres.
+    /// x_r: on the surface, or shifted out of geometry, in metres; that of the receiver whose light it takes.
     pub position_m: Vec3,
     /// n_r: unit shading normal of the lit side.
     pub normal: Vec3,
@@ -80,8 +81,11 @@ pub struct Receiver {
     pub coverage: u16,
     /// Where a wall cuts its texel; none before the last step of placement.
     pub edge: TexelEdge,
-    /// Surface that reads this texel, of one side.
+    /// Surface that reads this texel, of one side; of a guest without meaning.
     pub area: AreaCode,
+    /// Receiver whose light it takes, mostly itself: of the same point, rays and random numbers. 0 before the step of placement
+    /// that finds it.
+    pub light_of: u32,
 }
 
 impl Receiver {
@@ -100,6 +104,22 @@ impl Lightmap {
     /// Block and texel of a receiver: its identity in every bake of the scene.
     pub fn name_of(&self, receiver: u32) -> (BlockKey, Texel) {
         (self.block_key(receiver), self.receivers[receiver as usize].texel)
+    }
+
+    /// The receiver whose own texel this is, a guest or not, if there is any.
+    pub fn receiver_at(&self, block: u32, x: i32, y: i32) -> Option<u32> {
+        let order = |receiver: &Receiver| {
+            let [x, y] = receiver.texel.map(i32::from);
+            (receiver.block, y, x)
+        };
+        self.receivers.binary_search_by_key(&(block, y, x), order).ok().map(|index| index as u32)
+    }
+
+    /// A receiver has no surface: it stands where that of its chart is interpolated with the light of a neighbour.
+    pub fn is_guest(&self, receiver: u32) -> bool {
+        let Receiver { block, texel: [x, y], .. } = self.receivers[receiver as usize];
+        let block = &self.blocks[block as usize];
+        block.receiver_of_texel[usize::from(y) * block.size[0] as usize + usize::from(x)] != receiver
     }
 
     /// Numbers that seed a receiver's random numbers: its identity, and `purpose`, which tells one use from another.

@@ -199,7 +199,7 @@ impl World {
         !self.geometry.tracer.is_occluded(from_m, to_m)
     }
 
-    /// The receiver whose own texel this is, if any.
+    /// The receiver whose own texel this is, if any; no guest.
     pub fn receiver_on(&self, block: u32, x: i32, y: i32) -> Option<u32> {
         let size = self.lightmap.blocks[block as usize].size.map(|side| side as i32);
         if x < 0 || y < 0 || x >= size[0] || y >= size[1] {

@@ -62,7 +62,7 @@ struct Node {
 pub fn tree(world: &World) -> Result<PatchTree, TaskError> {
     let size_m = world.lightmap.texel_m * LEAF_TEXELS;
     let mut items = receiver_items(world, size_m)?;
-    let mut edges = receiver_edges(world);
+    let mut edges = receiver_edges(world, &items);
     let mut nodes: Vec<Node> = Vec::new();
     for level in 0..LEVELS_MAX {
         let (parents, parent_of) = level_above(world, level, size_m, &items, &edges, &mut nodes);
@@ -91,7 +91,11 @@ fn direction_of(normal: Vec3) -> u8 {
 fn receiver_items(world: &World, size_m: f32) -> Result<Vec<Item>, TaskError> {
     let lightmap = &world.lightmap;
     let mut items = Vec::with_capacity(lightmap.receivers.len());
-    for (index, receiver) in lightmap.receivers.iter().enumerate() {
+    for (index, receiver) in (0..).zip(&lightmap.receivers) {
+        // Guests have no surface.
+        if lightmap.is_guest(index) {
+            continue;
+        }
         let cell = cell_of(receiver.position_m, size_m);
         if cell.abs().max_element() >= CELLS_MAX / 2 {
             return Err(TaskError::bad_input(format!(
@@ -106,22 +110,24 @@ fn receiver_items(world: &World, size_m: f32) -> Result<Vec<Item>, TaskError> {
             point_m: receiver.position_m,
             normal: receiver.face_normal,
             node: u32::MAX,
-            receiver: index as u32,
+            receiver: index,
         });
     }
     Ok(items)
 }
 
-/// Pairs of receivers that are linked.
-fn receiver_edges(world: &World) -> Vec<[u32; 2]> {
+/// Pairs of items whose receivers are linked.
+fn receiver_edges(world: &World, items: &[Item]) -> Vec<[u32; 2]> {
     let mut edges = Vec::new();
-    for (index, receiver) in world.lightmap.receivers.iter().enumerate() {
+    for (index, item) in (0..).zip(items) {
+        let receiver = &world.lightmap.receivers[item.receiver as usize];
         let [x, y] = receiver.texel.map(i32::from);
         for (bit, [dx, dy]) in LINKS.into_iter().enumerate() {
             if receiver.links >> bit & 1 == 1
                 && let Some(other) = world.receiver_on(receiver.block, x + dx, y + dy)
+                && let Ok(other) = items.binary_search_by_key(&other, |item| item.receiver)
             {
-                edges.push([index as u32, other]);
+                edges.push([index, other as u32]);
             }
         }
     }

@@ -38,9 +38,9 @@ pub fn run(context: &Context, _: &TaskSpec) -> Result<TaskOutput, TaskError> {
 pub struct PatchTree {
     /// Patches, each before its parts; the leaves of a patch are `first_leaf..first_leaf + leaf_count`.
     pub patches: Vec<Patch>,
-    /// Leaf of each receiver.
+    /// Leaf of each receiver; of a guest without meaning.
     pub leaf_of_receiver: Vec<u32>,
-    /// Receivers, leaf by leaf.
+    /// Receivers, leaf by leaf, without guests.
     pub receivers: Vec<u32>,
     /// First entry of each leaf in `receivers`, and the end.
     pub leaf_starts: Vec<u32>,

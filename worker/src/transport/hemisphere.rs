@@ -33,9 +33,10 @@ pub struct Surroundings {
 }
 
 impl<'a> Hemisphere<'a> {
-    /// The hemisphere of a receiver. Its random numbers come from its block and texel alone.
+    /// The hemisphere of a receiver, or of the one whose light it takes. Its random numbers come from block and texel alone.
     pub fn new(world: &'a World, emitters: &'a EmitterSet, receiver: u32, rays: u32) -> Self {
         let geometry = world.geometry.as_ref();
+        let receiver = world.lightmap.receivers[receiver as usize].light_of;
         let own = &world.lightmap.receivers[receiver as usize];
         let (site, seed) = (own.site(), world.lightmap.seed_of(own, 3));
         let origin_m = site.ray_origin_m(geometry.tracer.ray_offset_m());

@@ -63,6 +63,7 @@ impl Attributes<'_> {
             coverage: 0,
             edge: TexelEdge::NONE,
             area: AreaCode::ONE,
+            light_of: 0,
         }
     }
 }

@@ -9,6 +9,10 @@ use crate::geometry::Geometry;
 use crate::lightmap::{Charts, Lightmap, World};
 use crate::task::Progress;
 
+/// Distance in texels up to which the points of neighbouring texels may lie apart, of which one is a guest's: the diagonal of
+/// two squares.
+const GUEST_REACH: f32 = 2.9;
+
 /// The lightmap with the links of every receiver.
 pub fn linked(
     geometry: &Arc<Geometry>,
@@ -32,7 +36,13 @@ fn links_of(world: &World, index: u32) -> (u8, u64) {
     let (mut links, mut rays) = (0, 0);
     for (bit, [dx, dy]) in LINKS.into_iter().enumerate() {
         let [x, y] = receiver.texel.map(i32::from);
-        let Some(other) = world.receiver_on(receiver.block, x + dx, y + dy) else { continue };
+        let Some(other) = world.lightmap.receiver_at(receiver.block, x + dx, y + dy) else { continue };
+        // Guests of two charts may lie side by side in the gutter.
+        let is_guests = [index, other].iter().any(|&receiver| world.lightmap.is_guest(receiver));
+        let other_m = world.lightmap.receivers[other as usize].position_m;
+        if is_guests && receiver.position_m.distance(other_m) > GUEST_REACH * world.lightmap.texel_m {
+            continue;
+        }
         rays += 1;
         if world.is_linked(world.raised_receiver(index), world.raised_receiver(other)) {
             links |= 1 << bit;

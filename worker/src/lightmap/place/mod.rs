@@ -1,10 +1,10 @@
 //! Task `scene.place`: which texels have receivers, and where each stands.
 //!
 //! ```text
-//! cover ──▶ test ──▶ choose ──▶ number ──▶ leave out ──▶ points ───────────────────▶ link
-//! texels    each     one point  in order   cavities      of a texel on its receiver's texels that
-//! of a      candi-   per texel  of blocks                side of every wall           no wall parts
-//! block     date
+//! cover ──▶ test ──▶ choose ──▶ number ──▶ leave out ──▶ points ─────────▶ share ───────────▶ link
+//! texels    each     one point  in order   cavities      of a texel on     the light of       texels that
+//! of a      candi-   per texel  of blocks                its receiver's    coplanar surfaces  no wall parts
+//! block     date                                         side of walls     beside each other
 //! ```
 //! Every step takes plain data and gives plain data. Where a step casts rays, a [`World`](super::World) is built of the
 //! lightmap that the step before it gave.
@@ -18,6 +18,8 @@ mod cover;
 mod links;
 mod points;
 mod regions;
+mod shared;
+mod squares;
 
 use std::sync::Arc;
 
@@ -36,6 +38,7 @@ use candidate::{Candidate, Tester};
 use cover::{Coverage, TexelPoint, areas, cover};
 
 pub use blocks::{blocks, sides};
+pub use shared::SharedTexels;
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -48,21 +51,35 @@ pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> 
     let Params { place: settings } = params(task)?;
     let geometry = Geometry::of(context)?;
     let charts = Charts::of(context)?;
-    let (lightmap, in_cavities) = place(&geometry, &charts, &settings, context.progress)?;
+    let (lightmap, counts) = place(&geometry, &charts, &settings, context.progress)?;
+    let counters = [
+        ("texels_in_cavities", counts.in_cavities),
+        ("texels_shared", counts.shared.borrowers),
+        ("texels_of_guests", counts.shared.guests),
+    ];
     Ok(TaskOutput {
         artefacts: vec![("lightmap".into(), artefact::encode(ARTEFACT_MAGIC, &lightmap)?)],
-        counters: [("texels_in_cavities".to_owned(), in_cavities as f64)].into(),
+        counters: counters.map(|(name, count)| (name.to_owned(), count as f64)).into(),
         ..TaskOutput::default()
     })
 }
 
-/// The lightmap of a scene, and how many texels lie in cavities.
+/// Counts of texels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Counts {
+    /// Those in cavities.
+    pub in_cavities: usize,
+    /// Those with the light of others.
+    pub shared: SharedTexels,
+}
+
+/// The lightmap of a scene, and how many of its texels are of special kinds.
 pub fn place(
     geometry: &Arc<Geometry>,
     charts: &Charts,
     settings: &PlaceSettings,
     progress: &Progress,
-) -> Result<(Lightmap, usize), TaskError> {
+) -> Result<(Lightmap, Counts), TaskError> {
     let texel_m = charts.texel_m;
     let mut lightmap = Lightmap {
         texel_m,
@@ -96,8 +113,9 @@ pub fn place(
     progress.begin(0.6, 1.0, 1);
     let (lightmap, in_cavities) = cavities::left_out(geometry, charts, lightmap, settings, progress)?;
     let lightmap = points::covered(geometry, charts, lightmap, progress);
+    let (lightmap, shared) = shared::shared(geometry, charts, lightmap, progress);
     let lightmap = links::linked(geometry, charts, lightmap, progress);
-    Ok((lightmap, in_cavities))
+    Ok((lightmap, Counts { in_cavities, shared }))
 }
 
 /// One side of a block while its points are chosen.

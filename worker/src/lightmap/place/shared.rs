@@ -1,0 +1,268 @@
+//! Step "share": coplanar neighbours share the lattice's squares, whatever mesh, chart or material they belong to.
+//!
+//! Charts lie on one lattice, so texels of two charts may be the same square of one plane. Each would gather light at a
+//! point of its own, and pictures, which interpolate inside a block alone, would show a step at the border of the two.
+//! - Where several charts have receivers in a square, one of them lends its point and its light to the others.
+//! - Where a chart's surface is interpolated with a square in which it has no receiver and a neighbour has one, it gets a
+//!   *guest* there: a receiver without surface, with the neighbour's light.
+//! - Where the neighbour has another lattice, as a bent chart has, the guest gathers light of its own at the square's middle.
+//!
+//! So both sides of a border interpolate between the same values, or between values for the same light. No light is shared
+//! between points that a wall parts.
+
+use std::cmp::Reverse;
+use std::sync::Arc;
+
+use lightkiln_proto::content::{AreaCode, TexelEdge};
+use rayon::prelude::*;
+
+use super::squares::{COPLANAR_COSINE_MIN, Faces, Found, Reading, Squares, level_m};
+use crate::geometry::{Geometry, Site};
+use crate::lightmap::{Charts, Lightmap, Receiver, Surface, World};
+use crate::task::Progress;
+
+/// Distance in texels in which the points of lenders are told apart by their distance from the middles of their squares:
+/// pictures show light as if it were gathered there.
+const CENTRAL_STEP: f32 = 0.125;
+/// A guest takes its own light.
+const ITSELF: u32 = u32::MAX;
+
+/// Receivers with the light of others.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SharedTexels {
+    /// Those with surface of their own.
+    pub borrowers: usize,
+    /// Those without.
+    pub guests: usize,
+}
+
+/// The lightmap with shared light, and guests among its receivers.
+pub fn shared(
+    geometry: &Arc<Geometry>,
+    charts: &Charts,
+    lightmap: Lightmap,
+    progress: &Progress,
+) -> (Lightmap, SharedTexels) {
+    let world = World::new(Arc::clone(geometry), charts, lightmap);
+    let faces = Faces::all(&world, charts);
+    let of_faces: Vec<Found> = faces.into_par_iter().map(|face| Found::of(&world, face)).collect();
+    let squares = Squares::new(&world, of_faces.iter().flat_map(|found| &found.own));
+    let (light_of, rays) = lenders(&world, &squares);
+    progress.add_rays_occlusion(rays);
+    let readings: Vec<&Reading> = of_faces.iter().flat_map(|found| &found.read).collect();
+    let found: Vec<(Option<GuestLight>, u64)> =
+        readings.par_iter().map(|reading| guest_of(&world, &squares, &light_of, reading)).collect();
+    progress.add_rays_occlusion(found.iter().map(|(_, rays)| rays).sum());
+    let guest = |(reading, (light, _)): (Reading, (Option<GuestLight>, u64))| Some((reading, light?));
+    let guests: Vec<(Reading, GuestLight)> =
+        readings.into_iter().copied().zip(found).filter_map(guest).collect();
+    let borrowers = light_of.iter().zip(0..).filter(|(light_of, own)| *light_of != own).count();
+    let shared = SharedTexels { borrowers, guests: guests.len() };
+    (with_light(world.into_lightmap(), &light_of, &guests), shared)
+}
+
+/// Order in which receivers of a square are asked to lend their light: points in the middle come first, then those of
+/// texels of which most is on their side of every wall.
+fn rank(squares: &Squares, lightmap: &Lightmap, receiver: u32) -> impl Ord + use<> {
+    let own = &lightmap.receivers[receiver as usize];
+    let away_m = squares.of_receiver[receiver as usize]
+        .map_or(f32::INFINITY, |square| square.middle_m.distance(own.position_m));
+    let away = (away_m / (CENTRAL_STEP * lightmap.texel_m)) as u32;
+    (away, Reverse(own.coverage.count_ones()), lightmap.block_key(receiver), own.texel)
+}
+
+/// The receiver whose light each receiver takes, itself where nobody lends it any; and the rays cast.
+fn lenders(world: &World, squares: &Squares) -> (Vec<u32>, u64) {
+    let receivers = &world.lightmap.receivers;
+    let mut light_of: Vec<u32> = (0..receivers.len() as u32).collect();
+    let others = |&own: &u32| {
+        let Receiver { normal, face_normal, .. } = receivers[own as usize];
+        let square = squares.of_receiver[own as usize]?;
+        let found = squares.receivers(world, &square, [normal, face_normal]);
+        (found.len() > 1).then_some((own, found))
+    };
+    let mut sharing: Vec<(u32, Vec<u32>)> =
+        (0..receivers.len() as u32).into_par_iter().filter_map(|own| others(&own)).collect();
+    sharing.sort_by_cached_key(|(own, _)| rank(squares, &world.lightmap, *own));
+    // Squares are found by tolerance: only those that come earlier lend, and of them only those that borrow nothing.
+    let mut is_asked = vec![false; receivers.len()];
+    let mut rays = 0;
+    for (own, found) in &mut sharing {
+        found.sort_by_cached_key(|&other| rank(squares, &world.lightmap, other));
+        let lends = |&&other: &&u32| {
+            let may_lend = is_asked[other as usize] && light_of[other as usize] == other;
+            may_lend && {
+                rays += 1;
+                world.is_linked(world.raised_receiver(*own), world.raised_receiver(other))
+            }
+        };
+        if let Some(&lender) = found.iter().find(lends) {
+            light_of[*own as usize] = lender;
+        }
+        is_asked[*own as usize] = true;
+    }
+    (light_of, rays)
+}
+
+/// Light of a guest.
+#[derive(Clone, Copy, Debug)]
+enum GuestLight {
+    /// That of a receiver.
+    Of(u32),
+    /// Its own, at a point on the surface of a receiver: the neighbour has another lattice.
+    Own(Site, u32),
+}
+
+/// The light of a guest, if there is to be one; and the rays cast to lenders.
+fn guest_of(
+    world: &World,
+    squares: &Squares,
+    light_of: &[u32],
+    reading: &Reading,
+) -> (Option<GuestLight>, u64) {
+    let Reading { square, site, .. } = reading;
+    let found = squares.receivers(world, square, [site.normal, site.face_normal]);
+    if found.is_empty() {
+        return (own_light(world, reading), 0);
+    }
+    let mut lenders: Vec<u32> = found.into_iter().map(|receiver| light_of[receiver as usize]).collect();
+    lenders.sort_by_cached_key(|&lender| rank(squares, &world.lightmap, lender));
+    let from_m = world.geometry.raised(site.position_m, site.face_normal, world.link_height_m());
+    lenders.dedup();
+    let linked = |&lender: &u32| world.is_linked(from_m, world.raised_receiver(lender));
+    let place = lenders.iter().position(linked);
+    (place.map(|place| GuestLight::Of(lenders[place])), place.map_or(lenders.len(), |place| place + 1) as u64)
+}
+
+/// Light at the middle of a square on which a coplanar neighbour goes on, no wall between.
+fn own_light(world: &World, Reading { block, square, site, .. }: &Reading) -> Option<GuestLight> {
+    let (geometry, height_m) = (&world.geometry, 2.0 * level_m(world));
+    let above_m = square.middle_m + site.face_normal * height_m;
+    let hit = geometry.tracer.closest(above_m, -site.face_normal, 2.0 * height_m)?;
+    let Surface::Receiver(met) = world.surface_at(&hit) else { return None };
+    let own = geometry.site_at(&hit);
+    let gathers_alike = own.normal.dot(site.normal) >= COPLANAR_COSINE_MIN
+        && own.face_normal.dot(site.face_normal) >= COPLANAR_COSINE_MIN;
+    let raised = |site: &Site| geometry.raised(site.position_m, site.face_normal, world.link_height_m());
+    let is_beside = gathers_alike
+        && world.lightmap.receivers[met as usize].block != *block
+        && world.is_linked(raised(site), raised(&own));
+    is_beside.then_some(GuestLight::Own(own, met))
+}
+
+/// Receivers with the light of others, and guests among them; all in the order of blocks and of their rasters.
+fn with_light(lightmap: Lightmap, light_of: &[u32], guests: &[(Reading, GuestLight)]) -> Lightmap {
+    let borrowing = lightmap.receivers.iter().zip(light_of).map(|(own, &light_of)| {
+        let Receiver { position_m, normal, face_normal, .. } = lightmap.receivers[light_of as usize];
+        Receiver { position_m, normal, face_normal, light_of, ..*own }
+    });
+    let guest = |(Reading { block, texel, .. }, light): &(Reading, GuestLight)| {
+        let of = |receiver: u32| Receiver {
+            block: *block,
+            texel: *texel,
+            coverage: 0,
+            area: AreaCode::ONE,
+            light_of: receiver,
+            ..lightmap.receivers[receiver as usize]
+        };
+        match *light {
+            GuestLight::Of(lender) => of(lender),
+            GuestLight::Own(Site { position_m, normal, face_normal }, met) => {
+                let edge = TexelEdge::NONE;
+                Receiver { position_m, normal, face_normal, edge, light_of: ITSELF, ..of(met) }
+            }
+        }
+    };
+    let own = borrowing.zip(0..).map(|(receiver, number)| (receiver, Some(number)));
+    let mut all: Vec<(Receiver, Option<u32>)> =
+        own.chain(guests.iter().map(|found| (guest(found), None))).collect();
+    all.sort_by_key(|(Receiver { block, texel: [x, y], .. }, _)| (*block, *y, *x));
+    let mut number_of = vec![0; light_of.len()];
+    for ((_, old), new) in all.iter().zip(0..) {
+        if let Some(old) = old {
+            number_of[*old as usize] = new;
+        }
+    }
+    let mut blocks = lightmap.blocks;
+    for slot in blocks.iter_mut().flat_map(|block| &mut block.receiver_of_texel) {
+        // Entries beyond the receivers' numbers say why there is no receiver.
+        *slot = number_of.get(*slot as usize).copied().unwrap_or(*slot);
+    }
+    let renumbered = |((receiver, _), own): ((Receiver, _), u32)| Receiver {
+        light_of: number_of.get(receiver.light_of as usize).copied().unwrap_or(own),
+        ..receiver
+    };
+    Lightmap { blocks, receivers: all.into_iter().zip(0..).map(renumbered).collect(), ..lightmap }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::Vec3;
+    use lightkiln_proto::content::Texel;
+
+    use super::super::squares::Square;
+    use super::*;
+    use crate::lightmap::{Block, NO_RECEIVER};
+
+    fn receiver(block: u32, texel: Texel) -> Receiver {
+        Receiver {
+            block,
+            texel,
+            position_m: Vec3::new(block as f32, texel[0].into(), texel[1].into()),
+            normal: Vec3::Y,
+            face_normal: Vec3::Y,
+            albedo: [0.1 * (block + 1) as f32; 3],
+            emission: [0.0; 3],
+            links: 0,
+            coverage: 0b11 << block,
+            edge: TexelEdge::NONE,
+            area: AreaCode::of(0.5),
+            light_of: 0,
+        }
+    }
+
+    #[test]
+    fn guests_stand_in_order_and_all_have_the_light_of_those_that_lend_it() {
+        let block = |key: u64, receiver_of_texel: Vec<u32>| Block {
+            key,
+            name: String::new(),
+            size: [3, 2],
+            instance: 0,
+            receiver_of_texel,
+        };
+        let none = NO_RECEIVER;
+        let lightmap = Lightmap {
+            texel_m: 0.1,
+            first_block: vec![0, 1],
+            // The second row of the first block is read from the first.
+            blocks: vec![
+                block(5, vec![0, 1, none, 0, 1, none]),
+                block(6, vec![none, none, none, none, none, 2]),
+            ],
+            receivers: vec![receiver(0, [0, 0]), receiver(0, [1, 0]), receiver(1, [2, 1])],
+        };
+        let square = Square { middle_m: Vec3::ZERO, right_m: Vec3::X, up_m: Vec3::Y };
+        let site = receiver(0, [0, 0]).site();
+        let reading = |block: u32, texel: Texel| Reading { block, texel, square, site };
+        let before = lightmap.clone();
+        let guests = [
+            (reading(0, [0, 1]), GuestLight::Of(0)),
+            (reading(1, [0, 0]), GuestLight::Own(Site { position_m: Vec3::ONE, ..site }, 1)),
+            (reading(0, [2, 0]), GuestLight::Of(1)),
+        ];
+        let found = with_light(lightmap, &[0, 1, 1], &guests);
+        let order: Vec<(u32, Texel)> = found.receivers.iter().map(|r| (r.block, r.texel)).collect();
+        assert_eq!(order, [(0, [0, 0]), (0, [1, 0]), (0, [2, 0]), (0, [0, 1]), (1, [0, 0]), (1, [2, 1])]);
+        assert_eq!(found.receivers.iter().map(|r| r.light_of).collect::<Vec<_>>(), [0, 1, 1, 0, 4, 1]);
+        assert_eq!([0, 1, 2, 3, 4, 5].map(|r| found.is_guest(r)), [false, false, true, true, true, false]);
+        assert_eq!(found.blocks[0].receiver_of_texel, before.blocks[0].receiver_of_texel);
+        assert_eq!(found.blocks[1].receiver_of_texel[5], 5);
+        assert_eq!([found.receiver_at(0, 0, 1), found.receiver_at(0, 1, 1)], [Some(3), None]);
+        // Whoever borrows keeps its surface; a guest has none, nor any points on it.
+        let [lender, borrower, guest] = [1, 5, 2].map(|index| found.receivers[index]);
+        assert_eq!([borrower.position_m, guest.position_m], [lender.position_m; 2]);
+        assert_eq!((borrower.albedo, borrower.coverage), (before.receivers[2].albedo, 0b110));
+        assert_eq!([guest.coverage, found.receivers[4].coverage], [0; 2]);
+        assert_eq!(found.receivers[4].position_m, Vec3::ONE);
+    }
+}

@@ -1,0 +1,281 @@
+//! Squares of the lattice: the place of each texel on the plane of its face, by which texels of different charts are found to
+//! be the same.
+
+use glam::{DVec3, Vec2, Vec3};
+use lightkiln_proto::content::Texel;
+use rayon::prelude::*;
+
+use super::blocks::sides;
+use crate::geometry::lattice::cell_of;
+use crate::geometry::{Geometry, Site, TriangleRef, corners_of, face_normal_of};
+use crate::lightmap::polygon::{area_and_middle, clipped, source_weights, texels_of};
+use crate::lightmap::texel_points::site_of;
+use crate::lightmap::{Charts, Lightmap, World};
+use crate::unwrap::{UnwrapBlock, UnwrappedTriangle};
+
+/// Distance in texels, at the middle and along each side, within which two squares are one.
+const TOLERANCE: f32 = 1.0 / 16.0;
+/// Distance in texels across their plane within which two squares are one: planks lie millimetres above the floor in the joints
+/// between them.
+const LEVEL: f32 = 1.0 / 512.0;
+/// Side in texels of the cells that squares are looked up by.
+const CELL: f32 = 0.25;
+/// Cosine between normals, of faces and of shading, from which on two points gather the same light.
+pub const COPLANAR_COSINE_MIN: f32 = 0.98;
+/// How far from a texel, in texels, surface is interpolated with it.
+const READ_FROM: f32 = 0.5;
+
+/// No chart reads a texel, or more than one does.
+const NO_CHART: u32 = u32::MAX;
+const SEVERAL_CHARTS: u32 = u32::MAX - 1;
+
+/// A texel's square on the plane of a face.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Square {
+    /// Its middle.
+    pub middle_m: Vec3,
+    /// Its sides along the texel's axes.
+    pub right_m: Vec3,
+    /// See `right_m`.
+    pub up_m: Vec3,
+}
+
+impl Square {
+    /// The square of a texel on the plane of a triangle, or piece of one, with these corners; `None` if that has no area.
+    fn of(corners_m: [Vec3; 3], uv_texels: &[Vec2; 3], [x, y]: Texel) -> Option<Self> {
+        let [p, q, r] = corners_m.map(|corner| corner.as_dvec3());
+        let [a, b, c] = uv_texels.map(|corner| corner.as_dvec2());
+        let (to_b, to_c) = (b - a, c - a);
+        let area = to_b.perp_dot(to_c);
+        let right: DVec3 = ((q - p) * to_c.y - (r - p) * to_b.y) / area;
+        let up: DVec3 = ((r - p) * to_b.x - (q - p) * to_c.x) / area;
+        let middle = p + right * (f64::from(x) + 0.5 - a.x) + up * (f64::from(y) + 0.5 - a.y);
+        let square = Self { middle_m: middle.as_vec3(), right_m: right.as_vec3(), up_m: up.as_vec3() };
+        (square.middle_m.is_finite() && square.right_m.is_finite() && square.up_m.is_finite())
+            .then_some(square)
+    }
+
+    /// Both are the same to within a distance.
+    fn coincides(&self, other: &Self, tolerance_m: f32) -> bool {
+        let is_near = |one: Vec3, other: Vec3| one.distance(other) <= tolerance_m;
+        is_near(self.middle_m, other.middle_m)
+            && is_near(self.right_m, other.right_m)
+            && is_near(self.up_m, other.up_m)
+    }
+}
+
+/// One side of the charts of a block.
+#[derive(Clone, Copy)]
+pub struct Faces<'a> {
+    instance: u32,
+    block: u32,
+    charts: &'a UnwrapBlock,
+    is_back: bool,
+}
+
+/// A texel that surface of one chart is interpolated with, and where the chart has no receiver.
+#[derive(Clone, Copy, Debug)]
+pub struct Reading {
+    /// Block.
+    pub block: u32,
+    /// Texel there.
+    pub texel: Texel,
+    /// Its square.
+    pub square: Square,
+    /// Middle of the largest piece of that surface.
+    pub site: Site,
+}
+
+/// Squares of a block.
+#[derive(Default)]
+pub struct Found {
+    /// Of receivers.
+    pub own: Vec<(u32, Square)>,
+    /// Of texels beside them.
+    pub read: Vec<Reading>,
+}
+
+/// The triangle whose plane a texel lies on: the one with the largest piece there.
+#[derive(Clone, Copy)]
+struct Largest {
+    area: f32,
+    /// Index in the block, or `u32::MAX`.
+    triangle: u32,
+    middle: Vec2,
+}
+
+impl<'a> Faces<'a> {
+    /// Those of a scene, in the order of blocks.
+    pub fn all(world: &World, charts: &'a Charts) -> Vec<Self> {
+        let of_block = |(instance, part, charts): (u32, usize, &'a UnwrapBlock)| {
+            let sides = sides(&world.geometry.scene, instance as usize);
+            let front = world.lightmap.first_block[instance as usize] + part as u32 * sides;
+            (0..sides).map(move |side| Faces { instance, block: front + side, charts, is_back: side == 1 })
+        };
+        let instances = (0..).zip(&charts.unwraps);
+        instances
+            .flat_map(|(instance, unwrap)| {
+                unwrap.blocks.iter().enumerate().map(move |(part, block)| (instance, part, block))
+            })
+            .flat_map(of_block)
+            .collect()
+    }
+
+    fn reference(&self, triangle: &UnwrappedTriangle) -> TriangleRef {
+        TriangleRef { instance: self.instance, triangle: triangle.source_triangle }
+    }
+
+    /// Normal of the side.
+    fn normal(&self, geometry: &Geometry, triangle: &UnwrappedTriangle) -> Vec3 {
+        let front = face_normal_of(&geometry.scene, self.reference(triangle));
+        if self.is_back { -front } else { front }
+    }
+
+    fn square(&self, geometry: &Geometry, triangle: u32, texel: Texel) -> Option<Square> {
+        let triangle = &self.charts.triangles[triangle as usize];
+        let source = corners_of(&geometry.scene, self.reference(triangle));
+        let corner = |weights: &Vec3| source[0] * weights.x + source[1] * weights.y + source[2] * weights.z;
+        let corners_m =
+            triangle.piece_corners.as_deref().map_or(source, |piece| piece.each_ref().map(corner));
+        Square::of(corners_m, &triangle.uv_texels, texel)
+    }
+}
+
+impl Found {
+    /// Those of one side of the block's charts.
+    pub fn of(world: &World, faces: Faces) -> Self {
+        let Faces { block, charts, .. } = faces;
+        let (geometry, size) = (world.geometry.as_ref(), [charts.width, charts.height]);
+        let count = size[0] as usize * size[1] as usize;
+        let mut largest = vec![Largest { area: 0.0, triangle: u32::MAX, middle: Vec2::ZERO }; count];
+        let mut reader = vec![NO_CHART; count];
+        let own = |[x, y]: Texel| world.receiver_on(block, x.into(), y.into());
+        for (index, triangle) in charts.triangles.iter().enumerate() {
+            let corners = &triangle.uv_texels;
+            let normal = faces.normal(geometry, triangle);
+            let low = corners.iter().copied().fold(Vec2::INFINITY, Vec2::min) - READ_FROM;
+            let high = corners.iter().copied().fold(Vec2::NEG_INFINITY, Vec2::max) + READ_FROM;
+            for (place, texel, corner) in texels_of(&[low, high, low], size) {
+                let receiver = own(texel).map(|receiver| &world.lightmap.receivers[receiver as usize]);
+                let from = match receiver {
+                    Some(receiver) if receiver.face_normal.dot(normal) < COPLANAR_COSINE_MIN => continue,
+                    Some(_) => 0.0,
+                    None => READ_FROM,
+                };
+                let polygon = clipped(corners, corner - from, corner + 1.0 + from);
+                let Some((area, middle)) = area_and_middle(&polygon) else { continue };
+                reader[place] = match reader[place] {
+                    NO_CHART => triangle.chart,
+                    other if other == triangle.chart => other,
+                    _ => SEVERAL_CHARTS,
+                };
+                if area > largest[place].area {
+                    largest[place] = Largest { area, triangle: index as u32, middle };
+                }
+            }
+        }
+        let mut found = Self::default();
+        for (place, Largest { triangle, middle, .. }) in largest.into_iter().enumerate() {
+            let texel = [(place % size[0] as usize) as u16, (place / size[0] as usize) as u16];
+            if triangle == u32::MAX {
+                continue;
+            }
+            let Some(square) = faces.square(geometry, triangle, texel) else { continue };
+            if let Some(receiver) = own(texel) {
+                found.own.push((receiver, square));
+            } else if reader[place] != SEVERAL_CHARTS {
+                let of = &charts.triangles[triangle as usize];
+                let front = site_of(geometry, faces.reference(of), source_weights(of, middle));
+                let site = if faces.is_back { front.turned() } else { front };
+                found.read.push(Reading { block, texel, square, site });
+            }
+        }
+        found
+    }
+}
+
+/// Squares of receivers by place.
+pub struct Squares {
+    /// That of each receiver, if its face has an area.
+    pub of_receiver: Vec<Option<Square>>,
+    /// Cell of each square's middle, and its receiver; ascending.
+    by_cell: Vec<([i32; 3], u32)>,
+    texel_m: f32,
+}
+
+impl Squares {
+    /// Of the receivers of a world.
+    pub fn new<'a>(world: &World, own: impl Iterator<Item = &'a (u32, Square)>) -> Self {
+        let Lightmap { receivers, texel_m, .. } = &world.lightmap;
+        let mut squares =
+            Self { of_receiver: vec![None; receivers.len()], by_cell: Vec::new(), texel_m: *texel_m };
+        for &(receiver, square) in own {
+            squares.of_receiver[receiver as usize] = Some(square);
+            squares.by_cell.push((squares.cell(square.middle_m), receiver));
+        }
+        squares.by_cell.par_sort_unstable();
+        squares
+    }
+
+    fn cell(&self, at_m: Vec3) -> [i32; 3] {
+        cell_of(at_m, self.texel_m * CELL).to_array()
+    }
+
+    /// Receivers of a square whose points gather as the given ones do, ascending.
+    pub fn receivers(&self, world: &World, square: &Square, [normal, face_normal]: [Vec3; 2]) -> Vec<u32> {
+        let tolerance_m = TOLERANCE * self.texel_m;
+        let [low, high] =
+            [-tolerance_m, tolerance_m].map(|step_m| self.cell(square.middle_m + Vec3::splat(step_m)));
+        let mut found = Vec::new();
+        for x in low[0]..=high[0] {
+            for y in low[1]..=high[1] {
+                // Cells along z follow each other.
+                let first = self.by_cell.partition_point(|(cell, _)| *cell < [x, y, low[2]]);
+                let cells = self.by_cell[first..].iter().take_while(|(cell, _)| *cell <= [x, y, high[2]]);
+                found.extend(cells.map(|(_, receiver)| *receiver).filter(|&receiver| {
+                    let other = &world.lightmap.receivers[receiver as usize];
+                    let is_same = |of: Square| {
+                        let above_m = (of.middle_m - square.middle_m).dot(face_normal);
+                        of.coincides(square, tolerance_m) && above_m.abs() <= level_m(world)
+                    };
+                    self.of_receiver[receiver as usize].is_some_and(is_same)
+                        && other.normal.dot(normal) >= COPLANAR_COSINE_MIN
+                        && other.face_normal.dot(face_normal) >= COPLANAR_COSINE_MIN
+                }));
+            }
+        }
+        found.sort_unstable();
+        found
+    }
+}
+
+/// Distance from a plane, in metres, of what lies on it.
+pub fn level_m(world: &World) -> f32 {
+    LEVEL * world.lightmap.texel_m + world.geometry.tracer.ray_offset_m()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A triangle on the plane x + z = 1 whose lightmap lies at `offset` from the lattice's.
+    fn square_by(corners: [Vec2; 3], offset: Vec2, texel: Texel) -> Option<Square> {
+        let at = |p: &Vec2| Vec3::new(1.0 - 0.1 * p.x, 0.1 * p.y, 0.1 * p.x);
+        Square::of(corners.each_ref().map(at), &corners.map(|corner| corner + offset), texel)
+    }
+
+    #[test]
+    fn squares_of_one_plane_are_the_same_by_any_triangle_and_in_any_block() {
+        let wide = [Vec2::new(1.2, 1.1), Vec2::new(7.9, 2.0), Vec2::new(3.0, 6.5)];
+        let sliver = [Vec2::new(4.0, 0.0), Vec2::new(4.02, 5.0), Vec2::new(4.01, 9.0)];
+        let first = square_by(wide, Vec2::ZERO, [3, 2]).unwrap();
+        assert!(first.middle_m.distance(Vec3::new(0.65, 0.25, 0.35)) < 1e-6, "{first:?}");
+        let other = square_by(sliver, Vec2::new(8.0, 4.0), [11, 6]).unwrap();
+        assert!(first.coincides(&other, 1e-4), "{first:?} and {other:?}");
+        let [beside, between] = [Vec2::new(9.0, 4.0), Vec2::new(8.1, 4.0)];
+        for offset in [beside, between] {
+            assert!(!first.coincides(&square_by(sliver, offset, [11, 6]).unwrap(), TOLERANCE * 0.1));
+        }
+        assert_eq!(square_by([Vec2::ONE; 3], Vec2::ZERO, [1, 1]), None);
+    }
+}
