@@ -42,7 +42,7 @@ settings_group! {
     /// Rays of receivers.
     TransportSettings {
         /// Cosine-distributed rays per receiver. More → less noise in transport, more time.
-        transport_rays: u32 = [128, 1024, 2048], |v| (16..=65_536).contains(&v), "16..=65536";
+        transport_rays: u32 = [128, 2048, 4096], |v| (16..=65_536).contains(&v), "16..=65536";
         /// Shadow rays per receiver to emissive surfaces. More → smoother soft shadows, more time.
         emitter_rays: u32 = [32, 128, 256], |v| (4..=65_536).contains(&v), "4..=65536";
     }

@@ -31,7 +31,7 @@ use crate::transport::{self, DEAD_PATH_TEXELS};
 use near::NearHit;
 
 /// Error of quantisation as a share of that of truncation: columns are differences, and most of them are then worth no bits.
-const QUANTISATION_SHARE: f32 = 0.7;
+const QUANTISATION_SHARE: f32 = 0.8;
 /// Least and most error of quantisation.
 const QUANTISATION_ERROR: [f32; 2] = [2e-4, 0.05];
 
