@@ -115,7 +115,8 @@ fn out_of_hollow(central: &Candidate, others: &[TexelPoint], site: &impl Site) -
     })
 }
 
-/// The candidate of highest score: the central one, or of others that score about as much the one nearest to their middle.
+/// The candidate of highest score: the central one, or of others that score about as much and see about as far the one
+/// nearest to their middle. Where a shelf cuts a texel, those under it may be in the room or in a hollow that bears it.
 fn best(
     point: &TexelPoint,
     central: Option<Candidate>,
@@ -137,8 +138,10 @@ fn best(
     if highest <= least {
         return central;
     }
-    let about_as_good: Vec<Candidate> =
+    let mut about_as_good: Vec<Candidate> =
         found.into_iter().filter(|other| score(Some(other)) > least.max(ABOUT_AS_GOOD * highest)).collect();
+    let farthest = about_as_good.iter().map(|other| other.outlook).fold(0.0, f32::max).min(HOLLOW_MAX);
+    about_as_good.retain(|other| FARTHER * other.outlook > farthest);
     let place_m = |candidate: &Candidate| candidate.receiver.position_m;
     let middle_m = about_as_good.iter().map(place_m).sum::<Vec3>() / about_as_good.len() as f32;
     let from_middle = |candidate: &Candidate| place_m(candidate).distance_squared(middle_m);
@@ -167,4 +170,67 @@ pub fn parted(
     };
     let texels: Vec<&[TexelPoint]> = coverage.touched.chunk_by(|a, b| a.texel == b.texel).collect();
     texels.par_iter().filter_map(|regions| own(regions)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use lightkiln_proto::content::{AreaCode, TexelEdge};
+
+    use super::*;
+
+    /// Triangle 0 lies in a shelf, 1 in the hollow under it, 2 in the room.
+    struct Shelf;
+
+    impl Site for Shelf {
+        fn receiver(&self, point: &TexelPoint) -> Receiver {
+            Receiver {
+                block: 0,
+                texel: point.texel,
+                position_m: Vec3::from(point.weights),
+                normal: Vec3::Y,
+                face_normal: Vec3::Y,
+                albedo: [0.5; 3],
+                emission: [0.0; 3],
+                links: 0,
+                coverage: 0,
+                edge: TexelEdge::NONE,
+                area: AreaCode::ONE,
+                light_of: 0,
+            }
+        }
+
+        fn candidate(&self, point: &TexelPoint) -> Option<Candidate> {
+            let outlook = [None, Some(3.0), Some(100.0)][point.triangle as usize]?;
+            let receiver = self.receiver(point);
+            Some(Candidate {
+                receiver,
+                openness: 1.0,
+                back_share: 0.0,
+                outlook,
+                is_shifted: false,
+                is_lifted: false,
+            })
+        }
+
+        fn face_normal(&self, _: &TexelPoint) -> Vec3 {
+            Vec3::Y
+        }
+
+        fn is_parted(&self, _: &Receiver, _: &Receiver) -> bool {
+            true
+        }
+    }
+
+    #[test]
+    fn points_in_a_room_stand_for_a_texel_rather_than_those_in_a_hollow() {
+        let point =
+            |triangle: u32, x: f32| TexelPoint { texel: [0, 0], triangle, weights: [x, 0.5, 0.5 - x] };
+        // Those in the hollow are nearer to the middle of all.
+        let others = [point(1, 0.2), point(1, 0.25), point(1, 0.3), point(2, 0.45), point(2, 0.5)];
+        let found = best(&point(0, 0.3), None, &others, &Shelf).unwrap();
+        assert!(found.receiver.position_m.x > 0.4, "{found:?}");
+        // Where there is no room to be seen, the hollow has its own light.
+        let found = best(&point(0, 0.3), None, &others[..3], &Shelf).unwrap();
+        assert_eq!(found.receiver.position_m.x, 0.25);
+    }
 }
