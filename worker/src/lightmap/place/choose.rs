@@ -115,8 +115,9 @@ fn out_of_hollow(central: &Candidate, others: &[TexelPoint], site: &impl Site) -
     })
 }
 
-/// The candidate of highest score: the central one, or of others that score about as much and see about as far the one
-/// nearest to their middle. Where a shelf cuts a texel, those under it may be in the room or in a hollow that bears it.
+/// The candidate of highest score: the central one, or of others that score about as much the one nearest to their middle.
+/// Where the central one lies in a thing, as a shelf, those under it may be in the room or in a hollow that bears it: those
+/// count that see about as far as any.
 fn best(
     point: &TexelPoint,
     central: Option<Candidate>,
@@ -140,8 +141,10 @@ fn best(
     }
     let mut about_as_good: Vec<Candidate> =
         found.into_iter().filter(|other| score(Some(other)) > least.max(ABOUT_AS_GOOD * highest)).collect();
-    let farthest = about_as_good.iter().map(|other| other.outlook).fold(0.0, f32::max).min(HOLLOW_MAX);
-    about_as_good.retain(|other| FARTHER * other.outlook > farthest);
+    if !is_sound {
+        let farthest = about_as_good.iter().map(|other| other.outlook).fold(0.0, f32::max).min(HOLLOW_MAX);
+        about_as_good.retain(|other| FARTHER * other.outlook > farthest);
+    }
     let place_m = |candidate: &Candidate| candidate.receiver.position_m;
     let middle_m = about_as_good.iter().map(place_m).sum::<Vec3>() / about_as_good.len() as f32;
     let from_middle = |candidate: &Candidate| place_m(candidate).distance_squared(middle_m);
