@@ -40,8 +40,8 @@ pub type Taps = [TexelKind; 4];
 /// point's place between their centres, 0..1 in x and y.
 ///
 /// Bilinear over the receivers that no wall parts from the nearest one, the *home*; over filled texels where there is no
-/// receiver. Where the point lies on the other side of a wall in the nearest one's texel, the home is the nearest of those
-/// there that a wall parts from that one.
+/// receiver. Where the point lies beyond the nearest one's edge, the home is the nearest that a wall parts from that one and
+/// whose side has the point: no edge of its own is before the point, and its texel is beyond the first edge or has one itself.
 pub fn tap_weights(taps: Taps, share: [f32; 2]) -> [f32; 4] {
     let weights: [f32; 4] = std::array::from_fn(|tap| {
         let [x, y] = [tap & 1, tap >> 1];
@@ -56,13 +56,18 @@ pub fn tap_weights(taps: Taps, share: [f32; 2]) -> [f32; 4] {
         };
         (0..4).filter(|&tap| taps[tap].is_receiver() && counts(tap)).fold(None, heavier)
     };
+    let is_beyond = |tap: usize, [x, y]: [f32; 2]| {
+        taps[tap].edge().is_beyond([x - (tap & 1) as f32 + 0.5, y - (tap >> 1) as f32 + 0.5])
+    };
     let mut home = heaviest(&|_| true);
-    if let Some(own) = home.filter(|&own| is_beyond_wall(taps, own, share)) {
-        let is_there = |tap: usize| {
-            let from_own = |shift: u32| 0.5 + (tap >> shift & 1) as f32 - (own >> shift & 1) as f32;
-            taps[own].edge().is_beyond([from_own(0), from_own(1)])
+    if let Some(own) = home.filter(|&own| is_beyond(own, share)) {
+        let is_parted = |tap: usize| tap != own && !are_linked(taps, own, tap);
+        let is_there = |tap: usize| is_beyond(own, [(tap & 1) as f32, (tap >> 1) as f32]);
+        // Of those behind the wall, and those with a wall of their own, whose side has the point.
+        let has_point = |tap: usize| {
+            is_parted(tap) && !is_beyond(tap, share) && (is_there(tap) || taps[tap].edge() != TexelEdge::NONE)
         };
-        home = heaviest(&|tap| is_there(tap) && !are_linked(taps, own, tap)).or(home);
+        home = heaviest(&has_point).or_else(|| heaviest(&|tap| is_there(tap) && is_parted(tap))).or(home);
     }
     let counted: [f32; 4] = std::array::from_fn(|tap| {
         let counts = match home {
@@ -73,13 +78,6 @@ pub fn tap_weights(taps: Taps, share: [f32; 2]) -> [f32; 4] {
     });
     let total: f32 = counted.iter().sum();
     counted.map(|weight| if total > 0.0 { weight / total } else { 0.0 })
-}
-
-/// The point lies in the texel of tap `own`, beyond its edge.
-fn is_beyond_wall(taps: Taps, own: usize, share: [f32; 2]) -> bool {
-    let nearest = usize::from(share[0] >= 0.5) + 2 * usize::from(share[1] >= 0.5);
-    let inside = share.map(|share| if share >= 0.5 { share - 0.5 } else { share + 0.5 });
-    own == nearest && taps[own].edge().is_beyond(inside)
 }
 
 /// Whether no wall stands between two taps that are receivers; each link is a bit of the earlier tap.
@@ -136,6 +134,22 @@ mod tests {
         // On this side of the wall, where the other texels lie to the left of this one.
         let before = tap_weights([right, left, right, left], [0.7, 0.2]);
         assert!(before[0] == 0.0 && before[2] == 0.0, "before the wall: {before:?}");
+    }
+
+    #[test]
+    fn point_beyond_a_wall_takes_the_light_of_a_texel_beside_that_the_wall_cuts_too() {
+        // A wall along the rows: the left receiver is below it, the right one above, each in its own half.
+        let half = |turn: f32| TexelEdge::new(turn * std::f32::consts::TAU, 0.01);
+        let (below, above) = (TexelKind::of_receiver(0, half(0.25)), TexelKind::of_receiver(0, half(0.75)));
+        let nothing = TexelKind::default();
+        let taps = [below, above, nothing, nothing];
+        assert_eq!(tap_weights(taps, [0.4, 0.2]), [0.0, 1.0, 0.0, 0.0]);
+        // A third that stands left of a wall of its own has no part in it.
+        let left = TexelKind::of_receiver(0, TexelEdge::new(0.0, 0.4));
+        let whole = TexelKind::of_receiver(0, NONE);
+        assert_eq!(tap_weights([left, below, left, whole], [0.6, 0.3]), [0.0, 0.0, 0.0, 1.0]);
+        // Nor where the texel that the point lies in has no receiver.
+        assert_eq!(tap_weights([nothing, below, nothing, whole], [0.1, 0.3]), [0.0, 0.0, 0.0, 1.0]);
     }
 
     #[test]

@@ -29,16 +29,25 @@ fn linked(first_kind: f32, second_kind: f32, first: u32, second: u32) -> bool {
     return (((u32(first_kind) - 1u) >> bit) & 1u) == 1u;
 }
 
+fn has_edge(kind: f32) -> bool {
+    return (u32(kind) - 1u) / 16u != 0u;
+}
+
+// Place of a tap among the four.
+fn place_of(tap: u32) -> vec2f {
+    return vec2f(f32(tap & 1u), f32(tap >> 1u));
+}
+
 // Whether a place, from the middle of a receiver's texel, is beyond the edge of its side.
 fn beyond_wall(kind: f32, from_middle: vec2f) -> bool {
-    let edge = (u32(kind) - 1u) / 16u;
+    let edge = (u32(max(kind, 1.0)) - 1u) / 16u;
     let angle = f32(edge >> 8u) * (6.2831853 / 256.0);
     let offset = (f32(edge & 255u) - 128.0) * (0.75 / 127.0);
     return edge != 0u && dot(from_middle, vec2f(cos(angle), sin(angle))) > offset;
 }
 
-// Bilinear over the receivers that no wall parts from the nearest one; over filled texels where there is no receiver. Beyond
-// a wall in the nearest one's texel, over those that no wall parts from the nearest of that side.
+// Bilinear over the receivers that no wall parts from the nearest one, the home; over filled texels where there is no
+// receiver. Beyond the home's edge, over those that no wall parts from the nearest receiver whose side has the point.
 fn lightmap_irradiance(block: vec4u, size: vec4u, texel: vec2f) -> vec3f {
     if size.x == 0u {
         return vec3f(0.0);
@@ -51,9 +60,8 @@ fn lightmap_irradiance(block: vec4u, size: vec4u, texel: vec2f) -> vec3f {
     var weights: array<f32, 4>;
     var home = 4u;
     for (var tap = 0u; tap < 4u; tap++) {
-        let step = vec2f(f32(tap & 1u), f32(tap >> 1u));
-        let inside = vec2u(clamp(base + step, vec2f(0.0), last));
-        let weight = mix(1.0 - share, share, step);
+        let inside = vec2u(clamp(base + place_of(tap), vec2f(0.0), last));
+        let weight = mix(1.0 - share, share, place_of(tap));
         // Never quite 0, so that a lone receiver counts wherever it lies.
         weights[tap] = weight.x * weight.y + 1e-6;
         taps[tap] = textureLoad(lightmap_pages, block.yz + inside, i32(block.x), 0);
@@ -61,15 +69,20 @@ fn lightmap_irradiance(block: vec4u, size: vec4u, texel: vec2f) -> vec3f {
             home = tap;
         }
     }
-    let nearest = select(0u, 1u, share.x >= 0.5) + select(0u, 2u, share.y >= 0.5);
-    if home == nearest && beyond_wall(taps[nearest].w, select(share, share - 1.0, share >= vec2f(0.5))) {
+    if home < 4u && beyond_wall(taps[home].w, share - place_of(home)) {
         var beyond = 4u;
+        var best = 0.0;
         for (var tap = 0u; tap < 4u; tap++) {
-            let from_nearest = vec2f(f32(tap & 1u), f32(tap >> 1u)) - vec2f(f32(nearest & 1u), f32(nearest >> 1u));
-            let parted = beyond_wall(taps[nearest].w, from_nearest) && taps[tap].w > 0.0
-                && !linked(taps[min(nearest, tap)].w, taps[max(nearest, tap)].w, min(nearest, tap), max(nearest, tap));
-            if parted && (beyond == 4u || weights[tap] > weights[min(beyond, 3u)]) {
+            let kind = taps[tap].w;
+            let parted = tap != home && kind > 0.0
+                && !linked(taps[min(home, tap)].w, taps[max(home, tap)].w, min(home, tap), max(home, tap));
+            let there = beyond_wall(taps[home].w, place_of(tap) - place_of(home));
+            let has_point = !beyond_wall(kind, share - place_of(tap));
+            // Those whose side has the point before those that are merely beyond the edge.
+            let rank = weights[tap] + select(0.0, 2.0, has_point);
+            if parted && (there || (has_point && has_edge(kind))) && rank > best {
                 beyond = tap;
+                best = rank;
             }
         }
         home = select(beyond, home, beyond == 4u);

@@ -10,7 +10,7 @@ use crate::lightmap::{Receiver, link_height_m};
 use crate::rays::sampling::{R2, seed_of, tangent_frame, uniform_sphere};
 
 /// Test rays per receiver.
-const TEST_RAYS: u32 = 32;
+pub const TEST_RAYS: u32 = 32;
 /// Farthest shift in texels. We differ: the source shifts any distance, which moves texels deep inside a solid to
 /// places that they have nothing to do with; such texels are never seen and are left out.
 const SHIFT_MAX_TEXELS: f32 = 1.5;
@@ -91,41 +91,51 @@ impl<'a> Tester<'a> {
         self.geometry.tracer.is_occluded(a_m, b_m)
     }
 
+    fn look(&self, start_m: Vec3, normal: Vec3, seed: u64) -> Look {
+        self.rays.fetch_add(u64::from(TEST_RAYS), Ordering::Relaxed);
+        look(self.geometry, self.texel_m, (start_m, normal), seed)
+    }
+
     /// Closest-hit rays cast since the last call.
     pub fn take_rays(&self) -> u64 {
         self.rays.swap(0, Ordering::Relaxed)
     }
+}
 
-    fn look(&self, start_m: Vec3, normal: Vec3, seed: u64) -> Look {
-        let (tangent, bitangent) = tangent_frame(normal);
-        let points = R2::new(seed);
-        let mut found = Look { openness: 0.0, outlook: 0.0, back_share: 0.0, escaped: false, nearest: None };
-        let (mut back, mut free, mut path, mut weight) = (0, 0.0, 0.0, 0.0);
-        for ray in 0..TEST_RAYS {
-            let [u, v] = points.point(ray);
-            let local = uniform_sphere(u * 0.5, v);
-            let direction = tangent * local.x + bitangent * local.y + normal * local.z;
-            let Some(hit) = self.geometry.tracer.closest(start_m, direction, f32::INFINITY) else {
-                found.escaped = true;
-                free += 2.0 * local.z;
-                path = f32::INFINITY;
-                continue;
-            };
-            path += hit.t / self.texel_m * local.z;
-            weight += local.z;
-            free += (hit.t / self.texel_m).min(1.0) * 2.0 * local.z;
-            if !self.geometry.is_back(&hit) {
-                continue;
-            }
-            back += 1;
-            if found.nearest.is_none_or(|(_, nearest)| hit.t < nearest) {
-                found.nearest = Some((direction, hit.t));
-            }
+/// Mean free path above a point in texels of `texel_m` metres, weighted by the cosine to `normal`; infinite where a ray
+/// leaves the scene. Casts [`TEST_RAYS`].
+pub fn outlook(geometry: &Geometry, texel_m: f32, (start_m, normal): (Vec3, Vec3), seed: u64) -> f32 {
+    look(geometry, texel_m, (start_m, normal), seed).outlook
+}
+
+fn look(geometry: &Geometry, texel_m: f32, (start_m, normal): (Vec3, Vec3), seed: u64) -> Look {
+    let (tangent, bitangent) = tangent_frame(normal);
+    let points = R2::new(seed);
+    let mut found = Look { openness: 0.0, outlook: 0.0, back_share: 0.0, escaped: false, nearest: None };
+    let (mut back, mut free, mut path, mut weight) = (0, 0.0, 0.0, 0.0);
+    for ray in 0..TEST_RAYS {
+        let [u, v] = points.point(ray);
+        let local = uniform_sphere(u * 0.5, v);
+        let direction = tangent * local.x + bitangent * local.y + normal * local.z;
+        let Some(hit) = geometry.tracer.closest(start_m, direction, f32::INFINITY) else {
+            found.escaped = true;
+            free += 2.0 * local.z;
+            path = f32::INFINITY;
+            continue;
+        };
+        path += hit.t / texel_m * local.z;
+        weight += local.z;
+        free += (hit.t / texel_m).min(1.0) * 2.0 * local.z;
+        if !geometry.is_back(&hit) {
+            continue;
         }
-        self.rays.fetch_add(u64::from(TEST_RAYS), Ordering::Relaxed);
-        found.openness = free / TEST_RAYS as f32;
-        found.outlook = if path.is_finite() { path / weight.max(f32::MIN_POSITIVE) } else { f32::INFINITY };
-        found.back_share = back as f32 / TEST_RAYS as f32;
-        found
+        back += 1;
+        if found.nearest.is_none_or(|(_, nearest)| hit.t < nearest) {
+            found.nearest = Some((direction, hit.t));
+        }
     }
+    found.openness = free / TEST_RAYS as f32;
+    found.outlook = if path.is_finite() { path / weight.max(f32::MIN_POSITIVE) } else { f32::INFINITY };
+    found.back_share = back as f32 / TEST_RAYS as f32;
+    found
 }

@@ -53,7 +53,7 @@ const BEYOND_SHARE_MIN: f32 = 0.125;
 /// Longest mean free path, in texels, of a point in a hollow.
 const HOLLOW_MAX: f32 = 32.0;
 /// Factor by which the part of a texel beyond the wall of a hollow sees farther.
-const FARTHER: f32 = 1.5;
+pub const FARTHER: f32 = 1.5;
 
 /// Questions that the choice asks of the scene.
 pub trait Site: Sync {

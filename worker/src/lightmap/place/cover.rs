@@ -60,6 +60,9 @@ impl Coverage {
     }
 }
 
+/// Share of the area that a chart has in a neighbour's texel, below which it has a mere rim in a texel that it touches.
+const RIM_SHARE_MAX: f32 = 0.5;
+
 #[derive(Clone, Copy)]
 struct Claim {
     /// Index into the block's triangles, or `u32::MAX`.
@@ -72,13 +75,20 @@ struct Claim {
     point: Vec2,
 }
 
+impl Claim {
+    /// A triangle has a part of the texel, and not its centre.
+    fn is_touched(&self) -> bool {
+        self.triangle != u32::MAX && !self.centred
+    }
+}
+
 const UNCLAIMED: Claim = Claim { triangle: u32::MAX, centred: false, area: 0.0, point: Vec2::ZERO };
 
 /// Finds the receivers' texels.
 ///
-/// A texel whose centre lies in a triangle has a receiver there. A texel that a chart only touches has one too if
-/// no touched neighbour of the same chart has: then thin charts are not lost. Other touched texels are stood for by
-/// that neighbour.
+/// A texel whose centre lies in a triangle has a receiver there. A texel that a chart only touches has one too unless a
+/// neighbour of the same chart has one and much more of the chart: so strips have a receiver in every texel along them, and
+/// light goes on smoothly there. Others are stood for by the nearest such neighbour.
 ///
 /// A texel that holds no centre of its own has its point in the middle of the largest face that the chart has there, not
 /// of a triangle, whose middle wanders across a strip with its diagonals. `normal` is that of a source triangle's face.
@@ -92,7 +102,7 @@ pub fn cover(block: &UnwrapBlock, normal: impl Fn(u32) -> Vec3) -> Coverage {
         coplanar_regions(block, chart_of, |index| normal(block.triangles[index as usize].source_triangle));
     for largest in regions.chunk_by(|a, b| a.place == b.place).map(|regions| regions[0]) {
         let claim = &mut claims[largest.place];
-        (claim.triangle, claim.point) = (largest.triangle, largest.point);
+        (claim.triangle, claim.point, claim.area) = (largest.triangle, largest.point, largest.area);
     }
     let (width, height) = (block.width as i64, block.height as i64);
     let chart = |index: usize| {
@@ -101,16 +111,17 @@ pub fn cover(block: &UnwrapBlock, normal: impl Fn(u32) -> Vec3) -> Coverage {
     };
     let mut has_receiver: Vec<bool> = claims.iter().map(|claim| claim.centred).collect();
     let mut stand_in = vec![u32::MAX; claims.len()];
-    for index in 0..claims.len() {
-        if has_receiver[index] || claims[index].triangle == u32::MAX {
-            continue;
-        }
+    let mut touched: Vec<usize> = (0..claims.len()).filter(|&i| claims[i].is_touched()).collect();
+    touched.sort_by(|&a, &b| claims[b].area.total_cmp(&claims[a].area).then(a.cmp(&b)));
+    for index in touched {
         let (x, y) = (index as i64 % width, index as i64 / width);
         let neighbours = (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (x + dx, y + dy)));
+        let has_much_more = |other: &Claim| other.centred || claims[index].area < RIM_SHARE_MAX * other.area;
         let nearest = neighbours
             .filter(|&(x, y)| x >= 0 && y >= 0 && x < width && y < height)
             .map(|(x, y)| (y * width + x) as usize)
             .filter(|&other| has_receiver[other] && chart(other) == chart(index))
+            .filter(|&other| has_much_more(&claims[other]))
             .min_by(|&a, &b| {
                 let distance = |other: usize| claims[other].point.distance_squared(claims[index].point);
                 distance(a).total_cmp(&distance(b)).then(a.cmp(&b))

@@ -15,6 +15,7 @@ mod candidate;
 mod cavities;
 mod choose;
 mod cover;
+mod edges;
 mod links;
 mod points;
 mod regions;

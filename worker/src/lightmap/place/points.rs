@@ -5,14 +5,19 @@
 //!
 //! Where some do not, the receiver moves to the one of its points that is nearest to their middle: beside a wall, or the
 //! mouth of a gap, a texel's centre may have light of millimetres of it alone. And the foot of the wall is found, along which
-//! a straight edge is laid, see `Receivers::edge`; where it is not straight, such that none of the receiver's side is beyond.
+//! a straight edge is laid, see `Receivers::edge`. An edge never fits quite: all of the side that sees farther lies on its own
+//! side of it, and the sliver that is wrong on the other, as one looks into rooms and not into hollows.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use glam::{Vec2, Vec3};
 use lightkiln_proto::content::{COVERAGE_POINTS, COVERAGE_SIDE, TexelEdge};
 use rayon::prelude::*;
 
+use super::candidate::{TEST_RAYS, outlook};
+use super::choose::FARTHER;
+use super::edges::edge;
 use crate::geometry::{Geometry, Site};
 use crate::lightmap::{Charts, Lightmap, World};
 use crate::task::Progress;
@@ -21,12 +26,8 @@ use crate::task::Progress;
 const FINE_SIDE: u32 = 12;
 /// Halvings of the distance between two of its points that tell where a wall stands.
 const BISECTIONS: u32 = 5;
-/// Distance in texels by which points may lie off a straight edge.
-const STRAIGHT: f32 = 0.02;
 /// Points of the coverage that are asked whether they see a place.
 const NEAREST: usize = 3;
-/// Directions that edges may have; of equally good ones the first is taken.
-const TURNS: u32 = 256;
 
 /// The lightmap with the points of every receiver's texel.
 pub fn covered(
@@ -102,7 +103,7 @@ impl Found {
         }
         while let Some(bit) = open.pop() {
             let Some(from_m) = self.raised_m[bit] else { continue };
-            beside(bit).for_each(|beside| self.add(world, from_m, beside, &mut open));
+            beside(bit, COVERAGE_SIDE as usize).for_each(|beside| self.add(world, from_m, beside, &mut open));
         }
     }
 
@@ -123,25 +124,56 @@ impl Found {
         let count = FINE_SIDE * FINE_SIDE;
         let side: Vec<Option<bool>> =
             (0..count).map(|index| self.is_own(world, receiver, fine_place(index))).collect();
-        let places = |own: bool| -> Vec<Vec2> {
-            let found = (0..count).filter(|&index| side[index as usize] == Some(own));
-            found.map(|index| fine_place(index) - 0.5).collect()
+        let places = |own: bool| -> Vec<u32> {
+            (0..count).filter(|&index| side[index as usize] == Some(own)).collect()
         };
         let (own, beyond) = (places(true), places(false));
-        let mut foot = Vec::new();
-        for index in 0..count {
-            let right = ((index + 1) % FINE_SIDE != 0).then_some(index + 1);
-            let below = (index + FINE_SIDE < count).then_some(index + FINE_SIDE);
-            for next in [right, below].into_iter().flatten() {
-                let [a, b] = [index, next].map(fine_place);
-                match [side[index as usize], side[next as usize]] {
-                    [Some(true), Some(false)] => foot.push(self.foot(world, receiver, a, b) - 0.5),
-                    [Some(false), Some(true)] => foot.push(self.foot(world, receiver, b, a) - 0.5),
-                    _ => {}
+        let farther = self.farther(world, receiver, &beyond);
+        // A receiver that sees farther than all beyond is in the room, which is all on its side.
+        let is_open = farther.is_empty();
+        let other = if is_open { beyond } else { farther };
+        let foot = self.foots(world, receiver, &own, &other);
+        let from_middle = |places: Vec<u32>| -> Vec<Vec2> {
+            places.into_iter().map(|index| fine_place(index) - 0.5).collect()
+        };
+        edge(&from_middle(own), &from_middle(other), &foot, is_open)
+    }
+
+    /// Places of `beyond` that see [`FARTHER`] than the receiver: of each part that no wall cuts, the middle one is asked.
+    fn farther(&mut self, world: &World, receiver: u32, beyond: &[u32]) -> Vec<u32> {
+        let own = &world.lightmap.receivers[receiver as usize];
+        let seed = world.lightmap.seed_of(own, 9);
+        let mut outlook_of = |site: &Site| {
+            self.rays += u64::from(TEST_RAYS);
+            outlook(&world.geometry, world.lightmap.texel_m, (raised(world, site), site.face_normal), seed)
+        };
+        let own_outlook = outlook_of(&self.moved.unwrap_or(own.site()));
+        let mut farther = Vec::new();
+        for part in parts(world, receiver, beyond) {
+            let middle = part.iter().map(|&index| fine_place(index)).sum::<Vec2>() / part.len() as f32;
+            let from_middle = |index: u32| fine_place(index).distance_squared(middle);
+            let nearest = part.iter().copied().min_by(|&a, &b| from_middle(a).total_cmp(&from_middle(b)));
+            let site = nearest.and_then(|index| world.point_of(receiver, fine_place(index)));
+            if site.is_some_and(|site| outlook_of(&site) > FARTHER * own_outlook) {
+                farther.extend(part);
+            }
+        }
+        farther.sort_unstable();
+        farther
+    }
+
+    /// Where walls stand between places of the receiver's side and others beside them, from the texel's middle.
+    fn foots(&mut self, world: &World, receiver: u32, own: &[u32], other: &[u32]) -> Vec<Vec2> {
+        let mut found = Vec::new();
+        for &index in own {
+            for beside in beside(index as usize, FINE_SIDE as usize) {
+                if other.binary_search(&(beside as u32)).is_ok() {
+                    let [a, b] = [index, beside as u32].map(fine_place);
+                    found.push(self.foot(world, receiver, a, b) - 0.5);
                 }
             }
         }
-        edge_along(&foot, &own).unwrap_or_else(|| edge_before(&[own, foot].concat(), &beyond))
+        found
     }
 
     /// Whether a place of the texel is on the receiver's side; `None` where there is no surface.
@@ -183,12 +215,33 @@ impl Found {
     }
 }
 
-fn raised(world: &World, site: &Site) -> Vec3 {
-    world.geometry.raised(site.position_m, site.face_normal, world.link_height_m())
+/// Parts of ascending places of a receiver's texel that no wall cuts.
+fn parts(world: &World, receiver: u32, places: &[u32]) -> Vec<Vec<u32>> {
+    let raised_m = |index: u32| Some(raised(world, &world.point_of(receiver, fine_place(index))?));
+    let mut left: BTreeMap<u32, Option<Vec3>> =
+        places.iter().map(|&index| (index, raised_m(index))).collect();
+    let mut parts = Vec::new();
+    while let Some((first, first_m)) = left.pop_first() {
+        let (mut part, mut open) = (vec![first], vec![(first, first_m)]);
+        while let Some((from, from_m)) = open.pop() {
+            for beside in beside(from as usize, FINE_SIDE as usize).map(|beside| beside as u32) {
+                let Some(&at_m) = left.get(&beside) else { continue };
+                if let (Some(from_m), Some(to_m)) = (from_m, at_m)
+                    && world.is_linked(from_m, to_m)
+                {
+                    left.remove(&beside);
+                    part.push(beside);
+                    open.push((beside, at_m));
+                }
+            }
+        }
+        parts.push(part);
+    }
+    parts
 }
 
-fn direction(angle_rad: f32) -> Vec2 {
-    Vec2::new(libm::cosf(angle_rad), libm::sinf(angle_rad))
+fn raised(world: &World, site: &Site) -> Vec3 {
+    world.geometry.raised(site.position_m, site.face_normal, world.link_height_m())
 }
 
 /// A place of the finer grid: from rim to rim.
@@ -198,91 +251,22 @@ fn fine_place(index: u32) -> Vec2 {
     RIM + (1.0 - 2.0 * RIM) * at
 }
 
-/// The edge along the foot of a straight wall, by points of it; `None` where it is not straight, or parts of `own` lie beyond.
-fn edge_along(foot: &[Vec2], own: &[Vec2]) -> Option<TexelEdge> {
-    let middle = foot.iter().sum::<Vec2>() / foot.len().max(1) as f32;
-    let [xx, xy, yy] = foot.iter().map(|at| *at - middle).fold([0.0; 3], |[xx, xy, yy], away| {
-        [xx + away.x * away.x, xy + away.x * away.y, yy + away.y * away.y]
-    });
-    if xx + yy <= 0.0 {
-        return None;
-    }
-    // Along the longer axis of the points' scatter; across it lies the edge's direction.
-    let along = direction(0.5 * libm::atan2f(2.0 * xy, xx - yy));
-    let own_side = own.iter().sum::<Vec2>() / own.len().max(1) as f32 - middle;
-    let across = if along.perp().dot(own_side) > 0.0 { -along.perp() } else { along.perp() };
-    let beyond = |at: &Vec2| (*at - middle).dot(across);
-    let is_straight = foot.iter().all(|at| beyond(at).abs() < STRAIGHT);
-    (is_straight && own.iter().all(|at| beyond(at) < STRAIGHT))
-        .then(|| TexelEdge::new(libm::atan2f(across.y, across.x), middle.dot(across)))
-}
-
-/// The edge that has all of `own` before it, and most of `beyond` behind, by places from the texel's middle. None where
-/// nothing of it is.
-fn edge_before(own: &[Vec2], beyond: &[Vec2]) -> TexelEdge {
-    let mut best = (0, TexelEdge::NONE);
-    for turn in 0..TURNS {
-        let angle_rad = turn as f32 / TURNS as f32 * std::f32::consts::TAU;
-        let along = |at: &Vec2| at.dot(direction(angle_rad));
-        let last = own.iter().map(along).fold(f32::NEG_INFINITY, f32::max);
-        let behind = || beyond.iter().map(along).filter(|far| *far > last);
-        let count = behind().count();
-        if count > best.0 {
-            // As late as can be: what is beyond a wall is often never seen, as the inside of a box.
-            let first = behind().fold(f32::INFINITY, f32::min) - 2.0 * TexelEdge::ROUNDING;
-            best = (count, TexelEdge::new(angle_rad, first.max(last + TexelEdge::ROUNDING)));
-        }
-    }
-    best.1
-}
-
-/// The points left and right of a point, above and below it.
-fn beside(bit: usize) -> impl Iterator<Item = usize> {
-    let side = COVERAGE_SIDE as usize;
-    let (x, y) = (bit % side, bit / side);
-    let near = [(x > 0, bit.wrapping_sub(1)), (x + 1 < side, bit + 1)];
-    let far = [(y > 0, bit.wrapping_sub(side)), (y + 1 < side, bit + side)];
-    near.into_iter().chain(far).filter_map(|(is_there, bit)| is_there.then_some(bit))
+/// The points left and right of a point of a grid, above and below it.
+fn beside(at: usize, side: usize) -> impl Iterator<Item = usize> {
+    let (x, y) = (at % side, at / side);
+    let near = [(x > 0, at.wrapping_sub(1)), (x + 1 < side, at + 1)];
+    let far = [(y > 0, at.wrapping_sub(side)), (y + 1 < side, at + side)];
+    near.into_iter().chain(far).filter_map(|(is_there, at)| is_there.then_some(at))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    /// Places of the finer grid, from the texel's middle.
-    fn places() -> impl Iterator<Item = Vec2> {
-        (0..FINE_SIDE * FINE_SIDE).map(|i| {
-            (Vec2::new((i % FINE_SIDE) as f32, (i / FINE_SIDE) as f32) + 0.5) / FINE_SIDE as f32 - 0.5
-        })
-    }
-
-    #[test]
-    fn edge_lies_along_a_straight_wall() {
-        for (angle_rad, offset) in [(0.3_f32, 0.1_f32), (2.0, -0.2), (4.0, 0.05)] {
-            let is_beyond = |at: &Vec2| at.dot(Vec2::from_angle(angle_rad)) > offset;
-            let (beyond, own): (Vec<Vec2>, Vec<Vec2>) = places().partition(is_beyond);
-            let edge = edge_before(&own, &beyond);
-            let found = |at: &Vec2| edge.is_beyond((*at + 0.5).to_array());
-            assert!(own.iter().all(|at| !found(at)), "{angle_rad} {offset}");
-            let missed = beyond.iter().filter(|at| !found(at)).count();
-            assert!(missed <= 3, "{angle_rad} {offset}: {missed} of {}", beyond.len());
-        }
-    }
-
-    #[test]
-    fn edge_never_cuts_what_is_the_receivers() {
-        // A box stands in a corner of the texel; a post in the middle of another has no straight edge at all.
-        let (beyond, own): (Vec<Vec2>, Vec<Vec2>) = places().partition(|at| at.x > 0.1 && at.y > 0.2);
-        let edge = edge_before(&own, &beyond);
-        assert!(edge != TexelEdge::NONE && own.iter().all(|at| !edge.is_beyond((*at + 0.5).to_array())));
-        let (post, around): (Vec<Vec2>, Vec<Vec2>) = places().partition(|at| at.length() < 0.2);
-        assert_eq!(edge_before(&around, &post), TexelEdge::NONE);
-    }
-
     #[test]
     fn points_beside_a_point_are_its_neighbours_in_the_texel() {
-        assert_eq!(beside(0).collect::<Vec<_>>(), [1, 4]);
-        assert_eq!(beside(6).collect::<Vec<_>>(), [5, 7, 2, 10]);
-        assert_eq!(beside(15).collect::<Vec<_>>(), [14, 11]);
+        assert_eq!(beside(0, 4).collect::<Vec<_>>(), [1, 4]);
+        assert_eq!(beside(6, 4).collect::<Vec<_>>(), [5, 7, 2, 10]);
+        assert_eq!(beside(15, 4).collect::<Vec<_>>(), [14, 11]);
     }
 }
