@@ -49,9 +49,9 @@ fn measured(bake: &LocalBake, pixels: u32, change: impl Fn(usize, &mut ClusterTr
     let evaluated = kinds.evaluated(&bake.manifest, scene, &bytes, &progress).unwrap();
     let precision = Precision { rel_error: 0.05, ..Precision::default() };
     let options = Options { receivers: pixels, precision, cells: 1, pixels, ..Options::default() };
-    let evaluator = Evaluator::new(evaluated, options, &progress).unwrap();
     let lighting = lamp_at(Vec3::new(-0.8, 1.6, 0.6));
     let light = TestLight { name: "lamp".into(), words: String::new(), lighting };
+    let evaluator = Evaluator::new(evaluated, std::slice::from_ref(&light), options, &progress).unwrap();
     evaluator.measure(&light, &progress).unwrap().pixels.unwrap()
 }
 

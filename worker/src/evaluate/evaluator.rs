@@ -7,26 +7,27 @@ use super::error::EvaluationError;
 use super::evaluated::{Evaluated, Measure, Place, Relit};
 use super::figures::{Draw, Figures, Pair};
 use super::hunt::{Hunt, hunt};
-use super::lights::{Chosen, TestLight, default_lights};
+use super::lights::TestLight;
 use super::open::OpenSpace;
 use super::pixels::{PixelFigures, Pixels, ShownLight};
 use super::sample::{Sample, SampledHit};
 use super::seams::{Borders, Seams};
 use super::shadow::{ClientLights, DirectShares, MappedLight};
-use super::solid::check_place;
 use crate::geometry::{Geometry, Site};
 use crate::reference::{IrradianceEstimate, Lighting, LightingError, Precision, Reference, luminance};
 use crate::task::Progress;
-use crate::vantage::Openness;
 
 /// Places without baked light are left out of the figures where the reference has less than this share of its mean:
 /// insides of solids.
 const LIGHTLESS_SHARE: f64 = 1e-3;
 
+/// Places that are looked at by the bake alone, for each that is measured. More → surer figures, a little more time.
+const FIRST_LOOK: u32 = 16;
+
 /// Work to spend.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Options {
-    /// Strata of area, with a place in each. More → surer figures, more time.
+    /// Places, about. More → surer figures, more time.
     pub receivers: u32,
     /// Precision of the reference.
     pub precision: Precision,
@@ -115,13 +116,21 @@ pub struct LightResult {
 }
 
 impl Evaluator {
-    /// Draws the sample, and lets the bake prepare its classes of error there.
+    /// Draws the sample, and lets the bake prepare its classes of error there. Places are the likelier the more light the
+    /// bake has there under `lights`, as errors are of the size of the light.
     pub fn new(
         mut bake: Box<dyn Evaluated>,
+        lights: &[TestLight],
         options: Options,
         progress: &Progress,
     ) -> Result<Self, EvaluationError> {
-        let sample = bake.sample(options.receivers);
+        let first_look = bake.sample(options.receivers.saturating_mul(FIRST_LOOK));
+        let sample = if first_look.hits.is_empty() {
+            bake.sample(options.receivers)
+        } else {
+            let expected = expected_errors(bake.as_ref(), &first_look, lights, progress)?;
+            first_look.focused(&expected, options.receivers)
+        };
         bake.trace(&sample.bare(), options.cells, progress)?;
         let mut evaluator = Self {
             bake,
@@ -163,44 +172,8 @@ impl Evaluator {
         &self.sample
     }
 
-    /// Lights chosen from the scene.
-    pub fn default_lights(&self) -> Chosen {
-        default_lights(self.geometry())
-    }
-
-    /// Refuses lights that stand inside solids; leaves out suns and skies where the scene has no opening, and says so.
-    ///
-    /// Errors when that leaves none.
-    pub fn usable(&self, lights: Vec<TestLight>) -> Result<Chosen, EvaluationError> {
-        let mut openness = None;
-        let mut usable = Chosen::default();
-        for light in lights {
-            check_place(self.geometry(), &light)?;
-            let from_outside =
-                |kind: &LightKind| matches!(kind, LightKind::Sky { .. } | LightKind::Sun { .. });
-            let needs_opening = light.lighting.lights.iter().any(|lamp| from_outside(&lamp.kind));
-            let openness = openness.get_or_insert_with(|| Openness::of(self.geometry()));
-            if needs_opening && !openness.has_opening() {
-                let note = format!("light '{}' is left out: the scene has no opening to the sky", light.name);
-                usable.notes.push(note);
-            } else if light.lighting.emitter_scale > 0.0 && self.emits_nothing() {
-                usable.notes.push(format!("light '{}' is left out: nothing in the scene emits", light.name));
-            } else {
-                usable.lights.push(light);
-            }
-        }
-        if usable.lights.is_empty() {
-            return Err(EvaluationError::NoLight { problem: usable.notes.join("; ") });
-        }
-        Ok(usable)
-    }
-
     fn geometry(&self) -> &Geometry {
         self.bake.geometry()
-    }
-
-    fn emits_nothing(&self) -> bool {
-        self.geometry().scene.materials.iter().all(|material| material.emissive == [0.0; 3])
     }
 
     /// The reference of the scene under some light.
@@ -223,7 +196,9 @@ impl Evaluator {
         let relit = self.bake.relit(&reference, &light.lighting, progress)?;
         let places = self.sample.bare();
         let sites: Vec<Site> = places.iter().map(|place| place.site).collect();
-        let estimates = reference.irradiance(&sites, &self.options.precision, progress)?;
+        let areas_m2: Vec<f64> = self.sample.places.iter().map(|sampled| sampled.area_m2).collect();
+        let precision = &self.options.precision;
+        let estimates = reference.irradiance_weighted(&sites, &areas_m2, precision, progress)?;
         let found: Vec<Option<DVec3>> = places.iter().map(|place| relit.irradiance(place)).collect();
         let counted = counted(&found, &estimates);
         let baked: Vec<DVec3> = found.iter().map(|found| found.unwrap_or_default()).collect();
@@ -290,8 +265,8 @@ impl Evaluator {
             return Ok(None);
         };
         let direct = maps.map(|maps| {
-            let site = |sampled: &SampledHit| self.geometry().site_at(&sampled.hit);
-            let sites: Vec<Site> = self.pixels.seen.iter().map(site).collect();
+            let site = |sampled: &SampledHit| (self.geometry().site_at(&sampled.hit), sampled.area_m2);
+            let sites: Vec<(Site, f64)> = self.pixels.seen.iter().map(site).collect();
             DirectShares::of(&sites, maps, reference)
         });
         let relit = light.mapped.unwrap_or(light.exact);
@@ -349,6 +324,35 @@ impl Evaluator {
         })
         .collect()
     }
+}
+
+/// Root mean square over lights of each place's E_ind over its mean. Skies are not asked: they vary least, and cost most.
+fn expected_errors(
+    bake: &dyn Evaluated,
+    sample: &Sample,
+    lights: &[TestLight],
+    progress: &Progress,
+) -> Result<Vec<f64>, EvaluationError> {
+    let mut squares = vec![0.0; sample.places.len()];
+    let is_sky = |light: &&TestLight| {
+        light.lighting.lights.iter().any(|lamp| matches!(lamp.kind, LightKind::Sky { .. }))
+    };
+    for light in lights.iter().filter(|light| !is_sky(light)) {
+        let reference = Reference::new(bake.geometry(), &light.lighting)?;
+        let relit = bake.relit(&reference, &light.lighting, progress)?;
+        let found: Vec<f64> = sample
+            .places
+            .iter()
+            .map(|sampled| luminance(relit.irradiance(&sampled.place).unwrap_or_default()))
+            .collect();
+        let area_m2: f64 = sample.places.iter().map(|sampled| sampled.area_m2).sum();
+        let light: f64 =
+            sample.places.iter().zip(&found).map(|(sampled, found)| sampled.area_m2 * found).sum();
+        if light > 0.0 {
+            squares.iter_mut().zip(found).for_each(|(sum, found)| *sum += (found * area_m2 / light).powi(2));
+        }
+    }
+    Ok(squares.into_iter().map(f64::sqrt).collect())
 }
 
 /// Some light of it can cast a shadow.

@@ -7,7 +7,8 @@ use lightkiln_proto::harmonics::relight_direction;
 use lightkiln_proto::scene::{LightKind, SceneLight};
 use rayon::prelude::*;
 
-use super::solid::is_free;
+use super::EvaluationError;
+use super::solid::{check_place, is_free};
 use crate::geometry::Geometry;
 use crate::reference::{Lighting, PanelLight};
 use crate::vantage::{Openness, VantagePoint, vantage_points};
@@ -64,12 +65,42 @@ pub fn default_lights(geometry: &Geometry) -> Chosen {
     } else {
         chosen.notes.push("no sun and no sky: the scene has no opening".into());
     }
-    if geometry.scene.materials.iter().any(|material| material.emissive != [0.0; 3]) {
+    if has_emitters(geometry) {
         let lighting = Lighting { emitter_scale: 1.0, ..Lighting::default() };
         let words = "the scene's own emissive surfaces".to_owned();
         chosen.lights.push(TestLight { name: "emitters".into(), words, lighting });
     }
     chosen
+}
+
+/// Refuses lights that stand inside solids; leaves out suns and skies where the scene has no opening, and says so.
+///
+/// Errors when that leaves none.
+pub fn usable_lights(geometry: &Geometry, lights: Vec<TestLight>) -> Result<Chosen, EvaluationError> {
+    let mut openness = None;
+    let mut usable = Chosen::default();
+    for light in lights {
+        check_place(geometry, &light)?;
+        let from_outside = |kind: &LightKind| matches!(kind, LightKind::Sky { .. } | LightKind::Sun { .. });
+        let needs_opening = light.lighting.lights.iter().any(|lamp| from_outside(&lamp.kind));
+        let openness = openness.get_or_insert_with(|| Openness::of(geometry));
+        if needs_opening && !openness.has_opening() {
+            let note = format!("light '{}' is left out: the scene has no opening to the sky", light.name);
+            usable.notes.push(note);
+        } else if light.lighting.emitter_scale > 0.0 && !has_emitters(geometry) {
+            usable.notes.push(format!("light '{}' is left out: nothing in the scene emits", light.name));
+        } else {
+            usable.lights.push(light);
+        }
+    }
+    if usable.lights.is_empty() {
+        return Err(EvaluationError::NoLight { problem: usable.notes.join("; ") });
+    }
+    Ok(usable)
+}
+
+fn has_emitters(geometry: &Geometry) -> bool {
+    geometry.scene.materials.iter().any(|material| material.emissive != [0.0; 3])
 }
 
 fn words(at: Vec3) -> String {

@@ -1,7 +1,7 @@
 //! Error of a bake: E_ind at places under lights that it has not seen, against the path tracer (METHOD.md §3).
 //!
 //! A kind of bake answers through [`Evaluated`]: it makes the bake's world anew, decodes its chunks, and says how much light
-//! is at a hit under given lights. [`Evaluator`] draws a [`Sample`] of such places by area, compares each answer with
+//! is at a hit under given lights. [`Evaluator`] draws a [`Sample`] of such places by area and light, compares each answer with
 //! [`crate::reference`], and sums up figures and the kind's own classes of error. [`Pixels`] are measured beside them: points
 //! that read the bake as pictures do, seams, and texels that stand out; a client may give its shadow maps by
 //! [`ClientLights`]. Synchronous and pure; files and pages are the caller's.
@@ -28,7 +28,7 @@ pub use evaluator::{ClassResult, Evaluator, LightResult, Options, PIXEL_CLASSES,
 pub use figures::{Draw, Figures, Intervals, Pair, RelativeRoot};
 pub use hunt::{Hunt, Outlier};
 pub use light_file::lights_of_file;
-pub use lights::{Chosen, TestLight, default_lights};
+pub use lights::{Chosen, TestLight, default_lights, usable_lights};
 pub use pixels::{PixelFigures, Pixels};
 pub use sample::{Sample, Sampled, SampledHit};
 pub use seams::{Borders, Jumps, Seams};

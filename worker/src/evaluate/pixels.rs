@@ -74,7 +74,8 @@ impl Pixels {
         }
         let sites: Vec<Site> =
             self.measured.iter().map(|sampled| bake.geometry().site_at(&sampled.hit)).collect();
-        let estimates = reference.irradiance(&sites, precision, progress)?;
+        let areas_m2: Vec<f64> = self.measured.iter().map(|sampled| sampled.area_m2).collect();
+        let estimates = reference.irradiance_weighted(&sites, &areas_m2, precision, progress)?;
         let shown = |relit: &dyn Relit| -> Vec<Option<DVec3>> {
             self.measured.iter().map(|sampled| shown_at(bake, relit, sampled)).collect()
         };
@@ -84,9 +85,9 @@ impl Pixels {
         let pairs: Vec<Pair> = found
             .iter()
             .zip(&estimates)
-            .zip(&counts)
-            .map(|((found, estimate), counts)| Pair {
-                area_m2: f64::from(u8::from(*counts)),
+            .zip(counts.iter().zip(&self.measured))
+            .map(|((found, estimate), (counts, sampled))| Pair {
+                area_m2: if *counts { sampled.area_m2 } else { 0.0 },
                 found: found.unwrap_or_default(),
                 reference: *estimate,
             })
@@ -118,7 +119,7 @@ impl Pixels {
             let Some(place) = place else { return SquareTerm { weight: 0.0, square: 0.0, reference } };
             let at_receiver = square(light.found[place], &light.estimates[place]);
             let square = square(exact[index], &estimates[index]) - at_receiver;
-            SquareTerm { weight: 1.0, square, reference }
+            SquareTerm { weight: own.area_m2, square, reference }
         };
         (0..self.measured.len()).map(term).collect()
     }

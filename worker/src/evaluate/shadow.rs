@@ -62,12 +62,14 @@ pub struct DirectShares {
 }
 
 impl DirectShares {
-    /// Looks at sites of equal areas.
-    pub(super) fn of(sites: &[Site], mapped: &dyn MappedLight, reference: &Reference) -> Self {
+    /// Looks at sites, each with the area that it stands for.
+    pub(super) fn of(sites: &[(Site, f64)], mapped: &dyn MappedLight, reference: &Reference) -> Self {
         let faults: Vec<[bool; 2]> =
-            sites.par_iter().map(|site| faults(site, &mapped.at(site), reference)).collect();
+            sites.par_iter().map(|(site, _)| faults(site, &mapped.at(site), reference)).collect();
+        let area: f64 = sites.iter().map(|(_, area)| area).sum();
         let share = |which: usize| {
-            faults.iter().filter(|fault| fault[which]).count() as f64 / sites.len().max(1) as f64
+            let faulty = sites.iter().zip(&faults).filter(|(_, fault)| fault[which]);
+            faulty.map(|((_, part), _)| part).sum::<f64>() / area.max(f64::MIN_POSITIVE)
         };
         Self { leak: share(0), acne: share(1), pixels: sites.len() }
     }

@@ -178,7 +178,8 @@ fn light_everywhere_leaks_into_shadows_no_light_is_acne_and_exact_light_is_neith
     let reference = Reference::new(geometry, &lighting).unwrap();
     let sites = crate::geometry::spread_sites(geometry, 500);
     let shares = |share: &(dyn Fn(&Site) -> f64 + Sync)| {
-        DirectShares::of(&sites, &ShownShare { lamp_m, share }, &reference)
+        let weighted: Vec<(Site, f64)> = sites.iter().map(|site| (*site, 0.5)).collect();
+        DirectShares::of(&weighted, &ShownShare { lamp_m, share }, &reference)
     };
     let is_lit = |site: &Site| f64::from(u8::from(reference.direct_irradiance(site, 1).x > 0.0));
     let lit = sites.iter().map(is_lit).sum::<f64>() / sites.len() as f64;

@@ -80,6 +80,18 @@ impl Reference<'_> {
         precision: &Precision,
         progress: &Progress,
     ) -> Result<Vec<IrradianceEstimate>, Cancelled> {
+        self.irradiance_weighted(sites, &vec![1.0; sites.len()], precision, progress)
+    }
+
+    /// As [`Reference::irradiance`], for means over the sites with these positive weights: a site of half the mean weight may
+    /// have √2 times the standard error.
+    pub fn irradiance_weighted(
+        &self,
+        sites: &[Site],
+        weights: &[f64],
+        precision: &Precision,
+        progress: &Progress,
+    ) -> Result<Vec<IrradianceEstimate>, Cancelled> {
         let guide = self.guide(progress)?;
         let pilot: Vec<Estimate> = sites
             .par_iter()
@@ -88,14 +100,17 @@ impl Reference<'_> {
                 Ok(self.summed(site, guide, Phase::Pilot, PILOT_BATCHES).indirect.estimate())
             })
             .collect::<Result<_, Cancelled>>()?;
-        let floor = pilot.iter().map(Estimate::luminance).sum::<f64>() / sites.len().max(1) as f64;
-        let expected = expected(neighbours(sites, self.geometry.bounds_m()), &pilot);
+        let mean_weight = weights.iter().sum::<f64>() / sites.len().max(1) as f64;
+        let shares: Vec<f64> = weights.iter().map(|weight| weight / mean_weight).collect();
+        let light = |(estimate, share): (&Estimate, &f64)| share * estimate.luminance();
+        let floor = pilot.iter().zip(&shares).map(light).sum::<f64>() / sites.len().max(1) as f64;
+        let expected = expected(neighbours(sites, self.geometry.bounds_m()), &pilot, &shares);
         sites
             .par_iter()
-            .zip(expected)
-            .map(|(site, expected)| {
+            .zip(expected.into_par_iter().zip(shares))
+            .map(|(site, (expected, share))| {
                 progress.check()?;
-                let batches = expected.batches(floor, precision);
+                let batches = expected.batches(floor, share, precision);
                 let sums = self.summed(site, guide, Phase::Main, batches);
                 Ok(self.finished(site, &sums, &expected))
             })
@@ -172,19 +187,21 @@ struct Expected {
 }
 
 impl Expected {
-    fn mean(of: impl Iterator<Item = Self>) -> Self {
-        let (mut sum, mut count) = (Self::default(), 0.0);
-        for one in of {
-            sum.luminance += one.luminance;
-            sum.variance = std::array::from_fn(|channel| sum.variance[channel] + one.variance[channel]);
-            count += 1.0;
+    /// The mean of some with their weights.
+    fn mean(of: impl Iterator<Item = (f64, Self)>) -> Self {
+        let (mut sum, mut total) = (Self::default(), 0.0);
+        for (weight, one) in of {
+            sum.luminance += weight * one.luminance;
+            sum.variance =
+                std::array::from_fn(|channel| sum.variance[channel] + weight * one.variance[channel]);
+            total += weight;
         }
-        Self { luminance: sum.luminance / count, variance: sum.variance.map(|variance| variance / count) }
+        Self { luminance: sum.luminance / total, variance: sum.variance.map(|variance| variance / total) }
     }
 
-    /// Batches for the precision: an even number, for halves alike.
-    fn batches(&self, floor: f64, precision: &Precision) -> u32 {
-        let wanted = precision.rel_error * (self.luminance.max(floor) * floor).sqrt();
+    /// Batches for the precision at a site of `share` times the mean weight: an even number, for halves alike.
+    fn batches(&self, floor: f64, share: f64, precision: &Precision) -> u32 {
+        let wanted = precision.rel_error * (self.luminance.max(floor) * floor / share).sqrt();
         let most = (precision.paths_max / BATCH).max(2);
         let least = MAIN_BATCHES_MIN.min(most);
         let needed = (self.variance[3] / (wanted * wanted)).ceil();
@@ -196,14 +213,14 @@ impl Expected {
 
 /// Means over each site, its nearest neighbours that face alike, and one more that stands for all sites: a single pilot
 /// may miss what the others find.
-fn expected(neighbours: Vec<Vec<u32>>, pilot: &[Estimate]) -> Vec<Expected> {
+fn expected(neighbours: Vec<Vec<u32>>, pilot: &[Estimate], shares: &[f64]) -> Vec<Expected> {
     let of_site = |estimate: &Estimate| {
         let Estimate { error, luminance_error, .. } = *estimate;
         let variance = [error.x, error.y, error.z, luminance_error]
             .map(|error| error * error * f64::from(PILOT_BATCHES));
         Expected { luminance: estimate.luminance(), variance }
     };
-    let all = Expected::mean(pilot.iter().map(of_site));
-    let around = |near: Vec<u32>| near.into_iter().map(|site| of_site(&pilot[site as usize]));
-    neighbours.into_par_iter().map(|near| Expected::mean(around(near).chain([all]))).collect()
+    let all = Expected::mean(shares.iter().copied().zip(pilot.iter().map(of_site)));
+    let around = |near: Vec<u32>| near.into_iter().map(|site| (1.0, of_site(&pilot[site as usize])));
+    neighbours.into_par_iter().map(|near| Expected::mean(around(near).chain([(1.0, all)]))).collect()
 }

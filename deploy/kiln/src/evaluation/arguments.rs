@@ -21,7 +21,7 @@ pub struct EvaluationArguments {
     /// smaller takes longer, with its inverse square
     #[arg(long, value_name = "E", default_value_t = 0.03, value_parser = parse_rel_error, help_heading = "Evaluation")]
     pub rel_error: f64,
-    /// Places to measure at, spread by area
+    /// Places to measure at, spread by area, and denser where there is more light
     #[arg(
         long,
         value_name = "N",

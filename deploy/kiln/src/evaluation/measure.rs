@@ -4,7 +4,9 @@ use lightkiln_client::bake::LoadedBake;
 use lightkiln_client::fetch::Source;
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::manifest::{ChunkRef, GEOMETRY, Manifest, TEXTURES};
-use lightkiln_worker::evaluate::{EvaluationError, Evaluator, LightResult, Options, cluster_errors};
+use lightkiln_worker::evaluate::{
+    EvaluationError, Evaluator, LightResult, Options, cluster_errors, default_lights, usable_lights,
+};
 use lightkiln_worker::reference::Precision;
 use lightkiln_worker::task::Progress;
 
@@ -54,24 +56,23 @@ pub fn measure(
     eprintln!("preparing the scene anew, and what {} places need", wanted.receivers);
     let bytes = |digest| chunk(source, &manifest, digest);
     let bake = kinds.worker.evaluated(&manifest, scene.into_bytes(), &bytes, &progress).map_err(failure)?;
-    let mut evaluator = Evaluator::new(bake, options, &progress).map_err(failure)?;
+    let usable = |lights| usable_lights(bake.geometry(), off.rest_of_tests(lights)).map_err(failure);
+    let chosen = match own {
+        Some(lights) => usable(lights)?,
+        None => {
+            let chosen = default_lights(bake.geometry());
+            let mut usable = usable(chosen.lights)?;
+            usable.notes.splice(0..0, chosen.notes);
+            usable
+        }
+    };
+    for note in &chosen.notes {
+        eprintln!("note: {note}");
+    }
+    let mut evaluator = Evaluator::new(bake, &chosen.lights, options, &progress).map_err(failure)?;
     if pixels > 0 {
         let client = LoadedBake::load(source, &kinds.client)?;
         evaluator = evaluator.with_client(Box::new(ClientBake(client)));
-    }
-    let chosen = match own {
-        Some(lights) => evaluator.usable(off.rest_of_tests(lights)),
-        None => {
-            let chosen = evaluator.default_lights();
-            evaluator.usable(off.rest_of_tests(chosen.lights)).map(|mut usable| {
-                usable.notes.splice(0..0, chosen.notes);
-                usable
-            })
-        }
-    };
-    let chosen = chosen.map_err(failure)?;
-    for note in &chosen.notes {
-        eprintln!("note: {note}");
     }
     let mut results = Vec::new();
     for light in &chosen.lights {
