@@ -26,7 +26,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 
     // Direct light comes from shadow maps, as on a graphics adapter.
     let (lamps, _) = lights_of(&scene.manifest);
-    let plan = ShadowPlan::new(&Caster::of(&lamps), scene.manifest.bounds_m, SHADOW_SIDE)?;
+    let plan = ShadowPlan::new(&Caster::of(&lamps), scene.manifest.bounds_m, SHADOW_SIDE, None)?;
     let maps = reference::draw(&scene, &plan);
     let unshadowed = Unshadowed { sky: Sky::of(&lamps), emitter_scale: &[] };
     let lit = LitScene { scene: &scene, plan: &plan, maps: &maps, unshadowed };

@@ -6,6 +6,7 @@ mod gpu;
 
 use std::path::Path;
 
+use glam::Vec3;
 use lightkiln_proto::relight::Limit;
 use lightkiln_proto::scene::{LightKind, SceneCamera, SceneLight};
 
@@ -14,7 +15,7 @@ use crate::error::{ClientError, Result};
 use crate::lights::{Caster, Sky, camera_of, lights_of};
 use crate::passes::gpu::Gpu;
 use crate::passes::shadow::reference::ShadowMaps;
-use crate::passes::shadow::{self, ShadowPlan};
+use crate::passes::shadow::{self, Eye, ShadowPlan};
 use crate::picture::{Exposure, Picture, Tone};
 
 pub use debug::debug_picture;
@@ -115,6 +116,13 @@ impl View {
         [self.width, self.height]
     }
 
+    /// Where suns' cascades are; none for a parallel view, which sees all alike.
+    fn eye(&self) -> Option<Eye> {
+        let [position_m, target_m] = [self.camera.eye_m, self.camera.target_m].map(Vec3::from);
+        let forward = (target_m - position_m).try_normalize()?;
+        self.camera.orthographic_half_height_m.is_none().then_some(Eye { position_m, forward })
+    }
+
     fn check(&self) -> Result<()> {
         let wrong =
             |what: String, problem: &str| Err(ClientError::Argument { what, problem: problem.to_owned() });
@@ -166,7 +174,7 @@ impl<'a> Prepared<'a> {
     pub fn new(bake: &'a LoadedBake, view: &'a View) -> Result<Self> {
         view.check()?;
         let bounds_m = bake.scene.manifest.bounds_m;
-        let plan = ShadowPlan::new(&Caster::of(&view.lights), bounds_m, view.shadow_side)?;
+        let plan = ShadowPlan::new(&Caster::of(&view.lights), bounds_m, view.shadow_side, view.eye())?;
         Ok(Self { bake, view, plan, sky: Sky::of(&view.lights) })
     }
 

@@ -11,6 +11,7 @@ use crate::bake::{LightPasses, LoadedBake, Unshadowed};
 use crate::fixture;
 use crate::kinds::sh::relight;
 use crate::lightmap::{ClientColumns, LightmapLight, LightmapPasses};
+use crate::lights::parse_light;
 use crate::passes::compare::Difference;
 use crate::passes::gpu::Gpu;
 use crate::passes::meshes::Meshes;
@@ -65,7 +66,7 @@ impl<C: ClientColumns> Stage<C> {
     fn new(gpu: &Gpu, (scene, light): (LoadedScene, LightmapLight<C>)) -> Self {
         let lights = &scene.manifest.lights;
         let casters = crate::lights::Caster::of(lights);
-        let plan = ShadowPlan::new(&casters, scene.manifest.bounds_m, 512).unwrap();
+        let plan = ShadowPlan::new(&casters, scene.manifest.bounds_m, 512, None).unwrap();
         let meshes = Meshes::new(gpu, &scene).unwrap();
         let shadow = ShadowPass::new(gpu, &scene, &meshes, &plan).unwrap();
         let unshadowed = Unshadowed { sky: Sky::of(lights), emitter_scale: &[1.5] };
@@ -273,8 +274,11 @@ fn atlas_agrees_with_the_reference() {
 fn shade_agrees_with_the_reference_on_the_same_maps_and_light() {
     let gpu = Gpu::open().unwrap();
     let bakes = [fixture::prt_bake(&fixture::prt_contents()), super::facing::bake()];
-    for bake in &bakes {
-        let view = view_of(bake);
+    let sun = parse_light("sun dir=0.3,-0.8,0.4 irradiance=3").unwrap();
+    // So small a side gives suns cascades.
+    let with_cascades = |view: View| View { lights: vec![sun.clone()], shadow_side: 128, ..view };
+    let views = [view_of(&bakes[0]), with_cascades(view_of(&bakes[0])), view_of(&bakes[1])];
+    for (bake, view) in [&bakes[0], &bakes[0], &bakes[1]].into_iter().zip(views) {
         let prepared = prepared(bake, &view);
         let frame = Frame::new(&gpu, &prepared).unwrap();
         frame.relit(&gpu);

@@ -10,9 +10,9 @@ use super::{fixture_light, fixture_view, prepared};
 use crate::fixture::{ROOM, manifest, texture};
 use crate::lights::{Caster, parse_light};
 use crate::passes::atlas::reference::{sample, spread};
-use crate::passes::direct::reference::{direct_irradiance, direct_texels};
-use crate::passes::shadow::ShadowPlan;
+use crate::passes::direct::reference::{direct_irradiance, direct_texels, seen_irradiance};
 use crate::passes::shadow::reference::{ShadowMaps, draw};
+use crate::passes::shadow::{Eye, ShadowPlan};
 use crate::preview::{Backend, View, render};
 use crate::scene::LoadedScene;
 
@@ -33,6 +33,10 @@ impl Lamp {
 
     fn at(&self, position: Vec3, normal: Vec3) -> f32 {
         direct_irradiance(&self.plan, &self.maps, position, normal, normal).x
+    }
+
+    fn seen_at(&self, position: Vec3, normal: Vec3) -> f32 {
+        seen_irradiance(&self.plan, &self.maps, position, normal, normal).x
     }
 }
 
@@ -109,11 +113,11 @@ fn sheet(corner: Vec3, u: Vec3, v: Vec3) -> Draw {
 }
 
 /// A scene of nothing but these, and the shadow maps of one light on it.
-fn shadows(draws: &[Draw], light: &str, bounds_m: [[f32; 3]; 2], side: u32) -> Lamp {
+fn shadows(draws: &[Draw], light: &str, bounds_m: [[f32; 3]; 2], (side, eye): (u32, Option<Eye>)) -> Lamp {
     let manifest = Manifest { lightmap: None, ..manifest("prt") };
     let geometry = Geometry { draws: draws.to_vec() };
     let scene = LoadedScene::assemble(manifest, vec![geometry], vec![texture()]).unwrap();
-    let plan = ShadowPlan::new(&Caster::of(&[parse_light(light).unwrap()]), bounds_m, side).unwrap();
+    let plan = ShadowPlan::new(&Caster::of(&[parse_light(light).unwrap()]), bounds_m, side, eye).unwrap();
     let maps = draw(&scene, &plan);
     Lamp { plan, maps }
 }
@@ -125,7 +129,7 @@ fn far_ground_under_a_low_lamp_has_no_acne() {
     for step in 0..12 {
         let (x, height, z) = (1.7 * step as f32 - 9.3, 1.1 + 0.37 * step as f32, 6.1 - 1.3 * step as f32);
         let light = format!("point pos={x},{height},{z} power=1000");
-        let lamp = shadows(&ground, &light, [[-30.0, 0.0, -30.0], [30.0, 4.0, 30.0]], 2048);
+        let lamp = shadows(&ground, &light, [[-30.0, 0.0, -30.0], [30.0, 4.0, 30.0]], (2048, None));
         let dark = (0..40_000_u32).filter(|index| {
             let along = |step: u32| -29.5 + 59.0 * (step as f32 + 0.5) / 200.0;
             lamp.at(Vec3::new(along(index % 200), 0.0, along(index / 200)), Vec3::Y) <= 0.0
@@ -148,7 +152,10 @@ fn no_light_passes_the_foot_or_the_corner_of_a_wall() {
         let direction =
             Vec3::new(height.cos() * turn.sin(), -height.sin(), height.cos() * turn.cos()).normalize();
         let words = format!("sun dir={},{},{} irradiance=1", direction.x, direction.y, direction.z);
-        let sun = shadows(&draws, &words, [[-3.0, 0.0, 0.0], [3.0, 4.0, 3.0]], 1024);
+        let sun = shadows(&draws, &words, [[-3.0, 0.0, 0.0], [3.0, 4.0, 3.0]], (1024, None));
+        let eye = Eye { position_m: Vec3::new(0.8, 1.5, 1.2), forward: Vec3::new(-0.6, -0.48, -0.64) };
+        let wide = shadows(&draws, &words, [[-9.0, 0.0, -9.0], [9.0, 4.0, 9.0]], (1024, Some(eye)));
+        assert!(wide.plan.lights[0].cascades > 0, "{:?}", wide.plan.lights);
         for index in 0..400 {
             let away_m = 2e-4 * 1.35_f32.powi(index % 20);
             let along = 0.4 + 0.07 * (index / 20) as f32;
@@ -156,8 +163,40 @@ fn no_light_passes_the_foot_or_the_corner_of_a_wall() {
                 [(Vec3::new(0.0, along, away_m), Vec3::X), (Vec3::new(along, 0.0, away_m), Vec3::Y)]
             {
                 assert_eq!(sun.at(position, normal), 0.0, "{position} under a sun along {direction}");
+                // Depth is three times as coarse in bounds three times as wide.
+                let seen = if away_m > 6e-4 { wide.seen_at(position, normal) } else { 0.0 };
+                assert_eq!(seen, 0.0, "{position} under a sun along {direction}");
             }
         }
+    }
+}
+
+#[test]
+fn cascades_show_a_fence_near_the_eye_on_wide_ground() {
+    // Bars of 5 cm every 10 cm along x, and 200 m of ground.
+    let bars = (-40..40).map(|bar| sheet(Vec3::new(0.1 * bar as f32, 0.0, 0.0), Vec3::X * 0.05, Vec3::Y));
+    let ground = sheet(Vec3::new(-100.0, 0.0, -100.0), Vec3::Z * 200.0, Vec3::X * 200.0);
+    let draws: Vec<Draw> = bars.chain([ground]).collect();
+    let direction = Vec3::new(0.3, -0.6, 0.8).normalize();
+    let words = format!("sun dir={},{},{} irradiance=1", direction.x, direction.y, direction.z);
+    let eye = Eye { position_m: Vec3::new(0.0, 1.0, 1.5), forward: Vec3::new(0.0, -0.6, -0.8) };
+    let sun = shadows(&draws, &words, [[-100.0, 0.0, -100.0], [100.0, 1.0, 100.0]], (1024, Some(eye)));
+    let mut off = [0.0, 0.0];
+    for index in 0..2000 {
+        let (x, z) = (-1.0 + 0.001 * index as f32, 0.2 + 0.3 * (index % 17) as f32 / 17.0);
+        let at_fence = x - direction.x / direction.z * z;
+        let wanted = if (at_fence / 0.1).rem_euclid(1.0) < 0.5 { 0.0 } else { -direction.y };
+        let at = Vec3::new(x, 0.0, z);
+        for (off, found) in off.iter_mut().zip([sun.seen_at(at, Vec3::Y), sun.at(at, Vec3::Y)]) {
+            *off += (found - wanted).abs() / -direction.y / 2000.0;
+        }
+    }
+    assert!(off[0] < 0.12 && off[1] > 0.35, "{off:?}");
+    // Open ground is lit on both sides of every cascade's rim.
+    for index in 0..20_000 {
+        let (x, z) = (-60.0 + 0.006 * index as f32, 3.0 + 0.9 * (index % 61) as f32);
+        let found = sun.seen_at(Vec3::new(x, 0.0, z), Vec3::Y);
+        assert!((found + direction.y).abs() < 1e-4, "{x} {z}: {found}");
     }
 }
 
@@ -173,7 +212,7 @@ fn narrow_facets_before_the_void_stay_lit() {
     for angle in 0..12 {
         let height = 0.2 + 0.1 * angle as f32;
         let light = format!("sun dir=0.3,{},{} irradiance=1", -height.sin(), -height.cos());
-        let sun = shadows(&slab, &light, [[0.0; 3], [2.0; 3]], 512);
+        let sun = shadows(&slab, &light, [[0.0; 3], [2.0; 3]], (512, None));
         for index in 0..200 {
             let (x, z) = (0.1 + 0.009 * index as f32, -0.0005 - 0.005 * (index % 7) as f32 / 6.0);
             assert!(sun.at(Vec3::new(x, 2.0, z), Vec3::Y) > 0.0, "{x} {z} under {light}");
@@ -231,7 +270,7 @@ fn spot_cone_and_range_end_where_they_should() {
         strength: [4.0; 3],
     };
     let (bake, _) = fixture_view();
-    let plan = ShadowPlan::new(&Caster::of(&[spot]), [[0.0; 3], ROOM.into()], 512).unwrap();
+    let plan = ShadowPlan::new(&Caster::of(&[spot]), [[0.0; 3], ROOM.into()], 512, None).unwrap();
     let mut maps = draw(&bake.scene, &plan);
     maps.depth.fill(0.0);
     let at = |x: f32, y: f32| direct_irradiance(&plan, &maps, Vec3::new(x, y, 2.0), Vec3::Y, Vec3::Y).x;

@@ -98,7 +98,7 @@ fn twins() -> BTreeMap<&'static str, Layout> {
         "Face": Face { clip_from_world, right, texel_at_unit_w, up, pad }
         "Light": Light {
             position, range_m, direction, shape, strength, first_face, cone_cos_inner, cone_cos_outer, face_count,
-            half_extent
+            half_extent, first_cascade, cascades, pad0, pad1
         }
         "LightCount": LightCount { count, side, bias_m, pad }
         "Mask": Mask { uv_row0, uv_row1, alpha, cutoff, pad0, pad1 }

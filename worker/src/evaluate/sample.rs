@@ -104,7 +104,7 @@ impl Sample {
         }
     }
 
-    /// About `count` of the hits and their places, drawn in the order of strata with a density of which [`BY_AREA`] is even and
+    /// About `count` of the hits and their places, drawn in the order of strata with a density of which a quarter is even and
     /// the rest follows the error that is expected at each place; weighted back, so that means over either sample have the
     /// same expectation. Without hits, or errors, the sample as it is.
     pub fn focused(self, expected: &[f64], count: u32) -> Self {

@@ -13,7 +13,11 @@ pub use points::TexelPoints;
 pub use texels::{TEXELS_SHADER, TexelNumbers, TexelsPass};
 
 /// The shader, with the lights' part in front.
-pub const SHADER: &str = concat!(include_str!("../shared/light.wgsl"), include_str!("direct.wgsl"));
+pub const SHADER: &str = concat!(
+    include_str!("../shared/light.wgsl"),
+    include_str!("../shared/shadow_map.wgsl"),
+    include_str!("direct.wgsl")
+);
 /// Largest difference from the reference on the same shadow maps, relative to the largest value, for all but
 /// [`OUTLIERS`]: positions are projected in f32, and the filter's weights follow the projected position.
 pub const TOLERANCE: f32 = 2e-3;

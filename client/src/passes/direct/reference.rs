@@ -1,19 +1,17 @@
 //! E_dir on the processor; twin of `shared/light.wgsl`, `direct.wgsl` and `texels.wgsl`, function by function.
 
-use glam::{IVec2, Vec2, Vec3, Vec4};
+use glam::{Vec2, Vec3, Vec4};
 use lightkiln_proto::relight::ReceiverTable;
 use rayon::prelude::*;
 
 use super::points::{ALL_LIT, FEW_POINTS, TexelPoints};
 use crate::lights::Shape;
+use crate::passes::shadow::look_up::{FILTER_REACH, is_behind, lifted, towards, visibility};
 use crate::passes::shadow::reference::ShadowMaps;
-use crate::passes::shadow::{Face, Light, ShadowPlan};
+use crate::passes::shadow::{Light, ShadowPlan};
 
-const FILTER_REACH: f32 = 2.0;
-const FILTER_MARGIN: f32 = 0.5;
-const FILTER_WIDTH: f32 = 4.0;
-const PARALLEL_BIAS: f32 = 0.1;
-const SNAP: f32 = 0.007_812_5;
+const CASCADE_GUARD: f32 = 8.0;
+const CASCADE_RIM: f32 = 0.1;
 /// Least cosine that the filter's reach along a surface grows by.
 const GRAZING_COS: f32 = 0.05;
 
@@ -79,6 +77,24 @@ pub fn direct_irradiance(
     plan.lights.iter().map(of_light).sum()
 }
 
+/// As [`direct_irradiance`], of a point that is seen: by cascades where there are some.
+pub fn seen_irradiance(
+    plan: &ShadowPlan,
+    maps: &ShadowMaps,
+    position: Vec3,
+    normal: Vec3,
+    facet: Vec3,
+) -> Vec3 {
+    let of_light = |light: &Light| {
+        let arriving = unshadowed(light, position, normal);
+        if arriving.max_element() <= 0.0 {
+            return Vec3::ZERO;
+        }
+        arriving * share_seen((plan, maps), light, position, facet)
+    };
+    plan.lights.iter().map(of_light).sum()
+}
+
 /// Direct light of a point, and what its shadows are judged by.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Shadowed {
@@ -106,14 +122,6 @@ pub fn shadowed(plan: &ShadowPlan, maps: &ShadowMaps, position: Vec3, normal: Ve
     }
 }
 
-/// Unit vector towards a light.
-fn towards(light: &Light, position: Vec3) -> Vec3 {
-    if light.shape == Shape::Sun as u32 {
-        return -Vec3::from(light.direction);
-    }
-    (Vec3::from(light.position) - position).normalize_or(Vec3::Y)
-}
-
 /// Irradiance of one light in W·m⁻², and the share of it that arrives.
 fn light_irradiance(
     (plan, maps): (&ShadowPlan, &ShadowMaps),
@@ -126,14 +134,45 @@ fn light_irradiance(
     if arriving.max_element() <= 0.0 {
         return Vec4::ZERO;
     }
-    let face = face_of(plan, light, position);
+    let share = share_by((plan, maps), face_of(plan, light, position), light, position, facet);
+    (arriving * share).extend(share)
+}
+
+/// Share of a light that arrives by one of its faces.
+fn share_by(
+    (plan, maps): (&ShadowPlan, &ShadowMaps),
+    face: u32,
+    light: &Light,
+    position: Vec3,
+    facet: Vec3,
+) -> f32 {
     let at = lifted(plan, face, position, facet);
-    let share = visibility(plan, maps, face_of(plan, light, at), at);
+    let is_tile = face < light.first_face + light.face_count;
+    let share = visibility(plan, maps, if is_tile { face_of(plan, light, at) } else { face }, at);
     let lift_m = at.distance(position);
     if share <= 0.0 || is_behind((plan, maps), face, light, position, facet, lift_m) {
-        return Vec4::ZERO;
+        return 0.0;
     }
-    (arriving * share).extend(share)
+    share
+}
+
+/// Share of a light that arrives at a point that is seen: by the narrowest cascade that holds it, fading in at its rim.
+fn share_seen((plan, maps): (&ShadowPlan, &ShadowMaps), light: &Light, position: Vec3, facet: Vec3) -> f32 {
+    let by = |face| share_by((plan, maps), face, light, position, facet);
+    for cascade in (0..light.cascades).rev() {
+        let face = light.first_cascade + cascade;
+        let clip = plan.faces[face as usize].projection() * position.extend(1.0);
+        let inside = 1.0 - clip.x.abs().max(clip.y.abs()) - 2.0 * CASCADE_GUARD / maps.side as f32;
+        if inside > 0.0 {
+            let own = by(face);
+            if inside >= CASCADE_RIM {
+                return own;
+            }
+            let wider = by(if cascade == 0 { face_of(plan, light, position) } else { face - 1 });
+            return wider + (own - wider) * (inside / CASCADE_RIM);
+        }
+    }
+    by(face_of(plan, light, position))
 }
 
 fn cube_face(d: Vec3) -> u32 {
@@ -154,105 +193,6 @@ fn face_of(plan: &ShadowPlan, light: &Light, position: Vec3) -> u32 {
         return light.first_face + tile.y as u32 * tiles + tile.x as u32;
     }
     light.first_face + if light.face_count == 6 { cube_face(d) } else { 0 }
-}
-
-fn visibility(plan: &ShadowPlan, maps: &ShadowMaps, face_index: u32, position: Vec3) -> f32 {
-    let side = maps.side as usize;
-    let clip = plan.faces[face_index as usize].projection() * position.extend(1.0);
-    if clip.w <= 0.0 {
-        return 1.0;
-    }
-    let ndc = clip.truncate() / clip.w;
-    let at = (Vec2::new(ndc.x, -ndc.y) * 0.5 + 0.5) * side as f32 - 0.5;
-    let base = at.floor();
-    let share = at - base;
-    let weight_x = [1.0 - share.x, 1.0, 1.0, share.x];
-    let weight_y = [1.0 - share.y, 1.0, 1.0, share.y];
-    let map = &maps.depth[face_index as usize * side * side..][..side * side];
-    let texel = |start: f32, step: usize| {
-        (start as i64).saturating_add(step as i64 - 1).clamp(0, side as i64 - 1) as usize
-    };
-    let mut lit = 0.0;
-    for (row, weight_y) in weight_y.iter().enumerate() {
-        for (column, weight_x) in weight_x.iter().enumerate() {
-            if map[texel(base.y, row) * side + texel(base.x, column)] <= ndc.z {
-                lit += weight_x * weight_y;
-            }
-        }
-    }
-    lit / 9.0
-}
-
-fn is_behind(
-    (plan, maps): (&ShadowPlan, &ShadowMaps),
-    face_index: u32,
-    light: &Light,
-    position: Vec3,
-    facet: Vec3,
-    lift_m: f32,
-) -> bool {
-    let projection = plan.faces[face_index as usize].projection();
-    let towards = towards(light, position);
-    let clip = projection * position.extend(1.0);
-    // Depth of a perspective is rounded by the nearest corner of a triangle, however far the point.
-    let is_sun = light.shape == Shape::Sun as u32;
-    let bias_m = if is_sun { PARALLEL_BIAS } else { 1.0 } * plan.count.bias_m;
-    let nearer = projection * (position + towards * bias_m).extend(1.0);
-    if clip.w <= 0.0 || nearer.w <= 0.0 {
-        return false;
-    }
-    let ndc = clip.truncate() / clip.w;
-    let margin = nearer.z / nearer.w - ndc.z;
-    let at = (Vec2::new(ndc.x, -ndc.y) * 0.5 + 0.5) * maps.side as f32 - 0.5;
-    let base = at.floor().as_ivec2();
-    let depth_at = |texel| maps.depth_at(face_index, texel);
-    let goes_on = |texel, expected: f32| {
-        let found = depth_at(texel);
-        found <= 0.0 || (found - expected).abs() <= margin
-    };
-    // Most points see their own surface.
-    let d = [IVec2::ZERO, IVec2::X, IVec2::Y].map(|step| depth_at(base + step));
-    let change = Vec2::new(d[1], d[2]) - d[0];
-    let open =
-        d[0] + change.dot(at - at.floor()) - ndc.z <= margin + SNAP * (change.x.abs() + change.y.abs());
-    if open && d.iter().all(|depth| *depth > 0.0) && goes_on(base + IVec2::ONE, d[1] + d[2] - d[0]) {
-        return false;
-    }
-    let depth_per_m = margin / bias_m;
-    let far = depth_per_m * lift_m / facet.dot(towards).max(0.01);
-    let face = &plan.faces[face_index as usize];
-    let texel_m = face.texel_at_unit_w * clip.w;
-    (0..4).any(|corner| {
-        // The plane of this texel and those behind it, seen from the point.
-        let inward = IVec2::new(1 - 2 * (corner & 1), 1 - 2 * (corner >> 1));
-        let texel = base + IVec2::new(corner & 1, corner >> 1);
-        let (x, y) = (inward * IVec2::X, inward * IVec2::Y);
-        let own = depth_at(texel);
-        let slope = own - Vec2::new(depth_at(texel - x), depth_at(texel - y));
-        let next = own - 2.0 * slope - Vec2::new(depth_at(texel - 2 * x), depth_at(texel - 2 * y));
-        // An occluder is above the surface; what bends away from it, as the next facet of a thing does, is below.
-        let away = (texel.as_vec2() - at) * texel_m;
-        let seen = Vec3::from(face.right) * away.x - Vec3::from(face.up) * away.y;
-        let height_m = (seen + towards * ((own - ndc.z) / depth_per_m)).dot(facet);
-        // The three others go on with it, or see nothing at all.
-        let is_plane = own > 0.0
-            && next.abs().max_element() <= margin
-            && height_m > 0.0
-            && goes_on(texel + x, own + slope.x)
-            && goes_on(texel + y, own + slope.y)
-            && goes_on(texel + x + y, own + slope.x + slope.y);
-        let depth = own + slope.dot((at - texel.as_vec2()).abs()) - ndc.z;
-        let steep = slope.x.abs() + slope.y.abs();
-        is_plane && depth > margin + SNAP * steep && depth < far + FILTER_WIDTH * steep
-    })
-}
-
-fn lifted(plan: &ShadowPlan, face_index: u32, position: Vec3, normal: Vec3) -> Vec3 {
-    let face: &Face = &plan.faces[face_index as usize];
-    let w = position.extend(1.0).dot(face.projection().row(3));
-    let texel = face.texel_at_unit_w * w.max(0.0);
-    let slope = normal.dot(face.right.into()).abs() + normal.dot(face.up.into()).abs();
-    position + normal * (texel * (FILTER_REACH * slope + FILTER_MARGIN) + plan.count.bias_m)
 }
 
 fn unshadowed(light: &Light, position: Vec3, normal: Vec3) -> Vec3 {

@@ -11,7 +11,11 @@ use crate::passes::resident::{Resident, pages};
 use crate::passes::shadow::ShadowPass;
 
 /// The shader, with the lights' part in front.
-pub const TEXELS_SHADER: &str = concat!(include_str!("../shared/light.wgsl"), include_str!("texels.wgsl"));
+pub const TEXELS_SHADER: &str = concat!(
+    include_str!("../shared/light.wgsl"),
+    include_str!("../shared/shadow_map.wgsl"),
+    include_str!("texels.wgsl")
+);
 /// Threads of a workgroup in the shader.
 const THREADS: u32 = 64;
 

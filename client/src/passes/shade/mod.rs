@@ -12,7 +12,11 @@ pub use surface::Surface;
 pub use view::ShadeView;
 
 /// The shader, with the lights' part in front; [`Shading::shader`] adds indirect light.
-pub const SHADER: &str = concat!(include_str!("../shared/light.wgsl"), include_str!("shade.wgsl"));
+pub const SHADER: &str = concat!(
+    include_str!("../shared/light.wgsl"),
+    include_str!("../shared/shadow_map.wgsl"),
+    include_str!("shade.wgsl")
+);
 /// Largest difference from the reference, relative to the picture's mean, for all but [`OUTLIERS`]: adapters read
 /// textures with 8-bit weights and derive facet normals and mip levels from neighbouring pixels.
 pub const TOLERANCE: f32 = 2e-2;

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use super::surface::surface_at;
 use super::{IndirectIrradiance, ShadeView};
-use crate::passes::direct::reference::direct_irradiance;
+use crate::passes::direct::reference::seen_irradiance;
 use crate::passes::shadow::ShadowPlan;
 use crate::passes::shadow::reference::{ShadowMaps, masked_out};
 use crate::raster::{ScreenTriangle, set_up};
@@ -98,6 +98,6 @@ fn visible(scene: &LoadedScene, drawn: &[Drawn], width: u32, rows: Range<u32>) -
 fn radiance(lit: Lit<'_>, drawn: &Drawn, [x, y]: [f64; 2]) -> Vec3 {
     let shaded = surface_at(lit.scene, drawn.draw, &drawn.triangle, (x, y), lit.emitter_scale);
     let surface = &shaded.surface;
-    let e_dir = direct_irradiance(lit.plan, lit.maps, surface.position, surface.normal, surface.facet);
+    let e_dir = seen_irradiance(lit.plan, lit.maps, surface.position, surface.normal, surface.facet);
     shaded.emission + shaded.albedo / PI * (e_dir + lit.indirect.indirect_irradiance(surface))
 }

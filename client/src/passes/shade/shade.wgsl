@@ -99,7 +99,7 @@ fn shade(corner: Corner, @builtin(front_facing) front: bool) -> @location(0) vec
     facet = select(-facet, facet, dot(facet, normal) >= 0.0);
     let surface = Surface(corner.position, normal, facet, draw.index, front, corner.lightmap_texel);
     let rho = clamp(colour.rgb, vec3f(0.0), vec3f(1.0));
-    let e = direct_irradiance(surface.position, surface.normal, surface.facet) + indirect_irradiance(surface);
+    let e = seen_irradiance(surface.position, surface.normal, surface.facet) + indirect_irradiance(surface);
     return vec4f(glow + rho * (1.0 / PI) * e, 1.0);
 }
 

@@ -1,12 +1,13 @@
 //! Depth of the scene as its lights see it.
 
 mod gpu;
+pub(in crate::passes) mod look_up;
 mod plan;
 pub mod reference;
 
 pub use gpu::{Mask, ShadowPass};
 pub(in crate::passes) use gpu::{cleared_depth, nearer_wins};
-pub use plan::{Face, Light, LightCount, MAX_SIDE, MIN_SIDE, ShadowPlan};
+pub use plan::{Eye, Face, Light, LightCount, MAX_SIDE, MIN_SIDE, ShadowPlan};
 
 /// The shader.
 pub const SHADER: &str = include_str!("shadow.wgsl");

@@ -16,6 +16,12 @@ pub const MAX_SIDE: u32 = 4096;
 pub const MIN_SIDE: u32 = 64;
 /// Faces along each side of a sun's box. More → sharper sun, more memory.
 const SUN_TILES: u32 = 2;
+/// Most cascades of a sun.
+const CASCADES_MAX: u32 = 3;
+/// Factor by which a cascade's texels are finer than those of the next wider one.
+const CASCADE_STEP: f32 = 4.0;
+/// Side of a shadow texel in metres that is fine enough for any picture.
+const FINEST_M: f32 = 1e-3;
 /// Texels around a face that neighbours share, so that the filter stays inside.
 const GUARD_TEXELS: f32 = 4.0;
 /// Widest spot that one perspective face covers; wider ones get six.
@@ -41,10 +47,18 @@ pub struct Light {
     pub cone_cos_inner: f32,
     /// Cosine of a spot's outer half angle.
     pub cone_cos_outer: f32,
-    /// Faces.
+    /// Faces, without cascades.
     pub face_count: u32,
     /// Half side of a sun's box in metres.
     pub half_extent: f32,
+    /// First face of its cascades, from the widest to the narrowest.
+    pub first_cascade: u32,
+    /// Cascades: faces of a sun about the eye, for what is seen.
+    pub cascades: u32,
+    /// Nothing.
+    pub pad0: u32,
+    /// Nothing.
+    pub pad1: u32,
 }
 
 /// One shadow map; twin of `Face` in `light.wgsl`.
@@ -84,6 +98,15 @@ pub struct LightCount {
     pub pad: u32,
 }
 
+/// Where a picture is looked at from.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Eye {
+    /// Metres.
+    pub position_m: Vec3,
+    /// Unit direction of the view.
+    pub forward: Vec3,
+}
+
 /// Lights and the faces that they need.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ShadowPlan {
@@ -96,8 +119,9 @@ pub struct ShadowPlan {
 }
 
 impl ShadowPlan {
-    /// Plans shadow maps of at most `side` texels (a power of two) for `casters` over a scene with the given bounds.
-    pub fn new(casters: &[Caster], bounds_m: [[f32; 3]; 2], side: u32) -> Result<Self> {
+    /// Plans shadow maps of at most `side` texels (a power of two) for `casters` over a scene with the given bounds; suns
+    /// get cascades about the `eye` of a perspective.
+    pub fn new(casters: &[Caster], bounds_m: [[f32; 3]; 2], side: u32, eye: Option<Eye>) -> Result<Self> {
         let [low, high] = bounds_m.map(Vec3::from);
         let diagonal = (high - low).length().max(1e-3);
         let face_count: usize = casters.iter().map(|caster| face_count(caster) as usize).sum();
@@ -111,6 +135,9 @@ impl ShadowPlan {
         let mut plan = Self { lights: Vec::new(), faces: Vec::new(), count };
         for caster in casters {
             plan.push(caster, [low, high], diagonal);
+        }
+        if let Some(eye) = eye {
+            plan.push_cascades(eye, 0.5005 * diagonal);
         }
         Ok(plan)
     }
@@ -131,6 +158,10 @@ impl ShadowPlan {
             cone_cos_outer: caster.cone[1],
             face_count: face_count(caster),
             half_extent,
+            first_cascade: 0,
+            cascades: 0,
+            pad0: 0,
+            pad1: 0,
         });
         let near = (1e-4 * diagonal).max(1e-4);
         match face_count(caster) {
@@ -168,6 +199,34 @@ impl ShadowPlan {
                 let shift = Mat4::from_translation(Vec3::new(-offset(column), -offset(row), 0.0));
                 let projection = parallel(half, half, 2.0 * reach) * shift;
                 self.push_face(projection * view, view, 2.0 * half / side);
+            }
+        }
+    }
+
+    /// Cascades of every sun, as long as there is room.
+    fn push_cascades(&mut self, eye: Eye, reach: f32) {
+        let side = self.count.side as f32;
+        let area = u64::from(self.count.side) * u64::from(self.count.side);
+        for index in 0..self.lights.len() {
+            let light = self.lights[index];
+            let [centre, direction] = [light.position, light.direction].map(Vec3::from);
+            self.lights[index].first_cascade = self.faces.len() as u32;
+            for cascade in 0..CASCADES_MAX {
+                // Texels of a tile are as wide as half the box over the side.
+                let half = 0.5 * light.half_extent / CASCADE_STEP.powi(cascade as i32 + 1);
+                let texel_m = 2.0 * half / side;
+                let is_full =
+                    self.faces.len() == MAX_FACES || (self.faces.len() as u64 + 1) * area > MAX_TEXELS;
+                if light.shape != Shape::Sun as u32 || texel_m < FINEST_M || is_full {
+                    break;
+                }
+                let view = look_along(centre - direction * reach, direction, any_up(direction));
+                // Most of it lies before the eye, and it moves by whole texels.
+                let middle = view.transform_point3(eye.position_m + eye.forward * (0.75 * half));
+                let snapped = (middle / texel_m).round() * texel_m;
+                let shift = Mat4::from_translation(Vec3::new(-snapped.x, -snapped.y, 0.0));
+                self.push_face(parallel(half, half, 2.0 * reach) * shift * view, view, texel_m);
+                self.lights[index].cascades += 1;
             }
         }
     }

@@ -25,7 +25,8 @@ impl ClientLights for ClientBake {
         }
         let bounds_m = self.0.scene.manifest.bounds_m;
         let failed = |error: ClientError| EvaluationError::Client { source: Box::new(error) };
-        let plan = ShadowPlan::new(&Caster::of(&lighting.lights), bounds_m, SHADOW_SIDE).map_err(failed)?;
+        let plan =
+            ShadowPlan::new(&Caster::of(&lighting.lights), bounds_m, SHADOW_SIDE, None).map_err(failed)?;
         let maps = draw(&self.0.scene, &plan);
         Ok(Some(Box::new(Mapped { bake: &self.0, plan, maps })))
     }
