@@ -140,15 +140,19 @@ fn far_ground_under_a_low_lamp_has_no_acne() {
 
 #[test]
 fn no_light_passes_the_foot_or_the_corner_of_a_wall() {
-    // A wall (z = 0) on a floor, and a fin (x = 0) that stands on both.
-    let draws = [
-        sheet(Vec3::new(-3.0, 0.0, 0.0), Vec3::X * 6.0, Vec3::Y * 4.0),
-        sheet(Vec3::new(-3.0, 0.0, 0.0), Vec3::Z * 3.0, Vec3::X * 6.0),
-        sheet(Vec3::ZERO, Vec3::Y * 4.0, Vec3::Z * 2.0),
-    ];
-    for angle in 0..48 {
+    // A wall (z = 0) on a floor that ends there, or goes on beyond, lit; and a fin (x = 0) that stands on both.
+    let room = |floor_beyond_m: f32| {
+        let floor = Vec3::new(-3.0, 0.0, -floor_beyond_m);
+        [
+            sheet(Vec3::new(-3.0, 0.0, 0.0), Vec3::X * 6.0, Vec3::Y * 4.0),
+            sheet(floor, Vec3::Z * (3.0 + floor_beyond_m), Vec3::X * 6.0),
+            sheet(Vec3::ZERO, Vec3::Y * 4.0, Vec3::Z * 2.0),
+        ]
+    };
+    for angle in 0..96 {
+        let draws = room(if angle < 48 { 0.0 } else { 2.0 });
         // From behind the wall, so that the wall shades all that is near it on this side.
-        let (turn, height) = (-0.1 - 0.17 * (angle % 8) as f32, 0.3 + 0.2 * (angle / 8) as f32);
+        let (turn, height) = (-0.1 - 0.17 * (angle % 8) as f32, 0.3 + 0.2 * (angle % 48 / 8) as f32);
         let direction =
             Vec3::new(height.cos() * turn.sin(), -height.sin(), height.cos() * turn.cos()).normalize();
         let words = format!("sun dir={},{},{} irradiance=1", direction.x, direction.y, direction.z);

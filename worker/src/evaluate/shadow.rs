@@ -69,7 +69,7 @@ impl DirectShares {
         let area: f64 = sites.iter().map(|(_, area)| area).sum();
         let share = |which: usize| {
             let faulty = sites.iter().zip(&faults).filter(|(_, fault)| fault[which]);
-            faulty.map(|((_, part), _)| part).sum::<f64>() / area.max(f64::MIN_POSITIVE)
+            faulty.fold(0.0, |sum, ((_, part), _)| sum + part) / area.max(f64::MIN_POSITIVE)
         };
         Self { leak: share(0), acne: share(1), pixels: sites.len() }
     }

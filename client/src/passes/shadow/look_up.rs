@@ -10,7 +10,7 @@ use crate::lights::Shape;
 pub(in crate::passes) const FILTER_REACH: f32 = 2.0;
 const FILTER_MARGIN: f32 = 0.5;
 const FILTER_WIDTH: f32 = 4.0;
-const PARALLEL_BIAS: f32 = 0.1;
+const PARALLEL_BIAS: f32 = 0.03;
 const SNAP: f32 = 0.007_812_5;
 
 /// Unit vector towards a light.
@@ -82,6 +82,10 @@ pub(in crate::passes) fn is_behind(
         let found = depth_at(texel);
         found <= 0.0 || (found - expected).abs() <= margin
     };
+    let ends = |texel, expected: f32| {
+        let found = depth_at(texel);
+        found > 0.0 && found < expected - margin
+    };
     // Most points see their own surface.
     let d = [IVec2::ZERO, IVec2::X, IVec2::Y].map(|step| depth_at(base + step));
     let change = Vec2::new(d[1], d[2]) - d[0];
@@ -106,13 +110,14 @@ pub(in crate::passes) fn is_behind(
         let away = (texel.as_vec2() - at) * texel_m;
         let seen = Vec3::from(face.right) * away.x - Vec3::from(face.up) * away.y;
         let height_m = (seen + towards * ((own - ndc.z) / depth_per_m)).dot(facet);
-        // The three others go on with it, or see nothing at all.
+        // At the three others it does not end: they see it, or what is before it as the floor beyond its foot, or nothing at
+        // all.
         let is_plane = own > 0.0
             && next.abs().max_element() <= margin
             && height_m > 0.0
-            && goes_on(texel + x, own + slope.x)
-            && goes_on(texel + y, own + slope.y)
-            && goes_on(texel + x + y, own + slope.x + slope.y);
+            && !ends(texel + x, own + slope.x)
+            && !ends(texel + y, own + slope.y)
+            && !ends(texel + x + y, own + slope.x + slope.y);
         let depth = own + slope.dot((at - texel.as_vec2()).abs()) - ndc.z;
         let steep = slope.x.abs() + slope.y.abs();
         is_plane && depth > margin + SNAP * steep && depth < far + FILTER_WIDTH * steep

@@ -7,7 +7,7 @@ const FILTER_MARGIN = 0.5;
 // Texels across which the filter reads.
 const FILTER_WIDTH = 4.0;
 // Part of the constant offset that the test against planes needs under a sun, and texels by which adapters move corners.
-const PARALLEL_BIAS = 0.1;
+const PARALLEL_BIAS = 0.03;
 const SNAP = 0.0078125;
 
 // Share of the light that arrives, from 4 × 4 texels: a box of three texels joined with bilinear weights.
@@ -83,10 +83,10 @@ fn is_behind(face_index: u32, light: Light, position: vec3f, facet: vec3f, lift_
         if dot(seen + towards * ((own - ndc.z) / depth_per_m), facet) <= 0.0 {
             continue;
         }
-        // The three others go on with it, or see nothing at all.
-        if !goes_on(face_index, texel + x, own + slope.x, margin)
-            || !goes_on(face_index, texel + y, own + slope.y, margin)
-            || !goes_on(face_index, texel + x + y, own + slope.x + slope.y, margin) {
+        // At the three others it does not end: they see it, or what is before it as the floor beyond its foot, or nothing at all.
+        if ends(face_index, texel + x, own + slope.x, margin)
+            || ends(face_index, texel + y, own + slope.y, margin)
+            || ends(face_index, texel + x + y, own + slope.x + slope.y, margin) {
             continue;
         }
         let depth = own + dot(slope, abs(at - vec2f(texel))) - ndc.z;
@@ -101,6 +101,12 @@ fn is_behind(face_index: u32, light: Light, position: vec3f, facet: vec3f, lift_
 fn goes_on(face_index: u32, texel: vec2i, expected: f32, margin: f32) -> bool {
     let found = depth_at(face_index, texel);
     return found <= 0.0 || abs(found - expected) <= margin;
+}
+
+// Whether a texel sees past a plane that was expected there.
+fn ends(face_index: u32, texel: vec2i, expected: f32, margin: f32) -> bool {
+    let found = depth_at(face_index, texel);
+    return found > 0.0 && found < expected - margin;
 }
 
 fn depth_at(face_index: u32, texel: vec2i) -> f32 {
