@@ -42,6 +42,11 @@ pub trait Evaluated: Send + Sync {
     /// The place whose light is shown at a hit.
     fn answer_at(&self, hit: &Hit) -> Answer;
 
+    /// Points whose mean light a place stands for, one at least: of a texel those on its receiver's side of every wall.
+    fn points_of(&self, place: &Place) -> Vec<Site> {
+        vec![place.site]
+    }
+
     /// Places to measure at, about `count`: spread over the lit surfaces by area, unless the kind's light is elsewhere.
     fn sample(&self, count: u32) -> Sample {
         Sample::of_surfaces(self.geometry(), |hit| self.answer_at(hit), count)

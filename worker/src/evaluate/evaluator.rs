@@ -10,11 +10,13 @@ use super::hunt::{Hunt, hunt};
 use super::lights::TestLight;
 use super::open::OpenSpace;
 use super::pixels::{PixelFigures, Pixels, ShownLight};
-use super::sample::{Sample, SampledHit};
+use super::sample::{Sample, Sampled, SampledHit};
 use super::seams::{Borders, Seams};
 use super::shadow::{ClientLights, DirectShares, MappedLight};
 use crate::geometry::{Geometry, Site};
-use crate::reference::{IrradianceEstimate, Lighting, LightingError, Precision, Reference, luminance};
+use crate::reference::{
+    IrradianceEstimate, Lighting, LightingError, Precision, Reference, Target, luminance,
+};
 use crate::task::Progress;
 
 /// Places without baked light are left out of the figures where the reference has less than this share of its mean:
@@ -195,10 +197,13 @@ impl Evaluator {
         let reference = self.reference(&light.lighting)?;
         let relit = self.bake.relit(&reference, &light.lighting, progress)?;
         let places = self.sample.bare();
-        let sites: Vec<Site> = places.iter().map(|place| place.site).collect();
-        let areas_m2: Vec<f64> = self.sample.places.iter().map(|sampled| sampled.area_m2).collect();
-        let precision = &self.options.precision;
-        let estimates = reference.irradiance_weighted(&sites, &areas_m2, precision, progress)?;
+        let target = |sampled: &Sampled| Target {
+            site: sampled.place.site,
+            points: self.bake.points_of(&sampled.place),
+            weight: sampled.area_m2,
+        };
+        let targets: Vec<Target> = self.sample.places.iter().map(target).collect();
+        let estimates = reference.mean_irradiance(&targets, &self.options.precision, progress)?;
         let found: Vec<Option<DVec3>> = places.iter().map(|place| relit.irradiance(place)).collect();
         let counted = counted(&found, &estimates);
         let baked: Vec<DVec3> = found.iter().map(|found| found.unwrap_or_default()).collect();

@@ -8,8 +8,7 @@ use super::evaluator::counted;
 use super::figures::{Draw, Figures, Pair, RelativeRoot, SquareTerm};
 use super::open::OpenSpace;
 use super::sample::{Sample, SampledHit};
-use crate::geometry::Site;
-use crate::reference::{IrradianceEstimate, Precision, Reference, luminance};
+use crate::reference::{IrradianceEstimate, Precision, Reference, Target, luminance};
 use crate::task::{Cancelled, Progress};
 
 /// Pixels of a sample.
@@ -72,10 +71,12 @@ impl Pixels {
         if self.measured.is_empty() {
             return Ok(None);
         }
-        let sites: Vec<Site> =
-            self.measured.iter().map(|sampled| bake.geometry().site_at(&sampled.hit)).collect();
-        let areas_m2: Vec<f64> = self.measured.iter().map(|sampled| sampled.area_m2).collect();
-        let estimates = reference.irradiance_weighted(&sites, &areas_m2, precision, progress)?;
+        let target = |sampled: &SampledHit| Target {
+            weight: sampled.area_m2,
+            ..Target::of(bake.geometry().site_at(&sampled.hit))
+        };
+        let targets: Vec<Target> = self.measured.iter().map(target).collect();
+        let estimates = reference.mean_irradiance(&targets, precision, progress)?;
         let shown = |relit: &dyn Relit| -> Vec<Option<DVec3>> {
             self.measured.iter().map(|sampled| shown_at(bake, relit, sampled)).collect()
         };

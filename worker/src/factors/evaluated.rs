@@ -16,7 +16,7 @@ use crate::evaluate::{
     Answer, ChunkBytes, ErrorClass, Evaluated, EvaluatedLightmap, EvaluationError, MappedIncoming, Measure,
     Place, Relit,
 };
-use crate::geometry::Geometry;
+use crate::geometry::{Geometry, Site};
 use crate::lightmap::{Surface, World};
 use crate::rays::Hit;
 use crate::reference::{Lighting, Reference};
@@ -110,6 +110,10 @@ impl<C: Columns> Evaluated for FactoredBake<C> {
 
     fn chunk_of(&self, place: &Place) -> Option<usize> {
         self.slot(place).map(|slot| self.baked.cluster_of(slot))
+    }
+
+    fn points_of(&self, place: &Place) -> Vec<Site> {
+        self.world.lit_points_of(receiver_of(place))
     }
 
     fn trace(&mut self, sample: &[Place], effort: usize, progress: &Progress) -> Result<(), Cancelled> {

@@ -39,6 +39,34 @@ impl Default for Precision {
     }
 }
 
+/// Points whose mean irradiance is estimated.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Target {
+    /// Where they are.
+    pub site: Site,
+    /// The points, one at least.
+    pub points: Vec<Site>,
+    /// Positive weight in means over targets.
+    pub weight: f64,
+}
+
+impl Target {
+    /// A site alone.
+    pub fn of(site: Site) -> Self {
+        Self { site, points: vec![site], weight: 1.0 }
+    }
+
+    /// The point of a batch. Even and odd batches each take points by a golden-ratio sequence of their own, so that halves
+    /// are independent and a few batches spread over all points.
+    fn point(&self, seed: u64, batch: u32) -> &Site {
+        const GOLDEN: f64 = 0.618_033_988_749_894_9;
+        let half = u64::from(batch % 2);
+        let first = f64::from(Sequence::new(seed_of(&[seed, 27, half])).next_f32());
+        let place = (first + GOLDEN * f64::from(batch / 2)).fract() * self.points.len() as f64;
+        &self.points[(place as usize).min(self.points.len() - 1)]
+    }
+}
+
 /// Irradiance at a site in W·m⁻².
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct IrradianceEstimate {
@@ -80,39 +108,41 @@ impl Reference<'_> {
         precision: &Precision,
         progress: &Progress,
     ) -> Result<Vec<IrradianceEstimate>, Cancelled> {
-        self.irradiance_weighted(sites, &vec![1.0; sites.len()], precision, progress)
+        let targets: Vec<Target> = sites.iter().map(|site| Target::of(*site)).collect();
+        self.mean_irradiance(&targets, precision, progress)
     }
 
-    /// As [`Reference::irradiance`], for means over the sites with these positive weights: a site of half the mean weight may
-    /// have √2 times the standard error.
-    pub fn irradiance_weighted(
+    /// As [`Reference::irradiance`], of each target the mean over its points, and for means over the targets with their weights:
+    /// one of half the mean weight may have √2 times the standard error.
+    pub fn mean_irradiance(
         &self,
-        sites: &[Site],
-        weights: &[f64],
+        targets: &[Target],
         precision: &Precision,
         progress: &Progress,
     ) -> Result<Vec<IrradianceEstimate>, Cancelled> {
         let guide = self.guide(progress)?;
-        let pilot: Vec<Estimate> = sites
+        let pilot: Vec<Estimate> = targets
             .par_iter()
-            .map(|site| {
+            .map(|target| {
                 progress.check()?;
-                Ok(self.summed(site, guide, Phase::Pilot, PILOT_BATCHES).indirect.estimate())
+                Ok(self.summed(target, guide, Phase::Pilot, PILOT_BATCHES).indirect.estimate())
             })
             .collect::<Result<_, Cancelled>>()?;
-        let mean_weight = weights.iter().sum::<f64>() / sites.len().max(1) as f64;
-        let shares: Vec<f64> = weights.iter().map(|weight| weight / mean_weight).collect();
+        let count = targets.len().max(1) as f64;
+        let mean_weight = targets.iter().map(|target| target.weight).sum::<f64>() / count;
+        let shares: Vec<f64> = targets.iter().map(|target| target.weight / mean_weight).collect();
         let light = |(estimate, share): (&Estimate, &f64)| share * estimate.luminance();
-        let floor = pilot.iter().zip(&shares).map(light).sum::<f64>() / sites.len().max(1) as f64;
-        let expected = expected(neighbours(sites, self.geometry.bounds_m()), &pilot, &shares);
-        sites
+        let floor = pilot.iter().zip(&shares).map(light).sum::<f64>() / count;
+        let sites: Vec<Site> = targets.iter().map(|target| target.site).collect();
+        let expected = expected(neighbours(&sites, self.geometry.bounds_m()), &pilot, &shares);
+        targets
             .par_iter()
             .zip(expected.into_par_iter().zip(shares))
-            .map(|(site, (expected, share))| {
+            .map(|(target, (expected, share))| {
                 progress.check()?;
                 let batches = expected.batches(floor, share, precision);
-                let sums = self.summed(site, guide, Phase::Main, batches);
-                Ok(self.finished(site, &sums, &expected))
+                let sums = self.summed(target, guide, Phase::Main, batches);
+                Ok(self.finished(target, &sums, &expected))
             })
             .collect()
     }
@@ -132,12 +162,12 @@ impl Reference<'_> {
         self.by_punctual(site) + panels
     }
 
-    fn summed(&self, site: &Site, guide: Option<&Guide>, phase: Phase, batches: u32) -> Sums {
-        let own = seed_of(&site.identity());
+    fn summed(&self, target: &Target, guide: Option<&Guide>, phase: Phase, batches: u32) -> Sums {
+        let own = seed_of(&target.site.identity());
         let mut sums = Sums::default();
         for batch in 0..batches {
             let seed = seed_of(&[own, u64::from(batch), phase as u64]);
-            let (direct, indirect) = self.batch(site, &mut Walk::new(seed, guide));
+            let (direct, indirect) = self.batch(target.point(own, batch), &mut Walk::new(seed, guide));
             sums.direct.add(direct);
             sums.indirect.add(indirect);
             sums.halves[batch as usize % 2] += indirect;
@@ -168,9 +198,10 @@ impl Reference<'_> {
         (direct / f64::from(BATCH), indirect / f64::from(BATCH))
     }
 
-    fn finished(&self, site: &Site, sums: &Sums, expected: &Expected) -> IrradianceEstimate {
+    fn finished(&self, target: &Target, sums: &Sums, expected: &Expected) -> IrradianceEstimate {
         let mut direct = sums.direct.estimate();
-        direct.mean += self.by_punctual(site);
+        let points = &target.points;
+        direct.mean += points.iter().map(|site| self.by_punctual(site)).sum::<DVec3>() / points.len() as f64;
         let batches = sums.indirect.count();
         let counts = [batches.div_ceil(2), batches / 2];
         let halves = [0, 1].map(|half| sums.halves[half] / f64::from(counts[half]));

@@ -40,7 +40,7 @@ use std::sync::OnceLock;
 use crate::geometry::Geometry;
 
 pub use crate::geometry::Site;
-pub use irradiance::{IrradianceEstimate, Precision};
+pub use irradiance::{IrradianceEstimate, Precision, Target};
 pub use lighting::{Lighting, LightingError, PanelLight};
 pub use picture::{EyeSurface, PictureSize, TracedPicture, camera_ray};
 pub use tally::{Estimate, luminance};

@@ -1,6 +1,6 @@
 //! The same result by other ways: other strategies, other numbers of threads.
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use lightkiln_proto::scene::{LightKind, SceneLight};
 
 use super::rooms::{site, sites_on_walls};
@@ -70,6 +70,39 @@ fn sampling_lamps_directions_or_both_gives_the_same_mean() {
             }
         }
     }
+}
+
+#[test]
+fn light_of_several_points_is_their_mean_in_both_halves() {
+    let (room, lighting) = room();
+    let reference = room.under(&lighting);
+    let precision = Precision { rel_error: 0.006, paths_max: 1 << 17 };
+    let each = reference.irradiance(&sites(), &precision, &Progress::new()).unwrap();
+    let target = Target { points: sites(), ..Target::of(sites()[0]) };
+    let found = reference.mean_irradiance(&[target], &precision, &Progress::new()).unwrap()[0];
+    let mean = each.iter().map(|one| one.indirect.mean).sum::<DVec3>() / 3.0;
+    let direct = each.iter().map(|one| one.direct.mean).sum::<DVec3>() / 3.0;
+    let light = luminance(mean);
+    assert!(
+        each.iter().any(|one| (one.indirect.luminance() / light - 1.0).abs() > 0.12),
+        "{each:?} are alike"
+    );
+    for half in found.halves {
+        assert!((luminance(half) / light - 1.0).abs() < 0.03, "{half} of {mean}");
+    }
+    assert!((luminance(found.direct.mean) / luminance(direct) - 1.0).abs() < 0.03, "{found:?} {direct}");
+}
+
+#[test]
+fn weights_share_out_the_paths_of_a_mean() {
+    let (room, lighting) = room();
+    let reference = room.under(&lighting);
+    let precision = Precision { rel_error: 0.005, paths_max: 1 << 17 };
+    let target = |weight: f64| Target { weight, ..Target::of(sites()[0]) };
+    let found =
+        reference.mean_irradiance(&[target(0.25), target(4.0)], &precision, &Progress::new()).unwrap();
+    let paths: Vec<u32> = found.iter().map(|found| found.paths).collect();
+    assert!((8..=32).contains(&(paths[1] / paths[0])), "{paths:?}");
 }
 
 #[test]
