@@ -180,20 +180,17 @@ pub fn areas(block: &UnwrapBlock, coverage: &Coverage, area: impl Fn(&UnwrappedT
     areas
 }
 
-/// The middle of a triangle's part of the texel at `corner`, and those points of a grid over that part, and on its very rim,
+/// The middle of a triangle's part of the texel at `corner`, and those points of a grid in the texel, and on its very rim,
 /// that the triangle holds: often no more of a texel than a strip along one side is seen, or a corner.
 fn points_inside(corners: &[Vec2; 3], corner: Vec2) -> Vec<Vec2> {
     const SIDE: u32 = 4;
     const RIM: [f32; 3] = [1.0 / 16.0, 0.5, 15.0 / 16.0];
-    let part = clipped(corners, corner, corner + 1.0);
-    let middle = area_and_middle(&part).map(|(_, middle)| middle);
-    let low = part.iter().copied().reduce(Vec2::min).unwrap_or(corner);
-    let size = part.iter().copied().reduce(Vec2::max).unwrap_or(corner) - low;
+    let middle = area_and_middle(&clipped(corners, corner, corner + 1.0)).map(|(_, middle)| middle);
     let grid =
         (0..SIDE * SIDE).map(|i| (Vec2::new((i % SIDE) as f32, (i / SIDE) as f32) + 0.5) / SIDE as f32);
     let rim =
         RIM.into_iter().flat_map(|y| RIM.map(|x| Vec2::new(x, y))).filter(|point| *point != Vec2::splat(0.5));
-    let held = grid.chain(rim).map(|point| low + point * size).filter(|&point| is_inside(corners, point));
+    let held = grid.chain(rim).map(|point| corner + point).filter(|&point| is_inside(corners, point));
     middle.into_iter().chain(held).collect()
 }
 
