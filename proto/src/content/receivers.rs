@@ -49,12 +49,20 @@ impl TexelEdge {
     /// Offsets are stored this exactly, in texels.
     pub const ROUNDING: f32 = Self::REACH / 127.0 / 2.0;
 
+    /// The nearest angle that is stored exactly, in radians.
+    pub fn rounded(angle_rad: f32) -> f32 {
+        f32::from(Self::turn(angle_rad)) * (std::f32::consts::TAU / 256.0)
+    }
+
+    fn turn(angle_rad: f32) -> u16 {
+        (angle_rad / std::f32::consts::TAU * 256.0).round().rem_euclid(256.0) as u16 % 256
+    }
+
     /// The edge across the unit direction `angle_rad` from the texel's x axis, so far from its middle in texels, to the
     /// nearest 1/256 of a turn and 1/127 of ¾ of a texel.
     pub fn new(angle_rad: f32, offset: f32) -> Self {
-        let turn = (angle_rad / std::f32::consts::TAU * 256.0).round().rem_euclid(256.0) as u16;
         let along = (offset / Self::REACH * 127.0).round().clamp(-127.0, 127.0) as i16;
-        Self((turn % 256) << 8 | (128 + along) as u16)
+        Self(Self::turn(angle_rad) << 8 | (128 + along) as u16)
     }
 
     /// A place in the texel, 0..1 in x and y, is beyond the edge.

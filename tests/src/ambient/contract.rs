@@ -70,7 +70,7 @@ impl Kind for Ambient {
 
     fn first_tasks(&self, scene: Digest, settings: &Value) -> Result<Vec<TaskSpec>, SettingsError> {
         let settings = Settings::from_json(settings)?;
-        Ok(TASK.planned("scene", scene, &settings, SceneTasks::of(scene)))
+        Ok(TASK.planned("scene", scene, &settings, SceneTasks::of(scene), &[]))
     }
 
     fn chunks(&self) -> &'static [ChunkRow] {

@@ -7,7 +7,7 @@ use glam::{DVec3, Vec3};
 use lightkiln_worker::factors::Light;
 use lightkiln_worker::geometry::Site;
 use lightkiln_worker::lightmap::{Receiver, World};
-use lightkiln_worker::reference::{Lighting, Precision, Reference, luminance};
+use lightkiln_worker::reference::{Lighting, Precision, Reference, Target, luminance};
 use lightkiln_worker::task::Progress;
 
 use super::{Decoded, LocalBake, Recipe, bake_in_world};
@@ -97,11 +97,18 @@ impl Lit<'_> {
         found.unwrap_or_default().truncate().as_dvec3()
     }
 
-    /// E_ind of receivers by both, each path-traced until its standard error is `rel_error` of it.
+    /// E_ind of receivers by both, means over the points of their texels, each path-traced until its standard error is
+    /// `rel_error` of it.
     pub fn compared(&self, receivers: &[u32], rel_error: f64) -> Result<Vec<Compared>> {
         let sites: Vec<_> = receivers.iter().map(|&receiver| self.held.site(receiver)).collect();
+        let target = |(&receiver, site): (&u32, &Site)| Target {
+            points: self.held.world.lit_points_of(receiver),
+            ..Target::of(*site)
+        };
+        let targets: Vec<Target> = receivers.iter().zip(&sites).map(target).collect();
         let precision = Precision { rel_error, paths_max: 1 << 14 };
-        let found = self.reference.irradiance(&sites, &precision, &Progress::new()).context("cancelled")?;
+        let found =
+            self.reference.mean_irradiance(&targets, &precision, &Progress::new()).context("cancelled")?;
         let pairs = receivers.iter().zip(&sites).zip(found);
         Ok(pairs
             .map(|((&receiver, site), estimate)| Compared {

@@ -1,5 +1,6 @@
 //! Light is neither lost nor made: closed forms.
 
+use std::collections::BTreeMap;
 use std::f32::consts::PI;
 
 use glam::Vec3;
@@ -9,6 +10,7 @@ use lightkiln_proto::kinds::sh;
 use lightkiln_proto::scene::LightKind;
 use lightkiln_tests::harness::{Held, Lighting, bake, clusters, relit};
 use lightkiln_tests::scenes;
+use lightkiln_worker::geometry::Site;
 use lightkiln_worker::rays::sampling::{R2, cosine_hemisphere, tangent_frame};
 
 use super::setup::{in_both_kinds, luminance, mean, only, small, with_texels};
@@ -73,6 +75,9 @@ fn every_band_of_the_sky_reaches_receivers_in_its_strength() {
     let mut y = vec![0.0; sh.coefficients()];
     sh.evaluate(axis, &mut y);
     assert!(settings.bands >= 5);
+    let lightmap = &held.world.lightmap;
+    let receiver_of: BTreeMap<_, u32> =
+        (0..lightmap.receivers.len() as u32).map(|index| (lightmap.name_of(index), index)).collect();
     for band in 0..=settings.bands as usize {
         let of = |j: usize| if band_of(j) == band { y[j] } else { 0.0 };
         let of_sky: Vec<f32> = (0..y.len()).map(of).collect();
@@ -85,8 +90,9 @@ fn every_band_of_the_sky_reaches_receivers_in_its_strength() {
                 cluster.factors.u.chunks_exact(cluster.factors.rank as usize).enumerate().step_by(7)
             {
                 let found: f64 = row.iter().zip(&basis).map(|(u, b)| f64::from(u * b)).sum();
-                let [position_m, normal] = [receivers.position_m[r], receivers.normal[r]].map(Vec3::from);
-                let wanted = window * seen_of_band(&held, band, axis, position_m, normal);
+                let name = (receivers.blocks[usize::from(receivers.block[r])], receivers.texel[r]);
+                let points = held.world.lit_points_of(receiver_of[&name]);
+                let wanted = window * seen_of_band(&held, band, axis, &points);
                 product += found * wanted;
                 square += wanted * wanted;
                 error += (found - wanted).powi(2);
@@ -109,14 +115,15 @@ fn basis_of_sky(cluster: &ClusterTransport, of_sky: &[f32]) -> Vec<f32> {
     cluster.factors.vt.chunks_exact(columns).map(row).collect()
 }
 
-/// `∫_H V(ω) (2l+1)/4π P_l(ω·a) cosθ dω`.
-fn seen_of_band(held: &Held, band: usize, axis: Vec3, position_m: Vec3, normal: Vec3) -> f64 {
+/// `∫_H V(ω) (2l+1)/4π P_l(ω·a) cosθ dω`, the mean over some points.
+fn seen_of_band(held: &Held, band: usize, axis: Vec3, sites: &[Site]) -> f64 {
     let tracer = &held.world.geometry.tracer;
-    let (tangent, bitangent) = tangent_frame(normal);
     let (points, rays) = (R2::new(9), 1024);
-    let origin_m = position_m + normal * (2.0 * tracer.ray_offset_m());
     let mut sum = 0.0;
     for ray in 0..rays {
+        let Site { position_m, normal, .. } = sites[ray as usize * sites.len() / rays as usize];
+        let (tangent, bitangent) = tangent_frame(normal);
+        let origin_m = position_m + normal * (2.0 * tracer.ray_offset_m());
         let local = cosine_hemisphere(points.point(ray));
         let direction = tangent * local.x + bitangent * local.y + normal * local.z;
         if tracer.closest(origin_m, direction, f32::INFINITY).is_none() {

@@ -97,9 +97,7 @@ impl EmitterSet {
 pub struct EmitterIrradianceSum<'a> {
     geometry: &'a Geometry,
     set: &'a EmitterSet,
-    /// The receiver's own.
-    site: Site,
-    /// Points of its texel, at least one.
+    /// Points of the receiver's texel, at least one.
     texel: &'a [Site],
     own_rays: f32,
     samples: u32,
@@ -125,18 +123,18 @@ impl<'a> EmitterIrradianceSum<'a> {
             Cow::Borrowed(set.by_power.as_slice())
         };
         let sums = vec![[0.0; 3]; set.count];
-        Self { geometry, set, site, texel, own_rays: own_rays as f32, samples, cumulative, sums }
+        Self { geometry, set, texel, own_rays: own_rays as f32, samples, cumulative, sums }
     }
 
     /// Adds the emitter that one of the receiver's own rays meets: `π/N · Lₑ` times its weight against sampling.
-    pub fn add_hit(&mut self, hit: &Hit, direction: Vec3) {
+    pub fn add_hit(&mut self, hit: &Hit, direction: Vec3, normal: Vec3) {
         let set = self.set;
         let Some(&index) = set.index_of.get(hit.triangle as usize) else { return };
         let Some(triangle) = set.triangles.get(index as usize) else { return };
         if !hit.front && !triangle.double_sided {
             return;
         }
-        let cosine = direction.dot(self.site.normal);
+        let cosine = direction.dot(normal);
         if cosine <= 0.0 {
             return;
         }

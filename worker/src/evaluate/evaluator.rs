@@ -4,7 +4,7 @@ use glam::DVec3;
 use lightkiln_proto::scene::LightKind;
 
 use super::error::EvaluationError;
-use super::evaluated::{Evaluated, Measure, Place, Relit};
+use super::evaluated::{Evaluated, EvaluatedLightmap, Measure, Place, Relit};
 use super::figures::{Draw, Figures, Pair};
 use super::hunt::{Hunt, hunt};
 use super::lights::TestLight;
@@ -25,6 +25,9 @@ const LIGHTLESS_SHARE: f64 = 1e-3;
 
 /// Places that are looked at by the bake alone, for each that is measured. More → surer figures, a little more time.
 const FIRST_LOOK: u32 = 16;
+
+/// Error that is expected of light's change to the next texel, over that of the light itself.
+const ROUGHNESS: f64 = 2.0;
 
 /// Work to spend.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -205,7 +208,8 @@ impl Evaluator {
         let targets: Vec<Target> = self.sample.places.iter().map(target).collect();
         let estimates = reference.mean_irradiance(&targets, &self.options.precision, progress)?;
         let found: Vec<Option<DVec3>> = places.iter().map(|place| relit.irradiance(place)).collect();
-        let counted = counted(&found, &estimates);
+        let areas_m2 = self.sample.places.iter().map(|sampled| sampled.area_m2);
+        let counted = counted(&found, &estimates, areas_m2);
         let baked: Vec<DVec3> = found.iter().map(|found| found.unwrap_or_default()).collect();
         let (figures, draws) = Figures::of(&self.pairs(&baked, &estimates, &counted));
         let counts = figures.says_something(&draws);
@@ -279,7 +283,9 @@ impl Evaluator {
         let seams = lightmap.map(|lightmap| self.borders.jumps(lightmap, relit, mean_irradiance));
         let is_seen = |site: &Site| self.open.sees(self.geometry(), site);
         let hunt = lightmap
-            .map(|lightmap| hunt(lightmap, relit, reference, (self.options.hunted, &is_seen), progress))
+            .map(|lightmap| {
+                hunt((bake, lightmap), relit, reference, (self.options.hunted, &is_seen), progress)
+            })
             .transpose()?;
         let by_shadow_maps = light.mapped.is_some();
         Ok(Some(PixelResult { shown, by_shadow_maps, direct, seams, hunt }))
@@ -331,7 +337,8 @@ impl Evaluator {
     }
 }
 
-/// Root mean square over lights of each place's E_ind over its mean. Skies are not asked: they vary least, and cost most.
+/// Root mean square over lights of the error that is expected at each place, over the light's mean. Skies are not asked: they
+/// vary least, and cost most.
 fn expected_errors(
     bake: &dyn Evaluated,
     sample: &Sample,
@@ -342,22 +349,41 @@ fn expected_errors(
     let is_sky = |light: &&TestLight| {
         light.lighting.lights.iter().any(|lamp| matches!(lamp.kind, LightKind::Sky { .. }))
     };
+    let around: Vec<Vec<Place>> =
+        sample.places.iter().map(|sampled| neighbours_of(bake, &sampled.place)).collect();
     for light in lights.iter().filter(|light| !is_sky(light)) {
         let reference = Reference::new(bake.geometry(), &light.lighting)?;
         let relit = bake.relit(&reference, &light.lighting, progress)?;
-        let found: Vec<f64> = sample
-            .places
-            .iter()
-            .map(|sampled| luminance(relit.irradiance(&sampled.place).unwrap_or_default()))
-            .collect();
-        let area_m2: f64 = sample.places.iter().map(|sampled| sampled.area_m2).sum();
-        let light: f64 =
-            sample.places.iter().zip(&found).map(|(sampled, found)| sampled.area_m2 * found).sum();
+        let found_at = |place: &Place| luminance(relit.irradiance(place).unwrap_or_default());
+        let (mut area_m2, mut light) = (0.0, 0.0);
+        let mut expected = Vec::with_capacity(squares.len());
+        for (sampled, around) in sample.places.iter().zip(&around) {
+            let found = found_at(&sampled.place);
+            (area_m2, light) = (area_m2 + sampled.area_m2, light + sampled.area_m2 * found);
+            let rough = around.iter().map(|place| (found_at(place) - found).abs()).fold(0.0, f64::max);
+            expected.push(found + ROUGHNESS * rough);
+        }
         if light > 0.0 {
-            squares.iter_mut().zip(found).for_each(|(sum, found)| *sum += (found * area_m2 / light).powi(2));
+            squares
+                .iter_mut()
+                .zip(expected)
+                .for_each(|(sum, error)| *sum += (error * area_m2 / light).powi(2));
         }
     }
     Ok(squares.into_iter().map(f64::sqrt).collect())
+}
+
+/// Places of the four texels beside a place's.
+fn neighbours_of(bake: &dyn Evaluated, place: &Place) -> Vec<Place> {
+    let beside = |lightmap: &dyn EvaluatedLightmap| {
+        let (block, [x, y]) = lightmap.texel_of(place)?;
+        let beside = [(1, 0), (-1, 0), (0, 1), (0, -1)].into_iter().filter_map(|(dx, dy): (i32, i32)| {
+            let texel = [u16::try_from(i32::from(x) + dx).ok()?, u16::try_from(i32::from(y) + dy).ok()?];
+            lightmap.place_of(block, texel)
+        });
+        Some(beside.collect())
+    };
+    bake.lightmap().and_then(beside).unwrap_or_default()
 }
 
 /// Some light of it can cast a shadow.
@@ -366,9 +392,15 @@ fn has_shadows(light: &TestLight) -> bool {
 }
 
 /// All but places that neither the bake nor the reference lights.
-pub(super) fn counted(found: &[Option<DVec3>], estimates: &[IrradianceEstimate]) -> Vec<bool> {
-    let total: f64 = estimates.iter().map(|estimate| estimate.indirect.luminance()).sum();
-    let least = LIGHTLESS_SHARE * total / estimates.len().max(1) as f64;
+pub(super) fn counted(
+    found: &[Option<DVec3>],
+    estimates: &[IrradianceEstimate],
+    weights: impl Iterator<Item = f64>,
+) -> Vec<bool> {
+    let (total, weight) = weights.zip(estimates).fold((0.0, 0.0), |(total, sum), (weight, estimate)| {
+        (total + weight * estimate.indirect.luminance(), sum + weight)
+    });
+    let least = if weight > 0.0 { LIGHTLESS_SHARE * total / weight } else { 0.0 };
     let counts = |(found, estimate): (&Option<DVec3>, &IrradianceEstimate)| {
         found.is_some() || estimate.indirect.luminance() > least
     };

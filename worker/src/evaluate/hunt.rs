@@ -4,9 +4,9 @@ use lightkiln_proto::content::Texel;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::evaluated::{EvaluatedLightmap, Relit};
+use super::evaluated::{Evaluated, EvaluatedLightmap, Relit};
 use crate::geometry::Site;
-use crate::reference::{IrradianceEstimate, Precision, Reference, luminance};
+use crate::reference::{IrradianceEstimate, Precision, Reference, Target, luminance};
 use crate::task::{Cancelled, Progress};
 
 /// Factor between the light of a texel and of its neighbours from which on it stands out.
@@ -74,7 +74,7 @@ struct Candidate {
 
 /// Looks at every texel, and path-traces the `traced_max` that stand out most.
 pub(super) fn hunt(
-    lightmap: &dyn EvaluatedLightmap,
+    (bake, lightmap): (&dyn Evaluated, &dyn EvaluatedLightmap),
     relit: &dyn Relit,
     reference: &Reference,
     (traced_max, is_seen): (usize, &dyn Fn(&Site) -> bool),
@@ -94,7 +94,7 @@ pub(super) fn hunt(
     let standing_out = candidates.len();
     let seen = candidates.into_iter().filter(|candidate| is_seen(&lightmap.receiver(candidate.index).site));
     let candidates: Vec<Candidate> = seen.take(traced_max).collect();
-    let found = traced(lightmap, reference, &candidates, floor, progress)?;
+    let found = traced((bake, lightmap), reference, &candidates, floor, progress)?;
     let outliers: Vec<Outlier> = found.into_iter().flatten().collect();
     Ok(Hunt {
         texels,
@@ -123,7 +123,7 @@ fn candidate(lightmap: &dyn EvaluatedLightmap, lights: &[f64], floor: f64, index
 
 /// The outliers among candidates, by paths from each and from its neighbours.
 fn traced(
-    lightmap: &dyn EvaluatedLightmap,
+    (bake, lightmap): (&dyn Evaluated, &dyn EvaluatedLightmap),
     reference: &Reference,
     candidates: &[Candidate],
     floor: f64,
@@ -132,13 +132,19 @@ fn traced(
     if candidates.is_empty() {
         return Ok(Vec::new());
     }
-    let site = |index: u32| lightmap.receiver(index).site;
-    let own_and_beside = |candidate: &Candidate| {
-        std::iter::once(candidate.index).chain(candidate.beside.iter().copied()).map(site).collect::<Vec<_>>()
+    let target = |index: u32| {
+        let place = lightmap.receiver(index);
+        Target { points: bake.points_of(&place), ..Target::of(place.site) }
     };
-    let sites: Vec<Site> = candidates.iter().flat_map(own_and_beside).collect();
+    let own_and_beside = |candidate: &Candidate| {
+        std::iter::once(candidate.index)
+            .chain(candidate.beside.iter().copied())
+            .map(target)
+            .collect::<Vec<_>>()
+    };
+    let targets: Vec<Target> = candidates.iter().flat_map(own_and_beside).collect();
     let precision = Precision { rel_error: REL_ERROR, ..Precision::default() };
-    let estimates = reference.irradiance(&sites, &precision, progress)?;
+    let estimates = reference.mean_irradiance(&targets, &precision, progress)?;
     let groups = estimates.chunks_exact(1 + TRACED_NEIGHBOURS);
     let outlier = |(candidate, estimates): (&Candidate, &[IrradianceEstimate])| {
         judged(candidate, estimates, floor).map(|[reference, reference_around]| {

@@ -82,7 +82,8 @@ impl Pixels {
         };
         let exact = shown(light.exact);
         let found = light.mapped.map_or_else(|| exact.clone(), shown);
-        let counts = counted(&found, &estimates);
+        let areas_m2 = self.measured.iter().map(|sampled| sampled.area_m2);
+        let counts = counted(&found, &estimates, areas_m2);
         let pairs: Vec<Pair> = found
             .iter()
             .zip(&estimates)

@@ -106,15 +106,14 @@ impl Sample {
 
     /// About `count` of the hits and their places, drawn in the order of strata with a density of which a quarter is even and
     /// the rest follows the error that is expected at each place; weighted back, so that means over either sample have the
-    /// same expectation. Without hits, or errors, the sample as it is.
+    /// same expectation. By area alone where no error is expected anywhere.
     pub fn focused(self, expected: &[f64], count: u32) -> Self {
         let error = |hit: &SampledHit| hit.place.map_or(0.0, |place| expected[place]);
         let area_m2: f64 = self.hits.iter().map(|hit| hit.area_m2).sum();
         let mean = self.hits.iter().map(|hit| hit.area_m2 * error(hit)).sum::<f64>() / area_m2;
-        if !(mean > 0.0 && mean.is_finite()) {
-            return self;
-        }
-        let density = |hit: &SampledHit| BY_AREA + (1.0 - BY_AREA) * error(hit) / mean;
+        let is_known = mean > 0.0 && mean.is_finite();
+        let density =
+            |hit: &SampledHit| if is_known { BY_AREA + (1.0 - BY_AREA) * error(hit) / mean } else { 1.0 };
         let step_m2 = area_m2 / f64::from(count);
         // One draw in each of `count` equal runs.
         let mut random = Sequence::new(SEED);
@@ -193,7 +192,9 @@ mod tests {
         assert!((area / all.area_m2 - 1.0).abs() < 0.08, "{area}");
         let bright = focused.places.iter().filter(|s| s.place.number.unwrap() % 50 == 7).count();
         assert!(bright > 100, "{bright} of 160 bright ones");
-        // Where nothing is expected, nothing changes.
-        assert_eq!(all.clone().focused(&[0.0; 8000], 600), all);
+        // Where nothing is expected, as many are drawn by area alone.
+        let even = all.clone().focused(&[0.0; 8000], 600);
+        assert_eq!(even.hits.len(), 600);
+        assert!(even.hits.iter().all(|hit| hit.area_m2 == all.area_m2 / 600.0));
     }
 }

@@ -1,7 +1,7 @@
 //! A bake of factorised clusters as evaluation sees it.
 
 use std::collections::BTreeMap;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use glam::{DVec3, Vec2};
 use lightkiln_proto::content::{BlockKey, Texel};
@@ -37,6 +37,8 @@ pub struct FactoredBake<C> {
     /// Index in the lightmap of the receiver at each slot.
     receiver_of: Vec<u32>,
     anew: Option<Anew>,
+    /// Light of the lightings that were asked for an odd number of times: who looks twice relights once.
+    lit_once: Mutex<Vec<(Lighting, Arc<Light>)>>,
 }
 
 impl<C: Columns> FactoredBake<C> {
@@ -54,7 +56,7 @@ impl<C: Columns> FactoredBake<C> {
         let cells = cells_of_task(context).map_err(EvaluationError::Prepare)?.as_ref().clone();
         let baked = Baked::decode(manifest, bytes, columns)?;
         let receiver_of = same_world(manifest, &world, &baked)?;
-        Ok(Self { world, transport, baked, cells, receiver_of, anew: None })
+        Ok(Self { world, transport, baked, cells, receiver_of, anew: None, lit_once: Mutex::default() })
     }
 
     fn texels(&self) -> LightmapTexels<'_> {
@@ -73,8 +75,29 @@ impl<C: Columns> FactoredBake<C> {
         self.baked.transport.slots.slot_of(block, texel)
     }
 
-    /// The bake relit until bounces converge, E_dir by exact rays.
+    /// As [`FactoredBake::lit_anew`], or what that gave last time.
     fn lit(
+        &self,
+        reference: &Reference,
+        lighting: &Lighting,
+        progress: &Progress,
+    ) -> Result<Arc<Light>, Cancelled> {
+        let lit_once = || self.lit_once.lock().unwrap_or_else(PoisonError::into_inner);
+        let known = {
+            let mut lit_once = lit_once();
+            let index = lit_once.iter().position(|(other, _)| other == lighting);
+            index.map(|index| lit_once.swap_remove(index).1)
+        };
+        if let Some(light) = known {
+            return Ok(light);
+        }
+        let light = Arc::new(self.lit_anew(reference, lighting, progress)?);
+        lit_once().push((lighting.clone(), Arc::clone(&light)));
+        Ok(light)
+    }
+
+    /// The bake relit until bounces converge, E_dir by exact rays.
+    fn lit_anew(
         &self,
         reference: &Reference,
         lighting: &Lighting,
@@ -144,7 +167,7 @@ impl<C: Columns> Evaluated for FactoredBake<C> {
         if [direct.receivers.len(), direct.near.len()] != [receivers.len(), near.len()] {
             return None;
         }
-        let light = self.baked.settled(lighting, &direct.receivers, &direct.near);
+        let light = Arc::new(self.baked.settled(lighting, &direct.receivers, &direct.near));
         Some(Box::new(RelitBake { bake: self, light }))
     }
 }
@@ -195,7 +218,7 @@ fn receiver_of(place: &Place) -> u32 {
 /// A bake under some lights.
 struct RelitBake<'a, C> {
     bake: &'a FactoredBake<C>,
-    light: Light,
+    light: Arc<Light>,
 }
 
 impl<C: Columns> Relit for RelitBake<'_, C> {

@@ -3,6 +3,7 @@
 pub mod prt;
 pub mod sh;
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use lightkiln_proto::ids::Digest;
@@ -132,6 +133,9 @@ struct BakeParams<S> {
     settings: S,
     /// Scene bundle, named in the manifest.
     scene: Digest,
+    /// Versions of the task kinds that a plan plans: part of its identity alone.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    plans: BTreeMap<String, u32>,
 }
 
 /// Parameters of a kind's transport, with the settings that it depends on.

@@ -26,8 +26,8 @@ const SHARED_BATCHES: f64 = 8.0;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Precision {
     /// Standard error of the indirect part's luminance over the mean of all sites, or over the geometric mean of both where
-    /// it is brighter: sums of squares over sites have most of their noise from the brightest. Smaller → more paths,
-    /// with its inverse square.
+    /// it is brighter: sums of squares over sites have most of their noise from the brightest. A target of v times the mean weight
+    /// may have 1/√v times as much. Smaller → more paths, with its inverse square.
     pub rel_error: f64,
     /// Most paths per site, the pilot's not among them; 32 at least.
     pub paths_max: u32,

@@ -8,7 +8,7 @@ mod patch_rows;
 
 use crate::task::Progress;
 
-pub use hemisphere::{Hemisphere, Surroundings};
+pub use hemisphere::{Hemisphere, HemisphereRay, Surroundings};
 pub use patch_rows::{CutBounds, Met, PatchRow, PatchRows, RayHit, RowHits, Sources, patch_rows};
 
 /// Free path, in texels, below which a place that no light can reach misses nothing: the inside of a column, say.

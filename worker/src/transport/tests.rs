@@ -1,20 +1,23 @@
-//! Rows that are no receivers': coefficients of light at points in free space.
+//! Rays of receivers, and rows that are no receivers': coefficients of light at points in free space.
 
 use std::f32::consts::PI;
 
 use glam::Vec3;
+use lightkiln_proto::content::COVERAGE_POINTS;
 use lightkiln_proto::harmonics::{ShBasis, band_of, relight_direction};
 use lightkiln_proto::kinds::SceneTask;
 use lightkiln_proto::kinds::prt::{Settings, first_tasks};
 use serde_json::json;
 
 use super::*;
+use crate::emitters::EmitterSet;
 use crate::factors::PatchMatrix;
 use crate::kinds::{BakeKinds, Runner};
 use crate::lightmap::World;
 use crate::patches::PatchTree;
 use crate::task::LocalRun;
 
+const CORNELL: &[u8] = include_bytes!("../../../tests/scenes/cornell.glb");
 const FURNACE: &[u8] = include_bytes!("../../../tests/scenes/furnace.glb");
 const RAYS: u32 = 512;
 /// `A_l`: the cosine lobe's coefficient of each band.
@@ -38,15 +41,47 @@ fn rows_of(world: &World, sources: &Sources, point_m: Vec3) -> Vec<RowHits> {
     rows
 }
 
+fn settings() -> Settings {
+    Settings::from_json(&json!({ "preset": "draft", "receivers_target": 2000 })).unwrap()
+}
+
+/// A run of a scene's shared tasks.
+fn prepared<'a>(scene: &[u8], settings: &Settings, progress: &'a Progress) -> LocalRun<'a> {
+    let mut run = LocalRun::new(1 << 30, progress);
+    let plan = first_tasks(run.shelf.put(scene.to_vec()), settings);
+    let is_scene = |kind: &str| SceneTask::ALL.iter().any(|task| task.name() == kind);
+    run.run(&Runner::new(&BakeKinds::new()), plan, is_scene, |_| {}).unwrap();
+    run
+}
+
+#[test]
+fn rays_of_a_receiver_leave_from_all_points_of_its_texel_alike() {
+    let progress = Progress::new();
+    let world = World::of_run(&prepared(CORNELL, &settings(), &progress)).unwrap();
+    let (emitters, offset_m) = (EmitterSet::default(), world.geometry.tracer.ray_offset_m());
+    let mut cut = 0;
+    for receiver in 0..world.lightmap.receivers.len() as u32 {
+        let lender = world.lightmap.receivers[receiver as usize].light_of;
+        let points = world.lit_points_of(lender);
+        cut += u32::from((2..COVERAGE_POINTS as usize).contains(&points.len()));
+        let mut rays = vec![0; points.len()];
+        Hemisphere::new(&world, &emitters, receiver, 100).cast(0, |ray, _| {
+            let point = points.iter().position(|site| site.ray_origin_m(offset_m) == ray.origin_m).unwrap();
+            assert!(ray.direction.dot(points[point].face_normal) >= 0.0);
+            rays[point] += 1;
+        });
+        assert_eq!(rays.iter().sum::<usize>(), 100);
+        let even = 100 / points.len();
+        assert!(rays.iter().all(|&count| count == even || count == even + 1), "{rays:?}");
+    }
+    assert!(cut > 20, "{cut} texels are cut by a wall");
+}
+
 #[test]
 fn rows_of_points_in_free_space_are_cut_factorised_and_bring_the_light_of_a_furnace() {
     let progress = Progress::new();
-    let mut run = LocalRun::new(1 << 30, &progress);
-    let settings = json!({ "preset": "draft", "receivers_target": 2000 });
-    let settings = Settings::from_json(&settings).unwrap();
-    let plan = first_tasks(run.shelf.put(FURNACE.to_vec()), &settings);
-    let is_scene = |kind: &str| SceneTask::ALL.iter().any(|task| task.name() == kind);
-    run.run(&Runner::new(&BakeKinds::new()), plan, is_scene, |_| {}).unwrap();
+    let settings = settings();
+    let run = prepared(FURNACE, &settings, &progress);
     let world = World::of_run(&run).unwrap();
     let inputs = run.scene_inputs(&["patches/patches"]);
     let tree = PatchTree::of(&run.context(&inputs)).unwrap();

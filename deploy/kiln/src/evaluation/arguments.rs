@@ -18,10 +18,10 @@ pub struct EvaluationArguments {
     #[arg(long, value_name = "FILE", help_heading = "Evaluation")]
     pub lights: Option<PathBuf>,
     /// Standard error of the reference over the mean, or over the geometric mean of it and the value where that is brighter;
-    /// smaller takes longer, with its inverse square
+    /// places that stand for little area may have more. Smaller takes longer, with its inverse square
     #[arg(long, value_name = "E", default_value_t = 0.03, value_parser = parse_rel_error, help_heading = "Evaluation")]
     pub rel_error: f64,
-    /// Places to measure at, spread by area, and denser where there is more light
+    /// Places to measure at, spread by area, and denser where there is more light or it changes faster
     #[arg(
         long,
         value_name = "N",

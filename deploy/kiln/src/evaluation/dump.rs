@@ -1,4 +1,5 @@
-//! `--dump FILE.csv`: every measured receiver, so that any outside renderer can be held against it.
+//! `--dump FILE.csv`: every measured receiver, so that any outside renderer can be held against it: the reference's E_ind and
+//! E_dir are means over the points of column `points`, each with its position and shading normal.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -6,13 +7,14 @@ use std::path::Path;
 use glam::DVec3;
 use lightkiln_client::fetch::write_atomically;
 use lightkiln_worker::evaluate::{ClassResult, LightResult};
+use lightkiln_worker::geometry::Site;
 
 use super::measure::Measured;
 use crate::failure::Result;
 
 /// First columns of the file, `receiver` empty for kinds that answer at any point; after them, a column of each class of error that is known at the places.
 const HEADER: &str = "light,receiver,x_m,y_m,z_m,nx,ny,nz,face_x,face_y,face_z,area_m2,baked_r,baked_g,baked_b,reference_r,reference_g,\
-                      reference_b,error_r,error_g,error_b,direct_r,direct_g,direct_b,paths,counted";
+                      reference_b,error_r,error_g,error_b,direct_r,direct_g,direct_b,paths,counted,points";
 
 /// Writes one line per light and place: position, shading and face normal, area, E_ind in W·m⁻² as baked and by the reference with its
 /// standard error, E_dir, and E_ind with no other error than that of a class.
@@ -56,11 +58,20 @@ pub fn write_dump(path: &Path, measured: &Measured) -> Result<()> {
             );
             colours.iter().for_each(|colour| text += &channels(*colour));
             let _ = write!(text, ",{},{}", reference.paths, u8::from(result.counted[index]));
+            text.push(',');
+            let points = measured.evaluator.bake().points_of(&sampled.place);
+            text += &points.iter().map(point).collect::<Vec<_>>().join(";");
             classes.iter().for_each(|class| text += &channels(class.at_sample[index]));
             text.push('\n');
         }
     }
     Ok(write_atomically(path, text.as_bytes())?)
+}
+
+/// Position and shading normal of a point, with spaces between.
+fn point(site: &Site) -> String {
+    let (p, n) = (site.position_m, site.normal);
+    format!("{} {} {} {} {} {}", p.x, p.y, p.z, n.x, n.y, n.z)
 }
 
 /// Three fields, each after a comma.

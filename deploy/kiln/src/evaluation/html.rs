@@ -110,7 +110,7 @@ fn notes(evaluation: &Evaluation, classes: &str) -> String {
          products of the errors against two halves of the reference, so that its noise cancels; where they sum up to less \
          than 0, the error is lost in it and its sign is minus. Intervals hold the noise and the choice of places, \
          percentiles the noise. The reference’s standard error was asked to be {:.1} % of \
-         the mean, or of the geometric mean of it and the value where that is brighter. {} Of {} chunks of light, {} were made \
+         the mean, or of the geometric mean of it and the value where that is brighter; more at places that stand for little area. {} Of {} chunks of light, {} were made \
          anew to tell these apart. All lights: root mean square over lights, mean of energy ratios. {:.2} % of the lit \
          area is too small or too deep for the bake; {:.1} % more lies in \
          cavities that nothing in the open sees and was left out. Pictures by paths hold some noise, and so \

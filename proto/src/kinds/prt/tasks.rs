@@ -8,12 +8,12 @@ use crate::kinds::{SceneTasks, TaskKind};
 /// Receivers and patches → cluster cells, the chunk of patches, and the plan of the rest.
 pub const PLAN: TaskKind = TaskKind { name: "prt.plan", version: 3 };
 /// A cluster cell → its factorised transport.
-pub const TRANSPORT: TaskKind = TaskKind { name: "prt.transport", version: 18 };
+pub const TRANSPORT: TaskKind = TaskKind { name: "prt.transport", version: 19 };
 /// Everything → manifest and report.
 pub const ASSEMBLE: TaskKind = TaskKind { name: "prt.assemble", version: 2 };
 
 /// The tasks that every kind of a scene shares, and the plan of the rest.
 pub fn first_tasks(scene: Digest, settings: &Settings) -> Vec<TaskSpec> {
     let shared = SceneTasks::of(scene).unwrapped(&settings.texels).placed(&settings.place).patched();
-    PLAN.planned("clusters", scene, settings, shared)
+    PLAN.planned("clusters", scene, settings, shared, &[TRANSPORT, ASSEMBLE])
 }

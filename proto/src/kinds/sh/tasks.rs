@@ -10,12 +10,12 @@ pub const PLAN: TaskKind = TaskKind { name: "sh.plan", version: 1 };
 /// A batch of probes → their relight rays' hits.
 pub const RELIGHT: TaskKind = TaskKind { name: "sh.relight", version: 3 };
 /// A cluster cell → its factorised transport.
-pub const TRANSPORT: TaskKind = TaskKind { name: "sh.transport", version: 6 };
+pub const TRANSPORT: TaskKind = TaskKind { name: "sh.transport", version: 7 };
 /// Everything → manifest and report.
 pub const ASSEMBLE: TaskKind = TaskKind { name: "sh.assemble", version: 1 };
 
 /// The tasks that kinds of a scene share, and the plan of the rest.
 pub fn first_tasks(scene: Digest, settings: &Settings) -> Vec<TaskSpec> {
     let shared = SceneTasks::of(scene).unwrapped(&settings.texels).placed(&settings.place);
-    PLAN.planned("probes", scene, settings, shared)
+    PLAN.planned("probes", scene, settings, shared, &[RELIGHT, TRANSPORT, ASSEMBLE])
 }

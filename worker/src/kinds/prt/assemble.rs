@@ -13,7 +13,7 @@ use crate::task::{Context, TaskError, TaskOutput, params};
 
 /// Runs the task: inputs are the outputs of the scene tasks, `patch-set`, and `cluster/N/…` of every cell.
 pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> {
-    let BakeParams { settings, scene } = params(task)?;
+    let BakeParams { settings, scene, .. } = params(task)?;
     let index = CellIndex::of_inputs(context)?;
     let report = index.report(settings.factors.rank_error);
     let patches = PatchTree::of(context)?.patches.len() as u64;

@@ -9,7 +9,9 @@ use super::{PatchTransport, Row};
 use crate::factors::Detail;
 use crate::rays::Hit;
 use crate::task::{Cancelled, Progress};
-use crate::transport::{CutBounds, Hemisphere, PatchRow, RayHit, RowHits, Sources, patch_rows};
+use crate::transport::{
+    CutBounds, Hemisphere, HemisphereRay, PatchRow, RayHit, RowHits, Sources, patch_rows,
+};
 
 /// Error of taking patches whole as a share of that of truncation: behind bends it is light that is not there, as hidden
 /// parts of a patch are lit like those in sight, and columns of differences cost little.
@@ -79,22 +81,24 @@ fn gather(transport: &PatchTransport, sources: &Sources, receiver: u32) -> Gathe
     let (mut gathered, mut near) = (Gathered::default(), Near::default());
     let texel_m = world.lightmap.texel_m;
     let reach_m = near::reach_m(settings, texel_m);
+    let from_m = hemisphere.origin_m();
     let mut is_even = true;
-    let surroundings = hemisphere.cast(settings.transport.emitter_rays, |direction, hit| {
-        let ray = |at: u32| RayHit { at, is_even, weight: 1.0 };
-        match hit {
-            None => {
-                gathered.row.shared.lit += 1.0;
-                gathered.hits.sky.push(ray(sources.sky(direction)));
+    let surroundings =
+        hemisphere.cast(settings.transport.emitter_rays, |HemisphereRay { origin_m, direction }, hit| {
+            let ray = |at: u32| RayHit { at, is_even, weight: 1.0 };
+            match hit {
+                None => {
+                    gathered.row.shared.lit += 1.0;
+                    gathered.hits.sky.push(ray(sources.sky(direction)));
+                }
+                Some(hit) => {
+                    let point_m = origin_m + direction * hit.t;
+                    let near = (point_m.distance(from_m) < reach_m).then_some(&mut near);
+                    gathered.add_hit(transport, sources, hit, point_m, ray, near);
+                }
             }
-            Some(hit) => {
-                let point_m = hemisphere.origin_m + direction * hit.t;
-                let near = (hit.t < reach_m).then_some(&mut near);
-                gathered.add_hit(transport, sources, hit, point_m, ray, near);
-            }
-        }
-        is_even = !is_even;
-    });
+            is_even = !is_even;
+        });
     let Gathered { hits, row } = &mut gathered;
     // Whether a place is narrow is known only now: near hits count as such there, and as their leaves elsewhere.
     if near::is_narrow(near.hits.len(), settings) {

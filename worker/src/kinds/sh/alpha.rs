@@ -11,7 +11,7 @@ use super::supporters::{Supporter, Supporters};
 use crate::emitters::EmitterSet;
 use crate::lightmap::{Numbering, Receiver, Surface, World};
 use crate::rays::Hit;
-use crate::transport::{Hemisphere, Row};
+use crate::transport::{Hemisphere, HemisphereRay, Row};
 
 /// Samples rows of one cluster cell.
 pub struct AlphaSampler<'a> {
@@ -66,7 +66,7 @@ impl<'a> AlphaSampler<'a> {
         let receiver = &self.world.lightmap.receivers[receiver as usize];
         let mut gather = Gather {
             receiver,
-            origin_m: hemisphere.origin_m,
+            origin_m: hemisphere.origin_m(),
             supporters: self.supporters.around(receiver.position_m),
             mutual: None,
             row: Row {
@@ -74,12 +74,12 @@ impl<'a> AlphaSampler<'a> {
                 ..Row::default()
             },
         };
-        let surroundings = hemisphere.cast(self.emitter_rays, |direction, hit| match hit {
+        let surroundings = hemisphere.cast(self.emitter_rays, |ray, hit| match hit {
             None => {
                 gather.row.lit += 1.0;
-                self.add_sky(&mut gather.row, direction);
+                self.add_sky(&mut gather.row, ray.direction);
             }
-            Some(hit) => self.add_hit(&mut gather, hit, direction),
+            Some(hit) => self.add_hit(&mut gather, hit, ray),
         });
         gather.row.add_surroundings(surroundings);
         gather.row.rays_closest = u64::from(self.rays);
@@ -97,7 +97,7 @@ impl<'a> AlphaSampler<'a> {
     }
 
     /// `w_p V_p(y) Y_j(Ψ_p(y)) / Σ_q w_q V_q(y)` into the columns of the probes that see the hit.
-    fn add_hit(&self, gather: &mut Gather, hit: &Hit, direction: Vec3) {
+    fn add_hit(&self, gather: &mut Gather, hit: &Hit, ray: HemisphereRay) {
         let Surface::Receiver(met) = self.world.surface_at(hit) else {
             let (row, lost) = (&mut gather.row, self.world.lost_in_cavity(hit));
             (row.lit, row.uncovered, row.left_out) =
@@ -106,7 +106,7 @@ impl<'a> AlphaSampler<'a> {
         };
         let tracer = &self.world.geometry.tracer;
         let side = self.world.geometry.side_normal(hit);
-        let point_m = gather.origin_m + direction * hit.t + side * tracer.ray_offset_m();
+        let point_m = ray.origin_m + ray.direction * hit.t + side * tracer.ray_offset_m();
         let albedo = self.world.lightmap.receivers[met as usize].albedo;
         let share = (albedo[0] + albedo[1] + albedo[2]) / 3.0;
         gather.row.lit += share;

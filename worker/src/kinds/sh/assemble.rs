@@ -13,7 +13,7 @@ use crate::task::{Context, TaskError, TaskOutput, params};
 /// Runs the task: inputs are the outputs of the scene tasks, `probes`, `probes/N/chunk` of every batch, and `cluster/N/…`
 /// of every cell.
 pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> {
-    let BakeParams { settings, scene } = params(task)?;
+    let BakeParams { settings, scene, .. } = params(task)?;
     let index = CellIndex::of_inputs(context)?;
     let totals = index.totals();
     let set = ProbeSet::of(context)?;

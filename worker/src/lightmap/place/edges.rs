@@ -15,7 +15,7 @@ const TURNS: u32 = 256;
 /// `foot` is of places at the wall itself; `is_open` says that the own side sees farther than the other.
 pub fn edge(own: &[Vec2], beyond: &[Vec2], foot: &[Vec2], is_open: bool) -> TexelEdge {
     let with_foot = |side: &[Vec2]| [side, foot].concat();
-    if let Some(angle_rad) = straight(foot, own) {
+    if let Some(angle_rad) = straight(foot, own, beyond) {
         let far = |at: &Vec2| at.dot(direction(angle_rad));
         let offset = if is_open {
             with_foot(own).iter().map(far).fold(f32::NEG_INFINITY, f32::max) + TexelEdge::ROUNDING
@@ -38,9 +38,9 @@ fn direction(angle_rad: f32) -> Vec2 {
     Vec2::new(libm::cosf(angle_rad), libm::sinf(angle_rad))
 }
 
-/// Direction across a straight wall, away from the middle of `own`, by points of its foot; `None` where it is not straight, or
-/// parts of `own` lie beyond.
-fn straight(foot: &[Vec2], own: &[Vec2]) -> Option<f32> {
+/// Direction across a straight wall, away from the middle of `own`, by points of its foot, as edges store it; `None` where
+/// it is not straight, or parts of either side lie on the other.
+fn straight(foot: &[Vec2], own: &[Vec2], beyond: &[Vec2]) -> Option<f32> {
     let middle = foot.iter().sum::<Vec2>() / foot.len().max(1) as f32;
     let [xx, xy, yy] = foot.iter().map(|at| *at - middle).fold([0.0; 3], |[xx, xy, yy], away| {
         [xx + away.x * away.x, xy + away.x * away.y, yy + away.y * away.y]
@@ -53,9 +53,10 @@ fn straight(foot: &[Vec2], own: &[Vec2]) -> Option<f32> {
     let own_side = own.iter().sum::<Vec2>() / own.len().max(1) as f32 - middle;
     let across = if along.perp().dot(own_side) > 0.0 { -along.perp() } else { along.perp() };
     let far = |at: &Vec2| (*at - middle).dot(across);
-    let is_straight =
-        foot.iter().all(|at| far(at).abs() < STRAIGHT) && own.iter().all(|at| far(at) < STRAIGHT);
-    is_straight.then(|| libm::atan2f(across.y, across.x))
+    let is_straight = foot.iter().all(|at| far(at).abs() < STRAIGHT)
+        && own.iter().all(|at| far(at) < STRAIGHT)
+        && beyond.iter().all(|at| far(at) > -STRAIGHT);
+    is_straight.then(|| TexelEdge::rounded(libm::atan2f(across.y, across.x)))
 }
 
 /// Angle and offset of the edge that has all of `own` before it, and most of `beyond` behind, by places from the texel's
@@ -109,16 +110,26 @@ mod tests {
     }
 
     #[test]
-    fn foot_of_a_wall_is_of_the_side_that_sees_farther() {
-        // Points of the foot are found to some thousandths of a texel.
-        let wall = Vec2::from_angle(0.4);
-        let foot: Vec<Vec2> =
-            (-4..=4).map(|i| wall.perp() * 0.1 * i as f32 + wall * 0.005 * (i % 3) as f32).collect();
-        let (beyond, own): (Vec<Vec2>, Vec<Vec2>) = places().partition(|at| at.dot(wall) > 0.0);
-        for is_open in [true, false] {
-            let edge = edge(&own, &beyond, &foot, is_open);
-            let just_beyond = foot.iter().filter(|at| is_beyond(edge, at)).count();
-            assert_eq!(just_beyond, if is_open { 0 } else { foot.len() });
+    fn foot_of_a_straight_wall_at_any_angle_is_of_the_side_that_sees_farther() {
+        for (turn, offset) in (0..1000).map(|i| (i as f32 * 0.00628, (i % 13) as f32 * 0.05 - 0.3)) {
+            let wall = Vec2::from_angle(turn);
+            let far = |at: &Vec2| at.dot(wall) - offset;
+            // Points of the foot are found to some thousandths of a texel.
+            let along = (-50..=50).map(|i| wall * offset + wall.perp() * 0.014 * i as f32);
+            let bumpy = along.zip(0..).map(|(at, i)| at + wall * 0.003 * ((i % 3) - 1) as f32);
+            let foot: Vec<Vec2> = bumpy.filter(|at| at.abs().max_element() <= 0.5).collect();
+            let (beyond, own): (Vec<Vec2>, Vec<Vec2>) = places().partition(|at| far(at) > 0.0);
+            for is_open in [true, false] {
+                let edge = edge(&own, &beyond, &foot, is_open);
+                let seen = if is_open { &own } else { &beyond };
+                let is_cut = |at: &&Vec2| is_beyond(edge, at) == is_open;
+                let cut = foot.iter().chain(seen).filter(is_cut).count();
+                assert_eq!(cut, 0, "{turn} {offset} {is_open}");
+                // Nor is more given than the wall's own width and the edge's rounding.
+                let given = places().filter(|at| is_beyond(edge, at) != (far(at) > 0.0));
+                let off = given.map(|at| far(&at).abs()).fold(0.0, f32::max);
+                assert!(off < STRAIGHT + 0.02, "{turn} {offset} {is_open}: {off}");
+            }
         }
     }
 

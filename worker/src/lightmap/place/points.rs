@@ -26,6 +26,9 @@ use crate::task::Progress;
 const FINE_SIDE: u32 = 12;
 /// Halvings of the distance between two of its points that tell where a wall stands.
 const BISECTIONS: u32 = 5;
+/// Mean free path, in texels, below which a receiver may be in a hollow, of which the room beside it has the better claim to
+/// the sliver that an edge gets wrong: no room is as small, and light of the open must not come into rooms.
+const HOLLOW_MAX: f32 = 8.0;
 /// Points of the coverage that are asked whether they see a place.
 const NEAREST: usize = 3;
 
@@ -40,6 +43,7 @@ pub fn covered(
     let receivers = 0..world.lightmap.receivers.len() as u32;
     let found: Vec<Found> = receivers.into_par_iter().map(|index| Found::of(&world, index)).collect();
     progress.add_rays_occlusion(found.iter().map(|found| found.rays).sum());
+    progress.add_rays_closest(found.iter().map(|found| found.rays_closest).sum());
     let mut lightmap = world.into_lightmap();
     for (receiver, found) in lightmap.receivers.iter_mut().zip(found) {
         (receiver.coverage, receiver.edge) = (found.coverage, found.edge);
@@ -59,7 +63,10 @@ struct Found {
     moved: Option<Site>,
     /// Raised points of the coverage, by bit; of others too.
     raised_m: [Option<Vec3>; COVERAGE_POINTS as usize],
+    /// Rays between points.
     rays: u64,
+    /// Rays that tell how far points see.
+    rays_closest: u64,
 }
 
 impl Found {
@@ -139,16 +146,20 @@ impl Found {
         edge(&from_middle(own), &from_middle(other), &foot, is_open)
     }
 
-    /// Places of `beyond` that see [`FARTHER`] than the receiver: of each part that no wall cuts, the middle one is asked.
+    /// Places of `beyond` that see [`FARTHER`] than a receiver in a hollow: of each part that no wall cuts, the middle one is
+    /// asked. None of a receiver in a room.
     fn farther(&mut self, world: &World, receiver: u32, beyond: &[u32]) -> Vec<u32> {
         let own = &world.lightmap.receivers[receiver as usize];
         let seed = world.lightmap.seed_of(own, 9);
         let mut outlook_of = |site: &Site| {
-            self.rays += u64::from(TEST_RAYS);
+            self.rays_closest += u64::from(TEST_RAYS);
             outlook(&world.geometry, world.lightmap.texel_m, (raised(world, site), site.face_normal), seed)
         };
         let own_outlook = outlook_of(&self.moved.unwrap_or(own.site()));
         let mut farther = Vec::new();
+        if own_outlook >= HOLLOW_MAX {
+            return farther;
+        }
         for part in parts(world, receiver, beyond) {
             let middle = part.iter().map(|&index| fine_place(index)).sum::<Vec2>() / part.len() as f32;
             let from_middle = |index: u32| fine_place(index).distance_squared(middle);
