@@ -2,6 +2,7 @@
 //! box, no ragged edge around a lamp, no steps on a dark face.
 
 use glam::{DVec3, Vec3};
+use lightkiln_proto::scene::LightKind;
 use lightkiln_tests::harness::bake;
 use lightkiln_tests::scenes::{self, BOX_BESIDE_LAMP_M, BOX_HALF_M, LAMP_HALF_M};
 use lightkiln_worker::evaluate::{Evaluated, EvaluationError, Relit};
@@ -11,7 +12,7 @@ use lightkiln_worker::rays::Hit;
 use lightkiln_worker::reference::{Lighting, Precision, Reference};
 use lightkiln_worker::task::Progress;
 
-use super::setup::careful;
+use super::setup::{careful, only};
 
 const TEXEL_M: f32 = 0.1;
 /// Half the width of the box.
@@ -30,10 +31,14 @@ struct Pixel {
 
 /// Pixels of a room with a lamp, each at the hit of a ray from a point along a direction.
 fn pixels(evaluated: &dyn Evaluated, rays: &[[Vec3; 2]]) -> Vec<Pixel> {
-    let (lighting, progress) = (Lighting { emitter_scale: 1.0, ..Lighting::default() }, Progress::new());
+    pixels_under(&Lighting { emitter_scale: 1.0, ..Lighting::default() }, evaluated, rays)
+}
+
+fn pixels_under(lighting: &Lighting, evaluated: &dyn Evaluated, rays: &[[Vec3; 2]]) -> Vec<Pixel> {
+    let progress = Progress::new();
     let geometry = evaluated.geometry();
-    let reference = Reference::new(geometry, &lighting).unwrap();
-    let relit: Box<dyn Relit> = evaluated.relit(&reference, &lighting, &progress).unwrap();
+    let reference = Reference::new(geometry, lighting).unwrap();
+    let relit: Box<dyn Relit> = evaluated.relit(&reference, lighting, &progress).unwrap();
     let hits: Vec<(Hit, Site)> = rays
         .iter()
         .map(|&[from_m, direction]| {
@@ -56,7 +61,11 @@ fn pixels(evaluated: &dyn Evaluated, rays: &[[Vec3; 2]]) -> Vec<Pixel> {
 }
 
 fn baked(yaw_rad: f32) -> Box<dyn Evaluated> {
-    let bake = bake(scenes::lamp_close_to_a_ceiling(yaw_rad), &careful("prt", TEXEL_M)).unwrap();
+    evaluated(scenes::lamp_close_to_a_ceiling(yaw_rad), TEXEL_M)
+}
+
+fn evaluated(scene: Vec<u8>, texel_m: f32) -> Box<dyn Evaluated> {
+    let bake = bake(scene, &careful("prt", texel_m)).unwrap();
     let bytes = |digest| {
         bake.chunk(digest).map_err(|error| EvaluationError::Missing { digest, source: error.into() })
     };
@@ -125,5 +134,32 @@ fn dark_face_of_a_box_has_no_steps() {
             shown.windows(2).map(|pair| (pair[1] - pair[0]).abs() / pair[0].max(pair[1])).fold(0.0, f64::max);
         println!("{row} m up: largest jump {jump:.3}");
         assert!(jump < 0.1, "{row} m up: a jump by {jump}");
+    }
+}
+
+/// A box without bottom in the open. In coarse texels its inside is a hollow, and all outside of it has the light of the sky;
+/// in fine ones a room, and nothing inside of it has any: no hit reads a texel beyond the wall. Of single texels that a wall
+/// cuts the receiver lies outside, and no texel beside them has a wall of its own that could tell.
+#[test]
+fn corners_of_hollows_are_not_dark_outside_and_rooms_not_light_inside() {
+    let sky = only(LightKind::Sky { zenith: [1.0; 3], horizon: [1.0; 3] }, 1.0);
+    for degrees in YAWS_DEG {
+        let yaw_rad = degrees.to_radians();
+        let hollow = evaluated(scenes::hollow_box_on_floor(yaw_rad), 0.125);
+        for away_m in [0.002, 0.01, 0.03] {
+            let rays = around(2.0 * Vec3::Y, BOX_HALF_M + away_m, yaw_rad, Vec3::NEG_Y);
+            let found = pixels_under(&sky, hollow.as_ref(), &rays);
+            let least = found.iter().map(|pixel| pixel.shown).fold(f64::INFINITY, f64::min);
+            println!("{degrees}°, {away_m} m outside: at least {least:.3} W/m²");
+            assert!(least > 2.0, "{degrees}°, {away_m} m outside: {least} W/m²");
+        }
+        let room = evaluated(scenes::hollow_box_on_floor(yaw_rad), 0.06);
+        for away_m in [0.03, 0.05] {
+            let rays = around(0.5 * Vec3::Y, BOX_HALF_M - away_m, yaw_rad, Vec3::NEG_Y);
+            let found = pixels_under(&sky, room.as_ref(), &rays);
+            let lit = found.iter().filter(|pixel| pixel.shown > 3e-4).count();
+            println!("{degrees}°, {away_m} m inside: {lit} of {} pixels are lit", found.len());
+            assert!(lit <= 4, "{degrees}°, {away_m} m inside: {lit} of {} pixels are lit", found.len());
+        }
     }
 }

@@ -3,11 +3,11 @@
 use std::sync::{Arc, OnceLock};
 
 use glam::{Vec2, Vec3};
-use lightkiln_proto::content::{BlockKey, COVERAGE_POINTS, COVERAGE_SIDE};
+use lightkiln_proto::content::{BlockKey, COVERAGE_POINTS, COVERAGE_SIDE, LINKS};
 use rayon::prelude::*;
 
 use super::texel_points::TexelTriangles;
-use super::{CAVITY, Charts, Lightmap};
+use super::{CAVITY, Charts, Lightmap, Receiver};
 use crate::geometry::{Geometry, Site, weights_of};
 use crate::rays::Hit;
 use crate::scene::model::Scene;
@@ -44,6 +44,8 @@ pub struct World {
     texels: TexelTable,
     /// Points of receivers, raised, see [`World::raised_receiver`].
     raised_m: Vec<Vec3>,
+    /// Receivers in whose texels no wall can stand, see [`World::is_clear`].
+    is_clear: Vec<bool>,
     /// Triangles of each receiver's texel, found when they are first asked for.
     texel_triangles: OnceLock<TexelTriangles>,
 }
@@ -61,7 +63,34 @@ impl World {
             .par_iter()
             .map(|receiver| geometry.raised(receiver.position_m, receiver.face_normal, height_m))
             .collect();
-        Self { geometry, lightmap, texels, raised_m, texel_triangles: OnceLock::new() }
+        let mut world = Self {
+            geometry,
+            lightmap,
+            texels,
+            raised_m,
+            is_clear: Vec::new(),
+            texel_triangles: OnceLock::new(),
+        };
+        let receivers = 0..world.lightmap.receivers.len() as u32;
+        world.is_clear = receivers.into_par_iter().map(|receiver| world.is_clear(receiver)).collect();
+        world
+    }
+
+    /// A receiver's texel is whole, as are its eight neighbours, and all are linked to it: between the points that tell
+    /// so, no wall can reach in that is not met in a neighbour.
+    fn is_clear(&self, receiver: u32) -> bool {
+        let Receiver { block, texel, coverage, links, .. } = self.lightmap.receivers[receiver as usize];
+        let [x, y] = texel.map(i32::from);
+        coverage == WHOLE
+            && LINKS.into_iter().enumerate().all(|(bit, [dx, dy])| {
+                let is_linked = |links: u8| links >> bit & 1 == 1;
+                let [after, before] = [1, -1].map(|step| {
+                    let other = self.receiver_on(block, x + step * dx, y + step * dy)?;
+                    let other = &self.lightmap.receivers[other as usize];
+                    (other.coverage == WHOLE).then_some(other.links)
+                });
+                is_linked(links) && after.is_some() && before.is_some_and(is_linked)
+            })
     }
 
     /// The lightmap alone.
@@ -127,10 +156,10 @@ impl World {
     }
 
     /// As [`World::surface_at`], but of the receivers around the hit, the nearest that no wall separates from it: a
-    /// texel that a wall cuts in two stands for its centre's side only. A texel that placement found whole is not asked again.
+    /// texel that a wall cuts in two stands for its centre's side only. Where no wall can be, none is looked for.
     pub fn linked_surface_at(&self, hit: &Hit, point_m: Vec3) -> Surface {
         let Surface::Receiver(own) = self.surface_at(hit) else { return Surface::Dark };
-        if self.lightmap.receivers[own as usize].coverage == WHOLE {
+        if self.is_clear[own as usize] {
             return Surface::Receiver(own);
         }
         let from_m = self.geometry.raised(point_m, self.geometry.side_normal(hit), self.link_height_m());

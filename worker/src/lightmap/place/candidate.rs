@@ -41,11 +41,13 @@ pub struct Candidate {
 }
 
 /// Surroundings of a point by its test rays.
-struct Look {
+pub struct Look {
     openness: f32,
-    outlook: f32,
+    /// As [`Candidate::outlook`].
+    pub outlook: f32,
     back_share: f32,
-    escaped: bool,
+    /// Share of the rays that leave the scene, each by its cosine; 0 to 1.
+    pub sky: f32,
     /// Direction and distance of the nearest back face.
     nearest: Option<(Vec3, f32)>,
 }
@@ -64,7 +66,7 @@ impl<'a> Tester<'a> {
         let offset_m = self.geometry.tracer.ray_offset_m();
         let start_m = receiver.position_m + receiver.face_normal * offset_m;
         let found = self.look(start_m, receiver.face_normal, seed);
-        if found.back_share < self.back_face_min || found.escaped {
+        if found.back_share < self.back_face_min || found.sky > 0.0 {
             let Look { openness, back_share, outlook, .. } = found;
             let own =
                 Candidate { receiver, openness, back_share, outlook, is_shifted: false, is_lifted: false };
@@ -102,23 +104,18 @@ impl<'a> Tester<'a> {
     }
 }
 
-/// Mean free path above a point in texels of `texel_m` metres, weighted by the cosine to `normal`; infinite where a ray
-/// leaves the scene. Casts [`TEST_RAYS`].
-pub fn outlook(geometry: &Geometry, texel_m: f32, (start_m, normal): (Vec3, Vec3), seed: u64) -> f32 {
-    look(geometry, texel_m, (start_m, normal), seed).outlook
-}
-
-fn look(geometry: &Geometry, texel_m: f32, (start_m, normal): (Vec3, Vec3), seed: u64) -> Look {
+/// Surroundings of a point above a surface with that normal, in texels of `texel_m` metres. Casts [`TEST_RAYS`].
+pub fn look(geometry: &Geometry, texel_m: f32, (start_m, normal): (Vec3, Vec3), seed: u64) -> Look {
     let (tangent, bitangent) = tangent_frame(normal);
     let points = R2::new(seed);
-    let mut found = Look { openness: 0.0, outlook: 0.0, back_share: 0.0, escaped: false, nearest: None };
+    let mut found = Look { openness: 0.0, outlook: 0.0, back_share: 0.0, sky: 0.0, nearest: None };
     let (mut back, mut free, mut path, mut weight) = (0, 0.0, 0.0, 0.0);
     for ray in 0..TEST_RAYS {
         let [u, v] = points.point(ray);
         let local = uniform_sphere(u * 0.5, v);
         let direction = tangent * local.x + bitangent * local.y + normal * local.z;
         let Some(hit) = geometry.tracer.closest(start_m, direction, f32::INFINITY) else {
-            found.escaped = true;
+            found.sky += 2.0 * local.z;
             free += 2.0 * local.z;
             path = f32::INFINITY;
             continue;
@@ -135,6 +132,7 @@ fn look(geometry: &Geometry, texel_m: f32, (start_m, normal): (Vec3, Vec3), seed
         }
     }
     found.openness = free / TEST_RAYS as f32;
+    found.sky /= TEST_RAYS as f32;
     found.outlook = if path.is_finite() { path / weight.max(f32::MIN_POSITIVE) } else { f32::INFINITY };
     found.back_share = back as f32 / TEST_RAYS as f32;
     found

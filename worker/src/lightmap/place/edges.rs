@@ -1,6 +1,6 @@
 //! The straight edge between what is a receiver's of its texel and what lies beyond a wall, see `Receivers::edge`.
 //!
-//! An edge never fits quite. All of the side that sees farther lies on its own side of it, and the sliver that is wrong on
+//! An edge never fits quite. All of the side with the better claim lies on its own side of it, and the sliver that is wrong on
 //! the other: one looks into rooms, and not into the hollows beside them.
 
 use glam::Vec2;
@@ -12,19 +12,19 @@ const STRAIGHT: f32 = 0.02;
 const TURNS: u32 = 256;
 
 /// The edge between places of the receiver's own side and those beyond the wall, all from the texel's middle in texels.
-/// `foot` is of places at the wall itself; `is_open` says that the own side sees farther than the other.
-pub fn edge(own: &[Vec2], beyond: &[Vec2], foot: &[Vec2], is_open: bool) -> TexelEdge {
+/// `foot` is of places at the wall itself; `is_own_better` says that the own side has the better claim.
+pub fn edge(own: &[Vec2], beyond: &[Vec2], foot: &[Vec2], is_own_better: bool) -> TexelEdge {
     let with_foot = |side: &[Vec2]| [side, foot].concat();
     if let Some(angle_rad) = straight(foot, own, beyond) {
         let far = |at: &Vec2| at.dot(direction(angle_rad));
-        let offset = if is_open {
+        let offset = if is_own_better {
             with_foot(own).iter().map(far).fold(f32::NEG_INFINITY, f32::max) + TexelEdge::ROUNDING
         } else {
             with_foot(beyond).iter().map(far).fold(f32::INFINITY, f32::min) - TexelEdge::ROUNDING
         };
         return TexelEdge::new(angle_rad, offset);
     }
-    if !is_open {
+    if !is_own_better {
         // The edge of the other side, turned.
         if let Some((angle_rad, offset)) = before(&with_foot(beyond), own) {
             return TexelEdge::new(angle_rad + std::f32::consts::PI, -offset);
@@ -98,19 +98,19 @@ mod tests {
         for (angle_rad, offset) in [(0.3_f32, 0.1_f32), (2.0, -0.2), (4.0, 0.05)] {
             let away = |at: &Vec2| at.dot(Vec2::from_angle(angle_rad)) > offset;
             let (beyond, own): (Vec<Vec2>, Vec<Vec2>) = places().partition(away);
-            for is_open in [true, false] {
-                let edge = edge(&own, &beyond, &[], is_open);
+            for is_own_better in [true, false] {
+                let edge = edge(&own, &beyond, &[], is_own_better);
                 let wrong =
                     |side: &[Vec2], own: bool| side.iter().filter(|at| is_beyond(edge, at) == own).count();
                 let [of_own, of_beyond] = [wrong(&own, true), wrong(&beyond, false)];
-                let [seen, hidden] = if is_open { [of_own, of_beyond] } else { [of_beyond, of_own] };
+                let [seen, hidden] = if is_own_better { [of_own, of_beyond] } else { [of_beyond, of_own] };
                 assert!(seen == 0 && hidden <= 3, "{angle_rad} {offset}: {seen} {hidden}");
             }
         }
     }
 
     #[test]
-    fn foot_of_a_straight_wall_at_any_angle_is_of_the_side_that_sees_farther() {
+    fn foot_of_a_straight_wall_at_any_angle_is_of_the_side_with_the_better_claim() {
         for (turn, offset) in (0..1000).map(|i| (i as f32 * 0.00628, (i % 13) as f32 * 0.05 - 0.3)) {
             let wall = Vec2::from_angle(turn);
             let far = |at: &Vec2| at.dot(wall) - offset;
@@ -119,16 +119,16 @@ mod tests {
             let bumpy = along.zip(0..).map(|(at, i)| at + wall * 0.003 * ((i % 3) - 1) as f32);
             let foot: Vec<Vec2> = bumpy.filter(|at| at.abs().max_element() <= 0.5).collect();
             let (beyond, own): (Vec<Vec2>, Vec<Vec2>) = places().partition(|at| far(at) > 0.0);
-            for is_open in [true, false] {
-                let edge = edge(&own, &beyond, &foot, is_open);
-                let seen = if is_open { &own } else { &beyond };
-                let is_cut = |at: &&Vec2| is_beyond(edge, at) == is_open;
+            for is_own_better in [true, false] {
+                let edge = edge(&own, &beyond, &foot, is_own_better);
+                let seen = if is_own_better { &own } else { &beyond };
+                let is_cut = |at: &&Vec2| is_beyond(edge, at) == is_own_better;
                 let cut = foot.iter().chain(seen).filter(is_cut).count();
-                assert_eq!(cut, 0, "{turn} {offset} {is_open}");
+                assert_eq!(cut, 0, "{turn} {offset} {is_own_better}");
                 // Nor is more given than the wall's own width and the edge's rounding.
                 let given = places().filter(|at| is_beyond(edge, at) != (far(at) > 0.0));
                 let off = given.map(|at| far(&at).abs()).fold(0.0, f32::max);
-                assert!(off < STRAIGHT + 0.02, "{turn} {offset} {is_open}: {off}");
+                assert!(off < STRAIGHT + 0.02, "{turn} {offset} {is_own_better}: {off}");
             }
         }
     }

@@ -5,8 +5,8 @@
 //!
 //! Where some do not, the receiver moves to the one of its points that is nearest to their middle: beside a wall, or the
 //! mouth of a gap, a texel's centre may have light of millimetres of it alone. And the foot of the wall is found, along which
-//! a straight edge is laid, see `Receivers::edge`. An edge never fits quite: all of the side that sees farther lies on its own
-//! side of it, and the sliver that is wrong on the other, as one looks into rooms and not into hollows.
+//! a straight edge is laid, see `Receivers::edge`. An edge never fits quite: all of the side with the better claim lies on its
+//! own side of it, and the sliver that is wrong on the other, see [`has_better_claim`].
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -15,7 +15,7 @@ use glam::{Vec2, Vec3};
 use lightkiln_proto::content::{COVERAGE_POINTS, COVERAGE_SIDE, TexelEdge};
 use rayon::prelude::*;
 
-use super::candidate::{TEST_RAYS, outlook};
+use super::candidate::{Look, TEST_RAYS, look};
 use super::choose::FARTHER;
 use super::edges::edge;
 use crate::geometry::{Geometry, Site};
@@ -26,9 +26,10 @@ use crate::task::Progress;
 const FINE_SIDE: u32 = 12;
 /// Halvings of the distance between two of its points that tell where a wall stands.
 const BISECTIONS: u32 = 5;
-/// Mean free path, in texels, below which a receiver may be in a hollow, of which the room beside it has the better claim to
-/// the sliver that an edge gets wrong: no room is as small, and light of the open must not come into rooms.
+/// Mean free path, in texels, below which a place may be in a hollow: no room is as small.
 const HOLLOW_MAX: f32 = 8.0;
+/// Share of the sky that a place in the open sees, at least.
+const OPEN_SKY_MIN: f32 = 1.0 / 3.0;
 /// Points of the coverage that are asked whether they see a place.
 const NEAREST: usize = 3;
 
@@ -135,42 +136,38 @@ impl Found {
             (0..count).filter(|&index| side[index as usize] == Some(own)).collect()
         };
         let (own, beyond) = (places(true), places(false));
-        let farther = self.farther(world, receiver, &beyond);
-        // A receiver that sees farther than all beyond is in the room, which is all on its side.
-        let is_open = farther.is_empty();
-        let other = if is_open { beyond } else { farther };
+        let better = self.better(world, receiver, &beyond);
+        // A receiver with the best claim has all of its side.
+        let is_own = better.is_empty();
+        let other = if is_own { beyond } else { better };
         let foot = self.foots(world, receiver, &own, &other);
         let from_middle = |places: Vec<u32>| -> Vec<Vec2> {
             places.into_iter().map(|index| fine_place(index) - 0.5).collect()
         };
-        edge(&from_middle(own), &from_middle(other), &foot, is_open)
+        edge(&from_middle(own), &from_middle(other), &foot, is_own)
     }
 
-    /// Places of `beyond` that see [`FARTHER`] than a receiver in a hollow: of each part that no wall cuts, the middle one is
-    /// asked. None of a receiver in a room.
-    fn farther(&mut self, world: &World, receiver: u32, beyond: &[u32]) -> Vec<u32> {
+    /// Places of `beyond` with a better claim than the receiver: of each part that no wall cuts, the middle one is asked.
+    fn better(&mut self, world: &World, receiver: u32, beyond: &[u32]) -> Vec<u32> {
         let own = &world.lightmap.receivers[receiver as usize];
         let seed = world.lightmap.seed_of(own, 9);
-        let mut outlook_of = |site: &Site| {
+        let mut look_from = |site: &Site| {
             self.rays_closest += u64::from(TEST_RAYS);
-            outlook(&world.geometry, world.lightmap.texel_m, (raised(world, site), site.face_normal), seed)
+            look(&world.geometry, world.lightmap.texel_m, (raised(world, site), site.face_normal), seed)
         };
-        let own_outlook = outlook_of(&self.moved.unwrap_or(own.site()));
-        let mut farther = Vec::new();
-        if own_outlook >= HOLLOW_MAX {
-            return farther;
-        }
+        let own_look = look_from(&self.moved.unwrap_or(own.site()));
+        let mut better = Vec::new();
         for part in parts(world, receiver, beyond) {
             let middle = part.iter().map(|&index| fine_place(index)).sum::<Vec2>() / part.len() as f32;
             let from_middle = |index: u32| fine_place(index).distance_squared(middle);
             let nearest = part.iter().copied().min_by(|&a, &b| from_middle(a).total_cmp(&from_middle(b)));
             let site = nearest.and_then(|index| world.point_of(receiver, fine_place(index)));
-            if site.is_some_and(|site| outlook_of(&site) > FARTHER * own_outlook) {
-                farther.extend(part);
+            if site.is_some_and(|site| has_better_claim(&look_from(&site), &own_look)) {
+                better.extend(part);
             }
         }
-        farther.sort_unstable();
-        farther
+        better.sort_unstable();
+        better
     }
 
     /// Where walls stand between places of the receiver's side and others beside them, from the texel's middle.
@@ -223,6 +220,16 @@ impl Found {
             self.rays += 1;
             self.raised_m[bit].is_some_and(|from_m| world.is_linked(from_m, at_m))
         })
+    }
+}
+
+/// Whether one side of a wall has a better claim than the other to the sliver that an edge gets wrong: a room than a hollow
+/// beside it, as one looks into rooms; and a room than the open, whose light would show in it.
+fn has_better_claim(one: &Look, other: &Look) -> bool {
+    if other.outlook < HOLLOW_MAX {
+        one.outlook > FARTHER * other.outlook
+    } else {
+        one.outlook >= HOLLOW_MAX && other.sky > OPEN_SKY_MIN && FARTHER * one.sky < other.sky
     }
 }
 
