@@ -102,7 +102,7 @@ impl Lit<'_> {
     pub fn compared(&self, receivers: &[u32], rel_error: f64) -> Result<Vec<Compared>> {
         let sites: Vec<_> = receivers.iter().map(|&receiver| self.held.site(receiver)).collect();
         let target = |(&receiver, site): (&u32, &Site)| Target {
-            points: self.held.world.lit_points_of(receiver),
+            points: self.held.world.gathering_points_of(receiver),
             ..Target::of(*site)
         };
         let targets: Vec<Target> = receivers.iter().zip(&sites).map(target).collect();

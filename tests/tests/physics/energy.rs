@@ -91,7 +91,7 @@ fn every_band_of_the_sky_reaches_receivers_in_its_strength() {
             {
                 let found: f64 = row.iter().zip(&basis).map(|(u, b)| f64::from(u * b)).sum();
                 let name = (receivers.blocks[usize::from(receivers.block[r])], receivers.texel[r]);
-                let points = held.world.lit_points_of(receiver_of[&name]);
+                let points = held.world.gathering_points_of(receiver_of[&name]);
                 let wanted = window * seen_of_band(&held, band, axis, &points);
                 product += found * wanted;
                 square += wanted * wanted;

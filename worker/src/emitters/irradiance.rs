@@ -1,13 +1,10 @@
-//! Irradiance straight from emissive surfaces, by sampling them from points of a receiver's texel and by the receiver's own
-//! rays.
+//! Irradiance straight from emissive surfaces, the mean over points of a receiver's texel: by sampling them from there and by
+//! the rays that leave there.
 //!
 //! We differ from relighting emission like any other radiance (METHOD.md §2.7): a lamp is met by a handful of rays, so its
 //! energy would be off by tens of percent at each receiver and its shadows blurred by the columns. Here both estimators are
 //! weighted by the balance heuristic (\[Veach1995\]), so neither a small nor a near lamp is noisy; columns then carry only
 //! light that has bounced.
-//!
-//! Sampled light is the mean over the texel's points, as E_dir is, and light that the own rays meet that of the receiver's:
-//! what is so near and large that rays meet it casts no shadow that a point could miss.
 
 use std::borrow::Cow;
 use std::ops::Deref;
@@ -126,7 +123,7 @@ impl<'a> EmitterIrradianceSum<'a> {
         Self { geometry, set, texel, own_rays: own_rays as f32, samples, cumulative, sums }
     }
 
-    /// Adds the emitter that one of the receiver's own rays meets: `π/N · Lₑ` times its weight against sampling.
+    /// Adds the emitter that one of the texel's own rays meets: `π/N · Lₑ` times its weight against sampling.
     pub fn add_hit(&mut self, hit: &Hit, direction: Vec3, normal: Vec3) {
         let set = self.set;
         let Some(&index) = set.index_of.get(hit.triangle as usize) else { return };
@@ -171,7 +168,7 @@ impl<'a> EmitterIrradianceSum<'a> {
         self.sums
     }
 
-    /// `Lₑ cosθ_x cosθ_y / d² / density`, weighted against the receiver's own rays; true if a ray was cast.
+    /// `Lₑ cosθ_x cosθ_y / d² / density`, weighted against the texel's own rays; true if a ray was cast.
     fn add_sample(&mut self, site: &Site, index: usize, barycentric: [f32; 2]) -> bool {
         let triangle = &self.set.triangles[index];
         let weights = weights_of(barycentric);

@@ -122,7 +122,7 @@ pub struct LightResult {
 
 impl Evaluator {
     /// Draws the sample, and lets the bake prepare its classes of error there. Places are the likelier the more light the
-    /// bake has there under `lights`, as errors are of the size of the light.
+    /// bake has there under `lights`, and the faster it changes, as errors are of the size of both.
     pub fn new(
         mut bake: Box<dyn Evaluated>,
         lights: &[TestLight],
@@ -339,7 +339,7 @@ impl Evaluator {
 
 /// Root mean square over lights of the error that is expected at each place, over the light's mean. Skies are not asked: they
 /// vary least, and cost most.
-fn expected_errors(
+pub(super) fn expected_errors(
     bake: &dyn Evaluated,
     sample: &Sample,
     lights: &[TestLight],

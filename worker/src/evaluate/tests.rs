@@ -2,7 +2,8 @@
 
 use std::sync::Arc;
 
-use glam::{DVec3, Vec3};
+use glam::{DVec3, Vec2, Vec3};
+use lightkiln_proto::content::{BlockKey, Texel};
 use lightkiln_proto::kinds::SceneTasks;
 use lightkiln_proto::kinds::prt::Settings;
 use lightkiln_proto::scene::{LightKind, SceneLight};
@@ -10,13 +11,13 @@ use rayon::prelude::*;
 use serde_json::json;
 
 use super::*;
-use crate::geometry::Site;
+use crate::geometry::{Geometry, Site};
 use crate::kinds::{BakeKinds, Runner};
 use crate::lightmap::{Surface, World};
 use crate::rays::Hit;
 use crate::rays::sampling::{R2, seed_of};
 use crate::reference::{Lighting, Precision, Reference};
-use crate::task::{LocalRun, Progress};
+use crate::task::{Cancelled, LocalRun, Progress};
 
 /// A scene of the tests, its lightmap placed with few receivers.
 fn world(scene: &[u8], receivers: u32) -> Arc<World> {
@@ -32,14 +33,115 @@ fn world(scene: &[u8], receivers: u32) -> Arc<World> {
 
 /// A sample of the receivers of a world.
 fn sample_of(world: &World, count: u32) -> Sample {
-    let answer_at = |hit: &Hit| match world.surface_at(hit) {
-        Surface::Receiver(receiver) => {
-            let site = world.lightmap.receivers[receiver as usize].site();
-            Answer::Place(Place { site, number: Some(receiver) })
-        }
+    Sample::of_surfaces(&world.geometry, |hit| answer_of(world, hit), count)
+}
+
+fn answer_of(world: &World, hit: &Hit) -> Answer {
+    match world.surface_at(hit) {
+        Surface::Receiver(receiver) => Answer::Place(place_of(world, receiver)),
         Surface::Dark => Answer::TooSmall,
-    };
-    Sample::of_surfaces(&world.geometry, answer_at, count)
+    }
+}
+
+fn place_of(world: &World, receiver: u32) -> Place {
+    Place { site: world.lightmap.receivers[receiver as usize].site(), number: Some(receiver) }
+}
+
+/// A bake whose light is 1 where x is below 0, else 0.
+struct Step(Arc<World>);
+
+impl Evaluated for Step {
+    fn geometry(&self) -> &Geometry {
+        &self.0.geometry
+    }
+    fn answer_at(&self, hit: &Hit) -> Answer {
+        answer_of(&self.0, hit)
+    }
+    fn lightmap(&self) -> Option<&dyn EvaluatedLightmap> {
+        Some(self)
+    }
+    fn chunk_of(&self, _: &Place) -> Option<usize> {
+        None
+    }
+    fn relit<'a>(
+        &'a self,
+        _: &Reference,
+        _: &Lighting,
+        _: &Progress,
+    ) -> Result<Box<dyn Relit + 'a>, Cancelled> {
+        Ok(Box::new(StepLight))
+    }
+}
+
+impl EvaluatedLightmap for Step {
+    fn texel_m(&self) -> f32 {
+        self.0.lightmap.texel_m
+    }
+    fn receivers(&self) -> u32 {
+        self.0.lightmap.receivers.len() as u32
+    }
+    fn receiver(&self, index: u32) -> Place {
+        place_of(&self.0, index)
+    }
+    fn linked(&self, _: u32, _: [i32; 2]) -> Option<u32> {
+        None
+    }
+    fn block_name(&self, _: BlockKey) -> &str {
+        ""
+    }
+    fn texel_of(&self, place: &Place) -> Option<(BlockKey, Texel)> {
+        Some(self.0.lightmap.name_of(place.number?))
+    }
+    fn place_of(&self, block: BlockKey, texel: Texel) -> Option<Place> {
+        let receivers = 0..self.receivers();
+        { receivers }
+            .find(|&index| self.0.lightmap.name_of(index) == (block, texel))
+            .map(|index| place_of(&self.0, index))
+    }
+    fn texel_at(&self, hit: &Hit) -> Option<(BlockKey, Vec2)> {
+        self.0.lightmap_at(hit)
+    }
+}
+
+struct StepLight;
+
+impl Relit for StepLight {
+    fn irradiance(&self, place: &Place) -> Option<DVec3> {
+        Some(DVec3::splat(if place.site.position_m.x < 0.0 { 1.0 } else { 0.0 }))
+    }
+    fn bounces(&self) -> (usize, bool) {
+        (1, true)
+    }
+}
+
+#[test]
+fn errors_are_expected_where_light_is_and_where_it_changes() {
+    let bake = Step(world(CORNELL, 1000));
+    let sample = sample_of(&bake.0, 300);
+    let kind = LightKind::Point { position_m: [0.0, 3.0, 0.0], range_m: None };
+    let lamp = SceneLight { name: "lamp".into(), kind, strength: [1.0; 3] };
+    let lighting = Lighting { lights: vec![lamp], ..Lighting::default() };
+    let light = lights::TestLight { name: "lamp".into(), words: String::new(), lighting };
+    let expected = evaluator::expected_errors(&bake, &sample, &[light], &Progress::new()).unwrap();
+    let area_m2: f64 = sample.places.iter().map(|sampled| sampled.area_m2).sum();
+    let is_lit = |place: &Place| place.site.position_m.x < 0.0;
+    let lit_m2: f64 =
+        sample.places.iter().filter(|sampled| is_lit(&sampled.place)).map(|sampled| sampled.area_m2).sum();
+    let mut met = [[0; 2]; 2];
+    for (sampled, expected) in sample.places.iter().zip(expected) {
+        let (block, [x, y]) = bake.texel_of(&sampled.place).unwrap();
+        let steps = [(1, 0), (-1, 0), (0, 1), (0, -1)];
+        let beside = steps.map(|(dx, dy)| {
+            let texel = [x.wrapping_add_signed(dx), y.wrapping_add_signed(dy)];
+            EvaluatedLightmap::place_of(&bake, block, texel)
+        });
+        let own = is_lit(&sampled.place);
+        let changes = beside.iter().flatten().any(|place| is_lit(place) != own);
+        let wanted = (f64::from(u8::from(own)) + 2.0 * f64::from(u8::from(changes))) * area_m2 / lit_m2;
+        assert!((expected - wanted).abs() < 1e-9, "{expected} for {wanted}");
+        met[usize::from(own)][usize::from(changes)] += 1;
+    }
+    assert!(met.iter().flatten().all(|&count| count > 5), "{met:?}");
 }
 
 const CORNELL: &[u8] = include_bytes!("../../../tests/scenes/cornell.glb");

@@ -37,8 +37,8 @@ pub struct FactoredBake<C> {
     /// Index in the lightmap of the receiver at each slot.
     receiver_of: Vec<u32>,
     anew: Option<Anew>,
-    /// Light of the lightings that were asked for an odd number of times: who looks twice relights once.
-    lit_once: Mutex<Vec<(Lighting, Arc<Light>)>>,
+    /// Light of the lightings that were asked for.
+    known: Mutex<Vec<(Lighting, Arc<Light>)>>,
 }
 
 impl<C: Columns> FactoredBake<C> {
@@ -56,7 +56,7 @@ impl<C: Columns> FactoredBake<C> {
         let cells = cells_of_task(context).map_err(EvaluationError::Prepare)?.as_ref().clone();
         let baked = Baked::decode(manifest, bytes, columns)?;
         let receiver_of = same_world(manifest, &world, &baked)?;
-        Ok(Self { world, transport, baked, cells, receiver_of, anew: None, lit_once: Mutex::default() })
+        Ok(Self { world, transport, baked, cells, receiver_of, anew: None, known: Mutex::default() })
     }
 
     fn texels(&self) -> LightmapTexels<'_> {
@@ -82,17 +82,12 @@ impl<C: Columns> FactoredBake<C> {
         lighting: &Lighting,
         progress: &Progress,
     ) -> Result<Arc<Light>, Cancelled> {
-        let lit_once = || self.lit_once.lock().unwrap_or_else(PoisonError::into_inner);
-        let known = {
-            let mut lit_once = lit_once();
-            let index = lit_once.iter().position(|(other, _)| other == lighting);
-            index.map(|index| lit_once.swap_remove(index).1)
-        };
-        if let Some(light) = known {
-            return Ok(light);
+        let known = || self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, light)) = known().iter().find(|(other, _)| other == lighting) {
+            return Ok(Arc::clone(light));
         }
         let light = Arc::new(self.lit_anew(reference, lighting, progress)?);
-        lit_once().push((lighting.clone(), Arc::clone(&light)));
+        known().push((lighting.clone(), Arc::clone(&light)));
         Ok(light)
     }
 
@@ -136,7 +131,7 @@ impl<C: Columns> Evaluated for FactoredBake<C> {
     }
 
     fn points_of(&self, place: &Place) -> Vec<Site> {
-        self.world.lit_points_of(receiver_of(place))
+        self.world.gathering_points_of(receiver_of(place))
     }
 
     fn trace(&mut self, sample: &[Place], effort: usize, progress: &Progress) -> Result<(), Cancelled> {

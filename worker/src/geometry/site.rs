@@ -44,11 +44,14 @@ impl Site {
 
     /// A direction of density K/π, from a point of the unit square.
     pub fn direction(&self, point: [f32; 2]) -> Vec3 {
-        let local = cosine_hemisphere(point);
-        let (tangent, bitangent) = tangent_frame(self.normal);
-        let direction = tangent * local.x + bitangent * local.y + self.normal * local.z;
-        let above = direction.dot(self.face_normal);
-        if above < 0.0 { direction - self.face_normal * (2.0 * above) } else { direction }
+        self.directions().at(point).0
+    }
+
+    /// Directions of density K/π.
+    pub fn directions(&self) -> Directions {
+        let Self { normal, face_normal, .. } = *self;
+        let (tangent, bitangent) = tangent_frame(normal);
+        Directions { tangent, bitangent, normal, face_normal }
     }
 
     /// Start of rays from here.
@@ -61,6 +64,24 @@ impl Site {
         let bits = |v: Vec3| v.to_array().map(|axis| u64::from(axis.to_bits()));
         let ([px, py, pz], [nx, ny, nz]) = (bits(self.position_m), bits(self.normal));
         [px, py, pz, nx, ny, nz]
+    }
+}
+
+/// Cosine-distributed directions about a shading normal, all above the face, see [`Site::directions`].
+pub struct Directions {
+    tangent: Vec3,
+    bitangent: Vec3,
+    normal: Vec3,
+    face_normal: Vec3,
+}
+
+impl Directions {
+    /// The direction of a point of the unit square, and whether it lay below the face and was mirrored above it.
+    pub fn at(&self, point: [f32; 2]) -> (Vec3, bool) {
+        let local = cosine_hemisphere(point);
+        let direction = self.tangent * local.x + self.bitangent * local.y + self.normal * local.z;
+        let above = direction.dot(self.face_normal);
+        if above < 0.0 { (direction - self.face_normal * (2.0 * above), true) } else { (direction, false) }
     }
 }
 

@@ -133,7 +133,7 @@ struct BakeParams<S> {
     settings: S,
     /// Scene bundle, named in the manifest.
     scene: Digest,
-    /// Versions of the task kinds that a plan plans: part of its identity alone.
+    /// Versions of the task kinds that a plan plans: nobody reads them, they are part of its key.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     plans: BTreeMap<String, u32>,
 }

@@ -40,6 +40,34 @@ fn bakes_of_two_kinds_of_one_scene_share_the_tasks_over_it() {
 }
 
 #[test]
+fn plans_name_all_that_they_plan_in_their_keys() {
+    let (progress, runner) = (Progress::new(), Runner::new(&BakeKinds::new()));
+    for kind in Kinds::new().iter() {
+        let mut run = LocalRun::new(1 << 30, &progress);
+        let scene = run.shelf.put(FURNACE.to_vec());
+        let settings = json!({ "preset": "draft", "receivers_target": 2000, "transport_rays": 16 });
+        let first = kind.first_tasks(scene, &settings).unwrap();
+        let plan = first.last().unwrap().clone();
+        let known: BTreeSet<String> = first.iter().map(|task| task.kind.clone()).collect();
+        let mut planned = BTreeSet::new();
+        run.run(
+            &runner,
+            first,
+            |_| true,
+            |task| {
+                if !known.contains(&task.kind) {
+                    planned.insert(task.kind.clone());
+                }
+            },
+        )
+        .unwrap();
+        assert!(!planned.is_empty());
+        let named = plan.params["plans"].as_object().unwrap();
+        assert_eq!(named.keys().collect::<BTreeSet<_>>(), planned.iter().collect(), "{}", kind.name());
+    }
+}
+
+#[test]
 fn bakes_that_differ_by_the_name_of_the_preset_share_the_transport() {
     let (progress, runner) = (Progress::new(), Runner::new(&BakeKinds::new()));
     for kind in Kinds::new().iter() {

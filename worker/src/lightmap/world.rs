@@ -44,8 +44,10 @@ pub struct World {
     texels: TexelTable,
     /// Points of receivers, raised, see [`World::raised_receiver`].
     raised_m: Vec<Vec3>,
-    /// Receivers in whose texels no wall can stand, see [`World::is_clear`].
-    is_clear: Vec<bool>,
+    /// Receivers whose light others take, each with one that takes it and has points of its own; ascending.
+    sharers: Vec<[u32; 2]>,
+    /// Of each receiver whether hits on its texel ask for no wall, see [`World::is_whole_about`]. Found when first asked for.
+    is_clear: OnceLock<Vec<bool>>,
     /// Triangles of each receiver's texel, found when they are first asked for.
     texel_triangles: OnceLock<TexelTriangles>,
 }
@@ -63,22 +65,17 @@ impl World {
             .par_iter()
             .map(|receiver| geometry.raised(receiver.position_m, receiver.face_normal, height_m))
             .collect();
-        let mut world = Self {
-            geometry,
-            lightmap,
-            texels,
-            raised_m,
-            is_clear: Vec::new(),
-            texel_triangles: OnceLock::new(),
-        };
-        let receivers = 0..world.lightmap.receivers.len() as u32;
-        world.is_clear = receivers.into_par_iter().map(|receiver| world.is_clear(receiver)).collect();
-        world
+        let with_points = |&[lender, own]: &[u32; 2]| lender != own && receivers[own as usize].coverage != 0;
+        let mut sharers: Vec<[u32; 2]> =
+            receivers.iter().zip(0..).map(|(own, index)| [own.light_of, index]).filter(with_points).collect();
+        sharers.sort_unstable();
+        let (is_clear, texel_triangles) = (OnceLock::new(), OnceLock::new());
+        Self { geometry, lightmap, texels, raised_m, sharers, is_clear, texel_triangles }
     }
 
-    /// A receiver's texel is whole, as are its eight neighbours, and all are linked to it: between the points that tell
-    /// so, no wall can reach in that is not met in a neighbour.
-    fn is_clear(&self, receiver: u32) -> bool {
+    /// A receiver's texel is whole, as are its eight neighbours, and all are linked to it: a wall that reaches between the
+    /// points that tell so is met in a neighbour, unless it stands free and is narrower than they are apart.
+    fn is_whole_about(&self, receiver: u32) -> bool {
         let Receiver { block, texel, coverage, links, .. } = self.lightmap.receivers[receiver as usize];
         let [x, y] = texel.map(i32::from);
         coverage == WHOLE
@@ -159,7 +156,10 @@ impl World {
     /// texel that a wall cuts in two stands for its centre's side only. Where no wall can be, none is looked for.
     pub fn linked_surface_at(&self, hit: &Hit, point_m: Vec3) -> Surface {
         let Surface::Receiver(own) = self.surface_at(hit) else { return Surface::Dark };
-        if self.is_clear[own as usize] {
+        let all = || (0..self.lightmap.receivers.len() as u32).into_par_iter();
+        let is_clear =
+            self.is_clear.get_or_init(|| all().map(|receiver| self.is_whole_about(receiver)).collect());
+        if is_clear[own as usize] {
             return Surface::Receiver(own);
         }
         let from_m = self.geometry.raised(point_m, self.geometry.side_normal(hit), self.link_height_m());
@@ -205,12 +205,27 @@ impl World {
         })
     }
 
-    /// The points whose mean light a receiver's texel has: those of its coverage, or its own where there are none.
+    /// The points whose mean direct light a receiver's texel has: those of its coverage, or its own where there are none.
     pub fn lit_points_of(&self, receiver: u32) -> Vec<Site> {
-        let own = &self.lightmap.receivers[receiver as usize];
-        let covered = |(bit, site): (u32, Site)| (own.coverage >> bit & 1 == 1).then_some(site);
-        let points: Vec<Site> = self.points_of(receiver).filter_map(covered).collect();
-        if points.is_empty() { vec![own.site()] } else { points }
+        let points: Vec<Site> = self.covered_points_of(receiver).collect();
+        if points.is_empty() { vec![self.lightmap.receivers[receiver as usize].site()] } else { points }
+    }
+
+    /// The points whose mean indirect light a receiver has: those of the coverage of all that share its square, or its own
+    /// where there are none.
+    pub fn gathering_points_of(&self, receiver: u32) -> Vec<Site> {
+        let lender = self.lightmap.receivers[receiver as usize].light_of;
+        let first = self.sharers.partition_point(|[other, _]| *other < lender);
+        let sharers = self.sharers[first..].iter().take_while(|[other, _]| *other == lender);
+        let all = std::iter::once(lender).chain(sharers.map(|[_, sharer]| *sharer));
+        let points: Vec<Site> = all.flat_map(|sharer| self.covered_points_of(sharer)).collect();
+        if points.is_empty() { vec![self.lightmap.receivers[lender as usize].site()] } else { points }
+    }
+
+    fn covered_points_of(&self, receiver: u32) -> impl Iterator<Item = Site> + '_ {
+        let coverage = self.lightmap.receivers[receiver as usize].coverage;
+        let is_covered = move |(bit, _): &(u32, Site)| coverage >> bit & 1 == 1;
+        self.points_of(receiver).filter(is_covered).map(|(_, site)| site)
     }
 
     /// Point of a receiver, raised as [`Geometry::raised`] does by [`World::link_height_m`].

@@ -8,7 +8,7 @@ use crate::emitters::{EmitterIrradianceSum, EmitterSet};
 use crate::geometry::{Geometry, Site};
 use crate::lightmap::World;
 use crate::rays::Hit;
-use crate::rays::sampling::{R2, cosine_hemisphere, tangent_frame};
+use crate::rays::sampling::R2;
 
 /// A receiver's hemisphere: a cosine-weighted mean over those of its texel's points.
 pub struct Hemisphere<'a> {
@@ -45,10 +45,10 @@ impl<'a> Hemisphere<'a> {
     /// The hemisphere of a receiver, or of the one whose light it takes. Its random numbers come from block and texel alone.
     pub fn new(world: &'a World, emitters: &'a EmitterSet, receiver: u32, rays: u32) -> Self {
         let geometry = world.geometry.as_ref();
-        let receiver = world.lightmap.receivers[receiver as usize].light_of;
-        let own = &world.lightmap.receivers[receiver as usize];
+        let lender = world.lightmap.receivers[receiver as usize].light_of;
+        let own = &world.lightmap.receivers[lender as usize];
         let (site, seed) = (own.site(), world.lightmap.seed_of(own, 3));
-        Self { geometry, emitters, site, texel: world.lit_points_of(receiver), seed, rays }
+        Self { geometry, emitters, site, texel: world.gathering_points_of(receiver), seed, rays }
     }
 
     /// Start of rays from the receiver's own point, in metres.
@@ -65,9 +65,9 @@ impl<'a> Hemisphere<'a> {
         let points = R2::new(self.seed);
         let (mut path_m, mut hits) = (0.0, 0);
         for (index, site) in self.texel.iter().enumerate() {
-            let (origin_m, sky) = (site.ray_origin_m(offset_m), Sky::over(site));
+            let (origin_m, directions) = (site.ray_origin_m(offset_m), site.directions());
             for ray in self.rays_of(index) {
-                let (direction, is_mirrored) = sky.direction(points.point(ray));
+                let (direction, is_mirrored) = directions.at(points.point(ray));
                 let hit = self.geometry.tracer.closest(origin_m, direction, f32::INFINITY);
                 if let Some(hit) = &hit {
                     (path_m, hits) = (path_m + hit.t, hits + 1);
@@ -90,26 +90,28 @@ impl<'a> Hemisphere<'a> {
     }
 }
 
-/// Directions above a point of a surface.
-struct Sky {
-    tangent: Vec3,
-    bitangent: Vec3,
-    normal: Vec3,
-    face_normal: Vec3,
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::model::Scene;
 
-impl Sky {
-    fn over(site: &Site) -> Self {
-        let Site { normal, face_normal, .. } = *site;
-        let (tangent, bitangent) = tangent_frame(normal);
-        Self { tangent, bitangent, normal, face_normal }
-    }
-
-    /// A cosine-distributed direction; where the shading normal leans, those below the face are mirrored above it.
-    fn direction(&self, point: [f32; 2]) -> (Vec3, bool) {
-        let local = cosine_hemisphere(point);
-        let direction = self.tangent * local.x + self.bitangent * local.y + self.normal * local.z;
-        let above = direction.dot(self.face_normal);
-        if above < 0.0 { (direction - self.face_normal * (2.0 * above), true) } else { (direction, false) }
+    #[test]
+    fn rays_of_a_point_are_spread_about_its_own_normal() {
+        let geometry = Geometry::new(Scene::default()).unwrap();
+        let normals = [Vec3::X, Vec3::Y, Vec3::new(0.6, 0.0, 0.8)];
+        let texel = normals.map(|normal| Site { position_m: normal, normal, face_normal: normal }).to_vec();
+        let (site, emitters) =
+            (Site { normal: Vec3::Z, face_normal: Vec3::Z, ..texel[0] }, EmitterSet::default());
+        let hemisphere =
+            Hemisphere { geometry: &geometry, emitters: &emitters, site, texel, seed: 5, rays: 3 * 4096 };
+        let mut sums = [Vec3::ZERO; 3];
+        hemisphere.cast(0, |ray, _| {
+            let point = normals.iter().position(|normal| ray.origin_m.distance(*normal) < 0.1).unwrap();
+            sums[point] += ray.direction / 4096.0;
+        });
+        // The mean of cosine-distributed directions is 2/3 n.
+        for (sum, normal) in sums.into_iter().zip(normals) {
+            assert!(sum.distance(normal * (2.0 / 3.0)) < 3e-3, "{sum} about {normal}");
+        }
     }
 }

@@ -8,7 +8,7 @@ use crate::kinds::{SceneTasks, TaskKind};
 /// Receivers and patches → cluster cells, the chunk of patches, and the plan of the rest.
 pub const PLAN: TaskKind = TaskKind { name: "prt.plan", version: 3 };
 /// A cluster cell → its factorised transport.
-pub const TRANSPORT: TaskKind = TaskKind { name: "prt.transport", version: 20 };
+pub const TRANSPORT: TaskKind = TaskKind { name: "prt.transport", version: 21 };
 /// Everything → manifest and report.
 pub const ASSEMBLE: TaskKind = TaskKind { name: "prt.assemble", version: 2 };
 

@@ -8,9 +8,9 @@ use crate::kinds::{SceneTasks, TaskKind};
 /// Receivers → probes, cluster cells, and the plan of the rest.
 pub const PLAN: TaskKind = TaskKind { name: "sh.plan", version: 1 };
 /// A batch of probes → their relight rays' hits.
-pub const RELIGHT: TaskKind = TaskKind { name: "sh.relight", version: 3 };
+pub const RELIGHT: TaskKind = TaskKind { name: "sh.relight", version: 4 };
 /// A cluster cell → its factorised transport.
-pub const TRANSPORT: TaskKind = TaskKind { name: "sh.transport", version: 7 };
+pub const TRANSPORT: TaskKind = TaskKind { name: "sh.transport", version: 8 };
 /// Everything → manifest and report.
 pub const ASSEMBLE: TaskKind = TaskKind { name: "sh.assemble", version: 1 };
 

@@ -11,6 +11,8 @@ use crate::rays::sampling::{R2, seed_of, tangent_frame, uniform_sphere};
 
 /// Test rays per receiver.
 pub const TEST_RAYS: u32 = 32;
+/// Most texels that a ray counts in [`Look::reach`].
+const REACH_MAX: f32 = 16.0;
 /// Farthest shift in texels. We differ: the source shifts any distance, which moves texels deep inside a solid to
 /// places that they have nothing to do with; such texels are never seen and are left out.
 const SHIFT_MAX_TEXELS: f32 = 1.5;
@@ -41,15 +43,22 @@ pub struct Candidate {
 }
 
 /// Surroundings of a point by its test rays.
+#[derive(Clone, Copy, Debug, Default)]
 pub struct Look {
-    openness: f32,
+    /// As [`Candidate::openness`].
+    pub openness: f32,
     /// As [`Candidate::outlook`].
     pub outlook: f32,
-    back_share: f32,
-    /// Share of the rays that leave the scene, each by its cosine; 0 to 1.
+    /// As [`Candidate::outlook`], each ray counted up to 16 texels.
+    pub reach: f32,
+    /// As [`Candidate::outlook`], of the rays that meet something: an opening does not make a hollow endless. 0 without any.
+    pub room: f32,
+    /// As [`Candidate::back_share`].
+    pub back_share: f32,
+    /// Share of the rays that leave the scene, each by its cosine; of all rays together about 1.
     pub sky: f32,
     /// Direction and distance of the nearest back face.
-    nearest: Option<(Vec3, f32)>,
+    pub nearest: Option<(Vec3, f32)>,
 }
 
 impl<'a> Tester<'a> {
@@ -108,8 +117,9 @@ impl<'a> Tester<'a> {
 pub fn look(geometry: &Geometry, texel_m: f32, (start_m, normal): (Vec3, Vec3), seed: u64) -> Look {
     let (tangent, bitangent) = tangent_frame(normal);
     let points = R2::new(seed);
-    let mut found = Look { openness: 0.0, outlook: 0.0, back_share: 0.0, sky: 0.0, nearest: None };
+    let mut found = Look::default();
     let (mut back, mut free, mut path, mut weight) = (0, 0.0, 0.0, 0.0);
+    let mut reach = 0.0;
     for ray in 0..TEST_RAYS {
         let [u, v] = points.point(ray);
         let local = uniform_sphere(u * 0.5, v);
@@ -117,9 +127,10 @@ pub fn look(geometry: &Geometry, texel_m: f32, (start_m, normal): (Vec3, Vec3), 
         let Some(hit) = geometry.tracer.closest(start_m, direction, f32::INFINITY) else {
             found.sky += 2.0 * local.z;
             free += 2.0 * local.z;
-            path = f32::INFINITY;
+            reach += REACH_MAX * local.z;
             continue;
         };
+        reach += (hit.t / texel_m).min(REACH_MAX) * local.z;
         path += hit.t / texel_m * local.z;
         weight += local.z;
         free += (hit.t / texel_m).min(1.0) * 2.0 * local.z;
@@ -132,8 +143,10 @@ pub fn look(geometry: &Geometry, texel_m: f32, (start_m, normal): (Vec3, Vec3), 
         }
     }
     found.openness = free / TEST_RAYS as f32;
+    found.reach = 2.0 * reach / TEST_RAYS as f32;
     found.sky /= TEST_RAYS as f32;
-    found.outlook = if path.is_finite() { path / weight.max(f32::MIN_POSITIVE) } else { f32::INFINITY };
+    found.room = path / weight.max(f32::MIN_POSITIVE);
+    found.outlook = if found.sky > 0.0 { f32::INFINITY } else { found.room };
     found.back_share = back as f32 / TEST_RAYS as f32;
     found
 }

@@ -26,8 +26,9 @@ use crate::task::Progress;
 const FINE_SIDE: u32 = 12;
 /// Halvings of the distance between two of its points that tell where a wall stands.
 const BISECTIONS: u32 = 5;
-/// Mean free path, in texels, below which a place may be in a hollow: no room is as small.
-const HOLLOW_MAX: f32 = 8.0;
+/// Mean free path, in texels, below which a place counts as in a hollow. So does one in a room of a few texels: light of the
+/// open may show in the sliver at its walls' feet.
+const HOLLOW_REACH: f32 = 8.0;
 /// Share of the sky that a place in the open sees, at least.
 const OPEN_SKY_MIN: f32 = 1.0 / 3.0;
 /// Points of the coverage that are asked whether they see a place.
@@ -226,10 +227,10 @@ impl Found {
 /// Whether one side of a wall has a better claim than the other to the sliver that an edge gets wrong: a room than a hollow
 /// beside it, as one looks into rooms; and a room than the open, whose light would show in it.
 fn has_better_claim(one: &Look, other: &Look) -> bool {
-    if other.outlook < HOLLOW_MAX {
-        one.outlook > FARTHER * other.outlook
+    if other.reach < HOLLOW_REACH {
+        one.reach > FARTHER * other.reach
     } else {
-        one.outlook >= HOLLOW_MAX && other.sky > OPEN_SKY_MIN && FARTHER * one.sky < other.sky
+        one.room >= HOLLOW_REACH && other.sky > OPEN_SKY_MIN && FARTHER * one.sky < other.sky
     }
 }
 
@@ -280,6 +281,30 @@ fn beside(at: usize, side: usize) -> impl Iterator<Item = usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn rooms_have_a_better_claim_than_hollows_and_the_open_and_hollows_none() {
+        let look = |reach: f32, room: f32, sky: f32| Look { reach, room, sky, ..Look::default() };
+        let (hollow, crate_) = (look(2.0, 2.0, 0.0), look(7.0, 3.0, 0.24));
+        let (room, hall) = (look(9.0, 9.0, 0.05), look(15.0, 30.0, 0.3));
+        // At the foot of a wall, all that is met is near.
+        let open = look(12.0, 0.3, 0.6);
+        for (one, other, is_better) in [
+            (room, hollow, true),
+            (open, hollow, true),
+            (room, open, true),
+            (hall, open, true),
+            (room, hall, false),
+            (open, crate_, true),
+            (room, crate_, false),
+            (hollow, open, false),
+        ] {
+            assert_eq!(has_better_claim(&one, &other), is_better, "{one:?} {other:?}");
+            assert!(!(is_better && has_better_claim(&other, &one)), "{one:?} {other:?}");
+        }
+        let all = [hollow, crate_, room, hall, open];
+        assert!(all.iter().all(|one| !has_better_claim(one, one) && !has_better_claim(&crate_, &open)));
+    }
 
     #[test]
     fn points_beside_a_point_are_its_neighbours_in_the_texel() {

@@ -1,8 +1,8 @@
 //! Step "share": coplanar neighbours share the lattice's squares, whatever mesh, chart or material they belong to.
 //!
-//! Charts lie on one lattice, so texels of two charts may be the same square of one plane. Each would gather light at a
-//! point of its own, and pictures, which interpolate inside a block alone, would show a step at the border of the two.
-//! - Where several charts have receivers in a square, one of them lends its point and its light to the others.
+//! Charts lie on one lattice, so texels of two charts may be the same square of one plane. Each would gather light at
+//! points of its own, and pictures, which interpolate inside a block alone, would show a step at the border of the two.
+//! - Where several charts have receivers in a square, one of them lends its light to the others, gathered from the points of all.
 //! - Where a chart's surface is interpolated with a square in which it has no receiver and a neighbour has one, it gets a
 //!   *guest* there: a receiver without surface, with the neighbour's light.
 //! - Where the neighbour has another lattice, as a bent chart has, the guest gathers light of its own at the square's middle.
