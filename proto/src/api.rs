@@ -431,12 +431,13 @@ pub struct Enrolled {
 }
 
 /// Who is to blame for a failed attempt.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Blame {
     /// The task itself (bad input): no other worker would do better, the bake fails.
     Task,
     /// This worker (out of memory, disk full, network): another may do better.
+    #[default]
     Worker,
 }
 

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::api::{Bake, BakeState};
+use crate::api::{Bake, BakeState, Blame};
 use crate::ids::Digest;
 
 /// Something that happened to a bake. `seq` has no gaps within a bake.
@@ -75,6 +75,9 @@ pub enum EventKind {
         message: String,
         /// It will be tried again.
         retry: bool,
+        /// Who is to blame. `task`: what the bake was given cannot be baked by anyone.
+        #[serde(default)]
+        blame: Blame,
         /// See `task_started`.
         #[serde(default)]
         attempt: u32,

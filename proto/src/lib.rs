@@ -11,6 +11,7 @@ pub mod ids;
 pub mod jobs;
 pub mod kinds;
 pub mod manifest;
+pub mod nearest;
 pub mod problem;
 pub mod relight;
 pub mod scene;

@@ -69,28 +69,6 @@ impl ApiClient {
         }
         let scene = Digest::of(bundle);
         let _span = tracing::info_span!(target: TARGET, "upload scene", %scene, bytes).entered();
-        let path = format!("/v1/scenes/{scene}");
-        if self.is_stored(&path)? {
-            return Ok(SceneStored { scene, bytes });
-        }
-        if bundle.len() > SCENE_PART_BYTES {
-            self.upload_in_parts(scene, bundle)?;
-            return Ok(SceneStored { scene, bytes });
-        }
-        Ok(self.http.json(&Call::put(path, bundle))?)
-    }
-
-    /// Whether the server has bytes at `path`.
-    fn is_stored(&self, path: &str) -> Result<bool> {
-        match self.http.call(&Call::head(path), |_| Ok(())) {
-            Ok(()) => Ok(true),
-            Err(error) if error.status() == Some(404) => Ok(false),
-            Err(error) => Err(error.into()),
-        }
-    }
-
-    /// Uploads the parts that the server has not, be they left over from an upload that was cut, or of another scene.
-    fn upload_in_parts(&self, scene: Digest, bundle: &[u8]) -> Result<()> {
         let pieces: Vec<&[u8]> = bundle.chunks(SCENE_PART_BYTES).collect();
         let part = |piece: &&[u8]| ScenePart { digest: Digest::of(piece), bytes: piece.len() as u64 };
         let parts: Vec<ScenePart> = pieces.par_iter().map(part).collect();
@@ -99,7 +77,10 @@ impl ApiClient {
         for _ in 0..UPLOAD_ROUNDS_MAX {
             let progress: SceneProgress = self.http.json(&together)?;
             if progress.is_stored {
-                return Ok(());
+                return Ok(SceneStored { scene, bytes });
+            }
+            if pieces.len() <= 1 {
+                return Ok(self.http.json(&Call::put(format!("/v1/scenes/{scene}"), bundle))?);
             }
             tracing::info!(missing = progress.missing.len(), parts = parts.len(), "uploading a scene");
             for (part, piece) in parts.iter().zip(&pieces) {

@@ -238,16 +238,17 @@ fn patience_ends() {
 fn scene_that_the_server_has_is_not_uploaded() {
     let scene = Digest::of(b"bundle");
     let stored = format!(r#"{{"scene":"{scene}","bytes":6}}"#);
+    let missing = format!(r#"{{"is_stored":false,"missing":["{scene}"]}}"#);
     let server = Scripted::start(vec![
-        answer(200, "text/plain", b""),
-        answer(404, "text/plain", b""),
+        answer(200, "application/json", br#"{"is_stored":true,"missing":[]}"#),
+        answer(200, "application/json", missing.as_bytes()),
         answer(201, "application/json", stored.as_bytes()),
     ]);
     let client = server.client();
     assert_eq!(client.upload_scene(b"bundle").unwrap().scene, scene);
     assert_eq!(client.upload_scene(b"bundle").unwrap().bytes, 6);
     let methods: Vec<String> = server.asked().iter().map(|line| line[..4].trim().to_owned()).collect();
-    assert_eq!(methods, ["HEAD", "HEAD", "PUT"]);
+    assert_eq!(methods, ["POST", "POST", "PUT"]);
     assert_eq!(server.asked.lock().unwrap()[2].1, b"bundle");
 }
 

@@ -13,6 +13,7 @@ use lightkiln_proto::kinds::Kinds;
 use lightkiln_proto::manifest::Manifest;
 use serde_json::Value;
 
+use crate::console::say;
 use crate::failure::{Exit, Failure, Result};
 use crate::summary::{Summary, warnings, write_report};
 
@@ -49,7 +50,7 @@ pub fn write_bundle(
     let (_, manifest) = source.manifest()?;
     let report = report_of(client, &bake.id)?;
     for warning in warnings(&report) {
-        eprintln!("warning: {warning}");
+        say!("warning: {warning}");
     }
     let downloaded = download_bundle(&source, out)?;
     remove_left_over(out, &manifest)?;

@@ -9,6 +9,7 @@ use lightkiln_http::{CallError, FOREVER, Level, retry};
 use lightkiln_server::access::NewBearer;
 use lightkiln_worker::runtime::{WorkerConfig, enrol};
 
+use crate::console::say;
 use crate::failure::{Exit, Failure, Result};
 use crate::interrupt::Interrupt;
 
@@ -32,7 +33,7 @@ pub fn token_of_worker(
         None => make(file)?,
     };
     match exchange(config, code, &token, interrupt) {
-        Ok(name) => eprintln!("enrolled as {name}; the token is kept in {}", file.display()),
+        Ok(name) => say!("enrolled as {name}; the token is kept in {}", file.display()),
         // The code was used up when the token was made, long ago perhaps.
         Err(error) if error.is_about_tokens() && !is_new => {
             tracing::info!(%error, "the code is not taken any more; going on with the token that is kept");

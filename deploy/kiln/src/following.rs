@@ -4,8 +4,7 @@ use std::time::Duration;
 
 use lightkiln_client::fetch::ApiClient;
 use lightkiln_http::RetryPolicy;
-use lightkiln_proto::api::{Bake, BakeState, EventKind};
-use lightkiln_proto::kinds::SceneTask;
+use lightkiln_proto::api::{Bake, BakeState, Blame, EventKind};
 
 use crate::failure::{Exit, Failure, Result};
 use crate::interrupt::Interrupt;
@@ -24,6 +23,8 @@ pub struct Ended {
     /// As it stands for ever.
     pub bake: Bake,
     failed_kind: Option<String>,
+    /// It failed by what it was given.
+    is_input: bool,
 }
 
 /// Waits until the bake is done. `check` is asked between polls whether waiting still makes sense.
@@ -50,7 +51,7 @@ pub fn wait_for_end(
     let client = client.clone().with_retry(PATIENCE);
     let mut view = ProgressView::new();
     let mut seen = 0;
-    let mut failed_kind = None;
+    let (mut failed_kind, mut is_input) = (None, false);
     loop {
         if interrupt.is_raised() {
             return Err(Failure::new(Exit::Interrupted, "interrupted"));
@@ -60,12 +61,12 @@ pub fn wait_for_end(
         view.update(&page.bake, &page.events);
         for event in &page.events {
             seen = event.seq;
-            if let EventKind::TaskFailed { kind, retry: false, .. } = &event.event {
-                failed_kind = Some(kind.clone());
+            if let EventKind::TaskFailed { kind, blame, retry: false, .. } = &event.event {
+                (failed_kind, is_input) = (Some(kind.clone()), *blame == Blame::Task);
             }
         }
         if page.bake.state.is_final() && page.events.is_empty() {
-            return Ok(Ended { bake: page.bake, failed_kind });
+            return Ok(Ended { bake: page.bake, failed_kind, is_input });
         }
     }
 }
@@ -73,7 +74,7 @@ pub fn wait_for_end(
 impl Ended {
     /// A bake that nobody waits for.
     pub fn not_yet(bake: Bake) -> Self {
-        Self { bake, failed_kind: None }
+        Self { bake, failed_kind: None, is_input: false }
     }
 
     /// An error unless the bake is done.
@@ -87,9 +88,7 @@ impl Ended {
             }
             BakeState::Failed => {
                 let why = bake.failure.as_deref().unwrap_or("no reason was given");
-                // Import reads nothing but the scene's own files: when it fails, they are wrong.
-                let is_import = self.failed_kind.as_deref() == Some(SceneTask::Import.name());
-                let exit = if is_import { Exit::BadInput } else { Exit::Failed };
+                let exit = if self.is_input { Exit::BadInput } else { Exit::Failed };
                 Err(Failure::new(exit, format!("bake {} failed: {why}", bake.id)))
             }
         }

@@ -9,6 +9,7 @@ use quick_junit::{NonSuccessKind, Report, TestCase, TestCaseStatus, TestSuite};
 
 use crate::failure::{Exit, Failure, Result};
 use crate::following::Ended;
+use crate::outputs;
 use crate::summary::stage_name;
 
 /// The report of a bake of `scene`, or of why there is none.
@@ -37,6 +38,12 @@ pub fn report(scene: &str, ended: &Result<Ended>, elapsed: Duration) -> String {
     report.add_test_suite(suite);
     // Writing to memory cannot fail.
     report.to_string().unwrap_or_default()
+}
+
+/// Refuses a place where the report could not be written.
+pub fn check(path: &Path) -> Result<()> {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    folder.map_or(Ok(()), outputs::check_folder)
 }
 
 /// Writes the report, making its folder if need be.

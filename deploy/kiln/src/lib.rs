@@ -6,6 +6,7 @@ mod arguments;
 mod bundle;
 mod command_line;
 mod commands;
+mod console;
 mod embedded;
 mod enrolment;
 mod evaluation;
@@ -16,6 +17,7 @@ mod interrupt;
 mod junit;
 pub mod kinds;
 mod logging;
+mod outputs;
 mod picture;
 mod progress;
 mod settings;
@@ -40,13 +42,13 @@ pub fn run(kinds: &KindTables) -> ExitCode {
     let role = matches.subcommand_name().unwrap_or_default();
     let command = CommandLine::from_arg_matches(&matches).unwrap_or_else(|error| error.exit()).command;
     // Ends, and exports what is left, when the command has.
-    let _telemetry = logging::start(role);
+    let _telemetry = logging::start(role, command.stays());
     // A server and a worker live for months: what they do belongs to the traces of those who ask for it.
     let span = if command.stays() { Span::none() } else { telemetry::command_span(role) };
     match span.in_scope(|| command.run(kinds)) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
-            eprint!("{failure}");
+            eprint!("{}", console::printable(&failure.to_string()));
             failure.exit().into()
         }
     }

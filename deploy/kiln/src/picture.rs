@@ -9,6 +9,7 @@ use lightkiln_client::lights::{ParsedLights, parse_camera, parse_lights};
 use lightkiln_client::picture::{Exposure, Picture, Tone};
 use lightkiln_client::preview::{Backend, View, debug_picture, render};
 
+use crate::console::say;
 use crate::failure::Result;
 use crate::switched_off::SwitchedOff;
 
@@ -37,6 +38,7 @@ pub struct PictureArguments {
         long,
         value_name = "STOPS",
         default_value_t = 0.0,
+        value_parser = parse_stops,
         allow_negative_numbers = true,
         help_heading = "Picture"
     )]
@@ -97,17 +99,17 @@ impl PictureArguments {
         view.tone = self.tone.into();
         view.exposure = Exposure::Auto { stops: self.exposure };
         for note in notes {
-            eprintln!("note: {note}");
+            say!("note: {note}");
         }
         let picture = self.picture_of(&bake, &view)?;
         if !picture.converged {
-            eprintln!(
+            say!(
                 "warning: after {} bounces the light had not converged; the picture is not yet as bright as it would be",
                 picture.bounces
             );
         }
         picture.write_png(png)?;
-        eprintln!("drawn by {}", picture.drawn_by);
+        say!("drawn by {}", picture.drawn_by);
         Ok(())
     }
 
@@ -139,6 +141,14 @@ impl From<BackendName> for Backend {
     }
 }
 
+/// Stops of exposure, −32..=32: a factor of 4·10⁹ either way.
+fn parse_stops(text: &str) -> std::result::Result<f32, String> {
+    match text.parse() {
+        Ok(stops @ -32.0..=32.0) => Ok(stops),
+        _ => Err("write a number of stops in -32..=32, e.g. -1.5".to_owned()),
+    }
+}
+
 /// A size as `WIDTHxHEIGHT`, each 1..=16384 pixels.
 pub fn parse_size(text: &str) -> std::result::Result<(u32, u32), String> {
     let wrong = || "write width x height in pixels, e.g. 1280x720".to_owned();
@@ -153,6 +163,14 @@ pub fn parse_size(text: &str) -> std::result::Result<(u32, u32), String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn exposure_is_a_finite_number_of_stops() {
+        assert_eq!(parse_stops("-1.5"), Ok(-1.5));
+        for wrong in ["inf", "nan", "-33", "bright", ""] {
+            assert!(parse_stops(wrong).is_err(), "{wrong}");
+        }
+    }
 
     #[test]
     fn size_is_width_by_height_within_bounds() {

@@ -1,5 +1,6 @@
 //! `--no-emitters`, `--no-sky`: light of the scene that pictures and evaluations leave out.
 
+use crate::console::say;
 use clap::Args;
 use lightkiln_proto::scene::{LightKind, SceneLight};
 use lightkiln_worker::evaluate::TestLight;
@@ -36,7 +37,7 @@ impl SwitchedOff {
             let dark =
                 lighting.emitter_scale <= 0.0 && lighting.lights.is_empty() && lighting.panels.is_empty();
             if dark {
-                eprintln!("note: light '{}' is switched off", light.name);
+                say!("note: light '{}' is switched off", light.name);
             }
             (!dark).then_some(light)
         };

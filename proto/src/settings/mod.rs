@@ -31,12 +31,14 @@ pub enum SettingsError {
         found: &'static str,
     },
     /// A key that the kind of bake does not have.
-    #[error("there is no setting '{name:.40}' in a bake of kind '{kind}'; it has {known}")]
+    #[error("there is no setting '{name:.40}' in a bake of kind '{kind}'{hint}; it has {known}")]
     Unknown {
         /// Key given.
         name: String,
         /// Kind of bake.
         kind: &'static str,
+        /// The name that was meant, in words; empty if none is like it.
+        hint: String,
         /// Names that it has.
         known: String,
     },

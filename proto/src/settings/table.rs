@@ -3,6 +3,7 @@
 use serde_json::Value;
 
 use super::{Map, Preset, SettingRow, SettingsError};
+use crate::nearest::nearest;
 
 /// Makes a group of settings: a struct, its rows, its checks. A field is `name: type = [draft, medium, high], check, "range"`.
 #[macro_export]
@@ -169,8 +170,15 @@ pub fn check_keys(json: &Value, kind: &'static str, rows: &[SettingRow]) -> Resu
             return match given.keys().find(|key| rows.iter().all(|row| row.name != key.as_str())) {
                 None => Ok(given.clone()),
                 Some(name) => {
-                    let known = rows.iter().map(|row| row.name).collect::<Vec<_>>().join(", ");
-                    Err(SettingsError::Unknown { name: name.clone(), kind, known })
+                    let names: Vec<&str> = rows.iter().map(|row| row.name).collect();
+                    Err(SettingsError::Unknown {
+                        hint: nearest(name, names.iter().copied())
+                            .map(|hint| format!(" (do you mean '{hint}'?)"))
+                            .unwrap_or_default(),
+                        name: name.clone(),
+                        kind,
+                        known: names.join(", "),
+                    })
                 }
             };
         }

@@ -374,11 +374,11 @@ impl Farm {
             Blame::Task => {
                 let TaskSpec { label, kind, .. } = &self.tasks[&lease.key].spec;
                 let failure = rules::task_fault_message(label, kind, &lease.worker, &message);
-                self.give_up(&lease, &message, &failure, now_ms);
+                self.give_up(&lease, (blame, &message), &failure, now_ms);
                 FailVerdict::GivenUp
             }
             Blame::Worker if lease.input_lost => {
-                self.task_failed(&lease, &message, Some(0), now_ms);
+                self.task_failed(&lease, (blame, &message), Some(0), now_ms);
                 FailVerdict::Retry
             }
             Blame::Worker => {
@@ -389,7 +389,7 @@ impl Farm {
                 if let Some(task) = self.tasks.get_mut(&lease.key) {
                     task.not_before_ms = now_ms + wait_ms;
                 }
-                self.task_failed(&lease, &message, Some(wait_ms), now_ms);
+                self.task_failed(&lease, (blame, &message), Some(wait_ms), now_ms);
                 FailVerdict::Retry
             }
         }
@@ -406,18 +406,24 @@ impl Farm {
         }
         let TaskSpec { label, kind, .. } = &task.spec;
         let failure = rules::given_up_message(label, kind, attempts, workers, message);
-        self.give_up(lease, message, &failure, now_ms);
+        self.give_up(lease, (Blame::Worker, message), &failure, now_ms);
         None
     }
 
-    fn give_up(&mut self, lease: &LeaseEntry, message: &str, failure: &str, now_ms: i64) {
-        self.task_failed(lease, message, None, now_ms);
+    fn give_up(&mut self, lease: &LeaseEntry, why: (Blame, &str), failure: &str, now_ms: i64) {
+        self.task_failed(lease, why, None, now_ms);
         for bake in self.live_bakes_of(lease.key) {
             self.close(bake, BakeState::Failed, Some(failure.to_owned()), now_ms);
         }
     }
 
-    fn task_failed(&mut self, lease: &LeaseEntry, message: &str, wait_ms: Option<i64>, now_ms: i64) {
+    fn task_failed(
+        &mut self,
+        lease: &LeaseEntry,
+        (blame, message): (Blame, &str),
+        wait_ms: Option<i64>,
+        now_ms: i64,
+    ) {
         let TaskSpec { kind, label, .. } = self.tasks[&lease.key].spec.clone();
         let failed = EventKind::TaskFailed {
             key: lease.key,
@@ -426,6 +432,7 @@ impl Farm {
             worker: lease.worker.clone(),
             message: message.to_owned(),
             retry: wait_ms.is_some(),
+            blame,
             attempt: lease.attempt,
             elapsed_ms: lease.elapsed_ms(now_ms),
             wait_ms: wait_ms.and_then(|wait_ms| u64::try_from(wait_ms).ok()).unwrap_or(0),

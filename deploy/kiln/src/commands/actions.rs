@@ -4,6 +4,7 @@ use clap::Args;
 use lightkiln_client::fetch::ApiClient;
 
 use crate::arguments::ServerArgument;
+use crate::console::say;
 use crate::failure::Result;
 
 /// Arguments of each of them.
@@ -33,7 +34,7 @@ impl Action {
     pub fn run(self, arguments: Arguments) -> Result<()> {
         let Arguments { id, server } = arguments;
         let client = server.connect()?;
-        eprintln!("bake {id} {}", self.take(&client, &id)?);
+        say!("bake {id} {}", self.take(&client, &id)?);
         Ok(())
     }
 

@@ -8,12 +8,14 @@ use lightkiln_client::fetch::{ApiClient, Source};
 
 use crate::arguments::TrustArgument;
 use crate::bundle::{refuse_foreign_folder, write_bundle};
+use crate::console::{printable, say};
 use crate::embedded::{EmbeddedFarm, default_state};
 use crate::evaluation::{EvaluationArguments, check, measure, relative_path, words};
 use crate::failure::{EXIT_CODES, Exit, Failure, Result};
 use crate::following::follow;
 use crate::interrupt::Interrupt;
 use crate::kinds::KindTables;
+use crate::outputs::{check_folder, check_png};
 use crate::picture::PictureArguments;
 use crate::settings::SettingsArguments;
 use crate::submission::PackedScene;
@@ -73,6 +75,8 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     }
     let out = arguments.out.clone().unwrap_or_else(|| default_out(&arguments.scene));
     refuse_foreign_folder(&out)?;
+    check_folder(&out)?;
+    arguments.preview.as_deref().map_or(Ok(()), check_png)?;
     let scene = PackedScene::read(&arguments.scene)?;
     let interrupt = Interrupt::listen()?;
     let farm = Place::open(&arguments, kinds)?;
@@ -86,23 +90,30 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     let source = Source::bundle(&out)?;
     let scene_path = relative_path(&out, &arguments.scene);
     complete_report(&out, scene_path.clone(), &summary)?;
-    if arguments.evaluate {
-        summary.evaluation =
-            Some(measure(kinds, &source, scene, (&arguments.wanted, &arguments.off), &interrupt)?.evaluation);
-        complete_report(&out, scene_path, &summary)?;
-    }
-    if let Some(png) = &arguments.preview {
-        arguments.picture.draw(&kinds.client, &arguments.off, &source, png)?;
-        eprintln!("picture: {}", png.display());
-    }
-    eprint!("{}", summary.words());
-    eprintln!("bundle: {}", out.display());
+    // The bake is done: whatever fails from here on, its place and its figures are told.
+    let look = || -> Result<()> {
+        if arguments.evaluate {
+            let off = &arguments.off;
+            let measured = measure(kinds, &source, scene, (&arguments.wanted, off), &interrupt)?;
+            summary.evaluation = Some(measured.evaluation);
+            complete_report(&out, scene_path, &summary)?;
+        }
+        if let Some(png) = &arguments.preview {
+            arguments.picture.draw(&kinds.client, &arguments.off, &source, png)?;
+            say!("picture: {}", png.display());
+        }
+        Ok(())
+    };
+    let looked_at = look();
+    eprint!("{}", printable(&summary.words()));
+    say!("bundle: {}", out.display());
     if let Some(evaluation) = &summary.evaluation {
-        eprint!("{}", words(evaluation));
+        eprint!("{}", printable(&words(evaluation)));
     }
     if arguments.json {
         println!("{}", serde_json::json!(summary));
     }
+    looked_at?;
     summary.evaluation.map_or(Ok(()), |evaluation| check(&arguments.wanted.fail_if, &evaluation))
 }
 

@@ -3,6 +3,7 @@
 use clap::Args;
 
 use crate::arguments::ServerArgument;
+use crate::console::{answer, say};
 use crate::failure::Result;
 
 /// Arguments of `kiln blocklist`.
@@ -40,10 +41,10 @@ pub fn run(arguments: Arguments) -> Result<()> {
     }
     for entry in &list.workers {
         let state = if entry.is_blocked { "blocked" } else { "allowed" };
-        println!("{:32}  {state}  failed at {} tasks", entry.worker, entry.tasks);
+        answer!("{:32}  {state}  failed at {} tasks", entry.worker, entry.tasks);
     }
     if list.workers.is_empty() {
-        eprintln!("no worker failed at a task of this bake");
+        say!("no worker failed at a task of this bake");
     }
     Ok(())
 }

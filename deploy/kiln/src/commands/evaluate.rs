@@ -6,12 +6,14 @@ use clap::Args;
 use lightkiln_client::fetch::Source;
 use lightkiln_client::lights::parse_camera;
 
+use crate::console::printable;
 use crate::evaluation::{
     EvaluationArguments, check, draw, measure, scene_of_bundle, words, write_dump, write_page,
 };
 use crate::failure::{EXIT_CODES, Result};
 use crate::interrupt::Interrupt;
 use crate::kinds::KindTables;
+use crate::outputs::{check_file, check_folder};
 use crate::picture::parse_size;
 use crate::submission::PackedScene;
 use crate::switched_off::SwitchedOff;
@@ -52,6 +54,9 @@ pub struct Arguments {
 pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     let camera = arguments.camera.as_deref().map(parse_camera).transpose()?;
     arguments.wanted.check_figures(&kinds.worker)?;
+    arguments.wanted.own_lights()?;
+    arguments.dump.as_deref().map_or(Ok(()), check_file)?;
+    arguments.out.as_deref().map_or(Ok(()), check_folder)?;
     let source = Source::bundle(&arguments.bundle)?;
     let path = match &arguments.scene {
         Some(scene) => scene.clone(),
@@ -63,7 +68,7 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     if let Some(csv) = &arguments.dump {
         write_dump(csv, &measured)?;
     }
-    eprint!("{}", words(&measured.evaluation));
+    eprint!("{}", printable(&words(&measured.evaluation)));
     if let Some(out) = &arguments.out {
         write_page(out, &measured, &draw(kinds, &source, &measured, camera, arguments.size)?)?;
     }

@@ -8,6 +8,7 @@ use lightkiln_proto::kinds::Kinds;
 
 use crate::arguments::ServerArgument;
 use crate::bundle::write_bundle;
+use crate::console::say;
 use crate::failure::Result;
 use crate::interrupt::Interrupt;
 
@@ -37,9 +38,6 @@ pub fn run(arguments: Arguments, kinds: &Kinds) -> Result<()> {
         )),
     })?;
     let (fetched, bytes, kept) = (done.fetched, done.fetched_bytes, done.kept);
-    eprintln!(
-        "{fetched} chunks fetched ({bytes} bytes), {kept} were there already: {}",
-        arguments.out.display()
-    );
+    say!("{fetched} chunks fetched ({bytes} bytes), {kept} were there already: {}", arguments.out.display());
     Ok(())
 }

@@ -9,6 +9,7 @@ use lightkiln_server::{ServerError, check_storage};
 use tokio::runtime::Runtime;
 
 use crate::arguments::StateArguments;
+use crate::console::answer;
 use crate::embedded::server_failure;
 use crate::failure::{Exit, Failure, Result};
 
@@ -73,7 +74,7 @@ pub fn run(arguments: Arguments) -> Result<()> {
 }
 
 fn print(findings: &Findings) {
-    println!("{} chunks, {} bytes", findings.chunks, findings.bytes);
+    answer!("{} chunks, {} bytes", findings.chunks, findings.bytes);
     let kinds = [
         ("missing", &findings.missing),
         ("corrupt", &findings.corrupt),
@@ -82,15 +83,15 @@ fn print(findings: &Findings) {
     ];
     for (kind, flaws) in kinds {
         for Flaw { digest, bytes, references } in flaws {
-            println!("{kind:8}  {digest}  {bytes} bytes, {references} references");
+            answer!("{kind:8}  {digest}  {bytes} bytes, {references} references");
         }
     }
     for Incomplete { bake, name, results_lost } in &findings.incomplete {
-        println!(
+        answer!(
             "bake      {bake} ({name}) lost {results_lost} results after its end; a new bake of its scene makes them"
         );
     }
     if findings.repaired {
-        println!("repaired; {} results were forgotten", findings.results_forgotten);
+        answer!("repaired; {} results were forgotten", findings.results_forgotten);
     }
 }

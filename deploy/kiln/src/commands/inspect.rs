@@ -9,6 +9,7 @@ use lightkiln_client::fetch::Source;
 use lightkiln_proto::kinds::Kinds;
 use serde::Serialize;
 
+use crate::console::printable;
 use crate::failure::{Failure, Result};
 use crate::inspection::{BundleFigures, ChunkFigures};
 
@@ -51,6 +52,6 @@ fn print(figures: &(impl Display + Serialize), json: bool) {
     if json {
         println!("{}", serde_json::json!(figures));
     } else {
-        print!("{figures}");
+        print!("{}", printable(&figures.to_string()));
     }
 }

@@ -3,6 +3,7 @@
 use clap::Args;
 
 use crate::arguments::ServerArgument;
+use crate::console::{answer, say};
 use crate::failure::Result;
 
 /// Arguments of `kiln list`.
@@ -32,13 +33,13 @@ pub fn run(arguments: Arguments) -> Result<()> {
     for bake in &page.bakes {
         let total: u64 = bake.stages.iter().map(|stage| stage.total).sum();
         let done: u64 = bake.stages.iter().map(|stage| stage.done).sum();
-        println!("{}  {:9}  {:>6}/{:<6}  {}", bake.id, bake.state.name(), done, total, bake.name);
+        answer!("{}  {:9}  {:>6}/{:<6}  {}", bake.id, bake.state.name(), done, total, bake.name);
     }
     if page.bakes.is_empty() {
-        eprintln!("no bakes here; 'kiln submit SCENE' makes one");
+        say!("no bakes here; 'kiln submit SCENE' makes one");
     }
     if let Some(next) = page.next {
-        eprintln!("more with --after {next}");
+        say!("more with --after {next}");
     }
     Ok(())
 }

@@ -7,6 +7,7 @@ use clap::Args;
 use lightkiln_proto::api::{BakeEvent, EventKind};
 
 use crate::arguments::ServerArgument;
+use crate::console::printable;
 use crate::failure::Result;
 use crate::interrupt::Interrupt;
 
@@ -39,7 +40,11 @@ pub fn run(arguments: Arguments) -> Result<()> {
         let page = client.events(&arguments.id, seen, wait_secs)?;
         for event in &page.events {
             seen = event.seq;
-            let line = if arguments.json { serde_json::json!(event).to_string() } else { words(event) };
+            let line = if arguments.json {
+                serde_json::json!(event).to_string()
+            } else {
+                printable(&words(event)).into_owned()
+            };
             // Whoever reads may have had enough.
             if writeln!(out, "{line}").is_err() {
                 return Ok(());
@@ -116,6 +121,7 @@ fn utc(unix_ms: i64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use lightkiln_proto::api::Blame;
     use lightkiln_proto::ids::Digest;
 
     #[test]
@@ -130,6 +136,7 @@ mod tests {
             worker,
             message: "out of memory".to_owned(),
             retry: true,
+            blame: Blame::Worker,
             attempt: 2,
             elapsed_ms: 61_250,
             wait_ms: 1_730,

@@ -9,6 +9,7 @@ use crate::arguments::TrustArgument;
 use crate::failure::Result;
 use crate::interrupt::Interrupt;
 use crate::kinds::KindTables;
+use crate::outputs::check_png;
 use crate::picture::PictureArguments;
 use crate::switched_off::SwitchedOff;
 
@@ -35,6 +36,7 @@ pub struct Arguments {
 /// Draws the picture.
 pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     arguments.picture.check()?;
+    check_png(&arguments.out)?;
     let source = match &arguments.server {
         Some(url) => {
             let client = arguments.trust.connect(url, &Interrupt::default())?;

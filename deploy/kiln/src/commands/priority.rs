@@ -3,6 +3,7 @@
 use clap::Args;
 
 use crate::arguments::ServerArgument;
+use crate::console::say;
 use crate::failure::Result;
 
 /// Arguments of `kiln priority`.
@@ -21,6 +22,6 @@ pub struct Arguments {
 pub fn run(arguments: Arguments) -> Result<()> {
     let client = arguments.server.connect()?;
     let bake = client.reprioritise(&arguments.id, arguments.priority)?;
-    eprintln!("bake {} has priority {}", bake.id, bake.priority);
+    say!("bake {} has priority {}", bake.id, bake.priority);
     Ok(())
 }

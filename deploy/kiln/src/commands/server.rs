@@ -12,6 +12,7 @@ use lightkiln_worker::runtime::Level;
 use tokio::runtime::Runtime;
 
 use crate::arguments::StateArguments;
+use crate::console::answer;
 use crate::embedded::server_failure;
 use crate::failure::{Exit, Failure, Result};
 use crate::interrupt::Interrupt;
@@ -117,7 +118,7 @@ pub fn run(arguments: Arguments, kinds: &Kinds) -> Result<()> {
         let listener = server.bind(&arguments.listen).await.map_err(|error| server_failure(&error))?;
         let address = listener.local_addr().map_err(|error| failed("the address is not known", &error))?;
         // For scripts that asked for a free port: the first and only line on standard output.
-        println!("listening on {scheme}://{address}");
+        answer!("listening on {scheme}://{address}");
         let flag = interrupt.flag().clone();
         let signal =
             tokio::task::spawn_blocking(

@@ -5,6 +5,7 @@ use lightkiln_proto::kinds::{Kind, Kinds};
 use lightkiln_proto::settings::SettingRow;
 use serde_json::{Value, json};
 
+use crate::console::answer;
 use crate::failure::Result;
 use crate::settings::kind_named;
 
@@ -27,16 +28,16 @@ pub fn run(arguments: Arguments, kinds: &Kinds) -> Result<()> {
         println!("{}", json!(rows.iter().map(as_json).collect::<Vec<_>>()));
         return Ok(());
     }
-    println!("{}: {}\n", kind.name(), kind.about());
-    println!("{:22} {:>10} {:>10} {:>10}  range", "setting", "draft", "medium", "high");
+    answer!("{}: {}\n", kind.name(), kind.about());
+    answer!("{:22} {:>10} {:>10} {:>10}  range", "setting", "draft", "medium", "high");
     for row in &rows {
         let [draft, medium, high] = row.presets.each_ref().map(short);
-        println!("{:22} {draft:>10} {medium:>10} {high:>10}  {}", row.name, row.range);
-        println!("    {}\n", row.effect.trim());
+        answer!("{:22} {draft:>10} {medium:>10} {high:>10}  {}", row.name, row.range);
+        answer!("    {}\n", row.effect.trim());
     }
-    println!("set one with --set SETTING=VALUE, KILN_SET_<SETTING> or in a file given with --settings\n");
-    println!("kinds of bake, for --kind:");
-    kinds.iter().for_each(|kind: &dyn Kind| println!("  {:8} {}", kind.name(), kind.about()));
+    answer!("set one with --set SETTING=VALUE, KILN_SET_<SETTING> or in a file given with --settings\n");
+    answer!("kinds of bake, for --kind:");
+    kinds.iter().for_each(|kind: &dyn Kind| answer!("  {:8} {}", kind.name(), kind.about()));
     Ok(())
 }
 

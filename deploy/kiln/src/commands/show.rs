@@ -4,6 +4,7 @@ use clap::Args;
 use lightkiln_proto::api::{Bake, BakeState};
 
 use crate::arguments::ServerArgument;
+use crate::console::printable;
 use crate::failure::Result;
 use crate::summary::stage_name;
 
@@ -26,7 +27,7 @@ pub fn run(arguments: Arguments) -> Result<()> {
     if arguments.json {
         println!("{}", serde_json::json!(bake));
     } else {
-        print!("{}", words(&bake));
+        print!("{}", printable(&words(&bake)));
     }
     Ok(())
 }

@@ -9,6 +9,7 @@ use lightkiln_proto::kinds::Kinds;
 use serde_json::{Value, json};
 
 use crate::arguments::ServerArgument;
+use crate::console::{answer, say};
 use crate::failure::{EXIT_CODES, Result};
 use crate::following::{Ended, wait_for_end};
 use crate::interrupt::Interrupt;
@@ -61,6 +62,7 @@ pub struct Arguments {
 /// Prints the bake's id on standard output, or with `--json` an object.
 pub fn run(arguments: Arguments, kinds: &Kinds) -> Result<()> {
     let started = Instant::now();
+    arguments.junit.as_deref().map_or(Ok(()), junit::check)?;
     let ended = submit(&arguments, kinds);
     let elapsed = started.elapsed();
     if let Some(path) = &arguments.junit {
@@ -70,7 +72,7 @@ pub fn run(arguments: Arguments, kinds: &Kinds) -> Result<()> {
     let ended = ended?;
     match arguments.json {
         true => println!("{}", object(&ended.bake, &arguments.scene.display().to_string(), elapsed)),
-        false if !arguments.wait => println!("{}", ended.bake.id),
+        false if !arguments.wait => answer!("{}", ended.bake.id),
         false => (),
     }
     ended.judge()
@@ -102,8 +104,8 @@ fn submit(arguments: &Arguments, kinds: &Kinds) -> Result<Ended> {
     }
     // Now: whoever waits may want to watch it from elsewhere.
     match arguments.json {
-        true => eprintln!("bake {}", bake.id),
-        false => println!("{}", bake.id),
+        true => say!("bake {}", bake.id),
+        false => answer!("{}", bake.id),
     }
     wait_for_end(&client, &bake.id, &interrupt, || Ok(()))
 }

@@ -10,6 +10,7 @@ use serde_json::json;
 use tokio::runtime::Runtime;
 
 use crate::arguments::StateArguments;
+use crate::console::{answer, say};
 use crate::embedded::server_failure;
 use crate::failure::{Exit, Failure, Result};
 
@@ -75,8 +76,8 @@ async fn act(store: &SqlStore, action: Action) -> std::result::Result<(), Server
         Action::Create { name, scopes } => {
             let new = NewBearer::named(&name)?;
             store.add_bearer(&new.name, new.hash(), &scopes.into_iter().collect()).await?;
-            eprintln!("this token is shown only now; give it to {name} as KILN_TOKEN:");
-            println!("{}", new.token);
+            say!("this token is shown only now; give it to {name} as KILN_TOKEN:");
+            answer!("{}", new.token);
         }
         Action::Enrol { name } => {
             let new = NewBearer::code_for(&name)?;
@@ -85,13 +86,13 @@ async fn act(store: &SqlStore, action: Action) -> std::result::Result<(), Server
             }
             store.add_bearer(&new.name, new.hash(), &[Scope::Enrol].into()).await?;
             let minutes = CODE_LIFETIME.as_secs() / 60;
-            eprintln!("this code is shown only now, and good for one worker within {minutes} minutes:");
-            println!("{}", new.token);
+            say!("this code is shown only now, and good for one worker within {minutes} minutes:");
+            answer!("{}", new.token);
         }
         Action::List { json } => list(&store.bearers().await?, json),
         Action::Revoke { name } => {
             store.revoke_bearer(&name).await?;
-            eprintln!("the token of {name} is revoked; servers refuse it within seconds");
+            say!("the token of {name} is revoked; servers refuse it within seconds");
         }
     }
     Ok(())
@@ -113,10 +114,10 @@ fn list(bearers: &[Bearer], as_json: bool) {
     }
     for bearer in bearers {
         let state = if bearer.revoked_ms.is_some() { "revoked" } else { "good" };
-        println!("{:24}  {state:7}  {}", bearer.name, names(&bearer.scopes).join(","));
+        answer!("{:24}  {state:7}  {}", bearer.name, names(&bearer.scopes).join(","));
     }
     if bearers.is_empty() {
-        eprintln!("this farm asks nobody for a token; 'kiln token create NAME --scope …' makes one");
+        say!("this farm asks nobody for a token; 'kiln token create NAME --scope …' makes one");
     }
 }
 

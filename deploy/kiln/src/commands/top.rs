@@ -10,6 +10,7 @@ use lightkiln_server::clock::{Clock as _, SystemClock};
 use lightkiln_worker::runtime::Level;
 
 use crate::arguments::ServerArgument;
+use crate::console::printable;
 use crate::failure::{Exit, Failure, Result};
 use crate::interrupt::Interrupt;
 
@@ -42,7 +43,8 @@ pub fn run(arguments: Arguments) -> Result<()> {
         let workers = client.workers()?.workers;
         let table = table(&bakes, &workers, SystemClock.now_ms());
         let mut out = std::io::stdout().lock();
-        let written = write!(out, "{}{table}", if is_live { CLEAR } else { "" }).and_then(|()| out.flush());
+        let written = write!(out, "{}{}", if is_live { CLEAR } else { "" }, printable(&table))
+            .and_then(|()| out.flush());
         written
             .map_err(|error| Failure::new(Exit::Failed, "the table cannot be written").caused_by(&error))?;
         drop(out);

@@ -3,6 +3,7 @@
 use clap::Args;
 
 use crate::arguments::ServerArgument;
+use crate::console::say;
 use crate::failure::Result;
 use crate::following::follow;
 use crate::interrupt::Interrupt;
@@ -21,6 +22,6 @@ pub fn run(arguments: Arguments) -> Result<()> {
     let interrupt = Interrupt::listen()?;
     let client = arguments.server.connect_until(&interrupt)?;
     let bake = follow(&client, &arguments.id, &interrupt, || Ok(()))?;
-    eprintln!("done; 'kiln fetch {} --out DIR' downloads it", bake.id);
+    say!("done; 'kiln fetch {} --out DIR' downloads it", bake.id);
     Ok(())
 }

@@ -9,6 +9,7 @@ use lightkiln_worker::runtime::{CallError, LEASE_SECS, Worker, WorkerConfig, Wor
 
 use super::bake::all_processors;
 use crate::arguments::{ServerArgument, own_token};
+use crate::console::say;
 use crate::embedded::or_in_state;
 use crate::enrolment::token_of_worker;
 use crate::failure::{Exit, Failure, Result};
@@ -78,7 +79,7 @@ pub fn run(arguments: Arguments, kinds: &BakeKinds) -> Result<()> {
     config.cache_bytes = arguments.cache_gib << 30;
     let name = config.name.clone();
     let worker = Worker::new(config, Arc::new(Runner::new(kinds))).map_err(worker_failure)?;
-    eprintln!("worker {name} takes tasks from {}", arguments.server.server);
+    say!("worker {name} takes tasks from {}", arguments.server.server);
     worker.run(interrupt.flag()).map_err(worker_failure)
 }
 

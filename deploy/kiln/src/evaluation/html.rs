@@ -14,6 +14,7 @@ use super::measure::Measured;
 use super::pictures::LightPictures;
 use super::pixels::{PixelRow, interpolation_words, outlier_words, place_words, seam_words, share_words};
 use super::table::{ABSENT, Classes, Evaluation, LightRow, energy_words, rmse_words};
+use crate::console::say;
 use crate::failure::{Exit, Failure, Result};
 
 /// Name of the page in its folder.
@@ -41,7 +42,7 @@ pub fn write_page(out: &Path, measured: &Measured, pictures: &[LightPictures]) -
     write_atomically(&out.join(PAGE), html.as_bytes())?;
     let json = format!("{:#}\n", serde_json::json!(measured.evaluation));
     write_atomically(&out.join(FIGURES), json.as_bytes())?;
-    eprintln!("report: {}", out.join(PAGE).display());
+    say!("report: {}", out.join(PAGE).display());
     Ok(())
 }
 

@@ -6,6 +6,7 @@ use lightkiln_worker::evaluate::PIXEL_CLASSES;
 
 use super::pixels::PixelRow;
 use super::table::Evaluation;
+use crate::console::say;
 use crate::failure::{Exit, Failure, Result};
 
 /// Figures that a limit may name, beside the classes of error of a kind of bake.
@@ -155,7 +156,7 @@ pub fn check(limits: &[Limit], evaluation: &Evaluation) -> Result<()> {
         match ends {
             [true, true] => broken.push(words),
             [false, false] => {}
-            _ => eprintln!("warning: --fail-if may be broken, more --receivers would tell: {words}"),
+            _ => say!("warning: --fail-if may be broken, more --receivers would tell: {words}"),
         }
     }
     if broken.is_empty() {

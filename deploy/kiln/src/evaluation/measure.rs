@@ -13,6 +13,7 @@ use lightkiln_worker::task::Progress;
 use super::arguments::EvaluationArguments;
 use super::shadows::ClientBake;
 use super::table::{Evaluation, LightRow, over_lights};
+use crate::console::say;
 use crate::failure::{Exit, Failure, Result};
 use crate::interrupt::Interrupt;
 use crate::kinds::KindTables;
@@ -53,7 +54,7 @@ pub fn measure(
     let precision = Precision { rel_error: wanted.rel_error, ..Precision::default() };
     let pixels = wanted.pixels.unwrap_or(wanted.receivers / PIXELS_SHARE);
     let options = Options { receivers: wanted.receivers, precision, pixels, ..Options::default() };
-    eprintln!("preparing the scene anew, and what {} places need", wanted.receivers);
+    say!("preparing the scene anew, and what {} places need", wanted.receivers);
     let bytes = |digest| chunk(source, &manifest, digest);
     let bake = kinds.worker.evaluated(&manifest, scene.into_bytes(), &bytes, &progress).map_err(failure)?;
     let usable = |lights| usable_lights(bake.geometry(), off.rest_of_tests(lights)).map_err(failure);
@@ -67,7 +68,7 @@ pub fn measure(
         }
     };
     for note in &chosen.notes {
-        eprintln!("note: {note}");
+        say!("note: {note}");
     }
     let mut evaluator = Evaluator::new(bake, &chosen.lights, options, &progress).map_err(failure)?;
     if pixels > 0 {
@@ -79,7 +80,7 @@ pub fn measure(
         if interrupt.is_raised() {
             return Err(Failure::new(Exit::Interrupted, "the evaluation was interrupted"));
         }
-        eprintln!("{}: {}", light.name, light.words);
+        say!("{}: {}", light.name, light.words);
         results.push(evaluator.measure(light, &progress).map_err(failure)?);
     }
     if !results.iter().any(|result| result.counts) {

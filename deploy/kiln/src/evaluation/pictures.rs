@@ -15,6 +15,7 @@ use lightkiln_worker::task::Progress;
 use super::flip::difference;
 use super::heat::{Bitmap, atlas, colour};
 use super::measure::Measured;
+use crate::console::say;
 use crate::failure::{Exit, Failure, Result};
 use crate::kinds::KindTables;
 
@@ -56,13 +57,13 @@ pub fn draw(
         Some(camera) => camera,
         None => {
             let (camera, note) = camera_of(&bake.scene.manifest)?;
-            note.iter().for_each(|note| eprintln!("note: {note}"));
+            note.iter().for_each(|note| say!("note: {note}"));
             camera
         }
     };
     let size = PictureSize { width, height, grid: PATHS_A_SIDE };
     let draw = |result: &LightResult| {
-        eprintln!("{}: pictures", result.light.name);
+        say!("{}: pictures", result.light.name);
         one(&bake, &camera, &size, measured, result)
     };
     measured.results.iter().map(draw).collect()

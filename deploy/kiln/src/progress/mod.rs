@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use lightkiln_proto::api::{Bake, BakeEvent, EventKind};
 
+use crate::console::say;
 use tracker::{Snapshot, Tracker};
 
 /// Time between plain lines of one stage.
@@ -58,7 +59,7 @@ impl ProgressView {
             }
             Output::Lines { stage, next_line } => {
                 if *stage != snapshot.stage || now >= *next_line {
-                    eprintln!("{:3.0} % {}", 100.0 * snapshot.share, words(&snapshot));
+                    say!("{:3.0} % {}", 100.0 * snapshot.share, words(&snapshot));
                     stage.clone_from(&snapshot.stage);
                     *next_line = now + LINE_INTERVAL;
                 }
@@ -69,8 +70,8 @@ impl ProgressView {
     /// Prints a line without disturbing the bar.
     pub fn say(&self, line: &str) {
         match &self.output {
-            Output::Bar(bar) => bar.suspend(|| eprintln!("{line}")),
-            Output::Lines { .. } => eprintln!("{line}"),
+            Output::Bar(bar) => bar.suspend(|| say!("{line}")),
+            Output::Lines { .. } => say!("{line}"),
         }
     }
 }

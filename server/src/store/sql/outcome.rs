@@ -141,7 +141,7 @@ pub(super) async fn fail(conn: &mut Conn, token: &str, blame: Blame, message: &s
     let message = rules::cut_message(message);
     if blame == Blame::Task {
         let failure = rules::task_fault_message(&ended.label, &ended.kind, &ended.worker, &message);
-        give_up(conn, &ended, &message, &failure).await?;
+        give_up(conn, &ended, blame, &message, &failure).await?;
         return Ok(FailVerdict::GivenUp);
     }
     let mut wait_ms = 0;
@@ -159,7 +159,7 @@ pub(super) async fn fail(conn: &mut Conn, token: &str, blame: Blame, message: &s
     }
     requeue(conn, &ended).await?;
     for mut bake in Ledger::live_of(conn, ended.task).await? {
-        bake.event(task_failed(&ended, &message, Some(wait_ms)));
+        bake.event(task_failed(&ended, (blame, &message), Some(wait_ms)));
         bake.save(conn).await?;
     }
     Ok(FailVerdict::Retry)
@@ -191,14 +191,14 @@ async fn blame_worker(conn: &mut Conn, ended: &Ended, message: &str) -> Result<b
         return Ok(false);
     }
     let failure = rules::given_up_message(&ended.label, &ended.kind, attempts, workers, message);
-    give_up(conn, ended, message, &failure).await?;
+    give_up(conn, ended, Blame::Worker, message, &failure).await?;
     Ok(true)
 }
 
 /// Fails every bake that wants the task.
-async fn give_up(conn: &mut Conn, ended: &Ended, message: &str, failure: &str) -> Result<()> {
+async fn give_up(conn: &mut Conn, ended: &Ended, blame: Blame, message: &str, failure: &str) -> Result<()> {
     for mut bake in Ledger::live_of(conn, ended.task).await? {
-        bake.event(task_failed(ended, message, None));
+        bake.event(task_failed(ended, (blame, message), None));
         bake.close(conn, BakeState::Failed, Some(failure.to_owned())).await?;
     }
     Ok(())
@@ -216,7 +216,7 @@ fn task_done(ended: &Ended) -> EventKind {
 }
 
 /// A failure; `wait_ms` is the wait before the next try, if there is one.
-fn task_failed(ended: &Ended, message: &str, wait_ms: Option<i64>) -> EventKind {
+fn task_failed(ended: &Ended, (blame, message): (Blame, &str), wait_ms: Option<i64>) -> EventKind {
     EventKind::TaskFailed {
         key: ended.key,
         kind: ended.kind.clone(),
@@ -224,6 +224,7 @@ fn task_failed(ended: &Ended, message: &str, wait_ms: Option<i64>) -> EventKind 
         worker: ended.worker.clone(),
         message: message.to_owned(),
         retry: wait_ms.is_some(),
+        blame,
         attempt: ended.attempt,
         elapsed_ms: ended.elapsed_ms,
         wait_ms: wait_ms.and_then(|wait_ms| u64::try_from(wait_ms).ok()).unwrap_or(0),
