@@ -28,6 +28,14 @@ fn farm_with_tokens_works_for_those_who_have_the_right_one() {
     run(with_token(state, "two words"), &["list", "--server", &server.url], 2);
     let refused = run(with_token(state, &submit), &["worker", "--server", &server.url], 2);
     assert!(refused.stderr().contains("scope 'worker'"), "{}", refused.stderr());
+    // Of a bake too: a refusal is no server that is away, which a script would try again.
+    let bake = |command: Command| {
+        let out = state.join("none").display().to_string();
+        run(command, &arguments("bake", &["--server", &server.url, "--out", &out]), 2).stderr()
+    };
+    assert!(bake(kiln(state)).contains("KILN_TOKEN"));
+    let refused = bake(with_token(state, &worker));
+    assert!(refused.contains("scope 'submit'") && !refused.contains("kiln server"), "{refused}");
     let mut command = with_token(&state.join("oven"), &worker);
     command.args(["worker", "--server", &server.url, "--threads", "2"]);
     let _worker = Running::start(command);

@@ -48,6 +48,26 @@ fn wrong_arguments_exit_with_2_and_name_what_is_wrong() {
 }
 
 #[test]
+fn places_that_cannot_be_written_and_slips_of_the_pen_are_told_before_the_bake() {
+    assert_refused("bake {scene} --preview a.jpg", 2, &["a.jpg", "try: a.png"]);
+    assert_refused("bake {scene} --preview none/a.png", 2, &["there is no folder none"]);
+    assert_refused("bake {scene} --out settings.json/x", 2, &["is no folder"]);
+    assert_refused("bake {scene} --exposure inf", 2, &["stops"]);
+    assert_refused("bake {scene} --set transportrays=12", 2, &["do you mean 'transport_rays'?"]);
+    assert_refused("preview {dir} --out a.jpg", 2, &["try: a.png"]);
+}
+
+#[test]
+fn input_that_a_later_task_finds_wrong_exits_with_2_and_is_told_once_and_plainly() {
+    let folder = tempfile::tempdir().unwrap();
+    let (scene, out) = (cornell().display().to_string(), folder.path().join("out").display().to_string());
+    let wanted = ["bake", &scene, "--set", "texel_m=0.0001", "--out", &out];
+    let message = run(kiln(&folder.path().join("state")), &wanted, 2).stderr();
+    assert_eq!(message.matches("raise the texel size").count(), 1, "{message}");
+    assert!(!message.contains('\u{1b}') && !message.contains("verdict"), "{message}");
+}
+
+#[test]
 fn scenes_that_cannot_be_read_exit_with_2_and_name_the_file() {
     assert_refused("bake absent.glb", 2, &["absent.glb"]);
     assert_refused("bake text.glb", 2, &["text.glb", "try: "]);
