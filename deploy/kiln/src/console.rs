@@ -1,4 +1,4 @@
-//! What people read: standard error for words, standard output for results.
+//! Text for people: words on standard error, results on standard output.
 //!
 //! Names come out of files and from servers, and a terminal takes some characters as orders (a window's title, a cleared
 //! screen, text that runs backwards). Whatever is printed goes through [`printable`].
