@@ -54,7 +54,8 @@ impl SceneTask {
         match self {
             Self::Place => 18,
             Self::Draw | Self::Patches => 3,
-            Self::Import | Self::Unwrap | Self::Frame => 1,
+            Self::Import | Self::Unwrap => 1,
+            Self::Frame => 2,
         }
     }
 

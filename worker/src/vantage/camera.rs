@@ -6,7 +6,7 @@ use lightkiln_proto::scene::{LightKind, SceneCamera, SceneLight};
 use rayon::prelude::*;
 
 use super::VantagePoint;
-use super::look::view;
+use super::look::{Look, view};
 use crate::emitters::{EmissiveTriangle, emissive_triangles};
 use crate::geometry::Geometry;
 use crate::rays::Hit;
@@ -15,6 +15,9 @@ use crate::rays::Hit;
 const FOV_DEG: f32 = 60.0;
 /// Share of a point's view that is sky up to which it is in a room.
 const ROOM_SKY: f32 = 0.15;
+/// Share of what a point sees that may be turned away from it. Where more is, the point is inside a thing, whose
+/// double-sided shell has no backs.
+const AWAY_MAX: f32 = 0.5;
 /// Share of points in rooms from which on a scene is looked at from inside.
 const ROOM_POINTS: f32 = 0.125;
 /// Points tried, those of the widest view.
@@ -62,7 +65,7 @@ fn outside(geometry: &Geometry) -> (Vec3, Vec3) {
 /// The point in a room, and a point straight ahead, of the level view of highest score; none where rooms are few.
 fn inside(geometry: &Geometry, points: &[VantagePoint]) -> Option<(Vec3, Vec3)> {
     let rooms: Vec<Vec3> =
-        points.iter().filter(|point| point.look.sky_share < ROOM_SKY).map(|point| point.position_m).collect();
+        points.iter().filter(|point| is_in_room(&point.look)).map(|point| point.position_m).collect();
     if rooms.is_empty() || (rooms.len() as f32) < ROOM_POINTS * points.len() as f32 {
         return None;
     }
@@ -82,6 +85,10 @@ fn inside(geometry: &Geometry, points: &[VantagePoint]) -> Option<(Vec3, Vec3)> 
     let tried: Vec<_> = rooms.par_iter().take(TRIED).filter_map(best_of).collect();
     let best = tried.into_iter().reduce(|best, next| if next.0 > best.0 { next } else { best });
     best.map(|(_, eye_m, target_m)| (eye_m, target_m))
+}
+
+fn is_in_room(look: &Look) -> bool {
+    look.sky_share < ROOM_SKY && look.away_share <= AWAY_MAX * (1.0 - look.sky_share)
 }
 
 /// Mean interest of the rays of a view.

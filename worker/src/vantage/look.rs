@@ -21,6 +21,8 @@ const BACK_SHARE_MAX: f32 = 0.02;
 pub struct Look {
     /// Share of rays that meet backs of single-sided surfaces.
     pub back_share: f32,
+    /// Share of rays that meet clockwise sides, of single- and double-sided surfaces: those that a modeller turned away.
+    pub away_share: f32,
     /// Share of rays that leave the scene.
     pub sky_share: f32,
     /// Distance to the nearest surface in metres.
@@ -42,8 +44,14 @@ pub fn view(geometry: &Geometry, from_m: Vec3) -> impl Iterator<Item = (Vec3, Op
 impl Look {
     /// Looks around from a point.
     pub fn from(geometry: &Geometry, from_m: Vec3) -> Self {
-        let mut look =
-            Self { back_share: 0.0, sky_share: 0.0, nearest_m: f32::INFINITY, mean_m: 0.0, inside_of: None };
+        let mut look = Self {
+            back_share: 0.0,
+            away_share: 0.0,
+            sky_share: 0.0,
+            nearest_m: f32::INFINITY,
+            mean_m: 0.0,
+            inside_of: None,
+        };
         let mut nearest_back_m = f32::INFINITY;
         for (_, hit) in view(geometry, from_m) {
             let Some(hit) = hit else {
@@ -52,6 +60,7 @@ impl Look {
             };
             look.nearest_m = look.nearest_m.min(hit.t);
             look.mean_m += hit.t / LOOK_RAYS as f32;
+            look.away_share += f32::from(!hit.front) / LOOK_RAYS as f32;
             if !geometry.is_back(&hit) {
                 continue;
             }

@@ -47,3 +47,20 @@ fn file_with_camera_and_light_is_left_as_it_is() {
     assert!(!scene.cameras.is_empty());
     assert_eq!(framing(&Geometry::new(scene).unwrap()), Framing::default());
 }
+
+#[test]
+fn double_sided_thing_is_looked_at_from_outside() {
+    let mut thing = scene(TWO_ROOMS);
+    thing.cameras.clear();
+    for material in &mut thing.materials {
+        material.double_sided = true;
+    }
+    let room = framing(&Geometry::new(thing.clone()).unwrap()).camera.unwrap();
+    assert!(room.note.contains("inside"), "{}", room.note);
+    // Turned inside out, a room is a box that is solid to whoever made it.
+    for triangle in thing.instances.iter_mut().flat_map(|instance| &mut instance.triangles) {
+        triangle.swap(1, 2);
+    }
+    let camera = framing(&Geometry::new(thing).unwrap()).camera.unwrap();
+    assert!(camera.note.contains("outside"), "{}", camera.note);
+}
