@@ -1,18 +1,18 @@
 //! Clipping at the near plane, in homogeneous coordinates: z ≤ w.
 
-use glam::{Vec2, Vec4};
+use glam::{DVec4, Vec2};
 
 /// A corner of a polygon in clip space.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Corner {
     /// Position in clip space.
-    pub clip: Vec4,
+    pub clip: DVec4,
     /// Weights of the source triangle's second and third corner.
     pub barycentric: Vec2,
 }
 
 impl Corner {
-    fn inside(&self) -> f32 {
+    fn inside(&self) -> f64 {
         self.clip.w - self.clip.z
     }
 
@@ -20,7 +20,7 @@ impl Corner {
         let share = self.inside() / (self.inside() - other.inside());
         Self {
             clip: self.clip.lerp(other.clip, share),
-            barycentric: self.barycentric.lerp(other.barycentric, share),
+            barycentric: self.barycentric.lerp(other.barycentric, share as f32),
         }
     }
 }

@@ -17,9 +17,9 @@ use crate::preview::{Backend, View, render};
 use crate::scene::LoadedScene;
 
 /// A light of its own in the fixture, and its shadow maps.
-struct Lamp {
-    plan: ShadowPlan,
-    maps: ShadowMaps,
+pub(super) struct Lamp {
+    pub(super) plan: ShadowPlan,
+    pub(super) maps: ShadowMaps,
 }
 
 impl Lamp {
@@ -31,11 +31,11 @@ impl Lamp {
         Self { plan, maps }
     }
 
-    fn at(&self, position: Vec3, normal: Vec3) -> f32 {
+    pub(super) fn at(&self, position: Vec3, normal: Vec3) -> f32 {
         direct_irradiance(&self.plan, &self.maps, position, normal, normal).x
     }
 
-    fn seen_at(&self, position: Vec3, normal: Vec3) -> f32 {
+    pub(super) fn seen_at(&self, position: Vec3, normal: Vec3) -> f32 {
         seen_irradiance(&self.plan, &self.maps, position, normal, normal).x
     }
 }
@@ -103,7 +103,7 @@ fn flat_surfaces_never_shadow_themselves() {
 }
 
 /// A rectangle with its front on the side of `u × v`, outside any lightmap.
-fn sheet(corner: Vec3, u: Vec3, v: Vec3) -> Draw {
+pub(super) fn sheet(corner: Vec3, u: Vec3, v: Vec3) -> Draw {
     Draw {
         position_m: [corner, corner + u, corner + u + v, corner + v].map(|at| at.to_array()).into(),
         normal: vec![u.cross(v).normalize().to_array(); 4],
@@ -112,11 +112,21 @@ fn sheet(corner: Vec3, u: Vec3, v: Vec3) -> Draw {
     }
 }
 
-/// A scene of nothing but these, and the shadow maps of one light on it.
-fn shadows(draws: &[Draw], light: &str, bounds_m: [[f32; 3]; 2], (side, eye): (u32, Option<Eye>)) -> Lamp {
+/// A scene of nothing but these.
+pub(super) fn scene_of(draws: &[Draw]) -> LoadedScene {
     let manifest = Manifest { lightmap: None, ..manifest("prt") };
     let geometry = Geometry { draws: draws.to_vec() };
-    let scene = LoadedScene::assemble(manifest, vec![geometry], vec![texture()]).unwrap();
+    LoadedScene::assemble(manifest, vec![geometry], vec![texture()]).unwrap()
+}
+
+/// A scene of nothing but these, and the shadow maps of one light on it.
+pub(super) fn shadows(
+    draws: &[Draw],
+    light: &str,
+    bounds_m: [[f32; 3]; 2],
+    (side, eye): (u32, Option<Eye>),
+) -> Lamp {
+    let scene = scene_of(draws);
     let plan = ShadowPlan::new(&Caster::of(&[parse_light(light).unwrap()]), bounds_m, side, eye).unwrap();
     let maps = draw(&scene, &plan);
     Lamp { plan, maps }

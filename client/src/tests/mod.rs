@@ -6,6 +6,7 @@ mod facing;
 mod formula;
 mod light;
 mod shaders;
+mod shadows;
 
 use lightkiln_proto::relight::PatchTable;
 

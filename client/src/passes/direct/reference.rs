@@ -146,9 +146,14 @@ fn share_by(
     position: Vec3,
     facet: Vec3,
 ) -> f32 {
-    let at = lifted(plan, face, position, facet);
-    let is_tile = face < light.first_face + light.face_count;
-    let share = visibility(plan, maps, if is_tile { face_of(plan, light, at) } else { face }, at);
+    let mut read = face;
+    let mut at = lifted(plan, face, position, facet);
+    if face < light.first_face + light.face_count {
+        // The lift may lead into the next face, to which the same surface has another slope.
+        read = face_of(plan, light, at);
+        at = lifted(plan, read, position, facet);
+    }
+    let share = visibility(plan, maps, read, at);
     let lift_m = at.distance(position);
     if share <= 0.0 || is_behind((plan, maps), face, light, position, facet, lift_m) {
         return 0.0;

@@ -11,7 +11,7 @@ use super::{IndirectIrradiance, ShadeView};
 use crate::passes::direct::reference::seen_irradiance;
 use crate::passes::shadow::ShadowPlan;
 use crate::passes::shadow::reference::{ShadowMaps, masked_out};
-use crate::raster::{ScreenTriangle, set_up};
+use crate::raster::{ScreenTriangle, projected, set_up};
 use crate::scene::LoadedScene;
 
 /// Rows that one thread draws at a time.
@@ -61,13 +61,12 @@ pub fn shade(lit: Lit<'_>, view: &ShadeView, size: [u32; 2]) -> Vec<Vec4> {
 }
 
 fn set_up_scene(scene: &LoadedScene, view: &ShadeView, size: [u32; 2]) -> Vec<Drawn> {
-    let clip_from_world = view.projection();
+    let clip_of = projected(view.projection());
     let mut drawn = Vec::new();
     let mut set = Vec::new();
     for (draw, mesh) in scene.draws.draws.iter().enumerate() {
         let double_sided = scene.manifest.materials[mesh.material as usize].double_sided;
-        let clip =
-            |index: u32| clip_from_world * Vec3::from(mesh.vertices[index as usize].position_m).extend(1.0);
+        let clip = |index: u32| clip_of(mesh.vertices[index as usize].position_m);
         for (index, corners) in mesh.triangles.iter().enumerate() {
             set_up(corners.map(clip), size, index as u32, &mut set);
         }

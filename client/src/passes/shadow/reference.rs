@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use super::ShadowPlan;
 use crate::passes::shade::surface::mapped_uv;
-use crate::raster::{ScreenTriangle, set_up};
+use crate::raster::{ScreenTriangle, projected, set_up};
 use crate::scene::{LoadedDraw, LoadedScene};
 
 /// Shadow maps: reversed depth, face after face, row after row; 0 where nothing is.
@@ -55,10 +55,9 @@ struct DrawnMesh {
 }
 
 fn set_up_scene(scene: &LoadedScene, clip_from_world: Mat4, side: u32) -> Vec<DrawnMesh> {
+    let clip_of = projected(clip_from_world);
     let set_up_draw = |(draw, mesh): (usize, &LoadedDraw)| {
-        let clip = |index: u32| {
-            clip_from_world * glam::Vec3::from(mesh.vertices[index as usize].position_m).extend(1.0)
-        };
+        let clip = |index: u32| clip_of(mesh.vertices[index as usize].position_m);
         let mut triangles = Vec::new();
         for (index, corners) in mesh.triangles.iter().enumerate() {
             set_up(corners.map(clip), [side, side], index as u32, &mut triangles);

@@ -104,9 +104,14 @@ fn unshadowed(light: Light, position: vec3f, normal: vec3f) -> vec3f {
 
 // Share of a light that arrives by one of its faces.
 fn share_by(face: u32, light: Light, position: vec3f, facet: vec3f) -> f32 {
-    let at = lifted(face, position, facet);
-    let is_tile = face < light.first_face + light.face_count;
-    let share = visibility(select(face, face_of(light, at), is_tile), at);
+    var read = face;
+    var at = lifted(face, position, facet);
+    if face < light.first_face + light.face_count {
+        // The lift may lead into the next face, to which the same surface has another slope.
+        read = face_of(light, at);
+        at = lifted(read, position, facet);
+    }
+    let share = visibility(read, at);
     if share <= 0.0 || is_behind(face, light, position, facet, distance(at, position)) {
         return 0.0;
     }
