@@ -1,5 +1,9 @@
 //! A bake's progress for people: a bar on a terminal, plain lines elsewhere; always on standard error.
 
+pub mod estimate;
+pub mod line;
+#[cfg(test)]
+mod tests;
 mod tracker;
 
 use std::io::{IsTerminal as _, stderr};
@@ -9,7 +13,8 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use lightkiln_proto::api::{Bake, BakeEvent, EventKind};
 
 use crate::console::say;
-use tracker::{Snapshot, Tracker};
+use line::line;
+use tracker::Tracker;
 
 /// Time between plain lines of one stage.
 const LINE_INTERVAL: Duration = Duration::from_secs(10);
@@ -33,7 +38,7 @@ impl ProgressView {
         let now = Instant::now();
         let output = if stderr().is_terminal() {
             let bar = ProgressBar::with_draw_target(Some(BAR_STEPS), ProgressDrawTarget::stderr());
-            let style = ProgressStyle::with_template("{spinner} [{bar:28}] {msg}");
+            let style = ProgressStyle::with_template("{spinner} [{bar:14}] {msg}");
             bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
             bar.enable_steady_tick(Duration::from_millis(200));
             Output::Bar(bar)
@@ -54,12 +59,12 @@ impl ProgressView {
         let snapshot = self.tracker.observe(bake, now);
         match &mut self.output {
             Output::Bar(bar) => {
-                bar.set_position((snapshot.share * BAR_STEPS as f64) as u64);
-                bar.set_message(words(&snapshot));
+                bar.set_position((snapshot.estimate.share * BAR_STEPS as f64) as u64);
+                bar.set_message(line(&snapshot));
             }
             Output::Lines { stage, next_line } => {
                 if *stage != snapshot.stage || now >= *next_line {
-                    say!("{:3.0} % {}", 100.0 * snapshot.share, words(&snapshot));
+                    say!("{}", line(&snapshot));
                     stage.clone_from(&snapshot.stage);
                     *next_line = now + LINE_INTERVAL;
                 }
@@ -82,26 +87,6 @@ impl Drop for ProgressView {
         if let Output::Bar(bar) = &self.output {
             bar.finish_and_clear();
         }
-    }
-}
-
-fn words(snapshot: &Snapshot) -> String {
-    let mut words = format!("{} {}/{} tasks", snapshot.stage, snapshot.done, snapshot.total);
-    if let Some(rate) = snapshot.rays_per_sec {
-        words += &format!(" · {:.2} Mrays/s", rate / 1e6);
-    }
-    if let Some(left) = snapshot.left {
-        words += &format!(" · {} left", duration_words(left));
-    }
-    words
-}
-
-fn duration_words(duration: Duration) -> String {
-    let secs = duration.as_secs();
-    match secs {
-        0..=119 => format!("{secs} s"),
-        120..=7199 => format!("{} min", secs / 60),
-        _ => format!("{} h {} min", secs / 3600, secs / 60 % 60),
     }
 }
 
