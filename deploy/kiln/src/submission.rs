@@ -8,7 +8,7 @@ use lightkiln_client::fetch::ApiClient;
 use lightkiln_proto::api::{Bake, BakeState, Needs, NewBake, SCENE_PART_BYTES};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::problem::RetryClass;
-use lightkiln_worker::scene::{Bundle, Limits};
+use lightkiln_worker::scene::{Bundle, ImportError, Limits};
 use serde_json::Value;
 
 use crate::failure::{Exit, Failure, Result};
@@ -29,9 +29,15 @@ impl PackedScene {
     /// Reads the scene and the files that it names.
     pub fn read(path: &Path) -> Result<Self> {
         let bytes = Bundle::pack_path(path, &Limits::default()).map_err(|error| {
-            Failure::bad_input(format!("the scene {} cannot be baked", path.display()))
-                .caused_by(&error)
-                .try_this("a .glb, a .gltf with its files beside it, or a .zip of them")
+            let what = format!("the scene {} cannot be baked", path.display());
+            let failure = Failure::bad_input(what).caused_by(&error);
+            match error {
+                ImportError::Io { .. } | ImportError::UnknownFormat => {
+                    failure.try_this("a .glb, a .gltf with its files beside it, or a .zip of them")
+                }
+                // The others say what to do themselves.
+                _ => failure,
+            }
         })?;
         let stem = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
         Ok(Self { name: stem.chars().take(NAME_CHARS_MAX).collect(), bytes })

@@ -54,8 +54,8 @@ impl SceneTask {
         match self {
             Self::Place => 18,
             Self::Draw | Self::Patches => 3,
-            Self::Import | Self::Unwrap => 1,
-            Self::Frame => 2,
+            Self::Import | Self::Frame => 2,
+            Self::Unwrap => 1,
         }
     }
 

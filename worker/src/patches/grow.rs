@@ -99,7 +99,10 @@ fn receiver_items(world: &World, size_m: f32) -> Result<Vec<Item>, TaskError> {
         let cell = cell_of(receiver.position_m, size_m);
         if cell.abs().max_element() >= CELLS_MAX / 2 {
             return Err(TaskError::bad_input(format!(
-                "the scene reaches {} m from the origin, too far for texels of {} m",
+                "'{}' reaches {} m from the world origin, too far for texels of {} m; move the scene to the origin, \
+                 leave the object out or raise texel_m",
+                world.geometry.scene.instances[lightmap.blocks[receiver.block as usize].instance as usize]
+                    .path,
                 receiver.position_m.abs().max_element(),
                 lightmap.texel_m
             )));

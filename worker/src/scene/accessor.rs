@@ -10,7 +10,7 @@ use gltf::json::{Accessor, Index, Root};
 use super::buffers::{Buffers, slice};
 use super::document;
 use super::error::{ImportError, Result};
-use super::limits::Budget;
+use super::limits::{self, Budget, within};
 
 /// An accessor whose every element is known to lie inside its buffers.
 pub(super) struct Reader<'a> {
@@ -79,7 +79,10 @@ impl<'a> Reader<'a> {
             is_normalized: accessor.normalized || wanted.is_always_normalized,
         };
         let mut reader = Self { dense: None, stride: layout.element_bytes(), layout, count, sparse: None };
-        reader.open_dense(root, buffers, accessor, &place)?;
+        match buffers.unpacked(index) {
+            Some(bytes) => reader.dense = Some(reader.spanned(bytes, 0, &place)?),
+            None => reader.open_dense(root, buffers, accessor, &place)?,
+        }
         if let Some(sparse) = &accessor.sparse {
             sparse_budget.spend(sparse.count.0)?;
             reader.sparse = Some(Sparse::open(buffers, sparse, &reader, &place)?);
@@ -94,23 +97,28 @@ impl<'a> Reader<'a> {
         accessor: &Accessor,
         place: &dyn Fn() -> String,
     ) -> Result<()> {
-        let Some(view_index) = accessor.buffer_view else { return Ok(()) };
+        let Some(view_index) = accessor.buffer_view else {
+            return within(limits::ZERO_ELEMENTS, accessor.count.0, buffers.limits().zero_elements);
+        };
         let view = document::get(root, view_index, "buffer view", place)?;
         let bytes = buffers.view(view_index, place)?;
         // Some exporters write a stride of 0 where they mean "packed".
         self.stride = view.byte_stride.filter(|stride| stride.0 != 0).map_or(self.stride, |stride| stride.0);
-        let span = self.span_bytes();
-        let offset = accessor.byte_offset.unwrap_or_default().0;
-        let found = span.and_then(|span| slice(bytes, offset, span));
-        self.dense = Some(found.ok_or_else(|| ImportError::Accessor {
+        self.dense = Some(self.spanned(bytes, accessor.byte_offset.unwrap_or_default().0, place)?);
+        Ok(())
+    }
+
+    /// The bytes of all elements, or who has too few.
+    fn spanned(&self, bytes: &'a [u8], offset: u64, place: &dyn Fn() -> String) -> Result<&'a [u8]> {
+        let found = self.span_bytes().and_then(|span| slice(bytes, offset, span));
+        found.ok_or_else(|| ImportError::Accessor {
             place: place(),
             problem: format!(
                 "its {} elements from byte {offset} do not fit into its view of {} bytes",
                 self.count,
                 bytes.len()
             ),
-        })?);
-        Ok(())
+        })
     }
 
     /// Bytes from the start of the first element to the end of the last.

@@ -1,47 +1,93 @@
 //! The bytes behind buffers and buffer views, each range checked before it is used.
 
 use std::borrow::Cow;
+use std::collections::BTreeMap;
 
 use gltf::json::buffer::View;
-use gltf::json::{Index, Root};
+use gltf::json::{Accessor, Index, Root};
 
 use super::bundle::Bundle;
 use super::document::{self, buffer_place};
 use super::error::{ImportError, Result};
+use super::limits::{self, Budget, Limits};
 use super::uri::{self, Uri};
+use super::{draco, meshopt};
 
 /// Every buffer's bytes, or `None` for the stand-ins of compressed views, which have none.
 pub(super) struct Buffers<'a> {
     root: &'a Root,
+    limits: &'a Limits,
     loaded: Vec<Option<Cow<'a, [u8]>>>,
+    /// Views that were compressed, by index.
+    views: BTreeMap<usize, Vec<u8>>,
+    /// Elements of accessors whose mesh was compressed as a whole, packed, by index.
+    accessors: BTreeMap<usize, Vec<u8>>,
 }
 
 impl<'a> Buffers<'a> {
-    /// Finds the bytes of all buffers: the GLB's chunk, data URIs or files of the bundle.
+    /// Finds the bytes of all buffers: the GLB's chunk, data URIs or files of the bundle; decompresses what meshes and
+    /// images read.
     ///
-    /// Errors on a missing file, a broken data URI and on fewer bytes than a buffer states.
-    pub(super) fn load(root: &'a Root, bin: Option<&'a [u8]>, bundle: &'a Bundle) -> Result<Self> {
+    /// Errors on a missing file, a broken data URI, on fewer bytes than a buffer states, and on compressed bytes that do
+    /// not decode to what is stated.
+    pub(super) fn load(
+        root: &'a Root,
+        bin: Option<&'a [u8]>,
+        bundle: &'a Bundle,
+        limits: &'a Limits,
+    ) -> Result<Self> {
         let load_one = |index| load_buffer(root, index, bin, bundle);
         let loaded = (0..root.buffers.len()).map(load_one).collect::<Result<_, _>>()?;
-        Ok(Self { root, loaded })
+        let mut buffers = Self { root, limits, loaded, views: BTreeMap::new(), accessors: BTreeMap::new() };
+        let mut budget = Budget::new(limits::DECODED_BYTES, limits.decoded_bytes);
+        buffers.views = meshopt::decode_views(root, &buffers, &mut budget)?;
+        buffers.accessors = draco::decode_primitives(root, &buffers, &mut budget)?;
+        Ok(buffers)
+    }
+
+    /// Limits of the import.
+    pub(super) fn limits(&self) -> &Limits {
+        self.limits
+    }
+
+    /// Whether a buffer is more than a stand-in for compressed views.
+    pub(super) fn has_bytes(&self, buffer: Index<gltf::json::Buffer>) -> bool {
+        self.loaded.get(buffer.value()).is_some_and(Option::is_some)
+    }
+
+    /// The packed elements of an accessor whose mesh was compressed.
+    pub(super) fn unpacked(&self, index: Index<Accessor>) -> Option<&[u8]> {
+        self.accessors.get(&index.value()).map(Vec::as_slice)
     }
 
     /// The bytes of a view; `place` is who reads it.
     pub(super) fn view(&self, index: Index<View>, place: &dyn Fn() -> String) -> Result<&[u8]> {
         let view = document::get(self.root, index, "buffer view", place)?;
-        let buffer_index = view.buffer.value();
+        if let Some(decoded) = self.views.get(&index.value()) {
+            return Ok(decoded);
+        }
         let in_view = || format!("buffer view {} of {}", index.value(), place());
-        document::get(self.root, view.buffer, "buffer", in_view)?;
-        let Some(bytes) = self.loaded[buffer_index].as_deref() else {
-            let problem = "it has no bytes of its own, only compressed ones; export without mesh compression";
-            let place = buffer_place(self.root, buffer_index);
+        let range = (view.byte_offset.unwrap_or_default().0, view.byte_length.0);
+        self.range(view.buffer, range, &in_view)
+    }
+
+    /// Bytes of a buffer from an offset on, as many as a length says; `place` is who reads them.
+    pub(super) fn range(
+        &self,
+        buffer: Index<gltf::json::Buffer>,
+        (offset, length): (u64, u64),
+        place: &dyn Fn() -> String,
+    ) -> Result<&[u8]> {
+        document::get(self.root, buffer, "buffer", place)?;
+        let Some(bytes) = self.loaded[buffer.value()].as_deref() else {
+            let problem = "it has no bytes of its own, and the view does not say how they are compressed";
+            let place = buffer_place(self.root, buffer.value());
             return Err(ImportError::Buffer { place, problem: problem.to_owned() });
         };
-        let offset = view.byte_offset.unwrap_or_default().0;
-        slice(bytes, offset, view.byte_length.0).ok_or_else(|| {
-            let (length, found) = (view.byte_length.0, bytes.len());
-            let problem = format!("it spans {length} bytes from {offset}, but its buffer has {found}");
-            ImportError::Buffer { place: in_view(), problem }
+        slice(bytes, offset, length).ok_or_else(|| {
+            let problem =
+                format!("it spans {length} bytes from {offset}, but its buffer has {}", bytes.len());
+            ImportError::Buffer { place: place(), problem }
         })
     }
 }
@@ -82,9 +128,7 @@ fn load_buffer<'a>(
 
 fn is_compression_stand_in(buffer: &gltf::json::Buffer) -> bool {
     let Some(extensions) = &buffer.extensions else { return false };
-    ["EXT_meshopt_compression", "KHR_meshopt_compression"]
-        .iter()
-        .any(|name| extensions.others.contains_key(*name))
+    meshopt::EXTENSIONS.iter().any(|name| extensions.others.contains_key(*name))
 }
 
 /// The bytes that a URI of a buffer or image stands for.

@@ -4,7 +4,7 @@ use gltf::json::Root;
 
 use super::buffers::Buffers;
 use super::bundle::Bundle;
-use super::limits::{Budget, Limits};
+use super::limits::{self, Budget, Limits};
 use super::warnings::Warnings;
 
 /// One import under way.
@@ -28,14 +28,14 @@ pub(super) struct Budgets {
 }
 
 impl Budgets {
-    pub(super) fn new(limits: &Limits) -> Self {
+    pub(super) fn new(limits: &Limits, upload_bytes: u64) -> Self {
         Self {
-            instances: Budget::new("mesh primitives in the scene", limits.instances),
-            triangles: Budget::new("triangles", limits.triangles),
-            vertices: Budget::new("vertices", limits.vertices),
-            sparse_elements: Budget::new("sparse accessor elements", limits.sparse_elements),
-            path_bytes: Budget::new("bytes of node paths", limits.path_bytes),
-            texture_pixels: Budget::new("pixels in all textures", limits.texture_pixels_total),
+            instances: Budget::new(limits::PRIMITIVES, limits.instances),
+            triangles: Budget::new(limits::TRIANGLES, limits.triangles),
+            vertices: Budget::new(limits::VERTICES, limits.vertices),
+            sparse_elements: Budget::new(limits::SPARSE_ELEMENTS, limits.sparse_elements),
+            path_bytes: Budget::new(limits::PATH_BYTES, limits.path_bytes),
+            texture_pixels: Budget::new(limits::ALL_PIXELS, limits.texture_pixels_of(upload_bytes)),
         }
     }
 }

@@ -3,21 +3,38 @@
 use gltf::json::{Index, Root, root::Get};
 
 use super::error::{ImportError, Result, place_of, shown};
-use super::glb;
-use super::limits::{Limits, within};
+use super::limits::{self, Limits, within};
+use super::outline;
 use super::warnings::Warnings;
+use super::{census, glb};
 
 /// Extensions that are honoured, so that a file may require them.
-const SUPPORTED_EXTENSIONS: [&str; 4] = [
+const SUPPORTED_EXTENSIONS: [&str; 9] = [
+    "EXT_meshopt_compression",
+    "KHR_draco_mesh_compression",
     "KHR_lights_punctual",
     "KHR_materials_emissive_strength",
+    "KHR_materials_pbrSpecularGlossiness",
+    "KHR_materials_transmission",
     "KHR_mesh_quantization",
+    "KHR_meshopt_compression",
     "KHR_texture_transform",
 ];
 
-/// Extensions that compress geometry: the advice differs from that for others.
-const GEOMETRY_COMPRESSION: [&str; 3] =
-    ["KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression"];
+/// Extensions without which a scene is still read as it is meant, but for their gloss or motion: by the start of their
+/// names.
+const HARMLESS_EXTENSIONS: [&str; 4] = ["KHR_animation_", "KHR_materials_", "KHR_xmp", "EXT_mesh_features"];
+
+/// How to do without an extension that a file requires.
+const ADVICE: [(&str, &str); 4] = [
+    (
+        "KHR_texture_basisu",
+        "convert its textures with 'npx @gltf-transform/cli ktxdecompress IN.glb OUT.glb'",
+    ),
+    ("EXT_texture_webp", "convert its textures with 'npx @gltf-transform/cli png IN.glb OUT.glb'"),
+    ("EXT_texture_avif", "convert its textures with 'npx @gltf-transform/cli png IN.glb OUT.glb'"),
+    ("EXT_mesh_gpu_instancing", "export the scene with its instances as nodes"),
+];
 
 /// Parses a `.gltf` or `.glb` and checks version and required extensions. Gives the GLB's binary chunk beside it.
 pub(super) fn parse<'a>(bytes: &'a [u8], limits: &Limits) -> Result<(Root, Option<&'a [u8]>)> {
@@ -29,7 +46,8 @@ pub(super) fn parse<'a>(bytes: &'a [u8], limits: &Limits) -> Result<(Root, Optio
     };
     let json = json.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(json);
     check_json_size(json, limits)?;
-    let root = Root::from_slice(json).map_err(|source| ImportError::Json { source })?;
+    census::check(json, limits)?;
+    let root = outline::read(json)?;
     check_version(&root)?;
     check_required_extensions(&root)?;
     Ok((root, bin))
@@ -37,7 +55,7 @@ pub(super) fn parse<'a>(bytes: &'a [u8], limits: &Limits) -> Result<(Root, Optio
 
 /// Bounds what parsing can allocate, by counting outside strings before anything is built.
 fn check_json_size(json: &[u8], limits: &Limits) -> Result<()> {
-    within("bytes of JSON", json.len() as u64, limits.json_bytes)?;
+    within(limits::JSON_BYTES, json.len() as u64, limits.json_bytes)?;
     let (mut object_count, mut value_count) = (0, 0);
     let (mut is_in_string, mut is_escaped) = (false, false);
     for &byte in json {
@@ -53,45 +71,41 @@ fn check_json_size(json: &[u8], limits: &Limits) -> Result<()> {
             _ => {}
         }
     }
-    within("objects in the JSON", object_count, limits.json_objects)?;
-    within("values in the JSON", value_count, limits.json_values)
+    within(limits::JSON_OBJECTS, object_count, limits.json_objects)?;
+    within(limits::JSON_VALUES, value_count, limits.json_values)
 }
 
 fn check_version(root: &Root) -> Result<()> {
     let asset = &root.asset;
     let needed = asset.min_version.as_deref().unwrap_or(&asset.version);
     let is_2_0 = needed == "2.0" || (asset.min_version.is_none() && needed.starts_with("2."));
-    if is_2_0 { Ok(()) } else { Err(ImportError::Version { version: shown(needed) }) }
+    if is_2_0 { Ok(()) } else { Err(ImportError::version(needed)) }
 }
 
 fn check_required_extensions(root: &Root) -> Result<()> {
-    let is_supported = |name: &&String| SUPPORTED_EXTENSIONS.contains(&name.as_str());
-    let Some(name) = root.extensions_required.iter().find(|name| !is_supported(name)) else {
-        return Ok(());
+    let is_fatal = |name: &&String| {
+        let is_harmless = HARMLESS_EXTENSIONS.iter().any(|start| name.starts_with(start));
+        !is_harmless && !SUPPORTED_EXTENSIONS.contains(&name.as_str())
     };
-    let advice = if GEOMETRY_COMPRESSION.contains(&name.as_str()) {
-        "export the scene without mesh compression"
-    } else {
-        "export the scene without it"
-    };
+    let Some(name) = root.extensions_required.iter().find(is_fatal) else { return Ok(()) };
+    let known = ADVICE.iter().find(|(extension, _)| extension == name);
+    let advice = known.map_or("export the scene without it", |(_, advice)| advice);
     Err(ImportError::UnsupportedExtension { name: shown(name), advice })
 }
 
 /// Warns of extensions that the file uses and that are passed over, naming each.
 pub(super) fn warn_of_ignored_extensions(root: &Root, warnings: &mut Warnings) {
-    let ignored =
-        root.extensions_used.iter().map(String::as_str).filter(|name| !SUPPORTED_EXTENSIONS.contains(name));
-    let (compression, others): (Vec<&str>, Vec<&str>) =
-        ignored.partition(|name| GEOMETRY_COMPRESSION.contains(name));
-    if !compression.is_empty() {
-        let names = shown(&compression.join(", "));
-        warnings.add("compression-ignored", || {
-            format!("{names}: not decoded, the uncompressed fallback is used")
-        });
-    }
-    if !others.is_empty() {
-        let names = shown(&others.join(", "));
+    let used = root.extensions_used.iter().map(String::as_str);
+    let ignored: Vec<&str> = used.filter(|name| !SUPPORTED_EXTENSIONS.contains(name)).collect();
+    if !ignored.is_empty() {
+        let names = shown(&ignored.join(", "));
         warnings.add("extension-ignored", || format!("{names}: not understood, the scene is read without"));
+    }
+    if !root.animations.is_empty() {
+        let count = root.animations.len();
+        warnings.add("animations-ignored", || {
+            format!("{count} animation(s) are not played: the scene is baked as it stands at rest")
+        });
     }
 }
 

@@ -28,18 +28,27 @@ pub enum ImportError {
         /// The fault.
         problem: String,
     },
-    /// The JSON is not glTF.
+    /// The JSON ends early or is none.
     #[error("the glTF's JSON cannot be read; export the file again")]
     Json {
         /// Where and why.
         #[source]
         source: gltf::json::Error,
     },
+    /// The JSON is fine and yet no glTF.
+    #[error("the JSON is not glTF 2.0; export the file again")]
+    NotGltf {
+        /// Where and why.
+        #[source]
+        source: gltf::json::Error,
+    },
     /// Another glTF version than 2.
-    #[error("glTF version {version:?} is not supported; export the scene as glTF 2.0")]
+    #[error("glTF version {version:?} is not supported; {advice}")]
     Version {
         /// Version by `asset.version` or the GLB header.
         version: String,
+        /// Next step for the user.
+        advice: &'static str,
     },
     /// The zip container is broken, encrypted or compressed by an unsupported method.
     #[error("broken zip at {place}; pack it again with plain deflate and no password")]
@@ -106,7 +115,7 @@ pub enum ImportError {
         problem: String,
     },
     /// A size beyond what is accepted.
-    #[error("too many {what}: {found} (at most {limit}); split or simplify the scene")]
+    #[error("too many {what}: {found} (at most {limit}); {remedy}")]
     LimitExceeded {
         /// Plural noun.
         what: &'static str,
@@ -114,6 +123,18 @@ pub enum ImportError {
         found: u64,
         /// How many are accepted.
         limit: u64,
+        /// Next step for the user.
+        remedy: &'static str,
+    },
+    /// Light beyond all that shines, which no bake can hold.
+    #[error("{place} emits {found:e} W·m⁻²·sr⁻¹ (at most {limit:e}); set a strength that is meant")]
+    TooBright {
+        /// Material.
+        place: String,
+        /// Highest of its channels.
+        found: f32,
+        /// How much is accepted.
+        limit: f32,
     },
     /// The file says that it cannot be read without an extension that is not supported.
     #[error("the file requires the extension {name}, which is not supported; {advice}")]
@@ -139,6 +160,14 @@ pub enum ImportError {
     #[error("{place}: {problem}; export the file again")]
     Buffer {
         /// Which buffer.
+        place: String,
+        /// The fault.
+        problem: String,
+    },
+    /// A mesh or view whose compressed bytes do not decode.
+    #[error("{place} cannot be decompressed: {problem}; convert the file with '{UNCOMPRESS}'")]
+    Compressed {
+        /// Buffer view, or mesh and primitive.
         place: String,
         /// The fault.
         problem: String,
@@ -204,6 +233,21 @@ pub enum ImportError {
         source: zip::result::ZipError,
     },
 }
+
+impl ImportError {
+    /// Another glTF version than 2, with the way to it.
+    pub(super) fn version(version: &str) -> Self {
+        let advice = if version.starts_with('1') {
+            "convert it with 'npx gltf-pipeline -i OLD.gltf -o NEW.glb', or export the scene as glTF 2.0"
+        } else {
+            "export the scene as glTF 2.0"
+        };
+        Self::Version { version: shown(version), advice }
+    }
+}
+
+/// Writes a file anew without compression of meshes.
+const UNCOMPRESS: &str = "npx @gltf-transform/cli copy IN.glb OUT.glb";
 
 /// Longest name shown in a message, in characters.
 const MAX_SHOWN_CHARS: usize = 120;

@@ -31,7 +31,7 @@ pub(super) fn is_glb(bytes: &[u8]) -> bool {
 pub(super) fn split(bytes: &[u8]) -> Result<Glb<'_>> {
     let version = read_u32(bytes, 4)?;
     if version != 2 {
-        return Err(ImportError::Version { version: version.to_string() });
+        return Err(ImportError::version(&format!("{version}.0")));
     }
     let stated = read_u32(bytes, 8)? as usize;
     if stated > bytes.len() || stated < HEADER_BYTES {

@@ -10,7 +10,7 @@ use super::buffers::read_uri;
 use super::context::Context;
 use super::document::image_place;
 use super::error::{ImportError, Result};
-use super::limits::within;
+use super::limits::{self, within};
 use super::model::SceneImage;
 
 /// Memory for decoding beside 8 bytes a pixel, in bytes.
@@ -45,7 +45,7 @@ pub(super) fn read_image(context: &mut Context<'_>, index: usize) -> Result<Opti
     let unreadable = |source| ImportError::Image { place: place(), hint: "", source };
     let (width, height) = header_size(&bytes, format).map_err(unreadable)?;
     let pixels = u64::from(width) * u64::from(height);
-    within("pixels in a texture", pixels, context.limits.texture_pixels_each)?;
+    within(limits::TEXTURE_PIXELS, pixels, context.limits.texture_pixels_each)?;
     context.budgets.texture_pixels.spend(pixels)?;
     decode_as(&bytes, format).map_err(unreadable)?;
     let stated = &root.images[index];

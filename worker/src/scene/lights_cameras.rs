@@ -11,7 +11,7 @@ use lightkiln_proto::scene::{LightKind, SceneCamera, SceneLight};
 
 use super::context::Context;
 use super::document::{self, node_place};
-use super::error::{Result, shown};
+use super::error::{Result, place_of};
 
 /// Smallest and largest vertical field of view taken as stated, in radians.
 const FOV_Y_RANGE_RAD: [f32; 2] = [1e-3, PI - 1e-3];
@@ -99,10 +99,7 @@ pub(super) fn read_camera(
     let camera = document::get(root, camera_index, "camera", || node_place(root, node_index))?;
     let Some((fov_y_rad, orthographic_half_height_m)) = projection(camera) else {
         context.warnings.add("camera-skipped", || {
-            format!(
-                "camera {index} ({}) has no usable projection",
-                shown(camera.name.as_deref().unwrap_or(""))
-            )
+            format!("{} has no usable projection", place_of("camera", index, camera.name.as_deref()))
         });
         return Ok(None);
     };

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use gltf::json::extensions::material::PbrSpecularGlossiness;
 use gltf::json::extensions::texture::TextureTransform;
 use gltf::json::material::AlphaMode;
 use gltf::json::texture::{Info, WrappingMode};
@@ -10,13 +11,16 @@ use gltf::json::{Index, Root};
 
 use super::context::Context;
 use super::document;
-use super::error::{Result, place_of, shown};
+use super::error::{ImportError, Result, place_of};
 use super::images::read_image;
 use super::model::{Material, SceneImage, TextureUse, Wrap};
 use super::primitives::LocalMesh;
 
 /// Alpha at which BLEND materials are cut into a mask: half covered is opaque.
 const BLEND_CUTOFF: f32 = 0.5;
+
+/// Highest emission, in W·m⁻²·sr⁻¹: far above the sun's 2·10⁷, and far below the 10¹⁹ that chunks hold after bounces.
+const EMISSION_MAX: f32 = 1e12;
 
 /// The identity as a 2×3 affine map.
 const IDENTITY_UV: [[f32; 3]; 2] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
@@ -107,19 +111,23 @@ impl MaterialTable {
     fn read_material(&mut self, context: &mut Context<'_>, index: usize) -> Result<Material> {
         let stated = &context.root.materials[index];
         let place = || place_of("material", index, stated.name.as_deref());
-        let pbr = &stated.pbr_metallic_roughness;
-        let base_colour = clamped(context, pbr.base_color_factor.0, 1.0, &place);
-        let strength = stated
-            .extensions
-            .as_ref()
+        let (factor, texture) = base_colour_of(stated);
+        warn_of_lost_specular(context, stated, &place);
+        let base_colour = clamped(context, factor, 1.0, &place);
+        let extensions = stated.extensions.as_ref();
+        let strength = extensions
             .and_then(|extensions| extensions.emissive_strength.as_ref())
             .map_or(1.0, |strength| strength.emissive_strength.0);
         let emissive = stated.emissive_factor.0.map(|channel| channel * strength);
+        let brightest = emissive.into_iter().fold(0.0, f32::max);
+        if brightest > EMISSION_MAX {
+            return Err(ImportError::TooBright { place: place(), found: brightest, limit: EMISSION_MAX });
+        }
         Ok(Material {
             name: stated.name.clone().unwrap_or_else(|| format!("material {index}")),
             base_colour,
-            base_colour_texture: self.read_texture(context, pbr.base_color_texture.as_ref(), &place)?,
-            emissive: clamped(context, emissive, f32::MAX, &place),
+            base_colour_texture: self.read_texture(context, texture, &place)?,
+            emissive: clamped(context, emissive, EMISSION_MAX, &place),
             emissive_texture: self.read_texture(context, stated.emissive_texture.as_ref(), &place)?,
             alpha_cutoff: alpha_cutoff(context, stated, &place),
             double_sided: stated.double_sided,
@@ -178,6 +186,43 @@ impl MaterialTable {
     }
 }
 
+/// Base colour and its texture; those of the diffuse part where a material states specular and glossiness
+/// (KHR_materials_pbrSpecularGlossiness), which the extension prefers.
+fn base_colour_of(stated: &gltf::json::Material) -> ([f32; 4], Option<&Info>) {
+    match specular_glossiness(stated) {
+        Some(old) => (old.diffuse_factor.0, old.diffuse_texture.as_ref()),
+        None => {
+            let pbr = &stated.pbr_metallic_roughness;
+            (pbr.base_color_factor.0, pbr.base_color_texture.as_ref())
+        }
+    }
+}
+
+fn specular_glossiness(stated: &gltf::json::Material) -> Option<&PbrSpecularGlossiness> {
+    stated.extensions.as_ref()?.pbr_specular_glossiness.as_ref()
+}
+
+/// Warns of metals of the old kind: their colour is in the specular part, which is not baked.
+fn warn_of_lost_specular(
+    context: &mut Context<'_>,
+    stated: &gltf::json::Material,
+    place: &dyn Fn() -> String,
+) {
+    let Some(old) = specular_glossiness(stated) else { return };
+    let highest = |colour: &[f32]| colour.iter().fold(0.0, |high: f32, channel| high.max(*channel));
+    let is_metal = old.specular_glossiness_texture.is_none()
+        && highest(&old.specular_factor.0) > highest(&old.diffuse_factor.0[..3]);
+    if is_metal {
+        context.warnings.add("specular-colour-ignored", || {
+            format!(
+                "{} reflects more by its specular colour than by its diffuse one, which alone is baked; convert the file \
+                 with 'npx @gltf-transform/cli metalrough IN.glb OUT.glb'",
+                place()
+            )
+        });
+    }
+}
+
 /// Factors forced into `0..=max`, with a warning if that changes them; NaN becomes 0.
 fn clamped<const N: usize>(
     context: &mut Context<'_>,
@@ -213,10 +258,7 @@ fn alpha_cutoff(
             Some(BLEND_CUTOFF)
         }
         Checked::Invalid => {
-            let name = shown(stated.name.as_deref().unwrap_or(""));
-            context
-                .warnings
-                .add("alpha-mode-unknown", || format!("{} ({name:?}) is taken as opaque", place()));
+            context.warnings.add("alpha-mode-unknown", || format!("{} is taken as opaque", place()));
             None
         }
     }

@@ -6,8 +6,10 @@
 mod accessor;
 mod buffers;
 mod bundle;
+mod census;
 mod context;
 mod document;
+mod draco;
 mod error;
 mod glb;
 mod images;
@@ -15,14 +17,18 @@ mod json_text;
 mod lights_cameras;
 mod limits;
 mod materials;
+mod meshopt;
 pub mod model;
 mod nodes;
+mod outline;
 mod pack;
 mod placement;
+mod pose;
 mod primitives;
 pub mod surface;
 pub mod task;
 pub mod texture;
+mod unzip;
 mod uri;
 mod warnings;
 
@@ -45,6 +51,8 @@ use warnings::Warnings;
 pub const ARTEFACT_MAGIC: &[u8; 4] = b"LKsc";
 /// Name under which tasks see it.
 pub const ARTEFACT: &str = "import/scene";
+/// Code of the warning that says why there is nothing to bake.
+const NO_TRIANGLES: &str = "no-triangles";
 /// Name under which tasks see the import's warnings.
 pub const WARNINGS: &str = "import/warnings";
 
@@ -54,13 +62,13 @@ pub const WARNINGS: &str = "import/warnings";
 /// not honoured becomes a warning.
 pub fn import(source: &Bundle, limits: &Limits) -> Result<Imported, ImportError> {
     let (root, bin) = document::parse(source.root_bytes(), limits)?;
-    let buffers = Buffers::load(&root, bin, source)?;
+    let buffers = Buffers::load(&root, bin, source, limits)?;
     let mut context = Context {
         root: &root,
         bundle: source,
         buffers: &buffers,
         limits,
-        budgets: Budgets::new(limits),
+        budgets: Budgets::new(limits, source.upload_bytes()),
         warnings: Warnings::default(),
     };
     document::warn_of_ignored_extensions(&root, &mut context.warnings);
@@ -69,10 +77,28 @@ pub fn import(source: &Bundle, limits: &Limits) -> Result<Imported, ImportError>
     let degenerate_count = nodes::flatten(&mut context, &mut materials, &mut scene)?;
     (scene.materials, scene.images) = materials.finish();
     if scene.instances.is_empty() {
-        context.warnings.add("no-triangles", || "the scene has no triangles to bake".to_owned());
+        let why = nothing_to_bake(&root, degenerate_count);
+        context.warnings.add(NO_TRIANGLES, || why);
     }
     let counts = counts(&scene, degenerate_count);
     Ok(Imported { scene, warnings: context.warnings.finish(), counts })
+}
+
+/// Why a scene has no triangles, and what to do.
+fn nothing_to_bake(root: &gltf::json::Root, degenerate_count: u64) -> String {
+    let mesh_count = root.meshes.len();
+    let is_placed = root.nodes.iter().any(|node| node.mesh.is_some());
+    let why = if degenerate_count > 0 {
+        format!("all of its {degenerate_count} triangles are without area; check that no node is scaled to 0")
+    } else if mesh_count > 0 && !is_placed {
+        format!("the file has {mesh_count} mesh(es), but no node places one; export the scene with its nodes")
+    } else if mesh_count > 0 {
+        "no mesh under the nodes of its scene has triangles; check which scene and objects were exported"
+            .into()
+    } else {
+        "the file has no meshes; export the scene with its geometry".into()
+    };
+    format!("the scene has no triangles to bake: {why}")
 }
 
 fn counts(scene: &Scene, degenerate_count: u64) -> BTreeMap<String, u64> {

@@ -109,7 +109,7 @@ pub struct SceneImage {
 /// Something that was not honoured exactly; part of the bake's report.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Warning {
-    /// Stable kebab-case name, e.g. `skin-ignored`.
+    /// Stable kebab-case name, e.g. `skin-at-rest`.
     pub code: String,
     /// Fault and place, in words.
     pub message: String,

@@ -10,10 +10,11 @@ use super::context::Context;
 use super::document::{self, node_place, primitive_place};
 use super::error::{ImportError, Result, shown};
 use super::lights_cameras::{read_camera, read_light};
-use super::limits::within;
+use super::limits::{self, within};
 use super::materials::MaterialTable;
 use super::model::{MeshInstance, Scene};
 use super::placement::place_in_world;
+use super::pose;
 use super::primitives::PrimitiveReader;
 
 /// Distance of a squared quaternion length from 1 from which on it deserves a warning.
@@ -27,11 +28,12 @@ pub(super) fn flatten(
     materials: &mut MaterialTable,
     scene: &mut Scene,
 ) -> Result<u64> {
-    within("nodes", context.root.nodes.len() as u64, context.limits.nodes)?;
+    within(limits::NODES, context.root.nodes.len() as u64, context.limits.nodes)?;
     let mut walk = Walk {
         is_reached: vec![false; context.root.nodes.len()],
         primitives: PrimitiveReader::default(),
         paths: BTreeMap::new(),
+        parents: None,
         degenerate_count: 0,
     };
     let mut pending = Vec::new();
@@ -92,6 +94,8 @@ struct Walk {
     primitives: PrimitiveReader,
     /// For each instance path in use, the last number given to a repetition of it.
     paths: BTreeMap<String, u64>,
+    /// Parent of each node, found for the first skin.
+    parents: Option<Vec<Option<usize>>>,
     degenerate_count: u64,
 }
 
@@ -107,11 +111,12 @@ impl Walk {
         let root = context.root;
         let node_index = here.index.value();
         let node = document::get(root, here.index, "node", || "the scene".to_owned())?;
-        within("levels of nodes", here.depth, context.limits.node_depth)?;
+        within(limits::NODE_LEVELS, here.depth, context.limits.node_depth)?;
         if std::mem::replace(&mut self.is_reached[node_index], true) {
             return Err(ImportError::NodeReachedTwice { place: node_place(root, node_index) });
         }
-        let world_from_object = here.world_from_parent * local_transform(context, node_index);
+        warn_of_transform(context, node_index);
+        let world_from_object = here.world_from_parent * local_transform(node);
         if !DMat4::from(world_from_object).as_mat4().is_finite() {
             return Err(ImportError::NonFiniteTransform { place: node_place(root, node_index) });
         }
@@ -144,17 +149,34 @@ impl Walk {
     ) -> Result<()> {
         let root = context.root;
         let mesh = &root.meshes[mesh_index];
-        if root.nodes[node_index].skin.is_some() {
-            context.warnings.add("skin-ignored", || {
-                format!("{} is baked in its rest pose", node_place(root, node_index))
-            });
-        }
+        let node = &root.nodes[node_index];
+        let weights = node.weights.as_deref().or(mesh.weights.as_deref()).unwrap_or_default();
+        let joints = match node.skin {
+            Some(skin) => {
+                context.warnings.add("skin-at-rest", || {
+                    format!("{} is baked in the pose in which its joints stand", node_place(root, node_index))
+                });
+                let parents = self.parents.get_or_insert_with(|| pose::parents(root));
+                Some(pose::joint_matrices(context, parents, node_index, skin)?)
+            }
+            None => None,
+        };
         for (primitive_index, primitive) in mesh.primitives.iter().enumerate() {
             context.budgets.instances.spend(1)?;
-            let Some(local) = self.primitives.read(context, mesh_index, primitive_index)? else { continue };
+            let read = self.primitives.read(context, mesh_index, primitive_index, weights)?;
+            let Some(mut local) = read else { continue };
             let place = || {
                 let primitive = primitive_place(root, mesh_index, primitive_index);
                 format!("{primitive} under {}", node_place(root, node_index))
+            };
+            let bent = joints.as_ref().filter(|_| !local.influences.is_empty());
+            let world_from_object = if let Some(matrices) = bent {
+                let influences = std::mem::take(&mut local.influences);
+                pose::bend(&mut local, &influences, matrices, &place)?;
+                // Joints alone say where a skinned mesh is.
+                DAffine3::IDENTITY
+            } else {
+                world_from_object
             };
             let placed = place_in_world(local, world_from_object, &mut context.warnings, &place)?;
             self.degenerate_count += placed.degenerate_count;
@@ -204,17 +226,30 @@ fn path_part(name: Option<&str>, unnamed: &str) -> String {
     shown(name.filter(|name| !name.is_empty()).unwrap_or(unnamed))
 }
 
-/// The node's own transform: its matrix, or translation × rotation × scale.
-fn local_transform(context: &mut Context<'_>, node_index: usize) -> DAffine3 {
+/// Warns of a node whose transform is not quite as glTF has them.
+fn warn_of_transform(context: &mut Context<'_>, node_index: usize) {
     let root = context.root;
     let node = &root.nodes[node_index];
-    if let Some(columns) = node.matrix {
-        let m = columns.map(f64::from);
+    if let Some(m) = node.matrix {
         if [m[3], m[7], m[11], m[15]] != [0.0, 0.0, 0.0, 1.0] {
             context.warnings.add("matrix-not-affine", || {
                 format!("{} has a projective matrix; its last row is ignored", node_place(root, node_index))
             });
         }
+        return;
+    }
+    let rotation = DQuat::from_array(node.rotation.unwrap_or_default().0.map(f64::from));
+    if (rotation.length_squared() - 1.0).abs() > ROTATION_TOLERANCE {
+        context.warnings.add("rotation-not-unit", || {
+            format!("{} has a quaternion of other length than 1", node_place(root, node_index))
+        });
+    }
+}
+
+/// The node's own transform: its matrix, or translation × rotation × scale.
+pub(super) fn local_transform(node: &Node) -> DAffine3 {
+    if let Some(columns) = node.matrix {
+        let m = columns.map(f64::from);
         let column = |i: usize| DVec3::new(m[i], m[i + 1], m[i + 2]);
         return DAffine3 {
             matrix3: DMat3::from_cols(column(0), column(4), column(8)),
@@ -223,11 +258,6 @@ fn local_transform(context: &mut Context<'_>, node_index: usize) -> DAffine3 {
     }
     let rotation = node.rotation.unwrap_or_default().0.map(f64::from);
     let rotation = DQuat::from_array(rotation);
-    if (rotation.length_squared() - 1.0).abs() > ROTATION_TOLERANCE {
-        context.warnings.add("rotation-not-unit", || {
-            format!("{} has a quaternion of other length than 1", node_place(root, node_index))
-        });
-    }
     let unit = if rotation.length_squared() > 0.0 { rotation / rotation.length() } else { DQuat::IDENTITY };
     let scale = DVec3::from(node.scale.unwrap_or([1.0; 3]).map(f64::from));
     let translation = DVec3::from(node.translation.unwrap_or([0.0; 3]).map(f64::from));

@@ -12,7 +12,7 @@ use zip::{CompressionMethod, DateTime, ZipWriter};
 use super::bundle::{Bundle, Format};
 use super::document::{self, buffer_place, image_place};
 use super::error::{ImportError, Result, shown};
-use super::limits::{Budget, Limits, within};
+use super::limits::{self, Budget, Limits, within};
 use super::uri::{self, Uri};
 
 /// Endings of files that are compressed already.
@@ -25,7 +25,7 @@ impl Bundle {
     /// same bytes for the same files whatever their dates and wherever they lie. Errors on files that are missing,
     /// outside the glTF's folder (also through symbolic links), remote or beyond the limits.
     pub fn pack_path(path: &Path, limits: &Limits) -> Result<Vec<u8>> {
-        let mut budget = Budget::new("bytes to upload", limits.bundle_bytes);
+        let mut budget = Budget::new(limits::UPLOAD_BYTES, limits.bundle_bytes);
         let bytes = read_file(path, &mut budget)?;
         if Format::of(&bytes).ok_or(ImportError::UnknownFormat)? == Format::Zip {
             return Ok(bytes);
@@ -37,8 +37,14 @@ impl Bundle {
             return Ok(bytes);
         }
         files.insert(root_name(path), bytes);
-        let packed = write_zip(&files).map_err(|source| ImportError::Pack { source })?;
-        within("bytes to upload", packed.len() as u64, limits.bundle_bytes)?;
+        let pack = |method| write_zip(&files, method).map_err(|source| ImportError::Pack { source });
+        let mut packed = pack(CompressionMethod::Deflated)?;
+        let total: u64 = files.values().map(|bytes| bytes.len() as u64).sum();
+        if total > limits.decompressed_bytes_of(packed.len() as u64) {
+            // A scene of mostly equal bytes would look like a bomb.
+            packed = pack(CompressionMethod::Stored)?;
+        }
+        within(limits::UPLOAD_BYTES, packed.len() as u64, limits.bundle_bytes)?;
         Ok(packed)
     }
 }
@@ -84,7 +90,7 @@ fn read_named_files(
             return Err(outside("is a symbolic link out of the scene's folder"));
         }
         files.insert(name.clone(), read_file(&folder.join(&name), budget)?);
-        within("files to upload", files.len() as u64, limits.files.saturating_sub(1))?;
+        within(limits::UPLOAD_FILES, files.len() as u64, limits.files.saturating_sub(1))?;
     }
     Ok(files)
 }
@@ -108,14 +114,18 @@ fn read_file(path: &Path, budget: &mut Budget) -> Result<Vec<u8>> {
     fs::read(path).map_err(failed)
 }
 
-fn write_zip(files: &BTreeMap<String, Vec<u8>>) -> zip::result::ZipResult<Vec<u8>> {
+/// A zip of the files, by `deflated` where they are not compressed already.
+fn write_zip(
+    files: &BTreeMap<String, Vec<u8>>,
+    deflated: CompressionMethod,
+) -> zip::result::ZipResult<Vec<u8>> {
     let mut writer = ZipWriter::new(Cursor::new(Vec::new()));
     // Date and mode would otherwise differ between machines, and with them the scene's digest.
     let plain = SimpleFileOptions::default().last_modified_time(DateTime::DEFAULT).unix_permissions(0o644);
     for (name, content) in files {
         let lower = name.to_ascii_lowercase();
         let is_compressed = COMPRESSED_ENDINGS.iter().any(|ending| lower.ends_with(ending));
-        let method = if is_compressed { CompressionMethod::Stored } else { CompressionMethod::Deflated };
+        let method = if is_compressed { CompressionMethod::Stored } else { deflated };
         writer.start_file(name.as_str(), plain.compression_method(method))?;
         writer.write_all(content)?;
     }

@@ -116,7 +116,7 @@ fn set_normals(
 }
 
 /// The inverse transpose up to a positive factor: the cofactors, which exist also when a node is scaled flat.
-fn normal_matrix(m: DMat3) -> DMat3 {
+pub(super) fn normal_matrix(m: DMat3) -> DMat3 {
     let cofactors =
         DMat3::from_cols(m.y_axis.cross(m.z_axis), m.z_axis.cross(m.x_axis), m.x_axis.cross(m.y_axis));
     if m.determinant() < 0.0 { -cofactors } else { cofactors }

@@ -2,7 +2,7 @@
 
 use glam::{Vec2, Vec3};
 use gltf::json::accessor::Type;
-use gltf::json::mesh::{Mode, Primitive, Semantic};
+use gltf::json::mesh::{Mode, MorphTarget, Primitive, Semantic};
 use gltf::json::validation::Checked;
 use gltf::json::{Accessor, Index};
 
@@ -10,6 +10,8 @@ use super::accessor::{Reader, Wanted};
 use super::context::Context;
 use super::document::primitive_place;
 use super::error::{ImportError, Result};
+use super::limits::{self, within};
+use super::pose::{self, Influences};
 
 /// Marks a vertex that no triangle has used yet.
 const UNUSED: u32 = u32::MAX;
@@ -24,6 +26,8 @@ pub(super) struct LocalMesh {
     pub(super) uv1: Vec<Vec2>,
     pub(super) colours: Vec<[f32; 4]>,
     pub(super) triangles: Vec<[u32; 3]>,
+    /// Joints of a skin that pull at each vertex; empty when the file has none.
+    pub(super) influences: Vec<Influences>,
 }
 
 /// Reads primitives; keeps its vertex table between them, since many may share one big vertex buffer.
@@ -34,7 +38,8 @@ pub(super) struct PrimitiveReader {
 }
 
 impl PrimitiveReader {
-    /// One primitive, or `None` (with a warning) if it has no triangles to read.
+    /// One primitive in the shape that `weights` of its morph targets give, or `None` (with a warning) if it has no
+    /// triangles to read.
     ///
     /// Errors on attributes that do not fit each other or their buffers, and on indices out of range.
     pub(super) fn read(
@@ -42,6 +47,7 @@ impl PrimitiveReader {
         context: &mut Context<'_>,
         mesh_index: usize,
         primitive_index: usize,
+        weights: &[f32],
     ) -> Result<Option<LocalMesh>> {
         let root = context.root;
         let primitive = &root.meshes[mesh_index].primitives[primitive_index];
@@ -49,11 +55,13 @@ impl PrimitiveReader {
         let Some((mode, position_index)) = triangle_source(context, primitive, &place)? else {
             return Ok(None);
         };
-        let source = Source { primitive, place: &place };
+        let source = Source { primitive, weights, place: &place };
         let positions = source.open(context, position_index, "POSITION", &[Type::Vec3], 0, false)?;
         let corners = source.corners(context, positions.count())?;
         let triangle_count = triangle_count(context, mode, corners.count, &place);
         context.budgets.triangles.spend(triangle_count as u64)?;
+        // The table of used vertices is as long as the highest index.
+        within(limits::VERTICES, positions.count() as u64, context.limits.vertices)?;
         let (triangles, vertices) = self.compact(mode, triangle_count, &corners, &source)?;
         let is_flat = !primitive.attributes.contains_key(&Checked::Valid(Semantic::Normals));
         let vertex_count = if is_flat { triangles.len() * 3 } else { vertices.len() };
@@ -112,22 +120,14 @@ fn triangle_source(
         return Ok(None);
     }
     if primitive.targets.as_ref().is_some_and(|targets| !targets.is_empty()) {
-        context.warnings.add("morph-targets-ignored", || format!("{} is baked in its base shape", place()));
+        context
+            .warnings
+            .add("morph-at-rest", || format!("{} is baked in the shape of its default weights", place()));
     }
     let Some(&position_index) = primitive.attributes.get(&Checked::Valid(Semantic::Positions)) else {
         context.warnings.add("no-positions-skipped", || format!("{} has no positions", place()));
         return Ok(None);
     };
-    let is_compressed = primitive
-        .extensions
-        .as_ref()
-        .is_some_and(|extensions| extensions.others.contains_key("KHR_draco_mesh_compression"));
-    let has_bytes = |accessor: &Accessor| accessor.buffer_view.is_some() || accessor.sparse.is_some();
-    if is_compressed && !context.root.get(position_index).is_some_and(has_bytes) {
-        return Err(fail(
-            "it has only Draco-compressed vertices, which are not decoded; export without compression",
-        ));
-    }
     Ok(Some((mode, position_index)))
 }
 
@@ -178,9 +178,17 @@ impl Corners<'_> {
     }
 }
 
+/// An attribute of a vertex under its morph targets: `base + Σ w · displacement`.
+fn displaced(base: &Reader<'_>, targets: &[(f32, Reader<'_>)], vertex: u32) -> Vec3 {
+    let at = |reader: &Reader<'_>| Vec3::from(reader.floats(vertex as usize, 0.0));
+    targets.iter().fold(at(base), |sum, (weight, target)| sum + at(target) * *weight)
+}
+
 /// A primitive being read, with its name for messages.
 struct Source<'s> {
     primitive: &'s Primitive,
+    /// Weights of its morph targets.
+    weights: &'s [f32],
     place: &'s dyn Fn() -> String,
 }
 
@@ -219,8 +227,9 @@ impl Source<'_> {
         triangles: Vec<[u32; 3]>,
     ) -> Result<LocalMesh> {
         let count = positions.count();
+        let moved = self.open_targets(context, "POSITION", count, |target| target.positions)?;
         let read_position = |&vertex: &u32| {
-            let position = Vec3::from(positions.floats(vertex as usize, 0.0));
+            let position = displaced(positions, &moved, vertex);
             let vertex = vertex as usize;
             let not_finite = || ImportError::NonFinitePosition { place: (self.place)(), vertex };
             position.is_finite().then_some(position).ok_or_else(not_finite)
@@ -229,7 +238,12 @@ impl Source<'_> {
         let normals = match self.find(Semantic::Normals) {
             Some(index) => {
                 let normals = self.open(context, index, "NORMAL", &[Type::Vec3], count, false)?;
-                Some(vertices.iter().map(|&v| Vec3::from(normals.floats(v as usize, 0.0))).collect())
+                let turned = self.open_targets(context, "NORMAL", count, |target| target.normals)?;
+                let read = |&vertex: &u32| {
+                    let normal = displaced(&normals, &turned, vertex);
+                    if turned.is_empty() { normal } else { normal.normalize_or(normal) }
+                };
+                Some(vertices.iter().map(read).collect())
             }
             None => None,
         };
@@ -239,8 +253,49 @@ impl Source<'_> {
             uv0: self.read_uvs(context, 0, vertices, count)?,
             uv1: self.read_uvs(context, 1, vertices, count)?,
             colours: self.read_colours(context, vertices, count)?,
+            influences: self.read_influences(context, vertices, count)?,
             triangles,
         })
+    }
+
+    /// The displacements of one attribute by morph targets that are not at 0, each with its weight.
+    fn open_targets<'a>(
+        &self,
+        context: &mut Context<'a>,
+        attribute: &str,
+        count: usize,
+        of_target: impl Fn(&MorphTarget) -> Option<Index<Accessor>>,
+    ) -> Result<Vec<(f32, Reader<'a>)>> {
+        let mut opened = Vec::new();
+        for (target, &weight) in self.primitive.targets.iter().flatten().zip(self.weights) {
+            let Some(index) = of_target(target).filter(|_| weight != 0.0 && weight.is_finite()) else {
+                continue;
+            };
+            let attribute = format!("morph target {attribute}");
+            opened.push((weight, self.open(context, index, &attribute, &[Type::Vec3], count, false)?));
+        }
+        Ok(opened)
+    }
+
+    fn read_influences(
+        &self,
+        context: &mut Context<'_>,
+        vertices: &[u32],
+        count: usize,
+    ) -> Result<Vec<Influences>> {
+        let mut sets = Vec::new();
+        for (joints, weights) in pose::SETS {
+            let (Some(joints), Some(weights)) = (self.find(joints), self.find(weights)) else { break };
+            let joints = self.open(context, joints, "JOINTS", &[Type::Vec4], count, false)?;
+            let weights = self.open(context, weights, "WEIGHTS", &[Type::Vec4], count, true)?;
+            let joint = |&vertex: &u32| joints.floats(vertex as usize, 0.0).map(|joint: f32| joint as u32);
+            let weight = |&vertex: &u32| weights.floats(vertex as usize, 0.0);
+            sets.push(Influences {
+                joints: vertices.iter().map(joint).collect(),
+                weights: vertices.iter().map(weight).collect(),
+            });
+        }
+        Ok(sets)
     }
 
     fn find(&self, semantic: Semantic) -> Option<Index<Accessor>> {

@@ -4,7 +4,7 @@ use lightkiln_proto::jobs::TaskSpec;
 
 use super::model::{Material, Scene, Warning};
 use super::surface::MAX_ALBEDO;
-use super::{ARTEFACT_MAGIC, Bundle, Limits, import};
+use super::{ARTEFACT_MAGIC, Bundle, Limits, NO_TRIANGLES, import};
 use crate::task::{Context, TaskError, TaskOutput, artefact};
 
 /// A warning that names the materials without texture whose albedo is clamped; under a texture, only texels that are
@@ -34,10 +34,8 @@ pub fn run(context: &Context, _: &TaskSpec) -> Result<TaskOutput, TaskError> {
     let bytes = context.bytes("bundle")?;
     let bundle = Bundle::from_bytes(bytes.as_ref().clone(), &limits).map_err(refused)?;
     let imported = import(&bundle, &limits).map_err(refused)?;
-    if imported.scene.instances.iter().all(|instance| instance.triangles.is_empty()) {
-        return Err(TaskError::bad_input(
-            "the scene has no triangles with an area: there is nothing to bake",
-        ));
+    if let Some(empty) = imported.warnings.iter().find(|warning| warning.code == NO_TRIANGLES) {
+        return Err(TaskError::bad_input(empty.message.clone()));
     }
     let mut warnings = imported.warnings;
     warnings.extend(clamped_albedos(&imported.scene));

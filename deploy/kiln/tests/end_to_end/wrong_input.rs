@@ -17,6 +17,9 @@ fn assert_refused(words: &str, exit: i32, said: &[&str]) {
     fs::write(folder.path().join("missing.gltf"), MISSING_BUFFER).unwrap();
     fs::write(folder.path().join("empty.gltf"), br#"{"asset":{"version":"2.0"}}"#).unwrap();
     fs::write(folder.path().join("settings.json"), b"[1]").unwrap();
+    fs::write(folder.path().join("old.gltf"), br#"{"asset":{"version":"1.0"},"meshes":{"m":{}}}"#).unwrap();
+    fs::write(folder.path().join("bright.gltf"), triangle(0.0, 1e30)).unwrap();
+    fs::write(folder.path().join("far.gltf"), triangle(1e6, 1.0)).unwrap();
     let arguments: Vec<String> = words.split(' ').map(fill).collect();
     let mut command = kiln(&folder.path().join("state"));
     command.current_dir(folder.path());
@@ -26,6 +29,23 @@ fn assert_refused(words: &str, exit: i32, said: &[&str]) {
         assert!(message.contains(word), "{words}: no '{word}' in:\n{message}");
     }
     assert!(!message.contains("panicked"), "{message}");
+}
+
+/// A triangle of a metre at `x`, of a material that emits.
+fn triangle(x: f32, emission: f32) -> String {
+    let corners = [[x, 0.0, 0.0], [x + 1.0, 0.0, 0.0], [x, 0.0, -1.0]];
+    let bytes: Vec<u8> =
+        corners.as_flattened().iter().flat_map(|number: &f32| number.to_le_bytes()).collect();
+    let hex: String = bytes.iter().map(|byte| format!("%{byte:02X}")).collect();
+    format!(
+        r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0]}}],"nodes":[{{"mesh":0,"name":"wall"}}],
+        "meshes":[{{"primitives":[{{"attributes":{{"POSITION":0}},"material":0}}]}}],
+        "materials":[{{"name":"lamp","emissiveFactor":[1,1,1],"extensions":{{
+            "KHR_materials_emissive_strength":{{"emissiveStrength":{emission:e}}}}}}}],
+        "accessors":[{{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3"}}],
+        "bufferViews":[{{"buffer":0,"byteLength":36}}],
+        "buffers":[{{"byteLength":36,"uri":"data:application/octet-stream,{hex}"}}]}}"#
+    )
 }
 
 const MISSING_BUFFER: &[u8] = br#"{"asset":{"version":"2.0"},"buffers":[{"uri":"gone.bin","byteLength":4}]}"#;
@@ -73,7 +93,10 @@ fn scenes_that_cannot_be_read_exit_with_2_and_name_the_file() {
     assert_refused("bake text.glb", 2, &["text.glb", "try: "]);
     assert_refused("bake broken.glb", 2, &["broken.glb"]);
     assert_refused("bake missing.gltf", 2, &["gone.bin"]);
-    assert_refused("bake empty.gltf --out {dir}/out", 2, &["failed"]);
+    assert_refused("bake empty.gltf --out {dir}/out", 2, &["failed", "no meshes"]);
+    assert_refused("bake old.gltf", 2, &["old.gltf", "glTF version \"1.0\"", "gltf-pipeline"]);
+    assert_refused("bake bright.gltf --out {dir}/out", 2, &["\"lamp\"", "1e30", "at most 1e12"]);
+    assert_refused("bake far.gltf --out {dir}/out --set texel_m=0.5", 2, &["'wall/", "1000000 m", "origin"]);
 }
 
 #[test]

@@ -63,7 +63,7 @@ fn mask_keeps_its_cutoff_and_blend_becomes_a_mask_with_a_warning() {
 #[test]
 fn required_extensions_that_are_not_supported_are_named() {
     for (name, advice) in
-        [("KHR_draco_mesh_compression", "without mesh compression"), ("EXT_odd", "without it")]
+        [("KHR_texture_basisu", "gltf-transform/cli ktxdecompress"), ("EXT_odd", "without it")]
     {
         let mut document = Document::triangle();
         document.json["extensionsRequired"] = json!([name]);
@@ -160,4 +160,30 @@ fn texture_on_a_mesh_without_uvs_is_warned_of() {
     let mut document = with_image(&png(1, 1, &[[9; 4]]));
     document.attributes().as_object_mut().unwrap().remove("TEXCOORD_0");
     assert_eq!(codes(&document.import().unwrap()), ["texture-without-uvs"]);
+}
+
+#[test]
+fn materials_of_specular_and_glossiness_have_their_diffuse_colour() {
+    let old = |specular: [f32; 3]| {
+        json!({"pbrMetallicRoughness": {"baseColorFactor": [1, 0, 0, 1]}, "extensions": {
+            "KHR_materials_pbrSpecularGlossiness": {"diffuseFactor": [0.1, 0.2, 0.3, 0.5],
+                "diffuseTexture": {"index": 0}, "specularFactor": specular}}})
+    };
+    let mut document = with_image(&png(1, 1, &[[9; 4]]));
+    document.json["materials"] = json!([old([0.04; 3])]);
+    document.json["extensionsUsed"] = json!(["KHR_materials_pbrSpecularGlossiness"]);
+    let imported = document.import().unwrap();
+    assert_eq!(imported.scene.materials[0].base_colour, [0.1, 0.2, 0.3, 0.5]);
+    assert!(imported.scene.materials[0].base_colour_texture.is_some());
+    assert_eq!(codes(&imported), [""; 0]);
+    document.json["materials"] = json!([old([0.9; 3])]);
+    assert_eq!(codes(&document.import().unwrap()), ["specular-colour-ignored"]);
+}
+
+#[test]
+fn required_extensions_of_gloss_and_motion_do_not_stop_a_bake() {
+    let mut document = Document::triangle();
+    document.json["extensionsRequired"] = json!(["KHR_materials_clearcoat", "KHR_animation_pointer"]);
+    document.json["extensionsUsed"] = document.json["extensionsRequired"].clone();
+    assert_eq!(codes(&document.import().unwrap()), ["extension-ignored"]);
 }

@@ -85,13 +85,50 @@ fn symbolic_links_in_a_zip_are_refused() {
 
 #[test]
 fn zip_bomb_stops_at_the_limit() {
-    let zip = zip_of(&[("s.gltf", b"{}"), ("bomb", &vec![0; 8 << 20])]);
+    let json = br#"{"asset":{"version":"2.0"},"images":[{"uri":"bomb"}]}"#;
+    let zip = zip_of(&[("s.gltf", json), ("bomb", &vec![0; 8 << 20])]);
     assert!(zip.len() < 1 << 20);
     let limits = Limits { decompressed_bytes: 1 << 20, ..Limits::default() };
-    let Err(ImportError::LimitExceeded { found, limit, .. }) = Bundle::from_bytes(zip, &limits) else {
+    let refused = Bundle::from_bytes(zip, &limits).unwrap_err();
+    let ImportError::LimitExceeded { found, limit, .. } = refused else { panic!("{refused}") };
+    assert_eq!((found, limit), ((1 << 20) + 1, 1 << 20));
+    let message = refused.to_string();
+    assert!(message.contains("zip -0") && !message.contains("simplify the scene"), "{message}");
+}
+
+#[test]
+fn small_zips_may_not_decompress_to_much_however_high_the_limit() {
+    let json = br#"{"asset":{"version":"2.0"},"images":[{"uri":"bomb"}]}"#;
+    let zip = zip_of(&[("s.gltf", json), ("bomb", &vec![0; 8 << 20])]);
+    let limits = Limits { expansion_free_bytes: 1 << 20, ..Limits::default() };
+    let most = (1 << 20) + 32 * zip.len() as u64;
+    let Err(ImportError::LimitExceeded { found, .. }) = Bundle::from_bytes(zip.clone(), &limits) else {
         panic!("must be refused")
     };
-    assert_eq!((found, limit), ((1 << 20) + 1, 1 << 20));
+    assert_eq!(found, most + 1);
+    assert!(Bundle::from_bytes(zip, &Limits::default()).is_ok());
+}
+
+#[test]
+fn files_that_the_gltf_does_not_name_and_bytes_that_it_does_not_read_stay_compressed() {
+    let (json, mut bin) = external("a.bin");
+    bin.resize(8 << 20, 0);
+    let zip = zip_of(&[("s.gltf", &json), ("a.bin", &bin), ("bomb", &bin)]);
+    let limits = Limits { decompressed_bytes: 1 << 20, ..Limits::default() };
+    let bundle = Bundle::from_bytes(zip, &limits).unwrap();
+    assert_eq!(crate::scene::import(&bundle, &limits).unwrap().counts["triangles"], 1);
+}
+
+#[test]
+fn scenes_of_equal_bytes_are_packed_so_that_they_are_taken() {
+    let folder = tempfile::tempdir().unwrap();
+    let (json, mut bin) = external("a.bin");
+    bin.resize(8 << 20, 0);
+    fs::write(folder.path().join("s.gltf"), json).unwrap();
+    fs::write(folder.path().join("a.bin"), bin).unwrap();
+    let limits = Limits { expansion_free_bytes: 1 << 10, ..Limits::default() };
+    let packed = Bundle::pack_path(&folder.path().join("s.gltf"), &limits).unwrap();
+    assert!(Bundle::from_bytes(packed, &limits).is_ok());
 }
 
 #[test]
@@ -150,6 +187,51 @@ fn other_gltf_versions_are_refused() {
     assert!(matches!(document.import(), Err(ImportError::Version { .. })));
     document.json["asset"] = json!({"version": "2.1"});
     assert!(document.import().is_ok());
+}
+
+#[test]
+fn gltf_1_with_tables_for_lists_is_told_by_its_version_and_not_said_to_be_broken() {
+    let tables =
+        r#""meshes": {"m": {}}, "nodes": {"n": {}}, "scene": "s", "scenes": {"s": {"nodes": ["n"]}}"#;
+    for json in [format!(r#"{{"asset": {{"version": "1.0"}}, {tables}}}"#), format!("{{{tables}}}")] {
+        let refused = import_bytes(json.into_bytes()).unwrap_err();
+        let message = refused.to_string();
+        assert!(matches!(refused, ImportError::Version { .. }), "{message}");
+        assert!(message.contains("1.0") && message.contains("gltf-pipeline"), "{message}");
+    }
+}
+
+#[test]
+fn json_that_is_no_gltf_is_told_from_json_that_is_broken() {
+    let refused = |json: &str| import_bytes(json.as_bytes().to_vec()).unwrap_err();
+    assert!(matches!(refused(r#"{"asset": {"version": "2.0"}, "#), ImportError::Json { .. }));
+    assert!(matches!(refused(r#"{"scenes": []}"#), ImportError::NotGltf { .. }));
+    assert!(matches!(refused(r#"{"asset": {"version": "2.0"}, "nodes": {}}"#), ImportError::NotGltf { .. }));
+}
+
+#[test]
+fn scenes_may_leave_out_their_nodes() {
+    for scenes in [r#"[{}]"#, r#"[ { "name": "a{\"nodes\"" }, {"nodes": [0]}, {}]"#] {
+        let json =
+            format!(r#"{{"asset": {{"version": "2.0"}}, "nodes": [{{}}], "scenes": {scenes}, "scene": 0}}"#);
+        let imported = import_bytes(json.into_bytes()).unwrap();
+        let why = &imported.warnings.last().unwrap().message;
+        assert!(why.contains("no meshes"), "{why}");
+    }
+    let mut document = Document::triangle();
+    document.json["scenes"] = json!([{"name": "empty"}, {"nodes": [0]}]);
+    document.json["scene"] = json!(1);
+    assert_eq!(document.import().unwrap().counts["triangles"], 1);
+}
+
+#[test]
+fn scenes_without_triangles_say_why() {
+    let mut document = Document::triangle();
+    let why = |document: &Document| document.import().unwrap().warnings.pop().unwrap().message;
+    document.json["nodes"][0]["scale"] = json!([0, 0, 0]);
+    assert!(why(&document).contains("scaled to 0"));
+    document.json["nodes"] = json!([{}]);
+    assert!(why(&document).contains("no node places one"));
 }
 
 #[test]

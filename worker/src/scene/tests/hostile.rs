@@ -3,7 +3,7 @@
 use proptest::prelude::*;
 use serde_json::json;
 
-use super::document_builder::{Document, FLOAT, import_bytes, png};
+use super::document_builder::{Document, FLOAT, UNSIGNED_INT, import_bytes, png};
 use crate::scene::{Bundle, ImportError, Limits, import};
 
 /// One small file with every feature that has a reader of its own.
@@ -69,8 +69,64 @@ fn huge_counts_are_refused_before_anything_is_allocated() {
         let mut document = Document::new();
         document.push("accessors", json!({"componentType": FLOAT, "count": count, "type": "VEC3"}));
         document.json["meshes"] = json!([{"primitives": [{"attributes": {"POSITION": 0}}]}]);
-        assert!(matches!(document.import(), Err(ImportError::LimitExceeded { what: "triangles", .. })));
+        assert!(matches!(document.import(), Err(ImportError::LimitExceeded { .. })));
     }
+}
+
+#[test]
+fn accessors_without_bytes_are_short_and_indices_into_them_cost_nothing() {
+    let mut document = Document::triangle();
+    let index: Vec<u8> = [0_u32, 1, 4_000_000_000].iter().flat_map(|index| index.to_le_bytes()).collect();
+    let indices = document.accessor("SCALAR", UNSIGNED_INT, 3, &index);
+    document.primitive()["indices"] = json!(indices);
+    document.json["accessors"][0] =
+        json!({"componentType": FLOAT, "count": 4_100_000_000_u64, "type": "VEC3"});
+    let what = "elements in an accessor without bytes";
+    assert!(
+        matches!(document.import(), Err(ImportError::LimitExceeded { what: found, .. }) if found == what)
+    );
+}
+
+#[test]
+fn lists_of_empty_objects_are_counted_before_they_are_read() {
+    let json = format!(r#"{{"asset": {{"version": "2.0"}}, "materials": [{}{{}}]}}"#, "{},".repeat(999));
+    let import = |json_tree_bytes| {
+        let limits = Limits { json_tree_bytes, ..Limits::default() };
+        import(&Bundle::from_bytes(json.clone().into_bytes(), &limits).unwrap(), &limits)
+    };
+    let Err(ImportError::LimitExceeded { found, .. }) = import(100_000) else { panic!("must be refused") };
+    assert_eq!(found, 1000 * size_of::<gltf::json::Material>() as u64);
+    assert!(import(found).is_ok());
+}
+
+#[test]
+fn textures_may_not_have_more_pixels_than_the_upload_makes_likely() {
+    let limits = Limits { texture_pixels_free: 2, pixels_per_byte: 0, ..Limits::default() };
+    let refused = import(&Bundle::from_bytes(rich().glb(), &limits).unwrap(), &limits).unwrap_err();
+    let message = refused.to_string();
+    assert!(
+        matches!(refused, ImportError::LimitExceeded { what: "pixels in all textures", .. }),
+        "{message}"
+    );
+    assert!(message.contains("textures smaller"), "{message}");
+    let limits = Limits { pixels_per_byte: 1, ..limits };
+    assert!(import(&Bundle::from_bytes(rich().glb(), &limits).unwrap(), &limits).is_ok());
+}
+
+#[test]
+fn light_brighter_than_any_star_is_refused_with_its_material() {
+    let mut document = Document::triangle();
+    let lamp = |strength: f64| {
+        json!([{"name": "lamp", "emissiveFactor": [0, 1, 0],
+        "extensions": {"KHR_materials_emissive_strength": {"emissiveStrength": strength}}}])
+    };
+    for strength in [1e13, 1e30, 1e38] {
+        document.json["materials"] = lamp(strength);
+        let message = document.import().unwrap_err().to_string();
+        assert!(message.contains("lamp") && message.contains("1e12"), "{message}");
+    }
+    document.json["materials"] = lamp(1e9);
+    assert_eq!(document.import().unwrap().scene.materials[0].emissive, [0.0, 1e9, 0.0]);
 }
 
 #[test]

@@ -2,6 +2,7 @@
 
 mod appearance;
 mod bundles;
+mod compressed;
 mod document_builder;
 mod geometry;
 mod hostile;

@@ -4,7 +4,7 @@ use glam::Vec3;
 use lightkiln_proto::scene::LightKind;
 use serde_json::{Value, json};
 
-use super::document_builder::{Document, codes};
+use super::document_builder::{Document, UNSIGNED_BYTE, codes};
 use crate::scene::{Bundle, ImportError, Limits, import};
 
 /// The triangle with +z normals under `node`, which must not move its plane's sides apart.
@@ -149,9 +149,64 @@ fn skins_and_morph_targets_are_baked_at_rest_with_warnings() {
     document.json["skins"] = json!([{"joints": [0]}]);
     document.json["nodes"][0]["skin"] = json!(0);
     document.primitive()["targets"] = json!([{"POSITION": 0}]);
+    document.json["animations"] = json!([{"channels": [], "samplers": []}]);
     let imported = document.import().unwrap();
-    assert_eq!(codes(&imported), ["skin-ignored", "morph-targets-ignored"]);
+    assert_eq!(codes(&imported), ["animations-ignored", "skin-at-rest", "morph-at-rest"]);
     assert_eq!(imported.scene.instances[0].positions_m[1], Vec3::X);
+}
+
+#[test]
+fn morph_targets_take_their_default_weights_and_those_of_a_node_win() {
+    let mut document = Document::triangle_with_normals();
+    document.primitive()["targets"] = json!([{"POSITION": 0}, {"POSITION": 0}]);
+    document.json["meshes"][0]["weights"] = json!([0.5, 0]);
+    assert_eq!(document.import_one().positions_m[1], Vec3::X * 1.5);
+    document.json["nodes"][0]["weights"] = json!([0, 2]);
+    assert_eq!(document.import_one().positions_m[1], Vec3::X * 3.0);
+    document.json["nodes"][0]["weights"] = json!([1e38, 1e38]);
+    document.json["nodes"][0]["scale"] = json!([1e38, 1, 1]);
+    assert!(document.import().is_err());
+}
+
+/// A triangle bound to two joints, one moved by 3 in y and turned a half turn about z, the other moved by 1 in x.
+fn skinned() -> Document {
+    let mut document = Document::triangle_with_normals();
+    let joints = document.accessor("VEC4", UNSIGNED_BYTE, 3, &[1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0]);
+    let weights = document.floats("VEC4", &[1.0, 0.0, 0.0, 0.0, 0.25, 0.25, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]);
+    let identity = [1.0, 0., 0., 0., 0., 1., 0., 0., 0., 0., 1., 0., 0., 0., 0., 1.];
+    let mut bound = [identity, identity].concat();
+    bound[16 + 12] = -4.0;
+    let matrices = document.floats("MAT4", &bound);
+    document.json["accessors"][matrices]["count"] = json!(2);
+    document.attributes()["JOINTS_0"] = json!(joints);
+    document.attributes()["WEIGHTS_0"] = json!(weights);
+    document.json["skins"] = json!([{"joints": [1, 2], "inverseBindMatrices": matrices}]);
+    document.json["nodes"] = json!([
+        {"mesh": 0, "skin": 0, "translation": [70, 70, 70]},
+        {"translation": [0, 3, 0], "rotation": [0, 0, 1, 0]},
+        {"translation": [5, 0, 0]}]);
+    document.json["scenes"] = json!([{"nodes": [0, 1, 2]}]);
+    document
+}
+
+#[test]
+fn skinned_meshes_stand_where_their_joints_are() {
+    let instance = skinned().import_one();
+    // The second joint moves by 1 in x; half of each gives the mean; the first turns and moves.
+    let wanted = [Vec3::X, Vec3::new(0.5, 1.5, 0.0), Vec3::new(0.0, 2.0, 0.0)];
+    for (found, wanted) in instance.positions_m.iter().zip(wanted) {
+        assert!(found.distance(wanted) < 1e-6, "{found} {wanted}");
+    }
+}
+
+#[test]
+fn joints_that_are_not_there_are_named() {
+    let mut document = skinned();
+    document.json["skins"][0]["joints"] = json!([1]);
+    let message = document.import().unwrap_err().to_string();
+    assert!(message.contains("joint 1") && message.contains("has 1"), "{message}");
+    document.json["skins"][0]["joints"] = json!([1, 9]);
+    assert!(document.import().unwrap_err().to_string().contains("node 9"));
 }
 
 #[test]
