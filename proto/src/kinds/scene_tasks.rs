@@ -54,7 +54,8 @@ impl SceneTask {
         match self {
             Self::Place => 18,
             Self::Draw | Self::Patches => 3,
-            Self::Import | Self::Unwrap | Self::Frame => 1,
+            Self::Import => 2,
+            Self::Unwrap | Self::Frame => 1,
         }
     }
 

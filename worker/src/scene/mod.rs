@@ -17,6 +17,7 @@ mod limits;
 mod materials;
 pub mod model;
 mod nodes;
+mod oddities;
 mod pack;
 mod placement;
 mod primitives;
