@@ -10,6 +10,7 @@ use thiserror::Error;
 
 use crate::access::AccessError;
 use crate::chunks::ChunkError;
+use crate::occupant::Occupant;
 use crate::store::StoreError;
 
 /// Result of a server's call.
@@ -132,11 +133,13 @@ pub enum ServerError {
         #[source]
         source: std::io::Error,
     },
-    /// Another server has the state folder open.
-    #[error("{} is in use by another server; stop it, or choose another state folder", path.display())]
+    /// Another program has the state folder open.
+    #[error("{} is in use by {by}", path.display())]
     StateInUse {
         /// The folder.
         path: PathBuf,
+        /// Who that is.
+        by: Occupant,
     },
     /// The address can be reached from other machines, and nobody has a token.
     #[error(

@@ -22,7 +22,7 @@ use crate::metrics::Metrics;
 use crate::random::is_fencing_token;
 use crate::storage::{Removed, Storage};
 use crate::store::chunk::CollectRules;
-use crate::store::{FarmStore, KnownResult, StoreError, Submission};
+use crate::store::{FailVerdict, FarmStore, KnownResult, StoreError, Submission};
 use crate::wakeup::Wakeup;
 
 /// Longest name of a bake, in characters.
@@ -290,7 +290,7 @@ impl Farm {
     pub async fn fail(&self, token: &str, blame: Blame, message: &str) -> Result<()> {
         require_token(token)?;
         let verdict = self.store.fail(token, blame, message).await?;
-        tracing::warn!(?blame, ?verdict, message, "an attempt failed");
+        tracing::warn!(reason = message, "{}", failure_words(blame, verdict));
         self.metrics.failures.inc();
         self.wakeup.hint();
         Ok(())
@@ -375,6 +375,20 @@ impl Farm {
             };
             ServerError::NoResult { bake: bake.to_owned(), what, why: why.to_owned() }
         })
+    }
+}
+
+/// An attempt that ended without a result, in words for the log.
+fn failure_words(blame: Blame, verdict: FailVerdict) -> &'static str {
+    match (verdict, blame) {
+        (FailVerdict::GivenUp, Blame::Task) => {
+            "a task cannot be done from what its bake was given; the bake has failed"
+        }
+        (FailVerdict::GivenUp, Blame::Worker) => {
+            "a task failed too often; the bakes that want it have failed"
+        }
+        (FailVerdict::Retry, _) => "an attempt at a task failed; it will be tried again",
+        (FailVerdict::Stale, _) => "an attempt at a task failed after its lease was gone; nothing changes",
     }
 }
 

@@ -19,7 +19,7 @@ pub struct PlaceError {
 /// Address of the queue's database. Displayed without user and password.
 #[derive(Clone, PartialEq, Eq)]
 pub enum DatabasePlace {
-    /// An SQLite file, which one server opens at a time.
+    /// An SQLite file, which one server has open, or bakes of one machine.
     Sqlite(PathBuf),
     /// A PostgreSQL database, which any number of servers share.
     Postgres(String),

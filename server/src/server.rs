@@ -1,14 +1,14 @@
 //! A server over its state: opening, serving, stopping.
 //!
-//! Unless told otherwise the state is one folder, and one server may have it open:
+//! Unless told otherwise the state is one folder, and one server may have it open, or bakes beside each other
+//! ([`crate::hold`]):
 //! ```text
-//! STATE/lock           held while a server has the queue's file open
+//! STATE/lock, seats/   held while a program has the queue's file open
 //! STATE/farm.sqlite    the queue (with -wal and -shm beside it)
 //! STATE/chunks/ab/…    the bytes
 //! ```
 //! With PostgreSQL and S3 a server keeps nothing itself: any number of them may serve one farm, and come and go.
 
-use std::fs::{File, TryLockError};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -25,13 +25,18 @@ use crate::collect::{self, Retention};
 use crate::error::{Result, ServerError};
 use crate::farm::Farm;
 use crate::fsck::{self, Checks, Findings};
+use crate::hold::{self, Hold, make_folder};
 use crate::http::{self, LimitConfig};
+use crate::occupant::Occupant;
 use crate::places::{ChunksPlace, DatabasePlace};
 use crate::storage::Storage;
-use crate::store::SqlStore;
+use crate::store::{FarmStore, SqlStore};
 use crate::tls::{self, TlsFiles};
 use crate::wakeup::{LocalWakeup, PostgresWakeup, Wakeup};
 use crate::webhooks::{self, WebhookConfig};
+
+/// Bakes that one look at the queue lists.
+const PAGE_BAKES: u32 = 100;
 
 /// Configuration of a server. `Config::new(folder)` gives the defaults.
 #[derive(Clone, Debug)]
@@ -92,13 +97,53 @@ pub struct Server {
     store: Arc<SqlStore>,
     tls: Option<RustlsConfig>,
     closing: watch::Sender<bool>,
-    /// Held, not read: the lock goes with the last handle.
-    _lock: Option<File>,
+    /// Held, not read.
+    _hold: Option<Hold>,
+}
+
+/// A server's seat at a state folder that others have open beside it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Seat {
+    /// A name that no other has meanwhile. A bake of this process asks for it as a label of its workers, so that nobody
+    /// else works on it, and whoever has the seat next knows that it was left over.
+    pub name: String,
 }
 
 impl Server {
-    /// Opens queue and bytes; fails if another server has the queue's file open.
+    /// Opens queue and bytes; fails if another program has the queue's file open.
     pub async fn open(config: Config) -> Result<Self> {
+        let in_state = DatabasePlace::Sqlite(config.state_dir.join("farm.sqlite"));
+        let database = config.database.clone().unwrap_or(in_state);
+        let (store, wakeup, hold) = open_database(&database).await?;
+        Self::over(config, store, wakeup, hold).await
+    }
+
+    /// Opens queue and bytes in the state folder, beside others that do the same; fails if it is a server's, or another
+    /// machine's, or has to be brought up to date while others have it open.
+    ///
+    /// Bakes that ended processes left are cancelled: nobody waits for them. Their finished tasks stay.
+    pub async fn open_seated(config: Config) -> Result<(Self, Seat)> {
+        let path = config.state_dir.join("farm.sqlite");
+        let seating = hold::take_seat(&config.state_dir)?;
+        if !seating.others.is_empty() && !SqlStore::is_current_sqlite(&path).await? {
+            let by = Occupant::OlderBakes(seating.others.iter().map(|(_, process)| *process).collect());
+            return Err(ServerError::StateInUse { path: config.state_dir, by });
+        }
+        let store = SqlStore::open_sqlite(&path, Arc::new(SystemClock)).await?;
+        cancel_left_over(&store, &seating.others).await?;
+        // Others may take their seats from here on.
+        drop(seating.gate);
+        let wakeup = Arc::new(LocalWakeup::default());
+        let server = Self::over(config, store, wakeup, Some(seating.hold)).await?;
+        Ok((server, Seat { name: seating.name }))
+    }
+
+    async fn over(
+        config: Config,
+        store: SqlStore,
+        wakeup: Arc<dyn Wakeup>,
+        hold: Option<Hold>,
+    ) -> Result<Self> {
         let tls = match &config.tls {
             Some(files) => Some(files.read().await.map_err(|source| {
                 let TlsFiles { cert, key } = files.clone();
@@ -106,9 +151,6 @@ impl Server {
             })?),
             None => None,
         };
-        let in_state = DatabasePlace::Sqlite(config.state_dir.join("farm.sqlite"));
-        let database = config.database.clone().unwrap_or(in_state);
-        let (store, wakeup, lock) = open_database(&database).await?;
         let store = Arc::new(store);
         let in_state = ChunksPlace::Folder(config.state_dir.join("chunks"));
         let chunks = Arc::new(ObjectChunks::open(config.chunks.as_ref().unwrap_or(&in_state))?);
@@ -117,7 +159,7 @@ impl Server {
         let kinds = config.kinds.clone();
         let farm = Farm::new(store.clone(), storage, wakeup, kinds, config.poll_interval, is_closing);
         let farm = Arc::new(farm);
-        Ok(Self { config, farm, store, tls, closing, _lock: lock })
+        Ok(Self { config, farm, store, tls, closing, _hold: hold })
     }
 
     /// The farm itself, for calls without HTTP.
@@ -210,7 +252,7 @@ async fn reap(farm: Arc<Farm>, interval: Duration) {
     }
 }
 
-type OpenDatabase = (SqlStore, Arc<dyn Wakeup>, Option<File>);
+type OpenDatabase = (SqlStore, Arc<dyn Wakeup>, Option<Hold>);
 
 /// The queue alone, beside a server that may be running on it.
 ///
@@ -245,9 +287,9 @@ pub async fn check_storage(
 async fn open_database(place: &DatabasePlace) -> Result<OpenDatabase> {
     Ok(match place {
         DatabasePlace::Sqlite(path) => {
-            let lock = lock_folder(path.parent().unwrap_or(Path::new("")))?;
+            let hold = hold::alone(path.parent().unwrap_or(Path::new("")))?;
             let store = SqlStore::open_sqlite(path, Arc::new(SystemClock)).await?;
-            (store, Arc::new(LocalWakeup::default()), Some(lock))
+            (store, Arc::new(LocalWakeup::default()), Some(hold))
         }
         DatabasePlace::Postgres(url) => {
             // The database's time: leases are granted by one server and judged by another.
@@ -257,23 +299,21 @@ async fn open_database(place: &DatabasePlace) -> Result<OpenDatabase> {
     })
 }
 
-fn lock_folder(folder: &Path) -> Result<File> {
-    let cannot = |action, path: &Path| {
-        let path = path.to_owned();
-        move |source| ServerError::State { action, path, source }
-    };
-    make_folder(folder)?;
-    let path = folder.join("lock");
-    let options = File::options().create(true).write(true).truncate(false).open(&path);
-    let lock = options.map_err(cannot("open", &path))?;
-    match lock.try_lock() {
-        Ok(()) => Ok(lock),
-        Err(TryLockError::WouldBlock) => Err(ServerError::StateInUse { path: folder.to_owned() }),
-        Err(TryLockError::Error(source)) => Err(cannot("lock", &path)(source)),
+/// Cancels bakes that are nobody's: those of seats that are free, and those from before seats.
+async fn cancel_left_over(store: &SqlStore, others: &[(String, u32)]) -> Result<()> {
+    let mut after = None;
+    loop {
+        let page = store.list(after, PAGE_BAKES).await?;
+        for bake in page.bakes.iter().filter(|bake| !bake.state.is_final()) {
+            if others.iter().any(|(name, _)| bake.needs.labels.contains(name)) {
+                continue;
+            }
+            tracing::info!(bake = bake.id, "a bake was left by a process that has ended; it is cancelled");
+            store.cancel(&bake.id).await?;
+        }
+        match page.next {
+            Some(next) => after = Some(next),
+            None => return Ok(()),
+        }
     }
-}
-
-fn make_folder(folder: &Path) -> Result<()> {
-    let path = folder.to_owned();
-    std::fs::create_dir_all(folder).map_err(|source| ServerError::State { action: "make", path, source })
 }

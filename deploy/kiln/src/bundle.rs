@@ -15,7 +15,7 @@ use serde_json::Value;
 
 use crate::console::say;
 use crate::failure::{Exit, Failure, Result};
-use crate::summary::{Summary, warnings, write_report};
+use crate::summary::{Summary, import_warnings, write_report};
 
 /// A folder with other things in it is not written over.
 pub fn refuse_foreign_folder(out: &Path) -> Result<()> {
@@ -35,7 +35,7 @@ pub fn refuse_foreign_folder(out: &Path) -> Result<()> {
     Err(Failure::bad_input(what).try_this("another folder with --out DIR"))
 }
 
-/// Writes the bundle of a bake that is done to `out`, and prints the scene's warnings on standard error. `scene` is
+/// Writes the bundle of a bake that is done to `out`, and prints warnings of scene and bake on standard error. `scene` is
 /// what the summary calls it; `started` is when the command did.
 pub fn write_bundle(
     kinds: &Kinds,
@@ -49,13 +49,14 @@ pub fn write_bundle(
     let source = Source::server(client.clone(), &bake.id);
     let (_, manifest) = source.manifest()?;
     let report = report_of(client, &bake.id)?;
-    for warning in warnings(&report) {
-        say!("warning: {warning}");
-    }
     let downloaded = download_bundle(&source, out)?;
     remove_left_over(out, &manifest)?;
-    let summary = Summary::new(kinds, bake, &manifest, scene, out, started.elapsed())
+    let mut summary = Summary::new(kinds, bake, &manifest, scene, out, started.elapsed())
         .map_err(|error| Failure::bad_input("the bake cannot be read").caused_by(&error))?;
+    summary.warnings.splice(0..0, import_warnings(&report));
+    for warning in &summary.warnings {
+        say!("warning: {}", warning.line());
+    }
     write_report(out, &report, &summary)?;
     Ok((summary, downloaded))
 }

@@ -1,29 +1,39 @@
 //! A farm inside this process: the server on a loopback port and one worker, over the same HTTP as any farm.
+//!
+//! Several processes of a machine may have one state folder open, each with a farm of its own: they share finished tasks,
+//! and a task that two of them want at once is run by one. A worker takes the tasks of its own process's bakes alone, so
+//! that nothing is left half done for others when that process ends.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
-use lightkiln_server::farm::Farm;
+use lightkiln_proto::api::NewBake;
 use lightkiln_server::store::StoreError;
-use lightkiln_server::{Config, Server, ServerError};
+use lightkiln_server::{Config, Occupant, Seat, Server, ServerError};
 use lightkiln_worker::kinds::Runner;
 use lightkiln_worker::runtime::{Level, ShutdownFlag, Worker, WorkerConfig, WorkerError, usual_tasks};
 use tokio::runtime::Runtime;
 use tokio::sync::oneshot;
 
+use crate::console::say;
 use crate::failure::{Exit, Failure, Result};
+use crate::interrupt::Interrupt;
 use crate::kinds::KindTables;
 
 /// Lease length: long enough for a machine that is busy or was asleep; leases that a crash leaves are cancelled at the start.
 const LEASE_SECS: u32 = 60;
-/// Bakes that one look at the queue lists.
-const PAGE_BAKES: u32 = 100;
+/// Waiting calls look this often for what other processes have done.
+const POLL_INTERVAL: Duration = Duration::from_millis(250);
+/// A folder that is in use is tried again after this; the wait is told of once it has lasted longer than a start takes.
+const TRY_AGAIN_AFTER: Duration = Duration::from_millis(200);
+const SILENT_FOR: Duration = Duration::from_secs(1);
 
 /// Server and worker; both end when it is dropped.
 pub struct EmbeddedFarm {
     url: String,
+    seat: Seat,
     worker_flag: ShutdownFlag,
     worker: Option<JoinHandle<std::result::Result<(), WorkerError>>>,
     server_end: Option<oneshot::Sender<()>>,
@@ -31,23 +41,22 @@ pub struct EmbeddedFarm {
 }
 
 impl EmbeddedFarm {
-    /// Opens the state folder, making it if need be, and starts to serve and to work with `threads` threads.
+    /// Opens the state folder, making it if need be, and starts to serve and to work with `threads` threads. Waits, with a
+    /// word, while others have the folder open that it cannot be shared with.
     ///
     /// Bakes that a killed process left are cancelled: nobody waits for them. Their finished tasks stay.
-    pub fn start(state: &Path, threads: usize, kinds: &KindTables) -> Result<Self> {
+    pub fn start(state: &Path, threads: usize, kinds: &KindTables, interrupt: &Interrupt) -> Result<Self> {
         let failed = |what: &str| Failure::new(Exit::Failed, what.to_owned());
         let runtime = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(2)
             .enable_all()
             .build()
             .map_err(|error| failed("the server's threads cannot be started").caused_by(&error))?;
-        let opened = runtime.block_on(async {
-            let server = Server::open(Config { kinds: kinds.contract.clone(), ..Config::new(state) }).await?;
-            cancel_left_over(&server.farm()).await?;
-            let listener = server.bind("127.0.0.1:0").await?;
-            Ok((server, listener))
-        });
-        let (server, listener) = opened.map_err(|error| server_failure(&error))?;
+        let config =
+            Config { kinds: kinds.contract.clone(), poll_interval: POLL_INTERVAL, ..Config::new(state) };
+        let (server, seat) = open(&runtime, &config, interrupt)?;
+        let listener =
+            runtime.block_on(server.bind("127.0.0.1:0")).map_err(|error| server_failure(&error))?;
         let address = listener
             .local_addr()
             .map_err(|error| failed("the server's address is not known").caused_by(&error))?;
@@ -62,12 +71,14 @@ impl EmbeddedFarm {
         });
         let mut farm = Self {
             url: format!("http://{address}"),
+            seat,
             worker_flag: ShutdownFlag::new(),
             worker: None,
             server_end: Some(server_end),
             runtime: Some(runtime),
         };
-        let mut config = WorkerConfig::new(&farm.url, "embedded");
+        let mut config = WorkerConfig::new(&farm.url, &farm.seat.name);
+        config.labels = vec![farm.seat.name.clone()];
         config.threads = threads;
         config.tasks = usual_tasks(threads);
         config.lease_secs = LEASE_SECS;
@@ -81,6 +92,11 @@ impl EmbeddedFarm {
     /// Base URL of the server.
     pub fn url(&self) -> &str {
         &self.url
+    }
+
+    /// Keeps a bake to this process's worker.
+    pub fn reserve(&self, bake: &mut NewBake) {
+        bake.needs.labels.push(self.seat.name.clone());
     }
 
     /// Errors once the worker has ended: nobody would do the tasks.
@@ -117,17 +133,28 @@ impl Drop for EmbeddedFarm {
     }
 }
 
-async fn cancel_left_over(farm: &Farm) -> std::result::Result<(), ServerError> {
-    let mut after = None;
+/// Opens the state folder as soon as it can be shared.
+fn open(runtime: &Runtime, config: &Config, interrupt: &Interrupt) -> Result<(Server, Seat)> {
+    let (began, mut told) = (Instant::now(), None);
     loop {
-        let page = farm.store.list(after, PAGE_BAKES).await?;
-        for bake in page.bakes.iter().filter(|bake| !bake.state.is_final()) {
-            tracing::info!(bake = bake.id, "a bake was left by a process that has ended; it is cancelled");
-            farm.store.cancel(&bake.id).await?;
+        let by = match runtime.block_on(Server::open_seated(config.clone())) {
+            // A server may run for ever: nobody waits for its end.
+            Err(error @ ServerError::StateInUse { by: Occupant::Server(_), .. }) => {
+                return Err(server_failure(&error));
+            }
+            Err(ServerError::StateInUse { by, .. }) => by,
+            opened => return opened.map_err(|error| server_failure(&error)),
+        };
+        if began.elapsed() >= SILENT_FOR && told.as_ref() != Some(&by) {
+            say!(
+                "waiting: {} is in use by {by}; this bake goes on when that has ended. Ctrl-C ends the wait, and --state \
+                 with another folder makes it needless",
+                config.state_dir.display()
+            );
+            told = Some(by);
         }
-        match page.next {
-            Some(next) => after = Some(next),
-            None => return Ok(()),
+        if interrupt.flag().wait(TRY_AGAIN_AFTER, |level| level > Level::Run) > Level::Run {
+            return Err(Failure::new(Exit::Interrupted, "interrupted"));
         }
     }
 }
@@ -153,10 +180,13 @@ pub fn or_in_state(given: Option<PathBuf>, name: &str) -> Result<PathBuf> {
 /// A server that cannot open, listen or go on, and what to do about it.
 pub fn server_failure(error: &ServerError) -> Failure {
     let (exit, next_step) = match error {
-        ServerError::StateInUse { .. } => (
+        ServerError::StateInUse { by: Occupant::Server(_), .. } => (
             Exit::BadInput,
-            "--state with a folder of its own, or one 'kiln server' and 'kiln bake --server URL' for all",
+            "'kiln bake --server URL' with that server's address, or --state with another folder",
         ),
+        ServerError::StateInUse { .. } => {
+            (Exit::BadInput, "--state with a folder of its own, or again when that has ended")
+        }
         ServerError::Listen { .. } => (Exit::BadInput, "--listen 127.0.0.1:0 for a free port"),
         ServerError::NotLoopback { .. } => (
             Exit::BadInput,
@@ -170,5 +200,9 @@ pub fn server_failure(error: &ServerError) -> Failure {
         }
         _ => (Exit::Failed, "--state with a folder that can be written and has free room"),
     };
-    Failure::new(exit, "the server cannot run").caused_by(error).try_this(next_step)
+    let what = match error {
+        ServerError::StateInUse { .. } => "the state folder cannot be opened",
+        _ => "the server cannot run",
+    };
+    Failure::new(exit, what).caused_by(error).try_this(next_step)
 }

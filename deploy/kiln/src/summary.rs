@@ -8,7 +8,7 @@ use std::time::Duration;
 use lightkiln_client::ClientError;
 use lightkiln_client::fetch::{REPORT_FILE, write_atomically};
 use lightkiln_proto::api::Bake;
-use lightkiln_proto::kinds::{Figures, Kinds};
+use lightkiln_proto::kinds::{Figures, Kinds, Warning};
 use lightkiln_proto::manifest::{Manifest, ManifestError};
 use serde::Serialize;
 use serde_json::{Map, Value, json};
@@ -47,6 +47,8 @@ pub struct Summary {
     pub elapsed_secs: f64,
     /// Seconds from the first claim to the last commit of each stage.
     pub stages: BTreeMap<String, f64>,
+    /// Warnings of the scene's import, and of a bake that came out worse than its settings ask for.
+    pub warnings: Vec<Warning>,
     /// The bake held against the path tracer, if that was wanted.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub evaluation: Option<Evaluation>,
@@ -82,6 +84,7 @@ impl Summary {
             bytes_total: manifest.bytes(),
             elapsed_secs: elapsed.as_secs_f64(),
             stages: stages.map(|stage| (stage_name(&stage.kind), stage.elapsed_ms as f64 / 1e3)).collect(),
+            warnings: kind.warnings(manifest)?,
             evaluation: None,
         })
     }
@@ -126,12 +129,15 @@ pub fn complete_report(out: &Path, scene_path: Option<String>, summary: &Summary
     Ok(write_atomically(&path, format!("{whole:#}\n").as_bytes())?)
 }
 
-/// Warnings of the scene's import, from a bake's report, as lines.
-pub fn warnings(report: &Value) -> Vec<String> {
+/// Warnings of the scene's import, from a bake's report.
+pub fn import_warnings(report: &Value) -> Vec<Warning> {
     let warnings = report["import"]["warnings"].as_array().cloned().unwrap_or_default();
-    let line = |warning: Value| match (warning["code"].as_str(), warning["message"].as_str()) {
-        (Some(code), Some(message)) => format!("{code}: {message}"),
-        _ => warning.to_string(),
+    let read = |warning: Value| {
+        serde_json::from_value(warning.clone()).unwrap_or_else(|_| Warning {
+            code: "import".into(),
+            message: warning.to_string(),
+            try_setting: None,
+        })
     };
-    warnings.into_iter().map(line).collect()
+    warnings.into_iter().map(read).collect()
 }

@@ -117,15 +117,10 @@ fn worst<'a>(
 }
 
 impl Worst<'_> {
-    fn middle_m(&self) -> [f32; 3] {
-        let [low, high] = self.row.bounds_m;
-        std::array::from_fn(|axis| 0.5 * (low[axis] + high[axis]))
-    }
-
     fn json(&self) -> Value {
         json!({
             "digest": self.chunk.digest,
-            "middle_m": self.middle_m(),
+            "middle_m": self.row.middle_m(),
             "receivers": self.row.receivers,
             "keys": self.row.keys,
             "rank": self.row.rank,
@@ -136,7 +131,7 @@ impl Worst<'_> {
     }
 
     fn line(&self) -> String {
-        let [x, y, z] = self.middle_m();
+        let [x, y, z] = self.row.middle_m();
         format!(
             "  {} at {x:.2},{y:.2},{z:.2}: {} receivers, {} column keys, rank {}, {} bytes, truncation {:.4}, uncovered {:.4}\n",
             &self.chunk.digest.to_string()[..12],

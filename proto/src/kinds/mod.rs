@@ -8,6 +8,7 @@ pub mod prt;
 mod scene_tasks;
 pub mod sh;
 mod tasks;
+mod warnings;
 
 use serde_json::Value;
 use thiserror::Error;
@@ -21,6 +22,8 @@ use crate::settings::{SettingRow, SettingsError};
 pub use figures::{Figures, cluster_figures};
 pub use scene_tasks::{SceneTask, SceneTasks};
 pub use tasks::TaskKind;
+pub(crate) use warnings::count_above;
+pub use warnings::{Warning, cluster_warnings};
 
 /// A kind of bake, as far as every role knows it. Pure.
 pub trait Kind: Send + Sync {
@@ -48,6 +51,11 @@ pub trait Kind: Send + Sync {
 
     /// Figures of a bake for its summary: a few, whose names are a contract.
     fn summary(&self, manifest: &Manifest) -> Result<Figures, ManifestError>;
+
+    /// Warnings of a bake that came out worse than its settings ask for; none of a kind that cannot tell.
+    fn warnings(&self, _manifest: &Manifest) -> Result<Vec<Warning>, ManifestError> {
+        Ok(Vec::new())
+    }
 
     /// Figures of a bake for whoever looks into it: all of them.
     fn inspection(&self, manifest: &Manifest) -> Result<Figures, ManifestError>;

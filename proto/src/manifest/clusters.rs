@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 use super::{ChunkRef, Manifest, ManifestError, all_finite};
-use crate::kinds::Figures;
+use crate::kinds::{Figures, count_above};
 
 /// Role of cluster chunks.
 pub const CLUSTERS: &str = "clusters";
@@ -83,26 +83,43 @@ impl ClusterTotals {
 
 impl ClusterTotals {
     /// Figures of a summary; `carriers` says how many of which carry light, e.g. `900 patches`.
-    pub fn summary(&self, manifest: &Manifest, carriers: &str) -> Figures {
+    pub fn summary(&self, manifest: &Manifest, rows: &[ClusterRow], carriers: &str) -> Figures {
+        let above = count_above(&manifest.settings, rows);
+        let highest = rows.iter().map(|row| f64::from(row.truncation_error)).fold(0.0, f64::max);
         let bytes_per_receiver = manifest.bytes_light() as f64 / self.receivers.max(1) as f64;
         let json = [
             ("receivers", json!(self.receivers)),
             ("clusters", json!(self.clusters)),
             ("mean_rank", json!(self.mean_rank)),
             ("rank_max", json!(self.rank_max)),
+            ("clusters_above_rank_error", json!(above)),
+            ("truncation_error_max", json!(highest)),
+            ("receivers_without_light", json!(self.receivers_without_light)),
             ("uncovered_fraction", json!(self.uncovered_fraction)),
             ("bytes_per_receiver", json!(bytes_per_receiver)),
         ];
-        let words = format!(
+        let mut words = format!(
             "{} receivers, {carriers}, {} clusters (mean rank {:.1}, highest {})\n{bytes_per_receiver:.0} bytes a \
              receiver for light\n",
             self.receivers, self.clusters, self.mean_rank, self.rank_max,
         );
+        if above > 0 {
+            words += &format!("{above} clusters above rank_error, highest error {highest:.3}\n");
+        }
+        if self.receivers_without_light > 0 {
+            words += &format!("{} receivers without light\n", self.receivers_without_light);
+        }
         Figures { json: json.map(|(name, value)| (name.to_owned(), value)).into_iter().collect(), words }
     }
 }
 
 impl ClusterRow {
+    /// Middle of its bounds, in metres.
+    pub fn middle_m(&self) -> [f32; 3] {
+        let [low, high] = self.bounds_m;
+        std::array::from_fn(|axis| 0.5 * (low[axis] + high[axis]))
+    }
+
     fn check_numbers(&self) -> Result<(), ManifestError> {
         all_finite("a cluster's bounds", self.bounds_m.as_flattened())?;
         let Self { truncation_error, quantisation_error, uncovered_fraction, .. } = *self;

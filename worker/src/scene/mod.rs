@@ -20,6 +20,7 @@ mod materials;
 mod meshopt;
 pub mod model;
 mod nodes;
+mod oddities;
 mod outline;
 mod pack;
 mod placement;

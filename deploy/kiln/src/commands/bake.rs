@@ -5,6 +5,7 @@ use std::time::Instant;
 
 use clap::Args;
 use lightkiln_client::fetch::{ApiClient, Source};
+use lightkiln_proto::api::NewBake;
 
 use crate::arguments::TrustArgument;
 use crate::bundle::{refuse_foreign_folder, write_bundle};
@@ -48,7 +49,7 @@ pub struct Arguments {
     /// Threads to bake with [default: one per processor]
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
-    /// Folder that keeps finished tasks, so that nothing is baked twice
+    /// Folder that keeps finished tasks, so that nothing is baked twice; several bakes may share it at once
     /// [env: KILN_STATE; default: lightkiln in the user's cache folder]
     #[arg(long, value_name = "DIR")]
     state: Option<PathBuf>,
@@ -58,7 +59,7 @@ pub struct Arguments {
     #[command(flatten)]
     wanted: EvaluationArguments,
     /// Ends with one JSON object on standard output: bake, scene, out, kind, tasks_run, tasks_reused, rays_closest,
-    /// rays_occlusion, bytes_total, elapsed_secs, stages, and the kind's own figures; with --evaluate also evaluation
+    /// rays_occlusion, bytes_total, elapsed_secs, stages, warnings (code, message, try_setting), and the kind's own figures; with --evaluate also evaluation
     #[arg(long)]
     json: bool,
 }
@@ -79,9 +80,12 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     arguments.preview.as_deref().map_or(Ok(()), check_png)?;
     let scene = PackedScene::read(&arguments.scene)?;
     let interrupt = Interrupt::listen()?;
-    let farm = Place::open(&arguments, kinds)?;
+    let farm = Place::open(&arguments, kinds, &interrupt)?;
     let client = arguments.trust.connect(farm.url(), &interrupt)?;
-    let bake = scene.submit(&client, |bake| wanted.set(bake))?;
+    let bake = scene.submit(&client, |bake| {
+        wanted.set(bake);
+        farm.reserve(bake);
+    })?;
     let bake = follow(&client, &bake.id, &interrupt, || farm.check())
         .map_err(|failure| wind_down(failure, &farm, &client, &bake.id))?;
     let scene_name = arguments.scene.display().to_string();
@@ -124,19 +128,26 @@ enum Place {
 }
 
 impl Place {
-    fn open(arguments: &Arguments, kinds: &KindTables) -> Result<Self> {
+    fn open(arguments: &Arguments, kinds: &KindTables, interrupt: &Interrupt) -> Result<Self> {
         if let Some(url) = &arguments.server {
             return Ok(Self::Farm(url.clone()));
         }
         let state = arguments.state.clone().map_or_else(default_state, Ok)?;
         let threads = arguments.threads.map_or_else(all_processors, usize::from);
-        Ok(Self::Embedded(Box::new(EmbeddedFarm::start(&state, threads, kinds)?)))
+        Ok(Self::Embedded(Box::new(EmbeddedFarm::start(&state, threads, kinds, interrupt)?)))
     }
 
     fn url(&self) -> &str {
         match self {
             Self::Embedded(farm) => farm.url(),
             Self::Farm(url) => url,
+        }
+    }
+
+    fn reserve(&self, bake: &mut NewBake) {
+        match self {
+            Self::Embedded(farm) => farm.reserve(bake),
+            Self::Farm(_) => (),
         }
     }
 

@@ -49,6 +49,10 @@ fn json_has_the_agreed_keys_and_a_bundle_lies_at_its_out() {
         "rays_closest",
         "rays_occlusion",
         "uncovered_fraction",
+        "clusters_above_rank_error",
+        "truncation_error_max",
+        "receivers_without_light",
+        "warnings",
         "bytes_total",
         "bytes_per_receiver",
         "elapsed_secs",
@@ -64,6 +68,25 @@ fn json_has_the_agreed_keys_and_a_bundle_lies_at_its_out() {
     );
     let report: Value = serde_json::from_slice(&fs::read(out.join("report.json")).unwrap()).unwrap();
     assert_eq!(report["run"]["receivers"], summary["receivers"]);
+}
+
+#[test]
+fn poor_bake_says_so_on_screen_and_in_json_with_the_setting_that_would_help() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut poor = bake_arguments(&folder.path().join("out"));
+    poor.extend(["--set", "rank_max=2"].map(str::to_owned));
+    let baked = run(kiln(folder.path()), &poor, 0);
+    let (summary, words) = (baked.json(), baked.stderr());
+    let warnings = summary["warnings"].as_array().unwrap();
+    let blurred = warnings.iter().find(|warning| warning["code"] == "rank-error-exceeded");
+    assert_eq!(blurred.unwrap()["try_setting"], "rank_max=64", "{summary}");
+    let line = words.lines().find(|line| line.starts_with("warning: light is blurred in")).unwrap();
+    assert!(line.contains("try --set rank_max=64"), "{line}");
+    let above = summary["clusters_above_rank_error"].as_u64().unwrap();
+    assert!(above > 0 && words.contains(&format!("{above} clusters above rank_error")), "{words}");
+    let good = run(kiln(folder.path()), &bake_arguments(&folder.path().join("good")), 0);
+    assert_eq!(good.json()["clusters_above_rank_error"], 0, "{}", good.stderr());
+    assert!(!good.stderr().contains("warning:"), "{}", good.stderr());
 }
 
 #[test]

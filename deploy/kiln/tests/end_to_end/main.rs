@@ -17,6 +17,7 @@ mod parts;
 mod processes;
 mod replicas;
 mod tls;
+mod together;
 mod tokens;
 mod traces;
 mod upkeep;

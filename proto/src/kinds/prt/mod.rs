@@ -7,7 +7,7 @@ pub mod tasks;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use super::{Figures, Kind, cluster_figures};
+use super::{Figures, Kind, Warning, cluster_figures, cluster_warnings};
 use crate::chunk::ChunkRow;
 use crate::ids::Digest;
 use crate::jobs::TaskSpec;
@@ -75,10 +75,16 @@ impl Kind for Prt {
     }
 
     fn summary(&self, manifest: &Manifest) -> Result<Figures, ManifestError> {
-        let Body { totals, patches, .. } = manifest.body()?;
-        let mut figures = totals.summary(manifest, &format!("{patches} patches"));
+        let Body { totals, patches, clusters } = manifest.body()?;
+        let mut figures = totals.summary(manifest, &clusters, &format!("{patches} patches"));
         figures.json.insert("patches".into(), json!(patches));
         Ok(figures)
+    }
+
+    fn warnings(&self, manifest: &Manifest) -> Result<Vec<Warning>, ManifestError> {
+        let Body { totals, clusters, .. } = manifest.body()?;
+        let finer = manifest.layout()?.texel_m / 2.0;
+        Ok(cluster_warnings(&manifest.settings, &totals, &clusters, Some(format!("texel_m={finer}"))))
     }
 
     fn inspection(&self, manifest: &Manifest) -> Result<Figures, ManifestError> {

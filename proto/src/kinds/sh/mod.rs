@@ -10,7 +10,7 @@ pub mod tasks;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use super::{Figures, Kind, cluster_figures};
+use super::{Figures, Kind, Warning, cluster_figures, cluster_warnings};
 use crate::chunk::ChunkRow;
 use crate::ids::Digest;
 use crate::jobs::TaskSpec;
@@ -81,12 +81,18 @@ impl Kind for Sh {
     }
 
     fn summary(&self, manifest: &Manifest) -> Result<Figures, ManifestError> {
-        let Body { totals, probes, .. } = manifest.body()?;
-        let mut figures = totals.summary(manifest, &format!("{probes} probes"));
+        let Body { totals, probes, clusters, .. } = manifest.body()?;
+        let mut figures = totals.summary(manifest, &clusters, &format!("{probes} probes"));
         figures.json.insert("probes".into(), json!(probes));
         figures.words +=
             &format!("{:.2} % of the light reaches no probe\n", 100.0 * totals.uncovered_fraction);
         Ok(figures)
+    }
+
+    fn warnings(&self, manifest: &Manifest) -> Result<Vec<Warning>, ManifestError> {
+        let Body { totals, clusters, probe_spacing_m, .. } = manifest.body()?;
+        let finer = format!("probe_spacing_m={:.3}", probe_spacing_m / 2.0);
+        Ok(cluster_warnings(&manifest.settings, &totals, &clusters, Some(finer)))
     }
 
     fn inspection(&self, manifest: &Manifest) -> Result<Figures, ManifestError> {

@@ -1,7 +1,7 @@
-//! The farm in a database: SQLite for one server, PostgreSQL for any number of them.
+//! The farm in a database: SQLite for one machine, PostgreSQL for any number of servers.
 //!
 //! Every call is one transaction, written once for both databases. While a transaction that changes a bake runs, no
-//! other one does, and no claim: on SQLite because there is one writing connection, on PostgreSQL because of a lock
+//! other one does, and no claim: on SQLite because of the file's own lock (and there is one writing connection in a process), on PostgreSQL because of a lock
 //! ([`postgres`] says which and why). So each sees the farm as the one before left it, and the counts that callers see
 //! are kept with each change, never recounted.
 //!
@@ -88,6 +88,11 @@ impl SqlStore {
     pub async fn open_sqlite(path: &Path, clock: Arc<dyn Clock>) -> Result<Self> {
         let database = Database::Sqlite(SqliteFile::open(path).await?, clock);
         Ok(Self { database, faults: None, commits: CommitQueue::default() })
+    }
+
+    /// Whether the SQLite file at `path` has the schema of this program, so that opening it changes nothing.
+    pub async fn is_current_sqlite(path: &Path) -> Result<bool> {
+        sqlite::is_current(path).await
     }
 
     /// Opens the PostgreSQL database at `url` (`postgres://…`), making or migrating its tables as needed.

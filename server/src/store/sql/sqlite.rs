@@ -1,4 +1,4 @@
-//! One SQLite file: WAL, one writing connection, a few reading ones.
+//! One SQLite file: WAL, one writing connection in each process that has it open, a few reading ones.
 //!
 //! Changes are flushed to the disk before their callers hear of them (`synchronous=FULL`). Claims and heartbeats
 //! are not: if the machine loses power their leases are lost, and the tasks run again; half of a task's flushes are
@@ -19,7 +19,7 @@ use crate::store::Result;
 
 /// Reading connections.
 const READERS: u32 = 4;
-/// Wait for a lock held by another process (a backup, say) before giving up.
+/// Wait for a lock held by another process (another bake's, a backup's) before giving up.
 const BUSY_TIMEOUT: Duration = Duration::from_secs(10);
 /// Wait for a free connection before giving up.
 const ACQUIRE_TIMEOUT: Duration = Duration::from_secs(30);
@@ -93,6 +93,14 @@ async fn is_out_of_transaction(connection: &mut SqliteConnection) -> Result<bool
         connection.ping().await?;
     }
     Ok(!connection.is_in_transaction())
+}
+
+/// Whether the file has the schema of this version.
+pub(super) async fn is_current(path: &Path) -> Result<bool> {
+    let reader = pool(path, 1, true).await?;
+    let version: i64 = sqlx::query_scalar("PRAGMA user_version").fetch_one(&reader).await?;
+    reader.close().await;
+    Ok(usize::try_from(version) == Ok(MIGRATIONS.len()))
 }
 
 /// Brings the file to the schema of this version.
