@@ -22,7 +22,7 @@ use crate::metrics::Metrics;
 use crate::random::is_fencing_token;
 use crate::storage::{Removed, Storage};
 use crate::store::chunk::CollectRules;
-use crate::store::{FarmStore, KnownResult, StoreError, Submission};
+use crate::store::{FailVerdict, FarmStore, KnownResult, StoreError, Submission};
 use crate::wakeup::Wakeup;
 
 /// Longest name of a bake, in characters.
@@ -290,7 +290,16 @@ impl Farm {
     pub async fn fail(&self, token: &str, blame: Blame, message: &str) -> Result<()> {
         require_token(token)?;
         let verdict = self.store.fail(token, blame, message).await?;
-        tracing::warn!(?blame, ?verdict, message, "an attempt failed");
+        let by = match blame {
+            Blame::Task => "what its task was given",
+            Blame::Worker => "its worker",
+        };
+        let next = match verdict {
+            FailVerdict::Retry => "it is tried again",
+            FailVerdict::GivenUp => "the bakes that want it have failed",
+            FailVerdict::Stale => "its lease was gone already",
+        };
+        tracing::warn!("an attempt failed by {by}; {next}: {message}");
         self.metrics.failures.inc();
         self.wakeup.hint();
         Ok(())
