@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::Duration;
 
+use lightkiln_proto::api::{BakeFilter, BakeState};
 use lightkiln_server::farm::Farm;
 use lightkiln_server::store::StoreError;
 use lightkiln_server::{Config, Server, ServerError};
@@ -118,10 +119,11 @@ impl Drop for EmbeddedFarm {
 }
 
 async fn cancel_left_over(farm: &Farm) -> std::result::Result<(), ServerError> {
+    let live = BakeFilter { states: vec![BakeState::Running, BakeState::Paused], ..BakeFilter::default() };
     let mut after = None;
     loop {
-        let page = farm.store.list(after, PAGE_BAKES).await?;
-        for bake in page.bakes.iter().filter(|bake| !bake.state.is_final()) {
+        let page = farm.store.list(&live, after, PAGE_BAKES).await?;
+        for bake in &page.bakes {
             tracing::info!(bake = bake.id, "a bake was left by a process that has ended; it is cancelled");
             farm.store.cancel(&bake.id).await?;
         }

@@ -96,7 +96,8 @@ fn words(snapshot: &Snapshot) -> String {
     words
 }
 
-fn duration_words(duration: Duration) -> String {
+/// A rough duration, e.g. `3 min`.
+pub fn duration_words(duration: Duration) -> String {
     let secs = duration.as_secs();
     match secs {
         0..=119 => format!("{secs} s"),

@@ -12,6 +12,7 @@ mod enrolment;
 mod evaluation;
 mod farm;
 mod full_disk;
+mod manners;
 #[path = "../../../../server/tests/parts/mod.rs"]
 mod parts;
 mod processes;
