@@ -22,6 +22,7 @@ mod tokens;
 mod traces;
 mod upkeep;
 mod uploads;
+mod words;
 mod wrong_input;
 
 use std::collections::BTreeMap;
