@@ -7,7 +7,8 @@
 //! | `PUT /v1/scene-parts/{digest}` | bytes of a part of a scene |
 //! | `POST /v1/scenes/{digest}/parts` | [`SceneParts`] → [`SceneProgress`] |
 //! | `POST /v1/bakes` (`Idempotency-Key`) | [`NewBake`] → 202 [`Bake`] |
-//! | `GET /v1/bakes?after&limit` | [`BakePage`] |
+//! | `GET /v1/bakes?after&limit&state&name&since_ms` | [`BakePage`] of the bakes that a [`BakeFilter`] takes |
+//! | `…/v1/bakes/{id}…` | `id` may be shortened to a beginning, of [`MIN_ID_CHARS`] or more, that one bake's alone has |
 //! | `GET, DELETE /v1/bakes/{id}` | [`Bake`], 204 |
 //! | `POST /v1/bakes/{id}/cancel`, `…/pause`, `…/resume` | → [`Bake`] |
 //! | `POST /v1/bakes/{id}/priority` | [`NewPriority`] → [`Bake`] |
@@ -29,7 +30,11 @@ use crate::ids::Digest;
 use crate::jobs::{Artefact, TaskSpec};
 
 pub use crate::events::{BakeEvent, EventKind, EventPage};
+pub use crate::filter::BakeFilter;
 pub use crate::jobs::TaskResult;
+
+/// Fewest characters that a bake's id may be shortened to. Fewer → less to type, and a slip means another bake sooner.
+pub const MIN_ID_CHARS: usize = 4;
 
 /// Most bytes under one digest, scene bundle, artefact or chunk: 2 GiB. Larger → larger scenes, more memory in workers.
 pub const MAX_CHUNK_BYTES: u64 = 2 << 30;
@@ -168,6 +173,11 @@ impl BakeState {
             Self::Failed => "failed",
             Self::Cancelled => "cancelled",
         }
+    }
+
+    /// The state of that name.
+    pub fn named(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|state| state.name() == name)
     }
 
     /// No more will happen.

@@ -6,6 +6,7 @@ pub mod api;
 pub mod chunk;
 pub mod content;
 pub mod events;
+pub mod filter;
 pub mod harmonics;
 pub mod ids;
 pub mod jobs;

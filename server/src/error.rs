@@ -3,6 +3,7 @@
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
+use lightkiln_proto::api::MIN_ID_CHARS;
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::kinds::BakeError;
 use lightkiln_proto::problem::{ProblemCode, RetryClass, chain};
@@ -63,6 +64,20 @@ pub enum ServerError {
     /// A bearer's name or scopes are malformed.
     #[error(transparent)]
     Access(#[from] AccessError),
+    /// So few characters of a bake's id that a slip would mean another bake.
+    #[error("'{text}' is too little of a bake's id; give {MIN_ID_CHARS} characters or more")]
+    ShortId {
+        /// The text given.
+        text: String,
+    },
+    /// The beginning of several bakes' ids.
+    #[error("'{text}' is the beginning of several ids; give more of the one that is meant:{candidates}")]
+    AmbiguousId {
+        /// The text given.
+        text: String,
+        /// The bakes, a line each.
+        candidates: String,
+    },
     /// No such lease.
     #[error("there is no such lease")]
     NoSuchLease,
@@ -193,14 +208,16 @@ impl ServerError {
     /// The problem that a caller sees.
     pub fn code(&self) -> ProblemCode {
         match self {
-            Self::BadRequest { .. } => ProblemCode::BadRequest,
+            Self::BadRequest { .. } | Self::AmbiguousId { .. } => ProblemCode::BadRequest,
             Self::BadBake(_) => ProblemCode::BadSettings,
             Self::Unauthorized { .. } => ProblemCode::Unauthorized,
             Self::Forbidden { .. } => ProblemCode::Forbidden,
             Self::Access(_) => ProblemCode::BadRequest,
             Self::NoSuchOutput { .. } => ProblemCode::NotStored,
             Self::BodyBrokeOff(_) => ProblemCode::BrokeOff,
-            Self::NoSuchScene { .. } | Self::NoSuchLease | Self::NoSuchPath { .. } => ProblemCode::NotFound,
+            Self::NoSuchScene { .. } | Self::NoSuchLease | Self::NoSuchPath { .. } | Self::ShortId { .. } => {
+                ProblemCode::NotFound
+            }
             Self::NoResult { .. } => ProblemCode::StateConflict,
             Self::Range { .. } => ProblemCode::RangeNotSatisfiable,
             Self::MethodNotAllowed { .. } => ProblemCode::MethodNotAllowed,

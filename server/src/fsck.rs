@@ -6,7 +6,7 @@
 use std::time::Duration;
 
 use futures::{StreamExt, TryStreamExt};
-use lightkiln_proto::api::BakeState;
+use lightkiln_proto::api::{BakeFilter, BakeState};
 use lightkiln_proto::ids::Digest;
 use serde::Serialize;
 
@@ -166,7 +166,7 @@ async fn note(
 async fn list_incomplete(store: &dyn FarmStore, findings: &mut Findings) -> Result<()> {
     let mut after = None;
     loop {
-        let page = store.list(after, PAGE).await?;
+        let page = store.list(&BakeFilter::default(), after, PAGE).await?;
         let incomplete =
             page.bakes.into_iter().filter(|bake| bake.state == BakeState::Done && bake.results_lost > 0);
         findings.incomplete.extend(incomplete.map(|bake| Incomplete {

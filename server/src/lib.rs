@@ -6,10 +6,12 @@
 //! - [`store`] is the queue behind one trait, [`chunks`] the bytes, [`wakeup`] lossy hints.
 //! - [`storage`] is the bytes that count, `collect` clears away the others, [`fsck`] checks them.
 //! - [`access`] says who may call, [`guard`] asks for the tokens.
+//! - `bake_ids` finds bakes by beginnings of their ids.
 //! - `lookout` looks for work on behalf of all claims that wait.
 //! - [`farm`] puts them together, `http` makes calls of it.
 
 pub mod access;
+mod bake_ids;
 pub mod chunks;
 pub mod clock;
 mod collect;

@@ -5,6 +5,9 @@
 /// Characters of a fencing token: 128 random bits in lower-case hex.
 pub const TOKEN_CHARS: usize = 32;
 
+/// Characters of a bake's id.
+pub const BAKE_ID_CHARS: usize = 16;
+
 /// A new fencing token.
 pub fn fencing_token() -> String {
     hex::<{ TOKEN_CHARS / 2 }>()
@@ -17,7 +20,7 @@ pub fn is_fencing_token(text: &str) -> bool {
 
 /// A new id of a bake or a process: 64 random bits in lower-case hex.
 pub fn id() -> String {
-    hex::<8>()
+    hex::<{ BAKE_ID_CHARS / 2 }>()
 }
 
 /// The random part of a bearer's token: 256 bits in lower-case hex.

@@ -15,6 +15,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum_server::tls_rustls::RustlsConfig;
+use lightkiln_proto::api::{BakeFilter, BakeState};
 use lightkiln_proto::kinds::Kinds;
 use tokio::net::TcpListener;
 use tokio::sync::watch;
@@ -301,10 +302,11 @@ async fn open_database(place: &DatabasePlace) -> Result<OpenDatabase> {
 
 /// Cancels bakes that are nobody's: those of seats that are free, and those from before seats.
 async fn cancel_left_over(store: &SqlStore, others: &[(String, u32)]) -> Result<()> {
+    let live = BakeFilter { states: vec![BakeState::Running, BakeState::Paused], ..BakeFilter::default() };
     let mut after = None;
     loop {
-        let page = store.list(after, PAGE_BAKES).await?;
-        for bake in page.bakes.iter().filter(|bake| !bake.state.is_final()) {
+        let page = store.list(&live, after, PAGE_BAKES).await?;
+        for bake in &page.bakes {
             if others.iter().any(|(name, _)| bake.needs.labels.contains(name)) {
                 continue;
             }

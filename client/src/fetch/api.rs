@@ -2,8 +2,8 @@
 
 use lightkiln_http::{Call, HttpClient, RetryPolicy, ShutdownFlag};
 use lightkiln_proto::api::{
-    Bake, BakePage, Blocklist, EventPage, MAX_CHUNK_BYTES, NewBake, NewPriority, SCENE_PART_BYTES, ScenePart,
-    SceneParts, SceneProgress, SceneStored, WorkerPage,
+    Bake, BakeFilter, BakePage, Blocklist, EventPage, MAX_CHUNK_BYTES, NewBake, NewPriority,
+    SCENE_PART_BYTES, ScenePart, SceneParts, SceneProgress, SceneStored, WorkerPage,
 };
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::manifest;
@@ -107,10 +107,15 @@ impl ApiClient {
         Ok(self.http.json(&call)?)
     }
 
-    /// Bakes, newest first; `after` is the `next` of the page before.
-    pub fn bakes(&self, after: Option<u64>, limit: u32) -> Result<BakePage> {
-        let after = after.map(|place| format!("&after={place}")).unwrap_or_default();
-        Ok(self.http.json(&Call::get(format!("/v1/bakes?limit={limit}{after}")))?)
+    /// Bakes that the filter takes, newest first; `after` is the `next` of the page before.
+    pub fn bakes(&self, filter: &BakeFilter, after: Option<u64>, limit: u32) -> Result<BakePage> {
+        let mut query = format!("limit={limit}");
+        let parameters =
+            filter.parameters().into_iter().chain(after.map(|place| ("after", place.to_string())));
+        for (name, value) in parameters {
+            query += &format!("&{name}={}", escape(&value));
+        }
+        Ok(self.http.json(&Call::get(format!("/v1/bakes?{query}")))?)
     }
 
     /// A bake as it stands.

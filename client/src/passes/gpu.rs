@@ -7,6 +7,7 @@ use std::time::Duration;
 use bytemuck::Pod;
 use wgpu::{BufferUsages as Usage, ShaderStages as Stages};
 
+use super::overheard::logged;
 use crate::error::{ClientError, Result};
 
 /// Longest wait for the adapter to finish its work.
@@ -35,7 +36,7 @@ pub struct Gpu {
 impl Gpu {
     /// Opens the best adapter there is.
     pub fn open() -> Result<Self> {
-        pollster::block_on(Self::open_async())
+        logged(|| pollster::block_on(Self::open_async()))
     }
 
     async fn open_async() -> Result<Self> {

@@ -10,6 +10,7 @@ pub mod direct;
 pub mod gpu;
 pub mod meshes;
 pub mod near;
+mod overheard;
 pub mod patches;
 pub mod reconstruct;
 pub mod resident;

@@ -81,7 +81,7 @@ impl Command {
             Self::Server(arguments) => server::run(arguments, &kinds.contract),
             Self::Worker(arguments) => worker::run(arguments, &kinds.worker),
             Self::Token(arguments) => token::run(arguments),
-            Self::Submit(arguments) => submit::run(arguments, &kinds.contract),
+            Self::Submit(arguments) => submit::run(arguments, kinds),
             Self::List(arguments) => list::run(arguments),
             Self::Show(arguments) => show::run(arguments),
             Self::Logs(arguments) => logs::run(arguments),

@@ -42,7 +42,7 @@ impl From<Exit> for ExitCode {
 }
 
 /// A command's end without success. Displayed as `error: …`, `caused by: …` and `try: …`, a line each.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Failure {
     exit: Exit,
     message: String,

@@ -50,6 +50,8 @@ pub fn wait_for_end(
 ) -> Result<Ended> {
     let client = client.clone().with_retry(PATIENCE);
     let mut view = ProgressView::new();
+    // From the first answer on it is the whole id, where a beginning of it was given.
+    let mut id = id.to_owned();
     let mut seen = 0;
     let (mut failed_kind, mut is_input) = (None, false);
     loop {
@@ -57,7 +59,8 @@ pub fn wait_for_end(
             return Err(Failure::new(Exit::Interrupted, "interrupted"));
         }
         check()?;
-        let page = client.events(id, seen, POLL_SECS)?;
+        let page = client.events(&id, seen, POLL_SECS)?;
+        id.clone_from(&page.bake.id);
         view.update(&page.bake, &page.events);
         for event in &page.events {
             seen = event.seq;

@@ -7,13 +7,19 @@ use std::time::Duration;
 use lightkiln_proto::api::StageCount;
 use quick_junit::{NonSuccessKind, Report, TestCase, TestCaseStatus, TestSuite};
 
-use crate::failure::{Exit, Failure, Result};
+use crate::failure::{Exit, Failure};
 use crate::following::Ended;
 use crate::outputs;
 use crate::summary::stage_name;
 
-/// The report of a bake of `scene`, or of why there is none.
-pub fn report(scene: &str, ended: &Result<Ended>, elapsed: Duration) -> String {
+/// The report of a bake of `scene`, or of why there is none; `evaluated` says whether its evaluation met its limits, if
+/// there was one.
+pub fn report(
+    scene: &str,
+    ended: Result<&Ended, &Failure>,
+    evaluated: Option<&Result<(), Failure>>,
+    elapsed: Duration,
+) -> String {
     let mut suite = TestSuite::new(format!("kiln {scene}"));
     suite.set_time(elapsed);
     let mut add = |name: &str, time: Duration, status: TestCaseStatus| {
@@ -29,6 +35,10 @@ pub fn report(scene: &str, ended: &Result<Ended>, elapsed: Duration) -> String {
             }
             let failed = |failure: Failure| told(NonSuccessKind::Failure, failure.message());
             add("bake", elapsed, ended.judge().err().map_or_else(TestCaseStatus::success, failed));
+            if let Some(evaluated) = evaluated {
+                let status = evaluated.as_ref().err().map_or_else(TestCaseStatus::success, not_met);
+                add("evaluation", elapsed, status);
+            }
             suite.set_system_out(format!("bake {}\n", ended.bake.id));
         }
         // Nobody can tell how the bake ended.
@@ -41,13 +51,13 @@ pub fn report(scene: &str, ended: &Result<Ended>, elapsed: Duration) -> String {
 }
 
 /// Refuses a place where the report could not be written.
-pub fn check(path: &Path) -> Result<()> {
+pub fn check(path: &Path) -> Result<(), Failure> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     folder.map_or(Ok(()), outputs::check_folder)
 }
 
 /// Writes the report, making its folder if need be.
-pub fn write(path: &Path, report: &str) -> Result<()> {
+pub fn write(path: &Path, report: &str) -> Result<(), Failure> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     let made = folder.map_or(Ok(()), fs::create_dir_all);
     made.and_then(|()| fs::write(path, report)).map_err(|error| {
@@ -67,6 +77,14 @@ fn stage_status(ended: &Ended, stage: &StageCount) -> TestCaseStatus {
     let mut status = TestCaseStatus::skipped();
     status.set_message(format!("{} of {} tasks were done when the bake ended", stage.done, stage.total));
     status
+}
+
+/// An evaluation that breaks a limit, or that could not be made.
+fn not_met(failure: &Failure) -> TestCaseStatus {
+    match failure.exit() {
+        Exit::LimitBroken => told(NonSuccessKind::Failure, failure.message()),
+        _ => told(NonSuccessKind::Error, &failure.to_string()),
+    }
 }
 
 /// A case that is no success: the first line as its message, the whole as its text.
@@ -113,7 +131,7 @@ mod tests {
     #[test]
     fn bake_that_never_began_is_an_error_in_the_report_whatever_its_words_are() {
         let failure = Failure::bad_input("a <scene> & \"more\"\u{0} \u{1b}[31m]]>").try_this("another");
-        let xml = report("a&b.glb", &Err(failure), Duration::from_millis(1500));
+        let xml = report("a&b.glb", Err(&failure), None, Duration::from_millis(1500));
         let elements = elements(&xml);
         let names: Vec<&str> = elements.iter().map(|element| element.0.as_str()).collect();
         assert_eq!(names, ["testsuites", "testsuite", "testcase", "error"]);

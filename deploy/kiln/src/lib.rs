@@ -27,6 +27,7 @@ mod switched_off;
 mod telemetry;
 #[cfg(test)]
 mod tests;
+mod times;
 
 use std::process::ExitCode;
 

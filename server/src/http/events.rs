@@ -15,7 +15,7 @@ use serde::Deserialize;
 use tokio::time::Instant;
 use utoipa::IntoParams;
 
-use super::extract::{FarmState, PathParam, UrlQuery, text_header};
+use super::extract::{BakeId, FarmState, UrlQuery, text_header};
 use crate::error::{Result, ServerError};
 use crate::farm::{Farm, MAX_WAIT_SECS};
 
@@ -52,13 +52,13 @@ pub(super) struct LastEvent {
 /// Tells the events of a bake. With `Accept: text/event-stream` it is a stream that ends with the bake; each event's
 /// `id` is its `seq`, and `Last-Event-ID` goes on after it.
 #[utoipa::path(get, path = "/v1/bakes/{id}/events", tag = "bakes",
-    params(("id" = String, Path, description = "The bake"), EventsQuery, LastEvent),
+    params(("id" = String, Path, description = "The bake: its id, or a beginning of it that is no other bake's"), EventsQuery, LastEvent),
     responses(
         (status = 200, description = "Events", content((EventPage = "application/json"), (BakeEvent = "text/event-stream"))),
         (status = 404, description = "No such bake")))]
 pub(super) async fn events(
     State(farm): FarmState,
-    PathParam(id): PathParam<String>,
+    BakeId(id): BakeId,
     UrlQuery(query): UrlQuery<EventsQuery>,
     headers: HeaderMap,
 ) -> Result<Response> {

@@ -10,6 +10,7 @@ use axum::http::{HeaderMap, header};
 use futures::StreamExt;
 use serde::de::DeserializeOwned;
 
+use crate::bake_ids::whole_id;
 use crate::error::{Result, ServerError};
 use crate::farm::Farm;
 
@@ -100,6 +101,18 @@ where
         let text = Path::<String>::from_request_parts(parts, state).await;
         let Path(text) = text.map_err(|error| ServerError::bad_request(error.body_text()))?;
         text.parse().map(Self).map_err(|error: T::Err| ServerError::bad_request(error.to_string()))
+    }
+}
+
+/// The id of the bake that the path names by it, or by a beginning of it that no other bake's has.
+pub(super) struct BakeId(pub(super) String);
+
+impl FromRequestParts<Arc<Farm>> for BakeId {
+    type Rejection = ServerError;
+
+    async fn from_request_parts(parts: &mut Parts, farm: &Arc<Farm>) -> Result<Self> {
+        let PathParam(text) = PathParam::from_request_parts(parts, farm).await?;
+        whole_id(&*farm.store, text).await.map(Self)
     }
 }
 

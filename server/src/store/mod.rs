@@ -25,8 +25,8 @@ use std::collections::BTreeSet;
 
 use async_trait::async_trait;
 use lightkiln_proto::api::{
-    Bake, BakePage, BakeState, Blame, Blocklist, ClaimRequest, CommitVerdict, EventPage, HeartbeatAnswer,
-    Lease, Needs, NewBake, Worker,
+    Bake, BakeFilter, BakePage, BakeState, Blame, Blocklist, ClaimRequest, CommitVerdict, EventPage,
+    HeartbeatAnswer, Lease, Needs, NewBake, Worker,
 };
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{Artefact, TaskResult, TaskSpec};
@@ -53,6 +53,17 @@ pub struct Submission {
     pub bake: NewBake,
     /// Its first tasks.
     pub plan: Vec<TaskSpec>,
+}
+
+/// A bake as people tell it from others.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Named {
+    /// Its id.
+    pub id: String,
+    /// Its name.
+    pub name: String,
+    /// Where it stands.
+    pub state: BakeState,
 }
 
 /// Outcome of a submission.
@@ -238,8 +249,12 @@ pub trait FarmStore: Send + Sync {
     /// One bake.
     async fn show(&self, bake: &str) -> Result<Bake>;
 
-    /// Bakes, newest first; those submitted before place `after`, which `next` of the page before gave. The bake there may be gone.
-    async fn list(&self, after: Option<u64>, limit: u32) -> Result<BakePage>;
+    /// Bakes that the filter takes, newest first; those submitted before place `after`, which `next` of the page before
+    /// gave. The bake there may be gone.
+    async fn list(&self, filter: &BakeFilter, after: Option<u64>, limit: u32) -> Result<BakePage>;
+
+    /// Bakes whose ids begin so, in lower-case hex, by id.
+    async fn begin_with(&self, id: &str, limit: u32) -> Result<Vec<Named>>;
 
     /// Events with a `seq` above `after`, and the bake as it stands.
     async fn events_after(&self, bake: &str, after: u64, limit: u32) -> Result<EventPage>;

@@ -13,7 +13,7 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Duration;
 
-use lightkiln_proto::api::Bake;
+use lightkiln_proto::api::{Bake, BakeFilter};
 use reqwest::Url;
 use tokio::sync::{Semaphore, watch};
 use tokio::time::Instant;
@@ -147,7 +147,7 @@ impl Watcher {
         let most = if self.has_looked { usize::MAX } else { BAKES_AT_START };
         let (mut after, mut seen) = (None, 0);
         loop {
-            let page = farm.store.list(after, PAGE_BAKES).await?;
+            let page = farm.store.list(&BakeFilter::default(), after, PAGE_BAKES).await?;
             seen += page.bakes.len();
             let has_known = page.bakes.iter().any(|bake| self.knows(bake));
             for bake in page.bakes {

@@ -2,7 +2,7 @@
 
 use std::slice::from_ref;
 
-use lightkiln_proto::api::{BakeState, CommitVerdict, Verdict};
+use lightkiln_proto::api::{BakeFilter, BakeState, CommitVerdict, Verdict};
 use lightkiln_proto::ids::Digest;
 use lightkiln_server::store::StoreError;
 
@@ -25,7 +25,7 @@ pub async fn same_key_with_another_body_is_refused(world: World) {
     submission.body_hash = Digest::of(b"other body");
     let error = world.store.submit(&submission).await.unwrap_err();
     assert!(matches!(error, StoreError::IdempotencyConflict { .. }), "{error}");
-    assert_eq!(world.store.list(None, 10).await.unwrap().bakes.len(), 1);
+    assert_eq!(world.store.list(&BakeFilter::default(), None, 10).await.unwrap().bakes.len(), 1);
 }
 
 pub async fn without_a_key_every_submission_is_a_bake(world: World) {

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use bytes::Bytes;
 use futures::{StreamExt, TryStreamExt};
-use lightkiln_proto::api::{BakeState, CommitVerdict};
+use lightkiln_proto::api::{BakeFilter, BakeState, CommitVerdict};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{Artefact, TaskInput, TaskResult, TaskSpec};
 use lightkiln_proto::problem::ProblemCode;
@@ -111,7 +111,7 @@ pub async fn what_a_bake_needs_stays_until_it_is_deleted(world: World) {
     }
     world.store.delete_bake(&bake.id).await.unwrap();
     assert!(matches!(world.store.show(&bake.id).await, Err(StoreError::NoSuchBake { .. })));
-    assert!(world.store.list(None, 10).await.unwrap().bakes.is_empty());
+    assert!(world.store.list(&BakeFilter::default(), None, 10).await.unwrap().bakes.is_empty());
     assert!(world.store.stats().await.unwrap().tasks.is_empty(), "its results go with it");
     collect_all(&world).await;
     assert!(world.store.chunk_rows(None, 10).await.unwrap().is_empty());
@@ -128,7 +128,7 @@ pub async fn result_of_two_bakes_stays_until_both_are_deleted(world: World) {
     collect_all(&world).await;
     assert!(is_kept(&world, out).await);
     assert_eq!(world.submit("third", &[task("a", &[])]).await.tasks_reused, 1);
-    for bake in world.store.list(None, 10).await.unwrap().bakes {
+    for bake in world.store.list(&BakeFilter::default(), None, 10).await.unwrap().bakes {
         world.store.delete_bake(&bake.id).await.unwrap();
     }
     collect_all(&world).await;

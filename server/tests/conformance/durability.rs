@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use lightkiln_proto::api::{BakeState, CommitVerdict};
+use lightkiln_proto::api::{BakeFilter, BakeState, CommitVerdict};
 use lightkiln_server::store::{FarmStore, SqlStore, StoreError};
 
 use crate::clock::ManualClock;
@@ -106,7 +106,7 @@ async fn abandoned_call_happened_wholly_or_not_at_all() {
         store.commit(&lease.token, &result(&lease, &[])).await.unwrap();
         ran += 1;
     }
-    let bakes = store.list(None, 500).await.unwrap().bakes;
+    let bakes = store.list(&BakeFilter::default(), None, 500).await.unwrap().bakes;
     assert!((submitted..500).contains(&bakes.len()), "{} bakes of {submitted} submitted", bakes.len());
     assert_eq!(ran, 2 * bakes.len());
     for bake in bakes {

@@ -2,7 +2,7 @@
 
 use std::slice::from_ref;
 
-use lightkiln_proto::api::{BakeState, CommitVerdict};
+use lightkiln_proto::api::{BakeFilter, BakeState, CommitVerdict};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::TaskInput;
 use lightkiln_server::store::{PlanError, StoreError};
@@ -68,7 +68,7 @@ pub async fn plan_with_an_unknown_dependency_changes_nothing(world: World) {
     let error = world.store.submit(&submission("bad", from_ref(&orphan))).await.unwrap_err();
     let wanted = PlanError::UnknownDependency { needs: stranger.key };
     assert!(matches!(&error, StoreError::Plan(found) if *found == wanted), "{error}");
-    assert!(world.store.list(None, 10).await.unwrap().bakes.is_empty());
+    assert!(world.store.list(&BakeFilter::default(), None, 10).await.unwrap().bakes.is_empty());
 
     let bake = world.submit("bake", &[task("plan", &[])]).await;
     let lease = world.claim_one("w").await;

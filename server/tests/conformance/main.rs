@@ -172,6 +172,9 @@ conformance! {
         events_page_through
         list_pages_newest_first
         list_goes_on_behind_a_bake_that_was_deleted
+        list_holds_what_the_filter_takes
+        filtered_list_pages_without_a_gap
+        bakes_are_found_by_the_beginning_of_their_ids
         stages_count_what_happens
         results_are_named_when_done
         workers_show_what_they_hold

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use lightkiln_proto::api::{Bake, BakeState, CommitVerdict, EventKind, Needs, Verdict};
+use lightkiln_proto::api::{Bake, BakeFilter, BakeState, CommitVerdict, EventKind, Needs, Verdict};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{Artefact, TaskResult, TaskSpec};
 use lightkiln_server::store::chunk::{ChunkRow, CollectRules, KeptChunk, Usage};
@@ -16,7 +16,7 @@ use crate::parts::postgres::empty_schema;
 use crate::support::{TTL_MS, in_time, request, task};
 
 /// Schemas of earlier versions, one step after the other.
-const SQLITE: [&str; 8] = [
+const SQLITE: [&str; 9] = [
     include_str!("../../src/store/sql/schema/sqlite_1.sql"),
     include_str!("../../src/store/sql/schema/sqlite_2.sql"),
     include_str!("../../src/store/sql/schema/sqlite_3.sql"),
@@ -25,8 +25,9 @@ const SQLITE: [&str; 8] = [
     include_str!("../../src/store/sql/schema/sqlite_6.sql"),
     include_str!("../../src/store/sql/schema/sqlite_7.sql"),
     include_str!("../../src/store/sql/schema/sqlite_8.sql"),
+    include_str!("../../src/store/sql/schema/sqlite_9.sql"),
 ];
-const POSTGRES: [&str; 8] = [
+const POSTGRES: [&str; 9] = [
     include_str!("../../src/store/sql/schema/postgres_1.sql"),
     include_str!("../../src/store/sql/schema/postgres_2.sql"),
     include_str!("../../src/store/sql/schema/postgres_3.sql"),
@@ -35,6 +36,7 @@ const POSTGRES: [&str; 8] = [
     include_str!("../../src/store/sql/schema/postgres_6.sql"),
     include_str!("../../src/store/sql/schema/postgres_7.sql"),
     include_str!("../../src/store/sql/schema/postgres_8.sql"),
+    include_str!("../../src/store/sql/schema/postgres_9.sql"),
 ];
 /// The last version whose tables [`Past::rows`] fills; later steps find its rows.
 const FILLED: usize = 2;
@@ -289,8 +291,14 @@ async fn assert_bakes_are_as_they_were(store: &SqlStore, past: &Past) {
     let workers = store.workers().await.unwrap();
     assert_eq!((workers[0].name.as_str(), workers[0].memory_mib), ("holder", 0));
     assert_eq!(workers[0].holds, ["c"]);
-    let names: Vec<String> =
-        store.list(None, 10).await.unwrap().bakes.into_iter().map(|bake| bake.id).collect();
+    let names: Vec<String> = store
+        .list(&BakeFilter::default(), None, 10)
+        .await
+        .unwrap()
+        .bakes
+        .into_iter()
+        .map(|bake| bake.id)
+        .collect();
     assert_eq!(names, ["live", "old"]);
 }
 

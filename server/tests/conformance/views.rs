@@ -2,7 +2,7 @@
 
 use std::slice::from_ref;
 
-use lightkiln_proto::api::{BakeState, Blame, EventKind};
+use lightkiln_proto::api::{BakeFilter, BakeState, Blame, EventKind};
 use lightkiln_proto::jobs::{Artefact, MANIFEST_OUTPUT, REPORT_OUTPUT, TaskResult};
 use lightkiln_server::store::{TaskCount, TaskState};
 
@@ -122,7 +122,7 @@ pub async fn list_pages_newest_first(world: World) {
     let mut seen = Vec::new();
     let mut after = None;
     loop {
-        let page = world.store.list(after, 2).await.unwrap();
+        let page = world.store.list(&BakeFilter::default(), after, 2).await.unwrap();
         seen.extend(page.bakes.into_iter().map(|bake| bake.id));
         after = page.next;
         if after.is_none() {
@@ -138,16 +138,121 @@ pub async fn list_goes_on_behind_a_bake_that_was_deleted(world: World) {
     for name in ["a", "b", "c", "d", "e"] {
         ids.insert(0, world.submit(name, &[]).await.id);
     }
-    let page = world.store.list(None, 2).await.unwrap();
+    let page = world.store.list(&BakeFilter::default(), None, 2).await.unwrap();
     for id in &ids[..3] {
         world.store.delete_bake(id).await.unwrap();
     }
     world.submit("new", &[]).await;
-    let rest = world.store.list(page.next, 2).await.unwrap();
+    let rest = world.store.list(&BakeFilter::default(), page.next, 2).await.unwrap();
     assert_eq!(rest.bakes.iter().map(|bake| &bake.id).collect::<Vec<_>>(), [&ids[3], &ids[4]]);
     assert_eq!(rest.next, None);
-    assert!(world.store.list(Some(0), 2).await.unwrap().bakes.is_empty());
-    assert_eq!(world.store.list(Some(u64::MAX), 5).await.unwrap().bakes.len(), 3);
+    assert!(world.store.list(&BakeFilter::default(), Some(0), 2).await.unwrap().bakes.is_empty());
+    assert_eq!(world.store.list(&BakeFilter::default(), Some(u64::MAX), 5).await.unwrap().bakes.len(), 3);
+}
+
+/// Names of the bakes that the filter takes, newest first.
+async fn listed(world: &World, filter: &BakeFilter) -> Vec<String> {
+    let page = world.store.list(filter, None, 100).await.unwrap();
+    assert_eq!(page.next, None);
+    page.bakes.into_iter().map(|bake| bake.name).collect()
+}
+
+pub async fn list_holds_what_the_filter_takes(world: World) {
+    let open = [task("a", &[])];
+    let hour = 3_600_000;
+    world.submit("Cornell box", &[]).await;
+    world.clock.advance_ms(hour);
+    let paused = world.submit("100% of the cornell_box", &open).await;
+    world.store.pause(&paused.id).await.unwrap();
+    world.clock.advance_ms(hour);
+    let cancelled = world.submit("KÜCHE", &open).await;
+    world.store.cancel(&cancelled.id).await.unwrap();
+    let noon = world.submit("atrium", &open).await;
+    let all = BakeFilter::default();
+    assert_eq!(listed(&world, &all).await, ["atrium", "KÜCHE", "100% of the cornell_box", "Cornell box"]);
+    for (states, wanted) in [
+        (vec![BakeState::Running], &["atrium"][..]),
+        (vec![BakeState::Done, BakeState::Paused], &["100% of the cornell_box", "Cornell box"]),
+        (vec![BakeState::Cancelled, BakeState::Cancelled], &["KÜCHE"]),
+        (vec![BakeState::Failed], &[]),
+    ] {
+        assert_eq!(listed(&world, &BakeFilter { states, ..all.clone() }).await, wanted);
+    }
+    for (name, wanted) in [
+        ("cornell", &["100% of the cornell_box", "Cornell box"][..]),
+        ("l b", &["Cornell box"]),
+        ("%", &["100% of the cornell_box"]),
+        ("_", &["100% of the cornell_box"]),
+        ("küche", &[]),
+        ("Üche", &["KÜCHE"]),
+        ("'", &[]),
+    ] {
+        assert_eq!(listed(&world, &BakeFilter { name: name.into(), ..all.clone() }).await, wanted, "{name}");
+    }
+    for (since_ms, wanted) in [
+        (noon.created_ms + 1, &[][..]),
+        (noon.created_ms, &["atrium", "KÜCHE"]),
+        (noon.created_ms - hour, &["atrium", "KÜCHE", "100% of the cornell_box"]),
+    ] {
+        assert_eq!(listed(&world, &BakeFilter { since_ms: Some(since_ms), ..all.clone() }).await, wanted);
+    }
+    let states = vec![BakeState::Paused, BakeState::Done];
+    let each = BakeFilter { states, name: "BOX".into(), since_ms: Some(noon.created_ms - hour) };
+    assert_eq!(listed(&world, &each).await, ["100% of the cornell_box"]);
+}
+
+/// Bakes that the filter does not take stand between those that it takes.
+pub async fn filtered_list_pages_without_a_gap(world: World) {
+    let mut wanted = Vec::new();
+    for number in 0..9 {
+        let bake = world.submit(if number % 3 == 2 { "other" } else { "mine" }, &[]).await;
+        if number % 3 != 2 {
+            wanted.insert(0, bake.id);
+        }
+    }
+    for filter in [
+        BakeFilter { name: "mine".into(), ..BakeFilter::default() },
+        BakeFilter { name: "mine".into(), states: vec![BakeState::Done], since_ms: Some(1) },
+    ] {
+        let (mut seen, mut after) = (Vec::new(), None);
+        loop {
+            let page = world.store.list(&filter, after, 2).await.unwrap();
+            assert_eq!(page.bakes.len(), 2, "no page is short while there are more");
+            seen.extend(page.bakes.into_iter().map(|bake| bake.id));
+            after = page.next;
+            if after.is_none() {
+                break;
+            }
+        }
+        assert_eq!(seen, wanted);
+    }
+}
+
+pub async fn bakes_are_found_by_the_beginning_of_their_ids(world: World) {
+    let mut ids = Vec::new();
+    for _ in 0..20 {
+        ids.push(world.submit("bake", &[]).await.id);
+    }
+    ids.sort();
+    let found = async |id: &str, limit| -> Vec<String> {
+        let found = world.store.begin_with(id, limit).await.unwrap();
+        assert!(found.iter().all(|bake| (bake.name.as_str(), bake.state) == ("bake", BakeState::Done)));
+        found.into_iter().map(|bake| bake.id).collect()
+    };
+    assert_eq!(found("", 100).await, ids);
+    assert_eq!(found("", 3).await, ids[..3]);
+    for id in &ids {
+        for length in [1, 2, 15, 16] {
+            let alike: Vec<&String> = ids.iter().filter(|other| other.starts_with(&id[..length])).collect();
+            assert_eq!(
+                found(&id[..length], 100).await.iter().collect::<Vec<_>>(),
+                alike,
+                "{}",
+                &id[..length]
+            );
+        }
+    }
+    assert!(found(&format!("{}0", ids[0]), 100).await.is_empty());
 }
 
 pub async fn stages_count_what_happens(world: World) {

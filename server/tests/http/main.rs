@@ -9,6 +9,7 @@ mod enrolments;
 mod events;
 mod life;
 mod limits;
+mod listing;
 mod metrics;
 #[path = "../parts/mod.rs"]
 mod parts;

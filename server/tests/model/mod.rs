@@ -13,8 +13,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use async_trait::async_trait;
 use lightkiln_proto::api::{
-    Bake, BakePage, BakeState, Blame, Blocklist, ClaimRequest, CommitVerdict, EventPage, HeartbeatAnswer,
-    Lease, Worker,
+    Bake, BakeFilter, BakePage, BakeState, Blame, Blocklist, ClaimRequest, CommitVerdict, EventPage,
+    HeartbeatAnswer, Lease, Worker,
 };
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{TaskResult, TaskSpec};
@@ -25,8 +25,8 @@ use lightkiln_server::chunks::ChunkName;
 use lightkiln_server::clock::Clock;
 use lightkiln_server::store::chunk::{ChunkRow, CollectRules, Collected, Kept, KeptChunk, Usage};
 use lightkiln_server::store::{
-    FailVerdict, FarmStore, KnownResult, Reaped, Stats, StoreError, Submission, Submitted, require_live,
-    same_bearer,
+    FailVerdict, FarmStore, KnownResult, Named, Reaped, Stats, StoreError, Submission, Submitted,
+    require_live, same_bearer,
 };
 
 /// A farm in memory.
@@ -148,8 +148,17 @@ impl FarmStore for MemoryStore {
         Ok(farm.view(farm.index_of(bake)?))
     }
 
-    async fn list(&self, after: Option<u64>, limit: u32) -> Result<BakePage, StoreError> {
-        Ok(self.farm().list(after, limit))
+    async fn list(
+        &self,
+        filter: &BakeFilter,
+        after: Option<u64>,
+        limit: u32,
+    ) -> Result<BakePage, StoreError> {
+        Ok(self.farm().list(filter, after, limit))
+    }
+
+    async fn begin_with(&self, id: &str, limit: u32) -> Result<Vec<Named>, StoreError> {
+        Ok(self.farm().begin_with(id, limit))
     }
 
     async fn events_after(&self, bake: &str, after: u64, limit: u32) -> Result<EventPage, StoreError> {

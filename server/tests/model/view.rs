@@ -2,13 +2,13 @@
 
 use std::collections::BTreeMap;
 
-use lightkiln_proto::api::{Bake, BakePage, BakeState, EventPage, StageCount, Worker};
+use lightkiln_proto::api::{Bake, BakeFilter, BakePage, BakeState, EventPage, StageCount, Worker};
 use lightkiln_proto::ids::TaskKey;
 
 use super::entries::{BakeEntry, Stage};
 use super::farm::Farm;
 use lightkiln_server::store::rules::WORKER_LISTED_MS;
-use lightkiln_server::store::{Demand, Stats, StoreError, TaskCount, TaskState};
+use lightkiln_server::store::{Demand, Named, Stats, StoreError, TaskCount, TaskState};
 
 impl Farm {
     pub(super) fn view(&self, index: usize) -> Bake {
@@ -63,12 +63,27 @@ impl Farm {
         self.tasks.get(key).is_some_and(|task| task.lease.is_some())
     }
 
-    pub(super) fn list(&self, after: Option<u64>, limit: u32) -> BakePage {
-        let end = after.map_or(self.bakes.len(), |after| self.bakes.partition_point(|bake| bake.seq < after));
-        let start = end.saturating_sub(limit as usize);
-        let bakes: Vec<Bake> = (start..end).rev().map(|index| self.view(index)).collect();
-        let next = self.bakes[start..end].first().filter(|_| start > 0).map(|bake| bake.seq);
-        BakePage { bakes, next }
+    pub(super) fn list(&self, filter: &BakeFilter, after: Option<u64>, limit: u32) -> BakePage {
+        let is_before = |bake: &BakeEntry| after.is_none_or(|after| bake.seq < after);
+        let taken = (0..self.bakes.len()).rev().filter(|index| {
+            let bake = &self.bakes[*index];
+            is_before(bake) && takes(filter, bake)
+        });
+        let mut indices: Vec<usize> = taken.take(limit as usize + 1).collect();
+        let has_more = indices.len() > limit as usize;
+        indices.truncate(limit as usize);
+        let next = indices.last().filter(|_| has_more).map(|index| self.bakes[*index].seq);
+        BakePage { bakes: indices.into_iter().map(|index| self.view(index)).collect(), next }
+    }
+
+    pub(super) fn begin_with(&self, id: &str, limit: u32) -> Vec<Named> {
+        let alike = self.bakes.iter().filter(|bake| bake.id.starts_with(id));
+        let named =
+            |bake: &BakeEntry| Named { id: bake.id.clone(), name: bake.new.name.clone(), state: bake.state };
+        let mut found: Vec<Named> = alike.map(named).collect();
+        found.sort_by(|a, b| a.id.cmp(&b.id));
+        found.truncate(limit as usize);
+        found
     }
 
     pub(super) fn events_after(&self, bake: &str, after: u64, limit: u32) -> Result<EventPage, StoreError> {
@@ -146,6 +161,12 @@ impl Farm {
             tasks_reused: self.gone_reused + self.bakes.iter().map(reused).sum::<u64>(),
         }
     }
+}
+
+fn takes(filter: &BakeFilter, bake: &BakeEntry) -> bool {
+    let has_state = filter.states.is_empty() || filter.states.contains(&bake.state);
+    let has_name = bake.new.name.to_ascii_lowercase().contains(&filter.name.to_ascii_lowercase());
+    has_state && has_name && filter.since_ms.is_none_or(|since_ms| bake.created_ms >= since_ms)
 }
 
 fn reused(bake: &BakeEntry) -> u64 {

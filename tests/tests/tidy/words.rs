@@ -79,3 +79,20 @@ fn words_in_tests_and_comments_are_not_code() {
     assert!(code_of(text).all(|line| !line.contains("Instant")));
     assert_eq!(code_of(text).count(), 2);
 }
+
+/// A test that ends early where something is missing would pass by its absence: it is marked `#[ignore]`, with what it
+/// needs, and `tests/run` asks for it where that is there.
+#[test]
+fn no_test_says_by_itself_that_it_is_ignored() {
+    let mut ignored = 0;
+    for path in files_below("", "rs") {
+        let text = text_of(&path);
+        for (index, line) in text.lines().enumerate() {
+            let says =
+                line.contains("println!(\"") && ["ignored", "skipped"].iter().any(|word| line.contains(word));
+            assert!(!says, "{}:{}: mark it #[ignore = \"needs …\"]", path.display(), index + 1);
+            ignored += usize::from(line.trim_start().starts_with("#[ignore = \"needs "));
+        }
+    }
+    assert!(ignored > 10, "{ignored} tests are marked: the check is broken");
+}

@@ -10,7 +10,7 @@ use crate::failure::Result;
 /// Arguments of each of them.
 #[derive(Args, Debug)]
 pub struct Arguments {
-    /// The bake's id
+    /// The bake's id, or its first characters (4 or more)
     id: String,
     #[command(flatten)]
     server: ServerArgument,
@@ -34,6 +34,8 @@ impl Action {
     pub fn run(self, arguments: Arguments) -> Result<()> {
         let Arguments { id, server } = arguments;
         let client = server.connect()?;
+        // The whole id, where a beginning of it was given.
+        let id = client.bake(&id)?.id;
         say!("bake {id} {}", self.take(&client, &id)?);
         Ok(())
     }

@@ -12,7 +12,7 @@ use crate::failure::Result;
     after_help = "A worker that failed at several tasks of a bake gets none of it any more while another worker can do them."
 )]
 pub struct Arguments {
-    /// The bake's id
+    /// The bake's id, or its first characters (4 or more)
     id: String,
     #[command(flatten)]
     server: ServerArgument,

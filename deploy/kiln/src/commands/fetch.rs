@@ -15,7 +15,7 @@ use crate::interrupt::Interrupt;
 /// Arguments of `kiln fetch`.
 #[derive(Args, Debug)]
 pub struct Arguments {
-    /// The bake's id
+    /// The bake's id, or its first characters (4 or more)
     id: String,
     /// Folder to write the bundle to, new, empty or a bundle's; its chunks that are there already are kept
     #[arg(long, value_name = "DIR")]

@@ -2,7 +2,6 @@
 
 use std::io::Write as _;
 
-use chrono::{DateTime, SecondsFormat};
 use clap::Args;
 use lightkiln_proto::api::{BakeEvent, EventKind};
 
@@ -10,6 +9,7 @@ use crate::arguments::ServerArgument;
 use crate::console::printable;
 use crate::failure::Result;
 use crate::interrupt::Interrupt;
+use crate::times::utc;
 
 /// Seconds that one poll waits for news; short, so that Ctrl-C is heard soon.
 const POLL_SECS: u32 = 1;
@@ -17,7 +17,7 @@ const POLL_SECS: u32 = 1;
 /// Arguments of `kiln logs`.
 #[derive(Args, Debug)]
 pub struct Arguments {
-    /// The bake's id
+    /// The bake's id, or its first characters (4 or more)
     id: String,
     #[command(flatten)]
     server: ServerArgument,
@@ -113,11 +113,6 @@ fn which(attempt: u32) -> String {
 }
 
 /// A time as `2026-01-31T12:00:00.000Z`.
-fn utc(unix_ms: i64) -> String {
-    let time = DateTime::from_timestamp_millis(unix_ms).unwrap_or_default();
-    time.to_rfc3339_opts(SecondsFormat::Millis, true)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

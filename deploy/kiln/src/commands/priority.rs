@@ -9,7 +9,7 @@ use crate::failure::Result;
 /// Arguments of `kiln priority`.
 #[derive(Args, Debug)]
 pub struct Arguments {
-    /// The bake's id
+    /// The bake's id, or its first characters (4 or more)
     id: String,
     /// Its new priority; bigger runs first
     #[arg(allow_negative_numbers = true)]

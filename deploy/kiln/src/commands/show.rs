@@ -7,11 +7,12 @@ use crate::arguments::ServerArgument;
 use crate::console::printable;
 use crate::failure::Result;
 use crate::summary::stage_name;
+use crate::times::utc_secs;
 
 /// Arguments of `kiln show`.
 #[derive(Args, Debug)]
 pub struct Arguments {
-    /// The bake's id
+    /// The bake's id, or its first characters (4 or more)
     id: String,
     #[command(flatten)]
     server: ServerArgument,
@@ -34,11 +35,13 @@ pub fn run(arguments: Arguments) -> Result<()> {
 
 fn words(bake: &Bake) -> String {
     let mut words = format!(
-        "bake      {}\nname      {}\nstate     {}\nscene     {}\nsettings  {}\n\
+        "bake      {}\nname      {}\nstate     {}\nsubmitted {}\nended     {}\nscene     {}\nsettings  {}\n\
          tasks     {} run, {} done before\n",
         bake.id,
         bake.name,
         bake.state.name(),
+        utc_secs(bake.created_ms),
+        bake.finished_ms.map_or_else(|| "-".to_owned(), utc_secs),
         bake.scene,
         bake.settings,
         bake.tasks_run,

@@ -4,19 +4,22 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use clap::Args;
-use lightkiln_proto::api::{Bake, Needs, NewBake};
-use lightkiln_proto::kinds::Kinds;
+use lightkiln_client::fetch::Source;
+use lightkiln_proto::api::{Bake, BakeState, Needs, NewBake};
 use serde_json::{Value, json};
 
 use crate::arguments::ServerArgument;
-use crate::console::{answer, say};
-use crate::failure::{EXIT_CODES, Result};
+use crate::console::{answer, printable, say};
+use crate::evaluation::{Evaluation, EvaluationArguments, check, measure, words};
+use crate::failure::{EXIT_CODES, Failure, Result};
 use crate::following::{Ended, wait_for_end};
 use crate::interrupt::Interrupt;
 use crate::junit;
+use crate::kinds::KindTables;
 use crate::settings::SettingsArguments;
 use crate::submission::PackedScene;
 use crate::summary::stage_name;
+use crate::switched_off::SwitchedOff;
 
 /// Arguments of `kiln submit`.
 #[derive(Args, Debug)]
@@ -50,8 +53,16 @@ pub struct Arguments {
     /// Waits until the bake ends; Ctrl-C ends the wait, not the bake
     #[arg(long)]
     wait: bool,
+    /// Measures the finished bake against a path tracer on this machine, as 'kiln evaluate' does; the figures go into
+    /// --json and --junit
+    #[arg(long, requires = "wait", help_heading = "Evaluation")]
+    evaluate: bool,
+    #[command(flatten)]
+    wanted: EvaluationArguments,
+    #[command(flatten)]
+    off: SwitchedOff,
     /// Prints one JSON object instead of the id: bake, name, scene, state, failure, tasks_run, tasks_reused, stages,
-    /// elapsed_secs; with --wait once the bake has ended, also when it failed
+    /// elapsed_secs, with --evaluate also evaluation; with --wait once the bake has ended, also when it failed
     #[arg(long)]
     json: bool,
     /// Writes how the bake ended as a JUnit report, a test case for each stage; also when it never began
@@ -59,28 +70,52 @@ pub struct Arguments {
     junit: Option<PathBuf>,
 }
 
+/// The command's outcome: the bake's end, and its evaluation if one was wanted of a bake that is done.
+struct Outcome {
+    ended: Ended,
+    evaluation: Option<Result<Evaluation>>,
+}
+
 /// Prints the bake's id on standard output, or with `--json` an object.
-pub fn run(arguments: Arguments, kinds: &Kinds) -> Result<()> {
+pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     let started = Instant::now();
+    check_wanted(&arguments, kinds)?;
     arguments.junit.as_deref().map_or(Ok(()), junit::check)?;
-    let ended = submit(&arguments, kinds);
+    let outcome = submit(&arguments, kinds);
+    let judged = outcome.as_ref().ok().and_then(|outcome| outcome.evaluation.as_ref()).map(|evaluation| {
+        let evaluation = evaluation.as_ref().map_err(Failure::clone)?;
+        check(&arguments.wanted.fail_if, evaluation)
+    });
     let elapsed = started.elapsed();
+    let scene = arguments.scene.display().to_string();
     if let Some(path) = &arguments.junit {
-        let report = junit::report(&arguments.scene.display().to_string(), &ended, elapsed);
-        junit::write(path, &report)?;
+        let ended = outcome.as_ref().map(|outcome| &outcome.ended);
+        junit::write(path, &junit::report(&scene, ended, judged.as_ref(), elapsed))?;
     }
-    let ended = ended?;
+    let Outcome { ended, evaluation } = outcome?;
+    let evaluation = evaluation.and_then(Result::ok);
     match arguments.json {
-        true => println!("{}", object(&ended.bake, &arguments.scene.display().to_string(), elapsed)),
+        true => println!("{}", object(&ended.bake, &scene, evaluation.as_ref(), elapsed)),
         false if !arguments.wait => answer!("{}", ended.bake.id),
         false => (),
     }
-    ended.judge()
+    ended.judge()?;
+    judged.unwrap_or(Ok(()))
+}
+
+/// Errs on an evaluation that cannot be, before anything is sent.
+fn check_wanted(arguments: &Arguments, kinds: &KindTables) -> Result<()> {
+    arguments.wanted.own_lights()?;
+    arguments.wanted.check_figures(&kinds.worker)?;
+    if !arguments.evaluate && !arguments.wanted.fail_if.is_empty() {
+        return Err(Failure::bad_input("--fail-if has nothing to look at").try_this("--evaluate beside it"));
+    }
+    Ok(())
 }
 
 /// The bake as it stands when the command is to end.
-fn submit(arguments: &Arguments, kinds: &Kinds) -> Result<Ended> {
-    let wanted = arguments.settings.resolve(kinds)?;
+fn submit(arguments: &Arguments, kinds: &KindTables) -> Result<Outcome> {
+    let wanted = arguments.settings.resolve(&kinds.contract)?;
     let scene = PackedScene::read(&arguments.scene)?;
     let needs = Needs {
         memory_mib: arguments.needs_memory_mib,
@@ -100,21 +135,29 @@ fn submit(arguments: &Arguments, kinds: &Kinds) -> Result<Ended> {
         None => scene.submit(&client, set)?,
     };
     if !arguments.wait {
-        return Ok(Ended::not_yet(bake));
+        return Ok(Outcome { ended: Ended::not_yet(bake), evaluation: None });
     }
     // Now: whoever waits may want to watch it from elsewhere.
     match arguments.json {
         true => say!("bake {}", bake.id),
         false => answer!("{}", bake.id),
     }
-    wait_for_end(&client, &bake.id, &interrupt, || Ok(()))
+    let ended = wait_for_end(&client, &bake.id, &interrupt, || Ok(()))?;
+    let is_wanted = arguments.evaluate && ended.bake.state == BakeState::Done;
+    let evaluation = is_wanted.then(|| {
+        let source = Source::server(client, &ended.bake.id);
+        let measured = measure(kinds, &source, scene, (&arguments.wanted, &arguments.off), &interrupt)?;
+        eprint!("{}", printable(&words(&measured.evaluation)));
+        Ok(measured.evaluation)
+    });
+    Ok(Outcome { ended, evaluation })
 }
 
 /// The one JSON object of `--json`: its keys are a contract.
-fn object(bake: &Bake, scene: &str, elapsed: Duration) -> Value {
+fn object(bake: &Bake, scene: &str, evaluation: Option<&Evaluation>, elapsed: Duration) -> Value {
     let stages = bake.stages.iter();
     let stages = stages.map(|stage| (stage_name(&stage.kind), json!(stage.elapsed_ms as f64 / 1e3)));
-    json!({
+    let mut object = json!({
         "bake": bake.id,
         "name": bake.name,
         "scene": scene,
@@ -124,5 +167,9 @@ fn object(bake: &Bake, scene: &str, elapsed: Duration) -> Value {
         "tasks_reused": bake.tasks_reused,
         "stages": stages.collect::<serde_json::Map<_, _>>(),
         "elapsed_secs": elapsed.as_secs_f64(),
-    })
+    });
+    if let Some(evaluation) = evaluation {
+        object["evaluation"] = json!(evaluation);
+    }
+    object
 }

@@ -75,6 +75,7 @@ async fn act(store: &SqlStore, action: Action) -> std::result::Result<(), Server
     match action {
         Action::Create { name, scopes } => {
             let new = NewBearer::named(&name)?;
+            warn_of_the_first(store).await?;
             store.add_bearer(&new.name, new.hash(), &scopes.into_iter().collect()).await?;
             say!("this token is shown only now; give it to {name} as KILN_TOKEN:");
             answer!("{}", new.token);
@@ -84,6 +85,7 @@ async fn act(store: &SqlStore, action: Action) -> std::result::Result<(), Server
             if store.bearers().await?.iter().any(|bearer| bearer.name == name) {
                 return Err(StoreError::BearerExists { name }.into());
             }
+            warn_of_the_first(store).await?;
             store.add_bearer(&new.name, new.hash(), &[Scope::Enrol].into()).await?;
             let minutes = CODE_LIFETIME.as_secs() / 60;
             say!("this code is shown only now, and good for one worker within {minutes} minutes:");
@@ -94,6 +96,23 @@ async fn act(store: &SqlStore, action: Action) -> std::result::Result<(), Server
             store.revoke_bearer(&name).await?;
             say!("the token of {name} is revoked; servers refuse it within seconds");
         }
+    }
+    Ok(())
+}
+
+/// Says whom the first token of a farm shuts out: all who work for it now, and call it, without one.
+async fn warn_of_the_first(store: &SqlStore) -> std::result::Result<(), ServerError> {
+    if !store.bearers().await?.is_empty() {
+        return Ok(());
+    }
+    let workers: Vec<String> = store.workers().await?.into_iter().map(|worker| worker.name).collect();
+    if !workers.is_empty() {
+        say!(
+            "warning: this is the farm's first token: within seconds its servers refuse all who call without one. Workers \
+             that have none are cut off, and their tasks wait for others: {}. 'kiln token enrol NAME' gives each a code to \
+             start it with anew",
+            workers.join(", ")
+        );
     }
     Ok(())
 }

@@ -1,11 +1,12 @@
 //! `kiln top`: a farm's bakes and workers, as they are now.
 
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::io::{IsTerminal as _, Write as _};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use clap::Args;
-use lightkiln_proto::api::{Bake, Worker};
+use lightkiln_proto::api::{Bake, BakeFilter, StageCount, Worker};
 use lightkiln_server::clock::{Clock as _, SystemClock};
 use lightkiln_worker::runtime::Level;
 
@@ -13,6 +14,8 @@ use crate::arguments::ServerArgument;
 use crate::console::printable;
 use crate::failure::{Exit, Failure, Result};
 use crate::interrupt::Interrupt;
+use crate::progress::estimate::{Estimate, Estimator};
+use crate::progress::line::duration_words;
 
 /// Clears the terminal and goes to its first line.
 const CLEAR: &str = "\x1b[2J\x1b[H";
@@ -38,10 +41,20 @@ pub fn run(arguments: Arguments) -> Result<()> {
     let interrupt = Interrupt::listen()?;
     let client = arguments.server.connect_until(&interrupt)?;
     let is_live = !arguments.once && std::io::stdout().is_terminal();
+    let (began, mut estimators) = (Instant::now(), BTreeMap::<String, Estimator>::new());
     loop {
-        let bakes = client.bakes(None, arguments.limit)?.bakes;
+        let bakes = client.bakes(&BakeFilter::default(), None, arguments.limit)?.bakes;
         let workers = client.workers()?.workers;
-        let table = table(&bakes, &workers, SystemClock.now_ms());
+        estimators.retain(|id, _| bakes.iter().any(|bake| bake.id == *id));
+        let estimated: Vec<(Bake, Estimate)> = bakes
+            .into_iter()
+            .map(|bake| {
+                let estimator = estimators.entry(bake.id.clone()).or_default();
+                let estimate = estimator.observe(&bake, began.elapsed());
+                (bake, estimate)
+            })
+            .collect();
+        let table = table(&estimated, &workers, SystemClock.now_ms());
         let mut out = std::io::stdout().lock();
         let written = write!(out, "{}{}", if is_live { CLEAR } else { "" }, printable(&table))
             .and_then(|()| out.flush());
@@ -55,21 +68,20 @@ pub fn run(arguments: Arguments) -> Result<()> {
     }
 }
 
-fn table(bakes: &[Bake], workers: &[Worker], now_ms: i64) -> String {
+fn table(bakes: &[(Bake, Estimate)], workers: &[Worker], now_ms: i64) -> String {
     let mut text = format!(
-        "{:16}  {:9}  {:>5}  {:>15}  {:>5}  {:>6}  NAME\n",
-        "BAKE", "STATE", "PRIO", "TASKS", "HELD", "DONE"
+        "{:16}  {:9}  {:>5}  {:>15}  {:>5}  {:>6}  {:>11}  NAME\n",
+        "BAKE", "STATE", "PRIO", "TASKS", "HELD", "DONE", "LEFT"
     );
-    for bake in bakes {
-        let sum =
-            |count: fn(&lightkiln_proto::api::StageCount) -> u64| bake.stages.iter().map(count).sum::<u64>();
+    for (bake, estimate) in bakes {
+        let sum = |count: fn(&StageCount) -> u64| bake.stages.iter().map(count).sum::<u64>();
         let (done, total) = (sum(|stage| stage.done), sum(|stage| stage.total));
-        let (cost_done, cost_total) = (sum(|stage| stage.cost_done), sum(|stage| stage.cost_total));
-        let share = 100.0 * cost_done as f64 / cost_total.max(1) as f64;
+        let share = 100.0 * estimate.share;
+        let left = estimate.left.map_or_else(|| "-".to_owned(), duration_words);
         // Writing to a string cannot fail.
         let _ = writeln!(
             text,
-            "{:16}  {:9}  {:>5}  {:>15}  {:>5}  {share:>5.1}%  {}",
+            "{:16}  {:9}  {:>5}  {:>15}  {:>5}  {share:>5.1}%  {left:>11}  {}",
             bake.id,
             bake.state.name(),
             bake.priority,
@@ -92,4 +104,26 @@ fn table(bakes: &[Bake], workers: &[Worker], now_ms: i64) -> String {
         );
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn share_and_time_left_are_those_of_every_other_command() {
+        let digest = lightkiln_proto::ids::Digest::of(b"");
+        let bake: Bake = serde_json::from_value(serde_json::json!({
+            "id": "b", "name": "n", "kind": "prt", "scene": digest, "settings": null, "priority": 0,
+            "state": "running", "stages": [], "tasks_run": 0, "tasks_reused": 0, "failure": null,
+            "manifest": null, "report": null, "created_ms": 1_000, "finished_ms": null,
+            "counters": {}, "counters_reused": {},
+        }))
+        .unwrap();
+        let estimate = Estimate { share: 0.25, left: Some(Duration::from_secs(185)) };
+        let text = table(&[(bake.clone(), estimate), (bake, Estimate::default())], &[], 61_000);
+        let rows: Vec<&str> = text.lines().collect();
+        assert!(rows[0].contains("LEFT") && rows[1].contains("25.0%") && rows[1].contains("3 min"), "{text}");
+        assert!(rows[2].contains("0.0%") && rows[2].contains(" - "), "{text}");
+    }
 }

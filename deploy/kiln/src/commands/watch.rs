@@ -11,7 +11,7 @@ use crate::interrupt::Interrupt;
 /// Arguments of `kiln watch`.
 #[derive(Args, Debug)]
 pub struct Arguments {
-    /// The bake's id
+    /// The bake's id, or its first characters (4 or more)
     id: String,
     #[command(flatten)]
     server: ServerArgument,

@@ -88,11 +88,8 @@ fn user_of_the_units_is_made() {
 
 /// With units whose program is there, as systemd looks for it.
 #[test]
+#[ignore = "needs systemd-analyze, which tests/run installs"]
 fn systemd_finds_nothing_wrong_with_the_units() {
-    if Command::new("systemd-analyze").arg("--version").output().is_err() {
-        eprintln!("ignored: there is no systemd-analyze here");
-        return;
-    }
     let verify = |text: &str, name: &str| {
         let folder = tempfile::tempdir().unwrap();
         let unit = folder.path().join(name);

@@ -102,3 +102,44 @@ fn report_without_waiting_is_refused() {
     let refused = run(kiln(folder.path()), &arguments("submit", &["--junit", "junit.xml"]), 2);
     assert!(refused.stderr().contains("--wait"), "{}", refused.stderr());
 }
+
+#[test]
+fn evaluation_of_a_farms_bake_is_in_the_object_the_report_and_the_exit_code() {
+    let folder = tempfile::tempdir().unwrap();
+    let server = Server::start(&folder.path().join("server"));
+    let _worker = server.worker(folder.path(), "worker", 2);
+    let lights = folder.path().join("lights.json");
+    let lamp = r#"{"lights": [{"name": "lamp", "type": "point", "position_m": [0.5, 4, -2], "strength": [10, 9, 8]}]}"#;
+    std::fs::write(&lights, lamp).unwrap();
+    let (lights, junit) = (lights.display().to_string(), folder.path().join("junit.xml"));
+    let report = junit.display().to_string();
+    let submit = |limit: &str, exit: i32| {
+        let mut more =
+            vec!["--server", &server.url, "--wait", "--json", "--junit", &report, "--fail-if", limit];
+        more.extend(["--receivers", "60", "--rel-error", "0.2", "--lights", &lights, "--evaluate"]);
+        run(kiln(folder.path()), &arguments("submit", &more), exit)
+    };
+    let met = submit("rel_rmse>50", 0).json();
+    assert_eq!((&met["state"], &met["evaluation"]["lights"][0]["name"]), (&"done".into(), &"lamp".into()));
+    assert!(met["evaluation"]["energy_ratio"].as_f64().unwrap() > 0.5, "{met}");
+    assert_eq!((count(&junit, "failure"), count(&junit, "error")), (0, 0));
+    let broken = submit("lamp.rel_rmse>0.00001", 4);
+    assert!(broken.json()["evaluation"]["rel_rmse"].is_f64(), "the object is there all the same");
+    assert!(broken.stderr().contains("fails by --fail-if"), "{}", broken.stderr());
+    assert_eq!((count(&junit, "failure"), count(&junit, "error")), (1, 0), "the evaluation alone");
+    assert!(std::fs::read_to_string(&junit).unwrap().contains("name=\"evaluation\""));
+    // A light that was not measured is a slip of the caller, told once the lights are known; the bake is done.
+    let slip = submit("sun.rel_rmse>1", 2);
+    assert_eq!(slip.json()["state"], "done");
+    assert_eq!((count(&junit, "failure"), count(&junit, "error")), (0, 1));
+    // What can be told before the bake is.
+    for (wrong, told) in [
+        (&["--fail-if", "rel_rmse>1"][..], "--evaluate"),
+        (&["--evaluate"], "--wait"),
+        (&["--wait", "--evaluate", "--fail-if", "beauty<1"], "rel_rmse"),
+    ] {
+        let refused =
+            run(kiln(folder.path()), &arguments("submit", &[wrong, &["--server", &server.url]].concat()), 2);
+        assert!(refused.stderr().contains(told), "{wrong:?}: {}", refused.stderr());
+    }
+}

@@ -163,7 +163,7 @@ fn farm_on_a_full_disk_refuses_with_507_and_goes_on_when_there_is_room() {
     // Refused calls changed nothing, and succeed now.
     assert_eq!(once.upload_scene(&big).unwrap().bytes, big.len() as u64);
     once.submit(&idle_bake(scene, taken), &format!("key-{taken}")).unwrap();
-    let bakes = client.bakes(None, 500).unwrap().bakes.len();
+    let bakes = client.bakes(&Default::default(), None, 500).unwrap().bakes.len();
     assert_eq!(bakes, (taken + 2).min(500));
     let events = client.events(&bake, 0, 0).unwrap().events;
     let blamed = |kind: &EventKind| matches!(kind, EventKind::TaskFailed { .. });

@@ -12,6 +12,7 @@ mod enrolment;
 mod evaluation;
 mod farm;
 mod full_disk;
+mod manners;
 #[path = "../../../../server/tests/parts/mod.rs"]
 mod parts;
 mod processes;
@@ -22,6 +23,7 @@ mod tokens;
 mod traces;
 mod upkeep;
 mod uploads;
+mod words;
 mod wrong_input;
 
 use std::collections::BTreeMap;

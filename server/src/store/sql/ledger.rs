@@ -32,8 +32,7 @@ pub(super) struct Ledger {
 
 /// Reads a state's name.
 pub(super) fn state_from(name: &str) -> Result<BakeState> {
-    let found = BakeState::ALL.into_iter().find(|state| state.name() == name);
-    found.ok_or_else(|| corrupt("a bake's state", format!("'{name}' is no state")))
+    BakeState::named(name).ok_or_else(|| corrupt("a bake's state", format!("'{name}' is no state")))
 }
 
 /// Row number of the bake named `id`.

@@ -21,6 +21,7 @@ mod faults;
 mod forget;
 mod leases;
 mod ledger;
+mod listing;
 mod outcome;
 mod plan;
 mod postgres;
@@ -36,14 +37,16 @@ use std::time::Duration;
 
 use async_trait::async_trait;
 use lightkiln_proto::api::{
-    Bake, BakePage, BakeState, Blame, Blocklist, ClaimRequest, CommitVerdict, EventPage, HeartbeatAnswer,
-    Lease, Worker,
+    Bake, BakeFilter, BakePage, BakeState, Blame, Blocklist, ClaimRequest, CommitVerdict, EventPage,
+    HeartbeatAnswer, Lease, Worker,
 };
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{TaskResult, TaskSpec};
 
 use super::chunk::{ChunkRow, CollectRules, Collected, Kept, KeptChunk, Usage};
-use super::{FailVerdict, FarmStore, KnownResult, Reaped, Result, Stats, StoreError, Submission, Submitted};
+use super::{
+    FailVerdict, FarmStore, KnownResult, Named, Reaped, Result, Stats, StoreError, Submission, Submitted,
+};
 use crate::access::{Bearer, Scope};
 use crate::chunks::ChunkName;
 use crate::clock::Clock;
@@ -298,7 +301,9 @@ farm_store! {
         Write cancel(bake: &str) -> Bake = |conn| bakes::cancel(conn, bake);
         Write reprioritise(bake: &str, priority: i32) -> Bake = |conn| bakes::reprioritise(conn, bake, priority);
         Read show(bake: &str) -> Bake = |conn| view::bake(conn, bake);
-        Read list(after: Option<u64>, limit: u32) -> BakePage = |conn| view::list(conn, after, limit);
+        Read list(filter: &BakeFilter, after: Option<u64>, limit: u32) -> BakePage =
+            |conn| listing::page(conn, filter, after, limit);
+        Read begin_with(id: &str, limit: u32) -> Vec<Named> = |conn| listing::begin_with(conn, id, limit);
         Read events_after(bake: &str, after: u64, limit: u32) -> EventPage =
             |conn| view::events_after(conn, bake, after, limit);
         Read workers() -> Vec<Worker> = |conn| view::workers(conn);

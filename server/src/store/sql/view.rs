@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use lightkiln_proto::api::{Bake, BakeEvent, BakePage, BakeState, EventPage, StageCount, Worker};
+use lightkiln_proto::api::{Bake, BakeEvent, BakeState, EventPage, StageCount, Worker};
 use lightkiln_proto::ids::Digest;
 
 use super::conn::{Conn, Row, corrupt, query};
@@ -16,6 +16,7 @@ macro_rules! bakes {
         "SELECT *, (SELECT count(*) FROM lost_results l WHERE l.bake = bakes.seq) AS results_lost FROM bakes"
     };
 }
+pub(super) use bakes;
 
 pub(super) async fn bake(conn: &mut Conn, id: &str) -> Result<Bake> {
     match query(concat!(bakes!(), " WHERE id = $1")).bind(id).optional(conn).await? {
@@ -24,7 +25,7 @@ pub(super) async fn bake(conn: &mut Conn, id: &str) -> Result<Bake> {
     }
 }
 
-async fn bake_from(conn: &mut Conn, row: &Row) -> Result<Bake> {
+pub(super) async fn bake_from(conn: &mut Conn, row: &Row) -> Result<Bake> {
     let state = state_from(&row.text("state")?)?;
     let when_done = |column: &str| -> Result<Option<Digest>> {
         Ok(row.digest_if_any(column)?.filter(|_| state == BakeState::Done))
@@ -69,21 +70,6 @@ async fn stages(conn: &mut Conn, bake: i64) -> Result<Vec<StageCount>> {
         });
     }
     Ok(stages)
-}
-
-pub(super) async fn list(conn: &mut Conn, after: Option<u64>, limit: u32) -> Result<BakePage> {
-    let below = after.and_then(|after| i64::try_from(after).ok()).unwrap_or(i64::MAX);
-    let sql = concat!(bakes!(), " WHERE seq < $1 ORDER BY seq DESC LIMIT $2");
-    let rows = query(sql).bind(below).bind(i64::from(limit) + 1).all(conn).await?;
-    let has_more = rows.len() > limit as usize;
-    let mut bakes = Vec::with_capacity(rows.len());
-    let mut last = None;
-    for row in rows.iter().take(limit as usize) {
-        bakes.push(bake_from(conn, row).await?);
-        last = Some(row.count("seq")?);
-    }
-    let next = last.filter(|_| has_more);
-    Ok(BakePage { bakes, next })
 }
 
 pub(super) async fn events_after(conn: &mut Conn, id: &str, after: u64, limit: u32) -> Result<EventPage> {
