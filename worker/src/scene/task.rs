@@ -3,6 +3,7 @@
 use lightkiln_proto::jobs::TaskSpec;
 
 use super::model::{Material, Scene, Warning};
+use super::shells::cut_about_core;
 use super::surface::MAX_ALBEDO;
 use super::{ARTEFACT_MAGIC, Bundle, Limits, import};
 use crate::task::{Context, TaskError, TaskOutput, artefact};
@@ -33,7 +34,9 @@ pub fn run(context: &Context, _: &TaskSpec) -> Result<TaskOutput, TaskError> {
     let limits = Limits::default();
     let bytes = context.bytes("bundle")?;
     let bundle = Bundle::from_bytes(bytes.as_ref().clone(), &limits).map_err(refused)?;
-    let imported = import(&bundle, &limits).map_err(refused)?;
+    context.progress.check()?;
+    let mut imported = import(&bundle, &limits).map_err(refused)?;
+    cut_about_core(&mut imported.scene, || context.progress.check())?;
     if imported.scene.instances.iter().all(|instance| instance.triangles.is_empty()) {
         return Err(TaskError::bad_input(
             "the scene has no triangles with an area: there is nothing to bake",
