@@ -48,7 +48,7 @@ pub fn camera_clip_from_world(camera: &SceneCamera, size: [u32; 2], bounds_m: [[
     }
     let view = look_along(eye, forward, up);
     let [low, high] = bounds_m.map(Vec3::from);
-    let diagonal = (high - low).length().max(1e-3);
+    let diagonal = (high - low).length().max(f32::MIN_POSITIVE);
     let aspect = size[0] as f32 / size[1] as f32;
     if let Some(half) = camera.orthographic_half_height_m {
         if !(half > 0.0 && half.is_finite()) {
@@ -61,6 +61,6 @@ pub fn camera_clip_from_world(camera: &SceneCamera, size: [u32; 2], bounds_m: [[
     if !(tan > 1e-4 && tan < 1e3) {
         return Err(wrong("its field of view is not between 0 and 180 degrees"));
     }
-    let near = (1e-4 * diagonal).max(1e-4);
+    let near = 1e-4 * diagonal;
     Ok(perspective(tan * aspect, tan, near) * view)
 }

@@ -8,7 +8,7 @@ use crate::content::BlockKey;
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Lightmap {
-    /// Texel size in metres.
+    /// Texel size in metres; in a scene with a core, of that.
     pub texel_m: f32,
     /// Atlas pages: width and height in texels.
     pub pages: Vec<[u32; 2]>,

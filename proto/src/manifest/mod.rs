@@ -48,7 +48,7 @@ pub struct Manifest {
     pub scene: Digest,
     /// Settings of the kind, all of them.
     pub settings: Value,
-    /// Bounds of everything that is drawn, in metres.
+    /// Bounds of everything that is drawn, in metres; in a scene with a core, of what is near it.
     pub bounds_m: [[f32; 3]; 2],
     /// Triangles drawn.
     pub triangles: u64,

@@ -18,6 +18,7 @@ pub mod masonry;
 pub mod mesh;
 pub mod moulding;
 mod rooms;
+mod scales;
 pub mod shapes;
 mod stripes;
 pub mod texture;
@@ -35,6 +36,7 @@ pub use rooms::{
     BAR_M, BOARD_M, CHEST_M, DUCT_M, SLATS_M, furnace, hollow_furniture, sealed_box, shutter,
     small_sealed_boxes, two_rooms, two_rooms_under_the_sky, two_rooms_with_wall_at, u_corridor,
 };
+pub use scales::{boxes, room, room_and_a_far_triangle, room_on_a_plain};
 pub use stripes::{
     FLOOR_BORDERS_M, PANELS_BORDER_M, STRIPE_BORDERS_M, bent_panel, parted_floor, striped_wall,
 };

@@ -123,7 +123,7 @@ fn seen_of_band(held: &Held, band: usize, axis: Vec3, sites: &[Site]) -> f64 {
     for ray in 0..rays {
         let Site { position_m, normal, .. } = sites[ray as usize * sites.len() / rays as usize];
         let (tangent, bitangent) = tangent_frame(normal);
-        let origin_m = position_m + normal * (2.0 * tracer.ray_offset_m());
+        let origin_m = position_m + normal * (2.0 * tracer.ray_offset_m(position_m));
         let local = cosine_hemisphere(points.point(ray));
         let direction = tangent * local.x + bitangent * local.y + normal * local.z;
         if tracer.closest(origin_m, direction, f32::INFINITY).is_none() {

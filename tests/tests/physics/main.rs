@@ -15,6 +15,7 @@ mod leaks;
 mod narrow;
 mod pixels;
 mod rims;
+mod scale;
 mod seams;
 mod setup;
 mod stripes;

@@ -16,7 +16,6 @@ use rayon::prelude::*;
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use crate::geometry::bounds_of;
 use crate::lightmap::Charts;
 use crate::lightmap::place::blocks;
 use crate::scene::model::Scene;
@@ -58,7 +57,7 @@ pub fn assembled<S: Serialize, B: Serialize>(
         kind: part.kind.to_owned(),
         scene: part.scene,
         settings: as_json(part.settings)?,
-        bounds_m: bounds_of(&scene).map(|corner| corner.to_array()),
+        bounds_m: scene.near_bounds_m().map(|corner| corner.to_array()),
         triangles: scene.instances.iter().map(|instance| instance.triangles.len() as u64).sum(),
         lightmap: charts.as_ref().map(|charts| layout(&scene, charts)).transpose()?,
         materials,

@@ -11,7 +11,7 @@ use crate::lightmap::Charts;
 use crate::lightmap::place::{blocks, sides};
 use crate::scene::model::{MeshInstance, Scene, TextureUse};
 use crate::scene::surface::normal_of;
-use crate::task::{Context, TaskError, TaskOutput};
+use crate::task::{Context, Progress, TaskError, TaskOutput};
 use crate::unwrap::UnwrappedTriangle;
 
 /// Triangles after which a geometry chunk is closed; most triangles of a draw outside a lightmap.
@@ -23,9 +23,10 @@ const CHUNK_DRAWS: usize = 1 << 15;
 pub fn run(context: &Context, _: &TaskSpec) -> Result<TaskOutput, TaskError> {
     let (scene, _): (Scene, _) = context.decoded(crate::scene::ARTEFACT_MAGIC, crate::scene::ARTEFACT)?;
     let mut artefacts = match Charts::if_any(context)? {
-        Some(charts) => geometry_chunks(draws_in_lightmap(&scene, &charts)?)?,
+        Some(charts) => geometry_chunks(draws_in_lightmap(&scene, &charts)?, context.progress)?,
         None => {
-            geometry_chunks(scene.instances.iter().flat_map(|instance| draws_as_they_are(&scene, instance)))?
+            let draws = scene.instances.iter().flat_map(|instance| draws_as_they_are(&scene, instance));
+            geometry_chunks(draws, context.progress)?
         }
     };
     for (index, image) in scene.images.iter().enumerate() {
@@ -38,7 +39,10 @@ pub fn run(context: &Context, _: &TaskSpec) -> Result<TaskOutput, TaskError> {
 }
 
 /// Draws in chunks `geometry/N`.
-fn geometry_chunks(draws: impl IntoIterator<Item = Draw>) -> Result<Vec<(String, Vec<u8>)>, TaskError> {
+fn geometry_chunks(
+    draws: impl IntoIterator<Item = Draw>,
+    progress: &Progress,
+) -> Result<Vec<(String, Vec<u8>)>, TaskError> {
     let mut chunks = Vec::new();
     let (mut open, mut triangles) = (Geometry::default(), 0);
     let mut close = |open: &mut Geometry| -> Result<(), TaskError> {
@@ -49,6 +53,7 @@ fn geometry_chunks(draws: impl IntoIterator<Item = Draw>) -> Result<Vec<(String,
         Ok(())
     };
     for draw in draws {
+        progress.check()?;
         triangles += draw.triangles.len();
         open.draws.push(draw);
         if triangles >= CHUNK_TRIANGLES || open.draws.len() >= CHUNK_DRAWS {
@@ -182,7 +187,7 @@ mod tests {
 
     use super::*;
     use crate::kinds::{BakeKinds, Runner};
-    use crate::task::{ArtefactSource, LocalRun, Progress};
+    use crate::task::{ArtefactSource, LocalRun};
 
     /// Corners of a triangle as bits: positions, normals, texture coordinates, colours.
     type Corners = [([u32; 3], [u32; 3], Option<[u32; 2]>, Option<[u32; 4]>); 3];

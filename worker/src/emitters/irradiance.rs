@@ -114,7 +114,7 @@ impl<'a> EmitterIrradianceSum<'a> {
         samples: u32,
     ) -> Self {
         let cumulative = if set.by_power.is_empty() {
-            let reach = Reach::of(site, texel, geometry.tracer.ray_offset_m());
+            let reach = Reach::of(site, texel, geometry.tracer.ray_offset_m(site.position_m));
             Cow::Owned(summed(set.triangles.iter().map(|triangle| reach.chance(triangle))))
         } else {
             Cow::Borrowed(set.by_power.as_slice())
@@ -174,8 +174,7 @@ impl<'a> EmitterIrradianceSum<'a> {
         let weights = weights_of(barycentric);
         let [a, b, c] = triangle.corners;
         let point_m = a * weights.x + b * weights.y + c * weights.z;
-        let offset_m = self.geometry.tracer.ray_offset_m();
-        let origin_m = site.ray_origin_m(offset_m);
+        let origin_m = site.ray_origin_m(self.geometry.tracer.ray_offset_m(site.position_m));
         let to_light = point_m - origin_m;
         let squared_m2 = to_light.length_squared();
         let Some(direction) = to_light.try_normalize() else { return false };
@@ -185,6 +184,7 @@ impl<'a> EmitterIrradianceSum<'a> {
         if cosine <= 0.0 || !above || (facing <= 0.0 && !triangle.double_sided) || facing == 0.0 {
             return false;
         }
+        let offset_m = self.geometry.tracer.ray_offset_m(point_m);
         let lifted_m = point_m + triangle.normal * offset_m.copysign(facing);
         if self.geometry.tracer.is_occluded(origin_m, lifted_m) {
             return true;

@@ -132,7 +132,7 @@ fn point(places: &[VantagePoint]) -> Option<TestLight> {
 /// From the widest view that is away from the point's, at the wall that is met most squarely.
 fn spot(geometry: &Geometry, places: &[VantagePoint]) -> Option<TestLight> {
     let first = places.first()?.position_m;
-    let apart_m = 0.15 * geometry.diagonal_m();
+    let apart_m = 0.15 * geometry.near_diagonal_m();
     let place = places.iter().find(|place| place.position_m.distance(first) > apart_m).or(places.first())?;
     let (from_m, view_m) = (place.position_m, place.look.mean_m);
     let squareness = |ray: u32| {
@@ -162,7 +162,7 @@ fn panel(geometry: &Geometry, places: &[VantagePoint]) -> Option<TestLight> {
     roomiest.sort_by(|a, b| b.look.nearest_m.total_cmp(&a.look.nearest_m));
     for place in roomiest.into_iter().take(16) {
         for share in PANEL_SHARES {
-            let half_m = share * place.look.nearest_m.min(0.2 * geometry.diagonal_m());
+            let half_m = share * place.look.nearest_m.min(0.2 * geometry.near_diagonal_m());
             let panel = PanelLight {
                 name: "panel".into(),
                 centre_m: place.position_m.to_array(),

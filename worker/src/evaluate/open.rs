@@ -30,7 +30,7 @@ impl OpenSpace {
             return true;
         }
         let points = R2::new(seed_of(&site.identity()));
-        let origin_m = site.ray_origin_m(geometry.tracer.ray_offset_m());
+        let origin_m = site.ray_origin_m(geometry.tracer.ray_offset_m(site.position_m));
         (0..RAYS).any(|ray| {
             let met = geometry.tracer.closest(origin_m, site.direction(points.point(ray)), f32::INFINITY);
             met.is_none_or(|hit| {
@@ -40,7 +40,7 @@ impl OpenSpace {
     }
 
     fn sees_at_once(&self, geometry: &Geometry, site: &Site) -> bool {
-        let from_m = site.ray_origin_m(geometry.tracer.ray_offset_m());
+        let from_m = site.ray_origin_m(geometry.tracer.ray_offset_m(site.position_m));
         let mut before: Vec<Vec3> = self
             .points_m
             .iter()

@@ -221,8 +221,10 @@ impl<'a> Walk<'a> {
     fn at(&self, along_m: f32) -> Option<Point> {
         let geometry = self.bake.geometry();
         let normal = self.start.face_normal;
-        let height_m = (CAST_TEXELS * self.lightmap.texel_m()).max(4.0 * geometry.tracer.ray_offset_m());
-        let from_m = self.start.position_m + self.direction * along_m + normal * height_m;
+        let at_m = self.start.position_m + self.direction * along_m;
+        let offset_m = geometry.tracer.ray_offset_m(at_m);
+        let height_m = (CAST_TEXELS * self.lightmap.texel_m()).max(4.0 * offset_m);
+        let from_m = at_m + normal * height_m;
         let hit = geometry.tracer.closest(from_m, -normal, 2.0 * height_m)?;
         let site = geometry.site_at(&hit);
         let (block, texel) = self.lightmap.texel_at(&hit)?;

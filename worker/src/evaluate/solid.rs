@@ -43,7 +43,7 @@ fn check_point(geometry: &Geometry, name: &str, at_m: Vec3) -> Result<(), Lighti
         );
         return Err(LightingError::new(name, problem));
     }
-    if look.nearest_m <= 4.0 * geometry.tracer.ray_offset_m() {
+    if look.nearest_m <= 4.0 * geometry.tracer.ray_offset_m(at_m) {
         let problem = format!("it touches a surface at {}; move it off", words(at_m));
         return Err(LightingError::new(name, problem));
     }

@@ -150,7 +150,7 @@ const TWO_ROOMS: &[u8] = include_bytes!("../../../tests/scenes/two_rooms.glb");
 /// Radiosity on texels: `E(r) = 1/N Σ ρ (E_dir + E)` over the receivers that N cosine-distributed rays meet; no probes.
 fn radiosity(world: &World, direct: &[DVec3], rays: u32, bounces: usize) -> Vec<DVec3> {
     let receivers = &world.lightmap.receivers;
-    let offset_m = world.geometry.tracer.ray_offset_m();
+    let offset_m = world.geometry.tracer.ray_offset_m(Vec3::ZERO);
     let met: Vec<Vec<u32>> = (0..receivers.len() as u32)
         .into_par_iter()
         .map(|receiver| {

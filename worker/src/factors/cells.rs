@@ -45,11 +45,16 @@ const DEPTH_MAX: u32 = 60;
 ///
 /// Cells start as cubes of a power of two around the origin and are halved along x, y, z in turn.
 pub fn cells(positions_m: &[Vec3], most: u32) -> Vec<ClusterCell> {
-    let reach_m =
-        positions_m.iter().fold(1.0_f32, |reach, position_m| reach.max(position_m.abs().max_element()));
+    let reach_m = positions_m
+        .iter()
+        .fold(f32::MIN_POSITIVE, |reach, position_m| reach.max(position_m.abs().max_element()));
     let mut half_m = 1.0;
     while half_m <= reach_m {
         half_m *= 2.0;
+    }
+    // Scenes of micrometres too: halvings are counted.
+    while half_m * 0.5 > reach_m {
+        half_m *= 0.5;
     }
     let all = (0..positions_m.len() as u32).collect();
     let root = ClusterCell { bounds_m: [Vec3::splat(-half_m), Vec3::splat(half_m)], receivers: all };

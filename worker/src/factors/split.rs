@@ -7,6 +7,7 @@ use super::cells::{ClusterCell, halves};
 use super::components::components;
 use super::join::{Part, joined};
 use super::svd::Factors;
+use crate::task::{Cancelled, Progress};
 
 /// Factors of some receivers, and the groups of columns that they are over.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -37,38 +38,46 @@ pub trait Truncation: Sync {
 
 /// Receivers of a cell with their factors, in a fixed order. Receivers that share no column, by `links` of `linking`
 /// columns and the like, are factorised apart: then the error of one room's factors cannot shine into the next. Parts
-/// that are small are joined, and receivers without columns go with any.
+/// that are small are joined, and receivers without columns go with any. Errors soon after `progress` is cancelled.
 pub fn split<T: Truncation>(
     truncation: &T,
     cell: &ClusterCell,
     links: &[Vec<u32>],
     linking: usize,
-) -> Vec<Part> {
+    progress: &Progress,
+) -> Result<Vec<Part>, Cancelled> {
     let parts: Vec<Vec<Part>> = components(links, linking)
         .into_par_iter()
         .map(|group| {
             let receivers = group.iter().map(|&index| cell.receivers[index]);
             let (seeing, dark) = receivers.partition(|&receiver| truncation.has_columns(receiver));
-            let mut parts = halved(truncation, ClusterCell { bounds_m: cell.bounds_m, receivers: seeing });
+            let seeing = ClusterCell { bounds_m: cell.bounds_m, receivers: seeing };
+            let mut parts = halved(truncation, seeing, progress)?;
             parts.push(Part { receivers: dark, factored: Factored::default() });
-            parts
+            Ok(parts)
         })
-        .collect();
-    joined(parts.into_iter().flatten().collect(), truncation.rank_max())
+        .collect::<Result<_, Cancelled>>()?;
+    Ok(joined(parts.into_iter().flatten().collect(), truncation.rank_max()))
 }
 
 /// The cell's receivers in one part, or in those of its halves where the rank does not suffice.
-fn halved<T: Truncation>(truncation: &T, cell: ClusterCell) -> Vec<Part> {
+fn halved<T: Truncation>(
+    truncation: &T,
+    cell: ClusterCell,
+    progress: &Progress,
+) -> Result<Vec<Part>, Cancelled> {
+    progress.check()?;
     if cell.receivers.is_empty() {
-        return Vec::new();
+        return Ok(Vec::new());
     }
     let (factored, suffices) = truncation.factored(&cell.receivers);
     let size_m = cell.bounds_m[1] - cell.bounds_m[0];
     if suffices || !truncation.may_split(cell.receivers.len(), size_m.max_element()) {
-        return vec![Part { receivers: cell.receivers, factored }];
+        return Ok(vec![Part { receivers: cell.receivers, factored }]);
     }
     let [a, b] = halves(&cell, |receiver| truncation.position_m(receiver));
-    let (mut parts, others) = rayon::join(|| halved(truncation, a), || halved(truncation, b));
-    parts.extend(others);
-    parts
+    let (parts, others) = rayon::join(|| halved(truncation, a, progress), || halved(truncation, b, progress));
+    let mut parts = parts?;
+    parts.extend(others?);
+    Ok(parts)
 }

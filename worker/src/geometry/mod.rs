@@ -60,7 +60,11 @@ impl Geometry {
             }
         }
         let alpha = masks::alpha_test(&scene, &images, &triangles);
-        Ok(Self { tracer: Tracer::new(&corners, alpha), scene, images, triangles })
+        let mut tracer = Tracer::new(&corners, alpha);
+        if let Some(core) = scene.core {
+            tracer = tracer.about(core.middle_m, core.half_m);
+        }
+        Ok(Self { tracer, scene, images, triangles })
     }
 
     /// Geometry of the imported scene among a task's inputs, built once per worker.
@@ -75,7 +79,7 @@ impl Geometry {
     /// A point of a surface raised along its normal by at most `height_m`, to be tested for walls between it and others:
     /// half way to the surface above it at most, as a gap may be narrower.
     pub fn raised(&self, point_m: Vec3, normal: Vec3, height_m: f32) -> Vec3 {
-        let foot_m = point_m + normal * self.tracer.ray_offset_m();
+        let foot_m = point_m + normal * self.tracer.ray_offset_m(point_m);
         let free_m = self.tracer.closest(foot_m, normal, 2.0 * height_m).map_or(height_m, |hit| 0.5 * hit.t);
         foot_m + normal * free_m
     }
@@ -130,7 +134,18 @@ impl Geometry {
 
     /// Lower and upper corner of all vertices in metres; both the origin where there are none.
     pub fn bounds_m(&self) -> [Vec3; 2] {
-        bounds_of(&self.scene)
+        self.scene.bounds_m()
+    }
+
+    /// As [`Geometry::bounds_m`], of the part that people see from near.
+    pub fn near_bounds_m(&self) -> [Vec3; 2] {
+        self.scene.near_bounds_m()
+    }
+
+    /// Diagonal of the near bounds.
+    pub fn near_diagonal_m(&self) -> f32 {
+        let [low, high] = self.near_bounds_m();
+        (high - low).length()
     }
 
     /// Diagonal of the bounds.
@@ -150,14 +165,6 @@ pub fn corners_of(scene: &Scene, triangle: TriangleRef) -> [Vec3; 3] {
 pub fn face_normal_of(scene: &Scene, triangle: TriangleRef) -> Vec3 {
     let [a, b, c] = corners_of(scene, triangle);
     (b - a).cross(c - a).normalize_or(Vec3::Y)
-}
-
-/// Lower and upper corner of a scene's vertices in metres; both the origin where there are none.
-pub fn bounds_of(scene: &Scene) -> [Vec3; 2] {
-    let positions = || scene.instances.iter().flat_map(|instance| &instance.positions_m);
-    let low = positions().copied().reduce(Vec3::min).unwrap_or_default();
-    let high = positions().copied().reduce(Vec3::max).unwrap_or_default();
-    [low, high]
 }
 
 /// Weights of all three corners from those of corners 1 and 2.

@@ -1,5 +1,7 @@
 //! The table of kinds, and kinds side by side.
 
+mod cancel;
+
 use std::collections::BTreeSet;
 
 use lightkiln_proto::kinds::Kinds;

@@ -1,5 +1,6 @@
 //! Task `scene.unwrap`: the texel size, and the charts of each mesh instance.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use lightkiln_proto::jobs::TaskSpec;
@@ -9,9 +10,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::geometry::lattice::snapped_size_m;
 use crate::geometry::{TriangleRef, corners_of};
+use crate::scene::core::Core;
 use crate::scene::model::{MeshInstance, Scene};
-use crate::task::{Context, Progress, TaskError, TaskOutput, artefact, params};
-use crate::unwrap::{Unwrap, UnwrapSettings, unwrap_from_second_uv, unwrap_generated};
+use crate::task::{Cancelled, Context, Progress, TaskError, TaskOutput, artefact, params};
+use crate::unwrap::{Unwrap, UnwrapError, UnwrapSettings, unwrap_from_second_uv, unwrap_generated};
 
 /// Magic of the charts' artefact.
 const ARTEFACT_MAGIC: &[u8; 4] = b"LKch";
@@ -20,6 +22,11 @@ pub const ARTEFACT: &str = "unwrap/unwrap";
 
 /// Receivers per triangle beyond the fifth of the target that every scene gets.
 const RECEIVERS_PER_TRIANGLE: f64 = 20.0;
+
+/// Least and greatest size of a texel that is chosen, in metres: whatever unit a scene is in.
+const TEXEL_M: [f32; 2] = [1e-9, 1e9];
+/// Rounds in which the size of a core's texels is found: those of the shells about it depend on it by a bound alone.
+const SIZE_ROUNDS: usize = 8;
 
 /// Most texels of all blocks of one side together.
 const TEXELS_MAX: u64 = 256 << 20;
@@ -68,25 +75,56 @@ fn texel_size_m(scene: &Scene, settings: &TexelSettings) -> f32 {
     if settings.texel_m > 0.0 {
         return settings.texel_m;
     }
-    let triangles: usize = scene.instances.iter().map(|instance| instance.triangles.len()).sum();
+    let areas = LitAreas::of(scene);
     let most = f64::from(settings.receivers_target);
-    let receivers = most.min(most * 0.2 + RECEIVERS_PER_TRIANGLE * triangles as f64);
-    let texel_m = (lit_area_m2(scene) / receivers).sqrt().clamp(1e-4, 100.0);
+    let receivers = most.min(most * 0.2 + RECEIVERS_PER_TRIANGLE * areas.triangles as f64);
+    // Far shells have texels of their own, by the size of the core's.
+    let size_m = |texel_m: f64| {
+        let texel_m = (areas.in_texels_of(scene, texel_m as f32) / receivers).sqrt() as f32;
+        f64::from(texel_m.clamp(TEXEL_M[0], TEXEL_M[1]))
+    };
+    let mut texel_m = size_m(0.0);
+    if scene.core.is_some() {
+        texel_m = (0..SIZE_ROUNDS).fold(texel_m, |texel_m, _| size_m(texel_m));
+    }
     snapped_size_m(texel_m) as f32
 }
 
-/// Area of all surfaces, double-sided ones twice, in m².
-fn lit_area_m2(scene: &Scene) -> f64 {
-    let mut area_m2 = 0.0;
-    for (index, instance) in scene.instances.iter().enumerate() {
-        let sides = if scene.materials[instance.material_index as usize].double_sided { 1.0 } else { 0.5 };
-        for triangle in 0..instance.triangles.len() {
-            let [a, b, c] =
-                corners_of(scene, TriangleRef { instance: index as u32, triangle: triangle as u32 });
-            area_m2 += sides * f64::from((b - a).cross(c - a).length());
+/// Lit area of the shells of a scene.
+struct LitAreas {
+    /// Area of all surfaces of each shell, double-sided ones twice, in m².
+    of_shell_m2: Vec<f64>,
+    /// Triangles of the core.
+    triangles: usize,
+}
+
+impl LitAreas {
+    fn of(scene: &Scene) -> Self {
+        let shells = scene.core.map_or(1, |core| core.shells as usize + 1);
+        let mut areas = Self { of_shell_m2: vec![0.0; shells], triangles: 0 };
+        for (index, instance) in scene.instances.iter().enumerate() {
+            let sides =
+                if scene.materials[instance.material_index as usize].double_sided { 1.0 } else { 0.5 };
+            for triangle in 0..instance.triangles.len() {
+                let corners =
+                    corners_of(scene, TriangleRef { instance: index as u32, triangle: triangle as u32 });
+                let [a, b, c] = corners;
+                let shell = scene.core.map_or(0, |core| core.shell_of_triangle(corners));
+                areas.of_shell_m2[shell as usize] += sides * f64::from((b - a).cross(c - a).length());
+                areas.triangles += usize::from(shell == 0);
+            }
         }
+        areas
     }
-    area_m2
+
+    /// The area in which all shells would have as many texels if these were as long as those of the core, of `texel_m`.
+    fn in_texels_of(&self, scene: &Scene, texel_m: f32) -> f64 {
+        let of_shell = |(area_m2, shell): (&f64, u32)| {
+            let coarseness = scene.core.map_or(0, |core| core.coarseness(shell, texel_m));
+            area_m2 / 4.0_f64.powi(coarseness as i32)
+        };
+        self.of_shell_m2.iter().zip(0..).map(of_shell).sum()
+    }
 }
 
 /// Unwraps every instance: by its second UV set when that is a valid unwrap, else a generated one.
@@ -96,28 +134,15 @@ fn unwrap_instances(
     texel_m: f32,
     progress: &Progress,
 ) -> Result<Vec<Unwrap>, TaskError> {
-    let unwrap_settings = UnwrapSettings {
-        gutter_texels: settings.gutter_texels(),
-        lod_align_texels: 1 << (settings.lod_levels - 1),
-        ..UnwrapSettings::with_texel_m(texel_m)
-    };
     let unwrap = |instance: &MeshInstance| {
         progress.check()?;
-        let (positions, triangles) = (&instance.positions_m, &instance.triangles);
-        let adopted = (!instance.uv1.is_empty())
-            .then(|| unwrap_from_second_uv(positions, &instance.uv1, triangles, &unwrap_settings))
-            .and_then(Result::ok);
-        let unwrap = match adopted {
-            Some(unwrap) => unwrap,
-            None => unwrap_generated(positions, &instance.normals, triangles, &unwrap_settings).map_err(
-                |error| {
-                    TaskError::bad_input_from(
-                        format!("the lightmap of '{}' cannot be laid out", instance.path),
-                        error,
-                    )
-                },
-            )?,
-        };
+        let unwrap = unwrap_instance(scene, instance, settings, texel_m, progress).map_err(|error| {
+            if progress.is_cancelled() {
+                return TaskError::from(Cancelled);
+            }
+            let said = format!("the lightmap of '{}' cannot be laid out", instance.path);
+            TaskError::bad_input_from(said, error)
+        })?;
         progress.advance(1);
         Ok(unwrap)
     };
@@ -133,4 +158,53 @@ fn unwrap_instances(
         )));
     }
     Ok(unwraps)
+}
+
+/// The unwrap of an instance: one for each size of texels that its triangles have, by the shells that they lie in.
+fn unwrap_instance(
+    scene: &Scene,
+    instance: &MeshInstance,
+    settings: &TexelSettings,
+    texel_m: f32,
+    progress: &Progress,
+) -> Result<Unwrap, UnwrapError> {
+    let (positions, triangles) = (&instance.positions_m, &instance.triangles);
+    let sizes = by_coarseness(scene.core, instance, texel_m);
+    let settings_of = |coarseness: u32| UnwrapSettings {
+        gutter_texels: settings.gutter_texels(),
+        lod_align_texels: 1 << (settings.lod_levels - 1),
+        ..UnwrapSettings::with_texel_m(texel_m * 2.0_f32.powi(coarseness as i32))
+    };
+    if let [(coarseness, _)] = sizes.as_slice() {
+        let settings = settings_of(*coarseness);
+        let adopted = (!instance.uv1.is_empty())
+            .then(|| unwrap_from_second_uv(positions, &instance.uv1, triangles, &settings))
+            .and_then(Result::ok);
+        return adopted.map_or_else(
+            || unwrap_generated(positions, &instance.normals, triangles, &settings, progress),
+            Ok,
+        );
+    }
+    let mut all = Unwrap::default();
+    for (coarseness, members) in sizes {
+        let part: Vec<[u32; 3]> = members.iter().map(|&member| triangles[member as usize]).collect();
+        let settings = settings_of(coarseness);
+        let unwrap = unwrap_generated(positions, &instance.normals, &part, &settings, progress)?;
+        all.add_part(unwrap, &members);
+    }
+    Ok(all)
+}
+
+/// Triangles of an instance by how coarse their texels are, finest first; all of them at once in a scene of one scale.
+fn by_coarseness(core: Option<Core>, instance: &MeshInstance, texel_m: f32) -> Vec<(u32, Vec<u32>)> {
+    let all = 0..instance.triangles.len() as u32;
+    let Some(core) = core else { return vec![(0, all.collect())] };
+    let mut sizes: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
+    for triangle in all {
+        let corners =
+            instance.triangles[triangle as usize].map(|vertex| instance.positions_m[vertex as usize]);
+        let coarseness = core.coarseness(core.shell_of_triangle(corners), texel_m);
+        sizes.entry(coarseness).or_default().push(triangle);
+    }
+    sizes.into_iter().collect()
 }

@@ -32,7 +32,7 @@ pub const CAVITY: u32 = u32::MAX - 1;
 /// All receivers of a scene: the artefact of `scene.place`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Lightmap {
-    /// Texel size in metres.
+    /// Texel size of the scene's core in metres, and of all of it if it is of one scale.
     pub texel_m: f32,
     /// Index of the first block of each instance; its blocks follow part by part, front before back.
     pub first_block: Vec<u32>,
@@ -49,6 +49,8 @@ pub struct Block {
     pub key: BlockKey,
     /// Path, part and side in words.
     pub name: String,
+    /// Side of its texels in metres.
+    pub texel_m: f32,
     /// Width and height in texels.
     pub size: [u32; 2],
     /// Instance.
@@ -99,6 +101,11 @@ impl Lightmap {
     /// Key of the block of a receiver.
     pub fn block_key(&self, receiver: u32) -> BlockKey {
         self.blocks[self.receivers[receiver as usize].block as usize].key
+    }
+
+    /// Side of a receiver's texel in metres.
+    pub fn texel_m_of(&self, receiver: u32) -> f32 {
+        self.blocks[self.receivers[receiver as usize].block as usize].texel_m
     }
 
     /// Block and texel of a receiver: its identity in every bake of the scene.

@@ -59,11 +59,13 @@ impl World {
     /// Builds the table of texels and raises the receivers' points.
     pub fn new(geometry: Arc<Geometry>, charts: &Charts, lightmap: Lightmap) -> Self {
         let texels = TexelTable::new(&geometry.scene, charts);
-        let height_m = link_height_m(lightmap.texel_m);
         let receivers = &lightmap.receivers;
         let raised_m = receivers
             .par_iter()
-            .map(|receiver| geometry.raised(receiver.position_m, receiver.face_normal, height_m))
+            .map(|receiver| {
+                let height_m = link_height_m(lightmap.blocks[receiver.block as usize].texel_m);
+                geometry.raised(receiver.position_m, receiver.face_normal, height_m)
+            })
             .collect();
         let with_points = |&[lender, own]: &[u32; 2]| lender != own && receivers[own as usize].coverage != 0;
         let mut sharers: Vec<[u32; 2]> =
@@ -162,7 +164,8 @@ impl World {
         if is_clear[own as usize] {
             return Surface::Receiver(own);
         }
-        let from_m = self.geometry.raised(point_m, self.geometry.side_normal(hit), self.link_height_m());
+        let height_m = link_height_m(self.lightmap.texel_m_of(own));
+        let from_m = self.geometry.raised(point_m, self.geometry.side_normal(hit), height_m);
         let linked = |receiver: u32| self.is_linked(from_m, self.raised_m[receiver as usize]);
         if linked(own) {
             return Surface::Receiver(own);
@@ -228,14 +231,15 @@ impl World {
         self.points_of(receiver).filter(is_covered).map(|(_, site)| site)
     }
 
-    /// Point of a receiver, raised as [`Geometry::raised`] does by [`World::link_height_m`].
+    /// Point of a receiver, raised as [`Geometry::raised`] does by [`link_height_m`] of its texel.
     pub fn raised_receiver(&self, receiver: u32) -> Vec3 {
         self.raised_m[receiver as usize]
     }
 
-    /// As [`link_height_m`], for the texels of this world.
-    pub fn link_height_m(&self) -> f32 {
-        link_height_m(self.lightmap.texel_m)
+    /// A point on a block, raised as its receivers are.
+    pub fn raised_on(&self, block: u32, site: &Site) -> Vec3 {
+        let height_m = link_height_m(self.lightmap.blocks[block as usize].texel_m);
+        self.geometry.raised(site.position_m, site.face_normal, height_m)
     }
 
     /// No wall stands between two raised points.

@@ -15,8 +15,8 @@ use rayon::prelude::*;
 
 use super::{Patch, PatchTree};
 use crate::geometry::lattice::cell_of;
-use crate::lightmap::World;
-use crate::task::TaskError;
+use crate::lightmap::{World, link_height_m};
+use crate::task::{Cancelled, Progress, TaskError};
 
 /// Side of the finest cells in texels: a texel's neighbour may lie under a thing that stands on it, and be dark.
 const LEAF_TEXELS: f32 = 1.0;
@@ -29,6 +29,9 @@ const CELLS_MAX: i32 = 1 << 15;
 const ORDINALS_MAX: usize = 1 << 10;
 /// Surfaces of a cell that another one is tried to join.
 const TRIED_MAX: usize = 8;
+
+/// Node of an item that is a receiver.
+const NO_NODE: u32 = u32::MAX;
 
 /// Cell, level and direction that a patch lies in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -45,7 +48,10 @@ struct Item {
     /// Where the item is looked at from.
     point_m: Vec3,
     normal: Vec3,
-    /// Node, or `u32::MAX` for a receiver.
+    /// Doublings of the core's texels that its own are as long as: no patch has texels of different sizes, as areas are
+    /// counted in them.
+    coarseness: u32,
+    /// Node, or [`NO_NODE`] for a receiver.
     node: u32,
     receiver: u32,
 }
@@ -58,19 +64,24 @@ struct Node {
     receivers: Vec<u32>,
 }
 
-/// The tree over all receivers.
-pub fn tree(world: &World) -> Result<PatchTree, TaskError> {
+/// The tree over all receivers. Errors soon after `progress` is cancelled.
+pub fn tree(world: &World, progress: &Progress) -> Result<PatchTree, TaskError> {
     let size_m = world.lightmap.texel_m * LEAF_TEXELS;
-    let mut items = receiver_items(world, size_m)?;
-    let mut edges = receiver_edges(world, &items);
+    let mut waiting = receiver_items(world, size_m, progress)?;
+    let (mut items, mut edges): (Vec<Item>, Vec<[u32; 2]>) = Default::default();
     let mut nodes: Vec<Node> = Vec::new();
     for level in 0..LEVELS_MAX {
-        let (parents, parent_of) = level_above(world, level, size_m, &items, &edges, &mut nodes);
+        // Receivers of coarse texels are leaves of the level whose cells are as wide.
+        let (entering, later) = waiting.into_iter().partition(|item: &Item| item.coarseness == level);
+        waiting = later;
+        edges.extend(receiver_edges(world, &entering, items.len() as u32));
+        items.extend(entering);
+        let (parents, parent_of) = level_above(world, level, size_m, &items, &edges, &mut nodes, progress)?;
         let merged = parents.len() < items.len();
         let cells = parents.iter().map(|item| item.place.cell);
         let one_cell = cells.clone().min() == cells.clone().max();
         items = parents;
-        if one_cell && level > 0 && !merged {
+        if one_cell && level > 0 && !merged && waiting.is_empty() {
             break;
         }
         edges = lifted(&edges, &parent_of);
@@ -88,15 +99,22 @@ fn direction_of(normal: Vec3) -> u8 {
     axis * 2 + u8::from(normal[usize::from(axis)] < 0.0)
 }
 
-fn receiver_items(world: &World, size_m: f32) -> Result<Vec<Item>, TaskError> {
+fn receiver_items(world: &World, size_m: f32, progress: &Progress) -> Result<Vec<Item>, TaskError> {
     let lightmap = &world.lightmap;
+    let coarseness = |texel_m: f32| {
+        (0..LEVELS_MAX - 1).find(|&n| size_m * 2.0_f32.powi(n as i32) >= texel_m * LEAF_TEXELS)
+    };
+    let coarseness: Vec<u32> =
+        lightmap.blocks.iter().map(|block| coarseness(block.texel_m).unwrap_or(LEVELS_MAX - 1)).collect();
     let mut items = Vec::with_capacity(lightmap.receivers.len());
     for (index, receiver) in (0..).zip(&lightmap.receivers) {
+        progress.check()?;
         // Guests have no surface.
         if lightmap.is_guest(index) {
             continue;
         }
-        let cell = cell_of(receiver.position_m, size_m);
+        let coarseness = coarseness[receiver.block as usize];
+        let cell = cell_of(receiver.position_m, size_m * 2.0_f32.powi(coarseness as i32));
         if cell.abs().max_element() >= CELLS_MAX / 2 {
             return Err(TaskError::bad_input(format!(
                 "'{}' reaches {} m from the world origin, too far for texels of {} m; move the scene to the origin, \
@@ -104,7 +122,7 @@ fn receiver_items(world: &World, size_m: f32) -> Result<Vec<Item>, TaskError> {
                 world.geometry.scene.instances[lightmap.blocks[receiver.block as usize].instance as usize]
                     .path,
                 receiver.position_m.abs().max_element(),
-                lightmap.texel_m
+                lightmap.blocks[receiver.block as usize].texel_m
             )));
         }
         items.push(Item {
@@ -112,17 +130,18 @@ fn receiver_items(world: &World, size_m: f32) -> Result<Vec<Item>, TaskError> {
             identity: (lightmap.blocks[receiver.block as usize].key, receiver.texel),
             point_m: receiver.position_m,
             normal: receiver.face_normal,
-            node: u32::MAX,
+            coarseness,
+            node: NO_NODE,
             receiver: index,
         });
     }
     Ok(items)
 }
 
-/// Pairs of items whose receivers are linked.
-fn receiver_edges(world: &World, items: &[Item]) -> Vec<[u32; 2]> {
+/// Pairs of items whose receivers are linked, the first of them being number `first`.
+fn receiver_edges(world: &World, items: &[Item], first: u32) -> Vec<[u32; 2]> {
     let mut edges = Vec::new();
-    for (index, item) in (0..).zip(items) {
+    for (index, item) in (first..).zip(items) {
         let receiver = &world.lightmap.receivers[item.receiver as usize];
         let [x, y] = receiver.texel.map(i32::from);
         for (bit, [dx, dy]) in LINKS.into_iter().enumerate() {
@@ -130,7 +149,7 @@ fn receiver_edges(world: &World, items: &[Item]) -> Vec<[u32; 2]> {
                 && let Some(other) = world.receiver_on(receiver.block, x + dx, y + dy)
                 && let Ok(other) = items.binary_search_by_key(&other, |item| item.receiver)
             {
-                edges.push([index, other as u32]);
+                edges.push([index, first + other as u32]);
             }
         }
     }
@@ -145,7 +164,8 @@ fn level_above(
     items: &[Item],
     edges: &[[u32; 2]],
     nodes: &mut Vec<Node>,
-) -> (Vec<Item>, Vec<u32>) {
+    progress: &Progress,
+) -> Result<(Vec<Item>, Vec<u32>), Cancelled> {
     let mut by_place: BTreeMap<Place, Vec<u32>> = BTreeMap::new();
     for (index, item) in items.iter().enumerate() {
         by_place.entry(item.place).or_default().push(index as u32);
@@ -157,16 +177,20 @@ fn level_above(
             edges_of[b as usize].push(a);
         }
     }
-    let height_m = (leaf_m * (1_u32 << level) as f32 * 0.25).max(world.link_height_m());
+    let height_m = (leaf_m * (1_u32 << level) as f32 * 0.25).max(link_height_m(world.lightmap.texel_m));
     let places: Vec<(Place, Vec<u32>)> = by_place.into_iter().collect();
-    let surfaces: Vec<Vec<Vec<u32>>> =
-        places.par_iter().map(|(_, members)| surfaces(world, height_m, items, members, &edges_of)).collect();
+    let surfaces = |(_, members): &(Place, Vec<u32>)| {
+        progress.check()?;
+        Ok(surfaces(world, height_m, items, members, &edges_of))
+    };
+    let surfaces: Vec<Vec<Vec<u32>>> = places.par_iter().map(surfaces).collect::<Result<_, Cancelled>>()?;
     let mut parents = Vec::new();
     let mut parent_of = vec![0; items.len()];
     for ((place, _), surfaces) in places.iter().zip(surfaces) {
         let mut named = 0;
         for members in surfaces {
-            if level > 0 && (members.len() == 1 || named == ORDINALS_MAX) {
+            let is_leaf = items[members[0] as usize].node == NO_NODE;
+            if !is_leaf && (members.len() == 1 || named == ORDINALS_MAX) {
                 for member in members {
                     parent_of[member as usize] = parents.len() as u32;
                     parents.push(Item { place: *place, ..items[member as usize] });
@@ -183,7 +207,7 @@ fn level_above(
             let key = PatchKey::of_cell(level, place.cell, place.direction, named as u32);
             named += 1;
             let (mut children, mut receivers) = (Vec::new(), Vec::new());
-            if level == 0 {
+            if is_leaf {
                 receivers = members.iter().map(|&member| items[member as usize].receiver).collect();
             } else {
                 children = members.iter().map(|&member| items[member as usize].node).collect();
@@ -193,7 +217,7 @@ fn level_above(
             parents.push(Item { place: *place, node, ..items[members[0] as usize] });
         }
     }
-    (parents, parent_of)
+    Ok((parents, parent_of))
 }
 
 /// Items of one place grouped into surfaces, each in the order of identities, and so are the surfaces.
@@ -223,7 +247,8 @@ fn surfaces(
             }
         }
         let joined = found.iter().enumerate().take(TRIED_MAX).position(|(_, surface)| {
-            are_in_sight(world, height_m, &items[surface[0] as usize], &items[start as usize])
+            let [found, own] = [surface[0], start].map(|member| &items[member as usize]);
+            found.coarseness == own.coarseness && are_in_sight(world, height_m, found, own)
         });
         match joined {
             Some(surface) => found[surface].append(&mut linked),

@@ -25,7 +25,7 @@ const ARTEFACT: &str = "patches/patches";
 /// Runs task `scene.patches`: inputs are those of [`World::of`]; output `patches`.
 pub fn run(context: &Context, _: &TaskSpec) -> Result<TaskOutput, TaskError> {
     let world = World::of(context)?;
-    let tree = grow::tree(&world)?;
+    let tree = grow::tree(&world, context.progress)?;
     Ok(TaskOutput {
         artefacts: vec![("patches".into(), artefact::encode(ARTEFACT_MAGIC, &tree)?)],
         counters: [("patches".to_owned(), tree.patches.len() as f64)].into(),

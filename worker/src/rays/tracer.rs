@@ -45,7 +45,13 @@ pub struct Tracer {
     masked: Vec<bool>,
     alpha: Option<Box<dyn AlphaTest>>,
     ray_offset_m: f32,
+    /// Middle and half side, in metres, of a cube whose surfaces have no far corners: lifts are smaller there.
+    core: Option<(Vec3, f32)>,
 }
+
+/// Lift of rays off surfaces over the largest coordinate: 2⁻¹⁷ of it is some 60 units in the last place, far above the hit
+/// point's own error.
+const LIFT: f32 = 7.6e-6;
 
 struct PaddedTriangle {
     corners: [Vec3; 3],
@@ -78,15 +84,26 @@ impl Tracer {
             .iter()
             .map(|&index| alpha.as_ref().is_some_and(|alpha| alpha.is_masked(index)))
             .collect();
+        // No least reach in metres: a scene in micrometres is the same scene.
         let reach =
-            triangles.iter().flatten().fold(1.0_f32, |reach, corner| reach.max(corner.abs().max_element()));
-        // 2⁻¹⁷ of the largest coordinate: some 60 units in the last place, far above the hit point's own error.
-        Self { bvh, corners, triangle, masked, alpha, ray_offset_m: reach * 7.6e-6 }
+            triangles.iter().flatten().fold(0.0_f32, |reach, corner| reach.max(corner.abs().max_element()));
+        Self { bvh, corners, triangle, masked, alpha, ray_offset_m: reach * LIFT, core: None }
     }
 
-    /// Lift of ray origins off surfaces, in metres; grows with the coordinates.
-    pub fn ray_offset_m(&self) -> f32 {
-        self.ray_offset_m
+    /// The tracer of a scene with a core: about a point, no surface has coordinates much larger than the point is away from
+    /// the `middle_m` of the core, or the core is wide.
+    #[must_use]
+    pub fn about(mut self, middle_m: Vec3, half_m: f32) -> Self {
+        self.core = Some((middle_m, half_m));
+        self
+    }
+
+    /// Lift of ray origins off surfaces about a point, in metres; grows with the coordinates there.
+    pub fn ray_offset_m(&self, about_m: Vec3) -> f32 {
+        let Some((middle_m, half_m)) = self.core else { return self.ray_offset_m };
+        let away_m = (about_m - middle_m).abs().max_element();
+        let reach_m = middle_m.abs().max_element() + (2.0 * away_m).max(half_m);
+        (reach_m * LIFT).min(self.ray_offset_m)
     }
 
     /// The nearest hit with `t` in 0..`t_max`; of equally near triangles, the one with the smallest index.

@@ -180,7 +180,7 @@ impl Reference<'_> {
         let directions = R2::new(walk.random.next_u64());
         let lamp_points = R2::new(walk.random.next_u64());
         let shift = walk.random.next_f32();
-        let origin_m = site.ray_origin_m(self.geometry.tracer.ray_offset_m());
+        let origin_m = site.ray_origin_m(self.geometry.tracer.ray_offset_m(site.position_m));
         let chances = self.lamps.emitters.chances(site);
         let (mut direct, mut indirect) = (DVec3::ZERO, DVec3::ZERO);
         for index in 0..BATCH {

@@ -51,7 +51,7 @@ impl Reference<'_> {
         let seed = seed_of(&[seed_of(&site.identity()), round, 26]);
         let mut walk = Walk::telling(seed, guide);
         let directions = R2::new(walk.random.next_u64());
-        let origin_m = site.ray_origin_m(self.geometry.tracer.ray_offset_m());
+        let origin_m = site.ray_origin_m(self.geometry.tracer.ray_offset_m(site.position_m));
         for index in 0..paths {
             self.by_beam(site, &mut walk);
             self.arriving(Some(site), origin_m, site.direction(directions.point(index)), &mut walk);

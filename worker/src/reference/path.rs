@@ -90,8 +90,9 @@ pub(super) struct HitSurface {
 type From<'a> = Option<(&'a Site, &'a Chances)>;
 
 impl Reference<'_> {
-    fn offset_m(&self) -> f32 {
-        self.geometry.tracer.ray_offset_m()
+    /// Where rays from a site start.
+    fn origin_m(&self, site: &Site) -> Vec3 {
+        site.ray_origin_m(self.geometry.tracer.ray_offset_m(site.position_m))
     }
 
     /// The surface at a hit.
@@ -159,7 +160,7 @@ impl Reference<'_> {
             return DVec3::ZERO;
         }
         let Some(arrival) = self.lamps.punctual[lamp].arrival(&met.site) else { return DVec3::ZERO };
-        if !self.sees(site, Target::At(met.site.ray_origin_m(self.offset_m()))) {
+        if !self.sees(site, Target::At(self.origin_m(&met.site))) {
             return DVec3::ZERO;
         }
         let by_beam = chance * f64::from(SQUARE) * beam.density(&met.site);
@@ -194,7 +195,7 @@ impl Reference<'_> {
     }
 
     fn sees(&self, site: &Site, target: Target) -> bool {
-        let origin_m = site.ray_origin_m(self.offset_m());
+        let origin_m = self.origin_m(site);
         let to_m = match target {
             Target::At(point_m) => point_m,
             Target::Towards(direction) => origin_m + direction * self.far_m,
@@ -218,7 +219,7 @@ impl Reference<'_> {
         let panels = &self.lamps.panels;
         let scaled = points.pick * panels.len() as f32;
         let panel = panels.get((scaled as usize).min(panels.len().saturating_sub(1)))?;
-        let sample = panel.sample(site.ray_origin_m(self.offset_m()), points.point)?;
+        let sample = panel.sample(self.origin_m(site), points.point)?;
         let density = sample.density / panels.len() as f64;
         let cosine = site.lamp_cosine(sample.direction);
         let seen = cosine > 0.0 && self.sees(site, Target::At(sample.point_m));
@@ -235,7 +236,7 @@ impl Reference<'_> {
             return DVec3::ZERO;
         };
         let cosine = site.lamp_cosine(sample.direction);
-        let lifted_m = sample.point_m + sample.normal * self.offset_m();
+        let lifted_m = sample.point_m + sample.normal * self.geometry.tracer.ray_offset_m(sample.point_m);
         if cosine <= 0.0 || !self.sees(site, Target::At(lifted_m)) {
             return DVec3::ZERO;
         }
@@ -319,7 +320,7 @@ impl Reference<'_> {
             let straight = self.by_punctual_met(by, &met, walk) + self.by_lamps(&met.site, &chances, walk);
             gathered.rest += throughput * straight / PI;
             // Go on in a direction of density K/π, which cancels the cosine: the throughput stays the albedo's product.
-            origin_m = met.site.ray_origin_m(self.offset_m());
+            origin_m = self.origin_m(&met.site);
             direction = met.site.direction([walk.random.next_f32(), walk.random.next_f32()]);
             from = Some((met.site, chances));
         }

@@ -8,6 +8,11 @@ use glam::{Mat4, Vec2, Vec3};
 use lightkiln_proto::scene::{SceneCamera, SceneLight};
 use serde::{Deserialize, Serialize};
 
+use super::core::Core;
+
+/// Shell up to which a scene is near.
+const NEAR_SHELL: u32 = 1;
+
 /// A scene ready to bake: flat world-space geometry with materials, textures, lights and cameras.
 ///
 /// Everything is in an order given by the file alone, so the same bytes give the same scene.
@@ -24,10 +29,31 @@ pub struct Scene {
     pub lights: Vec<SceneLight>,
     /// Cameras, in world space.
     pub cameras: Vec<SceneCamera>,
+    /// Where the scene's detail is, if some of it is far beyond that: triangles are then cut at the borders of its shells.
+    pub core: Option<Core>,
+}
+
+impl Scene {
+    /// Lower and upper corner of all vertices in metres; both the origin where there are none.
+    pub fn bounds_m(&self) -> [Vec3; 2] {
+        let positions = || self.instances.iter().flat_map(|instance| &instance.positions_m);
+        let low = positions().copied().reduce(Vec3::min).unwrap_or_default();
+        let high = positions().copied().reduce(Vec3::max).unwrap_or_default();
+        [low, high]
+    }
+
+    /// As [`Scene::bounds_m`], of the part that people see from near: within a few times the size of the core, if it has one.
+    pub fn near_bounds_m(&self) -> [Vec3; 2] {
+        let [low, high] = self.bounds_m();
+        self.core.map_or([low, high], |core| {
+            let near = core.bounds_of(NEAR_SHELL.min(core.shells));
+            [low.max(near[0]), high.min(near[1])]
+        })
+    }
 }
 
 /// One mesh primitive under one node, transformed to world space.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct MeshInstance {
     /// Identity that survives edits elsewhere in the file: node names from the root, mesh name, primitive index.
     /// Unique in the scene (repeated names get `#2`, `#3`, … in file order).

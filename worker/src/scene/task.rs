@@ -3,6 +3,7 @@
 use lightkiln_proto::jobs::TaskSpec;
 
 use super::oddities::oddities;
+use super::shells::cut_about_core;
 use super::{ARTEFACT_MAGIC, Bundle, Limits, NO_TRIANGLES, import};
 use crate::task::{Context, TaskError, TaskOutput, artefact};
 
@@ -12,7 +13,9 @@ pub fn run(context: &Context, _: &TaskSpec) -> Result<TaskOutput, TaskError> {
     let limits = Limits::default();
     let bytes = context.bytes("bundle")?;
     let bundle = Bundle::from_bytes(bytes.as_ref().clone(), &limits).map_err(refused)?;
-    let imported = import(&bundle, &limits).map_err(refused)?;
+    context.progress.check()?;
+    let mut imported = import(&bundle, &limits).map_err(refused)?;
+    cut_about_core(&mut imported.scene, || context.progress.check())?;
     if let Some(empty) = imported.warnings.iter().find(|warning| warning.code == NO_TRIANGLES) {
         return Err(TaskError::bad_input(empty.message.clone()));
     }

@@ -22,6 +22,11 @@ pub struct Progress {
     rays_closest: AtomicU64,
     rays_occlusion: AtomicU64,
     cancelled: AtomicBool,
+    /// Calls of [`check`](Self::check), and the one at which the task is cancelled, if any.
+    #[cfg(test)]
+    checks: AtomicU64,
+    #[cfg(test)]
+    cancelled_at: AtomicU64,
 }
 
 impl Progress {
@@ -84,7 +89,24 @@ impl Progress {
 
     /// Errors once the task was asked to stop. Call it at least every hundred milliseconds or so of work.
     pub fn check(&self) -> Result<(), Cancelled> {
+        #[cfg(test)]
+        if self.checks.fetch_add(1, Ordering::Relaxed) + 1 == self.cancelled_at.load(Ordering::Relaxed) {
+            self.cancel();
+        }
         if self.is_cancelled() { Err(Cancelled) } else { Ok(()) }
+    }
+}
+
+#[cfg(test)]
+impl Progress {
+    /// Nothing done; the `check`th look for a cancel finds one.
+    pub fn cancelled_at(check: u64) -> Self {
+        Self { cancelled_at: AtomicU64::new(check), ..Self::default() }
+    }
+
+    /// Looks for a cancel so far.
+    pub fn checks(&self) -> u64 {
+        self.checks.load(Ordering::Relaxed)
     }
 }
 

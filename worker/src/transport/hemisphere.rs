@@ -53,7 +53,7 @@ impl<'a> Hemisphere<'a> {
 
     /// Start of rays from the receiver's own point, in metres.
     pub fn origin_m(&self) -> Vec3 {
-        self.site.ray_origin_m(self.geometry.tracer.ray_offset_m())
+        self.site.ray_origin_m(self.geometry.tracer.ray_offset_m(self.site.position_m))
     }
 
     /// Casts the rays: calls `met` with each and its hit, and gives the light straight from emitters.
@@ -61,10 +61,10 @@ impl<'a> Hemisphere<'a> {
         let sites = (self.site, &self.texel[..]);
         let mut emitted =
             EmitterIrradianceSum::new(self.geometry, self.emitters, sites, self.rays, emitter_rays);
-        let offset_m = self.geometry.tracer.ray_offset_m();
         let points = R2::new(self.seed);
         let (mut path_m, mut hits) = (0.0, 0);
         for (index, site) in self.texel.iter().enumerate() {
+            let offset_m = self.geometry.tracer.ray_offset_m(site.position_m);
             let (origin_m, directions) = (site.ray_origin_m(offset_m), site.directions());
             for ray in self.rays_of(index) {
                 let (direction, is_mirrored) = directions.at(points.point(ray));

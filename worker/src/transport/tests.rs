@@ -58,7 +58,7 @@ fn prepared<'a>(scene: &[u8], settings: &Settings, progress: &'a Progress) -> Lo
 fn rays_of_a_receiver_leave_from_all_points_of_its_texel_alike() {
     let progress = Progress::new();
     let world = World::of_run(&prepared(CORNELL, &settings(), &progress)).unwrap();
-    let (emitters, offset_m) = (EmitterSet::default(), world.geometry.tracer.ray_offset_m());
+    let (emitters, offset_m) = (EmitterSet::default(), world.geometry.tracer.ray_offset_m(Vec3::ZERO));
     let mut cut = 0;
     for receiver in 0..world.lightmap.receivers.len() as u32 {
         let lender = world.lightmap.receivers[receiver as usize].light_of;

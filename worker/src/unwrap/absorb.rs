@@ -12,6 +12,7 @@ use super::adjacency::{Adjacency, NO_NEIGHBOUR};
 use super::grow::{Chart, cover_cell_texels, footprint};
 use super::overlap::{Cover, Footprint};
 use super::soup::Soup;
+use crate::task::{Cancelled, Progress};
 
 /// Charts below this area, in texels, are scraps.
 const SCRAP_AREA_TEXELS: f64 = 64.0;
@@ -31,7 +32,8 @@ pub(super) fn absorb_scraps(
     adjacency: &Adjacency,
     settings: &UnwrapSettings,
     charts: &mut Vec<Chart>,
-) {
+    progress: &Progress,
+) -> Result<(), Cancelled> {
     let mut order: Vec<u32> = (0..charts.len() as u32).collect();
     let area_texels: Vec<f64> = charts.iter().map(|c| c.area_texels(soup, settings)).collect();
     let area = |c: u32| area_texels[c as usize] as f32;
@@ -51,9 +53,11 @@ pub(super) fn absorb_scraps(
     let mut absorber =
         Absorber { soup, adjacency, settings, charts, chart_of, area_texels, rank, tried_by, cover };
     for chart in order {
+        progress.check()?;
         absorber.feed(chart);
     }
     charts.retain(|chart| !chart.triangles.is_empty());
+    Ok(())
 }
 
 struct Absorber<'a> {

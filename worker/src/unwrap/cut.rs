@@ -11,6 +11,7 @@ use super::UnwrapSettings;
 use super::grow::{Chart, footprint};
 use super::overlap::any_cell;
 use super::soup::Soup;
+use crate::task::{Cancelled, Progress};
 
 /// Clipped parts with less area than this, in texels, are dropped where the triangle has greater ones.
 const LEAST_PART_TEXELS: f64 = 1e-7;
@@ -52,10 +53,16 @@ impl Piece {
 }
 
 /// Charts on the lattice, none larger than a tile.
-pub(super) fn pieces_of_charts(soup: &Soup, charts: &[Chart], settings: &UnwrapSettings) -> Vec<Piece> {
+pub(super) fn pieces_of_charts(
+    soup: &Soup,
+    charts: &[Chart],
+    settings: &UnwrapSettings,
+    progress: &Progress,
+) -> Result<Vec<Piece>, Cancelled> {
     let tile_texels = settings.tile_texels() as i32;
     let mut pieces = Vec::with_capacity(charts.len());
     for chart in charts {
+        progress.check()?;
         let triangles = chart.triangles.iter().map(|&t| PieceTriangle {
             source_triangle: t,
             uv: footprint(soup, &chart.frame, t).uv,
@@ -65,15 +72,20 @@ pub(super) fn pieces_of_charts(soup: &Soup, charts: &[Chart], settings: &UnwrapS
         if whole.size().max_element() <= tile_texels {
             pieces.push(whole);
         } else {
-            pieces.extend(tiles(whole.triangles, tile_texels.into()));
+            pieces.extend(tiles(whole.triangles, tile_texels.into(), progress)?);
         }
     }
-    pieces
+    Ok(pieces)
 }
 
-fn tiles(triangles: Vec<PieceTriangle>, tile_texels: f64) -> Vec<Piece> {
+fn tiles(
+    triangles: Vec<PieceTriangle>,
+    tile_texels: f64,
+    progress: &Progress,
+) -> Result<Vec<Piece>, Cancelled> {
     let mut parts: BTreeMap<(i32, i32), Vec<PieceTriangle>> = BTreeMap::new();
     for triangle in triangles {
+        progress.check()?;
         let mut reached = Vec::new();
         any_cell(&triangle.uv, tile_texels, -1e-6, |x, y| {
             reached.push(IVec2::new(x, y));
@@ -91,7 +103,7 @@ fn tiles(triangles: Vec<PieceTriangle>, tile_texels: f64) -> Vec<Piece> {
             }
         }
     }
-    parts.into_values().map(Piece::new).collect()
+    Ok(parts.into_values().map(Piece::new).collect())
 }
 
 fn area_texels(part: &PieceTriangle) -> f64 {

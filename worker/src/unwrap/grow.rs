@@ -15,6 +15,7 @@ use super::adjacency::{Adjacency, NO_NEIGHBOUR};
 use super::frame::ChartFrame;
 use super::overlap::{Cover, Footprint};
 use super::soup::Soup;
+use crate::task::{Cancelled, Progress};
 
 /// Normals this close to the seed's (cosine of 2°) belong to its plane.
 const PLANE_COSINE: f64 = 0.999_39;
@@ -59,7 +60,12 @@ pub(super) fn cover_cell_texels(soup: &Soup, settings: &UnwrapSettings) -> f64 {
 }
 
 /// Puts every live triangle in a chart.
-pub(super) fn grow_charts(soup: &Soup, adjacency: &Adjacency, settings: &UnwrapSettings) -> Vec<Chart> {
+pub(super) fn grow_charts(
+    soup: &Soup,
+    adjacency: &Adjacency,
+    settings: &UnwrapSettings,
+    progress: &Progress,
+) -> Result<Vec<Chart>, Cancelled> {
     let mut seeds: Vec<u32> = (0..soup.len() as u32).filter(|&t| soup.is_live(t)).collect();
     let area = |t: u32| soup.area_m2[t as usize] as f32;
     seeds.sort_unstable_by(|&a, &b| area(b).total_cmp(&area(a)).then(a.cmp(&b)));
@@ -67,6 +73,7 @@ pub(super) fn grow_charts(soup: &Soup, adjacency: &Adjacency, settings: &UnwrapS
         soup,
         adjacency,
         settings,
+        progress,
         is_charted: vec![false; soup.len()],
         region_of: vec![NO_REGION; soup.len()],
         cover: Cover::new(cover_cell_texels(soup, settings)),
@@ -74,10 +81,10 @@ pub(super) fn grow_charts(soup: &Soup, adjacency: &Adjacency, settings: &UnwrapS
     };
     for (region, seed) in seeds.into_iter().enumerate() {
         if !growth.is_charted[seed as usize] {
-            growth.grow(region as u32, seed);
+            growth.grow(region as u32, seed)?;
         }
     }
-    growth.charts
+    Ok(growth.charts)
 }
 
 const NO_REGION: u32 = u32::MAX;
@@ -86,6 +93,7 @@ struct Growth<'a> {
     soup: &'a Soup,
     adjacency: &'a Adjacency,
     settings: &'a UnwrapSettings,
+    progress: &'a Progress,
     is_charted: Vec<bool>,
     /// Region that a triangle was last taken into.
     region_of: Vec<u32>,
@@ -94,8 +102,8 @@ struct Growth<'a> {
 }
 
 impl Growth<'_> {
-    fn grow(&mut self, region: u32, seed: u32) {
-        let (members, cone) = self.region(region, seed);
+    fn grow(&mut self, region: u32, seed: u32) -> Result<(), Cancelled> {
+        let (members, cone) = self.region(region, seed)?;
         let axis = self.axis(&members, &cone);
         let frame = ChartFrame::new(axis, self.settings.texel_m);
         let least_cosine = libm::cos(f64::from(self.settings.chart_cone_rad) + AXIS_SLACK_RAD);
@@ -105,17 +113,18 @@ impl Growth<'_> {
         for triangle in dropped {
             self.region_of[triangle as usize] = NO_REGION;
         }
-        self.part(region, frame, &kept);
+        self.part(region, frame, &kept)
     }
 
     /// Triangles reached from the seed within one normal cone.
-    fn region(&mut self, region: u32, seed: u32) -> (Vec<u32>, NormalCone) {
+    fn region(&mut self, region: u32, seed: u32) -> Result<(Vec<u32>, NormalCone), Cancelled> {
         let seed_normal = self.soup.normals[seed as usize];
         let mut cone = NormalCone { axis: seed_normal, half_rad: 0.0 };
         let mut members = Vec::new();
         let mut frontier = BinaryHeap::from([Reverse((0_u32, 0_u32, seed))]);
         let mut sequence = 0;
         while let Some(Reverse((_, _, triangle))) = frontier.pop() {
+            self.progress.check()?;
             let is_taken = self.region_of[triangle as usize] == region;
             let limit_rad = self.settings.chart_cone_rad.into();
             if is_taken || self.normal(triangle).is_some_and(|normal| !cone.widen(normal, limit_rad)) {
@@ -131,7 +140,7 @@ impl Growth<'_> {
                 }
             }
         }
-        (members, cone)
+        Ok((members, cone))
     }
 
     /// The seed's plane where that dominates, else the mean normal if it sees all, else the cone's axis.
@@ -154,7 +163,7 @@ impl Growth<'_> {
     }
 
     /// Cuts a region into connected charts without overlap, each grown breadth-first.
-    fn part(&mut self, region: u32, frame: ChartFrame, members: &[u32]) {
+    fn part(&mut self, region: u32, frame: ChartFrame, members: &[u32]) -> Result<(), Cancelled> {
         for &seed in members {
             if self.is_charted[seed as usize] {
                 continue;
@@ -163,6 +172,7 @@ impl Growth<'_> {
             let mut triangles = Vec::new();
             let mut queue = VecDeque::from([seed]);
             while let Some(triangle) = queue.pop_front() {
+                self.progress.check()?;
                 let is_free = !self.is_charted[triangle as usize];
                 if !is_free || !self.cover.try_insert(footprint(self.soup, &frame, triangle)) {
                     continue;
@@ -175,6 +185,7 @@ impl Growth<'_> {
             }
             self.charts.push(Chart { frame, triangles });
         }
+        Ok(())
     }
 
     /// The geometric normal, unless the triangle is too thin to have one.

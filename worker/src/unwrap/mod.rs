@@ -35,6 +35,7 @@ use glam::{Vec2, Vec3};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use crate::task::{Cancelled, Progress};
 pub(crate) use lookup::weights_in_part;
 pub use lookup::{TexelLocation, UnwrapLookup};
 pub use second_uv::{Uv1Rejected, unwrap_from_second_uv};
@@ -54,9 +55,26 @@ pub struct Unwrap {
     pub blocks: Vec<UnwrapBlock>,
 }
 
+impl Unwrap {
+    /// Adds the unwrap of some of an instance's triangles, `members` in the order in which they were unwrapped.
+    pub fn add_part(&mut self, part: Unwrap, members: &[u32]) {
+        let charts = self.blocks.iter().flat_map(|block| &block.triangles).map(|triangle| triangle.chart + 1);
+        let first_chart = charts.max().unwrap_or(0);
+        for mut block in part.blocks {
+            for triangle in &mut block.triangles {
+                triangle.source_triangle = members[triangle.source_triangle as usize];
+                triangle.chart += first_chart;
+            }
+            self.blocks.push(block);
+        }
+    }
+}
+
 /// A rectangle of texels that holds charts.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct UnwrapBlock {
+    /// Side of its texels in metres.
+    pub texel_m: f32,
     /// Texels; a multiple of the level-of-detail alignment in a generated unwrap.
     pub width: u32,
     /// Texels; a multiple of the level-of-detail alignment in a generated unwrap.
@@ -105,6 +123,9 @@ pub enum UnwrapError {
         /// Texel size asked for.
         texel_m: f32,
     },
+    /// Nobody waits for it any more.
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
     /// A setting out of its range.
     #[error("unwrap setting {field}: {reason}")]
     BadSetting {
@@ -124,19 +145,21 @@ pub enum UnwrapError {
 /// with a vertex that is not finite are left out. Time is near-linear in triangles plus texels.
 ///
 /// # Errors
-/// [`UnwrapError::TooLarge`], [`UnwrapError::TooFar`] and [`UnwrapError::BadSetting`]; no mesh panics.
+/// [`UnwrapError::TooLarge`], [`UnwrapError::TooFar`] and [`UnwrapError::BadSetting`]; no mesh panics. And
+/// [`UnwrapError::Cancelled`] soon after `progress` is.
 pub fn unwrap_generated(
     positions_m: &[Vec3],
     normals: &[Vec3],
     triangles: &[[u32; 3]],
     settings: &UnwrapSettings,
+    progress: &Progress,
 ) -> Result<Unwrap, UnwrapError> {
     settings.check()?;
     let soup = soup::Soup::new(positions_m, triangles);
     soup.check_limits(settings)?;
     let adjacency = adjacency::Adjacency::new(&soup, normals, triangles, settings);
-    let mut charts = grow::grow_charts(&soup, &adjacency, settings);
-    absorb::absorb_scraps(&soup, &adjacency, settings, &mut charts);
-    let pieces = cut::pieces_of_charts(&soup, &charts, settings);
-    pack::pack_blocks(pieces, settings)
+    let mut charts = grow::grow_charts(&soup, &adjacency, settings, progress)?;
+    absorb::absorb_scraps(&soup, &adjacency, settings, &mut charts, progress)?;
+    let pieces = cut::pieces_of_charts(&soup, &charts, settings, progress)?;
+    pack::pack_blocks(pieces, settings, progress)
 }

@@ -9,6 +9,7 @@ use super::cut::{Piece, PieceTriangle};
 use super::shelves::Shelves;
 use super::skyline::Skyline;
 use super::{MAX_INSTANCE_TEXELS, Unwrap, UnwrapBlock, UnwrapError, UnwrapSettings, UnwrappedTriangle};
+use crate::task::{Cancelled, Progress};
 
 /// Block widths tried, as parts of the square root of the pieces' area.
 const WIDTH_FACTORS: [f64; 6] = [0.75, 0.9, 1.05, 1.2, 1.4, 1.7];
@@ -20,7 +21,11 @@ const MANY_PIECES: usize = 4096;
 const MAX_MISSES: usize = 512;
 
 /// Places all pieces; their number is the chart number.
-pub(super) fn pack_blocks(pieces: Vec<Piece>, settings: &UnwrapSettings) -> Result<Unwrap, UnwrapError> {
+pub(super) fn pack_blocks(
+    pieces: Vec<Piece>,
+    settings: &UnwrapSettings,
+    progress: &Progress,
+) -> Result<Unwrap, UnwrapError> {
     let gutter = i64::from(settings.gutter_texels);
     let padded = |p: &Piece| (i64::from(p.size().x) + gutter) * (i64::from(p.size().y) + gutter);
     let texels = pieces.iter().map(padded).sum::<i64>() as u64;
@@ -38,14 +43,14 @@ pub(super) fn pack_blocks(pieces: Vec<Piece>, settings: &UnwrapSettings) -> Resu
     let mut placement = vec![None; pieces.len()];
     let mut sizes = Vec::new();
     while !order.is_empty() {
-        let layout = best_layout(&pieces, &order, texels, settings);
+        let layout = best_layout(&pieces, &order, texels, settings, progress)?;
         for &(piece, at) in &layout.placed {
             placement[piece] = Some((sizes.len(), at));
         }
         sizes.push(layout.size);
         order = layout.left_over;
     }
-    Ok(emit(pieces, &placement, &sizes))
+    Ok(emit(pieces, &placement, &sizes, settings.texel_m))
 }
 
 /// Pieces placed in one block.
@@ -56,17 +61,31 @@ struct Layout {
 }
 
 /// The smallest block over a few widths; the fullest one when no block holds all pieces.
-fn best_layout(pieces: &[Piece], order: &[usize], texels: u64, settings: &UnwrapSettings) -> Layout {
+fn best_layout(
+    pieces: &[Piece],
+    order: &[usize],
+    texels: u64,
+    settings: &UnwrapSettings,
+    progress: &Progress,
+) -> Result<Layout, Cancelled> {
     let factors = if order.len() > MANY_PIECES { &WIDTH_FACTORS[2..3] } else { &WIDTH_FACTORS };
     let widths = factors.iter().map(|f| (f * (texels as f64).sqrt()) as i32);
-    let candidates = widths.map(|width| lay_out(pieces, order, width, settings));
-    let complete = candidates.filter(|layout| layout.left_over.is_empty());
-    complete
-        .min_by_key(|layout| layout.size.x * layout.size.y)
-        .unwrap_or_else(|| lay_out(pieces, order, settings.max_block_texels as i32, settings))
+    let lay_out = |width: i32| lay_out(pieces, order, width, settings, progress);
+    let candidates = widths.map(lay_out).collect::<Result<Vec<Layout>, Cancelled>>()?;
+    let complete = candidates.into_iter().filter(|layout| layout.left_over.is_empty());
+    match complete.min_by_key(|layout| layout.size.x * layout.size.y) {
+        Some(smallest) => Ok(smallest),
+        None => lay_out(settings.max_block_texels as i32),
+    }
 }
 
-fn lay_out(pieces: &[Piece], order: &[usize], width: i32, settings: &UnwrapSettings) -> Layout {
+fn lay_out(
+    pieces: &[Piece],
+    order: &[usize],
+    width: i32,
+    settings: &UnwrapSettings,
+    progress: &Progress,
+) -> Result<Layout, Cancelled> {
     let align = settings.lod_align_texels as i32;
     let (gutter, border) = (settings.gutter_texels as i32, settings.border_texels() as i32);
     let max_side = settings.max_block_texels as i32 / align * align;
@@ -78,6 +97,7 @@ fn lay_out(pieces: &[Piece], order: &[usize], width: i32, settings: &UnwrapSetti
         Layout { size: IVec2::ZERO, placed: Vec::with_capacity(order.len()), left_over: Vec::new() };
     let mut misses = 0;
     for (position, &index) in order.iter().enumerate() {
+        progress.check()?;
         if misses > MAX_MISSES {
             layout.left_over.extend(&order[position..]);
             break;
@@ -97,7 +117,7 @@ fn lay_out(pieces: &[Piece], order: &[usize], width: i32, settings: &UnwrapSetti
         }
     }
     layout.size = IVec2::new(round_up(layout.size.x, align), round_up(layout.size.y, align));
-    layout
+    Ok(layout)
 }
 
 /// Either way of placing rectangles.
@@ -131,9 +151,11 @@ fn round_up(value: i32, multiple: i32) -> i32 {
     value + (multiple - value.rem_euclid(multiple)) % multiple
 }
 
-fn emit(pieces: Vec<Piece>, placement: &[Option<(usize, IVec2)>], sizes: &[IVec2]) -> Unwrap {
-    let block =
-        |size: &IVec2| UnwrapBlock { width: size.x as u32, height: size.y as u32, triangles: Vec::new() };
+fn emit(pieces: Vec<Piece>, placement: &[Option<(usize, IVec2)>], sizes: &[IVec2], texel_m: f32) -> Unwrap {
+    let block = |size: &IVec2| {
+        let [width, height] = [size.x, size.y].map(|side| side as u32);
+        UnwrapBlock { texel_m, width, height, triangles: Vec::new() }
+    };
     let mut blocks: Vec<UnwrapBlock> = sizes.iter().map(block).collect();
     for (chart, (piece, place)) in pieces.into_iter().zip(placement).enumerate() {
         if let Some((index, at)) = *place {

@@ -127,7 +127,9 @@ pub fn unwrap_from_second_uv(
         uv_texels: corners[i].map(|p| p.as_vec2()),
         piece_corners: None,
     });
-    let block = UnwrapBlock { width: side_texels, height: side_texels, triangles: unwrapped.collect() };
+    let texel_m = settings.texel_m;
+    let block =
+        UnwrapBlock { texel_m, width: side_texels, height: side_texels, triangles: unwrapped.collect() };
     Ok(Unwrap { blocks: vec![block] })
 }
 

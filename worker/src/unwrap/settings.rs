@@ -45,8 +45,8 @@ impl UnwrapSettings {
     /// Checks every field's range.
     pub(super) fn check(&self) -> Result<(), UnwrapError> {
         let bad = |field, reason| Err(UnwrapError::BadSetting { field, reason });
-        if !(self.texel_m.is_finite() && self.texel_m >= 1e-6) {
-            return bad("texel_m", "must be a finite length of at least 1e-6 m");
+        if !(self.texel_m.is_finite() && self.texel_m >= 1e-12) {
+            return bad("texel_m", "must be a finite length of at least 1e-12 m");
         }
         if self.gutter_texels > 64 {
             return bad("gutter_texels", "must be at most 64");

@@ -55,9 +55,9 @@ pub fn chosen(geometry: &Geometry, points: &[VantagePoint]) -> Chosen<SceneCamer
 
 /// Before the bounds, a little from above and from the right.
 fn outside(geometry: &Geometry) -> (Vec3, Vec3) {
-    let [low, high] = geometry.bounds_m();
+    let [low, high] = geometry.near_bounds_m();
     let centre = low.lerp(high, 0.5);
-    let radius_m = (0.5 * (high - low).length()).max(1e-3);
+    let radius_m = (0.5 * (high - low).length()).max(f32::MIN_POSITIVE);
     let distance_m = radius_m / libm::sinf(0.5 * FOV_DEG.to_radians());
     (centre + Vec3::new(0.45, 0.35, 1.0).normalize() * distance_m, centre)
 }
@@ -131,14 +131,14 @@ impl<'a> Lamps<'a> {
             LightKind::Sun { direction } => normal.dot(Vec3::from(*direction)) < 0.0,
             LightKind::Sky { .. } => true,
         };
-        let offset_m = geometry.tracer.ray_offset_m();
+        let offset_m = |about_m: Vec3| geometry.tracer.ray_offset_m(about_m);
         let in_sight = |emitter: &EmissiveTriangle| {
             let centre_m = emitter.corners.iter().sum::<Vec3>() / 3.0;
             let to_emitter = centre_m - at_m;
             let facing = -to_emitter.dot(emitter.normal);
             let above = normal.dot(to_emitter) > 0.0 && (facing > 0.0 || emitter.double_sided);
-            let lifted_m = centre_m + emitter.normal * offset_m.copysign(facing);
-            above && !geometry.tracer.is_occluded(at_m + normal * offset_m, lifted_m)
+            let lifted_m = centre_m + emitter.normal * offset_m(centre_m).copysign(facing);
+            above && !geometry.tracer.is_occluded(at_m + normal * offset_m(at_m), lifted_m)
         };
         self.lights.iter().any(faces) || self.emitters.iter().any(in_sight)
     }

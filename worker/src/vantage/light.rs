@@ -25,7 +25,7 @@ pub fn chosen(geometry: &Geometry, points: &[VantagePoint]) -> Chosen<SceneLight
     let (kind, strength, note) = match lamp_position(geometry, points).filter(|_| is_closed) {
         Some(at_m) => {
             let kind = LightKind::Point { position_m: at_m.into(), range_m: None };
-            let strength = LAMP_INTENSITY * geometry.diagonal_m() * geometry.diagonal_m();
+            let strength = LAMP_INTENSITY * geometry.near_diagonal_m() * geometry.near_diagonal_m();
             let place = format!("{:.2},{:.2},{:.2}", at_m.x, at_m.y, at_m.z);
             (
                 kind,
@@ -44,7 +44,7 @@ pub fn chosen(geometry: &Geometry, points: &[VantagePoint]) -> Chosen<SceneLight
 
 /// The point nearest to the top of the middle.
 fn lamp_position(geometry: &Geometry, points: &[VantagePoint]) -> Option<Vec3> {
-    let [low, high] = geometry.bounds_m();
+    let [low, high] = geometry.near_bounds_m();
     let wanted_m = low.lerp(high, 0.5) + Vec3::Y * (LAMP_HEIGHT * (high.y - low.y));
     let distance = |at_m: &Vec3| at_m.distance_squared(wanted_m);
     points.iter().map(|point| point.position_m).min_by(|a, b| distance(a).total_cmp(&distance(b)))

@@ -86,7 +86,7 @@ pub struct VantagePoint {
 /// Points of a lattice over the scene's bounds that meet no backs and touch nothing, widest view first. Rays that leave the
 /// scene see nothing: points inside come before those outside.
 pub fn vantage_points(geometry: &Geometry) -> Vec<VantagePoint> {
-    let [low, high] = geometry.bounds_m();
+    let [low, high] = geometry.near_bounds_m();
     let step_m = ((high - low).max_element() / LATTICE_STEPS as f32).max(f32::MIN_POSITIVE);
     let counts = ((high - low) / step_m).floor().as_uvec3().min(UVec3::splat(LATTICE_STEPS - 1)) + 1;
     let point = |index: u32| {

@@ -28,14 +28,13 @@ impl Openness {
     /// Looks out from sites spread over the scene.
     pub fn of(geometry: &Geometry) -> Self {
         let sites = spread_sites(geometry, TRIED_SITES);
-        let offset_m = geometry.tracer.ray_offset_m();
         // A site that mostly sees backs of single-sided surfaces stands outside: on a rim of a wall that sticks out.
         let open_of = |site: &Site| {
             let points = R2::new(seed_of(&site.identity()));
             let (mut escaped, mut backs) = (0, 0);
             for ray in 0..OPENNESS_RAYS {
                 let direction = site.direction(points.point(ray));
-                let origin_m = site.ray_origin_m(offset_m);
+                let origin_m = site.ray_origin_m(geometry.tracer.ray_offset_m(site.position_m));
                 match geometry.tracer.closest(origin_m, direction, f32::INFINITY) {
                     None => escaped += 1,
                     Some(hit) => backs += u32::from(geometry.is_back(&hit)),
@@ -62,11 +61,10 @@ impl Openness {
     /// on a room's floor rather than on the reveals of its windows.
     pub fn lit_by(&self, geometry: &Geometry, travel: Vec3) -> (f32, usize) {
         let far_m = geometry.diagonal_m() * 2.0 + 1.0;
-        let offset_m = geometry.tracer.ray_offset_m();
         let (mut sum, mut count) = (0.0, 0);
         for (site, open) in self.sites.iter().zip(&self.open) {
             let cosine = site.lamp_cosine(-travel) as f32;
-            let origin_m = site.ray_origin_m(offset_m);
+            let origin_m = site.ray_origin_m(geometry.tracer.ray_offset_m(site.position_m));
             if cosine > 0.0 && !geometry.tracer.is_occluded(origin_m, origin_m - travel * far_m) {
                 sum += cosine * (1.0 - open).powi(8);
                 count += 1;

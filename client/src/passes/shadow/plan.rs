@@ -20,7 +20,8 @@ const SUN_TILES: u32 = 2;
 const CASCADES_MAX: u32 = 3;
 /// Factor by which a cascade's texels are finer than those of the next wider one.
 const CASCADE_STEP: f32 = 4.0;
-/// Side of a shadow texel in metres that is fine enough for any picture.
+/// Side of a shadow texel in metres that is fine enough for any picture; in a scene less than a metre long, as a share of
+/// that.
 const FINEST_M: f32 = 1e-3;
 /// Texels around a face that neighbours share, so that the filter stays inside.
 const GUARD_TEXELS: f32 = 4.0;
@@ -123,7 +124,7 @@ impl ShadowPlan {
     /// get cascades about the `eye` of a perspective.
     pub fn new(casters: &[Caster], bounds_m: [[f32; 3]; 2], side: u32, eye: Option<Eye>) -> Result<Self> {
         let [low, high] = bounds_m.map(Vec3::from);
-        let diagonal = (high - low).length().max(1e-3);
+        let diagonal = (high - low).length().max(f32::MIN_POSITIVE);
         let face_count: usize = casters.iter().map(|caster| face_count(caster) as usize).sum();
         if face_count > MAX_FACES {
             let problem =
@@ -163,7 +164,7 @@ impl ShadowPlan {
             pad0: 0,
             pad1: 0,
         });
-        let near = (1e-4 * diagonal).max(1e-4);
+        let near = 1e-4 * diagonal;
         match face_count(caster) {
             _ if sun => self.push_sun(caster.direction, centre, half_extent, 0.5005 * diagonal),
             6 => {
@@ -207,6 +208,7 @@ impl ShadowPlan {
     fn push_cascades(&mut self, eye: Eye, reach: f32) {
         let side = self.count.side as f32;
         let area = u64::from(self.count.side) * u64::from(self.count.side);
+        let finest_m = FINEST_M * (2.0 * reach).min(1.0);
         for index in 0..self.lights.len() {
             let light = self.lights[index];
             let [centre, direction] = [light.position, light.direction].map(Vec3::from);
@@ -217,7 +219,7 @@ impl ShadowPlan {
                 let texel_m = 2.0 * half / side;
                 let is_full =
                     self.faces.len() == MAX_FACES || (self.faces.len() as u64 + 1) * area > MAX_TEXELS;
-                if light.shape != Shape::Sun as u32 || texel_m < FINEST_M || is_full {
+                if light.shape != Shape::Sun as u32 || texel_m < finest_m || is_full {
                     break;
                 }
                 let view = look_along(centre - direction * reach, direction, any_up(direction));
@@ -261,7 +263,7 @@ fn sun_half_extent(direction: Vec3, corners: [Vec3; 2]) -> f32 {
     let half_size = 0.5 * (corners[1] - corners[0]).abs();
     let view = look_along(Vec3::ZERO, direction, any_up(direction));
     let half = |axis: usize| view.row(axis).truncate().abs().dot(half_size);
-    (1.001 * half(0).max(half(1))).max(1e-3)
+    (1.001 * half(0).max(half(1))).max(f32::MIN_POSITIVE)
 }
 
 fn face_count(caster: &Caster) -> u32 {

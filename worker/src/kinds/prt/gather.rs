@@ -67,6 +67,7 @@ pub fn trace(
     };
     let bounds = (detail == Detail::AsBaked).then_some(bounds);
     let scale = std::f32::consts::PI / settings.transport.transport_rays as f32;
+    progress.check()?;
     let found = patch_rows(tree, world.lightmap.texel_m, hits, scale, bounds);
     for (row, PatchRow { alpha, importance }) in rows.iter_mut().zip(found.rows) {
         (row.shared.alpha, row.importance) = (alpha, importance);
@@ -79,7 +80,7 @@ fn gather(transport: &PatchTransport, sources: &Sources, receiver: u32) -> Gathe
     let rays = settings.transport.transport_rays;
     let hemisphere = Hemisphere::new(world, emitters, receiver, rays);
     let (mut gathered, mut near) = (Gathered::default(), Near::default());
-    let texel_m = world.lightmap.texel_m;
+    let texel_m = world.lightmap.texel_m_of(receiver);
     let reach_m = near::reach_m(settings, texel_m);
     let from_m = hemisphere.origin_m();
     let mut is_even = true;

@@ -140,7 +140,7 @@ impl Transport for PatchTransport {
         let found = gather::trace(self, &cell.receivers, Detail::AsBaked, progress)?;
         let cavity_m = DEAD_PATH_TEXELS * self.world.lightmap.texel_m;
         let index = CellIndex::of(found.rows.iter().map(|row| (&row.shared, row.is_dead())), cavity_m);
-        Ok((truncate::pieces(self, &found.keys, cell, &found.rows), index))
+        Ok((truncate::pieces(self, &found.keys, cell, &found.rows, progress)?, index))
     }
 }
 

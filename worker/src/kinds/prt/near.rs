@@ -87,7 +87,9 @@ pub fn of_rows(lightmap: &Lightmap, settings: &TracedSettings, receivers: &[u32]
     }
     let on_texels = rows.iter().flat_map(|row| &row.near).filter_map(NearHit::texel);
     let blocks = Numbering::of(on_texels.map(|texel| lightmap.block_key(texel)));
-    let mut near = NearHits { reach_m: reach_m(settings, lightmap.texel_m), ..NearHits::default() };
+    // Places are told as shares of one reach: that of the longest texels here.
+    let texel_m = receivers.iter().map(|&own| lightmap.texel_m_of(own)).fold(0.0, f32::max);
+    let mut near = NearHits { reach_m: reach_m(settings, texel_m), ..NearHits::default() };
     for (&receiver, row) in receivers.iter().zip(rows) {
         let from_m = lightmap.receivers[receiver as usize].position_m.to_array();
         near.count.push(row.near.len() as u8);

@@ -7,6 +7,7 @@ use super::near::{self, NearHit};
 use super::{PatchTransport, Row, TracedSettings};
 use crate::factors::{ClusterCell, Factored, Part, PatchMatrix, Piece, Truncation, split};
 use crate::lightmap::{Lightmap, Numbering};
+use crate::task::{Cancelled, Progress};
 
 /// A cell while it is factorised.
 struct Cell<'a> {
@@ -21,7 +22,13 @@ struct Cell<'a> {
 }
 
 /// Factorised clusters of a cell, in a fixed order.
-pub fn pieces(transport: &PatchTransport, keys: &[u64], cell: &ClusterCell, rows: &[Row]) -> Vec<Piece> {
+pub fn pieces(
+    transport: &PatchTransport,
+    keys: &[u64],
+    cell: &ClusterCell,
+    rows: &[Row],
+    progress: &Progress,
+) -> Result<Vec<Piece>, Cancelled> {
     let own = Cell {
         lightmap: &transport.world.lightmap,
         settings: &transport.settings,
@@ -35,8 +42,8 @@ pub fn pieces(transport: &PatchTransport, keys: &[u64], cell: &ClusterCell, rows
     let receivers: Vec<u32> = live.map(|(&receiver, _)| receiver).collect();
     // Factorise receivers apart that nothing joins, so that no error of a lit room shines into a dark one.
     let (links, linking) = own.links(&receivers);
-    let parts = split(&own, &ClusterCell { bounds_m: cell.bounds_m, receivers }, &links, linking);
-    parts.into_iter().map(|part| own.piece(part)).collect()
+    let parts = split(&own, &ClusterCell { bounds_m: cell.bounds_m, receivers }, &links, linking, progress)?;
+    Ok(parts.into_iter().map(|part| own.piece(part)).collect())
 }
 
 impl Truncation for Cell<'_> {

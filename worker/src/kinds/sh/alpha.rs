@@ -106,7 +106,8 @@ impl<'a> AlphaSampler<'a> {
         };
         let tracer = &self.world.geometry.tracer;
         let side = self.world.geometry.side_normal(hit);
-        let point_m = ray.origin_m + ray.direction * hit.t + side * tracer.ray_offset_m();
+        let met_m = ray.origin_m + ray.direction * hit.t;
+        let point_m = met_m + side * tracer.ray_offset_m(met_m);
         let albedo = self.world.lightmap.receivers[met as usize].albedo;
         let share = (albedo[0] + albedo[1] + albedo[2]) / 3.0;
         gather.row.lit += share;

@@ -8,6 +8,8 @@ use rayon::prelude::*;
 
 use crate::geometry::lattice::{cell_of, centre_of, key_of};
 use crate::lightmap::{Surface, World};
+use crate::task::Cancelled;
+use crate::task::Progress;
 
 /// Rays that look around a candidate.
 const LOOK_RAYS: u32 = 64;
@@ -33,10 +35,19 @@ pub fn occupied_cells(world: &World, size_m: f32) -> BTreeSet<[i32; 3]> {
 }
 
 /// Candidates on the lattice of `spacing_m / 2`, in the order of their identity, and the rays cast.
-pub fn candidates(world: &World, spacing_m: f32, back_face_max: f32) -> (Vec<Candidate>, u64) {
+///
+/// `occupied` are the [`occupied_cells`] of the spacing.
+pub fn candidates(
+    world: &World,
+    occupied: &BTreeSet<[i32; 3]>,
+    spacing_m: f32,
+    back_face_max: f32,
+    progress: &Progress,
+) -> Result<(Vec<Candidate>, u64), Cancelled> {
     let step_m = spacing_m * 0.5;
     let mut cells = BTreeSet::new();
-    for cell in occupied_cells(world, spacing_m) {
+    for &cell in occupied {
+        progress.check()?;
         // All steps of the cell and of its neighbours by one step.
         let first = IVec3::from_array(cell) * 2 - 1;
         for dx in 0..4 {
@@ -48,10 +59,13 @@ pub fn candidates(world: &World, spacing_m: f32, back_face_max: f32) -> (Vec<Can
         }
     }
     let cells: Vec<_> = cells.into_iter().map(IVec3::from_array).collect();
-    let mut found: Vec<_> =
-        cells.par_iter().filter_map(|&cell| candidate_at(world, cell, step_m, back_face_max)).collect();
+    let candidate = |&cell: &IVec3| {
+        progress.check().map(|()| candidate_at(world, cell, step_m, back_face_max)).transpose()
+    };
+    let mut found: Vec<Candidate> =
+        cells.par_iter().filter_map(candidate).collect::<Result<_, Cancelled>>()?;
     found.sort_by_key(|candidate| candidate.key);
-    (found, cells.len() as u64 * u64::from(LOOK_RAYS))
+    Ok((found, cells.len() as u64 * u64::from(LOOK_RAYS)))
 }
 
 /// The candidate of a cell, if a probe can stand at its centre.

@@ -15,7 +15,7 @@ use super::supporters::{Supporter, Supporters};
 use crate::geometry::lattice::cell_of;
 use crate::lightmap::{Receiver, Surface, World};
 use crate::rays::sampling::{R2, cosine_hemisphere, tangent_frame};
-use crate::task::{Progress, TaskError};
+use crate::task::{Cancelled, Progress, TaskError};
 use crate::transport::DEAD_PATH_TEXELS;
 
 /// Rays per sampled receiver.
@@ -44,14 +44,15 @@ pub fn complete(
 ) -> Result<Vec<Probe>, TaskError> {
     let mut probes = placed;
     let most = probes.len() + (probes.len() as f32 * settings.probes_added_max) as usize + 1;
-    set_radii(&mut probes, &world.lightmap.receivers, settings.n_overlaps, spacing_m);
+    set_radii(&mut probes, &world.lightmap.receivers, settings.n_overlaps, spacing_m, progress)?;
     for _ in 0..ROUNDS {
         progress.check()?;
-        let (unseen, share) = unseen_rays(world, &probes, progress);
+        let (unseen, share) = unseen_rays(world, &probes, progress)?;
         if share <= settings.uncovered_max || probes.len() >= most {
             break;
         }
-        let added = elected(world, settings, spacing_m, &unseen, &probes);
+        let added = elected(world, settings, spacing_m, &unseen, &probes, progress);
+        progress.check()?;
         if added.is_empty() {
             break;
         }
@@ -63,7 +64,7 @@ pub fn complete(
         }));
         probes.sort_by_key(|probe| probe.key);
         probes.dedup_by_key(|probe| probe.key);
-        set_radii(&mut probes, &world.lightmap.receivers, settings.n_overlaps, spacing_m);
+        set_radii(&mut probes, &world.lightmap.receivers, settings.n_overlaps, spacing_m, progress)?;
     }
     if probes.windows(2).any(|pair| pair[0].key == pair[1].key) {
         return Err(TaskError::bad_input(
@@ -74,24 +75,33 @@ pub fn complete(
 }
 
 /// Rays of sampled receivers whose hit no supporting probe sees, and their share of all along which light can come.
-fn unseen_rays(world: &World, probes: &[Probe], progress: &Progress) -> (Vec<Unseen>, f32) {
+fn unseen_rays(
+    world: &World,
+    probes: &[Probe],
+    progress: &Progress,
+) -> Result<(Vec<Unseen>, f32), Cancelled> {
     let supporters = Supporters::new(probes);
     let asked: Vec<&Receiver> =
         world.lightmap.receivers.iter().filter(|receiver| is_sampled(receiver)).collect();
+    let unseen_of = |receiver: &&Receiver| {
+        progress.check()?;
+        Ok(unseen_from(world, &supporters, receiver))
+    };
     let found: Vec<(Vec<Unseen>, u32, u64)> =
-        asked.par_iter().map(|receiver| unseen_from(world, &supporters, receiver)).collect();
+        asked.par_iter().map(unseen_of).collect::<Result<_, Cancelled>>()?;
     let lit: u64 = found.iter().map(|(_, lit, _)| u64::from(*lit)).sum();
     progress.add_rays_closest(asked.len() as u64 * u64::from(RAYS));
     progress.add_rays_occlusion(found.iter().map(|(_, _, rays)| rays).sum());
     let unseen: Vec<Unseen> = found.into_iter().flat_map(|(unseen, _, _)| unseen).collect();
     let share = unseen.len() as f32 / lit.max(1) as f32;
-    (unseen, share)
+    Ok((unseen, share))
 }
 
 fn unseen_from(world: &World, supporters: &Supporters, receiver: &Receiver) -> (Vec<Unseen>, u32, u64) {
     let points = R2::new(world.lightmap.seed_of(receiver, 2));
     let (tangent, bitangent) = tangent_frame(receiver.face_normal);
-    let offset_m = world.geometry.tracer.ray_offset_m();
+    let tracer = &world.geometry.tracer;
+    let offset_m = tracer.ray_offset_m(receiver.position_m);
     let origin_m = receiver.position_m + receiver.face_normal * offset_m;
     let around: Vec<Supporter> = supporters.around(receiver.position_m);
     let (mut unseen, mut lit, mut rays) = (Vec::new(), 0, 0);
@@ -109,7 +119,8 @@ fn unseen_from(world: &World, supporters: &Supporters, receiver: &Receiver) -> (
         }
         lit += 1;
         let normal = world.geometry.side_normal(&hit);
-        let point_m = origin_m + direction * hit.t + normal * offset_m;
+        let met_m = origin_m + direction * hit.t;
+        let point_m = met_m + normal * tracer.ray_offset_m(met_m);
         let seen = around.iter().any(|supporter| {
             (supporter.position_m - point_m).dot(normal) > 0.0 && {
                 rays += 1;
@@ -135,16 +146,21 @@ fn elected(
     spacing_m: f32,
     unseen: &[Unseen],
     probes: &[Probe],
+    progress: &Progress,
 ) -> Vec<Candidate> {
     let step_m = spacing_m * STEP_SHARE;
     let mut votes: BTreeMap<[i32; 3], u32> = BTreeMap::new();
     for ray in unseen {
         // Near the receiver, so that the new probe supports it, yet far enough along to see the hit.
         let length_m = ray.from_m.distance(ray.to_m);
-        let share = (0.5_f32).min(spacing_m * 0.75 / length_m.max(1e-6));
+        let share = (0.5_f32).min(spacing_m * 0.75 / length_m.max(f32::MIN_POSITIVE));
         *votes.entry(cell_of(ray.from_m.lerp(ray.to_m, share), step_m).to_array()).or_default() += 1;
     }
     let stands = |(cell, count): (&[i32; 3], &u32)| {
+        // Whoever asked gives up next.
+        if progress.is_cancelled() {
+            return None;
+        }
         let found = candidate_at(world, IVec3::from_array(*cell), step_m, settings.probe_back_face_max)?;
         let is_near = |probe: &Probe| {
             let position_m = Vec3::from_array(probe.position_m);

@@ -154,7 +154,7 @@ impl Transport for ProbeTransport {
         let CellRows { keys, rows } = self.rows(&cell.receivers, Detail::AsBaked, progress)?;
         let cavity_m = DEAD_PATH_TEXELS * self.world.lightmap.texel_m;
         let index = CellIndex::of(rows.iter().map(|row| (row, row.is_dark())), cavity_m);
-        Ok((truncate::pieces(self, &keys, cell, &rows), index))
+        Ok((truncate::pieces(self, &keys, cell, &rows, progress)?, index))
     }
 }
 

@@ -10,14 +10,14 @@ use lightkiln_proto::kinds::sh::{Probe, ProbeSettings};
 use super::candidates::{Candidate, candidates, occupied_cells};
 use crate::geometry::lattice::{cell_of, snapped_size_m};
 use crate::lightmap::World;
-use crate::task::{Progress, TaskError};
+use crate::task::{Cancelled, Progress, TaskError};
 
 /// Density at a candidate above which it is left out: one kept neighbour at 0.8 of the spacing gives this much.
 const DENSITY_MAX: f32 = 0.1;
 /// Cells with surface per probe to aim at: cells beside one surface share their probes.
 const CELLS_PER_PROBE: f32 = 1.5;
-/// Longest scene side over probe spacing; a finer spacing than this is a mistake in the settings.
-const LATTICE_CELLS_MAX: f32 = 4096.0;
+/// Most cells of the spacing that may hold surface; a finer spacing than that takes is a mistake in the settings.
+const CELLS_MAX: usize = 1 << 20;
 
 /// S1's spatial kernel: `w(t) = 2t³ − 3t² + 1` for t < 1, else 0.
 pub fn kernel(t: f32) -> f32 {
@@ -50,28 +50,36 @@ pub fn place(
     spacing_m: f32,
     progress: &Progress,
 ) -> Result<Vec<Probe>, TaskError> {
-    let extent_m = world.lightmap.extent_m();
-    if extent_m / spacing_m > LATTICE_CELLS_MAX {
+    // By what there is to light, not by the scene's length: a single triangle may be far off.
+    let cells = occupied_cells(world, spacing_m);
+    if cells.len() > CELLS_MAX {
         return Err(TaskError::bad_input(format!(
-            "probe_spacing_m = {spacing_m} is too fine for a scene {extent_m} m long"
+            "probe_spacing_m = {spacing_m} is too fine: surfaces are in {} cells of that size, at most {CELLS_MAX} \
+             may be; raise it",
+            cells.len()
         )));
     }
-    let (found, rays) = candidates(world, spacing_m, settings.probe_back_face_max);
+    let (found, rays) = candidates(world, &cells, spacing_m, settings.probe_back_face_max, progress)?;
     progress.add_rays_closest(rays);
-    progress.check()?;
-    let (kept, rays) = thin(world, &found, spacing_m);
+    let (kept, rays) = thin(world, &found, spacing_m, progress)?;
     progress.add_rays_occlusion(rays);
     Ok(kept)
 }
 
 /// Keeps a candidate unless the kept ones around it that it sees are dense: `Σ w(‖p_i − p_j‖ / spacing)` over them.
 /// Roomy candidates go first. Gives the kept, ascending by key, and the occlusion rays cast.
-fn thin(world: &World, found: &[Candidate], spacing_m: f32) -> (Vec<Probe>, u64) {
+fn thin(
+    world: &World,
+    found: &[Candidate],
+    spacing_m: f32,
+    progress: &Progress,
+) -> Result<(Vec<Probe>, u64), Cancelled> {
     let mut rays = 0;
     let mut cells: BTreeMap<[i32; 3], Vec<&Candidate>> = BTreeMap::new();
     let mut kept = Vec::new();
     let in_order = found.iter().filter(|c| c.roomy).chain(found.iter().filter(|c| !c.roomy));
     for candidate in in_order {
+        progress.check()?;
         let cell = cell_of(candidate.position_m, spacing_m);
         let mut density = 0.0;
         for index in 0..27 {
@@ -95,7 +103,7 @@ fn thin(world: &World, found: &[Candidate], spacing_m: f32) -> (Vec<Probe>, u64)
         }
     }
     kept.sort_by_key(|probe| probe.key);
-    (kept, rays)
+    Ok((kept, rays))
 }
 
 #[cfg(test)]

@@ -8,19 +8,29 @@ use rayon::prelude::*;
 
 use crate::lightmap::Receiver;
 use crate::rays::sampling::seed_of;
+use crate::task::{Cancelled, Progress};
 
 /// Share of receivers that are asked, chosen by identity.
 const SAMPLE_ONE_IN: u64 = 8;
 
 /// Sets every probe's radius: the mean, over sampled receivers that count it among their `n_overlaps` nearest, of
 /// the distance to the farthest of those; at least `spacing_m`. A probe that none counts has `spacing_m`.
-pub fn set_radii(probes: &mut [Probe], receivers: &[Receiver], n_overlaps: u32, spacing_m: f32) {
+///
+/// Errors soon after `progress` is cancelled.
+pub fn set_radii(
+    probes: &mut [Probe],
+    receivers: &[Receiver],
+    n_overlaps: u32,
+    spacing_m: f32,
+    progress: &Progress,
+) -> Result<(), Cancelled> {
     let asked: Vec<&Receiver> = receivers.iter().filter(|receiver| is_sampled(receiver)).collect();
     let positions: Vec<Vec3> = probes.iter().map(|probe| Vec3::from_array(probe.position_m)).collect();
-    let nearest: Vec<Vec<(f32, u32)>> = asked
-        .par_iter()
-        .map(|receiver| nearest_probes(&positions, receiver.position_m, n_overlaps as usize))
-        .collect();
+    let nearest = |receiver: &&Receiver| {
+        progress.check()?;
+        Ok(nearest_probes(&positions, receiver.position_m, n_overlaps as usize))
+    };
+    let nearest: Vec<Vec<(f32, u32)>> = asked.par_iter().map(nearest).collect::<Result<_, Cancelled>>()?;
     let mut sums = vec![(0.0_f64, 0_u32); probes.len()];
     for near in &nearest {
         let Some(&(farthest_m, _)) = near.last() else { continue };
@@ -33,6 +43,7 @@ pub fn set_radii(probes: &mut [Probe], receivers: &[Receiver], n_overlaps: u32, 
         let mean_m = if count == 0 { 0.0 } else { (sum_m / f64::from(count)) as f32 };
         probe.radius_m = mean_m.max(spacing_m);
     }
+    Ok(())
 }
 
 /// Whether a receiver is among the sampled ones.

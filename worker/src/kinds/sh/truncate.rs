@@ -8,6 +8,7 @@ use super::{ProbeTransport, TracedSettings};
 use crate::factors::{ClusterCell, Factored, Matrix, Part, Piece, Truncation, factorise, split};
 use crate::lightmap::{Lightmap, Numbering};
 use crate::rays::sampling::seed_of;
+use crate::task::{Cancelled, Progress};
 use crate::transport::Row;
 
 /// A cell while it is factorised.
@@ -22,7 +23,13 @@ struct Cell<'a> {
 }
 
 /// Factorised clusters of a cell, in a fixed order.
-pub fn pieces(transport: &ProbeTransport, keys: &[u64], cell: &ClusterCell, rows: &[Row]) -> Vec<Piece> {
+pub fn pieces(
+    transport: &ProbeTransport,
+    keys: &[u64],
+    cell: &ClusterCell,
+    rows: &[Row],
+    progress: &Progress,
+) -> Result<Vec<Piece>, Cancelled> {
     let own = Cell {
         lightmap: &transport.world.lightmap,
         settings: &transport.settings,
@@ -35,8 +42,9 @@ pub fn pieces(transport: &ProbeTransport, keys: &[u64], cell: &ClusterCell, rows
     let receivers: Vec<u32> = live.map(|(&receiver, _)| receiver).collect();
     // Factorise receivers apart that share no probe. The sky joins none: it is above rooms that have nothing else in common.
     let links: Vec<Vec<u32>> = receivers.iter().map(|&receiver| own.probes_used(receiver)).collect();
-    let parts = split(&own, &ClusterCell { bounds_m: cell.bounds_m, receivers }, &links, keys.len());
-    parts.into_iter().map(|part| own.piece(part)).collect()
+    let parts =
+        split(&own, &ClusterCell { bounds_m: cell.bounds_m, receivers }, &links, keys.len(), progress)?;
+    Ok(parts.into_iter().map(|part| own.piece(part)).collect())
 }
 
 impl Truncation for Cell<'_> {

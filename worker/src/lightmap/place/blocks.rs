@@ -42,6 +42,7 @@ pub fn blocks(scene: &Scene, charts: &Charts) -> Result<Vec<Block>, TaskError> {
                 blocks.push(Block {
                     key,
                     name,
+                    texel_m: block.texel_m,
                     size,
                     instance: instance as u32,
                     receiver_of_texel: Vec::new(),

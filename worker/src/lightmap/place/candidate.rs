@@ -8,6 +8,7 @@ use lightkiln_proto::settings::PlaceSettings;
 use crate::geometry::Geometry;
 use crate::lightmap::{Receiver, link_height_m};
 use crate::rays::sampling::{R2, seed_of, tangent_frame, uniform_sphere};
+use crate::task::Progress;
 
 /// Test rays per receiver.
 pub const TEST_RAYS: u32 = 32;
@@ -22,6 +23,7 @@ pub struct Tester<'a> {
     geometry: &'a Geometry,
     back_face_min: f32,
     texel_m: f32,
+    progress: &'a Progress,
     rays: AtomicU64,
 }
 
@@ -63,8 +65,19 @@ pub struct Look {
 
 impl<'a> Tester<'a> {
     /// A tester for texels of `texel_m` metres.
-    pub fn new(geometry: &'a Geometry, settings: &PlaceSettings, texel_m: f32) -> Self {
-        Self { geometry, back_face_min: settings.shift_back_face_min, texel_m, rays: AtomicU64::new(0) }
+    pub fn new(
+        geometry: &'a Geometry,
+        settings: &PlaceSettings,
+        texel_m: f32,
+        progress: &'a Progress,
+    ) -> Self {
+        let back_face_min = settings.shift_back_face_min;
+        Self { geometry, back_face_min, texel_m, progress, rays: AtomicU64::new(0) }
+    }
+
+    /// Whether somebody still waits.
+    pub fn progress(&self) -> &Progress {
+        self.progress
     }
 
     /// The receiver where it can be: as it is, shifted through the nearest back face when at least the set share
@@ -72,7 +85,7 @@ impl<'a> Tester<'a> {
     pub fn candidate(&self, receiver: Receiver, block_key: u64) -> Option<Candidate> {
         let [x, y] = receiver.texel.map(u64::from);
         let seed = seed_of(&[block_key, x, y, 1]);
-        let offset_m = self.geometry.tracer.ray_offset_m();
+        let offset_m = self.geometry.tracer.ray_offset_m(receiver.position_m);
         let start_m = receiver.position_m + receiver.face_normal * offset_m;
         let found = self.look(start_m, receiver.face_normal, seed);
         if found.back_share < self.back_face_min || found.sky > 0.0 {
@@ -107,9 +120,9 @@ impl<'a> Tester<'a> {
         look(self.geometry, self.texel_m, (start_m, normal), seed)
     }
 
-    /// Closest-hit rays cast since the last call.
-    pub fn take_rays(&self) -> u64 {
-        self.rays.swap(0, Ordering::Relaxed)
+    /// Closest-hit rays cast.
+    pub fn rays(&self) -> u64 {
+        self.rays.load(Ordering::Relaxed)
     }
 }
 

@@ -80,8 +80,12 @@ fn kept(lightmap: Lightmap, fates: &[Fate]) -> Lightmap {
 fn fates(world: &World, settings: &PlaceSettings, progress: &Progress) -> Result<Vec<Fate>, TaskError> {
     let count = world.lightmap.receivers.len() as u32;
     let most_m = PATH_MOST.map(|most| most * settings.cavity_m);
+    let mean_paths = |receiver: u32| {
+        progress.check()?;
+        Ok(mean_paths_m(world, receiver, most_m))
+    };
     let paths_m: Vec<[f32; 2]> =
-        (0..count).into_par_iter().map(|receiver| mean_paths_m(world, receiver, most_m)).collect();
+        (0..count).into_par_iter().map(mean_paths).collect::<Result<_, TaskError>>()?;
     progress.add_rays_closest(u64::from(count) * u64::from(PATH_RAYS));
     progress.check()?;
     let narrow_m = settings.cavity_m.min(TYPICAL_SHARE * typical_m(&paths_m));
@@ -133,10 +137,11 @@ fn fate(world: &World, receiver: u32, is_open: impl Fn(u32) -> bool) -> (Fate, u
     let normal = world.lightmap.receivers[receiver as usize].face_normal;
     let (tangent, bitangent) = tangent_frame(normal);
     let places = R2::new(seed_of(&[seed(world, receiver), 7]));
-    let height_m = BESIDE_HEIGHT * world.lightmap.texel_m;
+    let texel_m = world.lightmap.texel_m_of(receiver);
+    let height_m = BESIDE_HEIGHT * texel_m;
     // A point beside the middle, if the surface goes on there.
     let beside = |ray| {
-        let [u, v] = places.point(ray).map(|share| BESIDE * (2.0 * share - 1.0) * world.lightmap.texel_m);
+        let [u, v] = places.point(ray).map(|share| BESIDE * (2.0 * share - 1.0) * texel_m);
         let above_m = middle_m + tangent * u + bitangent * v + normal * height_m;
         let below = tracer.closest(above_m, -normal, 2.0 * height_m)?;
         let goes_on = world.geometry.side_normal(&below).dot(normal) > 0.9 && !world.geometry.is_back(&below);
@@ -144,7 +149,7 @@ fn fate(world: &World, receiver: u32, is_open: impl Fn(u32) -> bool) -> (Fate, u
     };
     let seen = (0..LOOK_RAYS).find_map(|ray| {
         let at_m = beside(ray)?;
-        sees_open(at_m + normal * tracer.ray_offset_m(), ray)
+        sees_open(at_m + normal * tracer.ray_offset_m(at_m), ray)
             .then_some((Fate::Moves(at_m), LOOK_RAYS + ray + 1))
     });
     seen.unwrap_or((Fate::Goes, 2 * LOOK_RAYS))
@@ -167,5 +172,5 @@ fn direction_of(world: &World, receiver: u32, ray: u32) -> (Vec3, Vec3) {
 /// Where a receiver's rays start.
 fn origin_m(world: &World, receiver: u32) -> Vec3 {
     let receiver = &world.lightmap.receivers[receiver as usize];
-    receiver.position_m + receiver.face_normal * world.geometry.tracer.ray_offset_m()
+    receiver.position_m + receiver.face_normal * world.geometry.tracer.ray_offset_m(receiver.position_m)
 }

@@ -28,6 +28,7 @@ use rayon::prelude::*;
 use super::candidate::Candidate;
 use super::cover::{Coverage, TexelPoint, other_points};
 use crate::lightmap::Receiver;
+use crate::task::Cancelled;
 use crate::unwrap::UnwrapBlock;
 
 /// Openness from which on a point is not in a crevice. The foot of a wall that a texel's middle just misses has about this.
@@ -63,6 +64,8 @@ pub trait Site: Sync {
     fn candidate(&self, point: &TexelPoint) -> Option<Candidate>;
     /// Normal of the face that the point lies on.
     fn face_normal(&self, point: &TexelPoint) -> Vec3;
+    /// Errors once nobody waits for the choice any more.
+    fn check(&self) -> Result<(), Cancelled>;
     /// A wall stands between two receivers.
     fn is_parted(&self, a: &Receiver, b: &Receiver) -> bool;
 }
@@ -73,8 +76,17 @@ fn score(candidate: Option<&Candidate>) -> f32 {
 }
 
 /// The candidate that stands for each covered texel; `None` where none can.
-pub fn chosen(chart: &UnwrapBlock, covered: &[TexelPoint], site: &impl Site) -> Vec<Option<Candidate>> {
-    let mut chosen: Vec<Option<Candidate>> = covered.par_iter().map(|point| site.candidate(point)).collect();
+pub fn chosen(
+    chart: &UnwrapBlock,
+    covered: &[TexelPoint],
+    site: &impl Site,
+) -> Result<Vec<Option<Candidate>>, Cancelled> {
+    let candidate = |point: &TexelPoint| {
+        site.check()?;
+        Ok(site.candidate(point))
+    };
+    let mut chosen: Vec<Option<Candidate>> =
+        covered.par_iter().map(candidate).collect::<Result<_, Cancelled>>()?;
     // Gather other points only where one of them could have a higher score.
     let is_contested = |index: &usize| {
         let central = chosen[*index].as_ref();
@@ -82,15 +94,18 @@ pub fn chosen(chart: &UnwrapBlock, covered: &[TexelPoint], site: &impl Site) -> 
     };
     let contested: Vec<usize> = (0..covered.len()).filter(is_contested).collect();
     let wanted: Vec<TexelPoint> = contested.iter().map(|&index| covered[index]).collect();
-    let better: Vec<Option<Candidate>> = other_points(chart, &wanted)
+    let better: Vec<Option<Candidate>> = other_points(chart, &wanted, || site.check())?
         .par_iter()
         .zip(&contested)
-        .map(|(others, &index)| best(&covered[index], chosen[index], others, site))
-        .collect();
+        .map(|(others, &index)| {
+            site.check()?;
+            Ok(best(&covered[index], chosen[index], others, site))
+        })
+        .collect::<Result<_, Cancelled>>()?;
     for (&index, better) in contested.iter().zip(better) {
         chosen[index] = better;
     }
-    chosen
+    Ok(chosen)
 }
 
 /// Walls are close on all sides, one of them within a texel.
@@ -158,7 +173,7 @@ pub fn parted(
     coverage: &Coverage,
     chosen: &[Option<Candidate>],
     site: &impl Site,
-) -> Vec<(TexelPoint, Candidate)> {
+) -> Result<Vec<(TexelPoint, Candidate)>, Cancelled> {
     let own = |regions: &[TexelPoint]| {
         let place = Coverage::place(regions[0].texel, chart.width);
         let neighbour = chosen[coverage.stands_for[place] as usize].as_ref();
@@ -172,7 +187,8 @@ pub fn parted(
         all.reduce(|best, next| if score(Some(&next.1)) > score(Some(&best.1)) { next } else { best })
     };
     let texels: Vec<&[TexelPoint]> = coverage.touched.chunk_by(|a, b| a.texel == b.texel).collect();
-    texels.par_iter().filter_map(|regions| own(regions)).collect()
+    let checked = |regions: &&[TexelPoint]| site.check().map(|()| own(regions)).transpose();
+    texels.par_iter().filter_map(checked).collect()
 }
 
 #[cfg(test)]
@@ -217,6 +233,10 @@ mod tests {
 
         fn face_normal(&self, _: &TexelPoint) -> Vec3 {
             Vec3::Y
+        }
+
+        fn check(&self) -> Result<(), Cancelled> {
+            Ok(())
         }
 
         fn is_parted(&self, _: &Receiver, _: &Receiver) -> bool {

@@ -6,6 +6,7 @@ use glam::{Vec2, Vec3};
 
 use super::regions::{CoplanarRegion, coplanar_regions};
 use crate::lightmap::polygon::{area_and_middle, clipped, is_inside, source_weights, texels_of};
+use crate::task::{Cancelled, Progress};
 use crate::unwrap::{UnwrapBlock, UnwrappedTriangle};
 
 /// Least width of a coplanar region, in texels, for a receiver of its own though a neighbour could stand for the texel:
@@ -92,14 +93,18 @@ const UNCLAIMED: Claim = Claim { triangle: u32::MAX, centred: false, area: 0.0, 
 ///
 /// A texel that holds no centre of its own has its point in the middle of the largest face that the chart has there, not
 /// of a triangle, whose middle wanders across a strip with its diagonals. `normal` is that of a source triangle's face.
-pub fn cover(block: &UnwrapBlock, normal: impl Fn(u32) -> Vec3) -> Coverage {
-    let mut claims = claim_texels(block);
+pub fn cover(
+    block: &UnwrapBlock,
+    normal: impl Fn(u32) -> Vec3,
+    progress: &Progress,
+) -> Result<Coverage, Cancelled> {
+    let mut claims = claim_texels(block, progress)?;
     let chart_of = |place: usize| {
         let Claim { triangle, centred, .. } = claims[place];
         (triangle != u32::MAX && !centred).then(|| block.triangles[triangle as usize].chart)
     };
-    let regions =
-        coplanar_regions(block, chart_of, |index| normal(block.triangles[index as usize].source_triangle));
+    let normal_of = |index: u32| normal(block.triangles[index as usize].source_triangle);
+    let regions = coplanar_regions(block, chart_of, normal_of, progress)?;
     for largest in regions.chunk_by(|a, b| a.place == b.place).map(|regions| regions[0]) {
         let claim = &mut claims[largest.place];
         (claim.triangle, claim.point, claim.area) = (largest.triangle, largest.point, largest.area);
@@ -114,6 +119,7 @@ pub fn cover(block: &UnwrapBlock, normal: impl Fn(u32) -> Vec3) -> Coverage {
     let mut touched: Vec<usize> = (0..claims.len()).filter(|&i| claims[i].is_touched()).collect();
     touched.sort_by(|&a, &b| claims[b].area.total_cmp(&claims[a].area).then(a.cmp(&b)));
     for index in touched {
+        progress.check()?;
         let (x, y) = (index as i64 % width, index as i64 / width);
         let neighbours = (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (x + dx, y + dy)));
         let has_much_more = |other: &Claim| other.centred || claims[index].area < RIM_SHARE_MAX * other.area;
@@ -131,19 +137,27 @@ pub fn cover(block: &UnwrapBlock, normal: impl Fn(u32) -> Vec3) -> Coverage {
             None => has_receiver[index] = true,
         }
     }
-    collect(block, &claims, &has_receiver, &stand_in, &regions)
+    progress.check()?;
+    Ok(collect(block, &claims, &has_receiver, &stand_in, &regions))
 }
 
 /// Other points of some texels that could stand for them: for each of `wanted` (ascending texels with a triangle of
 /// the chart that they belong to), points of that chart's triangles inside the texel, in a fixed order.
-pub fn other_points(block: &UnwrapBlock, wanted: &[TexelPoint]) -> Vec<Vec<TexelPoint>> {
+///
+/// Errors when `check` does, which is asked again and again.
+pub fn other_points<E>(
+    block: &UnwrapBlock,
+    wanted: &[TexelPoint],
+    check: impl Fn() -> Result<(), E>,
+) -> Result<Vec<Vec<TexelPoint>>, E> {
     let mut found = vec![Vec::new(); wanted.len()];
     if wanted.is_empty() {
-        return found;
+        return Ok(found);
     }
     let chart_of: BTreeMap<u32, u32> = block.triangles.iter().map(|t| (t.source_triangle, t.chart)).collect();
     let order = |texel: [u16; 2]| (texel[1], texel[0]);
     for triangle in &block.triangles {
+        check()?;
         for (_, texel, corner) in texels_of(&triangle.uv_texels, [block.width, block.height]) {
             let place = wanted.binary_search_by_key(&order(texel), |covered| order(covered.texel));
             let Ok(place) = place else { continue };
@@ -157,13 +171,19 @@ pub fn other_points(block: &UnwrapBlock, wanted: &[TexelPoint]) -> Vec<Vec<Texel
             }
         }
     }
-    found
+    Ok(found)
 }
 
 /// Area of the surface that reads each covered texel: of each triangle's `area`, the share in texels that it stands for.
-pub fn areas(block: &UnwrapBlock, coverage: &Coverage, area: impl Fn(&UnwrappedTriangle) -> f32) -> Vec<f32> {
+pub fn areas(
+    block: &UnwrapBlock,
+    coverage: &Coverage,
+    area: impl Fn(&UnwrappedTriangle) -> f32,
+    progress: &Progress,
+) -> Result<Vec<f32>, Cancelled> {
     let mut areas = vec![0.0; coverage.covered.len()];
     for triangle in &block.triangles {
+        progress.check()?;
         let mut found: Vec<(u32, f32)> = Vec::new();
         for (place, _, corner) in texels_of(&triangle.uv_texels, [block.width, block.height]) {
             let polygon = clipped(&triangle.uv_texels, corner, corner + 1.0);
@@ -177,7 +197,7 @@ pub fn areas(block: &UnwrapBlock, coverage: &Coverage, area: impl Fn(&UnwrappedT
         let whole = area(triangle);
         found.into_iter().for_each(|(covered, part)| areas[covered as usize] += whole * (part / all));
     }
-    areas
+    Ok(areas)
 }
 
 /// The middle of a triangle's part of the texel at `corner`, and those points of a grid in the texel, and on its very rim,
@@ -224,9 +244,10 @@ fn collect(
 }
 
 /// The best claim on each texel: centred before touching, then the largest area, then the earliest triangle.
-fn claim_texels(block: &UnwrapBlock) -> Vec<Claim> {
+fn claim_texels(block: &UnwrapBlock, progress: &Progress) -> Result<Vec<Claim>, Cancelled> {
     let mut claims = vec![UNCLAIMED; block.width as usize * block.height as usize];
     for (index, triangle) in block.triangles.iter().enumerate() {
+        progress.check()?;
         for (place, _, corner) in texels_of(&triangle.uv_texels, [block.width, block.height]) {
             let Some(found) = claim_of(index as u32, &triangle.uv_texels, corner) else { continue };
             let claim = &mut claims[place];
@@ -235,7 +256,7 @@ fn claim_texels(block: &UnwrapBlock) -> Vec<Claim> {
             }
         }
     }
-    claims
+    Ok(claims)
 }
 
 /// A triangle's claim on the texel at `corner`.
@@ -267,11 +288,11 @@ mod tests {
                 piece_corners: None,
             })
             .collect();
-        UnwrapBlock { width: 8, height: 8, triangles }
+        UnwrapBlock { texel_m: 1.0, width: 8, height: 8, triangles }
     }
 
     fn cover_flat(block: &UnwrapBlock) -> Coverage {
-        cover(block, |_| Vec3::Y)
+        cover(block, |_| Vec3::Y, &Progress::new()).unwrap()
     }
 
     #[test]
@@ -356,9 +377,9 @@ mod tests {
         let rest = [Vec2::new(1.9, 1.0), Vec2::new(1.9, 1.9), Vec2::new(1.0, 1.9)];
         let mut both = block(&[strip, rest]);
         let wanted = cover_flat(&both).covered;
-        let in_own_chart = other_points(&both, &wanted);
+        let in_own_chart = other_points(&both, &wanted, || Progress::new().check()).unwrap();
         both.triangles[1].chart = both.triangles[0].chart;
-        let in_both = other_points(&both, &wanted);
+        let in_both = other_points(&both, &wanted, || Progress::new().check()).unwrap();
         assert_eq!((wanted.len(), in_own_chart.len()), (1, 1));
         let triangles = |found: &[TexelPoint]| found.iter().map(|p| p.triangle).collect::<Vec<_>>();
         let own = triangles(&in_own_chart[0]);

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use crate::geometry::Geometry;
 use crate::lightmap::{Charts, Lightmap, World};
-use crate::task::Progress;
+use crate::task::{Cancelled, Progress};
 
 /// Distance in texels up to which the points of neighbouring texels may lie apart, of which one is a guest's: the diagonal of
 /// two squares.
@@ -19,16 +19,20 @@ pub fn linked(
     charts: &Charts,
     lightmap: Lightmap,
     progress: &Progress,
-) -> Lightmap {
+) -> Result<Lightmap, Cancelled> {
     let world = World::new(Arc::clone(geometry), charts, lightmap);
     let receivers = 0..world.lightmap.receivers.len() as u32;
-    let found: Vec<(u8, u64)> = receivers.into_par_iter().map(|index| links_of(&world, index)).collect();
+    let links_of = |index: u32| {
+        progress.check()?;
+        Ok(links_of(&world, index))
+    };
+    let found: Vec<(u8, u64)> = receivers.into_par_iter().map(links_of).collect::<Result<_, Cancelled>>()?;
     progress.add_rays_occlusion(found.iter().map(|(_, rays)| rays).sum());
     let mut lightmap = world.into_lightmap();
     for (receiver, (links, _)) in lightmap.receivers.iter_mut().zip(found) {
         receiver.links = links;
     }
-    lightmap
+    Ok(lightmap)
 }
 
 fn links_of(world: &World, index: u32) -> (u8, u64) {
@@ -40,7 +44,8 @@ fn links_of(world: &World, index: u32) -> (u8, u64) {
         // Guests of two charts may lie side by side in the gutter.
         let is_guests = [index, other].iter().any(|&receiver| world.lightmap.is_guest(receiver));
         let other_m = world.lightmap.receivers[other as usize].position_m;
-        if is_guests && receiver.position_m.distance(other_m) > GUEST_REACH * world.lightmap.texel_m {
+        if is_guests && receiver.position_m.distance(other_m) > GUEST_REACH * world.lightmap.texel_m_of(index)
+        {
             continue;
         }
         rays += 1;

@@ -32,8 +32,8 @@ use serde::Deserialize;
 
 use super::{ARTEFACT_MAGIC, Block, Charts, Lightmap, NO_RECEIVER, Receiver};
 use crate::geometry::Geometry;
-use crate::task::{Context, Progress, TaskError, TaskOutput, artefact, params};
-use crate::unwrap::UnwrapBlock;
+use crate::task::{Cancelled, Context, Progress, TaskError, TaskOutput, artefact, params};
+use crate::unwrap::{UnwrapBlock, UnwrappedTriangle};
 use attributes::{Attributes, turned};
 use candidate::{Candidate, Tester};
 use cover::{Coverage, TexelPoint, areas, cover};
@@ -88,22 +88,21 @@ pub fn place(
         blocks: blocks(&geometry.scene, charts)?,
         receivers: Vec::new(),
     };
-    let tester = Tester::new(geometry, settings, texel_m);
     progress.begin(0.0, 0.6, charts.unwraps.len() as u64);
     let mut next_block = lightmap.blocks.iter_mut().zip(0..);
     for (instance, unwrap) in charts.unwraps.iter().enumerate() {
-        progress.check()?;
-        let attributes = Attributes { geometry, instance, texel_m };
         let sides = blocks::sides(&geometry.scene, instance) as usize;
         for chart in &unwrap.blocks {
-            let coverage = cover(chart, |triangle| attributes.face_normal(triangle));
+            let attributes = Attributes { geometry, instance, texel_m: chart.texel_m };
+            let tester = Tester::new(geometry, settings, chart.texel_m, progress);
+            let coverage = cover(chart, |triangle| attributes.face_normal(triangle), progress)?;
             for ((block, index), is_back) in next_block.by_ref().take(sides).zip([false, true]) {
                 let side =
                     Side { attributes: &attributes, tester: &tester, block: index, key: block.key, is_back };
-                number(block, side.points(chart, coverage.clone()), &mut lightmap.receivers);
+                number(block, side.points(chart, coverage.clone())?, &mut lightmap.receivers);
             }
+            progress.add_rays_closest(tester.rays());
         }
-        progress.add_rays_closest(tester.take_rays());
         progress.advance(1);
     }
     if lightmap.receivers.is_empty() {
@@ -113,9 +112,9 @@ pub fn place(
     }
     progress.begin(0.6, 1.0, 1);
     let (lightmap, in_cavities) = cavities::left_out(geometry, charts, lightmap, settings, progress)?;
-    let lightmap = points::covered(geometry, charts, lightmap, progress);
-    let (lightmap, shared) = shared::shared(geometry, charts, lightmap, progress);
-    let lightmap = links::linked(geometry, charts, lightmap, progress);
+    let lightmap = points::covered(geometry, charts, lightmap, progress)?;
+    let (lightmap, shared) = shared::shared(geometry, charts, lightmap, progress)?;
+    let lightmap = links::linked(geometry, charts, lightmap, progress)?;
     Ok((lightmap, Counts { in_cavities, shared }))
 }
 
@@ -136,19 +135,20 @@ struct BlockPoints {
 
 impl Side<'_> {
     /// Tests candidates, chooses one for each texel, and gives texels behind walls points of their own.
-    fn points(&self, chart: &UnwrapBlock, mut coverage: Coverage) -> BlockPoints {
-        let mut chosen = choose::chosen(chart, &coverage.covered, self);
-        let parted = choose::parted(chart, &coverage, &chosen, self);
+    fn points(&self, chart: &UnwrapBlock, mut coverage: Coverage) -> Result<BlockPoints, Cancelled> {
+        let mut chosen = choose::chosen(chart, &coverage.covered, self)?;
+        let parted = choose::parted(chart, &coverage, &chosen, self)?;
         if !parted.is_empty() {
             let parted: Vec<_> = parted.into_iter().map(|(point, own)| (point, Some(own))).collect();
             coverage.set_apart(&parted, &mut chosen, chart.width);
         }
-        let areas = areas(chart, &coverage, |triangle| self.attributes.area_texels(triangle));
+        let area = |triangle: &UnwrappedTriangle| self.attributes.area_texels(triangle);
+        let areas = areas(chart, &coverage, area, self.tester.progress())?;
         let receiver = |(candidate, area): (Option<Candidate>, &f32)| {
             candidate.map(|found| Receiver { area: AreaCode::of(*area), ..found.receiver })
         };
         let receivers = chosen.into_iter().zip(&areas).map(receiver).collect();
-        BlockPoints { receivers, stands_for: coverage.stands_for }
+        Ok(BlockPoints { receivers, stands_for: coverage.stands_for })
     }
 }
 
@@ -160,6 +160,10 @@ impl choose::Site for Side<'_> {
 
     fn candidate(&self, point: &TexelPoint) -> Option<Candidate> {
         self.tester.candidate(self.receiver(point), self.key)
+    }
+
+    fn check(&self) -> Result<(), Cancelled> {
+        self.tester.progress().check()
     }
 
     fn face_normal(&self, point: &TexelPoint) -> Vec3 {

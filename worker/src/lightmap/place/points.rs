@@ -20,7 +20,7 @@ use super::choose::FARTHER;
 use super::edges::edge;
 use crate::geometry::{Geometry, Site};
 use crate::lightmap::{Charts, Lightmap, World};
-use crate::task::Progress;
+use crate::task::{Cancelled, Progress};
 
 /// Points along each side of the finer grid.
 const FINE_SIDE: u32 = 12;
@@ -40,10 +40,14 @@ pub fn covered(
     charts: &Charts,
     lightmap: Lightmap,
     progress: &Progress,
-) -> Lightmap {
+) -> Result<Lightmap, Cancelled> {
     let world = World::new(Arc::clone(geometry), charts, lightmap);
     let receivers = 0..world.lightmap.receivers.len() as u32;
-    let found: Vec<Found> = receivers.into_par_iter().map(|index| Found::of(&world, index)).collect();
+    let found_of = |index: u32| {
+        progress.check()?;
+        Ok(Found::of(&world, index))
+    };
+    let found: Vec<Found> = receivers.into_par_iter().map(found_of).collect::<Result<_, Cancelled>>()?;
     progress.add_rays_occlusion(found.iter().map(|found| found.rays).sum());
     progress.add_rays_closest(found.iter().map(|found| found.rays_closest).sum());
     let mut lightmap = world.into_lightmap();
@@ -53,7 +57,7 @@ pub fn covered(
             (receiver.position_m, receiver.normal, receiver.face_normal) = (position_m, normal, face_normal);
         }
     }
-    lightmap
+    Ok(lightmap)
 }
 
 /// Findings about a receiver's texel.
@@ -75,7 +79,7 @@ impl Found {
     fn of(world: &World, receiver: u32) -> Self {
         let mut found = Self::default();
         for (bit, site) in world.points_of(receiver) {
-            found.raised_m[bit as usize] = Some(raised(world, &site));
+            found.raised_m[bit as usize] = Some(raised(world, receiver, &site));
         }
         found.cover(world, world.raised_receiver(receiver));
         if found.coverage == 0 {
@@ -151,10 +155,10 @@ impl Found {
     /// Places of `beyond` with a better claim than the receiver: of each part that no wall cuts, the middle one is asked.
     fn better(&mut self, world: &World, receiver: u32, beyond: &[u32]) -> Vec<u32> {
         let own = &world.lightmap.receivers[receiver as usize];
-        let seed = world.lightmap.seed_of(own, 9);
+        let (seed, texel_m) = (world.lightmap.seed_of(own, 9), world.lightmap.texel_m_of(receiver));
         let mut look_from = |site: &Site| {
             self.rays_closest += u64::from(TEST_RAYS);
-            look(&world.geometry, world.lightmap.texel_m, (raised(world, site), site.face_normal), seed)
+            look(&world.geometry, texel_m, (world.raised_on(own.block, site), site.face_normal), seed)
         };
         let own_look = look_from(&self.moved.unwrap_or(own.site()));
         let mut better = Vec::new();
@@ -188,7 +192,7 @@ impl Found {
     /// Whether a place of the texel is on the receiver's side; `None` where there is no surface.
     fn is_own(&mut self, world: &World, receiver: u32, at: Vec2) -> Option<bool> {
         let site = world.point_of(receiver, at)?;
-        let at_m = raised(world, &site);
+        let at_m = raised(world, receiver, &site);
         Some(self.sees(world, at, at_m))
     }
 
@@ -236,7 +240,7 @@ fn has_better_claim(one: &Look, other: &Look) -> bool {
 
 /// Parts of ascending places of a receiver's texel that no wall cuts.
 fn parts(world: &World, receiver: u32, places: &[u32]) -> Vec<Vec<u32>> {
-    let raised_m = |index: u32| Some(raised(world, &world.point_of(receiver, fine_place(index))?));
+    let raised_m = |index: u32| Some(raised(world, receiver, &world.point_of(receiver, fine_place(index))?));
     let mut left: BTreeMap<u32, Option<Vec3>> =
         places.iter().map(|&index| (index, raised_m(index))).collect();
     let mut parts = Vec::new();
@@ -259,8 +263,9 @@ fn parts(world: &World, receiver: u32, places: &[u32]) -> Vec<Vec<u32>> {
     parts
 }
 
-fn raised(world: &World, site: &Site) -> Vec3 {
-    world.geometry.raised(site.position_m, site.face_normal, world.link_height_m())
+/// A point on a receiver's texel, raised as for links.
+fn raised(world: &World, receiver: u32, site: &Site) -> Vec3 {
+    world.raised_on(world.lightmap.receivers[receiver as usize].block, site)
 }
 
 /// A place of the finer grid: from rim to rim.

@@ -3,6 +3,7 @@
 use glam::{Vec2, Vec3};
 
 use crate::lightmap::polygon::{area_and_middle, clipped, is_inside, texels_of};
+use crate::task::{Cancelled, Progress};
 use crate::unwrap::UnwrapBlock;
 
 /// Cosine between triangles from which on they are of one face.
@@ -40,9 +41,11 @@ pub fn coplanar_regions(
     block: &UnwrapBlock,
     chart_of: impl Fn(usize) -> Option<u32>,
     normal: impl Fn(u32) -> Vec3,
-) -> Vec<CoplanarRegion> {
+    progress: &Progress,
+) -> Result<Vec<CoplanarRegion>, Cancelled> {
     let mut parts = Vec::new();
     for (index, triangle) in block.triangles.iter().enumerate() {
+        progress.check()?;
         for (place, _, corner) in texels_of(&triangle.uv_texels, [block.width, block.height]) {
             if chart_of(place) != Some(triangle.chart) {
                 continue;
@@ -60,6 +63,7 @@ pub fn coplanar_regions(
     });
     let mut regions = Vec::new();
     for of_texel in parts.chunk_by(|a, b| a.place == b.place) {
+        progress.check()?;
         let mut faces: Vec<(Vec3, Vec<Part>)> = Vec::new();
         for part in of_texel {
             let own = normal(part.triangle);
@@ -73,7 +77,7 @@ pub fn coplanar_regions(
         of_texel.sort_by(|a, b| b.area.total_cmp(&a.area).then(a.triangle.cmp(&b.triangle)));
         regions.extend(of_texel);
     }
-    regions
+    Ok(regions)
 }
 
 /// Parts of one face, the largest first, as one.
@@ -105,12 +109,19 @@ mod tests {
             uv_texels: *uv,
             piece_corners: None,
         };
-        UnwrapBlock { width: 4, height: 4, triangles: triangles.iter().enumerate().map(of_chart).collect() }
+        let triangles = triangles.iter().enumerate().map(of_chart).collect();
+        UnwrapBlock { texel_m: 1.0, width: 4, height: 4, triangles }
     }
 
     fn rectangle(low: Vec2, high: Vec2) -> [[Vec2; 3]; 2] {
         let (a, b) = (Vec2::new(high.x, low.y), Vec2::new(low.x, high.y));
         [[low, a, high], [low, high, b]]
+    }
+
+    /// Regions in the texel in the middle.
+    fn regions_of(triangles: &[[Vec2; 3]], normal: impl Fn(u32) -> Vec3) -> Vec<CoplanarRegion> {
+        let in_middle = |place: usize| (place == 5).then_some(0);
+        coplanar_regions(&block(triangles), in_middle, normal, &Progress::new()).unwrap()
     }
 
     #[test]
@@ -119,7 +130,7 @@ mod tests {
         let [first, second] = rectangle(low, high);
         let flip = |corners: [Vec2; 3]| corners.map(|corner| Vec2::new(3.0 - corner.x, corner.y));
         for triangles in [[first, second], [flip(first), flip(second)]] {
-            let found = coplanar_regions(&block(&triangles), |place| (place == 5).then_some(0), |_| Vec3::Y);
+            let found = regions_of(&triangles, |_| Vec3::Y);
             let [region] = found[..] else { panic!("{found:?}") };
             assert!(region.point.distance(Vec2::new(1.5, 1.25)) < 1e-5, "{region:?}");
             assert!((region.area - 0.1).abs() < 1e-5 && (region.width - 0.1).abs() < 1e-5, "{region:?}");
@@ -132,7 +143,7 @@ mod tests {
         let wide = rectangle(Vec2::new(1.0, 1.25), Vec2::new(2.0, 1.75));
         let triangles = [narrow[0], narrow[1], wide[0], wide[1]];
         let normal = |triangle: u32| if triangle < 2 { Vec3::Y } else { Vec3::new(0.0, 0.8, 0.6) };
-        let found = coplanar_regions(&block(&triangles), |place| (place == 5).then_some(0), normal);
+        let found = regions_of(&triangles, normal);
         let middles: Vec<Vec2> = found.iter().map(|region| region.point).collect();
         assert_eq!(middles.len(), 2);
         assert!(middles[0].distance(Vec2::new(1.5, 1.5)) < 1e-5, "{middles:?}");
@@ -143,11 +154,7 @@ mod tests {
     fn triangles_without_area_hold_no_point() {
         let [first, second] = rectangle(Vec2::new(1.0, 1.0), Vec2::new(2.0, 1.5));
         let needle = [Vec2::new(1.5, 0.0), Vec2::new(1.5, 1.25), Vec2::new(1.5, 3.0)];
-        let found = coplanar_regions(
-            &block(&[needle, first, second]),
-            |place| (place == 5).then_some(0),
-            |_| Vec3::Y,
-        );
+        let found = regions_of(&[needle, first, second], |_| Vec3::Y);
         assert_eq!(found.len(), 1);
         assert_ne!(found[0].triangle, 0);
     }

@@ -19,7 +19,7 @@ use rayon::prelude::*;
 use super::squares::{COPLANAR_COSINE_MIN, Faces, Found, Reading, Squares, level_m};
 use crate::geometry::{Geometry, Site};
 use crate::lightmap::{Charts, Lightmap, Receiver, Surface, World};
-use crate::task::Progress;
+use crate::task::{Cancelled, Progress};
 
 /// Distance in texels in which the points of lenders are told apart by their distance from the middles of their squares:
 /// pictures show light as if it were gathered there.
@@ -42,23 +42,30 @@ pub fn shared(
     charts: &Charts,
     lightmap: Lightmap,
     progress: &Progress,
-) -> (Lightmap, SharedTexels) {
+) -> Result<(Lightmap, SharedTexels), Cancelled> {
     let world = World::new(Arc::clone(geometry), charts, lightmap);
     let faces = Faces::all(&world, charts);
-    let of_faces: Vec<Found> = faces.into_par_iter().map(|face| Found::of(&world, face)).collect();
+    let of_faces: Vec<Found> = faces
+        .into_par_iter()
+        .map(|face| Found::of(&world, face, progress))
+        .collect::<Result<_, Cancelled>>()?;
     let squares = Squares::new(&world, of_faces.iter().flat_map(|found| &found.own));
-    let (light_of, rays) = lenders(&world, &squares);
+    let (light_of, rays) = lenders(&world, &squares, progress)?;
     progress.add_rays_occlusion(rays);
     let readings: Vec<&Reading> = of_faces.iter().flat_map(|found| &found.read).collect();
+    let guest_of = |reading: &&Reading| {
+        progress.check()?;
+        Ok(guest_of(&world, &squares, &light_of, reading))
+    };
     let found: Vec<(Option<GuestLight>, u64)> =
-        readings.par_iter().map(|reading| guest_of(&world, &squares, &light_of, reading)).collect();
+        readings.par_iter().map(guest_of).collect::<Result<_, Cancelled>>()?;
     progress.add_rays_occlusion(found.iter().map(|(_, rays)| rays).sum());
     let guest = |(reading, (light, _)): (Reading, (Option<GuestLight>, u64))| Some((reading, light?));
     let guests: Vec<(Reading, GuestLight)> =
         readings.into_iter().copied().zip(found).filter_map(guest).collect();
     let borrowers = light_of.iter().zip(0..).filter(|(light_of, own)| *light_of != own).count();
     let shared = SharedTexels { borrowers, guests: guests.len() };
-    (with_light(world.into_lightmap(), &light_of, &guests), shared)
+    Ok((with_light(world.into_lightmap(), &light_of, &guests), shared))
 }
 
 /// Order in which receivers of a square are asked to lend their light: points in the middle come first, then those of
@@ -67,27 +74,31 @@ fn rank(squares: &Squares, lightmap: &Lightmap, receiver: u32) -> impl Ord + use
     let own = &lightmap.receivers[receiver as usize];
     let away_m = squares.of_receiver[receiver as usize]
         .map_or(f32::INFINITY, |square| square.middle_m.distance(own.position_m));
-    let away = (away_m / (CENTRAL_STEP * lightmap.texel_m)) as u32;
+    let away = (away_m / (CENTRAL_STEP * lightmap.texel_m_of(receiver))) as u32;
     (away, Reverse(own.coverage.count_ones()), lightmap.block_key(receiver), own.texel)
 }
 
 /// The receiver whose light each receiver takes, itself where nobody lends it any; and the rays cast.
-fn lenders(world: &World, squares: &Squares) -> (Vec<u32>, u64) {
+fn lenders(world: &World, squares: &Squares, progress: &Progress) -> Result<(Vec<u32>, u64), Cancelled> {
     let receivers = &world.lightmap.receivers;
     let mut light_of: Vec<u32> = (0..receivers.len() as u32).collect();
-    let others = |&own: &u32| {
-        let Receiver { normal, face_normal, .. } = receivers[own as usize];
+    let others = |own: u32| {
+        if progress.is_cancelled() {
+            return None;
+        }
+        let Receiver { block, normal, face_normal, .. } = receivers[own as usize];
         let square = squares.of_receiver[own as usize]?;
-        let found = squares.receivers(world, &square, [normal, face_normal]);
+        let found = squares.receivers(world, block, &square, [normal, face_normal]);
         (found.len() > 1).then_some((own, found))
     };
     let mut sharing: Vec<(u32, Vec<u32>)> =
-        (0..receivers.len() as u32).into_par_iter().filter_map(|own| others(&own)).collect();
+        (0..receivers.len() as u32).into_par_iter().filter_map(others).collect();
     sharing.sort_by_cached_key(|(own, _)| rank(squares, &world.lightmap, *own));
     // Squares are found by tolerance: only those that come earlier lend, and of them only those that borrow nothing.
     let mut is_asked = vec![false; receivers.len()];
     let mut rays = 0;
     for (own, found) in &mut sharing {
+        progress.check()?;
         found.sort_by_cached_key(|&other| rank(squares, &world.lightmap, other));
         let lends = |&&other: &&u32| {
             let may_lend = is_asked[other as usize] && light_of[other as usize] == other;
@@ -101,7 +112,8 @@ fn lenders(world: &World, squares: &Squares) -> (Vec<u32>, u64) {
         }
         is_asked[*own as usize] = true;
     }
-    (light_of, rays)
+    progress.check()?;
+    Ok((light_of, rays))
 }
 
 /// Light of a guest.
@@ -120,14 +132,14 @@ fn guest_of(
     light_of: &[u32],
     reading: &Reading,
 ) -> (Option<GuestLight>, u64) {
-    let Reading { square, site, .. } = reading;
-    let found = squares.receivers(world, square, [site.normal, site.face_normal]);
+    let Reading { block, square, site, .. } = reading;
+    let found = squares.receivers(world, *block, square, [site.normal, site.face_normal]);
     if found.is_empty() {
         return (own_light(world, reading), 0);
     }
     let mut lenders: Vec<u32> = found.into_iter().map(|receiver| light_of[receiver as usize]).collect();
     lenders.sort_by_cached_key(|&lender| rank(squares, &world.lightmap, lender));
-    let from_m = world.geometry.raised(site.position_m, site.face_normal, world.link_height_m());
+    let from_m = world.raised_on(*block, site);
     lenders.dedup();
     let linked = |&lender: &u32| world.is_linked(from_m, world.raised_receiver(lender));
     let place = lenders.iter().position(linked);
@@ -136,14 +148,14 @@ fn guest_of(
 
 /// Light at the middle of a square on which a coplanar neighbour goes on, no wall between.
 fn own_light(world: &World, Reading { block, square, site, .. }: &Reading) -> Option<GuestLight> {
-    let (geometry, height_m) = (&world.geometry, 2.0 * level_m(world));
+    let (geometry, height_m) = (&world.geometry, 2.0 * level_m(world, *block, square.middle_m));
     let above_m = square.middle_m + site.face_normal * height_m;
     let hit = geometry.tracer.closest(above_m, -site.face_normal, 2.0 * height_m)?;
     let Surface::Receiver(met) = world.surface_at(&hit) else { return None };
     let own = geometry.site_at(&hit);
     let gathers_alike = own.normal.dot(site.normal) >= COPLANAR_COSINE_MIN
         && own.face_normal.dot(site.face_normal) >= COPLANAR_COSINE_MIN;
-    let raised = |site: &Site| geometry.raised(site.position_m, site.face_normal, world.link_height_m());
+    let raised = |site: &Site| world.raised_on(*block, site);
     let is_beside = gathers_alike
         && world.lightmap.receivers[met as usize].block != *block
         && world.is_linked(raised(site), raised(&own));
@@ -226,6 +238,7 @@ mod tests {
         let block = |key: u64, receiver_of_texel: Vec<u32>| Block {
             key,
             name: String::new(),
+            texel_m: 0.1,
             size: [3, 2],
             instance: 0,
             receiver_of_texel,

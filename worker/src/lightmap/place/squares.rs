@@ -10,7 +10,8 @@ use crate::geometry::lattice::cell_of;
 use crate::geometry::{Geometry, Site, TriangleRef, corners_of, face_normal_of};
 use crate::lightmap::polygon::{area_and_middle, clipped, source_weights, texels_of};
 use crate::lightmap::texel_points::site_of;
-use crate::lightmap::{Charts, Lightmap, World};
+use crate::lightmap::{Charts, World};
+use crate::task::{Cancelled, Progress};
 use crate::unwrap::{UnwrapBlock, UnwrappedTriangle};
 
 /// Distance in texels, at the middle and along each side, within which two squares are one.
@@ -143,7 +144,7 @@ impl<'a> Faces<'a> {
 
 impl Found {
     /// Those of one side of the block's charts.
-    pub fn of(world: &World, faces: Faces) -> Self {
+    pub fn of(world: &World, faces: Faces, progress: &Progress) -> Result<Self, Cancelled> {
         let Faces { block, charts, .. } = faces;
         let (geometry, size) = (world.geometry.as_ref(), [charts.width, charts.height]);
         let count = size[0] as usize * size[1] as usize;
@@ -151,6 +152,7 @@ impl Found {
         let mut reader = vec![NO_CHART; count];
         let own = |[x, y]: Texel| world.receiver_on(block, x.into(), y.into());
         for (index, triangle) in charts.triangles.iter().enumerate() {
+            progress.check()?;
             let corners = &triangle.uv_texels;
             let normal = faces.normal(geometry, triangle);
             let low = corners.iter().copied().fold(Vec2::INFINITY, Vec2::min) - READ_FROM;
@@ -190,7 +192,7 @@ impl Found {
                 found.read.push(Reading { block, texel, square, site });
             }
         }
-        found
+        Ok(found)
     }
 }
 
@@ -198,45 +200,51 @@ impl Found {
 pub struct Squares {
     /// That of each receiver, if its face has an area.
     pub of_receiver: Vec<Option<Square>>,
-    /// Cell of each square's middle, and its receiver; ascending.
-    by_cell: Vec<([i32; 3], u32)>,
-    texel_m: f32,
+    /// Cell of each square's middle among those of texels as long, and its receiver; ascending.
+    by_cell: Vec<(Cell, u32)>,
 }
+
+/// Bits of the length of a texel, and a cell of a lattice that suits it.
+type Cell = (u32, [i32; 3]);
 
 impl Squares {
     /// Of the receivers of a world.
     pub fn new<'a>(world: &World, own: impl Iterator<Item = &'a (u32, Square)>) -> Self {
-        let Lightmap { receivers, texel_m, .. } = &world.lightmap;
-        let mut squares =
-            Self { of_receiver: vec![None; receivers.len()], by_cell: Vec::new(), texel_m: *texel_m };
+        let lightmap = &world.lightmap;
+        let mut squares = Self { of_receiver: vec![None; lightmap.receivers.len()], by_cell: Vec::new() };
         for &(receiver, square) in own {
             squares.of_receiver[receiver as usize] = Some(square);
-            squares.by_cell.push((squares.cell(square.middle_m), receiver));
+            squares.by_cell.push((cell_at(square.middle_m, lightmap.texel_m_of(receiver)), receiver));
         }
         squares.by_cell.par_sort_unstable();
         squares
     }
 
-    fn cell(&self, at_m: Vec3) -> [i32; 3] {
-        cell_of(at_m, self.texel_m * CELL).to_array()
-    }
-
-    /// Receivers of a square whose points gather as the given ones do, ascending.
-    pub fn receivers(&self, world: &World, square: &Square, [normal, face_normal]: [Vec3; 2]) -> Vec<u32> {
-        let tolerance_m = TOLERANCE * self.texel_m;
-        let [low, high] =
-            [-tolerance_m, tolerance_m].map(|step_m| self.cell(square.middle_m + Vec3::splat(step_m)));
+    /// Receivers of a square of a block whose points gather as the given ones do, ascending.
+    pub fn receivers(
+        &self,
+        world: &World,
+        block: u32,
+        square: &Square,
+        [normal, face_normal]: [Vec3; 2],
+    ) -> Vec<u32> {
+        let texel_m = world.lightmap.blocks[block as usize].texel_m;
+        let tolerance_m = TOLERANCE * texel_m;
+        let [(size, low), (_, high)] =
+            [-tolerance_m, tolerance_m].map(|step_m| cell_at(square.middle_m + Vec3::splat(step_m), texel_m));
         let mut found = Vec::new();
         for x in low[0]..=high[0] {
             for y in low[1]..=high[1] {
                 // Cells along z follow each other.
-                let first = self.by_cell.partition_point(|(cell, _)| *cell < [x, y, low[2]]);
-                let cells = self.by_cell[first..].iter().take_while(|(cell, _)| *cell <= [x, y, high[2]]);
+                let first = self.by_cell.partition_point(|(cell, _)| *cell < (size, [x, y, low[2]]));
+                let last = (size, [x, y, high[2]]);
+                let cells = self.by_cell[first..].iter().take_while(|(cell, _)| *cell <= last);
                 found.extend(cells.map(|(_, receiver)| *receiver).filter(|&receiver| {
                     let other = &world.lightmap.receivers[receiver as usize];
                     let is_same = |of: Square| {
                         let above_m = (of.middle_m - square.middle_m).dot(face_normal);
-                        of.coincides(square, tolerance_m) && above_m.abs() <= level_m(world)
+                        of.coincides(square, tolerance_m)
+                            && above_m.abs() <= level_m(world, block, square.middle_m)
                     };
                     self.of_receiver[receiver as usize].is_some_and(is_same)
                         && other.normal.dot(normal) >= COPLANAR_COSINE_MIN
@@ -249,9 +257,13 @@ impl Squares {
     }
 }
 
-/// Distance from a plane, in metres, of what lies on it.
-pub fn level_m(world: &World) -> f32 {
-    LEVEL * world.lightmap.texel_m + world.geometry.tracer.ray_offset_m()
+/// Distance from a plane, in metres, of what lies on it about a point of a block.
+pub fn level_m(world: &World, block: u32, at_m: Vec3) -> f32 {
+    LEVEL * world.lightmap.blocks[block as usize].texel_m + world.geometry.tracer.ray_offset_m(at_m)
+}
+
+fn cell_at(at_m: Vec3, texel_m: f32) -> Cell {
+    (texel_m.to_bits(), cell_of(at_m, texel_m * CELL).to_array())
 }
 
 #[cfg(test)]

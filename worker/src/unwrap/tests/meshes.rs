@@ -4,6 +4,7 @@ use std::f32::consts::{PI, TAU};
 
 use glam::Vec3;
 
+use crate::task::Progress;
 use crate::unwrap::{Unwrap, UnwrapSettings, unwrap_generated};
 
 /// A mesh with shading normals.
@@ -16,7 +17,8 @@ pub struct Mesh {
 
 impl Mesh {
     pub fn unwrap(&self, settings: &UnwrapSettings) -> Unwrap {
-        unwrap_generated(&self.positions_m, &self.normals, &self.triangles, settings).unwrap()
+        unwrap_generated(&self.positions_m, &self.normals, &self.triangles, settings, &Progress::new())
+            .unwrap()
     }
 
     /// Four corners, counter-clockwise, with a flat normal of their own.

@@ -4,6 +4,7 @@ use glam::{Vec2, Vec3};
 
 use super::meshes::wall;
 use super::rules::check;
+use crate::task::Progress;
 use crate::unwrap::{UnwrapError, UnwrapLookup, UnwrapSettings, unwrap_generated};
 
 fn small_blocks() -> UnwrapSettings {
@@ -48,8 +49,13 @@ fn lookup_finds_the_texel_of_a_point_on_a_cut_triangle() {
 #[test]
 fn too_many_texels_are_refused_with_advice() {
     let mesh = wall((0.0, 0.0), (5000.0, 5000.0));
-    let result =
-        unwrap_generated(&mesh.positions_m, &[], &mesh.triangles, &UnwrapSettings::with_texel_m(0.1));
+    let result = unwrap_generated(
+        &mesh.positions_m,
+        &[],
+        &mesh.triangles,
+        &UnwrapSettings::with_texel_m(0.1),
+        &Progress::new(),
+    );
     assert!(matches!(result, Err(UnwrapError::TooLarge { .. })), "{result:?}");
     assert!(result.unwrap_err().to_string().contains("raise the texel size"));
 }
@@ -57,21 +63,27 @@ fn too_many_texels_are_refused_with_advice() {
 #[test]
 fn huge_sliver_is_refused_instead_of_walked() {
     let positions = [Vec3::ZERO, Vec3::new(2e7, 2e7, 0.0), Vec3::new(2e7, 2e7 + 4.0, 0.0)];
-    let result = unwrap_generated(&positions, &[], &[[0, 1, 2]], &UnwrapSettings::with_texel_m(0.1));
+    let result =
+        unwrap_generated(&positions, &[], &[[0, 1, 2]], &UnwrapSettings::with_texel_m(0.1), &Progress::new());
     assert!(matches!(result, Err(UnwrapError::TooLarge { .. })), "{result:?}");
 }
 
 #[test]
 fn vertex_beyond_the_lattice_is_refused() {
     let mesh = wall((1e9, 0.0), (1e9 + 128.0, 1.0));
-    let result =
-        unwrap_generated(&mesh.positions_m, &[], &mesh.triangles, &UnwrapSettings::with_texel_m(0.1));
+    let result = unwrap_generated(
+        &mesh.positions_m,
+        &[],
+        &mesh.triangles,
+        &UnwrapSettings::with_texel_m(0.1),
+        &Progress::new(),
+    );
     assert!(matches!(result, Err(UnwrapError::TooFar { triangle: 0, .. })), "{result:?}");
 }
 
 #[test]
 fn bad_settings_are_named() {
     let settings = UnwrapSettings { texel_m: f32::NAN, ..small_blocks() };
-    let result = unwrap_generated(&[], &[], &[], &settings);
+    let result = unwrap_generated(&[], &[], &[], &settings, &Progress::new());
     assert!(matches!(result, Err(UnwrapError::BadSetting { field: "texel_m", .. })));
 }

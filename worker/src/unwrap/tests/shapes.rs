@@ -4,6 +4,7 @@ use glam::{Vec2, Vec3};
 
 use super::meshes::{Mesh, cuboid, cylinder, folded_cloth, ramp, sphere, torus, wall};
 use super::rules::check;
+use crate::task::Progress;
 use crate::unwrap::{UnwrapSettings, unwrap_generated};
 
 fn quarter_metre() -> UnwrapSettings {
@@ -165,5 +166,7 @@ fn nothing_and_broken_triangles_give_no_block() {
     assert!(Mesh::default().unwrap(&settings).blocks.is_empty());
     let positions = [Vec3::ZERO, Vec3::X, Vec3::X * 2.0, Vec3::NAN, Vec3::Y];
     let triangles = [[0, 1, 2], [0, 1, 3], [0, 0, 4], [0, 1, 77]];
-    assert!(unwrap_generated(&positions, &[], &triangles, &settings).unwrap().blocks.is_empty());
+    assert!(
+        unwrap_generated(&positions, &[], &triangles, &settings, &Progress::new()).unwrap().blocks.is_empty()
+    );
 }
