@@ -22,7 +22,8 @@ fn clamped_albedos(scene: &Scene) -> Option<Warning> {
         material.base_colour_texture.is_none() && r.max(g).max(b) > MAX_ALBEDO
     };
     let too_white = scene.materials.iter().enumerate().filter(|(_, material)| is_too_white(material));
-    let places: Vec<String> = too_white.filter_map(|(index, material)| place(scene, index, material)).collect();
+    let places: Vec<String> =
+        too_white.filter_map(|(index, material)| place(scene, index, material)).collect();
     let listed = places.iter().take(LISTED_MAX).map(String::as_str).collect::<Vec<_>>().join(", ");
     let more = places.len().saturating_sub(LISTED_MAX);
     let more = if more > 0 { format!(" and {more} more") } else { String::new() };
@@ -59,7 +60,8 @@ fn copies(scene: &Scene) -> Option<Warning> {
         };
         (alike.iter().filter(is_copy).count(), alike[0].path.clone())
     };
-    let found: Vec<(usize, String)> = by_hash.values().map(copies_of).filter(|(count, _)| *count > 1).collect();
+    let found: Vec<(usize, String)> =
+        by_hash.values().map(copies_of).filter(|(count, _)| *count > 1).collect();
     let (most, path) = found.iter().max_by_key(|(count, path)| (*count, std::cmp::Reverse(path.clone())))?;
     let needless: usize = found.iter().map(|(count, _)| count - 1).sum();
     Some(Warning {
@@ -125,7 +127,8 @@ mod tests {
 
     #[test]
     fn clamped_material_is_told_with_what_it_is_on() {
-        let on = vec![instance("hall/box/0", 0, 0.0), instance("lamp/0", 1, 1.0), instance("shade/0", 1, 2.0)];
+        let on =
+            vec![instance("hall/box/0", 0, 0.0), instance("lamp/0", 1, 1.0), instance("shade/0", 1, 2.0)];
         let found = oddities(&scene(on));
         let [clamped] = &found[..] else { panic!("{found:?}") };
         assert!(clamped.message.starts_with("1 material reflects more than"), "{}", clamped.message);
