@@ -4,8 +4,8 @@ use clap::{Parser, Subcommand};
 
 use crate::commands::actions::{self, Action};
 use crate::commands::{
-    bake, blocklist, evaluate, fetch, fsck, inspect, list, logs, preview, priority, server, settings, show,
-    submit, token, top, watch, worker,
+    bake, blocklist, check, evaluate, fetch, fsck, inspect, list, logs, preview, priority, server, settings,
+    show, submit, token, top, watch, worker,
 };
 use crate::failure::{EXIT_CODES, Result};
 use crate::kinds::KindTables;
@@ -24,6 +24,8 @@ pub struct CommandLine {
 pub enum Command {
     /// Bakes a scene into a bundle
     Bake(bake::Arguments),
+    /// Says what a bake of a scene would take and warn of
+    Check(check::Arguments),
     /// Runs a farm's server
     Server(server::Arguments),
     /// Runs a worker for a farm's server
@@ -78,6 +80,7 @@ impl Command {
     pub fn run(self, kinds: &KindTables) -> Result<()> {
         match self {
             Self::Bake(arguments) => bake::run(arguments, kinds),
+            Self::Check(arguments) => check::run(arguments, kinds),
             Self::Server(arguments) => server::run(arguments, &kinds.contract),
             Self::Worker(arguments) => worker::run(arguments, &kinds.worker),
             Self::Token(arguments) => token::run(arguments),

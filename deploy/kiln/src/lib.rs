@@ -12,6 +12,7 @@ mod enrolment;
 mod evaluation;
 mod failure;
 mod following;
+mod forecast;
 mod inspection;
 mod interrupt;
 mod junit;

@@ -5,6 +5,7 @@
 
 mod figures;
 pub mod prt;
+mod rates;
 mod scene_tasks;
 pub mod sh;
 mod tasks;
@@ -20,6 +21,7 @@ use crate::manifest::{Manifest, ManifestError};
 use crate::settings::{SettingRow, SettingsError};
 
 pub use figures::{Figures, cluster_figures};
+pub use rates::Rates;
 pub use scene_tasks::{SceneTask, SceneTasks};
 pub use tasks::TaskKind;
 pub(crate) use warnings::count_above;
@@ -41,6 +43,12 @@ pub trait Kind: Send + Sync {
 
     /// First tasks over a scene; settings as a request gives them, `null` for all defaults.
     fn first_tasks(&self, scene: Digest, settings: &Value) -> Result<Vec<TaskSpec>, SettingsError>;
+
+    /// Cost of a receiver under these settings, if bakes of the kind have been measured.
+    fn rates(&self, settings: &Value) -> Result<Option<Rates>, SettingsError> {
+        let _ = settings;
+        Ok(None)
+    }
 
     /// Rows of chunk kinds that are the kind's own.
     fn chunks(&self) -> &'static [ChunkRow];

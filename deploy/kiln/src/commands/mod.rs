@@ -3,6 +3,7 @@
 pub mod actions;
 pub mod bake;
 pub mod blocklist;
+pub mod check;
 pub mod evaluate;
 pub mod fetch;
 pub mod fsck;

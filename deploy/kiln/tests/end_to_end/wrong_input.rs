@@ -100,6 +100,37 @@ fn scenes_that_cannot_be_read_exit_with_2_and_name_the_file() {
 }
 
 #[test]
+fn check_refuses_what_a_bake_would_with_its_words_and_code() {
+    assert_refused("check absent.glb", 2, &["absent.glb"]);
+    assert_refused("check bright.gltf", 2, &["cannot be imported", "1e30"]);
+    assert_refused("check {scene} --set texel_m=0.0001", 2, &["raise"]);
+    assert_refused("check {scene} --preset best", 2, &["best", "draft"]);
+}
+
+#[test]
+fn check_tells_what_a_bake_then_takes() {
+    let folder = tempfile::tempdir().unwrap();
+    let (scene, out) = (cornell().display().to_string(), folder.path().join("out").display().to_string());
+    let told = |arguments: &[&str]| -> serde_json::Value {
+        let answer = run(kiln(&folder.path().join("state")), arguments, 0).stdout();
+        serde_json::from_str(answer.lines().last().unwrap()).unwrap()
+    };
+    let settings = ["--set", "texel_m=0.5", "--preset", "draft", "--json"];
+    let check = told(&[["check", &scene].as_slice(), &settings].concat());
+    let bake = told(&[["bake", &scene, "--out", &out].as_slice(), &settings].concat());
+    let close = |told: &serde_json::Value, found: &serde_json::Value, factor: f64| {
+        let (told, found) = (told.as_f64().unwrap(), found.as_f64().unwrap());
+        assert!(told <= factor * found && found <= factor * told, "{told} was told, {found} found");
+    };
+    close(&check["lightmap"]["receivers"], &bake["receivers"], 1.3);
+    close(&check["costs"]["tasks"], &bake["tasks_run"], 2.0);
+    close(&check["costs"]["bundle_bytes"], &bake["bytes_total"], 10.0);
+    assert_eq!(check["warnings"].as_array().map(Vec::len), Some(0));
+    let words = run(kiln(&folder.path().join("state")), &["check", &scene], 0).stdout();
+    assert!(words.contains("receivers") && words.contains("processor time"), "{words}");
+}
+
+#[test]
 fn server_that_does_not_answer_exits_with_3() {
     // Port 9 is the discard service's, which no test machine runs.
     assert_refused("bake {scene} --server http://127.0.0.1:9", 3, &["http://127.0.0.1:9", "try: "]);

@@ -7,7 +7,7 @@ pub mod tasks;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use super::{Figures, Kind, Warning, cluster_figures, cluster_warnings};
+use super::{Figures, Kind, Rates, Warning, cluster_figures, cluster_warnings};
 use crate::chunk::ChunkRow;
 use crate::ids::Digest;
 use crate::jobs::TaskSpec;
@@ -57,6 +57,10 @@ impl Kind for Prt {
 
     fn first_tasks(&self, scene: Digest, settings: &Value) -> Result<Vec<TaskSpec>, SettingsError> {
         Ok(first_tasks(scene, &Settings::from_json(settings)?))
+    }
+
+    fn rates(&self, settings: &Value) -> Result<Option<Rates>, SettingsError> {
+        Ok(Some(Settings::from_json(settings)?.rates()))
     }
 
     fn chunks(&self) -> &'static [ChunkRow] {

@@ -1,7 +1,11 @@
 //! Settings of the relightable bake.
 
+use crate::kinds::Rates;
 use crate::settings::{FactorSettings, PlaceSettings, TexelSettings, TransportSettings};
 use crate::{kind_settings, settings_group};
+
+/// Bakes that the rates are from.
+const MEASURED: &str = "a Cornell box and an atrium, draft and medium, on two threads of a server of 2026";
 
 settings_group! {
     /// Surface patches, the sky's parts and near hits.
@@ -34,5 +38,19 @@ kind_settings! {
         patches: PatchSettings,
         /// Clusters and factors.
         factors: FactorSettings,
+    }
+}
+
+impl Settings {
+    /// Cost of a receiver.
+    pub(super) fn rates(&self) -> Rates {
+        let rays = f64::from(self.transport.transport_rays + self.transport.emitter_rays);
+        Rates {
+            cpu_us: 300.0 + 0.7 * rays,
+            bundle_bytes: 45.0,
+            memory_bytes: 2200.0,
+            cluster_receivers: f64::from(self.factors.cluster_receivers),
+            measured: MEASURED,
+        }
     }
 }

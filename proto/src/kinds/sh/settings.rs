@@ -1,7 +1,11 @@
 //! Settings of the bake by spherical harmonics at probes.
 
+use crate::kinds::Rates;
 use crate::settings::{FactorSettings, PlaceSettings, TexelSettings, TransportSettings};
 use crate::{kind_settings, settings_group};
+
+/// Bakes that the rates are from.
+const MEASURED: &str = "a Cornell box and an atrium, draft and medium, on two threads of a server of 2026";
 
 settings_group! {
     /// Probes and their spherical harmonics.
@@ -51,5 +55,19 @@ kind_settings! {
         probes: ProbeSettings,
         /// Clusters and factors.
         factors: FactorSettings,
+    }
+}
+
+impl Settings {
+    /// Cost of a receiver.
+    pub(super) fn rates(&self) -> Rates {
+        let rays = f64::from(self.transport.transport_rays + self.transport.emitter_rays);
+        Rates {
+            cpu_us: 300.0 + 1.6 * rays,
+            bundle_bytes: 90.0,
+            memory_bytes: 1500.0,
+            cluster_receivers: f64::from(self.factors.cluster_receivers),
+            measured: MEASURED,
+        }
     }
 }
