@@ -10,17 +10,23 @@ use crate::task::TaskError;
 /// Blocks that one chunk can name.
 const BLOCKS_MAX: usize = 1 << 16;
 
+/// Errs when a chunk could not name all blocks with receivers: before the work on a tree that nobody can store.
+pub fn check_blocks(blocks: usize) -> Result<(), TaskError> {
+    if blocks <= BLOCKS_MAX {
+        return Ok(());
+    }
+    Err(TaskError::bad_input(format!(
+        "the scene has {blocks} parts with receivers, more than {BLOCKS_MAX}: join meshes of one material, as \
+         'gltf-transform join' does, or bake with --kind sh"
+    )))
+}
+
 /// A tree over the receivers of a lightmap, encoded; `sky_parts` is how many parts the sky has beside it.
 ///
 /// Errors with [`TaskError::BadInput`] when the scene has more blocks than a chunk can name.
 pub fn encoded(tree: &PatchTree, lightmap: &Lightmap, sky_parts: u32) -> Result<Vec<u8>, TaskError> {
     let blocks = Numbering::of(tree.receivers.iter().map(|&receiver| lightmap.block_key(receiver)));
-    if blocks.len() > BLOCKS_MAX {
-        return Err(TaskError::bad_input(format!(
-            "the scene has {} parts with receivers, more than {BLOCKS_MAX}: join meshes",
-            blocks.len()
-        )));
-    }
+    check_blocks(blocks.len())?;
     let patch = |patch: &super::Patch| content::Patch {
         key: patch.key,
         first_leaf: patch.first_leaf,
@@ -38,4 +44,16 @@ pub fn encoded(tree: &PatchTree, lightmap: &Lightmap, sky_parts: u32) -> Result<
         sky_parts,
     };
     encode_patches(&set).map_err(|error| TaskError::bad_input_from("the patches cannot be stored", error))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn more_parts_than_a_chunk_can_name_are_refused_with_a_way_out() {
+        assert!(check_blocks(BLOCKS_MAX).is_ok());
+        let refused = check_blocks(100_000).unwrap_err().to_string();
+        assert!(refused.contains("100000 parts") && refused.contains("gltf-transform join"), "{refused}");
+    }
 }

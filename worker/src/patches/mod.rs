@@ -25,6 +25,9 @@ const ARTEFACT: &str = "patches/patches";
 /// Runs task `scene.patches`: inputs are those of [`World::of`]; output `patches`.
 pub fn run(context: &Context, _: &TaskSpec) -> Result<TaskOutput, TaskError> {
     let world = World::of(context)?;
+    let receivers = &world.lightmap.receivers;
+    // Receivers stand block by block.
+    chunk::check_blocks(receivers.chunk_by(|a, b| a.block == b.block).count())?;
     let tree = grow::tree(&world, context.progress)?;
     Ok(TaskOutput {
         artefacts: vec![("patches".into(), artefact::encode(ARTEFACT_MAGIC, &tree)?)],
