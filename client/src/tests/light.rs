@@ -36,7 +36,7 @@ impl Lamp {
     }
 
     pub(super) fn seen_at(&self, position: Vec3, normal: Vec3) -> f32 {
-        seen_irradiance(&self.plan, &self.maps, position, normal, normal).x
+        seen_irradiance(&self.plan, &self.maps, [position; 2], normal, normal).x
     }
 }
 

@@ -1,9 +1,15 @@
-//! Shadow maps of lamps on open planes: nothing that a lamp sees is in shade.
+//! Shadow maps on open planes, where nothing is in shade, and in a shut room, where everything is.
 
 use glam::Vec3;
+use lightkiln_proto::content::Draw;
+use lightkiln_proto::scene::SceneCamera;
 
-use super::light::{Lamp, shadows, sheet};
+use super::light::{Lamp, scene_of, shadows, sheet};
+use crate::lights::Sky;
 use crate::passes::direct::reference::direct_irradiance;
+use crate::passes::shade::reference::{Lit, shade};
+use crate::passes::shade::{IndirectIrradiance, ShadeView, Surface};
+use crate::passes::shadow::Eye;
 use crate::passes::shadow::reference::ShadowMaps;
 
 impl Lamp {
@@ -123,4 +129,71 @@ fn open_planes_under_low_lamps_have_no_acne() {
             assert!(dark.is_empty(), "{normal}, {height_m} m: {} such as {:?}", dark.len(), dark[0]);
         }
     }
+}
+
+/// No indirect light.
+struct Dark;
+
+impl IndirectIrradiance for Dark {
+    fn indirect_irradiance(&self, _: &Surface) -> Vec3 {
+        Vec3::ZERO
+    }
+}
+
+/// Sheets of a room of 4 × 3 × 4 m, whose walls end in the floor's plane; the floor goes on outside.
+fn room() -> Vec<Draw> {
+    let [x, y, z] = [Vec3::X * 4.0, Vec3::Y * 3.0, Vec3::Z * 4.0];
+    vec![
+        sheet(Vec3::new(-9.0, 0.0, -9.0), z * 5.0, x * 5.0),
+        sheet(y, x, z),
+        // One of the walls is of two sheets, neither of which ends where the other's corner is.
+        sheet(Vec3::ZERO, x * 0.37, y),
+        sheet(x * 0.37, x * 0.63, y),
+        sheet(Vec3::ZERO, y, z),
+        sheet(z, y, x),
+        sheet(x, z, y),
+        // A pier on the floor before a wall, up to the ceiling.
+        sheet(Vec3::new(1.0, 0.0, 0.5), Vec3::X * 0.4, y),
+        sheet(Vec3::new(1.0, 0.0, 0.0), Vec3::Z * 0.5, y),
+        sheet(Vec3::new(1.4, 0.0, 0.5), Vec3::NEG_Z * 0.5, y),
+    ]
+}
+
+#[test]
+fn hardly_a_pixel_of_a_shut_room_is_lit_from_outside() {
+    let (scene, bounds_m) = (scene_of(&room()), [[-9.0, 0.0, -9.0], [11.0, 3.0, 11.0]]);
+    let (mut seen, mut lit_pixels) = (0, Vec::new());
+    for angle in 0..36_u16 {
+        let turn = 0.55 * f32::from(angle);
+        let eye_m = Vec3::new(2.1 + 1.2 * turn.sin(), 0.3 + 0.07 * f32::from(angle), 2.3 + turn.cos());
+        let target_m =
+            eye_m + Vec3::new((2.3 * turn).sin(), -0.9 + 0.05 * f32::from(angle), (2.3 * turn).cos());
+        let camera = SceneCamera {
+            name: String::new(),
+            eye_m: eye_m.into(),
+            target_m: target_m.into(),
+            up: [0.0, 1.0, 0.0],
+            fov_y_rad: 1.2,
+            orthographic_half_height_m: None,
+        };
+        let light = if angle % 4 == 3 {
+            format!("point pos={},{},{} power=1000", 2.0 + 5.0 * turn.sin(), 1.3, 2.0 + 5.0 * turn.cos())
+        } else {
+            format!("sun dir={},{},{} irradiance=1", turn.sin(), -0.2 - 0.03 * f32::from(angle), turn.cos())
+        };
+        let eye = Eye { position_m: eye_m, forward: (target_m - eye_m).normalize() };
+        let Lamp { plan, maps } = shadows(&room(), &light, bounds_m, (1024, Some(eye)));
+        let lit = Lit { scene: &scene, plan: &plan, maps: &maps, indirect: &Dark, emitter_scale: &[] };
+        let view = ShadeView::new(&camera, [400, 300], bounds_m, Sky::default(), [0.0; 2]).unwrap();
+        for (index, pixel) in shade(lit, &view, [400, 300]).into_iter().enumerate() {
+            seen += u32::from(pixel.w > 0.0);
+            if pixel.y > 0.0 {
+                lit_pixels.push(format!("{}, {} under {light}", index % 400, index / 400));
+            }
+        }
+    }
+    assert_eq!(seen, 36 * 400 * 300, "the room is not shut");
+    // At corners that go away from the eye some lie nearer to the wall than the maps tell apart.
+    let few = &lit_pixels[..lit_pixels.len().min(9)];
+    assert!(lit_pixels.len() <= 60, "{} lit of {seen}, such as {few:?}", lit_pixels.len());
 }

@@ -77,11 +77,12 @@ pub fn direct_irradiance(
     plan.lights.iter().map(of_light).sum()
 }
 
-/// As [`direct_irradiance`], of a point that is seen: by cascades where there are some.
+/// As [`direct_irradiance`], of a point that is seen: by cascades where there are some. Shadows are those of `before`, a
+/// point a little nearer to the eye.
 pub fn seen_irradiance(
     plan: &ShadowPlan,
     maps: &ShadowMaps,
-    position: Vec3,
+    [position, before]: [Vec3; 2],
     normal: Vec3,
     facet: Vec3,
 ) -> Vec3 {
@@ -90,7 +91,7 @@ pub fn seen_irradiance(
         if arriving.max_element() <= 0.0 {
             return Vec3::ZERO;
         }
-        arriving * share_seen((plan, maps), light, position, facet)
+        arriving * share_seen((plan, maps), light, before, facet)
     };
     plan.lights.iter().map(of_light).sum()
 }

@@ -52,7 +52,7 @@ pub fn shade(lit: Lit<'_>, view: &ShadeView, size: [u32; 2]) -> Vec<Vec4> {
         for (index, (pixel, seen)) in pixels.iter_mut().zip(seen).enumerate() {
             let at = [(index % width) as f64 + 0.5, f64::from(first) + (index / width) as f64 + 0.5];
             *pixel = match drawn.get(seen as usize) {
-                Some(drawn) => radiance(lit, drawn, at).extend(1.0),
+                Some(drawn) => radiance(lit, view, drawn, at).extend(1.0),
                 None => view.sky_at(at, size).extend(0.0),
             };
         }
@@ -94,9 +94,10 @@ fn visible(scene: &LoadedScene, drawn: &[Drawn], width: u32, rows: Range<u32>) -
 }
 
 /// `L = Lₑ + ρ/π·(E_dir + E)` with indirect light E, METHOD.md §1.
-fn radiance(lit: Lit<'_>, drawn: &Drawn, [x, y]: [f64; 2]) -> Vec3 {
+fn radiance(lit: Lit<'_>, view: &ShadeView, drawn: &Drawn, [x, y]: [f64; 2]) -> Vec3 {
     let shaded = surface_at(lit.scene, drawn.draw, &drawn.triangle, (x, y), lit.emitter_scale);
     let surface = &shaded.surface;
-    let e_dir = seen_irradiance(lit.plan, lit.maps, surface.position, surface.normal, surface.facet);
+    let places = [surface.position, view.before(surface.position)];
+    let e_dir = seen_irradiance(lit.plan, lit.maps, places, surface.normal, surface.facet);
     shaded.emission + shaded.albedo / PI * (e_dir + lit.indirect.indirect_irradiance(surface))
 }

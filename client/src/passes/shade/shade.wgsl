@@ -7,9 +7,10 @@ struct ShadeView {
     // Radiance straight up and at the horizon.
     zenith: vec4f,
     horizon: vec4f,
-    // Rays of the picture's corners, for the sky: world directions at ndc (−1, −1), and per unit of ndc x and y.
+    // World direction through the picture's middle, and its change per unit of ndc x and y.
     ray: vec4f,
     ray_per_x: vec4f,
+    // w: side of a pixel in metres where clip w is 1.
     ray_per_y: vec4f,
 }
 
@@ -52,6 +53,8 @@ struct Surface {
 @group(3) @binding(3) var emissive_sampler: sampler;
 
 const PI = 3.14159265358979;
+// Pixels by which shadows are looked up nearer to the eye.
+const BEFORE_PIXELS = 1.0;
 
 struct Vertex {
     @location(0) position: vec3f,
@@ -80,6 +83,15 @@ fn mapped(row0: vec4f, row1: vec4f, uv: vec2f) -> vec2f {
     return vec2f(dot(row0.xyz, vec3f(uv, 1.0)), dot(row1.xyz, vec3f(uv, 1.0)));
 }
 
+// A point before one that is seen. Nothing is between, so that it lies on the seen side of every edge that rounding puts the
+// point behind, as a floor's at a wall's foot.
+fn before(position: vec3f) -> vec3f {
+    let clip = view.clip_from_world * vec4f(position, 1.0);
+    let ndc = clip.xy / clip.w;
+    let ray = view.ray.xyz + view.ray_per_x.xyz * ndc.x + view.ray_per_y.xyz * ndc.y;
+    return position - ray * (BEFORE_PIXELS * view.ray_per_y.w * clip.w);
+}
+
 @fragment
 fn shade(corner: Corner, @builtin(front_facing) front: bool) -> @location(0) vec4f {
     let base_uv = mapped(draw.base_row0, draw.base_row1, corner.uv);
@@ -99,8 +111,8 @@ fn shade(corner: Corner, @builtin(front_facing) front: bool) -> @location(0) vec
     facet = select(-facet, facet, dot(facet, normal) >= 0.0);
     let surface = Surface(corner.position, normal, facet, draw.index, front, corner.lightmap_texel);
     let rho = clamp(colour.rgb, vec3f(0.0), vec3f(1.0));
-    let e = seen_irradiance(surface.position, surface.normal, surface.facet) + indirect_irradiance(surface);
-    return vec4f(glow + rho * (1.0 / PI) * e, 1.0);
+    let e_dir = seen_irradiance(surface.position, before(surface.position), surface.normal, surface.facet);
+    return vec4f(glow + rho * (1.0 / PI) * (e_dir + indirect_irradiance(surface)), 1.0);
 }
 
 struct SkyCorner {

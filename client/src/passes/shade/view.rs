@@ -7,6 +7,10 @@ use crate::error::Result;
 use crate::lights::Sky;
 use crate::raster::camera_clip_from_world;
 
+/// Pixels by which shadows are looked up nearer to the eye. More → fewer lit pixels at corners in shade, and shadows' edges
+/// as much aside.
+const BEFORE_PIXELS: f32 = 1.0;
+
 /// Camera and sky of a picture; twin of `ShadeView` in `shade.wgsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
@@ -21,7 +25,7 @@ pub struct ShadeView {
     pub ray: [f32; 4],
     /// Its change per unit of ndc x.
     pub ray_per_x: [f32; 4],
-    /// Its change per unit of ndc y.
+    /// Its change per unit of ndc y; then the side of a pixel in metres where clip w is 1.
     pub ray_per_y: [f32; 4],
 }
 
@@ -42,6 +46,8 @@ impl ShadeView {
         shift.w_axis.x = shift_x;
         shift.w_axis.y = shift_y;
         let clip_from_world = shift * steady;
+        // Per ndc, the second row grows by the reciprocal of half the picture's height in metres.
+        let pixel_at_unit_w = 2.0 / (steady.row(1).truncate().length() * size[1] as f32);
         let [ray, ray_per_x, ray_per_y] = rays(camera, size, [shift_x, shift_y]);
         Ok(Self {
             clip_from_world: clip_from_world.to_cols_array_2d(),
@@ -49,7 +55,7 @@ impl ShadeView {
             horizon: sky.horizon.extend(0.0).into(),
             ray: ray.extend(0.0).into(),
             ray_per_x: ray_per_x.extend(0.0).into(),
-            ray_per_y: ray_per_y.extend(0.0).into(),
+            ray_per_y: ray_per_y.extend(pixel_at_unit_w).into(),
         })
     }
 
@@ -58,14 +64,26 @@ impl ShadeView {
         Mat4::from_cols_array_2d(&self.clip_from_world)
     }
 
+    /// A point before one that is seen, a pixel nearer to the eye; twin of `before` in the shader.
+    pub(super) fn before(&self, position: Vec3) -> Vec3 {
+        let clip = self.projection() * position.extend(1.0);
+        let ray = self.ray_through(clip.x / clip.w, clip.y / clip.w);
+        position - ray * (BEFORE_PIXELS * self.ray_per_y[3] * clip.w)
+    }
+
+    /// World direction through a point of the picture in ndc, of length 1 along the view.
+    fn ray_through(&self, x: f32, y: f32) -> Vec3 {
+        let vector = |four: [f32; 4]| Vec3::new(four[0], four[1], four[2]);
+        vector(self.ray) + vector(self.ray_per_x) * x + vector(self.ray_per_y) * y
+    }
+
     /// Radiance of the sky at a point of the picture, in pixels from its upper left corner.
     pub(super) fn sky_at(&self, at: [f64; 2], size: [u32; 2]) -> Vec3 {
         let x = (at[0] / f64::from(size[0])) as f32 * 2.0 - 1.0;
         let y = 1.0 - (at[1] / f64::from(size[1])) as f32 * 2.0;
         let vector = |four: [f32; 4]| Vec3::new(four[0], four[1], four[2]);
-        let ray = vector(self.ray) + x * vector(self.ray_per_x) + y * vector(self.ray_per_y);
         let sky = Sky { zenith: vector(self.zenith), horizon: vector(self.horizon) };
-        sky.radiance(ray.normalize_or(Vec3::Y))
+        sky.radiance(self.ray_through(x, y).normalize_or(Vec3::Y))
     }
 }
 

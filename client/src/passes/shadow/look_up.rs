@@ -82,10 +82,6 @@ pub(in crate::passes) fn is_behind(
         let found = depth_at(texel);
         found <= 0.0 || (found - expected).abs() <= margin
     };
-    let ends = |texel, expected: f32| {
-        let found = depth_at(texel);
-        found > 0.0 && found < expected - margin
-    };
     // Most points see their own surface.
     let d = [IVec2::ZERO, IVec2::X, IVec2::Y].map(|step| depth_at(base + step));
     let change = Vec2::new(d[1], d[2]) - d[0];
@@ -98,6 +94,15 @@ pub(in crate::passes) fn is_behind(
     let far = depth_per_m * lift_m / facet.dot(towards).max(0.01);
     let face = &plan.faces[face_index as usize];
     let texel_m = face.texel_at_unit_w * clip.w;
+    // Depth of the point's own surface per texel; beyond it, as past the corner of two walls, light is no concern of the point.
+    let per_texel = depth_per_m * texel_m / facet.dot(towards).max(0.01);
+    let own_slope = Vec2::new(-facet.dot(face.right.into()), facet.dot(face.up.into())) * per_texel;
+    let deep = margin + own_slope.x.abs() + own_slope.y.abs();
+    let ends = |texel: IVec2, expected: f32| {
+        let found = depth_at(texel);
+        let surface = ndc.z + own_slope.dot(texel.as_vec2() - at);
+        found > 0.0 && found < expected - margin && found >= surface - deep
+    };
     (0..4).any(|corner| {
         // The plane of this texel and those behind it, seen from the point.
         let inward = IVec2::new(1 - 2 * (corner & 1), 1 - 2 * (corner >> 1));

@@ -65,6 +65,11 @@ fn is_behind(face_index: u32, light: Light, position: vec3f, facet: vec3f, lift_
     let depth_per_m = margin / bias_m;
     let far = depth_per_m * lift_m / max(dot(facet, towards), 0.01);
     let texel_m = faces[face_index].texel_at_unit_w * clip.w;
+    // Depth of the point's own surface per texel; beyond it, as past the corner of two walls, light is no concern of the point.
+    let per_texel = depth_per_m * texel_m / max(dot(facet, towards), 0.01);
+    let own_slope = vec2f(-dot(facet, faces[face_index].right), dot(facet, faces[face_index].up)) * per_texel;
+    let deep = margin + abs(own_slope.x) + abs(own_slope.y);
+    let surface = ndc.z - deep - dot(own_slope, at);
     for (var corner = 0; corner < 4; corner++) {
         // The plane of this texel and those behind it, seen from the point.
         let inward = vec2i(1 - 2 * (corner & 1), 1 - 2 * (corner >> 1u));
@@ -84,9 +89,9 @@ fn is_behind(face_index: u32, light: Light, position: vec3f, facet: vec3f, lift_
             continue;
         }
         // At the three others it does not end: they see it, or what is before it as the floor beyond its foot, or nothing at all.
-        if ends(face_index, texel + x, own + slope.x, margin)
-            || ends(face_index, texel + y, own + slope.y, margin)
-            || ends(face_index, texel + x + y, own + slope.x + slope.y, margin) {
+        if ends(face_index, texel + x, own + slope.x - margin, surface + dot(own_slope, vec2f(texel + x)))
+            || ends(face_index, texel + y, own + slope.y - margin, surface + dot(own_slope, vec2f(texel + y)))
+            || ends(face_index, texel + x + y, own + slope.x + slope.y - margin, surface + dot(own_slope, vec2f(texel + x + y))) {
             continue;
         }
         let depth = own + dot(slope, abs(at - vec2f(texel))) - ndc.z;
@@ -103,10 +108,10 @@ fn goes_on(face_index: u32, texel: vec2i, expected: f32, margin: f32) -> bool {
     return found <= 0.0 || abs(found - expected) <= margin;
 }
 
-// Whether a texel sees past a plane that was expected there.
-fn ends(face_index: u32, texel: vec2i, expected: f32, margin: f32) -> bool {
+// Whether a texel sees past a plane that was expected there, but not past the point's own surface.
+fn ends(face_index: u32, texel: vec2i, expected: f32, surface: f32) -> bool {
     let found = depth_at(face_index, texel);
-    return found > 0.0 && found < expected - margin;
+    return found > 0.0 && found < expected && found >= surface;
 }
 
 fn depth_at(face_index: u32, texel: vec2i) -> f32 {
