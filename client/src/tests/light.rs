@@ -149,6 +149,22 @@ fn far_ground_under_a_low_lamp_has_no_acne() {
 }
 
 #[test]
+fn ground_far_beyond_the_maps_of_a_sun_is_in_no_shadow() {
+    // A plain of 20 km, a wall on it, and maps of what is within 16 m.
+    let plain = sheet(Vec3::new(-1e4, 0.0, -1e4), Vec3::Z * 2e4, Vec3::X * 2e4);
+    let wall = sheet(Vec3::new(-2.0, 0.0, 0.0), Vec3::X * 4.0, Vec3::Y * 3.0);
+    let bounds_m = [[-16.0, 0.0, -16.0], [16.0, 3.0, 16.0]];
+    let sun = shadows(&[plain, wall], "sun dir=-0.3,-0.9,-0.5 irradiance=2", bounds_m, (256, None));
+    for away_m in [20.0, 40.0, 300.0, 9000.0] {
+        for [x, z] in [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0], [0.7, -0.7]] {
+            let lit = sun.at(Vec3::new(x * away_m, 0.0, z * away_m), Vec3::Y);
+            assert!(lit > 1.5, "{lit} at {away_m} m along {x}, {z}");
+        }
+    }
+    assert_eq!(sun.at(Vec3::new(-0.3, 0.0, -0.6), Vec3::Y), 0.0, "the wall's shadow");
+}
+
+#[test]
 fn no_light_passes_the_foot_or_the_corner_of_a_wall() {
     // A wall (z = 0) on a floor that ends there, or goes on beyond, lit; and a fin (x = 0) that stands on both.
     let room = |floor_beyond_m: f32| {

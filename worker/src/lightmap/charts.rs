@@ -24,9 +24,7 @@ pub const ARTEFACT: &str = "unwrap/unwrap";
 const RECEIVERS_PER_TRIANGLE: f64 = 20.0;
 
 /// Least and greatest size of a texel that is chosen, in metres: whatever unit a scene is in.
-const TEXEL_M: [f32; 2] = [1e-9, 1e9];
-/// Rounds in which the size of a core's texels is found: those of the shells about it depend on it by a bound alone.
-const SIZE_ROUNDS: usize = 8;
+const TEXEL_M: [f64; 2] = [1e-9, 1e9];
 
 /// Most texels of all blocks of one side together.
 const TEXELS_MAX: u64 = 256 << 20;
@@ -78,16 +76,8 @@ fn texel_size_m(scene: &Scene, settings: &TexelSettings) -> f32 {
     let areas = LitAreas::of(scene);
     let most = f64::from(settings.receivers_target);
     let receivers = most.min(most * 0.2 + RECEIVERS_PER_TRIANGLE * areas.triangles as f64);
-    // Far shells have texels of their own, by the size of the core's.
-    let size_m = |texel_m: f64| {
-        let texel_m = (areas.in_texels_of(scene, texel_m as f32) / receivers).sqrt() as f32;
-        f64::from(texel_m.clamp(TEXEL_M[0], TEXEL_M[1]))
-    };
-    let mut texel_m = size_m(0.0);
-    if scene.core.is_some() {
-        texel_m = (0..SIZE_ROUNDS).fold(texel_m, |texel_m, _| size_m(texel_m));
-    }
-    snapped_size_m(texel_m) as f32
+    let texel_m = (areas.in_texels_of_core(scene.core) / receivers).sqrt();
+    snapped_size_m(texel_m.clamp(TEXEL_M[0], TEXEL_M[1])) as f32
 }
 
 /// Lit area of the shells of a scene.
@@ -117,11 +107,11 @@ impl LitAreas {
         areas
     }
 
-    /// The area in which all shells would have as many texels if these were as long as those of the core, of `texel_m`.
-    fn in_texels_of(&self, scene: &Scene, texel_m: f32) -> f64 {
+    /// The area that would have as many texels as the core's as all shells have of theirs. What bounds the texels of far shells
+    /// is left out: it adds some 200 texels a shell, and if it counted, a core of few texels would give way to them.
+    fn in_texels_of_core(&self, core: Option<Core>) -> f64 {
         let of_shell = |(area_m2, shell): (&f64, u32)| {
-            let coarseness = scene.core.map_or(0, |core| core.coarseness(shell, texel_m));
-            area_m2 / 4.0_f64.powi(coarseness as i32)
+            area_m2 / 4.0_f64.powi(core.map_or(0, |core| core.falls_off(shell)) as i32)
         };
         self.of_shell_m2.iter().zip(0..).map(of_shell).sum()
     }

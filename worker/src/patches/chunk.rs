@@ -17,7 +17,7 @@ pub fn check_blocks(blocks: usize) -> Result<(), TaskError> {
     }
     Err(TaskError::bad_input(format!(
         "the scene has {blocks} parts with receivers, more than {BLOCKS_MAX}: join meshes of one material, as \
-         'gltf-transform join' does, or bake with --kind sh"
+         'gltf-transform join' does, or bake to a kind without patches"
     )))
 }
 

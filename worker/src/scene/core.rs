@@ -74,6 +74,11 @@ impl Core {
         half_of(self.half_m, shell)
     }
 
+    /// Doublings of the texels' length in a shell that the square of the distance asks for.
+    pub fn falls_off(&self, shell: u32) -> u32 {
+        (2 * shell).saturating_sub(1)
+    }
+
     /// Texels of a shell are 2ⁿ times as long as those of the core, of `texel_m`: as the square of the distance, as ground seen
     /// from where people stand is foreshortened too, and at most a quarter of the distance.
     pub fn coarseness(&self, shell: u32, texel_m: f32) -> u32 {
@@ -82,7 +87,7 @@ impl Core {
         }
         let quarters = 0.25 * self.half_of(shell - 1) / texel_m;
         let most = (0..2 * SHELLS_MAX).take_while(|&n| 2.0_f32.powi(n as i32 + 1) <= quarters).count();
-        (2 * shell - 1).min(most as u32)
+        self.falls_off(shell).min(most as u32)
     }
 
     /// Lower and upper corner of the cube that bounds a shell.

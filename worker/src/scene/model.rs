@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use super::core::Core;
 
 /// Shell up to which a scene is near.
-const NEAR_SHELL: u32 = 1;
+const NEAR_SHELL: u32 = 2;
 
 /// A scene ready to bake: flat world-space geometry with materials, textures, lights and cameras.
 ///

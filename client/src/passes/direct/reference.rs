@@ -139,6 +139,18 @@ fn light_irradiance(
     (arriving * share).extend(share)
 }
 
+/// A point lies beyond the box that a sun's maps are of: far from the core of its scene, where no map tells of shadows.
+fn is_beyond(plan: &ShadowPlan, light: &Light, position: Vec3) -> bool {
+    if light.shape != Shape::Sun as u32 {
+        return false;
+    }
+    let first = &plan.faces[light.first_face as usize];
+    let d = position - Vec3::from(light.position);
+    let across = d.dot(first.right.into()).abs().max(d.dot(first.up.into()).abs());
+    let depth = (first.projection() * position.extend(1.0)).z;
+    across > light.half_extent || !(0.0..=1.0).contains(&depth)
+}
+
 /// Share of a light that arrives by one of its faces.
 fn share_by(
     (plan, maps): (&ShadowPlan, &ShadowMaps),
@@ -147,6 +159,9 @@ fn share_by(
     position: Vec3,
     facet: Vec3,
 ) -> f32 {
+    if is_beyond(plan, light, position) {
+        return 1.0;
+    }
     let mut read = face;
     let mut at = lifted(plan, face, position, facet);
     if face < light.first_face + light.face_count {
@@ -208,7 +223,7 @@ fn unshadowed(light: &Light, position: Vec3, normal: Vec3) -> Vec3 {
         return strength * normal.dot(-direction).max(0.0);
     }
     let d = Vec3::from(light.position) - position;
-    let distance2 = d.length_squared().max(1e-8);
+    let distance2 = d.length_squared().max(1e-30);
     let towards = d / distance2.sqrt();
     let mut factor = normal.dot(towards).max(0.0) / distance2;
     if light.range_m > 0.0 {

@@ -87,7 +87,7 @@ fn unshadowed(light: Light, position: vec3f, normal: vec3f) -> vec3f {
         return light.strength * max(dot(normal, -light.direction), 0.0);
     }
     let d = light.position - position;
-    let distance2 = max(dot(d, d), 1e-8);
+    let distance2 = max(dot(d, d), 1e-30);
     let towards = d * inverseSqrt(distance2);
     var factor = max(dot(normal, towards), 0.0) / distance2;
     if light.range_m > 0.0 {
@@ -102,8 +102,23 @@ fn unshadowed(light: Light, position: vec3f, normal: vec3f) -> vec3f {
     return light.strength * factor;
 }
 
+// A point lies beyond the box that a sun's maps are of: far from the core of its scene.
+fn is_beyond(light: Light, position: vec3f) -> bool {
+    if light.shape != SUN {
+        return false;
+    }
+    let first = light.first_face;
+    let d = position - light.position;
+    let across = max(abs(dot(d, faces[first].right)), abs(dot(d, faces[first].up)));
+    let depth = (faces[first].clip_from_world * vec4f(position, 1.0)).z;
+    return across > light.half_extent || depth < 0.0 || depth > 1.0;
+}
+
 // Share of a light that arrives by one of its faces.
 fn share_by(face: u32, light: Light, position: vec3f, facet: vec3f) -> f32 {
+    if is_beyond(light, position) {
+        return 1.0;
+    }
     var read = face;
     var at = lifted(face, position, facet);
     if face < light.first_face + light.face_count {

@@ -60,7 +60,7 @@ fn log_is_filtered_by_rust_log_unless_kiln_log_says_otherwise() {
     for internal in ["blame=", "verdict=", "GivenUp", "\u{1b}"] {
         assert!(!wordy.contains(internal), "{internal} in:\n{wordy}");
     }
-    assert!(wordy.contains("the bakes that want it have failed"), "{wordy}");
+    assert!(wordy.contains("the bake has failed"), "{wordy}");
     assert!(!told(&[("RUST_LOG", "info"), ("KILN_LOG", "off")]).contains("INFO"));
     assert!(told(&[("RUST_LOG", "off"), ("KILN_LOG", "info")]).contains("INFO"));
 }

@@ -37,7 +37,9 @@ pub const CURSOR: Target = Target {
     read: |bytes| {
         let (store, _) = farm();
         let after = text(bytes).and_then(|text| text.parse().ok());
-        after.is_some_and(|after| taken(&pollster::block_on(store.list(&BakeFilter::default(), Some(after), 2))))
+        after.is_some_and(|after| {
+            taken(&pollster::block_on(store.list(&BakeFilter::default(), Some(after), 2)))
+        })
     },
     check: |bytes| {
         if let Some(text) = text(bytes) {
@@ -136,7 +138,8 @@ fn farm() -> (MemoryStore, Vec<String>) {
 fn check_cursor(text: &str) {
     let Ok(after) = text.parse::<u64>() else { return };
     let (store, ids) = farm();
-    let page = pollster::block_on(store.list(&BakeFilter::default(), Some(after), 2)).expect("any number is a place");
+    let page = pollster::block_on(store.list(&BakeFilter::default(), Some(after), 2))
+        .expect("any number is a place");
     // Newest first: behind a number there are the bakes with smaller ones, which are given out from 1 on.
     let before = usize::try_from(after.saturating_sub(1)).unwrap_or(usize::MAX).min(ids.len());
     let given: Vec<_> = page.bakes.iter().map(|bake| &bake.id).collect();
