@@ -39,6 +39,8 @@ fn limits() -> Limits {
         vertices: 60_000,
         sparse_elements: 60_000,
         path_bytes: 1 << 20,
+        zero_elements: 60_000,
+        decoded_bytes: 4 << 20,
         texture_pixels_each: 1 << 20,
         texture_pixels_total: 2 << 20,
         ..Limits::default()
@@ -66,11 +68,14 @@ fn check(bytes: Vec<u8>) {
     assert_eq!(import_bytes(bytes).expect("the same bytes"), imported, "the same bytes, another scene");
 }
 
-fn scenes() -> [&'static [u8]; 3] {
+fn scenes() -> [&'static [u8]; 5] {
     [
         include_bytes!("../../../scenes/furnace.glb"),
         include_bytes!("../../../scenes/cornell.glb"),
         include_bytes!("../../../scenes/sealed_box.glb"),
+        // The first one, compressed by glTF Transform.
+        include_bytes!("furnace-draco.glb"),
+        include_bytes!("furnace-meshopt.glb"),
     ]
 }
 
