@@ -20,6 +20,10 @@ pub const LAMP_GAP_M: f32 = 0.005;
 pub const BOX_BESIDE_LAMP_M: Vec3 = Vec3::new(0.93, 0.0, 0.91);
 /// Half its width: its rim ends no texel of a decimal size.
 pub const LAMP_HALF_M: f32 = 0.504;
+/// Heights of the strip of the board's edge that is seen under the clamp of [`clamp_on_board`].
+pub const UNDER_CLAMP_M: [f32; 2] = [0.041, 0.0517];
+/// The clamp's ends along that edge.
+pub const CLAMP_ALONG_M: [f32; 2] = [-0.0853, 0.0346];
 /// Half the width of [`column()`].
 pub const COLUMN_HALF_M: f32 = 0.11;
 
@@ -82,6 +86,22 @@ pub fn hollow_box_on_floor(yaw_rad: f32) -> Vec<u8> {
     let half = Vec3::new(BOX_HALF_M, 0.0, BOX_HALF_M);
     let hollow = shapes::cuboid(-half, half + Vec3::Y * (2.0 * BOX_HALF_M), &[Side::Bottom]);
     glb.object("box", &hollow.turned(yaw_rad), sheet);
+    glb.finish()
+}
+
+/// A board of 3 × 80 × 160 cm under the open sky, its front edge in the plane x = 0, and in that edge a clamp of sheets: it
+/// stands out by 2.4 mm, and leaves [`UNDER_CLAMP_M`] of the edge in sight. Texels of 1/16 m have their
+/// middles there behind it, and a single triangle, as the edge's diagonal passes above them.
+pub fn clamp_on_board() -> Vec<u8> {
+    let mut glb = Glb::new("clamp_on_board");
+    let wood = glb.material(Surface::diffuse("wood", PLASTER).double_sided());
+    let metal = glb.material(Surface::diffuse("metal", PLASTER).double_sided());
+    let board = [Vec3::new(0.0, UNDER_CLAMP_M[0], -1.24), Vec3::new(0.8, 0.071, 0.36)];
+    glb.object("board", &shapes::cuboid(board[0], board[1], &[]), wood);
+    let [low, high] = [UNDER_CLAMP_M[1], 0.0722];
+    let [near, far] = CLAMP_ALONG_M;
+    let clamp = shapes::cuboid(Vec3::new(-0.0024, low, near), Vec3::new(0.0583, high, far), &[]);
+    glb.object("clamp", &clamp, metal);
     glb.finish()
 }
 

@@ -4,7 +4,9 @@
 use glam::{DVec3, Vec3};
 use lightkiln_proto::scene::LightKind;
 use lightkiln_tests::harness::bake;
-use lightkiln_tests::scenes::{self, BOX_BESIDE_LAMP_M, BOX_HALF_M, LAMP_HALF_M};
+use lightkiln_tests::scenes::{
+    self, BOX_BESIDE_LAMP_M, BOX_HALF_M, CLAMP_ALONG_M, LAMP_HALF_M, UNDER_CLAMP_M,
+};
 use lightkiln_worker::evaluate::{Evaluated, EvaluationError, Relit};
 use lightkiln_worker::geometry::Site;
 use lightkiln_worker::kinds::BakeKinds;
@@ -161,5 +163,24 @@ fn corners_of_hollows_are_not_dark_outside_and_rooms_not_light_inside() {
             println!("{degrees}°, {away_m} m inside: {lit} of {} pixels are lit", found.len());
             assert!(lit <= 4, "{degrees}°, {away_m} m inside: {lit} of {} pixels are lit", found.len());
         }
+    }
+}
+
+/// A clamp stands out by millimetres before the edge of a board. Of the texels behind it only a strip is seen, narrower than
+/// the distance between the points that are looked at in a texel: their receivers stand in that strip, and not in the gap.
+#[test]
+fn strip_under_a_clamp_is_not_dark() {
+    let sky = only(LightKind::Sky { zenith: [1.0; 3], horizon: [1.0; 3] }, 1.0);
+    let ([low, high], [near, far]) = (UNDER_CLAMP_M, CLAMP_ALONG_M);
+    for texel_m in [0.0625, 0.125] {
+        let evaluated = evaluated(scenes::clamp_on_board(), texel_m);
+        let rays: Vec<[Vec3; 2]> = (0..48)
+            .map(|step| {
+                let z = near + (far - near) * (step as f32 + 0.5) / 48.0;
+                [Vec3::new(-0.5, low.midpoint(high), z), Vec3::X]
+            })
+            .collect();
+        let found = pixels_under(&sky, evaluated.as_ref(), &rays);
+        assert_within(&format!("strip under the clamp, texels of {texel_m} m"), &found, 0.5, 1.5);
     }
 }

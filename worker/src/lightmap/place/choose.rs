@@ -14,6 +14,8 @@
 //! Candidates are the central point and, where that scores less than any other could, a grid of points of the same chart in
 //! the texel. Those count only if they are open, and, unless the central point is in a crevice, look elsewhere: where a
 //! narrow edge has parts that look into a gap and parts that look out of it, the latter are seen.
+//! Where even the best lies in a gap much narrower than the texel, others are sought in what triangles have of the texel: the
+//! grid may step over a strip.
 //!
 //! A wall may cut a texel in two, and its central point lie in a thing that stands there: a hollow box or pier. Nobody looks
 //! into a hollow, so where that sees nothing but walls close by, and the part beyond the wall sees farther, the middle of
@@ -26,13 +28,15 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::candidate::Candidate;
-use super::cover::{Coverage, TexelPoint, other_points};
+use super::cover::{Coverage, Spread, TexelPoint, other_points};
 use crate::lightmap::Receiver;
 use crate::task::Cancelled;
 use crate::unwrap::UnwrapBlock;
 
 /// Openness from which on a point is not in a crevice. The foot of a wall that a texel's middle just misses has about this.
 const OPEN_MIN: f32 = 0.5;
+/// Openness below which a texel is looked at more closely: a gap no wider than an eighth of a texel.
+const BURIED_MAX: f32 = 0.25;
 /// Openness that a point needs where the central one is on its surface, if in a crevice. At the mouth of the gap above a
 /// lamp half of the gap's light is seen, and pictures show the strip outside of it by the texel's edge.
 const OPEN_BESIDE_MIN: f32 = 0.75;
@@ -93,19 +97,41 @@ pub fn chosen(
         CENTRAL * score(central) < ELSEWHERE_MAX || central.is_some_and(may_be_in_hollow)
     };
     let contested: Vec<usize> = (0..covered.len()).filter(is_contested).collect();
-    let wanted: Vec<TexelPoint> = contested.iter().map(|&index| covered[index]).collect();
-    let better: Vec<Option<Candidate>> = other_points(chart, &wanted, || site.check())?
+    choose_among(Spread::OverTexel, &contested, (chart, covered), &mut chosen, site)?;
+    // What is seen of a strip may lie between the points that were looked at.
+    let is_buried = |index: &usize| chosen[*index].as_ref().is_some_and(is_buried);
+    let buried: Vec<usize> = contested.into_iter().filter(is_buried).collect();
+    choose_among(Spread::OverParts, &buried, (chart, covered), &mut chosen, site)?;
+    Ok(chosen)
+}
+
+/// The best of the chosen point and others, for some covered texels.
+fn choose_among(
+    spread: Spread,
+    texels: &[usize],
+    (chart, covered): (&UnwrapBlock, &[TexelPoint]),
+    chosen: &mut [Option<Candidate>],
+    site: &impl Site,
+) -> Result<(), Cancelled> {
+    let wanted: Vec<TexelPoint> = texels.iter().map(|&index| covered[index]).collect();
+    let better: Vec<Option<Candidate>> = other_points(chart, &wanted, spread, || site.check())?
         .par_iter()
-        .zip(&contested)
+        .zip(texels)
         .map(|(others, &index)| {
             site.check()?;
             Ok(best(&covered[index], chosen[index], others, site))
         })
         .collect::<Result<_, Cancelled>>()?;
-    for (&index, better) in contested.iter().zip(better) {
+    for (&index, better) in texels.iter().zip(better) {
         chosen[index] = better;
     }
-    Ok(chosen)
+    Ok(())
+}
+
+/// So deep in a crevice that hardly any light comes there. Points in solids are another matter: what is beside those is often
+/// their own inside.
+fn is_buried(candidate: &Candidate) -> bool {
+    !candidate.is_shifted && candidate.openness < BURIED_MAX
 }
 
 /// Walls are close on all sides, one of them within a texel.

@@ -141,6 +141,15 @@ pub fn cover(
     Ok(collect(block, &claims, &has_receiver, &stand_in, &regions))
 }
 
+/// Where other points of a texel lie.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Spread {
+    /// All over the texel, and in the middles of triangles' parts of it.
+    OverTexel,
+    /// All over each triangle's part of it, however narrow.
+    OverParts,
+}
+
 /// Other points of some texels that could stand for them: for each of `wanted` (ascending texels with a triangle of
 /// the chart that they belong to), points of that chart's triangles inside the texel, in a fixed order.
 ///
@@ -148,6 +157,7 @@ pub fn cover(
 pub fn other_points<E>(
     block: &UnwrapBlock,
     wanted: &[TexelPoint],
+    spread: Spread,
     check: impl Fn() -> Result<(), E>,
 ) -> Result<Vec<Vec<TexelPoint>>, E> {
     let mut found = vec![Vec::new(); wanted.len()];
@@ -162,7 +172,10 @@ pub fn other_points<E>(
             let place = wanted.binary_search_by_key(&order(texel), |covered| order(covered.texel));
             let Ok(place) = place else { continue };
             if chart_of.get(&wanted[place].triangle) == Some(&triangle.chart) {
-                let points = points_inside(&triangle.uv_texels, corner);
+                let points = match spread {
+                    Spread::OverTexel => points_inside(&triangle.uv_texels, corner),
+                    Spread::OverParts => points_of_part(&triangle.uv_texels, corner),
+                };
                 found[place].extend(points.into_iter().map(|point| TexelPoint {
                     texel,
                     triangle: triangle.source_triangle,
@@ -203,15 +216,27 @@ pub fn areas(
 /// The middle of a triangle's part of the texel at `corner`, and those points of a grid in the texel, and on its very rim,
 /// that the triangle holds: often no more of a texel than a strip along one side is seen, or a corner.
 fn points_inside(corners: &[Vec2; 3], corner: Vec2) -> Vec<Vec2> {
-    const SIDE: u32 = 4;
     const RIM: [f32; 3] = [1.0 / 16.0, 0.5, 15.0 / 16.0];
     let middle = area_and_middle(&clipped(corners, corner, corner + 1.0)).map(|(_, middle)| middle);
-    let grid =
-        (0..SIDE * SIDE).map(|i| (Vec2::new((i % SIDE) as f32, (i / SIDE) as f32) + 0.5) / SIDE as f32);
     let rim =
         RIM.into_iter().flat_map(|y| RIM.map(|x| Vec2::new(x, y))).filter(|point| *point != Vec2::splat(0.5));
-    let held = grid.chain(rim).map(|point| corner + point).filter(|&point| is_inside(corners, point));
+    let held = grid().chain(rim).map(|point| corner + point).filter(|&point| is_inside(corners, point));
     middle.into_iter().chain(held).collect()
+}
+
+/// Points of a grid over a triangle's part of the texel at `corner`: what is seen of a strip may be narrower than the texel's
+/// own grid.
+fn points_of_part(corners: &[Vec2; 3], corner: Vec2) -> Vec<Vec2> {
+    let part = clipped(corners, corner, corner + 1.0);
+    let Some(&first) = part.first() else { return Vec::new() };
+    let [low, high] = part.iter().fold([first; 2], |[low, high], &at| [low.min(at), high.max(at)]);
+    grid().map(|at| low + (high - low) * at).filter(|&point| is_inside(corners, point)).collect()
+}
+
+/// Middles of the cells of a unit square.
+fn grid() -> impl Iterator<Item = Vec2> {
+    const SIDE: u32 = 4;
+    (0..SIDE * SIDE).map(|i| (Vec2::new((i % SIDE) as f32, (i / SIDE) as f32) + 0.5) / SIDE as f32)
 }
 
 fn collect(
@@ -360,6 +385,25 @@ mod tests {
     }
 
     #[test]
+    fn points_over_parts_lie_all_over_a_strip_that_the_grid_of_the_texel_steps_over() {
+        let [low, high] = [Vec2::new(1.0, 2.14), Vec2::new(2.0, 2.36)];
+        let mut both = block(&[[low, Vec2::new(high.x, low.y), high], [low, high, Vec2::new(low.x, high.y)]]);
+        both.triangles[1].chart = both.triangles[0].chart;
+        let wanted = cover_flat(&both).covered;
+        let lowest = |spread: Spread| {
+            let place = |point: &TexelPoint| -> f32 {
+                let corners = both.triangles[point.triangle as usize].uv_texels;
+                corners.iter().zip(point.weights).map(|(corner, weight)| corner.y * weight).sum()
+            };
+            other_points(&both, &wanted, spread, || Progress::new().check()).unwrap()[0]
+                .iter()
+                .map(place)
+                .fold(f32::INFINITY, f32::min)
+        };
+        assert!(lowest(Spread::OverTexel) > 2.2 && lowest(Spread::OverParts) < 2.18);
+    }
+
+    #[test]
     fn region_no_wider_than_a_rim_is_not_set_apart() {
         let strip = |width: f32| {
             let [low, high] = [Vec2::new(2.0, 2.0), Vec2::new(4.0 + width, 5.0)];
@@ -377,9 +421,10 @@ mod tests {
         let rest = [Vec2::new(1.9, 1.0), Vec2::new(1.9, 1.9), Vec2::new(1.0, 1.9)];
         let mut both = block(&[strip, rest]);
         let wanted = cover_flat(&both).covered;
-        let in_own_chart = other_points(&both, &wanted, || Progress::new().check()).unwrap();
+        let in_own_chart =
+            other_points(&both, &wanted, Spread::OverTexel, || Progress::new().check()).unwrap();
         both.triangles[1].chart = both.triangles[0].chart;
-        let in_both = other_points(&both, &wanted, || Progress::new().check()).unwrap();
+        let in_both = other_points(&both, &wanted, Spread::OverTexel, || Progress::new().check()).unwrap();
         assert_eq!((wanted.len(), in_own_chart.len()), (1, 1));
         let triangles = |found: &[TexelPoint]| found.iter().map(|p| p.triangle).collect::<Vec<_>>();
         let own = triangles(&in_own_chart[0]);
