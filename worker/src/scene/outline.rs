@@ -2,6 +2,7 @@
 
 use gltf::json::Root;
 use serde::Deserialize;
+use serde_json::Value;
 use serde_json::value::RawValue;
 
 use super::error::{ImportError, Result, shown};
@@ -29,7 +30,8 @@ struct Outline<'a> {
 /// The version that an asset states.
 #[derive(Deserialize)]
 struct Asset {
-    version: Option<String>,
+    /// A text; exporters of glTF 1.0 wrote numbers too.
+    version: Option<Value>,
 }
 
 /// The one list of a scene.
@@ -65,7 +67,8 @@ impl Outline<'_> {
     fn other_version(&self) -> Option<String> {
         let asset = self.asset.and_then(|asset| serde_json::from_str::<Asset>(asset.get()).ok());
         if let Some(version) = asset.and_then(|asset| asset.version) {
-            return (!version.starts_with("2.")).then(|| shown(&version));
+            let version = version.as_str().map_or_else(|| version.to_string(), str::to_owned);
+            return (version != "2" && !version.starts_with("2.")).then(|| shown(&version));
         }
         let lists = [self.accessors, self.buffer_views, self.materials, self.meshes, self.nodes, self.scenes];
         let is_table = lists.into_iter().flatten().any(|list| list.get().starts_with('{'));

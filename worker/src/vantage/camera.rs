@@ -15,11 +15,8 @@ use crate::rays::Hit;
 const FOV_DEG: f32 = 60.0;
 /// Share of a point's view that is sky up to which it is in a room.
 const ROOM_SKY: f32 = 0.15;
-/// Share of what a point sees that may be turned away from it. Where more is, the point is inside a thing, whose
-/// double-sided shell has no backs.
-const AWAY_MAX: f32 = 0.5;
 /// Share of points in rooms from which on a scene is looked at from inside.
-const ROOM_POINTS: f32 = 0.125;
+pub const ROOM_POINTS: f32 = 0.125;
 /// Points tried, those of the widest view.
 const TRIED: usize = 64;
 /// Level views tried from each.
@@ -88,7 +85,7 @@ fn inside(geometry: &Geometry, points: &[VantagePoint]) -> Option<(Vec3, Vec3)> 
 }
 
 fn is_in_room(look: &Look) -> bool {
-    look.sky_share < ROOM_SKY && look.away_share <= AWAY_MAX * (1.0 - look.sky_share)
+    look.sky_share < ROOM_SKY && !look.is_in_thing()
 }
 
 /// Mean interest of the rays of a view.

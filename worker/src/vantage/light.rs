@@ -5,6 +5,7 @@ use lightkiln_proto::manifest::Chosen;
 use lightkiln_proto::scene::{LightKind, SceneLight};
 
 use super::VantagePoint;
+use super::camera::ROOM_POINTS;
 use crate::geometry::Geometry;
 
 /// Irradiance of a sun on a surface that faces it, in W·m⁻².
@@ -18,11 +19,14 @@ const LAMP_INTENSITY: f32 = 0.25;
 /// Height of a lamp above the middle, as a share of the scene's.
 const LAMP_HEIGHT: f32 = 0.3;
 
-/// The light, and how it was chosen.
+/// The light, and how it was chosen. Points inside things are no places for a lamp, as nobody looks from there; a scene
+/// with hardly any others is a thing itself.
 pub fn chosen(geometry: &Geometry, points: &[VantagePoint]) -> Chosen<SceneLight> {
-    let sky: f32 = points.iter().map(|point| point.look.sky_share).sum();
-    let is_closed = sky < CLOSED_SKY * points.len() as f32;
-    let (kind, strength, note) = match lamp_position(geometry, points).filter(|_| is_closed) {
+    let places: Vec<&VantagePoint> = points.iter().filter(|point| !point.look.is_in_thing()).collect();
+    let is_thing = (places.len() as f32) < ROOM_POINTS * points.len() as f32;
+    let sky: f32 = places.iter().map(|point| point.look.sky_share).sum();
+    let is_closed = !is_thing && sky < CLOSED_SKY * places.len() as f32;
+    let (kind, strength, note) = match lamp_position(geometry, &places).filter(|_| is_closed) {
         Some(at_m) => {
             let kind = LightKind::Point { position_m: at_m.into(), range_m: None };
             let strength = LAMP_INTENSITY * geometry.near_diagonal_m() * geometry.near_diagonal_m();
@@ -43,7 +47,7 @@ pub fn chosen(geometry: &Geometry, points: &[VantagePoint]) -> Chosen<SceneLight
 }
 
 /// The point nearest to the top of the middle.
-fn lamp_position(geometry: &Geometry, points: &[VantagePoint]) -> Option<Vec3> {
+fn lamp_position(geometry: &Geometry, points: &[&VantagePoint]) -> Option<Vec3> {
     let [low, high] = geometry.near_bounds_m();
     let wanted_m = low.lerp(high, 0.5) + Vec3::Y * (LAMP_HEIGHT * (high.y - low.y));
     let distance = |at_m: &Vec3| at_m.distance_squared(wanted_m);

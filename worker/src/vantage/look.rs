@@ -16,6 +16,10 @@ const CLEARANCE: f32 = 0.25;
 /// Share of rays from a point that may meet backs.
 const BACK_SHARE_MAX: f32 = 0.02;
 
+/// Share of what a point sees that may be turned away from it. Where more is, the point is inside a thing, whose
+/// double-sided shell has no backs.
+const AWAY_MAX: f32 = 0.5;
+
 /// View from a point in all directions.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Look {
@@ -42,6 +46,11 @@ pub fn view(geometry: &Geometry, from_m: Vec3) -> impl Iterator<Item = (Vec3, Op
 }
 
 impl Look {
+    /// Whether most surfaces in sight are turned away, as the shell of a thing is from its inside.
+    pub fn is_in_thing(&self) -> bool {
+        self.away_share > AWAY_MAX * (1.0 - self.sky_share)
+    }
+
     /// Looks around from a point.
     pub fn from(geometry: &Geometry, from_m: Vec3) -> Self {
         let mut look = Self {

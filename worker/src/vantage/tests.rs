@@ -52,8 +52,10 @@ fn file_with_camera_and_light_is_left_as_it_is() {
 fn double_sided_thing_is_looked_at_from_outside() {
     let mut thing = scene(TWO_ROOMS);
     thing.cameras.clear();
+    thing.lights.clear();
     for material in &mut thing.materials {
         material.double_sided = true;
+        material.emissive = [0.0; 3];
     }
     let room = framing(&Geometry::new(thing.clone()).unwrap()).camera.unwrap();
     assert!(room.note.contains("inside"), "{}", room.note);
@@ -61,6 +63,9 @@ fn double_sided_thing_is_looked_at_from_outside() {
     for triangle in thing.instances.iter_mut().flat_map(|instance| &mut instance.triangles) {
         triangle.swap(1, 2);
     }
-    let camera = framing(&Geometry::new(thing).unwrap()).camera.unwrap();
+    let framing = framing(&Geometry::new(thing).unwrap());
+    let (camera, light) = (framing.camera.unwrap(), framing.light.unwrap());
     assert!(camera.note.contains("outside"), "{}", camera.note);
+    // A lamp inside it would light nothing that is seen.
+    assert!(matches!(light.value.kind, LightKind::Sun { .. }), "{light:?}");
 }

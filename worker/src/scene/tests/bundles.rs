@@ -193,7 +193,8 @@ fn other_gltf_versions_are_refused() {
 fn gltf_1_with_tables_for_lists_is_told_by_its_version_and_not_said_to_be_broken() {
     let tables =
         r#""meshes": {"m": {}}, "nodes": {"n": {}}, "scene": "s", "scenes": {"s": {"nodes": ["n"]}}"#;
-    for json in [format!(r#"{{"asset": {{"version": "1.0"}}, {tables}}}"#), format!("{{{tables}}}")] {
+    let number = format!(r#"{{"asset": {{"version": 1.0}}, {tables}}}"#);
+    for json in [format!(r#"{{"asset": {{"version": "1.0"}}, {tables}}}"#), format!("{{{tables}}}"), number] {
         let refused = import_bytes(json.into_bytes()).unwrap_err();
         let message = refused.to_string();
         assert!(matches!(refused, ImportError::Version { .. }), "{message}");
