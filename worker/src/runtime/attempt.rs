@@ -10,7 +10,7 @@ use lightkiln_http::{CallError, FOREVER, ShutdownFlag, retry};
 use lightkiln_proto::api::{Blame, CommitVerdict, Failure, Lease, TaskResult};
 use lightkiln_proto::problem::{ProblemCode, chain};
 use lightkiln_proto::trace::TARGET;
-use rayon::ThreadPool;
+use rayon::{ThreadPool, ThreadPoolBuildError};
 
 use super::Worker;
 use super::store::LeaseStore;
@@ -45,14 +45,14 @@ enum NoResult {
 
 impl Worker {
     /// Does the task of `lease` to its end, whatever that is; when it returns the lease needs nothing more.
-    pub(super) fn attempt(&self, lease: &Lease, pool: &ThreadPool, shutdown: &ShutdownFlag) -> Outcome {
+    pub(super) fn attempt(&self, lease: &Lease, shutdown: &ShutdownFlag) -> Outcome {
         let span = trace::attempt_span(lease, &self.config.name);
-        let outcome = span.in_scope(|| self.attempt_in_span(lease, pool, shutdown));
+        let outcome = span.in_scope(|| self.attempt_in_span(lease, shutdown));
         trace::note_outcome(&span, outcome);
         outcome
     }
 
-    fn attempt_in_span(&self, lease: &Lease, pool: &ThreadPool, shutdown: &ShutdownFlag) -> Outcome {
+    fn attempt_in_span(&self, lease: &Lease, shutdown: &ShutdownFlag) -> Outcome {
         let progress = Progress::new();
         let watch = LeaseWatch {
             farm: &self.farm,
@@ -69,7 +69,7 @@ impl Worker {
             scope.spawn(|| watch.run());
             // `work` catches panics, so `finish` is always reached and the scope can end.
             let worked = match watch.acknowledge(&store) {
-                Ok(()) => self.work(lease, pool, &store),
+                Ok(()) => self.work(lease, &store),
                 Err(error) => Err(no_result_of_call("the task could not be begun", error)),
             };
             let outcome = self.settle(lease, worked, &watch);
@@ -78,14 +78,14 @@ impl Worker {
         })
     }
 
-    fn work(
-        &self,
-        lease: &Lease,
-        pool: &ThreadPool,
-        store: &LeaseStore<'_>,
-    ) -> Result<CommitVerdict, NoResult> {
+    fn work(&self, lease: &Lease, store: &LeaseStore<'_>) -> Result<CommitVerdict, NoResult> {
         let started = Instant::now();
-        let mut output = self.run_task(lease, pool, store).map_err(no_result_of_task)?;
+        // The threads end with the task, before its result is sent: others have them meanwhile.
+        let output = {
+            let share = self.threads.start().map_err(|error| no_result_of_threads(&error))?;
+            self.run_task(lease, &share.pool, store)
+        };
+        let mut output = output.map_err(no_result_of_task)?;
         count(&mut output, started.elapsed(), store.progress);
         let artefacts = output.artefacts;
         let mut result = TaskResult { outputs: Vec::new(), plan: output.plan, counters: output.counters };
@@ -186,6 +186,11 @@ fn no_result_of_task(error: TaskError) -> NoResult {
         TaskError::Cancelled(_) => NoResult::Stopped,
         error => NoResult::Failed(Failure { blame: error.blame(), message: cut(&chain(&error)) }),
     }
+}
+
+fn no_result_of_threads(error: &ThreadPoolBuildError) -> NoResult {
+    let message = cut(&format!("threads cannot be started; ask for fewer: {error}"));
+    NoResult::Failed(Failure { blame: Blame::Worker, message })
 }
 
 fn no_result_of_call(what: &str, error: CallError) -> NoResult {

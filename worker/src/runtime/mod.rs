@@ -1,6 +1,6 @@
 //! The worker as a process sees it: claims tasks over HTTP, runs them, hands results in. Blocking calls on plain
-//! threads; few tasks at a time, each with all threads inside it: one goes on while another talks to the server, or has
-//! a step that is not parallel.
+//! threads; a few tasks at a time, each with a share of the threads inside it: one goes on while another talks to the
+//! server, or has a step that is not parallel.
 //!
 //! Invariants, whatever happens: a result is handed in only under a lease not known to be lost; a task whose lease ends
 //! here without a result is failed, released, or runs out, so another worker gets it; the same task gives the same
@@ -10,6 +10,7 @@ mod attempt;
 mod claim;
 mod disk_cache;
 mod farm;
+mod share;
 mod store;
 #[cfg(test)]
 mod tests;
@@ -18,22 +19,23 @@ mod watch;
 
 use std::panic::resume_unwind;
 use std::path::PathBuf;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::ScopedJoinHandle;
 use std::time::Duration;
 
 use lightkiln_http::{FOREVER, retry};
 use lightkiln_proto::api::ClaimRequest;
 use lightkiln_proto::ids::Digest;
-use rayon::ThreadPool;
 use thiserror::Error;
 
 use crate::task::{MemoryCache, TaskRunner};
 use farm::Farm;
+use share::Threads;
 
 pub use attempt::Outcome;
 pub use disk_cache::DiskCache;
 pub use lightkiln_http::{CallError, Level, ShutdownFlag};
+pub use share::usual_tasks;
 
 /// Pause after an answer without tasks, so that a server that does not hold claims open is not asked in a tight loop.
 const EMPTY_ANSWER_PAUSE: Duration = Duration::from_millis(20);
@@ -49,9 +51,9 @@ pub struct WorkerConfig {
     pub ca_pem: Option<Vec<u8>>,
     /// Name on the farm; unique there, as a worker that failed a task is not given it again.
     pub name: String,
-    /// Threads for a task. More → faster, with more memory in use.
+    /// Threads, which the tasks in hand share. More → faster, with more memory in use.
     pub threads: usize,
-    /// Tasks in hand at a time; each may use `threads` and `memory_mib`. More → less idle time, with more memory in use.
+    /// Tasks in hand at a time; each may use `memory_mib`. More → less idle time, with more memory in use.
     pub tasks: usize,
     /// Memory in MiB that a task may use; bakes that need more go to other workers.
     pub memory_mib: u32,
@@ -98,11 +100,6 @@ impl WorkerConfig {
 /// given on sooner.
 pub const LEASE_SECS: u32 = 30;
 
-/// Tasks in hand at a time where nobody says: two, but one where there is one thread, to keep to that.
-pub fn usual_tasks(threads: usize) -> usize {
-    threads.clamp(1, 2)
-}
-
 /// A worker that cannot start or cannot go on.
 #[derive(Debug, Error)]
 pub enum WorkerError {
@@ -139,9 +136,9 @@ pub struct Worker {
     farm: Arc<Farm>,
     disk: Option<DiskCache>,
     memory: MemoryCache,
-    /// Threads of each task in hand. Not one pool for all: a thread that waits for part of one task would take up another
-    /// as a whole, under whatever locks it holds.
-    pools: Vec<ThreadPool>,
+    threads: Threads,
+    /// Held while a claim is open: one call waits for work, however many tasks may be in hand.
+    claiming: Mutex<()>,
 }
 
 /// Exchanges a code for the right to work with `token`, which whoever calls made and keeps; the worker's name on the farm.
@@ -159,24 +156,21 @@ impl Worker {
             opened.map_err(|source| WorkerError::Cache { folder: folder.clone(), source })
         };
         let disk = config.cache_dir.as_ref().map(open).transpose()?;
-        let threads = config.threads.max(1);
-        let pool = |task: usize| {
-            let name = move |index| format!("bake-{task}-{index}");
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).thread_name(name).build();
-            pool.map_err(|source| WorkerError::Threads { threads, source })
-        };
-        let pools = (0..config.tasks.max(1)).map(pool).collect::<Result<_, _>>()?;
+        let threads = Threads::new(config.threads);
+        // Whether they can be started is better known now than at the first task.
+        let started = threads.start().map(drop);
+        started.map_err(|source| WorkerError::Threads { threads: threads.all(), source })?;
         let farm = Farm::new(&config.server_url, config.token.as_deref(), config.ca_pem.as_deref());
         let farm = Arc::new(farm.map_err(WorkerError::Server)?);
         let memory = MemoryCache::new(config.memory_bytes);
-        Ok(Self { config, runner, farm, disk, memory, pools })
+        Ok(Self { config, runner, farm, disk, memory, threads, claiming: Mutex::new(()) })
     }
 
     /// Claims and does tasks until `shutdown` is raised. A server that is away is waited for.
     pub fn run(&self, shutdown: &ShutdownFlag) -> Result<(), WorkerError> {
         std::thread::scope(|scope| {
-            let start = |pool| scope.spawn(move || self.take_tasks(pool, shutdown));
-            let running: Vec<_> = self.pools.iter().map(start).collect();
+            let start = |_| scope.spawn(|| self.take_tasks(shutdown));
+            let running: Vec<_> = (0..self.config.tasks.max(1)).map(start).collect();
             let join =
                 |thread: ScopedJoinHandle<_>| thread.join().unwrap_or_else(|panic| resume_unwind(panic));
             // Who is refused for good ends alone: the others will be refused as well, and have a task to end.
@@ -186,17 +180,20 @@ impl Worker {
     }
 
     /// Claims and does one task after the other.
-    fn take_tasks(&self, pool: &ThreadPool, shutdown: &ShutdownFlag) -> Result<(), WorkerError> {
+    fn take_tasks(&self, shutdown: &ShutdownFlag) -> Result<(), WorkerError> {
         let is_over = |level| level > Level::Run;
         let pause = |error: &CallError, wait: Duration| {
             tracing::warn!(%error, wait_secs = wait.as_secs_f64(), "no task could be claimed; trying again");
             if is_over(shutdown.wait(wait, is_over)) { Err(CallError::Stopped) } else { Ok(()) }
         };
         while !is_over(shutdown.level()) {
-            match retry(FOREVER, || claim::claim(&self.farm, self.claim_request(), shutdown), pause) {
+            let turn = self.claiming.lock().unwrap_or_else(PoisonError::into_inner);
+            let claimed = retry(FOREVER, || claim::claim(&self.farm, self.claim_request(), shutdown), pause);
+            match claimed {
                 Ok(Some(lease)) => {
+                    drop(turn);
                     tracing::info!(kind = lease.task.kind, label = lease.task.label, "took");
-                    self.attempt(&lease, pool, shutdown);
+                    self.attempt(&lease, shutdown);
                 }
                 Ok(None) => {
                     shutdown.wait(EMPTY_ANSWER_PAUSE, is_over);
@@ -212,7 +209,7 @@ impl Worker {
         ClaimRequest {
             worker: self.config.name.clone(),
             kinds: self.runner.kinds(),
-            threads: u32::try_from(self.config.threads.max(1)).unwrap_or(u32::MAX),
+            threads: u32::try_from(self.threads.all()).unwrap_or(u32::MAX),
             memory_mib: self.config.memory_mib,
             labels: self.config.labels.clone(),
             max: 1,

@@ -24,11 +24,11 @@ use crate::interrupt::Interrupt;
 pub struct Arguments {
     #[command(flatten)]
     server: ServerArgument,
-    /// Threads for a task [default: one per processor]
+    /// Threads, which the tasks in hand share [default: one per processor]
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
-    /// Tasks in hand at a time, each with as many threads and as much memory as a task may use: one goes on while another
-    /// waits for the server [default: 2, or 1 with one thread]
+    /// Tasks in hand at a time, each with as much memory as a task may use: one goes on while another waits for the server
+    /// or has a step for one thread [default: one for every two threads, but 2 to 64, and 1 with one thread]
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=64))]
     tasks: Option<u16>,
     /// Memory in MiB that a task may use; bakes that need more go to other workers [default: all that this machine has]

@@ -122,6 +122,20 @@ fn result_is_handed_in_with_its_outputs_stored_and_its_time_counted() {
 }
 
 #[test]
+fn tasks_in_hand_go_on_side_by_side() {
+    let farm = FakeFarm::start();
+    ["t1", "t2", "t3"].iter().for_each(|token| farm.offer(token, &[token.as_bytes()]));
+    let all_are_here = std::sync::Barrier::new(3);
+    let meeting = move |inputs: &[Artefact], source: &dyn ArtefactSource, progress: &Progress| {
+        all_are_here.wait();
+        joining(inputs, source, progress)
+    };
+    let running = Running::start(&farm, meeting, |config| config.tasks = 3);
+    farm.wait_for("three commits", |state| state.committed.len() == 3);
+    running.end(Level::Drain);
+}
+
+#[test]
 fn output_that_the_server_has_is_not_sent_again() {
     let farm = FakeFarm::start();
     farm.offer("t1", &[b"same"]);
