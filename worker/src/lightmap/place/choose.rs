@@ -24,6 +24,8 @@
 //! A texel that its chart only touches is stood for by its neighbour's point, unless a wall parts the two: then by the best
 //! of its own, if that is open and on its own side of the wall.
 
+use std::borrow::Cow;
+
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -54,6 +56,10 @@ const BENT_COSINE_MAX: f32 = std::f32::consts::FRAC_1_SQRT_2;
 /// Share of rays to back faces from which on a point is beyond the walls of the room: the foot of a wall that reaches
 /// through the floor.
 const BEYOND_SHARE_MIN: f32 = 0.125;
+
+/// Most points that are gathered for a texel: a statue has thousands of triangles in one, each with a middle of its own. More →
+/// more of the texel is known, more time.
+const GATHERED_MAX: usize = 96;
 
 /// Longest mean free path, in texels, of a point in a hollow.
 const HOLLOW_MAX: f32 = 32.0;
@@ -119,13 +125,22 @@ fn choose_among(
         .zip(texels)
         .map(|(others, &index)| {
             site.check()?;
-            Ok(best(&covered[index], chosen[index], others, site))
+            Ok(best(&covered[index], chosen[index], &few(others), site))
         })
         .collect::<Result<_, Cancelled>>()?;
     for (&index, better) in texels.iter().zip(better) {
         chosen[index] = better;
     }
     Ok(())
+}
+
+/// The points, or as many as are gathered, evenly among them.
+fn few(points: &[TexelPoint]) -> Cow<'_, [TexelPoint]> {
+    if points.len() <= GATHERED_MAX {
+        return Cow::Borrowed(points);
+    }
+    let at = |index: usize| points[(2 * index + 1) * points.len() / (2 * GATHERED_MAX)];
+    (0..GATHERED_MAX).map(at).collect()
 }
 
 /// So deep in a crevice that hardly any light comes there. Points in solids are another matter: what is beside those is often
@@ -268,6 +283,18 @@ mod tests {
         fn is_parted(&self, _: &Receiver, _: &Receiver) -> bool {
             true
         }
+    }
+
+    #[test]
+    fn of_thousands_of_points_a_few_are_gathered_evenly_and_of_few_all() {
+        let points = |count: u32| -> Vec<TexelPoint> {
+            (0..count).map(|triangle| TexelPoint { texel: [0, 0], triangle, weights: [1.0, 0.0, 0.0] }).collect()
+        };
+        assert_eq!(few(&points(GATHERED_MAX as u32)).as_ref(), points(GATHERED_MAX as u32));
+        let gathered: Vec<u32> = few(&points(96_000)).iter().map(|point| point.triangle).collect();
+        assert_eq!(gathered.len(), GATHERED_MAX);
+        assert_eq!(gathered[0], 500);
+        assert!(gathered.windows(2).all(|pair| pair[1] - pair[0] == 1000), "{gathered:?}");
     }
 
     #[test]
