@@ -280,7 +280,10 @@ impl Evaluator {
         });
         let relit = light.mapped.unwrap_or(light.exact);
         let lightmap = bake.lightmap();
-        let seams = lightmap.map(|lightmap| self.borders.jumps(lightmap, relit, mean_irradiance));
+        let seams = lightmap.map(|lightmap| {
+            self.borders.jumps((bake, lightmap), (relit, mean_irradiance), reference, progress)
+        });
+        let seams = seams.transpose()?;
         let is_seen = |site: &Site| self.open.sees(self.geometry(), site);
         let hunt = lightmap
             .map(|lightmap| {

@@ -31,7 +31,7 @@ pub use light_file::lights_of_file;
 pub use lights::{Chosen, TestLight, default_lights, usable_lights};
 pub use pixels::{PixelFigures, Pixels};
 pub use sample::{Sample, Sampled, SampledHit};
-pub use seams::{Borders, Jumps, Seams};
+pub use seams::{Borders, Jumps, Seams, Step};
 pub use shadow::{ClientLights, DirectShares, MappedIncoming, MappedLight, MappedPixel};
 
 #[cfg(test)]

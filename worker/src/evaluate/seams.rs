@@ -1,4 +1,5 @@
-//! Seams: jumps of the light across borders of charts, blocks and clusters, where true light has none.
+//! Seams: jumps of the light across borders of charts, blocks and clusters. True light has none there but at a few places, so
+//! the largest across charts and blocks are path-traced, and what the reference jumps there is taken off.
 
 use glam::{DVec3, Vec2, Vec3};
 use lightkiln_proto::content::BlockKey;
@@ -11,7 +12,8 @@ use super::open::OpenSpace;
 use crate::geometry::{Site, Strata};
 use crate::rays::Hit;
 use crate::rays::sampling::tangent_frame;
-use crate::reference::luminance;
+use crate::reference::{Precision, Reference, Target, luminance};
+use crate::task::{Cancelled, Progress};
 
 /// Points from which borders are looked for. More → more pairs, more time.
 const WALKS: u32 = 65_536;
@@ -35,6 +37,13 @@ const TURN: f32 = 0.381_966;
 const ROWS: usize = 8192;
 /// Light that a jump is over at least, as a share of the mean.
 const LOCAL_LIGHT_MIN: f64 = 0.1;
+/// Most jumps that are path-traced, the least of them, and the precision of the paths: none is told from a large one by far
+/// less than figures need.
+const TRACED: usize = 32;
+const TRACED_JUMP_MIN: f64 = 0.05;
+const TRACED_REL_ERROR: f64 = 0.15;
+/// Jumps that are named.
+const NAMED: usize = 8;
 
 /// Jumps of light over its mean on both sides.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
@@ -47,8 +56,21 @@ pub struct Jumps {
     pub p95: f64,
 }
 
+/// A jump across a border of charts or blocks.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Step {
+    /// Blocks on both sides: path, part and side.
+    pub blocks: [String; 2],
+    /// Place in metres.
+    pub position_m: [f32; 3],
+    /// Luminance on both sides, W·m⁻².
+    pub light: [f64; 2],
+    /// That of the reference.
+    pub reference: [f64; 2],
+}
+
 /// Jumps by the border that they are across.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Seams {
     /// Between charts of a block.
     pub charts: Jumps,
@@ -58,6 +80,69 @@ pub struct Seams {
     pub clusters: Jumps,
     /// The same inside clusters: what texels differ by anyway.
     pub inside: Jumps,
+    /// The largest across charts and blocks that the reference does not have.
+    pub worst: Vec<Step>,
+}
+
+/// Light on both sides of a border of charts or blocks.
+struct Across {
+    hits: [Hit; 2],
+    light: [f64; 2],
+    /// Least light that a jump is over.
+    floor: f64,
+    /// That of the reference, where it is known; else it has no jump there.
+    reference: Option<[f64; 2]>,
+}
+
+impl Across {
+    /// The jump that the reference does not have, over the mean of both sides.
+    fn jump(&self) -> f64 {
+        let [one, other] = self.light;
+        let own = one - other;
+        let true_one = self.reference.map_or(0.0, |[one, other]| one - other) * own.signum();
+        let excess = (own.abs() - true_one.max(0.0)).max(0.0);
+        excess / (0.5 * (one + other)).max(self.floor).max(f64::MIN_POSITIVE)
+    }
+
+    fn step(&self, (bake, lightmap): (&dyn Evaluated, &dyn EvaluatedLightmap)) -> Step {
+        let block = |hit: &Hit| {
+            let found = lightmap.texel_at(hit);
+            found.map_or(String::new(), |(block, _)| lightmap.block_name(block).to_owned())
+        };
+        Step {
+            blocks: self.hits.each_ref().map(block),
+            position_m: bake.geometry().site_at(&self.hits[0]).position_m.to_array(),
+            light: self.light,
+            reference: self.reference.unwrap_or_default(),
+        }
+    }
+}
+
+/// Path-traces the largest jumps; those that are left are named.
+fn traced(
+    across: &mut [Across],
+    (bake, lightmap): (&dyn Evaluated, &dyn EvaluatedLightmap),
+    reference: &Reference,
+    progress: &Progress,
+) -> Result<Vec<Step>, Cancelled> {
+    let mut order: Vec<usize> = (0..across.len()).collect();
+    order.retain(|&index| across[index].jump() > TRACED_JUMP_MIN);
+    order.sort_by(|&a, &b| across[b].jump().total_cmp(&across[a].jump()).then(a.cmp(&b)));
+    order.truncate(TRACED);
+    if order.is_empty() {
+        return Ok(Vec::new());
+    }
+    let geometry = bake.geometry();
+    let sides = order.iter().flat_map(|&index| across[index].hits);
+    let targets: Vec<Target> = sides.map(|hit| Target::of(geometry.site_at(&hit))).collect();
+    let precision = Precision { rel_error: TRACED_REL_ERROR, ..Precision::default() };
+    let estimates = reference.mean_irradiance(&targets, &precision, progress)?;
+    for (&index, sides) in order.iter().zip(estimates.chunks_exact(2)) {
+        across[index].reference = Some([0, 1].map(|side: usize| sides[side].indirect.luminance()));
+    }
+    order.sort_by(|&a, &b| across[b].jump().total_cmp(&across[a].jump()).then(a.cmp(&b)));
+    let left = order.iter().map(|&index| &across[index]).filter(|across| across.jump() > TRACED_JUMP_MIN);
+    Ok(left.take(NAMED).map(|across| across.step((bake, lightmap))).collect())
 }
 
 /// Borders of a bake's lightmap.
@@ -96,15 +181,22 @@ impl Borders {
     }
 
     /// Jumps of a light across them; `mean` is its mean luminance.
-    pub(super) fn jumps(&self, lightmap: &dyn EvaluatedLightmap, relit: &dyn Relit, mean: f64) -> Seams {
+    pub(super) fn jumps(
+        &self,
+        (bake, lightmap): (&dyn Evaluated, &dyn EvaluatedLightmap),
+        (relit, mean): (&dyn Relit, f64),
+        reference: &Reference,
+        progress: &Progress,
+    ) -> Result<Seams, Cancelled> {
         let floor = LOCAL_LIGHT_MIN * mean;
-        let across = |pairs: &[[Hit; 2]]| {
-            let jump = |pair: &[Hit; 2]| {
-                let [one, other] = pair.map(|hit| relit.shown_at(&hit).map_or(0.0, luminance));
-                (one - other).abs() / (0.5 * (one + other)).max(floor).max(f64::MIN_POSITIVE)
-            };
-            Jumps::of(pairs.par_iter().map(jump).collect())
+        let across = |hits: &[Hit; 2]| {
+            let light = hits.each_ref().map(|hit| relit.shown_at(hit).map_or(0.0, luminance));
+            Across { hits: *hits, light, floor, reference: None }
         };
+        let mut borders: Vec<Across> = self.charts.par_iter().chain(&self.blocks).map(across).collect();
+        let worst = traced(&mut borders, (bake, lightmap), reference, progress)?;
+        let [charts, blocks] = [&borders[..self.charts.len()], &borders[self.charts.len()..]]
+            .map(|borders| Jumps::of(borders.iter().map(Across::jump).collect()));
         let along = |rows: &[[u32; 4]]| {
             let at = |index: u32| relit.irradiance(&lightmap.receiver(index)).unwrap_or(DVec3::ZERO);
             let jump = |row: &[u32; 4]| {
@@ -113,12 +205,7 @@ impl Borders {
             };
             Jumps::of(rows.par_iter().map(jump).collect())
         };
-        Seams {
-            charts: across(&self.charts),
-            blocks: across(&self.blocks),
-            clusters: along(&self.clusters),
-            inside: along(&self.inside),
-        }
+        Ok(Seams { charts, blocks, clusters: along(&self.clusters), inside: along(&self.inside), worst })
     }
 }
 
@@ -241,6 +328,20 @@ fn changes(one: &Point, other: &Point) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_the_reference_jumps_is_no_seam_and_the_rest_is() {
+        let hit = Hit { t: 0.0, triangle: 0, barycentric: [0.0; 2], front: true };
+        let jump = |light: [f64; 2], reference: Option<[f64; 2]>| {
+            Across { hits: [hit; 2], light, floor: 0.1, reference }.jump()
+        };
+        assert_eq!(jump([3.0, 1.0], None), 1.0);
+        assert_eq!(jump([3.0, 1.0], Some([2.0, 2.0])), 1.0);
+        assert_eq!(jump([3.0, 1.0], Some([3.0, 1.5])), 0.25);
+        assert_eq!(jump([3.0, 1.0], Some([9.0, 1.0])), 0.0, "noise of the reference makes no seam");
+        assert_eq!(jump([1.0, 3.0], Some([3.0, 1.0])), 1.0, "a jump the other way takes nothing off");
+        assert_eq!(jump([0.02, 0.0], None), 0.2, "none in the dark");
+    }
 
     #[test]
     fn light_that_changes_evenly_has_no_jump_and_a_step_has_its_height() {

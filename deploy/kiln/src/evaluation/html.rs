@@ -12,7 +12,9 @@ use lightkiln_worker::evaluate::{ClusterError, Figures, cluster_errors};
 use super::heat::{Bitmap, FULL_COLOUR, colour};
 use super::measure::Measured;
 use super::pictures::LightPictures;
-use super::pixels::{PixelRow, interpolation_words, outlier_words, place_words, seam_words, share_words};
+use super::pixels::{
+    PixelRow, interpolation_words, outlier_words, place_words, seam_words, share_words, step_words,
+};
 use super::table::{ABSENT, Classes, Evaluation, LightRow, energy_words, rmse_words};
 use crate::console::say;
 use crate::failure::{Exit, Failure, Result};
@@ -164,8 +166,12 @@ fn at_pixels(evaluation: &Evaluation) -> String {
     let worst = |row: &LightRow| -> Vec<String> {
         let hunt = row.pixels.as_ref().and_then(|pixels| pixels.hunt.as_ref());
         let named = hunt.into_iter().flat_map(|hunt| &hunt.worst);
+        let seams = row.pixels.as_ref().and_then(|pixels| pixels.seams.as_ref());
+        let steps = seams.into_iter().flat_map(|seams| &seams.worst);
         named
-            .map(|outlier| format!("<li>{}: {}", escaped(&row.name), escaped(&place_words(outlier))))
+            .map(place_words)
+            .chain(steps.map(step_words))
+            .map(|words| format!("<li>{}: {}", escaped(&row.name), escaped(&words)))
             .collect()
     };
     let worst: Vec<String> = evaluation.lights.iter().flat_map(worst).collect();

@@ -1,7 +1,7 @@
 //! The figures at pixels: as JSON and as a table for people.
 
 use lightkiln_worker::evaluate::{
-    DirectShares, Draw, Figures, Hunt, Jumps, Outlier, PixelResult, RelativeRoot, Seams,
+    DirectShares, Draw, Figures, Hunt, Jumps, Outlier, PixelResult, RelativeRoot, Seams, Step,
 };
 use serde::Serialize;
 
@@ -43,7 +43,7 @@ impl PixelRow {
             interpolation: shown.interpolation,
             by_shadow_maps: result.by_shadow_maps,
             direct: result.direct,
-            seams: result.seams,
+            seams: result.seams.clone(),
             hunt: result.hunt.clone(),
             draws: shown.draws.clone(),
             interpolation_draws: shown.interpolation_draws.clone(),
@@ -95,7 +95,7 @@ fn mean_shares(rows: &[&PixelRow]) -> Option<DirectShares> {
 }
 
 fn mean_seams(rows: &[&PixelRow]) -> Option<Seams> {
-    let seams: Vec<Seams> = rows.iter().filter_map(|row| row.seams).collect();
+    let seams: Vec<&Seams> = rows.iter().filter_map(|row| row.seams.as_ref()).collect();
     let first = seams.first()?;
     let of = |border: fn(&Seams) -> Jumps| Jumps {
         pairs: border(first).pairs,
@@ -107,6 +107,7 @@ fn mean_seams(rows: &[&PixelRow]) -> Option<Seams> {
         blocks: of(|seams| seams.blocks),
         clusters: of(|seams| seams.clusters),
         inside: of(|seams| seams.inside),
+        worst: Vec::new(),
     })
 }
 
@@ -152,6 +153,16 @@ pub fn place_words(outlier: &Outlier) -> String {
     format!(
         "{x:.2},{y:.2},{z:.2}, texel {column},{row} of '{block}': {light:.3} beside {around:.3} W/m², \
          by paths {reference:.3} beside {reference_around:.3}"
+    )
+}
+
+/// Place and light of a jump across a border.
+pub fn step_words(step: &Step) -> String {
+    let [x, y, z] = step.position_m;
+    let Step { blocks: [block, other], light: [one, next], reference: [true_one, true_next], .. } = step;
+    format!(
+        "{x:.2},{y:.2},{z:.2}, border of '{block}' and '{other}': {one:.3} beside {next:.3} W/m², \
+         by paths {true_one:.3} beside {true_next:.3}"
     )
 }
 
@@ -209,6 +220,8 @@ pub fn pixel_words(evaluation: &Evaluation) -> String {
     for row in &evaluation.lights {
         let worst = row.pixels.iter().flat_map(|pixels| &pixels.hunt).flat_map(|hunt| &hunt.worst);
         worst.take(NAMED).for_each(|outlier| text += &format!("{}: {}\n", row.name, place_words(outlier)));
+        let steps = row.pixels.iter().flat_map(|pixels| &pixels.seams).flat_map(|seams| &seams.worst);
+        steps.take(NAMED).for_each(|step| text += &format!("{}: {}\n", row.name, step_words(step)));
     }
     text
 }

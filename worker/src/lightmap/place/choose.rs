@@ -288,7 +288,9 @@ mod tests {
     #[test]
     fn of_thousands_of_points_a_few_are_gathered_evenly_and_of_few_all() {
         let points = |count: u32| -> Vec<TexelPoint> {
-            (0..count).map(|triangle| TexelPoint { texel: [0, 0], triangle, weights: [1.0, 0.0, 0.0] }).collect()
+            (0..count)
+                .map(|triangle| TexelPoint { texel: [0, 0], triangle, weights: [1.0, 0.0, 0.0] })
+                .collect()
         };
         assert_eq!(few(&points(GATHERED_MAX as u32)).as_ref(), points(GATHERED_MAX as u32));
         let gathered: Vec<u32> = few(&points(96_000)).iter().map(|point| point.triangle).collect();
