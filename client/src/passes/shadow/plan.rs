@@ -6,7 +6,7 @@ use crate::error::{ClientError, Result};
 use crate::lights::{Caster, Shape};
 use crate::raster::{look_along, parallel, perspective};
 
-/// Most texels of all shadow maps together; 4 bytes each.
+/// Most texels of all shadow maps together; 4 bytes each, and in a scene with glass 10.
 const MAX_TEXELS: u64 = 1 << 26;
 /// Most faces: layers of one texture.
 const MAX_FACES: usize = 256;
@@ -95,8 +95,8 @@ pub struct LightCount {
     pub side: u32,
     /// Constant offset along the normal in metres, against rounded positions.
     pub bias_m: f32,
-    /// Nothing.
-    pub pad: u32,
+    /// 1 where the adapter's maps of glass hold anything.
+    pub panes: u32,
 }
 
 /// Where a picture is looked at from.
@@ -132,7 +132,7 @@ impl ShadowPlan {
             return Err(ClientError::Argument { what: format!("{} lights", casters.len()), problem });
         }
         let side = side_for(face_count, side);
-        let count = LightCount { count: casters.len() as u32, side, bias_m: 5e-5 * diagonal, pad: 0 };
+        let count = LightCount { count: casters.len() as u32, side, bias_m: 5e-5 * diagonal, panes: 0 };
         let mut plan = Self { lights: Vec::new(), faces: Vec::new(), count };
         for caster in casters {
             plan.push(caster, [low, high], diagonal);

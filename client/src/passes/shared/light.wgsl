@@ -40,7 +40,8 @@ struct LightCount {
     side: u32,
     // Constant offset along the normal in metres.
     bias_m: f32,
-    pad: u32,
+    // 1 where the maps of glass hold anything.
+    panes: u32,
 }
 
 const POINT = 0u;
@@ -54,6 +55,9 @@ const CASCADE_RIM = 0.1;
 @group(0) @binding(1) var<storage, read> faces: array<Face>;
 @group(0) @binding(2) var<uniform> light_count: LightCount;
 @group(0) @binding(3) var shadow_maps: texture_depth_2d_array;
+// Depth of the glass nearest to the light, and the share of light that passes all of it before the next opaque surface.
+@group(0) @binding(4) var pane_maps: texture_depth_2d_array;
+@group(0) @binding(5) var passed_maps: texture_2d_array<f32>;
 
 fn cube_face(d: vec3f) -> u32 {
     let a = abs(d);
