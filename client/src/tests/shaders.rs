@@ -95,12 +95,12 @@ fn twins() -> BTreeMap<&'static str, Layout> {
             first_row, row_count, first_support, support_count, coefficients, rank, first_b, first_factor
         }
         "DirectNumbers": DirectNumbers { count, stride }
-        "Face": Face { clip_from_world, right, texel_at_unit_w, up, pad }
+        "Face": Face { clip_from_world, right, texel_at_unit_w, up, panes }
         "Light": Light {
             position, range_m, direction, shape, strength, first_face, cone_cos_inner, cone_cos_outer, face_count,
             half_extent, first_cascade, cascades, pad0, pad1
         }
-        "LightCount": LightCount { count, side, bias_m, panes }
+        "LightCount": LightCount { count, side, bias_m, pad }
         "Mask": Mask { uv_row0, uv_row1, alpha, cutoff, pad0, pad1 }
         "Near": NearNumbers { row_count, stride }
         "NearRow": NearRow { slot, first, count, weight }

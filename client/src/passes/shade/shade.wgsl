@@ -119,7 +119,7 @@ fn shade(corner: Corner, @builtin(front_facing) front: bool) -> @location(0) vec
     var facet = select(normal, across * inverseSqrt(max(length2, 1e-38)), length2 > 1e-30);
     facet = select(-facet, facet, dot(facet, normal) >= 0.0);
     let surface = Surface(corner.position, normal, facet, draw.index, front, corner.lightmap_texel);
-    let met = stopped(select(1.0, colour.a, draw.blends > 0.0), colour.rgb, passing);
+    let met = stopped(mix(1.0, colour.a, draw.blends), colour.rgb, passing);
     let rho = clamp(met.albedo, vec3f(0.0), vec3f(1.0));
     let e_dir = seen_irradiance(surface.position, before(surface.position), surface.normal, surface.facet);
     return vec4f(glow + rho * (1.0 / PI) * (e_dir + indirect_irradiance(surface)), met.share);

@@ -5,7 +5,7 @@ use wgpu::{ShaderStages as Stages, TextureViewDimension as Dimension};
 
 use super::panes::PanePass;
 use super::reference::ShadowMaps;
-use super::{LightCount, SHADER, ShadowPlan};
+use super::{Face, SHADER, ShadowPlan};
 use crate::error::Result;
 use crate::passes::gpu::{Gpu, array_view, storage_read, texture, uniform};
 use crate::passes::meshes::{Meshes, sampled, uv_rows, vertex_layout};
@@ -90,7 +90,6 @@ impl ShadowPass {
 
     /// Records the pass: every mesh into every face, then its glass.
     pub fn record(&self, encoder: &mut wgpu::CommandEncoder, meshes: &Meshes) {
-        self.panes.clear_unused(encoder);
         for (face, view) in self.face_views.iter().enumerate() {
             let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
                 label: Some("shadow"),
@@ -218,14 +217,15 @@ fn bind_lights(
     let map = texture(wgpu::TextureSampleType::Depth, Dimension::D2Array);
     let passed = texture(wgpu::TextureSampleType::Float { filterable: false }, Dimension::D2Array);
     let kinds = [storage_read(), storage_read(), uniform(false), map, map, passed];
-    let count = LightCount { panes: u32::from(panes.is_used), ..plan.count };
+    let mark = |face: &Face| Face { panes: f32::from(u8::from(panes.is_used)), ..*face };
+    let faces: Vec<Face> = plan.faces.iter().map(mark).collect();
     let layout = gpu.bind_layout(&kinds.map(|kind| (Stages::COMPUTE | Stages::FRAGMENT, kind)));
     let group = gpu.bind(
         &layout,
         &[
             gpu.storage("lights", &plan.lights)?.as_entire_binding(),
-            gpu.storage("faces", &plan.faces)?.as_entire_binding(),
-            gpu.uniform("light count", &count).as_entire_binding(),
+            gpu.storage("faces", &faces)?.as_entire_binding(),
+            gpu.uniform("light count", &plan.count).as_entire_binding(),
             wgpu::BindingResource::TextureView(&array_view(maps)),
             wgpu::BindingResource::TextureView(&array_view(&panes.depth_maps)),
             wgpu::BindingResource::TextureView(&array_view(&panes.passed_maps)),

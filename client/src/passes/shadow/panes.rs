@@ -85,7 +85,7 @@ impl PanePass {
         let layers = if scene.has_glass() { plan.faces.len() as u32 } else { 0 };
         let depth_maps = create_maps(gpu, plan, layers, wgpu::TextureFormat::Depth32Float);
         let passed_maps = create_maps(gpu, plan, layers, PASSED);
-        let views = |maps| (0..layers.max(1)).map(|layer| face_view(maps, layer)).collect();
+        let views = |maps| (0..layers).map(|layer| face_view(maps, layer)).collect();
         let (depth_views, passed_views) = (views(&depth_maps), views(&passed_maps));
         let kinds = [vec![(Stages::VERTEX_FRAGMENT, uniform(false))], sampled().into(), sampled().into()];
         let layout = gpu.bind_layout(&kinds.concat());
@@ -116,22 +116,6 @@ impl PanePass {
     /// Whether a mesh is of glass.
     pub fn is_glass(&self, mesh: usize) -> bool {
         self.panes[mesh].is_some()
-    }
-
-    /// Clears the maps where they hold nothing. Adapters do so themselves before a first use, but some drivers crash on it
-    /// within a picture's pass.
-    pub fn clear_unused(&self, encoder: &mut wgpu::CommandEncoder) {
-        if self.is_used {
-            return;
-        }
-        for (depth, passed) in self.depth_views.iter().zip(&self.passed_views) {
-            drop(encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-                label: Some("no glass"),
-                color_attachments: &[Some(cleared_white(passed))],
-                depth_stencil_attachment: Some(cleared_depth(depth)),
-                ..Default::default()
-            }));
-        }
     }
 
     /// Records both passes of a face, whose opaque surfaces are drawn.

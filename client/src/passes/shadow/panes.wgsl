@@ -44,7 +44,7 @@ fn stopped_at(corner: Corner) -> f32 {
         return 0.0;
     }
     let texel = textureSampleLevel(transmission, transmission_sampler, corner.transmission_uv, 0.0).a;
-    return stopped(select(1.0, colour.a, pane.blends > 0.0), colour.rgb, pane.transmission * texel).share;
+    return stopped(mix(1.0, colour.a, pane.blends), colour.rgb, pane.transmission * texel).share;
 }
 
 @fragment

@@ -74,8 +74,8 @@ pub struct Face {
     pub texel_at_unit_w: f32,
     /// Unit vector up its columns.
     pub up: [f32; 3],
-    /// Nothing.
-    pub pad: f32,
+    /// 1 where the adapter's maps of glass hold anything.
+    pub panes: f32,
 }
 
 impl Face {
@@ -95,8 +95,8 @@ pub struct LightCount {
     pub side: u32,
     /// Constant offset along the normal in metres, against rounded positions.
     pub bias_m: f32,
-    /// 1 where the adapter's maps of glass hold anything.
-    pub panes: u32,
+    /// Nothing.
+    pub pad: u32,
 }
 
 /// Where a picture is looked at from.
@@ -132,7 +132,7 @@ impl ShadowPlan {
             return Err(ClientError::Argument { what: format!("{} lights", casters.len()), problem });
         }
         let side = side_for(face_count, side);
-        let count = LightCount { count: casters.len() as u32, side, bias_m: 5e-5 * diagonal, panes: 0 };
+        let count = LightCount { count: casters.len() as u32, side, bias_m: 5e-5 * diagonal, pad: 0 };
         let mut plan = Self { lights: Vec::new(), faces: Vec::new(), count };
         for caster in casters {
             plan.push(caster, [low, high], diagonal);
@@ -239,7 +239,7 @@ impl ShadowPlan {
             right: view.row(0).truncate().into(),
             texel_at_unit_w,
             up: view.row(1).truncate().into(),
-            pad: 0.0,
+            panes: 0.0,
         });
     }
 }

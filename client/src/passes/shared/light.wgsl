@@ -31,7 +31,8 @@ struct Face {
     // Side of a shadow texel in metres where clip w is 1.
     texel_at_unit_w: f32,
     up: vec3f,
-    pad: f32,
+    // 1 where the maps of glass hold anything.
+    panes: f32,
 }
 
 struct LightCount {
@@ -40,8 +41,7 @@ struct LightCount {
     side: u32,
     // Constant offset along the normal in metres.
     bias_m: f32,
-    // 1 where the maps of glass hold anything.
-    panes: u32,
+    pad: u32,
 }
 
 const POINT = 0u;

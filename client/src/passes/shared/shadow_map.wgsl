@@ -12,7 +12,7 @@ const SNAP = 0.0078125;
 
 // Share of the light that passes the glass before a depth. Between two panes it is that of both.
 fn passed(face_index: u32, texel: vec2i, depth: f32) -> f32 {
-    if light_count.panes == 0u || textureLoad(pane_maps, texel, i32(face_index), 0) <= depth {
+    if faces[face_index].panes == 0.0 || textureLoad(pane_maps, texel, i32(face_index), 0) <= depth {
         return 1.0;
     }
     return textureLoad(passed_maps, texel, i32(face_index), 0).r;

@@ -105,9 +105,10 @@ fn every_way_to_find_light_finds_as_much_of_it_behind_glass() {
     let both = by(Strategy::Both);
     for strategy in [Strategy::Lamps, Strategy::Directions] {
         for (one, other) in both.iter().zip(by(strategy)) {
-            for (a, b) in [(one.direct, other.direct), (one.indirect, other.indirect)] {
+            // As many paths are taken as indirect light asks for; the panel is small.
+            for (a, b, sure) in [(one.direct, other.direct, 0.1), (one.indirect, other.indirect, 0.02)] {
                 let error = a.luminance_error.hypot(b.luminance_error);
-                assert!(error <= 0.02 * a.luminance().max(b.luminance()), "{error} of {a:?} hides anything");
+                assert!(error <= sure * a.luminance().max(b.luminance()), "{error} of {a:?} hides anything");
                 let off = (a.luminance() - b.luminance()).abs();
                 assert!(off <= 4.0 * error + 1e-9, "{strategy:?}: {a:?}, {b:?}");
             }
