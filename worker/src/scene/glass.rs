@@ -26,8 +26,7 @@ pub(super) fn glass_of(
     let blends = stated.alpha_mode == Checked::Valid(AlphaMode::Blend);
     let extension = stated.extensions.as_ref().and_then(|extensions| extensions.transmission.as_ref());
     let factor = extension.map_or(0.0, |extension| extension.transmission_factor.0);
-    // max first: it turns NaN into 0.
-    let transmission = factor.max(0.0).min(1.0) * dielectric_share(stated);
+    let transmission = factor.clamp(0.0, 1.0) * dielectric_share(stated);
     let texture = extension.and_then(|extension| extension.transmission_texture.as_ref());
     let read = if transmission > 0.0 { (texture, Reading::Red) } else { (None, Reading::Red) };
     let transmission_texture = table.read_texture(context, read, place)?;
@@ -51,7 +50,7 @@ fn dielectric_share(stated: &gltf::json::Material) -> f32 {
     if pbr.metallic_roughness_texture.is_some() {
         return 1.0;
     }
-    1.0 - pbr.metallic_factor.0.max(0.0).min(1.0)
+    1.0 - pbr.metallic_factor.0.clamp(0.0, 1.0)
 }
 
 /// The image with its red channel for alpha, all else white.

@@ -142,7 +142,7 @@ impl ShadePass {
         view: &ShadeView,
     ) -> Result<Vec<Vec4>> {
         gpu.write(&self.view, std::slice::from_ref(view));
-        let sorted = self.panes.from_behind(view);
+        let sorted = self.panes.farthest_first(view);
         gpu.write(&self.pane_corners, &sorted.iter().map(|pane| pane.corners).collect::<Vec<_>>());
         gpu.submit(|encoder| self.record(encoder, meshes, shadow, &runs(&sorted)));
         gpu.read_layer(&self.target, 0, wgpu::TextureAspect::All)

@@ -48,7 +48,7 @@ impl Panes {
     }
 
     /// The triangles from the farthest to the nearest, of equally far ones the first of the scene before.
-    pub fn from_behind(&self, view: &ShadeView) -> Vec<Pane> {
+    pub fn farthest_first(&self, view: &ShadeView) -> Vec<Pane> {
         let projection = view.projection();
         // Depth is reversed: it grows towards the eye. What is beside or behind the eye is the nearest.
         let nearness = |pane: &Pane| {

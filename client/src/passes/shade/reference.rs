@@ -98,7 +98,7 @@ fn set_up_opaque(scene: &LoadedScene, view: &ShadeView, size: [u32; 2]) -> Vec<D
 
 /// Glass from the farthest to the nearest.
 fn set_up_panes(scene: &LoadedScene, view: &ShadeView, size: [u32; 2]) -> Vec<Drawn> {
-    let sorted = Panes::of(scene).from_behind(view);
+    let sorted = Panes::of(scene).farthest_first(view);
     let triangles = sorted.into_iter().map(|pane| (pane.draw, pane.triangle, pane.corners));
     set_up_all(scene, view, size, triangles)
 }
