@@ -7,6 +7,7 @@ pub mod chunk;
 pub mod content;
 pub mod events;
 pub mod filter;
+pub mod glass;
 pub mod harmonics;
 pub mod ids;
 pub mod jobs;

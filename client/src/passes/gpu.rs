@@ -56,7 +56,10 @@ impl Gpu {
             max_texture_dimension_2d: has.max_texture_dimension_2d,
             ..wgpu::Limits::default()
         };
-        let descriptor = wgpu::DeviceDescriptor { required_limits: limits, ..Default::default() };
+        // Glass is drawn over 32-bit radiance where adapters can; else the processor draws it.
+        let required_features = adapter.features() & wgpu::Features::FLOAT32_BLENDABLE;
+        let descriptor =
+            wgpu::DeviceDescriptor { required_limits: limits, required_features, ..Default::default() };
         let (device, queue) = adapter
             .request_device(&descriptor)
             .await
@@ -148,7 +151,7 @@ impl Gpu {
         Ok(values)
     }
 
-    /// One layer of a texture of 4-byte (depth) or 16-byte texels, row after row.
+    /// One layer of a texture of 2-, 4- (depth) or 16-byte texels, row after row.
     pub fn read_layer<T: Pod>(
         &self,
         texture: &wgpu::Texture,

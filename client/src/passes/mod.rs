@@ -27,4 +27,5 @@ pub const SHADERS: &[(&str, &str)] = &[
     ("patches", patches::SHADER),
     ("reconstruct", reconstruct::SHADER),
     ("shadow", shadow::SHADER),
+    ("shadow panes", shadow::PANES_SHADER),
 ];

@@ -6,7 +6,7 @@ mod load;
 mod texture;
 
 use lightkiln_proto::content::Geometry;
-use lightkiln_proto::manifest::Manifest;
+use lightkiln_proto::manifest::{Glass, Manifest};
 
 use crate::error::{ClientError, Result};
 use crate::fetch::Source;
@@ -53,12 +53,23 @@ impl LoadedScene {
         check_textures(&manifest, textures.len())?;
         Ok(Self { manifest, draws, textures, lightmap, warnings })
     }
+
+    /// The glass that a mesh is of, if it is.
+    pub fn glass_of(&self, mesh: &LoadedDraw) -> Option<&Glass> {
+        self.manifest.materials[mesh.material as usize].glass.as_ref()
+    }
+
+    /// Some mesh is of glass.
+    pub fn has_glass(&self) -> bool {
+        self.draws.draws.iter().any(|mesh| self.glass_of(mesh).is_some())
+    }
 }
 
 fn check_textures(manifest: &Manifest, count: usize) -> Result<()> {
     for (index, material) in manifest.materials.iter().enumerate() {
-        let uses = [&material.base_colour_texture, &material.emissive_texture];
-        if let Some(bad) = uses.into_iter().flatten().find(|used| used.texture as usize >= count) {
+        let of_glass = material.glass.as_ref().and_then(|glass| glass.transmission_texture.as_ref());
+        let mut uses = material.base_colour_texture.iter().chain(&material.emissive_texture).chain(of_glass);
+        if let Some(bad) = uses.find(|used| used.texture as usize >= count) {
             let problem = format!("names texture {} of {count}", bad.texture);
             return Err(ClientError::inconsistent(format!("material {index}"), problem));
         }

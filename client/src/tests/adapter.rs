@@ -125,6 +125,39 @@ fn shadow_maps_agree_with_the_reference() {
 
 #[test]
 #[ignore = "needs a graphics adapter"]
+fn shadow_maps_of_glass_agree_with_the_reference() {
+    let gpu = Gpu::open().unwrap();
+    let bake = super::facing::glazed_bake();
+    let view = view_of(&bake);
+    let plan = prepared(&bake, &view).plan;
+    let meshes = Meshes::new(&gpu, &bake.scene).unwrap();
+    let pass = ShadowPass::new(&gpu, &bake.scene, &meshes, &plan).unwrap();
+    gpu.submit(|encoder| pass.record(encoder, &meshes));
+    let got = pass.read(&gpu).unwrap();
+    let wanted = shadow::reference::draw(&bake.scene, &plan);
+    let count = wanted.depth.len();
+    for (what, got, wanted) in [
+        ("opaque", &got.depth, &wanted.depth),
+        ("nearest glass", &got.pane_depth, &wanted.pane_depth),
+        ("light through glass", &got.passed, &wanted.passed),
+    ] {
+        assert_eq!((got.len(), wanted.len()), (count, count), "{what}");
+        let off = |(got, wanted): (&f32, &f32)| {
+            got.is_nan() || (got - wanted).abs() > shadow::TOLERANCE * wanted.abs()
+        };
+        let outliers = got.iter().zip(wanted).filter(|pair| off(*pair)).count();
+        println!("{what}: {outliers} of {count} texels differ");
+        assert!((outliers as f32) < shadow::OUTLIERS * count as f32, "{what}: {outliers}");
+    }
+    // One pane, and one before another.
+    for share in [0.75, 0.375] {
+        let drawn = wanted.passed.iter().filter(|passed| (**passed - share).abs() < 1e-6).count();
+        assert!(drawn > 50, "{drawn} texels let {share} through");
+    }
+}
+
+#[test]
+#[ignore = "needs a graphics adapter"]
 fn direct_agrees_with_the_reference_on_the_same_shadow_maps() {
     let gpu = Gpu::open().unwrap();
     let stage = Stage::new(&gpu, fixture_light());
@@ -273,12 +306,19 @@ fn atlas_agrees_with_the_reference() {
 #[ignore = "needs a graphics adapter"]
 fn shade_agrees_with_the_reference_on_the_same_maps_and_light() {
     let gpu = Gpu::open().unwrap();
-    let bakes = [fixture::prt_bake(&fixture::prt_contents()), super::facing::bake()];
+    let bakes =
+        [fixture::prt_bake(&fixture::prt_contents()), super::facing::bake(), super::facing::glazed_bake()];
     let sun = parse_light("sun dir=0.3,-0.8,0.4 irradiance=3").unwrap();
     // So small a side gives suns cascades.
     let with_cascades = |view: View| View { lights: vec![sun.clone()], shadow_side: 128, ..view };
-    let views = [view_of(&bakes[0]), with_cascades(view_of(&bakes[0])), view_of(&bakes[1])];
-    for (bake, view) in [&bakes[0], &bakes[0], &bakes[1]].into_iter().zip(views) {
+    let views = [
+        (&bakes[0], view_of(&bakes[0])),
+        (&bakes[0], with_cascades(view_of(&bakes[0]))),
+        (&bakes[1], view_of(&bakes[1])),
+        (&bakes[2], view_of(&bakes[2])),
+        (&bakes[2], with_cascades(view_of(&bakes[2]))),
+    ];
+    for (bake, view) in views {
         let prepared = prepared(bake, &view);
         let frame = Frame::new(&gpu, &prepared).unwrap();
         frame.relit(&gpu);
@@ -323,7 +363,7 @@ fn agree_on_a_picture(
 fn whole_pictures_of_adapter_and_processor_agree() {
     let [patches, narrow] =
         [fixture::prt_contents(), fixture::narrow_contents()].map(|contents| fixture::prt_bake(&contents));
-    for bake in [patches, narrow, fixture::sh_bake(), super::facing::bake()] {
+    for bake in [patches, narrow, fixture::sh_bake(), super::facing::bake(), super::facing::glazed_bake()] {
         let view = view_of(&bake);
         let [got, wanted] =
             [Backend::Gpu, Backend::Cpu].map(|backend| render(&bake, &view, backend).unwrap());

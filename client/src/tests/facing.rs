@@ -91,6 +91,15 @@ pub(super) fn bake() -> LoadedBake {
     LoadedBake { scene, light: Box::new(Facing) }
 }
 
+/// As [`bake`], with glass in the room.
+pub(super) fn glazed_bake() -> LoadedBake {
+    let manifest = Manifest { lightmap: None, ..manifest(NAME) };
+    let mut geometry = geometry();
+    geometry.draws.extend(super::glass::glazed());
+    let scene = LoadedScene::assemble(manifest, vec![geometry], vec![texture()]).unwrap();
+    LoadedBake { scene, light: Box::new(Facing) }
+}
+
 #[test]
 fn light_of_a_kind_without_lightmap_follows_each_view() {
     let bake = bake();

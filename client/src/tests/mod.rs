@@ -4,6 +4,7 @@
 mod adapter;
 mod facing;
 mod formula;
+mod glass;
 mod light;
 mod shaders;
 mod shadows;

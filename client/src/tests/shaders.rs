@@ -18,7 +18,7 @@ use crate::passes::patches::PatchNumbers;
 use crate::passes::reconstruct::ReconstructNumbers;
 use crate::passes::resident::ClusterRow;
 use crate::passes::shade::{ShadeDraw, ShadeView};
-use crate::passes::shadow::{Face, Light, LightCount, Mask};
+use crate::passes::shadow::{Face, Light, LightCount, Mask, Pane};
 use crate::passes::{SHADERS, shade};
 
 /// Every shader: name and whole source, as the adapter compiles it.
@@ -95,7 +95,7 @@ fn twins() -> BTreeMap<&'static str, Layout> {
             first_row, row_count, first_support, support_count, coefficients, rank, first_b, first_factor
         }
         "DirectNumbers": DirectNumbers { count, stride }
-        "Face": Face { clip_from_world, right, texel_at_unit_w, up, pad }
+        "Face": Face { clip_from_world, right, texel_at_unit_w, up, panes }
         "Light": Light {
             position, range_m, direction, shape, strength, first_face, cone_cos_inner, cone_cos_outer, face_count,
             half_extent, first_cascade, cascades, pad0, pad1
@@ -104,13 +104,17 @@ fn twins() -> BTreeMap<&'static str, Layout> {
         "Mask": Mask { uv_row0, uv_row1, alpha, cutoff, pad0, pad1 }
         "Near": NearNumbers { row_count, stride }
         "NearRow": NearRow { slot, first, count, weight }
+        "Pane": Pane {
+            base_row0, base_row1, transmission_row0, transmission_row1, base_colour, transmission, blends, cutoff, pad
+        }
         "PatchRow": PatchRow { first_leaf, leaf_count }
         "Patches": PatchNumbers { receiver_count, leaf_count, patch_count, stride }
         "Placement": Placement { front, front_size, back, back_size }
         "Reconstruct": ReconstructNumbers { stride, cluster_count, has_beside }
         "Relight": RelightNumbers { first_probe, receiver_count, rays, coefficients }
         "ShadeDraw": ShadeDraw {
-            base_colour, emissive, base_row0, base_row1, emissive_row0, emissive_row1, cutoff, index, pad0, pad1
+            base_colour, emissive, base_row0, base_row1, emissive_row0, emissive_row1, transmission_row0,
+            transmission_row1, cutoff, index, transmission, blends
         }
         "TexelNumbers": TexelNumbers { first, count, stride, reach_m }
         "ShadeView": ShadeView { clip_from_world, zenith, horizon, ray, ray_per_x, ray_per_y }

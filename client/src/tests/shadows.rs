@@ -15,7 +15,7 @@ use crate::passes::shadow::reference::ShadowMaps;
 impl Lamp {
     /// Share of the light that arrives, of what would without occluders.
     fn share(&self, position: Vec3, normal: Vec3) -> f32 {
-        let open = ShadowMaps { side: 1, depth: vec![0.0; self.plan.faces.len()] };
+        let open = ShadowMaps { side: 1, depth: vec![0.0; self.plan.faces.len()], ..ShadowMaps::default() };
         let unshadowed = direct_irradiance(&self.plan, &open, position, normal, normal).x;
         if unshadowed > 0.0 { self.at(position, normal) / unshadowed } else { 1.0 }
     }

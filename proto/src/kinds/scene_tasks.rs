@@ -54,8 +54,9 @@ impl SceneTask {
         match self {
             Self::Place => 21,
             Self::Patches => 4,
-            Self::Draw => 3,
-            Self::Import | Self::Unwrap | Self::Frame => 2,
+            Self::Draw => 4,
+            Self::Import => 3,
+            Self::Unwrap | Self::Frame => 2,
         }
     }
 

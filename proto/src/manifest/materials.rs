@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::{ManifestError, all_finite};
+use crate::glass::{Stopped, stopped};
 
 /// A material to draw with.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -22,8 +23,31 @@ pub struct Material {
     pub emitter: Option<u16>,
     /// Texels below this alpha are not drawn.
     pub alpha_cutoff: Option<f32>,
+    /// Light passes straight through some of it; left out where none does.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub glass: Option<Glass>,
     /// Drawn from both sides.
     pub double_sided: bool,
+}
+
+/// A thin surface that lets a share of the light straight through; [`crate::glass::stopped`] says how much.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Glass {
+    /// Alpha is the share of the surface that is there.
+    pub blends: bool,
+    /// Share of the light on what is there that passes, tinted by the base colour.
+    pub transmission: f32,
+    /// Texture whose alpha is multiplied into `transmission`.
+    pub transmission_texture: Option<TextureUse>,
+}
+
+impl Glass {
+    /// Light on a point of this base colour and alpha, `transmission_texel` being the texture's alpha there.
+    pub fn stopped(&self, [r, g, b, alpha]: [f32; 4], transmission_texel: f32) -> Stopped {
+        let there = if self.blends { alpha } else { 1.0 };
+        stopped(there, [r, g, b], self.transmission * transmission_texel)
+    }
 }
 
 /// A texture and how it is read.
@@ -65,7 +89,10 @@ impl Material {
         all_finite("a material's colour", &self.base_colour)?;
         all_finite("a material's emission", &self.emissive)?;
         all_finite("a material's alpha cutoff", self.alpha_cutoff.as_slice())?;
-        let uses = self.base_colour_texture.iter().chain(&self.emissive_texture);
+        let glass = self.glass.as_ref();
+        all_finite("a material's transmission", glass.map(|glass| glass.transmission).as_slice())?;
+        let of_glass = glass.and_then(|glass| glass.transmission_texture.as_ref());
+        let uses = self.base_colour_texture.iter().chain(&self.emissive_texture).chain(of_glass);
         uses.flat_map(|texture| &texture.transform)
             .try_for_each(|transform| all_finite("a texture's transform", transform.as_flattened()))
     }

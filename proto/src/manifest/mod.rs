@@ -20,7 +20,7 @@ use crate::scene::{LightKind, SceneCamera, SceneLight};
 pub use clusters::{CLUSTERS, ClusterRow, ClusterTotals, Layer, check_clusters, with_chunks};
 pub use framing::{Chosen, Framing};
 pub use lightmap::{Block, Lightmap};
-pub use materials::{Emitter, Material, TextureUse, Wrap};
+pub use materials::{Emitter, Glass, Material, TextureUse, Wrap};
 
 /// Value of [`Manifest::format`].
 pub const FORMAT: &str = "lightkiln-manifest";

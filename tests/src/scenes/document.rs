@@ -138,6 +138,8 @@ pub(super) struct MaterialEntry {
     pub pbr_metallic_roughness: PbrEntry,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub emissive_factor: Option<[f32; 3]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub alpha_mode: Option<&'static str>,
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub double_sided: bool,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -161,8 +163,16 @@ pub(super) struct TextureRef {
 
 #[derive(Serialize)]
 pub(super) struct MaterialExtensions {
-    #[serde(rename = "KHR_materials_emissive_strength")]
-    pub emissive_strength: EmissiveStrength,
+    #[serde(rename = "KHR_materials_emissive_strength", skip_serializing_if = "Option::is_none")]
+    pub emissive_strength: Option<EmissiveStrength>,
+    #[serde(rename = "KHR_materials_transmission", skip_serializing_if = "Option::is_none")]
+    pub transmission: Option<Transmission>,
+}
+
+#[derive(Serialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct Transmission {
+    pub transmission_factor: f32,
 }
 
 #[derive(Serialize)]

@@ -26,12 +26,23 @@ pub struct Surface {
     emission: [f32; 3],
     double_sided: bool,
     texture: Option<TextureId>,
+    /// Share that is there, of a surface that blends.
+    alpha: Option<f32>,
+    transmission: f32,
 }
 
 impl Surface {
     /// A diffuse single-sided surface; `albedo` is linear Rec.709.
     pub fn diffuse(name: &str, albedo: [f32; 3]) -> Self {
-        Self { name: name.into(), albedo, emission: [0.0; 3], double_sided: false, texture: None }
+        Self {
+            name: name.into(),
+            albedo,
+            emission: [0.0; 3],
+            double_sided: false,
+            texture: None,
+            alpha: None,
+            transmission: 0.0,
+        }
     }
 
     /// Adds emitted radiance in W·m⁻²·sr⁻¹.
@@ -42,6 +53,16 @@ impl Surface {
     /// Makes both sides lit.
     pub fn double_sided(self) -> Self {
         Self { double_sided: true, ..self }
+    }
+
+    /// Makes it glass of alphaMode BLEND, which stops `alpha` of the light; both sides are lit.
+    pub fn blended(self, alpha: f32) -> Self {
+        Self { alpha: Some(alpha), double_sided: true, ..self }
+    }
+
+    /// Lets a share of the light through, tinted by the albedo; both sides are lit.
+    pub fn transmitting(self, share: f32) -> Self {
+        Self { transmission: share, double_sided: true, ..self }
     }
 
     /// Multiplies the albedo by an image, read at the mesh's texture coordinates.
@@ -117,19 +138,27 @@ impl Glb {
         if strength > 1.0 {
             self.uses("KHR_materials_emissive_strength");
         }
+        if surface.transmission > 0.0 {
+            self.uses("KHR_materials_transmission");
+        }
+        let extensions = MaterialExtensions {
+            emissive_strength: (strength > 1.0).then_some(EmissiveStrength { emissive_strength: strength }),
+            transmission: (surface.transmission > 0.0)
+                .then_some(Transmission { transmission_factor: surface.transmission }),
+        };
+        let is_extended = extensions.emissive_strength.is_some() || extensions.transmission.is_some();
         self.document.materials.push(MaterialEntry {
             name: surface.name,
             pbr_metallic_roughness: PbrEntry {
-                base_color_factor: [r, g, b, 1.0],
+                base_color_factor: [r, g, b, surface.alpha.unwrap_or(1.0)],
                 base_color_texture: surface.texture.map(|texture| TextureRef { index: texture.0 }),
                 metallic_factor: 0.0,
                 roughness_factor: 1.0,
             },
             emissive_factor: (peak > 0.0).then(|| surface.emission.map(|e| e / strength)),
+            alpha_mode: surface.alpha.map(|_| "BLEND"),
             double_sided: surface.double_sided,
-            extensions: (strength > 1.0).then_some(MaterialExtensions {
-                emissive_strength: EmissiveStrength { emissive_strength: strength },
-            }),
+            extensions: is_extended.then_some(extensions),
         });
         MaterialId(index_of_last(&self.document.materials))
     }

@@ -17,6 +17,7 @@ pub mod lathe;
 pub mod masonry;
 pub mod mesh;
 pub mod moulding;
+mod panes;
 mod rooms;
 mod scales;
 pub mod shapes;
@@ -32,6 +33,7 @@ pub use contact::{
 pub use cornell::{cornell, cornell_large};
 pub use doors::{closet, mirrored_room};
 pub use hall::open_hall;
+pub use panes::{furnace_with_panes, lamp_behind_pane, panes, skylit_room};
 pub use rooms::{
     BAR_M, BOARD_M, CHEST_M, DUCT_M, SLATS_M, furnace, hollow_furniture, sealed_box, shutter,
     small_sealed_boxes, two_rooms, two_rooms_under_the_sky, two_rooms_with_wall_at, u_corridor,
@@ -49,6 +51,7 @@ pub fn all() -> Vec<(&'static str, Vec<u8>)> {
         ("cornell_large", cornell_large()),
         ("furnace", furnace(0.5, 1.0, 4.0)),
         ("open_hall", open_hall()),
+        ("panes", panes()),
         ("sealed_box", sealed_box(0.1)),
         ("two_rooms", two_rooms(0.02)),
         ("two_rooms_sheet", two_rooms(0.0)),

@@ -11,6 +11,7 @@ mod contact;
 mod corridor;
 mod determinism;
 mod energy;
+mod glass;
 mod leaks;
 mod narrow;
 mod pixels;

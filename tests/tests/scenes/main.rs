@@ -12,12 +12,13 @@ use lightkiln_tests::scenes::{self, mesh::Mesh, shapes};
 use reader::{Triangle, fault, open_edges, parse, triangles};
 
 /// Most triangles a scene may have.
-const TRIANGLE_BUDGETS: [(&str, usize); 9] = [
+const TRIANGLE_BUDGETS: [(&str, usize); 10] = [
     ("atrium", 70_000),
     ("cornell", 100),
     ("cornell_large", 200),
     ("furnace", 12),
     ("open_hall", 20_000),
+    ("panes", 100),
     ("sealed_box", 100),
     ("two_rooms", 100),
     ("two_rooms_sheet", 100),

@@ -1,6 +1,6 @@
 //! Materials and emitters as the manifest states them.
 
-use lightkiln_proto::manifest::{Emitter, Material, TextureUse, Wrap};
+use lightkiln_proto::manifest::{Emitter, Glass, Material, TextureUse, Wrap};
 
 use crate::emitters::emitter_of_material;
 use crate::geometry::{TriangleRef, corners_of};
@@ -15,9 +15,14 @@ pub fn materials(scene: &Scene) -> (Vec<Material>, Vec<Emitter>) {
         base_colour: material.base_colour,
         base_colour_texture: material.base_colour_texture.as_ref().map(|texture| texture_use(texture, None)),
         emissive: material.emissive,
-        emissive_texture: emissive_texture(material),
+        emissive_texture: beside_base(material, material.emissive_texture.as_ref()),
         emitter: *emitter,
         alpha_cutoff: material.alpha_cutoff,
+        glass: material.glass.as_ref().map(|glass| Glass {
+            blends: glass.blends,
+            transmission: glass.transmission,
+            transmission_texture: beside_base(material, glass.transmission_texture.as_ref()),
+        }),
         double_sided: material.double_sided,
     });
     let emitters = scene
@@ -52,18 +57,20 @@ fn texture_use(texture: &model::TextureUse, transform: Option<[[f32; 3]; 2]>) ->
     TextureUse { texture: texture.image_index, wrap: texture.wrap.map(wrap), transform }
 }
 
-/// The emissive texture relative to the draw's UV, which has the base colour's transform folded in. One that reads
-/// another UV set than the base colour's has no coordinates in the draw and is left to the factor.
-fn emissive_texture(material: &model::Material) -> Option<TextureUse> {
-    let emissive = material.emissive_texture.as_ref()?;
-    let own = emissive.uv_transform;
+/// A texture relative to the draw's UV, which has the base colour's transform folded in. One that reads another UV set than
+/// the draw's has no coordinates in it and is left to the factor.
+fn beside_base(material: &model::Material, texture: Option<&model::TextureUse>) -> Option<TextureUse> {
+    let texture = texture?;
+    let own = texture.uv_transform;
+    if material.first_texture().is_some_and(|first| first.uv_set != texture.uv_set) {
+        return None;
+    }
     let relative = match &material.base_colour_texture {
         None => own,
-        Some(base) if base.uv_set == emissive.uv_set => after_inverse(own, base.uv_transform)?,
-        Some(_) => return None,
+        Some(base) => after_inverse(own, base.uv_transform)?,
     };
     const IDENTITY: [[f32; 3]; 2] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
-    Some(texture_use(emissive, (relative != IDENTITY).then_some(relative)))
+    Some(texture_use(texture, (relative != IDENTITY).then_some(relative)))
 }
 
 /// `outer ∘ base⁻¹` of affine maps; `None` where `base` is singular.

@@ -145,7 +145,7 @@ impl<'a> Source<'a> {
     fn of(scene: &'a Scene, instance: &'a MeshInstance) -> Self {
         let material = &scene.materials[instance.material_index as usize];
         let base = material.base_colour_texture.as_ref();
-        Self { instance, base, texture: base.or(material.emissive_texture.as_ref()) }
+        Self { instance, base, texture: material.first_texture() }
     }
 
     fn empty_draw(&self) -> Draw {

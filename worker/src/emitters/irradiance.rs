@@ -16,7 +16,7 @@ use super::{EmissiveTriangle, emissive_triangles, emitter_of_material};
 use crate::geometry::{Geometry, Site, weights_of};
 use crate::rays::Hit;
 use crate::rays::sampling::{R2, Sequence, seed_of, uniform_triangle};
-use crate::scene::surface::{Footprint, surface_at};
+use crate::scene::surface::{Footprint, SurfaceSample, surface_at};
 use crate::task::{Context, TaskError};
 
 /// Emissive triangles up to which each receiver weighs every one by the light it can get from it; beyond, all receivers
@@ -138,8 +138,12 @@ impl<'a> EmitterIrradianceSum<'a> {
         let own = self.own_rays * cosine / std::f32::consts::PI;
         let facing = triangle.normal.dot(direction).abs().max(1e-9);
         let sampled = self.samples as f32 * self.density(index as usize) * hit.t * hit.t / facing;
-        let Some(emission) = self.emission(triangle, hit.barycentric) else { return };
-        self.add(triangle.emitter, emission, std::f32::consts::PI / self.own_rays * own / (own + sampled));
+        let surface = self.surface(triangle, hit.barycentric);
+        self.add(
+            triangle.emitter,
+            surface.emission,
+            std::f32::consts::PI / self.own_rays * own / (own + sampled),
+        );
     }
 
     /// Casts the shadow rays; gives how many.
@@ -186,15 +190,16 @@ impl<'a> EmitterIrradianceSum<'a> {
         }
         let offset_m = self.geometry.tracer.ray_offset_m(point_m);
         let lifted_m = point_m + triangle.normal * offset_m.copysign(facing);
-        if self.geometry.tracer.is_occluded(origin_m, lifted_m) {
+        let passed = self.geometry.tracer.passed(origin_m, lifted_m);
+        if passed <= 0.0 {
             return true;
         }
         let density = self.density(index) * squared_m2 / facing.abs();
         let sampled = self.samples as f32 * density;
         let own = self.own_rays * cosine / std::f32::consts::PI;
-        let Some(emission) = self.emission(triangle, barycentric) else { return true };
-        // cosθ / (M · density) · M·density / (M·density + N·cosθ/π)
-        self.add(triangle.emitter, emission, cosine / (sampled + own));
+        let surface = self.surface(triangle, barycentric);
+        // cosθ / (M · density) · M·density / (M·density + N·cosθ/π), of what is there and of what passes
+        self.add(triangle.emitter, surface.emission, surface.stopped * passed * cosine / (sampled + own));
         true
     }
 
@@ -205,15 +210,13 @@ impl<'a> EmitterIrradianceSum<'a> {
         (to - from) / self.set.triangles[index].area_m2.max(1e-12)
     }
 
-    /// Lₑ at a point of an emissive triangle; `None` in the holes of a masked one.
-    fn emission(&self, triangle: &Weighted, barycentric: [f32; 2]) -> Option<[f32; 3]> {
+    /// The surface at a point of an emissive triangle.
+    fn surface(&self, triangle: &Weighted, barycentric: [f32; 2]) -> SurfaceSample {
         let Geometry { scene, images, triangles, .. } = self.geometry;
         let reference = triangles[triangle.triangle as usize];
         let weights = weights_of(barycentric).to_array();
         let (instance, local) = (reference.instance as usize, reference.triangle as usize);
-        let surface = surface_at(scene, images, instance, local, weights, &Footprint::POINT);
-        let cutoff = self.geometry.material(triangle.triangle).alpha_cutoff;
-        cutoff.is_none_or(|cutoff| surface.alpha >= cutoff).then_some(surface.emission)
+        surface_at(scene, images, instance, local, weights, &Footprint::POINT)
     }
 
     fn add(&mut self, emitter: u16, emission: [f32; 3], factor: f32) {

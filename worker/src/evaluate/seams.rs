@@ -312,7 +312,7 @@ impl<'a> Walk<'a> {
         let offset_m = geometry.tracer.ray_offset_m(at_m);
         let height_m = (CAST_TEXELS * self.lightmap.texel_m()).max(4.0 * offset_m);
         let from_m = at_m + normal * height_m;
-        let hit = geometry.tracer.closest(from_m, -normal, 2.0 * height_m)?;
+        let hit = geometry.tracer.closest_surface(from_m, -normal, 2.0 * height_m)?;
         let site = geometry.site_at(&hit);
         let (block, texel) = self.lightmap.texel_at(&hit)?;
         let is_coplanar = site.face_normal.dot(normal) > COPLANAR_COS;

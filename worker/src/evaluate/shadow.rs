@@ -82,11 +82,14 @@ fn faults(site: &Site, pixel: &MappedPixel, reference: &Reference) -> [bool; 2] 
         return [false; 2];
     }
     let share = shown / unshadowed;
-    let is_lit = |site: &Site| luminance(reference.direct_irradiance(site, 1)) > 0.0;
+    let exact = |site: &Site| luminance(reference.direct_irradiance(site, 1));
+    let is_lit = |site: &Site| exact(site) > 0.0;
+    // Behind glass less light is right.
+    let is_brighter = |site: &Site| exact(site) > shown * (1.0 + SHARE_MIN);
     let around = || std::iter::once(*site).chain(around(site, pixel.filter_m));
     [
         share > SHARE_MIN && !around().any(|site| is_lit(&site)),
-        share < 1.0 - SHARE_MIN && around().all(|site| is_lit(&site)),
+        share < 1.0 - SHARE_MIN && around().all(|site| is_lit(&site) && is_brighter(&site)),
     ]
 }
 

@@ -11,6 +11,7 @@ use obvhs::fast_stack;
 use obvhs::ray::{Ray, RayHit};
 use obvhs::{Boundable, BvhBuildParams};
 
+use super::sampling::{Sequence, seed_of};
 use super::watertight::WatertightRay;
 
 /// First hit of a ray.
@@ -26,13 +27,16 @@ pub struct Hit {
     pub front: bool,
 }
 
-/// Decides whether a triangle lets a ray through at a point (alpha-masked texels).
+/// Tells how much light a triangle stops at a point (alpha-masked texels, glass).
 pub trait AlphaTest: Send + Sync {
-    /// The triangle has texels that let rays through.
+    /// The triangle has points that let light through.
     fn is_masked(&self, triangle: u32) -> bool;
-    /// The texel at the barycentric weights (of corners 1 and 2) is solid.
-    fn is_solid(&self, triangle: u32, barycentric: [f32; 2]) -> bool;
+    /// Share of light stopped at the barycentric weights (of corners 1 and 2).
+    fn stopped(&self, triangle: u32, barycentric: [f32; 2]) -> f32;
 }
+
+/// Share of light stopped from which on a surface is a wall, where the answer is yes or no.
+const WALL: f32 = 0.5;
 
 /// Triangles ready for rays.
 pub struct Tracer {
@@ -106,8 +110,33 @@ impl Tracer {
         (reach_m * LIFT).min(self.ray_offset_m)
     }
 
-    /// The nearest hit with `t` in 0..`t_max`; of equally near triangles, the one with the smallest index.
+    /// The nearest hit with `t` in 0..`t_max`; of equally near triangles, the one with the smallest index. Walls are hit,
+    /// which stop half of the light at least: the question is of shape. [`Tracer::met`] asks for light.
     pub fn closest(&self, origin: Vec3, direction: Vec3, t_max: f32) -> Option<Hit> {
+        self.nearest(origin, direction, t_max, |index, barycentric| self.is_wall(index, barycentric))
+    }
+
+    /// As [`Tracer::closest`], of light: a surface that stops the share s is hit with probability s, by a number that ray
+    /// and triangle alone decide. The mean over rays is then that of light, of which 1 − s passes.
+    pub fn met(&self, origin: Vec3, direction: Vec3, t_max: f32) -> Option<Hit> {
+        self.nearest(origin, direction, t_max, |index, barycentric| {
+            let stopped = self.stopped(index, barycentric);
+            stopped >= 1.0 || (stopped > 0.0 && chance(origin, direction, self.triangle[index]) < stopped)
+        })
+    }
+
+    /// As [`Tracer::closest`], of surfaces that stop any light, glass however clear.
+    pub fn closest_surface(&self, origin: Vec3, direction: Vec3, t_max: f32) -> Option<Hit> {
+        self.nearest(origin, direction, t_max, |index, barycentric| self.stopped(index, barycentric) > 0.0)
+    }
+
+    fn nearest(
+        &self,
+        origin: Vec3,
+        direction: Vec3,
+        t_max: f32,
+        stops: impl Fn(usize, [f32; 2]) -> bool,
+    ) -> Option<Hit> {
         let prepared = WatertightRay::new(origin, direction);
         let mut best: Option<Hit> = None;
         let mut t_best = t_max;
@@ -116,7 +145,7 @@ impl Tracer {
             let triangle = self.triangle[index];
             let nearer =
                 hit.t < t_best || (hit.t == t_best && best.is_some_and(|best| triangle < best.triangle));
-            if nearer && self.is_solid(index, hit.barycentric) {
+            if nearer && stops(index, hit.barycentric) {
                 t_best = hit.t;
                 // A little further than the hit, so that a tie in a later node is still visited.
                 *ray_t_max = hit.t * (1.0 + 4e-6) + 1e-20;
@@ -132,7 +161,7 @@ impl Tracer {
         best
     }
 
-    /// Something solid lies on the open segment between two points.
+    /// A wall lies on the open segment between two points: a surface that stops half of the light at least.
     pub fn is_occluded(&self, from: Vec3, to: Vec3) -> bool {
         let direction = to - from;
         if direction.length_squared() == 0.0 {
@@ -143,13 +172,33 @@ impl Tracer {
         self.traverse(from, direction, 1.0, |index, _| {
             if let Some(hit) = prepared.intersect(&self.corners[index])
                 && hit.t < 1.0
-                && self.is_solid(index, hit.barycentric)
+                && self.is_wall(index, hit.barycentric)
             {
                 occluded = true;
             }
             !occluded
         });
         occluded
+    }
+
+    /// Share of light that passes along the open segment between two points: ∏ (1 − s) over the surfaces on it.
+    pub fn passed(&self, from: Vec3, to: Vec3) -> f32 {
+        let direction = to - from;
+        if direction.length_squared() == 0.0 {
+            return 1.0;
+        }
+        let prepared = WatertightRay::new(from, direction);
+        // The order of triangles is the tree's: of the same scene the same.
+        let mut passed = 1.0;
+        self.traverse(from, direction, 1.0, |index, _| {
+            if let Some(hit) = prepared.intersect(&self.corners[index])
+                && hit.t < 1.0
+            {
+                passed *= 1.0 - self.stopped(index, hit.barycentric);
+            }
+            passed > 0.0
+        });
+        passed
     }
 
     /// Visits leaf slots that the ray may meet; `visit` may lower the far end and stops the walk by `false`.
@@ -171,9 +220,15 @@ impl Tracer {
         });
     }
 
-    fn is_solid(&self, index: usize, barycentric: [f32; 2]) -> bool {
-        !self.masked[index]
-            || self.alpha.as_ref().is_none_or(|alpha| alpha.is_solid(self.triangle[index], barycentric))
+    fn is_wall(&self, index: usize, barycentric: [f32; 2]) -> bool {
+        self.stopped(index, barycentric) >= WALL
+    }
+
+    fn stopped(&self, index: usize, barycentric: [f32; 2]) -> f32 {
+        match &self.alpha {
+            Some(alpha) if self.masked[index] => alpha.stopped(self.triangle[index], barycentric),
+            _ => 1.0,
+        }
     }
 
     fn is_front(&self, index: usize, direction: Vec3) -> bool {
@@ -182,10 +237,17 @@ impl Tracer {
     }
 }
 
+/// Uniform in 0..1, of a ray and a triangle.
+fn chance(origin: Vec3, direction: Vec3, triangle: u32) -> f32 {
+    let [x, y, z] = origin.to_array().map(|value| u64::from(value.to_bits()));
+    let [u, v, w] = direction.to_array().map(|value| u64::from(value.to_bits()));
+    Sequence::new(seed_of(&[x | y << 32, z | u << 32, v | w << 32, u64::from(triangle)])).next_f32()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rays::sampling::{Sequence, uniform_sphere};
+    use crate::rays::sampling::uniform_sphere;
 
     fn soup(count: usize) -> Vec<[Vec3; 3]> {
         let mut sequence = Sequence::new(7);
@@ -229,6 +291,56 @@ mod tests {
         let corners = [Vec3::new(-1.0, -1.0, 1.0), Vec3::new(1.0, -1.0, 1.0), Vec3::new(0.0, 1.0, 1.0)];
         let tracer = Tracer::new(&[corners, corners], None);
         assert_eq!(tracer.closest(Vec3::ZERO, Vec3::Z, f32::INFINITY).unwrap().triangle, 0);
+    }
+
+    /// Every triangle stops this share.
+    struct Pane(f32);
+
+    impl AlphaTest for Pane {
+        fn is_masked(&self, _: u32) -> bool {
+            true
+        }
+
+        fn stopped(&self, _: u32, _: [f32; 2]) -> f32 {
+            self.0
+        }
+    }
+
+    fn panes(stopped: f32, count: u32) -> Tracer {
+        let pane = |index: u32| {
+            let z = 1.0 + index as f32;
+            [Vec3::new(-9.0, -9.0, z), Vec3::new(9.0, -9.0, z), Vec3::new(0.0, 9.0, z)]
+        };
+        Tracer::new(&(0..count).map(pane).collect::<Vec<_>>(), Some(Box::new(Pane(stopped))))
+    }
+
+    #[test]
+    fn panes_in_a_row_are_each_met_by_their_share_of_the_rays_that_come_to_them() {
+        let (tracer, rays) = (panes(0.25, 3), 40_000);
+        let mut met = [0_u32; 4];
+        for ray in 0..rays {
+            let aside = Vec3::new(ray as f32 * 1e-6, (ray % 200) as f32 * 1e-4, 0.0);
+            let hit = tracer.met(aside, Vec3::Z, f32::INFINITY);
+            assert_eq!(hit, tracer.met(aside, Vec3::Z, f32::INFINITY), "the same ray twice");
+            met[hit.map_or(3, |hit| hit.triangle as usize)] += 1;
+        }
+        for (count, wanted) in met.into_iter().zip([0.25, 0.1875, 0.140_625, 0.421_875]) {
+            let share = f64::from(count) / f64::from(rays);
+            assert!((share - wanted).abs() < 0.012, "{met:?}");
+        }
+    }
+
+    #[test]
+    fn light_that_passes_panes_is_the_product_and_walls_are_panes_that_stop_half() {
+        let (from, to) = (Vec3::ZERO, Vec3::Z * 10.0);
+        for (stopped, passed) in [(0.0, 1.0), (0.25, 0.421_875), (0.75, 0.015_625), (1.0, 0.0)] {
+            let tracer = panes(stopped, 3);
+            assert_eq!(tracer.passed(from, to), passed);
+            assert_eq!(tracer.is_occluded(from, to), stopped >= 0.5);
+            assert_eq!(tracer.closest(from, Vec3::Z, 20.0).is_some(), stopped >= 0.5);
+            assert_eq!(tracer.closest_surface(from, Vec3::Z, 20.0).is_some(), stopped > 0.0);
+        }
+        assert_eq!(panes(1.0, 0).passed(from, to), 1.0);
     }
 
     #[test]

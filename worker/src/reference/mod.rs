@@ -12,7 +12,8 @@
 //! light was found to come before (`guide.rs`), joined likewise. Paths end by Russian roulette, which changes no mean.
 //!
 //! The material model is METHOD.md §1's, so that error means error: diffuse albedo below 1, alpha-masked texels let rays
-//! through, a double-sided face is lit on the side that is met, the back of a single-sided one blocks light and returns
+//! through, glass lets a share of them through (rays towards lamps carry the product of shares, others pass or stop by
+//! chance), a double-sided face is lit on the side that is met, the back of a single-sided one blocks light and returns
 //! none. Nothing here knows of probes, texels or clusters.
 //!
 //! Random numbers come from the position or the pixel that they serve, sums run in f64 in a fixed order: the result is

@@ -116,8 +116,7 @@ impl Reference<'_> {
     pub(super) fn by_punctual(&self, site: &Site) -> DVec3 {
         let arrivals = self.lamps.punctual.iter().filter_map(|light| light.arrival(site));
         arrivals
-            .filter(|arrival| self.sees(site, arrival.target))
-            .fold(DVec3::ZERO, |sum, arrival| sum + arrival.irradiance)
+            .fold(DVec3::ZERO, |sum, arrival| sum + arrival.irradiance * self.passed(site, arrival.target))
     }
 
     /// As [`Reference::by_punctual`], by one of the lights, chosen by its unshadowed irradiance; and which one.
@@ -131,8 +130,8 @@ impl Reference<'_> {
         for (lamp, arrival) in arrivals() {
             let share = luminance(arrival.irradiance);
             if left < share {
-                let seen = self.sees(site, arrival.target);
-                return seen.then(|| (lamp, arrival.irradiance * (total / share)));
+                let passed = self.passed(site, arrival.target);
+                return (passed > 0.0).then(|| (lamp, arrival.irradiance * (passed * total / share)));
             }
             left -= share;
         }
@@ -150,7 +149,7 @@ impl Reference<'_> {
         let beam = &self.lamps.beams[lamp];
         let within = [walk.random.next_f32(), walk.random.next_f32()];
         let (from_m, direction) = beam.ray(square_of(cell, within));
-        let Some(hit) = self.geometry.tracer.closest(from_m, direction, f32::INFINITY) else {
+        let Some(hit) = self.geometry.tracer.met(from_m, direction, f32::INFINITY) else {
             return DVec3::ZERO;
         };
         // The lit side must face the site, and nothing stand between.
@@ -160,13 +159,15 @@ impl Reference<'_> {
             return DVec3::ZERO;
         }
         let Some(arrival) = self.lamps.punctual[lamp].arrival(&met.site) else { return DVec3::ZERO };
-        if !self.sees(site, Target::At(self.origin_m(&met.site))) {
+        let passed = self.passed(site, Target::At(self.origin_m(&met.site)));
+        if passed <= 0.0 {
             return DVec3::ZERO;
         }
         let by_beam = chance * f64::from(SQUARE) * beam.density(&met.site);
         let albedo = Vec3::from(met.surface.albedo).as_dvec3();
         // ρE/π · K cosθ/d² over the density, times its weight: K cosθ/d² is π `by_direction`.
-        let light = albedo * arrival.irradiance * (by_direction / (by_direction + by_beam));
+        // Glass on the lamp's ray passed or stopped it by chance; that on the way here lets its share through.
+        let light = albedo * arrival.irradiance * (passed * by_direction / (by_direction + by_beam));
         walk.tell(region, cell, light);
         light
     }
@@ -194,13 +195,14 @@ impl Reference<'_> {
         light * weight
     }
 
-    fn sees(&self, site: &Site, target: Target) -> bool {
+    /// Share of light that comes from a target to a site: 0 behind a wall, the product of what glass lets through.
+    fn passed(&self, site: &Site, target: Target) -> f64 {
         let origin_m = self.origin_m(site);
         let to_m = match target {
             Target::At(point_m) => point_m,
             Target::Towards(direction) => origin_m + direction * self.far_m,
         };
-        !self.geometry.tracer.is_occluded(origin_m, to_m)
+        self.geometry.tracer.passed(origin_m, to_m).into()
     }
 
     /// Irradiance straight from panels, by one point on one of them.
@@ -222,8 +224,9 @@ impl Reference<'_> {
         let sample = panel.sample(self.origin_m(site), points.point)?;
         let density = sample.density / panels.len() as f64;
         let cosine = site.lamp_cosine(sample.direction);
-        let seen = cosine > 0.0 && self.sees(site, Target::At(sample.point_m));
-        seen.then(|| (panel.radiance * (cosine / density), sample.direction, density))
+        let passed = if cosine > 0.0 { self.passed(site, Target::At(sample.point_m)) } else { 0.0 };
+        let arriving = panel.radiance * (passed * cosine / density);
+        (passed > 0.0).then_some((arriving, sample.direction, density))
     }
 
     /// Irradiance straight from the scene's emitters, by one point on one of them.
@@ -237,20 +240,15 @@ impl Reference<'_> {
         };
         let cosine = site.lamp_cosine(sample.direction);
         let lifted_m = sample.point_m + sample.normal * self.geometry.tracer.ray_offset_m(sample.point_m);
-        if cosine <= 0.0 || !self.sees(site, Target::At(lifted_m)) {
+        let passed = if cosine > 0.0 { self.passed(site, Target::At(lifted_m)) } else { 0.0 };
+        if passed <= 0.0 {
             return DVec3::ZERO;
         }
+        // An emitter of glass emits as far as it is there.
         let surface = self.surface(sample.triangle, sample.barycentric);
-        if self.lets_through(sample.triangle, &surface) {
-            return DVec3::ZERO;
-        }
+        let share = passed * f64::from(surface.stopped);
         let weight = self.strategy.weight(true, sample.density, site.density(sample.direction));
-        emission_of(surface.emission, emitters.scale()) * (weight * cosine / sample.density)
-    }
-
-    /// The point is a hole of an alpha-masked surface.
-    fn lets_through(&self, triangle: u32, surface: &SurfaceSample) -> bool {
-        self.geometry.material(triangle).alpha_cutoff.is_some_and(|cutoff| surface.alpha < cutoff)
+        emission_of(surface.emission, emitters.scale()) * (share * weight * cosine / sample.density)
     }
 
     /// Irradiance straight from the sky, by one direction.
@@ -261,12 +259,14 @@ impl Reference<'_> {
         }
         let direction = sky.direction(points.point);
         let own = site.density(direction);
-        if own <= 0.0 || !self.sees(site, Target::Towards(direction)) {
+        let passed = if own > 0.0 { self.passed(site, Target::Towards(direction)) } else { 0.0 };
+        if passed <= 0.0 {
             return DVec3::ZERO;
         }
         let density = sky.density(direction);
         // K = π · own.
-        sky.radiance(direction) * (self.strategy.weight(true, density, own) * PI * own / density)
+        let weight = self.strategy.weight(true, density, own);
+        sky.radiance(direction) * (passed * weight * PI * own / density)
     }
 
     /// Radiance that arrives from a direction, sampled with density K/π at `site` (for an eye: given).
@@ -284,7 +284,7 @@ impl Reference<'_> {
         let mut throughput = DVec3::ONE;
         for vertex in 0.. {
             // Find the next surface, and the panels before it: they block nothing.
-            let hit = self.geometry.tracer.closest(origin_m, direction, f32::INFINITY);
+            let hit = self.geometry.tracer.met(origin_m, direction, f32::INFINITY);
             let by = from.as_ref().map(|(site, chances)| (site, chances));
             let t_max = hit.map_or(f32::INFINITY, |hit| hit.t);
             let panels = throughput * self.panels_met(by, origin_m, direction, t_max);
@@ -329,7 +329,7 @@ impl Reference<'_> {
 
     /// Radiance straight along an eye's ray (lamps, emission, sky), and the surface that it ends at.
     pub(super) fn seen(&self, origin_m: Vec3, direction: Vec3) -> (DVec3, Option<EyeSurface>) {
-        let hit = self.geometry.tracer.closest(origin_m, direction, f32::INFINITY);
+        let hit = self.geometry.tracer.met(origin_m, direction, f32::INFINITY);
         let t_max = hit.map_or(f32::INFINITY, |hit| hit.t);
         let panels = self.panels_met(None, origin_m, direction, t_max);
         let Some(hit) = hit else { return (panels + self.sky_met(None, direction), None) };

@@ -1,4 +1,4 @@
-//! Materials reduced to base colour, emission, mask and sides.
+//! Materials reduced to base colour, emission, mask, glass and sides.
 
 use std::collections::BTreeMap;
 
@@ -12,12 +12,13 @@ use gltf::json::{Index, Root};
 use super::context::Context;
 use super::document;
 use super::error::{ImportError, Result, place_of};
+use super::glass::{glass_of, in_alpha};
 use super::images::read_image;
 use super::model::{Material, SceneImage, TextureUse, Wrap};
 use super::primitives::LocalMesh;
 
-/// Alpha at which BLEND materials are cut into a mask: half covered is opaque.
-const BLEND_CUTOFF: f32 = 0.5;
+/// Cutoff of masks whose own is no number: glTF's default.
+const CUTOFF: f32 = 0.5;
 
 /// Highest emission, in W·m⁻²·sr⁻¹: far above the sun's 2·10⁷, and far below the 10¹⁹ that chunks hold after bounces.
 const EMISSION_MAX: f32 = 1e12;
@@ -28,13 +29,22 @@ const IDENTITY_UV: [[f32; 3]; 2] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
 /// Image index of a texture that names none (the `gltf` crate's mark).
 const NO_IMAGE: usize = u32::MAX as usize;
 
+/// What a material reads of an image.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Reading {
+    /// Colour, and alpha.
+    Colour,
+    /// The red channel, as a linear number: moved to alpha, as all readers take colours for sRGB.
+    Red,
+}
+
 /// All materials of a scene and the images that they use.
 #[derive(Debug, Default)]
 pub(super) struct MaterialTable {
     pub(super) materials: Vec<Material>,
     pub(super) images: Vec<SceneImage>,
-    /// New index of each image of the file; `None` for those in formats that are not read.
-    image_slots: BTreeMap<usize, Option<u32>>,
+    /// New index of each image of the file, by its reading; `None` for those in formats that are not read.
+    image_slots: BTreeMap<(usize, Reading), Option<u32>>,
     default_index: Option<u32>,
 }
 
@@ -79,6 +89,7 @@ impl MaterialTable {
                 emissive: [0.0; 3],
                 emissive_texture: None,
                 alpha_cutoff: None,
+                glass: None,
                 double_sided: false,
             });
             materials.len() as u32 - 1
@@ -126,18 +137,24 @@ impl MaterialTable {
         Ok(Material {
             name: stated.name.clone().unwrap_or_else(|| format!("material {index}")),
             base_colour,
-            base_colour_texture: self.read_texture(context, texture, &place)?,
+            base_colour_texture: self.read_texture(context, (texture, Reading::Colour), &place)?,
             emissive: clamped(context, emissive, EMISSION_MAX, &place),
-            emissive_texture: self.read_texture(context, stated.emissive_texture.as_ref(), &place)?,
+            emissive_texture: self.read_texture(
+                context,
+                (stated.emissive_texture.as_ref(), Reading::Colour),
+                &place,
+            )?,
             alpha_cutoff: alpha_cutoff(context, stated, &place),
+            glass: glass_of(self, context, stated, &place)?,
             double_sided: stated.double_sided,
         })
     }
 
-    fn read_texture(
+    /// A texture and how it is read; warns and gives `None` where its factor alone is used.
+    pub(super) fn read_texture(
         &mut self,
         context: &mut Context<'_>,
-        info: Option<&Info>,
+        (info, reading): (Option<&Info>, Reading),
         place: &dyn Fn() -> String,
     ) -> Result<Option<TextureUse>> {
         let Some(info) = info else { return Ok(None) };
@@ -161,7 +178,9 @@ impl MaterialTable {
             return Ok(None);
         }
         document::get(root, texture.source, "image", place)?;
-        let Some(image_index) = self.image_slot(context, texture.source.value())? else { return Ok(None) };
+        let Some(image_index) = self.image_slot(context, texture.source.value(), reading)? else {
+            return Ok(None);
+        };
         let wrap = match texture.sampler {
             Some(index) => {
                 let sampler = document::get(root, index, "sampler", place)?;
@@ -173,15 +192,25 @@ impl MaterialTable {
         Ok(Some(TextureUse { image_index, uv_set: uv_set as u8, uv_transform, wrap }))
     }
 
-    fn image_slot(&mut self, context: &mut Context<'_>, index: usize) -> Result<Option<u32>> {
-        if let Some(&slot) = self.image_slots.get(&index) {
+    fn image_slot(
+        &mut self,
+        context: &mut Context<'_>,
+        index: usize,
+        reading: Reading,
+    ) -> Result<Option<u32>> {
+        if let Some(&slot) = self.image_slots.get(&(index, reading)) {
             return Ok(slot);
         }
-        let slot = read_image(context, index)?.map(|image| {
+        let read = read_image(context, index)?;
+        let image = match reading {
+            Reading::Colour => read,
+            Reading::Red => read.map(in_alpha).transpose()?,
+        };
+        let slot = image.map(|image| {
             self.images.push(image);
             self.images.len() as u32 - 1
         });
-        self.image_slots.insert(index, slot);
+        self.image_slots.insert((index, reading), slot);
         Ok(slot)
     }
 }
@@ -246,16 +275,10 @@ fn alpha_cutoff(
     place: &dyn Fn() -> String,
 ) -> Option<f32> {
     match stated.alpha_mode {
-        Checked::Valid(AlphaMode::Opaque) => None,
+        Checked::Valid(AlphaMode::Opaque | AlphaMode::Blend) => None,
         Checked::Valid(AlphaMode::Mask) => {
             let cutoff = stated.alpha_cutoff.unwrap_or_default().0;
-            Some(if cutoff.is_finite() { cutoff.max(0.0) } else { BLEND_CUTOFF })
-        }
-        Checked::Valid(AlphaMode::Blend) => {
-            context.warnings.add("blend-as-mask", || {
-                format!("{} blends; it is baked as a mask cut at {BLEND_CUTOFF}", place())
-            });
-            Some(BLEND_CUTOFF)
+            Some(if cutoff.is_finite() { cutoff.max(0.0) } else { CUTOFF })
         }
         Checked::Invalid => {
             context.warnings.add("alpha-mode-unknown", || format!("{} is taken as opaque", place()));

@@ -12,6 +12,7 @@ pub mod core;
 mod document;
 mod draco;
 mod error;
+mod glass;
 mod glb;
 mod images;
 mod json_text;

@@ -89,10 +89,31 @@ pub struct Material {
     pub emissive: [f32; 3],
     /// Emissive texture (sRGB encoded), multiplied into `emissive`.
     pub emissive_texture: Option<TextureUse>,
-    /// `Some(cutoff)` for alphaMode MASK; BLEND is imported as a mask at 0.5 with a warning.
+    /// `Some(cutoff)` for alphaMode MASK.
     pub alpha_cutoff: Option<f32>,
+    /// Light passes straight through some of it.
+    pub glass: Option<Glass>,
     /// Both sides are lit and have receivers.
     pub double_sided: bool,
+}
+
+impl Material {
+    /// The texture whose UV set meshes are drawn with.
+    pub fn first_texture(&self) -> Option<&TextureUse> {
+        let of_glass = self.glass.as_ref().and_then(|glass| glass.transmission_texture.as_ref());
+        self.base_colour_texture.as_ref().or(self.emissive_texture.as_ref()).or(of_glass)
+    }
+}
+
+/// A thin surface that lets a share of the light straight through (METHOD.md §1 "Glass").
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Glass {
+    /// Alpha is the share of the surface that is there: alphaMode BLEND.
+    pub blends: bool,
+    /// Share of the light on what is there that passes, tinted by the base colour, in 0..=1: KHR_materials_transmission.
+    pub transmission: f32,
+    /// Texture whose alpha is multiplied into `transmission`.
+    pub transmission_texture: Option<TextureUse>,
 }
 
 /// A material's reading of an image.

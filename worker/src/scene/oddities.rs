@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::hash::{DefaultHasher, Hash as _, Hasher as _};
 
 use super::model::{Material, MeshInstance, Scene, Warning};
-use super::surface::MAX_ALBEDO;
+use super::surface::{MAX_ALBEDO, stopped};
 
 /// Materials that a warning lists by name.
 const LISTED_MAX: usize = 8;
@@ -18,7 +18,8 @@ pub(super) fn oddities(scene: &Scene) -> Vec<Warning> {
 /// touched.
 fn clamped_albedos(scene: &Scene) -> Option<Warning> {
     let is_too_white = |material: &Material| {
-        let [r, g, b, _] = material.base_colour;
+        let transmission = material.glass.as_ref().map_or(0.0, |glass| glass.transmission);
+        let [r, g, b] = stopped(material, material.base_colour, transmission).albedo;
         material.base_colour_texture.is_none() && r.max(g).max(b) > MAX_ALBEDO
     };
     let too_white = scene.materials.iter().enumerate().filter(|(_, material)| is_too_white(material));
@@ -116,6 +117,7 @@ mod tests {
             emissive: [0.0; 3],
             emissive_texture: None,
             alpha_cutoff: None,
+            glass: None,
             double_sided: false,
         }
     }

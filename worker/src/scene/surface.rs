@@ -1,23 +1,36 @@
 //! Albedo and emission at a point of the scene's surface: factor × texture × vertex colour.
 
 use glam::{DVec3, Vec3};
+use lightkiln_proto::glass::{self, Stopped};
 
-use super::model::{MeshInstance, Scene, TextureUse};
+use super::model::{Glass, Material, MeshInstance, Scene, TextureUse};
 use super::texture::DecodedImages;
 
 /// Largest albedo. A closed white room of albedo ρ gathers 1/(1 − ρ) times its emission, so at 1 bounces never end;
 /// 0.98 is whiter than any paint, and ends.
 pub const MAX_ALBEDO: f32 = 0.98;
 
-/// Reflectance, emission and coverage at a point or over a footprint.
+/// Reflectance, emission and opacity at a point or over a footprint.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SurfaceSample {
-    /// Diffuse albedo ρ, linear Rec.709, in 0..=[`MAX_ALBEDO`].
+    /// Diffuse albedo ρ of what is stopped, linear Rec.709, in 0..=[`MAX_ALBEDO`].
     pub albedo: [f32; 3],
-    /// Emitted radiance Lₑ in W·m⁻²·sr⁻¹.
+    /// Radiance Lₑ in W·m⁻²·sr⁻¹ that a surface emits which stops all light.
     pub emission: [f32; 3],
-    /// Coverage to compare with [`super::model::Material::alpha_cutoff`]; 1 for materials without one.
-    pub alpha: f32,
+    /// Share s of light that does not pass straight through: 1 but for holes of masks and for glass.
+    pub stopped: f32,
+}
+
+/// Light on a point of a material with this colour (factor × texture × vertex colour) and transmission τ.
+pub fn stopped(material: &Material, [r, g, b, alpha]: [f32; 4], transmission: f32) -> Stopped {
+    if material.alpha_cutoff.is_some_and(|cutoff| alpha < cutoff) {
+        return Stopped { share: 0.0, albedo: [r, g, b] };
+    }
+    let there = match &material.glass {
+        Some(Glass { blends: true, .. }) => alpha,
+        _ => 1.0,
+    };
+    glass::stopped(there, [r, g, b], transmission)
 }
 
 /// A parallelogram around a point of a triangle, over which textures are averaged: its two sides as changes of the
@@ -69,11 +82,15 @@ pub fn surface_at(
     let glow = point.texture(material.emissive_texture.as_ref());
     let vertex = point.vertex_colour();
     let colour = [0, 1, 2, 3].map(|channel| material.base_colour[channel] * base[channel] * vertex[channel]);
-    let [r, g, b, alpha] = colour;
+    let transmission = material
+        .glass
+        .as_ref()
+        .map_or(0.0, |glass| glass.transmission * point.texture(glass.transmission_texture.as_ref())[3]);
+    let Stopped { share, albedo } = stopped(material, colour, transmission);
     SurfaceSample {
-        albedo: [r, g, b].map(|channel| channel.clamp(0.0, MAX_ALBEDO)),
+        albedo: albedo.map(|channel| channel.clamp(0.0, MAX_ALBEDO)),
         emission: [0, 1, 2].map(|channel| material.emissive[channel] * glow[channel]),
-        alpha: if material.alpha_cutoff.is_some() { alpha } else { 1.0 },
+        stopped: share,
     }
 }
 

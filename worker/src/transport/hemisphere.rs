@@ -68,7 +68,7 @@ impl<'a> Hemisphere<'a> {
             let (origin_m, directions) = (site.ray_origin_m(offset_m), site.directions());
             for ray in self.rays_of(index) {
                 let (direction, is_mirrored) = directions.at(points.point(ray));
-                let hit = self.geometry.tracer.closest(origin_m, direction, f32::INFINITY);
+                let hit = self.geometry.tracer.met(origin_m, direction, f32::INFINITY);
                 if let Some(hit) = &hit {
                     (path_m, hits) = (path_m + hit.t, hits + 1);
                     // Mirrored directions have another density than the weights know; sampling covers them alone.

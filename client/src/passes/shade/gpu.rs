@@ -1,14 +1,17 @@
 //! The picture on the adapter.
 
+use std::ops::Range;
+
 use glam::Vec4;
 use lightkiln_proto::manifest::Material;
 use wgpu::ShaderStages as Stages;
 
+use super::panes::{Panes, runs};
 use super::{ShadeView, Shading};
 use crate::error::Result;
 use crate::passes::gpu::{Gpu, failed, uniform};
 use crate::passes::meshes::{Meshes, sampled, uv_rows, vertex_layout};
-use crate::passes::shadow::{ShadowPass, cleared_depth, nearer_wins};
+use crate::passes::shadow::{ShadowPass, cleared_depth, nearer_wins, tested_alone};
 use crate::scene::{LoadedDraw, LoadedScene};
 
 /// Look of a draw; twin of `ShadeDraw` in the shader.
@@ -27,21 +30,30 @@ pub struct ShadeDraw {
     pub emissive_row0: [f32; 4],
     /// Second row.
     pub emissive_row1: [f32; 4],
+    /// Map from uv to the transmission texture's coordinates.
+    pub transmission_row0: [f32; 4],
+    /// Second row.
+    pub transmission_row1: [f32; 4],
     /// Alpha below it is not drawn.
     pub cutoff: f32,
     /// Number of the draw.
     pub index: u32,
-    /// Nothing.
-    pub pad0: f32,
-    /// Nothing.
-    pub pad1: f32,
+    /// Share of light that passes what is there, tinted by the base colour.
+    pub transmission: f32,
+    /// 1 where alpha is the share that is there.
+    pub blends: f32,
 }
 
 /// The pass and its target.
 #[derive(Debug)]
 pub struct ShadePass {
-    single_sided: wgpu::RenderPipeline,
-    double_sided: wgpu::RenderPipeline,
+    /// Of single-sided and of double-sided surfaces.
+    opaque: [wgpu::RenderPipeline; 2],
+    /// Of glass, as well.
+    glass: Option<[wgpu::RenderPipeline; 2]>,
+    panes: Panes,
+    /// Corners of the glass, in the order of a view.
+    pane_corners: wgpu::Buffer,
     sky: wgpu::RenderPipeline,
     view: wgpu::Buffer,
     view_group: wgpu::BindGroup,
@@ -49,6 +61,7 @@ pub struct ShadePass {
     draw_stride: u32,
     materials: Vec<wgpu::BindGroup>,
     is_double_sided: Vec<bool>,
+    is_glass: Vec<bool>,
     target: wgpu::Texture,
     depth: wgpu::TextureView,
 }
@@ -69,7 +82,7 @@ impl ShadePass {
         kinds.extend(shading.bindings.iter().map(|kind| (Stages::FRAGMENT, *kind)));
         let view_layout = gpu.bind_layout(&kinds);
         let draw_layout = gpu.bind_layout(&[(Stages::VERTEX_FRAGMENT, uniform(true))]);
-        let material_layout = gpu.bind_layout(&[sampled(), sampled()].concat());
+        let material_layout = gpu.bind_layout(&[sampled(), sampled(), sampled()].concat());
         let layout =
             gpu.pipeline_layout(&[&shadow.light_layout, &view_layout, &draw_layout, &material_layout]);
         let module = gpu.module("shade", &shading.shader());
@@ -88,12 +101,25 @@ impl ShadePass {
         let bind_material = |material: &Material| {
             let [base, base_sampler] = meshes.texture(material.base_colour_texture.as_ref());
             let [emissive, emissive_sampler] = meshes.texture(material.emissive_texture.as_ref());
-            gpu.bind(&material_layout, &[base, base_sampler, emissive, emissive_sampler])
+            let glass = material.glass.as_ref();
+            let [passing, sampler] =
+                meshes.texture(glass.and_then(|glass| glass.transmission_texture.as_ref()));
+            let resources = [base, base_sampler, emissive, emissive_sampler, passing, sampler];
+            gpu.bind(&material_layout, &resources)
         };
+        let panes = Panes::of(scene);
+        let sides = [Some(wgpu::Face::Back), None];
+        let glass = if panes.is_empty() { None } else { Some(blending(gpu)?) };
         let (target, depth) = create_targets(gpu, size);
         Ok(Self {
-            single_sided: pipeline(gpu, &layout, &module, Some(wgpu::Face::Back)),
-            double_sided: pipeline(gpu, &layout, &module, None),
+            opaque: sides.map(|cull| pipeline(gpu, &layout, &module, cull, None)),
+            glass: glass.map(|blend| sides.map(|cull| pipeline(gpu, &layout, &module, cull, Some(blend)))),
+            pane_corners: gpu.buffer(
+                "corners of glass",
+                (panes.len() * size_of::<[u32; 3]>()) as u64,
+                wgpu::BufferUsages::INDEX,
+            ),
+            panes,
             sky: sky_pipeline(gpu, &layout, &module),
             view,
             view_group,
@@ -101,6 +127,7 @@ impl ShadePass {
             draw_stride,
             materials: scene.manifest.materials.iter().map(bind_material).collect(),
             is_double_sided: scene.manifest.materials.iter().map(|material| material.double_sided).collect(),
+            is_glass: scene.manifest.materials.iter().map(|material| material.glass.is_some()).collect(),
             target,
             depth,
         })
@@ -115,11 +142,19 @@ impl ShadePass {
         view: &ShadeView,
     ) -> Result<Vec<Vec4>> {
         gpu.write(&self.view, std::slice::from_ref(view));
-        gpu.submit(|encoder| self.record(encoder, meshes, shadow));
+        let sorted = self.panes.farthest_first(view);
+        gpu.write(&self.pane_corners, &sorted.iter().map(|pane| pane.corners).collect::<Vec<_>>());
+        gpu.submit(|encoder| self.record(encoder, meshes, shadow, &runs(&sorted)));
         gpu.read_layer(&self.target, 0, wgpu::TextureAspect::All)
     }
 
-    fn record(&self, encoder: &mut wgpu::CommandEncoder, meshes: &Meshes, shadow: &ShadowPass) {
+    fn record(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        meshes: &Meshes,
+        shadow: &ShadowPass,
+        panes: &[(u32, Range<u32>)],
+    ) {
         let target = self.target.create_view(&wgpu::TextureViewDescriptor::default());
         let ops = wgpu::Operations {
             load: wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT),
@@ -142,12 +177,24 @@ impl ShadePass {
             pass.set_pipeline(&self.sky);
             pass.draw(0..3, 0..1);
         }
-        for (index, mesh) in meshes.meshes.iter().enumerate() {
-            let two = self.is_double_sided[mesh.material];
-            pass.set_pipeline(if two { &self.double_sided } else { &self.single_sided });
-            pass.set_bind_group(2, &self.draws, &[index as u32 * self.draw_stride]);
-            pass.set_bind_group(3, &self.materials[mesh.material], &[]);
-            meshes.draw(&mut pass, mesh);
+        let bind = |pass: &mut wgpu::RenderPass<'_>, sides: &[wgpu::RenderPipeline; 2], index: u32| {
+            let material = meshes.meshes[index as usize].material;
+            pass.set_pipeline(&sides[usize::from(self.is_double_sided[material])]);
+            pass.set_bind_group(2, &self.draws, &[index * self.draw_stride]);
+            pass.set_bind_group(3, &self.materials[material], &[]);
+        };
+        for (mesh, index) in meshes.meshes.iter().zip(0..) {
+            if !self.is_glass[mesh.material] {
+                bind(&mut pass, &self.opaque, index);
+                meshes.draw(&mut pass, mesh);
+            }
+        }
+        let Some(glass) = &self.glass else { return };
+        pass.set_index_buffer(self.pane_corners.slice(..), wgpu::IndexFormat::Uint32);
+        for (index, triangles) in panes {
+            bind(&mut pass, glass, *index);
+            pass.set_vertex_buffer(0, meshes.meshes[*index as usize].vertices.slice(..));
+            pass.draw_indexed(3 * triangles.start..3 * triangles.end, 0, 0..1);
         }
     }
 }
@@ -167,6 +214,9 @@ fn shade_draw(scene: &LoadedScene, draw: &LoadedDraw, index: u32, emitter_scale:
         material.emitter.and_then(|emitter| emitter_scale.get(usize::from(emitter))).copied().unwrap_or(1.0);
     let [base_row0, base_row1] = uv_rows(material.base_colour_texture.as_ref());
     let [emissive_row0, emissive_row1] = uv_rows(material.emissive_texture.as_ref());
+    let glass = material.glass.as_ref();
+    let [transmission_row0, transmission_row1] =
+        uv_rows(glass.and_then(|glass| glass.transmission_texture.as_ref()));
     let [r, g, b] = material.emissive.map(|channel| channel * scale);
     ShadeDraw {
         base_colour: material.base_colour,
@@ -175,10 +225,12 @@ fn shade_draw(scene: &LoadedScene, draw: &LoadedDraw, index: u32, emitter_scale:
         base_row1,
         emissive_row0,
         emissive_row1,
+        transmission_row0,
+        transmission_row1,
         cutoff: material.alpha_cutoff.unwrap_or(-1.0),
         index,
-        pad0: 0.0,
-        pad1: 0.0,
+        transmission: glass.map_or(0.0, |glass| glass.transmission),
+        blends: f32::from(u8::from(glass.is_some_and(|glass| glass.blends))),
     }
 }
 
@@ -200,15 +252,32 @@ fn create_targets(gpu: &Gpu, size: [u32; 2]) -> (wgpu::Texture, wgpu::TextureVie
     (target, depth.create_view(&wgpu::TextureViewDescriptor::default()))
 }
 
+/// Blending of glass, whose alpha is the share that it stops, over what is behind it.
+///
+/// Errors on adapters that blend no 32-bit radiance.
+fn blending(gpu: &Gpu) -> Result<wgpu::BlendState> {
+    if !gpu.device.features().contains(wgpu::Features::FLOAT32_BLENDABLE) {
+        return Err(failed(format!("{} draws no glass over 32-bit radiance", gpu.name)));
+    }
+    let over = |src_factor| wgpu::BlendComponent {
+        src_factor,
+        dst_factor: wgpu::BlendFactor::OneMinusSrcAlpha,
+        operation: wgpu::BlendOperation::Add,
+    };
+    Ok(wgpu::BlendState { color: over(wgpu::BlendFactor::SrcAlpha), alpha: over(wgpu::BlendFactor::One) })
+}
+
 fn pipeline(
     gpu: &Gpu,
     layout: &wgpu::PipelineLayout,
     module: &wgpu::ShaderModule,
     cull_mode: Option<wgpu::Face>,
+    blend: Option<wgpu::BlendState>,
 ) -> wgpu::RenderPipeline {
     let primitive = wgpu::PrimitiveState { cull_mode, ..Default::default() };
     let buffers = [Some(vertex_layout())];
-    render_pipeline(gpu, layout, module, ["corner", "shade"], &buffers, primitive, nearer_wins())
+    let depth = if blend.is_some() { tested_alone() } else { nearer_wins() };
+    render_pipeline(gpu, layout, (module, ["corner", "shade"]), &buffers, primitive, (depth, blend))
 }
 
 /// Behind everything, without touching the depth.
@@ -223,21 +292,20 @@ fn sky_pipeline(
         ..nearer_wins()
     };
     let primitive = wgpu::PrimitiveState::default();
-    render_pipeline(gpu, layout, module, ["sky_corner", "sky"], &[], primitive, behind)
+    render_pipeline(gpu, layout, (module, ["sky_corner", "sky"]), &[], primitive, (behind, None))
 }
 
 fn render_pipeline(
     gpu: &Gpu,
     layout: &wgpu::PipelineLayout,
-    module: &wgpu::ShaderModule,
-    [vertex, fragment]: [&str; 2],
+    (module, [vertex, fragment]): (&wgpu::ShaderModule, [&str; 2]),
     buffers: &[Option<wgpu::VertexBufferLayout<'_>>],
     primitive: wgpu::PrimitiveState,
-    depth: wgpu::DepthStencilState,
+    (depth, blend): (wgpu::DepthStencilState, Option<wgpu::BlendState>),
 ) -> wgpu::RenderPipeline {
     let target = wgpu::ColorTargetState {
         format: wgpu::TextureFormat::Rgba32Float,
-        blend: None,
+        blend,
         write_mask: wgpu::ColorWrites::ALL,
     };
     gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {

@@ -2,6 +2,7 @@
 
 mod gpu;
 mod indirect;
+mod panes;
 pub mod reference;
 pub mod surface;
 mod view;
@@ -15,6 +16,7 @@ pub use view::ShadeView;
 pub const SHADER: &str = concat!(
     include_str!("../shared/light.wgsl"),
     include_str!("../shared/shadow_map.wgsl"),
+    include_str!("../shared/glass.wgsl"),
     include_str!("shade.wgsl")
 );
 /// Largest difference from the reference, relative to the picture's mean, for all but [`OUTLIERS`]: adapters read

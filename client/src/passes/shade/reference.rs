@@ -3,9 +3,10 @@
 use std::f32::consts::PI;
 use std::ops::Range;
 
-use glam::{Vec3, Vec4};
+use glam::Vec4;
 use rayon::prelude::*;
 
+use super::panes::Panes;
 use super::surface::surface_at;
 use super::{IndirectIrradiance, ShadeView};
 use crate::passes::direct::reference::seen_irradiance;
@@ -40,44 +41,90 @@ struct Drawn {
     triangle: ScreenTriangle,
 }
 
-/// Radiance per pixel (rgb, W·m⁻²·sr⁻¹) and whether a surface is seen (alpha 1) or the sky (0), row after row.
+/// Radiance per pixel (rgb, W·m⁻²·sr⁻¹) and whether a surface is seen (alpha 1) or the sky (0), row after row; of glass
+/// before the sky, alpha is the share that it stops.
 pub fn shade(lit: Lit<'_>, view: &ShadeView, size: [u32; 2]) -> Vec<Vec4> {
-    let drawn = set_up_scene(lit.scene, view, size);
+    let opaque = set_up_opaque(lit.scene, view, size);
+    let panes = set_up_panes(lit.scene, view, size);
     let width = size[0] as usize;
     let mut picture = vec![Vec4::ZERO; width * size[1] as usize];
     picture.par_chunks_mut(BAND_ROWS * width).enumerate().for_each(|(band, pixels)| {
         let first = (band * BAND_ROWS) as u32;
         let rows = first..first + (pixels.len() / width) as u32;
-        let seen = visible(lit.scene, &drawn, size[0], rows.clone());
+        let (depth, seen) = visible(lit.scene, &opaque, size[0], rows.clone());
         for (index, (pixel, seen)) in pixels.iter_mut().zip(seen).enumerate() {
             let at = [(index % width) as f64 + 0.5, f64::from(first) + (index / width) as f64 + 0.5];
-            *pixel = match drawn.get(seen as usize) {
-                Some(drawn) => radiance(lit, view, drawn, at).extend(1.0),
+            *pixel = match opaque.get(seen as usize) {
+                Some(drawn) => radiance(lit, view, drawn, at).truncate().extend(1.0),
                 None => view.sky_at(at, size).extend(0.0),
             };
         }
+        blend_over(lit, view, &panes, size[0], rows, &depth, pixels);
     });
     picture
 }
 
-fn set_up_scene(scene: &LoadedScene, view: &ShadeView, size: [u32; 2]) -> Vec<Drawn> {
+/// Draws glass over the pixels of some rows, from behind: what it stops is replaced by its own radiance.
+fn blend_over(
+    lit: Lit<'_>,
+    view: &ShadeView,
+    panes: &[Drawn],
+    width: u32,
+    rows: Range<u32>,
+    depth: &[f32],
+    pixels: &mut [Vec4],
+) {
+    for drawn in panes {
+        drawn.triangle.rasterise(width, rows.clone(), |x, y, fragment| {
+            let pixel = ((y - rows.start) * width + x) as usize;
+            let nearer = fragment.depth > depth[pixel];
+            if nearer
+                && !masked_out(lit.scene, drawn.draw as usize, drawn.triangle.source, fragment.barycentric)
+            {
+                let own = radiance(lit, view, drawn, [f64::from(x) + 0.5, f64::from(y) + 0.5]);
+                pixels[pixel] = own.truncate().extend(1.0) * own.w + pixels[pixel] * (1.0 - own.w);
+            }
+        });
+    }
+}
+
+fn set_up_opaque(scene: &LoadedScene, view: &ShadeView, size: [u32; 2]) -> Vec<Drawn> {
+    let opaque = scene.draws.draws.iter().zip(0..).filter(|(mesh, _)| scene.glass_of(mesh).is_none());
+    let triangles = opaque.flat_map(|(mesh, draw)| {
+        mesh.triangles.iter().zip(0..).map(move |(corners, triangle)| (draw, triangle, *corners))
+    });
+    set_up_all(scene, view, size, triangles)
+}
+
+/// Glass from the farthest to the nearest.
+fn set_up_panes(scene: &LoadedScene, view: &ShadeView, size: [u32; 2]) -> Vec<Drawn> {
+    let sorted = Panes::of(scene).farthest_first(view);
+    let triangles = sorted.into_iter().map(|pane| (pane.draw, pane.triangle, pane.corners));
+    set_up_all(scene, view, size, triangles)
+}
+
+/// The sides that are seen of triangles, each with its draw and number in it.
+fn set_up_all(
+    scene: &LoadedScene,
+    view: &ShadeView,
+    size: [u32; 2],
+    triangles: impl Iterator<Item = (u32, u32, [u32; 3])>,
+) -> Vec<Drawn> {
     let clip_of = projected(view.projection());
-    let mut drawn = Vec::new();
-    let mut set = Vec::new();
-    for (draw, mesh) in scene.draws.draws.iter().enumerate() {
+    let (mut drawn, mut set) = (Vec::new(), Vec::new());
+    for (draw, triangle, corners) in triangles {
+        let mesh = &scene.draws.draws[draw as usize];
         let double_sided = scene.manifest.materials[mesh.material as usize].double_sided;
         let clip = |index: u32| clip_of(mesh.vertices[index as usize].position_m);
-        for (index, corners) in mesh.triangles.iter().enumerate() {
-            set_up(corners.map(clip), size, index as u32, &mut set);
-        }
+        set_up(corners.map(clip), size, triangle, &mut set);
         let seen = set.drain(..).filter(|triangle| triangle.front || double_sided);
-        drawn.extend(seen.map(|triangle| Drawn { draw: draw as u32, triangle }));
+        drawn.extend(seen.map(|triangle| Drawn { draw, triangle }));
     }
     drawn
 }
 
-/// Index of the nearest triangle per pixel of some rows, or [`NOTHING`].
-fn visible(scene: &LoadedScene, drawn: &[Drawn], width: u32, rows: Range<u32>) -> Vec<u32> {
+/// Depth and index of the nearest triangle per pixel of some rows, or [`NOTHING`].
+fn visible(scene: &LoadedScene, drawn: &[Drawn], width: u32, rows: Range<u32>) -> (Vec<f32>, Vec<u32>) {
     let count = (rows.end - rows.start) as usize * width as usize;
     let (mut depth, mut seen) = (vec![0.0; count], vec![NOTHING; count]);
     for (index, Drawn { draw, triangle }) in drawn.iter().enumerate() {
@@ -90,14 +137,15 @@ fn visible(scene: &LoadedScene, drawn: &[Drawn], width: u32, rows: Range<u32>) -
             }
         });
     }
-    seen
+    (depth, seen)
 }
 
-/// `L = Lₑ + ρ/π·(E_dir + E)` with indirect light E, METHOD.md §1.
-fn radiance(lit: Lit<'_>, view: &ShadeView, drawn: &Drawn, [x, y]: [f64; 2]) -> Vec3 {
+/// `L = Lₑ + ρ/π·(E_dir + E)` with indirect light E, METHOD.md §1; w is the share of light that the surface stops.
+fn radiance(lit: Lit<'_>, view: &ShadeView, drawn: &Drawn, [x, y]: [f64; 2]) -> Vec4 {
     let shaded = surface_at(lit.scene, drawn.draw, &drawn.triangle, (x, y), lit.emitter_scale);
     let surface = &shaded.surface;
     let places = [surface.position, view.before(surface.position)];
     let e_dir = seen_irradiance(lit.plan, lit.maps, places, surface.normal, surface.facet);
-    shaded.emission + shaded.albedo / PI * (e_dir + lit.indirect.indirect_irradiance(surface))
+    let own = shaded.emission + shaded.albedo / PI * (e_dir + lit.indirect.indirect_irradiance(surface));
+    own.extend(shaded.stopped)
 }

@@ -1,4 +1,5 @@
 // Radiance that reaches the camera: Lₑ + ρ/π·(E_dir + E), the sky where nothing is; twin: reference.rs.
+// Of glass, alpha is the share of light that it stops: it is drawn over what is behind it.
 // `light.wgsl` is joined in front and holds group 0. Indirect light E is the kind's: its snippet is joined behind, has
 // `fn indirect_irradiance(surface: Surface) -> vec3f` and its bindings in group 1 from 1.
 
@@ -23,12 +24,16 @@ struct ShadeDraw {
     base_row1: vec4f,
     emissive_row0: vec4f,
     emissive_row1: vec4f,
+    transmission_row0: vec4f,
+    transmission_row1: vec4f,
     // Alpha below it is not drawn.
     cutoff: f32,
     // Number of the draw.
     index: u32,
-    pad0: f32,
-    pad1: f32,
+    // Share of light that passes what is there.
+    transmission: f32,
+    // 1 where alpha is the share that is there.
+    blends: f32,
 }
 
 // A point that the camera sees.
@@ -51,6 +56,8 @@ struct Surface {
 @group(3) @binding(1) var base_sampler: sampler;
 @group(3) @binding(2) var emissive: texture_2d<f32>;
 @group(3) @binding(3) var emissive_sampler: sampler;
+@group(3) @binding(4) var transmission: texture_2d<f32>;
+@group(3) @binding(5) var transmission_sampler: sampler;
 
 const PI = 3.14159265358979;
 // Pixels by which shadows are looked up nearer to the eye.
@@ -99,6 +106,8 @@ fn shade(corner: Corner, @builtin(front_facing) front: bool) -> @location(0) vec
     let across = cross(dpdx(corner.position), dpdy(corner.position));
     let colour = draw.base_colour * corner.colour * textureSample(base_colour, base_sampler, base_uv);
     let glow = draw.emissive.rgb * textureSample(emissive, emissive_sampler, emissive_uv).rgb;
+    let transmission_uv = mapped(draw.transmission_row0, draw.transmission_row1, corner.uv);
+    let passing = draw.transmission * textureSample(transmission, transmission_sampler, transmission_uv).a;
     let alpha = draw.base_colour.a * corner.colour.a * textureSampleLevel(base_colour, base_sampler, base_uv, 0.0).a;
     if alpha < draw.cutoff {
         discard;
@@ -110,9 +119,10 @@ fn shade(corner: Corner, @builtin(front_facing) front: bool) -> @location(0) vec
     var facet = select(normal, across * inverseSqrt(max(length2, 1e-38)), length2 > 1e-30);
     facet = select(-facet, facet, dot(facet, normal) >= 0.0);
     let surface = Surface(corner.position, normal, facet, draw.index, front, corner.lightmap_texel);
-    let rho = clamp(colour.rgb, vec3f(0.0), vec3f(1.0));
+    let met = stopped(mix(1.0, colour.a, draw.blends), colour.rgb, passing);
+    let rho = clamp(met.albedo, vec3f(0.0), vec3f(1.0));
     let e_dir = seen_irradiance(surface.position, before(surface.position), surface.normal, surface.facet);
-    return vec4f(glow + rho * (1.0 / PI) * (e_dir + indirect_irradiance(surface)), 1.0);
+    return vec4f(glow + rho * (1.0 / PI) * (e_dir + indirect_irradiance(surface)), met.share);
 }
 
 struct SkyCorner {

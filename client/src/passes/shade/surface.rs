@@ -37,6 +37,8 @@ pub(super) struct Shaded {
     pub surface: Surface,
     pub albedo: Vec3,
     pub emission: Vec3,
+    /// Share of light that it stops.
+    pub stopped: f32,
 }
 
 /// Values of the corners of a triangle, mixed by weights.
@@ -95,7 +97,14 @@ pub(super) fn surface_at(
         front: triangle.front,
         lightmap_texel: corners.mix(here, |vertex| vertex.lightmap_texel),
     };
-    Shaded { surface, albedo: colour.truncate().clamp(Vec3::ZERO, Vec3::ONE), emission }
+    let (stopped, albedo) = match &material.glass {
+        None => (1.0, colour.truncate()),
+        Some(glass) => {
+            let met = glass.stopped(colour.to_array(), texel(&glass.transmission_texture).w);
+            (met.share, Vec3::from(met.albedo))
+        }
+    };
+    Shaded { surface, albedo: albedo.clamp(Vec3::ZERO, Vec3::ONE), emission, stopped }
 }
 
 /// The triangle's own normal on the side of the shading normal.

@@ -3,8 +3,9 @@
 use lightkiln_proto::manifest::Material;
 use wgpu::{ShaderStages as Stages, TextureViewDimension as Dimension};
 
+use super::panes::PanePass;
 use super::reference::ShadowMaps;
-use super::{SHADER, ShadowPlan};
+use super::{Face, SHADER, ShadowPlan};
 use crate::error::Result;
 use crate::passes::gpu::{Gpu, array_view, storage_read, texture, uniform};
 use crate::passes::meshes::{Meshes, sampled, uv_rows, vertex_layout};
@@ -39,6 +40,7 @@ pub struct ShadowPass {
     /// Per mesh: the mask of alpha-masked ones.
     masks: Vec<Option<wgpu::BindGroup>>,
     maps: wgpu::Texture,
+    panes: PanePass,
     /// Layout of [`Self::light_group`]: group 0 of `light.wgsl`.
     pub light_layout: wgpu::BindGroupLayout,
     /// Lights, faces and maps.
@@ -62,8 +64,9 @@ impl ShadowPass {
             size: wgpu::BufferSize::new(size_of::<[[f32; 4]; 4]>() as u64),
         };
         let faces = gpu.bind(&face_layout, &[wgpu::BindingResource::Buffer(window)]);
-        let maps = create_maps(gpu, plan);
-        let (light_layout, light_group) = bind_lights(gpu, plan, &maps)?;
+        let maps = create_maps(gpu, plan, plan.faces.len() as u32, wgpu::TextureFormat::Depth32Float);
+        let panes = PanePass::new(gpu, scene, meshes, plan, &face_layout);
+        let (light_layout, light_group) = bind_lights(gpu, plan, &maps, &panes)?;
         let face_views = (0..plan.faces.len() as u32).map(|layer| face_view(&maps, layer)).collect();
         let material = |material: usize| &scene.manifest.materials[material];
         let masks = meshes
@@ -71,10 +74,21 @@ impl ShadowPass {
             .iter()
             .map(|mesh| mask(gpu, meshes, &mask_layout, material(mesh.material)))
             .collect();
-        Ok(Self { solid, masked, faces, face_stride, face_views, masks, maps, light_layout, light_group })
+        Ok(Self {
+            solid,
+            masked,
+            faces,
+            face_stride,
+            face_views,
+            masks,
+            maps,
+            panes,
+            light_layout,
+            light_group,
+        })
     }
 
-    /// Records the pass: every mesh into every face.
+    /// Records the pass: every mesh into every face, then its glass.
     pub fn record(&self, encoder: &mut wgpu::CommandEncoder, meshes: &Meshes) {
         for (face, view) in self.face_views.iter().enumerate() {
             let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
@@ -83,7 +97,10 @@ impl ShadowPass {
                 ..Default::default()
             });
             let offset = face as u32 * self.face_stride;
-            for (mesh, mask) in meshes.meshes.iter().zip(&self.masks) {
+            for (index, (mesh, mask)) in meshes.meshes.iter().zip(&self.masks).enumerate() {
+                if self.panes.is_glass(index) {
+                    continue;
+                }
                 pass.set_pipeline(if mask.is_some() { &self.masked } else { &self.solid });
                 pass.set_bind_group(0, &self.faces, &[offset]);
                 if let Some(mask) = mask {
@@ -91,6 +108,10 @@ impl ShadowPass {
                 }
                 meshes.draw(&mut pass, mesh);
             }
+            drop(pass);
+            self.panes.record(encoder, meshes, (face, view), |pass| {
+                pass.set_bind_group(0, &self.faces, &[offset]);
+            });
         }
     }
 
@@ -100,7 +121,8 @@ impl ShadowPass {
         for layer in 0..self.face_views.len() as u32 {
             depth.extend(gpu.read_layer::<f32>(&self.maps, layer, wgpu::TextureAspect::DepthOnly)?);
         }
-        Ok(ShadowMaps { side: self.maps.width(), depth })
+        let (pane_depth, passed) = self.panes.read(gpu)?;
+        Ok(ShadowMaps { side: self.maps.width(), depth, pane_depth, passed })
     }
 }
 
@@ -154,17 +176,22 @@ fn pipeline(
     })
 }
 
-fn create_maps(gpu: &Gpu, plan: &ShadowPlan) -> wgpu::Texture {
-    // Without lights, one texel that nobody reads.
-    let side = if plan.faces.is_empty() { 1 } else { plan.count.side };
-    let layers = plan.faces.len().max(1) as u32;
+/// A map for each of so many faces; of none, one texel that nobody reads.
+pub(super) fn create_maps(
+    gpu: &Gpu,
+    plan: &ShadowPlan,
+    layers: u32,
+    format: wgpu::TextureFormat,
+) -> wgpu::Texture {
+    let side = if layers == 0 { 1 } else { plan.count.side };
+    let layers = layers.max(1);
     gpu.device.create_texture(&wgpu::TextureDescriptor {
         label: Some("shadow maps"),
         size: wgpu::Extent3d { width: side, height: side, depth_or_array_layers: layers },
         mip_level_count: 1,
         sample_count: 1,
         dimension: wgpu::TextureDimension::D2,
-        format: wgpu::TextureFormat::Depth32Float,
+        format,
         usage: wgpu::TextureUsages::RENDER_ATTACHMENT
             | wgpu::TextureUsages::TEXTURE_BINDING
             | wgpu::TextureUsages::COPY_SRC,
@@ -172,7 +199,7 @@ fn create_maps(gpu: &Gpu, plan: &ShadowPlan) -> wgpu::Texture {
     })
 }
 
-fn face_view(maps: &wgpu::Texture, layer: u32) -> wgpu::TextureView {
+pub(super) fn face_view(maps: &wgpu::Texture, layer: u32) -> wgpu::TextureView {
     maps.create_view(&wgpu::TextureViewDescriptor {
         dimension: Some(Dimension::D2),
         base_array_layer: layer,
@@ -185,17 +212,23 @@ fn bind_lights(
     gpu: &Gpu,
     plan: &ShadowPlan,
     maps: &wgpu::Texture,
+    panes: &PanePass,
 ) -> Result<(wgpu::BindGroupLayout, wgpu::BindGroup)> {
     let map = texture(wgpu::TextureSampleType::Depth, Dimension::D2Array);
-    let kinds = [storage_read(), storage_read(), uniform(false), map];
+    let passed = texture(wgpu::TextureSampleType::Float { filterable: false }, Dimension::D2Array);
+    let kinds = [storage_read(), storage_read(), uniform(false), map, map, passed];
+    let mark = |face: &Face| Face { panes: f32::from(u8::from(panes.is_used)), ..*face };
+    let faces: Vec<Face> = plan.faces.iter().map(mark).collect();
     let layout = gpu.bind_layout(&kinds.map(|kind| (Stages::COMPUTE | Stages::FRAGMENT, kind)));
     let group = gpu.bind(
         &layout,
         &[
             gpu.storage("lights", &plan.lights)?.as_entire_binding(),
-            gpu.storage("faces", &plan.faces)?.as_entire_binding(),
+            gpu.storage("faces", &faces)?.as_entire_binding(),
             gpu.uniform("light count", &plan.count).as_entire_binding(),
             wgpu::BindingResource::TextureView(&array_view(maps)),
+            wgpu::BindingResource::TextureView(&array_view(&panes.depth_maps)),
+            wgpu::BindingResource::TextureView(&array_view(&panes.passed_maps)),
         ],
     );
     Ok((layout, group))

@@ -46,8 +46,9 @@ pub(in crate::passes) fn visibility(
     let mut lit = 0.0;
     for (row, weight_y) in weight_y.iter().enumerate() {
         for (column, weight_x) in weight_x.iter().enumerate() {
-            if map[texel(base.y, row) * side + texel(base.x, column)] <= ndc.z {
-                lit += weight_x * weight_y;
+            let index = texel(base.y, row) * side + texel(base.x, column);
+            if map[index] <= ndc.z {
+                lit += weight_x * weight_y * maps.passed(face_index as usize * side * side + index, ndc.z);
             }
         }
     }

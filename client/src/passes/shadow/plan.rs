@@ -6,7 +6,7 @@ use crate::error::{ClientError, Result};
 use crate::lights::{Caster, Shape};
 use crate::raster::{look_along, parallel, perspective};
 
-/// Most texels of all shadow maps together; 4 bytes each.
+/// Most texels of all shadow maps together; 4 bytes each, and in a scene with glass 10.
 const MAX_TEXELS: u64 = 1 << 26;
 /// Most faces: layers of one texture.
 const MAX_FACES: usize = 256;
@@ -74,8 +74,8 @@ pub struct Face {
     pub texel_at_unit_w: f32,
     /// Unit vector up its columns.
     pub up: [f32; 3],
-    /// Nothing.
-    pub pad: f32,
+    /// 1 where the adapter's maps of glass hold anything.
+    pub panes: f32,
 }
 
 impl Face {
@@ -239,7 +239,7 @@ impl ShadowPlan {
             right: view.row(0).truncate().into(),
             texel_at_unit_w,
             up: view.row(1).truncate().into(),
-            pad: 0.0,
+            panes: 0.0,
         });
     }
 }

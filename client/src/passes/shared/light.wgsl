@@ -31,7 +31,8 @@ struct Face {
     // Side of a shadow texel in metres where clip w is 1.
     texel_at_unit_w: f32,
     up: vec3f,
-    pad: f32,
+    // 1 where the maps of glass hold anything.
+    panes: f32,
 }
 
 struct LightCount {
@@ -54,6 +55,9 @@ const CASCADE_RIM = 0.1;
 @group(0) @binding(1) var<storage, read> faces: array<Face>;
 @group(0) @binding(2) var<uniform> light_count: LightCount;
 @group(0) @binding(3) var shadow_maps: texture_depth_2d_array;
+// Depth of the glass nearest to the light, and the share of light that passes all of it before the next opaque surface.
+@group(0) @binding(4) var pane_maps: texture_depth_2d_array;
+@group(0) @binding(5) var passed_maps: texture_2d_array<f32>;
 
 fn cube_face(d: vec3f) -> u32 {
     let a = abs(d);

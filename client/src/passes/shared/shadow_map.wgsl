@@ -10,6 +10,14 @@ const FILTER_WIDTH = 4.0;
 const PARALLEL_BIAS = 0.03;
 const SNAP = 0.0078125;
 
+// Share of the light that passes the glass before a depth. Between two panes it is that of both.
+fn passed(face_index: u32, texel: vec2i, depth: f32) -> f32 {
+    if faces[face_index].panes == 0.0 || textureLoad(pane_maps, texel, i32(face_index), 0) <= depth {
+        return 1.0;
+    }
+    return textureLoad(passed_maps, texel, i32(face_index), 0).r;
+}
+
 // Share of the light that arrives, from 4 × 4 texels: a box of three texels joined with bilinear weights.
 fn visibility(face_index: u32, position: vec3f) -> f32 {
     let clip = faces[face_index].clip_from_world * vec4f(position, 1.0);
@@ -29,7 +37,9 @@ fn visibility(face_index: u32, position: vec3f) -> f32 {
         for (var column = 0; column < 4; column++) {
             let texel = clamp(vec2i(base) + vec2i(column - 1, row - 1), vec2i(0), vec2i(last));
             let nearest = textureLoad(shadow_maps, texel, i32(face_index), 0);
-            lit += select(0.0, weight_x[column] * weight_y[row], nearest <= ndc.z);
+            if nearest <= ndc.z {
+                lit += weight_x[column] * weight_y[row] * passed(face_index, texel, ndc.z);
+            }
         }
     }
     return lit / 9.0;

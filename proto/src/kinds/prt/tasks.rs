@@ -8,9 +8,9 @@ use crate::kinds::{SceneTasks, TaskKind};
 /// Receivers and patches → cluster cells, the chunk of patches, and the plan of the rest.
 pub const PLAN: TaskKind = TaskKind { name: "prt.plan", version: 4 };
 /// A cluster cell → its factorised transport.
-pub const TRANSPORT: TaskKind = TaskKind { name: "prt.transport", version: 22 };
+pub const TRANSPORT: TaskKind = TaskKind { name: "prt.transport", version: 23 };
 /// Everything → manifest and report.
-pub const ASSEMBLE: TaskKind = TaskKind { name: "prt.assemble", version: 3 };
+pub const ASSEMBLE: TaskKind = TaskKind { name: "prt.assemble", version: 4 };
 
 /// The tasks that every kind of a scene shares, and the plan of the rest.
 pub fn first_tasks(scene: Digest, settings: &Settings) -> Vec<TaskSpec> {

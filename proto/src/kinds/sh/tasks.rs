@@ -6,13 +6,13 @@ use crate::jobs::TaskSpec;
 use crate::kinds::{SceneTasks, TaskKind};
 
 /// Receivers → probes, cluster cells, and the plan of the rest.
-pub const PLAN: TaskKind = TaskKind { name: "sh.plan", version: 2 };
+pub const PLAN: TaskKind = TaskKind { name: "sh.plan", version: 3 };
 /// A batch of probes → their relight rays' hits.
-pub const RELIGHT: TaskKind = TaskKind { name: "sh.relight", version: 5 };
+pub const RELIGHT: TaskKind = TaskKind { name: "sh.relight", version: 6 };
 /// A cluster cell → its factorised transport.
-pub const TRANSPORT: TaskKind = TaskKind { name: "sh.transport", version: 9 };
+pub const TRANSPORT: TaskKind = TaskKind { name: "sh.transport", version: 10 };
 /// Everything → manifest and report.
-pub const ASSEMBLE: TaskKind = TaskKind { name: "sh.assemble", version: 2 };
+pub const ASSEMBLE: TaskKind = TaskKind { name: "sh.assemble", version: 3 };
 
 /// The tasks that kinds of a scene share, and the plan of the rest.
 pub fn first_tasks(scene: Digest, settings: &Settings) -> Vec<TaskSpec> {

@@ -109,7 +109,7 @@ fn unseen_from(world: &World, supporters: &Supporters, receiver: &Receiver) -> (
     for ray in 0..RAYS {
         let local = cosine_hemisphere(points.point(ray));
         let direction = tangent * local.x + bitangent * local.y + receiver.face_normal * local.z;
-        let Some(hit) = world.geometry.tracer.closest(origin_m, direction, f32::INFINITY) else {
+        let Some(hit) = world.geometry.tracer.met(origin_m, direction, f32::INFINITY) else {
             (open, lit) = (true, lit + 1);
             continue;
         };

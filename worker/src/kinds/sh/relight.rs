@@ -60,7 +60,7 @@ fn hits_of(world: &World, probe: &Probe, rays: u32) -> Vec<Option<Surface>> {
     (0..rays)
         .map(|ray| {
             let direction = relight_direction(ray, rays);
-            let hit = world.geometry.tracer.closest(position_m, direction, f32::INFINITY)?;
+            let hit = world.geometry.tracer.met(position_m, direction, f32::INFINITY)?;
             Some(world.linked_surface_at(&hit, position_m + direction * hit.t))
         })
         .collect()

@@ -143,7 +143,7 @@ fn fate(world: &World, receiver: u32, is_open: impl Fn(u32) -> bool) -> (Fate, u
     let beside = |ray| {
         let [u, v] = places.point(ray).map(|share| BESIDE * (2.0 * share - 1.0) * texel_m);
         let above_m = middle_m + tangent * u + bitangent * v + normal * height_m;
-        let below = tracer.closest(above_m, -normal, 2.0 * height_m)?;
+        let below = tracer.closest_surface(above_m, -normal, 2.0 * height_m)?;
         let goes_on = world.geometry.side_normal(&below).dot(normal) > 0.9 && !world.geometry.is_back(&below);
         goes_on.then(|| above_m - normal * below.t)
     };

@@ -150,7 +150,7 @@ fn guest_of(
 fn own_light(world: &World, Reading { block, square, site, .. }: &Reading) -> Option<GuestLight> {
     let (geometry, height_m) = (&world.geometry, 2.0 * level_m(world, *block, square.middle_m));
     let above_m = square.middle_m + site.face_normal * height_m;
-    let hit = geometry.tracer.closest(above_m, -site.face_normal, 2.0 * height_m)?;
+    let hit = geometry.tracer.closest_surface(above_m, -site.face_normal, 2.0 * height_m)?;
     let Surface::Receiver(met) = world.surface_at(&hit) else { return None };
     let own = geometry.site_at(&hit);
     let gathers_alike = own.normal.dot(site.normal) >= COPLANAR_COSINE_MIN

@@ -4,6 +4,7 @@ mod agreement;
 mod energy;
 mod form_factors;
 mod furnace;
+mod glass;
 mod openings;
 mod rooms;
 

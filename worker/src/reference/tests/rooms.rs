@@ -3,7 +3,7 @@
 use glam::Vec3;
 
 use super::*;
-use crate::scene::model::{Material, MeshInstance, Scene};
+use crate::scene::model::{Glass, Material, MeshInstance, Scene};
 
 /// A scene under construction, and the geometry that a reference borrows.
 pub struct Room {
@@ -48,6 +48,7 @@ impl Room {
             emissive: [emission; 3],
             emissive_texture: None,
             alpha_cutoff: None,
+            glass: None,
             double_sided,
         });
         self
@@ -57,6 +58,17 @@ impl Room {
     pub fn rectangle(self, corner: Vec3, u: Vec3, v: Vec3, albedo: f32, emission: f32) -> Self {
         let corners = vec![corner, corner + u, corner + u + v, corner + v];
         self.mesh(corners, vec![[0, 1, 2], [0, 2, 3]], albedo, emission, false)
+    }
+
+    /// A rectangle of glass that is there to a share; both its sides are lit.
+    pub fn pane(self, [corner, u, v]: [Vec3; 3], alpha: f32, albedo: f32, emission: f32) -> Self {
+        let corners = vec![corner, corner + u, corner + u + v, corner + v];
+        let mut room = self.mesh(corners, vec![[0, 1, 2], [0, 2, 3]], albedo, emission, true);
+        if let Some(material) = room.scene.materials.last_mut() {
+            material.base_colour[3] = alpha;
+            material.glass = Some(Glass { blends: true, transmission: 0.0, transmission_texture: None });
+        }
+        room
     }
 
     /// The inside of the box from the origin to `size`.

@@ -4,7 +4,8 @@ use serde_json::json;
 
 use super::document_builder::{Document, codes, png};
 use crate::scene::ImportError;
-use crate::scene::model::Wrap;
+use crate::scene::model::{Glass, Wrap};
+use crate::scene::texture::DecodedImages;
 
 fn with_material(material: serde_json::Value) -> Document {
     let mut document = Document::triangle();
@@ -49,15 +50,57 @@ fn factors_out_of_range_are_clamped_with_a_warning() {
 }
 
 #[test]
-fn mask_keeps_its_cutoff_and_blend_becomes_a_mask_with_a_warning() {
+fn mask_keeps_its_cutoff_and_blend_has_none_but_a_share() {
     let mask = with_material(json!({"alphaMode": "MASK", "alphaCutoff": 0.25, "doubleSided": true}));
     let material = &mask.import().unwrap().scene.materials[0];
     assert_eq!((material.alpha_cutoff, material.double_sided), (Some(0.25), true));
     let default_cutoff = with_material(json!({"alphaMode": "MASK"})).import().unwrap();
     assert_eq!(default_cutoff.scene.materials[0].alpha_cutoff, Some(0.5));
     let blend = with_material(json!({"alphaMode": "BLEND"})).import().unwrap();
-    assert_eq!(blend.scene.materials[0].alpha_cutoff, Some(0.5));
-    assert_eq!(codes(&blend), ["blend-as-mask"]);
+    let material = &blend.scene.materials[0];
+    let glass = Glass { blends: true, transmission: 0.0, transmission_texture: None };
+    assert_eq!((material.alpha_cutoff, &material.glass), (None, &Some(glass)));
+    assert!(blend.warnings.is_empty(), "{:?}", blend.warnings);
+    assert_eq!(mask.import().unwrap().scene.materials[0].glass, None);
+}
+
+fn transmission_of(pbr: serde_json::Value, factor: f32) -> crate::scene::model::Imported {
+    let mut document = with_material(json!({"pbrMetallicRoughness": pbr,
+        "extensions": {"KHR_materials_transmission": {"transmissionFactor": factor}}}));
+    document.json["extensionsUsed"] = json!(["KHR_materials_transmission"]);
+    document.json["extensionsRequired"] = json!(["KHR_materials_transmission"]);
+    document.import().unwrap()
+}
+
+#[test]
+fn transmission_is_what_metal_leaves_of_it() {
+    for (metallic, factor, wanted) in [(0.0, 0.9, 0.9), (0.5, 0.8, 0.4), (0.0, 7.0, 1.0), (0.0, -1.0, 0.0)] {
+        let imported = transmission_of(json!({"metallicFactor": metallic}), factor);
+        let found = imported.scene.materials[0].glass.as_ref().map_or(0.0, |glass| glass.transmission);
+        assert!((found - wanted).abs() < 1e-6, "metal {metallic}, factor {factor}: {found}");
+        assert!(imported.warnings.is_empty(), "{:?}", imported.warnings);
+    }
+    // Metal is glTF's default.
+    assert_eq!(transmission_of(json!({}), 1.0).scene.materials[0].glass, None);
+    let tinted = transmission_of(json!({"metallicFactor": 0, "baseColorFactor": [0.2, 0.9, 0.3, 1]}), 1.0);
+    assert_eq!(codes(&tinted), ["glass-tint-grey"]);
+}
+
+#[test]
+fn red_of_a_transmission_texture_is_read_as_a_linear_number() {
+    let mut document = with_image(&png(1, 1, &[[64, 200, 10, 255]]));
+    document.json["materials"][0]["pbrMetallicRoughness"]["metallicFactor"] = json!(0);
+    document.json["materials"][0]["extensions"] = json!({"KHR_materials_transmission":
+        {"transmissionFactor": 1, "transmissionTexture": {"index": 0}}});
+    let scene = document.import().unwrap().scene;
+    let texture = scene.materials[0].glass.as_ref().unwrap().transmission_texture.clone().unwrap();
+    let images = DecodedImages::decode(&scene).unwrap();
+    let [.., share] = images.sample_bilinear(&texture, [0.5; 2]);
+    assert!((share - 64.0 / 255.0).abs() < 1e-6, "{share}");
+    // The colour of the same image stays as it was.
+    let colour = scene.materials[0].base_colour_texture.as_ref().unwrap();
+    assert!((images.sample_bilinear(colour, [0.5; 2])[1] - 0.577).abs() < 0.01);
+    assert_eq!(scene.images.len(), 2);
 }
 
 #[test]

@@ -3,7 +3,8 @@
 use glam::{Vec2, Vec3};
 
 use super::document_builder::png;
-use crate::scene::model::{Material, MeshInstance, Scene, SceneImage, TextureUse, Wrap};
+use crate::geometry::Geometry;
+use crate::scene::model::{Glass, Material, MeshInstance, Scene, SceneImage, TextureUse, Wrap};
 use crate::scene::surface::{Footprint, MAX_ALBEDO, surface_at};
 use crate::scene::texture::DecodedImages;
 
@@ -24,6 +25,7 @@ fn scene(width: u32, height: u32, pixels: &[[u8; 4]]) -> Scene {
         emissive: [3.0, 0.0, 0.0],
         emissive_texture: None,
         alpha_cutoff: Some(0.5),
+        glass: None,
         double_sided: false,
     };
     let instance = MeshInstance {
@@ -141,15 +143,46 @@ fn long_thin_footprint_does_not_blur_across() {
 
 #[test]
 fn surface_multiplies_factor_texture_and_vertex_colour_and_caps_albedo() {
-    let scene = scene(1, 1, &[[255, 255, 255, 128]]);
+    let mut scene = scene(1, 1, &[[255, 255, 255, 128]]);
+    scene.materials[0].alpha_cutoff = None;
+    scene.materials[0].glass = Some(Glass { blends: true, transmission: 0.0, transmission_texture: None });
     let images = DecodedImages::decode(&scene).unwrap();
     for footprint in [Footprint::POINT, Footprint::square(&scene.instances[0], 0, 0.5)] {
         let sample = surface_at(&scene, &images, 0, 0, [1.0 / 3.0; 3], &footprint);
         assert_eq!(sample.albedo[0], MAX_ALBEDO);
         assert!((sample.albedo[1] - 0.5).abs() < 1e-6 && (sample.albedo[2] - 0.5).abs() < 1e-6);
         assert_eq!(sample.emission, [3.0, 0.0, 0.0]);
-        assert!((sample.alpha - 128.0 / 255.0).abs() < 1e-6);
+        assert!((sample.stopped - 128.0 / 255.0).abs() < 1e-6);
     }
+}
+
+#[test]
+fn holes_of_masks_stop_nothing_and_what_is_left_everything() {
+    for (alpha, stopped) in [(127, 0.0), (128, 1.0)] {
+        let scene = scene(1, 1, &[[255, 255, 255, alpha]]);
+        let images = DecodedImages::decode(&scene).unwrap();
+        let found = surface_at(&scene, &images, 0, 0, [1.0, 0.0, 0.0], &Footprint::POINT);
+        assert_eq!(found.stopped, stopped, "{alpha}");
+    }
+}
+
+#[test]
+fn transmission_takes_light_from_what_is_reflected_by_its_texture_and_lets_it_pass_tinted() {
+    let mut scene = scene(1, 1, &[[255, 255, 255, 51]]);
+    let texture = scene.materials[0].base_colour_texture.take();
+    scene.instances[0].colours.clear();
+    let material = &mut scene.materials[0];
+    (material.alpha_cutoff, material.base_colour) = (None, [0.5, 0.5, 0.5, 0.3]);
+    material.glass = Some(Glass { blends: false, transmission: 0.5, transmission_texture: texture });
+    let images = DecodedImages::decode(&scene).unwrap();
+    let found = surface_at(&scene, &images, 0, 0, [1.0, 0.0, 0.0], &Footprint::POINT);
+    // A tenth is transmitted, half of it lost to the tint: 0.05 pass, 0.9 · 0.5 are reflected.
+    assert!((found.stopped - 0.95).abs() < 1e-6, "{found:?}");
+    assert!((found.stopped * found.albedo[0] - 0.45).abs() < 1e-6, "{found:?}");
+    // Rays are stopped as much.
+    let geometry = Geometry::new(scene).unwrap();
+    let (above, below) = (Vec3::new(0.2, 0.2, 1.0), Vec3::new(0.2, 0.2, -1.0));
+    assert!((geometry.tracer.passed(above, below) - 0.05).abs() < 1e-6);
 }
 
 #[test]
@@ -157,7 +190,7 @@ fn opaque_materials_have_full_coverage_whatever_the_texture_says() {
     let mut scene = scene(1, 1, &[[255, 255, 255, 0]]);
     scene.materials[0].alpha_cutoff = None;
     let images = DecodedImages::decode(&scene).unwrap();
-    assert_eq!(surface_at(&scene, &images, 0, 0, [1.0, 0.0, 0.0], &Footprint::POINT).alpha, 1.0);
+    assert_eq!(surface_at(&scene, &images, 0, 0, [1.0, 0.0, 0.0], &Footprint::POINT).stopped, 1.0);
 }
 
 #[test]
