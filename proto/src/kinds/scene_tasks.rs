@@ -54,8 +54,8 @@ impl SceneTask {
         match self {
             Self::Place => 20,
             Self::Patches => 4,
-            Self::Draw => 3,
-            Self::Import | Self::Unwrap | Self::Frame => 2,
+            Self::Draw | Self::Import => 3,
+            Self::Unwrap | Self::Frame => 2,
         }
     }
 

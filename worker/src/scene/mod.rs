@@ -14,6 +14,7 @@ mod draco;
 mod error;
 mod glb;
 mod images;
+mod inside_out;
 mod json_text;
 mod lights_cameras;
 mod limits;
