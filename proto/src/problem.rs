@@ -113,9 +113,16 @@ pub fn causes<'a>(error: &'a (dyn Error + 'static)) -> impl Iterator<Item = &'a 
     std::iter::successors(Some(error), |&error| error.source())
 }
 
-/// An error and its causes in one line.
+/// An error and its causes in one line, each told once: errors of other crates often repeat their sources.
 pub fn chain(error: &(dyn Error + 'static)) -> String {
-    causes(error).map(ToString::to_string).collect::<Vec<_>>().join(": ")
+    let mut line = String::new();
+    for cause in causes(error).map(ToString::to_string) {
+        if !line.ends_with(&cause) {
+            line += if line.is_empty() { "" } else { ": " };
+            line += &cause;
+        }
+    }
+    line
 }
 
 /// RFC 9457 problem details.
@@ -145,6 +152,17 @@ impl Problem {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn cause_that_an_error_repeats_is_told_once() {
+        #[derive(Debug, thiserror::Error)]
+        #[error("{0}")]
+        struct Told(&'static str, #[source] Option<Box<Told>>);
+        let disk = Told("disk is full", None);
+        let database = Told("error returned from database: disk is full", Some(disk.into()));
+        let error = Told("no room left", Some(database.into()));
+        assert_eq!(chain(&error), "no room left: error returned from database: disk is full");
+    }
 
     #[test]
     fn every_code_has_an_error_status_and_a_type_of_its_own() {

@@ -326,6 +326,11 @@ impl Farm {
         Ok(())
     }
 
+    /// Calls that this process refused as the disk or the quota was full.
+    pub fn full_refusals(&self) -> u64 {
+        self.metrics.full_refusals.get()
+    }
+
     /// Deletes old bakes, and the bytes that nobody needs any more.
     pub async fn collect(&self, rules: &CollectRules) -> Result<Removed> {
         let removed = self.storage.collect(rules).await?;

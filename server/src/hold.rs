@@ -6,7 +6,7 @@
 //! STATE/seats/gate   held while a bake takes a seat
 //! ```
 //! The operating system lets go of a lock when its process ends, however it ends: none is ever left over. What a killed
-//! bake leaves is known by its seat, which is free by then.
+//! bake leaves is known by its seat, which is free by then ([`seats`]).
 //!
 //! Bakes of several machines are kept apart, as SQLite's log is shared through memory; a folder on a network's disk may be
 //! reached by more than one.
@@ -36,6 +36,8 @@ pub(crate) struct Seating {
     pub(crate) name: String,
     /// Those of other bakes that have the folder open, and their processes.
     pub(crate) others: Vec<(String, u32)>,
+    /// Those that nobody has, its own among them, and the last process that had each.
+    pub(crate) free: Vec<(String, u32)>,
     /// Nobody else takes a seat until this is dropped.
     pub(crate) gate: File,
 }
@@ -72,7 +74,7 @@ pub(crate) fn take_seat(folder: &Path) -> Result<Seating> {
                 .map_or(Occupant::Unknown, |sign| Occupant::Server(sign.process)),
         ));
     }
-    let (mut free, mut others) = (None, Vec::new());
+    let (mut free, mut others, mut vacant) = (None, Vec::new(), Vec::new());
     for number in 0_u32.. {
         let path = seats.join(number.to_string());
         let is_last = !path.exists();
@@ -81,6 +83,7 @@ pub(crate) fn take_seat(folder: &Path) -> Result<Seating> {
         }
         let seat = open(&path)?;
         if is_locked_by(&path, seat.try_lock())? {
+            vacant.push((name_of(number), read(&path).map_or(0, |sign| sign.process)));
             free.get_or_insert((number, seat, path));
         } else {
             let sign = read(&path);
@@ -95,7 +98,41 @@ pub(crate) fn take_seat(folder: &Path) -> Result<Seating> {
     }
     let Some((number, seat, path)) = free else { return Err(in_use(Occupant::Starting)) };
     sign(&seat, &path, "bake")?;
-    Ok(Seating { hold: Hold { _locks: vec![lock, seat] }, name: name_of(number), others, gate })
+    Ok(Seating { hold: Hold { _locks: vec![lock, seat] }, name: name_of(number), others, free: vacant, gate })
+}
+
+/// Seats of a folder as they are while nobody takes one.
+#[derive(Debug)]
+pub(crate) struct Seats {
+    /// Names of those that are held.
+    pub(crate) held: Vec<String>,
+    /// Names of those that are free, and the last process that had each.
+    pub(crate) free: Vec<(String, u32)>,
+    /// Nobody takes a seat until this is dropped.
+    _gate: File,
+}
+
+/// The seats of a folder; nothing while a bake takes its own.
+pub(crate) fn seats(folder: &Path) -> Result<Option<Seats>> {
+    let seats = folder.join("seats");
+    let gate_path = seats.join("gate");
+    let gate = open(&gate_path)?;
+    if !is_locked_by(&gate_path, gate.try_lock())? {
+        return Ok(None);
+    }
+    let (mut held, mut free) = (Vec::new(), Vec::new());
+    for number in 0_u32.. {
+        let path = seats.join(number.to_string());
+        if !path.exists() {
+            break;
+        }
+        if is_locked_by(&path, open(&path)?.try_lock())? {
+            free.push((name_of(number), read(&path).map_or(0, |sign| sign.process)));
+        } else {
+            held.push(name_of(number));
+        }
+    }
+    Ok(Some(Seats { held, free, _gate: gate }))
 }
 
 fn name_of(number: u32) -> String {
@@ -221,6 +258,22 @@ mod tests {
         std::fs::write(folder.path().join("seats/0"), "bake 7 elsewhere\n").unwrap();
         drop(_seating.gate);
         assert_eq!(refused(take_seat(folder.path()).unwrap_err()), Occupant::OtherMachine);
+    }
+
+    #[test]
+    fn seat_of_an_ended_process_is_seen_by_those_that_sit_on() {
+        let folder = tempfile::tempdir().unwrap();
+        let process = std::process::id();
+        let first = take_seat(folder.path()).unwrap();
+        assert!(seats(folder.path()).unwrap().is_none(), "a seat is being taken");
+        drop(first.gate);
+        let second = take_seat(folder.path()).unwrap();
+        drop(second.gate);
+        let all = seats(folder.path()).unwrap().unwrap();
+        assert_eq!((all.held, all.free), (vec![first.name.clone(), second.name.clone()], vec![]));
+        drop(first.hold);
+        let all = seats(folder.path()).unwrap().unwrap();
+        assert_eq!((all.held, all.free), (vec![second.name], vec![(first.name, process)]));
     }
 
     #[test]

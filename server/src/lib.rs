@@ -7,6 +7,7 @@
 //! - [`storage`] is the bytes that count, `collect` clears away the others, [`fsck`] checks them.
 //! - [`access`] says who may call, [`guard`] asks for the tokens.
 //! - `bake_ids` finds bakes by beginnings of their ids.
+//! - `left_over` clears up after bakes' processes that have ended, where several share a folder.
 //! - `lookout` looks for work on behalf of all claims that wait.
 //! - [`farm`] puts them together, `http` makes calls of it.
 
@@ -21,6 +22,7 @@ pub mod fsck;
 pub mod guard;
 mod hold;
 mod http;
+mod left_over;
 mod lookout;
 mod metrics;
 mod occupant;

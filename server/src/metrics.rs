@@ -62,6 +62,7 @@ counters! {
     forgotten_results: "Results forgotten because their bytes were gone";
     deleted_bakes: "Bakes deleted because they ended long ago";
     removed_chunks: "Chunks removed because nobody needed them";
+    full_refusals: "Calls refused because the disk or the quota was full";
     received_bytes: "Bytes of chunks and scenes taken in";
     sent_bytes: "Bytes of chunks, manifests and reports given out";
 }

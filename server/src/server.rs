@@ -15,7 +15,6 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum_server::tls_rustls::RustlsConfig;
-use lightkiln_proto::api::{BakeFilter, BakeState};
 use lightkiln_proto::kinds::Kinds;
 use tokio::net::TcpListener;
 use tokio::sync::watch;
@@ -28,16 +27,14 @@ use crate::farm::Farm;
 use crate::fsck::{self, Checks, Findings};
 use crate::hold::{self, Hold, make_folder};
 use crate::http::{self, LimitConfig};
+use crate::left_over;
 use crate::occupant::Occupant;
 use crate::places::{ChunksPlace, DatabasePlace};
 use crate::storage::Storage;
-use crate::store::{FarmStore, SqlStore};
+use crate::store::SqlStore;
 use crate::tls::{self, TlsFiles};
 use crate::wakeup::{LocalWakeup, PostgresWakeup, Wakeup};
 use crate::webhooks::{self, WebhookConfig};
-
-/// Bakes that one look at the queue lists.
-const PAGE_BAKES: u32 = 100;
 
 /// Configuration of a server. `Config::new(folder)` gives the defaults.
 #[derive(Clone, Debug)]
@@ -98,6 +95,8 @@ pub struct Server {
     store: Arc<SqlStore>,
     tls: Option<RustlsConfig>,
     closing: watch::Sender<bool>,
+    /// Whether others have the state folder open beside it.
+    is_seated: bool,
     /// Held, not read.
     _hold: Option<Hold>,
 }
@@ -122,7 +121,8 @@ impl Server {
     /// Opens queue and bytes in the state folder, beside others that do the same; fails if it is a server's, or another
     /// machine's, or has to be brought up to date while others have it open.
     ///
-    /// Bakes that ended processes left are cancelled: nobody waits for them. Their finished tasks stay.
+    /// Bakes that ended processes left are cancelled, now and while it serves: nobody waits for them. Their finished tasks
+    /// stay, and those under way are given back.
     pub async fn open_seated(config: Config) -> Result<(Self, Seat)> {
         let path = config.state_dir.join("farm.sqlite");
         let seating = hold::take_seat(&config.state_dir)?;
@@ -131,11 +131,13 @@ impl Server {
             return Err(ServerError::StateInUse { path: config.state_dir, by });
         }
         let store = SqlStore::open_sqlite(&path, Arc::new(SystemClock)).await?;
-        cancel_left_over(&store, &seating.others).await?;
+        let held: Vec<String> = seating.others.into_iter().map(|(name, _)| name).collect();
+        left_over::clear(&store, &held, &seating.free).await?;
         // Others may take their seats from here on.
         drop(seating.gate);
         let wakeup = Arc::new(LocalWakeup::default());
         let server = Self::over(config, store, wakeup, Some(seating.hold)).await?;
+        let server = Self { is_seated: true, ..server };
         Ok((server, Seat { name: seating.name }))
     }
 
@@ -160,7 +162,7 @@ impl Server {
         let kinds = config.kinds.clone();
         let farm = Farm::new(store.clone(), storage, wakeup, kinds, config.poll_interval, is_closing);
         let farm = Arc::new(farm);
-        Ok(Self { config, farm, store, tls, closing, _hold: hold })
+        Ok(Self { config, farm, store, tls, closing, is_seated: false, _hold: hold })
     }
 
     /// The farm itself, for calls without HTTP.
@@ -199,6 +201,11 @@ impl Server {
             self.config.webhooks.clone().map(|config| {
                 tokio::spawn(webhooks::run(self.farm.clone(), config, self.closing.subscribe()))
             });
+        let seats = self.is_seated.then(|| {
+            let folder = self.config.state_dir.clone();
+            let interval = self.config.reap_interval;
+            tokio::spawn(left_over::watch(self.farm.clone(), self.store.clone(), folder, interval))
+        });
         let collector = tokio::spawn(collect::run(self.farm.clone(), self.config.retention));
         let closing = self.closing.clone();
         let stop = async move {
@@ -225,6 +232,9 @@ impl Server {
         reaper.abort();
         if let Some(webhooks) = webhooks {
             webhooks.abort();
+        }
+        if let Some(seats) = seats {
+            seats.abort();
         }
         collector.abort();
         self.store.close().await;
@@ -298,24 +308,4 @@ async fn open_database(place: &DatabasePlace) -> Result<OpenDatabase> {
             (store, Arc::new(PostgresWakeup::connect(url).await?), None)
         }
     })
-}
-
-/// Cancels bakes that are nobody's: those of seats that are free, and those from before seats.
-async fn cancel_left_over(store: &SqlStore, others: &[(String, u32)]) -> Result<()> {
-    let live = BakeFilter { states: vec![BakeState::Running, BakeState::Paused], ..BakeFilter::default() };
-    let mut after = None;
-    loop {
-        let page = store.list(&live, after, PAGE_BAKES).await?;
-        for bake in &page.bakes {
-            if others.iter().any(|(name, _)| bake.needs.labels.contains(name)) {
-                continue;
-            }
-            tracing::info!(bake = bake.id, "a bake was left by a process that has ended; it is cancelled");
-            store.cancel(&bake.id).await?;
-        }
-        match page.next {
-            Some(next) => after = Some(next),
-            None => return Ok(()),
-        }
-    }
 }

@@ -4,12 +4,14 @@
 //! and a task that two of them want at once is run by one. A worker takes the tasks of its own process's bakes alone, so
 //! that nothing is left half done for others when that process ends.
 
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use lightkiln_proto::api::NewBake;
+use lightkiln_server::farm::Farm;
 use lightkiln_server::store::StoreError;
 use lightkiln_server::{Config, Occupant, Seat, Server, ServerError};
 use lightkiln_worker::kinds::Runner;
@@ -22,7 +24,8 @@ use crate::failure::{Exit, Failure, Result};
 use crate::interrupt::Interrupt;
 use crate::kinds::KindTables;
 
-/// Lease length: long enough for a machine that is busy or was asleep; leases that a crash leaves are cancelled at the start.
+/// Lease length: long enough for a machine that is busy or was asleep. Leases that a crash leaves are ended by those who
+/// share the folder, as soon as the seat is free.
 const LEASE_SECS: u32 = 60;
 /// Waiting calls look this often for what other processes have done.
 const POLL_INTERVAL: Duration = Duration::from_millis(250);
@@ -34,6 +37,8 @@ const SILENT_FOR: Duration = Duration::from_secs(1);
 pub struct EmbeddedFarm {
     url: String,
     seat: Seat,
+    state: PathBuf,
+    farm: Arc<Farm>,
     worker_flag: ShutdownFlag,
     worker: Option<JoinHandle<std::result::Result<(), WorkerError>>>,
     server_end: Option<oneshot::Sender<()>>,
@@ -60,6 +65,7 @@ impl EmbeddedFarm {
         let address = listener
             .local_addr()
             .map_err(|error| failed("the server's address is not known").caused_by(&error))?;
+        let inside = server.farm();
         let (server_end, ended) = oneshot::channel::<()>();
         runtime.spawn(async move {
             let shutdown = async {
@@ -72,6 +78,8 @@ impl EmbeddedFarm {
         let mut farm = Self {
             url: format!("http://{address}"),
             seat,
+            state: state.to_owned(),
+            farm: inside,
             worker_flag: ShutdownFlag::new(),
             worker: None,
             server_end: Some(server_end),
@@ -99,8 +107,16 @@ impl EmbeddedFarm {
         bake.needs.labels.push(self.seat.name.clone());
     }
 
-    /// Errors once the worker has ended: nobody would do the tasks.
+    /// Errors once the worker has ended, as nobody would do the tasks, and once the disk is full: unlike a server, a bake
+    /// has somebody who waits, and goes on where it was when it is asked for again.
     pub fn check(&self) -> Result<()> {
+        if self.farm.full_refusals() > 0 {
+            let what = format!("no room is left on the disk of {}", self.state.display());
+            return Err(Failure::new(Exit::Failed, what).try_this(
+                "the same command again once there is room, as it goes on from the tasks that are done; or --state with a \
+                 folder on another disk",
+            ));
+        }
         match &self.worker {
             Some(worker) if !worker.is_finished() => Ok(()),
             _ => Err(Failure::new(Exit::Failed, "the embedded worker has ended")
@@ -180,6 +196,9 @@ pub fn or_in_state(given: Option<PathBuf>, name: &str) -> Result<PathBuf> {
 /// A server that cannot open, listen or go on, and what to do about it.
 pub fn server_failure(error: &ServerError) -> Failure {
     let (exit, next_step) = match error {
+        ServerError::State { source, .. } if cannot_be_written(source) => {
+            (Exit::BadInput, "--state with a folder that can be written")
+        }
         ServerError::StateInUse { by: Occupant::Server(_), .. } => (
             Exit::BadInput,
             "'kiln bake --server URL' with that server's address, or --state with another folder",
@@ -201,8 +220,14 @@ pub fn server_failure(error: &ServerError) -> Failure {
         _ => (Exit::Failed, "--state with a folder that can be written and has free room"),
     };
     let what = match error {
-        ServerError::StateInUse { .. } => "the state folder cannot be opened",
+        ServerError::StateInUse { .. } | ServerError::State { .. } => "the state folder cannot be opened",
         _ => "the server cannot run",
     };
     Failure::new(exit, what).caused_by(error).try_this(next_step)
+}
+
+/// Whether a folder was chosen that nothing can be written to, now or later.
+fn cannot_be_written(error: &io::Error) -> bool {
+    use io::ErrorKind::{NotADirectory, PermissionDenied, ReadOnlyFilesystem};
+    matches!(error.kind(), NotADirectory | PermissionDenied | ReadOnlyFilesystem)
 }

@@ -101,7 +101,8 @@ impl fmt::Display for Failure {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(f, "error: {}", self.message)?;
         for cause in &self.causes {
-            writeln!(f, "  caused by: {cause}")?;
+            // A line each: a name out of a file cannot add one.
+            writeln!(f, "  caused by: {}", cause.replace(['\n', '\r'], " "))?;
         }
         match &self.next_step {
             Some(next_step) => writeln!(f, "  try: {next_step}"),
@@ -178,5 +179,8 @@ mod tests {
         let failure = Failure::bad_input("cannot write 'out'").caused_by(&cause).try_this("free some room");
         let text = failure.to_string();
         assert_eq!(text, "error: cannot write 'out'\n  caused by: disk full\n  try: free some room\n");
+        let cause = std::io::Error::other("extension 'a\r\nbundle: b' is not known");
+        let text = Failure::bad_input("no").caused_by(&cause).to_string();
+        assert_eq!(text, "error: no\n  caused by: extension 'a  bundle: b' is not known\n");
     }
 }

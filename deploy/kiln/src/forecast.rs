@@ -1,11 +1,11 @@
 //! What a bake would be: its scene imported and laid out in a lightmap, no ray cast; costs by rates that were measured.
 
-use lightkiln_proto::kinds::{Rates, SceneTask};
+use lightkiln_proto::kinds::{Rates, SceneTask, Warning};
 use lightkiln_proto::settings::SettingsError;
 use lightkiln_worker::kinds::Runner;
 use lightkiln_worker::lightmap::Charts;
 use lightkiln_worker::scene;
-use lightkiln_worker::scene::model::{Scene, Warning};
+use lightkiln_worker::scene::model::Scene;
 use lightkiln_worker::task::{LocalRun, Progress, TaskError};
 use serde::{Deserialize, Serialize};
 

@@ -129,8 +129,7 @@ impl<'a> Container<'a> {
 
     /// Errs if counts ask for more memory than the bytes that are there can answer for.
     pub fn check_expansion(&self, decoded_bytes: u64) -> Result<(), ChunkError> {
-        let max = EXPANSION_FREE_BYTES + EXPANSION_MAX * self.present();
-        in_range("header", "decoded bytes", decoded_bytes, 0, max).map(drop)
+        check_expansion("header", decoded_bytes, self.present())
     }
 
     /// Bytes that are there.
@@ -143,7 +142,8 @@ impl<'a> Container<'a> {
         self.entries[index].raw_bytes as u64
     }
 
-    /// Decompresses section `index`, whose content may have up to `raw_bytes_max` bytes.
+    /// Decompresses section `index`, whose content may have up to `raw_bytes_max` bytes, and no more than the chunk's
+    /// own length answers for.
     pub fn section(
         &self,
         index: usize,
@@ -152,6 +152,7 @@ impl<'a> Container<'a> {
     ) -> Result<Vec<u8>, ChunkError> {
         let Entry { start, stored_bytes, raw_bytes, .. } = self.entries[index];
         in_range(name, "raw length", raw_bytes as u64, 0, raw_bytes_max)?;
+        self.check_expansion(raw_bytes as u64)?;
         let mut reader = Reader::new(name, &self.bytes[start.min(self.bytes.len())..]);
         let stored = reader.take("section", stored_bytes, 1)?;
         let mut raw = vec![0; raw_bytes];
@@ -161,6 +162,16 @@ impl<'a> Container<'a> {
             Err(source) => Err(ChunkError::Compression { section: name, raw_bytes, source: Some(source) }),
         }
     }
+}
+
+/// Errs if `decoded_bytes` are more than a chunk of `stored_bytes` may unpack to.
+pub fn check_expansion(
+    section: &'static str,
+    decoded_bytes: u64,
+    stored_bytes: u64,
+) -> Result<(), ChunkError> {
+    let max = EXPANSION_FREE_BYTES + EXPANSION_MAX * stored_bytes;
+    in_range(section, "decoded bytes", decoded_bytes, 0, max).map(drop)
 }
 
 /// Kind of a chunk, from its header.

@@ -1,7 +1,7 @@
 //! Textures: an image file as it was in the scene, with its media type. Stored as it is: PNG and JPEG are compressed.
 
 use super::bytes::Reader;
-use super::container::{Container, ContainerWriter, SectionId};
+use super::container::{Container, ContainerWriter, SectionId, check_expansion};
 use super::error::{ChunkError, in_range};
 use super::limits::{MEDIA_TYPE_BYTES_MAX, TEXTURE_BYTES_MAX};
 use super::table::TEXTURE;
@@ -21,13 +21,16 @@ pub struct Texture {
     pub bytes: Vec<u8>,
 }
 
-/// Encodes an image file. Errs if it is too long, or the media type is not 1 to 64 printable ASCII characters.
+/// Encodes an image file. Errs if it is too long or next to nothing once compressed, as no image is, or the media type is
+/// not 1 to 64 printable ASCII characters.
 pub fn encode_texture(media_type: &str, bytes: &[u8]) -> Result<Vec<u8>, ChunkError> {
     check_media_type("encoder", media_type.as_bytes())?;
     in_range("encoder", "file length", bytes.len() as u64, 0, TEXTURE_BYTES_MAX as u64)?;
     let mut writer = ContainerWriter::new(TEXTURE);
     writer.push(SectionId::new(tags::FILE, [0; 3]), bytes)?;
-    Ok(writer.finish(media_type.as_bytes())?.0)
+    let (chunk, _) = writer.finish(media_type.as_bytes())?;
+    check_expansion("encoder", bytes.len() as u64, chunk.len() as u64)?;
+    Ok(chunk)
 }
 
 /// Decodes a texture chunk. The image itself is not looked at.

@@ -54,8 +54,7 @@ impl SceneTask {
         match self {
             Self::Place => 21,
             Self::Patches => 4,
-            Self::Draw => 4,
-            Self::Import => 3,
+            Self::Draw | Self::Import => 4,
             Self::Unwrap | Self::Frame => 2,
         }
     }

@@ -110,7 +110,8 @@ fn more_ranks(settings: &Value) -> Option<String> {
 
 fn dark(totals: &ClusterTotals) -> Option<Warning> {
     let dark = totals.receivers_without_light;
-    let share = dark as f64 / (totals.receivers + dark).max(1) as f64;
+    // As f64: both counts come out of a file, and their sum need not fit into an integer.
+    let share = dark as f64 / (totals.receivers as f64 + dark as f64).max(1.0);
     (share >= DARK_MIN).then(|| Warning {
         code: "receivers-without-light".into(),
         message: format!(
@@ -211,6 +212,12 @@ mod tests {
         assert_eq!(codes, ["receivers-without-light", "light-left-out"]);
         assert!(found[0].message.starts_with("349 receivers (25.9 %)"), "{found:?}");
         assert_eq!(found[1].try_setting.as_deref(), Some("texel_m=0.05"));
+    }
+
+    #[test]
+    fn counts_of_a_damaged_manifest_are_warned_of_like_others() {
+        let found = warnings(&[row(1000, 0.01)], |totals| totals.receivers_without_light = u64::MAX);
+        assert!(found[0].message.contains("(100.0 %)"), "{found:?}");
     }
 
     #[test]

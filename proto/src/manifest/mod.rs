@@ -14,6 +14,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use thiserror::Error;
 
+use crate::chunk::CHUNK_BYTES_MAX;
 use crate::ids::Digest;
 use crate::scene::{LightKind, SceneCamera, SceneLight};
 
@@ -93,6 +94,16 @@ pub enum ManifestError {
         /// Whose number.
         what: &'static str,
     },
+    /// A chunk longer than any is.
+    #[error(
+        "a chunk of '{role:.40}' has {bytes} bytes, and none has more than {CHUNK_BYTES_MAX}: it is damaged"
+    )]
+    ChunkLength {
+        /// Role of the chunk.
+        role: String,
+        /// Its length.
+        bytes: u64,
+    },
     /// Of a kind that this program does not know.
     #[error("it is of kind '{kind:.40}'; this kiln knows: {known}")]
     Kind {
@@ -128,8 +139,8 @@ struct Header {
 }
 
 impl Manifest {
-    /// Reads a manifest. Errs unless it is of this version and all numbers of its shared part are finite; its kind checks
-    /// the rest ([`crate::kinds::Kinds::check`]).
+    /// Reads a manifest. Errs unless it is of this version, all numbers of its shared part are finite and no chunk is longer
+    /// than one may be, so that lengths can be added; its kind checks the rest ([`crate::kinds::Kinds::check`]).
     pub fn from_json(bytes: &[u8]) -> Result<Self, ManifestError> {
         let Header { format, version } = serde_json::from_slice(bytes)?;
         if format != FORMAT || version != u64::from(VERSION) {
@@ -137,6 +148,7 @@ impl Manifest {
         }
         let manifest: Self = serde_json::from_slice(bytes)?;
         manifest.check_numbers()?;
+        manifest.check_lengths()?;
         Ok(manifest)
     }
 
@@ -179,6 +191,15 @@ impl Manifest {
     fn part<T: DeserializeOwned>(&self, part: &'static str, json: &Value) -> Result<T, ManifestError> {
         let kind = || self.kind.clone();
         T::deserialize(json).map_err(|source| ManifestError::Body { part, kind: kind(), source })
+    }
+
+    fn check_lengths(&self) -> Result<(), ManifestError> {
+        let mut chunks =
+            self.chunks.iter().flat_map(|(role, chunks)| chunks.iter().map(move |chunk| (role, chunk)));
+        match chunks.find(|(_, chunk)| chunk.bytes > CHUNK_BYTES_MAX as u64) {
+            Some((role, chunk)) => Err(ManifestError::ChunkLength { role: role.clone(), bytes: chunk.bytes }),
+            None => Ok(()),
+        }
     }
 
     /// JSON numbers may be larger than an f32 holds.
@@ -230,4 +251,32 @@ pub struct ChunkRef {
     pub digest: Digest,
     /// Length.
     pub bytes: u64,
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    fn read(chunk_bytes: [u64; 2]) -> Result<Manifest, ManifestError> {
+        let digest = Digest::of(b"");
+        let chunks = chunk_bytes.map(|bytes| json!({ "digest": digest, "bytes": bytes }));
+        let manifest = json!({
+            "format": FORMAT, "version": VERSION, "kind": "any", "scene": digest, "settings": {},
+            "bounds_m": [[0, 0, 0], [1, 1, 1]], "triangles": 0, "lightmap": null, "materials": [], "emitters": [],
+            "lights": [], "cameras": [], "framing": {}, "chunks": { "clusters": chunks }, "body": {},
+        });
+        Manifest::from_json(manifest.to_string().as_bytes())
+    }
+
+    #[test]
+    fn lengths_of_chunks_add_up_or_are_refused_by_their_role() {
+        let longest = CHUNK_BYTES_MAX as u64;
+        assert_eq!(read([longest, longest]).unwrap().bytes(), 2 * longest);
+        for too_long in [longest + 1, u64::MAX - 1] {
+            let told = read([2, too_long]).unwrap_err().to_string();
+            assert!(told.contains("'clusters'") && told.contains(&too_long.to_string()), "{told}");
+        }
+    }
 }

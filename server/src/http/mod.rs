@@ -19,7 +19,7 @@ use std::time::Instant;
 
 use axum::Router;
 use axum::extract::{MatchedPath, Request, State};
-use axum::http::{Method, Uri};
+use axum::http::{Method, StatusCode, Uri};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, head, post, put};
@@ -69,7 +69,8 @@ pub(crate) fn router(farm: Arc<Farm>, limits: LimitConfig) -> Router {
         .layer(axum::middleware::from_fn_with_state(doorman, guard::guard))
         .layer(axum::middleware::from_fn_with_state(farm.clone(), measure))
         .layer(CatchPanicLayer::custom(panicked))
-        .layer(TraceLayer::new_for_http().make_span_with(trace::span))
+        // Failures are told where they arise, once and with their cause.
+        .layer(TraceLayer::new_for_http().make_span_with(trace::span).on_failure(()))
         .with_state(farm)
 }
 
@@ -83,6 +84,9 @@ async fn measure(State(farm): State<Arc<Farm>>, request: Request, next: Next) ->
     let is_known = [Method::GET, Method::HEAD, Method::POST, Method::PUT, Method::DELETE].contains(&method);
     let method = if is_known { method.as_str() } else { "other" };
     trace::note_status(response.status().as_u16());
+    if response.status() == StatusCode::INSUFFICIENT_STORAGE {
+        farm.metrics.full_refusals.inc();
+    }
     farm.metrics.note_latency(method, &route, response.status().as_u16(), started.elapsed());
     response
 }

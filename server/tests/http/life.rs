@@ -1,10 +1,12 @@
 //! Starting, running and stopping a server.
 
-use lightkiln_proto::api::{Bake, BakeState};
+use lightkiln_proto::api::{Bake, BakeState, ClaimRequest, NewBake};
+use lightkiln_proto::ids::Digest;
 use lightkiln_proto::problem::ProblemCode;
 use lightkiln_server::{Config, Server, ServerError};
 
-use crate::bakes::{claim_one, commit, request, submit};
+use crate::bakes::{claim_one, commit, new_bake, request, submit};
+use crate::parts::kind::kinds;
 use crate::support::{start, start_in};
 
 #[tokio::test]
@@ -25,6 +27,60 @@ async fn restarted_server_goes_on_where_it_was() {
     commit(&server, &lease, &[("scene", b"imported")]).await;
     let bake: Bake = server.get(&format!("/v1/bakes/{}", bake.id)).await.json(200);
     assert_eq!((bake.state, bake.tasks_run), (BakeState::Running, 1));
+}
+
+/// A server that shares its folder, and the name of its seat.
+async fn seated(folder: &std::path::Path) -> (Server, String) {
+    let (server, seat) = Server::open_seated(Config { kinds: kinds(), ..Config::new(folder) }).await.unwrap();
+    (server, seat.name)
+}
+
+/// A bake of the same scene in each, for its own workers alone.
+async fn submit_at(server: &Server, seat: &str) -> Bake {
+    let scene = b"a scene".as_slice();
+    let mut bake = new_bake(Digest::of(scene), serde_json::json!({}));
+    bake.needs.labels.push(seat.to_owned());
+    server.farm().storage.put(bake.scene, scene.into()).await.unwrap();
+    server.farm().submit(NewBake { name: seat.into(), ..bake }, None, None).await.unwrap()
+}
+
+fn request_at(seat: &str, wait_secs: u32) -> ClaimRequest {
+    ClaimRequest { worker: seat.into(), labels: vec![seat.into()], ..request(wait_secs) }
+}
+
+#[tokio::test]
+async fn task_of_a_killed_bake_goes_to_another_that_waits_for_it_before_its_lease_runs_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let (killed, killed_seat) = seated(folder.path()).await;
+    let (living, living_seat) = seated(folder.path()).await;
+    let left = submit_at(&killed, &killed_seat).await;
+    submit_at(&living, &living_seat).await;
+    let lease = killed.farm().claim(request_at(&killed_seat, 0)).await.unwrap().leases.remove(0);
+    let farm = living.farm();
+    assert!(farm.claim(request_at(&living_seat, 0)).await.unwrap().leases.is_empty(), "one works for both");
+    let listener = living.bind("127.0.0.1:0").await.unwrap();
+    let serving = tokio::spawn(living.serve(listener, std::future::pending()));
+    drop(killed);
+    // A third of the lease's length.
+    let taken = farm.claim(request_at(&living_seat, 20)).await.unwrap().leases;
+    assert_eq!(taken.iter().map(|lease| lease.task.key).collect::<Vec<_>>(), [lease.task.key]);
+    assert_eq!(farm.store.show(&left.id).await.unwrap().state, BakeState::Cancelled);
+    serving.abort();
+}
+
+#[tokio::test]
+async fn tasks_that_a_killed_bake_left_are_free_for_the_next_in_its_seat() {
+    let folder = tempfile::tempdir().unwrap();
+    let (killed, killed_seat) = seated(folder.path()).await;
+    let (living, living_seat) = seated(folder.path()).await;
+    submit_at(&killed, &killed_seat).await;
+    submit_at(&living, &living_seat).await;
+    assert_eq!(killed.farm().claim(request_at(&killed_seat, 0)).await.unwrap().leases.len(), 1);
+    drop(killed);
+    let (next, seat) = seated(folder.path()).await;
+    assert_eq!(seat, killed_seat);
+    submit_at(&next, &seat).await;
+    assert_eq!(next.farm().claim(request_at(&seat, 0)).await.unwrap().leases.len(), 1);
 }
 
 #[tokio::test]

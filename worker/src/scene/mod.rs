@@ -15,6 +15,7 @@ mod error;
 mod glass;
 mod glb;
 mod images;
+mod inside_out;
 mod json_text;
 mod lights_cameras;
 mod limits;

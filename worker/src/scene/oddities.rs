@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::hash::{DefaultHasher, Hash as _, Hasher as _};
 
+use super::inside_out::inside_out;
 use super::model::{Material, MeshInstance, Scene, Warning};
 use super::surface::{MAX_ALBEDO, stopped};
 
@@ -11,7 +12,7 @@ const LISTED_MAX: usize = 8;
 
 /// Warnings of a whole scene.
 pub(super) fn oddities(scene: &Scene) -> Vec<Warning> {
-    [clamped_albedos(scene), copies(scene)].into_iter().flatten().collect()
+    [clamped_albedos(scene), copies(scene), inside_out(scene)].into_iter().flatten().collect()
 }
 
 /// Materials without texture whose albedo is clamped; under a texture, only texels that are whiter than the clamp are

@@ -108,7 +108,8 @@ fn read_file(path: &Path, budget: &mut Budget) -> Result<Vec<u8>> {
     let failed = |source| ImportError::Io { path: path.to_owned(), source };
     let metadata = fs::metadata(path).map_err(failed)?;
     if !metadata.is_file() {
-        return Err(failed(std::io::Error::from(std::io::ErrorKind::InvalidInput)));
+        let what = if metadata.is_dir() { "it is a folder" } else { "it is no ordinary file" };
+        return Err(failed(std::io::Error::new(std::io::ErrorKind::InvalidInput, what)));
     }
     budget.spend(metadata.len())?;
     fs::read(path).map_err(failed)

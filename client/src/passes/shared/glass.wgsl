@@ -1,5 +1,5 @@
 // How much light a thin surface stops that lets some of it straight through; twin: `stopped` in proto's glass.rs.
-// Without branches, here and where it is called: with them lavapipe of Mesa 22 crashed, as it inlines uniforms.
+// Without branches, here and where it is called: with them lavapipe of Mesa 22 crashed in the shading pass.
 
 struct Stopped {
     // Diffuse albedo that the stopped light meets.

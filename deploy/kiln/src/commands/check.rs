@@ -85,9 +85,7 @@ fn words(forecast: &Forecast) -> String {
             lines.push(format!("time        unknown: bakes of kind {} have not been measured", forecast.kind))
         }
     }
-    lines.extend(
-        forecast.warnings.iter().map(|warning| format!("warning: {}: {}", warning.code, warning.message)),
-    );
+    lines.extend(forecast.warnings.iter().map(|warning| format!("warning: {}", warning.line())));
     lines.join("\n")
 }
 

@@ -16,9 +16,9 @@ use lightkiln_proto::api::{EventKind, Needs, NewBake};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::problem::ProblemCode;
 
-use super::bundle;
 use super::farm::{arguments, embedded_bundle, wait_for_stage};
-use super::processes::{Server, kiln, run};
+use super::processes::{Running, Server, kiln, run};
+use super::{bundle, cornell};
 
 /// Size of the disk: a small bake needs less than half of it.
 const DISK_MIB: u32 = 32;
@@ -43,10 +43,11 @@ impl SmallDisk {
         command
     }
 
-    fn start(state: &Path) -> Self {
+    /// `kiln` in such a namespace, with a disk of so many MiB at `state`.
+    fn kiln(state: &Path, mib: u32) -> Command {
         std::fs::create_dir_all(state).unwrap();
         let mut command = Self::namespace();
-        command.args(["sh", "-c", ON_SMALL_DISK, "sh", &DISK_MIB.to_string()]);
+        command.args(["sh", "-c", ON_SMALL_DISK, "sh", &mib.to_string()]);
         let program = kiln(state);
         command.arg(state).arg(program.get_program());
         for (name, value) in program.get_envs() {
@@ -55,6 +56,11 @@ impl SmallDisk {
                 None => command.env_remove(name),
             };
         }
+        command
+    }
+
+    fn start(state: &Path) -> Self {
+        let command = Self::kiln(state, DISK_MIB);
         let server = Server::start_with(command, &["--state", &state.display().to_string()]);
         let inside = state.strip_prefix("/").expect("an absolute path");
         let folder = Path::new("/proc").join(server.id().to_string()).join("root").join(inside);
@@ -169,4 +175,19 @@ fn farm_on_a_full_disk_refuses_with_507_and_goes_on_when_there_is_room() {
     let blamed = |kind: &EventKind| matches!(kind, EventKind::TaskFailed { .. });
     assert!(!events.iter().any(|event| blamed(&event.event)), "nobody is to blame: {events:?}");
     assert_eq!(disk.server.stop(), Some(0));
+}
+
+#[test]
+#[ignore = "needs leave to mount a small disk, as root has it; tests/run runs it where it may"]
+fn bake_on_a_full_disk_ends_with_what_to_do_instead_of_waiting_for_ever() {
+    let folder = tempfile::tempdir().unwrap();
+    let state = folder.path().join("disk");
+    let mut command = SmallDisk::kiln(&state, 2);
+    command.arg("bake").arg(cornell()).args(["--preset", "draft", "--state"]).arg(&state);
+    command.arg("--out").arg(folder.path().join("out"));
+    let ended = Running::start(command).finish();
+    let words = ended.stderr.join("\n");
+    assert_eq!(ended.exit, Some(1), "{words}");
+    assert!(words.contains("error: no room is left on the disk of") && words.contains("--state"), "{words}");
+    assert!(!words.contains("classification"), "{words}");
 }

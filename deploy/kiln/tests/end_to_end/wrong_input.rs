@@ -16,6 +16,7 @@ fn assert_refused(words: &str, exit: i32, said: &[&str]) {
     fs::write(folder.path().join("text.glb"), b"hello").unwrap();
     fs::write(folder.path().join("missing.gltf"), MISSING_BUFFER).unwrap();
     fs::write(folder.path().join("empty.gltf"), br#"{"asset":{"version":"2.0"}}"#).unwrap();
+    fs::write(folder.path().join("forged.gltf"), FORGED_LINE).unwrap();
     fs::write(folder.path().join("settings.json"), b"[1]").unwrap();
     fs::write(folder.path().join("old.gltf"), br#"{"asset":{"version":"1.0"},"meshes":{"m":{}}}"#).unwrap();
     fs::write(folder.path().join("bright.gltf"), triangle(0.0, 1e30)).unwrap();
@@ -49,6 +50,9 @@ fn triangle(x: f32, emission: f32) -> String {
 }
 
 const MISSING_BUFFER: &[u8] = br#"{"asset":{"version":"2.0"},"buffers":[{"uri":"gone.bin","byteLength":4}]}"#;
+
+/// A name that would look like a line of output.
+const FORGED_LINE: &[u8] = br#"{"asset":{"version":"2.0"},"extensionsUsed":["a\r\nbundle: b"],"extensionsRequired":["a\r\nbundle: b"]}"#;
 
 #[test]
 fn wrong_arguments_exit_with_2_and_name_what_is_wrong() {
@@ -93,6 +97,10 @@ fn scenes_that_cannot_be_read_exit_with_2_and_name_the_file() {
     assert_refused("bake text.glb", 2, &["text.glb", "try: "]);
     assert_refused("bake broken.glb", 2, &["broken.glb"]);
     assert_refused("bake missing.gltf", 2, &["gone.bin"]);
+    assert_refused("bake {dir}", 2, &["it is a folder", "try: a .glb"]);
+    assert_refused("bake forged.gltf", 2, &["extension a  bundle: b, which"]);
+    let no_folder = "bake {scene} --state text.glb/state --out {dir}/out";
+    assert_refused(no_folder, 2, &["the state folder cannot be opened", "try: --state"]);
     assert_refused("bake empty.gltf --out {dir}/out", 2, &["failed", "no meshes"]);
     assert_refused("bake old.gltf", 2, &["old.gltf", "glTF version \"1.0\"", "gltf-pipeline"]);
     assert_refused("bake bright.gltf --out {dir}/out", 2, &["\"lamp\"", "1e30", "at most 1e12"]);
@@ -132,6 +140,17 @@ fn check_tells_what_a_bake_then_takes() {
     assert_eq!(check["warnings"].as_array().map(Vec::len), Some(0));
     let words = run(kiln(&folder.path().join("state")), &["check", &scene], 0).stdout();
     assert!(words.contains("receivers") && words.contains("processor time"), "{words}");
+}
+
+#[test]
+fn check_warns_in_the_lines_of_a_bake() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = folder.path().join("named.gltf");
+    let named = triangle(0.0, 1.0).replacen('{', r#"{"extensionsUsed":["a\nbundle: b"],"#, 1);
+    fs::write(&scene, named).unwrap();
+    let words = run(kiln(&folder.path().join("state")), &["check", scene.to_str().unwrap()], 0).stdout();
+    let line = "warning: a bundle: b: not understood, the scene is read without (extension-ignored)";
+    assert!(words.lines().any(|told| told == line), "{words}");
 }
 
 #[test]

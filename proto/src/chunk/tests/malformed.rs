@@ -131,6 +131,17 @@ fn decompression_bomb_is_refused_before_it_goes_off() {
 }
 
 #[test]
+fn file_that_a_small_chunk_cannot_hold_is_refused_by_decoder_and_encoder() {
+    let file = vec![0; 64 << 20];
+    let mut writer = ContainerWriter::new(TEXTURE);
+    writer.push(SectionId::new(1, [0; 3]), &file).unwrap();
+    let (bytes, _) = writer.finish(b"image/png").unwrap();
+    for error in [decode_texture(&bytes).unwrap_err(), encode_texture("image/png", &file).unwrap_err()] {
+        assert!(matches!(error, ChunkError::OutOfRange { what: "decoded bytes", .. }), "{error}");
+    }
+}
+
+#[test]
 fn a_frame_longer_than_its_declared_length_is_refused() {
     let mut writer = ContainerWriter::new(TEXTURE);
     writer.push(SectionId::new(1, [0; 3]), &[0; 1 << 20]).unwrap();

@@ -87,6 +87,16 @@ pub(super) async fn release(conn: &mut Conn, token: &str) -> Result<bool> {
     Ok(true)
 }
 
+/// Gives back every task of a worker whose process has ended; returns how many.
+pub(super) async fn release_all(conn: &mut Conn, worker: &str) -> Result<u64> {
+    let sql = "SELECT token FROM leases WHERE worker = $1 ORDER BY token";
+    let mut released = 0;
+    for row in query(sql).bind(worker).all(conn).await? {
+        released += u64::from(release(conn, &row.text("token")?).await?);
+    }
+    Ok(released)
+}
+
 pub(super) async fn extend(conn: &mut Conn) -> Result<u64> {
     let sql = "UPDATE leases SET expires_ms = CASE WHEN deadline_ms < $1 + ttl_ms THEN deadline_ms ELSE $1 + ttl_ms END,
                graces = graces + 1

@@ -231,6 +231,11 @@ macro_rules! transact {
 }
 
 impl SqlStore {
+    /// Gives back every task of a worker whose process has certainly ended; no attempts are counted. Returns how many.
+    pub async fn release_all(&self, worker: &str) -> Result<u64> {
+        transact!(self, Write, "release_all", |conn| leases::release_all(conn, worker))
+    }
+
     async fn commit_alone(&self, token: &str, result: &TaskResult) -> Result<CommitVerdict> {
         transact!(self, Write, "commit", |conn| outcome::commit(conn, token, result))
     }

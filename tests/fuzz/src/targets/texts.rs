@@ -24,6 +24,7 @@ pub const MANIFEST: Target = Target {
         if let Ok(kind) = Kinds::new().check(&manifest) {
             kind.summary(&manifest).expect("a checked manifest has a summary");
             kind.inspection(&manifest).expect("a checked manifest has figures");
+            let _ = kind.warnings(&manifest);
         }
     },
     seeds: || vec![manifest().to_string().into_bytes()],

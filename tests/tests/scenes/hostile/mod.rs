@@ -8,8 +8,14 @@ mod targets;
 use mutations::Mutator;
 use targets::{TARGETS, Target};
 
-/// Mutated inputs of a target.
+/// Mutated inputs of a target, where `KILN_FUZZ_CASES` asks for no other number.
 const CASES: u64 = 3000;
+
+/// The number of cases: more than the ordinary tests have time for, where the environment asks for them.
+fn cases() -> u64 {
+    let asked = std::env::var("KILN_FUZZ_CASES").ok();
+    asked.map_or(CASES, |asked| asked.parse().expect("KILN_FUZZ_CASES is a number"))
+}
 
 /// Most memory that a target had at a time while it read the bytes, and whether it took them.
 fn measured(target: &Target, bytes: &[u8]) -> (u64, bool) {
@@ -40,8 +46,9 @@ impl Drop for Case {
 fn hold(name: &str) {
     let target = TARGETS.iter().find(|target| target.name == name).expect("a target of that name");
     let seeds = (target.seeds)();
+    let cases = cases();
     let mut taken = 0;
-    for index in 0..CASES {
+    for index in 0..cases {
         // The seeds themselves come first.
         let bytes = match seeds.get(index as usize) {
             Some(seed) => seed.clone(),
@@ -53,9 +60,9 @@ fn hold(name: &str) {
         taken += u64::from((target.read)(&case.2));
         (target.check)(&case.2);
     }
-    eprintln!("{name}: {taken} of {CASES} inputs were taken");
+    eprintln!("{name}: {taken} of {cases} inputs were taken");
     assert!(
-        taken >= seeds.len() as u64 / 2 && taken < CASES,
+        taken >= seeds.len() as u64 / 2 && taken < cases,
         "{taken} inputs were taken: the mutations are no good"
     );
 }
