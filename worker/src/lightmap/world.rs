@@ -9,9 +9,9 @@ use rayon::prelude::*;
 use super::texel_points::TexelTriangles;
 use super::{CAVITY, Charts, Lightmap, Receiver};
 use crate::geometry::{Geometry, Site, weights_of};
-use crate::rays::Hit;
+use crate::rays::{Hit, linking};
 use crate::scene::model::Scene;
-use crate::task::{Context, LocalRun, TaskError};
+use crate::task::{Context, LocalRun, Progress, TaskError};
 use crate::unwrap::{UnwrappedTriangle, weights_in_part};
 
 /// How far points are raised at most before they are tested for a wall between them, in metres: above the bulge of
@@ -57,14 +57,14 @@ impl World {
     const PARTS: [&'static str; 3] = [crate::scene::ARTEFACT, super::charts::ARTEFACT, super::ARTEFACT];
 
     /// Builds the table of texels and raises the receivers' points.
-    pub fn new(geometry: Arc<Geometry>, charts: &Charts, lightmap: Lightmap) -> Self {
+    pub fn new(geometry: Arc<Geometry>, charts: &Charts, lightmap: Lightmap, progress: &Progress) -> Self {
         let texels = TexelTable::new(&geometry.scene, charts);
         let receivers = &lightmap.receivers;
         let raised_m = receivers
             .par_iter()
             .map(|receiver| {
                 let height_m = link_height_m(lightmap.blocks[receiver.block as usize].texel_m);
-                geometry.raised(receiver.position_m, receiver.face_normal, height_m)
+                progress.casting(|| geometry.raised(receiver.position_m, receiver.face_normal, height_m))
             })
             .collect();
         let with_points = |&[lender, own]: &[u32; 2]| lender != own && receivers[own as usize].coverage != 0;
@@ -111,7 +111,7 @@ impl World {
             let charts = Charts::of(context)?;
             let (lightmap, bytes): (Lightmap, _) = context.decoded(super::ARTEFACT_MAGIC, super::ARTEFACT)?;
             let receivers = lightmap.receivers.len();
-            Ok((Self::new(geometry, &charts, lightmap), 2 * bytes + 120 * receivers))
+            Ok((Self::new(geometry, &charts, lightmap, context.progress), 2 * bytes + 120 * receivers))
         })
     }
 
@@ -164,6 +164,11 @@ impl World {
         if is_clear[own as usize] {
             return Surface::Receiver(own);
         }
+        linking(|| self.linked_around(hit, point_m, own))
+    }
+
+    /// The nearest receiver, from `own` outwards, that no wall separates from a hit.
+    fn linked_around(&self, hit: &Hit, point_m: Vec3, own: u32) -> Surface {
         let height_m = link_height_m(self.lightmap.texel_m_of(own));
         let from_m = self.geometry.raised(point_m, self.geometry.side_normal(hit), height_m);
         let linked = |receiver: u32| self.is_linked(from_m, self.raised_m[receiver as usize]);

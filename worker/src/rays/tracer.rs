@@ -11,6 +11,7 @@ use obvhs::fast_stack;
 use obvhs::ray::{Ray, RayHit};
 use obvhs::{Boundable, BvhBuildParams};
 
+use super::count::{RayCount, note};
 use super::watertight::WatertightRay;
 
 /// First hit of a ray.
@@ -108,6 +109,7 @@ impl Tracer {
 
     /// The nearest hit with `t` in 0..`t_max`; of equally near triangles, the one with the smallest index.
     pub fn closest(&self, origin: Vec3, direction: Vec3, t_max: f32) -> Option<Hit> {
+        note(RayCount { closest: 1, ..RayCount::default() });
         let prepared = WatertightRay::new(origin, direction);
         let mut best: Option<Hit> = None;
         let mut t_best = t_max;
@@ -138,6 +140,7 @@ impl Tracer {
         if direction.length_squared() == 0.0 {
             return false;
         }
+        note(RayCount { occlusion: 1, ..RayCount::default() });
         let prepared = WatertightRay::new(from, direction);
         let mut occluded = false;
         self.traverse(from, direction, 1.0, |index, _| {
