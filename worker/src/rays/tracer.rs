@@ -174,6 +174,23 @@ impl Tracer {
         });
     }
 
+    /// Visits every triangle whose bounds meet a box, and maybe others.
+    pub fn visit_box(&self, low: Vec3, high: Vec3, mut visit: impl FnMut(&[Vec3; 3])) {
+        let within = Aabb::new(low.into(), high.into());
+        let mut open: Vec<usize> = (0..self.bvh.nodes.len().min(1)).collect();
+        while let Some(node) = open.pop().map(|index| &self.bvh.nodes[index]) {
+            if !node.aabb().intersect_aabb(&within) {
+                continue;
+            }
+            let first = node.first_index as usize;
+            if node.is_leaf() {
+                self.corners[first..first + node.prim_count as usize].iter().for_each(&mut visit);
+            } else {
+                open.extend([first, first + 1]);
+            }
+        }
+    }
+
     fn is_solid(&self, index: usize, barycentric: [f32; 2]) -> bool {
         !self.masked[index]
             || self.alpha.as_ref().is_none_or(|alpha| alpha.is_solid(self.triangle[index], barycentric))
