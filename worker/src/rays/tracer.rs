@@ -1,18 +1,18 @@
-//! The tracer: a BVH2 over world triangles with closest-hit and occlusion queries.
+//! The tracer: a tree over world triangles with closest-hit and occlusion queries.
 
 use std::time::Duration;
 
+use fearless_simd::{Simd, dispatch};
 use glam::{Vec3, Vec3A};
 use obvhs::aabb::Aabb;
-use obvhs::bvh2::Bvh2;
 use obvhs::bvh2::builder::build_bvh2;
-use obvhs::bvh2::node::Bvh2Node;
-use obvhs::fast_stack;
-use obvhs::ray::{Ray, RayHit};
 use obvhs::{Boundable, BvhBuildParams};
 
 use super::count::{RayCount, note};
-use super::watertight::WatertightRay;
+use super::lanes::{BlockHit, Ray, walk};
+use super::tree::{Tree, WIDTH};
+use super::vectors::Vectors;
+use super::watertight::TriangleHit;
 
 /// First hit of a ray.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,15 +37,12 @@ pub trait AlphaTest: Send + Sync {
 
 /// Triangles ready for rays.
 pub struct Tracer {
-    bvh: Bvh2,
-    /// Corners in the tree's leaf order.
-    corners: Vec<[Vec3; 3]>,
-    /// Triangle as given, in the tree's leaf order.
-    triangle: Vec<u32>,
-    /// Whether the triangle is masked, in the tree's leaf order.
-    masked: Vec<bool>,
+    tree: Tree,
+    /// Of each block of the tree a bit for each masked triangle.
+    masked: Vec<u8>,
     alpha: Option<Box<dyn AlphaTest>>,
     ray_offset_m: f32,
+    vectors: Vectors,
     /// Middle and half side, in metres, of a cube whose surfaces have no far corners: lifts are smaller there.
     core: Option<(Vec3, f32)>,
 }
@@ -72,23 +69,24 @@ impl Tracer {
     /// Builds the tree over triangles given by their corners.
     pub fn new(triangles: &[[Vec3; 3]], alpha: Option<Box<dyn AlphaTest>>) -> Self {
         let bounded: Vec<_> = triangles.iter().map(|corners| PaddedTriangle { corners: *corners }).collect();
-        let bvh = if bounded.is_empty() {
-            Bvh2::default()
+        let tree = if bounded.is_empty() {
+            Tree::default()
         } else {
             let mut build_time = Duration::ZERO;
-            build_bvh2(&bounded, BvhBuildParams::medium_build(), &mut build_time)
+            Tree::new(&build_bvh2(&bounded, BvhBuildParams::medium_build(), &mut build_time), triangles)
         };
-        let triangle: Vec<u32> =
-            if triangles.is_empty() { Vec::new() } else { bvh.primitive_indices.clone() };
-        let corners = triangle.iter().map(|&index| triangles[index as usize]).collect();
-        let masked = triangle
-            .iter()
-            .map(|&index| alpha.as_ref().is_some_and(|alpha| alpha.is_masked(index)))
-            .collect();
+        let is_masked = |triangle: u32| {
+            triangle != u32::MAX && alpha.as_ref().is_some_and(|alpha| alpha.is_masked(triangle))
+        };
+        let bits = |block: &[u32; WIDTH]| {
+            (0..WIDTH).fold(0, |bits, lane| bits | u8::from(is_masked(block[lane])) << lane)
+        };
+        let masked = tree.triangles.iter().map(bits).collect();
         // No least reach in metres: a scene in micrometres is the same scene.
         let reach =
             triangles.iter().flatten().fold(0.0_f32, |reach, corner| reach.max(corner.abs().max_element()));
-        Self { bvh, corners, triangle, masked, alpha, ray_offset_m: reach * LIFT, core: None }
+        let ray_offset_m = reach * LIFT;
+        Self { tree, masked, alpha, ray_offset_m, vectors: Vectors::default(), core: None }
     }
 
     /// The tracer of a scene with a core: about a point, no surface has coordinates much larger than the point is away from
@@ -96,6 +94,13 @@ impl Tracer {
     #[must_use]
     pub fn about(mut self, middle_m: Vec3, half_m: f32) -> Self {
         self.core = Some((middle_m, half_m));
+        self
+    }
+
+    /// The tracer with other vectors than the widest: the same hits, at another speed.
+    #[must_use]
+    pub fn with_vectors(mut self, vectors: Vectors) -> Self {
+        self.vectors = vectors;
         self
     }
 
@@ -110,26 +115,29 @@ impl Tracer {
     /// The nearest hit with `t` in 0..`t_max`; of equally near triangles, the one with the smallest index.
     pub fn closest(&self, origin: Vec3, direction: Vec3, t_max: f32) -> Option<Hit> {
         note(RayCount { closest: 1, ..RayCount::default() });
-        let prepared = WatertightRay::new(origin, direction);
-        let mut best: Option<Hit> = None;
+        let ray = Ray::new(origin, direction);
+        let found = dispatch!(self.vectors.0, simd => self.closest_on(simd, &ray, t_max));
+        found.map(|(triangle, BlockHit { block, lane, hit })| {
+            let [a, b, c] = self.tree.blocks[block].triangle(lane);
+            let front = (b - a).cross(c - a).dot(direction) < 0.0;
+            Hit { t: hit.t, triangle, barycentric: hit.barycentric, front }
+        })
+    }
+
+    #[inline(always)]
+    fn closest_on<S: Simd>(&self, simd: S, ray: &Ray, t_max: f32) -> Option<(u32, BlockHit)> {
+        let mut best: Option<(u32, BlockHit)> = None;
         let mut t_best = t_max;
-        self.traverse(origin, direction, t_max, |index, ray_t_max| {
-            let Some(hit) = prepared.intersect(&self.corners[index]) else { return true };
-            let triangle = self.triangle[index];
-            let nearer =
-                hit.t < t_best || (hit.t == t_best && best.is_some_and(|best| triangle < best.triangle));
-            if nearer && self.is_solid(index, hit.barycentric) {
-                t_best = hit.t;
-                // A little further than the hit, so that a tie in a later node is still visited.
-                *ray_t_max = hit.t * (1.0 + 4e-6) + 1e-20;
-                best = Some(Hit {
-                    t: hit.t,
-                    triangle,
-                    barycentric: hit.barycentric,
-                    front: self.is_front(index, direction),
-                });
+        walk(simd, &self.tree, ray, t_max, |at, end| {
+            let triangle = self.tree.triangles[at.block][at.lane];
+            let t = at.hit.t;
+            let nearer = t < t_best || (t == t_best && best.is_some_and(|(before, _)| triangle < before));
+            if !nearer || !self.is_solid(&at) {
+                return Some(end);
             }
-            true
+            (t_best, best) = (t, Some((triangle, at)));
+            // A little further than the hit, so that a tie in a later node is still visited.
+            Some(t * (1.0 + 4e-6) + 1e-20)
         });
         best
     }
@@ -141,69 +149,38 @@ impl Tracer {
             return false;
         }
         note(RayCount { occlusion: 1, ..RayCount::default() });
-        let prepared = WatertightRay::new(from, direction);
+        let ray = Ray::new(from, direction);
+        dispatch!(self.vectors.0, simd => self.is_occluded_on(simd, &ray))
+    }
+
+    #[inline(always)]
+    fn is_occluded_on<S: Simd>(&self, simd: S, ray: &Ray) -> bool {
         let mut occluded = false;
-        self.traverse(from, direction, 1.0, |index, _| {
-            if let Some(hit) = prepared.intersect(&self.corners[index])
-                && hit.t < 1.0
-                && self.is_solid(index, hit.barycentric)
-            {
-                occluded = true;
-            }
-            !occluded
+        walk(simd, &self.tree, ray, 1.0, |at, end| {
+            occluded = at.hit.t < 1.0 && self.is_solid(&at);
+            (!occluded).then_some(end)
         });
         occluded
     }
 
-    /// Visits leaf slots that the ray may meet; `visit` may lower the far end and stops the walk by `false`.
-    fn traverse(
-        &self,
-        origin: Vec3,
-        direction: Vec3,
-        t_max: f32,
-        mut visit: impl FnMut(usize, &mut f32) -> bool,
-    ) {
-        let ray = Ray::new(origin.into(), direction.into(), 0.0, t_max);
-        let leaf = |node: &Bvh2Node, ray: &mut Ray, _: &mut RayHit| {
-            let first = node.first_index as usize;
-            (first..first + node.prim_count as usize).all(|index| visit(index, &mut ray.tmax))
-        };
-        let mut no_hit = RayHit::none();
-        fast_stack!(u32, (48, 96), self.bvh.max_depth, stack, {
-            self.bvh.ray_traverse_dynamic(&mut stack, ray, &mut no_hit, leaf)
-        });
-    }
-
     /// Visits every triangle whose bounds meet a box, and maybe others.
-    pub fn visit_box(&self, low: Vec3, high: Vec3, mut visit: impl FnMut(&[Vec3; 3])) {
-        let within = Aabb::new(low.into(), high.into());
-        let mut open: Vec<usize> = (0..self.bvh.nodes.len().min(1)).collect();
-        while let Some(node) = open.pop().map(|index| &self.bvh.nodes[index]) {
-            if !node.aabb().intersect_aabb(&within) {
-                continue;
-            }
-            let first = node.first_index as usize;
-            if node.is_leaf() {
-                self.corners[first..first + node.prim_count as usize].iter().for_each(&mut visit);
-            } else {
-                open.extend([first, first + 1]);
-            }
-        }
+    pub fn visit_box(&self, low: Vec3, high: Vec3, visit: impl FnMut(&[Vec3; 3])) {
+        self.tree.visit_box(low, high, visit);
     }
 
-    fn is_solid(&self, index: usize, barycentric: [f32; 2]) -> bool {
-        !self.masked[index]
-            || self.alpha.as_ref().is_none_or(|alpha| alpha.is_solid(self.triangle[index], barycentric))
-    }
-
-    fn is_front(&self, index: usize, direction: Vec3) -> bool {
-        let [a, b, c] = self.corners[index];
-        (b - a).cross(c - a).dot(direction) < 0.0
+    fn is_solid(&self, at: &BlockHit) -> bool {
+        let BlockHit { block, lane, hit: TriangleHit { barycentric, .. } } = *at;
+        self.masked[block] >> lane & 1 == 0
+            || self
+                .alpha
+                .as_ref()
+                .is_none_or(|alpha| alpha.is_solid(self.tree.triangles[block][lane], barycentric))
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::watertight::WatertightRay;
     use super::*;
     use crate::rays::sampling::{Sequence, uniform_sphere};
 
@@ -242,6 +219,54 @@ mod tests {
             hits += u32::from(found.is_some());
         }
         assert!(hits > 200, "only {hits} hits: the test shows nothing");
+    }
+
+    #[test]
+    fn rays_along_axes_edges_and_planes_hit_the_same_by_all_vectors_as_by_testing_every_triangle() {
+        // Walls of squares on a lattice, so that rays from its points run along edges, through corners and in planes.
+        let mut triangles = Vec::new();
+        let at = |x: i32, y: i32, z: i32| Vec3::new(x as f32 * 0.37, y as f32 * 0.53, z as f32 * 0.71);
+        for (x, y) in (0..36).map(|i| (i % 6 - 3, i / 6 - 3)) {
+            for z in [-3, 3] {
+                triangles.push([at(x, y, z), at(x + 1, y, z), at(x + 1, y + 1, z)]);
+                triangles.push([at(y + 1, z, x + 1), at(y, z, x), at(y + 1, z, x)]);
+                triangles.push([at(z, x, y), at(z, x, y + 1), at(z, x + 1, y + 1)]);
+            }
+        }
+        let with = |vectors: Vectors| Tracer::new(&triangles, None).with_vectors(vectors);
+        let tracers: Vec<Tracer> = Vectors::all().into_iter().map(with).collect();
+        let own = Tracer::new(&triangles, None);
+        let mut sequence = Sequence::new(3);
+        let mut lattice = || [(); 3].map(|()| (sequence.next_u64() % 7) as i32 - 3);
+        let mut hits = 0;
+        for ray in 0..20_000 {
+            let [[x, y, z], [to_x, to_y, to_z]] = [lattice(), lattice()];
+            let origin = at(x, y, z) * 0.9;
+            // Half of them along an axis or a lattice's diagonal, half at corners and the middles of edges.
+            let target = at(to_x, to_y, to_z).lerp(at(to_x, to_y + 1, to_z), 0.5 * (to_x % 2).abs() as f32);
+            let direction = if ray % 2 == 0 { at(to_x, to_y, to_z) } else { target - origin };
+            if direction == Vec3::ZERO {
+                continue;
+            }
+            let prepared = WatertightRay::new(origin, direction);
+            let each = triangles.iter().zip(0..).filter_map(|(corners, index)| {
+                prepared.intersect(corners).map(|hit| (hit.t, index, hit.barycentric))
+            });
+            let brute = each.min_by(|a, b| (a.0, a.1).partial_cmp(&(b.0, b.1)).unwrap());
+            let found = own.closest(origin, direction, f32::INFINITY);
+            assert_eq!(
+                found.map(|hit| (hit.t, hit.triangle, hit.barycentric)),
+                brute,
+                "{origin} {direction}"
+            );
+            let occluded = own.is_occluded(origin, origin + direction);
+            for other in &tracers {
+                assert_eq!(other.closest(origin, direction, f32::INFINITY), found, "{:?}", other.vectors);
+                assert_eq!(other.is_occluded(origin, origin + direction), occluded, "{:?}", other.vectors);
+            }
+            hits += u32::from(found.is_some());
+        }
+        assert!(hits > 5000, "only {hits} hits: the test shows nothing");
     }
 
     #[test]
