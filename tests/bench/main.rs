@@ -1,6 +1,6 @@
-//! The load bench: what the queue costs and carries. `tests/bench/run` builds what it needs and runs it.
+//! The load bench: what the queue costs and carries, and how fast rays are. `tests/bench/run` builds what it needs and runs it.
 //!
-//! Arguments name parts (`stores`, `queue`, `idle`, `workers`); without any, all are measured. Figures go to standard
+//! Arguments name parts (`stores`, `queue`, `idle`, `workers`, `rays`); without any, all are measured. Figures go to standard
 //! output as rows of one table, which `tests/bench/README.md` keeps.
 
 #![allow(clippy::unwrap_used, reason = "a bench may end at any error")]
@@ -14,16 +14,18 @@ mod model;
 #[path = "../../server/tests/parts/mod.rs"]
 mod parts;
 mod queue;
+mod rays;
 mod report;
 mod stores;
 mod workers;
 
 /// Measurements by name.
-const PARTS: [(&str, fn()); 4] = [
+const PARTS: [(&str, fn()); 5] = [
     ("stores", stores::measure),
     ("queue", queue::measure),
     ("idle", idle::measure),
     ("workers", workers::measure),
+    ("rays", rays::measure),
 ];
 
 fn main() {

@@ -41,6 +41,8 @@ pub struct Summary {
     pub rays_closest: u64,
     /// Occlusion rays cast for this bake.
     pub rays_occlusion: u64,
+    /// Rays of either sort that looked for walls between hits and the receivers around them; in no other count.
+    pub rays_linking: u64,
     /// Bytes of all chunks.
     pub bytes_total: u64,
     /// Seconds from the command's start to the written bundle.
@@ -81,6 +83,7 @@ impl Summary {
             tasks_reused: bake.tasks_reused,
             rays_closest: counter("rays_closest"),
             rays_occlusion: counter("rays_occlusion"),
+            rays_linking: counter("rays_linking"),
             bytes_total: manifest.bytes(),
             elapsed_secs: elapsed.as_secs_f64(),
             stages: stages.map(|stage| (stage_name(&stage.kind), stage.elapsed_ms as f64 / 1e3)).collect(),

@@ -11,6 +11,7 @@ use lightkiln_proto::kinds::Kinds;
 use lightkiln_proto::manifest::Manifest;
 use lightkiln_worker::kinds::{BakeKinds, Runner};
 use lightkiln_worker::lightmap::World;
+use lightkiln_worker::rays::RayCount;
 use lightkiln_worker::task::{ArtefactSource, LocalRun, Progress};
 
 /// Bytes of decoded values that tasks may share.
@@ -47,8 +48,8 @@ pub struct LocalBake {
     pub scene: Digest,
     /// Every artefact by digest, chunks among them.
     pub artefacts: BTreeMap<Digest, Arc<Vec<u8>>>,
-    /// Closest-hit and occlusion rays cast.
-    pub rays: [u64; 2],
+    /// Rays cast.
+    pub rays: RayCount,
     /// Seconds per task kind.
     pub secs: BTreeMap<String, f64>,
 }
@@ -88,7 +89,7 @@ pub fn bake_in_world(bundle: Vec<u8>, recipe: &Recipe) -> Result<(LocalBake, Arc
         manifest_bytes,
         report,
         scene,
-        rays: [progress.rays_closest(), progress.rays_occlusion()],
+        rays: progress.rays(),
         secs,
         artefacts: run.shelf.into_artefacts(),
     };

@@ -110,7 +110,10 @@ impl Measured {
             Axis::Probes => self.baked("probes"),
             Axis::Receivers => self.baked("receivers"),
             Axis::Bytes => self.baked("bytes_per_receiver"),
-            Axis::Megarays => (self.baked("rays_closest") + self.baked("rays_occlusion")) * 1e-6,
+            Axis::Megarays => {
+                let kinds = ["rays_closest", "rays_occlusion", "rays_linking"];
+                kinds.map(|kind| self.baked(kind)).iter().sum::<f64>() * 1e-6
+            }
             Axis::Value => self.value.parse().unwrap_or(f64::NAN),
         }
     }

@@ -114,7 +114,7 @@ fn copies_in_one_place_cost_no_more_than_as_many_apart() {
         let plan = Kinds::new().first_tasks("prt", scene, &settings).unwrap();
         let wanted = |task: &str| task.starts_with("scene.") || task.ends_with(".plan");
         run.run(&Runner::new(&BakeKinds::new()), plan, wanted, |_| {}).unwrap();
-        (progress.rays_closest() + progress.rays_occlusion()) as f64
+        progress.rays().total() as f64
     };
     let [apart, together] = [false, true].map(rays);
     assert!(apart > 1e4 && together < 3.0 * apart, "{together} rays, {apart} apart");

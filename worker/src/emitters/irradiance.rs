@@ -146,25 +146,23 @@ impl<'a> EmitterIrradianceSum<'a> {
         );
     }
 
-    /// Casts the shadow rays; gives how many.
-    pub fn sample_emitters(&mut self, seed: u64) -> u64 {
+    /// Casts the shadow rays.
+    pub fn sample_emitters(&mut self, seed: u64) {
         if self.cumulative.is_empty() {
-            return 0;
+            return;
         }
         let points = R2::new(seed_of(&[seed, 4]));
         // Of its own seed: a stratum's place must not tell the point that is taken in it.
         let shift = Sequence::new(seed_of(&[seed, 6])).next_f32();
         let turn = Sequence::new(seed_of(&[seed, 7])).next_f32();
-        let mut rays = 0;
         for sample in 0..self.samples {
             let pick = (sample as f32 + shift) / self.samples as f32;
             let index = self.cumulative.partition_point(|sum| *sum <= pick).min(self.cumulative.len() - 1);
             // Of its own sequence: strata are those of triangles, and each is to be seen from all over the texel.
             let place = (sample as f32 * GOLDEN + turn).fract() * self.texel.len() as f32;
             let site = &self.texel[(place as usize).min(self.texel.len() - 1)];
-            rays += u64::from(self.add_sample(site, index, uniform_triangle(points.point(sample))));
+            self.add_sample(site, index, uniform_triangle(points.point(sample)));
         }
-        rays
     }
 
     /// The sums, one per emitter.
@@ -172,8 +170,8 @@ impl<'a> EmitterIrradianceSum<'a> {
         self.sums
     }
 
-    /// `Lₑ cosθ_x cosθ_y / d² / density`, weighted against the texel's own rays; true if a ray was cast.
-    fn add_sample(&mut self, site: &Site, index: usize, barycentric: [f32; 2]) -> bool {
+    /// `Lₑ cosθ_x cosθ_y / d² / density`, weighted against the texel's own rays.
+    fn add_sample(&mut self, site: &Site, index: usize, barycentric: [f32; 2]) {
         let triangle = &self.set.triangles[index];
         let weights = weights_of(barycentric);
         let [a, b, c] = triangle.corners;
@@ -181,18 +179,18 @@ impl<'a> EmitterIrradianceSum<'a> {
         let origin_m = site.ray_origin_m(self.geometry.tracer.ray_offset_m(site.position_m));
         let to_light = point_m - origin_m;
         let squared_m2 = to_light.length_squared();
-        let Some(direction) = to_light.try_normalize() else { return false };
+        let Some(direction) = to_light.try_normalize() else { return };
         let cosine = direction.dot(site.normal);
         let facing = -direction.dot(triangle.normal);
         let above = direction.dot(site.face_normal) > 0.0;
         if cosine <= 0.0 || !above || (facing <= 0.0 && !triangle.double_sided) || facing == 0.0 {
-            return false;
+            return;
         }
         let offset_m = self.geometry.tracer.ray_offset_m(point_m);
         let lifted_m = point_m + triangle.normal * offset_m.copysign(facing);
         let passed = self.geometry.tracer.passed(origin_m, lifted_m);
         if passed <= 0.0 {
-            return true;
+            return;
         }
         let density = self.density(index) * squared_m2 / facing.abs();
         let sampled = self.samples as f32 * density;
@@ -200,7 +198,6 @@ impl<'a> EmitterIrradianceSum<'a> {
         let surface = self.surface(triangle, barycentric);
         // cosθ / (M · density) · M·density / (M·density + N·cosθ/π), of what is there and of what passes
         self.add(triangle.emitter, surface.emission, surface.stopped * passed * cosine / (sampled + own));
-        true
     }
 
     /// Density of sampled points on an emissive triangle, per m².

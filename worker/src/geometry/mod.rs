@@ -79,9 +79,14 @@ impl Geometry {
     /// A point of a surface raised along its normal by at most `height_m`, to be tested for walls between it and others:
     /// half way to the surface above it at most, as a gap may be narrower.
     pub fn raised(&self, point_m: Vec3, normal: Vec3, height_m: f32) -> Vec3 {
-        let foot_m = point_m + normal * self.tracer.ray_offset_m(point_m);
+        let foot_m = self.lifted(point_m, normal);
         let free_m = self.tracer.closest(foot_m, normal, 2.0 * height_m).map_or(height_m, |hit| 0.5 * hit.t);
         foot_m + normal * free_m
+    }
+
+    /// A point of a surface lifted along its normal, for rays to start at.
+    pub fn lifted(&self, point_m: Vec3, normal: Vec3) -> Vec3 {
+        point_m + normal * self.tracer.ray_offset_m(point_m)
     }
 
     /// Corners of a triangle in metres.

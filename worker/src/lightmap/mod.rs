@@ -4,6 +4,7 @@
 //! so kinds of bake that agree on those share them.
 
 pub mod charts;
+mod clearance;
 mod numbering;
 pub mod place;
 mod polygon;

@@ -6,12 +6,13 @@ use glam::{Vec2, Vec3};
 use lightkiln_proto::content::{BlockKey, COVERAGE_POINTS, COVERAGE_SIDE, LINKS};
 use rayon::prelude::*;
 
+use super::clearance::{Axis, Clearance};
 use super::texel_points::TexelTriangles;
 use super::{CAVITY, Charts, Lightmap, Receiver};
 use crate::geometry::{Geometry, Site, weights_of};
-use crate::rays::Hit;
+use crate::rays::{Hit, linking};
 use crate::scene::model::Scene;
-use crate::task::{Context, LocalRun, TaskError};
+use crate::task::{Context, LocalRun, Progress, TaskError};
 use crate::unwrap::{UnwrappedTriangle, weights_in_part};
 
 /// How far points are raised at most before they are tested for a wall between them, in metres: above the bulge of
@@ -24,6 +25,14 @@ pub fn link_height_m(texel_m: f32) -> f32 {
 const WHOLE: u16 = u16::MAX;
 /// Rings of texels around a hit's own in which one is looked for that no wall separates from it.
 const LINKED_RINGS: i32 = 2;
+
+/// Hits on a receiver's texel that ask for no wall.
+enum OpenAbout {
+    /// All of them, see [`World::is_whole_about`].
+    All,
+    /// Those that lie in the room.
+    Room(Clearance),
+}
 
 /// Surface that a ray meets, as transport reads it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -46,8 +55,9 @@ pub struct World {
     raised_m: Vec<Vec3>,
     /// Receivers whose light others take, each with one that takes it and has points of its own; ascending.
     sharers: Vec<[u32; 2]>,
-    /// Of each receiver whether hits on its texel ask for no wall, see [`World::is_whole_about`]. Found when first asked for.
-    is_clear: OnceLock<Vec<bool>>,
+    /// Of each receiver which hits on its texel ask for no wall. Found one by one when first asked for, and without other
+    /// threads: whoever asks may be one of many that this one would take work from.
+    open_about: Vec<OnceLock<OpenAbout>>,
     /// Triangles of each receiver's texel, found when they are first asked for.
     texel_triangles: OnceLock<TexelTriangles>,
 }
@@ -57,22 +67,23 @@ impl World {
     const PARTS: [&'static str; 3] = [crate::scene::ARTEFACT, super::charts::ARTEFACT, super::ARTEFACT];
 
     /// Builds the table of texels and raises the receivers' points.
-    pub fn new(geometry: Arc<Geometry>, charts: &Charts, lightmap: Lightmap) -> Self {
+    pub fn new(geometry: Arc<Geometry>, charts: &Charts, lightmap: Lightmap, progress: &Progress) -> Self {
         let texels = TexelTable::new(&geometry.scene, charts);
         let receivers = &lightmap.receivers;
         let raised_m = receivers
             .par_iter()
             .map(|receiver| {
                 let height_m = link_height_m(lightmap.blocks[receiver.block as usize].texel_m);
-                geometry.raised(receiver.position_m, receiver.face_normal, height_m)
+                progress.casting(|| geometry.raised(receiver.position_m, receiver.face_normal, height_m))
             })
             .collect();
         let with_points = |&[lender, own]: &[u32; 2]| lender != own && receivers[own as usize].coverage != 0;
         let mut sharers: Vec<[u32; 2]> =
             receivers.iter().zip(0..).map(|(own, index)| [own.light_of, index]).filter(with_points).collect();
         sharers.sort_unstable();
-        let (is_clear, texel_triangles) = (OnceLock::new(), OnceLock::new());
-        Self { geometry, lightmap, texels, raised_m, sharers, is_clear, texel_triangles }
+        let open_about = receivers.iter().map(|_| OnceLock::new()).collect();
+        let texel_triangles = OnceLock::new();
+        Self { geometry, lightmap, texels, raised_m, sharers, open_about, texel_triangles }
     }
 
     /// A receiver's texel is whole, as are its eight neighbours, and all are linked to it: a wall that reaches between the
@@ -111,7 +122,7 @@ impl World {
             let charts = Charts::of(context)?;
             let (lightmap, bytes): (Lightmap, _) = context.decoded(super::ARTEFACT_MAGIC, super::ARTEFACT)?;
             let receivers = lightmap.receivers.len();
-            Ok((Self::new(geometry, &charts, lightmap), 2 * bytes + 120 * receivers))
+            Ok((Self::new(geometry, &charts, lightmap, context.progress), 2 * bytes + 140 * receivers))
         })
     }
 
@@ -158,12 +169,45 @@ impl World {
     /// texel that a wall cuts in two stands for its centre's side only. Where no wall can be, none is looked for.
     pub fn linked_surface_at(&self, hit: &Hit, point_m: Vec3) -> Surface {
         let Surface::Receiver(own) = self.surface_at(hit) else { return Surface::Dark };
-        let all = || (0..self.lightmap.receivers.len() as u32).into_par_iter();
-        let is_clear =
-            self.is_clear.get_or_init(|| all().map(|receiver| self.is_whole_about(receiver)).collect());
-        if is_clear[own as usize] {
+        if self.is_open_to(own, hit, point_m) {
             return Surface::Receiver(own);
         }
+        linking(|| self.linked_around(hit, point_m, own))
+    }
+
+    /// It is known beforehand that no wall separates a hit from the receiver of its texel.
+    fn is_open_to(&self, own: u32, hit: &Hit, point_m: Vec3) -> bool {
+        match self.open_about[own as usize].get_or_init(|| self.find_open_about(own)) {
+            OpenAbout::All => true,
+            OpenAbout::Room(room) => {
+                let normal = self.geometry.side_normal(hit);
+                room.holds(&self.axis_of(own), self.geometry.lifted(point_m, normal), normal)
+            }
+        }
+    }
+
+    fn find_open_about(&self, receiver: u32) -> OpenAbout {
+        if self.is_whole_about(receiver) {
+            return OpenAbout::All;
+        }
+        OpenAbout::Room(Clearance::of(&self.geometry.tracer, &self.axis_of(receiver)))
+    }
+
+    /// Where the room above a receiver's texel is.
+    fn axis_of(&self, receiver: u32) -> Axis {
+        let Receiver { position_m, face_normal, .. } = self.lightmap.receivers[receiver as usize];
+        let texel_m = self.lightmap.texel_m_of(receiver);
+        Axis {
+            raised_m: self.raised_m[receiver as usize],
+            normal: face_normal,
+            texel_m,
+            height_m: link_height_m(texel_m),
+            offset_m: self.geometry.tracer.ray_offset_m(position_m),
+        }
+    }
+
+    /// The nearest receiver, from `own` outwards, that no wall separates from a hit.
+    fn linked_around(&self, hit: &Hit, point_m: Vec3, own: u32) -> Surface {
         let height_m = link_height_m(self.lightmap.texel_m_of(own));
         let from_m = self.geometry.raised(point_m, self.geometry.side_normal(hit), height_m);
         let linked = |receiver: u32| self.is_linked(from_m, self.raised_m[receiver as usize]);

@@ -181,7 +181,7 @@ fn level_above(
     let places: Vec<(Place, Vec<u32>)> = by_place.into_iter().collect();
     let surfaces = |(_, members): &(Place, Vec<u32>)| {
         progress.check()?;
-        Ok(surfaces(world, height_m, items, members, &edges_of))
+        Ok(progress.casting(|| surfaces(world, height_m, items, members, &edges_of)))
     };
     let surfaces: Vec<Vec<Vec<u32>>> = places.par_iter().map(surfaces).collect::<Result<_, Cancelled>>()?;
     let mut parents = Vec::new();

@@ -1,18 +1,18 @@
-//! The tracer: a BVH2 over world triangles with closest-hit and occlusion queries.
+//! The tracer: a tree over world triangles with closest-hit and occlusion queries.
 
 use std::time::Duration;
 
+use fearless_simd::{Simd, dispatch};
 use glam::{Vec3, Vec3A};
 use obvhs::aabb::Aabb;
-use obvhs::bvh2::Bvh2;
 use obvhs::bvh2::builder::build_bvh2;
-use obvhs::bvh2::node::Bvh2Node;
-use obvhs::fast_stack;
-use obvhs::ray::{Ray, RayHit};
 use obvhs::{Boundable, BvhBuildParams};
 
+use super::count::{RayCount, note};
+use super::lanes::{BlockHit, Ray, walk};
 use super::sampling::{Sequence, seed_of};
-use super::watertight::WatertightRay;
+use super::tree::{Tree, WIDTH};
+use super::vectors::Vectors;
 
 /// First hit of a ray.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -40,15 +40,12 @@ const WALL: f32 = 0.5;
 
 /// Triangles ready for rays.
 pub struct Tracer {
-    bvh: Bvh2,
-    /// Corners in the tree's leaf order.
-    corners: Vec<[Vec3; 3]>,
-    /// Triangle as given, in the tree's leaf order.
-    triangle: Vec<u32>,
-    /// Whether the triangle is masked, in the tree's leaf order.
-    masked: Vec<bool>,
+    tree: Tree,
+    /// Of each block of the tree a bit for each masked triangle.
+    masked: Vec<u8>,
     alpha: Option<Box<dyn AlphaTest>>,
     ray_offset_m: f32,
+    vectors: Vectors,
     /// Middle and half side, in metres, of a cube whose surfaces have no far corners: lifts are smaller there.
     core: Option<(Vec3, f32)>,
 }
@@ -75,23 +72,24 @@ impl Tracer {
     /// Builds the tree over triangles given by their corners.
     pub fn new(triangles: &[[Vec3; 3]], alpha: Option<Box<dyn AlphaTest>>) -> Self {
         let bounded: Vec<_> = triangles.iter().map(|corners| PaddedTriangle { corners: *corners }).collect();
-        let bvh = if bounded.is_empty() {
-            Bvh2::default()
+        let tree = if bounded.is_empty() {
+            Tree::default()
         } else {
             let mut build_time = Duration::ZERO;
-            build_bvh2(&bounded, BvhBuildParams::medium_build(), &mut build_time)
+            Tree::new(&build_bvh2(&bounded, BvhBuildParams::medium_build(), &mut build_time), triangles)
         };
-        let triangle: Vec<u32> =
-            if triangles.is_empty() { Vec::new() } else { bvh.primitive_indices.clone() };
-        let corners = triangle.iter().map(|&index| triangles[index as usize]).collect();
-        let masked = triangle
-            .iter()
-            .map(|&index| alpha.as_ref().is_some_and(|alpha| alpha.is_masked(index)))
-            .collect();
+        let is_masked = |triangle: u32| {
+            triangle != u32::MAX && alpha.as_ref().is_some_and(|alpha| alpha.is_masked(triangle))
+        };
+        let bits = |block: &[u32; WIDTH]| {
+            (0..WIDTH).fold(0, |bits, lane| bits | u8::from(is_masked(block[lane])) << lane)
+        };
+        let masked = tree.triangles.iter().map(bits).collect();
         // No least reach in metres: a scene in micrometres is the same scene.
         let reach =
             triangles.iter().flatten().fold(0.0_f32, |reach, corner| reach.max(corner.abs().max_element()));
-        Self { bvh, corners, triangle, masked, alpha, ray_offset_m: reach * LIFT, core: None }
+        let ray_offset_m = reach * LIFT;
+        Self { tree, masked, alpha, ray_offset_m, vectors: Vectors::default(), core: None }
     }
 
     /// The tracer of a scene with a core: about a point, no surface has coordinates much larger than the point is away from
@@ -99,6 +97,13 @@ impl Tracer {
     #[must_use]
     pub fn about(mut self, middle_m: Vec3, half_m: f32) -> Self {
         self.core = Some((middle_m, half_m));
+        self
+    }
+
+    /// The tracer with other vectors than the widest: the same hits, at another speed.
+    #[must_use]
+    pub fn with_vectors(mut self, vectors: Vectors) -> Self {
+        self.vectors = vectors;
         self
     }
 
@@ -113,21 +118,21 @@ impl Tracer {
     /// The nearest hit with `t` in 0..`t_max`; of equally near triangles, the one with the smallest index. Walls are hit,
     /// which stop half of the light at least: the question is of shape. [`Tracer::met`] asks for light.
     pub fn closest(&self, origin: Vec3, direction: Vec3, t_max: f32) -> Option<Hit> {
-        self.nearest(origin, direction, t_max, |index, barycentric| self.is_wall(index, barycentric))
+        self.nearest(origin, direction, t_max, &|at: &BlockHit| self.is_wall(at))
     }
 
     /// As [`Tracer::closest`], of light: a surface that stops the share s is hit with probability s, by a number that ray
     /// and triangle alone decide. The mean over rays is then that of light, of which 1 − s passes.
     pub fn met(&self, origin: Vec3, direction: Vec3, t_max: f32) -> Option<Hit> {
-        self.nearest(origin, direction, t_max, |index, barycentric| {
-            let stopped = self.stopped(index, barycentric);
-            stopped >= 1.0 || (stopped > 0.0 && chance(origin, direction, self.triangle[index]) < stopped)
+        self.nearest(origin, direction, t_max, &|at: &BlockHit| {
+            let stopped = self.stopped(at);
+            stopped >= 1.0 || (stopped > 0.0 && chance(origin, direction, self.triangle(at)) < stopped)
         })
     }
 
     /// As [`Tracer::closest`], of surfaces that stop any light, glass however clear.
     pub fn closest_surface(&self, origin: Vec3, direction: Vec3, t_max: f32) -> Option<Hit> {
-        self.nearest(origin, direction, t_max, |index, barycentric| self.stopped(index, barycentric) > 0.0)
+        self.nearest(origin, direction, t_max, &|at: &BlockHit| self.stopped(at) > 0.0)
     }
 
     fn nearest(
@@ -135,28 +140,38 @@ impl Tracer {
         origin: Vec3,
         direction: Vec3,
         t_max: f32,
-        stops: impl Fn(usize, [f32; 2]) -> bool,
+        stops: &impl Fn(&BlockHit) -> bool,
     ) -> Option<Hit> {
-        let prepared = WatertightRay::new(origin, direction);
-        let mut best: Option<Hit> = None;
+        note(RayCount { closest: 1, ..RayCount::default() });
+        let ray = Ray::new(origin, direction);
+        let found = dispatch!(self.vectors.0, simd => self.nearest_on(simd, &ray, t_max, stops));
+        found.map(|(triangle, BlockHit { block, lane, hit })| {
+            let [a, b, c] = self.tree.blocks[block].triangle(lane);
+            let front = (b - a).cross(c - a).dot(direction) < 0.0;
+            Hit { t: hit.t, triangle, barycentric: hit.barycentric, front }
+        })
+    }
+
+    #[inline(always)]
+    fn nearest_on<S: Simd>(
+        &self,
+        simd: S,
+        ray: &Ray,
+        t_max: f32,
+        stops: &impl Fn(&BlockHit) -> bool,
+    ) -> Option<(u32, BlockHit)> {
+        let mut best: Option<(u32, BlockHit)> = None;
         let mut t_best = t_max;
-        self.traverse(origin, direction, t_max, |index, ray_t_max| {
-            let Some(hit) = prepared.intersect(&self.corners[index]) else { return true };
-            let triangle = self.triangle[index];
-            let nearer =
-                hit.t < t_best || (hit.t == t_best && best.is_some_and(|best| triangle < best.triangle));
-            if nearer && stops(index, hit.barycentric) {
-                t_best = hit.t;
-                // A little further than the hit, so that a tie in a later node is still visited.
-                *ray_t_max = hit.t * (1.0 + 4e-6) + 1e-20;
-                best = Some(Hit {
-                    t: hit.t,
-                    triangle,
-                    barycentric: hit.barycentric,
-                    front: self.is_front(index, direction),
-                });
+        walk(simd, &self.tree, ray, t_max, |at, end| {
+            let triangle = self.triangle(&at);
+            let t = at.hit.t;
+            let nearer = t < t_best || (t == t_best && best.is_some_and(|(before, _)| triangle < before));
+            if !nearer || !stops(&at) {
+                return Some(end);
             }
-            true
+            (t_best, best) = (t, Some((triangle, at)));
+            // A little further than the hit, so that a tie in a later node is still visited.
+            Some(t * (1.0 + 4e-6) + 1e-20)
         });
         best
     }
@@ -167,16 +182,17 @@ impl Tracer {
         if direction.length_squared() == 0.0 {
             return false;
         }
-        let prepared = WatertightRay::new(from, direction);
+        note(RayCount { occlusion: 1, ..RayCount::default() });
+        let ray = Ray::new(from, direction);
+        dispatch!(self.vectors.0, simd => self.is_occluded_on(simd, &ray))
+    }
+
+    #[inline(always)]
+    fn is_occluded_on<S: Simd>(&self, simd: S, ray: &Ray) -> bool {
         let mut occluded = false;
-        self.traverse(from, direction, 1.0, |index, _| {
-            if let Some(hit) = prepared.intersect(&self.corners[index])
-                && hit.t < 1.0
-                && self.is_wall(index, hit.barycentric)
-            {
-                occluded = true;
-            }
-            !occluded
+        walk(simd, &self.tree, ray, 1.0, |at, end| {
+            occluded = at.hit.t < 1.0 && self.is_wall(&at);
+            (!occluded).then_some(end)
         });
         occluded
     }
@@ -187,53 +203,44 @@ impl Tracer {
         if direction.length_squared() == 0.0 {
             return 1.0;
         }
-        let prepared = WatertightRay::new(from, direction);
+        note(RayCount { occlusion: 1, ..RayCount::default() });
+        let ray = Ray::new(from, direction);
+        dispatch!(self.vectors.0, simd => self.passed_on(simd, &ray))
+    }
+
+    #[inline(always)]
+    fn passed_on<S: Simd>(&self, simd: S, ray: &Ray) -> f32 {
         // The order of triangles is the tree's: of the same scene the same.
         let mut passed = 1.0;
-        self.traverse(from, direction, 1.0, |index, _| {
-            if let Some(hit) = prepared.intersect(&self.corners[index])
-                && hit.t < 1.0
-            {
-                passed *= 1.0 - self.stopped(index, hit.barycentric);
+        walk(simd, &self.tree, ray, 1.0, |at, end| {
+            if at.hit.t < 1.0 {
+                passed *= 1.0 - self.stopped(&at);
             }
-            passed > 0.0
+            (passed > 0.0).then_some(end)
         });
         passed
     }
 
-    /// Visits leaf slots that the ray may meet; `visit` may lower the far end and stops the walk by `false`.
-    fn traverse(
-        &self,
-        origin: Vec3,
-        direction: Vec3,
-        t_max: f32,
-        mut visit: impl FnMut(usize, &mut f32) -> bool,
-    ) {
-        let ray = Ray::new(origin.into(), direction.into(), 0.0, t_max);
-        let leaf = |node: &Bvh2Node, ray: &mut Ray, _: &mut RayHit| {
-            let first = node.first_index as usize;
-            (first..first + node.prim_count as usize).all(|index| visit(index, &mut ray.tmax))
-        };
-        let mut no_hit = RayHit::none();
-        fast_stack!(u32, (48, 96), self.bvh.max_depth, stack, {
-            self.bvh.ray_traverse_dynamic(&mut stack, ray, &mut no_hit, leaf)
-        });
+    /// Visits every triangle whose bounds meet a box, and maybe others.
+    pub fn visit_box(&self, low: Vec3, high: Vec3, visit: impl FnMut(&[Vec3; 3])) {
+        self.tree.visit_box(low, high, visit);
     }
 
-    fn is_wall(&self, index: usize, barycentric: [f32; 2]) -> bool {
-        self.stopped(index, barycentric) >= WALL
+    fn triangle(&self, at: &BlockHit) -> u32 {
+        self.tree.triangles[at.block][at.lane]
     }
 
-    fn stopped(&self, index: usize, barycentric: [f32; 2]) -> f32 {
+    fn is_wall(&self, at: &BlockHit) -> bool {
+        self.stopped(at) >= WALL
+    }
+
+    fn stopped(&self, at: &BlockHit) -> f32 {
         match &self.alpha {
-            Some(alpha) if self.masked[index] => alpha.stopped(self.triangle[index], barycentric),
+            Some(alpha) if self.masked[at.block] >> at.lane & 1 != 0 => {
+                alpha.stopped(self.triangle(at), at.hit.barycentric)
+            }
             _ => 1.0,
         }
-    }
-
-    fn is_front(&self, index: usize, direction: Vec3) -> bool {
-        let [a, b, c] = self.corners[index];
-        (b - a).cross(c - a).dot(direction) < 0.0
     }
 }
 
@@ -246,6 +253,7 @@ fn chance(origin: Vec3, direction: Vec3, triangle: u32) -> f32 {
 
 #[cfg(test)]
 mod tests {
+    use super::super::watertight::WatertightRay;
     use super::*;
     use crate::rays::sampling::uniform_sphere;
 
@@ -284,6 +292,54 @@ mod tests {
             hits += u32::from(found.is_some());
         }
         assert!(hits > 200, "only {hits} hits: the test shows nothing");
+    }
+
+    #[test]
+    fn rays_along_axes_edges_and_planes_hit_the_same_by_all_vectors_as_by_testing_every_triangle() {
+        // Walls of squares on a lattice, so that rays from its points run along edges, through corners and in planes.
+        let mut triangles = Vec::new();
+        let at = |x: i32, y: i32, z: i32| Vec3::new(x as f32 * 0.37, y as f32 * 0.53, z as f32 * 0.71);
+        for (x, y) in (0..36).map(|i| (i % 6 - 3, i / 6 - 3)) {
+            for z in [-3, 3] {
+                triangles.push([at(x, y, z), at(x + 1, y, z), at(x + 1, y + 1, z)]);
+                triangles.push([at(y + 1, z, x + 1), at(y, z, x), at(y + 1, z, x)]);
+                triangles.push([at(z, x, y), at(z, x, y + 1), at(z, x + 1, y + 1)]);
+            }
+        }
+        let with = |vectors: Vectors| Tracer::new(&triangles, None).with_vectors(vectors);
+        let tracers: Vec<Tracer> = Vectors::all().into_iter().map(with).collect();
+        let own = Tracer::new(&triangles, None);
+        let mut sequence = Sequence::new(3);
+        let mut lattice = || [(); 3].map(|()| (sequence.next_u64() % 7) as i32 - 3);
+        let mut hits = 0;
+        for ray in 0..20_000 {
+            let [[x, y, z], [to_x, to_y, to_z]] = [lattice(), lattice()];
+            let origin = at(x, y, z) * 0.9;
+            // Half of them along an axis or a lattice's diagonal, half at corners and the middles of edges.
+            let target = at(to_x, to_y, to_z).lerp(at(to_x, to_y + 1, to_z), 0.5 * (to_x % 2).abs() as f32);
+            let direction = if ray % 2 == 0 { at(to_x, to_y, to_z) } else { target - origin };
+            if direction == Vec3::ZERO {
+                continue;
+            }
+            let prepared = WatertightRay::new(origin, direction);
+            let each = triangles.iter().zip(0..).filter_map(|(corners, index)| {
+                prepared.intersect(corners).map(|hit| (hit.t, index, hit.barycentric))
+            });
+            let brute = each.min_by(|a, b| (a.0, a.1).partial_cmp(&(b.0, b.1)).unwrap());
+            let found = own.closest(origin, direction, f32::INFINITY);
+            assert_eq!(
+                found.map(|hit| (hit.t, hit.triangle, hit.barycentric)),
+                brute,
+                "{origin} {direction}"
+            );
+            let occluded = own.is_occluded(origin, origin + direction);
+            for other in &tracers {
+                assert_eq!(other.closest(origin, direction, f32::INFINITY), found, "{:?}", other.vectors);
+                assert_eq!(other.is_occluded(origin, origin + direction), occluded, "{:?}", other.vectors);
+            }
+            hits += u32::from(found.is_some());
+        }
+        assert!(hits > 5000, "only {hits} hits: the test shows nothing");
     }
 
     #[test]

@@ -35,6 +35,18 @@ impl WatertightRay {
         Self { origin, axis: [x, y, z], shear }
     }
 
+    /// Axes of the test: the largest of the direction last.
+    #[inline(always)]
+    pub fn axis(&self) -> [usize; 3] {
+        self.axis
+    }
+
+    /// Shear along the first two axes, and 1 over the direction along the last.
+    #[inline(always)]
+    pub fn shear(&self) -> Vec3 {
+        self.shear
+    }
+
     /// Hit with `0 ≤ t`, from either side; `None` when missed or the triangle is edge on.
     pub fn intersect(&self, corners: &[Vec3; 3]) -> Option<TriangleHit> {
         let [kx, ky, kz] = self.axis;

@@ -171,10 +171,12 @@ fn tell(what: &str, patience: &LastWords<'_>, mut call: impl FnMut() -> Result<(
 }
 
 fn count(output: &mut TaskOutput, elapsed: Duration, progress: &Progress) {
+    let rays = progress.rays();
     let counters = [
         ("secs", elapsed.as_secs_f64()),
-        ("rays_closest", progress.rays_closest() as f64),
-        ("rays_occlusion", progress.rays_occlusion() as f64),
+        ("rays_closest", rays.closest as f64),
+        ("rays_occlusion", rays.occlusion as f64),
+        ("rays_linking", rays.linking as f64),
     ];
     for (name, value) in counters {
         output.counters.entry(name.to_owned()).or_insert(value);

@@ -170,6 +170,7 @@ mod tests {
             emissive: [0.0; 3],
             emissive_texture: None,
             alpha_cutoff: None,
+            glass: None,
             double_sided: false,
         }
     }

@@ -56,7 +56,7 @@ pub struct TaskOutput {
     pub artefacts: Vec<(String, Vec<u8>)>,
     /// Tasks to add to the bake; a pure function of the task's key.
     pub plan: Vec<TaskSpec>,
-    /// Counters for people. The runtime adds `secs`, `rays_closest` and `rays_occlusion` where they are absent.
+    /// Counters for people. The runtime adds `secs`, and rays by kind, where they are absent.
     pub counters: BTreeMap<String, f64>,
 }
 

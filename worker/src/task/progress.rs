@@ -4,6 +4,8 @@ use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 
 use thiserror::Error;
 
+use crate::rays::{RayCount, counted};
+
 /// The task was given up because its lease or bake is gone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 #[error("the task was cancelled")]
@@ -21,6 +23,7 @@ pub struct Progress {
     units_done: AtomicU64,
     rays_closest: AtomicU64,
     rays_occlusion: AtomicU64,
+    rays_linking: AtomicU64,
     cancelled: AtomicBool,
     /// Calls of [`check`](Self::check), and the one at which the task is cancelled, if any.
     #[cfg(test)]
@@ -57,24 +60,22 @@ impl Progress {
         (from + (to - from) * (done as f64 / total as f64) as f32).clamp(0.0, 1.0)
     }
 
-    /// Adds closest-hit rays cast.
-    pub fn add_rays_closest(&self, count: u64) {
-        self.rays_closest.fetch_add(count, Ordering::Relaxed);
+    /// Does work of one thread, and counts the rays that it casts.
+    pub fn casting<T>(&self, work: impl FnOnce() -> T) -> T {
+        let (done, cast) = counted(work);
+        self.rays_closest.fetch_add(cast.closest, Ordering::Relaxed);
+        self.rays_occlusion.fetch_add(cast.occlusion, Ordering::Relaxed);
+        self.rays_linking.fetch_add(cast.linking, Ordering::Relaxed);
+        done
     }
 
-    /// Adds occlusion rays cast.
-    pub fn add_rays_occlusion(&self, count: u64) {
-        self.rays_occlusion.fetch_add(count, Ordering::Relaxed);
-    }
-
-    /// Closest-hit rays cast so far.
-    pub fn rays_closest(&self) -> u64 {
-        self.rays_closest.load(Ordering::Relaxed)
-    }
-
-    /// Occlusion rays cast so far.
-    pub fn rays_occlusion(&self) -> u64 {
-        self.rays_occlusion.load(Ordering::Relaxed)
+    /// Rays cast so far.
+    pub fn rays(&self) -> RayCount {
+        RayCount {
+            closest: self.rays_closest.load(Ordering::Relaxed),
+            occlusion: self.rays_occlusion.load(Ordering::Relaxed),
+            linking: self.rays_linking.load(Ordering::Relaxed),
+        }
     }
 
     /// Asks the task to stop at its next [`check`](Self::check).

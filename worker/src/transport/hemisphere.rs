@@ -37,8 +37,6 @@ pub struct Surroundings {
     pub emitters: Vec<[f32; 3]>,
     /// Mean length of the rays that met something, in metres.
     pub mean_path_m: f32,
-    /// Occlusion rays cast.
-    pub rays_occlusion: u64,
 }
 
 impl<'a> Hemisphere<'a> {
@@ -79,8 +77,8 @@ impl<'a> Hemisphere<'a> {
                 met(HemisphereRay { origin_m, direction }, hit.as_ref());
             }
         }
-        let rays_occlusion = emitted.sample_emitters(self.seed);
-        Surroundings { emitters: emitted.finish(), mean_path_m: path_m / hits.max(1) as f32, rays_occlusion }
+        emitted.sample_emitters(self.seed);
+        Surroundings { emitters: emitted.finish(), mean_path_m: path_m / hits.max(1) as f32 }
     }
 
     /// Rays that leave from a point of the texel: a run of the sequence, as any run of it is spread evenly.

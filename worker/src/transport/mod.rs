@@ -6,15 +6,13 @@ mod expectation;
 mod hemisphere;
 mod patch_rows;
 
-use crate::task::Progress;
-
 pub use hemisphere::{Hemisphere, HemisphereRay, Surroundings};
 pub use patch_rows::{CutBounds, Met, PatchRow, PatchRows, RayHit, RowHits, Sources, patch_rows};
 
 /// Free path, in texels, below which a place that no light can reach misses nothing: the inside of a column, say.
 pub const DEAD_PATH_TEXELS: f32 = 4.0;
 
-/// One receiver's row, and its account of the rays.
+/// One receiver's row, and what became of its rays.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Row {
     /// α, in the order of the columns' keys; then the sky's coefficients, where the sky has no keys.
@@ -29,20 +27,9 @@ pub struct Row {
     pub left_out: f32,
     /// Mean length of the rays that met something, in metres.
     pub mean_path_m: f32,
-    /// Closest-hit rays cast.
-    pub rays_closest: u64,
-    /// Occlusion rays cast.
-    pub rays_occlusion: u64,
 }
 
 impl Row {
-    /// Adds the rays to the task's progress, and one receiver done.
-    pub fn count(&self, progress: &Progress) {
-        progress.add_rays_closest(self.rays_closest);
-        progress.add_rays_occlusion(self.rays_occlusion);
-        progress.advance(1);
-    }
-
     /// No column and no emitter gives it any light.
     pub fn is_dark(&self) -> bool {
         self.alpha.iter().all(|alpha| *alpha == 0.0) && self.emitters.iter().flatten().all(|e| *e == 0.0)
@@ -51,7 +38,6 @@ impl Row {
     /// Takes over the hemisphere's own findings.
     pub fn add_surroundings(&mut self, found: Surroundings) {
         (self.emitters, self.mean_path_m) = (found.emitters, found.mean_path_m);
-        self.rays_occlusion += found.rays_occlusion;
     }
 }
 

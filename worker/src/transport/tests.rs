@@ -15,7 +15,7 @@ use crate::factors::PatchMatrix;
 use crate::kinds::{BakeKinds, Runner};
 use crate::lightmap::World;
 use crate::patches::PatchTree;
-use crate::task::LocalRun;
+use crate::task::{LocalRun, Progress};
 
 const CORNELL: &[u8] = include_bytes!("../../../tests/scenes/cornell.glb");
 const FURNACE: &[u8] = include_bytes!("../../../tests/scenes/furnace.glb");

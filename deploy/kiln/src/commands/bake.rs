@@ -59,7 +59,7 @@ pub struct Arguments {
     #[command(flatten)]
     wanted: EvaluationArguments,
     /// Ends with one JSON object on standard output: bake, scene, out, kind, tasks_run, tasks_reused, rays_closest,
-    /// rays_occlusion, bytes_total, elapsed_secs, stages, warnings (code, message, try_setting), and the kind's own figures; with --evaluate also evaluation
+    /// rays_occlusion, rays_linking, bytes_total, elapsed_secs, stages, warnings (code, message, try_setting), and the kind's own figures; with --evaluate also evaluation
     #[arg(long)]
     json: bool,
 }

@@ -64,7 +64,7 @@ impl Tracker {
     /// stays, unless nothing came for longer than what it is averaged over.
     fn rays_per_sec(&mut self, bake: &Bake, now: Instant) -> Option<f64> {
         let counter = |name: &str| bake.counters.get(name).copied().unwrap_or(0.0);
-        let rays = counter("rays_closest") + counter("rays_occlusion");
+        let rays = counter("rays_closest") + counter("rays_occlusion") + counter("rays_linking");
         if self.rays.is_empty() {
             self.rays.push_back((self.started, rays));
         }

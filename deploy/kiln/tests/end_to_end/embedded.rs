@@ -48,6 +48,7 @@ fn json_has_the_agreed_keys_and_a_bundle_lies_at_its_out() {
         "rank_max",
         "rays_closest",
         "rays_occlusion",
+        "rays_linking",
         "uncovered_fraction",
         "clusters_above_rank_error",
         "truncation_error_max",

@@ -54,8 +54,8 @@ pub fn trace(
         .par_iter()
         .map(|&receiver| {
             progress.check()?;
-            let Gathered { hits, row } = gather(transport, &sources, receiver);
-            row.shared.count(progress);
+            let Gathered { hits, row } = progress.casting(|| gather(transport, &sources, receiver));
+            progress.advance(1);
             Ok((hits, row))
         })
         .collect::<Result<Vec<_>, Cancelled>>()?
@@ -109,7 +109,6 @@ fn gather(transport: &PatchTransport, sources: &Sources, receiver: u32) -> Gathe
         row.shared.uncovered += near.lost;
     }
     row.shared.left_out = row.shared.uncovered;
-    row.shared.rays_closest = u64::from(rays);
     row.shared.add_surroundings(surroundings);
     gathered
 }

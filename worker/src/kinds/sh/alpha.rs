@@ -82,7 +82,6 @@ impl<'a> AlphaSampler<'a> {
             Some(hit) => self.add_hit(&mut gather, hit, ray),
         });
         gather.row.add_surroundings(surroundings);
-        gather.row.rays_closest = u64::from(self.rays);
         self.finish(&mut gather.row);
         gather.row
     }
@@ -117,7 +116,6 @@ impl<'a> AlphaSampler<'a> {
             if (supporter.position_m - point_m).dot(side) <= 0.0 {
                 continue;
             }
-            gather.row.rays_occlusion += 1;
             if !tracer.is_occluded(point_m, supporter.position_m) {
                 total += supporter.weight;
                 seen.push(*supporter);
@@ -154,13 +152,10 @@ impl<'a> AlphaSampler<'a> {
     fn supporters_in_sight(&self, gather: &mut Gather) -> Vec<Supporter> {
         let (origin_m, face_normal) = (gather.origin_m, gather.receiver.face_normal);
         let supporters = &gather.supporters;
-        let rays = &mut gather.row.rays_occlusion;
         let mutual = gather.mutual.get_or_insert_with(|| {
             let sees = |supporter: &Supporter| {
-                (supporter.position_m - origin_m).dot(face_normal) > 0.0 && {
-                    *rays += 1;
-                    !self.world.geometry.tracer.is_occluded(origin_m, supporter.position_m)
-                }
+                (supporter.position_m - origin_m).dot(face_normal) > 0.0
+                    && !self.world.geometry.tracer.is_occluded(origin_m, supporter.position_m)
             };
             supporters.iter().map(sees).collect()
         });

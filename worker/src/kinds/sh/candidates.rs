@@ -43,7 +43,7 @@ pub fn candidates(
     spacing_m: f32,
     back_face_max: f32,
     progress: &Progress,
-) -> Result<(Vec<Candidate>, u64), Cancelled> {
+) -> Result<Vec<Candidate>, Cancelled> {
     let step_m = spacing_m * 0.5;
     let mut cells = BTreeSet::new();
     for &cell in occupied {
@@ -60,12 +60,13 @@ pub fn candidates(
     }
     let cells: Vec<_> = cells.into_iter().map(IVec3::from_array).collect();
     let candidate = |&cell: &IVec3| {
-        progress.check().map(|()| candidate_at(world, cell, step_m, back_face_max)).transpose()
+        let found = || candidate_at(world, cell, step_m, back_face_max);
+        progress.check().map(|()| progress.casting(found)).transpose()
     };
     let mut found: Vec<Candidate> =
         cells.par_iter().filter_map(candidate).collect::<Result<_, Cancelled>>()?;
     found.sort_by_key(|candidate| candidate.key);
-    Ok((found, cells.len() as u64 * u64::from(LOOK_RAYS)))
+    Ok(found)
 }
 
 /// The candidate of a cell, if a probe can stand at its centre.

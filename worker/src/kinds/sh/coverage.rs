@@ -85,26 +85,23 @@ fn unseen_rays(
         world.lightmap.receivers.iter().filter(|receiver| is_sampled(receiver)).collect();
     let unseen_of = |receiver: &&Receiver| {
         progress.check()?;
-        Ok(unseen_from(world, &supporters, receiver))
+        Ok(progress.casting(|| unseen_from(world, &supporters, receiver)))
     };
-    let found: Vec<(Vec<Unseen>, u32, u64)> =
-        asked.par_iter().map(unseen_of).collect::<Result<_, Cancelled>>()?;
-    let lit: u64 = found.iter().map(|(_, lit, _)| u64::from(*lit)).sum();
-    progress.add_rays_closest(asked.len() as u64 * u64::from(RAYS));
-    progress.add_rays_occlusion(found.iter().map(|(_, _, rays)| rays).sum());
-    let unseen: Vec<Unseen> = found.into_iter().flat_map(|(unseen, _, _)| unseen).collect();
+    let found: Vec<(Vec<Unseen>, u32)> = asked.par_iter().map(unseen_of).collect::<Result<_, Cancelled>>()?;
+    let lit: u64 = found.iter().map(|(_, lit)| u64::from(*lit)).sum();
+    let unseen: Vec<Unseen> = found.into_iter().flat_map(|(unseen, _)| unseen).collect();
     let share = unseen.len() as f32 / lit.max(1) as f32;
     Ok((unseen, share))
 }
 
-fn unseen_from(world: &World, supporters: &Supporters, receiver: &Receiver) -> (Vec<Unseen>, u32, u64) {
+fn unseen_from(world: &World, supporters: &Supporters, receiver: &Receiver) -> (Vec<Unseen>, u32) {
     let points = R2::new(world.lightmap.seed_of(receiver, 2));
     let (tangent, bitangent) = tangent_frame(receiver.face_normal);
     let tracer = &world.geometry.tracer;
     let offset_m = tracer.ray_offset_m(receiver.position_m);
     let origin_m = receiver.position_m + receiver.face_normal * offset_m;
     let around: Vec<Supporter> = supporters.around(receiver.position_m);
-    let (mut unseen, mut lit, mut rays) = (Vec::new(), 0, 0);
+    let (mut unseen, mut lit) = (Vec::new(), 0);
     let (mut open, mut path_m) = (false, 0.0);
     for ray in 0..RAYS {
         let local = cosine_hemisphere(points.point(ray));
@@ -122,10 +119,8 @@ fn unseen_from(world: &World, supporters: &Supporters, receiver: &Receiver) -> (
         let met_m = origin_m + direction * hit.t;
         let point_m = met_m + normal * tracer.ray_offset_m(met_m);
         let seen = around.iter().any(|supporter| {
-            (supporter.position_m - point_m).dot(normal) > 0.0 && {
-                rays += 1;
-                !world.geometry.tracer.is_occluded(point_m, supporter.position_m)
-            }
+            (supporter.position_m - point_m).dot(normal) > 0.0
+                && !world.geometry.tracer.is_occluded(point_m, supporter.position_m)
         });
         open |= seen;
         if !seen {
@@ -134,9 +129,9 @@ fn unseen_from(world: &World, supporters: &Supporters, receiver: &Receiver) -> (
     }
     // Nothing shines in a cavity: it is left alone.
     if !open && path_m / (RAYS as f32) < world.lightmap.texel_m * DEAD_PATH_TEXELS {
-        return (Vec::new(), 0, rays);
+        return (Vec::new(), 0);
     }
-    (unseen, lit, rays)
+    (unseen, lit)
 }
 
 /// New probes: cells whose votes are a maximum among their neighbours and where a probe can stand, most votes first.
@@ -156,11 +151,7 @@ fn elected(
         let share = (0.5_f32).min(spacing_m * 0.75 / length_m.max(f32::MIN_POSITIVE));
         *votes.entry(cell_of(ray.from_m.lerp(ray.to_m, share), step_m).to_array()).or_default() += 1;
     }
-    let stands = |(cell, count): (&[i32; 3], &u32)| {
-        // Whoever asked gives up next.
-        if progress.is_cancelled() {
-            return None;
-        }
+    let stands = |cell: &[i32; 3], count: &u32| {
         let found = candidate_at(world, IVec3::from_array(*cell), step_m, settings.probe_back_face_max)?;
         let is_near = |probe: &Probe| {
             let position_m = Vec3::from_array(probe.position_m);
@@ -169,8 +160,13 @@ fn elected(
         };
         (!probes.iter().any(is_near)).then_some((*cell, (*count, found)))
     };
-    let standing: BTreeMap<[i32; 3], (u32, Candidate)> =
-        votes.par_iter().filter(|(_, count)| **count >= VOTES_MIN).filter_map(stands).collect();
+    let standing: BTreeMap<[i32; 3], (u32, Candidate)> = votes
+        .par_iter()
+        .filter(|(_, count)| **count >= VOTES_MIN)
+        // Whoever asked gives up next.
+        .filter(|_| !progress.is_cancelled())
+        .filter_map(|(cell, count)| progress.casting(|| stands(cell, count)))
+        .collect();
     let is_peak = |cell: IVec3, count: u32| {
         (0..27).all(|index| {
             let near = (cell + IVec3::new(index % 3 - 1, index / 3 % 3 - 1, index / 9 - 1)).to_array();

@@ -143,8 +143,8 @@ impl Transport for ProbeTransport {
         let keys = sampler.probes().iter().map(|&probe| self.probes.probes[probe as usize].key).collect();
         let trace = |&receiver: &u32| {
             progress.check()?;
-            let row = sampler.row(receiver);
-            row.count(progress);
+            let row = progress.casting(|| sampler.row(receiver));
+            progress.advance(1);
             Ok(row)
         };
         Ok(CellRows { keys, rows: receivers.par_iter().map(trace).collect::<Result<_, Cancelled>>()? })

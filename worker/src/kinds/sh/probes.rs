@@ -59,22 +59,18 @@ pub fn place(
             cells.len()
         )));
     }
-    let (found, rays) = candidates(world, &cells, spacing_m, settings.probe_back_face_max, progress)?;
-    progress.add_rays_closest(rays);
-    let (kept, rays) = thin(world, &found, spacing_m, progress)?;
-    progress.add_rays_occlusion(rays);
-    Ok(kept)
+    let found = candidates(world, &cells, spacing_m, settings.probe_back_face_max, progress)?;
+    Ok(progress.casting(|| thin(world, &found, spacing_m, progress))?)
 }
 
 /// Keeps a candidate unless the kept ones around it that it sees are dense: `Σ w(‖p_i − p_j‖ / spacing)` over them.
-/// Roomy candidates go first. Gives the kept, ascending by key, and the occlusion rays cast.
+/// Roomy candidates go first. Gives the kept, ascending by key.
 fn thin(
     world: &World,
     found: &[Candidate],
     spacing_m: f32,
     progress: &Progress,
-) -> Result<(Vec<Probe>, u64), Cancelled> {
-    let mut rays = 0;
+) -> Result<Vec<Probe>, Cancelled> {
     let mut cells: BTreeMap<[i32; 3], Vec<&Candidate>> = BTreeMap::new();
     let mut kept = Vec::new();
     let in_order = found.iter().filter(|c| c.roomy).chain(found.iter().filter(|c| !c.roomy));
@@ -87,7 +83,6 @@ fn thin(
             for other in cells.get(&near).into_iter().flatten() {
                 let weight = kernel(candidate.position_m.distance(other.position_m) / spacing_m);
                 if weight > 0.0 {
-                    rays += 1;
                     let hidden = world.geometry.tracer.is_occluded(candidate.position_m, other.position_m);
                     density += if hidden { 0.0 } else { weight };
                 }
@@ -103,7 +98,7 @@ fn thin(
         }
     }
     kept.sort_by_key(|probe| probe.key);
-    Ok((kept, rays))
+    Ok(kept)
 }
 
 #[cfg(test)]

@@ -41,9 +41,7 @@ pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> 
         .par_iter()
         .map(|probe| {
             context.progress.check()?;
-            let hits = hits_of(&world, probe, params.relight_rays);
-            context.progress.add_rays_closest(u64::from(params.relight_rays));
-            context.progress.add_rays_occlusion(u64::from(params.relight_rays));
+            let hits = context.progress.casting(|| hits_of(&world, probe, params.relight_rays));
             context.progress.advance(1);
             Ok(hits)
         })

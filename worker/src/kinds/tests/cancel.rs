@@ -53,7 +53,7 @@ fn every_task_looks_for_a_cancel_between_any_few_rays_and_ends_at_once() {
             if BRIEF.contains(&name.as_str()) {
                 continue;
             }
-            let (checks, rays) = (whole.checks(), whole.rays_closest() + whole.rays_occlusion());
+            let (checks, rays) = (whole.checks(), whole.rays().total());
             assert!(checks > 0 && rays / checks <= RAYS_MAX, "{name}: {checks} looks, {rays} rays");
             for share in [0.01, 0.3, 0.6, 0.95] {
                 let early = Progress::cancelled_at(1 + (share * checks as f64) as u64);

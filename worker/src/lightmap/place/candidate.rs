@@ -1,7 +1,5 @@
 //! Step "test": each candidate looks round, and is shifted out of geometry (\[Sedlacek2019\] §5.1.4) or found invalid.
 
-use std::sync::atomic::{AtomicU64, Ordering};
-
 use glam::Vec3;
 use lightkiln_proto::settings::PlaceSettings;
 
@@ -24,7 +22,6 @@ pub struct Tester<'a> {
     back_face_min: f32,
     texel_m: f32,
     progress: &'a Progress,
-    rays: AtomicU64,
 }
 
 /// A receiver at a point where it can be.
@@ -72,7 +69,7 @@ impl<'a> Tester<'a> {
         progress: &'a Progress,
     ) -> Self {
         let back_face_min = settings.shift_back_face_min;
-        Self { geometry, back_face_min, texel_m, progress, rays: AtomicU64::new(0) }
+        Self { geometry, back_face_min, texel_m, progress }
     }
 
     /// Whether somebody still waits.
@@ -111,18 +108,11 @@ impl<'a> Tester<'a> {
     pub fn is_parted(&self, a: &Receiver, b: &Receiver) -> bool {
         let height_m = link_height_m(self.texel_m);
         let [a_m, b_m] = [a, b].map(|r| self.geometry.raised(r.position_m, r.face_normal, height_m));
-        self.rays.fetch_add(2, Ordering::Relaxed);
         self.geometry.tracer.is_occluded(a_m, b_m)
     }
 
     fn look(&self, start_m: Vec3, normal: Vec3, seed: u64) -> Look {
-        self.rays.fetch_add(u64::from(TEST_RAYS), Ordering::Relaxed);
         look(self.geometry, self.texel_m, (start_m, normal), seed)
-    }
-
-    /// Closest-hit rays cast.
-    pub fn rays(&self) -> u64 {
-        self.rays.load(Ordering::Relaxed)
     }
 }
 

@@ -51,7 +51,7 @@ pub fn left_out(
     if settings.cavity_m == 0.0 {
         return Ok((lightmap, 0));
     }
-    let world = World::new(Arc::clone(geometry), charts, lightmap);
+    let world = World::new(Arc::clone(geometry), charts, lightmap, progress);
     let fates = fates(&world, settings, progress)?;
     let gone = fates.iter().filter(|fate| **fate == Fate::Goes).count();
     Ok((kept(world.into_lightmap(), &fates), gone))
@@ -82,23 +82,21 @@ fn fates(world: &World, settings: &PlaceSettings, progress: &Progress) -> Result
     let most_m = PATH_MOST.map(|most| most * settings.cavity_m);
     let mean_paths = |receiver: u32| {
         progress.check()?;
-        Ok(mean_paths_m(world, receiver, most_m))
+        Ok(progress.casting(|| mean_paths_m(world, receiver, most_m)))
     };
     let paths_m: Vec<[f32; 2]> =
         (0..count).into_par_iter().map(mean_paths).collect::<Result<_, TaskError>>()?;
-    progress.add_rays_closest(u64::from(count) * u64::from(PATH_RAYS));
     progress.check()?;
     let narrow_m = settings.cavity_m.min(TYPICAL_SHARE * typical_m(&paths_m));
     let is_open = |receiver: u32| paths_m[receiver as usize][1] >= narrow_m;
-    let looked: Vec<(Fate, u32)> = (0..count)
+    (0..count)
         .into_par_iter()
         .map(|receiver| {
             progress.check()?;
-            Ok(if is_open(receiver) { (Fate::Stays, 0) } else { fate(world, receiver, is_open) })
+            let fate = || if is_open(receiver) { Fate::Stays } else { fate(world, receiver, is_open) };
+            Ok(progress.casting(fate))
         })
-        .collect::<Result<_, TaskError>>()?;
-    progress.add_rays_closest(looked.iter().map(|(_, rays)| u64::from(*rays)).sum());
-    Ok(looked.into_iter().map(|(fate, _)| fate).collect())
+        .collect()
 }
 
 /// Cosine-weighted mean free paths above a receiver, each path cut off at each of `most_m`.
@@ -120,8 +118,8 @@ fn typical_m(paths_m: &[[f32; 2]]) -> f32 {
 }
 
 /// Looks around from a narrow place, and then from all over its texel: whether a ray leaves the scene or meets a receiver
-/// in the open. Gives the rays cast, too.
-fn fate(world: &World, receiver: u32, is_open: impl Fn(u32) -> bool) -> (Fate, u32) {
+/// in the open.
+fn fate(world: &World, receiver: u32, is_open: impl Fn(u32) -> bool) -> Fate {
     let tracer = &world.geometry.tracer;
     let middle_m = origin_m(world, receiver);
     let sees_open = |from_m: Vec3, ray: u32| {
@@ -131,8 +129,8 @@ fn fate(world: &World, receiver: u32, is_open: impl Fn(u32) -> bool) -> (Fate, u
         let met = world.linked_surface_at(&hit, from_m + direction * hit.t);
         matches!(met, Surface::Receiver(met) if is_open(met))
     };
-    if let Some(ray) = (0..LOOK_RAYS).find(|&ray| sees_open(middle_m, ray)) {
-        return (Fate::Stays, ray + 1);
+    if (0..LOOK_RAYS).any(|ray| sees_open(middle_m, ray)) {
+        return Fate::Stays;
     }
     let normal = world.lightmap.receivers[receiver as usize].face_normal;
     let (tangent, bitangent) = tangent_frame(normal);
@@ -149,10 +147,9 @@ fn fate(world: &World, receiver: u32, is_open: impl Fn(u32) -> bool) -> (Fate, u
     };
     let seen = (0..LOOK_RAYS).find_map(|ray| {
         let at_m = beside(ray)?;
-        sees_open(at_m + normal * tracer.ray_offset_m(at_m), ray)
-            .then_some((Fate::Moves(at_m), LOOK_RAYS + ray + 1))
+        sees_open(at_m + normal * tracer.ray_offset_m(at_m), ray).then_some(Fate::Moves(at_m))
     });
-    seen.unwrap_or((Fate::Goes, 2 * LOOK_RAYS))
+    seen.unwrap_or(Fate::Goes)
 }
 
 /// Seed of a receiver's rays.

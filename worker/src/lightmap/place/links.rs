@@ -20,24 +20,23 @@ pub fn linked(
     lightmap: Lightmap,
     progress: &Progress,
 ) -> Result<Lightmap, Cancelled> {
-    let world = World::new(Arc::clone(geometry), charts, lightmap);
+    let world = World::new(Arc::clone(geometry), charts, lightmap, progress);
     let receivers = 0..world.lightmap.receivers.len() as u32;
     let links_of = |index: u32| {
         progress.check()?;
-        Ok(links_of(&world, index))
+        Ok(progress.casting(|| links_of(&world, index)))
     };
-    let found: Vec<(u8, u64)> = receivers.into_par_iter().map(links_of).collect::<Result<_, Cancelled>>()?;
-    progress.add_rays_occlusion(found.iter().map(|(_, rays)| rays).sum());
+    let found: Vec<u8> = receivers.into_par_iter().map(links_of).collect::<Result<_, Cancelled>>()?;
     let mut lightmap = world.into_lightmap();
-    for (receiver, (links, _)) in lightmap.receivers.iter_mut().zip(found) {
+    for (receiver, links) in lightmap.receivers.iter_mut().zip(found) {
         receiver.links = links;
     }
     Ok(lightmap)
 }
 
-fn links_of(world: &World, index: u32) -> (u8, u64) {
+fn links_of(world: &World, index: u32) -> u8 {
     let receiver = &world.lightmap.receivers[index as usize];
-    let (mut links, mut rays) = (0, 0);
+    let mut links = 0;
     for (bit, [dx, dy]) in LINKS.into_iter().enumerate() {
         let [x, y] = receiver.texel.map(i32::from);
         let Some(other) = world.lightmap.receiver_at(receiver.block, x + dx, y + dy) else { continue };
@@ -48,10 +47,9 @@ fn links_of(world: &World, index: u32) -> (u8, u64) {
         {
             continue;
         }
-        rays += 1;
         if world.is_linked(world.raised_receiver(index), world.raised_receiver(other)) {
             links |= 1 << bit;
         }
     }
-    (links, rays)
+    links
 }

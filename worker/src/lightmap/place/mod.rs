@@ -101,7 +101,6 @@ pub fn place(
                     Side { attributes: &attributes, tester: &tester, block: index, key: block.key, is_back };
                 number(block, side.points(chart, coverage.clone())?, &mut lightmap.receivers);
             }
-            progress.add_rays_closest(tester.rays());
         }
         progress.advance(1);
     }
@@ -159,7 +158,7 @@ impl choose::Site for Side<'_> {
     }
 
     fn candidate(&self, point: &TexelPoint) -> Option<Candidate> {
-        self.tester.candidate(self.receiver(point), self.key)
+        self.tester.progress().casting(|| self.tester.candidate(self.receiver(point), self.key))
     }
 
     fn check(&self) -> Result<(), Cancelled> {
@@ -171,7 +170,7 @@ impl choose::Site for Side<'_> {
     }
 
     fn is_parted(&self, a: &Receiver, b: &Receiver) -> bool {
-        self.tester.is_parted(a, b)
+        self.tester.progress().casting(|| self.tester.is_parted(a, b))
     }
 }
 

@@ -15,7 +15,7 @@ use glam::{Vec2, Vec3};
 use lightkiln_proto::content::{COVERAGE_POINTS, COVERAGE_SIDE, TexelEdge};
 use rayon::prelude::*;
 
-use super::candidate::{Look, TEST_RAYS, look};
+use super::candidate::{Look, look};
 use super::choose::FARTHER;
 use super::edges::edge;
 use crate::geometry::{Geometry, Site};
@@ -41,15 +41,13 @@ pub fn covered(
     lightmap: Lightmap,
     progress: &Progress,
 ) -> Result<Lightmap, Cancelled> {
-    let world = World::new(Arc::clone(geometry), charts, lightmap);
+    let world = World::new(Arc::clone(geometry), charts, lightmap, progress);
     let receivers = 0..world.lightmap.receivers.len() as u32;
     let found_of = |index: u32| {
         progress.check()?;
-        Ok(Found::of(&world, index))
+        Ok(progress.casting(|| Found::of(&world, index)))
     };
     let found: Vec<Found> = receivers.into_par_iter().map(found_of).collect::<Result<_, Cancelled>>()?;
-    progress.add_rays_occlusion(found.iter().map(|found| found.rays).sum());
-    progress.add_rays_closest(found.iter().map(|found| found.rays_closest).sum());
     let mut lightmap = world.into_lightmap();
     for (receiver, found) in lightmap.receivers.iter_mut().zip(found) {
         (receiver.coverage, receiver.edge) = (found.coverage, found.edge);
@@ -69,10 +67,6 @@ struct Found {
     moved: Option<Site>,
     /// Raised points of the coverage, by bit; of others too.
     raised_m: [Option<Vec3>; COVERAGE_POINTS as usize],
-    /// Rays between points.
-    rays: u64,
-    /// Rays that tell how far points see.
-    rays_closest: u64,
 }
 
 impl Found {
@@ -125,7 +119,6 @@ impl Found {
         if self.coverage & 1 << bit != 0 {
             return;
         }
-        self.rays += 1;
         if world.is_linked(from_m, at_m) {
             self.coverage |= 1 << bit;
             open.push(bit);
@@ -156,8 +149,7 @@ impl Found {
     fn better(&mut self, world: &World, receiver: u32, beyond: &[u32]) -> Vec<u32> {
         let own = &world.lightmap.receivers[receiver as usize];
         let (seed, texel_m) = (world.lightmap.seed_of(own, 9), world.lightmap.texel_m_of(receiver));
-        let mut look_from = |site: &Site| {
-            self.rays_closest += u64::from(TEST_RAYS);
+        let look_from = |site: &Site| {
             look(&world.geometry, texel_m, (world.raised_on(own.block, site), site.face_normal), seed)
         };
         let own_look = look_from(&self.moved.unwrap_or(own.site()));
@@ -221,10 +213,10 @@ impl Found {
             let [a_far, b_far] = [a, b].map(|bit| place(bit).distance_squared(at));
             a_far.total_cmp(&b_far).then(a.cmp(&b))
         });
-        nearest.into_iter().take(NEAREST).any(|bit| {
-            self.rays += 1;
-            self.raised_m[bit].is_some_and(|from_m| world.is_linked(from_m, at_m))
-        })
+        nearest
+            .into_iter()
+            .take(NEAREST)
+            .any(|bit| self.raised_m[bit].is_some_and(|from_m| world.is_linked(from_m, at_m)))
     }
 }
 

@@ -43,24 +43,22 @@ pub fn shared(
     lightmap: Lightmap,
     progress: &Progress,
 ) -> Result<(Lightmap, SharedTexels), Cancelled> {
-    let world = World::new(Arc::clone(geometry), charts, lightmap);
+    let world = World::new(Arc::clone(geometry), charts, lightmap, progress);
     let faces = Faces::all(&world, charts);
     let of_faces: Vec<Found> = faces
         .into_par_iter()
-        .map(|face| Found::of(&world, face, progress))
+        .map(|face| progress.casting(|| Found::of(&world, face, progress)))
         .collect::<Result<_, Cancelled>>()?;
     let squares = Squares::new(&world, of_faces.iter().flat_map(|found| &found.own));
-    let (light_of, rays) = lenders(&world, &squares, progress)?;
-    progress.add_rays_occlusion(rays);
+    let light_of = lenders(&world, &squares, progress)?;
     let readings: Vec<&Reading> = of_faces.iter().flat_map(|found| &found.read).collect();
     let guest_of = |reading: &&Reading| {
         progress.check()?;
-        Ok(guest_of(&world, &squares, &light_of, reading))
+        Ok(progress.casting(|| guest_of(&world, &squares, &light_of, reading)))
     };
-    let found: Vec<(Option<GuestLight>, u64)> =
+    let found: Vec<Option<GuestLight>> =
         readings.par_iter().map(guest_of).collect::<Result<_, Cancelled>>()?;
-    progress.add_rays_occlusion(found.iter().map(|(_, rays)| rays).sum());
-    let guest = |(reading, (light, _)): (Reading, (Option<GuestLight>, u64))| Some((reading, light?));
+    let guest = |(reading, light): (Reading, Option<GuestLight>)| Some((reading, light?));
     let guests: Vec<(Reading, GuestLight)> =
         readings.into_iter().copied().zip(found).filter_map(guest).collect();
     let borrowers = light_of.iter().zip(0..).filter(|(light_of, own)| *light_of != own).count();
@@ -78,8 +76,8 @@ fn rank(squares: &Squares, lightmap: &Lightmap, receiver: u32) -> impl Ord + use
     (away, Reverse(own.coverage.count_ones()), lightmap.block_key(receiver), own.texel)
 }
 
-/// The receiver whose light each receiver takes, itself where nobody lends it any; and the rays cast.
-fn lenders(world: &World, squares: &Squares, progress: &Progress) -> Result<(Vec<u32>, u64), Cancelled> {
+/// The receiver whose light each receiver takes, itself where nobody lends it any.
+fn lenders(world: &World, squares: &Squares, progress: &Progress) -> Result<Vec<u32>, Cancelled> {
     let receivers = &world.lightmap.receivers;
     let mut light_of: Vec<u32> = (0..receivers.len() as u32).collect();
     let others = |own: u32| {
@@ -96,24 +94,20 @@ fn lenders(world: &World, squares: &Squares, progress: &Progress) -> Result<(Vec
     sharing.sort_by_cached_key(|(own, _)| rank(squares, &world.lightmap, *own));
     // Squares are found by tolerance: only those that come earlier lend, and of them only those that borrow nothing.
     let mut is_asked = vec![false; receivers.len()];
-    let mut rays = 0;
     for (own, found) in &mut sharing {
         progress.check()?;
         found.sort_by_cached_key(|&other| rank(squares, &world.lightmap, other));
         let lends = |&&other: &&u32| {
             let may_lend = is_asked[other as usize] && light_of[other as usize] == other;
-            may_lend && {
-                rays += 1;
-                world.is_linked(world.raised_receiver(*own), world.raised_receiver(other))
-            }
+            may_lend && world.is_linked(world.raised_receiver(*own), world.raised_receiver(other))
         };
-        if let Some(&lender) = found.iter().find(lends) {
+        if let Some(&lender) = progress.casting(|| found.iter().find(lends)) {
             light_of[*own as usize] = lender;
         }
         is_asked[*own as usize] = true;
     }
     progress.check()?;
-    Ok((light_of, rays))
+    Ok(light_of)
 }
 
 /// Light of a guest.
@@ -125,25 +119,19 @@ enum GuestLight {
     Own(Site, u32),
 }
 
-/// The light of a guest, if there is to be one; and the rays cast to lenders.
-fn guest_of(
-    world: &World,
-    squares: &Squares,
-    light_of: &[u32],
-    reading: &Reading,
-) -> (Option<GuestLight>, u64) {
+/// The light of a guest, if there is to be one.
+fn guest_of(world: &World, squares: &Squares, light_of: &[u32], reading: &Reading) -> Option<GuestLight> {
     let Reading { block, square, site, .. } = reading;
     let found = squares.receivers(world, *block, square, [site.normal, site.face_normal]);
     if found.is_empty() {
-        return (own_light(world, reading), 0);
+        return own_light(world, reading);
     }
     let mut lenders: Vec<u32> = found.into_iter().map(|receiver| light_of[receiver as usize]).collect();
     lenders.sort_by_cached_key(|&lender| rank(squares, &world.lightmap, lender));
     let from_m = world.raised_on(*block, site);
     lenders.dedup();
     let linked = |&lender: &u32| world.is_linked(from_m, world.raised_receiver(lender));
-    let place = lenders.iter().position(linked);
-    (place.map(|place| GuestLight::Of(lenders[place])), place.map_or(lenders.len(), |place| place + 1) as u64)
+    lenders.into_iter().find(linked).map(GuestLight::Of)
 }
 
 /// Light at the middle of a square on which a coplanar neighbour goes on, no wall between.
