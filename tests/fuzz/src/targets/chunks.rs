@@ -100,7 +100,7 @@ fn check_cluster(bytes: &[u8]) {
     };
     assert_eq!(named(&again), named(&cluster));
     assert_eq!(near_hits(&again.near), near_hits(&cluster.near));
-    assert_keys_kept(&again.factors, &cluster.factors);
+    assert_keys_kept(&again.factors, &cluster.factors, settings.relative_error);
     let factors_aside = |cluster: ClusterTransport| {
         // Factors come back within an error; blocks that no receiver lies in are left out, and so are some keys.
         let receivers = Receivers { blocks: Vec::new(), block: Vec::new(), ..cluster.receivers };
@@ -111,21 +111,30 @@ fn check_cluster(bytes: &[u8]) {
     assert_eq!(factors_aside(again), factors_aside(cluster));
 }
 
-/// Where a key has one column, those whose column is below the steps of the others are left out; no key is made up.
-fn assert_keys_kept(again: &TransportFactors, before: &TransportFactors) {
+/// Where a key has one column, those worth no code are left out: all of them are within the error of the whole product. No
+/// key is made up.
+fn assert_keys_kept(again: &TransportFactors, before: &TransportFactors, relative_error: f32) {
     if before.bands > 0 || before.sky {
         assert_eq!(again.keys, before.keys);
         return;
     }
     assert!(again.keys.iter().all(|key| before.keys.contains(key)), "{:?} of {:?}", again.keys, before.keys);
-    let largest = |column: usize| {
-        let of_column = before.vt.chunks_exact(before.keys.len()).map(|rank| rank[column].abs());
-        of_column.fold(0.0, f32::max)
+    let (rank, columns) = (before.rank as usize, before.keys.len());
+    let square = |column: usize| -> f64 {
+        let entry = |row: &[f32]| -> f64 {
+            let terms = row.iter().enumerate();
+            terms.map(|(i, u)| f64::from(*u) * f64::from(before.vt[i * columns + column])).sum()
+        };
+        before.u.chunks_exact(rank.max(1)).map(|row| entry(row).powi(2)).sum()
     };
-    let left_out = (0..before.keys.len()).filter(|&column| !again.keys.contains(&before.keys[column]));
-    let lost = left_out.map(largest).fold(0.0, f32::max);
-    let most = (0..before.keys.len()).map(largest).fold(0.0, f32::max);
-    assert!(lost <= 0.1 * most, "a column of {lost} was left out, others have up to {most}");
+    let (mut lost, mut all) = (0.0, 0.0);
+    for (column, key) in before.keys.iter().enumerate() {
+        let square = square(column);
+        all += square;
+        lost += if again.keys.contains(key) { 0.0 } else { square };
+    }
+    let share = (lost / all.max(f64::MIN_POSITIVE)).sqrt();
+    assert!(share <= 1.01 * f64::from(relative_error), "columns left out are {share} of the product");
 }
 
 /// A near hit: block and texel or normal and albedo, and its offset.
