@@ -23,6 +23,9 @@ const STEPS: f32 = 255.0;
 /// How far the room keeps from all surfaces, and from the plane of its own, in lifts of rays: a lift is far above the error of
 /// a hit's place, and so is a quarter of one.
 const MARGIN: f32 = 0.25;
+/// Most triangles that are looked at for a room: on a statue with thousands in a texel, looking for it takes longer than the rays
+/// that it saves.
+const TRIANGLES_MAX: usize = 256;
 
 /// Where the room of a receiver is.
 #[derive(Clone, Copy, Debug)]
@@ -52,11 +55,16 @@ impl Clearance {
         // Of the box around the cylinder: its rim and its height along each axis of the world.
         let across = (Vec3::ONE - axis.normal * axis.normal).max(Vec3::ZERO).map(f32::sqrt);
         let reach_m = across * radius_m + axis.normal.abs() * half_m + margin_m;
-        let mut nearest_m = [radius_m; SECTORS];
+        let (mut nearest_m, mut seen) = ([radius_m; SECTORS], 0);
         tracer.visit_box(axis.raised_m - reach_m, axis.raised_m + reach_m, |corners| {
             let within = slab(&corners.map(|corner| frame.local(corner)), half_m);
             add(&within, margin_m, &mut nearest_m);
+            seen += 1;
+            seen <= TRIANGLES_MAX && nearest_m.iter().any(|away_m| *away_m > 2.0 * margin_m)
         });
+        if seen > TRIANGLES_MAX {
+            return Self::default();
+        }
         let steps = |away_m: f32| ((away_m - 2.0 * margin_m).max(0.0) / radius_m * STEPS) as u8;
         Self(nearest_m.map(steps))
     }

@@ -221,8 +221,8 @@ impl Tracer {
         passed
     }
 
-    /// Visits every triangle whose bounds meet a box, and maybe others.
-    pub fn visit_box(&self, low: Vec3, high: Vec3, visit: impl FnMut(&[Vec3; 3])) {
+    /// Visits every triangle whose bounds meet a box, and maybe others, until `visit` says no.
+    pub fn visit_box(&self, low: Vec3, high: Vec3, visit: impl FnMut(&[Vec3; 3]) -> bool) {
         self.tree.visit_box(low, high, visit);
     }
 

@@ -150,15 +150,18 @@ impl Tree {
     }
 
     /// Visits every triangle whose bounds meet a box, and maybe others.
-    pub fn visit_box(&self, low: Vec3, high: Vec3, mut visit: impl FnMut(&[Vec3; 3])) {
+    pub fn visit_box(&self, low: Vec3, high: Vec3, mut visit: impl FnMut(&[Vec3; 3]) -> bool) {
         let mut open: Vec<usize> = (0..self.nodes.len().min(1)).collect();
         while let Some(node) = open.pop() {
             for child in self.nodes[node].meeting(low, high) {
                 match child {
                     Child::Node(index) => open.push(index),
-                    Child::Block(index) => (0..WIDTH)
-                        .filter(|&lane| self.triangles[index][lane] != u32::MAX)
-                        .for_each(|lane| visit(&self.blocks[index].triangle(lane))),
+                    Child::Block(index) => {
+                        let mut lanes = (0..WIDTH).filter(|&lane| self.triangles[index][lane] != u32::MAX);
+                        if !lanes.all(|lane| visit(&self.blocks[index].triangle(lane))) {
+                            return;
+                        }
+                    }
                 }
             }
         }
