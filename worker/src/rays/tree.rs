@@ -12,7 +12,7 @@ pub type Lanes = [f32; WIDTH];
 /// Bit of a child that is a block of triangles.
 const BLOCK: u32 = 1 << 31;
 
-/// What a node's box holds.
+/// Content of a node's box.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Child {
     /// A node by index.

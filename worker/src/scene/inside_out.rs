@@ -163,16 +163,7 @@ mod tests {
     use super::*;
 
     fn wall() -> Material {
-        Material {
-            name: "wall".into(),
-            base_colour: [0.5; 4],
-            base_colour_texture: None,
-            emissive: [0.0; 3],
-            emissive_texture: None,
-            alpha_cutoff: None,
-            glass: None,
-            double_sided: false,
-        }
+        Material::opaque("wall", [0.5; 3])
     }
 
     /// A cube about `middle` whose faces look out, or in.

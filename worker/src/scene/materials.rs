@@ -29,7 +29,7 @@ const IDENTITY_UV: [[f32; 3]; 2] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
 /// Image index of a texture that names none (the `gltf` crate's mark).
 const NO_IMAGE: usize = u32::MAX as usize;
 
-/// What a material reads of an image.
+/// Channels of an image that a material reads.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Reading {
     /// Colour, and alpha.
@@ -82,16 +82,7 @@ impl MaterialTable {
     fn default_index(&mut self) -> u32 {
         let materials = &mut self.materials;
         *self.default_index.get_or_insert_with(|| {
-            materials.push(Material {
-                name: "default".to_owned(),
-                base_colour: [1.0; 4],
-                base_colour_texture: None,
-                emissive: [0.0; 3],
-                emissive_texture: None,
-                alpha_cutoff: None,
-                glass: None,
-                double_sided: false,
-            });
+            materials.push(Material::opaque("default", [1.0; 3]));
             materials.len() as u32 - 1
         })
     }

@@ -98,6 +98,20 @@ pub struct Material {
 }
 
 impl Material {
+    /// An opaque, single-sided material without textures, of a linear colour.
+    pub fn opaque(name: &str, [red, green, blue]: [f32; 3]) -> Self {
+        Self {
+            name: name.to_owned(),
+            base_colour: [red, green, blue, 1.0],
+            base_colour_texture: None,
+            emissive: [0.0; 3],
+            emissive_texture: None,
+            alpha_cutoff: None,
+            glass: None,
+            double_sided: false,
+        }
+    }
+
     /// The texture whose UV set meshes are drawn with.
     pub fn first_texture(&self) -> Option<&TextureUse> {
         let of_glass = self.glass.as_ref().and_then(|glass| glass.transmission_texture.as_ref());

@@ -111,16 +111,7 @@ mod tests {
     }
 
     fn material(name: &str, grey: f32) -> Material {
-        Material {
-            name: name.into(),
-            base_colour: [grey, grey, grey, 1.0],
-            base_colour_texture: None,
-            emissive: [0.0; 3],
-            emissive_texture: None,
-            alpha_cutoff: None,
-            glass: None,
-            double_sided: false,
-        }
+        Material::opaque(name, [grey; 3])
     }
 
     fn scene(instances: Vec<MeshInstance>) -> Scene {

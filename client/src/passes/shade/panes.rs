@@ -50,7 +50,7 @@ impl Panes {
     /// The triangles from the farthest to the nearest, of equally far ones the first of the scene before.
     pub fn farthest_first(&self, view: &ShadeView) -> Vec<Pane> {
         let projection = view.projection();
-        // Depth is reversed: it grows towards the eye. What is beside or behind the eye is the nearest.
+        // Depth is reversed: it grows towards the eye. A point beside or behind the eye is the nearest.
         let nearness = |pane: &Pane| {
             let clip = projection * pane.middle_m.extend(1.0);
             if clip.w > 0.0 { clip.z / clip.w } else { f32::INFINITY }

@@ -183,7 +183,7 @@ fn cleared_white(view: &wgpu::TextureView) -> wgpu::RenderPassColorAttachment<'_
     wgpu::RenderPassColorAttachment { view, depth_slice: None, resolve_target: None, ops }
 }
 
-/// What is there is multiplied by what comes.
+/// Blending that multiplies: the target's share by the fragment's.
 fn multiplied() -> wgpu::BlendState {
     let component = wgpu::BlendComponent {
         src_factor: wgpu::BlendFactor::Dst,

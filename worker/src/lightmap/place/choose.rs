@@ -104,7 +104,7 @@ pub fn chosen(
     };
     let contested: Vec<usize> = (0..covered.len()).filter(is_contested).collect();
     choose_among(Spread::OverTexel, &contested, (chart, covered), &mut chosen, site)?;
-    // What is seen of a strip may lie between the points that were looked at.
+    // The part of a strip that is seen may lie between the points that were looked at.
     let is_buried = |index: &usize| chosen[*index].as_ref().is_some_and(is_buried);
     let buried: Vec<usize> = contested.into_iter().filter(is_buried).collect();
     choose_among(Spread::OverParts, &buried, (chart, covered), &mut chosen, site)?;
