@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::f32::consts::{FRAC_1_PI, PI};
 
 use glam::{Vec3, Vec4};
-use lightkiln_proto::content::{ClusterTransport, NearSurface, PatchKey};
+use lightkiln_proto::content::{ClusterTransport, NearSurface, Patch, PatchKey};
 use lightkiln_proto::harmonics::{ShBasis, relight_direction};
 use lightkiln_proto::kinds::sh::{RelightHit, sky_coefficients};
 use lightkiln_proto::relight::{Columns, Irradiance, Sky, Transport};
@@ -129,6 +129,16 @@ fn bounce_over_patches_is_the_formula_summed_by_name() {
             area += texels;
         }
         lambda.insert(patch.key.0, vec![sum / area]);
+    }
+    let leaves = set.patches.iter().filter(|patch| patch.leaf_count == 1);
+    for leaf in leaves {
+        let of_wall = |wall: &&Patch| {
+            wall.leaf_count > 1
+                && (wall.first_leaf..wall.first_leaf + wall.leaf_count).contains(&leaf.first_leaf)
+        };
+        let wall = set.patches.iter().find(of_wall).unwrap();
+        let difference = lambda[&leaf.key.0][0] - lambda[&wall.key.0][0];
+        lambda.insert(leaf.key.difference().0, vec![difference]);
     }
     for part in 0..set.sky_parts {
         let radiance = sky.radiance(relight_direction(part, set.sky_parts));

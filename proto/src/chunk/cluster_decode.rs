@@ -134,7 +134,7 @@ impl<'a> Decoder<'a> {
         let without = content + 8 * near.blocks.len() as u64;
         for count in counts {
             let may_take = |hits: u64| container.check_expansion(without + HIT_BYTES * hits);
-            read_near(&mut reader, near, count, may_take)?;
+            read_near(&mut reader, near, count, self.version, may_take)?;
         }
         reader.end()
     }

@@ -11,8 +11,10 @@ use super::numbers::{albedo_code, albedo_of, normal_code, normal_of};
 use super::order::{Arrangement, morton};
 use crate::content::{BlockKey, ClusterTransport, NearHits, NearSurface, Texel};
 
-/// Largest code of an offset: the reach.
-const OFFSET_CODE_MAX: i32 = NearHits::STEPS as i32;
+/// Largest offset: the reach.
+const OFFSET_MAX: i32 = NearHits::STEPS as i32;
+/// Last version whose offsets are stored in single steps.
+const LAST_IN_STEPS: u16 = 3;
 /// Largest code of a normal's axis.
 const NORMAL_CODE_MAX: i32 = 32_767;
 /// Code of the whole hemisphere's weight π.
@@ -28,7 +30,7 @@ pub(super) const HIT_BYTES: u64 = (size_of::<NearSurface>() + size_of::<[i16; 3]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 struct Code {
     surface: SurfaceCode,
-    /// From the receiver, in shares of the reach.
+    /// From the receiver, in stored steps.
     offset: [i16; 3],
 }
 
@@ -74,7 +76,10 @@ impl StoredNear {
                     SurfaceCode::Own { normal: normal_code(normal), albedo: albedo.map(albedo_code) }
                 }
             };
-            Code { surface, offset: near.offset[hit] }
+            Code {
+                surface,
+                offset: near.offset[hit].map(|steps| NearHits::stored(steps) / NearHits::STEPS_STORED),
+            }
         };
         let ranges: Vec<Range<usize>> = near.ranges().collect();
         let hits = arrangement.source.iter().map(|&receiver| {
@@ -149,7 +154,7 @@ fn check(near: &NearHits, receivers: usize) -> Result<(), ChunkError> {
         }
     }
     for code in near.offset.as_flattened() {
-        in_range(section, "offset of a near hit", code.unsigned_abs().into(), 0, OFFSET_CODE_MAX as u64)?;
+        in_range(section, "offset of a near hit", code.unsigned_abs().into(), 0, OFFSET_MAX as u64)?;
     }
     reach_in_range(section, near.reach_m)?;
     let pi = 0.0..=std::f32::consts::PI;
@@ -176,11 +181,12 @@ pub(super) fn read_begin(reader: &mut Reader, near: &mut NearHits) -> Result<(),
     Ok(())
 }
 
-/// Reads the hits of the next `receivers` receivers; `may_take` errs if as many hits are too many.
+/// Reads the hits of the next `receivers` receivers of a chunk of `version`; `may_take` errs if as many hits are too many.
 pub(super) fn read_near(
     reader: &mut Reader,
     near: &mut NearHits,
     receivers: usize,
+    version: u16,
     may_take: impl Fn(u64) -> Result<(), ChunkError>,
 ) -> Result<(), ChunkError> {
     let section = reader.section();
@@ -224,11 +230,13 @@ pub(super) fn read_near(
     };
     near.surface.reserve(new);
     near.surface.extend(is_own.into_iter().filter_map(&mut surface));
-    let mut offsets =
-        || ints::take_deltas(reader, "offset of a near hit", new, -OFFSET_CODE_MAX..=OFFSET_CODE_MAX);
+    let steps = if version > LAST_IN_STEPS { NearHits::STEPS_STORED } else { 1 };
+    let most = OFFSET_MAX / i32::from(steps);
+    let mut offsets = || ints::take_deltas(reader, "offset of a near hit", new, -most..=most);
     let offsets = [offsets()?, offsets()?, offsets()?];
     let [x, y, z] = offsets;
-    near.offset.extend(x.into_iter().zip(y).zip(z).map(|((x, y), z)| [x, y, z].map(|code| code as i16)));
+    near.offset
+        .extend(x.into_iter().zip(y).zip(z).map(|((x, y), z)| [x, y, z].map(|code| code as i16 * steps)));
     Ok(())
 }
 

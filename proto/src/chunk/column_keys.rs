@@ -16,6 +16,10 @@ use crate::content::{ColumnKey, PatchKey};
 const PLAIN: u8 = 0;
 /// Mode: a walk.
 const WALK: u8 = 1;
+/// Mode: a walk, and which of the patches have columns of differences.
+const WALK_OF_DIFFERENCES: u8 = 2;
+/// Last version without columns of differences.
+const LAST_WITHOUT_DIFFERENCES: u16 = 3;
 /// Last version that has keys as they are, without a mode.
 const LAST_WITHOUT_MODE: u16 = 2;
 /// Highest level of a patch.
@@ -38,9 +42,22 @@ pub(super) fn keys_bytes_max(count: usize) -> u64 {
 
 /// Appends `keys`, ascending: as a walk if they can be one and it is shorter.
 pub(super) fn put_keys(out: &mut Vec<u8>, keys: &[ColumnKey]) {
-    match walk_of(keys).filter(|walk| walk.len() < 8 * keys.len()) {
-        Some(mut walk) => {
-            out.push(WALK);
+    let mut of_patches: Vec<PatchKey> = keys.iter().map(|&key| PatchKey(key)).collect();
+    of_patches.sort_unstable_by_key(|key| key.patch());
+    let named: Vec<ColumnKey> = of_patches.iter().map(|key| key.patch().0).collect();
+    let is_difference: Vec<u8> = of_patches.iter().map(|key| key.is_difference().into()).collect();
+    let walk = walk_of(&named).map(|mut walk| {
+        let has_differences = is_difference.contains(&1);
+        if has_differences {
+            walk.extend(
+                is_difference.chunks(8).map(|bits| bits.iter().rev().fold(0, |byte, bit| byte << 1 | bit)),
+            );
+        }
+        (if has_differences { WALK_OF_DIFFERENCES } else { WALK }, walk)
+    });
+    match walk.filter(|(_, walk)| walk.len() < 8 * keys.len()) {
+        Some((mode, mut walk)) => {
+            out.push(mode);
             out.append(&mut walk);
         }
         None => {
@@ -57,10 +74,33 @@ pub(super) fn take_keys(
     version: u16,
 ) -> Result<Vec<ColumnKey>, ChunkError> {
     let mode = if version > LAST_WITHOUT_MODE { reader.u8("mode of keys")? } else { PLAIN };
-    match in_range(reader.section(), "mode of keys", mode.into(), PLAIN.into(), WALK.into())? as u8 {
+    let last = if version > LAST_WITHOUT_DIFFERENCES { WALK_OF_DIFFERENCES } else { WALK };
+    match in_range(reader.section(), "mode of keys", mode.into(), PLAIN.into(), last.into())? as u8 {
         WALK => take_walk(reader, count),
+        WALK_OF_DIFFERENCES => {
+            let named = take_walk(reader, count)?;
+            take_differences(reader, named)
+        }
         _ => ascending_keys(reader, "column key", count),
     }
+}
+
+/// Keys of columns that read `named`, or differences where the bit of it says so.
+fn take_differences(reader: &mut Reader, named: Vec<ColumnKey>) -> Result<Vec<ColumnKey>, ChunkError> {
+    let section = reader.section();
+    let bits = reader.take("bits of differences", named.len().div_ceil(8), 1)?;
+    let column = |(index, &key): (usize, &ColumnKey)| {
+        let key = PatchKey(key);
+        let bit = bits[index / 8] >> (index % 8) & 1;
+        let highest = u64::from(key.sky().is_none());
+        in_range(section, "bit of a difference", bit.into(), 0, highest)?;
+        Ok(if bit == 1 { key.difference().0 } else { key.0 })
+    };
+    let mut keys = named.iter().enumerate().map(column).collect::<Result<Vec<_>, ChunkError>>()?;
+    let spare = bits.last().map_or(0, |last| u64::from(*last) >> (1 + (named.len() - 1) % 8));
+    in_range(section, "bits past the last key", spare, 0, 0)?;
+    keys.sort_unstable();
+    Ok(keys)
 }
 
 /// Contents of a visited cell.
@@ -84,8 +124,11 @@ impl Held {
     }
 }
 
-/// The walk, or none if a key is neither a patch's nor a sky part's.
+/// The walk, or none if a key is neither a patch's nor a sky part's, or if two are alike.
 fn walk_of(keys: &[ColumnKey]) -> Option<Vec<u8>> {
+    if !keys.is_sorted_by(|a, b| a < b) {
+        return None;
+    }
     let (patches, sky) = keys.split_at(keys.partition_point(|&key| PatchKey(key).level() <= LEVEL_MAX));
     if patches.iter().any(|&key| PatchKey(key).direction() >= DIRECTIONS as u64) {
         return None;

@@ -9,7 +9,7 @@ use super::limits::{EXPANSION_FREE_BYTES, EXPANSION_MAX};
 /// First four bytes of every chunk.
 pub const MAGIC: [u8; 4] = *b"LKCH";
 /// Version that this code writes; it reads those before too.
-pub const VERSION: u16 = 3;
+pub const VERSION: u16 = 4;
 /// Bytes of the fixed part of the header.
 pub const HEADER_BYTES: usize = 12;
 /// Bytes of an entry of the section table.

@@ -10,6 +10,7 @@ use super::bytes::{Reader, put_f32s};
 use super::cells::{CellReader, CellWriter};
 use super::column_keys::{keys_bytes_max, put_keys, take_keys};
 use super::column_order::ColumnOrder;
+use super::column_scale::{put_scales, scales, scales_bytes_max, take_scales};
 use super::error::{ChunkError, all_numbers, in_range};
 use super::layers::{FactorShape, LayerBox, band_groups, coefficients_of, rank_groups, ranks_of};
 use super::limits::{BANDS_MAX, RANK_MAX};
@@ -24,6 +25,8 @@ const U_CELL: usize = 48;
 const VT_CELL: usize = 48;
 /// Last version that stores the columns of every rank by key.
 const LAST_BY_KEY: u16 = 2;
+/// Last version that stores the numbers of all columns with one step a rank.
+const LAST_WITHOUT_SCALES: u16 = 3;
 /// Codes of a column of U are stored as they are.
 const AS_IS: u8 = 0;
 /// Codes of a column of U are stored as differences from guesses.
@@ -126,9 +129,15 @@ impl StoredFactors {
         check_input(factors, source.len(), relative_error)?;
         let (mut keys, key_source) = ascending(&factors.keys, "column key", |&key| key)?;
         let u = rank_major(&factors.u, factors.rank as usize, source);
-        let vt = sorted_columns(factors, &key_source);
+        let mut vt = sorted_columns(factors, &key_source);
+        let has_scales = factors.bands == 0 && !factors.sky;
+        let scales = if has_scales { scales(&keys) } else { Vec::new() };
+        if has_scales {
+            vt.iter_mut().zip(scales.iter().cycle()).for_each(|(value, scale)| *value /= scale);
+        }
         let mut codes = quantise(&u, &vt, factors.rank as usize, relative_error)?;
-        if factors.bands == 0 && !factors.sky {
+        check_scaled("encoder", &codes.vt_step, &scales)?;
+        if has_scales {
             codes.vt = largest_first(&without_zeros(&codes.vt, &mut keys), keys.len());
         }
         let TransportFactors { bands, rank, sky, .. } = *factors;
@@ -150,9 +159,12 @@ impl StoredFactors {
         [base, high, low]
     }
 
-    /// Appends keys and steps.
+    /// Appends keys, scales and steps.
     pub(super) fn write_base(&self, out: &mut Vec<u8>) {
         put_keys(out, &self.keys);
+        if self.shape.has_scales() {
+            put_scales(out, &self.keys);
+        }
         put_f32s(out, &self.codes.u_step);
         put_f32s(out, &self.codes.vt_step);
     }
@@ -208,6 +220,13 @@ fn check_input(factors: &TransportFactors, rows: usize, relative_error: f32) -> 
     in_range(section, "rank", rank as u64, 0, RANK_MAX as u64)?;
     same("entries of U", factors.u.len(), rows * rank)?;
     same("entries of ΣVᵀ", factors.vt.len(), factors.columns() * rank)
+}
+
+/// Errs if a step of ΣVᵀ is too large for the largest scale of its columns.
+fn check_scaled(section: &'static str, vt_step: &[f32], scales: &[f32]) -> Result<(), ChunkError> {
+    let largest = scales.iter().copied().fold(1.0, f32::max);
+    let is_small = |step| step * largest <= STEP_MAX;
+    all_numbers(section, "step of ΣVᵀ at the largest scale", vt_step, "0..=1e28", is_small)
 }
 
 /// Codes of ΣVᵀ of one column per key without the columns that are zero in every rank, and `keys` without theirs.
@@ -284,7 +303,12 @@ impl FactorShape {
 
     /// Most raw bytes of keys and steps.
     pub(super) fn base_bytes_max(&self) -> u64 {
-        keys_bytes_max(self.keys) + 8 * u64::from(self.rank)
+        keys_bytes_max(self.keys) + scales_bytes_max(self.keys) + 8 * u64::from(self.rank)
+    }
+
+    /// Whether columns have scales: where each key has one column.
+    fn has_scales(&self) -> bool {
+        self.bands == 0 && !self.sky
     }
 
     /// Memory that a decoded layer's factors and keys take, about.
@@ -309,6 +333,8 @@ pub(super) struct FactorDecoder {
     pub factors: TransportFactors,
     u_step: Vec<f32>,
     vt_step: Vec<f32>,
+    /// Scale of each column's numbers, by key; empty where all have 1.
+    scales: Vec<f32>,
     /// Codes of U that later layers guess from, one array per rank, in stored order of rows.
     u_codes: Vec<Vec<i32>>,
     /// Of the next rank of ΣVᵀ, where keys have one column each and are not stored in their own order.
@@ -328,19 +354,31 @@ impl FactorDecoder {
             vt: vec![0.0; rank * shape.columns(layer.bands)],
         };
         let u_codes = vec![Vec::new(); rank];
-        Self { shape, factors, u_step: Vec::new(), vt_step: Vec::new(), u_codes, order: None }
+        Self {
+            shape,
+            factors,
+            u_step: Vec::new(),
+            vt_step: Vec::new(),
+            scales: Vec::new(),
+            u_codes,
+            order: None,
+        }
     }
 
     /// Reads keys and steps of a chunk of `version`.
     pub fn base(&mut self, reader: &mut Reader, version: u16) -> Result<(), ChunkError> {
         let rank = self.shape.rank as usize;
         self.factors.keys = take_keys(reader, self.shape.keys, version)?;
-        let is_ordered = version > LAST_BY_KEY && self.shape.bands == 0 && !self.shape.sky;
+        if version > LAST_WITHOUT_SCALES && self.shape.has_scales() {
+            self.scales = take_scales(reader, &self.factors.keys)?;
+        }
+        let is_ordered = version > LAST_BY_KEY && self.shape.has_scales();
         self.order = is_ordered.then(|| ColumnOrder::new(self.shape.keys));
         for (what, steps) in [("steps of U", &mut self.u_step), ("steps of ΣVᵀ", &mut self.vt_step)] {
             *steps = reader.f32s(what, rank)?;
             all_numbers("base", what, steps, "0..=1e28", |step| (0.0..=STEP_MAX).contains(&step))?;
         }
+        check_scaled("base", &self.vt_step, &self.scales)?;
         Ok(())
     }
 
@@ -387,7 +425,8 @@ impl FactorDecoder {
                 for (place, &code) in cell.clone().zip(&codes) {
                     let column = self.order.as_ref().map_or(place, |order| order.columns()[place] as usize);
                     by_key[column] = code;
-                    row[column] = value(code, self.vt_step[i]);
+                    let scale = self.scales.get(column).copied().unwrap_or(1.0);
+                    row[column] = value(code, self.vt_step[i]) * scale;
                 }
             }
             self.order.iter_mut().for_each(|order| order.advance(&by_key));

@@ -12,6 +12,7 @@ mod cluster_near;
 mod cluster_receivers;
 mod column_keys;
 mod column_order;
+mod column_scale;
 pub mod container;
 pub mod error;
 pub mod factors;
@@ -32,6 +33,7 @@ mod vertices;
 pub use cluster::{EncodedCluster, QuantisationSettings, ascending, encode_cluster};
 pub use cluster_decode::{ascending_keys, cluster_layers, decode_cluster, decode_cluster_prefix};
 pub use cluster_near::NEAR_WEIGHT_ERROR;
+pub use column_scale::column_deviation;
 pub use container::{
     CHUNK_BYTES_MAX, ChunkKind, ENTRY_BYTES, HEAD_BYTES_MAX, HEADER_BYTES, MAGIC, SECTIONS_MAX, VERSION,
 };

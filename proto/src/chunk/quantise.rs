@@ -2,7 +2,7 @@
 //!
 //! With orthonormal columns in U, an error in U's column i weighs σ_i = ‖(ΣVᵀ)_i‖ and an error in ΣVᵀ's row i weighs
 //! ‖U_i‖ = 1. Codes of one step Δ in those weighted units spend bits where they count: the steps are
-//! `s_u[i] = Δ/‖(ΣVᵀ)_i‖` and `s_v[i] = Δ/‖U_i‖`, so that strong ranks get many levels and weak ones few. Δ is found by
+//! `s_u[i] = 1.5 Δ/‖(ΣVᵀ)_i‖` and `s_v[i] = Δ/‖U_i‖`, so that strong ranks get many levels and weak ones few. Δ is found by
 //! search; the error is measured on the numbers that a decoder will have.
 
 use super::error::{ChunkError, all_finite, all_numbers};
@@ -15,6 +15,8 @@ pub const RELATIVE_ERROR_MAX: f32 = 0.5;
 pub(super) const STEP_MAX: f32 = 1.0e28;
 /// A step is good enough when its error is at least this share of the error allowed.
 const CLOSE_ENOUGH: f64 = 0.97;
+/// Step of U over that of ΣVᵀ in weighted units: U's numbers are all large, most of ΣVᵀ's are worth no code.
+const U_SHARE: f64 = 1.5;
 /// Steps tried while the error is not close enough.
 const TRIES: usize = 8;
 /// Steps tried while the error is too large; each at most nine tenths of the one before.
@@ -108,10 +110,10 @@ fn search(first_step: f64, target: f64, at: impl Fn(f64) -> Quantised) -> Option
 /// Codes at step Δ, given ‖U_i‖ and ‖(ΣVᵀ)_i‖.
 fn at_step(u: &[f32], vt: &[f32], norms: [&[f64]; 2], step: f64) -> Quantised {
     let [u_norm, vt_norm] = norms;
-    let steps = |weights: &[f64]| -> Vec<f32> {
+    let steps = |weights: &[f64], step: f64| -> Vec<f32> {
         weights.iter().map(|&weight| if weight > 0.0 { (step / weight) as f32 } else { 0.0 }).collect()
     };
-    let (mut u_step, mut vt_step) = (steps(vt_norm), steps(u_norm));
+    let (mut u_step, mut vt_step) = (steps(vt_norm, U_SHARE * step), steps(u_norm, step));
     let (u, vt) = (codes(u, &mut u_step), codes(vt, &mut vt_step));
     Quantised { u, vt, u_step, vt_step, relative_error: 0.0 }
 }
@@ -130,14 +132,9 @@ fn codes(factor: &[f32], steps: &mut [f32]) -> Vec<i32> {
     codes
 }
 
-/// Nearest code, but zero a little more readily: a zero costs fewer bits than it adds error.
+/// Nearest code.
 fn code(value: f32, step: f32) -> i32 {
-    const DEAD_ZONE: f64 = 0.6;
-    if step == 0.0 {
-        return 0;
-    }
-    let scaled = f64::from(value) / f64::from(step);
-    if scaled.abs() < DEAD_ZONE { 0 } else { libm::round(scaled) as i32 }
+    if step == 0.0 { 0 } else { libm::round(f64::from(value) / f64::from(step)) as i32 }
 }
 
 /// The number that a decoder makes of a code.

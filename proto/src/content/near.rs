@@ -27,20 +27,30 @@ pub struct NearHits {
 impl NearHits {
     /// Steps of an offset along the reach.
     pub const STEPS: i16 = 2047;
+    /// Offsets are stored in multiples of so many steps.
+    pub const STEPS_STORED: i16 = 8;
 
-    /// Offset of a hit at `to_m` from its receiver at `from_m`; farther than the reach is at the reach.
+    /// Offset of a hit at `to_m` from its receiver at `from_m`, as it is stored; farther than the reach is at the reach.
     pub fn offset_of(from_m: [f32; 3], to_m: [f32; 3], reach_m: f32) -> [i16; 3] {
         [0, 1, 2].map(|axis| {
             let share = ((to_m[axis] - from_m[axis]) / reach_m).clamp(-1.0, 1.0);
-            libm::roundf(share * f32::from(Self::STEPS)) as i16
+            Self::stored(libm::roundf(share * f32::from(Self::STEPS)) as i16)
         })
     }
 
-    /// Place of a hit in metres, from its receiver's, on a surface of that normal: raised by two steps, as rounding may
+    /// The nearest offset that is stored: a multiple of [`NearHits::STEPS_STORED`] within the reach.
+    pub fn stored(offset: i16) -> i16 {
+        let most = Self::STEPS / Self::STEPS_STORED;
+        let multiple = libm::roundf(f32::from(offset) / f32::from(Self::STEPS_STORED)) as i16;
+        multiple.clamp(-most, most) * Self::STEPS_STORED
+    }
+
+    /// Place of a hit in metres, from its receiver's, on a surface of that normal: raised by a stored step, as rounding may
     /// have put it below.
     pub fn position_m(&self, hit: usize, from_m: [f32; 3], normal: [f32; 3]) -> [f32; 3] {
         let step_m = self.reach_m / f32::from(Self::STEPS);
-        let steps = |axis: usize| f32::from(self.offset[hit][axis]) + 2.0 * normal[axis];
+        let steps =
+            |axis: usize| f32::from(self.offset[hit][axis]) + f32::from(Self::STEPS_STORED) * normal[axis];
         [0, 1, 2].map(|axis| from_m[axis] + steps(axis) * step_m)
     }
 

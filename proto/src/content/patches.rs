@@ -4,7 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use super::receivers::{BlockKey, Texel};
 
-/// Identity of a surface patch, or of a part of the sky: a column key of clusters whose columns are patches.
+/// Identity of a surface patch, or of a part of the sky: a column key of clusters whose columns are patches. A column reads
+/// the radiance that the key names, or the difference between a patch's and that of the patch which it is part of.
 ///
 /// Made of the patch's place, so that it does not depend on the rest of the scene, and neighbours have near keys.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -14,6 +15,8 @@ pub struct PatchKey(pub u64);
 impl PatchKey {
     /// Level that stands for the sky.
     const SKY_LEVEL: u64 = 15;
+    /// Bit of columns of differences, between level and direction.
+    const DIFFERENCE: u64 = 1 << 59;
 
     /// Key of a patch: level 0…14, cell −2¹⁴…2¹⁴−1 on the lattice of its level, direction 0…5 (+x −x +y −y +z −z), and a
     /// number among the patches of the same place below 2¹⁰.
@@ -32,6 +35,21 @@ impl PatchKey {
     pub fn sky(self) -> Option<u32> {
         let part = self.0 as u32;
         (self == Self::of_sky(part)).then_some(part)
+    }
+
+    /// Key of the column that reads a patch's radiance less that of the patch which it is part of.
+    pub fn difference(self) -> Self {
+        Self(self.0 | Self::DIFFERENCE)
+    }
+
+    /// Whether it is the key of a difference.
+    pub fn is_difference(self) -> bool {
+        self.level() != Self::SKY_LEVEL && self.0 & Self::DIFFERENCE != 0
+    }
+
+    /// Key of the patch itself that a column reads.
+    pub fn patch(self) -> Self {
+        if self.is_difference() { Self(self.0 & !Self::DIFFERENCE) } else { self }
     }
 
     /// Level, 0…14 of a patch.

@@ -54,7 +54,8 @@ impl SceneTask {
         match self {
             Self::Place => 21,
             Self::Patches => 4,
-            Self::Draw | Self::Import => 4,
+            Self::Draw => 5,
+            Self::Import => 4,
             Self::Unwrap | Self::Frame => 2,
         }
     }

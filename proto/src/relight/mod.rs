@@ -63,7 +63,7 @@ use thiserror::Error;
 pub use clusters::{Cluster, ClusterTable, EmitterPart, EmitterTable, MAX_RANK};
 pub use near::{NearRow, NearTable};
 pub use parallel::{Parallel, Serial};
-pub use patches::{PatchRow, PatchTable};
+pub use patches::{NO_PATCH, PatchRow, PatchTable};
 pub use receivers::{MAX_RECEIVERS, ReceiverTable};
 pub use settle::{Incoming, Limit, Settled};
 pub use sky::Sky;

@@ -6,7 +6,7 @@ use glam::Vec4;
 
 use super::{Columns, DARK, Inconsistent, Irradiance, Parallel, ReceiverTable, Sky, SlotTable};
 use crate::chunk::limits::SKY_PARTS_MAX;
-use crate::content::{PatchKey, PatchSet};
+use crate::content::{Patch, PatchKey, PatchSet};
 use crate::harmonics::relight_direction;
 
 /// A patch as shaders read it: a run of leaves.
@@ -17,9 +17,15 @@ pub struct PatchRow {
     pub first_leaf: u32,
     /// Leaves.
     pub leaf_count: u32,
+    /// The patch that it is part of, or [`NO_PATCH`].
+    pub parent: u32,
 }
 
-/// The surface patches of a bake, and the parts of its sky; λ has one number for each.
+/// Stands for the patch that a root is part of.
+pub const NO_PATCH: u32 = u32::MAX;
+
+/// The surface patches of a bake, and the parts of its sky. λ has the radiance of each patch, then for each its difference
+/// from that of the patch which it is part of (of a root, which is part of none, its radiance), then the sky's parts.
 #[derive(Debug, Default)]
 pub struct PatchTable {
     /// Patches.
@@ -56,14 +62,18 @@ impl PatchTable {
         }
         for (index, patch) in set.patches.iter().enumerate() {
             table.by_key.insert(patch.key, index as u32);
-            table.patches.push(PatchRow { first_leaf: patch.first_leaf, leaf_count: patch.leaf_count });
+            let Patch { first_leaf, leaf_count, .. } = *patch;
+            table.patches.push(PatchRow { first_leaf, leaf_count, parent: NO_PATCH });
+        }
+        for (row, parent) in table.patches.iter_mut().zip(parents(set)) {
+            row.parent = parent;
         }
         Ok(table)
     }
 
-    /// Patches and parts of the sky.
+    /// Numbers in λ.
     pub fn len(&self) -> usize {
-        self.patches.len() + self.sky_parts as usize
+        2 * self.patches.len() + self.sky_parts as usize
     }
 
     /// There are none.
@@ -104,9 +114,13 @@ impl Columns for PatchTable {
 
     fn index(&self, key: u64) -> Option<u32> {
         let key = PatchKey(key);
+        let patches = self.patches.len() as u32;
         match key.sky() {
-            Some(part) => (part < self.sky_parts).then(|| self.patches.len() as u32 + part),
-            None => self.by_key.get(&key).copied(),
+            Some(part) => (part < self.sky_parts).then(|| 2 * patches + part),
+            None => {
+                let first = if key.is_difference() { patches } else { 0 };
+                self.by_key.get(&key.patch()).map(|patch| first + patch)
+            }
         }
     }
 
@@ -120,7 +134,7 @@ impl Columns for PatchTable {
         (0..self.sky_parts).map(part).collect()
     }
 
-    /// Area-weighted mean of L over each patch, W·m⁻²·sr⁻¹.
+    /// Area-weighted mean of L over each patch, W·m⁻²·sr⁻¹; then the differences.
     fn surface_lambda(
         &self,
         parallel: &impl Parallel,
@@ -128,11 +142,40 @@ impl Columns for PatchTable {
         irradiance: Irradiance<'_>,
     ) -> Vec<Vec4> {
         let leaves = self.leaf_sums(parallel, receivers, irradiance);
-        parallel.map(self.patches.len(), |patch| {
+        let mut lambda = parallel.map(self.patches.len(), |patch| {
             let patch = &self.patches[patch];
             let leaves = &leaves[patch.first_leaf as usize..][..patch.leaf_count as usize];
             let sum: Vec4 = leaves.iter().sum();
             (sum.truncate() / sum.w).extend(0.0)
-        })
+        });
+        let difference = |(patch, mean): (&PatchRow, &Vec4)| match lambda.get(patch.parent as usize) {
+            Some(whole) => *mean - *whole,
+            None => *mean,
+        };
+        let differences: Vec<Vec4> = self.patches.iter().zip(&lambda).map(difference).collect();
+        lambda.extend(differences);
+        lambda
     }
+}
+
+/// The patch that each is part of: the smallest other run of leaves that holds its own; of equal runs, that of the next
+/// higher level.
+fn parents(set: &PatchSet) -> Vec<u32> {
+    let of = |patch: u32| &set.patches[patch as usize];
+    let end = |patch: u32| u64::from(of(patch).first_leaf) + u64::from(of(patch).leaf_count);
+    let mut order: Vec<u32> = (0..set.patches.len() as u32).collect();
+    // Wholes come before their parts.
+    order.sort_by_key(|&patch| {
+        (of(patch).first_leaf, u64::MAX - end(patch), u64::MAX - of(patch).key.level())
+    });
+    let mut parents = vec![NO_PATCH; order.len()];
+    let mut wholes: Vec<u32> = Vec::new();
+    for patch in order {
+        while wholes.last().is_some_and(|&whole| end(whole) < end(patch)) {
+            wholes.pop();
+        }
+        parents[patch as usize] = wholes.last().copied().unwrap_or(NO_PATCH);
+        wholes.push(patch);
+    }
+    parents
 }

@@ -110,13 +110,19 @@ fn patch_has_the_mean_of_its_receivers_by_area_and_the_sky_its_own() {
     let transport = joined(cluster(4), patches(set)).unwrap();
     let radiance: Vec<Vec3> = (0..4).map(|x| Vec3::new(7.0, x as f32, 0.0)).collect();
     let found = lambda(&transport, &radiance);
-    assert_eq!((found.len(), transport.columns.lambda_count()), (19, 19));
-    for (found, wanted) in found.iter().zip([[7.0, 0.0], [7.0, 2.25], [7.0, 1.8]]) {
+    assert_eq!((found.len(), transport.columns.lambda_count()), (22, 22));
+    // The third patch is that of the first two, and part of none.
+    let wanted = [[7.0, 0.0], [7.0, 2.25], [7.0, 1.8], [0.0, -1.8], [0.0, 0.45], [7.0, 1.8]];
+    for (found, wanted) in found.iter().zip(wanted) {
         assert!(close(found.x, wanted[0]) && close(found.y, wanted[1]), "{found}");
     }
     let grey = Sky { zenith: Vec3::ONE, horizon: Vec3::ONE };
     assert_eq!(transport.columns.sky_lambda(grey), vec![Vec4::new(1.0, 1.0, 1.0, 0.0); 16]);
-    assert_eq!(transport.columns.index(PatchKey::of_sky(5).0), Some(3 + 5));
+    assert_eq!(transport.columns.index(PatchKey::of_sky(5).0), Some(6 + 5));
+    assert_eq!(
+        [1, 2, 3].map(|key| transport.columns.index(PatchKey(key).difference().0)),
+        [3, 4, 5].map(Some)
+    );
     assert_eq!((transport.columns.index(PatchKey::of_sky(16).0), transport.columns.index(9)), (None, None));
 }
 

@@ -2,10 +2,10 @@
 //! some light is everywhere.
 //!
 //! Radiance is taken for a sum of independent parts: one that all patches have in common, and one for each patch of the
-//! tree that its own parts share, with the variance σ² that a patch's mean has about its parent's. With A_n the share of
-//! patch n in a row, the error of irradiance that a truncation is expected to give is then that of the importance-weighted
-//! columns `σ_n A_n`, so those are truncated: chance that moves rays between neighbours costs no rank.
-//! We differ from METHOD's plain Frobenius norm, which takes every column's radiance for independent.
+//! tree that its own parts share, with the variance σ² that a patch's mean has about its parent's. The cut opens patches by
+//! it. Columns are truncated by what light was found to be ([`column_deviation`]).
+//!
+//! [`column_deviation`]: lightkiln_proto::chunk::column_deviation
 
 use crate::patches::PatchTree;
 
@@ -31,16 +31,6 @@ impl<'a> Expectation<'a> {
         Self { tree, texel_m }
     }
 
-    /// Deviation of the part that all patches have in common.
-    pub fn common() -> f32 {
-        COMMON.sqrt() as f32
-    }
-
-    /// Deviations of the part that all parts of the sky have in common, and of each one's own.
-    pub fn sky() -> [f32; 2] {
-        [SKY_COMMON.sqrt() as f32, (1.0 - SKY_COMMON).sqrt() as f32]
-    }
-
     /// σ² of a patch: of its mean about that of its parent, or about the common mean.
     pub fn variance(&self, patch: u32, parent: Option<u32>) -> f64 {
         let within = |patch: u32| (1.0 - COMMON) * within(self.size_texels(patch));
@@ -52,6 +42,16 @@ impl<'a> Expectation<'a> {
         let [low_m, high_m] = self.tree.patches[patch as usize].bounds_m;
         f64::from(low_m.distance(high_m) / self.texel_m)
     }
+}
+
+/// Deviation of the part that all patches have in common.
+pub fn common() -> f32 {
+    COMMON.sqrt() as f32
+}
+
+/// Deviations of the part that all parts of the sky have in common, and of each one's own.
+pub fn sky() -> [f32; 2] {
+    [SKY_COMMON.sqrt() as f32, (1.0 - SKY_COMMON).sqrt() as f32]
 }
 
 /// Share of the variance that lies within a patch of a size.

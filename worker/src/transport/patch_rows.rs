@@ -4,11 +4,12 @@
 //! receiver, a spherical harmonic for a coefficient at a point in free space.
 
 use glam::Vec3;
+use lightkiln_proto::chunk::column_deviation;
 use lightkiln_proto::content::PatchKey;
 use lightkiln_proto::harmonics::relight_direction;
 
 use super::cut::{LeafHits, PatchHits, cut, leaves};
-use super::expectation::Expectation;
+use super::expectation::{self, Expectation};
 use crate::lightmap::{Numbering, Surface, World};
 use crate::patches::PatchTree;
 use crate::rays::Hit;
@@ -119,7 +120,7 @@ pub struct PatchRows {
 pub struct PatchRow {
     /// α, in the order of the keys.
     pub alpha: Vec<f32>,
-    /// Importance-weighted columns (see `expectation.rs`), which are truncated, and the split-half noise in them: the values by
+    /// Importance-weighted columns ([`column_deviation`]), which are truncated, and the split-half noise in them: the values by
     /// rays of even number less those by rays of odd number. One column more for the common part of all patches, before the
     /// sky's, and one for all of the sky, after them. Empty where nothing is truncated.
     pub importance: [Vec<f32>; 2],
@@ -153,22 +154,97 @@ pub fn patch_rows(
         None => leaves(tree, &leaf_hits),
     };
     let sky = Numbering::of(hits_of_rows.iter().flat_map(|hits| &hits.sky).map(|hit| hit.at));
-    let of_patches = patches.iter().map(|&patch| tree.patches[patch as usize].key.0);
+    let columns = PatchColumns::of(hits, &patches);
+    let of_patches = columns.columns.iter().map(|column| column.key.0);
     let of_sky = sky.values().iter().map(|&part| PatchKey::of_sky(part).0);
     let keys = Numbering::of(of_patches.chain(of_sky));
-    let is_truncated = bounds.is_some();
-    let mut table = Table { hits, expectation, patches, sky, scale, is_truncated, keys, rows: Vec::new() };
+    let mut table = Table { sky, scale, is_truncated: bounds.is_some(), keys, rows: Vec::new() };
     table.begin(&hits_of_rows);
-    table.add_patches();
+    table.add_patches(hits, &columns);
     PatchRows { keys: table.keys.into_values(), rows: table.rows }
 }
 
+/// A column of patches.
+struct PatchColumn {
+    /// Its key.
+    key: PatchKey,
+    patch: u32,
+    /// Of a difference: the part that has no column, and this part's share of area over that part's.
+    against: Option<(u32, f32)>,
+}
+
+/// Columns of the patches of a cut.
+///
+/// With A_n the share of patch n in a row, the parts n of an opened patch p give `Σ_n A_n L_n = A_p L_p + Σ_n A_n (L_n − L_p)`. The
+/// differences' sum by area is 0, so that of the part l of the largest area follows from the others: it has no column,
+/// and theirs are `A_n − (area_n / area_l) A_l`. Numbers are small where rows meet parts as their areas promise, and an error
+/// in them counts by differences of light alone.
+///
+/// An opened patch with a part that no row meets has no column, and its parts have their light in full: else the light of
+/// the hidden part, however bright, would be in sums that only exact numbers cancel.
+struct PatchColumns {
+    columns: Vec<PatchColumn>,
+    /// Patches of the cut that are part of no other.
+    roots: Vec<u32>,
+}
+
+impl PatchColumns {
+    /// Of a cut, ascending.
+    fn of(hits: PatchHits<'_>, cut: &[u32]) -> Self {
+        let tree = hits.tree;
+        let parents = parents(tree, cut);
+        let parts = |whole: u32| tree.parts(whole);
+        let is_open = |index: usize| parents.get(index + 1) == Some(&Some(index));
+        // Rows meet all parts of the patch, and all of theirs. Parts come after their wholes.
+        let mut is_whole = vec![true; cut.len()];
+        for index in (0..cut.len()).rev() {
+            let is_met = !hits.of(cut[index]).is_empty();
+            if let Some(parent) = parents[index] {
+                is_whole[parent] &= is_met && is_whole[index];
+            }
+        }
+        let mut found = Self { columns: Vec::new(), roots: Vec::new() };
+        for (index, &patch) in cut.iter().enumerate() {
+            let key = tree.patches[patch as usize].key;
+            if parents[index].is_none() {
+                found.roots.push(patch);
+            }
+            match parents[index].filter(|&parent| is_whole[parent]).map(|parent| cut[parent]) {
+                Some(whole) => {
+                    let largest = |a: &u32, b: &u32| {
+                        hits.share(*a, whole).total_cmp(&hits.share(*b, whole)).then(b.cmp(a))
+                    };
+                    let left_out = parts(whole).max_by(largest).unwrap_or(patch);
+                    if left_out != patch {
+                        let ratio = (hits.share(patch, whole) / hits.share(left_out, whole)) as f32;
+                        let against = Some((left_out, ratio));
+                        found.columns.push(PatchColumn { key: key.difference(), patch, against });
+                    }
+                }
+                None if is_open(index) && !is_whole[index] => {}
+                None => found.columns.push(PatchColumn { key, patch, against: None }),
+            }
+        }
+        found
+    }
+}
+
+/// Index in an ascending cut of the patch that each of its patches is part of.
+fn parents(tree: &PatchTree, cut: &[u32]) -> Vec<Option<usize>> {
+    let mut wholes: Vec<usize> = Vec::new();
+    let mut parents = Vec::with_capacity(cut.len());
+    for (index, &patch) in cut.iter().enumerate() {
+        while wholes.last().is_some_and(|&whole| tree.patches[cut[whole] as usize].end <= patch) {
+            wholes.pop();
+        }
+        parents.push(wholes.last().copied());
+        wholes.push(index);
+    }
+    parents
+}
+
 /// Rows while they are filled.
-struct Table<'a> {
-    hits: PatchHits<'a>,
-    expectation: Expectation<'a>,
-    /// Patches of the cut, ascending.
-    patches: Vec<u32>,
+struct Table {
     /// Parts of the sky that were hit.
     sky: Numbering<u32>,
     /// Value of a ray of weight 1.
@@ -179,7 +255,7 @@ struct Table<'a> {
     rows: Vec<PatchRow>,
 }
 
-impl Table<'_> {
+impl Table {
     fn column(&self, key: PatchKey) -> usize {
         self.keys.place(key.0)
     }
@@ -187,7 +263,7 @@ impl Table<'_> {
     /// Rows with the sky's columns. Importance-weighted columns stand in the order of keys; the common part of all patches
     /// follows theirs, and that of all of the sky follows the sky's.
     fn begin(&mut self, hits_of_rows: &[RowHits]) {
-        let [of_all, of_part] = Expectation::sky();
+        let [of_all, of_part] = expectation::sky();
         let of_parts = self.sky.values().iter();
         let columns: Vec<usize> = of_parts.map(|&part| self.column(PatchKey::of_sky(part))).collect();
         for hits in hits_of_rows {
@@ -211,69 +287,37 @@ impl Table<'_> {
         }
     }
 
-    /// The columns of patches: a patch that is part of another one of the cut has the difference from its share of that.
-    /// An opened patch with a part that no row meets has an empty column, and its parts have their light in full: else the
-    /// light of the hidden part, however bright, would be in sums that only exact numbers cancel.
-    fn add_patches(&mut self) {
-        let common = self.keys.len() - self.sky.len();
-        for index in 0..self.patches.len() {
-            let patch = self.patches[index];
-            let own = self.column(self.key(patch));
-            let parts: Vec<(usize, f32)> = self
-                .parts(index)
-                .map(|part| (self.column(self.key(part)), self.hits.share(part, patch) as f32))
-                .collect();
-            let is_whole = self.is_whole(index);
-            let parent = self.parent(index);
-            let deviation = self.expectation.variance(patch, parent).sqrt() as f32;
-            for hits in self.hits.of(patch) {
-                let row = &mut self.rows[hits.row as usize];
-                let [seen, excess] = [hits.sum, hits.excess].map(|sum| sum * self.scale);
-                if is_whole {
-                    row.alpha[own] += seen;
-                    parts.iter().for_each(|&(part, share)| row.alpha[part] -= share * seen);
-                }
-                if self.is_truncated {
-                    for (weighted, value) in row.importance.iter_mut().zip([seen, excess]) {
-                        weighted[own] += deviation * value;
-                        if parent.is_none() {
-                            weighted[common] += Expectation::common() * value;
-                        }
-                    }
-                }
+    /// The columns of patches.
+    fn add_patches(&mut self, hits: PatchHits<'_>, columns: &PatchColumns) {
+        for PatchColumn { key, patch, against } in &columns.columns {
+            let column = self.column(*key);
+            self.add(hits.of(*patch), column, key.0, 1.0);
+            if let Some((left_out, ratio)) = against {
+                self.add(hits.of(*left_out), column, key.0, -ratio);
+            }
+        }
+        if self.is_truncated {
+            let common = self.keys.len() - self.sky.len();
+            for hits in columns.roots.iter().flat_map(|&root| hits.of(root)) {
+                let [values, noise] = &mut self.rows[hits.row as usize].importance;
+                values[common] += expectation::common() * self.scale * hits.sum;
+                noise[common] += expectation::common() * self.scale * hits.excess;
             }
         }
     }
 
-    /// Rows meet all parts of a patch of the cut, and all of theirs.
-    fn is_whole(&self, index: usize) -> bool {
-        self.parts(index).all(|part| {
-            let is_met = !self.hits.of(part).is_empty();
-            is_met && self.patches.binary_search(&part).is_ok_and(|part| self.is_whole(part))
-        })
-    }
-
-    fn key(&self, patch: u32) -> PatchKey {
-        self.hits.tree.patches[patch as usize].key
-    }
-
-    /// Parts of a patch of the cut, if they are in it, as all or none are.
-    fn parts(&self, index: usize) -> impl Iterator<Item = u32> + '_ {
-        let patch = self.patches[index];
-        let is_open = self.patches.get(index + 1) == Some(&(patch + 1))
-            && self.hits.tree.patches[patch as usize].end > patch + 1;
-        self.hits.tree.parts(patch).take_while(move |_| is_open)
-    }
-
-    /// The patch of the cut that a patch of it is part of.
-    fn parent(&self, index: usize) -> Option<u32> {
-        let patch = self.patches[index];
-        // Of those before it whose ends are beyond it, the last.
-        self.patches[..index]
-            .iter()
-            .rev()
-            .copied()
-            .find(|&other| self.hits.tree.patches[other as usize].end > patch)
+    /// Adds hits to a column, `factor` times.
+    fn add(&mut self, hits: &[LeafHits], column: usize, key: u64, factor: f32) {
+        let deviation = column_deviation(key);
+        for hits in hits {
+            let row = &mut self.rows[hits.row as usize];
+            let [seen, excess] = [hits.sum, hits.excess].map(|sum| sum * self.scale * factor);
+            row.alpha[column] += seen;
+            if self.is_truncated {
+                row.importance[0][column] += deviation * seen;
+                row.importance[1][column] += deviation * excess;
+            }
+        }
     }
 }
 
@@ -282,24 +326,46 @@ mod tests {
     use super::super::cut::tests::tree;
     use super::*;
 
-    /// α of a row that meets the leaves with so many rays, over the root, its first part with both leaves, and its second.
-    fn alpha(counts: [u32; 4]) -> Vec<f32> {
+    /// Columns of a row that meets the leaves with so many rays, as patch, whether it is a difference, and α.
+    fn columns(counts: [u32; 4]) -> Vec<(u64, bool, f32)> {
         let ray = |at: u32, ray: u32| RayHit { at, is_even: ray.is_multiple_of(2), weight: 1.0 };
         let of_leaf = |leaf: u32| (0..counts[leaf as usize]).map(move |index| ray(leaf, index));
         let hits = RowHits { leaves: (0..4).flat_map(of_leaf).collect(), sky: Vec::new() };
         let bounds = CutBounds { columns_max: 100, error: 0.01 };
         let found = patch_rows(&tree(), 0.1, vec![hits], 1.0, Some(bounds));
-        assert_eq!(found.keys, [0, 1, 2, 3, 4]);
-        found.rows[0].alpha.clone()
+        let keys = found.keys.iter().map(|&key| PatchKey(key));
+        let columns = keys.zip(&found.rows[0].alpha);
+        columns.map(|(key, &alpha)| (key.patch().0, key.is_difference(), alpha)).collect()
     }
 
     #[test]
-    fn parts_that_are_met_are_differences_from_their_share() {
-        assert_eq!(alpha([400, 200, 150, 150]), [900.0, 150.0, 100.0, -100.0, -150.0]);
+    fn parts_that_are_met_are_differences_but_for_the_largest() {
+        assert_eq!(columns([400, 200, 150, 150]), [(0, false, 900.0), (3, true, -200.0), (4, true, -300.0)]);
     }
 
     #[test]
     fn hidden_part_is_in_no_column_and_neither_is_anything_that_holds_it() {
-        assert_eq!(alpha([600, 0, 150, 150]), [0.0, 0.0, 600.0, 0.0, 300.0]);
+        assert_eq!(columns([600, 0, 150, 150]), [(2, false, 600.0), (3, false, 0.0), (4, false, 300.0)]);
+    }
+
+    #[test]
+    fn columns_of_differences_give_what_leaves_give() {
+        let (counts, light) = ([7.0, 1.0, 4.0, 5.0], [0.3, 2.0, 5.0, 1.0]);
+        let mean = |patch: u64| match patch {
+            0 => light.iter().sum::<f32>() / 4.0,
+            1 => (light[0] + light[1]) / 2.0,
+            4 => (light[2] + light[3]) / 2.0,
+            leaf => light[[0, 0, 0, 1, 0, 2, 3][leaf as usize]],
+        };
+        let parent = [0, 0, 1, 1, 0, 4, 4];
+        let found = columns(counts.map(|count| (100.0 * count) as u32));
+        assert!(found.iter().filter(|column| column.1).count() == 3, "{found:?}");
+        let read = |(patch, is_difference, alpha): &(u64, bool, f32)| {
+            let less = if *is_difference { mean(parent[*patch as usize]) } else { 0.0 };
+            alpha * (mean(*patch) - less)
+        };
+        let sum: f32 = found.iter().map(read).sum();
+        let direct: f32 = counts.iter().zip(light).map(|(count, light)| 100.0 * count * light).sum();
+        assert!((sum - direct).abs() < 1e-2, "{sum} {direct}");
     }
 }

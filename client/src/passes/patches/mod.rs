@@ -1,4 +1,4 @@
-//! Radiance of receivers → mean radiance of surface patches.
+//! Radiance of receivers → mean radiance of surface patches, and its difference from that of the patch around each.
 
 pub mod reference;
 
@@ -31,7 +31,7 @@ pub struct PatchNumbers {
     pub stride: u32,
 }
 
-/// The pass on the adapter: leaves, then patches.
+/// The pass on the adapter: leaves, then patches, then differences.
 #[derive(Debug)]
 pub struct PatchesPass {
     steps: Vec<(wgpu::ComputePipeline, wgpu::BindGroup, [u32; 2])>,
@@ -65,17 +65,33 @@ impl PatchesPass {
             ],
         );
         let patch_groups = groups_2d((table.patches.len() as u32).div_ceil(THREADS));
+        let patches = gpu.storage("patches", &table.patches)?;
+        let patch_numbers = gpu.uniform("patches", &numbers(patch_groups));
         let mean = gpu.compute("patches", SHADER, "mean_of_patches");
         let mean_group = gpu.bind_at(
             &mean.get_bind_group_layout(0),
             &[
-                (0, gpu.uniform("patches", &numbers(patch_groups)).as_entire_binding()),
+                (0, patch_numbers.as_entire_binding()),
                 (7, leaves.as_entire_binding()),
-                (8, gpu.storage("patches", &table.patches)?.as_entire_binding()),
+                (8, patches.as_entire_binding()),
                 (9, resident.lambda.as_entire_binding()),
             ],
         );
-        Ok(Self { steps: vec![(sum, sum_group, leaf_groups), (mean, mean_group, patch_groups)] })
+        let difference = gpu.compute("differences of patches", SHADER, "difference_of_patches");
+        let difference_group = gpu.bind_at(
+            &difference.get_bind_group_layout(0),
+            &[
+                (0, patch_numbers.as_entire_binding()),
+                (8, patches.as_entire_binding()),
+                (9, resident.lambda.as_entire_binding()),
+            ],
+        );
+        let steps = vec![
+            (sum, sum_group, leaf_groups),
+            (mean, mean_group, patch_groups),
+            (difference, difference_group, patch_groups),
+        ];
+        Ok(Self { steps })
     }
 }
 

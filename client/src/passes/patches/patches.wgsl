@@ -1,4 +1,5 @@
-// Radiance of receivers → mean radiance of patches; twin: reference.rs. One thread per leaf, then one per patch.
+// Radiance of receivers → mean radiance of patches, and differences; twin: reference.rs. One thread per leaf, then one per
+// patch, twice.
 // `L = ρ/π·(E_dir + E_emit + E_ind)`; emission is left out, as its irradiance is baked with its own shadows.
 
 struct Patches {
@@ -12,6 +13,8 @@ struct Patches {
 struct PatchRow {
     first_leaf: u32,
     leaf_count: u32,
+    // The patch that it is part of; past the last one for roots.
+    parent: u32,
 }
 
 const PI = 3.14159265358979;
@@ -29,7 +32,7 @@ const PI = 3.14159265358979;
 // Sum over the surface of each leaf; w is its area.
 @group(0) @binding(7) var<storage, read_write> leaves: array<vec4f>;
 @group(0) @binding(8) var<storage, read> patches: array<PatchRow>;
-// Patches, then parts of the sky, which do not change.
+// Patches, then their differences from the patches that they are part of, then parts of the sky, which do not change.
 @group(0) @binding(9) var<storage, read_write> lambda: array<vec4f>;
 
 @compute @workgroup_size(64)
@@ -63,4 +66,18 @@ fn mean_of_patches(@builtin(global_invocation_id) thread: vec3u) {
         sum += leaves[leaf];
     }
     lambda[index] = vec4f(sum.rgb / sum.w, 0.0);
+}
+
+@compute @workgroup_size(64)
+fn difference_of_patches(@builtin(global_invocation_id) thread: vec3u) {
+    let index = thread.y * numbers.stride + thread.x;
+    if index >= numbers.patch_count {
+        return;
+    }
+    var difference = lambda[index];
+    let parent = patches[index].parent;
+    if parent < numbers.patch_count {
+        difference -= lambda[parent];
+    }
+    lambda[numbers.patch_count + index] = difference;
 }

@@ -71,7 +71,7 @@ fn limits_are_those_of_the_code() {
 
 #[test]
 fn the_worked_example_is_the_fixture() {
-    let fixture: &[u8] = include_bytes!("../../../fixtures/cluster-v3.lkc");
+    let fixture: &[u8] = include_bytes!("../../../fixtures/cluster-v4.lkc");
     let example =
         FORMAT.split("## A worked example").nth(1).and_then(|rest| rest.split("```").nth(1)).unwrap();
     let mut next = 0;

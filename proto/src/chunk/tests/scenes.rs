@@ -69,8 +69,10 @@ pub(super) fn wall(side: u16, keys: usize, bands: u32, rank: u32, seed: u64) -> 
 pub(super) fn narrow(side: u16, seed: u64) -> ClusterTransport {
     let mut noise = Noise(seed + 1);
     let mut cluster = wall(side, 39, 0, 9, seed);
-    let patch = |p: i32| PatchKey::of_cell((p / 32) as u32, [p % 8 - 4, -1, p % 32 / 8], 4, 0).0;
-    cluster.factors.keys = (0..40).map(patch).collect();
+    let patch = |p: i32| PatchKey::of_cell((p / 32) as u32, [p % 8 - 4, -1, p % 32 / 8], 4, 0);
+    let column = |p: i32| if p % 4 == 1 { patch(p).difference().0 } else { patch(p).0 };
+    cluster.factors.keys = (0..40).map(column).collect();
+    cluster.factors.keys.sort_unstable();
     cluster.factors.sky = false;
     let near = &mut cluster.near;
     (near.reach_m, near.blocks) = (0.125, vec![11, 700]);
@@ -84,7 +86,7 @@ pub(super) fn narrow(side: u16, seed: u64) -> ClusterTransport {
                 _ => NearSurface::Own { albedo: [0.0; 3], normal: [-1.0, 0.0, 0.0] },
             });
             let across = [-2047.0, 2047.0].map(|most| (most * noise.next()) as i16);
-            near.offset.push([hit as i16, across[0], across[1]]);
+            near.offset.push([hit as i16 * 8, across[0], across[1]].map(NearHits::stored));
         }
     }
     cluster

@@ -21,7 +21,7 @@ settings_group! {
         near_texels: f32 = [2.0, 2.0, 2.0], |v| (0.01..=16.0).contains(&v), "0.01..=16 texels";
         /// Near hits that a receiver in a narrow place keeps; 0: none, all light is that of texels. More → less noise in gaps
         /// that a lamp shines into, more bytes and run-time cost.
-        near_hits: u32 = [0, 32, 32], |v| v <= 255, "0..=255";
+        near_hits: u32 = [0, 16, 16], |v| v <= 255, "0..=255";
     }
 }
 

@@ -6,9 +6,9 @@ use crate::jobs::TaskSpec;
 use crate::kinds::{SceneTasks, TaskKind};
 
 /// Receivers and patches → cluster cells, the chunk of patches, and the plan of the rest.
-pub const PLAN: TaskKind = TaskKind { name: "prt.plan", version: 4 };
+pub const PLAN: TaskKind = TaskKind { name: "prt.plan", version: 5 };
 /// A cluster cell → its factorised transport.
-pub const TRANSPORT: TaskKind = TaskKind { name: "prt.transport", version: 23 };
+pub const TRANSPORT: TaskKind = TaskKind { name: "prt.transport", version: 24 };
 /// Everything → manifest and report.
 pub const ASSEMBLE: TaskKind = TaskKind { name: "prt.assemble", version: 4 };
 

@@ -25,7 +25,7 @@ pub const CLUSTER: Target = Target {
         seeds(&[
             include_bytes!("../../../../proto/fixtures/cluster-v1.lkc"),
             include_bytes!("../../../../proto/fixtures/cluster-near-v1.lkc"),
-            include_bytes!("../../../../proto/fixtures/cluster-near-v3.lkc"),
+            include_bytes!("../../../../proto/fixtures/cluster-near-v4.lkc"),
             &larger_cluster(),
         ])
     },

@@ -30,8 +30,9 @@ use crate::task::{Cancelled, Context, Progress, TaskError, TaskOutput, params};
 use crate::transport::{self, DEAD_PATH_TEXELS};
 use near::NearHit;
 
-/// Error of quantisation as a share of that of truncation: columns are differences, and most of them are then worth no bits.
-const QUANTISATION_SHARE: f32 = 0.8;
+/// Error of quantisation as a share of that of truncation. What truncation drops is noise of rays for a good part, what
+/// quantisation adds is not.
+const QUANTISATION_SHARE: f32 = 0.45;
 /// Least and most error of quantisation.
 const QUANTISATION_ERROR: [f32; 2] = [2e-4, 0.05];
 
