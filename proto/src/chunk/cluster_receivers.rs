@@ -18,12 +18,18 @@ pub(super) const LINKS_MAX: u64 = (1 << LINKS.len()) - 1;
 const GUESSED_COLUMNS: usize = 8;
 const ALBEDO_COLUMN: usize = 5;
 
-/// Distinct albedos in order of first use, or nothing when there are too many.
+/// Receivers for each colour of a palette at least: a colour takes twelve bytes, an index one, three codes three.
+const RECEIVERS_PER_COLOUR: usize = 6;
+/// Colours that a palette may have in any case.
+const COLOURS_FREE: usize = 8;
+
+/// Distinct albedos in order of first use, or nothing when there are so many that codes are shorter.
 pub(super) fn palette_of(albedo: &[[f32; 3]]) -> Vec<[f32; 3]> {
+    let most = (albedo.len() / RECEIVERS_PER_COLOUR).clamp(COLOURS_FREE, PALETTE_MAX);
     let mut palette: Vec<[f32; 3]> = Vec::new();
     for &colour in albedo {
         if !palette.contains(&colour) {
-            if palette.len() == PALETTE_MAX {
+            if palette.len() == most {
                 return Vec::new();
             }
             palette.push(colour);

@@ -173,3 +173,24 @@ fn texture_comes_back_exactly() {
     assert_eq!((decoded.media_type.as_str(), decoded.bytes.as_slice()), ("image/png", &file[..]));
     assert!(encode_texture("", &file).is_err() && encode_texture("a b", &file).is_err());
 }
+
+#[test]
+fn albedos_are_a_palette_where_it_is_shorter_and_codes_elsewhere() {
+    let with = |colours: usize| {
+        let mut cluster = wall(16, 5, 0, 4, 1);
+        let count = cluster.receivers.len();
+        cluster.receivers.albedo =
+            (0..count).map(|r| [0.1 + 0.7 * (r % colours) as f32 / 256.0, 0.3, 0.5]).collect();
+        let decoded =
+            decode_cluster(&encode_cluster(&cluster, QuantisationSettings::default()).unwrap().bytes);
+        (decoded.unwrap().receivers.albedo, cluster.receivers.albedo)
+    };
+    for few in [1, 8, 42] {
+        let (got, wanted) = with(few);
+        assert_eq!(got, wanted, "{few} colours of 256 receivers");
+    }
+    let (got, wanted) = with(43);
+    assert_ne!(got, wanted);
+    let near = |(a, b): (&f32, &f32)| (a - b).abs() <= ALBEDO_ERROR;
+    assert!(got.as_flattened().iter().zip(wanted.as_flattened()).all(near));
+}

@@ -32,7 +32,7 @@ use near::NearHit;
 
 /// Error of quantisation as a share of that of truncation. What truncation drops is noise of rays for a good part, what
 /// quantisation adds is not.
-const QUANTISATION_SHARE: f32 = 0.45;
+const QUANTISATION_SHARE: f32 = 0.55;
 /// Least and most error of quantisation.
 const QUANTISATION_ERROR: [f32; 2] = [2e-4, 0.05];
 
