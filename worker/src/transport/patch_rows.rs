@@ -9,7 +9,7 @@ use lightkiln_proto::harmonics::relight_direction;
 
 use super::cut::{LeafHits, PatchHits, cut, leaves};
 use super::expectation::Expectation;
-use crate::lightmap::{Numbering, Surface, World};
+use crate::lightmap::{Found, Numbering, Surface, World};
 use crate::patches::PatchTree;
 use crate::rays::Hit;
 
@@ -24,11 +24,12 @@ pub struct Sources<'a> {
 /// A hit's source.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Met {
-    /// Receiver whose texel stands for the point, or none.
-    pub linked: Surface,
-    /// Leaf patch of that receiver.
+    /// The hit, and the receivers that stand for it.
+    pub found: Found,
+    /// Leaf patch of the receiver that it is linked to.
     pub leaf: Option<u32>,
-    /// Albedo of the surface: the share of the ray that light can come along, carried by the leaf or lost.
+    /// Share of the ray that light can come along, carried by the leaf or lost: 1, or 0 where nothing returns any. Of no colour,
+    /// so that a material's leaves the rays as they are.
     pub lit: f32,
 }
 
@@ -52,18 +53,14 @@ impl<'a> Sources<'a> {
 
     /// Source at a hit, `point_m` being its place in metres.
     pub fn at(&self, hit: &Hit, point_m: Vec3) -> Met {
-        let albedo =
-            |receiver: u32| self.world.lightmap.receivers[receiver as usize].albedo.iter().sum::<f32>() / 3.0;
-        let linked = self.world.linked_surface_at(hit, point_m);
-        let (leaf, lit) = match linked {
-            Surface::Receiver(met) => (Some(self.tree.leaf_of_receiver[met as usize]), albedo(met)),
-            Surface::Dark => match self.world.surface_at(hit) {
-                // Walls stand between the hit and all texels around it: no texel stands for it.
-                Surface::Receiver(own) => (None, albedo(own)),
-                Surface::Dark => (None, self.world.lost_in_cavity(hit)),
-            },
+        let found = self.world.found_at(hit, point_m);
+        let (leaf, lit) = match (found.linked, found.own) {
+            (Surface::Receiver(met), _) => (Some(self.tree.leaf_of_receiver[met as usize]), 1.0),
+            // Walls stand between the hit and all texels around it: no texel stands for it.
+            (_, Surface::Receiver(_)) => (None, 1.0),
+            _ => (None, if self.world.is_in_cavity(hit) { 1.0 } else { 0.0 }),
         };
-        Met { linked, leaf, lit }
+        Met { found, leaf, lit }
     }
 }
 
@@ -112,6 +109,8 @@ pub struct PatchRows {
     pub keys: Vec<u64>,
     /// In the order of the hits.
     pub rows: Vec<PatchRow>,
+    /// Patches of the cut whose parts are told by their shares of its area: nothing else hangs on areas exactly.
+    pub by_share: Vec<u32>,
 }
 
 /// One row over patches.
@@ -159,8 +158,8 @@ pub fn patch_rows(
     let is_truncated = bounds.is_some();
     let mut table = Table { hits, expectation, patches, sky, scale, is_truncated, keys, rows: Vec::new() };
     table.begin(&hits_of_rows);
-    table.add_patches();
-    PatchRows { keys: table.keys.into_values(), rows: table.rows }
+    let by_share = table.add_patches();
+    PatchRows { keys: table.keys.into_values(), rows: table.rows, by_share }
 }
 
 /// Rows while they are filled.
@@ -213,8 +212,10 @@ impl Table<'_> {
 
     /// The columns of patches: a patch that is part of another one of the cut has the difference from its share of that.
     /// An opened patch with a part that no row meets has an empty column, and its parts have their light in full: else the
-    /// light of the hidden part, however bright, would be in sums that only exact numbers cancel.
-    fn add_patches(&mut self) {
+    /// light of the hidden part, however bright, would be in sums that only exact numbers cancel. Gives the patches whose parts'
+    /// shares were read.
+    fn add_patches(&mut self) -> Vec<u32> {
+        let mut by_share = Vec::new();
         let common = self.keys.len() - self.sky.len();
         for index in 0..self.patches.len() {
             let patch = self.patches[index];
@@ -224,6 +225,9 @@ impl Table<'_> {
                 .map(|part| (self.column(self.key(part)), self.hits.share(part, patch) as f32))
                 .collect();
             let is_whole = self.is_whole(index);
+            if is_whole && !parts.is_empty() {
+                by_share.push(patch);
+            }
             let parent = self.parent(index);
             let deviation = self.expectation.variance(patch, parent).sqrt() as f32;
             for hits in self.hits.of(patch) {
@@ -243,6 +247,7 @@ impl Table<'_> {
                 }
             }
         }
+        by_share
     }
 
     /// Rows meet all parts of a patch of the cut, and all of theirs.
