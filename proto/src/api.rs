@@ -369,6 +369,9 @@ pub struct Lease {
     pub task: TaskSpec,
     /// Its inputs, resolved: `name` for artefacts, `name/output` for outputs of other tasks, in the task's order.
     pub inputs: Vec<Artefact>,
+    /// Outputs of tasks alike that are done, newest first: hints that may be gone, and change no result.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub alike: Vec<Vec<Artefact>>,
     /// Expiry, Unix milliseconds by the server's clock.
     pub expires_ms: i64,
     /// Trace that the bake's submission belongs to (W3C Trace Context), if it belongs to one.

@@ -60,6 +60,9 @@ pub enum EventKind {
         /// Milliseconds since the worker took it.
         #[serde(default)]
         elapsed_ms: u64,
+        /// How the result came about, in words for people; empty where there is nothing to say.
+        #[serde(default, skip_serializing_if = "String::is_empty")]
+        note: String,
     },
     /// An attempt at a task ended without a result.
     TaskFailed {

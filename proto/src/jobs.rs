@@ -26,6 +26,10 @@ pub struct TaskSpec {
     /// Estimated cost in thousands of rays or the like; bigger is claimed first among equals. At most 2^40.
     #[schema(maximum = 1099511627776_i64)]
     pub cost: u64,
+    /// Name that it has in common with tasks whose results may stand for its own, as its runner finds by what they recorded: a
+    /// worker is told of those. Not part of its identity.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub alike: Option<Digest>,
 }
 
 /// Where a task's input comes from.
@@ -71,7 +75,16 @@ pub struct TaskResult {
     /// Counters for people (rays, seconds, …), at most 256; not part of the result's identity.
     #[serde(default)]
     pub counters: std::collections::BTreeMap<String, f64>,
+    /// Word for people about how the result came about, at most 400 bytes; not part of the result's identity.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    #[schema(max_length = 400)]
+    pub note: String,
 }
+
+/// Longest note of a result, in bytes.
+pub const MAX_NOTE_BYTES: usize = 400;
+/// Most results of tasks alike that a lease tells of, newest first.
+pub const MAX_ALIKE: usize = 4;
 
 /// Most counters of one result.
 pub const MAX_COUNTERS: usize = 256;
@@ -103,7 +116,13 @@ impl TaskSpec {
         let identity =
             serde_json::json!({ "kind": kind, "version": version, "params": params, "inputs": inputs });
         let key = Digest::of(identity.to_string().as_bytes());
-        Self { key, kind: kind.to_owned(), label: label.into(), params, inputs, cost }
+        Self { key, kind: kind.to_owned(), label: label.into(), params, inputs, cost, alike: None }
+    }
+
+    /// The task with a name in common with others.
+    #[must_use]
+    pub fn alike(self, name: Digest) -> Self {
+        Self { alike: Some(name), ..self }
     }
 
     /// Keys of the tasks that must be done before this one.

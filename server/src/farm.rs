@@ -9,7 +9,7 @@ use lightkiln_proto::api::{
 };
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{
-    MAX_COUNTER, MAX_COUNTER_NAME_BYTES, MAX_COUNTERS, TaskInput, TaskResult, TaskSpec,
+    MAX_COUNTER, MAX_COUNTER_NAME_BYTES, MAX_COUNTERS, MAX_NOTE_BYTES, TaskInput, TaskResult, TaskSpec,
 };
 use lightkiln_proto::kinds::{BakeError, Kinds};
 use tokio::sync::watch;
@@ -432,13 +432,17 @@ fn check_claim(request: &ClaimRequest) -> Result<()> {
     }
 }
 
-/// Sums of counters must stay numbers: JSON cannot say infinity, so a bake that had one could not be read any more.
+/// Words for people are short. Sums of counters must stay numbers: JSON cannot say infinity, so a bake that had one could not be read any more.
 fn check_counters(result: &TaskResult) -> Result<()> {
     let count = result.counters.len();
     if count > MAX_COUNTERS {
         return Err(ServerError::bad_request(format!(
             "counters must be at most {MAX_COUNTERS}, not {count}"
         )));
+    }
+    if result.note.len() > MAX_NOTE_BYTES || result.note.contains('\0') {
+        let what = format!("the note must have at most {MAX_NOTE_BYTES} bytes, none of them 0");
+        return Err(ServerError::bad_request(what));
     }
     for (name, value) in &result.counters {
         let shown: String = name.chars().take(40).collect();

@@ -9,6 +9,7 @@ pub mod kinds;
 pub mod lightmap;
 pub mod patches;
 pub mod rays;
+pub mod reads;
 pub mod reference;
 pub mod runtime;
 pub mod scene;

@@ -10,6 +10,7 @@ mod console;
 mod embedded;
 mod enrolment;
 mod evaluation;
+mod explanation;
 mod failure;
 mod following;
 mod forecast;

@@ -7,7 +7,7 @@ use super::cluster_receivers::{LINKS_MAX, ReceiverCodec, palette_of, write_irrad
 use super::container::{ContainerWriter, SectionId, VERSION};
 use super::error::{ChunkError, all_finite, all_numbers, in_range};
 use super::factors::StoredFactors;
-use super::layers::LayerBox;
+use super::layers::{FactorShape, LayerBox};
 use super::numbers::IRRADIANCE_MAX;
 use super::order::{Arrangement, LEVELS_MAX};
 use super::predict::Predictor;
@@ -92,11 +92,16 @@ pub(super) fn sections_of(index: usize, near: bool) -> Vec<SectionId> {
 }
 
 fn check_input(cluster: &ClusterTransport, settings: QuantisationSettings) -> Result<(), ChunkError> {
+    in_range("encoder", "levels", settings.levels.into(), 1, LEVELS_MAX.into())?;
+    check_places(cluster)
+}
+
+/// Errs if arrays of a cluster's receivers disagree in length, or a number of theirs is out of its range.
+pub(super) fn check_places(cluster: &ClusterTransport) -> Result<(), ChunkError> {
     let section = "encoder";
     let same = |what, length: usize, wanted: usize| {
         in_range(section, what, length as u64, wanted as u64, wanted as u64).map(drop)
     };
-    in_range(section, "levels", settings.levels.into(), 1, LEVELS_MAX.into())?;
     let Receivers { block, texel, position_m, normal, albedo, emission, links, coverage, edge, .. } =
         &cluster.receivers;
     let receivers = texel.len();
@@ -129,62 +134,89 @@ fn check_input(cluster: &ClusterTransport, settings: QuantisationSettings) -> Re
 /// A cluster in stored order, quantised.
 struct Stored {
     head: ClusterHead,
-    receivers: Receivers,
-    codec: ReceiverCodec,
-    predictor: Predictor,
-    emitters: Vec<EmitterIrradiance>,
+    places: Places,
     factors: StoredFactors,
-    near: Option<StoredNear>,
 }
 
 impl Stored {
     fn of(cluster: &ClusterTransport, settings: QuantisationSettings) -> Result<Self, ChunkError> {
         let arrangement = Arrangement::of(&cluster.receivers, settings.levels)?;
-        let receivers = sorted_receivers(&cluster.receivers, &arrangement);
-        let near = StoredNear::of(cluster, &arrangement)?;
-        let (mut emitters, _) = ascending(&cluster.emitters, "emitter", |entry| entry.emitter)?;
-        emitters.iter_mut().for_each(|entry| entry.irradiance = arrangement.sorted(&entry.irradiance));
         let Arrangement { source, counts, .. } = &arrangement;
         let QuantisationSettings { relative_error, levels } = settings;
         let factors = StoredFactors::of(&cluster.factors, source, *counts, levels, relative_error)?;
-        let shape = factors.shape;
+        let places = Places::of(cluster, &arrangement, factors.shape)?;
         let head = ClusterHead {
-            bounds_m: grown(cluster.bounds_m, &receivers.position_m),
-            shape,
-            blocks: receivers.blocks.len(),
-            emitters: emitters.len(),
-            near: near.is_some(),
+            bounds_m: places.codec.bounds_m,
+            shape: factors.shape,
+            blocks: places.receivers.blocks.len(),
+            emitters: places.emitters.len(),
+            near: places.near.is_some(),
             layers: Vec::new(),
         };
         head.check("encoder")?;
-        let mut codec = ReceiverCodec::new(head.bounds_m, palette_of(&receivers.albedo), levels, VERSION);
-        codec.load(&receivers);
-        let mut predictor = Predictor::default();
-        for level in shape.levels_in(shape.full()) {
-            predictor.extend(&receivers, shape.rows_of(level), level);
-        }
-        Ok(Self { head, receivers, codec, predictor, emitters, factors, near })
+        Ok(Self { head, places, factors })
     }
 
     fn section(&self, id: SectionId, before: Option<LayerBox>, layer: LayerBox) -> Vec<u8> {
-        let factors = || self.factors.layer(before, layer, &self.predictor);
+        let factors = || self.factors.layer(before, layer, &self.places.predictor);
         match id.tag {
             tags::BASE => self.base(),
-            tags::RECEIVERS => self.new_receivers(before, layer),
             tags::FACTORS => factors().0,
             tags::FACTORS_LOW => factors().1,
-            _ => self.near(before, layer),
+            _ => self.places.section(id.tag, before, layer),
         }
     }
 
     fn base(&self) -> Vec<u8> {
         let mut out = Vec::new();
-        put_u64s(&mut out, &self.receivers.blocks);
+        put_u64s(&mut out, &self.places.receivers.blocks);
         self.factors.write_base(&mut out);
+        self.places.write_base(&mut out);
+        out
+    }
+}
+
+/// A cluster without its factors, in stored order.
+pub(super) struct Places {
+    shape: FactorShape,
+    receivers: Receivers,
+    codec: ReceiverCodec,
+    predictor: Predictor,
+    pub emitters: Vec<EmitterIrradiance>,
+    near: Option<StoredNear>,
+}
+
+impl Places {
+    /// Of a cluster whose factors have that shape.
+    pub fn of(
+        cluster: &ClusterTransport,
+        arrangement: &Arrangement,
+        shape: FactorShape,
+    ) -> Result<Self, ChunkError> {
+        let receivers = sorted_receivers(&cluster.receivers, arrangement);
+        let near = StoredNear::of(cluster, arrangement)?;
+        let (mut emitters, _) = ascending(&cluster.emitters, "emitter", |entry| entry.emitter)?;
+        emitters.iter_mut().for_each(|entry| entry.irradiance = arrangement.sorted(&entry.irradiance));
+        let bounds_m = grown(cluster.bounds_m, &receivers.position_m);
+        let mut codec = ReceiverCodec::new(bounds_m, palette_of(&receivers.albedo), shape.levels, VERSION);
+        codec.load(&receivers);
+        let mut predictor = Predictor::default();
+        for level in shape.levels_in(shape.full()) {
+            predictor.extend(&receivers, shape.rows_of(level), level);
+        }
+        Ok(Self { shape, receivers, codec, predictor, emitters, near })
+    }
+
+    /// Appends the end of the base: emitters and palette.
+    pub fn write_base(&self, out: &mut Vec<u8>) {
         self.emitters.iter().for_each(|entry| out.extend_from_slice(&entry.emitter.to_le_bytes()));
         out.extend_from_slice(&(self.codec.palette.len() as u16).to_le_bytes());
-        put_f32s(&mut out, self.codec.palette.as_flattened());
-        out
+        put_f32s(out, self.codec.palette.as_flattened());
+    }
+
+    /// A section of receivers or of near hits.
+    pub fn section(&self, tag: u8, before: Option<LayerBox>, layer: LayerBox) -> Vec<u8> {
+        if tag == tags::RECEIVERS { self.new_receivers(before, layer) } else { self.near(before, layer) }
     }
 
     fn near(&self, before: Option<LayerBox>, layer: LayerBox) -> Vec<u8> {
@@ -193,16 +225,16 @@ impl Stored {
         if before.is_none() {
             near.begin(&mut out);
         }
-        for level in self.head.shape.new_levels(before, layer) {
-            near.write(&mut out, self.head.shape.rows_of(level));
+        for level in self.shape.new_levels(before, layer) {
+            near.write(&mut out, self.shape.rows_of(level));
         }
         out
     }
 
     fn new_receivers(&self, before: Option<LayerBox>, layer: LayerBox) -> Vec<u8> {
         let mut out = Vec::new();
-        for level in self.head.shape.new_levels(before, layer) {
-            let rows = self.head.shape.rows_of(level);
+        for level in self.shape.new_levels(before, layer) {
+            let rows = self.shape.rows_of(level);
             self.codec.write(&mut out, &self.receivers, rows.clone(), level, &self.predictor);
             for emitter in &self.emitters {
                 write_irradiance(&mut out, &emitter.irradiance[rows.clone()]);

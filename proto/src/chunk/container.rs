@@ -142,6 +142,12 @@ impl<'a> Container<'a> {
         self.entries[index].raw_bytes as u64
     }
 
+    /// Stored bytes of section `index`.
+    pub fn stored(&self, index: usize) -> Result<&'a [u8], ChunkError> {
+        let Entry { start, stored_bytes, .. } = self.entries[index];
+        Reader::new("section", &self.bytes[start.min(self.bytes.len())..]).take("section", stored_bytes, 1)
+    }
+
     /// Decompresses section `index`, whose content may have up to `raw_bytes_max` bytes, and no more than the chunk's
     /// own length answers for.
     pub fn section(
@@ -233,13 +239,17 @@ impl ContainerWriter {
 
     /// Appends a section.
     pub fn push(&mut self, id: SectionId, raw: &[u8]) -> Result<(), ChunkError> {
-        let stored = compress(raw)?;
-        in_range("encoder", "raw length", raw.len() as u64, 0, u32::MAX.into())?;
+        self.push_stored(id, &compress(raw)?, raw.len() as u64)
+    }
+
+    /// Appends a section as another chunk has it stored.
+    pub fn push_stored(&mut self, id: SectionId, stored: &[u8], raw_bytes: u64) -> Result<(), ChunkError> {
+        in_range("encoder", "raw length", raw_bytes, 0, u32::MAX.into())?;
         self.table.push(id.tag);
         self.table.extend_from_slice(&id.part);
         self.table.extend_from_slice(&(stored.len() as u32).to_le_bytes());
-        self.table.extend_from_slice(&(raw.len() as u32).to_le_bytes());
-        self.body.extend_from_slice(&stored);
+        self.table.extend_from_slice(&(raw_bytes as u32).to_le_bytes());
+        self.body.extend_from_slice(stored);
         self.ends.push(self.body.len());
         in_range("encoder", "section count", self.ends.len() as u64, 0, SECTIONS_MAX as u64)?;
         Ok(())

@@ -6,6 +6,7 @@
 pub mod bytes;
 mod cells;
 mod cluster;
+mod cluster_colour;
 mod cluster_decode;
 mod cluster_head;
 mod cluster_near;
@@ -31,6 +32,7 @@ mod texture;
 mod vertices;
 
 pub use cluster::{EncodedCluster, QuantisationSettings, ascending, encode_cluster};
+pub use cluster_colour::coloured_cluster;
 pub use cluster_decode::{ascending_keys, cluster_layers, decode_cluster, decode_cluster_prefix};
 pub use cluster_near::NEAR_WEIGHT_ERROR;
 pub use column_scale::column_deviation;

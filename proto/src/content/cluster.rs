@@ -1,5 +1,7 @@
 //! Clusters: receivers that share one factorised transport matrix (METHOD.md §2.9).
 
+use serde::{Deserialize, Serialize};
+
 use super::near::NearHits;
 use super::receivers::Receivers;
 
@@ -55,7 +57,7 @@ pub struct ClusterTransport {
 }
 
 /// Irradiance at a cluster's receivers straight from one emitter at scale 1, shadowed, in W·m⁻².
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct EmitterIrradiance {
     /// Index into the manifest's emitters.
     pub emitter: u16,

@@ -2,13 +2,15 @@
 
 use std::ops::Range;
 
+use serde::{Deserialize, Serialize};
+
 use super::receivers::{BlockKey, Texel};
 
 /// Points close to receivers whose light is read at the very point: in narrow places, where a texel has strips of light
 /// and shadow. A hit at y on the texel t gives its receiver `weight · ρ_t/π · (E_dir(y) + E_ind(t))`, with E_dir for the
 /// normal of t. A hit that walls part from the middles of all texels around has an albedo and a normal
 /// of its own, and the E_ind of the receiver that meets it.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct NearHits {
     /// Longest distance of a hit from its receiver along an axis, in metres.
     pub reach_m: f32,
@@ -80,7 +82,7 @@ impl NearHits {
 }
 
 /// Surface of a near hit.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum NearSurface {
     /// A texel.
     Texel {

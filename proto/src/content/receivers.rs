@@ -10,7 +10,7 @@ pub type BlockKey = u64;
 pub type Texel = [u16; 2];
 
 /// Receivers of a cluster, one entry per receiver in every array.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Receivers {
     /// Blocks that they lie in; `block` indexes it.
     pub blocks: Vec<BlockKey>,

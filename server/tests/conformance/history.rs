@@ -299,7 +299,7 @@ fn result_of(task: &TaskSpec, tasks: &[TaskSpec]) -> TaskResult {
     let number = tasks.iter().position(|known| known.key == task.key).expect("a task of the universe");
     let plan = PLANS[number].iter().map(|planned| tasks[*planned].clone()).collect();
     let counters = [("rays".to_owned(), 0.1 * number as f64)].into();
-    TaskResult { outputs: outputs(task.key), plan, counters }
+    TaskResult { outputs: outputs(task.key), plan, counters, ..TaskResult::default() }
 }
 
 async fn changed<F>(bake: Option<String>, change: impl FnOnce(String) -> F) -> String

@@ -145,6 +145,8 @@ conformance! {
         done_task_is_not_run_again_and_its_plan_is_followed
         bake_of_done_tasks_is_done_at_once
         two_bakes_share_one_run
+        lease_tells_of_the_newest_results_of_tasks_that_have_its_name_in_common
+        note_of_a_result_is_told_by_the_event_of_its_end
         bake_that_joins_late_sees_the_lease
         forgotten_result_is_run_again
         forgotten_result_makes_dependants_wait

@@ -325,7 +325,7 @@ async fn assert_bytes_are_counted(store: &SqlStore, past: &Past) {
 /// The holder of the old lease hands in, then everything that is left is done.
 async fn finish(store: &SqlStore, past: &Past) -> Bake {
     assert_eq!(store.heartbeat(&token(), 0.5).await.unwrap().verdict, Verdict::Keep);
-    let result = |outputs: Vec<Artefact>| TaskResult { outputs, plan: Vec::new(), counters: [].into() };
+    let result = |outputs: Vec<Artefact>| TaskResult { outputs, ..TaskResult::default() };
     let verdict = store.commit(&token(), &result(vec![past.own.clone()])).await.unwrap();
     assert_eq!(verdict, CommitVerdict::Committed);
     let again = store.commit("token of b", &result(past.outputs(1))).await.unwrap();

@@ -3,8 +3,10 @@
 use std::slice::from_ref;
 
 use lightkiln_proto::api::{BakeState, CommitVerdict, EventKind};
+use lightkiln_proto::ids::Digest;
+use lightkiln_proto::jobs::{Artefact, MAX_ALIKE, TaskResult};
 
-use crate::support::{World, outputs, task};
+use crate::support::{World, outputs, result, task};
 
 pub async fn done_task_is_not_run_again_and_its_plan_is_followed(world: World) {
     let planner = task("plan", &[]);
@@ -116,4 +118,37 @@ pub async fn reusable_follows_plans(world: World) {
     let keys: Vec<_> = known.iter().map(|result| result.key).collect();
     assert_eq!(keys, [planner.key, planned.key]);
     assert_eq!(known[1].outputs, outputs(planned.key));
+}
+
+pub async fn lease_tells_of_the_newest_results_of_tasks_that_have_its_name_in_common(world: World) {
+    let name = Digest::of(b"a cell");
+    let named = |label: &str| task(label, &[]).alike(name);
+    let mut known: Vec<Vec<Artefact>> = Vec::new();
+    for number in 0..MAX_ALIKE + 2 {
+        let spec = named(&format!("named {number}"));
+        world.submit(&format!("bake {number}"), from_ref(&spec)).await;
+        let lease = world.claim_one("w").await;
+        let newest: Vec<_> = known.iter().rev().take(MAX_ALIKE).cloned().collect();
+        assert_eq!(lease.alike, newest);
+        world.commit_plan(&lease, &[]).await;
+        known.push(outputs(spec.key));
+    }
+    // Tasks under way have no results, others have nothing in common.
+    let plan =
+        [named("under way"), task("unnamed", &[]), task("other", &[]).alike(Digest::of(b"another cell"))];
+    world.submit("last", &plan).await;
+    for lease in world.claim("w", 3).await {
+        let wanted = if lease.task.alike == Some(name) { MAX_ALIKE } else { 0 };
+        assert_eq!(lease.alike.len(), wanted, "{}", lease.task.label);
+    }
+}
+
+pub async fn note_of_a_result_is_told_by_the_event_of_its_end(world: World) {
+    let bake = world.submit("noted", from_ref(&task("noted", &[]))).await;
+    let lease = world.claim_one("w").await;
+    let result = TaskResult { note: "as before".into(), ..result(&lease, &[]) };
+    assert_eq!(world.store.commit(&lease.token, &result).await.unwrap(), CommitVerdict::Committed);
+    let is_told =
+        |event: &EventKind| matches!(event, EventKind::TaskDone { note, .. } if note == "as before");
+    assert!(world.events(&bake).await.iter().any(|event| is_told(&event.event)));
 }

@@ -124,7 +124,7 @@ pub async fn stock(store: &dyn FarmStore) {
 /// A result with that plan.
 pub fn result(lease: &Lease, plan: &[TaskSpec]) -> TaskResult {
     let counters = [("rays".to_owned(), 10.0)].into();
-    TaskResult { outputs: outputs(lease.task.key), plan: plan.to_vec(), counters }
+    TaskResult { outputs: outputs(lease.task.key), plan: plan.to_vec(), counters, ..TaskResult::default() }
 }
 
 impl World {

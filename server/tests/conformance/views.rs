@@ -32,7 +32,8 @@ pub async fn events_have_no_gaps_and_tell_the_story(world: World) {
         attempt: 1,
     };
     assert_eq!(kinds[2], started);
-    assert_eq!(kinds[3], EventKind::TaskDone { key, kind, label, worker, attempt: 1, elapsed_ms: 250 });
+    let note = String::new();
+    assert_eq!(kinds[3], EventKind::TaskDone { key, kind, label, worker, attempt: 1, elapsed_ms: 250, note });
     assert_eq!(kinds[4], EventKind::Planned { tasks: 1, reused: 0 });
     assert_eq!(kinds[5], EventKind::State { state: BakeState::Paused });
     assert_eq!(kinds[6], EventKind::State { state: BakeState::Running });

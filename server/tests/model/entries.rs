@@ -58,6 +58,8 @@ pub(super) struct Stage {
 #[derive(Clone)]
 pub(super) struct Task {
     pub(super) spec: TaskSpec,
+    /// Tasks that there were before it.
+    pub(super) number: u64,
     /// Result, and the token that committed it.
     pub(super) done: Option<(TaskResult, String)>,
     /// Token of the attempt under way.
@@ -167,11 +169,12 @@ impl BakeEntry {
 }
 
 impl Task {
-    pub(super) fn new(spec: TaskSpec) -> Self {
+    pub(super) fn new(spec: TaskSpec, number: u64) -> Self {
         let (blamed, makers, outputs_before) = (BTreeSet::new(), BTreeSet::new(), Vec::new());
         let (attempts, pardons, not_before_ms) = (0, 0, 0);
         Self {
             spec,
+            number,
             done: None,
             lease: None,
             attempts,

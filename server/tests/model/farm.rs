@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use lightkiln_proto::api::{Bake, BakeEvent, BakeState, EventKind};
 use lightkiln_proto::ids::{Digest, TaskKey};
-use lightkiln_proto::jobs::{Artefact, TaskSpec};
+use lightkiln_proto::jobs::{Artefact, MAX_ALIKE, TaskSpec};
 
 use super::chunks::Chunks;
 use super::entries::{BakeEntry, ExpiredEntry, LeaseEntry, Task, WorkerEntry};
@@ -32,6 +32,8 @@ pub(super) struct Farm {
     pub(super) ready_since_ms: BTreeMap<(String, TaskKey), i64>,
     /// Bakes that there ever were; numbers are not given out again.
     pub(super) submitted: u64,
+    /// Tasks that there ever were.
+    pub(super) numbered: u64,
     /// Tasks run and reused that the bakes' own counts no longer have.
     pub(super) gone_run: u64,
     pub(super) gone_reused: u64,
@@ -101,7 +103,8 @@ impl Farm {
         let mut reused = 0;
         while let Some(spec) = queue.pop_front() {
             let key = spec.key;
-            let task = self.tasks.entry(key).or_insert_with(|| Task::new(spec.clone()));
+            self.numbered += 1;
+            let task = self.tasks.entry(key).or_insert_with(|| Task::new(spec.clone(), self.numbered));
             if !is_same_task(&task.spec, &spec) {
                 return Err(PlanError::KeyClash { key }.into());
             }
@@ -249,7 +252,8 @@ impl Farm {
         self.expired.retain(|_, expired| expired.key != key);
         let Some(task) = self.tasks.get_mut(&key) else { return };
         let outputs_before = task.done.take().map(|(result, _)| result.outputs).unwrap_or_default();
-        *task = Task { makers: task.makers.clone(), outputs_before, ..Task::new(task.spec.clone()) };
+        *task =
+            Task { makers: task.makers.clone(), outputs_before, ..Task::new(task.spec.clone(), task.number) };
         let (kind, label) = (task.spec.kind.clone(), task.spec.label.clone());
         for bake in wanted_by {
             let lost = EventKind::ResultLost { key, kind: kind.clone(), label: label.clone() };
@@ -294,6 +298,15 @@ impl Farm {
     pub(super) fn outputs_of(&self, key: &TaskKey) -> Vec<Artefact> {
         let done = self.tasks.get(key).and_then(|task| task.done.as_ref());
         done.map(|(result, _)| result.outputs.clone()).unwrap_or_default()
+    }
+
+    /// Outputs of the newest done tasks that have a name in common with a task.
+    pub(super) fn outputs_of_alike(&self, spec: &TaskSpec) -> Vec<Vec<Artefact>> {
+        let is_alike = |task: &&Task| spec.alike.is_some() && task.spec.alike == spec.alike;
+        let mut done: Vec<_> =
+            self.tasks.values().filter(is_alike).filter(|task| task.done.is_some()).collect();
+        done.sort_by_key(|task| std::cmp::Reverse(task.number));
+        done.iter().take(MAX_ALIKE).map(|task| self.outputs_of(&task.spec.key)).collect()
     }
 
     /// A task, and all that it waits for if nothing is done.

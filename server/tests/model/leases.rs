@@ -234,7 +234,8 @@ impl Farm {
         let inputs = rules::resolve_inputs(&task, |key| self.outputs_of(key));
         let BakeEntry { id, traceparent, .. } = &self.bakes[bake];
         let (bake, traceparent) = (id.clone(), traceparent.clone());
-        Ok(Lease { token, bake, task, inputs, expires_ms, traceparent })
+        let alike = self.outputs_of_alike(&task);
+        Ok(Lease { token, bake, task, inputs, alike, expires_ms, traceparent })
     }
 
     pub(super) fn heartbeat(&mut self, token: &str, _progress: f32, now_ms: i64) -> HeartbeatAnswer {
@@ -343,7 +344,8 @@ impl Farm {
             }
             let (kind, label, worker) = (spec.kind.clone(), spec.label.clone(), lease.worker.clone());
             let elapsed_ms = lease.elapsed_ms(now_ms);
-            let done = EventKind::TaskDone { key, kind, label, worker, attempt, elapsed_ms };
+            let note = result.note.clone();
+            let done = EventKind::TaskDone { key, kind, label, worker, attempt, elapsed_ms, note };
             self.event(bake, now_ms, done);
             if let Some(failure) = self.failure_by_making(bake, key, &before) {
                 self.close(bake, BakeState::Failed, Some(failure), now_ms);

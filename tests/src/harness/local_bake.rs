@@ -61,6 +61,45 @@ impl LocalBake {
     }
 }
 
+/// Bakes one scene after the other, and keeps all results.
+#[derive(Debug)]
+pub struct Bakery<'p> {
+    run: LocalRun<'p>,
+    recipe: Recipe,
+}
+
+/// A bake after others.
+#[derive(Clone, Debug)]
+pub struct Rebaked {
+    /// Manifest as written: it names all chunks by their digests.
+    pub manifest_bytes: Vec<u8>,
+    /// Label of each task that had to be looked at, and how it came by its result.
+    pub notes: Vec<(String, String)>,
+    /// Rays cast for it.
+    pub rays: u64,
+}
+
+impl<'p> Bakery<'p> {
+    /// Nothing baked yet.
+    pub fn new(recipe: &Recipe, progress: &'p Progress) -> Self {
+        Self { run: LocalRun::new(MEMORY_BYTES, progress), recipe: recipe.clone() }
+    }
+
+    /// Bakes a scene bundle, with the results of those before at hand.
+    pub fn bake(&mut self, bundle: Vec<u8>) -> Result<Rebaked> {
+        let (before, told) = (self.run.progress.rays().total(), self.run.notes.len());
+        let scene = self.run.shelf.put(bundle);
+        let plan = Kinds::new().first_tasks(self.recipe.kind, scene, &self.recipe.settings)?;
+        self.run.run(&Runner::new(&BakeKinds::new()), plan, |_| true, |_| ())?;
+        let manifest = self.run.outputs_named(MANIFEST_OUTPUT).next().context("no task gave a manifest")?;
+        Ok(Rebaked {
+            manifest_bytes: self.run.shelf.get(manifest)?.as_ref().clone(),
+            notes: self.run.notes[told..].iter().filter(|(_, note)| !note.is_empty()).cloned().collect(),
+            rays: self.run.progress.rays().total() - before,
+        })
+    }
+}
+
 /// Bakes a scene bundle; also gives the world that it was baked in.
 pub fn bake_in_world(bundle: Vec<u8>, recipe: &Recipe) -> Result<(LocalBake, Arc<World>)> {
     let progress = Progress::new();

@@ -7,5 +7,5 @@ mod relit;
 
 pub use decoded::{Decoded, clusters};
 pub use held::{Compared, Held, Lit};
-pub use local_bake::{LocalBake, Recipe, bake, bake_in_world};
+pub use local_bake::{Bakery, LocalBake, Rebaked, Recipe, bake, bake_in_world};
 pub use relit::{Lighting, RelitReceiver, Rgb, relit};

@@ -11,6 +11,7 @@ mod contact;
 mod cornell;
 mod document;
 mod doors;
+mod edited;
 pub mod glb;
 mod hall;
 pub mod lathe;
@@ -32,6 +33,7 @@ pub use contact::{
 };
 pub use cornell::{cornell, cornell_large};
 pub use doors::{closet, mirrored_room};
+pub use edited::{FLAT_HALF_M, FLAT_WALL_M, Flat, Thing, flat};
 pub use hall::open_hall;
 pub use panes::{furnace_with_panes, lamp_behind_pane, panes, skylit_room};
 pub use rooms::{

@@ -10,6 +10,7 @@ mod cavities;
 mod contact;
 mod corridor;
 mod determinism;
+mod edits;
 mod energy;
 mod glass;
 mod leaks;

@@ -12,8 +12,8 @@ use std::sync::Arc;
 
 use glam::Vec3;
 
-use super::{EmissiveTriangle, emissive_triangles, emitter_of_material};
-use crate::geometry::{Geometry, Site, weights_of};
+use super::{EmissiveTriangle, emissive_triangles, radiance_of_emitters};
+use crate::geometry::{Geometry, Site, Trail, weights_of};
 use crate::rays::Hit;
 use crate::rays::sampling::{R2, Sequence, seed_of, uniform_triangle};
 use crate::scene::surface::{Footprint, SurfaceSample, surface_at};
@@ -26,7 +26,22 @@ const BY_REACH_MAX: usize = 4096;
 /// Fraction of the golden ratio: its multiples are spread evenly, any run of them.
 const GOLDEN: f32 = 0.618_034;
 
-/// A triangle with its chance where nothing else is known: area × mean radiance.
+/// Ratio of radiances that emitters are told apart by when chances are given out: chances only spread the noise, and an emitter
+/// that becomes a little brighter shall leave them as they are.
+const STRENGTH_STEP: f32 = 16.0;
+/// Steps below the brightest emitter in which the others are.
+const STRENGTH_STEPS: i32 = 3;
+
+/// Radiance that irradiance is told for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Radiance {
+    /// That of the emitters' materials.
+    OfMaterials,
+    /// 1 in each channel, wherever the texture is white: then materials may change afterwards.
+    One,
+}
+
+/// A triangle with its chance where nothing else is known: area × mean radiance, the latter in steps.
 #[derive(Clone, Copy, Debug)]
 struct Weighted {
     of: EmissiveTriangle,
@@ -47,8 +62,8 @@ pub struct EmitterSet {
     triangles: Vec<Weighted>,
     /// Index into `triangles` of each triangle of the scene, or `u32::MAX`; empty when nothing emits.
     index_of: Vec<u32>,
-    /// Emitters, i.e. emissive materials.
-    count: usize,
+    /// Radiance of each emitter's material.
+    radiance: Vec<[f32; 3]>,
     /// Summed share of power of each triangle, where there are too many to weigh.
     by_power: Vec<f32>,
 }
@@ -56,17 +71,18 @@ pub struct EmitterSet {
 impl EmitterSet {
     /// Finds the emissive triangles.
     pub fn new(geometry: &Geometry) -> Self {
-        let count = emitter_of_material(&geometry.scene).iter().flatten().count();
-        let mut set = Self { count, ..Self::default() };
-        if count == 0 {
+        let radiance = radiance_of_emitters(&geometry.scene);
+        let strengths = strengths(&radiance);
+        let mut set = Self { radiance, ..Self::default() };
+        if set.radiance.is_empty() {
             return set;
         }
         set.index_of = vec![u32::MAX; geometry.triangles.len()];
         for of in emissive_triangles(geometry) {
             set.index_of[of.triangle as usize] = set.triangles.len() as u32;
-            // A texture may be dark on the average and still hold a lamp: never below a hundredth of the factor.
-            let floor = of.factor.iter().sum::<f32>() * 0.01;
-            let power = of.area_m2 * of.mean_radiance.iter().sum::<f32>().max(floor);
+            // A texture may be dark on the average and still hold a lamp: never below a hundredth of the whole.
+            let glow = of.mean_glow.iter().sum::<f32>().max(0.03);
+            let power = of.area_m2 * strengths[usize::from(of.emitter)] * glow;
             set.triangles.push(Weighted { of, power });
         }
         if set.triangles.len() > BY_REACH_MAX {
@@ -78,6 +94,11 @@ impl EmitterSet {
     /// Nothing emits.
     pub fn is_empty(&self) -> bool {
         self.triangles.is_empty()
+    }
+
+    /// The emissive triangles, each with its chance where nothing else is known, ascending.
+    pub fn chances(&self) -> impl Iterator<Item = (&EmissiveTriangle, f32)> {
+        self.triangles.iter().map(|triangle| (&triangle.of, triangle.power))
     }
 
     /// Emitters of the scene among a task's inputs, found once per worker.
@@ -100,6 +121,7 @@ pub struct EmitterIrradianceSum<'a> {
     samples: u32,
     /// Chance of each emissive triangle, summed; empty when none can reach the receiver.
     cumulative: Cow<'a, [f32]>,
+    /// For radiance 1.
     sums: Vec<[f32; 3]>,
 }
 
@@ -119,7 +141,7 @@ impl<'a> EmitterIrradianceSum<'a> {
         } else {
             Cow::Borrowed(set.by_power.as_slice())
         };
-        let sums = vec![[0.0; 3]; set.count];
+        let sums = vec![[0.0; 3]; set.radiance.len()];
         Self { geometry, set, texel, own_rays: own_rays as f32, samples, cumulative, sums }
     }
 
@@ -141,13 +163,13 @@ impl<'a> EmitterIrradianceSum<'a> {
         let surface = self.surface(triangle, hit.barycentric);
         self.add(
             triangle.emitter,
-            surface.emission,
+            surface.glow,
             std::f32::consts::PI / self.own_rays * own / (own + sampled),
         );
     }
 
     /// Casts the shadow rays.
-    pub fn sample_emitters(&mut self, seed: u64) {
+    pub fn sample_emitters(&mut self, seed: u64, trail: &Trail) {
         if self.cumulative.is_empty() {
             return;
         }
@@ -161,17 +183,23 @@ impl<'a> EmitterIrradianceSum<'a> {
             // Of its own sequence: strata are those of triangles, and each is to be seen from all over the texel.
             let place = (sample as f32 * GOLDEN + turn).fract() * self.texel.len() as f32;
             let site = &self.texel[(place as usize).min(self.texel.len() - 1)];
-            self.add_sample(site, index, uniform_triangle(points.point(sample)));
+            self.add_sample(site, index, uniform_triangle(points.point(sample)), trail);
         }
     }
 
-    /// The sums, one per emitter.
-    pub fn finish(self) -> Vec<[f32; 3]> {
-        self.sums
+    /// The sums, one per emitter, for the radiance that is asked for.
+    pub fn finish(self, of: Radiance) -> Vec<[f32; 3]> {
+        match of {
+            Radiance::One => self.sums,
+            Radiance::OfMaterials => {
+                let all = self.sums.into_iter().zip(&self.set.radiance);
+                all.map(|(sum, radiance)| [0, 1, 2].map(|channel| sum[channel] * radiance[channel])).collect()
+            }
+        }
     }
 
     /// `Lₑ cosθ_x cosθ_y / d² / density`, weighted against the texel's own rays.
-    fn add_sample(&mut self, site: &Site, index: usize, barycentric: [f32; 2]) {
+    fn add_sample(&mut self, site: &Site, index: usize, barycentric: [f32; 2], trail: &Trail) {
         let triangle = &self.set.triangles[index];
         let weights = weights_of(barycentric);
         let [a, b, c] = triangle.corners;
@@ -188,6 +216,7 @@ impl<'a> EmitterIrradianceSum<'a> {
         }
         let offset_m = self.geometry.tracer.ray_offset_m(point_m);
         let lifted_m = point_m + triangle.normal * offset_m.copysign(facing);
+        trail.mark_ray(origin_m, lifted_m - origin_m, Some(1.0));
         let passed = self.geometry.tracer.passed(origin_m, lifted_m);
         if passed <= 0.0 {
             return;
@@ -197,7 +226,7 @@ impl<'a> EmitterIrradianceSum<'a> {
         let own = self.own_rays * cosine / std::f32::consts::PI;
         let surface = self.surface(triangle, barycentric);
         // cosθ / (M · density) · M·density / (M·density + N·cosθ/π), of what is there and of what passes
-        self.add(triangle.emitter, surface.emission, surface.stopped * passed * cosine / (sampled + own));
+        self.add(triangle.emitter, surface.glow, surface.stopped * passed * cosine / (sampled + own));
     }
 
     /// Density of sampled points on an emissive triangle, per m².
@@ -216,10 +245,22 @@ impl<'a> EmitterIrradianceSum<'a> {
         surface_at(scene, images, instance, local, weights, &Footprint::POINT)
     }
 
-    fn add(&mut self, emitter: u16, emission: [f32; 3], factor: f32) {
+    fn add(&mut self, emitter: u16, glow: [f32; 3], factor: f32) {
         let sum = &mut self.sums[emitter as usize];
-        sum.iter_mut().zip(emission).for_each(|(sum, emission)| *sum += emission * factor);
+        sum.iter_mut().zip(glow).for_each(|(sum, glow)| *sum += glow * factor);
     }
+}
+
+/// Radiance of each emitter over that of the brightest, in steps.
+fn strengths(radiance: &[[f32; 3]]) -> Vec<f32> {
+    let sums: Vec<f32> = radiance.iter().map(|channels| channels.iter().sum()).collect();
+    let brightest = sums.iter().fold(f32::MIN_POSITIVE, |most, sum| most.max(*sum));
+    let strength = |sum: &f32| {
+        let steps =
+            (0..STRENGTH_STEPS).filter(|step| sum * STRENGTH_STEP.powi(*step) * 4.0 < brightest).count();
+        STRENGTH_STEP.powi(-(steps as i32))
+    };
+    sums.iter().map(strength).collect()
 }
 
 /// Running sums of chances, normalised to end in 1; empty when all are 0.

@@ -10,7 +10,7 @@ use crate::geometry::Geometry;
 use crate::scene::model::Scene;
 use crate::scene::surface::{Footprint, surface_at};
 
-pub use irradiance::{EmitterIrradianceSum, EmitterSet};
+pub use irradiance::{EmitterIrradianceSum, EmitterSet, Radiance};
 
 /// An emissive triangle.
 #[derive(Clone, Copy, Debug)]
@@ -29,8 +29,21 @@ pub struct EmissiveTriangle {
     pub double_sided: bool,
     /// Mean radiance over it, as its texture has it; W·m⁻²·sr⁻¹.
     pub mean_radiance: [f32; 3],
+    /// Mean of what its texture makes of its material's radiance.
+    pub mean_glow: [f32; 3],
     /// Radiance that a texture may hold at most, wherever it is bright.
     pub factor: [f32; 3],
+}
+
+/// Radiance that each emitter's texture is multiplied by: W·m⁻²·sr⁻¹.
+pub fn radiance_of_emitters(scene: &Scene) -> Vec<[f32; 3]> {
+    let emissive = scene.materials.iter().map(|material| material.emissive);
+    emitter_of_material(scene)
+        .iter()
+        .zip(emissive)
+        .filter(|(emitter, _)| emitter.is_some())
+        .map(|(_, of)| of)
+        .collect()
 }
 
 /// Emitter of each material: emissive materials counted in order.
@@ -60,7 +73,7 @@ pub fn emissive_triangles(geometry: &Geometry) -> Vec<EmissiveTriangle> {
         let area_m2 = scaled.length() * 0.5;
         let (of_instance, local) = (reference.instance as usize, reference.triangle as usize);
         let footprint = Footprint::square(instance, local, area_m2.sqrt());
-        let mean = surface_at(scene, images, of_instance, local, [1.0 / 3.0; 3], &footprint).emission;
+        let mean = surface_at(scene, images, of_instance, local, [1.0 / 3.0; 3], &footprint);
         found.push(EmissiveTriangle {
             triangle: index as u32,
             emitter,
@@ -68,7 +81,8 @@ pub fn emissive_triangles(geometry: &Geometry) -> Vec<EmissiveTriangle> {
             normal: scaled.normalize_or(Vec3::Y),
             area_m2,
             double_sided: material.double_sided,
-            mean_radiance: mean,
+            mean_radiance: mean.emission,
+            mean_glow: mean.glow,
             factor: material.emissive,
         });
     }

@@ -38,6 +38,20 @@ pub fn cell_of_task(context: &Context, index: usize) -> Result<ClusterCell, Task
     cells.get(index).cloned().ok_or_else(absent)
 }
 
+/// Names of cells, by their corners in metres: an edit elsewhere leaves them as they are. Of cells in one place the second is `…#2`.
+pub fn cell_names(cells: &[ClusterCell]) -> Vec<String> {
+    let corner = |corner: Vec3| format!("{},{},{}", corner.x, corner.y, corner.z);
+    let mut names: Vec<String> = Vec::with_capacity(cells.len());
+    let mut same = 1;
+    for (index, cell) in cells.iter().enumerate() {
+        let is_same = index > 0 && cells[index - 1].bounds_m == cell.bounds_m;
+        same = if is_same { same + 1 } else { 1 };
+        let name = cell.bounds_m.map(corner).join("..");
+        names.push(if same > 1 { format!("{name}#{same}") } else { name });
+    }
+    names
+}
+
 /// Deepest split by place.
 const DEPTH_MAX: u32 = 60;
 

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use lightkiln_proto::chunk::{QuantisationSettings, encode_cluster};
+use lightkiln_proto::chunk::{EncodedCluster, QuantisationSettings, encode_cluster};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::manifest::{ChunkRef, ClusterRow, ClusterTotals};
 use rayon::prelude::*;
@@ -58,8 +58,7 @@ impl CellIndex {
         let is_index = |name: &str| name.starts_with("cluster/") && name.ends_with("/index");
         for artefact in context.inputs.iter().filter(|artefact| is_index(&artefact.name)) {
             let bytes = context.source.get(artefact.digest)?;
-            let part: Self = serde_json::from_slice(&bytes)
-                .map_err(|error| TaskError::bad_input_from("the index of a cluster cannot be read", error))?;
+            let part = Self::decoded(&bytes)?;
             all.clusters.extend(part.clusters);
             all.chunks.extend(part.chunks);
             all.s1_criterion_bounds.extend(part.s1_criterion_bounds);
@@ -73,6 +72,48 @@ impl CellIndex {
 }
 
 impl CellIndex {
+    /// Name of the account among a task's outputs.
+    pub const OUTPUT: &str = "index";
+
+    /// The account of a cell from its artefact.
+    pub fn decoded(bytes: &[u8]) -> Result<Self, TaskError> {
+        serde_json::from_slice(bytes)
+            .map_err(|error| TaskError::bad_input_from("the index of a cluster cannot be read", error))
+    }
+
+    /// The account as an artefact.
+    pub fn encoded(&self) -> Result<Vec<u8>, TaskError> {
+        serde_json::to_vec(self)
+            .map_err(|error| TaskError::bad_input_from("the cluster's index cannot be written", error))
+    }
+
+    /// The account with the clusters of the cell, but for their chunks.
+    #[must_use]
+    pub fn with_clusters(mut self, pieces: &[Piece], encoded: &[EncodedCluster]) -> Self {
+        for (piece, encoded) in pieces.iter().zip(encoded) {
+            self.s1_criterion_bounds.push(piece.s1_criterion_bound);
+            self.clusters.push(ClusterRow {
+                bounds_m: piece.transport.bounds_m,
+                receivers: piece.transport.receivers.len() as u32,
+                keys: encoded.keys,
+                rank: piece.transport.factors.rank,
+                truncation_error: piece.truncation_error,
+                quantisation_error: encoded.quantisation_error,
+                uncovered_fraction: piece.uncovered_fraction,
+                layers: Vec::new(),
+            });
+        }
+        self
+    }
+
+    /// Counts for people.
+    pub fn counters(&self) -> BTreeMap<String, f64> {
+        BTreeMap::from([
+            ("clusters".to_owned(), self.clusters.len() as f64),
+            ("receivers_without_light".to_owned(), self.receivers_without_light as f64),
+        ])
+    }
+
     /// Sums for the manifest.
     pub fn totals(&self) -> ClusterTotals {
         ClusterTotals {
@@ -113,35 +154,35 @@ impl CellIndex {
 pub fn stored(
     pieces: &[Piece],
     quantisation: QuantisationSettings,
-    mut index: CellIndex,
+    index: CellIndex,
 ) -> Result<TaskOutput, TaskError> {
-    let mut output = TaskOutput::default();
-    let encoded: Vec<_> = pieces
+    let encoded = encoded(pieces, quantisation)?;
+    let index = index.with_clusters(pieces, &encoded);
+    stored_as(encoded, index)
+}
+
+/// The pieces of a cell as chunks.
+pub fn encoded(
+    pieces: &[Piece],
+    quantisation: QuantisationSettings,
+) -> Result<Vec<EncodedCluster>, TaskError> {
+    pieces
         .par_iter()
         .map(|piece| encode_cluster(&piece.transport, quantisation))
         .collect::<Result<_, _>>()
-        .map_err(|error| TaskError::bad_input_from("a cluster cannot be stored", error))?;
-    for (number, (piece, encoded)) in pieces.iter().zip(encoded).enumerate() {
-        index.s1_criterion_bounds.push(piece.s1_criterion_bound);
+        .map_err(|error| TaskError::bad_input_from("a cluster cannot be stored", error))
+}
+
+/// Outputs `chunk/N` and `index` of a cell whose clusters are encoded, and whose account has all of them but their chunks.
+pub fn stored_as(encoded: Vec<EncodedCluster>, mut index: CellIndex) -> Result<TaskOutput, TaskError> {
+    let mut output = TaskOutput::default();
+    index.chunks.clear();
+    for (number, (encoded, row)) in encoded.into_iter().zip(&mut index.clusters).enumerate() {
         index.chunks.push(ChunkRef { digest: Digest::of(&encoded.bytes), bytes: encoded.bytes.len() as u64 });
-        index.clusters.push(ClusterRow {
-            bounds_m: piece.transport.bounds_m,
-            receivers: piece.transport.receivers.len() as u32,
-            keys: encoded.keys,
-            rank: piece.transport.factors.rank,
-            truncation_error: piece.truncation_error,
-            quantisation_error: encoded.quantisation_error,
-            uncovered_fraction: piece.uncovered_fraction,
-            layers: encoded.layers,
-        });
+        row.layers = encoded.layers;
         output.artefacts.push((format!("chunk/{number}"), encoded.bytes));
     }
-    let json = serde_json::to_vec(&index)
-        .map_err(|error| TaskError::bad_input_from("the cluster's index cannot be written", error))?;
-    output.artefacts.push(("index".into(), json));
-    output.counters = BTreeMap::from([
-        ("clusters".to_owned(), pieces.len() as f64),
-        ("receivers_without_light".to_owned(), index.receivers_without_light as f64),
-    ]);
+    output.artefacts.push((CellIndex::OUTPUT.into(), index.encoded()?));
+    output.counters = index.counters();
     Ok(output)
 }

@@ -19,9 +19,9 @@ use crate::task::{Cancelled, Progress};
 use crate::transport::Row;
 
 pub use baked::{Baked, Light, Threads, decoded};
-pub use cells::{CELLS_ARTEFACT, ClusterCell, cell_of_task, cells, cells_of_task, encoded_cells};
+pub use cells::{CELLS_ARTEFACT, ClusterCell, cell_names, cell_of_task, cells, cells_of_task, encoded_cells};
 pub use components::components;
-pub use encode::{CellIndex, stored};
+pub use encode::{CellIndex, encoded, stored, stored_as};
 pub use evaluated::{ERROR_CLASSES, FactoredBake};
 pub use join::Part;
 pub use patch_matrix::PatchMatrix;

@@ -3,9 +3,11 @@
 use std::sync::Arc;
 
 use glam::Vec2;
+use lightkiln_proto::ids::Digest;
 
 use super::{TriangleRef, weights_of};
 use crate::rays::AlphaTest;
+use crate::rays::sampling::seed_of;
 use crate::scene::model::{Material, MeshInstance, Scene, TextureUse};
 use crate::scene::surface::stopped;
 use crate::scene::texture::DecodedImages;
@@ -52,6 +54,7 @@ struct MaskedTriangle {
 /// A triangle of glass.
 struct Pane {
     material: u32,
+    identity: u64,
     base_uv: [Vec2; 3],
     transmission_uv: [Vec2; 3],
     /// The vertices' colours.
@@ -70,7 +73,9 @@ impl Masks {
             vertices.map(|vertex| instance.colours.get(vertex as usize).copied().unwrap_or([1.0; 4]));
         if let Some(glass) = glass {
             let transmission_uv = uvs(instance, vertices, glass.transmission_texture.as_ref());
-            self.panes.push(Pane { material, base_uv, transmission_uv, colours });
+            let of_instance = Digest::of(instance.path.as_bytes()).short();
+            let identity = seed_of(&[of_instance, triangle.triangle.into()]);
+            self.panes.push(Pane { material, identity, base_uv, transmission_uv, colours });
             return (self.panes.len() as u32 - 1) | PANE;
         }
         if alpha_cutoff.is_none() {
@@ -124,6 +129,14 @@ impl AlphaTest for Masks {
                 self.stopped_by_pane(&self.panes[(index & !PANE) as usize], weights)
             }
             index => self.stopped_by_mask(&self.masked[index as usize], weights),
+        }
+    }
+
+    fn identity(&self, triangle: u32) -> u64 {
+        match self.index[triangle as usize] {
+            index if index != OPAQUE && index & PANE != 0 => self.panes[(index & !PANE) as usize].identity,
+            // Masks stop all light or none.
+            _ => triangle.into(),
         }
     }
 }

@@ -4,6 +4,7 @@ pub mod lattice;
 mod masks;
 mod site;
 mod strata;
+mod trail;
 
 use std::sync::Arc;
 
@@ -17,6 +18,7 @@ use crate::task::{Context, TaskError};
 
 pub use site::Site;
 pub use strata::{Strata, morton, spread_sites};
+pub use trail::{Grid, Trail};
 
 /// Shading normals that lean further than this from the face are a fault of the file: the face's is taken instead.
 const LEAN_MIN: f32 = 0.05;

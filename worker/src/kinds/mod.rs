@@ -180,13 +180,14 @@ impl TaskRunner for Runner {
         &self,
         task: &TaskSpec,
         inputs: &[Artefact],
+        alike: &[Vec<Artefact>],
         source: &dyn ArtefactSource,
         memory: &MemoryCache,
         progress: &Progress,
     ) -> Result<TaskOutput, TaskError> {
         let row = self.0.iter().find(|row| row.name == task.kind);
         let row = row.ok_or_else(|| TaskError::UnknownKind { kind: task.kind.clone() })?;
-        (row.run)(&Context { inputs, source, memory, progress }, task)
+        (row.run)(&Context { inputs, alike, source, memory, progress }, task)
     }
 }
 

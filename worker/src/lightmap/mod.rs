@@ -9,6 +9,7 @@ mod numbering;
 pub mod place;
 mod polygon;
 mod texel_points;
+mod tiles;
 mod world;
 
 use glam::Vec3;
@@ -19,7 +20,8 @@ use crate::geometry::Site;
 
 pub use charts::Charts;
 pub use numbering::Numbering;
-pub use world::{Surface, World, link_height_m};
+pub use tiles::{TILE_TEXELS, Tiles};
+pub use world::{Found, Surface, World, link_height_m};
 
 /// Magic of the lightmap artefact.
 pub const ARTEFACT_MAGIC: &[u8; 4] = b"LKlm";

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use super::clearance::{Axis, Clearance};
 use super::texel_points::TexelTriangles;
-use super::{CAVITY, Charts, Lightmap, Receiver};
+use super::{CAVITY, Charts, Lightmap, Receiver, Tiles};
 use crate::geometry::{Geometry, Site, weights_of};
 use crate::rays::{Hit, linking};
 use crate::scene::model::Scene;
@@ -43,6 +43,17 @@ pub enum Surface {
     Dark,
 }
 
+/// A hit, and what stands for it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Found {
+    /// Block of the hit, and its place there in texels; `None` on backs of single-sided surfaces.
+    pub place: Option<(u32, Vec2)>,
+    /// As [`World::surface_at`] has it.
+    pub own: Surface,
+    /// As [`World::linked_surface_at`] has it.
+    pub linked: Surface,
+}
+
 /// A scene with its lightmap: rays tell which receiver stands for the surface that they hit. Whole from the start, and
 /// never changed.
 pub struct World {
@@ -58,6 +69,8 @@ pub struct World {
     /// Of each receiver which hits on its texel ask for no wall. Found one by one when first asked for, and without other
     /// threads: whoever asks may be one of many that this one would take work from.
     open_about: Vec<OnceLock<OpenAbout>>,
+    /// Tiles of all blocks.
+    pub tiles: Tiles,
     /// Triangles of each receiver's texel, found when they are first asked for.
     texel_triangles: OnceLock<TexelTriangles>,
 }
@@ -83,7 +96,8 @@ impl World {
         sharers.sort_unstable();
         let open_about = receivers.iter().map(|_| OnceLock::new()).collect();
         let texel_triangles = OnceLock::new();
-        Self { geometry, lightmap, texels, raised_m, sharers, open_about, texel_triangles }
+        let tiles = Tiles::of(&lightmap);
+        Self { geometry, lightmap, texels, raised_m, sharers, open_about, tiles, texel_triangles }
     }
 
     /// A receiver's texel is whole, as are its eight neighbours, and all are linked to it: a wall that reaches between the
@@ -154,6 +168,11 @@ impl World {
         Some((self.lightmap.blocks[block as usize].key, texel))
     }
 
+    /// Where a triangle of the scene, or each piece of it, lies in its instance's unwrap.
+    pub fn pieces_of(&self, triangle: u32) -> impl Iterator<Item = (u32, &UnwrappedTriangle)> {
+        self.texels.pieces_of(triangle).iter().map(|entry| (entry.part, &entry.triangle))
+    }
+
     fn block_at(&self, hit: &Hit) -> Option<(u32, Vec2)> {
         let double_sided = self.geometry.material(hit.triangle).double_sided;
         if !hit.front && !double_sided {
@@ -168,11 +187,56 @@ impl World {
     /// As [`World::surface_at`], but of the receivers around the hit, the nearest that no wall separates from it: a
     /// texel that a wall cuts in two stands for its centre's side only. Where no wall can be, none is looked for.
     pub fn linked_surface_at(&self, hit: &Hit, point_m: Vec3) -> Surface {
-        let Surface::Receiver(own) = self.surface_at(hit) else { return Surface::Dark };
-        if self.is_open_to(own, hit, point_m) {
-            return Surface::Receiver(own);
+        self.found_at(hit, point_m).linked
+    }
+
+    /// All about a hit.
+    pub fn found_at(&self, hit: &Hit, point_m: Vec3) -> Found {
+        let place = self.block_at(hit);
+        let own = place.and_then(|(block, texel)| self.receiver_near(block, texel));
+        let Some(own) = own else { return Found { place, own: Surface::Dark, linked: Surface::Dark } };
+        let linked = if self.is_open_to(own, hit, point_m) {
+            Surface::Receiver(own)
+        } else {
+            linking(|| self.linked_around(hit, point_m, own))
+        };
+        Found { place, own: Surface::Receiver(own), linked }
+    }
+
+    /// Block and texels, from the lowest to the highest, that tell what stands for a hit: its own, those beside it unless it has the
+    /// receiver, and about the receiver's those that show whether walls are near, or that are looked at in its stead.
+    pub fn texels_of_linking(&self, found: &Found) -> Option<(u32, [[i32; 2]; 2])> {
+        let (block, place) = found.place?;
+        let at = [place.x, place.y].map(|texel| texel.floor() as i32);
+        let about = |[x, y]: [i32; 2], by: i32| [[x - by, y - by], [x + by, y + by]];
+        let Surface::Receiver(own) = found.own else { return Some((block, about(at, 1))) };
+        let texel = self.lightmap.receivers[own as usize].texel.map(i32::from);
+        let looked_at = about(texel, if found.linked == found.own { 1 } else { LINKED_RINGS });
+        let beside = about(at, i32::from(texel != at));
+        let low = [0, 1].map(|axis| looked_at[0][axis].min(beside[0][axis]));
+        let high = [0, 1].map(|axis| looked_at[1][axis].max(beside[1][axis]));
+        Some((block, [low, high]))
+    }
+
+    /// Bounds of all that is looked at to link a hit: of the raised points of hit and receivers, and above the hit.
+    pub fn bounds_of_linking(&self, found: &Found, point_m: Vec3) -> [Vec3; 2] {
+        let Surface::Receiver(own) = found.own else { return [point_m, point_m] };
+        let texel_m = self.lightmap.texel_m_of(own);
+        let about_m = 2.0 * link_height_m(texel_m) + self.geometry.tracer.ray_offset_m(point_m);
+        let own_m = self.raised_m[own as usize];
+        let mut bounds_m = [own_m.min(point_m - about_m), own_m.max(point_m + about_m)];
+        if found.linked != found.own {
+            let Receiver { block, texel, .. } = self.lightmap.receivers[own as usize];
+            let [x, y] = texel.map(i32::from);
+            let ring = -LINKED_RINGS..=LINKED_RINGS;
+            for (dx, dy) in ring.clone().flat_map(|dx| ring.clone().map(move |dy| (dx, dy))) {
+                if let Some(other) = self.receiver_on(block, x + dx, y + dy) {
+                    let other_m = self.raised_m[other as usize];
+                    bounds_m = [bounds_m[0].min(other_m), bounds_m[1].max(other_m)];
+                }
+            }
         }
-        linking(|| self.linked_around(hit, point_m, own))
+        bounds_m
     }
 
     /// It is known beforehand that no wall separates a hit from the receiver of its texel.
@@ -375,10 +439,13 @@ impl TexelTable {
         (0..self.entries.len() as u32).map(|index| self.entry(index))
     }
 
+    fn pieces_of(&self, triangle: u32) -> &[TexelPart] {
+        &self.entries[self.starts[triangle as usize] as usize..self.starts[triangle as usize + 1] as usize]
+    }
+
     /// Part and place in texels of a point of a triangle; of a triangle cut in pieces, the piece that holds it.
     fn locate(&self, triangle: u32, weights: Vec3) -> Option<(u32, Vec2)> {
-        let range = self.starts[triangle as usize] as usize..self.starts[triangle as usize + 1] as usize;
-        let pieces = self.entries[range].iter().map(|entry| {
+        let pieces = self.pieces_of(triangle).iter().map(|entry| {
             let inner = weights_in_part(&entry.triangle, weights);
             (inner.min_element(), entry, inner)
         });

@@ -33,7 +33,12 @@ pub trait AlphaTest: Send + Sync {
     fn is_masked(&self, triangle: u32) -> bool;
     /// Share of light stopped at the barycentric weights (of corners 1 and 2).
     fn stopped(&self, triangle: u32, barycentric: [f32; 2]) -> f32;
+    /// Number that names a triangle which stops a part of the light, whatever else the scene holds.
+    fn identity(&self, triangle: u32) -> u64;
 }
+
+/// Bits of the farthest coordinate that lifts keep: an edit of the scene seldom changes them then.
+const REACH_BITS: u32 = 3;
 
 /// Share of light stopped from which on a surface is a wall, where the answer is yes or no.
 const WALL: f32 = 0.5;
@@ -88,7 +93,7 @@ impl Tracer {
         // No least reach in metres: a scene in micrometres is the same scene.
         let reach =
             triangles.iter().flatten().fold(0.0_f32, |reach, corner| reach.max(corner.abs().max_element()));
-        let ray_offset_m = reach * LIFT;
+        let ray_offset_m = rounded_up(reach) * LIFT;
         Self { tree, masked, alpha, ray_offset_m, vectors: Vectors::default(), core: None }
     }
 
@@ -105,6 +110,13 @@ impl Tracer {
     pub fn with_vectors(mut self, vectors: Vectors) -> Self {
         self.vectors = vectors;
         self
+    }
+
+    /// The numbers that lifts about all points are made of, in metres.
+    pub fn lift_of_all_m(&self) -> [f32; 5] {
+        let (middle_m, half_m) = self.core.unwrap_or_default();
+        let [x, y, z] = middle_m.to_array();
+        [self.ray_offset_m, x, y, z, half_m]
     }
 
     /// Lift of ray origins off surfaces about a point, in metres; grows with the coordinates there.
@@ -126,7 +138,8 @@ impl Tracer {
     pub fn met(&self, origin: Vec3, direction: Vec3, t_max: f32) -> Option<Hit> {
         self.nearest(origin, direction, t_max, &|at: &BlockHit| {
             let stopped = self.stopped(at);
-            stopped >= 1.0 || (stopped > 0.0 && chance(origin, direction, self.triangle(at)) < stopped)
+            let chance = || chance(origin, direction, self.identity(self.triangle(at)));
+            stopped >= 1.0 || (stopped > 0.0 && chance() < stopped)
         })
     }
 
@@ -210,15 +223,23 @@ impl Tracer {
 
     #[inline(always)]
     fn passed_on<S: Simd>(&self, simd: S, ray: &Ray) -> f32 {
-        // The order of triangles is the tree's: of the same scene the same.
-        let mut passed = 1.0;
+        let (mut panes, mut is_stopped) = (Vec::new(), false);
         walk(simd, &self.tree, ray, 1.0, |at, end| {
             if at.hit.t < 1.0 {
-                passed *= 1.0 - self.stopped(&at);
+                let stopped = self.stopped(&at);
+                is_stopped = stopped >= 1.0;
+                if stopped > 0.0 {
+                    panes.push((at.hit.t, self.triangle(&at), 1.0 - stopped));
+                }
             }
-            (passed > 0.0).then_some(end)
+            (!is_stopped).then_some(end)
         });
-        passed
+        if is_stopped {
+            return 0.0;
+        }
+        // In the order along the way: that of the tree hangs on all of the scene.
+        panes.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        panes.into_iter().map(|(_, _, passed)| passed).product()
     }
 
     /// Visits every triangle whose bounds meet a box, and maybe others, until `visit` says no.
@@ -228,6 +249,10 @@ impl Tracer {
 
     fn triangle(&self, at: &BlockHit) -> u32 {
         self.tree.triangles[at.block][at.lane]
+    }
+
+    fn identity(&self, triangle: u32) -> u64 {
+        self.alpha.as_ref().map_or_else(|| triangle.into(), |alpha| alpha.identity(triangle))
     }
 
     fn is_wall(&self, at: &BlockHit) -> bool {
@@ -244,11 +269,17 @@ impl Tracer {
     }
 }
 
-/// Uniform in 0..1, of a ray and a triangle.
-fn chance(origin: Vec3, direction: Vec3, triangle: u32) -> f32 {
+/// The least number of few bits that is no less.
+fn rounded_up(value: f32) -> f32 {
+    let rest = (1 << (f32::MANTISSA_DIGITS - 1 - REACH_BITS)) - 1;
+    f32::from_bits((value.to_bits() + rest) & !rest)
+}
+
+/// Uniform in 0..1, of a ray and the identity of a triangle.
+fn chance(origin: Vec3, direction: Vec3, identity: u64) -> f32 {
     let [x, y, z] = origin.to_array().map(|value| u64::from(value.to_bits()));
     let [u, v, w] = direction.to_array().map(|value| u64::from(value.to_bits()));
-    Sequence::new(seed_of(&[x | y << 32, z | u << 32, v | w << 32, u64::from(triangle)])).next_f32()
+    Sequence::new(seed_of(&[x | y << 32, z | u << 32, v | w << 32, identity])).next_f32()
 }
 
 #[cfg(test)]
@@ -360,6 +391,10 @@ mod tests {
         fn stopped(&self, _: u32, _: [f32; 2]) -> f32 {
             self.0
         }
+
+        fn identity(&self, triangle: u32) -> u64 {
+            triangle.into()
+        }
     }
 
     fn panes(stopped: f32, count: u32) -> Tracer {
@@ -397,6 +432,18 @@ mod tests {
             assert_eq!(tracer.closest_surface(from, Vec3::Z, 20.0).is_some(), stopped > 0.0);
         }
         assert_eq!(panes(1.0, 0).passed(from, to), 1.0);
+    }
+
+    #[test]
+    fn lift_is_the_same_for_scenes_of_nearly_the_same_reach() {
+        let lift = |reach: f32| {
+            Tracer::new(&[[Vec3::ZERO, Vec3::X * reach, Vec3::Y]], None).ray_offset_m(Vec3::ZERO)
+        };
+        assert_eq!(lift(8.1), lift(8.9));
+        assert_eq!(lift(8.0), 8.0 * LIFT);
+        for reach in [1.0e-9, 0.3, 3.7, 100.0, 12_345.6] {
+            assert!((reach * LIFT..=1.13 * reach * LIFT).contains(&lift(reach)), "{reach}");
+        }
     }
 
     #[test]

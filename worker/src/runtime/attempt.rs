@@ -88,7 +88,12 @@ impl Worker {
         let mut output = output.map_err(no_result_of_task)?;
         count(&mut output, started.elapsed(), store.progress);
         let artefacts = output.artefacts;
-        let mut result = TaskResult { outputs: Vec::new(), plan: output.plan, counters: output.counters };
+        let mut result = TaskResult {
+            outputs: Vec::new(),
+            plan: output.plan,
+            counters: output.counters,
+            note: output.note,
+        };
         let mut uploads = 0;
         loop {
             uploads += 1;
@@ -118,7 +123,9 @@ impl Worker {
         let span = step(|| tracing::info_span!(target: TARGET, "run"));
         // The span goes with the task to the pool's thread, where its inputs are fetched.
         let run = || {
-            span.in_scope(|| self.runner.run(&lease.task, &lease.inputs, store, &self.memory, store.progress))
+            span.in_scope(|| {
+                self.runner.run(&lease.task, &lease.inputs, &lease.alike, store, &self.memory, store.progress)
+            })
         };
         match catch_unwind(AssertUnwindSafe(|| pool.install(run))) {
             Ok(outcome) => outcome,

@@ -17,6 +17,8 @@ pub struct SurfaceSample {
     pub albedo: [f32; 3],
     /// Radiance Lₑ in W·m⁻²·sr⁻¹ that a surface emits which stops all light.
     pub emission: [f32; 3],
+    /// The share of the material's `emissive` that this is, by its texture.
+    pub glow: [f32; 3],
     /// Share s of light that does not pass straight through: 1 but for holes of masks and for glass.
     pub stopped: f32,
 }
@@ -90,6 +92,7 @@ pub fn surface_at(
     SurfaceSample {
         albedo: albedo.map(|channel| channel.clamp(0.0, MAX_ALBEDO)),
         emission: [0, 1, 2].map(|channel| material.emissive[channel] * glow[channel]),
+        glow: [glow[0], glow[1], glow[2]],
         stopped: share,
     }
 }

@@ -14,6 +14,8 @@ use super::{ArtefactSource, MemoryCache, Progress, TaskError, artefact, input};
 pub struct Context<'a> {
     /// Resolved inputs in the task's order.
     pub inputs: &'a [Artefact],
+    /// Outputs of tasks alike that were done before, newest first.
+    pub alike: &'a [Vec<Artefact>],
     /// Bytes of stored artefacts.
     pub source: &'a dyn ArtefactSource,
     /// Values that tasks of one worker share.

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use lightkiln_proto::ids::{Digest, TaskKey};
-use lightkiln_proto::jobs::{Artefact, TaskInput, TaskSpec};
+use lightkiln_proto::jobs::{Artefact, MAX_ALIKE, TaskInput, TaskSpec};
 
 use super::{ArtefactSource, FetchError, MemoryCache, Progress, TaskError, TaskRunner};
 
@@ -44,6 +44,10 @@ pub struct LocalRun<'p> {
     done: BTreeMap<TaskKey, Vec<Artefact>>,
     /// By task kind and name; of several tasks of a kind, the last one's.
     outputs: BTreeMap<(String, String), Digest>,
+    /// Outputs of the last tasks of a name in common, newest first.
+    alike: BTreeMap<Digest, Vec<Vec<Artefact>>>,
+    /// Label and note of each task that was run.
+    pub notes: Vec<(String, String)>,
 }
 
 impl<'p> LocalRun<'p> {
@@ -55,6 +59,8 @@ impl<'p> LocalRun<'p> {
             memory: MemoryCache::new(memory_bytes_max),
             done: BTreeMap::new(),
             outputs: BTreeMap::new(),
+            alike: BTreeMap::new(),
+            notes: Vec::new(),
         }
     }
 
@@ -117,19 +123,32 @@ impl<'p> LocalRun<'p> {
 
     /// Surroundings of a task with these inputs.
     pub fn context<'a>(&'a self, inputs: &'a [Artefact]) -> super::Context<'a> {
-        super::Context { inputs, source: &self.shelf, memory: &self.memory, progress: self.progress }
+        super::Context {
+            inputs,
+            alike: &[],
+            source: &self.shelf,
+            memory: &self.memory,
+            progress: self.progress,
+        }
     }
 
     /// Runs one task whose dependencies are done; gives the tasks that it plans.
     fn run_task(&mut self, runner: &dyn TaskRunner, task: &TaskSpec) -> Result<Vec<TaskSpec>, TaskError> {
         let inputs = self.resolved(task);
-        let output = runner.run(task, &inputs, &self.shelf, &self.memory, self.progress)?;
+        let alike = task.alike.and_then(|name| self.alike.get(&name)).map_or(&[][..], Vec::as_slice);
+        let output = runner.run(task, &inputs, alike, &self.shelf, &self.memory, self.progress)?;
+        self.notes.push((task.label.clone(), output.note));
         let mut outputs = Vec::new();
         for (name, bytes) in output.artefacts {
             let length = bytes.len() as u64;
             let digest = self.shelf.put(bytes);
             self.outputs.insert((task.kind.clone(), name.clone()), digest);
             outputs.push(Artefact { name, digest, bytes: length });
+        }
+        if let Some(name) = task.alike {
+            let alike = self.alike.entry(name).or_default();
+            alike.insert(0, outputs.clone());
+            alike.truncate(MAX_ALIKE);
         }
         self.done.insert(task.key, outputs);
         Ok(output.plan)

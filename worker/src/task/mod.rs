@@ -27,11 +27,13 @@ pub trait TaskRunner: Send + Sync {
 
     /// Runs one task to its end, on the calling thread and its rayon pool.
     ///
-    /// `inputs` are the task's inputs, resolved and in the task's order; their bytes come from `source`.
+    /// `inputs` are the task's inputs, resolved and in the task's order; their bytes come from `source`. `alike` are the outputs
+    /// of tasks alike that were done before, newest first: they may save work and change no result.
     fn run(
         &self,
         task: &TaskSpec,
         inputs: &[Artefact],
+        alike: &[Vec<Artefact>],
         source: &dyn ArtefactSource,
         memory: &MemoryCache,
         progress: &Progress,
@@ -58,6 +60,8 @@ pub struct TaskOutput {
     pub plan: Vec<TaskSpec>,
     /// Counters for people. The runtime adds `secs`, and rays by kind, where they are absent.
     pub counters: BTreeMap<String, f64>,
+    /// Word for people about how it came about.
+    pub note: String,
 }
 
 /// The bytes of an artefact could not be had.

@@ -21,6 +21,20 @@ const CHANCE: f64 = 1.0;
 /// Steps of the search for the least gain that a column must bring.
 const SEARCH_STEPS: usize = 40;
 
+/// Level of a patch above which gains take areas in steps: an edit within a large patch would change its area, and so the task of
+/// every receiver that sees any of it.
+pub const FINE_LEVEL: u64 = 4;
+/// Steps of such areas in a doubling. More → truer gains, more tasks that an edit changes.
+const AREA_STEPS: f64 = 64.0;
+
+/// Area of a patch as gains of patches above [`FINE_LEVEL`] have it, in texels.
+pub fn stepped_area(area_texels: f32) -> f64 {
+    if area_texels <= 0.0 {
+        return 0.0;
+    }
+    libm::exp2(libm::round(libm::log2(area_texels.into()) * AREA_STEPS) / AREA_STEPS)
+}
+
 /// Hits of a row's rays on a leaf, each of the weight that the ray has in the row.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LeafHits {
@@ -73,6 +87,15 @@ impl<'a> PatchHits<'a> {
         let area = |patch: u32| f64::from(self.tree.patches[patch as usize].area_texels);
         area(part) / area(parent)
     }
+
+    /// The same as gains have it.
+    fn share_in_gains(self, part: u32, parent: u32) -> f64 {
+        if self.tree.patches[parent as usize].key.level() <= FINE_LEVEL {
+            return self.share(part, parent);
+        }
+        let area = |patch: u32| stepped_area(self.tree.patches[patch as usize].area_texels);
+        area(part) / area(parent)
+    }
 }
 
 /// The patches of the cut, ascending: roots that were hit, and all parts of those whose opening pays. A column must
@@ -120,7 +143,7 @@ fn gain(hits: PatchHits<'_>, expectation: &Expectation, patch: u32) -> f64 {
     let seeing = whole.iter().filter(|sums| sums[2] > 0.0).count() as f64;
     let mut sum = 0.0;
     for part in hits.tree.parts(patch) {
-        let share = hits.share(part, patch);
+        let share = hits.share_in_gains(part, patch);
         let (mut squares, mut all, mut variance) = (0.0, 0.0, 0.0);
         for (part, whole) in hits.sums(part).iter().zip(&whole) {
             // D, and X of the same rays with alternating signs: D² − X² is free of the noise of counting.

@@ -4,8 +4,8 @@ use std::ops::Range;
 
 use glam::Vec3;
 
-use crate::emitters::{EmitterIrradianceSum, EmitterSet};
-use crate::geometry::{Geometry, Site};
+use crate::emitters::{EmitterIrradianceSum, EmitterSet, Radiance};
+use crate::geometry::{Geometry, Site, Trail};
 use crate::lightmap::World;
 use crate::rays::Hit;
 use crate::rays::sampling::R2;
@@ -19,6 +19,7 @@ pub struct Hemisphere<'a> {
     texel: Vec<Site>,
     seed: u64,
     rays: u32,
+    radiance: Radiance,
 }
 
 /// A ray of a hemisphere.
@@ -46,7 +47,21 @@ impl<'a> Hemisphere<'a> {
         let lender = world.lightmap.receivers[receiver as usize].light_of;
         let own = &world.lightmap.receivers[lender as usize];
         let (site, seed) = (own.site(), world.lightmap.seed_of(own, 3));
-        Self { geometry, emitters, site, texel: world.gathering_points_of(receiver), seed, rays }
+        Self {
+            geometry,
+            emitters,
+            site,
+            texel: world.gathering_points_of(receiver),
+            seed,
+            rays,
+            radiance: Radiance::OfMaterials,
+        }
+    }
+
+    /// The same, with the light of emitters told for that radiance.
+    #[must_use]
+    pub fn for_radiance(self, radiance: Radiance) -> Self {
+        Self { radiance, ..self }
     }
 
     /// Start of rays from the receiver's own point, in metres.
@@ -54,8 +69,13 @@ impl<'a> Hemisphere<'a> {
         self.site.ray_origin_m(self.geometry.tracer.ray_offset_m(self.site.position_m))
     }
 
-    /// Casts the rays: calls `met` with each and its hit, and gives the light straight from emitters.
-    pub fn cast(&self, emitter_rays: u32, mut met: impl FnMut(HemisphereRay, Option<&Hit>)) -> Surroundings {
+    /// Casts the rays: marks their `trail`, calls `met` with each and its hit, and gives the light straight from emitters.
+    pub fn cast(
+        &self,
+        emitter_rays: u32,
+        trail: &Trail,
+        mut met: impl FnMut(HemisphereRay, Option<&Hit>),
+    ) -> Surroundings {
         let sites = (self.site, &self.texel[..]);
         let mut emitted =
             EmitterIrradianceSum::new(self.geometry, self.emitters, sites, self.rays, emitter_rays);
@@ -67,6 +87,7 @@ impl<'a> Hemisphere<'a> {
             for ray in self.rays_of(index) {
                 let (direction, is_mirrored) = directions.at(points.point(ray));
                 let hit = self.geometry.tracer.met(origin_m, direction, f32::INFINITY);
+                trail.mark_ray(origin_m, direction, hit.map(|hit| hit.t));
                 if let Some(hit) = &hit {
                     (path_m, hits) = (path_m + hit.t, hits + 1);
                     // Mirrored directions have another density than the weights know; sampling covers them alone.
@@ -77,8 +98,8 @@ impl<'a> Hemisphere<'a> {
                 met(HemisphereRay { origin_m, direction }, hit.as_ref());
             }
         }
-        emitted.sample_emitters(self.seed);
-        Surroundings { emitters: emitted.finish(), mean_path_m: path_m / hits.max(1) as f32 }
+        emitted.sample_emitters(self.seed, trail);
+        Surroundings { emitters: emitted.finish(self.radiance), mean_path_m: path_m / hits.max(1) as f32 }
     }
 
     /// Rays that leave from a point of the texel: a run of the sequence, as any run of it is spread evenly.
@@ -91,6 +112,7 @@ impl<'a> Hemisphere<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::Grid;
     use crate::scene::model::Scene;
 
     #[test]
@@ -100,10 +122,18 @@ mod tests {
         let texel = normals.map(|normal| Site { position_m: normal, normal, face_normal: normal }).to_vec();
         let (site, emitters) =
             (Site { normal: Vec3::Z, face_normal: Vec3::Z, ..texel[0] }, EmitterSet::default());
-        let hemisphere =
-            Hemisphere { geometry: &geometry, emitters: &emitters, site, texel, seed: 5, rays: 3 * 4096 };
+        let hemisphere = Hemisphere {
+            geometry: &geometry,
+            emitters: &emitters,
+            site,
+            texel,
+            seed: 5,
+            rays: 3 * 4096,
+            radiance: Radiance::One,
+        };
+        let grid = Grid::default();
         let mut sums = [Vec3::ZERO; 3];
-        hemisphere.cast(0, |ray, _| {
+        hemisphere.cast(0, &Trail::new(&grid), |ray, _| {
             let point = normals.iter().position(|normal| ray.origin_m.distance(*normal) < 0.1).unwrap();
             sums[point] += ray.direction / 4096.0;
         });

@@ -6,6 +6,7 @@ mod expectation;
 mod hemisphere;
 mod patch_rows;
 
+pub use cut::{FINE_LEVEL, stepped_area};
 pub use hemisphere::{Hemisphere, HemisphereRay, Surroundings};
 pub use patch_rows::{CutBounds, Met, PatchRow, PatchRows, RayHit, RowHits, Sources, patch_rows};
 
@@ -19,7 +20,7 @@ pub struct Row {
     pub alpha: Vec<f32>,
     /// Irradiance straight from each emitter of the scene, W·m⁻².
     pub emitters: Vec<[f32; 3]>,
-    /// Rays that light can come along: those to the sky, and those to surfaces by their albedo.
+    /// Rays that light can come along: those to the sky, and those to surfaces, by weights of the kind's.
     pub lit: f32,
     /// The part of `lit` whose light no column carries rightly.
     pub uncovered: f32,

@@ -10,7 +10,7 @@ use lightkiln_proto::harmonics::relight_direction;
 
 use super::cut::{LeafHits, PatchHits, cut, leaves};
 use super::expectation::{self, Expectation};
-use crate::lightmap::{Numbering, Surface, World};
+use crate::lightmap::{Found, Numbering, Surface, World};
 use crate::patches::PatchTree;
 use crate::rays::Hit;
 
@@ -25,11 +25,12 @@ pub struct Sources<'a> {
 /// A hit's source.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Met {
-    /// Receiver whose texel stands for the point, or none.
-    pub linked: Surface,
-    /// Leaf patch of that receiver.
+    /// The hit, and the receivers that stand for it.
+    pub found: Found,
+    /// Leaf patch of the receiver that it is linked to.
     pub leaf: Option<u32>,
-    /// Albedo of the surface: the share of the ray that light can come along, carried by the leaf or lost.
+    /// Share of the ray that light can come along, carried by the leaf or lost: 1, or 0 where nothing returns any. Of no colour,
+    /// so that a material's leaves the rays as they are.
     pub lit: f32,
 }
 
@@ -53,18 +54,14 @@ impl<'a> Sources<'a> {
 
     /// Source at a hit, `point_m` being its place in metres.
     pub fn at(&self, hit: &Hit, point_m: Vec3) -> Met {
-        let albedo =
-            |receiver: u32| self.world.lightmap.receivers[receiver as usize].albedo.iter().sum::<f32>() / 3.0;
-        let linked = self.world.linked_surface_at(hit, point_m);
-        let (leaf, lit) = match linked {
-            Surface::Receiver(met) => (Some(self.tree.leaf_of_receiver[met as usize]), albedo(met)),
-            Surface::Dark => match self.world.surface_at(hit) {
-                // Walls stand between the hit and all texels around it: no texel stands for it.
-                Surface::Receiver(own) => (None, albedo(own)),
-                Surface::Dark => (None, self.world.lost_in_cavity(hit)),
-            },
+        let found = self.world.found_at(hit, point_m);
+        let (leaf, lit) = match (found.linked, found.own) {
+            (Surface::Receiver(met), _) => (Some(self.tree.leaf_of_receiver[met as usize]), 1.0),
+            // Walls stand between the hit and all texels around it: no texel stands for it.
+            (_, Surface::Receiver(_)) => (None, 1.0),
+            _ => (None, if self.world.is_in_cavity(hit) { 1.0 } else { 0.0 }),
         };
-        Met { linked, leaf, lit }
+        Met { found, leaf, lit }
     }
 }
 
@@ -113,6 +110,8 @@ pub struct PatchRows {
     pub keys: Vec<u64>,
     /// In the order of the hits.
     pub rows: Vec<PatchRow>,
+    /// Patches of the cut whose parts are told by their shares of its area: nothing else hangs on areas exactly.
+    pub by_share: Vec<u32>,
 }
 
 /// One row over patches.
@@ -161,7 +160,7 @@ pub fn patch_rows(
     let mut table = Table { sky, scale, is_truncated: bounds.is_some(), keys, rows: Vec::new() };
     table.begin(&hits_of_rows);
     table.add_patches(hits, &columns);
-    PatchRows { keys: table.keys.into_values(), rows: table.rows }
+    PatchRows { keys: table.keys.into_values(), rows: table.rows, by_share: columns.by_share }
 }
 
 /// A column of patches.
@@ -186,6 +185,8 @@ struct PatchColumns {
     columns: Vec<PatchColumn>,
     /// Patches of the cut that are part of no other.
     roots: Vec<u32>,
+    /// Opened patches whose parts' shares of area were read.
+    by_share: Vec<u32>,
 }
 
 impl PatchColumns {
@@ -203,11 +204,14 @@ impl PatchColumns {
                 is_whole[parent] &= is_met && is_whole[index];
             }
         }
-        let mut found = Self { columns: Vec::new(), roots: Vec::new() };
+        let mut found = Self { columns: Vec::new(), roots: Vec::new(), by_share: Vec::new() };
         for (index, &patch) in cut.iter().enumerate() {
             let key = tree.patches[patch as usize].key;
             if parents[index].is_none() {
                 found.roots.push(patch);
+            }
+            if is_open(index) && is_whole[index] {
+                found.by_share.push(patch);
             }
             match parents[index].filter(|&parent| is_whole[parent]).map(|parent| cut[parent]) {
                 Some(whole) => {

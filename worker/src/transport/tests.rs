@@ -12,6 +12,7 @@ use serde_json::json;
 use super::*;
 use crate::emitters::EmitterSet;
 use crate::factors::PatchMatrix;
+use crate::geometry::{Grid, Trail};
 use crate::kinds::{BakeKinds, Runner};
 use crate::lightmap::World;
 use crate::patches::PatchTree;
@@ -65,7 +66,7 @@ fn rays_of_a_receiver_leave_from_all_points_of_its_texel_alike() {
         let points = world.lit_points_of(lender);
         cut += u32::from((2..COVERAGE_POINTS as usize).contains(&points.len()));
         let mut rays = vec![0; points.len()];
-        Hemisphere::new(&world, &emitters, receiver, 100).cast(0, |ray, _| {
+        Hemisphere::new(&world, &emitters, receiver, 100).cast(0, &Trail::new(&Grid::default()), |ray, _| {
             let point = points.iter().position(|site| site.ray_origin_m(offset_m) == ray.origin_m).unwrap();
             assert!(ray.direction.dot(points[point].face_normal) >= 0.0);
             rays[point] += 1;

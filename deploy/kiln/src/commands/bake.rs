@@ -12,6 +12,7 @@ use crate::bundle::{refuse_foreign_folder, write_bundle};
 use crate::console::{printable, say};
 use crate::embedded::{EmbeddedFarm, default_state};
 use crate::evaluation::{EvaluationArguments, check, measure, relative_path, words};
+use crate::explanation::explanation;
 use crate::failure::{EXIT_CODES, Exit, Failure, Result};
 use crate::following::follow;
 use crate::interrupt::Interrupt;
@@ -53,6 +54,9 @@ pub struct Arguments {
     /// [env: KILN_STATE; default: lightkiln in the user's cache folder]
     #[arg(long, value_name = "DIR")]
     state: Option<PathBuf>,
+    /// Tells of each task whether it was run and why, once the bake is done
+    #[arg(long)]
+    explain: bool,
     /// Measures the bake against a path tracer, as 'kiln evaluate' does; the figures go into report.json and --json
     #[arg(long, help_heading = "Evaluation")]
     evaluate: bool,
@@ -90,6 +94,7 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
         .map_err(|failure| wind_down(failure, &farm, &client, &bake.id))?;
     let scene_name = arguments.scene.display().to_string();
     let (mut summary, _) = write_bundle(&kinds.contract, &client, &bake, &scene_name, &out, started)?;
+    let explained = if arguments.explain { explanation(&client, &bake.id)? } else { String::new() };
     drop(farm);
     let source = Source::bundle(&out)?;
     let scene_path = relative_path(&out, &arguments.scene);
@@ -109,7 +114,7 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
         Ok(())
     };
     let looked_at = look();
-    eprint!("{}", printable(&summary.words()));
+    eprint!("{}{}", printable(&explained), printable(&summary.words()));
     say!("bundle: {}", out.display());
     if let Some(evaluation) = &summary.evaluation {
         eprint!("{}", printable(&words(evaluation)));

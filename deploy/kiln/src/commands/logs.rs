@@ -67,8 +67,9 @@ fn words(event: &BakeEvent) -> String {
         EventKind::TaskStarted { kind, label, worker, attempt, .. } => {
             format!("started   {kind} {label} on {worker}{}", which(*attempt))
         }
-        EventKind::TaskDone { kind, label, worker, attempt, elapsed_ms, .. } => {
-            format!("done      {kind} {label} by {worker}{}{}", took(*elapsed_ms), which(*attempt))
+        EventKind::TaskDone { kind, label, worker, attempt, elapsed_ms, note, .. } => {
+            let note = if note.is_empty() { String::new() } else { format!("; {note}") };
+            format!("done      {kind} {label} by {worker}{}{}{note}", took(*elapsed_ms), which(*attempt))
         }
         EventKind::TaskFailed {
             kind, label, worker, message, retry, attempt, elapsed_ms, wait_ms, ..

@@ -1,5 +1,6 @@
 //! Behaviour of chunks as wholes.
 
+mod colours;
 mod document;
 mod fixtures;
 mod layers;

@@ -7,13 +7,15 @@ use crate::kinds::{SceneTasks, TaskKind};
 
 /// Receivers and patches → cluster cells, the chunk of patches, and the plan of the rest.
 pub const PLAN: TaskKind = TaskKind { name: "prt.plan", version: 5 };
-/// A cluster cell → its factorised transport.
-pub const TRANSPORT: TaskKind = TaskKind { name: "prt.transport", version: 24 };
+/// A cluster cell → its factorised transport, without colours, and the record of what was read for it.
+pub const TRANSPORT: TaskKind = TaskKind { name: "prt.transport", version: 25 };
+/// The transport of a cell → its chunks, with the colours of its receivers and the radiance of emitters.
+pub const COLOUR: TaskKind = TaskKind { name: "prt.colour", version: 1 };
 /// Everything → manifest and report.
 pub const ASSEMBLE: TaskKind = TaskKind { name: "prt.assemble", version: 4 };
 
 /// The tasks that every kind of a scene shares, and the plan of the rest.
 pub fn first_tasks(scene: Digest, settings: &Settings) -> Vec<TaskSpec> {
     let shared = SceneTasks::of(scene).unwrapped(&settings.texels).placed(&settings.place).patched();
-    PLAN.planned("clusters", scene, settings, shared, &[TRANSPORT, ASSEMBLE])
+    PLAN.planned("clusters", scene, settings, shared, &[TRANSPORT, COLOUR, ASSEMBLE])
 }

@@ -6,7 +6,7 @@ use crate::jobs::TaskSpec;
 use crate::kinds::{SceneTasks, TaskKind};
 
 /// Receivers → probes, cluster cells, and the plan of the rest.
-pub const PLAN: TaskKind = TaskKind { name: "sh.plan", version: 3 };
+pub const PLAN: TaskKind = TaskKind { name: "sh.plan", version: 4 };
 /// A batch of probes → their relight rays' hits.
 pub const RELIGHT: TaskKind = TaskKind { name: "sh.relight", version: 7 };
 /// A cluster cell → its factorised transport.

@@ -13,6 +13,7 @@ use serde_json::json;
 
 use super::codec::to_json;
 use super::conn::{Conn, query, steps};
+use super::outputs::{outputs_of_alike, outputs_of_needs};
 use crate::random;
 use crate::store::rules::{
     self, Abilities, BLOCK_TASKS, CLAIM_WINDOW, Contender, WORKER_PRESENT_MS, WORKER_SEEN_GRAIN_MS,
@@ -112,9 +113,12 @@ pub(super) async fn claim(conn: &mut Conn, request: &ClaimRequest) -> Result<Vec
     // Read the outputs of dependencies only where there are any, as inputs name them by their tasks.
     let has_needs = taken.values().any(|taken| !dependencies(&taken.spec).is_empty());
     let outputs = if has_needs { outputs_of_needs(conn, &tasks).await? } else { BTreeMap::new() };
+    // Find results of tasks alike only for tasks that have a name in common with any.
+    let names: BTreeSet<Digest> = taken.values().filter_map(|taken| taken.spec.alike).collect();
+    let alike = if names.is_empty() { BTreeMap::new() } else { outputs_of_alike(conn, &names).await? };
     // Lock counters and events last, as claims beside this one wait for these rows until the transaction ends.
     write_leases(conn, &chosen, &taken, &tasks, request).await?;
-    Ok(leases(chosen, taken, &outputs))
+    Ok(leases(chosen, taken, &outputs, &alike))
 }
 
 pub(super) async fn is_any_ready(conn: &mut Conn, kinds: &[String]) -> Result<bool> {
@@ -388,12 +392,14 @@ fn leases(
     chosen: Vec<Chosen>,
     mut taken: BTreeMap<i64, Taken>,
     outputs: &BTreeMap<TaskKey, Vec<Artefact>>,
+    alike: &BTreeMap<Digest, Vec<Vec<Artefact>>>,
 ) -> Vec<Lease> {
     let leased =
         chosen.into_iter().filter_map(|Chosen { task, bake, token, expires_ms, traceparent, .. }| {
             let task = taken.remove(&task)?.spec;
             let inputs = resolve_inputs(&task, |key| outputs.get(key).cloned().unwrap_or_default());
-            Some(Lease { token, bake, task, inputs, expires_ms, traceparent })
+            let alike = task.alike.and_then(|name| alike.get(&name).cloned()).unwrap_or_default();
+            Some(Lease { token, bake, task, inputs, alike, expires_ms, traceparent })
         });
     leased.collect()
 }
@@ -410,11 +416,11 @@ struct Taken {
 async fn take_tasks(conn: &mut Conn, tasks: &str) -> Result<BTreeMap<i64, Taken>> {
     let sql = conn.pick(
         "UPDATE tasks SET state = 'leased' WHERE id IN (SELECT CAST(value AS BIGINT) FROM json_each($1))
-         RETURNING id, key, kind, label, params, inputs, cost, attempts,
+         RETURNING id, key, kind, label, params, inputs, cost, alike, attempts,
          (SELECT json_group_array(m.bake) FROM bake_tasks m JOIN bakes b ON b.seq = m.bake
           WHERE m.task = tasks.id AND b.state IN ('running', 'paused')) AS bakes",
         "UPDATE tasks SET state = 'leased' WHERE id IN (SELECT CAST(value AS BIGINT) FROM json_each($1))
-         RETURNING id, key, kind, label, params, inputs, cost, attempts,
+         RETURNING id, key, kind, label, params, inputs, cost, alike, attempts,
          (SELECT CAST(coalesce(json_agg(m.bake), '[]') AS TEXT) FROM bake_tasks m JOIN bakes b ON b.seq = m.bake
           WHERE m.task = tasks.id AND b.state IN ('running', 'paused')) AS bakes",
     );
@@ -427,6 +433,7 @@ async fn take_tasks(conn: &mut Conn, tasks: &str) -> Result<BTreeMap<i64, Taken>
             params: row.json("params")?,
             inputs: row.json("inputs")?,
             cost: row.count("cost")?,
+            alike: row.digest_if_any("alike")?,
         };
         let attempt = row.small("attempts")?.saturating_add(1);
         taken.insert(row.get("id")?, Taken { spec, attempt, bakes: row.json("bakes")? });
@@ -469,14 +476,4 @@ async fn tell_bake(conn: &mut Conn, bake: i64, starts: &[String]) -> Result<()> 
         .run(conn)
         .await?;
     Ok(())
-}
-
-async fn outputs_of_needs(conn: &mut Conn, tasks: &str) -> Result<BTreeMap<TaskKey, Vec<Artefact>>> {
-    let sql = "SELECT t.key, r.outputs FROM task_needs n JOIN tasks t ON t.id = n.needs
-               JOIN results r ON r.task = t.id WHERE n.task IN (SELECT CAST(value AS BIGINT) FROM json_each($1))";
-    let mut outputs = BTreeMap::new();
-    for row in query(sql).bind(tasks).all(conn).await? {
-        outputs.insert(row.digest("key")?, row.json("outputs")?);
-    }
-    Ok(outputs)
 }

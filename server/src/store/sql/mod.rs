@@ -23,6 +23,7 @@ mod leases;
 mod ledger;
 mod listing;
 mod outcome;
+mod outputs;
 mod plan;
 mod postgres;
 mod ready;

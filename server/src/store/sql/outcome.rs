@@ -132,7 +132,7 @@ async fn count_done(conn: &mut Conn, bake: &mut Ledger, ended: &Ended, result: &
     bake.tasks_run += 1;
     add_counters(&mut bake.counters, &result.counters);
     bake.note_outputs(&result.outputs);
-    bake.event(task_done(ended));
+    bake.event(task_done(ended, &result.note));
     Ok(())
 }
 
@@ -204,7 +204,7 @@ async fn give_up(conn: &mut Conn, ended: &Ended, blame: Blame, message: &str, fa
     Ok(())
 }
 
-fn task_done(ended: &Ended) -> EventKind {
+fn task_done(ended: &Ended, note: &str) -> EventKind {
     EventKind::TaskDone {
         key: ended.key,
         kind: ended.kind.clone(),
@@ -212,6 +212,7 @@ fn task_done(ended: &Ended) -> EventKind {
         worker: ended.worker.clone(),
         attempt: ended.attempt,
         elapsed_ms: ended.elapsed_ms,
+        note: note.to_owned(),
     }
 }
 

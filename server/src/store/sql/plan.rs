@@ -157,6 +157,7 @@ impl Addition<'_> {
                     params: row.json("params")?,
                     inputs: row.json("inputs")?,
                     cost: row.count("cost")?,
+                    alike: None,
                 };
                 let (id, state) = (row.get("id")?, row.get("state")?);
                 known.insert(key, Known { id, spec, state, is_member: row.get("is_member")? });
@@ -168,11 +169,11 @@ impl Addition<'_> {
     /// Makes new tasks, ready until [`Addition::link`] says otherwise; returns their ids.
     async fn insert_tasks(&mut self, fresh: &BTreeMap<TaskKey, TaskSpec>) -> Result<Vec<i64>> {
         let sql = self.conn.pick(
-            "INSERT INTO tasks (key, kind, label, params, inputs, cost, state, waiting_count)
-             SELECT value ->> 0, value ->> 1, value ->> 2, value ->> 3, value ->> 4, value ->> 5, 'ready', 0
+            "INSERT INTO tasks (key, kind, label, params, inputs, cost, alike, state, waiting_count)
+             SELECT value ->> 0, value ->> 1, value ->> 2, value ->> 3, value ->> 4, value ->> 5, value ->> 6, 'ready', 0
              FROM json_each($1) RETURNING id, key",
-            "INSERT INTO tasks (key, kind, label, params, inputs, cost, state, waiting_count)
-             SELECT v ->> 0, v ->> 1, v ->> 2, v ->> 3, v ->> 4, (v ->> 5)::bigint, 'ready', 0
+            "INSERT INTO tasks (key, kind, label, params, inputs, cost, alike, state, waiting_count)
+             SELECT v ->> 0, v ->> 1, v ->> 2, v ->> 3, v ->> 4, (v ->> 5)::bigint, v ->> 6, 'ready', 0
              FROM jsonb_array_elements($1::jsonb) AS j (v) RETURNING id, key",
         );
         let specs: Vec<&TaskSpec> = fresh.values().collect();
@@ -181,7 +182,7 @@ impl Addition<'_> {
             let mut rows = Vec::with_capacity(specs.len());
             for spec in specs {
                 let (params, inputs) = (to_json(&spec.params)?, to_json(&spec.inputs)?);
-                rows.push(json!([spec.key, spec.kind, spec.label, params, inputs, spec.cost]));
+                rows.push(json!([spec.key, spec.kind, spec.label, params, inputs, spec.cost, spec.alike]));
             }
             for row in query(sql).bind(to_json(&rows)?).all(self.conn).await? {
                 let id = row.get("id")?;
@@ -218,6 +219,7 @@ impl Addition<'_> {
                     outputs: row.json("outputs")?,
                     plan: row.json("plan")?,
                     counters: row.json("counters")?,
+                    ..TaskResult::default()
                 };
                 self.bake.note_outputs(&result.outputs);
                 add_counters(&mut self.bake.counters_reused, &result.counters);

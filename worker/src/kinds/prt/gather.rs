@@ -8,9 +8,10 @@ use super::near::{self, NearHit};
 use super::{PatchTransport, Row};
 use crate::factors::Detail;
 use crate::rays::Hit;
+use crate::reads::{Reads, Record};
 use crate::task::{Cancelled, Progress};
 use crate::transport::{
-    CutBounds, Hemisphere, HemisphereRay, PatchRow, RayHit, RowHits, Sources, patch_rows,
+    CutBounds, Hemisphere, HemisphereRay, Met, PatchRow, RayHit, RowHits, Sources, patch_rows,
 };
 
 /// Error of taking patches whole as a share of that of truncation: behind bends it is light that is not there, as hidden
@@ -23,6 +24,8 @@ pub struct Traced {
     pub keys: Vec<u64>,
     /// One row per receiver, in order.
     pub rows: Vec<Row>,
+    /// All that was read for them, unless that was too much.
+    pub record: Option<Record>,
 }
 
 /// Hits of one receiver's rays.
@@ -47,20 +50,24 @@ pub fn trace(
     detail: Detail,
     progress: &Progress,
 ) -> Result<Traced, Cancelled> {
-    let PatchTransport { world, tree, settings, .. } = transport;
+    let PatchTransport { world, tree, settings, stage, .. } = transport;
     progress.begin(0.0, 0.9, receivers.len() as u64);
     let sources = Sources::new(world, tree, settings.patches.sky_parts);
-    let (hits, mut rows): (Vec<RowHits>, Vec<Row>) = receivers
+    let gathered = receivers
         .par_iter()
         .map(|&receiver| {
             progress.check()?;
-            let Gathered { hits, row } = progress.casting(|| gather(transport, &sources, receiver));
+            let reads = Reads::new(world, stage);
+            let Gathered { hits, row } = progress.casting(|| gather(transport, &sources, receiver, &reads));
             progress.advance(1);
-            Ok((hits, row))
+            Ok((hits, (row, reads.into_names(stage))))
         })
-        .collect::<Result<Vec<_>, Cancelled>>()?
-        .into_iter()
-        .unzip();
+        .collect::<Result<Vec<_>, Cancelled>>()?;
+    let (hits, rows): (Vec<RowHits>, Vec<_>) = gathered.into_iter().unzip();
+    let (mut rows, names): (Vec<Row>, Vec<_>) = rows.into_iter().unzip();
+    let mut leaves: Vec<u32> = hits.iter().flat_map(|hits| &hits.leaves).map(|hit| hit.at).collect();
+    leaves.sort_unstable();
+    leaves.dedup();
     let bounds = CutBounds {
         columns_max: settings.patches.patches_max as usize,
         error: CUT_SHARE * settings.factors.rank_error,
@@ -72,20 +79,26 @@ pub fn trace(
     for (row, PatchRow { alpha, importance }) in rows.iter_mut().zip(found.rows) {
         (row.shared.alpha, row.importance) = (alpha, importance);
     }
-    Ok(Traced { keys: found.keys, rows })
+    let mut names: Vec<_> = names.into_iter().flatten().collect();
+    names.sort_unstable();
+    names.dedup();
+    let record = Record::of(stage, tree, names, &leaves, &found.by_share);
+    Ok(Traced { keys: found.keys, rows, record })
 }
 
-fn gather(transport: &PatchTransport, sources: &Sources, receiver: u32) -> Gathered {
+fn gather(transport: &PatchTransport, sources: &Sources, receiver: u32, reads: &Reads) -> Gathered {
     let PatchTransport { world, emitters, settings, .. } = transport;
     let rays = settings.transport.transport_rays;
-    let hemisphere = Hemisphere::new(world, emitters, receiver, rays);
+    let hemisphere = Hemisphere::new(world, emitters, receiver, rays).for_radiance(transport.radiance);
     let (mut gathered, mut near) = (Gathered::default(), Near::default());
     let texel_m = world.lightmap.texel_m_of(receiver);
     let reach_m = near::reach_m(settings, texel_m);
     let from_m = hemisphere.origin_m();
     let mut is_even = true;
-    let surroundings =
-        hemisphere.cast(settings.transport.emitter_rays, |HemisphereRay { origin_m, direction }, hit| {
+    let surroundings = hemisphere.cast(
+        settings.transport.emitter_rays,
+        &reads.trail,
+        |HemisphereRay { origin_m, direction }, hit| {
             let ray = |at: u32| RayHit { at, is_even, weight: 1.0 };
             match hit {
                 None => {
@@ -95,15 +108,18 @@ fn gather(transport: &PatchTransport, sources: &Sources, receiver: u32) -> Gathe
                 Some(hit) => {
                     let point_m = origin_m + direction * hit.t;
                     let near = (point_m.distance(from_m) < reach_m).then_some(&mut near);
-                    gathered.add_hit(transport, sources, hit, point_m, ray, near);
+                    let met = sources.at(hit, point_m);
+                    reads.note_hit(&met.found, point_m);
+                    gathered.add_hit(transport, met, hit, point_m, ray, near);
                 }
             }
             is_even = !is_even;
-        });
+        },
+    );
     let Gathered { hits, row } = &mut gathered;
     // Whether a place is narrow is known only now: near hits count as such there, and as their leaves elsewhere.
     if near::is_narrow(near.hits.len(), settings) {
-        near::keep(row, near.hits, settings, texel_m);
+        near::keep(row, near.hits, settings, &world.lightmap, texel_m);
     } else {
         hits.leaves.append(&mut near.leaves);
         row.shared.uncovered += near.lost;
@@ -118,15 +134,14 @@ impl Gathered {
     fn add_hit(
         &mut self,
         transport: &PatchTransport,
-        sources: &Sources,
+        met: Met,
         hit: &Hit,
         point_m: Vec3,
         ray: impl Fn(u32) -> RayHit,
         near: Option<&mut Near>,
     ) {
-        let met = sources.at(hit, point_m);
         let near =
-            near.and_then(|near| Some((NearHit::of(&transport.world, hit, met.linked, point_m)?, near)));
+            near.and_then(|near| Some((NearHit::of(&transport.world, hit, &met.found, point_m)?, near)));
         self.row.shared.lit += met.lit;
         let (leaves, lost) = match near {
             Some((near_hit, near)) => {

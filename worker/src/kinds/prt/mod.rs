@@ -1,40 +1,34 @@
 //! Kind `prt`: light from surface patches and parts of the sky to lightmap receivers (METHOD.md §2).
 //!
-//! `prt.plan` (cells, the chunk of patches) → `prt.transport` by cell → `prt.assemble`.
+//! `prt.plan` (cells, the chunk of patches) → `prt.transport` and `prt.colour` by cell → `prt.assemble`.
 
 mod assemble;
+mod colourless;
 mod evaluated;
 mod gather;
 mod near;
 mod plan;
+mod transport;
 mod truncate;
 
 use std::sync::Arc;
 
-use lightkiln_proto::chunk::QuantisationSettings;
-use lightkiln_proto::jobs::TaskSpec;
 use lightkiln_proto::kinds::prt::{NAME, PatchSettings, Settings, tasks};
 use lightkiln_proto::manifest::Manifest;
 use lightkiln_proto::settings::{FactorSettings, TransportSettings};
 use serde::{Deserialize, Serialize};
 
 use super::{BakeKind, BakeKinds, TaskRow};
-use crate::emitters::EmitterSet;
+use crate::emitters::{EmitterSet, Radiance};
 use crate::evaluate::{ChunkBytes, Evaluated, EvaluationError};
-use crate::factors::{
-    self, CellIndex, CellRows, ClusterCell, Detail, Piece, Transport, cell_of_task, stored,
-};
+use crate::factors::{self, CellIndex, CellRows, ClusterCell, Detail, Piece, Transport};
 use crate::lightmap::World;
 use crate::patches::PatchTree;
-use crate::task::{Cancelled, Context, Progress, TaskError, TaskOutput, params};
-use crate::transport::{self, DEAD_PATH_TEXELS};
+use crate::reads::{Record, Stage};
+use crate::task::{Cancelled, Context, Progress, TaskError};
+use crate::transport::{self as rows, DEAD_PATH_TEXELS};
 use near::NearHit;
-
-/// Error of quantisation as a share of that of truncation. What truncation drops is noise of rays for a good part, what
-/// quantisation adds is not.
-const QUANTISATION_SHARE: f32 = 0.55;
-/// Least and most error of quantisation.
-const QUANTISATION_ERROR: [f32; 2] = [2e-4, 0.05];
+use truncate::NamedPiece;
 
 /// The kind's row.
 #[derive(Clone, Copy, Debug, Default)]
@@ -48,7 +42,8 @@ impl BakeKind for Prt {
     fn tasks(&self) -> Vec<TaskRow> {
         vec![
             TaskRow { name: tasks::PLAN.name, run: plan::run },
-            TaskRow { name: tasks::TRANSPORT.name, run: run_transport },
+            TaskRow { name: tasks::TRANSPORT.name, run: transport::run },
+            TaskRow { name: tasks::COLOUR.name, run: colourless::run },
             TaskRow { name: tasks::ASSEMBLE.name, run: assemble::run },
         ]
     }
@@ -97,8 +92,8 @@ impl From<&Settings> for TracedSettings {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Row {
     /// The part that every kind has.
-    pub shared: transport::Row,
-    /// As in [`transport::PatchRow`].
+    pub shared: rows::Row,
+    /// As in [`rows::PatchRow`].
     pub importance: [Vec<f32>; 2],
     /// Near hits, whose light is not in the columns.
     pub near: Vec<NearHit>,
@@ -114,11 +109,17 @@ impl Row {
     }
 }
 
+/// Pieces of a cell, their account, and the record of what was read.
+type Recorded = (Vec<NamedPiece>, CellIndex, Option<Record>);
+
 /// Transport from patches to receivers.
 pub struct PatchTransport {
     world: Arc<World>,
     emitters: Arc<EmitterSet>,
     tree: Arc<PatchTree>,
+    /// Empty where nobody wants to know what was read.
+    stage: Arc<Stage>,
+    radiance: Radiance,
     settings: TracedSettings,
 }
 
@@ -127,7 +128,8 @@ impl PatchTransport {
     pub fn of(context: &Context, settings: TracedSettings) -> Result<Self, TaskError> {
         let world = World::of(context)?;
         let emitters = EmitterSet::of(context, &world.geometry)?;
-        Ok(Self { emitters, tree: PatchTree::of(context)?, world, settings })
+        let (tree, stage) = (PatchTree::of(context)?, Arc::default());
+        Ok(Self { emitters, tree, world, stage, radiance: Radiance::OfMaterials, settings })
     }
 }
 
@@ -138,22 +140,17 @@ impl Transport for PatchTransport {
     }
 
     fn pieces(&self, cell: &ClusterCell, progress: &Progress) -> Result<(Vec<Piece>, CellIndex), Cancelled> {
-        let found = gather::trace(self, &cell.receivers, Detail::AsBaked, progress)?;
-        let cavity_m = DEAD_PATH_TEXELS * self.world.lightmap.texel_m;
-        let index = CellIndex::of(found.rows.iter().map(|row| (&row.shared, row.is_dead())), cavity_m);
-        Ok((truncate::pieces(self, &found.keys, cell, &found.rows, progress)?, index))
+        let (pieces, index, _) = self.recorded(cell, progress)?;
+        Ok((pieces.into_iter().map(|(piece, _)| piece).collect(), index))
     }
 }
 
-/// Runs task `prt.transport`: inputs of [`PatchTransport::of`] and `cells`; outputs `chunk/N` and `index`.
-fn run_transport(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> {
-    let TransportParams { cluster, settings } = params(task)?;
-    let quantisation = QuantisationSettings {
-        relative_error: (QUANTISATION_SHARE * settings.factors.rank_error)
-            .clamp(QUANTISATION_ERROR[0], QUANTISATION_ERROR[1]),
-        levels: settings.lod_levels,
-    };
-    let cell = cell_of_task(context, cluster)?;
-    let (pieces, index) = PatchTransport::of(context, settings)?.pieces(&cell, context.progress)?;
-    stored(&pieces, quantisation, index)
+impl PatchTransport {
+    /// As [`Transport::pieces`], with the record of all that was read.
+    fn recorded(&self, cell: &ClusterCell, progress: &Progress) -> Result<Recorded, Cancelled> {
+        let found = gather::trace(self, &cell.receivers, Detail::AsBaked, progress)?;
+        let cavity_m = DEAD_PATH_TEXELS * self.world.lightmap.texel_m;
+        let index = CellIndex::of(found.rows.iter().map(|row| (&row.shared, row.is_dead())), cavity_m);
+        Ok((truncate::pieces(self, &found.keys, cell, &found.rows, progress)?, index, found.record))
+    }
 }

@@ -8,10 +8,10 @@
 use std::f32::consts::PI;
 
 use glam::Vec3;
-use lightkiln_proto::content::{NearHits, NearSurface};
+use lightkiln_proto::content::{BlockKey, NearHits, NearSurface, Texel};
 
 use super::{Row, TracedSettings};
-use crate::lightmap::{Lightmap, Numbering, Receiver, Surface, World};
+use crate::lightmap::{Found, Lightmap, Numbering, Receiver, Surface, World};
 use crate::rays::Hit;
 
 /// Share of its rays that must end within the reach for a place to be narrow: more than those beside a wall.
@@ -31,14 +31,12 @@ pub struct NearHit {
 }
 
 impl NearHit {
-    /// A hit as it is kept, `linked` being the texel that stands for it; `None` where no texel has its albedo.
-    pub fn of(world: &World, hit: &Hit, linked: Surface, position_m: Vec3) -> Option<Self> {
-        let (receiver, own_normal) = match linked {
-            Surface::Receiver(linked) => (linked, None),
-            Surface::Dark => match world.surface_at(hit) {
-                Surface::Receiver(own) => (own, Some(world.geometry.side_normal(hit))),
-                Surface::Dark => return None,
-            },
+    /// A hit as it is kept, `found` being the texels that stand for it; `None` where no texel has its albedo.
+    pub fn of(world: &World, hit: &Hit, found: &Found, position_m: Vec3) -> Option<Self> {
+        let (receiver, own_normal) = match (found.linked, found.own) {
+            (Surface::Receiver(linked), _) => (linked, None),
+            (_, Surface::Receiver(own)) => (own, Some(world.geometry.side_normal(hit))),
+            _ => return None,
         };
         Some(Self { receiver, own_normal, position_m })
     }
@@ -60,13 +58,20 @@ pub fn is_narrow(hits: usize, settings: &TracedSettings) -> bool {
 }
 
 /// Gives a row its near hits: at most `near_hits` that stand for all.
-pub fn keep(row: &mut Row, mut hits: Vec<NearHit>, settings: &TracedSettings, texel_m: f32) {
+pub fn keep(
+    row: &mut Row,
+    mut hits: Vec<NearHit>,
+    settings: &TracedSettings,
+    lightmap: &Lightmap,
+    texel_m: f32,
+) {
     let kept = hits.len().min(settings.patches.near_hits as usize);
     if kept == 0 {
         return;
     }
     hits.sort_by_cached_key(|hit| {
-        (hit.own_normal.is_some(), hit.receiver, place_order(hit.position_m, texel_m))
+        let (block, [x, y]) = lightmap.name_of(hit.receiver);
+        (hit.own_normal.is_some(), block, [y, x], place_order(hit.position_m, texel_m))
     });
     let share = hits.len() as f32 / (settings.transport.transport_rays as usize * kept) as f32;
     row.near_weight = PI * share.min(1.0);
@@ -78,6 +83,12 @@ fn place_order(position_m: Vec3, texel_m: f32) -> u64 {
     let spread = |value: i64| (0..21).fold(0, |bits, bit| bits | (value as u64 >> bit & 1) << (3 * bit));
     let [x, y, z] = (position_m / texel_m * ORDER_CELLS).floor().as_i64vec3().to_array().map(spread);
     x | y << 1 | z << 2
+}
+
+/// Receivers that the hits of [`of_rows`] with surfaces of their own have the albedo of, in their order.
+pub fn own_of_rows(lightmap: &Lightmap, rows: &[&Row]) -> Vec<(BlockKey, Texel)> {
+    let own = rows.iter().flat_map(|row| &row.near).filter(|hit| hit.own_normal.is_some());
+    own.map(|hit| lightmap.name_of(hit.receiver)).collect()
 }
 
 /// The near hits of some rows as a chunk has them, with the receiver of each row.

@@ -1,14 +1,18 @@
-//! Task `prt.plan`: the chunk of patches, cluster cells, a transport task for each, and assemble.
+//! Task `prt.plan`: the chunk of patches, cluster cells, tasks of rays and of colours for each, and assemble.
 
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{TaskInput, TaskSpec};
 use lightkiln_proto::kinds::prt::tasks;
-use serde_json::json;
+use rayon::prelude::*;
+use serde_json::{Value, json};
 
-use super::{BakeParams, TransportParams};
-use crate::factors::{CELLS_ARTEFACT, cells, encoded_cells};
-use crate::lightmap::{self, Lightmap};
+use super::colourless::TRANSPORT_INPUT;
+use super::{BakeParams, TracedSettings, TransportParams};
+use crate::emitters::EmitterSet;
+use crate::factors::{CELLS_ARTEFACT, cell_names, cells, encoded_cells};
+use crate::lightmap::World;
 use crate::patches::{self, PatchTree};
+use crate::reads::{Common, STAGE_ARTEFACT, alike};
 use crate::task::{Context, TaskError, TaskOutput, params};
 
 /// Name of the chunk of patches among outputs, and among the inputs of assemble.
@@ -16,34 +20,53 @@ pub const PATCH_SET: &str = "patch-set";
 /// Rays cast for each of a receiver's own, in the estimate of costs: its links' tests among them.
 const RAYS_PER_RAY: u64 = 2;
 
-/// Runs the task: inputs are the outputs of all scene tasks; outputs `cells`, `patch-set`.
+/// Runs the task: inputs are the outputs of all scene tasks; outputs `cells`, `stage`, `patch-set`.
 pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> {
     let bake: BakeParams = params(task)?;
-    let settings = &bake.settings;
-    let lightmap: Lightmap = context.decoded(lightmap::ARTEFACT_MAGIC, lightmap::ARTEFACT)?.0;
+    let (settings, traced) = (&bake.settings, TracedSettings::from(&bake.settings));
+    let world = World::of(context)?;
     let tree = PatchTree::of(context)?;
-    let cells = cells(&lightmap.positions_m(), settings.factors.cluster_receivers);
-    let cells_bytes = encoded_cells(&cells)?;
-    let patches = patches::encoded(&tree, &lightmap, settings.patches.sky_parts)?;
-    let own = [(CELLS_ARTEFACT, &cells_bytes), (PATCH_SET, &patches)];
-    let own = own.map(|(name, bytes)| TaskInput::Artefact { name: name.into(), digest: Digest::of(bytes) });
+    let emitters = EmitterSet::of(context, &world.geometry)?;
+    let cells = cells(&world.lightmap.positions_m(), settings.factors.cluster_receivers);
+    let (common, stage) = Common::of(&world, &tree, &emitters, &(tasks::TRANSPORT.version, &traced));
+    let own = [
+        (CELLS_ARTEFACT, encoded_cells(&cells)?),
+        (STAGE_ARTEFACT, stage.encoded()?),
+        (PATCH_SET, patches::encoded(&tree, &world.lightmap, settings.patches.sky_parts)?),
+    ];
+    let input = |(name, bytes): &(&str, Vec<u8>)| TaskInput::Artefact {
+        name: (*name).into(),
+        digest: Digest::of(bytes),
+    };
     let scene_outputs = context.as_inputs(|_| true);
 
-    let mut plan = Vec::new();
-    for (cluster, cell) in cells.iter().enumerate() {
-        let rays = cell.receivers.len() as u64 * u64::from(settings.transport.transport_rays);
+    let names: Vec<Digest> =
+        cells.par_iter().map(|cell| alike(&world, &common, &cell.bounds_m, &cell.receivers)).collect();
+    let (mut rays, mut colours) = (Vec::new(), Vec::new());
+    for (cluster, ((cell, label), name)) in cells.iter().zip(cell_names(&cells)).zip(names).enumerate() {
+        let cost = cell.receivers.len() as u64 * u64::from(settings.transport.transport_rays);
         let mut inputs = context.as_inputs(is_read_by_transport);
-        inputs.push(own[0].clone());
-        let of_cell = json!(TransportParams { cluster, settings: settings.into() });
-        let label = format!("cluster {cluster}");
-        plan.push(tasks::TRANSPORT.task(label, of_cell, inputs, RAYS_PER_RAY * rays / 1000));
+        inputs.extend(own[..2].iter().map(input));
+        let of_cell = json!(TransportParams { cluster, settings: traced.clone() });
+        let label = format!("cluster {label}");
+        let cost = RAYS_PER_RAY * cost / 1000;
+        let transport = tasks::TRANSPORT.task(label.clone(), of_cell, inputs, cost).alike(name);
+        let mut inputs = context.as_inputs(is_read_by_colour);
+        inputs.push(TaskInput::Task { name: TRANSPORT_INPUT.into(), key: transport.key });
+        colours.push(tasks::COLOUR.task(label, Value::Null, inputs, cell.receivers.len() as u64 / 1000 + 1));
+        rays.push(transport);
     }
     let mut inputs = scene_outputs;
-    inputs.push(own[1].clone());
-    inputs.extend(crate::task::results_of(&plan));
-    plan.push(tasks::ASSEMBLE.task("bundle", json!(bake), inputs, 1));
-    let artefacts = vec![(CELLS_ARTEFACT.to_owned(), cells_bytes), (PATCH_SET.to_owned(), patches)];
+    inputs.push(input(&own[2]));
+    inputs.extend(crate::task::results_of(&colours));
+    let assemble = tasks::ASSEMBLE.task("bundle", json!(bake), inputs, 1);
+    let plan = rays.into_iter().chain(colours).chain([assemble]).collect();
+    let artefacts = own.map(|(name, bytes)| (name.to_owned(), bytes)).into();
     Ok(TaskOutput { artefacts, plan, ..TaskOutput::default() })
+}
+
+fn is_read_by_colour(name: &str) -> bool {
+    ["import/scene", "unwrap/", "place/"].iter().any(|read| name.starts_with(read))
 }
 
 fn is_read_by_transport(name: &str) -> bool {

@@ -1,7 +1,7 @@
 //! From the rows of a cell to factorised clusters.
 
 use glam::Vec3;
-use lightkiln_proto::content::TransportFactors;
+use lightkiln_proto::content::{BlockKey, Texel, TransportFactors};
 
 use super::near::{self, NearHit};
 use super::{PatchTransport, Row, TracedSettings};
@@ -21,6 +21,9 @@ struct Cell<'a> {
     matrix: PatchMatrix<'a>,
 }
 
+/// A cluster, and the receivers that near hits with surfaces of their own have the albedo of, in the order of the hits.
+pub type NamedPiece = (Piece, Vec<(BlockKey, Texel)>);
+
 /// Factorised clusters of a cell, in a fixed order.
 pub fn pieces(
     transport: &PatchTransport,
@@ -28,7 +31,7 @@ pub fn pieces(
     cell: &ClusterCell,
     rows: &[Row],
     progress: &Progress,
-) -> Result<Vec<Piece>, Cancelled> {
+) -> Result<Vec<NamedPiece>, Cancelled> {
     let own = Cell {
         lightmap: &transport.world.lightmap,
         settings: &transport.settings,
@@ -92,13 +95,14 @@ impl Cell<'_> {
         (live.iter().map(of_receiver).collect(), self.keys.len() + texels.len())
     }
 
-    fn piece(&self, Part { receivers, factored: Factored { factors, groups } }: Part) -> Piece {
+    fn piece(&self, Part { receivers, factored: Factored { factors, groups } }: Part) -> NamedPiece {
         let places = self.places(&receivers);
         let rows: Vec<&Row> = places.iter().map(|&place| &self.rows[place]).collect();
         let keys = groups.iter().map(|&column| self.keys[column as usize]).collect();
         let columns = TransportFactors { keys, ..TransportFactors::default() };
         let near = near::of_rows(self.lightmap, self.settings, &receivers, &rows);
         let shared: Vec<_> = rows.iter().map(|row| &row.shared).collect();
-        Piece::of(self.lightmap, &receivers, &shared, columns, factors, near)
+        let near_own = near::own_of_rows(self.lightmap, &rows);
+        (Piece::of(self.lightmap, &receivers, &shared, columns, factors, near), near_own)
     }
 }

@@ -9,6 +9,7 @@ use lightkiln_proto::harmonics::{MAX_COEFFICIENTS, ShBasis, band_of};
 use super::ProbeTransport;
 use super::supporters::{Supporter, Supporters};
 use crate::emitters::EmitterSet;
+use crate::geometry::{Grid, Trail};
 use crate::lightmap::{Numbering, Receiver, Surface, World};
 use crate::rays::Hit;
 use crate::transport::{Hemisphere, HemisphereRay, Row};
@@ -74,7 +75,8 @@ impl<'a> AlphaSampler<'a> {
                 ..Row::default()
             },
         };
-        let surroundings = hemisphere.cast(self.emitter_rays, |ray, hit| match hit {
+        let grid = Grid::default();
+        let surroundings = hemisphere.cast(self.emitter_rays, &Trail::new(&grid), |ray, hit| match hit {
             None => {
                 gather.row.lit += 1.0;
                 self.add_sky(&mut gather.row, ray.direction);

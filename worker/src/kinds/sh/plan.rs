@@ -59,5 +59,5 @@ pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> 
     plan.push(tasks::ASSEMBLE.task("bundle", json!(bake), inputs, 1));
     let counters = [("probes_by_density", by_density), ("probes_total", probes.len())];
     let counters = counters.map(|(name, count)| (name.to_owned(), count as f64)).into();
-    Ok(TaskOutput { artefacts, plan, counters })
+    Ok(TaskOutput { artefacts, plan, counters, ..TaskOutput::default() })
 }

@@ -46,7 +46,7 @@ fn every_task_looks_for_a_cancel_between_any_few_rays_and_ends_at_once() {
         for (name, Ready { task, inputs }) in &ready {
             let run_with = |progress: &Progress| {
                 let memory = MemoryCache::new(1 << 30);
-                runner.run(task, inputs, &run.shelf, &memory, progress)
+                runner.run(task, inputs, &[], &run.shelf, &memory, progress)
             };
             let whole = Progress::new();
             run_with(&whole).unwrap();

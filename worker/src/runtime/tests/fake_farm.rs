@@ -93,6 +93,7 @@ impl FakeFarm {
             bake: "bake".into(),
             task,
             inputs,
+            alike: Vec::new(),
             expires_ms: 0,
             traceparent: None,
         });

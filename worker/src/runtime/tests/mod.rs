@@ -28,6 +28,7 @@ impl TaskRunner for FakeRunner {
         &self,
         _task: &TaskSpec,
         inputs: &[Artefact],
+        _: &[Vec<Artefact>],
         source: &dyn ArtefactSource,
         _memory: &MemoryCache,
         progress: &Progress,

@@ -1,0 +1,131 @@
+//! A scene that was edited is baked again: as far as nothing has changed from what rays met, results are those of before, and all
+//! bytes are those of a bake that knows nothing of it.
+
+use glam::Vec3;
+use lightkiln_tests::harness::{Bakery, Rebaked, bake};
+use lightkiln_tests::scenes::{FLAT_WALL_M, Flat, Thing, flat};
+use lightkiln_worker::rays::sampling::Sequence;
+use lightkiln_worker::task::Progress;
+
+use super::setup::small;
+
+/// Receivers of the flat, about; and of one that is edited many times.
+const RECEIVERS: u32 = 3000;
+const FEW_RECEIVERS: u32 = 1500;
+
+/// Labels of a bake's transport tasks with whether each took the result of one before.
+fn kept(rebaked: &Rebaked) -> Vec<(&str, bool)> {
+    let of_transport = rebaked.notes.iter().filter(|(label, _)| label.starts_with("cluster "));
+    of_transport.map(|(label, note)| (label.as_str(), note.starts_with("as before"))).collect()
+}
+
+/// Lower and upper x of the cell that a task is named by.
+fn along_x_m(label: &str) -> [f32; 2] {
+    let corners = label.trim_start_matches("cluster ").split("..");
+    let x = |corner: &str| corner.split(',').next().unwrap().parse().unwrap();
+    corners.map(x).collect::<Vec<f32>>().try_into().unwrap()
+}
+
+fn assert_is_whole_bake(of: &Flat, receivers: u32, rebaked: &Rebaked, what: &str) {
+    let whole = bake(flat(of), &small("prt", receivers)).unwrap();
+    let [was, is] =
+        [&whole.manifest_bytes, &rebaked.manifest_bytes].map(|bytes| String::from_utf8_lossy(bytes));
+    assert!(was == is, "{what}: other bytes than those of a whole bake: {:?}", rebaked.notes);
+}
+
+#[test]
+fn chair_that_is_moved_leaves_the_tasks_of_rooms_that_do_not_see_it_alone() {
+    let progress = Progress::new();
+    let mut bakery = Bakery::new(&small("prt", RECEIVERS), &progress);
+    let mut of = Flat::default();
+    let first = bakery.bake(flat(&of)).unwrap();
+    assert!(kept(&first).iter().all(|(_, kept)| !kept));
+    of.things[0].at_m += Vec3::new(0.3, 0.0, -0.1);
+    let second = bakery.bake(flat(&of)).unwrap();
+    let far: Vec<_> =
+        kept(&second).into_iter().filter(|(label, _)| along_x_m(label)[0] >= FLAT_WALL_M).collect();
+    assert!(far.len() > 2 && far.iter().all(|(_, kept)| *kept), "{:#?}", second.notes);
+    assert!(kept(&second).iter().any(|(_, kept)| !kept), "the chair's own room is as it was");
+    assert_is_whole_bake(&of, RECEIVERS, &second, "chair moved");
+}
+
+#[test]
+fn colour_texture_and_light_that_change_leave_all_tasks_alone() {
+    let progress = Progress::new();
+    let mut bakery = Bakery::new(&small("prt", RECEIVERS), &progress);
+    let mut of = Flat::default();
+    let first = bakery.bake(flat(&of)).unwrap();
+    of.colours[0] = [0.1, 0.3, 0.7];
+    of.colours[2] = [0.2, 0.2, 0.5];
+    of.lamps = [[5.0, 7.0, 9.0], [3.0, 5.5, 0.5]];
+    of.stripes = 7;
+    of.light_m += Vec3::X;
+    let second = bakery.bake(flat(&of)).unwrap();
+    assert!(kept(&second).iter().all(|(_, kept)| *kept), "{:#?}", second.notes);
+    assert_eq!(kept(&second).len(), kept(&first).len());
+    assert_ne!(first.manifest_bytes, second.manifest_bytes);
+    assert_is_whole_bake(&of, RECEIVERS, &second, "colours changed");
+}
+
+#[test]
+fn bake_after_random_edits_has_the_bytes_of_a_whole_one() {
+    let progress = Progress::new();
+    let mut bakery = Bakery::new(&small("prt", FEW_RECEIVERS), &progress);
+    let mut of = Flat::default();
+    bakery.bake(flat(&of)).unwrap();
+    let mut sequence = Sequence::new(17);
+    let mut kept_in_all = 0;
+    for edit in 0..8 {
+        let what = edited(&mut of, edit, &mut sequence);
+        let rebaked = bakery.bake(flat(&of)).unwrap();
+        kept_in_all += kept(&rebaked).iter().filter(|(_, kept)| *kept).count();
+        assert_is_whole_bake(&of, FEW_RECEIVERS, &rebaked, what);
+    }
+    assert!(kept_in_all > 20, "{kept_in_all} results of before were taken");
+}
+
+/// Changes something: each kind of edit in turn, of a random thing.
+fn edited(of: &mut Flat, edit: usize, sequence: &mut Sequence) -> &'static str {
+    let mut number = || sequence.next_f32();
+    let place = Vec3::new(number() * 7.0 - 3.5, 0.0, number() * 2.4 - 1.2);
+    let one = |count: usize, number: f32| ((count as f32 * number) as usize).min(count - 1);
+    let thing = one(of.things.len(), number());
+    let colour = [number(), number(), number()].map(|channel| 0.1 + 0.8 * channel);
+    match edit % 8 {
+        0 => {
+            of.things[thing].at_m = place;
+            "a thing moved"
+        }
+        1 => {
+            let size_m = Vec3::new(0.2 + number(), 0.2 + number(), 0.2 + number());
+            let name = format!("thing {edit}");
+            of.things.insert(thing, Thing { name, at_m: place, size_m, yaw_rad: number(), colour: 0 });
+            "a thing added before others"
+        }
+        2 => {
+            let chosen = one(of.colours.len(), number());
+            of.colours[chosen] = colour;
+            "a colour changed"
+        }
+        3 => {
+            of.things.remove(thing);
+            "a thing removed"
+        }
+        4 => {
+            of.stripes += 3;
+            "a texture changed"
+        }
+        5 => {
+            of.light_m = place + Vec3::Y;
+            "a light moved"
+        }
+        6 => {
+            of.lamps[thing % 2] = colour.map(|channel| 10.0 * channel);
+            "a lamp's colour changed"
+        }
+        _ => {
+            of.pane = 0.2 + 0.6 * number();
+            "glass changed"
+        }
+    }
+}

@@ -1,0 +1,168 @@
+//! The record that a task leaves of what it read, and how a later stage compares with it.
+
+use std::cell::RefCell;
+
+use glam::Vec3;
+use lightkiln_proto::ids::Digest;
+use serde::{Deserialize, Serialize};
+
+use super::marks::{Bytes, Mark, Name, Part};
+use super::patches;
+use super::stage::Stage;
+use crate::geometry::Trail;
+use crate::lightmap::{Found, World};
+use crate::patches::PatchTree;
+use crate::task::{TaskError, artefact};
+
+/// Magic of a record's artefact.
+const ARTEFACT_MAGIC: &[u8; 4] = b"LKrr";
+/// Name of a record among a task's outputs.
+pub const RECORD_ARTEFACT: &str = "record";
+/// Most names of a record: who read more leaves none, and is run again.
+const NAMES_MAX: usize = 1 << 16;
+
+/// Parts of a stage that one receiver's rays read, while they do.
+pub struct Reads<'a> {
+    world: &'a World,
+    /// Cells that were crossed.
+    pub trail: Trail<'a>,
+    tiles: RefCell<Vec<u32>>,
+}
+
+impl<'a> Reads<'a> {
+    /// Nothing read yet.
+    pub fn new(world: &'a World, stage: &'a Stage) -> Self {
+        Self { world, trail: Trail::new(&stage.grid), tiles: RefCell::default() }
+    }
+
+    /// Notes all that a hit was looked up in.
+    pub fn note_hit(&self, found: &Found, point_m: Vec3) {
+        let [low_m, high_m] = self.world.bounds_of_linking(found, point_m);
+        self.trail.mark_box(low_m, high_m);
+        if let Some((block, texels)) = self.world.texels_of_linking(found) {
+            let mut tiles = self.tiles.borrow_mut();
+            for tile in self.world.tiles.of_box(block, texels) {
+                if tiles.last() != Some(&tile) {
+                    tiles.push(tile);
+                }
+            }
+        }
+    }
+
+    /// Names of what was read, ascending.
+    pub fn into_names(self, stage: &Stage) -> Vec<Name> {
+        let mut tiles = self.tiles.into_inner();
+        tiles.sort_unstable();
+        tiles.dedup();
+        let mut names: Vec<Name> =
+            self.trail.crossed().map(|index| Name::cell(stage.grid.cell(index))).collect();
+        if self.trail.has_left() {
+            names.push(Name::extent());
+        }
+        let tile = |&tile: &u32| {
+            let (block, place) = self.world.tiles.place(tile);
+            Name::tile(self.world.lightmap.blocks[block as usize].key, place)
+        };
+        names.extend(tiles.iter().map(tile));
+        names.sort_unstable();
+        names
+    }
+}
+
+/// All that a task read.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Record {
+    /// Ascending names, each as the distance from the one before.
+    steps: Vec<u64>,
+    /// Two bytes of each part's digest: they tell which have changed.
+    checks: Vec<u16>,
+    /// Digest of all parts' digests: it tells whether any has.
+    digest: Digest,
+}
+
+impl Record {
+    /// Of the names that a task's receivers read, and of its cut over hits on some `leaves`, ascending. `None` if they are too many.
+    pub fn of(
+        stage: &Stage,
+        tree: &PatchTree,
+        mut names: Vec<Name>,
+        leaves: &[u32],
+        by_share: &[u32],
+    ) -> Option<Self> {
+        names.extend(patches::read(tree, leaves, by_share));
+        names.sort_unstable();
+        names.dedup();
+        if names.len() > NAMES_MAX {
+            return None;
+        }
+        let marks: Vec<Mark> = names.iter().map(|name| stage.mark(*name)).collect();
+        let before = std::iter::once(0).chain(names.iter().map(|name| name.0));
+        let steps = names.iter().zip(before).map(|(name, before)| name.0 - before).collect();
+        Some(Self { steps, checks: marks.iter().map(check).collect(), digest: digest(&marks) })
+    }
+
+    /// The record as an artefact.
+    pub fn encoded(&self) -> Result<Vec<u8>, TaskError> {
+        artefact::encode(ARTEFACT_MAGIC, self)
+    }
+
+    /// A record from its artefact.
+    pub fn decoded(bytes: &[u8]) -> Result<Self, TaskError> {
+        Ok(artefact::decode(ARTEFACT_MAGIC, bytes)?.0)
+    }
+
+    /// Names of what was read.
+    pub fn names(&self) -> impl Iterator<Item = Name> + '_ {
+        self.steps.iter().scan(0_u64, |name, step| {
+            *name = name.wrapping_add(*step);
+            Some(Name(*name))
+        })
+    }
+
+    /// Changes of a stage since, as far as the task read it.
+    pub fn changes(&self, stage: &Stage) -> Changes {
+        let marks: Vec<Mark> = self.names().map(|name| stage.mark(name)).collect();
+        if digest(&marks) == self.digest {
+            return Changes::default();
+        }
+        let changed =
+            self.names().zip(&marks).zip(&self.checks).filter(|((_, mark), before)| check(mark) != **before);
+        let mut changes = Changes { any: true, ..Changes::default() };
+        for ((name, _), _) in changed {
+            changes.first.get_or_insert_with(|| name.words(stage.grid.cell_m));
+            match name.part() {
+                Part::Cell | Part::Extent => changes.cells += 1,
+                Part::Tile => changes.tiles += 1,
+                Part::Branch | Part::Shape | Part::Shares => changes.patches += 1,
+            }
+        }
+        changes
+    }
+}
+
+/// Parts of a stage that are other than a record has them.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Changes {
+    /// There are some.
+    pub any: bool,
+    /// Cells of space, and the scene's extent.
+    pub cells: usize,
+    /// Tiles of the lightmap.
+    pub tiles: usize,
+    /// Parts of the tree of patches.
+    pub patches: usize,
+    /// One of them, in words.
+    pub first: Option<String>,
+}
+
+fn check(mark: &Mark) -> u16 {
+    u16::from_le_bytes([mark[0], mark[1]])
+}
+
+fn digest(marks: &[Mark]) -> Digest {
+    let mut bytes = Bytes::default();
+    marks.iter().for_each(|mark| {
+        bytes.bytes(mark);
+    });
+    bytes.digest()
+}
