@@ -107,7 +107,7 @@ fn twins() -> BTreeMap<&'static str, Layout> {
         "Pane": Pane {
             base_row0, base_row1, transmission_row0, transmission_row1, base_colour, transmission, blends, cutoff, pad
         }
-        "PatchRow": PatchRow { first_leaf, leaf_count }
+        "PatchRow": PatchRow { first_leaf, leaf_count, parent }
         "Patches": PatchNumbers { receiver_count, leaf_count, patch_count, stride }
         "Placement": Placement { front, front_size, back, back_size }
         "Reconstruct": ReconstructNumbers { stride, cluster_count, has_beside }
