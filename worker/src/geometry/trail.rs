@@ -211,7 +211,7 @@ mod tests {
     fn ray_that_meets_nothing_crosses_all_cells_to_the_end_of_the_scene() {
         let grid = Grid::over([Vec3::ZERO, Vec3::splat(4.0)], 0.1);
         let trail = Trail::new(&grid);
-        trail.mark_ray(Vec3::splat(0.3), Vec3::X, None);
+        trail.mark_ray(Vec3::splat(0.1), Vec3::X, None);
         assert!(trail.has_left());
         assert_eq!(
             trail.crossed().count() as i32,

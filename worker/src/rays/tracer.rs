@@ -437,7 +437,7 @@ mod tests {
     #[test]
     fn lift_is_the_same_for_scenes_of_nearly_the_same_reach() {
         let lift = |reach: f32| {
-            Tracer::new(&[[Vec3::ZERO, Vec3::X * reach, Vec3::Y]], None).ray_offset_m(Vec3::ZERO)
+            Tracer::new(&[[Vec3::ZERO, Vec3::X * reach, Vec3::Y * reach]], None).ray_offset_m(Vec3::ZERO)
         };
         assert_eq!(lift(8.1), lift(8.9));
         assert_eq!(lift(8.0), 8.0 * LIFT);

@@ -4,6 +4,7 @@ use std::f32::consts::PI;
 
 use glam::Vec3;
 use lightkiln_proto::content::COVERAGE_POINTS;
+use lightkiln_proto::content::PatchKey;
 use lightkiln_proto::harmonics::{ShBasis, band_of, relight_direction};
 use lightkiln_proto::kinds::SceneTask;
 use lightkiln_proto::kinds::prt::{Settings, first_tasks};
@@ -106,9 +107,19 @@ fn rows_of_points_in_free_space_are_cut_factorised_and_bring_the_light_of_a_furn
     let (factors, _) = matrix.factored(&rows, &settings.factors);
     let columns = matrix.used(&rows).len();
     assert!(factors.rank > 0 && factors.u.len() == rows.len() * factors.rank);
-    let b: Vec<f32> = factors.vt.chunks_exact(columns).map(|row| row.iter().sum()).collect();
+    // Columns of differences then read 0, all others 1.
+    let light = |keys: &[u64]| -> Vec<f32> {
+        keys.iter().map(|&key| if PatchKey(key).is_difference() { 0.0 } else { 1.0 }).collect()
+    };
+    let used: Vec<u64> = matrix.used(&rows).iter().map(|&column| cut.keys[column as usize]).collect();
+    let read = |alpha: &[f32], light: &[f32]| alpha.iter().zip(light).map(|(a, l)| a * l).sum::<f32>();
+    let of_used = light(&used);
+    let b: Vec<f32> = factors.vt.chunks_exact(columns).map(|row| read(row, &of_used)).collect();
     let by_factors = factors.u.chunks_exact(factors.rank).map(|u| u.iter().zip(&b).map(|(u, b)| u * b).sum());
-    let by_sums = |found: &PatchRows| found.rows.iter().map(|row| row.alpha.iter().sum()).collect();
+    let by_sums = |found: &PatchRows| -> Vec<f32> {
+        let light = light(&found.keys);
+        found.rows.iter().map(|row| read(&row.alpha, &light)).collect()
+    };
     for q in [by_sums(&cut), by_sums(&finest), by_factors.collect::<Vec<f32>>()] {
         for q in q.chunks_exact(9) {
             let mut y = [0.0; 9];

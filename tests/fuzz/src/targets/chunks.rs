@@ -153,7 +153,8 @@ fn near_hits(near: &NearHits) -> Vec<(u32, Vec<NamedHit>)> {
     };
     let of_receiver = |(range, weight): (Range<usize>, &f32)| {
         let weight = if range.is_empty() { 0 } else { weight.to_bits() };
-        let hit = |hit: usize| (named(hit).0, named(hit).1, near.offset[hit]);
+        // Old versions have finer offsets than are stored now.
+        let hit = |hit: usize| (named(hit).0, named(hit).1, near.offset[hit].map(NearHits::stored));
         let mut hits: Vec<_> = range.map(hit).collect();
         hits.sort_unstable();
         (weight, hits)
