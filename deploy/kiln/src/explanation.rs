@@ -1,4 +1,4 @@
-//! What a bake ran, and why: told from its events.
+//! Explanation of a bake: the tasks that ran, and why, told from its events.
 
 use std::collections::BTreeMap;
 

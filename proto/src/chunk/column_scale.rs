@@ -24,7 +24,7 @@ fn class(key: PatchKey) -> (bool, u64) {
     (key.is_difference(), key.level())
 }
 
-/// Code of the scale that the encoder gives a column: from light in Sponza, a living room and Cornell boxes.
+/// Code of the scale that the encoder gives a column: from the light of patches in Sponza under seven lights.
 fn code_of(key: PatchKey) -> u8 {
     match class(key) {
         (true, level) => (52 - 7 * level.min(7) as u8) / 3,

@@ -120,6 +120,7 @@ pub fn run(context: &Context, _: &TaskSpec) -> Result<TaskOutput, TaskError> {
     let index = CellIndex::decoded(&context.bytes(&name)?)?;
     let mut coloured = Vec::with_capacity(index.clusters.len());
     for number in 0..index.clusters.len() {
+        context.progress.check()?;
         let name = format!("{TRANSPORT_INPUT}/{}", output(number));
         let (colourless, _): (Colourless, _) = context.decoded(ARTEFACT_MAGIC, &name)?;
         coloured.push(colourless.coloured(&world.lightmap, &radiance)?);

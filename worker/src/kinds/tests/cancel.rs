@@ -9,8 +9,8 @@ use super::super::*;
 
 const CORNELL: &[u8] = include_bytes!("../../../../tests/scenes/cornell.glb");
 /// Tasks that end within moments whatever the scene: they copy what is there.
-const BRIEF: [&str; 7] =
-    ["scene.frame", "scene.draw", "prt.plan", "prt.colour", "prt.assemble", "sh.assemble", "scene.import"];
+const BRIEF: [&str; 6] =
+    ["scene.frame", "scene.draw", "prt.plan", "prt.assemble", "sh.assemble", "scene.import"];
 /// Most rays between two looks: a few milliseconds.
 const RAYS_MAX: u64 = 20_000;
 
