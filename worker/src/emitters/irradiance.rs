@@ -216,7 +216,7 @@ impl<'a> EmitterIrradianceSum<'a> {
         }
         let offset_m = self.geometry.tracer.ray_offset_m(point_m);
         let lifted_m = point_m + triangle.normal * offset_m.copysign(facing);
-        trail.mark_ray(origin_m, lifted_m - origin_m, Some(1.0));
+        trail.from(origin_m).mark(lifted_m - origin_m, Some(1.0));
         let passed = self.geometry.tracer.passed(origin_m, lifted_m);
         if passed <= 0.0 {
             return;

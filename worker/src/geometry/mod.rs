@@ -1,5 +1,6 @@
 //! The scene's triangles ready for rays, and the properties of a hit that need the scene alone: side, material, normal.
 
+mod bits;
 pub mod lattice;
 mod masks;
 mod site;
@@ -16,6 +17,7 @@ use crate::scene::surface::normal_at;
 use crate::scene::texture::DecodedImages;
 use crate::task::{Context, TaskError};
 
+pub use bits::Bits;
 pub use site::Site;
 pub use strata::{Strata, morton, spread_sites};
 pub use trail::{Grid, Trail};

@@ -3,11 +3,13 @@
 //! Whoever casts a ray marks the cells along it. While those hold what they held, and the scene reaches no further where a ray
 //! left it, the ray meets the same.
 
-use std::cell::Cell;
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use glam::{IVec3, Vec3};
 use serde::{Deserialize, Serialize};
 
+use super::bits::Bits;
 use super::lattice::cell_of;
 
 /// Cells along the longest side of a scene, at most twice as many. More → fewer rays that cross a changed cell and miss the
@@ -60,11 +62,31 @@ impl Grid {
         self.low + IVec3::new(index % size.x, index / size.x % size.y, index / (size.x * size.y))
     }
 
-    /// Number of a cell of the lattice, if it is one of the grid.
-    fn index(&self, cell: IVec3) -> Option<usize> {
-        let at = cell - self.low;
-        let is_inside = at.cmpge(IVec3::ZERO).all() && at.cmplt(self.size).all();
-        is_inside.then(|| ((at.z * self.size.y + at.y) * self.size.x + at.x) as usize)
+    /// Number of a cell of the grid, counted from the lowest.
+    fn number(&self, at: IVec3) -> usize {
+        ((at.z * self.size.y + at.y) * self.size.x + at.x) as usize
+    }
+
+    /// A place in cells from the lowest corner, exact but for far less than [`SLACK`].
+    fn at(&self, place_m: Vec3) -> Vec3 {
+        (place_m - self.low.as_vec3() * self.cell_m) * self.cell_m.recip()
+    }
+
+    /// Cell of the grid that is nearest to a place in cells, counted from the lowest.
+    fn nearest(&self, at: Vec3) -> IVec3 {
+        // Numbers below 0 are cut to 0 or less, which is the lowest all the same.
+        at.as_ivec3().clamp(IVec3::ZERO, self.size - 1)
+    }
+
+    /// Units of a direction from a place of the grid to where the ray leaves it; 0 where it stands still.
+    fn way_out(&self, from: Vec3, along: Vec3) -> f32 {
+        let size = self.size.as_vec3();
+        let of_axis = |axis: usize| {
+            let wall = if along[axis] > 0.0 { size[axis] } else { 0.0 };
+            if along[axis] == 0.0 { f32::INFINITY } else { (wall - from[axis]) / along[axis] }
+        };
+        let least = of_axis(0).min(of_axis(1)).min(of_axis(2));
+        if least.is_finite() { least.max(0.0) } else { 0.0 }
     }
 
     /// Numbers of the cells that a box meets.
@@ -74,7 +96,8 @@ impl Grid {
         let along = |axis: usize| first[axis]..last[axis] + 1;
         let row = move |y: i32, z: i32| (first.x..last.x + 1).map(move |x| IVec3::new(x, y, z));
         let [_, ys, zs] = [along(0), along(1), along(2)];
-        zs.flat_map(move |z| ys.clone().flat_map(move |y| row(y, z))).filter_map(|cell| self.index(cell))
+        let inside = zs.flat_map(move |z| ys.clone().flat_map(move |y| row(y, z)));
+        inside.map(|cell| self.number(cell - self.low))
     }
 
     /// Numbers of the cells, each widened by its slack, that a triangle may meet: those of its bounds that its plane cuts.
@@ -93,82 +116,107 @@ impl Grid {
     }
 }
 
-/// The cells of a grid that were crossed. Of one thread.
-#[derive(Clone, Debug)]
+/// The cells of a grid that rays crossed, of any threads.
+///
+/// Rays by the thousand go from the cells of a few receivers to those of the surfaces around them. So all cells that any way from
+/// one cell to another can cross are marked at once, which holds more than the one ray's and never fewer.
+#[derive(Debug)]
 pub struct Trail<'a> {
     grid: &'a Grid,
-    bits: Vec<Cell<u64>>,
-    has_left: Cell<bool>,
+    crossed: Bits,
+    has_left: AtomicBool,
+    /// Of each cell that rays left from, the cells that they went to.
+    ends: Vec<OnceLock<Box<Bits>>>,
+}
+
+/// The part of a trail that rays from one point leave.
+#[derive(Debug)]
+pub struct TrailFrom<'a> {
+    trail: &'a Trail<'a>,
+    /// The point, in cells from the lowest corner.
+    at: Vec3,
+    cell: IVec3,
+    /// `None` if the grid takes no marks.
+    ends: Option<&'a Bits>,
+}
+
+impl TrailFrom<'_> {
+    /// Marks the cells along a ray, up to `t` units of its direction, or to the end of the scene.
+    pub fn mark(&self, direction: Vec3, t: Option<f32>) {
+        let (trail, grid) = (self.trail, self.trail.grid);
+        if t.is_none() && !trail.has_left() {
+            trail.has_left.store(true, Ordering::Relaxed);
+        }
+        let Some(ends) = self.ends else { return };
+        let along = direction * grid.cell_m.recip();
+        let end = t.unwrap_or_else(|| grid.way_out(self.at, along));
+        let last = grid.nearest(self.at + along * end);
+        if !ends.has(grid.number(last)) {
+            trail.mark_between(self.cell, last);
+            ends.add(grid.number(last));
+        }
+    }
 }
 
 impl<'a> Trail<'a> {
     /// Nothing crossed yet.
     pub fn new(grid: &'a Grid) -> Self {
-        Self { grid, bits: vec![Cell::new(0); grid.len().div_ceil(64)], has_left: Cell::new(false) }
+        let ends = (0..grid.len()).map(|_| OnceLock::new()).collect();
+        Self { grid, crossed: Bits::new(grid.len()), has_left: AtomicBool::new(false), ends }
+    }
+
+    /// Of rays from a point.
+    pub fn from(&self, origin_m: Vec3) -> TrailFrom<'_> {
+        let at = self.grid.at(origin_m);
+        if self.grid.is_empty() {
+            return TrailFrom { trail: self, at, cell: IVec3::ZERO, ends: None };
+        }
+        let cell = self.grid.nearest(at);
+        let ends = self.ends[self.grid.number(cell)].get_or_init(|| Box::new(Bits::new(self.grid.len())));
+        TrailFrom { trail: self, at, cell, ends: Some(ends) }
     }
 
     /// A ray left the scene: it crossed all that might be beyond.
     pub fn has_left(&self) -> bool {
-        self.has_left.get()
+        self.has_left.load(Ordering::Relaxed)
     }
 
     /// Numbers of the cells that were crossed, ascending.
     pub fn crossed(&self) -> impl Iterator<Item = usize> + '_ {
-        let of_word = |(word, bits): (usize, &Cell<u64>)| {
-            let bits = bits.get();
-            (0..64).filter(move |bit| bits >> bit & 1 == 1).map(move |bit| word * 64 + bit)
-        };
-        self.bits.iter().enumerate().flat_map(of_word)
-    }
-
-    /// Words of the set, for trails of other threads to be put together.
-    pub fn into_words(self) -> Vec<u64> {
-        self.bits.into_iter().map(Cell::into_inner).collect()
-    }
-
-    fn mark(&self, index: usize) {
-        let word = &self.bits[index / 64];
-        word.set(word.get() | 1 << (index % 64));
+        self.crossed.iter()
     }
 
     /// Marks the cells that a box meets.
     pub fn mark_box(&self, low_m: Vec3, high_m: Vec3) {
-        self.grid.cells_of_box([low_m, high_m]).for_each(|index| self.mark(index));
-    }
-
-    /// Marks the cells along a ray, up to `t` units of its direction, or to the end of the scene.
-    pub fn mark_ray(&self, origin_m: Vec3, direction: Vec3, t: Option<f32>) {
-        if t.is_none() {
-            self.has_left.set(true);
-        }
         if self.grid.is_empty() {
             return;
         }
-        // From cell to cell, always across the nearest plane.
-        let scale = 1.0 / f64::from(self.grid.cell_m);
-        let from = origin_m.as_dvec3() * scale;
-        let along = direction.as_dvec3() * scale;
-        let end = t.map_or(f64::INFINITY, f64::from);
-        let mut cell = from.floor().as_ivec3();
-        let mut step = [0; 3];
-        let (mut next, mut every) = ([f64::INFINITY; 3], [f64::INFINITY; 3]);
-        for axis in 0..3 {
-            if along[axis] != 0.0 {
-                step[axis] = if along[axis] > 0.0 { 1 } else { -1 };
-                let plane = f64::from(cell[axis] + i32::from(along[axis] > 0.0));
-                next[axis] = (plane - from[axis]) / along[axis];
-                every[axis] = 1.0 / along[axis].abs();
-            }
+        let [low, high] = [low_m, high_m].map(|corner_m| self.grid.nearest(self.grid.at(corner_m)));
+        for (z, y) in (low.z..=high.z).flat_map(|z| (low.y..=high.y).map(move |y| (z, y))) {
+            (low.x..=high.x).for_each(|x| self.crossed.add(self.grid.number(IVec3::new(x, y, z))));
         }
-        while let Some(index) = self.grid.index(cell) {
-            self.mark(index);
-            let axis = usize::from(next[1] < next[0]);
-            let axis = if next[2] < next[axis] { 2 } else { axis };
-            if next[axis] > end || next[axis] == f64::INFINITY {
-                return;
+    }
+
+    /// Marks all cells that a straight way from a point of cell `a` to a point of cell `b` can cross: those that are less than
+    /// a cell from the line between their middles, along each axis.
+    fn mark_between(&self, a: IVec3, b: IVec3) {
+        let (a, way) = (a.to_array(), (b - a).to_array());
+        let longest = (0..3).max_by_key(|&axis| way[axis].abs()).unwrap_or(0);
+        let steps = way[longest].abs().max(1);
+        let others = [(longest + 1) % 3, (longest + 2) % 3];
+        for step in 0..=way[longest].abs() {
+            let near = [(step - 1).max(0), (step + 1).min(steps)];
+            let range = |axis: usize| {
+                let [one, other] = near.map(|step| a[axis] * steps + way[axis] * step);
+                let (least, most) = (one.min(other), one.max(other));
+                least.div_euclid(steps)..=most.div_euclid(steps) + i32::from(most.rem_euclid(steps) > 0)
+            };
+            let mut cell = a;
+            cell[longest] += way[longest].signum() * step;
+            for (u, v) in range(others[0]).flat_map(|u| range(others[1]).map(move |v| (u, v))) {
+                (cell[others[0]], cell[others[1]]) = (u, v);
+                self.crossed.add(self.grid.number(IVec3::from_array(cell)));
             }
-            cell[axis] += step[axis];
-            next[axis] += every[axis];
         }
     }
 }
@@ -193,7 +241,7 @@ mod tests {
             };
             let (origin_m, end_m) = (place(), place());
             let trail = Trail::new(&grid);
-            trail.mark_ray(origin_m, end_m - origin_m, Some(1.0));
+            trail.from(origin_m).mark(end_m - origin_m, Some(1.0));
             assert!(!trail.has_left());
             let crossed: Vec<usize> = trail.crossed().collect();
             for step in 0..=64 {
@@ -208,10 +256,33 @@ mod tests {
     }
 
     #[test]
+    fn ways_between_two_cells_cross_marked_cells_alone_and_none_beyond_both() {
+        let mut sequence = Sequence::new(9);
+        let grid = Grid::over([Vec3::ZERO, Vec3::splat(4.0)], 0.1);
+        let mut place = || Vec3::new(sequence.next_f32(), sequence.next_f32(), sequence.next_f32());
+        for _ in 0..300 {
+            let [a, b] = [4.0 * place(), 4.0 * place()].map(|at_m| cell_of(at_m, grid.cell_m));
+            let within = |cell: IVec3, at: Vec3| (cell.as_vec3() + at) * grid.cell_m;
+            let trail = Trail::new(&grid);
+            let (from_m, to_m) = (within(a, place()), within(b, place()));
+            trail.from(from_m).mark(to_m - from_m, Some(1.0));
+            let crossed: Vec<IVec3> = trail.crossed().map(|index| grid.cell(index)).collect();
+            assert!(crossed.iter().all(|cell| cell.cmpge(a.min(b)).all() && cell.cmple(a.max(b)).all()));
+            for _ in 0..40 {
+                let (from_m, to_m) = (within(a, place()), within(b, place()));
+                for step in 0..=100 {
+                    let at_m = from_m.lerp(to_m, step as f32 / 100.0);
+                    assert!(crossed.contains(&cell_of(at_m, grid.cell_m)), "{at_m} between {a} and {b}");
+                }
+            }
+        }
+    }
+
+    #[test]
     fn ray_that_meets_nothing_crosses_all_cells_to_the_end_of_the_scene() {
         let grid = Grid::over([Vec3::ZERO, Vec3::splat(4.0)], 0.1);
         let trail = Trail::new(&grid);
-        trail.mark_ray(Vec3::splat(0.1), Vec3::X, None);
+        trail.from(Vec3::splat(0.1)).mark(Vec3::X, None);
         assert!(trail.has_left());
         assert_eq!(
             trail.crossed().count() as i32,

@@ -43,6 +43,9 @@ pub enum Surface {
     Dark,
 }
 
+/// Farthest that a hit on a receiver's texel is expected from it, along each axis, in the scene's finest texels.
+const AT_HAND_TEXELS: f32 = 1.5;
+
 /// A hit, and what stands for it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Found {
@@ -52,6 +55,8 @@ pub struct Found {
     pub own: Surface,
     /// As [`World::linked_surface_at`] has it.
     pub linked: Surface,
+    /// The hit's own texel says which receiver is read, not one beside it.
+    is_on_texel: bool,
 }
 
 /// A scene with its lightmap: rays tell which receiver stands for the surface that they hit. Whole from the start, and
@@ -143,7 +148,7 @@ impl World {
     /// Receiver that stands for a hit (METHOD.md §1 "Materials and sides").
     pub fn surface_at(&self, hit: &Hit) -> Surface {
         let Some((block, texel)) = self.block_at(hit) else { return Surface::Dark };
-        self.receiver_near(block, texel).map_or(Surface::Dark, Surface::Receiver)
+        self.receiver_near(block, texel).map_or(Surface::Dark, |(receiver, _)| Surface::Receiver(receiver))
     }
 
     /// The texel of a hit has no receiver, as it lies in a cavity that nothing in the open sees.
@@ -194,13 +199,15 @@ impl World {
     pub fn found_at(&self, hit: &Hit, point_m: Vec3) -> Found {
         let place = self.block_at(hit);
         let own = place.and_then(|(block, texel)| self.receiver_near(block, texel));
-        let Some(own) = own else { return Found { place, own: Surface::Dark, linked: Surface::Dark } };
+        let Some((own, is_on_texel)) = own else {
+            return Found { place, own: Surface::Dark, linked: Surface::Dark, is_on_texel: false };
+        };
         let linked = if self.is_open_to(own, hit, point_m) {
             Surface::Receiver(own)
         } else {
             linking(|| self.linked_around(hit, point_m, own))
         };
-        Found { place, own: Surface::Receiver(own), linked }
+        Found { place, own: Surface::Receiver(own), linked, is_on_texel }
     }
 
     /// Block and texels, from the lowest to the highest, that tell what stands for a hit: its own, those beside it unless it has the
@@ -216,6 +223,26 @@ impl World {
         let low = [0, 1].map(|axis| looked_at[0][axis].min(beside[0][axis]));
         let high = [0, 1].map(|axis| looked_at[1][axis].max(beside[1][axis]));
         Some((block, [low, high]))
+    }
+
+    /// The receiver of a hit that is one of most: on a texel that has it, with its light, and at most [`AT_HAND_TEXELS`] from it. All of
+    /// one receiver lie in [`World::bounds_at_hand`], and the texels around its own tell what stands for them.
+    pub fn at_hand(&self, found: &Found, point_m: Vec3) -> Option<u32> {
+        let Surface::Receiver(own) = found.own else { return None };
+        let from_m = (point_m - self.raised_m[own as usize]).abs();
+        let is_at_hand = found.is_on_texel
+            && found.linked == found.own
+            && from_m.max_element() <= AT_HAND_TEXELS * self.lightmap.texel_m;
+        is_at_hand.then_some(own)
+    }
+
+    /// Bounds of all that is looked at to link any hit that is at hand of a receiver.
+    pub fn bounds_at_hand(&self, receiver: u32) -> [Vec3; 2] {
+        let (texel_m, own_m) = (self.lightmap.texel_m_of(receiver), self.raised_m[receiver as usize]);
+        // Lifts may double from one shell of a scene to the next.
+        let about_m = 2.0 * (link_height_m(texel_m) + self.geometry.tracer.ray_offset_m(own_m));
+        let reach_m = AT_HAND_TEXELS * self.lightmap.texel_m + about_m;
+        [own_m - reach_m, own_m + reach_m]
     }
 
     /// Bounds of all that is looked at to link a hit: of the raised points of hit and receivers, and above the hit.
@@ -366,8 +393,8 @@ impl World {
         (receiver.texel.map(i32::from) == [x, y]).then_some(index)
     }
 
-    /// Receiver of a texel, or of the nearest of its eight neighbours: rounding may step over a chart's rim.
-    fn receiver_near(&self, block: u32, texel: Vec2) -> Option<u32> {
+    /// Receiver of a texel, and true; or that of the nearest of its eight neighbours, as rounding may step over a chart's rim.
+    fn receiver_near(&self, block: u32, texel: Vec2) -> Option<(u32, bool)> {
         let block = &self.lightmap.blocks[block as usize];
         let (x, y) = (texel.x.floor() as i64, texel.y.floor() as i64);
         let at = |x: i64, y: i64| {
@@ -376,7 +403,8 @@ impl World {
         };
         const RING: [(i64, i64); 9] =
             [(0, 0), (-1, 0), (1, 0), (0, -1), (0, 1), (-1, -1), (1, -1), (-1, 1), (1, 1)];
-        RING.iter().filter_map(|(dx, dy)| at(x + dx, y + dy)).find(|&found| found < CAVITY)
+        let mut near = RING.iter().filter_map(|&step| Some((at(x + step.0, y + step.1)?, step == RING[0])));
+        near.find(|&(found, _)| found < CAVITY)
     }
 }
 

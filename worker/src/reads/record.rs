@@ -1,7 +1,5 @@
 //! The record that a task leaves of what it read, and how a later stage compares with it.
 
-use std::cell::RefCell;
-
 use glam::Vec3;
 use lightkiln_proto::ids::Digest;
 use serde::{Deserialize, Serialize};
@@ -9,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::marks::{Bytes, Mark, Name, Part};
 use super::patches;
 use super::stage::Stage;
-use crate::geometry::Trail;
+use crate::geometry::{Bits, Trail};
 use crate::lightmap::{Found, World};
 use crate::patches::PatchTree;
 use crate::task::{TaskError, artefact};
@@ -21,51 +19,55 @@ pub const RECORD_ARTEFACT: &str = "record";
 /// Most names of a record: who read more leaves none, and is run again.
 const NAMES_MAX: usize = 1 << 16;
 
-/// Parts of a stage that one receiver's rays read, while they do.
+/// Parts of a stage that a task's rays read, while they do.
 pub struct Reads<'a> {
     world: &'a World,
     /// Cells that were crossed.
     pub trail: Trail<'a>,
-    tiles: RefCell<Vec<u32>>,
+    tiles: Bits,
+    /// Receivers that had a hit at hand: all that any such hit reads is noted.
+    at_hand: Bits,
 }
 
 impl<'a> Reads<'a> {
     /// Nothing read yet.
     pub fn new(world: &'a World, stage: &'a Stage) -> Self {
-        Self { world, trail: Trail::new(&stage.grid), tiles: RefCell::default() }
+        Self {
+            world,
+            trail: Trail::new(&stage.grid),
+            tiles: Bits::new(world.tiles.len()),
+            at_hand: Bits::new(world.lightmap.receivers.len()),
+        }
     }
 
     /// Notes all that a hit was looked up in.
     pub fn note_hit(&self, found: &Found, point_m: Vec3) {
-        let [low_m, high_m] = self.world.bounds_of_linking(found, point_m);
+        let at_hand = self.world.at_hand(found, point_m);
+        if at_hand.is_some_and(|own| self.at_hand.has(own as usize)) {
+            return;
+        }
+        let [low_m, high_m] = match at_hand {
+            Some(own) => {
+                self.at_hand.add(own as usize);
+                self.world.bounds_at_hand(own)
+            }
+            None => self.world.bounds_of_linking(found, point_m),
+        };
         self.trail.mark_box(low_m, high_m);
         if let Some((block, texels)) = self.world.texels_of_linking(found) {
-            let mut tiles = self.tiles.borrow_mut();
-            for tile in self.world.tiles.of_box(block, texels) {
-                if tiles.last() != Some(&tile) {
-                    tiles.push(tile);
-                }
-            }
+            self.world.tiles.of_box(block, texels).for_each(|tile| self.tiles.add(tile as usize));
         }
     }
 
-    /// Names of what was read, ascending.
-    pub fn into_names(self, stage: &Stage) -> Vec<Name> {
-        let mut tiles = self.tiles.into_inner();
-        tiles.sort_unstable();
-        tiles.dedup();
-        let mut names: Vec<Name> =
-            self.trail.crossed().map(|index| Name::cell(stage.grid.cell(index))).collect();
-        if self.trail.has_left() {
-            names.push(Name::extent());
-        }
-        let tile = |&tile: &u32| {
-            let (block, place) = self.world.tiles.place(tile);
+    /// Names of what was read.
+    fn into_names(self, stage: &Stage) -> Vec<Name> {
+        let cells = self.trail.crossed().map(|index| Name::cell(stage.grid.cell(index)));
+        let tile = |tile: usize| {
+            let (block, place) = self.world.tiles.place(tile as u32);
             Name::tile(self.world.lightmap.blocks[block as usize].key, place)
         };
-        names.extend(tiles.iter().map(tile));
-        names.sort_unstable();
-        names
+        let extent = self.trail.has_left().then(Name::extent);
+        cells.chain(self.tiles.iter().map(tile)).chain(extent).collect()
     }
 }
 
@@ -81,14 +83,15 @@ pub struct Record {
 }
 
 impl Record {
-    /// Of the names that a task's receivers read, and of its cut over hits on some `leaves`, ascending. `None` if they are too many.
+    /// Of what a task's rays read, and of its cut over hits on some `leaves`, ascending. `None` if they are too many.
     pub fn of(
         stage: &Stage,
         tree: &PatchTree,
-        mut names: Vec<Name>,
+        reads: Reads,
         leaves: &[u32],
         by_share: &[u32],
     ) -> Option<Self> {
+        let mut names = reads.into_names(stage);
         names.extend(patches::read(tree, leaves, by_share));
         names.sort_unstable();
         names.dedup();

@@ -84,10 +84,11 @@ impl<'a> Hemisphere<'a> {
         for (index, site) in self.texel.iter().enumerate() {
             let offset_m = self.geometry.tracer.ray_offset_m(site.position_m);
             let (origin_m, directions) = (site.ray_origin_m(offset_m), site.directions());
+            let trail = trail.from(origin_m);
             for ray in self.rays_of(index) {
                 let (direction, is_mirrored) = directions.at(points.point(ray));
                 let hit = self.geometry.tracer.met(origin_m, direction, f32::INFINITY);
-                trail.mark_ray(origin_m, direction, hit.map(|hit| hit.t));
+                trail.mark(direction, hit.map(|hit| hit.t));
                 if let Some(hit) = &hit {
                     (path_m, hits) = (path_m + hit.t, hits + 1);
                     // Mirrored directions have another density than the weights know; sampling covers them alone.

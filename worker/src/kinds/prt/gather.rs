@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use super::near::{self, NearHit};
 use super::{PatchTransport, Row};
 use crate::factors::Detail;
+use crate::geometry::Bits;
 use crate::rays::Hit;
 use crate::reads::{Reads, Record};
 use crate::task::{Cancelled, Progress};
@@ -53,21 +54,21 @@ pub fn trace(
     let PatchTransport { world, tree, settings, stage, .. } = transport;
     progress.begin(0.0, 0.9, receivers.len() as u64);
     let sources = Sources::new(world, tree, settings.patches.sky_parts);
-    let gathered = receivers
+    let reads = Reads::new(world, stage);
+    let (hits, mut rows): (Vec<RowHits>, Vec<Row>) = receivers
         .par_iter()
         .map(|&receiver| {
             progress.check()?;
-            let reads = Reads::new(world, stage);
             let Gathered { hits, row } = progress.casting(|| gather(transport, &sources, receiver, &reads));
             progress.advance(1);
-            Ok((hits, (row, reads.into_names(stage))))
+            Ok((hits, row))
         })
-        .collect::<Result<Vec<_>, Cancelled>>()?;
-    let (hits, rows): (Vec<RowHits>, Vec<_>) = gathered.into_iter().unzip();
-    let (mut rows, names): (Vec<Row>, Vec<_>) = rows.into_iter().unzip();
-    let mut leaves: Vec<u32> = hits.iter().flat_map(|hits| &hits.leaves).map(|hit| hit.at).collect();
-    leaves.sort_unstable();
-    leaves.dedup();
+        .collect::<Result<Vec<_>, Cancelled>>()?
+        .into_iter()
+        .unzip();
+    let met = Bits::new(tree.leaf_starts.len());
+    hits.par_iter().flat_map_iter(|hits| &hits.leaves).for_each(|hit| met.add(hit.at as usize));
+    let leaves: Vec<u32> = met.iter().map(|leaf| leaf as u32).collect();
     let bounds = CutBounds {
         columns_max: settings.patches.patches_max as usize,
         error: CUT_SHARE * settings.factors.rank_error,
@@ -79,10 +80,7 @@ pub fn trace(
     for (row, PatchRow { alpha, importance }) in rows.iter_mut().zip(found.rows) {
         (row.shared.alpha, row.importance) = (alpha, importance);
     }
-    let mut names: Vec<_> = names.into_iter().flatten().collect();
-    names.sort_unstable();
-    names.dedup();
-    let record = Record::of(stage, tree, names, &leaves, &found.by_share);
+    let record = Record::of(stage, tree, reads, &leaves, &found.by_share);
     Ok(Traced { keys: found.keys, rows, record })
 }
 
