@@ -8,6 +8,7 @@ mod evaluated;
 mod gather;
 mod near;
 mod plan;
+mod sparse;
 mod transport;
 mod truncate;
 
@@ -109,8 +110,15 @@ impl Row {
     }
 }
 
-/// Pieces of a cell, their account, and the record of what was read.
-type Recorded = (Vec<NamedPiece>, CellIndex, Option<Record>);
+/// A cell's pieces with their account.
+struct Recorded {
+    pieces: Vec<NamedPiece>,
+    index: CellIndex,
+    /// Receivers that cast rays.
+    casting: usize,
+    /// All that was read, unless that was too much.
+    record: Option<Record>,
+}
 
 /// Transport from patches to receivers.
 pub struct PatchTransport {
@@ -140,7 +148,7 @@ impl Transport for PatchTransport {
     }
 
     fn pieces(&self, cell: &ClusterCell, progress: &Progress) -> Result<(Vec<Piece>, CellIndex), Cancelled> {
-        let (pieces, index, _) = self.recorded(cell, progress)?;
+        let Recorded { pieces, index, .. } = self.recorded(cell, progress)?;
         Ok((pieces.into_iter().map(|(piece, _)| piece).collect(), index))
     }
 }
@@ -151,6 +159,7 @@ impl PatchTransport {
         let found = gather::trace(self, &cell.receivers, Detail::AsBaked, progress)?;
         let cavity_m = DEAD_PATH_TEXELS * self.world.lightmap.texel_m;
         let index = CellIndex::of(found.rows.iter().map(|row| (&row.shared, row.is_dead())), cavity_m);
-        Ok((truncate::pieces(self, &found.keys, cell, &found.rows, progress)?, index, found.record))
+        let pieces = truncate::pieces(self, &found.keys, cell, &found.rows, progress)?;
+        Ok(Recorded { pieces, index, casting: found.casting, record: found.record })
     }
 }

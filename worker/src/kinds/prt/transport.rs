@@ -5,7 +5,7 @@ use lightkiln_proto::jobs::{Artefact, TaskSpec};
 
 use super::colourless::{self, Colourless};
 use super::truncate::NamedPiece;
-use super::{PatchTransport, TracedSettings, TransportParams};
+use super::{PatchTransport, Recorded, TracedSettings, TransportParams};
 use crate::emitters::Radiance;
 use crate::factors::{CellIndex, Piece, cell_of_task, encoded};
 use crate::reads::{Changes, RECORD_ARTEFACT, Record, Stage};
@@ -36,12 +36,13 @@ pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> 
     }
     let transport =
         PatchTransport { stage, radiance: Radiance::One, ..PatchTransport::of(context, settings.clone())? };
-    let (pieces, index, record) = transport.recorded(&cell, context.progress)?;
+    let Recorded { pieces, index, casting, record } = transport.recorded(&cell, context.progress)?;
     let mut output = colourless(pieces, quantisation(&settings), index)?;
     if let Some(record) = record {
         output.artefacts.push((RECORD_ARTEFACT.to_owned(), record.encoded()?));
     }
     output.counters.insert("receivers_traced".into(), receivers as f64);
+    output.counters.insert("receivers_casting".into(), casting as f64);
     output.note = note(receivers, changed.as_ref());
     Ok(output)
 }
