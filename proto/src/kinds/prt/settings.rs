@@ -24,7 +24,7 @@ settings_group! {
         near_hits: u32 = [0, 16, 16], |v| v <= 255, "0..=255";
         /// Sides of rectangles of texels between whose corners rows are interpolated, over the free path there; 0: all receivers
         /// cast rays. More → fewer rays, blurs of light beside what is near.
-        bend: f32 = [0.35, 0.25, 0.15], |v| (0.0..=2.0).contains(&v), "0..=2";
+        bend: f32 = [0.0, 0.0, 0.0], |v| (0.0..=2.0).contains(&v), "0..=2";
     }
 }
 

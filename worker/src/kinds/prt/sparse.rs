@@ -301,7 +301,7 @@ mod tests {
             assert!(corners.iter().all(|(corner, _)| cast[*corner]));
             let mean_m: Vec3 =
                 corners.iter().map(|(corner, weight)| texels[*corner].site.position_m * *weight).sum();
-            assert!(mean_m.distance(texels[index].site.position_m) < 1e-5);
+            assert!(mean_m.distance(texels[index].site.position_m) < STRAY_TEXELS);
         }
         cast
     }
@@ -342,7 +342,7 @@ mod tests {
         assert_eq!(count(&casts(&sheet(17, 17), far(15.9))), 9 * 9);
         assert_eq!(count(&casts(&sheet(17, 17), far(7.9))), 17 * 17);
         let beside = casts(&sheet(17, 5), |texel| if texel.at[0] == 0 { 1.0 } else { 0.0 });
-        assert_eq!(count(&beside), 5 * 2 + 3 * 1 + 2 * 2 + 2 * 4 - 4 - 3 + 5);
+        assert_eq!(count(&beside), 5 + 5 + 3 + 3 + 3 * 2);
     }
 
     #[test]
