@@ -237,7 +237,7 @@ impl World {
         Some((block, [low, high]))
     }
 
-    /// The receiver of a hit that is one of most: on a texel that has it, with its light, and at most [`AT_HAND_TEXELS`] from it. All of
+    /// The receiver of a hit that is one of most: on a texel that has it, with its light, and at most 1.5 of the scene's finest texels from it along each axis. All of
     /// one receiver lie in [`World::bounds_at_hand`], and the texels around its own tell what stands for them.
     pub fn at_hand(&self, found: &Found, point_m: Vec3) -> Option<u32> {
         let Surface::Receiver(own) = found.own else { return None };
