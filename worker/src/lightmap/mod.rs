@@ -5,6 +5,7 @@
 
 pub mod charts;
 mod clearance;
+mod looked_at;
 mod numbering;
 pub mod place;
 mod polygon;
