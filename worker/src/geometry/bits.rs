@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// Bits of a word.
 const WORD: usize = 64;
 
-/// The set. What is in it does not depend on the order in which it came.
+/// The set. The order of additions does not matter.
 #[derive(Debug, Default)]
 pub struct Bits(Vec<AtomicU64>);
 

@@ -5,7 +5,7 @@
 
 pub mod charts;
 mod clearance;
-mod looked_at;
+mod linking_reads;
 mod numbering;
 pub mod place;
 mod polygon;

@@ -72,12 +72,12 @@ pub fn trace(
     let reads = Reads::new(world, stage);
     let texels: Vec<Texel> = receivers.iter().map(|&receiver| Texel::of(world, receiver)).collect();
     let is_as_baked = detail == Detail::AsBaked;
-    if is_as_baked {
+    let bend = if is_as_baked { settings.patches.bend } else { 0.0 };
+    if bend > 0.0 {
         receivers.iter().for_each(|&receiver| reads.note_receiver(receiver));
     }
     // Cast the rays, and tell who casts none.
     let mut gathered: Vec<Option<Gathered>> = receivers.iter().map(|_| None).collect();
-    let bend = if is_as_baked { settings.patches.bend } else { 0.0 };
     let corners = sparse::corners(&texels, bend, |places| {
         let cast = places.par_iter().map(|&place| {
             progress.check()?;
@@ -114,35 +114,44 @@ pub fn trace(
         corners.iter().map(|corners| if corners.is_none() { cast.next() } else { None }).collect();
     let casting = cast.iter().flatten().count();
     // Interpolate those of the others.
-    let row = |(&receiver, (corners, own)): (&u32, (&Option<Corners>, &Option<Cast>))| {
+    let between = receivers.par_iter().zip(&corners).map(|(&receiver, corners)| {
+        let Some(corners) = corners else { return Ok(None) };
         progress.check()?;
-        if let Some(own) = own {
-            return Ok(own.row.clone());
-        }
-        let of_corners =
-            corners.iter().flatten().filter_map(|&(corner, weight)| Some((cast[corner].as_ref()?, weight)));
-        let mut row = interpolated(of_corners);
-        if !transport.emitters.is_empty() {
-            let rays = settings.transport.transport_rays;
-            let hemisphere =
-                Hemisphere::new(world, &transport.emitters, receiver, rays).for_radiance(transport.radiance);
-            let sampled = progress
-                .casting(|| hemisphere.sample_emitters(settings.transport.emitter_rays, &reads.trail));
-            add(row.shared.emitters.as_flattened_mut(), sampled.as_flattened(), 1.0);
-        }
+        let row = progress.casting(|| between(transport, receiver, corners, &cast, &reads));
         progress.advance(1);
-        Ok(row)
-    };
-    let rows = receivers
-        .par_iter()
-        .zip(corners.par_iter().zip(&cast))
-        .map(row)
-        .collect::<Result<Vec<Row>, Cancelled>>()?;
+        Ok(Some(row))
+    });
+    let between = between.collect::<Result<Vec<Option<Row>>, Cancelled>>()?;
+    let rows = cast
+        .into_iter()
+        .zip(between)
+        .filter_map(|(own, between)| own.map(|own| own.row).or(between))
+        .collect();
     let record = Record::of(stage, tree, reads, &leaves, &found.by_share);
     Ok(Traced { keys: found.keys, rows, casting, record })
 }
 
-/// Row of a receiver between others that cast rays: light straight from emitters as far as rays met it.
+/// Row of a receiver between corners that cast rays; it asks emitters itself.
+fn between(
+    transport: &PatchTransport,
+    receiver: u32,
+    corners: &Corners,
+    cast: &[Option<Cast>],
+    reads: &Reads,
+) -> Row {
+    let of_corners = corners.iter().filter_map(|&(corner, weight)| Some((cast[corner].as_ref()?, weight)));
+    let mut row = interpolated(of_corners);
+    let PatchTransport { world, emitters, settings, .. } = transport;
+    if !emitters.is_empty() {
+        let rays = settings.transport.transport_rays;
+        let hemisphere = Hemisphere::new(world, emitters, receiver, rays).for_radiance(transport.radiance);
+        let sampled = hemisphere.sample_emitters(settings.transport.emitter_rays, &reads.trail);
+        add(row.shared.emitters.as_flattened_mut(), sampled.as_flattened(), 1.0);
+    }
+    row
+}
+
+/// Mean of rows that were cast, with weights: light straight from emitters as far as rays met it.
 fn interpolated<'a>(corners: impl Iterator<Item = (&'a Cast, f32)>) -> Row {
     let mut row = Row::default();
     for (corner, weight) in corners {

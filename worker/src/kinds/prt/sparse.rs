@@ -1,7 +1,9 @@
-//! Which receivers of a cell cast rays. Where nothing is near, irradiance bends little from texel to texel, whatever the light: there
+//! The receivers of a cell that cast rays. Where nothing is near, irradiance bends little from texel to texel, whatever the light: there
 //! rows are interpolated between those of the corners of rectangles of texels (METHOD.md §2.4).
 
 use std::collections::{BTreeMap, BTreeSet};
+
+use glam::Vec3;
 
 use crate::geometry::Site;
 use crate::lightmap::World;
@@ -14,7 +16,7 @@ const FLAT_COSINE: f32 = 0.9998;
 /// Farthest that a receiver of a rectangle is from where its corners say, in texels.
 const STRAY_TEXELS: f32 = 0.125;
 
-/// What is asked of a receiver.
+/// A receiver as rectangles see it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Texel {
     /// Block, and place in it.
@@ -89,12 +91,12 @@ pub fn corners(
     }
     let casts = |place: &usize| around[*place].is_none() || texels[*place].is_shared;
     cast_all((0..texels.len()).filter(casts).collect(), &mut nearness_m2)?;
-    let mut nodes: BTreeMap<[[i32; 2]; 2], [Vec<i32>; 2]> = BTreeMap::new();
+    let mut nodes: BTreeMap<(u32, [i32; 2]), [Vec<i32>; 2]> = BTreeMap::new();
     let interpolated = |(texel, (around, cast)): (&Texel, (&Option<Rectangle>, &Option<f32>))| {
         // A corner of one rectangle may lie on the side of another.
         let rectangle = around.filter(|_| cast.is_none())?;
-        let name = [[texel.block as i32, 0], rectangle.low];
-        let nodes = nodes.entry(name).or_insert_with(|| rectangle.nodes(&nearness_m2, bend));
+        let nodes =
+            nodes.entry((texel.block, rectangle.low)).or_insert_with(|| rectangle.nodes(&nearness_m2, bend));
         Some(rectangle.corners_of(texel.at, nodes))
     };
     Ok(texels.iter().zip(around.iter().zip(&nearness_m2)).map(interpolated).collect())
@@ -186,13 +188,6 @@ impl<'a> Rectangle<'a> {
         [[x0, y0], [x1, y0], [x0, y1], [x1, y1]].map(|at| self.place(at).unwrap_or(usize::MAX))
     }
 
-    /// Weights of its corners at a texel.
-    fn weights(&self, at: [i32; 2]) -> [f32; 4] {
-        let size = self.size();
-        let [x, y] = [0, 1].map(|axis| (at[axis] - self.low[axis]) as f32 / size[axis] as f32);
-        [(1.0 - x) * (1.0 - y), x * (1.0 - y), (1.0 - x) * y, x * y]
-    }
-
     fn side_m(&self) -> f32 {
         let texel_m = self.sheet.texels[self.corners()[0]].texel_m;
         self.size().into_iter().max().unwrap_or(0) as f32 * texel_m
@@ -205,19 +200,22 @@ impl<'a> Rectangle<'a> {
         if corners.contains(&usize::MAX) {
             return false;
         }
-        let corners = corners.map(|place| self.sheet.texels[place].site);
+        let (first, own_nodes) = (self.sheet.texels[corners[0]].site, self.own_nodes());
         self.at().all(|at| {
             let Some(texel) = own(at) else { return false };
             let is_linked = |axis: usize| at[axis] == self.high[axis] || texel.is_linked[axis];
-            let expected_m =
-                self.weights(at).into_iter().zip(&corners).map(|(w, corner)| corner.position_m * w);
-            let stray_m = (texel.site.position_m - expected_m.sum::<glam::Vec3>()).length();
+            let expected_m: Vec3 = self
+                .corners_of(at, &own_nodes)
+                .into_iter()
+                .map(|(corner, weight)| self.sheet.texels[corner].site.position_m * weight)
+                .sum();
+            let stray_m = texel.site.position_m.distance(expected_m);
             texel.is_whole
                 && is_linked(0)
                 && is_linked(1)
                 && stray_m <= STRAY_TEXELS * texel.texel_m
-                && texel.site.normal.dot(corners[0].normal) >= FLAT_COSINE
-                && texel.site.face_normal.dot(corners[0].face_normal) >= FLAT_COSINE
+                && texel.site.normal.dot(first.normal) >= FLAT_COSINE
+                && texel.site.face_normal.dot(first.face_normal) >= FLAT_COSINE
         })
     }
 
@@ -226,12 +224,17 @@ impl<'a> Rectangle<'a> {
         self.at().filter_map(|at| self.place(at))
     }
 
+    /// Columns and rows of its corners.
+    fn own_nodes(&self) -> [Vec<i32>; 2] {
+        [0, 1].map(|axis| vec![self.low[axis], self.high[axis]])
+    }
+
     /// Columns and rows of corners to interpolate from: its own, and one more on either side where all of these have cast rays, see
     /// nothing much nearer, and are of the same flat surface.
     fn nodes(&self, nearness_m2: &[Option<f32>], bend: f32) -> [Vec<i32>; 2] {
         let size = self.size();
         let most_m2 = (BESIDE * bend / self.side_m()).powi(2);
-        let mut nodes = [0, 1].map(|axis| vec![self.low[axis], self.high[axis]]);
+        let mut nodes = self.own_nodes();
         for (axis, is_before) in [(0, true), (0, false), (1, true), (1, false)] {
             let mut more = nodes.clone();
             if is_before {
@@ -266,8 +269,6 @@ impl<'a> Rectangle<'a> {
 
 #[cfg(test)]
 mod tests {
-    use glam::Vec3;
-
     use super::*;
 
     /// A sheet of texels of 1 m.

@@ -1,4 +1,5 @@
-//! What is looked at to find the receiver that stands for a hit: whoever keeps a result by what it read needs to know.
+//! Texels and bounds of space that are read to find the receiver that stands for a hit. Results that are kept by their reads need
+//! them.
 
 use glam::Vec3;
 
