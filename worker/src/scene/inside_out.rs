@@ -3,6 +3,7 @@
 //! A room is built so, too. So a mesh is told only where nobody can be in it: it is closed, nothing of the scene lies in
 //! it, and the file has a camera or a lamp, all of which are elsewhere.
 
+use std::cell::OnceCell;
 use std::collections::BTreeMap;
 
 use glam::{DVec3, Vec3};
@@ -21,9 +22,15 @@ pub(super) fn inside_out(scene: &Scene) -> Option<Warning> {
     if people_m.is_empty() && !scene.instances.iter().any(|instance| emits(scene, instance)) {
         return None;
     }
+    let vertices = OnceCell::new();
+    let others = |index: usize, bounds_m: [Vec3; 2]| {
+        vertices.get_or_init(|| Vertices::of(scene)).within(index, bounds_m)
+    };
     let is_found = |(index, instance): &(usize, &MeshInstance)| {
         let material = &scene.materials[instance.material_index as usize];
-        !material.double_sided && !emits(scene, instance) && is_inside_out(scene, *index, &people_m)
+        !material.double_sided
+            && !emits(scene, instance)
+            && is_inside_out(instance, &people_m, |bounds_m| others(*index, bounds_m))
     };
     let found: Vec<&str> =
         scene.instances.iter().enumerate().filter(is_found).map(|(_, instance)| &*instance.path).collect();
@@ -58,8 +65,11 @@ fn emits(scene: &Scene, instance: &MeshInstance) -> bool {
 }
 
 /// Whether all shells of a mesh are closed and look in, and neither each other, other meshes nor people are in them.
-fn is_inside_out(scene: &Scene, index: usize, people_m: &[Vec3]) -> bool {
-    let instance = &scene.instances[index];
+fn is_inside_out(
+    instance: &MeshInstance,
+    people_m: &[Vec3],
+    others_within: impl Fn([Vec3; 2]) -> Vec<Vec3>,
+) -> bool {
     if instance.triangles.len() > TRIANGLES_MAX || volume_m3(instance, instance.triangles.iter()) >= 0.0 {
         return false;
     }
@@ -76,12 +86,42 @@ fn is_inside_out(scene: &Scene, index: usize, people_m: &[Vec3]) -> bool {
         return false;
     }
     let whole = bounds_m(instance.positions_m.iter().copied());
-    let others = scene.instances.iter().enumerate().filter(|(other, _)| *other != index);
-    let others = others.flat_map(|(_, other)| other.positions_m.iter().copied());
-    let near: Vec<Vec3> =
-        people_m.iter().copied().chain(others).filter(|&point| is_within(point, whole)).collect();
+    let mut near: Vec<Vec3> = people_m.iter().copied().filter(|&point| is_within(point, whole)).collect();
+    near.extend(others_within(whole));
     near.len().saturating_mul(instance.triangles.len()) <= PAIRS_MAX
         && !near.iter().any(|&point_m| is_inside(instance, point_m))
+}
+
+/// Vertices of a scene in order along the axis that they are spread over the widest: those in a mesh are found without a look at
+/// all others, of which a scene may have as many as meshes.
+struct Vertices {
+    axis: usize,
+    /// Place along the axis, instance, place.
+    sorted: Vec<(f32, usize, Vec3)>,
+}
+
+impl Vertices {
+    fn of(scene: &Scene) -> Self {
+        let all = || {
+            let instances = scene.instances.iter().enumerate();
+            instances
+                .flat_map(|(index, instance)| instance.positions_m.iter().map(move |at_m| (index, *at_m)))
+        };
+        let [low, high] = bounds_m(all().map(|(_, at_m)| at_m));
+        let axis = (high - low).max_position();
+        let mut sorted: Vec<_> = all().map(|(index, at_m)| (at_m[axis], index, at_m)).collect();
+        sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
+        Self { axis, sorted }
+    }
+
+    /// Those of all instances but one in some bounds.
+    fn within(&self, but: usize, bounds_m: [Vec3; 2]) -> Vec<Vec3> {
+        let [low, high] = bounds_m.map(|corner| corner[self.axis]);
+        let first = self.sorted.partition_point(|(at, ..)| *at < low);
+        let slab = self.sorted[first..].iter().take_while(|(at, ..)| *at <= high);
+        let others = slab.filter(|(_, index, at_m)| *index != but && is_within(*at_m, bounds_m));
+        others.map(|(.., at_m)| *at_m).collect()
+    }
 }
 
 fn bounds_m(points: impl Iterator<Item = Vec3>) -> [Vec3; 2] {
@@ -229,6 +269,24 @@ mod tests {
         both.positions_m.extend(&table.positions_m);
         both.triangles.extend(table.triangles.iter().map(|triangle| triangle.map(|v| first + v)));
         assert_eq!(inside_out(&seen(vec![both], &[9.0 * EYE])), None, "its table is of one mesh with it");
+    }
+
+    #[test]
+    fn vertices_in_a_mesh_are_those_of_the_others_in_its_bounds() {
+        let row = (0..40).map(|i| cube(&format!("{i}"), Vec3::new(0.7 * i as f32, 0.1, 0.0), 0.5, true));
+        let scene = seen(row.collect(), &[]);
+        let vertices = Vertices::of(&scene);
+        let order = |points: &mut Vec<Vec3>| points.sort_by_key(|point| point.to_array().map(f32::to_bits));
+        for (index, instance) in scene.instances.iter().enumerate() {
+            let whole = bounds_m(instance.positions_m.iter().copied());
+            let others = scene.instances.iter().enumerate().filter(|(other, _)| *other != index);
+            let others = others.flat_map(|(_, other)| other.positions_m.iter().copied());
+            let mut wanted: Vec<Vec3> = others.filter(|&point| is_within(point, whole)).collect();
+            let mut found = vertices.within(index, whole);
+            order(&mut wanted);
+            order(&mut found);
+            assert!(!wanted.is_empty() && found == wanted, "{index}");
+        }
     }
 
     #[test]
