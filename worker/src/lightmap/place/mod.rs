@@ -28,18 +28,22 @@ use glam::Vec3;
 use lightkiln_proto::content::AreaCode;
 use lightkiln_proto::jobs::TaskSpec;
 use lightkiln_proto::settings::PlaceSettings;
+use rayon::prelude::*;
 use serde::Deserialize;
 
 use super::{ARTEFACT_MAGIC, Block, Charts, Lightmap, NO_RECEIVER, Receiver};
 use crate::geometry::Geometry;
 use crate::task::{Cancelled, Context, Progress, TaskError, TaskOutput, artefact, params};
-use crate::unwrap::{UnwrapBlock, UnwrappedTriangle};
+use crate::unwrap::{Unwrap, UnwrapBlock, UnwrappedTriangle};
 use attributes::{Attributes, turned};
 use candidate::{Candidate, Tester};
 use cover::{Coverage, TexelPoint, areas, cover};
 
 pub use blocks::{blocks, sides};
 pub use shared::SharedTexels;
+
+/// Texels of blocks whose points are chosen at once; a larger block has threads of its own.
+const BATCH_TEXELS: usize = 1 << 18;
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -88,21 +92,20 @@ pub fn place(
         blocks: blocks(&geometry.scene, charts)?,
         receivers: Vec::new(),
     };
-    progress.begin(0.0, 0.6, charts.unwraps.len() as u64);
-    let mut next_block = lightmap.blocks.iter_mut().zip(0..);
-    for (instance, unwrap) in charts.unwraps.iter().enumerate() {
-        let sides = blocks::sides(&geometry.scene, instance) as usize;
-        for chart in &unwrap.blocks {
-            let attributes = Attributes { geometry, instance, texel_m: chart.texel_m };
-            let tester = Tester::new(geometry, settings, chart.texel_m, progress);
-            let coverage = cover(chart, |triangle| attributes.face_normal(triangle), progress)?;
-            for ((block, index), is_back) in next_block.by_ref().take(sides).zip([false, true]) {
-                let side =
-                    Side { attributes: &attributes, tester: &tester, block: index, key: block.key, is_back };
-                number(block, side.points(chart, coverage.clone())?, &mut lightmap.receivers);
-            }
+    let parts = Part::all(geometry, charts, &lightmap);
+    progress.begin(0.0, 0.6, parts.len() as u64);
+    let mut blocks = lightmap.blocks.iter_mut();
+    for batch in batches(&parts) {
+        // Parts of one texel have no work for several threads each, a hundred thousand of them do.
+        let points = |part: &Part| {
+            let found = part.points(geometry, settings, progress)?;
+            progress.advance(1);
+            Ok(found)
+        };
+        let found: Vec<Vec<BlockPoints>> = batch.par_iter().map(points).collect::<Result<_, Cancelled>>()?;
+        for (points, block) in found.into_iter().flatten().zip(blocks.by_ref()) {
+            number(block, points, &mut lightmap.receivers);
         }
-        progress.advance(1);
     }
     if lightmap.receivers.is_empty() {
         return Err(TaskError::bad_input(format!(
@@ -115,6 +118,68 @@ pub fn place(
     let (lightmap, shared) = shared::shared(geometry, charts, lightmap, progress)?;
     let lightmap = links::linked(geometry, charts, lightmap, progress)?;
     Ok((lightmap, Counts { in_cavities, shared }))
+}
+
+/// A part of an instance's unwrap, which has a block for each side.
+struct Part<'a> {
+    instance: usize,
+    chart: &'a UnwrapBlock,
+    /// Index of the first block, and the keys of all.
+    first_block: u32,
+    keys: Vec<u64>,
+}
+
+impl<'a> Part<'a> {
+    /// Those of a scene, in the order of blocks.
+    fn all(geometry: &Geometry, charts: &'a Charts, lightmap: &Lightmap) -> Vec<Self> {
+        let of_instance = |(instance, unwrap): (usize, &'a Unwrap)| {
+            let sides = blocks::sides(&geometry.scene, instance);
+            (lightmap.first_block[instance]..).step_by(sides as usize).zip(&unwrap.blocks).map(
+                move |(first_block, chart)| {
+                    let of_part = &lightmap.blocks[first_block as usize..(first_block + sides) as usize];
+                    let keys = of_part.iter().map(|block| block.key).collect();
+                    Self { instance, chart, first_block, keys }
+                },
+            )
+        };
+        charts.unwraps.iter().enumerate().flat_map(of_instance).collect()
+    }
+
+    /// The points of each side.
+    fn points(
+        &self,
+        geometry: &Geometry,
+        settings: &PlaceSettings,
+        progress: &Progress,
+    ) -> Result<Vec<BlockPoints>, Cancelled> {
+        let Self { instance, chart, first_block, ref keys } = *self;
+        let attributes = Attributes { geometry, instance, texel_m: chart.texel_m };
+        let tester = Tester::new(geometry, settings, chart.texel_m, progress);
+        let coverage = cover(chart, |triangle| attributes.face_normal(triangle), progress)?;
+        let side = |(block, &key): (u32, &u64)| {
+            let side =
+                Side { attributes: &attributes, tester: &tester, block, key, is_back: block > first_block };
+            side.points(chart, coverage.clone())
+        };
+        (first_block..).zip(keys).map(side).collect()
+    }
+}
+
+/// Parts in batches that are worked on at once, of so many texels that their points take little memory.
+fn batches<'p, 'a>(parts: &'p [Part<'a>]) -> impl Iterator<Item = &'p [Part<'a>]> {
+    let texels = |part: &Part| part.chart.width as usize * part.chart.height as usize;
+    let mut left = parts;
+    std::iter::from_fn(move || {
+        let mut sum = 0;
+        let fits = left.iter().take_while(|part| {
+            let is_first = sum == 0;
+            sum += texels(part);
+            is_first || sum <= BATCH_TEXELS
+        });
+        let (batch, rest) = left.split_at(fits.count());
+        left = rest;
+        (!batch.is_empty()).then_some(batch)
+    })
 }
 
 /// One side of a block while its points are chosen.
