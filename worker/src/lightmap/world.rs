@@ -50,8 +50,10 @@ pub struct Found {
     pub place: Option<(u32, Vec2)>,
     /// As [`World::surface_at`] has it.
     pub own: Surface,
-    /// As [`World::linked_surface_at`] has it.
+    /// Of the receivers around the hit, the nearest that no wall separates from it.
     pub linked: Surface,
+    /// As [`World::linked_surface_at`] has it.
+    pub read: Surface,
     /// The hit's own texel says which receiver is read, not one beside it.
     pub(super) is_on_texel: bool,
 }
@@ -199,9 +201,11 @@ impl World {
     }
 
     /// As [`World::surface_at`], but of the receivers around the hit, the nearest that no wall separates from it: a
-    /// texel that a wall cuts in two stands for its centre's side only. Where no wall can be, none is looked for.
+    /// texel that a wall cuts in two stands for its centre's side only. Where no wall can be, none is looked for. Where glass
+    /// alone parts the hit from all of them, it is read by the share of rays that pass the glass: so much of the light on
+    /// one side of a pane is on the other.
     pub fn linked_surface_at(&self, hit: &Hit, point_m: Vec3) -> Surface {
-        self.found_at(hit, point_m).linked
+        self.found_at(hit, point_m).read
     }
 
     /// All about a hit.
@@ -209,14 +213,15 @@ impl World {
         let place = self.block_at(hit);
         let own = place.and_then(|(block, texel)| self.receiver_near(block, texel));
         let Some((own, is_on_texel)) = own else {
-            return Found { place, own: Surface::Dark, linked: Surface::Dark, is_on_texel: false };
+            let [own, linked, read] = [Surface::Dark; 3];
+            return Found { place, own, linked, read, is_on_texel: false };
         };
-        let linked = if self.is_open_to(own, hit, point_m) {
-            Surface::Receiver(own)
+        let [linked, read] = if self.is_open_to(own, hit, point_m) {
+            [Surface::Receiver(own); 2]
         } else {
             linking(|| self.linked_around(hit, point_m, own))
         };
-        Found { place, own: Surface::Receiver(own), linked, is_on_texel }
+        Found { place, own: Surface::Receiver(own), linked, read, is_on_texel }
     }
 
     /// It is known beforehand that no wall separates a hit from the receiver of its texel.
@@ -250,13 +255,30 @@ impl World {
         }
     }
 
-    /// The nearest receiver, from `own` outwards, that no wall separates from a hit.
-    fn linked_around(&self, hit: &Hit, point_m: Vec3, own: u32) -> Surface {
+    /// The nearest receiver, from `own` outwards, that no wall separates from a hit, and the one that it is read at: where there
+    /// is none, the nearest that glass alone separates from it, if a ray of light passes.
+    fn linked_around(&self, hit: &Hit, point_m: Vec3, own: u32) -> [Surface; 2] {
         let height_m = link_height_m(self.lightmap.texel_m_of(own));
         let from_m = self.geometry.raised(point_m, self.geometry.side_normal(hit), height_m);
-        let linked = |receiver: u32| self.is_linked(from_m, self.raised_m[receiver as usize]);
-        if linked(own) {
-            return Surface::Receiver(own);
+        let raised_m = |receiver: u32| self.raised_m[receiver as usize];
+        let linked = |receiver: u32| self.is_linked(from_m, raised_m(receiver));
+        if let Some(found) = self.nearest_around(point_m, own, linked) {
+            return [Surface::Receiver(found); 2];
+        }
+        let tracer = &self.geometry.tracer;
+        if !tracer.has_glass() {
+            return [Surface::Dark; 2];
+        }
+        let behind_glass = |receiver: u32| tracer.passed(from_m, raised_m(receiver)) > 0.0;
+        let is_passed = |&receiver: &u32| tracer.met(from_m, raised_m(receiver) - from_m, 1.0).is_none();
+        let read = self.nearest_around(point_m, own, behind_glass).filter(is_passed);
+        [Surface::Dark, read.map_or(Surface::Dark, Surface::Receiver)]
+    }
+
+    /// The nearest receiver, from `own` outwards, for which `fits` holds.
+    fn nearest_around(&self, point_m: Vec3, own: u32, fits: impl Fn(u32) -> bool) -> Option<u32> {
+        if fits(own) {
+            return Some(own);
         }
         let receiver = &self.lightmap.receivers[own as usize];
         let [x, y] = receiver.texel.map(i32::from);
@@ -271,10 +293,10 @@ impl World {
         let nearest = |radius: i32| {
             ring(radius)
                 .filter_map(|[dx, dy]| self.receiver_on(receiver.block, x + dx, y + dy))
-                .filter(|&index| linked(index))
+                .filter(|&index| fits(index))
                 .min_by(|&a, &b| distance(a).total_cmp(&distance(b)).then(a.cmp(&b)))
         };
-        (1..=LINKED_RINGS).find_map(nearest).map_or(Surface::Dark, Surface::Receiver)
+        (1..=LINKED_RINGS).find_map(nearest)
     }
 
     /// The surface at a place in a receiver's texel, 0..1 in x and y.
@@ -440,12 +462,83 @@ impl TexelTable {
 mod tests {
     use lightkiln_proto::kinds::SceneTasks;
     use lightkiln_proto::kinds::prt::Settings;
+    use lightkiln_proto::settings::{PlaceSettings, Preset, SettingsGroup};
     use serde_json::json;
 
     use super::*;
     use crate::kinds::{BakeKinds, Runner};
-    use crate::scene::{self, model::Scene};
+    use crate::scene::{
+        self,
+        model::{Glass, Material, MeshInstance},
+    };
     use crate::task::{Progress, artefact};
+    use crate::unwrap::{UnwrapSettings, unwrap_generated};
+
+    /// A wall that is 4 m long and a texel of a quarter of a metre high, and a pane across it a third of the way up, which stops the
+    /// share `alpha`.
+    fn strip_with_pane(alpha: f32) -> World {
+        let quad = |path: &str, material_index: u32, corner: Vec3, right: Vec3, up: Vec3| MeshInstance {
+            path: path.into(),
+            material_index,
+            positions_m: vec![corner, corner + right, corner + right + up, corner + up],
+            normals: vec![right.cross(up).normalize(); 4],
+            triangles: vec![[0, 1, 2], [0, 2, 3]],
+            ..MeshInstance::default()
+        };
+        let glass = Glass { blends: true, transmission: 0.0, transmission_texture: None };
+        let mut pane =
+            Material { double_sided: true, glass: Some(glass), ..Material::opaque("pane", [0.5; 3]) };
+        pane.base_colour[3] = alpha;
+        let (right, height_m) = (Vec3::X * 4.0, 0.08);
+        let scene = Scene {
+            instances: vec![
+                quad("wall", 0, Vec3::ZERO, right, Vec3::Y * 0.25),
+                quad("pane", 1, Vec3::new(-1.0, height_m, 2.0), Vec3::X * 6.0, -Vec3::Z * 2.0),
+            ],
+            materials: vec![Material::opaque("wall", [0.5; 3]), pane],
+            ..Scene::default()
+        };
+        let (geometry, progress) = (Arc::new(Geometry::new(scene).unwrap()), Progress::new());
+        let unwrap = |instance: &MeshInstance| {
+            let MeshInstance { positions_m, normals, triangles, .. } = instance;
+            let settings = UnwrapSettings::with_texel_m(0.25);
+            unwrap_generated(positions_m, normals, triangles, &settings, &progress).unwrap()
+        };
+        let charts = Charts { texel_m: 0.25, unwraps: geometry.scene.instances.iter().map(unwrap).collect() };
+        let place = PlaceSettings::read(&Default::default(), Preset::Draft).unwrap();
+        let (lightmap, _) = crate::lightmap::place::place(&geometry, &charts, &place, &progress).unwrap();
+        World::new(geometry, &charts, lightmap, &progress)
+    }
+
+    /// Of rays onto the wall at a height, the shares that read a receiver, and that are linked to one.
+    fn read_at(world: &World, height_m: f32) -> [f32; 2] {
+        let count = 400;
+        let mut found = [0.0; 2];
+        for ray in 0..count {
+            let at_m = Vec3::new(0.5 + 3.0 * (ray as f32 + 0.5) / count as f32, height_m, 0.0);
+            let from_m = at_m + Vec3::new(0.001 * ray as f32, 0.0, 0.5);
+            let direction = (at_m - from_m).normalize();
+            let hit = world.geometry.tracer.met(from_m, direction, f32::INFINITY).unwrap();
+            let all = world.found_at(&hit, from_m + direction * hit.t);
+            for (sum, surface) in found.iter_mut().zip([all.read, all.linked]) {
+                *sum += f32::from(matches!(surface, Surface::Receiver(_))) / count as f32;
+            }
+        }
+        found
+    }
+
+    #[test]
+    fn strip_that_glass_parts_from_its_texel_is_read_by_what_passes() {
+        for alpha in [0.6, 0.75, 0.9, 1.0] {
+            let world = strip_with_pane(alpha);
+            let [above, below] = [0.18, 0.04].map(|height_m| read_at(&world, height_m));
+            println!("{alpha}: above {above:?}, below {below:?}");
+            assert!(above.iter().all(|share| *share > 0.99), "the larger part has the receivers: {above:?}");
+            let [read, linked] = below;
+            assert_eq!(linked, 0.0);
+            assert!((read - (1.0 - alpha)).abs() < 0.06, "{alpha}: {read} of the rays are read");
+        }
+    }
 
     #[test]
     fn scenes_with_equal_lightmaps_have_worlds_of_their_own() {

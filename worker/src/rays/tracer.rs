@@ -189,6 +189,11 @@ impl Tracer {
         best
     }
 
+    /// Some surfaces let light through.
+    pub fn has_glass(&self) -> bool {
+        self.alpha.is_some()
+    }
+
     /// A wall lies on the open segment between two points: a surface that stops half of the light at least.
     pub fn is_occluded(&self, from: Vec3, to: Vec3) -> bool {
         let direction = to - from;

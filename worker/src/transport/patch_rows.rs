@@ -55,7 +55,7 @@ impl<'a> Sources<'a> {
     /// Source at a hit, `point_m` being its place in metres.
     pub fn at(&self, hit: &Hit, point_m: Vec3) -> Met {
         let found = self.world.found_at(hit, point_m);
-        let (leaf, lit) = match (found.linked, found.own) {
+        let (leaf, lit) = match (found.read, found.own) {
             (Surface::Receiver(met), _) => (Some(self.tree.leaf_of_receiver[met as usize]), 1.0),
             // Walls stand between the hit and all texels around it: no texel stands for it.
             (_, Surface::Receiver(_)) => (None, 1.0),

@@ -8,7 +8,7 @@ use crate::kinds::{SceneTasks, TaskKind};
 /// Receivers → probes, cluster cells, and the plan of the rest.
 pub const PLAN: TaskKind = TaskKind { name: "sh.plan", version: 4 };
 /// A batch of probes → their relight rays' hits.
-pub const RELIGHT: TaskKind = TaskKind { name: "sh.relight", version: 7 };
+pub const RELIGHT: TaskKind = TaskKind { name: "sh.relight", version: 8 };
 /// A cluster cell → its factorised transport.
 pub const TRANSPORT: TaskKind = TaskKind { name: "sh.transport", version: 11 };
 /// Everything → manifest and report.
