@@ -54,8 +54,7 @@ impl SceneTask {
         match self {
             Self::Place => 23,
             Self::Patches | Self::Draw => 5,
-            Self::Import => 4,
-            Self::Frame => 3,
+            Self::Import | Self::Frame => 4,
             Self::Unwrap => 2,
         }
     }

@@ -27,6 +27,12 @@ const SLOPE: f32 = -0.08;
 const VIEW_COSINE_MIN: f32 = 0.75;
 /// Weight of an unlit surface in a view.
 const UNLIT: f32 = 0.1;
+/// Share of the sky about a camera from which on it is in the open.
+const OPEN_SKY: f32 = 0.5;
+/// Share of the surfaces in sight below which light is as good as none.
+const LIT_SHARE_MIN: f32 = 0.01;
+/// Rays along a side of a picture that looks for light.
+const PICTURE_RAYS: u32 = 48;
 /// Emissive triangles that a surface is looked at from, those of most power.
 const EMITTERS_MAX: usize = 32;
 
@@ -48,6 +54,36 @@ pub fn chosen(geometry: &Geometry, points: &[VantagePoint]) -> Chosen<SceneCamer
         orthographic_half_height_m: None,
     };
     Chosen { value: camera, note: format!("the file has no camera; chose one {note}") }
+}
+
+/// Whether a scene in the open has no light where a camera looks: of the surfaces that it sees next to none glows or has an
+/// emitter in sight. In rooms light gets about, so that nothing is said of them.
+pub fn sees_no_light(geometry: &Geometry, camera: &SceneCamera) -> bool {
+    let eye_m = Vec3::from(camera.eye_m);
+    if Look::from(geometry, eye_m).sky_share < OPEN_SKY {
+        return false;
+    }
+    let lamps = Lamps::of(geometry);
+    let (mut seen, mut lit) = (0_u32, 0_u32);
+    for direction in picture(camera) {
+        let Some(hit) = geometry.tracer.closest(eye_m, direction, f32::INFINITY) else { continue };
+        seen += 1;
+        lit +=
+            u32::from(geometry.material(hit.triangle).emissive != [0.0; 3] || lamps.shine_on(geometry, &hit));
+    }
+    (lit as f32) < LIT_SHARE_MIN * seen as f32
+}
+
+/// Rays of a camera, evenly over a square picture; none of an orthographic one, whose eye may be anywhere.
+fn picture(camera: &SceneCamera) -> impl Iterator<Item = Vec3> {
+    let forward = (Vec3::from(camera.target_m) - Vec3::from(camera.eye_m)).normalize_or_zero();
+    let right = forward.cross(Vec3::from(camera.up)).normalize_or_zero();
+    let (up, half) = (right.cross(forward), libm::tanf(0.5 * camera.fov_y_rad));
+    let side = if camera.orthographic_half_height_m.is_some() { 0 } else { PICTURE_RAYS };
+    let place = move |index: u32| (2 * index + 1) as f32 / side as f32 - 1.0;
+    (0..side * side).map(move |ray| {
+        (forward + half * (place(ray % side) * right + place(ray / side) * up)).normalize_or_zero()
+    })
 }
 
 /// Before the bounds, a little from above and from the right.

@@ -1,4 +1,4 @@
-//! A light for a scene whose file has neither lights nor emissive surfaces: a sun, or a lamp where no sun gets in.
+//! A light for a scene whose file has neither lights nor emissive surfaces that light what is seen: a sun, or a lamp where no sun gets in.
 
 use glam::Vec3;
 use lightkiln_proto::manifest::Chosen;
@@ -19,9 +19,9 @@ const LAMP_INTENSITY: f32 = 0.25;
 /// Height of a lamp above the middle, as a share of the scene's.
 const LAMP_HEIGHT: f32 = 0.3;
 
-/// The light, and how it was chosen. Points inside things are no places for a lamp, as nobody looks from there; a scene
+/// The light, and how it was chosen; `reason` says why one is. Points inside things are no places for a lamp, as nobody looks from there; a scene
 /// with hardly any others is a thing itself.
-pub fn chosen(geometry: &Geometry, points: &[VantagePoint]) -> Chosen<SceneLight> {
+pub fn chosen(geometry: &Geometry, points: &[VantagePoint], reason: &str) -> Chosen<SceneLight> {
     let places: Vec<&VantagePoint> = points.iter().filter(|point| !point.look.is_in_thing()).collect();
     let is_thing = (places.len() as f32) < ROOM_POINTS * points.len() as f32;
     let sky: f32 = places.iter().map(|point| point.look.sky_share).sum();
@@ -31,15 +31,11 @@ pub fn chosen(geometry: &Geometry, points: &[VantagePoint]) -> Chosen<SceneLight
             let kind = LightKind::Point { position_m: at_m.into(), range_m: None };
             let strength = LAMP_INTENSITY * geometry.near_diagonal_m() * geometry.near_diagonal_m();
             let place = format!("{:.2},{:.2},{:.2}", at_m.x, at_m.y, at_m.z);
-            (
-                kind,
-                strength,
-                format!("the file has no light and the scene is closed; chose a lamp at {place}"),
-            )
+            (kind, strength, format!("{reason} and the scene is closed; chose a lamp at {place}"))
         }
         None => {
             let kind = LightKind::Sun { direction: SUN_DIRECTION.normalize().into() };
-            (kind, SUN_IRRADIANCE, "the file has no light; chose a sun from above".to_owned())
+            (kind, SUN_IRRADIANCE, format!("{reason}; chose a sun from above"))
         }
     };
     let value = SceneLight { name: "chosen".to_owned(), kind, strength: [strength; 3] };

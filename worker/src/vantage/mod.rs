@@ -7,6 +7,8 @@ mod light;
 mod look;
 mod openness;
 
+use std::cell::OnceCell;
+
 use lightkiln_proto::jobs::TaskSpec;
 use lightkiln_proto::manifest::Framing;
 
@@ -27,18 +29,23 @@ pub fn run(context: &Context, _: &TaskSpec) -> Result<TaskOutput, TaskError> {
     Ok(TaskOutput { artefacts: vec![("framing".into(), json)], ..TaskOutput::default() })
 }
 
-/// A camera and a light, each where the file has none.
+/// A camera and a light, each where the file has none; light that next to nothing in sight of the camera has is none.
 pub fn framing(geometry: &Geometry) -> Framing {
     let scene = &geometry.scene;
-    let is_lit = !scene.lights.is_empty() || scene.materials.iter().any(|m| m.emissive != [0.0; 3]);
-    if is_lit && !scene.cameras.is_empty() {
-        return Framing::default();
-    }
-    let points = vantage_points(geometry);
-    Framing {
-        camera: scene.cameras.is_empty().then(|| camera::chosen(geometry, &points)),
-        light: (!is_lit).then(|| light::chosen(geometry, &points)),
-    }
+    let glows = scene.materials.iter().any(|material| material.emissive != [0.0; 3]);
+    let points = OnceCell::new();
+    let points = || points.get_or_init(|| vantage_points(geometry));
+    let camera = scene.cameras.is_empty().then(|| camera::chosen(geometry, points()));
+    let seen_by = camera.as_ref().map_or_else(|| scene.cameras.first(), |chosen| Some(&chosen.value));
+    let wanted = match (scene.lights.is_empty(), glows) {
+        (false, _) => None,
+        (true, false) => Some("the file has no light"),
+        (true, true) => seen_by
+            .is_some_and(|camera| camera::sees_no_light(geometry, camera))
+            .then_some("what glows in the file lights next to nothing that the camera sees"),
+    };
+    let light = wanted.map(|reason| light::chosen(geometry, points(), reason));
+    Framing { camera, light }
 }
 
 #[cfg(test)]

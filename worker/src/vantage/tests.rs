@@ -2,7 +2,7 @@ use glam::Vec3;
 use lightkiln_proto::scene::LightKind;
 
 use super::*;
-use crate::scene::model::Scene;
+use crate::scene::model::{MeshInstance, Scene};
 use crate::scene::{Bundle, Limits, import};
 
 fn scene(bundle: &[u8]) -> Scene {
@@ -68,4 +68,40 @@ fn double_sided_thing_is_looked_at_from_outside() {
     assert!(camera.note.contains("outside"), "{}", camera.note);
     // A lamp inside it would light nothing that is seen.
     assert!(matches!(light.value.kind, LightKind::Sun { .. }), "{light:?}");
+}
+
+/// The taller box of the room, alone, with a LED of a share of its width behind it or, at −1, before it; and the camera's choice of a light.
+fn led(side: f32, share: f32) -> Framing {
+    let mut scene = scene(CORNELL);
+    scene.lights.clear();
+    scene.cameras.clear();
+    let glowing = scene.materials.iter().position(|material| material.emissive != [0.0; 3]).unwrap();
+    scene.instances.retain(|instance| instance.path.contains("tall box"));
+    let [low, high] = scene.bounds_m();
+    let size_m = share * (high.x - low.x);
+    let at_m =
+        Vec3::new(0.5 * (low.x + high.x), 0.5 * (low.y + high.y), if side > 0.0 { low.z } else { high.z });
+    let (right, up) = (Vec3::X * (-size_m * side), Vec3::Y * size_m);
+    let from_m = at_m - 0.5 * (right + up) - Vec3::Z * (0.01 * side);
+    let led = MeshInstance {
+        path: "led".into(),
+        material_index: glowing as u32,
+        positions_m: vec![from_m, from_m + right, from_m + up],
+        normals: vec![Vec3::Z * -side; 3],
+        uv0: Vec::new(),
+        uv1: Vec::new(),
+        colours: Vec::new(),
+        triangles: vec![[0, 1, 2]],
+        world_from_object: scene.instances[0].world_from_object,
+    };
+    scene.instances.push(led);
+    framing(&Geometry::new(scene).unwrap())
+}
+
+#[test]
+fn light_that_nothing_in_sight_has_counts_as_none_in_the_open() {
+    let behind = led(1.0, 0.01).light.expect("the LED shines away from the camera");
+    assert!(matches!(behind.value.kind, LightKind::Sun { .. }), "{behind:?}");
+    assert!(behind.note.contains("glows") && behind.note.contains("chose a sun"), "{}", behind.note);
+    assert!(led(-1.0, 0.6).light.is_none(), "the camera looks at the light");
 }
