@@ -124,7 +124,7 @@ fn bounce_over_patches_is_the_formula_summed_by_name() {
         let (mut sum, mut area) = (Vec3::ZERO, 0.0);
         for at in first..end {
             let texels = set.area[at].texels();
-            let block = set.blocks[usize::from(set.block[at])];
+            let block = set.blocks[set.block[at] as usize];
             sum += texels * before.radiance(transport, block, set.texel[at]);
             area += texels;
         }

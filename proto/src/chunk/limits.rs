@@ -18,8 +18,10 @@ pub const EMITTERS_MAX: usize = 1024;
 pub const EMITTER_ENTRIES_MAX: usize = 1 << 22;
 /// Most near hits in a cluster.
 pub const NEAR_HITS_MAX: usize = 1 << 22;
-/// Most blocks that a chunk names.
+/// Most blocks of a cluster's receivers, of its near hits, or of the hits in a batch of probes.
 pub const BLOCKS_MAX: usize = 65_536;
+/// Most blocks of the receivers of patches: those of a whole scene.
+pub const PATCH_BLOCKS_MAX: usize = 1 << 22;
 /// Most surface patches of a bake.
 pub const PATCHES_MAX: usize = 1 << 24;
 /// Most receivers of all patches' leaves.

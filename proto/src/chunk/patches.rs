@@ -80,7 +80,7 @@ fn check_counts(
     in_range(section, "receivers of patches", receivers, 0, PATCH_RECEIVERS_MAX as u64)?;
     in_range(section, "leaves", leaves, 0, receivers)?;
     in_range(section, "patches", patches, 0, PATCHES_MAX as u64)?;
-    in_range(section, "blocks", blocks, 0, BLOCKS_MAX as u64).map(drop)
+    in_range(section, "blocks", blocks, 0, PATCH_BLOCKS_MAX as u64).map(drop)
 }
 
 fn check_sky(section: &'static str, parts: u32) -> Result<(), ChunkError> {
@@ -109,7 +109,7 @@ fn write_leaves(set: &PatchSet) -> Vec<u8> {
     let mut out = Vec::new();
     let sizes = set.leaf_starts.windows(2).map(|pair| pair[1] - pair[0] - 1);
     ints::put_u32s(&mut out, &sizes.collect::<Vec<_>>());
-    ints::put_deltas(&mut out, set.block.iter().map(|&block| block.into()));
+    ints::put_deltas(&mut out, set.block.iter().map(|&block| block as i32));
     for axis in 0..2 {
         ints::put_deltas(&mut out, set.texel.iter().map(|texel| texel[axis].into()));
     }
@@ -134,7 +134,7 @@ pub fn decode_patches(bytes: &[u8]) -> Result<PatchSet, ChunkError> {
     let [patches, leaves, receivers, blocks] =
         [patches, leaves, receivers, blocks].map(|count| count as usize);
     container.check_sections(&SECTIONS)?;
-    let memory = (16 * patches + 4 * leaves + 7 * receivers + 8 * blocks) as u64;
+    let memory = (16 * patches + 4 * leaves + 9 * receivers + 8 * blocks) as u64;
     container.check_expansion(2 * memory)?;
     let mut set = PatchSet { sky_parts, ..PatchSet::default() };
     let patch_bytes = 8 * blocks as u64 + 4 * ints::bytes_max(patches);
@@ -176,7 +176,7 @@ fn read_patches(
 fn read_leaves(raw: &[u8], leaves: usize, receivers: usize, set: &mut PatchSet) -> Result<(), ChunkError> {
     let mut reader = Reader::new("leaves", raw);
     let sizes = ints::take_u32s(&mut reader, "receivers of a leaf", leaves)?;
-    let block = ints::take_deltas(&mut reader, "block", receivers, 0..=65_535)?;
+    let block = ints::take_deltas(&mut reader, "block", receivers, 0..=PATCH_BLOCKS_MAX as i32 - 1)?;
     let x = ints::take_deltas(&mut reader, "texel", receivers, 0..=65_535)?;
     let y = ints::take_deltas(&mut reader, "texel", receivers, 0..=65_535)?;
     set.area = reader.take("area", receivers, 1)?.iter().map(|&code| AreaCode(code)).collect();
@@ -187,7 +187,7 @@ fn read_leaves(raw: &[u8], leaves: usize, receivers: usize, set: &mut PatchSet) 
         end = in_range("leaves", "end of a leaf", end + u64::from(size) + 1, 1, receivers as u64)? as u64;
         set.leaf_starts.push(end as u32);
     }
-    set.block = block.into_iter().map(|block| block as u16).collect();
+    set.block = block.into_iter().map(|block| block as u32).collect();
     set.texel = x.into_iter().zip(y).map(|(x, y)| [x as u16, y as u16]).collect::<Vec<Texel>>();
     Ok(())
 }

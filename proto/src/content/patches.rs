@@ -83,7 +83,7 @@ pub struct PatchSet {
     /// Blocks that receivers lie in; `block` indexes it.
     pub blocks: Vec<BlockKey>,
     /// Block of each receiver, leaf by leaf: index into `blocks`.
-    pub block: Vec<u16>,
+    pub block: Vec<u32>,
     /// Texel of each receiver. Where no cluster has a receiver of it, no light reaches it: it counts as dark.
     pub texel: Vec<Texel>,
     /// Surface of each receiver: its weight in the mean.

@@ -56,7 +56,7 @@ impl PatchTable {
             Self { leaf_starts: set.leaf_starts.clone(), sky_parts: set.sky_parts, ..Self::default() };
         table.areas = set.area.iter().map(|area| area.texels()).collect();
         for (&block, &texel) in set.block.iter().zip(&set.texel) {
-            let found = blocks.get(usize::from(block)).ok_or_else(|| format!("names block {block}"))?;
+            let found = blocks.get(block as usize).ok_or_else(|| format!("names block {block}"))?;
             // The baker leaves out receivers that no light can reach.
             table.slots.push(slots.slot(*found, texel).unwrap_or(DARK));
         }

@@ -1,22 +1,20 @@
 //! The chunk of patches, as the run time reads it.
 
 use lightkiln_proto::chunk::encode_patches;
+use lightkiln_proto::chunk::limits::PATCH_BLOCKS_MAX;
 use lightkiln_proto::content::{self, PatchSet};
 
 use super::PatchTree;
 use crate::lightmap::{Lightmap, Numbering};
 use crate::task::TaskError;
 
-/// Blocks that one chunk can name.
-const BLOCKS_MAX: usize = 1 << 16;
-
 /// Errs when a chunk could not name all blocks with receivers: before the work on a tree that nobody can store.
 pub fn check_blocks(blocks: usize) -> Result<(), TaskError> {
-    if blocks <= BLOCKS_MAX {
+    if blocks <= PATCH_BLOCKS_MAX {
         return Ok(());
     }
     Err(TaskError::bad_input(format!(
-        "the scene has {blocks} parts with receivers, more than {BLOCKS_MAX}: join meshes of one material, as \
+        "the scene has {blocks} parts with receivers, more than {PATCH_BLOCKS_MAX}: join meshes of one material, as \
          'gltf-transform join' does, or bake to a kind without patches"
     )))
 }
@@ -33,7 +31,7 @@ pub fn encoded(tree: &PatchTree, lightmap: &Lightmap, sky_parts: u32) -> Result<
         leaf_count: patch.leaf_count,
     };
     let of_receivers = || tree.receivers.iter().map(|&receiver| &lightmap.receivers[receiver as usize]);
-    let block = |&receiver: &u32| blocks.place_u16(lightmap.block_key(receiver));
+    let block = |&receiver: &u32| blocks.place(lightmap.block_key(receiver)) as u32;
     let set = PatchSet {
         patches: tree.patches.iter().map(patch).collect(),
         leaf_starts: tree.leaf_starts.clone(),
@@ -52,8 +50,8 @@ mod tests {
 
     #[test]
     fn more_parts_than_a_chunk_can_name_are_refused_with_a_way_out() {
-        assert!(check_blocks(BLOCKS_MAX).is_ok());
-        let refused = check_blocks(100_000).unwrap_err().to_string();
-        assert!(refused.contains("100000 parts") && refused.contains("gltf-transform join"), "{refused}");
+        assert!(check_blocks(PATCH_BLOCKS_MAX).is_ok());
+        let refused = check_blocks(5_000_000).unwrap_err().to_string();
+        assert!(refused.contains("5000000 parts") && refused.contains("gltf-transform join"), "{refused}");
     }
 }

@@ -138,6 +138,25 @@ fn patches_come_back_exactly_and_by_key() {
     assert!(matches!(encode_patches(&outside), Err(ChunkError::OutOfRange { .. })));
 }
 
+/// More blocks than 16 bits can name.
+const MANY_BLOCKS: u32 = 70_000;
+
+#[test]
+fn patches_of_more_blocks_than_16_bits_name_come_back_exactly() {
+    let mut set = patches(2 * MANY_BLOCKS);
+    set.blocks = (0..u64::from(MANY_BLOCKS)).map(|block| 3 * block).collect();
+    set.block = (0..set.texel.len() as u32).map(|receiver| receiver * 11 % MANY_BLOCKS).collect();
+    // Cells of the helper's keys end at 2¹⁴.
+    for (index, patch) in set.patches.iter_mut().enumerate().take(2 * MANY_BLOCKS as usize) {
+        let [x, y] = [index as i32 % 10_000, index as i32 / 10_000];
+        patch.key = PatchKey::of_cell(0, [x, y, 9], 2, 0);
+    }
+    set.patches.sort_by_key(|patch| patch.key);
+    let decoded = decode_patches(&encode_patches(&set).unwrap()).unwrap();
+    assert!(decoded == set, "something is lost");
+    assert!(decoded.block.contains(&(MANY_BLOCKS - 1)));
+}
+
 /// Hits with the blocks that they name, whatever the order of blocks.
 fn named(batch: &ProbeBatch) -> Vec<(RelightHit, Option<BlockKey>)> {
     let name = |hit: &RelightHit| match *hit {

@@ -131,8 +131,8 @@ pub(super) fn patches(leaves: u32) -> PatchSet {
         patches: (0..leaves).map(leaf).chain([whole]).collect(),
         leaf_starts,
         blocks: vec![8, 9],
-        block: (0..count).map(|r| (r % 2) as u16).collect(),
-        texel: (0..count).map(|r| [r as u16 * 7, 65_535 - r as u16]).collect(),
+        block: (0..count).map(|r| r % 2).collect(),
+        texel: (0..count).map(|r| [(r as u16).wrapping_mul(7), 65_535 - r as u16]).collect(),
         area: (0..count).map(|r| AreaCode((r * 37 % 256) as u8)).collect(),
         sky_parts: 64,
     }

@@ -65,7 +65,7 @@ pub fn assert_patches(set: &PatchSet) {
     assert!(set.patches.windows(2).all(|pair| pair[0].key < pair[1].key));
     assert!(set.leaf_starts.windows(2).all(|pair| pair[0] < pair[1]));
     assert_eq!([set.block.len(), set.leaf_starts[leaves] as usize], [set.texel.len(); 2]);
-    assert!(set.block.iter().all(|&block| usize::from(block) < set.blocks.len()));
+    assert!(set.block.iter().all(|&block| (block as usize) < set.blocks.len()));
 }
 
 /// Vertices have all that they need, and triangles their vertices.
