@@ -18,6 +18,10 @@ pub const STRIPE_BORDERS_M: [f32; 10] =
 pub const FLOOR_BORDERS_M: [f32; 3] = [-0.87, 0.04, 0.93];
 /// Border between the panels of [`bent_panel`], x in metres.
 pub const PANELS_BORDER_M: f32 = 0.03;
+/// Border of the first two meshes of [`hollow_at_a_border`]: a line of a lattice of 1/8 m.
+pub const CREST_M: f32 = 0.25;
+/// Width of the strip that is free there.
+pub const STRIP_M: f32 = 0.006;
 
 /// A closed room of 4 × 2.5 × 4 m with a lamp close to its back wall, at z = −2 m. That wall is of meshes with these albedos
 /// in turn, each with a material of its own, or one mesh where there are none; their borders reach `lean_m` farther right
@@ -81,6 +85,27 @@ pub fn parted_floor() -> Vec<u8> {
     let half = Vec3::new(0.01, 0.0, 0.0);
     let (low, high) = (Vec3::new(middle_m, -0.05, -2.01), Vec3::new(middle_m, 2.55, 2.01));
     glb.object("wall", &shapes::cuboid(low - half, high + half, &[]), plaster);
+    glb.finish()
+}
+
+/// A closed room of 4 × 2.5 × 4 m with a lamp whose floor is of three meshes, with borders at [`CREST_M`] and 6 cm farther right;
+/// the middle one falls by `drop_m`. On the left one stands a box of sheets, without a bottom, whose side leaves
+/// [`STRIP_M`] of it free at the border.
+pub fn hollow_at_a_border(drop_m: f32) -> Vec<u8> {
+    let mut glb = Glb::new("hollow_at_a_border");
+    let plaster = glb.material(Surface::diffuse("plaster", PLASTER));
+    let stone = glb.material(Surface::diffuse("stone", [0.5, 0.45, 0.38]));
+    let sheet = glb.material(Surface::diffuse("sheet", PLASTER).double_sided());
+    let lamp = glb.material(Surface::diffuse("lamp", [0.78; 3]).emitting([30.0; 3]));
+    glb.object("walls", &shapes::room(MIN, MAX, &[Side::Bottom]), plaster);
+    let corner = Vec3::new(0.9, 1.2, -0.1);
+    glb.object("lamp", &shapes::cuboid(corner, corner + Vec3::splat(0.2), &[]), lamp);
+    let line = |x_m: f32, y_m: f32| [Vec3::new(x_m, y_m, MAX.z), Vec3::new(x_m, y_m, MIN.z)];
+    let borders = [line(CREST_M, 0.0), line(CREST_M + 0.06, -drop_m)];
+    let ends = [line(MIN.x, 0.0), line(MAX.x, -drop_m)];
+    strips(&mut glb, "plank", ends, borders.into_iter(), &[stone, plaster, stone]);
+    let (low, high) = (Vec3::new(-0.9, 0.0, -0.6), Vec3::new(CREST_M - STRIP_M, 0.8, 0.6));
+    glb.object("box", &shapes::cuboid(low, high, &[Side::Bottom]), sheet);
     glb.finish()
 }
 

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use glam::{DVec3, Vec3};
 use lightkiln_tests::harness::{Held, Recipe, bake};
-use lightkiln_tests::scenes::{self, FLOOR_BORDERS_M, PANELS_BORDER_M, STRIPE_BORDERS_M};
+use lightkiln_tests::scenes::{self, CREST_M, FLOOR_BORDERS_M, PANELS_BORDER_M, STRIP_M, STRIPE_BORDERS_M};
 use lightkiln_worker::evaluate::{Evaluated, EvaluationError};
 use lightkiln_worker::kinds::BakeKinds;
 use lightkiln_worker::reference::{Lighting, Reference, luminance};
@@ -23,6 +23,12 @@ const LEAN_M: f32 = 0.4;
 
 /// Light that pictures show at points of the back wall.
 fn shown(scene: Vec<u8>, recipe: &Recipe, points: &[[f32; 2]]) -> Vec<f64> {
+    let rays: Vec<[Vec3; 2]> = points.iter().map(|&[x, y]| [Vec3::new(x, y, -1.6), Vec3::NEG_Z]).collect();
+    shown_by_rays(scene, recipe, &rays)
+}
+
+/// Light that pictures show at the hits of rays from points along directions.
+fn shown_by_rays(scene: Vec<u8>, recipe: &Recipe, rays: &[[Vec3; 2]]) -> Vec<f64> {
     let bake = bake(scene, recipe).unwrap();
     let bytes = |digest| {
         bake.chunk(digest).map_err(|error| EvaluationError::Missing { digest, source: error.into() })
@@ -35,12 +41,11 @@ fn shown(scene: Vec<u8>, recipe: &Recipe, points: &[[f32; 2]]) -> Vec<f64> {
     let lighting = Lighting { emitter_scale: 1.0, ..Lighting::default() };
     let reference = Reference::new(geometry, &lighting).unwrap();
     let relit = evaluated.relit(&reference, &lighting, &progress).unwrap();
-    let at = |&[x, y]: &[f32; 2]| {
-        let from_m = Vec3::new(x, y, -1.6);
-        let hit = geometry.tracer.closest(from_m, Vec3::NEG_Z, f32::INFINITY).unwrap();
+    let at = |&[from_m, direction]: &[Vec3; 2]| {
+        let hit = geometry.tracer.closest(from_m, direction, f32::INFINITY).unwrap();
         relit.shown_at(&hit).map_or(0.0, |light: DVec3| luminance(light))
     };
-    points.iter().map(at).collect()
+    rays.iter().map(at).collect()
 }
 
 /// Pairs of points 1 mm apart across every border of stripes that lean so far.
@@ -102,6 +107,30 @@ fn light_of_a_bent_neighbour_is_about_the_same_at_the_border() {
     assert!(count > 15, "{count} guests have light of their own: the lattices agree");
     assert!(found.iter().all(|light| *light > 0.1), "the panels are dark: the test shows nothing");
     assert!(mean < 0.03, "jumps by {mean} in the mean");
+}
+
+/// A strip between a border and the wall of a hollow, 1/20 texel wide, has the light of what it goes on in, whether that is of its
+/// plane or falls away; the hollow has none of it.
+#[test]
+fn strip_between_a_border_and_a_hollow_is_lit_as_its_neighbour() {
+    for drop_m in [0.0, 0.0015] {
+        let along = |x_m: f32| (-5..=5).map(move |step| [x_m, 0.1 * step as f32]);
+        let down = |[x, z]: [f32; 2]| [Vec3::new(x, 0.7, z), Vec3::NEG_Y];
+        let columns =
+            [CREST_M - 0.5 * STRIP_M, CREST_M + 0.5 * STRIP_M, CREST_M - 2.0 * STRIP_M, CREST_M - 0.05];
+        let rays: Vec<[Vec3; 2]> = columns.into_iter().flat_map(along).map(down).collect();
+        let scene = scenes::hollow_at_a_border(drop_m);
+        let found = shown_by_rays(scene, &with_texels("prt", 0.125, 256), &rays);
+        let [strip, beside, inside @ ..] = &found.chunks(11).collect::<Vec<_>>()[..] else { unreachable!() };
+        println!("falling by {drop_m} m: {strip:.2?} beside {beside:.2?}, inside {inside:.4?}");
+        assert!(beside.iter().all(|light| *light > 0.1), "the floor is dark: the test shows nothing");
+        let jump = |(a, b): (&f64, &f64)| (a - b).abs() / a.max(*b);
+        let jumps: Vec<f64> = strip.iter().zip(*beside).map(jump).collect();
+        let most = jumps.iter().copied().fold(0.0, f64::max);
+        assert!(most < 0.05, "falling by {drop_m} m: jumps by {most}");
+        let leak = inside.concat().into_iter().fold(0.0, f64::max);
+        assert!(leak < 1e-3 * beside[5], "falling by {drop_m} m: {leak} in the hollow");
+    }
 }
 
 fn light_is_not_shared_through_a_wall(kind: &'static str) {

@@ -10,8 +10,8 @@ use crate::task::Progress;
 
 /// Test rays per receiver.
 pub const TEST_RAYS: u32 = 32;
-/// Most texels that a ray counts in [`Look::reach`].
-const REACH_MAX: f32 = 16.0;
+/// Most texels that a ray counts in [`Look::seen`].
+const SEEN_MAX: f32 = 16.0;
 /// Farthest shift in texels. We differ: the source shifts any distance, which moves texels deep inside a solid to
 /// places that they have nothing to do with; such texels are never seen and are left out.
 const SHIFT_MAX_TEXELS: f32 = 1.5;
@@ -48,8 +48,9 @@ pub struct Look {
     pub openness: f32,
     /// As [`Candidate::outlook`].
     pub outlook: f32,
-    /// As [`Candidate::outlook`], each ray counted up to 16 texels.
-    pub reach: f32,
+    /// Room that it sees, and so is seen from: the mean cube of paths in texels, weighted by the rays' cosine, each ray counted up
+    /// to 16 texels.
+    pub seen: f32,
     /// As [`Candidate::outlook`], of the rays that meet something: an opening does not make a hollow endless. 0 without any.
     pub room: f32,
     /// As [`Candidate::back_share`].
@@ -122,7 +123,7 @@ pub fn look(geometry: &Geometry, texel_m: f32, (start_m, normal): (Vec3, Vec3), 
     let points = R2::new(seed);
     let mut found = Look::default();
     let (mut back, mut free, mut path, mut weight) = (0, 0.0, 0.0, 0.0);
-    let mut reach = 0.0;
+    let mut seen = 0.0;
     for ray in 0..TEST_RAYS {
         let [u, v] = points.point(ray);
         let local = uniform_sphere(u * 0.5, v);
@@ -130,10 +131,10 @@ pub fn look(geometry: &Geometry, texel_m: f32, (start_m, normal): (Vec3, Vec3), 
         let Some(hit) = geometry.tracer.closest(start_m, direction, f32::INFINITY) else {
             found.sky += 2.0 * local.z;
             free += 2.0 * local.z;
-            reach += REACH_MAX * local.z;
+            seen += SEEN_MAX.powi(3) * local.z;
             continue;
         };
-        reach += (hit.t / texel_m).min(REACH_MAX) * local.z;
+        seen += (hit.t / texel_m).min(SEEN_MAX).powi(3) * local.z;
         path += hit.t / texel_m * local.z;
         weight += local.z;
         free += (hit.t / texel_m).min(1.0) * 2.0 * local.z;
@@ -146,7 +147,7 @@ pub fn look(geometry: &Geometry, texel_m: f32, (start_m, normal): (Vec3, Vec3), 
         }
     }
     found.openness = free / TEST_RAYS as f32;
-    found.reach = 2.0 * reach / TEST_RAYS as f32;
+    found.seen = 2.0 * seen / TEST_RAYS as f32;
     found.sky /= TEST_RAYS as f32;
     found.room = path / weight.max(f32::MIN_POSITIVE);
     found.outlook = if found.sky > 0.0 { f32::INFINITY } else { found.room };

@@ -16,7 +16,6 @@ use lightkiln_proto::content::{COVERAGE_POINTS, COVERAGE_SIDE, TexelEdge};
 use rayon::prelude::*;
 
 use super::candidate::{Look, look};
-use super::choose::FARTHER;
 use super::edges::edge;
 use crate::geometry::{Geometry, Site};
 use crate::lightmap::{Charts, Lightmap, World};
@@ -26,11 +25,15 @@ use crate::task::{Cancelled, Progress};
 const FINE_SIDE: u32 = 12;
 /// Halvings of the distance between two of its points that tell where a wall stands.
 const BISECTIONS: u32 = 5;
-/// Mean free path, in texels, below which a place counts as in a hollow. So does one in a room of a few texels: light of the
-/// open may show in the sliver at its walls' feet.
-const HOLLOW_REACH: f32 = 8.0;
+/// Radius, in texels, of the half sphere that holds as much room as a hollow sees at most. A room of a few texels counts as one
+/// too: light of the open may show in the sliver at its walls' feet.
+const HOLLOW_RADIUS: f32 = 8.0;
+/// Factor by which a place sees more room than a hollow beside it. At the foot of a wall half of the room is hidden.
+const SEES_MORE: f32 = 2.0;
 /// Share of the sky that a place in the open sees, at least.
 const OPEN_SKY_MIN: f32 = 1.0 / 3.0;
+/// Factor by which it sees more of the sky than a room beside it.
+const MORE_SKY: f32 = 1.5;
 /// Points of the coverage that are asked whether they see a place.
 const NEAREST: usize = 3;
 
@@ -220,13 +223,16 @@ impl Found {
     }
 }
 
-/// Whether one side of a wall has a better claim than the other to the sliver that an edge gets wrong: a room than a hollow
-/// beside it, as one looks into rooms; and a room than the open, whose light would show in it.
+/// Whether one side of a wall has a better claim than the other to the sliver that an edge gets wrong: a place than a hollow
+/// beside it, if it is seen from more room; and a room than the open, whose light would show in it.
+///
+/// Cubes of paths tell how much room that is: means of paths would let a hollow have a strip at its foot, from which the hollow's
+/// wall hides half of all.
 fn has_better_claim(one: &Look, other: &Look) -> bool {
-    if other.reach < HOLLOW_REACH {
-        one.reach > FARTHER * other.reach
+    if other.seen < HOLLOW_RADIUS.powi(3) {
+        one.seen > SEES_MORE * other.seen
     } else {
-        one.room >= HOLLOW_REACH && other.sky > OPEN_SKY_MIN && FARTHER * one.sky < other.sky
+        one.room >= HOLLOW_RADIUS && other.sky > OPEN_SKY_MIN && MORE_SKY * one.sky < other.sky
     }
 }
 
@@ -281,8 +287,9 @@ mod tests {
 
     #[test]
     fn rooms_have_a_better_claim_than_hollows_and_the_open_and_hollows_none() {
-        let look = |reach: f32, room: f32, sky: f32| Look { reach, room, sky, ..Look::default() };
-        let (hollow, crate_) = (look(2.0, 2.0, 0.0), look(7.0, 3.0, 0.24));
+        let look =
+            |radius: f32, room: f32, sky: f32| Look { seen: radius.powi(3), room, sky, ..Look::default() };
+        let (hollow, crate_) = (look(2.0, 2.0, 0.0), look(7.5, 3.0, 0.1));
         let (room, hall) = (look(9.0, 9.0, 0.05), look(15.0, 30.0, 0.3));
         // At the foot of a wall, all that is met is near.
         let open = look(12.0, 0.3, 0.6);
@@ -299,6 +306,9 @@ mod tests {
             assert_eq!(has_better_claim(&one, &other), is_better, "{one:?} {other:?}");
             assert!(!(is_better && has_better_claim(&other, &one)), "{one:?} {other:?}");
         }
+        // A strip at the foot of a tall hollow is seen from half of its room.
+        let (strip, tall) = (Look { seen: 0.5 * room.seen, ..room }, look(6.0, 6.0, 0.0));
+        assert!(has_better_claim(&strip, &look(5.0, 5.0, 0.0)) && !has_better_claim(&tall, &strip));
         let all = [hollow, crate_, room, hall, open];
         assert!(all.iter().all(|one| !has_better_claim(one, one) && !has_better_claim(&crate_, &open)));
     }

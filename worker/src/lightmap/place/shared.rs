@@ -6,6 +6,7 @@
 //! - Where a chart's surface is interpolated with a square in which it has no receiver and a neighbour has one, it gets a
 //!   *guest* there: a receiver without surface, with the neighbour's light.
 //! - Where the neighbour has another lattice, as a bent chart has, the guest gathers light of its own at the square's middle.
+//! - Of a strip between the border and a wall, however narrow, the guest has the light that the neighbour has at the border.
 //!
 //! So both sides of a border interpolate between the same values, or between values for the same light. No light is shared
 //! between points that a wall parts.
@@ -13,17 +14,21 @@
 use std::cmp::Reverse;
 use std::sync::Arc;
 
+use glam::Vec3;
 use lightkiln_proto::content::{AreaCode, TexelEdge};
 use rayon::prelude::*;
 
-use super::squares::{COPLANAR_COSINE_MIN, Faces, Found, Reading, Squares, level_m};
+use super::squares::{COPLANAR_COSINE_MIN, Faces, Found, Reading, Rim, Squares, level_m};
 use crate::geometry::{Geometry, Site};
 use crate::lightmap::{Charts, Lightmap, Receiver, Surface, World};
+use crate::rays::Hit;
 use crate::task::{Cancelled, Progress};
 
 /// Distance in texels in which the points of lenders are told apart by their distance from the middles of their squares:
 /// pictures show light as if it were gathered there.
 const CENTRAL_STEP: f32 = 0.125;
+/// Texels by which the place in the lightmap changes at least where one steps across the border of a chart.
+const BORDER_TEXELS: f32 = 0.5;
 /// A guest takes its own light.
 const ITSELF: u32 = u32::MAX;
 
@@ -60,7 +65,7 @@ pub fn shared(
         readings.par_iter().map(guest_of).collect::<Result<_, Cancelled>>()?;
     let guest = |(reading, light): (Reading, Option<GuestLight>)| Some((reading, light?));
     let guests: Vec<(Reading, GuestLight)> =
-        readings.into_iter().copied().zip(found).filter_map(guest).collect();
+        readings.into_iter().cloned().zip(found).filter_map(guest).collect();
     let borrowers = light_of.iter().zip(0..).filter(|(light_of, own)| *light_of != own).count();
     let shared = SharedTexels { borrowers, guests: guests.len() };
     Ok((with_light(world.into_lightmap(), &light_of, &guests), shared))
@@ -115,38 +120,68 @@ fn lenders(world: &World, squares: &Squares, progress: &Progress) -> Result<Vec<
 enum GuestLight {
     /// That of a receiver.
     Of(u32),
+    /// That of a receiver of another square.
+    Beside(u32),
     /// Its own, at a point on the surface of a receiver: the neighbour has another lattice.
     Own(Site, u32),
 }
 
-/// The light of a guest, if there is to be one.
+/// The light of a guest, if there is to be one: for the middle of the surface that is interpolated with it, else for a strip of
+/// that surface along the border, which a wall parts from the middle.
 fn guest_of(world: &World, squares: &Squares, light_of: &[u32], reading: &Reading) -> Option<GuestLight> {
-    let Reading { block, square, site, .. } = reading;
+    let Reading { block, square, site, rims, .. } = reading;
     let found = squares.receivers(world, *block, square, [site.normal, site.face_normal]);
-    if found.is_empty() {
-        return own_light(world, reading);
-    }
+    let own = if found.is_empty() { own_light(world, reading) } else { None };
     let mut lenders: Vec<u32> = found.into_iter().map(|receiver| light_of[receiver as usize]).collect();
     lenders.sort_by_cached_key(|&lender| rank(squares, &world.lightmap, lender));
-    let from_m = world.raised_on(*block, site);
     lenders.dedup();
-    let linked = |&lender: &u32| world.is_linked(from_m, world.raised_receiver(lender));
-    lenders.into_iter().find(linked).map(GuestLight::Of)
+    let sees = |site: &Site, lender: u32| {
+        world.is_linked(world.raised_on(*block, site), world.raised_receiver(lender))
+    };
+    // Of a texel that surface of the chart lies in, all of that is to see the lender: it would show its light.
+    let suits = |rim: &Rim, lender: u32| {
+        sees(&rim.site, lender) && rims.iter().all(|rim| !rim.is_inside || sees(&rim.site, lender))
+    };
+    let of_middle = || lenders.iter().copied().find(|&lender| sees(site, lender));
+    let of_strip = || rims.iter().find_map(|rim| lenders.iter().copied().find(|&lender| suits(rim, lender)));
+    let beside = || {
+        let at_border = |rim: &Rim| {
+            let lender = light_of[met_across(world, *block, rim)? as usize];
+            suits(rim, lender).then_some(GuestLight::Beside(lender))
+        };
+        rims.iter().find_map(at_border)
+    };
+    own.or_else(|| of_middle().map(GuestLight::Of)).or_else(|| of_strip().map(GuestLight::Of)).or_else(beside)
+}
+
+/// The receiver of another chart on whose surface a chart's goes on across a rim.
+fn met_across(world: &World, block: u32, rim: &Rim) -> Option<u32> {
+    let (hit, met) = surface_about(world, block, rim.across_m, &rim.site)?;
+    let (key, place) = world.lightmap_at(&hit)?;
+    let is_other =
+        key != world.lightmap.blocks[block as usize].key || place.distance(rim.across) > BORDER_TEXELS;
+    is_other.then_some(met)
+}
+
+/// The surface that gathers light as a site does, at a point of its plane, and its receiver.
+fn surface_about(world: &World, block: u32, at_m: Vec3, site: &Site) -> Option<(Hit, u32)> {
+    let height_m = 2.0 * level_m(world, block, at_m);
+    let above_m = at_m + site.face_normal * height_m;
+    let hit = world.geometry.tracer.closest_surface(above_m, -site.face_normal, 2.0 * height_m)?;
+    let Surface::Receiver(met) = world.surface_at(&hit) else { return None };
+    let own = world.geometry.site_at(&hit);
+    let gathers_alike = own.normal.dot(site.normal) >= COPLANAR_COSINE_MIN
+        && own.face_normal.dot(site.face_normal) >= COPLANAR_COSINE_MIN;
+    gathers_alike.then_some((hit, met))
 }
 
 /// Light at the middle of a square on which a coplanar neighbour goes on, no wall between.
 fn own_light(world: &World, Reading { block, square, site, .. }: &Reading) -> Option<GuestLight> {
-    let (geometry, height_m) = (&world.geometry, 2.0 * level_m(world, *block, square.middle_m));
-    let above_m = square.middle_m + site.face_normal * height_m;
-    let hit = geometry.tracer.closest_surface(above_m, -site.face_normal, 2.0 * height_m)?;
-    let Surface::Receiver(met) = world.surface_at(&hit) else { return None };
-    let own = geometry.site_at(&hit);
-    let gathers_alike = own.normal.dot(site.normal) >= COPLANAR_COSINE_MIN
-        && own.face_normal.dot(site.face_normal) >= COPLANAR_COSINE_MIN;
+    let (hit, met) = surface_about(world, *block, square.middle_m, site)?;
+    let own = world.geometry.site_at(&hit);
     let raised = |site: &Site| world.raised_on(*block, site);
-    let is_beside = gathers_alike
-        && world.lightmap.receivers[met as usize].block != *block
-        && world.is_linked(raised(site), raised(&own));
+    let is_beside =
+        world.lightmap.receivers[met as usize].block != *block && world.is_linked(raised(site), raised(&own));
     is_beside.then_some(GuestLight::Own(own, met))
 }
 
@@ -167,6 +202,7 @@ fn with_light(lightmap: Lightmap, light_of: &[u32], guests: &[(Reading, GuestLig
         };
         match *light {
             GuestLight::Of(lender) => of(lender),
+            GuestLight::Beside(lender) => Receiver { edge: TexelEdge::NONE, ..of(lender) },
             GuestLight::Own(Site { position_m, normal, face_normal }, met) => {
                 let edge = TexelEdge::NONE;
                 Receiver { position_m, normal, face_normal, edge, light_of: ITSELF, ..of(met) }
@@ -197,7 +233,6 @@ fn with_light(lightmap: Lightmap, light_of: &[u32], guests: &[(Reading, GuestLig
 
 #[cfg(test)]
 mod tests {
-    use glam::Vec3;
     use lightkiln_proto::content::Texel;
 
     use super::super::squares::Square;
@@ -244,7 +279,7 @@ mod tests {
         };
         let square = Square { middle_m: Vec3::ZERO, right_m: Vec3::X, up_m: Vec3::Y };
         let site = receiver(0, [0, 0]).site();
-        let reading = |block: u32, texel: Texel| Reading { block, texel, square, site };
+        let reading = |block: u32, texel: Texel| Reading { block, texel, square, site, rims: Vec::new() };
         let before = lightmap.clone();
         let guests = [
             (reading(0, [0, 1]), GuestLight::Of(0)),

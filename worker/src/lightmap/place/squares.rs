@@ -26,6 +26,13 @@ pub const COPLANAR_COSINE_MIN: f32 = 0.98;
 /// How far from a texel, in texels, surface is interpolated with it.
 const READ_FROM: f32 = 0.5;
 
+/// How far from the rim of a triangle, in texels, the points beside and beyond it lie.
+const FROM_RIM: f32 = 1.0 / 64.0;
+/// Distance in texels within which a point of a piece's outline lies on the rim of its triangle.
+const ON_RIM: f32 = 1e-3;
+/// Most places of rims that are kept of a texel.
+const RIMS_MAX: usize = 16;
+
 /// No chart reads a texel, or more than one does.
 const NO_CHART: u32 = u32::MAX;
 const SEVERAL_CHARTS: u32 = u32::MAX - 1;
@@ -75,7 +82,7 @@ pub struct Faces<'a> {
 }
 
 /// A texel that surface of one chart is interpolated with, and where the chart has no receiver.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Reading {
     /// Block.
     pub block: u32,
@@ -85,6 +92,21 @@ pub struct Reading {
     pub square: Square,
     /// Middle of the largest piece of that surface.
     pub site: Site,
+    /// Places along the rims of that surface's triangles, the nearest to the texel first.
+    pub rims: Vec<Rim>,
+}
+
+/// A place at the rim of a triangle, which may be the border of its chart.
+#[derive(Clone, Copy, Debug)]
+pub struct Rim {
+    /// Point beside the rim, on the triangle.
+    pub site: Site,
+    /// Point as far beyond the rim, on the triangle's plane.
+    pub across_m: Vec3,
+    /// Place of that point in the block, were the triangle to go on.
+    pub across: Vec2,
+    /// The point on the triangle lies in the texel itself.
+    pub is_inside: bool,
 }
 
 /// Squares of a block.
@@ -189,11 +211,64 @@ impl Found {
                 let of = &charts.triangles[triangle as usize];
                 let front = site_of(geometry, faces.reference(of), source_weights(of, middle));
                 let site = if faces.is_back { front.turned() } else { front };
-                found.read.push(Reading { block, texel, square, site });
+                found.read.push(Reading { block, texel, square, site, rims: Vec::new() });
             }
         }
+        found.add_rims(geometry, faces, progress)?;
         Ok(found)
     }
+
+    /// Adds the rims of the triangles that are interpolated with texels without receivers.
+    fn add_rims(&mut self, geometry: &Geometry, faces: Faces, progress: &Progress) -> Result<(), Cancelled> {
+        let size = [faces.charts.width, faces.charts.height];
+        let order = |[x, y]: Texel| (y, x);
+        for triangle in &faces.charts.triangles {
+            progress.check()?;
+            let corners = &triangle.uv_texels;
+            let low = corners.iter().copied().fold(Vec2::INFINITY, Vec2::min) - READ_FROM;
+            let high = corners.iter().copied().fold(Vec2::NEG_INFINITY, Vec2::max) + READ_FROM;
+            for (_, texel, corner) in texels_of(&[low, high, low], size) {
+                let Ok(at) = self.read.binary_search_by_key(&order(texel), |read| order(read.texel)) else {
+                    continue;
+                };
+                let Reading { square, rims, .. } = &mut self.read[at];
+                let piece = clipped(corners, corner - READ_FROM, corner + 1.0 + READ_FROM);
+                for [inside, across] in beside_rims(&piece, corners) {
+                    let weights = source_weights(triangle, inside);
+                    let front = site_of(geometry, faces.reference(triangle), weights);
+                    let step = across - inside;
+                    let across_m = front.position_m + square.right_m * step.x + square.up_m * step.y;
+                    let site = if faces.is_back { front.turned() } else { front };
+                    let is_inside = inside.cmpge(corner).all() && inside.cmple(corner + 1.0).all();
+                    rims.push(Rim { site, across_m, across, is_inside });
+                }
+            }
+        }
+        for Reading { square, rims, .. } in &mut self.read {
+            let away_m = |rim: &Rim| rim.site.position_m.distance_squared(square.middle_m);
+            rims.sort_by(|a, b| away_m(a).total_cmp(&away_m(b)));
+            rims.truncate(RIMS_MAX);
+        }
+        Ok(())
+    }
+}
+
+/// Of each side of a piece of a triangle that lies on the triangle's rim the point beside its middle, and the one beyond it.
+fn beside_rims(piece: &[Vec2], corners: &[Vec2; 3]) -> Vec<[Vec2; 2]> {
+    let Some((_, middle)) = area_and_middle(piece) else { return Vec::new() };
+    let next = piece.iter().cycle().skip(1);
+    let sides = piece.iter().zip(next).map(|(from, to)| from.midpoint(*to));
+    let is_on_rim = |at: &Vec2| {
+        (0..3).any(|side| {
+            let (from, along) = (corners[side], corners[(side + 1) % 3] - corners[side]);
+            along.perp_dot(*at - from).abs() <= ON_RIM * along.length()
+        })
+    };
+    let points = |at: Vec2| {
+        let inwards = (middle - at).clamp_length_max(FROM_RIM);
+        [at + inwards, at - inwards]
+    };
+    sides.filter(is_on_rim).map(points).collect()
 }
 
 /// Squares of receivers by place.
@@ -269,6 +344,7 @@ fn cell_at(at_m: Vec3, texel_m: f32) -> Cell {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::lightmap::polygon::is_inside;
 
     /// A triangle on the plane x + z = 1 whose lightmap lies at `offset` from the lattice's.
     fn square_by(corners: [Vec2; 3], offset: Vec2, texel: Texel) -> Option<Square> {
@@ -289,5 +365,17 @@ mod tests {
             assert!(!first.coincides(&square_by(sliver, offset, [11, 6]).unwrap(), TOLERANCE * 0.1));
         }
         assert_eq!(square_by([Vec2::ONE; 3], Vec2::ZERO, [1, 1]), None);
+    }
+
+    #[test]
+    fn rims_of_a_piece_are_those_of_its_triangle_with_points_on_both_sides() {
+        let corners = [Vec2::new(1.0, 1.0), Vec2::new(1.01, 1.0), Vec2::new(1.0, 9.0)];
+        let piece = clipped(&corners, Vec2::new(0.5, 1.5), Vec2::new(1.5, 2.5));
+        let found = beside_rims(&piece, &corners);
+        assert_eq!(found.len(), 2, "the ends of the piece are no rims: {found:?}");
+        for [inside, across] in found {
+            assert!(is_inside(&corners, inside) && !is_inside(&corners, across), "{inside} {across}");
+            assert!((across.y - 2.0).abs() < 0.6 && inside.distance(across) <= 2.0 * FROM_RIM);
+        }
     }
 }
