@@ -80,7 +80,7 @@ impl Anew {
         light: &Light,
     ) -> Vec<DVec3> {
         let of = |(found, slot): (&CellRows, &Option<u32>)| {
-            full_rank(&found.rows[0], &found.keys, *slot, baked, light)
+            full_rank(&found.rows[0], &places(&found.keys, baked), *slot, baked, light)
         };
         self.rows.par_iter().zip(slots).map(of).collect()
     }
@@ -92,12 +92,10 @@ impl Anew {
         baked: &Baked<C>,
         light: &Light,
     ) -> [f64; 2] {
-        let mut squares = [0.0; 2];
-        for cell in &self.cells {
-            let of_cell = cell.squared_errors(lightmap, baked, light);
-            squares = [0, 1].map(|class| squares[class] + of_cell[class] / self.cells.len() as f64);
-        }
-        squares.map(f64::sqrt)
+        let of_cells: Vec<[f64; 2]> =
+            self.cells.par_iter().map(|cell| cell.squared_errors(lightmap, baked, light)).collect();
+        let sum = |class: usize| of_cells.iter().map(|squares| squares[class]).sum::<f64>();
+        [0, 1].map(|class| (sum(class) / of_cells.len().max(1) as f64).sqrt())
     }
 }
 
@@ -112,6 +110,7 @@ impl CellAnew {
     fn squared_errors<C: Columns>(&self, lightmap: &Lightmap, baked: &Baked<C>, light: &Light) -> [f64; 2] {
         let names = self.receivers.iter().map(|&receiver| lightmap.name_of(receiver));
         let row_of: BTreeMap<(BlockKey, Texel), &Row> = names.zip(&self.rows.rows).collect();
+        let places = places(&self.rows.keys, baked);
         let (mut sums, mut count) = ([0.0; 2], 0_u64);
         for piece in &self.pieces {
             let receivers = &piece.transport.receivers;
@@ -122,7 +121,7 @@ impl CellAnew {
                 names.iter().map(|&(block, texel)| baked.transport.slots.slot_of(block, texel)).collect();
             let by_factors = factored(piece, &slots, baked, light);
             for ((name, slot), factored) in names.iter().zip(slots).zip(by_factors) {
-                let full = full_rank(row_of[name], &self.rows.keys, slot, baked, light);
+                let full = full_rank(row_of[name], &places, slot, baked, light);
                 let decoded = slot.map_or(Vec4::ZERO, |slot| light.settled.indirect(slot));
                 sums[0] += (luminance(wide(factored)) - luminance(full)).powi(2);
                 sums[1] += (luminance(wide(decoded)) - luminance(wide(factored))).powi(2);
@@ -152,19 +151,24 @@ fn factored<C: Columns>(piece: &Piece, slots: &[Option<u32>], baked: &Baked<C>, 
     emit.into_iter().zip(ind).map(|(emit, ind)| emit + ind).collect()
 }
 
+/// Places of keys' carriers in λ, and that of the sky's; `None` of carriers that the bake lacks.
+fn places<C: Columns>(keys: &[u64], baked: &Baked<C>) -> Vec<Option<u32>> {
+    let columns = &baked.transport.columns;
+    keys.iter().map(|&key| columns.index(key)).chain([columns.sky_index()]).collect()
+}
+
 /// `max(0, N + Σ_p Σ_j α_pj λ_pj + Σ_e s_e E_e)`, in f64.
 fn full_rank<C: Columns>(
     row: &Row,
-    keys: &[u64],
+    places: &[Option<u32>],
     slot: Option<u32>,
     baked: &Baked<C>,
     light: &Light,
 ) -> DVec3 {
-    let (columns, lambda) = (&baked.transport.columns, &light.settled.lambda);
-    let coefficients = columns.coefficients();
-    let places = keys.iter().map(|&key| columns.index(key)).chain([columns.sky_index()]);
+    let lambda = &light.settled.lambda;
+    let coefficients = baked.transport.columns.coefficients();
     let mut sum = wide(near_of(slot, light));
-    for (place, alpha) in places.zip(row.alpha.chunks_exact(coefficients)) {
+    for (&place, alpha) in places.iter().zip(row.alpha.chunks_exact(coefficients)) {
         // A carrier that the bake lacks, as it was left out of its chunks, carries no light.
         let Some(place) = place else { continue };
         let lambda = &lambda[place as usize * coefficients..][..coefficients];

@@ -10,6 +10,7 @@ mod numbering;
 pub mod place;
 mod polygon;
 mod texel_points;
+mod texel_table;
 mod tiles;
 mod world;
 

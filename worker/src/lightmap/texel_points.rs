@@ -3,7 +3,7 @@
 use glam::Vec2;
 
 use super::polygon::{clipped, is_inside, source_weights, texels_of};
-use super::world::TexelTable;
+use super::texel_table::TexelTable;
 use super::{Lightmap, Receiver};
 use crate::geometry::{Geometry, Site, TriangleRef, corners_of, face_normal_of};
 use crate::scene::surface::normal_at;

@@ -8,12 +8,12 @@ use rayon::prelude::*;
 
 use super::clearance::{Axis, Clearance};
 use super::texel_points::TexelTriangles;
+use super::texel_table::TexelTable;
 use super::{CAVITY, Charts, Lightmap, Receiver, Tiles};
 use crate::geometry::{Geometry, Site, weights_of};
 use crate::rays::{Hit, linking};
-use crate::scene::model::Scene;
 use crate::task::{Context, LocalRun, Progress, TaskError};
-use crate::unwrap::{UnwrappedTriangle, weights_in_part};
+use crate::unwrap::UnwrappedTriangle;
 
 /// How far points are raised at most before they are tested for a wall between them, in metres: above the bulge of
 /// curved surfaces, below anything that one would call a wall.
@@ -371,91 +371,24 @@ impl World {
     /// Receiver of a texel, and true; or that of the nearest of its eight neighbours, as rounding may step over a chart's rim.
     fn receiver_near(&self, block: u32, texel: Vec2) -> Option<(u32, bool)> {
         let block = &self.lightmap.blocks[block as usize];
-        let (x, y) = (texel.x.floor() as i64, texel.y.floor() as i64);
+        let [x, y] = texel.to_array().map(whole_below);
         let at = |x: i64, y: i64| {
             let inside = x >= 0 && y >= 0 && x < i64::from(block.size[0]) && y < i64::from(block.size[1]);
-            inside.then(|| block.receiver_of_texel[(y * i64::from(block.size[0]) + x) as usize])
+            let found = inside.then(|| block.receiver_of_texel[(y * i64::from(block.size[0]) + x) as usize]);
+            found.filter(|&found| found < CAVITY)
         };
-        const RING: [(i64, i64); 9] =
-            [(0, 0), (-1, 0), (1, 0), (0, -1), (0, 1), (-1, -1), (1, -1), (-1, 1), (1, 1)];
-        let mut near = RING.iter().filter_map(|&step| Some((at(x + step.0, y + step.1)?, step == RING[0])));
-        near.find(|&(found, _)| found < CAVITY)
-    }
-}
-
-/// Where each triangle lies in its instance's unwrap.
-pub(super) struct TexelTable {
-    /// First entry of each triangle, and the end.
-    starts: Vec<u32>,
-    entries: Vec<TexelPart>,
-}
-
-struct TexelPart {
-    instance: u32,
-    part: u32,
-    triangle: UnwrappedTriangle,
-}
-
-/// A triangle, or a piece of one, in an unwrap.
-pub(super) struct TexelEntry<'a> {
-    /// Instance.
-    pub instance: u32,
-    /// Part of its unwrap.
-    pub part: u32,
-    /// The triangle there.
-    pub triangle: &'a UnwrappedTriangle,
-}
-
-impl TexelTable {
-    fn new(scene: &Scene, charts: &Charts) -> Self {
-        let mut by_triangle = Vec::new();
-        let mut first_triangle = 0_u32;
-        for (index, (instance, unwrap)) in scene.instances.iter().zip(&charts.unwraps).enumerate() {
-            for (part, block) in unwrap.blocks.iter().enumerate() {
-                for triangle in &block.triangles {
-                    let [instance, part] = [index, part].map(|index| index as u32);
-                    let entry = TexelPart { instance, part, triangle: triangle.clone() };
-                    by_triangle.push((first_triangle + triangle.source_triangle, entry));
-                }
-            }
-            first_triangle += instance.triangles.len() as u32;
+        if let Some(own) = at(x, y) {
+            return Some((own, true));
         }
-        by_triangle.sort_by_key(|(triangle, _)| *triangle);
-        let mut starts = vec![0_u32; first_triangle as usize + 1];
-        for (triangle, _) in &by_triangle {
-            starts[*triangle as usize + 1] += 1;
-        }
-        for index in 1..starts.len() {
-            starts[index] += starts[index - 1];
-        }
-        Self { starts, entries: by_triangle.into_iter().map(|(_, entry)| entry).collect() }
+        const RING: [(i64, i64); 8] = [(-1, 0), (1, 0), (0, -1), (0, 1), (-1, -1), (1, -1), (-1, 1), (1, 1)];
+        RING.iter().find_map(|step| at(x + step.0, y + step.1)).map(|near| (near, false))
     }
+}
 
-    /// The triangle, or piece of one, of that index.
-    pub fn entry(&self, index: u32) -> TexelEntry<'_> {
-        let TexelPart { instance, part, triangle } = &self.entries[index as usize];
-        TexelEntry { instance: *instance, part: *part, triangle }
-    }
-
-    /// All triangles and pieces, in the order of their indices.
-    pub fn entries(&self) -> impl Iterator<Item = TexelEntry<'_>> {
-        (0..self.entries.len() as u32).map(|index| self.entry(index))
-    }
-
-    fn pieces_of(&self, triangle: u32) -> &[TexelPart] {
-        &self.entries[self.starts[triangle as usize] as usize..self.starts[triangle as usize + 1] as usize]
-    }
-
-    /// Part and place in texels of a point of a triangle; of a triangle cut in pieces, the piece that holds it.
-    fn locate(&self, triangle: u32, weights: Vec3) -> Option<(u32, Vec2)> {
-        let pieces = self.pieces_of(triangle).iter().map(|entry| {
-            let inner = weights_in_part(&entry.triangle, weights);
-            (inner.min_element(), entry, inner)
-        });
-        let (_, entry, inner) = pieces.max_by(|a, b| a.0.total_cmp(&b.0))?;
-        let [a, b, c] = entry.triangle.uv_texels;
-        Some((entry.part, a * inner.x + b * inner.y + c * inner.z))
-    }
+/// The largest whole number that is not above a value; without the call that `floor` is on older processors.
+fn whole_below(value: f32) -> i64 {
+    let cut = value as i64;
+    cut - i64::from(cut as f32 > value)
 }
 
 #[cfg(test)]

@@ -68,20 +68,23 @@ pub fn trace(
 ) -> Result<Traced, Cancelled> {
     let PatchTransport { world, tree, settings, stage, .. } = transport;
     progress.begin(0.0, 0.9, receivers.len() as u64);
-    let sources = Sources::new(world, tree, settings.patches.sky_parts);
-    let reads = Reads::new(world, stage);
+    let gathering = Gathering {
+        transport,
+        sources: Sources::new(world, tree, settings.patches.sky_parts),
+        reads: Reads::new(world, stage),
+    };
     let texels: Vec<Texel> = receivers.iter().map(|&receiver| Texel::of(world, receiver)).collect();
     let is_as_baked = detail == Detail::AsBaked;
     let bend = if is_as_baked { settings.patches.bend } else { 0.0 };
     if bend > 0.0 {
-        receivers.iter().for_each(|&receiver| reads.note_receiver(receiver));
+        receivers.iter().for_each(|&receiver| gathering.reads.note_receiver(receiver));
     }
     // Cast the rays, and tell who casts none.
     let mut gathered: Vec<Option<Gathered>> = receivers.iter().map(|_| None).collect();
     let corners = sparse::corners(&texels, bend, |places| {
         let cast = places.par_iter().map(|&place| {
             progress.check()?;
-            let gathered = progress.casting(|| gather(transport, &sources, receivers[place], &reads));
+            let gathered = progress.casting(|| gathering.cast(receivers[place]));
             progress.advance(1);
             Ok(gathered)
         });
@@ -117,7 +120,7 @@ pub fn trace(
     let between = receivers.par_iter().zip(&corners).map(|(&receiver, corners)| {
         let Some(corners) = corners else { return Ok(None) };
         progress.check()?;
-        let row = progress.casting(|| between(transport, receiver, corners, &cast, &reads));
+        let row = progress.casting(|| gathering.between(receiver, corners, &cast));
         progress.advance(1);
         Ok(Some(row))
     });
@@ -127,28 +130,82 @@ pub fn trace(
         .zip(between)
         .filter_map(|(own, between)| own.map(|own| own.row).or(between))
         .collect();
-    let record = Record::of(stage, tree, reads, &leaves, &found.by_share);
+    let record = Record::of(stage, tree, gathering.reads, &leaves, &found.by_share);
     Ok(Traced { keys: found.keys, rows, casting, record })
 }
 
-/// Row of a receiver between corners that cast rays; it asks emitters itself.
-fn between(
-    transport: &PatchTransport,
-    receiver: u32,
-    corners: &Corners,
-    cast: &[Option<Cast>],
-    reads: &Reads,
-) -> Row {
-    let of_corners = corners.iter().filter_map(|&(corner, weight)| Some((cast[corner].as_ref()?, weight)));
-    let mut row = interpolated(of_corners);
-    let PatchTransport { world, emitters, settings, .. } = transport;
-    if !emitters.is_empty() {
+/// What rows of a cell are gathered from.
+struct Gathering<'a> {
+    transport: &'a PatchTransport,
+    sources: Sources<'a>,
+    reads: Reads<'a>,
+}
+
+impl Gathering<'_> {
+    fn hemisphere(&self, receiver: u32) -> Hemisphere<'_> {
+        let PatchTransport { world, emitters, settings, radiance, .. } = self.transport;
         let rays = settings.transport.transport_rays;
-        let hemisphere = Hemisphere::new(world, emitters, receiver, rays).for_radiance(transport.radiance);
-        let sampled = hemisphere.sample_emitters(settings.transport.emitter_rays, &reads.trail);
-        add(row.shared.emitters.as_flattened_mut(), sampled.as_flattened(), 1.0);
+        Hemisphere::new(world, emitters, receiver, rays).for_radiance(*radiance)
     }
-    row
+
+    /// Row of a receiver between corners that cast rays; it asks emitters itself.
+    fn between(&self, receiver: u32, corners: &Corners, cast: &[Option<Cast>]) -> Row {
+        let of_corners =
+            corners.iter().filter_map(|&(corner, weight)| Some((cast[corner].as_ref()?, weight)));
+        let mut row = interpolated(of_corners);
+        let PatchTransport { emitters, settings, .. } = self.transport;
+        if !emitters.is_empty() {
+            let hemisphere = self.hemisphere(receiver);
+            let sampled = hemisphere.sample_emitters(settings.transport.emitter_rays, &self.reads.trail);
+            add(row.shared.emitters.as_flattened_mut(), sampled.as_flattened(), 1.0);
+        }
+        row
+    }
+
+    /// Casts a receiver's rays.
+    fn cast(&self, receiver: u32) -> Gathered {
+        let Self { transport, sources, reads, .. } = self;
+        let PatchTransport { world, settings, .. } = transport;
+        let hemisphere = self.hemisphere(receiver);
+        let (mut gathered, mut near) = (Gathered::default(), Near::default());
+        let texel_m = world.lightmap.texel_m_of(receiver);
+        let reach_m = near::reach_m(settings, texel_m);
+        let from_m = hemisphere.origin_m();
+        let surroundings = hemisphere.cast(
+            settings.transport.emitter_rays,
+            &reads.trail,
+            |HemisphereRay { origin_m, direction }, hit| {
+                let ray = |at: u32| RayHit { at, is_even, weight: 1.0 };
+                match hit {
+                    None => {
+                        gathered.cast.row.shared.lit += 1.0;
+                        gathered.hits.sky.push(ray(sources.sky(direction)));
+                    }
+                    Some(hit) => {
+                        let point_m = origin_m + direction * hit.t;
+                        let near = (point_m.distance(from_m) < reach_m).then_some(&mut near);
+                        let met = sources.at(hit, point_m);
+                        reads.note_hit(&met.found, point_m);
+                        gathered.add_hit(transport, met, hit, point_m, ray, near);
+                    }
+                }
+            },
+        );
+        let Gathered { hits, cast } = &mut gathered;
+        let row = &mut cast.row;
+        // Whether a place is narrow is known only now: near hits count as such there, and as their leaves elsewhere.
+        if near::is_narrow(near.hits.len(), settings) {
+            near::keep(row, near.hits, settings, &world.lightmap, texel_m);
+        } else {
+            hits.leaves.append(&mut near.leaves);
+            row.shared.uncovered += near.lost;
+        }
+        row.shared.left_out = row.shared.uncovered;
+        cast.nearness_m2 = surroundings.nearness_m2;
+        cast.emitters_met.clone_from(&surroundings.emitters_met);
+        row.shared.add_surroundings(surroundings);
+        gathered
+    }
 }
 
 /// Mean of rows that were cast, with weights: light straight from emitters as far as rays met it.
@@ -181,52 +238,6 @@ fn add_to(sums: &mut Vec<f32>, values: &[f32], weight: f32) {
 
 fn add(sums: &mut [f32], values: &[f32], weight: f32) {
     sums.iter_mut().zip(values).for_each(|(sum, value)| *sum += weight * value);
-}
-
-fn gather(transport: &PatchTransport, sources: &Sources, receiver: u32, reads: &Reads) -> Gathered {
-    let PatchTransport { world, emitters, settings, .. } = transport;
-    let rays = settings.transport.transport_rays;
-    let hemisphere = Hemisphere::new(world, emitters, receiver, rays).for_radiance(transport.radiance);
-    let (mut gathered, mut near) = (Gathered::default(), Near::default());
-    let texel_m = world.lightmap.texel_m_of(receiver);
-    let reach_m = near::reach_m(settings, texel_m);
-    let from_m = hemisphere.origin_m();
-    let mut is_even = true;
-    let surroundings = hemisphere.cast(
-        settings.transport.emitter_rays,
-        &reads.trail,
-        |HemisphereRay { origin_m, direction }, hit| {
-            let ray = |at: u32| RayHit { at, is_even, weight: 1.0 };
-            match hit {
-                None => {
-                    gathered.cast.row.shared.lit += 1.0;
-                    gathered.hits.sky.push(ray(sources.sky(direction)));
-                }
-                Some(hit) => {
-                    let point_m = origin_m + direction * hit.t;
-                    let near = (point_m.distance(from_m) < reach_m).then_some(&mut near);
-                    let met = sources.at(hit, point_m);
-                    reads.note_hit(&met.found, point_m);
-                    gathered.add_hit(transport, met, hit, point_m, ray, near);
-                }
-            }
-            is_even = !is_even;
-        },
-    );
-    let Gathered { hits, cast } = &mut gathered;
-    let row = &mut cast.row;
-    // Whether a place is narrow is known only now: near hits count as such there, and as their leaves elsewhere.
-    if near::is_narrow(near.hits.len(), settings) {
-        near::keep(row, near.hits, settings, &world.lightmap, texel_m);
-    } else {
-        hits.leaves.append(&mut near.leaves);
-        row.shared.uncovered += near.lost;
-    }
-    row.shared.left_out = row.shared.uncovered;
-    cast.nearness_m2 = surroundings.nearness_m2;
-    cast.emitters_met.clone_from(&surroundings.emitters_met);
-    row.shared.add_surroundings(surroundings);
-    gathered
 }
 
 impl Gathered {
