@@ -402,7 +402,7 @@ mod tests {
     use crate::kinds::{BakeKinds, Runner};
     use crate::scene::{
         self,
-        model::{Glass, Material, MeshInstance},
+        model::{Glass, Material, MeshInstance, Scene},
     };
     use crate::task::{Progress, artefact};
     use crate::unwrap::{UnwrapSettings, unwrap_generated};

@@ -171,6 +171,7 @@ impl Gathering<'_> {
         let texel_m = world.lightmap.texel_m_of(receiver);
         let reach_m = near::reach_m(settings, texel_m);
         let from_m = hemisphere.origin_m();
+        let mut is_even = true;
         let surroundings = hemisphere.cast(
             settings.transport.emitter_rays,
             &reads.trail,
@@ -189,6 +190,7 @@ impl Gathering<'_> {
                         gathered.add_hit(transport, met, hit, point_m, ray, near);
                     }
                 }
+                is_even = !is_even;
             },
         );
         let Gathered { hits, cast } = &mut gathered;
