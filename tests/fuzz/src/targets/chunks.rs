@@ -285,7 +285,7 @@ fn larger_patches() -> Vec<u8> {
         patches,
         leaf_starts: (0..=8).map(|leaf| 3 * leaf).collect(),
         blocks: vec![5, 6],
-        block: (0..24).map(|r| u16::from(r >= 12)).collect(),
+        block: (0..24).map(|r| u32::from(r >= 12)).collect(),
         texel: (0..24).map(|r| [r % 5, r / 5]).collect(),
         area: (0..24).map(|r| AreaCode(100 + r)).collect(),
         sky_parts: 64,
