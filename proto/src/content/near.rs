@@ -34,10 +34,24 @@ impl NearHits {
 
     /// Offset of a hit at `to_m` from its receiver at `from_m`, as it is stored; farther than the reach is at the reach.
     pub fn offset_of(from_m: [f32; 3], to_m: [f32; 3], reach_m: f32) -> [i16; 3] {
-        [0, 1, 2].map(|axis| {
-            let share = ((to_m[axis] - from_m[axis]) / reach_m).clamp(-1.0, 1.0);
-            Self::stored(libm::roundf(share * f32::from(Self::STEPS)) as i16)
+        Self::steps(from_m, to_m, reach_m).map(|steps| Self::stored(libm::roundf(steps) as i16))
+    }
+
+    /// The eight stored offsets around a hit, those below and above it along each axis; the same where one is at the hit.
+    pub fn offsets_around(from_m: [f32; 3], to_m: [f32; 3], reach_m: f32) -> [[i16; 3]; 8] {
+        let stored = f32::from(Self::STEPS_STORED);
+        let steps = Self::steps(from_m, to_m, reach_m).map(|steps| steps / stored);
+        std::array::from_fn(|corner| {
+            [0, 1, 2].map(|axis| {
+                let is_above = corner >> axis & 1 == 1;
+                let multiple = if is_above { libm::ceilf(steps[axis]) } else { libm::floorf(steps[axis]) };
+                Self::stored((multiple * stored) as i16)
+            })
         })
+    }
+
+    fn steps(from_m: [f32; 3], to_m: [f32; 3], reach_m: f32) -> [f32; 3] {
+        [0, 1, 2].map(|axis| ((to_m[axis] - from_m[axis]) / reach_m).clamp(-1.0, 1.0) * f32::from(Self::STEPS))
     }
 
     /// The nearest offset that is stored: a multiple of [`NearHits::STEPS_STORED`] within the reach.
@@ -50,9 +64,13 @@ impl NearHits {
     /// Place of a hit in metres, from its receiver's, on a surface of that normal: raised by a stored step, as rounding may
     /// have put it below.
     pub fn position_m(&self, hit: usize, from_m: [f32; 3], normal: [f32; 3]) -> [f32; 3] {
-        let step_m = self.reach_m / f32::from(Self::STEPS);
-        let steps =
-            |axis: usize| f32::from(self.offset[hit][axis]) + f32::from(Self::STEPS_STORED) * normal[axis];
+        Self::position_of(self.offset[hit], from_m, normal, self.reach_m)
+    }
+
+    /// The same of any offset.
+    pub fn position_of(offset: [i16; 3], from_m: [f32; 3], normal: [f32; 3], reach_m: f32) -> [f32; 3] {
+        let step_m = reach_m / f32::from(Self::STEPS);
+        let steps = |axis: usize| f32::from(offset[axis]) + f32::from(Self::STEPS_STORED) * normal[axis];
         [0, 1, 2].map(|axis| from_m[axis] + steps(axis) * step_m)
     }
 

@@ -92,7 +92,8 @@ pub fn own_of_rows(lightmap: &Lightmap, rows: &[&Row]) -> Vec<(BlockKey, Texel)>
 }
 
 /// The near hits of some rows as a chunk has them, with the receiver of each row.
-pub fn of_rows(lightmap: &Lightmap, settings: &TracedSettings, receivers: &[u32], rows: &[&Row]) -> NearHits {
+pub fn of_rows(world: &World, settings: &TracedSettings, receivers: &[u32], rows: &[&Row]) -> NearHits {
+    let lightmap = &world.lightmap;
     if rows.iter().all(|row| row.near.is_empty()) {
         return NearHits::default();
     }
@@ -102,20 +103,35 @@ pub fn of_rows(lightmap: &Lightmap, settings: &TracedSettings, receivers: &[u32]
     let texel_m = receivers.iter().map(|&own| lightmap.texel_m_of(own)).fold(0.0, f32::max);
     let mut near = NearHits { reach_m: reach_m(settings, texel_m), ..NearHits::default() };
     for (&receiver, row) in receivers.iter().zip(rows) {
-        let from_m = lightmap.receivers[receiver as usize].position_m.to_array();
+        let from_m = lightmap.receivers[receiver as usize].position_m;
         near.count.push(row.near.len() as u8);
         near.weight.push(if row.near.is_empty() { 0.0 } else { row.near_weight });
         for hit in &row.near {
-            let Receiver { texel, albedo, .. } = lightmap.receivers[hit.receiver as usize];
+            let Receiver { texel, albedo, normal, .. } = lightmap.receivers[hit.receiver as usize];
+            near.offset.push(offset(world, from_m, hit, hit.own_normal.unwrap_or(normal), near.reach_m));
             near.surface.push(match hit.own_normal {
                 Some(normal) => NearSurface::Own { albedo, normal: normal.to_array() },
                 None => {
                     NearSurface::Texel { block: blocks.place_u16(lightmap.block_key(hit.receiver)), texel }
                 }
             });
-            near.offset.push(NearHits::offset_of(from_m, hit.position_m.to_array(), near.reach_m));
         }
     }
     near.blocks = blocks.into_values();
     near
+}
+
+/// Longer than the way from a hit to its stored place, for what the receiver's own place is rounded by.
+const CLEAR_WAY: f32 = 1.25;
+
+/// Offset of a hit from its receiver as it is stored: of the eight roundings the nearest that no wall parts from the hit, as
+/// light is read there and a millimetre may be the whole of a wall. If walls part all, the nearest.
+fn offset(world: &World, from_m: Vec3, hit: &NearHit, normal: Vec3, reach_m: f32) -> [i16; 3] {
+    let lifted_m = world.geometry.lifted(hit.position_m, normal);
+    let [from, to, up] = [from_m, hit.position_m, normal].map(|vector| vector.to_array());
+    let way_m = |offset| Vec3::from(NearHits::position_of(offset, from, up, reach_m)) - lifted_m;
+    let mut offsets = NearHits::offsets_around(from, to, reach_m);
+    offsets.sort_by(|&a, &b| way_m(a).length_squared().total_cmp(&way_m(b).length_squared()));
+    let is_clear = |&offset: &[i16; 3]| world.is_linked(lifted_m, lifted_m + CLEAR_WAY * way_m(offset));
+    offsets.into_iter().find(is_clear).unwrap_or(offsets[0])
 }

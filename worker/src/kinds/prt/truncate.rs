@@ -6,12 +6,12 @@ use lightkiln_proto::content::{BlockKey, Texel, TransportFactors};
 use super::near::{self, NearHit};
 use super::{PatchTransport, Row, TracedSettings};
 use crate::factors::{ClusterCell, Factored, Part, PatchMatrix, Piece, Truncation, split};
-use crate::lightmap::{Lightmap, Numbering};
+use crate::lightmap::{Numbering, World};
 use crate::task::{Cancelled, Progress};
 
 /// A cell while it is factorised.
 struct Cell<'a> {
-    lightmap: &'a Lightmap,
+    world: &'a World,
     settings: &'a TracedSettings,
     /// Patches, then parts of the sky.
     keys: &'a [u64],
@@ -33,7 +33,7 @@ pub fn pieces(
     progress: &Progress,
 ) -> Result<Vec<NamedPiece>, Cancelled> {
     let own = Cell {
-        lightmap: &transport.world.lightmap,
+        world: &transport.world,
         settings: &transport.settings,
         keys,
         receivers: Numbering::of(cell.receivers.iter().copied()),
@@ -61,11 +61,11 @@ impl Truncation for Cell<'_> {
     }
 
     fn position_m(&self, receiver: u32) -> Vec3 {
-        self.lightmap.receivers[receiver as usize].position_m
+        self.world.lightmap.receivers[receiver as usize].position_m
     }
 
     fn may_split(&self, receivers: usize, size_m: f32) -> bool {
-        receivers > self.settings.factors.split_receivers_min as usize && size_m > self.lightmap.texel_m
+        receivers > self.settings.factors.split_receivers_min as usize && size_m > self.world.lightmap.texel_m
     }
 
     fn rank_max(&self) -> usize {
@@ -100,9 +100,9 @@ impl Cell<'_> {
         let rows: Vec<&Row> = places.iter().map(|&place| &self.rows[place]).collect();
         let keys = groups.iter().map(|&column| self.keys[column as usize]).collect();
         let columns = TransportFactors { keys, ..TransportFactors::default() };
-        let near = near::of_rows(self.lightmap, self.settings, &receivers, &rows);
+        let near = near::of_rows(self.world, self.settings, &receivers, &rows);
         let shared: Vec<_> = rows.iter().map(|row| &row.shared).collect();
-        let near_own = near::own_of_rows(self.lightmap, &rows);
-        (Piece::of(self.lightmap, &receivers, &shared, columns, factors, near), near_own)
+        let near_own = near::own_of_rows(&self.world.lightmap, &rows);
+        (Piece::of(&self.world.lightmap, &receivers, &shared, columns, factors, near), near_own)
     }
 }
