@@ -38,7 +38,7 @@ pub use hall::open_hall;
 pub use panes::{furnace_with_panes, lamp_behind_pane, panes, skylit_room};
 pub use rooms::{
     BAR_M, BOARD_M, CHEST_M, DUCT_M, SLATS_M, furnace, hollow_furniture, sealed_box, shutter,
-    small_sealed_boxes, two_rooms, two_rooms_under_the_sky, two_rooms_with_wall_at, u_corridor,
+    flat_sealed_boxes, small_sealed_boxes, two_rooms, two_rooms_under_the_sky, two_rooms_with_wall_at, u_corridor,
 };
 pub use scales::{boxes, room, room_and_a_far_triangle, room_on_a_plain};
 pub use stripes::{

@@ -61,6 +61,23 @@ pub fn small_sealed_boxes() -> Vec<u8> {
     glb.finish()
 }
 
+/// Twelve sealed boxes of 1 × 0.15 × 1 m of sheets without thickness, each turned otherwise, above a ground in the open.
+pub fn flat_sealed_boxes() -> Vec<u8> {
+    let mut glb = Glb::new("flat_sealed_boxes");
+    let sheet = glb.material(Surface::diffuse("sheet", PLASTER).double_sided());
+    let ground = glb.material(Surface::diffuse("ground", [0.35, 0.33, 0.29]));
+    for index in 0..12_u8 {
+        let half = Vec3::new(0.5, 0.075, 0.5);
+        let place_m = Vec3::new(f32::from(index % 4), 0.0, f32::from(index / 4)) * 1.7 + Vec3::Y * 0.203;
+        let mesh = shapes::cuboid(-half, half, &[]).turned(0.17 * f32::from(index)).translated(place_m);
+        glb.object(&format!("box {index}"), &mesh, sheet);
+    }
+    let mut plain = Mesh::default();
+    plain.rectangle(Vec3::new(-1.0, 0.0, 4.5), Vec3::X * 7.0, Vec3::Z * -5.5);
+    glb.object("ground", &plain, ground);
+    glb.finish()
+}
+
 /// Two rooms of 4 × 3 × 4 m under one roof with a lamp in the left one only: the right one receives exactly 0.
 ///
 /// The wall between them is `thickness_m` thick, or a single double-sided sheet when that is 0. Floor, ceiling and

@@ -37,6 +37,19 @@ fn small_sealed_boxes_share_clusters_and_are_exactly_dark_inside() {
     assert!(clusters.iter().all(|cluster| cluster.factors.rank > 0), "a cluster has no factors");
 }
 
+/// Insides are so narrow that light is read at the points that rays meet, and these are stored in steps of 1 mm: beside a
+/// wall without thickness the nearest step may be outside.
+#[test]
+fn flat_sealed_boxes_of_sheets_are_exactly_dark_inside() {
+    let scene = scenes::flat_sealed_boxes();
+    let mut recipe = with_texels("prt", 0.125, 128);
+    recipe.settings["near_hits"] = 16.into();
+    let bake = bake(scene.clone(), &recipe).unwrap();
+    let near: usize = clusters(&bake).unwrap().iter().map(|cluster| cluster.near.len()).sum();
+    assert!(near > 1000, "{near} near hits");
+    assert_is_dark_inside(&scene, &bake);
+}
+
 fn assert_is_dark_inside(scene: &[u8], bake: &LocalBake) {
     let rays = tracer(scene);
     let to_sun = Vec3::new(0.3, 0.8, 0.2).normalize();
