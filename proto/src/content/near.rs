@@ -51,7 +51,8 @@ impl NearHits {
     }
 
     fn steps(from_m: [f32; 3], to_m: [f32; 3], reach_m: f32) -> [f32; 3] {
-        [0, 1, 2].map(|axis| ((to_m[axis] - from_m[axis]) / reach_m).clamp(-1.0, 1.0) * f32::from(Self::STEPS))
+        [0, 1, 2]
+            .map(|axis| ((to_m[axis] - from_m[axis]) / reach_m).clamp(-1.0, 1.0) * f32::from(Self::STEPS))
     }
 
     /// The nearest offset that is stored: a multiple of [`NearHits::STEPS_STORED`] within the reach.

@@ -37,8 +37,8 @@ pub use edited::{FLAT_HALF_M, FLAT_WALL_M, Flat, Thing, flat};
 pub use hall::open_hall;
 pub use panes::{furnace_with_panes, lamp_behind_pane, panes, skylit_room};
 pub use rooms::{
-    BAR_M, BOARD_M, CHEST_M, DUCT_M, SLATS_M, furnace, hollow_furniture, sealed_box, shutter,
-    flat_sealed_boxes, small_sealed_boxes, two_rooms, two_rooms_under_the_sky, two_rooms_with_wall_at, u_corridor,
+    BAR_M, BOARD_M, CHEST_M, DUCT_M, SLATS_M, flat_sealed_boxes, furnace, hollow_furniture, sealed_box,
+    shutter, small_sealed_boxes, two_rooms, two_rooms_under_the_sky, two_rooms_with_wall_at, u_corridor,
 };
 pub use scales::{boxes, room, room_and_a_far_triangle, room_on_a_plain};
 pub use stripes::{
