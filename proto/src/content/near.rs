@@ -32,27 +32,19 @@ impl NearHits {
     /// Offsets are stored in multiples of so many steps.
     pub const STEPS_STORED: i16 = 8;
 
-    /// Offset of a hit at `to_m` from its receiver at `from_m`, as it is stored; farther than the reach is at the reach.
-    pub fn offset_of(from_m: [f32; 3], to_m: [f32; 3], reach_m: f32) -> [i16; 3] {
-        Self::steps(from_m, to_m, reach_m).map(|steps| Self::stored(libm::roundf(steps) as i16))
-    }
-
-    /// The eight stored offsets around a hit, those below and above it along each axis; the same where one is at the hit.
+    /// The eight stored offsets around a hit at `to_m` of a receiver at `from_m`, those below and above it along each axis; the
+    /// same where one is at the hit. Farther than the reach is at the reach.
     pub fn offsets_around(from_m: [f32; 3], to_m: [f32; 3], reach_m: f32) -> [[i16; 3]; 8] {
-        let stored = f32::from(Self::STEPS_STORED);
-        let steps = Self::steps(from_m, to_m, reach_m).map(|steps| steps / stored);
+        let steps_along = f32::from(Self::STEPS) / f32::from(Self::STEPS_STORED);
+        let steps =
+            [0, 1, 2].map(|axis| ((to_m[axis] - from_m[axis]) / reach_m).clamp(-1.0, 1.0) * steps_along);
         std::array::from_fn(|corner| {
             [0, 1, 2].map(|axis| {
                 let is_above = corner >> axis & 1 == 1;
                 let multiple = if is_above { libm::ceilf(steps[axis]) } else { libm::floorf(steps[axis]) };
-                Self::stored((multiple * stored) as i16)
+                Self::stored(multiple as i16 * Self::STEPS_STORED)
             })
         })
-    }
-
-    fn steps(from_m: [f32; 3], to_m: [f32; 3], reach_m: f32) -> [f32; 3] {
-        [0, 1, 2]
-            .map(|axis| ((to_m[axis] - from_m[axis]) / reach_m).clamp(-1.0, 1.0) * f32::from(Self::STEPS))
     }
 
     /// The nearest offset that is stored: a multiple of [`NearHits::STEPS_STORED`] within the reach.

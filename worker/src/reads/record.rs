@@ -59,6 +59,11 @@ impl<'a> Reads<'a> {
         }
     }
 
+    /// Notes everything that is less than `reach_m` from a point along each axis.
+    pub fn note_around(&self, point_m: Vec3, reach_m: f32) {
+        self.trail.mark_box(point_m - reach_m, point_m + reach_m);
+    }
+
     /// Notes what a receiver's own texel says.
     pub fn note_receiver(&self, receiver: u32) {
         let own = &self.world.lightmap.receivers[receiver as usize];

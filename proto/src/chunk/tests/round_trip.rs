@@ -1,5 +1,7 @@
 //! Content comes back from its chunk within the stated errors.
 
+use std::collections::BTreeSet;
+
 use super::scenes::{batch, narrow, patches, quads, wall};
 use crate::chunk::*;
 use crate::content::*;
@@ -109,16 +111,24 @@ fn near_hits_that_are_none_are_refused() {
 }
 
 #[test]
-fn place_of_a_near_hit_is_within_half_a_stored_step_of_one_above_its_surface() {
-    let near = NearHits { reach_m: 0.2, ..NearHits::default() };
-    let (from_m, to_m) = ([1.0, 2.0, 3.0], [1.1234, 1.8101, 3.0]);
-    let near = NearHits { offset: vec![NearHits::offset_of(from_m, to_m, near.reach_m)], ..near };
-    let step_m = 8.0 * 0.2 / 2047.0;
+fn stored_places_around_a_near_hit_are_within_a_step_of_one_above_its_surface() {
+    let (from_m, to_m, reach_m) = ([1.0, 2.0, 3.0], [1.1234, 1.8101, 3.0], 0.2);
+    let step_m = 8.0 * reach_m / 2047.0;
     let raised = [to_m[0], to_m[1] + step_m, to_m[2]];
-    for (got, wanted) in near.position_m(0, from_m, [0.0, 1.0, 0.0]).iter().zip(raised) {
-        assert!((got - wanted).abs() <= 0.501 * step_m, "{got} {wanted}");
-    }
-    assert_eq!(NearHits::offset_of(from_m, [9.0, 2.0, -9.0], 0.2), [2040, 0, -2040]);
+    let offsets = NearHits::offsets_around(from_m, to_m, reach_m);
+    let distances_m = offsets.map(|offset| {
+        let near = NearHits { reach_m, offset: vec![offset], ..NearHits::default() };
+        let place_m = near.position_m(0, from_m, [0.0, 1.0, 0.0]);
+        [0, 1, 2].map(|axis| (place_m[axis] - raised[axis]).abs())
+    });
+    let is_within =
+        |steps: f32| move |distance_m: &[f32; 3]| distance_m.iter().all(|along_m| *along_m <= steps * step_m);
+    assert!(distances_m.iter().all(is_within(1.001)), "{distances_m:?}");
+    assert!(distances_m.iter().any(is_within(0.501)), "the nearest is one of them: {distances_m:?}");
+    let different: BTreeSet<_> = offsets.into_iter().collect();
+    assert_eq!(different.len(), 4, "one is at the hit along z");
+    let beyond = NearHits::offsets_around(from_m, [9.0, 2.0, -9.0], 0.2);
+    assert!(beyond.iter().all(|offset| *offset == [2040, 0, -2040]), "{beyond:?}");
 }
 
 #[test]

@@ -72,6 +72,7 @@ pub fn trace(
         transport,
         sources: Sources::new(world, tree, settings.patches.sky_parts),
         reads: Reads::new(world, stage),
+        clear_way_m: near::clear_way_m(settings, near::longest_texel_m(&world.lightmap, receivers)),
     };
     let texels: Vec<Texel> = receivers.iter().map(|&receiver| Texel::of(world, receiver)).collect();
     let is_as_baked = detail == Detail::AsBaked;
@@ -139,6 +140,8 @@ struct Gathering<'a> {
     transport: &'a PatchTransport,
     sources: Sources<'a>,
     reads: Reads<'a>,
+    /// As in [`near::clear_way_m`].
+    clear_way_m: f32,
 }
 
 impl Gathering<'_> {
@@ -164,7 +167,7 @@ impl Gathering<'_> {
 
     /// Casts a receiver's rays.
     fn cast(&self, receiver: u32) -> Gathered {
-        let Self { transport, sources, reads, .. } = self;
+        let Self { transport, sources, reads, clear_way_m } = self;
         let PatchTransport { world, settings, .. } = transport;
         let hemisphere = self.hemisphere(receiver);
         let (mut gathered, mut near) = (Gathered::default(), Near::default());
@@ -198,6 +201,7 @@ impl Gathering<'_> {
         // Whether a place is narrow is known only now: near hits count as such there, and as their leaves elsewhere.
         if near::is_narrow(near.hits.len(), settings) {
             near::keep(row, near.hits, settings, &world.lightmap, texel_m);
+            row.near.iter().for_each(|hit| reads.note_around(hit.position_m(), *clear_way_m));
         } else {
             hits.leaves.append(&mut near.leaves);
             row.shared.uncovered += near.lost;

@@ -41,6 +41,11 @@ impl NearHit {
         Some(Self { receiver, own_normal, position_m })
     }
 
+    /// Place in metres.
+    pub fn position_m(&self) -> Vec3 {
+        self.position_m
+    }
+
     /// Receiver of the texel that has its light, if one does.
     pub fn texel(&self) -> Option<u32> {
         self.own_normal.is_none().then_some(self.receiver)
@@ -50,6 +55,11 @@ impl NearHit {
 /// Distance in metres up to which a hit is near; 0 where none is.
 pub fn reach_m(settings: &TracedSettings, texel_m: f32) -> f32 {
     if settings.patches.near_hits == 0 { 0.0 } else { settings.patches.near_texels * texel_m }
+}
+
+/// Side in metres of the longest texel of some receivers.
+pub fn longest_texel_m(lightmap: &Lightmap, receivers: &[u32]) -> f32 {
+    receivers.iter().map(|&receiver| lightmap.texel_m_of(receiver)).fold(0.0, f32::max)
 }
 
 /// Whether so many near hits of a receiver are those of a narrow place.
@@ -100,7 +110,7 @@ pub fn of_rows(world: &World, settings: &TracedSettings, receivers: &[u32], rows
     let on_texels = rows.iter().flat_map(|row| &row.near).filter_map(NearHit::texel);
     let blocks = Numbering::of(on_texels.map(|texel| lightmap.block_key(texel)));
     // Places are told as shares of one reach: that of the longest texels here.
-    let texel_m = receivers.iter().map(|&own| lightmap.texel_m_of(own)).fold(0.0, f32::max);
+    let texel_m = longest_texel_m(lightmap, receivers);
     let mut near = NearHits { reach_m: reach_m(settings, texel_m), ..NearHits::default() };
     for (&receiver, row) in receivers.iter().zip(rows) {
         let from_m = lightmap.receivers[receiver as usize].position_m;
@@ -123,6 +133,13 @@ pub fn of_rows(world: &World, settings: &TracedSettings, receivers: &[u32], rows
 
 /// Longer than the way from a hit to its stored place, for what the receiver's own place is rounded by.
 const CLEAR_WAY: f32 = 1.25;
+/// Longest such way in stored steps, and a little more: a diagonal, and the step by which places are raised.
+const CLEAR_STEPS: f32 = 4.0;
+
+/// Distance in metres from a hit within which walls decide where its stored place is, `texel_m` being the longest texel of its cell.
+pub fn clear_way_m(settings: &TracedSettings, texel_m: f32) -> f32 {
+    CLEAR_STEPS * f32::from(NearHits::STEPS_STORED) / f32::from(NearHits::STEPS) * reach_m(settings, texel_m)
+}
 
 /// Offset of a hit from its receiver as it is stored: of the eight roundings the nearest that no wall parts from the hit, as
 /// light is read there and a millimetre may be the whole of a wall. If walls part all, the nearest.
