@@ -187,12 +187,12 @@ impl<'a> EmitterIrradianceSum<'a> {
         }
     }
 
-    /// The sums so far, one per emitter, for the radiance that is asked for.
-    pub fn sums(&self, of: Radiance) -> Vec<[f32; 3]> {
+    /// The sums, one per emitter, for the radiance that is asked for.
+    pub fn finish(self, of: Radiance) -> Vec<[f32; 3]> {
         match of {
-            Radiance::One => self.sums.clone(),
+            Radiance::One => self.sums,
             Radiance::OfMaterials => {
-                let all = self.sums.iter().zip(&self.set.radiance);
+                let all = self.sums.into_iter().zip(&self.set.radiance);
                 all.map(|(sum, radiance)| [0, 1, 2].map(|channel| sum[channel] * radiance[channel])).collect()
             }
         }

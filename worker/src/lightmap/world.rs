@@ -104,18 +104,6 @@ impl World {
         Self { geometry, lightmap, texels, raised_m, sharers, open_about, tiles, texel_triangles }
     }
 
-    /// No wall parts a receiver's texel.
-    pub fn is_whole(&self, receiver: u32) -> bool {
-        self.lightmap.receivers[receiver as usize].coverage == WHOLE
-    }
-
-    /// A receiver takes the light of another, or another takes its own.
-    pub fn is_shared(&self, receiver: u32) -> bool {
-        let lender = self.lightmap.receivers[receiver as usize].light_of;
-        let first = self.sharers.partition_point(|[other, _]| *other < receiver);
-        lender != receiver || self.sharers.get(first).is_some_and(|[other, _]| *other == receiver)
-    }
-
     /// A receiver's texel is whole, as are its eight neighbours, and all are linked to it: a wall that reaches between the
     /// points that tell so is met in a neighbour, unless it stands free and is narrower than they are apart.
     fn is_whole_about(&self, receiver: u32) -> bool {

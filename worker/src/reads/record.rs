@@ -64,13 +64,6 @@ impl<'a> Reads<'a> {
         self.trail.mark_box(point_m - reach_m, point_m + reach_m);
     }
 
-    /// Notes what a receiver's own texel says.
-    pub fn note_receiver(&self, receiver: u32) {
-        let own = &self.world.lightmap.receivers[receiver as usize];
-        let texel = own.texel.map(i32::from);
-        self.world.tiles.of_box(own.block, [texel; 2]).for_each(|tile| self.tiles.add(tile as usize));
-    }
-
     /// Names of what was read.
     fn into_names(self, stage: &Stage) -> Vec<Name> {
         let cells = self.trail.crossed().map(|index| Name::cell(stage.grid.cell(index)));

@@ -36,10 +36,6 @@ pub struct HemisphereRay {
 pub struct Surroundings {
     /// Irradiance straight from each emitter, W·m⁻².
     pub emitters: Vec<[f32; 3]>,
-    /// The part of it that rays met.
-    pub emitters_met: Vec<[f32; 3]>,
-    /// Mean of 1/t² over the rays, t being their lengths, in m⁻²: by how much irradiance may bend along the surface.
-    pub nearness_m2: f32,
     /// Mean length of the rays that met something, in metres.
     pub mean_path_m: f32,
 }
@@ -82,7 +78,7 @@ impl<'a> Hemisphere<'a> {
     ) -> Surroundings {
         let mut emitted = self.emitted(emitter_rays);
         let points = R2::new(self.seed);
-        let (mut path_m, mut hits, mut nearness_m2) = (0.0, 0, 0.0);
+        let (mut path_m, mut hits) = (0.0, 0);
         for (index, site) in self.texel.iter().enumerate() {
             let offset_m = self.geometry.tracer.ray_offset_m(site.position_m);
             let (origin_m, directions) = (site.ray_origin_m(offset_m), site.directions());
@@ -93,7 +89,6 @@ impl<'a> Hemisphere<'a> {
                 trail.mark(direction, hit.map(|hit| hit.t));
                 if let Some(hit) = &hit {
                     (path_m, hits) = (path_m + hit.t, hits + 1);
-                    nearness_m2 += (hit.t * hit.t).max(f32::MIN_POSITIVE).recip();
                     // Mirrored directions have another density than the weights know; sampling covers them alone.
                     if !is_mirrored {
                         emitted.add_hit(hit, direction, site.normal);
@@ -102,21 +97,8 @@ impl<'a> Hemisphere<'a> {
                 met(HemisphereRay { origin_m, direction }, hit.as_ref());
             }
         }
-        let emitters_met = emitted.sums(self.radiance);
         emitted.sample_emitters(self.seed, trail);
-        Surroundings {
-            emitters: emitted.sums(self.radiance),
-            emitters_met,
-            nearness_m2: nearness_m2 / self.rays as f32,
-            mean_path_m: path_m / hits.max(1) as f32,
-        }
-    }
-
-    /// The part of the light straight from emitters that rays to them give: the rest is [`Surroundings::emitters_met`].
-    pub fn sample_emitters(&self, emitter_rays: u32, trail: &Trail) -> Vec<[f32; 3]> {
-        let mut emitted = self.emitted(emitter_rays);
-        emitted.sample_emitters(self.seed, trail);
-        emitted.sums(self.radiance)
+        Surroundings { emitters: emitted.finish(self.radiance), mean_path_m: path_m / hits.max(1) as f32 }
     }
 
     fn emitted(&self, emitter_rays: u32) -> EmitterIrradianceSum<'_> {

@@ -22,9 +22,6 @@ settings_group! {
         /// Near hits that a receiver in a narrow place keeps; 0: none, all light is that of texels. More → less noise in gaps
         /// that a lamp shines into, more bytes and run-time cost.
         near_hits: u32 = [0, 16, 16], |v| v <= 255, "0..=255";
-        /// Sides of rectangles of texels between whose corners rows are interpolated, over the free path there; 0: all receivers
-        /// cast rays. More → fewer rays, blurs of light beside what is near.
-        bend: f32 = [0.0, 0.0, 0.0], |v| (0.0..=2.0).contains(&v), "0..=2";
     }
 }
 

@@ -8,7 +8,6 @@ mod evaluated;
 mod gather;
 mod near;
 mod plan;
-mod sparse;
 mod transport;
 mod truncate;
 
@@ -114,8 +113,6 @@ impl Row {
 struct Recorded {
     pieces: Vec<NamedPiece>,
     index: CellIndex,
-    /// Receivers that cast rays.
-    casting: usize,
     /// All that was read, unless that was too much.
     record: Option<Record>,
 }
@@ -160,6 +157,6 @@ impl PatchTransport {
         let cavity_m = DEAD_PATH_TEXELS * self.world.lightmap.texel_m;
         let index = CellIndex::of(found.rows.iter().map(|row| (&row.shared, row.is_dead())), cavity_m);
         let pieces = truncate::pieces(self, &found.keys, cell, &found.rows, progress)?;
-        Ok(Recorded { pieces, index, casting: found.casting, record: found.record })
+        Ok(Recorded { pieces, index, record: found.record })
     }
 }

@@ -36,13 +36,12 @@ pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> 
     }
     let transport =
         PatchTransport { stage, radiance: Radiance::One, ..PatchTransport::of(context, settings.clone())? };
-    let Recorded { pieces, index, casting, record } = transport.recorded(&cell, context.progress)?;
+    let Recorded { pieces, index, record } = transport.recorded(&cell, context.progress)?;
     let mut output = colourless(pieces, quantisation(&settings), index)?;
     if let Some(record) = record {
         output.artefacts.push((RECORD_ARTEFACT.to_owned(), record.encoded()?));
     }
     output.counters.insert("receivers_traced".into(), receivers as f64);
-    output.counters.insert("receivers_casting".into(), casting as f64);
     output.note = note(receivers, changed.as_ref());
     Ok(output)
 }
