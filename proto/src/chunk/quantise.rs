@@ -2,8 +2,9 @@
 //!
 //! With orthonormal columns in U, an error in U's column i weighs σ_i = ‖(ΣVᵀ)_i‖ and an error in ΣVᵀ's row i weighs
 //! ‖U_i‖ = 1. Codes of one step Δ in those weighted units spend bits where they count: the steps are
-//! `s_u[i] = 1.5 Δ/‖(ΣVᵀ)_i‖` and `s_v[i] = Δ/‖U_i‖`, so that strong ranks get many levels and weak ones few. Δ is found by
-//! search; the error is measured on the numbers that a decoder will have.
+//! `s_u[i] = 1.5 Δ/‖(ΣVᵀ)_i‖` and `s_v[i] = Δ/((1 + c_i) ‖U_i‖)`, so that strong ranks get many levels and weak ones few. c_i is 1
+//! where U's column is alike in all rows and 0 where its sum is 0. Δ is found by search; the error is measured on the numbers
+//! that a decoder will have.
 
 use super::error::{ChunkError, all_finite, all_numbers};
 
@@ -114,8 +115,32 @@ fn at_step(u: &[f32], vt: &[f32], norms: [&[f64]; 2], step: f64) -> Quantised {
         weights.iter().map(|&weight| if weight > 0.0 { (step / weight) as f32 } else { 0.0 }).collect()
     };
     let (mut u_step, mut vt_step) = (steps(vt_norm, U_SHARE * step), steps(u_norm, step));
+    let columns = u.chunks_exact((u.len() / u_norm.len().max(1)).max(1));
+    for ((u_step, vt_step), column) in u_step.iter_mut().zip(&mut vt_step).zip(columns) {
+        *vt_step /= 1.0 + common(column);
+        // A column of one value is exact, with one code.
+        if let Some(value) = only_value(column) {
+            *u_step = value;
+        }
+    }
     let (u, vt) = (codes(u, &mut u_step), codes(vt, &mut vt_step));
     Quantised { u, vt, u_step, vt_step, relative_error: 0.0 }
+}
+
+/// How far a column of U is alike in all rows that it reaches: 1 where they have one value, 0 where their sum is 0. Errors of such
+/// a rank are errors of the cluster's energy, and go on from bounce to bounce where others' cancel.
+fn common(column: &[f32]) -> f32 {
+    let (mut sum, mut squares, mut count) = (0.0_f64, 0.0_f64, 0_u32);
+    for value in column.iter().map(|&value| f64::from(value)).filter(|&value| value != 0.0) {
+        (sum, squares, count) = (sum + value, squares + value * value, count + 1);
+    }
+    if count == 0 { 0.0 } else { (sum * sum / (squares * f64::from(count))) as f32 }
+}
+
+/// The value, above 0, that all of a column's rows have but those where it is 0.
+fn only_value(column: &[f32]) -> Option<f32> {
+    let first = *column.iter().find(|value| **value != 0.0)?;
+    (first > 0.0 && column.iter().all(|&value| value == 0.0 || value == first)).then_some(first)
 }
 
 /// Codes of rank-major numbers; a rank whose codes are all zero has step 0.
@@ -224,6 +249,26 @@ mod tests {
             assert!(codes.relative_error <= f64::from(target));
             assert!(codes.relative_error >= 0.8 * f64::from(target), "{}", codes.relative_error);
         }
+    }
+
+    #[test]
+    fn what_all_rows_share_keeps_its_sum() {
+        // Small numbers beside a few large ones in the rank that all rows share, and as much in another.
+        let rows = 24;
+        let even = 1.0 / libm::sqrtf(rows as f32);
+        let alternating: Vec<f32> = (0..rows).map(|row| if row % 2 == 0 { even } else { -even }).collect();
+        let u = [vec![even; rows], alternating].concat();
+        let small = |column: usize| 0.02 * (column as f32 * 0.618).fract();
+        let of_rank: Vec<f32> = (0..400).map(|column| if column < 8 { 1.0 } else { small(column) }).collect();
+        let vt = [of_rank.clone(), of_rank.clone()].concat();
+        let codes = quantise(&u, &vt, 2, 0.08).unwrap();
+        assert!(codes.u[..rows].iter().all(|&code| code == 1) && codes.u_step[0] == even);
+        let sum_of = |rank: usize| -> f32 {
+            codes.vt[rank * 400..][..400].iter().map(|&code| value(code, codes.vt_step[rank])).sum()
+        };
+        let exact: f32 = of_rank.iter().sum();
+        assert!((sum_of(0) / exact - 1.0).abs() < 0.1, "{} of {exact}", sum_of(0));
+        assert!(sum_of(1) < 0.8 * exact, "the other rank's are worth no code: {} of {exact}", sum_of(1));
     }
 
     #[test]

@@ -4,6 +4,8 @@
 //! kernels of the linear-algebra crates choose their vector width and blocking by the processor they meet: two workers
 //! of different make would give chunks of different digests.
 
+use std::iter;
+
 use rayon::prelude::*;
 
 /// A dense matrix, row by row.
@@ -39,24 +41,36 @@ impl Factors {
         transposed(&transpose_times(a, &self.u, self.rank), self.rank)
     }
 
-    /// U of the first k columns, and one more that makes the sum over all rows exact for every column of A, unless it
-    /// is so already.
+    /// A basis of the first k columns of U and the sum over all rows: the sum, in every row alike, is the first column, and the
+    /// others are turned as little as that needs. It has k columns if the sum lies in their span, k + 1 else.
     pub fn with_sum(&self, k: usize, rows: usize) -> (usize, Vec<f32>) {
         let column = |c: usize| (0..rows).map(move |r| f64::from(self.u[r * self.rank + c]));
-        let mut rest = vec![1.0; rows];
-        for c in 0..k {
-            let share: f64 = column(c).sum();
+        let even = (rows as f64).sqrt().recip();
+        // The sum's direction in the basis of the k columns and of what they lack of it.
+        let mut along: Vec<f64> = (0..k).map(|c| even * column(c).sum::<f64>()).collect();
+        let sign = if along.first().is_some_and(|&first| first < 0.0) { -1.0 } else { 1.0 };
+        along.iter_mut().for_each(|share| *share *= sign);
+        let mut rest = vec![sign * even; rows];
+        for (c, share) in along.iter().enumerate() {
             rest.iter_mut().zip(column(c)).for_each(|(rest, u)| *rest -= share * u);
         }
         let squares: f64 = rest.iter().map(|value| value * value).sum();
-        let is_new = squares > SUM_NEW_MIN * rows as f64;
-        let scale = squares.sqrt().recip();
-        let mut u = Vec::with_capacity(rows * (k + 1));
-        for (r, rest) in rest.into_iter().enumerate() {
-            u.extend_from_slice(&self.u[r * self.rank..][..k]);
-            u.extend(is_new.then_some((rest * scale) as f32));
+        let is_new = squares > SUM_NEW_MIN;
+        if is_new {
+            rest.iter_mut().for_each(|value| *value /= squares.sqrt());
+            along.push(squares.sqrt());
         }
-        (k + usize::from(is_new), u)
+        // The rotation by least that takes the first column to the sum.
+        let turn: Vec<f64> = along.iter().map(|share| share / (1.0 + along[0])).collect();
+        let of_row = |r: usize| {
+            let old =
+                self.u[r * self.rank..][..k].iter().map(|&u| f64::from(u)).chain(is_new.then_some(rest[r]));
+            let old: Vec<f64> = old.collect();
+            let moved = old[0] + sign * even;
+            let others = old.iter().zip(&turn).skip(1).map(move |(u, turn)| (u - turn * moved) as f32);
+            iter::once(even as f32).chain(others.collect::<Vec<f32>>())
+        };
+        (along.len(), (0..rows).flat_map(of_row).collect())
     }
 }
 
@@ -338,6 +352,32 @@ mod tests {
             let criterion = 1.0 - (kept / all).sqrt();
             assert!(factors.s1_criterion_bound >= criterion - 1e-4, "{factors:?} {criterion}");
             assert!(factors.s1_criterion_bound <= criterion + 0.01, "{factors:?} {criterion}");
+        }
+    }
+
+    #[test]
+    fn the_sum_over_rows_is_the_first_column_of_a_basis_of_the_same_span() {
+        let a = decaying(30, 50);
+        let factors = factorise(&a, 8, 0.0, &seeds(50));
+        for k in [0, 1, 8] {
+            let (rank, u) = factors.with_sum(k, 30);
+            assert_eq!(rank, k + 1);
+            let column = |u: &[f32], rank: usize, c: usize| -> Vec<f64> {
+                u.iter().skip(c).step_by(rank).map(|&value| f64::from(value)).collect()
+            };
+            let dot = |a: &[f64], b: &[f64]| -> f64 { a.iter().zip(b).map(|(a, b)| a * b).sum() };
+            let basis: Vec<Vec<f64>> = (0..rank).map(|c| column(&u, rank, c)).collect();
+            assert!(basis[0].iter().all(|&value| value == basis[0][0] && value > 0.0), "{:?}", basis[0]);
+            for (i, a) in basis.iter().enumerate() {
+                for (j, b) in basis.iter().enumerate() {
+                    assert!((dot(a, b) - f64::from(u8::from(i == j))).abs() < 1e-5, "columns {i} and {j}");
+                }
+            }
+            for c in 0..k {
+                let old = column(&factors.u, factors.rank, c);
+                let held: f64 = basis.iter().map(|column| dot(column, &old).powi(2)).sum();
+                assert!((held - 1.0).abs() < 1e-5, "column {c} is in the span: {held}");
+            }
         }
     }
 
