@@ -58,7 +58,7 @@ settings_group! {
         /// Relative error of truncation: the smallest rank whose dropped singular values hold at most this share
         /// (root of the squares, columns weighted by the spectrum that radiance is expected to have). It also bounds the loss
         /// by patches that are not told apart, and by quantisation. Smaller → higher ranks, more bytes.
-        rank_error: f32 = [0.02, 0.012, 0.006], |v| (1e-5..=0.5).contains(&v), "0.00001..=0.5";
+        rank_error: f32 = [0.01, 0.005, 0.003], |v| (1e-5..=0.5).contains(&v), "0.00001..=0.5";
         /// Smallest cluster that is still split when `rank_max` does not suffice.
         split_receivers_min: u32 = [256, 256, 256], |v| (2..=8192).contains(&v), "2..=8192";
     }

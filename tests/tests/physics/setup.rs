@@ -43,7 +43,7 @@ pub fn careful(kind: &'static str, texel_m: f32) -> Recipe {
     match kind {
         "prt" => {
             let settings =
-                json!({ "preset": "medium", "texel_m": texel_m, "rank_error": 0.01, "emitter_rays": 32 });
+                json!({ "preset": "medium", "texel_m": texel_m, "rank_error": 0.005, "emitter_rays": 32 });
             Recipe { kind, settings }
         }
         _ => with_texels(kind, texel_m, 128),

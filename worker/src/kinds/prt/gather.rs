@@ -17,7 +17,7 @@ use crate::transport::{
 
 /// Error of taking patches whole as a share of that of truncation: behind bends it is light that is not there, as hidden
 /// parts of a patch are lit like those in sight, and columns of differences cost little.
-const CUT_SHARE: f32 = 0.08;
+const CUT_SHARE: f32 = 0.16;
 
 /// Rows of a cell's receivers.
 pub struct Traced {

@@ -11,9 +11,9 @@ use crate::factors::{CellIndex, Piece, cell_of_task, encoded};
 use crate::reads::{Changes, RECORD_ARTEFACT, Record, Stage};
 use crate::task::{Context, FetchError, TaskError, TaskOutput, params};
 
-/// Error of quantisation as a share of that of truncation. Truncation drops noise of rays for a good part, quantisation adds its
-/// own.
-const QUANTISATION_SHARE: f32 = 0.55;
+/// Error of quantisation as a share of that of truncation: numbers of few bits cost less than ranks, whose loss shows as steps between
+/// clusters.
+const QUANTISATION_SHARE: f32 = 1.1;
 /// Least and most error of quantisation.
 const QUANTISATION_ERROR: [f32; 2] = [2e-4, 0.05];
 
