@@ -64,10 +64,15 @@ pub(super) fn quantise(
     let weights = |factor: &[f32], length: usize| -> Vec<f64> {
         factor.chunks_exact(length).map(|row| dot(row, row).sqrt()).collect()
     };
-    let (u_norm, vt_norm) = (weights(u, rows), weights(vt, columns));
+    let shape = Shape {
+        u_norm: weights(u, rows),
+        vt_norm: weights(vt, columns),
+        finer: u.chunks_exact(rows).map(|column| 1.0 + common(column)).collect(),
+        only: u.chunks_exact(rows).map(only_value).collect(),
+    };
     let first_step = norm * target * (12.0 / (u.len() + vt.len()) as f64).sqrt();
     let at = |step: f64| {
-        let mut codes = at_step(u, vt, [&u_norm, &vt_norm], step);
+        let mut codes = at_step(u, vt, &shape, step);
         codes.relative_error = product_error(u, vt, &codes, rank) / norm;
         codes
     };
@@ -108,21 +113,26 @@ fn search(first_step: f64, target: f64, at: impl Fn(f64) -> Quantised) -> Option
     best
 }
 
-/// Codes at step Δ, given ‖U_i‖ and ‖(ΣVᵀ)_i‖.
-fn at_step(u: &[f32], vt: &[f32], norms: [&[f64]; 2], step: f64) -> Quantised {
-    let [u_norm, vt_norm] = norms;
+/// What steps hang on, of each rank.
+struct Shape {
+    /// ‖U_i‖.
+    u_norm: Vec<f64>,
+    /// ‖(ΣVᵀ)_i‖.
+    vt_norm: Vec<f64>,
+    /// 1 + c_i: how much finer the steps of ΣVᵀ are.
+    finer: Vec<f32>,
+    /// The one value of U's column: it is exact, with one code.
+    only: Vec<Option<f32>>,
+}
+
+/// Codes at step Δ.
+fn at_step(u: &[f32], vt: &[f32], shape: &Shape, step: f64) -> Quantised {
     let steps = |weights: &[f64], step: f64| -> Vec<f32> {
         weights.iter().map(|&weight| if weight > 0.0 { (step / weight) as f32 } else { 0.0 }).collect()
     };
-    let (mut u_step, mut vt_step) = (steps(vt_norm, U_SHARE * step), steps(u_norm, step));
-    let columns = u.chunks_exact((u.len() / u_norm.len().max(1)).max(1));
-    for ((u_step, vt_step), column) in u_step.iter_mut().zip(&mut vt_step).zip(columns) {
-        *vt_step /= 1.0 + common(column);
-        // A column of one value is exact, with one code.
-        if let Some(value) = only_value(column) {
-            *u_step = value;
-        }
-    }
+    let (mut u_step, mut vt_step) = (steps(&shape.vt_norm, U_SHARE * step), steps(&shape.u_norm, step));
+    u_step.iter_mut().zip(&shape.only).for_each(|(step, only)| *step = only.unwrap_or(*step));
+    vt_step.iter_mut().zip(&shape.finer).for_each(|(step, finer)| *step /= finer);
     let (u, vt) = (codes(u, &mut u_step), codes(vt, &mut vt_step));
     Quantised { u, vt, u_step, vt_step, relative_error: 0.0 }
 }

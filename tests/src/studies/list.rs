@@ -82,8 +82,8 @@ pub const STUDIES: &[Study] = &[
         answer: "Patches, by far: what spherical harmonics reach with 201 to 267 bytes a receiver (13.4 % and 8.2 %) \
                  patches pass with 19 to 56 (7.4 % in Cornell, 10.8 % in the corridor), with a tenth of the rays, and \
                  only patches get better with more bytes: the error of sh is transport's, the blur of its bands, and \
-                 no rank mends that. The default is patches. (sh with n_overlaps=10; 5 probes, the default since, take a quarter off its bytes and leave \
-                 its error.)",
+                 no rank mends that. The default is patches. (sh with n_overlaps=10; 5 probes, the default since, \
+                 take a quarter off its bytes and leave its error.)",
         scenes: ROOMS,
         fixed: &[],
         lines: BASES,

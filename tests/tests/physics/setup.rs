@@ -37,7 +37,7 @@ pub fn with_texels(kind: &'static str, texel_m: f32, transport_rays: u32) -> Rec
     Recipe { kind, settings }
 }
 
-/// Settings for places where small things count. Of patches: twice the columns of a draft and a third of its error of
+/// Settings for places where small things count. Of patches: more columns than a draft has and half its error of
 /// truncation, as a draft is too bright there by a tenth and more; 6 to 8 % of it are left with these.
 pub fn careful(kind: &'static str, texel_m: f32) -> Recipe {
     match kind {

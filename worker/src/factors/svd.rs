@@ -4,8 +4,6 @@
 //! kernels of the linear-algebra crates choose their vector width and blocking by the processor they meet: two workers
 //! of different make would give chunks of different digests.
 
-use std::iter;
-
 use rayon::prelude::*;
 
 /// A dense matrix, row by row.
@@ -62,15 +60,15 @@ impl Factors {
         }
         // The rotation by least that takes the first column to the sum.
         let turn: Vec<f64> = along.iter().map(|share| share / (1.0 + along[0])).collect();
-        let of_row = |r: usize| {
-            let old =
-                self.u[r * self.rank..][..k].iter().map(|&u| f64::from(u)).chain(is_new.then_some(rest[r]));
-            let old: Vec<f64> = old.collect();
+        let mut u = Vec::with_capacity(rows * along.len());
+        for (r, rest) in rest.into_iter().enumerate() {
+            let old = self.u[r * self.rank..][..k].iter().map(|&u| f64::from(u));
+            let old: Vec<f64> = old.chain(is_new.then_some(rest)).collect();
             let moved = old[0] + sign * even;
-            let others = old.iter().zip(&turn).skip(1).map(move |(u, turn)| (u - turn * moved) as f32);
-            iter::once(even as f32).chain(others.collect::<Vec<f32>>())
-        };
-        (along.len(), (0..rows).flat_map(of_row).collect())
+            u.push(even as f32);
+            u.extend(old.iter().zip(&turn).skip(1).map(|(u, turn)| (u - turn * moved) as f32));
+        }
+        (along.len(), u)
     }
 }
 
