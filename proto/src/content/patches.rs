@@ -86,14 +86,15 @@ pub struct PatchSet {
     pub block: Vec<u32>,
     /// Texel of each receiver. Where no cluster has a receiver of it, no light reaches it: it counts as dark.
     pub texel: Vec<Texel>,
-    /// Surface of each receiver: its weight in the mean.
+    /// Seen area of each receiver: its weight in the mean.
     pub area: Vec<AreaCode>,
     /// Parts of the sky S; part s holds the directions nearest to [`crate::harmonics::relight_direction`]`(s, S)`.
     pub sky_parts: u32,
 }
 
-/// How much surface stands behind a texel, in texels: `2^((code − 128)/16)`, so within 2.2 %, from 1/256 to 244. Texels
-/// on a chart's rim have less than those in its middle, and charts of uneven density more or less.
+/// An area in texels: `2^((code − 128)/16)`, so within 2.2 %, from 1/256 to 244. Of a receiver it is that of the surface that
+/// reads it: texels on a chart's rim have less than those in its middle, and charts of uneven density more or less. Its
+/// *seen area* is that times the share of its hemisphere that far surfaces fill.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct AreaCode(pub u8);
 

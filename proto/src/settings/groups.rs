@@ -55,10 +55,6 @@ settings_group! {
         cluster_receivers: u32 = [256, 256, 256], |v| (16..=8192).contains(&v), "16..=8192";
         /// Highest rank of a cluster's factors; a cluster that needs more is split.
         rank_max: u32 = [48, 64, 64], |v| (1..=64).contains(&v), "1..=64";
-        /// Relative error of truncation: the smallest rank whose dropped singular values hold at most this share
-        /// (root of the squares, columns weighted by the spectrum that radiance is expected to have). It also bounds the loss
-        /// by patches that are not told apart, and by quantisation. Smaller → higher ranks, more bytes.
-        rank_error: f32 = [0.01, 0.005, 0.003], |v| (1e-5..=0.5).contains(&v), "0.00001..=0.5";
         /// Smallest cluster that is still split when `rank_max` does not suffice.
         split_receivers_min: u32 = [256, 256, 256], |v| (2..=8192).contains(&v), "2..=8192";
     }

@@ -24,7 +24,7 @@ pub use components::components;
 pub use encode::{CellIndex, encoded, stored, stored_as};
 pub use evaluated::{ERROR_CLASSES, FactoredBake};
 pub use join::Part;
-pub use patch_matrix::PatchMatrix;
+pub use patch_matrix::{PatchMatrix, TruncationBounds};
 pub use split::{Factored, Truncation, split};
 pub use svd::{Factors, Matrix, factorise};
 

@@ -1,7 +1,6 @@
 //! Rows over patches while they are factorised: truncated by the columns that light is expected to need.
 
 use lightkiln_proto::content::PatchKey;
-use lightkiln_proto::settings::FactorSettings;
 
 use super::{Factors, Matrix, factorise};
 use crate::rays::sampling::seed_of;
@@ -11,6 +10,15 @@ use crate::rays::sampling::seed_of;
 const NOISE_FACTOR: f64 = 2.0;
 /// Least share of a matrix that is taken for signal, in squares: of single rays nobody knows.
 const SIGNAL_MIN: f64 = 1e-3;
+
+/// How much of a matrix is left out.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TruncationBounds {
+    /// Highest rank.
+    pub rank_max: usize,
+    /// Relative error up to which ranks are dropped.
+    pub error_max: f32,
+}
 
 /// Rows over patches, each with its importance-weighted columns; receivers' or any others.
 pub struct PatchMatrix<'a> {
@@ -59,22 +67,22 @@ impl<'a> PatchMatrix<'a> {
     ///
     /// U of the importance-weighted matrix with a column for the sum, and ΣVᵀ = UᵀA, so that a cluster's energy is right
     /// under every light. The rank is the smallest whose dropped signal is within the error that is set.
-    pub fn factored(&self, rows: &[usize], settings: &FactorSettings) -> (Factors, bool) {
+    pub fn factored(&self, rows: &[usize], bounds: TruncationBounds) -> (Factors, bool) {
         // Factorise to the highest rank: which of it is signal is seen only afterwards.
         let [weighted, noise] = [0, 1].map(|which| self.weighted(rows, which));
-        let mut factors = factorise(&weighted, settings.rank_max as usize, 0.0, &self.seeds());
+        let mut factors = factorise(&weighted, bounds.rank_max, 0.0, &self.seeds());
         if factors.rank == 0 {
             return (factors, true);
         }
         // Drop ranks from the last on while their signal fits into the error: noise, which the two halves of the rays do
         // not share, is worth no rank.
-        let (rank, error) = rank(&factors, &weighted, &noise, settings);
+        let (rank, error) = rank(&factors, &weighted, &noise, bounds);
         // One more column for the sum over rows keeps energy exact.
         (factors.rank, factors.u) = factors.with_sum(rank, rows.len());
         // Project A itself on U: then only columns are lost that no row tells apart.
         factors.vt = factors.projected(&self.alpha(rows));
         factors.truncation_error = error;
-        let suffices = error <= settings.rank_error;
+        let suffices = error <= bounds.error_max;
         (factors, suffices)
     }
 
@@ -112,7 +120,7 @@ fn squares(values: &[f32]) -> f64 {
 }
 
 /// The smallest rank whose dropped signal is within the error that is set, and that error.
-fn rank(factors: &Factors, weighted: &Matrix, noise: &Matrix, settings: &FactorSettings) -> (usize, f32) {
+fn rank(factors: &Factors, weighted: &Matrix, noise: &Matrix, bounds: TruncationBounds) -> (usize, f32) {
     let [values, noises] = [weighted, noise].map(|matrix| squares(&matrix.values));
     let total = (values - noises).max(SIGNAL_MIN * values);
     let columns = weighted.columns.max(1);
@@ -126,12 +134,12 @@ fn rank(factors: &Factors, weighted: &Matrix, noise: &Matrix, settings: &FactorS
     // Beyond the ranks known, of values and noise alike: nothing is where the ranks span all rows, however noisy.
     let known: f64 = of_ranks.iter().map(|[values, noise]| values - noise).sum();
     let mut left_out = (values - noises - known).max(0.0);
-    let allowed = f64::from(settings.rank_error).powi(2) * total;
+    let allowed = f64::from(bounds.error_max).powi(2) * total;
     let mut rank = factors.rank;
     while rank > 0 {
         let [values, noise] = of_ranks[rank - 1];
         let signal = (values - NOISE_FACTOR * noise).max(0.0);
-        if left_out + signal > allowed && rank < settings.rank_max as usize {
+        if left_out + signal > allowed && rank < bounds.rank_max {
             break;
         }
         (left_out, rank) = (left_out + signal, rank - 1);
@@ -154,13 +162,7 @@ mod tests {
         });
         let rows = alpha.iter().map(Vec::as_slice).zip(&importance);
         let matrix = PatchMatrix::new(&keys, rows);
-        let settings = FactorSettings {
-            cluster_receivers: 256,
-            rank_max: 8,
-            rank_error: 0.01,
-            split_receivers_min: 256,
-        };
-        let (factors, suffices) = matrix.factored(&[0, 1], &settings);
+        let (factors, suffices) = matrix.factored(&[0, 1], TruncationBounds { rank_max: 8, error_max: 0.01 });
         assert!(suffices && factors.truncation_error <= 0.01, "{factors:?}");
         assert!(factors.rank > 0, "the sum over rows is kept");
     }

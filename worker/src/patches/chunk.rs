@@ -37,7 +37,7 @@ pub fn encoded(tree: &PatchTree, lightmap: &Lightmap, sky_parts: u32) -> Result<
         leaf_starts: tree.leaf_starts.clone(),
         block: tree.receivers.iter().map(block).collect(),
         texel: of_receivers().map(|receiver| receiver.texel).collect(),
-        area: of_receivers().map(|receiver| receiver.area).collect(),
+        area: tree.receivers.iter().map(|&receiver| tree.seen_areas[receiver as usize]).collect(),
         blocks: blocks.into_values(),
         sky_parts,
     };

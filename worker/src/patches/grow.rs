@@ -10,9 +10,10 @@
 use std::collections::BTreeMap;
 
 use glam::Vec3;
-use lightkiln_proto::content::{LINKS, PatchKey, Texel};
+use lightkiln_proto::content::{AreaCode, LINKS, PatchKey, Texel};
 use rayon::prelude::*;
 
+use super::seen::seen_areas;
 use super::{Patch, PatchTree};
 use crate::geometry::lattice::cell_of;
 use crate::lightmap::{World, link_height_m};
@@ -89,7 +90,7 @@ pub fn tree(world: &World, progress: &Progress) -> Result<PatchTree, TaskError> 
             item.place.cell = item.place.cell.map(|c| c.div_euclid(2));
         }
     }
-    Ok(flattened(world, &nodes, &items))
+    Ok(flattened(world, &nodes, &items, seen_areas(world, progress)?))
 }
 
 /// Which of ±x, ±y, ±z a normal is nearest to.
@@ -279,9 +280,12 @@ fn lifted(edges: &[[u32; 2]], parent_of: &[u32]) -> Vec<[u32; 2]> {
 }
 
 /// The tree in order: a patch before its parts, its leaves one after the other.
-fn flattened(world: &World, nodes: &[Node], roots: &[Item]) -> PatchTree {
-    let mut tree =
-        PatchTree { leaf_of_receiver: vec![0; world.lightmap.receivers.len()], ..PatchTree::default() };
+fn flattened(world: &World, nodes: &[Node], roots: &[Item], seen_areas: Vec<AreaCode>) -> PatchTree {
+    let mut tree = PatchTree {
+        leaf_of_receiver: vec![0; world.lightmap.receivers.len()],
+        seen_areas,
+        ..PatchTree::default()
+    };
     let mut roots: Vec<u32> = roots.iter().map(|item| item.node).collect();
     roots.sort_by_key(|&root| nodes[root as usize].key);
     for root in roots {
@@ -325,8 +329,7 @@ fn enter(world: &World, nodes: &[Node], index: u32, tree: &mut PatchTree) {
         [low.min(position_m), high.max(position_m)]
     });
     let of_receivers = &tree.receivers[tree.leaf_starts[first_leaf as usize] as usize..];
-    let areas =
-        of_receivers.iter().map(|&receiver| world.lightmap.receivers[receiver as usize].area.texels());
+    let areas = of_receivers.iter().map(|&receiver| tree.seen_areas[receiver as usize].texels());
     let area_texels = areas.sum();
     let patch = &mut tree.patches[own];
     (patch.leaf_count, patch.end) = (leaves - first_leaf, end);

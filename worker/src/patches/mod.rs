@@ -4,11 +4,12 @@
 
 mod chunk;
 mod grow;
+mod seen;
 
 use std::sync::Arc;
 
 use glam::Vec3;
-use lightkiln_proto::content::PatchKey;
+use lightkiln_proto::content::{AreaCode, PatchKey};
 use lightkiln_proto::jobs::TaskSpec;
 use serde::{Deserialize, Serialize};
 
@@ -49,6 +50,8 @@ pub struct PatchTree {
     pub leaf_starts: Vec<u32>,
     /// Indices of patches, ascending by key.
     pub by_key: Vec<u32>,
+    /// Seen area of each receiver of the lightmap: its weight in the mean radiance of its patches.
+    pub seen_areas: Vec<AreaCode>,
 }
 
 /// A surface patch.
@@ -65,7 +68,7 @@ pub struct Patch {
     pub end: u32,
     /// Lower and upper corner of its receivers' positions in metres.
     pub bounds_m: [Vec3; 2],
-    /// Sum of its receivers' areas, in texels.
+    /// Sum of its receivers' seen areas, in texels.
     pub area_texels: f32,
 }
 

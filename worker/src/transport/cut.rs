@@ -263,6 +263,7 @@ pub(super) mod tests {
             receivers: vec![0, 1, 2, 3],
             leaf_starts: vec![0, 1, 2, 3, 4],
             by_key: (0..7).collect(),
+            ..PatchTree::default()
         }
     }
 

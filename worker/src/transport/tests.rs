@@ -12,16 +12,20 @@ use serde_json::json;
 
 use super::*;
 use crate::emitters::EmitterSet;
-use crate::factors::PatchMatrix;
+use crate::factors::{PatchMatrix, TruncationBounds};
 use crate::geometry::{Grid, Trail};
 use crate::kinds::{BakeKinds, Runner};
-use crate::lightmap::World;
+use crate::lightmap::{Surface, World};
 use crate::patches::PatchTree;
 use crate::task::{LocalRun, Progress};
 
 const CORNELL: &[u8] = include_bytes!("../../../tests/scenes/cornell.glb");
 const FURNACE: &[u8] = include_bytes!("../../../tests/scenes/furnace.glb");
+const ATRIUM: &[u8] = include_bytes!("../../../tests/scenes/atrium.glb");
 const RAYS: u32 = 512;
+/// Level of the patches whose means are looked at, and how many of their sides away rays come from.
+const MEAN_LEVEL: u64 = 3;
+const FAR_SIDES: f32 = 1.5;
 /// `A_l`: the cosine lobe's coefficient of each band.
 const COSINE_LOBE: [f32; 3] = [PI, 2.0 * PI / 3.0, PI / 4.0];
 
@@ -104,7 +108,7 @@ fn rows_of_points_in_free_space_are_cut_factorised_and_bring_the_light_of_a_furn
     // Under radiance 1 from everywhere the irradiance is π along every normal, also by the factors.
     let matrix = PatchMatrix::new(&cut.keys, cut.rows.iter().map(|row| (&row.alpha[..], &row.importance)));
     let rows: Vec<usize> = (0..cut.rows.len()).collect();
-    let (factors, _) = matrix.factored(&rows, &settings.factors);
+    let (factors, _) = matrix.factored(&rows, TruncationBounds { rank_max: 48, error_max: 0.01 });
     let columns = matrix.used(&rows).len();
     assert!(factors.rank > 0 && factors.u.len() == rows.len() * factors.rank);
     // Columns of differences then read 0, all others 1.
@@ -130,4 +134,69 @@ fn rows_of_points_in_free_space_are_cut_factorised_and_bring_the_light_of_a_furn
             }
         }
     }
+}
+
+/// Light that falls off into folds, read by what is far: a patch's mean is that of its parts as rays meet them.
+#[test]
+fn means_by_seen_area_are_those_of_far_rays() {
+    let progress = Progress::new();
+    let settings = Settings::from_json(&json!({ "preset": "draft", "receivers_target": 30_000 })).unwrap();
+    let run = prepared(ATRIUM, &settings, &progress);
+    let world = World::of_run(&run).unwrap();
+    let inputs = run.scene_inputs(&["patches/patches"]);
+    let tree = PatchTree::of(&run.context(&inputs)).unwrap();
+    let area = |receiver: u32| world.lightmap.receivers[receiver as usize].area.texels();
+    let seen_area = |receiver: u32| tree.seen_areas[receiver as usize].texels();
+    // Radiance as the share of rays that meet nothing near.
+    let emitters = EmitterSet::default();
+    let far_m = FAR_SIDES * (1 << MEAN_LEVEL) as f32 * world.lightmap.texel_m;
+    let radiances: Vec<f64> = (0..world.lightmap.receivers.len() as u32)
+        .map(|receiver| {
+            let mut free = 0;
+            Hemisphere::new(&world, &emitters, receiver, 64).cast(
+                0,
+                &Trail::new(&Grid::default()),
+                |_, hit| {
+                    free += u32::from(hit.is_none_or(|hit| hit.t > 0.5 * far_m));
+                },
+            );
+            f64::from(free) / 64.0
+        })
+        .collect();
+    let radiance = |receiver: u32| radiances[receiver as usize];
+    let mean = |patch: u32, weight: &dyn Fn(u32) -> f32| {
+        let of = tree.receivers_of(&tree.patches[patch as usize]).iter();
+        let weighted = of.map(|&r| [f64::from(weight(r)) * radiance(r), f64::from(weight(r))]);
+        let [sum, weights] = weighted.fold([0.0; 2], |[a, b], [c, d]| [a + c, b + d]);
+        sum / weights
+    };
+    // The patch of a level around each receiver.
+    let mut around = vec![None; world.lightmap.receivers.len()];
+    for (index, patch) in (0_u32..).zip(&tree.patches) {
+        if patch.key.level() == MEAN_LEVEL {
+            tree.receivers_of(patch).iter().for_each(|&receiver| around[receiver as usize] = Some(index));
+        }
+    }
+    let (mut met, mut by_area, mut by_seen_area) = (0.0, 0.0, 0.0);
+    for receiver in (0..world.lightmap.receivers.len() as u32).step_by(13) {
+        Hemisphere::new(&world, &emitters, receiver, 64).cast(
+            0,
+            &Trail::new(&Grid::default()),
+            |ray, hit| {
+                let Some(hit) = hit.filter(|hit| hit.t > far_m) else { return };
+                let read = world.linked_surface_at(&hit, ray.origin_m + ray.direction * hit.t);
+                if let Surface::Receiver(read) = read
+                    && let Some(patch) = around[read as usize]
+                {
+                    met += radiance(read);
+                    by_area += mean(patch, &area);
+                    by_seen_area += mean(patch, &seen_area);
+                }
+            },
+        );
+    }
+    println!("texel {} m, {} receivers", world.lightmap.texel_m, world.lightmap.receivers.len());
+    println!("by area {:.4} of what rays meet, by seen area {:.4}", by_area / met, by_seen_area / met);
+    assert!(by_area < 0.99 * met, "the scene has no folds: the test shows nothing");
+    assert!((by_seen_area / met - 1.0).abs() < 0.4 * (1.0 - by_area / met));
 }

@@ -8,7 +8,7 @@ use crate::{kind_settings, settings_group};
 const MEASURED: &str = "a Cornell box and an atrium, draft and medium, on two threads of a server of 2026";
 
 settings_group! {
-    /// Surface patches, the sky's parts and near hits.
+    /// Surface patches, the sky's parts, near hits and the error of factors.
     PatchSettings {
         /// Most patches that a cluster tells apart, besides the parts of the sky; those whose telling apart would lower the
         /// error of irradiance by less than `rank_error²/patches_max`, in squares, are not. More → sharper light, more bytes
@@ -22,6 +22,10 @@ settings_group! {
         /// Near hits that a receiver in a narrow place keeps; 0: none, all light is that of texels. More → less noise in gaps
         /// that a lamp shines into, more bytes and run-time cost.
         near_hits: u32 = [0, 16, 16], |v| v <= 255, "0..=255";
+        /// Relative error of truncation: the smallest rank whose dropped signal holds at most this share (root of the squares,
+        /// columns weighted by the radiance that they are expected to have). It also bounds the loss by patches that are not
+        /// told apart, and by quantisation. Smaller → higher ranks, more bytes.
+        rank_error: f32 = [0.01, 0.005, 0.003], |v| (1e-5..=0.5).contains(&v), "0.00001..=0.5";
     }
 }
 
@@ -34,7 +38,7 @@ kind_settings! {
         place: PlaceSettings,
         /// Rays.
         transport: TransportSettings,
-        /// Patches, sky and near hits.
+        /// Patches, sky, near hits and the error of factors.
         patches: PatchSettings,
         /// Clusters and factors.
         factors: FactorSettings,
@@ -47,7 +51,7 @@ impl Settings {
         let rays = f64::from(self.transport.transport_rays + self.transport.emitter_rays);
         Rates {
             cpu_us: 300.0 + 0.7 * rays,
-            bundle_bytes: 45.0,
+            bundle_bytes: 60.0,
             memory_bytes: 2200.0,
             cluster_receivers: f64::from(self.factors.cluster_receivers),
             measured: MEASURED,

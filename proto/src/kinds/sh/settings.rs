@@ -8,7 +8,7 @@ use crate::{kind_settings, settings_group};
 const MEASURED: &str = "a Cornell box and an atrium, draft and medium, on two threads of a server of 2026";
 
 settings_group! {
-    /// Probes and their spherical harmonics.
+    /// Probes, their spherical harmonics and the error of factors.
     ProbeSettings {
         /// Distance between probes in metres; 0 chooses it from `probes_target`. Smaller → more probes, sharper and more local
         /// light, more time and bytes.
@@ -31,6 +31,9 @@ settings_group! {
         probes_added_max: f32 = [0.5, 1.0, 1.0], |v| (0.0..=10.0).contains(&v), "0..=10";
         /// A candidate probe is inside geometry when more than this share of its rays meets back faces.
         probe_back_face_max: f32 = [0.25, 0.25, 0.25], |v| (0.0..=1.0).contains(&v), "0..=1";
+        /// Relative error of truncation: the smallest rank whose dropped singular values hold at most this share (root of the
+        /// squares, columns weighted by the spectrum that radiance is expected to have). Smaller → higher ranks, more bytes.
+        rank_error: f32 = [0.02, 0.012, 0.006], |v| (1e-5..=0.5).contains(&v), "0.00001..=0.5";
     }
 }
 

@@ -15,7 +15,7 @@ use crate::task::{Context, TaskError, TaskOutput, params};
 pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> {
     let BakeParams { settings, scene, .. } = params(task)?;
     let index = CellIndex::of_inputs(context)?;
-    let report = index.report(settings.factors.rank_error);
+    let report = index.report(settings.patches.rank_error);
     let patches = PatchTree::of(context)?.patches.len() as u64;
     let body = Body { totals: index.totals(), patches, clusters: index.clusters };
     let chunks = vec![(CLUSTERS, index.chunks), (PATCHES, chunk_refs(context, PATCH_SET))];

@@ -71,7 +71,7 @@ pub fn trace(
     let leaves: Vec<u32> = met.iter().map(|leaf| leaf as u32).collect();
     let bounds = CutBounds {
         columns_max: settings.patches.patches_max as usize,
-        error: CUT_SHARE * settings.factors.rank_error,
+        error: CUT_SHARE * settings.patches.rank_error,
     };
     let scale = std::f32::consts::PI / settings.transport.transport_rays as f32;
     progress.check()?;

@@ -21,7 +21,7 @@ use serde::{Deserialize, Serialize};
 use super::{BakeKind, BakeKinds, TaskRow};
 use crate::emitters::{EmitterSet, Radiance};
 use crate::evaluate::{ChunkBytes, Evaluated, EvaluationError};
-use crate::factors::{self, CellIndex, CellRows, ClusterCell, Detail, Piece, Transport};
+use crate::factors::{self, CellIndex, CellRows, ClusterCell, Detail, Piece, Transport, TruncationBounds};
 use crate::lightmap::World;
 use crate::patches::PatchTree;
 use crate::reads::{Record, Stage};
@@ -75,6 +75,12 @@ pub struct TracedSettings {
     transport: TransportSettings,
     patches: PatchSettings,
     factors: FactorSettings,
+}
+
+impl TracedSettings {
+    fn truncation(&self) -> TruncationBounds {
+        TruncationBounds { rank_max: self.factors.rank_max as usize, error_max: self.patches.rank_error }
+    }
 }
 
 impl From<&Settings> for TracedSettings {

@@ -67,7 +67,7 @@ fn colourless(
 
 fn quantisation(settings: &TracedSettings) -> QuantisationSettings {
     QuantisationSettings {
-        relative_error: (QUANTISATION_SHARE * settings.factors.rank_error)
+        relative_error: (QUANTISATION_SHARE * settings.patches.rank_error)
             .clamp(QUANTISATION_ERROR[0], QUANTISATION_ERROR[1]),
         levels: settings.lod_levels,
     }

@@ -52,7 +52,7 @@ pub fn pieces(
 impl Truncation for Cell<'_> {
     fn factored(&self, receivers: &[u32]) -> (Factored, bool) {
         let places = self.places(receivers);
-        let (factors, suffices) = self.matrix.factored(&places, &self.settings.factors);
+        let (factors, suffices) = self.matrix.factored(&places, self.settings.truncation());
         (Factored { factors, groups: self.matrix.used(&places) }, suffices)
     }
 

@@ -17,7 +17,7 @@ pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> 
     let index = CellIndex::of_inputs(context)?;
     let totals = index.totals();
     let set = ProbeSet::of(context)?;
-    let mut report = index.report(settings.factors.rank_error);
+    let mut report = index.report(settings.probes.rank_error);
     report["probe_spacing_m"] = json!(set.spacing_m);
     report["uncovered_bound_met"] =
         json!(totals.uncovered_fraction <= f64::from(settings.probes.uncovered_max));

@@ -50,8 +50,8 @@ pub fn pieces(
 impl Truncation for Cell<'_> {
     fn factored(&self, receivers: &[u32]) -> (Factored, bool) {
         let (matrix, groups) = self.matrix(receivers);
-        let settings = &self.settings.factors;
-        let (rank_max, error_max) = (settings.rank_max as usize, settings.rank_error);
+        let TracedSettings { factors, probes, .. } = self.settings;
+        let (rank_max, error_max) = (factors.rank_max as usize, probes.rank_error);
         let mut factors = factorise(&matrix, rank_max, error_max, &self.seeds(&groups));
         self.unweigh(&mut factors.vt);
         let suffices = factors.truncation_error <= error_max;
