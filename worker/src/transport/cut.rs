@@ -1,7 +1,7 @@
 //! The cut through the tree of patches that rows of a cell tell apart.
 //!
 //! With A_n the share of patch n in a row, of receivers that in their view, and p its parent, `D_n = A_n − (area_n / area_p) A_p` is the excess
-//! of n over its share of p's area, and `Σ_leaves A L = Σ_roots A L + Σ_others D L` for the mean radiances L of
+//! of n over its share of p's seen area, and `Σ_leaves A L = Σ_roots A L + Σ_others D L` for the mean radiances L of
 //! patches: the field of transport in the unnormalised Haar basis of the tree. Where the D of a patch's parts are small for
 //! all rows of the cell, the patch need not be opened. The gain of opening is `Σ_parts σ² Σ_r D²`, with σ² the variance
 //! that the parts' radiance is expected to have about their parent's ([`super::expectation`]).
@@ -14,7 +14,7 @@
 use rayon::prelude::*;
 
 use super::expectation::Expectation;
-use crate::patches::PatchTree;
+use crate::patches::{Patch, PatchTree};
 
 /// Deviations of chance by which a gain is lowered before it counts.
 const CHANCE: f64 = 1.0;
@@ -82,19 +82,20 @@ impl<'a> PatchHits<'a> {
         sums
     }
 
-    /// Share of its parent's area that a part has.
+    /// Share of its parent's seen area that a part has.
     pub fn share(self, part: u32, parent: u32) -> f64 {
-        let area = |patch: u32| f64::from(self.tree.patches[patch as usize].area_texels);
-        area(part) / area(parent)
+        let seen = |patch: u32| f64::from(self.tree.patches[patch as usize].seen_texels);
+        seen(part) / seen(parent)
     }
 
-    /// The same as gains have it.
-    fn share_in_gains(self, part: u32, parent: u32) -> f64 {
-        if self.tree.patches[parent as usize].key.level() <= FINE_LEVEL {
-            return self.share(part, parent);
-        }
-        let area = |patch: u32| stepped_area(self.tree.patches[patch as usize].area_texels);
-        area(part) / area(parent)
+    /// Share of its parent's area that a part has, as gains have it.
+    fn share_in_gains(self, area: fn(&Patch) -> f32, part: u32, parent: u32) -> f64 {
+        let is_large = self.tree.patches[parent as usize].key.level() > FINE_LEVEL;
+        let texels = |patch: u32| {
+            let texels = area(&self.tree.patches[patch as usize]);
+            if is_large { stepped_area(texels) } else { texels.into() }
+        };
+        texels(part) / texels(parent)
     }
 }
 
@@ -137,13 +138,20 @@ pub fn leaves(tree: &PatchTree, leaf_hits: &[LeafHits]) -> Vec<u32> {
         .collect()
 }
 
-/// Value of opening a patch by itself: `Σ_parts σ² Σ_r D²`, less chance.
+/// Value of opening a patch by itself: the larger of those with shares of seen area, as columns have them, and of all area. By seen
+/// area alone the part behind a wall that nothing far sees would count for nothing, and its light would come through.
 fn gain(hits: PatchHits<'_>, expectation: &Expectation, patch: u32) -> f64 {
+    let by = |area| gain_by(area, hits, expectation, patch);
+    by(|patch| patch.seen_texels).max(by(|patch| patch.area_texels))
+}
+
+/// `Σ_parts σ² Σ_r D²`, less chance.
+fn gain_by(area: fn(&Patch) -> f32, hits: PatchHits<'_>, expectation: &Expectation, patch: u32) -> f64 {
     let whole = hits.sums(patch);
     let seeing = whole.iter().filter(|sums| sums[2] > 0.0).count() as f64;
     let mut sum = 0.0;
     for part in hits.tree.parts(patch) {
-        let share = hits.share_in_gains(part, patch);
+        let share = hits.share_in_gains(area, part, patch);
         let (mut squares, mut all, mut variance) = (0.0, 0.0, 0.0);
         for (part, whole) in hits.sums(part).iter().zip(&whole) {
             // D, and X of the same rays with alternating signs: D² − X² is free of the noise of counting.
@@ -237,7 +245,6 @@ pub(super) mod tests {
     use lightkiln_proto::content::PatchKey;
 
     use super::*;
-    use crate::patches::Patch;
 
     /// A root of two parts, each of two leaves of one receiver, 1 m apart along x.
     pub fn tree() -> PatchTree {
@@ -248,6 +255,7 @@ pub(super) mod tests {
             end,
             bounds_m: [first_leaf, first_leaf + leaf_count - 1].map(|leaf| Vec3::X * leaf as f32),
             area_texels: leaf_count as f32,
+            seen_texels: leaf_count as f32,
         };
         PatchTree {
             patches: vec![

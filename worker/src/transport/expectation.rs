@@ -78,6 +78,7 @@ mod tests {
             end: 4,
             bounds_m: [Vec3::ZERO, Vec3::X * *size],
             area_texels: 1.0,
+            seen_texels: 1.0,
         };
         let patches = sizes.iter().enumerate().map(patch).collect();
         let tree = PatchTree { patches, ..PatchTree::default() };

@@ -184,7 +184,7 @@ fn means_by_seen_area_are_those_of_far_rays() {
             &Trail::new(&Grid::default()),
             |ray, hit| {
                 let Some(hit) = hit.filter(|hit| hit.t > far_m) else { return };
-                let read = world.linked_surface_at(&hit, ray.origin_m + ray.direction * hit.t);
+                let read = world.linked_surface_at(hit, ray.origin_m + ray.direction * hit.t);
                 if let Surface::Receiver(read) = read
                     && let Some(patch) = around[read as usize]
                 {
