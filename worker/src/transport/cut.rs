@@ -138,35 +138,39 @@ pub fn leaves(tree: &PatchTree, leaf_hits: &[LeafHits]) -> Vec<u32> {
         .collect()
 }
 
-/// Value of opening a patch by itself: the larger of those with shares of seen area, as columns have them, and of all area. By seen
-/// area alone the part behind a wall that nothing far sees would count for nothing, and its light would come through.
+/// Value of opening a patch by itself, `Σ_parts σ² Σ_r D²` less chance: the larger of those with shares of seen area, as columns have
+/// them, and of all area. By seen area alone the part behind a wall that nothing far sees would count for nothing.
 fn gain(hits: PatchHits<'_>, expectation: &Expectation, patch: u32) -> f64 {
-    let by = |area| gain_by(area, hits, expectation, patch);
-    by(|patch| patch.seen_texels).max(by(|patch| patch.area_texels))
-}
-
-/// `Σ_parts σ² Σ_r D²`, less chance.
-fn gain_by(area: fn(&Patch) -> f32, hits: PatchHits<'_>, expectation: &Expectation, patch: u32) -> f64 {
+    const AREAS: [fn(&Patch) -> f32; 2] = [|patch| patch.seen_texels, |patch| patch.area_texels];
     let whole = hits.sums(patch);
     let seeing = whole.iter().filter(|sums| sums[2] > 0.0).count() as f64;
-    let mut sum = 0.0;
+    let mut sums = [0.0; 2];
     for part in hits.tree.parts(patch) {
-        let share = hits.share_in_gains(area, part, patch);
-        let (mut squares, mut all, mut variance) = (0.0, 0.0, 0.0);
-        for (part, whole) in hits.sums(part).iter().zip(&whole) {
-            // D, and X of the same rays with alternating signs: D² − X² is free of the noise of counting.
-            let [d, x] = [0, 1].map(|i| part[i] - share * whole[i]);
-            squares += d * d - x * x;
-            all += d;
-            variance += part[2];
+        let sums_of_part = hits.sums(part);
+        let variance = expectation.variance(part, Some(patch));
+        for (sum, area) in sums.iter_mut().zip(AREAS) {
+            let share = hits.share_in_gains(area, part, patch);
+            *sum += variance * excess(&sums_of_part, &whole, share, seeing);
         }
-        // D and X of chance alone have about the sum of squared weights for variance, D² − X² its square four times.
-        let of_each = squares - CHANCE * 2.0 * variance / seeing.sqrt();
-        // The common part is surer than its rows: a wall that hides the part from all of them shows here first.
-        let of_all = (all * all - CHANCE * 2.0 * variance) / hits.rows as f64;
-        sum += expectation.variance(part, Some(patch)) * of_each.max(of_all);
     }
-    sum
+    sums[0].max(sums[1])
+}
+
+/// `Σ_r D²` of a part, less chance.
+fn excess(part: &[[f64; 3]], whole: &[[f64; 3]], share: f64, seeing: f64) -> f64 {
+    let (mut squares, mut all, mut variance) = (0.0, 0.0, 0.0);
+    for (part, whole) in part.iter().zip(whole) {
+        // D, and X of the same rays with alternating signs: D² − X² is free of the noise of counting.
+        let [d, x] = [0, 1].map(|i| part[i] - share * whole[i]);
+        squares += d * d - x * x;
+        all += d;
+        variance += part[2];
+    }
+    // D and X of chance alone have about the sum of squared weights for variance, D² − X² its square four times.
+    let of_each = squares - CHANCE * 2.0 * variance / seeing.sqrt();
+    // The common part is surer than its rows: a wall that hides the part from all of them shows here first.
+    let of_all = (all * all - CHANCE * 2.0 * variance) / whole.len() as f64;
+    of_each.max(of_all)
 }
 
 /// The patches that were hit.
