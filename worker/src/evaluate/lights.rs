@@ -11,7 +11,7 @@ use super::EvaluationError;
 use super::solid::{check_place, is_free};
 use crate::geometry::Geometry;
 use crate::reference::{Lighting, PanelLight};
-use crate::vantage::{Openness, VantagePoint, vantage_points};
+use crate::vantage::{Openness, VantagePoint, in_rooms, vantage_points};
 
 /// Rays among which a spot's aim is sought.
 const AIM_RAYS: u32 = 512;
@@ -156,9 +156,11 @@ fn spot(geometry: &Geometry, places: &[VantagePoint]) -> Option<TestLight> {
     Some(single("spot", said, kind, 100.0 * view_m * view_m))
 }
 
-/// A square that shines downwards, where the most free space is.
+/// A square that shines downwards, where the most free space is, in a room where there are rooms: outside of them it would light
+/// next to nothing.
 fn panel(geometry: &Geometry, places: &[VantagePoint]) -> Option<TestLight> {
-    let mut roomiest: Vec<&VantagePoint> = places.iter().collect();
+    let rooms = in_rooms(places);
+    let mut roomiest = if rooms.is_empty() { places.iter().collect() } else { rooms };
     roomiest.sort_by(|a, b| b.look.nearest_m.total_cmp(&a.look.nearest_m));
     for place in roomiest.into_iter().take(16) {
         for share in PANEL_SHARES {

@@ -17,7 +17,9 @@ use crate::lightmap::{Surface, World};
 use crate::rays::Hit;
 use crate::rays::sampling::{R2, seed_of};
 use crate::reference::{Lighting, Precision, Reference};
+use crate::scene::{Bundle, Limits, import};
 use crate::task::{Cancelled, LocalRun, Progress};
+use crate::vantage::vantage_points;
 
 /// A scene of the tests, its lightmap placed with few receivers.
 fn world(scene: &[u8], receivers: u32) -> Arc<World> {
@@ -237,6 +239,34 @@ fn chosen_lights_hang_on_the_scene_alone() {
     assert_eq!(coarse.lights.iter().map(|light| light.name.as_str()).collect::<Vec<_>>(), wanted);
     assert!(coarse.notes.is_empty(), "{:?}", coarse.notes);
     assert_eq!(coarse, default_lights(&world(CORNELL, 3000).geometry));
+}
+
+#[test]
+fn panel_hangs_in_a_room_though_more_space_is_free_outside() {
+    let settings = Limits::default();
+    let mut scene =
+        import(&Bundle::from_bytes(CORNELL.to_vec(), &settings).unwrap(), &settings).unwrap().scene;
+    let [low, high] = scene.bounds_m();
+    // A mast beside the room, as far away as the room is wide.
+    let mut mast = scene.instances[0].clone();
+    let foot_m = Vec3::new(2.0 * high.x - low.x, low.y, low.z);
+    mast.path = "mast".into();
+    mast.positions_m =
+        [Vec3::ZERO, Vec3::X * 0.01, Vec3::Y * (high.y - low.y)].map(|at| foot_m + at).to_vec();
+    mast.normals = vec![Vec3::Z; 3];
+    (mast.uv0, mast.uv1, mast.colours) = Default::default();
+    mast.triangles = vec![[0, 1, 2]];
+    scene.instances.push(mast);
+    let geometry = Geometry::new(scene).unwrap();
+    let roomiest = vantage_points(&geometry)
+        .into_iter()
+        .max_by(|a, b| a.look.nearest_m.total_cmp(&b.look.nearest_m))
+        .unwrap()
+        .position_m;
+    assert!(roomiest.x > high.x, "most space is free at {roomiest}, in the room: the test shows nothing");
+    let panel = default_lights(&geometry).lights.into_iter().find(|light| light.name == "panel").unwrap();
+    let centre_m = Vec3::from(panel.lighting.panels[0].centre_m);
+    assert!(centre_m.cmpgt(low).all() && centre_m.cmplt(high).all(), "{centre_m}");
 }
 
 #[test]

@@ -6,17 +6,13 @@ use lightkiln_proto::scene::{LightKind, SceneCamera, SceneLight};
 use rayon::prelude::*;
 
 use super::VantagePoint;
-use super::look::{Look, view};
+use super::look::{Look, in_rooms, view};
 use crate::emitters::{EmissiveTriangle, emissive_triangles};
 use crate::geometry::Geometry;
 use crate::rays::Hit;
 
 /// Vertical field of view, in degrees.
 const FOV_DEG: f32 = 60.0;
-/// Share of a point's view that is sky up to which it is in a room.
-const ROOM_SKY: f32 = 0.15;
-/// Share of points in rooms from which on a scene is looked at from inside.
-pub const ROOM_POINTS: f32 = 0.125;
 /// Points tried, those of the widest view.
 const TRIED: usize = 64;
 /// Level views tried from each.
@@ -97,20 +93,20 @@ fn outside(geometry: &Geometry) -> (Vec3, Vec3) {
 
 /// The point in a room, and a point straight ahead, of the level view of highest score; none where rooms are few.
 fn inside(geometry: &Geometry, points: &[VantagePoint]) -> Option<(Vec3, Vec3)> {
-    let rooms: Vec<Vec3> =
-        points.iter().filter(|point| is_in_room(&point.look)).map(|point| point.position_m).collect();
-    if rooms.is_empty() || (rooms.len() as f32) < ROOM_POINTS * points.len() as f32 {
+    let rooms = in_rooms(points);
+    if rooms.is_empty() {
         return None;
     }
     let lamps = Lamps::of(geometry);
-    let best_of = |eye_m: &Vec3| {
-        let rays: Vec<(Vec3, f32)> = view(geometry, *eye_m)
+    let best_of = |place: &&VantagePoint| {
+        let eye_m = place.position_m;
+        let rays: Vec<(Vec3, f32)> = view(geometry, eye_m)
             .map(|(direction, hit)| (direction, hit.map_or(0.0, |hit| lamps.interest(geometry, &hit))))
             .collect();
         let turns = (0..TURNS).map(|turn| {
             let angle = turn as f32 * std::f32::consts::TAU / TURNS as f32;
             let forward = Vec3::new(libm::cosf(angle), SLOPE, libm::sinf(angle)).normalize();
-            (score(&rays, forward), *eye_m, *eye_m + forward)
+            (score(&rays, forward), eye_m, eye_m + forward)
         });
         // Of equal views the first.
         turns.reduce(|best, next| if next.0 > best.0 { next } else { best })
@@ -118,10 +114,6 @@ fn inside(geometry: &Geometry, points: &[VantagePoint]) -> Option<(Vec3, Vec3)> 
     let tried: Vec<_> = rooms.par_iter().take(TRIED).filter_map(best_of).collect();
     let best = tried.into_iter().reduce(|best, next| if next.0 > best.0 { next } else { best });
     best.map(|(_, eye_m, target_m)| (eye_m, target_m))
-}
-
-fn is_in_room(look: &Look) -> bool {
-    look.sky_share < ROOM_SKY && !look.is_in_thing()
 }
 
 /// Mean interest of the rays of a view.

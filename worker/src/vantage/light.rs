@@ -5,7 +5,7 @@ use lightkiln_proto::manifest::Chosen;
 use lightkiln_proto::scene::{LightKind, SceneLight};
 
 use super::VantagePoint;
-use super::camera::ROOM_POINTS;
+use super::look::ROOM_POINTS;
 use crate::geometry::Geometry;
 
 /// Irradiance of a sun on a surface that faces it, in W·m⁻².

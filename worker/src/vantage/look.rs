@@ -20,6 +20,11 @@ const BACK_SHARE_MAX: f32 = 0.02;
 /// double-sided shell has no backs.
 const AWAY_MAX: f32 = 0.5;
 
+/// Share of a point's view that is sky up to which it is in a room.
+const ROOM_SKY: f32 = 0.15;
+/// Share of points in rooms from which on a scene is looked at from inside.
+pub const ROOM_POINTS: f32 = 0.125;
+
 /// View from a point in all directions.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Look {
@@ -110,4 +115,11 @@ pub fn vantage_points(geometry: &Geometry) -> Vec<VantagePoint> {
         (0..counts.element_product()).into_par_iter().filter_map(point).collect();
     points.sort_by(|a, b| b.look.mean_m.total_cmp(&a.look.mean_m));
     points
+}
+
+/// Those of a scene's points that are in rooms; none where they are so few that the scene is looked at from outside.
+pub fn in_rooms(points: &[VantagePoint]) -> Vec<&VantagePoint> {
+    let is_in_room = |point: &&VantagePoint| point.look.sky_share < ROOM_SKY && !point.look.is_in_thing();
+    let rooms: Vec<&VantagePoint> = points.iter().filter(is_in_room).collect();
+    if (rooms.len() as f32) < ROOM_POINTS * points.len() as f32 { Vec::new() } else { rooms }
 }

@@ -15,7 +15,7 @@ use lightkiln_proto::manifest::Framing;
 use crate::geometry::Geometry;
 use crate::task::{Context, TaskError, TaskOutput};
 
-pub use look::{Look, VantagePoint, vantage_points};
+pub use look::{Look, VantagePoint, in_rooms, vantage_points};
 pub use openness::Openness;
 
 /// Name under which tasks see the framing.
