@@ -184,3 +184,23 @@ fn strip_under_a_clamp_is_not_dark() {
         assert_within(&format!("strip under the clamp, texels of {texel_m} m"), &found, 0.5, 1.5);
     }
 }
+
+/// A rim of a plate beside a hollow pier that stands on it, both between the lattice's lines: of the texels that hold the rim the
+/// most lies in the pier, and so do those that could stand for them.
+#[test]
+fn narrow_rim_beside_a_hollow_pier_is_not_as_dark_as_the_hollow() {
+    const TEXEL_M: f32 = 0.125;
+    const PIER_HALF_M: f32 = 5.3 * TEXEL_M;
+    const RIM_M: f32 = 0.1 * TEXEL_M;
+    let sky = only(LightKind::Sky { zenith: [1.0; 3], horizon: [1.0; 3] }, 1.0);
+    let evaluated = evaluated(scenes::hollow_pier_on_plate(PIER_HALF_M + RIM_M, PIER_HALF_M), TEXEL_M);
+    for share in [0.2, 0.5, 0.8] {
+        let rays = around(2.0 * Vec3::Y, PIER_HALF_M + share * RIM_M, 0.0, Vec3::NEG_Y);
+        let found = pixels_under(&sky, evaluated.as_ref(), &rays);
+        assert_within(&format!("rim, {share} of it from the pier"), &found, 0.5, 1.5);
+    }
+    let inside = around(0.5 * Vec3::Y, PIER_HALF_M - 0.1 * TEXEL_M, 0.0, Vec3::NEG_Y);
+    let lit =
+        pixels_under(&sky, evaluated.as_ref(), &inside).iter().filter(|pixel| pixel.shown > 3e-4).count();
+    assert!(lit <= 4, "{lit} of {} pixels in the pier are lit", inside.len());
+}

@@ -12,6 +12,10 @@ use crate::task::Progress;
 pub const TEST_RAYS: u32 = 32;
 /// Most texels that a ray counts in [`Look::seen`].
 const SEEN_MAX: f32 = 16.0;
+/// Width in texels of a surface's rim, where a point may be beyond the wall that meets it there by rounding alone.
+const RIM_WIDTH: f32 = 1.0 / 128.0;
+/// Share of the rays that exceed [`Look::far`].
+const FAR_SHARE: f32 = 0.25;
 /// Farthest shift in texels. We differ: the source shifts any distance, which moves texels deep inside a solid to
 /// places that they have nothing to do with; such texels are never seen and are left out.
 const SHIFT_MAX_TEXELS: f32 = 1.5;
@@ -35,6 +39,8 @@ pub struct Candidate {
     pub back_share: f32,
     /// Mean free path above it in texels, weighted by the rays' cosine; infinite where one leaves the scene.
     pub outlook: f32,
+    /// As [`Look::far`].
+    pub far: f32,
     /// It was shifted off its surface.
     pub is_shifted: bool,
     /// It was shifted off its surface, out through the top of a thing that lies on that, not beside it.
@@ -53,12 +59,22 @@ pub struct Look {
     pub seen: f32,
     /// As [`Candidate::outlook`], of the rays that meet something: an opening does not make a hollow endless. 0 without any.
     pub room: f32,
+    /// Length in texels that a quarter of the rays exceed, each by its cosine; infinite where so many leave the scene. A crack
+    /// between two faces lets one or two out.
+    pub far: f32,
     /// As [`Candidate::back_share`].
     pub back_share: f32,
     /// Share of the rays that leave the scene, each by its cosine; of all rays together about 1.
     pub sky: f32,
     /// Direction and distance of the nearest back face.
     pub nearest: Option<(Vec3, f32)>,
+}
+
+impl Candidate {
+    fn of(receiver: Receiver, look: &Look) -> Self {
+        let &Look { openness, back_share, outlook, far, .. } = look;
+        Self { receiver, openness, back_share, outlook, far, is_shifted: false, is_lifted: false }
+    }
 }
 
 impl<'a> Tester<'a> {
@@ -87,10 +103,7 @@ impl<'a> Tester<'a> {
         let start_m = receiver.position_m + receiver.face_normal * offset_m;
         let found = self.look(start_m, receiver.face_normal, seed);
         if found.back_share < self.back_face_min || found.sky > 0.0 {
-            let Look { openness, back_share, outlook, .. } = found;
-            let own =
-                Candidate { receiver, openness, back_share, outlook, is_shifted: false, is_lifted: false };
-            return Some(own);
+            return Some(Candidate::of(receiver, &found));
         }
         let (direction, distance_m) = found.nearest?;
         if distance_m > self.texel_m * SHIFT_MAX_TEXELS {
@@ -100,8 +113,7 @@ impl<'a> Tester<'a> {
         let moved = self.look(moved_m, receiver.face_normal, seed);
         let receiver = Receiver { position_m: moved_m, ..receiver };
         let is_lifted = direction.dot(receiver.face_normal) > 0.5;
-        let Look { openness, back_share, outlook, .. } = moved;
-        let shifted = Candidate { receiver, openness, back_share, outlook, is_shifted: true, is_lifted };
+        let shifted = Candidate { is_shifted: true, is_lifted, ..Candidate::of(receiver, &moved) };
         (moved.back_share < self.back_face_min).then_some(shifted)
     }
 
@@ -110,6 +122,13 @@ impl<'a> Tester<'a> {
         let height_m = link_height_m(self.texel_m);
         let [a_m, b_m] = [a, b].map(|r| self.geometry.raised(r.position_m, r.face_normal, height_m));
         self.geometry.tracer.is_occluded(a_m, b_m)
+    }
+
+    /// A wall stands between two receivers, and also where the first is a little nearer to the second.
+    pub fn is_beyond(&self, a: &Receiver, b: &Receiver) -> bool {
+        let nearer_m = (b.position_m - a.position_m).clamp_length_max(RIM_WIDTH * self.texel_m);
+        let nearer = Receiver { position_m: a.position_m + nearer_m, ..*a };
+        self.is_parted(a, b) && self.is_parted(&nearer, b)
     }
 
     fn look(&self, start_m: Vec3, normal: Vec3, seed: u64) -> Look {
@@ -124,11 +143,14 @@ pub fn look(geometry: &Geometry, texel_m: f32, (start_m, normal): (Vec3, Vec3), 
     let mut found = Look::default();
     let (mut back, mut free, mut path, mut weight) = (0, 0.0, 0.0, 0.0);
     let mut seen = 0.0;
+    let mut paths = [(f32::INFINITY, 0.0); TEST_RAYS as usize];
     for ray in 0..TEST_RAYS {
         let [u, v] = points.point(ray);
         let local = uniform_sphere(u * 0.5, v);
         let direction = tangent * local.x + bitangent * local.y + normal * local.z;
-        let Some(hit) = geometry.tracer.closest(start_m, direction, f32::INFINITY) else {
+        let hit = geometry.tracer.closest(start_m, direction, f32::INFINITY);
+        paths[ray as usize] = (hit.map_or(f32::INFINITY, |hit| hit.t / texel_m), local.z);
+        let Some(hit) = hit else {
             found.sky += 2.0 * local.z;
             free += 2.0 * local.z;
             seen += SEEN_MAX.powi(3) * local.z;
@@ -146,6 +168,14 @@ pub fn look(geometry: &Geometry, texel_m: f32, (start_m, normal): (Vec3, Vec3), 
             found.nearest = Some((direction, hit.t));
         }
     }
+    paths.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let quarter = FAR_SHARE * paths.iter().map(|(_, weight)| weight).sum::<f32>();
+    let mut longer = 0.0;
+    let is_far = |&&(_, weight): &&(f32, f32)| {
+        longer += weight;
+        longer >= quarter
+    };
+    found.far = paths.iter().find(is_far).map_or(0.0, |(length, _)| *length);
     found.openness = free / TEST_RAYS as f32;
     found.seen = 2.0 * seen / TEST_RAYS as f32;
     found.sky /= TEST_RAYS as f32;

@@ -37,6 +37,8 @@ use crate::unwrap::UnwrapBlock;
 
 /// Openness from which on a point is not in a crevice. The foot of a wall that a texel's middle just misses has about this.
 const OPEN_MIN: f32 = 0.5;
+/// Openness from which on the strip before a hollow's wall is seen, where nothing else of its texel is: the wall hides half.
+const OPEN_AT_FOOT_MIN: f32 = 0.4;
 /// Openness below which a texel is looked at more closely: a gap no wider than an eighth of a texel.
 const BURIED_MAX: f32 = 0.25;
 /// Openness that a point needs where the central one is on its surface, if in a crevice. At the mouth of the gap above a
@@ -78,6 +80,8 @@ pub trait Site: Sync {
     fn check(&self) -> Result<(), Cancelled>;
     /// A wall stands between two receivers.
     fn is_parted(&self, a: &Receiver, b: &Receiver) -> bool;
+    /// A wall stands between two receivers, and the first is not merely on the surface's rim, where rounding may put it beyond.
+    fn is_beyond(&self, a: &Receiver, b: &Receiver) -> bool;
 }
 
 /// Score of a point that is not central; 0 where there is none.
@@ -155,20 +159,29 @@ fn may_be_in_hollow(central: &Candidate) -> bool {
 }
 
 /// The middle of the texel's points beyond the wall of the hollow that the central one is in.
-fn out_of_hollow(central: &Candidate, others: &[TexelPoint], site: &impl Site) -> Option<Candidate> {
+fn out_of_hollow(
+    central: &Candidate,
+    others: &[TexelPoint],
+    open_min: f32,
+    site: &impl Site,
+) -> Option<(TexelPoint, Candidate)> {
     let beyond: Vec<(&TexelPoint, Vec3)> = others
         .iter()
         .map(|other| (other, site.receiver(other)))
-        .filter(|(_, other)| site.is_parted(&central.receiver, other))
+        .filter(|(_, other)| site.is_beyond(other, &central.receiver))
         .map(|(other, receiver)| (other, receiver.position_m))
         .collect();
     let middle_m = beyond.iter().map(|(_, at_m)| *at_m).sum::<Vec3>() / beyond.len().max(1) as f32;
     let from_middle = |(_, at_m): &(&TexelPoint, Vec3)| at_m.distance_squared(middle_m);
-    let (point, _) = beyond.iter().min_by(|a, b| from_middle(a).total_cmp(&from_middle(b)))?;
-    site.candidate(point).filter(|out| {
-        let is_seen = out.openness > OPEN_MIN && out.back_share < BEYOND_SHARE_MIN && !out.is_shifted;
-        is_seen && out.outlook > FARTHER * central.outlook
-    })
+    let (&point, _) = beyond.into_iter().min_by(|a, b| from_middle(a).total_cmp(&from_middle(b)))?;
+    let out = site.candidate(&point)?;
+    let sees_farther = out.outlook.min(out.far) > FARTHER * central.outlook;
+    (is_seen(&out, open_min) && sees_farther).then_some((point, out))
+}
+
+/// So open, and on its own side of the walls of the room. A shifted point is beyond a wall in any case.
+fn is_seen(own: &Candidate, open_min: f32) -> bool {
+    own.openness > open_min && own.back_share < BEYOND_SHARE_MIN && !own.is_shifted
 }
 
 /// The candidate of highest score: the central one, or of others that score about as much the one nearest to their middle.
@@ -181,7 +194,7 @@ fn best(
     site: &impl Site,
 ) -> Option<Candidate> {
     let hollow = central.as_ref().filter(|central| may_be_in_hollow(central));
-    if let Some(out) = hollow.and_then(|central| out_of_hollow(central, others, site)) {
+    if let Some((_, out)) = hollow.and_then(|central| out_of_hollow(central, others, OPEN_MIN, site)) {
         return Some(out);
     }
     let in_crevice = score(central.as_ref()) < OPEN_MIN;
@@ -215,21 +228,64 @@ pub fn parted(
     chosen: &[Option<Candidate>],
     site: &impl Site,
 ) -> Result<Vec<(TexelPoint, Candidate)>, Cancelled> {
-    let own = |regions: &[TexelPoint]| {
-        let place = Coverage::place(regions[0].texel, chart.width);
-        let neighbour = chosen[coverage.stands_for[place] as usize].as_ref();
+    let texels: Vec<Touched> = coverage
+        .touched
+        .chunk_by(|a, b| a.texel == b.texel)
+        .map(|regions| {
+            let place = Coverage::place(regions[0].texel, chart.width);
+            Touched { regions, neighbour: chosen[coverage.stands_for[place] as usize].as_ref() }
+        })
+        .collect();
+    let own = |touched: &Touched| site.check().map(|()| touched.own(site));
+    let mut found: Vec<Option<(TexelPoint, Candidate)>> =
+        texels.par_iter().map(own).collect::<Result<_, Cancelled>>()?;
+    // The middles of all regions may lie in the hollow too, and a strip of one outside of it.
+    let in_hollow: Vec<usize> = (0..texels.len())
+        .filter(|&index| found[index].is_none() && texels[index].may_be_in_hollow())
+        .collect();
+    let wanted: Vec<TexelPoint> = in_hollow.iter().map(|&index| texels[index].regions[0]).collect();
+    let outside: Vec<Option<(TexelPoint, Candidate)>> =
+        other_points(chart, &wanted, Spread::OverParts, || site.check())?
+            .par_iter()
+            .zip(&in_hollow)
+            .map(|(others, &index)| site.check().map(|()| texels[index].out_of_hollow(&few(others), site)))
+            .collect::<Result<_, Cancelled>>()?;
+    for (index, outside) in in_hollow.into_iter().zip(outside) {
+        found[index] = outside;
+    }
+    Ok(found.into_iter().flatten().collect())
+}
+
+/// A texel that its chart only touches.
+struct Touched<'a> {
+    /// Middles of its coplanar regions, from the largest to the smallest.
+    regions: &'a [TexelPoint],
+    /// What stands for it.
+    neighbour: Option<&'a Candidate>,
+}
+
+impl Touched<'_> {
+    /// The neighbour's walls may be more than a texel away from its point.
+    fn may_be_in_hollow(&self) -> bool {
+        self.neighbour.is_some_and(|other| other.outlook < HOLLOW_MAX)
+    }
+
+    /// The best of the regions' middles that a wall parts from the neighbour.
+    fn own(&self, site: &impl Site) -> Option<(TexelPoint, Candidate)> {
         let is_admitted = |own: &Candidate| {
-            // A shifted point is beyond a wall in any case.
-            let is_seen = own.openness > OPEN_MIN && own.back_share < BEYOND_SHARE_MIN && !own.is_shifted;
-            is_seen && neighbour.is_none_or(|other| site.is_parted(&own.receiver, &other.receiver))
+            is_seen(own, OPEN_MIN)
+                && self.neighbour.is_none_or(|other| site.is_parted(&own.receiver, &other.receiver))
         };
-        let all =
-            regions.iter().filter_map(|&point| Some((point, site.candidate(&point).filter(is_admitted)?)));
-        all.reduce(|best, next| if score(Some(&next.1)) > score(Some(&best.1)) { next } else { best })
-    };
-    let texels: Vec<&[TexelPoint]> = coverage.touched.chunk_by(|a, b| a.texel == b.texel).collect();
-    let checked = |regions: &&[TexelPoint]| site.check().map(|()| own(regions)).transpose();
-    texels.par_iter().filter_map(checked).collect()
+        self.regions
+            .iter()
+            .filter_map(|&point| Some((point, site.candidate(&point).filter(is_admitted)?)))
+            .reduce(|best, next| if score(Some(&next.1)) > score(Some(&best.1)) { next } else { best })
+    }
+
+    /// The middle of the points beyond the wall of the hollow that the neighbour is in.
+    fn out_of_hollow(&self, points: &[TexelPoint], site: &impl Site) -> Option<(TexelPoint, Candidate)> {
+        out_of_hollow(self.neighbour?, points, OPEN_AT_FOOT_MIN, site)
+    }
 }
 
 #[cfg(test)]
@@ -267,6 +323,7 @@ mod tests {
                 openness: 1.0,
                 back_share: 0.0,
                 outlook,
+                far: outlook,
                 is_shifted: false,
                 is_lifted: false,
             })
@@ -281,6 +338,10 @@ mod tests {
         }
 
         fn is_parted(&self, _: &Receiver, _: &Receiver) -> bool {
+            true
+        }
+
+        fn is_beyond(&self, _: &Receiver, _: &Receiver) -> bool {
             true
         }
     }

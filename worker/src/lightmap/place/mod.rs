@@ -237,6 +237,10 @@ impl choose::Site for Side<'_> {
     fn is_parted(&self, a: &Receiver, b: &Receiver) -> bool {
         self.tester.progress().casting(|| self.tester.is_parted(a, b))
     }
+
+    fn is_beyond(&self, a: &Receiver, b: &Receiver) -> bool {
+        self.tester.progress().casting(|| self.tester.is_beyond(a, b))
+    }
 }
 
 /// Appends a block's receivers to those of the scene and fills in the block's table of them.
