@@ -86,10 +86,11 @@ impl Found {
         if (0..COVERAGE_POINTS as usize).any(is_parted) {
             found.moved = found.middle(world, receiver);
         }
-        // A straight wall has a corner of the texel beyond it, however thin the strip there.
+        // A straight wall has a corner of the texel beyond it, however thin the strip there; where the surface ends before a
+        // corner, it may have none.
         let corners = [0, FINE_SIDE - 1, FINE_SIDE * (FINE_SIDE - 1), FINE_SIDE * FINE_SIDE - 1];
         let is_cut = found.moved.is_some()
-            || corners.into_iter().any(|at| found.is_own(world, receiver, fine_place(at)) == Some(false));
+            || corners.into_iter().any(|at| found.is_own(world, receiver, fine_place(at)) != Some(true));
         if is_cut {
             found.edge = found.fitted(world, receiver);
         }
