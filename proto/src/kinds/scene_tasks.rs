@@ -53,7 +53,7 @@ impl SceneTask {
     pub fn version(self) -> u32 {
         match self {
             Self::Place => 24,
-            Self::Patches => 7,
+            Self::Patches => 8,
             Self::Draw => 5,
             Self::Import | Self::Frame => 4,
             Self::Unwrap => 2,

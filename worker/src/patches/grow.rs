@@ -309,7 +309,6 @@ fn enter(world: &World, nodes: &[Node], index: u32, tree: &mut PatchTree) {
         leaf_count: 0,
         end: 0,
         bounds_m: [Vec3::ZERO; 2],
-        area_texels: 0.0,
         seen_texels: 0.0,
     });
     if node.children.is_empty() {
@@ -330,14 +329,11 @@ fn enter(world: &World, nodes: &[Node], index: u32, tree: &mut PatchTree) {
         [low.min(position_m), high.max(position_m)]
     });
     let of_receivers = &tree.receivers[tree.leaf_starts[first_leaf as usize] as usize..];
-    let sum = |area: &dyn Fn(usize) -> AreaCode| -> f32 {
-        of_receivers.iter().map(|&receiver| area(receiver as usize).texels()).sum()
-    };
-    let area_texels = sum(&|receiver| world.lightmap.receivers[receiver].area);
-    let seen_texels = sum(&|receiver| tree.seen_areas[receiver]);
+    let areas = of_receivers.iter().map(|&receiver| tree.seen_areas[receiver as usize].texels());
+    let seen_texels = areas.sum();
     let patch = &mut tree.patches[own];
     (patch.leaf_count, patch.end) = (leaves - first_leaf, end);
-    (patch.bounds_m, patch.area_texels, patch.seen_texels) = (bounds_m, area_texels, seen_texels);
+    (patch.bounds_m, patch.seen_texels) = (bounds_m, seen_texels);
 }
 
 #[cfg(test)]

@@ -68,9 +68,7 @@ pub struct Patch {
     pub end: u32,
     /// Lower and upper corner of its receivers' positions in metres.
     pub bounds_m: [Vec3; 2],
-    /// Sum of its receivers' areas, in texels.
-    pub area_texels: f32,
-    /// Sum of their seen areas, in texels: its weight in the mean radiance of what it is part of.
+    /// Sum of its receivers' seen areas, in texels.
     pub seen_texels: f32,
 }
 

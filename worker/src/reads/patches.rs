@@ -4,7 +4,7 @@
 use lightkiln_proto::content::PatchKey;
 
 use super::marks::{Bytes, Mark, Name, Part};
-use crate::patches::{Patch, PatchTree};
+use crate::patches::PatchTree;
 use crate::transport::{FINE_LEVEL, stepped_area};
 
 /// Names and digests of all parts of a tree.
@@ -17,10 +17,8 @@ pub fn marks(tree: &PatchTree) -> Vec<(Name, Mark)> {
             found.push((Name::patch(Part::Branch, key), branch(tree, patch, parent)));
             continue;
         }
-        let areas = |of: &Patch| [of.area_texels, of.seen_texels];
-        let shape =
-            of_parts(tree, patch, parent, |of| areas(of).map(|texels| stepped_area(texels).to_bits()));
-        let shares = of_parts(tree, patch, parent, |of| [of.seen_texels.to_bits().into()]);
+        let shape = of_parts(tree, patch, parent, |seen_texels| stepped_area(seen_texels).to_bits());
+        let shares = of_parts(tree, patch, parent, |seen_texels| seen_texels.to_bits().into());
         found.push((Name::patch(Part::Shape, key), shape));
         found.push((Name::patch(Part::Shares, key), shares));
         open.extend(tree.parts(patch).map(|part| (part, key)));
@@ -60,7 +58,7 @@ fn branch(tree: &PatchTree, patch: u32, parent: PatchKey) -> Mark {
     bytes.number(parent.0);
     for index in patch..tree.patches[patch as usize].end {
         let of = &tree.patches[index as usize];
-        bytes.number(of.key.0).number((of.end - patch).into()).floats(&[of.area_texels, of.seen_texels]);
+        bytes.number(of.key.0).number((of.end - patch).into()).floats(&[of.seen_texels]);
         of.bounds_m.iter().for_each(|corner| {
             bytes.vector(*corner);
         });
@@ -68,20 +66,12 @@ fn branch(tree: &PatchTree, patch: u32, parent: PatchKey) -> Mark {
     bytes.mark()
 }
 
-fn of_parts<const N: usize>(
-    tree: &PatchTree,
-    patch: u32,
-    parent: PatchKey,
-    areas: impl Fn(&Patch) -> [u64; N],
-) -> Mark {
+fn of_parts(tree: &PatchTree, patch: u32, parent: PatchKey, area: impl Fn(f32) -> u64) -> Mark {
     let mut bytes = Bytes::default();
     bytes.number(parent.0);
     for index in std::iter::once(patch).chain(tree.parts(patch)) {
         let of = &tree.patches[index as usize];
-        bytes.number(of.key.0);
-        areas(of).into_iter().for_each(|area| {
-            bytes.number(area);
-        });
+        bytes.number(of.key.0).number(area(of.seen_texels));
         of.bounds_m.iter().for_each(|corner| {
             bytes.vector(*corner);
         });

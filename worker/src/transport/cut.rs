@@ -14,7 +14,7 @@
 use rayon::prelude::*;
 
 use super::expectation::Expectation;
-use crate::patches::{Patch, PatchTree};
+use crate::patches::PatchTree;
 
 /// Deviations of chance by which a gain is lowered before it counts.
 const CHANCE: f64 = 1.0;
@@ -84,18 +84,17 @@ impl<'a> PatchHits<'a> {
 
     /// Share of its parent's seen area that a part has.
     pub fn share(self, part: u32, parent: u32) -> f64 {
-        let seen = |patch: u32| f64::from(self.tree.patches[patch as usize].seen_texels);
-        seen(part) / seen(parent)
+        let area = |patch: u32| f64::from(self.tree.patches[patch as usize].seen_texels);
+        area(part) / area(parent)
     }
 
-    /// Share of its parent's area that a part has, as gains have it.
-    fn share_in_gains(self, area: fn(&Patch) -> f32, part: u32, parent: u32) -> f64 {
-        let is_large = self.tree.patches[parent as usize].key.level() > FINE_LEVEL;
-        let texels = |patch: u32| {
-            let texels = area(&self.tree.patches[patch as usize]);
-            if is_large { stepped_area(texels) } else { texels.into() }
-        };
-        texels(part) / texels(parent)
+    /// The same as gains have it.
+    fn share_in_gains(self, part: u32, parent: u32) -> f64 {
+        if self.tree.patches[parent as usize].key.level() <= FINE_LEVEL {
+            return self.share(part, parent);
+        }
+        let area = |patch: u32| stepped_area(self.tree.patches[patch as usize].seen_texels);
+        area(part) / area(parent)
     }
 }
 
@@ -138,39 +137,28 @@ pub fn leaves(tree: &PatchTree, leaf_hits: &[LeafHits]) -> Vec<u32> {
         .collect()
 }
 
-/// Value of opening a patch by itself, `Σ_parts σ² Σ_r D²` less chance: the larger of those with shares of seen area, as columns have
-/// them, and of all area. By seen area alone the part behind a wall that nothing far sees would count for nothing.
+/// Value of opening a patch by itself: `Σ_parts σ² Σ_r D²`, less chance.
 fn gain(hits: PatchHits<'_>, expectation: &Expectation, patch: u32) -> f64 {
-    const AREAS: [fn(&Patch) -> f32; 2] = [|patch| patch.seen_texels, |patch| patch.area_texels];
     let whole = hits.sums(patch);
     let seeing = whole.iter().filter(|sums| sums[2] > 0.0).count() as f64;
-    let mut sums = [0.0; 2];
+    let mut sum = 0.0;
     for part in hits.tree.parts(patch) {
-        let sums_of_part = hits.sums(part);
-        let variance = expectation.variance(part, Some(patch));
-        for (sum, area) in sums.iter_mut().zip(AREAS) {
-            let share = hits.share_in_gains(area, part, patch);
-            *sum += variance * excess(&sums_of_part, &whole, share, seeing);
+        let share = hits.share_in_gains(part, patch);
+        let (mut squares, mut all, mut variance) = (0.0, 0.0, 0.0);
+        for (part, whole) in hits.sums(part).iter().zip(&whole) {
+            // D, and X of the same rays with alternating signs: D² − X² is free of the noise of counting.
+            let [d, x] = [0, 1].map(|i| part[i] - share * whole[i]);
+            squares += d * d - x * x;
+            all += d;
+            variance += part[2];
         }
+        // D and X of chance alone have about the sum of squared weights for variance, D² − X² its square four times.
+        let of_each = squares - CHANCE * 2.0 * variance / seeing.sqrt();
+        // The common part is surer than its rows: a wall that hides the part from all of them shows here first.
+        let of_all = (all * all - CHANCE * 2.0 * variance) / hits.rows as f64;
+        sum += expectation.variance(part, Some(patch)) * of_each.max(of_all);
     }
-    sums[0].max(sums[1])
-}
-
-/// `Σ_r D²` of a part, less chance.
-fn excess(part: &[[f64; 3]], whole: &[[f64; 3]], share: f64, seeing: f64) -> f64 {
-    let (mut squares, mut all, mut variance) = (0.0, 0.0, 0.0);
-    for (part, whole) in part.iter().zip(whole) {
-        // D, and X of the same rays with alternating signs: D² − X² is free of the noise of counting.
-        let [d, x] = [0, 1].map(|i| part[i] - share * whole[i]);
-        squares += d * d - x * x;
-        all += d;
-        variance += part[2];
-    }
-    // D and X of chance alone have about the sum of squared weights for variance, D² − X² its square four times.
-    let of_each = squares - CHANCE * 2.0 * variance / seeing.sqrt();
-    // The common part is surer than its rows: a wall that hides the part from all of them shows here first.
-    let of_all = (all * all - CHANCE * 2.0 * variance) / whole.len() as f64;
-    of_each.max(of_all)
+    sum
 }
 
 /// The patches that were hit.
@@ -249,6 +237,7 @@ pub(super) mod tests {
     use lightkiln_proto::content::PatchKey;
 
     use super::*;
+    use crate::patches::Patch;
 
     /// A root of two parts, each of two leaves of one receiver, 1 m apart along x.
     pub fn tree() -> PatchTree {
@@ -258,7 +247,6 @@ pub(super) mod tests {
             leaf_count,
             end,
             bounds_m: [first_leaf, first_leaf + leaf_count - 1].map(|leaf| Vec3::X * leaf as f32),
-            area_texels: leaf_count as f32,
             seen_texels: leaf_count as f32,
         };
         PatchTree {

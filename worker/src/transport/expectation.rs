@@ -77,7 +77,6 @@ mod tests {
             leaf_count: 1,
             end: 4,
             bounds_m: [Vec3::ZERO, Vec3::X * *size],
-            area_texels: 1.0,
             seen_texels: 1.0,
         };
         let patches = sizes.iter().enumerate().map(patch).collect();
