@@ -247,16 +247,17 @@ fn panel_hangs_in_a_room_though_more_space_is_free_outside() {
     let mut scene =
         import(&Bundle::from_bytes(CORNELL.to_vec(), &settings).unwrap(), &settings).unwrap().scene;
     let [low, high] = scene.bounds_m();
-    // A mast beside the room, as far away as the room is wide.
-    let mut mast = scene.instances[0].clone();
-    let foot_m = Vec3::new(2.0 * high.x - low.x, low.y, low.z);
-    mast.path = "mast".into();
-    mast.positions_m =
-        [Vec3::ZERO, Vec3::X * 0.01, Vec3::Y * (high.y - low.y)].map(|at| foot_m + at).to_vec();
-    mast.normals = vec![Vec3::Z; 3];
-    (mast.uv0, mast.uv1, mast.colours) = Default::default();
-    mast.triangles = vec![[0, 1, 2]];
-    scene.instances.push(mast);
+    // As backs, its walls' outsides would let no light stand before them.
+    scene.materials.iter_mut().for_each(|material| material.double_sided = true);
+    // All of it once more beside it, farther away than it is wide, and turned inside out: no room.
+    let beside_m = Vec3::X * (2.2 * (high.x - low.x));
+    let mut beside = scene.instances.clone();
+    for instance in &mut beside {
+        instance.path.push_str(" beside");
+        instance.positions_m.iter_mut().for_each(|at_m| *at_m += beside_m);
+        instance.triangles.iter_mut().for_each(|triangle| triangle.swap(1, 2));
+    }
+    scene.instances.extend(beside);
     let geometry = Geometry::new(scene).unwrap();
     let roomiest = vantage_points(&geometry)
         .into_iter()

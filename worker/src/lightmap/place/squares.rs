@@ -231,7 +231,11 @@ impl Found {
                 let Ok(at) = self.read.binary_search_by_key(&order(texel), |read| order(read.texel)) else {
                     continue;
                 };
-                let Reading { square, rims, .. } = &mut self.read[at];
+                let Reading { square, site, rims, .. } = &mut self.read[at];
+                // A chart may hold specks that are folded over: what goes on beyond them faces the other side.
+                if faces.normal(geometry, triangle).dot(site.face_normal) <= 0.0 {
+                    continue;
+                }
                 let piece = clipped(corners, corner - READ_FROM, corner + 1.0 + READ_FROM);
                 for [inside, across] in beside_rims(&piece, corners) {
                     let weights = source_weights(triangle, inside);
@@ -343,8 +347,15 @@ fn cell_at(at_m: Vec3, texel_m: f32) -> Cell {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
+    use lightkiln_proto::settings::{PlaceSettings, Preset, SettingsGroup};
+
     use super::*;
+    use crate::lightmap::place::place;
     use crate::lightmap::polygon::is_inside;
+    use crate::scene::model::{Material, MeshInstance, Scene};
+    use crate::unwrap::{UnwrapSettings, unwrap_generated};
 
     /// A triangle on the plane x + z = 1 whose lightmap lies at `offset` from the lattice's.
     fn square_by(corners: [Vec2; 3], offset: Vec2, texel: Texel) -> Option<Square> {
@@ -377,5 +388,54 @@ mod tests {
             assert!(is_inside(&corners, inside) && !is_inside(&corners, across), "{inside} {across}");
             assert!((across.y - 2.0).abs() < 0.6 && inside.distance(across) <= 2.0 * FROM_RIM);
         }
+    }
+    /// A plate with a hole, and at the hole's rim a sliver of the plate that is folded over, as modellers leave them: in the plate's chart and on
+    /// its plane, and turned away from it. Light from beyond the sliver's rim is that of the plate's other side.
+    #[test]
+    fn rims_of_a_surface_face_the_side_that_it_does() {
+        const TEXEL_M: f32 = 0.25;
+        let at = |[x, z]: [f32; 2]| Vec3::new(x, 0.0, z) * TEXEL_M;
+        let square = |[low_x, low_z]: [f32; 2], [high_x, high_z]: [f32; 2]| {
+            [[low_x, low_z], [low_x, high_z], [high_x, high_z], [high_x, low_z]].map(at)
+        };
+        let hole = square([0.669, 0.446], [2.589, 2.366]);
+        let mut plate = square([0.42, 0.197], [2.838, 2.615]).to_vec();
+        plate.extend(hole);
+        plate.extend([[2.589, 1.146], [2.619, 0.8]].map(at));
+        let around = (0..4).flat_map(|i| [[i, (i + 1) % 4, 4 + (i + 1) % 4], [i, 4 + (i + 1) % 4, 4 + i]]);
+        // The hole's side of larger x runs from corner 7 to corner 6; the sliver lies along the first part of it.
+        let whole = around.filter(|corners| *corners != [2, 7, 6]);
+        let triangles: Vec<[u32; 3]> = whole.chain([[2, 7, 8], [2, 8, 6], [8, 7, 9]]).collect();
+        assert_eq!(triangles.len(), 10);
+        let sheet = Material { double_sided: true, ..Material::opaque("sheet", [0.5; 3]) };
+        let plate = MeshInstance {
+            path: "plate".into(),
+            normals: vec![Vec3::Y; plate.len()],
+            positions_m: plate,
+            triangles,
+            ..MeshInstance::default()
+        };
+        let scene = Scene { instances: vec![plate], materials: vec![sheet], ..Scene::default() };
+        let (geometry, progress) = (Arc::new(Geometry::new(scene).unwrap()), Progress::new());
+        let unwrap = |instance: &MeshInstance| {
+            let MeshInstance { positions_m, normals, triangles, .. } = instance;
+            let unwrap = UnwrapSettings::with_texel_m(TEXEL_M);
+            unwrap_generated(positions_m, normals, triangles, &unwrap, &progress).unwrap()
+        };
+        let charts =
+            Charts { texel_m: TEXEL_M, unwraps: geometry.scene.instances.iter().map(unwrap).collect() };
+        let settings = PlaceSettings::read(&Default::default(), Preset::Draft).unwrap();
+        let (lightmap, _) = place(&geometry, &charts, &settings, &progress).unwrap();
+        let world = World::new(geometry, &charts, lightmap, &progress);
+        for face in Faces::all(&world, &charts) {
+            let found = Found::of(&world, face, &progress).unwrap();
+            let rims =
+                || found.read.iter().flat_map(|read| read.rims.iter().map(|rim| (read.site, rim.site)));
+            assert!(rims().count() > 20);
+            assert!(rims().all(|(site, rim)| rim.face_normal.dot(site.face_normal) > 0.9));
+        }
+        let is_folded = |triangle: &UnwrappedTriangle| triangle.source_triangle == 9;
+        let [block] = &charts.unwraps[0].blocks[..] else { panic!("several blocks") };
+        assert_eq!(block.triangles.iter().find(|t| is_folded(t)).unwrap().chart, block.triangles[0].chart);
     }
 }
