@@ -260,7 +260,7 @@ pub fn parted(
 struct Touched<'a> {
     /// Middles of its coplanar regions, from the largest to the smallest.
     regions: &'a [TexelPoint],
-    /// What stands for it.
+    /// Candidate that stands for it.
     neighbour: Option<&'a Candidate>,
 }
 
