@@ -56,7 +56,7 @@ impl SceneTask {
             Self::Patches => 8,
             Self::Draw => 5,
             Self::Import | Self::Frame => 4,
-            Self::Unwrap => 2,
+            Self::Unwrap => 3,
         }
     }
 

@@ -40,8 +40,9 @@ pub type Taps = [TexelKind; 4];
 /// point's place between their centres, 0..1 in x and y.
 ///
 /// Bilinear over the receivers that no wall parts from the nearest one, the *home*; over filled texels where there is no
-/// receiver. Where the point lies beyond the nearest one's edge, the home is the nearest that a wall parts from that one and
-/// whose side has the point: no edge of its own is before the point, and its texel is beyond the first edge or has one itself.
+/// receiver. Where the point, or the place nearest to it of the nearest one's texel, lies beyond that one's edge, the home is
+/// the nearest that a wall parts from that one and whose side has the point: no edge of its own is before the point, and its
+/// texel is beyond the first edge or has one itself.
 pub fn tap_weights(taps: Taps, share: [f32; 2]) -> [f32; 4] {
     let weights: [f32; 4] = std::array::from_fn(|tap| {
         let [x, y] = [tap & 1, tap >> 1];
@@ -59,8 +60,13 @@ pub fn tap_weights(taps: Taps, share: [f32; 2]) -> [f32; 4] {
     let is_beyond = |tap: usize, [x, y]: [f32; 2]| {
         taps[tap].edge().is_beyond([x - (tap & 1) as f32 + 0.5, y - (tap >> 1) as f32 + 0.5])
     };
+    // A texel's edge says nothing of what lies outside of the texel: a point there asks by the nearest of its places.
+    let within = |tap: usize| {
+        [share[0] - (tap & 1) as f32, share[1] - (tap >> 1) as f32].map(|away| away.clamp(-0.5, 0.5))
+    };
+    let is_beyond_own = |own: usize| taps[own].edge().is_beyond(within(own).map(|away| away + 0.5));
     let mut home = heaviest(&|_| true);
-    if let Some(own) = home.filter(|&own| is_beyond(own, share)) {
+    if let Some(own) = home.filter(|&own| is_beyond_own(own)) {
         let is_parted = |tap: usize| tap != own && !are_linked(taps, own, tap);
         let is_there = |tap: usize| is_beyond(own, [(tap & 1) as f32, (tap >> 1) as f32]);
         // Of those behind the wall, and those with a wall of their own, whose side has the point.
@@ -150,6 +156,17 @@ mod tests {
         assert_eq!(tap_weights([left, below, left, whole], [0.6, 0.3]), [0.0, 0.0, 0.0, 1.0]);
         // Nor where the texel that the point lies in has no receiver.
         assert_eq!(tap_weights([nothing, below, nothing, whole], [0.1, 0.3]), [0.0, 0.0, 0.0, 1.0]);
+    }
+
+    #[test]
+    fn edge_says_nothing_of_what_lies_outside_of_its_texel() {
+        // A round foot cuts a corner of the lower left texel; the lower right one, which has no receiver, is before the foot.
+        let cut = TexelKind::of_receiver(0, TexelEdge::new(-std::f32::consts::FRAC_PI_4, 0.4));
+        let (nothing, hollow) = (TexelKind::default(), TexelKind::of_receiver(0, NONE));
+        let taps = [nothing, hollow, cut, nothing];
+        assert_eq!(tap_weights(taps, [0.68, 0.96]), [0.0, 0.0, 1.0, 0.0]);
+        // In the corner itself, the light of the hollow.
+        assert_eq!(tap_weights(taps, [0.45, 0.6]), [0.0, 1.0, 0.0, 0.0]);
     }
 
     #[test]

@@ -3,7 +3,8 @@
 //! A scrap costs its gutter: a chart of one texel takes nine. From the largest chart to the smallest, each takes
 //! in neighbouring smaller scraps whole, if its axis sees all their triangles under `scrap_cone_rad`, its
 //! projection stays free of overlaps, and its bounds grow by less than the scrap alone would take. Scraps far
-//! smaller than a texel may face anywhere.
+//! smaller than a texel may face elsewhere, but not back to back with a chart of whole texels: such a fold is seen
+//! from its own side alone, and would show the light of the other.
 
 use glam::{DVec2, DVec3};
 
@@ -23,6 +24,12 @@ const HARD_SCRAP_WIDTH_TEXELS: f64 = 1.0;
 /// Scraps below this area that span less than a texel are specks: no texel is theirs anyway, so they may join a
 /// neighbour that faces elsewhere.
 const SPECK_AREA_TEXELS: f64 = 0.25;
+
+/// A triangle is folded over if the cosine between its normal and the chart's axis is below this.
+const FOLDED_COSINE: f64 = -0.9;
+
+/// A chart below this area takes folded specks too: it is a thing smaller than a texel, and one receiver lights it.
+const WHOLE_THING_AREA_TEXELS: f64 = 1.0;
 
 const NO_CHART: u32 = u32::MAX;
 
@@ -105,7 +112,8 @@ impl Absorber<'_> {
     /// The tests that need no cover: angle to the axis, and hard edges between the two.
     fn is_worth_trying(&self, chart: u32, scrap: u32) -> bool {
         if self.is_speck(scrap) {
-            return true;
+            return self.area_texels[chart as usize] < WHOLE_THING_AREA_TEXELS
+                || !self.is_folded(chart, scrap);
         }
         let axis = self.charts[chart as usize].frame.normal;
         let least_cosine = libm::cos(self.settings.scrap_cone_rad.into());
@@ -141,6 +149,12 @@ impl Absorber<'_> {
         let low = corners().fold(DVec3::INFINITY, DVec3::min);
         let high = corners().fold(DVec3::NEG_INFINITY, DVec3::max);
         (high - low).length() < f64::from(self.settings.texel_m)
+    }
+
+    fn is_folded(&self, chart: u32, scrap: u32) -> bool {
+        let axis = self.charts[chart as usize].frame.normal;
+        let folds = |t: u32| self.soup.normals[t as usize].dot(axis) < FOLDED_COSINE;
+        self.charts[scrap as usize].triangles.iter().any(|&t| folds(t))
     }
 
     fn edge_m(&self, triangle: u32, edge: usize) -> DVec3 {

@@ -69,7 +69,8 @@ fn lightmap_irradiance(block: vec4u, size: vec4u, texel: vec2f) -> vec3f {
             home = tap;
         }
     }
-    if home < 4u && beyond_wall(taps[home].w, share - place_of(home)) {
+    // A texel's edge says nothing of what lies outside of the texel: a point there asks by the nearest of its places.
+    if home < 4u && beyond_wall(taps[home].w, clamp(share - place_of(home), vec2f(-0.5), vec2f(0.5))) {
         var beyond = 4u;
         var best = 0.0;
         for (var tap = 0u; tap < 4u; tap++) {

@@ -124,6 +124,29 @@ fn bolt_below_a_texel_is_one_chart() {
 }
 
 #[test]
+fn speck_folded_beside_a_surface_of_whole_texels_has_its_own_chart() {
+    let at = |x, y, z| Vec3::new(x, y, z);
+    let folded = Mesh {
+        positions_m: vec![
+            at(0.0, 0.0, 0.0),
+            at(1.0, 0.0, 0.0),
+            at(1.0, 0.05, 0.0),
+            at(1.0, 1.0, 0.0),
+            at(0.0, 1.0, 0.0),
+            at(1.0, -0.05, 0.02),
+            at(1.03, -0.05, 0.02),
+        ],
+        // A wall facing +z, an upright speck at its corner, and one that faces -z.
+        triangles: vec![[0, 1, 2], [0, 2, 3], [0, 3, 4], [2, 1, 5], [5, 1, 6]],
+        ..Mesh::default()
+    };
+    assert_eq!(chart_count(&folded, 0.1), 2);
+    let mut upright = folded;
+    upright.triangles.pop();
+    assert_eq!(chart_count(&upright, 0.1), 1);
+}
+
+#[test]
 fn fan_of_needles_is_one_chart() {
     let mut mesh = Mesh { positions_m: vec![Vec3::ZERO], ..Mesh::default() };
     let count = 3000;
