@@ -96,6 +96,11 @@ impl EmitterSet {
         self.triangles.is_empty()
     }
 
+    /// Whether a triangle of the scene emits.
+    pub fn is_emissive(&self, triangle: u32) -> bool {
+        self.index_of.get(triangle as usize).is_some_and(|&index| index != u32::MAX)
+    }
+
     /// The emissive triangles, each with its chance where nothing else is known, ascending.
     pub fn chances(&self) -> impl Iterator<Item = (&EmissiveTriangle, f32)> {
         self.triangles.iter().map(|triangle| (&triangle.of, triangle.power))

@@ -105,7 +105,7 @@ impl Gathering<'_> {
     /// Casts a receiver's rays.
     fn cast(&self, receiver: u32) -> Gathered {
         let Self { transport, sources, reads, clear_way_m } = self;
-        let PatchTransport { world, settings, .. } = transport;
+        let PatchTransport { world, emitters, settings, .. } = transport;
         let hemisphere = self.hemisphere(receiver);
         let (mut gathered, mut near) = (Gathered::default(), Near::default());
         let texel_m = world.lightmap.texel_m_of(receiver);
@@ -137,7 +137,9 @@ impl Gathering<'_> {
         // Whether a place is narrow is known only now: near hits count as such there, and as their leaves elsewhere.
         if near::is_narrow(near.hits.len(), settings) {
             near::keep(row, near.hits, settings, &world.lightmap, texel_m);
-            row.near.iter().for_each(|hit| reads.note_around(hit.position_m(), *clear_way_m));
+            let around_m = clear_way_m.max(reach_m);
+            row.near.iter().for_each(|hit| reads.note_around(hit.position_m(), around_m));
+            near::drop_shut(row, (world, emitters), settings, receiver);
         } else {
             hits.leaves.append(&mut near.leaves);
             row.shared.uncovered += near.lost;
