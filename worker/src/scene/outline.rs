@@ -1,7 +1,10 @@
-//! JSON that the typed reader refuses: an older glTF, or a valid one that leaves out a list which the reader wants.
+//! JSON that the typed reader refuses: an older glTF, or a valid one that leaves out a member which the reader wants.
+
+use std::ops::Range;
 
 use gltf::json::Root;
 use serde::Deserialize;
+use serde::de::IgnoredAny;
 use serde_json::Value;
 use serde_json::value::RawValue;
 
@@ -15,6 +18,8 @@ struct Outline<'a> {
     asset: Option<&'a RawValue>,
     #[serde(borrow)]
     accessors: Option<&'a RawValue>,
+    #[serde(borrow)]
+    animations: Option<&'a RawValue>,
     #[serde(borrow)]
     buffer_views: Option<&'a RawValue>,
     #[serde(borrow)]
@@ -58,8 +63,20 @@ pub(super) fn read(json: &[u8]) -> Result<Root> {
     if let Some(version) = outline.other_version() {
         return Err(ImportError::version(&version));
     }
-    let completed = outline.with_node_lists(json);
+    let completed = outline.completed(json);
     completed.and_then(|json| Root::from_slice(&json).ok()).ok_or(ImportError::NotGltf { source })
+}
+
+/// Bytes of a text that others take the place of.
+struct Edit {
+    place: Range<usize>,
+    with: String,
+}
+
+/// Place of a slice of a text in it.
+fn place_of(slice: &str, text: &[u8]) -> Option<Range<usize>> {
+    let start = slice.as_ptr().addr().checked_sub(text.as_ptr().addr())?;
+    Some(start..start + slice.len())
 }
 
 impl Outline<'_> {
@@ -75,29 +92,49 @@ impl Outline<'_> {
         (self.asset.is_none() && is_table).then(|| "1.0".to_owned())
     }
 
-    /// The JSON with an empty list of nodes in each scene that has none; `None` if all have one.
-    fn with_node_lists(&self, json: &[u8]) -> Option<Vec<u8>> {
-        let scenes: Vec<&RawValue> = serde_json::from_str(self.scenes?.get()).ok()?;
+    /// The JSON without what the typed reader cannot do with or without: scenes have lists of nodes, animations, which no bake
+    /// plays, are empty. `None` if that changes nothing.
+    fn completed(&self, json: &[u8]) -> Option<Vec<u8>> {
+        let mut edits = self.node_lists(json).unwrap_or_default();
+        edits.extend(self.emptied_animations(json));
+        if edits.is_empty() {
+            return None;
+        }
+        edits.sort_by_key(|edit| edit.place.start);
         let mut completed = Vec::with_capacity(json.len());
         let mut copied = 0;
+        for Edit { place, with } in edits {
+            completed.extend_from_slice(json.get(copied..place.start)?);
+            completed.extend_from_slice(with.as_bytes());
+            copied = place.end;
+        }
+        completed.extend_from_slice(json.get(copied..)?);
+        Some(completed)
+    }
+
+    /// An empty list of nodes for each scene that has none.
+    fn node_lists(&self, json: &[u8]) -> Option<Vec<Edit>> {
+        let scenes: Vec<&RawValue> = serde_json::from_str(self.scenes?.get()).ok()?;
+        let mut edits = Vec::new();
         for scene in scenes {
             let is_complete = serde_json::from_str::<SceneOutline<'_>>(scene.get())
                 .map_or(true, |scene| scene.nodes.is_some());
             if is_complete {
                 continue;
             }
-            // Both are slices of one text, so their distance is the scene's place in it.
-            let inside = scene.get().as_ptr().addr().checked_sub(json.as_ptr().addr())? + 1;
+            let inside = place_of(scene.get(), json)?.start + 1;
             let members = scene.get().get(1..)?.trim_start();
-            completed.extend_from_slice(json.get(copied..inside)?);
-            completed.extend_from_slice(if members.starts_with('}') {
-                b"\"nodes\":[]"
-            } else {
-                b"\"nodes\":[],"
-            });
-            copied = inside;
+            let with = if members.starts_with('}') { "\"nodes\":[]" } else { "\"nodes\":[]," };
+            edits.push(Edit { place: inside..inside, with: with.to_owned() });
         }
-        completed.extend_from_slice(json.get(copied..)?);
-        (copied > 0).then_some(completed)
+        Some(edits)
+    }
+
+    /// As many animations, without channels: a channel whose target has no node is valid, and not read.
+    fn emptied_animations(&self, json: &[u8]) -> Option<Edit> {
+        let animations = self.animations?.get();
+        let count = serde_json::from_str::<Vec<IgnoredAny>>(animations).ok()?.len();
+        let empty = vec!["{\"channels\":[],\"samplers\":[]}"; count].join(",");
+        Some(Edit { place: place_of(animations, json)?, with: format!("[{empty}]") })
     }
 }

@@ -234,7 +234,8 @@ mod tests {
             instance.triangles.extend([[base, base + 1, base + 2], [base, base + 2, base + 3]]);
         }
         instance.normals = vec![Vec3::Y; instance.positions_m.len()];
-        let material = Material { double_sided: true, emissive: emission, ..Material::default() };
+        let material =
+            Material { double_sided: true, emissive: emission, ..Material::opaque("side", [0.5; 3]) };
         let scene = Scene { instances: vec![instance], materials: vec![material], ..Scene::default() };
         let geometry = Geometry::new(scene).unwrap();
         let hit = NearHit { receiver: 0, is_own: false, position_m: middle_m, face_normal: Vec3::Y };

@@ -156,6 +156,18 @@ fn skins_and_morph_targets_are_baked_at_rest_with_warnings() {
 }
 
 #[test]
+fn animations_of_nothing_are_valid_and_not_played() {
+    let mut document = Document::triangle();
+    let channel = json!({"sampler": 0, "target": {"path": "pointer", "extensions": {"KHR_animation_pointer": {"pointer": "/x"}}}});
+    let animation = json!({"channels": [channel], "samplers": [{"input": 0, "output": 0}]});
+    document.json["animations"] = json!([animation, animation]);
+    document.json["scenes"] = json!([{"nodes": [0]}, {}]);
+    let imported = document.import().unwrap();
+    assert_eq!(codes(&imported), ["animations-ignored"]);
+    assert_eq!(imported.scene.instances.len(), 1);
+}
+
+#[test]
 fn morph_targets_take_their_default_weights_and_those_of_a_node_win() {
     let mut document = Document::triangle_with_normals();
     document.primitive()["targets"] = json!([{"POSITION": 0}, {"POSITION": 0}]);
