@@ -128,13 +128,13 @@ fn speck_folded_beside_a_surface_of_whole_texels_has_its_own_chart() {
     let at = |x, y, z| Vec3::new(x, y, z);
     let folded = Mesh {
         positions_m: vec![
-            at(0.0, 0.0, 0.0),
-            at(1.0, 0.0, 0.0),
-            at(1.0, 0.05, 0.0),
-            at(1.0, 1.0, 0.0),
-            at(0.0, 1.0, 0.0),
-            at(1.0, -0.05, 0.02),
-            at(1.03, -0.05, 0.02),
+            at(0.05, 0.05, 0.0),
+            at(0.95, 0.05, 0.0),
+            at(0.95, 0.09, 0.0),
+            at(0.95, 0.95, 0.0),
+            at(0.05, 0.95, 0.0),
+            at(0.95, 0.01, 0.01),
+            at(0.98, 0.01, 0.01),
         ],
         // A wall facing +z, an upright speck at its corner, and one that faces -z.
         triangles: vec![[0, 1, 2], [0, 2, 3], [0, 3, 4], [2, 1, 5], [5, 1, 6]],
