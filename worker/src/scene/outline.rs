@@ -73,7 +73,7 @@ struct Edit {
     with: String,
 }
 
-/// Place of a slice of a text in it.
+/// Place of a slice of a text in it: its distance from the text's start.
 fn place_of(slice: &str, text: &[u8]) -> Option<Range<usize>> {
     let start = slice.as_ptr().addr().checked_sub(text.as_ptr().addr())?;
     Some(start..start + slice.len())
