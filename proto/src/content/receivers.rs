@@ -65,6 +65,14 @@ impl TexelEdge {
         Self(Self::turn(angle_rad) << 8 | (128 + along) as u16)
     }
 
+    /// The same edge in a texel whose x axis, y axis or both run the other way.
+    pub fn mirrored(self, [x, y]: [bool; 2]) -> Self {
+        let turn = self.0 >> 8;
+        let turn = if x { (128_u16.wrapping_sub(turn)) & 0xFF } else { turn };
+        let turn = if y { 0_u16.wrapping_sub(turn) & 0xFF } else { turn };
+        if self == Self::NONE { self } else { Self(turn << 8 | self.0 & 0xFF) }
+    }
+
     /// A place in the texel, 0..1 in x and y, is beyond the edge.
     pub fn is_beyond(self, [x, y]: [f32; 2]) -> bool {
         if self == Self::NONE {
@@ -99,5 +107,25 @@ impl Receivers {
     /// Level of a receiver: trailing zero bits common to its texel coordinates, at most `levels − 1`.
     pub fn level(texel: Texel, levels: u32) -> u32 {
         (texel[0] | texel[1]).trailing_zeros().min(levels - 1)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn mirrored_edge_has_the_mirror_images_of_the_places_beyond_it() {
+        for edge in [TexelEdge::new(0.3, 0.2), TexelEdge::new(4.0, -0.31), TexelEdge::new(0.0, 0.1)] {
+            for axes @ [x, y] in [[false; 2], [true, false], [false, true], [true; 2]] {
+                let flipped = |at: f32, flip: bool| if flip { 1.0 - at } else { at };
+                for index in 0..64 {
+                    let at @ [u, v] = [(index % 8) as f32, (index / 8) as f32].map(|i| (i + 0.5) / 8.0);
+                    let image = [flipped(u, x), flipped(v, y)];
+                    assert_eq!(edge.mirrored(axes).is_beyond(image), edge.is_beyond(at), "{edge:?} {axes:?}");
+                }
+            }
+        }
+        assert_eq!(TexelEdge::NONE.mirrored([true; 2]), TexelEdge::NONE);
     }
 }

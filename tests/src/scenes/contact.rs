@@ -24,6 +24,8 @@ pub const LAMP_HALF_M: f32 = 0.504;
 pub const UNDER_CLAMP_M: [f32; 2] = [0.041, 0.0517];
 /// The clamp's ends along that edge.
 pub const CLAMP_ALONG_M: [f32; 2] = [-0.0853, 0.0346];
+/// See [`round_column`].
+pub const ROUND_COLUMN_M: f32 = 0.35;
 /// Half the width of [`column()`].
 pub const COLUMN_HALF_M: f32 = 0.11;
 
@@ -89,6 +91,21 @@ pub fn hollow_box_on_floor(yaw_rad: f32) -> Vec<u8> {
     glb.finish()
 }
 
+/// A closed room of half a width `half_m` and a height of 2 m, turned about its middle, of sheets that face it; floor and ceiling
+/// reach `beyond_m` beyond its walls, as those of a room do that was measured.
+pub fn room_of_sheets(half_m: f32, beyond_m: f32, yaw_rad: f32) -> Vec<u8> {
+    let mut glb = Glb::new("room_of_sheets");
+    let sheet = glb.material(Surface::diffuse("sheet", PLASTER).double_sided());
+    let corners = |half_m: f32| [Vec3::new(-half_m, 0.0, -half_m), Vec3::new(half_m, 2.0, half_m)];
+    let [low, high] = corners(half_m);
+    glb.object("walls", &shapes::room(low, high, &[Side::Bottom, Side::Top]).turned(yaw_rad), sheet);
+    let [low, high] = corners(half_m + beyond_m);
+    for (name, side) in [("floor", Side::Bottom), ("ceiling", Side::Top)] {
+        glb.object(name, &shapes::room_side(low, high, side).turned(yaw_rad), sheet);
+    }
+    glb.finish()
+}
+
 /// A board of 3 × 80 × 160 cm under the open sky, its front edge in the plane x = 0, and in that edge a clamp of sheets: it
 /// stands out by 2.4 mm, and leaves [`UNDER_CLAMP_M`] of the edge in sight. Texels of 1/16 m have their
 /// middles there behind it, and a single triangle, as the edge's diagonal passes above them.
@@ -125,11 +142,13 @@ pub fn lamp_close_to_a_ceiling(yaw_rad: f32) -> Vec<u8> {
 }
 
 /// A closed room of 4 × 2.5 × 4 m whose floor is `tiles × tiles` coplanar meshes; the edges of the inner ones lie on
-/// no line of the texel lattice.
-pub fn tiled_floor(tiles: u32) -> Vec<u8> {
+/// no line of the texel lattice. Every second one may be `turned`: double-sided, and seen from its back.
+pub fn tiled_floor(tiles: u32, turned: bool) -> Vec<u8> {
     let mut glb = Glb::new("tiled_floor");
     let plaster = glb.material(Surface::diffuse("plaster", PLASTER));
-    let stone = glb.material(Surface::diffuse("stone", [0.5, 0.45, 0.38]));
+    let surface = Surface::diffuse("stone", [0.5, 0.45, 0.38]);
+    let stone = glb.material(surface.clone());
+    let sheet = glb.material(surface.double_sided());
     let (min, max) = (Vec3::new(-2.0, 0.0, -2.0), Vec3::new(2.0, 2.5, 2.0));
     glb.object("walls", &shapes::room(min, max, &[Side::Bottom]), plaster);
     let edge_m = |index: u32| 4.0 * index as f32 / tiles as f32 - 2.0;
@@ -140,10 +159,31 @@ pub fn tiled_floor(tiles: u32) -> Vec<u8> {
             let mut tile = Mesh::default();
             let (a, b) = (Vec3::new(low.x, 0.0, high.z), Vec3::new(high.x, 0.0, low.z));
             // Corners as they are, not as sums: neighbours must share them to the bit.
-            tile.face([a, high, b, low], [glam::Vec2::ZERO; 4]);
-            glb.object(&format!("tile {i} {j}"), &tile, stone);
+            let (corners, material) = match turned && (i + j) % 2 == 1 {
+                true => ([low, b, high, a], sheet),
+                false => ([a, high, b, low], stone),
+            };
+            tile.face(corners, [glam::Vec2::ZERO; 4]);
+            glb.object(&format!("tile {i} {j}"), &tile, material);
         }
     }
+    glb.finish()
+}
+
+/// A closed room of 5 × 2.5 × 5 m with a round column of the radius [`ROUND_COLUMN_M`] in the middle: 24 faces, shaded as one.
+pub fn round_column() -> Vec<u8> {
+    const SIDES: u32 = 24;
+    let mut glb = Glb::new("round_column");
+    let plaster = glb.material(Surface::diffuse("plaster", PLASTER));
+    let (min, max) = (Vec3::new(-2.5, 0.0, -2.5), Vec3::new(2.5, 2.5, 2.5));
+    glb.object("room", &shapes::room(min, max, &[]), plaster);
+    let mut column = Mesh::default();
+    column.grid(SIDES, 1, |side, row| {
+        let angle_rad = -std::f32::consts::TAU * (side % SIDES) as f32 / SIDES as f32;
+        let normal = Vec3::new(libm::cosf(angle_rad), 0.0, libm::sinf(angle_rad));
+        (normal * ROUND_COLUMN_M + Vec3::Y * (2.6 * row as f32 - 0.05), normal, glam::Vec2::ZERO)
+    });
+    glb.object("column", &column, plaster);
     glb.finish()
 }
 

@@ -5,7 +5,7 @@ use glam::{DVec3, Vec3};
 use lightkiln_proto::scene::LightKind;
 use lightkiln_tests::harness::bake;
 use lightkiln_tests::scenes::{
-    self, BOX_BESIDE_LAMP_M, BOX_HALF_M, CLAMP_ALONG_M, LAMP_HALF_M, UNDER_CLAMP_M,
+    self, BOX_BESIDE_LAMP_M, BOX_HALF_M, CLAMP_ALONG_M, LAMP_HALF_M, ROUND_COLUMN_M, UNDER_CLAMP_M,
 };
 use lightkiln_worker::evaluate::{Evaluated, EvaluationError, Relit};
 use lightkiln_worker::geometry::Site;
@@ -14,7 +14,7 @@ use lightkiln_worker::rays::Hit;
 use lightkiln_worker::reference::{Lighting, Precision, Reference};
 use lightkiln_worker::task::Progress;
 
-use super::setup::{careful, only};
+use super::setup::{careful, lamp_at, only};
 
 const TEXEL_M: f32 = 0.1;
 /// Half the width of the box.
@@ -25,6 +25,9 @@ const YAWS_DEG: [f32; 3] = [7.0, 20.0, 45.0];
 /// are 0.38 and 2.2; texels that show the light inside of the box give 0.
 const FLOOR: [f64; 2] = [0.25, 3.0];
 
+/// Largest step of light over half a degree of a round column, over the light's mean.
+const ROUND_STEP_MAX: f64 = 0.04;
+
 /// Light at a pixel by a picture and by the reference, W·m⁻².
 struct Pixel {
     shown: f64,
@@ -34,6 +37,21 @@ struct Pixel {
 /// Pixels of a room with a lamp, each at the hit of a ray from a point along a direction.
 fn pixels(evaluated: &dyn Evaluated, rays: &[[Vec3; 2]]) -> Vec<Pixel> {
     pixels_under(&Lighting { emitter_scale: 1.0, ..Lighting::default() }, evaluated, rays)
+}
+
+/// Light that a picture shows where rays meet surface.
+fn shown_under(lighting: &Lighting, evaluated: &dyn Evaluated, rays: &[[Vec3; 2]]) -> Vec<f64> {
+    let reference = Reference::new(evaluated.geometry(), lighting).unwrap();
+    let relit: Box<dyn Relit> = evaluated.relit(&reference, lighting, &Progress::new()).unwrap();
+    let shown = |&[from_m, direction]: &[Vec3; 2]| {
+        let hit = evaluated.geometry().tracer.closest(from_m, direction, f32::INFINITY).unwrap();
+        relit.shown_at(&hit).map_or(0.0, luminance)
+    };
+    rays.iter().map(shown).collect()
+}
+
+fn luminance(light: DVec3) -> f64 {
+    light.dot(DVec3::new(0.2126, 0.7152, 0.0722))
 }
 
 fn pixels_under(lighting: &Lighting, evaluated: &dyn Evaluated, rays: &[[Vec3; 2]]) -> Vec<Pixel> {
@@ -52,7 +70,6 @@ fn pixels_under(lighting: &Lighting, evaluated: &dyn Evaluated, rays: &[[Vec3; 2
     let sites: Vec<Site> = hits.iter().map(|(_, site)| *site).collect();
     let precision = Precision { rel_error: 0.05, ..Precision::default() };
     let estimates = reference.irradiance(&sites, &precision, &progress).unwrap();
-    let luminance = |found: DVec3| found.dot(DVec3::new(0.2126, 0.7152, 0.0722));
     hits.iter()
         .zip(estimates)
         .map(|((hit, _), estimate)| Pixel {
@@ -203,4 +220,44 @@ fn narrow_rim_beside_a_hollow_pier_is_not_as_dark_as_the_hollow() {
     let lit =
         pixels_under(&sky, evaluated.as_ref(), &inside).iter().filter(|pixel| pixel.shown > 3e-4).count();
     assert!(lit <= 4, "{lit} of {} pixels in the pier are lit", inside.len());
+}
+
+/// A room of sheets whose floor goes on for a little beyond its walls, which are a little oblique to the lattice: beyond them it is
+/// open and dark, and the room is no hollow.
+#[test]
+fn floor_at_the_walls_of_a_room_has_the_light_of_the_room() {
+    const HALF_M: f32 = 1.2;
+    let yaw_rad = 1.4_f32.to_radians();
+    let evaluated = evaluated(scenes::room_of_sheets(HALF_M, 0.03, yaw_rad), TEXEL_M);
+    let lamp = lamp_at(Vec3::new(0.2, 1.4, -0.1));
+    for away_m in [0.004, 0.02, 0.05] {
+        let mut rays = around(Vec3::Y, HALF_M - away_m, yaw_rad, Vec3::NEG_Y);
+        // In a corner two walls cut one texel, which no straight edge can tell apart.
+        rays.retain(|[from_m, _]| from_m.x.abs().min(from_m.z.abs()) < HALF_M - TEXEL_M);
+        let found = pixels_under(&lamp, evaluated.as_ref(), &rays);
+        assert_within(&format!("floor {away_m} m from the walls"), &found, 0.7, 1.4);
+    }
+}
+
+/// Light on a column that is shaded as one changes evenly around it, also where its charts meet.
+#[test]
+fn round_column_shows_no_seam() {
+    const STEPS: u32 = 720;
+    let evaluated = evaluated(scenes::round_column(), TEXEL_M);
+    let lamp = lamp_at(Vec3::new(1.6, 1.2, 0.9));
+    for height_m in [0.62, 1.3] {
+        let ray = |step: u32| {
+            let towards =
+                glam::Quat::from_rotation_y(step as f32 / STEPS as f32 * std::f32::consts::TAU) * Vec3::X;
+            [Vec3::Y * height_m + 2.0 * ROUND_COLUMN_M * towards, -towards]
+        };
+        let shown = shown_under(&lamp, evaluated.as_ref(), &(0..STEPS).map(ray).collect::<Vec<_>>());
+        let mean = shown.iter().sum::<f64>() / f64::from(STEPS);
+        let steps =
+            shown.iter().zip(shown.iter().cycle().skip(1)).map(|(one, next)| (one - next).abs() / mean);
+        let mut steps: Vec<f64> = steps.collect();
+        steps.sort_by(f64::total_cmp);
+        println!("{height_m} m: mean {mean:.3}, largest steps {:.3?}", &steps[steps.len() - 12..]);
+        assert!(steps[steps.len() - 1] < ROUND_STEP_MAX, "{:?}", &steps[steps.len() - 12..]);
+    }
 }

@@ -23,7 +23,7 @@ fn from_joint_m(position_m: Vec3) -> f32 {
 /// Place and luminance of E_ind of a floor's receivers clear of the walls. Asserts that the floor is lit as in the reference,
 /// at joints and apart from them.
 fn floor(kind: &'static str, tiles: u32) -> Vec<(Vec3, f64)> {
-    let held = Held::new(scenes::tiled_floor(tiles), &with_texels(kind, TEXEL_M, 256)).unwrap();
+    let held = Held::new(scenes::tiled_floor(tiles, false), &with_texels(kind, TEXEL_M, 256)).unwrap();
     let lit = held.under(&lamp_at(Vec3::new(-0.8, 1.6, 0.6))).unwrap();
     let clear = |p: Vec3| p.y.abs() < 0.01 && p.x.abs().max(p.z.abs()) < 1.7;
     let receivers = held.receivers(|r| r.normal.y > 0.9 && clear(r.position_m));

@@ -41,6 +41,8 @@ pub struct Candidate {
     pub outlook: f32,
     /// As [`Look::far`].
     pub far: f32,
+    /// As [`Look::away`].
+    pub away: f32,
     /// It was shifted off its surface.
     pub is_shifted: bool,
     /// It was shifted off its surface, out through the top of a thing that lies on that, not beside it.
@@ -62,6 +64,9 @@ pub struct Look {
     /// Length in texels that a quarter of the rays exceed, each by its cosine; infinite where so many leave the scene. A crack
     /// between two faces lets one or two out.
     pub far: f32,
+    /// Share of the surfaces in sight, by the rays' cosine, that are turned away, be they double-sided or not: those of a hollow
+    /// thing are, those of a room are not.
+    pub away: f32,
     /// As [`Candidate::back_share`].
     pub back_share: f32,
     /// Share of the rays that leave the scene, each by its cosine; of all rays together about 1.
@@ -72,8 +77,8 @@ pub struct Look {
 
 impl Candidate {
     fn of(receiver: Receiver, look: &Look) -> Self {
-        let &Look { openness, back_share, outlook, far, .. } = look;
-        Self { receiver, openness, back_share, outlook, far, is_shifted: false, is_lifted: false }
+        let &Look { openness, back_share, outlook, far, away, .. } = look;
+        Self { receiver, openness, back_share, outlook, far, away, is_shifted: false, is_lifted: false }
     }
 }
 
@@ -142,7 +147,7 @@ pub fn look(geometry: &Geometry, texel_m: f32, (start_m, normal): (Vec3, Vec3), 
     let points = R2::new(seed);
     let mut found = Look::default();
     let (mut back, mut free, mut path, mut weight) = (0, 0.0, 0.0, 0.0);
-    let mut seen = 0.0;
+    let (mut seen, mut away) = (0.0, 0.0);
     let mut paths = [(f32::INFINITY, 0.0); TEST_RAYS as usize];
     for ray in 0..TEST_RAYS {
         let [u, v] = points.point(ray);
@@ -159,6 +164,7 @@ pub fn look(geometry: &Geometry, texel_m: f32, (start_m, normal): (Vec3, Vec3), 
         seen += (hit.t / texel_m).min(SEEN_MAX).powi(3) * local.z;
         path += hit.t / texel_m * local.z;
         weight += local.z;
+        away += if hit.front { 0.0 } else { local.z };
         free += (hit.t / texel_m).min(1.0) * 2.0 * local.z;
         if !geometry.is_back(&hit) {
             continue;
@@ -180,6 +186,7 @@ pub fn look(geometry: &Geometry, texel_m: f32, (start_m, normal): (Vec3, Vec3), 
     found.seen = 2.0 * seen / TEST_RAYS as f32;
     found.sky /= TEST_RAYS as f32;
     found.room = path / weight.max(f32::MIN_POSITIVE);
+    found.away = away / weight.max(f32::MIN_POSITIVE);
     found.outlook = if found.sky > 0.0 { f32::INFINITY } else { found.room };
     found.back_share = back as f32 / TEST_RAYS as f32;
     found

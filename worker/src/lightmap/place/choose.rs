@@ -18,7 +18,7 @@
 //! grid may step over a strip.
 //!
 //! A wall may cut a texel in two, and its central point lie in a thing that stands there: a hollow box or pier. Nobody looks
-//! into a hollow, so where that sees nothing but walls close by, and the part beyond the wall sees farther, the middle of
+//! into a hollow, so where that sees nothing but walls close by that are turned away from it, and the part beyond the wall sees farther, the middle of
 //! that part stands for the texel.
 //!
 //! A texel that its chart only touches is stood for by its neighbour's point, unless a wall parts the two: then by the best
@@ -65,6 +65,9 @@ const GATHERED_MAX: usize = 96;
 
 /// Longest mean free path, in texels, of a point in a hollow.
 const HOLLOW_MAX: f32 = 32.0;
+/// Share of what a point in a hollow sees that is turned away from it at least: the inside of a thing is, the walls of a room are
+/// not. At the foot of a wall that a room shares with another, and that faces the other, it is up to 0.67 by chance.
+const HOLLOW_AWAY_MIN: f32 = 0.7;
 /// Factor by which the part of a texel beyond the wall of a hollow sees farther.
 pub const FARTHER: f32 = 1.5;
 
@@ -104,7 +107,7 @@ pub fn chosen(
     // Gather other points only where one of them could have a higher score.
     let is_contested = |index: &usize| {
         let central = chosen[*index].as_ref();
-        CENTRAL * score(central) < ELSEWHERE_MAX || central.is_some_and(may_be_in_hollow)
+        CENTRAL * score(central) < ELSEWHERE_MAX || central.is_some_and(may_be_cut_by_hollow)
     };
     let contested: Vec<usize> = (0..covered.len()).filter(is_contested).collect();
     choose_among(Spread::OverTexel, &contested, (chart, covered), &mut chosen, site)?;
@@ -153,9 +156,14 @@ fn is_buried(candidate: &Candidate) -> bool {
     !candidate.is_shifted && candidate.openness < BURIED_MAX
 }
 
-/// Walls are close on all sides, one of them within a texel.
+/// Walls are close on all sides, and what is seen of them is the inside of a thing.
 fn may_be_in_hollow(central: &Candidate) -> bool {
-    central.openness < ELSEWHERE_MAX && central.outlook < HOLLOW_MAX
+    central.outlook < HOLLOW_MAX && central.away > HOLLOW_AWAY_MIN
+}
+
+/// One of the hollow's walls may cut the texel, as it is within a texel.
+fn may_be_cut_by_hollow(central: &Candidate) -> bool {
+    may_be_in_hollow(central) && central.openness < ELSEWHERE_MAX
 }
 
 /// The middle of the texel's points beyond the wall of the hollow that the central one is in.
@@ -193,7 +201,7 @@ fn best(
     others: &[TexelPoint],
     site: &impl Site,
 ) -> Option<Candidate> {
-    let hollow = central.as_ref().filter(|central| may_be_in_hollow(central));
+    let hollow = central.as_ref().filter(|central| may_be_cut_by_hollow(central));
     if let Some((_, out)) = hollow.and_then(|central| out_of_hollow(central, others, OPEN_MIN, site)) {
         return Some(out);
     }
@@ -267,7 +275,7 @@ struct Touched<'a> {
 impl Touched<'_> {
     /// The neighbour's walls may be more than a texel away from its point.
     fn may_be_in_hollow(&self) -> bool {
-        self.neighbour.is_some_and(|other| other.outlook < HOLLOW_MAX)
+        self.neighbour.is_some_and(may_be_in_hollow)
     }
 
     /// The best of the regions' middles that a wall parts from the neighbour.
@@ -294,8 +302,10 @@ mod tests {
 
     use super::*;
 
-    /// Triangle 0 lies in a shelf, 1 in the hollow under it, 2 in the room.
-    struct Shelf;
+    /// Triangle 0 lies in a shelf, 1 in the hollow under it, 2 in the room; so much of what is seen from these is turned away.
+    struct Shelf {
+        away: f32,
+    }
 
     impl Site for Shelf {
         fn receiver(&self, point: &TexelPoint) -> Receiver {
@@ -320,10 +330,11 @@ mod tests {
             let receiver = self.receiver(point);
             Some(Candidate {
                 receiver,
-                openness: 1.0,
+                openness: 0.9,
                 back_share: 0.0,
                 outlook,
                 far: outlook,
+                away: self.away,
                 is_shifted: false,
                 is_lifted: false,
             })
@@ -366,10 +377,23 @@ mod tests {
             |triangle: u32, x: f32| TexelPoint { texel: [0, 0], triangle, weights: [x, 0.5, 0.5 - x] };
         // Those in the hollow are nearer to the middle of all.
         let others = [point(1, 0.2), point(1, 0.25), point(1, 0.3), point(2, 0.45), point(2, 0.5)];
-        let found = best(&point(0, 0.3), None, &others, &Shelf).unwrap();
+        let shelf = Shelf { away: 0.0 };
+        let found = best(&point(0, 0.3), None, &others, &shelf).unwrap();
         assert!(found.receiver.position_m.x > 0.4, "{found:?}");
         // Where there is no room to be seen, the hollow has its own light.
-        let found = best(&point(0, 0.3), None, &others[..3], &Shelf).unwrap();
+        let found = best(&point(0, 0.3), None, &others[..3], &shelf).unwrap();
         assert_eq!(found.receiver.position_m.x, 0.25);
+    }
+
+    #[test]
+    fn middle_of_a_texel_is_in_a_hollow_if_what_it_sees_is_the_inside_of_a_thing() {
+        let point =
+            |triangle: u32, x: f32| TexelPoint { texel: [0, 0], triangle, weights: [x, 0.5, 0.5 - x] };
+        let (middle, beyond) = (point(1, 0.3), [point(2, 0.45)]);
+        for (away, wanted) in [(1.0, 0.45), (0.0, 0.3), (0.6, 0.3)] {
+            let shelf = Shelf { away };
+            let found = best(&middle, shelf.candidate(&middle), &beyond, &shelf).unwrap();
+            assert_eq!(found.receiver.position_m.x, wanted, "{away} turned away");
+        }
     }
 }

@@ -1,4 +1,4 @@
-//! Step "share": coplanar neighbours share the lattice's squares, whatever mesh, chart or material they belong to.
+//! Step "share": coplanar and smoothly joined neighbours share light, whatever mesh, chart or material they belong to.
 //!
 //! Charts lie on one lattice, so texels of two charts may be the same square of one plane. Each would gather light at
 //! points of its own, and pictures, which interpolate inside a block alone, would show a step at the border of the two.
@@ -6,11 +6,13 @@
 //! - Where a chart's surface is interpolated with a square in which it has no receiver and a neighbour has one, it gets a
 //!   *guest* there: a receiver without surface, with the neighbour's light.
 //! - Where the neighbour has another lattice, as a bent chart has, the guest gathers light of its own at the square's middle.
+//! - Where the surface goes on bent, but shaded as one, the guest gathers light of its own at what lies under the square's middle.
 //! - Of a strip between the border and a wall, however narrow, the guest has the light that the neighbour has at the border.
 //!
-//! So both sides of a border interpolate between the same values, or between values for the same light. No light is shared
-//! between points that a wall parts.
+//! So both sides of a border interpolate between the same values, or between values for the same light or that of places close by. No
+//! light is shared between points that a wall parts.
 
+use std::cell::LazyCell;
 use std::cmp::Reverse;
 use std::sync::Arc;
 
@@ -18,7 +20,9 @@ use glam::Vec3;
 use lightkiln_proto::content::{AreaCode, TexelEdge};
 use rayon::prelude::*;
 
-use super::squares::{COPLANAR_COSINE_MIN, Faces, Found, Reading, Rim, Squares, level_m};
+use super::squares::{
+    COPLANAR_COSINE_MIN, Faces, Found, Reading, Rim, Square, Squares, gather_alike, level_m,
+};
 use crate::geometry::{Geometry, Site};
 use crate::lightmap::{Charts, Lightmap, Receiver, Surface, World};
 use crate::rays::Hit;
@@ -29,6 +33,12 @@ use crate::task::{Cancelled, Progress};
 const CENTRAL_STEP: f32 = 0.125;
 /// Texels by which the place in the lightmap changes at least where one steps across the border of a chart.
 const BORDER_TEXELS: f32 = 0.5;
+/// Cosine between faces up to which surface that is shaded as one is one, and between normals within a texel of it.
+/// Below that of 60°: a pipe of six faces has these to rounding.
+const BENT_COSINE_MIN: f32 = 0.45;
+/// Height in texels about the plane of a face in which the surface goes on: at a place beside its rim, and at a square's middle.
+const BENT_AT_RIM: f32 = 1.0 / 24.0;
+const BENT_AT_MIDDLE: f32 = 0.5;
 /// A guest takes its own light.
 const ITSELF: u32 = u32::MAX;
 
@@ -68,7 +78,7 @@ pub fn shared(
         readings.into_iter().cloned().zip(found).filter_map(guest).collect();
     let borrowers = light_of.iter().zip(0..).filter(|(light_of, own)| *light_of != own).count();
     let shared = SharedTexels { borrowers, guests: guests.len() };
-    Ok((with_light(world.into_lightmap(), &light_of, &guests), shared))
+    Ok((with_light(world.into_lightmap(), &squares.of_receiver, &light_of, &guests), shared))
 }
 
 /// Order in which receivers of a square are asked to lend their light: points in the middle come first, then those of
@@ -135,44 +145,87 @@ fn guest_of(world: &World, squares: &Squares, light_of: &[u32], reading: &Readin
     let mut lenders: Vec<u32> = found.into_iter().map(|receiver| light_of[receiver as usize]).collect();
     lenders.sort_by_cached_key(|&lender| rank(squares, &world.lightmap, lender));
     lenders.dedup();
-    let sees = |site: &Site, lender: u32| {
-        world.is_linked(world.raised_on(*block, site), world.raised_receiver(lender))
-    };
-    // Of a texel that surface of the chart lies in, all of that is to see the lender: it would show its light.
-    let suits = |rim: &Rim, lender: u32| {
-        sees(&rim.site, lender) && rims.iter().all(|rim| !rim.is_inside || sees(&rim.site, lender))
-    };
+    let at = |lender: u32| world.raised_receiver(lender);
+    let sees_all = |rim: &Rim, lender: u32| suits(world, reading, rim, at(lender));
+    let sees = |site: &Site, lender: u32| world.is_linked(world.raised_on(*block, site), at(lender));
     let of_middle = || lenders.iter().copied().find(|&lender| sees(site, lender));
-    let of_strip = || rims.iter().find_map(|rim| lenders.iter().copied().find(|&lender| suits(rim, lender)));
+    let of_strip =
+        || rims.iter().find_map(|rim| lenders.iter().copied().find(|&lender| sees_all(rim, lender)));
     let beside = || {
         let at_border = |rim: &Rim| {
             let lender = light_of[met_across(world, *block, rim)? as usize];
-            suits(rim, lender).then_some(GuestLight::Beside(lender))
+            let of = &world.lightmap.receivers[lender as usize];
+            let gathers_alike =
+                gather_alike([of.normal, of.face_normal], [rim.site.normal, rim.site.face_normal]);
+            (gathers_alike && sees_all(rim, lender)).then_some(GuestLight::Beside(lender))
         };
         rims.iter().find_map(at_border)
     };
-    own.or_else(|| of_middle().map(GuestLight::Of)).or_else(|| of_strip().map(GuestLight::Of)).or_else(beside)
+    let of_lattice = || of_middle().or_else(of_strip).map(GuestLight::Of);
+    own.or_else(of_lattice).or_else(beside).or_else(|| bent_light(world, reading))
+}
+
+/// Light at the surface under the middle of a square, else right beyond a rim, where a neighbour goes on there that is bent
+/// but shaded as one with the chart, as smooth things are.
+fn bent_light(world: &World, reading: &Reading) -> Option<GuestLight> {
+    let Reading { block, square, site, rims, .. } = reading;
+    let texel_m = world.lightmap.blocks[*block as usize].texel_m;
+    let under = |at_m: Vec3, about: &Site, (height, shading_min): (f32, f32)| {
+        let (hit, met) = surface_near(world, at_m, about.face_normal, height * texel_m)?;
+        let Site { normal, face_normal, .. } = world.geometry.site_at(&hit);
+        let is_one =
+            normal.dot(about.normal) >= shading_min && face_normal.dot(about.face_normal) >= BENT_COSINE_MIN;
+        is_one.then_some((hit, met))
+    };
+    let block_of = |met: u32| world.lightmap.receivers[met as usize].block;
+    let middle = LazyCell::new(|| under(square.middle_m, site, (BENT_AT_MIDDLE, BENT_COSINE_MIN)));
+    rims.iter().find_map(|rim| {
+        let (across, met_across) = under(rim.across_m, &rim.site, (BENT_AT_RIM, COPLANAR_COSINE_MIN))?;
+        if !is_other_chart(world, *block, &across, rim) {
+            return None;
+        }
+        // What lies under the middle may be another thing.
+        let goes_on = |(_, met): &(Hit, u32)| [*block, block_of(met_across)].contains(&block_of(*met));
+        let places = middle.filter(goes_on).into_iter().chain([(across, met_across)]);
+        let mut sites = places.map(|(hit, met)| (world.geometry.site_at(&hit), met));
+        let found = sites.find(|(found, _)| suits(world, reading, rim, world.raised_on(*block, found)));
+        found.map(|(found, met)| GuestLight::Own(found, met))
+    })
+}
+
+/// Surface at a rim, and all rims in the guest's texel, sees a raised point. Of a texel that surface of the chart lies in, all of
+/// that is to see the lender: it would show its light.
+fn suits(world: &World, Reading { block, rims, .. }: &Reading, rim: &Rim, to_m: Vec3) -> bool {
+    let sees = |rim: &Rim| world.is_linked(world.raised_on(*block, &rim.site), to_m);
+    sees(rim) && rims.iter().all(|rim| !rim.is_inside || sees(rim))
 }
 
 /// The receiver of another chart on whose surface a chart's goes on across a rim.
 fn met_across(world: &World, block: u32, rim: &Rim) -> Option<u32> {
     let (hit, met) = surface_about(world, block, rim.across_m, &rim.site)?;
-    let (key, place) = world.lightmap_at(&hit)?;
-    let is_other =
-        key != world.lightmap.blocks[block as usize].key || place.distance(rim.across) > BORDER_TEXELS;
-    is_other.then_some(met)
+    is_other_chart(world, block, &hit, rim).then_some(met)
+}
+
+/// Surface across a rim is of another chart than the rim.
+fn is_other_chart(world: &World, block: u32, hit: &Hit, rim: &Rim) -> bool {
+    let key = world.lightmap.blocks[block as usize].key;
+    world
+        .lightmap_at(hit)
+        .is_some_and(|(other, place)| other != key || place.distance(rim.across) > BORDER_TEXELS)
 }
 
 /// The surface that gathers light as a site does, at a point of its plane, and its receiver.
 fn surface_about(world: &World, block: u32, at_m: Vec3, site: &Site) -> Option<(Hit, u32)> {
-    let height_m = 2.0 * level_m(world, block, at_m);
-    let above_m = at_m + site.face_normal * height_m;
-    let hit = world.geometry.tracer.closest_surface(above_m, -site.face_normal, 2.0 * height_m)?;
+    let (hit, met) = surface_near(world, at_m, site.face_normal, 2.0 * level_m(world, block, at_m))?;
+    let Site { normal, face_normal, .. } = world.geometry.site_at(&hit);
+    gather_alike([normal, face_normal], [site.normal, site.face_normal]).then_some((hit, met))
+}
+
+/// The surface within a height of a point along a normal, and its receiver.
+fn surface_near(world: &World, at_m: Vec3, normal: Vec3, height_m: f32) -> Option<(Hit, u32)> {
+    let hit = world.geometry.tracer.closest_surface(at_m + normal * height_m, -normal, 2.0 * height_m)?;
     let Surface::Receiver(met) = world.surface_at(&hit) else { return None };
-    let own = world.geometry.site_at(&hit);
-    let gathers_alike = own.normal.dot(site.normal) >= COPLANAR_COSINE_MIN
-        && own.face_normal.dot(site.face_normal) >= COPLANAR_COSINE_MIN;
-    gathers_alike.then_some((hit, met))
+    Some((hit, met))
 }
 
 /// Light at the middle of a square on which a coplanar neighbour goes on, no wall between.
@@ -186,12 +239,17 @@ fn own_light(world: &World, Reading { block, square, site, .. }: &Reading) -> Op
 }
 
 /// Receivers with the light of others, and guests among them; all in the order of blocks and of their rasters.
-fn with_light(lightmap: Lightmap, light_of: &[u32], guests: &[(Reading, GuestLight)]) -> Lightmap {
+fn with_light(
+    lightmap: Lightmap,
+    squares: &[Option<Square>],
+    light_of: &[u32],
+    guests: &[(Reading, GuestLight)],
+) -> Lightmap {
     let borrowing = lightmap.receivers.iter().zip(light_of).map(|(own, &light_of)| {
         let Receiver { position_m, normal, face_normal, .. } = lightmap.receivers[light_of as usize];
         Receiver { position_m, normal, face_normal, light_of, ..*own }
     });
-    let guest = |(Reading { block, texel, .. }, light): &(Reading, GuestLight)| {
+    let guest = |(Reading { block, texel, square, .. }, light): &(Reading, GuestLight)| {
         let of = |receiver: u32| Receiver {
             block: *block,
             texel: *texel,
@@ -201,7 +259,12 @@ fn with_light(lightmap: Lightmap, light_of: &[u32], guests: &[(Reading, GuestLig
             ..lightmap.receivers[receiver as usize]
         };
         match *light {
-            GuestLight::Of(lender) => of(lender),
+            GuestLight::Of(lender) => {
+                // Whoever lends in a square has one.
+                let mirrored = squares[lender as usize].unwrap_or(*square).mirrored(square);
+                let guest = of(lender);
+                Receiver { edge: guest.edge.mirrored(mirrored), ..guest }
+            }
             GuestLight::Beside(lender) => Receiver { edge: TexelEdge::NONE, ..of(lender) },
             GuestLight::Own(Site { position_m, normal, face_normal }, met) => {
                 let edge = TexelEdge::NONE;
@@ -235,7 +298,6 @@ fn with_light(lightmap: Lightmap, light_of: &[u32], guests: &[(Reading, GuestLig
 mod tests {
     use lightkiln_proto::content::Texel;
 
-    use super::super::squares::Square;
     use super::*;
     use crate::lightmap::{Block, NO_RECEIVER};
 
@@ -250,7 +312,7 @@ mod tests {
             emission: [0.0; 3],
             links: 0,
             coverage: 0b11 << block,
-            edge: TexelEdge::NONE,
+            edge: TexelEdge::new(0.0, 0.25),
             area: AreaCode::of(0.5),
             light_of: 0,
         }
@@ -286,7 +348,9 @@ mod tests {
             (reading(1, [0, 0]), GuestLight::Own(Site { position_m: Vec3::ONE, ..site }, 1)),
             (reading(0, [2, 0]), GuestLight::Of(1)),
         ];
-        let found = with_light(lightmap, &[0, 1, 1], &guests);
+        let from_behind = Square { right_m: -Vec3::X, ..square };
+        let squares = [square, from_behind, square].map(Some);
+        let found = with_light(lightmap, &squares, &[0, 1, 1], &guests);
         let order: Vec<(u32, Texel)> = found.receivers.iter().map(|r| (r.block, r.texel)).collect();
         assert_eq!(order, [(0, [0, 0]), (0, [1, 0]), (0, [2, 0]), (0, [0, 1]), (1, [0, 0]), (1, [2, 1])]);
         assert_eq!(found.receivers.iter().map(|r| r.light_of).collect::<Vec<_>>(), [0, 1, 1, 0, 4, 1]);
@@ -299,6 +363,12 @@ mod tests {
         assert_eq!([borrower.position_m, guest.position_m], [lender.position_m; 2]);
         assert_eq!((borrower.albedo, borrower.coverage), (before.receivers[2].albedo, 0b110));
         assert_eq!([guest.coverage, found.receivers[4].coverage], [0; 2]);
+        // The lender of that guest lies on the plane from its back, where x runs the other way; that of the other does not.
+        let behind = TexelEdge::new(std::f32::consts::PI, 0.25);
+        assert_eq!(
+            [3, 2, 4].map(|r| found.receivers[r].edge),
+            [before.receivers[0].edge, behind, TexelEdge::NONE]
+        );
         assert_eq!(found.receivers[4].position_m, Vec3::ONE);
     }
 }

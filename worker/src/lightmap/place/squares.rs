@@ -63,12 +63,19 @@ impl Square {
             .then_some(square)
     }
 
-    /// Both are the same to within a distance.
+    /// Both are the same to within a distance. They may be mirrored: faces wound the other way than their neighbours have
+    /// their texels on the same plane from its back.
     fn coincides(&self, other: &Self, tolerance_m: f32) -> bool {
         let is_near = |one: Vec3, other: Vec3| one.distance(other) <= tolerance_m;
+        let is_along = |one: Vec3, other: Vec3| is_near(one, other) || is_near(one, -other);
         is_near(self.middle_m, other.middle_m)
-            && is_near(self.right_m, other.right_m)
-            && is_near(self.up_m, other.up_m)
+            && is_along(self.right_m, other.right_m)
+            && is_along(self.up_m, other.up_m)
+    }
+
+    /// Of two that coincide: the axes along which one is the other's mirror image.
+    pub fn mirrored(&self, other: &Self) -> [bool; 2] {
+        [self.right_m.dot(other.right_m) < 0.0, self.up_m.dot(other.up_m) < 0.0]
     }
 }
 
@@ -305,7 +312,7 @@ impl Squares {
         world: &World,
         block: u32,
         square: &Square,
-        [normal, face_normal]: [Vec3; 2],
+        normals @ [_, face_normal]: [Vec3; 2],
     ) -> Vec<u32> {
         let texel_m = world.lightmap.blocks[block as usize].texel_m;
         let tolerance_m = TOLERANCE * texel_m;
@@ -326,14 +333,18 @@ impl Squares {
                             && above_m.abs() <= level_m(world, block, square.middle_m)
                     };
                     self.of_receiver[receiver as usize].is_some_and(is_same)
-                        && other.normal.dot(normal) >= COPLANAR_COSINE_MIN
-                        && other.face_normal.dot(face_normal) >= COPLANAR_COSINE_MIN
+                        && gather_alike([other.normal, other.face_normal], normals)
                 }));
             }
         }
         found.sort_unstable();
         found
     }
+}
+
+/// Points with these normals, of shading and of the face, gather the same light.
+pub fn gather_alike(one: [Vec3; 2], other: [Vec3; 2]) -> bool {
+    (0..2).all(|of| one[of].dot(other[of]) >= COPLANAR_COSINE_MIN)
 }
 
 /// Distance from a plane, in metres, of what lies on it about a point of a block.
@@ -371,6 +382,12 @@ mod tests {
         assert!(first.middle_m.distance(Vec3::new(0.65, 0.25, 0.35)) < 1e-6, "{first:?}");
         let other = square_by(sliver, Vec2::new(8.0, 4.0), [11, 6]).unwrap();
         assert!(first.coincides(&other, 1e-4), "{first:?} and {other:?}");
+        assert_eq!(first.mirrored(&other), [false; 2]);
+        for mirrored @ [x, y] in [[true, false], [false, true], [true; 2]] {
+            let along = |axis_m: Vec3, is_mirrored: bool| if is_mirrored { -axis_m } else { axis_m };
+            let image = Square { right_m: along(other.right_m, x), up_m: along(other.up_m, y), ..other };
+            assert!(first.coincides(&image, 1e-4) && first.mirrored(&image) == mirrored, "{image:?}");
+        }
         let [beside, between] = [Vec2::new(9.0, 4.0), Vec2::new(8.1, 4.0)];
         for offset in [beside, between] {
             assert!(!first.coincides(&square_by(sliver, offset, [11, 6]).unwrap(), TOLERANCE * 0.1));
