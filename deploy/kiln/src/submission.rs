@@ -1,9 +1,10 @@
 //! From a scene on disk to a bake on a server.
 
 use std::hash::{BuildHasher as _, Hasher as _, RandomState};
-use std::path::Path;
+use std::path::PathBuf;
 use std::time::SystemTime;
 
+use clap::Args;
 use lightkiln_client::fetch::ApiClient;
 use lightkiln_proto::api::{Bake, BakeState, Needs, NewBake, SCENE_PART_BYTES};
 use lightkiln_proto::ids::Digest;
@@ -18,6 +19,18 @@ const NAME_CHARS_MAX: usize = 200;
 /// Bakes of one commit that may have failed or been cancelled before. More → a commit can be tried more often.
 const TRIES_OF_A_COMMIT: usize = 50;
 
+/// Arguments that name a scene.
+#[derive(Args, Clone, Debug)]
+pub struct SceneArguments {
+    /// The scene: a .glb, a .gltf with its files beside it, or a .zip of them
+    #[arg(value_name = "SCENE")]
+    pub path: PathBuf,
+    /// Folder that holds the scene and the files that it names, where some of these lie above it, as ../textures/a.png does
+    /// [default: the scene's own]
+    #[arg(long, value_name = "DIR")]
+    pub root: Option<PathBuf>,
+}
+
 /// A scene packed for upload.
 pub struct PackedScene {
     /// Name for people: the file's stem.
@@ -27,14 +40,23 @@ pub struct PackedScene {
 
 impl PackedScene {
     /// Reads the scene and the files that it names.
-    pub fn read(path: &Path) -> Result<Self> {
-        let bytes = Bundle::pack_path(path, &Limits::default()).map_err(|error| {
+    pub fn read(scene: &SceneArguments) -> Result<Self> {
+        let (path, limits) = (&scene.path, Limits::default());
+        let packed = match &scene.root {
+            Some(root) => Bundle::pack_path_in(root, path, &limits),
+            None => Bundle::pack_path(path, &limits),
+        };
+        let bytes = packed.map_err(|error| {
             let what = format!("the scene {} cannot be baked", path.display());
             let failure = Failure::bad_input(what).caused_by(&error);
             match error {
                 ImportError::Io { .. } | ImportError::UnknownFormat => {
                     failure.try_this("a .glb, a .gltf with its files beside it, or a .zip of them")
                 }
+                error if error.is_of_wider_folder() => {
+                    failure.try_this("--root DIR, a folder that holds the scene and all files that it names")
+                }
+                ImportError::OutsideRoot { .. } => failure.try_this("--root with a folder above the scene"),
                 // The others say what to do themselves.
                 _ => failure,
             }

@@ -13,7 +13,7 @@ use lightkiln_proto::manifest::{Manifest, ManifestError};
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 
-use crate::evaluation::Evaluation;
+use crate::evaluation::{Evaluation, NotedScene};
 use crate::failure::{Exit, Failure, Result};
 
 /// The one JSON object at the end of `bake --json`: its keys are a contract.
@@ -118,8 +118,8 @@ pub fn write_report(out: &Path, report: &Value, summary: &Summary) -> Result<()>
     Ok(write_atomically(&out.join(REPORT_FILE), format!("{whole:#}\n").as_bytes())?)
 }
 
-/// Adds to `report.json` the way from the bundle to its scene, and this run's summary as it is now.
-pub fn complete_report(out: &Path, scene_path: Option<String>, summary: &Summary) -> Result<()> {
+/// Adds to `report.json` where the bundle's scene is, and this run's summary as it is now.
+pub fn complete_report(out: &Path, scene: &NotedScene, summary: &Summary) -> Result<()> {
     let path = out.join(REPORT_FILE);
     let bytes = fs::read(&path).map_err(|error| {
         Failure::new(Exit::Failed, format!("cannot read {}", path.display())).caused_by(&error)
@@ -127,7 +127,9 @@ pub fn complete_report(out: &Path, scene_path: Option<String>, summary: &Summary
     let place = path.display().to_string();
     let mut whole: Value =
         serde_json::from_slice(&bytes).map_err(|source| ClientError::Json { place, source })?;
-    whole["scene_path"] = json!(scene_path);
+    for (name, way) in json!(scene).as_object().into_iter().flatten() {
+        whole[name.as_str()] = way.clone();
+    }
     whole["run"] = json!(summary);
     Ok(write_atomically(&path, format!("{whole:#}\n").as_bytes())?)
 }

@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use super::{pack, uri};
+
 /// Result of a step of an import.
 pub(super) type Result<T, E = ImportError> = std::result::Result<T, E>;
 
@@ -95,6 +97,14 @@ pub enum ImportError {
         uri: String,
         /// Why it is refused.
         problem: &'static str,
+    },
+    /// A root that does not hold the glTF.
+    #[error("the folder {} does not hold the scene {}", root.display(), scene.display())]
+    OutsideRoot {
+        /// The folder.
+        root: PathBuf,
+        /// The glTF.
+        scene: PathBuf,
     },
     /// A file that the glTF names is not there.
     #[error("{place} needs the file {uri:?}, which is missing{hint}; add it, or export as .glb")]
@@ -243,6 +253,11 @@ impl ImportError {
             "export the scene as glTF 2.0"
         };
         Self::Version { version: shown(version), advice }
+    }
+
+    /// A file lies outside of the scene's folder, and would not outside of a wider one.
+    pub fn is_of_wider_folder(&self) -> bool {
+        matches!(self, Self::OutsidePath { problem, .. } if [uri::LEAVES, pack::LINKS_OUT].contains(problem))
     }
 }
 

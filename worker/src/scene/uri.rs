@@ -59,6 +59,9 @@ pub(super) fn decode_file(uri: &str) -> String {
     percent_decode_str(uri).decode_utf8().map_or_else(|_| uri.to_owned(), |decoded| decoded.into_owned())
 }
 
+/// Why a path is refused that a wider folder would hold.
+pub(super) const LEAVES: &str = "leaves the scene's folder";
+
 /// Resolves a relative path against a folder, by text alone.
 ///
 /// `folder` is `""` or `a/b`; the result never starts with `..`. Backslashes count as slashes, since exporters on
@@ -78,7 +81,7 @@ pub(super) fn resolve(folder: &str, path: &str) -> Result<String, &'static str> 
         match part {
             "" | "." => {}
             ".." => {
-                parts.pop().ok_or("leaves the scene's folder")?;
+                parts.pop().ok_or(LEAVES)?;
             }
             name => parts.push(name),
         }

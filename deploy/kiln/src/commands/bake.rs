@@ -11,7 +11,7 @@ use crate::arguments::TrustArgument;
 use crate::bundle::{refuse_foreign_folder, write_bundle};
 use crate::console::{printable, say};
 use crate::embedded::{EmbeddedFarm, default_state};
-use crate::evaluation::{EvaluationArguments, check, measure, relative_path, words};
+use crate::evaluation::{EvaluationArguments, NotedScene, check, measure, words};
 use crate::explanation::explanation;
 use crate::failure::{EXIT_CODES, Exit, Failure, Result};
 use crate::following::follow;
@@ -20,7 +20,7 @@ use crate::kinds::KindTables;
 use crate::outputs::{check_folder, check_png};
 use crate::picture::PictureArguments;
 use crate::settings::SettingsArguments;
-use crate::submission::PackedScene;
+use crate::submission::{PackedScene, SceneArguments};
 use crate::summary::complete_report;
 use crate::switched_off::SwitchedOff;
 
@@ -28,8 +28,8 @@ use crate::switched_off::SwitchedOff;
 #[derive(Args, Debug)]
 #[command(after_help = EXIT_CODES)]
 pub struct Arguments {
-    /// The scene: a .glb, a .gltf with its files beside it, or a .zip of them
-    scene: PathBuf,
+    #[command(flatten)]
+    scene: SceneArguments,
     /// Folder to write the bundle to [default: the scene's name with .kiln]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -78,7 +78,7 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     if !arguments.evaluate && !arguments.wanted.fail_if.is_empty() {
         return Err(Failure::bad_input("--fail-if has nothing to look at").try_this("--evaluate beside it"));
     }
-    let out = arguments.out.clone().unwrap_or_else(|| default_out(&arguments.scene));
+    let out = arguments.out.clone().unwrap_or_else(|| default_out(&arguments.scene.path));
     refuse_foreign_folder(&out)?;
     check_folder(&out)?;
     arguments.preview.as_deref().map_or(Ok(()), check_png)?;
@@ -92,20 +92,20 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     })?;
     let bake = follow(&client, &bake.id, &interrupt, || farm.check())
         .map_err(|failure| wind_down(failure, &farm, &client, &bake.id))?;
-    let scene_name = arguments.scene.display().to_string();
+    let scene_name = arguments.scene.path.display().to_string();
     let (mut summary, _) = write_bundle(&kinds.contract, &client, &bake, &scene_name, &out, started)?;
     let explained = if arguments.explain { explanation(&client, &bake.id)? } else { String::new() };
     drop(farm);
     let source = Source::bundle(&out)?;
-    let scene_path = relative_path(&out, &arguments.scene);
-    complete_report(&out, scene_path.clone(), &summary)?;
+    let noted = NotedScene::of(&arguments.scene, &out);
+    complete_report(&out, &noted, &summary)?;
     // The bake is done: whatever fails from here on, its place and its figures are told.
     let look = || -> Result<()> {
         if arguments.evaluate {
             let off = &arguments.off;
             let measured = measure(kinds, &source, scene, (&arguments.wanted, off), &interrupt)?;
             summary.evaluation = Some(measured.evaluation);
-            complete_report(&out, scene_path, &summary)?;
+            complete_report(&out, &noted, &summary)?;
         }
         if let Some(png) = &arguments.preview {
             arguments.picture.draw(&kinds.client, &arguments.off, &source, png)?;

@@ -1,7 +1,5 @@
 //! `kiln check`: what a bake of a scene would take and warn of, within seconds.
 
-use std::path::PathBuf;
-
 use clap::Args;
 
 use super::bake::all_processors;
@@ -10,14 +8,14 @@ use crate::failure::{EXIT_CODES, Result};
 use crate::forecast::Forecast;
 use crate::kinds::KindTables;
 use crate::settings::SettingsArguments;
-use crate::submission::PackedScene;
+use crate::submission::{PackedScene, SceneArguments};
 
 /// Arguments of `kiln check`.
 #[derive(Args, Debug)]
 #[command(after_help = EXIT_CODES)]
 pub struct Arguments {
-    /// The scene: a .glb, a .gltf with its files beside it, or a .zip of them
-    scene: PathBuf,
+    #[command(flatten)]
+    scene: SceneArguments,
     #[command(flatten)]
     settings: SettingsArguments,
     /// Prints one JSON object: scene, kind, instances, triangles, materials, textures, texture_pixels, texture_bytes, lights,
@@ -33,7 +31,7 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     let forecast = Forecast::of(kinds, &wanted, bundle)?;
     if arguments.json {
         let mut object = serde_json::json!(forecast);
-        object["scene"] = arguments.scene.display().to_string().into();
+        object["scene"] = arguments.scene.path.display().to_string().into();
         println!("{object}");
         return Ok(());
     }

@@ -15,7 +15,7 @@ use crate::interrupt::Interrupt;
 use crate::kinds::KindTables;
 use crate::outputs::{check_file, check_folder};
 use crate::picture::parse_size;
-use crate::submission::PackedScene;
+use crate::submission::{PackedScene, SceneArguments};
 use crate::switched_off::SwitchedOff;
 
 /// Arguments of `kiln evaluate`.
@@ -27,6 +27,9 @@ pub struct Arguments {
     /// The scene that was baked [default: where it was then]
     #[arg(long, value_name = "SCENE")]
     scene: Option<PathBuf>,
+    /// Folder that holds the scene and the files that it names, as of 'kiln bake' [default: the scene's own]
+    #[arg(long, value_name = "DIR", requires = "scene")]
+    root: Option<PathBuf>,
     /// Folder to write a page with pictures to (evaluation.html, evaluation.json)
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -58,11 +61,11 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     arguments.dump.as_deref().map_or(Ok(()), check_file)?;
     arguments.out.as_deref().map_or(Ok(()), check_folder)?;
     let source = Source::bundle(&arguments.bundle)?;
-    let path = match &arguments.scene {
-        Some(scene) => scene.clone(),
+    let scene = match &arguments.scene {
+        Some(path) => SceneArguments { path: path.clone(), root: arguments.root.clone() },
         None => scene_of_bundle(&arguments.bundle)?,
     };
-    let scene = PackedScene::read(&path)?;
+    let scene = PackedScene::read(&scene)?;
     let measured =
         measure(kinds, &source, scene, (&arguments.wanted, &arguments.off), &Interrupt::default())?;
     if let Some(csv) = &arguments.dump {

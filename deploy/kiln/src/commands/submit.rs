@@ -17,7 +17,7 @@ use crate::interrupt::Interrupt;
 use crate::junit;
 use crate::kinds::KindTables;
 use crate::settings::SettingsArguments;
-use crate::submission::PackedScene;
+use crate::submission::{PackedScene, SceneArguments};
 use crate::summary::stage_name;
 use crate::switched_off::SwitchedOff;
 
@@ -25,8 +25,8 @@ use crate::switched_off::SwitchedOff;
 #[derive(Args, Debug)]
 #[command(after_help = EXIT_CODES)]
 pub struct Arguments {
-    /// The scene: a .glb, a .gltf with its files beside it, or a .zip of them
-    scene: PathBuf,
+    #[command(flatten)]
+    scene: SceneArguments,
     #[command(flatten)]
     server: ServerArgument,
     #[command(flatten)]
@@ -87,7 +87,7 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
         check(&arguments.wanted.fail_if, evaluation)
     });
     let elapsed = started.elapsed();
-    let scene = arguments.scene.display().to_string();
+    let scene = arguments.scene.path.display().to_string();
     if let Some(path) = &arguments.junit {
         let ended = outcome.as_ref().map(|outcome| &outcome.ended);
         junit::write(path, &junit::report(&scene, ended, judged.as_ref(), elapsed))?;

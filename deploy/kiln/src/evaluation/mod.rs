@@ -19,5 +19,5 @@ pub use html::write_page;
 pub use limits::check;
 pub use measure::measure;
 pub use pictures::draw;
-pub use scene::{relative_path, scene_of_bundle};
+pub use scene::{NotedScene, scene_of_bundle};
 pub use table::{Evaluation, words};

@@ -1,35 +1,52 @@
-//! Where the scene of a bundle is: `bake` notes its path, relative to the bundle, in the bundle's report.
+//! Where the scene of a bundle is: `bake` notes its path and its root, relative to the bundle, in the bundle's report.
 
 use std::fs;
 use std::path::{Component, Path, PathBuf};
 
 use lightkiln_client::fetch::REPORT_FILE;
+use serde::Serialize;
 use serde_json::Value;
 
 use crate::failure::{Failure, Result};
+use crate::submission::SceneArguments;
 
-/// Path of the scene that a bundle was baked from, as its report notes it.
+/// Where a scene is, seen from a bundle of it.
+#[derive(Clone, Debug, Serialize)]
+pub struct NotedScene {
+    scene_path: Option<String>,
+    scene_root: Option<String>,
+}
+
+impl NotedScene {
+    /// That of a scene.
+    pub fn of(scene: &SceneArguments, bundle: &Path) -> Self {
+        let scene_root = scene.root.as_ref().and_then(|root| relative_path(bundle, root));
+        Self { scene_path: relative_path(bundle, &scene.path), scene_root }
+    }
+}
+
+/// The scene that a bundle was baked from, as its report notes it.
 ///
 /// Errors when the report names none, as that of a fetched bundle, or when the file is gone.
-pub fn scene_of_bundle(bundle: &Path) -> Result<PathBuf> {
+pub fn scene_of_bundle(bundle: &Path) -> Result<SceneArguments> {
     let give = "--scene SCENE, with the file that was baked";
     let report = fs::read(bundle.join(REPORT_FILE)).ok();
     let report: Option<Value> = report.and_then(|bytes| serde_json::from_slice(&bytes).ok());
-    let noted = report.as_ref().and_then(|report| report["scene_path"].as_str());
-    let Some(noted) = noted else {
+    let noted =
+        |name: &str| report.as_ref().and_then(|report| report[name].as_str()).map(|way| bundle.join(way));
+    let Some(path) = noted("scene_path") else {
         let what = format!("the bundle {} does not say where its scene is", bundle.display());
         return Err(Failure::bad_input(what).try_this(give));
     };
-    let path = bundle.join(noted);
     if path.is_file() {
-        return Ok(path);
+        return Ok(SceneArguments { path, root: noted("scene_root") });
     }
     let what = format!("the scene of {} is no more at {}", bundle.display(), path.display());
     Err(Failure::bad_input(what).try_this(give))
 }
 
-/// The way from a folder to a file, both of which exist; `None` when there is none, or it is not text.
-pub fn relative_path(folder: &Path, file: &Path) -> Option<String> {
+/// The way from a folder to a file or folder, both of which exist; `None` when there is none, or it is not text.
+fn relative_path(folder: &Path, file: &Path) -> Option<String> {
     let (folder, file) = (folder.canonicalize().ok()?, file.canonicalize().ok()?);
     let (from, to): (Vec<Component>, Vec<Component>) =
         (folder.components().collect(), file.components().collect());
@@ -54,11 +71,19 @@ mod tests {
         fs::create_dir_all(&scenes).unwrap();
         let scene = scenes.join("a.glb");
         fs::write(&scene, "glTF").unwrap();
-        let way = relative_path(&bundle, &scene).unwrap();
-        assert_eq!(Path::new(&way), Path::new("../../scenes/a.glb"));
+        let noted = |root: Option<&Path>| {
+            let scene = SceneArguments { path: scene.clone(), root: root.map(Path::to_owned) };
+            serde_json::to_string(&NotedScene::of(&scene, &bundle)).unwrap()
+        };
+        assert!(noted(None).contains("../../scenes/a.glb"), "{}", noted(None));
         assert!(scene_of_bundle(&bundle).unwrap_err().to_string().contains("does not say"));
-        fs::write(bundle.join(REPORT_FILE), serde_json::json!({ "scene_path": way }).to_string()).unwrap();
-        assert_eq!(scene_of_bundle(&bundle).unwrap().canonicalize().unwrap(), scene.canonicalize().unwrap());
+        for root in [None, Some(folder.path())] {
+            fs::write(bundle.join(REPORT_FILE), noted(root)).unwrap();
+            let found = scene_of_bundle(&bundle).unwrap();
+            assert_eq!(found.path.canonicalize().unwrap(), scene.canonicalize().unwrap());
+            let real = |path: &Path| path.canonicalize().unwrap();
+            assert_eq!(found.root.as_deref().map(real), root.map(real));
+        }
         fs::remove_file(&scene).unwrap();
         assert!(scene_of_bundle(&bundle).unwrap_err().to_string().contains("--scene"));
     }

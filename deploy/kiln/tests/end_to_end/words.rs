@@ -18,12 +18,18 @@ fn broken_scene(folder: &Path) -> PathBuf {
     path
 }
 
+/// The box's bytes, and of its JSON the length and what it says.
+fn box_and_json() -> (Vec<u8>, usize, Value) {
+    let glb = std::fs::read(cornell()).unwrap();
+    let json_bytes = u32::from_le_bytes(glb[12..16].try_into().unwrap()) as usize;
+    let json = serde_json::from_slice(&glb[20..20 + json_bytes]).unwrap();
+    (glb, json_bytes, json)
+}
+
 /// The box with orders to a terminal in the names of its file and of its materials, which reflect so much that the import
 /// warns of them by name.
 fn scene_with_orders(folder: &Path) -> PathBuf {
-    let glb = std::fs::read(cornell()).unwrap();
-    let json_bytes = u32::from_le_bytes(glb[12..16].try_into().unwrap()) as usize;
-    let mut json: Value = serde_json::from_slice(&glb[20..20 + json_bytes]).unwrap();
+    let (glb, json_bytes, mut json) = box_and_json();
     for material in json["materials"].as_array_mut().unwrap() {
         material["name"] = format!("wall{ORDERS}").into();
         material["pbrMetallicRoughness"]["baseColorFactor"] = serde_json::json!([1.0, 1.0, 1.0, 1.0]);
@@ -159,4 +165,27 @@ fn adapter_is_opened_without_complaints_of_drivers() {
     let told = draw("");
     assert!(!told.contains("XDG_RUNTIME_DIR") && !told.contains("error"), "{told}");
     assert!(told.contains("drawn by"), "{told}");
+}
+
+#[test]
+fn files_above_a_scene_are_taken_with_root_and_words_say_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let (glb, json_bytes, mut json) = box_and_json();
+    json["buffers"][0]["uri"] = "../parts/box.bin".into();
+    for name in ["levels", "parts"] {
+        std::fs::create_dir(folder.path().join(name)).unwrap();
+    }
+    std::fs::write(folder.path().join("parts/box.bin"), &glb[20 + json_bytes + 8..]).unwrap();
+    std::fs::write(folder.path().join("levels/box.gltf"), serde_json::to_vec(&json).unwrap()).unwrap();
+    let at = |name: &str| folder.path().join(name).display().to_string();
+    let check = |root: Option<&str>, code: i32| {
+        let mut words = vec!["check".to_owned(), at("levels/box.gltf")];
+        words.extend(root.into_iter().flat_map(|root| ["--root".to_owned(), at(root)]));
+        run(kiln(folder.path()), &words, code)
+    };
+    let refused = check(None, 2).stderr();
+    assert!(refused.contains("leaves the scene's folder") && refused.contains("--root DIR"), "{refused}");
+    let elsewhere = check(Some("parts"), 2).stderr();
+    assert!(elsewhere.contains("does not hold the scene") && elsewhere.contains("--root"), "{elsewhere}");
+    assert!(check(Some(""), 0).stdout().contains("triangles"));
 }

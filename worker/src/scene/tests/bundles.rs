@@ -284,6 +284,37 @@ fn packing_refuses_files_outside_the_folder() {
     }
 }
 
+#[test]
+fn files_above_the_scene_are_packed_from_a_root_that_holds_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path().join("project");
+    let levels = root.join("data/levels");
+    fs::create_dir_all(&levels).unwrap();
+    fs::create_dir(root.join("parts")).unwrap();
+    let (json, bin) = external("../../parts/a%20b.bin");
+    let path = levels.join("s.gltf");
+    fs::write(&path, json).unwrap();
+    fs::write(root.join("parts/a b.bin"), &bin).unwrap();
+    let limits = Limits::default();
+    let refused = Bundle::pack_path(&path, &limits).unwrap_err();
+    assert!(refused.is_of_wider_folder(), "{refused}");
+    assert!(Bundle::pack_path_in(&root.join("data"), &path, &limits).unwrap_err().is_of_wider_folder());
+    let packed = Bundle::pack_path_in(&root, &path, &limits).unwrap();
+    let names: Vec<String> = zip::ZipArchive::new(Cursor::new(&packed))
+        .unwrap()
+        .file_names()
+        .map(|name| name.unwrap().into_owned())
+        .collect();
+    assert_eq!(names, ["data/levels/s.gltf", "parts/a b.bin"]);
+    assert_eq!(import_bytes(packed).unwrap().counts["triangles"], 1);
+    let elsewhere = Bundle::pack_path_in(&root.join("parts"), &path, &limits);
+    assert!(matches!(elsewhere, Err(ImportError::OutsideRoot { .. })), "{elsewhere:?}");
+    // What lies above the root is as far away as ever.
+    fs::write(folder.path().join("secret.bin"), bin).unwrap();
+    fs::write(&path, external("../../../secret.bin").0).unwrap();
+    assert!(matches!(Bundle::pack_path_in(&root, &path, &limits), Err(ImportError::OutsidePath { .. })));
+}
+
 #[cfg(unix)]
 #[test]
 fn packing_refuses_symbolic_links_out_of_the_folder() {
