@@ -29,6 +29,12 @@ fn external(uri: &str) -> (Vec<u8>, Vec<u8>) {
     (serde_json::to_vec(&document.json).unwrap(), bin)
 }
 
+/// Names of the files in a zip.
+fn names_in(zip: &[u8]) -> Vec<String> {
+    let archive = zip::ZipArchive::new(Cursor::new(zip)).unwrap();
+    archive.file_names().map(|name| name.unwrap().into_owned()).collect()
+}
+
 #[test]
 fn gltf_with_data_uris_needs_no_files() {
     let (_, bin) = external("");
@@ -248,12 +254,7 @@ fn packing_is_deterministic_and_takes_only_what_the_gltf_names() {
     };
     let packed = pack();
     assert_eq!(packed, pack());
-    let names: Vec<String> = zip::ZipArchive::new(Cursor::new(&packed))
-        .unwrap()
-        .file_names()
-        .map(|name| name.unwrap().into_owned())
-        .collect();
-    assert_eq!(names, ["parts/a b.bin", "s.gltf"]);
+    assert_eq!(names_in(&packed), ["parts/a b.bin", "s.gltf"]);
     assert_eq!(import_bytes(packed).unwrap().counts["triangles"], 1);
 }
 
@@ -300,12 +301,7 @@ fn files_above_the_scene_are_packed_from_a_root_that_holds_them() {
     assert!(refused.is_of_wider_folder(), "{refused}");
     assert!(Bundle::pack_path_in(&root.join("data"), &path, &limits).unwrap_err().is_of_wider_folder());
     let packed = Bundle::pack_path_in(&root, &path, &limits).unwrap();
-    let names: Vec<String> = zip::ZipArchive::new(Cursor::new(&packed))
-        .unwrap()
-        .file_names()
-        .map(|name| name.unwrap().into_owned())
-        .collect();
-    assert_eq!(names, ["data/levels/s.gltf", "parts/a b.bin"]);
+    assert_eq!(names_in(&packed), ["data/levels/s.gltf", "parts/a b.bin"]);
     assert_eq!(import_bytes(packed).unwrap().counts["triangles"], 1);
     let elsewhere = Bundle::pack_path_in(&root.join("parts"), &path, &limits);
     assert!(matches!(elsewhere, Err(ImportError::OutsideRoot { .. })), "{elsewhere:?}");
