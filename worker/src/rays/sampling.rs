@@ -70,6 +70,13 @@ pub fn uniform_sphere(u: f32, v: f32) -> Vec3 {
     Vec3::new(radius * cosine, radius * sine, z)
 }
 
+/// Direction above a surface, uniform over the hemisphere about its normal, and its cosine to that.
+pub fn uniform_hemisphere(normal: Vec3, [u, v]: [f32; 2]) -> (Vec3, f32) {
+    let (tangent, bitangent) = tangent_frame(normal);
+    let local = uniform_sphere(0.5 * u, v);
+    (tangent * local.x + bitangent * local.y + normal * local.z, local.z)
+}
+
 /// Direction about +z with density cosθ/π, from a point of the unit square (concentric map, \[Shirley1997\]).
 pub fn cosine_hemisphere([u, v]: [f32; 2]) -> Vec3 {
     let (a, b) = (2.0 * u - 1.0, 2.0 * v - 1.0);

@@ -15,7 +15,7 @@ use crate::emitters::EmitterSet;
 use crate::geometry::Geometry;
 use crate::lightmap::{Found, Lightmap, Numbering, Receiver, Surface, World};
 use crate::rays::Hit;
-use crate::rays::sampling::{R2, tangent_frame, uniform_sphere};
+use crate::rays::sampling::{R2, uniform_hemisphere};
 
 /// Share of its rays that must end within the reach for a place to be narrow: more than those beside a wall.
 const NARROW_SHARE: f32 = 0.25;
@@ -69,13 +69,10 @@ impl NearHit {
     fn is_shut(&self, geometry: &Geometry, emitters: &EmitterSet, reach: Reach, seed: u64) -> bool {
         let Self { position_m, face_normal, .. } = *self;
         let origin_m = geometry.lifted(position_m, face_normal);
-        let (tangent, bitangent) = tangent_frame(face_normal);
         let points = R2::new(seed);
         let mut far = 0;
         (0..SHUT_RAYS).all(|ray| {
-            let [u, v] = points.point(ray);
-            let local = uniform_sphere(u * 0.5, v);
-            let direction = tangent * local.x + bitangent * local.y + face_normal * local.z;
+            let (direction, _) = uniform_hemisphere(face_normal, points.point(ray));
             let hit = geometry.tracer.met(origin_m, direction, reach.near_m);
             far += u32::from(hit.is_some_and(|hit| hit.t > reach.thin_m));
             hit.is_some_and(|hit| !emitters.is_emissive(hit.triangle)) && far <= SHUT_RAYS_FAR

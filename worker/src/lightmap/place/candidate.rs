@@ -5,7 +5,7 @@ use lightkiln_proto::settings::PlaceSettings;
 
 use crate::geometry::Geometry;
 use crate::lightmap::{Receiver, link_height_m};
-use crate::rays::sampling::{R2, seed_of, tangent_frame, uniform_sphere};
+use crate::rays::sampling::{R2, seed_of, uniform_hemisphere};
 use crate::task::Progress;
 
 /// Test rays per receiver.
@@ -143,29 +143,26 @@ impl<'a> Tester<'a> {
 
 /// Surroundings of a point above a surface with that normal, in texels of `texel_m` metres. Casts [`TEST_RAYS`].
 pub fn look(geometry: &Geometry, texel_m: f32, (start_m, normal): (Vec3, Vec3), seed: u64) -> Look {
-    let (tangent, bitangent) = tangent_frame(normal);
     let points = R2::new(seed);
     let mut found = Look::default();
     let (mut back, mut free, mut path, mut weight) = (0, 0.0, 0.0, 0.0);
     let (mut seen, mut away) = (0.0, 0.0);
     let mut paths = [(f32::INFINITY, 0.0); TEST_RAYS as usize];
     for ray in 0..TEST_RAYS {
-        let [u, v] = points.point(ray);
-        let local = uniform_sphere(u * 0.5, v);
-        let direction = tangent * local.x + bitangent * local.y + normal * local.z;
+        let (direction, cosine) = uniform_hemisphere(normal, points.point(ray));
         let hit = geometry.tracer.closest(start_m, direction, f32::INFINITY);
-        paths[ray as usize] = (hit.map_or(f32::INFINITY, |hit| hit.t / texel_m), local.z);
+        paths[ray as usize] = (hit.map_or(f32::INFINITY, |hit| hit.t / texel_m), cosine);
         let Some(hit) = hit else {
-            found.sky += 2.0 * local.z;
-            free += 2.0 * local.z;
-            seen += SEEN_MAX.powi(3) * local.z;
+            found.sky += 2.0 * cosine;
+            free += 2.0 * cosine;
+            seen += SEEN_MAX.powi(3) * cosine;
             continue;
         };
-        seen += (hit.t / texel_m).min(SEEN_MAX).powi(3) * local.z;
-        path += hit.t / texel_m * local.z;
-        weight += local.z;
-        away += if hit.front { 0.0 } else { local.z };
-        free += (hit.t / texel_m).min(1.0) * 2.0 * local.z;
+        seen += (hit.t / texel_m).min(SEEN_MAX).powi(3) * cosine;
+        path += hit.t / texel_m * cosine;
+        weight += cosine;
+        away += if hit.front { 0.0 } else { cosine };
+        free += (hit.t / texel_m).min(1.0) * 2.0 * cosine;
         if !geometry.is_back(&hit) {
             continue;
         }

@@ -12,7 +12,7 @@ use rayon::prelude::*;
 
 use crate::geometry::Geometry;
 use crate::lightmap::{CAVITY, Charts, Lightmap, Receiver, Surface, World};
-use crate::rays::sampling::{R2, seed_of, tangent_frame, uniform_sphere};
+use crate::rays::sampling::{R2, seed_of, tangent_frame, uniform_hemisphere};
 use crate::task::{Progress, TaskError};
 
 /// Rays that measure how narrow it is around a receiver.
@@ -103,10 +103,10 @@ fn fates(world: &World, settings: &PlaceSettings, progress: &Progress) -> Result
 fn mean_paths_m(world: &World, receiver: u32, most_m: [f32; 2]) -> [f32; 2] {
     let mut sums_m = [0.0; 2];
     for ray in 0..PATH_RAYS {
-        let (local, direction) = direction_of(world, receiver, ray);
+        let (direction, cosine) = direction_of(world, receiver, ray);
         let met = world.geometry.tracer.closest(origin_m(world, receiver), direction, most_m[0]);
         let length_m = met.map_or(most_m[0], |hit| hit.t);
-        sums_m = [0, 1].map(|which| sums_m[which] + 2.0 * local.z * length_m.min(most_m[which]));
+        sums_m = [0, 1].map(|which| sums_m[which] + 2.0 * cosine * length_m.min(most_m[which]));
     }
     sums_m.map(|sum_m| sum_m / PATH_RAYS as f32)
 }
@@ -123,7 +123,7 @@ fn fate(world: &World, receiver: u32, is_open: impl Fn(u32) -> bool) -> Fate {
     let tracer = &world.geometry.tracer;
     let middle_m = origin_m(world, receiver);
     let sees_open = |from_m: Vec3, ray: u32| {
-        let (_, direction) = direction_of(world, receiver, PATH_RAYS + ray);
+        let (direction, _) = direction_of(world, receiver, PATH_RAYS + ray);
         let Some(hit) = tracer.closest(from_m, direction, f32::INFINITY) else { return true };
         // Of a texel that a wall cuts in two, the side that was met.
         let met = world.linked_surface_at(&hit, from_m + direction * hit.t);
@@ -157,13 +157,10 @@ fn seed(world: &World, receiver: u32) -> u64 {
     world.lightmap.seed_of(&world.lightmap.receivers[receiver as usize], 4)
 }
 
-/// Direction of a receiver's ray number `ray`, uniform over its hemisphere, in its own frame and in the world's.
-fn direction_of(world: &World, receiver: u32, ray: u32) -> (Vec3, Vec3) {
-    let [u, v] = R2::new(seed(world, receiver)).point(ray);
-    let receiver = &world.lightmap.receivers[receiver as usize];
-    let local = uniform_sphere(0.5 * u, v);
-    let (tangent, bitangent) = tangent_frame(receiver.face_normal);
-    (local, tangent * local.x + bitangent * local.y + receiver.face_normal * local.z)
+/// Direction of a receiver's ray number `ray`, uniform over its hemisphere, and its cosine to the face's normal.
+fn direction_of(world: &World, receiver: u32, ray: u32) -> (Vec3, f32) {
+    let point = R2::new(seed(world, receiver)).point(ray);
+    uniform_hemisphere(world.lightmap.receivers[receiver as usize].face_normal, point)
 }
 
 /// Where a receiver's rays start.

@@ -172,23 +172,22 @@ fn bent_light(world: &World, reading: &Reading) -> Option<GuestLight> {
     let texel_m = world.lightmap.blocks[*block as usize].texel_m;
     let under = |at_m: Vec3, about: &Site, (height, shading_min): (f32, f32)| {
         let (hit, met) = surface_near(world, at_m, about.face_normal, height * texel_m)?;
-        let Site { normal, face_normal, .. } = world.geometry.site_at(&hit);
-        let is_one =
-            normal.dot(about.normal) >= shading_min && face_normal.dot(about.face_normal) >= BENT_COSINE_MIN;
-        is_one.then_some((hit, met))
+        let found = world.geometry.site_at(&hit);
+        let is_one = found.normal.dot(about.normal) >= shading_min
+            && found.face_normal.dot(about.face_normal) >= BENT_COSINE_MIN;
+        is_one.then_some((hit, (found, met)))
     };
     let block_of = |met: u32| world.lightmap.receivers[met as usize].block;
     let middle = LazyCell::new(|| under(square.middle_m, site, (BENT_AT_MIDDLE, BENT_COSINE_MIN)));
     rims.iter().find_map(|rim| {
-        let (across, met_across) = under(rim.across_m, &rim.site, (BENT_AT_RIM, COPLANAR_COSINE_MIN))?;
-        if !is_other_chart(world, *block, &across, rim) {
+        let (hit, across) = under(rim.across_m, &rim.site, (BENT_AT_RIM, COPLANAR_COSINE_MIN))?;
+        if !is_other_chart(world, *block, &hit, rim) {
             return None;
         }
-        // What lies under the middle may be another thing.
-        let goes_on = |(_, met): &(Hit, u32)| [*block, block_of(met_across)].contains(&block_of(*met));
-        let places = middle.filter(goes_on).into_iter().chain([(across, met_across)]);
-        let mut sites = places.map(|(hit, met)| (world.geometry.site_at(&hit), met));
-        let found = sites.find(|(found, _)| suits(world, reading, rim, world.raised_on(*block, found)));
+        // Another thing may lie under the middle.
+        let goes_on = |(_, met): &(Site, u32)| [*block, block_of(across.1)].contains(&block_of(*met));
+        let mut places = middle.map(|(_, middle)| middle).filter(goes_on).into_iter().chain([across]);
+        let found = places.find(|(found, _)| suits(world, reading, rim, world.raised_on(*block, found)));
         found.map(|(found, met)| GuestLight::Own(found, met))
     })
 }

@@ -305,7 +305,7 @@ fn files_above_the_scene_are_packed_from_a_root_that_holds_them() {
     assert_eq!(import_bytes(packed).unwrap().counts["triangles"], 1);
     let elsewhere = Bundle::pack_path_in(&root.join("parts"), &path, &limits);
     assert!(matches!(elsewhere, Err(ImportError::OutsideRoot { .. })), "{elsewhere:?}");
-    // What lies above the root is as far away as ever.
+    // A file above the root is as far away as ever.
     fs::write(folder.path().join("secret.bin"), bin).unwrap();
     fs::write(&path, external("../../../secret.bin").0).unwrap();
     assert!(matches!(Bundle::pack_path_in(&root, &path, &limits), Err(ImportError::OutsidePath { .. })));
