@@ -1,5 +1,7 @@
 //! What a bake would be: its scene imported and laid out in a lightmap, no ray cast; costs by rates that were measured.
 
+use std::collections::BTreeSet;
+
 use lightkiln_proto::kinds::{Rates, SceneTask, Warning};
 use lightkiln_proto::settings::SettingsError;
 use lightkiln_worker::kinds::Runner;
@@ -7,6 +9,7 @@ use lightkiln_worker::lightmap::Charts;
 use lightkiln_worker::scene;
 use lightkiln_worker::scene::model::Scene;
 use lightkiln_worker::task::{LocalRun, Progress, TaskError};
+use lightkiln_worker::unwrap::Unwrap;
 use serde::{Deserialize, Serialize};
 
 use crate::failure::{Exit, Failure, Result};
@@ -17,6 +20,8 @@ use crate::settings::Wanted;
 const MEMORY_BYTES: usize = 2 << 30;
 /// Clusters for each one that would be full: space cuts them where surfaces are, not by counts.
 const CLUSTERS_PER_FULL_ONE: f64 = 1.5;
+/// Receivers of a chart beside those of its area: on its rim, and of one that is smaller than a texel.
+const CHART_RECEIVERS: f64 = 0.3;
 /// Bytes of memory of a triangle with its vertices, charts and its part of the tree that rays are traced in.
 const TRIANGLE_BYTES: f64 = 600.0;
 /// Bytes of a bundle's meshes for each triangle.
@@ -62,7 +67,7 @@ pub struct Forecast {
 pub struct LightmapForecast {
     /// Size of a texel in metres.
     pub texel_m: f32,
-    /// Texels that lie on a surface, double-sided ones twice: about as many receivers.
+    /// Texels that lie on a surface, double-sided ones twice, and part of those on the rims of charts: about as many receivers.
     pub receivers: u64,
     /// Texels of all blocks, empty ones too.
     pub texels: u64,
@@ -177,11 +182,23 @@ fn refused(error: &TaskError) -> Failure {
 fn lightmap(scene: &Scene, charts: &Charts) -> LightmapForecast {
     let blocks = charts.unwraps.iter().flat_map(|unwrap| &unwrap.blocks);
     let texel_m2 = f64::from(charts.texel_m) * f64::from(charts.texel_m);
+    let receivers = lit_area_m2(scene) / texel_m2 + CHART_RECEIVERS * lit_charts(scene, charts);
     LightmapForecast {
         texel_m: charts.texel_m,
-        receivers: (lit_area_m2(scene) / texel_m2).ceil() as u64,
+        receivers: receivers.ceil() as u64,
         texels: blocks.map(|block| u64::from(block.width) * u64::from(block.height)).sum(),
     }
+}
+
+/// Charts of all surfaces, those of double-sided ones twice.
+fn lit_charts(scene: &Scene, charts: &Charts) -> f64 {
+    let of_instance = |(instance, unwrap): (&scene::model::MeshInstance, &Unwrap)| {
+        let triangles = unwrap.blocks.iter().flat_map(|block| &block.triangles);
+        let different: BTreeSet<u32> = triangles.map(|triangle| triangle.chart).collect();
+        let is_double = scene.materials[instance.material_index as usize].double_sided;
+        different.len() as f64 * if is_double { 2.0 } else { 1.0 }
+    };
+    scene.instances.iter().zip(&charts.unwraps).map(of_instance).sum()
 }
 
 /// Area of all surfaces, double-sided ones twice, in m².

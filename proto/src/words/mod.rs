@@ -7,7 +7,7 @@ use glam::Vec3;
 use serde_json::{Map, Value};
 use thiserror::Error;
 
-pub use camera::camera_from_text;
+pub use camera::{camera_from_text, camera_to_text};
 pub use light::LightSpec;
 
 /// Words that are no light and no camera.

@@ -3,6 +3,7 @@
 use glam::Vec3;
 use lightkiln_proto::manifest::Chosen;
 use lightkiln_proto::scene::{LightKind, SceneCamera, SceneLight};
+use lightkiln_proto::words::camera_to_text;
 use rayon::prelude::*;
 
 use super::VantagePoint;
@@ -26,7 +27,10 @@ const UNLIT: f32 = 0.1;
 /// Share of the sky about a camera from which on it is in the open.
 const OPEN_SKY: f32 = 0.5;
 /// Share of the surfaces in sight below which light is as good as none.
-const LIT_SHARE_MIN: f32 = 0.01;
+const LIT_SHARE_MIN: f32 = 0.1;
+/// Radiance of a white surface over that of the brightest emitter below which it is black beside that. Walls of a Cornell box have
+/// about 0.01 before bounces.
+const LIT_MIN: f32 = 0.003;
 /// Rays along a side of a picture that looks for light.
 const PICTURE_RAYS: u32 = 48;
 /// Emissive triangles that a surface is looked at from, those of most power.
@@ -49,11 +53,12 @@ pub fn chosen(geometry: &Geometry, points: &[VantagePoint]) -> Chosen<SceneCamer
         fov_y_rad: FOV_DEG.to_radians(),
         orthographic_half_height_m: None,
     };
-    Chosen { value: camera, note: format!("the file has no camera; chose one {note}") }
+    let note = format!("the file has no camera; chose one {note}: \"{}\"", camera_to_text(&camera));
+    Chosen { value: camera, note }
 }
 
-/// Whether a scene in the open has no light where a camera looks: of the surfaces that it sees next to none glows or has an
-/// emitter in sight. In rooms light gets about, so that nothing is said of them.
+/// Whether a scene in the open has no light where a camera looks: of the surfaces that it sees few glow or have so much light of
+/// emitters that they are not black beside those. In rooms light gets about, so that nothing is said of them.
 pub fn sees_no_light(geometry: &Geometry, camera: &SceneCamera) -> bool {
     let eye_m = Vec3::from(camera.eye_m);
     if Look::from(geometry, eye_m).sky_share < OPEN_SKY {
@@ -64,8 +69,7 @@ pub fn sees_no_light(geometry: &Geometry, camera: &SceneCamera) -> bool {
     for direction in picture(camera) {
         let Some(hit) = geometry.tracer.closest(eye_m, direction, f32::INFINITY) else { continue };
         seen += 1;
-        lit +=
-            u32::from(geometry.material(hit.triangle).emissive != [0.0; 3] || lamps.shine_on(geometry, &hit));
+        lit += u32::from(lamps.share_of_brightest(geometry, &hit) > LIT_MIN);
     }
     (lit as f32) < LIT_SHARE_MIN * seen as f32
 }
@@ -126,16 +130,25 @@ fn score(rays: &[(Vec3, f32)], forward: Vec3) -> f32 {
 /// The scene's own sources of light.
 struct Lamps<'a> {
     lights: &'a [SceneLight],
+    /// Emissive triangles of most power.
     emitters: Vec<EmissiveTriangle>,
+    /// Power of all emissive triangles over that of these.
+    power: f32,
+    /// Radiance of all, summed over the channels, ascending by triangle.
+    radiance: Vec<(u32, f32)>,
 }
 
 impl<'a> Lamps<'a> {
     fn of(geometry: &'a Geometry) -> Self {
         let mut emitters = emissive_triangles(geometry);
-        let power = |of: &EmissiveTriangle| of.area_m2 * of.mean_radiance.iter().sum::<f32>();
+        let radiance = emitters.iter().map(|emitter| (emitter.triangle, radiance_of(emitter))).collect();
+        let power = |of: &EmissiveTriangle| of.area_m2 * radiance_of(of);
+        let all: f32 = emitters.iter().map(power).sum();
         emitters.sort_by(|a, b| power(b).total_cmp(&power(a)).then(a.triangle.cmp(&b.triangle)));
         emitters.truncate(EMITTERS_MAX);
-        Self { lights: &geometry.scene.lights, emitters }
+        let counted: f32 = emitters.iter().map(power).sum();
+        let power = if counted > 0.0 { all / counted } else { 1.0 };
+        Self { lights: &geometry.scene.lights, emitters, power, radiance }
     }
 
     /// √distance of a hit, a part of it where nothing shines on it; nothing for backs.
@@ -156,15 +169,42 @@ impl<'a> Lamps<'a> {
             LightKind::Sun { direction } => normal.dot(Vec3::from(*direction)) < 0.0,
             LightKind::Sky { .. } => true,
         };
-        let offset_m = |about_m: Vec3| geometry.tracer.ray_offset_m(about_m);
-        let in_sight = |emitter: &EmissiveTriangle| {
-            let centre_m = emitter.corners.iter().sum::<Vec3>() / 3.0;
-            let to_emitter = centre_m - at_m;
-            let facing = -to_emitter.dot(emitter.normal);
-            let above = normal.dot(to_emitter) > 0.0 && (facing > 0.0 || emitter.double_sided);
-            let lifted_m = centre_m + emitter.normal * offset_m(centre_m).copysign(facing);
-            above && !geometry.tracer.is_occluded(at_m + normal * offset_m(at_m), lifted_m)
-        };
+        let in_sight = |emitter: &EmissiveTriangle| form_factor(geometry, (at_m, normal), emitter) > 0.0;
         self.lights.iter().any(faces) || self.emitters.iter().any(in_sight)
     }
+
+    /// Radiance of a white surface there by emitters and its own, over that of the brightest emitter. Of many emitters those of most
+    /// power stand for all.
+    fn share_of_brightest(&self, geometry: &Geometry, hit: &Hit) -> f32 {
+        let brightest = self.radiance.iter().map(|(_, radiance)| *radiance).fold(f32::MIN_POSITIVE, f32::max);
+        let own = self.radiance.binary_search_by_key(&hit.triangle, |(triangle, _)| *triangle);
+        let own = own.map_or(0.0, |index| self.radiance[index].1);
+        let site = (geometry.point_of(hit), geometry.side_normal(hit));
+        let received = |emitter| radiance_of(emitter) * form_factor(geometry, site, emitter);
+        (own + self.power * self.emitters.iter().map(received).sum::<f32>()) / brightest
+    }
+}
+
+/// Mean radiance, summed over the channels.
+fn radiance_of(emitter: &EmissiveTriangle) -> f32 {
+    emitter.mean_radiance.iter().sum()
+}
+
+/// Share of a cosine-weighted hemisphere that an emitter fills, by its middle; 0 where it is not in sight.
+fn form_factor(geometry: &Geometry, (at_m, normal): (Vec3, Vec3), emitter: &EmissiveTriangle) -> f32 {
+    let offset_m = |about_m: Vec3| geometry.tracer.ray_offset_m(about_m);
+    let centre_m = emitter.corners.iter().sum::<Vec3>() / 3.0;
+    let to_emitter = centre_m - at_m;
+    let facing = -to_emitter.dot(emitter.normal);
+    let above = normal.dot(to_emitter);
+    if above <= 0.0 || (facing <= 0.0 && !emitter.double_sided) {
+        return 0.0;
+    }
+    let lifted_m = centre_m + emitter.normal * offset_m(centre_m).copysign(facing);
+    if geometry.tracer.is_occluded(at_m + normal * offset_m(at_m), lifted_m) {
+        return 0.0;
+    }
+    let squared_m2 = to_emitter.length_squared().max(f32::MIN_POSITIVE);
+    let cosines = above * facing.abs() / squared_m2;
+    (cosines * emitter.area_m2 / (std::f32::consts::PI * squared_m2)).min(1.0)
 }

@@ -23,7 +23,7 @@ fn room_is_looked_at_from_inside_towards_lit_walls() {
     let [low, high] = geometry.bounds_m();
     let eye = Vec3::from(camera.value.eye_m);
     assert!(eye.cmpgt(low).all() && eye.cmplt(high).all(), "{camera:?}");
-    assert!(camera.note.contains("inside"), "{}", camera.note);
+    assert!(camera.note.contains("inside") && camera.note.contains("fov=60\""), "{}", camera.note);
     assert!(framing.light.is_none(), "its lamp is enough");
 }
 
@@ -70,8 +70,9 @@ fn double_sided_thing_is_looked_at_from_outside() {
     assert!(matches!(light.value.kind, LightKind::Sun { .. }), "{light:?}");
 }
 
-/// The taller box of the room, alone, with a LED of a share of its width behind it or, at −1, before it; and the camera's choice of a light.
-fn led(side: f32, share: f32) -> Framing {
+/// The taller box of the room, alone, with a LED of a share of its width behind it or, at −1, before it, which faces away from it
+/// or is turned to it; and the camera's choice of a light.
+fn led(side: f32, share: f32, is_turned: bool) -> Framing {
     let mut scene = scene(CORNELL);
     scene.lights.clear();
     scene.cameras.clear();
@@ -91,7 +92,7 @@ fn led(side: f32, share: f32) -> Framing {
         uv0: Vec::new(),
         uv1: Vec::new(),
         colours: Vec::new(),
-        triangles: vec![[0, 1, 2]],
+        triangles: vec![if is_turned { [0, 2, 1] } else { [0, 1, 2] }],
         world_from_object: scene.instances[0].world_from_object,
     };
     scene.instances.push(led);
@@ -100,8 +101,11 @@ fn led(side: f32, share: f32) -> Framing {
 
 #[test]
 fn light_that_nothing_in_sight_has_counts_as_none_in_the_open() {
-    let behind = led(1.0, 0.01).light.expect("the LED shines away from the camera");
+    let behind = led(1.0, 0.01, false).light.expect("the LED shines away from the camera");
     assert!(matches!(behind.value.kind, LightKind::Sun { .. }), "{behind:?}");
     assert!(behind.note.contains("glows") && behind.note.contains("chose a sun"), "{}", behind.note);
-    assert!(led(-1.0, 0.6).light.is_none(), "the camera looks at the light");
+    assert!(led(-1.0, 0.6, false).light.is_none(), "the camera looks at the light");
+    // All of the box's front has the LED in sight, and next to no light by it.
+    let faint = led(-1.0, 0.05, true).light.expect("the LED lights a spot of the box");
+    assert!(faint.note.contains("glows"), "{}", faint.note);
 }

@@ -127,13 +127,19 @@ fn check_tells_what_a_bake_then_takes() {
         let answer = run(kiln(&folder.path().join("state")), arguments, 0).stdout();
         serde_json::from_str(answer.lines().last().unwrap()).unwrap()
     };
-    let settings = ["--set", "texel_m=0.5", "--preset", "draft", "--json"];
-    let check = told(&[["check", &scene].as_slice(), &settings].concat());
-    let bake = told(&[["bake", &scene, "--out", &out].as_slice(), &settings].concat());
+    let baked = |texel: &str| {
+        let settings = ["--set", texel, "--preset", "draft", "--json"];
+        let check = told(&[["check", &scene].as_slice(), &settings].concat());
+        (check, told(&[["bake", &scene, "--out", &out].as_slice(), &settings].concat()))
+    };
     let close = |told: &serde_json::Value, found: &serde_json::Value, factor: f64| {
         let (told, found) = (told.as_f64().unwrap(), found.as_f64().unwrap());
         assert!(told <= factor * found && found <= factor * told, "{told} was told, {found} found");
     };
+    // Both boxes are much smaller than a texel, and have receivers all the same.
+    let (check, bake) = baked("texel_m=2");
+    close(&check["lightmap"]["receivers"], &bake["receivers"], 1.5);
+    let (check, bake) = baked("texel_m=0.5");
     close(&check["lightmap"]["receivers"], &bake["receivers"], 1.3);
     close(&check["costs"]["tasks"], &bake["tasks_run"], 2.0);
     close(&check["costs"]["bundle_bytes"], &bake["bytes_total"], 10.0);

@@ -57,7 +57,7 @@ const ELSEWHERE_MAX: f32 = 1.0;
 const BENT_COSINE_MAX: f32 = std::f32::consts::FRAC_1_SQRT_2;
 /// Share of rays to back faces from which on a point is beyond the walls of the room: the foot of a wall that reaches
 /// through the floor.
-const BEYOND_SHARE_MIN: f32 = 0.125;
+pub const BEYOND_SHARE_MIN: f32 = 0.125;
 
 /// Most points that are gathered for a texel: a statue has thousands of triangles in one, each with a middle of its own. More →
 /// more of the texel is known, more time.

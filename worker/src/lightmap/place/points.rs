@@ -4,7 +4,9 @@
 //! surface may bend, but no wall is crossed.
 //!
 //! Where some do not, the receiver moves to the one of its points that is nearest to their middle: beside a wall, or the
-//! mouth of a gap, a texel's centre may have light of millimetres of it alone. And the foot of the wall is found, along which
+//! mouth of a gap, a texel's centre may have light of millimetres of it alone. Where none does, the centre lies in a strip
+//! that all points step over, as the rim of a floor that reaches through a wall: the largest part that no wall cuts is the
+//! receiver's, unless it lies in a solid or the strip has a better claim. And the foot of the wall is found, along which
 //! a straight edge is laid, see `Receivers::edge`. An edge never fits quite: all of the side with the better claim lies on its
 //! own side of it, and the sliver that is wrong on the other, see [`has_better_claim`].
 
@@ -16,6 +18,7 @@ use lightkiln_proto::content::{COVERAGE_POINTS, COVERAGE_SIDE, TexelEdge};
 use rayon::prelude::*;
 
 use super::candidate::{Look, look};
+use super::choose::BEYOND_SHARE_MIN;
 use super::edges::edge;
 use crate::geometry::{Geometry, Site};
 use crate::lightmap::{Charts, Lightmap, World};
@@ -79,11 +82,15 @@ impl Found {
             found.raised_m[bit as usize] = Some(raised(world, receiver, &site));
         }
         found.cover(world, world.raised_receiver(receiver));
+        let is_lost = found.coverage == 0;
+        if is_lost {
+            found.cover_part(world, receiver);
+        }
         if found.coverage == 0 {
             return found;
         }
         let is_parted = |bit: usize| found.raised_m[bit].is_some() && found.coverage & 1 << bit == 0;
-        if (0..COVERAGE_POINTS as usize).any(is_parted) {
+        if is_lost || (0..COVERAGE_POINTS as usize).any(is_parted) {
             found.moved = found.middle(world, receiver);
         }
         // A straight wall has a corner of the texel beyond it, however thin the strip there; where the surface ends before a
@@ -112,6 +119,35 @@ impl Found {
         for bit in 0..COVERAGE_POINTS as usize {
             self.add(world, own_m, bit, &mut open);
         }
+        self.spread(world, open);
+    }
+
+    /// The largest part that no wall cuts, of those outside of solids that the receiver's own point has no better claim than.
+    fn cover_part(&mut self, world: &World, receiver: u32) {
+        let mut parts: Vec<u16> = Vec::new();
+        for (bit, raised_m) in self.raised_m.into_iter().enumerate() {
+            if raised_m.is_some() && parts.iter().all(|part| part & 1 << bit == 0) {
+                self.coverage = 1 << bit;
+                self.spread(world, vec![bit]);
+                parts.push(self.coverage);
+            }
+        }
+        parts.sort_by_key(|part| COVERAGE_POINTS - part.count_ones());
+        let own_look = look_from(world, receiver, &world.lightmap.receivers[receiver as usize].site());
+        for part in parts {
+            self.coverage = part;
+            let look = self.middle(world, receiver).map(|site| look_from(world, receiver, &site));
+            let takes =
+                |look: Look| look.back_share < BEYOND_SHARE_MIN && !has_better_claim(&own_look, &look);
+            if look.is_some_and(takes) {
+                return;
+            }
+        }
+        self.coverage = 0;
+    }
+
+    /// Adds points that see those in `open`, beside them.
+    fn spread(&mut self, world: &World, mut open: Vec<usize>) {
         while let Some(bit) = open.pop() {
             let Some(from_m) = self.raised_m[bit] else { continue };
             beside(bit, COVERAGE_SIDE as usize).for_each(|beside| self.add(world, from_m, beside, &mut open));
@@ -151,19 +187,15 @@ impl Found {
 
     /// Places of `beyond` with a better claim than the receiver: of each part that no wall cuts, the middle one is asked.
     fn better(&mut self, world: &World, receiver: u32, beyond: &[u32]) -> Vec<u32> {
-        let own = &world.lightmap.receivers[receiver as usize];
-        let (seed, texel_m) = (world.lightmap.seed_of(own, 9), world.lightmap.texel_m_of(receiver));
-        let look_from = |site: &Site| {
-            look(&world.geometry, texel_m, (world.raised_on(own.block, site), site.face_normal), seed)
-        };
-        let own_look = look_from(&self.moved.unwrap_or(own.site()));
+        let own = self.moved.unwrap_or(world.lightmap.receivers[receiver as usize].site());
+        let own_look = look_from(world, receiver, &own);
         let mut better = Vec::new();
         for part in parts(world, receiver, beyond) {
             let middle = part.iter().map(|&index| fine_place(index)).sum::<Vec2>() / part.len() as f32;
             let from_middle = |index: u32| fine_place(index).distance_squared(middle);
             let nearest = part.iter().copied().min_by(|&a, &b| from_middle(a).total_cmp(&from_middle(b)));
             let site = nearest.and_then(|index| world.point_of(receiver, fine_place(index)));
-            if site.is_some_and(|site| has_better_claim(&look_from(&site), &own_look)) {
+            if site.is_some_and(|site| has_better_claim(&look_from(world, receiver, &site), &own_look)) {
                 better.extend(part);
             }
         }
@@ -260,6 +292,13 @@ fn parts(world: &World, receiver: u32, places: &[u32]) -> Vec<Vec<u32>> {
         parts.push(part);
     }
     parts
+}
+
+/// Surroundings of a place of a receiver's texel.
+fn look_from(world: &World, receiver: u32, site: &Site) -> Look {
+    let own = &world.lightmap.receivers[receiver as usize];
+    let (seed, texel_m) = (world.lightmap.seed_of(own, 9), world.lightmap.texel_m_of(receiver));
+    look(&world.geometry, texel_m, (world.raised_on(own.block, site), site.face_normal), seed)
 }
 
 /// A point on a receiver's texel, raised as for links.
