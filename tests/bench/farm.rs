@@ -14,18 +14,40 @@ pub struct Process(Child);
 impl Process {
     /// Time that processors spent on it.
     pub fn cpu(&self) -> Duration {
-        let stat = std::fs::read_to_string(format!("/proc/{}/stat", self.0.id())).unwrap();
-        // Behind the name, which may hold anything, user and system time are fields 12 and 13.
-        let fields: Vec<&str> = stat.rsplit(')').next().unwrap().split_whitespace().collect();
-        let ticks: f64 = fields[11..13].iter().map(|field| field.parse::<f64>().unwrap()).sum();
-        Duration::from_secs_f64(ticks / TICKS_PER_SEC)
+        Usage::of(self.0.id()).unwrap().cpu
     }
 
     /// Memory that it has, in bytes.
     pub fn memory(&self) -> u64 {
-        let status = std::fs::read_to_string(format!("/proc/{}/status", self.0.id())).unwrap();
-        let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).unwrap();
-        line.split_whitespace().next().unwrap().parse::<u64>().unwrap() << 10
+        Usage::of(self.0.id()).unwrap().memory
+    }
+}
+
+/// Processor time and memory of a process until now.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Usage {
+    /// Time that processors spent on it.
+    pub cpu: Duration,
+    /// Memory that it has, in bytes.
+    pub memory: u64,
+    /// Most memory that it had.
+    pub peak_memory: u64,
+}
+
+impl Usage {
+    /// That of a process; `None` once it has ended.
+    pub fn of(process: u32) -> Option<Self> {
+        let stat = std::fs::read_to_string(format!("/proc/{process}/stat")).ok()?;
+        // Behind the name, which may hold anything, user and system time are fields 12 and 13.
+        let fields: Vec<&str> = stat.rsplit(')').next()?.split_whitespace().collect();
+        let ticks: f64 = fields.get(11..13)?.iter().filter_map(|field| field.parse::<f64>().ok()).sum();
+        let status = std::fs::read_to_string(format!("/proc/{process}/status")).ok()?;
+        let bytes = |name: &str| {
+            let line = status.lines().find_map(|line| line.strip_prefix(name))?;
+            Some(line.split_whitespace().next()?.parse::<u64>().ok()? << 10)
+        };
+        let cpu = Duration::from_secs_f64(ticks / TICKS_PER_SEC);
+        Some(Self { cpu, memory: bytes("VmRSS:")?, peak_memory: bytes("VmHWM:")? })
     }
 }
 

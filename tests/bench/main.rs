@@ -1,11 +1,13 @@
-//! The load bench: what the queue costs and carries, and how fast rays are. `tests/bench/run` builds what it needs and runs it.
+//! The load bench: what the queue costs and carries, how fast rays are, and what bakes take. `tests/bench/run` builds what it
+//! needs and runs it.
 //!
-//! Arguments name parts (`stores`, `queue`, `idle`, `workers`, `rays`); without any, all are measured. Figures go to standard
+//! Arguments name parts (`stores`, `queue`, `idle`, `workers`, `rays`, `bakes`); without any, all are measured. Figures go to standard
 //! output as rows of one table, which `tests/bench/README.md` keeps.
 
 #![allow(clippy::unwrap_used, reason = "a bench may end at any error")]
 #![allow(clippy::disallowed_methods, reason = "a bench looks from time to time at what other processes do")]
 
+mod bakes;
 mod calls;
 mod farm;
 mod idle;
@@ -16,16 +18,18 @@ mod parts;
 mod queue;
 mod rays;
 mod report;
+mod scenes;
 mod stores;
 mod workers;
 
 /// Measurements by name.
-const PARTS: [(&str, fn()); 5] = [
+const PARTS: [(&str, fn()); 6] = [
     ("stores", stores::measure),
     ("queue", queue::measure),
     ("idle", idle::measure),
     ("workers", workers::measure),
     ("rays", rays::measure),
+    ("bakes", bakes::measure),
 ];
 
 fn main() {

@@ -2,7 +2,7 @@
 
 use std::env;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 use std::time::Instant;
 
@@ -13,9 +13,8 @@ use lightkiln_worker::rays::sampling::R2;
 use lightkiln_worker::scene::{Bundle, Limits, import};
 
 use crate::report::row;
+use crate::scenes::scenes;
 
-/// Scenes of the tests; `KILN_BENCH_SCENES` names files of others, with colons between them.
-const SCENES: [&str; 3] = ["cornell.glb", "u_corridor.glb", "atrium.glb"];
 /// Places that rays leave from, spread by area, along a curve as receivers are.
 const SITES: u32 = 4096;
 /// Rays of each place: those that a point of a texel has at medium.
@@ -32,9 +31,7 @@ struct Rays {
 
 /// Measures every scene.
 pub fn measure() {
-    let named = env::var("KILN_BENCH_SCENES").unwrap_or_default();
-    let own = SCENES.iter().map(|name| Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes").join(name));
-    for path in own.chain(named.split(':').filter(|name| !name.is_empty()).map(PathBuf::from)) {
+    for path in scenes() {
         let place = path.file_stem().unwrap().to_string_lossy().into_owned();
         let limits = Limits::default();
         let bundle = Bundle::pack_path(&path, &limits).unwrap();

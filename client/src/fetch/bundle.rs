@@ -1,6 +1,7 @@
 //! Downloads a whole bake into a bundle folder: resumable, verified, atomic per file, manifest last.
 
 use std::collections::BTreeMap;
+use std::error::Error;
 use std::fs;
 use std::io::Write;
 use std::path::Path;
@@ -13,6 +14,9 @@ use lightkiln_proto::manifest::{ChunkRef, Manifest};
 
 use super::{CHUNKS_FOLDER, MANIFEST_FILE, Source, chunk_path, read_limited};
 use crate::error::{ClientError, Result};
+
+/// Reason why a chunk does not decode.
+type Reason = Box<dyn Error + Send + Sync>;
 
 /// Chunks fetched at the same time. More → faster over long lines, more memory.
 const PARALLEL: usize = 8;
@@ -36,7 +40,7 @@ pub fn chunk_refs(manifest: &Manifest) -> Vec<ChunkRef> {
 }
 
 /// Calls `take(index, bytes)` for every chunk of `chunks`, several at a time; the first error ends it.
-pub fn fetch_all(
+fn fetch_all(
     source: &Source,
     chunks: &[ChunkRef],
     take: impl Fn(usize, Vec<u8>) -> Result<()> + Sync,
@@ -44,9 +48,28 @@ pub fn fetch_all(
     for_each_parallel(chunks.len(), |index| take(index, source.chunk(&chunks[index])?))
 }
 
+/// Fetches the chunks of a role and decodes each as it lands; results in the manifest's order.
+pub fn decoded<T: Send>(
+    source: &Source,
+    manifest: &Manifest,
+    role: &'static str,
+    decode: impl Fn(&[u8]) -> std::result::Result<T, Reason> + Sync,
+) -> Result<Vec<T>> {
+    let chunks = manifest.chunks(role);
+    let slots: Vec<Mutex<Option<T>>> = chunks.iter().map(|_| Mutex::new(None)).collect();
+    fetch_all(source, chunks, |index, bytes| {
+        let digest = chunks[index].digest;
+        let value = decode(&bytes).map_err(|source| ClientError::Chunk { digest, role, source })?;
+        *slots[index].lock().unwrap_or_else(PoisonError::into_inner) = Some(value);
+        Ok(())
+    })?;
+    let values = slots.into_iter().map(|slot| slot.into_inner().unwrap_or_else(PoisonError::into_inner));
+    Ok(values.flatten().collect())
+}
+
 /// Writes the bake into `folder`. Chunks that are there and right are kept; the manifest is written last, so a
 /// folder with a manifest is whole.
-pub fn download_bundle(source: &Source, folder: &Path) -> Result<Downloaded> {
+pub fn download_bundle(source: &Source, folder: &Path) -> Result<(Manifest, Downloaded)> {
     let (manifest_bytes, manifest) = source.manifest()?;
     let chunks = chunk_refs(&manifest);
     let chunks_folder = folder.join(CHUNKS_FOLDER);
@@ -73,7 +96,7 @@ pub fn download_bundle(source: &Source, folder: &Path) -> Result<Downloaded> {
         Ok(())
     })?;
     write_atomically(&folder.join(MANIFEST_FILE), &manifest_bytes)?;
-    Ok(done.into_inner().unwrap_or_else(PoisonError::into_inner))
+    Ok((manifest, done.into_inner().unwrap_or_else(PoisonError::into_inner)))
 }
 
 fn is_right(path: &Path, chunk: &ChunkRef) -> bool {

@@ -12,12 +12,12 @@ use std::sync::Arc;
 
 use lightkiln_proto::api::MAX_CHUNK_BYTES;
 use lightkiln_proto::ids::Digest;
-use lightkiln_proto::manifest::{self, ChunkRef, Manifest, ManifestError};
+use lightkiln_proto::manifest::{self, ChunkRef, DIRECTORY, Manifest, ManifestError};
 
 use crate::error::{ClientError, Result};
 
 pub use api::ApiClient;
-pub use bundle::{Downloaded, chunk_refs, download_bundle, fetch_all, write_atomically};
+pub use bundle::{Downloaded, chunk_refs, decoded, download_bundle, write_atomically};
 
 /// The manifest's file in a bundle.
 pub const MANIFEST_FILE: &str = "manifest.json";
@@ -57,7 +57,7 @@ impl Source {
         Self::Server { client: Arc::new(client), bake: bake.into() }
     }
 
-    /// The manifest, as bytes and decoded.
+    /// The manifest, as bytes, and decoded with its directory.
     pub fn manifest(&self) -> Result<(Vec<u8>, Manifest)> {
         let (place, bytes) = match self {
             Self::Bundle(folder) => {
@@ -66,7 +66,9 @@ impl Source {
             }
             Self::Server { client, bake } => (format!("manifest of bake {bake}"), client.manifest(bake)?),
         };
-        let manifest = parse_manifest(&place, &bytes)?;
+        let manifest = parsed(&place, Manifest::from_json(&bytes))?;
+        let pages = decoded(self, &manifest, DIRECTORY, |page| Ok(page.to_vec()))?;
+        let manifest = parsed(&place, manifest.with_directory(&pages))?;
         Ok((bytes, manifest))
     }
 
@@ -118,8 +120,8 @@ fn read_limited(path: &Path, limit: u64) -> Result<Vec<u8>> {
     Ok(content)
 }
 
-fn parse_manifest(place: &str, bytes: &[u8]) -> Result<Manifest> {
-    Manifest::from_json(bytes).map_err(|error| match error {
+fn parsed(place: &str, manifest: std::result::Result<Manifest, ManifestError>) -> Result<Manifest> {
+    manifest.map_err(|error| match error {
         ManifestError::Json(source) => ClientError::Json { place: place.to_owned(), source },
         source => ClientError::Manifest { place: place.to_owned(), source },
     })

@@ -51,19 +51,31 @@ fn scene_of(source: &Source) -> crate::scene::LoadedScene {
 }
 
 #[test]
-fn manifest_that_its_kind_refuses_ends_the_load_before_any_chunk() {
+fn manifest_that_its_kind_refuses_ends_the_load_before_any_chunk_but_its_directory() {
     let folder = tempfile::tempdir().unwrap();
-    let mut manifest = fixture::write_bundle(folder.path(), prt::NAME);
-    fs::remove_dir_all(folder.path().join(CHUNKS_FOLDER)).unwrap();
+    let manifest = fixture::write_bundle(folder.path(), prt::NAME);
+    let pages = manifest.chunks(DIRECTORY);
+    for chunk in chunk_refs(&manifest).iter().filter(|chunk| !pages.contains(chunk)) {
+        fs::remove_file(chunk_path(folder.path(), chunk.digest)).unwrap();
+    }
     let load =
         |kinds: ClientKinds| LoadedBake::load(&Source::bundle(folder.path()).unwrap(), &kinds).unwrap_err();
     assert!(matches!(load(kinds::all()), ClientError::File { .. }));
     let foreign = load(ClientKinds::new().with(kinds::sh::Sh)).to_string();
     assert!(foreign.contains("'prt'") && foreign.contains("sh"), "{foreign}");
-    manifest.body["clusters"] = serde_json::json!([]);
-    fs::write(folder.path().join(MANIFEST_FILE), serde_json::to_vec(&manifest).unwrap()).unwrap();
-    let contradiction = load(kinds::all());
-    assert!(matches!(contradiction, ClientError::Manifest { .. }), "{contradiction}");
+    let file = folder.path().join(MANIFEST_FILE);
+    let stored: serde_json::Value = serde_json::from_slice(&fs::read(&file).unwrap()).unwrap();
+    for place in ["/body/totals/clusters", "/directory/0/clusters"] {
+        let mut wrong = stored.clone();
+        *wrong.pointer_mut(place).unwrap() = serde_json::json!(99);
+        fs::write(&file, wrong.to_string()).unwrap();
+        let contradiction = load(kinds::all());
+        assert!(matches!(contradiction, ClientError::Manifest { .. }), "{place}: {contradiction}");
+    }
+    // A page that is lost is named as any chunk is.
+    fs::write(&file, stored.to_string()).unwrap();
+    fs::remove_file(chunk_path(folder.path(), pages[0].digest)).unwrap();
+    assert!(matches!(load(kinds::all()), ClientError::File { .. }));
 }
 
 #[test]
@@ -74,13 +86,13 @@ fn download_is_whole_and_keeps_right_chunks() {
     let refs = chunk_refs(&manifest);
     assert!(refs.len() > 5);
     let all = refs.len() as u64;
-    let first = download_bundle(&source, to.path()).unwrap();
+    let (_, first) = download_bundle(&source, to.path()).unwrap();
     assert_eq!((first.fetched, first.kept), (all, 0));
     assert_eq!(first.fetched_bytes, refs.iter().map(|chunk| chunk.bytes).sum::<u64>());
     let broken = chunk_path(to.path(), refs[1].digest);
     fs::write(&broken, vec![7; refs[1].bytes as usize]).unwrap();
     fs::remove_file(to.path().join(MANIFEST_FILE)).unwrap();
-    let second = download_bundle(&source, to.path()).unwrap();
+    let (_, second) = download_bundle(&source, to.path()).unwrap();
     assert_eq!((second.fetched, second.kept), (1, all - 1));
     LoadedBake::load(&Source::bundle(to.path()).unwrap(), &kinds::all()).unwrap();
     let left = fs::read_dir(to.path().join(CHUNKS_FOLDER)).unwrap().count() as u64;
@@ -91,7 +103,7 @@ fn download_is_whole_and_keeps_right_chunks() {
 fn failed_download_leaves_no_manifest() {
     let [from, to] = [(); 2].map(|()| tempfile::tempdir().unwrap());
     let manifest = fixture::write_bundle(from.path(), prt::NAME);
-    fs::remove_file(chunk_path(from.path(), chunk_refs(&manifest)[2].digest)).unwrap();
+    fs::remove_file(chunk_path(from.path(), manifest.chunks(prt::PATCHES)[0].digest)).unwrap();
     let error = download_bundle(&Source::bundle(from.path()).unwrap(), to.path()).unwrap_err();
     assert!(matches!(error, ClientError::File { .. }), "{error}");
     assert!(!to.path().join(MANIFEST_FILE).exists());

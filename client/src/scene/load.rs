@@ -1,18 +1,12 @@
-//! Fetches and decodes chunks.
-
-use std::error::Error;
-use std::sync::{Mutex, PoisonError};
+//! Fetches and decodes the chunks of a scene.
 
 use lightkiln_proto::chunk;
 use lightkiln_proto::content::Geometry;
 use lightkiln_proto::manifest::{GEOMETRY, Manifest, TEXTURES};
 
 use super::Texture;
-use crate::error::{ClientError, Result};
-use crate::fetch::{Source, fetch_all};
-
-/// Reason why a chunk does not decode.
-type Reason = Box<dyn Error + Send + Sync>;
+use crate::error::Result;
+use crate::fetch::{Source, decoded};
 
 /// Geometry and textures of a manifest.
 pub(super) fn scene_chunks(source: &Source, manifest: &Manifest) -> Result<(Vec<Geometry>, Vec<Texture>)> {
@@ -21,23 +15,4 @@ pub(super) fn scene_chunks(source: &Source, manifest: &Manifest) -> Result<(Vec<
         Ok(Texture::decode(&chunk::decode_texture(bytes)?.bytes)?)
     })?;
     Ok((geometry, textures))
-}
-
-/// Fetches the chunks of a role and decodes each as it lands; results in the manifest's order.
-pub fn decoded<T: Send>(
-    source: &Source,
-    manifest: &Manifest,
-    role: &'static str,
-    decode: impl Fn(&[u8]) -> std::result::Result<T, Reason> + Sync,
-) -> Result<Vec<T>> {
-    let chunks = manifest.chunks(role);
-    let slots: Vec<Mutex<Option<T>>> = chunks.iter().map(|_| Mutex::new(None)).collect();
-    fetch_all(source, chunks, |index, bytes| {
-        let digest = chunks[index].digest;
-        let value = decode(&bytes).map_err(|source| ClientError::Chunk { digest, role, source })?;
-        *slots[index].lock().unwrap_or_else(PoisonError::into_inner) = Some(value);
-        Ok(())
-    })?;
-    let values = slots.into_iter().map(|slot| slot.into_inner().unwrap_or_else(PoisonError::into_inner));
-    Ok(values.flatten().collect())
 }

@@ -13,7 +13,6 @@ use crate::fetch::Source;
 
 pub use draws::{DrawTable, LoadedDraw, Vertex};
 pub use lightmap::{LightmapLayout, MAX_ATLAS_TEXELS, MAX_PAGE_SIDE, MAX_PAGES, NO_BLOCK, PlacedBlock};
-pub use load::decoded;
 pub use texture::Texture;
 pub(crate) use texture::srgb_of_linear;
 

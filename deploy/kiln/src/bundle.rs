@@ -47,9 +47,8 @@ pub fn write_bundle(
 ) -> Result<(Summary, Downloaded)> {
     refuse_foreign_folder(out)?;
     let source = Source::server(client.clone(), &bake.id);
-    let (_, manifest) = source.manifest()?;
     let report = report_of(client, &bake.id)?;
-    let downloaded = download_bundle(&source, out)?;
+    let (manifest, downloaded) = download_bundle(&source, out)?;
     remove_left_over(out, &manifest)?;
     let mut summary = Summary::new(kinds, bake, &manifest, scene, out, started.elapsed())
         .map_err(|error| Failure::bad_input("the bake cannot be read").caused_by(&error))?;

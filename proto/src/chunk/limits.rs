@@ -30,6 +30,8 @@ pub const PATCH_RECEIVERS_MAX: usize = 1 << 26;
 pub const PATCH_LEVELS_MAX: u64 = 16;
 /// Most parts of the sky; always a power of two.
 pub const SKY_PARTS_MAX: usize = 4096;
+/// Most clusters in a page of a directory.
+pub const DIRECTORY_CLUSTERS_MAX: usize = 4096;
 /// Most draws in a geometry chunk.
 pub const DRAWS_MAX: usize = 65_536;
 /// Most vertices in a geometry chunk.

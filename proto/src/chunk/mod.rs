@@ -15,6 +15,7 @@ mod column_keys;
 mod column_order;
 mod column_scale;
 pub mod container;
+mod directory;
 pub mod error;
 pub mod factors;
 mod geometry;
@@ -39,6 +40,7 @@ pub use column_scale::column_deviation;
 pub use container::{
     CHUNK_BYTES_MAX, ChunkKind, ENTRY_BYTES, HEAD_BYTES_MAX, HEADER_BYTES, MAGIC, SECTIONS_MAX, VERSION,
 };
+pub use directory::{decode_directory, encode_directory};
 pub use error::ChunkError;
 pub use geometry::encode_geometry;
 pub use geometry_decode::decode_geometry;
@@ -50,7 +52,7 @@ pub use numbers::{
 pub use order::{LEVELS_MAX, morton};
 pub use patches::{decode_patches, encode_patches};
 pub use quantise::{RELATIVE_ERROR_MAX, RELATIVE_ERROR_MIN};
-pub use table::{CLUSTER, ChunkRow, GEOMETRY, ListLayers, PATCHES, SHARED, TEXTURE};
+pub use table::{CLUSTER, ChunkRow, DIRECTORY, GEOMETRY, ListLayers, PATCHES, SHARED, TEXTURE};
 pub use texture::{Texture, decode_texture, encode_texture};
 pub use vertices::LIGHTMAP_ERROR_TEXELS;
 

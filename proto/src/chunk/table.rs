@@ -4,8 +4,8 @@
 use serde_json::{Value, json};
 
 use super::{
-    ChunkError, ChunkKind, cluster, cluster_layers, decode_cluster, decode_geometry, decode_patches,
-    decode_texture, geometry, patches, texture,
+    ChunkError, ChunkKind, cluster, cluster_layers, decode_cluster, decode_directory, decode_geometry,
+    decode_patches, decode_texture, directory, geometry, patches, texture,
 };
 use crate::manifest::Layer;
 
@@ -17,6 +17,8 @@ pub const GEOMETRY: ChunkKind = ChunkKind(3);
 pub const TEXTURE: ChunkKind = ChunkKind(4);
 /// Surface patches.
 pub const PATCHES: ChunkKind = ChunkKind(5);
+/// A page of a bake's directory.
+pub const DIRECTORY: ChunkKind = ChunkKind(6);
 
 /// Lists the layers of a chunk, of which the first bytes and the whole length are given.
 pub type ListLayers = fn(&[u8], u64) -> Result<Vec<Layer>, ChunkError>;
@@ -72,6 +74,13 @@ pub const SHARED: &[ChunkRow] = &[
         describe: describe_patches,
         layers: None,
     },
+    ChunkRow {
+        kind: DIRECTORY,
+        name: "directory",
+        sections: &[(directory::tags::CLUSTERS, "clusters")],
+        describe: describe_directory,
+        layers: None,
+    },
 ];
 
 fn describe_cluster(bytes: &[u8]) -> Result<Value, ChunkError> {
@@ -113,4 +122,13 @@ fn describe_patches(bytes: &[u8]) -> Result<Value, ChunkError> {
 fn describe_texture(bytes: &[u8]) -> Result<Value, ChunkError> {
     let texture = decode_texture(bytes)?;
     Ok(json!({ "media_type": texture.media_type, "file_bytes": texture.bytes.len() }))
+}
+
+fn describe_directory(bytes: &[u8]) -> Result<Value, ChunkError> {
+    let (rows, chunks) = decode_directory(bytes)?;
+    Ok(json!({
+        "clusters": rows.len(),
+        "receivers": rows.iter().map(|row| u64::from(row.receivers)).sum::<u64>(),
+        "bytes of clusters": chunks.iter().map(|chunk| chunk.bytes).sum::<u64>(),
+    }))
 }

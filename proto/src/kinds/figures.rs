@@ -19,7 +19,8 @@ pub struct Figures {
 }
 
 /// Figures of factorised clusters: counts, bytes by layer, ranks, errors, the worst.
-pub fn cluster_figures(manifest: &Manifest, totals: &ClusterTotals, rows: &[ClusterRow]) -> Figures {
+pub fn cluster_figures(manifest: &Manifest, totals: &ClusterTotals) -> Figures {
+    let rows = &manifest.clusters;
     let mut ranks: BTreeMap<u32, u64> = BTreeMap::new();
     for row in rows {
         *ranks.entry(row.rank).or_default() += 1;
@@ -27,7 +28,7 @@ pub fn cluster_figures(manifest: &Manifest, totals: &ClusterTotals, rows: &[Clus
     let layer_bytes = layer_bytes(rows);
     let truncation = Spread::of(rows, |row| row.truncation_error);
     let quantisation = Spread::of(rows, |row| row.quantisation_error);
-    let worst_truncated = worst(manifest, rows, |row| row.truncation_error);
+    let worst_truncated = worst(manifest, |row| row.truncation_error);
     let bytes_per_receiver = manifest.bytes_light() as f64 / totals.receivers.max(1) as f64;
     let mut words = format!(
         "receivers   {}\nclusters    {}, mean rank {:.2}, highest {}\n\
@@ -104,13 +105,8 @@ struct Worst<'a> {
 }
 
 /// Highest first; equal ones by digest, so that the list is the same each time.
-fn worst<'a>(
-    manifest: &'a Manifest,
-    rows: &'a [ClusterRow],
-    value: impl Fn(&ClusterRow) -> f32,
-) -> Vec<Worst<'a>> {
-    let mut sorted: Vec<Worst<'a>> =
-        with_chunks(manifest, rows).map(|(row, chunk)| Worst { row, chunk }).collect();
+fn worst(manifest: &Manifest, value: impl Fn(&ClusterRow) -> f32) -> Vec<Worst<'_>> {
+    let mut sorted: Vec<Worst<'_>> = with_chunks(manifest).map(|(row, chunk)| Worst { row, chunk }).collect();
     sorted.sort_by(|a, b| value(b.row).total_cmp(&value(a.row)).then(a.chunk.digest.cmp(&b.chunk.digest)));
     sorted.truncate(WORST_COUNT);
     sorted
@@ -161,6 +157,7 @@ mod tests {
             quantisation_error: 0.0,
             uncovered_fraction: 0.0,
             layers: layers.iter().map(layer).collect(),
+            checks: Vec::new(),
         }
     }
 

@@ -162,6 +162,7 @@ mod tests {
             quantisation_error: 0.0,
             uncovered_fraction: 0.0,
             layers: Vec::new(),
+            checks: Vec::new(),
         }
     }
 

@@ -1,9 +1,10 @@
-//! Clusters as a manifest lists them, and sums over them, for kinds whose chunks are factorised clusters.
+//! Clusters as a bake's directory lists them, and sums over them, for kinds whose chunks are factorised clusters.
 
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
-use super::{ChunkRef, Manifest, ManifestError, all_finite};
+use super::{ChunkRef, Manifest, ManifestError};
+use crate::ids::Digest;
 use crate::kinds::{Figures, count_above};
 
 /// Role of cluster chunks.
@@ -28,8 +29,28 @@ pub struct ClusterRow {
     pub quantisation_error: f32,
     /// Share of the rays along which light can come, weighted by albedo, whose end the columns do not know.
     pub uncovered_fraction: f32,
-    /// Prefixes of the chunk that are coarser versions, smallest first.
+    /// Prefixes of the chunk that are coarser versions, smallest first; the last is the whole chunk.
     pub layers: Vec<Layer>,
+    /// A check of each prefix but the last, which the chunk's digest checks.
+    pub checks: Vec<PrefixCheck>,
+}
+
+/// First eight bytes of the digest of a prefix: a truncated or damaged one is known before the rest has come.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PrefixCheck(pub [u8; 8]);
+
+impl PrefixCheck {
+    /// That of some bytes.
+    pub fn of(bytes: &[u8]) -> Self {
+        let Digest(digest) = Digest::of(bytes);
+        Self(std::array::from_fn(|index| digest[index]))
+    }
+
+    /// The checks of a chunk's prefixes, but for the last layer, which is the whole chunk.
+    pub fn of_prefixes(bytes: &[u8], layers: &[Layer]) -> Vec<Self> {
+        let prefixes = layers.split_last().map_or(&[][..], |(_, prefixes)| prefixes);
+        prefixes.iter().map(|layer| Self::of(&bytes[..layer.bytes as usize])).collect()
+    }
 }
 
 /// A usable prefix of a cluster chunk.
@@ -83,7 +104,8 @@ impl ClusterTotals {
 
 impl ClusterTotals {
     /// Figures of a summary; `carriers` says how many of which carry light, e.g. `900 patches`.
-    pub fn summary(&self, manifest: &Manifest, rows: &[ClusterRow], carriers: &str) -> Figures {
+    pub fn summary(&self, manifest: &Manifest, carriers: &str) -> Figures {
+        let rows = &manifest.clusters;
         let above = count_above(&manifest.settings, rows);
         let highest = rows.iter().map(|row| f64::from(row.truncation_error)).fold(0.0, f64::max);
         let bytes_per_receiver = manifest.bytes_light() as f64 / self.receivers.max(1) as f64;
@@ -119,29 +141,20 @@ impl ClusterRow {
         let [low, high] = self.bounds_m;
         std::array::from_fn(|axis| 0.5 * (low[axis] + high[axis]))
     }
-
-    fn check_numbers(&self) -> Result<(), ManifestError> {
-        all_finite("a cluster's bounds", self.bounds_m.as_flattened())?;
-        let Self { truncation_error, quantisation_error, uncovered_fraction, .. } = *self;
-        all_finite("a cluster's errors", &[truncation_error, quantisation_error, uncovered_fraction])
-    }
 }
 
-/// Errs unless there is a lightmap, and every cluster has a chunk and finite numbers.
-pub fn check_clusters(manifest: &Manifest, rows: &[ClusterRow]) -> Result<(), ManifestError> {
+/// Errs unless there is a lightmap, and as many clusters as the sums over them say.
+pub fn check_clusters(manifest: &Manifest, totals: &ClusterTotals) -> Result<(), ManifestError> {
     manifest.layout()?;
-    let chunks = manifest.chunks(CLUSTERS).len();
-    if chunks != rows.len() {
-        let problem = format!("it has {} clusters and {chunks} chunks of them", rows.len());
+    let (rows, wanted) = (manifest.clusters.len(), totals.clusters);
+    if rows as u64 != wanted {
+        let problem = format!("its directory has {rows} clusters, wanted {wanted}");
         return Err(ManifestError::Contradiction { problem });
     }
-    rows.iter().try_for_each(ClusterRow::check_numbers)
+    Ok(())
 }
 
 /// The rows with their chunks.
-pub fn with_chunks<'a>(
-    manifest: &'a Manifest,
-    rows: &'a [ClusterRow],
-) -> impl Iterator<Item = (&'a ClusterRow, &'a ChunkRef)> {
-    rows.iter().zip(manifest.chunks(CLUSTERS))
+pub fn with_chunks(manifest: &Manifest) -> impl Iterator<Item = (&ClusterRow, &ChunkRef)> {
+    manifest.clusters.iter().zip(manifest.chunks(CLUSTERS))
 }

@@ -1,8 +1,10 @@
 //! The manifest: a bake's scene, settings, draws and chunks, and a body that its kind reads.
 //!
-//! JSON, canonical (sorted keys, no spaces), a pure function of scene and settings.
+//! JSON, canonical (sorted keys, no spaces), a pure function of scene and settings. Its clusters, of which there may be a hundred
+//! thousand, stand in pages that are chunks, its [`directory`].
 
 mod clusters;
+mod directory;
 mod framing;
 mod lightmap;
 mod materials;
@@ -14,11 +16,12 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use thiserror::Error;
 
-use crate::chunk::CHUNK_BYTES_MAX;
+use crate::chunk::{CHUNK_BYTES_MAX, ChunkError};
 use crate::ids::Digest;
 use crate::scene::{LightKind, SceneCamera, SceneLight};
 
-pub use clusters::{CLUSTERS, ClusterRow, ClusterTotals, Layer, check_clusters, with_chunks};
+pub use clusters::{CLUSTERS, ClusterRow, ClusterTotals, Layer, PrefixCheck, check_clusters, with_chunks};
+pub use directory::{DIRECTORY, DirectoryPage, Stored};
 pub use framing::{Chosen, Framing};
 pub use lightmap::{Block, Lightmap};
 pub use materials::{Emitter, Glass, Material, TextureUse, Wrap};
@@ -26,7 +29,7 @@ pub use materials::{Emitter, Glass, Material, TextureUse, Wrap};
 /// Value of [`Manifest::format`].
 pub const FORMAT: &str = "lightkiln-manifest";
 /// Version of the manifest that this code reads and writes.
-pub const VERSION: u32 = 2;
+pub const VERSION: u32 = 3;
 /// Largest manifest that is read.
 pub const MAX_BYTES: usize = 256 << 20;
 
@@ -65,8 +68,14 @@ pub struct Manifest {
     pub cameras: Vec<SceneCamera>,
     /// Camera and light that were chosen where the file has none.
     pub framing: Framing,
-    /// Chunks by role; [`TEXTURES`] and [`GEOMETRY`] are every kind's, the others the kind's own.
+    /// Chunks by role; [`TEXTURES`], [`GEOMETRY`] and [`DIRECTORY`] are every kind's, the others the kind's own.
     pub chunks: BTreeMap<String, Vec<ChunkRef>>,
+    /// Pages of the directory; page i is the i-th chunk of role [`DIRECTORY`].
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub directory: Vec<DirectoryPage>,
+    /// Clusters, of which the directory tells; row i belongs to the i-th chunk of role [`CLUSTERS`].
+    #[serde(skip)]
+    pub clusters: Vec<ClusterRow>,
     /// Part that the kind alone reads.
     pub body: Value,
 }
@@ -112,6 +121,18 @@ pub enum ManifestError {
         /// Kinds known.
         known: String,
     },
+    /// A page of its directory that cannot be read.
+    #[error("page {index} of its directory is damaged: fetch the bake again, or bake it again")]
+    Page {
+        /// The page's place among all.
+        index: usize,
+        /// Why.
+        #[source]
+        source: ChunkError,
+    },
+    /// Clusters that no page can hold.
+    #[error("its clusters cannot be listed")]
+    Clusters(#[from] ChunkError),
     /// A body or settings that the kind cannot read.
     #[error("its {part} is not one of kind '{kind}'")]
     Body {
@@ -139,8 +160,9 @@ struct Header {
 }
 
 impl Manifest {
-    /// Reads a manifest. Errs unless it is of this version, all numbers of its shared part are finite and no chunk is longer
-    /// than one may be, so that lengths can be added; its kind checks the rest ([`crate::kinds::Kinds::check`]).
+    /// Reads a manifest, but for its clusters, see [`Self::with_directory`]. Errs unless it is of this version, all numbers of its
+    /// shared part are finite, no chunk is longer than one may be, so that lengths can be added, and its directory can be read; its
+    /// kind checks the rest ([`crate::kinds::Kinds::check`]).
     pub fn from_json(bytes: &[u8]) -> Result<Self, ManifestError> {
         let Header { format, version } = serde_json::from_slice(bytes)?;
         if format != FORMAT || version != u64::from(VERSION) {
@@ -149,6 +171,7 @@ impl Manifest {
         let manifest: Self = serde_json::from_slice(bytes)?;
         manifest.check_numbers()?;
         manifest.check_lengths()?;
+        manifest.check_directory()?;
         Ok(manifest)
     }
 
@@ -167,9 +190,14 @@ impl Manifest {
         self.chunks.keys().map(|role| self.bytes_of(role)).sum()
     }
 
-    /// Bytes of the chunks that relighting needs: all but meshes and textures.
+    /// Whether chunks of a role are of those that relighting needs: all but meshes, textures and the directory.
+    pub fn is_light(role: &str) -> bool {
+        ![TEXTURES, GEOMETRY, DIRECTORY].contains(&role)
+    }
+
+    /// Bytes of the chunks that relighting needs.
     pub fn bytes_light(&self) -> u64 {
-        self.bytes() - self.bytes_of(TEXTURES) - self.bytes_of(GEOMETRY)
+        self.chunks.keys().filter(|role| Self::is_light(role)).map(|role| self.bytes_of(role)).sum()
     }
 
     /// The body as the kind's own type.
@@ -265,7 +293,7 @@ mod tests {
         let manifest = json!({
             "format": FORMAT, "version": VERSION, "kind": "any", "scene": digest, "settings": {},
             "bounds_m": [[0, 0, 0], [1, 1, 1]], "triangles": 0, "lightmap": null, "materials": [], "emitters": [],
-            "lights": [], "cameras": [], "framing": {}, "chunks": { "clusters": chunks }, "body": {},
+            "lights": [], "cameras": [], "framing": {}, "chunks": { "patches": chunks }, "body": {},
         });
         Manifest::from_json(manifest.to_string().as_bytes())
     }
@@ -276,7 +304,7 @@ mod tests {
         assert_eq!(read([longest, longest]).unwrap().bytes(), 2 * longest);
         for too_long in [longest + 1, u64::MAX - 1] {
             let told = read([2, too_long]).unwrap_err().to_string();
-            assert!(told.contains("'clusters'") && told.contains(&too_long.to_string()), "{told}");
+            assert!(told.contains("'patches'") && told.contains(&too_long.to_string()), "{told}");
         }
     }
 }

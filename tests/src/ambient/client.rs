@@ -2,11 +2,11 @@
 
 use glam::Vec3;
 use lightkiln_client::bake::{ClientKind, Light, LightPasses, LitScene, SettledLight, Unshadowed};
-use lightkiln_client::fetch::Source;
+use lightkiln_client::fetch::{Source, decoded};
 use lightkiln_client::passes::gpu::{Gpu, uniform};
 use lightkiln_client::passes::shade::{IndirectIrradiance, Shading, Surface};
 use lightkiln_client::passes::shadow::ShadowPass;
-use lightkiln_client::scene::{LoadedScene, decoded};
+use lightkiln_client::scene::LoadedScene;
 use lightkiln_client::{ClientError, Result, wgpu};
 use lightkiln_proto::kinds::Kind;
 use lightkiln_proto::relight::Limit;

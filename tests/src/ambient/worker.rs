@@ -65,6 +65,7 @@ fn light(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> {
             scene,
             settings: &settings,
             body: &Body { irradiance },
+            clusters: Vec::new(),
             chunks: vec![(ROLE, vec![chunk])],
             report: serde_json::json!({}),
         },

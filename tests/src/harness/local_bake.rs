@@ -8,7 +8,7 @@ use anyhow::{Context, Result};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{MANIFEST_OUTPUT, REPORT_OUTPUT};
 use lightkiln_proto::kinds::Kinds;
-use lightkiln_proto::manifest::Manifest;
+use lightkiln_proto::manifest::{ChunkRef, DIRECTORY, Manifest};
 use lightkiln_worker::kinds::{BakeKinds, Runner};
 use lightkiln_worker::lightmap::World;
 use lightkiln_worker::rays::RayCount;
@@ -121,6 +121,9 @@ pub fn bake_in_world(bundle: Vec<u8>, recipe: &Recipe) -> Result<(LocalBake, Arc
     let manifest_bytes = bytes_of(MANIFEST_OUTPUT)?.as_ref().clone();
     let report = serde_json::from_slice(&bytes_of(REPORT_OUTPUT)?)?;
     let manifest = Manifest::from_json(&manifest_bytes)?;
+    let page = |chunk: &ChunkRef| Ok(run.shelf.get(chunk.digest)?.as_ref().clone());
+    let pages: Vec<Vec<u8>> = manifest.chunks(DIRECTORY).iter().map(page).collect::<Result<_>>()?;
+    let manifest = manifest.with_directory(&pages)?;
     Kinds::new().check(&manifest)?;
     let world = World::of_run(&run)?;
     let bake = LocalBake {

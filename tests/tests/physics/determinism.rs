@@ -1,6 +1,6 @@
 //! Same inputs, same settings: the same bytes.
 
-use lightkiln_proto::manifest::CLUSTERS;
+use lightkiln_proto::manifest::{CLUSTERS, PrefixCheck, with_chunks};
 use lightkiln_tests::harness::{LocalBake, bake};
 use lightkiln_tests::scenes;
 
@@ -16,4 +16,10 @@ fn bake_has_the_same_bytes_on_one_and_on_four_threads(kind: &'static str) {
     let (one, four) = (on(1), on(4));
     assert_eq!(one.manifest_bytes, four.manifest_bytes);
     assert!(one.manifest.chunks(CLUSTERS).len() > 2);
+    for (row, chunk) in with_chunks(&one.manifest) {
+        let bytes = one.chunk(chunk.digest).unwrap();
+        let checks = row.layers.iter().map(|layer| PrefixCheck::of(&bytes[..layer.bytes as usize]));
+        assert!(row.checks.iter().copied().eq(checks.take(row.layers.len() - 1)), "{row:?}");
+    }
+    assert!(one.manifest.clusters.iter().any(|row| !row.checks.is_empty()), "no cluster has a prefix");
 }

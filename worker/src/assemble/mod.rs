@@ -10,7 +10,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{MANIFEST_OUTPUT, REPORT_OUTPUT};
 use lightkiln_proto::manifest::{
-    Block, ChunkRef, FORMAT, Framing, GEOMETRY, Lightmap, Manifest, TEXTURES, VERSION,
+    Block, ChunkRef, ClusterRow, DIRECTORY, FORMAT, Framing, GEOMETRY, Lightmap, Manifest, TEXTURES, VERSION,
 };
 use rayon::prelude::*;
 use serde::Serialize;
@@ -31,6 +31,8 @@ pub struct KindPart<'a, S, B> {
     pub settings: &'a S,
     /// Body.
     pub body: &'a B,
+    /// Clusters, where it has some; their chunks are of role [`CLUSTERS`](lightkiln_proto::manifest::CLUSTERS).
+    pub clusters: Vec<ClusterRow>,
     /// The kind's own chunks by role.
     pub chunks: Vec<(&'static str, Vec<ChunkRef>)>,
     /// The kind's part of the report: an object.
@@ -38,7 +40,7 @@ pub struct KindPart<'a, S, B> {
 }
 
 /// Outputs of an assemble task, whose inputs are the outputs of `scene.import`, `.draw` and `.frame`, of `.unwrap` for a lightmap,
-/// and the kind's own: the manifest and the report.
+/// and the kind's own: the manifest, the pages of its directory, and the report.
 pub fn assembled<S: Serialize, B: Serialize>(
     context: &Context,
     part: KindPart<'_, S, B>,
@@ -66,6 +68,8 @@ pub fn assembled<S: Serialize, B: Serialize>(
         cameras: scene.cameras.clone(),
         framing: framing(context)?,
         chunks,
+        directory: Vec::new(),
+        clusters: part.clusters,
         body: as_json(part.body)?,
     };
     let mut report = part.report;
@@ -73,15 +77,16 @@ pub fn assembled<S: Serialize, B: Serialize>(
     if let Some(charts) = charts {
         report["texel_m"] = json!(charts.texel_m);
     }
-    // By way of a JSON value: its maps are sorted, which makes the manifest canonical.
-    let canonical = as_json(&manifest)?;
-    Ok(TaskOutput {
-        artefacts: vec![
-            (MANIFEST_OUTPUT.into(), canonical.to_string().into_bytes()),
-            (REPORT_OUTPUT.into(), report.to_string().into_bytes()),
-        ],
-        ..TaskOutput::default()
-    })
+    let stored = manifest
+        .stored()
+        .map_err(|error| TaskError::bad_input_from("the manifest cannot be written", error))?;
+    let mut artefacts = vec![
+        (MANIFEST_OUTPUT.to_owned(), stored.json),
+        (REPORT_OUTPUT.to_owned(), report.to_string().into_bytes()),
+    ];
+    let page = |(number, page): (usize, Vec<u8>)| (format!("{DIRECTORY}/{number}"), page);
+    artefacts.extend(stored.pages.into_iter().enumerate().map(page));
+    Ok(TaskOutput { artefacts, ..TaskOutput::default() })
 }
 
 /// Errs unless every chunk among the task's inputs is stored: no task reads them, so that bytes which were lost meanwhile

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use lightkiln_proto::chunk::{EncodedCluster, QuantisationSettings, encode_cluster};
 use lightkiln_proto::ids::Digest;
-use lightkiln_proto::manifest::{ChunkRef, ClusterRow, ClusterTotals};
+use lightkiln_proto::manifest::{ChunkRef, ClusterRow, ClusterTotals, PrefixCheck};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -101,6 +101,7 @@ impl CellIndex {
                 quantisation_error: encoded.quantisation_error,
                 uncovered_fraction: piece.uncovered_fraction,
                 layers: Vec::new(),
+                checks: Vec::new(),
             });
         }
         self
@@ -179,6 +180,7 @@ pub fn stored_as(encoded: Vec<EncodedCluster>, mut index: CellIndex) -> Result<T
     index.chunks.clear();
     for (number, (encoded, row)) in encoded.into_iter().zip(&mut index.clusters).enumerate() {
         index.chunks.push(ChunkRef { digest: Digest::of(&encoded.bytes), bytes: encoded.bytes.len() as u64 });
+        row.checks = PrefixCheck::of_prefixes(&encoded.bytes, &encoded.layers);
         row.layers = encoded.layers;
         output.artefacts.push((format!("chunk/{number}"), encoded.bytes));
     }

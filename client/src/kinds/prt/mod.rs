@@ -8,12 +8,12 @@ use lightkiln_proto::relight::PatchTable;
 
 use crate::bake::{ClientKind, Light};
 use crate::error::{ClientError, Result};
-use crate::fetch::Source;
+use crate::fetch::{Source, decoded};
 use crate::lightmap::{ClientColumns, LightmapLight};
 use crate::passes::gpu::Gpu;
 use crate::passes::patches::PatchesPass;
 use crate::passes::resident::{ColumnsPass, Resident};
-use crate::scene::{LoadedScene, decoded};
+use crate::scene::LoadedScene;
 
 /// The kind.
 #[derive(Clone, Copy, Debug)]

@@ -10,11 +10,11 @@ use lightkiln_proto::manifest::CLUSTERS;
 
 use crate::bake::{ClientKind, Light};
 use crate::error::Result;
-use crate::fetch::Source;
+use crate::fetch::{Source, decoded};
 use crate::lightmap::{ClientColumns, LightmapLight};
 use crate::passes::gpu::Gpu;
 use crate::passes::resident::{ColumnsPass, Resident};
-use crate::scene::{LoadedScene, decoded};
+use crate::scene::LoadedScene;
 
 /// The kind.
 #[derive(Clone, Copy, Debug)]

@@ -3,7 +3,7 @@
 use lightkiln_client::bake::LoadedBake;
 use lightkiln_client::fetch::Source;
 use lightkiln_proto::ids::Digest;
-use lightkiln_proto::manifest::{ChunkRef, GEOMETRY, Manifest, TEXTURES};
+use lightkiln_proto::manifest::{ChunkRef, Manifest};
 use lightkiln_worker::evaluate::{
     EvaluationError, Evaluator, LightResult, Options, cluster_errors, default_lights, usable_lights,
 };
@@ -134,9 +134,9 @@ fn summed_up(
     }
 }
 
-/// Chunks that are neither meshes nor textures.
+/// Chunks that relighting needs.
 fn light_chunks(manifest: &Manifest) -> usize {
-    let of_light = manifest.chunks.iter().filter(|(role, _)| *role != TEXTURES && *role != GEOMETRY);
+    let of_light = manifest.chunks.iter().filter(|(role, _)| Manifest::is_light(role));
     of_light.map(|(_, chunks)| chunks.len()).sum()
 }
 

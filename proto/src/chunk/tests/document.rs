@@ -45,6 +45,7 @@ fn limits_are_those_of_the_code() {
         ("relight rays of a probe", RELIGHT_RAYS_MAX),
         ("probes × rays", HITS_MAX),
         ("surface patches", PATCHES_MAX),
+        ("clusters in a page of a directory", DIRECTORY_CLUSTERS_MAX),
         ("receivers of patches", PATCH_RECEIVERS_MAX),
         ("parts of the sky", SKY_PARTS_MAX),
         ("draws", DRAWS_MAX),

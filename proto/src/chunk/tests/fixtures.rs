@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use super::scenes::directory;
 use crate::chunk::*;
 use crate::content::*;
 use crate::kinds::sh::*;
@@ -33,6 +34,9 @@ const V1: Fixtures = fixtures!("v1");
 const V2: Fixtures = fixtures!("v2");
 const V3: Fixtures = fixtures!("v3");
 const V4: Fixtures = fixtures!("v4");
+
+/// A page of a directory, of which there are none in older versions.
+const DIRECTORY_V4: &[u8] = include_bytes!("../../../fixtures/directory-v4.lkc");
 
 /// A wall of 2 × 2 texels that one probe and the sky light. All its numbers survive quantisation but U, ΣVᵀ and the
 /// irradiance.
@@ -158,13 +162,14 @@ fn geometry() -> Geometry {
     }
 }
 
-fn encoded() -> [(&'static str, Vec<u8>, &'static [u8]); 6] {
+fn encoded() -> [(&'static str, Vec<u8>, &'static [u8]); 7] {
     let encode = |cluster| encode_cluster(&cluster, QuantisationSettings::default()).unwrap().bytes;
     [
         ("cluster-v4.lkc", encode(cluster()), V4.cluster),
         ("cluster-near-v4.lkc", encode(cluster_with_near_hits()), V4.near),
         ("probes-v4.lkc", encode_probe_batch(&probes()).unwrap(), V4.probes),
         ("patches-v4.lkc", encode_patches(&patches()).unwrap(), V4.patches),
+        ("directory-v4.lkc", encode_directory(&directory(3).0, &directory(3).1).unwrap(), DIRECTORY_V4),
         ("geometry-v4.lkc", encode_geometry(&geometry()).unwrap(), V4.geometry),
         ("texture-v4.lkc", encode_texture("image/png", b"\x89PNG of no size").unwrap(), V4.texture),
     ]
@@ -198,6 +203,7 @@ fn version_3_still_decodes_to_what_went_in() {
 #[test]
 fn version_4_still_decodes_to_what_went_in() {
     assert_decoded(&V4, |_| {});
+    assert_eq!(decode_directory(DIRECTORY_V4).unwrap(), directory(3));
     let near = decode_cluster(V4.near).unwrap();
     assert_eq!(near.factors.keys, cluster_with_near_hits().factors.keys);
 }

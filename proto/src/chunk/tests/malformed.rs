@@ -2,8 +2,8 @@
 
 use proptest::prelude::*;
 
-use super::scenes::{batch, narrow, patches, quads, wall};
-use super::whole::{assert_batch, assert_geometry, assert_patches, assert_whole};
+use super::scenes::{batch, directory, narrow, patches, quads, wall};
+use super::whole::{assert_batch, assert_directory, assert_geometry, assert_patches, assert_whole};
 use crate::chunk::container::{Container, ContainerWriter, SectionId};
 use crate::chunk::*;
 use crate::content::*;
@@ -16,6 +16,7 @@ fn chunks() -> Vec<(ChunkKind, Vec<u8>)> {
         (PROBES_CHUNK, encode_probe_batch(&batch(3, 16, 2)).unwrap()),
         (GEOMETRY, encode_geometry(&quads()).unwrap()),
         (PATCHES, encode_patches(&patches(3)).unwrap()),
+        (DIRECTORY, encode_directory(&directory(5).0, &directory(5).1).unwrap()),
         (TEXTURE, encode_texture("image/jpeg", &[7; 300]).unwrap()),
         (CLUSTER, encode_cluster(&narrow(8, 1), QuantisationSettings::default()).unwrap().bytes),
     ]
@@ -34,6 +35,7 @@ fn decode(kind: ChunkKind, bytes: &[u8]) -> Result<(), ChunkError> {
         PROBES_CHUNK => decode_probe_batch(bytes).map(|batch| assert_batch(&batch)),
         GEOMETRY => decode_geometry(bytes).map(|geometry| assert_geometry(&geometry)),
         PATCHES => decode_patches(bytes).map(|set| assert_patches(&set)),
+        DIRECTORY => decode_directory(bytes).map(|(rows, chunks)| assert_directory(&rows, &chunks)),
         TEXTURE => decode_texture(bytes).map(drop),
         kind => unreachable!("{kind:?} is not among the chunks"),
     }

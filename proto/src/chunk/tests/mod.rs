@@ -11,3 +11,4 @@ mod whole;
 
 use crate::content::*;
 use crate::kinds::sh::{ProbeBatch, RelightHit};
+use crate::manifest::{ChunkRef, ClusterRow};

@@ -2,10 +2,11 @@
 
 use std::collections::BTreeSet;
 
-use super::scenes::{batch, narrow, patches, quads, wall};
+use super::scenes::{batch, directory, narrow, patches, quads, wall};
 use crate::chunk::*;
 use crate::content::*;
 use crate::kinds::sh::*;
+use crate::manifest::{ChunkRef, ClusterRow};
 
 fn product(cluster: &ClusterTransport) -> Vec<f64> {
     let (rank, columns) = (cluster.factors.rank as usize, cluster.factors.columns());
@@ -187,6 +188,33 @@ fn batch_comes_back_exactly() {
         assert_eq!(named(&decoded), named(&batch));
         assert!(!decoded.blocks.contains(&u64::MAX), "a block that no hit names is kept");
     }
+}
+
+#[test]
+fn directory_comes_back_exactly_and_refuses_rows_that_do_not_fit_their_chunks() {
+    for clusters in [0, 1, 300] {
+        let (rows, chunks) = directory(clusters);
+        let bytes = encode_directory(&rows, &chunks).unwrap();
+        assert_eq!(decode_directory(&bytes).unwrap(), (rows, chunks));
+        println!("{clusters} clusters in {} bytes", bytes.len());
+    }
+    let refused = |change: fn(&mut ClusterRow, &mut ChunkRef)| {
+        let (mut rows, mut chunks) = directory(3);
+        change(&mut rows[2], &mut chunks[2]);
+        encode_directory(&rows, &chunks).unwrap_err()
+    };
+    let changes: [fn(&mut ClusterRow, &mut ChunkRef); 5] = [
+        |_, chunk| chunk.bytes += 1,
+        |row, _| row.checks.clear(),
+        |row, _| row.layers.clear(),
+        |row, _| row.layers[0].bytes = row.layers[1].bytes,
+        |row, _| row.bounds_m[1][2] = f32::NAN,
+    ];
+    for change in changes {
+        assert!(matches!(refused(change), ChunkError::OutOfRange { .. } | ChunkError::BadNumber { .. }));
+    }
+    let (rows, chunks) = directory(3);
+    assert!(encode_directory(&rows, &chunks[1..]).is_err());
 }
 
 #[test]

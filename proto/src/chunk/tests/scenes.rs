@@ -1,7 +1,9 @@
 //! Small contents to encode.
 
 use crate::content::*;
+use crate::ids::Digest;
 use crate::kinds::sh::*;
+use crate::manifest::{ChunkRef, ClusterRow, Layer, PrefixCheck};
 
 /// Numbers in 0..1 that look random and are the same everywhere.
 pub(super) struct Noise(pub u64);
@@ -157,4 +159,36 @@ pub(super) fn quads() -> Geometry {
     };
     let outside = Draw { front: None, back: None, lightmap_texel: Vec::new(), ..rich.clone() };
     Geometry { draws: vec![plain, outside, rich] }
+}
+
+/// Clusters of one to three layers, and their chunks.
+pub(super) fn directory(clusters: u32) -> (Vec<ClusterRow>, Vec<ChunkRef>) {
+    let row = |index: u32| {
+        let at = index as f32 * 0.75;
+        let layer = |layer: u32| Layer {
+            bytes: u64::from(300 * (layer + 1) + index),
+            level: 2 - layer,
+            bands: 0,
+            rank: 8 + layer,
+        };
+        let layers: Vec<Layer> = (0..=index % 3).map(layer).collect();
+        ClusterRow {
+            bounds_m: [[at, -1.0, 0.0], [at + 1.0, 2.5, 0.0]],
+            receivers: 100 + index,
+            keys: 7,
+            rank: 10,
+            truncation_error: 0.01 * at,
+            quantisation_error: 0.002,
+            uncovered_fraction: 0.0,
+            checks: layers[1..].iter().map(|layer| PrefixCheck::of(&[layer.rank as u8])).collect(),
+            layers,
+        }
+    };
+    let rows: Vec<ClusterRow> = (0..clusters).map(row).collect();
+    let chunk = |row: &ClusterRow| ChunkRef {
+        digest: Digest::of(&row.receivers.to_le_bytes()),
+        bytes: row.layers.last().unwrap().bytes,
+    };
+    let chunks = rows.iter().map(chunk).collect();
+    (rows, chunks)
 }

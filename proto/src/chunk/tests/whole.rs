@@ -1,7 +1,10 @@
 //! Rules that every decoded chunk keeps, whatever the bytes were. Tests of this crate and fuzz targets share it; whoever takes it in
 //! has the types in scope.
 
-use super::{ClusterTransport, Geometry, NearHits, NearSurface, PatchSet, ProbeBatch, Receivers, RelightHit};
+use super::{
+    ChunkRef, ClusterRow, ClusterTransport, Geometry, NearHits, NearSurface, PatchSet, ProbeBatch, Receivers,
+    RelightHit,
+};
 
 /// Every array has its length, every index its target, every number is finite.
 pub fn assert_whole(cluster: &ClusterTransport) {
@@ -77,5 +80,17 @@ pub fn assert_geometry(geometry: &Geometry) {
         assert!(draw.front.is_some() || draw.back.is_none());
         assert!([0, count].contains(&draw.uv.len()) && [0, count].contains(&draw.colour.len()));
         assert!(draw.triangles.as_flattened().iter().all(|&index| (index as usize) < count));
+    }
+}
+
+/// Every cluster has a chunk, which its last layer is, and a check of each other layer.
+pub fn assert_directory(rows: &[ClusterRow], chunks: &[ChunkRef]) {
+    assert_eq!(rows.len(), chunks.len());
+    for (row, chunk) in rows.iter().zip(chunks) {
+        assert_eq!(row.layers.last().map(|layer| layer.bytes), Some(chunk.bytes));
+        assert_eq!(row.checks.len() + 1, row.layers.len());
+        assert!(row.layers.windows(2).all(|pair| pair[0].bytes < pair[1].bytes));
+        let errors = [row.truncation_error, row.quantisation_error, row.uncovered_fraction];
+        assert!(row.bounds_m.as_flattened().iter().chain(&errors).all(|number| number.is_finite()));
     }
 }

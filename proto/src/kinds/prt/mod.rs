@@ -11,7 +11,7 @@ use super::{Figures, Kind, Rates, Warning, cluster_figures, cluster_warnings};
 use crate::chunk::ChunkRow;
 use crate::ids::Digest;
 use crate::jobs::TaskSpec;
-use crate::manifest::{ClusterRow, ClusterTotals, Manifest, ManifestError, check_clusters};
+use crate::manifest::{ClusterTotals, Manifest, ManifestError, check_clusters};
 use crate::settings::{SettingRow, SettingsError};
 
 pub use settings::{PatchSettings, Settings};
@@ -34,8 +34,6 @@ pub struct Body {
     pub totals: ClusterTotals,
     /// Surface patches.
     pub patches: u64,
-    /// Clusters, one for each chunk of role [`crate::manifest::CLUSTERS`].
-    pub clusters: Vec<ClusterRow>,
 }
 
 impl Kind for Prt {
@@ -68,7 +66,7 @@ impl Kind for Prt {
     }
 
     fn check(&self, manifest: &Manifest) -> Result<(), ManifestError> {
-        check_clusters(manifest, &manifest.body::<Body>()?.clusters)?;
+        check_clusters(manifest, &manifest.body::<Body>()?.totals)?;
         match manifest.chunks(PATCHES).len() {
             1 => Ok(()),
             count => {
@@ -79,21 +77,26 @@ impl Kind for Prt {
     }
 
     fn summary(&self, manifest: &Manifest) -> Result<Figures, ManifestError> {
-        let Body { totals, patches, clusters } = manifest.body()?;
-        let mut figures = totals.summary(manifest, &clusters, &format!("{patches} patches"));
+        let Body { totals, patches } = manifest.body()?;
+        let mut figures = totals.summary(manifest, &format!("{patches} patches"));
         figures.json.insert("patches".into(), json!(patches));
         Ok(figures)
     }
 
     fn warnings(&self, manifest: &Manifest) -> Result<Vec<Warning>, ManifestError> {
-        let Body { totals, clusters, .. } = manifest.body()?;
+        let Body { totals, .. } = manifest.body()?;
         let finer = manifest.layout()?.texel_m / 2.0;
-        Ok(cluster_warnings(&manifest.settings, &totals, &clusters, Some(format!("texel_m={finer}"))))
+        Ok(cluster_warnings(
+            &manifest.settings,
+            &totals,
+            &manifest.clusters,
+            Some(format!("texel_m={finer}")),
+        ))
     }
 
     fn inspection(&self, manifest: &Manifest) -> Result<Figures, ManifestError> {
-        let Body { totals, patches, clusters } = manifest.body()?;
-        let mut figures = cluster_figures(manifest, &totals, &clusters);
+        let Body { totals, patches } = manifest.body()?;
+        let mut figures = cluster_figures(manifest, &totals);
         figures.json.insert("patches".into(), json!(patches));
         figures.words.insert_str(0, &format!("patches     {patches}\n"));
         Ok(figures)

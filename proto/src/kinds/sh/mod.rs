@@ -14,7 +14,7 @@ use super::{Figures, Kind, Rates, Warning, cluster_figures, cluster_warnings};
 use crate::chunk::ChunkRow;
 use crate::ids::Digest;
 use crate::jobs::TaskSpec;
-use crate::manifest::{ClusterRow, ClusterTotals, Manifest, ManifestError, all_finite, check_clusters};
+use crate::manifest::{ClusterTotals, Manifest, ManifestError, all_finite, check_clusters};
 use crate::settings::{SettingRow, SettingsError};
 
 pub use chunk::{
@@ -45,8 +45,6 @@ pub struct Body {
     pub probes: u64,
     /// Distance between probes in metres.
     pub probe_spacing_m: f32,
-    /// Clusters, one for each chunk of role [`crate::manifest::CLUSTERS`].
-    pub clusters: Vec<ClusterRow>,
 }
 
 impl Kind for Sh {
@@ -81,12 +79,12 @@ impl Kind for Sh {
     fn check(&self, manifest: &Manifest) -> Result<(), ManifestError> {
         let body: Body = manifest.body()?;
         all_finite("the probes' spacing", &[body.probe_spacing_m])?;
-        check_clusters(manifest, &body.clusters)
+        check_clusters(manifest, &body.totals)
     }
 
     fn summary(&self, manifest: &Manifest) -> Result<Figures, ManifestError> {
-        let Body { totals, probes, clusters, .. } = manifest.body()?;
-        let mut figures = totals.summary(manifest, &clusters, &format!("{probes} probes"));
+        let Body { totals, probes, .. } = manifest.body()?;
+        let mut figures = totals.summary(manifest, &format!("{probes} probes"));
         figures.json.insert("probes".into(), json!(probes));
         figures.words +=
             &format!("{:.2} % of the light reaches no probe\n", 100.0 * totals.uncovered_fraction);
@@ -94,14 +92,14 @@ impl Kind for Sh {
     }
 
     fn warnings(&self, manifest: &Manifest) -> Result<Vec<Warning>, ManifestError> {
-        let Body { totals, clusters, probe_spacing_m, .. } = manifest.body()?;
+        let Body { totals, probe_spacing_m, .. } = manifest.body()?;
         let finer = format!("probe_spacing_m={:.3}", probe_spacing_m / 2.0);
-        Ok(cluster_warnings(&manifest.settings, &totals, &clusters, Some(finer)))
+        Ok(cluster_warnings(&manifest.settings, &totals, &manifest.clusters, Some(finer)))
     }
 
     fn inspection(&self, manifest: &Manifest) -> Result<Figures, ManifestError> {
-        let Body { totals, probes, probe_spacing_m, clusters } = manifest.body()?;
-        let mut figures = cluster_figures(manifest, &totals, &clusters);
+        let Body { totals, probes, probe_spacing_m } = manifest.body()?;
+        let mut figures = cluster_figures(manifest, &totals);
         figures.json.insert("probes".into(), json!(probes));
         figures.json.insert("probe_spacing_m".into(), json!(probe_spacing_m));
         figures.words.insert_str(0, &format!("probes      {probes}, spacing {probe_spacing_m} m\n"));

@@ -10,9 +10,9 @@ pub const PLAN: TaskKind = TaskKind { name: "sh.plan", version: 4 };
 /// A batch of probes → their relight rays' hits.
 pub const RELIGHT: TaskKind = TaskKind { name: "sh.relight", version: 8 };
 /// A cluster cell → its factorised transport.
-pub const TRANSPORT: TaskKind = TaskKind { name: "sh.transport", version: 12 };
-/// Everything → manifest and report.
-pub const ASSEMBLE: TaskKind = TaskKind { name: "sh.assemble", version: 3 };
+pub const TRANSPORT: TaskKind = TaskKind { name: "sh.transport", version: 13 };
+/// Everything → manifest, directory and report.
+pub const ASSEMBLE: TaskKind = TaskKind { name: "sh.assemble", version: 4 };
 
 /// The tasks that kinds of a scene share, and the plan of the rest.
 pub fn first_tasks(scene: Digest, settings: &Settings) -> Vec<TaskSpec> {

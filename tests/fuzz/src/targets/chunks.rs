@@ -8,10 +8,11 @@ use std::ops::Range;
 use lightkiln_proto::chunk::*;
 use lightkiln_proto::content::*;
 use lightkiln_proto::kinds::sh::*;
+use lightkiln_proto::manifest::{ChunkRef, ClusterRow};
 
 use super::container::{packed, unpacked};
 use super::{Target, taken};
-use whole::{assert_batch, assert_geometry, assert_patches, assert_whole};
+use whole::{assert_batch, assert_directory, assert_geometry, assert_patches, assert_whole};
 
 /// A cluster.
 pub const CLUSTER: Target = Target {
@@ -65,6 +66,17 @@ pub const PATCHES: Target = Target {
     read: |bytes| read(bytes, decode_patches),
     check: |bytes| each_form(bytes, check_patches),
     seeds: || seeds(&[include_bytes!("../../../../proto/fixtures/patches-v1.lkc"), &larger_patches()]),
+    memory_max,
+};
+
+/// A page of a directory.
+pub const DIRECTORY: Target = Target {
+    name: "directory",
+    read: |bytes| read(bytes, decode_directory),
+    check: |bytes| each_form(bytes, check_directory),
+    seeds: || {
+        seeds(&[include_bytes!("../../../../proto/fixtures/directory-v4.lkc"), &super::texts::directory(40)])
+    },
     memory_max,
 };
 
@@ -218,6 +230,13 @@ fn check_patches(bytes: &[u8]) {
     }
     let again = encode_patches(&set).expect("what was decoded can be encoded");
     assert_eq!(decode_patches(&again).expect("what was encoded can be decoded"), set);
+}
+
+fn check_directory(bytes: &[u8]) {
+    let Ok((rows, chunks)) = decode_directory(bytes) else { return };
+    assert_directory(&rows, &chunks);
+    let again = encode_directory(&rows, &chunks).expect("what was decoded can be encoded");
+    assert_eq!(decode_directory(&again).expect("what was encoded can be decoded"), (rows, chunks));
 }
 
 /// A wall of 12² texels in two blocks, with several layers.

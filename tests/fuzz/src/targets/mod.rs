@@ -25,12 +25,13 @@ pub struct Target {
 }
 
 /// All of them.
-pub const TARGETS: [Target; 12] = [
+pub const TARGETS: [Target; 13] = [
     chunks::CLUSTER,
     chunks::PROBES,
     chunks::GEOMETRY,
     chunks::TEXTURE,
     chunks::PATCHES,
+    chunks::DIRECTORY,
     texts::MANIFEST,
     texts::JOB,
     scenes::BUNDLE,

@@ -1,10 +1,13 @@
 //! JSON that roles say to each other: manifests, bakes, plans.
 
 use lightkiln_proto::api::{ClaimRequest, NewBake};
+use lightkiln_proto::chunk::encode_directory;
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{TaskInput, TaskResult, TaskSpec};
 use lightkiln_proto::kinds::{BakeError, Kinds};
-use lightkiln_proto::manifest::Manifest;
+use lightkiln_proto::manifest::{
+    CLUSTERS, ChunkRef, ClusterRow, DIRECTORY, Layer, Manifest, ManifestError, PrefixCheck,
+};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
@@ -14,13 +17,21 @@ use super::{Target, taken};
 pub const MANIFEST: Target = Target {
     name: "manifest",
     read: |bytes| {
-        let manifest = Manifest::from_json(bytes);
+        let manifest = whole(bytes);
         taken(&manifest) && manifest.is_ok_and(|manifest| taken(&Kinds::new().check(&manifest).map(drop)))
     },
     check: |bytes| {
-        let Ok(manifest) = Manifest::from_json(bytes) else { return };
-        let text = serde_json::to_vec(&manifest).expect("what was read can be written");
-        assert_eq!(Manifest::from_json(&text).expect("what was written can be read"), manifest);
+        let Ok(manifest) = whole(bytes) else { return };
+        let stored = manifest.clone().stored().expect("what was read can be written");
+        let again = Manifest::from_json(&stored.json).and_then(|again| again.with_directory(&stored.pages));
+        let again = again.expect("what was written can be read");
+        // The pages of the input may have been others, of the same clusters.
+        assert_eq!(again.clone().stored().expect("and written again"), stored);
+        assert_eq!(
+            (&again.clusters, again.chunks(CLUSTERS)),
+            (&manifest.clusters, manifest.chunks(CLUSTERS))
+        );
+        assert_eq!((&again.materials, &again.body), (&manifest.materials, &manifest.body));
         if let Ok(kind) = Kinds::new().check(&manifest) {
             kind.summary(&manifest).expect("a checked manifest has a summary");
             kind.inspection(&manifest).expect("a checked manifest has figures");
@@ -93,12 +104,39 @@ fn jobs() -> Vec<Vec<u8>> {
     [bake, claim, result].map(|value| value.to_string().into_bytes()).to_vec()
 }
 
+/// A manifest with a directory whose pages hold a cluster each.
+fn whole(bytes: &[u8]) -> Result<Manifest, ManifestError> {
+    let manifest = Manifest::from_json(bytes)?;
+    let pages = manifest.chunks(DIRECTORY).len().min(4);
+    manifest.with_directory(&vec![directory(1); pages])
+}
+
+/// A page of a directory.
+pub fn directory(clusters: u32) -> Vec<u8> {
+    let layers =
+        [(120, 1, 2), (300, 0, 3)].map(|(bytes, level, rank)| Layer { bytes, level, bands: 0, rank });
+    let row = |index: u32| ClusterRow {
+        bounds_m: [[index as f32, 0.0, 0.0], [4.0 + index as f32, 3.0, 5.5]],
+        receivers: 9,
+        keys: 2,
+        rank: 3,
+        truncation_error: 0.01,
+        quantisation_error: 0.002,
+        uncovered_fraction: 0.0,
+        checks: vec![PrefixCheck::of(b"")],
+        layers: layers.to_vec(),
+    };
+    let rows: Vec<ClusterRow> = (0..clusters).map(row).collect();
+    let chunks = vec![ChunkRef { digest: Digest::of(b"seed"), bytes: 300 }; rows.len()];
+    encode_directory(&rows, &chunks).expect("good rows")
+}
+
 fn manifest() -> serde_json::Value {
     let settings =
         Kinds::new().default_kind().resolve(&serde_json::Value::Null).expect("the defaults are good");
     let chunk = serde_json::json!({ "digest": digest(), "bytes": 300 });
     serde_json::json!({
-        "format": "lightkiln-manifest", "version": 2, "kind": "prt", "scene": digest(), "settings": settings,
+        "format": "lightkiln-manifest", "version": 3, "kind": "prt", "scene": digest(), "settings": settings,
         "bounds_m": [[0.0, 0.0, 0.0], [4.0, 3.0, 5.5]], "triangles": 12,
         "lightmap": {
             "texel_m": 0.25, "pages": [[64, 32]],
@@ -115,18 +153,14 @@ fn manifest() -> serde_json::Value {
         "framing": { "light": { "note": "chosen", "value": {
             "name": "sun", "kind": { "type": "sun", "direction": [0.0, -1.0, 0.0] }, "strength": [1.0, 1.0, 1.0],
         } } },
-        "chunks": { "textures": [chunk], "geometry": [chunk], "patches": [chunk], "clusters": [chunk] },
+        "chunks": { "textures": [chunk], "geometry": [chunk], "patches": [chunk], "directory": [chunk] },
+        "directory": [{ "bounds_m": [[0.0, 0.0, 0.0], [4.0, 3.0, 5.5]], "clusters": 1 }],
         "body": {
             "totals": {
                 "receivers": 9, "clusters": 1, "mean_rank": 3.5, "rank_max": 4, "uncovered_fraction": 0.01,
                 "left_out_fraction": 0.0, "receivers_without_light": 1,
             },
             "patches": 3,
-            "clusters": [{
-                "bounds_m": [[0.0, 0.0, 0.0], [4.0, 3.0, 5.5]], "receivers": 9, "keys": 2, "rank": 3,
-                "truncation_error": 0.01, "quantisation_error": 0.002, "uncovered_fraction": 0.0,
-                "layers": [{ "bytes": 200, "level": 1, "bands": 0, "rank": 2 }],
-            }],
         },
     })
 }

@@ -89,6 +89,7 @@ held! {
     hostile_geometry_does_no_harm: "geometry";
     hostile_textures_do_no_harm: "texture";
     hostile_patches_do_no_harm: "patches";
+    hostile_directories_do_no_harm: "directory";
     hostile_manifests_do_no_harm: "manifest";
     hostile_jobs_do_no_harm: "job";
     hostile_bundles_do_no_harm: "bundle";

@@ -1,4 +1,4 @@
-//! Task `prt.assemble`: the manifest's body and the report.
+//! Task `prt.assemble`: the manifest's body, its clusters and the report.
 
 use lightkiln_proto::jobs::TaskSpec;
 use lightkiln_proto::kinds::prt::{Body, NAME, PATCHES};
@@ -17,7 +17,11 @@ pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> 
     let index = CellIndex::of_inputs(context)?;
     let report = index.report(settings.patches.rank_error);
     let patches = PatchTree::of(context)?.patches.len() as u64;
-    let body = Body { totals: index.totals(), patches, clusters: index.clusters };
+    let body = Body { totals: index.totals(), patches };
     let chunks = vec![(CLUSTERS, index.chunks), (PATCHES, chunk_refs(context, PATCH_SET))];
-    assembled(context, KindPart { kind: NAME, scene, settings: &settings, body: &body, chunks, report })
+    let clusters = index.clusters;
+    assembled(
+        context,
+        KindPart { kind: NAME, scene, settings: &settings, body: &body, clusters, chunks, report },
+    )
 }

@@ -1,4 +1,4 @@
-//! Task `sh.assemble`: the manifest's body and the report.
+//! Task `sh.assemble`: the manifest's body, its clusters and the report.
 
 use lightkiln_proto::jobs::TaskSpec;
 use lightkiln_proto::kinds::sh::{Body, NAME, PROBES};
@@ -21,12 +21,11 @@ pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> 
     report["probe_spacing_m"] = json!(set.spacing_m);
     report["uncovered_bound_met"] =
         json!(totals.uncovered_fraction <= f64::from(settings.probes.uncovered_max));
-    let body = Body {
-        totals,
-        probes: set.probes.len() as u64,
-        probe_spacing_m: set.spacing_m,
-        clusters: index.clusters,
-    };
+    let body = Body { totals, probes: set.probes.len() as u64, probe_spacing_m: set.spacing_m };
     let chunks = vec![(CLUSTERS, index.chunks), (PROBES, chunk_refs(context, "probes/"))];
-    assembled(context, KindPart { kind: NAME, scene, settings: &settings, body: &body, chunks, report })
+    let clusters = index.clusters;
+    assembled(
+        context,
+        KindPart { kind: NAME, scene, settings: &settings, body: &body, clusters, chunks, report },
+    )
 }
