@@ -124,7 +124,7 @@ fn sections(out: &Path, receivers: f64) -> String {
         *bytes.entry(format!("{} head", known.name)).or_default() += left;
     }
     let mut bytes: Vec<(String, u64)> = bytes.into_iter().collect();
-    bytes.sort_by(|a, b| b.1.cmp(&a.1));
+    bytes.sort_by_key(|(_, bytes)| std::cmp::Reverse(*bytes));
     let each = bytes.iter().map(|(section, bytes)| format!("{section} {:.1}", *bytes as f64 / receivers));
     each.collect::<Vec<_>>().join(", ")
 }

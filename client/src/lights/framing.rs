@@ -17,13 +17,11 @@ pub fn camera_of(manifest: &Manifest) -> Result<(SceneCamera, Option<String>)> {
     Ok((chosen.value.clone(), Some(chosen.note.clone())))
 }
 
-/// The lights of the file, else the chosen one with a note that says how it was chosen. There are none where emissive
-/// surfaces light the scene.
+/// The lights of the file, else the chosen one with a note that says how it was chosen. There is none where emissive surfaces
+/// light the scene; where they light next to nothing of it there is one beside them.
 pub fn lights_of(manifest: &Manifest) -> (Vec<SceneLight>, Option<String>) {
     match &manifest.framing.light {
-        Some(chosen) if manifest.lights.is_empty() && manifest.emitters.is_empty() => {
-            (vec![chosen.value.clone()], Some(chosen.note.clone()))
-        }
+        Some(chosen) if manifest.lights.is_empty() => (vec![chosen.value.clone()], Some(chosen.note.clone())),
         _ => (manifest.lights.clone(), None),
     }
 }

@@ -11,7 +11,7 @@ pub struct Framing {
     /// Camera, where the file has none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub camera: Option<Chosen<SceneCamera>>,
-    /// Light, where the file has neither lights nor emissive surfaces.
+    /// Light, where the file has no lights and no emissive surfaces that light what its camera sees.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub light: Option<Chosen<SceneLight>>,
 }
