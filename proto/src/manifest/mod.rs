@@ -1,7 +1,7 @@
 //! The manifest: a bake's scene, settings, draws and chunks, and a body that its kind reads.
 //!
 //! JSON, canonical (sorted keys, no spaces), a pure function of scene and settings. Its clusters, of which there may be a hundred
-//! thousand, stand in pages that are chunks, its [`directory`].
+//! thousand, stand in pages that are chunks, its [`directory`](Manifest::directory).
 
 mod clusters;
 mod directory;
