@@ -136,19 +136,23 @@ struct Lamps<'a> {
     power: f32,
     /// Radiance of all, summed over the channels, ascending by triangle.
     radiance: Vec<(u32, f32)>,
+    /// The highest of these.
+    brightest: f32,
 }
 
 impl<'a> Lamps<'a> {
     fn of(geometry: &'a Geometry) -> Self {
         let mut emitters = emissive_triangles(geometry);
-        let radiance = emitters.iter().map(|emitter| (emitter.triangle, radiance_of(emitter))).collect();
+        let radiance: Vec<(u32, f32)> =
+            emitters.iter().map(|emitter| (emitter.triangle, radiance_of(emitter))).collect();
+        let brightest = radiance.iter().map(|(_, radiance)| *radiance).fold(f32::MIN_POSITIVE, f32::max);
         let power = |of: &EmissiveTriangle| of.area_m2 * radiance_of(of);
         let all: f32 = emitters.iter().map(power).sum();
         emitters.sort_by(|a, b| power(b).total_cmp(&power(a)).then(a.triangle.cmp(&b.triangle)));
         emitters.truncate(EMITTERS_MAX);
         let counted: f32 = emitters.iter().map(power).sum();
         let power = if counted > 0.0 { all / counted } else { 1.0 };
-        Self { lights: &geometry.scene.lights, emitters, power, radiance }
+        Self { lights: &geometry.scene.lights, emitters, power, radiance, brightest }
     }
 
     /// √distance of a hit, a part of it where nothing shines on it; nothing for backs.
@@ -176,12 +180,11 @@ impl<'a> Lamps<'a> {
     /// Radiance of a white surface there by emitters and its own, over that of the brightest emitter. Of many emitters those of most
     /// power stand for all.
     fn share_of_brightest(&self, geometry: &Geometry, hit: &Hit) -> f32 {
-        let brightest = self.radiance.iter().map(|(_, radiance)| *radiance).fold(f32::MIN_POSITIVE, f32::max);
         let own = self.radiance.binary_search_by_key(&hit.triangle, |(triangle, _)| *triangle);
         let own = own.map_or(0.0, |index| self.radiance[index].1);
         let site = (geometry.point_of(hit), geometry.side_normal(hit));
         let received = |emitter| radiance_of(emitter) * form_factor(geometry, site, emitter);
-        (own + self.power * self.emitters.iter().map(received).sum::<f32>()) / brightest
+        (own + self.power * self.emitters.iter().map(received).sum::<f32>()) / self.brightest
     }
 }
 
