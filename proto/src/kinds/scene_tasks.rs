@@ -54,7 +54,8 @@ impl SceneTask {
         match self {
             Self::Place => 27,
             Self::Patches => 8,
-            Self::Draw | Self::Frame => 5,
+            Self::Draw => 5,
+            Self::Frame => 6,
             Self::Import => 4,
             Self::Unwrap => 3,
         }

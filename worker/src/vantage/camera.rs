@@ -31,6 +31,10 @@ const LIT_SHARE_MIN: f32 = 0.1;
 /// Radiance of a white surface over that of the brightest emitter below which it is black beside that. Walls of a Cornell box have
 /// about 0.01 before bounces.
 const LIT_MIN: f32 = 0.003;
+/// Width over height of the picture that a view from outside fits into.
+const OUTSIDE_ASPECT: f32 = 4.0 / 3.0;
+/// Distance of the eye of a view from outside over the least at which the bounds fit.
+const OUTSIDE_MARGIN: f32 = 1.05;
 /// Rays along a side of a picture that looks for light.
 const PICTURE_RAYS: u32 = 48;
 /// Emissive triangles that a surface is looked at from, those of most power.
@@ -57,8 +61,8 @@ pub fn chosen(geometry: &Geometry, points: &[VantagePoint]) -> Chosen<SceneCamer
     Chosen { value: camera, note }
 }
 
-/// Whether a scene in the open has no light where a camera looks: of the surfaces that it sees few glow or have so much light of
-/// emitters that they are not black beside those. In rooms light gets about, so that nothing is said of them.
+/// Whether a scene in the open has no light where a camera looks: of the surfaces that it sees, but those that glow, few have so much
+/// light of emitters that they are not black beside those. In rooms light gets about, so that nothing is said of them.
 pub fn sees_no_light(geometry: &Geometry, camera: &SceneCamera) -> bool {
     let eye_m = Vec3::from(camera.eye_m);
     if Look::from(geometry, eye_m).sky_share < OPEN_SKY {
@@ -68,6 +72,9 @@ pub fn sees_no_light(geometry: &Geometry, camera: &SceneCamera) -> bool {
     let (mut seen, mut lit) = (0_u32, 0_u32);
     for direction in picture(camera) {
         let Some(hit) = geometry.tracer.closest(eye_m, direction, f32::INFINITY) else { continue };
+        if lamps.glows(&hit) {
+            continue;
+        }
         seen += 1;
         lit += u32::from(lamps.share_of_brightest(geometry, &hit) > LIT_MIN);
     }
@@ -86,13 +93,26 @@ fn picture(camera: &SceneCamera) -> impl Iterator<Item = Vec3> {
     })
 }
 
-/// Before the bounds, a little from above and from the right.
+/// Before the bounds, from above and from the right, as near as a picture of 4:3 shows them whole. What is flat is seen from higher
+/// above.
 fn outside(geometry: &Geometry) -> (Vec3, Vec3) {
     let [low, high] = geometry.near_bounds_m();
-    let centre = low.lerp(high, 0.5);
-    let radius_m = (0.5 * (high - low).length()).max(f32::MIN_POSITIVE);
-    let distance_m = radius_m / libm::sinf(0.5 * FOV_DEG.to_radians());
-    (centre + Vec3::new(0.45, 0.35, 1.0).normalize() * distance_m, centre)
+    let (centre, half) = (low.lerp(high, 0.5), 0.5 * (high - low));
+    let width_m = half.x.max(half.z).max(f32::MIN_POSITIVE);
+    let flatness = 1.0 - (half.y / width_m).min(1.0);
+    let towards_eye = Vec3::new(0.45, 0.35 + 0.5 * flatness, 1.0).normalize();
+    let right = Vec3::Y.cross(towards_eye).normalize();
+    let slope_up = libm::tanf(0.5 * FOV_DEG.to_radians());
+    let slopes = [(right, slope_up * OUTSIDE_ASPECT), (towards_eye.cross(right), slope_up)];
+    // A corner is in the picture of an eye that is so far before it that its offset keeps within the slope.
+    let distance_of = |corner: u32| {
+        let side = |bit: u32| if corner >> bit & 1 == 1 { 1.0 } else { -1.0 };
+        let to_corner = half * Vec3::new(side(0), side(1), side(2));
+        let before = slopes.iter().map(|(axis, slope)| to_corner.dot(*axis).abs() / slope);
+        to_corner.dot(towards_eye) + before.fold(0.0, f32::max)
+    };
+    let distance_m = (0..8).map(distance_of).fold(f32::MIN_POSITIVE, f32::max);
+    (centre + towards_eye * (OUTSIDE_MARGIN * distance_m), centre)
 }
 
 /// The point in a room, and a point straight ahead, of the level view of highest score; none where rooms are few.
@@ -134,25 +154,24 @@ struct Lamps<'a> {
     emitters: Vec<EmissiveTriangle>,
     /// Power of all emissive triangles over that of these.
     power: f32,
-    /// Radiance of all, summed over the channels, ascending by triangle.
-    radiance: Vec<(u32, f32)>,
-    /// The highest of these.
+    /// All emissive triangles, ascending.
+    emissive: Vec<u32>,
+    /// The highest radiance of them, summed over the channels.
     brightest: f32,
 }
 
 impl<'a> Lamps<'a> {
     fn of(geometry: &'a Geometry) -> Self {
         let mut emitters = emissive_triangles(geometry);
-        let radiance: Vec<(u32, f32)> =
-            emitters.iter().map(|emitter| (emitter.triangle, radiance_of(emitter))).collect();
-        let brightest = radiance.iter().map(|(_, radiance)| *radiance).fold(f32::MIN_POSITIVE, f32::max);
+        let emissive: Vec<u32> = emitters.iter().map(|emitter| emitter.triangle).collect();
+        let brightest = emitters.iter().map(radiance_of).fold(f32::MIN_POSITIVE, f32::max);
         let power = |of: &EmissiveTriangle| of.area_m2 * radiance_of(of);
         let all: f32 = emitters.iter().map(power).sum();
         emitters.sort_by(|a, b| power(b).total_cmp(&power(a)).then(a.triangle.cmp(&b.triangle)));
         emitters.truncate(EMITTERS_MAX);
         let counted: f32 = emitters.iter().map(power).sum();
         let power = if counted > 0.0 { all / counted } else { 1.0 };
-        Self { lights: &geometry.scene.lights, emitters, power, radiance, brightest }
+        Self { lights: &geometry.scene.lights, emitters, power, emissive, brightest }
     }
 
     /// √distance of a hit, a part of it where nothing shines on it; nothing for backs.
@@ -177,14 +196,17 @@ impl<'a> Lamps<'a> {
         self.lights.iter().any(faces) || self.emitters.iter().any(in_sight)
     }
 
-    /// Radiance of a white surface there by emitters and its own, over that of the brightest emitter. Of many emitters those of most
-    /// power stand for all.
+    /// Whether the surface is an emitter.
+    fn glows(&self, hit: &Hit) -> bool {
+        self.emissive.binary_search(&hit.triangle).is_ok()
+    }
+
+    /// Radiance of a white surface there by emitters, over that of the brightest emitter. Of many emitters those of most power stand
+    /// for all.
     fn share_of_brightest(&self, geometry: &Geometry, hit: &Hit) -> f32 {
-        let own = self.radiance.binary_search_by_key(&hit.triangle, |(triangle, _)| *triangle);
-        let own = own.map_or(0.0, |index| self.radiance[index].1);
         let site = (geometry.point_of(hit), geometry.side_normal(hit));
         let received = |emitter| radiance_of(emitter) * form_factor(geometry, site, emitter);
-        (own + self.power * self.emitters.iter().map(received).sum::<f32>()) / self.brightest
+        self.power * self.emitters.iter().map(received).sum::<f32>() / self.brightest
     }
 }
 

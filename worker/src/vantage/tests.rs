@@ -104,8 +104,58 @@ fn light_that_nothing_in_sight_has_counts_as_none_in_the_open() {
     let behind = led(1.0, 0.01, false).light.expect("the LED shines away from the camera");
     assert!(matches!(behind.value.kind, LightKind::Sun { .. }), "{behind:?}");
     assert!(behind.note.contains("glows") && behind.note.contains("chose a sun"), "{}", behind.note);
-    assert!(led(-1.0, 0.6, false).light.is_none(), "the camera looks at the light");
+    // A lamp in the picture does not light what is in it beside the lamp.
+    assert!(led(-1.0, 0.6, false).light.is_some(), "the camera looks at the light and at a black box");
+    let mut glowing = scene(CORNELL);
+    glowing.lights.clear();
+    glowing.materials.iter_mut().for_each(|material| material.emissive = [1.0; 3]);
+    assert!(
+        framing(&Geometry::new(glowing).unwrap()).light.is_none(),
+        "nothing is left that would need light"
+    );
     // All of the box's front has the LED in sight, and next to no light by it.
     let faint = led(-1.0, 0.05, true).light.expect("the LED lights a spot of the box");
     assert!(faint.note.contains("glows"), "{}", faint.note);
+}
+
+/// The taller box of the room, stretched, and how much of a picture of 4:3 its corners reach: 1 at the nearest edge.
+fn reach_of_stretched(stretch: Vec3) -> (f32, Vec3) {
+    let mut scene = scene(CORNELL);
+    scene.lights.clear();
+    scene.cameras.clear();
+    scene.instances.retain(|instance| instance.path.contains("tall box"));
+    for position in scene.instances.iter_mut().flat_map(|instance| &mut instance.positions_m) {
+        *position *= stretch;
+    }
+    let geometry = Geometry::new(scene).unwrap();
+    let camera = framing(&geometry).camera.unwrap().value;
+    let [low, high] = geometry.bounds_m();
+    let (eye, target) = (Vec3::from(camera.eye_m), Vec3::from(camera.target_m));
+    let forward = (target - eye).normalize();
+    let right = forward.cross(Vec3::Y).normalize();
+    let tangent = (0.5 * camera.fov_y_rad).tan();
+    let reach = (0..8).map(|corner: u32| {
+        let share = Vec3::new((corner & 1) as f32, (corner >> 1 & 1) as f32, (corner >> 2) as f32);
+        let to_corner = low + (high - low) * share - eye;
+        let ahead = to_corner.dot(forward);
+        assert!(ahead > 0.0, "{to_corner} lies behind the camera");
+        let [x, y] = [right, right.cross(forward)].map(|axis| to_corner.dot(axis).abs() / (ahead * tangent));
+        y.max(x / (4.0 / 3.0))
+    });
+    (reach.fold(0.0, f32::max), -forward)
+}
+
+#[test]
+fn view_from_outside_is_filled_by_things_of_any_shape() {
+    let shapes =
+        [Vec3::ONE, Vec3::new(100.0, 0.1, 60.0), Vec3::new(0.1, 30.0, 0.1), Vec3::new(40.0, 1.0, 1.0)];
+    for stretch in shapes {
+        let (reach, _) = reach_of_stretched(stretch);
+        assert!((0.8..1.0).contains(&reach), "{stretch}: its corners reach {reach} of the picture");
+    }
+    let steepness = |stretch| reach_of_stretched(stretch).1.y;
+    assert!(
+        steepness(Vec3::new(100.0, 0.1, 60.0)) > 1.5 * steepness(Vec3::ONE),
+        "flat things are seen from above"
+    );
 }
