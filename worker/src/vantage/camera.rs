@@ -154,8 +154,8 @@ struct Lamps<'a> {
     emitters: Vec<EmissiveTriangle>,
     /// Power of all emissive triangles over that of these.
     power: f32,
-    /// All emissive triangles, ascending.
-    emissive: Vec<u32>,
+    /// Triangles that are not black beside the brightest, ascending: an emissive texture may be black on most.
+    glowing: Vec<u32>,
     /// The highest radiance of them, summed over the channels.
     brightest: f32,
 }
@@ -163,15 +163,16 @@ struct Lamps<'a> {
 impl<'a> Lamps<'a> {
     fn of(geometry: &'a Geometry) -> Self {
         let mut emitters = emissive_triangles(geometry);
-        let emissive: Vec<u32> = emitters.iter().map(|emitter| emitter.triangle).collect();
         let brightest = emitters.iter().map(radiance_of).fold(f32::MIN_POSITIVE, f32::max);
+        let glowing = emitters.iter().filter(|emitter| radiance_of(emitter) > LIT_MIN * brightest);
+        let glowing: Vec<u32> = glowing.map(|emitter| emitter.triangle).collect();
         let power = |of: &EmissiveTriangle| of.area_m2 * radiance_of(of);
         let all: f32 = emitters.iter().map(power).sum();
         emitters.sort_by(|a, b| power(b).total_cmp(&power(a)).then(a.triangle.cmp(&b.triangle)));
         emitters.truncate(EMITTERS_MAX);
         let counted: f32 = emitters.iter().map(power).sum();
         let power = if counted > 0.0 { all / counted } else { 1.0 };
-        Self { lights: &geometry.scene.lights, emitters, power, emissive, brightest }
+        Self { lights: &geometry.scene.lights, emitters, power, glowing, brightest }
     }
 
     /// √distance of a hit, a part of it where nothing shines on it; nothing for backs.
@@ -196,9 +197,9 @@ impl<'a> Lamps<'a> {
         self.lights.iter().any(faces) || self.emitters.iter().any(in_sight)
     }
 
-    /// Whether the surface is an emitter.
+    /// Whether the surface shines.
     fn glows(&self, hit: &Hit) -> bool {
-        self.emissive.binary_search(&hit.triangle).is_ok()
+        self.glowing.binary_search(&hit.triangle).is_ok()
     }
 
     /// Radiance of a white surface there by emitters, over that of the brightest emitter. Of many emitters those of most power stand

@@ -71,13 +71,15 @@ fn double_sided_thing_is_looked_at_from_outside() {
 }
 
 /// The taller box of the room, alone, with a LED of a share of its width behind it or, at −1, before it, which faces away from it
-/// or is turned to it; and the camera's choice of a light.
-fn led(side: f32, share: f32, is_turned: bool) -> Framing {
+/// or is turned to it; and the camera's choice of a light. The box itself emits `glimmer`.
+fn led(side: f32, share: f32, is_turned: bool, glimmer: f32) -> Framing {
     let mut scene = scene(CORNELL);
     scene.lights.clear();
     scene.cameras.clear();
     let glowing = scene.materials.iter().position(|material| material.emissive != [0.0; 3]).unwrap();
     scene.instances.retain(|instance| instance.path.contains("tall box"));
+    let of_box = scene.instances[0].material_index as usize;
+    scene.materials[of_box].emissive = [glimmer; 3];
     let [low, high] = scene.bounds_m();
     let size_m = share * (high.x - low.x);
     let at_m =
@@ -101,11 +103,11 @@ fn led(side: f32, share: f32, is_turned: bool) -> Framing {
 
 #[test]
 fn light_that_nothing_in_sight_has_counts_as_none_in_the_open() {
-    let behind = led(1.0, 0.01, false).light.expect("the LED shines away from the camera");
+    let behind = led(1.0, 0.01, false, 0.0).light.expect("the LED shines away from the camera");
     assert!(matches!(behind.value.kind, LightKind::Sun { .. }), "{behind:?}");
     assert!(behind.note.contains("glows") && behind.note.contains("chose a sun"), "{}", behind.note);
     // A lamp in the picture does not light what is in it beside the lamp.
-    assert!(led(-1.0, 0.6, false).light.is_some(), "the camera looks at the light and at a black box");
+    assert!(led(-1.0, 0.6, false, 0.0).light.is_some(), "the camera looks at the light and at a black box");
     let mut glowing = scene(CORNELL);
     glowing.lights.clear();
     glowing.materials.iter_mut().for_each(|material| material.emissive = [1.0; 3]);
@@ -113,8 +115,10 @@ fn light_that_nothing_in_sight_has_counts_as_none_in_the_open() {
         framing(&Geometry::new(glowing).unwrap()).light.is_none(),
         "nothing is left that would need light"
     );
+    // An emissive texture that is all but black there, as on a device with a display.
+    assert!(led(1.0, 0.01, false, 1e-4).light.is_some(), "a glimmer is no light");
     // All of the box's front has the LED in sight, and next to no light by it.
-    let faint = led(-1.0, 0.05, true).light.expect("the LED lights a spot of the box");
+    let faint = led(-1.0, 0.05, true, 0.0).light.expect("the LED lights a spot of the box");
     assert!(faint.note.contains("glows"), "{}", faint.note);
 }
 
