@@ -93,7 +93,7 @@ fn picture(camera: &SceneCamera) -> impl Iterator<Item = Vec3> {
     })
 }
 
-/// Before the bounds, from above and from the right, as near as a picture of 4:3 shows them whole. What is flat is seen from higher
+/// Before the bounds, from above and from the right, as near as a picture of 4:3 shows them whole. Flat scenes are seen from higher
 /// above.
 fn outside(geometry: &Geometry) -> (Vec3, Vec3) {
     let [low, high] = geometry.near_bounds_m();

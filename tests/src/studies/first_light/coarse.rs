@@ -96,8 +96,8 @@ impl<'a> CoarsePatches<'a> {
         }
     }
 
-    /// The radiance of a patch of the overview: that of the root around it, and the differences from there on. What is lost of
-    /// differences loses no energy.
+    /// The radiance of a patch of the overview: that of the root around it, and the differences from there on. Differences that are
+    /// lost lose no energy.
     fn columns_of(&self, mut patch: u32) -> Vec<PatchKey> {
         let mut columns = Vec::new();
         while let Some(Patch { key, .. }) = self.set.patches.get(patch as usize) {
