@@ -27,6 +27,7 @@ pub mod picture;
 pub mod preview;
 pub mod raster;
 pub mod scene;
+pub mod stream;
 #[cfg(test)]
 mod tests;
 mod threads;

@@ -3,6 +3,7 @@
 mod cpu;
 mod debug;
 mod gpu;
+mod within;
 
 use std::path::Path;
 
@@ -21,6 +22,7 @@ use crate::picture::{Exposure, Picture, Tone};
 pub use debug::debug_picture;
 #[cfg(test)]
 pub(crate) use gpu::Frame;
+pub use within::StreamedBake;
 
 #[cfg(test)]
 mod tests;

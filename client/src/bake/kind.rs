@@ -5,7 +5,7 @@ use std::sync::Arc;
 use lightkiln_proto::kinds::Kind;
 use lightkiln_proto::manifest::Manifest;
 
-use super::Light;
+use super::{Light, LightStream};
 use crate::error::{ClientError, Result};
 use crate::fetch::Source;
 use crate::scene::LoadedScene;
@@ -17,6 +17,14 @@ pub trait ClientKind: Send + Sync {
 
     /// Fetches and decodes the light of a bake whose scene is loaded, and whose manifest the contract has checked.
     fn load(&self, source: &Source, scene: &LoadedScene) -> Result<Box<dyn Light>>;
+
+    /// Fetches what light comes first by. Errs for a kind whose light comes as a whole alone.
+    fn stream(&self, source: &Source, scene: &LoadedScene) -> Result<Box<dyn LightStream>> {
+        let _ = (source, scene);
+        let text = format!("kind {}", self.contract().name());
+        let problem = "has light as a whole alone, not a part of it: ask for all bytes".to_owned();
+        Err(ClientError::Source { text, problem })
+    }
 }
 
 /// Kinds by name.

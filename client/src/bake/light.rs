@@ -6,12 +6,14 @@ use glam::Vec4;
 use lightkiln_proto::relight::{Limit, Sky};
 
 use crate::error::Result;
+use crate::fetch::Source;
 use crate::passes::atlas::Lightmap;
 use crate::passes::gpu::Gpu;
 use crate::passes::shade::{IndirectIrradiance, ShadeView, Shading};
 use crate::passes::shadow::reference::ShadowMaps;
 use crate::passes::shadow::{ShadowPass, ShadowPlan};
 use crate::scene::LoadedScene;
+use crate::stream::{Streamed, Viewpoint};
 
 /// A scene under lights, with the shadow maps of the processor.
 #[derive(Clone, Copy, Debug)]
@@ -108,6 +110,25 @@ pub trait Light: Debug + Send + Sync {
         let _ = scene;
         None
     }
+}
+
+/// Light that comes piece by piece. With all of its pieces it is that of [`super::ClientKind::load`], bit for bit.
+pub trait LightStream: Debug + Send {
+    /// What has come.
+    fn streamed(&self) -> Streamed;
+
+    /// The light of what has come.
+    fn light(&self, scene: &LoadedScene) -> Result<Box<dyn Light>>;
+
+    /// Fetches pieces until `bytes_max` bytes of light have come, those first that the lit scene needs most from the viewpoint.
+    fn refine(
+        &mut self,
+        source: &Source,
+        lit: &LitScene<'_>,
+        viewpoint: Option<Viewpoint>,
+        bytes_max: u64,
+        limit: Limit,
+    ) -> Result<()>;
 }
 
 /// Work before shading on the adapter, in the order of the hooks: `relit` once, `bounce` often, `publish` once,

@@ -12,7 +12,9 @@ use crate::fetch::Source;
 use crate::scene::LoadedScene;
 
 pub use kind::{ClientKind, ClientKinds};
-pub use light::{DebugPage, IncomingDirect, Light, LightPasses, LitScene, SettledLight, Unshadowed};
+pub use light::{
+    DebugPage, IncomingDirect, Light, LightPasses, LightStream, LitScene, SettledLight, Unshadowed,
+};
 
 /// A whole bake, ready to be lit.
 #[derive(Debug)]

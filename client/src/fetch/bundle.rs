@@ -55,7 +55,16 @@ pub fn decoded<T: Send>(
     role: &'static str,
     decode: impl Fn(&[u8]) -> std::result::Result<T, Reason> + Sync,
 ) -> Result<Vec<T>> {
-    let chunks = manifest.chunks(role);
+    decoded_chunks(source, manifest.chunks(role), role, decode)
+}
+
+/// Fetches some chunks of a role and decodes each as it lands; results in their order.
+pub fn decoded_chunks<T: Send>(
+    source: &Source,
+    chunks: &[ChunkRef],
+    role: &'static str,
+    decode: impl Fn(&[u8]) -> std::result::Result<T, Reason> + Sync,
+) -> Result<Vec<T>> {
     let slots: Vec<Mutex<Option<T>>> = chunks.iter().map(|_| Mutex::new(None)).collect();
     fetch_all(source, chunks, |index, bytes| {
         let digest = chunks[index].digest;

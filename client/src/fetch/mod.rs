@@ -17,7 +17,7 @@ use lightkiln_proto::manifest::{self, ChunkRef, DIRECTORY, Manifest, ManifestErr
 use crate::error::{ClientError, Result};
 
 pub use api::ApiClient;
-pub use bundle::{Downloaded, chunk_refs, decoded, download_bundle, write_atomically};
+pub use bundle::{Downloaded, chunk_refs, decoded, decoded_chunks, download_bundle, write_atomically};
 
 /// The manifest's file in a bundle.
 pub const MANIFEST_FILE: &str = "manifest.json";

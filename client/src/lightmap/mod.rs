@@ -51,10 +51,21 @@ impl<C: Columns> LightmapLight<C> {
         clusters: &[ClusterTransport],
         columns: impl FnOnce(&SlotTable) -> std::result::Result<C, Inconsistent>,
     ) -> Result<Self> {
+        Self::assemble_some(scene, clusters, |_| Ok(()), columns)
+    }
+
+    /// As [`LightmapLight::assemble`], of some of a bake's clusters: `stand_in` says which receivers stand for those that are
+    /// not there.
+    pub fn assemble_some(
+        scene: &LoadedScene,
+        clusters: &[ClusterTransport],
+        stand_in: impl FnOnce(&mut SlotTable) -> std::result::Result<(), Inconsistent>,
+        columns: impl FnOnce(&SlotTable) -> std::result::Result<C, Inconsistent>,
+    ) -> Result<Self> {
         let Manifest { emitters, .. } = &scene.manifest;
         let layout = scene.manifest.layout()?;
         let blocks = layout.blocks.iter().map(|block| (block.key, block.size));
-        let transport = Transport::join(blocks, emitters.len(), clusters, columns)
+        let transport = Transport::join_some(blocks, emitters.len(), clusters, stand_in, columns)
             .map_err(|Inconsistent { place, problem }| ClientError::inconsistent(place, problem))?;
         let texels = AtlasTexels::new(&scene.lightmap, &transport.slots, &transport.receivers);
         let points =

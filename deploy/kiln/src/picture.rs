@@ -7,7 +7,8 @@ use lightkiln_client::bake::{ClientKinds, LoadedBake};
 use lightkiln_client::fetch::Source;
 use lightkiln_client::lights::{ParsedLights, parse_camera, parse_lights};
 use lightkiln_client::picture::{Exposure, Picture, Tone};
-use lightkiln_client::preview::{Backend, View, debug_picture, render};
+use lightkiln_client::preview::{Backend, StreamedBake, View, debug_picture, render};
+use lightkiln_client::stream::Streamed;
 
 use crate::console::say;
 use crate::failure::Result;
@@ -54,6 +55,31 @@ pub struct PictureArguments {
     page: usize,
 }
 
+/// How much light to fetch.
+#[derive(Args, Clone, Copy, Debug, Default)]
+pub struct StreamArguments {
+    /// Fetches at most so many bytes of light, e.g. 500k or 2M: the overview first, then what the picture needs most
+    /// [default: all]
+    #[arg(long, value_name = "BYTES", value_parser = parse_bytes, help_heading = "Picture")]
+    max_bytes: Option<u64>,
+}
+
+/// Bytes as people write them: a number, with k, M or G for powers of 1000.
+fn parse_bytes(text: &str) -> std::result::Result<u64, String> {
+    let wrong = || format!("'{text}' is no number of bytes; write e.g. 500k, 2M or 1500000");
+    let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
+    let scale = match &text[digits.len()..] {
+        "" => 1.0,
+        "k" => 1e3,
+        "M" => 1e6,
+        "G" => 1e9,
+        _ => return Err(wrong()),
+    };
+    let number: f64 = digits.parse().map_err(|_| wrong())?;
+    let bytes = number * scale;
+    if (1.0..=1e15).contains(&bytes) { Ok(bytes as u64) } else { Err(wrong()) }
+}
+
 /// Tone curves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum ToneName {
@@ -88,10 +114,37 @@ impl PictureArguments {
     /// Draws the bake and writes it as PNG; says on standard error what was chosen and who drew.
     pub fn draw(&self, kinds: &ClientKinds, off: &SwitchedOff, source: &Source, png: &Path) -> Result<()> {
         let bake = LoadedBake::load(source, kinds)?;
+        let view = self.view(&bake, off)?;
+        self.write(&bake, &view, png)
+    }
+
+    /// As [`Self::draw`], with as much of the light as is asked for.
+    pub fn draw_streamed(
+        &self,
+        stream: StreamArguments,
+        kinds: &ClientKinds,
+        off: &SwitchedOff,
+        source: &Source,
+        png: &Path,
+    ) -> Result<()> {
+        let Some(max_bytes) = stream.max_bytes else { return self.draw(kinds, off, source, png) };
+        let mut streamed = StreamedBake::begin(source, kinds)?;
+        let view = self.view(&streamed.bake, off)?;
+        streamed.refine(&view, max_bytes)?;
+        let Streamed { bytes, bytes_all, clusters, clusters_all } = streamed.streamed();
+        let percent = 100.0 * bytes as f64 / bytes_all.max(1) as f64;
+        say!(
+            "{bytes} of {bytes_all} bytes of light ({percent:.1} %): the overview, and {clusters} of {clusters_all} clusters"
+        );
+        self.write(&streamed.bake, &view, png)
+    }
+
+    /// The view of a bake; says on standard error what was chosen.
+    fn view(&self, bake: &LoadedBake, off: &SwitchedOff) -> Result<View> {
         let camera = self.camera.as_deref().map(parse_camera).transpose()?;
         let ParsedLights { lights, emitter_scale } = parse_lights(&self.light)?;
         let own = (!self.light.is_empty()).then_some(lights);
-        let (mut view, notes) = View::of_bake(&bake, camera, own)?;
+        let (mut view, notes) = View::of_bake(bake, camera, own)?;
         let scale = off.emitter_scale(emitter_scale.unwrap_or(1.0));
         view.emitter_scale = vec![scale; bake.scene.manifest.emitters.len()];
         view.lights = off.rest(view.lights);
@@ -101,7 +154,12 @@ impl PictureArguments {
         for note in notes {
             say!("note: {note}");
         }
-        let picture = self.picture_of(&bake, &view)?;
+        Ok(view)
+    }
+
+    /// Draws the view and writes it as PNG; says on standard error who drew.
+    fn write(&self, bake: &LoadedBake, view: &View, png: &Path) -> Result<()> {
+        let picture = self.picture_of(bake, view)?;
         if !picture.converged {
             say!(
                 "warning: after {} bounces the light had not converged; the picture is not yet as bright as it would be",
@@ -169,6 +227,15 @@ mod tests {
         assert_eq!(parse_stops("-1.5"), Ok(-1.5));
         for wrong in ["inf", "nan", "-33", "bright", ""] {
             assert!(parse_stops(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn bytes_are_numbers_with_a_power_of_a_thousand() {
+        let read = ["1500", "500k", "2M", "1.5G"].map(parse_bytes);
+        assert_eq!(read, [Ok(1500), Ok(500_000), Ok(2_000_000), Ok(1_500_000_000)]);
+        for wrong in ["", "k", "-1", "0", "NaN", "inf", "2MB", "2 M", "1e40"] {
+            assert!(parse_bytes(wrong).is_err(), "{wrong}");
         }
     }
 

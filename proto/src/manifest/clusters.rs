@@ -10,6 +10,9 @@ use crate::kinds::{Figures, count_above};
 /// Role of cluster chunks.
 pub const CLUSTERS: &str = "clusters";
 
+/// Role of clusters of an overview: light of some of the receivers from coarse patches, which a client may have first.
+pub const OVERVIEW: &str = "overview";
+
 /// A cluster, as one must know it to choose how much of its chunk to fetch. Row i belongs to the i-th chunk of role
 /// [`CLUSTERS`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

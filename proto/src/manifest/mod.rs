@@ -20,7 +20,9 @@ use crate::chunk::{CHUNK_BYTES_MAX, ChunkError};
 use crate::ids::Digest;
 use crate::scene::{LightKind, SceneCamera, SceneLight};
 
-pub use clusters::{CLUSTERS, ClusterRow, ClusterTotals, Layer, PrefixCheck, check_clusters, with_chunks};
+pub use clusters::{
+    CLUSTERS, ClusterRow, ClusterTotals, Layer, OVERVIEW, PrefixCheck, check_clusters, with_chunks,
+};
 pub use directory::{DIRECTORY, DirectoryPage, Stored};
 pub use framing::{Chosen, Framing};
 pub use lightmap::{Block, Lightmap};
@@ -190,9 +192,9 @@ impl Manifest {
         self.chunks.keys().map(|role| self.bytes_of(role)).sum()
     }
 
-    /// Whether chunks of a role are of those that relighting needs: all but meshes, textures and the directory.
+    /// Whether chunks of a role are of those that relighting needs: all but meshes, textures, the directory and the overview.
     pub fn is_light(role: &str) -> bool {
-        ![TEXTURES, GEOMETRY, DIRECTORY].contains(&role)
+        ![TEXTURES, GEOMETRY, DIRECTORY, OVERVIEW].contains(&role)
     }
 
     /// Bytes of the chunks that relighting needs.

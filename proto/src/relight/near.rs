@@ -109,7 +109,7 @@ impl NearTable {
                 let (light, normal, albedo, on_texel) = match near.surface[hit] {
                     NearSurface::Own { albedo, normal } => (slot as u32, four(normal), four(albedo), false),
                     NearSurface::Texel { block, texel } => {
-                        let Some(on) = slots.slot(blocks[usize::from(block)], texel) else { continue };
+                        let Some(on) = slots.standing(blocks[usize::from(block)], texel) else { continue };
                         (on, receivers.normal[on as usize], receivers.albedo[on as usize], true)
                     }
                 };

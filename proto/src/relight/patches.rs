@@ -58,7 +58,7 @@ impl PatchTable {
         for (&block, &texel) in set.block.iter().zip(&set.texel) {
             let found = blocks.get(block as usize).ok_or_else(|| format!("names block {block}"))?;
             // The baker leaves out receivers that no light can reach.
-            table.slots.push(slots.slot(*found, texel).unwrap_or(DARK));
+            table.slots.push(slots.standing(*found, texel).unwrap_or(DARK));
         }
         for (index, patch) in set.patches.iter().enumerate() {
             table.by_key.insert(patch.key, index as u32);
@@ -160,7 +160,7 @@ impl Columns for PatchTable {
 
 /// The patch that each is part of: the smallest other run of leaves that holds its own; of equal runs, that of the next
 /// higher level.
-fn parents(set: &PatchSet) -> Vec<u32> {
+pub(super) fn parents(set: &PatchSet) -> Vec<u32> {
     let of = |patch: u32| &set.patches[patch as usize];
     let end = |patch: u32| u64::from(of(patch).first_leaf) + u64::from(of(patch).leaf_count);
     let mut order: Vec<u32> = (0..set.patches.len() as u32).collect();

@@ -12,6 +12,8 @@ pub const MAX_TEXELS: u64 = 1 << 27;
 
 /// Marks a texel without a receiver.
 const NONE: u32 = u32::MAX;
+/// Bit of a slot whose receiver only stands for that of the texel; above [`super::MAX_RECEIVERS`].
+const STANDS_IN: u32 = 1 << 31;
 
 #[derive(Clone, Copy, Debug)]
 struct Block {
@@ -27,6 +29,14 @@ pub struct SlotTable {
     by_key: HashMap<BlockKey, u32>,
     /// Block after block, row after row.
     slots: Vec<u32>,
+    /// Side of walls that each texel is of, in the order of `slots`; empty where no receiver stands for others.
+    sides: Vec<u32>,
+}
+
+/// The texel at an offset, if there can be one.
+pub(super) fn beside(texel: Texel, [dx, dy]: [i32; 2]) -> Option<Texel> {
+    let at = |axis: usize, step: i32| u16::try_from(i32::from(texel[axis]) + step).ok();
+    Some([at(0, dx)?, at(1, dy)?])
 }
 
 impl SlotTable {
@@ -70,7 +80,13 @@ impl SlotTable {
     /// Slot of a receiver by its block's index; `None` when the block does not exist or the texel has no receiver.
     pub fn slot(&self, block: u32, texel: Texel) -> Option<u32> {
         let slot = self.slots[self.texel_index(block, texel)?];
-        (slot != NONE).then_some(slot)
+        (slot & STANDS_IN == 0).then_some(slot)
+    }
+
+    /// Slot of the receiver of a texel, or of one that stands for it; `None` where there is neither.
+    pub fn standing(&self, block: u32, texel: Texel) -> Option<u32> {
+        let slot = self.slots[self.texel_index(block, texel)?];
+        (slot != NONE).then_some(slot & !STANDS_IN)
     }
 
     /// Slot of a receiver by its block's key, as [`SlotTable::slot`].
@@ -86,6 +102,38 @@ impl SlotTable {
         }
         self.slots[index] = slot;
         Ok(())
+    }
+
+    /// Whether two texels of a block are of one side of every wall, as far as sides are known.
+    pub fn are_of_one_side(&self, block: u32, a: Texel, b: Texel) -> bool {
+        let side = |texel| self.texel_index(block, texel).and_then(|index| self.sides.get(index).copied());
+        side(a).is_some_and(|of_a| of_a != NONE && side(b) == Some(of_a))
+    }
+
+    /// Slot of the receiver that stands for that of a texel whose surroundings are all of its side, so that no wall cuts the
+    /// texel; `None` for all others.
+    pub fn standing_inside(&self, block: u32, texel: Texel) -> Option<u32> {
+        let own = self.texel_index(block, texel).map(|index| self.slots[index]);
+        let slot = own.filter(|&slot| slot != NONE && slot & STANDS_IN != 0)? & !STANDS_IN;
+        let mut around = (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| beside(texel, [dx, dy])));
+        around
+            .all(|other| other.is_some_and(|other| self.are_of_one_side(block, texel, other)))
+            .then_some(slot)
+    }
+
+    /// Says of which side of all walls a texel is; texels outside of their block are left out.
+    pub(super) fn set_side(&mut self, block: u32, texel: Texel, side: u32) {
+        if let Some(index) = self.texel_index(block, texel) {
+            self.sides.resize(self.slots.len(), NONE);
+            self.sides[index] = side;
+        }
+    }
+
+    /// Makes the receiver at `slot` stand for that of a texel which has none; texels outside of their block are left out.
+    pub(super) fn stand_in(&mut self, block: u32, texel: Texel, slot: u32) {
+        if let Some(index) = self.texel_index(block, texel).filter(|&index| self.slots[index] == NONE) {
+            self.slots[index] = slot | STANDS_IN;
+        }
     }
 
     fn texel_index(&self, block: u32, texel: Texel) -> Option<usize> {

@@ -2,11 +2,15 @@
 
 use glam::Vec4;
 
+use super::slots::beside;
 use super::{ReceiverTable, SlotTable, TexelKind, tap_weights};
 use crate::content::{LINKS, Texel};
 
 /// Empty texels as far as this from a receiver are filled. More → bridges larger holes, more memory.
 pub const EXTENSION_TEXELS: i32 = 4;
+
+/// Distance of the texels whose light a texel takes that has only a stand-in. More → smoother first light, less detail.
+const BLENDED_TEXELS: i32 = 2;
 
 /// The receivers of a lightmap by texel.
 #[derive(Clone, Copy, Debug)]
@@ -21,9 +25,14 @@ impl LightmapTexels<'_> {
     /// Adds the slots whose mean light a texel holds; none, and the default kind, where it holds nothing.
     ///
     /// An empty texel takes the receivers at the smallest Chebyshev distance within its block, so that bilinear reads at
-    /// chart edges never meet an unlit texel.
+    /// chart edges never meet an unlit texel. Where receivers are not there yet, texels and those beside them take the mean of the
+    /// ones that stand for those around.
     pub fn push_sources(&self, block: u32, texel: Texel, sources: &mut Vec<u32>) -> TexelKind {
         let first = sources.len();
+        if self.slots.standing(block, texel).is_some() && self.is_amid_stand_ins(block, texel) {
+            self.push_standing(block, texel, sources);
+            return TexelKind::FILLED;
+        }
         for ring in 0..=EXTENSION_TEXELS {
             self.push_ring(block, texel, ring, sources);
             if sources.len() > first {
@@ -54,9 +63,8 @@ impl LightmapTexels<'_> {
     /// Slot of the neighbour at an offset of one texel at most along each axis, if no wall parts it from the receiver of
     /// a texel.
     pub fn linked(&self, block: u32, texel: Texel, [dx, dy]: [i32; 2]) -> Option<u32> {
-        let at = |axis: usize, step: i32| u16::try_from(i32::from(texel[axis]) + step).ok();
         let own = self.slots.slot(block, texel)?;
-        let other = self.slots.slot(block, [at(0, dx)?, at(1, dy)?])?;
+        let other = self.slots.slot(block, beside(texel, [dx, dy])?)?;
         let bit_of = |offset: [i32; 2]| LINKS.iter().position(|link| *link == offset);
         let is_linked = match (bit_of([dx, dy]), bit_of([-dx, -dy])) {
             (Some(bit), _) => self.receivers.links[own as usize] >> bit & 1 == 1,
@@ -64,6 +72,29 @@ impl LightmapTexels<'_> {
             (None, None) => false,
         };
         is_linked.then_some(other)
+    }
+
+    /// Whether a texel, or one beside it on its side of every wall, has no more than a stand-in.
+    fn is_amid_stand_ins(&self, block: u32, texel: Texel) -> bool {
+        let has_stand_in = |other: Texel| {
+            self.slots.are_of_one_side(block, texel, other)
+                && self.slots.slot(block, other).is_none()
+                && self.slots.standing(block, other).is_some()
+        };
+        let mut around = (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| [dx, dy]));
+        around.any(|offset| beside(texel, offset).is_some_and(has_stand_in))
+    }
+
+    /// Adds the receivers that stand for a texel and for those around it on its side of every wall: their mean hides the steps
+    /// between what two stand for.
+    fn push_standing(&self, block: u32, texel: Texel, sources: &mut Vec<u32>) {
+        for dy in [-BLENDED_TEXELS, 0, BLENDED_TEXELS] {
+            for dx in [-BLENDED_TEXELS, 0, BLENDED_TEXELS] {
+                let other =
+                    beside(texel, [dx, dy]).filter(|&other| self.slots.are_of_one_side(block, texel, other));
+                sources.extend(other.and_then(|other| self.slots.standing(block, other)));
+            }
+        }
     }
 
     /// Adds the receivers at Chebyshev distance `ring` from a texel, in rows.
@@ -74,7 +105,7 @@ impl LightmapTexels<'_> {
             let step = if on_edge || ring == 0 { 1 } else { 2 * ring };
             for column in (x - ring..=x + ring).step_by(step as usize) {
                 if let (Ok(column), Ok(row)) = (u16::try_from(column), u16::try_from(row)) {
-                    sources.extend(self.slots.slot(block, [column, row]));
+                    sources.extend(self.slots.standing(block, [column, row]));
                 }
             }
         }

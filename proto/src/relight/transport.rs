@@ -91,11 +91,24 @@ impl<C: Columns> Transport<C> {
         contents: &[ClusterTransport],
         columns: impl FnOnce(&SlotTable) -> Result<C, Inconsistent>,
     ) -> Result<Self, Inconsistent> {
+        Self::join_some(blocks, emitters, contents, |_| Ok(()), columns)
+    }
+
+    /// As [`Transport::join`], of some of a bake's clusters: `stand_in` says which receivers stand for those that are not there,
+    /// see [`super::stand_in`].
+    pub fn join_some(
+        blocks: impl IntoIterator<Item = (BlockKey, [u32; 2])>,
+        emitters: usize,
+        contents: &[ClusterTransport],
+        stand_in: impl FnOnce(&mut SlotTable) -> Result<(), Inconsistent>,
+        columns: impl FnOnce(&SlotTable) -> Result<C, Inconsistent>,
+    ) -> Result<Self, Inconsistent> {
         let (mut slots, mut receivers) = (SlotTable::new(blocks)?, ReceiverTable::default());
         for (index, content) in contents.iter().enumerate() {
             let named = |problem| Inconsistent::new(format!("cluster {index}"), problem);
             receivers.push(&content.receivers, &mut slots).map_err(named)?;
         }
+        stand_in(&mut slots)?;
         let columns = columns(&slots)?;
         let of_clusters = contents.iter().map(|content| (&content.factors, content.receivers.len()));
         let clusters = ClusterTable::join(of_clusters, &columns)?;

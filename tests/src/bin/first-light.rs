@@ -4,7 +4,7 @@
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
-use lightkiln_tests::studies::first_light::{Size, Whole};
+use lightkiln_tests::studies::first_light::{OfLight, SHARES, Size, Whole};
 
 fn main() -> Result<()> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -13,18 +13,10 @@ fn main() -> Result<()> {
     };
     let sizes: Vec<Size> = sizes.iter().map(|size| parsed(size)).collect::<Result<_>>()?;
     let whole = Whole::read(Path::new(bundle), Path::new(scene))?;
-    println!(
-        "| level | stride | rank error | receivers | bytes | of all light | error | energy | by light |"
-    );
-    println!("|---|---|---|---|---|---|---|---|---|");
     for size in sizes {
         let found = whole.first_light(size)?;
-        let energies = || found.lights.iter().map(|(_, _, energy)| *energy);
-        let [low, high] = [energies().fold(f64::INFINITY, f64::min), energies().fold(0.0, f64::max)];
-        let by_light: Vec<String> =
-            found.lights.iter().map(|(name, error, _)| format!("{name} {:.0} %", 100.0 * error)).collect();
         println!(
-            "| {} | {} | {} | {} | {} | {:.1} % | {:.0} % | {low:.2} to {high:.2} | {} |",
+            "\nlevel {}, stride {}, rank error {}: {} receivers, {} bytes, {:.1} % of all light, error {:.0} %\n",
             size.level,
             size.stride,
             size.bounds.error_max,
@@ -32,8 +24,16 @@ fn main() -> Result<()> {
             found.bytes,
             100.0 * found.share,
             100.0 * found.error(),
-            by_light.join(", ")
         );
+        let shares: Vec<String> = SHARES.iter().map(|share| format!("+ {:.0} %", 100.0 * share)).collect();
+        println!("| light | energy | {} | best overview |", shares.join(" | "));
+        println!("|---|---|{}---|", "---|".repeat(SHARES.len()));
+        for OfLight { name, energy, by_need, by_error, best } in &found.lights {
+            let errors = by_need.iter().zip(by_error);
+            let errors: Vec<String> =
+                errors.map(|(need, error)| format!("{:.0} ({:.0})", 100.0 * need, 100.0 * error)).collect();
+            println!("| {name} | {energy:.2} | {} | {:.0} |", errors.join(" | "), 100.0 * best);
+        }
     }
     Ok(())
 }

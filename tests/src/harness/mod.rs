@@ -1,11 +1,13 @@
 //! Bakes scenes inside the test process, and holds them against the path tracer.
 
 mod decoded;
+mod first_light;
 mod held;
 mod local_bake;
 mod relit;
 
 pub use decoded::{Decoded, clusters};
+pub use first_light::{FirstLight, beside_the_whole, first_light};
 pub use held::{Compared, Held, Lit};
 pub use local_bake::{Bakery, LocalBake, Rebaked, Recipe, bake, bake_in_world};
 pub use relit::{Lighting, RelitReceiver, Rgb, relit};

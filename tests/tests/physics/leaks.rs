@@ -68,7 +68,7 @@ fn assert_is_dark_inside(scene: &[u8], bake: &LocalBake) {
 }
 
 /// No ray leaves the scene from there.
-fn is_enclosed(rays: &Tracer, receiver: &RelitReceiver) -> bool {
+pub fn is_enclosed(rays: &Tracer, receiver: &RelitReceiver) -> bool {
     (0..256).all(|ray| {
         let direction = lightkiln_proto::harmonics::relight_direction(ray, 256);
         let up = if direction.dot(receiver.normal) < 0.0 { -direction } else { direction };

@@ -12,6 +12,7 @@ mod corridor;
 mod determinism;
 mod edits;
 mod energy;
+mod first_light;
 mod glass;
 mod leaks;
 mod narrow;

@@ -139,7 +139,7 @@ fn world_is_made_anew_up_to_the_task_that_is_named() {
     let (inputs, transport) = made(&[tasks::PLAN.name], tasks::TRANSPORT.name).unwrap();
     assert!(inputs.iter().any(|name| name == "patches/patches") && transport.is_none(), "{inputs:?}");
     // Tasks that a plan plans run too where they are named.
-    let run = [tasks::PLAN.name, tasks::TRANSPORT.name, tasks::COLOUR.name];
+    let run = [tasks::PLAN.name, tasks::TRANSPORT.name, tasks::COLOUR.name, tasks::OVERVIEW.name];
     let (inputs, transport) = made(&run, tasks::ASSEMBLE.name).unwrap();
     assert!(inputs.iter().any(|name| name.ends_with("/index")) && transport.is_some(), "{inputs:?}");
     let error = made(&[tasks::PLAN.name], tasks::ASSEMBLE.name).unwrap_err();

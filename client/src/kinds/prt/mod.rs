@@ -1,12 +1,14 @@
 //! Relightable light over surface patches.
 
+mod stream;
+
 use lightkiln_proto::chunk;
 use lightkiln_proto::content::{ClusterTransport, PatchSet};
 use lightkiln_proto::kinds::{Kind, prt};
 use lightkiln_proto::manifest::CLUSTERS;
 use lightkiln_proto::relight::PatchTable;
 
-use crate::bake::{ClientKind, Light};
+use crate::bake::{ClientKind, Light, LightStream};
 use crate::error::{ClientError, Result};
 use crate::fetch::{Source, decoded};
 use crate::lightmap::{ClientColumns, LightmapLight};
@@ -14,6 +16,8 @@ use crate::passes::gpu::Gpu;
 use crate::passes::patches::PatchesPass;
 use crate::passes::resident::{ColumnsPass, Resident};
 use crate::scene::LoadedScene;
+
+pub use stream::{PrtStream, only};
 
 /// The kind.
 #[derive(Clone, Copy, Debug)]
@@ -36,6 +40,10 @@ impl ClientKind for Prt {
     fn load(&self, source: &Source, scene: &LoadedScene) -> Result<Box<dyn Light>> {
         Ok(Box::new(load(source, scene)?))
     }
+
+    fn stream(&self, source: &Source, scene: &LoadedScene) -> Result<Box<dyn LightStream>> {
+        Ok(Box::new(PrtStream::begin(source, scene)?))
+    }
 }
 
 /// Fetches and decodes the light of a bake.
@@ -50,11 +58,16 @@ pub fn load(source: &Source, scene: &LoadedScene) -> Result<LightmapLight<PatchT
 
 /// Joins decoded chunks; anything that contradicts the manifest or another chunk is an error.
 pub fn assemble(scene: &LoadedScene, contents: &Contents) -> Result<LightmapLight<PatchTable>> {
-    let [set] = &contents.patches[..] else {
-        let problem = format!("a bake has one set of them, not {}", contents.patches.len());
+    let set = one_of(&contents.patches)?;
+    LightmapLight::assemble(scene, &contents.clusters, |slots| PatchTable::new(set, slots))
+}
+
+fn one_of(sets: &[PatchSet]) -> Result<&PatchSet> {
+    let [set] = sets else {
+        let problem = format!("a bake has one set of them, not {}", sets.len());
         return Err(ClientError::inconsistent("patches", problem));
     };
-    LightmapLight::assemble(scene, &contents.clusters, |slots| PatchTable::new(set, slots))
+    Ok(set)
 }
 
 impl ClientColumns for PatchTable {

@@ -1,5 +1,7 @@
 //! The points of receivers' texels that E_dir is the mean over: those of `Receivers::coverage`, where the meshes have them.
 
+use std::collections::HashSet;
+
 use glam::{UVec2, Vec2, Vec2Swizzles, Vec3};
 use lightkiln_proto::content::{COVERAGE_POINTS, COVERAGE_SIDE};
 use lightkiln_proto::relight::{ReceiverTable, SlotTable};
@@ -13,6 +15,17 @@ pub const ALL_LIT: f32 = 0.999;
 
 /// Bits of the coverage in the order of the points: the first four, then the others by rows.
 const ORDER: [u8; COVERAGE_POINTS as usize] = [1, 7, 8, 14, 0, 2, 3, 4, 5, 6, 9, 10, 11, 12, 13, 15];
+
+/// Points in the middle of a texel: one of them stands for a texel whose receiver is not there.
+const MIDDLE: [u8; 4] = [5, 6, 9, 10];
+/// Bit of the order of points of other texels.
+const OF_OTHERS: u32 = 1 << 31;
+
+/// Numbers that put the points of many texels in an order whose first few lie far apart.
+fn spread(block: u32, [x, y]: [u16; 2]) -> u32 {
+    let place = (block ^ (u32::from(y) << 16 | u32::from(x))).wrapping_mul(0x9E37_79B1);
+    (place ^ place >> 15).wrapping_mul(0x85EB_CA77) >> 1
+}
 
 /// Points of all texels.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -48,7 +61,7 @@ impl TexelPoints {
         receivers: &ReceiverTable,
     ) -> Self {
         let sides = draws.draws.iter().flat_map(|draw| [(draw, draw.front, 1.0), (draw, draw.back, -1.0)]);
-        let mut found: Vec<(u32, u8, Point)> = Vec::new();
+        let mut found: Vec<(u32, u32, Point)> = Vec::new();
         for (draw, block, side) in sides {
             let Some(placed) = layout.block(block) else { continue };
             for triangle in &draw.triangles {
@@ -57,7 +70,11 @@ impl TexelPoints {
                         && receivers.coverage[slot as usize] >> bit & 1 == 1
                     {
                         let order = ORDER.iter().position(|other| *other == bit).unwrap_or_default();
-                        found.push((slot, order as u8, point));
+                        found.push((slot, order as u32, point));
+                    } else if MIDDLE.contains(&bit)
+                        && let Some(slot) = slots.standing_inside(block, texel)
+                    {
+                        found.push((slot, OF_OTHERS | spread(block, texel), point));
                     }
                 });
             }
@@ -65,6 +82,10 @@ impl TexelPoints {
         found.sort_by_key(|(slot, order, _)| (*slot, *order));
         // A point on an edge lies on two triangles.
         found.dedup_by_key(|(slot, order, _)| (*slot, *order));
+        // A receiver that stands for others is the mean over one point of each, its own too.
+        let for_others: HashSet<u32> =
+            found.iter().filter(|(_, order, _)| order & OF_OTHERS != 0).map(|(slot, ..)| *slot).collect();
+        found.retain(|(slot, order, _)| !for_others.contains(slot) || order & OF_OTHERS != 0 || *order == 0);
         Self::packed(&found, receivers)
     }
 
@@ -74,8 +95,8 @@ impl TexelPoints {
         OfTexel { points: &self.points[range], reach_m: self.reach_m, from_m }
     }
 
-    fn packed(found: &[(u32, u8, Point)], receivers: &ReceiverTable) -> Self {
-        let offset = |(slot, _, point): &(u32, u8, Point)| {
+    fn packed(found: &[(u32, u32, Point)], receivers: &ReceiverTable) -> Self {
+        let offset = |(slot, _, point): &(u32, u32, Point)| {
             point.position_m - receivers.position_m[*slot as usize].truncate()
         };
         let reach = found.iter().map(|point| offset(point).abs().max_element());

@@ -10,7 +10,7 @@ use crate::failure::Result;
 use crate::interrupt::Interrupt;
 use crate::kinds::KindTables;
 use crate::outputs::check_png;
-use crate::picture::PictureArguments;
+use crate::picture::{PictureArguments, StreamArguments};
 use crate::switched_off::SwitchedOff;
 
 /// Arguments of `kiln preview`.
@@ -30,6 +30,8 @@ pub struct Arguments {
     #[command(flatten)]
     picture: PictureArguments,
     #[command(flatten)]
+    stream: StreamArguments,
+    #[command(flatten)]
     off: SwitchedOff,
 }
 
@@ -44,5 +46,6 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
         }
         None => Source::bundle(&arguments.bake)?,
     };
-    arguments.picture.draw(&kinds.client, &arguments.off, &source, &arguments.out)
+    let Arguments { picture, stream, off, out, .. } = arguments;
+    picture.draw_streamed(stream, &kinds.client, &off, &source, &out)
 }

@@ -6,16 +6,18 @@ use crate::jobs::TaskSpec;
 use crate::kinds::{SceneTasks, TaskKind};
 
 /// Receivers and patches → cluster cells, the chunk of patches, and the plan of the rest.
-pub const PLAN: TaskKind = TaskKind { name: "prt.plan", version: 5 };
+pub const PLAN: TaskKind = TaskKind { name: "prt.plan", version: 6 };
 /// A cluster cell → its factorised transport, without colours, and the record of what was read for it.
 pub const TRANSPORT: TaskKind = TaskKind { name: "prt.transport", version: 34 };
 /// The transport of a cell → its chunks, with the colours of its receivers and the radiance of emitters.
 pub const COLOUR: TaskKind = TaskKind { name: "prt.colour", version: 2 };
+/// The chunks of all cells → clusters of a few receivers and of coarse patches, which come first over a line.
+pub const OVERVIEW: TaskKind = TaskKind { name: "prt.overview", version: 1 };
 /// Everything → manifest, directory and report.
-pub const ASSEMBLE: TaskKind = TaskKind { name: "prt.assemble", version: 5 };
+pub const ASSEMBLE: TaskKind = TaskKind { name: "prt.assemble", version: 6 };
 
 /// The tasks that every kind of a scene shares, and the plan of the rest.
 pub fn first_tasks(scene: Digest, settings: &Settings) -> Vec<TaskSpec> {
     let shared = SceneTasks::of(scene).unwrapped(&settings.texels).placed(&settings.place).patched();
-    PLAN.planned("clusters", scene, settings, shared, &[TRANSPORT, COLOUR, ASSEMBLE])
+    PLAN.planned("clusters", scene, settings, shared, &[TRANSPORT, COLOUR, OVERVIEW, ASSEMBLE])
 }

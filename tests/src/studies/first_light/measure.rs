@@ -3,22 +3,26 @@
 use std::path::Path;
 
 use anyhow::{Result, ensure};
-use glam::Vec4;
+use glam::{Vec3, Vec4};
 use lightkiln_client::fetch::Source;
+use lightkiln_client::stream::{Candidate, Lit as Place, by_need};
 use lightkiln_proto::chunk::{decode_cluster, decode_patches};
 use lightkiln_proto::content::{ClusterTransport, PatchSet};
 use lightkiln_proto::kinds::prt::PATCHES;
-use lightkiln_proto::manifest::{CLUSTERS, Manifest};
-use lightkiln_proto::relight::{DirectAt, Incoming, Limit, PatchTable, Sky, Transport};
+use lightkiln_proto::manifest::{CLUSTERS, Manifest, with_chunks};
+use lightkiln_proto::relight::{
+    DirectAt, Incoming, LightmapTexels, Limit, PatchTable, Sky, Transport, stand_in,
+};
 use lightkiln_worker::evaluate::{TestLight, default_lights};
 use lightkiln_worker::factors::Threads;
 use lightkiln_worker::geometry::{Geometry, Site};
+use lightkiln_worker::kinds::prt::overview::overview;
 use lightkiln_worker::reference::{Lighting, Reference};
 use lightkiln_worker::scene::{Bundle, Limits, import};
 use lightkiln_worker::task::Progress;
 use rayon::prelude::*;
 
-use super::{Overview, Size, overview};
+use super::Size;
 
 /// End of the bounces.
 const LIMIT: Limit = Limit { bounces_max: 400, change_max: 1e-4 };
@@ -43,6 +47,9 @@ struct Lit {
     ind: Vec<Vec4>,
 }
 
+/// Shares of the bytes of all clusters that come after the overview.
+pub const SHARES: [f64; 6] = [0.0, 0.01, 0.04, 0.12, 0.20, 0.40];
+
 /// An overview beside the whole.
 #[derive(Clone, Debug)]
 pub struct FirstLight {
@@ -52,14 +59,29 @@ pub struct FirstLight {
     pub bytes: u64,
     /// Those bytes over the bytes of all light.
     pub share: f64,
-    /// By light: its name, relative RMSE of E_ind over all receivers, and energy.
-    pub lights: Vec<(String, f64, f64)>,
+    /// By light.
+    pub lights: Vec<OfLight>,
+}
+
+/// An overview under one light.
+#[derive(Clone, Debug)]
+pub struct OfLight {
+    /// Name.
+    pub name: String,
+    /// Energy over that of the whole.
+    pub energy: f64,
+    /// Relative RMSE of E_ind over all receivers with the exact light of those clusters that are needed most, by [`SHARES`].
+    pub by_need: Vec<f64>,
+    /// The same with the clusters of the largest squares of the error over their bytes: no order is better.
+    pub by_error: Vec<f64>,
+    /// That of the best overview with the same receivers: each has the mean of those that it stands for.
+    pub best: f64,
 }
 
 impl FirstLight {
     /// Root of the mean square of the lights' errors.
     pub fn error(&self) -> f64 {
-        let squares: f64 = self.lights.iter().map(|(_, error, _)| error * error).sum();
+        let squares: f64 = self.lights.iter().map(|light| light.by_need[0].powi(2)).sum();
         (squares / self.lights.len().max(1) as f64).sqrt()
     }
 }
@@ -78,7 +100,10 @@ impl Whole {
         let decode = |chunk: &_| -> Result<ClusterTransport> { Ok(decode_cluster(&source.chunk(chunk)?)?) };
         let clusters: Vec<ClusterTransport> =
             manifest.chunks(CLUSTERS).par_iter().map(decode).collect::<Result<_>>()?;
-        let transport = joined(&manifest, &set, &clusters)?;
+        let blocks = manifest.layout()?.blocks.iter().map(|block| (block.key, block.size));
+        let transport = Transport::join(blocks, manifest.emitters.len(), &clusters, |slots| {
+            PatchTable::new(&set, slots)
+        })?;
         let lights = default_lights(&geometry).lights;
         let lights =
             lights.into_iter().map(|light| Lit::of(&geometry, &transport, light)).collect::<Result<_>>()?;
@@ -87,19 +112,34 @@ impl Whole {
 
     /// The overview of a size, and how near it comes.
     pub fn first_light(&self, size: Size) -> Result<FirstLight> {
-        let parents = self.transport.columns.patches.iter().map(|patch| patch.parent).collect();
         let cluster = |index: usize| Ok(self.clusters[index].clone());
-        let found = overview(&self.set, parents, self.clusters.len(), cluster, size, &Progress::new())?;
+        let found = overview(&self.set, self.clusters.len(), cluster, size, &Progress::new())?;
         let clusters: Vec<ClusterTransport> =
-            found.clusters.iter().map(|cluster| decode_cluster(&cluster.bytes)).collect::<Result<_, _>>()?;
-        let coarse = joined(&self.manifest, &decode_patches(&found.patches)?, &clusters)?;
-        let members = self.members(&found, &coarse);
-        let stand_in = self.stand_ins(&clusters, &coarse, &members);
-        let lights = self.lights.iter().map(|lit| lit.beside(&coarse, &members, &stand_in)).collect();
-        let bytes =
-            found.clusters.iter().map(|cluster| cluster.bytes.len()).sum::<usize>() + found.patches.len();
+            found.iter().map(|cluster| decode_cluster(&cluster.bytes)).collect::<Result<_, _>>()?;
+        let coarse = joined(&self.manifest, &self.set, &clusters)?;
+        let bytes: usize = found.iter().map(|cluster| cluster.bytes.len()).sum();
         let of_light = [CLUSTERS, PATCHES].into_iter().flat_map(|role| self.manifest.chunks(role));
         let all: u64 = of_light.map(|chunk| chunk.bytes).sum();
+        let shown = LightmapTexels { slots: &coarse.slots, receivers: &coarse.receivers };
+        let (mut standing, mut nearest) = (Vec::new(), Vec::new());
+        let mut same = vec![Vec::new(); coarse.receivers.len()];
+        for ClusterTransport { receivers, .. } in &self.clusters {
+            let blocks = coarse.slots.block_indices(&receivers.blocks).map_err(anyhow::Error::msg)?;
+            for (&block, &texel) in receivers.block.iter().zip(&receivers.texel) {
+                let block = blocks[usize::from(block)];
+                let slots = [coarse.slots.slot(block, texel), coarse.slots.standing_inside(block, texel)];
+                for of in slots.into_iter().flatten() {
+                    same[of as usize].push(standing.len());
+                }
+                // As a picture shows it: guests, who are in no patch, have the light of those around them.
+                let mut sources = Vec::new();
+                shown.push_sources(block, texel, &mut sources);
+                nearest.push(coarse.slots.standing(block, texel));
+                standing.push(sources);
+            }
+        }
+        let lights =
+            self.lights.iter().map(|lit| self.beside(lit, &coarse, &same, (&standing, &nearest))).collect();
         Ok(FirstLight {
             receivers: coarse.receivers.len(),
             bytes: bytes as u64,
@@ -108,54 +148,92 @@ impl Whole {
         })
     }
 
-    /// Slots that each receiver of an overview stands for, with their areas.
-    fn members(&self, found: &Overview, coarse: &Transport<PatchTable>) -> Vec<Vec<(u32, f32)>> {
-        let mut members = vec![Vec::new(); coarse.receivers.len()];
-        for &((block, texel), (to_block, to_texel), area) in &found.stand_for {
-            let slots =
-                [self.transport.slots.slot_of(block, texel), coarse.slots.slot_of(to_block, to_texel)];
-            if let [Some(from), Some(to)] = slots {
-                members[to as usize].push((from, area));
-            }
-        }
-        members
-    }
-
-    /// The slot of an overview whose light each receiver of the bake has. Guests are in no patch: the nearest of their block.
-    fn stand_ins(
+    /// An overview under a light: `same` are the slots in the whole of which each of its receivers has the mean E_dir, `standing` those of it whose mean light
+    /// each of the whole has, `nearest` the one that stands for it.
+    fn beside(
         &self,
-        clusters: &[ClusterTransport],
+        lit: &Lit,
         coarse: &Transport<PatchTable>,
-        members: &[Vec<(u32, f32)>],
-    ) -> Vec<Option<u32>> {
-        let mut stand_in = vec![None; self.transport.receivers.len()];
-        for (to, members) in (0..).zip(members) {
-            members.iter().for_each(|&(from, _)| stand_in[from as usize] = Some(to));
-        }
-        let mut of_block = std::collections::HashMap::<u64, Vec<([u16; 2], u32)>>::new();
-        for ClusterTransport { receivers, .. } in clusters {
-            for (&block, &texel) in receivers.block.iter().zip(&receivers.texel) {
-                let key = receivers.blocks[usize::from(block)];
-                of_block
-                    .entry(key)
-                    .or_default()
-                    .extend(coarse.slots.slot_of(key, texel).map(|to| (texel, to)));
+        same: &[Vec<usize>],
+        (standing, nearest): (&[Vec<u32>], &[Option<u32>]),
+    ) -> OfLight {
+        let dir: Vec<Vec4> = same
+            .iter()
+            .map(|slots| slots.iter().map(|&slot| lit.dir[slot]).sum::<Vec4>() / slots.len().max(1) as f32)
+            .collect();
+        let ind = settled(coarse, &lit.light.lighting, &dir, &[]);
+        let mut mean = vec![Vec4::ZERO; same.len()];
+        let mut count = vec![0.0_f32; same.len()];
+        for (exact, to) in lit.ind.iter().zip(nearest) {
+            if let Some(to) = *to {
+                mean[to as usize] += *exact;
+                count[to as usize] += 1.0;
             }
         }
-        let mut slot = 0;
-        for ClusterTransport { receivers, .. } in &self.clusters {
-            for (&block, &texel) in receivers.block.iter().zip(&receivers.texel) {
-                let squared = |other: [u16; 2]| -> u32 {
-                    (0..2).map(|axis| u32::from(texel[axis].abs_diff(other[axis])).pow(2)).sum()
-                };
-                let of_block =
-                    of_block.get(&receivers.blocks[usize::from(block)]).map_or(&[][..], Vec::as_slice);
-                let nearest = || of_block.iter().min_by_key(|(other, to)| (squared(*other), *to));
-                stand_in[slot] = stand_in[slot].or_else(|| nearest().map(|(_, to)| *to));
-                slot += 1;
-            }
+        mean.iter_mut().zip(&count).for_each(|(mean, count)| *mean /= count.max(1.0));
+        let shown = |light: &[Vec4], slot: usize| {
+            let sum: Vec4 = standing[slot].iter().map(|&to| light[to as usize]).sum();
+            sum / standing[slot].len().max(1) as f32
+        };
+        let square = |light: &[Vec4], slot: usize| {
+            f64::from((shown(light, slot) - lit.ind[slot]).truncate().length_squared())
+        };
+        let slots = || 0..lit.ind.len();
+        let whole: f64 = lit.ind.iter().map(|exact| f64::from(exact.truncate().element_sum())).sum();
+        let part: f64 = slots().map(|slot| f64::from(shown(&ind, slot).truncate().element_sum())).sum();
+        let numbers = 3.0 * lit.ind.len() as f64;
+        let relative = |squares: f64| (squares.max(0.0) / numbers).sqrt() / (whole / numbers);
+
+        let rows: Vec<_> = with_chunks(&self.manifest).collect();
+        let squares: Vec<f64> = self
+            .transport
+            .clusters
+            .clusters
+            .iter()
+            .map(|cluster| cluster.rows().map(|slot| square(&ind, slot)).sum())
+            .collect();
+        let curve = |order: &[usize]| {
+            let bytes_all: u64 = rows.iter().map(|(_, chunk)| chunk.bytes).sum();
+            let left_at = |share: f64| {
+                let mut left = share * bytes_all as f64;
+                let mut squares_left: f64 = squares.iter().sum();
+                for &index in order {
+                    left -= rows[index].1.bytes as f64;
+                    if left < 0.0 {
+                        break;
+                    }
+                    squares_left -= squares[index];
+                }
+                relative(squares_left)
+            };
+            SHARES.map(left_at).to_vec()
+        };
+        let candidates: Vec<Candidate> = rows
+            .iter()
+            .map(|(row, chunk)| Candidate {
+                bounds_m: row.bounds_m.map(Vec3::from),
+                receivers: row.receivers,
+                bytes: chunk.bytes,
+            })
+            .collect();
+        let places: Vec<Place> = coarse
+            .receivers
+            .position_m
+            .iter()
+            .zip(&ind)
+            .map(|(position_m, ind)| Place { position_m: position_m.truncate(), irradiance: ind.truncate() })
+            .collect();
+        let [low, high] = self.manifest.bounds_m.map(Vec3::from);
+        let mut by_error: Vec<usize> = (0..rows.len()).collect();
+        let gain = |index: usize| squares[index] / rows[index].1.bytes as f64;
+        by_error.sort_by(|&a, &b| gain(b).total_cmp(&gain(a)));
+        OfLight {
+            name: lit.light.name.clone(),
+            energy: part / whole,
+            by_need: curve(&by_need(&candidates, &places, None, low.distance(high))),
+            by_error: curve(&by_error),
+            best: relative(slots().map(|slot| square(&mean, slot)).sum()),
         }
-        stand_in
     }
 }
 
@@ -185,40 +263,22 @@ impl Lit {
         let ind = settled(transport, &light.lighting, &dir, &near);
         Ok(Self { light, dir, ind })
     }
-
-    /// An overview under the same light: name, relative RMSE, energy. Its E_dir is the mean over those that each receiver stands
-    /// for.
-    fn beside(
-        &self,
-        coarse: &Transport<PatchTable>,
-        members: &[Vec<(u32, f32)>],
-        stand_in: &[Option<u32>],
-    ) -> (String, f64, f64) {
-        let mean = |members: &Vec<(u32, f32)>| {
-            let sum: Vec4 = members.iter().map(|&(slot, area)| self.dir[slot as usize] * area).sum();
-            sum / members.iter().map(|(_, area)| area).sum::<f32>().max(f32::MIN_POSITIVE)
-        };
-        let dir: Vec<Vec4> = members.iter().map(mean).collect();
-        let ind = settled(coarse, &self.light.lighting, &dir, &[]);
-        let [mut squares, mut whole, mut part] = [0.0_f64; 3];
-        for (exact, to) in self.ind.iter().zip(stand_in) {
-            let value = to.map_or(Vec4::ZERO, |to| ind[to as usize]);
-            squares += f64::from((value - *exact).truncate().length_squared());
-            whole += f64::from(exact.truncate().element_sum());
-            part += f64::from(value.truncate().element_sum());
-        }
-        let numbers = 3.0 * self.ind.len() as f64;
-        (self.light.name.clone(), (squares / numbers).sqrt() / (whole / numbers), part / whole)
-    }
 }
 
+/// The transport of some clusters of a bake; those that are there stand for the others.
 fn joined(
     manifest: &Manifest,
     set: &PatchSet,
     clusters: &[ClusterTransport],
 ) -> Result<Transport<PatchTable>> {
     let blocks = manifest.layout()?.blocks.iter().map(|block| (block.key, block.size));
-    Ok(Transport::join(blocks, manifest.emitters.len(), clusters, |slots| PatchTable::new(set, slots))?)
+    Ok(Transport::join_some(
+        blocks,
+        manifest.emitters.len(),
+        clusters,
+        |slots| stand_in(set, slots),
+        |slots| PatchTable::new(set, slots),
+    )?)
 }
 
 /// E_ind by slot after the last bounce.

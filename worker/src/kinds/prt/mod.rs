@@ -1,12 +1,13 @@
 //! Kind `prt`: light from surface patches and parts of the sky to lightmap receivers (METHOD.md §2).
 //!
-//! `prt.plan` (cells, the chunk of patches) → `prt.transport` and `prt.colour` by cell → `prt.assemble`.
+//! `prt.plan` (cells, the chunk of patches) → `prt.transport` and `prt.colour` by cell → `prt.overview` → `prt.assemble`.
 
 mod assemble;
 mod colourless;
 mod evaluated;
 mod gather;
 mod near;
+pub mod overview;
 mod plan;
 mod transport;
 mod truncate;
@@ -44,6 +45,7 @@ impl BakeKind for Prt {
             TaskRow { name: tasks::PLAN.name, run: plan::run },
             TaskRow { name: tasks::TRANSPORT.name, run: transport::run },
             TaskRow { name: tasks::COLOUR.name, run: colourless::run },
+            TaskRow { name: tasks::OVERVIEW.name, run: overview::run },
             TaskRow { name: tasks::ASSEMBLE.name, run: assemble::run },
         ]
     }

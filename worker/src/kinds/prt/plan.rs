@@ -1,8 +1,9 @@
-//! Task `prt.plan`: the chunk of patches, cluster cells, tasks of rays and of colours for each, and assemble.
+//! Task `prt.plan`: the chunk of patches, cluster cells, tasks of rays and of colours for each, the overview, and assemble.
 
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{TaskInput, TaskSpec};
 use lightkiln_proto::kinds::prt::tasks;
+use lightkiln_proto::manifest::OVERVIEW;
 use rayon::prelude::*;
 use serde_json::{Value, json};
 
@@ -56,11 +57,15 @@ pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> 
         colours.push(tasks::COLOUR.task(label, Value::Null, inputs, cell.receivers.len() as u64 / 1000 + 1));
         rays.push(transport);
     }
+    let mut coloured = vec![input(&own[2])];
+    coloured.extend(crate::task::results_of(&colours));
+    let cost = world.lightmap.receivers.len() as u64 / 100 + 1;
+    let overview = tasks::OVERVIEW.task(OVERVIEW, Value::Null, coloured.clone(), cost);
     let mut inputs = scene_outputs;
-    inputs.push(input(&own[2]));
-    inputs.extend(crate::task::results_of(&colours));
+    inputs.extend(coloured);
+    inputs.extend(crate::task::results_of(std::slice::from_ref(&overview)));
     let assemble = tasks::ASSEMBLE.task("bundle", json!(bake), inputs, 1);
-    let plan = rays.into_iter().chain(colours).chain([assemble]).collect();
+    let plan = rays.into_iter().chain(colours).chain([overview, assemble]).collect();
     let artefacts = own.map(|(name, bytes)| (name.to_owned(), bytes)).into();
     Ok(TaskOutput { artefacts, plan, ..TaskOutput::default() })
 }

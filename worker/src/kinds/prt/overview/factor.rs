@@ -5,11 +5,9 @@ use lightkiln_proto::chunk::column_deviation;
 use lightkiln_proto::content::{ColumnKey, PatchKey};
 
 use super::rows::CoarseRow;
-use lightkiln_worker::factors::{
-    ClusterCell, Factored, Part, PatchMatrix, Truncation, TruncationBounds, split,
-};
-use lightkiln_worker::lightmap::Numbering;
-use lightkiln_worker::task::{Cancelled, Progress};
+use crate::factors::{ClusterCell, Factored, Part, PatchMatrix, Truncation, TruncationBounds, split};
+use crate::lightmap::Numbering;
+use crate::task::{Cancelled, Progress};
 
 /// Least receivers of a cluster that is halved because its rank does not suffice.
 const SPLIT_RECEIVERS_MIN: usize = 128;

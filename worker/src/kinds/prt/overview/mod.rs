@@ -1,18 +1,33 @@
-//! The overview of a bake: some receivers' light from coarse patches.
+//! Task `prt.overview`: light of a few of a bake's receivers from coarse patches, which comes first over a line.
+//!
+//! Its clusters are of the same form as the bake's, over some of the bake's receivers and of the bake's patches; a client that
+//! has no more than these and the patches lets them stand for all others.
+
+mod coarse;
+mod factor;
+mod rows;
 
 use std::collections::HashSet;
 
 use glam::Vec3;
-use lightkiln_proto::chunk::{EncodedCluster, QuantisationSettings, encode_cluster, encode_patches};
+use lightkiln_proto::chunk::{
+    EncodedCluster, QuantisationSettings, decode_cluster, decode_patches, encode_cluster,
+};
 use lightkiln_proto::content::{ClusterTransport, EmitterIrradiance, PatchSet, Receivers, TransportFactors};
+use lightkiln_proto::jobs::{Artefact, TaskSpec};
+use lightkiln_proto::relight::STAND_IN_LEVEL;
 use rayon::prelude::*;
 
-use super::coarse::{CoarsePatches, Name};
-use super::factor::{CoarsePart, parts};
-use super::rows::{CoarseRow, rows};
-use lightkiln_worker::factors::{TruncationBounds, cells};
-use lightkiln_worker::lightmap::Numbering;
-use lightkiln_worker::task::{Progress, TaskError};
+use self::coarse::{Name, OverviewPatches};
+use self::factor::{CoarsePart, parts};
+use self::rows::{CoarseRow, rows};
+use super::plan::PATCH_SET;
+use crate::factors::{TruncationBounds, cells};
+use crate::lightmap::Numbering;
+use crate::task::{Context, Progress, TaskError, TaskOutput};
+
+/// Begin of the names of its chunks among outputs.
+pub const OUTPUT: &str = "chunk/";
 
 /// Size of an overview.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -30,8 +45,11 @@ pub struct Size {
 }
 
 impl Size {
+    /// The size that bakes have: some three hundredths of the light's bytes in Sponza (`tests/studies/first-light.md`).
+    pub const BAKED: Self = Self::new(STAND_IN_LEVEL, 4, 0.05);
+
     /// Of a level, a stride and a relative error, which truncation and quantisation have each.
-    pub fn new(level: u64, stride: u16, error: f32) -> Self {
+    pub const fn new(level: u64, stride: u16, error: f32) -> Self {
         Self {
             level,
             stride,
@@ -42,27 +60,31 @@ impl Size {
     }
 }
 
-/// An overview's chunks.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Overview {
-    /// Clusters.
-    pub clusters: Vec<EncodedCluster>,
-    /// Patches.
-    pub patches: Vec<u8>,
-    /// Which receiver stands for each, and the area of that.
-    pub stand_for: Vec<(Name, Name, f32)>,
+/// Runs the task: inputs are `patch-set` and `cluster/N/chunk/M` of all cells; outputs `chunk/N`.
+pub fn run(context: &Context, _: &TaskSpec) -> Result<TaskOutput, TaskError> {
+    let unread = |error| TaskError::bad_input_from("a chunk of the bake cannot be read", error);
+    let set = decode_patches(&context.bytes(PATCH_SET)?).map_err(unread)?;
+    let is_chunk =
+        |artefact: &&Artefact| artefact.name.starts_with("cluster/") && artefact.name.contains("/chunk/");
+    let chunks: Vec<&Artefact> = context.inputs.iter().filter(is_chunk).collect();
+    let cluster = |index: usize| decode_cluster(&context.source.get(chunks[index].digest)?).map_err(unread);
+    let clusters = overview(&set, chunks.len(), cluster, Size::BAKED, context.progress)?;
+    let mut output = TaskOutput::default();
+    output.counters.insert("clusters".to_owned(), clusters.len() as f64);
+    let named = |(number, cluster): (usize, EncodedCluster)| (format!("{OUTPUT}{number}"), cluster.bytes);
+    output.artefacts.extend(clusters.into_iter().enumerate().map(named));
+    Ok(output)
 }
 
-/// The overview of a bake with these patches and `count` clusters, each of which `cluster` decodes, twice.
+/// The overview's clusters of a bake with these patches and `count` clusters, each of which `cluster` decodes, twice.
 pub fn overview(
     set: &PatchSet,
-    parents: Vec<u32>,
     count: usize,
     cluster: impl Fn(usize) -> Result<ClusterTransport, TaskError> + Sync,
     size: Size,
     progress: &Progress,
-) -> Result<Overview, TaskError> {
-    let coarse = CoarsePatches::new(set, parents, size.level);
+) -> Result<Vec<EncodedCluster>, TaskError> {
+    let coarse = OverviewPatches::new(set, size.level);
     let names = |index: usize| -> Result<Vec<Name>, TaskError> {
         progress.check()?;
         let Receivers { blocks, block, texel, .. } = cluster(index)?.receivers;
@@ -84,14 +106,11 @@ pub fn overview(
     };
     let cells = cells(&positions_m, size.cell_receivers);
     let clusters: Vec<Vec<ClusterTransport>> = cells.par_iter().map(of_cell).collect::<Result<_, _>>()?;
-    let unstored = |error| TaskError::bad_input_from("an overview cannot be stored", error);
     let quantisation = QuantisationSettings { relative_error: size.quantisation_error, levels: 1 };
     let encoded = clusters.par_iter().flatten().map(|cluster| encode_cluster(cluster, quantisation));
-    Ok(Overview {
-        clusters: encoded.collect::<Result<_, _>>().map_err(unstored)?,
-        stand_for: coarse.stand_for(&chosen),
-        patches: encode_patches(&coarse.patches(&chosen)).map_err(unstored)?,
-    })
+    encoded
+        .collect::<Result<_, _>>()
+        .map_err(|error| TaskError::bad_input_from("an overview cannot be stored", error))
 }
 
 /// A part of a cell as a cluster.

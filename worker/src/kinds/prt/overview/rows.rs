@@ -3,9 +3,9 @@
 use std::collections::HashSet;
 
 use lightkiln_proto::content::{ClusterTransport, NearSurface, PatchKey, Receivers};
-use lightkiln_worker::lightmap::Numbering;
 
-use super::coarse::{CoarsePatches, Name};
+use super::coarse::{Name, OverviewPatches};
+use crate::lightmap::Numbering;
 
 /// A receiver of an overview with its row.
 #[derive(Clone, Debug)]
@@ -20,7 +20,7 @@ pub struct CoarseRow {
 
 /// Rows of the chosen receivers of a cluster. Near hits are columns of the patches that they lie on.
 pub fn rows(
-    coarse: &CoarsePatches<'_>,
+    coarse: &OverviewPatches<'_>,
     chosen: &HashSet<Name>,
     cluster: &ClusterTransport,
 ) -> Vec<CoarseRow> {
