@@ -41,7 +41,19 @@ fn bake_can_be_listed_shown_watched_fetched_inspected_and_drawn() {
     run(kiln(folder.path()), &["fetch", &bake, "--out", &foreign, "--server", &server.url], 2);
     let png = folder.path().join("picture.png").display().to_string();
     call(&["preview", &bake, "--out", &png, "--size", "64x48", "--backend", "cpu"]);
-    assert!(std::fs::read(&png).unwrap().starts_with(b"\x89PNG"));
+    let whole = std::fs::read(&png).unwrap();
+    assert!(whole.starts_with(b"\x89PNG"));
+    let streamed = |bytes: &str, code: i32| {
+        let of_picture = ["--out", &png, "--size", "64x48", "--backend", "cpu", "--server", &server.url];
+        run(kiln(folder.path()), &[&["preview", &bake, "--max-bytes", bytes], &of_picture[..]].concat(), code)
+    };
+    assert!(streamed("1G", 0).stderr().contains("(100.0 %)"));
+    assert_eq!(std::fs::read(&png).unwrap(), whole);
+    let refused = streamed("10", 2).stderr().to_owned();
+    let least = refused.split_whitespace().filter_map(|word| word.parse::<u64>().ok()).max().unwrap();
+    assert!(streamed(&least.to_string(), 0).stderr().contains("the overview, and 0 of"), "{refused}");
+    assert_ne!(std::fs::read(&png).unwrap(), whole);
+    streamed("2MB", 2);
 
     let figures = run(kiln(folder.path()), &["inspect", &bundle, "--json"], 0).json();
     assert!(figures["receivers"].as_u64().unwrap() > 0, "{figures}");
