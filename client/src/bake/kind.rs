@@ -18,11 +18,11 @@ pub trait ClientKind: Send + Sync {
     /// Fetches and decodes the light of a bake whose scene is loaded, and whose manifest the contract has checked.
     fn load(&self, source: &Source, scene: &LoadedScene) -> Result<Box<dyn Light>>;
 
-    /// Fetches what light comes first by. Errs for a kind whose light comes as a whole alone.
+    /// Fetches the part of the light that comes first. Errs for a kind whose bakes have no such part.
     fn stream(&self, source: &Source, scene: &LoadedScene) -> Result<Box<dyn LightStream>> {
         let _ = (source, scene);
         let text = format!("kind {}", self.contract().name());
-        let problem = "has light as a whole alone, not a part of it: ask for all bytes".to_owned();
+        let problem = "has no part of the light that comes first: fetch all of it".to_owned();
         Err(ClientError::Source { text, problem })
     }
 }

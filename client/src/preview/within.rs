@@ -1,9 +1,9 @@
 //! A bake whose light is fetched within a number of bytes.
 
-use glam::Vec3;
-
 use super::{Prepared, View};
 use crate::bake::{ClientKinds, LightStream, LoadedBake};
+use lightkiln_proto::manifest::{CLUSTERS, DIRECTORY, OVERVIEW};
+
 use crate::error::{ClientError, Result};
 use crate::fetch::Source;
 use crate::passes::shadow::reference::draw;
@@ -20,10 +20,27 @@ pub struct StreamedBake {
 }
 
 impl StreamedBake {
-    /// Fetches the scene and what light comes first by.
-    pub fn begin(source: &Source, kinds: &ClientKinds) -> Result<Self> {
+    /// Fetches the scene, and the part of the light that comes first. Errs before that if the bake has no such part, or if it has
+    /// more than `bytes_max` bytes.
+    pub fn begin(source: &Source, kinds: &ClientKinds, bytes_max: u64) -> Result<Self> {
         let (bytes, manifest) = source.manifest()?;
         let kind = kinds.of(&manifest)?;
+        if manifest.chunks(OVERVIEW).is_empty() {
+            let problem = format!(
+                "of kind {} has no overview, the part of the light that comes first: draw it with all of its bytes, or bake it again",
+                manifest.kind
+            );
+            return Err(ClientError::Source { text: "the bake".to_owned(), problem });
+        }
+        let clusters = manifest.bytes_of(CLUSTERS);
+        let first = bytes.len() as u64 + manifest.bytes_light() - clusters
+            + [DIRECTORY, OVERVIEW].iter().map(|role| manifest.bytes_of(role)).sum::<u64>();
+        if bytes_max < first {
+            let what = format!("{bytes_max} bytes of light");
+            let problem =
+                format!("are too few: manifest, directory, patches and overview alone have {first}");
+            return Err(ClientError::Argument { what, problem });
+        }
         let scene = LoadedScene::fetch(source, manifest)?;
         let stream = kind.stream(source, &scene)?;
         let light = stream.light(&scene)?;
@@ -42,20 +59,12 @@ impl StreamedBake {
         }
     }
 
-    /// Fetches the clusters that a view needs most until `bytes_max` bytes of light have come. Errs if what came first has more.
+    /// Fetches the clusters that a view needs most until `bytes_max` bytes of light have come.
     pub fn refine(&mut self, view: &View, bytes_max: u64) -> Result<()> {
-        let Streamed { bytes, .. } = self.streamed();
-        if bytes_max < bytes {
-            let what = format!("{bytes_max} bytes of light");
-            let problem = format!("are too few: manifest, directory, patches and overview have {bytes}");
-            return Err(ClientError::Argument { what, problem });
-        }
         let prepared = Prepared::new(&self.bake, view)?;
         let maps = draw(&self.bake.scene, &prepared.plan);
-        let eye_m = Vec3::from(view.camera.eye_m);
-        let forward = (Vec3::from(view.camera.target_m) - eye_m).try_normalize();
-        let viewpoint = forward.map(|forward| Viewpoint { eye_m, forward });
-        let bytes_max = bytes_max - self.manifest_bytes;
+        let viewpoint = view.eye().map(|eye| Viewpoint { eye_m: eye.position_m, forward: eye.forward });
+        let bytes_max = bytes_max.saturating_sub(self.manifest_bytes);
         self.stream.refine(&self.source, &prepared.lit(&maps), viewpoint, bytes_max, view.limit)?;
         self.bake.light = self.stream.light(&self.bake.scene)?;
         Ok(())

@@ -6,7 +6,7 @@ use glam::Vec3;
 
 pub use need::{Candidate, Lit, by_need};
 
-/// Bytes of a bake's light that have come: its manifest, directory, and chunks but for meshes and textures.
+/// Bytes of a bake's light that have come: its directory, and chunks but for meshes and textures.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Streamed {
     /// Bytes so far.

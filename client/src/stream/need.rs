@@ -99,7 +99,6 @@ mod tests {
         let places = [lit(30.5, 1.0), lit(0.5, 1.0), lit(20.5, 5.0)];
         assert_eq!(by_need(&candidates, &places, None, 40.0), [2, 3, 0, 1]);
         // A box without a known place takes those around it.
-        assert_eq!(by_need(&candidates[1..2], &[], None, 40.0), [0]);
         let beside = [lit(11.9, 9.0), lit(0.5, 1.0)];
         assert_eq!(by_need(&candidates, &beside, None, 40.0)[0], 1);
     }

@@ -128,7 +128,7 @@ impl PictureArguments {
         png: &Path,
     ) -> Result<()> {
         let Some(max_bytes) = stream.max_bytes else { return self.draw(kinds, off, source, png) };
-        let mut streamed = StreamedBake::begin(source, kinds)?;
+        let mut streamed = StreamedBake::begin(source, kinds, max_bytes)?;
         let view = self.view(&streamed.bake, off)?;
         streamed.refine(&view, max_bytes)?;
         let Streamed { bytes, bytes_all, clusters, clusters_all } = streamed.streamed();

@@ -69,7 +69,7 @@ pub use receivers::{MAX_RECEIVERS, ReceiverTable};
 pub use settle::{Incoming, Limit, Settled};
 pub use sky::Sky;
 pub use slots::{DARK, MAX_TEXELS, SlotTable};
-pub use stand_ins::{CoarsePatches, STAND_IN_LEVEL, nearest, stand_in};
+pub use stand_ins::{CoarsePatches, STAND_IN_LEVEL, stand_in};
 pub use taps::{Taps, TexelKind, tap_weights};
 pub use texels::{EXTENSION_TEXELS, LightmapTexels, taps_around};
 pub use transport::{Columns, DirectAt, Transport};

@@ -104,7 +104,7 @@ impl SlotTable {
         Ok(())
     }
 
-    /// Whether two texels of a block are of one side of every wall, as far as sides are known.
+    /// Whether two texels of a block are of one side of walls, as far as sides are known.
     pub fn are_of_one_side(&self, block: u32, a: Texel, b: Texel) -> bool {
         let side = |texel| self.texel_index(block, texel).and_then(|index| self.sides.get(index).copied());
         side(a).is_some_and(|of_a| of_a != NONE && side(b) == Some(of_a))

@@ -5,13 +5,16 @@ use super::patches::parents;
 use super::{Inconsistent, NO_PATCH, SlotTable};
 use crate::content::{Patch, PatchSet, Texel};
 
-/// Level of the patches in which receivers stand for each other: of eight texels. No patch has two sides of a wall, so none
-/// gets light through one.
+/// Level of the patches in which receivers stand for each other: of eight texels. A patch has both sides of a wall only where they are
+/// joined around its end.
 pub const STAND_IN_LEVEL: u64 = 3;
+/// Texels of one patch of this level are of one side of a wall. More → fewer steps in first light where two patches meet, and more
+/// light around the ends of walls.
+const SIDE_LEVEL: u64 = 4;
 /// Of more receivers than this those around a place in stored order alone are asked for the nearest.
 const ASKED_MAX: usize = 256;
 
-/// Patches of a level and above, and roots below it.
+/// Patches of a level and above, and those below it that are part of none of that level.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CoarsePatches {
     /// Patch that each is part of, or [`NO_PATCH`].
@@ -26,13 +29,21 @@ impl CoarsePatches {
     /// Those of `level` and above.
     pub fn new(set: &PatchSet, level: u64) -> Self {
         let parents = parents(set);
-        let whole_of = |mut patch: u32| {
-            while set.patches[patch as usize].key.level() < level && parents[patch as usize] != NO_PATCH {
-                patch = parents[patch as usize];
+        let level_of = |patch: u32| set.patches.get(patch as usize).map(|patch| patch.key.level());
+        let mut whole = vec![NO_PATCH; set.patches.len()];
+        let mut path = Vec::new();
+        for first in 0..set.patches.len() as u32 {
+            let mut patch = first;
+            while whole[patch as usize] == NO_PATCH {
+                path.push(patch);
+                match parents[patch as usize] {
+                    parent if level_of(parent).is_some_and(|of_parent| of_parent <= level) => patch = parent,
+                    _ => whole[patch as usize] = patch,
+                }
             }
-            patch
-        };
-        let whole: Vec<u32> = (0..set.patches.len() as u32).map(whole_of).collect();
+            let found = whole[patch as usize];
+            path.drain(..).for_each(|patch| whole[patch as usize] = found);
+        }
         let mut order: Vec<u32> = (0..set.patches.len() as u32).filter(|&p| whole[p as usize] == p).collect();
         // Parts overwrite their wholes.
         order.sort_by_key(|&p| {
@@ -69,7 +80,7 @@ fn distance(set: &PatchSet, a: usize, b: usize) -> u64 {
 }
 
 /// The nearest of `standing`, ascending places in the set's arrays, to the receiver at a place.
-pub fn nearest(set: &PatchSet, place: usize, standing: &[usize]) -> Option<usize> {
+fn nearest(set: &PatchSet, place: usize, standing: &[usize]) -> Option<usize> {
     let around = standing.partition_point(|&other| other < place);
     let first = around.saturating_sub(ASKED_MAX / 2).min(standing.len().saturating_sub(ASKED_MAX));
     let asked = standing.iter().skip(first).take(ASKED_MAX);
@@ -77,7 +88,8 @@ pub fn nearest(set: &PatchSet, place: usize, standing: &[usize]) -> Option<usize
 }
 
 /// Makes the nearest receiver of its coarse patch stand for each receiver of the set that has no slot. Where a coarse patch
-/// has none, its texels stay dark. Texels are of one side of every wall if they are in one root.
+/// has none, its texels stay dark. Texels of one patch of [`SIDE_LEVEL`]
+/// are of one side of a wall.
 pub fn stand_in(set: &PatchSet, slots: &mut SlotTable) -> Result<(), Inconsistent> {
     let wrong = |problem| Inconsistent::new("patches", problem);
     let blocks = slots.block_indices(&set.blocks).map_err(wrong)?;
@@ -85,11 +97,11 @@ pub fn stand_in(set: &PatchSet, slots: &mut SlotTable) -> Result<(), Inconsisten
         let block = blocks.get(set.block[place] as usize);
         Ok((*block.ok_or_else(|| wrong(format!("names block {}", set.block[place])))?, set.texel[place]))
     };
-    let roots = CoarsePatches::new(set, u64::MAX);
-    for (leaf, root) in roots.of_leaf.iter().enumerate() {
+    let sides = CoarsePatches::new(set, SIDE_LEVEL);
+    for (leaf, side) in sides.of_leaf.iter().enumerate() {
         for place in set.leaf_starts[leaf] as usize..set.leaf_starts[leaf + 1] as usize {
             let (block, texel) = name(place)?;
-            slots.set_side(block, texel, *root);
+            slots.set_side(block, texel, *side);
         }
     }
     for run in CoarsePatches::new(set, STAND_IN_LEVEL).runs(set) {
@@ -123,7 +135,7 @@ mod tests {
     use crate::relight::ReceiverTable;
 
     /// A wall of four texels, the last of which a wall parts from the others: a patch each, and one of level 3 of the first three.
-    pub(crate) fn wall() -> PatchSet {
+    fn wall() -> PatchSet {
         let key = |level, x| PatchKey::of_cell(level, [x, 0, 0], 1, 0);
         let patch = |key, first_leaf, leaf_count| Patch { key, first_leaf, leaf_count };
         PatchSet {
@@ -163,13 +175,15 @@ mod tests {
     }
 
     #[test]
-    fn coarse_patches_are_those_of_the_level_and_roots_below_it() {
+    fn coarse_patches_are_those_of_the_level_and_parts_of_none_of_it() {
         let set = wall();
         let coarse = CoarsePatches::new(&set, STAND_IN_LEVEL);
         assert_eq!(coarse.whole, [4, 4, 4, 3, 4]);
         assert_eq!(coarse.of_leaf, [4, 4, 4, 3]);
         assert_eq!(coarse.runs(&set), [0..3, 3..4]);
         assert_eq!(CoarsePatches::new(&set, 0).of_leaf, [0, 1, 2, 3]);
+        // The patch around the first three is of level 3: it is no whole of level 2.
+        assert_eq!(CoarsePatches::new(&set, 2).whole, [0, 1, 2, 3, 4]);
     }
 
     #[test]

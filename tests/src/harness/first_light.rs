@@ -6,7 +6,9 @@ use lightkiln_proto::chunk::{decode_cluster, decode_patches};
 use lightkiln_proto::content::{ClusterTransport, PatchSet};
 use lightkiln_proto::kinds::prt::PATCHES;
 use lightkiln_proto::manifest::OVERVIEW;
-use lightkiln_proto::relight::{Incoming, Limit, PatchTable, Serial, Sky, Transport, stand_in};
+use lightkiln_proto::relight::{
+    Incoming, LightmapTexels, Limit, PatchTable, Serial, Sky, Transport, stand_in,
+};
 use lightkiln_worker::reference::luminance;
 
 use super::relit::RelitReceiver;
@@ -35,13 +37,16 @@ pub fn first_light(bake: &LocalBake, lighting: &Lighting) -> Result<Vec<FirstLig
     let all = clusters(bake)?;
     let (whole, coarse) = (joined(bake, &set, &all, false)?, joined(bake, &set, &overview, true)?);
     let [whole_ind, coarse_ind] = [&whole, &coarse].map(|transport| indirect(transport, lighting));
+    let shown = LightmapTexels { slots: &coarse.slots, receivers: &coarse.receivers };
     let mut found = Vec::with_capacity(whole.receivers.len());
     for cluster in &all {
         let blocks = coarse.slots.block_indices(&cluster.receivers.blocks).map_err(anyhow::Error::msg)?;
         for (&block, &texel) in cluster.receivers.block.iter().zip(&cluster.receivers.texel) {
             let slot = found.len();
-            let standing = coarse.slots.standing(blocks[usize::from(block)], texel);
-            let first = standing.map_or(Vec4::ZERO, |slot| coarse_ind[slot as usize]);
+            let mut sources = Vec::new();
+            shown.push_sources(blocks[usize::from(block)], texel, &mut sources);
+            let sum: Vec4 = sources.iter().map(|&slot| coarse_ind[slot as usize]).sum();
+            let first = sum / sources.len().max(1) as f32;
             let receivers = &whole.receivers;
             found.push(FirstLight {
                 whole: RelitReceiver {

@@ -1,4 +1,4 @@
-//! The overview of a bake: near to all of its light, at a few hundredths of its bytes, and dark where no light can come.
+//! The overview of a bake: near to all of its light, at few bytes, and dark where no light can come.
 
 use glam::Vec3;
 use lightkiln_proto::manifest::{CLUSTERS, OVERVIEW};
@@ -31,10 +31,11 @@ fn first_light_comes_near_to_all_of_it() {
         assert!(error < 0.25, "{name}: {error}");
         assert!((energy - 1.0).abs() < 0.05, "{name}: {energy}");
     }
-    assert!(overview * 4 < all, "{overview} bytes of {all}");
+    // Small bakes have the larger overviews: patches of eight texels are a large part of them.
+    assert!(overview * 8 < all, "{overview} bytes of {all}");
 }
 
-/// No receiver stands for one beyond a wall.
+/// No receiver stands for one beyond a wall, and none is blended with one.
 #[test]
 fn sealed_box_is_exactly_dark_inside_at_first_light() {
     let scene = scenes::sealed_box(0.1);

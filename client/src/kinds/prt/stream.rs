@@ -35,10 +35,11 @@ impl PrtStream {
         let set = one_of(&sets)?.clone();
         let overview: Vec<ClusterTransport> =
             decoded(source, manifest, OVERVIEW, |bytes| Ok(chunk::decode_cluster(bytes)?))?;
-        if overview.is_empty() && !manifest.clusters.is_empty() {
-            let problem =
-                "has no overview, which light comes first by: bake it again, or fetch all of it".to_owned();
-            return Err(ClientError::Source { text: "the bake".to_owned(), problem });
+        if overview.iter().any(|cluster| !cluster.near.is_empty()) {
+            return Err(ClientError::inconsistent(
+                OVERVIEW,
+                "has near hits, which clusters of an overview have not",
+            ));
         }
         let bytes = [DIRECTORY, PATCHES, OVERVIEW].iter().map(|role| manifest.bytes_of(role)).sum();
         let streamed = Streamed {
@@ -131,12 +132,13 @@ impl PrtStream {
         let candidates: Vec<Candidate> = absent.iter().map(candidate).collect();
         let light = self.assembled(lit.scene)?;
         let settled = light.settled(lit, limit).light;
+        let receivers = &light.transport.receivers;
+        let irradiance: Vec<Vec4> = (0..receivers.len() as u32).map(|slot| settled.indirect(slot)).collect();
         let place = |(position_m, irradiance): (&Vec4, &Vec4)| Lit {
             position_m: position_m.truncate(),
             irradiance: irradiance.truncate(),
         };
-        let places: Vec<Lit> =
-            light.transport.receivers.position_m.iter().zip(&settled.ind).map(place).collect();
+        let places: Vec<Lit> = receivers.position_m.iter().zip(&irradiance).map(place).collect();
         let [low, high] = manifest.bounds_m.map(Vec3::from);
         let order = by_need(&candidates, &places, viewpoint, low.distance(high));
         Ok(order.into_iter().map(|at| absent[at]).collect())
@@ -193,7 +195,7 @@ mod tests {
     fn streamed(folder: &std::path::Path) -> (Source, StreamedBake) {
         write_bundle(folder, prt_kind::NAME);
         let source = Source::bundle(folder).unwrap();
-        let streamed = StreamedBake::begin(&source, &kinds::all()).unwrap();
+        let streamed = StreamedBake::begin(&source, &kinds::all(), u64::MAX).unwrap();
         (source, streamed)
     }
 
@@ -224,11 +226,11 @@ mod tests {
     #[test]
     fn clusters_come_as_far_as_the_bytes_go() {
         let folder = tempfile::tempdir().unwrap();
-        let (_, mut streamed) = streamed(folder.path());
+        let (source, mut streamed) = streamed(folder.path());
         let (_, view) = fixture_view();
         let before = streamed.streamed();
         assert_eq!((before.clusters, before.clusters_all), (0, 7));
-        let error = streamed.refine(&view, before.bytes - 1).unwrap_err().to_string();
+        let error = StreamedBake::begin(&source, &kinds::all(), before.bytes - 1).err().unwrap().to_string();
         assert!(error.contains(&before.bytes.to_string()), "{error}");
         streamed.refine(&view, before.bytes).unwrap();
         assert_eq!(streamed.streamed(), before);
@@ -240,14 +242,18 @@ mod tests {
     }
 
     #[test]
-    fn bakes_without_an_overview_and_kinds_of_whole_light_say_so() {
-        let folder = tempfile::tempdir().unwrap();
-        write_bundle(folder.path(), "sh");
-        let refused = |folder: &std::path::Path| {
-            let source = Source::bundle(folder).unwrap();
-            StreamedBake::begin(&source, &kinds::all()).err().unwrap().to_string()
-        };
-        let problem = refused(folder.path());
-        assert!(problem.contains("kind sh") && problem.contains("all bytes"), "{problem}");
+    fn bakes_without_an_overview_say_so_before_anything_is_fetched() {
+        for kind in ["sh", "prt"] {
+            let folder = tempfile::tempdir().unwrap();
+            write_bundle(folder.path(), kind);
+            let path = folder.path().join(crate::fetch::MANIFEST_FILE);
+            let mut manifest: serde_json::Value =
+                serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+            manifest["chunks"].as_object_mut().unwrap().remove(OVERVIEW);
+            std::fs::write(&path, manifest.to_string()).unwrap();
+            let source = Source::bundle(folder.path()).unwrap();
+            let problem = StreamedBake::begin(&source, &kinds::all(), u64::MAX).err().unwrap().to_string();
+            assert!(problem.contains(kind) && problem.contains("no overview"), "{problem}");
+        }
     }
 }

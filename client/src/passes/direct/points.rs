@@ -16,14 +16,14 @@ pub const ALL_LIT: f32 = 0.999;
 /// Bits of the coverage in the order of the points: the first four, then the others by rows.
 const ORDER: [u8; COVERAGE_POINTS as usize] = [1, 7, 8, 14, 0, 2, 3, 4, 5, 6, 9, 10, 11, 12, 13, 15];
 
-/// Points in the middle of a texel: one of them stands for a texel whose receiver is not there.
-const MIDDLE: [u8; 4] = [5, 6, 9, 10];
+/// Points in the middle of a texel that stand for it where its receiver is not there.
+const MIDDLE: [u8; 2] = [5, 10];
 /// Bit of the order of points of other texels.
 const OF_OTHERS: u32 = 1 << 31;
 
 /// Numbers that put the points of many texels in an order whose first few lie far apart.
-fn spread(block: u32, [x, y]: [u16; 2]) -> u32 {
-    let place = (block ^ (u32::from(y) << 16 | u32::from(x))).wrapping_mul(0x9E37_79B1);
+fn spread(block: u32, [x, y]: [u16; 2], bit: u8) -> u32 {
+    let place = (block ^ (u32::from(y) << 16 | u32::from(x))).wrapping_mul(0x9E37_79B1) ^ u32::from(bit);
     (place ^ place >> 15).wrapping_mul(0x85EB_CA77) >> 1
 }
 
@@ -74,7 +74,7 @@ impl TexelPoints {
                     } else if MIDDLE.contains(&bit)
                         && let Some(slot) = slots.standing_inside(block, texel)
                     {
-                        found.push((slot, OF_OTHERS | spread(block, texel), point));
+                        found.push((slot, OF_OTHERS | spread(block, texel, bit), point));
                     }
                 });
             }
@@ -82,10 +82,14 @@ impl TexelPoints {
         found.sort_by_key(|(slot, order, _)| (*slot, *order));
         // A point on an edge lies on two triangles.
         found.dedup_by_key(|(slot, order, _)| (*slot, *order));
-        // A receiver that stands for others is the mean over one point of each, its own too.
+        // A receiver that stands for others is the mean over a point of its own and two of each of them.
         let for_others: HashSet<u32> =
             found.iter().filter(|(_, order, _)| order & OF_OTHERS != 0).map(|(slot, ..)| *slot).collect();
-        found.retain(|(slot, order, _)| !for_others.contains(slot) || order & OF_OTHERS != 0 || *order == 0);
+        let mut before = None;
+        found.retain(|(slot, order, _)| {
+            let is_first = before.replace(*slot) != Some(*slot);
+            is_first || order & OF_OTHERS != 0 || !for_others.contains(slot)
+        });
         Self::packed(&found, receivers)
     }
 

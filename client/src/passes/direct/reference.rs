@@ -1,6 +1,7 @@
 //! E_dir on the processor; twin of `shared/light.wgsl`, `direct.wgsl` and `texels.wgsl`, function by function.
 
 use glam::{Vec2, Vec3, Vec4};
+use lightkiln_proto::content::COVERAGE_POINTS;
 use lightkiln_proto::relight::ReceiverTable;
 use rayon::prelude::*;
 
@@ -49,9 +50,11 @@ pub fn direct_texels(
     (0..receivers.len()).into_par_iter().map(of_slot).collect()
 }
 
-/// Mean irradiance of a light over the points of a texel: of the first few, and of all where these do not agree.
+/// Mean irradiance of a light over the points of a texel: of the first few, and of all where these do not agree or there are more
+/// than one texel has.
 fn mean_over(count: usize, at: impl Fn(usize) -> Vec4) -> Vec3 {
-    let few = count.min(FEW_POINTS);
+    // A receiver of more points stands for other texels.
+    let few = if count > COVERAGE_POINTS as usize { count } else { count.min(FEW_POINTS) };
     let (mut sum, mut least, mut most) = (Vec3::ZERO, 1.0_f32, 0.0_f32);
     for point in 0..few {
         let found = at(point);

@@ -18,6 +18,8 @@ struct TexelPoint {
 // Points that are looked at first, and the share of light from which on a point counts as lit.
 const FEW_POINTS = 4u;
 const ALL_LIT = 0.999;
+// Points of one texel; a receiver of more stands for other texels, and all of them count.
+const TEXEL_POINTS = 16u;
 
 @group(1) @binding(0) var<uniform> texels: TexelNumbers;
 // By slot, as e_dir.
@@ -56,8 +58,8 @@ fn direct_texels(@builtin(global_invocation_id) id: vec3u) {
         e_dir[slot] = vec4f(direct_irradiance(own, normal, normal), 0.0);
         return;
     }
-    // All points only where the first few do not agree.
-    let few = min(begin + FEW_POINTS, end);
+    // All points of one texel only where the first few do not agree.
+    let few = select(min(begin + FEW_POINTS, end), end, end - begin > TEXEL_POINTS);
     var sum = vec3f(0.0);
     for (var index = 0u; index < light_count.count; index++) {
         let light = lights[index];

@@ -11,7 +11,7 @@ use super::{Figures, Kind, Rates, Warning, cluster_figures, cluster_warnings};
 use crate::chunk::ChunkRow;
 use crate::ids::Digest;
 use crate::jobs::TaskSpec;
-use crate::manifest::{ClusterTotals, Manifest, ManifestError, check_clusters};
+use crate::manifest::{ClusterTotals, Manifest, ManifestError, OVERVIEW, check_clusters};
 use crate::settings::{SettingRow, SettingsError};
 
 pub use settings::{PatchSettings, Settings};
@@ -21,6 +21,9 @@ pub use tasks::first_tasks;
 pub const NAME: &str = "prt";
 /// Role of the chunk of surface patches.
 pub const PATCHES: &str = "patches";
+
+/// Clusters that the overview of a small bake may have; of a larger one as many as the bake itself.
+const OVERVIEW_MAX: usize = 1024;
 
 /// The kind's row.
 #[derive(Clone, Copy, Debug, Default)]
@@ -67,6 +70,11 @@ impl Kind for Prt {
 
     fn check(&self, manifest: &Manifest) -> Result<(), ManifestError> {
         check_clusters(manifest, &manifest.body::<Body>()?.totals)?;
+        let (overview, most) = (manifest.chunks(OVERVIEW).len(), manifest.clusters.len().max(OVERVIEW_MAX));
+        if overview > most {
+            let problem = format!("its overview has {overview} clusters, wanted {most} at most");
+            return Err(ManifestError::Contradiction { problem });
+        }
         match manifest.chunks(PATCHES).len() {
             1 => Ok(()),
             count => {

@@ -18,7 +18,7 @@ pub struct OverviewPatches<'a> {
 }
 
 impl<'a> OverviewPatches<'a> {
-    /// Patches of `level` and above, and roots below it.
+    /// Patches of `level` and above, and those below it that are part of none of that level.
     pub fn new(set: &'a PatchSet, level: u64) -> Self {
         let mut patches = Self {
             set,

@@ -34,7 +34,7 @@ pub const OUTPUT: &str = "chunk/";
 pub struct Size {
     /// Least level of its patches. More → fewer bytes, less exact.
     pub level: u64,
-    /// Its receivers are those on each so many-th texel. More → fewer bytes, less exact.
+    /// Its receivers are one of each square of so many texels. More → fewer bytes, less exact.
     pub stride: u16,
     /// Most receivers of a cell.
     pub cell_receivers: u32,
