@@ -114,10 +114,10 @@ pub trait Light: Debug + Send + Sync {
 
 /// Light that comes piece by piece. With all of its pieces it is that of [`super::ClientKind::load`], bit for bit.
 pub trait LightStream: Debug + Send {
-    /// What has come.
+    /// Bytes and clusters that have come.
     fn streamed(&self) -> Streamed;
 
-    /// The light of what has come.
+    /// The light of the pieces that have come.
     fn light(&self, scene: &LoadedScene) -> Result<Box<dyn Light>>;
 
     /// Fetches pieces until `bytes_max` bytes of light have come, those first that the lit scene needs most from the viewpoint.

@@ -13,7 +13,7 @@ use crate::stream::{Streamed, Viewpoint};
 /// A bake whose light comes piece by piece.
 pub struct StreamedBake {
     source: Source,
-    /// The scene, and the light of what has come.
+    /// The scene, and the light of the pieces that have come.
     pub bake: LoadedBake,
     stream: Box<dyn LightStream>,
     manifest_bytes: u64,
@@ -48,7 +48,7 @@ impl StreamedBake {
         Ok(Self { source: source.clone(), bake, stream, manifest_bytes: bytes.len() as u64 })
     }
 
-    /// What has come, with the manifest.
+    /// Bytes and clusters that have come, the manifest's bytes among them.
     pub fn streamed(&self) -> Streamed {
         let Streamed { bytes, bytes_all, .. } = self.stream.streamed();
         let with_manifest = |bytes| bytes + self.manifest_bytes;

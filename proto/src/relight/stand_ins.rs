@@ -88,8 +88,7 @@ fn nearest(set: &PatchSet, place: usize, standing: &[usize]) -> Option<usize> {
 }
 
 /// Makes the nearest receiver of its coarse patch stand for each receiver of the set that has no slot. Where a coarse patch
-/// has none, its texels stay dark. Texels of one patch of level 4
-/// are of one side of a wall.
+/// has none, its texels stay dark. Texels of one patch of level 4 are of one side of walls.
 pub fn stand_in(set: &PatchSet, slots: &mut SlotTable) -> Result<(), Inconsistent> {
     let wrong = |problem| Inconsistent::new("patches", problem);
     let blocks = slots.block_indices(&set.blocks).map_err(wrong)?;
