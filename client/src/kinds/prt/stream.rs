@@ -216,7 +216,8 @@ mod tests {
         let first = picture(&streamed.bake, &view);
         assert_ne!(first, whole);
         let ratio = mean(&first) / mean(&whole);
-        assert!((ratio - 1.0).abs().max_element() < 0.05, "{ratio}");
+        // A room of some hundred receivers, every fourth of which is there.
+        assert!((ratio - 1.0).abs().max_element() < 0.1, "{ratio}");
         streamed.refine(&view, u64::MAX).unwrap();
         let all = streamed.streamed();
         assert_eq!((all.bytes, all.clusters), (all.bytes_all, all.clusters_all));

@@ -65,7 +65,19 @@ fn json_has_the_agreed_keys_and_a_bundle_lies_at_its_out() {
     let stages: Vec<&String> = summary["stages"].as_object().unwrap().keys().collect();
     assert_eq!(
         stages,
-        ["assemble", "colour", "draw", "frame", "import", "patches", "place", "plan", "transport", "unwrap"]
+        [
+            "assemble",
+            "colour",
+            "draw",
+            "frame",
+            "import",
+            "overview",
+            "patches",
+            "place",
+            "plan",
+            "transport",
+            "unwrap"
+        ]
     );
     let report: Value = serde_json::from_slice(&fs::read(out.join("report.json")).unwrap()).unwrap();
     assert_eq!(report["run"]["receivers"], summary["receivers"]);
