@@ -130,8 +130,7 @@ pub fn stand_in(set: &PatchSet, slots: &mut SlotTable) -> Result<(), Inconsisten
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::content::{AreaCode, PatchKey, Receivers, TexelEdge};
-    use crate::relight::ReceiverTable;
+    use crate::content::{AreaCode, PatchKey};
 
     /// A wall of four texels, the last of which a wall parts from the others: a patch each, and one of level 3 of the first three.
     fn wall() -> PatchSet {
@@ -154,22 +153,10 @@ mod tests {
         }
     }
 
+    /// Slots of receivers at these texels, in their order.
     fn with_receivers(texels: &[Texel]) -> SlotTable {
-        let count = texels.len();
-        let receivers = Receivers {
-            blocks: vec![7],
-            block: vec![0; count],
-            texel: texels.to_vec(),
-            position_m: vec![[0.0; 3]; count],
-            normal: vec![[0.0, 1.0, 0.0]; count],
-            albedo: vec![[0.5; 3]; count],
-            links: vec![0; count],
-            coverage: vec![u16::MAX; count],
-            edge: vec![TexelEdge::NONE; count],
-            ..Receivers::default()
-        };
         let mut slots = SlotTable::new([(7, [4, 1])]).unwrap();
-        ReceiverTable::default().push(&receivers, &mut slots).unwrap();
+        texels.iter().zip(0..).for_each(|(texel, slot)| slots.enter(0, *texel, slot).unwrap());
         slots
     }
 
