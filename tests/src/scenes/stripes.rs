@@ -22,6 +22,8 @@ pub const PANELS_BORDER_M: f32 = 0.03;
 pub const CREST_M: f32 = 0.25;
 /// Width of the strip that is free there.
 pub const STRIP_M: f32 = 0.006;
+/// Where the sheet of [`panel_through_a_wall`] stands, x in metres.
+pub const PARTING_M: f32 = 0.085;
 
 /// A closed room of 4 × 2.5 × 4 m with a lamp close to its back wall, at z = −2 m. That wall is of meshes with these albedos
 /// in turn, each with a material of its own, or one mesh where there are none; their borders reach `lean_m` farther right
@@ -106,6 +108,32 @@ pub fn hollow_at_a_border(drop_m: f32) -> Vec<u8> {
     strips(&mut glb, "plank", ends, borders.into_iter(), &[stone, plaster, stone]);
     let (low, high) = (Vec3::new(-0.9, 0.0, -0.6), Vec3::new(CREST_M - STRIP_M, 0.8, 0.6));
     glb.object("box", &shapes::cuboid(low, high, &[Side::Bottom]), sheet);
+    glb.finish()
+}
+
+/// A room of 4 × 2.5 × 4 m with a lamp in its right part; a sheet at x = [`PARTING_M`] keeps the left one dark. A panel stands 3 mm
+/// before the back wall, at z = −2 m, and its end reaches 8 mm into the dark: texels of 1/8 m there have their middles beyond.
+pub fn panel_through_a_wall() -> Vec<u8> {
+    let mut glb = Glb::new("panel_through_a_wall");
+    let plaster = glb.material(Surface::diffuse("plaster", PLASTER));
+    let sheet = glb.material(Surface::diffuse("sheet", PLASTER).double_sided());
+    let lamp = glb.material(Surface::diffuse("lamp", [0.78; 3]).emitting([30.0; 3]));
+    glb.object("room", &shapes::room(MIN, MAX, &[]), plaster);
+    let corner = Vec3::new(0.9, 1.2, -0.1);
+    glb.object("lamp", &shapes::cuboid(corner, corner + Vec3::splat(0.2), &[]), lamp);
+    let at = |x_m: f32, y_m: f32| Vec3::new(x_m, y_m, MIN.z + 0.003);
+    let [left_m, right_m] = [PARTING_M - 0.008, 1.2];
+    let mut panel = Mesh::default();
+    panel.face([at(left_m, 0.0), at(right_m, 0.0), at(right_m, 2.0), at(left_m, 2.0)], [Vec2::ZERO; 4]);
+    glb.object("panel", &panel, plaster);
+    let along = |y_m: f32, z_m: f32| Vec3::new(PARTING_M, y_m, z_m);
+    let (near_m, far_m, top_m) = (MAX.z + 0.1, MIN.z - 0.1, MAX.y + 0.1);
+    let mut parting = Mesh::default();
+    parting.face(
+        [along(-0.1, near_m), along(-0.1, far_m), along(top_m, far_m), along(top_m, near_m)],
+        [Vec2::ZERO; 4],
+    );
+    glb.object("parting", &parting, sheet);
     glb.finish()
 }
 

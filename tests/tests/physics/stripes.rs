@@ -4,7 +4,9 @@ use std::collections::BTreeSet;
 
 use glam::{DVec3, Vec3};
 use lightkiln_tests::harness::{Held, Recipe, bake};
-use lightkiln_tests::scenes::{self, CREST_M, FLOOR_BORDERS_M, PANELS_BORDER_M, STRIP_M, STRIPE_BORDERS_M};
+use lightkiln_tests::scenes::{
+    self, CREST_M, FLOOR_BORDERS_M, PANELS_BORDER_M, PARTING_M, STRIP_M, STRIPE_BORDERS_M,
+};
 use lightkiln_worker::evaluate::{Evaluated, EvaluationError};
 use lightkiln_worker::kinds::BakeKinds;
 use lightkiln_worker::reference::{Lighting, Reference, luminance};
@@ -130,6 +132,24 @@ fn strip_between_a_border_and_a_hollow_is_lit_as_its_neighbour() {
         assert!(most < 0.05, "falling by {drop_m} m: jumps by {most}");
         let leak = inside.concat().into_iter().fold(0.0, f64::max);
         assert!(leak < 1e-3 * beside[5], "falling by {drop_m} m: {leak} in the hollow");
+    }
+}
+
+/// Behind a wall a panel ends beside a wall that goes on: what is seen of the texels there lies before the wall, and has none of the
+/// light of the dark room behind it.
+#[test]
+fn panel_that_ends_behind_a_wall_is_not_dark_before_it() {
+    let rays: Vec<[Vec3; 2]> = [0.003, 0.01, 0.03, 0.1]
+        .into_iter()
+        .flat_map(|away_m| (1..=18).map(move |step| [PARTING_M + away_m, 0.1 * step as f32]))
+        .map(|[x, y]| [Vec3::new(x, y, -1.6), Vec3::NEG_Z])
+        .collect();
+    let found = shown_by_rays(scenes::panel_through_a_wall(), &with_texels("prt", 0.125, 256), &rays);
+    let columns: Vec<&[f64]> = found.chunks(18).collect();
+    println!("{columns:.2?}");
+    let [strips @ .., open] = &columns[..] else { unreachable!() };
+    for strip in strips {
+        assert!(strip.iter().zip(*open).all(|(at_wall, beside)| at_wall > &(0.5 * beside)));
     }
 }
 

@@ -347,13 +347,18 @@ impl World {
 
     /// The receiver whose own texel this is, if any; no guest.
     pub fn receiver_on(&self, block: u32, x: i32, y: i32) -> Option<u32> {
+        let index = self.standing_on(block, x, y)?;
+        (self.lightmap.receivers[index as usize].texel.map(i32::from) == [x, y]).then_some(index)
+    }
+
+    /// The receiver that stands for a texel, its own or a neighbour's, if any; no guest.
+    pub fn standing_on(&self, block: u32, x: i32, y: i32) -> Option<u32> {
         let size = self.lightmap.blocks[block as usize].size.map(|side| side as i32);
         if x < 0 || y < 0 || x >= size[0] || y >= size[1] {
             return None;
         }
         let index = self.lightmap.blocks[block as usize].receiver_of_texel[(y * size[0] + x) as usize];
-        let receiver = self.lightmap.receivers.get(index as usize)?;
-        (receiver.texel.map(i32::from) == [x, y]).then_some(index)
+        (index < CAVITY).then_some(index)
     }
 
     /// Receiver of a texel, and true; or that of the nearest of its eight neighbours, as rounding may step over a chart's rim.

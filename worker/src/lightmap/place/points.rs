@@ -261,7 +261,7 @@ impl Found {
 ///
 /// Cubes of paths tell how much room that is: means of paths would let a hollow have a strip at its foot, from which the hollow's
 /// wall hides half of all.
-fn has_better_claim(one: &Look, other: &Look) -> bool {
+pub fn has_better_claim(one: &Look, other: &Look) -> bool {
     if other.seen < HOLLOW_RADIUS.powi(3) {
         one.seen > SEES_MORE * other.seen
     } else {
@@ -295,7 +295,7 @@ fn parts(world: &World, receiver: u32, places: &[u32]) -> Vec<Vec<u32>> {
 }
 
 /// Surroundings of a place of a receiver's texel.
-fn look_from(world: &World, receiver: u32, site: &Site) -> Look {
+pub fn look_from(world: &World, receiver: u32, site: &Site) -> Look {
     let own = &world.lightmap.receivers[receiver as usize];
     let (seed, texel_m) = (world.lightmap.seed_of(own, 9), world.lightmap.texel_m_of(receiver));
     look(&world.geometry, texel_m, (world.raised_on(own.block, site), site.face_normal), seed)

@@ -20,6 +20,7 @@ use glam::Vec3;
 use lightkiln_proto::content::{AreaCode, TexelEdge};
 use rayon::prelude::*;
 
+use super::points::{has_better_claim, look_from};
 use super::squares::{
     COPLANAR_COSINE_MIN, Faces, Found, Reading, Rim, Square, Squares, gather_alike, level_m,
 };
@@ -193,10 +194,19 @@ fn bent_light(world: &World, reading: &Reading) -> Option<GuestLight> {
 }
 
 /// Surface at a rim, and all rims in the guest's texel, sees a raised point. Of a texel that surface of the chart lies in, all of
-/// that is to see the lender: it would show its light.
-fn suits(world: &World, Reading { block, rims, .. }: &Reading, rim: &Rim, to_m: Vec3) -> bool {
+/// that is to see the lender: it would show its light. So is the receiver that stands for the texel, as what is seen of it may
+/// lie before a wall and all rims behind it; but a strip with the better claim, as beside a hollow, goes before it.
+fn suits(world: &World, Reading { block, texel: [x, y], rims, .. }: &Reading, rim: &Rim, to_m: Vec3) -> bool {
     let sees = |rim: &Rim| world.is_linked(world.raised_on(*block, &rim.site), to_m);
-    sees(rim) && rims.iter().all(|rim| !rim.is_inside || sees(rim))
+    let keeps_texel = |standing: u32| {
+        let is_parted = !world.is_linked(world.raised_receiver(standing), to_m);
+        let look = |site: &Site| look_from(world, standing, site);
+        let own = || look(&world.lightmap.receivers[standing as usize].site());
+        is_parted && !has_better_claim(&look(&rim.site), &own())
+    };
+    sees(rim)
+        && rims.iter().all(|rim| !rim.is_inside || sees(rim))
+        && !world.standing_on(*block, (*x).into(), (*y).into()).is_some_and(keeps_texel)
 }
 
 /// The receiver of another chart on whose surface a chart's goes on across a rim.
