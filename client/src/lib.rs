@@ -2,7 +2,7 @@
 //!
 //! [`fetch`] reads bundles and servers, [`scene`] and [`bake`] hold a bake in memory, [`kinds`] load its
 //! light, [`passes`] are the steps of the frame (each on the graphics adapter and, as its reference, on the processor),
-//! [`preview`] draws pictures. Nothing here panics on a bad chunk: malformed input is a [`ClientError`].
+//! [`frame`] keeps them on an adapter while lights change, [`preview`] draws pictures. Nothing here panics on a bad chunk: malformed input is a [`ClientError`].
 //!
 //! ```no_run
 //! use lightkiln_client::{bake::LoadedBake, fetch::Source, kinds, preview};
@@ -19,6 +19,7 @@ mod error;
 pub mod fetch;
 #[cfg(test)]
 mod fixture;
+pub mod frame;
 pub mod kinds;
 pub mod lightmap;
 pub mod lights;

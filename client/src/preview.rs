@@ -3,17 +3,18 @@
 mod cpu;
 mod debug;
 mod gpu;
+mod path;
 mod within;
 
 use std::path::Path;
 
-use glam::Vec3;
 use lightkiln_proto::relight::Limit;
-use lightkiln_proto::scene::{LightKind, SceneCamera, SceneLight};
+use lightkiln_proto::scene::{SceneCamera, SceneLight};
 
 use crate::bake::{LitScene, LoadedBake, Unshadowed};
 use crate::error::{ClientError, Result};
-use crate::lights::{Caster, Sky, camera_of, lights_of};
+use crate::frame::eye_of;
+use crate::lights::{Caster, Sky, camera_of, check_lights, lights_of};
 use crate::passes::gpu::Gpu;
 use crate::passes::shadow::reference::ShadowMaps;
 use crate::passes::shadow::{self, Eye, ShadowPlan};
@@ -21,7 +22,8 @@ use crate::picture::{Exposure, Picture, Tone};
 
 pub use debug::debug_picture;
 #[cfg(test)]
-pub(crate) use gpu::Frame;
+pub(crate) use gpu::frame_of;
+pub use path::{FILE_MAX as PATH_FILE_MAX, ViewPath};
 pub use within::StreamedBake;
 
 #[cfg(test)]
@@ -118,11 +120,8 @@ impl View {
         [self.width, self.height]
     }
 
-    /// Where suns' cascades are; none for a parallel view, which sees all alike.
     fn eye(&self) -> Option<Eye> {
-        let [position_m, target_m] = [self.camera.eye_m, self.camera.target_m].map(Vec3::from);
-        let forward = (target_m - position_m).try_normalize()?;
-        self.camera.orthographic_half_height_m.is_none().then_some(Eye { position_m, forward })
+        eye_of(&self.camera)
     }
 
     fn check(&self) -> Result<()> {
@@ -143,24 +142,7 @@ impl View {
                 "is a power of two in 64..=4096 texels",
             );
         }
-        let finite = |light: &SceneLight| {
-            let position_ok = match &light.kind {
-                LightKind::Point { position_m, .. } | LightKind::Spot { position_m, .. } => {
-                    position_m.iter().all(|value| value.is_finite())
-                }
-                LightKind::Sun { .. } => true,
-                LightKind::Sky { zenith, horizon } => {
-                    zenith.iter().chain(horizon).all(|value| value.is_finite() && *value >= 0.0)
-                }
-            };
-            position_ok && light.strength.iter().all(|value| value.is_finite() && *value >= 0.0)
-        };
-        match self.lights.iter().find(|light| !finite(light)) {
-            Some(light) => {
-                wrong(format!("light '{}'", light.name), "has a number that is negative or not finite")
-            }
-            None => Ok(()),
-        }
+        check_lights(&self.lights)
     }
 }
 
@@ -192,34 +174,67 @@ impl<'a> Prepared<'a> {
 
 /// Draws a picture.
 pub fn render(bake: &LoadedBake, view: &View, backend: Backend) -> Result<Picture> {
-    let prepared = Prepared::new(bake, view)?;
-    match backend {
-        Backend::Cpu => by_reference(&prepared, "as asked"),
-        Backend::Gpu => by_adapter(Gpu::open()?, &prepared),
-        Backend::Auto => {
-            let drawn = match Gpu::open() {
-                Ok(gpu) if gpu.software => {
-                    return by_reference(&prepared, &format!("{} is software", gpu.name));
-                }
-                Ok(gpu) => by_adapter(gpu, &prepared),
-                Err(error) => Err(error),
-            };
-            match drawn {
-                Err(ClientError::Adapter { problem }) => by_reference(&prepared, &problem),
-                drawn => drawn,
-            }
-        }
+    let mut drawn = None;
+    render_path(bake, std::slice::from_ref(view), backend, |_, picture| {
+        drawn = Some(picture);
+        Ok(())
+    })?;
+    drawn.ok_or_else(|| ClientError::Adapter { problem: "nothing was drawn".to_owned() })
+}
+
+/// Draws pictures of one size one after the other, each given to `take` with its index. On the adapter what changes between them makes
+/// no buffer, and bounces go on from the picture before. The first one's exposure is that of all.
+pub fn render_path(
+    bake: &LoadedBake,
+    views: &[View],
+    backend: Backend,
+    mut take: impl FnMut(usize, Picture) -> Result<()>,
+) -> Result<()> {
+    let prepared = views.iter().map(|view| Prepared::new(bake, view)).collect::<Result<Vec<_>>>()?;
+    if views.iter().any(|view| view.size() != views[0].size()) {
+        let problem = "are of different sizes; draw them one by one".to_owned();
+        return Err(ClientError::Argument { what: "the pictures of a path".to_owned(), problem });
     }
+    let mut reel = Reel { take: &mut take, exposure: None, done: 0 };
+    let reason = match backend {
+        Backend::Cpu => "as asked".to_owned(),
+        Backend::Gpu => return gpu::render(&Gpu::open()?, &prepared, &mut reel),
+        Backend::Auto => match Gpu::open() {
+            Ok(gpu) if gpu.software => format!("{} is software", gpu.name),
+            Ok(gpu) => match gpu::render(&gpu, &prepared, &mut reel) {
+                Err(ClientError::Adapter { problem }) => problem,
+                drawn => return drawn,
+            },
+            Err(ClientError::Adapter { problem }) => problem,
+            Err(error) => return Err(error),
+        },
+    };
+    let drawn_by = format!("the processor, slower than a graphics adapter ({reason})");
+    for prepared in &prepared[reel.done..] {
+        let picture = cpu::render(prepared, reel.exposure_of(prepared.view))?;
+        reel.push(Picture { drawn_by: drawn_by.clone(), ..picture })?;
+    }
+    Ok(())
 }
 
-fn by_adapter(gpu: Gpu, prepared: &Prepared<'_>) -> Result<Picture> {
-    let picture = gpu::render(&gpu, prepared)?;
-    Ok(Picture { drawn_by: gpu.name, ..picture })
+/// Pictures that are drawn one after the other.
+struct Reel<'a> {
+    take: &'a mut dyn FnMut(usize, Picture) -> Result<()>,
+    /// That of the first picture.
+    exposure: Option<Exposure>,
+    done: usize,
 }
 
-fn by_reference(prepared: &Prepared<'_>, reason: &str) -> Result<Picture> {
-    let picture = cpu::render(prepared)?;
-    Ok(Picture { drawn_by: format!("the processor, slower than a graphics adapter ({reason})"), ..picture })
+impl Reel<'_> {
+    fn exposure_of(&self, view: &View) -> Exposure {
+        self.exposure.unwrap_or(view.exposure)
+    }
+
+    fn push(&mut self, picture: Picture) -> Result<()> {
+        self.exposure.get_or_insert(Exposure::Fixed(picture.exposure));
+        self.done += 1;
+        (self.take)(self.done - 1, picture)
+    }
 }
 
 /// Draws a picture and writes it as PNG.

@@ -46,6 +46,15 @@ pub struct IncomingDirect {
     pub near: Vec<Vec4>,
 }
 
+/// Light that no shadow map has, as the adapter takes it; empty for a kind that takes none.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct UnshadowedArrays {
+    /// E_emit by slot, W·m⁻².
+    pub emit: Vec<Vec4>,
+    /// The end of λ: the sky's.
+    pub sky: Vec<Vec4>,
+}
+
 /// Indirect light after the last bounce, on the processor.
 pub struct SettledLight<'a> {
     /// The shading function.
@@ -89,9 +98,14 @@ pub trait Light: Debug + Send + Sync {
         gpu: &Gpu,
         scene: &LoadedScene,
         shadow: &ShadowPass,
-        unshadowed: Unshadowed<'_>,
         size: [u32; 2],
     ) -> Result<Box<dyn LightPasses>>;
+
+    /// The arrays of [`LightPasses::set_unshadowed`].
+    fn unshadowed(&self, light: Unshadowed<'_>) -> UnshadowedArrays {
+        let _ = light;
+        UnshadowedArrays::default()
+    }
 
     /// Pictures for finding faults that the kind draws: name and number of pages.
     fn debug_pictures(&self, scene: &LoadedScene) -> Vec<(&'static str, usize)> {
@@ -131,9 +145,15 @@ pub trait LightStream: Debug + Send {
     ) -> Result<()>;
 }
 
-/// Work before shading on the adapter, in the order of the hooks: `relit` once, `bounce` often, `publish` once,
-/// `prepare_view` for each view. A kind records passes and copies in its own order.
+/// Work before shading on the adapter, in the order of the hooks: `set_unshadowed` and `relit` when lights change, `bounce` often,
+/// `publish` before a picture, `prepare_view` for each view. A kind records passes and copies in its own order; none makes a
+/// buffer, a bind group or a pipeline.
 pub trait LightPasses {
+    /// Writes light that no shadow map has: the result of [`Light::unshadowed`].
+    fn set_unshadowed(&self, gpu: &Gpu, light: &UnshadowedArrays) {
+        let _ = (gpu, light);
+    }
+
     /// Records the work that a change of lights asks for, with new shadow maps.
     fn relit(&self, encoder: &mut wgpu::CommandEncoder, shadow: &ShadowPass) {
         let _ = (encoder, shadow);

@@ -14,6 +14,7 @@ use crate::scene::LoadedScene;
 pub use kind::{ClientKind, ClientKinds};
 pub use light::{
     DebugPage, IncomingDirect, Light, LightPasses, LightStream, LitScene, SettledLight, Unshadowed,
+    UnshadowedArrays,
 };
 
 /// A whole bake, ready to be lit.

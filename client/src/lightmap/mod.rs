@@ -11,7 +11,9 @@ use lightkiln_proto::manifest::Manifest;
 use lightkiln_proto::relight::{Columns, Incoming, Inconsistent, Limit, Settled, SlotTable, Transport};
 use wgpu::TextureViewDimension as Dimension;
 
-use crate::bake::{DebugPage, IncomingDirect, Light, LightPasses, LitScene, SettledLight, Unshadowed};
+use crate::bake::{
+    DebugPage, IncomingDirect, Light, LightPasses, LitScene, SettledLight, Unshadowed, UnshadowedArrays,
+};
 use crate::error::{ClientError, Result};
 use crate::passes::atlas::reference::{AtlasPages, read, spread};
 use crate::passes::atlas::{AtlasTexels, INDIRECT, Lightmap};
@@ -134,10 +136,14 @@ impl<C: ClientColumns> Light for LightmapLight<C> {
         gpu: &Gpu,
         scene: &LoadedScene,
         shadow: &ShadowPass,
-        unshadowed: Unshadowed<'_>,
         _: [u32; 2],
     ) -> Result<Box<dyn LightPasses>> {
-        Ok(Box::new(LightmapPasses::new(gpu, scene, self, shadow, unshadowed)?))
+        Ok(Box::new(LightmapPasses::new(gpu, scene, self, shadow)?))
+    }
+
+    fn unshadowed(&self, Unshadowed { sky, emitter_scale }: Unshadowed<'_>) -> UnshadowedArrays {
+        let emit = self.transport.emitter_irradiance(emitter_scale);
+        UnshadowedArrays { emit, sky: self.transport.columns.sky_lambda(sky) }
     }
 
     fn debug_pictures(&self, scene: &LoadedScene) -> Vec<(&'static str, usize)> {

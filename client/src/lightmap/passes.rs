@@ -1,7 +1,7 @@
 //! The passes of light in a lightmap on the adapter, with their buffers.
 
 use super::{ClientColumns, LightmapLight};
-use crate::bake::{LightPasses, Unshadowed};
+use crate::bake::{LightPasses, UnshadowedArrays};
 use crate::error::Result;
 use crate::passes::atlas::{AtlasPass, placements};
 use crate::passes::basis::BasisPass;
@@ -33,11 +33,9 @@ impl LightmapPasses {
         scene: &LoadedScene,
         light: &LightmapLight<C>,
         shadow: &ShadowPass,
-        Unshadowed { sky, emitter_scale }: Unshadowed<'_>,
     ) -> Result<Self> {
         let transport = &light.transport;
-        let emit = transport.emitter_irradiance(emitter_scale);
-        let resident = Resident::new(gpu, transport, &emit, &transport.columns.sky_lambda(sky))?;
+        let resident = Resident::new(gpu, transport)?;
         let receivers = RowArrays {
             b: &resident.b,
             start: &resident.e_near,
@@ -64,6 +62,12 @@ impl LightmapPasses {
 }
 
 impl LightPasses for LightmapPasses {
+    /// E_emit, and λ of the sky.
+    fn set_unshadowed(&self, gpu: &Gpu, UnshadowedArrays { emit, sky }: &UnshadowedArrays) {
+        gpu.write(&self.resident.e_emit, emit);
+        self.resident.write_sky(gpu, sky);
+    }
+
     /// E_dir at receivers and near hits.
     fn relit(&self, encoder: &mut wgpu::CommandEncoder, shadow: &ShadowPass) {
         let mut pass = encoder.begin_compute_pass(&Default::default());

@@ -8,6 +8,8 @@ use std::f32::consts::FRAC_PI_2;
 use glam::Vec3;
 use lightkiln_proto::scene::{LightKind, SceneLight};
 
+use crate::error::{ClientError, Result};
+
 pub use framing::{camera_of, lights_of};
 pub use lightkiln_proto::relight::Sky;
 pub use words::{ParsedLights, parse_camera, parse_light, parse_lights};
@@ -83,5 +85,28 @@ impl Caster {
             },
             LightKind::Sky { .. } => return None,
         })
+    }
+}
+
+/// Errs where a light has a number that none can have.
+pub(crate) fn check_lights(lights: &[SceneLight]) -> Result<()> {
+    let finite = |light: &SceneLight| {
+        let position_ok = match &light.kind {
+            LightKind::Point { position_m, .. } | LightKind::Spot { position_m, .. } => {
+                position_m.iter().all(|value| value.is_finite())
+            }
+            LightKind::Sun { .. } => true,
+            LightKind::Sky { zenith, horizon } => {
+                zenith.iter().chain(horizon).all(|value| value.is_finite() && *value >= 0.0)
+            }
+        };
+        position_ok && light.strength.iter().all(|value| value.is_finite() && *value >= 0.0)
+    };
+    match lights.iter().find(|light| !finite(light)) {
+        Some(light) => Err(ClientError::Argument {
+            what: format!("light '{}'", light.name),
+            problem: "has a number that is negative or not finite".to_owned(),
+        }),
+        None => Ok(()),
     }
 }

@@ -1,5 +1,6 @@
 //! The graphics adapter: opening it, buffers within its limits, pipelines, reading back.
 
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -31,6 +32,7 @@ pub struct Gpu {
     /// Most bytes of one storage binding; larger arrays are split into pages.
     pub binding_max: u64,
     failure: Arc<Mutex<Option<String>>>,
+    created: AtomicU64,
 }
 
 impl Gpu {
@@ -71,13 +73,24 @@ impl Gpu {
         }));
         let name = format!("{} ({:?}, {:?})", described.name, described.device_type, described.backend);
         let software = described.device_type == wgpu::DeviceType::Cpu;
-        Ok(Self { device, queue, name, software, binding_max: BINDING_MAX, failure })
+        let created = AtomicU64::new(0);
+        Ok(Self { device, queue, name, software, binding_max: BINDING_MAX, failure, created })
     }
 
     /// The first thing that went wrong since the last call, if anything did.
     pub fn check(&self) -> Result<()> {
         let failure = self.failure.lock().unwrap_or_else(PoisonError::into_inner).take();
         failure.map_or(Ok(()), |problem| Err(failed(format!("{}: {problem}", self.name))))
+    }
+
+    /// Buffers, textures, samplers, bind groups, shaders and pipelines made so far.
+    pub fn created(&self) -> u64 {
+        self.created.load(Ordering::Relaxed)
+    }
+
+    fn count(&self) -> &wgpu::Device {
+        self.created.fetch_add(1, Ordering::Relaxed);
+        &self.device
     }
 
     /// A storage buffer that holds `values`; larger than one binding is an error.
@@ -107,18 +120,23 @@ impl Gpu {
     pub fn uniforms<T: Pod>(&self, label: &str, values: &[T]) -> (wgpu::Buffer, u32) {
         let alignment = self.device.limits().min_uniform_buffer_offset_alignment as usize;
         let stride = size_of::<T>().next_multiple_of(alignment.max(1));
-        let mut bytes = vec![0_u8; stride * values.len().max(1)];
-        for (slot, value) in bytes.chunks_mut(stride).zip(values) {
+        let buffer = self.buffer(label, (stride * values.len().max(1)) as u64, Usage::UNIFORM);
+        self.write_strided(&buffer, values, stride as u32);
+        (buffer, stride as u32)
+    }
+
+    /// Overwrites the first values of a buffer of [`Gpu::uniforms`].
+    pub fn write_strided<T: Pod>(&self, buffer: &wgpu::Buffer, values: &[T], stride: u32) {
+        let mut bytes = vec![0_u8; stride as usize * values.len()];
+        for (slot, value) in bytes.chunks_mut(stride as usize).zip(values) {
             slot[..size_of::<T>()].copy_from_slice(bytemuck::bytes_of(value));
         }
-        let buffer = self.buffer(label, bytes.len() as u64, Usage::UNIFORM);
-        self.write(&buffer, &bytes);
-        (buffer, stride as u32)
+        self.write(buffer, &bytes);
     }
 
     /// A buffer that can also be written.
     pub fn buffer(&self, label: &str, bytes: u64, usage: Usage) -> wgpu::Buffer {
-        self.device.create_buffer(&wgpu::BufferDescriptor {
+        self.count().create_buffer(&wgpu::BufferDescriptor {
             label: Some(label),
             size: bytes.next_multiple_of(4).max(SMALLEST_BUFFER),
             usage: usage | Usage::COPY_DST,
@@ -180,16 +198,21 @@ impl Gpu {
         Ok(rows.flat_map(|padded| bytemuck::pod_collect_to_vec::<u8, T>(&padded[..row])).collect())
     }
 
+    /// Hears what the adapter has done so far, or after a wait for all of it.
+    pub fn poll(&self, waits: bool) -> Result<()> {
+        let wait = wgpu::PollType::Wait { submission_index: None, timeout: Some(PATIENCE) };
+        let polled = self.device.poll(if waits { wait } else { wgpu::PollType::Poll });
+        self.check()?;
+        polled.map(|_| ()).map_err(|error| failed(format!("{} does not answer ({error})", self.name)))
+    }
+
     fn mapped<T: Pod>(&self, landing: &wgpu::Buffer) -> Result<Vec<T>> {
         let (sender, receiver) = mpsc::channel();
         landing.map_async(wgpu::MapMode::Read, .., move |result| {
             // The receiver is gone only when this call has given up.
             let _ = sender.send(result);
         });
-        let wait = wgpu::PollType::Wait { submission_index: None, timeout: Some(PATIENCE) };
-        let polled = self.device.poll(wait);
-        self.check()?;
-        polled.map_err(|error| failed(format!("{} does not answer ({error})", self.name)))?;
+        self.poll(true)?;
         match receiver.recv_timeout(PATIENCE) {
             Ok(Ok(())) => {}
             _ => return Err(failed(format!("{} gave nothing back", self.name))),
@@ -213,7 +236,7 @@ impl Gpu {
         entry: &str,
         layout: Option<&wgpu::PipelineLayout>,
     ) -> wgpu::ComputePipeline {
-        self.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+        self.count().create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
             label: Some(label),
             layout,
             module: &self.module(label, source),
@@ -223,10 +246,25 @@ impl Gpu {
         })
     }
 
+    /// A render pipeline.
+    pub fn render_pipeline(&self, descriptor: &wgpu::RenderPipelineDescriptor<'_>) -> wgpu::RenderPipeline {
+        self.count().create_render_pipeline(descriptor)
+    }
+
+    /// A texture.
+    pub fn texture(&self, descriptor: &wgpu::TextureDescriptor<'_>) -> wgpu::Texture {
+        self.count().create_texture(descriptor)
+    }
+
+    /// A sampler.
+    pub fn sampler(&self, descriptor: &wgpu::SamplerDescriptor<'_>) -> wgpu::Sampler {
+        self.count().create_sampler(descriptor)
+    }
+
     /// A shader module.
     pub fn module(&self, label: &str, source: &str) -> wgpu::ShaderModule {
         let source = wgpu::ShaderSource::Wgsl(source.into());
-        self.device.create_shader_module(wgpu::ShaderModuleDescriptor { label: Some(label), source })
+        self.count().create_shader_module(wgpu::ShaderModuleDescriptor { label: Some(label), source })
     }
 
     /// A bind group with `resources` at bindings 0, 1, ….
@@ -251,7 +289,7 @@ impl Gpu {
             .iter()
             .map(|(binding, resource)| wgpu::BindGroupEntry { binding: *binding, resource: resource.clone() })
             .collect();
-        self.device.create_bind_group(&wgpu::BindGroupDescriptor { label: None, layout, entries: &entries })
+        self.count().create_bind_group(&wgpu::BindGroupDescriptor { label: None, layout, entries: &entries })
     }
 
     /// A bind group layout with `kinds` at bindings 0, 1, ….
@@ -265,14 +303,14 @@ impl Gpu {
                 count: None,
             })
             .collect();
-        self.device
+        self.count()
             .create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: None, entries: &entries })
     }
 
     /// A pipeline layout of bind groups 0, 1, ….
     pub fn pipeline_layout(&self, groups: &[&wgpu::BindGroupLayout]) -> wgpu::PipelineLayout {
         let groups: Vec<_> = groups.iter().copied().map(Some).collect();
-        self.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+        self.count().create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label: None,
             bind_group_layouts: &groups,
             immediate_size: 0,

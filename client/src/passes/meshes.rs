@@ -112,7 +112,7 @@ fn sampler(gpu: &Gpu, wrap: [Wrap; 2]) -> wgpu::Sampler {
         Wrap::Clamp => wgpu::AddressMode::ClampToEdge,
         Wrap::Mirror => wgpu::AddressMode::MirrorRepeat,
     };
-    gpu.device.create_sampler(&wgpu::SamplerDescriptor {
+    gpu.sampler(&wgpu::SamplerDescriptor {
         address_mode_u: mode(wrap[0]),
         address_mode_v: mode(wrap[1]),
         mag_filter: wgpu::FilterMode::Linear,
@@ -131,7 +131,7 @@ fn upload(gpu: &Gpu, texture: &Texture) -> Result<wgpu::TextureView> {
         return Err(failed(problem));
     }
     let extent = |width, height| wgpu::Extent3d { width, height, depth_or_array_layers: 1 };
-    let uploaded = gpu.device.create_texture(&wgpu::TextureDescriptor {
+    let uploaded = gpu.texture(&wgpu::TextureDescriptor {
         label: Some("texture"),
         size: extent(finest.width, finest.height),
         mip_level_count: texture.levels.len() as u32,

@@ -1,10 +1,11 @@
-//! The steps of a frame: shadow maps → direct → patches → basis → near → reconstruct → atlas → shade.
+//! The steps of a frame: shadow maps → direct → patches → basis → near → reconstruct → change → atlas → shade.
 //!
 //! Each pass is a folder: the shader, its caller, and `reference.rs`, which does the same on the processor over the same
 //! arrays. `TOLERANCE` bounds the difference between the two, and a test holds them to it.
 
 pub mod atlas;
 pub mod basis;
+pub mod change;
 pub mod compare;
 pub mod direct;
 pub mod gpu;
@@ -21,6 +22,7 @@ pub mod shadow;
 pub const SHADERS: &[(&str, &str)] = &[
     ("atlas", atlas::SHADER),
     ("basis", basis::SHADER),
+    ("change", change::SHADER),
     ("direct", direct::SHADER),
     ("direct texels", direct::TEXELS_SHADER),
     ("near", near::SHADER),

@@ -38,36 +38,32 @@ pub struct Resident {
 }
 
 impl Resident {
-    /// Uploads the constant arrays and makes room for the others.
-    ///
-    /// `sky` is the end of λ, which no pass writes.
-    pub fn new(
-        gpu: &Gpu,
-        transport: &Transport<impl Columns>,
-        e_emit: &[Vec4],
-        sky: &[Vec4],
-    ) -> Result<Self> {
+    /// Uploads the constant arrays and makes room for the others, which are 0.
+    pub fn new(gpu: &Gpu, transport: &Transport<impl Columns>) -> Result<Self> {
         let (receivers, clusters) = (&transport.receivers, &transport.clusters);
         let four = size_of::<Vec4>() as u64;
         let lambda_count = transport.columns.lambda_count();
-        let lambda = gpu.blank("lambda", lambda_count as u64 * four)?;
-        let sky_start = (lambda_count - sky.len()) as u64 * four;
-        gpu.queue.write_buffer(&lambda, sky_start, bytemuck::cast_slice(sky));
         let by_slot = receivers.len() as u64 * four;
         Ok(Self {
             positions: gpu.storage("positions", &receivers.position_m)?,
             normals: gpu.storage("normals", &receivers.normal)?,
             albedo: gpu.storage("albedo", &receivers.albedo)?,
             e_dir: gpu.blank("E_dir", by_slot)?,
-            e_emit: gpu.storage("E_emit", e_emit)?,
+            e_emit: gpu.blank("E_emit", by_slot)?,
             e_ind: gpu.blank("E_ind", by_slot)?,
             e_near: gpu.blank("E of near hits", by_slot)?,
-            lambda,
+            lambda: gpu.blank("lambda", lambda_count as u64 * four)?,
             b: gpu.blank("b", clusters.b_len as u64 * four)?,
             receiver_count: receivers.len(),
             lambda_count,
             b_count: clusters.b_len,
         })
+    }
+
+    /// Writes the end of λ, which no pass writes.
+    pub fn write_sky(&self, gpu: &Gpu, sky: &[Vec4]) {
+        let start = (self.lambda_count - sky.len()) * size_of::<Vec4>();
+        gpu.queue.write_buffer(&self.lambda, start as u64, bytemuck::cast_slice(sky));
     }
 }
 

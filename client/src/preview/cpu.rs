@@ -5,10 +5,10 @@ use crate::error::Result;
 use crate::passes::shade::ShadeView;
 use crate::passes::shade::reference::{Lit, shade};
 use crate::passes::shadow::reference::draw;
-use crate::picture::{Film, Picture};
+use crate::picture::{Exposure, Film, Picture};
 
 /// Draws the picture.
-pub(super) fn render(prepared: &Prepared<'_>) -> Result<Picture> {
+pub(super) fn render(prepared: &Prepared<'_>, exposure: Exposure) -> Result<Picture> {
     let Prepared { bake, view, plan, sky } = prepared;
     let scene = &bake.scene;
     let maps = draw(scene, plan);
@@ -20,10 +20,9 @@ pub(super) fn render(prepared: &Prepared<'_>) -> Result<Picture> {
         let (indirect, emitter_scale) = (&*settled.indirect, &view.emitter_scale[..]);
         let lit = Lit { scene, plan, maps: &maps, indirect, emitter_scale };
         let radiance = shade(lit, &shade_view, view.size());
-        film.get_or_insert_with(|| Film::new(view.size(), view.tone, view.exposure, &radiance))
-            .add(&radiance);
+        film.get_or_insert_with(|| Film::new(view.size(), view.tone, exposure, &radiance)).add(&radiance);
     }
-    let film = film.unwrap_or_else(|| Film::new(view.size(), view.tone, view.exposure, &[]));
+    let film = film.unwrap_or_else(|| Film::new(view.size(), view.tone, exposure, &[]));
     let (bounces, converged) = (settled.bounces, settled.converged);
     Ok(Picture { by_reference: true, bounces, converged, ..film.develop() })
 }

@@ -1,103 +1,57 @@
-//! The whole frame on the adapter.
+//! Pictures by the adapter.
 
-use glam::Vec4;
-use lightkiln_proto::relight::Settled;
-
-use super::{Prepared, jitters};
-use crate::bake::LightPasses;
+use super::{Prepared, Reel, jitters};
 use crate::error::Result;
+use crate::frame::{Frame, FrameRoom};
 use crate::passes::gpu::Gpu;
-use crate::passes::meshes::Meshes;
-use crate::passes::shade::{ShadePass, ShadeView};
-use crate::passes::shadow::ShadowPass;
+use crate::passes::shadow::ShadowRoom;
 use crate::picture::{Film, Picture};
 
-/// Bounces between two looks at how much E_ind still changes.
-const BOUNCES_PER_LOOK: u32 = 4;
-
-/// All passes of a view, with their buffers.
-pub(crate) struct Frame {
-    pub meshes: Meshes,
-    pub shadow: ShadowPass,
-    pub light: Box<dyn LightPasses>,
-    pub shade: ShadePass,
-}
-
-impl Frame {
-    pub fn new(gpu: &Gpu, prepared: &Prepared<'_>) -> Result<Self> {
-        let Prepared { bake, view, plan, .. } = prepared;
-        let (scene, unshadowed) = (&bake.scene, prepared.unshadowed());
-        let meshes = Meshes::new(gpu, scene)?;
-        let shadow = ShadowPass::new(gpu, scene, &meshes, plan)?;
-        let light = bake.light.passes(gpu, scene, &shadow, unshadowed, view.size())?;
-        let shading = (&bake.light.shading(), &light.bindings()[..]);
-        let scale = unshadowed.emitter_scale;
-        let shade = ShadePass::new(gpu, scene, &meshes, &shadow, shading, scale, view.size())?;
-        gpu.check()?;
-        Ok(Self { meshes, shadow, light, shade })
-    }
-
-    /// Shadow maps, and all that depends on lights alone.
-    pub fn relit(&self, gpu: &Gpu) {
-        gpu.submit(|encoder| {
-            self.shadow.record(encoder, &self.meshes);
-            self.light.relit(encoder, &self.shadow);
-        });
-    }
-
-    /// One bounce: E_ind of the bounce before → E_ind.
-    pub fn bounce(&self, gpu: &Gpu) {
-        gpu.submit(|encoder| self.light.bounce(encoder));
-    }
-
-    /// The bounces' result to the bindings of shading.
-    pub fn publish(&self, gpu: &Gpu) {
-        gpu.submit(|encoder| self.light.publish(encoder));
-    }
-
-    /// One sample per pixel of a view, read back: rgb radiance, alpha 1 on surfaces.
-    pub fn draw(&self, gpu: &Gpu, view: &ShadeView) -> Result<Vec<Vec4>> {
-        gpu.submit(|encoder| self.light.prepare_view(gpu, encoder, view));
-        self.shade.draw(gpu, &self.meshes, &self.shadow, view)
-    }
-}
-
-/// Draws the picture.
-pub(super) fn render(gpu: &Gpu, prepared: &Prepared<'_>) -> Result<Picture> {
-    let Prepared { bake, view, sky, .. } = prepared;
-    let frame = Frame::new(gpu, prepared)?;
-    frame.relit(gpu);
-    let (bounces, converged) = settle(gpu, &frame, prepared)?;
-    frame.publish(gpu);
-    let bounds_m = bake.scene.manifest.bounds_m;
-    let mut film: Option<Film> = None;
-    for jitter in jitters(view.samples) {
-        let shade_view = ShadeView::new(&view.camera, view.size(), bounds_m, *sky, jitter)?;
-        let radiance = frame.draw(gpu, &shade_view)?;
-        film.get_or_insert_with(|| Film::new(view.size(), view.tone, view.exposure, &radiance))
-            .add(&radiance);
-    }
-    let film = film.unwrap_or_else(|| Film::new(view.size(), view.tone, view.exposure, &[]));
-    Ok(Picture { bounces, converged, ..film.develop() })
-}
-
-/// Feeds bounces back until E_ind changes by less than the view's limit; bounces, and whether they converged.
-fn settle(gpu: &Gpu, frame: &Frame, prepared: &Prepared<'_>) -> Result<(u32, bool)> {
-    let limit = prepared.view.limit;
-    let Some((e_ind, count)) = frame.light.feedback() else { return Ok((0, true)) };
-    let read = || gpu.read::<Vec4>(e_ind, count);
-    let mut bounces = 0;
-    while bounces < limit.bounces_max {
-        for _ in 1..BOUNCES_PER_LOOK.min(limit.bounces_max - bounces) {
-            frame.bounce(gpu);
-            bounces += 1;
+/// Draws pictures of one size, those that the reel has not yet.
+pub(super) fn render(gpu: &Gpu, all: &[Prepared<'_>], reel: &mut Reel<'_>) -> Result<()> {
+    let Some(mut frame) = frame(gpu, all)? else { return Ok(()) };
+    for prepared in &all[reel.done..] {
+        let view = prepared.view;
+        set(&mut frame, prepared)?;
+        let (bounces, converged) = frame.settle(view.limit)?;
+        let mut film: Option<Film> = None;
+        for jitter in jitters(view.samples) {
+            frame.draw(jitter)?;
+            let radiance = frame.read()?;
+            let exposure = reel.exposure_of(view);
+            film.get_or_insert_with(|| Film::new(view.size(), view.tone, exposure, &radiance)).add(&radiance);
         }
-        let last = read()?;
-        frame.bounce(gpu);
-        bounces += 1;
-        if Settled::change(&last, &read()?) < limit.change_max {
-            return Ok((bounces, true));
-        }
+        let film = film.unwrap_or_else(|| Film::new(view.size(), view.tone, view.exposure, &[]));
+        reel.push(Picture { drawn_by: gpu.name.clone(), bounces, converged, ..film.develop() })?;
     }
-    Ok((bounces, false))
+    Ok(())
+}
+
+/// A frame with room for views of one size and no more; `None` without any.
+fn frame<'a>(gpu: &'a Gpu, all: &[Prepared<'a>]) -> Result<Option<Frame<'a>>> {
+    let rooms = all.iter().map(|prepared| prepared.plan.room());
+    let of_all = |a: ShadowRoom, b: ShadowRoom| ShadowRoom {
+        lights: a.lights.max(b.lights),
+        faces: a.faces.max(b.faces),
+        side: a.side.min(b.side),
+    };
+    let Some((first, shadows)) = all.first().zip(rooms.reduce(of_all)) else { return Ok(None) };
+    let room = FrameRoom { size: first.view.size(), shadows };
+    Frame::new(gpu, first.bake, room, first.view.camera.clone()).map(Some)
+}
+
+/// Sets what a view has different.
+fn set(frame: &mut Frame<'_>, Prepared { view, .. }: &Prepared<'_>) -> Result<()> {
+    frame.set_lights(&view.lights)?;
+    frame.set_emitters(&view.emitter_scale);
+    frame.set_camera(view.camera.clone())
+}
+
+/// A frame of one view.
+#[cfg(test)]
+pub(crate) fn frame_of<'a>(gpu: &'a Gpu, prepared: Prepared<'a>) -> Result<Frame<'a>> {
+    let all = [prepared];
+    let mut frame = frame(gpu, &all)?.unwrap_or_else(|| unreachable!("there is a view"));
+    set(&mut frame, &all[0])?;
+    Ok(frame)
 }

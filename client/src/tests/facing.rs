@@ -5,7 +5,7 @@ use lightkiln_proto::manifest::Manifest;
 use lightkiln_proto::relight::Limit;
 
 use super::view_of;
-use crate::bake::{Light, LightPasses, LitScene, LoadedBake, SettledLight, Unshadowed};
+use crate::bake::{Light, LightPasses, LitScene, LoadedBake, SettledLight};
 use crate::error::Result;
 use crate::fixture::{geometry, manifest, texture};
 use crate::passes::gpu::{Gpu, uniform};
@@ -63,7 +63,6 @@ impl Light for Facing {
         gpu: &Gpu,
         _: &LoadedScene,
         _: &ShadowPass,
-        _: Unshadowed<'_>,
         size: [u32; 2],
     ) -> Result<Box<dyn LightPasses>> {
         assert_eq!(size, [160, 120]);
@@ -92,7 +91,7 @@ pub(super) fn bake() -> LoadedBake {
 }
 
 /// As [`bake`], with glass in the room.
-pub(super) fn glazed_bake() -> LoadedBake {
+pub(crate) fn glazed_bake() -> LoadedBake {
     let manifest = Manifest { lightmap: None, ..manifest(NAME) };
     let mut geometry = geometry();
     geometry.draws.extend(super::glass::glazed());

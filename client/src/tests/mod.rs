@@ -2,7 +2,7 @@
 //! obeys physics, and light can follow the view.
 
 mod adapter;
-mod facing;
+pub(crate) mod facing;
 mod formula;
 mod glass;
 mod light;

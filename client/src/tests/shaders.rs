@@ -12,6 +12,7 @@ use naga::{AddressSpace, TypeInner};
 use crate::kinds::sh::relight::{self, RelightNumbers};
 use crate::passes::atlas::{AtlasNumbers, AtlasTexel, INDIRECT, Placement};
 use crate::passes::basis::BasisNumbers;
+use crate::passes::change::ChangeNumbers;
 use crate::passes::direct::{DirectNumbers, TexelNumbers};
 use crate::passes::near::NearNumbers;
 use crate::passes::patches::PatchNumbers;
@@ -69,6 +70,31 @@ fn every_shader_file_is_part_of_a_listed_shader() {
     }
 }
 
+/// [`crate::passes::gpu::Gpu::created`] counts what is made: so nothing else may make anything.
+#[test]
+fn what_is_made_on_the_adapter_is_made_in_one_place() {
+    let mut folders = vec![Path::new(env!("CARGO_MANIFEST_DIR")).join("src")];
+    let mut seen = 0;
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                folders.push(path);
+            } else if path.extension().is_some_and(|extension| extension == "rs") {
+                let text = fs::read_to_string(&path).unwrap();
+                let makes = text.lines().filter(|line| line.contains(".create_") && !line.contains("_view("));
+                let is_home = path.ends_with("passes/gpu.rs");
+                seen += if is_home {
+                    makes.count()
+                } else {
+                    makes.map(|line| panic!("{path:?}: {line}")).count()
+                };
+            }
+        }
+    }
+    assert!(seen >= 10, "{seen} places");
+}
+
 /// A struct: size, and names and offsets of its fields.
 #[derive(Debug, PartialEq)]
 struct Layout {
@@ -91,6 +117,7 @@ fn twins() -> BTreeMap<&'static str, Layout> {
         "Atlas": AtlasNumbers { texel_count, stride }
         "AtlasTexel": AtlasTexel { x, y, first, packed, kind }
         "Basis": BasisNumbers { coefficients, stride, cluster_count, pad }
+        "Change": ChangeNumbers { receiver_count, stride }
         "Cluster": ClusterRow {
             first_row, row_count, first_support, support_count, coefficients, rank, first_b, first_factor
         }

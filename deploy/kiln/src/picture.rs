@@ -1,17 +1,24 @@
 //! A picture of a bake, as the command line asks for it.
 
-use std::path::Path;
+use std::fs::File;
+use std::io::Read as _;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 use clap::{Args, ValueEnum};
+use lightkiln_client::ClientError;
 use lightkiln_client::bake::{ClientKinds, LoadedBake};
 use lightkiln_client::fetch::Source;
 use lightkiln_client::lights::{ParsedLights, parse_camera, parse_lights};
 use lightkiln_client::picture::{Exposure, Picture, Tone};
-use lightkiln_client::preview::{Backend, StreamedBake, View, debug_picture, render};
+use lightkiln_client::preview::{
+    Backend, PATH_FILE_MAX, StreamedBake, View, ViewPath, debug_picture, render, render_path,
+};
 use lightkiln_client::stream::Streamed;
+use serde::Serialize;
 
 use crate::console::say;
-use crate::failure::Result;
+use crate::failure::{Failure, Result};
 use crate::switched_off::SwitchedOff;
 
 /// How to draw.
@@ -55,13 +62,56 @@ pub struct PictureArguments {
     page: usize,
 }
 
-/// How much light to fetch.
-#[derive(Args, Clone, Copy, Debug, Default)]
-pub struct StreamArguments {
+/// How much light to fetch, and how many pictures to draw of it.
+#[derive(Args, Clone, Debug, Default)]
+pub struct ReelArguments {
     /// Fetches at most so many bytes of light, e.g. 500k or 2M: the overview first, then what the picture needs most
     /// [default: all]
     #[arg(long, value_name = "BYTES", value_parser = parse_bytes, help_heading = "Picture")]
-    max_bytes: Option<u64>,
+    pub max_bytes: Option<u64>,
+    /// Draws many pictures along a path, NAME-0001.png and on: a JSON file {"keys": [{"picture": 1, "camera": "eye=…",
+    /// "lights": ["point pos=…"]}, {"picture": 60, …}]}, between whose keys camera and lights move evenly. The first picture's
+    /// exposure is that of all
+    #[arg(long, value_name = "FILE", conflicts_with = "debug", help_heading = "Picture")]
+    path: Option<PathBuf>,
+}
+
+impl ReelArguments {
+    /// The path, if there is one; refuses a file that holds none.
+    pub fn path(&self) -> Result<Option<ViewPath>> {
+        let Some(file) = &self.path else { return Ok(None) };
+        let refused = |problem: &str| Failure::bad_input(format!("{} {problem}", file.display()));
+        let failed = |error: std::io::Error| refused("cannot be read").caused_by(&error);
+        let mut json = Vec::new();
+        let opened = File::open(file).map_err(failed)?;
+        opened.take(PATH_FILE_MAX + 1).read_to_end(&mut json).map_err(failed)?;
+        if json.len() as u64 > PATH_FILE_MAX {
+            return Err(refused(&format!("has more than the {PATH_FILE_MAX} bytes of a path")));
+        }
+        let path = ViewPath::parse(&json);
+        path.map(Some).map_err(|error| refused("is no path of pictures").caused_by(&error))
+    }
+}
+
+/// What was drawn.
+#[derive(Debug, Default, Serialize)]
+pub struct Drawn {
+    /// Files in the order of the path.
+    pub pictures: Vec<PathBuf>,
+    /// Adapter or processor that drew the last one, with the reason.
+    pub drawn_by: String,
+    /// Most bounces before a picture.
+    pub bounces: u32,
+    /// Whether they had converged by then, in all pictures.
+    pub converged: bool,
+    /// Factor on radiance before tone mapping.
+    pub exposure: f32,
+    /// Seconds from the light at hand to the last file.
+    pub seconds: f64,
+    /// Bytes of light that were fetched.
+    pub light_bytes: Option<u64>,
+    /// Bytes of all.
+    pub light_bytes_all: Option<u64>,
 }
 
 /// Bytes as people write them: a number, with k, M or G for powers of 1000.
@@ -115,28 +165,35 @@ impl PictureArguments {
     pub fn draw(&self, kinds: &ClientKinds, off: &SwitchedOff, source: &Source, png: &Path) -> Result<()> {
         let bake = LoadedBake::load(source, kinds)?;
         let view = self.view(&bake, off)?;
-        self.write(&bake, &view, png)
+        self.write_all(&bake, &view, None, png).map(|_| ())
     }
 
-    /// As [`Self::draw`], with as much of the light as is asked for.
-    pub fn draw_streamed(
+    /// As [`Self::draw`], with as much of the light as is asked for, and along a path.
+    pub fn draw_reel(
         &self,
-        stream: StreamArguments,
+        (max_bytes, path): (Option<u64>, Option<&ViewPath>),
         kinds: &ClientKinds,
         off: &SwitchedOff,
         source: &Source,
         png: &Path,
-    ) -> Result<()> {
-        let Some(max_bytes) = stream.max_bytes else { return self.draw(kinds, off, source, png) };
+    ) -> Result<Drawn> {
+        let Some(max_bytes) = max_bytes else {
+            let bake = LoadedBake::load(source, kinds)?;
+            let view = self.view(&bake, off)?;
+            return self.write_all(&bake, &view, path, png);
+        };
         let mut streamed = StreamedBake::begin(source, kinds, max_bytes)?;
         let view = self.view(&streamed.bake, off)?;
-        streamed.refine(&view, max_bytes)?;
+        // Along a path, what its first picture needs.
+        let first = path.and_then(|path| path.views(&view).into_iter().next());
+        streamed.refine(first.as_ref().unwrap_or(&view), max_bytes)?;
         let Streamed { bytes, bytes_all, clusters, clusters_all } = streamed.streamed();
         let percent = 100.0 * bytes as f64 / bytes_all.max(1) as f64;
         say!(
             "{bytes} of {bytes_all} bytes of light ({percent:.1} %): the overview, and {clusters} of {clusters_all} clusters"
         );
-        self.write(&streamed.bake, &view, png)
+        let drawn = self.write_all(&streamed.bake, &view, path, png)?;
+        Ok(Drawn { light_bytes: Some(bytes), light_bytes_all: Some(bytes_all), ..drawn })
     }
 
     /// The view of a bake; says on standard error what was chosen.
@@ -157,26 +214,56 @@ impl PictureArguments {
         Ok(view)
     }
 
-    /// Draws the view and writes it as PNG; says on standard error who drew.
-    fn write(&self, bake: &LoadedBake, view: &View, png: &Path) -> Result<()> {
-        let picture = self.picture_of(bake, view)?;
-        if !picture.converged {
-            say!(
-                "warning: after {} bounces the light had not converged; the picture is not yet as bright as it would be",
-                picture.bounces
-            );
+    /// Draws the view, or all along a path, and writes them as PNG; says on standard error who drew.
+    fn write_all(
+        &self,
+        bake: &LoadedBake,
+        view: &View,
+        path: Option<&ViewPath>,
+        png: &Path,
+    ) -> Result<Drawn> {
+        let start = Instant::now();
+        let mut drawn = Drawn { converged: true, ..Drawn::default() };
+        let mut take = |picture: Picture, file: PathBuf| -> std::result::Result<(), ClientError> {
+            if !picture.converged {
+                say!(
+                    "warning: after {} bounces the light of {} had not converged; it is not yet as bright as it would be",
+                    picture.bounces,
+                    file.display()
+                );
+            }
+            picture.write_png(&file)?;
+            drawn.pictures.push(file);
+            drawn.bounces = drawn.bounces.max(picture.bounces);
+            drawn.converged &= picture.converged;
+            (drawn.drawn_by, drawn.exposure) = (picture.drawn_by, picture.exposure);
+            Ok(())
+        };
+        match (&self.debug, path) {
+            (Some(name), _) => take(debug_picture(bake, view, name, self.page)?, png.to_owned())?,
+            (None, None) => take(render(bake, view, self.backend.into())?, png.to_owned())?,
+            (None, Some(path)) => {
+                let file = |index: usize| numbered(png, index + 1);
+                render_path(bake, &path.views(view), self.backend.into(), |index, picture| {
+                    take(picture, file(index))
+                })?;
+            }
         }
-        picture.write_png(png)?;
-        say!("drawn by {}", picture.drawn_by);
-        Ok(())
+        drawn.seconds = start.elapsed().as_secs_f64();
+        if let [first, .., last] = &drawn.pictures[..] {
+            let (count, seconds) = (drawn.pictures.len(), drawn.seconds);
+            say!("{count} pictures in {seconds:.1} s: {} to {}", first.display(), last.display());
+        }
+        say!("drawn by {}", drawn.drawn_by);
+        Ok(drawn)
     }
+}
 
-    fn picture_of(&self, bake: &LoadedBake, view: &View) -> Result<Picture> {
-        match &self.debug {
-            None => Ok(render(bake, view, self.backend.into())?),
-            Some(name) => Ok(debug_picture(bake, view, name, self.page)?),
-        }
-    }
+/// The file of a picture along a path: `NAME-0001.png`.
+fn numbered(png: &Path, number: usize) -> PathBuf {
+    let stem = png.file_stem().unwrap_or_default().to_string_lossy();
+    let extension = png.extension().unwrap_or_default().to_string_lossy();
+    png.with_file_name(format!("{stem}-{number:04}.{extension}"))
 }
 
 impl From<ToneName> for Tone {

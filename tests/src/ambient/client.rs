@@ -1,7 +1,7 @@
 //! The client's side of the kind: its chunk, and one shading function for adapter and processor.
 
 use glam::Vec3;
-use lightkiln_client::bake::{ClientKind, Light, LightPasses, LitScene, SettledLight, Unshadowed};
+use lightkiln_client::bake::{ClientKind, Light, LightPasses, LitScene, SettledLight};
 use lightkiln_client::fetch::{Source, decoded};
 use lightkiln_client::passes::gpu::{Gpu, uniform};
 use lightkiln_client::passes::shade::{IndirectIrradiance, Shading, Surface};
@@ -60,7 +60,6 @@ impl Light for Constant {
         gpu: &Gpu,
         _: &LoadedScene,
         _: &ShadowPass,
-        _: Unshadowed<'_>,
         _: [u32; 2],
     ) -> Result<Box<dyn LightPasses>> {
         Ok(Box::new(Uploaded(gpu.uniform(NAME, &self.0.extend(0.0)))))

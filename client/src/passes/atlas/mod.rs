@@ -68,7 +68,7 @@ impl AtlasPass {
         let pipeline = gpu.compute("atlas", SHADER, "spread");
         let groups = groups_2d((texels.texels.len() as u32).div_ceil(THREADS));
         let numbers = AtlasNumbers { texel_count: texels.texels.len() as u32, stride: groups[0] * THREADS };
-        let texture = gpu.device.create_texture(&wgpu::TextureDescriptor {
+        let texture = gpu.texture(&wgpu::TextureDescriptor {
             label: Some("atlas"),
             size: texture_size(layout),
             mip_level_count: 1,

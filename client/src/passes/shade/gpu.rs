@@ -58,6 +58,7 @@ pub struct ShadePass {
     view: wgpu::Buffer,
     view_group: wgpu::BindGroup,
     draws: wgpu::BindGroup,
+    looks: wgpu::Buffer,
     draw_stride: u32,
     materials: Vec<wgpu::BindGroup>,
     is_double_sided: Vec<bool>,
@@ -74,7 +75,6 @@ impl ShadePass {
         meshes: &Meshes,
         shadow: &ShadowPass,
         (shading, resources): (&Shading, &[wgpu::BindingResource<'_>]),
-        emitter_scale: &[f32],
         size: [u32; 2],
     ) -> Result<Self> {
         check_size(gpu, size)?;
@@ -88,12 +88,9 @@ impl ShadePass {
         let module = gpu.module("shade", &shading.shader());
         let view = gpu.buffer("view", size_of::<ShadeView>() as u64, wgpu::BufferUsages::UNIFORM);
         let view_group = gpu.bind(&view_layout, &[&[view.as_entire_binding()], resources].concat());
-        let draws = scene.draws.draws.iter().zip(0..);
-        let values: Vec<_> =
-            draws.map(|(draw, index)| shade_draw(scene, draw, index, emitter_scale)).collect();
-        let (values, draw_stride) = gpu.uniforms("draws", &values);
+        let (looks, draw_stride) = gpu.uniforms("draws", &looks(scene, &[]));
         let window = wgpu::BufferBinding {
-            buffer: &values,
+            buffer: &looks,
             offset: 0,
             size: wgpu::BufferSize::new(size_of::<ShadeDraw>() as u64),
         };
@@ -124,6 +121,7 @@ impl ShadePass {
             view,
             view_group,
             draws,
+            looks,
             draw_stride,
             materials: scene.manifest.materials.iter().map(bind_material).collect(),
             is_double_sided: scene.manifest.materials.iter().map(|material| material.double_sided).collect(),
@@ -133,19 +131,27 @@ impl ShadePass {
         })
     }
 
-    /// Draws one sample per pixel and reads it back: rgb radiance, alpha 1 on surfaces.
-    pub fn draw(
-        &self,
-        gpu: &Gpu,
-        meshes: &Meshes,
-        shadow: &ShadowPass,
-        view: &ShadeView,
-    ) -> Result<Vec<Vec4>> {
+    /// Writes the emitters' scale; 1 where absent.
+    pub fn set_emitters(&self, gpu: &Gpu, scene: &LoadedScene, scale: &[f32]) {
+        gpu.write_strided(&self.looks, &looks(scene, scale), self.draw_stride);
+    }
+
+    /// Draws one sample per pixel.
+    pub fn draw(&self, gpu: &Gpu, meshes: &Meshes, shadow: &ShadowPass, view: &ShadeView) {
         gpu.write(&self.view, std::slice::from_ref(view));
         let sorted = self.panes.farthest_first(view);
         gpu.write(&self.pane_corners, &sorted.iter().map(|pane| pane.corners).collect::<Vec<_>>());
         gpu.submit(|encoder| self.record(encoder, meshes, shadow, &runs(&sorted)));
+    }
+
+    /// The sample drawn last, read back: rgb radiance, alpha 1 on surfaces.
+    pub fn read(&self, gpu: &Gpu) -> Result<Vec<Vec4>> {
         gpu.read_layer(&self.target, 0, wgpu::TextureAspect::All)
+    }
+
+    /// The texture that is drawn to.
+    pub fn target(&self) -> &wgpu::Texture {
+        &self.target
     }
 
     fn record(
@@ -208,6 +214,12 @@ fn check_size(gpu: &Gpu, size: [u32; 2]) -> Result<()> {
     Ok(())
 }
 
+/// Looks of all draws.
+fn looks(scene: &LoadedScene, emitter_scale: &[f32]) -> Vec<ShadeDraw> {
+    let draws = scene.draws.draws.iter().zip(0..);
+    draws.map(|(draw, index)| shade_draw(scene, draw, index, emitter_scale)).collect()
+}
+
 fn shade_draw(scene: &LoadedScene, draw: &LoadedDraw, index: u32, emitter_scale: &[f32]) -> ShadeDraw {
     let material = &scene.manifest.materials[draw.material as usize];
     let scale =
@@ -236,7 +248,7 @@ fn shade_draw(scene: &LoadedScene, draw: &LoadedDraw, index: u32, emitter_scale:
 
 fn create_targets(gpu: &Gpu, size: [u32; 2]) -> (wgpu::Texture, wgpu::TextureView) {
     let create = |label, format, usage| {
-        gpu.device.create_texture(&wgpu::TextureDescriptor {
+        gpu.texture(&wgpu::TextureDescriptor {
             label: Some(label),
             size: wgpu::Extent3d { width: size[0], height: size[1], depth_or_array_layers: 1 },
             mip_level_count: 1,
@@ -308,7 +320,7 @@ fn render_pipeline(
         blend,
         write_mask: wgpu::ColorWrites::ALL,
     };
-    gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+    gpu.render_pipeline(&wgpu::RenderPipelineDescriptor {
         label: Some(fragment),
         layout: Some(layout),
         vertex: wgpu::VertexState {

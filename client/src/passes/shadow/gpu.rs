@@ -1,11 +1,14 @@
 //! Shadow maps on the adapter.
 
+use std::ops::Range;
+
+use bytemuck::Zeroable as _;
 use lightkiln_proto::manifest::Material;
 use wgpu::{ShaderStages as Stages, TextureViewDimension as Dimension};
 
 use super::panes::PanePass;
 use super::reference::ShadowMaps;
-use super::{Face, SHADER, ShadowPlan};
+use super::{Face, Light, LightCount, SHADER, ShadowPlan, ShadowRoom};
 use crate::error::Result;
 use crate::passes::gpu::{Gpu, array_view, storage_read, texture, uniform};
 use crate::passes::meshes::{Meshes, sampled, uv_rows, vertex_layout};
@@ -29,13 +32,23 @@ pub struct Mask {
     pub pad1: f32,
 }
 
+/// Buffers of the bind group of lights.
+#[derive(Debug)]
+struct LightRows {
+    lights: wgpu::Buffer,
+    faces: wgpu::Buffer,
+    count: wgpu::Buffer,
+}
+
 /// The pass, its maps, and the bind group of lights that other passes read them by.
 #[derive(Debug)]
 pub struct ShadowPass {
     solid: wgpu::RenderPipeline,
     masked: wgpu::RenderPipeline,
     faces: wgpu::BindGroup,
+    projections: wgpu::Buffer,
     face_stride: u32,
+    rows: LightRows,
     face_views: Vec<wgpu::TextureView>,
     /// Per mesh: the mask of alpha-masked ones.
     masks: Vec<Option<wgpu::BindGroup>>,
@@ -48,26 +61,31 @@ pub struct ShadowPass {
 }
 
 impl ShadowPass {
-    /// Uploads lights and makes room for their maps.
-    pub fn new(gpu: &Gpu, scene: &LoadedScene, meshes: &Meshes, plan: &ShadowPlan) -> Result<Self> {
+    /// Makes room for lights and their maps; there are none until [`ShadowPass::set`].
+    pub fn new(gpu: &Gpu, scene: &LoadedScene, meshes: &Meshes, room: &ShadowRoom) -> Result<Self> {
         let face_layout = gpu.bind_layout(&[(Stages::VERTEX, uniform(true))]);
         let [base, sampler] = sampled();
         let mask_layout = gpu.bind_layout(&[(Stages::VERTEX_FRAGMENT, uniform(false)), base, sampler]);
         let module = gpu.module("shadow", SHADER);
         let solid = pipeline(gpu, &module, &[&face_layout], "solid", None);
         let masked = pipeline(gpu, &module, &[&face_layout, &mask_layout], "masked", Some("mask"));
-        let projections: Vec<_> = plan.faces.iter().map(|face| face.clip_from_world).collect();
-        let (projections, face_stride) = gpu.uniforms("faces", &projections);
+        let blank = vec![[[0.0_f32; 4]; 4]; room.faces as usize];
+        let (projections, face_stride) = gpu.uniforms("faces", &blank);
         let window = wgpu::BufferBinding {
             buffer: &projections,
             offset: 0,
             size: wgpu::BufferSize::new(size_of::<[[f32; 4]; 4]>() as u64),
         };
         let faces = gpu.bind(&face_layout, &[wgpu::BindingResource::Buffer(window)]);
-        let maps = create_maps(gpu, plan, plan.faces.len() as u32, wgpu::TextureFormat::Depth32Float);
-        let panes = PanePass::new(gpu, scene, meshes, plan, &face_layout);
-        let (light_layout, light_group) = bind_lights(gpu, plan, &maps, &panes)?;
-        let face_views = (0..plan.faces.len() as u32).map(|layer| face_view(&maps, layer)).collect();
+        let maps = create_maps(gpu, room.side, room.faces, wgpu::TextureFormat::Depth32Float);
+        let panes = PanePass::new(gpu, scene, meshes, room, &face_layout);
+        let rows = LightRows {
+            lights: gpu.blank("lights", u64::from(room.lights) * size_of::<Light>() as u64)?,
+            faces: gpu.blank("faces", u64::from(room.faces) * size_of::<Face>() as u64)?,
+            count: gpu.uniform("light count", &LightCount::zeroed()),
+        };
+        let (light_layout, light_group) = bind_lights(gpu, &rows, &maps, &panes);
+        let face_views = (0..room.faces).map(|layer| face_view(&maps, layer)).collect();
         let material = |material: usize| &scene.manifest.materials[material];
         let masks = meshes
             .meshes
@@ -78,7 +96,9 @@ impl ShadowPass {
             solid,
             masked,
             faces,
+            projections,
             face_stride,
+            rows,
             face_views,
             masks,
             maps,
@@ -88,9 +108,20 @@ impl ShadowPass {
         })
     }
 
-    /// Records the pass: every mesh into every face, then its glass.
-    pub fn record(&self, encoder: &mut wgpu::CommandEncoder, meshes: &Meshes) {
-        for (face, view) in self.face_views.iter().enumerate() {
+    /// Writes the lights and faces of a plan within the room.
+    pub fn set(&self, gpu: &Gpu, plan: &ShadowPlan) {
+        let projections: Vec<_> = plan.faces.iter().map(|face| face.clip_from_world).collect();
+        gpu.write_strided(&self.projections, &projections, self.face_stride);
+        let mark = |face: &Face| Face { panes: f32::from(u8::from(self.panes.is_used)), ..*face };
+        gpu.write(&self.rows.lights, &plan.lights);
+        gpu.write(&self.rows.faces, &plan.faces.iter().map(mark).collect::<Vec<_>>());
+        gpu.write(&self.rows.count, &[plan.count]);
+    }
+
+    /// Records some faces of the plan that was set last: every mesh into each, then its glass.
+    pub fn record(&self, encoder: &mut wgpu::CommandEncoder, meshes: &Meshes, faces: Range<usize>) {
+        for face in faces {
+            let view = &self.face_views[face];
             let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
                 label: Some("shadow"),
                 depth_stencil_attachment: Some(cleared_depth(view)),
@@ -115,7 +146,7 @@ impl ShadowPass {
         }
     }
 
-    /// The maps, read back.
+    /// The maps of the whole room, read back.
     pub fn read(&self, gpu: &Gpu) -> Result<ShadowMaps> {
         let mut depth = Vec::new();
         for layer in 0..self.face_views.len() as u32 {
@@ -152,7 +183,7 @@ fn pipeline(
     vertex: &str,
     fragment: Option<&str>,
 ) -> wgpu::RenderPipeline {
-    gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+    gpu.render_pipeline(&wgpu::RenderPipelineDescriptor {
         label: Some(vertex),
         layout: Some(&gpu.pipeline_layout(groups)),
         vertex: wgpu::VertexState {
@@ -177,15 +208,10 @@ fn pipeline(
 }
 
 /// A map for each of so many faces; of none, one texel that nobody reads.
-pub(super) fn create_maps(
-    gpu: &Gpu,
-    plan: &ShadowPlan,
-    layers: u32,
-    format: wgpu::TextureFormat,
-) -> wgpu::Texture {
-    let side = if layers == 0 { 1 } else { plan.count.side };
+pub(super) fn create_maps(gpu: &Gpu, side: u32, layers: u32, format: wgpu::TextureFormat) -> wgpu::Texture {
+    let side = if layers == 0 { 1 } else { side };
     let layers = layers.max(1);
-    gpu.device.create_texture(&wgpu::TextureDescriptor {
+    gpu.texture(&wgpu::TextureDescriptor {
         label: Some("shadow maps"),
         size: wgpu::Extent3d { width: side, height: side, depth_or_array_layers: layers },
         mip_level_count: 1,
@@ -210,28 +236,26 @@ pub(super) fn face_view(maps: &wgpu::Texture, layer: u32) -> wgpu::TextureView {
 
 fn bind_lights(
     gpu: &Gpu,
-    plan: &ShadowPlan,
+    rows: &LightRows,
     maps: &wgpu::Texture,
     panes: &PanePass,
-) -> Result<(wgpu::BindGroupLayout, wgpu::BindGroup)> {
+) -> (wgpu::BindGroupLayout, wgpu::BindGroup) {
     let map = texture(wgpu::TextureSampleType::Depth, Dimension::D2Array);
     let passed = texture(wgpu::TextureSampleType::Float { filterable: false }, Dimension::D2Array);
     let kinds = [storage_read(), storage_read(), uniform(false), map, map, passed];
-    let mark = |face: &Face| Face { panes: f32::from(u8::from(panes.is_used)), ..*face };
-    let faces: Vec<Face> = plan.faces.iter().map(mark).collect();
     let layout = gpu.bind_layout(&kinds.map(|kind| (Stages::COMPUTE | Stages::FRAGMENT, kind)));
     let group = gpu.bind(
         &layout,
         &[
-            gpu.storage("lights", &plan.lights)?.as_entire_binding(),
-            gpu.storage("faces", &faces)?.as_entire_binding(),
-            gpu.uniform("light count", &plan.count).as_entire_binding(),
+            rows.lights.as_entire_binding(),
+            rows.faces.as_entire_binding(),
+            rows.count.as_entire_binding(),
             wgpu::BindingResource::TextureView(&array_view(maps)),
             wgpu::BindingResource::TextureView(&array_view(&panes.depth_maps)),
             wgpu::BindingResource::TextureView(&array_view(&panes.passed_maps)),
         ],
     );
-    Ok((layout, group))
+    (layout, group)
 }
 
 fn mask(

@@ -5,7 +5,7 @@ use lightkiln_proto::manifest::Material;
 use wgpu::ShaderStages as Stages;
 
 use super::gpu::{cleared_depth, create_maps, face_view, nearer_wins};
-use super::{PANES_SHADER, ShadowPlan};
+use super::{PANES_SHADER, ShadowRoom};
 use crate::error::Result;
 use crate::passes::gpu::{Gpu, uniform};
 use crate::passes::meshes::{Meshes, sampled, uv_rows, vertex_layout};
@@ -74,17 +74,17 @@ pub(super) struct PanePass {
 }
 
 impl PanePass {
-    /// Makes room for maps of a plan in a scene with glass, in others for one texel that nobody reads.
+    /// Makes room for maps in a scene with glass, in others for one texel that nobody reads.
     pub fn new(
         gpu: &Gpu,
         scene: &LoadedScene,
         meshes: &Meshes,
-        plan: &ShadowPlan,
+        room: &ShadowRoom,
         faces: &wgpu::BindGroupLayout,
     ) -> Self {
-        let layers = if scene.has_glass() { plan.faces.len() as u32 } else { 0 };
-        let depth_maps = create_maps(gpu, plan, layers, wgpu::TextureFormat::Depth32Float);
-        let passed_maps = create_maps(gpu, plan, layers, PASSED);
+        let layers = if scene.has_glass() { room.faces } else { 0 };
+        let depth_maps = create_maps(gpu, room.side, layers, wgpu::TextureFormat::Depth32Float);
+        let passed_maps = create_maps(gpu, room.side, layers, PASSED);
         let views = |maps| (0..layers).map(|layer| face_view(maps, layer)).collect();
         let (depth_views, passed_views) = (views(&depth_maps), views(&passed_maps));
         let kinds = [vec![(Stages::VERTEX_FRAGMENT, uniform(false))], sampled().into(), sampled().into()];
@@ -208,7 +208,7 @@ fn pipeline(
 ) -> wgpu::RenderPipeline {
     let target = wgpu::ColorTargetState { format: PASSED, blend, write_mask: wgpu::ColorWrites::ALL };
     let targets = if blend.is_some() { vec![Some(target)] } else { Vec::new() };
-    gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+    gpu.render_pipeline(&wgpu::RenderPipelineDescriptor {
         label: Some(fragment),
         layout: Some(layout),
         vertex: wgpu::VertexState {

@@ -108,13 +108,53 @@ pub struct Eye {
     pub forward: Vec3,
 }
 
+/// Room for shadow maps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ShadowRoom {
+    /// Most lights.
+    pub lights: u32,
+    /// Most faces, cascades among them.
+    pub faces: u32,
+    /// Texels along a face's side, a power of two. More → sharper shadows, more memory.
+    pub side: u32,
+}
+
+impl ShadowRoom {
+    /// Room for these lights, with as many cascades as the limits allow, and faces of at most `side` texels.
+    pub fn for_lights(casters: &[Caster], side: u32) -> Result<Self> {
+        let faces = faces_of(casters);
+        let side = side_for(faces, side);
+        let most = (MAX_TEXELS / (u64::from(side) * u64::from(side))).min(MAX_FACES as u64) as u32;
+        let room = Self { lights: casters.len() as u32, faces: most.max(faces as u32), side };
+        room.check(casters)?;
+        Ok(room)
+    }
+
+    /// Errs where lights do not fit.
+    fn check(&self, casters: &[Caster]) -> Result<()> {
+        let what = || format!("{} lights", casters.len());
+        let (faces, room) = (faces_of(casters), MAX_FACES.min(self.faces as usize));
+        if faces > room {
+            let problem = format!("{faces} shadow maps are needed, at most {room}; use fewer lights");
+            return Err(ClientError::Argument { what: what(), problem });
+        }
+        if casters.len() > self.lights as usize {
+            let problem = format!("there is room for {}", self.lights);
+            return Err(ClientError::Argument { what: what(), problem });
+        }
+        Ok(())
+    }
+}
+
 /// Lights and the faces that they need.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ShadowPlan {
     /// Lights.
     pub lights: Vec<Light>,
-    /// Faces of all lights.
+    /// Faces of all lights; cascades, which follow the eye, come last.
     pub faces: Vec<Face>,
+    /// The first cascade.
+    pub first_cascade: usize,
     /// Numbers for all lights.
     pub count: LightCount,
 }
@@ -123,24 +163,36 @@ impl ShadowPlan {
     /// Plans shadow maps of at most `side` texels (a power of two) for `casters` over a scene with the given bounds; suns
     /// get cascades about the `eye` of a perspective.
     pub fn new(casters: &[Caster], bounds_m: [[f32; 3]; 2], side: u32, eye: Option<Eye>) -> Result<Self> {
+        Self::within(&ShadowRoom::for_lights(casters, side)?, casters, bounds_m, eye)
+    }
+
+    /// Plans shadow maps within a room that is there already.
+    pub fn within(
+        room: &ShadowRoom,
+        casters: &[Caster],
+        bounds_m: [[f32; 3]; 2],
+        eye: Option<Eye>,
+    ) -> Result<Self> {
+        room.check(casters)?;
         let [low, high] = bounds_m.map(Vec3::from);
         let diagonal = (high - low).length().max(f32::MIN_POSITIVE);
-        let face_count: usize = casters.iter().map(|caster| face_count(caster) as usize).sum();
-        if face_count > MAX_FACES {
-            let problem =
-                format!("{face_count} shadow maps are needed, at most {MAX_FACES}; use fewer lights");
-            return Err(ClientError::Argument { what: format!("{} lights", casters.len()), problem });
-        }
-        let side = side_for(face_count, side);
-        let count = LightCount { count: casters.len() as u32, side, bias_m: 5e-5 * diagonal, pad: 0 };
-        let mut plan = Self { lights: Vec::new(), faces: Vec::new(), count };
+        let count =
+            LightCount { count: casters.len() as u32, side: room.side, bias_m: 5e-5 * diagonal, pad: 0 };
+        let mut plan = Self { lights: Vec::new(), faces: Vec::new(), first_cascade: 0, count };
         for caster in casters {
             plan.push(caster, [low, high], diagonal);
         }
+        plan.first_cascade = plan.faces.len();
         if let Some(eye) = eye {
-            plan.push_cascades(eye, 0.5005 * diagonal);
+            plan.push_cascades(eye, 0.5005 * diagonal, room.faces as usize);
         }
         Ok(plan)
+    }
+
+    /// Room that holds this plan and no more.
+    pub fn room(&self) -> ShadowRoom {
+        let [lights, faces] = [self.lights.len(), self.faces.len()].map(|count| count as u32);
+        ShadowRoom { lights, faces, side: self.count.side }
     }
 
     fn push(&mut self, caster: &Caster, corners: [Vec3; 2], diagonal: f32) {
@@ -204,10 +256,9 @@ impl ShadowPlan {
         }
     }
 
-    /// Cascades of every sun, as long as there is room.
-    fn push_cascades(&mut self, eye: Eye, reach: f32) {
+    /// Cascades of every sun, as long as there is room for `faces_max` faces.
+    fn push_cascades(&mut self, eye: Eye, reach: f32, faces_max: usize) {
         let side = self.count.side as f32;
-        let area = u64::from(self.count.side) * u64::from(self.count.side);
         let finest_m = FINEST_M * (2.0 * reach).min(1.0);
         for index in 0..self.lights.len() {
             let light = self.lights[index];
@@ -217,8 +268,7 @@ impl ShadowPlan {
                 // Texels of a tile are as wide as half the box over the side.
                 let half = 0.5 * light.half_extent / CASCADE_STEP.powi(cascade as i32 + 1);
                 let texel_m = 2.0 * half / side;
-                let is_full =
-                    self.faces.len() == MAX_FACES || (self.faces.len() as u64 + 1) * area > MAX_TEXELS;
+                let is_full = self.faces.len() >= faces_max;
                 if light.shape != Shape::Sun as u32 || texel_m < finest_m || is_full {
                     break;
                 }
@@ -264,6 +314,10 @@ fn sun_half_extent(direction: Vec3, corners: [Vec3; 2]) -> f32 {
     let view = look_along(Vec3::ZERO, direction, any_up(direction));
     let half = |axis: usize| view.row(axis).truncate().abs().dot(half_size);
     (1.001 * half(0).max(half(1))).max(f32::MIN_POSITIVE)
+}
+
+fn faces_of(casters: &[Caster]) -> usize {
+    casters.iter().map(|caster| face_count(caster) as usize).sum()
 }
 
 fn face_count(caster: &Caster) -> u32 {

@@ -1,4 +1,4 @@
-//! `kiln preview`: a picture of a bake, from a bundle or from a farm.
+//! `kiln preview`: pictures of a bake, from a bundle or from a farm.
 
 use std::path::PathBuf;
 
@@ -10,7 +10,7 @@ use crate::failure::Result;
 use crate::interrupt::Interrupt;
 use crate::kinds::KindTables;
 use crate::outputs::check_png;
-use crate::picture::{PictureArguments, StreamArguments};
+use crate::picture::{PictureArguments, ReelArguments};
 use crate::switched_off::SwitchedOff;
 
 /// Arguments of `kiln preview`.
@@ -30,7 +30,10 @@ pub struct Arguments {
     #[command(flatten)]
     picture: PictureArguments,
     #[command(flatten)]
-    stream: StreamArguments,
+    reel: ReelArguments,
+    /// Ends with a JSON object on standard output: files, who drew, bounces, exposure, seconds, bytes of light
+    #[arg(long)]
+    json: bool,
     #[command(flatten)]
     off: SwitchedOff,
 }
@@ -39,6 +42,7 @@ pub struct Arguments {
 pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     arguments.picture.check()?;
     check_png(&arguments.out)?;
+    let path = arguments.reel.path()?;
     let source = match &arguments.server {
         Some(url) => {
             let client = arguments.trust.connect(url, &Interrupt::default())?;
@@ -46,6 +50,11 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
         }
         None => Source::bundle(&arguments.bake)?,
     };
-    let Arguments { picture, stream, off, out, .. } = arguments;
-    picture.draw_streamed(stream, &kinds.client, &off, &source, &out)
+    let Arguments { picture, reel, off, out, json, .. } = arguments;
+    let order = (reel.max_bytes, path.as_ref());
+    let drawn = picture.draw_reel(order, &kinds.client, &off, &source, &out)?;
+    if json {
+        println!("{}", serde_json::json!(drawn));
+    }
+    Ok(())
 }

@@ -54,6 +54,31 @@ fn bake_can_be_listed_shown_watched_fetched_inspected_and_drawn() {
     assert!(streamed(&least.to_string(), 0).stderr().contains("the overview, and 0 of"), "{refused}");
     assert_ne!(std::fs::read(&png).unwrap(), whole);
     streamed("2MB", 2);
+    let path = folder.path().join("path.json");
+    let key = |picture: u32, x: f32, power: u32| {
+        let lights = [format!("point pos={x},1,0.5 power={power}")];
+        serde_json::json!({ "picture": picture, "lights": lights })
+    };
+    let keys = serde_json::json!({ "keys": [key(1, 0.3, 5), key(3, 0.7, 50)] });
+    std::fs::write(&path, keys.to_string()).unwrap();
+    let along = |code: i32| {
+        let of_picture = ["--size", "64x48", "--backend", "cpu", "--json", "--path", path.to_str().unwrap()];
+        run(kiln(folder.path()), &[&["preview", &bundle, "--out", &png], &of_picture[..]].concat(), code)
+    };
+    let drawn = along(0).json();
+    let files: Vec<&str> =
+        drawn["pictures"].as_array().unwrap().iter().map(|file| file.as_str().unwrap()).collect();
+    assert!(files.len() == 3 && files[1].ends_with("picture-0002.png"), "{drawn}");
+    let mean = |file: &&str| {
+        let bytes = image::open(file).unwrap().into_luma8();
+        bytes.iter().map(|value| f64::from(*value)).sum::<f64>() / bytes.len() as f64
+    };
+    // All have the first picture's exposure.
+    let brightness: Vec<f64> = files.iter().map(mean).collect();
+    assert!(brightness[0] + 2.0 < brightness[1] && brightness[1] + 2.0 < brightness[2], "{brightness:?}");
+    std::fs::write(&path, r#"{"keys": [{"picture": 1, "lights": ["lamp"]}]}"#).unwrap();
+    let words = along(2).stderr().to_owned();
+    assert!(words.contains("path.json") && words.contains("'lamp'"), "{words}");
 
     let figures = run(kiln(folder.path()), &["inspect", &bundle, "--json"], 0).json();
     assert!(figures["receivers"].as_u64().unwrap() > 0, "{figures}");

@@ -1,0 +1,255 @@
+//! A frame that stays: what changes lights, emitters or the camera writes to buffers and makes none, and nothing waits for the adapter.
+//!
+//! ```text
+//! set_lights ───▶ shadow maps ─▶ direct ─▶ bounce, bounce, … ─▶ publish ─▶ draw
+//! set_emitters ──────────────────────────▶    (once a frame, until they change nothing)
+//! set_camera ───▶ cascades of suns ──────────────────────────────────────▶ draw
+//! ```
+//! Bounces go on from the light that there is: after a small change a few are enough.
+
+#[cfg(test)]
+mod tests;
+
+use glam::{Vec3, Vec4};
+use lightkiln_proto::relight::Limit;
+use lightkiln_proto::scene::{SceneCamera, SceneLight};
+
+use crate::bake::{LightPasses, LoadedBake, Unshadowed};
+use crate::error::Result;
+use crate::lights::{Caster, Sky, check_lights};
+use crate::passes::change::ChangePass;
+use crate::passes::gpu::Gpu;
+use crate::passes::meshes::Meshes;
+use crate::passes::shade::{ShadePass, ShadeView};
+use crate::passes::shadow::{Eye, ShadowPass, ShadowPlan, ShadowRoom};
+
+/// Room of a frame's buffers: what changes within it makes none.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FrameRoom {
+    /// Width and height in pixels.
+    pub size: [u32; 2],
+    /// Lights and their shadow maps.
+    pub shadows: ShadowRoom,
+}
+
+/// All passes of a bake, with their buffers.
+pub struct Frame<'a> {
+    gpu: &'a Gpu,
+    bake: &'a LoadedBake,
+    room: FrameRoom,
+    meshes: Meshes,
+    pub(crate) shadow: ShadowPass,
+    light: Box<dyn LightPasses>,
+    /// None for a kind without feedback.
+    change: Option<ChangePass>,
+    shade: ShadePass,
+    casters: Vec<Caster>,
+    sky: Sky,
+    emitter_scale: Vec<f32>,
+    camera: SceneCamera,
+    pub(crate) plan: ShadowPlan,
+    stale: Stale,
+    bounces: Bounces,
+}
+
+/// Work that changes have left to do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Stale {
+    /// All shadow maps, and E_dir.
+    lights: bool,
+    /// Cascades alone.
+    cascades: bool,
+    /// What shading reads of the last bounce.
+    pages: bool,
+}
+
+/// Bounces since the last change.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Bounces {
+    count: u32,
+    /// Call of the first of them: answers before it are of other light.
+    first_call: u64,
+    /// The last change that was heard of.
+    change: Option<f32>,
+}
+
+impl<'a> Frame<'a> {
+    /// Uploads a bake and makes all buffers and pipelines: without lights, seen by `camera`.
+    pub fn new(gpu: &'a Gpu, bake: &'a LoadedBake, room: FrameRoom, camera: SceneCamera) -> Result<Self> {
+        let scene = &bake.scene;
+        let meshes = Meshes::new(gpu, scene)?;
+        let shadow = ShadowPass::new(gpu, scene, &meshes, &room.shadows)?;
+        let light = bake.light.passes(gpu, scene, &shadow, room.size)?;
+        let shading = (&bake.light.shading(), &light.bindings()[..]);
+        let shade = ShadePass::new(gpu, scene, &meshes, &shadow, shading, room.size)?;
+        let change = light.feedback().map(|feedback| ChangePass::new(gpu, feedback)).transpose()?;
+        gpu.check()?;
+        let plan = ShadowPlan::within(&room.shadows, &[], scene.manifest.bounds_m, None)?;
+        let mut frame = Self {
+            gpu,
+            bake,
+            room,
+            meshes,
+            shadow,
+            light,
+            change,
+            shade,
+            casters: Vec::new(),
+            sky: Sky::of(&[]),
+            emitter_scale: Vec::new(),
+            camera,
+            plan,
+            stale: Stale { lights: true, cascades: true, pages: true },
+            bounces: Bounces::default(),
+        };
+        frame.set_camera(frame.camera.clone())?;
+        frame.write_unshadowed();
+        Ok(frame)
+    }
+
+    /// Sets lights and skies. Errs, and changes nothing, where they are more than the room holds.
+    pub fn set_lights(&mut self, lights: &[SceneLight]) -> Result<()> {
+        check_lights(lights)?;
+        let (casters, sky) = (Caster::of(lights), Sky::of(lights));
+        if (&casters, sky) == (&self.casters, self.sky) {
+            return Ok(());
+        }
+        self.plan = self.planned(&casters, &self.camera)?;
+        (self.casters, self.sky) = (casters, sky);
+        self.shadow.set(self.gpu, &self.plan);
+        self.write_unshadowed();
+        Ok(())
+    }
+
+    /// Sets the emitters' strengths, one factor each; 1 where absent.
+    pub fn set_emitters(&mut self, scale: &[f32]) {
+        if scale == self.emitter_scale {
+            return;
+        }
+        self.emitter_scale = scale.to_vec();
+        self.write_unshadowed();
+    }
+
+    /// Sets the camera.
+    pub fn set_camera(&mut self, camera: SceneCamera) -> Result<()> {
+        self.view(&camera, [0.0; 2])?;
+        let plan = self.planned(&self.casters, &camera)?;
+        self.camera = camera;
+        if plan != self.plan {
+            self.plan = plan;
+            self.shadow.set(self.gpu, &self.plan);
+            self.stale.cascades = true;
+        }
+        Ok(())
+    }
+
+    /// One bounce more, and before it what changes ask for. Waits for nothing; ends with the number of bounces since the last change.
+    pub fn advance(&mut self) -> Result<u32> {
+        self.draw_shadows();
+        let Some(change) = &mut self.change else { return Ok(0) };
+        self.gpu.submit(|encoder| self.light.bounce(encoder));
+        let call = change.ask(self.gpu);
+        if self.bounces.count == 0 {
+            self.bounces.first_call = call;
+        }
+        self.bounces.count += 1;
+        self.stale.pages = true;
+        self.hear(false)?;
+        Ok(self.bounces.count)
+    }
+
+    /// The last change by a bounce that was heard of, since lights changed; 0 for a kind without feedback.
+    pub fn change(&self) -> Option<f32> {
+        if self.change.is_none() { Some(0.0) } else { self.bounces.change }
+    }
+
+    /// Bounces until they change less than the limit, each waited for: their number, and whether they converged.
+    pub fn settle(&mut self, limit: Limit) -> Result<(u32, bool)> {
+        self.draw_shadows();
+        let is_settled = |frame: &Self| {
+            frame.change.is_none() || frame.change().is_some_and(|change| change < limit.change_max)
+        };
+        while !is_settled(self) && self.bounces.count < limit.bounces_max {
+            self.advance()?;
+            self.hear(true)?;
+        }
+        Ok((self.bounces.count, is_settled(self)))
+    }
+
+    /// Draws one sample per pixel, `jitter` pixels (right, down) from the pixels' middles, with the light of the last bounce.
+    pub fn draw(&mut self, jitter: [f32; 2]) -> Result<()> {
+        self.draw_shadows();
+        let view = self.view(&self.camera, jitter)?;
+        let publishes = std::mem::take(&mut self.stale.pages);
+        self.gpu.submit(|encoder| {
+            if publishes {
+                self.light.publish(encoder);
+            }
+            self.light.prepare_view(self.gpu, encoder, &view);
+        });
+        self.shade.draw(self.gpu, &self.meshes, &self.shadow, &view);
+        Ok(())
+    }
+
+    /// The sample drawn last, after a wait: rgb radiance in W·m⁻²·sr⁻¹, alpha 1 on surfaces.
+    pub fn read(&self) -> Result<Vec<Vec4>> {
+        self.shade.read(self.gpu)
+    }
+
+    /// A view of the sample that is drawn, for a pass of one's own: Rgba32Float, rgb radiance, alpha 1 on surfaces.
+    pub fn target(&self) -> &wgpu::Texture {
+        self.shade.target()
+    }
+
+    fn planned(&self, casters: &[Caster], camera: &SceneCamera) -> Result<ShadowPlan> {
+        let bounds_m = self.bake.scene.manifest.bounds_m;
+        ShadowPlan::within(&self.room.shadows, casters, bounds_m, eye_of(camera))
+    }
+
+    fn view(&self, camera: &SceneCamera, jitter: [f32; 2]) -> Result<ShadeView> {
+        ShadeView::new(camera, self.room.size, self.bake.scene.manifest.bounds_m, self.sky, jitter)
+    }
+
+    /// Writes light that no shadow map has: all bounces are of other light from here on.
+    fn write_unshadowed(&mut self) {
+        let light = Unshadowed { sky: self.sky, emitter_scale: &self.emitter_scale };
+        self.light.set_unshadowed(self.gpu, &self.bake.light.unshadowed(light));
+        self.shade.set_emitters(self.gpu, &self.bake.scene, &self.emitter_scale);
+        self.stale = Stale { lights: true, cascades: true, pages: true };
+        self.bounces = Bounces::default();
+    }
+
+    /// Takes the answers that are there, or waits for all that are under way.
+    fn hear(&mut self, waits: bool) -> Result<()> {
+        let Some(change) = &mut self.change else { return Ok(()) };
+        for answer in change.answers(self.gpu, waits)? {
+            if answer.call >= self.bounces.first_call {
+                self.bounces.change = Some(answer.change);
+            }
+        }
+        Ok(())
+    }
+
+    /// Draws the shadow maps that changes ask for, and E_dir.
+    fn draw_shadows(&mut self) {
+        let Stale { lights, cascades, .. } = self.stale;
+        let first = if lights { 0 } else { self.plan.first_cascade };
+        if !cascades {
+            return;
+        }
+        self.gpu.submit(|encoder| {
+            self.shadow.record(encoder, &self.meshes, first..self.plan.faces.len());
+            if lights {
+                self.light.relit(encoder, &self.shadow);
+            }
+        });
+        (self.stale.lights, self.stale.cascades) = (false, false);
+    }
+}
+
+/// Where suns' cascades are; none for a parallel camera, which sees all alike.
+pub(crate) fn eye_of(camera: &SceneCamera) -> Option<Eye> {
+    let [position_m, target_m] = [camera.eye_m, camera.target_m].map(Vec3::from);
+    let forward = (target_m - position_m).try_normalize()?;
+    camera.orthographic_half_height_m.is_none().then_some(Eye { position_m, forward })
+}

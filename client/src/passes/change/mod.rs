@@ -1,0 +1,152 @@
+//! The change of E_ind from one bounce to the next, `Σ|E − E before| / Σ|E|`, which tells when bounces have converged. It is found on
+//! the adapter, and read without a wait.
+
+pub mod reference;
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU8, Ordering};
+
+use glam::{Vec2, Vec4};
+
+use crate::error::Result;
+use crate::passes::gpu::{Gpu, failed};
+
+/// The shader.
+pub const SHADER: &str = include_str!("change.wgsl");
+/// Largest relative difference from the reference, whose sums are in f64: those of the adapter are in f32, by strides and trees.
+pub const TOLERANCE: f32 = 1e-4;
+/// Threads of a workgroup in the shader.
+const THREADS: u32 = 64;
+/// Most workgroups of the first step: enough for a large adapter, few for the second.
+const GROUPS_MAX: u32 = 512;
+/// Answers that may be under way at once. More → a change is heard of in every frame, though the adapter is frames behind.
+const LANDINGS: usize = 3;
+
+/// Numbers of the pass; twin of `Change` in the shader.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
+pub struct ChangeNumbers {
+    /// Receivers.
+    pub receiver_count: u32,
+    /// Threads of the first step.
+    pub stride: u32,
+}
+
+/// States of a landing.
+const FREE: u8 = 0;
+const UNDER_WAY: u8 = 1;
+const THERE: u8 = 2;
+const LOST: u8 = 3;
+
+/// A buffer that an answer is read from.
+#[derive(Debug)]
+struct Landing {
+    buffer: wgpu::Buffer,
+    state: Arc<AtomicU8>,
+    /// Number of the call whose answer it holds.
+    call: u64,
+}
+
+/// The pass on the adapter.
+#[derive(Debug)]
+pub struct ChangePass {
+    steps: [(wgpu::ComputePipeline, wgpu::BindGroup, u32); 2],
+    result: wgpu::Buffer,
+    landings: Vec<Landing>,
+    calls: u64,
+}
+
+/// An answer of the pass.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Answer {
+    /// Number of the call, from 1.
+    pub call: u64,
+    /// Relative change since the call before; 0 when both are black.
+    pub change: f32,
+}
+
+impl ChangePass {
+    /// Binds E_ind of so many receivers; the first call compares it with black.
+    pub fn new(gpu: &Gpu, (e_ind, receivers): (&wgpu::Buffer, usize)) -> Result<Self> {
+        let groups = (receivers as u32).div_ceil(THREADS).clamp(1, GROUPS_MAX);
+        let numbers = ChangeNumbers { receiver_count: receivers as u32, stride: groups * THREADS };
+        let (numbers, before, sums, result) = (
+            gpu.uniform("change", &numbers),
+            gpu.blank("E_ind before", (receivers * size_of::<Vec4>()) as u64)?,
+            // As long as it is bound: the second step goes through all of it.
+            gpu.blank("sums of groups", u64::from(groups) * size_of::<Vec2>() as u64)?,
+            gpu.blank("sums", size_of::<Vec2>() as u64)?,
+        );
+        let step = |entry: &str, groups: u32, bound: &[(u32, &wgpu::Buffer)]| {
+            let pipeline = gpu.compute(entry, SHADER, entry);
+            let bound: Vec<_> = bound.iter().map(|(at, buffer)| (*at, buffer.as_entire_binding())).collect();
+            let group = gpu.bind_at(&pipeline.get_bind_group_layout(0), &bound);
+            (pipeline, group, groups)
+        };
+        let steps = [
+            step("sum_of_groups", groups, &[(0, &numbers), (1, e_ind), (2, &before), (3, &sums)]),
+            step("sum_of_all", 1, &[(3, &sums), (4, &result)]),
+        ];
+        let landing = |_| Landing {
+            buffer: gpu.buffer("change read back", size_of::<Vec2>() as u64, wgpu::BufferUsages::MAP_READ),
+            state: Arc::new(AtomicU8::new(FREE)),
+            call: 0,
+        };
+        Ok(Self { steps, result, landings: (0..LANDINGS).map(landing).collect(), calls: 0 })
+    }
+
+    /// Runs the pass; its answer comes later. Where too many are under way, there is none for this call.
+    pub fn ask(&mut self, gpu: &Gpu) -> u64 {
+        self.calls += 1;
+        let landing = self.landings.iter_mut().find(|landing| landing.state.load(Ordering::Acquire) == FREE);
+        gpu.submit(|encoder| {
+            let mut pass = encoder.begin_compute_pass(&Default::default());
+            for (pipeline, group, groups) in &self.steps {
+                pass.set_pipeline(pipeline);
+                pass.set_bind_group(0, group, &[]);
+                pass.dispatch_workgroups(*groups, 1, 1);
+            }
+            drop(pass);
+            if let Some(landing) = &landing {
+                let bytes = size_of::<Vec2>() as u64;
+                encoder.copy_buffer_to_buffer(&self.result, 0, &landing.buffer, 0, bytes);
+            }
+        });
+        if let Some(landing) = landing {
+            landing.call = self.calls;
+            landing.state.store(UNDER_WAY, Ordering::Release);
+            let state = Arc::clone(&landing.state);
+            landing.buffer.map_async(wgpu::MapMode::Read, .., move |result| {
+                state.store(if result.is_ok() { THERE } else { LOST }, Ordering::Release);
+            });
+        }
+        self.calls
+    }
+
+    /// The answers that are there, oldest first; after a wait for all that are under way if asked.
+    pub fn answers(&mut self, gpu: &Gpu, waits: bool) -> Result<Vec<Answer>> {
+        gpu.poll(waits)?;
+        let mut found = Vec::new();
+        for landing in &mut self.landings {
+            match landing.state.load(Ordering::Acquire) {
+                THERE => {}
+                LOST => return Err(failed(format!("{} gave nothing back", gpu.name))),
+                _ => continue,
+            }
+            let view = landing
+                .buffer
+                .get_mapped_range(..)
+                .map_err(|error| failed(format!("{} gave nothing back ({error})", gpu.name)))?;
+            let [sums] = bytemuck::pod_collect_to_vec::<u8, [f32; 2]>(&view[..size_of::<Vec2>()])[..] else {
+                return Err(failed(format!("{} gave too little back", gpu.name)));
+            };
+            drop(view);
+            landing.buffer.unmap();
+            landing.state.store(FREE, Ordering::Release);
+            let change = if sums[1] > 0.0 { sums[0] / sums[1] } else { 0.0 };
+            found.push(Answer { call: landing.call, change });
+        }
+        found.sort_by_key(|answer| answer.call);
+        Ok(found)
+    }
+}

@@ -1,0 +1,264 @@
+//! A path of camera and lights: keys at numbered pictures, and the views between them.
+
+use glam::Vec3;
+use lightkiln_proto::scene::{LightKind, SceneCamera, SceneLight};
+use serde::Deserialize;
+
+use super::View;
+use crate::error::{ClientError, Result};
+use crate::lights::{ParsedLights, parse_camera, parse_lights};
+
+/// Most pictures of a path.
+pub const PICTURES_MAX: u32 = 10_000;
+/// Most bytes of a path's file.
+pub const FILE_MAX: u64 = 1 << 20;
+
+/// Keys with ascending numbers; the first is number 1.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ViewPath(Vec<Key>);
+
+/// Where camera and lights are in a picture.
+#[derive(Clone, Debug, PartialEq)]
+struct Key {
+    picture: u32,
+    camera: Option<SceneCamera>,
+    lights: Option<ParsedLights>,
+}
+
+/// A file of keys.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    keys: Vec<Words>,
+}
+
+/// A key as people write it: words of the command line.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Words {
+    picture: u32,
+    camera: Option<String>,
+    lights: Option<Vec<String>>,
+}
+
+fn wrong(what: impl Into<String>, problem: impl Into<String>) -> ClientError {
+    ClientError::Argument { what: what.into(), problem: problem.into() }
+}
+
+impl ViewPath {
+    /// Reads a file's JSON: `{"keys": [{"picture": 1, "camera": "eye=… target=…", "lights": ["point pos=… power=20"]}, …]}`.
+    pub fn parse(json: &[u8]) -> Result<Self> {
+        let File { keys } = serde_json::from_slice(json).map_err(|error| {
+            wrong(
+                "the path",
+                format!(
+                    "cannot be read ({error}); it is {{\"keys\": [{{\"picture\": 1, \"camera\": …, \"lights\": […]}}, …]}}"
+                ),
+            )
+        })?;
+        let key = |Words { picture, camera, lights }: Words| -> Result<Key> {
+            let camera = camera.as_deref().map(parse_camera).transpose()?;
+            Ok(Key { picture, camera, lights: lights.map(|lights| parse_lights(&lights)).transpose()? })
+        };
+        let keys = keys.into_iter().map(key).collect::<Result<Vec<Key>>>()?;
+        match keys.first() {
+            None => return Err(wrong("the path", "has no keys")),
+            Some(first) if first.picture != 1 => {
+                return Err(wrong(
+                    format!("picture {}", first.picture),
+                    "is no first key: pictures count from 1",
+                ));
+            }
+            Some(_) => {}
+        }
+        keys.windows(2).try_for_each(|pair| pair[0].check(&pair[1]))?;
+        Ok(Self(keys))
+    }
+
+    /// Number of pictures.
+    pub fn pictures(&self) -> u32 {
+        self.0.last().map_or(0, |key| key.picture)
+    }
+
+    /// The views of all pictures; what keys leave out is that of `base`.
+    pub fn views(&self, base: &View) -> Vec<View> {
+        (1..=self.pictures()).map(|picture| self.view(picture, base)).collect()
+    }
+
+    fn view(&self, picture: u32, base: &View) -> View {
+        let next = self.0.partition_point(|key| key.picture < picture).min(self.0.len() - 1);
+        let (a, b) = (&self.0[next.saturating_sub(1)], &self.0[next]);
+        let length = (b.picture - a.picture).max(1);
+        let share = if picture < b.picture { (picture - a.picture) as f32 / length as f32 } else { 1.0 };
+        let mut view = base.clone();
+        if let (Some(a), Some(b)) = (&a.camera, &b.camera) {
+            view.camera = camera_between(a, b, share);
+        }
+        if let (Some(a), Some(b)) = (&a.lights, &b.lights) {
+            let pairs = a.lights.iter().zip(&b.lights);
+            view.lights = pairs.map(|(a, b)| light_between(a, b, share)).collect();
+            if let (Some(a), Some(b)) = (a.emitter_scale, b.emitter_scale) {
+                view.emitter_scale.fill(mix(a, b, share));
+            }
+        }
+        view
+    }
+}
+
+impl Key {
+    /// The next key goes on from this one.
+    fn check(&self, next: &Self) -> Result<()> {
+        let place = format!("key of picture {}", next.picture);
+        if next.picture <= self.picture || next.picture > PICTURES_MAX {
+            let problem =
+                format!("comes after picture {}: numbers ascend, to {PICTURES_MAX} at most", self.picture);
+            return Err(wrong(place, problem));
+        }
+        let has_both = |a: bool, b: bool, what: &str| {
+            let problem = format!("either all keys have {what} or none has");
+            if a == b { Ok(()) } else { Err(wrong(place.clone(), problem)) }
+        };
+        has_both(self.camera.is_some(), next.camera.is_some(), "a camera")?;
+        has_both(self.lights.is_some(), next.lights.is_some(), "lights")?;
+        let (Some(a), Some(b)) = (&self.lights, &next.lights) else { return Ok(()) };
+        has_both(a.emitter_scale.is_some(), b.emitter_scale.is_some(), "'emitters'")?;
+        let kind = |light: &SceneLight| std::mem::discriminant(&light.kind);
+        if a.lights.iter().map(kind).eq(b.lights.iter().map(kind)) {
+            return Ok(());
+        }
+        Err(wrong(place, "has other kinds of lights than the key before: give the same, in the same order"))
+    }
+}
+
+fn mix(a: f32, b: f32, share: f32) -> f32 {
+    // To the bit one or the other at the ends.
+    if share >= 1.0 { b } else { a + (b - a) * share }
+}
+
+fn mix3(a: [f32; 3], b: [f32; 3], share: f32) -> [f32; 3] {
+    [0, 1, 2].map(|axis| mix(a[axis], b[axis], share))
+}
+
+/// The direction on the great circle's chord; the first one where two are opposite.
+fn turned(a: [f32; 3], b: [f32; 3], share: f32) -> [f32; 3] {
+    if share <= 0.0 || share >= 1.0 {
+        return if share <= 0.0 { a } else { b };
+    }
+    Vec3::from(mix3(a, b, share)).try_normalize().map_or(a, Into::into)
+}
+
+fn camera_between(a: &SceneCamera, b: &SceneCamera, share: f32) -> SceneCamera {
+    let half_heights = a.orthographic_half_height_m.zip(b.orthographic_half_height_m);
+    SceneCamera {
+        name: a.name.clone(),
+        eye_m: mix3(a.eye_m, b.eye_m, share),
+        target_m: mix3(a.target_m, b.target_m, share),
+        up: turned(a.up, b.up, share),
+        fov_y_rad: mix(a.fov_y_rad, b.fov_y_rad, share),
+        orthographic_half_height_m: half_heights.map(|(a, b)| mix(a, b, share)),
+    }
+}
+
+fn light_between(a: &SceneLight, b: &SceneLight, share: f32) -> SceneLight {
+    use LightKind::{Point, Sky, Spot, Sun};
+    let range = |a: Option<f32>, b: Option<f32>| a.zip(b).map(|(a, b)| mix(a, b, share));
+    let kind = match (&a.kind, &b.kind) {
+        (Point { position_m: p, range_m: r }, Point { position_m: q, range_m: s }) => {
+            Point { position_m: mix3(*p, *q, share), range_m: range(*r, *s) }
+        }
+        (
+            Spot { position_m: p, direction: d, inner_rad: i, outer_rad: o, range_m: r },
+            Spot { position_m: q, direction: e, inner_rad: j, outer_rad: u, range_m: s },
+        ) => Spot {
+            position_m: mix3(*p, *q, share),
+            direction: turned(*d, *e, share),
+            inner_rad: mix(*i, *j, share),
+            outer_rad: mix(*o, *u, share),
+            range_m: range(*r, *s),
+        },
+        (Sun { direction: d }, Sun { direction: e }) => Sun { direction: turned(*d, *e, share) },
+        (Sky { zenith: z, horizon: h }, Sky { zenith: y, horizon: g }) => {
+            Sky { zenith: mix3(*z, *y, share), horizon: mix3(*h, *g, share) }
+        }
+        // Keys have the same kinds.
+        (other, _) => other.clone(),
+    };
+    SceneLight { name: a.name.clone(), kind, strength: mix3(a.strength, b.strength, share) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tests::fixture_view;
+
+    fn parsed(json: &serde_json::Value) -> Result<ViewPath> {
+        ViewPath::parse(json.to_string().as_bytes())
+    }
+
+    #[test]
+    fn views_go_evenly_from_key_to_key_and_hit_them() {
+        let path = parsed(&serde_json::json!({ "keys": [
+            { "picture": 1, "camera": "eye=0,1,4 target=0,1,0 fov=50", "lights": ["point pos=0,2,0 power=10", "sun dir=0,-1,0 irradiance=1"] },
+            { "picture": 5, "camera": "eye=4,1,0 target=0,1,0 fov=30", "lights": ["point pos=2,2,0 power=20", "sun dir=1,0,0 irradiance=3"] },
+            { "picture": 6, "camera": "eye=0,1,0 target=1,1,0 fov=30", "lights": ["point pos=2,2,8 power=20", "sun dir=1,0,0 irradiance=3"] },
+        ] }))
+        .unwrap();
+        let (_, base) = fixture_view();
+        let views = path.views(&base);
+        assert_eq!((views.len(), path.pictures()), (6, 6));
+        assert_eq!(views[2].camera.eye_m, [2.0, 1.0, 2.0]);
+        assert_eq!([views[4].camera.eye_m, views[5].camera.eye_m], [[4.0, 1.0, 0.0], [0.0, 1.0, 0.0]]);
+        let point = |view: &View| match view.lights[0].kind {
+            LightKind::Point { position_m, .. } => position_m,
+            _ => panic!("{:?}", view.lights),
+        };
+        assert_eq!(
+            [1, 4, 5].map(|at| point(&views[at])),
+            [[0.5, 2.0, 0.0], [2.0, 2.0, 0.0], [2.0, 2.0, 8.0]]
+        );
+        let LightKind::Sun { direction } = views[2].lights[1].kind else { panic!("no sun") };
+        assert!((Vec3::from(direction) - Vec3::new(0.5, -0.5, 0.0).normalize()).length() < 1e-6);
+        assert!((views[2].lights[1].strength[0] - 2.0).abs() < 1e-6);
+        // Size, exposure and the like stay.
+        assert_eq!(views[3].size(), base.size());
+    }
+
+    #[test]
+    fn what_keys_leave_out_stays_and_one_key_is_one_picture() {
+        let (_, base) = fixture_view();
+        let lamp = parsed(&serde_json::json!({ "keys": [
+            { "picture": 1, "lights": ["emitters scale=0"] }, { "picture": 3, "lights": ["emitters scale=2"] },
+        ] }))
+        .unwrap();
+        let views = lamp.views(&base);
+        assert!(views.iter().all(|view| view.camera == base.camera && view.lights.is_empty()));
+        assert_eq!(views.iter().map(|view| view.emitter_scale[0]).collect::<Vec<_>>(), [0.0, 1.0, 2.0]);
+        let still = parsed(&serde_json::json!({ "keys": [{ "picture": 1 }] })).unwrap();
+        assert_eq!(still.views(&base), [base]);
+    }
+
+    #[test]
+    fn keys_that_do_not_go_together_are_errors_that_name_them() {
+        let camera = "eye=0,1,4 target=0,1,0 fov=50";
+        for (keys, word) in [
+            (serde_json::json!([]), "no keys"),
+            (serde_json::json!([{ "picture": 2 }]), "count from 1"),
+            (serde_json::json!([{ "picture": 1 }, { "picture": 1 }]), "picture 1"),
+            (serde_json::json!([{ "picture": 1 }, { "picture": 20_000 }]), "10000"),
+            (serde_json::json!([{ "picture": 1, "camera": camera }, { "picture": 9 }]), "a camera"),
+            (serde_json::json!([{ "picture": 1, "camera": "eye=0" }]), "eye=0"),
+            (
+                serde_json::json!([
+                    { "picture": 1, "lights": ["sun dir=0,-1,0 irradiance=1"] },
+                    { "picture": 9, "lights": ["point pos=0,2,0 power=10"] },
+                ]),
+                "picture 9",
+            ),
+        ] {
+            let error = parsed(&serde_json::json!({ "keys": keys })).unwrap_err().to_string();
+            assert!(error.contains(word), "{error}");
+        }
+        let error = ViewPath::parse(b"[1]").unwrap_err().to_string();
+        assert!(error.contains("keys"), "{error}");
+    }
+}
