@@ -43,8 +43,8 @@ pub use rooms::{
 };
 pub use scales::{boxes, room, room_and_a_far_triangle, room_on_a_plain};
 pub use stripes::{
-    CREST_M, FLOOR_BORDERS_M, PANELS_BORDER_M, PARTING_M, STRIP_M, STRIPE_BORDERS_M, bent_panel,
-    hollow_at_a_border, panel_through_a_wall, parted_floor, striped_wall,
+    BORDER_SHEET_M, CREST_M, FLOOR_BORDERS_M, PANELS_BORDER_M, PARTING_M, STRIP_M, STRIPE_BORDERS_M,
+    bent_panel, floor_through_a_wall, hollow_at_a_border, panel_through_a_wall, parted_floor, striped_wall,
 };
 
 /// Every stored scene: file name without extension, and the bytes of its `.glb`.

@@ -22,6 +22,8 @@ pub const PANELS_BORDER_M: f32 = 0.03;
 pub const CREST_M: f32 = 0.25;
 /// Width of the strip that is free there.
 pub const STRIP_M: f32 = 0.006;
+/// Where the sheet of [`floor_through_a_wall`] stands, x in metres.
+pub const BORDER_SHEET_M: f32 = 0.25;
 /// Where the sheet of [`panel_through_a_wall`] stands, x in metres.
 pub const PARTING_M: f32 = 0.085;
 
@@ -133,6 +135,29 @@ pub fn panel_through_a_wall() -> Vec<u8> {
         [along(-0.1, near_m), along(-0.1, far_m), along(top_m, far_m), along(top_m, near_m)],
         [Vec2::ZERO; 4],
     );
+    glb.object("parting", &parting, sheet);
+    glb.finish()
+}
+
+/// A room of 4 × 2.5 × 4 m with a lamp in its right part; a sheet at x = [`BORDER_SHEET_M`], a line of a lattice of 1/8 m, keeps the left one
+/// dark. The floor of the dark part goes on for 2 mm beyond the sheet, where that of the lit one begins.
+pub fn floor_through_a_wall() -> Vec<u8> {
+    let mut glb = Glb::new("floor_through_a_wall");
+    let plaster = glb.material(Surface::diffuse("plaster", PLASTER));
+    let stone = glb.material(Surface::diffuse("stone", [0.5, 0.45, 0.38]));
+    let sheet = glb.material(Surface::diffuse("sheet", PLASTER).double_sided());
+    let lamp = glb.material(Surface::diffuse("lamp", [0.78; 3]).emitting([30.0; 3]));
+    glb.object("walls", &shapes::room(MIN, MAX, &[Side::Bottom]), plaster);
+    let corner = Vec3::new(1.2, 1.2, -0.1);
+    glb.object("lamp", &shapes::cuboid(corner, corner + Vec3::splat(0.2), &[]), lamp);
+    let across = |x_m: f32| [Vec3::new(x_m, MIN.y, MAX.z), Vec3::new(x_m, MIN.y, MIN.z)];
+    let border = across(BORDER_SHEET_M + 0.002);
+    strips(&mut glb, "plank", [across(MIN.x), across(MAX.x)], [border].into_iter(), &[stone, plaster]);
+    let along = |y_m: f32, z_m: f32| Vec3::new(BORDER_SHEET_M, y_m, z_m);
+    let (near_m, far_m, top_m) = (MAX.z + 0.1, MIN.z - 0.1, MAX.y + 0.1);
+    let mut parting = Mesh::default();
+    let corners = [along(-0.1, near_m), along(-0.1, far_m), along(top_m, far_m), along(top_m, near_m)];
+    parting.face(corners, [Vec2::ZERO; 4]);
     glb.object("parting", &parting, sheet);
     glb.finish()
 }

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use glam::{DVec3, Vec3};
 use lightkiln_tests::harness::{Held, Recipe, bake};
 use lightkiln_tests::scenes::{
-    self, CREST_M, FLOOR_BORDERS_M, PANELS_BORDER_M, PARTING_M, STRIP_M, STRIPE_BORDERS_M,
+    self, BORDER_SHEET_M, CREST_M, FLOOR_BORDERS_M, PANELS_BORDER_M, PARTING_M, STRIP_M, STRIPE_BORDERS_M,
 };
 use lightkiln_worker::evaluate::{Evaluated, EvaluationError};
 use lightkiln_worker::kinds::BakeKinds;
@@ -14,7 +14,12 @@ use lightkiln_worker::task::Progress;
 
 use super::setup::{in_both_kinds, lamp_at, with_texels};
 
-in_both_kinds!(light_is_continuous_across_stripes, light_is_not_shared_through_a_wall);
+in_both_kinds!(
+    floor_that_ends_beyond_a_wall_is_not_dark_there,
+    light_is_continuous_across_stripes,
+    light_is_not_shared_through_a_wall,
+    panel_that_ends_behind_a_wall_is_not_dark_before_it,
+);
 
 const TEXEL_M: f32 = 0.1;
 const PLASTER: [f32; 3] = [0.7, 0.69, 0.66];
@@ -137,15 +142,30 @@ fn strip_between_a_border_and_a_hollow_is_lit_as_its_neighbour() {
 
 /// Behind a wall a panel ends beside a wall that goes on: what is seen of the texels there lies before the wall, and has none of the
 /// light of the dark room behind it.
-#[test]
-fn panel_that_ends_behind_a_wall_is_not_dark_before_it() {
+fn panel_that_ends_behind_a_wall_is_not_dark_before_it(kind: &'static str) {
     let rays: Vec<[Vec3; 2]> = [0.003, 0.01, 0.03, 0.1]
         .into_iter()
         .flat_map(|away_m| (1..=18).map(move |step| [PARTING_M + away_m, 0.1 * step as f32]))
         .map(|[x, y]| [Vec3::new(x, y, -1.6), Vec3::NEG_Z])
         .collect();
-    let found = shown_by_rays(scenes::panel_through_a_wall(), &with_texels("prt", 0.125, 256), &rays);
+    let found = shown_by_rays(scenes::panel_through_a_wall(), &with_texels(kind, 0.125, 256), &rays);
     let columns: Vec<&[f64]> = found.chunks(18).collect();
+    println!("{columns:.2?}");
+    let [strips @ .., open] = &columns[..] else { unreachable!() };
+    for strip in strips {
+        assert!(strip.iter().zip(*open).all(|(at_wall, beside)| at_wall > &(0.5 * beside)));
+    }
+}
+
+/// The floor of a dark room ends right beyond its wall: the strip there is lit as the floor that it goes on in.
+fn floor_that_ends_beyond_a_wall_is_not_dark_there(kind: &'static str) {
+    let rays: Vec<[Vec3; 2]> = [0.001, 0.01, 0.05]
+        .into_iter()
+        .flat_map(|away_m| (-8..=8).map(move |step| [BORDER_SHEET_M + away_m, 0.11 * step as f32]))
+        .map(|[x, z]| [Vec3::new(x, 0.5, z), Vec3::NEG_Y])
+        .collect();
+    let found = shown_by_rays(scenes::floor_through_a_wall(), &with_texels(kind, 0.125, 256), &rays);
+    let columns: Vec<&[f64]> = found.chunks(17).collect();
     println!("{columns:.2?}");
     let [strips @ .., open] = &columns[..] else { unreachable!() };
     for strip in strips {

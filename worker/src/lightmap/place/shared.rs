@@ -194,18 +194,20 @@ fn bent_light(world: &World, reading: &Reading) -> Option<GuestLight> {
 }
 
 /// Surface at a rim, and all rims in the guest's texel, sees a raised point. Of a texel that surface of the chart lies in, all of
-/// that is to see the lender: it would show its light. So is the receiver that stands for the texel, as what is seen of it may
-/// lie before a wall and all rims behind it; but a strip with the better claim, as beside a hollow, goes before it.
-fn suits(world: &World, Reading { block, texel: [x, y], rims, .. }: &Reading, rim: &Rim, to_m: Vec3) -> bool {
-    let sees = |rim: &Rim| world.is_linked(world.raised_on(*block, &rim.site), to_m);
+/// that is to see the lender: it would show its light. Where corners of it do not, as rims may lie behind a wall and what is seen
+/// before it, the receiver that stands for the texel is to; but a strip with the better claim, as beside a hollow, goes before it.
+fn suits(world: &World, reading: &Reading, rim: &Rim, to_m: Vec3) -> bool {
+    let Reading { block, texel: [x, y], rims, corners, .. } = reading;
+    let sees = |site: &Site| world.is_linked(world.raised_on(*block, site), to_m);
     let keeps_texel = |standing: u32| {
-        let is_parted = !world.is_linked(world.raised_receiver(standing), to_m);
         let look = |site: &Site| look_from(world, standing, site);
         let own = || look(&world.lightmap.receivers[standing as usize].site());
-        is_parted && !has_better_claim(&look(&rim.site), &own())
+        !world.is_linked(world.raised_receiver(standing), to_m)
+            && !corners.iter().all(sees)
+            && !has_better_claim(&look(&rim.site), &own())
     };
-    sees(rim)
-        && rims.iter().all(|rim| !rim.is_inside || sees(rim))
+    sees(&rim.site)
+        && rims.iter().all(|rim| !rim.is_inside || sees(&rim.site))
         && !world.standing_on(*block, (*x).into(), (*y).into()).is_some_and(keeps_texel)
 }
 
@@ -350,7 +352,10 @@ mod tests {
         };
         let square = Square { middle_m: Vec3::ZERO, right_m: Vec3::X, up_m: Vec3::Y };
         let site = receiver(0, [0, 0]).site();
-        let reading = |block: u32, texel: Texel| Reading { block, texel, square, site, rims: Vec::new() };
+        let reading = |block: u32, texel: Texel| {
+            let (rims, corners) = (Vec::new(), Vec::new());
+            Reading { block, texel, square, site, rims, corners }
+        };
         let before = lightmap.clone();
         let guests = [
             (reading(0, [0, 1]), GuestLight::Of(0)),

@@ -30,7 +30,7 @@ const READ_FROM: f32 = 0.5;
 const FROM_RIM: f32 = 1.0 / 64.0;
 /// Distance in texels within which a point of a piece's outline lies on the rim of its triangle.
 const ON_RIM: f32 = 1e-3;
-/// Most places of rims that are kept of a texel.
+/// Most places of rims, and of corners, that are kept of a texel.
 const RIMS_MAX: usize = 16;
 
 /// No chart reads a texel, or more than one does.
@@ -101,6 +101,8 @@ pub struct Reading {
     pub site: Site,
     /// Places along the rims of that surface's triangles, the nearest to the texel first.
     pub rims: Vec<Rim>,
+    /// Places right inside the corners of what surface lies in the texel itself.
+    pub corners: Vec<Site>,
 }
 
 /// A place at the rim of a triangle, which may be the border of its chart.
@@ -218,7 +220,8 @@ impl Found {
                 let of = &charts.triangles[triangle as usize];
                 let front = site_of(geometry, faces.reference(of), source_weights(of, middle));
                 let site = if faces.is_back { front.turned() } else { front };
-                found.read.push(Reading { block, texel, square, site, rims: Vec::new() });
+                let (rims, corners) = (Vec::new(), Vec::new());
+                found.read.push(Reading { block, texel, square, site, rims, corners });
             }
         }
         found.add_rims(geometry, faces, progress)?;
@@ -238,18 +241,25 @@ impl Found {
                 let Ok(at) = self.read.binary_search_by_key(&order(texel), |read| order(read.texel)) else {
                     continue;
                 };
-                let Reading { square, site, rims, .. } = &mut self.read[at];
+                let Reading { square, site, rims, corners: places, .. } = &mut self.read[at];
                 // A chart may hold specks that are folded over: what goes on beyond them faces the other side.
                 if faces.normal(geometry, triangle).dot(site.face_normal) <= 0.0 {
                     continue;
                 }
+                let on_triangle = |at: Vec2| {
+                    let weights = source_weights(triangle, at);
+                    let front = site_of(geometry, faces.reference(triangle), weights);
+                    if faces.is_back { front.turned() } else { front }
+                };
+                let room = RIMS_MAX - places.len();
+                places.extend(
+                    inside_corners(&clipped(corners, corner, corner + 1.0)).take(room).map(on_triangle),
+                );
                 let piece = clipped(corners, corner - READ_FROM, corner + 1.0 + READ_FROM);
                 for [inside, across] in beside_rims(&piece, corners) {
-                    let weights = source_weights(triangle, inside);
-                    let front = site_of(geometry, faces.reference(triangle), weights);
+                    let site = on_triangle(inside);
                     let step = across - inside;
-                    let across_m = front.position_m + square.right_m * step.x + square.up_m * step.y;
-                    let site = if faces.is_back { front.turned() } else { front };
+                    let across_m = site.position_m + square.right_m * step.x + square.up_m * step.y;
                     let is_inside = inside.cmpge(corner).all() && inside.cmple(corner + 1.0).all();
                     rims.push(Rim { site, across_m, across, is_inside });
                 }
@@ -262,6 +272,13 @@ impl Found {
         }
         Ok(())
     }
+}
+
+/// Points right inside the corners of a piece.
+fn inside_corners(piece: &[Vec2]) -> impl Iterator<Item = Vec2> + '_ {
+    let middle = area_and_middle(piece).map(|(_, middle)| middle);
+    let inwards = move |at: &Vec2| Some(*at + (middle? - at).clamp_length_max(FROM_RIM));
+    piece.iter().filter_map(inwards)
 }
 
 /// Of each side of a piece of a triangle that lies on the triangle's rim the point beside its middle, and the one beyond it.
