@@ -14,11 +14,12 @@ use lightkiln_proto::scene::{SceneCamera, SceneLight};
 use crate::bake::{LitScene, LoadedBake, Unshadowed};
 use crate::error::{ClientError, Result};
 use crate::frame::eye_of;
-use crate::lights::{Caster, Sky, camera_of, check_lights, lights_of};
+use crate::lights::{Caster, Sky, camera_of, check_lights, check_scale, lights_of};
 use crate::passes::gpu::Gpu;
 use crate::passes::shadow::reference::ShadowMaps;
-use crate::passes::shadow::{self, Eye, ShadowPlan};
+use crate::passes::shadow::{self, Eye, ShadowPlan, ShadowRoom};
 use crate::picture::{Exposure, Picture, Tone};
+use crate::raster::camera_clip_from_world;
 
 pub use debug::debug_picture;
 #[cfg(test)]
@@ -96,7 +97,8 @@ impl View {
             notes.extend(note);
             lights
         });
-        Ok((Self::new(camera, lights), notes))
+        let emitter_scale = vec![1.0; manifest.emitters.len()];
+        Ok((Self { emitter_scale, ..Self::new(camera, lights) }, notes))
     }
 
     /// A view with everything else at its default.
@@ -124,7 +126,7 @@ impl View {
         eye_of(&self.camera)
     }
 
-    fn check(&self) -> Result<()> {
+    fn check(&self, bounds_m: [[f32; 3]; 2]) -> Result<()> {
         let wrong =
             |what: String, problem: &str| Err(ClientError::Argument { what, problem: problem.to_owned() });
         if self.size().iter().any(|side| !(1..=MAX_SIDE).contains(side)) {
@@ -142,6 +144,8 @@ impl View {
                 "is a power of two in 64..=4096 texels",
             );
         }
+        check_scale(&self.emitter_scale)?;
+        camera_clip_from_world(&self.camera, self.size(), bounds_m)?;
         check_lights(&self.lights)
     }
 }
@@ -156,8 +160,8 @@ pub(crate) struct Prepared<'a> {
 
 impl<'a> Prepared<'a> {
     pub fn new(bake: &'a LoadedBake, view: &'a View) -> Result<Self> {
-        view.check()?;
         let bounds_m = bake.scene.manifest.bounds_m;
+        view.check(bounds_m)?;
         let plan = ShadowPlan::new(&Caster::of(&view.lights), bounds_m, view.shadow_side, view.eye())?;
         Ok(Self { bake, view, plan, sky: Sky::of(&view.lights) })
     }
@@ -175,33 +179,46 @@ impl<'a> Prepared<'a> {
 /// Draws a picture.
 pub fn render(bake: &LoadedBake, view: &View, backend: Backend) -> Result<Picture> {
     let mut drawn = None;
-    render_path(bake, std::slice::from_ref(view), backend, |_, picture| {
+    let take = |_, picture| {
         drawn = Some(picture);
         Ok(())
-    })?;
+    };
+    draw(bake, (1, &|_| view.clone()), backend, &mut Reel::new(take))?;
     drawn.ok_or_else(|| ClientError::Adapter { problem: "nothing was drawn".to_owned() })
 }
 
-/// Draws pictures of one size one after the other, each given to `take` with its index. On the adapter what changes between them makes
-/// no buffer, and bounces go on from the picture before. The first one's exposure is that of all.
+/// Draws pictures along a path, from what it leaves out of `base`; each is given to `take` with its index. On the adapter what changes
+/// between them makes no buffer, and bounces go on from the picture before. The exposure of the first that is not black is that of
+/// all. Errs before the first if a picture cannot be drawn.
 pub fn render_path(
     bake: &LoadedBake,
-    views: &[View],
+    path: &ViewPath,
+    base: &View,
     backend: Backend,
-    mut take: impl FnMut(usize, Picture) -> Result<()>,
+    take: impl FnMut(usize, Picture) -> Result<()>,
 ) -> Result<()> {
-    let prepared = views.iter().map(|view| Prepared::new(bake, view)).collect::<Result<Vec<_>>>()?;
-    if views.iter().any(|view| view.size() != views[0].size()) {
-        let problem = "are of different sizes; draw them one by one".to_owned();
-        return Err(ClientError::Argument { what: "the pictures of a path".to_owned(), problem });
-    }
-    let mut reel = Reel { take: &mut take, exposure: None, done: 0 };
+    let view = |index: usize| path.view(index as u32 + 1, base);
+    draw(bake, (path.pictures() as usize, &view), backend, &mut Reel::new(take)).map_err(
+        |error| match error {
+            ClientError::Argument { what, problem } => {
+                ClientError::Argument { what: format!("along the path, {what}"), problem }
+            }
+            error => error,
+        },
+    )
+}
+
+/// Views by index, all of one size, made when they are wanted.
+type Views<'a> = (usize, &'a dyn Fn(usize) -> View);
+
+fn draw(bake: &LoadedBake, views: Views<'_>, backend: Backend, reel: &mut Reel<'_>) -> Result<()> {
+    let room = room_of(bake, views)?;
     let reason = match backend {
         Backend::Cpu => "as asked".to_owned(),
-        Backend::Gpu => return gpu::render(&Gpu::open()?, &prepared, &mut reel),
+        Backend::Gpu => return gpu::render(&Gpu::open()?, bake, (views, room), reel),
         Backend::Auto => match Gpu::open() {
             Ok(gpu) if gpu.software => format!("{} is software", gpu.name),
-            Ok(gpu) => match gpu::render(&gpu, &prepared, &mut reel) {
+            Ok(gpu) => match gpu::render(&gpu, bake, (views, room), reel) {
                 Err(ClientError::Adapter { problem }) => problem,
                 drawn => return drawn,
             },
@@ -210,28 +227,61 @@ pub fn render_path(
         },
     };
     let drawn_by = format!("the processor, slower than a graphics adapter ({reason})");
-    for prepared in &prepared[reel.done..] {
-        let picture = cpu::render(prepared, reel.exposure_of(prepared.view))?;
+    for index in reel.done..views.0 {
+        let view = views.1(index);
+        let prepared = Prepared::new(bake, &view)?;
+        let picture = cpu::render(&prepared, reel.exposure_of(&view))?;
         reel.push(Picture { drawn_by: drawn_by.clone(), ..picture })?;
     }
     Ok(())
 }
 
+/// Room for the shadow maps of every view. Errs where one of them cannot be drawn, and says which.
+fn room_of(bake: &LoadedBake, (count, view): Views<'_>) -> Result<ShadowRoom> {
+    let mut all: Option<ShadowRoom> = None;
+    for index in 0..count {
+        let view = view(index);
+        let prepared = Prepared::new(bake, &view).map_err(|error| match error {
+            ClientError::Argument { what, problem } if count > 1 => {
+                ClientError::Argument { what: format!("picture {}: {what}", index + 1), problem }
+            }
+            error => error,
+        })?;
+        let own = prepared.plan.room();
+        all = Some(all.map_or(own, |all| ShadowRoom {
+            lights: all.lights.max(own.lights),
+            faces: all.faces.max(own.faces),
+            side: all.side.min(own.side),
+        }));
+    }
+    all.ok_or_else(|| ClientError::Argument {
+        what: "a path".to_owned(),
+        problem: "has no pictures".to_owned(),
+    })
+}
+
 /// Pictures that are drawn one after the other.
 struct Reel<'a> {
-    take: &'a mut dyn FnMut(usize, Picture) -> Result<()>,
-    /// That of the first picture.
+    take: Box<dyn FnMut(usize, Picture) -> Result<()> + 'a>,
+    /// That of the first picture that is not black.
     exposure: Option<Exposure>,
     done: usize,
 }
 
-impl Reel<'_> {
+impl<'a> Reel<'a> {
+    fn new(take: impl FnMut(usize, Picture) -> Result<()> + 'a) -> Self {
+        Self { take: Box::new(take), exposure: None, done: 0 }
+    }
+
     fn exposure_of(&self, view: &View) -> Exposure {
         self.exposure.unwrap_or(view.exposure)
     }
 
     fn push(&mut self, picture: Picture) -> Result<()> {
-        self.exposure.get_or_insert(Exposure::Fixed(picture.exposure));
+        let is_black = || picture.linear.iter().all(|radiance| *radiance == [0.0; 3]);
+        if self.exposure.is_none() && !is_black() {
+            self.exposure = Some(Exposure::Fixed(picture.exposure));
+        }
         self.done += 1;
         (self.take)(self.done - 1, picture)
     }

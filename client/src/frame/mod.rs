@@ -5,7 +5,8 @@
 //! set_emitters ──────────────────────────▶    (once a frame, until they change nothing)
 //! set_camera ───▶ cascades of suns ──────────────────────────────────────▶ draw
 //! ```
-//! Bounces go on from the light that there is: after a small change a few are enough.
+//! Bounces go on from the light that there is: after a small change a few are enough. Whoever shows frames paces them, as a window
+//! does: an adapter that is slower than the caller falls behind.
 
 #[cfg(test)]
 mod tests;
@@ -16,7 +17,7 @@ use lightkiln_proto::scene::{SceneCamera, SceneLight};
 
 use crate::bake::{LightPasses, LoadedBake, Unshadowed};
 use crate::error::Result;
-use crate::lights::{Caster, Sky, check_lights};
+use crate::lights::{Caster, Sky, check_lights, check_scale};
 use crate::passes::change::ChangePass;
 use crate::passes::gpu::Gpu;
 use crate::passes::meshes::Meshes;
@@ -59,6 +60,8 @@ struct Stale {
     lights: bool,
     /// Cascades alone.
     cascades: bool,
+    /// E_ind, which is to be black before the next bounce.
+    light: bool,
     /// What shading reads of the last bounce.
     pages: bool,
 }
@@ -77,6 +80,7 @@ impl<'a> Frame<'a> {
     /// Uploads a bake and makes all buffers and pipelines: without lights, seen by `camera`.
     pub fn new(gpu: &'a Gpu, bake: &'a LoadedBake, room: FrameRoom, camera: SceneCamera) -> Result<Self> {
         let scene = &bake.scene;
+        room.shadows.check()?;
         let meshes = Meshes::new(gpu, scene)?;
         let shadow = ShadowPass::new(gpu, scene, &meshes, &room.shadows)?;
         let light = bake.light.passes(gpu, scene, &shadow, room.size)?;
@@ -95,11 +99,11 @@ impl<'a> Frame<'a> {
             change,
             shade,
             casters: Vec::new(),
-            sky: Sky::of(&[]),
+            sky: Sky::default(),
             emitter_scale: Vec::new(),
             camera,
             plan,
-            stale: Stale { lights: true, cascades: true, pages: true },
+            stale: Stale { lights: true, cascades: true, light: true, pages: true },
             bounces: Bounces::default(),
         };
         frame.set_camera(frame.camera.clone())?;
@@ -111,23 +115,29 @@ impl<'a> Frame<'a> {
     pub fn set_lights(&mut self, lights: &[SceneLight]) -> Result<()> {
         check_lights(lights)?;
         let (casters, sky) = (Caster::of(lights), Sky::of(lights));
-        if (&casters, sky) == (&self.casters, self.sky) {
+        if casters == self.casters {
+            if sky != self.sky {
+                self.sky = sky;
+                self.write_unshadowed();
+            }
             return Ok(());
         }
         self.plan = self.planned(&casters, &self.camera)?;
         (self.casters, self.sky) = (casters, sky);
         self.shadow.set(self.gpu, &self.plan);
+        (self.stale.lights, self.stale.cascades) = (true, true);
         self.write_unshadowed();
         Ok(())
     }
 
     /// Sets the emitters' strengths, one factor each; 1 where absent.
-    pub fn set_emitters(&mut self, scale: &[f32]) {
-        if scale == self.emitter_scale {
-            return;
+    pub fn set_emitters(&mut self, scale: &[f32]) -> Result<()> {
+        check_scale(scale)?;
+        if scale != self.emitter_scale {
+            self.emitter_scale = scale.to_vec();
+            self.write_unshadowed();
         }
-        self.emitter_scale = scale.to_vec();
-        self.write_unshadowed();
+        Ok(())
     }
 
     /// Sets the camera.
@@ -147,7 +157,13 @@ impl<'a> Frame<'a> {
     pub fn advance(&mut self) -> Result<u32> {
         self.draw_shadows();
         let Some(change) = &mut self.change else { return Ok(0) };
-        self.gpu.submit(|encoder| self.light.bounce(encoder));
+        let clears = std::mem::take(&mut self.stale.light);
+        self.gpu.submit(|encoder| {
+            if let Some((e_ind, _)) = self.light.feedback().filter(|_| clears) {
+                encoder.clear_buffer(e_ind, 0, None);
+            }
+            self.light.bounce(encoder);
+        });
         let call = change.ask(self.gpu);
         if self.bounces.count == 0 {
             self.bounces.first_call = call;
@@ -188,17 +204,12 @@ impl<'a> Frame<'a> {
             self.light.prepare_view(self.gpu, encoder, &view);
         });
         self.shade.draw(self.gpu, &self.meshes, &self.shadow, &view);
-        Ok(())
+        self.gpu.poll(false)
     }
 
     /// The sample drawn last, after a wait: rgb radiance in W·m⁻²·sr⁻¹, alpha 1 on surfaces.
     pub fn read(&self) -> Result<Vec<Vec4>> {
         self.shade.read(self.gpu)
-    }
-
-    /// A view of the sample that is drawn, for a pass of one's own: Rgba32Float, rgb radiance, alpha 1 on surfaces.
-    pub fn target(&self) -> &wgpu::Texture {
-        self.shade.target()
     }
 
     fn planned(&self, casters: &[Caster], camera: &SceneCamera) -> Result<ShadowPlan> {
@@ -213,9 +224,13 @@ impl<'a> Frame<'a> {
     /// Writes light that no shadow map has: all bounces are of other light from here on.
     fn write_unshadowed(&mut self) {
         let light = Unshadowed { sky: self.sky, emitter_scale: &self.emitter_scale };
-        self.light.set_unshadowed(self.gpu, &self.bake.light.unshadowed(light));
+        let arrays = self.bake.light.unshadowed(light);
+        self.light.set_unshadowed(self.gpu, &arrays);
         self.shade.set_emitters(self.gpu, &self.bake.scene, &self.emitter_scale);
-        self.stale = Stale { lights: true, cascades: true, pages: true };
+        // Light that nothing sends any more would fade for ever.
+        let is_dark = self.casters.is_empty() && self.sky == Sky::default();
+        self.stale.light |= is_dark && arrays.emit.iter().all(|emit| *emit == Vec4::ZERO);
+        self.stale.pages = true;
         self.bounces = Bounces::default();
     }
 
@@ -223,6 +238,8 @@ impl<'a> Frame<'a> {
     fn hear(&mut self, waits: bool) -> Result<()> {
         let Some(change) = &mut self.change else { return Ok(()) };
         for answer in change.answers(self.gpu, waits)? {
+            // Light that is no number stays none.
+            self.stale.light |= !answer.change.is_finite();
             if answer.call >= self.bounces.first_call {
                 self.bounces.change = Some(answer.change);
             }

@@ -110,3 +110,14 @@ pub(crate) fn check_lights(lights: &[SceneLight]) -> Result<()> {
         None => Ok(()),
     }
 }
+
+/// Errs where a factor on emitters is none that they can have.
+pub(crate) fn check_scale(scale: &[f32]) -> Result<()> {
+    match scale.iter().find(|scale| !scale.is_finite() || **scale < 0.0) {
+        Some(scale) => Err(ClientError::Argument {
+            what: format!("scale {scale} of emitters"),
+            problem: "is negative or not finite".to_owned(),
+        }),
+        None => Ok(()),
+    }
+}

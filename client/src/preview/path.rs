@@ -8,8 +8,10 @@ use super::View;
 use crate::error::{ClientError, Result};
 use crate::lights::{ParsedLights, parse_camera, parse_lights};
 
-/// Most pictures of a path.
-pub const PICTURES_MAX: u32 = 10_000;
+/// Most pictures of a path: files are numbered with four digits.
+const PICTURES_MAX: u32 = 9_999;
+/// Most lights of a key, skies among them.
+const LIGHTS_MAX: usize = 256;
 /// Most bytes of a path's file.
 pub const FILE_MAX: u64 = 1 << 20;
 
@@ -71,6 +73,14 @@ impl ViewPath {
             }
             Some(_) => {}
         }
+        if let Some(key) =
+            keys.iter().find(|key| key.lights.as_ref().is_some_and(|of| of.lights.len() > LIGHTS_MAX))
+        {
+            return Err(wrong(
+                format!("key of picture {}", key.picture),
+                format!("has more than {LIGHTS_MAX} lights"),
+            ));
+        }
         keys.windows(2).try_for_each(|pair| pair[0].check(&pair[1]))?;
         Ok(Self(keys))
     }
@@ -80,12 +90,27 @@ impl ViewPath {
         self.0.last().map_or(0, |key| key.picture)
     }
 
-    /// The views of all pictures; what keys leave out is that of `base`.
-    pub fn views(&self, base: &View) -> Vec<View> {
-        (1..=self.pictures()).map(|picture| self.view(picture, base)).collect()
+    /// Camera of the first picture, if keys have any.
+    pub fn first_camera(&self) -> Option<&SceneCamera> {
+        self.0.first().and_then(|key| key.camera.as_ref())
     }
 
-    fn view(&self, picture: u32, base: &View) -> View {
+    /// Lights of the first picture, if keys have any.
+    pub fn first_lights(&self) -> Option<&[SceneLight]> {
+        self.0.first().and_then(|key| key.lights.as_ref()).map(|lights| &lights.lights[..])
+    }
+
+    /// The same path with each key's lights and the factor on emitters as `change` gives them.
+    #[must_use]
+    pub fn with_lights(mut self, change: impl Fn(ParsedLights) -> ParsedLights) -> Self {
+        for key in &mut self.0 {
+            key.lights = key.lights.take().map(&change);
+        }
+        self
+    }
+
+    /// The view of a picture, from 1; what keys leave out is that of `base`.
+    pub fn view(&self, picture: u32, base: &View) -> View {
         let next = self.0.partition_point(|key| key.picture < picture).min(self.0.len() - 1);
         let (a, b) = (&self.0[next.saturating_sub(1)], &self.0[next]);
         let length = (b.picture - a.picture).max(1);
@@ -195,6 +220,10 @@ mod tests {
         ViewPath::parse(json.to_string().as_bytes())
     }
 
+    fn all(path: &ViewPath, base: &View) -> Vec<View> {
+        (1..=path.pictures()).map(|picture| path.view(picture, base)).collect()
+    }
+
     #[test]
     fn views_go_evenly_from_key_to_key_and_hit_them() {
         let path = parsed(&serde_json::json!({ "keys": [
@@ -204,8 +233,8 @@ mod tests {
         ] }))
         .unwrap();
         let (_, base) = fixture_view();
-        let views = path.views(&base);
-        assert_eq!((views.len(), path.pictures()), (6, 6));
+        let views = all(&path, &base);
+        assert_eq!(views.len(), 6);
         assert_eq!(views[2].camera.eye_m, [2.0, 1.0, 2.0]);
         assert_eq!([views[4].camera.eye_m, views[5].camera.eye_m], [[4.0, 1.0, 0.0], [0.0, 1.0, 0.0]]);
         let point = |view: &View| match view.lights[0].kind {
@@ -230,11 +259,11 @@ mod tests {
             { "picture": 1, "lights": ["emitters scale=0"] }, { "picture": 3, "lights": ["emitters scale=2"] },
         ] }))
         .unwrap();
-        let views = lamp.views(&base);
+        let views = all(&lamp, &base);
         assert!(views.iter().all(|view| view.camera == base.camera && view.lights.is_empty()));
         assert_eq!(views.iter().map(|view| view.emitter_scale[0]).collect::<Vec<_>>(), [0.0, 1.0, 2.0]);
         let still = parsed(&serde_json::json!({ "keys": [{ "picture": 1 }] })).unwrap();
-        assert_eq!(still.views(&base), [base]);
+        assert_eq!(all(&still, &base), [base]);
     }
 
     #[test]
@@ -244,9 +273,10 @@ mod tests {
             (serde_json::json!([]), "no keys"),
             (serde_json::json!([{ "picture": 2 }]), "count from 1"),
             (serde_json::json!([{ "picture": 1 }, { "picture": 1 }]), "picture 1"),
-            (serde_json::json!([{ "picture": 1 }, { "picture": 20_000 }]), "10000"),
+            (serde_json::json!([{ "picture": 1 }, { "picture": 20_000 }]), "9999"),
             (serde_json::json!([{ "picture": 1, "camera": camera }, { "picture": 9 }]), "a camera"),
             (serde_json::json!([{ "picture": 1, "camera": "eye=0" }]), "eye=0"),
+            (serde_json::json!([{ "picture": 1, "lights": vec!["sky"; 300] }]), "256 lights"),
             (
                 serde_json::json!([
                     { "picture": 1, "lights": ["sun dir=0,-1,0 irradiance=1"] },

@@ -308,6 +308,14 @@ fn change_agrees_with_the_reference() {
             assert_eq!(wanted > 0.0, scale > 0.0 && count > 0);
             before = now;
         }
+        // More calls than there are landings: the last have no answer, and the next has one again.
+        let calls: Vec<u64> = (0..5).map(|_| pass.ask(&gpu)).collect();
+        let answered: Vec<u64> = pass.answers(&gpu, true).unwrap().iter().map(|answer| answer.call).collect();
+        assert_eq!(answered, calls[..3]);
+        gpu.write(&e_ind, &vec![Vec4::splat(f32::NAN); count]);
+        let call = pass.ask(&gpu);
+        let [answer] = pass.answers(&gpu, true).unwrap()[..] else { panic!("one answer") };
+        assert_eq!((answer.call, answer.change.is_finite()), (call, count == 0));
     }
 }
 
@@ -353,7 +361,7 @@ fn shade_agrees_with_the_reference_on_the_same_maps_and_light() {
     ];
     for (bake, view) in views {
         let prepared = prepared(bake, &view);
-        let mut frame = frame_of(&gpu, super::prepared(bake, &view)).unwrap();
+        let mut frame = frame_of(&gpu, bake, &view).unwrap();
         let limit = lightkiln_proto::relight::Limit { bounces_max: 3, change_max: 0.0 };
         frame.settle(limit).unwrap();
         let maps = frame.shadow.read(&gpu).unwrap();

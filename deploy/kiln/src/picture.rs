@@ -70,15 +70,15 @@ pub struct ReelArguments {
     #[arg(long, value_name = "BYTES", value_parser = parse_bytes, help_heading = "Picture")]
     pub max_bytes: Option<u64>,
     /// Draws many pictures along a path, NAME-0001.png and on: a JSON file {"keys": [{"picture": 1, "camera": "eye=…",
-    /// "lights": ["point pos=…"]}, {"picture": 60, …}]}, between whose keys camera and lights move evenly. The first picture's
-    /// exposure is that of all
+    /// "lights": ["point pos=…"]}, {"picture": 60, …}]}, between whose keys camera and lights move evenly. The exposure of
+    /// the first picture that is not black is that of all, and --max-bytes fetches what the first one needs
     #[arg(long, value_name = "FILE", conflicts_with = "debug", help_heading = "Picture")]
     path: Option<PathBuf>,
 }
 
 impl ReelArguments {
-    /// The path, if there is one; refuses a file that holds none.
-    pub fn path(&self) -> Result<Option<ViewPath>> {
+    /// The path, if there is one, without what is switched off; refuses a file that holds none.
+    pub fn path(&self, off: SwitchedOff) -> Result<Option<ViewPath>> {
         let Some(file) = &self.path else { return Ok(None) };
         let refused = |problem: &str| Failure::bad_input(format!("{} {problem}", file.display()));
         let failed = |error: std::io::Error| refused("cannot be read").caused_by(&error);
@@ -88,8 +88,12 @@ impl ReelArguments {
         if json.len() as u64 > PATH_FILE_MAX {
             return Err(refused(&format!("has more than the {PATH_FILE_MAX} bytes of a path")));
         }
-        let path = ViewPath::parse(&json);
-        path.map(Some).map_err(|error| refused("is no path of pictures").caused_by(&error))
+        let path =
+            ViewPath::parse(&json).map_err(|error| refused("is no path of pictures").caused_by(&error))?;
+        Ok(Some(path.with_lights(|ParsedLights { lights, emitter_scale }| ParsedLights {
+            lights: off.rest(lights),
+            emitter_scale: emitter_scale.map(|scale| off.emitter_scale(scale)),
+        })))
     }
 }
 
@@ -97,7 +101,7 @@ impl ReelArguments {
 #[derive(Debug, Default, Serialize)]
 pub struct Drawn {
     /// Files in the order of the path.
-    pub pictures: Vec<PathBuf>,
+    pub pictures: Vec<String>,
     /// Adapter or processor that drew the last one, with the reason.
     pub drawn_by: String,
     /// Most bounces before a picture.
@@ -161,10 +165,20 @@ impl PictureArguments {
         Ok(())
     }
 
+    /// Refuses a camera or lights beside those of a path.
+    pub fn check_beside(&self, path: &ViewPath) -> Result<()> {
+        let both = |is_twice: bool, option: &str| {
+            let what = format!("{option} and the keys of the path both say it");
+            if is_twice { Err(Failure::bad_input(what).try_this("one of them alone")) } else { Ok(()) }
+        };
+        both(self.camera.is_some() && path.first_camera().is_some(), "--camera")?;
+        both(!self.light.is_empty() && path.first_lights().is_some(), "--light")
+    }
+
     /// Draws the bake and writes it as PNG; says on standard error what was chosen and who drew.
     pub fn draw(&self, kinds: &ClientKinds, off: &SwitchedOff, source: &Source, png: &Path) -> Result<()> {
         let bake = LoadedBake::load(source, kinds)?;
-        let view = self.view(&bake, off)?;
+        let view = self.view(&bake, off, None)?;
         self.write_all(&bake, &view, None, png).map(|_| ())
     }
 
@@ -179,14 +193,13 @@ impl PictureArguments {
     ) -> Result<Drawn> {
         let Some(max_bytes) = max_bytes else {
             let bake = LoadedBake::load(source, kinds)?;
-            let view = self.view(&bake, off)?;
+            let view = self.view(&bake, off, path)?;
             return self.write_all(&bake, &view, path, png);
         };
         let mut streamed = StreamedBake::begin(source, kinds, max_bytes)?;
-        let view = self.view(&streamed.bake, off)?;
+        let view = self.view(&streamed.bake, off, path)?;
         // Along a path, what its first picture needs.
-        let first = path.and_then(|path| path.views(&view).into_iter().next());
-        streamed.refine(first.as_ref().unwrap_or(&view), max_bytes)?;
+        streamed.refine(&path.map_or_else(|| view.clone(), |path| path.view(1, &view)), max_bytes)?;
         let Streamed { bytes, bytes_all, clusters, clusters_all } = streamed.streamed();
         let percent = 100.0 * bytes as f64 / bytes_all.max(1) as f64;
         say!(
@@ -197,10 +210,12 @@ impl PictureArguments {
     }
 
     /// The view of a bake; says on standard error what was chosen.
-    fn view(&self, bake: &LoadedBake, off: &SwitchedOff) -> Result<View> {
+    fn view(&self, bake: &LoadedBake, off: &SwitchedOff, path: Option<&ViewPath>) -> Result<View> {
         let camera = self.camera.as_deref().map(parse_camera).transpose()?;
+        let camera = camera.or_else(|| path?.first_camera().cloned());
         let ParsedLights { lights, emitter_scale } = parse_lights(&self.light)?;
         let own = (!self.light.is_empty()).then_some(lights);
+        let own = own.or_else(|| Some(path?.first_lights()?.to_vec()));
         let (mut view, notes) = View::of_bake(bake, camera, own)?;
         let scale = off.emitter_scale(emitter_scale.unwrap_or(1.0));
         view.emitter_scale = vec![scale; bake.scene.manifest.emitters.len()];
@@ -227,13 +242,13 @@ impl PictureArguments {
         let mut take = |picture: Picture, file: PathBuf| -> std::result::Result<(), ClientError> {
             if !picture.converged {
                 say!(
-                    "warning: after {} bounces the light of {} had not converged; it is not yet as bright as it would be",
+                    "warning: after {} bounces the light of {} had not converged; more of them would change it",
                     picture.bounces,
                     file.display()
                 );
             }
             picture.write_png(&file)?;
-            drawn.pictures.push(file);
+            drawn.pictures.push(file.display().to_string());
             drawn.bounces = drawn.bounces.max(picture.bounces);
             drawn.converged &= picture.converged;
             (drawn.drawn_by, drawn.exposure) = (picture.drawn_by, picture.exposure);
@@ -244,7 +259,7 @@ impl PictureArguments {
             (None, None) => take(render(bake, view, self.backend.into())?, png.to_owned())?,
             (None, Some(path)) => {
                 let file = |index: usize| numbered(png, index + 1);
-                render_path(bake, &path.views(view), self.backend.into(), |index, picture| {
+                render_path(bake, path, view, self.backend.into(), |index, picture| {
                     take(picture, file(index))
                 })?;
             }
@@ -252,7 +267,7 @@ impl PictureArguments {
         drawn.seconds = start.elapsed().as_secs_f64();
         if let [first, .., last] = &drawn.pictures[..] {
             let (count, seconds) = (drawn.pictures.len(), drawn.seconds);
-            say!("{count} pictures in {seconds:.1} s: {} to {}", first.display(), last.display());
+            say!("{count} pictures in {seconds:.1} s: {first} to {last}");
         }
         say!("drawn by {}", drawn.drawn_by);
         Ok(drawn)
@@ -261,9 +276,10 @@ impl PictureArguments {
 
 /// The file of a picture along a path: `NAME-0001.png`.
 fn numbered(png: &Path, number: usize) -> PathBuf {
-    let stem = png.file_stem().unwrap_or_default().to_string_lossy();
-    let extension = png.extension().unwrap_or_default().to_string_lossy();
-    png.with_file_name(format!("{stem}-{number:04}.{extension}"))
+    let mut name = png.file_stem().unwrap_or_default().to_owned();
+    name.push(format!("-{number:04}."));
+    name.push(png.extension().unwrap_or_default());
+    png.with_file_name(name)
 }
 
 impl From<ToneName> for Tone {

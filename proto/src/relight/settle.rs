@@ -55,14 +55,15 @@ impl Settled {
         self.emit[slot as usize] + self.ind[slot as usize]
     }
 
-    /// Relative change from one bounce's E_ind to the next: Σ|next − last| / Σ|next|; 0 when both are black.
+    /// Relative change from one bounce's E_ind to the next: Σ|next − last| / Σ|next|; 0 when both are black, no finite
+    /// number where light is none.
     pub fn change(last: &[Vec4], next: &[Vec4]) -> f32 {
         let (mut difference, mut total) = (0.0_f64, 0.0_f64);
         for (last, next) in last.iter().zip(next) {
             difference += f64::from((*next - *last).truncate().abs().element_sum());
             total += f64::from(next.truncate().abs().element_sum());
         }
-        if total > 0.0 { (difference / total) as f32 } else { 0.0 }
+        if [difference, total] == [0.0; 2] { 0.0 } else { (difference / total) as f32 }
     }
 }
 

@@ -61,7 +61,7 @@ pub struct ChangePass {
 pub struct Answer {
     /// Number of the call, from 1.
     pub call: u64,
-    /// Relative change since the call before; 0 when both are black.
+    /// Relative change since the call before; 0 when both are black, no finite number where light is none.
     pub change: f32,
 }
 
@@ -143,7 +143,7 @@ impl ChangePass {
             drop(view);
             landing.buffer.unmap();
             landing.state.store(FREE, Ordering::Release);
-            let change = if sums[1] > 0.0 { sums[0] / sums[1] } else { 0.0 };
+            let change = if sums == [0.0; 2] { 0.0 } else { sums[0] / sums[1] };
             found.push(Answer { call: landing.call, change });
         }
         found.sort_by_key(|answer| answer.call);

@@ -64,6 +64,7 @@ pub struct ShadePass {
     is_double_sided: Vec<bool>,
     is_glass: Vec<bool>,
     target: wgpu::Texture,
+    target_view: wgpu::TextureView,
     depth: wgpu::TextureView,
 }
 
@@ -126,6 +127,7 @@ impl ShadePass {
             materials: scene.manifest.materials.iter().map(bind_material).collect(),
             is_double_sided: scene.manifest.materials.iter().map(|material| material.double_sided).collect(),
             is_glass: scene.manifest.materials.iter().map(|material| material.glass.is_some()).collect(),
+            target_view: target.create_view(&wgpu::TextureViewDescriptor::default()),
             target,
             depth,
         })
@@ -149,11 +151,6 @@ impl ShadePass {
         gpu.read_layer(&self.target, 0, wgpu::TextureAspect::All)
     }
 
-    /// The texture that is drawn to.
-    pub fn target(&self) -> &wgpu::Texture {
-        &self.target
-    }
-
     fn record(
         &self,
         encoder: &mut wgpu::CommandEncoder,
@@ -161,13 +158,16 @@ impl ShadePass {
         shadow: &ShadowPass,
         panes: &[(u32, Range<u32>)],
     ) {
-        let target = self.target.create_view(&wgpu::TextureViewDescriptor::default());
         let ops = wgpu::Operations {
             load: wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT),
             store: wgpu::StoreOp::Store,
         };
-        let attachment =
-            wgpu::RenderPassColorAttachment { view: &target, depth_slice: None, resolve_target: None, ops };
+        let attachment = wgpu::RenderPassColorAttachment {
+            view: &self.target_view,
+            depth_slice: None,
+            resolve_target: None,
+            ops,
+        };
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("shade"),
             color_attachments: &[Some(attachment)],

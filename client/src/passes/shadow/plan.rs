@@ -124,14 +124,31 @@ impl ShadowRoom {
     pub fn for_lights(casters: &[Caster], side: u32) -> Result<Self> {
         let faces = faces_of(casters);
         let side = side_for(faces, side);
-        let most = (MAX_TEXELS / (u64::from(side) * u64::from(side))).min(MAX_FACES as u64) as u32;
-        let room = Self { lights: casters.len() as u32, faces: most.max(faces as u32), side };
-        room.check(casters)?;
+        let most = (MAX_TEXELS / (u64::from(side) * u64::from(side))).min(MAX_FACES as u64) as usize;
+        let suns = casters.iter().filter(|caster| caster.shape == Shape::Sun).count();
+        let wanted = (faces + suns * CASCADES_MAX as usize).min(most).max(faces);
+        let room = Self { lights: casters.len() as u32, faces: wanted as u32, side };
+        room.check_lights(casters)?;
         Ok(room)
     }
 
+    /// Errs where no adapter and no processor is asked for so much.
+    pub fn check(&self) -> Result<()> {
+        let Self { lights, faces, side } = *self;
+        let texels = u64::from(faces) * u64::from(side) * u64::from(side);
+        let is_side = side.is_power_of_two() && (MIN_SIDE..=MAX_SIDE).contains(&side);
+        if is_side && lights as usize <= MAX_FACES && faces as usize <= MAX_FACES && texels <= MAX_TEXELS {
+            return Ok(());
+        }
+        let what = format!("room for {lights} lights and {faces} shadow maps of {side} texels a side");
+        let problem = format!(
+            "sides are powers of two in {MIN_SIDE}..={MAX_SIDE}, lights and maps at most {MAX_FACES}, their texels at most {MAX_TEXELS}"
+        );
+        Err(ClientError::Argument { what, problem })
+    }
+
     /// Errs where lights do not fit.
-    fn check(&self, casters: &[Caster]) -> Result<()> {
+    fn check_lights(&self, casters: &[Caster]) -> Result<()> {
         let what = || format!("{} lights", casters.len());
         let (faces, room) = (faces_of(casters), MAX_FACES.min(self.faces as usize));
         if faces > room {
@@ -173,7 +190,7 @@ impl ShadowPlan {
         bounds_m: [[f32; 3]; 2],
         eye: Option<Eye>,
     ) -> Result<Self> {
-        room.check(casters)?;
+        room.check_lights(casters)?;
         let [low, high] = bounds_m.map(Vec3::from);
         let diagonal = (high - low).length().max(f32::MIN_POSITIVE);
         let count =

@@ -42,7 +42,10 @@ pub struct Arguments {
 pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     arguments.picture.check()?;
     check_png(&arguments.out)?;
-    let path = arguments.reel.path()?;
+    let path = arguments.reel.path(arguments.off)?;
+    if let Some(path) = &path {
+        arguments.picture.check_beside(path)?;
+    }
     let source = match &arguments.server {
         Some(url) => {
             let client = arguments.trust.connect(url, &Interrupt::default())?;

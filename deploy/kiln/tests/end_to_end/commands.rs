@@ -76,6 +76,25 @@ fn bake_can_be_listed_shown_watched_fetched_inspected_and_drawn() {
     // All have the first picture's exposure.
     let brightness: Vec<f64> = files.iter().map(mean).collect();
     assert!(brightness[0] + 2.0 < brightness[1] && brightness[1] + 2.0 < brightness[2], "{brightness:?}");
+    let with = |more: &[&str], code: i32| {
+        let of_picture = ["--size", "64x48", "--backend", "cpu", "--json", "--path", path.to_str().unwrap()];
+        run(
+            kiln(folder.path()),
+            &[&["preview", &bundle, "--out", &png], &of_picture[..], more].concat(),
+            code,
+        )
+    };
+    assert!(with(&["--light", "sky"], 2).stderr().contains("--light"), "both say it");
+    let least = with(&["--max-bytes", "1G"], 0).json();
+    assert_eq!(least["light_bytes"], least["light_bytes_all"], "{least}");
+    // What is switched off stays off along a path.
+    let lit =
+        serde_json::json!({ "keys": [{ "picture": 1, "lights": ["sky strength=5", "emitters scale=2"] }] });
+    std::fs::write(&path, lit.to_string()).unwrap();
+    with(&[], 0);
+    assert!(mean(&files[0]) > 5.0);
+    with(&["--no-sky", "--no-emitters"], 0);
+    assert_eq!(mean(&files[0]), 0.0);
     std::fs::write(&path, r#"{"keys": [{"picture": 1, "lights": ["lamp"]}]}"#).unwrap();
     let words = along(2).stderr().to_owned();
     assert!(words.contains("path.json") && words.contains("'lamp'"), "{words}");
