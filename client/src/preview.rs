@@ -187,9 +187,9 @@ pub fn render(bake: &LoadedBake, view: &View, backend: Backend) -> Result<Pictur
     drawn.ok_or_else(|| ClientError::Adapter { problem: "nothing was drawn".to_owned() })
 }
 
-/// Draws pictures along a path, from what it leaves out of `base`; each is given to `take` with its index. On the adapter what changes
+/// Draws pictures along a path, each given to `take` with its index; what keys leave out is that of `base`. On the adapter what changes
 /// between them makes no buffer, and bounces go on from the picture before. The exposure of the first that is not black is that of
-/// all. Errs before the first if a picture cannot be drawn.
+/// all. Errs before the first if any cannot be drawn.
 pub fn render_path(
     bake: &LoadedBake,
     path: &ViewPath,
