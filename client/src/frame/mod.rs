@@ -62,7 +62,7 @@ struct Stale {
     cascades: bool,
     /// E_ind, which is to be black before the next bounce.
     light: bool,
-    /// What shading reads of the last bounce.
+    /// Irradiance of the last bounce as shading reads it.
     pages: bool,
 }
 

@@ -29,7 +29,7 @@ fn lights(words: &[&str]) -> Vec<SceneLight> {
     words.iter().map(|words| parse_light(words).unwrap()).collect()
 }
 
-/// What a frame can be set to.
+/// Lights, emitters and camera of a frame.
 struct State {
     lights: Vec<SceneLight>,
     emitters: Vec<f32>,

@@ -97,7 +97,7 @@ impl ReelArguments {
     }
 }
 
-/// What was drawn.
+/// Pictures that were drawn.
 #[derive(Debug, Default, Serialize)]
 pub struct Drawn {
     /// Files in the order of the path.

@@ -128,14 +128,7 @@ pub fn panel_through_a_wall() -> Vec<u8> {
     let mut panel = Mesh::default();
     panel.face([at(left_m, 0.0), at(right_m, 0.0), at(right_m, 2.0), at(left_m, 2.0)], [Vec2::ZERO; 4]);
     glb.object("panel", &panel, plaster);
-    let along = |y_m: f32, z_m: f32| Vec3::new(PARTING_M, y_m, z_m);
-    let (near_m, far_m, top_m) = (MAX.z + 0.1, MIN.z - 0.1, MAX.y + 0.1);
-    let mut parting = Mesh::default();
-    parting.face(
-        [along(-0.1, near_m), along(-0.1, far_m), along(top_m, far_m), along(top_m, near_m)],
-        [Vec2::ZERO; 4],
-    );
-    glb.object("parting", &parting, sheet);
+    glb.object("parting", &sheet_across(PARTING_M), sheet);
     glb.finish()
 }
 
@@ -153,13 +146,17 @@ pub fn floor_through_a_wall() -> Vec<u8> {
     let across = |x_m: f32| [Vec3::new(x_m, MIN.y, MAX.z), Vec3::new(x_m, MIN.y, MIN.z)];
     let border = across(BORDER_SHEET_M + 0.002);
     strips(&mut glb, "plank", [across(MIN.x), across(MAX.x)], [border].into_iter(), &[stone, plaster]);
-    let along = |y_m: f32, z_m: f32| Vec3::new(BORDER_SHEET_M, y_m, z_m);
-    let (near_m, far_m, top_m) = (MAX.z + 0.1, MIN.z - 0.1, MAX.y + 0.1);
-    let mut parting = Mesh::default();
-    let corners = [along(-0.1, near_m), along(-0.1, far_m), along(top_m, far_m), along(top_m, near_m)];
-    parting.face(corners, [Vec2::ZERO; 4]);
-    glb.object("parting", &parting, sheet);
+    glb.object("parting", &sheet_across(BORDER_SHEET_M), sheet);
     glb.finish()
+}
+
+/// A sheet across the whole room, which it reaches through.
+fn sheet_across(x_m: f32) -> Mesh {
+    let at = |y_m: f32, z_m: f32| Vec3::new(x_m, y_m, z_m);
+    let (near_m, far_m, top_m) = (MAX.z + 0.1, MIN.z - 0.1, MAX.y + 0.1);
+    let mut sheet = Mesh::default();
+    sheet.face([at(-0.1, near_m), at(-0.1, far_m), at(top_m, far_m), at(top_m, near_m)], [Vec2::ZERO; 4]);
+    sheet
 }
 
 /// Meshes between lines that each have a foot and a top, from left to right; neighbours share corners to the bit.

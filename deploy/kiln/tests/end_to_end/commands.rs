@@ -87,7 +87,7 @@ fn bake_can_be_listed_shown_watched_fetched_inspected_and_drawn() {
     assert!(with(&["--light", "sky"], 2).stderr().contains("--light"), "both say it");
     let least = with(&["--max-bytes", "1G"], 0).json();
     assert_eq!(least["light_bytes"], least["light_bytes_all"], "{least}");
-    // What is switched off stays off along a path.
+    // Lights that are switched off stay off along a path.
     let lit =
         serde_json::json!({ "keys": [{ "picture": 1, "lights": ["sky strength=5", "emitters scale=2"] }] });
     std::fs::write(&path, lit.to_string()).unwrap();
