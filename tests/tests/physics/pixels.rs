@@ -140,6 +140,14 @@ fn mesh_and_cluster_that_are_too_bright_show_as_seams() {
     assert!(whole.blocks.p95 < 0.15, "{whole:?}");
     // Four of the twelve edges between tiles are its own.
     assert!(tile.blocks.mean > whole.blocks.mean + 0.08 && tile.blocks.p95 > 0.3, "{whole:?} and {tile:?}");
+    // Tiles are wider than texels.
+    assert!(
+        whole.wide.pairs > 50 && whole.wide.pairs <= whole.blocks.pairs + whole.charts.pairs,
+        "{whole:?}"
+    );
+    assert!(tile.wide.mean > whole.wide.mean + 0.08, "{whole:?} and {tile:?}");
+    let narrow = measured(&room(1.0, false), 20, |_, _| {}).seams.unwrap();
+    assert!(narrow.blocks.pairs > 50 && 10 * narrow.wide.pairs < narrow.blocks.pairs, "{narrow:?}");
     assert!(cluster.clusters.mean > whole.clusters.mean + 0.02, "{whole:?} and {cluster:?}");
     assert!((cluster.inside.mean - whole.inside.mean).abs() < 0.02, "{whole:?} and {cluster:?}");
 }

@@ -31,6 +31,9 @@ const COPLANAR_COS: f32 = 0.9995;
 const CAST_TEXELS: f32 = 0.02;
 /// Height in texels to which the points of a pair are raised at most to see each other.
 const RAISED_TEXELS: f32 = 0.25;
+/// Texels for which wide surfaces go on in sight on both sides of a border, and the steps in which they are looked at.
+const WIDE_TEXELS: f32 = 1.5;
+const WIDE_STEPS: u32 = 6;
 /// Golden ratio's share of a turn, between the directions of walks.
 const TURN: f32 = 0.381_966;
 /// Rows of four texels across borders of clusters, and as many inside clusters, at most.
@@ -76,6 +79,9 @@ pub struct Seams {
     pub charts: Jumps,
     /// Between blocks.
     pub blocks: Jumps,
+    /// Those of charts and blocks where the plane goes on in sight for 1.5 texels on both sides: elsewhere surfaces are narrower than
+    /// what texels resolve.
+    pub wide: Jumps,
     /// Between clusters, of texels extrapolated to the border.
     pub clusters: Jumps,
     /// The same inside clusters: what texels differ by anyway.
@@ -84,9 +90,17 @@ pub struct Seams {
     pub worst: Vec<Step>,
 }
 
+/// Points right before and right behind a border of charts or blocks.
+#[derive(Clone, Copy, Debug)]
+struct Pair {
+    hits: [Hit; 2],
+    /// Surfaces on both sides are wide.
+    is_wide: bool,
+}
+
 /// Light on both sides of a border of charts or blocks.
 struct Across {
-    hits: [Hit; 2],
+    pair: Pair,
     light: [f64; 2],
     /// Least light that a jump is over.
     floor: f64,
@@ -110,8 +124,8 @@ impl Across {
             found.map_or(String::new(), |(block, _)| lightmap.block_name(block).to_owned())
         };
         Step {
-            blocks: self.hits.each_ref().map(block),
-            position_m: bake.geometry().site_at(&self.hits[0]).position_m.to_array(),
+            blocks: self.pair.hits.each_ref().map(block),
+            position_m: bake.geometry().site_at(&self.pair.hits[0]).position_m.to_array(),
             light: self.light,
             reference: self.reference.unwrap_or_default(),
         }
@@ -133,7 +147,7 @@ fn traced(
         return Ok(Vec::new());
     }
     let geometry = bake.geometry();
-    let sides = order.iter().flat_map(|&index| across[index].hits);
+    let sides = order.iter().flat_map(|&index| across[index].pair.hits);
     let targets: Vec<Target> = sides.map(|hit| Target::of(geometry.site_at(&hit))).collect();
     let precision = Precision { rel_error: TRACED_REL_ERROR, ..Precision::default() };
     let estimates = reference.mean_irradiance(&targets, &precision, progress)?;
@@ -148,8 +162,8 @@ fn traced(
 /// Borders of a bake's lightmap.
 #[derive(Clone, Debug, Default)]
 pub struct Borders {
-    charts: Vec<[Hit; 2]>,
-    blocks: Vec<[Hit; 2]>,
+    charts: Vec<Pair>,
+    blocks: Vec<Pair>,
     /// Receivers of four texels in a row, the border in their middle.
     clusters: Vec<[u32; 4]>,
     inside: Vec<[u32; 4]>,
@@ -160,12 +174,12 @@ impl Borders {
     /// those of clusters by all texels.
     pub fn of(bake: &dyn Evaluated, open: &OpenSpace, lightmap: &dyn EvaluatedLightmap) -> Self {
         let starts = Strata::new(bake.geometry(), WALKS).hits;
-        let found: Vec<[Hit; 2]> = (0..starts.len())
+        let found: Vec<Pair> = (0..starts.len())
             .into_par_iter()
             .filter_map(|index| Walk::new((bake, open), lightmap, &starts[index], index)?.border())
             .collect();
-        let is_of_block = |pair: &[Hit; 2]| {
-            let [one, other] = pair.map(|hit| lightmap.texel_at(&hit).map(|(block, _)| block));
+        let is_of_block = |pair: &Pair| {
+            let [one, other] = pair.hits.map(|hit| lightmap.texel_at(&hit).map(|(block, _)| block));
             one != other
         };
         let (blocks, charts) = found.into_iter().partition(is_of_block);
@@ -189,14 +203,15 @@ impl Borders {
         progress: &Progress,
     ) -> Result<Seams, Cancelled> {
         let floor = LOCAL_LIGHT_MIN * mean;
-        let across = |hits: &[Hit; 2]| {
-            let light = hits.each_ref().map(|hit| relit.shown_at(hit).map_or(0.0, luminance));
-            Across { hits: *hits, light, floor, reference: None }
+        let across = |pair: &Pair| {
+            let light = pair.hits.each_ref().map(|hit| relit.shown_at(hit).map_or(0.0, luminance));
+            Across { pair: *pair, light, floor, reference: None }
         };
         let mut borders: Vec<Across> = self.charts.par_iter().chain(&self.blocks).map(across).collect();
         let worst = traced(&mut borders, (bake, lightmap), reference, progress)?;
         let [charts, blocks] = [&borders[..self.charts.len()], &borders[self.charts.len()..]]
             .map(|borders| Jumps::of(borders.iter().map(Across::jump).collect()));
+        let wide = Jumps::of(borders.iter().filter(|across| across.pair.is_wide).map(Across::jump).collect());
         let along = |rows: &[[u32; 4]]| {
             let at = |index: u32| relit.irradiance(&lightmap.receiver(index)).unwrap_or(DVec3::ZERO);
             let jump = |row: &[u32; 4]| {
@@ -205,7 +220,14 @@ impl Borders {
             };
             Jumps::of(rows.par_iter().map(jump).collect())
         };
-        Ok(Seams { charts, blocks, clusters: along(&self.clusters), inside: along(&self.inside), worst })
+        Ok(Seams {
+            charts,
+            blocks,
+            wide,
+            clusters: along(&self.clusters),
+            inside: along(&self.inside),
+            worst,
+        })
     }
 }
 
@@ -271,7 +293,7 @@ impl<'a> Walk<'a> {
     }
 
     /// Points right before and right behind the first border on the way, if there is one and no wall parts them.
-    fn border(&self) -> Option<[Hit; 2]> {
+    fn border(&self) -> Option<Pair> {
         let step_m = STEP_TEXELS * self.lightmap.texel_m();
         let mut before = self.at(0.0)?;
         for step in 1..=(WALK_TEXELS / STEP_TEXELS) as u32 {
@@ -284,7 +306,7 @@ impl<'a> Walk<'a> {
         None
     }
 
-    fn halved(&self, mut before: Point, mut behind: Point) -> Option<[Hit; 2]> {
+    fn halved(&self, mut before: Point, mut behind: Point) -> Option<Pair> {
         for _ in 0..HALVINGS {
             let middle = self.at(0.5 * (before.along_m + behind.along_m))?;
             if changes(&before, &middle) > changes(&middle, &behind) {
@@ -301,7 +323,23 @@ impl<'a> Walk<'a> {
         let is_open = !geometry.tracer.is_occluded(from_m, to_m)
             && before.site.normal.dot(behind.site.normal) > COPLANAR_COS
             && points.iter().all(|point| self.open.sees(geometry, &point.site));
-        (is_open && changes(&before, &behind) > JUMP_TEXELS).then_some(points.map(|point| point.hit))
+        let is_border = is_open && changes(&before, &behind) > JUMP_TEXELS;
+        is_border.then(|| Pair {
+            hits: points.map(|point| point.hit),
+            is_wide: self.is_wide(&before, -1.0) && self.is_wide(&behind, 1.0),
+        })
+    }
+
+    /// The chart's plane goes on in sight from a point, forwards or backwards.
+    fn is_wide(&self, from: &Point, sign: f32) -> bool {
+        let step_m = sign * WIDE_TEXELS * self.lightmap.texel_m() / WIDE_STEPS as f32;
+        let is_seen = |step: u32| {
+            let along_m = from.along_m + step as f32 * step_m;
+            let goes_on = |point: &Point| changes(from, point) < 2.0 * WIDE_TEXELS;
+            let found = self.at(along_m).filter(goes_on);
+            found.is_some_and(|point| self.open.sees(self.bake.geometry(), &point.site))
+        };
+        (1..=WIDE_STEPS).all(is_seen)
     }
 
     /// The point so far along; `None` where the plane does not go on, or has no lightmap.
@@ -333,7 +371,8 @@ mod tests {
     fn what_the_reference_jumps_is_no_seam_and_the_rest_is() {
         let hit = Hit { t: 0.0, triangle: 0, barycentric: [0.0; 2], front: true };
         let jump = |light: [f64; 2], reference: Option<[f64; 2]>| {
-            Across { hits: [hit; 2], light, floor: 0.1, reference }.jump()
+            let pair = Pair { hits: [hit; 2], is_wide: true };
+            Across { pair, light, floor: 0.1, reference }.jump()
         };
         assert_eq!(jump([3.0, 1.0], None), 1.0);
         assert_eq!(jump([3.0, 1.0], Some([2.0, 2.0])), 1.0);

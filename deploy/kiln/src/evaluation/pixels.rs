@@ -105,6 +105,7 @@ fn mean_seams(rows: &[&PixelRow]) -> Option<Seams> {
     Some(Seams {
         charts: of(|seams| seams.charts),
         blocks: of(|seams| seams.blocks),
+        wide: of(|seams| seams.wide),
         clusters: of(|seams| seams.clusters),
         inside: of(|seams| seams.inside),
         worst: Vec::new(),
