@@ -1,7 +1,7 @@
 //! The load bench: what the queue costs and carries, how fast rays are, and what bakes take. `tests/bench/run` builds what it
 //! needs and runs it.
 //!
-//! Arguments name parts (`stores`, `queue`, `idle`, `workers`, `rays`, `bakes`); without any, all are measured. Figures go to standard
+//! Arguments name parts (`stores`, `queue`, `idle`, `workers`, `rays`, `bakes`, `relight`); without any, all are measured. Figures go to standard
 //! output as rows of one table, which `tests/bench/README.md` keeps.
 
 #![allow(clippy::unwrap_used, reason = "a bench may end at any error")]
@@ -17,19 +17,21 @@ mod model;
 mod parts;
 mod queue;
 mod rays;
+mod relight;
 mod report;
 mod scenes;
 mod stores;
 mod workers;
 
 /// Measurements by name.
-const PARTS: [(&str, fn()); 6] = [
+const PARTS: [(&str, fn()); 7] = [
     ("stores", stores::measure),
     ("queue", queue::measure),
     ("idle", idle::measure),
     ("workers", workers::measure),
     ("rays", rays::measure),
     ("bakes", bakes::measure),
+    ("relight", relight::measure),
 ];
 
 fn main() {

@@ -87,9 +87,10 @@ impl<C: Columns> LightmapLight<C> {
     /// E_dir of receivers and near hits from shadow maps.
     fn direct(&self, lit: &LitScene<'_>) -> IncomingDirect {
         let Transport { receivers, near, .. } = &self.transport;
+        let [positions_m, normals] = near.surfaces(receivers);
         IncomingDirect {
             receivers: direct_texels(receivers, &self.points, lit.plan, lit.maps),
-            near: direct(&near.position_m, &near.normal, lit.plan, lit.maps),
+            near: direct(&positions_m, &normals, lit.plan, lit.maps),
         }
     }
 }

@@ -45,13 +45,7 @@ impl LightmapPasses {
         Ok(Self {
             direct: TexelsPass::new(gpu, shadow, &resident, &light.points)?,
             columns: transport.columns.pass(gpu, &resident)?,
-            basis: BasisPass::new(
-                gpu,
-                &transport.clusters,
-                transport.columns.coefficients(),
-                &resident.lambda,
-                &resident.b,
-            )?,
+            basis: BasisPass::new(gpu, &transport.clusters, &resident.lambda, &resident.b)?,
             near: NearPass::new(gpu, &transport.near, shadow, &resident)?,
             reconstruct: ReconstructPass::new(gpu, &transport.clusters, receivers)?,
             atlas: AtlasPass::new(gpu, &scene.lightmap, &light.texels, &resident)?,

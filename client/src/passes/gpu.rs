@@ -33,6 +33,7 @@ pub struct Gpu {
     pub binding_max: u64,
     failure: Arc<Mutex<Option<String>>>,
     created: AtomicU64,
+    stored: AtomicU64,
 }
 
 impl Gpu {
@@ -73,8 +74,8 @@ impl Gpu {
         }));
         let name = format!("{} ({:?}, {:?})", described.name, described.device_type, described.backend);
         let software = described.device_type == wgpu::DeviceType::Cpu;
-        let created = AtomicU64::new(0);
-        Ok(Self { device, queue, name, software, binding_max: BINDING_MAX, failure, created })
+        let [created, stored] = [0, 0].map(AtomicU64::new);
+        Ok(Self { device, queue, name, software, binding_max: BINDING_MAX, failure, created, stored })
     }
 
     /// The first thing that went wrong since the last call, if anything did.
@@ -86,6 +87,11 @@ impl Gpu {
     /// Buffers, textures, samplers, bind groups, shaders and pipelines made so far.
     pub fn created(&self) -> u64 {
         self.created.load(Ordering::Relaxed)
+    }
+
+    /// Bytes of the storage buffers made so far: those of light are, those of meshes are none.
+    pub fn stored(&self) -> u64 {
+        self.stored.load(Ordering::Relaxed)
     }
 
     fn count(&self) -> &wgpu::Device {
@@ -106,6 +112,7 @@ impl Gpu {
             let problem = format!("{label} takes {bytes} bytes, {} binds {}", self.name, self.binding_max);
             return Err(failed(problem));
         }
+        self.stored.fetch_add(bytes, Ordering::Relaxed);
         Ok(self.buffer(label, bytes, Usage::STORAGE | Usage::COPY_SRC))
     }
 

@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use glam::Vec4;
-use lightkiln_proto::relight::{Cluster, Columns, Transport};
+use lightkiln_proto::relight::{Cluster, Columns, Packing, Transport};
 
 use super::gpu::{Gpu, failed};
 use crate::error::Result;
@@ -73,7 +73,7 @@ pub trait ColumnsPass: std::fmt::Debug {
     fn record(&self, pass: &mut wgpu::ComputePass<'_>);
 }
 
-/// A cluster as shaders read it; twin of `Cluster` in `basis.wgsl` and `reconstruct.wgsl`.
+/// A cluster as shaders read it; twin of `Cluster` in `shared/factors.wgsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct ClusterRow {
@@ -81,34 +81,48 @@ pub struct ClusterRow {
     pub first_row: u32,
     /// Rows.
     pub row_count: u32,
-    /// First entry in the support list.
-    pub first_support: u32,
-    /// Entries in the support list, the sky included.
-    pub support_count: u32,
-    /// Coefficients of each, J of this cluster.
-    pub coefficients: u32,
+    /// First of its columns in the list of all.
+    pub first_column: u32,
+    /// Columns.
+    pub column_count: u32,
     /// Rank k.
     pub rank: u32,
     /// First of its entries in b.
     pub first_b: u32,
-    /// First element of its factor in the page's buffer.
-    pub first_factor: u32,
+    /// First word of its factor in the page's buffer.
+    pub first_word: u32,
+    /// Wide columns of ΣVᵀ or wide groups of ranks of U: the first.
+    pub wide: u32,
+    /// Words of each group of these.
+    pub wide_words: u32,
+    /// Columns of ΣVᵀ behind these whose numbers have 8 bits; those of the others have 4.
+    pub bytes: u32,
 }
 
 impl ClusterRow {
-    /// The row of a cluster whose factor starts at `first_factor` of its page.
-    pub fn new(cluster: &Cluster, first_factor: usize) -> Self {
+    /// The row of a cluster, for one of its factors in a page whose first word is `first`.
+    pub fn new(cluster: &Cluster, factor: &Packing, first: usize) -> Self {
         Self {
             first_row: cluster.first_row as u32,
             row_count: cluster.row_count as u32,
-            first_support: cluster.first_support as u32,
-            support_count: cluster.support_count as u32,
-            coefficients: cluster.coefficients as u32,
+            first_column: cluster.first_column as u32,
+            column_count: cluster.column_count as u32,
             rank: cluster.rank as u32,
             first_b: cluster.first_b as u32,
-            first_factor: first_factor as u32,
+            first_word: (factor.first - first) as u32,
+            wide: factor.wide as u32,
+            wide_words: factor.wide_words as u32,
+            bytes: factor.bytes as u32,
         }
     }
+}
+
+/// Words of factors that lie one after the other.
+pub fn words_of(factors: impl Iterator<Item = Packing>) -> Range<usize> {
+    factors.fold(0..0, |words, factor| {
+        let start = if words.is_empty() { factor.first } else { words.start };
+        start..words.end.max(factor.first + factor.len)
+    })
 }
 
 /// Splits items of given sizes into runs that each fit into one storage binding.

@@ -4,7 +4,7 @@
 //! it finds a driver: `cargo test -p lightkiln-client --lib -- --ignored adapter`.
 
 use glam::Vec4;
-use lightkiln_proto::relight::{Columns, Irradiance, Sky};
+use lightkiln_proto::relight::{Irradiance, NearHit, Sky};
 
 use super::{fixture_light, prepared, view_of};
 use crate::bake::{Light, LightPasses, LoadedBake, Unshadowed};
@@ -18,16 +18,15 @@ use crate::passes::compare::Difference;
 use crate::passes::gpu::Gpu;
 use crate::passes::meshes::Meshes;
 use crate::passes::near::NearPass;
-use crate::passes::reconstruct::{ReconstructPass, RowArrays};
 use crate::passes::shade::ShadeView;
 use crate::passes::shade::reference::Lit;
 use crate::passes::shadow::{ShadowPass, ShadowPlan};
-use crate::passes::{atlas, basis, change, direct, near, patches, reconstruct, shade, shadow};
+use crate::passes::{atlas, change, direct, near, patches, shade, shadow};
 use crate::preview::{Backend, View, frame_of, render};
 use crate::scene::LoadedScene;
 
 /// Numbers of either sign without pattern, the same every time.
-fn noise(count: usize, seed: u32) -> Vec<Vec4> {
+pub(super) fn noise(count: usize, seed: u32) -> Vec<Vec4> {
     let mut state = seed;
     let mut next = || {
         state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
@@ -36,20 +35,19 @@ fn noise(count: usize, seed: u32) -> Vec<Vec4> {
     (0..count).map(|_| Vec4::new(next(), next(), next(), 0.0)).collect()
 }
 
-fn positive_noise(count: usize, seed: u32) -> Vec<Vec4> {
+pub(super) fn positive_noise(count: usize, seed: u32) -> Vec<Vec4> {
     noise(count, seed).into_iter().map(Vec4::abs).collect()
 }
 
-fn held(pass: &str, difference: &Difference, outliers: f32) {
+pub(super) fn held(pass: &str, difference: &Difference, outliers: f32) {
     println!("{pass}: {difference}");
     assert!(difference.agrees(outliers), "{pass}: {difference}");
 }
 
 /// Runs `test` on the adapter twice: with room for everything, and with so little that every array is paged.
-fn with_and_without_paging(test: impl Fn(&Gpu)) {
+pub(super) fn with_and_without_paging(test: impl Fn(&Gpu)) {
     let mut gpu = Gpu::open().unwrap();
     test(&gpu);
-    // One cluster's factors are 45 · 64 floats.
     gpu.binding_max = 16 << 10;
     test(&gpu);
 }
@@ -205,15 +203,22 @@ fn near_hits_agree_with_the_reference() {
     stage.relit(&gpu);
     let maps = stage.shadow.read(&gpu).unwrap();
     let table = &stage.light.transport.near;
-    let wanted = direct::reference::direct(&table.position_m, &table.normal, &stage.plan, &maps);
-    assert!(wanted.iter().any(|e| e.x > 0.0) && wanted.len() > 40);
+    let receivers = &stage.light.transport.receivers;
+    let [positions_m, normals] = table.surfaces(receivers);
+    let dir = direct::reference::direct(&positions_m, &normals, &stage.plan, &maps);
+    assert!(dir.iter().any(|e| e.x > 0.0) && dir.len() > 40 && !table.own.is_empty());
     let count = stage.receivers();
+    let black = vec![Vec4::ZERO; count];
+    let unlit = Irradiance { dir: &black, emit: &black, ind: &black };
+    // What comes straight from lights, by receiver without its weight.
+    let by_slot = near::reference::near(table, receivers, &dir, unlit);
+    let lit: Vec<Vec4> = table.rows.iter().map(|row| by_slot[row.slot as usize] / row.weight).collect();
     let [emit, ind] = [2, 3].map(|seed| positive_noise(count, seed));
     let resident = &stage.passes.resident;
     gpu.write(&resident.e_emit, &emit);
     gpu.write(&resident.e_ind, &ind);
-    // In one page, and in pages of at most twenty hits.
-    for binding_max in [gpu.binding_max, 20 * size_of::<Vec4>() as u64] {
+    // In one page, and in pages of at most 32 hits.
+    for binding_max in [gpu.binding_max, 32 * size_of::<NearHit>() as u64] {
         gpu.binding_max = binding_max;
         let pass = NearPass::new(&gpu, table, &stage.shadow, resident).unwrap();
         gpu.write(&resident.e_near, &vec![Vec4::ZERO; count]);
@@ -221,66 +226,22 @@ fn near_hits_agree_with_the_reference() {
             pass.light(compute, &stage.shadow);
             pass.record(compute);
         });
-        let pages = pass.read_e_dir(&gpu).unwrap();
-        assert_eq!(pages.len() > 2, binding_max < 1000);
-        let dir = pages.concat();
-        held("E_dir of near hits", &Difference::of(&dir, &wanted, direct::TOLERANCE), direct::OUTLIERS);
+        let pages = pass.read_lit(&gpu).unwrap();
+        assert_eq!(pages.len() > 1, binding_max < 1000);
+        let found = pages.concat();
+        held("light of near hits", &Difference::of(&found, &lit, direct::TOLERANCE), direct::OUTLIERS);
         let got: Vec<Vec4> = gpu.read(&resident.e_near, count).unwrap();
         let irradiance = Irradiance { dir: &ind, emit: &emit, ind: &ind };
-        let sums = near::reference::near(table, &dir, irradiance);
+        // The reference's bounces, beside what the adapter has found straight from lights.
+        let no_lights = vec![Vec4::ZERO; table.len()];
+        let mut sums = near::reference::near(table, receivers, &no_lights, irradiance);
+        for (row, lit) in table.rows.iter().zip(&found) {
+            sums[row.slot as usize] += row.weight * *lit;
+        }
         let lit = sums.iter().filter(|e| e.y > 0.0).count();
         assert!(lit > 15 && lit < count / 4, "{lit}");
         held("near hits", &Difference::of(&got, &sums, near::TOLERANCE), 0.0);
     }
-}
-
-#[test]
-#[ignore = "needs a graphics adapter"]
-fn basis_agrees_with_the_reference() {
-    with_and_without_paging(|gpu| {
-        let (scene, mut light) = fixture::sh_light(&fixture::sh_contents());
-        // The fixture's ΣVᵀ is the identity, which would hide a transposition.
-        let values = noise(light.transport.clusters.vt.len(), 4);
-        light.transport.clusters.vt = values.iter().map(|value| value.x).collect();
-        let stage = Stage::new(gpu, (scene, light));
-        let resident = &stage.passes.resident;
-        let lambda = noise(resident.lambda_count, 5);
-        gpu.write(&resident.lambda, &lambda);
-        stage.run(gpu, |pass| stage.passes.basis.record(pass));
-        let got: Vec<Vec4> = gpu.read(&resident.b, resident.b_count).unwrap();
-        let transport = &stage.light.transport;
-        let wanted = basis::reference::basis(&transport.clusters, &lambda, transport.columns.coefficients());
-        held("basis", &Difference::of(&got, &wanted, basis::TOLERANCE), 0.0);
-    });
-}
-
-#[test]
-#[ignore = "needs a graphics adapter"]
-fn reconstruct_agrees_with_the_reference() {
-    with_and_without_paging(|gpu| {
-        let stage = Stage::new(gpu, fixture::sh_light(&fixture::sh_contents()));
-        let resident = &stage.passes.resident;
-        let b = noise(resident.b_count, 6);
-        gpu.write(&resident.b, &b);
-        let emit = stage.light.transport.emitter_irradiance(&[1.5]);
-        let near = positive_noise(stage.receivers(), 11);
-        gpu.write(&resident.e_near, &near);
-        stage.run(gpu, |pass| stage.passes.reconstruct.record(pass));
-        let got: Vec<Vec4> = gpu.read(&resident.e_ind, stage.receivers()).unwrap();
-        let clusters = &stage.light.transport.clusters;
-        let wanted = reconstruct::reference::reconstruct(clusters, &b, &near, Some(&emit));
-        assert!(wanted.iter().any(|e| e.x == 0.0) && wanted.iter().any(|e| e.x < 0.0));
-        held("reconstruct", &Difference::of(&got, &wanted, reconstruct::TOLERANCE), 0.0);
-        // Rows that have a sign are not clamped.
-        let (start, result) = (&resident.e_near, &resident.e_ind);
-        let rows = RowArrays { b: &resident.b, start, beside: None, result };
-        let signed = ReconstructPass::new(gpu, clusters, rows).unwrap();
-        stage.run(gpu, |pass| signed.record(pass));
-        let got: Vec<Vec4> = gpu.read(&resident.e_ind, stage.receivers()).unwrap();
-        let sums = reconstruct::reference::reconstruct(clusters, &b, &near, None);
-        assert!(sums.iter().zip(&wanted).any(|(sum, clamped)| sum.x < clamped.x));
-        held("signed rows", &Difference::of(&got, &sums, reconstruct::TOLERANCE), 0.0);
-    });
 }
 
 #[test]

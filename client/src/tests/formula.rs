@@ -34,7 +34,7 @@ impl Before {
             dir: (0..count).map(|slot| Vec4::new(slot as f32 % 5.0, 1.0, 0.3, 0.0)).collect(),
             emit: transport.emitter_irradiance(&[SCALE]),
             ind: (0..count).map(|slot| Vec4::new(0.1, slot as f32 % 3.0, 0.2, 0.0)).collect(),
-            near: transport.near.position_m.iter().map(|at| Vec4::new(at.y, 0.5, 0.1, 0.0)).collect(),
+            near: transport.near.hits.iter().map(|hit| Vec4::new(hit.position_m[1], 0.5, 0.1, 0.0)).collect(),
         }
     }
 
@@ -42,8 +42,8 @@ impl Before {
     fn bounced<C: Columns>(&self, transport: &Transport<C>, sky: Sky) -> Vec<Vec4> {
         let irradiance = Irradiance { dir: &self.dir, emit: &self.emit, ind: &self.ind };
         let lambda = transport.lambda(&Threads, irradiance, &transport.columns.sky_lambda(sky));
-        let b = transport.clusters.basis(&Threads, &lambda, transport.columns.coefficients());
-        let near = transport.near.gather(&Threads, &self.near, irradiance);
+        let b = transport.clusters.basis(&Threads, &lambda);
+        let near = transport.near.gather(&Threads, &transport.receivers, &self.near, irradiance);
         let ind = transport.clusters.reconstruct(&Threads, &b, &near, Some(&self.emit));
         ind.iter().zip(&self.emit).map(|(ind, emit)| *ind + *emit).collect()
     }

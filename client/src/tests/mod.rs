@@ -3,6 +3,7 @@
 
 mod adapter;
 pub(crate) mod facing;
+mod factors;
 mod formula;
 mod glass;
 mod light;

@@ -5,7 +5,7 @@ use std::fs;
 use std::mem::offset_of;
 use std::path::Path;
 
-use lightkiln_proto::relight::{NearRow, PatchRow};
+use lightkiln_proto::relight::{Column, NearHit, NearRow, OwnSurface, PatchRow};
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 use naga::{AddressSpace, TypeInner};
 
@@ -13,7 +13,7 @@ use crate::kinds::sh::relight::{self, RelightNumbers};
 use crate::passes::atlas::{AtlasNumbers, AtlasTexel, INDIRECT, Placement};
 use crate::passes::basis::BasisNumbers;
 use crate::passes::change::ChangeNumbers;
-use crate::passes::direct::{DirectNumbers, TexelNumbers};
+use crate::passes::direct::TexelNumbers;
 use crate::passes::near::NearNumbers;
 use crate::passes::patches::PatchNumbers;
 use crate::passes::reconstruct::ReconstructNumbers;
@@ -118,12 +118,13 @@ fn twins() -> BTreeMap<&'static str, Layout> {
     twins! {
         "Atlas": AtlasNumbers { texel_count, stride }
         "AtlasTexel": AtlasTexel { x, y, first, packed, kind }
-        "Basis": BasisNumbers { coefficients, stride, cluster_count, pad }
+        "Basis": BasisNumbers { stride, cluster_count }
         "Change": ChangeNumbers { receiver_count, stride }
         "Cluster": ClusterRow {
-            first_row, row_count, first_support, support_count, coefficients, rank, first_b, first_factor
+            first_row, row_count, first_column, column_count, rank, first_b, first_word, wide, wide_words,
+            bytes
         }
-        "DirectNumbers": DirectNumbers { count, stride }
+        "Column": Column { place, scale }
         "Face": Face { clip_from_world, right, texel_at_unit_w, up, panes }
         "Light": Light {
             position, range_m, direction, shape, strength, first_face, cone_cos_inner, cone_cos_outer, face_count,
@@ -132,12 +133,16 @@ fn twins() -> BTreeMap<&'static str, Layout> {
         "LightCount": LightCount { count, side, bias_m, pad }
         "Mask": Mask { uv_row0, uv_row1, alpha, cutoff, pad0, pad1 }
         "Near": NearNumbers { row_count, stride }
+        "NearHit": NearHit { position_m, light }
         "NearRow": NearRow { slot, first, count, weight }
+        "OwnSurface": OwnSurface { normal, albedo }
         "Pane": Pane {
             base_row0, base_row1, transmission_row0, transmission_row1, base_colour, transmission, blends, cutoff, pad
         }
         "PatchRow": PatchRow { first_leaf, leaf_count, parent }
-        "Patches": PatchNumbers { receiver_count, leaf_count, patch_count, stride }
+        "Patches": PatchNumbers {
+            receiver_count, leaf_count, patch_count, stride, first_block, first_large, block_source
+        }
         "Placement": Placement { front, front_size, back, back_size }
         "Reconstruct": ReconstructNumbers { stride, cluster_count, has_beside }
         "Relight": RelightNumbers { first_probe, receiver_count, rays, coefficients }
@@ -196,12 +201,12 @@ fn every_bound_struct_has_a_rust_twin_of_the_same_layout() {
 #[test]
 #[should_panic(expected = "LightCount and its Rust twin differ")]
 fn comparison_of_structs_fails_when_a_field_moves() {
-    let moved = crate::passes::direct::SHADER.replacen(
+    let moved = crate::passes::direct::TEXELS_SHADER.replacen(
         "    count: u32,\n",
         "    pad_before: u32,\n    count: u32,\n",
         1,
     );
-    assert_ne!(moved, crate::passes::direct::SHADER);
+    assert_ne!(moved, crate::passes::direct::TEXELS_SHADER);
     assert_twins("direct", &parsed(&moved), &twins());
 }
 

@@ -17,7 +17,7 @@ use super::limits::{BANDS_MAX, RANK_MAX};
 use super::order::LEVELS_MAX;
 use super::predict::Predictor;
 use super::quantise::{Quantised, RELATIVE_ERROR_MAX, RELATIVE_ERROR_MIN, STEP_MAX, quantise, value};
-use crate::content::{ColumnKey, TransportFactors};
+use crate::content::{ColumnKey, FactorSteps, TransportFactors};
 
 /// Rows per cell of U.
 const U_CELL: usize = 48;
@@ -331,10 +331,6 @@ pub(super) struct FactorDecoder {
     shape: FactorShape,
     /// Arrays have their final size.
     pub factors: TransportFactors,
-    u_step: Vec<f32>,
-    vt_step: Vec<f32>,
-    /// Scale of each column's numbers, by key; empty where all have 1.
-    scales: Vec<f32>,
     /// Codes of U that later layers guess from, one array per rank, in stored order of rows.
     u_codes: Vec<Vec<i32>>,
     /// Of the next rank of ΣVᵀ, where keys have one column each and are not stored in their own order.
@@ -352,17 +348,10 @@ impl FactorDecoder {
             rank: layer.rank,
             u: vec![0.0; rows * rank],
             vt: vec![0.0; rank * shape.columns(layer.bands)],
+            steps: FactorSteps::default(),
         };
         let u_codes = vec![Vec::new(); rank];
-        Self {
-            shape,
-            factors,
-            u_step: Vec::new(),
-            vt_step: Vec::new(),
-            scales: Vec::new(),
-            u_codes,
-            order: None,
-        }
+        Self { shape, factors, u_codes, order: None }
     }
 
     /// Reads keys and steps of a chunk of `version`.
@@ -370,15 +359,18 @@ impl FactorDecoder {
         let rank = self.shape.rank as usize;
         self.factors.keys = take_keys(reader, self.shape.keys, version)?;
         if version > LAST_WITHOUT_SCALES && self.shape.has_scales() {
-            self.scales = take_scales(reader, &self.factors.keys)?;
+            self.factors.steps.scale = take_scales(reader, &self.factors.keys)?;
         }
         let is_ordered = version > LAST_BY_KEY && self.shape.has_scales();
         self.order = is_ordered.then(|| ColumnOrder::new(self.shape.keys));
-        for (what, steps) in [("steps of U", &mut self.u_step), ("steps of ΣVᵀ", &mut self.vt_step)] {
+        let FactorSteps { u, vt, scale } = &mut self.factors.steps;
+        for (what, steps) in [("steps of U", &mut *u), ("steps of ΣVᵀ", &mut *vt)] {
             *steps = reader.f32s(what, rank)?;
             all_numbers("base", what, steps, "0..=1e28", |step| (0.0..=STEP_MAX).contains(&step))?;
         }
-        check_scaled("base", &self.vt_step, &self.scales)?;
+        check_scaled("base", vt, scale)?;
+        // Those of the layer alone.
+        [u, vt].into_iter().for_each(|steps| steps.truncate(self.factors.rank as usize));
         Ok(())
     }
 
@@ -418,15 +410,16 @@ impl FactorDecoder {
         let of_row = vt_cells(&self.shape, self.factors.bands, bands);
         let (mut codes, mut by_key) = (Vec::new(), vec![0; columns]);
         for i in ranks_of(ranks, self.shape.rank) {
-            let row = &mut self.factors.vt[i * columns..][..columns];
+            let TransportFactors { vt, steps, .. } = &mut self.factors;
+            let row = &mut vt[i * columns..][..columns];
             for cell in &of_row {
                 codes.clear();
                 cells.next(cell.len(), &mut codes);
                 for (place, &code) in cell.clone().zip(&codes) {
                     let column = self.order.as_ref().map_or(place, |order| order.columns()[place] as usize);
                     by_key[column] = code;
-                    let scale = self.scales.get(column).copied().unwrap_or(1.0);
-                    row[column] = value(code, self.vt_step[i]) * scale;
+                    let scale = steps.scale.get(column).copied().unwrap_or(1.0);
+                    row[column] = value(code, steps.vt[i]) * scale;
                 }
             }
             self.order.iter_mut().for_each(|order| order.advance(&by_key));
@@ -445,7 +438,7 @@ impl FactorDecoder {
             None => column.append(&mut stored),
         }
         for row in rows {
-            self.factors.u[row * rank + i] = value(column[row], self.u_step[i]);
+            self.factors.u[row * rank + i] = value(column[row], self.factors.steps.u[i]);
         }
     }
 }

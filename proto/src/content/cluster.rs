@@ -27,6 +27,20 @@ pub struct TransportFactors {
     pub u: Vec<f32>,
     /// ΣVᵀ, rank-major: `vt[i·n + column]`.
     pub vt: Vec<f32>,
+    /// Steps that the numbers are multiples of, where a chunk had them.
+    pub steps: FactorSteps,
+}
+
+/// Steps of factors from a chunk: `u[r·k + i]` is a whole number of `u[i]`, `vt[i·n + column]` of `vt[i] · scale[column]`. Empty for
+/// factors that no chunk has stored; encoders do not read them.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct FactorSteps {
+    /// Of U, by rank.
+    pub u: Vec<f32>,
+    /// Of ΣVᵀ, by rank.
+    pub vt: Vec<f32>,
+    /// Scale of each key's column; empty where all are 1.
+    pub scale: Vec<f32>,
 }
 
 impl TransportFactors {

@@ -6,7 +6,7 @@ mod near;
 mod patches;
 mod receivers;
 
-pub use cluster::{ClusterTransport, ColumnKey, EmitterIrradiance, TransportFactors};
+pub use cluster::{ClusterTransport, ColumnKey, EmitterIrradiance, FactorSteps, TransportFactors};
 pub use drawing::{Draw, Geometry};
 pub use near::{NearHits, NearSurface};
 pub use patches::{AreaCode, Patch, PatchKey, PatchSet};

@@ -2,6 +2,7 @@
 
 use glam::Vec4;
 
+use super::packed::{GROUP, Packing, column_order, number_of, pack_u, pack_vt, step_of};
 use super::{Columns, Inconsistent, Parallel};
 use crate::content::{EmitterIrradiance, TransportFactors};
 
@@ -9,38 +10,41 @@ use crate::content::{EmitterIrradiance, TransportFactors};
 pub const MAX_RANK: u32 = 256;
 
 /// A cluster's share of the flat arrays.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Cluster {
     /// First row: the slot of its first receiver where rows are receivers.
     pub first_row: usize,
     /// Rows.
     pub row_count: usize,
-    /// First entry in [`ClusterTable::support`].
-    pub first_support: usize,
-    /// Patches or probes that support it, the sky included.
-    pub support_count: usize,
-    /// Coefficients of each, J of this cluster.
-    pub coefficients: usize,
+    /// First entry in [`ClusterTable::columns`].
+    pub first_column: usize,
+    /// Columns n of ΣVᵀ.
+    pub column_count: usize,
     /// Rank k.
     pub rank: usize,
-    /// First of its k entries in the array b.
+    /// First of its entries in the array b: k, then zeros up to a whole group.
     pub first_b: usize,
-    /// First element of U in [`ClusterTable::u`], row-major.
-    pub first_u: usize,
-    /// First element of ΣVᵀ in [`ClusterTable::vt`], rank-major.
-    pub first_vt: usize,
+    /// Its numbers in [`ClusterTable::u`].
+    pub u: Packing,
+    /// Its numbers in [`ClusterTable::vt`].
+    pub vt: Packing,
 }
 
 impl Cluster {
-    /// Columns n of ΣVᵀ.
-    pub fn columns(&self) -> usize {
-        self.support_count * self.coefficients
-    }
-
     /// Its rows.
     pub fn rows(&self) -> std::ops::Range<usize> {
         self.first_row..self.first_row + self.row_count
     }
+}
+
+/// A column of ΣVᵀ as shaders read it.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
+pub struct Column {
+    /// Place in λ of the number that it reads.
+    pub place: u32,
+    /// Scale of its numbers.
+    pub scale: f32,
 }
 
 /// Clusters and their factors.
@@ -48,13 +52,15 @@ impl Cluster {
 pub struct ClusterTable {
     /// Clusters in the manifest's order.
     pub clusters: Vec<Cluster>,
-    /// U of all clusters.
-    pub u: Vec<f32>,
-    /// ΣVᵀ of all clusters.
-    pub vt: Vec<f32>,
-    /// Index in λ of each supporting patch or probe, in units of J, cluster after cluster.
-    pub support: Vec<u32>,
-    /// Length of the array b: Σ k.
+    /// U of all clusters, packed.
+    pub u: Vec<u32>,
+    /// ΣVᵀ of all clusters, packed.
+    pub vt: Vec<u32>,
+    /// Columns, cluster after cluster.
+    pub columns: Vec<Column>,
+    /// By entry of b: the step of U times that of ΣVᵀ.
+    pub steps: Vec<f32>,
+    /// Length of the array b.
     pub b_len: usize,
 }
 
@@ -81,55 +87,71 @@ impl ClusterTable {
         first_row: usize,
         row_count: usize,
     ) -> Result<(), String> {
-        let first_support = self.support.len();
-        for &key in &factors.keys {
-            let found = columns.index(key);
-            self.support.push(found.ok_or_else(|| format!("column {key:016x} is in no chunk"))?);
+        let first_column = self.columns.len();
+        let (of_key, all) = (factors.coefficients(), columns.coefficients());
+        let mut push = |carrier: u32, scale: f32| -> Result<(), String> {
+            // A cluster of fewer bands, as a prefix of its chunk has, reads the first of each.
+            for place in (0..of_key).map(|j| carrier as usize * all + j) {
+                let place = u32::try_from(place).map_err(|_| format!("column {place} of λ is too many"))?;
+                self.columns.push(Column { place, scale });
+            }
+            Ok(())
+        };
+        for (index, &key) in factors.keys.iter().enumerate() {
+            let found = columns.index(key).ok_or_else(|| format!("column {key:016x} is in no chunk"))?;
+            push(found, factors.steps.scale.get(index).copied().unwrap_or(1.0))?;
         }
         if factors.sky {
-            self.support.push(columns.sky_index().ok_or("has columns of a sky that the bake lacks")?);
+            push(columns.sky_index().ok_or("has columns of a sky that the bake lacks")?, 1.0)?;
         }
+        let own = self.columns.split_off(first_column);
+        let (rank, column_count) = (factors.rank as usize, own.len());
+        let step_of_u = |i: usize| step_of(&factors.steps.u, i);
+        let step_of_vt = |i: usize| step_of(&factors.steps.vt, i);
+        let u = pack_u(&mut self.u, [rank, row_count], |row, i| {
+            number_of(factors.u[row * rank + i], step_of_u(i), 1.0)
+        });
+        let number = |i: usize, column: usize| {
+            number_of(factors.vt[i * column_count + column], step_of_vt(i), own[column].scale)
+        };
+        let order = column_order([column_count, rank], number);
+        self.columns.extend(order.iter().map(|&column| own[column]));
+        let vt = pack_vt(&mut self.vt, [column_count, rank], |i, column| number(i, order[column]));
+        let first_b = self.b_len;
+        self.b_len += rank.next_multiple_of(GROUP);
+        self.steps.extend((0..rank).map(|i| step_of_u(i) * step_of_vt(i)));
+        self.steps.resize(self.b_len, 0.0);
         self.clusters.push(Cluster {
             first_row,
             row_count,
-            first_support,
-            support_count: self.support.len() - first_support,
-            coefficients: factors.coefficients(),
-            rank: factors.rank as usize,
-            first_b: self.b_len,
-            first_u: self.u.len(),
-            first_vt: self.vt.len(),
+            first_column,
+            column_count,
+            rank,
+            first_b,
+            u,
+            vt,
         });
-        self.b_len += factors.rank as usize;
-        self.u.extend_from_slice(&factors.u);
-        self.vt.extend_from_slice(&factors.vt);
         Ok(())
     }
 
-    /// `b_c = (ΣVᵀ) λ|_c`, all clusters' k numbers one after the other.
-    ///
-    /// `lambda[p·J + j]` with `coefficients` = J. A cluster of fewer bands, as a prefix of its chunk has, reads the first
-    /// of each.
-    pub fn basis(&self, parallel: &impl Parallel, lambda: &[Vec4], coefficients: usize) -> Vec<Vec4> {
-        let of_cluster = |index: usize| -> Vec<Vec4> {
-            let cluster = &self.clusters[index];
-            (0..cluster.rank).map(|row| self.basis_row(cluster, row, lambda, coefficients)).collect()
-        };
+    /// `b_c = s (ΣVᵀ) λ|_c`, all clusters' numbers one after the other: s is the step of U, whose whole numbers they are read by.
+    pub fn basis(&self, parallel: &impl Parallel, lambda: &[Vec4]) -> Vec<Vec4> {
+        let of_cluster = |index: usize| self.basis_of(&self.clusters[index], lambda);
         parallel.map(self.clusters.len(), of_cluster).concat()
     }
 
-    fn basis_row(&self, cluster: &Cluster, row: usize, lambda: &[Vec4], coefficients: usize) -> Vec4 {
-        let columns = cluster.columns();
-        let vt = &self.vt[cluster.first_vt + row * columns..][..columns];
-        let support = &self.support[cluster.first_support..][..cluster.support_count];
-        let mut sum = Vec4::ZERO;
-        for (vt, place) in vt.chunks_exact(cluster.coefficients).zip(support) {
-            let lambda = &lambda[*place as usize * coefficients..][..cluster.coefficients];
-            for (vt, lambda) in vt.iter().zip(lambda) {
-                sum += *vt * *lambda;
+    fn basis_of(&self, cluster: &Cluster, lambda: &[Vec4]) -> Vec<Vec4> {
+        let columns = &self.columns[cluster.first_column..][..cluster.column_count];
+        let mut b = vec![Vec4::ZERO; GROUP * cluster.groups()];
+        for (index, column) in columns.iter().enumerate() {
+            let light = lambda[column.place as usize] * column.scale;
+            for (group, b) in b.chunks_exact_mut(GROUP).enumerate() {
+                let numbers = cluster.vt_numbers(&self.vt, group, index);
+                b.iter_mut().zip(numbers).for_each(|(b, number)| *b += number * light);
             }
         }
-        sum
+        b.iter_mut().zip(&self.steps[cluster.first_b..]).for_each(|(b, step)| *b *= *step);
+        b
     }
 
     /// `E_r = max(N_r + U_r · b_c, −F_r)` in W·m⁻², by row; without F, as for rows that have a sign, the sum itself.
@@ -145,11 +167,13 @@ impl ClusterTable {
     ) -> Vec<Vec4> {
         let of_cluster = |index: usize| -> Vec<Vec4> {
             let cluster = &self.clusters[index];
-            let b = &b[cluster.first_b..][..cluster.rank];
+            let b = &b[cluster.first_b..][..GROUP * cluster.groups()];
             let at = |row: usize| {
-                let first = cluster.first_u + (row - cluster.first_row) * cluster.rank;
-                let u = &self.u[first..][..cluster.rank];
-                let sum = u.iter().zip(b).fold(start[row], |sum, (u, b)| sum + *u * *b);
+                let of_group = |sum: Vec4, (group, b): (usize, &[Vec4])| {
+                    let numbers = cluster.u_numbers(&self.u, group, row - cluster.first_row);
+                    b.iter().zip(numbers).fold(sum, |sum, (b, number)| sum + number * *b)
+                };
+                let sum = b.chunks_exact(GROUP).enumerate().fold(start[row], of_group);
                 beside.map_or(sum, |beside| sum.max(-beside[row]))
             };
             cluster.rows().map(at).collect()

@@ -4,7 +4,7 @@
 //! ```text
 //! L_r  = ρ_r/π · (E_dir + E_emit + E_ind)           radiance      of receiver r
 //! λ    = mean of L over each patch, or 4π/K Σ L Y_j  Columns       numbers that a cluster's columns read
-//! b_c  = (ΣVᵀ) λ|_c                                  basis         k numbers a cluster
+//! b_c  = s (ΣVᵀ) λ|_c                                basis         k numbers a cluster, s the steps of U
 //! N_r  = w_r Σ_y ρ/π · (E_dir(y) + E_emit + E_ind)   gather        from near hits
 //! E_r  = max(N_r + U_r · b_c, −E_emit)               reconstruct   E_ind at receivers, W·m⁻²
 //! ```
@@ -42,6 +42,7 @@
 
 mod clusters;
 mod near;
+mod packed;
 mod parallel;
 mod patches;
 mod receivers;
@@ -61,10 +62,11 @@ use std::f32::consts::FRAC_1_PI;
 use glam::Vec4;
 use thiserror::Error;
 
-pub use clusters::{Cluster, ClusterTable, EmitterPart, EmitterTable, MAX_RANK};
-pub use near::{NearRow, NearTable};
+pub use clusters::{Cluster, ClusterTable, Column, EmitterPart, EmitterTable, MAX_RANK};
+pub use near::{NearHit, NearRow, NearTable, OWN_SURFACE, OwnSurface};
+pub use packed::Packing;
 pub use parallel::{Parallel, Serial};
-pub use patches::{NO_PATCH, PatchRow, PatchTable};
+pub use patches::{LEAF_BLOCK, NO_PATCH, PatchRow, PatchTable};
 pub use receivers::{MAX_RECEIVERS, ReceiverTable};
 pub use settle::{Incoming, Limit, Settled};
 pub use sky::Sky;

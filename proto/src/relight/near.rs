@@ -21,21 +21,39 @@ pub struct NearRow {
     pub weight: f32,
 }
 
+/// A hit as shaders read it.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
+pub struct NearHit {
+    /// Place in metres.
+    pub position_m: [f32; 3],
+    /// Slot of the texel that it lies on, or [`OWN_SURFACE`] and the number of a surface of its own.
+    pub light: u32,
+}
+
+/// Bit of [`NearHit::light`]: the hit lies on a surface that no texel stands for, and has E_emit and E_ind of the receiver that
+/// meets it.
+pub const OWN_SURFACE: u32 = 1 << 31;
+
+/// A surface that no texel stands for, as shaders read it.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
+pub struct OwnSurface {
+    /// Its unit normal.
+    pub normal: Vec4,
+    /// Its diffuse albedo ρ.
+    pub albedo: Vec4,
+}
+
 /// Near hits of a bake. Hits on texels that no light reaches are left out: they are dark.
 #[derive(Debug, Default)]
 pub struct NearTable {
     /// Receivers that have hits, by slot.
     pub rows: Vec<NearRow>,
-    /// Slot whose E_emit and E_ind each hit has: that of its texel, or of the receiver that meets it.
-    pub slots: Vec<u32>,
-    /// Whether each hit lies on the texel of its slot; else on a surface that no texel stands for.
-    pub on_texel: Vec<bool>,
-    /// Place of each hit in metres.
-    pub position_m: Vec<Vec4>,
-    /// Its unit normal.
-    pub normal: Vec<Vec4>,
-    /// Its diffuse albedo ρ.
-    pub albedo: Vec<Vec4>,
+    /// Hits, receiver after receiver.
+    pub hits: Vec<NearHit>,
+    /// Surfaces that no texel stands for.
+    pub own: Vec<OwnSurface>,
 }
 
 impl NearTable {
@@ -57,39 +75,68 @@ impl NearTable {
 
     /// Hits.
     pub fn len(&self) -> usize {
-        self.slots.len()
+        self.hits.len()
     }
 
     /// There are none.
     pub fn is_empty(&self) -> bool {
-        self.slots.is_empty()
+        self.hits.is_empty()
     }
 
     /// Place where E_dir of a hit is read.
-    pub fn direct_at(&self, hit: usize) -> DirectAt {
-        let (position_m, normal) = (self.position_m[hit].truncate(), self.normal[hit].truncate());
-        if self.on_texel[hit] {
-            DirectAt::Texel { slot: self.slots[hit], position_m, normal }
-        } else {
-            DirectAt::Point { position_m, normal }
+    pub fn direct_at(&self, hit: usize, receivers: &ReceiverTable) -> DirectAt {
+        let hit = &self.hits[hit];
+        let position_m = hit.position_m.into();
+        match self.own_surface(hit) {
+            Some(own) => DirectAt::Point { position_m, normal: own.normal.truncate() },
+            None => {
+                let normal = receivers.normal[hit.light as usize].truncate();
+                DirectAt::Texel { slot: hit.light, position_m, normal }
+            }
         }
+    }
+
+    /// Places in metres and normals of all hits.
+    pub fn surfaces(&self, receivers: &ReceiverTable) -> [Vec<Vec4>; 2] {
+        let place = |hit: &NearHit| four(hit.position_m);
+        let normal = |hit: &NearHit| {
+            self.own_surface(hit).map_or_else(|| receivers.normal[hit.light as usize], |own| own.normal)
+        };
+        [self.hits.iter().map(place).collect(), self.hits.iter().map(normal).collect()]
     }
 
     /// `N(r) = w_r Σ_y ρ/π · (E_dir(y) + E_emit + E_ind)` by slot, W·m⁻²; `dir` is E_dir by hit, `irradiance` that of
     /// receivers.
-    pub fn gather(&self, parallel: &impl Parallel, dir: &[Vec4], irradiance: Irradiance<'_>) -> Vec<Vec4> {
+    pub fn gather(
+        &self,
+        parallel: &impl Parallel,
+        receivers: &ReceiverTable,
+        dir: &[Vec4],
+        irradiance: Irradiance<'_>,
+    ) -> Vec<Vec4> {
         let sums = parallel.map(self.rows.len(), |row| {
             let row = &self.rows[row];
             let hits = row.first as usize..(row.first + row.count) as usize;
-            let each = hits.map(|hit| {
-                let slot = self.slots[hit] as usize;
-                self.albedo[hit] * FRAC_1_PI * (dir[hit] + irradiance.emit[slot] + irradiance.ind[slot])
-            });
-            each.sum::<Vec4>() * row.weight
+            // Light that bounces do not change by itself, as adapters have it.
+            let (mut direct, mut bounced) = (Vec4::ZERO, Vec4::ZERO);
+            for (hit, dir) in self.hits[hits.clone()].iter().zip(&dir[hits]) {
+                let (slot, albedo) = match self.own_surface(hit) {
+                    Some(own) => (row.slot as usize, own.albedo),
+                    None => (hit.light as usize, receivers.albedo[hit.light as usize]),
+                };
+                direct += albedo * FRAC_1_PI * *dir;
+                bounced += albedo * FRAC_1_PI * (irradiance.emit[slot] + irradiance.ind[slot]);
+            }
+            row.weight * (direct + bounced)
         });
         let mut all = vec![Vec4::ZERO; irradiance.ind.len()];
         self.rows.iter().zip(sums).for_each(|(row, sum)| all[row.slot as usize] = sum);
         all
+    }
+
+    /// The surface of a hit that no texel stands for.
+    fn own_surface(&self, hit: &NearHit) -> Option<&OwnSurface> {
+        (hit.light & OWN_SURFACE != 0).then(|| &self.own[(hit.light & !OWN_SURFACE) as usize])
     }
 
     /// Adds the hits of a cluster whose receivers begin at slot `first_receiver`.
@@ -106,18 +153,17 @@ impl NearTable {
             let from_m = receivers.position_m[slot].truncate().into();
             let first = self.len() as u32;
             for hit in hits {
-                let (light, normal, albedo, on_texel) = match near.surface[hit] {
-                    NearSurface::Own { albedo, normal } => (slot as u32, four(normal), four(albedo), false),
+                let (light, normal) = match near.surface[hit] {
+                    NearSurface::Own { albedo, normal } => {
+                        self.own.push(OwnSurface { normal: four(normal), albedo: four(albedo) });
+                        (OWN_SURFACE | (self.own.len() as u32 - 1), normal)
+                    }
                     NearSurface::Texel { block, texel } => {
                         let Some(on) = slots.standing(blocks[usize::from(block)], texel) else { continue };
-                        (on, receivers.normal[on as usize], receivers.albedo[on as usize], true)
+                        (on, receivers.normal[on as usize].truncate().into())
                     }
                 };
-                self.slots.push(light);
-                self.on_texel.push(on_texel);
-                self.position_m.push(four(near.position_m(hit, from_m, normal.truncate().into())));
-                self.normal.push(normal);
-                self.albedo.push(albedo);
+                self.hits.push(NearHit { position_m: near.position_m(hit, from_m, normal), light });
             }
             let count = self.len() as u32 - first;
             if count > 0 {

@@ -21,6 +21,9 @@ pub struct PatchRow {
     pub parent: u32,
 }
 
+/// Leaves in a row that are summed once for all patches, and such sums that are summed again. Roots have hundreds of thousands of leaves.
+pub const LEAF_BLOCK: u32 = 64;
+
 /// Stands for the patch that a root is part of.
 pub const NO_PATCH: u32 = u32::MAX;
 
@@ -142,10 +145,10 @@ impl Columns for PatchTable {
         irradiance: Irradiance<'_>,
     ) -> Vec<Vec4> {
         let leaves = self.leaf_sums(parallel, receivers, irradiance);
+        let blocks = block_sums(&leaves);
+        let large = block_sums(&blocks);
         let mut lambda = parallel.map(self.patches.len(), |patch| {
-            let patch = &self.patches[patch];
-            let leaves = &leaves[patch.first_leaf as usize..][..patch.leaf_count as usize];
-            let sum: Vec4 = leaves.iter().sum();
+            let sum = run_sum([&leaves, &blocks, &large], &self.patches[patch]);
             (sum.truncate() / sum.w).extend(0.0)
         });
         let difference = |(patch, mean): (&PatchRow, &Vec4)| match lambda.get(patch.parent as usize) {
@@ -156,6 +159,30 @@ impl Columns for PatchTable {
         lambda.extend(differences);
         lambda
     }
+}
+
+/// Sum of each so many numbers; the last may be of fewer.
+fn block_sums(numbers: &[Vec4]) -> Vec<Vec4> {
+    numbers.chunks(LEAF_BLOCK as usize).map(|block| block.iter().sum()).collect()
+}
+
+/// Sum over a patch's run of leaves, by sums of whole blocks where it holds some: of leaves, of blocks, of blocks of blocks.
+fn run_sum([leaves, blocks, large]: [&[Vec4]; 3], patch: &PatchRow) -> Vec4 {
+    let (mut at, end) = (patch.first_leaf, patch.first_leaf + patch.leaf_count);
+    let mut sum = Vec4::ZERO;
+    while at < end {
+        let holds = |size: u32| at.is_multiple_of(size) && end - at >= size;
+        let (part, size) = if holds(LEAF_BLOCK * LEAF_BLOCK) {
+            (large[(at / (LEAF_BLOCK * LEAF_BLOCK)) as usize], LEAF_BLOCK * LEAF_BLOCK)
+        } else if holds(LEAF_BLOCK) {
+            (blocks[(at / LEAF_BLOCK) as usize], LEAF_BLOCK)
+        } else {
+            (leaves[at as usize], 1)
+        };
+        sum += part;
+        at += size;
+    }
+    sum
 }
 
 /// The patch that each is part of: the smallest other run of leaves that holds its own; of equal runs, that of the next
@@ -178,4 +205,33 @@ pub(super) fn parents(set: &PatchSet) -> Vec<u32> {
         wholes.push(patch);
     }
     parents
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn runs_of_leaves_are_summed_by_whole_blocks_alone() {
+        // Whole numbers: sums are exact in any order.
+        let leaves: Vec<Vec4> = (0..9000_u32).map(|leaf| Vec4::splat((leaf * 7 % 11) as f32)).collect();
+        let blocks = block_sums(&leaves);
+        let large = block_sums(&blocks);
+        assert_eq!([blocks.len(), large.len()], [141, 3]);
+        for (first_leaf, leaf_count) in [
+            (0, 9000),
+            (0, 0),
+            (8999, 1),
+            (63, 2),
+            (64, 64),
+            (65, 127),
+            (4095, 4098),
+            (4096, 4096),
+            (1, 8191),
+        ] {
+            let patch = PatchRow { first_leaf, leaf_count, parent: NO_PATCH };
+            let wanted: Vec4 = leaves[first_leaf as usize..][..leaf_count as usize].iter().sum();
+            assert_eq!(run_sum([&leaves, &blocks, &large], &patch), wanted, "{first_leaf} + {leaf_count}");
+        }
+    }
 }

@@ -80,8 +80,8 @@ impl<C: Columns> Transport<C> {
         while settled.bounces < limit.bounces_max && !settled.converged {
             let irradiance = Irradiance { dir: incoming.dir, emit: &settled.emit, ind: &settled.ind };
             let lambda = self.lambda(parallel, irradiance, &sky);
-            let b = clusters.basis(parallel, &lambda, columns.coefficients());
-            let gathered = near.gather(parallel, incoming.near, irradiance);
+            let b = clusters.basis(parallel, &lambda);
+            let gathered = near.gather(parallel, receivers, incoming.near, irradiance);
             let next = clusters.reconstruct(parallel, &b, &gathered, Some(&settled.emit));
             settled.converged = Settled::change(&settled.ind, &next) < limit.change_max;
             (settled.lambda, settled.near, settled.ind) = (lambda, gathered, next);

@@ -98,7 +98,8 @@ fn indirect(transport: &Transport<PatchTable>, lighting: &Lighting) -> Vec<Vec4>
         positions.iter().zip(normals).map(|(position_m, normal)| direct(position_m, normal)).collect()
     };
     let dir = at(&transport.receivers.position_m, &transport.receivers.normal);
-    let near = at(&transport.near.position_m, &transport.near.normal);
+    let [positions_m, normals] = transport.near.surfaces(&transport.receivers);
+    let near = at(&positions_m, &normals);
     let [zenith, horizon] = lighting.sky.map(Into::into);
     // Factors beyond the emitters are not read.
     let off = vec![0.0; usize::from(u16::MAX)];

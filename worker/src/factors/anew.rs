@@ -144,7 +144,7 @@ fn factored<C: Columns>(piece: &Piece, slots: &[Option<u32>], baked: &Baked<C>, 
     let table = ClusterTable::join([(&piece.transport.factors, slots.len())], columns).expect(own);
     let emitters =
         EmitterTable::join([(&piece.transport.emitters[..], slots.len())], light.emitter_scale.len());
-    let b = table.basis(&Threads, &light.settled.lambda, columns.coefficients());
+    let b = table.basis(&Threads, &light.settled.lambda);
     let emit = emitters.expect(own).irradiance(slots.len(), &light.emitter_scale);
     let near: Vec<Vec4> = slots.iter().map(|&slot| near_of(slot, light)).collect();
     let ind = table.reconstruct(&Threads, &b, &near, Some(&emit));

@@ -82,7 +82,7 @@ impl<C: Columns> Baked<C> {
         let slots = (0..receivers.len() as u32).into_par_iter();
         let dir = slots.map(|slot| at(DirectAt::Receiver(slot))).collect::<Result<Vec<Vec4>, E>>()?;
         let hits = (0..near.len()).into_par_iter();
-        let of_near = hits.map(|hit| at(near.direct_at(hit))).collect::<Result<Vec<Vec4>, E>>()?;
+        let of_near = hits.map(|hit| at(near.direct_at(hit, receivers))).collect::<Result<Vec<Vec4>, E>>()?;
         Ok(self.settled(lighting, &dir, &of_near))
     }
 

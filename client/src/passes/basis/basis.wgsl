@@ -1,64 +1,113 @@
-// b_c = (ΣVᵀ) λ|_c; twin: reference.rs. One workgroup per row of one cluster's ΣVᵀ.
-
-struct Cluster {
-    first_row: u32,
-    row_count: u32,
-    first_support: u32,
-    support_count: u32,
-    coefficients: u32,
-    rank: u32,
-    first_b: u32,
-    // First element of this cluster's factor in the page's buffer.
-    first_factor: u32,
-}
+// b_c = s (ΣVᵀ) λ|_c; twin: reference.rs. One workgroup per cluster, a thread for each eight ranks and each share of the columns. λ at
+// the cluster's columns is gathered once, then read by all ranks.
 
 struct Basis {
-    // Coefficients per probe in lambda.
-    coefficients: u32,
     // Clusters in a row of the dispatch.
     stride: u32,
     cluster_count: u32,
-    pad: u32,
+}
+
+struct Column {
+    // Place in lambda.
+    place: u32,
+    scale: f32,
 }
 
 const THREADS = 64u;
+// Columns gathered at a time.
+const TILE = 256u;
 
 @group(0) @binding(0) var<uniform> basis: Basis;
 @group(0) @binding(1) var<storage, read> clusters: array<Cluster>;
-@group(0) @binding(2) var<storage, read> support: array<u32>;
-@group(0) @binding(3) var<storage, read> vt: array<f32>;
-@group(0) @binding(4) var<storage, read> lambda: array<vec4f>;
-@group(0) @binding(5) var<storage, read_write> b: array<vec4f>;
+@group(0) @binding(2) var<storage, read> columns: array<Column>;
+// For each eight ranks, for each column: a group.
+@group(0) @binding(3) var<storage, read> vt: array<u32>;
+@group(0) @binding(4) var<storage, read> steps: array<f32>;
+@group(0) @binding(5) var<storage, read> lambda: array<vec4f>;
+@group(0) @binding(6) var<storage, read_write> b: array<vec4f>;
 
-var<workgroup> sums: array<vec3f, THREADS>;
+var<workgroup> light: array<vec4f, TILE>;
+var<workgroup> sums: array<vec4f, THREADS * GROUP>;
+var<private> own: array<vec3f, GROUP>;
+
+// Adds a column's light to the thread's eight ranks.
+fn add(low: vec4f, high: vec4f, column: vec3f) {
+    own[0] += low.x * column;
+    own[1] += low.y * column;
+    own[2] += low.z * column;
+    own[3] += low.w * column;
+    own[4] += high.x * column;
+    own[5] += high.y * column;
+    own[6] += high.z * column;
+    own[7] += high.w * column;
+}
 
 @compute @workgroup_size(64)
 fn project(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) thread: u32) {
-    let index = group.z * basis.stride + group.y;
+    let index = group.y * basis.stride + group.x;
     if index >= basis.cluster_count {
         return;
     }
     let cluster = clusters[index];
-    if group.x >= cluster.rank {
-        return;
+    let groups = (cluster.rank + GROUP - 1u) / GROUP;
+    var lanes = 1u;
+    while lanes < groups {
+        lanes *= 2u;
     }
-    let columns = cluster.support_count * cluster.coefficients;
-    let row = cluster.first_factor + group.x * columns;
-    var sum = vec3f(0.0);
-    for (var column = thread; column < columns; column += THREADS) {
-        let probe = support[cluster.first_support + column / cluster.coefficients];
-        let coefficient = column % cluster.coefficients;
-        sum += vt[row + column] * lambda[probe * basis.coefficients + coefficient].rgb;
-    }
-    sums[thread] = sum;
-    workgroupBarrier();
-    for (var half = THREADS / 2u; half > 0u; half /= 2u) {
-        if thread < half {
-            sums[thread] += sums[thread + half];
+    let shares = THREADS / lanes;
+    let share = thread / lanes;
+    let has_ranks = thread % lanes < groups;
+    // Words of a group of ranks, by class of columns: wide ones, those of 8 bits, those of 4.
+    let wide_end = cluster.wide;
+    let bytes_end = wide_end + cluster.bytes;
+    let bytes_first = wide_end * cluster.wide_words;
+    let rest_first = bytes_first + cluster.bytes * OF_8;
+    let of_group = rest_first + cluster.column_count - bytes_end;
+    let first = cluster.first_word + thread % lanes * of_group;
+    for (var tile = 0u; tile < cluster.column_count; tile += TILE) {
+        let end = min(tile + TILE, cluster.column_count);
+        for (var at = thread; tile + at < end; at += THREADS) {
+            let column = columns[cluster.first_column + tile + at];
+            light[at] = lambda[column.place] * column.scale;
+        }
+        workgroupBarrier();
+        if has_ranks {
+            var at = tile + share;
+            for (; at < min(end, wide_end); at += shares) {
+                let word = first + at * cluster.wide_words;
+                let column = light[at - tile].rgb;
+                if cluster.wide_words == OF_16 {
+                    let low = of_16(vt[word], vt[word + 1u]);
+                    add(low, of_16(vt[word + 2u], vt[word + 3u]), column);
+                } else {
+                    let low = bitcast<vec4f>(vec4u(vt[word], vt[word + 1u], vt[word + 2u], vt[word + 3u]));
+                    let high = bitcast<vec4f>(vec4u(vt[word + 4u], vt[word + 5u], vt[word + 6u], vt[word + 7u]));
+                    add(low, high, column);
+                }
+            }
+            for (; at < min(end, bytes_end); at += shares) {
+                let word = first + bytes_first + (at - wide_end) * OF_8;
+                add(of_8(vt[word]), of_8(vt[word + 1u]), light[at - tile].rgb);
+            }
+            for (; at < end; at += shares) {
+                let word = vt[first + rest_first + at - bytes_end];
+                let low = bitcast<vec4i>(vec4u(word << 28u, word << 24u, word << 20u, word << 16u)) >> vec4u(28u);
+                let high = bitcast<vec4i>(vec4u(word << 12u, word << 8u, word << 4u, word)) >> vec4u(28u);
+                add(vec4f(low), vec4f(high), light[at - tile].rgb);
+            }
         }
         workgroupBarrier();
     }
-    if thread == 0u {
-        b[cluster.first_b + group.x] = vec4f(sums[0], 0.0);
+    for (var i = 0u; i < GROUP; i++) {
+        sums[thread * GROUP + i] = vec4f(own[i], 0.0);
+    }
+    workgroupBarrier();
+    for (var rank = thread; rank < cluster.rank; rank += THREADS) {
+        var total = vec4f(0.0);
+        for (var other = rank / GROUP; other < THREADS; other += lanes) {
+            total += sums[other * GROUP + rank % GROUP];
+        }
+        let at = cluster.first_b + rank;
+        b[at] = total * steps[at];
     }
 }

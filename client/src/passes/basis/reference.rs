@@ -5,7 +5,7 @@ use lightkiln_proto::relight::ClusterTable;
 
 use crate::threads::Threads;
 
-/// `b_c = (ΣVᵀ) λ|_c`, as [`ClusterTable::basis`].
-pub fn basis(table: &ClusterTable, lambda: &[Vec4], coefficients: usize) -> Vec<Vec4> {
-    table.basis(&Threads, lambda, coefficients)
+/// `b_c = s (ΣVᵀ) λ|_c`, as [`ClusterTable::basis`].
+pub fn basis(table: &ClusterTable, lambda: &[Vec4]) -> Vec<Vec4> {
+    table.basis(&Threads, lambda)
 }

@@ -1,4 +1,4 @@
-//! E_dir on the processor; twin of `shared/light.wgsl`, `direct.wgsl` and `texels.wgsl`, function by function.
+//! E_dir on the processor; twin of `shared/light.wgsl` and `texels.wgsl`, function by function.
 
 use glam::{Vec2, Vec3, Vec4};
 use lightkiln_proto::content::COVERAGE_POINTS;

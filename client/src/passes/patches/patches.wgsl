@@ -1,5 +1,5 @@
-// Radiance of receivers → mean radiance of patches, and differences; twin: reference.rs. One thread per leaf, then one per
-// patch, twice.
+// Radiance of receivers → mean radiance of patches, and differences; twin: reference.rs. One thread per leaf, then one per block
+// of leaves and one per block of blocks, then one per patch, twice.
 // `L = ρ/π·(E_dir + E_emit + E_ind)`; emission is left out, as its irradiance is baked with its own shadows.
 
 struct Patches {
@@ -8,6 +8,11 @@ struct Patches {
     patch_count: u32,
     // Threads in a row of the dispatch.
     stride: u32,
+    // Sums of blocks of leaves stand behind the leaves, sums of blocks of these behind them.
+    first_block: u32,
+    first_large: u32,
+    // Where sum_blocks begins to read, and where it ends; it writes behind that.
+    block_source: vec2u,
 }
 
 struct PatchRow {
@@ -18,6 +23,8 @@ struct PatchRow {
 }
 
 const PI = 3.14159265358979;
+// Numbers of a block.
+const BLOCK = 64u;
 
 @group(0) @binding(0) var<uniform> numbers: Patches;
 // First entry of each leaf in slots, and the end.
@@ -29,7 +36,7 @@ const PI = 3.14159265358979;
 @group(0) @binding(6) var<storage, read> e_ind: array<vec4f>;
 // Area of each in texels.
 @group(0) @binding(10) var<storage, read> areas: array<f32>;
-// Sum over the surface of each leaf; w is its area.
+// Sum over the surface of each leaf, and of each block; w is its area.
 @group(0) @binding(7) var<storage, read_write> leaves: array<vec4f>;
 @group(0) @binding(8) var<storage, read> patches: array<PatchRow>;
 // Patches, then their differences from the patches that they are part of, then parts of the sky, which do not change.
@@ -55,6 +62,21 @@ fn sum_leaves(@builtin(global_invocation_id) thread: vec3u) {
 }
 
 @compute @workgroup_size(64)
+fn sum_blocks(@builtin(global_invocation_id) thread: vec3u) {
+    let block = thread.y * numbers.stride + thread.x;
+    let first = numbers.block_source.x + block * BLOCK;
+    let end = numbers.block_source.y;
+    if first >= end {
+        return;
+    }
+    var sum = vec4f(0.0);
+    for (var at = first; at < min(first + BLOCK, end); at++) {
+        sum += leaves[at];
+    }
+    leaves[end + block] = sum;
+}
+
+@compute @workgroup_size(64)
 fn mean_of_patches(@builtin(global_invocation_id) thread: vec3u) {
     let index = thread.y * numbers.stride + thread.x;
     if index >= numbers.patch_count {
@@ -62,8 +84,19 @@ fn mean_of_patches(@builtin(global_invocation_id) thread: vec3u) {
     }
     let row = patches[index];
     var sum = vec4f(0.0);
-    for (var leaf = row.first_leaf; leaf < row.first_leaf + row.leaf_count; leaf++) {
-        sum += leaves[leaf];
+    var leaf = row.first_leaf;
+    let end = leaf + row.leaf_count;
+    while leaf < end {
+        if leaf % (BLOCK * BLOCK) == 0u && end - leaf >= BLOCK * BLOCK {
+            sum += leaves[numbers.first_large + leaf / (BLOCK * BLOCK)];
+            leaf += BLOCK * BLOCK;
+        } else if leaf % BLOCK == 0u && end - leaf >= BLOCK {
+            sum += leaves[numbers.first_block + leaf / BLOCK];
+            leaf += BLOCK;
+        } else {
+            sum += leaves[leaf];
+            leaf += 1u;
+        }
     }
     lambda[index] = vec4f(sum.rgb / sum.w, 0.0);
 }

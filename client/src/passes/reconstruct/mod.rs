@@ -6,15 +6,15 @@ use lightkiln_proto::relight::ClusterTable;
 
 use crate::error::Result;
 use crate::passes::gpu::{Gpu, groups_2d};
-use crate::passes::resident::{ClusterRow, pages};
+use crate::passes::resident::{ClusterRow, pages, words_of};
 
-/// The shader.
-pub const SHADER: &str = include_str!("reconstruct.wgsl");
+/// The shader, with the clusters' part in front.
+pub const SHADER: &str = concat!(include_str!("../shared/factors.wgsl"), include_str!("reconstruct.wgsl"));
 /// Largest difference from the reference, relative to the largest value: the same sum of at most 256 f32 in the same
 /// order; the adapter may fuse multiply and add.
 pub const TOLERANCE: f32 = 1e-5;
-/// Threads of a workgroup in the shader.
-const THREADS: usize = 64;
+/// Rows of a workgroup in the shader.
+const ROWS: usize = 4 * 64;
 
 /// Numbers of one page of factors; twin of `Reconstruct` in the shader.
 #[repr(C)]
@@ -52,15 +52,13 @@ impl ReconstructPass {
     /// Uploads U of all clusters.
     pub fn new(gpu: &Gpu, table: &ClusterTable, rows: RowArrays<'_>) -> Result<Self> {
         let pipeline = gpu.compute("reconstruct", SHADER, "expand");
-        let bytes = table.clusters.iter().map(|cluster| 4 * (cluster.rank * cluster.row_count) as u64);
+        let bytes = table.clusters.iter().map(|cluster| (4 * cluster.u.len) as u64);
         let mut groups = Vec::new();
         for run in pages(gpu, "cluster's U", bytes)? {
             let clusters = &table.clusters[run];
-            let first_u = clusters[0].first_u;
-            let end_u =
-                clusters.iter().map(|cluster| cluster.first_u + cluster.rank * cluster.row_count).max();
+            let words = words_of(clusters.iter().map(|cluster| cluster.u));
             let of_page: Vec<_> =
-                clusters.iter().map(|cluster| ClusterRow::new(cluster, cluster.first_u - first_u)).collect();
+                clusters.iter().map(|cluster| ClusterRow::new(cluster, &cluster.u, words.start)).collect();
             let rows_max = clusters.iter().map(|cluster| cluster.row_count).max().unwrap_or(0);
             let [stride, layers] = groups_2d(of_page.len() as u32);
             let numbers = ReconstructNumbers {
@@ -73,14 +71,14 @@ impl ReconstructPass {
                 &[
                     gpu.uniform("reconstruct", &numbers).as_entire_binding(),
                     gpu.storage("clusters", &of_page)?.as_entire_binding(),
-                    gpu.storage("u", &table.u[first_u..end_u.unwrap_or(first_u)])?.as_entire_binding(),
+                    gpu.storage("u", &table.u[words])?.as_entire_binding(),
                     rows.b.as_entire_binding(),
                     rows.start.as_entire_binding(),
                     rows.beside.unwrap_or(rows.start).as_entire_binding(),
                     rows.result.as_entire_binding(),
                 ],
             );
-            groups.push((group, [rows_max.div_ceil(THREADS) as u32, stride, layers]));
+            groups.push((group, [rows_max.div_ceil(ROWS) as u32, stride, layers]));
         }
         Ok(Self { pipeline, pages: groups })
     }

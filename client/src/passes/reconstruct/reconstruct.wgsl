@@ -1,16 +1,4 @@
-// E_r = max(N_r + U_r · b_c, −F_r), or the sum itself; twin: reference.rs. One thread per row of one cluster.
-
-struct Cluster {
-    first_row: u32,
-    row_count: u32,
-    first_support: u32,
-    support_count: u32,
-    coefficients: u32,
-    rank: u32,
-    first_b: u32,
-    // First element of this cluster's factor in the page's buffer.
-    first_factor: u32,
-}
+// E_r = max(N_r + U_r · b_c, −F_r), or the sum itself; twin: reference.rs. One thread per four rows of one cluster.
 
 struct Reconstruct {
     // Clusters in a row of the dispatch.
@@ -22,8 +10,8 @@ struct Reconstruct {
 
 @group(0) @binding(0) var<uniform> reconstruct: Reconstruct;
 @group(0) @binding(1) var<storage, read> clusters: array<Cluster>;
-// u[r·k + i] of the page's clusters.
-@group(0) @binding(2) var<storage, read> u: array<f32>;
+// For each eight ranks, for each row: a group.
+@group(0) @binding(2) var<storage, read> u: array<u32>;
 @group(0) @binding(3) var<storage, read> b: array<vec4f>;
 // N.
 @group(0) @binding(4) var<storage, read> start: array<vec4f>;
@@ -31,24 +19,70 @@ struct Reconstruct {
 @group(0) @binding(5) var<storage, read> beside: array<vec4f>;
 @group(0) @binding(6) var<storage, read_write> result: array<vec4f>;
 
+// Rows of a thread: b is read once for all of them.
+const ROWS = 4u;
+const THREADS = 64u;
+
+var<private> own: array<vec3f, ROWS>;
+
+// Adds eight ranks to a row.
+fn add(i: u32, low: vec4f, high: vec4f, of_b: array<vec3f, GROUP>) {
+    own[i] += low.x * of_b[0] + low.y * of_b[1] + low.z * of_b[2] + low.w * of_b[3]
+        + high.x * of_b[4] + high.y * of_b[5] + high.z * of_b[6] + high.w * of_b[7];
+}
+
+// Eight numbers of b.
+fn eight(first: u32) -> array<vec3f, GROUP> {
+    return array<vec3f, GROUP>(
+        b[first].rgb, b[first + 1u].rgb, b[first + 2u].rgb, b[first + 3u].rgb,
+        b[first + 4u].rgb, b[first + 5u].rgb, b[first + 6u].rgb, b[first + 7u].rgb,
+    );
+}
+
 @compute @workgroup_size(64)
-fn expand(@builtin(global_invocation_id) id: vec3u) {
-    let index = id.z * reconstruct.stride + id.y;
+fn expand(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) thread: u32) {
+    let index = group.z * reconstruct.stride + group.y;
     if index >= reconstruct.cluster_count {
         return;
     }
     let cluster = clusters[index];
-    if id.x >= cluster.row_count {
-        return;
+    let groups = (cluster.rank + GROUP - 1u) / GROUP;
+    // Of a row past the last, the last one stands in; it is not written.
+    let first = group.x * THREADS * ROWS + thread;
+    let last = cluster.row_count - 1u;
+    let at = min(vec4u(first, first + THREADS, first + 2u * THREADS, first + 3u * THREADS), vec4u(last));
+    for (var of_ranks = 0u; of_ranks < min(groups, cluster.wide); of_ranks++) {
+        let of_b = eight(cluster.first_b + of_ranks * GROUP);
+        let of_group = cluster.first_word + of_ranks * cluster.row_count * cluster.wide_words;
+        for (var i = 0u; i < ROWS; i++) {
+            let word = of_group + at[i] * cluster.wide_words;
+            if cluster.wide_words == OF_16 {
+                let low = of_16(u[word], u[word + 1u]);
+                add(i, low, of_16(u[word + 2u], u[word + 3u]), of_b);
+            } else {
+                let low = bitcast<vec4f>(vec4u(u[word], u[word + 1u], u[word + 2u], u[word + 3u]));
+                let high = bitcast<vec4f>(vec4u(u[word + 4u], u[word + 5u], u[word + 6u], u[word + 7u]));
+                add(i, low, high, of_b);
+            }
+        }
     }
-    let first = cluster.first_factor + id.x * cluster.rank;
-    let row = cluster.first_row + id.x;
-    var sum = start[row].rgb;
-    for (var i = 0u; i < cluster.rank; i++) {
-        sum += u[first + i] * b[cluster.first_b + i].rgb;
+    let narrow = cluster.first_word + cluster.wide * cluster.row_count * cluster.wide_words;
+    for (var of_ranks = cluster.wide; of_ranks < groups; of_ranks++) {
+        let of_b = eight(cluster.first_b + of_ranks * GROUP);
+        let of_group = narrow + (of_ranks - cluster.wide) * cluster.row_count * OF_8;
+        for (var i = 0u; i < ROWS; i++) {
+            let word = of_group + at[i] * OF_8;
+            add(i, of_8(u[word]), of_8(u[word + 1u]), of_b);
+        }
     }
-    if reconstruct.has_beside != 0u {
-        sum = max(sum, -beside[row].rgb);
+    for (var i = 0u; i < ROWS; i++) {
+        if first + i * THREADS < cluster.row_count {
+            let row = cluster.first_row + at[i];
+            var sum = start[row].rgb + own[i];
+            if reconstruct.has_beside != 0u {
+                sum = max(sum, -beside[row].rgb);
+            }
+            result[row] = vec4f(sum, 0.0);
+        }
     }
-    result[row] = vec4f(sum, 0.0);
 }

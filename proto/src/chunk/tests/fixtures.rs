@@ -62,6 +62,7 @@ fn cluster() -> ClusterTransport {
             rank: 2,
             u: vec![0.5, 0.5, 0.5, -0.5, 0.5, 0.5, 0.5, -0.5],
             vt: [8.0, 4.0, 2.0, 1.0, 0.5, 0.0, 0.0, -0.25, 0.0, 0.5, -0.5, 0.0, 0.0, 0.25, 0.0, 0.0].into(),
+            ..TransportFactors::default()
         },
         emitters: vec![EmitterIrradiance {
             emitter: 3,
@@ -235,6 +236,7 @@ fn assert_decoded(stored: &Fixtures, less: impl Fn(&mut ClusterTransport)) {
             factors: TransportFactors {
                 u: wanted.factors.u.clone(),
                 vt: wanted.factors.vt.clone(),
+                steps: FactorSteps::default(),
                 ..found.factors
             },
             emitters: wanted.emitters.clone(),

@@ -56,6 +56,24 @@ fn cluster_comes_back_within_its_stated_errors() {
 }
 
 #[test]
+fn decoded_factors_are_whole_numbers_of_their_steps() {
+    for cluster in [wall(16, 5, 4, 12, 1), narrow(16, 3)] {
+        let encoded = encode_cluster(&cluster, QuantisationSettings::default()).unwrap();
+        let TransportFactors { u, vt, rank, steps, .. } = decode_cluster(&encoded.bytes).unwrap().factors;
+        let (rank, columns) = (rank as usize, vt.len() / rank as usize);
+        let is_whole = |value: f32, step: f32, scale: f32| {
+            let whole = (value / (step * scale)).round();
+            whole * step * scale == value && whole.abs() < 32_767.0
+        };
+        assert!(u.iter().enumerate().all(|(index, &u)| is_whole(u, steps.u[index % rank], 1.0)));
+        let scale = |column: usize| steps.scale.get(column).copied().unwrap_or(1.0);
+        let of_vt =
+            |(index, &vt): (usize, &f32)| is_whole(vt, steps.vt[index / columns], scale(index % columns));
+        assert!(vt.iter().enumerate().all(of_vt));
+    }
+}
+
+#[test]
 fn columns_come_back_within_the_error_of_the_light_that_they_are_expected_to_read() {
     let cluster = narrow(16, 3);
     let encoded = encode_cluster(&cluster, QuantisationSettings::default()).unwrap();

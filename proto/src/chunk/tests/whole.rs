@@ -16,6 +16,9 @@ pub fn assert_whole(cluster: &ClusterTransport) {
     assert!(block.iter().all(|&block| usize::from(block) < blocks.len()));
     assert_eq!(cluster.factors.u.len(), count * cluster.factors.rank as usize);
     assert_eq!(cluster.factors.vt.len(), cluster.factors.columns() * cluster.factors.rank as usize);
+    let steps = &cluster.factors.steps;
+    assert_eq!([steps.u.len(), steps.vt.len()], [cluster.factors.rank as usize; 2]);
+    assert!(steps.scale.is_empty() || steps.scale.len() == cluster.factors.keys.len());
     assert!(cluster.emitters.iter().all(|emitter| emitter.irradiance.len() == count));
     let emitted = cluster.emitters.iter().flat_map(|emitter| emitter.irradiance.as_flattened());
     let vectors = [position_m, normal, albedo, emission].into_iter().flat_map(|v| v.as_flattened());

@@ -259,7 +259,8 @@ impl Lit {
         let slots = (0..transport.receivers.len() as u32).into_par_iter();
         let dir: Vec<Vec4> = slots.map(|slot| direct(DirectAt::Receiver(slot))).collect();
         let hits = (0..transport.near.len()).into_par_iter();
-        let near: Vec<Vec4> = hits.map(|hit| direct(transport.near.direct_at(hit))).collect();
+        let near: Vec<Vec4> =
+            hits.map(|hit| direct(transport.near.direct_at(hit, &transport.receivers))).collect();
         let ind = settled(transport, &light.lighting, &dir, &near);
         Ok(Self { light, dir, ind })
     }
