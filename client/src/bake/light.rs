@@ -12,7 +12,7 @@ use crate::passes::gpu::Gpu;
 use crate::passes::shade::{IndirectIrradiance, ShadeView, Shading};
 use crate::passes::shadow::reference::ShadowMaps;
 use crate::passes::shadow::{ShadowPass, ShadowPlan};
-use crate::scene::LoadedScene;
+use crate::scene::{LoadedScene, Tints};
 use crate::stream::{Streamed, Viewpoint};
 
 /// A scene under lights, with the shadow maps of the processor.
@@ -107,6 +107,17 @@ pub trait Light: Debug + Send + Sync {
         UnshadowedArrays::default()
     }
 
+    /// Albedo of receivers by slot, of materials with these tints; `None` for a kind whose light does not hang on it.
+    fn tinted_albedo(&self, scene: &LoadedScene, tints: &Tints) -> Option<Vec<Vec4>> {
+        let _ = (scene, tints);
+        None
+    }
+
+    /// Takes the result of [`Light::tinted_albedo`] for the bake's own.
+    fn set_albedo(&mut self, albedo: Vec<Vec4>) {
+        let _ = albedo;
+    }
+
     /// Pictures for finding faults that the kind draws: name and number of pages.
     fn debug_pictures(&self, scene: &LoadedScene) -> Vec<(&'static str, usize)> {
         let _ = scene;
@@ -152,6 +163,12 @@ pub trait LightPasses {
     /// Writes light that no shadow map has: the result of [`Light::unshadowed`].
     fn set_unshadowed(&self, gpu: &Gpu, light: &UnshadowedArrays) {
         let _ = (gpu, light);
+    }
+
+    /// Writes albedo of receivers: the result of [`Light::tinted_albedo`]. What it changes straight from lights is changed by
+    /// [`LightPasses::relit`].
+    fn set_albedo(&self, gpu: &Gpu, albedo: &[Vec4]) {
+        let _ = (gpu, albedo);
     }
 
     /// Records the work that a change of lights asks for, with new shadow maps.

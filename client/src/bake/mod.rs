@@ -9,7 +9,7 @@ mod light;
 
 use crate::error::Result;
 use crate::fetch::Source;
-use crate::scene::LoadedScene;
+use crate::scene::{LoadedScene, Recolour, Tints};
 
 pub use kind::{ClientKind, ClientKinds};
 pub use light::{
@@ -42,5 +42,18 @@ impl LoadedBake {
         let scene = LoadedScene::fetch(source, manifest)?;
         let light = kind.load(source, &scene)?;
         Ok(Self { scene, light })
+    }
+
+    /// Gives materials other colours, from which all light follows; the bake's own are gone.
+    pub fn recolour(&mut self, colours: &[Recolour]) -> Result<()> {
+        let tints = Tints::of(&self.scene, colours)?;
+        if let Some(albedo) = self.light.tinted_albedo(&self.scene, &tints) {
+            self.light.set_albedo(albedo);
+        }
+        for material in 0..self.scene.manifest.materials.len() {
+            let colour = tints.base_colour(&self.scene, material as u32);
+            self.scene.manifest.materials[material].base_colour = colour;
+        }
+        Ok(())
     }
 }

@@ -10,6 +10,7 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use lightkiln_http::DiskCache;
 use lightkiln_proto::api::MAX_CHUNK_BYTES;
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::manifest::{self, ChunkRef, DIRECTORY, Manifest, ManifestError};
@@ -37,6 +38,8 @@ pub enum Source {
         client: Arc<ApiClient>,
         /// The bake's id there.
         bake: String,
+        /// Where its chunks are kept for the next time.
+        cache: Option<Arc<DiskCache>>,
     },
 }
 
@@ -54,7 +57,16 @@ impl Source {
 
     /// A bake of a server, by the bake's id.
     pub fn server(client: ApiClient, bake: impl Into<String>) -> Self {
-        Self::Server { client: Arc::new(client), bake: bake.into() }
+        Self::Server { client: Arc::new(client), bake: bake.into(), cache: None }
+    }
+
+    /// The same; chunks of a server are kept in a cache and taken from there. Chunks are named by their bytes, so none is ever stale.
+    #[must_use]
+    pub fn with_cache(self, chunks: DiskCache) -> Self {
+        match self {
+            Self::Server { client, bake, .. } => Self::Server { client, bake, cache: Some(Arc::new(chunks)) },
+            bundle @ Self::Bundle(_) => bundle,
+        }
     }
 
     /// The manifest, as bytes, and decoded with its directory.
@@ -64,7 +76,7 @@ impl Source {
                 let path = folder.join(MANIFEST_FILE);
                 (path.display().to_string(), read_limited(&path, manifest::MAX_BYTES as u64)?)
             }
-            Self::Server { client, bake } => (format!("manifest of bake {bake}"), client.manifest(bake)?),
+            Self::Server { client, bake, .. } => (format!("manifest of bake {bake}"), client.manifest(bake)?),
         };
         let manifest = parsed(&place, Manifest::from_json(&bytes))?;
         let pages = decoded(self, &manifest, DIRECTORY, |page| Ok(page.to_vec()))?;
@@ -81,7 +93,8 @@ impl Source {
                 let bytes = read_limited(&path, limit)?;
                 verify(&path.display().to_string(), chunk.digest, bytes)
             }
-            Self::Server { client, .. } => client.chunk(chunk.digest, limit),
+            Self::Server { client, cache: None, .. } => client.chunk(chunk.digest, limit),
+            Self::Server { client, cache: Some(cache), .. } => cached(cache, client, chunk, limit),
         }
     }
 }
@@ -98,6 +111,19 @@ fn chunk_limit(chunk: &ChunkRef) -> Result<u64> {
     }
     let what = format!("chunk {}", chunk.digest);
     Err(ClientError::TooLarge { what, bytes: chunk.bytes, limit: MAX_CHUNK_BYTES })
+}
+
+/// A chunk's bytes from the cache, else from the server and into the cache.
+fn cached(cache: &DiskCache, client: &ApiClient, chunk: &ChunkRef, limit: u64) -> Result<Vec<u8>> {
+    if let Some(bytes) = cache.get(chunk.digest).filter(|bytes| bytes.len() as u64 <= limit) {
+        return Ok(bytes);
+    }
+    let bytes = client.chunk(chunk.digest, limit)?;
+    // A picture is worth more than its cache.
+    if let Err(error) = cache.put(chunk.digest, &bytes) {
+        tracing::warn!(%error, "a fetched chunk cannot be kept for the next time");
+    }
+    Ok(bytes)
 }
 
 fn verify(place: &str, wanted: Digest, bytes: Vec<u8>) -> Result<Vec<u8>> {

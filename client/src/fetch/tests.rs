@@ -46,6 +46,25 @@ fn bundle_of_probes_loads_into_the_bake_that_was_written() {
     assert!(found.columns.hits.iter().any(|hit| (*hit as usize) < found.receivers.len()));
 }
 
+#[test]
+fn chunks_of_a_server_come_from_the_cache_where_they_are_there_and_whole() {
+    let folder = tempfile::tempdir().unwrap();
+    let manifest = fixture::write_bundle(folder.path(), prt::NAME);
+    let chunks = chunk_refs(&manifest);
+    let kept = tempfile::tempdir().unwrap();
+    let bundle = Source::bundle(folder.path()).unwrap();
+    let open = || DiskCache::open(kept.path(), 1 << 20).unwrap();
+    open().put(chunks[0].digest, &bundle.chunk(&chunks[0]).unwrap()).unwrap();
+    // Nothing answers there.
+    let client = ApiClient::new("http://127.0.0.1:9", None).unwrap();
+    let client = client.with_retry(RetryPolicy::new().with_max_times(0));
+    let server = Source::server(client, "bake").with_cache(open());
+    assert_eq!(server.chunk(&chunks[0]).unwrap(), bundle.chunk(&chunks[0]).unwrap());
+    assert!(matches!(server.chunk(&chunks[1]), Err(ClientError::Call(_))));
+    // A bundle has no use for one.
+    assert!(matches!(bundle.with_cache(open()), Source::Bundle(_)));
+}
+
 fn scene_of(source: &Source) -> crate::scene::LoadedScene {
     crate::scene::LoadedScene::load(source).unwrap()
 }

@@ -1,8 +1,9 @@
-//! A frame that stays: what changes lights, emitters or the camera writes to buffers and makes none, and nothing waits for the adapter.
+//! A frame that stays: what changes lights, emitters, materials or the camera writes to buffers and makes none, and nothing waits for the adapter.
 //!
 //! ```text
 //! set_lights ───▶ shadow maps ─▶ direct ─▶ bounce, bounce, … ─▶ publish ─▶ draw
 //! set_emitters ──────────────────────────▶    (once a frame, until they change nothing)
+//! set_materials ────────────────▶ direct ─▶
 //! set_camera ───▶ cascades of suns ──────────────────────────────────────▶ draw
 //! ```
 //! Bounces go on from the light that there is: after a small change a few are enough. Whoever shows frames paces them, as a window
@@ -23,6 +24,7 @@ use crate::passes::gpu::Gpu;
 use crate::passes::meshes::Meshes;
 use crate::passes::shade::{ShadePass, ShadeView};
 use crate::passes::shadow::{Eye, ShadowPass, ShadowPlan, ShadowRoom};
+use crate::scene::{Recolour, Tints};
 
 /// Room of a frame's buffers: what changes within it makes none.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -47,6 +49,7 @@ pub struct Frame<'a> {
     casters: Vec<Caster>,
     sky: Sky,
     emitter_scale: Vec<f32>,
+    tints: Tints,
     camera: SceneCamera,
     pub(crate) plan: ShadowPlan,
     stale: Stale,
@@ -101,6 +104,7 @@ impl<'a> Frame<'a> {
             casters: Vec::new(),
             sky: Sky::default(),
             emitter_scale: Vec::new(),
+            tints: Tints::default(),
             camera,
             plan,
             stale: Stale { lights: true, cascades: true, light: true, pages: true },
@@ -137,6 +141,24 @@ impl<'a> Frame<'a> {
             self.emitter_scale = scale.to_vec();
             self.write_unshadowed();
         }
+        Ok(())
+    }
+
+    /// Gives materials other colours than the bake's; those that are not named have the bake's own.
+    pub fn set_materials(&mut self, colours: &[Recolour]) -> Result<()> {
+        let scene = &self.bake.scene;
+        let tints = Tints::of(scene, colours)?;
+        if tints == self.tints {
+            return Ok(());
+        }
+        if let Some(albedo) = self.bake.light.tinted_albedo(scene, &tints) {
+            self.light.set_albedo(self.gpu, &albedo);
+        }
+        self.tints = tints;
+        self.shade.set_looks(self.gpu, scene, &self.tints, &self.emitter_scale);
+        // Near hits have albedo and light from lights in one sum.
+        (self.stale.lights, self.stale.cascades, self.stale.pages) = (true, true, true);
+        self.bounces = Bounces::default();
         Ok(())
     }
 
@@ -226,7 +248,7 @@ impl<'a> Frame<'a> {
         let light = Unshadowed { sky: self.sky, emitter_scale: &self.emitter_scale };
         let arrays = self.bake.light.unshadowed(light);
         self.light.set_unshadowed(self.gpu, &arrays);
-        self.shade.set_emitters(self.gpu, &self.bake.scene, &self.emitter_scale);
+        self.shade.set_looks(self.gpu, &self.bake.scene, &self.tints, &self.emitter_scale);
         // Light that nothing sends any more would fade for ever.
         let is_dark = self.casters.is_empty() && self.sky == Sky::default();
         self.stale.light |= is_dark && arrays.emit.iter().all(|emit| *emit == Vec4::ZERO);

@@ -216,3 +216,40 @@ fn adapter_draws_a_path_as_the_processor_does() {
     assert_eq!(got[1].exposure, got[3].exposure);
     assert_ne!(got[0].exposure, got[1].exposure);
 }
+
+#[test]
+#[ignore = "needs a graphics adapter"]
+fn adapter_draws_other_colours_as_a_bake_that_has_them_and_makes_nothing_for_them() {
+    let gpu = Gpu::open().unwrap();
+    for make in [|| fixture::prt_bake(&fixture::narrow_contents()), fixture::sh_bake] {
+        let bake = make();
+        let camera = view_of(&bake).camera;
+        let lamps = lights(&["point pos=1,1.5,1 power=20"]);
+        let mut kept = Frame::new(&gpu, &bake, room(), camera.clone()).unwrap();
+        kept.set_lights(&lamps).unwrap();
+        kept.settle(LIMIT).unwrap();
+        let before = drawn(&mut kept);
+        let name = bake.scene.manifest.materials[0].name.clone();
+        let colours = [Recolour { material: name, base_colour: [0.05, 0.6, 0.2] }];
+        let created = gpu.created();
+        kept.set_materials(&colours).unwrap();
+        assert!(kept.settle(LIMIT).unwrap().1);
+        kept.draw([0.25, 0.0]).unwrap();
+        assert_eq!(gpu.created(), created, "what changes makes nothing");
+        let got = drawn(&mut kept);
+        let mut recoloured = make();
+        recoloured.recolour(&colours).unwrap();
+        let mut anew = Frame::new(&gpu, &recoloured, room(), camera).unwrap();
+        anew.set_lights(&lamps).unwrap();
+        anew.settle(LIMIT).unwrap();
+        let difference = Difference::of_mean(&got, &drawn(&mut anew), TOLERANCE);
+        assert!(difference.agrees(0.0), "{difference}");
+        // Back again.
+        kept.set_materials(&[]).unwrap();
+        kept.settle(LIMIT).unwrap();
+        let back = Difference::of_mean(&drawn(&mut kept), &before, TOLERANCE);
+        assert!(back.agrees(0.0), "{back}");
+        let other = Difference::of_mean(&got, &before, TOLERANCE);
+        assert!(!other.agrees(0.1), "colours are seen: {other}");
+    }
+}

@@ -1,5 +1,7 @@
 //! The passes of light in a lightmap on the adapter, with their buffers.
 
+use glam::Vec4;
+
 use super::{ClientColumns, LightmapLight};
 use crate::bake::{LightPasses, UnshadowedArrays};
 use crate::error::Result;
@@ -60,6 +62,10 @@ impl LightPasses for LightmapPasses {
     fn set_unshadowed(&self, gpu: &Gpu, UnshadowedArrays { emit, sky }: &UnshadowedArrays) {
         gpu.write(&self.resident.e_emit, emit);
         self.resident.write_sky(gpu, sky);
+    }
+
+    fn set_albedo(&self, gpu: &Gpu, albedo: &[Vec4]) {
+        gpu.write(&self.resident.albedo, albedo);
     }
 
     /// E_dir at receivers and near hits.

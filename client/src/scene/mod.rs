@@ -3,6 +3,7 @@
 mod draws;
 mod lightmap;
 mod load;
+mod recolour;
 mod texture;
 
 use lightkiln_proto::content::Geometry;
@@ -13,6 +14,7 @@ use crate::fetch::Source;
 
 pub use draws::{DrawTable, LoadedDraw, Vertex};
 pub use lightmap::{LightmapLayout, MAX_ATLAS_TEXELS, MAX_PAGE_SIDE, MAX_PAGES, NO_BLOCK, PlacedBlock};
+pub use recolour::{ALBEDO_MAX, Recolour, Tints};
 pub use texture::Texture;
 pub(crate) use texture::srgb_of_linear;
 

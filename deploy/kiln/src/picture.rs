@@ -14,6 +14,7 @@ use lightkiln_client::picture::{Exposure, Picture, Tone};
 use lightkiln_client::preview::{
     Backend, PATH_FILE_MAX, StreamedBake, View, ViewPath, debug_picture, render, render_path,
 };
+use lightkiln_client::scene::Recolour;
 use lightkiln_client::stream::Streamed;
 use serde::Serialize;
 
@@ -35,6 +36,10 @@ pub struct PictureArguments {
     /// "emitters scale=s" (the scene's emissive surfaces, 1 unless said)
     #[arg(long, value_name = "LIGHT", help_heading = "Picture")]
     light: Vec<String>,
+    /// Another base colour of a material, linear, instead of the file's factor: "NAME=r,g,b" with channels 0 to 1; may be
+    /// given often. All light follows, and nothing is baked again
+    #[arg(long, value_name = "MATERIAL", value_parser = parse_recolour, help_heading = "Picture")]
+    material: Vec<Recolour>,
     /// Width and height in pixels
     #[arg(long, value_name = "WxH", default_value = "1280x720", value_parser = parse_size, help_heading = "Picture")]
     size: (u32, u32),
@@ -177,7 +182,7 @@ impl PictureArguments {
 
     /// Draws the bake and writes it as PNG; says on standard error what was chosen and who drew.
     pub fn draw(&self, kinds: &ClientKinds, off: &SwitchedOff, source: &Source, png: &Path) -> Result<()> {
-        let bake = LoadedBake::load(source, kinds)?;
+        let bake = self.loaded(source, kinds)?;
         let view = self.view(&bake, off, None)?;
         self.write_all(&bake, &view, None, png).map(|_| ())
     }
@@ -192,7 +197,7 @@ impl PictureArguments {
         png: &Path,
     ) -> Result<Drawn> {
         let Some(max_bytes) = max_bytes else {
-            let bake = LoadedBake::load(source, kinds)?;
+            let bake = self.loaded(source, kinds)?;
             let view = self.view(&bake, off, path)?;
             return self.write_all(&bake, &view, path, png);
         };
@@ -205,8 +210,16 @@ impl PictureArguments {
         say!(
             "{bytes} of {bytes_all} bytes of light ({percent:.1} %): the overview, and {clusters} of {clusters_all} clusters"
         );
+        streamed.bake.recolour(&self.material)?;
         let drawn = self.write_all(&streamed.bake, &view, path, png)?;
         Ok(Drawn { light_bytes: Some(bytes), light_bytes_all: Some(bytes_all), ..drawn })
+    }
+
+    /// The whole bake, with the colours that are asked for.
+    fn loaded(&self, source: &Source, kinds: &ClientKinds) -> Result<LoadedBake> {
+        let mut bake = LoadedBake::load(source, kinds)?;
+        bake.recolour(&self.material)?;
+        Ok(bake)
     }
 
     /// The view of a bake; says on standard error what was chosen.
@@ -310,6 +323,22 @@ fn parse_stops(text: &str) -> std::result::Result<f32, String> {
     }
 }
 
+/// A colour of a material as `NAME=r,g,b`; the name may hold '='.
+fn parse_recolour(text: &str) -> std::result::Result<Recolour, String> {
+    let wrong = || "write the material's name and a linear colour, e.g. \"plaster=0.6,0.5,0.4\"".to_owned();
+    let (name, colour) = text.rsplit_once('=').ok_or_else(wrong)?;
+    let channels: Vec<f32> = colour
+        .split(',')
+        .map(|channel| channel.trim().parse())
+        .collect::<std::result::Result<_, _>>()
+        .map_err(|_| wrong())?;
+    let base_colour = <[f32; 3]>::try_from(channels).map_err(|_| wrong())?;
+    if !base_colour.iter().all(|channel| (0.0..=1.0).contains(channel)) {
+        return Err("each channel of a colour is a number from 0 to 1".to_owned());
+    }
+    Ok(Recolour { material: name.to_owned(), base_colour })
+}
+
 /// A size as `WIDTHxHEIGHT`, each 1..=16384 pixels.
 pub fn parse_size(text: &str) -> std::result::Result<(u32, u32), String> {
     let wrong = || "write width x height in pixels, e.g. 1280x720".to_owned();
@@ -324,6 +353,17 @@ pub fn parse_size(text: &str) -> std::result::Result<(u32, u32), String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn colours_of_materials_are_a_name_and_three_channels() {
+        let wall = Recolour { material: "wall=red".to_owned(), base_colour: [0.5, 0.25, 1.0] };
+        assert_eq!(parse_recolour("wall=red=0.5, 0.25,1"), Ok(wall));
+        for wrong in
+            ["wall", "wall=", "wall=1,2", "wall=1,1,1,1", "wall=a,b,c", "wall=1.5,0,0", "wall=nan,0,0"]
+        {
+            assert!(parse_recolour(wrong).is_err(), "{wrong}");
+        }
+    }
 
     #[test]
     fn exposure_is_a_finite_number_of_stops() {

@@ -8,7 +8,6 @@
 
 mod attempt;
 mod claim;
-mod disk_cache;
 mod farm;
 mod share;
 mod store;
@@ -23,7 +22,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::ScopedJoinHandle;
 use std::time::Duration;
 
-use lightkiln_http::{FOREVER, retry};
+use lightkiln_http::{DiskCache, FOREVER, retry};
 use lightkiln_proto::api::ClaimRequest;
 use lightkiln_proto::ids::Digest;
 use thiserror::Error;
@@ -33,7 +32,6 @@ use farm::Farm;
 use share::Threads;
 
 pub use attempt::Outcome;
-pub use disk_cache::DiskCache;
 pub use lightkiln_http::{CallError, Level, ShutdownFlag};
 pub use share::usual_tasks;
 

@@ -3,13 +3,12 @@
 
 use std::sync::Arc;
 
-use lightkiln_http::{CallError, FOREVER, Level, ShutdownFlag, retry};
+use lightkiln_http::{CallError, DiskCache, FOREVER, Level, ShutdownFlag, retry};
 use lightkiln_proto::api::MAX_CHUNK_BYTES;
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::Artefact;
 use lightkiln_proto::trace::TARGET;
 
-use super::disk_cache::DiskCache;
 use super::farm::Farm;
 use super::trace::step;
 use crate::task::{ArtefactSource, Cancelled, FetchError, Progress};

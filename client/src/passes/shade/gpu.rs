@@ -12,7 +12,7 @@ use crate::error::Result;
 use crate::passes::gpu::{Gpu, failed, uniform};
 use crate::passes::meshes::{Meshes, sampled, uv_rows, vertex_layout};
 use crate::passes::shadow::{ShadowPass, cleared_depth, nearer_wins, tested_alone};
-use crate::scene::{LoadedDraw, LoadedScene};
+use crate::scene::{LoadedDraw, LoadedScene, Tints};
 
 /// Look of a draw; twin of `ShadeDraw` in the shader.
 #[repr(C)]
@@ -89,7 +89,7 @@ impl ShadePass {
         let module = gpu.module("shade", &shading.shader());
         let view = gpu.buffer("view", size_of::<ShadeView>() as u64, wgpu::BufferUsages::UNIFORM);
         let view_group = gpu.bind(&view_layout, &[&[view.as_entire_binding()], resources].concat());
-        let (looks, draw_stride) = gpu.uniforms("draws", &looks(scene, &[]));
+        let (looks, draw_stride) = gpu.uniforms("draws", &looks(scene, &Tints::default(), &[]));
         let window = wgpu::BufferBinding {
             buffer: &looks,
             offset: 0,
@@ -133,9 +133,9 @@ impl ShadePass {
         })
     }
 
-    /// Writes the emitters' scale; 1 where absent.
-    pub fn set_emitters(&self, gpu: &Gpu, scene: &LoadedScene, scale: &[f32]) {
-        gpu.write_strided(&self.looks, &looks(scene, scale), self.draw_stride);
+    /// Writes looks of materials: tints, and the emitters' scale, 1 where absent.
+    pub fn set_looks(&self, gpu: &Gpu, scene: &LoadedScene, tints: &Tints, emitter_scale: &[f32]) {
+        gpu.write_strided(&self.looks, &looks(scene, tints, emitter_scale), self.draw_stride);
     }
 
     /// Draws one sample per pixel.
@@ -215,12 +215,17 @@ fn check_size(gpu: &Gpu, size: [u32; 2]) -> Result<()> {
 }
 
 /// Looks of all draws.
-fn looks(scene: &LoadedScene, emitter_scale: &[f32]) -> Vec<ShadeDraw> {
+fn looks(scene: &LoadedScene, tints: &Tints, emitter_scale: &[f32]) -> Vec<ShadeDraw> {
     let draws = scene.draws.draws.iter().zip(0..);
-    draws.map(|(draw, index)| shade_draw(scene, draw, index, emitter_scale)).collect()
+    draws.map(|(draw, index)| shade_draw((scene, tints), draw, index, emitter_scale)).collect()
 }
 
-fn shade_draw(scene: &LoadedScene, draw: &LoadedDraw, index: u32, emitter_scale: &[f32]) -> ShadeDraw {
+fn shade_draw(
+    (scene, tints): (&LoadedScene, &Tints),
+    draw: &LoadedDraw,
+    index: u32,
+    emitter_scale: &[f32],
+) -> ShadeDraw {
     let material = &scene.manifest.materials[draw.material as usize];
     let scale =
         material.emitter.and_then(|emitter| emitter_scale.get(usize::from(emitter))).copied().unwrap_or(1.0);
@@ -231,7 +236,7 @@ fn shade_draw(scene: &LoadedScene, draw: &LoadedDraw, index: u32, emitter_scale:
         uv_rows(glass.and_then(|glass| glass.transmission_texture.as_ref()));
     let [r, g, b] = material.emissive.map(|channel| channel * scale);
     ShadeDraw {
-        base_colour: material.base_colour,
+        base_colour: tints.base_colour(scene, draw.material),
         emissive: [r, g, b, 0.0],
         base_row0,
         base_row1,

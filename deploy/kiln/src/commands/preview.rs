@@ -1,11 +1,14 @@
 //! `kiln preview`: pictures of a bake, from a bundle or from a farm.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 use lightkiln_client::fetch::Source;
+use lightkiln_http::DiskCache;
 
 use crate::arguments::TrustArgument;
+use crate::console::say;
+use crate::embedded::or_in_state;
 use crate::failure::Result;
 use crate::interrupt::Interrupt;
 use crate::kinds::KindTables;
@@ -24,6 +27,12 @@ pub struct Arguments {
     server: Option<String>,
     #[command(flatten)]
     trust: TrustArgument,
+    /// Folder for chunks fetched from a server, from which the next picture takes them [default: chunks in the state folder]
+    #[arg(long, value_name = "DIR", requires = "server")]
+    cache: Option<PathBuf>,
+    /// GiB that the cache folder may hold, the least recently used go first; 0 for no cache
+    #[arg(long, value_name = "GIB", default_value_t = 4, value_parser = clap::value_parser!(u64).range(0..=65536), requires = "server")]
+    cache_gib: u64,
     /// Picture to write
     #[arg(long, value_name = "PNG")]
     out: PathBuf,
@@ -49,7 +58,11 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     let source = match &arguments.server {
         Some(url) => {
             let client = arguments.trust.connect(url, &Interrupt::default())?;
-            Source::server(client, arguments.bake.to_string_lossy())
+            let source = Source::server(client, arguments.bake.to_string_lossy());
+            match arguments.cache_gib {
+                0 => source,
+                gib => cached(source, &or_in_state(arguments.cache, "chunks")?, gib),
+            }
         }
         None => Source::bundle(&arguments.bake)?,
     };
@@ -60,4 +73,16 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
         println!("{}", serde_json::json!(drawn));
     }
     Ok(())
+}
+
+/// The source with a cache in a folder, or without one where the folder cannot be used, which is said.
+fn cached(source: Source, folder: &Path, gib: u64) -> Source {
+    match DiskCache::open(folder, gib << 30) {
+        Ok(cache) => source.with_cache(cache),
+        Err(error) => {
+            let folder = folder.display();
+            say!("warning: the cache {folder} cannot be used ({error}): chunks are fetched each time");
+            source
+        }
+    }
 }

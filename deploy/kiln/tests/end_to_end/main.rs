@@ -4,6 +4,7 @@
 
 mod chaos;
 mod ci;
+mod colours;
 mod commands;
 mod deployment;
 mod description;
@@ -32,6 +33,27 @@ use std::path::{Path, PathBuf};
 /// A scene that bakes in a second or two with [`SMALL`].
 fn cornell() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/scenes/cornell.glb")
+}
+
+/// The scene's bytes, and of its JSON the length and what it says.
+fn cornell_and_json() -> (Vec<u8>, usize, serde_json::Value) {
+    let glb = std::fs::read(cornell()).unwrap();
+    let json_bytes = u32::from_le_bytes(glb[12..16].try_into().unwrap()) as usize;
+    let json = serde_json::from_slice(&glb[20..20 + json_bytes]).unwrap();
+    (glb, json_bytes, json)
+}
+
+/// The scene as a file of its own, its JSON changed.
+fn cornell_with(path: &Path, change: impl FnOnce(&mut serde_json::Value)) -> PathBuf {
+    let (glb, json_bytes, mut json) = cornell_and_json();
+    change(&mut json);
+    let mut json = serde_json::to_vec(&json).unwrap();
+    json.resize(json.len().next_multiple_of(4), b' ');
+    let rest = &glb[20 + json_bytes..];
+    let total = (20 + json.len() + rest.len()) as u32;
+    let head = [&glb[..8], &total.to_le_bytes(), &(json.len() as u32).to_le_bytes(), &glb[16..20]].concat();
+    std::fs::write(path, [&head[..], &json, rest].concat()).unwrap();
+    path.to_owned()
 }
 
 /// Settings of a small bake that still has several tasks of each kind.

@@ -2,11 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use serde_json::Value;
-
 use super::farm::arguments;
 use super::processes::{Running, Server, kiln, run};
-use super::{SMALL, cornell};
+use super::{SMALL, cornell_and_json, cornell_with};
 
 /// Sets a window's title, and turns the direction of text.
 const ORDERS: &str = "\u{1b}]0;owned\u{7}\u{202e}";
@@ -18,30 +16,15 @@ fn broken_scene(folder: &Path) -> PathBuf {
     path
 }
 
-/// The box's bytes, and of its JSON the length and what it says.
-fn box_and_json() -> (Vec<u8>, usize, Value) {
-    let glb = std::fs::read(cornell()).unwrap();
-    let json_bytes = u32::from_le_bytes(glb[12..16].try_into().unwrap()) as usize;
-    let json = serde_json::from_slice(&glb[20..20 + json_bytes]).unwrap();
-    (glb, json_bytes, json)
-}
-
 /// The box with orders to a terminal in the names of its file and of its materials, which reflect so much that the import
 /// warns of them by name.
 fn scene_with_orders(folder: &Path) -> PathBuf {
-    let (glb, json_bytes, mut json) = box_and_json();
-    for material in json["materials"].as_array_mut().unwrap() {
-        material["name"] = format!("wall{ORDERS}").into();
-        material["pbrMetallicRoughness"]["baseColorFactor"] = serde_json::json!([1.0, 1.0, 1.0, 1.0]);
-    }
-    let mut json = serde_json::to_vec(&json).unwrap();
-    json.resize(json.len().next_multiple_of(4), b' ');
-    let rest = &glb[20 + json_bytes..];
-    let total = (20 + json.len() + rest.len()) as u32;
-    let head = [&glb[..8], &total.to_le_bytes(), &(json.len() as u32).to_le_bytes(), &glb[16..20]].concat();
-    let path = folder.join(format!("box{ORDERS}.glb"));
-    std::fs::write(&path, [&head[..], &json, rest].concat()).unwrap();
-    path
+    cornell_with(&folder.join(format!("box{ORDERS}.glb")), |json| {
+        for material in json["materials"].as_array_mut().unwrap() {
+            material["name"] = format!("wall{ORDERS}").into();
+            material["pbrMetallicRoughness"]["baseColorFactor"] = serde_json::json!([1.0, 1.0, 1.0, 1.0]);
+        }
+    })
 }
 
 fn assert_no_orders(place: &str, text: &str) {
@@ -170,7 +153,7 @@ fn adapter_is_opened_without_complaints_of_drivers() {
 #[test]
 fn files_above_a_scene_are_taken_with_root_and_words_say_so() {
     let folder = tempfile::tempdir().unwrap();
-    let (glb, json_bytes, mut json) = box_and_json();
+    let (glb, json_bytes, mut json) = cornell_and_json();
     json["buffers"][0]["uri"] = "../parts/box.bin".into();
     for name in ["levels", "parts"] {
         std::fs::create_dir(folder.path().join(name)).unwrap();

@@ -1,4 +1,5 @@
-//! Artefacts kept on disk between tasks and runs, by digest. Several workers may share one folder.
+//! What was fetched, kept on disk between runs by its digest: artefacts of workers, chunks of clients. Several processes may share one
+//! folder.
 
 use std::fs::{self, File};
 use std::io;
@@ -8,10 +9,10 @@ use std::time::{Duration, SystemTime};
 
 use lightkiln_proto::ids::Digest;
 
-/// An unfinished write older than this was left behind by a worker that died.
+/// An unfinished write older than this was left behind by a process that died.
 const STALE_WRITE: Duration = Duration::from_secs(3600);
 
-/// Size-bounded cache of artefacts as files; the least recently used ones go first.
+/// Size-bounded cache of files by digest; the least recently used ones go first.
 #[derive(Debug)]
 pub struct DiskCache {
     folder: PathBuf,
@@ -37,12 +38,12 @@ impl DiskCache {
         Ok(cache)
     }
 
-    /// The artefact's bytes if they are here and whole; a damaged file is removed.
+    /// The bytes of a digest if they are here and whole; a damaged file is removed.
     pub fn get(&self, digest: Digest) -> Option<Vec<u8>> {
         let path = self.path(digest);
         let bytes = fs::read(&path).ok()?;
         if Digest::of(&bytes) != digest {
-            tracing::warn!(path = %path.display(), "a cached artefact was damaged; it will be fetched again");
+            tracing::warn!(path = %path.display(), "a cached file was damaged; it will be fetched again");
             let _ = fs::remove_file(&path);
             return None;
         }
@@ -52,7 +53,7 @@ impl DiskCache {
         Some(bytes)
     }
 
-    /// Keeps an artefact. A reader never sees half of it: it is written aside, then renamed.
+    /// Keeps bytes. A reader never sees half of it: it is written aside, then renamed.
     pub fn put(&self, digest: Digest, bytes: &[u8]) -> io::Result<()> {
         let path = self.path(digest);
         if path.exists() {
@@ -87,7 +88,7 @@ impl DiskCache {
             if held <= wanted {
                 break;
             }
-            // Another worker may have removed it first; it is gone either way.
+            // Another process may have removed it first; it is gone either way.
             let _ = fs::remove_file(&file.path);
             held -= file.bytes;
         }
@@ -142,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn artefact_survives_a_restart_of_the_worker() {
+    fn bytes_survive_a_restart() {
         let folder = tempfile::tempdir().unwrap();
         DiskCache::open(folder.path(), 100).unwrap().put(digest("a"), b"a").unwrap();
         let again = DiskCache::open(folder.path(), 100).unwrap();
@@ -176,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn unfinished_write_of_a_dead_worker_is_cleared_away() {
+    fn unfinished_write_of_a_dead_process_is_cleared_away() {
         let folder = tempfile::tempdir().unwrap();
         let aside = folder.path().join("writes");
         fs::create_dir_all(&aside).unwrap();
