@@ -47,13 +47,18 @@ impl LoadedBake {
     /// Gives materials other colours, from which all light follows; the bake's own are gone.
     pub fn recolour(&mut self, colours: &[Recolour]) -> Result<()> {
         let tints = Tints::of(&self.scene, colours)?;
-        if let Some(albedo) = self.light.tinted_albedo(&self.scene, &tints) {
-            self.light.set_albedo(albedo);
-        }
+        self.tint_light(&tints);
         for material in 0..self.scene.manifest.materials.len() {
             let colour = tints.base_colour(&self.scene, material as u32);
             self.scene.manifest.materials[material].base_colour = colour;
         }
         Ok(())
+    }
+
+    /// Gives the light the albedo of other colours.
+    pub(crate) fn tint_light(&mut self, tints: &Tints) {
+        if let Some(albedo) = self.light.tinted_albedo(&self.scene, tints) {
+            self.light.set_albedo(albedo);
+        }
     }
 }

@@ -61,6 +61,8 @@ pub struct Frame<'a> {
 struct Stale {
     /// All shadow maps, and E_dir.
     lights: bool,
+    /// E_dir alone.
+    direct: bool,
     /// Cascades alone.
     cascades: bool,
     /// E_ind, which is to be black before the next bounce.
@@ -107,7 +109,7 @@ impl<'a> Frame<'a> {
             tints: Tints::default(),
             camera,
             plan,
-            stale: Stale { lights: true, cascades: true, light: true, pages: true },
+            stale: Stale { lights: true, direct: true, cascades: true, light: true, pages: true },
             bounces: Bounces::default(),
         };
         frame.set_camera(frame.camera.clone())?;
@@ -157,7 +159,7 @@ impl<'a> Frame<'a> {
         self.tints = tints;
         self.shade.set_looks(self.gpu, scene, &self.tints, &self.emitter_scale);
         // Near hits have albedo and light from lights in one sum.
-        (self.stale.lights, self.stale.cascades, self.stale.pages) = (true, true, true);
+        (self.stale.direct, self.stale.pages) = (true, true);
         self.bounces = Bounces::default();
         Ok(())
     }
@@ -271,18 +273,20 @@ impl<'a> Frame<'a> {
 
     /// Draws the shadow maps that changes ask for, and E_dir.
     fn draw_shadows(&mut self) {
-        let Stale { lights, cascades, .. } = self.stale;
+        let Stale { lights, direct, cascades, .. } = self.stale;
         let first = if lights { 0 } else { self.plan.first_cascade };
-        if !cascades {
+        if !cascades && !direct {
             return;
         }
         self.gpu.submit(|encoder| {
-            self.shadow.record(encoder, &self.meshes, first..self.plan.faces.len());
-            if lights {
+            if cascades {
+                self.shadow.record(encoder, &self.meshes, first..self.plan.faces.len());
+            }
+            if lights || direct {
                 self.light.relit(encoder, &self.shadow);
             }
         });
-        (self.stale.lights, self.stale.cascades) = (false, false);
+        (self.stale.lights, self.stale.direct, self.stale.cascades) = (false, false, false);
     }
 }
 

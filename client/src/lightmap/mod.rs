@@ -23,7 +23,7 @@ use crate::passes::gpu::{Gpu, storage_read, texture};
 use crate::passes::resident::{ColumnsPass, Resident};
 use crate::passes::shade::{IndirectIrradiance, Shading, Surface};
 use crate::passes::shadow::ShadowPass;
-use crate::scene::{ALBEDO_MAX, LoadedScene, Tints};
+use crate::scene::{LoadedScene, Tints};
 use crate::threads::Threads;
 
 pub use debug::{ATLAS, CLUSTERS};
@@ -150,13 +150,13 @@ impl<C: ClientColumns> Light for LightmapLight<C> {
     fn tinted_albedo(&self, scene: &LoadedScene, tints: &Tints) -> Option<Vec<Vec4>> {
         let Transport { receivers, slots, .. } = &self.transport;
         let mut albedo = receivers.albedo.clone();
-        let tinted = tints.by_block(scene).into_iter().zip(0..).filter(|(tint, _)| *tint != Vec3::ONE);
-        for (tint, block) in tinted {
+        let blocks = tints.by_block(scene).into_iter().zip(0..);
+        for (new, block) in blocks.filter_map(|(albedo, block)| Some((albedo?, block))) {
             let [width, height] = slots.size(block).unwrap_or_default();
             for texel in (0..height).flat_map(|y| (0..width).map(move |x| [x as u16, y as u16])) {
                 if let Some(slot) = slots.slot(block, texel) {
                     let own = &mut albedo[slot as usize];
-                    *own = (*own * tint.extend(0.0)).min(Vec4::splat(ALBEDO_MAX));
+                    *own = new.of(own.truncate()).extend(own.w);
                 }
             }
         }

@@ -7,7 +7,7 @@ use lightkiln_proto::manifest::{CLUSTERS, DIRECTORY, OVERVIEW};
 use crate::error::{ClientError, Result};
 use crate::fetch::Source;
 use crate::passes::shadow::reference::draw;
-use crate::scene::LoadedScene;
+use crate::scene::{LoadedScene, Recolour, Tints};
 use crate::stream::{Streamed, Viewpoint};
 
 /// A bake whose light comes piece by piece.
@@ -17,6 +17,7 @@ pub struct StreamedBake {
     pub bake: LoadedBake,
     stream: Box<dyn LightStream>,
     manifest_bytes: u64,
+    tints: Tints,
 }
 
 impl StreamedBake {
@@ -45,7 +46,8 @@ impl StreamedBake {
         let stream = kind.stream(source, &scene)?;
         let light = stream.light(&scene)?;
         let bake = LoadedBake { scene, light };
-        Ok(Self { source: source.clone(), bake, stream, manifest_bytes: bytes.len() as u64 })
+        let manifest_bytes = bytes.len() as u64;
+        Ok(Self { source: source.clone(), bake, stream, manifest_bytes, tints: Tints::default() })
     }
 
     /// Bytes and clusters that have come, the manifest's bytes among them.
@@ -59,6 +61,12 @@ impl StreamedBake {
         }
     }
 
+    /// Gives materials other colours, for the light that has come and that which will. Once: what was baked is gone then.
+    pub fn recolour(&mut self, colours: &[Recolour]) -> Result<()> {
+        self.tints = Tints::of(&self.bake.scene, colours)?;
+        self.bake.recolour(colours)
+    }
+
     /// Fetches the clusters that a view needs most until `bytes_max` bytes of light have come.
     pub fn refine(&mut self, view: &View, bytes_max: u64) -> Result<()> {
         let prepared = Prepared::new(&self.bake, view)?;
@@ -67,6 +75,7 @@ impl StreamedBake {
         let bytes_max = bytes_max.saturating_sub(self.manifest_bytes);
         self.stream.refine(&self.source, &prepared.lit(&maps), viewpoint, bytes_max, view.limit)?;
         self.bake.light = self.stream.light(&self.bake.scene)?;
+        self.bake.tint_light(&self.tints);
         Ok(())
     }
 }

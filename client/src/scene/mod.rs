@@ -14,7 +14,7 @@ use crate::fetch::Source;
 
 pub use draws::{DrawTable, LoadedDraw, Vertex};
 pub use lightmap::{LightmapLayout, MAX_ATLAS_TEXELS, MAX_PAGE_SIDE, MAX_PAGES, NO_BLOCK, PlacedBlock};
-pub use recolour::{ALBEDO_MAX, Recolour, Tints};
+pub use recolour::{ALBEDO_MAX, Albedo, Recolour, Tints, check_recolours};
 pub use texture::Texture;
 pub(crate) use texture::srgb_of_linear;
 

@@ -14,7 +14,7 @@ use lightkiln_client::picture::{Exposure, Picture, Tone};
 use lightkiln_client::preview::{
     Backend, PATH_FILE_MAX, StreamedBake, View, ViewPath, debug_picture, render, render_path,
 };
-use lightkiln_client::scene::Recolour;
+use lightkiln_client::scene::{Recolour, check_recolours};
 use lightkiln_client::stream::Streamed;
 use serde::Serialize;
 
@@ -202,6 +202,7 @@ impl PictureArguments {
             return self.write_all(&bake, &view, path, png);
         };
         let mut streamed = StreamedBake::begin(source, kinds, max_bytes)?;
+        streamed.recolour(&self.material)?;
         let view = self.view(&streamed.bake, off, path)?;
         // Along a path, what its first picture needs.
         streamed.refine(&path.map_or_else(|| view.clone(), |path| path.view(1, &view)), max_bytes)?;
@@ -210,13 +211,15 @@ impl PictureArguments {
         say!(
             "{bytes} of {bytes_all} bytes of light ({percent:.1} %): the overview, and {clusters} of {clusters_all} clusters"
         );
-        streamed.bake.recolour(&self.material)?;
         let drawn = self.write_all(&streamed.bake, &view, path, png)?;
         Ok(Drawn { light_bytes: Some(bytes), light_bytes_all: Some(bytes_all), ..drawn })
     }
 
     /// The whole bake, with the colours that are asked for.
     fn loaded(&self, source: &Source, kinds: &ClientKinds) -> Result<LoadedBake> {
+        if !self.material.is_empty() {
+            check_recolours(&source.manifest()?.1, &self.material)?;
+        }
         let mut bake = LoadedBake::load(source, kinds)?;
         bake.recolour(&self.material)?;
         Ok(bake)

@@ -88,21 +88,28 @@ impl DiskCache {
             if held <= wanted {
                 break;
             }
-            // Another process may have removed it first; it is gone either way.
-            let _ = fs::remove_file(&file.path);
-            held -= file.bytes;
+            // Another process may have removed it first: gone either way.
+            if fs::remove_file(&file.path).is_ok() || !file.path.exists() {
+                held -= file.bytes;
+            }
         }
         self.bytes_estimate.store(held, Ordering::Relaxed);
         Ok(())
     }
 
+    /// Files of the cache: others in the folder are not its own, and are left alone.
     fn files(&self) -> io::Result<Vec<CachedFile>> {
         let mut files = Vec::new();
         for folder in fs::read_dir(&self.folder)?.flatten() {
-            let is_shard = folder.file_name().len() == 2;
+            if folder.file_name().len() != 2 {
+                continue;
+            }
             let Ok(entries) = fs::read_dir(folder.path()) else { continue };
-            for entry in entries.flatten().filter(|_| is_shard) {
-                let Ok(metadata) = entry.metadata() else { continue };
+            for entry in entries.flatten() {
+                let name = entry.file_name();
+                let digest = name.to_str().and_then(|name| name.parse::<Digest>().ok());
+                let is_own = digest.is_some_and(|digest| self.path(digest) == entry.path());
+                let Some(metadata) = entry.metadata().ok().filter(|_| is_own) else { continue };
                 let used = metadata.modified().unwrap_or(SystemTime::UNIX_EPOCH);
                 files.push(CachedFile { path: entry.path(), bytes: metadata.len(), used });
             }
@@ -112,6 +119,13 @@ impl DiskCache {
 
     fn drop_stale_writes(&self) -> io::Result<()> {
         for entry in fs::read_dir(self.folder.join("writes"))?.flatten() {
+            // Names of processes and their writes; others are not the cache's own.
+            let name = entry.file_name();
+            let is_number = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
+            let of_two = name.to_str().and_then(|name| name.split_once('-'));
+            if !of_two.is_some_and(|(process, write)| is_number(process) && is_number(write)) {
+                continue;
+            }
             let age = entry.metadata().and_then(|metadata| metadata.modified()).map(|time| time.elapsed());
             if matches!(age, Ok(Ok(age)) if age > STALE_WRITE) {
                 let _ = fs::remove_file(entry.path());
@@ -174,6 +188,25 @@ mod tests {
         cache.put(digest("cccc"), b"cccc").unwrap();
         assert_eq!(cache.get(digest("bbbb")), None);
         assert!(cache.get(digest("aaaa")).is_some() && cache.get(digest("cccc")).is_some());
+    }
+
+    #[test]
+    fn files_of_others_in_the_folder_are_neither_counted_nor_removed() {
+        let folder = tempfile::tempdir().unwrap();
+        let others = ["db/table", "writes/letter.txt", "ab/notes"].map(|name| folder.path().join(name));
+        let old = SystemTime::now() - 2 * STALE_WRITE;
+        for path in &others {
+            fs::create_dir_all(path.parent().unwrap()).unwrap();
+            fs::write(path, [0; 100]).unwrap();
+            File::options().append(true).open(path).unwrap().set_modified(old).unwrap();
+        }
+        let cache = DiskCache::open(folder.path(), 10).unwrap();
+        cache.put(digest("aaaa"), b"aaaa").unwrap();
+        assert!(cache.get(digest("aaaa")).is_some(), "others take none of its room");
+        for name in ["bbbb", "cccc", "dddd"] {
+            cache.put(digest(name), name.as_bytes()).unwrap();
+        }
+        assert!(others.iter().all(|path| path.exists()));
     }
 
     #[test]

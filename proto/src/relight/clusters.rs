@@ -111,15 +111,22 @@ impl ClusterTable {
         let u = pack_u(&mut self.u, [rank, row_count], |row, i| {
             number_of(factors.u[row * rank + i], step_of_u(i), 1.0)
         });
-        let number = |i: usize, column: usize| {
-            number_of(factors.vt[i * column_count + column], step_of_vt(i), own[column].scale)
-        };
+        let numbers: Vec<f32> = (0..rank * column_count)
+            .map(|index| {
+                let (i, column) = (index / column_count, index % column_count);
+                number_of(factors.vt[index], step_of_vt(i), own[column].scale)
+            })
+            .collect();
+        let number = |i: usize, column: usize| numbers[i * column_count + column];
         let order = column_order([column_count, rank], number);
         self.columns.extend(order.iter().map(|&column| own[column]));
         let vt = pack_vt(&mut self.vt, [column_count, rank], |i, column| number(i, order[column]));
         let first_b = self.b_len;
         self.b_len += rank.next_multiple_of(GROUP);
         self.steps.extend((0..rank).map(|i| step_of_u(i) * step_of_vt(i)));
+        if !self.steps[first_b..].iter().all(|step| step.is_finite()) {
+            return Err("its steps are too large".to_owned());
+        }
         self.steps.resize(self.b_len, 0.0);
         self.clusters.push(Cluster {
             first_row,
@@ -134,7 +141,8 @@ impl ClusterTable {
         Ok(())
     }
 
-    /// `b_c = s (ΣVᵀ) λ|_c`, all clusters' numbers one after the other: s is the step of U, whose whole numbers they are read by.
+    /// `b_c = s (ΣVᵀ) λ|_c`, all clusters' numbers one after the other. They carry the step s of U already: [`Self::reconstruct`] multiplies
+    /// them by U's whole numbers.
     pub fn basis(&self, parallel: &impl Parallel, lambda: &[Vec4]) -> Vec<Vec4> {
         let of_cluster = |index: usize| self.basis_of(&self.clusters[index], lambda);
         parallel.map(self.clusters.len(), of_cluster).concat()

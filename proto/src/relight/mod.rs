@@ -4,7 +4,7 @@
 //! ```text
 //! L_r  = ρ_r/π · (E_dir + E_emit + E_ind)           radiance      of receiver r
 //! λ    = mean of L over each patch, or 4π/K Σ L Y_j  Columns       numbers that a cluster's columns read
-//! b_c  = s (ΣVᵀ) λ|_c                                basis         k numbers a cluster, s the steps of U
+//! b_c  = s (ΣVᵀ) λ|_c                                basis         k numbers a cluster; s, U's steps, in them
 //! N_r  = w_r Σ_y ρ/π · (E_dir(y) + E_emit + E_ind)   gather        from near hits
 //! E_r  = max(N_r + U_r · b_c, −E_emit)               reconstruct   E_ind at receivers, W·m⁻²
 //! ```

@@ -1,5 +1,6 @@
 //! Near hits of all clusters, their texels resolved to slots.
 
+use std::collections::HashMap;
 use std::f32::consts::FRAC_1_PI;
 
 use glam::Vec4;
@@ -64,10 +65,10 @@ impl NearTable {
         receivers: &ReceiverTable,
         slots: &SlotTable,
     ) -> Result<Self, Inconsistent> {
-        let mut table = Self::default();
+        let (mut table, mut known) = (Self::default(), HashMap::new());
         for (index, (content, cluster)) in contents.iter().zip(&clusters.clusters).enumerate() {
             check(&content.near, cluster.row_count)
-                .and_then(|()| table.push(&content.near, cluster.first_row, receivers, slots))
+                .and_then(|()| table.push(&content.near, cluster.first_row, (receivers, slots), &mut known))
                 .map_err(|problem| Inconsistent::new(format!("cluster {index}"), problem))?;
         }
         Ok(table)
@@ -144,8 +145,8 @@ impl NearTable {
         &mut self,
         near: &NearHits,
         first_receiver: usize,
-        receivers: &ReceiverTable,
-        slots: &SlotTable,
+        (receivers, slots): (&ReceiverTable, &SlotTable),
+        known: &mut HashMap<[u32; 6], u32>,
     ) -> Result<(), String> {
         let blocks = slots.block_indices(&near.blocks)?;
         for (receiver, (hits, &weight)) in near.ranges().zip(&near.weight).enumerate() {
@@ -155,8 +156,13 @@ impl NearTable {
             for hit in hits {
                 let (light, normal) = match near.surface[hit] {
                     NearSurface::Own { albedo, normal } => {
-                        self.own.push(OwnSurface { normal: four(normal), albedo: four(albedo) });
-                        (OWN_SURFACE | (self.own.len() as u32 - 1), normal)
+                        // Faces of a few directions and colours: each is there once.
+                        let [[a, b, c], [d, e, f]] = [normal, albedo].map(|of| of.map(f32::to_bits));
+                        let own = *known.entry([a, b, c, d, e, f]).or_insert_with(|| {
+                            self.own.push(OwnSurface { normal: four(normal), albedo: four(albedo) });
+                            self.own.len() as u32 - 1
+                        });
+                        (OWN_SURFACE | own, normal)
                     }
                     NearSurface::Texel { block, texel } => {
                         let Some(on) = slots.standing(blocks[usize::from(block)], texel) else { continue };

@@ -4,6 +4,7 @@ pub mod reference;
 
 use std::ops::Range;
 
+use glam::Vec4;
 use lightkiln_proto::relight::{NearHit, NearRow, NearTable};
 use wgpu::ShaderStages as Stages;
 
@@ -78,7 +79,7 @@ impl NearPass {
             let numbers = gpu.uniform("near", &numbers);
             let rows_buffer = gpu.storage("receivers with near hits", &of_page)?;
             let hits = gpu.storage("near hits", &table.hits[start as usize..end as usize])?;
-            let lit = gpu.blank("light of near hits", size_of_val(&of_page[..]) as u64)?;
+            let lit = gpu.blank("light of near hits", (rows.len() * size_of::<Vec4>()) as u64)?;
             let shared = [&numbers, &rows_buffer, &hits, &own];
             let bound = |others: &[&wgpu::Buffer], layout: &wgpu::BindGroupLayout| {
                 let buffers = shared.iter().chain(others);
@@ -94,11 +95,8 @@ impl NearPass {
                 rows: rows.len(),
             })
         };
-        // A receiver with few hits takes more room in the table of receivers.
-        let bytes = table
-            .rows
-            .iter()
-            .map(|row| u64::from(row.count.max(1)) * size_of::<NearHit>().max(size_of::<NearRow>()) as u64);
+        // Rows and sums have as many bytes as hits, of which each has one at least.
+        let bytes = table.rows.iter().map(|row| u64::from(row.count) * size_of::<NearHit>() as u64);
         let pages =
             pages(gpu, "receiver's near hits", bytes)?.into_iter().map(page).collect::<Result<_>>()?;
         Ok(Self { light, gather, pages })
@@ -125,7 +123,7 @@ impl NearPass {
 
     /// Σ ρ/π E_dir by receiver with hits, W·m⁻², page by page.
     #[cfg(test)]
-    pub(crate) fn read_lit(&self, gpu: &Gpu) -> Result<Vec<Vec<glam::Vec4>>> {
+    pub(crate) fn read_lit(&self, gpu: &Gpu) -> Result<Vec<Vec<Vec4>>> {
         self.pages.iter().map(|page| gpu.read(&page.lit, page.rows)).collect()
     }
 }

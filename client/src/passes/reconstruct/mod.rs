@@ -10,8 +10,8 @@ use crate::passes::resident::{ClusterRow, pages, words_of};
 
 /// The shader, with the clusters' part in front.
 pub const SHADER: &str = concat!(include_str!("../shared/factors.wgsl"), include_str!("reconstruct.wgsl"));
-/// Largest difference from the reference, relative to the largest value: the same sum of at most 256 f32 in the same
-/// order; the adapter may fuse multiply and add.
+/// Largest difference from the reference, relative to the largest value: sums of at most 256 f32 of either sign in
+/// another order (by eight ranks, the start last).
 pub const TOLERANCE: f32 = 1e-5;
 /// Rows of a workgroup in the shader.
 const ROWS: usize = 4 * 64;

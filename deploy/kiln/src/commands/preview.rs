@@ -1,6 +1,6 @@
 //! `kiln preview`: pictures of a bake, from a bundle or from a farm.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::Args;
 use lightkiln_client::fetch::Source;
@@ -61,7 +61,7 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
             let source = Source::server(client, arguments.bake.to_string_lossy());
             match arguments.cache_gib {
                 0 => source,
-                gib => cached(source, &or_in_state(arguments.cache, "chunks")?, gib),
+                gib => cached(source, or_in_state(arguments.cache, "chunks").ok(), gib),
             }
         }
         None => Source::bundle(&arguments.bake)?,
@@ -76,8 +76,14 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
 }
 
 /// The source with a cache in a folder, or without one where the folder cannot be used, which is said.
-fn cached(source: Source, folder: &Path, gib: u64) -> Source {
-    match DiskCache::open(folder, gib << 30) {
+fn cached(source: Source, folder: Option<PathBuf>, gib: u64) -> Source {
+    let Some(folder) = folder else {
+        say!(
+            "note: there is no place for a cache (neither KILN_STATE nor HOME is set): chunks are fetched each time"
+        );
+        return source;
+    };
+    match DiskCache::open(&folder, gib << 30) {
         Ok(cache) => source.with_cache(cache),
         Err(error) => {
             let folder = folder.display();
