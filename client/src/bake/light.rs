@@ -165,8 +165,8 @@ pub trait LightPasses {
         let _ = (gpu, light);
     }
 
-    /// Writes albedo of receivers: the result of [`Light::tinted_albedo`]. What it changes straight from lights is changed by
-    /// [`LightPasses::relit`].
+    /// Writes albedo of receivers: the result of [`Light::tinted_albedo`]. [`LightPasses::relit`] is to follow, as light of near hits has
+    /// albedo in it.
     fn set_albedo(&self, gpu: &Gpu, albedo: &[Vec4]) {
         let _ = (gpu, albedo);
     }

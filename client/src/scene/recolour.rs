@@ -26,7 +26,7 @@ pub struct Recolour {
     pub base_colour: [f32; 3],
 }
 
-/// Colours of a scene's materials, and what becomes of their albedo. Empty: as baked.
+/// Colours of a scene's materials, and the change of their albedo. Empty: as baked.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Tints(Vec<Option<Tint>>);
 
@@ -38,7 +38,7 @@ struct Tint {
     factor: Vec3,
 }
 
-/// What becomes of the albedo of a receiver.
+/// Change of a receiver's albedo.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Albedo {
     /// It is this: the surface has one colour.
@@ -91,7 +91,7 @@ impl Tints {
         Ok(Self(tints))
     }
 
-    /// What becomes of the albedo in each block of the lightmap, by the mesh that reads it; `None` where it stays.
+    /// Change of the albedo in each block of the lightmap, by the mesh that reads it; `None` where it stays.
     pub fn by_block(&self, scene: &LoadedScene) -> Vec<Option<Albedo>> {
         let mut by_block = vec![None; scene.lightmap.blocks.len()];
         for draw in &scene.draws.draws {

@@ -210,7 +210,7 @@ fn near_hits_agree_with_the_reference() {
     let count = stage.receivers();
     let black = vec![Vec4::ZERO; count];
     let unlit = Irradiance { dir: &black, emit: &black, ind: &black };
-    // What comes straight from lights, by receiver without its weight.
+    // Light straight from lights, by receiver without its weight.
     let by_slot = near::reference::near(table, receivers, &dir, unlit);
     let lit: Vec<Vec4> = table.rows.iter().map(|row| by_slot[row.slot as usize] / row.weight).collect();
     let [emit, ind] = [2, 3].map(|seed| positive_noise(count, seed));

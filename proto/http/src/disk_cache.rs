@@ -1,4 +1,4 @@
-//! What was fetched, kept on disk between runs by its digest: artefacts of workers, chunks of clients. Several processes may share one
+//! Fetched bytes, kept on disk between runs by their digest: artefacts of workers, chunks of clients. Several processes may share one
 //! folder.
 
 use std::fs::{self, File};

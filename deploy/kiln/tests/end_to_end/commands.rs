@@ -43,7 +43,7 @@ fn bake_can_be_listed_shown_watched_fetched_inspected_and_drawn() {
     call(&["preview", &bake, "--out", &png, "--size", "64x48", "--backend", "cpu"]);
     let whole = std::fs::read(&png).unwrap();
     assert!(whole.starts_with(b"\x89PNG"));
-    // What was fetched is kept, unless that is not wanted.
+    // Fetched chunks are kept, unless that is not wanted.
     let kept = std::fs::read_dir(folder.path().join("chunks")).unwrap().count();
     assert!(kept > 3, "{kept} folders of chunks");
     let (none, nowhere) = (["--cache-gib", "0", "--cache"], folder.path().join("nowhere"));
