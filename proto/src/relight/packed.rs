@@ -101,9 +101,14 @@ fn group(count: usize, of: impl Fn(usize) -> f32) -> Group {
     std::array::from_fn(|index| if index < count { of(index) } else { 0.0 })
 }
 
+/// Words of each group of a column of ΣVᵀ.
+fn words_of_column(rank: usize, number: impl Fn(usize) -> f32) -> usize {
+    (0..rank).map(|i| words_for(number(i))).max().unwrap_or(OF_4)
+}
+
 /// Order in which the columns of ΣVᵀ are packed: those that need the most words first.
 pub fn column_order([columns, rank]: [usize; 2], number: impl Fn(usize, usize) -> f32) -> Vec<usize> {
-    let needed = |column: &usize| (0..rank).map(|i| words_for(number(i, *column))).max().unwrap_or(OF_4);
+    let needed = |column: &usize| words_of_column(rank, |i| number(i, *column));
     let mut order: Vec<usize> = (0..columns).collect();
     order.sort_by_cached_key(|column| std::cmp::Reverse(needed(column)));
     order
@@ -115,9 +120,8 @@ pub fn pack_vt(
     [columns, rank]: [usize; 2],
     number: impl Fn(usize, usize) -> f32,
 ) -> Packing {
-    let needed: Vec<usize> = (0..columns)
-        .map(|column| (0..rank).map(|i| words_for(number(i, column))).max().unwrap_or(OF_4))
-        .collect();
+    let needed: Vec<usize> =
+        (0..columns).map(|column| words_of_column(rank, |i| number(i, column))).collect();
     let wide = needed.iter().filter(|words| **words > OF_8).count();
     let bytes = needed.iter().filter(|words| **words == OF_8).count();
     let wide_words = needed.iter().copied().max().unwrap_or(OF_4).max(OF_16);
