@@ -96,6 +96,15 @@ pub enum ClientError {
         /// The contradiction.
         problem: String,
     },
+    /// An object whose meshes cannot be made at a time.
+    #[error("object '{name}' cannot be drawn")]
+    Object {
+        /// Its name.
+        name: String,
+        /// Why.
+        #[source]
+        source: Box<dyn std::error::Error + Send + Sync>,
+    },
     /// A camera, light or size given by hand that cannot be used.
     #[error("{what}: {problem}")]
     Argument {
@@ -136,6 +145,7 @@ impl ClientError {
             | Self::Inconsistent { .. }
             | Self::Argument { .. }
             | Self::Adapter { .. }
+            | Self::Object { .. }
             | Self::Picture { .. } => RetryClass::Never,
         }
     }

@@ -6,6 +6,7 @@ mod gpu;
 mod path;
 mod within;
 
+use std::borrow::Cow;
 use std::path::Path;
 
 use lightkiln_proto::relight::Limit;
@@ -20,6 +21,7 @@ use crate::passes::shadow::reference::ShadowMaps;
 use crate::passes::shadow::{self, Eye, ShadowPlan, ShadowRoom};
 use crate::picture::{Exposure, Picture, Tone};
 use crate::raster::camera_clip_from_world;
+use crate::scene::{LoadedScene, Stance, check_stances};
 
 pub use debug::debug_picture;
 #[cfg(test)]
@@ -62,6 +64,8 @@ pub struct View {
     pub lights: Vec<SceneLight>,
     /// One factor per emitter of the manifest; 1 where absent.
     pub emitter_scale: Vec<f32>,
+    /// Stances of the scene's objects, in their order; those without one are at rest.
+    pub objects: Vec<Stance>,
     /// Tone mapping.
     pub tone: Tone,
     /// Exposure.
@@ -109,6 +113,7 @@ impl View {
             height: 720,
             lights,
             emitter_scale: Vec::new(),
+            objects: Vec::new(),
             tone: Tone::default(),
             exposure: Exposure::default(),
             samples: 4,
@@ -126,7 +131,12 @@ impl View {
         eye_of(&self.camera)
     }
 
-    fn check(&self, bounds_m: [[f32; 3]; 2]) -> Result<()> {
+    /// Shadow maps of the lights in a scene of those bounds.
+    fn plan(&self, bounds_m: [[f32; 3]; 2]) -> Result<ShadowPlan> {
+        ShadowPlan::new(&Caster::of(&self.lights), bounds_m, self.shadow_side, self.eye())
+    }
+
+    fn check(&self, scene: &LoadedScene) -> Result<()> {
         let wrong =
             |what: String, problem: &str| Err(ClientError::Argument { what, problem: problem.to_owned() });
         if self.size().iter().any(|side| !(1..=MAX_SIDE).contains(side)) {
@@ -145,7 +155,8 @@ impl View {
             );
         }
         check_scale(&self.emitter_scale)?;
-        camera_clip_from_world(&self.camera, self.size(), bounds_m)?;
+        check_stances(scene, &self.objects)?;
+        camera_clip_from_world(&self.camera, self.size(), scene.manifest.bounds_m)?;
         check_lights(&self.lights)
     }
 }
@@ -153,6 +164,10 @@ impl View {
 /// A view of a bake with its lights planned, for either backend.
 pub(crate) struct Prepared<'a> {
     pub bake: &'a LoadedBake,
+    /// The bake's, with its objects where they stand.
+    pub scene: Cow<'a, LoadedScene>,
+    /// Of the scene with its objects, in metres.
+    pub bounds_m: [[f32; 3]; 2],
     pub view: &'a View,
     pub plan: ShadowPlan,
     pub sky: Sky,
@@ -160,15 +175,21 @@ pub(crate) struct Prepared<'a> {
 
 impl<'a> Prepared<'a> {
     pub fn new(bake: &'a LoadedBake, view: &'a View) -> Result<Self> {
-        let bounds_m = bake.scene.manifest.bounds_m;
-        view.check(bounds_m)?;
-        let plan = ShadowPlan::new(&Caster::of(&view.lights), bounds_m, view.shadow_side, view.eye())?;
-        Ok(Self { bake, view, plan, sky: Sky::of(&view.lights) })
+        view.check(&bake.scene)?;
+        let posed = bake.scene.posed(&view.objects)?;
+        let bounds_m = bake.scene.bounds_with(&posed);
+        let scene = if posed.is_empty() {
+            Cow::Borrowed(&bake.scene)
+        } else {
+            Cow::Owned(bake.scene.with_posed(posed))
+        };
+        let plan = view.plan(bounds_m)?;
+        Ok(Self { bake, scene, bounds_m, view, plan, sky: Sky::of(&view.lights) })
     }
 
     /// The scene under its lights, for the processor.
     pub fn lit(&'a self, maps: &'a ShadowMaps) -> LitScene<'a> {
-        LitScene { scene: &self.bake.scene, plan: &self.plan, maps, unshadowed: self.unshadowed() }
+        LitScene { scene: &self.scene, plan: &self.plan, maps, unshadowed: self.unshadowed() }
     }
 
     pub fn unshadowed(&self) -> Unshadowed<'_> {
@@ -241,13 +262,14 @@ fn room_of(bake: &LoadedBake, (count, view): Views<'_>) -> Result<ShadowRoom> {
     let mut all: Option<ShadowRoom> = None;
     for index in 0..count {
         let view = view(index);
-        let prepared = Prepared::new(bake, &view).map_err(|error| match error {
+        let planned = view.check(&bake.scene).and_then(|()| view.plan(bake.scene.manifest.bounds_m));
+        let own = planned.map_err(|error| match error {
             ClientError::Argument { what, problem } if count > 1 => {
                 ClientError::Argument { what: format!("picture {}: {what}", index + 1), problem }
             }
             error => error,
         })?;
-        let own = prepared.plan.room();
+        let own = own.room();
         all = Some(all.map_or(own, |all| ShadowRoom {
             lights: all.lights.max(own.lights),
             faces: all.faces.max(own.faces),

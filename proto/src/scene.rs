@@ -1,4 +1,4 @@
-//! Lights and cameras of a scene, as the manifest carries them.
+//! Lights and cameras of a scene, as the manifest carries them, and stances of objects beside it.
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -86,4 +86,25 @@ pub struct SceneCamera {
     pub fov_y_rad: f32,
     /// Half height of the view in metres when the camera is orthographic; then `fov_y_rad` is unused.
     pub orthographic_half_height_m: Option<f32>,
+}
+
+/// Where an object that moves is: scaled, turned, moved, at a time of an animation.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Stance {
+    /// Place of its origin in metres.
+    pub position_m: [f32; 3],
+    /// Yaw, pitch and roll in degrees: turns about its y axis, then its own x, then its own z.
+    pub turn_deg: [f32; 3],
+    /// Factor on its size, above 0.
+    pub scale: f32,
+    /// Time in its animation, in seconds.
+    pub time_s: f32,
+    /// Animation, counted from 0.
+    pub clip: u32,
+}
+
+impl Default for Stance {
+    fn default() -> Self {
+        Self { position_m: [0.0; 3], turn_deg: [0.0; 3], scale: 1.0, time_s: 0.0, clip: 0 }
+    }
 }

@@ -7,6 +7,7 @@ pub mod factors;
 pub mod geometry;
 pub mod kinds;
 pub mod lightmap;
+pub mod objects;
 pub mod patches;
 pub mod rays;
 pub mod reads;

@@ -1,9 +1,10 @@
-//! A frame that stays: what changes lights, emitters, materials or the camera writes to buffers and makes none, and nothing waits for the adapter.
+//! A frame that stays: what changes lights, emitters, materials, objects or the camera writes to buffers and makes none, and nothing waits for the adapter.
 //!
 //! ```text
 //! set_lights ───▶ shadow maps ─▶ direct ─▶ bounce, bounce, … ─▶ publish ─▶ draw
 //! set_emitters ──────────────────────────▶    (once a frame, until they change nothing)
 //! set_materials ────────────────▶ direct ─▶
+//! set_objects ──▶ shadow maps ─▶ direct ─▶
 //! set_camera ───▶ cascades of suns ──────────────────────────────────────▶ draw
 //! ```
 //! Bounces go on from the light that there is: after a small change a few are enough. Whoever shows frames paces them, as a window
@@ -24,7 +25,7 @@ use crate::passes::gpu::Gpu;
 use crate::passes::meshes::Meshes;
 use crate::passes::shade::{ShadePass, ShadeView};
 use crate::passes::shadow::{Eye, ShadowPass, ShadowPlan, ShadowRoom};
-use crate::scene::{Recolour, Tints};
+use crate::scene::{Recolour, Stance, Tints};
 
 /// Room of a frame's buffers: what changes within it makes none.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -51,6 +52,9 @@ pub struct Frame<'a> {
     emitter_scale: Vec<f32>,
     tints: Tints,
     camera: SceneCamera,
+    stances: Vec<Stance>,
+    /// Of the scene with its objects, in metres.
+    bounds_m: [[f32; 3]; 2],
     pub(crate) plan: ShadowPlan,
     stale: Stale,
     bounces: Bounces,
@@ -108,6 +112,8 @@ impl<'a> Frame<'a> {
             emitter_scale: Vec::new(),
             tints: Tints::default(),
             camera,
+            stances: Vec::new(),
+            bounds_m: scene.bounds_with(&scene.posed(&[])?),
             plan,
             stale: Stale { lights: true, direct: true, cascades: true, light: true, pages: true },
             bounces: Bounces::default(),
@@ -160,6 +166,31 @@ impl<'a> Frame<'a> {
         self.shade.set_looks(self.gpu, scene, &self.tints, &self.emitter_scale);
         // Near hits have albedo and light from lights in one sum.
         (self.stale.direct, self.stale.pages) = (true, true);
+        self.bounces = Bounces::default();
+        Ok(())
+    }
+
+    /// Moves objects; those without a stance are at rest. Their shadows fall on all that lights reach, and so on the light that bounces.
+    pub fn set_objects(&mut self, stances: &[Stance]) -> Result<()> {
+        if stances == self.stances {
+            return Ok(());
+        }
+        let scene = &self.bake.scene;
+        let posed = scene.posed(stances)?;
+        let former = std::mem::replace(&mut self.bounds_m, scene.bounds_with(&posed));
+        match self.planned(&self.casters, &self.camera) {
+            Ok(plan) => self.plan = plan,
+            Err(error) => {
+                self.bounds_m = former;
+                return Err(error);
+            }
+        }
+        for (index, mesh) in &posed {
+            self.shade.move_mesh(self.gpu, &self.meshes, *index, mesh);
+        }
+        self.stances = stances.to_vec();
+        self.shadow.set(self.gpu, &self.plan);
+        self.stale = Stale { lights: true, cascades: true, pages: true, ..self.stale };
         self.bounces = Bounces::default();
         Ok(())
     }
@@ -237,12 +268,11 @@ impl<'a> Frame<'a> {
     }
 
     fn planned(&self, casters: &[Caster], camera: &SceneCamera) -> Result<ShadowPlan> {
-        let bounds_m = self.bake.scene.manifest.bounds_m;
-        ShadowPlan::within(&self.room.shadows, casters, bounds_m, eye_of(camera))
+        ShadowPlan::within(&self.room.shadows, casters, self.bounds_m, eye_of(camera))
     }
 
     fn view(&self, camera: &SceneCamera, jitter: [f32; 2]) -> Result<ShadeView> {
-        ShadeView::new(camera, self.room.size, self.bake.scene.manifest.bounds_m, self.sky, jitter)
+        ShadeView::new(camera, self.room.size, self.bounds_m, self.sky, jitter)
     }
 
     /// Writes light that no shadow map has: all bounces are of other light from here on.

@@ -5,7 +5,7 @@ use wgpu::{ShaderStages as Stages, TextureViewDimension as Dimension};
 
 use super::gpu::{Gpu, failed, texture};
 use crate::error::Result;
-use crate::scene::{LoadedScene, Texture, Vertex};
+use crate::scene::{LoadedDraw, LoadedScene, Texture, Vertex};
 
 /// A mesh's buffers.
 #[derive(Debug)]
@@ -78,6 +78,12 @@ impl Meshes {
         let pairs = wraps.into_iter().flat_map(|u| wraps.map(|v| [u, v]));
         let samplers = pairs.map(|wrap| sampler(gpu, wrap)).collect();
         Ok(Self { meshes, views, white, samplers })
+    }
+
+    /// Writes the vertices and triangles of a mesh, which are as many as before.
+    pub(in crate::passes) fn set(&self, gpu: &Gpu, index: usize, draw: &LoadedDraw) {
+        gpu.write(&self.meshes[index].vertices, &draw.vertices);
+        gpu.write(&self.meshes[index].indices, &draw.triangles);
     }
 
     /// Texture and sampler of a use; white where there is none.

@@ -6,16 +6,17 @@ use crate::passes::shade::ShadeView;
 use crate::passes::shade::reference::{Lit, shade};
 use crate::passes::shadow::reference::draw;
 use crate::picture::{Exposure, Film, Picture};
+use crate::scene::LoadedScene;
 
 /// Draws the picture.
 pub(super) fn render(prepared: &Prepared<'_>, exposure: Exposure) -> Result<Picture> {
-    let Prepared { bake, view, plan, sky } = prepared;
-    let scene = &bake.scene;
+    let Prepared { bake, scene, bounds_m, view, plan, sky } = prepared;
+    let scene: &LoadedScene = scene;
     let maps = draw(scene, plan);
     let mut settled = bake.light.settle(&prepared.lit(&maps), view.limit);
     let mut film: Option<Film> = None;
     for jitter in jitters(view.samples) {
-        let shade_view = ShadeView::new(&view.camera, view.size(), scene.manifest.bounds_m, *sky, jitter)?;
+        let shade_view = ShadeView::new(&view.camera, view.size(), *bounds_m, *sky, jitter)?;
         settled.indirect.prepare_view(&shade_view, view.size());
         let (indirect, emitter_scale) = (&*settled.indirect, &view.emitter_scale[..]);
         let lit = Lit { scene, plan, maps: &maps, indirect, emitter_scale };

@@ -17,7 +17,7 @@ pub fn debug_picture(bake: &LoadedBake, view: &View, name: &str, page: usize) ->
         return Err(ClientError::Argument { what: name.to_owned(), problem });
     };
     let prepared = Prepared::new(bake, view)?;
-    let maps = draw(&bake.scene, &prepared.plan);
+    let maps = draw(&prepared.scene, &prepared.plan);
     let found = bake.light.debug_page(name, page, &prepared.lit(&maps), view.limit);
     let drawn = found.ok_or_else(|| ClientError::Argument {
         what: format!("page {page}"),

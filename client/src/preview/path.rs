@@ -1,7 +1,8 @@
-//! A path of camera and lights: keys at numbered pictures, and the views between them.
+//! A path of camera, lights and objects: keys at numbered pictures, and the views between them.
 
 use glam::Vec3;
-use lightkiln_proto::scene::{LightKind, SceneCamera, SceneLight};
+use lightkiln_proto::scene::{LightKind, SceneCamera, SceneLight, Stance};
+use lightkiln_proto::words::stance_from_text;
 use serde::Deserialize;
 
 use super::View;
@@ -19,12 +20,13 @@ pub const FILE_MAX: u64 = 1 << 20;
 #[derive(Clone, Debug, PartialEq)]
 pub struct ViewPath(Vec<Key>);
 
-/// Where camera and lights are in a picture.
+/// Where camera, lights and objects are in a picture.
 #[derive(Clone, Debug, PartialEq)]
 struct Key {
     picture: u32,
     camera: Option<SceneCamera>,
     lights: Option<ParsedLights>,
+    objects: Option<Vec<Stance>>,
 }
 
 /// A file of keys.
@@ -41,6 +43,7 @@ struct Words {
     picture: u32,
     camera: Option<String>,
     lights: Option<Vec<String>>,
+    objects: Option<Vec<String>>,
 }
 
 fn wrong(what: impl Into<String>, problem: impl Into<String>) -> ClientError {
@@ -48,7 +51,8 @@ fn wrong(what: impl Into<String>, problem: impl Into<String>) -> ClientError {
 }
 
 impl ViewPath {
-    /// Reads a file's JSON: `{"keys": [{"picture": 1, "camera": "eye=… target=…", "lights": ["point pos=… power=20"]}, …]}`.
+    /// Reads a file's JSON: `{"keys": [{"picture": 1, "camera": "eye=… target=…", "lights": ["point pos=… power=20"],
+    /// "objects": ["pos=… turn=…"]}, …]}`.
     pub fn parse(json: &[u8]) -> Result<Self> {
         let File { keys } = serde_json::from_slice(json).map_err(|error| {
             wrong(
@@ -58,9 +62,14 @@ impl ViewPath {
                 ),
             )
         })?;
-        let key = |Words { picture, camera, lights }: Words| -> Result<Key> {
+        let key = |Words { picture, camera, lights, objects }: Words| -> Result<Key> {
             let camera = camera.as_deref().map(parse_camera).transpose()?;
-            Ok(Key { picture, camera, lights: lights.map(|lights| parse_lights(&lights)).transpose()? })
+            let lights = lights.map(|lights| parse_lights(&lights)).transpose()?;
+            let stance = |words: &String| {
+                stance_from_text(words).map_err(|error| wrong(format!("\"{words:.200}\""), error.to_string()))
+            };
+            let objects = objects.map(|objects| objects.iter().map(stance).collect()).transpose()?;
+            Ok(Key { picture, camera, lights, objects })
         };
         let keys = keys.into_iter().map(key).collect::<Result<Vec<Key>>>()?;
         match keys.first() {
@@ -100,6 +109,11 @@ impl ViewPath {
         self.0.first().and_then(|key| key.lights.as_ref()).map(|lights| &lights.lights[..])
     }
 
+    /// Objects that keys place, if they place any.
+    pub fn objects(&self) -> Option<usize> {
+        self.0.first().and_then(|key| key.objects.as_ref()).map(Vec::len)
+    }
+
     /// The same path with each key's lights and the factor on emitters as `change` gives them.
     #[must_use]
     pub fn with_lights(mut self, change: impl Fn(ParsedLights) -> ParsedLights) -> Self {
@@ -126,6 +140,9 @@ impl ViewPath {
                 view.emitter_scale.fill(mix(a, b, share));
             }
         }
+        if let (Some(a), Some(b)) = (&a.objects, &b.objects) {
+            view.objects = a.iter().zip(b).map(|(a, b)| stance_between(a, b, share)).collect();
+        }
         view
     }
 }
@@ -145,6 +162,14 @@ impl Key {
         };
         has_both(self.camera.is_some(), next.camera.is_some(), "a camera")?;
         has_both(self.lights.is_some(), next.lights.is_some(), "lights")?;
+        has_both(self.objects.is_some(), next.objects.is_some(), "'objects'")?;
+        let clips = |key: &Self| -> Option<Vec<u32>> {
+            Some(key.objects.as_ref()?.iter().map(|stance| stance.clip).collect())
+        };
+        if clips(self) != clips(next) {
+            let problem = "has other objects, or other animations of them, than the key before: give as many, in the same order";
+            return Err(wrong(place, problem));
+        }
         let (Some(a), Some(b)) = (&self.lights, &next.lights) else { return Ok(()) };
         has_both(a.emitter_scale.is_some(), b.emitter_scale.is_some(), "'emitters'")?;
         let kind = |light: &SceneLight| std::mem::discriminant(&light.kind);
@@ -170,6 +195,17 @@ fn turned(a: [f32; 3], b: [f32; 3], share: f32) -> [f32; 3] {
         return if share <= 0.0 { a } else { b };
     }
     Vec3::from(mix3(a, b, share)).try_normalize().map_or(a, Into::into)
+}
+
+/// Numbers go evenly: a turn by 720 degrees is two whole ones.
+fn stance_between(a: &Stance, b: &Stance, share: f32) -> Stance {
+    Stance {
+        position_m: mix3(a.position_m, b.position_m, share),
+        turn_deg: mix3(a.turn_deg, b.turn_deg, share),
+        scale: mix(a.scale, b.scale, share),
+        time_s: mix(a.time_s, b.time_s, share),
+        clip: a.clip,
+    }
 }
 
 fn camera_between(a: &SceneCamera, b: &SceneCamera, share: f32) -> SceneCamera {
@@ -250,6 +286,40 @@ mod tests {
         assert!((views[2].lights[1].strength[0] - 2.0).abs() < 1e-6);
         // Size, exposure and the like stay.
         assert_eq!(views[3].size(), base.size());
+    }
+
+    #[test]
+    fn objects_move_turn_and_play_evenly() {
+        let path = parsed(&serde_json::json!({ "keys": [
+            { "picture": 1, "objects": ["pos=0,0,0 time=1 clip=2", "scale=2"] },
+            { "picture": 3, "objects": ["pos=2,0,4 turn=720,0,0 time=3 clip=2", "scale=4"] },
+        ] }))
+        .unwrap();
+        let (_, base) = fixture_view();
+        let middle = path.view(2, &base).objects;
+        let expected = Stance {
+            position_m: [1.0, 0.0, 2.0],
+            turn_deg: [360.0, 0.0, 0.0],
+            scale: 1.0,
+            time_s: 2.0,
+            clip: 1,
+        };
+        assert_eq!((middle[0], middle[1].scale, path.objects()), (expected, 3.0, Some(2)));
+        for (keys, word) in [
+            (serde_json::json!([{ "picture": 1, "objects": ["pos=0"] }]), "pos=0"),
+            (serde_json::json!([{ "picture": 1, "objects": [""] }, { "picture": 2 }]), "'objects'"),
+            (
+                serde_json::json!([{ "picture": 1, "objects": [""] }, { "picture": 2, "objects": [] }]),
+                "picture 2",
+            ),
+            (
+                serde_json::json!([{ "picture": 1, "objects": [""] }, { "picture": 2, "objects": ["clip=3"] }]),
+                "animations",
+            ),
+        ] {
+            let error = parsed(&serde_json::json!({ "keys": keys })).unwrap_err().to_string();
+            assert!(error.contains(word), "{error}");
+        }
     }
 
     #[test]

@@ -70,7 +70,7 @@ impl StreamedBake {
     /// Fetches the clusters that a view needs most until `bytes_max` bytes of light have come.
     pub fn refine(&mut self, view: &View, bytes_max: u64) -> Result<()> {
         let prepared = Prepared::new(&self.bake, view)?;
-        let maps = draw(&self.bake.scene, &prepared.plan);
+        let maps = draw(&prepared.scene, &prepared.plan);
         let viewpoint = view.eye().map(|eye| Viewpoint { eye_m: eye.position_m, forward: eye.forward });
         let bytes_max = bytes_max.saturating_sub(self.manifest_bytes);
         self.stream.refine(&self.source, &prepared.lit(&maps), viewpoint, bytes_max, view.limit)?;

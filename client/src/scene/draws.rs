@@ -38,7 +38,7 @@ pub struct LoadedDraw {
 }
 
 /// All meshes.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct DrawTable {
     /// One per mesh instance and material.
     pub draws: Vec<LoadedDraw>,
@@ -62,21 +62,27 @@ pub(super) fn join(
     let mut without_block = 0;
     for draw in contents.into_iter().flat_map(|geometry| geometry.draws) {
         let index = table.draws.len();
-        check(&draw, manifest)
+        let loaded = checked(&draw, manifest.materials.len())
             .map_err(|problem| ClientError::inconsistent(format!("draw {index}"), problem))?;
         let index_of =
             |key: Option<BlockKey>| key.and_then(|key| lightmap.block_index(key)).unwrap_or(NO_BLOCK);
         let (front, back) = (index_of(draw.front), index_of(draw.back));
         without_block += usize::from(front == NO_BLOCK);
-        let vertices = (0..draw.position_m.len()).map(|vertex| interleave(&draw, vertex)).collect();
-        let material = draw.material;
-        table.draws.push(LoadedDraw { material, front, back, vertices, triangles: draw.triangles });
+        table.draws.push(LoadedDraw { front, back, ..loaded });
     }
     if without_block > 0 && !lightmap.blocks.is_empty() {
         warnings
             .push(format!("{without_block} meshes have no receivers and are drawn without indirect light"));
     }
     Ok(table)
+}
+
+/// A mesh outside the lightmap, or its first fault.
+pub(super) fn checked(draw: &Draw, materials: usize) -> std::result::Result<LoadedDraw, String> {
+    check(draw, materials)?;
+    let vertices = (0..draw.position_m.len()).map(|vertex| interleave(draw, vertex)).collect();
+    let (material, triangles) = (draw.material, draw.triangles.clone());
+    Ok(LoadedDraw { material, front: NO_BLOCK, back: NO_BLOCK, vertices, triangles })
 }
 
 fn interleave(draw: &Draw, vertex: usize) -> Vertex {
@@ -89,7 +95,7 @@ fn interleave(draw: &Draw, vertex: usize) -> Vertex {
     }
 }
 
-fn check(draw: &Draw, manifest: &Manifest) -> std::result::Result<(), String> {
+fn check(draw: &Draw, materials: usize) -> std::result::Result<(), String> {
     let count = draw.position_m.len();
     let optional = |length: usize| length == 0 || length == count;
     let texels = if draw.front.is_some() { count } else { 0 };
@@ -100,8 +106,8 @@ fn check(draw: &Draw, manifest: &Manifest) -> std::result::Result<(), String> {
     {
         return Err("its vertex arrays differ in length".to_owned());
     }
-    if draw.material as usize >= manifest.materials.len() {
-        return Err(format!("names material {} of {}", draw.material, manifest.materials.len()));
+    if draw.material as usize >= materials {
+        return Err(format!("names material {} of {}", draw.material, materials));
     }
     if draw.triangles.iter().flatten().any(|index| *index as usize >= count) {
         return Err(format!("a triangle names a vertex above {count}"));

@@ -1,10 +1,13 @@
-//! The scene of a bake: manifest, meshes, textures, and the lightmap's layout if it has one.
+//! The scene of a bake: manifest, meshes, textures, the lightmap's layout if it has one, and objects beside it.
 
 mod draws;
 mod lightmap;
 mod load;
+mod objects;
 mod recolour;
 mod texture;
+
+use std::sync::Arc;
 
 use lightkiln_proto::content::Geometry;
 use lightkiln_proto::manifest::{Glass, Manifest};
@@ -14,23 +17,27 @@ use crate::fetch::Source;
 
 pub use draws::{DrawTable, LoadedDraw, Vertex};
 pub use lightmap::{LightmapLayout, MAX_ATLAS_TEXELS, MAX_PAGE_SIDE, MAX_PAGES, NO_BLOCK, PlacedBlock};
+pub(crate) use objects::check_stances;
+pub use objects::{Object, ObjectShape, Rigid, Stance};
 pub use recolour::{ALBEDO_MAX, Albedo, Recolour, Tints, check_recolours};
 pub use texture::Texture;
 pub(crate) use texture::srgb_of_linear;
 
 /// A scene, ready to be drawn.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct LoadedScene {
     /// Manifest of the bake.
     pub manifest: Manifest,
     /// Meshes to draw.
     pub draws: DrawTable,
     /// Textures, with mip levels.
-    pub textures: Vec<Texture>,
+    pub textures: Vec<Arc<Texture>>,
     /// Pages of the lightmap, and the blocks in them.
     pub lightmap: LightmapLayout,
     /// Warnings about meshes that are drawn with less than they need.
     pub warnings: Vec<String>,
+    /// Objects beside the bake, whose meshes and materials come behind its own.
+    objects: Vec<objects::PlacedObject>,
 }
 
 impl LoadedScene {
@@ -52,7 +59,8 @@ impl LoadedScene {
         let lightmap = LightmapLayout::new(&manifest)?;
         let draws = draws::join(&manifest, geometry, &lightmap, &mut warnings)?;
         check_textures(&manifest, textures.len())?;
-        Ok(Self { manifest, draws, textures, lightmap, warnings })
+        let textures = textures.into_iter().map(Arc::new).collect();
+        Ok(Self { manifest, draws, textures, lightmap, warnings, objects: Vec::new() })
     }
 
     /// The glass that a mesh is of, if it is.
@@ -68,8 +76,7 @@ impl LoadedScene {
 
 fn check_textures(manifest: &Manifest, count: usize) -> Result<()> {
     for (index, material) in manifest.materials.iter().enumerate() {
-        let of_glass = material.glass.as_ref().and_then(|glass| glass.transmission_texture.as_ref());
-        let mut uses = material.base_colour_texture.iter().chain(&material.emissive_texture).chain(of_glass);
+        let mut uses = objects::uses(material);
         if let Some(bad) = uses.find(|used| used.texture as usize >= count) {
             let problem = format!("names texture {} of {count}", bad.texture);
             return Err(ClientError::inconsistent(format!("material {index}"), problem));

@@ -7,6 +7,7 @@ mod factors;
 mod formula;
 mod glass;
 mod light;
+mod objects;
 mod shaders;
 mod shadows;
 

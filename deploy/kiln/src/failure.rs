@@ -118,6 +118,7 @@ impl From<ClientError> for Failure {
             ClientError::Call(error) => exit_of_call(error),
             ClientError::Source { .. }
             | ClientError::Argument { .. }
+            | ClientError::Object { .. }
             | ClientError::TooLarge { .. }
             | ClientError::WrongDigest { .. }
             | ClientError::Json { .. }

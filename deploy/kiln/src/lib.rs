@@ -19,6 +19,7 @@ mod interrupt;
 mod junit;
 pub mod kinds;
 mod logging;
+mod objects;
 mod outputs;
 mod picture;
 mod progress;

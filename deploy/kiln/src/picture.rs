@@ -14,12 +14,13 @@ use lightkiln_client::picture::{Exposure, Picture, Tone};
 use lightkiln_client::preview::{
     Backend, PATH_FILE_MAX, StreamedBake, View, ViewPath, debug_picture, render, render_path,
 };
-use lightkiln_client::scene::{Recolour, check_recolours};
+use lightkiln_client::scene::{Object, Recolour, Stance, check_recolours};
 use lightkiln_client::stream::Streamed;
 use serde::Serialize;
 
 use crate::console::say;
 use crate::failure::{Failure, Result};
+use crate::objects::{ObjectArgument, parse_object};
 use crate::switched_off::SwitchedOff;
 
 /// How to draw.
@@ -73,17 +74,53 @@ pub struct ReelArguments {
     /// Fetches at most so many bytes of light, e.g. 500k or 2M: the overview first, then what the picture needs most
     /// [default: all]
     #[arg(long, value_name = "BYTES", value_parser = parse_bytes, help_heading = "Picture")]
-    pub max_bytes: Option<u64>,
+    max_bytes: Option<u64>,
     /// Draws many pictures along a path, NAME-0001.png and on: a JSON file {"keys": [{"picture": 1, "camera": "eye=…",
-    /// "lights": ["point pos=…"]}, {"picture": 60, …}]}, between whose keys camera and lights move evenly. The exposure of
-    /// the first picture that is not black is that of all, and --max-bytes fetches what the first one needs
+    /// "lights": ["point pos=…"], "objects": ["pos=… turn=…"]}, {"picture": 60, …}]}, between whose keys camera, lights
+    /// and objects move evenly. The exposure of the first picture that is not black is that of all, and --max-bytes
+    /// fetches what the first one needs
     #[arg(long, value_name = "FILE", conflicts_with = "debug", help_heading = "Picture")]
     path: Option<PathBuf>,
+    /// Object beside the bake, which moves: "FILE [pos=x,y,z] [turn=yaw,pitch,roll] [scale=s] [time=seconds] [clip=n]", a
+    /// glTF, turned in degrees, at a time of its n-th animation; may be given often. Lights alone light it, and it casts
+    /// shadows on all that they reach, from where less light bounces
+    #[arg(long, value_name = "OBJECT", value_parser = parse_object, help_heading = "Picture")]
+    object: Vec<ObjectArgument>,
+}
+
+/// What is drawn of a bake.
+#[derive(Debug, Default)]
+pub struct Reel {
+    /// Bytes of light to fetch; all without.
+    max_bytes: Option<u64>,
+    path: Option<ViewPath>,
+    objects: Vec<(Object, Stance)>,
+}
+
+impl ReelArguments {
+    /// Reads path and objects, before any light is fetched.
+    pub fn read(&self, off: SwitchedOff, beside: &PictureArguments) -> Result<Reel> {
+        let path = self.path(off)?;
+        if let Some(path) = &path {
+            beside.check_beside(path)?;
+        }
+        let placed = path.as_ref().and_then(ViewPath::objects);
+        if let Some(placed) = placed.filter(|placed| *placed != self.object.len()) {
+            let given = self.object.len();
+            return Err(Failure::bad_input(format!(
+                "the keys of the path place {placed} objects, and {given} are given"
+            ))
+            .try_this("--object FILE once for each, in the order of the keys"));
+        }
+        let read = |object: &ObjectArgument| Ok((object.read()?, object.stance));
+        let objects = self.object.iter().map(read).collect::<Result<_>>()?;
+        Ok(Reel { max_bytes: self.max_bytes, path, objects })
+    }
 }
 
 impl ReelArguments {
     /// The path, if there is one, without what is switched off; refuses a file that holds none.
-    pub fn path(&self, off: SwitchedOff) -> Result<Option<ViewPath>> {
+    fn path(&self, off: SwitchedOff) -> Result<Option<ViewPath>> {
         let Some(file) = &self.path else { return Ok(None) };
         let refused = |problem: &str| Failure::bad_input(format!("{} {problem}", file.display()));
         let failed = |error: std::io::Error| refused("cannot be read").caused_by(&error);
@@ -171,7 +208,7 @@ impl PictureArguments {
     }
 
     /// Refuses a camera or lights beside those of a path.
-    pub fn check_beside(&self, path: &ViewPath) -> Result<()> {
+    fn check_beside(&self, path: &ViewPath) -> Result<()> {
         let both = |is_twice: bool, option: &str| {
             let what = format!("{option} and the keys of the path both say it");
             if is_twice { Err(Failure::bad_input(what).try_this("one of them alone")) } else { Ok(()) }
@@ -187,23 +224,27 @@ impl PictureArguments {
         self.write_all(&bake, &view, None, png).map(|_| ())
     }
 
-    /// As [`Self::draw`], with as much of the light as is asked for, and along a path.
+    /// As [`Self::draw`], with as much of the light as is asked for, along a path, with objects.
     pub fn draw_reel(
         &self,
-        (max_bytes, path): (Option<u64>, Option<&ViewPath>),
+        reel: Reel,
         kinds: &ClientKinds,
         off: &SwitchedOff,
         source: &Source,
         png: &Path,
     ) -> Result<Drawn> {
+        let Reel { max_bytes, path, objects } = reel;
+        let path = path.as_ref();
         let Some(max_bytes) = max_bytes else {
-            let bake = self.loaded(source, kinds)?;
-            let view = self.view(&bake, off, path)?;
+            let mut bake = self.loaded(source, kinds)?;
+            let stances = add_objects(&mut bake, objects)?;
+            let view = View { objects: stances, ..self.view(&bake, off, path)? };
             return self.write_all(&bake, &view, path, png);
         };
         let mut streamed = StreamedBake::begin(source, kinds, max_bytes)?;
         streamed.recolour(&self.material)?;
-        let view = self.view(&streamed.bake, off, path)?;
+        let stances = add_objects(&mut streamed.bake, objects)?;
+        let view = View { objects: stances, ..self.view(&streamed.bake, off, path)? };
         // Along a path, what its first picture needs.
         streamed.refine(&path.map_or_else(|| view.clone(), |path| path.view(1, &view)), max_bytes)?;
         let Streamed { bytes, bytes_all, clusters, clusters_all } = streamed.streamed();
@@ -288,6 +329,16 @@ impl PictureArguments {
         say!("drawn by {}", drawn.drawn_by);
         Ok(drawn)
     }
+}
+
+/// Puts objects beside a bake; their stances.
+fn add_objects(bake: &mut LoadedBake, objects: Vec<(Object, Stance)>) -> Result<Vec<Stance>> {
+    let mut stances = Vec::new();
+    for (object, stance) in objects {
+        bake.scene.add_object(object)?;
+        stances.push(stance);
+    }
+    Ok(stances)
 }
 
 /// The file of a picture along a path: `NAME-0001.png`.

@@ -1,7 +1,8 @@
-//! Lights and cameras as people write them: `key=value` words on a command line, or the same keys in a JSON object.
+//! Lights, cameras and stances of objects as people write them: `key=value` words on a command line, or the same keys in a JSON object.
 
 mod camera;
 mod light;
+mod stance;
 
 use glam::Vec3;
 use serde_json::{Map, Value};
@@ -9,6 +10,7 @@ use thiserror::Error;
 
 pub use camera::{camera_from_text, camera_to_text};
 pub use light::LightSpec;
+pub use stance::{object_from_text, stance_from_text};
 
 /// Words that are no light and no camera.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]

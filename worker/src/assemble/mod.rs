@@ -2,7 +2,7 @@
 //!
 //! It reads the scene, and its charts where there are some; no ray is cast.
 
-mod materials;
+pub mod materials;
 mod pages;
 
 use std::collections::{BTreeMap, BTreeSet};

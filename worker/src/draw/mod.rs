@@ -86,7 +86,10 @@ fn draws_in_lightmap<'a>(
 }
 
 /// An instance's own vertices and triangles, outside any lightmap.
-fn draws_as_they_are<'a>(scene: &'a Scene, instance: &'a MeshInstance) -> impl Iterator<Item = Draw> + 'a {
+pub fn draws_as_they_are<'a>(
+    scene: &'a Scene,
+    instance: &'a MeshInstance,
+) -> impl Iterator<Item = Draw> + 'a {
     let source = Source::of(scene, instance);
     instance.triangles.chunks(CHUNK_TRIANGLES).map(move |triangles| {
         let mut draw = source.empty_draw();

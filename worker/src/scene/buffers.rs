@@ -6,6 +6,7 @@ use std::collections::BTreeMap;
 use gltf::json::buffer::View;
 use gltf::json::{Accessor, Index, Root};
 
+use super::Opening;
 use super::bundle::Bundle;
 use super::document::{self, buffer_place};
 use super::error::{ImportError, Result};
@@ -26,7 +27,7 @@ pub(super) struct Buffers<'a> {
 
 impl<'a> Buffers<'a> {
     /// Finds the bytes of all buffers: the GLB's chunk, data URIs or files of the bundle; decompresses what meshes and
-    /// images read.
+    /// images read, and animations where they are to be played.
     ///
     /// Errors on a missing file, a broken data URI, on fewer bytes than a buffer states, and on compressed bytes that do
     /// not decode to what is stated.
@@ -35,12 +36,13 @@ impl<'a> Buffers<'a> {
         bin: Option<&'a [u8]>,
         bundle: &'a Bundle,
         limits: &'a Limits,
+        opening: Opening,
     ) -> Result<Self> {
         let load_one = |index| load_buffer(root, index, bin, bundle);
         let loaded = (0..root.buffers.len()).map(load_one).collect::<Result<_, _>>()?;
         let mut buffers = Self { root, limits, loaded, views: BTreeMap::new(), accessors: BTreeMap::new() };
         let mut budget = Budget::new(limits::DECODED_BYTES, limits.decoded_bytes);
-        buffers.views = meshopt::decode_views(root, &buffers, &mut budget)?;
+        buffers.views = meshopt::decode_views(root, &buffers, opening, &mut budget)?;
         buffers.accessors = draco::decode_primitives(root, &buffers, &mut budget)?;
         Ok(buffers)
     }

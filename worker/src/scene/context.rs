@@ -2,6 +2,7 @@
 
 use gltf::json::Root;
 
+use super::Opening;
 use super::buffers::Buffers;
 use super::bundle::Bundle;
 use super::limits::{self, Budget, Limits};
@@ -15,6 +16,7 @@ pub(super) struct Context<'a> {
     pub(super) limits: &'a Limits,
     pub(super) budgets: Budgets,
     pub(super) warnings: Warnings,
+    pub(super) opening: Opening,
 }
 
 /// Running totals over the whole scene.

@@ -2,6 +2,7 @@
 
 use gltf::json::{Index, Root, root::Get};
 
+use super::Opening;
 use super::error::{ImportError, Result, place_of, shown};
 use super::limits::{self, Limits, within};
 use super::outline;
@@ -94,14 +95,14 @@ fn check_required_extensions(root: &Root) -> Result<()> {
 }
 
 /// Warns of extensions that the file uses and that are passed over, naming each.
-pub(super) fn warn_of_ignored_extensions(root: &Root, warnings: &mut Warnings) {
+pub(super) fn warn_of_ignored_extensions(root: &Root, opening: Opening, warnings: &mut Warnings) {
     let used = root.extensions_used.iter().map(String::as_str);
     let ignored: Vec<&str> = used.filter(|name| !SUPPORTED_EXTENSIONS.contains(name)).collect();
     if !ignored.is_empty() {
         let names = shown(&ignored.join(", "));
         warnings.add("extension-ignored", || format!("{names}: not understood, the scene is read without"));
     }
-    if !root.animations.is_empty() {
+    if !root.animations.is_empty() && opening == Opening::Still {
         let count = root.animations.len();
         warnings.add("animations-ignored", || {
             format!("{count} animation(s) are not played: the scene is baked as it stands at rest")

@@ -39,7 +39,7 @@ pub(super) enum Reading {
 }
 
 /// All materials of a scene and the images that they use.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct MaterialTable {
     pub(super) materials: Vec<Material>,
     pub(super) images: Vec<SceneImage>,

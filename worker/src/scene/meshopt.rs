@@ -11,6 +11,7 @@ use gltf::json::{Accessor, Index, Root};
 use meshopt as codec;
 use serde::Deserialize;
 
+use super::Opening;
 use super::buffers::Buffers;
 use super::error::{ImportError, Result};
 use super::limits::Budget;
@@ -55,17 +56,19 @@ enum Filter {
     Color,
 }
 
-/// Decodes every compressed view that a mesh, a skin or an image reads; gives their bytes by index.
+/// Decodes every compressed view that a mesh, a skin or an image reads, and an animation that is to be played; gives their
+/// bytes by index.
 pub(super) fn decode_views(
     root: &Root,
     buffers: &Buffers<'_>,
+    opening: Opening,
     budget: &mut Budget,
 ) -> Result<BTreeMap<usize, Vec<u8>>> {
     let mut decoded = BTreeMap::new();
     if !root.buffer_views.iter().any(|view| extension(view).is_some()) {
         return Ok(decoded);
     }
-    for index in views_read(root) {
+    for index in views_read(root, opening) {
         let Some(stated) = root.buffer_views.get(index).and_then(extension) else { continue };
         if buffers.has_bytes(root.buffer_views[index].buffer) {
             // The view is there uncompressed too.
@@ -92,10 +95,15 @@ fn extension(view: &gltf::json::buffer::View) -> Option<&serde_json::Value> {
     EXTENSIONS.iter().find_map(|name| others.get(*name))
 }
 
-/// Views of the accessors that an import reads, and of images; those of animations are left as they are.
-fn views_read(root: &Root) -> BTreeSet<usize> {
+/// Views of the accessors that an import reads, and of images; those of animations where they are to be played.
+fn views_read(root: &Root, opening: Opening) -> BTreeSet<usize> {
+    let mut read = accessors_read(root);
+    if opening == Opening::Moving {
+        let samplers = root.animations.iter().flat_map(|animation| &animation.samplers);
+        read.extend(samplers.flat_map(|sampler| [sampler.input, sampler.output]).map(|index| index.value()));
+    }
     let accessors: Vec<&Accessor> =
-        accessors_read(root).into_iter().filter_map(|accessor| root.accessors.get(accessor)).collect();
+        read.into_iter().filter_map(|accessor| root.accessors.get(accessor)).collect();
     let dense = accessors.iter().filter_map(|accessor| accessor.buffer_view);
     let sparse = accessors.iter().filter_map(|accessor| accessor.sparse.as_ref());
     let sparse = sparse.flat_map(|sparse| [sparse.indices.buffer_view, sparse.values.buffer_view]);

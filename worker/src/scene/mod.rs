@@ -4,6 +4,7 @@
 //! a name of the file: every one is compared with the bytes that are there and with [`Limits`] before it is used.
 
 mod accessor;
+mod animation;
 mod buffers;
 mod bundle;
 mod census;
@@ -22,6 +23,7 @@ mod limits;
 mod materials;
 mod meshopt;
 pub mod model;
+mod moving;
 mod nodes;
 mod oddities;
 mod outline;
@@ -45,6 +47,7 @@ use std::collections::BTreeMap;
 pub use bundle::Bundle;
 pub use error::ImportError;
 pub use limits::Limits;
+pub use moving::MovingFile;
 
 use buffers::Buffers;
 use context::{Budgets, Context};
@@ -66,27 +69,43 @@ pub const WARNINGS: &str = "import/warnings";
 /// The result is a pure function of the bundle. Errors say fault, place and remedy; whatever is merely
 /// not honoured becomes a warning.
 pub fn import(source: &Bundle, limits: &Limits) -> Result<Imported, ImportError> {
-    let (root, bin) = document::parse(source.root_bytes(), limits)?;
-    let buffers = Buffers::load(&root, bin, source, limits)?;
-    let mut context = Context {
-        root: &root,
-        bundle: source,
-        buffers: &buffers,
-        limits,
-        budgets: Budgets::new(limits, source.upload_bytes()),
-        warnings: Warnings::default(),
-    };
-    document::warn_of_ignored_extensions(&root, &mut context.warnings);
-    let mut materials = MaterialTable::read(&mut context)?;
-    let mut scene = Scene::default();
-    let degenerate_count = nodes::flatten(&mut context, &mut materials, &mut scene)?;
-    (scene.materials, scene.images) = materials.finish();
-    if scene.instances.is_empty() {
-        let why = nothing_to_bake(&root, degenerate_count);
-        context.warnings.add(NO_TRIANGLES, || why);
-    }
-    let counts = counts(&scene, degenerate_count);
-    Ok(Imported { scene, warnings: context.warnings.finish(), counts })
+    opened(source, limits, Opening::Still, |context| {
+        let mut materials = MaterialTable::read(context)?;
+        let mut scene = Scene::default();
+        let degenerate_count = nodes::flatten(context, &mut materials, &mut scene)?;
+        (scene.materials, scene.images) = materials.finish();
+        if scene.instances.is_empty() {
+            let why = nothing_to_bake(context.root, degenerate_count);
+            context.warnings.add(NO_TRIANGLES, || why);
+        }
+        let counts = counts(&scene, degenerate_count);
+        Ok(Imported { scene, warnings: std::mem::take(&mut context.warnings).finish(), counts })
+    })
+}
+
+/// Purpose for which a file is read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Opening {
+    /// To be baked as it stands: triangles without area are dropped, animations are not read.
+    Still,
+    /// To move: all triangles are kept, so that they are the same at all times.
+    Moving,
+}
+
+/// Calls `work` with the document of a bundle and its bytes.
+fn opened<T>(
+    bundle: &Bundle,
+    limits: &Limits,
+    opening: Opening,
+    work: impl FnOnce(&mut Context<'_>) -> Result<T, ImportError>,
+) -> Result<T, ImportError> {
+    let (root, bin) = document::parse(bundle.root_bytes(), limits)?;
+    let buffers = Buffers::load(&root, bin, bundle, limits, opening)?;
+    let budgets = Budgets::new(limits, bundle.upload_bytes());
+    let warnings = Warnings::default();
+    let mut context = Context { root: &root, bundle, buffers: &buffers, limits, budgets, warnings, opening };
+    document::warn_of_ignored_extensions(&root, opening, &mut context.warnings);
+    work(&mut context)
 }
 
 /// Why a scene has no triangles, and what to do.

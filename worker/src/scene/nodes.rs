@@ -6,6 +6,7 @@ use std::rc::Rc;
 use glam::{DAffine3, DMat3, DMat4, DQuat, DVec3};
 use gltf::json::{Index, Node};
 
+use super::Opening;
 use super::context::Context;
 use super::document::{self, node_place, primitive_place};
 use super::error::{ImportError, Result, shown};
@@ -153,9 +154,12 @@ impl Walk {
         let weights = node.weights.as_deref().or(mesh.weights.as_deref()).unwrap_or_default();
         let joints = match node.skin {
             Some(skin) => {
-                context.warnings.add("skin-at-rest", || {
-                    format!("{} is baked in the pose in which its joints stand", node_place(root, node_index))
-                });
+                if context.opening == Opening::Still {
+                    context.warnings.add("skin-at-rest", || {
+                        let place = node_place(root, node_index);
+                        format!("{place} is baked in the pose in which its joints stand")
+                    });
+                }
                 let parents = self.parents.get_or_insert_with(|| pose::parents(root));
                 Some(pose::joint_matrices(context, parents, node_index, skin)?)
             }
@@ -178,7 +182,8 @@ impl Walk {
             } else {
                 world_from_object
             };
-            let placed = place_in_world(local, world_from_object, &mut context.warnings, &place)?;
+            let placed =
+                place_in_world(local, world_from_object, context.opening, &mut context.warnings, &place)?;
             self.degenerate_count += placed.degenerate_count;
             let mesh_part = placed.mesh;
             if mesh_part.triangles.is_empty() {

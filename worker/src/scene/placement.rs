@@ -2,6 +2,7 @@
 
 use glam::{DAffine3, DMat3, DVec3, Vec3};
 
+use super::Opening;
 use super::error::{ImportError, Result};
 use super::primitives::LocalMesh;
 use super::warnings::Warnings;
@@ -22,12 +23,13 @@ pub(super) struct Placed {
 }
 
 /// Puts a mesh into the world: transforms it, keeps triangles counter-clockwise from their front under mirroring,
-/// drops triangles without area, and gives every vertex a unit normal.
+/// drops triangles without area unless the mesh is to move, and gives every vertex a unit normal.
 ///
 /// Errors on positions that leave f32's range.
 pub(super) fn place_in_world(
     mut mesh: LocalMesh,
     world_from_object: DAffine3,
+    opening: Opening,
     warnings: &mut Warnings,
     place: &dyn Fn() -> String,
 ) -> Result<Placed> {
@@ -42,7 +44,9 @@ pub(super) fn place_in_world(
     }
     let triangle_count = mesh.triangles.len();
     let positions = &mesh.positions;
-    mesh.triangles.retain(|triangle| face_normal(positions, triangle).is_some());
+    if opening == Opening::Still {
+        mesh.triangles.retain(|triangle| face_normal(positions, triangle).is_some());
+    }
     let degenerate_count = (triangle_count - mesh.triangles.len()) as u64;
     warnings.add_many("degenerate-triangles-dropped", degenerate_count, || {
         format!("{} has triangles without area", place())

@@ -6,6 +6,7 @@ use gltf::json::mesh::{Mode, MorphTarget, Primitive, Semantic};
 use gltf::json::validation::Checked;
 use gltf::json::{Accessor, Index};
 
+use super::Opening;
 use super::accessor::{Reader, Wanted};
 use super::context::Context;
 use super::document::primitive_place;
@@ -119,7 +120,8 @@ fn triangle_source(
         context.warnings.add("points-and-lines-skipped", || format!("{} has no triangles", place()));
         return Ok(None);
     }
-    if primitive.targets.as_ref().is_some_and(|targets| !targets.is_empty()) {
+    let has_targets = primitive.targets.as_ref().is_some_and(|targets| !targets.is_empty());
+    if has_targets && context.opening == Opening::Still {
         context
             .warnings
             .add("morph-at-rest", || format!("{} is baked in the shape of its default weights", place()));

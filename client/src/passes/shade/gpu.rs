@@ -138,6 +138,12 @@ impl ShadePass {
         gpu.write_strided(&self.looks, &looks(scene, tints, emitter_scale), self.draw_stride);
     }
 
+    /// Moves a mesh.
+    pub fn move_mesh(&mut self, gpu: &Gpu, meshes: &Meshes, index: usize, mesh: &LoadedDraw) {
+        meshes.set(gpu, index, mesh);
+        self.panes.set(index as u32, mesh);
+    }
+
     /// Draws one sample per pixel.
     pub fn draw(&self, gpu: &Gpu, meshes: &Meshes, shadow: &ShadowPass, view: &ShadeView) {
         gpu.write(&self.view, std::slice::from_ref(view));

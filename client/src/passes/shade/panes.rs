@@ -6,7 +6,7 @@ use std::ops::Range;
 use glam::Vec3;
 
 use super::ShadeView;
-use crate::scene::LoadedScene;
+use crate::scene::{LoadedDraw, LoadedScene};
 
 /// All glass of a scene.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -24,17 +24,29 @@ pub struct Pane {
     middle_m: Vec3,
 }
 
+impl Pane {
+    fn of(draw: u32, triangle: u32, mesh: &LoadedDraw) -> Self {
+        let corners = mesh.triangles[triangle as usize];
+        let at = corners.map(|vertex| Vec3::from(mesh.vertices[vertex as usize].position_m));
+        Self { draw, corners, triangle, middle_m: (at[0] + at[1] + at[2]) / 3.0 }
+    }
+}
+
 impl Panes {
     /// The glass of a scene.
     pub fn of(scene: &LoadedScene) -> Self {
         let meshes = scene.draws.draws.iter().zip(0..).filter(|(mesh, _)| scene.glass_of(mesh).is_some());
         let of_mesh = meshes.flat_map(|(mesh, draw)| {
-            mesh.triangles.iter().zip(0..).map(move |(&corners, triangle)| {
-                let at = corners.map(|vertex| Vec3::from(mesh.vertices[vertex as usize].position_m));
-                Pane { draw, corners, triangle, middle_m: (at[0] + at[1] + at[2]) / 3.0 }
-            })
+            (0..mesh.triangles.len() as u32).map(move |triangle| Pane::of(draw, triangle, mesh))
         });
         Self(of_mesh.collect())
+    }
+
+    /// Moves the triangles of a mesh that are of glass.
+    pub fn set(&mut self, index: u32, mesh: &LoadedDraw) {
+        for pane in self.0.iter_mut().filter(|pane| pane.draw == index) {
+            *pane = Pane::of(index, pane.triangle, mesh);
+        }
     }
 
     /// How many triangles there are.

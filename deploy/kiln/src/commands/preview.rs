@@ -51,10 +51,7 @@ pub struct Arguments {
 pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     arguments.picture.check()?;
     check_png(&arguments.out)?;
-    let path = arguments.reel.path(arguments.off)?;
-    if let Some(path) = &path {
-        arguments.picture.check_beside(path)?;
-    }
+    let reel = arguments.reel.read(arguments.off, &arguments.picture)?;
     let source = match &arguments.server {
         Some(url) => {
             let client = arguments.trust.connect(url, &Interrupt::default())?;
@@ -66,9 +63,8 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
         }
         None => Source::bundle(&arguments.bake)?,
     };
-    let Arguments { picture, reel, off, out, json, .. } = arguments;
-    let order = (reel.max_bytes, path.as_ref());
-    let drawn = picture.draw_reel(order, &kinds.client, &off, &source, &out)?;
+    let Arguments { picture, off, out, json, .. } = arguments;
+    let drawn = picture.draw_reel(reel, &kinds.client, &off, &source, &out)?;
     if json {
         println!("{}", serde_json::json!(drawn));
     }

@@ -6,5 +6,6 @@ mod compressed;
 mod document_builder;
 mod geometry;
 mod hostile;
+mod moving;
 mod nodes;
 mod textures;
