@@ -72,6 +72,7 @@ pub struct Materials<'a> {
     emitter_scale: &'a [f32],
     /// Factor on the pages' texels.
     intensity: f32,
+    page_files: &'a [String],
     /// glTF texture of each page.
     pages: Vec<usize>,
     looks: BTreeMap<Look, usize>,
@@ -87,12 +88,12 @@ impl<'a> Materials<'a> {
         scene: &'a LoadedScene,
         files: &'a [TextureFile],
         emitter_scale: &'a [f32],
-        (pages, intensity): (&[String], f32),
+        (page_files, intensity): (&'a [String], f32),
     ) -> Result<Self> {
         check_files(scene, files)?;
-        let pages = page_textures(glb, pages)?;
+        let pages = page_textures(glb, page_files)?;
         let (looks, pictures, textures) = Default::default();
-        Ok(Self { scene, files, emitter_scale, intensity, pages, looks, pictures, textures })
+        Ok(Self { scene, files, emitter_scale, intensity, page_files, pages, looks, pictures, textures })
     }
 
     /// Index of a look's material.
@@ -149,6 +150,9 @@ impl<'a> Materials<'a> {
             glb.uses(LIGHTMAP);
             let index = self.pages[page as usize];
             extensions[LIGHTMAP] = json!({ "index": index, "texCoord": 1, "intensity": self.intensity });
+            // Loaders that hand no unknown extension on do so with extras.
+            let file = &self.page_files[page as usize];
+            value["extras"] = json!({ "lightmap": file, "lightmapIntensity": self.intensity });
         }
         value["extensions"] = extensions;
         Ok(value)

@@ -235,6 +235,12 @@ fn glb_is_valid_and_holds_the_scene_of_the_bundle() {
             panic!("a page is a file of its own")
         };
         assert!(found.files.iter().any(|(name, _)| name == uri), "{uri}");
+        let extras: serde_json::Value =
+            serde_json::from_str(material.extras().as_ref().unwrap().get()).unwrap();
+        assert_eq!(
+            (extras["lightmap"].as_str(), extras["lightmapIntensity"].as_f64()),
+            (Some(uri), Some(1.0))
+        );
         assert!(!material.double_sided());
         if material.name() == Some("sheet") {
             sheet.push((normals[0], uv, material));
