@@ -2,7 +2,7 @@
 //!
 //! [`fetch`] reads bundles and servers, [`scene`] and [`bake`] hold a bake in memory, [`kinds`] load its
 //! light, [`passes`] are the steps of the frame (each on the graphics adapter and, as its reference, on the processor),
-//! [`frame`] keeps them on an adapter while lights change, [`preview`] draws pictures. Nothing here panics on a bad chunk: malformed input is a [`ClientError`].
+//! [`frame`] keeps them on an adapter while lights change, [`preview`] draws pictures, [`export`] freezes light for engines. Nothing here panics on a bad chunk: malformed input is a [`ClientError`].
 //!
 //! ```no_run
 //! use lightkiln_client::{bake::LoadedBake, fetch::Source, kinds, preview};
@@ -16,6 +16,7 @@
 
 pub mod bake;
 mod error;
+pub mod export;
 pub mod fetch;
 #[cfg(test)]
 mod fixture;

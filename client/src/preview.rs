@@ -4,6 +4,7 @@ mod cpu;
 mod debug;
 mod gpu;
 mod path;
+mod receivers;
 mod within;
 
 use std::borrow::Cow;
@@ -27,6 +28,7 @@ pub use debug::debug_picture;
 #[cfg(test)]
 pub(crate) use gpu::frame_of;
 pub use path::{FILE_MAX as PATH_FILE_MAX, ViewPath};
+pub use receivers::{LitReceivers, light_receivers};
 pub use within::StreamedBake;
 
 #[cfg(test)]

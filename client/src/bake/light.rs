@@ -46,6 +46,41 @@ pub struct IncomingDirect {
     pub near: Vec<Vec4>,
 }
 
+/// Light at receivers by slot, W·m⁻².
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ReceiverLight {
+    /// E_dir.
+    pub direct: Vec<Vec4>,
+    /// E_emit.
+    pub emit: Vec<Vec4>,
+    /// E_ind, with the sky's own light.
+    pub indirect: Vec<Vec4>,
+}
+
+/// Light at receivers after the last bounce.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SettledReceivers {
+    /// The light.
+    pub light: ReceiverLight,
+    /// Bounces.
+    pub bounces: u32,
+    /// Whether they had converged before the last one allowed.
+    pub converged: bool,
+}
+
+/// The buffers of [`ReceiverLight`] on the adapter, each of so many [`Vec4`].
+#[derive(Clone, Copy, Debug)]
+pub struct ReceiverBuffers<'a> {
+    /// E_dir.
+    pub direct: &'a wgpu::Buffer,
+    /// E_emit.
+    pub emit: &'a wgpu::Buffer,
+    /// E_ind, with the sky's own light.
+    pub indirect: &'a wgpu::Buffer,
+    /// Receivers.
+    pub count: usize,
+}
+
 /// Light that no shadow map has, as the adapter takes it; empty for a kind that takes none.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct UnshadowedArrays {
@@ -89,6 +124,12 @@ pub trait Light: Debug + Send + Sync {
     /// The direct light that its bounces start from; `None` for a kind that takes none.
     fn incoming(&self, lit: &LitScene<'_>) -> Option<IncomingDirect> {
         let _ = lit;
+        None
+    }
+
+    /// Light at receivers after the last bounce, on the processor; `None` for a kind without receivers.
+    fn at_receivers(&self, lit: &LitScene<'_>, limit: Limit) -> Option<SettledReceivers> {
+        let _ = (lit, limit);
         None
     }
 
@@ -195,6 +236,11 @@ pub trait LightPasses {
     /// E_ind that bounces feed back, as so many [`Vec4`], whose change tells when they have converged; `None` for a kind
     /// without feedback.
     fn feedback(&self) -> Option<(&wgpu::Buffer, usize)> {
+        None
+    }
+
+    /// The buffers that hold light at receivers; `None` for a kind without receivers.
+    fn at_receivers(&self) -> Option<ReceiverBuffers<'_>> {
         None
     }
 

@@ -13,8 +13,8 @@ use crate::scene::{LoadedScene, Recolour, Tints};
 
 pub use kind::{ClientKind, ClientKinds};
 pub use light::{
-    DebugPage, IncomingDirect, Light, LightPasses, LightStream, LitScene, SettledLight, Unshadowed,
-    UnshadowedArrays,
+    DebugPage, IncomingDirect, Light, LightPasses, LightStream, LitScene, ReceiverBuffers, ReceiverLight,
+    SettledLight, SettledReceivers, Unshadowed, UnshadowedArrays,
 };
 
 /// A whole bake, ready to be lit.

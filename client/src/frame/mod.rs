@@ -17,7 +17,7 @@ use glam::{Vec3, Vec4};
 use lightkiln_proto::relight::Limit;
 use lightkiln_proto::scene::{SceneCamera, SceneLight};
 
-use crate::bake::{LightPasses, LoadedBake, Unshadowed};
+use crate::bake::{LightPasses, LoadedBake, ReceiverBuffers, ReceiverLight, Unshadowed};
 use crate::error::Result;
 use crate::lights::{Caster, Sky, check_lights, check_scale};
 use crate::passes::change::ChangePass;
@@ -265,6 +265,22 @@ impl<'a> Frame<'a> {
     /// The sample drawn last, after a wait: rgb radiance in W·m⁻²·sr⁻¹, alpha 1 on surfaces.
     pub fn read(&self) -> Result<Vec<Vec4>> {
         self.shade.read(self.gpu)
+    }
+
+    /// Light at receivers as of the last bounce, after a wait; `None` for a kind without receivers.
+    pub fn read_receivers(&self) -> Result<Option<ReceiverLight>> {
+        let Some(buffers) = self.light.at_receivers() else { return Ok(None) };
+        let ReceiverBuffers { direct, emit, indirect, count } = buffers;
+        Ok(Some(ReceiverLight {
+            direct: self.gpu.read(direct, count)?,
+            emit: self.gpu.read(emit, count)?,
+            indirect: self.gpu.read(indirect, count)?,
+        }))
+    }
+
+    /// The buffers that hold light at receivers on the adapter; `None` for a kind without receivers. Bounces that follow write to them.
+    pub fn receiver_buffers(&self) -> Option<ReceiverBuffers<'_>> {
+        self.light.at_receivers()
     }
 
     fn planned(&self, casters: &[Caster], camera: &SceneCamera) -> Result<ShadowPlan> {

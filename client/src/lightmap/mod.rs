@@ -12,7 +12,8 @@ use lightkiln_proto::relight::{Columns, Incoming, Inconsistent, Limit, Settled, 
 use wgpu::TextureViewDimension as Dimension;
 
 use crate::bake::{
-    DebugPage, IncomingDirect, Light, LightPasses, LitScene, SettledLight, Unshadowed, UnshadowedArrays,
+    DebugPage, IncomingDirect, Light, LightPasses, LitScene, ReceiverLight, SettledLight, SettledReceivers,
+    Unshadowed, UnshadowedArrays,
 };
 use crate::error::{ClientError, Result};
 use crate::passes::atlas::reference::{AtlasPages, read, spread};
@@ -132,6 +133,12 @@ impl<C: ClientColumns> Light for LightmapLight<C> {
         Some(self.direct(lit))
     }
 
+    fn at_receivers(&self, lit: &LitScene<'_>, limit: Limit) -> Option<SettledReceivers> {
+        let Lit { dir: direct, light } = self.settled(lit, limit);
+        let Settled { emit, ind: indirect, bounces, converged, .. } = light;
+        Some(SettledReceivers { light: ReceiverLight { direct, emit, indirect }, bounces, converged })
+    }
+
     fn passes(
         &self,
         gpu: &Gpu,
@@ -180,6 +187,7 @@ impl<C: ClientColumns> Light for LightmapLight<C> {
     }
 
     fn lightmap<'a>(&'a self, scene: &'a LoadedScene) -> Option<Lightmap<'a>> {
-        Some(Lightmap { layout: &scene.lightmap, slots: &self.transport.slots, texels: &self.texels })
+        let Transport { slots, receivers, .. } = &self.transport;
+        Some(Lightmap { layout: &scene.lightmap, slots, receivers, texels: &self.texels })
     }
 }

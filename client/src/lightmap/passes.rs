@@ -3,7 +3,7 @@
 use glam::Vec4;
 
 use super::{ClientColumns, LightmapLight};
-use crate::bake::{LightPasses, UnshadowedArrays};
+use crate::bake::{LightPasses, ReceiverBuffers, UnshadowedArrays};
 use crate::error::Result;
 use crate::passes::atlas::{AtlasPass, placements};
 use crate::passes::basis::BasisPass;
@@ -91,6 +91,12 @@ impl LightPasses for LightmapPasses {
 
     fn feedback(&self) -> Option<(&wgpu::Buffer, usize)> {
         Some((&self.resident.e_ind, self.resident.receiver_count))
+    }
+
+    fn at_receivers(&self) -> Option<ReceiverBuffers<'_>> {
+        let Resident { e_dir: direct, e_emit: emit, e_ind: indirect, receiver_count: count, .. } =
+            &self.resident;
+        Some(ReceiverBuffers { direct, emit, indirect, count: *count })
     }
 
     fn bindings(&self) -> Vec<wgpu::BindingResource<'_>> {

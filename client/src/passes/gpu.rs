@@ -52,30 +52,57 @@ impl Gpu {
             tracing::debug!(%error, "no adapter");
             failed("Vulkan finds no graphics adapter".to_owned())
         })?;
-        let described = adapter.get_info();
         let has = adapter.limits();
         let limits = wgpu::Limits {
             max_buffer_size: has.max_buffer_size,
             max_texture_dimension_2d: has.max_texture_dimension_2d,
-            ..wgpu::Limits::default()
+            ..Self::required_limits()
         };
-        // Glass is drawn over 32-bit radiance where adapters can; else the processor draws it.
-        let required_features = adapter.features() & wgpu::Features::FLOAT32_BLENDABLE;
+        let required_features = adapter.features() & Self::wanted_features();
         let descriptor =
             wgpu::DeviceDescriptor { required_limits: limits, required_features, ..Default::default() };
+        let described = adapter.get_info();
         let (device, queue) = adapter
             .request_device(&descriptor)
             .await
             .map_err(|error| failed(format!("{} cannot be used ({error})", described.name)))?;
-        let failure = Arc::new(Mutex::new(None));
-        let heard = Arc::clone(&failure);
-        device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
+        let gpu = Self::new(device, queue, &described);
+        let heard = Arc::clone(&gpu.failure);
+        gpu.device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
             heard.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error.to_string());
         }));
+        Ok(gpu)
+    }
+
+    /// Limits that a device must have for a bake to be lit on it.
+    pub fn required_limits() -> wgpu::Limits {
+        wgpu::Limits::default()
+    }
+
+    /// Features that are used where a device has them: glass is blended over 32-bit radiance.
+    pub fn wanted_features() -> wgpu::Features {
+        wgpu::Features::FLOAT32_BLENDABLE
+    }
+
+    /// Shares the device of another program in this process, whose adapter is `described`. Errs where it has less than
+    /// [`Gpu::required_limits`]. Uncaptured errors stay with whoever made the device: [`Gpu::check`] hears of none.
+    pub fn share(device: wgpu::Device, queue: wgpu::Queue, described: &wgpu::AdapterInfo) -> Result<Self> {
+        let mut lacking = Vec::new();
+        Self::required_limits().check_limits_with_fail_fn(&device.limits(), false, |name, wanted, has| {
+            lacking.push(format!("{name} {has}, wanted {wanted}"));
+        });
+        if lacking.is_empty() {
+            return Ok(Self::new(device, queue, described));
+        }
+        Err(failed(format!("the device of {} has too low limits: {}", described.name, lacking.join("; "))))
+    }
+
+    fn new(device: wgpu::Device, queue: wgpu::Queue, described: &wgpu::AdapterInfo) -> Self {
         let name = format!("{} ({:?}, {:?})", described.name, described.device_type, described.backend);
         let software = described.device_type == wgpu::DeviceType::Cpu;
         let [created, stored] = [0, 0].map(AtomicU64::new);
-        Ok(Self { device, queue, name, software, binding_max: BINDING_MAX, failure, created, stored })
+        let failure = Arc::new(Mutex::new(None));
+        Self { device, queue, name, software, binding_max: BINDING_MAX, failure, created, stored }
     }
 
     /// The first thing that went wrong since the last call, if anything did.

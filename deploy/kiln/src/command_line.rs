@@ -4,8 +4,8 @@ use clap::{Parser, Subcommand};
 
 use crate::commands::actions::{self, Action};
 use crate::commands::{
-    bake, blocklist, check, evaluate, fetch, fsck, inspect, list, logs, preview, priority, server, settings,
-    show, submit, token, top, watch, worker,
+    bake, blocklist, check, evaluate, export, fetch, fsck, inspect, list, logs, preview, priority, server,
+    settings, show, submit, token, top, watch, worker,
 };
 use crate::failure::{EXIT_CODES, Result};
 use crate::kinds::KindTables;
@@ -62,6 +62,8 @@ pub enum Command {
     Fetch(fetch::Arguments),
     /// Draws a picture of a bake
     Preview(preview::Arguments),
+    /// Writes a bake's light under chosen lights for other engines: a GLB with lightmaps
+    Export(export::Arguments),
     /// Says how right a bake is, held against a path tracer
     Evaluate(evaluate::Arguments),
     /// Says what is in a bundle or a chunk
@@ -99,6 +101,7 @@ impl Command {
             Self::Fsck(arguments) => fsck::run(arguments),
             Self::Fetch(arguments) => fetch::run(arguments, &kinds.contract),
             Self::Preview(arguments) => preview::run(arguments, kinds),
+            Self::Export(arguments) => export::run(arguments, kinds),
             Self::Evaluate(arguments) => evaluate::run(arguments, kinds),
             Self::Inspect(arguments) => inspect::run(arguments, &kinds.contract),
             Self::Settings(arguments) => settings::run(arguments, &kinds.contract),

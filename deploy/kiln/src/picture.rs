@@ -378,7 +378,7 @@ fn parse_stops(text: &str) -> std::result::Result<f32, String> {
 }
 
 /// A colour of a material as `NAME=r,g,b`; the name may hold '='.
-fn parse_recolour(text: &str) -> std::result::Result<Recolour, String> {
+pub fn parse_recolour(text: &str) -> std::result::Result<Recolour, String> {
     let wrong = || "write the material's name and a linear colour, e.g. \"plaster=0.6,0.5,0.4\"".to_owned();
     let (name, colour) = text.rsplit_once('=').ok_or_else(wrong)?;
     let channels: Vec<f32> = colour

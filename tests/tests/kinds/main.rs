@@ -73,6 +73,13 @@ fn kind_is_baked_inspected_and_drawn() {
     // Its pictures for finding faults are none, and that is said.
     let debug = run(folder.path(), &["preview", "out", "--out", "b.png", "--debug", "atlas"], 2);
     assert!(String::from_utf8_lossy(&debug.stderr).contains(NAME));
+    // It has no lightmap to export.
+    let export = run(folder.path(), &["export", "out", "--out", "lit", "--backend", "cpu"], 2);
+    let said = String::from_utf8_lossy(&export.stderr);
+    assert!(
+        said.contains(NAME) && said.contains("lightmap") && !folder.path().join("lit").exists(),
+        "{said}"
+    );
 }
 
 #[test]

@@ -5,7 +5,7 @@ mod placement;
 pub mod reference;
 mod texels;
 
-use lightkiln_proto::relight::SlotTable;
+use lightkiln_proto::relight::{ReceiverTable, SlotTable};
 
 use crate::error::Result;
 use crate::passes::gpu::{Gpu, array_view, groups_2d};
@@ -31,6 +31,8 @@ pub struct Lightmap<'a> {
     pub layout: &'a LightmapLayout,
     /// Slot of each texel.
     pub slots: &'a SlotTable,
+    /// Receivers by slot.
+    pub receivers: &'a ReceiverTable,
     /// Texels that hold irradiance.
     pub texels: &'a AtlasTexels,
 }

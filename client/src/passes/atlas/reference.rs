@@ -37,9 +37,14 @@ pub fn read(scene: &LoadedScene, pages: &AtlasPages, surface: &Surface) -> Vec3 
     sample(&scene.lightmap, pages, block, surface.lightmap_texel)
 }
 
-/// Irradiance at lightmap coordinates of a block, W·m⁻², read as [`tap_weights`] says.
+/// Irradiance at lightmap coordinates of a block, W·m⁻², read as [`tap_weights`] says; black where there is none.
 pub fn sample(layout: &LightmapLayout, atlas: &AtlasPages, block: u32, texel: [f32; 2]) -> Vec3 {
-    let Some(block) = layout.block(block) else { return Vec3::ZERO };
+    shown(layout, atlas, block, texel).unwrap_or_default()
+}
+
+/// As [`sample`]; `None` where no texel around the place holds light.
+pub fn shown(layout: &LightmapLayout, atlas: &AtlasPages, block: u32, texel: [f32; 2]) -> Option<Vec3> {
+    let block = layout.block(block)?;
     let page = &atlas.pages[block.page as usize];
     let width = atlas.sizes[block.page as usize][0];
     let (texels, share) = taps_around(block.size, texel);
@@ -48,5 +53,6 @@ pub fn sample(layout: &LightmapLayout, atlas: &AtlasPages, block: u32, texel: [f
         page[row as usize * width as usize + column as usize]
     });
     let weights = tap_weights(taps.map(|tap| TexelKind(tap.w)), share);
-    taps.iter().zip(weights).map(|(tap, weight)| tap.truncate() * weight).sum()
+    let sum = taps.iter().zip(weights).map(|(tap, weight)| tap.truncate() * weight).sum();
+    weights.iter().any(|weight| *weight > 0.0).then_some(sum)
 }

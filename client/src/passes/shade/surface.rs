@@ -8,7 +8,12 @@ use crate::scene::{LoadedScene, Vertex};
 
 /// Coordinates of a texture from a draw's `uv`.
 pub fn mapped_uv(used: &TextureUse, uv: [f32; 2]) -> [f32; 2] {
-    match used.transform {
+    moved_uv(used.transform, uv)
+}
+
+/// Coordinates moved by a 2×3 map, if there is one.
+pub fn moved_uv(map: Option<[[f32; 3]; 2]>, uv: [f32; 2]) -> [f32; 2] {
+    match map {
         None => uv,
         Some(rows) => rows.map(|row| row[0] * uv[0] + row[1] * uv[1] + row[2]),
     }

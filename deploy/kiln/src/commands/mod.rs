@@ -5,6 +5,7 @@ pub mod bake;
 pub mod blocklist;
 pub mod check;
 pub mod evaluate;
+pub mod export;
 pub mod fetch;
 pub mod fsck;
 pub mod inspect;

@@ -11,6 +11,7 @@ mod description;
 mod embedded;
 mod enrolment;
 mod evaluation;
+mod export;
 mod farm;
 mod full_disk;
 mod manners;

@@ -1,0 +1,82 @@
+//! Light at receivers without a picture: bounces until they settle, on either backend.
+
+use glam::Vec3;
+use lightkiln_proto::scene::{SceneCamera, SceneLight};
+
+use super::{Backend, Prepared, View};
+use crate::bake::{LoadedBake, SettledReceivers};
+use crate::error::{ClientError, Result};
+use crate::frame::{Frame, FrameRoom};
+use crate::passes::gpu::Gpu;
+use crate::passes::shadow::reference::draw;
+
+/// Light at receivers, and who settled it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LitReceivers {
+    /// The light.
+    pub settled: SettledReceivers,
+    /// Adapter or processor, with the reason.
+    pub lit_by: String,
+}
+
+/// Lights a bake's receivers by `lights` and its emitters, one factor each, 1 where absent. Errs for a kind without receivers.
+pub fn light_receivers(
+    bake: &LoadedBake,
+    lights: Vec<SceneLight>,
+    emitter_scale: Vec<f32>,
+    backend: Backend,
+) -> Result<LitReceivers> {
+    let view = View { emitter_scale, width: 16, height: 16, ..View::new(camera_over(bake), lights) };
+    let prepared = Prepared::new(bake, &view)?;
+    let reason = match backend {
+        Backend::Cpu => "as asked".to_owned(),
+        Backend::Gpu => return on_adapter(&Gpu::open()?, &prepared),
+        Backend::Auto => match Gpu::open() {
+            Ok(gpu) if gpu.software => format!("{} is software", gpu.name),
+            Ok(gpu) => match on_adapter(&gpu, &prepared) {
+                Err(ClientError::Adapter { problem }) => problem,
+                lit => return lit,
+            },
+            Err(ClientError::Adapter { problem }) => problem,
+            Err(error) => return Err(error),
+        },
+    };
+    let maps = draw(&bake.scene, &prepared.plan);
+    let settled = bake.light.at_receivers(&prepared.lit(&maps), view.limit);
+    let lit_by = format!("the processor, slower than a graphics adapter ({reason})");
+    Ok(LitReceivers { settled: settled.ok_or_else(|| without_receivers(bake))?, lit_by })
+}
+
+fn on_adapter(gpu: &Gpu, prepared: &Prepared<'_>) -> Result<LitReceivers> {
+    let Prepared { bake, view, plan, .. } = prepared;
+    let room = FrameRoom { size: view.size(), shadows: plan.room() };
+    let mut frame = Frame::new(gpu, bake, room, view.camera.clone())?;
+    frame.set_lights(&view.lights)?;
+    frame.set_emitters(&view.emitter_scale)?;
+    let (bounces, converged) = frame.settle(view.limit)?;
+    let light = frame.read_receivers()?.ok_or_else(|| without_receivers(bake))?;
+    let settled = SettledReceivers { light, bounces, converged };
+    Ok(LitReceivers { settled, lit_by: gpu.name.clone() })
+}
+
+fn without_receivers(bake: &LoadedBake) -> ClientError {
+    let text = format!("kind {}", bake.scene.manifest.kind);
+    let problem =
+        "has no receivers in a lightmap; bake the scene with a kind that has, e.g. --kind prt".to_owned();
+    ClientError::Source { text, problem }
+}
+
+/// A parallel camera that sees all: light at receivers does not hang on it, and suns have no cascades for it.
+fn camera_over(bake: &LoadedBake) -> SceneCamera {
+    let [low, high] = bake.scene.manifest.bounds_m.map(Vec3::from);
+    let middle = 0.5 * (low + high);
+    let reach = (high - low).length().max(1e-3 * middle.length()).max(1.0);
+    SceneCamera {
+        name: String::new(),
+        eye_m: (middle + Vec3::Z * reach).into(),
+        target_m: middle.into(),
+        up: [0.0, 1.0, 0.0],
+        fov_y_rad: 1.0,
+        orthographic_half_height_m: Some(reach),
+    }
+}
