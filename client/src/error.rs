@@ -110,6 +110,12 @@ pub enum ClientError {
         /// Why.
         problem: String,
     },
+    /// There is no window.
+    #[error("no window: {problem}; 'kiln preview' draws pictures without one")]
+    Window {
+        /// Why.
+        problem: String,
+    },
     /// The picture could not be encoded.
     #[error("cannot write the picture {path}", path = .path.display())]
     Picture {
@@ -136,6 +142,7 @@ impl ClientError {
             | Self::Inconsistent { .. }
             | Self::Argument { .. }
             | Self::Adapter { .. }
+            | Self::Window { .. }
             | Self::Picture { .. } => RetryClass::Never,
         }
     }

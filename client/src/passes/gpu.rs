@@ -31,6 +31,7 @@ pub struct Gpu {
     pub software: bool,
     /// Most bytes of one storage binding; larger arrays are split into pages.
     pub binding_max: u64,
+    adapter: wgpu::Adapter,
     failure: Arc<Mutex<Option<String>>>,
     created: AtomicU64,
     stored: AtomicU64,
@@ -44,8 +45,25 @@ impl Gpu {
 
     async fn open_async() -> Result<Self> {
         let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle());
+        Self::open_on(&instance, None).await
+    }
+
+    /// Opens the best adapter that draws to a window, with the window's surface.
+    pub fn open_for(
+        window: impl Into<wgpu::SurfaceTarget<'static>>,
+    ) -> Result<(Self, wgpu::Surface<'static>)> {
+        let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle());
+        let surface = instance
+            .create_surface(window)
+            .map_err(|error| failed(format!("Vulkan makes no surface for the window ({error})")))?;
+        let gpu = logged(|| pollster::block_on(Self::open_on(&instance, Some(&surface))))?;
+        Ok((gpu, surface))
+    }
+
+    async fn open_on(instance: &wgpu::Instance, surface: Option<&wgpu::Surface<'_>>) -> Result<Self> {
         let options = wgpu::RequestAdapterOptions {
             power_preference: wgpu::PowerPreference::HighPerformance,
+            compatible_surface: surface,
             ..Default::default()
         };
         let adapter = instance.request_adapter(&options).await.map_err(|error| {
@@ -59,8 +77,9 @@ impl Gpu {
             max_texture_dimension_2d: has.max_texture_dimension_2d,
             ..wgpu::Limits::default()
         };
-        // Glass is drawn over 32-bit radiance where adapters can; else the processor draws it.
-        let required_features = adapter.features() & wgpu::Features::FLOAT32_BLENDABLE;
+        // Glass is drawn over 32-bit radiance where adapters can; else the processor draws it. Passes are timed where they can be.
+        let wanted = wgpu::Features::FLOAT32_BLENDABLE | wgpu::Features::TIMESTAMP_QUERY;
+        let required_features = adapter.features() & wanted;
         let descriptor =
             wgpu::DeviceDescriptor { required_limits: limits, required_features, ..Default::default() };
         let (device, queue) = adapter
@@ -72,10 +91,23 @@ impl Gpu {
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
             heard.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error.to_string());
         }));
+        let lost = Arc::clone(&failure);
+        device.set_device_lost_callback(move |reason, message| {
+            if reason != wgpu::DeviceLostReason::Destroyed {
+                let problem = format!("the device is lost ({message}): its driver stopped; start again");
+                *lost.lock().unwrap_or_else(PoisonError::into_inner) = Some(problem);
+            }
+        });
         let name = format!("{} ({:?}, {:?})", described.name, described.device_type, described.backend);
         let software = described.device_type == wgpu::DeviceType::Cpu;
         let [created, stored] = [0, 0].map(AtomicU64::new);
-        Ok(Self { device, queue, name, software, binding_max: BINDING_MAX, failure, created, stored })
+        let binding_max = BINDING_MAX;
+        Ok(Self { device, queue, name, software, binding_max, adapter, failure, created, stored })
+    }
+
+    /// What a window's surface can do on this adapter.
+    pub fn surface_capabilities(&self, surface: &wgpu::Surface<'_>) -> wgpu::SurfaceCapabilities {
+        surface.get_capabilities(&self.adapter)
     }
 
     /// The first thing that went wrong since the last call, if anything did.
@@ -251,6 +283,14 @@ impl Gpu {
             compilation_options: wgpu::PipelineCompilationOptions::default(),
             cache: None,
         })
+    }
+
+    /// Marks of time; none where the adapter sets none at passes.
+    pub fn queries(&self, count: u32) -> Option<wgpu::QuerySet> {
+        let has_clock = self.device.features().contains(wgpu::Features::TIMESTAMP_QUERY);
+        let descriptor =
+            wgpu::QuerySetDescriptor { label: Some("times"), ty: wgpu::QueryType::Timestamp, count };
+        has_clock.then(|| self.count().create_query_set(&descriptor))
     }
 
     /// A render pipeline.

@@ -11,6 +11,7 @@ use image::{ExtendedColorType, ImageEncoder, ImageError};
 use rayon::prelude::*;
 
 use crate::error::{ClientError, Result};
+use crate::passes::stopwatch::PassTime;
 use crate::scene::srgb_of_linear;
 
 pub use tone::{Exposure, Tone, automatic_exposure};
@@ -36,6 +37,8 @@ pub struct Picture {
     pub bounces: u32,
     /// Whether bounces had converged by then.
     pub converged: bool,
+    /// Time of the adapter's passes so far, also of pictures before; `None` where it has no clock, and of the processor.
+    pub pass_times: Option<Vec<PassTime>>,
 }
 
 /// Sums samples per pixel: mean radiance, and mean of the tone-mapped samples, which keeps the edge of a lamp far above
@@ -85,6 +88,7 @@ impl Film {
             by_reference: false,
             bounces: 0,
             converged: false,
+            pass_times: None,
         }
     }
 }

@@ -38,7 +38,7 @@ pub struct LoadedDraw {
 }
 
 /// All meshes.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct DrawTable {
     /// One per mesh instance and material.
     pub draws: Vec<LoadedDraw>,

@@ -30,7 +30,7 @@ pub struct PlacedBlock {
 }
 
 /// Pages and blocks of a bake; there are none where its kind has no lightmap.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct LightmapLayout {
     /// Pages: width and height in texels.
     pub pages: Vec<[u32; 2]>,

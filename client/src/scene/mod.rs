@@ -19,7 +19,7 @@ pub use texture::Texture;
 pub(crate) use texture::srgb_of_linear;
 
 /// A scene, ready to be drawn.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct LoadedScene {
     /// Manifest of the bake.
     pub manifest: Manifest,

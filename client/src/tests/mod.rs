@@ -9,6 +9,7 @@ mod glass;
 mod light;
 mod shaders;
 mod shadows;
+mod show;
 
 use lightkiln_proto::relight::PatchTable;
 

@@ -3,6 +3,8 @@
 use clap::{Parser, Subcommand};
 
 use crate::commands::actions::{self, Action};
+#[cfg(feature = "view")]
+use crate::commands::view;
 use crate::commands::{
     bake, blocklist, check, evaluate, fetch, fsck, inspect, list, logs, preview, priority, server, settings,
     show, submit, token, top, watch, worker,
@@ -62,6 +64,9 @@ pub enum Command {
     Fetch(fetch::Arguments),
     /// Draws a picture of a bake
     Preview(preview::Arguments),
+    /// Opens a window on a bake: fly, move lights, change colours
+    #[cfg(feature = "view")]
+    View(view::Arguments),
     /// Says how right a bake is, held against a path tracer
     Evaluate(evaluate::Arguments),
     /// Says what is in a bundle or a chunk
@@ -99,6 +104,8 @@ impl Command {
             Self::Fsck(arguments) => fsck::run(arguments),
             Self::Fetch(arguments) => fetch::run(arguments, &kinds.contract),
             Self::Preview(arguments) => preview::run(arguments, kinds),
+            #[cfg(feature = "view")]
+            Self::View(arguments) => view::run(arguments, kinds),
             Self::Evaluate(arguments) => evaluate::run(arguments, kinds),
             Self::Inspect(arguments) => inspect::run(arguments, &kinds.contract),
             Self::Settings(arguments) => settings::run(arguments, &kinds.contract),

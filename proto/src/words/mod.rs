@@ -8,7 +8,7 @@ use serde_json::{Map, Value};
 use thiserror::Error;
 
 pub use camera::{camera_from_text, camera_to_text};
-pub use light::LightSpec;
+pub use light::{LightSpec, light_to_text};
 
 /// Words that are no light and no camera.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
