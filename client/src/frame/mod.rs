@@ -26,7 +26,8 @@ use crate::passes::gpu::Gpu;
 use crate::passes::meshes::Meshes;
 use crate::passes::shade::{ShadePass, ShadeView};
 use crate::passes::shadow::{Eye, ShadowPass, ShadowPlan, ShadowRoom};
-use crate::passes::stopwatch::{PassTime, Stopwatch};
+use crate::passes::stopwatch::Stopwatch;
+use crate::picture::PassTime;
 use crate::scene::{Recolour, Tints};
 
 pub use held::Held;

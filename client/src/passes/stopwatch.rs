@@ -7,24 +7,12 @@ use std::ops::{Deref, DerefMut};
 use super::gpu::Gpu;
 use super::landings::Landings;
 use crate::error::Result;
+use crate::picture::PassTime;
 
 /// Most passes of one submission that are timed; those beyond it run untimed.
 const PASSES_MAX: u32 = 32;
 /// Submissions whose times may be under way at once: those of some frames.
 const LANDINGS: usize = 16;
-
-/// Time of a pass so far.
-#[derive(Clone, Debug, PartialEq)]
-pub struct PassTime {
-    /// Name of the pass.
-    pub name: &'static str,
-    /// Runs that were timed.
-    pub runs: u64,
-    /// Milliseconds of all of them.
-    pub total_ms: f64,
-    /// Milliseconds of the last one.
-    pub last_ms: f64,
-}
 
 /// Times of passes by name, in the order in which they were first run.
 #[derive(Debug)]

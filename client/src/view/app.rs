@@ -46,9 +46,12 @@ fn open_loop() -> Result<EventLoop<Woken>> {
     let opened = std::panic::catch_unwind(|| EventLoop::with_user_event().build());
     let problem = match opened {
         Ok(Ok(event_loop)) => return Ok(event_loop),
-        Ok(Err(error)) => format!(
-            "there is no display ({error}): start it in a desktop session, or set DISPLAY or WAYLAND_DISPLAY to one"
-        ),
+        Ok(Err(error)) => {
+            // Its words name files of the build.
+            tracing::debug!(%error, "no display");
+            "there is no display: start it in a desktop session, or set DISPLAY or WAYLAND_DISPLAY to one that is there"
+                .to_owned()
+        }
         Err(_) => {
             "a library of the display cannot be loaded: on Debian install libx11-6, libxcursor1, libxi6, \
                    libxkbcommon-x11-0 and libx11-xcb1"
@@ -194,14 +197,19 @@ impl Running {
         let seconds = self.last.elapsed().as_secs_f32();
         self.last = Instant::now();
         self.viewer.resize(size)?;
-        let (wishes, output) = self.panel();
+        let (wishes, mut output) = self.panel();
+        let freed = self.upload(&mut output);
         self.viewer.step(seconds)?;
         self.facts.frame_ms += LAST_WEIGHT * (1e3 * seconds - self.facts.frame_ms);
         if let Some(texture) = self.screen.next(&self.gpu) {
             self.paint(&texture, output);
             self.screen.window.pre_present_notify();
             self.gpu.queue.present(texture);
-            self.drawn += 1;
+            // Pictures of a part of the light are not those that are waited for.
+            self.drawn += u64::from(self.feed.is_none());
+        }
+        for id in freed {
+            self.painter.free_texture(&id);
         }
         self.grant(wishes)?;
         if self.options.frames.is_some_and(|frames| self.drawn >= frames) {
@@ -253,11 +261,6 @@ impl Running {
         let screen =
             egui_wgpu::ScreenDescriptor { size_in_pixels, pixels_per_point: output.pixels_per_point };
         let view = texture.texture.create_view(&wgpu::TextureViewDescriptor::default());
-        for (id, deltas) in &output.textures_delta.set {
-            for delta in deltas {
-                self.painter.update_texture(device, queue, *id, delta);
-            }
-        }
         self.gpu.submit(|encoder| {
             self.viewer.present(encoder, &view);
             self.painter.update_buffers(device, queue, encoder, &triangles, &screen);
@@ -271,9 +274,21 @@ impl Running {
             });
             self.painter.render(&mut pass.forget_lifetime(), &triangles, &screen);
         });
-        for id in &output.textures_delta.free {
-            self.painter.free_texture(id);
+    }
+
+    /// Uploads the panel's textures, whether or not there is a picture to paint them on.
+    #[allow(clippy::iter_over_hash_type, reason = "textures know nothing of each other")]
+    fn upload(&mut self, output: &mut egui::FullOutput) -> Vec<egui::TextureId> {
+        let Gpu { device, queue, .. } = &*self.gpu;
+        let mut textures = std::mem::take(&mut output.textures_delta);
+        for (id, deltas) in &textures.set {
+            for delta in deltas {
+                self.painter.update_texture(device, queue, *id, delta);
+            }
         }
+        let freed = textures.free.iter().copied().collect();
+        textures.clear();
+        freed
     }
 
     /// Does what the panel or a key asked for. A file or a clipboard that fails is said in the panel.

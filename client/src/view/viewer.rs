@@ -18,8 +18,7 @@ use crate::passes::gpu::Gpu;
 use crate::passes::meter::MeterPass;
 use crate::passes::shadow::ShadowRoom;
 use crate::passes::show::{ShowPass, ShowSum};
-use crate::passes::stopwatch::PassTime;
-use crate::picture::{Exposure, Tone};
+use crate::picture::{Exposure, PassTime, Tone};
 use crate::preview::{View, jitters};
 use crate::scene::Recolour;
 

@@ -10,8 +10,7 @@ use lightkiln_client::ClientError;
 use lightkiln_client::bake::{ClientKinds, LoadedBake};
 use lightkiln_client::fetch::Source;
 use lightkiln_client::lights::{ParsedLights, parse_camera, parse_lights};
-use lightkiln_client::passes::stopwatch::PassTime;
-use lightkiln_client::picture::{Exposure, Picture, Tone};
+use lightkiln_client::picture::{Exposure, PassTime, Picture, Tone};
 use lightkiln_client::preview::{
     Backend, PATH_FILE_MAX, StreamedBake, View, ViewPath, debug_picture, render, render_path,
 };
