@@ -119,6 +119,12 @@ pub enum ClientError {
         /// Why.
         problem: String,
     },
+    /// There is no window.
+    #[error("no window: {problem}; 'kiln preview' draws pictures without one")]
+    Window {
+        /// Why.
+        problem: String,
+    },
     /// The picture could not be encoded.
     #[error("cannot write the picture {path}", path = .path.display())]
     Picture {
@@ -146,6 +152,7 @@ impl ClientError {
             | Self::Argument { .. }
             | Self::Adapter { .. }
             | Self::Object { .. }
+            | Self::Window { .. }
             | Self::Picture { .. } => RetryClass::Never,
         }
     }

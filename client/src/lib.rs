@@ -33,6 +33,8 @@ pub mod stream;
 #[cfg(test)]
 mod tests;
 mod threads;
+#[cfg(feature = "view")]
+pub mod view;
 
 pub use error::{ClientError, Result};
 pub use threads::Threads;

@@ -12,6 +12,7 @@ use crate::passes::gpu::Gpu;
 use crate::passes::shade::{IndirectIrradiance, ShadeView, Shading};
 use crate::passes::shadow::reference::ShadowMaps;
 use crate::passes::shadow::{ShadowPass, ShadowPlan};
+use crate::passes::stopwatch::Recorder;
 use crate::scene::{LoadedScene, Tints};
 use crate::stream::{Streamed, Viewpoint};
 
@@ -113,6 +114,20 @@ pub struct DebugPage {
     pub converged: bool,
 }
 
+/// Colours over surfaces that show how a bake is built.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Overlay {
+    /// One for each cluster.
+    Clusters,
+    /// One for each of the finest patches.
+    Patches,
+    /// Green where a bake's own clusters are, the first so many of those that are there, red where the overview stands for them.
+    Residency {
+        /// Clusters that have come.
+        clusters: usize,
+    },
+}
+
 /// The light of a loaded bake.
 pub trait Light: Debug + Send + Sync {
     /// The shading function in WGSL.
@@ -171,6 +186,12 @@ pub trait Light: Debug + Send + Sync {
         None
     }
 
+    /// Colours by slot that [`LightPasses::paint`] lays over surfaces; `None` for an overlay that the kind has not.
+    fn overlay(&self, overlay: Overlay) -> Option<Vec<Vec4>> {
+        let _ = overlay;
+        None
+    }
+
     /// The lightmap, where the kind has one.
     fn lightmap<'a>(&'a self, scene: &'a LoadedScene) -> Option<Lightmap<'a>> {
         let _ = scene;
@@ -213,24 +234,41 @@ pub trait LightPasses {
     }
 
     /// Records the work that a change of lights asks for, with new shadow maps.
-    fn relit(&self, encoder: &mut wgpu::CommandEncoder, shadow: &ShadowPass) {
+    fn relit(&self, encoder: &mut Recorder<'_>, shadow: &ShadowPass) {
         let _ = (encoder, shadow);
     }
 
     /// Records one bounce.
-    fn bounce(&self, encoder: &mut wgpu::CommandEncoder) {
+    fn bounce(&self, encoder: &mut Recorder<'_>) {
         let _ = encoder;
     }
 
     /// Records the step from the bounces' result to the bindings of shading.
-    fn publish(&self, encoder: &mut wgpu::CommandEncoder) {
+    fn publish(&self, encoder: &mut Recorder<'_>) {
         let _ = encoder;
     }
 
     /// Records the work that a view asks for before it is shaded; buffers written through `gpu` hold their values when the
     /// work runs. Twin: [`IndirectIrradiance::prepare_view`].
-    fn prepare_view(&self, gpu: &Gpu, encoder: &mut wgpu::CommandEncoder, view: &ShadeView) {
+    fn prepare_view(&self, gpu: &Gpu, encoder: &mut Recorder<'_>, view: &ShadeView) {
         let _ = (gpu, encoder, view);
+    }
+
+    /// Makes anew what depends on the views' size, with [`LightPasses::bindings`] bound again after it.
+    fn resize(&mut self, gpu: &Gpu, size: [u32; 2]) -> Result<()> {
+        let _ = (gpu, size);
+        Ok(())
+    }
+
+    /// Makes what [`LightPasses::paint`] needs, once.
+    fn make_paint(&mut self, gpu: &Gpu) -> Result<()> {
+        let _ = gpu;
+        Ok(())
+    }
+
+    /// Records colours by slot instead of irradiance into the bindings of shading; [`LightPasses::publish`] puts the light back.
+    fn paint(&self, gpu: &Gpu, encoder: &mut Recorder<'_>, colours: &[Vec4]) {
+        let _ = (gpu, encoder, colours);
     }
 
     /// E_ind that bounces feed back, as so many [`Vec4`], whose change tells when they have converged; `None` for a kind

@@ -7,21 +7,23 @@
 mod kind;
 mod light;
 
+use std::sync::Arc;
+
 use crate::error::Result;
 use crate::fetch::Source;
 use crate::scene::{LoadedScene, Recolour, Tints};
 
 pub use kind::{ClientKind, ClientKinds};
 pub use light::{
-    DebugPage, IncomingDirect, Light, LightPasses, LightStream, LitScene, ReceiverBuffers, ReceiverLight,
-    SettledLight, SettledReceivers, Unshadowed, UnshadowedArrays,
+    DebugPage, IncomingDirect, Light, LightPasses, LightStream, LitScene, Overlay, ReceiverBuffers,
+    ReceiverLight, SettledLight, SettledReceivers, Unshadowed, UnshadowedArrays,
 };
 
 /// A whole bake, ready to be lit.
 #[derive(Debug)]
 pub struct LoadedBake {
     /// Meshes, textures and manifest.
-    pub scene: LoadedScene,
+    pub scene: Arc<LoadedScene>,
     /// Its light.
     pub light: Box<dyn Light>,
 }
@@ -41,16 +43,20 @@ impl LoadedBake {
         let kind = kinds.of(&manifest)?;
         let scene = LoadedScene::fetch(source, manifest)?;
         let light = kind.load(source, &scene)?;
-        Ok(Self { scene, light })
+        Ok(Self { scene: Arc::new(scene), light })
     }
 
     /// Gives materials other colours, from which all light follows; the bake's own are gone.
     pub fn recolour(&mut self, colours: &[Recolour]) -> Result<()> {
         let tints = Tints::of(&self.scene, colours)?;
         self.tint_light(&tints);
-        for material in 0..self.scene.manifest.materials.len() {
-            let colour = tints.base_colour(&self.scene, material as u32);
-            self.scene.manifest.materials[material].base_colour = colour;
+        let colours: Vec<[f32; 4]> = (0..self.scene.manifest.materials.len())
+            .map(|material| tints.base_colour(&self.scene, material as u32))
+            .collect();
+        // Whoever shares the scene keeps the old colours.
+        let materials = &mut Arc::make_mut(&mut self.scene).manifest.materials;
+        for (material, colour) in materials.iter_mut().zip(colours) {
+            material.base_colour = colour;
         }
         Ok(())
     }

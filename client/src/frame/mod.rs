@@ -6,10 +6,12 @@
 //! set_materials ────────────────▶ direct ─▶
 //! set_objects ──▶ shadow maps ─▶ direct ─▶
 //! set_camera ───▶ cascades of suns ──────────────────────────────────────▶ draw
+//! set_overlay ──▶ colours instead of light ──────────────────────────────▶ draw
 //! ```
 //! Bounces go on from the light that there is: after a small change a few are enough. Whoever shows frames paces them, as a window
 //! does: an adapter that is slower than the caller falls behind.
 
+mod held;
 #[cfg(test)]
 mod tests;
 
@@ -17,15 +19,19 @@ use glam::{Vec3, Vec4};
 use lightkiln_proto::relight::Limit;
 use lightkiln_proto::scene::{SceneCamera, SceneLight};
 
-use crate::bake::{LightPasses, LoadedBake, ReceiverBuffers, ReceiverLight, Unshadowed};
-use crate::error::Result;
+use crate::bake::{LightPasses, LoadedBake, Overlay, ReceiverBuffers, ReceiverLight, Unshadowed};
+use crate::error::{ClientError, Result};
 use crate::lights::{Caster, Sky, check_lights, check_scale};
 use crate::passes::change::ChangePass;
 use crate::passes::gpu::Gpu;
 use crate::passes::meshes::Meshes;
 use crate::passes::shade::{ShadePass, ShadeView};
 use crate::passes::shadow::{Eye, ShadowPass, ShadowPlan, ShadowRoom};
+use crate::passes::stopwatch::Stopwatch;
+use crate::picture::PassTime;
 use crate::scene::{Recolour, Stance, Tints};
+
+pub use held::Held;
 
 /// Room of a frame's buffers: what changes within it makes none.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -38,8 +44,8 @@ pub struct FrameRoom {
 
 /// All passes of a bake, with their buffers.
 pub struct Frame<'a> {
-    gpu: &'a Gpu,
-    bake: &'a LoadedBake,
+    gpu: Held<'a, Gpu>,
+    bake: Held<'a, LoadedBake>,
     room: FrameRoom,
     meshes: Meshes,
     pub(crate) shadow: ShadowPass,
@@ -47,6 +53,9 @@ pub struct Frame<'a> {
     /// None for a kind without feedback.
     change: Option<ChangePass>,
     shade: ShadePass,
+    watch: Stopwatch,
+    overlay: Option<Overlay>,
+    has_paint: bool,
     casters: Vec<Caster>,
     sky: Sky,
     emitter_scale: Vec<f32>,
@@ -87,7 +96,22 @@ struct Bounces {
 
 impl<'a> Frame<'a> {
     /// Uploads a bake and makes all buffers and pipelines: without lights, seen by `camera`.
-    pub fn new(gpu: &'a Gpu, bake: &'a LoadedBake, room: FrameRoom, camera: SceneCamera) -> Result<Self> {
+    pub fn new(
+        gpu: impl Into<Held<'a, Gpu>>,
+        bake: impl Into<Held<'a, LoadedBake>>,
+        room: FrameRoom,
+        camera: SceneCamera,
+    ) -> Result<Self> {
+        Self::of(gpu.into(), bake.into(), room, camera)
+    }
+
+    fn of(
+        held_gpu: Held<'a, Gpu>,
+        held_bake: Held<'a, LoadedBake>,
+        room: FrameRoom,
+        camera: SceneCamera,
+    ) -> Result<Self> {
+        let (gpu, bake) = (&*held_gpu, &*held_bake);
         let scene = &bake.scene;
         room.shadows.check()?;
         let meshes = Meshes::new(gpu, scene)?;
@@ -96,17 +120,21 @@ impl<'a> Frame<'a> {
         let shading = (&bake.light.shading(), &light.bindings()[..]);
         let shade = ShadePass::new(gpu, scene, &meshes, &shadow, shading, room.size)?;
         let change = light.feedback().map(|feedback| ChangePass::new(gpu, feedback)).transpose()?;
+        let watch = Stopwatch::new(gpu);
         gpu.check()?;
         let plan = ShadowPlan::within(&room.shadows, &[], scene.manifest.bounds_m, None)?;
         let mut frame = Self {
-            gpu,
-            bake,
+            gpu: held_gpu,
+            bake: held_bake,
             room,
             meshes,
             shadow,
             light,
             change,
             shade,
+            watch,
+            overlay: None,
+            has_paint: false,
             casters: Vec::new(),
             sky: Sky::default(),
             emitter_scale: Vec::new(),
@@ -136,7 +164,7 @@ impl<'a> Frame<'a> {
         }
         self.plan = self.planned(&casters, &self.camera)?;
         (self.casters, self.sky) = (casters, sky);
-        self.shadow.set(self.gpu, &self.plan);
+        self.shadow.set(&self.gpu, &self.plan);
         (self.stale.lights, self.stale.cascades) = (true, true);
         self.write_unshadowed();
         Ok(())
@@ -160,10 +188,10 @@ impl<'a> Frame<'a> {
             return Ok(());
         }
         if let Some(albedo) = self.bake.light.tinted_albedo(scene, &tints) {
-            self.light.set_albedo(self.gpu, &albedo);
+            self.light.set_albedo(&self.gpu, &albedo);
         }
         self.tints = tints;
-        self.shade.set_looks(self.gpu, scene, &self.tints, &self.emitter_scale);
+        self.shade.set_looks(&self.gpu, scene, &self.tints, &self.emitter_scale);
         // Near hits have albedo and light from lights in one sum.
         (self.stale.direct, self.stale.pages) = (true, true);
         self.bounces = Bounces::default();
@@ -186,10 +214,10 @@ impl<'a> Frame<'a> {
             }
         }
         for (index, mesh) in &posed {
-            self.shade.move_mesh(self.gpu, &self.meshes, *index, mesh);
+            self.shade.move_mesh(&self.gpu, &self.meshes, *index, mesh);
         }
         self.stances = stances.to_vec();
-        self.shadow.set(self.gpu, &self.plan);
+        self.shadow.set(&self.gpu, &self.plan);
         self.stale = Stale { lights: true, cascades: true, pages: true, ..self.stale };
         self.bounces = Bounces::default();
         Ok(())
@@ -202,7 +230,7 @@ impl<'a> Frame<'a> {
         self.camera = camera;
         if plan != self.plan {
             self.plan = plan;
-            self.shadow.set(self.gpu, &self.plan);
+            self.shadow.set(&self.gpu, &self.plan);
             self.stale.cascades = true;
         }
         Ok(())
@@ -213,13 +241,13 @@ impl<'a> Frame<'a> {
         self.draw_shadows();
         let Some(change) = &mut self.change else { return Ok(0) };
         let clears = std::mem::take(&mut self.stale.light);
-        self.gpu.submit(|encoder| {
+        self.watch.submit(&self.gpu, |encoder| {
             if let Some((e_ind, _)) = self.light.feedback().filter(|_| clears) {
                 encoder.clear_buffer(e_ind, 0, None);
             }
             self.light.bounce(encoder);
         });
-        let call = change.ask(self.gpu);
+        let call = change.ask(&self.gpu, &mut self.watch);
         if self.bounces.count == 0 {
             self.bounces.first_call = call;
         }
@@ -232,6 +260,16 @@ impl<'a> Frame<'a> {
     /// The last change by a bounce that was heard of, since lights changed; 0 for a kind without feedback.
     pub fn change(&self) -> Option<f32> {
         if self.change.is_none() { Some(0.0) } else { self.bounces.change }
+    }
+
+    /// Bounces since lights changed.
+    pub fn bounces(&self) -> u32 {
+        self.bounces.count
+    }
+
+    /// The camera that was set last.
+    pub fn camera(&self) -> &SceneCamera {
+        &self.camera
     }
 
     /// Bounces until they change less than the limit, each waited for: their number, and whether they converged.
@@ -250,21 +288,110 @@ impl<'a> Frame<'a> {
     /// Draws one sample per pixel, `jitter` pixels (right, down) from the pixels' middles, with the light of the last bounce.
     pub fn draw(&mut self, jitter: [f32; 2]) -> Result<()> {
         self.draw_shadows();
-        let view = self.view(&self.camera, jitter)?;
+        let view = self.view(&self.camera, jitter)?.showing_irradiance(self.overlay.is_some());
         let publishes = std::mem::take(&mut self.stale.pages);
-        self.gpu.submit(|encoder| {
-            if publishes {
-                self.light.publish(encoder);
+        let colours = self.overlay.filter(|_| publishes).and_then(|overlay| self.bake.light.overlay(overlay));
+        let (gpu, light) = (&*self.gpu, &self.light);
+        self.watch.submit(gpu, |encoder| {
+            match &colours {
+                Some(colours) => light.paint(gpu, encoder, colours),
+                None if publishes => light.publish(encoder),
+                None => {}
             }
-            self.light.prepare_view(self.gpu, encoder, &view);
+            light.prepare_view(gpu, encoder, &view);
         });
-        self.shade.draw(self.gpu, &self.meshes, &self.shadow, &view);
-        self.gpu.poll(false)
+        self.shade.draw((gpu, &mut self.watch), &self.meshes, &self.shadow, &view);
+        gpu.poll(false)?;
+        self.watch.hear(gpu)
+    }
+
+    /// Makes room for views of another size.
+    pub fn resize(&mut self, size: [u32; 2]) -> Result<()> {
+        let room = FrameRoom { size, ..self.room };
+        if room != self.room {
+            self.light.resize(&self.gpu, size)?;
+            self.shade.resize(&self.gpu, size, &self.light.bindings())?;
+            self.gpu.check()?;
+            self.room = room;
+        }
+        Ok(())
+    }
+
+    /// Makes room for these lights with shadow maps of at most `side` texels, if they are more than there is room for.
+    pub fn make_room(&mut self, lights: &[SceneLight], side: u32) -> Result<()> {
+        let casters = Caster::of(lights);
+        let bounds_m = self.bake.scene.manifest.bounds_m;
+        if ShadowPlan::within(&self.room.shadows, &casters, bounds_m, None).is_ok() {
+            return Ok(());
+        }
+        let shadows = ShadowRoom::for_lights(&casters, side)?;
+        self.shadow = ShadowPass::new(&self.gpu, &self.bake.scene, &self.meshes, &shadows)?;
+        self.gpu.check()?;
+        self.room.shadows = shadows;
+        // Those that there are stay until others are set.
+        self.plan = self.planned(&self.casters, &self.camera)?;
+        self.shadow.set(&self.gpu, &self.plan);
+        (self.stale.lights, self.stale.cascades) = (true, true);
+        Ok(())
+    }
+
+    /// Takes a bake with the same scene and other light: meshes, textures, shadow maps and everything that was set stay, and light
+    /// starts anew.
+    pub fn set_bake(&mut self, bake: impl Into<Held<'a, LoadedBake>>) -> Result<()> {
+        let bake = bake.into();
+        let light = bake.light.passes(&self.gpu, &bake.scene, &self.shadow, self.room.size)?;
+        let change = light.feedback().map(|feedback| ChangePass::new(&self.gpu, feedback)).transpose()?;
+        self.shade.bind(&self.gpu, &light.bindings());
+        self.gpu.check()?;
+        (self.light, self.change, self.bake, self.has_paint) = (light, change, bake, false);
+        if let Some(albedo) = self.bake.light.tinted_albedo(&self.bake.scene, &self.tints) {
+            self.light.set_albedo(&self.gpu, &albedo);
+        }
+        (self.stale.lights, self.stale.cascades) = (true, true);
+        let overlay = self.overlay.take();
+        self.write_unshadowed();
+        self.set_overlay(overlay)
+    }
+
+    /// Lays an overlay over surfaces, or takes it away. Errs for one that the bake's kind has not. The first one makes buffers.
+    pub fn set_overlay(&mut self, overlay: Option<Overlay>) -> Result<()> {
+        if overlay == self.overlay {
+            return Ok(());
+        }
+        if overlay.is_some_and(|overlay| self.bake.light.overlay(overlay).is_none()) {
+            let what = format!("overlay {overlay:?}");
+            let kind = &self.bake.scene.manifest.kind;
+            return Err(ClientError::Argument { what, problem: format!("is none of kind '{kind}'") });
+        }
+        if !self.has_paint {
+            self.light.make_paint(&self.gpu)?;
+            self.gpu.check()?;
+            self.has_paint = true;
+        }
+        self.overlay = overlay;
+        self.stale.pages = true;
+        Ok(())
+    }
+
+    /// The sample drawn last, on the adapter: rgb radiance, alpha 1 on surfaces. [`Frame::resize`] makes another one.
+    pub fn radiance(&self) -> &wgpu::TextureView {
+        self.shade.radiance()
+    }
+
+    /// Time that the adapter took for each pass, by its own clock; `None` where it has none.
+    pub fn pass_times(&self) -> Option<&[PassTime]> {
+        self.watch.is_there().then(|| self.watch.times())
+    }
+
+    /// Takes the times of all passes so far, after a wait for them.
+    pub fn hear_times(&mut self) -> Result<()> {
+        self.gpu.poll(true)?;
+        self.watch.hear(&self.gpu)
     }
 
     /// The sample drawn last, after a wait: rgb radiance in W·m⁻²·sr⁻¹, alpha 1 on surfaces.
     pub fn read(&self) -> Result<Vec<Vec4>> {
-        self.shade.read(self.gpu)
+        self.shade.read(&self.gpu)
     }
 
     /// Light at receivers as of the last bounce, after a wait; `None` for a kind without receivers.
@@ -295,8 +422,8 @@ impl<'a> Frame<'a> {
     fn write_unshadowed(&mut self) {
         let light = Unshadowed { sky: self.sky, emitter_scale: &self.emitter_scale };
         let arrays = self.bake.light.unshadowed(light);
-        self.light.set_unshadowed(self.gpu, &arrays);
-        self.shade.set_looks(self.gpu, &self.bake.scene, &self.tints, &self.emitter_scale);
+        self.light.set_unshadowed(&self.gpu, &arrays);
+        self.shade.set_looks(&self.gpu, &self.bake.scene, &self.tints, &self.emitter_scale);
         // Light that nothing sends any more would fade for ever.
         let is_dark = self.casters.is_empty() && self.sky == Sky::default();
         self.stale.light |= is_dark && arrays.emit.iter().all(|emit| *emit == Vec4::ZERO);
@@ -307,7 +434,9 @@ impl<'a> Frame<'a> {
     /// Takes the answers that are there, or waits for all that are under way.
     fn hear(&mut self, waits: bool) -> Result<()> {
         let Some(change) = &mut self.change else { return Ok(()) };
-        for answer in change.answers(self.gpu, waits)? {
+        let answers = change.answers(&self.gpu, waits)?;
+        self.watch.hear(&self.gpu)?;
+        for answer in answers {
             // Light that is no number stays none.
             self.stale.light |= !answer.change.is_finite();
             if answer.call >= self.bounces.first_call {
@@ -324,7 +453,7 @@ impl<'a> Frame<'a> {
         if !cascades && !direct {
             return;
         }
-        self.gpu.submit(|encoder| {
+        self.watch.submit(&self.gpu, |encoder| {
             if cascades {
                 self.shadow.record(encoder, &self.meshes, first..self.plan.faces.len());
             }

@@ -24,12 +24,18 @@ impl<C: Columns> LightmapLight<C> {
     }
 
     pub(super) fn cluster_page(&self, page: usize, scene: &LoadedScene) -> Option<DebugPage> {
-        let mut colours = vec![Vec4::ZERO; self.transport.receivers.len()];
-        for (index, cluster) in self.transport.clusters.clusters.iter().enumerate() {
-            colours[cluster.rows()].fill(hue(index as u32).extend(0.0));
-        }
+        let colours = self.by_cluster(|index| hue(index as u32));
         let black = vec![Vec4::ZERO; colours.len()];
         self.page(scene, page, &colours, &black)
+    }
+
+    /// A colour by slot for each cluster.
+    pub(super) fn by_cluster(&self, colour: impl Fn(usize) -> Vec3) -> Vec<Vec4> {
+        let mut colours = vec![Vec4::ZERO; self.transport.receivers.len()];
+        for (index, cluster) in self.transport.clusters.clusters.iter().enumerate() {
+            colours[cluster.rows()].fill(colour(index).extend(0.0));
+        }
+        colours
     }
 
     fn page(&self, scene: &LoadedScene, page: usize, first: &[Vec4], second: &[Vec4]) -> Option<DebugPage> {
@@ -41,7 +47,7 @@ impl<C: Columns> LightmapLight<C> {
 }
 
 /// Colours far apart for neighbouring numbers: golden-angle hues.
-fn hue(index: u32) -> Vec3 {
+pub(super) fn hue(index: u32) -> Vec3 {
     let turn = (f64::from(index) * 0.618_033_988_749_895).fract() as f32;
     let channel = |offset: f32| 0.55 + 0.45 * (std::f32::consts::TAU * (turn + offset)).cos();
     Vec3::new(channel(0.0), channel(1.0 / 3.0), channel(2.0 / 3.0))

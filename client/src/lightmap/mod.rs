@@ -8,12 +8,14 @@ mod tests;
 use glam::{Vec3, Vec4};
 use lightkiln_proto::content::ClusterTransport;
 use lightkiln_proto::manifest::Manifest;
-use lightkiln_proto::relight::{Columns, Incoming, Inconsistent, Limit, Settled, SlotTable, Transport};
+use lightkiln_proto::relight::{
+    Columns, Incoming, Inconsistent, Limit, NO_PATCH, Settled, SlotTable, Transport,
+};
 use wgpu::TextureViewDimension as Dimension;
 
 use crate::bake::{
-    DebugPage, IncomingDirect, Light, LightPasses, LitScene, ReceiverLight, SettledLight, SettledReceivers,
-    Unshadowed, UnshadowedArrays,
+    DebugPage, IncomingDirect, Light, LightPasses, LitScene, Overlay, ReceiverLight, SettledLight,
+    SettledReceivers, Unshadowed, UnshadowedArrays,
 };
 use crate::error::{ClientError, Result};
 use crate::passes::atlas::reference::{AtlasPages, read, spread};
@@ -34,6 +36,12 @@ pub use passes::LightmapPasses;
 pub trait ClientColumns: Columns + 'static {
     /// Uploads the pass that makes λ of the light at receivers.
     fn pass(&self, gpu: &Gpu, resident: &Resident) -> Result<Box<dyn ColumnsPass>>;
+
+    /// The finest patch of each of so many slots, [`NO_PATCH`] of those in none; `None` for columns without patches.
+    fn patch_of_slots(&self, slots: usize) -> Option<Vec<u32>> {
+        let _ = slots;
+        None
+    }
 }
 
 /// Light in a lightmap, its columns read from `C`.
@@ -93,6 +101,15 @@ impl<C: Columns> LightmapLight<C> {
             receivers: direct_texels(receivers, &self.points, lit.plan, lit.maps),
             near: direct(&positions_m, &normals, lit.plan, lit.maps),
         }
+    }
+}
+
+impl<C: ClientColumns> LightmapLight<C> {
+    /// Each of the finest patches in a colour of its own; grey where there is none.
+    fn by_patch(&self) -> Option<Vec<Vec4>> {
+        let patches = self.transport.columns.patch_of_slots(self.transport.receivers.len())?;
+        let colour = |patch: &u32| if *patch == NO_PATCH { Vec3::splat(0.2) } else { debug::hue(*patch) };
+        Some(patches.iter().map(|patch| colour(patch).extend(0.0)).collect())
     }
 }
 
@@ -183,6 +200,17 @@ impl<C: ClientColumns> Light for LightmapLight<C> {
             ATLAS => self.irradiance_page(page, lit, limit),
             CLUSTERS => self.cluster_page(page, lit.scene),
             _ => None,
+        }
+    }
+
+    fn overlay(&self, overlay: Overlay) -> Option<Vec<Vec4>> {
+        match overlay {
+            Overlay::Clusters => Some(self.by_cluster(|index| debug::hue(index as u32))),
+            Overlay::Patches => self.by_patch(),
+            Overlay::Residency { clusters } => Some(self.by_cluster(|index| match index < clusters {
+                true => Vec3::new(0.1, 0.6, 0.15),
+                false => Vec3::new(0.7, 0.1, 0.05),
+            })),
         }
     }
 

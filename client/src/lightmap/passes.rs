@@ -13,6 +13,7 @@ use crate::passes::near::NearPass;
 use crate::passes::reconstruct::{ReconstructPass, RowArrays};
 use crate::passes::resident::{ColumnsPass, Resident};
 use crate::passes::shadow::ShadowPass;
+use crate::passes::stopwatch::Recorder;
 use crate::scene::LoadedScene;
 
 /// direct → columns → basis → near → reconstruct → atlas.
@@ -26,6 +27,8 @@ pub struct LightmapPasses {
     pub(crate) reconstruct: ReconstructPass,
     pub(crate) atlas: AtlasPass,
     placements: wgpu::Buffer,
+    /// Halves of colours by slot, and the atlas pass over them twice.
+    paint: Option<(wgpu::Buffer, wgpu::BindGroup)>,
 }
 
 impl LightmapPasses {
@@ -53,6 +56,7 @@ impl LightmapPasses {
             atlas: AtlasPass::new(gpu, &scene.lightmap, &light.texels, &resident)?,
             placements: gpu.storage("placements", &placements(scene))?,
             resident,
+            paint: None,
         })
     }
 }
@@ -69,24 +73,36 @@ impl LightPasses for LightmapPasses {
     }
 
     /// E_dir at receivers and near hits.
-    fn relit(&self, encoder: &mut wgpu::CommandEncoder, shadow: &ShadowPass) {
-        let mut pass = encoder.begin_compute_pass(&Default::default());
-        self.direct.record(&mut pass, shadow);
-        self.near.light(&mut pass, shadow);
+    fn relit(&self, encoder: &mut Recorder<'_>, shadow: &ShadowPass) {
+        self.direct.record(&mut encoder.compute("direct"), shadow);
+        self.near.light(&mut encoder.compute("direct at near hits"), shadow);
     }
 
     /// E_ind of the bounce before → E_ind.
-    fn bounce(&self, encoder: &mut wgpu::CommandEncoder) {
-        let mut pass = encoder.begin_compute_pass(&Default::default());
-        self.columns.record(&mut pass);
-        self.basis.record(&mut pass);
-        self.near.record(&mut pass);
-        self.reconstruct.record(&mut pass);
+    fn bounce(&self, encoder: &mut Recorder<'_>) {
+        self.columns.record(&mut encoder.compute("columns"));
+        self.basis.record(&mut encoder.compute("basis"));
+        self.near.record(&mut encoder.compute("near"));
+        self.reconstruct.record(&mut encoder.compute("reconstruct"));
     }
 
     /// E_emit + E_ind into the pages.
-    fn publish(&self, encoder: &mut wgpu::CommandEncoder) {
-        self.atlas.record(&mut encoder.begin_compute_pass(&Default::default()));
+    fn publish(&self, encoder: &mut Recorder<'_>) {
+        self.atlas.record(&mut encoder.compute("atlas"));
+    }
+
+    fn make_paint(&mut self, gpu: &Gpu) -> Result<()> {
+        let colours = gpu.blank("colours", (self.resident.receiver_count * size_of::<Vec4>()) as u64)?;
+        let group = self.atlas.bind(gpu, [&colours, &colours]);
+        self.paint = Some((colours, group));
+        Ok(())
+    }
+
+    fn paint(&self, gpu: &Gpu, encoder: &mut Recorder<'_>, colours: &[Vec4]) {
+        let Some((halves, group)) = &self.paint else { return };
+        let values: Vec<Vec4> = colours.iter().map(|colour| *colour * 0.5).collect();
+        gpu.write(halves, &values);
+        self.atlas.record_of(&mut encoder.compute("atlas"), group);
     }
 
     fn feedback(&self) -> Option<(&wgpu::Buffer, usize)> {

@@ -12,7 +12,7 @@ use crate::error::{ClientError, Result};
 
 pub use framing::{camera_of, lights_of};
 pub use lightkiln_proto::relight::Sky;
-pub use words::{ParsedLights, parse_camera, parse_light, parse_lights};
+pub use words::{ParsedLights, parse_camera, parse_light, parse_lights, quoted};
 
 /// A light that casts shadows, ready for the direct pass.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -45,6 +45,15 @@ pub fn parse_lights(texts: &[impl AsRef<str>]) -> Result<ParsedLights> {
     Ok(parsed)
 }
 
+/// A word as a shell takes it.
+pub fn quoted(text: &str) -> String {
+    let is_plain = |c: char| c.is_ascii_alphanumeric() || "-._,/:=+@%".contains(c);
+    if !text.is_empty() && text.chars().all(is_plain) {
+        return text.to_owned();
+    }
+    format!("'{}'", text.replace('\'', r"'\''"))
+}
+
 fn spec(text: &str) -> Result<LightSpec> {
     LightSpec::from_text("command line", text).map_err(|error| wrong(text, error.to_string()))
 }

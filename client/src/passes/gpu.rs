@@ -31,6 +31,8 @@ pub struct Gpu {
     pub software: bool,
     /// Most bytes of one storage binding; larger arrays are split into pages.
     pub binding_max: u64,
+    /// None where another program opened it.
+    adapter: Option<wgpu::Adapter>,
     failure: Arc<Mutex<Option<String>>>,
     created: AtomicU64,
     stored: AtomicU64,
@@ -44,8 +46,25 @@ impl Gpu {
 
     async fn open_async() -> Result<Self> {
         let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle());
+        Self::open_on(&instance, None).await
+    }
+
+    /// Opens the best adapter that draws to a window, with the window's surface.
+    pub fn open_for(
+        window: impl Into<wgpu::SurfaceTarget<'static>>,
+    ) -> Result<(Self, wgpu::Surface<'static>)> {
+        let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle());
+        let surface = instance
+            .create_surface(window)
+            .map_err(|error| failed(format!("Vulkan makes no surface for the window ({error})")))?;
+        let gpu = logged(|| pollster::block_on(Self::open_on(&instance, Some(&surface))))?;
+        Ok((gpu, surface))
+    }
+
+    async fn open_on(instance: &wgpu::Instance, surface: Option<&wgpu::Surface<'_>>) -> Result<Self> {
         let options = wgpu::RequestAdapterOptions {
             power_preference: wgpu::PowerPreference::HighPerformance,
+            compatible_surface: surface,
             ..Default::default()
         };
         let adapter = instance.request_adapter(&options).await.map_err(|error| {
@@ -71,7 +90,14 @@ impl Gpu {
         gpu.device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
             heard.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error.to_string());
         }));
-        Ok(gpu)
+        let lost = Arc::clone(&gpu.failure);
+        gpu.device.set_device_lost_callback(move |reason, message| {
+            if reason != wgpu::DeviceLostReason::Destroyed {
+                let problem = format!("the device is lost ({message}): its driver stopped; start again");
+                *lost.lock().unwrap_or_else(PoisonError::into_inner) = Some(problem);
+            }
+        });
+        Ok(Self { adapter: Some(adapter), ..gpu })
     }
 
     /// Limits that a device must have for a bake to be lit on it.
@@ -79,9 +105,9 @@ impl Gpu {
         wgpu::Limits::default()
     }
 
-    /// Features that are used where a device has them: glass is blended over 32-bit radiance.
+    /// Features that are used where a device has them: glass is blended over 32-bit radiance, passes are timed.
     pub fn wanted_features() -> wgpu::Features {
-        wgpu::Features::FLOAT32_BLENDABLE
+        wgpu::Features::FLOAT32_BLENDABLE | wgpu::Features::TIMESTAMP_QUERY
     }
 
     /// Shares the device of another program in this process, whose adapter is `described`. Errs where it has less than
@@ -102,7 +128,13 @@ impl Gpu {
         let software = described.device_type == wgpu::DeviceType::Cpu;
         let [created, stored] = [0, 0].map(AtomicU64::new);
         let failure = Arc::new(Mutex::new(None));
-        Self { device, queue, name, software, binding_max: BINDING_MAX, failure, created, stored }
+        let (binding_max, adapter) = (BINDING_MAX, None);
+        Self { device, queue, name, software, binding_max, adapter, failure, created, stored }
+    }
+
+    /// What a window's surface can do on this adapter.
+    pub fn surface_capabilities(&self, surface: &wgpu::Surface<'_>) -> wgpu::SurfaceCapabilities {
+        self.adapter.as_ref().map(|adapter| surface.get_capabilities(adapter)).unwrap_or_default()
     }
 
     /// The first thing that went wrong since the last call, if anything did.
@@ -278,6 +310,14 @@ impl Gpu {
             compilation_options: wgpu::PipelineCompilationOptions::default(),
             cache: None,
         })
+    }
+
+    /// Marks of time; none where the adapter sets none at passes.
+    pub fn queries(&self, count: u32) -> Option<wgpu::QuerySet> {
+        let has_clock = self.device.features().contains(wgpu::Features::TIMESTAMP_QUERY);
+        let descriptor =
+            wgpu::QuerySetDescriptor { label: Some("times"), ty: wgpu::QueryType::Timestamp, count };
+        has_clock.then(|| self.count().create_query_set(&descriptor))
     }
 
     /// A render pipeline.

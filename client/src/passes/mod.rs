@@ -1,4 +1,5 @@
-//! The steps of a frame: shadow maps → direct → patches → basis → near → reconstruct → change → atlas → shade.
+//! The steps of a frame: shadow maps → direct → patches → basis → near → reconstruct → change → atlas → shade;
+//! for a window also meter → show.
 //!
 //! Each pass is a folder: the shader, its caller, and `reference.rs`, which does the same on the processor over the same
 //! arrays. `TOLERANCE` bounds the difference between the two, and a test holds them to it.
@@ -9,7 +10,9 @@ pub mod change;
 pub mod compare;
 pub mod direct;
 pub mod gpu;
+pub mod landings;
 pub mod meshes;
+pub mod meter;
 pub mod near;
 mod overheard;
 pub mod patches;
@@ -17,6 +20,8 @@ pub mod reconstruct;
 pub mod resident;
 pub mod shade;
 pub mod shadow;
+pub mod show;
+pub mod stopwatch;
 
 /// Shaders of the passes that stand alone: name and whole source. The shading pass' is [`shade::Shading::shader`].
 pub const SHADERS: &[(&str, &str)] = &[
@@ -24,10 +29,12 @@ pub const SHADERS: &[(&str, &str)] = &[
     ("basis", basis::SHADER),
     ("change", change::SHADER),
     ("direct texels", direct::TEXELS_SHADER),
+    ("meter", meter::SHADER),
     ("near", near::SHADER),
     ("near lit", near::LIT_SHADER),
     ("patches", patches::SHADER),
     ("reconstruct", reconstruct::SHADER),
     ("shadow", shadow::SHADER),
     ("shadow panes", shadow::PANES_SHADER),
+    ("show", show::SHADER),
 ];

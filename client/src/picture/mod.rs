@@ -36,6 +36,21 @@ pub struct Picture {
     pub bounces: u32,
     /// Whether bounces had converged by then.
     pub converged: bool,
+    /// Time of the adapter's passes so far, also of pictures before; `None` where it has no clock, and of the processor.
+    pub pass_times: Option<Vec<PassTime>>,
+}
+
+/// Time of a pass so far.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PassTime {
+    /// Name of the pass.
+    pub name: &'static str,
+    /// Runs that were timed.
+    pub runs: u64,
+    /// Milliseconds of all of them.
+    pub total_ms: f64,
+    /// Milliseconds of the last one.
+    pub last_ms: f64,
 }
 
 /// Sums samples per pixel: mean radiance, and mean of the tone-mapped samples, which keeps the edge of a lamp far above
@@ -85,6 +100,7 @@ impl Film {
             by_reference: false,
             bounces: 0,
             converged: false,
+            pass_times: None,
         }
     }
 }

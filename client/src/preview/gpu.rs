@@ -32,7 +32,10 @@ pub(super) fn render(
             film.get_or_insert_with(|| Film::new(view.size(), view.tone, exposure, &radiance)).add(&radiance);
         }
         let film = film.unwrap_or_else(|| Film::new(view.size(), view.tone, view.exposure, &[]));
-        reel.push(Picture { drawn_by: gpu.name.clone(), bounces, converged, ..film.develop() })?;
+        frame.hear_times()?;
+        let pass_times = frame.pass_times().map(<[_]>::to_vec);
+        let drawn_by = gpu.name.clone();
+        reel.push(Picture { drawn_by, bounces, converged, pass_times, ..film.develop() })?;
     }
     Ok(())
 }

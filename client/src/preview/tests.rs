@@ -1,5 +1,7 @@
 //! The preview end to end.
 
+use std::sync::Arc;
+
 use lightkiln_proto::manifest::Chosen;
 
 use super::*;
@@ -50,11 +52,11 @@ fn debug_pictures_show_the_atlas_and_its_clusters() {
 #[test]
 fn camera_and_light_chosen_at_the_bake_are_used_and_said() {
     let (mut bake, _) = fixture_view();
-    let manifest = &mut bake.scene.manifest;
+    let manifest = &mut Arc::make_mut(&mut bake.scene).manifest;
     let (camera, light) = (manifest.cameras.remove(0), manifest.lights.remove(0));
     manifest.lights.clear();
     assert!(View::of_bake(&bake, None, None).unwrap_err().to_string().contains("--camera"));
-    let manifest = &mut bake.scene.manifest;
+    let manifest = &mut Arc::make_mut(&mut bake.scene).manifest;
     manifest.framing.camera = Some(Chosen { value: camera.clone(), note: "no camera".to_owned() });
     manifest.framing.light = Some(Chosen { value: light.clone(), note: "no light".to_owned() });
     // The fixture has an emitter: a light is chosen all the same where that lights next to nothing.
@@ -62,7 +64,7 @@ fn camera_and_light_chosen_at_the_bake_are_used_and_said() {
     let (view, notes) = View::of_bake(&bake, None, None).unwrap();
     assert_eq!((view.camera, view.lights), (camera.clone(), vec![light]));
     assert_eq!(notes, ["no camera", "no light"]);
-    bake.scene.manifest.framing.light = None;
+    Arc::make_mut(&mut bake.scene).manifest.framing.light = None;
     let (view, notes) = View::of_bake(&bake, Some(camera), None).unwrap();
     assert!(view.lights.is_empty() && notes.is_empty(), "{notes:?}");
 }

@@ -1,5 +1,7 @@
 //! A bake whose light is fetched within a number of bytes.
 
+use std::sync::Arc;
+
 use super::{Prepared, View};
 use crate::bake::{ClientKinds, LightStream, LoadedBake};
 use lightkiln_proto::manifest::{CLUSTERS, DIRECTORY, OVERVIEW};
@@ -14,7 +16,7 @@ use crate::stream::{Streamed, Viewpoint};
 pub struct StreamedBake {
     source: Source,
     /// The scene, and the light of the pieces that have come.
-    pub bake: LoadedBake,
+    pub bake: Arc<LoadedBake>,
     stream: Box<dyn LightStream>,
     manifest_bytes: u64,
     tints: Tints,
@@ -45,7 +47,7 @@ impl StreamedBake {
         let scene = LoadedScene::fetch(source, manifest)?;
         let stream = kind.stream(source, &scene)?;
         let light = stream.light(&scene)?;
-        let bake = LoadedBake { scene, light };
+        let bake = Arc::new(LoadedBake { scene: Arc::new(scene), light });
         let manifest_bytes = bytes.len() as u64;
         Ok(Self { source: source.clone(), bake, stream, manifest_bytes, tints: Tints::default() })
     }
@@ -63,8 +65,14 @@ impl StreamedBake {
 
     /// Gives materials other colours, for the light that has come and that which will. Once: what was baked is gone then.
     pub fn recolour(&mut self, colours: &[Recolour]) -> Result<()> {
+        if colours.is_empty() {
+            return Ok(());
+        }
         self.tints = Tints::of(&self.bake.scene, colours)?;
-        self.bake.recolour(colours)
+        let mut bake = self.assembled()?;
+        bake.recolour(colours)?;
+        self.bake = Arc::new(bake);
+        Ok(())
     }
 
     /// Fetches the clusters that a view needs most until `bytes_max` bytes of light have come.
@@ -74,8 +82,15 @@ impl StreamedBake {
         let viewpoint = view.eye().map(|eye| Viewpoint { eye_m: eye.position_m, forward: eye.forward });
         let bytes_max = bytes_max.saturating_sub(self.manifest_bytes);
         self.stream.refine(&self.source, &prepared.lit(&maps), viewpoint, bytes_max, view.limit)?;
-        self.bake.light = self.stream.light(&self.bake.scene)?;
-        self.bake.tint_light(&self.tints);
+        let mut bake = self.assembled()?;
+        bake.tint_light(&self.tints);
+        self.bake = Arc::new(bake);
         Ok(())
+    }
+
+    /// The bake with the light that has come, in its own colours.
+    fn assembled(&self) -> Result<LoadedBake> {
+        let light = self.stream.light(&self.bake.scene)?;
+        Ok(LoadedBake { scene: Arc::clone(&self.bake.scene), light })
     }
 }

@@ -21,6 +21,7 @@ use crate::passes::near::NearPass;
 use crate::passes::shade::ShadeView;
 use crate::passes::shade::reference::Lit;
 use crate::passes::shadow::{ShadowPass, ShadowPlan};
+use crate::passes::stopwatch::{Recorder, Stopwatch};
 use crate::passes::{atlas, change, direct, near, patches, shade, shadow};
 use crate::preview::{Backend, View, frame_of, render};
 use crate::scene::LoadedScene;
@@ -83,8 +84,9 @@ impl<C: ClientColumns> Stage<C> {
     /// Shadow maps, and E_dir.
     fn relit(&self, gpu: &Gpu) {
         gpu.submit(|encoder| {
-            self.shadow.record(encoder, &self.meshes, 0..self.plan.faces.len());
-            self.passes.relit(encoder, &self.shadow);
+            let recorder = &mut Recorder::untimed(encoder);
+            self.shadow.record(recorder, &self.meshes, 0..self.plan.faces.len());
+            self.passes.relit(recorder, &self.shadow);
         });
     }
 
@@ -135,7 +137,7 @@ fn shadow_maps_of_glass_agree_with_the_reference() {
     let meshes = Meshes::new(&gpu, &bake.scene).unwrap();
     let pass = ShadowPass::new(&gpu, &bake.scene, &meshes, &plan.room()).unwrap();
     pass.set(&gpu, &plan);
-    gpu.submit(|encoder| pass.record(encoder, &meshes, 0..plan.faces.len()));
+    gpu.submit(|encoder| pass.record(&mut Recorder::untimed(encoder), &meshes, 0..plan.faces.len()));
     let got = pass.read(&gpu).unwrap();
     let wanted = shadow::reference::draw(&bake.scene, &plan);
     let count = wanted.depth.len();
@@ -248,6 +250,7 @@ fn near_hits_agree_with_the_reference() {
 #[ignore = "needs a graphics adapter"]
 fn change_agrees_with_the_reference() {
     let gpu = Gpu::open().unwrap();
+    let mut watch = Stopwatch::new(&gpu);
     // More receivers than the first step has threads, fewer than a workgroup, and none.
     for count in [200_000, 50, 0] {
         let e_ind = gpu.blank("E_ind", (count * size_of::<Vec4>()) as u64).unwrap();
@@ -260,7 +263,7 @@ fn change_agrees_with_the_reference() {
                 .map(|(before, noise)| *before + scale * noise)
                 .collect();
             gpu.write(&e_ind, &now);
-            assert_eq!(pass.ask(&gpu), u64::from(call));
+            assert_eq!(pass.ask(&gpu, &mut watch), u64::from(call));
             let [answer] = pass.answers(&gpu, true).unwrap()[..] else { panic!("one answer") };
             let wanted = change::reference::change(&before, &now);
             println!("{answer:?}, reference {wanted}");
@@ -270,11 +273,11 @@ fn change_agrees_with_the_reference() {
             before = now;
         }
         // More calls than there are landings: the last have no answer, and the next has one again.
-        let calls: Vec<u64> = (0..5).map(|_| pass.ask(&gpu)).collect();
+        let calls: Vec<u64> = (0..5).map(|_| pass.ask(&gpu, &mut watch)).collect();
         let answered: Vec<u64> = pass.answers(&gpu, true).unwrap().iter().map(|answer| answer.call).collect();
         assert_eq!(answered, calls[..3]);
         gpu.write(&e_ind, &vec![Vec4::splat(f32::NAN); count]);
-        let call = pass.ask(&gpu);
+        let call = pass.ask(&gpu, &mut watch);
         let [answer] = pass.answers(&gpu, true).unwrap()[..] else { panic!("one answer") };
         assert_eq!((answer.call, answer.change.is_finite()), (call, count == 0));
     }
@@ -288,7 +291,7 @@ fn atlas_agrees_with_the_reference() {
     let [emit, ind] = [7, 8].map(|seed| positive_noise(stage.receivers(), seed));
     gpu.write(&stage.passes.resident.e_emit, &emit);
     gpu.write(&stage.passes.resident.e_ind, &ind);
-    gpu.submit(|encoder| stage.passes.publish(encoder));
+    gpu.submit(|encoder| stage.passes.publish(&mut Recorder::untimed(encoder)));
     let wanted = atlas::reference::spread(&stage.scene.lightmap, &stage.light.texels, &emit, &ind);
     let texture = &stage.passes.atlas.texture;
     let stride = texture.width() as usize;

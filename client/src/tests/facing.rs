@@ -11,6 +11,7 @@ use crate::fixture::{geometry, manifest, texture};
 use crate::passes::gpu::{Gpu, uniform};
 use crate::passes::shade::{IndirectIrradiance, ShadeView, Shading, Surface};
 use crate::passes::shadow::ShadowPass;
+use crate::passes::stopwatch::Recorder;
 use crate::preview::{Backend, View, debug_picture, jitters, render};
 use crate::scene::LoadedScene;
 
@@ -73,7 +74,7 @@ impl Light for Facing {
 }
 
 impl LightPasses for Uploaded {
-    fn prepare_view(&self, gpu: &Gpu, encoder: &mut wgpu::CommandEncoder, view: &ShadeView) {
+    fn prepare_view(&self, gpu: &Gpu, encoder: &mut Recorder<'_>, view: &ShadeView) {
         gpu.write(&self.written, &[facing(view)]);
         encoder.copy_buffer_to_buffer(&self.written, 0, &self.bound, 0, size_of::<Vec4>() as u64);
     }
@@ -87,7 +88,7 @@ impl LightPasses for Uploaded {
 pub(super) fn bake() -> LoadedBake {
     let manifest = Manifest { lightmap: None, ..manifest(NAME) };
     let scene = LoadedScene::assemble(manifest, vec![geometry()], vec![texture()]).unwrap();
-    LoadedBake { scene, light: Box::new(Facing) }
+    LoadedBake { scene: scene.into(), light: Box::new(Facing) }
 }
 
 /// As [`bake`], with glass in the room.
@@ -96,7 +97,7 @@ pub(crate) fn glazed_bake() -> LoadedBake {
     let mut geometry = geometry();
     geometry.draws.extend(super::glass::glazed());
     let scene = LoadedScene::assemble(manifest, vec![geometry], vec![texture()]).unwrap();
-    LoadedBake { scene, light: Box::new(Facing) }
+    LoadedBake { scene: scene.into(), light: Box::new(Facing) }
 }
 
 #[test]

@@ -1,5 +1,7 @@
 //! The references against physics.
 
+use std::sync::Arc;
+
 use glam::{Vec3, Vec4};
 use lightkiln_proto::content::{Draw, Geometry};
 use lightkiln_proto::manifest::Manifest;
@@ -81,7 +83,7 @@ fn flat_surfaces_never_shadow_themselves() {
     for light in lights {
         // Without the sheet every floor point that the walls do not shade is fully lit.
         let (mut bake, view) = fixture_view();
-        bake.scene.draws.draws.truncate(5);
+        Arc::make_mut(&mut bake.scene).draws.draws.truncate(5);
         let view = View { lights: vec![parse_light(light).unwrap()], ..view };
         let plan = prepared(&bake, &view).plan;
         let maps = draw(&bake.scene, &plan);

@@ -10,6 +10,7 @@ mod light;
 mod objects;
 mod shaders;
 mod shadows;
+mod show;
 
 use lightkiln_proto::relight::PatchTable;
 

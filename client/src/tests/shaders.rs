@@ -14,12 +14,14 @@ use crate::passes::atlas::{AtlasNumbers, AtlasTexel, INDIRECT, Placement};
 use crate::passes::basis::BasisNumbers;
 use crate::passes::change::ChangeNumbers;
 use crate::passes::direct::TexelNumbers;
+use crate::passes::meter::MeterNumbers;
 use crate::passes::near::NearNumbers;
 use crate::passes::patches::PatchNumbers;
 use crate::passes::reconstruct::ReconstructNumbers;
 use crate::passes::resident::ClusterRow;
 use crate::passes::shade::{ShadeDraw, ShadeView};
 use crate::passes::shadow::{Face, Light, LightCount, Mask, Pane};
+use crate::passes::show::ShowNumbers;
 use crate::passes::{SHADERS, shade};
 
 /// Every shader: name and whole source, as the adapter compiles it.
@@ -82,9 +84,12 @@ fn what_is_made_on_the_adapter_is_made_in_one_place() {
                 folders.push(path);
             } else if path.extension().is_some_and(|extension| extension == "rs") {
                 let text = fs::read_to_string(&path).unwrap();
-                let makes = text
-                    .lines()
-                    .filter(|line| line.replace(".create_view(", "").contains(concat!(".", "create_")));
+                let makes = text.lines().filter(|line| {
+                    line.replace(".create_view(", "")
+                        .replace(".create_window(", "")
+                        .replace(".create_proxy(", "")
+                        .contains(concat!(".", "create_"))
+                });
                 let is_home = path.ends_with("passes/gpu.rs");
                 seen += if is_home {
                     makes.count()
@@ -132,6 +137,7 @@ fn twins() -> BTreeMap<&'static str, Layout> {
         }
         "LightCount": LightCount { count, side, bias_m, pad }
         "Mask": Mask { uv_row0, uv_row1, alpha, cutoff, pad0, pad1 }
+        "Meter": MeterNumbers { columns, rows, width, height }
         "Near": NearNumbers { row_count, stride }
         "NearHit": NearHit { position_m, light }
         "NearRow": NearRow { slot, first, count, weight }
@@ -150,6 +156,7 @@ fn twins() -> BTreeMap<&'static str, Layout> {
             base_colour, emissive, base_row0, base_row1, emissive_row0, emissive_row1, transmission_row0,
             transmission_row1, cutoff, index, transmission, blends
         }
+        "Show": ShowNumbers { exposure, tone, encodes, pad }
         "TexelNumbers": TexelNumbers { first, count, stride, reach_m }
         "ShadeView": ShadeView { clip_from_world, zenith, horizon, ray, ray_per_x, ray_per_y }
     }

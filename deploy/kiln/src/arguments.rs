@@ -4,10 +4,13 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::Args;
-use lightkiln_client::fetch::ApiClient;
-use lightkiln_http::RetryPolicy;
+use lightkiln_client::fetch::{ApiClient, Source};
+#[cfg(feature = "view")]
+use lightkiln_client::lights::quoted;
+use lightkiln_http::{DiskCache, RetryPolicy};
 use lightkiln_server::places::DatabasePlace;
 
+use crate::console::say;
 use crate::embedded::or_in_state;
 use crate::failure::{Failure, Result};
 use crate::interrupt::Interrupt;
@@ -40,6 +43,63 @@ impl TrustArgument {
     pub fn connect(&self, url: &str, interrupt: &Interrupt) -> Result<ApiClient> {
         let client = ApiClient::trusting(url, own_token()?.as_deref(), self.pem()?.as_deref())?;
         Ok(client.with_retry(FIRST_CONTACT).with_shutdown(interrupt.flag().clone()))
+    }
+}
+
+/// A bake to look at.
+#[derive(Args, Clone, Debug)]
+pub struct BakeArgument {
+    /// Bundle folder; with --server, the id of a finished bake there
+    #[arg(value_name = "BUNDLE_OR_ID")]
+    bake: PathBuf,
+    /// Takes the bake from the server at this URL
+    #[arg(long, value_name = "URL")]
+    server: Option<String>,
+    #[command(flatten)]
+    trust: TrustArgument,
+    /// Folder for chunks fetched from a server, from which the next picture takes them [default: chunks in the state folder]
+    #[arg(long, value_name = "DIR", requires = "server")]
+    cache: Option<PathBuf>,
+    /// GiB that the cache folder may hold, the least recently used go first; 0 for no cache
+    #[arg(long, value_name = "GIB", default_value_t = 4, value_parser = clap::value_parser!(u64).range(0..=65536), requires = "server")]
+    cache_gib: u64,
+}
+
+impl BakeArgument {
+    /// The words that name it on a command line.
+    #[cfg(feature = "view")]
+    pub fn words(&self) -> String {
+        let bake = quoted(&self.bake.to_string_lossy());
+        self.server.as_ref().map_or(bake.clone(), |url| format!("{bake} --server {}", quoted(url)))
+    }
+
+    /// Its source, with a cache for what a server gives.
+    pub fn open(&self) -> Result<Source> {
+        let Some(url) = &self.server else { return Ok(Source::bundle(&self.bake)?) };
+        let client = self.trust.connect(url, &Interrupt::default())?;
+        let source = Source::server(client, self.bake.to_string_lossy());
+        Ok(match self.cache_gib {
+            0 => source,
+            gib => cached(source, or_in_state(self.cache.clone(), "chunks").ok(), gib),
+        })
+    }
+}
+
+/// The source with a cache in a folder, or without one where the folder cannot be used, which is said.
+fn cached(source: Source, folder: Option<PathBuf>, gib: u64) -> Source {
+    let Some(folder) = folder else {
+        say!(
+            "note: there is no place for a cache (neither KILN_STATE nor HOME is set): chunks are fetched each time"
+        );
+        return source;
+    };
+    match DiskCache::open(&folder, gib << 30) {
+        Ok(cache) => source.with_cache(cache),
+        Err(error) => {
+            let folder = folder.display();
+            say!("warning: the cache {folder} cannot be used ({error}): chunks are fetched each time");
+            source
+        }
     }
 }
 

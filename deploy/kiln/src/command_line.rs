@@ -3,6 +3,8 @@
 use clap::{Parser, Subcommand};
 
 use crate::commands::actions::{self, Action};
+#[cfg(feature = "view")]
+use crate::commands::view;
 use crate::commands::{
     bake, blocklist, check, evaluate, export, fetch, fsck, inspect, list, logs, preview, priority, server,
     settings, show, submit, token, top, watch, worker,
@@ -64,6 +66,9 @@ pub enum Command {
     Preview(preview::Arguments),
     /// Writes a bake's light under chosen lights for other engines: a GLB with lightmaps
     Export(export::Arguments),
+    /// Opens a window on a bake: fly, move lights, change colours
+    #[cfg(feature = "view")]
+    View(view::Arguments),
     /// Says how right a bake is, held against a path tracer
     Evaluate(evaluate::Arguments),
     /// Says what is in a bundle or a chunk
@@ -102,6 +107,8 @@ impl Command {
             Self::Fetch(arguments) => fetch::run(arguments, &kinds.contract),
             Self::Preview(arguments) => preview::run(arguments, kinds),
             Self::Export(arguments) => export::run(arguments, kinds),
+            #[cfg(feature = "view")]
+            Self::View(arguments) => view::run(arguments, kinds),
             Self::Evaluate(arguments) => evaluate::run(arguments, kinds),
             Self::Inspect(arguments) => inspect::run(arguments, &kinds.contract),
             Self::Settings(arguments) => settings::run(arguments, &kinds.contract),

@@ -125,9 +125,10 @@ impl From<ClientError> for Failure {
             | ClientError::Manifest { .. }
             | ClientError::Chunk { .. }
             | ClientError::Inconsistent { .. } => Exit::BadInput,
-            ClientError::File { .. } | ClientError::Adapter { .. } | ClientError::Picture { .. } => {
-                Exit::Failed
-            }
+            ClientError::File { .. }
+            | ClientError::Adapter { .. }
+            | ClientError::Window { .. }
+            | ClientError::Picture { .. } => Exit::Failed,
         };
         let failure = Self::of(exit, &error);
         let is_busy =

@@ -10,12 +10,16 @@ use lightkiln_client::ClientError;
 use lightkiln_client::bake::{ClientKinds, LoadedBake};
 use lightkiln_client::fetch::Source;
 use lightkiln_client::lights::{ParsedLights, parse_camera, parse_lights};
-use lightkiln_client::picture::{Exposure, Picture, Tone};
+use lightkiln_client::picture::{Exposure, PassTime, Picture, Tone};
 use lightkiln_client::preview::{
     Backend, PATH_FILE_MAX, StreamedBake, View, ViewPath, debug_picture, render, render_path,
 };
 use lightkiln_client::scene::{Object, Recolour, Stance, check_recolours};
 use lightkiln_client::stream::Streamed;
+#[cfg(feature = "view")]
+use lightkiln_client::view::Subject;
+#[cfg(feature = "view")]
+use lightkiln_proto::manifest::OVERVIEW;
 use serde::Serialize;
 
 use crate::console::say;
@@ -23,9 +27,9 @@ use crate::failure::{Failure, Result};
 use crate::objects::{ObjectArgument, parse_object};
 use crate::switched_off::SwitchedOff;
 
-/// How to draw.
+/// What to draw, and how it looks.
 #[derive(Args, Clone, Debug)]
-pub struct PictureArguments {
+pub struct LookArguments {
     /// Camera of the picture, e.g. "eye=0,1.6,4 target=0,1,0 fov=50" (metres, degrees) [default: the scene's first,
     /// else one is chosen and said]
     #[arg(long, value_name = "CAMERA", help_heading = "Picture")]
@@ -57,6 +61,13 @@ pub struct PictureArguments {
         help_heading = "Picture"
     )]
     exposure: f32,
+}
+
+/// How to draw a picture into a file.
+#[derive(Args, Clone, Debug)]
+pub struct PictureArguments {
+    #[command(flatten)]
+    look: LookArguments,
     /// Who draws; auto takes the graphics adapter if there is one that is no software
     #[arg(long, value_enum, default_value = "auto", help_heading = "Picture")]
     backend: BackendName,
@@ -152,12 +163,31 @@ pub struct Drawn {
     pub converged: bool,
     /// Factor on radiance before tone mapping.
     pub exposure: f32,
+    /// Time of the adapter's passes, by its own clock; none where it has no clock, and of the processor.
+    pub passes: Option<Vec<PassRow>>,
     /// Seconds from the light at hand to the last file.
     pub seconds: f64,
     /// Bytes of light that were fetched.
     pub light_bytes: Option<u64>,
     /// Bytes of all.
     pub light_bytes_all: Option<u64>,
+}
+
+/// Time of a pass of the adapter.
+#[derive(Clone, Debug, Serialize)]
+pub struct PassRow {
+    /// Name of the pass.
+    pub pass: &'static str,
+    /// Runs of it for all pictures.
+    pub runs: u64,
+    /// Milliseconds of a run, the mean.
+    pub mean_ms: f64,
+}
+
+impl PassRow {
+    fn of(time: &PassTime) -> Self {
+        Self { pass: time.name, runs: time.runs, mean_ms: time.total_ms / time.runs.max(1) as f64 }
+    }
 }
 
 /// Bytes as people write them: a number, with k, M or G for powers of 1000.
@@ -199,12 +229,75 @@ pub enum BackendName {
     Cpu,
 }
 
-impl PictureArguments {
+impl LookArguments {
     /// Refuses a camera or light that cannot be read, before any work is done.
     pub fn check(&self) -> Result<()> {
         self.camera.as_deref().map(parse_camera).transpose()?;
         parse_lights(&self.light)?;
         Ok(())
+    }
+
+    /// Refuses colours of materials that the bake has not.
+    fn check_colours(&self, source: &Source) -> Result<()> {
+        if !self.material.is_empty() {
+            check_recolours(&source.manifest()?.1, &self.material)?;
+        }
+        Ok(())
+    }
+
+    /// The view of a bake, and notes on what was chosen.
+    fn view(
+        &self,
+        bake: &LoadedBake,
+        off: &SwitchedOff,
+        path: Option<&ViewPath>,
+    ) -> Result<(View, Vec<String>)> {
+        let camera = self.camera.as_deref().map(parse_camera).transpose()?;
+        let camera = camera.or_else(|| path?.first_camera().cloned());
+        let ParsedLights { lights, emitter_scale } = parse_lights(&self.light)?;
+        let own = (!self.light.is_empty()).then_some(lights);
+        let own = own.or_else(|| Some(path?.first_lights()?.to_vec()));
+        let (mut view, notes) = View::of_bake(bake, camera, own)?;
+        let scale = off.emitter_scale(emitter_scale.unwrap_or(1.0));
+        view.emitter_scale = vec![scale; bake.scene.manifest.emitters.len()];
+        view.lights = off.rest(view.lights);
+        (view.width, view.height) = self.size;
+        view.tone = self.tone.into();
+        view.exposure = Exposure::Auto { stops: self.exposure };
+        Ok((view, notes))
+    }
+
+    /// A window's bake, and how it is looked at first: a server's comes piece by piece where it has an overview.
+    #[cfg(feature = "view")]
+    pub fn opened(
+        &self,
+        source: &Source,
+        kinds: &ClientKinds,
+        off: &SwitchedOff,
+    ) -> Result<(Subject, View, Vec<String>)> {
+        self.check_colours(source)?;
+        let (_, manifest) = source.manifest()?;
+        if matches!(source, Source::Server { .. }) && !manifest.chunks(OVERVIEW).is_empty() {
+            let streamed = StreamedBake::begin(source, kinds, u64::MAX)?;
+            let (view, notes) = self.view(&streamed.bake, off, None)?;
+            return Ok((Subject::Streamed(Box::new(streamed)), view, notes));
+        }
+        let bake = LoadedBake::load(source, kinds)?;
+        let (view, notes) = self.view(&bake, off, None)?;
+        Ok((Subject::Whole(Box::new(bake)), view, notes))
+    }
+
+    /// Colours of materials.
+    #[cfg(feature = "view")]
+    pub fn colours(&self) -> &[Recolour] {
+        &self.material
+    }
+}
+
+impl PictureArguments {
+    /// Refuses a camera or light that cannot be read, before any work is done.
+    pub fn check(&self) -> Result<()> {
+        self.look.check()
     }
 
     /// Refuses a camera or lights beside those of a path.
@@ -213,8 +306,8 @@ impl PictureArguments {
             let what = format!("{option} and the keys of the path both say it");
             if is_twice { Err(Failure::bad_input(what).try_this("one of them alone")) } else { Ok(()) }
         };
-        both(self.camera.is_some() && path.first_camera().is_some(), "--camera")?;
-        both(!self.light.is_empty() && path.first_lights().is_some(), "--light")
+        both(self.look.camera.is_some() && path.first_camera().is_some(), "--camera")?;
+        both(!self.look.light.is_empty() && path.first_lights().is_some(), "--light")
     }
 
     /// Draws the bake and writes it as PNG; says on standard error what was chosen and who drew.
@@ -242,7 +335,7 @@ impl PictureArguments {
             return self.write_all(&bake, &view, path, png);
         };
         let mut streamed = StreamedBake::begin(source, kinds, max_bytes)?;
-        streamed.recolour(&self.material)?;
+        streamed.recolour(&self.look.material)?;
         let stances = add_objects(&mut streamed.bake, objects)?;
         let view = View { objects: stances, ..self.view(&streamed.bake, off, path)? };
         // Along a path, what its first picture needs.
@@ -258,28 +351,15 @@ impl PictureArguments {
 
     /// The whole bake, with the colours that are asked for.
     fn loaded(&self, source: &Source, kinds: &ClientKinds) -> Result<LoadedBake> {
-        if !self.material.is_empty() {
-            check_recolours(&source.manifest()?.1, &self.material)?;
-        }
+        self.look.check_colours(source)?;
         let mut bake = LoadedBake::load(source, kinds)?;
-        bake.recolour(&self.material)?;
+        bake.recolour(&self.look.material)?;
         Ok(bake)
     }
 
     /// The view of a bake; says on standard error what was chosen.
     fn view(&self, bake: &LoadedBake, off: &SwitchedOff, path: Option<&ViewPath>) -> Result<View> {
-        let camera = self.camera.as_deref().map(parse_camera).transpose()?;
-        let camera = camera.or_else(|| path?.first_camera().cloned());
-        let ParsedLights { lights, emitter_scale } = parse_lights(&self.light)?;
-        let own = (!self.light.is_empty()).then_some(lights);
-        let own = own.or_else(|| Some(path?.first_lights()?.to_vec()));
-        let (mut view, notes) = View::of_bake(bake, camera, own)?;
-        let scale = off.emitter_scale(emitter_scale.unwrap_or(1.0));
-        view.emitter_scale = vec![scale; bake.scene.manifest.emitters.len()];
-        view.lights = off.rest(view.lights);
-        (view.width, view.height) = self.size;
-        view.tone = self.tone.into();
-        view.exposure = Exposure::Auto { stops: self.exposure };
+        let (view, notes) = self.look.view(bake, off, path)?;
         for note in notes {
             say!("note: {note}");
         }
@@ -308,6 +388,7 @@ impl PictureArguments {
             drawn.pictures.push(file.display().to_string());
             drawn.bounces = drawn.bounces.max(picture.bounces);
             drawn.converged &= picture.converged;
+            drawn.passes = picture.pass_times.map(|times| times.iter().map(PassRow::of).collect());
             (drawn.drawn_by, drawn.exposure) = (picture.drawn_by, picture.exposure);
             Ok(())
         };

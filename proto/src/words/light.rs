@@ -52,6 +52,29 @@ impl LightSpec {
     }
 }
 
+/// Words that [`LightSpec::from_text`] reads as that light, but for a cut-off distance, which has none.
+pub fn light_to_text(light: &SceneLight) -> String {
+    let three = |[x, y, z]: [f32; 3]| format!("{x},{y},{z}");
+    let strength = three(light.strength);
+    match &light.kind {
+        LightKind::Point { position_m, .. } => {
+            format!("point pos={} strength={strength}", three(*position_m))
+        }
+        LightKind::Spot { position_m, direction, inner_rad, outer_rad, .. } => {
+            let (position, direction) = (three(*position_m), three(*direction));
+            let degrees = |rad: f32| (100.0 * rad.to_degrees()).round() / 100.0;
+            let outer = degrees(*outer_rad).clamp(0.1, 90.0);
+            let inner = degrees(*inner_rad).clamp(0.0, outer);
+            format!("spot pos={position} dir={direction} strength={strength} inner={inner} outer={outer}")
+        }
+        LightKind::Sun { direction } => format!("sun dir={} strength={strength}", three(*direction)),
+        LightKind::Sky { zenith, horizon } => {
+            let scaled = |colour: [f32; 3]| three((Vec3::from(colour) * Vec3::from(light.strength)).into());
+            format!("sky zenith={} horizon={}", scaled(*zenith), scaled(*horizon))
+        }
+    }
+}
+
 type Read = fn(&str, &mut Words) -> Result<LightSpec, WordsError>;
 
 fn kind(name: &str) -> Result<(Read, &'static str), WordsError> {
@@ -180,6 +203,24 @@ mod tests {
         };
         assert_eq!(light.kind, LightKind::Point { position_m: [1.0, 2.0, 3.0], range_m: None });
         assert!((light.strength[0] - 1.0).abs() < 1e-6 && (light.strength[1] - 0.5).abs() < 1e-6);
+    }
+
+    #[test]
+    fn light_is_read_back_from_its_words() {
+        let texts = [
+            "point pos=0,2,-0.125 strength=10,9,8",
+            "spot pos=0,2,0 dir=0,-1,0 strength=1,2,3 inner=20 outer=30.25",
+            "sun dir=0,-1,0 strength=3,2,1",
+            "sky zenith=0.5,0.25,1 horizon=1,1,0.5",
+        ];
+        for text in texts {
+            let LightSpec::Scene(light) = from_text(text).unwrap() else { panic!("{text}") };
+            assert_eq!(light_to_text(&light), text);
+        }
+        let LightSpec::Scene(sky) = from_text("sky zenith=0.5,0.25,1 strength=2").unwrap() else {
+            panic!("a sky is a light of a scene");
+        };
+        assert_eq!(light_to_text(&sky), "sky zenith=1,0.5,2 horizon=2,2,2");
     }
 
     #[test]

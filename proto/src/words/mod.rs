@@ -9,7 +9,7 @@ use serde_json::{Map, Value};
 use thiserror::Error;
 
 pub use camera::{camera_from_text, camera_to_text};
-pub use light::LightSpec;
+pub use light::{LightSpec, light_to_text};
 pub use stance::{object_from_text, stance_from_text};
 
 /// Words that are no light and no camera.

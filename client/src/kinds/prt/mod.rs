@@ -6,7 +6,7 @@ use lightkiln_proto::chunk;
 use lightkiln_proto::content::{ClusterTransport, PatchSet};
 use lightkiln_proto::kinds::{Kind, prt};
 use lightkiln_proto::manifest::CLUSTERS;
-use lightkiln_proto::relight::PatchTable;
+use lightkiln_proto::relight::{NO_PATCH, PatchTable};
 
 use crate::bake::{ClientKind, Light, LightStream};
 use crate::error::{ClientError, Result};
@@ -73,5 +73,23 @@ fn one_of(sets: &[PatchSet]) -> Result<&PatchSet> {
 impl ClientColumns for PatchTable {
     fn pass(&self, gpu: &Gpu, resident: &Resident) -> Result<Box<dyn ColumnsPass>> {
         Ok(Box::new(PatchesPass::new(gpu, self, resident)?))
+    }
+
+    fn patch_of_slots(&self, slots: usize) -> Option<Vec<u32>> {
+        let mut by_slot = vec![NO_PATCH; slots];
+        // Those of fewer leaves lie within those of more, and are the last to be written.
+        let mut coarse_first: Vec<usize> = (0..self.patches.len()).collect();
+        coarse_first.sort_by_key(|&patch| std::cmp::Reverse(self.patches[patch].leaf_count));
+        for patch in coarse_first {
+            let row = &self.patches[patch];
+            let leaves = row.first_leaf as usize..(row.first_leaf + row.leaf_count) as usize;
+            let entries = self.leaf_starts[leaves.start] as usize..self.leaf_starts[leaves.end] as usize;
+            for &slot in &self.slots[entries] {
+                if let Some(own) = by_slot.get_mut(slot as usize) {
+                    *own = patch as u32;
+                }
+            }
+        }
+        Some(by_slot)
     }
 }

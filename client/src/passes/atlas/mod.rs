@@ -52,6 +52,8 @@ pub struct AtlasNumbers {
 pub struct AtlasPass {
     pipeline: wgpu::ComputePipeline,
     group: wgpu::BindGroup,
+    /// Numbers, texels and sources.
+    layout: [wgpu::Buffer; 3],
     groups: [u32; 2],
     /// One layer per page, all as large as the largest.
     pub texture: wgpu::Texture,
@@ -83,26 +85,43 @@ impl AtlasPass {
             view_formats: &[],
         });
         let view = array_view(&texture);
-        let group = gpu.bind(
-            &pipeline.get_bind_group_layout(0),
-            &[
-                gpu.uniform("atlas", &numbers).as_entire_binding(),
-                gpu.storage("atlas texels", &texels.texels)?.as_entire_binding(),
-                gpu.storage("atlas sources", &texels.sources)?.as_entire_binding(),
-                resident.e_emit.as_entire_binding(),
-                resident.e_ind.as_entire_binding(),
-                wgpu::BindingResource::TextureView(&view),
-            ],
-        );
-        Ok(Self { pipeline, group, groups, texture, view })
+        let layout = [
+            gpu.uniform("atlas", &numbers),
+            gpu.storage("atlas texels", &texels.texels)?,
+            gpu.storage("atlas sources", &texels.sources)?,
+        ];
+        let group = bind(gpu, &pipeline, &layout, [&resident.e_emit, &resident.e_ind], &view);
+        Ok(Self { pipeline, group, layout, groups, texture, view })
+    }
+
+    /// The pass with other values by slot, in two parts of which it takes the sum.
+    pub fn bind(&self, gpu: &Gpu, parts: [&wgpu::Buffer; 2]) -> wgpu::BindGroup {
+        bind(gpu, &self.pipeline, &self.layout, parts, &self.view)
     }
 
     /// Records the pass.
     pub fn record(&self, pass: &mut wgpu::ComputePass<'_>) {
+        self.record_of(pass, &self.group);
+    }
+
+    /// Records the pass over the values of a group of [`AtlasPass::bind`].
+    pub fn record_of(&self, pass: &mut wgpu::ComputePass<'_>, group: &wgpu::BindGroup) {
         pass.set_pipeline(&self.pipeline);
-        pass.set_bind_group(0, &self.group, &[]);
+        pass.set_bind_group(0, group, &[]);
         pass.dispatch_workgroups(self.groups[0], self.groups[1], 1);
     }
+}
+
+fn bind(
+    gpu: &Gpu,
+    pipeline: &wgpu::ComputePipeline,
+    layout: &[wgpu::Buffer; 3],
+    parts: [&wgpu::Buffer; 2],
+    pages: &wgpu::TextureView,
+) -> wgpu::BindGroup {
+    let buffers = layout.iter().chain(parts).map(wgpu::Buffer::as_entire_binding);
+    let resources: Vec<_> = buffers.chain([wgpu::BindingResource::TextureView(pages)]).collect();
+    gpu.bind(&pipeline.get_bind_group_layout(0), &resources)
 }
 
 fn texture_size(layout: &LightmapLayout) -> wgpu::Extent3d {

@@ -10,6 +10,7 @@ use glam::{Vec2, Vec4};
 
 use crate::error::Result;
 use crate::passes::gpu::{Gpu, failed};
+use crate::passes::stopwatch::Stopwatch;
 
 /// The shader.
 pub const SHADER: &str = include_str!("change.wgsl");
@@ -96,11 +97,11 @@ impl ChangePass {
     }
 
     /// Runs the pass; its answer comes later. Where too many are under way, there is none for this call.
-    pub fn ask(&mut self, gpu: &Gpu) -> u64 {
+    pub fn ask(&mut self, gpu: &Gpu, watch: &mut Stopwatch) -> u64 {
         self.calls += 1;
         let landing = self.landings.iter_mut().find(|landing| landing.state.load(Ordering::Acquire) == FREE);
-        gpu.submit(|encoder| {
-            let mut pass = encoder.begin_compute_pass(&Default::default());
+        watch.submit(gpu, |encoder| {
+            let mut pass = encoder.compute("change");
             for (pipeline, group, groups) in &self.steps {
                 pass.set_pipeline(pipeline);
                 pass.set_bind_group(0, group, &[]);

@@ -12,6 +12,7 @@ use crate::error::Result;
 use crate::passes::gpu::{Gpu, failed, uniform};
 use crate::passes::meshes::{Meshes, sampled, uv_rows, vertex_layout};
 use crate::passes::shadow::{ShadowPass, cleared_depth, nearer_wins, tested_alone};
+use crate::passes::stopwatch::{Recorder, Stopwatch};
 use crate::scene::{LoadedDraw, LoadedScene, Tints};
 
 /// Look of a draw; twin of `ShadeDraw` in the shader.
@@ -56,6 +57,7 @@ pub struct ShadePass {
     pane_corners: wgpu::Buffer,
     sky: wgpu::RenderPipeline,
     view: wgpu::Buffer,
+    view_layout: wgpu::BindGroupLayout,
     view_group: wgpu::BindGroup,
     draws: wgpu::BindGroup,
     looks: wgpu::Buffer,
@@ -120,6 +122,7 @@ impl ShadePass {
             panes,
             sky: sky_pipeline(gpu, &layout, &module),
             view,
+            view_layout,
             view_group,
             draws,
             looks,
@@ -144,12 +147,44 @@ impl ShadePass {
         self.panes.set(index as u32, mesh);
     }
 
+    /// Makes targets of another size; the resources of shading's bindings may be others too.
+    pub fn resize(
+        &mut self,
+        gpu: &Gpu,
+        size: [u32; 2],
+        resources: &[wgpu::BindingResource<'_>],
+    ) -> Result<()> {
+        check_size(gpu, size)?;
+        let (target, depth) = create_targets(gpu, size);
+        self.target_view = target.create_view(&wgpu::TextureViewDescriptor::default());
+        (self.target, self.depth) = (target, depth);
+        self.bind(gpu, resources);
+        Ok(())
+    }
+
+    /// Binds other resources for shading.
+    pub fn bind(&mut self, gpu: &Gpu, resources: &[wgpu::BindingResource<'_>]) {
+        let resources = [&[self.view.as_entire_binding()], resources].concat();
+        self.view_group = gpu.bind(&self.view_layout, &resources);
+    }
+
+    /// The sample drawn last: rgb radiance, alpha 1 on surfaces.
+    pub fn radiance(&self) -> &wgpu::TextureView {
+        &self.target_view
+    }
+
     /// Draws one sample per pixel.
-    pub fn draw(&self, gpu: &Gpu, meshes: &Meshes, shadow: &ShadowPass, view: &ShadeView) {
+    pub fn draw(
+        &self,
+        (gpu, watch): (&Gpu, &mut Stopwatch),
+        meshes: &Meshes,
+        shadow: &ShadowPass,
+        view: &ShadeView,
+    ) {
         gpu.write(&self.view, std::slice::from_ref(view));
         let sorted = self.panes.farthest_first(view);
         gpu.write(&self.pane_corners, &sorted.iter().map(|pane| pane.corners).collect::<Vec<_>>());
-        gpu.submit(|encoder| self.record(encoder, meshes, shadow, &runs(&sorted)));
+        watch.submit(gpu, |encoder| self.record(encoder, meshes, shadow, &runs(&sorted)));
     }
 
     /// The sample drawn last, read back: rgb radiance, alpha 1 on surfaces.
@@ -159,7 +194,7 @@ impl ShadePass {
 
     fn record(
         &self,
-        encoder: &mut wgpu::CommandEncoder,
+        encoder: &mut Recorder<'_>,
         meshes: &Meshes,
         shadow: &ShadowPass,
         panes: &[(u32, Range<u32>)],
@@ -174,8 +209,10 @@ impl ShadePass {
             resolve_target: None,
             ops,
         };
+        let mark = encoder.mark("shade");
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("shade"),
+            timestamp_writes: mark.as_ref().and_then(|mark| mark.writes(true, true)),
             color_attachments: &[Some(attachment)],
             depth_stencil_attachment: Some(cleared_depth(&self.depth)),
             ..Default::default()
@@ -270,7 +307,8 @@ fn create_targets(gpu: &Gpu, size: [u32; 2]) -> (wgpu::Texture, wgpu::TextureVie
             view_formats: &[],
         })
     };
-    let target = create("picture", wgpu::TextureFormat::Rgba32Float, wgpu::TextureUsages::COPY_SRC);
+    let read = wgpu::TextureUsages::COPY_SRC | wgpu::TextureUsages::TEXTURE_BINDING;
+    let target = create("picture", wgpu::TextureFormat::Rgba32Float, read);
     let depth = create("depth", wgpu::TextureFormat::Depth32Float, wgpu::TextureUsages::empty());
     (target, depth.create_view(&wgpu::TextureViewDescriptor::default()))
 }

@@ -144,6 +144,9 @@ fn visible(scene: &LoadedScene, drawn: &[Drawn], width: u32, rows: Range<u32>) -
 fn radiance(lit: Lit<'_>, view: &ShadeView, drawn: &Drawn, [x, y]: [f64; 2]) -> Vec4 {
     let shaded = surface_at(lit.scene, drawn.draw, &drawn.triangle, (x, y), lit.emitter_scale);
     let surface = &shaded.surface;
+    if view.shows_irradiance() {
+        return lit.indirect.indirect_irradiance(surface).extend(shaded.stopped);
+    }
     let places = [surface.position, view.before(surface.position)];
     let e_dir = seen_irradiance(lit.plan, lit.maps, places, surface.normal, surface.facet);
     let own = shaded.emission + shaded.albedo / PI * (e_dir + lit.indirect.indirect_irradiance(surface));

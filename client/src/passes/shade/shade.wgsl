@@ -5,7 +5,7 @@
 
 struct ShadeView {
     clip_from_world: mat4x4f,
-    // Radiance straight up and at the horizon.
+    // Radiance straight up and at the horizon; then 1 where surfaces show irradiance in place of radiance.
     zenith: vec4f,
     horizon: vec4f,
     // World direction through the picture's middle, and its change per unit of ndc x and y.
@@ -120,6 +120,9 @@ fn shade(corner: Corner, @builtin(front_facing) front: bool) -> @location(0) vec
     facet = select(-facet, facet, dot(facet, normal) >= 0.0);
     let surface = Surface(corner.position, normal, facet, draw.index, front, corner.lightmap_texel);
     let met = stopped(mix(1.0, colour.a, draw.blends), colour.rgb, passing);
+    if view.horizon.w == 1.0 {
+        return vec4f(indirect_irradiance(surface), met.share);
+    }
     let rho = clamp(met.albedo, vec3f(0.0), vec3f(1.0));
     let e_dir = seen_irradiance(surface.position, before(surface.position), surface.normal, surface.facet);
     return vec4f(glow + rho * (1.0 / PI) * (e_dir + indirect_irradiance(surface)), met.share);

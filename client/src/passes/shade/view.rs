@@ -19,7 +19,7 @@ pub struct ShadeView {
     pub clip_from_world: [[f32; 4]; 4],
     /// Radiance straight up.
     pub zenith: [f32; 4],
-    /// Radiance at the horizon.
+    /// Radiance at the horizon; then 1 where surfaces show irradiance in place of radiance.
     pub horizon: [f32; 4],
     /// World direction through the picture's middle.
     pub ray: [f32; 4],
@@ -57,6 +57,18 @@ impl ShadeView {
             ray_per_x: ray_per_x.extend(0.0).into(),
             ray_per_y: ray_per_y.extend(pixel_at_unit_w).into(),
         })
+    }
+
+    /// The view with irradiance alone in place of radiance, or radiance again.
+    #[must_use]
+    pub fn showing_irradiance(mut self, shows: bool) -> Self {
+        self.horizon[3] = f32::from(u8::from(shows));
+        self
+    }
+
+    /// Surfaces show irradiance in place of radiance.
+    pub(super) fn shows_irradiance(&self) -> bool {
+        self.horizon[3] == 1.0
     }
 
     /// Clip space of the view.

@@ -12,6 +12,7 @@ use super::{Face, Light, LightCount, SHADER, ShadowPlan, ShadowRoom};
 use crate::error::Result;
 use crate::passes::gpu::{Gpu, array_view, storage_read, texture, uniform};
 use crate::passes::meshes::{Meshes, sampled, uv_rows, vertex_layout};
+use crate::passes::stopwatch::Recorder;
 use crate::scene::LoadedScene;
 
 /// Alpha mask of a draw; twin of `Mask` in the shader.
@@ -119,12 +120,16 @@ impl ShadowPass {
     }
 
     /// Records some faces of the plan that was set last: every mesh into each, then its glass.
-    pub fn record(&self, encoder: &mut wgpu::CommandEncoder, meshes: &Meshes, faces: Range<usize>) {
+    pub fn record(&self, encoder: &mut Recorder<'_>, meshes: &Meshes, faces: Range<usize>) {
+        let (first, last) = (faces.start, faces.end);
+        let mark = if faces.is_empty() { None } else { encoder.mark("shadow") };
         for face in faces {
             let view = &self.face_views[face];
             let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
                 label: Some("shadow"),
                 depth_stencil_attachment: Some(cleared_depth(view)),
+                // Glass of the last face comes behind its mark.
+                timestamp_writes: mark.as_ref().and_then(|mark| mark.writes(face == first, face + 1 == last)),
                 ..Default::default()
             });
             let offset = face as u32 * self.face_stride;

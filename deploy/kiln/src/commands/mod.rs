@@ -19,5 +19,7 @@ pub mod show;
 pub mod submit;
 pub mod token;
 pub mod top;
+#[cfg(feature = "view")]
+pub mod view;
 pub mod watch;
 pub mod worker;

@@ -25,6 +25,8 @@ mod tokens;
 mod traces;
 mod upkeep;
 mod uploads;
+#[cfg(feature = "view")]
+mod window;
 mod words;
 mod wrong_input;
 

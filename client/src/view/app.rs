@@ -1,0 +1,349 @@
+//! The window: its loop, its surface, the panel over the picture, files and the clipboard.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use winit::application::ApplicationHandler;
+use winit::dpi::PhysicalSize;
+use winit::event::WindowEvent;
+use winit::event_loop::{ActiveEventLoop, ControlFlow, EventLoop, EventLoopProxy};
+use winit::window::{Window, WindowId};
+
+use super::feed::Feed;
+use super::input::Input;
+use super::panel::{self, Facts, Wishes};
+use super::surface::{Screen, no_window};
+use super::viewer::Viewer;
+use super::{Options, Subject};
+use crate::bake::LoadedBake;
+use crate::error::{ClientError, Result};
+use crate::passes::gpu::Gpu;
+use crate::picture::write_png;
+
+/// Weight of the last picture in the mean time of pictures.
+const LAST_WEIGHT: f32 = 0.1;
+/// Most pictures of a folder that F12 writes.
+const PICTURES_MAX: u32 = 9_999;
+
+/// A piece of light has come.
+#[derive(Debug)]
+struct Woken;
+
+/// Opens a window on a bake, until the user closes it.
+pub fn run(subject: Subject, options: Options) -> Result<()> {
+    let event_loop = open_loop()?;
+    event_loop.set_control_flow(ControlFlow::Wait);
+    let wake = event_loop.create_proxy();
+    let mut app = App { start: Some((subject, options)), wake, running: None, outcome: Ok(()) };
+    let ran = event_loop.run_app(&mut app);
+    app.outcome?;
+    ran.map_err(|error| no_window(error.to_string()))
+}
+
+/// The loop of a display. A library of the display that is missing is a panic of the crate that opens it, which is caught.
+fn open_loop() -> Result<EventLoop<Woken>> {
+    let opened = std::panic::catch_unwind(|| EventLoop::with_user_event().build());
+    let problem = match opened {
+        Ok(Ok(event_loop)) => return Ok(event_loop),
+        Ok(Err(error)) => {
+            // Its words name files of the build.
+            tracing::debug!(%error, "no display");
+            "there is no display: start it in a desktop session, or set DISPLAY or WAYLAND_DISPLAY to one that is there"
+                .to_owned()
+        }
+        Err(_) => {
+            "a library of the display cannot be loaded: on Debian install libx11-6, libxcursor1, libxi6, \
+                   libxkbcommon-x11-0 and libx11-xcb1"
+                .to_owned()
+        }
+    };
+    Err(no_window(problem))
+}
+
+struct App {
+    start: Option<(Subject, Options)>,
+    wake: EventLoopProxy<Woken>,
+    running: Option<Running>,
+    outcome: Result<()>,
+}
+
+impl App {
+    /// Ends the loop where something is wrong, or asks for its end.
+    fn follow(&mut self, event_loop: &ActiveEventLoop, done: Result<bool>) {
+        match done {
+            Ok(false) => {}
+            Ok(true) => event_loop.exit(),
+            Err(error) => {
+                self.outcome = Err(error);
+                event_loop.exit();
+            }
+        }
+    }
+}
+
+impl ApplicationHandler<Woken> for App {
+    fn resumed(&mut self, event_loop: &ActiveEventLoop) {
+        let Some((subject, options)) = self.start.take() else { return };
+        match Running::open(event_loop, subject, options, self.wake.clone()) {
+            Ok(running) => self.running = Some(running),
+            Err(error) => self.follow(event_loop, Err(error)),
+        }
+    }
+
+    fn window_event(&mut self, event_loop: &ActiveEventLoop, _: WindowId, event: WindowEvent) {
+        let Some(running) = &mut self.running else { return };
+        let done = match &event {
+            WindowEvent::CloseRequested => running.finish().map(|()| true),
+            WindowEvent::RedrawRequested => running.draw(),
+            _ => {
+                running.event(&event);
+                Ok(false)
+            }
+        };
+        self.follow(event_loop, done);
+    }
+
+    fn user_event(&mut self, _: &ActiveEventLoop, _: Woken) {
+        self.running.iter().for_each(|running| running.screen.window.request_redraw());
+    }
+
+    fn new_events(&mut self, event_loop: &ActiveEventLoop, cause: winit::event::StartCause) {
+        if let winit::event::StartCause::ResumeTimeReached { .. } = cause {
+            event_loop.set_control_flow(ControlFlow::Wait);
+            self.running.iter().for_each(|running| running.screen.window.request_redraw());
+        }
+    }
+
+    fn about_to_wait(&mut self, event_loop: &ActiveEventLoop) {
+        let wanted = self.running.as_mut().and_then(|running| running.redraw_at.take());
+        if let Some(at) = wanted {
+            event_loop.set_control_flow(ControlFlow::WaitUntil(at));
+        }
+    }
+
+    fn exiting(&mut self, _: &ActiveEventLoop) {
+        // The surface goes before the window's display does.
+        self.running = None;
+    }
+}
+
+/// An open window.
+struct Running {
+    viewer: Viewer,
+    egui: egui_winit::State,
+    painter: egui_wgpu::Renderer,
+    feed: Option<Feed>,
+    facts: Facts,
+    options: Options,
+    gpu: Arc<Gpu>,
+    screen: Screen,
+    drawn: u64,
+    last: Instant,
+    /// When egui wants another picture.
+    redraw_at: Option<Instant>,
+}
+
+impl Running {
+    fn open(
+        event_loop: &ActiveEventLoop,
+        subject: Subject,
+        options: Options,
+        wake: EventLoopProxy<Woken>,
+    ) -> Result<Self> {
+        let view = &options.view;
+        let attributes = Window::default_attributes()
+            .with_title(format!("{} · Lightkiln", options.bake_words))
+            .with_inner_size(PhysicalSize::new(view.width, view.height));
+        let window = event_loop.create_window(attributes).map_err(|error| no_window(error.to_string()))?;
+        let (gpu, screen) = Screen::open(Arc::new(window))?;
+        let (bake, feed) = opened(subject, &options, wake);
+        let mut viewer =
+            Viewer::new((Arc::clone(&gpu), screen.format()), bake, view.clone(), &options.materials)?;
+        viewer.is_panel_open = options.has_panel;
+        let (ctx, id) = (egui::Context::default(), egui::ViewportId::ROOT);
+        let most = Some(gpu.device.limits().max_texture_dimension_2d as usize);
+        let scale = Some(screen.window.scale_factor() as f32);
+        let egui = egui_winit::State::new(ctx, id, &*screen.window, scale, screen.window.theme(), most);
+        let painter = egui_wgpu::Renderer::new(&gpu.device, screen.format(), Default::default());
+        let facts = Facts { drawn_by: gpu.name.clone(), notes: options.notes.clone(), ..Facts::default() };
+        screen.window.request_redraw();
+        let last = Instant::now();
+        Ok(Self { viewer, egui, painter, feed, facts, options, gpu, screen, drawn: 0, last, redraw_at: None })
+    }
+
+    /// Takes an event that is not about the window itself.
+    fn event(&mut self, event: &WindowEvent) {
+        if let WindowEvent::Resized(size) = event {
+            self.screen.resize(&self.gpu, *size);
+        }
+        let response = self.egui.on_window_event(&self.screen.window, event);
+        let input = Input::of(event);
+        let counts = |input: &Input| !response.consumed || input.ends() || matches!(input, Input::Pointer(_));
+        let taken = input.filter(counts);
+        if let Some(input) = taken {
+            self.viewer.input(input);
+        }
+        if response.repaint || taken.is_some() || matches!(event, WindowEvent::Resized(_)) {
+            self.screen.window.request_redraw();
+        }
+    }
+
+    /// Draws a picture and the panel over it; whether it was the last.
+    fn draw(&mut self) -> Result<bool> {
+        self.gpu.check()?;
+        self.hear()?;
+        let Some(size) = self.screen.size() else { return Ok(false) };
+        let seconds = self.last.elapsed().as_secs_f32();
+        self.last = Instant::now();
+        self.viewer.resize(size)?;
+        let (wishes, mut output) = self.panel();
+        let freed = self.upload(&mut output);
+        self.viewer.step(seconds)?;
+        self.facts.frame_ms += LAST_WEIGHT * (1e3 * seconds - self.facts.frame_ms);
+        if let Some(texture) = self.screen.next(&self.gpu) {
+            self.paint(&texture, output);
+            self.screen.window.pre_present_notify();
+            self.gpu.queue.present(texture);
+            // Pictures of a part of the light are not those that are waited for.
+            self.drawn += u64::from(self.feed.is_none());
+        }
+        for id in freed {
+            self.painter.free_texture(&id);
+        }
+        self.grant(wishes)?;
+        if self.options.frames.is_some_and(|frames| self.drawn >= frames) {
+            return self.finish().map(|()| true);
+        }
+        if self.viewer.is_busy() || self.options.frames.is_some() {
+            self.screen.window.request_redraw();
+        }
+        Ok(false)
+    }
+
+    /// Takes light that has come. A server that is lost is said, and the light that there is stays.
+    fn hear(&mut self) -> Result<()> {
+        let Some(feed) = &mut self.feed else { return Ok(()) };
+        match feed.next() {
+            Ok(Some(piece)) => self.viewer.set_bake(piece.bake)?,
+            Ok(None) => {}
+            Err(error) => self.viewer.notice = Some(format!("no more light is fetched: {error}")),
+        }
+        self.facts.streamed = Some(feed.streamed);
+        let camera = self.viewer.camera().clone();
+        let lights = self.viewer.edits.lights.clone();
+        let emitter_scale = self.viewer.edits.emitters.clone();
+        feed.look(crate::preview::View { camera, lights, emitter_scale, ..self.options.view.clone() });
+        if feed.is_over() {
+            self.feed = None;
+        }
+        Ok(())
+    }
+
+    /// Runs the panel: the user's wishes, and what is to be painted.
+    fn panel(&mut self) -> (Wishes, egui::FullOutput) {
+        let input = self.egui.take_egui_input(&self.screen.window);
+        let ctx = self.egui.egui_ctx().clone();
+        let mut wishes = Wishes::default();
+        let (viewer, facts) = (&mut self.viewer, &self.facts);
+        let mut output = ctx.run_pass(input, |ctx| wishes = panel::show(ctx, viewer, facts));
+        self.egui.handle_platform_output(&self.screen.window, std::mem::take(&mut output.platform_output));
+        let delay = output.viewport_output.values().map(|viewport| viewport.repaint_delay).min();
+        self.redraw_at =
+            delay.filter(|delay| *delay < Duration::from_secs(3600)).map(|delay| Instant::now() + delay);
+        (wishes, output)
+    }
+
+    fn paint(&mut self, texture: &wgpu::SurfaceTexture, output: egui::FullOutput) {
+        let Gpu { device, queue, .. } = &*self.gpu;
+        let triangles = self.egui.egui_ctx().tessellate(output.shapes, output.pixels_per_point);
+        let size_in_pixels = [texture.texture.width(), texture.texture.height()];
+        let screen =
+            egui_wgpu::ScreenDescriptor { size_in_pixels, pixels_per_point: output.pixels_per_point };
+        let view = texture.texture.create_view(&wgpu::TextureViewDescriptor::default());
+        self.gpu.submit(|encoder| {
+            self.viewer.present(encoder, &view);
+            self.painter.update_buffers(device, queue, encoder, &triangles, &screen);
+            let ops = wgpu::Operations { load: wgpu::LoadOp::Load, store: wgpu::StoreOp::Store };
+            let attachment =
+                wgpu::RenderPassColorAttachment { view: &view, depth_slice: None, resolve_target: None, ops };
+            let pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+                label: Some("panel"),
+                color_attachments: &[Some(attachment)],
+                ..Default::default()
+            });
+            self.painter.render(&mut pass.forget_lifetime(), &triangles, &screen);
+        });
+    }
+
+    /// Uploads the panel's textures, whether or not there is a picture to paint them on.
+    #[allow(clippy::iter_over_hash_type, reason = "textures know nothing of each other")]
+    fn upload(&mut self, output: &mut egui::FullOutput) -> Vec<egui::TextureId> {
+        let Gpu { device, queue, .. } = &*self.gpu;
+        let mut textures = std::mem::take(&mut output.textures_delta);
+        for (id, deltas) in &textures.set {
+            for delta in deltas {
+                self.painter.update_texture(device, queue, *id, delta);
+            }
+        }
+        let freed = textures.free.iter().copied().collect();
+        textures.clear();
+        freed
+    }
+
+    /// Does what the panel or a key asked for. A file or a clipboard that fails is said in the panel.
+    fn grant(&mut self, wishes: Wishes) -> Result<()> {
+        if wishes.copies {
+            let (command, notes) = self.viewer.command(&self.options.bake_words);
+            println!("{command}");
+            let copied = arboard::Clipboard::new().and_then(|mut clipboard| clipboard.set_text(command));
+            let said = match copied {
+                Ok(()) => "copied, and printed".to_owned(),
+                Err(error) => format!("printed on standard output; not copied ({error})"),
+            };
+            self.viewer.notice = Some([vec![said], notes].concat().join("; "));
+        }
+        if wishes.picture || std::mem::take(&mut self.viewer.wants_picture) {
+            let path = unused_picture();
+            self.viewer.notice = Some(match self.write(&path) {
+                Ok(()) => format!("{} is written", path.display()),
+                Err(error @ (ClientError::File { .. } | ClientError::Picture { .. })) => error.to_string(),
+                Err(error) => return Err(error),
+            });
+        }
+        Ok(())
+    }
+
+    fn write(&self, path: &std::path::Path) -> Result<()> {
+        let [width, height] = self.viewer.size();
+        write_png(path, width, height, &self.viewer.picture()?)
+    }
+
+    /// Writes the last picture where that was asked for.
+    fn finish(&self) -> Result<()> {
+        self.options.screenshot.as_ref().map_or(Ok(()), |path| self.write(path))
+    }
+}
+
+/// The bake, and the feed of more of its light.
+fn opened(
+    subject: Subject,
+    options: &Options,
+    wake: EventLoopProxy<Woken>,
+) -> (Arc<LoadedBake>, Option<Feed>) {
+    match subject {
+        Subject::Whole(bake) => (Arc::new(*bake), None),
+        Subject::Streamed(stream) => {
+            // A loop that has ended needs no waking.
+            let wake = move || drop(wake.send_event(Woken));
+            let (feed, bake) = Feed::start(*stream, options.view.clone(), wake);
+            (bake, Some(feed))
+        }
+    }
+}
+
+/// The first numbered file that is not there.
+fn unused_picture() -> PathBuf {
+    let file = |number: u32| PathBuf::from(format!("kiln-{number:04}.png"));
+    (1..PICTURES_MAX).map(file).find(|path| !path.exists()).unwrap_or_else(|| file(PICTURES_MAX))
+}

@@ -1,0 +1,329 @@
+//! The panel: lights, emitters, colours, exposure, overlays, times; and the handles over the picture.
+
+use std::ops::RangeInclusive;
+
+use egui::{Color32, Context, DragValue, Pos2, Slider, Stroke, Ui};
+use glam::Vec3;
+use lightkiln_proto::scene::{LightKind, SceneLight};
+
+use super::edits::{Edits, new_light};
+use super::handles::Part;
+use super::viewer::Viewer;
+use crate::bake::Overlay;
+use crate::picture::{Exposure, Tone};
+use crate::stream::Streamed;
+
+/// Radius of a handle in points.
+const HANDLE: f32 = 7.0;
+/// Stops of exposure either way.
+const STOPS: RangeInclusive<f32> = -16.0..=16.0;
+/// Least strength that a colour is told of.
+const DARK: f32 = 1e-9;
+
+/// Numbers that the window knows.
+#[derive(Clone, Debug, Default)]
+pub struct Facts {
+    /// Adapter that draws.
+    pub drawn_by: String,
+    /// Milliseconds from picture to picture, the mean of some.
+    pub frame_ms: f32,
+    /// Light that has come, of a bake that streams.
+    pub streamed: Option<Streamed>,
+    /// Notes of the bake.
+    pub notes: Vec<String>,
+}
+
+/// Things that the user asks the window for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Wishes {
+    /// The command of this picture on the clipboard.
+    pub copies: bool,
+    /// The picture in a file.
+    pub picture: bool,
+}
+
+/// Shows handles, and the panel if it is open.
+pub fn show(ctx: &Context, viewer: &mut Viewer, facts: &Facts) -> Wishes {
+    let mut wishes = Wishes::default();
+    paint_handles(ctx, viewer);
+    if viewer.is_panel_open {
+        let window =
+            egui::Window::new("Lightkiln").default_pos([8.0, 8.0]).default_width(300.0).vscroll(true);
+        window.show(ctx, |ui| wishes = contents(ui, viewer, facts));
+    }
+    wishes
+}
+
+fn paint_handles(ctx: &Context, viewer: &Viewer) {
+    let painter = ctx.layer_painter(egui::LayerId::background());
+    let scale = ctx.pixels_per_point();
+    let point = |pixel: glam::Vec2| Pos2::new(pixel.x / scale, pixel.y / scale);
+    let handles = viewer.handles();
+    for handle in &handles {
+        let is_chosen = viewer.chosen == Some(handle.light);
+        let Some(light) = viewer.edits.lights.get(handle.light) else { continue };
+        // An aim is shown with its light, when that is chosen.
+        if handle.part == Part::Aim && !is_chosen {
+            continue;
+        }
+        let at = point(handle.pixel);
+        let rim = Stroke::new(2.0, if is_chosen { Color32::WHITE } else { Color32::from_gray(40) });
+        let place = handles.iter().find(|other| other.light == handle.light && other.part == Part::Place);
+        if let Some(place) = place.filter(|_| handle.part == Part::Aim) {
+            painter.line_segment([point(place.pixel), at], rim);
+        }
+        painter.circle_filled(at, HANDLE, shown_colour(light.strength));
+        painter.circle_stroke(at, HANDLE, rim);
+        if handle.part == Part::Sun {
+            painter.circle_stroke(at, HANDLE + 4.0, rim);
+        }
+    }
+}
+
+/// The colour of a light at full brightness.
+fn shown_colour(strength: [f32; 3]) -> Color32 {
+    let [r, g, b] = parts(strength).0;
+    egui::Rgba::from_rgb(r, g, b).into()
+}
+
+fn contents(ui: &mut Ui, viewer: &mut Viewer, facts: &Facts) -> Wishes {
+    let mut wishes = Wishes::default();
+    ui.horizontal(|ui| {
+        wishes.copies = ui.button("Copy command").on_hover_text("kiln preview … for this picture").clicked();
+        wishes.picture = ui.button("Picture (F12)").clicked();
+    });
+    if let Some(notice) = &viewer.notice {
+        ui.label(notice);
+    }
+    state(ui, viewer, facts);
+    section(ui, "Lights", true, |ui| lights(ui, viewer));
+    section(ui, "Exposure", false, |ui| exposure(ui, viewer));
+    let emitters = viewer.bake().scene.manifest.emitters.iter().map(|emitter| emitter.name.clone());
+    let emitters: Vec<String> = emitters.collect();
+    if !emitters.is_empty() {
+        section(ui, "Lamps of the scene", false, |ui| {
+            for (scale, name) in viewer.edits.emitters.iter_mut().zip(emitters) {
+                ui.add(Slider::new(scale, 0.0..=100.0).logarithmic(true).text(name));
+            }
+        });
+    }
+    section(ui, "Materials", false, |ui| materials(ui, &mut viewer.edits));
+    section(ui, "Overlay", false, |ui| overlay(ui, viewer, facts));
+    section(ui, "Times", false, |ui| times(ui, viewer, facts));
+    section(ui, "Keys", false, |ui| {
+        ui.label("W A S D fly, Q E down and up, right button looks around, wheel changes the speed, shift is faster");
+        ui.label(
+            "left button drags a light's handle, with shift along the view; Delete removes the chosen light",
+        );
+        ui.label("Home is the bake's camera, F1 hides this panel, F12 writes a picture");
+    });
+    wishes
+}
+
+fn section(ui: &mut Ui, title: &str, is_open: bool, add: impl FnOnce(&mut Ui)) {
+    egui::CollapsingHeader::new(title).default_open(is_open).show(ui, add);
+}
+
+fn state(ui: &mut Ui, viewer: &Viewer, facts: &Facts) {
+    let settling = viewer.settling();
+    let bounces = settling.bounces;
+    let change = settling.change.map_or("?".to_owned(), |change| format!("{:.2} %", 100.0 * change));
+    ui.label(match settling.is_settled {
+        true => format!("light settled after {bounces} bounces"),
+        false => format!("bounce {bounces}, the last changed {change}"),
+    });
+    if let Some(Streamed { bytes, bytes_all, clusters, clusters_all }) = facts.streamed {
+        let percent = 100.0 * bytes as f64 / bytes_all.max(1) as f64;
+        ui.label(format!("{percent:.0} % of the light is here: {clusters} of {clusters_all} clusters"));
+    }
+    for note in &facts.notes {
+        ui.label(note);
+    }
+}
+
+fn lights(ui: &mut Ui, viewer: &mut Viewer) {
+    let mut removed = None;
+    let is_dragging = ui.ctx().input(|input| input.pointer.any_down());
+    for index in 0..viewer.edits.lights.len() {
+        let is_chosen = viewer.chosen == Some(index);
+        let light = &mut viewer.edits.lights[index];
+        ui.push_id(index, |ui| {
+            ui.horizontal(|ui| {
+                let name = format!("{} · {}", kind_of(light), light.name);
+                if ui.selectable_label(is_chosen, name).clicked() {
+                    viewer.chosen = (!is_chosen).then_some(index);
+                }
+                if ui.small_button("remove").clicked() {
+                    removed = Some(index);
+                }
+            });
+            controls(ui, light, is_dragging);
+        });
+    }
+    if let Some(index) = removed {
+        viewer.chosen = Some(index);
+        viewer.remove_chosen();
+    }
+    ui.horizontal(|ui| {
+        ui.label("add");
+        for kind in ["point", "spot", "sun", "sky"] {
+            if ui.small_button(kind).clicked() {
+                let (place_m, diagonal_m) = (viewer.place_ahead_m(), viewer.diagonal_m());
+                viewer.chosen = Some(viewer.edits.lights.len());
+                let number = viewer.edits.lights.len() + 1;
+                viewer.edits.lights.push(new_light(kind, number, place_m, diagonal_m));
+            }
+        }
+    });
+}
+
+fn kind_of(light: &SceneLight) -> &'static str {
+    match light.kind {
+        LightKind::Point { .. } => "point",
+        LightKind::Spot { .. } => "spot",
+        LightKind::Sun { .. } => "sun",
+        LightKind::Sky { .. } => "sky",
+    }
+}
+
+/// A colour of at most 1, and the factor on it.
+fn parts(strength: [f32; 3]) -> ([f32; 3], f32) {
+    let most = strength.into_iter().fold(0.0, f32::max);
+    if most < DARK { ([1.0; 3], 0.0) } else { (strength.map(|channel| channel / most), most) }
+}
+
+fn controls(ui: &mut Ui, light: &mut SceneLight, is_dragging: bool) {
+    let unit = match light.kind {
+        LightKind::Point { .. } | LightKind::Spot { .. } => " W/sr",
+        LightKind::Sun { .. } => " W/m²",
+        LightKind::Sky { .. } => " ×",
+    };
+    ui.horizontal(|ui| {
+        if let LightKind::Sky { zenith, horizon } = &mut light.kind {
+            ui.color_edit_button_rgb(zenith).on_hover_text("straight up");
+            ui.color_edit_button_rgb(horizon).on_hover_text("at the horizon");
+        }
+        let (mut colour, mut factor) = parts(light.strength);
+        let mut is_changed = match light.kind {
+            LightKind::Sky { .. } => false,
+            // A light that is off has a colour again when it is on.
+            _ => factor > 0.0 && ui.color_edit_button_rgb(&mut colour).changed(),
+        };
+        let speed = 0.01 * f64::from(factor.max(0.1));
+        let strength = DragValue::new(&mut factor).speed(speed).range(0.0..=1e7).suffix(unit);
+        is_changed |= ui.add(strength).changed();
+        if is_changed {
+            light.strength = colour.map(|channel| channel * factor);
+        }
+    });
+    match &mut light.kind {
+        LightKind::Point { position_m, .. } => place(ui, position_m),
+        LightKind::Spot { position_m, direction, inner_rad, outer_rad, .. } => {
+            place(ui, position_m);
+            angles(ui, direction, is_dragging);
+            ui.horizontal(|ui| {
+                ui.label("cone");
+                ui.drag_angle(inner_rad);
+                ui.drag_angle(outer_rad);
+            });
+            *outer_rad = outer_rad.clamp(0.002, std::f32::consts::FRAC_PI_2);
+            *inner_rad = inner_rad.clamp(0.0, *outer_rad);
+        }
+        LightKind::Sun { direction } => angles(ui, direction, is_dragging),
+        LightKind::Sky { .. } => {}
+    }
+}
+
+fn place(ui: &mut Ui, place_m: &mut [f32; 3]) {
+    ui.horizontal(|ui| {
+        for axis in place_m {
+            ui.add(DragValue::new(axis).speed(0.02).suffix(" m"));
+        }
+    });
+}
+
+/// A direction as the place in the sky that light comes from: azimuth and elevation.
+fn angles(ui: &mut Ui, direction: &mut [f32; 3], _is_dragging: bool) {
+    let from = -Vec3::from(*direction).normalize_or(Vec3::NEG_Y);
+    let mut azimuth = from.x.atan2(from.z).to_degrees();
+    let mut elevation = from.y.clamp(-1.0, 1.0).asin().to_degrees();
+    ui.horizontal(|ui| {
+        let around = ui.add(DragValue::new(&mut azimuth).speed(0.5).suffix("° around"));
+        let up = ui.add(DragValue::new(&mut elevation).speed(0.5).range(-89.9..=89.9).suffix("° up"));
+        if around.changed() || up.changed() {
+            let (azimuth, elevation) = (azimuth.to_radians(), elevation.to_radians());
+            let level = elevation.cos();
+            let from = Vec3::new(level * azimuth.sin(), elevation.sin(), level * azimuth.cos());
+            *direction = (-from).into();
+        }
+    });
+}
+
+fn exposure(ui: &mut Ui, viewer: &mut Viewer) {
+    let found = viewer.exposure();
+    let edits = &mut viewer.edits;
+    let mut is_automatic = matches!(edits.exposure, Exposure::Auto { .. });
+    if ui.checkbox(&mut is_automatic, "automatic").changed() {
+        edits.exposure = if is_automatic { Exposure::default() } else { Exposure::Fixed(found) };
+    }
+    match &mut edits.exposure {
+        Exposure::Auto { stops } => {
+            ui.add(Slider::new(stops, STOPS).text("stops above"));
+        }
+        Exposure::Fixed(factor) => {
+            ui.add(Slider::new(factor, 1e-6..=1e6).logarithmic(true).text("factor"));
+        }
+    }
+    ui.horizontal(|ui| {
+        for (tone, name) in [(Tone::Filmic, "filmic"), (Tone::Reinhard, "reinhard"), (Tone::Linear, "none")] {
+            ui.selectable_value(&mut edits.tone, tone, name);
+        }
+    });
+}
+
+fn materials(ui: &mut Ui, edits: &mut Edits) {
+    for colour in &mut edits.colours {
+        ui.horizontal(|ui| {
+            if colour.is_glass {
+                ui.label(format!("{} (glass: its colour is baked)", colour.material));
+                return;
+            }
+            ui.color_edit_button_rgb(&mut colour.now);
+            ui.label(&colour.material);
+            if colour.now != colour.baked && ui.small_button("as baked").clicked() {
+                colour.now = colour.baked;
+            }
+        });
+    }
+}
+
+fn overlay(ui: &mut Ui, viewer: &mut Viewer, facts: &Facts) {
+    let chosen = &mut viewer.edits.overlay;
+    ui.radio_value(chosen, None, "none");
+    ui.radio_value(chosen, Some(Overlay::Clusters), "clusters");
+    ui.radio_value(chosen, Some(Overlay::Patches), "patches");
+    if let Some(Streamed { clusters, .. }) = facts.streamed {
+        let residency = Overlay::Residency { clusters };
+        let is_chosen = matches!(chosen, Some(Overlay::Residency { .. }));
+        if ui.radio(is_chosen, "what has come: green is here, red is the overview").clicked() || is_chosen {
+            *chosen = Some(residency);
+        }
+    }
+}
+
+fn times(ui: &mut Ui, viewer: &Viewer, facts: &Facts) {
+    let ms = facts.frame_ms;
+    ui.label(format!("{ms:.1} ms a picture, by {}", facts.drawn_by));
+    ui.label(format!("{:.2} m/s of flight", viewer.fly.speed_m()));
+    let Some(times) = viewer.pass_times() else {
+        ui.label("times of passes: not supported by this adapter");
+        return;
+    };
+    egui::Grid::new("times").show(ui, |ui| {
+        for time in times {
+            ui.label(time.name);
+            ui.label(format!("{:.3} ms", time.last_ms));
+            ui.end_row();
+        }
+    });
+}

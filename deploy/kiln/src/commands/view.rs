@@ -1,0 +1,50 @@
+//! `kiln view`: a window on a bake, from a bundle or from a farm.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use lightkiln_client::view::{self, Options};
+
+use crate::arguments::BakeArgument;
+use crate::console::say;
+use crate::failure::Result;
+use crate::kinds::KindTables;
+use crate::outputs::check_png;
+use crate::picture::LookArguments;
+use crate::switched_off::SwitchedOff;
+
+/// Arguments of `kiln view`.
+#[derive(Args, Debug)]
+pub struct Arguments {
+    #[command(flatten)]
+    source: BakeArgument,
+    #[command(flatten)]
+    look: LookArguments,
+    /// Opens the window without the panel, which F1 shows
+    #[arg(long, help_heading = "Window")]
+    no_panel: bool,
+    /// Closes the window after so many pictures, each with a bounce more until light has settled; those before all light
+    /// has come from a server do not count
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..), help_heading = "Window")]
+    frames: Option<u64>,
+    /// Writes the last picture when the window closes, without the panel
+    #[arg(long, value_name = "PNG", help_heading = "Window")]
+    screenshot: Option<PathBuf>,
+    #[command(flatten)]
+    off: SwitchedOff,
+}
+
+/// Opens the window, until it is closed.
+pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
+    let Arguments { source, look, no_panel, frames, screenshot, off } = arguments;
+    look.check()?;
+    screenshot.as_deref().map_or(Ok(()), check_png)?;
+    let (subject, view, notes) = look.opened(&source.open()?, &kinds.client, &off)?;
+    for note in &notes {
+        say!("note: {note}");
+    }
+    let materials = look.colours().to_vec();
+    let bake_words = source.words();
+    let options = Options { view, materials, bake_words, notes, has_panel: !no_panel, frames, screenshot };
+    Ok(view::run(subject, options)?)
+}
