@@ -5,7 +5,7 @@ import { THREADS, dispatch, groupsFor } from "./gpu.js";
 import { arrayView } from "./targets.js";
 
 export class AtlasPass {
-  // Uploads the texels that hold irradiance; makes the pages: rgb irradiance, alpha the kind of texel.
+  /** Uploads the texels that hold irradiance; makes the pages: rgb irradiance, alpha the kind of texel. */
   static async create(gpu, { pages }, texels, resident) {
     const pass = new AtlasPass();
     const pipeline = await gpu.compute("atlas", "spread");

@@ -15,7 +15,7 @@ export class ChangePass {
   #free = [];
   #underWay = new Set();
 
-  // Binds E_ind; the first call compares it with black.
+  /** Binds E_ind; the first call compares it with black. */
   static async create(gpu, { eInd, receiverCount }) {
     const pass = new ChangePass();
     const groups = Math.min(Math.max(Math.ceil(receiverCount / THREADS), 1), GROUPS_MAX);
@@ -40,8 +40,10 @@ export class ChangePass {
     return pass;
   }
 
-  // Runs the pass, and calls `heard` with the relative change when it is known: 0 when both are black, no finite number where
-  // light is none. Where too many answers are under way, there is none for this call.
+  /**
+   * Runs the pass, and calls `heard` with the relative change when it is known: 0 when both are black, no finite number where
+   * light is none. Where too many answers are under way, there is none for this call.
+   */
   ask(heard) {
     const landing = this.#free.pop();
     this.gpu.submit((encoder) => {
@@ -60,7 +62,7 @@ export class ChangePass {
     }
   }
 
-  // Waits for all answers that are under way.
+  /** Waits for all answers that are under way. */
   async idle() {
     await Promise.all(this.#underWay);
   }

@@ -5,7 +5,7 @@ import { COMPUTE, THREADS, dispatch, groupsFor } from "./gpu.js";
 const KINDS = ["uniform", "read-only-storage", "read-only-storage", "storage", "read-only-storage", "read-only-storage"];
 
 export class DirectPass {
-  // Uploads the points of all texels.
+  /** Uploads the points of all texels. */
   static async create(gpu, { starts, points, reachM }, shadow, resident) {
     const pass = new DirectPass();
     const layout = gpu.bindLayout(KINDS.map((type) => ({ visibility: COMPUTE, buffer: { type } })));

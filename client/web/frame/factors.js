@@ -62,7 +62,7 @@ export class ReconstructPass {
   }
 }
 
-// Clusters by pages of one of their factors, with the rows and words of each page in buffers.
+/** Clusters by pages of one of their factors, with the rows and words of each page in buffers. */
 function pagesOf(gpu, table, factor) {
   const bytes = table.clusters.map((cluster) => 4 * cluster[factor].len);
   return gpu.pages(`cluster's ${factor}`, bytes).map(([from, to]) => {

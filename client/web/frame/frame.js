@@ -7,7 +7,6 @@
 // Twin of client/src/frame. Bounces go on from the light that there is: after a small change a few are enough.
 
 import { isBlack, skyOf } from "../relight/sky.js";
-import { ChangePass } from "./change.js";
 import { Gpu } from "./gpu.js";
 import { halves } from "./halves.js";
 import { cameraOf, castersOf, checkLights, checkScale, lightsOf } from "./lights.js";
@@ -41,17 +40,19 @@ export class Frame {
   #emitterScale = [];
   #camera;
   #plan;
-  // Work that changes have left to do: all shadow maps and E_dir; cascades alone; black E_ind; pages of the last bounce.
-  #stale = { lights: true, cascades: true, light: true, pages: true };
+  // Work that changes have left to do: all shadow maps and E_dir; E_dir alone; cascades alone; black E_ind; pages of the last bounce.
+  #stale = { lights: true, direct: true, cascades: true, light: true, pages: true };
   // Bounces since the last change, and the last change by one that was heard of.
   #bounces = { count: 0, change: null };
 
-  // Uploads a bake and makes all buffers and pipelines. Options:
-  //   width, height   of the picture in pixels
-  //   format          of what is drawn into, a canvas' by default
-  //   shaders         texts by name; fetched by default
-  //   camera, lights  the bake's own by default
-  //   shadows         room for lights and maps: {lights, faces, side}
+  /**
+   * Uploads a bake and makes all buffers and pipelines. Options:
+   *   width, height   of the picture in pixels
+   *   format          of what is drawn into, a canvas' by default
+   *   shaders         texts by name; fetched by default
+   *   camera, lights  the bake's own by default
+   *   shadows         room for lights and maps: {lights, faces, side}
+   */
   static async create(device, bake, options) {
     const frame = new Frame();
     const shaders = options.shaders ?? (await fetchShaders());
@@ -81,7 +82,6 @@ export class Frame {
     this.shadow = await ShadowPass.create(gpu, bake.scene, meshes, this.room);
     this.light = await LightPasses.create(gpu, bake, this.shadow);
     this.shade = await ShadePass.create(gpu, bake.scene, meshes, this.shadow, this.light.atlas, this.size);
-    this.change = await ChangePass.create(gpu, this.light.resident);
     this.tone = await TonePass.create(gpu, format ?? navigator.gpu.getPreferredCanvasFormat());
     this.tone.bind(this.shade.targetView);
     // Factor on radiance before the tone curve, and the curve.
@@ -95,7 +95,7 @@ export class Frame {
     this.setLights(own);
   }
 
-  // Sets lights and skies. Errs, and changes nothing, where they are more than the room holds.
+  /** Sets lights and skies. Errs, and changes nothing, where they are more than the room holds. */
   setLights(lights) {
     checkLights(lights);
     const casters = castersOf(lights);
@@ -112,7 +112,7 @@ export class Frame {
     this.#writeUnshadowed();
   }
 
-  // Sets the emitters' strengths, one factor each; 1 where absent.
+  /** Sets the emitters' strengths, one factor each; 1 where absent. */
   setEmitters(scale) {
     checkScale(scale);
     if (!isSame(Array.from(scale), this.#emitterScale)) {
@@ -121,7 +121,7 @@ export class Frame {
     }
   }
 
-  // Sets the camera.
+  /** Sets the camera. */
   setCamera(camera) {
     const own = {
       ...camera,
@@ -144,14 +144,31 @@ export class Frame {
     return this.#camera;
   }
 
-  // Makes the picture of another size; this alone makes textures.
+  /**
+   * Takes other light of the same scene, as when more clusters have come: it is shown once it has settled. This makes buffers, and
+   * waits.
+   */
+  async setLight(light, limit) {
+    const [before, bake] = [this.light, { ...this.bake, light }];
+    const passes = await LightPasses.create(this.gpu, bake, this.shadow);
+    await before.change.idle();
+    [this.light, this.bake] = [passes, bake];
+    Object.assign(this.#stale, { direct: true, light: true });
+    this.#writeUnshadowed();
+    const settled = await this.settle(limit);
+    this.shade.setPages(passes.atlas);
+    before.destroy();
+    return settled;
+  }
+
+  /** Makes the picture of another size; this alone makes textures. */
   resize(width, height) {
     this.size = [width, height];
     this.shade.resize(this.size);
     this.tone.bind(this.shade.targetView);
   }
 
-  // One bounce more, and before it what changes ask for. Waits for nothing; answers the number of bounces since the last change.
+  /** One bounce more, and before it what changes ask for. Waits for nothing; answers the number of bounces since the last change. */
   advance() {
     this.#drawShadows();
     const { eInd } = this.light.resident;
@@ -161,7 +178,7 @@ export class Frame {
     });
     Object.assign(this.#stale, { light: false, pages: true });
     const bounces = this.#bounces;
-    this.change.ask((change) => {
+    this.light.change.ask((change) => {
       // Light that is no number stays none.
       if (!Number.isFinite(change)) this.#stale.light = true;
       bounces.change = change;
@@ -170,24 +187,26 @@ export class Frame {
     return bounces.count;
   }
 
-  // Whether the last bounce that was heard of changed light by little.
+  /** Whether the last bounce that was heard of changed light by little. */
   get settled() {
     const { change } = this.#bounces;
     return change !== null && change < CHANGE_MAX;
   }
 
-  // Bounces until they change less than a limit, each waited for: their number, and whether they converged.
+  /** Bounces until they change less than a limit, each waited for: their number, and whether they converged. */
   async settle({ bouncesMax = BOUNCES_MAX, changeMax = CHANGE_MAX } = {}) {
     const isSettled = () => this.#bounces.change !== null && this.#bounces.change < changeMax;
     while (!isSettled() && this.#bounces.count < bouncesMax) {
       this.advance();
-      await this.change.idle();
+      await this.light.change.idle();
     }
     return { bounces: this.#bounces.count, converged: isSettled() };
   }
 
-  // Draws one sample per pixel, `jitter` pixels (right, down) from the pixels' middles, with the light of the last bounce, into a
-  // texture view or a canvas' context.
+  /**
+   * Draws one sample per pixel, `jitter` pixels (right, down) from the pixels' middles, with the light of the last bounce, into a
+   * texture view or a canvas' context.
+   */
   draw(target, jitter = [0, 0]) {
     this.#drawShadows();
     const view = shadeView(this.#camera, this.size, this.boundsM, this.#sky, jitter);
@@ -200,26 +219,26 @@ export class Frame {
     this.#stale.pages = false;
   }
 
-  // Sets the exposure by the picture drawn last, after a wait, and answers it.
+  /** Sets the exposure by the picture drawn last, after a wait, and answers it. */
   async expose() {
     this.exposure = automaticExposure(await this.readRadiance());
     return this.exposure;
   }
 
-  // The picture drawn last, after a wait: rgb radiance in W·m⁻²·sr⁻¹, alpha 1 on surfaces.
+  /** The picture drawn last, after a wait: rgb radiance in W·m⁻²·sr⁻¹, alpha 1 on surfaces. */
   async readRadiance() {
     const is32 = this.shade.format === "rgba32float";
     const bytes = await this.gpu.readLayer(this.shade.target, 0, is32 ? 16 : 8);
     return is32 ? new Float32Array(bytes) : halves(new Uint16Array(bytes));
   }
 
-  // E_ind of receivers by slot after the last bounce, after a wait: four numbers each, W·m⁻².
+  /** E_ind of receivers by slot after the last bounce, after a wait: four numbers each, W·m⁻². */
   async readIndirect() {
     const { eInd, receiverCount } = this.light.resident;
     return receiverCount === 0 ? new Float32Array(0) : this.#readFloats(eInd, receiverCount);
   }
 
-  // E_dir likewise.
+  /** E_dir likewise. */
   async readDirect() {
     const { eDir, receiverCount } = this.light.resident;
     return receiverCount === 0 ? new Float32Array(0) : this.#readFloats(eDir, receiverCount);
@@ -229,7 +248,7 @@ export class Frame {
     return new Float32Array(await this.gpu.read(buffer, FOUR * count));
   }
 
-  // Writes light that no shadow map has: all bounces are of other light from here on.
+  /** Writes light that no shadow map has: all bounces are of other light from here on. */
   #writeUnshadowed() {
     const isEmitting = this.light.setUnshadowed(this.#sky, this.#emitterScale);
     this.shade.setLooks(this.#emitterScale);
@@ -240,20 +259,20 @@ export class Frame {
     this.#bounces = { count: 0, change: null };
   }
 
-  // Draws the shadow maps that changes ask for, and E_dir.
+  /** Draws the shadow maps that changes ask for, and E_dir. */
   #drawShadows() {
-    const { lights, cascades } = this.#stale;
-    if (!cascades) return;
+    const { lights, direct, cascades } = this.#stale;
+    if (!cascades && !direct) return;
     const first = lights ? 0 : this.#plan.firstCascade;
     this.gpu.submit((encoder) => {
-      this.shadow.record(encoder, first, this.#plan.faces.length);
-      if (lights) this.light.relit(encoder);
+      if (cascades) this.shadow.record(encoder, first, this.#plan.faces.length);
+      if (lights || direct) this.light.relit(encoder);
     });
-    Object.assign(this.#stale, { lights: false, cascades: false });
+    Object.assign(this.#stale, { lights: false, direct: false, cascades: false });
   }
 }
 
-// Room for some lights, and no less than what people may add.
+/** Room for some lights, and no less than what people may add. */
 function roomWith(casters) {
   const own = roomFor(casters, SHADOW_SIDE);
   const wanted = { ...own, lights: Math.max(own.lights, LIGHTS), faces: Math.max(own.faces, FACES) };
@@ -261,7 +280,7 @@ function roomWith(casters) {
   return wanted.faces * wanted.side ** 2 > 2 ** 26 ? own : wanted;
 }
 
-// Whether two trees of plain values, lists and typed arrays are the same.
+/** Whether two trees of plain values, lists and typed arrays are the same. */
 function isSame(a, b) {
   const plain = (_, value) => (ArrayBuffer.isView(value) ? Array.from(value) : value);
   return JSON.stringify(a, plain) === JSON.stringify(b, plain);

@@ -5,15 +5,17 @@ import { VERTEX_NUMBERS } from "../relight/draws.js";
 import { transformed } from "./maths.js";
 
 export class Glass {
-  // The glass of a scene.
+  /** The glass of a scene. */
   constructor({ draws, manifest }) {
     this.panes = draws.flatMap(({ material, vertices, triangles }, draw) => {
       return manifest.materials[material].glass ? panesOf(draw, vertices, triangles) : [];
     });
   }
 
-  // Corners of the triangles from the farthest to the nearest, of equally far ones the first of the scene before; and runs of
-  // triangles of one draw, from and to.
+  /**
+   * Corners of the triangles from the farthest to the nearest, of equally far ones the first of the scene before; and runs of
+   * triangles of one draw, from and to.
+   */
   farthestFirst(matrix) {
     // Depth is reversed: it grows towards the eye. A point beside or behind the eye is the nearest.
     const nearness = this.panes.map(({ middle }) => {

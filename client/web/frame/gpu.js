@@ -26,6 +26,7 @@ export function groupsFor(threads) {
 /** A device with the texts of its shaders by name. */
 export class Gpu {
   #modules = new Map();
+  #pipelines = new Map();
 
   constructor(device, shaders) {
     this.device = device;
@@ -34,6 +35,13 @@ export class Gpu {
     this.bindingMax = Math.min(device.limits.maxStorageBufferBindingSize, device.limits.maxBufferSize);
     // Buffers, textures, samplers, bind groups, shaders and pipelines made so far.
     this.created = 0;
+    // Takes the buffers and textures that are made, for whoever is to free them.
+    this.owned = null;
+  }
+
+  #kept(thing) {
+    this.owned?.push(thing);
+    return this.#made(thing);
   }
 
   #made(thing) {
@@ -41,16 +49,16 @@ export class Gpu {
     return thing;
   }
 
-  // A buffer that can be written.
+  /** A buffer that can be written. */
   buffer(label, bytes, usage) {
     const size = Math.max(Math.ceil(bytes / 4) * 4, SMALLEST_BUFFER);
     if (size > this.device.limits.maxBufferSize) {
       throw new Error(`${label} takes ${size} bytes, this device has buffers of ${this.device.limits.maxBufferSize}`);
     }
-    return this.#made(this.device.createBuffer({ label, size, usage: usage | GPUBufferUsage.COPY_DST }));
+    return this.#kept(this.device.createBuffer({ label, size, usage: usage | GPUBufferUsage.COPY_DST }));
   }
 
-  // A storage buffer of zeros; larger than one binding is an error.
+  /** A storage buffer of zeros; larger than one binding is an error. */
   blank(label, bytes) {
     if (bytes > this.bindingMax) {
       throw new Error(`${label} takes ${bytes} bytes, this device binds ${this.bindingMax}: the bake is too large for it`);
@@ -58,56 +66,56 @@ export class Gpu {
     return this.buffer(label, bytes, GPUBufferUsage.STORAGE | GPUBufferUsage.COPY_SRC);
   }
 
-  // A storage buffer that holds the values of a typed array.
+  /** A storage buffer that holds the values of a typed array. */
   storage(label, values) {
     const buffer = this.blank(label, values.byteLength);
     this.write(buffer, values);
     return buffer;
   }
 
-  // A uniform buffer that holds the values of a typed array.
+  /** A uniform buffer that holds the values of a typed array. */
   uniform(label, values) {
     const buffer = this.buffer(label, values.byteLength, GPUBufferUsage.UNIFORM);
     this.write(buffer, values);
     return buffer;
   }
 
-  // A uniform buffer of so many values of so many bytes, one every `stride` bytes, for dynamic offsets.
+  /** A uniform buffer of so many values of so many bytes, one every `stride` bytes, for dynamic offsets. */
   uniforms(label, bytes, count) {
     const alignment = this.device.limits.minUniformBufferOffsetAlignment;
     const stride = Math.ceil(bytes / alignment) * alignment;
     return { buffer: this.buffer(label, stride * Math.max(count, 1), GPUBufferUsage.UNIFORM), stride, bytes };
   }
 
-  // Overwrites the first values of a buffer of `uniforms`; each is an array buffer or a typed array.
+  /** Overwrites the first values of a buffer of `uniforms`; each is an array buffer or a typed array. */
   writeStrided({ buffer, stride }, values) {
     const all = new Uint8Array(stride * values.length);
     values.forEach((value, index) => all.set(bytesOf(value), stride * index));
     this.write(buffer, all);
   }
 
-  // Overwrites a buffer from a place on.
+  /** Overwrites a buffer from a place on. */
   write(buffer, values, at = 0) {
     if (values.byteLength > 0) {
       this.device.queue.writeBuffer(buffer, at, values);
     }
   }
 
-  // Runs the commands that `record` records.
+  /** Runs the commands that `record` records. */
   submit(record) {
     const encoder = this.device.createCommandEncoder();
     record(encoder);
     this.device.queue.submit([encoder.finish()]);
   }
 
-  // The first bytes of a buffer, after everything submitted has run.
+  /** The first bytes of a buffer, after everything submitted has run. */
   async read(buffer, bytes) {
     const landing = this.device.createBuffer({ size: bytes, usage: GPUBufferUsage.MAP_READ | GPUBufferUsage.COPY_DST });
     this.submit((encoder) => encoder.copyBufferToBuffer(buffer, 0, landing, 0, bytes));
     return mapped(landing);
   }
 
-  // One layer of a texture of so many bytes a texel, row after row.
+  /** One layer of a texture of so many bytes a texel, row after row. */
   async readLayer(texture, layer, bytesPerTexel) {
     const { width, height } = texture;
     const row = width * bytesPerTexel;
@@ -126,7 +134,7 @@ export class Gpu {
     return rows.buffer;
   }
 
-  // A shader module by the name of its text.
+  /** A shader module by the name of its text. */
   module(name) {
     let module = this.#modules.get(name);
     if (module === undefined) {
@@ -140,10 +148,16 @@ export class Gpu {
     return module;
   }
 
-  // A compute pipeline; its layout is the shader's unless given.
+  /** A compute pipeline, made once; its layout is the shader's unless given. */
   async compute(name, entryPoint, layout = "auto") {
-    const compute = { module: this.module(name), entryPoint };
-    return this.#made(await this.device.createComputePipelineAsync({ label: entryPoint, layout, compute }));
+    const key = `${name}/${entryPoint}`;
+    let pipeline = this.#pipelines.get(key);
+    if (pipeline === undefined) {
+      const compute = { module: this.module(name), entryPoint };
+      pipeline = await this.device.createComputePipelineAsync({ label: entryPoint, layout, compute });
+      this.#pipelines.set(key, this.#made(pipeline));
+    }
+    return pipeline;
   }
 
   async render(descriptor) {
@@ -151,14 +165,14 @@ export class Gpu {
   }
 
   texture(descriptor) {
-    return this.#made(this.device.createTexture(descriptor));
+    return this.#kept(this.device.createTexture(descriptor));
   }
 
   sampler(descriptor) {
     return this.#made(this.device.createSampler(descriptor));
   }
 
-  // A bind group with each resource at its own binding: pairs of binding and resource.
+  /** A bind group with each resource at its own binding: pairs of binding and resource. */
   bindAt(layout, resources) {
     const entries = resources.map(([binding, resource]) => {
       return { binding, resource: resource instanceof GPUBuffer ? { buffer: resource } : resource };
@@ -166,12 +180,12 @@ export class Gpu {
     return this.#made(this.device.createBindGroup({ layout, entries }));
   }
 
-  // A bind group with resources at bindings 0, 1, ….
+  /** A bind group with resources at bindings 0, 1, …. */
   bind(layout, resources) {
     return this.bindAt(layout, resources.map((resource, binding) => [binding, resource]));
   }
 
-  // A bind group layout with kinds of binding, each with its visibility, at bindings 0, 1, ….
+  /** A bind group layout with kinds of binding, each with its visibility, at bindings 0, 1, …. */
   bindLayout(kinds) {
     const entries = kinds.map((kind, binding) => ({ binding, ...kind }));
     return this.#made(this.device.createBindGroupLayout({ entries }));
@@ -181,7 +195,7 @@ export class Gpu {
     return this.#made(this.device.createPipelineLayout({ bindGroupLayouts }));
   }
 
-  // Splits items of given sizes in bytes into runs, from and to, that each fit into one storage binding.
+  /** Splits items of given sizes in bytes into runs, from and to, that each fit into one storage binding. */
   pages(what, bytes) {
     const runs = [];
     let first = 0;

@@ -34,7 +34,7 @@ export function uvRows(used) {
 export class Meshes {
   #samplers = new Map();
 
-  // Uploads the meshes and textures of a scene.
+  /** Uploads the meshes and textures of a scene. */
   static async create(gpu, { draws, textures }) {
     const meshes = new Meshes();
     meshes.meshes = draws.map(({ material, vertices, triangles }) => {
@@ -55,14 +55,14 @@ export class Meshes {
     return meshes;
   }
 
-  // Texture and sampler of a use; white where there is none.
+  /** Texture and sampler of a use; white where there is none. */
   texture(used) {
     return used
       ? [this.views[used.texture], this.#samplers.get(used.wrap.join(""))]
       : [this.views.at(-1), this.#samplers.get("clampclamp")];
   }
 
-  // Draws one mesh with the pipeline and groups that are bound.
+  /** Draws one mesh with the pipeline and groups that are bound. */
   draw(pass, mesh) {
     if (mesh.indexCount > 0) {
       pass.setVertexBuffer(0, mesh.vertices);

@@ -8,7 +8,7 @@ const WRITTEN = { visibility: COMPUTE, buffer: { type: "storage" } };
 const UNIFORM = { visibility: COMPUTE, buffer: { type: "uniform" } };
 
 export class NearPass {
-  // Uploads the hits.
+  /** Uploads the hits. */
   static async create(gpu, table, shadow, resident) {
     const pass = new NearPass();
     const layout = gpu.bindLayout([UNIFORM, READ, READ, READ, READ, READ, WRITTEN]);
@@ -33,18 +33,18 @@ export class NearPass {
     return pass;
   }
 
-  // Records light that comes straight from lights.
+  /** Records light that comes straight from lights. */
   light(pass) {
     this.pages.forEach((page) => dispatch(pass, page.light));
   }
 
-  // Records the sums over hits; E_ind is still that of the bounce before.
+  /** Records the sums over hits; E_ind is still that of the bounce before. */
   record(pass) {
     this.pages.forEach((page) => dispatch(pass, page.gather));
   }
 }
 
-// Rows and hits by pages, rows counting from the page's first hit.
+/** Rows and hits by pages, rows counting from the page's first hit. */
 function pagesOf(gpu, { rows, hits }) {
   // Rows and sums have as many bytes as hits, of which each has one at least.
   const bytes = Array.from({ length: rows.length / 4 }, (_, row) => 16 * rows[4 * row + 2]);

@@ -15,7 +15,7 @@ export function hasGlass({ draws, manifest }) {
 }
 
 export class PaneMaps {
-  // Makes room for maps in a scene with glass, in others for one texel that nobody reads.
+  /** Makes room for maps in a scene with glass, in others for one texel that nobody reads. */
   static async create(gpu, scene, meshes, room, faceLayout) {
     const maps = new PaneMaps();
     maps.meshes = meshes;
@@ -40,7 +40,7 @@ export class PaneMaps {
     return this.panes[mesh] !== null;
   }
 
-  // Records both passes of a face, whose opaque surfaces are drawn.
+  /** Records both passes of a face, whose opaque surfaces are drawn. */
   record(encoder, face, opaque, bindFace) {
     if (!this.isUsed) return;
     const depth = encoder.beginRenderPass({
@@ -75,7 +75,7 @@ export class PaneMaps {
   }
 }
 
-// Glass of a material, or null where it is none.
+/** Glass of a material, or null where it is none. */
 function paneGroup(gpu, meshes, layout, { glass, baseColour, baseColourTexture, alphaCutoff }) {
   if (!glass) return null;
   const rows = [...uvRows(baseColourTexture), ...uvRows(glass.transmissionTexture)];

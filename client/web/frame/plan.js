@@ -84,7 +84,7 @@ export class ShadowPlan {
     }
   }
 
-  // Lights as shaders read them.
+  /** Lights as shaders read them. */
   lightBytes() {
     const bytes = new ArrayBuffer(LIGHT_BYTES * this.lights.length);
     const [floats, words] = [new Float32Array(bytes), new Uint32Array(bytes)];
@@ -102,7 +102,7 @@ export class ShadowPlan {
     return bytes;
   }
 
-  // Faces as shaders read them; `hasPanes` says that the maps of glass hold anything.
+  /** Faces as shaders read them; `hasPanes` says that the maps of glass hold anything. */
   faceNumbers(hasPanes) {
     const numbers = this.faces.flatMap(({ matrix, right, up, texelAtUnitW }) => {
       return [...matrix, ...right, texelAtUnitW, ...up, hasPanes ? 1 : 0];
@@ -110,7 +110,7 @@ export class ShadowPlan {
     return Float32Array.from(numbers);
   }
 
-  // Numbers for all lights as shaders read them.
+  /** Numbers for all lights as shaders read them. */
   countBytes() {
     const bytes = new ArrayBuffer(16);
     new Uint32Array(bytes).set([this.lights.length, this.side]);
@@ -118,7 +118,7 @@ export class ShadowPlan {
     return bytes;
   }
 
-  // Whether two plans have the same faces.
+  /** Whether two plans have the same faces. */
   hasFacesOf(other) {
     const numbers = other.faceNumbers(false);
     return this.faces.length === other.faces.length && this.faceNumbers(false).every((x, at) => x === numbers[at]);
@@ -158,7 +158,7 @@ export class ShadowPlan {
     this.#pushFace(product(perspective(own, own, near), view.matrix), view, (2 * own) / this.side);
   }
 
-  // `halfExtent` across and `reach` along the light, from the centre, in metres.
+  /** `halfExtent` across and `reach` along the light, from the centre, in metres. */
   #pushSun(direction, centre, halfExtent, reach) {
     const halfTile = halfExtent / SUN_TILES;
     const half = (halfTile * this.side) / (this.side - 2 * GUARD_TEXELS);
@@ -173,7 +173,7 @@ export class ShadowPlan {
     }
   }
 
-  // Cascades of every sun, as long as there is room for `facesMax` faces.
+  /** Cascades of every sun, as long as there is room for `facesMax` faces. */
   #pushCascades(eye, reach, facesMax) {
     const finestM = FINEST_M * Math.min(2 * reach, 1);
     for (const light of this.lights) {
@@ -209,7 +209,7 @@ function anyUp(forward) {
   return Math.abs(forward[1]) > 0.9 ? [1, 0, 0] : [0, 1, 0];
 }
 
-// Half side of the square across a sun's light that holds the whole box, in metres.
+/** Half side of the square across a sun's light that holds the whole box, in metres. */
 function sunHalfExtent(direction, [low, high]) {
   const halfSize = less(high, low).map((size) => 0.5 * Math.abs(size));
   const { right, up } = lookAlong([0, 0, 0], direction, anyUp(direction));

@@ -20,7 +20,7 @@ export class Resident {
     this.b = gpu.blank("b", FOUR * clusters.bLen);
   }
 
-  // Writes the end of λ, which no pass writes.
+  /** Writes the end of λ, which no pass writes. */
   writeSky(gpu, sky) {
     gpu.write(this.lambda, sky, FOUR * this.lambdaCount - sky.byteLength);
   }

@@ -19,7 +19,7 @@ const OVER = {
 };
 
 export class ShadePass {
-  // Makes pipelines, and a target of `size` pixels.
+  /** Makes pipelines, and a target of `size` pixels. */
   static async create(gpu, scene, meshes, shadow, atlas, size) {
     const pass = new ShadePass();
     Object.assign(pass, { gpu, scene, meshes, shadow });
@@ -48,8 +48,9 @@ export class ShadePass {
     const { draws, layout, manifest } = scene;
     const placements = draws.flatMap(({ front, back }) => [...layout.placement(front), ...layout.placement(back)]);
     this.view = gpu.buffer("view", 4 * VIEW_NUMBERS, GPUBufferUsage.UNIFORM);
-    const placed = gpu.storage("placements", Uint32Array.from(placements));
-    this.viewGroup = gpu.bind(layouts.view, [this.view, atlas.view, placed]);
+    this.placements = gpu.storage("placements", Uint32Array.from(placements));
+    this.viewLayout = layouts.view;
+    this.setPages(atlas);
     this.looks = gpu.uniforms("draws", LOOK_BYTES, draws.length);
     this.draws = gpu.bind(layouts.draws, [{ buffer: this.looks.buffer, size: LOOK_BYTES }]);
     this.materials = manifest.materials.map(({ baseColourTexture, emissiveTexture, glass }) => {
@@ -83,7 +84,12 @@ export class ShadePass {
     });
   }
 
-  // Makes a target of another size: width and height in pixels.
+  /** Takes other pages of indirect light. */
+  setPages(atlas) {
+    this.viewGroup = this.gpu.bind(this.viewLayout, [this.view, atlas.view, this.placements]);
+  }
+
+  /** Makes a target of another size: width and height in pixels. */
   resize(size) {
     this.target?.destroy();
     this.depth?.destroy();
@@ -95,14 +101,14 @@ export class ShadePass {
     this.depthView = this.depth.createView();
   }
 
-  // Writes looks of materials; the emitters' scale is 1 where absent.
+  /** Writes looks of materials; the emitters' scale is 1 where absent. */
   setLooks(emitterScale) {
     const { draws, manifest } = this.scene;
     const looks = draws.map(({ material }, index) => lookOf(manifest.materials[material], index, emitterScale));
     this.gpu.writeStrided(this.looks, looks);
   }
 
-  // Records one sample per pixel of a view.
+  /** Records one sample per pixel of a view. */
   record(encoder, { matrix, numbers }) {
     this.gpu.write(this.view, numbers);
     const pass = encoder.beginRenderPass({
@@ -152,7 +158,7 @@ export class ShadePass {
   }
 }
 
-// Look of a draw as the shader reads it.
+/** Look of a draw as the shader reads it. */
 function lookOf(material, index, emitterScale) {
   const { baseColour, emissive, emitter, glass, alphaCutoff } = material;
   const scale = emitterScale[emitter] ?? 1;

@@ -9,7 +9,7 @@ import { NEARER_WINS, arrayView, clearedDepth, createMaps, faceView } from "./ta
 const MATRIX_BYTES = 64;
 
 export class ShadowPass {
-  // Makes room for lights and their maps; there are none until `set`.
+  /** Makes room for lights and their maps; there are none until `set`. */
   static async create(gpu, scene, meshes, room) {
     const shadow = new ShadowPass();
     shadow.gpu = gpu;
@@ -32,7 +32,7 @@ export class ShadowPass {
     return shadow;
   }
 
-  // Group 0 of the shaders that read lights.
+  /** Group 0 of the shaders that read lights. */
   #bindLights(room) {
     const { gpu, panes } = this;
     this.lights = gpu.blank("lights", LIGHT_BYTES * room.lights);
@@ -53,7 +53,7 @@ export class ShadowPass {
     this.lightGroup = gpu.bind(this.lightLayout, [this.lights, this.faces, this.count, ...maps]);
   }
 
-  // Writes the lights and faces of a plan within the room.
+  /** Writes the lights and faces of a plan within the room. */
   set(plan) {
     this.gpu.writeStrided(this.projections, plan.faces.map(({ matrix }) => Float32Array.from(matrix)));
     this.gpu.write(this.lights, plan.lightBytes());
@@ -61,7 +61,7 @@ export class ShadowPass {
     this.gpu.write(this.count, plan.countBytes());
   }
 
-  // Records faces of the plan that was set last, from one to before another: every mesh into each, then its glass.
+  /** Records faces of the plan that was set last, from one to before another: every mesh into each, then its glass. */
   record(encoder, from, to) {
     for (let face = from; face < to; face++) {
       const view = this.faceViews[face];
@@ -98,7 +98,7 @@ function pipeline(gpu, layouts, vertex, fragment) {
   });
 }
 
-// Mask of a material, or null where it has none.
+/** Mask of a material, or null where it has none. */
 function maskGroup(gpu, meshes, layout, { alphaCutoff, baseColour, baseColourTexture }) {
   if (alphaCutoff === null || alphaCutoff === undefined) return null;
   const numbers = Float32Array.from([...uvRows(baseColourTexture), baseColour[3], alphaCutoff, 0, 0]);

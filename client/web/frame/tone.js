@@ -2,7 +2,7 @@
 
 import { FRAGMENT } from "./gpu.js";
 
-/** Curves from radiance to the range of a screen, as the shader counts them. */
+/** Curves from radiance to the range of a screen, as the shader numbers them. */
 export const TONES = { linear: 0, reinhard: 1, filmic: 2 };
 // Mean that automatic exposure brings the picture's log-average luminance to: middle grey.
 const MIDDLE_GREY = 0.18;
@@ -42,7 +42,7 @@ function luminancesOf(radiance, isWanted) {
   return found.subarray(0, count);
 }
 
-// Null where nothing is lit.
+/** Null where nothing is lit. */
 function logAverage(luminances) {
   const mean = luminances.reduce((sum, y) => sum + y, 0) / Math.max(luminances.length, 1);
   let [sum, count] = [0, 0];
@@ -64,7 +64,7 @@ export class TonePass {
       { visibility: FRAGMENT, buffer: { type: "uniform" } },
       { visibility: FRAGMENT, texture: { sampleType: "unfilterable-float" } },
     ]);
-    pass.numbers = gpu.uniform("tone", new Uint32Array(2));
+    pass.numbers = gpu.uniform("tone", new Float32Array(2));
     const module = gpu.module("tone");
     pass.pipeline = await gpu.render({
       label: "tone",
@@ -76,16 +76,14 @@ export class TonePass {
     return pass;
   }
 
-  // Binds the radiance to show.
+  /** Binds the radiance to show. */
   bind(radiance) {
     this.group = this.gpu.bind(this.layout, [this.numbers, radiance]);
   }
 
-  // Records the pass into a view.
+  /** Records the pass into a view. */
   record(encoder, view, exposure, curve) {
-    const numbers = new Float32Array([exposure, 0]);
-    new Uint32Array(numbers.buffer)[1] = curve;
-    this.gpu.write(this.numbers, numbers);
+    this.gpu.write(this.numbers, new Float32Array([exposure, curve]));
     const pass = encoder.beginRenderPass({
       label: "tone",
       colorAttachments: [{ view, loadOp: "clear", storeOp: "store" }],

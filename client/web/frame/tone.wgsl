@@ -1,13 +1,7 @@
 // Radiance → the screen: exposure, tone curve, sRGB; twin: `Tone::map` in client/src/picture/tone.rs.
 
-struct ToneNumbers {
-    // Factor on radiance.
-    exposure: f32,
-    // 0 linear, 1 by luminance, 2 film-like.
-    curve: u32,
-}
-
-@group(0) @binding(0) var<uniform> numbers: ToneNumbers;
+// Factor on radiance; then the curve: 0 linear, 1 by luminance, 2 film-like.
+@group(0) @binding(0) var<uniform> exposure_and_curve: vec2f;
 @group(0) @binding(1) var radiance: texture_2d<f32>;
 
 // One triangle over the whole picture.
@@ -17,10 +11,10 @@ fn corner(@builtin(vertex_index) index: u32) -> @builtin(position) vec4f {
 }
 
 fn toned(colour: vec3f) -> vec3f {
-    if numbers.curve == 0u {
+    if exposure_and_curve.y == 0.0 {
         return colour;
     }
-    if numbers.curve == 1u {
+    if exposure_and_curve.y == 1.0 {
         let y = dot(colour, vec3f(0.2126, 0.7152, 0.0722));
         return colour * ((1.0 + y / 16.0) / (1.0 + y));
     }
@@ -35,5 +29,5 @@ fn srgb(linear: vec3f) -> vec3f {
 @fragment
 fn tone(@builtin(position) at: vec4f) -> @location(0) vec4f {
     let found = max(textureLoad(radiance, vec2i(floor(at.xy)), 0).rgb, vec3f(0.0));
-    return vec4f(srgb(clamp(toned(found * numbers.exposure), vec3f(0.0), vec3f(1.0))), 1.0);
+    return vec4f(srgb(clamp(toned(found * exposure_and_curve.x), vec3f(0.0), vec3f(1.0))), 1.0);
 }

@@ -46,7 +46,7 @@ export function shadeView(camera, size, boundsM, sky, jitter) {
   return { matrix, numbers: Float32Array.from(numbers) };
 }
 
-// Direction through the middle, and its change per ndc x and y; parallel cameras look one way everywhere.
+/** Direction through the middle, and its change per ndc x and y; parallel cameras look one way everywhere. */
 function rays(camera, size, shift) {
   const forward = normalised(less(camera.targetM, camera.eyeM));
   if (isParallel(camera)) {

@@ -14,7 +14,7 @@ const DIRECTION = ["dir", "direction"];
 const OUTER_DEG = 30;
 const FOV_DEG = 50;
 
-// Words by their keys; each is taken once, and a word that is left over is an error.
+/** Words by their keys; each is taken once, and a word that is left over is an error. */
 class Words {
   #pairs = new Map();
 
@@ -33,7 +33,7 @@ class Words {
     throw new Error(`${problem}; write "${this.grammar}"`);
   }
 
-  // A number in a range, if given.
+  /** A number in a range, if given. */
   number(keys, lowest, highest) {
     const [key, text] = this.#take(keys);
     if (text === undefined) return undefined;
@@ -42,7 +42,7 @@ class Words {
     return value;
   }
 
-  // Three numbers, if given.
+  /** Three numbers, if given. */
   vector(keys) {
     const [key, text] = this.#take(keys);
     if (text === undefined) return undefined;
@@ -51,14 +51,14 @@ class Words {
     return parts;
   }
 
-  // A colour, if given: three numbers, none negative.
+  /** A colour, if given: three numbers, none negative. */
   colour(key) {
     const colour = this.vector([key]);
     if (colour?.some((part) => part < 0)) this.wrong(`'${key}' has a negative part`);
     return colour;
   }
 
-  // A direction, normalised, if given.
+  /** A direction, normalised, if given. */
   direction(keys) {
     const vector = this.vector(keys);
     return vector && (normalised(vector) ?? this.wrong(`'${keys[0]}' has no length`));
@@ -68,7 +68,7 @@ class Words {
     return value ?? this.wrong(`'${key}' is missing`);
   }
 
-  // Every word must have been taken.
+  /** Every word must have been taken. */
   end() {
     for (const key of this.#pairs.keys()) this.wrong(`unknown word '${key}'`);
   }
@@ -131,7 +131,7 @@ export function parseCamera(text) {
   return { name: "camera", eyeM, targetM, up, fovYRad: radians(fovDeg), orthographicHalfHeightM: null };
 }
 
-// `strength`, or `color` times `key` times `unit`.
+/** `strength`, or `color` times `key` times `unit`. */
 function strengthOf(words, key, unit) {
   const strength = words.colour("strength");
   if (strength !== undefined) return strength;

@@ -86,7 +86,7 @@ export class ClusterTable {
   }
 }
 
-// Places in λ and scales of a cluster's columns.
+/** Places in λ and scales of a cluster's columns. */
 function columnsOf(factors, columns) {
   const count = factors.keys.length;
   const places = new Uint32Array(count);
@@ -139,7 +139,7 @@ export class EmitterTable {
     });
   }
 
-  // Irradiance at `rows` receivers, W·m⁻², four numbers each; `scale` is one factor per emitter, 1 if absent.
+  /** Irradiance at `rows` receivers, W·m⁻², four numbers each; `scale` is one factor per emitter, 1 if absent. */
   irradiance(rows, scale) {
     const sum = new Float32Array(4 * rows);
     for (const { emitter, firstRow, irradiance } of this.parts) {

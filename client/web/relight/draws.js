@@ -55,7 +55,7 @@ function interleaved(draw) {
   return vertices;
 }
 
-// Why a draw contradicts the manifest or itself; null where it does not.
+/** Why a draw contradicts the manifest or itself; null where it does not. */
 function problemOf(draw, manifest) {
   const count = draw.positionM.length / 3;
   const optional = (values, each) => values.length === 0 || values.length === each * count;

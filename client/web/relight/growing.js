@@ -3,7 +3,7 @@
 export class Growing {
   #array;
 
-  // An empty array of a typed array's kind.
+  /** An empty array of a typed array's kind. */
   constructor(Kind) {
     this.#array = new Kind(1024);
     this.length = 0;
@@ -14,7 +14,7 @@ export class Growing {
     this.#array[this.length++] = value;
   }
 
-  // Appends the values of an array.
+  /** Appends the values of an array. */
   extend(values) {
     this.reserve(values.length);
     this.#array.set(values, this.length);
@@ -25,7 +25,7 @@ export class Growing {
     return this.#array[index];
   }
 
-  // The values, and no more.
+  /** The values, and no more. */
   finish() {
     return this.#array.slice(0, this.length);
   }

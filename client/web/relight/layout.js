@@ -27,12 +27,12 @@ export class LightmapLayout {
     });
   }
 
-  // Index of a block by its key, or NO_BLOCK.
+  /** Index of a block by its key, or NO_BLOCK. */
   blockIndex(key) {
     return this.#byKey.get(key) ?? NO_BLOCK;
   }
 
-  // Page and origin, then size, of a block as shaders read them; zeros when there is none.
+  /** Page and origin, then size, of a block as shaders read them; zeros when there is none. */
   placement(index) {
     const block = this.blocks[index];
     if (block === undefined) {

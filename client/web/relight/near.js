@@ -34,12 +34,12 @@ export class NearTable {
     this.own = this.#own.finish();
   }
 
-  // Receivers with hits.
+  /** Receivers with hits. */
   get rowCount() {
     return this.rows.length / 4;
   }
 
-  // Adds the hits of a cluster whose receivers begin at slot `firstReceiver`.
+  /** Adds the hits of a cluster whose receivers begin at slot `firstReceiver`. */
   #push(near, firstReceiver, receivers, slots) {
     const blocks = slots.blockIndices(near.blocks);
     const weightBits = new Uint32Array(Float32Array.from(near.weight).buffer);
@@ -81,7 +81,7 @@ export class NearTable {
     this.#hits.push(light);
   }
 
-  // Number of a surface; faces of a few directions and colours are there once each.
+  /** Number of a surface; faces of a few directions and colours are there once each. */
   #ownSurface(normal, albedo) {
     const key = [...normal, ...albedo].join();
     let own = this.#known.get(key);
@@ -94,7 +94,7 @@ export class NearTable {
   }
 }
 
-// Checks the hits of a cluster of so many receivers.
+/** Checks the hits of a cluster of so many receivers. */
 function check({ count, weight, blocks, surface, offset, reachM, length }, receivers) {
   const hits = count.reduce((sum, of) => sum + of, 0);
   const isBlank = count.length === 0 && weight.length === 0;

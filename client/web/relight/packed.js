@@ -24,7 +24,7 @@ export function stepOf(steps, rank) {
   return step > 0 ? step : 1;
 }
 
-// Words of a group that holds a number.
+/** Words of a group that holds a number. */
 function wordsFor(number) {
   const size = Math.abs(number);
   if (!Number.isInteger(number) || size > 32767) {
@@ -36,7 +36,7 @@ function wordsFor(number) {
 const asFloat = new Float32Array(1);
 const asWord = new Uint32Array(asFloat.buffer);
 
-// Writes a group of eight numbers in so many words; answers where the next one begins.
+/** Writes a group of eight numbers in so many words; answers where the next one begins. */
 function put(words, at, numbers, count) {
   if (count === OF_F32) {
     for (let i = 0; i < GROUP; i++) {
@@ -58,7 +58,7 @@ function put(words, at, numbers, count) {
   return at + count;
 }
 
-// Words that each column of ΣVᵀ needs for a group; `numbers` are rank-major.
+/** Words that each column of ΣVᵀ needs for a group; `numbers` are rank-major. */
 function wordsOfColumns(numbers, columns, rank) {
   const needed = new Uint8Array(columns).fill(OF_4);
   for (let i = 0; i < rank; i++) {

@@ -55,12 +55,12 @@ export class PatchTable {
     }
   }
 
-  // Highest band: patches have one number each.
+  /** Highest band: patches have one number each. */
   get bands() {
     return 0;
   }
 
-  // Numbers in λ.
+  /** Numbers in λ. */
   get lambdaCount() {
     return 2 * this.count + this.skyParts;
   }
@@ -69,7 +69,7 @@ export class PatchTable {
     return Math.max(this.leafStarts.length - 1, 0);
   }
 
-  // Place of a column in λ by its key; −1 where there is none.
+  /** Place of a column in λ by its key; −1 where there is none. */
   index(key) {
     const part = skyPartOf(key);
     if (part !== null) {
@@ -79,7 +79,7 @@ export class PatchTable {
     return patch === undefined ? -1 : patch + (isDifference(key) ? this.count : 0);
   }
 
-  // The end of λ: the sky's radiance in the middle of each part, four numbers each.
+  /** The end of λ: the sky's radiance in the middle of each part, four numbers each. */
   skyLambda(sky) {
     const lambda = new Float32Array(4 * this.skyParts);
     for (let part = 0; part < this.skyParts; part++) {

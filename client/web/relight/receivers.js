@@ -8,7 +8,7 @@ export const MAX_RECEIVERS = 2 ** 26;
 
 /** Receivers by slot. Vectors have four numbers, as adapters read them; the fourth is 0. */
 export class ReceiverTable {
-  // Joins the receivers of clusters, one after the other, and enters them into `slots`.
+  /** Joins the receivers of clusters, one after the other, and enters them into `slots`. */
   constructor(clusters, slots) {
     const count = clusters.reduce((sum, { receivers }) => sum + receivers.block.length, 0);
     if (count > MAX_RECEIVERS) {
@@ -60,7 +60,7 @@ export class ReceiverTable {
     this.count += count;
   }
 
-  // Vectors of three numbers → of four, from the next slot on.
+  /** Vectors of three numbers → of four, from the next slot on. */
   #spread(to, from) {
     for (let at = 0, slot = 4 * this.count; at < from.length; at += 3, slot += 4) {
       to[slot] = from[at];

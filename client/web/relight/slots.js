@@ -23,7 +23,7 @@ export class SlotTable {
   // Side of walls that each texel is of; null where no receiver stands for others.
   #sides = null;
 
-  // Blocks by key and size in texels, all of their texels without receiver.
+  /** Blocks by key and size in texels, all of their texels without receiver. */
   constructor(blocks) {
     let texels = 0;
     for (const [index, { key, size }] of blocks.entries()) {
@@ -45,12 +45,12 @@ export class SlotTable {
     return this.#sizes.length;
   }
 
-  // Index of a block by its key, in the order given; undefined where there is none.
+  /** Index of a block by its key, in the order given; undefined where there is none. */
   blockIndex(key) {
     return this.#byKey.get(key);
   }
 
-  // Indices of blocks; errs when there is no block of a key.
+  /** Indices of blocks; errs when there is no block of a key. */
   blockIndices(keys) {
     return Array.from(keys, (key) => {
       const index = this.#byKey.get(key);
@@ -62,26 +62,26 @@ export class SlotTable {
     });
   }
 
-  // Width and height of a block in texels.
+  /** Width and height of a block in texels. */
   size(block) {
     return this.#sizes[block];
   }
 
-  // Slot of a receiver; NO_SLOT when the texel is outside of its block or has no receiver of its own.
+  /** Slot of a receiver; NO_SLOT when the texel is outside of its block or has no receiver of its own. */
   slot(block, x, y) {
     const index = this.#texelIndex(block, x, y);
     const slot = index < 0 ? NONE : this.#slots[index];
     return slot >= STANDS_IN ? NO_SLOT : slot;
   }
 
-  // Slot of the receiver of a texel, or of one that stands for it; NO_SLOT where there is neither.
+  /** Slot of the receiver of a texel, or of one that stands for it; NO_SLOT where there is neither. */
   standing(block, x, y) {
     const index = this.#texelIndex(block, x, y);
     const slot = index < 0 ? NONE : this.#slots[index];
     return slot === NONE ? NO_SLOT : slot >= STANDS_IN ? slot - STANDS_IN : slot;
   }
 
-  // Enters a receiver; its texel must be inside the block and free.
+  /** Enters a receiver; its texel must be inside the block and free. */
   enter(block, x, y, slot) {
     const index = this.#texelIndex(block, x, y);
     if (index < 0) {
@@ -93,19 +93,21 @@ export class SlotTable {
     this.#slots[index] = slot;
   }
 
-  // Some receiver stands for another.
+  /** Some receiver stands for another. */
   get hasSides() {
     return this.#sides !== null;
   }
 
-  // Whether two texels of a block are of one side of walls, as far as sides are known.
+  /** Whether two texels of a block are of one side of walls, as far as sides are known. */
   areOfOneSide(block, x, y, otherX, otherY) {
     const a = this.#side(block, x, y);
     return a !== NONE && a === this.#side(block, otherX, otherY);
   }
 
-  // Slot of the receiver that stands for that of a texel whose surroundings are all of its side, so that no wall cuts the
-  // texel; NO_SLOT for all others.
+  /**
+   * Slot of the receiver that stands for that of a texel whose surroundings are all of its side, so that no wall cuts the
+   * texel; NO_SLOT for all others.
+   */
   standingInside(block, x, y) {
     const index = this.#texelIndex(block, x, y);
     const own = index < 0 ? NONE : this.#slots[index];
@@ -122,7 +124,7 @@ export class SlotTable {
     return own - STANDS_IN;
   }
 
-  // Says of which side of all walls a texel is; texels outside of their block are left out.
+  /** Says of which side of all walls a texel is; texels outside of their block are left out. */
   setSide(block, x, y, side) {
     this.#sides ??= new Uint32Array(this.#slots.length).fill(NONE);
     const index = this.#texelIndex(block, x, y);
@@ -131,7 +133,7 @@ export class SlotTable {
     }
   }
 
-  // Makes the receiver at `slot` stand for that of a texel which has none; texels outside of their block are left out.
+  /** Makes the receiver at `slot` stand for that of a texel which has none; texels outside of their block are left out. */
   standIn(block, x, y, slot) {
     const index = this.#texelIndex(block, x, y);
     if (index >= 0 && this.#slots[index] === NONE) {

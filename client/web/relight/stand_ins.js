@@ -53,7 +53,7 @@ export function standIn(set, slots) {
   }
 }
 
-// The smallest patch of `level` or above that each leaf lies in, or one below it that is part of none of that level.
+/** The smallest patch of `level` or above that each leaf lies in, or one below it that is part of none of that level. */
 function coarseOfLeaves({ patches, leafStarts }, parents, level) {
   const whole = new Uint32Array(patches.length).fill(NO_PATCH);
   for (let first = 0; first < patches.length; first++) {
@@ -86,7 +86,7 @@ function coarseOfLeaves({ patches, leafStarts }, parents, level) {
   return ofLeaf;
 }
 
-// Runs of receivers in one coarse patch, as ranges of the set's arrays.
+/** Runs of receivers in one coarse patch, as ranges of the set's arrays. */
 function runsOf({ leafStarts }, ofLeaf) {
   const runs = [];
   ofLeaf.forEach((patch, leaf) => {
@@ -99,7 +99,7 @@ function runsOf({ leafStarts }, ofLeaf) {
   return runs;
 }
 
-// The nearest of `standing`, ascending places in the set's arrays, to the receiver at a place.
+/** The nearest of `standing`, ascending places in the set's arrays, to the receiver at a place. */
 function nearestOf(set, place, standing) {
   let around = 0;
   for (let size = standing.length; size > 0; ) {
@@ -124,7 +124,7 @@ function nearestOf(set, place, standing) {
   return best;
 }
 
-// Squared distance of two receivers of a set in texels; those of another block are farther than all of one.
+/** Squared distance of two receivers of a set in texels; those of another block are farther than all of one. */
 function distance({ block, texel }, a, b) {
   const dx = texel[2 * a] - texel[2 * b];
   const dy = texel[2 * a + 1] - texel[2 * b + 1];

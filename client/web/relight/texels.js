@@ -12,7 +12,7 @@ const BLENDED_TEXELS = 2;
 const NOTHING = 0;
 const FILLED = -1;
 
-// Kind of a receiver's own texel, exact in f32.
+/** Kind of a receiver's own texel, exact in f32. */
 function kindOfReceiver(links, edge) {
   return 1 + (links % 16) + 16 * edge;
 }
@@ -53,7 +53,7 @@ export class AtlasTexels {
     }
   }
 
-  // Adds the slots whose mean light a texel holds, and answers its kind.
+  /** Adds the slots whose mean light a texel holds, and answers its kind. */
   #pushSources(block, x, y) {
     const first = this.#sources.length;
     if (this.slots.hasSides && this.slots.standing(block, x, y) !== NO_SLOT && this.#isAmidStandIns(block, x, y)) {
@@ -70,7 +70,7 @@ export class AtlasTexels {
     return NOTHING;
   }
 
-  // Whether a texel, or one beside it on its side of every wall, has no more than a stand-in.
+  /** Whether a texel, or one beside it on its side of every wall, has no more than a stand-in. */
   #isAmidStandIns(block, x, y) {
     for (let dy = -1; dy <= 1; dy++) {
       for (let dx = -1; dx <= 1; dx++) {
@@ -85,8 +85,10 @@ export class AtlasTexels {
     return false;
   }
 
-  // Adds the receivers that stand for a texel and for those around it on its side of every wall: their mean hides the steps
-  // between what two stand for.
+  /**
+   * Adds the receivers that stand for a texel and for those around it on its side of every wall: their mean hides the steps
+   * between what two stand for.
+   */
   #pushStanding(block, x, y) {
     for (const dy of [-BLENDED_TEXELS, 0, BLENDED_TEXELS]) {
       for (const dx of [-BLENDED_TEXELS, 0, BLENDED_TEXELS]) {
@@ -97,7 +99,7 @@ export class AtlasTexels {
     }
   }
 
-  // Adds the receivers at Chebyshev distance `ring` from a texel, in rows.
+  /** Adds the receivers at Chebyshev distance `ring` from a texel, in rows. */
   #pushRing(block, x, y, ring) {
     for (let row = y - ring; row <= y + ring; row++) {
       const onEdge = row === y - ring || row === y + ring;
