@@ -44,6 +44,8 @@ pub struct Drawn {
     pub radiance: Vec<Vec4>,
     /// The screen, four bytes a pixel.
     pub screen: Vec<u8>,
+    /// The screen with many samples a pixel.
+    pub smooth: Vec<u8>,
     /// Factor on radiance.
     pub exposure: f32,
     /// Bounces.
@@ -94,6 +96,7 @@ fn answers(done: &Value, parts: &mut BTreeMap<String, Vec<u8>>) -> Answers {
             indirect: vectors(&part("indirect")),
             radiance: vectors(&part("radiance")),
             screen: part("screen"),
+            smooth: part("smooth"),
             exposure: told["exposure"].as_f64().unwrap() as f32,
             bounces: told["bounces"].as_u64().unwrap(),
             converged: told["converged"].as_bool().unwrap(),

@@ -12,7 +12,7 @@ use lightkiln_client::passes::gpu::Gpu;
 use lightkiln_client::passes::meshes::Meshes;
 use lightkiln_client::passes::shadow::reference::draw;
 use lightkiln_client::passes::shadow::{Eye, ShadowPass, ShadowPlan, ShadowRoom};
-use lightkiln_client::picture::{Tone, developed};
+use lightkiln_client::picture::{Exposure, Tone, developed};
 use lightkiln_client::preview::{Backend, View, render};
 use lightkiln_client::scene::LoadedScene;
 use lightkiln_proto::relight::{Limit, PatchTable, Settled};
@@ -101,6 +101,12 @@ impl Expected {
             }
         }
         [last, self.radiance(&view, Backend::Gpu)]
+    }
+
+    /// The screen by the references, under an exposure and with so many samples a pixel: four bytes each.
+    pub fn on_screen_of_processor(&self, state: &Light, exposure: f32, samples: u32) -> Vec<u8> {
+        let view = View { samples, exposure: Exposure::Fixed(exposure), ..self.view(state) };
+        render(&self.bake, &view, Backend::Cpu).unwrap().ldr.concat()
     }
 
     fn radiance(&self, view: &View, backend: Backend) -> Vec<Vec4> {

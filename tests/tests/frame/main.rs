@@ -11,6 +11,7 @@ mod scene;
 
 use glam::Vec4;
 use lightkiln_client::passes::compare::Difference;
+use lightkiln_client::picture::automatic_exposure;
 use serde_json::{Value, json};
 
 use browser::Page;
@@ -27,6 +28,12 @@ const INDIRECT_OUTLIERS: f32 = 2e-3;
 const PICTURE_TOLERANCE: f32 = lightkiln_client::passes::shade::TOLERANCE;
 /// As of the shading pass, and as many again: textures are decoded by the browser.
 const PICTURE_OUTLIERS: f32 = 2.0 * lightkiln_client::passes::shade::OUTLIERS;
+/// Samples per pixel of the smooth pictures.
+const SAMPLES: u32 = 4;
+/// Channels on the screen that may differ by more than [`SMOOTH_STEPS`].
+const SMOOTH_OUTLIERS: f32 = PICTURE_OUTLIERS;
+/// Steps of 8 bits that the screen makes of the picture's tolerance.
+const SMOOTH_STEPS: u8 = 6;
 /// Steps of 8 bits by which a channel on the screen may differ for the same radiance.
 const SCREEN_STEPS: u8 = 1;
 
@@ -60,7 +67,7 @@ fn browser_agrees(bundle: &Bundle) {
     let told: Vec<Value> = states.iter().map(Light::to_json).collect();
     let room = expected::ROOM;
     let job = json!({
-        "size": SIZE, "states": told,
+        "size": SIZE, "states": told, "samples": SAMPLES,
         "shadows": { "lights": room.lights, "faces": room.faces, "side": room.side },
     });
     let answers = browser::run(&Page { job, bundle: bundle.folder() });
@@ -77,10 +84,23 @@ fn browser_agrees(bundle: &Bundle) {
         let screen = expected::on_screen(&drawn.radiance, drawn.exposure);
         let steps = screen.iter().zip(&drawn.screen).map(|(a, b)| a.abs_diff(*b)).max();
         assert!(steps.is_some_and(|steps| steps <= SCREEN_STEPS), "{}: {steps:?} steps", state.name);
+        let exposure = automatic_exposure(&drawn.radiance);
+        assert!((drawn.exposure / exposure - 1.0).abs() < 1e-3, "{}: {exposure}", state.name);
+        let differing =
+            differing(&drawn.smooth, &expected.on_screen_of_processor(state, drawn.exposure, SAMPLES));
+        println!("{}: {differing} of the screen's channels differ", state.name);
+        assert!(differing <= SMOOTH_OUTLIERS, "{}: {differing}", state.name);
         assert_wrong_light_is_seen(drawn, &indirect, &picture);
     }
     assert_eq!(answers.created[0], answers.created[1], "what changes makes nothing");
     assert!(answers.errors.is_empty(), "{:?}", answers.errors);
+}
+
+/// Share of channels that differ by more than [`SMOOTH_STEPS`]; all, where there are not as many.
+fn differing(got: &[u8], wanted: &[u8]) -> f32 {
+    let pairs = got.iter().zip(wanted);
+    let count = pairs.filter(|(got, wanted)| got.abs_diff(**wanted) > SMOOTH_STEPS).count();
+    if got.is_empty() || got.len() != wanted.len() { 1.0 } else { count as f32 / got.len() as f32 }
 }
 
 fn agrees(what: &str, state: &str, got: &[Vec4], wanted: &[Vec4]) {

@@ -42,18 +42,22 @@ function send(name, body) {
 }
 
 // Draws a state and answers what it took.
-async function drawState(frame, { name, lights, emitters, camera }, screen) {
+async function drawState(frame, { name, lights, emitters, camera }, screen, job) {
   const { manifest } = frame.bake.scene;
   frame.setLights(lights === null ? lightsOf(manifest) : parseLights(lights).lights);
   frame.setEmitters(manifest.emitters.map(() => emitters));
   frame.setCamera(camera === null ? cameraOf(manifest) : parseCamera(camera));
   const settled = await frame.settle(LIMIT);
-  frame.draw(screen.createView());
+  frame.draw(screen.createView(), [0, 0]);
   const exposure = await frame.expose();
-  frame.draw(screen.createView());
+  frame.draw(screen.createView(), [0, 0]);
   await send(`${name}/indirect`, await frame.readIndirect());
   await send(`${name}/radiance`, await frame.readRadiance());
   await send(`${name}/screen`, await frame.gpu.readLayer(screen, 0, 4));
+  for (let sample = 0; sample < job.samples; sample++) {
+    frame.draw(screen.createView());
+  }
+  await send(`${name}/smooth`, await frame.gpu.readLayer(screen, 0, 4));
   return { ...settled, exposure };
 }
 
@@ -72,7 +76,7 @@ async function main() {
   const before = frame.gpu.created;
   const states = {};
   for (const state of job.states) {
-    states[state.name] = await drawState(frame, state, screen);
+    states[state.name] = await drawState(frame, state, screen, job);
   }
   return { states, created: [before, frame.gpu.created], errors };
 }
