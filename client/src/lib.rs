@@ -2,7 +2,7 @@
 //!
 //! [`fetch`] reads bundles and servers, [`scene`] and [`bake`] hold a bake in memory, [`kinds`] load its
 //! light, [`passes`] are the steps of the frame (each on the graphics adapter and, as its reference, on the processor),
-//! [`frame`] keeps them on an adapter while lights change, [`preview`] draws pictures. Nothing here panics on a bad chunk: malformed input is a [`ClientError`].
+//! [`frame`] keeps them on an adapter while lights change, [`preview`] draws pictures, [`web`] gives browsers the shaders. Nothing here panics on a bad chunk: malformed input is a [`ClientError`].
 //!
 //! ```no_run
 //! use lightkiln_client::{bake::LoadedBake, fetch::Source, kinds, preview};
@@ -32,6 +32,7 @@ pub mod stream;
 #[cfg(test)]
 mod tests;
 mod threads;
+pub mod web;
 
 pub use error::{ClientError, Result};
 pub use threads::Threads;
