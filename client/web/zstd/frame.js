@@ -1,6 +1,6 @@
-// Unpacks a zstd frame (RFC 8878) of a known length, as chunks have them: without checksum, content size and dictionary. Every
-// count is checked before it is used, nothing is allocated beyond the length that was asked for, and each step of a loop reads or
-// writes a byte: a damaged frame is an error after a short time.
+// Unpacks a zstd frame (RFC 8878) of a known length, as chunks have them: without checksum and dictionary. Every count is checked
+// before it is used, nothing is allocated beyond the length that was asked for and a block's literals, and every loop has an end that
+// is known before it begins: a damaged frame is an error after a short time.
 
 import { check } from "./error.js";
 import { readLiterals } from "./literals.js";
@@ -9,32 +9,34 @@ import { unpackSequences } from "./sequences.js";
 export { ZstdError } from "./error.js";
 
 const MAGIC = [0x28, 0xb5, 0x2f, 0xfd];
-const HEADER_BYTES = 6;
+/** Magic, descriptor. */
+const START_BYTES = 5;
 const BLOCK_HEADER_BYTES = 3;
 /** Most bytes of a block, before and after. */
 const BLOCK_BYTES_MAX = 128 * 1024;
+const WINDOW_LOG_MAX = 31;
+/** Bits of the descriptor for a dictionary, a checksum, and what no frame has yet. */
+const NEVER = 0x0f;
+const ONE_SEGMENT = 0x20;
 const RAW = 0;
 const REPEATED = 1;
 const PACKED = 2;
 
 /** The `rawBytes` bytes that the frame `stored` unpacks to; throws `ZstdError` if it does not, or to more or fewer. */
 export function unpack(stored, rawBytes) {
-  check(stored.length >= HEADER_BYTES, "the frame is cut off");
-  check(MAGIC.every((byte, index) => stored[index] === byte), "the bytes are no zstd frame");
-  check(stored[4] === 0, "the frame has a checksum, a content size or a dictionary");
-  const blockMax = Math.min(BLOCK_BYTES_MAX, windowOf(stored[5]));
+  const header = readHeader(stored, rawBytes);
   const out = new Uint8Array(rawBytes);
   const state = { length: 0, offsets: [1, 4, 8], tables: [], tree: null };
-  let at = HEADER_BYTES;
+  let at = header.end;
   for (let isLast = false; !isLast; ) {
     check(at + BLOCK_HEADER_BYTES <= stored.length, "a block is cut off");
-    const header = stored[at] | (stored[at + 1] << 8) | (stored[at + 2] << 16);
-    isLast = (header & 1) === 1;
-    const [kind, size] = [(header >> 1) & 3, header >> 3];
+    const block = stored[at] | (stored[at + 1] << 8) | (stored[at + 2] << 16);
+    isLast = (block & 1) === 1;
+    const [kind, size] = [(block >> 1) & 3, block >> 3];
     at += BLOCK_HEADER_BYTES;
     const end = at + (kind === REPEATED ? 1 : size);
-    check(size <= blockMax && end <= stored.length, "a block is too long or cut off");
-    unpackBlock(stored, at, end, { kind, size, blockMax }, state, out);
+    check(size <= header.blockMax && end <= stored.length, "a block is too long or cut off");
+    unpackBlock(stored, at, end, { kind, size, blockMax: header.blockMax }, state, out);
     at = end;
   }
   check(at === stored.length, "bytes follow the frame");
@@ -42,9 +44,29 @@ export function unpack(stored, rawBytes) {
   return out;
 }
 
+/** Most bytes of a block, and where the header ends. A content size is none of those that chunks have, but does no harm. */
+function readHeader(stored, rawBytes) {
+  check(stored.length >= START_BYTES, "the frame is cut off");
+  check(MAGIC.every((byte, index) => stored[index] === byte), "the bytes are no zstd frame");
+  const descriptor = stored[4];
+  check((descriptor & NEVER) === 0, "the frame has a checksum or a dictionary");
+  const isOneSegment = (descriptor & ONE_SEGMENT) !== 0;
+  const sizeBytes = [isOneSegment ? 1 : 0, 2, 4, 8][descriptor >> 6];
+  const sizeAt = START_BYTES + (isOneSegment ? 0 : 1);
+  const end = sizeAt + sizeBytes;
+  check(end <= stored.length, "the frame is cut off");
+  let size = sizeBytes === 2 ? 256 : 0;
+  for (let index = 0; index < sizeBytes; index++) size += stored[sizeAt + index] * 2 ** (8 * index);
+  check(sizeBytes === 0 || size === rawBytes, "the frame has another content size");
+  const window = isOneSegment ? size : windowOf(stored[START_BYTES]);
+  return { blockMax: Math.min(BLOCK_BYTES_MAX, window), end };
+}
+
 /** Bytes of the window of a descriptor. */
 function windowOf(descriptor) {
-  const base = 2 ** (10 + (descriptor >> 3));
+  const log = 10 + (descriptor >> 3);
+  check(log <= WINDOW_LOG_MAX, "the window is too large");
+  const base = 2 ** log;
   return base + (base / 8) * (descriptor & 7);
 }
 
