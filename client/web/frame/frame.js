@@ -42,7 +42,7 @@ export class Frame {
   #emitterScale = [];
   #camera;
   #plan;
-  // Work that changes have left to do: all shadow maps and E_dir; E_dir alone; cascades alone; black E_ind; pages of the last bounce.
+  // Work that changes have left to do: all shadow maps and E_dir; E_dir alone; cascades alone; black E_ind; pages.
   #stale = { lights: true, direct: true, cascades: true, light: true, pages: true };
   // Samples of the picture as it is; what they were drawn with.
   #film = { samples: 0, exposure: 1, curve: "filmic", isAlone: false };
@@ -175,7 +175,7 @@ export class Frame {
     this.tone.bind(this.shade.targetView, this.size);
   }
 
-  /** One bounce more, and before it what changes ask for. Waits for nothing; answers the number of bounces since the last change. */
+  /** One bounce more, and before it what changes ask for. Waits for nothing; answers the bounces since the last change. */
   advance() {
     this.#drawShadows();
     const { eInd } = this.light.resident;
@@ -259,17 +259,19 @@ export class Frame {
   /** E_ind of receivers by slot after the last bounce, after a wait: four numbers each, W·m⁻². */
   async readIndirect() {
     const { eInd, receiverCount } = this.light.resident;
-    return receiverCount === 0 ? new Float32Array(0) : this.#readFloats(eInd, receiverCount);
+    if (receiverCount === 0) return new Float32Array(0);
+    return new Float32Array(await this.gpu.read(eInd, FOUR * receiverCount));
   }
 
-  /** E_dir likewise. */
-  async readDirect() {
-    const { eDir, receiverCount } = this.light.resident;
-    return receiverCount === 0 ? new Float32Array(0) : this.#readFloats(eDir, receiverCount);
+  /** Places of receivers and their light, after a wait, for `BakeStream.refine`. */
+  async lit() {
+    const { positionM } = this.bake.light.receivers;
+    return { positionM, irradiance: await this.readIndirect() };
   }
 
-  async #readFloats(buffer, count) {
-    return new Float32Array(await this.gpu.read(buffer, FOUR * count));
+  /** Where the picture is looked at from; null for a parallel camera. */
+  get viewpoint() {
+    return eyeOf(this.#camera);
   }
 
   /** Writes light that no shadow map has: all bounces are of other light from here on. */

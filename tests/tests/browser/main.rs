@@ -11,6 +11,9 @@ mod files;
 #[allow(dead_code, reason = "no program here is started again")]
 mod keeper;
 
+#[allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+mod relighting;
+
 use std::path::{Path, PathBuf};
 
 use driver::Browser;
