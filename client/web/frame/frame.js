@@ -17,6 +17,7 @@ import { FOUR } from "./resident.js";
 import { BLENDABLE, ShadePass } from "./shade.js";
 import { fetchShaders } from "./shaders.js";
 import { ShadowPass } from "./shadow.js";
+import { measuredSnap } from "./snap.js";
 import { TONES, TonePass, automaticExposure } from "./tone.js";
 import { eyeOf, shadeView } from "./view.js";
 
@@ -82,6 +83,7 @@ export class Frame {
     this.room = shadows ?? roomWith(castersOf(own));
     checkRoom(this.room);
     this.size = [width, height];
+    this.snap = await measuredSnap(gpu);
     const meshes = await Meshes.create(gpu, bake.scene);
     this.shadow = await ShadowPass.create(gpu, bake.scene, meshes, this.room);
     this.light = await LightPasses.create(gpu, bake, this.shadow);
@@ -93,7 +95,7 @@ export class Frame {
     this.curve = "filmic";
     const seen = camera ?? cameraOf(manifest);
     if (seen === null) throw new Error("the bake has no camera: give one");
-    this.#plan = new ShadowPlan(this.room, [], this.boundsM, null);
+    this.#plan = this.#planned([], null);
     this.setCamera(seen);
     this.#writeUnshadowed();
     this.setLights(own);
@@ -103,7 +105,7 @@ export class Frame {
   setLights(lights) {
     checkLights(lights);
     const casters = castersOf(lights);
-    const plan = new ShadowPlan(this.room, casters, this.boundsM, eyeOf(this.#camera));
+    const plan = this.#planned(casters, eyeOf(this.#camera));
     const sky = skyOf(lights);
     if (!isSame(casters, this.#casters)) {
       [this.#casters, this.#plan] = [casters, plan];
@@ -135,7 +137,7 @@ export class Frame {
     };
     // Errs for a camera that sees nothing.
     shadeView(own, this.size, this.boundsM, this.#sky, [0, 0]);
-    const plan = new ShadowPlan(this.room, this.#casters, this.boundsM, eyeOf(own));
+    const plan = this.#planned(this.#casters, eyeOf(own));
     this.#camera = own;
     this.#film.samples = 0;
     if (!plan.hasFacesOf(this.#plan)) {
@@ -272,6 +274,10 @@ export class Frame {
   /** Where the picture is looked at from; null for a parallel camera. */
   get viewpoint() {
     return eyeOf(this.#camera);
+  }
+
+  #planned(casters, eye) {
+    return new ShadowPlan(this.room, casters, this.boundsM, eye, this.snap);
   }
 
   /** Writes light that no shadow map has: all bounces are of other light from here on. */

@@ -90,3 +90,47 @@ export async function refine(job, steps) {
   await whole.settle(job.limit);
   return { found, whole: hexOfNumbers(await whole.readIndirect()), errors };
 }
+
+/** A device that says that its bindings hold no more than so many bytes. */
+function narrowed(device, bindingMax) {
+  const limits = new Proxy(device.limits, {
+    get: (own, name) => (name === "maxStorageBufferBindingSize" ? bindingMax : own[name]),
+  });
+  return new Proxy(device, {
+    get(own, name) {
+      const value = name === "limits" ? limits : own[name];
+      return typeof value === "function" ? value.bind(own) : value;
+    },
+  });
+}
+
+/** Bytes of the longest array of a bake's light that is not split. */
+function longestWhole({ receivers, columns, clusters, texels }) {
+  const vectors = [receivers.count, columns.lambdaCount, clusters.bLen, columns.leafCount + columns.leafCount / 32];
+  const arrays = [columns.slots, columns.areas, columns.patches, clusters.columns, texels.texels, texels.sources];
+  return Math.max(...vectors.map((count) => 16 * Math.ceil(count)), ...arrays.map(({ byteLength }) => byteLength));
+}
+
+/**
+ * E_ind of a state on a device as it is and on one whose bindings hold no more than they must, with the pages of each pass there; and
+ * the error of one whose bindings hold less.
+ */
+export async function narrow(job) {
+  const { device, errors } = await openDevice();
+  const [width, height] = job.size;
+  const options = { width, height, format: FORMAT, shadows: job.shadows, lights: [] };
+  const bake = await loadBake(new BundleSource("/bundle"));
+  const bindingMax = longestWhole(bake.light);
+  const found = [];
+  let pages = null;
+  for (const own of [device, narrowed(device, bindingMax)]) {
+    const frame = await Frame.create(own, bake, options);
+    setState(frame, job.states[1]);
+    await frame.settle(job.limit);
+    found.push(hexOfNumbers(await frame.readIndirect()));
+    const { direct, near, basis, reconstruct } = frame.light;
+    pages = [direct, near, basis, reconstruct].map((pass) => pass.pages.length);
+  }
+  const refusal = await Frame.create(narrowed(device, bindingMax - 4), bake, options).catch(({ message }) => message);
+  return { found, pages, bindingMax, refusal, errors };
+}
