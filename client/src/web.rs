@@ -2,11 +2,15 @@
 //!
 //! The browser's modules lie in `client/web`; `client/web/frame/shaders.js` fetches each shader as `NAME.wgsl`.
 
+mod modules;
+
 use std::borrow::Cow;
 
 use crate::passes::SHADERS;
 use crate::passes::atlas::INDIRECT;
 use crate::passes::shade::Shading;
+
+pub use modules::MODULES;
 
 /// Shaders that browsers alone run: a texture's next coarser level, a device's steps of corners, and radiance on the screen.
 const OF_BROWSERS: [(&str, &str); 3] = [

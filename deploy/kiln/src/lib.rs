@@ -20,6 +20,7 @@ mod junit;
 pub mod kinds;
 mod logging;
 mod outputs;
+pub mod pages;
 mod picture;
 mod progress;
 mod settings;

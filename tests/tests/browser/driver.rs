@@ -68,6 +68,11 @@ impl Browser {
         self.call("url", &json!({ "url": url }));
     }
 
+    /// What a script gives; its `arguments[0]` are `args`.
+    pub fn script(&self, script: &str, args: Value) -> Value {
+        self.call("execute/sync", &json!({ "script": script, "args": [args] }))
+    }
+
     /// What an async function of a module gives; panics with its error.
     pub fn run(&self, module: &str, function: &str, args: Value) -> Value {
         let answer = self.call("execute/async", &json!({ "script": CALL, "args": [module, function, args] }));

@@ -4,6 +4,7 @@
 
 mod decoding;
 mod driver;
+mod face;
 mod fetching;
 mod fields;
 mod files;
