@@ -2,7 +2,7 @@
 //!
 //! [`fetch`] reads bundles and servers, [`scene`] and [`bake`] hold a bake in memory, [`kinds`] load its
 //! light, [`passes`] are the steps of the frame (each on the graphics adapter and, as its reference, on the processor),
-//! [`frame`] keeps them on an adapter while lights change, [`preview`] draws pictures, [`export`] freezes light for engines. Nothing here panics on a bad chunk: malformed input is a [`ClientError`].
+//! [`frame`] keeps them on an adapter while lights change, [`preview`] draws pictures, [`export`] freezes light for engines, [`web`] gives browsers the shaders. Nothing here panics on a bad chunk: malformed input is a [`ClientError`].
 //!
 //! ```no_run
 //! use lightkiln_client::{bake::LoadedBake, fetch::Source, kinds, preview};
@@ -35,6 +35,7 @@ mod tests;
 mod threads;
 #[cfg(feature = "view")]
 pub mod view;
+pub mod web;
 
 pub use error::{ClientError, Result};
 pub use threads::Threads;

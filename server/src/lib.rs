@@ -9,6 +9,7 @@
 //! - `bake_ids` finds bakes by beginnings of their ids.
 //! - `left_over` clears up after bakes' processes that have ended, where several share a folder.
 //! - `lookout` looks for work on behalf of all claims that wait.
+//! - [`Pages`] are files for browsers that it is given.
 //! - [`farm`] puts them together, `http` makes calls of it.
 
 pub mod access;
@@ -26,6 +27,7 @@ mod left_over;
 mod lookout;
 mod metrics;
 mod occupant;
+mod pages;
 pub mod places;
 pub mod random;
 mod scene_parts;
@@ -40,6 +42,7 @@ pub use collect::Retention;
 pub use error::ServerError;
 pub use http::{LimitConfig, openapi_json, ranges};
 pub use occupant::Occupant;
+pub use pages::Pages;
 pub use server::{Config, Seat, Server, check_storage, open_store};
 pub use tls::TlsFiles;
 pub use webhooks::WebhookConfig;

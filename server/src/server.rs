@@ -29,6 +29,7 @@ use crate::hold::{self, Hold, make_folder};
 use crate::http::{self, LimitConfig};
 use crate::left_over;
 use crate::occupant::Occupant;
+use crate::pages::Pages;
 use crate::places::{ChunksPlace, DatabasePlace};
 use crate::storage::Storage;
 use crate::store::SqlStore;
@@ -55,6 +56,8 @@ pub struct Config {
     pub kinds: Kinds,
     /// Limits of calls.
     pub limits: LimitConfig,
+    /// Files for browsers. Default: none.
+    pub pages: Pages,
     /// Most bytes of chunks at a time; uploads beyond are refused until there is room. Default: no limit but the disk's.
     pub quota_bytes: Option<u64>,
     /// Retention of chunks and bakes.
@@ -79,6 +82,7 @@ impl Config {
             webhooks: None,
             kinds: Kinds::new(),
             limits: LimitConfig::default(),
+            pages: Pages::default(),
             quota_bytes: None,
             retention: Retention::default(),
             reap_interval: Duration::from_secs(1),
@@ -213,7 +217,7 @@ impl Server {
             // Waiting calls and event streams end on this.
             closing.send_replace(true);
         };
-        let app = http::router(self.farm.clone(), self.config.limits)
+        let app = http::router(self.farm.clone(), self.config.limits, self.config.pages.clone())
             .into_make_service_with_connect_info::<SocketAddr>();
         let serving = tls::serve(listener, app, self.tls.clone(), stop);
         let mut closing = self.closing.subscribe();

@@ -23,18 +23,18 @@ pub mod shadow;
 pub mod show;
 pub mod stopwatch;
 
-/// Shaders of the passes that stand alone: name and whole source. The shading pass' is [`shade::Shading::shader`].
+/// Shaders of the passes that stand alone: name, as a file has it, and whole source. The shading pass' is [`shade::Shading::shader`].
 pub const SHADERS: &[(&str, &str)] = &[
     ("atlas", atlas::SHADER),
     ("basis", basis::SHADER),
     ("change", change::SHADER),
-    ("direct texels", direct::TEXELS_SHADER),
+    ("direct-texels", direct::TEXELS_SHADER),
     ("meter", meter::SHADER),
     ("near", near::SHADER),
-    ("near lit", near::LIT_SHADER),
+    ("near-lit", near::LIT_SHADER),
     ("patches", patches::SHADER),
     ("reconstruct", reconstruct::SHADER),
     ("shadow", shadow::SHADER),
-    ("shadow panes", shadow::PANES_SHADER),
+    ("shadow-panes", shadow::PANES_SHADER),
     ("show", show::SHADER),
 ];

@@ -10,7 +10,7 @@ use naga::valid::{Capabilities, ValidationFlags, Validator};
 use naga::{AddressSpace, TypeInner};
 
 use crate::kinds::sh::relight::{self, RelightNumbers};
-use crate::passes::atlas::{AtlasNumbers, AtlasTexel, INDIRECT, Placement};
+use crate::passes::atlas::{AtlasNumbers, AtlasTexel, Placement};
 use crate::passes::basis::BasisNumbers;
 use crate::passes::change::ChangeNumbers;
 use crate::passes::direct::TexelNumbers;
@@ -22,14 +22,12 @@ use crate::passes::resident::ClusterRow;
 use crate::passes::shade::{ShadeDraw, ShadeView};
 use crate::passes::shadow::{Face, Light, LightCount, Mask, Pane};
 use crate::passes::show::ShowNumbers;
-use crate::passes::{SHADERS, shade};
+use crate::web;
 
 /// Every shader: name and whole source, as the adapter compiles it.
 fn shaders() -> Vec<(&'static str, String)> {
-    let shared = SHADERS.iter().map(|(name, source)| (*name, (*source).to_owned()));
-    let lightmap = shade::Shading { snippet: INDIRECT, bindings: Vec::new() };
-    let joined = [("relight", relight::SHADER.to_owned()), ("shade", lightmap.shader())];
-    shared.chain(joined).collect()
+    let of_browsers = web::shaders().into_iter().map(|(name, source)| (name, source.into_owned()));
+    of_browsers.chain([("relight", relight::SHADER.to_owned())]).collect()
 }
 
 fn parsed(source: &str) -> naga::Module {
@@ -135,7 +133,7 @@ fn twins() -> BTreeMap<&'static str, Layout> {
             position, range_m, direction, shape, strength, first_face, cone_cos_inner, cone_cos_outer, face_count,
             half_extent, first_cascade, cascades, pad0, pad1
         }
-        "LightCount": LightCount { count, side, bias_m, pad }
+        "LightCount": LightCount { count, side, bias_m, snap }
         "Mask": Mask { uv_row0, uv_row1, alpha, cutoff, pad0, pad1 }
         "Meter": MeterNumbers { columns, rows, width, height }
         "Near": NearNumbers { row_count, stride }

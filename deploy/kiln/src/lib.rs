@@ -21,6 +21,7 @@ pub mod kinds;
 mod logging;
 mod objects;
 mod outputs;
+pub mod pages;
 mod picture;
 mod progress;
 mod settings;

@@ -11,6 +11,7 @@ use axum::response::Response;
 
 use super::extract::text_header;
 use super::limits::Limits;
+use super::pages;
 use crate::access::Scope;
 use crate::error::Result;
 use crate::farm::Farm;
@@ -20,6 +21,7 @@ fn scopes_for(method: &Method, route: &str) -> &'static [Scope] {
     let reads = matches!(*method, Method::GET | Method::HEAD);
     match route {
         "/healthz" | "/readyz" | "/openapi.json" if reads => &[],
+        pages::FACE | pages::FILES if reads => &[],
         "/v1/chunks/{digest}" if reads => &[Scope::Read, Scope::Worker],
         "/v1/chunks/{digest}" if *method == Method::PUT => &[Scope::Worker],
         "/v1/scenes/{digest}" | "/v1/scenes/{digest}/parts" | "/v1/scene-parts/{digest}" => &[Scope::Submit],

@@ -10,6 +10,7 @@ mod health;
 mod leases;
 mod limits;
 mod openapi;
+mod pages;
 mod problem;
 pub mod ranges;
 mod trace;
@@ -28,6 +29,7 @@ use tower_http::trace::TraceLayer;
 
 use crate::error::ServerError;
 use crate::farm::Farm;
+use crate::pages::Pages;
 
 use guard::Doorman;
 use limits::Limits;
@@ -35,8 +37,8 @@ use limits::Limits;
 pub use limits::LimitConfig;
 pub use openapi::openapi_json;
 
-/// All calls over a farm.
-pub(crate) fn router(farm: Arc<Farm>, limits: LimitConfig) -> Router {
+/// All calls over a farm, and files for browsers.
+pub(crate) fn router(farm: Arc<Farm>, limits: LimitConfig, pages: Pages) -> Router {
     let doorman = Arc::new(Doorman { farm: farm.clone(), limits: Limits::new(limits) });
     Router::new()
         .route("/v1/scenes/{digest}", put(chunks::put_scene).head(chunks::head_scene))
@@ -64,6 +66,7 @@ pub(crate) fn router(farm: Arc<Farm>, limits: LimitConfig) -> Router {
         .route("/readyz", get(health::readyz))
         .route("/metrics", get(health::metrics))
         .route("/openapi.json", get(openapi::show))
+        .merge(pages::router(pages))
         .fallback(no_such_path)
         .method_not_allowed_fallback(method_not_allowed)
         .layer(axum::middleware::from_fn_with_state(doorman, guard::guard))

@@ -11,6 +11,7 @@ mod life;
 mod limits;
 mod listing;
 mod metrics;
+mod pages;
 #[path = "../parts/mod.rs"]
 mod parts;
 mod problems;

@@ -16,6 +16,7 @@ use crate::console::answer;
 use crate::embedded::server_failure;
 use crate::failure::{Exit, Failure, Result};
 use crate::interrupt::Interrupt;
+use crate::pages::pages;
 
 /// Also the longest wait of one look at the flag; any length would do there.
 const HOUR: Duration = Duration::from_secs(3600);
@@ -93,6 +94,7 @@ pub fn run(arguments: Arguments, kinds: &Kinds) -> Result<()> {
     let scheme = if tls.is_some() { "https" } else { "http" };
     let config = Config {
         kinds: kinds.clone(),
+        pages: pages(),
         tls,
         webhooks: webhooks(&arguments.webhook, arguments.webhook_allow_local)?,
         limits: LimitConfig {

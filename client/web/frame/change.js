@@ -1,0 +1,77 @@
+// The change of E_ind from one bounce to the next, which tells when bounces have converged. It is found on the device and read
+// without a wait; twin of client/src/passes/change.
+
+import { THREADS, dispatch } from "./gpu.js";
+import { FOUR } from "./resident.js";
+
+// Most workgroups of the first step.
+const GROUPS_MAX = 512;
+// Answers that may be under way at once.
+const LANDINGS = 3;
+// Bytes of an answer: two sums.
+const ANSWER_BYTES = 8;
+
+export class ChangePass {
+  #free = [];
+  #underWay = new Set();
+
+  /** Binds E_ind; the first call compares it with black. */
+  static async create(gpu, { eInd, receiverCount }) {
+    const pass = new ChangePass();
+    const groups = Math.min(Math.max(Math.ceil(receiverCount / THREADS), 1), GROUPS_MAX);
+    const numbers = gpu.uniform("change", Uint32Array.from([receiverCount, groups * THREADS]));
+    const before = gpu.blank("E_ind before", FOUR * receiverCount);
+    // As long as it is bound: the second step goes through all of it.
+    const sums = gpu.blank("sums of groups", ANSWER_BYTES * groups);
+    pass.gpu = gpu;
+    pass.result = gpu.blank("sums", ANSWER_BYTES);
+    const step = async (entry, count, resources) => {
+      const pipeline = await gpu.compute("change", entry);
+      const group = gpu.bindAt(pipeline.getBindGroupLayout(0), resources);
+      return { pipeline, groups: [group], counts: [count, 1] };
+    };
+    pass.steps = [
+      await step("sum_of_groups", groups, [[0, numbers], [1, eInd], [2, before], [3, sums]]),
+      await step("sum_of_all", 1, [[3, sums], [4, pass.result]]),
+    ];
+    for (let landing = 0; landing < LANDINGS; landing++) {
+      pass.#free.push(gpu.buffer("change read back", ANSWER_BYTES, GPUBufferUsage.MAP_READ));
+    }
+    return pass;
+  }
+
+  /**
+   * Runs the pass, and calls `heard` with the relative change when it is known: 0 when both are black, no finite number where
+   * light is none. Where too many answers are under way, there is none for this call.
+   */
+  ask(heard) {
+    const landing = this.#free.pop();
+    this.gpu.submit((encoder) => {
+      const pass = encoder.beginComputePass();
+      this.steps.forEach((step) => dispatch(pass, step));
+      pass.end();
+      if (landing) {
+        encoder.copyBufferToBuffer(this.result, 0, landing, 0, ANSWER_BYTES);
+      }
+    });
+    if (landing) {
+      const answer = this.#answer(landing, heard).finally(() => this.#underWay.delete(answer));
+      this.#underWay.add(answer);
+      // Whoever waits hears of a lost device; nobody has to wait.
+      answer.catch(() => {});
+    }
+  }
+
+  /** Waits for all answers that are under way. */
+  async idle() {
+    await Promise.all(this.#underWay);
+  }
+
+  async #answer(landing, heard) {
+    await landing.mapAsync(GPUMapMode.READ);
+    const [difference, total] = new Float32Array(landing.getMappedRange(0, ANSWER_BYTES));
+    landing.unmap();
+    this.#free.push(landing);
+    heard(difference === 0 && total === 0 ? 0 : difference / total);
+  }
+}

@@ -1,0 +1,327 @@
+// A frame that stays: a change of lights, emitters or camera writes to buffers and makes none, and nothing waits for the device.
+//
+//   setLights ───▶ shadow maps ─▶ direct ─▶ bounce, bounce, … ─▶ publish ─▶ draw
+//   setEmitters ──────────────────────────▶    (advance: once a frame, until they change nothing)
+//   setCamera ───▶ cascades of suns ─────────────────────────────────────▶ draw
+//
+// Twin of client/src/frame. Bounces go on from the light that there is: after a small change a few are enough.
+
+import { isBlack, skyOf } from "../relight/sky.js";
+import { Gpu } from "./gpu.js";
+import { halves } from "./halves.js";
+import { cameraOf, castersOf, checkLights, checkScale, lightsOf } from "./lights.js";
+import { Meshes } from "./meshes.js";
+import { LightPasses } from "./passes.js";
+import { ShadowPlan, checkRoom, roomFor } from "./plan.js";
+import { FOUR } from "./resident.js";
+import { BLENDABLE, ShadePass } from "./shade.js";
+import { fetchShaders } from "./shaders.js";
+import { ShadowPass } from "./shadow.js";
+import { measuredSnap } from "./snap.js";
+import { TONES, TonePass, automaticExposure } from "./tone.js";
+import { eyeOf, shadeView } from "./view.js";
+
+/** Relative change of E_ind by a bounce below which light has settled. */
+export const CHANGE_MAX = 1e-3;
+// Most bounces of `settle`.
+const BOUNCES_MAX = 200;
+/** Samples per pixel of a picture that stands still. More → smoother edges, longer until it is done. */
+export const SAMPLES_MAX = 16;
+// Texels along a side of a shadow map, and room for lights and maps, unless asked otherwise or the bake's own lights need more.
+const SHADOW_SIDE = 1024;
+const LIGHTS = 8;
+const FACES = 24;
+
+/** Features of a device that frames have a use for, of those that an adapter has. */
+export function featuresOf(adapter) {
+  return [BLENDABLE].filter((feature) => adapter.features.has(feature));
+}
+
+export class Frame {
+  #casters = [];
+  #sky = skyOf([]);
+  #emitterScale = [];
+  #camera;
+  #plan;
+  // Work that changes have left to do: all shadow maps and E_dir; E_dir alone; cascades alone; black E_ind; pages.
+  #stale = { lights: true, direct: true, cascades: true, light: true, pages: true };
+  // Samples of the picture as it is; what they were drawn with.
+  #film = { samples: 0, exposure: 1, curve: "filmic", isAlone: false };
+  // Bounces since the last change, and the last change by one that was heard of.
+  #bounces = { count: 0, change: null };
+
+  /**
+   * Uploads a bake and makes all buffers and pipelines. Options:
+   *   width, height   of the picture in pixels
+   *   format          of what is drawn into, a canvas' by default
+   *   shaders         texts by name; fetched by default
+   *   camera, lights  the bake's own by default
+   *   shadows         room for lights and maps: {lights, faces, side}
+   */
+  static async create(device, bake, options) {
+    const frame = new Frame();
+    const shaders = options.shaders ?? (await fetchShaders());
+    frame.gpu = new Gpu(device, shaders);
+    frame.bake = bake;
+    device.pushErrorScope("out-of-memory");
+    device.pushErrorScope("validation");
+    try {
+      await frame.#make(options);
+    } finally {
+      const [invalid, full] = [await device.popErrorScope(), await device.popErrorScope()];
+      if (full) throw new Error(`the device has too little memory for this bake (${full.message})`);
+      if (invalid) throw new Error(`the device refuses this bake: ${invalid.message}`);
+    }
+    return frame;
+  }
+
+  async #make({ width, height, format, camera, lights, shadows }) {
+    const { gpu, bake } = this;
+    const { manifest } = bake.scene;
+    this.boundsM = [Array.from(manifest.boundsM.slice(0, 3)), Array.from(manifest.boundsM.slice(3, 6))];
+    const own = lights ?? lightsOf(manifest);
+    this.room = shadows ?? roomWith(castersOf(own));
+    checkRoom(this.room);
+    this.size = [width, height];
+    this.snap = await measuredSnap(gpu);
+    const meshes = await Meshes.create(gpu, bake.scene);
+    this.shadow = await ShadowPass.create(gpu, bake.scene, meshes, this.room);
+    this.light = await LightPasses.create(gpu, bake, this.shadow);
+    this.shade = await ShadePass.create(gpu, bake.scene, meshes, this.shadow, this.light.atlas, this.size);
+    this.tone = await TonePass.create(gpu, format ?? navigator.gpu.getPreferredCanvasFormat());
+    this.tone.bind(this.shade.targetView, this.size);
+    // Factor on radiance before the tone curve, and the curve.
+    this.exposure = 1;
+    this.curve = "filmic";
+    const seen = camera ?? cameraOf(manifest);
+    if (seen === null) throw new Error("the bake has no camera: give one");
+    this.#plan = this.#planned([], null);
+    this.setCamera(seen);
+    this.#writeUnshadowed();
+    this.setLights(own);
+  }
+
+  /** Sets lights and skies. Errs, and changes nothing, where they are more than the room holds. */
+  setLights(lights) {
+    checkLights(lights);
+    const casters = castersOf(lights);
+    const plan = this.#planned(casters, eyeOf(this.#camera));
+    const sky = skyOf(lights);
+    if (!isSame(casters, this.#casters)) {
+      [this.#casters, this.#plan] = [casters, plan];
+      this.shadow.set(plan);
+      Object.assign(this.#stale, { lights: true, cascades: true });
+    } else if (isSame(sky, this.#sky)) {
+      return;
+    }
+    this.#sky = sky;
+    this.#writeUnshadowed();
+  }
+
+  /** Sets the emitters' strengths, one factor each; 1 where absent. */
+  setEmitters(scale) {
+    checkScale(scale);
+    if (!isSame(Array.from(scale), this.#emitterScale)) {
+      this.#emitterScale = Array.from(scale);
+      this.#writeUnshadowed();
+    }
+  }
+
+  /** Sets the camera. */
+  setCamera(camera) {
+    const own = {
+      ...camera,
+      eyeM: Array.from(camera.eyeM),
+      targetM: Array.from(camera.targetM),
+      up: Array.from(camera.up),
+    };
+    // Errs for a camera that sees nothing.
+    shadeView(own, this.size, this.boundsM, this.#sky, [0, 0]);
+    const plan = this.#planned(this.#casters, eyeOf(own));
+    this.#camera = own;
+    this.#film.samples = 0;
+    if (!plan.hasFacesOf(this.#plan)) {
+      this.#plan = plan;
+      this.shadow.set(plan);
+      this.#stale.cascades = true;
+    }
+  }
+
+  get camera() {
+    return this.#camera;
+  }
+
+  /**
+   * Takes other light of the same scene, as when more clusters have come: it is shown once it has settled. This makes buffers, and
+   * waits.
+   */
+  async setLight(light, limit) {
+    const [before, bake] = [this.light, { ...this.bake, light }];
+    const passes = await LightPasses.create(this.gpu, bake, this.shadow);
+    await before.change.idle();
+    [this.light, this.bake] = [passes, bake];
+    Object.assign(this.#stale, { direct: true, light: true });
+    this.#writeUnshadowed();
+    const settled = await this.settle(limit);
+    this.shade.setPages(passes.atlas);
+    this.#film.samples = 0;
+    before.destroy();
+    return settled;
+  }
+
+  /** Makes the picture of another size; this alone makes textures. */
+  resize(width, height) {
+    this.size = [width, height];
+    this.shade.resize(this.size);
+    this.#film.samples = 0;
+    this.tone.bind(this.shade.targetView, this.size);
+  }
+
+  /** One bounce more, and before it what changes ask for. Waits for nothing; answers the bounces since the last change. */
+  advance() {
+    this.#drawShadows();
+    const { eInd } = this.light.resident;
+    this.gpu.submit((encoder) => {
+      if (this.#stale.light) encoder.clearBuffer(eInd);
+      this.light.bounce(encoder);
+    });
+    Object.assign(this.#stale, { light: false, pages: true });
+    this.#film.samples = 0;
+    const bounces = this.#bounces;
+    this.light.change.ask((change) => {
+      // Light that is no number stays none.
+      if (!Number.isFinite(change)) this.#stale.light = true;
+      bounces.change = change;
+    });
+    bounces.count += 1;
+    return bounces.count;
+  }
+
+  /** Whether the last bounce that was heard of changed light by little. */
+  get settled() {
+    const { change } = this.#bounces;
+    return change !== null && change < CHANGE_MAX;
+  }
+
+  /** Bounces until they change less than a limit, each waited for: their number, and whether they converged. */
+  async settle({ bouncesMax = BOUNCES_MAX, changeMax = CHANGE_MAX } = {}) {
+    const isSettled = () => this.#bounces.change !== null && this.#bounces.change < changeMax;
+    while (!isSettled() && this.#bounces.count < bouncesMax) {
+      this.advance();
+      await this.light.change.idle();
+    }
+    return { bounces: this.#bounces.count, converged: isSettled() };
+  }
+
+  /**
+   * Draws one sample per pixel with the light of the last bounce, into a texture view or a canvas' context. While nothing changes,
+   * samples of later calls are added, so that a picture that stands still becomes smooth. With a `jitter`, pixels (right, down)
+   * from the pixels' middles, the picture is of that sample alone.
+   */
+  draw(target, jitter = null) {
+    this.#drawShadows();
+    const [{ exposure, curve }, film] = [this, this.#film];
+    const isAlone = jitter !== null;
+    if (isAlone || film.isAlone || exposure !== film.exposure || curve !== film.curve) {
+      this.#film = { samples: 0, exposure, curve, isAlone };
+    }
+    const into = target.getCurrentTexture?.().createView() ?? target;
+    const sample = this.#film.samples;
+    this.gpu.submit((encoder) => {
+      if (sample < SAMPLES_MAX) {
+        const view = shadeView(this.#camera, this.size, this.boundsM, this.#sky, jitter ?? jitterOf(sample));
+        if (this.#stale.pages) this.light.publish(encoder);
+        this.#stale.pages = false;
+        this.shade.record(encoder, view);
+        this.tone.add(encoder, { exposure, curve: TONES[curve], sample });
+        this.#film.samples = sample + 1;
+      }
+      this.tone.show(encoder, into);
+    });
+  }
+
+  /** Samples of the picture as it is, at most SAMPLES_MAX: more calls of `draw` change it no more. */
+  get samples() {
+    return this.#film.samples;
+  }
+
+  /** Sets the exposure by the picture drawn last, after a wait, and answers it. */
+  async expose() {
+    this.exposure = automaticExposure(await this.readRadiance());
+    return this.exposure;
+  }
+
+  /** The picture drawn last, after a wait: rgb radiance in W·m⁻²·sr⁻¹, alpha 1 on surfaces. */
+  async readRadiance() {
+    const is32 = this.shade.format === "rgba32float";
+    const bytes = await this.gpu.readLayer(this.shade.target, 0, is32 ? 16 : 8);
+    return is32 ? new Float32Array(bytes) : halves(new Uint16Array(bytes));
+  }
+
+  /** E_ind of receivers by slot after the last bounce, after a wait: four numbers each, W·m⁻². */
+  async readIndirect() {
+    const { eInd, receiverCount } = this.light.resident;
+    if (receiverCount === 0) return new Float32Array(0);
+    return new Float32Array(await this.gpu.read(eInd, FOUR * receiverCount));
+  }
+
+  /** Places of receivers and their light, after a wait, for `BakeStream.refine`. */
+  async lit() {
+    const { positionM } = this.bake.light.receivers;
+    return { positionM, irradiance: await this.readIndirect() };
+  }
+
+  /** Where the picture is looked at from; null for a parallel camera. */
+  get viewpoint() {
+    return eyeOf(this.#camera);
+  }
+
+  #planned(casters, eye) {
+    return new ShadowPlan(this.room, casters, this.boundsM, eye, this.snap);
+  }
+
+  /** Writes light that no shadow map has: all bounces are of other light from here on. */
+  #writeUnshadowed() {
+    const isEmitting = this.light.setUnshadowed(this.#sky, this.#emitterScale);
+    this.shade.setLooks(this.#emitterScale);
+    // Light that nothing sends any more would fade for ever.
+    const isDark = this.#casters.length === 0 && isBlack(this.#sky) && !isEmitting;
+    this.#stale.light ||= isDark;
+    this.#stale.pages = true;
+    this.#film.samples = 0;
+    this.#bounces = { count: 0, change: null };
+  }
+
+  /** Draws the shadow maps that changes ask for, and E_dir. */
+  #drawShadows() {
+    const { lights, direct, cascades } = this.#stale;
+    if (!cascades && !direct) return;
+    const first = lights ? 0 : this.#plan.firstCascade;
+    this.gpu.submit((encoder) => {
+      if (cascades) this.shadow.record(encoder, first, this.#plan.faces.length);
+      if (lights || direct) this.light.relit(encoder);
+    });
+    Object.assign(this.#stale, { lights: false, direct: false, cascades: false });
+  }
+}
+
+/** Offset of a sample from the pixel's middle: a rotated grid for the first four, then the R2 sequence. */
+function jitterOf(sample) {
+  const grid = [[-0.125, -0.375], [0.375, -0.125], [-0.375, 0.125], [0.125, 0.375]];
+  const at = (step) => ((0.5 + step * (sample + 1)) % 1) - 0.5;
+  return grid[sample] ?? [at(0.7548776662466928), at(0.5698402909980533)];
+}
+
+/** Room for some lights, and no less than what people may add. */
+function roomWith(casters) {
+  const own = roomFor(casters, SHADOW_SIDE);
+  const wanted = { ...own, lights: Math.max(own.lights, LIGHTS), faces: Math.max(own.faces, FACES) };
+  // Fewer texels, where many lights need many maps.
+  return wanted.faces * wanted.side ** 2 > 2 ** 26 ? own : wanted;
+}
+
+/** Whether two trees of plain values, lists and typed arrays are the same. */
+function isSame(a, b) {
+  const plain = (_, value) => (ArrayBuffer.isView(value) ? Array.from(value) : value);
+  return JSON.stringify(a, plain) === JSON.stringify(b, plain);
+}

@@ -1,0 +1,72 @@
+// The passes of a bake's light on the device, with their buffers; twin of client/src/lightmap/passes.rs.
+
+import { AtlasPass } from "./atlas.js";
+import { ChangePass } from "./change.js";
+import { DirectPass } from "./direct.js";
+import { BasisPass, ReconstructPass } from "./factors.js";
+import { NearPass } from "./near.js";
+import { PatchesPass } from "./patches.js";
+import { Resident } from "./resident.js";
+
+/** direct → patches → basis → near → reconstruct → atlas. */
+export class LightPasses {
+  /** Uploads the light of a bake. */
+  static async create(whole, { scene, light }, shadow) {
+    const passes = new LightPasses();
+    const gpu = whole.branch();
+    Object.assign(passes, { gpu, light });
+    const resident = new Resident(gpu, light);
+    passes.resident = resident;
+    // Devices compile pipelines at once.
+    const [direct, columns, basis, near, reconstruct, atlas, change] = await Promise.all([
+      DirectPass.create(gpu, light.points, shadow, resident),
+      PatchesPass.create(gpu, light.columns, resident),
+      BasisPass.create(gpu, light.clusters, resident),
+      NearPass.create(gpu, light.near, shadow, resident),
+      ReconstructPass.create(gpu, light.clusters, resident),
+      AtlasPass.create(gpu, scene.layout, light.texels, resident),
+      ChangePass.create(gpu, resident),
+    ]);
+    Object.assign(passes, { direct, columns, basis, near, reconstruct, atlas, change });
+    return passes;
+  }
+
+  /** Frees all buffers. */
+  destroy() {
+    this.gpu.destroy();
+  }
+
+  /** Writes light that no shadow map has: E_emit, and λ of the sky. Answers whether any emitter sends light. */
+  setUnshadowed(sky, emitterScale) {
+    const { light, resident } = this;
+    const emit = light.emitters.irradiance(light.receivers.count, emitterScale);
+    this.gpu.write(resident.eEmit, emit);
+    resident.writeSky(this.gpu, light.columns.skyLambda(sky));
+    return emit.some((value) => value !== 0);
+  }
+
+  /** Records E_dir at receivers and near hits, from new shadow maps. */
+  relit(encoder) {
+    const pass = encoder.beginComputePass();
+    this.direct.record(pass);
+    this.near.light(pass);
+    pass.end();
+  }
+
+  /** Records one bounce: E_ind of the one before → E_ind. */
+  bounce(encoder) {
+    const pass = encoder.beginComputePass();
+    this.columns.record(pass);
+    this.basis.record(pass);
+    this.near.record(pass);
+    this.reconstruct.record(pass);
+    pass.end();
+  }
+
+  /** Records E_emit + E_ind into the pages. */
+  publish(encoder) {
+    const pass = encoder.beginComputePass();
+    this.atlas.record(pass);
+    pass.end();
+  }
+}

@@ -1,0 +1,171 @@
+// The picture's radiance on the device; twin of client/src/passes/shade/gpu.rs.
+
+import { Glass } from "./glass.js";
+import { FRAGMENT, VERTEX } from "./gpu.js";
+import { SAMPLED, VERTEX_LAYOUT, uvRows } from "./meshes.js";
+import { NEARER_WINS, TESTED_ALONE, clearedDepth } from "./targets.js";
+import { VIEW_NUMBERS } from "./view.js";
+
+// Bytes of a draw's look as the shader reads it.
+const LOOK_BYTES = 144;
+/** Feature of devices that blend 32-bit radiance; on others glass is drawn over 16-bit radiance. */
+export const BLENDABLE = "float32-blendable";
+// Behind everything, without touching the depth.
+const BEHIND = { ...NEARER_WINS, depthWriteEnabled: false, depthCompare: "always" };
+// Glass, whose alpha is the share that it stops, over what is behind it.
+const OVER = {
+  color: { srcFactor: "src-alpha", dstFactor: "one-minus-src-alpha" },
+  alpha: { srcFactor: "one", dstFactor: "one-minus-src-alpha" },
+};
+
+export class ShadePass {
+  /** Makes pipelines, and a target of `size` pixels. */
+  static async create(gpu, scene, meshes, shadow, atlas, size) {
+    const pass = new ShadePass();
+    Object.assign(pass, { gpu, scene, meshes, shadow });
+    pass.glass = new Glass(scene);
+    const is32 = pass.glass.panes.length === 0 || gpu.device.features.has(BLENDABLE);
+    pass.format = is32 ? "rgba32float" : "rgba16float";
+    const looks = { visibility: VERTEX | FRAGMENT, buffer: { type: "uniform", hasDynamicOffset: true } };
+    const layouts = {
+      view: gpu.bindLayout([
+        { visibility: VERTEX | FRAGMENT, buffer: { type: "uniform" } },
+        { visibility: FRAGMENT, texture: { sampleType: "unfilterable-float", viewDimension: "2d-array" } },
+        { visibility: FRAGMENT, buffer: { type: "read-only-storage" } },
+      ]),
+      draws: gpu.bindLayout([looks]),
+      material: gpu.bindLayout([...SAMPLED, ...SAMPLED, ...SAMPLED]),
+    };
+    pass.#bind(layouts, atlas);
+    const all = [shadow.lightLayout, layouts.view, layouts.draws, layouts.material];
+    await pass.#makePipelines(gpu.pipelineLayout(all));
+    pass.resize(size);
+    return pass;
+  }
+
+  #bind(layouts, atlas) {
+    const { gpu, scene, meshes } = this;
+    const { draws, layout, manifest } = scene;
+    const placements = draws.flatMap(({ front, back }) => [...layout.placement(front), ...layout.placement(back)]);
+    this.view = gpu.buffer("view", 4 * VIEW_NUMBERS, GPUBufferUsage.UNIFORM);
+    this.placements = gpu.storage("placements", Uint32Array.from(placements));
+    this.viewLayout = layouts.view;
+    this.setPages(atlas);
+    this.looks = gpu.uniforms("draws", LOOK_BYTES, draws.length);
+    this.draws = gpu.bind(layouts.draws, [{ buffer: this.looks.buffer, size: LOOK_BYTES }]);
+    this.materials = manifest.materials.map(({ baseColourTexture, emissiveTexture, glass }) => {
+      const used = [baseColourTexture, emissiveTexture, glass?.transmissionTexture];
+      return gpu.bind(layouts.material, used.flatMap((texture) => meshes.texture(texture)));
+    });
+    this.paneCorners = gpu.buffer("corners of glass", 12 * this.glass.panes.length, GPUBufferUsage.INDEX);
+  }
+
+  async #makePipelines(layout) {
+    const blend = this.glass.panes.length > 0 ? OVER : null;
+    const sides = (depth, over) => {
+      const made = ["back", "none"].map((cull) => this.#pipeline(layout, ["corner", "shade"], cull, depth, over));
+      return Promise.all(made);
+    };
+    this.opaque = await sides(NEARER_WINS, null);
+    this.overlaid = blend && (await sides(TESTED_ALONE, blend));
+    this.sky = await this.#pipeline(layout, ["sky_corner", "sky"], "none", BEHIND, null);
+  }
+
+  #pipeline(layout, [vertex, fragment], cullMode, depthStencil, blend) {
+    const module = this.gpu.module("shade");
+    const target = blend ? { format: this.format, blend } : { format: this.format };
+    return this.gpu.render({
+      label: fragment,
+      layout,
+      vertex: { module, entryPoint: vertex, buffers: vertex === "corner" ? [VERTEX_LAYOUT] : [] },
+      primitive: { topology: "triangle-list", cullMode },
+      depthStencil,
+      fragment: { module, entryPoint: fragment, targets: [target] },
+    });
+  }
+
+  /** Takes other pages of indirect light. */
+  setPages(atlas) {
+    this.viewGroup = this.gpu.bind(this.viewLayout, [this.view, atlas.view, this.placements]);
+  }
+
+  /** Makes a target of another size: width and height in pixels. */
+  resize(size) {
+    this.target?.destroy();
+    this.depth?.destroy();
+    const usage = GPUTextureUsage.RENDER_ATTACHMENT;
+    const read = GPUTextureUsage.COPY_SRC | GPUTextureUsage.TEXTURE_BINDING;
+    this.target = this.gpu.texture({ label: "picture", size, format: this.format, usage: usage | read });
+    this.depth = this.gpu.texture({ label: "depth", size, format: NEARER_WINS.format, usage });
+    this.targetView = this.target.createView();
+    this.depthView = this.depth.createView();
+  }
+
+  /** Writes looks of materials; the emitters' scale is 1 where absent. */
+  setLooks(emitterScale) {
+    const { draws, manifest } = this.scene;
+    const looks = draws.map(({ material }, index) => lookOf(manifest.materials[material], index, emitterScale));
+    this.gpu.writeStrided(this.looks, looks);
+  }
+
+  /** Records one sample per pixel of a view. */
+  record(encoder, { matrix, numbers }) {
+    this.gpu.write(this.view, numbers);
+    const pass = encoder.beginRenderPass({
+      label: "shade",
+      colorAttachments: [
+        { view: this.targetView, clearValue: [0, 0, 0, 0], loadOp: "clear", storeOp: "store" },
+      ],
+      depthStencilAttachment: clearedDepth(this.depthView),
+    });
+    pass.setBindGroup(0, this.shadow.lightGroup);
+    pass.setBindGroup(1, this.viewGroup);
+    if (this.materials.length > 0) {
+      // The sky reads neither, but its pipeline's layout names them.
+      pass.setBindGroup(2, this.draws, [0]);
+      pass.setBindGroup(3, this.materials[0]);
+      pass.setPipeline(this.sky);
+      pass.draw(3);
+    }
+    this.meshes.meshes.forEach((mesh, index) => {
+      if (!this.scene.manifest.materials[mesh.material].glass) {
+        this.#bindDraw(pass, this.opaque, index);
+        this.meshes.draw(pass, mesh);
+      }
+    });
+    if (this.overlaid) {
+      this.#drawGlass(pass, matrix);
+    }
+    pass.end();
+  }
+
+  #drawGlass(pass, matrix) {
+    const { corners, runs } = this.glass.farthestFirst(matrix);
+    this.gpu.write(this.paneCorners, corners);
+    pass.setIndexBuffer(this.paneCorners, "uint32");
+    for (const { draw, from, to } of runs) {
+      this.#bindDraw(pass, this.overlaid, draw);
+      pass.setVertexBuffer(0, this.meshes.meshes[draw].vertices);
+      pass.drawIndexed(3 * (to - from), 1, 3 * from);
+    }
+  }
+
+  #bindDraw(pass, [single, double], index) {
+    const { material } = this.meshes.meshes[index];
+    pass.setPipeline(this.scene.manifest.materials[material].doubleSided ? double : single);
+    pass.setBindGroup(2, this.draws, [index * this.looks.stride]);
+    pass.setBindGroup(3, this.materials[material]);
+  }
+}
+
+/** Look of a draw as the shader reads it. */
+function lookOf(material, index, emitterScale) {
+  const { baseColour, emissive, emitter, glass, alphaCutoff } = material;
+  const scale = emitterScale[emitter] ?? 1;
+  const rows = [material.baseColourTexture, material.emissiveTexture, glass?.transmissionTexture].flatMap(uvRows);
+  const look = new Float32Array(LOOK_BYTES / 4);
+  look.set([...baseColour, ...emissive.map((channel) => channel * scale), 0, ...rows]);
+  look.set([alphaCutoff ?? -1, 0, glass?.transmission ?? 0, glass?.blends ? 1 : 0], 32);
+  new Uint32Array(look.buffer)[33] = index;
+  return look;
+}

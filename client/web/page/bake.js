@@ -1,0 +1,91 @@
+// One bake: where it stands, its log as it happens, its report, and its picture.
+
+import { ServerSource } from "../fetch.js";
+import { bar, el, fill, notice, stateMark, table } from "./dom.js";
+import { shown } from "./report.js";
+import { http } from "./session.js";
+import { viewerOf } from "./viewer.js";
+import { eventWords, lengthOf, shareDone, timeOf } from "./words.js";
+
+/** Longest wait of a call for events. */
+const WAIT_SECS = 25;
+/** Lines of the log that are kept on the page. */
+const LINES_MAX = 500;
+const STAGES = [["Stage"], ["Tasks", true], ["Done"], ["Reused", true], ["Under way", true], ["Time", true]];
+
+/** Shows a bake in `main` until `signal` is raised. */
+export async function showBake(main, id, signal) {
+  const path = `/v1/bakes/${encodeURIComponent(id)}`;
+  let bake = await http().json(path, { signal });
+  const parts = { head: el("div"), viewer: el("div"), stages: el("div"), report: el("div"), log: el("ol", { class: "log" }) };
+  const settings = el("details", {}, el("summary", {}, "Settings"), shown(bake.settings ?? "the defaults of the kind"));
+  fill(
+    main,
+    parts.head,
+    parts.viewer,
+    parts.report,
+    el("h2", {}, "Progress"),
+    parts.stages,
+    el("h2", {}, "Log"),
+    parts.log,
+    settings,
+  );
+  let isShown = false;
+  for (let after = 0; ; ) {
+    update(parts, bake);
+    if (bake.state === "done" && !isShown) {
+      isShown = true;
+      showResult(parts, path, bake, signal);
+    }
+    const isAtEnd = ["done", "failed", "cancelled"].includes(bake.state);
+    const wait = isAtEnd ? 0 : WAIT_SECS;
+    const page = await http().json(`${path}/events?after=${after}&wait_secs=${wait}`, { signal });
+    page.events.forEach((event) => addLine(parts.log, event));
+    if (isAtEnd && page.events.length === 0) return;
+    after = page.events.at(-1)?.seq ?? after;
+    bake = page.bake;
+  }
+}
+
+function update({ head, stages }, bake) {
+  const share = shareDone(bake);
+  const isUnderWay = bake.state === "running" || bake.state === "paused";
+  const end = bake.finished_ms ?? Date.now();
+  fill(
+    head,
+    el("h1", {}, bake.name || bake.id),
+    el(
+      "p",
+      { class: "quiet small" },
+      stateMark(bake.state),
+      ` · kind ${bake.kind} · ${timeOf(bake.created_ms)} · ${lengthOf(end - bake.created_ms)} · `,
+      el("span", { class: "mono" }, bake.id),
+    ),
+    isUnderWay ? bar(share, `${Math.round(100 * share)} % done`) : null,
+    bake.failure === null ? null : notice(bake.failure, { isBad: true }),
+    bake.results_lost > 0 ? notice(`${bake.results_lost} of its results were lost: bake the scene again`, { isBad: true }) : null,
+  );
+  fill(stages, table(STAGES, bake.stages.map(stageRow)));
+}
+
+function stageRow({ kind, total, done, reused, leased, cost_total: cost, cost_done: costDone, elapsed_ms: ms }) {
+  const share = cost > 0 ? costDone / cost : done === total ? 1 : 0;
+  return [kind, `${done} of ${total}`, bar(share, `${kind}: ${done} of ${total}`), String(reused), String(leased), lengthOf(ms)];
+}
+
+function addLine(log, { at_ms: ms, event }) {
+  const line = el("li", {}, el("time", {}, timeOf(ms)), el("span", {}, eventWords(event)));
+  if (event.type === "task_failed") line.lastChild.classList.add("failure");
+  log.prepend(line);
+  while (log.children.length > LINES_MAX) log.lastChild.remove();
+}
+
+/** Shows what a finished bake has: each part on its own, so that a fault in one leaves the others. */
+function showResult(parts, path, bake, signal) {
+  const source = new ServerSource({ http: http(), bake: bake.id });
+  viewerOf(parts.viewer, source, signal);
+  http()
+    .json(`${path}/report`, { signal })
+    .then((report) => fill(parts.report, el("h2", {}, "Report"), el("div", { class: "card" }, shown(report))))
+    .catch((error) => signal.aborted || fill(parts.report, notice(`The report: ${error.message}`, { isBad: true })));
+}

@@ -1,0 +1,246 @@
+// A bake on a canvas: light is seen as its clusters come, the camera circles a point, and one lamp can be moved.
+//
+//   const viewer = await Viewer.open(canvas, source, { onProgress: ({ words, share }) => … });
+//   viewer.lamp.positionM = [0, 1, 0]; viewer.changed();
+//   viewer.close();
+//
+// A drag turns the camera, a wheel or two fingers bring it nearer; a drag with the right button or with Shift moves the lamp.
+
+import { decodeCluster } from "./chunk/cluster.js";
+import { decodeGeometry } from "./chunk/geometry.js";
+import { ROLES, checkRelightable, chunksOf } from "./chunk/manifest.js";
+import { decodePatches } from "./chunk/patches.js";
+import { decodeTexture } from "./chunk/texture.js";
+import { fetchChunks, fetchManifest, forEachParallel, PARALLEL } from "./fetch.js";
+import { Frame, featuresOf } from "./frame/frame.js";
+import { cameraOf, lightsOf } from "./frame/lights.js";
+import { assembleScene } from "./relight/bake.js";
+import { lightOfPrefix } from "./relight/prefix.js";
+import { Orbit } from "./orbit.js";
+
+/** Shares of the clusters after which light is shown anew; with a few clusters all come at once. */
+const STAGES = [0.1, 0.4, 1];
+const CLUSTERS_FEW = 24;
+/** Most pixels along a side of the picture, however dense the screen is. */
+const SIDE_MAX = 2048;
+/** Bounces before the first picture, and before one of a later stage. */
+const BOUNCES_FIRST = 16;
+
+/** A browser or machine without WebGPU: nothing is wrong with the bake. */
+export class Unsupported extends Error {
+  constructor(message) {
+    super(message);
+    this.name = "Unsupported";
+  }
+}
+
+/** A device for frames. Throws `Unsupported` where there is none. */
+export async function requestDevice() {
+  if (navigator.gpu === undefined) throw new Unsupported("this browser has no WebGPU, or the page is not served over HTTPS");
+  const adapter = await navigator.gpu.requestAdapter();
+  if (adapter === null) throw new Unsupported("this browser has WebGPU, but no graphics adapter for it");
+  return adapter.requestDevice({ requiredFeatures: featuresOf(adapter) });
+}
+
+export class Viewer {
+  #isClosed = false;
+  // Something to draw has changed since the last picture.
+  #isStale = true;
+  // Light is being exchanged: its bounces are run there.
+  #isLoading = false;
+
+  /** Opens a bake. `onProgress` is told what is under way, `onFailure` what ended the view later. */
+  static async open(canvas, source, { signal = null, onProgress = () => {}, onFailure = () => {} } = {}) {
+    const viewer = new Viewer();
+    viewer.device = await requestDevice();
+    try {
+      await viewer.#open(canvas, source, { signal, onProgress, onFailure });
+    } catch (error) {
+      viewer.close();
+      throw error;
+    }
+    return viewer;
+  }
+
+  async #open(canvas, source, { signal, onProgress, onFailure }) {
+    this.device.lost.then(({ message }) => {
+      if (!this.#isClosed) onFailure(new Error(`the graphics device is gone (${message}): open the page again`));
+    });
+    onProgress({ words: "reading the scene", share: 0 });
+    const manifest = await fetchManifest(source, { signal });
+    checkRelightable(manifest);
+    const of = (role, decode) => fetchChunks(source, chunksOf(manifest, role), decode, { signal });
+    const [geometry, textures, patches, overview] = await Promise.all([
+      of(ROLES.geometry, decodeGeometry),
+      of(ROLES.textures, decodeTexture),
+      of(ROLES.patches, decodePatches),
+      of(ROLES.overview, decodeCluster),
+    ]);
+    this.scene = assembleScene(manifest, geometry, textures);
+    this.bake = { source, manifest, patches: patches[0], overview };
+    this.canvas = canvas;
+    await this.#firstLight(signal, onProgress);
+    this.#follow(canvas);
+    this.#refine(signal, onProgress).catch((error) => signal?.aborted || this.#isClosed || onFailure(error));
+  }
+
+  /** The first picture: of the overview, where there is one, else of all clusters. */
+  async #firstLight(signal, onProgress) {
+    const { manifest, overview } = this.bake;
+    this.present = new Map();
+    const isFew = manifest.clusters.length <= CLUSTERS_FEW || overview.length === 0;
+    this.stages = isFew ? [1] : STAGES;
+    if (isFew) await this.#fetchUpTo(this.stages.shift(), signal, onProgress);
+    const light = this.#light();
+    const camera = cameraOf(manifest) ?? Orbit.around(manifest.boundsM).camera();
+    this.orbit = Orbit.of(camera, manifest.boundsM);
+    this.context = this.canvas.getContext("webgpu");
+    const format = navigator.gpu.getPreferredCanvasFormat();
+    this.context.configure({ device: this.device, format, alphaMode: "opaque" });
+    const [width, height] = this.#fit();
+    const options = { width, height, format, camera: this.orbit.camera() };
+    this.frame = await Frame.create(this.device, { scene: this.scene, light }, options);
+    this.lights = [...lightsOf(manifest)];
+    await this.frame.settle({ bouncesMax: BOUNCES_FIRST });
+    this.frame.draw(this.context);
+    const exposure = await this.frame.expose();
+    this.#addLamp(exposure);
+    this.changed();
+  }
+
+  /** The lamp is the first light that has a place, else one more, as bright as the rest of the scene. */
+  #addLamp(exposure) {
+    const [low, high] = this.frame.boundsM;
+    const diagonal = Math.hypot(...high.map((bound, axis) => bound - low[axis]));
+    const own = this.lights.findIndex(({ kind }) => kind.type === "point" || kind.type === "spot");
+    const mean = (0.18 / exposure) * Math.PI * (diagonal / 4) ** 2;
+    const isDark = this.lights.length === 0 && this.scene.manifest.emitters.length === 0;
+    const strength = isDark || !Number.isFinite(mean) ? diagonal ** 2 : mean;
+    const made = {
+      name: "lamp",
+      kind: { type: "point", positionM: low.map((bound, axis) => 0.5 * (bound + high[axis])), rangeM: null },
+      strength: [strength, strength, strength],
+    };
+    this.#lampAt = own < 0 ? this.lights.push(made) - 1 : own;
+    const { kind, strength: full } = this.lights[this.#lampAt];
+    /** Place in metres, and a factor on its strength. */
+    this.lamp = { positionM: Array.from(kind.positionM), share: 1, strength: Array.from(full) };
+  }
+
+  #lampAt = -1;
+
+  /** Lamp, exposure, emitters or camera have changed. */
+  changed() {
+    const { positionM, share, strength } = this.lamp;
+    const lamp = this.lights[this.#lampAt];
+    this.lights[this.#lampAt] = {
+      ...lamp,
+      kind: { ...lamp.kind, positionM: [...positionM] },
+      strength: strength.map((channel) => channel * share),
+    };
+    this.frame.setLights(this.lights);
+    this.frame.setCamera(this.orbit.camera());
+    this.#isStale = true;
+  }
+
+  /** Factor on radiance before the tone curve. */
+  set exposure(exposure) {
+    this.frame.exposure = exposure;
+    this.#isStale = true;
+  }
+
+  get exposure() {
+    return this.frame.exposure;
+  }
+
+  /** Clusters that came, and all. */
+  get clusters() {
+    return [this.present.size, this.bake.manifest.clusters.length];
+  }
+
+  async #fetchUpTo(share, signal, onProgress) {
+    const { source, manifest } = this.bake;
+    const chunks = chunksOf(manifest, ROLES.clusters);
+    const eye = Array.from(cameraOf(manifest)?.eyeM ?? [0, 0, 0]);
+    this.order ??= byDistance(manifest.clusters, eye);
+    const wanted = this.order.slice(0, Math.ceil(share * chunks.length)).filter((index) => !this.present.has(index));
+    await forEachParallel(wanted.length, PARALLEL, async (at) => {
+      const index = wanted[at];
+      const [cluster] = await fetchChunks(source, [chunks[index]], decodeCluster, { signal });
+      this.present.set(index, cluster);
+      const [came, all] = this.clusters;
+      onProgress({ words: `light: ${came} of ${all} clusters`, share: came / all });
+    });
+  }
+
+  #light() {
+    return lightOfPrefix(this.scene, this.bake.patches, this.bake.overview, this.present);
+  }
+
+  /** Takes in the rest of the light, stage by stage. */
+  async #refine(signal, onProgress) {
+    for (const share of this.stages) {
+      await this.#fetchUpTo(share, signal, onProgress);
+      if (this.#isClosed) return;
+      this.#isLoading = true;
+      try {
+        await this.frame.setLight(this.#light());
+      } finally {
+        this.#isLoading = false;
+      }
+      this.#isStale = true;
+    }
+    onProgress({ words: "all light is here", share: 1 });
+  }
+
+  /** Pixels of the canvas on its screen; sets them. */
+  #fit() {
+    const { clientWidth, clientHeight } = this.canvas;
+    const density = Math.min(devicePixelRatio, SIDE_MAX / Math.max(clientWidth, clientHeight, 1));
+    const size = [clientWidth, clientHeight].map((side) => Math.max(1, Math.round(side * density)));
+    [this.canvas.width, this.canvas.height] = size;
+    return size;
+  }
+
+  /** Draws whenever something has changed or light still bounces, and hears of the reader's hand. */
+  #follow(canvas) {
+    this.stopHand = this.orbit.follow(canvas, {
+      changed: () => this.changed(),
+      moveLamp: (byM) => (this.lamp.positionM = this.lamp.positionM.map((at, axis) => at + byM[axis])),
+      lamp: () => this.lamp.positionM,
+    });
+    this.resized = new ResizeObserver(() => {
+      if (this.#isClosed || canvas.clientWidth === 0) return;
+      this.frame.resize(...this.#fit());
+      this.#isStale = true;
+    });
+    this.resized.observe(canvas);
+    const draw = () => {
+      if (this.#isClosed) return;
+      const isMoving = !this.#isLoading && !this.frame.settled;
+      if (isMoving) this.frame.advance();
+      if (isMoving || this.#isStale) this.frame.draw(this.context);
+      this.#isStale = false;
+      requestAnimationFrame(draw);
+    };
+    requestAnimationFrame(draw);
+  }
+
+  /** Ends drawing and frees the device. */
+  close() {
+    this.#isClosed = true;
+    this.resized?.disconnect();
+    this.stopHand?.();
+    this.device.destroy();
+  }
+}
+
+/** Numbers of clusters, the nearest to `eye` first. */
+function byDistance(rows, eye) {
+  const distance = ({ boundsM }) => {
+    const outside = eye.map((at, axis) => Math.max(boundsM[axis] - at, 0, at - boundsM[3 + axis]));
+    return Math.hypot(...outside);
+  };
+  const distances = rows.map(distance);
+  return distances.map((_, index) => index).sort((a, b) => distances[a] - distances[b] || a - b);
+}

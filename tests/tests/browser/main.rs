@@ -1,0 +1,40 @@
+//! The modules of `client/web` in Chromium: they read the same numbers as the Rust decoder, and refuse what it refuses.
+//!
+//! Tests need Chromium and its driver: they are ignored, and `tests/run` asks for them where both are there.
+
+mod decoding;
+mod driver;
+mod face;
+mod fetching;
+mod fields;
+mod files;
+#[path = "../../../server/tests/parts/keeper.rs"]
+#[allow(dead_code, reason = "no program here is started again")]
+mod keeper;
+
+#[allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+mod relighting;
+
+use std::path::{Path, PathBuf};
+
+use driver::Browser;
+use files::{Answer, Files};
+
+/// The repository's root.
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("tests/ lies in the repository").to_owned()
+}
+
+/// A server of the modules and of the tests' own pages, with more answers of a test.
+fn served(answer: impl Fn(&files::Request) -> Option<Answer> + Send + Sync + 'static) -> Files {
+    let folders =
+        [("/web/", root().join("client/web")), ("/pages/", root().join("tests/tests/browser/pages"))];
+    Files::start(folders.to_vec(), answer)
+}
+
+/// A browser with the tests' empty page open.
+fn browser_at(files: &Files) -> Browser {
+    let browser = Browser::start();
+    browser.open(&files.url("/pages/empty.html"));
+    browser
+}

@@ -1,0 +1,163 @@
+//! Light and pictures by the references on the processor, and on the adapter.
+
+use std::path::Path;
+
+use glam::Vec4;
+use lightkiln_client::bake::{Light, LightStream as _, LitScene, LoadedBake, Unshadowed};
+use lightkiln_client::fetch::Source;
+use lightkiln_client::kinds::prt::{self, PrtStream};
+use lightkiln_client::lightmap::LightmapLight;
+use lightkiln_client::lights::{Caster, Sky, camera_of, lights_of, parse_camera, parse_lights};
+use lightkiln_client::passes::gpu::Gpu;
+use lightkiln_client::passes::meshes::Meshes;
+use lightkiln_client::passes::shadow::reference::draw;
+use lightkiln_client::passes::shadow::{Eye, ShadowPass, ShadowPlan, ShadowRoom};
+use lightkiln_client::picture::{Exposure, Tone, developed};
+use lightkiln_client::preview::{Backend, View, render};
+use lightkiln_client::scene::LoadedScene;
+use lightkiln_proto::relight::{Limit, PatchTable, Settled};
+use lightkiln_proto::scene::{SceneCamera, SceneLight};
+use serde_json::{Value, json};
+
+use super::SIZE;
+
+/// Room of the shadow maps, in the browser too.
+pub const ROOM: ShadowRoom = ShadowRoom { lights: 4, faces: 16, side: 512 };
+/// End of the bounces.
+pub const LIMIT: Limit = Limit { bounces_max: 64, change_max: 1e-5 };
+
+/// A state of a frame.
+pub struct State {
+    /// Name in messages.
+    pub name: &'static str,
+    /// Lights in words; the bake's own where there are none.
+    pub lights: Option<Vec<String>>,
+    /// Strength of emitters.
+    pub emitters: f32,
+    /// Camera in words; the bake's own where there is none.
+    pub camera: Option<String>,
+}
+
+impl State {
+    /// As the page reads it.
+    pub fn to_json(&self) -> Value {
+        json!({ "name": self.name, "lights": self.lights, "emitters": self.emitters, "camera": self.camera })
+    }
+}
+
+/// A bake, with its light in the open.
+pub struct Expected {
+    bake: LoadedBake,
+    scene: LoadedScene,
+    light: LightmapLight<PatchTable>,
+    gpu: Gpu,
+    source: Source,
+}
+
+impl Expected {
+    /// Loads a bundle.
+    pub fn new(folder: &Path) -> Self {
+        let source = Source::bundle(folder).unwrap();
+        let scene = LoadedScene::load(&source).unwrap();
+        let light = prt::load(&source, &scene).unwrap();
+        let bake = LoadedBake::load(&source, &lightkiln_client::kinds::all()).unwrap();
+        Self { bake, scene, light, gpu: Gpu::open().unwrap(), source }
+    }
+
+    /// E_ind by slot, and the picture's radiance, by the references.
+    pub fn on_processor(&self, state: &State) -> [Vec<Vec4>; 2] {
+        let view = self.view(state);
+        let plan = self.plan(&view);
+        let maps = draw(&self.scene, &plan);
+        let unshadowed = Unshadowed { sky: Sky::of(&view.lights), emitter_scale: &view.emitter_scale };
+        let lit = LitScene { scene: &self.scene, plan: &plan, maps: &maps, unshadowed };
+        let settled = self.light.settled(&lit, LIMIT).light;
+        assert!(settled.converged);
+        [settled.ind, self.radiance(&view, Backend::Cpu)]
+    }
+
+    /// The same by the adapter's passes.
+    pub fn on_adapter(&self, state: &State) -> [Vec<Vec4>; 2] {
+        let view = self.view(state);
+        [self.indirect_on_adapter(&self.light, &view), self.radiance(&view, Backend::Gpu)]
+    }
+
+    /// E_ind by the adapter while the overview alone is there, in the order of its receivers.
+    pub fn of_overview(&self, state: &State) -> Vec<Vec4> {
+        let stream = PrtStream::begin(&self.source, &self.scene).unwrap();
+        let light = stream.light(&self.scene).unwrap();
+        self.indirect_on_adapter(&*light, &self.view(state))
+    }
+
+    fn indirect_on_adapter(&self, light: &dyn Light, view: &View) -> Vec<Vec4> {
+        let gpu = &self.gpu;
+        let meshes = Meshes::new(gpu, &self.scene).unwrap();
+        let shadow = ShadowPass::new(gpu, &self.scene, &meshes, &ROOM).unwrap();
+        let plan = self.plan(view);
+        shadow.set(gpu, &plan);
+        let passes = light.passes(gpu, &self.scene, &shadow, SIZE).unwrap();
+        let unshadowed = Unshadowed { sky: Sky::of(&view.lights), emitter_scale: &view.emitter_scale };
+        passes.set_unshadowed(gpu, &light.unshadowed(unshadowed));
+        gpu.submit(|encoder| {
+            shadow.record(encoder, &meshes, 0..plan.faces.len());
+            passes.relit(encoder, &shadow);
+        });
+        let (e_ind, count) = passes.feedback().unwrap();
+        let mut last = vec![Vec4::ZERO; count];
+        for _ in 0..LIMIT.bounces_max {
+            gpu.submit(|encoder| passes.bounce(encoder));
+            let next = gpu.read(e_ind, count).unwrap();
+            let change = Settled::change(&last, &next);
+            last = next;
+            if change < LIMIT.change_max {
+                break;
+            }
+        }
+        last
+    }
+
+    /// The screen by the references, under an exposure and with so many samples a pixel: four bytes each.
+    pub fn on_screen_of_processor(&self, state: &State, exposure: f32, samples: u32) -> Vec<u8> {
+        let view = View { samples, exposure: Exposure::Fixed(exposure), ..self.view(state) };
+        render(&self.bake, &view, Backend::Cpu).unwrap().ldr.concat()
+    }
+
+    fn radiance(&self, view: &View, backend: Backend) -> Vec<Vec4> {
+        let picture = render(&self.bake, view, backend).unwrap();
+        picture.linear.iter().map(|[r, g, b]| Vec4::new(*r, *g, *b, 1.0)).collect()
+    }
+
+    fn view(&self, state: &State) -> View {
+        let manifest = &self.scene.manifest;
+        let camera: SceneCamera = match &state.camera {
+            Some(words) => parse_camera(words).unwrap(),
+            None => camera_of(manifest).unwrap().0,
+        };
+        let lights: Vec<SceneLight> = match &state.lights {
+            Some(words) => parse_lights(words).unwrap().lights,
+            None => lights_of(manifest).0,
+        };
+        View {
+            width: SIZE[0],
+            height: SIZE[1],
+            samples: 1,
+            shadow_side: ROOM.side,
+            limit: LIMIT,
+            emitter_scale: vec![state.emitters; manifest.emitters.len()],
+            ..View::new(camera, lights)
+        }
+    }
+
+    fn plan(&self, view: &View) -> ShadowPlan {
+        let [eye, target] = [view.camera.eye_m, view.camera.target_m].map(glam::Vec3::from);
+        let eye = Eye { position_m: eye, forward: (target - eye).normalize() };
+        let bounds_m = self.scene.manifest.bounds_m;
+        ShadowPlan::within(&ROOM, &Caster::of(&view.lights), bounds_m, Some(eye)).unwrap()
+    }
+}
+
+/// Radiance on the screen, four bytes a pixel.
+pub fn on_screen(radiance: &[Vec4], exposure: f32) -> Vec<u8> {
+    let rgb: Vec<[f32; 3]> = radiance.iter().map(|value| value.truncate().into()).collect();
+    developed(&rgb, exposure, Tone::default()).concat()
+}
