@@ -24,6 +24,7 @@ mod outputs;
 pub mod pages;
 mod picture;
 mod progress;
+mod reel;
 mod settings;
 mod submission;
 mod summary;

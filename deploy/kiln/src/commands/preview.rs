@@ -8,7 +8,8 @@ use crate::arguments::BakeArgument;
 use crate::failure::Result;
 use crate::kinds::KindTables;
 use crate::outputs::check_png;
-use crate::picture::{PictureArguments, ReelArguments};
+use crate::picture::PictureArguments;
+use crate::reel::ReelArguments;
 use crate::switched_off::SwitchedOff;
 
 /// Arguments of `kiln preview`.
@@ -34,7 +35,10 @@ pub struct Arguments {
 pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     arguments.picture.check()?;
     check_png(&arguments.out)?;
-    let reel = arguments.reel.read(arguments.off, &arguments.picture)?;
+    let reel = arguments.reel.read(arguments.off)?;
+    if let Some(path) = &reel.path {
+        arguments.picture.check_beside(path)?;
+    }
     let source = arguments.source.open()?;
     let Arguments { picture, off, out, json, .. } = arguments;
     let drawn = picture.draw_reel(reel, &kinds.client, &off, &source, &out)?;

@@ -1,0 +1,174 @@
+//! Pictures along a path, with objects that move, of as much light as is asked for.
+
+use std::fs::File;
+use std::io::Read as _;
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use lightkiln_client::bake::LoadedBake;
+use lightkiln_client::lights::ParsedLights;
+use lightkiln_client::picture::PassTime;
+use lightkiln_client::preview::{PATH_FILE_MAX, ViewPath};
+use lightkiln_client::scene::{Object, Stance};
+use serde::Serialize;
+
+use crate::failure::{Failure, Result};
+use crate::objects::{ObjectArgument, parse_object};
+use crate::switched_off::SwitchedOff;
+
+/// How much light to fetch, and how many pictures to draw of it.
+#[derive(Args, Clone, Debug, Default)]
+pub struct ReelArguments {
+    /// Fetches at most so many bytes of light, e.g. 500k or 2M: the overview first, then what the picture needs most
+    /// [default: all]
+    #[arg(long, value_name = "BYTES", value_parser = parse_bytes, help_heading = "Picture")]
+    max_bytes: Option<u64>,
+    /// Draws many pictures along a path, NAME-0001.png and on: a JSON file {"keys": [{"picture": 1, "camera": "eye=…",
+    /// "lights": ["point pos=…"], "objects": ["pos=… turn=…"]}, {"picture": 60, …}]}, between whose keys camera, lights
+    /// and objects move evenly. The exposure of the first picture that is not black is that of all, and --max-bytes
+    /// fetches what the first one needs
+    #[arg(long, value_name = "FILE", conflicts_with = "debug", help_heading = "Picture")]
+    path: Option<PathBuf>,
+    /// Object beside the bake, which moves: "FILE [pos=x,y,z] [turn=yaw,pitch,roll] [scale=s] [time=seconds] [clip=n]", a
+    /// glTF, turned in degrees, at a time of its n-th animation; may be given often. Lights alone light it, and it casts
+    /// shadows on all that they reach, from where less light bounces
+    #[arg(long, value_name = "OBJECT", value_parser = parse_object, help_heading = "Picture")]
+    object: Vec<ObjectArgument>,
+}
+
+/// What is drawn of a bake.
+#[derive(Debug, Default)]
+pub struct Reel {
+    /// Bytes of light to fetch; all without.
+    pub max_bytes: Option<u64>,
+    /// Keys of pictures; one picture without.
+    pub path: Option<ViewPath>,
+    objects: Vec<(Object, Stance)>,
+}
+
+impl Reel {
+    /// Puts its objects beside a bake; their stances.
+    pub fn add_objects(&mut self, bake: &mut LoadedBake) -> Result<Vec<Stance>> {
+        let mut stances = Vec::new();
+        for (object, stance) in self.objects.drain(..) {
+            bake.scene.add_object(object)?;
+            stances.push(stance);
+        }
+        Ok(stances)
+    }
+}
+
+impl ReelArguments {
+    /// Reads path and objects, before any light is fetched.
+    pub fn read(&self, off: SwitchedOff) -> Result<Reel> {
+        let path = self.path(off)?;
+        let placed = path.as_ref().and_then(ViewPath::objects);
+        if let Some(placed) = placed.filter(|placed| *placed != self.object.len()) {
+            let given = self.object.len();
+            return Err(Failure::bad_input(format!(
+                "the keys of the path place {placed} objects, and {given} are given"
+            ))
+            .try_this("--object FILE once for each, in the order of the keys"));
+        }
+        let read = |object: &ObjectArgument| Ok((object.read()?, object.stance));
+        let objects = self.object.iter().map(read).collect::<Result<_>>()?;
+        Ok(Reel { max_bytes: self.max_bytes, path, objects })
+    }
+
+    /// The path, if there is one, without what is switched off; refuses a file that holds none.
+    fn path(&self, off: SwitchedOff) -> Result<Option<ViewPath>> {
+        let Some(file) = &self.path else { return Ok(None) };
+        let refused = |problem: &str| Failure::bad_input(format!("{} {problem}", file.display()));
+        let failed = |error: std::io::Error| refused("cannot be read").caused_by(&error);
+        let mut json = Vec::new();
+        let opened = File::open(file).map_err(failed)?;
+        opened.take(PATH_FILE_MAX + 1).read_to_end(&mut json).map_err(failed)?;
+        if json.len() as u64 > PATH_FILE_MAX {
+            return Err(refused(&format!("has more than the {PATH_FILE_MAX} bytes of a path")));
+        }
+        let path =
+            ViewPath::parse(&json).map_err(|error| refused("is no path of pictures").caused_by(&error))?;
+        Ok(Some(path.with_lights(|ParsedLights { lights, emitter_scale }| ParsedLights {
+            lights: off.rest(lights),
+            emitter_scale: emitter_scale.map(|scale| off.emitter_scale(scale)),
+        })))
+    }
+}
+
+/// Pictures that were drawn.
+#[derive(Debug, Default, Serialize)]
+pub struct Drawn {
+    /// Files in the order of the path.
+    pub pictures: Vec<String>,
+    /// Adapter or processor that drew the last one, with the reason.
+    pub drawn_by: String,
+    /// Most bounces before a picture.
+    pub bounces: u32,
+    /// Whether they had converged by then, in all pictures.
+    pub converged: bool,
+    /// Factor on radiance before tone mapping.
+    pub exposure: f32,
+    /// Time of the adapter's passes, by its own clock; none where it has no clock, and of the processor.
+    pub passes: Option<Vec<PassRow>>,
+    /// Seconds from the light at hand to the last file.
+    pub seconds: f64,
+    /// Bytes of light that were fetched.
+    pub light_bytes: Option<u64>,
+    /// Bytes of all.
+    pub light_bytes_all: Option<u64>,
+}
+
+/// Time of a pass of the adapter.
+#[derive(Clone, Debug, Serialize)]
+pub struct PassRow {
+    /// Name of the pass.
+    pub pass: &'static str,
+    /// Runs of it for all pictures.
+    pub runs: u64,
+    /// Milliseconds of a run, the mean.
+    pub mean_ms: f64,
+}
+
+impl PassRow {
+    fn of(time: &PassTime) -> Self {
+        Self { pass: time.name, runs: time.runs, mean_ms: time.total_ms / time.runs.max(1) as f64 }
+    }
+}
+
+/// Bytes as people write them: a number, with k, M or G for powers of 1000.
+fn parse_bytes(text: &str) -> std::result::Result<u64, String> {
+    let wrong = || format!("'{text}' is no number of bytes; write e.g. 500k, 2M or 1500000");
+    let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
+    let scale = match &text[digits.len()..] {
+        "" => 1.0,
+        "k" => 1e3,
+        "M" => 1e6,
+        "G" => 1e9,
+        _ => return Err(wrong()),
+    };
+    let number: f64 = digits.parse().map_err(|_| wrong())?;
+    let bytes = number * scale;
+    if (1.0..=1e15).contains(&bytes) { Ok(bytes as u64) } else { Err(wrong()) }
+}
+
+/// The file of a picture along a path: `NAME-0001.png`.
+pub fn numbered(png: &Path, number: usize) -> PathBuf {
+    let mut name = png.file_stem().unwrap_or_default().to_owned();
+    name.push(format!("-{number:04}."));
+    name.push(png.extension().unwrap_or_default());
+    png.with_file_name(name)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bytes_are_numbers_with_a_power_of_a_thousand() {
+        let read = ["1500", "500k", "2M", "1.5G"].map(parse_bytes);
+        assert_eq!(read, [Ok(1500), Ok(500_000), Ok(2_000_000), Ok(1_500_000_000)]);
+        for wrong in ["", "k", "-1", "0", "NaN", "inf", "2MB", "2 M", "1e40"] {
+            assert!(parse_bytes(wrong).is_err(), "{wrong}");
+        }
+    }
+}
