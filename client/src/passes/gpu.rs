@@ -32,6 +32,7 @@ pub struct Gpu {
     /// Most bytes of one storage binding; larger arrays are split into pages.
     pub binding_max: u64,
     adapter: wgpu::Adapter,
+    instance: wgpu::Instance,
     failure: Arc<Mutex<Option<String>>>,
     created: AtomicU64,
     stored: AtomicU64,
@@ -58,6 +59,12 @@ impl Gpu {
             .map_err(|error| failed(format!("Vulkan makes no surface for the window ({error})")))?;
         let gpu = logged(|| pollster::block_on(Self::open_on(&instance, Some(&surface))))?;
         Ok((gpu, surface))
+    }
+
+    /// Another surface for a window whose own is lost.
+    pub fn surface(&self, window: impl Into<wgpu::SurfaceTarget<'static>>) -> Result<wgpu::Surface<'static>> {
+        let made = self.instance.create_surface(window);
+        made.map_err(|error| failed(format!("{} makes no surface for the window ({error})", self.name)))
     }
 
     async fn open_on(instance: &wgpu::Instance, surface: Option<&wgpu::Surface<'_>>) -> Result<Self> {
@@ -92,17 +99,16 @@ impl Gpu {
             heard.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error.to_string());
         }));
         let lost = Arc::clone(&failure);
-        device.set_device_lost_callback(move |reason, message| {
-            if reason != wgpu::DeviceLostReason::Destroyed {
-                let problem = format!("the device is lost ({message}): its driver stopped; start again");
-                *lost.lock().unwrap_or_else(PoisonError::into_inner) = Some(problem);
-            }
+        device.set_device_lost_callback(move |_, message| {
+            let problem = format!("the device is lost ({message}), its driver stopped: start again");
+            *lost.lock().unwrap_or_else(PoisonError::into_inner) = Some(problem);
         });
         let name = format!("{} ({:?}, {:?})", described.name, described.device_type, described.backend);
         let software = described.device_type == wgpu::DeviceType::Cpu;
         let [created, stored] = [0, 0].map(AtomicU64::new);
         let binding_max = BINDING_MAX;
-        Ok(Self { device, queue, name, software, binding_max, adapter, failure, created, stored })
+        let instance = instance.clone();
+        Ok(Self { device, queue, name, software, binding_max, adapter, instance, failure, created, stored })
     }
 
     /// What a window's surface can do on this adapter.
