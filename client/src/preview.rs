@@ -181,7 +181,7 @@ impl<'a> Prepared<'a> {
         let posed = bake.scene.posed(&view.objects)?;
         let bounds_m = bake.scene.bounds_with(&posed);
         let scene = if posed.is_empty() {
-            Cow::Borrowed(&bake.scene)
+            Cow::Borrowed(&*bake.scene)
         } else {
             Cow::Owned(bake.scene.with_posed(posed))
         };

@@ -11,7 +11,7 @@ use std::sync::Arc;
 
 use crate::error::Result;
 use crate::fetch::Source;
-use crate::scene::{LoadedScene, Recolour, Tints};
+use crate::scene::{LoadedScene, Object, Recolour, Tints};
 
 pub use kind::{ClientKind, ClientKinds};
 pub use light::{
@@ -59,6 +59,11 @@ impl LoadedBake {
             material.base_colour = colour;
         }
         Ok(())
+    }
+
+    /// Puts an object beside the bake, at rest at the origin.
+    pub fn add_object(&mut self, object: Object) -> Result<()> {
+        Arc::make_mut(&mut self.scene).add_object(object)
     }
 
     /// Gives the light the albedo of other colours.

@@ -122,7 +122,8 @@ impl<'a> Frame<'a> {
         let change = light.feedback().map(|feedback| ChangePass::new(gpu, feedback)).transpose()?;
         let watch = Stopwatch::new(gpu);
         gpu.check()?;
-        let plan = ShadowPlan::within(&room.shadows, &[], scene.manifest.bounds_m, None)?;
+        let bounds_m = scene.bounds_with(&scene.posed(&[])?);
+        let plan = ShadowPlan::within(&room.shadows, &[], bounds_m, None)?;
         let mut frame = Self {
             gpu: held_gpu,
             bake: held_bake,
@@ -141,7 +142,7 @@ impl<'a> Frame<'a> {
             tints: Tints::default(),
             camera,
             stances: Vec::new(),
-            bounds_m: scene.bounds_with(&scene.posed(&[])?),
+            bounds_m,
             plan,
             stale: Stale { lights: true, direct: true, cascades: true, light: true, pages: true },
             bounces: Bounces::default(),

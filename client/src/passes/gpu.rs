@@ -32,10 +32,17 @@ pub struct Gpu {
     /// Most bytes of one storage binding; larger arrays are split into pages.
     pub binding_max: u64,
     /// None where another program opened it.
-    adapter: Option<wgpu::Adapter>,
+    opened: Option<Opened>,
     failure: Arc<Mutex<Option<String>>>,
     created: AtomicU64,
     stored: AtomicU64,
+}
+
+/// Where an adapter that is ours came from.
+#[derive(Debug)]
+struct Opened {
+    instance: wgpu::Instance,
+    adapter: wgpu::Adapter,
 }
 
 impl Gpu {
@@ -59,6 +66,15 @@ impl Gpu {
             .map_err(|error| failed(format!("Vulkan makes no surface for the window ({error})")))?;
         let gpu = logged(|| pollster::block_on(Self::open_on(&instance, Some(&surface))))?;
         Ok((gpu, surface))
+    }
+
+    /// Another surface for a window whose own is lost.
+    pub fn surface(&self, window: impl Into<wgpu::SurfaceTarget<'static>>) -> Result<wgpu::Surface<'static>> {
+        let Some(Opened { instance, .. }) = &self.opened else {
+            return Err(failed(format!("{} belongs to another program, whose surfaces are its own", self.name)));
+        };
+        let made = instance.create_surface(window);
+        made.map_err(|error| failed(format!("{} makes no surface for the window ({error})", self.name)))
     }
 
     async fn open_on(instance: &wgpu::Instance, surface: Option<&wgpu::Surface<'_>>) -> Result<Self> {
@@ -91,13 +107,12 @@ impl Gpu {
             heard.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error.to_string());
         }));
         let lost = Arc::clone(&gpu.failure);
-        gpu.device.set_device_lost_callback(move |reason, message| {
-            if reason != wgpu::DeviceLostReason::Destroyed {
-                let problem = format!("the device is lost ({message}): its driver stopped; start again");
-                *lost.lock().unwrap_or_else(PoisonError::into_inner) = Some(problem);
-            }
+        gpu.device.set_device_lost_callback(move |_, message| {
+            let problem = format!("the device is lost ({message}), its driver stopped: start again");
+            *lost.lock().unwrap_or_else(PoisonError::into_inner) = Some(problem);
         });
-        Ok(Self { adapter: Some(adapter), ..gpu })
+        let opened = Opened { instance: instance.clone(), adapter };
+        Ok(Self { opened: Some(opened), ..gpu })
     }
 
     /// Limits that a device must have for a bake to be lit on it.
@@ -128,13 +143,14 @@ impl Gpu {
         let software = described.device_type == wgpu::DeviceType::Cpu;
         let [created, stored] = [0, 0].map(AtomicU64::new);
         let failure = Arc::new(Mutex::new(None));
-        let (binding_max, adapter) = (BINDING_MAX, None);
-        Self { device, queue, name, software, binding_max, adapter, failure, created, stored }
+        let (binding_max, opened) = (BINDING_MAX, None);
+        Self { device, queue, name, software, binding_max, opened, failure, created, stored }
     }
 
     /// What a window's surface can do on this adapter.
     pub fn surface_capabilities(&self, surface: &wgpu::Surface<'_>) -> wgpu::SurfaceCapabilities {
-        self.adapter.as_ref().map(|adapter| surface.get_capabilities(adapter)).unwrap_or_default()
+        let opened = self.opened.as_ref();
+        opened.map(|opened| surface.get_capabilities(&opened.adapter)).unwrap_or_default()
     }
 
     /// The first thing that went wrong since the last call, if anything did.

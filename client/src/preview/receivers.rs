@@ -41,7 +41,7 @@ pub fn light_receivers(
             Err(error) => return Err(error),
         },
     };
-    let maps = draw(&bake.scene, &prepared.plan);
+    let maps = draw(&prepared.scene, &prepared.plan);
     let settled = bake.light.at_receivers(&prepared.lit(&maps), view.limit);
     let lit_by = format!("the processor, slower than a graphics adapter ({reason})");
     Ok(LitReceivers { settled: settled.ok_or_else(|| without_receivers(bake))?, lit_by })
@@ -50,9 +50,10 @@ pub fn light_receivers(
 fn on_adapter(gpu: &Gpu, prepared: &Prepared<'_>) -> Result<LitReceivers> {
     let Prepared { bake, view, plan, .. } = prepared;
     let room = FrameRoom { size: view.size(), shadows: plan.room() };
-    let mut frame = Frame::new(gpu, bake, room, view.camera.clone())?;
+    let mut frame = Frame::new(gpu, *bake, room, view.camera.clone())?;
     frame.set_lights(&view.lights)?;
     frame.set_emitters(&view.emitter_scale)?;
+    frame.set_objects(&view.objects)?;
     let (bounces, converged) = frame.settle(view.limit)?;
     let light = frame.read_receivers()?.ok_or_else(|| without_receivers(bake))?;
     let settled = SettledReceivers { light, bounces, converged };

@@ -58,7 +58,7 @@ fn with_cube(mut bake: LoadedBake, glass: Option<Glass>) -> LoadedBake {
     let shape = Arc::new(Rigid(vec![cube()]));
     let object =
         Object { name: "cube".to_owned(), materials: vec![material(glass)], textures: Vec::new(), shape };
-    bake.scene.add_object(object).unwrap();
+    bake.add_object(object).unwrap();
     bake
 }
 

@@ -142,6 +142,7 @@ struct Running {
     last: Instant,
     /// When egui wants another picture.
     redraw_at: Option<Instant>,
+    clipboard: Option<arboard::Clipboard>,
 }
 
 impl Running {
@@ -169,7 +170,20 @@ impl Running {
         let facts = Facts { drawn_by: gpu.name.clone(), notes: options.notes.clone(), ..Facts::default() };
         screen.window.request_redraw();
         let last = Instant::now();
-        Ok(Self { viewer, egui, painter, feed, facts, options, gpu, screen, drawn: 0, last, redraw_at: None })
+        Ok(Self {
+            viewer,
+            egui,
+            painter,
+            feed,
+            facts,
+            options,
+            gpu,
+            screen,
+            drawn: 0,
+            last,
+            redraw_at: None,
+            clipboard: None,
+        })
     }
 
     /// Takes an event that is not about the window itself.
@@ -201,7 +215,7 @@ impl Running {
         let freed = self.upload(&mut output);
         self.viewer.step(seconds)?;
         self.facts.frame_ms += LAST_WEIGHT * (1e3 * seconds - self.facts.frame_ms);
-        if let Some(texture) = self.screen.next(&self.gpu) {
+        if let Some(texture) = self.screen.next(&self.gpu)? {
             self.paint(&texture, output);
             self.screen.window.pre_present_notify();
             self.gpu.queue.present(texture);
@@ -230,10 +244,7 @@ impl Running {
             Err(error) => self.viewer.notice = Some(format!("no more light is fetched: {error}")),
         }
         self.facts.streamed = Some(feed.streamed);
-        let camera = self.viewer.camera().clone();
-        let lights = self.viewer.edits.lights.clone();
-        let emitter_scale = self.viewer.edits.emitters.clone();
-        feed.look(crate::preview::View { camera, lights, emitter_scale, ..self.options.view.clone() });
+        feed.look(self.viewer.view());
         if feed.is_over() {
             self.feed = None;
         }
@@ -296,7 +307,7 @@ impl Running {
         if wishes.copies {
             let (command, notes) = self.viewer.command(&self.options.bake_words);
             println!("{command}");
-            let copied = arboard::Clipboard::new().and_then(|mut clipboard| clipboard.set_text(command));
+            let copied = self.copy(command);
             let said = match copied {
                 Ok(()) => "copied, and printed".to_owned(),
                 Err(error) => format!("printed on standard output; not copied ({error})"),
@@ -312,6 +323,15 @@ impl Running {
             });
         }
         Ok(())
+    }
+
+    /// The clipboard stays open: on X11 its text is the window's to give.
+    fn copy(&mut self, text: String) -> std::result::Result<(), arboard::Error> {
+        let clipboard = match self.clipboard.take() {
+            Some(clipboard) => clipboard,
+            None => arboard::Clipboard::new()?,
+        };
+        self.clipboard.insert(clipboard).set_text(text)
     }
 
     fn write(&self, path: &std::path::Path) -> Result<()> {

@@ -113,7 +113,7 @@ impl Edits {
             option("material", &format!("{material}={r},{g},{b}"));
         }
         match self.exposure {
-            Exposure::Auto { stops } if stops == 0.0 => {}
+            Exposure::Auto { stops: 0.0 } => {}
             Exposure::Auto { stops } => option("exposure", &stops.to_string()),
             Exposure::Fixed(_) => notes.push("a fixed exposure has no words: it is left out".to_owned()),
         }
@@ -160,6 +160,7 @@ mod tests {
     fn copied_command_says_the_same_picture_again() {
         let (bake, view) = fixture_view();
         let mut edits = Edits::of(&view, &bake.scene, &[]);
+        edits.lights.clear();
         edits
             .lights
             .extend(["point", "spot", "sun", "sky"].map(|kind| new_light(kind, 9, [0.1, 0.2, 0.3], 5.0)));

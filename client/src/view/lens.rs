@@ -13,6 +13,8 @@ pub struct Lens {
     size: Vec2,
     eye_m: Vec3,
     forward: Vec3,
+    /// Half of the picture to the right and up: metres of a parallel camera, else as seen at a distance of 1.
+    half: [Vec3; 2],
     is_parallel: bool,
 }
 
@@ -30,11 +32,16 @@ impl Lens {
     pub fn new(camera: &SceneCamera, size: [u32; 2], bounds_m: [[f32; 3]; 2]) -> Result<Self> {
         let clip_from_world = camera_clip_from_world(camera, size, bounds_m)?;
         let [eye_m, target_m] = [camera.eye_m, camera.target_m].map(Vec3::from);
+        let forward = (target_m - eye_m).normalize();
+        let right = forward.cross(camera.up.into()).normalize();
+        let half = camera.orthographic_half_height_m.unwrap_or_else(|| (0.5 * camera.fov_y_rad).tan());
+        let aspect = size[0] as f32 / size[1] as f32;
         Ok(Self {
             clip_from_world,
             size: Vec2::new(size[0] as f32, size[1] as f32),
             eye_m,
-            forward: (target_m - eye_m).normalize(),
+            forward,
+            half: [right * half * aspect, right.cross(forward) * half],
             is_parallel: camera.orthographic_half_height_m.is_some(),
         })
     }
@@ -55,14 +62,11 @@ impl Lens {
     /// The ray through a pixel.
     pub fn ray(&self, pixel: Vec2) -> Ray {
         let ndc = (pixel / self.size - 0.5) * Vec2::new(2.0, -2.0);
-        // Depth is reversed: 1 is before the eye, and the ray goes from there.
-        let world_from_clip = self.clip_from_world.inverse();
-        let at = |depth: f32| world_from_clip.project_point3(ndc.extend(depth));
-        if self.is_parallel {
-            return Ray { origin_m: at(1.0), direction: self.forward };
+        let aside = self.half[0] * ndc.x + self.half[1] * ndc.y;
+        match self.is_parallel {
+            true => Ray { origin_m: self.eye_m + aside, direction: self.forward },
+            false => Ray { origin_m: self.eye_m, direction: (self.forward + aside).normalize() },
         }
-        let direction = (at(0.5) - self.eye_m).normalize_or(self.forward);
-        Ray { origin_m: self.eye_m, direction }
     }
 
     /// The place of a pixel in the plane through `through_m` that faces the camera; none where the ray runs along it.

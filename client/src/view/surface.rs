@@ -66,21 +66,22 @@ impl Screen {
         }
     }
 
-    /// The next picture to draw to; none where there is none at the moment. A surface that was lost is configured anew.
-    pub fn next(&mut self, gpu: &Gpu) -> Option<wgpu::SurfaceTexture> {
+    /// The next picture to draw to; none where there is none at the moment. A surface that is out of date is configured anew, and one
+    /// that is lost made anew.
+    pub fn next(&mut self, gpu: &Gpu) -> Result<Option<wgpu::SurfaceTexture>> {
         use wgpu::CurrentSurfaceTexture as Current;
         if !self.is_ready {
-            return None;
+            return Ok(None);
         }
         match self.surface.get_current_texture() {
-            Current::Success(texture) | Current::Suboptimal(texture) => Some(texture),
-            Current::Timeout | Current::Occluded | Current::Validation => None,
-            Current::Outdated | Current::Lost => {
-                self.resize(gpu, self.window.inner_size());
-                self.window.request_redraw();
-                None
-            }
+            Current::Success(texture) | Current::Suboptimal(texture) => return Ok(Some(texture)),
+            Current::Timeout | Current::Occluded | Current::Validation => return Ok(None),
+            Current::Lost => self.surface = gpu.surface(Arc::clone(&self.window))?,
+            Current::Outdated => {}
         }
+        self.resize(gpu, self.window.inner_size());
+        self.window.request_redraw();
+        Ok(None)
     }
 }
 

@@ -113,6 +113,7 @@ fn adapter_shows_flight_and_looks_and_comes_home() {
     let away = viewer.picture().unwrap();
     assert!(difference(&home, &away) > 5.0);
     viewer.input(Input::Key(Key::Home, true));
+    assert!(viewer.is_busy());
     settle(&mut viewer);
     assert!(difference(&home, &viewer.picture().unwrap()) < 0.5);
 }
@@ -125,8 +126,8 @@ fn adapter_follows_lights_that_come_and_go_colours_and_overlays() {
     let before = viewer.picture().unwrap();
     // More lights than there was room for.
     for number in 0..4 {
-        let mut light = new_light("point", number, viewer.place_ahead_m(), 2.0);
-        light.strength = [1.0, 0.1, 0.1];
+        let mut light = new_light("point", number, [2.0, 1.5, 2.5], 2.0);
+        light.strength = [20.0, 2.0, 2.0];
         viewer.edits.lights.push(light);
     }
     settle(&mut viewer);
@@ -179,6 +180,23 @@ fn adapter_draws_nothing_for_a_window_without_size_and_all_of_one_that_grows() {
     let wanted = render(&bake, &View { width: 320, height: 90, ..view }, Backend::Gpu).unwrap();
     let off = difference(&got, &wanted.ldr);
     assert!(off < 0.5, "{off} of 255");
+}
+
+#[test]
+#[ignore = "needs a graphics adapter"]
+fn adapter_that_is_lost_is_an_error_that_says_so() {
+    let (bake, view) = fixture_view();
+    let gpu = Arc::new(Gpu::open().unwrap());
+    let mut viewer = Viewer::new((Arc::clone(&gpu), FORMAT), Arc::new(bake), view, &[]).unwrap();
+    gpu.device.destroy();
+    let mut problem = None;
+    for _ in 0..10 {
+        viewer.input(Input::Wheel(1.0));
+        viewer.edits.lights[0].strength[0] *= 1.5;
+        problem = problem.or(viewer.step(0.01).err());
+    }
+    let problem = problem.unwrap().to_string();
+    assert!(problem.contains("is lost") && problem.contains("start again"), "{problem}");
 }
 
 /// Light that gets better while one looks keeps everything that was set.

@@ -64,7 +64,9 @@ pub struct Viewer {
     looks_around: bool,
     samples: u32,
     exposure: f32,
+    /// Calls of the light meter, and answers.
     metered: [u64; 2],
+    is_metered: bool,
 }
 
 impl Viewer {
@@ -110,6 +112,7 @@ impl Viewer {
             samples: 0,
             exposure: 1.0,
             metered: [0; 2],
+            is_metered: false,
         };
         viewer.frame.advance()?;
         viewer.sample()?;
@@ -136,6 +139,14 @@ impl Viewer {
     /// Longest way through the scene's bounds, in metres.
     pub fn diagonal_m(&self) -> f32 {
         diagonal_of(&self.bake)
+    }
+
+    /// The view that is shown, as headless pictures take it.
+    pub fn view(&self) -> View {
+        let Edits { lights, emitters, exposure, tone, .. } = self.applied.clone();
+        let camera = self.frame.camera().clone();
+        let [width, height] = self.size;
+        View { camera, width, height, lights, emitter_scale: emitters, exposure, tone, ..self.view.clone() }
     }
 
     /// Between the scene and the picture; none for a camera that sees nothing.
@@ -235,6 +246,7 @@ impl Viewer {
         let [asked, heard] = self.metered;
         self.fly.is_flying()
             || self.edits != self.applied
+            || self.fly.camera() != self.frame.camera()
             || !self.settling().is_settled
             || self.samples < self.view.samples
             || asked > heard
@@ -312,7 +324,10 @@ impl Viewer {
     fn sample(&mut self) -> Result<()> {
         let jitter = jitters(self.view.samples).get(self.samples as usize).copied().unwrap_or_default();
         self.frame.draw(jitter)?;
-        if self.samples == 0 && self.meter.ask(&self.gpu, self.metered[0] + 1) {
+        self.is_metered &= self.samples > 0;
+        // Where the adapter is behind, a later sample of the picture is as good.
+        if !self.is_metered && self.meter.ask(&self.gpu, self.metered[0] + 1) {
+            self.is_metered = true;
             self.metered[0] += 1;
         }
         let curve = match self.edits.overlay {

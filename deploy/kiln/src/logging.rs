@@ -12,7 +12,7 @@ use crate::telemetry::Telemetry;
 /// Variables that filter the log, the first one that is set.
 const VARIABLES: [&str; 2] = ["KILN_LOG", "RUST_LOG"];
 /// Filter of commands that end: what server and worker inside this process warn of, the command says in its own words.
-const OF_COMMANDS: &str = "warn,lightkiln_server=error,lightkiln_worker=error,winit=error";
+const OF_COMMANDS: &str = "warn,lightkiln_server=error,lightkiln_worker=error,arboard=error,winit=error";
 
 /// Starts logging, warnings and errors unless [`VARIABLES`] say otherwise (`info`, `lightkiln_server=debug`, …), and traces
 /// if the environment asks for them; those of `role` are exported until what is returned is dropped. `stays` says that the

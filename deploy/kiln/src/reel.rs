@@ -51,7 +51,7 @@ impl Reel {
     pub fn add_objects(&mut self, bake: &mut LoadedBake) -> Result<Vec<Stance>> {
         let mut stances = Vec::new();
         for (object, stance) in self.objects.drain(..) {
-            bake.scene.add_object(object)?;
+            bake.add_object(object)?;
             stances.push(stance);
         }
         Ok(stances)
