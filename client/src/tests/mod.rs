@@ -7,6 +7,7 @@ mod factors;
 mod formula;
 mod glass;
 mod light;
+mod receivers;
 mod shaders;
 mod shadows;
 
