@@ -5,13 +5,13 @@
 //! the client shows around each texel. Nothing overshoots.
 
 use glam::{UVec2, Vec2, Vec3};
+use lightkiln_proto::content::COVERAGE_SIDE;
 use rayon::prelude::*;
 
 use super::pages::GUTTER;
 use crate::passes::atlas::Lightmap;
 use crate::passes::atlas::reference::{AtlasPages, shown};
 use crate::scene::{DrawTable, LoadedDraw};
-use lightkiln_proto::content::COVERAGE_SIDE;
 
 /// Points along a texel's side at which reads are compared. More → nearer to the client's reads, more time.
 const POINTS: u32 = 4;
@@ -129,16 +129,12 @@ impl<'a> Sheet<'a> {
         given
     }
 
-    /// Points of the surface that read a texel which is not given, each once.
+    /// Points of the surface that read a texel which is not given; those on an edge come with both of its triangles.
     fn points(&self, chart: &[[Vec2; 3]], number: &[u32]) -> Vec<Point> {
         let fine = (self.size - 2 * GUTTER) * POINTS;
-        let mut seen = vec![false; fine.element_product() as usize];
         let mut points = Vec::new();
         for corners in chart {
             lattice(corners.map(|at| at * (self.scale * POINTS) as f32), fine, |at| {
-                if std::mem::replace(&mut seen[(at.y * fine.x + at.x) as usize], true) {
-                    return;
-                }
                 let place = (at.as_vec2() + 0.5) / POINTS as f32;
                 let from_first = place + GUTTER as f32 - 0.5;
                 let first = from_first.floor().as_uvec2().dot(UVec2::new(1, self.size.x));

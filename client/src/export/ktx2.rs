@@ -66,7 +66,7 @@ fn descriptor() -> Vec<u8> {
     words.extend([1, 1, 1, 0, 0, 0, 0, 0, TEXEL_BYTES as u8, 0, 0, 0, 0, 0, 0, 0]);
     for (index, channel) in (0..).zip(CHANNELS) {
         // Bit offset, bits − 1, float and signed; ends of the range.
-        let sample = 16 * index | 15 << 16 | (0xC0 | channel) << 24;
+        let sample = (16 * index) | 15 << 16 | (0xC0 | channel) << 24;
         push(&mut words, &[sample, 0, (-1.0_f32).to_bits(), 1.0_f32.to_bits()]);
     }
     words

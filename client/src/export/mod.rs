@@ -139,7 +139,9 @@ fn lightmap_of(bake: &LoadedBake) -> Result<Lightmap<'_>> {
     let lightmap = bake.light.lightmap(&bake.scene);
     lightmap.filter(|lightmap| !lightmap.layout.blocks.is_empty()).ok_or_else(|| ClientError::Source {
         text: format!("kind {}", bake.scene.manifest.kind),
-        problem: "has no lightmap to export; bake the scene with a kind that has, e.g. --kind prt".to_owned(),
+        problem:
+            "has no lightmap to export; bake the scene with a kind that has; 'kiln settings' lists kinds"
+                .to_owned(),
     })
 }
 

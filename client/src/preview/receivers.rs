@@ -63,7 +63,8 @@ fn on_adapter(gpu: &Gpu, prepared: &Prepared<'_>) -> Result<LitReceivers> {
 fn without_receivers(bake: &LoadedBake) -> ClientError {
     let text = format!("kind {}", bake.scene.manifest.kind);
     let problem =
-        "has no receivers in a lightmap; bake the scene with a kind that has, e.g. --kind prt".to_owned();
+        "has no receivers in a lightmap; bake the scene with a kind that has; 'kiln settings' lists kinds"
+            .to_owned();
     ClientError::Source { text, problem }
 }
 

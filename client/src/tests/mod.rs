@@ -8,6 +8,7 @@ mod formula;
 mod glass;
 mod light;
 mod objects;
+mod receivers;
 mod shaders;
 mod shadows;
 mod show;
