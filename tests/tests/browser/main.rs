@@ -11,6 +11,7 @@ mod files;
 #[path = "../../../server/tests/parts/keeper.rs"]
 #[allow(dead_code, reason = "no program here is started again")]
 mod keeper;
+mod viewing;
 
 use std::path::{Path, PathBuf};
 
