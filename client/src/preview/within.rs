@@ -9,7 +9,7 @@ use lightkiln_proto::manifest::{CLUSTERS, DIRECTORY, OVERVIEW};
 use crate::error::{ClientError, Result};
 use crate::fetch::Source;
 use crate::passes::shadow::reference::draw;
-use crate::scene::{LoadedScene, Recolour, Tints};
+use crate::scene::{LoadedScene, Object, Recolour, Tints};
 use crate::stream::{Streamed, Viewpoint};
 
 /// A bake whose light comes piece by piece.
@@ -71,6 +71,18 @@ impl StreamedBake {
         self.tints = Tints::of(&self.bake.scene, colours)?;
         let mut bake = self.assembled()?;
         bake.recolour(colours)?;
+        self.bake = Arc::new(bake);
+        Ok(())
+    }
+
+    /// Puts objects beside the bake, at rest at the origin.
+    pub fn add_objects(&mut self, objects: Vec<Object>) -> Result<()> {
+        if objects.is_empty() {
+            return Ok(());
+        }
+        let mut bake = self.assembled()?;
+        bake.tint_light(&self.tints);
+        objects.into_iter().try_for_each(|object| bake.add_object(object))?;
         self.bake = Arc::new(bake);
         Ok(())
     }

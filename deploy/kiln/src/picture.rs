@@ -194,17 +194,18 @@ impl PictureArguments {
         source: &Source,
         png: &Path,
     ) -> Result<Drawn> {
-        let path = reel.path.take();
+        let (objects, stances) = reel.take_objects();
+        let path = reel.path;
         let path = path.as_ref();
         let Some(max_bytes) = reel.max_bytes else {
             let mut bake = self.loaded(source, kinds)?;
-            let stances = reel.add_objects(&mut bake)?;
+            objects.into_iter().try_for_each(|object| bake.add_object(object))?;
             let view = View { objects: stances, ..self.view(&bake, off, path)? };
             return self.write_all(&bake, &view, path, png);
         };
         let mut streamed = StreamedBake::begin(source, kinds, max_bytes)?;
         streamed.recolour(&self.look.material)?;
-        let stances = reel.add_objects(&mut streamed.bake)?;
+        streamed.add_objects(objects)?;
         let view = View { objects: stances, ..self.view(&streamed.bake, off, path)? };
         // Along a path, what its first picture needs.
         streamed.refine(&path.map_or_else(|| view.clone(), |path| path.view(1, &view)), max_bytes)?;

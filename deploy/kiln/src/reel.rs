@@ -5,7 +5,6 @@ use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use lightkiln_client::bake::LoadedBake;
 use lightkiln_client::lights::ParsedLights;
 use lightkiln_client::picture::PassTime;
 use lightkiln_client::preview::{PATH_FILE_MAX, ViewPath};
@@ -47,14 +46,9 @@ pub struct Reel {
 }
 
 impl Reel {
-    /// Puts its objects beside a bake; their stances.
-    pub fn add_objects(&mut self, bake: &mut LoadedBake) -> Result<Vec<Stance>> {
-        let mut stances = Vec::new();
-        for (object, stance) in self.objects.drain(..) {
-            bake.add_object(object)?;
-            stances.push(stance);
-        }
-        Ok(stances)
+    /// Takes its objects, and their stances.
+    pub fn take_objects(&mut self) -> (Vec<Object>, Vec<Stance>) {
+        std::mem::take(&mut self.objects).into_iter().unzip()
     }
 }
 
