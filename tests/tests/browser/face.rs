@@ -51,7 +51,8 @@ impl Farm {
         let authorization = format!("Bearer {}", self.token);
         let scene = b"no scene at all";
         let digest = Digest::of(scene);
-        let stored = agent.put(format!("{}/v1/scenes/{digest}", self.url)).header("authorization", &authorization);
+        let stored =
+            agent.put(format!("{}/v1/scenes/{digest}", self.url)).header("authorization", &authorization);
         stored.send(&scene[..]).expect("the scene is stored");
         let bake = NewBake {
             name: NAME.to_owned(),
