@@ -95,7 +95,8 @@ export class Viewer {
     const [low, high] = this.frame.boundsM;
     const diagonal = Math.hypot(...high.map((bound, axis) => bound - low[axis]));
     const own = this.lights.findIndex(({ kind }) => kind.type === "point" || kind.type === "spot");
-    const mean = (0.18 / exposure) * Math.PI * (diagonal / 4) ** 2;
+    // Irradiance of middle grey at an eighth of the scene's size.
+    const mean = (0.18 / exposure) * Math.PI * (diagonal / 8) ** 2;
     const isDark = this.lights.length === 0 && this.scene.manifest.emitters.length === 0;
     const strength = isDark || !Number.isFinite(mean) ? diagonal ** 2 : mean;
     const made = {
@@ -181,7 +182,10 @@ export class Viewer {
   #follow(canvas) {
     this.stopHand = this.orbit.follow(canvas, {
       changed: () => this.changed(),
-      moveLamp: (byM) => (this.lamp.positionM = this.lamp.positionM.map((at, axis) => at + byM[axis])),
+      moveLamp: (byM) => {
+        this.lamp.positionM = this.lamp.positionM.map((at, axis) => at + byM[axis]);
+        this.onLampMoved?.();
+      },
       lamp: () => this.lamp.positionM,
     });
     this.resized = new ResizeObserver(() => {

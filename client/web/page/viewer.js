@@ -35,34 +35,34 @@ function told(error) {
 
 function controlsOf(viewer) {
   const [low, high] = viewer.frame.boundsM;
-  const lampAxis = (axis) => {
-    const size = high[axis] - low[axis] || 1;
-    const at = (viewer.lamp.positionM[axis] - low[axis]) / size;
-    return slider(`Lamp ${"xyz"[axis]}`, at, (share) => {
+  const sizes = high.map((bound, axis) => bound - low[axis] || 1);
+  const places = sizes.map((size, axis) =>
+    slider(`Lamp ${"xyz"[axis]}`, (share) => {
       viewer.lamp.positionM[axis] = low[axis] + share * size;
       viewer.changed();
-    });
-  };
-  const usual = viewer.exposure;
-  return [
-    ...[0, 1, 2].map(lampAxis),
-    slider("Lamp brightness", 0.5, (share) => {
-      viewer.lamp.share = share === 0 ? 0 : 2 ** (8 * (share - 0.5));
-      viewer.changed();
     }),
-    slider("Exposure", 0.5, (share) => (viewer.exposure = usual * 2 ** (8 * (share - 0.5)))),
-    el("p", { class: "quiet small" }, "Drag to turn, wheel to come nearer; Shift or the right button moves the lamp."),
+  );
+  // Sliders follow the hand on the picture.
+  viewer.onLampMoved = () =>
+    places.forEach(({ set }, axis) => set((viewer.lamp.positionM[axis] - low[axis]) / sizes[axis]));
+  viewer.onLampMoved();
+  const usual = viewer.exposure;
+  const brightness = slider("Lamp brightness", (share) => {
+    viewer.lamp.share = share === 0 ? 0 : 2 ** (8 * (share - 0.5));
+    viewer.changed();
+  });
+  const exposure = slider("Exposure", (share) => (viewer.exposure = usual * 2 ** (8 * (share - 0.5))));
+  [brightness, exposure].forEach(({ set }) => set(0.5));
+  return [
+    ...[...places, brightness, exposure].map(({ label }) => label),
+    el("p", { class: "quiet small hint" }, "Drag to turn, wheel to come nearer; Shift or the right button moves the lamp."),
   ];
 }
 
-/** A slider from 0 to 1. */
-function slider(name, value, changed) {
-  const input = el("input", {
-    type: "range",
-    min: 0,
-    max: STEPS,
-    value: Math.round(STEPS * Math.max(0, Math.min(1, value))),
-    oninput: () => changed(Number(input.value) / STEPS),
-  });
-  return el("label", {}, el("span", {}, name), input);
+/** A slider from 0 to 1: its label, and `set`, which moves it. */
+function slider(name, changed) {
+  const input = el("input", { type: "range", min: 0, max: STEPS });
+  input.addEventListener("input", () => changed(Number(input.value) / STEPS));
+  const set = (share) => (input.value = String(Math.round(STEPS * Math.max(0, Math.min(1, share)))));
+  return { label: el("label", {}, el("span", {}, name), input), set };
 }

@@ -13,6 +13,24 @@ const CALL: &str = "const [module, name, args, done] = arguments;
     import(module).then((module) => module[name](...args)).then(
         (value) => done({ value: value ?? null }),
         (error) => done({ error: String(error?.stack ?? error) }));";
+/// Runs the driver; a signal ends every process of its session, as a browser has groups of processes of its own. The session's
+/// number is the sixth word of a process' line, the fourth behind its name in brackets.
+const SESSION: &str = r#"HOME="$folder" TMPDIR="$folder" setsid sh -c '
+    end() {
+        for turn in 1 2; do
+            for file in /proc/[0-9]*/stat; do
+                read -r line 2>/dev/null <"$file" || continue
+                process=${line%% *}
+                set -- ${line##*) }
+                [ "$4" = $$ ] && [ "$process" != $$ ] && kill -9 "$process"
+            done
+        done
+        exit 0
+    }
+    trap end USR1
+    chromedriver --port=0 &
+    wait
+' 2>&1 &"#;
 /// WebGPU by SwiftShader, and nothing that calls out.
 const FLAGS: [&str; 11] = [
     "--headless=new",
@@ -38,13 +56,9 @@ pub struct Browser {
 }
 
 impl Browser {
-    /// Starts driver and browser in a group of processes, which is ended as one.
+    /// Starts driver and browser in a session of their own, which is ended as one.
     pub fn start() -> Self {
-        let script = || {
-            r#"HOME="$folder" TMPDIR="$folder" setsid chromedriver --port=0 2>&1 &
-            server=-$! stop=KILL"#
-                .to_owned()
-        };
+        let script = || format!("{SESSION}\nserver=$! stop=USR1");
         let (keeper, line) = Keeper::start(script, "started successfully on port", false);
         let port = line.rsplit(' ').next().map(|port| port.trim_end_matches('.')).expect("a port");
         let timeout = Some(SCRIPT_LIMIT + Duration::from_secs(30));

@@ -11,6 +11,7 @@ mod files;
 #[path = "../../../server/tests/parts/keeper.rs"]
 #[allow(dead_code, reason = "no program here is started again")]
 mod keeper;
+mod viewing;
 
 #[allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 mod relighting;

@@ -1,0 +1,45 @@
+//! A bake on a canvas: light comes in stages, the lamp and the camera follow the hand.
+
+#[path = "../frame/scene.rs"]
+#[allow(dead_code, reason = "one of its bakes is enough here")]
+mod scene;
+
+use lightkiln_client::web::shaders;
+use serde_json::{Value, json};
+
+use super::files::Answer;
+use super::{browser_at, served};
+use scene::Bundle;
+
+fn numbers(json: &Value) -> Vec<f64> {
+    json.as_array().expect("a list").iter().map(|number| number.as_f64().expect("a number")).collect()
+}
+
+#[test]
+#[ignore = "needs chromium"]
+fn chromium_shows_a_bake_that_follows_lamp_and_camera() {
+    let bundle = Bundle::cornell();
+    let folder = bundle.folder().to_owned();
+    let files = served(move |request| {
+        if let Some(file) = request.path.strip_prefix("/bake/") {
+            return Some(std::fs::read(folder.join(file)).map_or_else(|_| Answer::empty(404), Answer::of));
+        }
+        let name = request.path.strip_prefix("/web/shaders/")?.strip_suffix(".wgsl")?.to_owned();
+        let (_, text) = shaders().into_iter().find(|(found, _)| *found == name)?;
+        Some(Answer::of(text.into_owned().into_bytes()))
+    });
+    let found = browser_at(&files).run("/pages/view.js", "view", json!(["/bake"]));
+    assert_eq!(found["failures"], json!([]));
+    assert_eq!(found["size"], json!([160, 120]));
+    let [first, clusters] = ["first", "clusters"].map(|name| numbers(&found[name]));
+    assert!(
+        first[0] < first[1] && clusters[0] == clusters[1] && clusters[1] > 24.0,
+        "{first:?} {clusters:?}"
+    );
+    let [whole, off] = ["whole", "off"].map(|name| found[name].as_f64().expect("a number"));
+    assert!(off > 0.0 && whole > 1.05 * off, "{whole} with the lamp, {off} without");
+    let moved = numbers(&found["moved"]);
+    assert!(moved.iter().map(|by| by * by).sum::<f64>().sqrt() > 0.05, "{moved:?}");
+    let turned = numbers(&found["turned"]);
+    assert!(turned.iter().map(|by| by * by).sum::<f64>().sqrt() > 0.05, "{turned:?}");
+}
