@@ -6,19 +6,12 @@
 //
 // A drag turns the camera, a wheel or two fingers bring it nearer; a drag with the right button or with Shift moves the lamp.
 
-import { decodeCluster } from "./chunk/cluster.js";
-import { decodeGeometry } from "./chunk/geometry.js";
-import { ROLES, checkRelightable, chunksOf } from "./chunk/manifest.js";
-import { decodePatches } from "./chunk/patches.js";
-import { decodeTexture } from "./chunk/texture.js";
-import { fetchChunks, fetchManifest, forEachParallel, PARALLEL } from "./fetch.js";
-import { Frame, featuresOf } from "./frame/frame.js";
+import { Frame, SAMPLES_MAX, featuresOf } from "./frame/frame.js";
 import { cameraOf, lightsOf } from "./frame/lights.js";
-import { assembleScene } from "./relight/bake.js";
-import { lightOfPrefix } from "./relight/prefix.js";
+import { BakeStream } from "./relight/stream.js";
 import { Orbit } from "./orbit.js";
 
-/** Shares of the clusters after which light is shown anew; with a few clusters all come at once. */
+/** Shares of the light's bytes after which it is shown anew; with a few clusters all come at once. */
 const STAGES = [0.1, 0.4, 1];
 const CLUSTERS_FEW = 24;
 /** Most pixels along a side of the picture, however dense the screen is. */
@@ -67,17 +60,8 @@ export class Viewer {
       if (!this.#isClosed) onFailure(new Error(`the graphics device is gone (${message}): open the page again`));
     });
     onProgress({ words: "reading the scene", share: 0 });
-    const manifest = await fetchManifest(source, { signal });
-    checkRelightable(manifest);
-    const of = (role, decode) => fetchChunks(source, chunksOf(manifest, role), decode, { signal });
-    const [geometry, textures, patches, overview] = await Promise.all([
-      of(ROLES.geometry, decodeGeometry),
-      of(ROLES.textures, decodeTexture),
-      of(ROLES.patches, decodePatches),
-      of(ROLES.overview, decodeCluster),
-    ]);
-    this.scene = assembleScene(manifest, geometry, textures);
-    this.bake = { source, manifest, patches: patches[0], overview };
+    this.stream = await BakeStream.begin(source, { signal });
+    this.scene = this.stream.scene;
     this.canvas = canvas;
     await this.#firstLight(signal, onProgress);
     this.#follow(canvas);
@@ -86,12 +70,10 @@ export class Viewer {
 
   /** The first picture: of the overview, where there is one, else of all clusters. */
   async #firstLight(signal, onProgress) {
-    const { manifest, overview } = this.bake;
-    this.present = new Map();
-    const isFew = manifest.clusters.length <= CLUSTERS_FEW || overview.length === 0;
+    const { manifest } = this.scene;
+    const isFew = manifest.clusters.length <= CLUSTERS_FEW || this.stream.overview.length === 0;
     this.stages = isFew ? [1] : STAGES;
     if (isFew) await this.#fetchUpTo(this.stages.shift(), signal, onProgress);
-    const light = this.#light();
     const camera = cameraOf(manifest) ?? Orbit.around(manifest.boundsM).camera();
     this.orbit = Orbit.of(camera, manifest.boundsM);
     this.context = this.canvas.getContext("webgpu");
@@ -99,7 +81,7 @@ export class Viewer {
     this.context.configure({ device: this.device, format, alphaMode: "opaque" });
     const [width, height] = this.#fit();
     const options = { width, height, format, camera: this.orbit.camera() };
-    this.frame = await Frame.create(this.device, { scene: this.scene, light }, options);
+    this.frame = await Frame.create(this.device, this.stream.bake(), options);
     this.lights = [...lightsOf(manifest)];
     await this.frame.settle({ bouncesMax: BOUNCES_FIRST });
     this.frame.draw(this.context);
@@ -156,26 +138,19 @@ export class Viewer {
 
   /** Clusters that came, and all. */
   get clusters() {
-    return [this.present.size, this.bake.manifest.clusters.length];
+    return this.stream.clusters;
   }
 
+  /** Fetches clusters until such a share of all bytes has come, those first that the picture needs most. */
   async #fetchUpTo(share, signal, onProgress) {
-    const { source, manifest } = this.bake;
-    const chunks = chunksOf(manifest, ROLES.clusters);
-    const eye = Array.from(cameraOf(manifest)?.eyeM ?? [0, 0, 0]);
-    this.order ??= byDistance(manifest.clusters, eye);
-    const wanted = this.order.slice(0, Math.ceil(share * chunks.length)).filter((index) => !this.present.has(index));
-    await forEachParallel(wanted.length, PARALLEL, async (at) => {
-      const index = wanted[at];
-      const [cluster] = await fetchChunks(source, [chunks[index]], decodeCluster, { signal });
-      this.present.set(index, cluster);
-      const [came, all] = this.clusters;
-      onProgress({ words: `light: ${came} of ${all} clusters`, share: came / all });
-    });
-  }
-
-  #light() {
-    return lightOfPrefix(this.scene, this.bake.patches, this.bake.overview, this.present);
+    const [come, all] = this.stream.bytes;
+    const lit = await this.frame?.lit();
+    const viewpoint = this.frame?.viewpoint ?? null;
+    const onCluster = () => {
+      const [came, wanted] = this.clusters;
+      onProgress({ words: `light: ${came} of ${wanted} clusters`, share: came / wanted });
+    };
+    await this.stream.refine(share < 1 ? share * all - come : Infinity, { lit, viewpoint, signal, onCluster });
   }
 
   /** Takes in the rest of the light, stage by stage. */
@@ -185,7 +160,7 @@ export class Viewer {
       if (this.#isClosed) return;
       this.#isLoading = true;
       try {
-        await this.frame.setLight(this.#light());
+        await this.frame.setLight(this.stream.bake().light);
       } finally {
         this.#isLoading = false;
       }
@@ -221,11 +196,13 @@ export class Viewer {
     this.resized.observe(canvas);
     const draw = () => {
       if (this.#isClosed) return;
+      requestAnimationFrame(draw);
+      if (this.frame.isBehind) return;
       const isMoving = !this.#isLoading && !this.frame.settled;
       if (isMoving) this.frame.advance();
-      if (isMoving || this.#isStale) this.frame.draw(this.context);
+      // A picture that stands still gathers samples.
+      if (isMoving || this.#isStale || this.frame.samples < SAMPLES_MAX) this.frame.draw(this.context);
       this.#isStale = false;
-      requestAnimationFrame(draw);
     };
     requestAnimationFrame(draw);
   }
@@ -237,14 +214,4 @@ export class Viewer {
     this.stopHand?.();
     this.device.destroy();
   }
-}
-
-/** Numbers of clusters, the nearest to `eye` first. */
-function byDistance(rows, eye) {
-  const distance = ({ boundsM }) => {
-    const outside = eye.map((at, axis) => Math.max(boundsM[axis] - at, 0, at - boundsM[3 + axis]));
-    return Math.hypot(...outside);
-  };
-  const distances = rows.map(distance);
-  return distances.map((_, index) => index).sort((a, b) => distances[a] - distances[b] || a - b);
 }
