@@ -19,7 +19,7 @@ use lightkiln_proto::manifest::OVERVIEW;
 
 use crate::console::say;
 use crate::failure::{Failure, Result};
-use crate::reel::{Drawn, Reel, numbered};
+use crate::reel::{Drawn, PassRow, Reel, numbered};
 use crate::switched_off::SwitchedOff;
 
 /// What to draw, and how it looks.
