@@ -87,7 +87,7 @@ impl<'a> Sheet<'a> {
     }
 
     fn texels(&self, chart: &[[Vec2; 3]]) -> Vec<Vec3> {
-        let given = self.given(chart);
+        let given = self.given();
         let mut number = vec![GIVEN; given.len()];
         let mut count = 0;
         for (number, _) in number.iter_mut().zip(&given).filter(|(_, given)| given.is_none()) {
@@ -106,25 +106,18 @@ impl<'a> Sheet<'a> {
         grown(fit.texels, known, self.size).iter().map(|light| light.max(Vec3::ZERO)).collect()
     }
 
-    /// Texels whose light is known: of a receiver's texel its own; of finer texels inside one that the surface has the middle of, the light
-    /// that the client shows there.
-    fn given(&self, chart: &[[Vec2; 3]]) -> Vec<Option<Vec3>> {
+    /// Light of texels that lie in a receiver's: its own, and in finer ones that which the client shows at their middles. Between linked
+    /// receivers an engine's reads are then the client's.
+    fn given(&self) -> Vec<Option<Vec3>> {
         let mut given = vec![None; self.size.element_product() as usize];
-        let mut give = |at: UVec2| {
+        let inner = self.size - 2 * GUTTER;
+        for at in (0..inner.y).flat_map(|y| (0..inner.x).map(move |x| UVec2::new(x, y))) {
             let middle = (at.as_vec2() + 0.5) / self.scale as f32;
             let texel = middle.as_uvec2();
             if self.slot(texel).is_some() {
                 let index = (at + GUTTER).dot(UVec2::new(1, self.size.x)) as usize;
                 given[index] = if self.scale == 1 { self.own(texel) } else { self.shown(middle) };
             }
-        };
-        let inner = self.size - 2 * GUTTER;
-        if self.scale == 1 {
-            (0..inner.y).flat_map(|y| (0..inner.x).map(move |x| UVec2::new(x, y))).for_each(give);
-        } else {
-            chart
-                .iter()
-                .for_each(|corners| lattice(corners.map(|at| at * self.scale as f32), inner, &mut give));
         }
         given
     }
