@@ -60,12 +60,15 @@ impl Gpu {
     pub fn open_for(
         window: impl Into<wgpu::SurfaceTarget<'static>>,
     ) -> Result<(Self, wgpu::Surface<'static>)> {
-        let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle());
-        let surface = instance
-            .create_surface(window)
-            .map_err(|error| failed(format!("Vulkan makes no surface for the window ({error})")))?;
-        let gpu = logged(|| pollster::block_on(Self::open_on(&instance, Some(&surface))))?;
-        Ok((gpu, surface))
+        logged(|| {
+            let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle());
+            let surface = instance.create_surface(window).map_err(|error| {
+                tracing::debug!(%error, "no surface");
+                failed("Vulkan finds no graphics adapter that draws to a window".to_owned())
+            })?;
+            let gpu = pollster::block_on(Self::open_on(&instance, Some(&surface)))?;
+            Ok((gpu, surface))
+        })
     }
 
     /// Another surface for a window whose own is lost.

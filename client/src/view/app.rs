@@ -26,6 +26,10 @@ const LAST_WEIGHT: f32 = 0.1;
 /// Most pictures of a folder that F12 writes.
 const PICTURES_MAX: u32 = 9_999;
 
+/// Why there may be no display, and what to do.
+const NO_DISPLAY: &str = "no display can be opened: start it in a desktop session, or set DISPLAY or WAYLAND_DISPLAY to \
+one that is there; on Debian it takes libx11-6, libx11-xcb1, libxcursor1, libxi6 and libxkbcommon-x11-0 as well";
+
 /// A piece of light has come.
 #[derive(Debug)]
 struct Woken;
@@ -41,24 +45,20 @@ pub fn run(subject: Subject, options: Options) -> Result<()> {
     ran.map_err(|error| no_window(error.to_string()))
 }
 
-/// The loop of a display. A library of the display that is missing is a panic of the crate that opens it, which is caught.
+/// The loop of a display. A library of the display that is missing may be a panic of the crate that loads it, which is caught.
 fn open_loop() -> Result<EventLoop<Woken>> {
+    let hook = std::panic::take_hook();
+    std::panic::set_hook(Box::new(|panic| tracing::debug!(%panic, "no display")));
     let opened = std::panic::catch_unwind(|| EventLoop::with_user_event().build());
-    let problem = match opened {
+    std::panic::set_hook(hook);
+    let error = match opened {
         Ok(Ok(event_loop)) => return Ok(event_loop),
-        Ok(Err(error)) => {
-            // Its words name files of the build.
-            tracing::debug!(%error, "no display");
-            "there is no display: start it in a desktop session, or set DISPLAY or WAYLAND_DISPLAY to one that is there"
-                .to_owned()
-        }
-        Err(_) => {
-            "a library of the display cannot be loaded: on Debian install libx11-6, libxcursor1, libxi6, \
-                   libxkbcommon-x11-0 and libx11-xcb1"
-                .to_owned()
-        }
+        Ok(Err(error)) => error.to_string(),
+        Err(_) => "a library cannot be loaded".to_owned(),
     };
-    Err(no_window(problem))
+    // Its words name files of the build.
+    tracing::debug!(error, "no display");
+    Err(no_window(NO_DISPLAY.to_owned()))
 }
 
 struct App {

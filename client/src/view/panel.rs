@@ -48,7 +48,7 @@ pub fn show(ctx: &Context, viewer: &mut Viewer, facts: &Facts) -> Wishes {
     paint_handles(ctx, viewer);
     if viewer.is_panel_open {
         let window =
-            egui::Window::new("Lightkiln").default_pos([8.0, 8.0]).default_width(300.0).vscroll(true);
+            egui::Window::new("Lightkiln").default_pos([8.0, 8.0]).default_size([300.0, 640.0]).vscroll(true);
         window.show(ctx, |ui| wishes = contents(ui, viewer, facts));
     }
     wishes

@@ -21,7 +21,11 @@ pub struct Screen {
 impl Screen {
     /// The window's surface on the best adapter that draws to it.
     pub fn open(window: Arc<Window>) -> Result<(Arc<Gpu>, Self)> {
-        let (gpu, surface) = Gpu::open_for(Arc::clone(&window))?;
+        let opened = Gpu::open_for(Arc::clone(&window)).map_err(|error| match error {
+            ClientError::Adapter { problem } => no_window(problem),
+            error => error,
+        });
+        let (gpu, surface) = opened?;
         let can = gpu.surface_capabilities(&surface);
         // Numbers as they are: egui and the show pass encode sRGB themselves.
         let plain = |format: &&wgpu::TextureFormat| {
