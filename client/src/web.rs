@@ -12,9 +12,12 @@ use crate::passes::shade::Shading;
 
 pub use modules::MODULES;
 
-/// Shaders that browsers alone run: a texture's next coarser level, and radiance on the screen.
-const OF_BROWSERS: [(&str, &str); 2] =
-    [("halve", include_str!("../web/frame/halve.wgsl")), ("tone", include_str!("../web/frame/tone.wgsl"))];
+/// Shaders that browsers alone run: a texture's next coarser level, a device's steps of corners, and radiance on the screen.
+const OF_BROWSERS: [(&str, &str); 3] = [
+    ("halve", include_str!("../web/frame/halve.wgsl")),
+    ("snap", include_str!("../web/frame/snap.wgsl")),
+    ("tone", include_str!("../web/frame/tone.wgsl")),
+];
 
 /// Name and whole text of every shader that a browser's frame runs, for light in a lightmap.
 pub fn shaders() -> Vec<(&'static str, Cow<'static, str>)> {

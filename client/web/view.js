@@ -6,24 +6,17 @@
 //
 // A drag turns the camera, a wheel or two fingers bring it nearer; a drag with the right button or with Shift moves the lamp.
 
-import { decodeCluster } from "./chunk/cluster.js";
-import { decodeGeometry } from "./chunk/geometry.js";
-import { ROLES, checkRelightable, chunksOf } from "./chunk/manifest.js";
-import { decodePatches } from "./chunk/patches.js";
-import { decodeTexture } from "./chunk/texture.js";
-import { fetchChunks, fetchManifest, forEachParallel, PARALLEL } from "./fetch.js";
 import { Frame, featuresOf } from "./frame/frame.js";
 import { cameraOf, lightsOf } from "./frame/lights.js";
-import { assembleScene } from "./relight/bake.js";
-import { lightOfPrefix } from "./relight/prefix.js";
 import { Orbit } from "./orbit.js";
+import { BakeStream } from "./relight/stream.js";
 
-/** Shares of the clusters after which light is shown anew; with a few clusters all come at once. */
-const STAGES = [0.1, 0.4, 1];
+/** Shares of the clusters' bytes that come before light is shown anew, and then the rest; few clusters come at once. */
+const STAGES = [0.1, 0.4];
 const CLUSTERS_FEW = 24;
 /** Most pixels along a side of the picture, however dense the screen is. */
 const SIDE_MAX = 2048;
-/** Bounces before the first picture, and before one of a later stage. */
+/** Bounces before the first picture. */
 const BOUNCES_FIRST = 16;
 
 /** A browser or machine without WebGPU: nothing is wrong with the bake. */
@@ -46,6 +39,8 @@ export class Viewer {
   #isClosed = false;
   // Something to draw has changed since the last picture.
   #isStale = true;
+  // More samples would change the picture no more.
+  #isSmooth = false;
   // Light is being exchanged: its bounces are run there.
   #isLoading = false;
 
@@ -66,46 +61,59 @@ export class Viewer {
     this.device.lost.then(({ message }) => {
       if (!this.#isClosed) onFailure(new Error(`the graphics device is gone (${message}): open the page again`));
     });
-    onProgress({ words: "reading the scene", share: 0 });
-    const manifest = await fetchManifest(source, { signal });
-    checkRelightable(manifest);
-    const of = (role, decode) => fetchChunks(source, chunksOf(manifest, role), decode, { signal });
-    const [geometry, textures, patches, overview] = await Promise.all([
-      of(ROLES.geometry, decodeGeometry),
-      of(ROLES.textures, decodeTexture),
-      of(ROLES.patches, decodePatches),
-      of(ROLES.overview, decodeCluster),
-    ]);
-    this.scene = assembleScene(manifest, geometry, textures);
-    this.bake = { source, manifest, patches: patches[0], overview };
     this.canvas = canvas;
-    await this.#firstLight(signal, onProgress);
+    onProgress({ words: "reading the scene", share: 0 });
+    this.stream = await BakeStream.begin(source, { signal });
+    const { chunks, overview } = this.stream;
+    const bytes = chunks.reduce((sum, chunk) => sum + chunk.bytes, 0);
+    const isFew = chunks.length <= CLUSTERS_FEW || overview.length === 0;
+    const stages = isFew ? [] : STAGES.map((share) => share * bytes);
+    if (isFew) await this.stream.refine(Infinity, { signal });
+    await this.#firstLight();
+    this.#tell(onProgress);
     this.#follow(canvas);
-    this.#refine(signal, onProgress).catch((error) => signal?.aborted || this.#isClosed || onFailure(error));
+    this.#refine(stages, signal, onProgress).catch((error) => signal?.aborted || this.#isClosed || onFailure(error));
   }
 
-  /** The first picture: of the overview, where there is one, else of all clusters. */
-  async #firstLight(signal, onProgress) {
-    const { manifest, overview } = this.bake;
-    this.present = new Map();
-    const isFew = manifest.clusters.length <= CLUSTERS_FEW || overview.length === 0;
-    this.stages = isFew ? [1] : STAGES;
-    if (isFew) await this.#fetchUpTo(this.stages.shift(), signal, onProgress);
-    const light = this.#light();
-    const camera = cameraOf(manifest) ?? Orbit.around(manifest.boundsM).camera();
-    this.orbit = Orbit.of(camera, manifest.boundsM);
+  /** The first picture: of the overview's light, or of all clusters where they have come. */
+  async #firstLight() {
+    const { manifest } = this.stream.scene;
+    this.orbit = Orbit.of(cameraOf(manifest) ?? Orbit.around(manifest.boundsM).camera(), manifest.boundsM);
     this.context = this.canvas.getContext("webgpu");
     const format = navigator.gpu.getPreferredCanvasFormat();
     this.context.configure({ device: this.device, format, alphaMode: "opaque" });
     const [width, height] = this.#fit();
     const options = { width, height, format, camera: this.orbit.camera() };
-    this.frame = await Frame.create(this.device, { scene: this.scene, light }, options);
+    this.frame = await Frame.create(this.device, this.stream.bake(), options);
     this.lights = [...lightsOf(manifest)];
     await this.frame.settle({ bouncesMax: BOUNCES_FIRST });
     this.frame.draw(this.context);
-    const exposure = await this.frame.expose();
-    this.#addLamp(exposure);
+    this.#addLamp(await this.frame.expose());
     this.changed();
+  }
+
+  /** Takes in the rest of the light, where the picture needs it most, stage by stage. */
+  async #refine(stages, signal, onProgress) {
+    for (const bytesMax of [...stages, Infinity]) {
+      if (this.stream.isWhole) break;
+      const { viewpoint } = this.frame;
+      await this.stream.refine(bytesMax, { lit: await this.frame.lit(), viewpoint, signal });
+      if (this.#isClosed) return;
+      this.#tell(onProgress);
+      this.#isLoading = true;
+      try {
+        await this.frame.setLight(this.stream.bake().light);
+      } finally {
+        this.#isLoading = false;
+      }
+      this.#isStale = true;
+    }
+    onProgress({ words: "all light is here", share: 1 });
+  }
+
+  #tell(onProgress) {
+    const [came, all] = this.clusters;
+    onProgress({ words: `light: ${came} of ${all} clusters`, share: all === 0 ? 0 : came / (all + 1) });
   }
 
   /** The lamp is the first light that has a place, else one more, as bright as the rest of the scene. */
@@ -113,9 +121,9 @@ export class Viewer {
     const [low, high] = this.frame.boundsM;
     const diagonal = Math.hypot(...high.map((bound, axis) => bound - low[axis]));
     const own = this.lights.findIndex(({ kind }) => kind.type === "point" || kind.type === "spot");
-    // Irradiance of middle grey at an eighth of the scene's size.
-    const mean = (0.18 / exposure) * Math.PI * (diagonal / 8) ** 2;
-    const isDark = this.lights.length === 0 && this.scene.manifest.emitters.length === 0;
+    // Irradiance of middle grey at a sixth of the scene's size.
+    const mean = (0.18 / exposure) * Math.PI * (diagonal / 6) ** 2;
+    const isDark = this.lights.length === 0 && this.stream.scene.manifest.emitters.length === 0;
     const strength = isDark || !Number.isFinite(mean) ? diagonal ** 2 : mean;
     const made = {
       name: "lamp",
@@ -156,42 +164,7 @@ export class Viewer {
 
   /** Clusters that came, and all. */
   get clusters() {
-    return [this.present.size, this.bake.manifest.clusters.length];
-  }
-
-  async #fetchUpTo(share, signal, onProgress) {
-    const { source, manifest } = this.bake;
-    const chunks = chunksOf(manifest, ROLES.clusters);
-    const eye = Array.from(cameraOf(manifest)?.eyeM ?? [0, 0, 0]);
-    this.order ??= byDistance(manifest.clusters, eye);
-    const wanted = this.order.slice(0, Math.ceil(share * chunks.length)).filter((index) => !this.present.has(index));
-    await forEachParallel(wanted.length, PARALLEL, async (at) => {
-      const index = wanted[at];
-      const [cluster] = await fetchChunks(source, [chunks[index]], decodeCluster, { signal });
-      this.present.set(index, cluster);
-      const [came, all] = this.clusters;
-      onProgress({ words: `light: ${came} of ${all} clusters`, share: came / all });
-    });
-  }
-
-  #light() {
-    return lightOfPrefix(this.scene, this.bake.patches, this.bake.overview, this.present);
-  }
-
-  /** Takes in the rest of the light, stage by stage. */
-  async #refine(signal, onProgress) {
-    for (const share of this.stages) {
-      await this.#fetchUpTo(share, signal, onProgress);
-      if (this.#isClosed) return;
-      this.#isLoading = true;
-      try {
-        await this.frame.setLight(this.#light());
-      } finally {
-        this.#isLoading = false;
-      }
-      this.#isStale = true;
-    }
-    onProgress({ words: "all light is here", share: 1 });
+    return this.stream.clusters;
   }
 
   /** Pixels of the canvas on its screen; sets them. */
@@ -203,7 +176,7 @@ export class Viewer {
     return size;
   }
 
-  /** Draws whenever something has changed or light still bounces, and hears of the reader's hand. */
+  /** Draws while something changes, light bounces or the picture becomes smoother, and hears of the reader's hand. */
   #follow(canvas) {
     this.stopHand = this.orbit.follow(canvas, {
       changed: () => this.changed(),
@@ -223,7 +196,11 @@ export class Viewer {
       if (this.#isClosed) return;
       const isMoving = !this.#isLoading && !this.frame.settled;
       if (isMoving) this.frame.advance();
-      if (isMoving || this.#isStale) this.frame.draw(this.context);
+      if (isMoving || this.#isStale || !this.#isSmooth) {
+        const before = this.frame.samples;
+        this.frame.draw(this.context);
+        this.#isSmooth = !isMoving && this.frame.samples === before;
+      }
       this.#isStale = false;
       requestAnimationFrame(draw);
     };
@@ -237,14 +214,4 @@ export class Viewer {
     this.stopHand?.();
     this.device.destroy();
   }
-}
-
-/** Numbers of clusters, the nearest to `eye` first. */
-function byDistance(rows, eye) {
-  const distance = ({ boundsM }) => {
-    const outside = eye.map((at, axis) => Math.max(boundsM[axis] - at, 0, at - boundsM[3 + axis]));
-    return Math.hypot(...outside);
-  };
-  const distances = rows.map(distance);
-  return distances.map((_, index) => index).sort((a, b) => distances[a] - distances[b] || a - b);
 }

@@ -128,7 +128,7 @@ fn twins() -> BTreeMap<&'static str, Layout> {
             position, range_m, direction, shape, strength, first_face, cone_cos_inner, cone_cos_outer, face_count,
             half_extent, first_cascade, cascades, pad0, pad1
         }
-        "LightCount": LightCount { count, side, bias_m, pad }
+        "LightCount": LightCount { count, side, bias_m, snap }
         "Mask": Mask { uv_row0, uv_row1, alpha, cutoff, pad0, pad1 }
         "Near": NearNumbers { row_count, stride }
         "NearHit": NearHit { position_m, light }

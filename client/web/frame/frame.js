@@ -17,6 +17,7 @@ import { FOUR } from "./resident.js";
 import { BLENDABLE, ShadePass } from "./shade.js";
 import { fetchShaders } from "./shaders.js";
 import { ShadowPass } from "./shadow.js";
+import { measuredSnap } from "./snap.js";
 import { TONES, TonePass, automaticExposure } from "./tone.js";
 import { eyeOf, shadeView } from "./view.js";
 
@@ -24,6 +25,8 @@ import { eyeOf, shadeView } from "./view.js";
 export const CHANGE_MAX = 1e-3;
 // Most bounces of `settle`.
 const BOUNCES_MAX = 200;
+/** Samples per pixel of a picture that stands still. More → smoother edges, longer until it is done. */
+export const SAMPLES_MAX = 16;
 // Texels along a side of a shadow map, and room for lights and maps, unless asked otherwise or the bake's own lights need more.
 const SHADOW_SIDE = 1024;
 const LIGHTS = 8;
@@ -40,8 +43,10 @@ export class Frame {
   #emitterScale = [];
   #camera;
   #plan;
-  // Work that changes have left to do: all shadow maps and E_dir; E_dir alone; cascades alone; black E_ind; pages of the last bounce.
+  // Work that changes have left to do: all shadow maps and E_dir; E_dir alone; cascades alone; black E_ind; pages.
   #stale = { lights: true, direct: true, cascades: true, light: true, pages: true };
+  // Samples of the picture as it is; what they were drawn with.
+  #film = { samples: 0, exposure: 1, curve: "filmic", isAlone: false };
   // Bounces since the last change, and the last change by one that was heard of.
   #bounces = { count: 0, change: null };
 
@@ -78,18 +83,19 @@ export class Frame {
     this.room = shadows ?? roomWith(castersOf(own));
     checkRoom(this.room);
     this.size = [width, height];
+    this.snap = await measuredSnap(gpu);
     const meshes = await Meshes.create(gpu, bake.scene);
     this.shadow = await ShadowPass.create(gpu, bake.scene, meshes, this.room);
     this.light = await LightPasses.create(gpu, bake, this.shadow);
     this.shade = await ShadePass.create(gpu, bake.scene, meshes, this.shadow, this.light.atlas, this.size);
     this.tone = await TonePass.create(gpu, format ?? navigator.gpu.getPreferredCanvasFormat());
-    this.tone.bind(this.shade.targetView);
+    this.tone.bind(this.shade.targetView, this.size);
     // Factor on radiance before the tone curve, and the curve.
     this.exposure = 1;
     this.curve = "filmic";
     const seen = camera ?? cameraOf(manifest);
     if (seen === null) throw new Error("the bake has no camera: give one");
-    this.#plan = new ShadowPlan(this.room, [], this.boundsM, null);
+    this.#plan = this.#planned([], null);
     this.setCamera(seen);
     this.#writeUnshadowed();
     this.setLights(own);
@@ -99,7 +105,7 @@ export class Frame {
   setLights(lights) {
     checkLights(lights);
     const casters = castersOf(lights);
-    const plan = new ShadowPlan(this.room, casters, this.boundsM, eyeOf(this.#camera));
+    const plan = this.#planned(casters, eyeOf(this.#camera));
     const sky = skyOf(lights);
     if (!isSame(casters, this.#casters)) {
       [this.#casters, this.#plan] = [casters, plan];
@@ -131,8 +137,9 @@ export class Frame {
     };
     // Errs for a camera that sees nothing.
     shadeView(own, this.size, this.boundsM, this.#sky, [0, 0]);
-    const plan = new ShadowPlan(this.room, this.#casters, this.boundsM, eyeOf(own));
+    const plan = this.#planned(this.#casters, eyeOf(own));
     this.#camera = own;
+    this.#film.samples = 0;
     if (!plan.hasFacesOf(this.#plan)) {
       this.#plan = plan;
       this.shadow.set(plan);
@@ -157,6 +164,7 @@ export class Frame {
     this.#writeUnshadowed();
     const settled = await this.settle(limit);
     this.shade.setPages(passes.atlas);
+    this.#film.samples = 0;
     before.destroy();
     return settled;
   }
@@ -165,10 +173,11 @@ export class Frame {
   resize(width, height) {
     this.size = [width, height];
     this.shade.resize(this.size);
-    this.tone.bind(this.shade.targetView);
+    this.#film.samples = 0;
+    this.tone.bind(this.shade.targetView, this.size);
   }
 
-  /** One bounce more, and before it what changes ask for. Waits for nothing; answers the number of bounces since the last change. */
+  /** One bounce more, and before it what changes ask for. Waits for nothing; answers the bounces since the last change. */
   advance() {
     this.#drawShadows();
     const { eInd } = this.light.resident;
@@ -177,6 +186,7 @@ export class Frame {
       this.light.bounce(encoder);
     });
     Object.assign(this.#stale, { light: false, pages: true });
+    this.#film.samples = 0;
     const bounces = this.#bounces;
     this.light.change.ask((change) => {
       // Light that is no number stays none.
@@ -204,19 +214,35 @@ export class Frame {
   }
 
   /**
-   * Draws one sample per pixel, `jitter` pixels (right, down) from the pixels' middles, with the light of the last bounce, into a
-   * texture view or a canvas' context.
+   * Draws one sample per pixel with the light of the last bounce, into a texture view or a canvas' context. While nothing changes,
+   * samples of later calls are added, so that a picture that stands still becomes smooth. With a `jitter`, pixels (right, down)
+   * from the pixels' middles, the picture is of that sample alone.
    */
-  draw(target, jitter = [0, 0]) {
+  draw(target, jitter = null) {
     this.#drawShadows();
-    const view = shadeView(this.#camera, this.size, this.boundsM, this.#sky, jitter);
+    const [{ exposure, curve }, film] = [this, this.#film];
+    const isAlone = jitter !== null;
+    if (isAlone || film.isAlone || exposure !== film.exposure || curve !== film.curve) {
+      this.#film = { samples: 0, exposure, curve, isAlone };
+    }
+    const into = target.getCurrentTexture?.().createView() ?? target;
+    const sample = this.#film.samples;
     this.gpu.submit((encoder) => {
-      if (this.#stale.pages) this.light.publish(encoder);
-      this.shade.record(encoder, view);
-      const into = target.getCurrentTexture?.().createView() ?? target;
-      this.tone.record(encoder, into, this.exposure, TONES[this.curve]);
+      if (sample < SAMPLES_MAX) {
+        const view = shadeView(this.#camera, this.size, this.boundsM, this.#sky, jitter ?? jitterOf(sample));
+        if (this.#stale.pages) this.light.publish(encoder);
+        this.#stale.pages = false;
+        this.shade.record(encoder, view);
+        this.tone.add(encoder, { exposure, curve: TONES[curve], sample });
+        this.#film.samples = sample + 1;
+      }
+      this.tone.show(encoder, into);
     });
-    this.#stale.pages = false;
+  }
+
+  /** Samples of the picture as it is, at most SAMPLES_MAX: more calls of `draw` change it no more. */
+  get samples() {
+    return this.#film.samples;
   }
 
   /** Sets the exposure by the picture drawn last, after a wait, and answers it. */
@@ -235,17 +261,23 @@ export class Frame {
   /** E_ind of receivers by slot after the last bounce, after a wait: four numbers each, W·m⁻². */
   async readIndirect() {
     const { eInd, receiverCount } = this.light.resident;
-    return receiverCount === 0 ? new Float32Array(0) : this.#readFloats(eInd, receiverCount);
+    if (receiverCount === 0) return new Float32Array(0);
+    return new Float32Array(await this.gpu.read(eInd, FOUR * receiverCount));
   }
 
-  /** E_dir likewise. */
-  async readDirect() {
-    const { eDir, receiverCount } = this.light.resident;
-    return receiverCount === 0 ? new Float32Array(0) : this.#readFloats(eDir, receiverCount);
+  /** Places of receivers and their light, after a wait, for `BakeStream.refine`. */
+  async lit() {
+    const { positionM } = this.bake.light.receivers;
+    return { positionM, irradiance: await this.readIndirect() };
   }
 
-  async #readFloats(buffer, count) {
-    return new Float32Array(await this.gpu.read(buffer, FOUR * count));
+  /** Where the picture is looked at from; null for a parallel camera. */
+  get viewpoint() {
+    return eyeOf(this.#camera);
+  }
+
+  #planned(casters, eye) {
+    return new ShadowPlan(this.room, casters, this.boundsM, eye, this.snap);
   }
 
   /** Writes light that no shadow map has: all bounces are of other light from here on. */
@@ -256,6 +288,7 @@ export class Frame {
     const isDark = this.#casters.length === 0 && isBlack(this.#sky) && !isEmitting;
     this.#stale.light ||= isDark;
     this.#stale.pages = true;
+    this.#film.samples = 0;
     this.#bounces = { count: 0, change: null };
   }
 
@@ -270,6 +303,13 @@ export class Frame {
     });
     Object.assign(this.#stale, { lights: false, direct: false, cascades: false });
   }
+}
+
+/** Offset of a sample from the pixel's middle: a rotated grid for the first four, then the R2 sequence. */
+function jitterOf(sample) {
+  const grid = [[-0.125, -0.375], [0.375, -0.125], [-0.375, 0.125], [0.125, 0.375]];
+  const at = (step) => ((0.5 + step * (sample + 1)) % 1) - 0.5;
+  return grid[sample] ?? [at(0.7548776662466928), at(0.5698402909980533)];
 }
 
 /** Room for some lights, and no less than what people may add. */

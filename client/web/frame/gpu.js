@@ -25,27 +25,42 @@ export function groupsFor(threads) {
 
 /** A device with the texts of its shaders by name. */
 export class Gpu {
-  #modules = new Map();
-  #pipelines = new Map();
+  // Shader modules and compute pipelines by name, and how many things were made: shared with branches.
+  #shared;
+  // Buffers and textures that go with a branch; null for the whole.
+  #owned;
 
-  constructor(device, shaders) {
+  constructor(device, shaders, shared = { modules: new Map(), pipelines: new Map(), created: 0 }, owned = null) {
     this.device = device;
     this.shaders = shaders;
+    this.#shared = shared;
+    this.#owned = owned;
     // Most bytes of one storage binding; larger arrays are split into pages.
     this.bindingMax = Math.min(device.limits.maxStorageBufferBindingSize, device.limits.maxBufferSize);
-    // Buffers, textures, samplers, bind groups, shaders and pipelines made so far.
-    this.created = 0;
-    // Takes the buffers and textures that are made, for whoever is to free them.
-    this.owned = null;
+  }
+
+  /** The same device, whose buffers and textures that are made by way of the branch can be freed at once. */
+  branch() {
+    return new Gpu(this.device, this.shaders, this.#shared, []);
+  }
+
+  /** Frees the buffers and textures of a branch. */
+  destroy() {
+    this.#owned?.forEach((thing) => thing.destroy());
+  }
+
+  /** Buffers, textures, samplers, bind groups, shaders and pipelines made so far. */
+  get created() {
+    return this.#shared.created;
   }
 
   #kept(thing) {
-    this.owned?.push(thing);
+    this.#owned?.push(thing);
     return this.#made(thing);
   }
 
   #made(thing) {
-    this.created += 1;
+    this.#shared.created += 1;
     return thing;
   }
 
@@ -136,14 +151,14 @@ export class Gpu {
 
   /** A shader module by the name of its text. */
   module(name) {
-    let module = this.#modules.get(name);
+    let module = this.#shared.modules.get(name);
     if (module === undefined) {
       const code = this.shaders.get(name);
       if (code === undefined) {
         throw new Error(`there is no shader '${name}'`);
       }
       module = this.#made(this.device.createShaderModule({ label: name, code }));
-      this.#modules.set(name, module);
+      this.#shared.modules.set(name, module);
     }
     return module;
   }
@@ -151,11 +166,11 @@ export class Gpu {
   /** A compute pipeline, made once; its layout is the shader's unless given. */
   async compute(name, entryPoint, layout = "auto") {
     const key = `${name}/${entryPoint}`;
-    let pipeline = this.#pipelines.get(key);
+    let pipeline = this.#shared.pipelines.get(key);
     if (pipeline === undefined) {
       const compute = { module: this.module(name), entryPoint };
       pipeline = await this.device.createComputePipelineAsync({ label: entryPoint, layout, compute });
-      this.#pipelines.set(key, this.#made(pipeline));
+      this.#shared.pipelines.set(key, this.#made(pipeline));
     }
     return pipeline;
   }

@@ -10,7 +10,7 @@ const PASSED = "r16float";
 const MULTIPLIED = { srcFactor: "dst", dstFactor: "zero", operation: "add" };
 
 /** Whether some mesh of a scene is of glass. */
-export function hasGlass({ draws, manifest }) {
+function hasGlass({ draws, manifest }) {
   return draws.some(({ material }) => manifest.materials[material].glass);
 }
 

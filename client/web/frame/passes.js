@@ -11,26 +11,29 @@ import { Resident } from "./resident.js";
 /** direct → patches → basis → near → reconstruct → atlas. */
 export class LightPasses {
   /** Uploads the light of a bake. */
-  static async create(gpu, { scene, light }, shadow) {
+  static async create(whole, { scene, light }, shadow) {
     const passes = new LightPasses();
-    Object.assign(passes, { gpu, light, made: [] });
-    gpu.owned = passes.made;
+    const gpu = whole.branch();
+    Object.assign(passes, { gpu, light });
     const resident = new Resident(gpu, light);
     passes.resident = resident;
-    passes.direct = await DirectPass.create(gpu, light.points, shadow, resident);
-    passes.columns = await PatchesPass.create(gpu, light.columns, resident);
-    passes.basis = await BasisPass.create(gpu, light.clusters, resident);
-    passes.near = await NearPass.create(gpu, light.near, shadow, resident);
-    passes.reconstruct = await ReconstructPass.create(gpu, light.clusters, resident);
-    passes.atlas = await AtlasPass.create(gpu, scene.layout, light.texels, resident);
-    passes.change = await ChangePass.create(gpu, resident);
-    gpu.owned = null;
+    // Devices compile pipelines at once.
+    const [direct, columns, basis, near, reconstruct, atlas, change] = await Promise.all([
+      DirectPass.create(gpu, light.points, shadow, resident),
+      PatchesPass.create(gpu, light.columns, resident),
+      BasisPass.create(gpu, light.clusters, resident),
+      NearPass.create(gpu, light.near, shadow, resident),
+      ReconstructPass.create(gpu, light.clusters, resident),
+      AtlasPass.create(gpu, scene.layout, light.texels, resident),
+      ChangePass.create(gpu, resident),
+    ]);
+    Object.assign(passes, { direct, columns, basis, near, reconstruct, atlas, change });
     return passes;
   }
 
   /** Frees all buffers. */
   destroy() {
-    this.made.forEach((thing) => thing.destroy());
+    this.gpu.destroy();
   }
 
   /** Writes light that no shadow map has: E_emit, and λ of the sky. Answers whether any emitter sends light. */

@@ -59,9 +59,12 @@ export function roomFor(casters, side) {
   return { lights: casters.length, faces: Math.max(Math.min(faces + suns * CASCADES_MAX, most), faces), side: own };
 }
 
-/** Lights and the faces that they need, within a room; suns get cascades about the `eye` of a perspective, which come last. */
+/**
+ * Lights and the faces that they need, within a room; suns get cascades about the `eye` of a perspective, which come last. `snap` is
+ * the device's (snap.js).
+ */
 export class ShadowPlan {
-  constructor(room, casters, boundsM, eye) {
+  constructor(room, casters, boundsM, eye, snap) {
     const faces = casters.reduce((sum, caster) => sum + faceCount(caster), 0);
     if (faces > room.faces || casters.length > room.lights) {
       throw new Error(
@@ -72,6 +75,7 @@ export class ShadowPlan {
     const [low, high] = boundsM;
     const diagonal = Math.max(Math.hypot(...less(high, low)), 2 ** -126);
     this.side = room.side;
+    this.snap = snap;
     this.biasM = 5e-5 * diagonal;
     this.lights = [];
     this.faces = [];
@@ -114,7 +118,7 @@ export class ShadowPlan {
   countBytes() {
     const bytes = new ArrayBuffer(16);
     new Uint32Array(bytes).set([this.lights.length, this.side]);
-    new Float32Array(bytes)[2] = this.biasM;
+    new Float32Array(bytes).set([this.biasM, this.snap], 2);
     return bytes;
   }
 

@@ -14,6 +14,7 @@ const NAMES = [
   "shadow",
   "shadow-panes",
   "halve",
+  "snap",
   "tone",
 ];
 

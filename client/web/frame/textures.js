@@ -3,7 +3,7 @@
 // Format whose reads are linear.
 const FORMAT = "rgba8unorm-srgb";
 
-/** Uploads image files, each with its media type and bytes, with all mip levels; the last is a white texel, for what has no texture. */
+/** Uploads image files, `{mediaType, bytes}`, with all mip levels; behind them stands a white texel, for what has no texture. */
 export async function uploadTextures(gpu, files) {
   const pipeline = await gpu.render({
     label: "halve",

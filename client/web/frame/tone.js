@@ -55,7 +55,12 @@ function logAverage(luminances) {
   return count > 0 ? Math.exp(sum / count) : null;
 }
 
-/** The pass that shows radiance in the format of a canvas. */
+// Format of the film: devices blend into it, and its 11 bits are more than a screen shows.
+const FILM = "rgba16float";
+// A sample's share of the film is the constant.
+const SHARED = { srcFactor: "constant", dstFactor: "one-minus-constant" };
+
+/** The passes that add radiance to a film and show it in the format of a canvas. */
 export class TonePass {
   static async create(gpu, format) {
     const pass = new TonePass();
@@ -65,32 +70,50 @@ export class TonePass {
       { visibility: FRAGMENT, texture: { sampleType: "unfilterable-float" } },
     ]);
     pass.numbers = gpu.uniform("tone", new Float32Array(2));
-    const module = gpu.module("tone");
-    pass.pipeline = await gpu.render({
-      label: "tone",
-      layout: gpu.pipelineLayout([pass.layout]),
-      vertex: { module, entryPoint: "corner" },
-      primitive: { topology: "triangle-list" },
-      fragment: { module, entryPoint: "tone", targets: [{ format }] },
-    });
+    const layout = gpu.pipelineLayout([pass.layout]);
+    const targets = { tone: { format: FILM, blend: { color: SHARED, alpha: SHARED } }, show: { format } };
+    for (const [entryPoint, target] of Object.entries(targets)) {
+      const module = gpu.module("tone");
+      pass[`${entryPoint}Pipeline`] = await gpu.render({
+        label: entryPoint,
+        layout,
+        vertex: { module, entryPoint: "corner" },
+        primitive: { topology: "triangle-list" },
+        fragment: { module, entryPoint, targets: [target] },
+      });
+    }
     return pass;
   }
 
-  /** Binds the radiance to show. */
-  bind(radiance) {
-    this.group = this.gpu.bind(this.layout, [this.numbers, radiance]);
+  /** Binds the radiance to show, and makes a film of its size: width and height in pixels. */
+  bind(radiance, size) {
+    this.film?.destroy();
+    const usage = GPUTextureUsage.RENDER_ATTACHMENT | GPUTextureUsage.TEXTURE_BINDING;
+    this.film = this.gpu.texture({ label: "film", size, format: FILM, usage });
+    this.filmView = this.film.createView();
+    this.toneGroup = this.gpu.bind(this.layout, [this.numbers, radiance]);
+    this.showGroup = this.gpu.bind(this.layout, [this.numbers, this.filmView]);
   }
 
-  /** Records the pass into a view. */
-  record(encoder, view, exposure, curve) {
+  /** Records sample number `sample`, from 0, of a picture. */
+  add(encoder, { exposure, curve, sample }) {
     this.gpu.write(this.numbers, new Float32Array([exposure, curve]));
-    const pass = encoder.beginRenderPass({
-      label: "tone",
-      colorAttachments: [{ view, loadOp: "clear", storeOp: "store" }],
-    });
-    pass.setPipeline(this.pipeline);
-    pass.setBindGroup(0, this.group);
-    pass.draw(3);
-    pass.end();
+    const loadOp = sample === 0 ? "clear" : "load";
+    draw(encoder, this.tonePipeline, this.toneGroup, this.filmView, loadOp, 1 / (sample + 1));
   }
+
+  /** Shows the mean of all samples in a view. */
+  show(encoder, view) {
+    draw(encoder, this.showPipeline, this.showGroup, view, "clear", 1);
+  }
+}
+
+/** Draws one triangle over a whole view. */
+function draw(encoder, pipeline, group, view, loadOp, share) {
+  const pass = encoder.beginRenderPass({ colorAttachments: [{ view, loadOp, storeOp: "store" }] });
+  pass.setPipeline(pipeline);
+  pass.setBindGroup(0, group);
+  pass.setBlendConstant([share, share, share, share]);
+  pass.draw(3);
+  pass.end();
 }

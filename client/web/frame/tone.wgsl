@@ -1,8 +1,10 @@
-// Radiance → the screen: exposure, tone curve, sRGB; twin: `Tone::map` in client/src/picture/tone.rs.
+// Radiance → film: exposure and tone curve; twin: `Tone::map` in client/src/picture/tone.rs. Film → the screen: sRGB. The film is the mean
+// of tone-mapped samples, which keeps the edge of a lamp far above white smooth.
 
 // Factor on radiance; then the curve: 0 linear, 1 by luminance, 2 film-like.
 @group(0) @binding(0) var<uniform> exposure_and_curve: vec2f;
-@group(0) @binding(1) var radiance: texture_2d<f32>;
+// Radiance, or the film.
+@group(0) @binding(1) var picture: texture_2d<f32>;
 
 // One triangle over the whole picture.
 @vertex
@@ -28,6 +30,11 @@ fn srgb(linear: vec3f) -> vec3f {
 
 @fragment
 fn tone(@builtin(position) at: vec4f) -> @location(0) vec4f {
-    let found = max(textureLoad(radiance, vec2i(floor(at.xy)), 0).rgb, vec3f(0.0));
-    return vec4f(srgb(clamp(toned(found * exposure_and_curve.x), vec3f(0.0), vec3f(1.0))), 1.0);
+    let found = max(textureLoad(picture, vec2i(floor(at.xy)), 0).rgb, vec3f(0.0));
+    return vec4f(clamp(toned(found * exposure_and_curve.x), vec3f(0.0), vec3f(1.0)), 1.0);
+}
+
+@fragment
+fn show(@builtin(position) at: vec4f) -> @location(0) vec4f {
+    return vec4f(srgb(textureLoad(picture, vec2i(floor(at.xy)), 0).rgb), 1.0);
 }

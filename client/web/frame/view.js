@@ -6,7 +6,7 @@ import { add, cross, less, lookAlong, normalised, parallel, perspective, product
 export const VIEW_NUMBERS = 36;
 
 /** Clip space of a camera for a picture of `size` pixels; bounds of the scene set near and far. */
-export function clipFromWorld(camera, size, boundsM) {
+function clipFromWorld(camera, size, boundsM) {
   const wrong = (problem) => {
     throw new Error(`camera '${camera.name ?? ""}': ${problem}`);
   };
@@ -33,7 +33,7 @@ export function clipFromWorld(camera, size, boundsM) {
   return product(perspective(tan * aspect, tan, 1e-4 * diagonal), matrix);
 }
 
-/** A view whose samples lie `jitter` pixels (right, down) from the pixels' centres: its matrix, and all numbers as the shader reads them. */
+/** A view whose samples lie `jitter` pixels (right, down) from the pixels' centres: its matrix, and its numbers for the shader. */
 export function shadeView(camera, size, boundsM, sky, jitter) {
   const steady = clipFromWorld(camera, size, boundsM);
   const shift = [(-2 * jitter[0]) / size[0], (2 * jitter[1]) / size[1]];

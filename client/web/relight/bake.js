@@ -13,10 +13,10 @@ import { standIn } from "./stand_ins.js";
 import { AtlasTexels } from "./texels.js";
 import { TexelPoints } from "./texel_points.js";
 
-/** Kind of bake that is played here. */
-export const KIND = "prt";
+// Kind of bake that is played here.
+const KIND = "prt";
 
-/** Manifest, meshes, textures as image files with their media type, and the lightmap's layout. Errs for what contradicts the manifest. */
+/** Manifest, meshes, textures as image files, and the lightmap's layout. Errs for what contradicts the manifest. */
 export function assembleScene(manifest, geometry, textures) {
   if (manifest.kind !== KIND) {
     const problem = `it is of kind '${manifest.kind}', this page plays '${KIND}' alone; use kiln preview`;
@@ -53,15 +53,6 @@ export function assembleLight(scene, clusters, patchSet, isWhole = true) {
     texels: new AtlasTexels(scene.layout, slots, receivers),
     points: new TexelPoints(scene.draws, scene.layout, slots, receivers),
   };
-}
-
-/** A whole bake of its decoded chunks. */
-export function assembleBake({ manifest, geometry, textures, clusters, patches }) {
-  if (patches.length !== 1) {
-    throw new Inconsistent("patches", `a bake has one set of them, not ${patches.length}`);
-  }
-  const scene = assembleScene(manifest, geometry, textures);
-  return { scene, light: assembleLight(scene, clusters, patches[0]) };
 }
 
 function checkTextures({ materials }, count) {

@@ -5,8 +5,8 @@ import { Inconsistent } from "./inconsistent.js";
 import { allFinite, fround } from "./numbers.js";
 import { GROUP, numberOf, packU, packVt, stepOf } from "./packed.js";
 
-/** Highest rank of a cluster that is read. */
-export const MAX_RANK = 256;
+// Highest rank of a cluster that is read.
+const MAX_RANK = 256;
 
 /** Clusters and their factors, whose columns read `columns`. */
 export class ClusterTable {

@@ -6,8 +6,8 @@ import { Inconsistent } from "./inconsistent.js";
 import { allFinite, fround } from "./numbers.js";
 import { NO_SLOT } from "./slots.js";
 
-/** Bit of a hit's light: it lies on a surface that no texel stands for, and has E_emit and E_ind of the receiver that meets it. */
-export const OWN_SURFACE = 0x80000000;
+// Bit of a hit's light: it lies on a surface that no texel stands for, and has E_emit and E_ind of the receiver that meets it.
+const OWN_SURFACE = 0x80000000;
 
 /** Near hits of a bake. Hits on texels that no light reaches are left out: they are dark. */
 export class NearTable {
@@ -32,11 +32,6 @@ export class NearTable {
     this.hits = this.#hits.finish();
     // Surfaces that no texel stands for: normal and albedo, four numbers each.
     this.own = this.#own.finish();
-  }
-
-  /** Receivers with hits. */
-  get rowCount() {
-    return this.rows.length / 4;
   }
 
   /** Adds the hits of a cluster whose receivers begin at slot `firstReceiver`. */

@@ -17,8 +17,8 @@ const ARRAYS = {
 };
 
 /**
- * The light of some of a bake's clusters, `present` being decoded clusters by their number in the manifest, as a Map. With all of them
- * it is that of the whole bake.
+ * The light of some of a bake's clusters, `present` being decoded clusters by their number in the manifest, as a Map. With all
+ * of them it is that of the whole bake.
  */
 export function lightOfPrefix(scene, patchSet, overview, present) {
   const clusters = [...present.keys()].sort((a, b) => a - b).map((index) => present.get(index));

@@ -3,8 +3,8 @@
 import { Inconsistent } from "./inconsistent.js";
 import { allFinite } from "./numbers.js";
 
-/** Most receivers that a bake may have. */
-export const MAX_RECEIVERS = 2 ** 26;
+// Most receivers that a bake may have.
+const MAX_RECEIVERS = 2 ** 26;
 
 /** Receivers by slot. Vectors have four numbers, as adapters read them; the fourth is 0. */
 export class ReceiverTable {

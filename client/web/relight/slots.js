@@ -41,10 +41,6 @@ export class SlotTable {
     this.#slots = new Uint32Array(texels).fill(NONE);
   }
 
-  get blockCount() {
-    return this.#sizes.length;
-  }
-
   /** Index of a block by its key, in the order given; undefined where there is none. */
   blockIndex(key) {
     return this.#byKey.get(key);
@@ -60,11 +56,6 @@ export class SlotTable {
       }
       return index;
     });
-  }
-
-  /** Width and height of a block in texels. */
-  size(block) {
-    return this.#sizes[block];
   }
 
   /** Slot of a receiver; NO_SLOT when the texel is outside of its block or has no receiver of its own. */

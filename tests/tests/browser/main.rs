@@ -13,6 +13,9 @@ mod files;
 mod keeper;
 mod viewing;
 
+#[allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+mod relighting;
+
 use std::path::{Path, PathBuf};
 
 use driver::Browser;

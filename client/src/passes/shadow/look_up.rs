@@ -11,7 +11,6 @@ pub(in crate::passes) const FILTER_REACH: f32 = 2.0;
 const FILTER_MARGIN: f32 = 0.5;
 const FILTER_WIDTH: f32 = 4.0;
 const PARALLEL_BIAS: f32 = 0.03;
-const SNAP: f32 = 0.007_812_5;
 
 /// Unit vector towards a light.
 pub(in crate::passes) fn towards(light: &Light, position: Vec3) -> Vec3 {
@@ -86,8 +85,8 @@ pub(in crate::passes) fn is_behind(
     // Most points see their own surface.
     let d = [IVec2::ZERO, IVec2::X, IVec2::Y].map(|step| depth_at(base + step));
     let change = Vec2::new(d[1], d[2]) - d[0];
-    let open =
-        d[0] + change.dot(at - at.floor()) - ndc.z <= margin + SNAP * (change.x.abs() + change.y.abs());
+    let open = d[0] + change.dot(at - at.floor()) - ndc.z
+        <= margin + plan.count.snap * (change.x.abs() + change.y.abs());
     if open && d.iter().all(|depth| *depth > 0.0) && goes_on(base + IVec2::ONE, d[1] + d[2] - d[0]) {
         return false;
     }
@@ -126,7 +125,7 @@ pub(in crate::passes) fn is_behind(
             && !ends(texel + x + y, own + slope.x + slope.y);
         let depth = own + slope.dot((at - texel.as_vec2()).abs()) - ndc.z;
         let steep = slope.x.abs() + slope.y.abs();
-        is_plane && depth > margin + SNAP * steep && depth < far + FILTER_WIDTH * steep
+        is_plane && depth > margin + plan.count.snap * steep && depth < far + FILTER_WIDTH * steep
     })
 }
 

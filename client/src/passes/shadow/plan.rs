@@ -25,6 +25,9 @@ const CASCADE_STEP: f32 = 4.0;
 const FINEST_M: f32 = 1e-3;
 /// Texels around a face that neighbours share, so that the filter stays inside.
 const GUARD_TEXELS: f32 = 4.0;
+/// Texels by which depth may lie aside where adapters keep eight bits of a pixel, as all do but some in software: four times the
+/// half of a step, as depth is taken from several texels.
+const SNAP: f32 = 1.0 / 128.0;
 /// Widest spot that one perspective face covers; wider ones get six.
 const SPOT_COS_MIN: f32 = 0.6;
 
@@ -95,8 +98,8 @@ pub struct LightCount {
     pub side: u32,
     /// Constant offset along the normal in metres, against rounded positions.
     pub bias_m: f32,
-    /// Nothing.
-    pub pad: u32,
+    /// Texels by which depth may lie aside, as adapters move corners of triangles.
+    pub snap: f32,
 }
 
 /// Where a picture is looked at from.
@@ -194,7 +197,7 @@ impl ShadowPlan {
         let [low, high] = bounds_m.map(Vec3::from);
         let diagonal = (high - low).length().max(f32::MIN_POSITIVE);
         let count =
-            LightCount { count: casters.len() as u32, side: room.side, bias_m: 5e-5 * diagonal, pad: 0 };
+            LightCount { count: casters.len() as u32, side: room.side, bias_m: 5e-5 * diagonal, snap: SNAP };
         let mut plan = Self { lights: Vec::new(), faces: Vec::new(), first_cascade: 0, count };
         for caster in casters {
             plan.push(caster, [low, high], diagonal);

@@ -41,7 +41,8 @@ struct LightCount {
     side: u32,
     // Constant offset along the normal in metres.
     bias_m: f32,
-    pad: u32,
+    // Texels by which depth may lie aside, as adapters move corners.
+    snap: f32,
 }
 
 const POINT = 0u;

@@ -6,9 +6,8 @@ const FILTER_REACH = 2.0;
 const FILTER_MARGIN = 0.5;
 // Texels across which the filter reads.
 const FILTER_WIDTH = 4.0;
-// Part of the constant offset that the test against planes needs under a sun, and texels by which adapters move corners.
+// Part of the constant offset that the test against planes needs under a sun.
 const PARALLEL_BIAS = 0.03;
-const SNAP = 0.0078125;
 
 // Share of the light that passes the glass before a depth. Between two panes it is that of both.
 fn passed(face_index: u32, texel: vec2i, depth: f32) -> f32 {
@@ -68,7 +67,7 @@ fn is_behind(face_index: u32, light: Light, position: vec3f, facet: vec3f, lift_
         depth_at(face_index, base + vec2i(0, 1)),
     );
     let change = d.yz - d.x;
-    let open = d.x + dot(change, at - floor(at)) - ndc.z <= margin + SNAP * (abs(change.x) + abs(change.y));
+    let open = d.x + dot(change, at - floor(at)) - ndc.z <= margin + light_count.snap * (abs(change.x) + abs(change.y));
     if open && min(d.x, min(d.y, d.z)) > 0.0 && goes_on(face_index, base + vec2i(1, 1), d.y + d.z - d.x, margin) {
         return false;
     }
@@ -106,7 +105,7 @@ fn is_behind(face_index: u32, light: Light, position: vec3f, facet: vec3f, lift_
         }
         let depth = own + dot(slope, abs(at - vec2f(texel))) - ndc.z;
         let steep = abs(slope.x) + abs(slope.y);
-        if depth > margin + SNAP * steep && depth < far + FILTER_WIDTH * steep {
+        if depth > margin + light_count.snap * steep && depth < far + FILTER_WIDTH * steep {
             return true;
         }
     }

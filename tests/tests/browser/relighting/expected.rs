@@ -3,16 +3,16 @@
 use std::path::Path;
 
 use glam::Vec4;
-use lightkiln_client::bake::{Light as _, LitScene, LoadedBake, Unshadowed};
+use lightkiln_client::bake::{Light, LightStream as _, LitScene, LoadedBake, Unshadowed};
 use lightkiln_client::fetch::Source;
-use lightkiln_client::kinds::{self, prt};
+use lightkiln_client::kinds::prt::{self, PrtStream};
 use lightkiln_client::lightmap::LightmapLight;
 use lightkiln_client::lights::{Caster, Sky, camera_of, lights_of, parse_camera, parse_lights};
 use lightkiln_client::passes::gpu::Gpu;
 use lightkiln_client::passes::meshes::Meshes;
 use lightkiln_client::passes::shadow::reference::draw;
 use lightkiln_client::passes::shadow::{Eye, ShadowPass, ShadowPlan, ShadowRoom};
-use lightkiln_client::picture::{Tone, developed};
+use lightkiln_client::picture::{Exposure, Tone, developed};
 use lightkiln_client::preview::{Backend, View, render};
 use lightkiln_client::scene::LoadedScene;
 use lightkiln_proto::relight::{Limit, PatchTable, Settled};
@@ -23,11 +23,11 @@ use super::SIZE;
 
 /// Room of the shadow maps, in the browser too.
 pub const ROOM: ShadowRoom = ShadowRoom { lights: 4, faces: 16, side: 512 };
-/// End of the bounces; the page has the same.
-const LIMIT: Limit = Limit { bounces_max: 64, change_max: 1e-5 };
+/// End of the bounces.
+pub const LIMIT: Limit = Limit { bounces_max: 64, change_max: 1e-5 };
 
 /// A state of a frame.
-pub struct Light {
+pub struct State {
     /// Name in messages.
     pub name: &'static str,
     /// Lights in words; the bake's own where there are none.
@@ -38,7 +38,7 @@ pub struct Light {
     pub camera: Option<String>,
 }
 
-impl Light {
+impl State {
     /// As the page reads it.
     pub fn to_json(&self) -> Value {
         json!({ "name": self.name, "lights": self.lights, "emitters": self.emitters, "camera": self.camera })
@@ -51,6 +51,7 @@ pub struct Expected {
     scene: LoadedScene,
     light: LightmapLight<PatchTable>,
     gpu: Gpu,
+    source: Source,
 }
 
 impl Expected {
@@ -59,12 +60,12 @@ impl Expected {
         let source = Source::bundle(folder).unwrap();
         let scene = LoadedScene::load(&source).unwrap();
         let light = prt::load(&source, &scene).unwrap();
-        let bake = LoadedBake::load(&source, &kinds::all()).unwrap();
-        Self { bake, scene, light, gpu: Gpu::open().unwrap() }
+        let bake = LoadedBake::load(&source, &lightkiln_client::kinds::all()).unwrap();
+        Self { bake, scene, light, gpu: Gpu::open().unwrap(), source }
     }
 
     /// E_ind by slot, and the picture's radiance, by the references.
-    pub fn on_processor(&self, state: &Light) -> [Vec<Vec4>; 2] {
+    pub fn on_processor(&self, state: &State) -> [Vec<Vec4>; 2] {
         let view = self.view(state);
         let plan = self.plan(&view);
         let maps = draw(&self.scene, &plan);
@@ -76,15 +77,27 @@ impl Expected {
     }
 
     /// The same by the adapter's passes.
-    pub fn on_adapter(&self, state: &Light) -> [Vec<Vec4>; 2] {
-        let (gpu, view) = (&self.gpu, self.view(state));
+    pub fn on_adapter(&self, state: &State) -> [Vec<Vec4>; 2] {
+        let view = self.view(state);
+        [self.indirect_on_adapter(&self.light, &view), self.radiance(&view, Backend::Gpu)]
+    }
+
+    /// E_ind by the adapter while the overview alone is there, in the order of its receivers.
+    pub fn of_overview(&self, state: &State) -> Vec<Vec4> {
+        let stream = PrtStream::begin(&self.source, &self.scene).unwrap();
+        let light = stream.light(&self.scene).unwrap();
+        self.indirect_on_adapter(&*light, &self.view(state))
+    }
+
+    fn indirect_on_adapter(&self, light: &dyn Light, view: &View) -> Vec<Vec4> {
+        let gpu = &self.gpu;
         let meshes = Meshes::new(gpu, &self.scene).unwrap();
         let shadow = ShadowPass::new(gpu, &self.scene, &meshes, &ROOM).unwrap();
-        let plan = self.plan(&view);
+        let plan = self.plan(view);
         shadow.set(gpu, &plan);
-        let passes = self.light.passes(gpu, &self.scene, &shadow, SIZE).unwrap();
+        let passes = light.passes(gpu, &self.scene, &shadow, SIZE).unwrap();
         let unshadowed = Unshadowed { sky: Sky::of(&view.lights), emitter_scale: &view.emitter_scale };
-        passes.set_unshadowed(gpu, &self.light.unshadowed(unshadowed));
+        passes.set_unshadowed(gpu, &light.unshadowed(unshadowed));
         gpu.submit(|encoder| {
             shadow.record(encoder, &meshes, 0..plan.faces.len());
             passes.relit(encoder, &shadow);
@@ -100,7 +113,13 @@ impl Expected {
                 break;
             }
         }
-        [last, self.radiance(&view, Backend::Gpu)]
+        last
+    }
+
+    /// The screen by the references, under an exposure and with so many samples a pixel: four bytes each.
+    pub fn on_screen_of_processor(&self, state: &State, exposure: f32, samples: u32) -> Vec<u8> {
+        let view = View { samples, exposure: Exposure::Fixed(exposure), ..self.view(state) };
+        render(&self.bake, &view, Backend::Cpu).unwrap().ldr.concat()
     }
 
     fn radiance(&self, view: &View, backend: Backend) -> Vec<Vec4> {
@@ -108,7 +127,7 @@ impl Expected {
         picture.linear.iter().map(|[r, g, b]| Vec4::new(*r, *g, *b, 1.0)).collect()
     }
 
-    fn view(&self, state: &Light) -> View {
+    fn view(&self, state: &State) -> View {
         let manifest = &self.scene.manifest;
         let camera: SceneCamera = match &state.camera {
             Some(words) => parse_camera(words).unwrap(),

@@ -1,0 +1,238 @@
+//! The browser's frame: light at receivers and pictures are those of the references on the processor and of the native adapter,
+//! which runs the same shaders.
+
+pub mod bundle;
+mod expected;
+
+use glam::Vec4;
+use lightkiln_client::passes::compare::Difference;
+use lightkiln_client::passes::shade;
+use lightkiln_client::picture::automatic_exposure;
+use lightkiln_client::web;
+use serde_json::{Value, json};
+
+use super::driver::Browser;
+use super::files::{Answer, Files};
+use super::{browser_at, served};
+use bundle::Bundle;
+use expected::{Expected, LIMIT, ROOM, State};
+
+const MODULE: &str = "/pages/relight.js";
+/// Width and height of the pictures in pixels.
+const SIZE: [u32; 2] = [192, 128];
+/// Samples per pixel of the smooth pictures.
+const SAMPLES: u32 = 4;
+/// Largest difference of E_ind, relative to the largest: sums in other orders, and shadow maps that adapters round otherwise.
+const INDIRECT_TOLERANCE: f32 = 2e-3;
+/// Share of receivers that may differ more.
+const INDIRECT_OUTLIERS: f32 = 2e-3;
+/// As of the shading pass, and as many again: textures are decoded by the browser.
+const PICTURE_OUTLIERS: f32 = 2.0 * shade::OUTLIERS;
+/// Steps of 8 bits by which a channel on the screen may differ for the same radiance.
+const SCREEN_STEPS: u8 = 1;
+/// Steps of 8 bits that the screen makes of the picture's tolerance.
+const SMOOTH_STEPS: u8 = 6;
+
+/// What a page drew of one state.
+struct Drawn {
+    /// E_ind by slot.
+    indirect: Vec<Vec4>,
+    /// Radiance of pixels.
+    radiance: Vec<Vec4>,
+    /// The screen, four bytes a pixel: one sample, and many.
+    screens: [Vec<u8>; 2],
+    /// Factor on radiance.
+    exposure: f32,
+}
+
+impl Drawn {
+    fn new(told: &Value) -> Self {
+        assert_eq!(told["converged"], true, "{} bounces", told["bounces"]);
+        Self {
+            indirect: vectors(&told["indirect"]),
+            radiance: vectors(&told["radiance"]),
+            screens: ["screen", "smooth"].map(|name| bytes(&told[name])),
+            exposure: told["exposure"].as_f64().expect("a number") as f32,
+        }
+    }
+}
+
+fn bytes(hex: &Value) -> Vec<u8> {
+    let digits = hex.as_str().expect("hex digits").as_bytes();
+    let digit = |digit: u8| (digit as char).to_digit(16).expect("a hex digit") as u8;
+    digits.chunks_exact(2).map(|pair| digit(pair[0]) << 4 | digit(pair[1])).collect()
+}
+
+fn vectors(hex: &Value) -> Vec<Vec4> {
+    let number = |four: &[u8]| f32::from_le_bytes([four[0], four[1], four[2], four[3]]);
+    let vector = |of: &[u8]| Vec4::from_array([0, 4, 8, 12].map(|at| number(&of[at..])));
+    bytes(hex).chunks_exact(16).map(vector).collect()
+}
+
+/// States that a frame goes through: the bake's own, a lamp elsewhere, other lights and another eye.
+fn states() -> Vec<State> {
+    let of = |name, words: &[&str], emitters, camera: Option<&str>| State {
+        name,
+        lights: (!words.is_empty()).then(|| words.iter().map(|word| (*word).to_owned()).collect()),
+        emitters,
+        camera: camera.map(str::to_owned),
+    };
+    vec![
+        of("own", &[], 1.0, None),
+        of("moved", &["point pos=-0.6,1.5,0.5 color=1,0.6,0.3 power=60"], 0.25, None),
+        of(
+            "many",
+            &[
+                "sun dir=0.4,-0.8,-0.45 color=1,0.9,0.8 irradiance=6",
+                "spot pos=0.5,1.9,0.5 target=-0.3,0,-0.3 outer=35 color=0.4,0.6,1 power=80",
+                "sky zenith=0.3,0.5,0.9 horizon=0.8,0.8,0.7 strength=1.5",
+            ],
+            0.0,
+            Some("eye=0.9,1.2,1.9 target=-0.2,0.7,-0.5 fov=70"),
+        ),
+    ]
+}
+
+fn job(states: &[State]) -> Value {
+    json!({
+        "size": SIZE,
+        "samples": SAMPLES,
+        "limit": { "bouncesMax": LIMIT.bounces_max, "changeMax": LIMIT.change_max },
+        "shadows": { "lights": ROOM.lights, "faces": ROOM.faces, "side": ROOM.side },
+        "states": states.iter().map(State::to_json).collect::<Vec<_>>(),
+    })
+}
+
+/// A server of the modules, the shaders and a bundle, and a browser there.
+fn opened(bundle: &Bundle) -> (Files, Browser) {
+    let folder = bundle.folder().to_owned();
+    let files = served(move |request| {
+        if let Some(name) = request.path.strip_prefix("/web/shaders/") {
+            let name = name.strip_suffix(".wgsl")?;
+            let (_, text) = web::shaders().into_iter().find(|(own, _)| *own == name)?;
+            return Some(Answer::of(text.into_owned().into_bytes()));
+        }
+        let name = request.path.strip_prefix("/bundle/")?;
+        std::fs::read(folder.join(name)).ok().map(Answer::of)
+    });
+    let browser = browser_at(&files);
+    (files, browser)
+}
+
+/// Draws the states of a bake in the browser, and holds them against both references.
+fn browser_agrees(bundle: &Bundle) {
+    let (states, (_files, browser)) = (states(), opened(bundle));
+    let told = browser.run(MODULE, "draw", json!([job(&states)]));
+    assert_eq!(told["errors"], json!([]));
+    assert_eq!(told["created"][0], told["created"][1], "changes make nothing on the device");
+    let expected = Expected::new(bundle.folder());
+    let mut wrong = Vec::new();
+    for state in &states {
+        let drawn = Drawn::new(&told["states"][state.name]);
+        let on_processor = expected.on_processor(state);
+        for (by, [indirect, picture]) in
+            [("processor", &on_processor), ("adapter", &expected.on_adapter(state))]
+        {
+            let found = [
+                ("E_ind", of_indirect(&drawn.indirect, indirect), INDIRECT_OUTLIERS),
+                ("picture", of_picture(&drawn.radiance, picture), PICTURE_OUTLIERS),
+            ];
+            for (what, difference, outliers) in found {
+                let text = format!("{}, {by}: {what}: {difference}", state.name);
+                println!("{text}");
+                if !difference.agrees(outliers) {
+                    wrong.push(text);
+                }
+            }
+        }
+        screens_agree(&expected, state, &drawn);
+        wrong_light_is_seen(&drawn, &on_processor);
+    }
+    assert!(wrong.is_empty(), "{wrong:#?}");
+}
+
+fn of_indirect(got: &[Vec4], wanted: &[Vec4]) -> Difference {
+    Difference::of(got, wanted, INDIRECT_TOLERANCE)
+}
+
+fn of_picture(got: &[Vec4], wanted: &[Vec4]) -> Difference {
+    Difference::of_mean(got, wanted, shade::TOLERANCE)
+}
+
+/// Exposure and tone mapping are Rust's, of the browser's own radiance and of many samples.
+fn screens_agree(expected: &Expected, state: &State, drawn: &Drawn) {
+    let (name, exposure) = (state.name, automatic_exposure(&drawn.radiance));
+    assert!((drawn.exposure / exposure - 1.0).abs() < 1e-3, "{name}: {} for {exposure}", drawn.exposure);
+    let [one, many] = &drawn.screens;
+    let steps = expected::on_screen(&drawn.radiance, drawn.exposure);
+    assert_eq!(differing(one, &steps, SCREEN_STEPS), 0.0, "{name}");
+    let wanted = expected.on_screen_of_processor(state, drawn.exposure, SAMPLES);
+    let share = differing(many, &wanted, SMOOTH_STEPS);
+    println!("{name}: {share} of the screen's channels differ");
+    assert!(share <= PICTURE_OUTLIERS, "{name}: {share}");
+    assert!(differing(one, &wanted, 0) > 0.0, "{name}: one sample is as smooth as many");
+}
+
+/// Share of channels that differ by more than so many steps; all, where there are not as many.
+fn differing(got: &[u8], wanted: &[u8], steps: u8) -> f32 {
+    let pairs = got.iter().zip(wanted);
+    let count = pairs.filter(|(got, wanted)| got.abs_diff(**wanted) > steps).count();
+    if got.is_empty() || got.len() != wanted.len() { 1.0 } else { count as f32 / got.len() as f32 }
+}
+
+/// The comparisons fail for light of another colour, and where a hundredth of it is lost.
+fn wrong_light_is_seen(drawn: &Drawn, [indirect, picture]: &[Vec<Vec4>; 2]) {
+    let swapped = |of: &[Vec4]| -> Vec<Vec4> { of.iter().map(|v| Vec4::new(v.z, v.y, v.x, v.w)).collect() };
+    let dimmed: Vec<Vec4> = indirect.iter().map(|light| *light * 0.99).collect();
+    for wrong in [swapped(indirect), dimmed] {
+        assert!(!of_indirect(&drawn.indirect, &wrong).agrees(INDIRECT_OUTLIERS));
+    }
+    assert!(!of_picture(&drawn.radiance, &swapped(picture)).agrees(PICTURE_OUTLIERS));
+}
+
+#[test]
+#[ignore = "needs chromium and a graphics adapter"]
+fn chromium_draws_cornell_as_the_references_do() {
+    browser_agrees(&Bundle::cornell());
+}
+
+#[test]
+#[ignore = "needs chromium and a graphics adapter"]
+fn chromium_draws_glass_textures_and_near_hits_as_the_references_do() {
+    browser_agrees(&Bundle::flat());
+}
+
+#[test]
+#[ignore = "needs chromium and a graphics adapter"]
+fn chromium_refines_the_light_of_the_overview_until_it_is_that_of_the_whole() {
+    let bundle = Bundle::flat();
+    let (states, (_files, browser)) = (states(), opened(&bundle));
+    let told = browser.run(MODULE, "refine", json!([job(&states), 3]));
+    assert_eq!(told["errors"], json!([]));
+    let found = told["found"].as_array().expect("a list");
+    assert!(found.len() >= 3, "{} steps", found.len());
+    let first = vectors(&found[0]["indirect"]);
+    let expected = Expected::new(bundle.folder());
+    let difference = of_indirect(&first, &expected.of_overview(&states[0]));
+    println!("overview: E_ind: {difference}");
+    assert!(difference.agrees(INDIRECT_OUTLIERS), "{difference}");
+    let whole = vectors(&told["whole"]);
+    assert_ne!(first.len(), whole.len(), "the overview is not the whole");
+    assert_eq!(vectors(&found[found.len() - 1]["indirect"]), whole);
+}
+
+#[test]
+#[ignore = "needs chromium and a graphics adapter"]
+fn chromium_splits_arrays_into_bindings_and_says_where_it_cannot() {
+    let bundle = Bundle::flat();
+    let (states, (_files, browser)) = (states(), opened(&bundle));
+    let told = browser.run(MODULE, "narrow", json!([job(&states)]));
+    assert_eq!(told["errors"], json!([]));
+    let pages: Vec<u64> = serde_json::from_value(told["pages"].clone()).expect("numbers");
+    println!("pages of points, near hits, ΣVᵀ, U: {pages:?}");
+    assert!(pages[..2].iter().all(|count| *count > 1), "next to nothing was split: {pages:?}");
+    let [whole, narrow] = [0, 1].map(|at| vectors(&told["found"][at]));
+    assert!(whole.iter().any(|light| light.x > 0.0) && whole == narrow);
+    let refusal = told["refusal"].as_str().expect("an error");
+    assert!(refusal.contains("too large"), "{refusal}");
+}
