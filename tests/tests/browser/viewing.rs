@@ -1,15 +1,11 @@
 //! A bake on a canvas: light comes in stages, the lamp and the camera follow the hand.
 
-#[path = "../frame/scene.rs"]
-#[allow(dead_code, reason = "one of its bakes is enough here")]
-mod scene;
-
 use lightkiln_client::web::shaders;
 use serde_json::{Value, json};
 
+use super::bundle::Bundle;
 use super::files::Answer;
 use super::{browser_at, served};
-use scene::Bundle;
 
 fn numbers(json: &Value) -> Vec<f64> {
     json.as_array().expect("a list").iter().map(|number| number.as_f64().expect("a number")).collect()
