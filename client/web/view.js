@@ -6,17 +6,17 @@
 //
 // A drag turns the camera, a wheel or two fingers bring it nearer; a drag with the right button or with Shift moves the lamp.
 
-import { Frame, featuresOf } from "./frame/frame.js";
+import { Frame, SAMPLES_MAX, featuresOf } from "./frame/frame.js";
 import { cameraOf, lightsOf } from "./frame/lights.js";
-import { Orbit } from "./orbit.js";
 import { BakeStream } from "./relight/stream.js";
+import { Orbit } from "./orbit.js";
 
-/** Shares of the clusters' bytes that come before light is shown anew, and then the rest; few clusters come at once. */
-const STAGES = [0.1, 0.4];
+/** Shares of the light's bytes after which it is shown anew; with a few clusters all come at once. */
+const STAGES = [0.1, 0.4, 1];
 const CLUSTERS_FEW = 24;
 /** Most pixels along a side of the picture, however dense the screen is. */
 const SIDE_MAX = 2048;
-/** Bounces before the first picture. */
+/** Bounces before the first picture, and before one of a later stage. */
 const BOUNCES_FIRST = 16;
 
 /** A browser or machine without WebGPU: nothing is wrong with the bake. */
@@ -39,8 +39,6 @@ export class Viewer {
   #isClosed = false;
   // Something to draw has changed since the last picture.
   #isStale = true;
-  // More samples would change the picture no more.
-  #isSmooth = false;
   // Light is being exchanged: its bounces are run there.
   #isLoading = false;
 
@@ -61,24 +59,23 @@ export class Viewer {
     this.device.lost.then(({ message }) => {
       if (!this.#isClosed) onFailure(new Error(`the graphics device is gone (${message}): open the page again`));
     });
-    this.canvas = canvas;
     onProgress({ words: "reading the scene", share: 0 });
     this.stream = await BakeStream.begin(source, { signal });
-    const { chunks, overview } = this.stream;
-    const bytes = chunks.reduce((sum, chunk) => sum + chunk.bytes, 0);
-    const isFew = chunks.length <= CLUSTERS_FEW || overview.length === 0;
-    const stages = isFew ? [] : STAGES.map((share) => share * bytes);
-    if (isFew) await this.stream.refine(Infinity, { signal });
-    await this.#firstLight();
-    this.#tell(onProgress);
+    this.scene = this.stream.scene;
+    this.canvas = canvas;
+    await this.#firstLight(signal, onProgress);
     this.#follow(canvas);
-    this.#refine(stages, signal, onProgress).catch((error) => signal?.aborted || this.#isClosed || onFailure(error));
+    this.#refine(signal, onProgress).catch((error) => signal?.aborted || this.#isClosed || onFailure(error));
   }
 
-  /** The first picture: of the overview's light, or of all clusters where they have come. */
-  async #firstLight() {
-    const { manifest } = this.stream.scene;
-    this.orbit = Orbit.of(cameraOf(manifest) ?? Orbit.around(manifest.boundsM).camera(), manifest.boundsM);
+  /** The first picture: of the overview, where there is one, else of all clusters. */
+  async #firstLight(signal, onProgress) {
+    const { manifest } = this.scene;
+    const isFew = manifest.clusters.length <= CLUSTERS_FEW || this.stream.overview.length === 0;
+    this.stages = isFew ? [1] : STAGES;
+    if (isFew) await this.#fetchUpTo(this.stages.shift(), signal, onProgress);
+    const camera = cameraOf(manifest) ?? Orbit.around(manifest.boundsM).camera();
+    this.orbit = Orbit.of(camera, manifest.boundsM);
     this.context = this.canvas.getContext("webgpu");
     const format = navigator.gpu.getPreferredCanvasFormat();
     this.context.configure({ device: this.device, format, alphaMode: "opaque" });
@@ -88,32 +85,9 @@ export class Viewer {
     this.lights = [...lightsOf(manifest)];
     await this.frame.settle({ bouncesMax: BOUNCES_FIRST });
     this.frame.draw(this.context);
-    this.#addLamp(await this.frame.expose());
+    const exposure = await this.frame.expose();
+    this.#addLamp(exposure);
     this.changed();
-  }
-
-  /** Takes in the rest of the light, where the picture needs it most, stage by stage. */
-  async #refine(stages, signal, onProgress) {
-    for (const bytesMax of [...stages, Infinity]) {
-      if (this.stream.isWhole) break;
-      const { viewpoint } = this.frame;
-      await this.stream.refine(bytesMax, { lit: await this.frame.lit(), viewpoint, signal });
-      if (this.#isClosed) return;
-      this.#tell(onProgress);
-      this.#isLoading = true;
-      try {
-        await this.frame.setLight(this.stream.bake().light);
-      } finally {
-        this.#isLoading = false;
-      }
-      this.#isStale = true;
-    }
-    onProgress({ words: "all light is here", share: 1 });
-  }
-
-  #tell(onProgress) {
-    const [came, all] = this.clusters;
-    onProgress({ words: `light: ${came} of ${all} clusters`, share: all === 0 ? 0 : came / (all + 1) });
   }
 
   /** The lamp is the first light that has a place, else one more, as bright as the rest of the scene. */
@@ -123,7 +97,7 @@ export class Viewer {
     const own = this.lights.findIndex(({ kind }) => kind.type === "point" || kind.type === "spot");
     // Irradiance of middle grey at a sixth of the scene's size.
     const mean = (0.18 / exposure) * Math.PI * (diagonal / 6) ** 2;
-    const isDark = this.lights.length === 0 && this.stream.scene.manifest.emitters.length === 0;
+    const isDark = this.lights.length === 0 && this.scene.manifest.emitters.length === 0;
     const strength = isDark || !Number.isFinite(mean) ? diagonal ** 2 : mean;
     const made = {
       name: "lamp",
@@ -167,6 +141,34 @@ export class Viewer {
     return this.stream.clusters;
   }
 
+  /** Fetches clusters until such a share of all bytes has come, those first that the picture needs most. */
+  async #fetchUpTo(share, signal, onProgress) {
+    const [come, all] = this.stream.bytes;
+    const lit = await this.frame?.lit();
+    const viewpoint = this.frame?.viewpoint ?? null;
+    const onCluster = () => {
+      const [came, wanted] = this.clusters;
+      onProgress({ words: `light: ${came} of ${wanted} clusters`, share: came / wanted });
+    };
+    await this.stream.refine(share < 1 ? share * all - come : Infinity, { lit, viewpoint, signal, onCluster });
+  }
+
+  /** Takes in the rest of the light, stage by stage. */
+  async #refine(signal, onProgress) {
+    for (const share of this.stages) {
+      await this.#fetchUpTo(share, signal, onProgress);
+      if (this.#isClosed) return;
+      this.#isLoading = true;
+      try {
+        await this.frame.setLight(this.stream.bake().light);
+      } finally {
+        this.#isLoading = false;
+      }
+      this.#isStale = true;
+    }
+    onProgress({ words: "all light is here", share: 1 });
+  }
+
   /** Pixels of the canvas on its screen; sets them. */
   #fit() {
     const { clientWidth, clientHeight } = this.canvas;
@@ -176,7 +178,7 @@ export class Viewer {
     return size;
   }
 
-  /** Draws while something changes, light bounces or the picture becomes smoother, and hears of the reader's hand. */
+  /** Draws whenever something has changed or light still bounces, and hears of the reader's hand. */
   #follow(canvas) {
     this.stopHand = this.orbit.follow(canvas, {
       changed: () => this.changed(),
@@ -194,15 +196,13 @@ export class Viewer {
     this.resized.observe(canvas);
     const draw = () => {
       if (this.#isClosed) return;
+      requestAnimationFrame(draw);
+      if (this.frame.isBehind) return;
       const isMoving = !this.#isLoading && !this.frame.settled;
       if (isMoving) this.frame.advance();
-      if (isMoving || this.#isStale || !this.#isSmooth) {
-        const before = this.frame.samples;
-        this.frame.draw(this.context);
-        this.#isSmooth = !isMoving && this.frame.samples === before;
-      }
+      // A picture that stands still gathers samples.
+      if (isMoving || this.#isStale || this.frame.samples < SAMPLES_MAX) this.frame.draw(this.context);
       this.#isStale = false;
-      requestAnimationFrame(draw);
     };
     requestAnimationFrame(draw);
   }

@@ -27,6 +27,8 @@ export const CHANGE_MAX = 1e-3;
 const BOUNCES_MAX = 200;
 /** Samples per pixel of a picture that stands still. More → smoother edges, longer until it is done. */
 export const SAMPLES_MAX = 16;
+// Pictures under way from which on a device is behind.
+const UNDER_WAY_MAX = 2;
 // Texels along a side of a shadow map, and room for lights and maps, unless asked otherwise or the bake's own lights need more.
 const SHADOW_SIDE = 1024;
 const LIGHTS = 8;
@@ -47,6 +49,8 @@ export class Frame {
   #stale = { lights: true, direct: true, cascades: true, light: true, pages: true };
   // Samples of the picture as it is; what they were drawn with.
   #film = { samples: 0, exposure: 1, curve: "filmic", isAlone: false };
+  // Pictures that the device has not finished.
+  #underWay = 0;
   // Bounces since the last change, and the last change by one that was heard of.
   #bounces = { count: 0, change: null };
 
@@ -238,6 +242,14 @@ export class Frame {
       }
       this.tone.show(encoder, into);
     });
+    this.#underWay += 1;
+    const finished = () => (this.#underWay -= 1);
+    this.gpu.device.queue.onSubmittedWorkDone().then(finished, finished);
+  }
+
+  /** The device is so far behind that calls before it has caught up would only delay the pictures: leave out this frame. */
+  get isBehind() {
+    return this.#underWay >= UNDER_WAY_MAX;
   }
 
   /** Samples of the picture as it is, at most SAMPLES_MAX: more calls of `draw` change it no more. */

@@ -38,6 +38,12 @@ export class BakeStream {
     return [this.#present.size, this.chunks.length];
   }
 
+  /** Bytes of the chunks of clusters that have come, and of all. */
+  get bytes() {
+    const sum = (chunks) => chunks.reduce((bytes, chunk) => bytes + chunk.bytes, 0);
+    return [sum([...this.#present.keys()].map((index) => this.chunks[index])), sum(this.chunks)];
+  }
+
   get isWhole() {
     return this.#present.size === this.chunks.length;
   }
@@ -49,9 +55,10 @@ export class BakeStream {
 
   /**
    * Fetches clusters until `bytesMax` bytes more have come, or one that is longer: those first that are needed most where there is
-   * light, `lit` (see `byNeed`; that of a frame is `frame.lit()`), and from a viewpoint, `{positionM, forward}`.
+   * light, `lit` (see `byNeed`; that of a frame is `frame.lit()`), and from a viewpoint, `{positionM, forward}`. `onCluster` is called
+   * for each that comes.
    */
-  async refine(bytesMax, { lit = NO_LIGHT, viewpoint = null, signal = null } = {}) {
+  async refine(bytesMax, { lit = NO_LIGHT, viewpoint = null, signal = null, onCluster = () => {} } = {}) {
     const chosen = [];
     let bytes = 0;
     for (const index of this.#order(lit, viewpoint)) {
@@ -63,6 +70,7 @@ export class BakeStream {
     await forEachParallel(chosen.length, PARALLEL, async (at) => {
       const cluster = decodeCluster(await fetchChunk(this.source, this.chunks[chosen[at]], { signal }));
       this.#present.set(chosen[at], cluster);
+      onCluster();
     });
   }
 

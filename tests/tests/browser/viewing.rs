@@ -3,8 +3,8 @@
 use lightkiln_client::web::shaders;
 use serde_json::{Value, json};
 
+use super::bundle::Bundle;
 use super::files::Answer;
-use super::relighting::bundle::Bundle;
 use super::{browser_at, served};
 
 fn numbers(json: &Value) -> Vec<f64> {
