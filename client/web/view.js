@@ -95,8 +95,8 @@ export class Viewer {
     const [low, high] = this.frame.boundsM;
     const diagonal = Math.hypot(...high.map((bound, axis) => bound - low[axis]));
     const own = this.lights.findIndex(({ kind }) => kind.type === "point" || kind.type === "spot");
-    // Irradiance of middle grey at an eighth of the scene's size.
-    const mean = (0.18 / exposure) * Math.PI * (diagonal / 8) ** 2;
+    // Irradiance of middle grey at a sixth of the scene's size.
+    const mean = (0.18 / exposure) * Math.PI * (diagonal / 6) ** 2;
     const isDark = this.lights.length === 0 && this.scene.manifest.emitters.length === 0;
     const strength = isDark || !Number.isFinite(mean) ? diagonal ** 2 : mean;
     const made = {

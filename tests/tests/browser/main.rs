@@ -1,7 +1,10 @@
-//! The modules of `client/web` in Chromium: they read the same numbers as the Rust decoder, and refuse what it refuses.
+//! The modules of `client/web` in Chromium: they read the same numbers as the Rust decoder, refuse what it
+//! refuses, and show the light and pictures of the native client.
 //!
 //! Tests need Chromium and its driver: they are ignored, and `tests/run` asks for them where both are there.
 
+#[allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+mod bundle;
 mod decoding;
 mod driver;
 mod face;
@@ -9,12 +12,15 @@ mod fetching;
 mod fields;
 mod files;
 #[path = "../../../server/tests/parts/keeper.rs"]
-#[allow(dead_code, reason = "no program here is started again")]
+#[allow(
+    dead_code,
+    clippy::unwrap_used,
+    reason = "no program here is started again; a test that cannot go on has failed"
+)]
 mod keeper;
-mod viewing;
-
 #[allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 mod relighting;
+mod viewing;
 
 use std::path::{Path, PathBuf};
 

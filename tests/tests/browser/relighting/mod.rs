@@ -1,7 +1,6 @@
 //! The browser's frame: light at receivers and pictures are those of the references on the processor and of the native adapter,
 //! which runs the same shaders.
 
-mod bundle;
 mod expected;
 
 use glam::Vec4;
@@ -11,10 +10,10 @@ use lightkiln_client::picture::automatic_exposure;
 use lightkiln_client::web;
 use serde_json::{Value, json};
 
+use super::bundle::Bundle;
 use super::driver::Browser;
 use super::files::{Answer, Files};
 use super::{browser_at, served};
-use bundle::Bundle;
 use expected::{Expected, LIMIT, ROOM, State};
 
 const MODULE: &str = "/pages/relight.js";
