@@ -74,7 +74,10 @@ impl Gpu {
     /// Another surface for a window whose own is lost.
     pub fn surface(&self, window: impl Into<wgpu::SurfaceTarget<'static>>) -> Result<wgpu::Surface<'static>> {
         let Some(Opened { instance, .. }) = &self.opened else {
-            return Err(failed(format!("{} belongs to another program, whose surfaces are its own", self.name)));
+            return Err(failed(format!(
+                "{} belongs to another program, whose surfaces are its own",
+                self.name
+            )));
         };
         let made = instance.create_surface(window);
         made.map_err(|error| failed(format!("{} makes no surface for the window ({error})", self.name)))

@@ -124,7 +124,8 @@ pub struct PassRow {
 }
 
 impl PassRow {
-    fn of(time: &PassTime) -> Self {
+    /// A pass' time as it is told.
+    pub fn of(time: &PassTime) -> Self {
         Self { pass: time.name, runs: time.runs, mean_ms: time.total_ms / time.runs.max(1) as f64 }
     }
 }

@@ -12,6 +12,7 @@ use lightkiln_client::passes::gpu::Gpu;
 use lightkiln_client::passes::meshes::Meshes;
 use lightkiln_client::passes::shadow::reference::draw;
 use lightkiln_client::passes::shadow::{Eye, ShadowPass, ShadowPlan, ShadowRoom};
+use lightkiln_client::passes::stopwatch::Recorder;
 use lightkiln_client::picture::{Exposure, Tone, developed};
 use lightkiln_client::preview::{Backend, View, render};
 use lightkiln_client::scene::LoadedScene;
@@ -99,13 +100,14 @@ impl Expected {
         let unshadowed = Unshadowed { sky: Sky::of(&view.lights), emitter_scale: &view.emitter_scale };
         passes.set_unshadowed(gpu, &light.unshadowed(unshadowed));
         gpu.submit(|encoder| {
-            shadow.record(encoder, &meshes, 0..plan.faces.len());
-            passes.relit(encoder, &shadow);
+            let mut recorder = Recorder::untimed(encoder);
+            shadow.record(&mut recorder, &meshes, 0..plan.faces.len());
+            passes.relit(&mut recorder, &shadow);
         });
         let (e_ind, count) = passes.feedback().unwrap();
         let mut last = vec![Vec4::ZERO; count];
         for _ in 0..LIMIT.bounces_max {
-            gpu.submit(|encoder| passes.bounce(encoder));
+            gpu.submit(|encoder| passes.bounce(&mut Recorder::untimed(encoder)));
             let next = gpu.read(e_ind, count).unwrap();
             let change = Settled::change(&last, &next);
             last = next;
