@@ -1,7 +1,7 @@
 //! Exports read back by the readers of others, and their light held against the client's own reads.
 
 use std::collections::BTreeMap;
-use std::sync::LazyLock;
+use std::sync::{Arc, LazyLock};
 
 use glam::{Vec2, Vec3, Vec4};
 use half::f16;
@@ -31,12 +31,12 @@ fn files() -> Vec<TextureFile> {
 }
 
 fn bake() -> LoadedBake {
-    let bake = fixture::prt_bake(&fixture::prt_contents());
+    let mut bake = fixture::prt_bake(&fixture::prt_contents());
     // The texture is a chunk of the bundle alone.
     let folder = tempfile::tempdir().unwrap();
     let Manifest { chunks, .. } = fixture::write_bundle(folder.path(), "prt");
-    let manifest = Manifest { chunks, ..bake.scene.manifest };
-    LoadedBake { scene: crate::scene::LoadedScene { manifest, ..bake.scene }, light: bake.light }
+    Arc::make_mut(&mut bake.scene).manifest.chunks = chunks;
+    bake
 }
 
 fn settled(bake: &LoadedBake) -> ReceiverLight {
@@ -298,10 +298,11 @@ fn uv_of_the_file_are_moved_as_its_texture_was() {
 #[test]
 fn meshes_without_a_place_in_the_lightmap_are_exported_without_light_and_said() {
     let mut bake = bake();
-    for draw in &mut bake.scene.draws.draws[4..] {
+    let scene = Arc::make_mut(&mut bake.scene);
+    for draw in &mut scene.draws.draws[4..] {
         draw.back = crate::scene::NO_BLOCK;
     }
-    bake.scene.draws.draws[0].front = crate::scene::NO_BLOCK;
+    scene.draws.draws[0].front = crate::scene::NO_BLOCK;
     let found = exported(&bake, Options::default());
     assert_eq!(found.warnings.len(), 2, "{:?}", found.warnings);
     let read = gltf::Gltf::from_slice(&found.files[0].1).unwrap();
@@ -309,7 +310,7 @@ fn meshes_without_a_place_in_the_lightmap_are_exported_without_light_and_said() 
         mesh.primitives().all(|primitive| primitive.material().extension_value(LIGHTMAP).is_none())
     });
     assert_eq!(unlit.count(), 2);
-    for draw in &mut bake.scene.draws.draws {
+    for draw in &mut Arc::make_mut(&mut bake.scene).draws.draws {
         (draw.front, draw.back) = (crate::scene::NO_BLOCK, crate::scene::NO_BLOCK);
     }
     let found = exported(&bake, Options::default());
