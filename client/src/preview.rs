@@ -22,7 +22,7 @@ use crate::passes::shadow::reference::ShadowMaps;
 use crate::passes::shadow::{self, Eye, ShadowPlan, ShadowRoom};
 use crate::picture::{Exposure, Picture, Tone};
 use crate::raster::camera_clip_from_world;
-use crate::scene::{LoadedScene, Stance, check_stances};
+use crate::scene::{LoadedScene, Stance, bounds_of, check_stances};
 
 pub use debug::debug_picture;
 #[cfg(test)]
@@ -179,7 +179,7 @@ impl<'a> Prepared<'a> {
     pub fn new(bake: &'a LoadedBake, view: &'a View) -> Result<Self> {
         view.check(&bake.scene)?;
         let posed = bake.scene.posed(&view.objects)?;
-        let bounds_m = bake.scene.bounds_with(&posed);
+        let bounds_m = bake.scene.bounds_with([bounds_of(&posed)]);
         let scene = if posed.is_empty() {
             Cow::Borrowed(&*bake.scene)
         } else {

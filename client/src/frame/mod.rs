@@ -29,7 +29,7 @@ use crate::passes::shade::{ShadePass, ShadeView};
 use crate::passes::shadow::{Eye, ShadowPass, ShadowPlan, ShadowRoom};
 use crate::passes::stopwatch::Stopwatch;
 use crate::picture::PassTime;
-use crate::scene::{Recolour, Stance, Tints};
+use crate::scene::{PosedDraw, Recolour, Stance, Tints, bounds_of, check_stances};
 
 pub use held::Held;
 
@@ -61,7 +61,10 @@ pub struct Frame<'a> {
     emitter_scale: Vec<f32>,
     tints: Tints,
     camera: SceneCamera,
+    /// One for each object.
     stances: Vec<Stance>,
+    /// Bounds of each object, in metres.
+    object_bounds_m: Vec<[Vec3; 2]>,
     /// Of the scene with its objects, in metres.
     bounds_m: [[f32; 3]; 2],
     pub(crate) plan: ShadowPlan,
@@ -122,7 +125,10 @@ impl<'a> Frame<'a> {
         let change = light.feedback().map(|feedback| ChangePass::new(gpu, feedback)).transpose()?;
         let watch = Stopwatch::new(gpu);
         gpu.check()?;
-        let bounds_m = scene.bounds_with(&scene.posed(&[])?);
+        let stances = vec![Stance::default(); scene.objects()];
+        let at_rest = |(index, stance)| Ok(bounds_of(&scene.posed_object(index, stance)?));
+        let object_bounds_m = stances.iter().enumerate().map(at_rest).collect::<Result<Vec<_>>>()?;
+        let bounds_m = scene.bounds_with(object_bounds_m.iter().copied());
         let plan = ShadowPlan::within(&room.shadows, &[], bounds_m, None)?;
         let mut frame = Self {
             gpu: held_gpu,
@@ -141,7 +147,8 @@ impl<'a> Frame<'a> {
             emitter_scale: Vec::new(),
             tints: Tints::default(),
             camera,
-            stances: Vec::new(),
+            stances,
+            object_bounds_m,
             bounds_m,
             plan,
             stale: Stale { lights: true, direct: true, cascades: true, light: true, pages: true },
@@ -200,24 +207,31 @@ impl<'a> Frame<'a> {
     }
 
     /// Moves objects; those without a stance are at rest. Their shadows fall on all that lights reach, and so on the light that bounces.
+    /// Vertices of objects that moved are made and written anew.
     pub fn set_objects(&mut self, stances: &[Stance]) -> Result<()> {
-        if stances == self.stances {
+        let scene = &self.bake.scene;
+        check_stances(scene, stances)?;
+        let mut wanted = stances.to_vec();
+        wanted.resize(scene.objects(), Stance::default());
+        let mut moved: Vec<PosedDraw> = Vec::new();
+        let mut object_bounds_m = self.object_bounds_m.clone();
+        for (index, stance) in
+            wanted.iter().enumerate().filter(|(index, stance)| self.stances[*index] != **stance)
+        {
+            let posed = scene.posed_object(index, stance)?;
+            object_bounds_m[index] = bounds_of(&posed);
+            moved.extend(posed);
+        }
+        if moved.is_empty() {
             return Ok(());
         }
-        let scene = &self.bake.scene;
-        let posed = scene.posed(stances)?;
-        let former = std::mem::replace(&mut self.bounds_m, scene.bounds_with(&posed));
-        match self.planned(&self.casters, &self.camera) {
-            Ok(plan) => self.plan = plan,
-            Err(error) => {
-                self.bounds_m = former;
-                return Err(error);
-            }
-        }
-        for (index, mesh) in &posed {
+        let bounds_m = scene.bounds_with(object_bounds_m.iter().copied());
+        let plan = ShadowPlan::within(&self.room.shadows, &self.casters, bounds_m, eye_of(&self.camera))?;
+        for (index, mesh) in &moved {
             self.shade.move_mesh(&self.gpu, &self.meshes, *index, mesh);
         }
-        self.stances = stances.to_vec();
+        (self.stances, self.object_bounds_m, self.bounds_m, self.plan) =
+            (wanted, object_bounds_m, bounds_m, plan);
         self.shadow.set(&self.gpu, &self.plan);
         self.stale = Stale { lights: true, cascades: true, pages: true, ..self.stale };
         self.bounces = Bounces::default();

@@ -17,8 +17,8 @@ use crate::fetch::Source;
 
 pub use draws::{DrawTable, LoadedDraw, Vertex};
 pub use lightmap::{LightmapLayout, MAX_ATLAS_TEXELS, MAX_PAGE_SIDE, MAX_PAGES, NO_BLOCK, PlacedBlock};
-pub(crate) use objects::check_stances;
 pub use objects::{Object, ObjectShape, Rigid, Stance};
+pub(crate) use objects::{PosedDraw, bounds_of, check_stances};
 pub use recolour::{ALBEDO_MAX, Albedo, Recolour, Tints, check_recolours};
 pub use texture::Texture;
 pub(crate) use texture::srgb_of_linear;

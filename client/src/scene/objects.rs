@@ -16,6 +16,8 @@ use crate::error::{ClientError, Result};
 
 /// Most objects beside a bake.
 const OBJECTS_MAX: usize = 256;
+/// Steps by which the scene's bounds grow with an object beyond them, of which so many are the bake's diagonal.
+const BOUNDS_STEPS: f32 = 8.0;
 
 /// Meshes of an object by time, in its own space.
 pub trait ObjectShape: Debug + Send + Sync {
@@ -104,20 +106,24 @@ impl LoadedScene {
     pub(crate) fn posed(&self, stances: &[Stance]) -> Result<Vec<PosedDraw>> {
         check_stances(self, stances)?;
         let rest = Stance::default();
-        let mut posed = Vec::new();
-        for (index, object) in self.objects.iter().enumerate() {
-            let stance = stances.get(index).unwrap_or(&rest);
-            let materials = self.manifest.materials.len() - object.first_material as usize;
-            let draws = object.draws_at(stance, materials)?;
-            let old = &self.draws.draws[object.first_draw..object.first_draw + object.draws];
-            let size = |draw: &LoadedDraw| (draw.material, draw.vertices.len(), draw.triangles.len());
-            if !old.iter().map(size).eq(draws.iter().map(size)) {
-                let problem = format!("has other meshes at {} s than at rest", stance.time_s);
-                return Err(refused(&object.name, problem));
-            }
-            posed.extend(draws.into_iter().enumerate().map(|(draw, mesh)| (object.first_draw + draw, mesh)));
+        let stance = |index: usize| stances.get(index).unwrap_or(&rest);
+        let all = (0..self.objects.len()).map(|index| self.posed_object(index, stance(index)));
+        Ok(all.collect::<Result<Vec<_>>>()?.concat())
+    }
+
+    /// Meshes of one object where a stance has it, each with its number.
+    pub(crate) fn posed_object(&self, index: usize, stance: &Stance) -> Result<Vec<PosedDraw>> {
+        let object = &self.objects[index];
+        let materials = self.manifest.materials.len() - object.first_material as usize;
+        let draws = object.draws_at(stance, materials)?;
+        let old = &self.draws.draws[object.first_draw..object.first_draw + object.draws];
+        let size = |draw: &LoadedDraw| (draw.material, draw.vertices.len(), draw.triangles.len());
+        if !old.iter().map(size).eq(draws.iter().map(size)) {
+            let problem = format!("has other meshes at {} s than at rest", stance.time_s);
+            return Err(refused(&object.name, problem));
         }
-        Ok(posed)
+        let numbers = object.first_draw..;
+        Ok(numbers.zip(draws).collect())
     }
 
     /// The same scene with its objects elsewhere.
@@ -129,14 +135,25 @@ impl LoadedScene {
         scene
     }
 
-    /// Bounds of the scene in metres, with its objects where they stand.
-    pub(crate) fn bounds_with(&self, posed: &[PosedDraw]) -> [[f32; 3]; 2] {
+    /// Bounds of the scene in metres, with objects that have these bounds. A side moves outwards by steps of an eighth of the bake's
+    /// diagonal, by a whole one at most: shadow maps of suns stay as they are while an object moves beyond the bake's bounds, and one
+    /// that is far away takes no detail from them, though its own shadow.
+    pub(crate) fn bounds_with(&self, objects: impl IntoIterator<Item = [Vec3; 2]>) -> [[f32; 3]; 2] {
         let [low, high] = self.manifest.bounds_m.map(Vec3::from);
-        let places =
-            posed.iter().flat_map(|(_, mesh)| &mesh.vertices).map(|vertex| Vec3::from(vertex.position_m));
-        let (low, high) = places.fold((low, high), |(low, high), at| (low.min(at), high.max(at)));
-        [low.into(), high.into()]
+        let (lowest, highest) = objects
+            .into_iter()
+            .fold((low, high), |(lowest, highest), [low, high]| (lowest.min(low), highest.max(high)));
+        let step = (low.distance(high) / BOUNDS_STEPS).max(f32::MIN_POSITIVE);
+        let margin = |beyond: Vec3| (beyond / step).ceil().min(Vec3::splat(BOUNDS_STEPS)) * step;
+        [(low - margin(low - lowest)).into(), (high + margin(highest - high)).into()]
     }
+}
+
+/// Lower and upper corner of meshes in metres.
+pub(crate) fn bounds_of(posed: &[PosedDraw]) -> [Vec3; 2] {
+    let places =
+        posed.iter().flat_map(|(_, mesh)| &mesh.vertices).map(|vertex| Vec3::from(vertex.position_m));
+    places.fold([Vec3::INFINITY, Vec3::NEG_INFINITY], |[low, high], at| [low.min(at), high.max(at)])
 }
 
 /// Errs where there are more stances than objects, or one is no place.
@@ -179,7 +196,14 @@ impl PlacedObject {
             let mut mesh = checked(&draw, materials).map_err(|problem| refused(&self.name, problem))?;
             mesh.material += self.first_material;
             for Vertex { position_m, normal, .. } in &mut mesh.vertices {
-                *position_m = place.transform_point3((*position_m).into()).into();
+                let at = place.transform_point3((*position_m).into());
+                if !at.is_finite() {
+                    return Err(refused(
+                        &self.name,
+                        "stands where numbers end: its place or scale is too large".to_owned(),
+                    ));
+                }
+                *position_m = at.into();
                 *normal = (rotation * Vec3::from(*normal)).into();
             }
             posed.push(LoadedDraw { front: NO_BLOCK, back: NO_BLOCK, ..mesh });
@@ -249,8 +273,15 @@ mod tests {
         // A quarter turn about y takes x to −z and z to x.
         assert!(near(mesh.vertices[2].position_m, [5.0, 8.0, 5.0]), "{:?}", mesh.vertices[2]);
         assert!(near(mesh.vertices[2].normal, [1.0, 0.0, 0.0]), "{:?}", mesh.vertices[2]);
-        let bounds = scene.bounds_with(&posed);
+        let bounds = scene.bounds_with([bounds_of(&posed)]);
         assert!(bounds[1][1] >= 8.0 && bounds[0] == scene.manifest.bounds_m[0], "{bounds:?}");
+        // Far away it moves them by the diagonal, and by no more.
+        let far = scene.bounds_with([[Vec3::splat(1e5); 2]]);
+        let [low, high] = scene.manifest.bounds_m.map(Vec3::from);
+        assert!((Vec3::from(far[1]) - high - low.distance(high)).abs().max_element() < 1e-3, "{far:?}");
+        assert_eq!(scene.bounds_with([[low, high]]), scene.manifest.bounds_m);
+        let huge = Stance { position_m: [3e38; 3], scale: 3e38, ..Stance::default() };
+        assert!(scene.posed(&[huge]).unwrap_err().to_string().contains("too large"));
         // The scene itself is as it was, and has them in the copy alone.
         assert!(near(scene.draws.draws[*index].vertices[2].position_m, [1.0, 1.0, 0.0]));
         assert_eq!(&scene.with_posed(posed.clone()).draws.draws[*index], mesh);

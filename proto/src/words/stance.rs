@@ -6,6 +6,8 @@ use crate::scene::Stance;
 const STANCE: &str = "[pos=x,y,z] [turn=yaw,pitch,roll (degrees)] [scale=s] [time=seconds] [clip=n]";
 /// Keys of the words.
 const KEYS: [&str; 5] = ["pos", "turn", "scale", "time", "clip"];
+/// Farthest place along an axis in metres.
+const PLACE_MAX_M: f32 = 1e6;
 /// Smallest and largest scale.
 const SCALES: [f32; 2] = [1e-4, 1e4];
 /// Longest time into an animation in seconds.
@@ -19,6 +21,9 @@ pub fn stance_from_text(text: &str) -> Result<Stance, WordsError> {
     let mut words = Words::from_text(text.split_whitespace(), STANCE)?;
     let rest = Stance::default();
     let position_m = words.vector(&["pos"])?.map_or(rest.position_m, Into::into);
+    if position_m.iter().any(|axis: &f32| axis.abs() > PLACE_MAX_M) {
+        return Err(words.wrong(format!("'pos' is farther than {PLACE_MAX_M} m")));
+    }
     let turn_deg = words.vector(&["turn"])?.map_or(rest.turn_deg, Into::into);
     let scale = words.number(&["scale"], SCALES[0], SCALES[1])?.unwrap_or(rest.scale);
     let time_s = words.number(&["time"], 0.0, TIME_MAX)?.unwrap_or(rest.time_s);
@@ -75,6 +80,7 @@ mod tests {
             "clip=1.5",
             "time=-1",
             "turn=nan,0,0",
+            "pos=0,-2e6,0",
             "at=1,2,3",
             "pos",
         ] {

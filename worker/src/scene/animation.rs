@@ -18,18 +18,24 @@ use super::limits::{self, within};
 /// Most values of a key: weights of morph targets.
 const KEY_VALUES_MAX: usize = 1 << 12;
 
-/// Length of each animation of a file in seconds: the time of its last key.
-pub(super) fn lengths_s(context: &mut Context<'_>) -> Result<Vec<f32>> {
+/// Length of each animation of a file in seconds: the time of its last key. Channels that cannot be read count nothing: they are an
+/// error of the animation that is played.
+pub(super) fn lengths_s(context: &mut Context<'_>) -> Vec<f32> {
     let root = context.root;
-    (0..root.animations.len())
-        .map(|clip| {
-            let animation = &root.animations[clip];
-            animation.channels.iter().try_fold(0.0_f32, |length_s, channel| {
-                let keys = Keys::open(context, clip, animation, channel)?;
-                Ok(length_s.max(keys.time_s(keys.count - 1)))
-            })
+    let length_of = |context: &mut Context<'_>, clip: usize| {
+        let animation = &root.animations[clip];
+        let channels = animation.channels.iter().filter(|channel| is_known(channel));
+        channels.fold(0.0_f32, |length_s, channel| {
+            let end_s = Keys::open(context, clip, animation, channel).map(|keys| keys.time_s(keys.count - 1));
+            length_s.max(end_s.unwrap_or(0.0))
         })
-        .collect()
+    };
+    (0..root.animations.len()).map(|clip| length_of(context, clip)).collect()
+}
+
+/// Channels of other targets than nodes' are passed over, as the format asks.
+fn is_known(channel: &Channel) -> bool {
+    matches!(channel.target.path, Checked::Valid(_))
 }
 
 /// The document with its nodes as an animation has them at a time, in seconds.
@@ -39,7 +45,7 @@ pub(super) fn posed(context: &mut Context<'_>, clip: usize, time_s: f32) -> Resu
     let root = context.root;
     let mut posed = root.clone();
     let animation = &root.animations[clip];
-    for channel in &animation.channels {
+    for channel in animation.channels.iter().filter(|channel| is_known(channel)) {
         let keys = Keys::open(context, clip, animation, channel)?;
         document::get(root, channel.target.node, "node", || animation_place(root, clip))?;
         let node = &mut posed.nodes[channel.target.node.value()];

@@ -13,7 +13,7 @@ use super::{Bundle, Limits, Opening, nodes, opened};
 pub struct MovingFile {
     bundle: Bundle,
     limits: Limits,
-    /// Materials and images, read once.
+    /// Materials, read once; images are the caller's.
     materials: MaterialTable,
     lengths_s: Vec<f32>,
 }
@@ -25,12 +25,13 @@ impl MovingFile {
             let mut materials = MaterialTable::read(context)?;
             let mut scene = Scene::default();
             nodes::flatten(context, &mut materials, &mut scene)?;
-            let lengths_s = lengths_s(context)?;
+            let lengths_s = lengths_s(context);
             Ok((scene, materials, lengths_s, std::mem::take(&mut context.warnings).finish()))
         })?;
-        let (all, images) = materials.clone().finish();
+        let kept = MaterialTable { images: Vec::new(), ..materials.clone() };
+        let (all, images) = materials.finish();
         let scene = Scene { materials: all, images, ..read };
-        Ok((Self { bundle, limits, materials, lengths_s }, scene, warnings))
+        Ok((Self { bundle, limits, materials: kept, lengths_s }, scene, warnings))
     }
 
     /// Length of each of its animations in seconds.

@@ -115,7 +115,8 @@ fn channels_that_name_nothing_or_hold_no_numbers_are_errors() {
             .contains("matrix")
     );
     let few = animated("translation", "CUBICSPLINE", &[0.0, 1.0], "VEC3", &[0.0; 6]);
-    assert!(opened(&few).unwrap_err().to_string().contains("6 are needed"));
+    let error = opened(&few).unwrap().at(Some(0), 0.5).unwrap_err().to_string();
+    assert!(error.contains("6 are needed"), "{error}");
     let endless = animated("translation", "LINEAR", &[0.0, 1.0], "VEC3", &[f32::INFINITY; 6]);
     let error = opened(&endless).unwrap().at(Some(0), 0.5).unwrap_err().to_string();
     assert!(error.contains("not finite"), "{error}");
