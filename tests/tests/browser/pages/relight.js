@@ -35,7 +35,7 @@ function setState(frame, { lights, emitters, camera }) {
   frame.setCamera(camera === null ? cameraOf(manifest) : parseCamera(camera));
 }
 
-/** What a frame draws of a state. */
+/** Light, pictures and exposure that a frame draws for a state. */
 async function drawn(frame, state, screen, { limit, samples }) {
   setState(frame, state);
   const settled = await frame.settle(limit);
