@@ -237,3 +237,21 @@ fn chromium_splits_arrays_into_bindings_and_says_where_it_cannot() {
     let refusal = told["refusal"].as_str().expect("an error");
     assert!(refusal.contains("too large"), "{refusal}");
 }
+
+#[test]
+#[ignore = "needs chromium and a graphics adapter"]
+fn chromium_keeps_light_and_picture_where_the_device_refuses_others() {
+    let bundle = Bundle::flat();
+    let (states, (_files, browser)) = (states(), opened(&bundle));
+    let told = browser.run(MODULE, "keep", json!([job(&states)]));
+    assert_eq!(told["errors"], json!([]));
+    for refused in told["refused"].as_array().expect("a list") {
+        assert!(refused.as_str().is_some_and(|words| words.contains("refuses")), "{refused}");
+    }
+    let found = told["found"].as_array().expect("a list");
+    assert!(vectors(&found[0]["indirect"]).iter().any(|light| light.x > 0.0));
+    for name in ["size", "buffers", "indirect", "radiance"] {
+        let is_kept = found.iter().all(|later| later[name] == found[0][name]);
+        assert!(is_kept, "{name} is another after a refusal, or after two calls at once");
+    }
+}
