@@ -1,4 +1,4 @@
-// Bakes over HTTP: from a server, or from an unpacked bundle folder that any server of files serves. What comes is verified by its
+// Bakes over HTTP: from a server, or from an unpacked bundle folder that any server of files serves. Bytes are verified by their
 // digest, no answer is read beyond the length that it should have, and calls that fail in a way that may pass are made again.
 //
 //   const source = new ServerSource({ bake: "3f2a…", token });          // or new BundleSource("/bakes/cornell.kiln")
@@ -14,6 +14,7 @@ import { ROLES, chunksOf, readManifest, withDirectory } from "./chunk/manifest.j
 export const PARALLEL = 8;
 const MANIFEST_BYTES_MAX = 256 * 2 ** 20;
 const JSON_BYTES_MAX = 64 * 2 ** 20;
+const PROBLEM_BYTES_MAX = 64 * 2 ** 10;
 /** Tries of a call in all, and the longest waits between them: twice as long each time. */
 const TRIES = 7;
 const WAIT_FIRST_MS = 250;
@@ -24,8 +25,8 @@ const RETRY_AFTER_MAX_MS = 60_000;
 const PASSING = new Set([408, 429, 500, 502, 503, 504, 507]);
 
 /**
- * Why a call failed: `code` is `network`, `status`, `length` or `range`; `status` and `problem` (RFC 9457, if the server told one) are
- * those of the answer.
+ * Why a call failed: `code` is `network`, `status` or `length`; `status` and `problem` (RFC 9457, if the server told one) are those of
+ * the answer.
  */
 export class FetchError extends Error {
   constructor(code, message, { status = null, problem = null, retryAfterMs = 0, cause } = {}) {
@@ -89,11 +90,20 @@ export class Http {
 
 /** The error of an answer, in the words of its problem if it has one. */
 async function failureOf(answer, path) {
-  const problem = await answer.json().catch(() => null);
+  const problem = await problemOf(answer, path);
   const detail = typeof problem?.detail === "string" ? problem.detail : `the server answered ${answer.status}`;
   const seconds = Number(answer.headers.get("retry-after"));
   const retryAfterMs = Number.isFinite(seconds) ? Math.min(1000 * Math.max(seconds, 0), RETRY_AFTER_MAX_MS) : 0;
   return new FetchError("status", `${path}: ${detail}`, { status: answer.status, problem, retryAfterMs });
+}
+
+/** The problem of an answer; null where its body is none, or too long for one. */
+async function problemOf(answer, path) {
+  try {
+    return JSON.parse(new TextDecoder().decode(await readBody(answer, PROBLEM_BYTES_MAX, path)));
+  } catch {
+    return null;
+  }
 }
 
 /** Reads a body to its end, but no more than `bytesMax`. */

@@ -6,7 +6,7 @@
 //
 // A drag turns the camera, a wheel or two fingers bring it nearer; a drag with the right button or with Shift moves the lamp.
 
-import { Frame, SAMPLES_MAX, featuresOf } from "./frame/frame.js";
+import { Frame, SAMPLES_MAX, featuresOf, limitsOf } from "./frame/frame.js";
 import { cameraOf, lightsOf } from "./frame/lights.js";
 import { BakeStream } from "./relight/stream.js";
 import { Orbit } from "./orbit.js";
@@ -32,7 +32,7 @@ export async function requestDevice() {
   if (navigator.gpu === undefined) throw new Unsupported("this browser has no WebGPU, or the page is not served over HTTPS");
   const adapter = await navigator.gpu.requestAdapter();
   if (adapter === null) throw new Unsupported("this browser has WebGPU, but no graphics adapter for it");
-  return adapter.requestDevice({ requiredFeatures: featuresOf(adapter) });
+  return adapter.requestDevice({ requiredFeatures: featuresOf(adapter), requiredLimits: limitsOf(adapter) });
 }
 
 export class Viewer {
@@ -42,12 +42,16 @@ export class Viewer {
   // Light is being exchanged: its bounces are run there.
   #isLoading = false;
 
-  /** Opens a bake. `onProgress` is told what is under way, `onFailure` what ended the view later. */
-  static async open(canvas, source, { signal = null, onProgress = () => {}, onFailure = () => {} } = {}) {
+  /**
+   * Opens a bake. `onProgress` hears of the work under way, `share` is 1 when all is done. Later, `onTrouble` hears of errors that leave
+   * the picture as it is, and `onFailure` of the one that has closed the view.
+   */
+  static async open(canvas, source, options = {}) {
+    const { signal = null, onProgress = () => {}, onTrouble = () => {}, onFailure = () => {} } = options;
     const viewer = new Viewer();
     viewer.device = await requestDevice();
     try {
-      await viewer.#open(canvas, source, { signal, onProgress, onFailure });
+      await viewer.#open(canvas, source, { signal, onProgress, onTrouble, onFailure });
     } catch (error) {
       viewer.close();
       throw error;
@@ -55,17 +59,20 @@ export class Viewer {
     return viewer;
   }
 
-  async #open(canvas, source, { signal, onProgress, onFailure }) {
+  async #open(canvas, source, { signal, onProgress, onTrouble, onFailure }) {
     this.device.lost.then(({ message }) => {
-      if (!this.#isClosed) onFailure(new Error(`the graphics device is gone (${message}): open the page again`));
+      if (this.#isClosed) return;
+      this.close();
+      onFailure(new Error(`the graphics device is gone (${message}): open the page again`));
     });
     onProgress({ words: "reading the scene", share: 0 });
     this.stream = await BakeStream.begin(source, { signal });
     this.scene = this.stream.scene;
     this.canvas = canvas;
     await this.#firstLight(signal, onProgress);
-    this.#follow(canvas);
-    this.#refine(signal, onProgress).catch((error) => signal?.aborted || this.#isClosed || onFailure(error));
+    const onError = (error) => signal?.aborted || this.#isClosed || onTrouble(error);
+    this.#follow(canvas, onError);
+    this.#refine(signal, onProgress).catch(onError);
   }
 
   /** The first picture: of the overview, where there is one, else of all clusters. */
@@ -74,6 +81,7 @@ export class Viewer {
     const isFew = manifest.clusters.length <= CLUSTERS_FEW || this.stream.overview.length === 0;
     this.stages = isFew ? [1] : STAGES;
     if (isFew) await this.#fetchUpTo(this.stages.shift(), signal, onProgress);
+    this.#tellDrawing(onProgress);
     const camera = cameraOf(manifest) ?? Orbit.around(manifest.boundsM).camera();
     this.orbit = Orbit.of(camera, manifest.boundsM);
     this.context = this.canvas.getContext("webgpu");
@@ -90,14 +98,15 @@ export class Viewer {
     this.changed();
   }
 
-  /** The lamp is the first light that has a place, else one more, as bright as the rest of the scene. */
+  /** The lamp is the first light that shines from a place, else one more, as bright as the rest of the scene. */
   #addLamp(exposure) {
     const [low, high] = this.frame.boundsM;
     const diagonal = Math.hypot(...high.map((bound, axis) => bound - low[axis]));
-    const own = this.lights.findIndex(({ kind }) => kind.type === "point" || kind.type === "spot");
+    const shines = ({ strength }) => Math.max(...strength) > 0;
+    const own = this.lights.findIndex((light) => ["point", "spot"].includes(light.kind.type) && shines(light));
     // Irradiance of middle grey at a sixth of the scene's size.
     const mean = (0.18 / exposure) * Math.PI * (diagonal / 6) ** 2;
-    const isDark = this.lights.length === 0 && this.scene.manifest.emitters.length === 0;
+    const isDark = !this.lights.some(shines) && this.scene.manifest.emitters.length === 0;
     const strength = isDark || !Number.isFinite(mean) ? diagonal ** 2 : mean;
     const made = {
       name: "lamp",
@@ -148,9 +157,19 @@ export class Viewer {
     const viewpoint = this.frame?.viewpoint ?? null;
     const onCluster = () => {
       const [came, wanted] = this.clusters;
-      onProgress({ words: `light: ${came} of ${wanted} clusters`, share: came / wanted });
+      onProgress({ words: `light: ${came} of ${wanted} clusters`, share: this.#share });
     };
     await this.stream.refine(share < 1 ? share * all - come : Infinity, { lit, viewpoint, signal, onCluster });
+  }
+
+  /** Share of the work that is done: the last cluster is still to be drawn. */
+  get #share() {
+    const [came, wanted] = this.clusters;
+    return came / (wanted + 1);
+  }
+
+  #tellDrawing(onProgress) {
+    onProgress({ words: "drawing", share: this.#share });
   }
 
   /** Takes in the rest of the light, stage by stage. */
@@ -158,6 +177,7 @@ export class Viewer {
     for (const share of this.stages) {
       await this.#fetchUpTo(share, signal, onProgress);
       if (this.#isClosed) return;
+      this.#tellDrawing(onProgress);
       this.#isLoading = true;
       try {
         await this.frame.setLight(this.stream.bake().light);
@@ -179,7 +199,7 @@ export class Viewer {
   }
 
   /** Draws whenever something has changed or light still bounces, and hears of the reader's hand. */
-  #follow(canvas) {
+  #follow(canvas, onError) {
     this.stopHand = this.orbit.follow(canvas, {
       changed: () => this.changed(),
       moveLamp: (byM) => {
@@ -190,7 +210,10 @@ export class Viewer {
     });
     this.resized = new ResizeObserver(() => {
       if (this.#isClosed || canvas.clientWidth === 0) return;
-      this.frame.resize(...this.#fit());
+      this.frame.resize(...this.#fit()).catch((error) => {
+        [canvas.width, canvas.height] = this.frame.size;
+        onError(error);
+      });
       this.#isStale = true;
     });
     this.resized.observe(canvas);

@@ -38,7 +38,7 @@ impl Pages {
     }
 }
 
-/// Content type by a name's ending. The page at a folder's path is HTML; what has no ending is plain text, as licences are.
+/// Content type by a name's ending. The page at a folder's path is HTML; files without an ending, such as licences, are plain text.
 fn media_type(path: &str) -> &'static str {
     let name = path.rsplit('/').next().unwrap_or_default();
     match name.rsplit_once('.').map(|(_, ending)| ending) {

@@ -57,7 +57,7 @@ export class ChangePass {
     if (landing) {
       const answer = this.#answer(landing, heard).finally(() => this.#underWay.delete(answer));
       this.#underWay.add(answer);
-      // Whoever waits hears of a lost device; nobody has to wait.
+      // Callers of `idle` hear of a lost device; others need not.
       answer.catch(() => {});
     }
   }

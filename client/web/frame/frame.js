@@ -7,12 +7,12 @@
 // Twin of client/src/frame. Bounces go on from the light that there is: after a small change a few are enough.
 
 import { isBlack, skyOf } from "../relight/sky.js";
-import { Gpu } from "./gpu.js";
+import { Gpu, errorsOf } from "./gpu.js";
 import { halves } from "./halves.js";
-import { cameraOf, castersOf, checkLights, checkScale, lightsOf } from "./lights.js";
+import { POINT, cameraOf, castersOf, checkLights, checkScale, lightsOf } from "./lights.js";
 import { Meshes } from "./meshes.js";
 import { LightPasses } from "./passes.js";
-import { ShadowPlan, checkRoom, roomFor } from "./plan.js";
+import { ShadowPlan, checkRoom, isRoom, roomFor } from "./plan.js";
 import { FOUR } from "./resident.js";
 import { BLENDABLE, ShadePass } from "./shade.js";
 import { fetchShaders } from "./shaders.js";
@@ -33,10 +33,19 @@ const UNDER_WAY_MAX = 2;
 const SHADOW_SIDE = 1024;
 const LIGHTS = 8;
 const FACES = 24;
+// A light that people may add to the bake's own.
+const ADDED = { shape: POINT, cone: [-1, -2] };
+// Limits of a device that large bakes need: without a request they are the same small ones on all adapters.
+const LIMITS = ["maxBufferSize", "maxStorageBufferBindingSize", "maxTextureDimension2D"];
 
 /** Features of a device that frames have a use for, of those that an adapter has. */
 export function featuresOf(adapter) {
   return [BLENDABLE].filter((feature) => adapter.features.has(feature));
+}
+
+/** Limits of a device that frames have a use for, as high as those of an adapter. */
+export function limitsOf(adapter) {
+  return Object.fromEntries(LIMITS.map((name) => [name, adapter.limits[name]]));
 }
 
 export class Frame {
@@ -47,12 +56,16 @@ export class Frame {
   #plan;
   // Work that changes have left to do: all shadow maps and E_dir; E_dir alone; cascades alone; black E_ind; pages.
   #stale = { lights: true, direct: true, cascades: true, light: true, pages: true };
-  // Samples of the picture as it is; what they were drawn with.
+  // Samples of the picture as it is, with the settings that they were drawn with.
   #film = { samples: 0, exposure: 1, curve: "filmic", isAlone: false };
   // Pictures that the device has not finished.
   #underWay = 0;
   // Bounces since the last change, and the last change by one that was heard of.
   #bounces = { count: 0, change: null };
+  // Ends when the last `setLight` has: they take turns.
+  #lightTurn = Promise.resolve();
+  // The last size that the device had memory for.
+  #sizeKept;
 
   /**
    * Uploads a bake and makes all buffers and pipelines. Options:
@@ -67,15 +80,7 @@ export class Frame {
     const shaders = options.shaders ?? (await fetchShaders());
     frame.gpu = new Gpu(device, shaders);
     frame.bake = bake;
-    device.pushErrorScope("out-of-memory");
-    device.pushErrorScope("validation");
-    try {
-      await frame.#make(options);
-    } finally {
-      const [invalid, full] = [await device.popErrorScope(), await device.popErrorScope()];
-      if (full) throw new Error(`the device has too little memory for this bake (${full.message})`);
-      if (invalid) throw new Error(`the device refuses this bake: ${invalid.message}`);
-    }
+    await heard(device, () => frame.#make(options));
     return frame;
   }
 
@@ -87,6 +92,7 @@ export class Frame {
     this.room = shadows ?? roomWith(castersOf(own));
     checkRoom(this.room);
     this.size = [width, height];
+    this.#sizeKept = this.size;
     this.snap = await measuredSnap(gpu);
     const meshes = await Meshes.create(gpu, bake.scene);
     this.shadow = await ShadowPass.create(gpu, bake.scene, meshes, this.room);
@@ -157,11 +163,25 @@ export class Frame {
 
   /**
    * Takes other light of the same scene, as when more clusters have come: it is shown once it has settled. This makes buffers, and
-   * waits.
+   * waits, also for calls before it. Errs, and keeps the light that there is, where the device has too little memory for both.
    */
-  async setLight(light, limit) {
+  setLight(light, limit) {
+    const taken = this.#lightTurn.then(() => this.#takeLight(light, limit));
+    this.#lightTurn = taken.catch(() => {});
+    return taken;
+  }
+
+  async #takeLight(light, limit) {
     const [before, bake] = [this.light, { ...this.bake, light }];
-    const passes = await LightPasses.create(this.gpu, bake, this.shadow);
+    let passes = null;
+    try {
+      await heard(this.gpu.device, async () => {
+        passes = await LightPasses.create(this.gpu, bake, this.shadow);
+      });
+    } catch (error) {
+      passes?.destroy();
+      throw error;
+    }
     await before.change.idle();
     [this.light, this.bake] = [passes, bake];
     Object.assign(this.#stale, { direct: true, light: true });
@@ -173,9 +193,26 @@ export class Frame {
     return settled;
   }
 
-  /** Makes the picture of another size; this alone makes textures. */
-  resize(width, height) {
-    this.size = [width, height];
+  /**
+   * Makes the picture of another size at once; this alone makes textures. Then errs, with the picture of the size before, where the
+   * device has too little memory for it.
+   */
+  async resize(width, height) {
+    const size = [width, height];
+    const ended = errorsOf(this.gpu.device);
+    this.#setSize(size);
+    const error = await ended();
+    if (error === null) {
+      this.#sizeKept = size;
+      return;
+    }
+    // Later calls may have set another.
+    if (this.size === size) this.#setSize(this.#sizeKept);
+    throw error;
+  }
+
+  #setSize(size) {
+    this.size = size;
     this.shade.resize(this.size);
     this.#film.samples = 0;
     this.tone.bind(this.shade.targetView, this.size);
@@ -324,9 +361,22 @@ function jitterOf(sample) {
   return grid[sample] ?? [at(0.7548776662466928), at(0.5698402909980533)];
 }
 
-/** Room for some lights, and no less than what people may add. */
+/** Runs `make`, and throws the errors of a device meanwhile before its own. */
+async function heard(device, make) {
+  const ended = errorsOf(device);
+  const failure = await make().then(
+    () => null,
+    (error) => ({ error }),
+  );
+  const error = await ended();
+  if (error !== null) throw error;
+  if (failure !== null) throw failure.error;
+}
+
+/** Room for some lights and one more, if there may be so many, and no less than for a few. */
 function roomWith(casters) {
-  const own = roomFor(casters, SHADOW_SIDE);
+  const [alone, more] = [casters, [...casters, ADDED]].map((lights) => roomFor(lights, SHADOW_SIDE));
+  const own = isRoom(more) ? more : alone;
   const wanted = { ...own, lights: Math.max(own.lights, LIGHTS), faces: Math.max(own.faces, FACES) };
   // Fewer texels, where many lights need many maps.
   return wanted.faces * wanted.side ** 2 > 2 ** 26 ? own : wanted;

@@ -23,6 +23,20 @@ export function groupsFor(threads) {
   return groups2d(Math.ceil(threads / THREADS));
 }
 
+/**
+ * Hears of a device's errors until the function that it answers is called. That function ends the hearing at once, so that others may
+ * be heard in between, and answers the error, null where there was none.
+ */
+export function errorsOf(device) {
+  device.pushErrorScope("out-of-memory");
+  device.pushErrorScope("validation");
+  return async () => {
+    const [invalid, full] = await Promise.all([device.popErrorScope(), device.popErrorScope()]);
+    if (full) return new Error(`the device has too little memory for this bake (${full.message})`);
+    return invalid && new Error(`the device refuses this bake: ${invalid.message}`);
+  };
+}
+
 /** A device with the texts of its shaders by name. */
 export class Gpu {
   // Shader modules and compute pipelines by name, and how many things were made: shared with branches.

@@ -10,15 +10,24 @@ import { Resident } from "./resident.js";
 
 /** direct → patches → basis → near → reconstruct → atlas. */
 export class LightPasses {
-  /** Uploads the light of a bake. */
-  static async create(whole, { scene, light }, shadow) {
+  /** Uploads the light of a bake. Frees all of it where that fails. */
+  static async create(whole, bake, shadow) {
     const passes = new LightPasses();
-    const gpu = whole.branch();
-    Object.assign(passes, { gpu, light });
+    passes.gpu = whole.branch();
+    try {
+      await passes.#make(bake, shadow);
+    } catch (error) {
+      passes.destroy();
+      throw error;
+    }
+    return passes;
+  }
+
+  async #make({ scene, light }, shadow) {
+    const { gpu } = this;
     const resident = new Resident(gpu, light);
-    passes.resident = resident;
     // Devices compile pipelines at once.
-    const [direct, columns, basis, near, reconstruct, atlas, change] = await Promise.all([
+    const made = [
       DirectPass.create(gpu, light.points, shadow, resident),
       PatchesPass.create(gpu, light.columns, resident),
       BasisPass.create(gpu, light.clusters, resident),
@@ -26,9 +35,11 @@ export class LightPasses {
       ReconstructPass.create(gpu, light.clusters, resident),
       AtlasPass.create(gpu, scene.layout, light.texels, resident),
       ChangePass.create(gpu, resident),
-    ]);
-    Object.assign(passes, { direct, columns, basis, near, reconstruct, atlas, change });
-    return passes;
+    ];
+    // After an error, none of the others makes a buffer that nobody frees.
+    await Promise.allSettled(made);
+    const [direct, columns, basis, near, reconstruct, atlas, change] = await Promise.all(made);
+    Object.assign(this, { light, resident, direct, columns, basis, near, reconstruct, atlas, change });
   }
 
   /** Frees all buffers. */

@@ -36,10 +36,16 @@ const CUBE = [
 export const LIGHT_BYTES = 80;
 export const FACE_BYTES = 96;
 
-/** Errs where a room is more than any adapter is asked for. */
-export function checkRoom({ lights, faces, side }) {
+/** Whether a room is no more than any adapter is asked for. */
+export function isRoom({ lights, faces, side }) {
   const isSide = Number.isInteger(Math.log2(side)) && side >= MIN_SIDE && side <= MAX_SIDE;
-  if (!isSide || lights > MAX_FACES || faces > MAX_FACES || faces * side * side > MAX_TEXELS) {
+  return isSide && lights <= MAX_FACES && faces <= MAX_FACES && faces * side * side <= MAX_TEXELS;
+}
+
+/** Errs where a room is more than any adapter is asked for. */
+export function checkRoom(room) {
+  const { lights, faces, side } = room;
+  if (!isRoom(room)) {
     throw new Error(
       `room for ${lights} lights and ${faces} shadow maps of ${side} texels a side: sides are powers of two in ` +
         `${MIN_SIDE}..=${MAX_SIDE}, lights and maps at most ${MAX_FACES}, their texels at most ${MAX_TEXELS}`,

@@ -3,14 +3,14 @@
 import { showBake } from "./bake.js";
 import { showBakes } from "./bakes.js";
 import { el, fill, notice } from "./dom.js";
-import { forgetToken, hasToken, keepToken, wantsToken } from "./session.js";
+import { canBeToken, forgetToken, hasToken, keepToken, wantsToken } from "./session.js";
 import { showWorkers } from "./workers.js";
 
 const main = document.getElementById("main");
 const forget = document.getElementById("forget");
 let shown = new AbortController();
 
-/** What an address shows: `(main, signal)`, until the signal is raised. */
+/** The part of the page that an address asks for: `(main, signal)` shows it until the signal is raised. */
 function partOf(hash) {
   const [part, id] = hash.replace(/^#\/?/, "").split("/");
   if (part === "bakes" && id) return (main, signal) => showBake(main, decoded(id), signal);
@@ -58,13 +58,20 @@ function askForToken(error) {
   const field = el("input", { type: "password", name: "token", autocomplete: "off", required: true });
   const submit = (event) => {
     event.preventDefault();
-    keepToken(field.value.trim());
-    show();
+    const token = field.value.trim();
+    if (canBeToken(token)) {
+      keepToken(token);
+      show();
+      return;
+    }
+    fill(told, notice("A token has ASCII letters, digits and signs alone, and no spaces: copy it again.", { isBad: true }));
+    field.focus();
   };
+  const told = el("div", {}, hasToken() ? notice(error.message, { isBad: true }) : null);
   fill(
     main,
     el("h1", {}, "A token is needed"),
-    hasToken() ? notice(error.message, { isBad: true }) : null,
+    told,
     el("p", {}, "This farm shows its bakes to those who have a token that may read. It is kept until this tab is closed."),
     el(
       "form",
@@ -72,7 +79,7 @@ function askForToken(error) {
       el("label", {}, el("span", {}, "Token"), field),
       el("button", { class: "main", type: "submit" }, "Open"),
     ),
-    el("p", { class: "quiet small" }, "Whoever runs the farm makes one: ", el("code", {}, "kiln token create anna --scope read")),
+    el("p", { class: "quiet small" }, "The farm's operator makes one: ", el("code", {}, "kiln token create anna --scope read")),
   );
   field.focus();
 }

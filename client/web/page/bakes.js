@@ -14,9 +14,14 @@ export async function showBakes(main, signal) {
   const list = el("div");
   const more = el("button", { type: "button", hidden: true }, "Show older bakes");
   let limit = PAGE;
+  let cards = new Map();
   const look = async () => {
-    const { bakes, next } = await bakesUpTo(limit, signal);
-    fill(list, bakes.length === 0 ? empty() : bakes.map(card));
+    const wanted = limit;
+    const { bakes, next } = await bakesUpTo(wanted, signal);
+    // A later look shows more.
+    if (wanted !== limit) return;
+    cards = cardsOf(bakes, cards);
+    place(list, bakes.length === 0 ? [empty()] : [...cards.values()].map(({ element }) => element));
     more.hidden = next === null || next === undefined;
   };
   more.addEventListener("click", () => {
@@ -41,6 +46,27 @@ async function bakesUpTo(limit, signal) {
     next = page.next ?? null;
   } while (next !== null && bakes.length < limit);
   return { bakes, next };
+}
+
+/** Cards of bakes by id, `{text, element}`: elements of those that look as before are kept, and with them the keyboard's focus. */
+function cardsOf(bakes, before) {
+  const entries = bakes.map((bake) => {
+    const made = card(bake);
+    const [kept, text] = [before.get(bake.id), made.outerHTML];
+    if (kept === undefined) return [bake.id, { text, element: made }];
+    if (kept.text !== text) kept.element.replaceChildren(...made.childNodes);
+    return [bake.id, { text, element: kept.element }];
+  });
+  return new Map(entries);
+}
+
+/** Makes elements the children of a list; those that are in their place already are not moved. */
+function place(list, elements) {
+  const wanted = new Set(elements);
+  for (const child of [...list.children]) if (!wanted.has(child)) child.remove();
+  elements.forEach((element, at) => {
+    if (list.children[at] !== element) list.insertBefore(element, list.children[at] ?? null);
+  });
 }
 
 function empty() {

@@ -9,6 +9,11 @@ export function hasToken() {
   return sessionStorage.getItem(KEY) !== null;
 }
 
+/** Whether a header can carry a text as a token: visible ASCII alone. */
+export function canBeToken(text) {
+  return /^[\x21-\x7e]+$/.test(text);
+}
+
 export function keepToken(token) {
   sessionStorage.setItem(KEY, token);
 }

@@ -17,8 +17,12 @@ export async function viewerOf(place, source, signal) {
     over.textContent = words;
     over.hidden = share === 1;
   };
+  const onTrouble = ({ message }) => {
+    over.textContent = `the picture stays as it is: ${message}`;
+    over.hidden = false;
+  };
   try {
-    const viewer = await Viewer.open(canvas, source, { signal, onProgress, onFailure });
+    const viewer = await Viewer.open(canvas, source, { signal, onProgress, onTrouble, onFailure });
     if (signal.aborted) viewer.close();
     else signal.addEventListener("abort", () => viewer.close(), { once: true });
     fill(controls, controlsOf(viewer));

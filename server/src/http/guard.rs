@@ -43,10 +43,10 @@ pub(super) struct Doorman {
 
 impl Doorman {
     /// Counts the call, and refuses it without a token that opens it. Paths that do not exist are nobody's secret; calls
-    /// about health are answered however many they are.
+    /// about health and for files are answered however many they are.
     async fn check(&self, request: &Parts) -> Result<()> {
         let route = request.extensions.get::<MatchedPath>().map(MatchedPath::as_str);
-        if route.is_some_and(is_about_health) {
+        if route.is_some_and(|route| is_about_health(route) || is_for_file(&request.method, route)) {
             return Ok(());
         }
         let address = request.extensions.get::<ConnectInfo<SocketAddr>>();
@@ -64,6 +64,11 @@ impl Doorman {
 
 fn is_about_health(route: &str) -> bool {
     matches!(route, "/healthz" | "/readyz")
+}
+
+/// A page asks for a hundred files at once, and browsers do not ask again; files lie in memory.
+fn is_for_file(method: &Method, route: &str) -> bool {
+    matches!(*method, Method::GET | Method::HEAD) && matches!(route, pages::FACE | pages::FILES)
 }
 
 /// Lets a call through if there is room for it and its token opens it.

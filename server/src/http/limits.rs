@@ -28,7 +28,7 @@ const BUSY_RETRY_SECS: u64 = 1;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LimitConfig {
     /// Calls a second of one caller, in the long run; twice as many at once. A caller is a token at an address, or an
-    /// address without one. Fewer → a caller gone wild costs less; busy workers behind one address need more. 0 is no limit.
+    /// address without one; files for browsers are not counted. Fewer → a caller gone wild costs less; busy workers behind one address need more. 0 is no limit.
     pub calls_per_sec: u32,
     /// Calls under way at a time, those that wait for work or events and answers still being sent included. Fewer → less
     /// memory at worst; a worker or a watched bake takes one. 0 is no limit.

@@ -1,4 +1,4 @@
-//! Files for browsers. They are nobody's secret, so no token is asked for; what a page then calls asks for one.
+//! Files for browsers. They are nobody's secret, so no token is asked for; the calls of a page ask for one.
 
 use std::sync::Arc;
 

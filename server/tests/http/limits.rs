@@ -1,12 +1,12 @@
 //! Calls beyond the limits are refused at once, and told when to come again.
 
 use lightkiln_proto::problem::ProblemCode;
-use lightkiln_server::LimitConfig;
 use lightkiln_server::access::Scope;
+use lightkiln_server::{Config, LimitConfig, Pages};
 
 use crate::access::make;
 use crate::bakes::request;
-use crate::support::{Answer, Running, start_with};
+use crate::support::{Answer, Running, start_config, start_with};
 
 async fn list(server: &Running, token: Option<&str>) -> Answer {
     let bearer = token.map(|token| format!("Bearer {token}"));
@@ -54,6 +54,25 @@ async fn caller_that_calls_too_often_is_told_when_to_come_again_and_others_are_s
         statuses.push(server.get("/v1/none").await.status);
     }
     assert!(statuses.contains(&429), "what there is not is counted, too: {statuses:?}");
+}
+
+#[tokio::test]
+async fn files_for_browsers_are_not_counted() {
+    let pages = Pages::default().with("/", "<!doctype html>").with("/web/a.js", "export {};");
+    let limits = LimitConfig { calls_per_sec: 1, ..LimitConfig::default() };
+    let server =
+        start_config(tempfile::tempdir().unwrap(), |config| Config { pages, limits, ..config }).await;
+    for _ in 0..20 {
+        for path in ["/", "/web/a.js"] {
+            assert_eq!(server.get(path).await.status, 200, "{path}");
+        }
+    }
+    assert_eq!(list(&server, None).await.status, 200, "the caller has all of its calls left");
+    let mut statuses = Vec::new();
+    for _ in 0..20 {
+        statuses.push(server.call("POST", "/", &[], b"").await.status);
+    }
+    assert!(statuses.contains(&429), "other methods are counted: {statuses:?}");
 }
 
 #[tokio::test]

@@ -31,8 +31,8 @@ const SESSION: &str = r#"HOME="$folder" TMPDIR="$folder" setsid sh -c '
     chromedriver --port=0 &
     wait
 ' 2>&1 &"#;
-/// WebGPU by SwiftShader, and nothing that calls out.
-const FLAGS: [&str; 11] = [
+/// WebGPU by SwiftShader, and nothing that calls out. Containers have little shared memory, so files stand for it.
+const FLAGS: [&str; 12] = [
     "--headless=new",
     "--no-sandbox",
     "--enable-unsafe-webgpu",
@@ -44,6 +44,7 @@ const FLAGS: [&str; 11] = [
     "--disable-component-update",
     "--disable-sync",
     "--no-first-run",
+    "--disable-dev-shm-usage",
 ];
 
 /// A browser with one page.
@@ -82,12 +83,12 @@ impl Browser {
         self.call("url", &json!({ "url": url }));
     }
 
-    /// What a script gives; its `arguments[0]` are `args`.
+    /// The value of a script; its `arguments[0]` are `args`.
     pub fn script(&self, script: &str, args: Value) -> Value {
         self.call("execute/sync", &json!({ "script": script, "args": [args] }))
     }
 
-    /// What an async function of a module gives; panics with its error.
+    /// The value of a module's async function; panics with its error.
     pub fn run(&self, module: &str, function: &str, args: Value) -> Value {
         let answer = self.call("execute/async", &json!({ "script": CALL, "args": [module, function, args] }));
         assert!(answer.get("error").is_none(), "{function} of {module}: {}", answer["error"]);

@@ -99,6 +99,8 @@ fn chromium_shows_a_farm_to_readers_with_a_token_and_every_name_as_text() {
     let browser = Browser::start();
     browser.open(&format!("{}/", farm.url));
     wait_for(&browser, "A token is needed");
+    enter(&browser, "kiln_wr\u{f6}ng");
+    wait_for(&browser, "ASCII letters");
     enter(&browser, "kiln_wrong");
     wait_for(&browser, "kiln token create anna");
     enter(&browser, &farm.token);

@@ -35,7 +35,7 @@ function setState(frame, { lights, emitters, camera }) {
   frame.setCamera(camera === null ? cameraOf(manifest) : parseCamera(camera));
 }
 
-/** What a frame draws of a state. */
+/** Light, pictures and exposure that a frame draws for a state. */
 async function drawn(frame, state, screen, { limit, samples }) {
   setState(frame, state);
   const settled = await frame.settle(limit);
@@ -133,4 +133,61 @@ export async function narrow(job) {
   }
   const refusal = await Frame.create(narrowed(device, bindingMax - 4), bake, options).catch(({ message }) => message);
   return { found, pages, bindingMax, refusal, errors };
+}
+
+/**
+ * A device that refuses buffers and textures whose descriptors `refuses` is true for, and has its buffers in `alive` until they are
+ * freed.
+ */
+function picky(device, told) {
+  const made = (own, name) => (descriptor) => {
+    const thing = own[name](told.refuses(descriptor) ? { ...descriptor, usage: 0 } : descriptor);
+    const free = thing.destroy.bind(thing);
+    if (name === "createBuffer") told.alive.add(thing);
+    thing.destroy = () => {
+      told.alive.delete(thing);
+      free();
+    };
+    return thing;
+  };
+  return new Proxy(device, {
+    get(own, name) {
+      if (name === "createBuffer" || name === "createTexture") return made(own, name);
+      return typeof own[name] === "function" ? own[name].bind(own) : own[name];
+    },
+  });
+}
+
+/**
+ * Light, picture, size and buffers of a state by the overview: at first, after light and a size that the device refuses, and after two
+ * calls at once for all light and for the overview's. And the errors of the refusals.
+ */
+export async function keep(job) {
+  const { device, errors } = await openDevice();
+  const [width, height] = job.size;
+  const options = { width, height, format: FORMAT, shadows: job.shadows, lights: [] };
+  const stream = await BakeStream.begin(new BundleSource("/bundle"));
+  const told = { refuses: () => false, alive: new Set() };
+  const bake = stream.bake();
+  const frame = await Frame.create(picky(device, told), bake, options);
+  const view = screenOf(device, job.size).createView();
+  const look = async () => {
+    frame.draw(view, [0, 0]);
+    const radiance = hexOfNumbers(await frame.readRadiance());
+    return { radiance, indirect: hexOfNumbers(await frame.readIndirect()), size: frame.size, buffers: told.alive.size };
+  };
+  setState(frame, job.states[0]);
+  await frame.settle(job.limit);
+  const found = [await look()];
+  await stream.refine(Infinity);
+  const whole = stream.bake().light;
+  const message = (error) => error.message;
+  told.refuses = () => true;
+  const refused = [await frame.setLight(whole, job.limit).catch(message)];
+  told.refuses = ({ size }) => size[0] === 2 * width;
+  refused.push(await frame.resize(2 * width, height).catch(message));
+  found.push(await look());
+  await Promise.all([whole, bake.light].map((light) => frame.setLight(light, job.limit)));
+  found.push(await look());
+  return { found, refused, errors };
 }

@@ -39,6 +39,7 @@ export async function view(base) {
   const [words, failures] = [[], []];
   const viewer = await Viewer.open(canvas, new BundleSource(base), {
     onProgress: (told) => words.push(told.words),
+    onTrouble: (error) => failures.push(String(error.stack ?? error)),
     onFailure: (error) => failures.push(String(error.stack ?? error)),
   });
   const first = viewer.clusters;
