@@ -13,7 +13,7 @@ use lightkiln_client::passes::gpu::Gpu;
 use lightkiln_client::passes::shadow::ShadowRoom;
 use lightkiln_client::{kinds, wgpu};
 
-/// E = E_dir + E_emit + E_ind of each receiver, W·m⁻²; the largest luminance and its receiver, in bits.
+/// E = E_dir + E_emit + E_ind of each receiver, W·m⁻²; that of the largest luminance, and its receiver as a number.
 const BRIGHTEST: &str = "
 @group(0) @binding(0) var<storage, read> direct: array<vec4f>;
 @group(0) @binding(1) var<storage, read> emit: array<vec4f>;

@@ -1,11 +1,15 @@
 //! A GLB file under construction: arrays of glTF by name, and the one buffer.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::io::{self, Read};
 
+use serde::Deserialize;
 use serde_json::{Map, Value, json};
 
 use crate::error::{ClientError, Result};
 
+/// First word of the program that files name as theirs.
+const GENERATOR: &str = "Lightkiln";
 const MAGIC: u32 = 0x4654_6C67;
 const VERSION: u32 = 2;
 const JSON: u32 = 0x4E4F_534A;
@@ -94,7 +98,7 @@ impl Glb {
             let bytes = self.buffer.len();
             self.push("buffers", json!({ "byteLength": bytes }));
         }
-        let generator = concat!("Lightkiln ", env!("CARGO_PKG_VERSION"));
+        let generator = format!("{GENERATOR} {}", env!("CARGO_PKG_VERSION"));
         let mut root = Map::new();
         root.insert(
             "asset".to_owned(),
@@ -109,6 +113,27 @@ impl Glb {
         text.resize(text.len().next_multiple_of(4), b' ');
         joined(&text, &self.buffer)
     }
+}
+
+/// Whether a file is a GLB that names Lightkiln as its generator. Errs where it cannot be read.
+pub fn is_own(mut file: impl Read) -> io::Result<bool> {
+    #[derive(Deserialize)]
+    struct Root {
+        asset: Asset,
+    }
+    #[derive(Deserialize)]
+    struct Asset {
+        generator: String,
+    }
+    // Headers of the file and of its first chunk.
+    let mut start = Vec::new();
+    file.by_ref().take(20).read_to_end(&mut start)?;
+    let words: Vec<u32> = start.as_chunks::<4>().0.iter().map(|word| u32::from_le_bytes(*word)).collect();
+    let [MAGIC, VERSION, _, bytes, JSON] = words[..] else { return Ok(false) };
+    let mut text = Vec::new();
+    file.take(bytes.into()).read_to_end(&mut text)?;
+    let root = serde_json::from_slice::<Root>(&text);
+    Ok(root.is_ok_and(|root| root.asset.generator.starts_with(GENERATOR)))
 }
 
 /// Header and chunks of a file; the second one is left out where there is no buffer.

@@ -111,7 +111,11 @@ impl<'a> Materials<'a> {
         let material = &self.scene.manifest.materials[look.material as usize];
         let [base, emissive, transmission] = uses(material);
         let factor = material.base_colour.map(|channel| channel.clamp(0.0, 1.0));
-        let mut diffuse = json!({ "baseColorFactor": factor, "metallicFactor": 0, "roughnessFactor": 1 });
+        let clear = material.glass.as_ref().filter(|glass| glass.transmission > 0.0);
+        // Engines blur what is seen through rough glass; light passes baked glass straight.
+        let roughness = u8::from(clear.is_none());
+        let mut diffuse =
+            json!({ "baseColorFactor": factor, "metallicFactor": 0, "roughnessFactor": roughness });
         if let Some(used) = base {
             diffuse["baseColorTexture"] = self.texture(glb, (look, material), used, false)?;
         }
@@ -131,14 +135,13 @@ impl<'a> Materials<'a> {
                 value["emissiveTexture"] = self.texture(glb, (look, material), used, false)?;
             }
         }
-        let glass = material.glass.as_ref();
-        if glass.is_some_and(|glass| glass.blends) {
+        if material.glass.as_ref().is_some_and(|glass| glass.blends) {
             value["alphaMode"] = json!("BLEND");
         } else if let Some(cutoff) = material.alpha_cutoff {
             value["alphaMode"] = json!("MASK");
             value["alphaCutoff"] = json!(cutoff.max(0.0));
         }
-        if let Some(glass) = glass.filter(|glass| glass.transmission > 0.0) {
+        if let Some(glass) = clear {
             glb.uses("KHR_materials_transmission");
             let mut through = json!({ "transmissionFactor": glass.transmission.clamp(0.0, 1.0) });
             if let Some(used) = transmission {
@@ -210,7 +213,7 @@ impl<'a> Materials<'a> {
 }
 
 /// Errs unless every texture has a file of a kind that glTF knows.
-fn check_files(scene: &LoadedScene, files: &[TextureFile]) -> Result<()> {
+pub fn check_files(scene: &LoadedScene, files: &[TextureFile]) -> Result<()> {
     if files.len() != scene.textures.len() {
         let problem = format!("{} files of {} textures", files.len(), scene.textures.len());
         return Err(ClientError::inconsistent("textures", problem));

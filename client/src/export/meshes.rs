@@ -163,13 +163,14 @@ pub fn write_cameras(glb: &mut Glb, scene: &LoadedScene) {
     let chosen = scene.manifest.framing.camera.iter().map(|chosen| &chosen.value);
     for camera in scene.manifest.cameras.iter().chain(chosen) {
         let Some(rotation) = looking(camera) else { continue };
+        let far = 2.0 * (f64::from(Vec3::from(camera.eye_m).distance(low.midpoint(high))) + diagonal);
         let lens = match camera.orthographic_half_height_m {
+            // Depth buffers of 24 bits tell little apart where the near plane lies nearer.
             None => json!({
                 "type": "perspective",
-                "perspective": { "yfov": camera.fov_y_rad, "znear": 1e-4 * diagonal },
+                "perspective": { "yfov": camera.fov_y_rad, "znear": 1e-3 * diagonal, "zfar": far },
             }),
             Some(half) => {
-                let far = 2.0 * (f64::from(Vec3::from(camera.eye_m).distance(low.midpoint(high))) + diagonal);
                 let sides = json!({ "xmag": half, "ymag": half, "znear": 0, "zfar": far });
                 json!({ "type": "orthographic", "orthographic": sides })
             }

@@ -29,11 +29,11 @@ use crate::error::{ClientError, Result};
 use crate::fetch::{Source, decoded};
 use crate::passes::atlas::Lightmap;
 use crate::passes::atlas::reference::{AtlasPages, spread};
-use dilate::{Shown, charts};
+use dilate::{Charts, Shown, charts};
 use glb::Glb;
-use materials::Materials;
+use materials::{Materials, check_files};
 use meshes::{Atlas, Unlit};
-use pages::Pages;
+use pages::{PAGE_MAX, Pages};
 
 pub use folder::{check_folder, write};
 pub use materials::{LIGHTMAP, TextureFile};
@@ -81,7 +81,7 @@ pub struct Exported {
     pub pages: Vec<[u32; 2]>,
     /// Factor on a page's texels that gives W·m⁻².
     pub intensity: f32,
-    /// Meshes that have less light than they show.
+    /// Meshes that have less light than they show, and pages that not every adapter reads.
     pub warnings: Vec<String>,
 }
 
@@ -91,6 +91,12 @@ pub fn texture_files(source: &Source, bake: &LoadedBake) -> Result<Vec<TextureFi
         let texture = chunk::decode_texture(bytes)?;
         Ok(TextureFile { media_type: texture.media_type, bytes: texture.bytes })
     })
+}
+
+/// Refuses what [`export`] would, whatever the light: to be asked before light is settled.
+pub fn check(bake: &LoadedBake, files: &[TextureFile], scale: u32) -> Result<()> {
+    check_files(&bake.scene, files)?;
+    plan(bake, scale).map(drop)
 }
 
 /// Freezes a bake under the light that its receivers have; `emitter_scale` is the emitters' strength, 1 where absent. Equal light gives
@@ -103,17 +109,9 @@ pub fn export(
     options: Options,
 ) -> Result<Exported> {
     let Options { share, scale } = options;
-    if !SCALES.contains(&scale) {
-        let problem = "texels along each of the lightmap's are 1 or 3".to_owned();
-        return Err(ClientError::Argument { what: format!("--scale {scale}"), problem });
-    }
     let scene = &bake.scene;
+    let (charts, places) = plan(bake, scale)?;
     let lightmap = lightmap_of(bake)?;
-    let charts = charts(&scene.draws, scene.lightmap.blocks.len());
-    let used = scene.lightmap.blocks.iter().zip(&charts);
-    let sizes: Vec<Option<[u32; 2]>> =
-        used.map(|(block, chart)| (!chart.is_empty()).then(|| block.size.map(|side| side * scale))).collect();
-    let places = Pages::pack(&sizes)?;
     let shown = shown(lightmap, light, share)?;
     let blocks = dilate::spread(Shown { lightmap, pages: &shown }, &charts, scale);
     let intensity = intensity(&blocks)?;
@@ -132,7 +130,24 @@ pub fn export(
         (0..places.sizes.len()).into_par_iter().map(|page| page_file(&places, &blocks, page, intensity));
     let written = written.collect::<Result<Vec<_>>>()?;
     all.extend(names.into_iter().zip(written));
-    Ok(Exported { files: all, pages: places.sizes, intensity, warnings: warnings(unlit) })
+    let warnings = warnings(unlit, &places.sizes);
+    Ok(Exported { files: all, pages: places.sizes, intensity, warnings })
+}
+
+/// Charts of the lightmap's blocks, and the blocks' places in pages.
+fn plan(bake: &LoadedBake, scale: u32) -> Result<(Charts, Pages)> {
+    if !SCALES.contains(&scale) {
+        let problem = "texels along each of the lightmap's are 1 or 3".to_owned();
+        return Err(ClientError::Argument { what: format!("--scale {scale}"), problem });
+    }
+    lightmap_of(bake)?;
+    let scene = &bake.scene;
+    let charts = charts(&scene.draws, scene.lightmap.blocks.len());
+    let used = scene.lightmap.blocks.iter().zip(&charts);
+    let sizes: Vec<Option<[u32; 2]>> =
+        used.map(|(block, chart)| (!chart.is_empty()).then(|| block.size.map(|side| side * scale))).collect();
+    let places = Pages::pack(&sizes)?;
+    Ok((charts, places))
 }
 
 fn lightmap_of(bake: &LoadedBake) -> Result<Lightmap<'_>> {
@@ -174,8 +189,9 @@ fn intensity(blocks: &[Vec<Vec3>]) -> Result<f32> {
     if brightest == 0.0 || (PLAIN_MIN..=PLAIN_MAX).contains(&brightest) {
         return Ok(1.0);
     }
-    // Down to the smallest factor that a float has exactly.
-    let exponent = brightest.log2().floor().clamp(-126.0, 127.0);
+    // The brightest lies below PLAIN_MAX, by less than a factor of two: dim texels beside it keep their digits. Down to the smallest
+    // factor that a float has exactly.
+    let exponent = (brightest.log2().floor() - 14.0).clamp(-126.0, 127.0);
     Ok(exponent.exp2())
 }
 
@@ -202,10 +218,13 @@ fn page_file(places: &Pages, blocks: &[Vec<Vec3>], page: usize, intensity: f32) 
     ktx2::rgba16f(size, &texels)
 }
 
-fn warnings(Unlit { meshes, backs }: Unlit) -> Vec<String> {
+fn warnings(Unlit { meshes, backs }: Unlit, pages: &[[u32; 2]]) -> Vec<String> {
     let of = |count: usize, what: &str| (count > 0).then(|| format!("{count} {what}"));
     let meshes = of(meshes, "meshes have no place in the lightmap and are exported without light");
     let backs =
         of(backs, "meshes are seen from both sides and have light on one: the other is exported without");
-    meshes.into_iter().chain(backs).collect()
+    let wide = pages.iter().filter(|page| page.iter().any(|side| *side > PAGE_MAX)).count();
+    let wide =
+        of(wide, &format!("pages have sides of more than {PAGE_MAX} texels, which not all adapters read"));
+    meshes.into_iter().chain(backs).chain(wide).collect()
 }

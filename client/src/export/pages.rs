@@ -9,8 +9,8 @@ use crate::scene::MAX_PAGE_SIDE;
 pub const GUTTER: u32 = 1;
 /// Smallest width of a page in texels.
 const PAGE_MIN: u32 = 64;
-/// Largest side of a page in texels, unless a block is larger: all of WebGL's adapters have textures of this size.
-const PAGE_MAX: u32 = 4096;
+/// Largest side of a page in texels, unless a block is larger: most adapters have textures of this size. WebGL 2 guarantees 2048.
+pub const PAGE_MAX: u32 = 4096;
 
 /// A block with its rim in a page.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -66,8 +66,9 @@ fn add_lightmaps(
         {
             // Bevy multiplies a page by base colour alone: the 1/π of a diffuse surface stands here.
             material.lightmap_exposure = extras.intensity / PI * LUMINANCE_OF_RADIANCE;
-            // Emission is in W·m⁻²·sr⁻¹ as well.
+            // Emission is in W·m⁻²·sr⁻¹ as well; without this weight the camera's exposure leaves it out.
             material.emissive *= LUMINANCE_OF_RADIANCE;
+            material.emissive_exposure_weight = 1.0;
         }
     }
 }

@@ -17,7 +17,7 @@ use crate::console::say;
 use crate::failure::Result;
 use crate::interrupt::Interrupt;
 use crate::kinds::KindTables;
-use crate::outputs::check_folder;
+use crate::outputs::{check_folder, folder_of};
 use crate::picture::{BackendName, parse_recolour};
 use crate::switched_off::SwitchedOff;
 
@@ -72,7 +72,8 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     let start = Instant::now();
     let ParsedLights { lights, emitter_scale } = parse_lights(&arguments.light)?;
     export::check_folder(&arguments.out)?;
-    check_folder(&arguments.out)?;
+    // The export is written beside its place first.
+    check_folder(folder_of(&arguments.out))?;
     let source = match &arguments.server {
         Some(url) => {
             let client = arguments.trust.connect(url, &Interrupt::default())?;
@@ -96,9 +97,11 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     let emitters = vec![scale; bake.scene.manifest.emitters.len()];
     let lights = arguments.off.rest(lights);
     let files = export::texture_files(&source, &bake)?;
+    export::check(&bake, &files, arguments.scale)?;
     let lit = light_receivers(&bake, lights, emitters.clone(), arguments.backend.into())?;
     let options = Options { share: arguments.irradiance.into(), scale: arguments.scale };
-    let exported = export::export(&bake, &files, &lit.settled.light, &emitters, options)?;
+    let mut exported = export::export(&bake, &files, &lit.settled.light, &emitters, options)?;
+    exported.warnings.extend(bake.scene.warnings.iter().cloned());
     export::write(&exported, &arguments.out)?;
     tell(&exported, &lit, &arguments.out, start);
     if arguments.json {

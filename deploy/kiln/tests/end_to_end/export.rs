@@ -199,6 +199,7 @@ fn export_that_cannot_be_is_refused_and_leaves_what_was_there() {
     for (arguments, wanted) in [
         (["--out", "diary"], "monday.txt"),
         (["--out", "own"], "of no export"),
+        (["--out", ".."], "ends in no name"),
         (["--light", "lamp"], "'lamp'"),
         (["--scale", "2"], "1 or 3"),
         (["--material", "blue=0,0,1"], "'blue'"),
