@@ -254,12 +254,6 @@ pub trait LightPasses {
         let _ = (gpu, encoder, view);
     }
 
-    /// Makes anew what depends on the views' size, with [`LightPasses::bindings`] bound again after it.
-    fn resize(&mut self, gpu: &Gpu, size: [u32; 2]) -> Result<()> {
-        let _ = (gpu, size);
-        Ok(())
-    }
-
     /// Makes what [`LightPasses::paint`] needs, once.
     fn make_paint(&mut self, gpu: &Gpu) -> Result<()> {
         let _ = gpu;

@@ -320,19 +320,18 @@ impl<'a> Frame<'a> {
         self.watch.hear(gpu)
     }
 
-    /// Makes room for views of another size.
+    /// Makes room for views of another size. Errs, and changes nothing, where the adapter has not so much.
     pub fn resize(&mut self, size: [u32; 2]) -> Result<()> {
         let room = FrameRoom { size, ..self.room };
         if room != self.room {
-            self.light.resize(&self.gpu, size)?;
-            self.shade.resize(&self.gpu, size, &self.light.bindings())?;
-            self.gpu.check()?;
+            self.shade.resize(&self.gpu, size)?;
             self.room = room;
         }
         Ok(())
     }
 
-    /// Makes room for these lights with shadow maps of at most `side` texels, if they are more than there is room for.
+    /// Makes room for these lights with shadow maps of at most `side` texels, if they are more than there is room for. Errs, and
+    /// changes nothing, where there can be none.
     pub fn make_room(&mut self, lights: &[SceneLight], side: u32) -> Result<()> {
         let casters = Caster::of(lights);
         let bounds_m = self.bake.scene.manifest.bounds_m;
@@ -340,32 +339,41 @@ impl<'a> Frame<'a> {
             return Ok(());
         }
         let shadows = ShadowRoom::for_lights(&casters, side)?;
-        self.shadow = ShadowPass::new(&self.gpu, &self.bake.scene, &self.meshes, &shadows)?;
+        let shadow = ShadowPass::new(&self.gpu, &self.bake.scene, &self.meshes, &shadows)?;
         self.gpu.check()?;
-        self.room.shadows = shadows;
+        let former = std::mem::replace(&mut self.room.shadows, shadows);
         // Those that there are stay until others are set.
-        self.plan = self.planned(&self.casters, &self.camera)?;
+        match self.planned(&self.casters, &self.camera) {
+            Ok(plan) => (self.shadow, self.plan) = (shadow, plan),
+            Err(error) => {
+                self.room.shadows = former;
+                return Err(error);
+            }
+        }
         self.shadow.set(&self.gpu, &self.plan);
         (self.stale.lights, self.stale.cascades) = (true, true);
         Ok(())
     }
 
     /// Takes a bake with the same scene and other light: meshes, textures, shadow maps and everything that was set stay, and light
-    /// starts anew.
+    /// starts anew. Errs, and changes nothing, where that cannot be.
     pub fn set_bake(&mut self, bake: impl Into<Held<'a, LoadedBake>>) -> Result<()> {
         let bake = bake.into();
-        let light = bake.light.passes(&self.gpu, &bake.scene, &self.shadow, self.room.size)?;
+        let mut light = bake.light.passes(&self.gpu, &bake.scene, &self.shadow, self.room.size)?;
+        if let Some(overlay) = self.overlay {
+            check_overlay(&bake, overlay)?;
+            light.make_paint(&self.gpu)?;
+        }
         let change = light.feedback().map(|feedback| ChangePass::new(&self.gpu, feedback)).transpose()?;
-        self.shade.bind(&self.gpu, &light.bindings());
-        self.gpu.check()?;
-        (self.light, self.change, self.bake, self.has_paint) = (light, change, bake, false);
+        self.shade.bind(&self.gpu, &light.bindings())?;
+        self.has_paint = self.overlay.is_some();
+        (self.light, self.change, self.bake) = (light, change, bake);
         if let Some(albedo) = self.bake.light.tinted_albedo(&self.bake.scene, &self.tints) {
             self.light.set_albedo(&self.gpu, &albedo);
         }
         (self.stale.lights, self.stale.cascades) = (true, true);
-        let overlay = self.overlay.take();
         self.write_unshadowed();
-        self.set_overlay(overlay)
+        Ok(())
     }
 
     /// Lays an overlay over surfaces, or takes it away. Errs for one that the bake's kind has not. The first one makes buffers.
@@ -373,11 +381,7 @@ impl<'a> Frame<'a> {
         if overlay == self.overlay {
             return Ok(());
         }
-        if overlay.is_some_and(|overlay| self.bake.light.overlay(overlay).is_none()) {
-            let what = format!("overlay {overlay:?}");
-            let kind = &self.bake.scene.manifest.kind;
-            return Err(ClientError::Argument { what, problem: format!("is none of kind '{kind}'") });
-        }
+        overlay.map_or(Ok(()), |overlay| check_overlay(&self.bake, overlay))?;
         if !self.has_paint {
             self.light.make_paint(&self.gpu)?;
             self.gpu.check()?;
@@ -478,6 +482,15 @@ impl<'a> Frame<'a> {
         });
         (self.stale.lights, self.stale.direct, self.stale.cascades) = (false, false, false);
     }
+}
+
+fn check_overlay(bake: &LoadedBake, overlay: Overlay) -> Result<()> {
+    if bake.light.overlay(overlay).is_some() {
+        return Ok(());
+    }
+    let what = format!("overlay {overlay:?}");
+    let kind = &bake.scene.manifest.kind;
+    Err(ClientError::Argument { what, problem: format!("is none of kind '{kind}'") })
 }
 
 /// Where suns' cascades are; none for a parallel camera, which sees all alike.

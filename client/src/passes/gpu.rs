@@ -153,7 +153,7 @@ impl Gpu {
         Self { device, queue, name, software, binding_max, opened, failure, created, stored }
     }
 
-    /// What a window's surface can do on this adapter.
+    /// Abilities of a window's surface on this adapter.
     pub fn surface_capabilities(&self, surface: &wgpu::Surface<'_>) -> wgpu::SurfaceCapabilities {
         let opened = self.opened.as_ref();
         opened.map(|opened| surface.get_capabilities(&opened.adapter)).unwrap_or_default()

@@ -158,7 +158,7 @@ fn adapter_moves_objects_and_makes_nothing_for_it() {
         kept.set_objects(&objects).unwrap();
         assert!(kept.settle(LIMIT).unwrap().1);
         kept.draw([0.25, 0.0]).unwrap();
-        assert_eq!(gpu.created(), before, "what moves makes nothing");
+        assert_eq!(gpu.created(), before, "objects that move make nothing");
         let got = drawn(&mut kept);
         let mut anew = frame();
         anew.set_objects(&objects).unwrap();

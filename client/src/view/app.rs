@@ -1,5 +1,6 @@
 //! The window: its loop, its surface, the panel over the picture, files and the clipboard.
 
+use std::io::Write as _;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -25,6 +26,8 @@ use crate::picture::write_png;
 const LAST_WEIGHT: f32 = 0.1;
 /// Most pictures of a folder that F12 writes.
 const PICTURES_MAX: u32 = 9_999;
+/// Most pictures more than were asked for, until one is whole.
+const FRAMES_MORE: u64 = 600;
 
 /// Why there may be no display, and what to do.
 const NO_DISPLAY: &str = "no display can be opened: start it in a desktop session, or set DISPLAY or WAYLAND_DISPLAY to \
@@ -139,7 +142,8 @@ struct Running {
     gpu: Arc<Gpu>,
     screen: Screen,
     drawn: u64,
-    last: Instant,
+    /// When the last picture was begun; none where the window has rested since.
+    last: Option<Instant>,
     /// When egui wants another picture.
     redraw_at: Option<Instant>,
     clipboard: Option<arboard::Clipboard>,
@@ -169,7 +173,6 @@ impl Running {
         let painter = egui_wgpu::Renderer::new(&gpu.device, screen.format(), Default::default());
         let facts = Facts { drawn_by: gpu.name.clone(), notes: options.notes.clone(), ..Facts::default() };
         screen.window.request_redraw();
-        let last = Instant::now();
         Ok(Self {
             viewer,
             egui,
@@ -180,7 +183,7 @@ impl Running {
             gpu,
             screen,
             drawn: 0,
-            last,
+            last: None,
             redraw_at: None,
             clipboard: None,
         })
@@ -207,14 +210,17 @@ impl Running {
     fn draw(&mut self) -> Result<bool> {
         self.gpu.check()?;
         self.hear()?;
+        let (last, begun) = (self.last.take(), Instant::now());
         let Some(size) = self.screen.size() else { return Ok(false) };
-        let seconds = self.last.elapsed().as_secs_f32();
-        self.last = Instant::now();
+        let seconds = last.map(|last| begun.duration_since(last).as_secs_f32());
         self.viewer.resize(size)?;
         let (wishes, mut output) = self.panel();
         let freed = self.upload(&mut output);
-        self.viewer.step(seconds)?;
-        self.facts.frame_ms += LAST_WEIGHT * (1e3 * seconds - self.facts.frame_ms);
+        // Rest is no flight, and no time of a picture.
+        self.viewer.step(seconds.unwrap_or(0.0))?;
+        if let Some(seconds) = seconds {
+            self.facts.frame_ms += LAST_WEIGHT * (1e3 * seconds - self.facts.frame_ms);
+        }
         if let Some(texture) = self.screen.next(&self.gpu)? {
             self.paint(&texture, output);
             self.screen.window.pre_present_notify();
@@ -226,21 +232,31 @@ impl Running {
             self.painter.free_texture(&id);
         }
         self.grant(wishes)?;
-        if self.options.frames.is_some_and(|frames| self.drawn >= frames) {
+        if self.is_last() {
             return self.finish().map(|()| true);
         }
         if self.viewer.is_busy() || self.options.frames.is_some() {
+            self.last = Some(begun);
             self.screen.window.request_redraw();
         }
         Ok(false)
     }
 
-    /// Takes light that has come. A server that is lost is said, and the light that there is stays.
+    /// All pictures that were asked for are drawn, and the last is whole: answers of the adapter come some pictures later.
+    fn is_last(&self) -> bool {
+        let Some(frames) = self.options.frames else { return false };
+        let is_whole = !self.viewer.is_busy() || self.drawn >= frames.saturating_add(FRAMES_MORE);
+        self.drawn >= frames && is_whole
+    }
+
+    /// Takes light that has come. A server that is lost is said, and the light that there is stays; but pictures that are counted
+    /// are of all the light, and end there.
     fn hear(&mut self) -> Result<()> {
         let Some(feed) = &mut self.feed else { return Ok(()) };
         match feed.next() {
             Ok(Some(piece)) => self.viewer.set_bake(piece.bake)?,
             Ok(None) => {}
+            Err(error) if self.options.frames.is_some() => return Err(error),
             Err(error) => self.viewer.notice = Some(format!("no more light is fetched: {error}")),
         }
         self.facts.streamed = Some(feed.streamed);
@@ -306,11 +322,12 @@ impl Running {
     fn grant(&mut self, wishes: Wishes) -> Result<()> {
         if wishes.copies {
             let (command, notes) = self.viewer.command(&self.options.bake_words);
-            println!("{command}");
-            let copied = self.copy(command);
-            let said = match copied {
-                Ok(()) => "copied, and printed".to_owned(),
-                Err(error) => format!("printed on standard output; not copied ({error})"),
+            let printed = writeln!(std::io::stdout(), "{command}");
+            let said = match (self.copy(command), printed) {
+                (Ok(()), Ok(())) => "copied, and printed".to_owned(),
+                (Ok(()), Err(error)) => format!("copied; not printed ({error})"),
+                (Err(error), Ok(())) => format!("printed on standard output; not copied ({error})"),
+                (Err(copied), Err(printed)) => format!("not copied ({copied}), and not printed ({printed})"),
             };
             self.viewer.notice = Some([vec![said], notes].concat().join("; "));
         }

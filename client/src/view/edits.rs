@@ -101,6 +101,9 @@ impl Edits {
                 notes.push(
                     "emitters differ in strength, for which there are no words: they are left out".to_owned(),
                 );
+                if self.lights.is_empty() {
+                    option("light", "emitters scale=1");
+                }
             }
             // Without any light the words would mean the bake's own.
             Some(scale) if *scale != 1.0 || self.lights.is_empty() => {
@@ -198,6 +201,7 @@ mod tests {
         let (command, notes) = edits.command("--server 'http://farm' --bake 12", &camera, [64, 48]);
         assert_eq!(notes.len(), 3, "{notes:?}");
         assert!(!command.contains("--camera"), "{command}");
+        assert!(command.contains("--light 'emitters scale=1'"), "the bake's lights stay out: {command}");
     }
 
     #[test]

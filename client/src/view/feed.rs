@@ -4,7 +4,7 @@ use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::bake::LoadedBake;
-use crate::error::Result;
+use crate::error::{ClientError, Result};
 use crate::preview::{StreamedBake, View};
 use crate::stream::Streamed;
 
@@ -27,6 +27,8 @@ pub struct Feed {
     view: Arc<Mutex<View>>,
     /// Light that has come.
     pub streamed: Streamed,
+    /// An error that came after the piece that was taken last.
+    held: Option<ClientError>,
     is_over: bool,
 }
 
@@ -42,8 +44,9 @@ impl Feed {
         let view = Arc::new(Mutex::new(view));
         let (streamed, first) = (stream.streamed(), Arc::clone(&stream.bake));
         let wanted = Arc::clone(&view);
-        std::thread::spawn(move || fetch(stream, &wanted, &sender, wake));
-        (Self { pieces, view, streamed, is_over: false }, first)
+        let step = (streamed.bytes_all / PIECES).max(PIECE_MIN);
+        std::thread::spawn(move || fetch((stream, step), &wanted, &sender, wake));
+        (Self { pieces, view, streamed, held: None, is_over: false }, first)
     }
 
     /// Fetches what this view needs most from here on.
@@ -51,12 +54,13 @@ impl Feed {
         *self.view.lock().unwrap_or_else(PoisonError::into_inner) = view;
     }
 
-    /// The last piece that has come since the last call.
+    /// The last piece that has come since the last call. An error comes after the pieces before it, and is the end.
     pub fn next(&mut self) -> Result<Option<Piece>> {
         let mut last = None;
-        loop {
+        while self.held.is_none() {
             match self.pieces.try_recv() {
-                Ok(piece) => last = Some(piece?),
+                Ok(Ok(piece)) => last = Some(piece),
+                Ok(Err(error)) => self.held = Some(error),
                 Err(TryRecvError::Empty) => break,
                 Err(TryRecvError::Disconnected) => {
                     self.is_over = true;
@@ -64,10 +68,13 @@ impl Feed {
                 }
             }
         }
-        if let Some(piece) = &last {
+        if let Some(piece) = last {
             self.streamed = piece.streamed;
+            return Ok(Some(piece));
         }
-        Ok(last)
+        let Some(error) = self.held.take() else { return Ok(None) };
+        self.is_over = true;
+        Err(error)
     }
 
     /// Nothing more will come.
@@ -76,19 +83,29 @@ impl Feed {
     }
 }
 
-/// Ends when all is there, when something is wrong, or when nobody listens any more.
-fn fetch(mut stream: StreamedBake, view: &Mutex<View>, sender: &Sender<Result<Piece>>, wake: impl Fn()) {
+/// Ends when all is there, when something is wrong, or when nobody listens any more. A piece has `step` bytes, or as many steps
+/// as its first cluster takes.
+fn fetch(
+    (mut stream, step): (StreamedBake, u64),
+    view: &Mutex<View>,
+    sender: &Sender<Result<Piece>>,
+    wake: impl Fn(),
+) {
+    let mut target = stream.streamed().bytes;
     loop {
-        let Streamed { bytes, bytes_all, clusters, clusters_all } = stream.streamed();
+        let Streamed { clusters, clusters_all, .. } = stream.streamed();
         if clusters == clusters_all {
             return;
         }
-        let step = (bytes_all / PIECES).max(PIECE_MIN);
         let view = view.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        // A cluster may be larger than a step: the last step takes whatever there is.
-        let refined = stream.refine(&view, bytes.saturating_add(step).min(bytes_all));
+        // Clusters that do not fit are left out: the target grows until they do.
+        target = target.saturating_add(step);
+        let refined = stream.refine(&view, target);
+        let goes_on = refined.is_ok();
+        if goes_on && stream.streamed().clusters == clusters {
+            continue;
+        }
         let piece = refined.map(|()| Piece { bake: Arc::clone(&stream.bake), streamed: stream.streamed() });
-        let goes_on = piece.is_ok();
         if sender.send(piece).is_err() {
             return;
         }
@@ -96,5 +113,53 @@ fn fetch(mut stream: StreamedBake, view: &Mutex<View>, sender: &Sender<Result<Pi
         if !goes_on {
             return;
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use lightkiln_proto::kinds::prt;
+    use lightkiln_proto::manifest::with_chunks;
+
+    use super::*;
+    use crate::fetch::Source;
+    use crate::fixture::write_bundle;
+    use crate::kinds;
+    use crate::tests::fixture_view;
+
+    #[test]
+    fn clusters_larger_than_a_step_come_as_well_and_every_piece_brings_some() {
+        let folder = tempfile::tempdir().unwrap();
+        write_bundle(folder.path(), prt::NAME);
+        let source = Source::bundle(folder.path()).unwrap();
+        let stream = StreamedBake::begin(&source, &kinds::all(), u64::MAX).unwrap();
+        let largest = with_chunks(&stream.bake.scene.manifest).map(|(_, chunk)| chunk.bytes).max().unwrap();
+        let all = stream.streamed().clusters_all;
+        let (sender, pieces) = channel();
+        fetch((stream, largest - 1), &Mutex::new(fixture_view().1), &sender, || {});
+        drop(sender);
+        let come: Vec<usize> = pieces.iter().map(|piece| piece.unwrap().streamed.clusters).collect();
+        assert!(come[0] > 0 && come.windows(2).all(|pair| pair[0] < pair[1]), "{come:?}");
+        assert!(come.len() > 1, "{come:?}");
+        assert_eq!(come.last(), Some(&all));
+    }
+
+    #[test]
+    fn pieces_before_an_error_are_taken_and_then_the_error_once() {
+        let (bake, view) = fixture_view();
+        let (sender, pieces) = channel();
+        let streamed = Streamed { bytes: 1, bytes_all: 2, clusters: 1, clusters_all: 2 };
+        let view = Arc::new(Mutex::new(view));
+        let mut feed = Feed { pieces, view, streamed: Streamed::default(), held: None, is_over: false };
+        assert!(feed.next().unwrap().is_none());
+        sender.send(Ok(Piece { bake: Arc::new(bake), streamed })).unwrap();
+        let what = "the server".to_owned();
+        sender.send(Err(ClientError::Argument { what, problem: "is lost".to_owned() })).unwrap();
+        drop(sender);
+        assert!(feed.next().unwrap().is_some());
+        assert!(feed.streamed == streamed && !feed.is_over());
+        let problem = feed.next().err().unwrap().to_string();
+        assert!(problem.contains("is lost") && feed.is_over(), "{problem}");
+        assert!(feed.next().unwrap().is_none() && feed.is_over());
     }
 }

@@ -86,8 +86,11 @@ impl Fly {
         let turned = Quat::from_axis_angle(up, -pixels.x * RADIANS_A_PIXEL) * forward;
         let right = turned.cross(up).normalize_or(Vec3::X);
         let tilted = Quat::from_axis_angle(right, -pixels.y * RADIANS_A_PIXEL) * turned;
+        // A camera that is steeper, as a bake's may be, can only become less so.
+        let slope = tilted.dot(up).abs();
+        let is_level = slope < SLOPE_MAX || slope < turned.dot(up).abs();
         // Beyond the zenith the picture would stand on its head.
-        let is_upright = tilted.dot(up).abs() < SLOPE_MAX && tilted.cross(up).dot(right) > 0.0;
+        let is_upright = is_level && tilted.cross(up).dot(right) > 0.0;
         let forward = if is_upright { tilted } else { turned };
         self.camera.target_m = (eye + forward * ahead.length()).into();
     }
@@ -196,6 +199,20 @@ mod tests {
         assert_eq!(fly.camera().eye_m, [0.0, 1.0, 5.0]);
         fly.key(Key::Home, true);
         assert_eq!(*fly.camera(), fly.home);
+    }
+
+    #[test]
+    fn camera_that_looks_straight_down_or_up_can_look_away() {
+        for (ahead, pixels) in [(-5.0, -2.0), (5.0, 2.0)] {
+            let home = SceneCamera { target_m: [0.0, 1.0 + ahead, 5.0], ..fly().home };
+            let mut fly = Fly::new(home, 10.0);
+            fly.look(Vec2::new(0.0, -pixels));
+            assert_eq!(forward(&fly).y.abs(), 1.0, "over the head it stays");
+            for _ in 0..100 {
+                fly.look(Vec2::new(0.0, pixels));
+            }
+            assert!(forward(&fly).y.abs() < 0.8, "{}", forward(&fly));
+        }
     }
 
     #[test]

@@ -99,6 +99,12 @@ pub fn handles(lights: &[SceneLight], lens: &Lens, ball: Ball) -> Vec<Handle> {
     found
 }
 
+/// Those that are shown and can be taken: an aim is so with its light, when that is chosen.
+pub fn shown(mut handles: Vec<Handle>, chosen: Option<usize>) -> Vec<Handle> {
+    handles.retain(|handle| handle.part != Part::Aim || chosen == Some(handle.light));
+    handles
+}
+
 /// The handle at a pixel.
 pub fn at(handles: &[Handle], pixel: Vec2) -> Option<Handle> {
     let near = handles.iter().filter(|handle| handle.pixel.distance(pixel) <= REACH);
@@ -270,6 +276,20 @@ mod tests {
         assert_eq!(pixel_of(&light, Part::Place), place);
         let aim = pixel_of(&light, Part::Aim) - place;
         assert!(aim.x > 70.0 && aim.y.abs() < 3.0, "{aim}");
+    }
+
+    #[test]
+    fn aims_are_there_with_lights_that_are_chosen() {
+        let (_, lens, ball) = stage();
+        let light = parse_light("spot pos=0,1,0 dir=0,-1,0 power=5").unwrap();
+        let all = handles(&[light.clone(), light], &lens, ball);
+        let aims = |chosen| -> Vec<usize> {
+            let shown = shown(all.clone(), chosen);
+            assert_eq!(shown.iter().filter(|handle| handle.part == Part::Place).count(), 2);
+            shown.iter().filter(|handle| handle.part == Part::Aim).map(|handle| handle.light).collect()
+        };
+        assert_eq!(aims(None), [0; 0]);
+        assert_eq!(aims(Some(1)), [1]);
     }
 
     #[test]

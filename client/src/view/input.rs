@@ -59,12 +59,13 @@ pub enum Button {
 }
 
 impl Input {
-    /// What an event of a window means to the viewer, if anything. Keys are those of their places, whatever is printed on them.
+    /// Meaning of a window's event to the viewer, if it has one. Keys are those of their places, whatever is printed on them.
     pub fn of(event: &WindowEvent) -> Option<Self> {
         match event {
-            WindowEvent::KeyboardInput { event, .. } => {
+            WindowEvent::KeyboardInput { event, is_synthetic, .. } => {
                 let PhysicalKey::Code(code) = event.physical_key else { return None };
-                Some(Self::Key(Key::of(code)?, event.state == ElementState::Pressed))
+                let is_down = event.state == ElementState::Pressed;
+                Self::of_key(Key::of(code)?, is_down, event.repeat || *is_synthetic)
             }
             WindowEvent::CursorMoved { position, .. } => {
                 Some(Self::Pointer(Vec2::new(position.x as f32, position.y as f32)))
@@ -84,6 +85,12 @@ impl Input {
             WindowEvent::Focused(false) => Some(Self::Release),
             _ => None,
         }
+    }
+
+    /// A key as the viewer takes it. A press that only says that it is still down does nothing once more.
+    fn of_key(key: Key, is_down: bool, is_still: bool) -> Option<Self> {
+        let is_once = matches!(key, Key::Panel | Key::Picture | Key::Delete);
+        (!(is_down && is_still && is_once)).then_some(Self::Key(key, is_down))
     }
 
     /// Something ends: it counts even where the panel has keyboard and pointer.
@@ -108,5 +115,20 @@ impl Key {
             KeyCode::F12 => Self::Picture,
             _ => return None,
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keys_that_are_held_do_once_what_they_do_and_fly_on() {
+        for key in [Key::Panel, Key::Picture, Key::Delete] {
+            assert_eq!(Input::of_key(key, true, false), Some(Input::Key(key, true)));
+            assert_eq!(Input::of_key(key, true, true), None);
+            assert_eq!(Input::of_key(key, false, true), Some(Input::Key(key, false)));
+        }
+        assert_eq!(Input::of_key(Key::Forward, true, true), Some(Input::Key(Key::Forward, true)));
     }
 }

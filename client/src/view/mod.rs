@@ -49,7 +49,8 @@ pub struct Options {
     pub notes: Vec<String>,
     /// The panel is open at first.
     pub has_panel: bool,
-    /// Closes the window after so many pictures with all the light that is to come.
+    /// Closes the window after so many pictures with all the light that is to come, or some later, when the last is whole. A
+    /// server that is lost before is an error then.
     pub frames: Option<u64>,
     /// Writes the last picture as PNG when the window closes.
     pub screenshot: Option<PathBuf>,

@@ -2,7 +2,7 @@
 
 use std::ops::RangeInclusive;
 
-use egui::{Color32, Context, DragValue, Pos2, Slider, Stroke, Ui};
+use egui::{Color32, Context, DragValue, Pos2, Response, Slider, SliderClamping, Stroke, Ui};
 use glam::Vec3;
 use lightkiln_proto::scene::{LightKind, SceneLight};
 
@@ -17,6 +17,10 @@ use crate::stream::Streamed;
 const HANDLE: f32 = 7.0;
 /// Stops of exposure either way.
 const STOPS: RangeInclusive<f32> = -16.0..=16.0;
+/// Largest strength that is set here.
+const STRENGTH_MAX: f32 = 1e7;
+/// Largest elevation in degrees that is set here: straight up has no azimuth.
+const ELEVATION_MAX: f32 = 89.9;
 /// Least strength that a colour is told of.
 const DARK: f32 = 1e-9;
 
@@ -62,10 +66,6 @@ fn paint_handles(ctx: &Context, viewer: &Viewer) {
     for handle in &handles {
         let is_chosen = viewer.chosen == Some(handle.light);
         let Some(light) = viewer.edits.lights.get(handle.light) else { continue };
-        // An aim is shown with its light, when that is chosen.
-        if handle.part == Part::Aim && !is_chosen {
-            continue;
-        }
         let at = point(handle.pixel);
         let rim = Stroke::new(2.0, if is_chosen { Color32::WHITE } else { Color32::from_gray(40) });
         let place = handles.iter().find(|other| other.light == handle.light && other.part == Part::Place);
@@ -103,7 +103,7 @@ fn contents(ui: &mut Ui, viewer: &mut Viewer, facts: &Facts) -> Wishes {
     if !emitters.is_empty() {
         section(ui, "Lamps of the scene", false, |ui| {
             for (scale, name) in viewer.edits.emitters.iter_mut().zip(emitters) {
-                ui.add(Slider::new(scale, 0.0..=100.0).logarithmic(true).text(name));
+                slider(ui, scale, 0.0..=100.0, |slider| slider.logarithmic(true).text(name));
             }
         });
     }
@@ -143,7 +143,6 @@ fn state(ui: &mut Ui, viewer: &Viewer, facts: &Facts) {
 
 fn lights(ui: &mut Ui, viewer: &mut Viewer) {
     let mut removed = None;
-    let is_dragging = ui.ctx().input(|input| input.pointer.any_down());
     for index in 0..viewer.edits.lights.len() {
         let is_chosen = viewer.chosen == Some(index);
         let light = &mut viewer.edits.lights[index];
@@ -157,7 +156,7 @@ fn lights(ui: &mut Ui, viewer: &mut Viewer) {
                     removed = Some(index);
                 }
             });
-            controls(ui, light, is_dragging);
+            controls(ui, light);
         });
     }
     if let Some(index) = removed {
@@ -192,7 +191,36 @@ fn parts(strength: [f32; 3]) -> ([f32; 3], f32) {
     if most < DARK { ([1.0; 3], 0.0) } else { (strength.map(|channel| channel / most), most) }
 }
 
-fn controls(ui: &mut Ui, light: &mut SceneLight, is_dragging: bool) {
+/// A slider. A value beyond its range stays until the user changes it.
+fn slider(
+    ui: &mut Ui,
+    value: &mut f32,
+    range: RangeInclusive<f32>,
+    dressed: impl FnOnce(Slider<'_>) -> Slider<'_>,
+) {
+    let [least, most] = [*range.start(), *range.end()];
+    let bare = Slider::new(value, range).clamping(SliderClamping::Edits);
+    if ui.add(dressed(bare)).changed() {
+        *value = value.clamp(least, most);
+    }
+}
+
+/// A number to drag. A value beyond its range stays until the user changes it: by arrow keys past the range too, so callers clamp.
+fn number(value: &mut f32, speed: f64) -> DragValue<'_> {
+    DragValue::new(value).speed(speed).clamp_existing_to_range(false)
+}
+
+/// A button of a colour, which stays bit for bit until the user changes it.
+fn colour_button(ui: &mut Ui, colour: &mut [f32; 3]) -> Response {
+    let mut shown = *colour;
+    let response = ui.color_edit_button_rgb(&mut shown);
+    if response.changed() {
+        *colour = shown;
+    }
+    response
+}
+
+fn controls(ui: &mut Ui, light: &mut SceneLight) {
     let unit = match light.kind {
         LightKind::Point { .. } | LightKind::Spot { .. } => " W/sr",
         LightKind::Sun { .. } => " W/m²",
@@ -200,18 +228,20 @@ fn controls(ui: &mut Ui, light: &mut SceneLight, is_dragging: bool) {
     };
     ui.horizontal(|ui| {
         if let LightKind::Sky { zenith, horizon } = &mut light.kind {
-            ui.color_edit_button_rgb(zenith).on_hover_text("straight up");
-            ui.color_edit_button_rgb(horizon).on_hover_text("at the horizon");
+            colour_button(ui, zenith).on_hover_text("straight up");
+            colour_button(ui, horizon).on_hover_text("at the horizon");
         }
         let (mut colour, mut factor) = parts(light.strength);
         let mut is_changed = match light.kind {
             LightKind::Sky { .. } => false,
             // A light that is off has a colour again when it is on.
-            _ => factor > 0.0 && ui.color_edit_button_rgb(&mut colour).changed(),
+            _ => factor > 0.0 && colour_button(ui, &mut colour).changed(),
         };
         let speed = 0.01 * f64::from(factor.max(0.1));
-        let strength = DragValue::new(&mut factor).speed(speed).range(0.0..=1e7).suffix(unit);
-        is_changed |= ui.add(strength).changed();
+        if ui.add(number(&mut factor, speed).range(0.0..=STRENGTH_MAX).suffix(unit)).changed() {
+            factor = factor.clamp(0.0, STRENGTH_MAX);
+            is_changed = true;
+        }
         if is_changed {
             light.strength = colour.map(|channel| channel * factor);
         }
@@ -220,16 +250,10 @@ fn controls(ui: &mut Ui, light: &mut SceneLight, is_dragging: bool) {
         LightKind::Point { position_m, .. } => place(ui, position_m),
         LightKind::Spot { position_m, direction, inner_rad, outer_rad, .. } => {
             place(ui, position_m);
-            angles(ui, direction, is_dragging);
-            ui.horizontal(|ui| {
-                ui.label("cone");
-                ui.drag_angle(inner_rad);
-                ui.drag_angle(outer_rad);
-            });
-            *outer_rad = outer_rad.clamp(0.002, std::f32::consts::FRAC_PI_2);
-            *inner_rad = inner_rad.clamp(0.0, *outer_rad);
+            angles(ui, direction);
+            cone(ui, inner_rad, outer_rad);
         }
-        LightKind::Sun { direction } => angles(ui, direction, is_dragging),
+        LightKind::Sun { direction } => angles(ui, direction),
         LightKind::Sky { .. } => {}
     }
 }
@@ -237,20 +261,35 @@ fn controls(ui: &mut Ui, light: &mut SceneLight, is_dragging: bool) {
 fn place(ui: &mut Ui, place_m: &mut [f32; 3]) {
     ui.horizontal(|ui| {
         for axis in place_m {
-            ui.add(DragValue::new(axis).speed(0.02).suffix(" m"));
+            ui.add(number(axis, 0.02).suffix(" m"));
+        }
+    });
+}
+
+fn cone(ui: &mut Ui, inner_rad: &mut f32, outer_rad: &mut f32) {
+    ui.horizontal(|ui| {
+        ui.label("cone");
+        let inner = ui.drag_angle(inner_rad).changed();
+        let outer = ui.drag_angle(outer_rad).changed();
+        if inner || outer {
+            *outer_rad = outer_rad.clamp(0.002, std::f32::consts::FRAC_PI_2);
+            *inner_rad = inner_rad.clamp(0.0, *outer_rad);
         }
     });
 }
 
 /// A direction as the place in the sky that light comes from: azimuth and elevation.
-fn angles(ui: &mut Ui, direction: &mut [f32; 3], _is_dragging: bool) {
+fn angles(ui: &mut Ui, direction: &mut [f32; 3]) {
     let from = -Vec3::from(*direction).normalize_or(Vec3::NEG_Y);
     let mut azimuth = from.x.atan2(from.z).to_degrees();
     let mut elevation = from.y.clamp(-1.0, 1.0).asin().to_degrees();
     ui.horizontal(|ui| {
-        let around = ui.add(DragValue::new(&mut azimuth).speed(0.5).suffix("° around"));
-        let up = ui.add(DragValue::new(&mut elevation).speed(0.5).range(-89.9..=89.9).suffix("° up"));
-        if around.changed() || up.changed() {
+        let range = -ELEVATION_MAX..=ELEVATION_MAX;
+        let around = ui.add(number(&mut azimuth, 0.5).suffix("° around")).changed();
+        let up = ui.add(number(&mut elevation, 0.5).range(range).suffix("° up")).changed();
+        if around || up {
+            // An edit ends below straight up, where an azimuth counts.
+            elevation = elevation.clamp(-ELEVATION_MAX, ELEVATION_MAX);
             let (azimuth, elevation) = (azimuth.to_radians(), elevation.to_radians());
             let level = elevation.cos();
             let from = Vec3::new(level * azimuth.sin(), elevation.sin(), level * azimuth.cos());
@@ -268,10 +307,10 @@ fn exposure(ui: &mut Ui, viewer: &mut Viewer) {
     }
     match &mut edits.exposure {
         Exposure::Auto { stops } => {
-            ui.add(Slider::new(stops, STOPS).text("stops above"));
+            slider(ui, stops, STOPS, |slider| slider.text("stops above"));
         }
         Exposure::Fixed(factor) => {
-            ui.add(Slider::new(factor, 1e-6..=1e6).logarithmic(true).text("factor"));
+            slider(ui, factor, 1e-6..=1e6, |slider| slider.logarithmic(true).text("factor"));
         }
     }
     ui.horizontal(|ui| {
@@ -288,7 +327,7 @@ fn materials(ui: &mut Ui, edits: &mut Edits) {
                 ui.label(format!("{} (glass: its colour is baked)", colour.material));
                 return;
             }
-            ui.color_edit_button_rgb(&mut colour.now);
+            colour_button(ui, &mut colour.now);
             ui.label(&colour.material);
             if colour.now != colour.baked && ui.small_button("as baked").clicked() {
                 colour.now = colour.baked;
@@ -305,7 +344,9 @@ fn overlay(ui: &mut Ui, viewer: &mut Viewer, facts: &Facts) {
     if let Some(Streamed { clusters, .. }) = facts.streamed {
         let residency = Overlay::Residency { clusters };
         let is_chosen = matches!(chosen, Some(Overlay::Residency { .. }));
-        if ui.radio(is_chosen, "what has come: green is here, red is the overview").clicked() || is_chosen {
+        if ui.radio(is_chosen, "light that has come: green is here, red is the overview").clicked()
+            || is_chosen
+        {
             *chosen = Some(residency);
         }
     }
@@ -326,4 +367,46 @@ fn times(ui: &mut Ui, viewer: &Viewer, facts: &Facts) {
             ui.end_row();
         }
     });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lights::parse_light;
+
+    /// Shows controls for some pictures, without a user.
+    fn shown(mut add: impl FnMut(&mut Ui)) {
+        let ctx = Context::default();
+        for _ in 0..3 {
+            let mut output = ctx.run_ui(egui::RawInput::default(), &mut add);
+            output.textures_delta.clear();
+        }
+    }
+
+    #[test]
+    fn lights_that_are_shown_stay_as_they_are() {
+        let mut steep = parse_light("spot pos=1,2,3 dir=0,-1,0 power=5").unwrap();
+        if let LightKind::Spot { inner_rad, outer_rad, .. } = &mut steep.kind {
+            (*inner_rad, *outer_rad) = (0.0, 1e-4);
+        }
+        let mut bright = parse_light("sun dir=0,-1,0 irradiance=3").unwrap();
+        bright.strength = [3e8, 0.3, 1.0 / 3.0];
+        let sky = parse_light("sky zenith=0.1,0.7,0.3 horizon=0.3,0.123,0.7 strength=0.7").unwrap();
+        for wanted in [steep, bright, sky] {
+            let mut light = wanted.clone();
+            shown(|ui| controls(ui, &mut light));
+            assert_eq!(light, wanted);
+        }
+    }
+
+    #[test]
+    fn numbers_and_colours_that_are_shown_stay_as_they_are() {
+        let (mut stops, mut scale, mut colour) = (-20.0, 250.0, [0.123, 0.7, 0.3]);
+        shown(|ui| {
+            slider(ui, &mut stops, STOPS, |slider| slider.text("stops above"));
+            slider(ui, &mut scale, 0.0..=100.0, |slider| slider.logarithmic(true).text("lamp"));
+            colour_button(ui, &mut colour);
+        });
+        assert_eq!((stops, scale, colour), (-20.0, 250.0, [0.123, 0.7, 0.3]));
+    }
 }

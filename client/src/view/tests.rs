@@ -151,7 +151,7 @@ fn adapter_follows_lights_that_come_and_go_colours_and_overlays() {
     viewer.edits.colours[0].now = [0.9, 0.05, 0.05];
     settle(&mut viewer);
     assert!(difference(&seen[0], &viewer.picture().unwrap()) > 2.0);
-    // What cannot be is refused, said, and taken back.
+    // An edit that cannot be is refused, said, and taken back.
     viewer.edits.emitters = vec![-1.0];
     settle(&mut viewer);
     assert!(viewer.notice.take().is_some_and(|notice| notice.contains("negative")));

@@ -1,4 +1,4 @@
-//! What a window shows, without the window: input and edits in, pictures out, one bounce each, and no wait in between.
+//! State and pictures of a window, without the window: input and edits in, pictures out, one bounce each, and no wait in between.
 
 use std::sync::Arc;
 
@@ -154,10 +154,10 @@ impl Viewer {
         Lens::new(self.camera(), self.size, self.bake.scene.manifest.bounds_m).ok()
     }
 
-    /// Handles of lights in the picture.
+    /// Handles of lights in the picture; aims are those of the chosen light.
     pub fn handles(&self) -> Vec<Handle> {
-        let ball = self.ball();
-        self.lens().map(|lens| handles::handles(&self.edits.lights, &lens, ball)).unwrap_or_default()
+        let Some(lens) = self.lens() else { return Vec::new() };
+        handles::shown(handles::handles(&self.edits.lights, &lens, self.ball()), self.chosen)
     }
 
     /// The ball that suns lie on.

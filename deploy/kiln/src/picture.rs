@@ -22,7 +22,7 @@ use crate::failure::{Failure, Result};
 use crate::reel::{Drawn, PassRow, Reel, numbered};
 use crate::switched_off::SwitchedOff;
 
-/// What to draw, and how it looks.
+/// The picture to draw, and how it looks.
 #[derive(Args, Clone, Debug)]
 pub struct LookArguments {
     /// Camera of the picture, e.g. "eye=0,1.6,4 target=0,1,0 fov=50" (metres, degrees) [default: the scene's first,

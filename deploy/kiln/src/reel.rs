@@ -35,7 +35,7 @@ pub struct ReelArguments {
     object: Vec<ObjectArgument>,
 }
 
-/// What is drawn of a bake.
+/// Pictures to draw of a bake.
 #[derive(Debug, Default)]
 pub struct Reel {
     /// Bytes of light to fetch; all without.

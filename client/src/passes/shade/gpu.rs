@@ -147,25 +147,23 @@ impl ShadePass {
         self.panes.set(index as u32, mesh);
     }
 
-    /// Makes targets of another size; the resources of shading's bindings may be others too.
-    pub fn resize(
-        &mut self,
-        gpu: &Gpu,
-        size: [u32; 2],
-        resources: &[wgpu::BindingResource<'_>],
-    ) -> Result<()> {
+    /// Makes targets of another size. Errs, and changes nothing, where the adapter cannot.
+    pub fn resize(&mut self, gpu: &Gpu, size: [u32; 2]) -> Result<()> {
         check_size(gpu, size)?;
         let (target, depth) = create_targets(gpu, size);
-        self.target_view = target.create_view(&wgpu::TextureViewDescriptor::default());
-        (self.target, self.depth) = (target, depth);
-        self.bind(gpu, resources);
+        let target_view = target.create_view(&wgpu::TextureViewDescriptor::default());
+        gpu.check()?;
+        (self.target, self.target_view, self.depth) = (target, target_view, depth);
         Ok(())
     }
 
-    /// Binds other resources for shading.
-    pub fn bind(&mut self, gpu: &Gpu, resources: &[wgpu::BindingResource<'_>]) {
+    /// Binds other resources for shading. Errs, and changes nothing, where anything has gone wrong so far.
+    pub fn bind(&mut self, gpu: &Gpu, resources: &[wgpu::BindingResource<'_>]) -> Result<()> {
         let resources = [&[self.view.as_entire_binding()], resources].concat();
-        self.view_group = gpu.bind(&self.view_layout, &resources);
+        let view_group = gpu.bind(&self.view_layout, &resources);
+        gpu.check()?;
+        self.view_group = view_group;
+        Ok(())
     }
 
     /// The sample drawn last: rgb radiance, alpha 1 on surfaces.

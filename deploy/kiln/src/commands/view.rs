@@ -23,8 +23,8 @@ pub struct Arguments {
     /// Opens the window without the panel, which F1 shows
     #[arg(long, help_heading = "Window")]
     no_panel: bool,
-    /// Closes the window after so many pictures, each with a bounce more until light has settled; those before all light
-    /// has come from a server do not count
+    /// Closes the window after so many pictures, each with a bounce more until light has settled, or as soon after them as the
+    /// picture is whole; those before all light has come from a server do not count, and a server that is lost is an error
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..), help_heading = "Window")]
     frames: Option<u64>,
     /// Writes the last picture when the window closes, without the panel
