@@ -22,15 +22,16 @@ const KEY_VALUES_MAX: usize = 1 << 12;
 /// error of the animation that is played.
 pub(super) fn lengths_s(context: &mut Context<'_>) -> Vec<f32> {
     let root = context.root;
-    let length_of = |context: &mut Context<'_>, clip: usize| {
+    let mut lengths_s = vec![0.0_f32; root.animations.len()];
+    for (clip, length_s) in lengths_s.iter_mut().enumerate() {
         let animation = &root.animations[clip];
-        let channels = animation.channels.iter().filter(|channel| is_known(channel));
-        channels.fold(0.0_f32, |length_s, channel| {
-            let end_s = Keys::open(context, clip, animation, channel).map(|keys| keys.time_s(keys.count - 1));
-            length_s.max(end_s.unwrap_or(0.0))
-        })
-    };
-    (0..root.animations.len()).map(|clip| length_of(context, clip)).collect()
+        for channel in animation.channels.iter().filter(|channel| is_known(channel)) {
+            if let Ok(keys) = Keys::open(context, clip, animation, channel) {
+                *length_s = length_s.max(keys.time_s(keys.count - 1));
+            }
+        }
+    }
+    lengths_s
 }
 
 /// Channels of other targets than nodes' are passed over, as the format asks.

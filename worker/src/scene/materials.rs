@@ -67,6 +67,11 @@ impl MaterialTable {
         (self.materials, self.images)
     }
 
+    /// The table for meshes alone, which name no image.
+    pub(super) fn without_images(self) -> Self {
+        Self { images: Vec::new(), ..self }
+    }
+
     /// Index of the material that a primitive names, or of glTF's default one, appended on first need.
     pub(super) fn index_of(
         &mut self,
