@@ -12,6 +12,7 @@
 //! does: an adapter that is slower than the caller falls behind.
 
 mod held;
+mod objects;
 #[cfg(test)]
 mod tests;
 
@@ -29,7 +30,7 @@ use crate::passes::shade::{ShadePass, ShadeView};
 use crate::passes::shadow::{Eye, ShadowPass, ShadowPlan, ShadowRoom};
 use crate::passes::stopwatch::Stopwatch;
 use crate::picture::PassTime;
-use crate::scene::{PosedDraw, Recolour, Stance, Tints, bounds_of, check_stances};
+use crate::scene::{Recolour, Stance, Tints, bounds_of};
 
 pub use held::Held;
 
@@ -202,38 +203,6 @@ impl<'a> Frame<'a> {
         self.shade.set_looks(&self.gpu, scene, &self.tints, &self.emitter_scale);
         // Near hits have albedo and light from lights in one sum.
         (self.stale.direct, self.stale.pages) = (true, true);
-        self.bounces = Bounces::default();
-        Ok(())
-    }
-
-    /// Moves objects; those without a stance are at rest. Their shadows fall on all that lights reach, and so on the light that bounces.
-    /// Vertices of objects that moved are made and written anew.
-    pub fn set_objects(&mut self, stances: &[Stance]) -> Result<()> {
-        let scene = &self.bake.scene;
-        check_stances(scene, stances)?;
-        let mut wanted = stances.to_vec();
-        wanted.resize(scene.objects(), Stance::default());
-        let mut moved: Vec<PosedDraw> = Vec::new();
-        let mut object_bounds_m = self.object_bounds_m.clone();
-        for (index, stance) in
-            wanted.iter().enumerate().filter(|(index, stance)| self.stances[*index] != **stance)
-        {
-            let posed = scene.posed_object(index, stance)?;
-            object_bounds_m[index] = bounds_of(&posed);
-            moved.extend(posed);
-        }
-        if moved.is_empty() {
-            return Ok(());
-        }
-        let bounds_m = scene.bounds_with(object_bounds_m.iter().copied());
-        let plan = ShadowPlan::within(&self.room.shadows, &self.casters, bounds_m, eye_of(&self.camera))?;
-        for (index, mesh) in &moved {
-            self.shade.move_mesh(&self.gpu, &self.meshes, *index, mesh);
-        }
-        (self.stances, self.object_bounds_m, self.bounds_m, self.plan) =
-            (wanted, object_bounds_m, bounds_m, plan);
-        self.shadow.set(&self.gpu, &self.plan);
-        self.stale = Stale { lights: true, cascades: true, pages: true, ..self.stale };
         self.bounces = Bounces::default();
         Ok(())
     }
