@@ -22,6 +22,8 @@ use crate::farm::Farm;
 const MAX_JSON_BYTES: usize = 1 << 20;
 /// Bytes under a digest never change.
 const FOREVER: &str = "public, max-age=31536000, immutable";
+/// The same of bytes that a token opened: no cache that callers share may keep them.
+const FOREVER_PRIVATE: &str = "private, max-age=31536000, immutable";
 
 /// Plain bytes, as the description has them.
 pub(super) enum Binary {}
@@ -154,7 +156,7 @@ pub(super) async fn head_scene(
     PathParam(digest): PathParam<Digest>,
     headers: HeaderMap,
 ) -> Result<Response> {
-    serve_bytes(&farm, digest, &Method::HEAD, &headers, "application/octet-stream", FOREVER).await
+    serve_bytes(&farm, digest, &Method::HEAD, &headers, "application/octet-stream", forever(&headers)).await
 }
 
 /// Gives a chunk, whole or in part.
@@ -174,7 +176,7 @@ pub(super) async fn get_chunk(
     method: Method,
     headers: HeaderMap,
 ) -> Result<Response> {
-    serve_bytes(&farm, digest, &method, &headers, "application/octet-stream", FOREVER).await
+    serve_bytes(&farm, digest, &method, &headers, "application/octet-stream", forever(&headers)).await
 }
 
 /// Says whether a chunk is stored, and how long it is.
@@ -186,7 +188,11 @@ pub(super) async fn head_chunk(
     PathParam(digest): PathParam<Digest>,
     headers: HeaderMap,
 ) -> Result<Response> {
-    serve_bytes(&farm, digest, &Method::HEAD, &headers, "application/octet-stream", FOREVER).await
+    serve_bytes(&farm, digest, &Method::HEAD, &headers, "application/octet-stream", forever(&headers)).await
+}
+
+fn forever(headers: &HeaderMap) -> &'static str {
+    if headers.contains_key(header::AUTHORIZATION) { FOREVER_PRIVATE } else { FOREVER }
 }
 
 /// Answers GET or HEAD of stored bytes, with conditions and ranges.

@@ -29,6 +29,9 @@ async fn chunk_is_stored_once_and_served_for_ever() {
         assert_eq!(answer.header("content-length"), Some("100000"));
         assert_eq!(answer.header("accept-ranges"), Some("bytes"));
         assert!(method == "HEAD" || answer.body == bytes);
+        // Bytes that a token opened are for no cache that callers share.
+        let opened = server.call(method, &path, &[("Authorization", "Bearer any")], b"").await;
+        assert_eq!(opened.header("cache-control"), Some("private, max-age=31536000, immutable"));
     }
 }
 

@@ -20,6 +20,7 @@ mod files;
 mod keeper;
 #[allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 mod relighting;
+mod shown;
 mod viewing;
 
 use std::path::{Path, PathBuf};

@@ -1,0 +1,87 @@
+//! A finished bake as a farm's page shows it: the program's own server with its pages and their policy, a worker, and the picture.
+
+use std::io::{BufRead as _, BufReader};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use serde_json::{Value, json};
+
+use super::driver::Browser;
+use super::root;
+
+/// Longest that all light may take.
+const LIMIT: Duration = Duration::from_secs(180);
+/// Words over the picture when it is done; they are hidden then.
+const DONE: &str = "all light is here";
+
+/// A process that is killed with the test.
+struct Running(Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        // It may have ended by itself.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+fn program(folder: &Path) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_kiln-ambient"));
+    command.current_dir(folder).env("KILN_STATE", folder.join("state")).env_remove("KILN_TOKEN");
+    command
+}
+
+/// A farm of one server and one worker; its address.
+fn farm(folder: &Path) -> ([Running; 2], String) {
+    let mut server = program(folder);
+    server.args(["server", "--listen", "127.0.0.1:0", "--state", "farm"]).stdout(Stdio::piped());
+    let mut server = Running(server.spawn().expect("a server"));
+    let mut line = String::new();
+    let told = server.0.stdout.take().expect("its words");
+    BufReader::new(told).read_line(&mut line).expect("a line");
+    let url = line.trim().strip_prefix("listening on ").expect("an address").to_owned();
+    let mut worker = program(folder);
+    let worker = Running(worker.args(["worker", "--server", &url]).spawn().expect("a worker"));
+    ([server, worker], url)
+}
+
+/// Bakes Cornell on the farm; the bake's id.
+fn bake(folder: &Path, url: &str) -> String {
+    let scene = root().join("tests/scenes/cornell.glb");
+    let mut bake = program(folder);
+    bake.arg("bake").arg(scene).args(["--server", url, "--preset", "draft", "--out", "out", "--json"]);
+    bake.args(["--set", "receivers_target=400", "--set", "transport_rays=64"]);
+    let output = bake.output().expect("a bake");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let listed = program(folder).args(["list", "--server", url, "--json"]).output().expect("a list");
+    let listed: Value = serde_json::from_slice(&listed.stdout).expect("JSON");
+    let bakes = listed.as_array().or_else(|| listed["bakes"].as_array()).expect("bakes");
+    bakes[0]["id"].as_str().expect("an id").to_owned()
+}
+
+#[test]
+#[ignore = "needs chromium"]
+fn chromium_shows_a_finished_bake_of_a_farm_as_its_server_hands_it_out() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (_farm, url) = farm(folder.path());
+    let id = bake(folder.path(), &url);
+    let browser = Browser::start();
+    browser.open(&format!("{url}/#/bakes/{id}"));
+    let words =
+        "return document.querySelector('.over')?.textContent ?? document.querySelector('main').innerText";
+    let start = Instant::now();
+    loop {
+        let found = browser.script(words, json!([]));
+        let found = found.as_str().unwrap_or_default();
+        if found == DONE {
+            break;
+        }
+        assert!(start.elapsed() < LIMIT, "the picture is never done: {found}");
+    }
+    let shown = "const text = document.querySelector('main').innerText;
+        const canvas = document.querySelector('canvas');
+        return [text.includes('Report'), text.includes('Lamp brightness'), canvas.width > 0 && canvas.height > 0,
+            performance.getEntriesByType('resource').every(({ name }) => name.startsWith(location.origin))]";
+    assert_eq!(browser.script(shown, json!([])), json!([true, true, true, true]));
+}
