@@ -38,7 +38,7 @@ impl ObjectShape for Rigid {
 /// An object, to be put beside a bake. Its materials and textures have their own numbers, from 0.
 #[derive(Clone, Debug)]
 pub struct Object {
-    /// Name for messages.
+    /// Name for messages, and for words of a command line: the file, if it is of one.
     pub name: String,
     /// Materials; an emissive one is drawn bright, and lights nothing.
     pub materials: Vec<Material>,
@@ -95,6 +95,20 @@ impl LoadedScene {
         self.textures.extend(textures.into_iter().map(Arc::new));
         self.objects.push(placed);
         Ok(())
+    }
+
+    /// Names of objects, in their order.
+    pub fn object_names(&self) -> impl Iterator<Item = &str> {
+        self.objects.iter().map(|object| object.name.as_str())
+    }
+
+    /// Materials of the bake itself: those of objects come behind them.
+    pub fn own_materials(&self) -> &[Material] {
+        let own = self
+            .objects
+            .first()
+            .map_or(self.manifest.materials.len(), |object| object.first_material as usize);
+        &self.manifest.materials[..own]
     }
 
     /// Number of objects.
@@ -303,6 +317,7 @@ mod tests {
         let last = scene.manifest.materials.last().unwrap();
         assert_eq!(last.base_colour_texture.as_ref().unwrap().texture as usize, textures + 1);
         assert_eq!(last.emitter, None);
+        assert_eq!((scene.own_materials().len(), scene.object_names().count()), (materials, 2));
         chair.textures.clear();
         let error = scene.add_object(chair).unwrap_err().to_string();
         assert!(error.contains("texture 0 of 0") && scene.objects() == 2, "{error}");

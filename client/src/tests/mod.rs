@@ -7,7 +7,7 @@ mod factors;
 mod formula;
 mod glass;
 mod light;
-mod objects;
+pub(crate) mod objects;
 mod receivers;
 mod shaders;
 mod shadows;

@@ -54,7 +54,7 @@ fn material(glass: Option<Glass>) -> Material {
     }
 }
 
-fn with_cube(mut bake: LoadedBake, glass: Option<Glass>) -> LoadedBake {
+pub(crate) fn with_cube(mut bake: LoadedBake, glass: Option<Glass>) -> LoadedBake {
     let shape = Arc::new(Rigid(vec![cube()]));
     let object =
         Object { name: "cube".to_owned(), materials: vec![material(glass)], textures: Vec::new(), shape };
@@ -63,13 +63,13 @@ fn with_cube(mut bake: LoadedBake, glass: Option<Glass>) -> LoadedBake {
 }
 
 /// The fixture's room under a lamp alone.
-fn lamp_view() -> (LoadedBake, View) {
+pub(crate) fn lamp_view() -> (LoadedBake, View) {
     let (bake, view) = fixture_view();
     let lights = vec![parse_light("point pos=1,1.2,1 power=20").unwrap()];
     (bake, View { lights, emitter_scale: vec![0.0], samples: 1, ..view })
 }
 
-fn cube_at(position_m: [f32; 3], scale: f32) -> Vec<Stance> {
+pub(crate) fn cube_at(position_m: [f32; 3], scale: f32) -> Vec<Stance> {
     vec![Stance { position_m, scale, turn_deg: [30.0, 0.0, 0.0], ..Stance::default() }]
 }
 

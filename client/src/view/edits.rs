@@ -1,13 +1,13 @@
 //! State that the user changes: lights, emitters, colours, exposure, overlay.
 
 use lightkiln_proto::scene::{LightKind, SceneCamera, SceneLight};
-use lightkiln_proto::words::{camera_to_text, light_to_text};
+use lightkiln_proto::words::{camera_to_text, light_to_text, stance_to_text};
 
 use crate::bake::Overlay;
 use crate::lights::quoted;
 use crate::picture::{Exposure, Tone};
 use crate::preview::View;
-use crate::scene::{LoadedScene, Recolour};
+use crate::scene::{LoadedScene, Recolour, Stance};
 
 /// Everything that can be changed but for the camera.
 #[derive(Clone, Debug, PartialEq)]
@@ -18,12 +18,25 @@ pub struct Edits {
     pub emitters: Vec<f32>,
     /// Colours of materials, by name.
     pub colours: Vec<Colour>,
+    /// Objects beside the bake.
+    pub objects: Vec<PlacedObject>,
     /// Exposure.
     pub exposure: Exposure,
     /// Curve.
     pub tone: Tone,
     /// Colours over surfaces.
     pub overlay: Option<Overlay>,
+}
+
+/// An object beside the bake, and where it stands.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PlacedObject {
+    /// Its file.
+    pub name: String,
+    /// Where it stands.
+    pub stance: Stance,
+    /// Its animation goes on with time.
+    pub plays: bool,
 }
 
 /// Colour of the materials of a name.
@@ -43,7 +56,7 @@ impl Edits {
     /// The state of a view of a scene, with other colours of materials.
     pub fn of(view: &View, scene: &LoadedScene, recolours: &[Recolour]) -> Self {
         let mut colours: Vec<Colour> = Vec::new();
-        for material in &scene.manifest.materials {
+        for material in scene.own_materials() {
             let [r, g, b, _] = material.base_colour;
             match colours.iter_mut().find(|known| known.material == material.name) {
                 Some(known) => known.is_glass |= material.glass.is_some(),
@@ -60,8 +73,24 @@ impl Edits {
         }
         let mut emitters = view.emitter_scale.clone();
         emitters.resize(scene.manifest.emitters.len(), 1.0);
+        let stances = view.objects.iter().copied().chain(std::iter::repeat(Stance::default()));
+        let placed =
+            |(name, stance): (&str, Stance)| PlacedObject { name: name.to_owned(), stance, plays: false };
+        let objects = scene.object_names().zip(stances).map(placed).collect();
         let (lights, exposure, tone) = (view.lights.clone(), view.exposure, view.tone);
-        Self { lights, emitters, colours, exposure, tone, overlay: None }
+        Self { lights, emitters, colours, objects, exposure, tone, overlay: None }
+    }
+
+    /// Where objects stand.
+    pub fn stances(&self) -> Vec<Stance> {
+        self.objects.iter().map(|object| object.stance).collect()
+    }
+
+    /// Animations that play go on.
+    pub fn play(&mut self, seconds: f32) {
+        for object in self.objects.iter_mut().filter(|object| object.plays) {
+            object.stance.time_s += seconds;
+        }
     }
 
     /// Colours that are not the bake's.
@@ -114,6 +143,9 @@ impl Edits {
         }
         for Recolour { material, base_colour: [r, g, b] } in self.recolours() {
             option("material", &format!("{material}={r},{g},{b}"));
+        }
+        for PlacedObject { name, stance, .. } in &self.objects {
+            option("object", format!("{name} {}", stance_to_text(stance)).trim_end());
         }
         match self.exposure {
             Exposure::Auto { stops: 0.0 } => {}
@@ -171,10 +203,16 @@ mod tests {
         edits.colours[0].now = [0.5, 0.25, 0.125];
         edits.colours[0].material = "it's".to_owned();
         edits.exposure = Exposure::Auto { stops: -1.5 };
+        let stance = Stance { position_m: [1.0, 0.0, -2.5], scale: 0.5, ..Stance::default() };
+        edits.objects = vec![PlacedObject { name: "a chair.glb".to_owned(), stance, plays: false }];
         let (command, notes) = edits.command("room.kiln", &view.camera, [640, 360]);
         println!("{command}");
         assert!(notes.is_empty(), "{notes:?}");
-        assert!(command.contains(r"--material 'it'\''s=0.5,0.25,0.125' --exposure -1.5"), "{command}");
+        assert!(command.contains(r"--material 'it'\''s=0.5,0.25,0.125' --object"), "{command}");
+        assert!(
+            command.contains("--object 'a chair.glb pos=1,0,-2.5 scale=0.5' --exposure -1.5"),
+            "{command}"
+        );
         let quoted: Vec<&str> = command.split('\'').collect();
         let of = |name: &str| -> Vec<&str> {
             let named = |pair: &&[&str]| pair[0].ends_with(&format!("--{name} "));

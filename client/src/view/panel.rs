@@ -11,6 +11,7 @@ use super::handles::Part;
 use super::viewer::Viewer;
 use crate::bake::Overlay;
 use crate::picture::{Exposure, Tone};
+use crate::scene::Stance;
 use crate::stream::Streamed;
 
 /// Radius of a handle in points.
@@ -21,6 +22,10 @@ const STOPS: RangeInclusive<f32> = -16.0..=16.0;
 const STRENGTH_MAX: f32 = 1e7;
 /// Largest elevation in degrees that is set here: straight up has no azimuth.
 const ELEVATION_MAX: f32 = 89.9;
+/// Scales of an object that are set here.
+const SCALES: RangeInclusive<f32> = 1e-4..=1e4;
+/// Largest time of an animation that is set here, in seconds.
+const TIME_MAX: f32 = 1e6;
 /// Least strength that a colour is told of.
 const DARK: f32 = 1e-9;
 
@@ -108,6 +113,9 @@ fn contents(ui: &mut Ui, viewer: &mut Viewer, facts: &Facts) -> Wishes {
         });
     }
     section(ui, "Materials", false, |ui| materials(ui, &mut viewer.edits));
+    if !viewer.edits.objects.is_empty() {
+        section(ui, "Objects", true, |ui| objects(ui, &mut viewer.edits));
+    }
     section(ui, "Overlay", false, |ui| overlay(ui, viewer, facts));
     section(ui, "Times", false, |ui| times(ui, viewer, facts));
     section(ui, "Keys", false, |ui| {
@@ -332,6 +340,31 @@ fn materials(ui: &mut Ui, edits: &mut Edits) {
             if colour.now != colour.baked && ui.small_button("as baked").clicked() {
                 colour.now = colour.baked;
             }
+        });
+    }
+}
+
+fn objects(ui: &mut Ui, edits: &mut Edits) {
+    for (index, object) in edits.objects.iter_mut().enumerate() {
+        let Stance { position_m, turn_deg, scale, time_s, .. } = &mut object.stance;
+        ui.push_id(index, |ui| {
+            ui.label(&object.name);
+            place(ui, position_m);
+            ui.horizontal(|ui| {
+                for (angle, name) in turn_deg.iter_mut().zip(["° yaw", "° pitch", "° roll"]) {
+                    ui.add(number(angle, 0.5).suffix(name));
+                }
+            });
+            ui.horizontal(|ui| {
+                let speed = 0.01 * f64::from(*scale);
+                if ui.add(number(scale, speed).range(SCALES).prefix("× ")).changed() {
+                    *scale = scale.clamp(*SCALES.start(), *SCALES.end());
+                }
+                if ui.add(number(time_s, 0.02).range(0.0..=TIME_MAX).suffix(" s")).changed() {
+                    *time_s = time_s.clamp(0.0, TIME_MAX);
+                }
+                ui.checkbox(&mut object.plays, "plays");
+            });
         });
     }
 }

@@ -15,6 +15,7 @@ use crate::fixture;
 use crate::passes::gpu::Gpu;
 use crate::picture::Exposure;
 use crate::preview::{Backend, View, render};
+use crate::tests::objects::{cube_at, lamp_view, with_cube};
 use crate::tests::{fixture_view, view_of};
 
 const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Bgra8Unorm;
@@ -93,6 +94,41 @@ fn adapter_shows_a_dragged_light_in_the_next_picture() {
     let (of_first, of_before) = (difference(&first, &settled), difference(&before, &settled));
     assert!(of_first < 0.5 * of_before, "most of it in the first picture: {of_first} of {of_before}");
     assert!(viewer.settling().is_settled && !viewer.is_busy());
+}
+
+/// An object that is moved in the panel is seen in the very next picture, is that of a preview, and plays with time.
+#[test]
+#[ignore = "needs a graphics adapter"]
+fn adapter_shows_moved_objects_as_previews_do() {
+    let (bake, view) = lamp_view();
+    let bake = with_cube(bake, None);
+    let [near, other] = [cube_at([1.0, 0.4, 1.0], 0.5), cube_at([0.6, 0.5, 1.3], 0.3)];
+    let view = View { objects: near, ..view };
+    let mut viewer = viewer(bake, &view);
+    viewer.edits.exposure = Exposure::Fixed(viewer.exposure());
+    settle(&mut viewer);
+    let before = viewer.picture().unwrap();
+    viewer.edits.objects[0].stance = other[0];
+    assert!(viewer.is_busy());
+    viewer.step(0.01).unwrap();
+    assert!(difference(&before, &viewer.picture().unwrap()) > 0.5, "seen in the first picture");
+    settle(&mut viewer);
+    let wanted = render(viewer.bake(), &viewer.view(), Backend::Gpu).unwrap();
+    let off = difference(&viewer.picture().unwrap(), &wanted.ldr);
+    assert!(off < 0.5, "{off} of 255");
+    viewer.edits.objects[0].plays = true;
+    viewer.step(0.25).unwrap();
+    assert!(viewer.is_busy() && viewer.edits.objects[0].stance.time_s == 0.25);
+    viewer.edits.objects[0].plays = false;
+    // A place that is none is taken back, and said.
+    viewer.edits.objects[0].stance.position_m[0] = f32::NAN;
+    viewer.step(0.01).unwrap();
+    assert_eq!(viewer.edits.objects[0].stance.position_m, other[0].position_m);
+    assert!(
+        viewer.notice.as_ref().is_some_and(|notice| notice.contains("not finite")),
+        "{:?}",
+        viewer.notice
+    );
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! State and pictures of a window, without the window: input and edits in, pictures out, one bounce each, and no wait in between.
 
+use std::error::Error as _;
 use std::sync::Arc;
 
 use glam::{Vec2, Vec3};
@@ -85,6 +86,7 @@ impl Viewer {
         frame.set_lights(&edits.lights)?;
         frame.set_emitters(&edits.emitters)?;
         frame.set_materials(&edits.recolours())?;
+        frame.set_objects(&edits.stances())?;
         let show = ShowPass::new(&gpu, screen);
         let sum = show.sum(&gpu, frame.radiance(), size);
         let meter = MeterPass::new(&gpu, frame.radiance(), size)?;
@@ -143,10 +145,12 @@ impl Viewer {
 
     /// The view that is shown, as headless pictures take it.
     pub fn view(&self) -> View {
+        let objects = self.applied.stances();
         let Edits { lights, emitters, exposure, tone, .. } = self.applied.clone();
         let camera = self.frame.camera().clone();
         let [width, height] = self.size;
-        View { camera, width, height, lights, emitter_scale: emitters, exposure, tone, ..self.view.clone() }
+        let emitter_scale = emitters;
+        View { camera, width, height, lights, emitter_scale, objects, exposure, tone, ..self.view.clone() }
     }
 
     /// Between the scene and the picture; none for a camera that sees nothing.
@@ -245,6 +249,7 @@ impl Viewer {
     pub fn is_busy(&self) -> bool {
         let [asked, heard] = self.metered;
         self.fly.is_flying()
+            || self.edits.objects.iter().any(|object| object.plays)
             || self.edits != self.applied
             || self.fly.camera() != self.frame.camera()
             || !self.settling().is_settled
@@ -255,6 +260,7 @@ impl Viewer {
     /// Goes on by so many seconds: changes, a bounce unless light has settled, a sample unless the picture has them all.
     pub fn step(&mut self, seconds: f32) -> Result<()> {
         self.fly.step(seconds);
+        self.edits.play(seconds);
         self.apply()?;
         if !self.settling().is_settled {
             self.frame.advance()?;
@@ -298,6 +304,13 @@ impl Viewer {
                 self.edits.colours.clone_from(&self.applied.colours);
             }
         }
+        if self.edits.objects != self.applied.objects {
+            let set = self.frame.set_objects(&self.edits.stances());
+            if self.refused(set)? {
+                self.edits.objects.clone_from(&self.applied.objects);
+                self.edits.objects.iter_mut().for_each(|object| object.plays = false);
+            }
+        }
         if self.edits.overlay != self.applied.overlay {
             let set = self.frame.set_overlay(self.edits.overlay);
             if self.refused(set)? {
@@ -312,8 +325,9 @@ impl Viewer {
     fn refused(&mut self, set: Result<()>) -> Result<bool> {
         match set {
             Ok(()) => Ok(false),
-            Err(error @ ClientError::Argument { .. }) => {
-                self.notice = Some(error.to_string());
+            Err(error @ (ClientError::Argument { .. } | ClientError::Object { .. })) => {
+                let cause = error.source().map(|cause| format!(": {cause}")).unwrap_or_default();
+                self.notice = Some(format!("{error}{cause}"));
                 Ok(true)
             }
             Err(error) => Err(error),

@@ -1,7 +1,7 @@
 //! Objects beside a bake: files that the command line names, and where they stand.
 
 use std::error::Error;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use lightkiln_client::scene::{Object, ObjectShape, Stance, Texture};
@@ -45,14 +45,10 @@ impl ObjectArgument {
         for image in object.images() {
             textures.push(Texture::decode(&image.bytes).map_err(|error| refused(&error))?);
         }
-        let materials = object.materials();
+        let (name, materials) = (self.file.display().to_string(), object.materials());
         let shape = Arc::new(FileShape { file: object, last: Mutex::default() });
-        Ok(Object { name: name_of(&self.file), materials, textures, shape })
+        Ok(Object { name, materials, textures, shape })
     }
-}
-
-fn name_of(file: &Path) -> String {
-    file.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
 /// Meshes by animation and time.
@@ -98,7 +94,7 @@ mod tests {
         let argument = parse_object(&format!("{} pos=1,0,0", file.display())).unwrap();
         assert_eq!(argument.stance.position_m, [1.0, 0.0, 0.0]);
         let object = argument.read().unwrap();
-        assert_eq!((object.name.as_str(), object.materials.len()), ("a lift.gltf", 1));
+        assert!(object.name.ends_with("a lift.gltf") && object.materials.len() == 1, "{object:?}");
         let height = |time_s| object.shape.draws(0, time_s).unwrap()[0].position_m[0][1];
         assert_eq!([0.0, 1.0, 1.0, 2.0].map(height), [0.0, 1.5, 1.5, 3.0]);
         let error = object.shape.draws(1, 0.0).unwrap_err().to_string();

@@ -10,6 +10,8 @@ use lightkiln_client::fetch::Source;
 use lightkiln_client::lights::{ParsedLights, parse_camera, parse_lights};
 use lightkiln_client::picture::{Exposure, Picture, Tone};
 use lightkiln_client::preview::{Backend, StreamedBake, View, ViewPath, debug_picture, render, render_path};
+#[cfg(feature = "view")]
+use lightkiln_client::scene::Object;
 use lightkiln_client::scene::{Recolour, check_recolours};
 use lightkiln_client::stream::Streamed;
 #[cfg(feature = "view")]
@@ -142,15 +144,18 @@ impl LookArguments {
         source: &Source,
         kinds: &ClientKinds,
         off: &SwitchedOff,
+        objects: Vec<Object>,
     ) -> Result<(Subject, View, Vec<String>)> {
         self.check_colours(source)?;
         let (_, manifest) = source.manifest()?;
         if matches!(source, Source::Server { .. }) && !manifest.chunks(OVERVIEW).is_empty() {
-            let streamed = StreamedBake::begin(source, kinds, u64::MAX)?;
+            let mut streamed = StreamedBake::begin(source, kinds, u64::MAX)?;
+            streamed.add_objects(objects)?;
             let (view, notes) = self.view(&streamed.bake, off, None)?;
             return Ok((Subject::Streamed(Box::new(streamed)), view, notes));
         }
-        let bake = LoadedBake::load(source, kinds)?;
+        let mut bake = LoadedBake::load(source, kinds)?;
+        objects.into_iter().try_for_each(|object| bake.add_object(object))?;
         let (view, notes) = self.view(&bake, off, None)?;
         Ok((Subject::Whole(Box::new(bake)), view, notes))
     }

@@ -10,7 +10,7 @@ use thiserror::Error;
 
 pub use camera::{camera_from_text, camera_to_text};
 pub use light::{LightSpec, light_to_text};
-pub use stance::{object_from_text, stance_from_text};
+pub use stance::{object_from_text, stance_from_text, stance_to_text};
 
 /// Words that are no light and no camera.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]

@@ -35,6 +35,20 @@ pub fn stance_from_text(text: &str) -> Result<Stance, WordsError> {
     Ok(Stance { position_m, turn_deg, scale, time_s, clip: clip.map_or(rest.clip, |clip| clip as u32 - 1) })
 }
 
+/// Words that [`stance_from_text`] reads as that stance, without those that change nothing.
+pub fn stance_to_text(stance: &Stance) -> String {
+    let rest = Stance::default();
+    let three = |[x, y, z]: [f32; 3]| format!("{x},{y},{z}");
+    let words = [
+        (stance.position_m != rest.position_m).then(|| format!("pos={}", three(stance.position_m))),
+        (stance.turn_deg != rest.turn_deg).then(|| format!("turn={}", three(stance.turn_deg))),
+        (stance.scale != rest.scale).then(|| format!("scale={}", stance.scale)),
+        (stance.time_s != rest.time_s).then(|| format!("time={}", stance.time_s)),
+        (stance.clip != rest.clip).then(|| format!("clip={}", stance.clip + 1)),
+    ];
+    words.into_iter().flatten().collect::<Vec<_>>().join(" ")
+}
+
 /// A file and its stance: `FILE pos=… turn=…`. The file's name may have spaces.
 pub fn object_from_text(text: &str) -> Result<(String, Stance), WordsError> {
     let is_word = |word: &str| word.split_once('=').is_some_and(|(key, _)| KEYS.contains(&key));
@@ -72,6 +86,8 @@ mod tests {
             clip: 1,
         };
         assert_eq!(stance, expected);
+        assert_eq!(stance_from_text(&stance_to_text(&stance)), Ok(stance));
+        assert_eq!(stance_to_text(&Stance::default()), "");
         for wrong in [
             "pos=1,2",
             "scale=0",

@@ -3,12 +3,14 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use lightkiln_client::preview::View;
 use lightkiln_client::view::{self, Options};
 
 use crate::arguments::BakeArgument;
 use crate::console::say;
 use crate::failure::Result;
 use crate::kinds::KindTables;
+use crate::objects::{ObjectArgument, parse_object};
 use crate::outputs::check_png;
 use crate::picture::LookArguments;
 use crate::switched_off::SwitchedOff;
@@ -20,6 +22,10 @@ pub struct Arguments {
     source: BakeArgument,
     #[command(flatten)]
     look: LookArguments,
+    /// Object beside the bake, which the panel moves: "FILE [pos=x,y,z] [turn=yaw,pitch,roll] [scale=s] [time=seconds] [clip=n]",
+    /// as of 'kiln preview'; may be given often
+    #[arg(long, value_name = "OBJECT", value_parser = parse_object, help_heading = "Picture")]
+    object: Vec<ObjectArgument>,
     /// Opens the window without the panel, which F1 shows
     #[arg(long, help_heading = "Window")]
     no_panel: bool,
@@ -36,10 +42,12 @@ pub struct Arguments {
 
 /// Opens the window, until it is closed.
 pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
-    let Arguments { source, look, no_panel, frames, screenshot, off } = arguments;
+    let Arguments { source, look, object, no_panel, frames, screenshot, off } = arguments;
     look.check()?;
     screenshot.as_deref().map_or(Ok(()), check_png)?;
-    let (subject, view, notes) = look.opened(&source.open()?, &kinds.client, &off)?;
+    let objects = object.iter().map(ObjectArgument::read).collect::<Result<_>>()?;
+    let (subject, view, notes) = look.opened(&source.open()?, &kinds.client, &off, objects)?;
+    let view = View { objects: object.iter().map(|object| object.stance).collect(), ..view };
     for note in &notes {
         say!("note: {note}");
     }
