@@ -272,11 +272,7 @@ fn room_of(bake: &LoadedBake, (count, view): Views<'_>) -> Result<ShadowRoom> {
             error => error,
         })?;
         let own = own.room();
-        all = Some(all.map_or(own, |all| ShadowRoom {
-            lights: all.lights.max(own.lights),
-            faces: all.faces.max(own.faces),
-            side: all.side.min(own.side),
-        }));
+        all = Some(all.map_or(own, |all| all.and(own)));
     }
     all.ok_or_else(|| ClientError::Argument {
         what: "a path".to_owned(),

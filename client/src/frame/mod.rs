@@ -307,11 +307,12 @@ impl<'a> Frame<'a> {
         if ShadowPlan::within(&self.room.shadows, &casters, bounds_m, None).is_ok() {
             return Ok(());
         }
-        let shadows = ShadowRoom::for_lights(&casters, side)?;
+        // Those that there are stay until others are set.
+        let shadows =
+            ShadowRoom::for_lights(&casters, side)?.and(ShadowRoom::for_lights(&self.casters, side)?);
         let shadow = ShadowPass::new(&self.gpu, &self.bake.scene, &self.meshes, &shadows)?;
         self.gpu.check()?;
         let former = std::mem::replace(&mut self.room.shadows, shadows);
-        // Those that there are stay until others are set.
         match self.planned(&self.casters, &self.camera) {
             Ok(plan) => (self.shadow, self.plan) = (shadow, plan),
             Err(error) => {

@@ -172,6 +172,25 @@ fn adapter_refuses_lights_beyond_the_room_and_keeps_those_it_has() {
     assert_eq!(drawn(&mut frame), before);
 }
 
+/// Room for more lights of fewer maps holds the lights that there are, until the others are set.
+#[test]
+#[ignore = "needs a graphics adapter"]
+fn adapter_makes_room_for_other_lights_beside_those_it_has() {
+    let gpu = Gpu::open().unwrap();
+    let bake = fixture::prt_bake(&fixture::prt_contents());
+    let camera = view_of(&bake).camera;
+    let room = FrameRoom { shadows: ShadowRoom { lights: 1, faces: 6, side: 256 }, ..room() };
+    let mut frame = Frame::new(&gpu, &bake, room, camera).unwrap();
+    frame.set_lights(&lights(&["point pos=1,1.5,1 power=20"])).unwrap();
+    let spots = lights(&["spot pos=1,1.5,1 target=1,0,1.1 outer=30 power=20"; 3]);
+    assert!(frame.set_lights(&spots).is_err());
+    let before = drawn(&mut frame);
+    frame.make_room(&spots, 256).unwrap();
+    assert_eq!(drawn(&mut frame), before);
+    frame.set_lights(&spots).unwrap();
+    assert_ne!(drawn(&mut frame), before);
+}
+
 /// A path on the adapter, whose frame is kept from picture to picture, looks as the processor's, which starts anew for each.
 #[test]
 #[ignore = "needs a graphics adapter"]

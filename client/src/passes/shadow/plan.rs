@@ -135,6 +135,13 @@ impl ShadowRoom {
         Ok(room)
     }
 
+    /// Room for the lights of either.
+    #[must_use]
+    pub fn and(self, other: Self) -> Self {
+        let (lights, faces) = (self.lights.max(other.lights), self.faces.max(other.faces));
+        Self { lights, faces, side: self.side.min(other.side) }
+    }
+
     /// Errs where no adapter and no processor is asked for so much.
     pub fn check(&self) -> Result<()> {
         let Self { lights, faces, side } = *self;
