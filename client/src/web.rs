@@ -19,6 +19,11 @@ const OF_BROWSERS: [(&str, &str); 3] = [
     ("tone", include_str!("../web/frame/tone.wgsl")),
 ];
 
+/// The farm's page among the modules.
+pub const FACE: &str = "index.html";
+/// The page of a site of one bake among the modules.
+pub const SITE: &str = "alone.html";
+
 /// Name and whole text of every shader that a browser's frame runs, for light in a lightmap.
 pub fn shaders() -> Vec<(&'static str, Cow<'static, str>)> {
     let whole = SHADERS.iter().chain(&OF_BROWSERS).map(|(name, text)| (*name, Cow::Borrowed(*text)));

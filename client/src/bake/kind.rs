@@ -18,6 +18,11 @@ pub trait ClientKind: Send + Sync {
     /// Fetches and decodes the light of a bake whose scene is loaded, and whose manifest the contract has checked.
     fn load(&self, source: &Source, scene: &LoadedScene) -> Result<Box<dyn Light>>;
 
+    /// The browser's modules show its bakes too.
+    fn is_in_browsers(&self) -> bool {
+        false
+    }
+
     /// Fetches the part of the light that comes first. Errs for a kind whose bakes have no such part.
     fn stream(&self, source: &Source, scene: &LoadedScene) -> Result<Box<dyn LightStream>> {
         let _ = (source, scene);

@@ -6,6 +6,7 @@ macro_rules! files {
 
 /// Name, from `client/web` on, and bytes of each file that browsers get; shaders are made by [`shaders`](super::shaders).
 pub const MODULES: &[(&str, &[u8])] = files![
+    "alone.html",
     "chunk/bytes.js",
     "chunk/cells.js",
     "chunk/cluster.js",
@@ -63,6 +64,7 @@ pub const MODULES: &[(&str, &[u8])] = files![
     "icon.svg",
     "index.html",
     "orbit.js",
+    "page/alone.js",
     "page/app.js",
     "page/bake.js",
     "page/bakes.js",

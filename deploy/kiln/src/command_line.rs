@@ -7,7 +7,7 @@ use crate::commands::actions::{self, Action};
 use crate::commands::view;
 use crate::commands::{
     bake, blocklist, check, evaluate, export, fetch, fsck, inspect, list, logs, preview, priority, server,
-    settings, show, submit, token, top, watch, worker,
+    settings, show, site, submit, token, top, watch, worker,
 };
 use crate::failure::{EXIT_CODES, Result};
 use crate::kinds::KindTables;
@@ -66,6 +66,8 @@ pub enum Command {
     Preview(preview::Arguments),
     /// Writes a bake's light under chosen lights for other engines: a GLB with lightmaps
     Export(export::Arguments),
+    /// Writes a bake as a website of plain files, which browsers relight
+    Site(site::Arguments),
     /// Opens a window on a bake: fly, move lights, change colours
     #[cfg(feature = "view")]
     View(view::Arguments),
@@ -107,6 +109,7 @@ impl Command {
             Self::Fetch(arguments) => fetch::run(arguments, &kinds.contract),
             Self::Preview(arguments) => preview::run(arguments, kinds),
             Self::Export(arguments) => export::run(arguments, kinds),
+            Self::Site(arguments) => site::run(arguments, kinds),
             #[cfg(feature = "view")]
             Self::View(arguments) => view::run(arguments, kinds),
             Self::Evaluate(arguments) => evaluate::run(arguments, kinds),

@@ -1,14 +1,11 @@
 //! Files that a server hands out to browsers: the farm's face, the client's modules and shaders.
 
-use lightkiln_client::web::{MODULES, shaders};
+use lightkiln_client::web::{FACE, MODULES, SITE, shaders};
 use lightkiln_server::Pages;
-
-/// The page at the server's root.
-const FACE: &str = "index.html";
 
 /// All files, by their paths on the server.
 pub fn pages() -> Pages {
-    let modules = MODULES.iter().map(|(name, bytes)| match *name {
+    let modules = MODULES.iter().filter(|(name, _)| *name != SITE).map(|(name, bytes)| match *name {
         FACE => ("/".to_owned(), *bytes),
         name => (format!("/web/{name}"), *bytes),
     });

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use serde_json::{Value, json};
 
 use super::driver::Browser;
+use super::files::Files;
 use super::root;
 
 /// Longest that all light may take.
@@ -68,6 +69,22 @@ fn chromium_shows_a_finished_bake_of_a_farm_as_its_server_hands_it_out() {
     let id = bake(folder.path(), &url);
     let browser = Browser::start();
     browser.open(&format!("{url}/#/bakes/{id}"));
+    wait_for_all_light(&browser);
+    let shown = "const text = document.querySelector('main').innerText;
+        const canvas = document.querySelector('canvas');
+        return [text.includes('Report'), text.includes('Lamp brightness'), canvas.width > 0 && canvas.height > 0,
+            performance.getEntriesByType('resource').every(({ name }) => name.startsWith(location.origin))]";
+    assert_eq!(browser.script(shown, json!([])), json!([true, true, true, true]));
+    // The same bake as a site of plain files.
+    let site = program(folder.path()).args(["site", "out", "--out", "site"]).output().expect("a site");
+    assert!(site.status.success(), "{}", String::from_utf8_lossy(&site.stderr));
+    let files = Files::start(vec![("/any/place/", folder.path().join("site"))], |_| None);
+    browser.open(&files.url("/any/place/index.html"));
+    wait_for_all_light(&browser);
+    assert!(files.calls().iter().all(|call| call.starts_with("/any/place/")), "{:?}", files.calls());
+}
+
+fn wait_for_all_light(browser: &Browser) {
     let words =
         "return document.querySelector('.over')?.textContent ?? document.querySelector('main').innerText";
     let start = Instant::now();
@@ -79,9 +96,4 @@ fn chromium_shows_a_finished_bake_of_a_farm_as_its_server_hands_it_out() {
         }
         assert!(start.elapsed() < LIMIT, "the picture is never done: {found}");
     }
-    let shown = "const text = document.querySelector('main').innerText;
-        const canvas = document.querySelector('canvas');
-        return [text.includes('Report'), text.includes('Lamp brightness'), canvas.width > 0 && canvas.height > 0,
-            performance.getEntriesByType('resource').every(({ name }) => name.startsWith(location.origin))]";
-    assert_eq!(browser.script(shown, json!([])), json!([true, true, true, true]));
 }

@@ -80,6 +80,10 @@ fn kind_is_baked_inspected_and_drawn() {
         said.contains(NAME) && said.contains("lightmap") && !folder.path().join("lit").exists(),
         "{said}"
     );
+    // Browsers have no module for it.
+    let site = run(folder.path(), &["site", "out", "--out", "site"], 2);
+    let said = String::from_utf8_lossy(&site.stderr);
+    assert!(said.contains(NAME) && !folder.path().join("site").exists(), "{said}");
 }
 
 #[test]

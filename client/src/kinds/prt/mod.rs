@@ -41,6 +41,10 @@ impl ClientKind for Prt {
         Ok(Box::new(load(source, scene)?))
     }
 
+    fn is_in_browsers(&self) -> bool {
+        true
+    }
+
     fn stream(&self, source: &Source, scene: &LoadedScene) -> Result<Box<dyn LightStream>> {
         Ok(Box::new(PrtStream::begin(source, scene)?))
     }

@@ -16,6 +16,7 @@ pub mod priority;
 pub mod server;
 pub mod settings;
 pub mod show;
+pub mod site;
 pub mod submit;
 pub mod token;
 pub mod top;
