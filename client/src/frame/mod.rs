@@ -307,7 +307,7 @@ impl<'a> Frame<'a> {
         if ShadowPlan::within(&self.room.shadows, &casters, bounds_m, None).is_ok() {
             return Ok(());
         }
-        // Those that there are stay until others are set.
+        // Current lights stay until others are set.
         let shadows =
             ShadowRoom::for_lights(&casters, side)?.and(ShadowRoom::for_lights(&self.casters, side)?);
         let shadow = ShadowPass::new(&self.gpu, &self.bake.scene, &self.meshes, &shadows)?;

@@ -23,6 +23,12 @@ const BOUNDS_STEPS: f32 = 8.0;
 pub trait ObjectShape: Debug + Send + Sync {
     /// Meshes at a time, in seconds, of an animation, counted from 0. They are as many, of as many vertices and triangles, at all times.
     fn draws(&self, clip: u32, time_s: f32) -> std::result::Result<Vec<Draw>, Box<dyn Error + Send + Sync>>;
+
+    /// Length of an animation in seconds; 0 where there is none.
+    fn length_s(&self, clip: u32) -> f32 {
+        let _ = clip;
+        0.0
+    }
 }
 
 /// Meshes that are the same at all times.
@@ -100,6 +106,11 @@ impl LoadedScene {
     /// Names of objects, in their order.
     pub fn object_names(&self) -> impl Iterator<Item = &str> {
         self.objects.iter().map(|object| object.name.as_str())
+    }
+
+    /// Length of an object's animation in seconds; 0 where there is none.
+    pub fn object_length_s(&self, index: usize, clip: u32) -> f32 {
+        self.objects.get(index).map_or(0.0, |object| object.shape.length_s(clip))
     }
 
     /// Materials of the bake itself: those of objects come behind them.
@@ -318,6 +329,15 @@ mod tests {
         assert_eq!(last.base_colour_texture.as_ref().unwrap().texture as usize, textures + 1);
         assert_eq!(last.emitter, None);
         assert_eq!((scene.own_materials().len(), scene.object_names().count()), (materials, 2));
+        // A colour of the bake's material is none of the object's, though both have one name.
+        let name = scene.manifest.materials[0].name.clone();
+        let colours = [super::super::Recolour { material: name, base_colour: [0.1, 0.2, 0.3] }];
+        let tints = super::super::Tints::of(&scene, &colours).unwrap();
+        assert_eq!(tints.base_colour(&scene, 0)[..3], [0.1, 0.2, 0.3]);
+        assert_eq!(
+            tints.base_colour(&scene, materials as u32),
+            scene.manifest.materials[materials].base_colour
+        );
         chair.textures.clear();
         let error = scene.add_object(chair).unwrap_err().to_string();
         assert!(error.contains("texture 0 of 0") && scene.objects() == 2, "{error}");

@@ -3,7 +3,7 @@
 use std::collections::HashSet;
 
 use glam::Vec3;
-use lightkiln_proto::manifest::Manifest;
+use lightkiln_proto::manifest::{Manifest, Material};
 
 use super::LoadedScene;
 use super::draws::{LoadedDraw, Vertex};
@@ -61,14 +61,15 @@ impl Tints {
     /// Other colours of a scene's materials. Errs for a name that no material has, for glass, whose colour is that of what passes it,
     /// and where a material with textures is to reflect a channel of which it has next to nothing.
     pub fn of(scene: &LoadedScene, colours: &[Recolour]) -> Result<Self> {
-        check_recolours(&scene.manifest, colours)?;
+        check_among(scene.own_materials(), colours)?;
         let mut tints = vec![None; scene.manifest.materials.len()];
         let uneven: HashSet<u32> = {
             let draws = scene.draws.draws.iter();
             draws.filter(|draw| !is_even(scene, draw)).map(|draw| draw.material).collect()
         };
         for Recolour { material: name, base_colour } in colours {
-            let materials = scene.manifest.materials.iter().zip(0..);
+            // An object's material of the same name keeps its own colour.
+            let materials = scene.own_materials().iter().zip(0..);
             for (material, index) in materials.filter(|(material, _)| material.name == *name) {
                 let old = Vec3::from_slice(&material.base_colour[..3]);
                 let new = Vec3::from(*base_colour);
@@ -129,13 +130,17 @@ fn is_even(scene: &LoadedScene, draw: &LoadedDraw) -> bool {
 
 /// Refuses what can be refused before anything but the manifest is there: colours out of range, unknown names, and glass.
 pub fn check_recolours(manifest: &Manifest, colours: &[Recolour]) -> Result<()> {
+    check_among(&manifest.materials, colours)
+}
+
+fn check_among(materials: &[Material], colours: &[Recolour]) -> Result<()> {
     for Recolour { material: name, base_colour } in colours {
         if !base_colour.iter().all(|channel| (0.0..=1.0).contains(channel)) {
             return Err(refused(name, "takes a linear colour with channels 0 to 1"));
         }
-        let mut named = manifest.materials.iter().filter(|material| material.name == *name).peekable();
+        let mut named = materials.iter().filter(|material| material.name == *name).peekable();
         if named.peek().is_none() {
-            return Err(refused(name, &format!("is none of the bake's: {}", names(manifest))));
+            return Err(refused(name, &format!("is none of the bake's: {}", names(materials))));
         }
         if named.any(|material| material.glass.is_some()) {
             return Err(refused(name, "is of glass: its colour is baked; bake the scene with another one"));
@@ -149,8 +154,8 @@ fn refused(name: &str, problem: &str) -> ClientError {
 }
 
 /// Names of a bake's materials, the first of many.
-fn names(manifest: &Manifest) -> String {
-    let mut names: Vec<&str> = manifest.materials.iter().map(|material| material.name.as_str()).collect();
+fn names(materials: &[Material]) -> String {
+    let mut names: Vec<&str> = materials.iter().map(|material| material.name.as_str()).collect();
     names.sort_unstable();
     names.dedup();
     let more = names.len().saturating_sub(NAMES);

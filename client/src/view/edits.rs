@@ -35,8 +35,10 @@ pub struct PlacedObject {
     pub name: String,
     /// Where it stands.
     pub stance: Stance,
-    /// Its animation goes on with time.
+    /// Its animation goes on with time, over and over.
     pub plays: bool,
+    /// Length of the animation in seconds; 0 where there is none.
+    pub length_s: f32,
 }
 
 /// Colour of the materials of a name.
@@ -74,9 +76,14 @@ impl Edits {
         let mut emitters = view.emitter_scale.clone();
         emitters.resize(scene.manifest.emitters.len(), 1.0);
         let stances = view.objects.iter().copied().chain(std::iter::repeat(Stance::default()));
-        let placed =
-            |(name, stance): (&str, Stance)| PlacedObject { name: name.to_owned(), stance, plays: false };
-        let objects = scene.object_names().zip(stances).map(placed).collect();
+        let names = scene.object_names().enumerate().zip(stances);
+        let objects = names.map(|((index, name), stance)| PlacedObject {
+            name: name.to_owned(),
+            stance,
+            plays: false,
+            length_s: scene.object_length_s(index, stance.clip),
+        });
+        let objects = objects.collect();
         let (lights, exposure, tone) = (view.lights.clone(), view.exposure, view.tone);
         Self { lights, emitters, colours, objects, exposure, tone, overlay: None }
     }
@@ -86,10 +93,11 @@ impl Edits {
         self.objects.iter().map(|object| object.stance).collect()
     }
 
-    /// Animations that play go on.
+    /// Animations that play go on, and begin anew at their ends.
     pub fn play(&mut self, seconds: f32) {
-        for object in self.objects.iter_mut().filter(|object| object.plays) {
-            object.stance.time_s += seconds;
+        for PlacedObject { stance, length_s, .. } in self.objects.iter_mut().filter(|object| object.plays) {
+            let length_s = length_s.max(f32::MIN_POSITIVE);
+            stance.time_s = (stance.time_s + seconds).rem_euclid(length_s).min(length_s);
         }
     }
 
@@ -204,7 +212,8 @@ mod tests {
         edits.colours[0].material = "it's".to_owned();
         edits.exposure = Exposure::Auto { stops: -1.5 };
         let stance = Stance { position_m: [1.0, 0.0, -2.5], scale: 0.5, ..Stance::default() };
-        edits.objects = vec![PlacedObject { name: "a chair.glb".to_owned(), stance, plays: false }];
+        edits.objects =
+            vec![PlacedObject { name: "a chair.glb".to_owned(), stance, plays: false, length_s: 2.0 }];
         let (command, notes) = edits.command("room.kiln", &view.camera, [640, 360]);
         println!("{command}");
         assert!(notes.is_empty(), "{notes:?}");
@@ -226,6 +235,17 @@ mod tests {
         for (read, wanted) in parsed.lights.iter().zip(&edits.lights) {
             assert_eq!(light_to_text(read), light_to_text(wanted));
         }
+    }
+
+    #[test]
+    fn animations_that_play_begin_anew_at_their_ends() {
+        let (bake, view) = fixture_view();
+        let mut edits = Edits::of(&view, &bake.scene, &[]);
+        let stance = Stance { time_s: 1.5, ..Stance::default() };
+        let object = PlacedObject { name: "a.glb".to_owned(), stance, plays: true, length_s: 2.0 };
+        edits.objects = vec![object.clone(), PlacedObject { plays: false, ..object }];
+        edits.play(1.0);
+        assert_eq!(edits.objects.iter().map(|object| object.stance.time_s).collect::<Vec<_>>(), [0.5, 1.5]);
     }
 
     #[test]

@@ -22,10 +22,10 @@ const STOPS: RangeInclusive<f32> = -16.0..=16.0;
 const STRENGTH_MAX: f32 = 1e7;
 /// Largest elevation in degrees that is set here: straight up has no azimuth.
 const ELEVATION_MAX: f32 = 89.9;
+/// Farthest place of an object along an axis, in metres.
+const PLACE_MAX_M: f32 = 1e6;
 /// Scales of an object that are set here.
 const SCALES: RangeInclusive<f32> = 1e-4..=1e4;
-/// Largest time of an animation that is set here, in seconds.
-const TIME_MAX: f32 = 1e6;
 /// Least strength that a colour is told of.
 const DARK: f32 = 1e-9;
 
@@ -346,10 +346,14 @@ fn materials(ui: &mut Ui, edits: &mut Edits) {
 
 fn objects(ui: &mut Ui, edits: &mut Edits) {
     for (index, object) in edits.objects.iter_mut().enumerate() {
+        let length_s = object.length_s;
         let Stance { position_m, turn_deg, scale, time_s, .. } = &mut object.stance;
         ui.push_id(index, |ui| {
-            ui.label(&object.name);
+            ui.label(format!("{} · {}", index + 1, object.name));
             place(ui, position_m);
+            // Words of a command line have no farther places.
+            *position_m = position_m
+                .map(|axis| if axis.is_nan() { axis } else { axis.clamp(-PLACE_MAX_M, PLACE_MAX_M) });
             ui.horizontal(|ui| {
                 for (angle, name) in turn_deg.iter_mut().zip(["° yaw", "° pitch", "° roll"]) {
                     ui.add(number(angle, 0.5).suffix(name));
@@ -360,10 +364,12 @@ fn objects(ui: &mut Ui, edits: &mut Edits) {
                 if ui.add(number(scale, speed).range(SCALES).prefix("× ")).changed() {
                     *scale = scale.clamp(*SCALES.start(), *SCALES.end());
                 }
-                if ui.add(number(time_s, 0.02).range(0.0..=TIME_MAX).suffix(" s")).changed() {
-                    *time_s = time_s.clamp(0.0, TIME_MAX);
+                if length_s > 0.0 {
+                    if ui.add(number(time_s, 0.02).range(0.0..=length_s).suffix(" s")).changed() {
+                        *time_s = time_s.clamp(0.0, length_s);
+                    }
+                    ui.checkbox(&mut object.plays, "plays");
                 }
-                ui.checkbox(&mut object.plays, "plays");
             });
         });
     }

@@ -96,7 +96,7 @@ fn adapter_shows_a_dragged_light_in_the_next_picture() {
     assert!(viewer.settling().is_settled && !viewer.is_busy());
 }
 
-/// An object that is moved in the panel is seen in the very next picture, is that of a preview, and plays with time.
+/// Objects that are moved in the panel are seen in the very next picture, which previews draw alike.
 #[test]
 #[ignore = "needs a graphics adapter"]
 fn adapter_shows_moved_objects_as_previews_do() {
@@ -116,11 +116,11 @@ fn adapter_shows_moved_objects_as_previews_do() {
     let wanted = render(viewer.bake(), &viewer.view(), Backend::Gpu).unwrap();
     let off = difference(&viewer.picture().unwrap(), &wanted.ldr);
     assert!(off < 0.5, "{off} of 255");
-    viewer.edits.objects[0].plays = true;
+    (viewer.edits.objects[0].plays, viewer.edits.objects[0].length_s) = (true, 2.0);
     viewer.step(0.25).unwrap();
     assert!(viewer.is_busy() && viewer.edits.objects[0].stance.time_s == 0.25);
     viewer.edits.objects[0].plays = false;
-    // A place that is none is taken back, and said.
+    // An invalid place is refused, with a notice.
     viewer.edits.objects[0].stance.position_m[0] = f32::NAN;
     viewer.step(0.01).unwrap();
     assert_eq!(viewer.edits.objects[0].stance.position_m, other[0].position_m);

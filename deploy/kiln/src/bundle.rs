@@ -68,7 +68,7 @@ fn report_of(client: &ApiClient, id: &str) -> Result<Value> {
 
 /// Removes chunks of an earlier bake and files that a killed process left half written: a bundle is a pure function of
 /// scene and settings.
-fn remove_left_over(out: &Path, manifest: &Manifest) -> Result<()> {
+pub fn remove_left_over(out: &Path, manifest: &Manifest) -> Result<()> {
     let wanted: Vec<Digest> = chunk_refs(manifest).iter().map(|chunk| chunk.digest).collect();
     remove_files(out, |path| is_part(path) && matches!(stem(path), Some("manifest" | "report")))?;
     remove_files(&out.join(CHUNKS_FOLDER), |path| {

@@ -80,6 +80,10 @@ impl ObjectShape for FileShape {
         *last = Some((clip, time_s, draws.clone()));
         Ok(draws)
     }
+
+    fn length_s(&self, clip: u32) -> f32 {
+        self.file.lengths_s().get(clip as usize).copied().unwrap_or_default()
+    }
 }
 
 #[cfg(test)]
@@ -97,6 +101,7 @@ mod tests {
         assert!(object.name.ends_with("a lift.gltf") && object.materials.len() == 1, "{object:?}");
         let height = |time_s| object.shape.draws(0, time_s).unwrap()[0].position_m[0][1];
         assert_eq!([0.0, 1.0, 1.0, 2.0].map(height), [0.0, 1.5, 1.5, 3.0]);
+        assert_eq!([0, 1].map(|clip| object.shape.length_s(clip)), [2.0, 0.0]);
         let error = object.shape.draws(1, 0.0).unwrap_err().to_string();
         assert!(error.contains("clip=2") && error.contains("1 animation"), "{error}");
         let absent = parse_object(&folder.path().join("no.glb").display().to_string()).unwrap();

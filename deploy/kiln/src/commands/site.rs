@@ -5,10 +5,11 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use lightkiln_client::bake::ClientKinds;
-use lightkiln_client::fetch::{Source, download_bundle, write_atomically};
+use lightkiln_client::fetch::{CHUNKS_FOLDER, Source, download_bundle, write_atomically};
 use lightkiln_client::web::{FACE, MODULES, SITE, shaders};
 
 use crate::arguments::BakeArgument;
+use crate::bundle::remove_left_over;
 use crate::console::say;
 use crate::failure::{Failure, Result};
 use crate::kinds::KindTables;
@@ -20,13 +21,17 @@ const PAGE: &str = "index.html";
 const BAKE: &str = "bake";
 /// Folder of modules and shaders.
 const MODULES_FOLDER: &str = "web";
+/// An empty file by which GitHub's pages keep files whose names begin with an underscore.
+const NO_JEKYLL: &str = ".nojekyll";
+/// Names that a site's folder may hold; the last two are of those who publish it.
+const PARTS: [&str; 6] = [PAGE, BAKE, MODULES_FOLDER, NO_JEKYLL, ".git", "CNAME"];
 
 /// Arguments of `kiln site`.
 #[derive(Args, Debug)]
 pub struct Arguments {
     #[command(flatten)]
     source: BakeArgument,
-    /// Folder to write: index.html, the modules in web, the bundle in bake; new, empty, or of an earlier site, whose chunks are kept
+    /// Folder to write: index.html, the modules in web, the bundle in bake; new, empty, or of an earlier site, whose chunks are kept where this bake has them
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
 }
@@ -39,12 +44,14 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     let source = arguments.source.open()?;
     check_kind(&source, &kinds.client)?;
     let (manifest, _) = download_bundle(&source, &out.join(BAKE))?;
+    remove_left_over(&out.join(BAKE), &manifest)?;
     for (name, bytes) in MODULES.iter().filter(|(name, _)| ![FACE, SITE].contains(name)) {
         write(&out.join(MODULES_FOLDER).join(name), bytes)?;
     }
     for (name, text) in shaders() {
         write(&out.join(MODULES_FOLDER).join(format!("shaders/{name}.wgsl")), text.as_bytes())?;
     }
+    write(&out.join(NO_JEKYLL), b"")?;
     let page = MODULES.iter().find(|(name, _)| *name == SITE);
     write(&out.join(PAGE), page.map_or(&[][..], |(_, bytes)| bytes))?;
     let megabytes = manifest.bytes() as f64 / 1e6;
@@ -55,25 +62,36 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     Ok(())
 }
 
-/// Refuses a folder with anything else in it.
+/// Refuses a folder with anything in it that is no site, or no part of one.
 fn check_is_ours(folder: &Path) -> Result<()> {
+    let unread = |error: std::io::Error| {
+        Failure::bad_input(format!("the folder {} cannot be read", folder.display())).caused_by(&error)
+    };
     let entries = match fs::read_dir(folder) {
         Ok(entries) => entries,
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(()),
-        Err(error) => {
-            let what = format!("the folder {} cannot be read", folder.display());
-            return Err(Failure::bad_input(what).caused_by(&error));
-        }
+        Err(error) => return Err(unread(error)),
     };
-    let ours = [PAGE, BAKE, MODULES_FOLDER];
-    for entry in entries.flatten() {
-        if !ours.iter().any(|name| entry.file_name() == *name) {
-            let name = entry.file_name().to_string_lossy().into_owned();
+    // Chunks come first and the page last.
+    let is_site = folder.join(BAKE).join(CHUNKS_FOLDER).is_dir();
+    for entry in entries {
+        let name = entry.map_err(unread)?.file_name().to_string_lossy().into_owned();
+        // A killed run leaves files half written.
+        let is_part = [PAGE, NO_JEKYLL].iter().any(|file| name.starts_with(&part_of(file)));
+        if !is_site || !(PARTS.contains(&name.as_str()) || is_part || name.starts_with(".kiln-")) {
             let what = format!("the folder {} holds '{name}', which is no part of a site", folder.display());
             return Err(Failure::bad_input(what).try_this("another folder with --out DIR"));
         }
     }
     Ok(())
+}
+
+/// Beginning of the name of a file of that name before it is whole.
+fn part_of(name: &str) -> String {
+    format!(
+        "{}.part-",
+        name.rsplit_once('.').map_or(name, |(stem, _)| if stem.is_empty() { name } else { stem })
+    )
 }
 
 /// Refuses a kind that browsers do not show.
@@ -104,8 +122,13 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         check_is_ours(&folder.path().join("new")).unwrap();
         check_is_ours(folder.path()).unwrap();
-        fs::create_dir(folder.path().join(BAKE)).unwrap();
-        fs::write(folder.path().join(PAGE), b"").unwrap();
+        // A page alone may be anybody's.
+        fs::write(folder.path().join(PAGE), b"mine").unwrap();
+        assert!(check_is_ours(folder.path()).is_err());
+        fs::create_dir_all(folder.path().join(BAKE).join(CHUNKS_FOLDER)).unwrap();
+        for name in [".nojekyll", "CNAME", "index.part-12", ".nojekyll.part-12", ".kiln-12"] {
+            fs::write(folder.path().join(name), b"").unwrap();
+        }
         check_is_ours(folder.path()).unwrap();
         fs::write(folder.path().join("thesis.txt"), b"").unwrap();
         let problem = check_is_ours(folder.path()).unwrap_err().to_string();
