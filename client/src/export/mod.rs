@@ -57,7 +57,7 @@ pub enum Share {
     Indirect,
 }
 
-/// What to export.
+/// Choices of an export.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Options {
     /// The light that pages hold.
