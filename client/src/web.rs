@@ -16,7 +16,7 @@ pub use modules::MODULES;
 const OF_BROWSERS: [(&str, &str); 3] = [
     ("halve", include_str!("../web/frame/halve.wgsl")),
     ("snap", include_str!("../web/frame/snap.wgsl")),
-    ("tone", include_str!("../web/frame/tone.wgsl")),
+    ("tone", concat!(include_str!("passes/shared/curve.wgsl"), include_str!("../web/frame/tone.wgsl"))),
 ];
 
 /// The farm's page among the modules.

@@ -3,13 +3,11 @@
 
 pub mod reference;
 
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU8, Ordering};
-
 use glam::{Vec2, Vec4};
 
 use crate::error::Result;
 use crate::passes::gpu::{Gpu, failed};
+use crate::passes::landings::Landings;
 use crate::passes::stopwatch::Stopwatch;
 
 /// The shader.
@@ -33,27 +31,12 @@ pub struct ChangeNumbers {
     pub stride: u32,
 }
 
-/// States of a landing.
-const FREE: u8 = 0;
-const UNDER_WAY: u8 = 1;
-const THERE: u8 = 2;
-const LOST: u8 = 3;
-
-/// A buffer that an answer is read from.
-#[derive(Debug)]
-struct Landing {
-    buffer: wgpu::Buffer,
-    state: Arc<AtomicU8>,
-    /// Number of the call whose answer it holds.
-    call: u64,
-}
-
 /// The pass on the adapter.
 #[derive(Debug)]
 pub struct ChangePass {
     steps: [(wgpu::ComputePipeline, wgpu::BindGroup, u32); 2],
     result: wgpu::Buffer,
-    landings: Vec<Landing>,
+    landings: Landings,
     calls: u64,
 }
 
@@ -88,18 +71,14 @@ impl ChangePass {
             step("sum_of_groups", groups, &[(0, &numbers), (1, e_ind), (2, &before), (3, &sums)]),
             step("sum_of_all", 1, &[(3, &sums), (4, &result)]),
         ];
-        let landing = |_| Landing {
-            buffer: gpu.buffer("change read back", size_of::<Vec2>() as u64, wgpu::BufferUsages::MAP_READ),
-            state: Arc::new(AtomicU8::new(FREE)),
-            call: 0,
-        };
-        Ok(Self { steps, result, landings: (0..LANDINGS).map(landing).collect(), calls: 0 })
+        let landings = Landings::new(gpu, "change read back", LANDINGS, size_of::<Vec2>() as u64);
+        Ok(Self { steps, result, landings, calls: 0 })
     }
 
     /// Runs the pass; its answer comes later. Where too many are under way, there is none for this call.
     pub fn ask(&mut self, gpu: &Gpu, watch: &mut Stopwatch) -> u64 {
         self.calls += 1;
-        let landing = self.landings.iter_mut().find(|landing| landing.state.load(Ordering::Acquire) == FREE);
+        let (landing, bytes) = (self.landings.free(), size_of::<Vec2>() as u64);
         watch.submit(gpu, |encoder| {
             let mut pass = encoder.compute("change");
             for (pipeline, group, groups) in &self.steps {
@@ -108,18 +87,12 @@ impl ChangePass {
                 pass.dispatch_workgroups(*groups, 1, 1);
             }
             drop(pass);
-            if let Some(landing) = &landing {
-                let bytes = size_of::<Vec2>() as u64;
-                encoder.copy_buffer_to_buffer(&self.result, 0, &landing.buffer, 0, bytes);
+            if let Some(landing) = landing {
+                self.landings.copy(encoder, landing, &self.result, bytes);
             }
         });
         if let Some(landing) = landing {
-            landing.call = self.calls;
-            landing.state.store(UNDER_WAY, Ordering::Release);
-            let state = Arc::clone(&landing.state);
-            landing.buffer.map_async(wgpu::MapMode::Read, .., move |result| {
-                state.store(if result.is_ok() { THERE } else { LOST }, Ordering::Release);
-            });
+            self.landings.ask(landing, self.calls, bytes);
         }
         self.calls
     }
@@ -127,27 +100,13 @@ impl ChangePass {
     /// The answers that are there, oldest first; after a wait for all that are under way if asked.
     pub fn answers(&mut self, gpu: &Gpu, waits: bool) -> Result<Vec<Answer>> {
         gpu.poll(waits)?;
-        let mut found = Vec::new();
-        for landing in &mut self.landings {
-            match landing.state.load(Ordering::Acquire) {
-                THERE => {}
-                LOST => return Err(failed(format!("{} gave nothing back", gpu.name))),
-                _ => continue,
-            }
-            let view = landing
-                .buffer
-                .get_mapped_range(..)
-                .map_err(|error| failed(format!("{} gave nothing back ({error})", gpu.name)))?;
-            let [sums] = bytemuck::pod_collect_to_vec::<u8, [f32; 2]>(&view[..size_of::<Vec2>()])[..] else {
+        let answer = |(call, sums): (u64, Vec<[f32; 2]>)| {
+            let [sums] = sums[..] else {
                 return Err(failed(format!("{} gave too little back", gpu.name)));
             };
-            drop(view);
-            landing.buffer.unmap();
-            landing.state.store(FREE, Ordering::Release);
             let change = if sums == [0.0; 2] { 0.0 } else { sums[0] / sums[1] };
-            found.push(Answer { call: landing.call, change });
-        }
-        found.sort_by_key(|answer| answer.call);
-        Ok(found)
+            Ok(Answer { call, change })
+        };
+        self.landings.answers(gpu)?.into_iter().map(answer).collect()
     }
 }

@@ -11,7 +11,7 @@ use crate::error::Result;
 use crate::picture::Tone;
 
 /// The shader.
-pub const SHADER: &str = include_str!("show.wgsl");
+pub const SHADER: &str = concat!(include_str!("../shared/curve.wgsl"), include_str!("show.wgsl"));
 /// Largest difference from the reference in sRGB of 0 to 1: sums have 11 bits, the result 8.
 pub const TOLERANCE: f32 = 1.1 / 255.0;
 /// Format of the sum: adapters blend it, and 11 bits are finer than a screen's 8.

@@ -6,16 +6,14 @@ use std::time::Instant;
 use clap::{Args, ValueEnum};
 use lightkiln_client::bake::LoadedBake;
 use lightkiln_client::export::{self, Exported, Options, Share};
-use lightkiln_client::fetch::Source;
 use lightkiln_client::lights::{ParsedLights, lights_of, parse_lights};
 use lightkiln_client::preview::{LitReceivers, light_receivers};
 use lightkiln_client::scene::{Recolour, check_recolours};
 use serde_json::json;
 
-use crate::arguments::TrustArgument;
+use crate::arguments::BakeArgument;
 use crate::console::say;
 use crate::failure::Result;
-use crate::interrupt::Interrupt;
 use crate::kinds::KindTables;
 use crate::outputs::{check_folder, folder_of};
 use crate::picture::{BackendName, parse_recolour};
@@ -24,14 +22,8 @@ use crate::switched_off::SwitchedOff;
 /// Arguments of `kiln export`.
 #[derive(Args, Debug)]
 pub struct Arguments {
-    /// Bundle folder; with --server, the id of a finished bake there
-    #[arg(value_name = "BUNDLE_OR_ID")]
-    bake: PathBuf,
-    /// Takes the bake from the server at this URL
-    #[arg(long, value_name = "URL")]
-    server: Option<String>,
     #[command(flatten)]
-    trust: TrustArgument,
+    source: BakeArgument,
     /// Folder to write: scene.glb, and lightmap-0.ktx2 and on, which it names
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -74,13 +66,7 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     export::check_folder(&arguments.out)?;
     // The export is written beside its place first.
     check_folder(folder_of(&arguments.out))?;
-    let source = match &arguments.server {
-        Some(url) => {
-            let client = arguments.trust.connect(url, &Interrupt::default())?;
-            Source::server(client, arguments.bake.to_string_lossy())
-        }
-        None => Source::bundle(&arguments.bake)?,
-    };
+    let source = arguments.source.open()?;
     if !arguments.material.is_empty() {
         check_recolours(&source.manifest()?.1, &arguments.material)?;
     }
