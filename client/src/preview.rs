@@ -10,12 +10,12 @@ mod within;
 use std::borrow::Cow;
 use std::path::Path;
 
-use lightkiln_proto::relight::Limit;
+use lightkiln_proto::relight::{Limit, Lod, LodPlan};
 use lightkiln_proto::scene::{SceneCamera, SceneLight};
 
 use crate::bake::{LitScene, LoadedBake, Unshadowed};
 use crate::error::{ClientError, Result};
-use crate::frame::eye_of;
+use crate::frame::{check_lod, eye_of, lod_eye, lod_table};
 use crate::lights::{Caster, Sky, camera_of, check_lights, check_scale, lights_of};
 use crate::passes::gpu::Gpu;
 use crate::passes::shadow::reference::ShadowMaps;
@@ -78,6 +78,8 @@ pub struct View {
     pub shadow_side: u32,
     /// End of the bounces before the picture is drawn.
     pub limit: Limit,
+    /// Levels of detail; all of it without.
+    pub lod: Option<Lod>,
 }
 
 impl View {
@@ -121,6 +123,7 @@ impl View {
             samples: 4,
             shadow_side: SHADOW_SIDE,
             limit: Limit::default(),
+            lod: None,
         }
     }
 
@@ -156,6 +159,7 @@ impl View {
                 "is a power of two in 64..=4096 texels",
             );
         }
+        self.lod.as_ref().map_or(Ok(()), check_lod)?;
         check_scale(&self.emitter_scale)?;
         check_stances(scene, &self.objects)?;
         camera_clip_from_world(&self.camera, self.size(), scene.manifest.bounds_m)?;
@@ -173,6 +177,7 @@ pub(crate) struct Prepared<'a> {
     pub view: &'a View,
     pub plan: ShadowPlan,
     pub sky: Sky,
+    pub lod: Option<LodPlan>,
 }
 
 impl<'a> Prepared<'a> {
@@ -186,12 +191,21 @@ impl<'a> Prepared<'a> {
             Cow::Owned(bake.scene.with_posed(posed))
         };
         let plan = view.plan(bounds_m)?;
-        Ok(Self { bake, scene, bounds_m, view, plan, sky: Sky::of(&view.lights) })
+        let lod = match view.lod {
+            None => None,
+            Some(lod) => {
+                lod_table(bake)?;
+                let eye = lod_eye(bake, &view.camera, view.size());
+                eye.and_then(|eye| bake.light.plan_lod(&lod, eye, None))
+            }
+        };
+        Ok(Self { bake, scene, bounds_m, view, plan, sky: Sky::of(&view.lights), lod })
     }
 
     /// The scene under its lights, for the processor.
     pub fn lit(&'a self, maps: &'a ShadowMaps) -> LitScene<'a> {
-        LitScene { scene: &self.scene, plan: &self.plan, maps, unshadowed: self.unshadowed() }
+        let lod = self.lod.as_ref();
+        LitScene { scene: &self.scene, plan: &self.plan, maps, unshadowed: self.unshadowed(), lod }
     }
 
     pub fn unshadowed(&self) -> Unshadowed<'_> {

@@ -3,7 +3,7 @@
 use std::fmt::Debug;
 
 use glam::Vec4;
-use lightkiln_proto::relight::{Limit, Sky};
+use lightkiln_proto::relight::{LOD_LEVELS, LevelCount, Limit, Lod, LodEye, LodPlan, LodTable, Sky};
 
 use crate::error::Result;
 use crate::fetch::Source;
@@ -27,6 +27,8 @@ pub struct LitScene<'a> {
     pub maps: &'a ShadowMaps,
     /// Their light that no shadow map has.
     pub unshadowed: Unshadowed<'a>,
+    /// Level of detail of each cluster, of the same bake; all detail without one.
+    pub lod: Option<&'a LodPlan>,
 }
 
 /// Light that no shadow map has.
@@ -126,6 +128,8 @@ pub enum Overlay {
         /// Clusters that have come.
         clusters: usize,
     },
+    /// Levels of detail, the finest first: red, green, blue, yellow.
+    Lod,
 }
 
 /// The light of a loaded bake.
@@ -186,9 +190,27 @@ pub trait Light: Debug + Send + Sync {
         None
     }
 
-    /// Colours by slot that [`LightPasses::paint`] lays over surfaces; `None` for an overlay that the kind has not.
-    fn overlay(&self, overlay: Overlay) -> Option<Vec<Vec4>> {
-        let _ = overlay;
+    /// Colours by slot that [`LightPasses::paint`] lays over surfaces, in the detail of `lod`; `None` for an overlay that the kind
+    /// has not.
+    fn overlay(&self, overlay: Overlay, lod: Option<&LodPlan>) -> Option<Vec<Vec4>> {
+        let _ = (overlay, lod);
+        None
+    }
+
+    /// What levels of detail need to know of the bake; `None` for a kind without them.
+    fn lod_table(&self) -> Option<&LodTable> {
+        None
+    }
+
+    /// The detail of each cluster for an eye, see [`LodTable::plan`]; `None` for a kind without levels of detail.
+    fn plan_lod(&self, lod: &Lod, eye: LodEye, before: Option<&LodPlan>) -> Option<LodPlan> {
+        let _ = (lod, eye, before);
+        None
+    }
+
+    /// Work of a plan by level; `None` for a kind without levels of detail.
+    fn count_lod(&self, plan: &LodPlan) -> Option<[LevelCount; LOD_LEVELS]> {
+        let _ = plan;
         None
     }
 
@@ -241,6 +263,22 @@ pub trait LightPasses {
     /// Records one bounce.
     fn bounce(&self, encoder: &mut Recorder<'_>) {
         let _ = encoder;
+    }
+
+    /// Makes what [`LightPasses::set_lod`] needs, once.
+    fn make_lod(&mut self, gpu: &Gpu, table: &LodTable) -> Result<()> {
+        let _ = (gpu, table);
+        Ok(())
+    }
+
+    /// Writes the detail of each cluster from the next bounce on; all of each without a plan.
+    fn set_lod(&mut self, gpu: &Gpu, plan: Option<&LodPlan>) {
+        let _ = (gpu, plan);
+    }
+
+    /// Writes the number of the next bounce, by which clusters take turns.
+    fn set_turn(&self, gpu: &Gpu, bounce: u32) {
+        let _ = (gpu, bounce);
     }
 
     /// Records the step from the bounces' result to the bindings of shading.

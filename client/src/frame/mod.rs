@@ -6,18 +6,20 @@
 //! set_materials ────────────────▶ direct ─▶
 //! set_objects ──▶ shadow maps ─▶ direct ─▶
 //! set_camera ───▶ cascades of suns ──────────────────────────────────────▶ draw
+//! set_lod ──────▶ detail of clusters ────▶
 //! set_overlay ──▶ colours instead of light ──────────────────────────────▶ draw
 //! ```
 //! Bounces go on from the light that there is: after a small change a few are enough. Whoever shows frames paces them, as a window
 //! does: an adapter that is slower than the caller falls behind.
 
 mod held;
+mod lod;
 mod objects;
 #[cfg(test)]
 mod tests;
 
 use glam::{Vec3, Vec4};
-use lightkiln_proto::relight::Limit;
+use lightkiln_proto::relight::{Limit, Lod, LodPlan, MAX_INTERVAL};
 use lightkiln_proto::scene::{SceneCamera, SceneLight};
 
 use crate::bake::{LightPasses, LoadedBake, Overlay, ReceiverBuffers, ReceiverLight, Unshadowed};
@@ -33,6 +35,7 @@ use crate::picture::PassTime;
 use crate::scene::{Recolour, Stance, Tints, bounds_of};
 
 pub use held::Held;
+pub(crate) use lod::{check_lod, lod_eye, lod_table};
 
 /// Room of a frame's buffers: what changes within it makes none.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -57,6 +60,11 @@ pub struct Frame<'a> {
     watch: Stopwatch,
     overlay: Option<Overlay>,
     has_paint: bool,
+    lod: Option<Lod>,
+    has_lod: bool,
+    lod_plan: Option<LodPlan>,
+    /// Number of the next bounce.
+    turn: u32,
     casters: Vec<Caster>,
     sky: Sky,
     emitter_scale: Vec<f32>,
@@ -94,8 +102,8 @@ struct Bounces {
     count: u32,
     /// Call of the first of them: answers before it are of other light.
     first_call: u64,
-    /// The last change that was heard of.
-    change: Option<f32>,
+    /// The last change that was heard of, by the turn among those in which each cluster takes part once.
+    changes: [Option<f32>; MAX_INTERVAL as usize],
 }
 
 impl<'a> Frame<'a> {
@@ -143,6 +151,10 @@ impl<'a> Frame<'a> {
             watch,
             overlay: None,
             has_paint: false,
+            lod: None,
+            has_lod: false,
+            lod_plan: None,
+            turn: 0,
             casters: Vec::new(),
             sky: Sky::default(),
             emitter_scale: Vec::new(),
@@ -217,6 +229,7 @@ impl<'a> Frame<'a> {
             self.shadow.set(&self.gpu, &self.plan);
             self.stale.cascades = true;
         }
+        self.plan_lod();
         Ok(())
     }
 
@@ -225,6 +238,8 @@ impl<'a> Frame<'a> {
         self.draw_shadows();
         let Some(change) = &mut self.change else { return Ok(0) };
         let clears = std::mem::take(&mut self.stale.light);
+        self.light.set_turn(&self.gpu, self.turn);
+        self.turn = self.turn.wrapping_add(1);
         self.watch.submit(&self.gpu, |encoder| {
             if let Some((e_ind, _)) = self.light.feedback().filter(|_| clears) {
                 encoder.clear_buffer(e_ind, 0, None);
@@ -241,9 +256,14 @@ impl<'a> Frame<'a> {
         Ok(self.bounces.count)
     }
 
-    /// The last change by a bounce that was heard of, since lights changed; 0 for a kind without feedback.
+    /// The last change by a bounce that was heard of, since lights changed; 0 for a kind without feedback. In some detail, that by
+    /// bounces in which each cluster takes part once.
     pub fn change(&self) -> Option<f32> {
-        if self.change.is_none() { Some(0.0) } else { self.bounces.change }
+        if self.change.is_none() {
+            Some(0.0)
+        } else {
+            self.bounces.changes[..self.cycle()].iter().copied().sum()
+        }
     }
 
     /// Bounces since lights changed.
@@ -274,7 +294,10 @@ impl<'a> Frame<'a> {
         self.draw_shadows();
         let view = self.view(&self.camera, jitter)?.showing_irradiance(self.overlay.is_some());
         let publishes = std::mem::take(&mut self.stale.pages);
-        let colours = self.overlay.filter(|_| publishes).and_then(|overlay| self.bake.light.overlay(overlay));
+        let colours = self
+            .overlay
+            .filter(|_| publishes)
+            .and_then(|overlay| self.bake.light.overlay(overlay, self.lod_plan.as_ref()));
         let (gpu, light) = (&*self.gpu, &self.light);
         self.watch.submit(gpu, |encoder| {
             match &colours {
@@ -295,6 +318,7 @@ impl<'a> Frame<'a> {
         if room != self.room {
             self.shade.resize(&self.gpu, size)?;
             self.room = room;
+            self.plan_lod();
         }
         Ok(())
     }
@@ -334,10 +358,15 @@ impl<'a> Frame<'a> {
             check_overlay(&bake, overlay)?;
             light.make_paint(&self.gpu)?;
         }
+        if self.lod.is_some() {
+            light.make_lod(&self.gpu, lod_table(&bake)?)?;
+        }
         let change = light.feedback().map(|feedback| ChangePass::new(&self.gpu, feedback)).transpose()?;
         self.shade.bind(&self.gpu, &light.bindings())?;
         self.has_paint = self.overlay.is_some();
+        (self.has_lod, self.lod_plan) = (self.lod.is_some(), None);
         (self.light, self.change, self.bake) = (light, change, bake);
+        self.plan_lod();
         if let Some(albedo) = self.bake.light.tinted_albedo(&self.bake.scene, &self.tints) {
             self.light.set_albedo(&self.gpu, &albedo);
         }
@@ -429,7 +458,8 @@ impl<'a> Frame<'a> {
             // Light that is no number stays none.
             self.stale.light |= !answer.change.is_finite();
             if answer.call >= self.bounces.first_call {
-                self.bounces.change = Some(answer.change);
+                let turn = answer.call % self.cycle() as u64;
+                self.bounces.changes[turn as usize] = Some(answer.change);
             }
         }
         Ok(())
@@ -455,7 +485,7 @@ impl<'a> Frame<'a> {
 }
 
 fn check_overlay(bake: &LoadedBake, overlay: Overlay) -> Result<()> {
-    if bake.light.overlay(overlay).is_some() {
+    if bake.light.overlay(overlay, None).is_some() {
         return Ok(());
     }
     let what = format!("overlay {overlay:?}");

@@ -5,11 +5,14 @@ mod passes;
 #[cfg(test)]
 mod tests;
 
+use std::sync::OnceLock;
+
 use glam::{Vec3, Vec4};
 use lightkiln_proto::content::ClusterTransport;
 use lightkiln_proto::manifest::Manifest;
 use lightkiln_proto::relight::{
-    Columns, Incoming, Inconsistent, Limit, NO_PATCH, Settled, SlotTable, Transport,
+    Columns, Incoming, Inconsistent, LOD_LEVELS, LevelCount, Limit, Lod, LodEye, LodPlan, LodTable, NO_PATCH,
+    Settled, SlotTable, Transport,
 };
 use wgpu::TextureViewDimension as Dimension;
 
@@ -32,6 +35,14 @@ use crate::threads::Threads;
 pub use debug::{ATLAS, CLUSTERS};
 pub use passes::LightmapPasses;
 
+/// Colours of levels of detail, as [Sedlacek2019] fig. 5.29 has them.
+const LEVEL_COLOURS: [Vec3; LOD_LEVELS] = [
+    Vec3::new(0.7, 0.1, 0.05),
+    Vec3::new(0.1, 0.6, 0.15),
+    Vec3::new(0.1, 0.2, 0.8),
+    Vec3::new(0.75, 0.65, 0.1),
+];
+
 /// Columns with their pass on the adapter.
 pub trait ClientColumns: Columns + 'static {
     /// Uploads the pass that makes λ of the light at receivers.
@@ -53,6 +64,8 @@ pub struct LightmapLight<C> {
     pub texels: AtlasTexels,
     /// Points of receivers' texels.
     pub points: TexelPoints,
+    /// Made when it is first asked for.
+    lod: OnceLock<LodTable>,
 }
 
 impl<C: Columns> LightmapLight<C> {
@@ -81,7 +94,7 @@ impl<C: Columns> LightmapLight<C> {
         let texels = AtlasTexels::new(&scene.lightmap, &transport.slots, &transport.receivers);
         let points =
             TexelPoints::new((&scene.draws, &scene.lightmap), &transport.slots, &transport.receivers);
-        Ok(Self { transport, texels, points })
+        Ok(Self { transport, texels, points, lod: OnceLock::new() })
     }
 
     /// Bounces until they converge, E_dir from shadow maps.
@@ -89,8 +102,15 @@ impl<C: Columns> LightmapLight<C> {
         let IncomingDirect { receivers, near } = self.direct(lit);
         let Unshadowed { sky, emitter_scale } = lit.unshadowed;
         let incoming = Incoming { dir: &receivers, near: &near, sky, emitter_scale };
-        let light = self.transport.settle(&Threads, &incoming, limit);
+        let detail = lit.lod.map(|plan| (self.lod(), plan));
+        let light = self.transport.settle_in(&Threads, &incoming, limit, detail);
         Lit { dir: receivers, light }
+    }
+
+    /// Bounds of clusters, and stand-ins of receivers.
+    pub fn lod(&self) -> &LodTable {
+        let Transport { slots, receivers, clusters, .. } = &self.transport;
+        self.lod.get_or_init(|| LodTable::new(slots, receivers, clusters))
     }
 
     /// E_dir of receivers and near hits from shadow maps.
@@ -203,8 +223,12 @@ impl<C: ClientColumns> Light for LightmapLight<C> {
         }
     }
 
-    fn overlay(&self, overlay: Overlay) -> Option<Vec<Vec4>> {
+    fn overlay(&self, overlay: Overlay, lod: Option<&LodPlan>) -> Option<Vec<Vec4>> {
         match overlay {
+            Overlay::Lod => Some(self.by_cluster(|index| {
+                let level = lod.and_then(|plan| plan.levels.get(index)).copied().unwrap_or(0);
+                LEVEL_COLOURS[usize::from(level) % LOD_LEVELS]
+            })),
             Overlay::Clusters => Some(self.by_cluster(|index| debug::hue(index as u32))),
             Overlay::Patches => self.by_patch(),
             Overlay::Residency { clusters } => Some(self.by_cluster(|index| match index < clusters {
@@ -212,6 +236,18 @@ impl<C: ClientColumns> Light for LightmapLight<C> {
                 false => Vec3::new(0.7, 0.1, 0.05),
             })),
         }
+    }
+
+    fn lod_table(&self) -> Option<&LodTable> {
+        Some(self.lod())
+    }
+
+    fn plan_lod(&self, lod: &Lod, eye: LodEye, before: Option<&LodPlan>) -> Option<LodPlan> {
+        Some(self.lod().plan(&self.transport.clusters, lod, eye, before))
+    }
+
+    fn count_lod(&self, plan: &LodPlan) -> Option<[LevelCount; LOD_LEVELS]> {
+        Some(plan.counts(&self.transport.clusters))
     }
 
     fn lightmap<'a>(&'a self, scene: &'a LoadedScene) -> Option<Lightmap<'a>> {

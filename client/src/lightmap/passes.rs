@@ -1,6 +1,7 @@
 //! The passes of light in a lightmap on the adapter, with their buffers.
 
 use glam::Vec4;
+use lightkiln_proto::relight::{LodPlan, LodTable};
 
 use super::{ClientColumns, LightmapLight};
 use crate::bake::{LightPasses, ReceiverBuffers, UnshadowedArrays};
@@ -9,6 +10,7 @@ use crate::passes::atlas::{AtlasPass, placements};
 use crate::passes::basis::BasisPass;
 use crate::passes::direct::TexelsPass;
 use crate::passes::gpu::Gpu;
+use crate::passes::lod::LodPass;
 use crate::passes::near::NearPass;
 use crate::passes::reconstruct::{ReconstructPass, RowArrays};
 use crate::passes::resident::{ColumnsPass, Resident};
@@ -16,7 +18,7 @@ use crate::passes::shadow::ShadowPass;
 use crate::passes::stopwatch::Recorder;
 use crate::scene::LoadedScene;
 
-/// direct → columns → basis → near → reconstruct → atlas.
+/// direct → columns → basis → near → reconstruct → stand-ins of the level of detail → atlas.
 #[derive(Debug)]
 pub struct LightmapPasses {
     pub(crate) resident: Resident,
@@ -27,6 +29,7 @@ pub struct LightmapPasses {
     pub(crate) reconstruct: ReconstructPass,
     pub(crate) atlas: AtlasPass,
     placements: wgpu::Buffer,
+    lod: Option<LodPass>,
     /// Halves of colours by slot, and the atlas pass over them twice.
     paint: Option<(wgpu::Buffer, wgpu::BindGroup)>,
 }
@@ -46,16 +49,23 @@ impl LightmapPasses {
             start: &resident.e_near,
             beside: Some(&resident.e_emit),
             result: &resident.e_ind,
+            detail: &resident.detail,
         };
         Ok(Self {
             direct: TexelsPass::new(gpu, shadow, &resident, &light.points)?,
             columns: transport.columns.pass(gpu, &resident)?,
-            basis: BasisPass::new(gpu, &transport.clusters, &resident.lambda, &resident.b)?,
+            basis: BasisPass::new(
+                gpu,
+                &transport.clusters,
+                [&resident.lambda, &resident.b],
+                &resident.detail,
+            )?,
             near: NearPass::new(gpu, &transport.near, shadow, &resident)?,
             reconstruct: ReconstructPass::new(gpu, &transport.clusters, receivers)?,
             atlas: AtlasPass::new(gpu, &scene.lightmap, &light.texels, &resident)?,
             placements: gpu.storage("placements", &placements(scene))?,
             resident,
+            lod: None,
             paint: None,
         })
     }
@@ -82,8 +92,31 @@ impl LightPasses for LightmapPasses {
     fn bounce(&self, encoder: &mut Recorder<'_>) {
         self.columns.record(&mut encoder.compute("columns"));
         self.basis.record(&mut encoder.compute("basis"));
+        if let Some(lod) = &self.lod {
+            lod.mark(&mut encoder.compute("level of detail"));
+        }
         self.near.record(&mut encoder.compute("near"));
         self.reconstruct.record(&mut encoder.compute("reconstruct"));
+        if let Some(lod) = &self.lod {
+            lod.fill(&mut encoder.compute("level of detail"));
+        }
+    }
+
+    fn make_lod(&mut self, gpu: &Gpu, table: &LodTable) -> Result<()> {
+        self.lod = Some(LodPass::new(gpu, table, &self.resident)?);
+        Ok(())
+    }
+
+    fn set_lod(&mut self, gpu: &Gpu, plan: Option<&LodPlan>) {
+        if let Some(lod) = &mut self.lod {
+            lod.set(gpu, &self.resident, plan);
+        }
+    }
+
+    fn set_turn(&self, gpu: &Gpu, bounce: u32) {
+        if let Some(lod) = &self.lod {
+            lod.set_turn(gpu, &self.resident, bounce);
+        }
     }
 
     /// E_emit + E_ind into the pages.

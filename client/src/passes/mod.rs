@@ -1,4 +1,4 @@
-//! The steps of a frame: shadow maps → direct → patches → basis → near → reconstruct → change → atlas → shade;
+//! The steps of a frame: shadow maps → direct → patches → basis → near → reconstruct → lod → change → atlas → shade;
 //! for a window also meter → show.
 //!
 //! Each pass is a folder: the shader, its caller, and `reference.rs`, which does the same on the processor over the same
@@ -11,6 +11,7 @@ pub mod compare;
 pub mod direct;
 pub mod gpu;
 pub mod landings;
+pub mod lod;
 pub mod meshes;
 pub mod meter;
 pub mod near;
@@ -29,6 +30,8 @@ pub const SHADERS: &[(&str, &str)] = &[
     ("basis", basis::SHADER),
     ("change", change::SHADER),
     ("direct-texels", direct::TEXELS_SHADER),
+    ("lod-fill", lod::FILL_SHADER),
+    ("lod-mark", lod::MARK_SHADER),
     ("meter", meter::SHADER),
     ("near", near::SHADER),
     ("near-lit", near::LIT_SHADER),

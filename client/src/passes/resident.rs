@@ -6,6 +6,7 @@ use glam::Vec4;
 use lightkiln_proto::relight::{Cluster, Columns, Packing, Transport};
 
 use super::gpu::{Gpu, failed};
+use super::lod::DetailBuffers;
 use crate::error::Result;
 
 /// Receivers, and the arrays that passes hand to each other. Same layouts as the references' slices.
@@ -23,12 +24,14 @@ pub struct Resident {
     pub e_emit: wgpu::Buffer,
     /// E_ind by slot, W·m⁻².
     pub e_ind: wgpu::Buffer,
-    /// N of near hits by slot, W·m⁻².
+    /// N of near hits by slot, W·m⁻²; w is 0 but for receivers that no bounce computes.
     pub e_near: wgpu::Buffer,
     /// λ, J entries a column; the sky last.
     pub lambda: wgpu::Buffer,
     /// b of all clusters.
     pub b: wgpu::Buffer,
+    /// The part of each cluster that bounces compute.
+    pub detail: DetailBuffers,
     /// Receivers.
     pub receiver_count: usize,
     /// Entries of `lambda`.
@@ -54,6 +57,7 @@ impl Resident {
             e_near: gpu.blank("E of near hits", by_slot)?,
             lambda: gpu.blank("lambda", lambda_count as u64 * four)?,
             b: gpu.blank("b", clusters.b_len as u64 * four)?,
+            detail: DetailBuffers::new(gpu, clusters)?,
             receiver_count: receivers.len(),
             lambda_count,
             b_count: clusters.b_len,

@@ -8,6 +8,7 @@ use glam::{Vec3, Vec4};
 use image::codecs::png::PngEncoder;
 use image::error::{ParameterError, ParameterErrorKind};
 use image::{ExtendedColorType, ImageEncoder, ImageError};
+use lightkiln_proto::relight::{LOD_LEVELS, LevelCount};
 use rayon::prelude::*;
 
 use crate::error::{ClientError, Result};
@@ -38,6 +39,8 @@ pub struct Picture {
     pub converged: bool,
     /// Time of the adapter's passes so far, also of pictures before; `None` where it has no clock, and of the processor.
     pub pass_times: Option<Vec<PassTime>>,
+    /// Work by level of detail, the finest first; `None` where there is all detail.
+    pub lod: Option<[LevelCount; LOD_LEVELS]>,
 }
 
 /// Time of a pass so far.
@@ -101,6 +104,7 @@ impl Film {
             bounces: 0,
             converged: false,
             pass_times: None,
+            lod: None,
         }
     }
 }

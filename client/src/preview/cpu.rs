@@ -10,7 +10,7 @@ use crate::scene::LoadedScene;
 
 /// Draws the picture.
 pub(super) fn render(prepared: &Prepared<'_>, exposure: Exposure) -> Result<Picture> {
-    let Prepared { bake, scene, bounds_m, view, plan, sky } = prepared;
+    let Prepared { bake, scene, bounds_m, view, plan, sky, lod } = prepared;
     let scene: &LoadedScene = scene;
     let maps = draw(scene, plan);
     let mut settled = bake.light.settle(&prepared.lit(&maps), view.limit);
@@ -25,5 +25,6 @@ pub(super) fn render(prepared: &Prepared<'_>, exposure: Exposure) -> Result<Pict
     }
     let film = film.unwrap_or_else(|| Film::new(view.size(), view.tone, exposure, &[]));
     let (bounces, converged) = (settled.bounces, settled.converged);
-    Ok(Picture { by_reference: true, bounces, converged, ..film.develop() })
+    let lod = lod.as_ref().and_then(|plan| bake.light.count_lod(plan));
+    Ok(Picture { by_reference: true, bounces, converged, lod, ..film.develop() })
 }

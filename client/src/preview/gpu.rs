@@ -35,7 +35,8 @@ pub(super) fn render(
         frame.hear_times()?;
         let pass_times = frame.pass_times().map(<[_]>::to_vec);
         let drawn_by = gpu.name.clone();
-        reel.push(Picture { drawn_by, bounces, converged, pass_times, ..film.develop() })?;
+        let lod = frame.lod_counts();
+        reel.push(Picture { drawn_by, bounces, converged, pass_times, lod, ..film.develop() })?;
     }
     Ok(())
 }
@@ -49,6 +50,7 @@ fn set(frame: &mut Frame<'_>, view: &View) -> Result<()> {
     frame.set_lights(&view.lights)?;
     frame.set_emitters(&view.emitter_scale)?;
     frame.set_objects(&view.objects)?;
+    frame.set_lod(view.lod)?;
     frame.set_camera(view.camera.clone())
 }
 

@@ -13,6 +13,7 @@ use crate::fixture;
 use crate::passes::basis::BasisPass;
 use crate::passes::compare::Difference;
 use crate::passes::gpu::Gpu;
+use crate::passes::lod::DetailBuffers;
 use crate::passes::patches::PatchesPass;
 use crate::passes::reconstruct::{ReconstructPass, RowArrays};
 use crate::passes::resident::{ColumnsPass, Resident};
@@ -132,7 +133,8 @@ fn adapter_basis_agrees_with_the_reference() {
         let values = noise(COLUMNS.lambda_count(), 5);
         let lambda = gpu.storage("lambda", &values).unwrap();
         let b = gpu.blank("b", (table.b_len * size_of::<Vec4>()) as u64).unwrap();
-        let pass = BasisPass::new(gpu, &table, &lambda, &b).unwrap();
+        let detail = DetailBuffers::new(gpu, &table).unwrap();
+        let pass = BasisPass::new(gpu, &table, [&lambda, &b], &detail).unwrap();
         gpu.submit(|encoder| pass.record(&mut encoder.begin_compute_pass(&Default::default())));
         let got: Vec<Vec4> = gpu.read(&b, table.b_len).unwrap();
         let wanted = basis::reference::basis(&table, &values);
@@ -162,8 +164,14 @@ fn adapter_reconstruct_agrees_with_the_reference() {
         let [b_buffer, start_buffer, beside_buffer] =
             [&b, &start, &beside].map(|values| gpu.storage("given", values).unwrap());
         let result = gpu.blank("E", (rows * size_of::<Vec4>()) as u64).unwrap();
-        let arrays =
-            RowArrays { b: &b_buffer, start: &start_buffer, beside: Some(&beside_buffer), result: &result };
+        let detail = DetailBuffers::new(gpu, &table).unwrap();
+        let arrays = RowArrays {
+            b: &b_buffer,
+            start: &start_buffer,
+            beside: Some(&beside_buffer),
+            result: &result,
+            detail: &detail,
+        };
         let made = |rows_of: RowArrays<'_>| -> Vec<Vec4> {
             let pass = ReconstructPass::new(gpu, &table, rows_of).unwrap();
             gpu.submit(|encoder| pass.record(&mut encoder.begin_compute_pass(&Default::default())));

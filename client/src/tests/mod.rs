@@ -2,6 +2,7 @@
 //! obeys physics, and light can follow the view.
 
 mod adapter;
+mod detail;
 pub(crate) mod facing;
 mod factors;
 mod formula;

@@ -5,7 +5,7 @@ use std::fs;
 use std::mem::offset_of;
 use std::path::Path;
 
-use lightkiln_proto::relight::{Column, NearHit, NearRow, OwnSurface, PatchRow};
+use lightkiln_proto::relight::{Column, Detail, LodView, NearHit, NearRow, OwnSurface, PatchRow, StandIn};
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 use naga::{AddressSpace, TypeInner};
 
@@ -14,6 +14,7 @@ use crate::passes::atlas::{AtlasNumbers, AtlasTexel, Placement};
 use crate::passes::basis::BasisNumbers;
 use crate::passes::change::ChangeNumbers;
 use crate::passes::direct::TexelNumbers;
+use crate::passes::lod::{FillNumbers, TurnNumbers};
 use crate::passes::meter::MeterNumbers;
 use crate::passes::near::NearNumbers;
 use crate::passes::patches::PatchNumbers;
@@ -121,19 +122,24 @@ fn twins() -> BTreeMap<&'static str, Layout> {
     twins! {
         "Atlas": AtlasNumbers { texel_count, stride }
         "AtlasTexel": AtlasTexel { x, y, first, packed, kind }
-        "Basis": BasisNumbers { stride, cluster_count }
+        "Basis": BasisNumbers { stride, cluster_count, first_cluster }
         "Change": ChangeNumbers { receiver_count, stride }
         "Cluster": ClusterRow {
             first_row, row_count, first_column, column_count, rank, first_b, first_word, wide, wide_words,
             bytes
         }
         "Column": Column { place, scale }
+        "Detail": Detail { first_row, row_count, rows, wide, bytes, rest, groups, level, interval }
         "Face": Face { clip_from_world, right, texel_at_unit_w, up, panes }
+        "Fill": FillNumbers { count, stride, level }
         "Light": Light {
             position, range_m, direction, shape, strength, first_face, cone_cos_inner, cone_cos_outer, face_count,
             half_extent, first_cascade, cascades, pad0, pad1
         }
         "LightCount": LightCount { count, side, bias_m, snap }
+        "LodView": LodView {
+            position_m, view_cos, forward, beside, starts_m, behind, ends_m, pad
+        }
         "Mask": Mask { uv_row0, uv_row1, alpha, cutoff, pad0, pad1 }
         "Meter": MeterNumbers { columns, rows, width, height }
         "Near": NearNumbers { row_count, stride }
@@ -148,14 +154,16 @@ fn twins() -> BTreeMap<&'static str, Layout> {
             receiver_count, leaf_count, patch_count, stride, first_block, first_large, block_source
         }
         "Placement": Placement { front, front_size, back, back_size }
-        "Reconstruct": ReconstructNumbers { stride, cluster_count, has_beside }
+        "Reconstruct": ReconstructNumbers { stride, cluster_count, has_beside, first_cluster }
         "Relight": RelightNumbers { first_probe, receiver_count, rays, coefficients }
         "ShadeDraw": ShadeDraw {
             base_colour, emissive, base_row0, base_row1, emissive_row0, emissive_row1, transmission_row0,
             transmission_row1, cutoff, index, transmission, blends
         }
         "Show": ShowNumbers { exposure, tone, encodes, pad }
+        "StandIn": StandIn { slot, cluster, sources }
         "TexelNumbers": TexelNumbers { first, count, stride, reach_m }
+        "Turn": TurnNumbers { bounce, cluster_count, stride }
         "ShadeView": ShadeView { clip_from_world, zenith, horizon, ray, ray_per_x, ray_per_y }
     }
 }

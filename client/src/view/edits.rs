@@ -1,7 +1,8 @@
-//! State that the user changes: lights, emitters, colours, exposure, overlay.
+//! State that the user changes: lights, emitters, colours, exposure, overlay, level of detail.
 
+use lightkiln_proto::relight::Lod;
 use lightkiln_proto::scene::{LightKind, SceneCamera, SceneLight};
-use lightkiln_proto::words::{camera_to_text, light_to_text, stance_to_text};
+use lightkiln_proto::words::{camera_to_text, light_to_text, lod_to_text, stance_to_text};
 
 use crate::bake::Overlay;
 use crate::lights::quoted;
@@ -26,6 +27,8 @@ pub struct Edits {
     pub tone: Tone,
     /// Colours over surfaces.
     pub overlay: Option<Overlay>,
+    /// Levels of detail; all of it without.
+    pub lod: Option<Lod>,
 }
 
 /// An object beside the bake, and where it stands.
@@ -85,7 +88,7 @@ impl Edits {
         });
         let objects = objects.collect();
         let (lights, exposure, tone) = (view.lights.clone(), view.exposure, view.tone);
-        Self { lights, emitters, colours, objects, exposure, tone, overlay: None }
+        Self { lights, emitters, colours, objects, exposure, tone, overlay: None, lod: view.lod }
     }
 
     /// Where objects stand.
@@ -164,6 +167,9 @@ impl Edits {
             Tone::Filmic => {}
             Tone::Reinhard => option("tone", "reinhard"),
             Tone::Linear => option("tone", "exposure"),
+        }
+        if let Some(lod) = &self.lod {
+            option("lod", &lod_to_text(lod));
         }
         (words, notes)
     }

@@ -8,6 +8,7 @@
 //! The viewer needs no window: tests give it input, and read its pictures.
 
 mod app;
+mod detail;
 mod edits;
 mod feed;
 mod fly;

@@ -6,6 +6,7 @@ use egui::{Color32, Context, DragValue, Pos2, Response, Slider, SliderClamping, 
 use glam::Vec3;
 use lightkiln_proto::scene::{LightKind, SceneLight};
 
+use super::detail;
 use super::edits::{Edits, new_light};
 use super::handles::Part;
 use super::viewer::Viewer;
@@ -116,6 +117,7 @@ fn contents(ui: &mut Ui, viewer: &mut Viewer, facts: &Facts) -> Wishes {
     if !viewer.edits.objects.is_empty() {
         section(ui, "Objects", true, |ui| objects(ui, &mut viewer.edits));
     }
+    section(ui, "Level of detail", false, |ui| detail::show(ui, viewer));
     section(ui, "Overlay", false, |ui| overlay(ui, viewer, facts));
     section(ui, "Times", false, |ui| times(ui, viewer, facts));
     section(ui, "Keys", false, |ui| {
@@ -200,7 +202,7 @@ fn parts(strength: [f32; 3]) -> ([f32; 3], f32) {
 }
 
 /// A slider. A value beyond its range stays until the user changes it.
-fn slider(
+pub(super) fn slider(
     ui: &mut Ui,
     value: &mut f32,
     range: RangeInclusive<f32>,
@@ -380,6 +382,11 @@ fn overlay(ui: &mut Ui, viewer: &mut Viewer, facts: &Facts) {
     ui.radio_value(chosen, None, "none");
     ui.radio_value(chosen, Some(Overlay::Clusters), "clusters");
     ui.radio_value(chosen, Some(Overlay::Patches), "patches");
+    ui.radio_value(
+        chosen,
+        Some(Overlay::Lod),
+        "level of detail: red is the finest, then green, blue, yellow",
+    );
     if let Some(Streamed { clusters, .. }) = facts.streamed {
         let residency = Overlay::Residency { clusters };
         let is_chosen = matches!(chosen, Some(Overlay::Residency { .. }));

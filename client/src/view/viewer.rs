@@ -4,6 +4,7 @@ use std::error::Error as _;
 use std::sync::Arc;
 
 use glam::{Vec2, Vec3};
+use lightkiln_proto::relight::{LOD_LEVELS, LevelCount};
 use lightkiln_proto::scene::SceneCamera;
 
 use super::edits::Edits;
@@ -87,6 +88,7 @@ impl Viewer {
         frame.set_emitters(&edits.emitters)?;
         frame.set_materials(&edits.recolours())?;
         frame.set_objects(&edits.stances())?;
+        frame.set_lod(edits.lod)?;
         let show = ShowPass::new(&gpu, screen);
         let sum = show.sum(&gpu, frame.radiance(), size);
         let meter = MeterPass::new(&gpu, frame.radiance(), size)?;
@@ -146,11 +148,22 @@ impl Viewer {
     /// The view that is shown, as headless pictures take it.
     pub fn view(&self) -> View {
         let objects = self.applied.stances();
-        let Edits { lights, emitters, exposure, tone, .. } = self.applied.clone();
+        let Edits { lights, emitters, exposure, tone, lod, .. } = self.applied.clone();
         let camera = self.frame.camera().clone();
         let [width, height] = self.size;
         let emitter_scale = emitters;
-        View { camera, width, height, lights, emitter_scale, objects, exposure, tone, ..self.view.clone() }
+        View {
+            camera,
+            width,
+            height,
+            lights,
+            emitter_scale,
+            objects,
+            exposure,
+            tone,
+            lod,
+            ..self.view.clone()
+        }
     }
 
     /// Between the scene and the picture; none for a camera that sees nothing.
@@ -187,6 +200,11 @@ impl Viewer {
         let is_settled =
             bounces >= limit.bounces_max || change.is_some_and(|change| change < limit.change_max);
         Settling { bounces, change, is_settled }
+    }
+
+    /// Work by level of detail; none where there is all detail.
+    pub fn lod_counts(&self) -> Option<[LevelCount; LOD_LEVELS]> {
+        self.frame.lod_counts()
     }
 
     /// Times of the adapter's passes; none where it has no clock.
@@ -309,6 +327,12 @@ impl Viewer {
             if self.refused(set)? {
                 self.edits.objects.clone_from(&self.applied.objects);
                 self.edits.objects.iter_mut().for_each(|object| object.plays = false);
+            }
+        }
+        if self.edits.lod != self.applied.lod {
+            let set = self.frame.set_lod(self.edits.lod);
+            if self.refused(set)? {
+                self.edits.lod = self.applied.lod;
             }
         }
         if self.edits.overlay != self.applied.overlay {

@@ -14,16 +14,18 @@ export class BasisPass {
     const pipeline = await gpu.compute("basis", "project");
     const columns = gpu.storage("columns", table.columns);
     const steps = gpu.storage("steps", table.steps);
-    pass.pages = pagesOf(gpu, table, "vt").map(({ clusters, rows, words }) => {
+    pass.pages = pagesOf(gpu, table, "vt").map(({ firstCluster, clusters, rows, words }) => {
       const counts = groups2d(clusters.length);
       const group = gpu.bind(pipeline.getBindGroupLayout(0), [
-        gpu.uniform("basis", Uint32Array.from([counts[0], clusters.length])),
+        gpu.uniform("basis", Uint32Array.from([counts[0], clusters.length, firstCluster])),
         rows,
         columns,
         words,
         steps,
         resident.lambda,
         resident.b,
+        resident.details,
+        resident.turn,
       ]);
       return { pipeline, groups: [group], counts };
     });
@@ -40,17 +42,20 @@ export class ReconstructPass {
   static async create(gpu, table, resident) {
     const pass = new ReconstructPass();
     const pipeline = await gpu.compute("reconstruct", "expand");
-    pass.pages = pagesOf(gpu, table, "u").map(({ clusters, rows, words }) => {
+    pass.pages = pagesOf(gpu, table, "u").map(({ firstCluster, clusters, rows, words }) => {
       const most = clusters.reduce((sum, { rowCount }) => Math.max(sum, rowCount), 0);
       const [stride, layers] = groups2d(clusters.length);
       const group = gpu.bind(pipeline.getBindGroupLayout(0), [
-        gpu.uniform("reconstruct", Uint32Array.from([stride, clusters.length, 1])),
+        gpu.uniform("reconstruct", Uint32Array.from([stride, clusters.length, 1, firstCluster])),
         rows,
         words,
         resident.b,
         resident.eNear,
         resident.eEmit,
         resident.eInd,
+        resident.details,
+        resident.order,
+        resident.turn,
       ]);
       return { pipeline, groups: [group], counts: [Math.ceil(most / ROWS), stride, layers] };
     });
@@ -69,6 +74,7 @@ function pagesOf(gpu, table, factor) {
     const clusters = table.clusters.slice(from, to);
     const [first, end] = wordsOf(clusters, factor);
     return {
+      firstCluster: from,
       clusters,
       rows: gpu.storage("clusters", clusterRows(clusters, factor, first)),
       words: gpu.storage(factor, table[factor].subarray(first, end)),

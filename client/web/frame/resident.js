@@ -1,5 +1,7 @@
 // Arrays of receivers and clusters on the device that several passes share; twin of client/src/passes/resident.rs.
 
+import { GROUP } from "../relight/packed.js";
+
 /** Bytes of a vector of four numbers. */
 export const FOUR = 16;
 
@@ -18,12 +20,25 @@ export class Resident {
     this.eNear = gpu.blank("E of near hits", bySlot);
     this.lambda = gpu.blank("lambda", FOUR * columns.lambdaCount);
     this.b = gpu.blank("b", FOUR * clusters.bLen);
+    // All of each cluster, in each bounce: here are no levels of detail.
+    this.details = gpu.storage("details", detailsOf(clusters.clusters));
+    this.order = gpu.blank("order of rows", 4 * receivers.count);
+    this.turn = gpu.uniform("turn", Uint32Array.from([0, clusters.clusters.length, 1]));
   }
 
   /** Writes the end of λ, which no pass writes. */
   writeSky(gpu, sky) {
     gpu.write(this.lambda, sky, FOUR * this.lambdaCount - sky.byteLength);
   }
+}
+
+/** The part of each cluster that bounces compute, as shaders read it: all; twin of `Detail::full` in the contract. */
+function detailsOf(clusters) {
+  const details = clusters.flatMap(({ firstRow, rowCount, columnCount, rank, vt }) => {
+    const { wide, bytes } = vt;
+    return [firstRow, rowCount, rowCount, wide, bytes, columnCount - wide - bytes, Math.ceil(rank / GROUP), 0, 1];
+  });
+  return Uint32Array.from(details);
 }
 
 /** Rows of some clusters as shaders read them, for one of their factors, `u` or `vt`, in a page whose first word is `first`. */

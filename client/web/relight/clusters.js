@@ -40,7 +40,7 @@ export class ClusterTable {
   #push(joined, factors, columns, firstRow, rowCount) {
     const { rank } = factors;
     const columnCount = factors.keys.length;
-    const { places, scales } = columnsOf(factors, columns);
+    const { places, scales, levels } = columnsOf(factors, columns);
     const stepsOfU = Float32Array.from({ length: rank }, (_, i) => stepOf(factors.steps.u, i));
     const stepsOfVt = Float32Array.from({ length: rank }, (_, i) => stepOf(factors.steps.vt, i));
     const ofU = new Float32Array(rank * rowCount);
@@ -54,7 +54,7 @@ export class ClusterTable {
       }
     }
     const u = packU(ofU, rank, rowCount);
-    const vt = packVt(ofVt, columnCount, rank);
+    const vt = packVt(ofVt, levels, rank);
     const scaleBits = new Uint32Array(scales.buffer);
     const firstColumn = joined.columns.length / 2;
     for (const column of vt.order) {
@@ -86,11 +86,12 @@ export class ClusterTable {
   }
 }
 
-/** Places in λ and scales of a cluster's columns. */
+/** Places in λ, scales and levels of a cluster's columns. */
 function columnsOf(factors, columns) {
   const count = factors.keys.length;
   const places = new Uint32Array(count);
   const scales = new Float32Array(count);
+  const levels = new Uint8Array(count);
   for (let index = 0; index < count; index++) {
     const place = columns.index(factors.keys[index]);
     if (place < 0) {
@@ -98,8 +99,9 @@ function columnsOf(factors, columns) {
     }
     places[index] = place;
     scales[index] = factors.steps.scale[index] ?? 1;
+    levels[index] = columns.level(factors.keys[index]);
   }
-  return { places, scales };
+  return { places, scales, levels };
 }
 
 function check(factors, rows, columns) {

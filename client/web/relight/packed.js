@@ -71,12 +71,13 @@ function wordsOfColumns(numbers, columns, rank) {
 
 /**
  * ΣVᵀ of so many columns and ranks, `numbers` rank-major: words, the order in which its columns stand, those that need the most
- * words first, and how it is packed.
+ * words first, of these those of the highest levels, and how it is packed.
  */
-export function packVt(numbers, columns, rank) {
+export function packVt(numbers, levels, rank) {
+  const columns = levels.length;
   const needed = wordsOfColumns(numbers, columns, rank);
   const order = Uint32Array.from({ length: columns }, (_, column) => column);
-  order.sort((a, b) => needed[b] - needed[a] || a - b);
+  order.sort((a, b) => needed[b] - needed[a] || levels[b] - levels[a] || a - b);
   const widest = needed.reduce((most, words) => Math.max(most, words), OF_4);
   const wideWords = Math.max(widest, OF_16);
   let wide = 0;

@@ -9,6 +9,8 @@ import { DARK, NO_SLOT } from "./slots.js";
 
 /** Leaves in a row that are summed once for all patches, and such sums that are summed again. */
 export const LEAF_BLOCK = 64;
+/** Level of columns that no level of detail leaves out. */
+export const ALWAYS = 255;
 /** Stands for the patch that a root is part of. */
 export const NO_PATCH = 0xffffffff;
 
@@ -67,6 +69,11 @@ export class PatchTable {
 
   get leafCount() {
     return Math.max(this.leafStarts.length - 1, 0);
+  }
+
+  /** Tree level of a column by its key: levels of detail leave out those below theirs; `ALWAYS` without which light is lost. */
+  level(key) {
+    return isDifference(key) ? levelOf(key) : ALWAYS;
   }
 
   /** Place of a column in λ by its key; −1 where there is none. */

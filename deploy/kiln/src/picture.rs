@@ -18,6 +18,8 @@ use lightkiln_client::stream::Streamed;
 use lightkiln_client::view::Subject;
 #[cfg(feature = "view")]
 use lightkiln_proto::manifest::OVERVIEW;
+use lightkiln_proto::relight::{LevelCount, Lod};
+use lightkiln_proto::words::lod_from_text;
 
 use crate::console::say;
 use crate::failure::{Failure, Result};
@@ -42,6 +44,11 @@ pub struct LookArguments {
     /// given often. All light follows, and nothing is baked again
     #[arg(long, value_name = "MATERIAL", value_parser = parse_recolour, help_heading = "Picture")]
     material: Vec<Recolour>,
+    /// Levels of detail by distance and view, for bakes of many receivers: "fine", "balanced", "coarse", or words, as
+    /// "balanced level1=0.2,3,16,1,2 behind=8": where a level begins (in scene diagonals, or metres as 20m), tree level of its columns, rank,
+    /// level of its receivers (0 all, 1 a quarter, …), bounces from one update to the next [default: all detail]
+    #[arg(long, value_name = "DETAIL", value_parser = parse_lod, help_heading = "Picture")]
+    lod: Option<Lod>,
     /// Width and height in pixels
     #[arg(long, value_name = "WxH", default_value = "1280x720", value_parser = parse_size, help_heading = "Picture")]
     size: (u32, u32),
@@ -134,6 +141,7 @@ impl LookArguments {
         (view.width, view.height) = self.size;
         view.tone = self.tone.into();
         view.exposure = Exposure::Auto { stops: self.exposure };
+        view.lod = self.lod;
         Ok((view, notes))
     }
 
@@ -264,6 +272,7 @@ impl PictureArguments {
             drawn.converged &= picture.converged;
             drawn.passes = picture.pass_times.map(|times| times.iter().map(PassRow::of).collect());
             (drawn.drawn_by, drawn.exposure) = (picture.drawn_by, picture.exposure);
+            drawn.lod = picture.lod.map(Vec::from);
             Ok(())
         };
         match (&self.debug, path) {
@@ -281,9 +290,27 @@ impl PictureArguments {
             let (count, seconds) = (drawn.pictures.len(), drawn.seconds);
             say!("{count} pictures in {seconds:.1} s: {first} to {last}");
         }
+        if let Some(levels) = &drawn.lod {
+            say!("level of detail: {}", worded(levels));
+        }
         say!("drawn by {}", drawn.drawn_by);
         Ok(drawn)
     }
+}
+
+/// Work of levels of detail in words.
+fn worded(levels: &[LevelCount]) -> String {
+    let sum = |of: fn(&LevelCount) -> u64| levels.iter().map(of).sum::<u64>();
+    let percent = |part: u64, whole: u64| 100.0 * part as f64 / whole.max(1) as f64;
+    let clusters: Vec<String> = levels.iter().map(|level| level.clusters.to_string()).collect();
+    let (receivers, computed) = (sum(|level| level.receivers), sum(|level| level.receivers_computed));
+    let (numbers, read) = (sum(|level| level.numbers), sum(|level| level.numbers_read));
+    format!(
+        "{computed} of {receivers} receivers computed ({:.0} %), {:.0} % of the factors' numbers read; clusters by level {}",
+        percent(computed, receivers),
+        percent(read, numbers),
+        clusters.join(", ")
+    )
 }
 
 impl From<ToneName> for Tone {
@@ -312,6 +339,11 @@ fn parse_stops(text: &str) -> std::result::Result<f32, String> {
         Ok(stops @ -32.0..=32.0) => Ok(stops),
         _ => Err("write a number of stops in -32..=32, e.g. -1.5".to_owned()),
     }
+}
+
+/// Levels of detail as words.
+fn parse_lod(text: &str) -> std::result::Result<Lod, String> {
+    lod_from_text(text).map_err(|error| error.to_string())
 }
 
 /// A colour of a material as `NAME=r,g,b`; the name may hold '='.

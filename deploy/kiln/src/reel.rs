@@ -9,6 +9,7 @@ use lightkiln_client::lights::ParsedLights;
 use lightkiln_client::picture::PassTime;
 use lightkiln_client::preview::{PATH_FILE_MAX, ViewPath};
 use lightkiln_client::scene::{Object, Stance};
+use lightkiln_proto::relight::LevelCount;
 use serde::Serialize;
 
 use crate::failure::{Failure, Result};
@@ -104,6 +105,8 @@ pub struct Drawn {
     pub exposure: f32,
     /// Time of the adapter's passes, by its own clock; none where it has no clock, and of the processor.
     pub passes: Option<Vec<PassRow>>,
+    /// Work by level of detail in the last picture, the finest first; none where there is all detail.
+    pub lod: Option<Vec<LevelCount>>,
     /// Seconds from the light at hand to the last file.
     pub seconds: f64,
     /// Bytes of light that were fetched.

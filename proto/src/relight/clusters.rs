@@ -2,8 +2,9 @@
 
 use glam::Vec4;
 
+use super::lod::Detail;
 use super::packed::{GROUP, Packing, column_order, number_of, pack_u, pack_vt, step_of};
-use super::{Columns, Inconsistent, Parallel};
+use super::{ALWAYS, Columns, Inconsistent, Parallel};
 use crate::content::{EmitterIrradiance, TransportFactors};
 
 /// Highest rank of a cluster that is read.
@@ -58,6 +59,8 @@ pub struct ClusterTable {
     pub vt: Vec<u32>,
     /// Columns, cluster after cluster.
     pub columns: Vec<Column>,
+    /// Level of each column, see [`Columns::level`]; it falls within each class of columns.
+    pub column_levels: Vec<u8>,
     /// By entry of b: the step of U times that of ΣVᵀ.
     pub steps: Vec<f32>,
     /// Length of the array b.
@@ -89,20 +92,22 @@ impl ClusterTable {
     ) -> Result<(), String> {
         let first_column = self.columns.len();
         let (of_key, all) = (factors.coefficients(), columns.coefficients());
-        let mut push = |carrier: u32, scale: f32| -> Result<(), String> {
+        let mut levels = Vec::new();
+        let mut push = |carrier: u32, scale: f32, level: u8| -> Result<(), String> {
             // A cluster of fewer bands, as a prefix of its chunk has, reads the first of each.
             for place in (0..of_key).map(|j| carrier as usize * all + j) {
                 let place = u32::try_from(place).map_err(|_| format!("column {place} of λ is too many"))?;
                 self.columns.push(Column { place, scale });
+                levels.push(level);
             }
             Ok(())
         };
         for (index, &key) in factors.keys.iter().enumerate() {
             let found = columns.index(key).ok_or_else(|| format!("column {key:016x} is in no chunk"))?;
-            push(found, factors.steps.scale.get(index).copied().unwrap_or(1.0))?;
+            push(found, factors.steps.scale.get(index).copied().unwrap_or(1.0), columns.level(key))?;
         }
         if factors.sky {
-            push(columns.sky_index().ok_or("has columns of a sky that the bake lacks")?, 1.0)?;
+            push(columns.sky_index().ok_or("has columns of a sky that the bake lacks")?, 1.0, ALWAYS)?;
         }
         let own = self.columns.split_off(first_column);
         let (rank, column_count) = (factors.rank as usize, own.len());
@@ -118,8 +123,9 @@ impl ClusterTable {
             })
             .collect();
         let number = |i: usize, column: usize| numbers[i * column_count + column];
-        let order = column_order([column_count, rank], number);
+        let order = column_order([column_count, rank], &levels, number);
         self.columns.extend(order.iter().map(|&column| own[column]));
+        self.column_levels.extend(order.iter().map(|&column| levels[column]));
         let vt = pack_vt(&mut self.vt, [column_count, rank], |i, column| number(i, order[column]));
         let first_b = self.b_len;
         self.b_len += rank.next_multiple_of(GROUP);
@@ -144,14 +150,21 @@ impl ClusterTable {
     /// `b_c = s (ΣVᵀ) λ|_c`, all clusters' numbers one after the other. They carry the step s of U already: [`Self::reconstruct`] multiplies
     /// them by U's whole numbers.
     pub fn basis(&self, parallel: &impl Parallel, lambda: &[Vec4]) -> Vec<Vec4> {
-        let of_cluster = |index: usize| self.basis_of(&self.clusters[index], lambda);
+        let of_cluster = |index: usize| {
+            let cluster = &self.clusters[index];
+            self.basis_of(cluster, &Detail::full(cluster), lambda)
+        };
         parallel.map(self.clusters.len(), of_cluster).concat()
     }
 
-    fn basis_of(&self, cluster: &Cluster, lambda: &[Vec4]) -> Vec<Vec4> {
-        let columns = &self.columns[cluster.first_column..][..cluster.column_count];
-        let mut b = vec![Vec4::ZERO; GROUP * cluster.groups()];
-        for (index, column) in columns.iter().enumerate() {
+    /// b of one cluster in some detail: whole groups of ranks.
+    pub(super) fn basis_of(&self, cluster: &Cluster, detail: &Detail, lambda: &[Vec4]) -> Vec<Vec4> {
+        let mut b = vec![Vec4::ZERO; GROUP * detail.groups as usize];
+        let counts = [detail.wide, detail.bytes, detail.rest];
+        for index in
+            cluster.classes().into_iter().zip(counts).flat_map(|(class, count)| class.take(count as usize))
+        {
+            let column = &self.columns[cluster.first_column + index];
             let light = lambda[column.place as usize] * column.scale;
             for (group, b) in b.chunks_exact_mut(GROUP).enumerate() {
                 let numbers = cluster.vt_numbers(&self.vt, group, index);
@@ -160,6 +173,15 @@ impl ClusterTable {
         }
         b.iter_mut().zip(&self.steps[cluster.first_b..]).for_each(|(b, step)| *b *= *step);
         b
+    }
+
+    /// `N + U_r · b_c` of a row, which counts from the cluster's first, in as many groups of ranks as `b` has.
+    pub(super) fn row_of(&self, cluster: &Cluster, row: usize, b: &[Vec4], start: Vec4) -> Vec4 {
+        let of_group = |sum: Vec4, (group, b): (usize, &[Vec4])| {
+            let numbers = cluster.u_numbers(&self.u, group, row);
+            b.iter().zip(numbers).fold(sum, |sum, (b, number)| sum + number * *b)
+        };
+        b.chunks_exact(GROUP).enumerate().fold(start, of_group)
     }
 
     /// `E_r = max(N_r + U_r · b_c, −F_r)` in W·m⁻², by row; without F, as for rows that have a sign, the sum itself.
@@ -177,11 +199,7 @@ impl ClusterTable {
             let cluster = &self.clusters[index];
             let b = &b[cluster.first_b..][..GROUP * cluster.groups()];
             let at = |row: usize| {
-                let of_group = |sum: Vec4, (group, b): (usize, &[Vec4])| {
-                    let numbers = cluster.u_numbers(&self.u, group, row - cluster.first_row);
-                    b.iter().zip(numbers).fold(sum, |sum, (b, number)| sum + number * *b)
-                };
-                let sum = b.chunks_exact(GROUP).enumerate().fold(start[row], of_group);
+                let sum = self.row_of(cluster, row - cluster.first_row, b, start[row]);
                 beside.map_or(sum, |beside| sum.max(-beside[row]))
             };
             cluster.rows().map(at).collect()

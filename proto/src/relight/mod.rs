@@ -41,6 +41,7 @@
 //! ```
 
 mod clusters;
+mod lod;
 mod near;
 mod packed;
 mod parallel;
@@ -63,6 +64,10 @@ use glam::Vec4;
 use thiserror::Error;
 
 pub use clusters::{Cluster, ClusterTable, Column, EmitterPart, EmitterTable, MAX_RANK};
+pub use lod::{
+    Detail, LOD_LEVELS, LevelCount, Lod, LodDistance, LodError, LodEye, LodLevel, LodPlan, LodTable, LodView,
+    MAX_INTERVAL, NO_STAND_IN, StandIn,
+};
 pub use near::{NearHit, NearRow, NearTable, OWN_SURFACE, OwnSurface};
 pub use packed::Packing;
 pub use parallel::{Parallel, Serial};
@@ -74,7 +79,7 @@ pub use slots::{DARK, MAX_TEXELS, SlotTable};
 pub use stand_ins::{CoarsePatches, STAND_IN_LEVEL, stand_in};
 pub use taps::{Taps, TexelKind, tap_weights};
 pub use texels::{EXTENSION_TEXELS, LightmapTexels, taps_around};
-pub use transport::{Columns, DirectAt, Transport};
+pub use transport::{ALWAYS, Columns, DirectAt, Transport};
 
 /// Chunks that contradict the manifest or each other, or exceed a limit.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]

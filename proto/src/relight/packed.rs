@@ -106,11 +106,16 @@ fn words_of_column(rank: usize, number: impl Fn(usize) -> f32) -> usize {
     (0..rank).map(|i| words_for(number(i))).max().unwrap_or(OF_4)
 }
 
-/// Order in which the columns of ΣVᵀ are packed: those that need the most words first.
-pub fn column_order([columns, rank]: [usize; 2], number: impl Fn(usize, usize) -> f32) -> Vec<usize> {
+/// Order in which the columns of ΣVᵀ are packed: those that need the most words first, of these those of the highest levels, so that a
+/// level of detail reads the first of each class.
+pub fn column_order(
+    [columns, rank]: [usize; 2],
+    levels: &[u8],
+    number: impl Fn(usize, usize) -> f32,
+) -> Vec<usize> {
     let needed = |column: &usize| words_of_column(rank, |i| number(i, *column));
     let mut order: Vec<usize> = (0..columns).collect();
-    order.sort_by_cached_key(|column| std::cmp::Reverse(needed(column)));
+    order.sort_by_cached_key(|column| std::cmp::Reverse((needed(column), levels[*column])));
     order
 }
 
@@ -159,6 +164,12 @@ pub fn pack_u(
 }
 
 impl Cluster {
+    /// Its columns by the bits of their numbers: wide ones, those of 8, those of 4.
+    pub(super) fn classes(&self) -> [std::ops::Range<usize>; 3] {
+        let Packing { wide, bytes, .. } = self.vt;
+        [0..wide, wide..wide + bytes, wide + bytes..self.column_count]
+    }
+
     /// Groups of ranks.
     pub fn groups(&self) -> usize {
         self.rank.div_ceil(GROUP)
@@ -222,7 +233,11 @@ mod tests {
                 (_, 6) => 0.0,
                 (i, column) => (i as f32 - 5.0) * [200.0, 1.0, 20.0, 0.0, -20.0, 300.0][column],
             };
-            let order = column_order([columns, rank], given);
+            let order = column_order([columns, rank], &[0, 1, 5, 9, 0, 7, 3], given);
+            let of_class = |class: &[usize]| class.iter().all(|column| order.contains(column));
+            assert!(
+                of_class(&order) && order.iter().position(|c| *c == 5) < order.iter().position(|c| *c == 0)
+            );
             let of_vt = |i: usize, column: usize| given(i, order[column]);
             let of_u =
                 |row: usize, i: usize| if [row, i] == [2, 3] { largest } else { row as f32 - i as f32 };

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use glam::Vec4;
 
-use super::{Columns, DARK, Inconsistent, Irradiance, Parallel, ReceiverTable, Sky, SlotTable};
+use super::{ALWAYS, Columns, DARK, Inconsistent, Irradiance, Parallel, ReceiverTable, Sky, SlotTable};
 use crate::chunk::limits::SKY_PARTS_MAX;
 use crate::content::{Patch, PatchKey, PatchSet};
 use crate::harmonics::relight_direction;
@@ -125,6 +125,12 @@ impl Columns for PatchTable {
                 self.by_key.get(&key.patch()).map(|patch| first + patch)
             }
         }
+    }
+
+    /// Of differences alone: without them, the mean of the patch around stands for each of its parts.
+    fn level(&self, key: u64) -> u8 {
+        let key = PatchKey(key);
+        if key.is_difference() { key.level() as u8 } else { ALWAYS }
     }
 
     fn sky_index(&self) -> Option<u32> {

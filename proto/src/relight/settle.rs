@@ -2,7 +2,8 @@
 
 use glam::Vec4;
 
-use super::{Columns, Irradiance, Parallel, Sky, Transport};
+use super::lod::BounceArrays;
+use super::{Columns, Irradiance, LodPlan, LodTable, Parallel, Sky, Transport};
 
 /// Light that the bake is lit by.
 #[derive(Clone, Copy, Debug)]
@@ -70,6 +71,18 @@ impl Settled {
 impl<C: Columns> Transport<C> {
     /// Feeds bounces back until E_ind changes by less than the limit: the run time's passes, one after the other.
     pub fn settle(&self, parallel: &impl Parallel, incoming: &Incoming<'_>, limit: Limit) -> Settled {
+        self.settle_in(parallel, incoming, limit, None)
+    }
+
+    /// As [`Transport::settle`], in some detail. E_ind has settled when bounces in which each cluster takes part once change it by
+    /// less than the limit together.
+    pub fn settle_in(
+        &self,
+        parallel: &impl Parallel,
+        incoming: &Incoming<'_>,
+        limit: Limit,
+        detail: Option<(&LodTable, &LodPlan)>,
+    ) -> Settled {
         let Self { receivers, clusters, near, columns, .. } = self;
         let sky = columns.sky_lambda(incoming.sky);
         let mut settled = Settled {
@@ -77,13 +90,25 @@ impl<C: Columns> Transport<C> {
             ind: vec![Vec4::ZERO; receivers.len()],
             ..Settled::default()
         };
+        let cycle = detail.map_or(1, |(_, plan)| plan.cycle() as usize);
+        let mut changes = vec![f32::INFINITY; cycle];
         while settled.bounces < limit.bounces_max && !settled.converged {
             let irradiance = Irradiance { dir: incoming.dir, emit: &settled.emit, ind: &settled.ind };
             let lambda = self.lambda(parallel, irradiance, &sky);
-            let b = clusters.basis(parallel, &lambda);
             let gathered = near.gather(parallel, receivers, incoming.near, irradiance);
-            let next = clusters.reconstruct(parallel, &b, &gathered, Some(&settled.emit));
-            settled.converged = Settled::change(&settled.ind, &next) < limit.change_max;
+            let next = match detail {
+                None => {
+                    let b = clusters.basis(parallel, &lambda);
+                    clusters.reconstruct(parallel, &b, &gathered, Some(&settled.emit))
+                }
+                Some((table, plan)) => {
+                    let Settled { emit, ind, .. } = &settled;
+                    let arrays = BounceArrays { lambda: &lambda, near: &gathered, emit, ind };
+                    table.bounce(parallel, (clusters, receivers), plan, arrays, settled.bounces)
+                }
+            };
+            changes[settled.bounces as usize % cycle] = Settled::change(&settled.ind, &next);
+            settled.converged = changes.iter().sum::<f32>() < limit.change_max;
             (settled.lambda, settled.near, settled.ind) = (lambda, gathered, next);
             settled.bounces += 1;
         }

@@ -89,6 +89,20 @@ impl SlotTable {
         (slot != NONE).then_some(slot & !STANDS_IN)
     }
 
+    /// Slot, block and texel of each receiver, block after block, row after row.
+    pub fn receivers(&self) -> impl Iterator<Item = (u32, u32, Texel)> {
+        let of_block = |(index, block): (usize, &Block)| {
+            let [width, height] = block.size.map(|side| side as usize);
+            let own = &self.slots[block.first..][..width * height];
+            let receiver = move |(place, &slot): (usize, &u32)| {
+                let texel = [(place % width) as u16, (place / width) as u16];
+                (slot & STANDS_IN == 0).then_some((slot, index as u32, texel))
+            };
+            own.iter().enumerate().filter_map(receiver)
+        };
+        self.blocks.iter().enumerate().flat_map(of_block)
+    }
+
     /// Slot of a receiver by its block's key, as [`SlotTable::slot`].
     pub fn slot_of(&self, block: BlockKey, texel: Texel) -> Option<u32> {
         self.slot(self.block_index(block)?, texel)

@@ -9,6 +9,9 @@ use super::{
 };
 use crate::content::{BlockKey, ClusterTransport};
 
+/// Level of columns that no level of detail leaves out.
+pub const ALWAYS: u8 = u8::MAX;
+
 /// Meaning of the clusters' columns: how λ is made of the light at receivers and of the sky.
 ///
 /// λ holds J coefficients for each patch or probe, then the sky's.
@@ -21,6 +24,13 @@ pub trait Columns: Debug + Send + Sync {
 
     /// Place of a column in λ by its key, in units of J.
     fn index(&self, key: u64) -> Option<u32>;
+
+    /// Tree level of a column by its key: levels of detail leave out those below theirs. [`ALWAYS`] for columns without which light
+    /// is lost.
+    fn level(&self, key: u64) -> u8 {
+        let _ = key;
+        ALWAYS
+    }
 
     /// Place in λ of the sky as one column, where it is one.
     fn sky_index(&self) -> Option<u32>;

@@ -2,6 +2,7 @@
 
 mod camera;
 mod light;
+mod lod;
 mod stance;
 
 use glam::Vec3;
@@ -10,6 +11,7 @@ use thiserror::Error;
 
 pub use camera::{camera_from_text, camera_to_text};
 pub use light::{LightSpec, light_to_text};
+pub use lod::{lod_from_text, lod_to_text};
 pub use stance::{object_from_text, stance_from_text, stance_to_text};
 
 /// Words that are no light and no camera.

@@ -5,6 +5,8 @@ struct Basis {
     // Clusters in a row of the dispatch.
     stride: u32,
     cluster_count: u32,
+    // The page's first among all.
+    first_cluster: u32,
 }
 
 struct Column {
@@ -25,6 +27,8 @@ const TILE = 256u;
 @group(0) @binding(4) var<storage, read> steps: array<f32>;
 @group(0) @binding(5) var<storage, read> lambda: array<vec4f>;
 @group(0) @binding(6) var<storage, read_write> b: array<vec4f>;
+@group(0) @binding(7) var<storage, read> details: array<Detail>;
+@group(0) @binding(8) var<uniform> turn: Turn;
 
 var<workgroup> light: array<vec4f, TILE>;
 var<workgroup> sums: array<vec4f, THREADS * GROUP>;
@@ -49,7 +53,11 @@ fn project(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index)
         return;
     }
     let cluster = clusters[index];
-    let groups = (cluster.rank + GROUP - 1u) / GROUP;
+    let detail = details[basis.first_cluster + index];
+    if !is_due(detail.interval, basis.first_cluster + index, turn.bounce) {
+        return;
+    }
+    let groups = detail.groups;
     var lanes = 1u;
     while lanes < groups {
         lanes *= 2u;
@@ -57,17 +65,22 @@ fn project(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index)
     let shares = THREADS / lanes;
     let share = thread / lanes;
     let has_ranks = thread % lanes < groups;
-    // Words of a group of ranks, by class of columns: wide ones, those of 8 bits, those of 4.
-    let wide_end = cluster.wide;
-    let bytes_end = wide_end + cluster.bytes;
-    let bytes_first = wide_end * cluster.wide_words;
+    // Columns that count, by class: wide ones, those of 8 bits, those of 4; and behind how many others each class lies.
+    let wide_end = detail.wide;
+    let bytes_end = wide_end + detail.bytes;
+    let count = bytes_end + detail.rest;
+    let before_bytes = cluster.wide - detail.wide;
+    let before_rest = before_bytes + cluster.bytes - detail.bytes;
+    // Words of a group of ranks.
+    let bytes_first = cluster.wide * cluster.wide_words;
     let rest_first = bytes_first + cluster.bytes * OF_8;
-    let of_group = rest_first + cluster.column_count - bytes_end;
+    let of_group = rest_first + cluster.column_count - cluster.wide - cluster.bytes;
     let first = cluster.first_word + thread % lanes * of_group;
-    for (var tile = 0u; tile < cluster.column_count; tile += TILE) {
-        let end = min(tile + TILE, cluster.column_count);
+    for (var tile = 0u; tile < count; tile += TILE) {
+        let end = min(tile + TILE, count);
         for (var at = thread; tile + at < end; at += THREADS) {
-            let column = columns[cluster.first_column + tile + at];
+            let before = select(select(before_rest, before_bytes, tile + at < bytes_end), 0u, tile + at < wide_end);
+            let column = columns[cluster.first_column + before + tile + at];
             light[at] = lambda[column.place] * column.scale;
         }
         workgroupBarrier();
@@ -102,7 +115,7 @@ fn project(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index)
         sums[thread * GROUP + i] = vec4f(own[i], 0.0);
     }
     workgroupBarrier();
-    for (var rank = thread; rank < cluster.rank; rank += THREADS) {
+    for (var rank = thread; rank < min(cluster.rank, groups * GROUP); rank += THREADS) {
         var total = vec4f(0.0);
         for (var other = rank / GROUP; other < THREADS; other += lanes) {
             total += sums[other * GROUP + rank % GROUP];

@@ -20,6 +20,10 @@ fn gather(@builtin(global_invocation_id) thread: vec3u) {
         return;
     }
     let row = rows[index];
+    // The mark of a receiver that no bounce computes.
+    if e_near[row.slot].w != 0.0 {
+        return;
+    }
     var sum = vec3f(0.0);
     for (var at = row.first; at < row.first + row.count; at++) {
         let light = hits[at].light;

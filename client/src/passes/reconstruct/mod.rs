@@ -6,10 +6,15 @@ use lightkiln_proto::relight::ClusterTable;
 
 use crate::error::Result;
 use crate::passes::gpu::{Gpu, groups_2d};
+use crate::passes::lod::DetailBuffers;
 use crate::passes::resident::{ClusterRow, pages, words_of};
 
-/// The shader, with the clusters' part in front.
-pub const SHADER: &str = concat!(include_str!("../shared/factors.wgsl"), include_str!("reconstruct.wgsl"));
+/// The shader, with the clusters' parts in front.
+pub const SHADER: &str = concat!(
+    include_str!("../shared/factors.wgsl"),
+    include_str!("../shared/detail.wgsl"),
+    include_str!("reconstruct.wgsl")
+);
 /// Largest difference from the reference, relative to the largest value: sums of at most 256 f32 of either sign in
 /// another order (by eight ranks, the start last).
 pub const TOLERANCE: f32 = 1e-5;
@@ -26,6 +31,8 @@ pub struct ReconstructNumbers {
     pub cluster_count: u32,
     /// Whether there is F; else rows have a sign.
     pub has_beside: u32,
+    /// The page's first among all.
+    pub first_cluster: u32,
 }
 
 /// Arrays of the pass, an entry a row but for b.
@@ -39,6 +46,8 @@ pub struct RowArrays<'a> {
     pub beside: Option<&'a wgpu::Buffer>,
     /// E, which the pass writes.
     pub result: &'a wgpu::Buffer,
+    /// The part of each cluster that is computed.
+    pub detail: &'a DetailBuffers,
 }
 
 /// The pass on the adapter: one dispatch per page of U.
@@ -55,6 +64,7 @@ impl ReconstructPass {
         let bytes = table.clusters.iter().map(|cluster| (4 * cluster.u.len) as u64);
         let mut groups = Vec::new();
         for run in pages(gpu, "cluster's U", bytes)? {
+            let first_cluster = run.start as u32;
             let clusters = &table.clusters[run];
             let words = words_of(clusters.iter().map(|cluster| cluster.u));
             let of_page: Vec<_> =
@@ -65,6 +75,7 @@ impl ReconstructPass {
                 stride,
                 cluster_count: of_page.len() as u32,
                 has_beside: rows.beside.is_some().into(),
+                first_cluster,
             };
             let group = gpu.bind(
                 &pipeline.get_bind_group_layout(0),
@@ -76,6 +87,9 @@ impl ReconstructPass {
                     rows.start.as_entire_binding(),
                     rows.beside.unwrap_or(rows.start).as_entire_binding(),
                     rows.result.as_entire_binding(),
+                    rows.detail.details.as_entire_binding(),
+                    rows.detail.order.as_entire_binding(),
+                    rows.detail.turn.as_entire_binding(),
                 ],
             );
             groups.push((group, [rows_max.div_ceil(ROWS) as u32, stride, layers]));

@@ -6,6 +6,8 @@ struct Reconstruct {
     cluster_count: u32,
     // Whether there is F; else rows have a sign.
     has_beside: u32,
+    // The page's first among all.
+    first_cluster: u32,
 }
 
 @group(0) @binding(0) var<uniform> reconstruct: Reconstruct;
@@ -18,6 +20,10 @@ struct Reconstruct {
 // F, or anything where there is none.
 @group(0) @binding(5) var<storage, read> beside: array<vec4f>;
 @group(0) @binding(6) var<storage, read_write> result: array<vec4f>;
+@group(0) @binding(7) var<storage, read> details: array<Detail>;
+// Rows of each cluster, those first that are computed where others are left out.
+@group(0) @binding(8) var<storage, read> order: array<u32>;
+@group(0) @binding(9) var<uniform> turn: Turn;
 
 // Rows of a thread: b is read once for all of them.
 const ROWS = 4u;
@@ -46,11 +52,19 @@ fn expand(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) 
         return;
     }
     let cluster = clusters[index];
-    let groups = (cluster.rank + GROUP - 1u) / GROUP;
-    // Of a row past the last, the last one stands in; it is not written.
+    let detail = details[reconstruct.first_cluster + index];
     let first = group.x * THREADS * ROWS + thread;
-    let last = cluster.row_count - 1u;
-    let at = min(vec4u(first, first + THREADS, first + 2u * THREADS, first + 3u * THREADS), vec4u(last));
+    if group.x * THREADS * ROWS >= detail.rows || !is_due(detail.interval, reconstruct.first_cluster + index, turn.bounce) {
+        return;
+    }
+    let groups = detail.groups;
+    // Of a row past the last, the last one stands in; it is not written.
+    let last = detail.rows - 1u;
+    var at = min(vec4u(first, first + THREADS, first + 2u * THREADS, first + 3u * THREADS), vec4u(last));
+    if detail.rows < cluster.row_count {
+        at = cluster.first_row + at;
+        at = vec4u(order[at.x], order[at.y], order[at.z], order[at.w]);
+    }
     for (var of_ranks = 0u; of_ranks < min(groups, cluster.wide); of_ranks++) {
         let of_b = eight(cluster.first_b + of_ranks * GROUP);
         let of_group = cluster.first_word + of_ranks * cluster.row_count * cluster.wide_words;
@@ -76,7 +90,7 @@ fn expand(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) 
         }
     }
     for (var i = 0u; i < ROWS; i++) {
-        if first + i * THREADS < cluster.row_count {
+        if first + i * THREADS < detail.rows {
             let row = cluster.first_row + at[i];
             var sum = start[row].rgb + own[i];
             if reconstruct.has_beside != 0u {

@@ -24,7 +24,7 @@ pub struct Arguments {
     picture: PictureArguments,
     #[command(flatten)]
     reel: ReelArguments,
-    /// Ends with a JSON object on standard output: files, who drew, bounces, exposure, seconds, bytes of light
+    /// Ends with a JSON object on standard output: files, who drew, bounces, exposure, seconds, bytes of light, work by level of detail
     #[arg(long)]
     json: bool,
     #[command(flatten)]

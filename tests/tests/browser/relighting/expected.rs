@@ -71,7 +71,7 @@ impl Expected {
         let plan = self.plan(&view);
         let maps = draw(&self.scene, &plan);
         let unshadowed = Unshadowed { sky: Sky::of(&view.lights), emitter_scale: &view.emitter_scale };
-        let lit = LitScene { scene: &self.scene, plan: &plan, maps: &maps, unshadowed };
+        let lit = LitScene { scene: &self.scene, plan: &plan, maps: &maps, unshadowed, lod: None };
         let settled = self.light.settled(&lit, LIMIT).light;
         assert!(settled.converged);
         [settled.ind, self.radiance(&view, Backend::Cpu)]

@@ -1,0 +1,59 @@
+//! Measures levels of detail of a bake, `tests/studies/lod.md`:
+//! `cargo run --release -p lightkiln-tests --bin detail -- pictures|frames BUNDLE CAMERA LIGHTS "NAME: words"…`, lights with semicolons
+//! between them, words as of `kiln preview --lod`. `KILN_KEEP_PICTURES` names a folder for pictures and their differences.
+
+use std::env;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Result, bail};
+use lightkiln_tests::studies::detail::{Found, Moved, Setup, Stage, moved};
+
+fn main() -> Result<()> {
+    let arguments: Vec<String> = env::args().skip(1).collect();
+    let [what, bundle, camera, lights, setups @ ..] = &arguments[..] else {
+        bail!(
+            "give pictures or frames, a bundle, a camera, lights with ; between them, and setups as \"NAME: words\""
+        );
+    };
+    let setups: Vec<Setup> = setups.iter().map(|setup| Setup::parse(setup)).collect::<Result<_>>()?;
+    let mut stage = Stage::open(Path::new(bundle))?;
+    let lights: Vec<String> = lights.split(';').map(|light| light.trim().to_owned()).collect();
+    let view = stage.view(camera, &lights)?;
+    println!("{}\n", stage.adapter());
+    match what.as_str() {
+        "pictures" => {
+            let folder = env::var_os("KILN_KEEP_PICTURES").map(PathBuf::from);
+            print(&stage.measured(&view, &setups, folder.as_deref())?);
+        }
+        "frames" => print_moved(&moved(&mut stage, &view, &setups)?),
+        other => bail!("'{other}' is neither pictures nor frames"),
+    }
+    Ok(())
+}
+
+fn print(found: &[Found]) {
+    println!(
+        "| | receivers computed | numbers read | a bounce, best (median) | speed-up | SSIM | error of E_ind | energy |"
+    );
+    println!("|---|---|---|---|---|---|---|---|");
+    let all_ms = found.first().map_or(0.0, |all| all.bounce_ms);
+    for row in found {
+        let Found { name, bounce_ms, median_ms, error, energy, ssim, .. } = row;
+        let receivers = row.receivers().map_or("all".to_owned(), |[computed, _]| computed.to_string());
+        let numbers = row.numbers().map_or("all".to_owned(), |share| format!("{:.0} %", 100.0 * share));
+        println!(
+            "| {name} | {receivers} | {numbers} | {bounce_ms:.1} ms ({median_ms:.1}) | {:.2} | {ssim:.4} | {:.2} % | {energy:.3} |",
+            all_ms / bounce_ms,
+            100.0 * error
+        );
+    }
+}
+
+fn print_moved(found: &[Moved]) {
+    println!("| | change from frame to frame | over that with all detail | largest |");
+    println!("|---|---|---|---|");
+    let all = found.first().map_or(1.0, |all| all.change);
+    for Moved { name, change, change_max } in found {
+        println!("| {name} | {:.4} % | {:.4} | {:.3} % |", 100.0 * change, change / all, 100.0 * change_max);
+    }
+}
