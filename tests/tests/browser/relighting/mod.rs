@@ -13,7 +13,7 @@ use serde_json::{Value, json};
 use super::bundle::Bundle;
 use super::driver::Browser;
 use super::files::{Answer, Files};
-use super::{browser_at, served};
+use super::{browser_at, bytes_of_hex as bytes, served};
 use expected::{Expected, LIMIT, ROOM, State};
 
 const MODULE: &str = "/pages/relight.js";
@@ -54,12 +54,6 @@ impl Drawn {
             exposure: told["exposure"].as_f64().expect("a number") as f32,
         }
     }
-}
-
-fn bytes(hex: &Value) -> Vec<u8> {
-    let digits = hex.as_str().expect("hex digits").as_bytes();
-    let digit = |digit: u8| (digit as char).to_digit(16).expect("a hex digit") as u8;
-    digits.chunks_exact(2).map(|pair| digit(pair[0]) << 4 | digit(pair[1])).collect()
 }
 
 fn vectors(hex: &Value) -> Vec<Vec4> {
