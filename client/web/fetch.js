@@ -206,10 +206,15 @@ export async function fetchManifest(source, { signal = null } = {}) {
 }
 
 /** Bytes of a chunk `{digest, bytes}`, verified. */
-export async function fetchChunk(source, chunk, { signal = null } = {}) {
-  const path = source.pathOf(chunk.digest);
-  const { bytes } = await source.http.bytes(path, { bytesMax: chunk.bytes, signal });
+export async function fetchChunk(source, chunk, options = {}) {
+  const bytes = await fetchUnverified(source, chunk, options);
   verify(chunk.digest, bytes);
+  return bytes;
+}
+
+/** Bytes of a chunk that its decoder is to verify, as one in a Worker does. */
+export async function fetchUnverified(source, chunk, { signal = null } = {}) {
+  const { bytes } = await source.http.bytes(source.pathOf(chunk.digest), { bytesMax: chunk.bytes, signal });
   return bytes;
 }
 

@@ -78,7 +78,7 @@ export class Viewer {
   /** The first picture: of the overview, where there is one, else of all clusters. */
   async #firstLight(signal, onProgress) {
     const { manifest } = this.scene;
-    const isFew = manifest.clusters.length <= CLUSTERS_FEW || this.stream.overview.length === 0;
+    const isFew = manifest.clusters.length <= CLUSTERS_FEW || !this.stream.hasOverview;
     this.stages = isFew ? [1] : STAGES;
     if (isFew) await this.#fetchUpTo(this.stages.shift(), signal, onProgress);
     this.#tellDrawing(onProgress);
@@ -89,7 +89,7 @@ export class Viewer {
     this.context.configure({ device: this.device, format, alphaMode: "opaque" });
     const [width, height] = this.#fit();
     const options = { width, height, format, camera: this.orbit.camera() };
-    this.frame = await Frame.create(this.device, this.stream.bake(), options);
+    this.frame = await Frame.create(this.device, await this.stream.bake(), options);
     this.lights = [...lightsOf(manifest)];
     await this.frame.settle({ bouncesMax: BOUNCES_FIRST });
     this.frame.draw(this.context);
@@ -132,6 +132,23 @@ export class Viewer {
     };
     this.frame.setLights(this.lights);
     this.frame.setCamera(this.orbit.camera());
+    this.#isStale = true;
+  }
+
+  /** Materials whose colours can be changed, once each: `{material, baseColour}` as baked, linear. */
+  get materials() {
+    const { materials } = this.scene.manifest;
+    const glass = new Set(materials.filter(({ glass }) => glass).map(({ name }) => name));
+    const byName = new Map();
+    for (const { name, baseColour } of materials) {
+      if (!glass.has(name) && !byName.has(name)) byName.set(name, { material: name, baseColour: [...baseColour].slice(0, 3) });
+    }
+    return [...byName.values()];
+  }
+
+  /** Gives materials other colours, see `Frame.setMaterials`; the others have those of the bake. */
+  setMaterials(colours) {
+    this.frame.setMaterials(colours);
     this.#isStale = true;
   }
 
@@ -180,12 +197,14 @@ export class Viewer {
       this.#tellDrawing(onProgress);
       this.#isLoading = true;
       try {
-        await this.frame.setLight(this.stream.bake().light);
+        await this.frame.setLight((await this.stream.bake()).light);
       } finally {
         this.#isLoading = false;
       }
       this.#isStale = true;
     }
+    // Its Workers have memory of all clusters.
+    this.stream.close();
     onProgress({ words: "all light is here", share: 1 });
   }
 
@@ -233,6 +252,7 @@ export class Viewer {
   /** Ends drawing and frees the device. */
   close() {
     this.#isClosed = true;
+    this.stream?.close();
     this.resized?.disconnect();
     this.stopHand?.();
     this.device.destroy();

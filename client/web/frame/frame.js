@@ -2,10 +2,12 @@
 //
 //   setLights ───▶ shadow maps ─▶ direct ─▶ bounce, bounce, … ─▶ publish ─▶ draw
 //   setEmitters ──────────────────────────▶    (advance: once a frame, until they change nothing)
+//   setMaterials ───────────────▶ direct ─▶
 //   setCamera ───▶ cascades of suns ─────────────────────────────────────▶ draw
 //
 // Twin of client/src/frame. Bounces go on from the light that there is: after a small change a few are enough.
 
+import { Tints } from "../relight/recolour.js";
 import { isBlack, skyOf } from "../relight/sky.js";
 import { Gpu, errorsOf } from "./gpu.js";
 import { halves } from "./halves.js";
@@ -52,6 +54,8 @@ export class Frame {
   #casters = [];
   #sky = skyOf([]);
   #emitterScale = [];
+  // Colours of materials; null until the scene is there.
+  #tints = null;
   #camera;
   #plan;
   // Work that changes have left to do: all shadow maps and E_dir; E_dir alone; cascades alone; black E_ind; pages.
@@ -87,6 +91,7 @@ export class Frame {
   async #make({ width, height, format, camera, lights, shadows }) {
     const { gpu, bake } = this;
     const { manifest } = bake.scene;
+    this.#tints = new Tints(bake.scene, []);
     this.boundsM = [Array.from(manifest.boundsM.slice(0, 3)), Array.from(manifest.boundsM.slice(3, 6))];
     const own = lights ?? lightsOf(manifest);
     this.room = shadows ?? roomWith(castersOf(own));
@@ -137,6 +142,27 @@ export class Frame {
     }
   }
 
+  /**
+   * Gives materials other linear base colours than the bake's, `{material, baseColour}` by name; those that are not named have the bake's
+   * own. Errs, and changes nothing, for a colour that cannot be, see `Tints`.
+   */
+  setMaterials(colours) {
+    const { scene, light } = this.bake;
+    const tints = new Tints(scene, colours);
+    if (isSame(tints.plain, this.#tints.plain)) return;
+    this.light.setAlbedo(tints.albedo(scene, light.receivers));
+    this.#tints = tints;
+    this.#setLooks();
+    // Near hits have albedo and light from lights in one sum.
+    Object.assign(this.#stale, { direct: true, pages: true });
+    this.#film.samples = 0;
+    this.#bounces = { count: 0, change: null };
+  }
+
+  #setLooks() {
+    this.shade.setLooks(this.#tints, this.#emitterScale);
+  }
+
   /** Sets the camera. */
   setCamera(camera) {
     const own = {
@@ -184,6 +210,7 @@ export class Frame {
     }
     await before.change.idle();
     [this.light, this.bake] = [passes, bake];
+    if (!this.#tints.isEmpty) passes.setAlbedo(this.#tints.albedo(bake.scene, light.receivers));
     Object.assign(this.#stale, { direct: true, light: true });
     this.#writeUnshadowed();
     const settled = await this.settle(limit);
@@ -332,7 +359,7 @@ export class Frame {
   /** Writes light that no shadow map has: all bounces are of other light from here on. */
   #writeUnshadowed() {
     const isEmitting = this.light.setUnshadowed(this.#sky, this.#emitterScale);
-    this.shade.setLooks(this.#emitterScale);
+    this.#setLooks();
     // Light that nothing sends any more would fade for ever.
     const isDark = this.#casters.length === 0 && isBlack(this.#sky) && !isEmitting;
     this.#stale.light ||= isDark;

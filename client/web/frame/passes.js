@@ -56,6 +56,11 @@ export class LightPasses {
     return emit.some((value) => value !== 0);
   }
 
+  /** Writes albedo of receivers by slot; `relit` is to follow, as light of near hits has it too. */
+  setAlbedo(albedo) {
+    this.gpu.write(this.resident.albedo, albedo);
+  }
+
   /** Records E_dir at receivers and near hits, from new shadow maps. */
   relit(encoder) {
     const pass = encoder.beginComputePass();

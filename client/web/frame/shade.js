@@ -101,10 +101,13 @@ export class ShadePass {
     this.depthView = this.depth.createView();
   }
 
-  /** Writes looks of materials; the emitters' scale is 1 where absent. */
-  setLooks(emitterScale) {
+  /** Writes looks of materials under other colours; the emitters' scale is 1 where absent. */
+  setLooks(tints, emitterScale) {
     const { draws, manifest } = this.scene;
-    const looks = draws.map(({ material }, index) => lookOf(manifest.materials[material], index, emitterScale));
+    const looks = draws.map(({ material }, index) => {
+      const own = { ...manifest.materials[material], baseColour: tints.baseColour(this.scene, material) };
+      return lookOf(own, index, emitterScale);
+    });
     this.gpu.writeStrided(this.looks, looks);
   }
 

@@ -1,6 +1,7 @@
 // The picture of a bake with its controls, or a plain word where there can be none.
 
 import { Unsupported, Viewer } from "../view.js";
+import { coloursOf } from "./colours.js";
 import { el, fill, notice } from "./dom.js";
 
 /** Steps of a slider from one end of the scene to the other. */
@@ -59,6 +60,7 @@ function controlsOf(viewer) {
   [brightness, exposure].forEach(({ set }) => set(0.5));
   return [
     ...[...places, brightness, exposure].map(({ label }) => label),
+    coloursOf(viewer),
     el("p", { class: "quiet small hint" }, "Drag to turn, wheel to come nearer; Shift or the right button moves the lamp."),
   ];
 }

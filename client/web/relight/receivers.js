@@ -21,6 +21,8 @@ export class ReceiverTable {
     this.links = new Uint8Array(count);
     this.coverage = new Uint16Array(count);
     this.edge = new Uint16Array(count);
+    // Number of each one's block of the lightmap, in the manifest's order.
+    this.block = new Uint32Array(count);
     clusters.forEach(({ receivers }, index) => {
       try {
         this.#push(receivers, slots);
@@ -44,6 +46,7 @@ export class ReceiverTable {
       } catch (error) {
         throw new Error(`receiver ${index} ${error.message}`);
       }
+      this.block[this.count + index] = block;
     }
     for (const name of ["positionM", "normal", "albedo"]) {
       if (!allFinite(receivers[name])) {

@@ -1,36 +1,63 @@
 // A bake that is fetched piece by piece: its scene and the light of the overview first, then clusters.
 
-import { decodeCluster } from "../chunk/cluster.js";
-import { decodeGeometry } from "../chunk/geometry.js";
 import { ROLES, checkRelightable, chunksOf } from "../chunk/manifest.js";
-import { decodePatches } from "../chunk/patches.js";
-import { decodeTexture } from "../chunk/texture.js";
-import { fetchChunk, fetchChunks, fetchManifest, forEachParallel, PARALLEL } from "../fetch.js";
-import { assembleScene } from "./bake.js";
-import { byNeed } from "./need.js";
-import { lightOfPrefix } from "./prefix.js";
+import { PARALLEL, fetchManifest, fetchUnverified, forEachParallel } from "../fetch.js";
+import { LightmapLayout } from "./layout.js";
+import { openWork } from "./workers.js";
 
 // Without known light, clusters come in the manifest's order.
 const NO_LIGHT = { positionM: new Float32Array(0), irradiance: new Float32Array(0) };
 
 /** A bake of a source (`fetch.js`). Anything that contradicts its manifest is an error. */
 export class BakeStream {
-  #present = new Map();
+  #work;
+  // Numbers of the clusters that have come.
+  #present = new Set();
 
-  /** Fetches all but the clusters. */
-  static async begin(source, { signal = null } = {}) {
+  /**
+   * Fetches all but the clusters. `workers` is how many Workers decode, see `openWork`; with 0 all is done on this thread. They live
+   * until `close`.
+   */
+  static async begin(source, { signal = null, workers } = {}) {
     const stream = new BakeStream();
-    const manifest = await fetchManifest(source, { signal });
-    checkRelightable(manifest);
-    const decoded = (role, decode) => fetchChunks(source, chunksOf(manifest, role), decode, { signal });
-    const geometry = await decoded(ROLES.geometry, decodeGeometry);
-    const textures = await decoded(ROLES.textures, decodeTexture);
-    [stream.patches] = await decoded(ROLES.patches, decodePatches);
-    stream.overview = await decoded(ROLES.overview, decodeCluster);
     stream.source = source;
-    stream.scene = assembleScene(manifest, geometry, textures);
-    stream.chunks = chunksOf(manifest, ROLES.clusters);
+    const opened = openWork(workers);
+    try {
+      const manifest = await fetchManifest(source, { signal });
+      checkRelightable(manifest);
+      stream.#work = await opened;
+      await stream.#begin(manifest, signal);
+    } catch (error) {
+      (await opened).close();
+      throw error;
+    }
     return stream;
+  }
+
+  async #begin(manifest, signal) {
+    const decoded = (role, kind) => this.#decoded(chunksOf(manifest, role), kind, signal);
+    const geometry = await decoded(ROLES.geometry, "geometry");
+    const textures = await decoded(ROLES.textures, "texture");
+    const [patches] = await decoded(ROLES.patches, "patches");
+    const overview = await decoded(ROLES.overview, "cluster");
+    this.hasOverview = overview.length > 0;
+    const textureCount = textures.length;
+    const { draws, warnings } = await this.#work.begin({ manifest, geometry, textureCount, patches, overview });
+    this.scene = { manifest, layout: new LightmapLayout(manifest), draws, textures, warnings };
+    this.chunks = chunksOf(manifest, ROLES.clusters);
+  }
+
+  /** Fetches chunks, several at a time, and decodes them. */
+  async #decoded(chunks, kind, signal) {
+    const results = new Array(chunks.length);
+    await forEachParallel(chunks.length, PARALLEL, async (index) => {
+      results[index] = await this.#decode(chunks[index], kind, signal);
+    });
+    return results;
+  }
+
+  async #decode(chunk, kind, signal) {
+    return this.#work.decode(kind, chunk.digest, await fetchUnverified(this.source, chunk, { signal }));
   }
 
   /** Clusters that have come, and all. */
@@ -41,16 +68,21 @@ export class BakeStream {
   /** Bytes of the chunks of clusters that have come, and of all. */
   get bytes() {
     const sum = (chunks) => chunks.reduce((bytes, chunk) => bytes + chunk.bytes, 0);
-    return [sum([...this.#present.keys()].map((index) => this.chunks[index])), sum(this.chunks)];
+    return [sum([...this.#present].map((index) => this.chunks[index])), sum(this.chunks)];
   }
 
   get isWhole() {
     return this.#present.size === this.chunks.length;
   }
 
+  /** Whether Workers do the work, and not this thread. */
+  get isElsewhere() {
+    return this.#work.isElsewhere;
+  }
+
   /** The bake with the light of the clusters that have come; receivers of the overview stand for all others. */
-  bake() {
-    return { scene: this.scene, light: lightOfPrefix(this.scene, this.patches, this.overview, this.#present) };
+  async bake() {
+    return { scene: this.scene, light: await this.#work.light() };
   }
 
   /**
@@ -61,21 +93,22 @@ export class BakeStream {
   async refine(bytesMax, { lit = NO_LIGHT, viewpoint = null, signal = null, onCluster = () => {} } = {}) {
     const chosen = [];
     let bytes = 0;
-    for (const index of this.#order(lit, viewpoint)) {
+    for (const index of await this.#order(lit, viewpoint)) {
       const own = this.chunks[index].bytes;
       if (chosen.length > 0 && bytes + own > bytesMax) continue;
       chosen.push(index);
       bytes += own;
     }
     await forEachParallel(chosen.length, PARALLEL, async (at) => {
-      const cluster = decodeCluster(await fetchChunk(this.source, this.chunks[chosen[at]], { signal }));
-      this.#present.set(chosen[at], cluster);
+      const index = chosen[at];
+      await this.#work.add(index, await this.#decode(this.chunks[index], "cluster", signal));
+      this.#present.add(index);
       onCluster();
     });
   }
 
   /** Numbers of absent clusters by falling need. */
-  #order(lit, viewpoint) {
+  async #order(lit, viewpoint) {
     const absent = this.chunks.map((_, index) => index).filter((index) => !this.#present.has(index));
     const { clusters, boundsM } = this.scene.manifest;
     const candidates = absent.map((index) => {
@@ -83,13 +116,23 @@ export class BakeStream {
       return { boundsM: bounds, receivers, bytes: this.chunks[index].bytes };
     });
     const reach = Math.hypot(...[0, 1, 2].map((axis) => boundsM[3 + axis] - boundsM[axis]));
-    return byNeed(candidates, lit, viewpoint, reach).map((at) => absent[at]);
+    const order = await this.#work.byNeed(candidates, lit, viewpoint, reach);
+    return order.map((at) => absent[at]);
+  }
+
+  /** Ends the Workers; nothing more is fetched or put together after it. */
+  close() {
+    this.#work.close();
   }
 }
 
 /** Fetches all of a bake. */
 export async function loadBake(source, options = {}) {
   const stream = await BakeStream.begin(source, options);
-  await stream.refine(Infinity, options);
-  return stream.bake();
+  try {
+    await stream.refine(Infinity, options);
+    return await stream.bake();
+  } finally {
+    stream.close();
+  }
 }

@@ -24,9 +24,12 @@ export class AtlasTexels {
   #kind = new Float32Array(1);
   #kindBits = new Uint32Array(this.#kind.buffer);
 
+  #slots;
+  #receivers;
+
   constructor(layout, slots, receivers) {
-    this.slots = slots;
-    this.receivers = receivers;
+    this.#slots = slots;
+    this.#receivers = receivers;
     layout.blocks.forEach((block, index) => {
       for (let y = 0; y < block.size[1]; y++) {
         for (let x = 0; x < block.size[0]; x++) {
@@ -56,7 +59,7 @@ export class AtlasTexels {
   /** Adds the slots whose mean light a texel holds, and answers its kind. */
   #pushSources(block, x, y) {
     const first = this.#sources.length;
-    if (this.slots.hasSides && this.slots.standing(block, x, y) !== NO_SLOT && this.#isAmidStandIns(block, x, y)) {
+    if (this.#slots.hasSides && this.#slots.standing(block, x, y) !== NO_SLOT && this.#isAmidStandIns(block, x, y)) {
       this.#pushStanding(block, x, y);
       return FILLED;
     }
@@ -64,7 +67,7 @@ export class AtlasTexels {
       this.#pushRing(block, x, y, ring);
       if (this.#sources.length > first) {
         const slot = this.#sources.get(first);
-        return ring === 0 ? kindOfReceiver(this.receivers.links[slot], this.receivers.edge[slot]) : FILLED;
+        return ring === 0 ? kindOfReceiver(this.#receivers.links[slot], this.#receivers.edge[slot]) : FILLED;
       }
     }
     return NOTHING;
@@ -75,9 +78,9 @@ export class AtlasTexels {
     for (let dy = -1; dy <= 1; dy++) {
       for (let dx = -1; dx <= 1; dx++) {
         const [column, row] = [x + dx, y + dy];
-        const isOfSide = this.slots.areOfOneSide(block, x, y, column, row);
-        const isAbsent = this.slots.slot(block, column, row) === NO_SLOT;
-        if (isOfSide && isAbsent && this.slots.standing(block, column, row) !== NO_SLOT) {
+        const isOfSide = this.#slots.areOfOneSide(block, x, y, column, row);
+        const isAbsent = this.#slots.slot(block, column, row) === NO_SLOT;
+        if (isOfSide && isAbsent && this.#slots.standing(block, column, row) !== NO_SLOT) {
           return true;
         }
       }
@@ -92,7 +95,7 @@ export class AtlasTexels {
   #pushStanding(block, x, y) {
     for (const dy of [-BLENDED_TEXELS, 0, BLENDED_TEXELS]) {
       for (const dx of [-BLENDED_TEXELS, 0, BLENDED_TEXELS]) {
-        if (this.slots.areOfOneSide(block, x, y, x + dx, y + dy)) {
+        if (this.#slots.areOfOneSide(block, x, y, x + dx, y + dy)) {
           this.#pushSlot(block, x + dx, y + dy);
         }
       }
@@ -111,7 +114,7 @@ export class AtlasTexels {
   }
 
   #pushSlot(block, x, y) {
-    const slot = this.slots.standing(block, x, y);
+    const slot = this.#slots.standing(block, x, y);
     if (slot !== NO_SLOT) {
       this.#sources.push(slot);
     }

@@ -18,10 +18,10 @@ use crate::pages::Pages;
 pub(super) const FACE: &str = "/";
 /// Route of all other files.
 pub(super) const FILES: &str = "/web/{*path}";
-/// A page runs the server's own modules and styles alone, calls this server alone, and stands in nobody's frame. Pictures of a
+/// A page runs the server's own modules, Workers and styles alone, calls this server alone, and stands in nobody's frame. Pictures of a
 /// bake are made from bytes.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self'; \
-                      base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
+                      worker-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 /// Kept, but asked for anew each time: another server has other files.
 const CACHE: &str = "no-cache";
 

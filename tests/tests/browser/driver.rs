@@ -83,6 +83,11 @@ impl Browser {
         self.call("url", &json!({ "url": url }));
     }
 
+    /// Makes the window so wide and high, in pixels.
+    pub fn resize(&self, [width, height]: [u32; 2]) {
+        self.call("window/rect", &json!({ "width": width, "height": height }));
+    }
+
     /// The value of a script; its `arguments[0]` are `args`.
     pub fn script(&self, script: &str, args: Value) -> Value {
         self.call("execute/sync", &json!({ "script": script, "args": [args] }))

@@ -109,6 +109,8 @@ fn serve(
 }
 
 fn file(path: &str, folders: &[(&'static str, PathBuf)]) -> Answer {
+    // The query is the page's own.
+    let path = path.split_once('?').map_or(path, |(path, _)| path);
     let below = folders.iter().find_map(|(prefix, folder)| Some((folder, path.strip_prefix(prefix)?)));
     let Some((folder, rest)) = below.filter(|(_, rest)| !rest.contains("..")) else {
         return Answer::empty(404);

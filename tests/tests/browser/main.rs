@@ -21,7 +21,11 @@ mod keeper;
 #[allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 mod relighting;
 mod shown;
+#[allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+mod three_js;
 mod viewing;
+#[allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+mod working;
 
 use std::path::{Path, PathBuf};
 
@@ -45,4 +49,11 @@ fn browser_at(files: &Files) -> Browser {
     let browser = Browser::start();
     browser.open(&files.url("/pages/empty.html"));
     browser
+}
+
+/// Bytes of hex digits that a page told.
+fn bytes_of_hex(hex: &serde_json::Value) -> Vec<u8> {
+    let digits = hex.as_str().expect("hex digits").as_bytes();
+    let digit = |digit: u8| (digit as char).to_digit(16).expect("a hex digit") as u8;
+    digits.chunks_exact(2).map(|pair| digit(pair[0]) << 4 | digit(pair[1])).collect()
 }

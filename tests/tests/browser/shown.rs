@@ -73,15 +73,18 @@ fn chromium_shows_a_finished_bake_of_a_farm_as_its_server_hands_it_out() {
     let shown = "const text = document.querySelector('main').innerText;
         const canvas = document.querySelector('canvas');
         return [text.includes('Report'), text.includes('Lamp brightness'), canvas.width > 0 && canvas.height > 0,
-            performance.getEntriesByType('resource').every(({ name }) => name.startsWith(location.origin))]";
-    assert_eq!(browser.script(shown, json!([])), json!([true, true, true, true]));
+            performance.getEntriesByType('resource').every(({ name }) => name.startsWith(location.origin)),
+            performance.getEntriesByType('resource').some(({ name }) => name.endsWith('/relight/worker.js'))]";
+    assert_eq!(browser.script(shown, json!([])), json!([true, true, true, true, true]));
     // The same bake as a site of plain files.
     let site = program(folder.path()).args(["site", "out", "--out", "site"]).output().expect("a site");
     assert!(site.status.success(), "{}", String::from_utf8_lossy(&site.stderr));
     let files = Files::start(vec![("/any/place/", folder.path().join("site"))], |_| None);
     browser.open(&files.url("/any/place/index.html"));
     wait_for_all_light(&browser);
-    assert!(files.calls().iter().all(|call| call.starts_with("/any/place/")), "{:?}", files.calls());
+    let calls = files.calls();
+    assert!(calls.iter().all(|call| call.starts_with("/any/place/")), "{calls:?}");
+    assert!(calls.iter().any(|call| call == "/any/place/web/relight/worker.js"), "{calls:?}");
 }
 
 fn wait_for_all_light(browser: &Browser) {

@@ -28,10 +28,11 @@ function screenOf(device, size) {
   return device.createTexture({ size, format: FORMAT, usage });
 }
 
-function setState(frame, { lights, emitters, camera }) {
+function setState(frame, { lights, emitters, camera, materials }) {
   const { manifest } = frame.bake.scene;
   frame.setLights(lights === null ? lightsOf(manifest) : parseLights(lights).lights);
   frame.setEmitters(manifest.emitters.map(() => emitters));
+  frame.setMaterials(materials);
   frame.setCamera(camera === null ? cameraOf(manifest) : parseCamera(camera));
 }
 
@@ -75,14 +76,14 @@ export async function refine(job, steps) {
   const [width, height] = job.size;
   const options = { width, height, format: FORMAT, shadows: job.shadows, lights: [] };
   const stream = await BakeStream.begin(new BundleSource("/bundle"));
-  const frame = await Frame.create(device, stream.bake(), options);
+  const frame = await Frame.create(device, await stream.bake(), options);
   setState(frame, job.states[0]);
   await frame.settle(job.limit);
   const found = [{ clusters: stream.clusters, indirect: hexOfNumbers(await frame.readIndirect()) }];
   const all = stream.chunks.reduce((sum, { bytes }) => sum + bytes, 0);
   while (!stream.isWhole) {
     await stream.refine(Math.ceil(all / steps), { lit: await frame.lit(), viewpoint: frame.viewpoint });
-    await frame.setLight(stream.bake().light, job.limit);
+    await frame.setLight((await stream.bake()).light, job.limit);
     found.push({ clusters: stream.clusters, indirect: hexOfNumbers(await frame.readIndirect()) });
   }
   const whole = await Frame.create(device, await loadBake(new BundleSource("/bundle")), options);
@@ -168,7 +169,7 @@ export async function keep(job) {
   const options = { width, height, format: FORMAT, shadows: job.shadows, lights: [] };
   const stream = await BakeStream.begin(new BundleSource("/bundle"));
   const told = { refuses: () => false, alive: new Set() };
-  const bake = stream.bake();
+  const bake = await stream.bake();
   const frame = await Frame.create(picky(device, told), bake, options);
   const view = screenOf(device, job.size).createView();
   const look = async () => {
@@ -180,7 +181,7 @@ export async function keep(job) {
   await frame.settle(job.limit);
   const found = [await look()];
   await stream.refine(Infinity);
-  const whole = stream.bake().light;
+  const whole = (await stream.bake()).light;
   const message = (error) => error.message;
   told.refuses = () => true;
   const refused = [await frame.setLight(whole, job.limit).catch(message)];
@@ -190,4 +191,23 @@ export async function keep(job) {
   await Promise.all([whole, bake.light].map((light) => frame.setLight(light, job.limit)));
   found.push(await look());
   return { found, refused, errors };
+}
+
+/** Messages of colours that are refused, and whether light and picture stay as they are. */
+export async function refuse(job, refused) {
+  const { device, errors } = await openDevice();
+  const [width, height] = job.size;
+  const options = { width, height, format: FORMAT, shadows: job.shadows, lights: [] };
+  const frame = await Frame.create(device, await loadBake(new BundleSource("/bundle")), options);
+  setState(frame, job.states[0]);
+  await frame.settle(job.limit);
+  const messages = refused.map((colours) => {
+    try {
+      frame.setMaterials(colours);
+      return null;
+    } catch ({ message }) {
+      return message;
+    }
+  });
+  return { messages, settled: frame.settled, errors };
 }

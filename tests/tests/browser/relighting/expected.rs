@@ -15,7 +15,7 @@ use lightkiln_client::passes::shadow::{Eye, ShadowPass, ShadowPlan, ShadowRoom};
 use lightkiln_client::passes::stopwatch::Recorder;
 use lightkiln_client::picture::{Exposure, Tone, developed};
 use lightkiln_client::preview::{Backend, View, render};
-use lightkiln_client::scene::LoadedScene;
+use lightkiln_client::scene::{LoadedScene, Recolour, Tints};
 use lightkiln_proto::relight::{Limit, PatchTable, Settled};
 use lightkiln_proto::scene::{SceneCamera, SceneLight};
 use serde_json::{Value, json};
@@ -37,18 +37,30 @@ pub struct State {
     pub emitters: f32,
     /// Camera in words; the bake's own where there is none.
     pub camera: Option<String>,
+    /// Colours of materials other than the bake's.
+    pub materials: Vec<Recolour>,
 }
 
 impl State {
     /// As the page reads it.
     pub fn to_json(&self) -> Value {
-        json!({ "name": self.name, "lights": self.lights, "emitters": self.emitters, "camera": self.camera })
+        let colour = |Recolour { material, base_colour }: &Recolour| json!({ "material": material, "baseColour": base_colour });
+        json!({
+            "name": self.name,
+            "lights": self.lights,
+            "emitters": self.emitters,
+            "camera": self.camera,
+            "materials": self.materials.iter().map(colour).collect::<Vec<_>>(),
+        })
     }
 }
 
 /// A bake, with its light in the open.
 pub struct Expected {
     bake: LoadedBake,
+    /// As it was baked.
+    baked: LoadedScene,
+    colours: Vec<Recolour>,
     scene: LoadedScene,
     light: LightmapLight<PatchTable>,
     gpu: Gpu,
@@ -56,13 +68,21 @@ pub struct Expected {
 }
 
 impl Expected {
-    /// Loads a bundle.
-    pub fn new(folder: &Path) -> Self {
+    /// Loads a bundle, and gives its materials other colours.
+    pub fn new(folder: &Path, colours: &[Recolour]) -> Self {
         let source = Source::bundle(folder).unwrap();
-        let scene = LoadedScene::load(&source).unwrap();
-        let light = prt::load(&source, &scene).unwrap();
-        let bake = LoadedBake::load(&source, &lightkiln_client::kinds::all()).unwrap();
-        Self { bake, scene, light, gpu: Gpu::open().unwrap(), source }
+        let baked = LoadedScene::load(&source).unwrap();
+        let mut light = prt::load(&source, &baked).unwrap();
+        tint(&mut light, &baked, colours);
+        let mut bake = LoadedBake::load(&source, &lightkiln_client::kinds::all()).unwrap();
+        bake.recolour(colours).unwrap();
+        let scene = LoadedScene::clone(&bake.scene);
+        Self { bake, baked, colours: colours.to_vec(), scene, light, gpu: Gpu::open().unwrap(), source }
+    }
+
+    /// The words with which colours are refused.
+    pub fn refusal(&self, colours: &[Recolour]) -> String {
+        Tints::of(&self.baked, colours).unwrap_err().to_string()
     }
 
     /// E_ind by slot, and the picture's radiance, by the references.
@@ -86,7 +106,8 @@ impl Expected {
     /// E_ind by the adapter while the overview alone is there, in the order of its receivers.
     pub fn of_overview(&self, state: &State) -> Vec<Vec4> {
         let stream = PrtStream::begin(&self.source, &self.scene).unwrap();
-        let light = stream.light(&self.scene).unwrap();
+        let mut light = stream.light(&self.scene).unwrap();
+        tint(&mut *light, &self.baked, &self.colours);
         self.indirect_on_adapter(&*light, &self.view(state))
     }
 
@@ -156,6 +177,13 @@ impl Expected {
         let bounds_m = self.scene.manifest.bounds_m;
         ShadowPlan::within(&ROOM, &Caster::of(&view.lights), bounds_m, Some(eye)).unwrap()
     }
+}
+
+/// Gives a light the albedo of other colours.
+fn tint(light: &mut dyn Light, baked: &LoadedScene, colours: &[Recolour]) {
+    let tints = Tints::of(baked, colours).unwrap();
+    let albedo = light.tinted_albedo(baked, &tints).unwrap();
+    light.set_albedo(albedo);
 }
 
 /// Radiance on the screen, four bytes a pixel.

@@ -7,16 +7,19 @@ use glam::Vec4;
 use lightkiln_client::passes::compare::Difference;
 use lightkiln_client::passes::shade;
 use lightkiln_client::picture::automatic_exposure;
+use lightkiln_client::scene::Recolour;
 use lightkiln_client::web;
 use serde_json::{Value, json};
 
 use super::bundle::Bundle;
 use super::driver::Browser;
 use super::files::{Answer, Files};
-use super::{browser_at, served};
+use super::{browser_at, bytes_of_hex as bytes, served};
 use expected::{Expected, LIMIT, ROOM, State};
 
 const MODULE: &str = "/pages/relight.js";
+/// The state with other colours of materials.
+const PAINTED: &str = "painted";
 /// Width and height of the pictures in pixels.
 const SIZE: [u32; 2] = [192, 128];
 /// Samples per pixel of the smooth pictures.
@@ -56,21 +59,34 @@ impl Drawn {
     }
 }
 
-fn bytes(hex: &Value) -> Vec<u8> {
-    let digits = hex.as_str().expect("hex digits").as_bytes();
-    let digit = |digit: u8| (digit as char).to_digit(16).expect("a hex digit") as u8;
-    digits.chunks_exact(2).map(|pair| digit(pair[0]) << 4 | digit(pair[1])).collect()
-}
-
 fn vectors(hex: &Value) -> Vec<Vec4> {
     let number = |four: &[u8]| f32::from_le_bytes([four[0], four[1], four[2], four[3]]);
     let vector = |of: &[u8]| Vec4::from_array([0, 4, 8, 12].map(|at| number(&of[at..])));
     bytes(hex).chunks_exact(16).map(vector).collect()
 }
 
-/// States that a frame goes through: the bake's own, a lamp elsewhere, other lights and another eye.
-fn states() -> Vec<State> {
+/// Colours of Cornell's materials.
+fn of_cornell() -> Vec<Recolour> {
+    vec![colour("red", [0.1, 0.2, 0.7]), colour("white", [0.3, 0.55, 0.4])]
+}
+
+/// Colours of the flat's: one whiter than albedo may be, and of a floor with a texture.
+fn of_flat() -> Vec<Recolour> {
+    vec![
+        colour("colour 0", [1.0, 1.0, 0.9]),
+        colour("colour 2", [0.25, 0.6, 0.5]),
+        colour("floor", [0.3, 0.6, 0.9]),
+    ]
+}
+
+fn colour(material: &str, base_colour: [f32; 3]) -> Recolour {
+    Recolour { material: material.to_owned(), base_colour }
+}
+
+/// States that a frame goes through: the bake's own, a lamp elsewhere, other lights and another eye, other colours.
+fn states(materials: &[Recolour]) -> Vec<State> {
     let of = |name, words: &[&str], emitters, camera: Option<&str>| State {
+        materials: if name == PAINTED { materials.to_vec() } else { Vec::new() },
         name,
         lights: (!words.is_empty()).then(|| words.iter().map(|word| (*word).to_owned()).collect()),
         emitters,
@@ -89,6 +105,7 @@ fn states() -> Vec<State> {
             0.0,
             Some("eye=0.9,1.2,1.9 target=-0.2,0.7,-0.5 fov=70"),
         ),
+        of(PAINTED, &[], 1.0, None),
     ]
 }
 
@@ -119,15 +136,16 @@ fn opened(bundle: &Bundle) -> (Files, Browser) {
 }
 
 /// Draws the states of a bake in the browser, and holds them against both references.
-fn browser_agrees(bundle: &Bundle) {
-    let (states, (_files, browser)) = (states(), opened(bundle));
+fn browser_agrees(bundle: &Bundle, colours: &[Recolour]) {
+    let (states, (_files, browser)) = (states(colours), opened(bundle));
     let told = browser.run(MODULE, "draw", json!([job(&states)]));
     assert_eq!(told["errors"], json!([]));
     assert_eq!(told["created"][0], told["created"][1], "changes make nothing on the device");
-    let expected = Expected::new(bundle.folder());
+    let [baked, painted] = [&[], colours].map(|colours| Expected::new(bundle.folder(), colours));
     let mut wrong = Vec::new();
     for state in &states {
         let drawn = Drawn::new(&told["states"][state.name]);
+        let expected = if state.materials.is_empty() { &baked } else { &painted };
         let on_processor = expected.on_processor(state);
         for (by, [indirect, picture]) in
             [("processor", &on_processor), ("adapter", &expected.on_adapter(state))]
@@ -144,8 +162,13 @@ fn browser_agrees(bundle: &Bundle) {
                 }
             }
         }
-        screens_agree(&expected, state, &drawn);
+        screens_agree(expected, state, &drawn);
         wrong_light_is_seen(&drawn, &on_processor);
+        if !state.materials.is_empty() {
+            let [indirect, picture] = baked.on_processor(state);
+            assert!(!of_indirect(&drawn.indirect, &indirect).agrees(INDIRECT_OUTLIERS));
+            assert!(!of_picture(&drawn.radiance, &picture).agrees(PICTURE_OUTLIERS));
+        }
     }
     assert!(wrong.is_empty(), "{wrong:#?}");
 }
@@ -194,29 +217,33 @@ fn wrong_light_is_seen(drawn: &Drawn, [indirect, picture]: &[Vec<Vec4>; 2]) {
 #[test]
 #[ignore = "needs chromium and a graphics adapter"]
 fn chromium_draws_cornell_as_the_references_do() {
-    browser_agrees(&Bundle::cornell());
+    browser_agrees(&Bundle::cornell(), &of_cornell());
 }
 
 #[test]
 #[ignore = "needs chromium and a graphics adapter"]
 fn chromium_draws_glass_textures_and_near_hits_as_the_references_do() {
-    browser_agrees(&Bundle::flat());
+    browser_agrees(&Bundle::flat(), &of_flat());
 }
 
 #[test]
 #[ignore = "needs chromium and a graphics adapter"]
 fn chromium_refines_the_light_of_the_overview_until_it_is_that_of_the_whole() {
     let bundle = Bundle::flat();
-    let (states, (_files, browser)) = (states(), opened(&bundle));
-    let told = browser.run(MODULE, "refine", json!([job(&states), 3]));
+    // Colours stay while light comes.
+    let painted = states(&of_flat()).pop().expect("states");
+    let (_files, browser) = opened(&bundle);
+    let told = browser.run(MODULE, "refine", json!([job(std::slice::from_ref(&painted)), 3]));
     assert_eq!(told["errors"], json!([]));
     let found = told["found"].as_array().expect("a list");
     assert!(found.len() >= 3, "{} steps", found.len());
     let first = vectors(&found[0]["indirect"]);
-    let expected = Expected::new(bundle.folder());
-    let difference = of_indirect(&first, &expected.of_overview(&states[0]));
+    let [baked, colours] =
+        [&[], &painted.materials[..]].map(|colours| Expected::new(bundle.folder(), colours));
+    let difference = of_indirect(&first, &colours.of_overview(&painted));
     println!("overview: E_ind: {difference}");
     assert!(difference.agrees(INDIRECT_OUTLIERS), "{difference}");
+    assert!(!of_indirect(&first, &baked.of_overview(&painted)).agrees(INDIRECT_OUTLIERS));
     let whole = vectors(&told["whole"]);
     assert_ne!(first.len(), whole.len(), "the overview is not the whole");
     assert_eq!(vectors(&found[found.len() - 1]["indirect"]), whole);
@@ -226,7 +253,7 @@ fn chromium_refines_the_light_of_the_overview_until_it_is_that_of_the_whole() {
 #[ignore = "needs chromium and a graphics adapter"]
 fn chromium_splits_arrays_into_bindings_and_says_where_it_cannot() {
     let bundle = Bundle::flat();
-    let (states, (_files, browser)) = (states(), opened(&bundle));
+    let (states, (_files, browser)) = (states(&[]), opened(&bundle));
     let told = browser.run(MODULE, "narrow", json!([job(&states)]));
     assert_eq!(told["errors"], json!([]));
     let pages: Vec<u64> = serde_json::from_value(told["pages"].clone()).expect("numbers");
@@ -242,7 +269,7 @@ fn chromium_splits_arrays_into_bindings_and_says_where_it_cannot() {
 #[ignore = "needs chromium and a graphics adapter"]
 fn chromium_keeps_light_and_picture_where_the_device_refuses_others() {
     let bundle = Bundle::flat();
-    let (states, (_files, browser)) = (states(), opened(&bundle));
+    let (states, (_files, browser)) = (states(&[]), opened(&bundle));
     let told = browser.run(MODULE, "keep", json!([job(&states)]));
     assert_eq!(told["errors"], json!([]));
     for refused in told["refused"].as_array().expect("a list") {
@@ -254,4 +281,28 @@ fn chromium_keeps_light_and_picture_where_the_device_refuses_others() {
         let is_kept = found.iter().all(|later| later[name] == found[0][name]);
         assert!(is_kept, "{name} is another after a refusal, or after two calls at once");
     }
+}
+
+#[test]
+#[ignore = "needs chromium and a graphics adapter"]
+fn chromium_refuses_colours_that_cannot_be_in_the_words_of_the_native_client() {
+    let bundle = Bundle::flat();
+    let (_files, browser) = opened(&bundle);
+    let refused = [
+        colour("no such", [0.5; 3]),
+        colour("floor", [1.5, 0.0, 0.0]),
+        colour("floor", [0.5, -0.1, 0.0]),
+        colour("glass", [0.5; 3]),
+    ];
+    let expected = Expected::new(bundle.folder(), &[]);
+    let wanted: Vec<String> =
+        refused.iter().map(|colour| expected.refusal(std::slice::from_ref(colour))).collect();
+    let lists: Vec<_> = refused
+        .iter()
+        .map(
+            |Recolour { material, base_colour }| json!([{ "material": material, "baseColour": base_colour }]),
+        )
+        .collect();
+    let told = browser.run(MODULE, "refuse", json!([job(&states(&[])), lists]));
+    assert_eq!(told, json!({ "messages": wanted, "settled": true, "errors": [] }));
 }
