@@ -9,6 +9,7 @@ mod glass;
 mod light;
 pub(crate) mod objects;
 mod receivers;
+mod rects;
 mod shaders;
 mod shadows;
 mod show;

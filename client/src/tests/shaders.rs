@@ -131,7 +131,7 @@ fn twins() -> BTreeMap<&'static str, Layout> {
         "Face": Face { clip_from_world, right, texel_at_unit_w, up, panes }
         "Light": Light {
             position, range_m, direction, shape, strength, first_face, cone_cos_inner, cone_cos_outer, face_count,
-            half_extent, first_cascade, cascades, pad0, pad1
+            half_extent, first_cascade, cascades, half_size_m, cells, pad
         }
         "LightCount": LightCount { count, side, bias_m, snap }
         "Mask": Mask { uv_row0, uv_row1, alpha, cutoff, pad0, pad1 }

@@ -1,5 +1,6 @@
 //! State that the user changes: lights, emitters, colours, exposure, overlay.
 
+use lightkiln_proto::rectangle::RECT_POINTS;
 use lightkiln_proto::scene::{LightKind, SceneCamera, SceneLight};
 use lightkiln_proto::words::{camera_to_text, light_to_text, stance_to_text};
 
@@ -8,6 +9,9 @@ use crate::lights::quoted;
 use crate::picture::{Exposure, Tone};
 use crate::preview::View;
 use crate::scene::{LoadedScene, Recolour, Stance};
+
+/// Side of a new rectangle as a share of the scene's diagonal.
+const RECT_SHARE: f32 = 0.1;
 
 /// Everything that can be changed but for the camera.
 #[derive(Clone, Debug, PartialEq)]
@@ -187,6 +191,18 @@ pub fn new_light(kind: &str, number: usize, place_m: [f32; 3], diagonal_m: f32) 
             },
             intensity,
         ),
+        "rect" => {
+            let side_m = RECT_SHARE * diagonal_m;
+            let kind = LightKind::Rect {
+                position_m: place_m,
+                direction: [0.0, -1.0, 0.0],
+                up: [0.0, 0.0, -1.0],
+                size_m: [side_m; 2],
+                points: RECT_POINTS,
+            };
+            // Of the same power as a point of that intensity: 4π I = π L A.
+            (kind, intensity.map(|channel| 4.0 * channel / (side_m * side_m)))
+        }
         _ => (LightKind::Point { position_m: place_m, range_m: None }, intensity),
     };
     SceneLight { name, kind, strength }

@@ -4,6 +4,7 @@ use std::ops::RangeInclusive;
 
 use egui::{Color32, Context, DragValue, Pos2, Response, Slider, SliderClamping, Stroke, Ui};
 use glam::Vec3;
+use lightkiln_proto::rectangle::RECT_POINTS_MAX;
 use lightkiln_proto::scene::{LightKind, SceneLight};
 
 use super::edits::{Edits, new_light};
@@ -26,6 +27,8 @@ const ELEVATION_MAX: f32 = 89.9;
 const PLACE_MAX_M: f32 = 1e6;
 /// Scales of an object that are set here.
 const SCALES: RangeInclusive<f32> = 1e-4..=1e4;
+/// Sides of a rectangle that are set here, in metres.
+const SIDES_M: RangeInclusive<f32> = 1e-3..=1e4;
 /// Least strength that a colour is told of.
 const DARK: f32 = 1e-9;
 
@@ -173,7 +176,7 @@ fn lights(ui: &mut Ui, viewer: &mut Viewer) {
     }
     ui.horizontal(|ui| {
         ui.label("add");
-        for kind in ["point", "spot", "sun", "sky"] {
+        for kind in ["point", "spot", "sun", "rect", "sky"] {
             if ui.small_button(kind).clicked() {
                 let (place_m, diagonal_m) = (viewer.place_ahead_m(), viewer.diagonal_m());
                 viewer.chosen = Some(viewer.edits.lights.len());
@@ -189,6 +192,7 @@ fn kind_of(light: &SceneLight) -> &'static str {
         LightKind::Point { .. } => "point",
         LightKind::Spot { .. } => "spot",
         LightKind::Sun { .. } => "sun",
+        LightKind::Rect { .. } => "rect",
         LightKind::Sky { .. } => "sky",
     }
 }
@@ -232,6 +236,7 @@ fn controls(ui: &mut Ui, light: &mut SceneLight) {
     let unit = match light.kind {
         LightKind::Point { .. } | LightKind::Spot { .. } => " W/sr",
         LightKind::Sun { .. } => " W/m²",
+        LightKind::Rect { .. } => " W/m²/sr",
         LightKind::Sky { .. } => " ×",
     };
     ui.horizontal(|ui| {
@@ -262,6 +267,11 @@ fn controls(ui: &mut Ui, light: &mut SceneLight) {
             cone(ui, inner_rad, outer_rad);
         }
         LightKind::Sun { direction } => angles(ui, direction),
+        LightKind::Rect { position_m, direction, size_m, points, .. } => {
+            place(ui, position_m);
+            angles(ui, direction);
+            sides(ui, size_m, points);
+        }
         LightKind::Sky { .. } => {}
     }
 }
@@ -282,6 +292,22 @@ fn cone(ui: &mut Ui, inner_rad: &mut f32, outer_rad: &mut f32) {
         if inner || outer {
             *outer_rad = outer_rad.clamp(0.002, std::f32::consts::FRAC_PI_2);
             *inner_rad = inner_rad.clamp(0.0, *outer_rad);
+        }
+    });
+}
+
+/// Width and height, and the points that shadows are cast from.
+fn sides(ui: &mut Ui, size_m: &mut [f32; 2], points: &mut u32) {
+    ui.horizontal(|ui| {
+        for side in size_m {
+            let speed = 0.01 * f64::from(*side);
+            if ui.add(number(side, speed).range(SIDES_M).suffix(" m")).changed() {
+                *side = side.clamp(*SIDES_M.start(), *SIDES_M.end());
+            }
+        }
+        let range = 1..=RECT_POINTS_MAX;
+        if ui.add(DragValue::new(points).speed(0.05).range(range).suffix(" points")).changed() {
+            *points = (*points).clamp(1, RECT_POINTS_MAX);
         }
     });
 }
@@ -431,7 +457,8 @@ mod tests {
         let mut bright = parse_light("sun dir=0,-1,0 irradiance=3").unwrap();
         bright.strength = [3e8, 0.3, 1.0 / 3.0];
         let sky = parse_light("sky zenith=0.1,0.7,0.3 horizon=0.3,0.123,0.7 strength=0.7").unwrap();
-        for wanted in [steep, bright, sky] {
+        let rect = parse_light("rect pos=1,2,3 dir=0,-1,0 size=0.0001,0.3 strength=1,2,3 points=7").unwrap();
+        for wanted in [steep, bright, sky, rect] {
             let mut light = wanted.clone();
             shown(|ui| controls(ui, &mut light));
             assert_eq!(light, wanted);

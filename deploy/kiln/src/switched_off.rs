@@ -34,8 +34,7 @@ impl SwitchedOff {
             let lighting = &mut light.lighting;
             lighting.emitter_scale = self.emitter_scale(lighting.emitter_scale);
             lighting.lights = self.rest(std::mem::take(&mut lighting.lights));
-            let dark =
-                lighting.emitter_scale <= 0.0 && lighting.lights.is_empty() && lighting.panels.is_empty();
+            let dark = lighting.emitter_scale <= 0.0 && lighting.lights.is_empty();
             if dark {
                 say!("note: light '{}' is switched off", light.name);
             }

@@ -81,6 +81,21 @@ impl Words {
         Err(self.wrong(format!("{key}={value} is not in {lowest}..={highest}")))
     }
 
+    /// Whether a word is there.
+    fn has(&self, key: &str) -> bool {
+        self.pairs.iter().any(|(known, _)| known == key)
+    }
+
+    /// Two numbers, if given.
+    fn pair(&mut self, keys: &[&str]) -> Result<Option<[f32; 2]>, WordsError> {
+        let Some((key, text)) = self.take(keys) else { return Ok(None) };
+        let parts: Vec<f32> =
+            text.split(',').map(|part| self.finite(&key, part)).collect::<Result<_, _>>()?;
+        <[f32; 2]>::try_from(parts)
+            .map(Some)
+            .map_err(|_| self.wrong(format!("'{key}={text}' needs two numbers w,h")))
+    }
+
     /// Three numbers, if given.
     fn vector(&mut self, keys: &[&str]) -> Result<Option<Vec3>, WordsError> {
         Ok(self.keyed_vector(keys)?.map(|(_, vector)| vector))

@@ -18,6 +18,7 @@ use super::setup::{in_both_kinds, luminance, mean, only, small, with_texels};
 in_both_kinds!(
     white_furnace_converges_to_emission_over_one_minus_albedo,
     floor_under_a_gradient_sky_has_the_irradiance_of_the_closed_form,
+    light_of_a_rectangle_in_a_shut_box_bounces_until_the_walls_have_taken_it,
 );
 
 fn white_furnace_converges_to_emission_over_one_minus_albedo(kind: &'static str) {
@@ -34,6 +35,28 @@ fn white_furnace_converges_to_emission_over_one_minus_albedo(kind: &'static str)
         assert!((found / wanted - 1.0).abs() < 0.01, "albedo {albedo}: mean {found}, wanted {wanted}");
         assert!(worst < 0.06, "albedo {albedo}: a receiver is off by {worst}");
     }
+}
+
+/// `E_ind = Φ/A ρ/(1 − ρ)` in the mean over the walls of a box of one albedo, with Φ = π L w h.
+fn light_of_a_rectangle_in_a_shut_box_bounces_until_the_walls_have_taken_it(kind: &'static str) {
+    let (albedo, side_m) = (0.5_f64, 4.0_f64);
+    let held = Held::new(scenes::furnace(albedo as f32, 1.0, side_m as f32), &small(kind, 1500)).unwrap();
+    let [low, high] = held.bake.manifest.bounds_m.map(Vec3::from);
+    let rect = LightKind::Rect {
+        position_m: (low.lerp(high, 0.5) + Vec3::new(0.3, 0.7, -0.2)).to_array(),
+        direction: [0.6, -0.8, 0.0],
+        up: [0.0, 0.0, 1.0],
+        size_m: [1.5, 0.8],
+        points: 4,
+    };
+    let lit = held.under(&only(rect, 5.0)).unwrap();
+    let receivers = held.receivers(|_| true);
+    assert!(receivers.len() > 500);
+    let mean = receivers.iter().map(|&r| lit.baked(r).y).sum::<f64>() / receivers.len() as f64;
+    let power_w = std::f64::consts::PI * 5.0 * 1.5 * 0.8;
+    let wanted = power_w / (6.0 * side_m * side_m) * albedo / (1.0 - albedo);
+    println!("{kind}: {mean:.4}, wanted {wanted:.4}");
+    assert!((mean / wanted - 1.0).abs() < 0.02, "{mean}, wanted {wanted}");
 }
 
 /// How far the irradiance of a gradient sky may be off. With patches, 64 parts of the sky stand for it, each by the colour

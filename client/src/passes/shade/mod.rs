@@ -15,6 +15,7 @@ pub use view::ShadeView;
 /// The shader, with the lights' part in front; [`Shading::shader`] adds indirect light.
 pub const SHADER: &str = concat!(
     include_str!("../shared/light.wgsl"),
+    include_str!("../shared/rect.wgsl"),
     include_str!("../shared/shadow_map.wgsl"),
     include_str!("../shared/glass.wgsl"),
     include_str!("shade.wgsl")

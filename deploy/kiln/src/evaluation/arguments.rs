@@ -14,7 +14,7 @@ use crate::failure::{Failure, Result};
 #[derive(Args, Clone, Debug)]
 pub struct EvaluationArguments {
     /// Lights to measure with, as JSON: {"lights": [{"name": "lamp", "type": "point", "position_m": [0, 2, 0], "strength":
-    /// [10, 9, 8]}]}; types are point, spot, sun, sky, panel and emitters [default: chosen from the scene, and said]
+    /// [10, 9, 8]}]}; types are point, spot, sun, rect, sky and emitters [default: chosen from the scene, and said]
     #[arg(long, value_name = "FILE", help_heading = "Evaluation")]
     pub lights: Option<PathBuf>,
     /// Standard error of the reference over the mean, or over the geometric mean of it and the value where that is brighter;

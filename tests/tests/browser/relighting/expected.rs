@@ -23,7 +23,7 @@ use serde_json::{Value, json};
 use super::SIZE;
 
 /// Room of the shadow maps, in the browser too.
-pub const ROOM: ShadowRoom = ShadowRoom { lights: 4, faces: 16, side: 512 };
+pub const ROOM: ShadowRoom = ShadowRoom { lights: 4, faces: 20, side: 512 };
 /// End of the bounces.
 pub const LIMIT: Limit = Limit { bounces_max: 64, change_max: 1e-5 };
 

@@ -68,7 +68,7 @@ fn vectors(hex: &Value) -> Vec<Vec4> {
     bytes(hex).chunks_exact(16).map(vector).collect()
 }
 
-/// States that a frame goes through: the bake's own, a lamp elsewhere, other lights and another eye.
+/// States that a frame goes through: the bake's own, a lamp elsewhere, other lights and another eye, a rectangle.
 fn states() -> Vec<State> {
     let of = |name, words: &[&str], emitters, camera: Option<&str>| State {
         name,
@@ -88,6 +88,12 @@ fn states() -> Vec<State> {
             ],
             0.0,
             Some("eye=0.9,1.2,1.9 target=-0.2,0.7,-0.5 fov=70"),
+        ),
+        of(
+            "rectangle",
+            &["rect pos=0.1,1.6,0.2 dir=0.2,-1,0.1 size=0.5,0.3 color=1,0.8,0.5 power=40"],
+            0.0,
+            None,
         ),
     ]
 }
