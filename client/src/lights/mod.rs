@@ -1,6 +1,7 @@
 //! Lights and cameras of a view: words of the command line, the bake's own, and the light that each sends.
 
 mod framing;
+mod panorama;
 mod words;
 
 use std::f32::consts::FRAC_PI_2;
@@ -12,7 +13,8 @@ use lightkiln_proto::scene::{LightKind, SceneLight};
 use crate::error::{ClientError, Result};
 
 pub use framing::{camera_of, lights_of};
-pub use lightkiln_proto::relight::Sky;
+pub use lightkiln_proto::relight::{Panorama, Sky};
+pub use panorama::read_panorama;
 pub use words::{ParsedLights, parse_camera, parse_light, parse_lights, quoted};
 
 /// A light that casts shadows, ready for the direct pass.

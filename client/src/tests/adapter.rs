@@ -72,7 +72,7 @@ impl<C: ClientColumns> Stage<C> {
         let meshes = Meshes::new(gpu, &scene).unwrap();
         let shadow = ShadowPass::new(gpu, &scene, &meshes, &plan.room()).unwrap();
         shadow.set(gpu, &plan);
-        let unshadowed = Unshadowed { sky: Sky::of(lights), emitter_scale: &[1.5] };
+        let unshadowed = Unshadowed { sky: Sky::of(lights), panorama: None, emitter_scale: &[1.5] };
         let passes = LightmapPasses::new(gpu, &scene, &light, &shadow).unwrap();
         passes.set_unshadowed(gpu, &light.unshadowed(unshadowed));
         Self { scene, light, plan, meshes, shadow, passes }
@@ -380,7 +380,8 @@ fn agree_on_a_picture(
     let got = frame.read().unwrap();
     settled.indirect.prepare_view(&shade_view, view.size());
     let (indirect, emitter_scale) = (&*settled.indirect, &view.emitter_scale[..]);
-    let lit = Lit { scene, plan: &prepared.plan, maps, indirect, emitter_scale };
+    let panorama = view.panorama.as_deref();
+    let lit = Lit { scene, plan: &prepared.plan, maps, indirect, panorama, emitter_scale };
     let wanted = shade::reference::shade(lit, &shade_view, view.size());
     held("shade", &Difference::of_mean(&got, &wanted, shade::TOLERANCE), shade::OUTLIERS);
     let sky = |pixels: &[Vec4]| pixels.iter().filter(|pixel| pixel.w < 0.5).count();

@@ -8,6 +8,7 @@ mod formula;
 mod glass;
 mod light;
 pub(crate) mod objects;
+mod panorama;
 mod receivers;
 mod rects;
 mod shaders;

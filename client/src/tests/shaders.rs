@@ -19,7 +19,7 @@ use crate::passes::near::NearNumbers;
 use crate::passes::patches::PatchNumbers;
 use crate::passes::reconstruct::ReconstructNumbers;
 use crate::passes::resident::ClusterRow;
-use crate::passes::shade::{ShadeDraw, ShadeView};
+use crate::passes::shade::{PanoramaNumbers, ShadeDraw, ShadeView};
 use crate::passes::shadow::{Face, Light, LightCount, Mask, Pane};
 use crate::passes::show::ShowNumbers;
 use crate::web;
@@ -143,6 +143,7 @@ fn twins() -> BTreeMap<&'static str, Layout> {
         "Pane": Pane {
             base_row0, base_row1, transmission_row0, transmission_row1, base_colour, transmission, blends, cutoff, pad
         }
+        "PanoramaNumbers": PanoramaNumbers { turn, strength, pad }
         "PatchRow": PatchRow { first_leaf, leaf_count, parent }
         "Patches": PatchNumbers {
             receiver_count, leaf_count, patch_count, stride, first_block, first_large, block_source

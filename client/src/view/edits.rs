@@ -1,11 +1,13 @@
 //! State that the user changes: lights, emitters, colours, exposure, overlay.
 
+use std::sync::Arc;
+
 use lightkiln_proto::rectangle::RECT_POINTS;
 use lightkiln_proto::scene::{LightKind, SceneCamera, SceneLight};
-use lightkiln_proto::words::{camera_to_text, light_to_text, stance_to_text};
+use lightkiln_proto::words::{camera_to_text, light_to_text, panorama_to_text, stance_to_text};
 
 use crate::bake::Overlay;
-use crate::lights::quoted;
+use crate::lights::{Panorama, quoted};
 use crate::picture::{Exposure, Tone};
 use crate::preview::View;
 use crate::scene::{LoadedScene, Recolour, Stance};
@@ -18,6 +20,8 @@ const RECT_SHARE: f32 = 0.1;
 pub struct Edits {
     /// Lights and skies.
     pub lights: Vec<SceneLight>,
+    /// A panorama as a sky.
+    pub panorama: Option<Arc<Panorama>>,
     /// Strengths of emitters relative to the bake, one each.
     pub emitters: Vec<f32>,
     /// Colours of materials, by name.
@@ -89,7 +93,8 @@ impl Edits {
         });
         let objects = objects.collect();
         let (lights, exposure, tone) = (view.lights.clone(), view.exposure, view.tone);
-        Self { lights, emitters, colours, objects, exposure, tone, overlay: None }
+        let panorama = view.panorama.clone();
+        Self { lights, panorama, emitters, colours, objects, exposure, tone, overlay: None }
     }
 
     /// Where objects stand.
@@ -136,6 +141,10 @@ impl Edits {
                 notes
                     .push(format!("'{}' is cut off at a distance, for which there are no words", light.name));
             }
+        }
+        if let Some(panorama) = &self.panorama {
+            let numbers = [panorama.turn_deg(), panorama.strength()];
+            option("sky", &panorama_to_text(panorama.image().name(), numbers));
         }
         match self.emitters.first() {
             Some(first) if self.emitters.iter().any(|scale| scale != first) => {

@@ -1,6 +1,7 @@
 //! The panel: lights, emitters, colours, exposure, overlays, times; and the handles over the picture.
 
 use std::ops::RangeInclusive;
+use std::sync::Arc;
 
 use egui::{Color32, Context, DragValue, Pos2, Response, Slider, SliderClamping, Stroke, Ui};
 use glam::Vec3;
@@ -19,6 +20,8 @@ use crate::stream::Streamed;
 const HANDLE: f32 = 7.0;
 /// Stops of exposure either way.
 const STOPS: RangeInclusive<f32> = -16.0..=16.0;
+/// Farthest turn of a panorama that is set here.
+const TURN_MAX_DEG: f32 = 360.0;
 /// Largest strength that is set here.
 const STRENGTH_MAX: f32 = 1e7;
 /// Largest elevation in degrees that is set here: straight up has no azimuth.
@@ -105,6 +108,9 @@ fn contents(ui: &mut Ui, viewer: &mut Viewer, facts: &Facts) -> Wishes {
     }
     state(ui, viewer, facts);
     section(ui, "Lights", true, |ui| lights(ui, viewer));
+    if viewer.edits.panorama.is_some() {
+        section(ui, "Sky", false, |ui| panorama(ui, &mut viewer.edits));
+    }
     section(ui, "Exposure", false, |ui| exposure(ui, viewer));
     let emitters = viewer.bake().scene.manifest.emitters.iter().map(|emitter| emitter.name.clone());
     let emitters: Vec<String> = emitters.collect();
@@ -352,6 +358,24 @@ fn exposure(ui: &mut Ui, viewer: &mut Viewer) {
             ui.selectable_value(&mut edits.tone, tone, name);
         }
     });
+}
+
+/// Turn and strength of the panorama.
+fn panorama(ui: &mut Ui, edits: &mut Edits) {
+    let Some(shown) = &edits.panorama else { return };
+    let [mut turn_deg, mut strength] = [shown.turn_deg(), shown.strength()];
+    ui.label(shown.image().name());
+    let is_changed = ui.horizontal(|ui| {
+        let turned =
+            ui.add(number(&mut turn_deg, 0.5).range(-TURN_MAX_DEG..=TURN_MAX_DEG).suffix("° turn")).changed();
+        let speed = 0.01 * f64::from(strength.max(0.1));
+        let scaled = ui.add(number(&mut strength, speed).range(0.0..=STRENGTH_MAX).prefix("× ")).changed();
+        turned || scaled
+    });
+    if is_changed.inner {
+        let turn_deg = turn_deg.clamp(-TURN_MAX_DEG, TURN_MAX_DEG);
+        edits.panorama = shown.changed(turn_deg, strength.clamp(0.0, STRENGTH_MAX)).ok().map(Arc::new);
+    }
 }
 
 fn materials(ui: &mut Ui, edits: &mut Edits) {

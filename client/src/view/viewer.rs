@@ -84,6 +84,7 @@ impl Viewer {
         let room = FrameRoom { size, shadows };
         let mut frame = Frame::new(Arc::clone(&gpu), Arc::clone(&bake), room, view.camera.clone())?;
         frame.set_lights(&edits.lights)?;
+        frame.set_sky(edits.panorama.as_ref())?;
         frame.set_emitters(&edits.emitters)?;
         frame.set_materials(&edits.recolours())?;
         frame.set_objects(&edits.stances())?;
@@ -146,11 +147,22 @@ impl Viewer {
     /// The view that is shown, as headless pictures take it.
     pub fn view(&self) -> View {
         let objects = self.applied.stances();
-        let Edits { lights, emitters, exposure, tone, .. } = self.applied.clone();
+        let Edits { lights, panorama, emitters, exposure, tone, .. } = self.applied.clone();
         let camera = self.frame.camera().clone();
         let [width, height] = self.size;
         let emitter_scale = emitters;
-        View { camera, width, height, lights, emitter_scale, objects, exposure, tone, ..self.view.clone() }
+        View {
+            camera,
+            width,
+            height,
+            lights,
+            panorama,
+            emitter_scale,
+            objects,
+            exposure,
+            tone,
+            ..self.view.clone()
+        }
     }
 
     /// Between the scene and the picture; none for a camera that sees nothing.
@@ -290,6 +302,12 @@ impl Viewer {
             let set = room.and_then(|()| self.frame.set_lights(lights));
             if self.refused(set)? {
                 self.edits.lights.clone_from(&self.applied.lights);
+            }
+        }
+        if self.edits.panorama != self.applied.panorama {
+            let set = self.frame.set_sky(self.edits.panorama.as_ref());
+            if self.refused(set)? {
+                self.edits.panorama.clone_from(&self.applied.panorama);
             }
         }
         if self.edits.emitters != self.applied.emitters {

@@ -2,7 +2,7 @@
 
 use glam::Vec4;
 
-use super::{Columns, Irradiance, Parallel, Sky, Transport};
+use super::{Columns, Irradiance, Panorama, Parallel, Sky, Transport};
 
 /// Light that the bake is lit by.
 #[derive(Clone, Copy, Debug)]
@@ -13,6 +13,8 @@ pub struct Incoming<'a> {
     pub near: &'a [Vec4],
     /// The sky.
     pub sky: Sky,
+    /// A panorama on top of it.
+    pub panorama: Option<&'a Panorama>,
     /// One factor per emitter of the manifest; 1 where absent.
     pub emitter_scale: &'a [f32],
 }
@@ -71,7 +73,7 @@ impl<C: Columns> Transport<C> {
     /// Feeds bounces back until E_ind changes by less than the limit: the run time's passes, one after the other.
     pub fn settle(&self, parallel: &impl Parallel, incoming: &Incoming<'_>, limit: Limit) -> Settled {
         let Self { receivers, clusters, near, columns, .. } = self;
-        let sky = columns.sky_lambda(incoming.sky);
+        let sky = columns.skies_lambda(incoming.sky, incoming.panorama);
         let mut settled = Settled {
             emit: self.emitter_irradiance(incoming.emitter_scale),
             ind: vec![Vec4::ZERO; receivers.len()],

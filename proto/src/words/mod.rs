@@ -2,6 +2,7 @@
 
 mod camera;
 mod light;
+mod panorama;
 mod stance;
 
 use glam::Vec3;
@@ -10,6 +11,7 @@ use thiserror::Error;
 
 pub use camera::{camera_from_text, camera_to_text};
 pub use light::{LightSpec, light_to_text};
+pub use panorama::{panorama_from_text, panorama_to_text};
 pub use stance::{object_from_text, stance_from_text, stance_to_text};
 
 /// Words that are no light and no camera.

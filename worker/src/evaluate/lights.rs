@@ -1,10 +1,12 @@
 //! Lights to measure with, chosen from the scene: deterministic, and none of them was known while baking.
 
 use std::cmp::Reverse;
+use std::sync::Arc;
 
 use glam::Vec3;
 use lightkiln_proto::harmonics::relight_direction;
 use lightkiln_proto::rectangle::{RECT_POINTS, Rectangle};
+use lightkiln_proto::relight::Panorama;
 use lightkiln_proto::scene::{LightKind, SceneLight};
 use rayon::prelude::*;
 
@@ -74,6 +76,18 @@ pub fn default_lights(geometry: &Geometry) -> Chosen {
     chosen
 }
 
+/// A panorama as the only light.
+pub fn panorama_light(panorama: Arc<Panorama>) -> TestLight {
+    let words = format!(
+        "the panorama {}, turned by {} degrees, times {}",
+        panorama.image().name(),
+        panorama.turn_deg(),
+        panorama.strength()
+    );
+    let lighting = Lighting { panorama: Some(panorama), ..Lighting::default() };
+    TestLight { name: "panorama".into(), words, lighting }
+}
+
 /// Refuses lights that stand inside solids; leaves out suns and skies where the scene has no opening, and says so.
 ///
 /// Errors when that leaves none.
@@ -83,7 +97,8 @@ pub fn usable_lights(geometry: &Geometry, lights: Vec<TestLight>) -> Result<Chos
     for light in lights {
         check_place(geometry, &light)?;
         let from_outside = |kind: &LightKind| matches!(kind, LightKind::Sky { .. } | LightKind::Sun { .. });
-        let needs_opening = light.lighting.lights.iter().any(|lamp| from_outside(&lamp.kind));
+        let is_from_outside = light.lighting.lights.iter().any(|lamp| from_outside(&lamp.kind));
+        let needs_opening = light.lighting.panorama.is_some() || is_from_outside;
         let openness = openness.get_or_insert_with(|| Openness::of(geometry));
         if needs_opening && !openness.has_opening() {
             let note = format!("light '{}' is left out: the scene has no opening to the sky", light.name);

@@ -28,7 +28,7 @@ impl Lamps {
             beams: punctual.iter().map(|lamp| Beam::of(lamp, bounds_m)).collect(),
             punctual,
             rects: lighting.lights.iter().filter_map(Rect::new).collect(),
-            sky: Sky::of(&lighting.lights),
+            sky: Sky::of(&lighting.lights, lighting.panorama.as_ref()),
             emitters: Emitters::new(geometry, lighting.emitter_scale),
         })
     }

@@ -1,6 +1,9 @@
 //! Lights on a scene, as a caller says them.
 
+use std::sync::Arc;
+
 use lightkiln_proto::rectangle::{RECT_POINTS_MAX, Rectangle};
+use lightkiln_proto::relight::Panorama;
 use lightkiln_proto::scene::{LightKind, SceneLight};
 use thiserror::Error;
 
@@ -9,6 +12,8 @@ use thiserror::Error;
 pub struct Lighting {
     /// Points, spots, suns, rectangles and skies; skies add up.
     pub lights: Vec<SceneLight>,
+    /// A panorama as a sky, on top of the others.
+    pub panorama: Option<Arc<Panorama>>,
     /// Strength of the scene's emissive surfaces relative to the file; 0 switches them off.
     pub emitter_scale: f32,
 }

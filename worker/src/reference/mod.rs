@@ -27,6 +27,7 @@ mod lamps;
 mod learn;
 mod lighting;
 mod neighbours;
+mod panorama;
 mod path;
 mod picture;
 mod punctual;

@@ -38,7 +38,7 @@ struct Mapped<'a> {
 
 impl MappedLight for Mapped<'_> {
     fn incoming(&self) -> Option<MappedIncoming> {
-        let unshadowed = Unshadowed { sky: Sky::default(), emitter_scale: &[] };
+        let unshadowed = Unshadowed { sky: Sky::default(), panorama: None, emitter_scale: &[] };
         let lit = LitScene { scene: &self.bake.scene, plan: &self.plan, maps: &self.maps, unshadowed };
         let IncomingDirect { receivers, near } = self.bake.light.incoming(&lit)?;
         Some(MappedIncoming { receivers, near })

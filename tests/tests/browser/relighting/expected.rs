@@ -70,7 +70,8 @@ impl Expected {
         let view = self.view(state);
         let plan = self.plan(&view);
         let maps = draw(&self.scene, &plan);
-        let unshadowed = Unshadowed { sky: Sky::of(&view.lights), emitter_scale: &view.emitter_scale };
+        let unshadowed =
+            Unshadowed { sky: Sky::of(&view.lights), panorama: None, emitter_scale: &view.emitter_scale };
         let lit = LitScene { scene: &self.scene, plan: &plan, maps: &maps, unshadowed };
         let settled = self.light.settled(&lit, LIMIT).light;
         assert!(settled.converged);
@@ -97,7 +98,8 @@ impl Expected {
         let plan = self.plan(view);
         shadow.set(gpu, &plan);
         let passes = light.passes(gpu, &self.scene, &shadow, SIZE).unwrap();
-        let unshadowed = Unshadowed { sky: Sky::of(&view.lights), emitter_scale: &view.emitter_scale };
+        let unshadowed =
+            Unshadowed { sky: Sky::of(&view.lights), panorama: None, emitter_scale: &view.emitter_scale };
         passes.set_unshadowed(gpu, &light.unshadowed(unshadowed));
         gpu.submit(|encoder| {
             let mut recorder = Recorder::untimed(encoder);

@@ -85,7 +85,7 @@ fn every_way_to_find_light_finds_as_much_of_it_behind_glass() {
     let sky = LightKind::Sky { zenith: [2.0; 3], horizon: [1.0; 3] };
     let sun = LightKind::Sun { direction: [0.2, -0.5, -0.8] };
     let lights = vec![light("sky", sky, 1.0), light("sun", sun, 6.0), rect];
-    let lighting = Lighting { lights, emitter_scale: 1.0 };
+    let lighting = Lighting { lights, emitter_scale: 1.0, ..Lighting::default() };
     let sites = [
         site(Vec3::new(1.0, 0.0, 1.0), Vec3::Y),
         site(Vec3::new(2.0, 1.2, 0.7), -Vec3::X),
