@@ -9,6 +9,7 @@ mod within;
 
 use std::borrow::Cow;
 use std::path::Path;
+use std::sync::Arc;
 
 use lightkiln_proto::relight::{Limit, Lod, LodPlan};
 use lightkiln_proto::scene::{SceneCamera, SceneLight};
@@ -16,7 +17,7 @@ use lightkiln_proto::scene::{SceneCamera, SceneLight};
 use crate::bake::{LitScene, LoadedBake, Unshadowed};
 use crate::error::{ClientError, Result};
 use crate::frame::{check_lod, eye_of, lod_eye, lod_table};
-use crate::lights::{Caster, Sky, camera_of, check_lights, check_scale, lights_of};
+use crate::lights::{Caster, Panorama, Sky, camera_of, check_lights, check_scale, lights_of};
 use crate::passes::gpu::Gpu;
 use crate::passes::shadow::reference::ShadowMaps;
 use crate::passes::shadow::{self, Eye, ShadowPlan, ShadowRoom};
@@ -64,6 +65,8 @@ pub struct View {
     pub height: u32,
     /// Lights and skies.
     pub lights: Vec<SceneLight>,
+    /// A panorama as a sky, on top of the others.
+    pub panorama: Option<Arc<Panorama>>,
     /// One factor per emitter of the manifest; 1 where absent.
     pub emitter_scale: Vec<f32>,
     /// Stances of the scene's objects, in their order; those without one are at rest.
@@ -116,6 +119,7 @@ impl View {
             width: 1280,
             height: 720,
             lights,
+            panorama: None,
             emitter_scale: Vec::new(),
             objects: Vec::new(),
             tone: Tone::default(),
@@ -209,7 +213,8 @@ impl<'a> Prepared<'a> {
     }
 
     pub fn unshadowed(&self) -> Unshadowed<'_> {
-        Unshadowed { sky: self.sky, emitter_scale: &self.view.emitter_scale }
+        let panorama = self.view.panorama.as_deref();
+        Unshadowed { sky: self.sky, panorama, emitter_scale: &self.view.emitter_scale }
     }
 }
 

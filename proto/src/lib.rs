@@ -15,6 +15,7 @@ pub mod kinds;
 pub mod manifest;
 pub mod nearest;
 pub mod problem;
+pub mod rectangle;
 pub mod relight;
 pub mod scene;
 pub mod settings;

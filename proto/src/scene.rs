@@ -12,7 +12,7 @@ pub struct SceneLight {
     /// Kind with its own shape.
     pub kind: LightKind,
     /// Linear Rec.709 colour × strength. Point and spot: radiant intensity in W·sr⁻¹. Sun: irradiance on a surface
-    /// that faces it, in W·m⁻². glTF's candela and lux are read as these radiometric units one to one.
+    /// that faces it, in W·m⁻². Rectangle: radiance in W·m⁻²·sr⁻¹. glTF's candela and lux are read as these radiometric units one to one.
     pub strength: [f32; 3],
 }
 
@@ -45,6 +45,19 @@ pub enum LightKind {
         /// Unit direction of travel (from the sun into the scene).
         direction: [f32; 3],
     },
+    /// A rectangle that shines evenly from its front (Lambert), and neither blocks light nor reflects it.
+    Rect {
+        /// Centre in metres.
+        position_m: [f32; 3],
+        /// Unit direction along which the front shines.
+        direction: [f32; 3],
+        /// Direction of the height, as far as it stands across `direction`.
+        up: [f32; 3],
+        /// Width and height in metres, above 0.
+        size_m: [f32; 2],
+        /// Points of it that shadows are cast from, 1..=16. More → smoother edges of shadows, more memory and time.
+        points: u32,
+    },
     /// Radiance from everything outside: a vertical gradient, seen where rays leave the scene.
     /// `strength` scales both colours.
     Sky {
@@ -53,21 +66,6 @@ pub enum LightKind {
         /// Colour at and below the horizon.
         horizon: [f32; 3],
     },
-}
-
-/// A rectangle that shines evenly from its front and neither blocks light nor reflects it.
-#[derive(Clone, Debug, PartialEq)]
-pub struct PanelLight {
-    /// Name for messages.
-    pub name: String,
-    /// Centre in metres.
-    pub centre_m: [f32; 3],
-    /// From the centre to the middle of the right edge, in metres.
-    pub half_u_m: [f32; 3],
-    /// From the centre to the middle of the upper edge, in metres; light leaves along `half_u_m × half_v_m`.
-    pub half_v_m: [f32; 3],
-    /// Radiance in W·m⁻²·sr⁻¹.
-    pub radiance: [f32; 3],
 }
 
 /// A camera in world space.

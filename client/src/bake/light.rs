@@ -3,7 +3,7 @@
 use std::fmt::Debug;
 
 use glam::Vec4;
-use lightkiln_proto::relight::{LOD_LEVELS, LevelCount, Limit, Lod, LodEye, LodPlan, LodTable, Sky};
+use lightkiln_proto::relight::{LOD_LEVELS, LevelCount, Limit, Lod, LodEye, LodPlan, LodTable, Panorama, Sky};
 
 use crate::error::Result;
 use crate::fetch::Source;
@@ -36,6 +36,8 @@ pub struct LitScene<'a> {
 pub struct Unshadowed<'a> {
     /// The sky.
     pub sky: Sky,
+    /// A panorama on top of it.
+    pub panorama: Option<&'a Panorama>,
     /// One factor per emitter of the manifest; 1 where absent.
     pub emitter_scale: &'a [f32],
 }

@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! set_lights ───▶ shadow maps ─▶ direct ─▶ bounce, bounce, … ─▶ publish ─▶ draw
+//! set_sky ───────────────────────────────▶    (a picture of its own makes a texture)
 //! set_emitters ──────────────────────────▶    (once a frame, until they change nothing)
 //! set_materials ────────────────▶ direct ─▶
 //! set_objects ──▶ shadow maps ─▶ direct ─▶
@@ -18,13 +19,15 @@ mod objects;
 #[cfg(test)]
 mod tests;
 
+use std::sync::Arc;
+
 use glam::{Vec3, Vec4};
 use lightkiln_proto::relight::{Limit, Lod, LodPlan, MAX_INTERVAL};
 use lightkiln_proto::scene::{SceneCamera, SceneLight};
 
 use crate::bake::{LightPasses, LoadedBake, Overlay, ReceiverBuffers, ReceiverLight, Unshadowed};
 use crate::error::{ClientError, Result};
-use crate::lights::{Caster, Sky, check_lights, check_scale};
+use crate::lights::{Caster, Panorama, Sky, check_lights, check_scale};
 use crate::passes::change::ChangePass;
 use crate::passes::gpu::Gpu;
 use crate::passes::meshes::Meshes;
@@ -67,6 +70,7 @@ pub struct Frame<'a> {
     turn: u32,
     casters: Vec<Caster>,
     sky: Sky,
+    panorama: Option<Arc<Panorama>>,
     emitter_scale: Vec<f32>,
     tints: Tints,
     camera: SceneCamera,
@@ -157,6 +161,7 @@ impl<'a> Frame<'a> {
             turn: 0,
             casters: Vec::new(),
             sky: Sky::default(),
+            panorama: None,
             emitter_scale: Vec::new(),
             tints: Tints::default(),
             camera,
@@ -188,6 +193,17 @@ impl<'a> Frame<'a> {
         self.shadow.set(&self.gpu, &self.plan);
         (self.stale.lights, self.stale.cascades) = (true, true);
         self.write_unshadowed();
+        Ok(())
+    }
+
+    /// Sets a panorama as the sky, on top of skies among the lights. Another picture makes a texture; its turn and strength make
+    /// nothing. Errs, and changes nothing, where the adapter has no room for it.
+    pub fn set_sky(&mut self, panorama: Option<&Arc<Panorama>>) -> Result<()> {
+        if panorama != self.panorama.as_ref() {
+            self.shade.set_panorama(&self.gpu, panorama.map(|panorama| &**panorama))?;
+            self.panorama = panorama.cloned();
+            self.write_unshadowed();
+        }
         Ok(())
     }
 
@@ -438,12 +454,13 @@ impl<'a> Frame<'a> {
 
     /// Writes light that no shadow map has: all bounces are of other light from here on.
     fn write_unshadowed(&mut self) {
-        let light = Unshadowed { sky: self.sky, emitter_scale: &self.emitter_scale };
+        let panorama = self.panorama.as_deref();
+        let light = Unshadowed { sky: self.sky, panorama, emitter_scale: &self.emitter_scale };
         let arrays = self.bake.light.unshadowed(light);
         self.light.set_unshadowed(&self.gpu, &arrays);
         self.shade.set_looks(&self.gpu, &self.bake.scene, &self.tints, &self.emitter_scale);
         // Light that nothing sends any more would fade for ever.
-        let is_dark = self.casters.is_empty() && self.sky == Sky::default();
+        let is_dark = self.casters.is_empty() && self.sky == Sky::default() && panorama.is_none();
         self.stale.light |= is_dark && arrays.emit.iter().all(|emit| *emit == Vec4::ZERO);
         self.stale.pages = true;
         self.bounces = Bounces::default();

@@ -69,6 +69,7 @@ fn states(camera: &SceneCamera) -> Vec<State> {
         // Nothing shines: light that goes out leaves none behind.
         of(&[], &[0.0], camera),
         of(&["sky strength=2"], &[0.0], camera),
+        of(&["rect pos=1,1.5,1 dir=0.2,-1,0 size=0.6,0.4 power=20 points=3"], &[0.0], camera),
     ]
 }
 
@@ -82,7 +83,7 @@ fn drawn(frame: &mut Frame<'_>) -> Vec<Vec4> {
 fn adapter_draws_the_same_after_changes_as_anew_and_makes_nothing_for_them() {
     let gpu = Gpu::open().unwrap();
     let bakes = [
-        (fixture::prt_bake(&fixture::prt_contents()), 7),
+        (fixture::prt_bake(&fixture::prt_contents()), 8),
         (fixture::sh_bake(), 3),
         (facing::glazed_bake(), 3),
     ];

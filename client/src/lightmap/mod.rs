@@ -100,8 +100,8 @@ impl<C: Columns> LightmapLight<C> {
     /// Bounces until they converge, E_dir from shadow maps.
     pub fn settled(&self, lit: &LitScene<'_>, limit: Limit) -> Lit {
         let IncomingDirect { receivers, near } = self.direct(lit);
-        let Unshadowed { sky, emitter_scale } = lit.unshadowed;
-        let incoming = Incoming { dir: &receivers, near: &near, sky, emitter_scale };
+        let Unshadowed { sky, panorama, emitter_scale } = lit.unshadowed;
+        let incoming = Incoming { dir: &receivers, near: &near, sky, panorama, emitter_scale };
         let detail = lit.lod.map(|plan| (self.lod(), plan));
         let light = self.transport.settle_in(&Threads, &incoming, limit, detail);
         Lit { dir: receivers, light }
@@ -186,9 +186,9 @@ impl<C: ClientColumns> Light for LightmapLight<C> {
         Ok(Box::new(LightmapPasses::new(gpu, scene, self, shadow)?))
     }
 
-    fn unshadowed(&self, Unshadowed { sky, emitter_scale }: Unshadowed<'_>) -> UnshadowedArrays {
-        let emit = self.transport.emitter_irradiance(emitter_scale);
-        UnshadowedArrays { emit, sky: self.transport.columns.sky_lambda(sky) }
+    fn unshadowed(&self, light: Unshadowed<'_>) -> UnshadowedArrays {
+        let emit = self.transport.emitter_irradiance(light.emitter_scale);
+        UnshadowedArrays { emit, sky: self.transport.columns.skies_lambda(light.sky, light.panorama) }
     }
 
     fn tinted_albedo(&self, scene: &LoadedScene, tints: &Tints) -> Option<Vec<Vec4>> {

@@ -1,32 +1,41 @@
 //! Lights and cameras of a view: words of the command line, the bake's own, and the light that each sends.
 
 mod framing;
+mod panorama;
 mod words;
 
 use std::f32::consts::FRAC_PI_2;
 
 use glam::Vec3;
+use lightkiln_proto::rectangle::{RECT_POINTS_MAX, Rectangle};
 use lightkiln_proto::scene::{LightKind, SceneLight};
 
 use crate::error::{ClientError, Result};
 
 pub use framing::{camera_of, lights_of};
-pub use lightkiln_proto::relight::Sky;
+pub use lightkiln_proto::relight::{Panorama, Sky};
+pub use panorama::read_panorama;
 pub use words::{ParsedLights, parse_camera, parse_light, parse_lights, quoted};
 
 /// A light that casts shadows, ready for the direct pass.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Caster {
-    /// Position in metres; unused for suns.
+    /// Position in metres, of a rectangle its centre; unused for suns.
     pub position: Vec3,
     /// Unit direction of travel; unused for points.
     pub direction: Vec3,
-    /// Intensity in W·sr⁻¹, or irradiance in W·m⁻² for suns.
+    /// Intensity in W·sr⁻¹; irradiance in W·m⁻² for suns; radiance in W·m⁻²·sr⁻¹ for rectangles.
     pub strength: Vec3,
     /// Cut-off distance in metres; 0 when there is none.
     pub range: f32,
     /// Cosines of the spot's inner and outer half angle.
     pub cone: [f32; 2],
+    /// Vector along a rectangle's width, of half its length, in metres.
+    pub half_u_m: Vec3,
+    /// Vector along its height, likewise.
+    pub half_v_m: Vec3,
+    /// Columns and rows of its cells, each with a point in its middle that shadows are cast from.
+    pub cells: [u32; 2],
     /// Which.
     pub shape: Shape,
 }
@@ -40,6 +49,8 @@ pub enum Shape {
     Spot = 1,
     /// Parallel.
     Sun = 2,
+    /// A rectangle.
+    Rect = 3,
 }
 
 impl Caster {
@@ -60,6 +71,9 @@ impl Caster {
             strength,
             range: 0.0,
             cone: [-1.0, -2.0],
+            half_u_m: Vec3::ZERO,
+            half_v_m: Vec3::ZERO,
+            cells: [0; 2],
             shape: Shape::Point,
         };
         Some(match &light.kind {
@@ -83,6 +97,18 @@ impl Caster {
                 shape: Shape::Sun,
                 ..blank
             },
+            LightKind::Rect { points, .. } => {
+                let rectangle = Rectangle::of(&light.kind)?;
+                Self {
+                    position: rectangle.centre_m,
+                    direction: rectangle.direction,
+                    half_u_m: rectangle.half_u_m,
+                    half_v_m: rectangle.half_v_m,
+                    cells: rectangle.cells(*points),
+                    shape: Shape::Rect,
+                    ..blank
+                }
+            }
             LightKind::Sky { .. } => return None,
         })
     }
@@ -96,6 +122,12 @@ pub(crate) fn check_lights(lights: &[SceneLight]) -> Result<()> {
                 position_m.iter().all(|value| value.is_finite())
             }
             LightKind::Sun { .. } => true,
+            LightKind::Rect { position_m, points, .. } => {
+                let is_rectangle = Rectangle::of(&light.kind).is_some();
+                is_rectangle
+                    && position_m.iter().all(|value| value.is_finite())
+                    && (1..=RECT_POINTS_MAX).contains(points)
+            }
             LightKind::Sky { zenith, horizon } => {
                 zenith.iter().chain(horizon).all(|value| value.is_finite() && *value >= 0.0)
             }
@@ -105,7 +137,7 @@ pub(crate) fn check_lights(lights: &[SceneLight]) -> Result<()> {
     match lights.iter().find(|light| !finite(light)) {
         Some(light) => Err(ClientError::Argument {
             what: format!("light '{}'", light.name),
-            problem: "has a number that is negative or not finite".to_owned(),
+            problem: "has a number that is negative or not finite, or a rectangle without direction, area or 1 to 16 points".to_owned(),
         }),
         None => Ok(()),
     }

@@ -13,18 +13,18 @@ pub fn parse_camera(text: &str) -> Result<SceneCamera> {
 /// Lights as words ask for them.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ParsedLights {
-    /// Points, spots, suns and skies.
+    /// Points, spots, suns, rectangles and skies.
     pub lights: Vec<SceneLight>,
     /// Strength of the scene's emissive surfaces relative to the bake, if a text says it.
     pub emitter_scale: Option<f32>,
 }
 
-/// Reads a light: `point`, `spot`, `sun` or `sky` and its words.
+/// Reads a light: `point`, `spot`, `sun`, `rect` or `sky` and its words.
 pub fn parse_light(text: &str) -> Result<SceneLight> {
     match spec(text)? {
         LightSpec::Scene(light) => Ok(light),
-        LightSpec::Panel(_) | LightSpec::Emitters(_) => {
-            Err(wrong(text, "it is no single light; write point, spot, sun or sky".to_owned()))
+        LightSpec::Emitters(_) => {
+            Err(wrong(text, "it is no single light; write point, spot, sun, rect or sky".to_owned()))
         }
     }
 }
@@ -36,10 +36,6 @@ pub fn parse_lights(texts: &[impl AsRef<str>]) -> Result<ParsedLights> {
         match spec(text)? {
             LightSpec::Scene(light) => parsed.lights.push(light),
             LightSpec::Emitters(scale) => parsed.emitter_scale = Some(scale),
-            LightSpec::Panel(_) => {
-                let problem = "a preview has no panels; write point, spot, sun, sky or emitters".to_owned();
-                return Err(wrong(text, problem));
-            }
         }
     }
     Ok(parsed)
@@ -79,14 +75,12 @@ mod tests {
         for (text, wanted) in [
             ("point pos=0,0,0", "'power' is missing"),
             ("lamp pos=0,0,0", "'lamp'"),
-            ("emitters scale=1", "point, spot, sun or sky"),
+            ("emitters scale=1", "point, spot, sun, rect or sky"),
+            ("rect pos=0,0,0 dir=0,1,0 size=1,0 power=1", "no area"),
         ] {
             let error = of_light(text);
             assert!(error.contains(text) && error.contains(wanted), "{error}");
         }
-        let panel = "panel centre_m=0,0,0 half_u_m=1,0,0 half_v_m=0,1,0 radiance=1,1,1";
-        let error = parse_lights(&[panel]).unwrap_err().to_string();
-        assert!(error.contains(panel) && error.contains("no panels"), "{error}");
         let error = parse_camera("eye=0,0,0 target=0,0,0").unwrap_err().to_string();
         assert!(error.contains("same point") && error.contains("fov=degrees"), "{error}");
     }

@@ -35,6 +35,7 @@ pub const SHADERS: &[(&str, &str)] = &[
     ("meter", meter::SHADER),
     ("near", near::SHADER),
     ("near-lit", near::LIT_SHADER),
+    ("panorama", shade::PANORAMA_SHADER),
     ("patches", patches::SHADER),
     ("reconstruct", reconstruct::SHADER),
     ("shadow", shadow::SHADER),

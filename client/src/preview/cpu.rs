@@ -19,7 +19,8 @@ pub(super) fn render(prepared: &Prepared<'_>, exposure: Exposure) -> Result<Pict
         let shade_view = ShadeView::new(&view.camera, view.size(), *bounds_m, *sky, jitter)?;
         settled.indirect.prepare_view(&shade_view, view.size());
         let (indirect, emitter_scale) = (&*settled.indirect, &view.emitter_scale[..]);
-        let lit = Lit { scene, plan, maps: &maps, indirect, emitter_scale };
+        let panorama = view.panorama.as_deref();
+        let lit = Lit { scene, plan, maps: &maps, indirect, panorama, emitter_scale };
         let radiance = shade(lit, &shade_view, view.size());
         film.get_or_insert_with(|| Film::new(view.size(), view.tone, exposure, &radiance)).add(&radiance);
     }

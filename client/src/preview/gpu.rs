@@ -48,6 +48,7 @@ fn frame<'a>(gpu: &'a Gpu, bake: &'a LoadedBake, view: &View, shadows: ShadowRoo
 /// Sets what a view has different.
 fn set(frame: &mut Frame<'_>, view: &View) -> Result<()> {
     frame.set_lights(&view.lights)?;
+    frame.set_sky(view.panorama.as_ref())?;
     frame.set_emitters(&view.emitter_scale)?;
     frame.set_objects(&view.objects)?;
     frame.set_lod(view.lod)?;

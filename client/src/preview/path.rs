@@ -221,7 +221,7 @@ fn camera_between(a: &SceneCamera, b: &SceneCamera, share: f32) -> SceneCamera {
 }
 
 fn light_between(a: &SceneLight, b: &SceneLight, share: f32) -> SceneLight {
-    use LightKind::{Point, Sky, Spot, Sun};
+    use LightKind::{Point, Rect, Sky, Spot, Sun};
     let range = |a: Option<f32>, b: Option<f32>| a.zip(b).map(|(a, b)| mix(a, b, share));
     let kind = match (&a.kind, &b.kind) {
         (Point { position_m: p, range_m: r }, Point { position_m: q, range_m: s }) => {
@@ -238,6 +238,16 @@ fn light_between(a: &SceneLight, b: &SceneLight, share: f32) -> SceneLight {
             range_m: range(*r, *s),
         },
         (Sun { direction: d }, Sun { direction: e }) => Sun { direction: turned(*d, *e, share) },
+        (
+            Rect { position_m: p, direction: d, up: u, size_m: [w, h], points: n },
+            Rect { position_m: q, direction: e, up: v, size_m: [x, i], .. },
+        ) => Rect {
+            position_m: mix3(*p, *q, share),
+            direction: turned(*d, *e, share),
+            up: turned(*u, *v, share),
+            size_m: [mix(*w, *x, share), mix(*h, *i, share)],
+            points: *n,
+        },
         (Sky { zenith: z, horizon: h }, Sky { zenith: y, horizon: g }) => {
             Sky { zenith: mix3(*z, *y, share), horizon: mix3(*h, *g, share) }
         }

@@ -5,6 +5,7 @@
 
 use glam::Vec4;
 use lightkiln_proto::relight::{Irradiance, NearHit, Sky};
+use lightkiln_proto::scene::SceneLight;
 
 use super::{fixture_light, prepared, view_of};
 use crate::bake::{Light, LightPasses, LoadedBake, Unshadowed};
@@ -71,7 +72,7 @@ impl<C: ClientColumns> Stage<C> {
         let meshes = Meshes::new(gpu, &scene).unwrap();
         let shadow = ShadowPass::new(gpu, &scene, &meshes, &plan.room()).unwrap();
         shadow.set(gpu, &plan);
-        let unshadowed = Unshadowed { sky: Sky::of(lights), emitter_scale: &[1.5] };
+        let unshadowed = Unshadowed { sky: Sky::of(lights), panorama: None, emitter_scale: &[1.5] };
         let passes = LightmapPasses::new(gpu, &scene, &light, &shadow).unwrap();
         passes.set_unshadowed(gpu, &light.unshadowed(unshadowed));
         Self { scene, light, plan, meshes, shadow, passes }
@@ -161,17 +162,37 @@ fn shadow_maps_of_glass_agree_with_the_reference() {
     }
 }
 
+/// Rectangles before the walls, one of them upright and cut by the floor's horizon.
+fn rects() -> Vec<SceneLight> {
+    let words = [
+        "rect pos=2.1,2.7,1.8 dir=0.1,-1,0 size=1.3,0.7 color=1,0.8,0.6 radiance=4",
+        "rect pos=0.4,0.3,2.2 dir=1,0.2,0.1 size=0.5,1.4 color=0.5,0.8,1 radiance=3 points=3",
+    ];
+    words.map(|words| parse_light(words).unwrap()).into()
+}
+
+fn under_rects<C>((mut scene, light): (LoadedScene, C)) -> (LoadedScene, C) {
+    scene.manifest.lights = rects();
+    (scene, light)
+}
+
 #[test]
 #[ignore = "needs a graphics adapter"]
 fn direct_agrees_with_the_reference_on_the_same_shadow_maps() {
     let gpu = Gpu::open().unwrap();
-    let stage = Stage::new(&gpu, fixture_light());
-    stage.relit(&gpu);
+    for stage in [fixture_light(), under_rects(fixture_light())] {
+        direct_agrees(&gpu, &Stage::new(&gpu, stage));
+    }
+}
+
+fn direct_agrees<C: ClientColumns>(gpu: &Gpu, stage: &Stage<C>) {
+    stage.relit(gpu);
     let got: Vec<Vec4> = gpu.read(&stage.passes.resident.e_dir, stage.receivers()).unwrap();
-    let maps = stage.shadow.read(&gpu).unwrap();
+    let maps = stage.shadow.read(gpu).unwrap();
     let receivers = &stage.light.transport.receivers;
     let points = &stage.light.points;
     let wanted = direct::reference::direct_texels(receivers, points, &stage.plan, &maps);
+    assert!(wanted.iter().any(|e| e.x > 0.1));
     held("direct", &Difference::of(&got, &wanted, direct::TOLERANCE), direct::OUTLIERS);
 }
 
@@ -200,8 +221,15 @@ fn patches_agree_with_the_reference() {
 #[test]
 #[ignore = "needs a graphics adapter"]
 fn near_hits_agree_with_the_reference() {
-    let mut gpu = Gpu::open().unwrap();
-    let stage = Stage::new(&gpu, fixture::prt_light(&fixture::narrow_contents()));
+    let narrow = || fixture::prt_light(&fixture::narrow_contents());
+    for stage in [narrow(), under_rects(narrow())] {
+        let gpu = Gpu::open().unwrap();
+        let stage = Stage::new(&gpu, stage);
+        near_hits_agree(gpu, &stage);
+    }
+}
+
+fn near_hits_agree<C: ClientColumns>(mut gpu: Gpu, stage: &Stage<C>) {
     stage.relit(&gpu);
     let maps = stage.shadow.read(&gpu).unwrap();
     let table = &stage.light.transport.near;
@@ -322,6 +350,7 @@ fn shade_agrees_with_the_reference_on_the_same_maps_and_light() {
         (&bakes[1], view_of(&bakes[1])),
         (&bakes[2], view_of(&bakes[2])),
         (&bakes[2], with_cascades(view_of(&bakes[2]))),
+        (&bakes[0], View { lights: rects(), ..view_of(&bakes[0]) }),
     ];
     for (bake, view) in views {
         let prepared = prepared(bake, &view);
@@ -351,7 +380,8 @@ fn agree_on_a_picture(
     let got = frame.read().unwrap();
     settled.indirect.prepare_view(&shade_view, view.size());
     let (indirect, emitter_scale) = (&*settled.indirect, &view.emitter_scale[..]);
-    let lit = Lit { scene, plan: &prepared.plan, maps, indirect, emitter_scale };
+    let panorama = view.panorama.as_deref();
+    let lit = Lit { scene, plan: &prepared.plan, maps, indirect, panorama, emitter_scale };
     let wanted = shade::reference::shade(lit, &shade_view, view.size());
     held("shade", &Difference::of_mean(&got, &wanted, shade::TOLERANCE), shade::OUTLIERS);
     let sky = |pixels: &[Vec4]| pixels.iter().filter(|pixel| pixel.w < 0.5).count();

@@ -4,7 +4,7 @@
 use glam::Vec4;
 use lightkiln_proto::content::{AreaCode, FactorSteps, Patch, PatchKey, PatchSet, TransportFactors};
 use lightkiln_proto::relight::{
-    Cluster, ClusterTable, Columns, Irradiance, Parallel, PatchTable, ReceiverTable, Sky,
+    Cluster, ClusterTable, Columns, Irradiance, Panorama, Parallel, PatchTable, ReceiverTable, Sky,
 };
 
 use super::adapter::{held, noise, positive_noise, with_and_without_paging};
@@ -83,6 +83,10 @@ impl Columns for Many {
 
     fn sky_index(&self) -> Option<u32> {
         None
+    }
+
+    fn panorama_lambda(&self, _: &Panorama) -> Vec<Vec4> {
+        Vec::new()
     }
 
     fn sky_lambda(&self, _: Sky) -> Vec<Vec4> {

@@ -20,7 +20,7 @@ use crate::passes::near::NearNumbers;
 use crate::passes::patches::PatchNumbers;
 use crate::passes::reconstruct::ReconstructNumbers;
 use crate::passes::resident::ClusterRow;
-use crate::passes::shade::{ShadeDraw, ShadeView};
+use crate::passes::shade::{PanoramaNumbers, ShadeDraw, ShadeView};
 use crate::passes::shadow::{Face, Light, LightCount, Mask, Pane};
 use crate::passes::show::ShowNumbers;
 use crate::web;
@@ -134,7 +134,7 @@ fn twins() -> BTreeMap<&'static str, Layout> {
         "Fill": FillNumbers { count, stride, level }
         "Light": Light {
             position, range_m, direction, shape, strength, first_face, cone_cos_inner, cone_cos_outer, face_count,
-            half_extent, first_cascade, cascades, pad0, pad1
+            half_extent, first_cascade, cascades, half_size_m, cells, pad
         }
         "LightCount": LightCount { count, side, bias_m, snap }
         "LodView": LodView {
@@ -149,6 +149,7 @@ fn twins() -> BTreeMap<&'static str, Layout> {
         "Pane": Pane {
             base_row0, base_row1, transmission_row0, transmission_row1, base_colour, transmission, blends, cutoff, pad
         }
+        "PanoramaNumbers": PanoramaNumbers { turn, strength, pad }
         "PatchRow": PatchRow { first_leaf, leaf_count, parent }
         "Patches": PatchNumbers {
             receiver_count, leaf_count, patch_count, stride, first_block, first_large, block_source

@@ -183,7 +183,14 @@ fn hardly_a_pixel_of_a_shut_room_is_lit_from_outside() {
         };
         let eye = Eye { position_m: eye_m, forward: (target_m - eye_m).normalize() };
         let Lamp { plan, maps } = shadows(&room(), &light, bounds_m, (1024, Some(eye)));
-        let lit = Lit { scene: &scene, plan: &plan, maps: &maps, indirect: &Dark, emitter_scale: &[] };
+        let lit = Lit {
+            scene: &scene,
+            plan: &plan,
+            maps: &maps,
+            indirect: &Dark,
+            panorama: None,
+            emitter_scale: &[],
+        };
         let view = ShadeView::new(&camera, [400, 300], bounds_m, Sky::default(), [0.0; 2]).unwrap();
         for (index, pixel) in shade(lit, &view, [400, 300]).into_iter().enumerate() {
             seen += u32::from(pixel.w > 0.0);

@@ -1,20 +1,30 @@
 //! State that the user changes: lights, emitters, colours, exposure, overlay, level of detail.
 
+use std::sync::Arc;
+
+use lightkiln_proto::rectangle::RECT_POINTS;
 use lightkiln_proto::relight::Lod;
 use lightkiln_proto::scene::{LightKind, SceneCamera, SceneLight};
-use lightkiln_proto::words::{camera_to_text, light_to_text, lod_to_text, stance_to_text};
+use lightkiln_proto::words::{
+    camera_to_text, light_to_text, lod_to_text, panorama_to_text, stance_to_text,
+};
 
 use crate::bake::Overlay;
-use crate::lights::quoted;
+use crate::lights::{Panorama, quoted};
 use crate::picture::{Exposure, Tone};
 use crate::preview::View;
 use crate::scene::{LoadedScene, Recolour, Stance};
+
+/// Side of a new rectangle as a share of the scene's diagonal.
+const RECT_SHARE: f32 = 0.1;
 
 /// Everything that can be changed but for the camera.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Edits {
     /// Lights and skies.
     pub lights: Vec<SceneLight>,
+    /// A panorama as a sky.
+    pub panorama: Option<Arc<Panorama>>,
     /// Strengths of emitters relative to the bake, one each.
     pub emitters: Vec<f32>,
     /// Colours of materials, by name.
@@ -88,7 +98,8 @@ impl Edits {
         });
         let objects = objects.collect();
         let (lights, exposure, tone) = (view.lights.clone(), view.exposure, view.tone);
-        Self { lights, emitters, colours, objects, exposure, tone, overlay: None, lod: view.lod }
+        let panorama = view.panorama.clone();
+        Self { lights, panorama, emitters, colours, objects, exposure, tone, overlay: None, lod: view.lod }
     }
 
     /// Where objects stand.
@@ -135,6 +146,10 @@ impl Edits {
                 notes
                     .push(format!("'{}' is cut off at a distance, for which there are no words", light.name));
             }
+        }
+        if let Some(panorama) = &self.panorama {
+            let numbers = [panorama.turn_deg(), panorama.strength()];
+            option("sky", &panorama_to_text(panorama.image().name(), numbers));
         }
         match self.emitters.first() {
             Some(first) if self.emitters.iter().any(|scale| scale != first) => {
@@ -193,6 +208,18 @@ pub fn new_light(kind: &str, number: usize, place_m: [f32; 3], diagonal_m: f32) 
             },
             intensity,
         ),
+        "rect" => {
+            let side_m = RECT_SHARE * diagonal_m;
+            let kind = LightKind::Rect {
+                position_m: place_m,
+                direction: [0.0, -1.0, 0.0],
+                up: [0.0, 0.0, -1.0],
+                size_m: [side_m; 2],
+                points: RECT_POINTS,
+            };
+            // Of the same power as a point of that intensity: 4π I = π L A.
+            (kind, intensity.map(|channel| 4.0 * channel / (side_m * side_m)))
+        }
         _ => (LightKind::Point { position_m: place_m, range_m: None }, intensity),
     };
     SceneLight { name, kind, strength }

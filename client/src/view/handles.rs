@@ -17,9 +17,9 @@ const ALONG: f32 = 3.0;
 /// A part of a light that can be dragged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Part {
-    /// The place of a point or a spot.
+    /// The place of a point or a spot, the centre of a rectangle.
     Place,
-    /// The direction of a spot.
+    /// The direction of a spot or a rectangle.
     Aim,
     /// The direction to a sun, on a ball in the middle of the picture.
     Sun,
@@ -81,7 +81,7 @@ pub fn handles(lights: &[SceneLight], lens: &Lens, ball: Ball) -> Vec<Handle> {
         };
         match &row.kind {
             LightKind::Point { position_m, .. } => add(Part::Place, (*position_m).into()),
-            LightKind::Spot { position_m, direction, .. } => {
+            LightKind::Spot { position_m, direction, .. } | LightKind::Rect { position_m, direction, .. } => {
                 let place_m = Vec3::from(*position_m);
                 add(Part::Place, place_m);
                 let reach_m = AIM_PIXELS * lens.metres_a_pixel(place_m);
@@ -168,10 +168,12 @@ impl Drag {
         let place_m = self.place_m;
         match &mut light.kind {
             LightKind::Point { position_m, .. } => *position_m = place_m.into(),
-            LightKind::Spot { position_m, .. } if self.handle.part == Part::Place => {
+            LightKind::Spot { position_m, .. } | LightKind::Rect { position_m, .. }
+                if self.handle.part == Part::Place =>
+            {
                 *position_m = place_m.into()
             }
-            LightKind::Spot { position_m, direction, .. } => {
+            LightKind::Spot { position_m, direction, .. } | LightKind::Rect { position_m, direction, .. } => {
                 if let Some(aim) = (place_m - Vec3::from(*position_m)).try_normalize() {
                     *direction = aim.into();
                 }
@@ -218,14 +220,18 @@ mod tests {
     #[test]
     fn dragged_light_ends_under_the_cursor_at_its_depth() {
         let (_, lens, ball) = stage();
-        for words in ["point pos=1,2,-1 power=5", "spot pos=1,2,-1 dir=0.3,-1,0.1 power=5"] {
+        for words in [
+            "point pos=1,2,-1 power=5",
+            "spot pos=1,2,-1 dir=0.3,-1,0.1 power=5",
+            "rect pos=1,2,-1 dir=0.3,-1,0.1 size=1,0.5 power=5",
+        ] {
             let mut light = parse_light(words).unwrap();
             let aside = Vec2::new(3.0, -2.0);
             let mut drag = taken(&light, Part::Place, aside);
             let depth = |light: &SceneLight| match &light.kind {
-                LightKind::Point { position_m, .. } | LightKind::Spot { position_m, .. } => {
-                    Vec3::from(*position_m).dot(lens.forward())
-                }
+                LightKind::Point { position_m, .. }
+                | LightKind::Spot { position_m, .. }
+                | LightKind::Rect { position_m, .. } => Vec3::from(*position_m).dot(lens.forward()),
                 _ => panic!("a place"),
             };
             let before = depth(&light);

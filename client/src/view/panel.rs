@@ -1,9 +1,11 @@
 //! The panel: lights, emitters, colours, exposure, overlays, times; and the handles over the picture.
 
 use std::ops::RangeInclusive;
+use std::sync::Arc;
 
 use egui::{Color32, Context, DragValue, Pos2, Response, Slider, SliderClamping, Stroke, Ui};
 use glam::Vec3;
+use lightkiln_proto::rectangle::RECT_POINTS_MAX;
 use lightkiln_proto::scene::{LightKind, SceneLight};
 
 use super::detail;
@@ -19,6 +21,8 @@ use crate::stream::Streamed;
 const HANDLE: f32 = 7.0;
 /// Stops of exposure either way.
 const STOPS: RangeInclusive<f32> = -16.0..=16.0;
+/// Farthest turn of a panorama that is set here.
+const TURN_MAX_DEG: f32 = 360.0;
 /// Largest strength that is set here.
 const STRENGTH_MAX: f32 = 1e7;
 /// Largest elevation in degrees that is set here: straight up has no azimuth.
@@ -27,6 +31,8 @@ const ELEVATION_MAX: f32 = 89.9;
 const PLACE_MAX_M: f32 = 1e6;
 /// Scales of an object that are set here.
 const SCALES: RangeInclusive<f32> = 1e-4..=1e4;
+/// Sides of a rectangle that are set here, in metres.
+const SIDES_M: RangeInclusive<f32> = 1e-3..=1e4;
 /// Least strength that a colour is told of.
 const DARK: f32 = 1e-9;
 
@@ -103,6 +109,9 @@ fn contents(ui: &mut Ui, viewer: &mut Viewer, facts: &Facts) -> Wishes {
     }
     state(ui, viewer, facts);
     section(ui, "Lights", true, |ui| lights(ui, viewer));
+    if viewer.edits.panorama.is_some() {
+        section(ui, "Sky", false, |ui| panorama(ui, &mut viewer.edits));
+    }
     section(ui, "Exposure", false, |ui| exposure(ui, viewer));
     let emitters = viewer.bake().scene.manifest.emitters.iter().map(|emitter| emitter.name.clone());
     let emitters: Vec<String> = emitters.collect();
@@ -175,7 +184,7 @@ fn lights(ui: &mut Ui, viewer: &mut Viewer) {
     }
     ui.horizontal(|ui| {
         ui.label("add");
-        for kind in ["point", "spot", "sun", "sky"] {
+        for kind in ["point", "spot", "sun", "rect", "sky"] {
             if ui.small_button(kind).clicked() {
                 let (place_m, diagonal_m) = (viewer.place_ahead_m(), viewer.diagonal_m());
                 viewer.chosen = Some(viewer.edits.lights.len());
@@ -191,6 +200,7 @@ fn kind_of(light: &SceneLight) -> &'static str {
         LightKind::Point { .. } => "point",
         LightKind::Spot { .. } => "spot",
         LightKind::Sun { .. } => "sun",
+        LightKind::Rect { .. } => "rect",
         LightKind::Sky { .. } => "sky",
     }
 }
@@ -234,6 +244,7 @@ fn controls(ui: &mut Ui, light: &mut SceneLight) {
     let unit = match light.kind {
         LightKind::Point { .. } | LightKind::Spot { .. } => " W/sr",
         LightKind::Sun { .. } => " W/m²",
+        LightKind::Rect { .. } => " W/m²/sr",
         LightKind::Sky { .. } => " ×",
     };
     ui.horizontal(|ui| {
@@ -264,6 +275,11 @@ fn controls(ui: &mut Ui, light: &mut SceneLight) {
             cone(ui, inner_rad, outer_rad);
         }
         LightKind::Sun { direction } => angles(ui, direction),
+        LightKind::Rect { position_m, direction, size_m, points, .. } => {
+            place(ui, position_m);
+            angles(ui, direction);
+            sides(ui, size_m, points);
+        }
         LightKind::Sky { .. } => {}
     }
 }
@@ -284,6 +300,22 @@ fn cone(ui: &mut Ui, inner_rad: &mut f32, outer_rad: &mut f32) {
         if inner || outer {
             *outer_rad = outer_rad.clamp(0.002, std::f32::consts::FRAC_PI_2);
             *inner_rad = inner_rad.clamp(0.0, *outer_rad);
+        }
+    });
+}
+
+/// Width and height, and the points that shadows are cast from.
+fn sides(ui: &mut Ui, size_m: &mut [f32; 2], points: &mut u32) {
+    ui.horizontal(|ui| {
+        for side in size_m {
+            let speed = 0.01 * f64::from(*side);
+            if ui.add(number(side, speed).range(SIDES_M).suffix(" m")).changed() {
+                *side = side.clamp(*SIDES_M.start(), *SIDES_M.end());
+            }
+        }
+        let range = 1..=RECT_POINTS_MAX;
+        if ui.add(DragValue::new(points).speed(0.05).range(range).suffix(" points")).changed() {
+            *points = (*points).clamp(1, RECT_POINTS_MAX);
         }
     });
 }
@@ -328,6 +360,24 @@ fn exposure(ui: &mut Ui, viewer: &mut Viewer) {
             ui.selectable_value(&mut edits.tone, tone, name);
         }
     });
+}
+
+/// Turn and strength of the panorama.
+fn panorama(ui: &mut Ui, edits: &mut Edits) {
+    let Some(shown) = &edits.panorama else { return };
+    let [mut turn_deg, mut strength] = [shown.turn_deg(), shown.strength()];
+    ui.label(shown.image().name());
+    let is_changed = ui.horizontal(|ui| {
+        let turned =
+            ui.add(number(&mut turn_deg, 0.5).range(-TURN_MAX_DEG..=TURN_MAX_DEG).suffix("° turn")).changed();
+        let speed = 0.01 * f64::from(strength.max(0.1));
+        let scaled = ui.add(number(&mut strength, speed).range(0.0..=STRENGTH_MAX).prefix("× ")).changed();
+        turned || scaled
+    });
+    if is_changed.inner {
+        let turn_deg = turn_deg.clamp(-TURN_MAX_DEG, TURN_MAX_DEG);
+        edits.panorama = shown.changed(turn_deg, strength.clamp(0.0, STRENGTH_MAX)).ok().map(Arc::new);
+    }
 }
 
 fn materials(ui: &mut Ui, edits: &mut Edits) {
@@ -438,7 +488,8 @@ mod tests {
         let mut bright = parse_light("sun dir=0,-1,0 irradiance=3").unwrap();
         bright.strength = [3e8, 0.3, 1.0 / 3.0];
         let sky = parse_light("sky zenith=0.1,0.7,0.3 horizon=0.3,0.123,0.7 strength=0.7").unwrap();
-        for wanted in [steep, bright, sky] {
+        let rect = parse_light("rect pos=1,2,3 dir=0,-1,0 size=0.0001,0.3 strength=1,2,3 points=7").unwrap();
+        for wanted in [steep, bright, sky, rect] {
             let mut light = wanted.clone();
             shown(|ui| controls(ui, &mut light));
             assert_eq!(light, wanted);

@@ -85,6 +85,7 @@ impl Viewer {
         let room = FrameRoom { size, shadows };
         let mut frame = Frame::new(Arc::clone(&gpu), Arc::clone(&bake), room, view.camera.clone())?;
         frame.set_lights(&edits.lights)?;
+        frame.set_sky(edits.panorama.as_ref())?;
         frame.set_emitters(&edits.emitters)?;
         frame.set_materials(&edits.recolours())?;
         frame.set_objects(&edits.stances())?;
@@ -148,7 +149,7 @@ impl Viewer {
     /// The view that is shown, as headless pictures take it.
     pub fn view(&self) -> View {
         let objects = self.applied.stances();
-        let Edits { lights, emitters, exposure, tone, lod, .. } = self.applied.clone();
+        let Edits { lights, panorama, emitters, exposure, tone, lod, .. } = self.applied.clone();
         let camera = self.frame.camera().clone();
         let [width, height] = self.size;
         let emitter_scale = emitters;
@@ -157,6 +158,7 @@ impl Viewer {
             width,
             height,
             lights,
+            panorama,
             emitter_scale,
             objects,
             exposure,
@@ -308,6 +310,12 @@ impl Viewer {
             let set = room.and_then(|()| self.frame.set_lights(lights));
             if self.refused(set)? {
                 self.edits.lights.clone_from(&self.applied.lights);
+            }
+        }
+        if self.edits.panorama != self.applied.panorama {
+            let set = self.frame.set_sky(self.edits.panorama.as_ref());
+            if self.refused(set)? {
+                self.edits.panorama.clone_from(&self.applied.panorama);
             }
         }
         if self.edits.emitters != self.applied.emitters {

@@ -51,6 +51,7 @@ pub const MODULES: &[(&str, &[u8])] = files![
     "frame/passes.js",
     "frame/patches.js",
     "frame/plan.js",
+    "frame/rectangle.js",
     "frame/resident.js",
     "frame/shade.js",
     "frame/shaders.js",

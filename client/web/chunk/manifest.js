@@ -11,7 +11,7 @@
 //     where USE is {texture, wrap: ["repeat", "clamp" or "mirror", …], transform: [Float32Array(3), Float32Array(3)] or null}
 //   emitters: [{name, areaM2}],
 //   lights: [{name, kind: {type: "point", positionM, rangeM} | {type: "spot", positionM, direction, innerRad, outerRad, rangeM}
-//     | {type: "sun", direction} | {type: "sky", zenith, horizon}, strength}],                       vectors: Float32Array(3)
+//     | {type: "sun", direction} | {type: "rect", positionM, direction, up, sizeM, points} | {type: "sky", zenith, horizon}, strength}],                       vectors: Float32Array(3)
 //   cameras: [{name, eyeM, targetM, up, fovYRad, orthographicHalfHeightM}],
 //   framing: {camera: {value, note} or null, light: {value, note} or null},
 //   chunks: Map from role to [{digest: hex, bytes}],
@@ -107,6 +107,7 @@ const light = object({
       range_m: optional(f32),
     },
     sun: { direction: vector(3) },
+    rect: { position_m: vector(3), direction: vector(3), up: vector(3), size_m: vector(2), points: count },
     sky: { zenith: colour, horizon: colour },
   }),
   strength: colour,

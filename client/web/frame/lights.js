@@ -2,11 +2,13 @@
 
 import { clamped } from "../relight/numbers.js";
 import { normalised } from "./maths.js";
+import { RECT_POINTS_MAX, cellsOf, rectangleOf } from "./rectangle.js";
 
 /** Shapes of a caster; the numbers are the shaders'. */
 export const POINT = 0;
 export const SPOT = 1;
 export const SUN = 2;
+export const RECT = 3;
 
 /** The casters of shadows among lights, in order; those without strength are left out. */
 export function castersOf(lights) {
@@ -17,7 +19,17 @@ export function castersOf(lights) {
 function casterOf({ kind, strength: given }) {
   const down = [0, -1, 0];
   const strength = Array.from(given);
-  const blank = { position: [0, 0, 0], direction: down, strength, range: 0, cone: [-1, -2], shape: POINT };
+  const blank = {
+    position: [0, 0, 0],
+    direction: down,
+    strength,
+    range: 0,
+    cone: [-1, -2],
+    halfU: [0, 0, 0],
+    halfV: [0, 0, 0],
+    cells: [0, 0],
+    shape: POINT,
+  };
   switch (kind.type) {
     case "point":
       return { ...blank, position: Array.from(kind.positionM), range: kind.rangeM ?? 0 };
@@ -35,6 +47,20 @@ function casterOf({ kind, strength: given }) {
     }
     case "sun":
       return { ...blank, direction: normalised(Array.from(kind.direction)) ?? down, shape: SUN };
+    case "rect": {
+      const rectangle = rectangleOf(kind);
+      return (
+        rectangle && {
+          ...blank,
+          position: rectangle.centreM,
+          direction: rectangle.direction,
+          halfU: rectangle.halfU,
+          halfV: rectangle.halfV,
+          cells: cellsOf(kind.sizeM, kind.points),
+          shape: RECT,
+        }
+      );
+    }
     default:
       return null;
   }
@@ -46,10 +72,17 @@ export function checkLights(lights) {
   for (const { name, kind, strength } of lights) {
     const isPlace = kind.positionM === undefined || kind.positionM.every(Number.isFinite);
     const isColour = kind.type !== "sky" || (isStrength(kind.zenith) && isStrength(kind.horizon));
-    if (!isPlace || !isColour || !isStrength(strength)) {
-      throw new Error(`light '${name}' has a number that is negative or not finite`);
+    if (!isPlace || !isColour || !isStrength(strength) || (kind.type === "rect" && !isRectangle(kind))) {
+      throw new Error(
+        `light '${name}' has a number that is negative or not finite, or a rectangle without direction, area or 1 to 16 points`,
+      );
     }
   }
+}
+
+function isRectangle(kind) {
+  const isCount = Number.isInteger(kind.points) && kind.points >= 1 && kind.points <= RECT_POINTS_MAX;
+  return isCount && rectangleOf(kind) !== null;
 }
 
 /** Errs where a factor on emitters is none that they can have. */

@@ -1,9 +1,9 @@
-// Shadow maps of a set of lights: six faces around a point, one for a narrow spot, tiles for a sun; twin of
-// client/src/passes/shadow/plan.rs.
+// Shadow maps of a set of lights: six faces around a point, one for a narrow spot, tiles for a sun, half a cube of five faces
+// before each point of a rectangle; twin of client/src/passes/shadow/plan.rs.
 
 import { rounded } from "../relight/numbers.js";
-import { SPOT, SUN } from "./lights.js";
-import { add, dot, less, lookAlong, parallel, perspective, product, times, transformed, translation } from "./maths.js";
+import { RECT, SPOT, SUN } from "./lights.js";
+import { add, dot, less, lookAlong, normalised, parallel, perspective, product, times, transformed, translation } from "./maths.js";
 
 // Most texels of all shadow maps together.
 const MAX_TEXELS = 2 ** 26;
@@ -23,7 +23,9 @@ const FINEST_M = 1e-3;
 const GUARD_TEXELS = 4;
 // Widest spot that one perspective face covers; wider ones get six.
 const SPOT_COS_MIN = 0.6;
-// Directions of a cube's faces and their up vectors, in the order of `cube_face`.
+// Faces before each point of a rectangle: half a cube.
+const RECT_FACES = 5;
+// Directions of a cube's faces and their up vectors, in the order of `cube_face`; the first five are before a rectangle.
 const CUBE = [
   [[1, 0, 0], [0, 1, 0]],
   [[-1, 0, 0], [0, 1, 0]],
@@ -33,7 +35,7 @@ const CUBE = [
   [[0, 0, -1], [0, 1, 0]],
 ];
 /** Bytes of a light and of a face as shaders read them. */
-export const LIGHT_BYTES = 80;
+export const LIGHT_BYTES = 96;
 export const FACE_BYTES = 96;
 
 /** Whether a room is no more than any adapter is asked for. */
@@ -75,7 +77,7 @@ export class ShadowPlan {
     if (faces > room.faces || casters.length > room.lights) {
       throw new Error(
         `${casters.length} lights need ${faces} shadow maps: there is room for ${room.lights} and ${room.faces}; ` +
-          "use fewer lights, or make the frame with more room",
+          "use fewer lights, or fewer points of rectangles, or make the frame with more room",
       );
     }
     const [low, high] = boundsM;
@@ -108,6 +110,8 @@ export class ShadowPlan {
       words[at + 14] = light.faceCount;
       floats[at + 15] = light.halfExtent;
       words.set([light.firstCascade, light.cascades], at + 16);
+      floats.set([Math.hypot(...light.halfU), Math.hypot(...light.halfV)], at + 18);
+      words.set(light.cells, at + 20);
     });
     return bytes;
   }
@@ -151,7 +155,9 @@ export class ShadowPlan {
       cascades: 0,
     });
     const near = 1e-4 * diagonal;
-    if (isSun) {
+    if (caster.shape === RECT) {
+      this.#pushRect(caster, near);
+    } else if (isSun) {
       this.#pushSun(caster.direction, centre, halfExtent, 0.5005 * diagonal);
     } else if (faces === 6) {
       CUBE.forEach(([forward, up]) => this.#pushPerspective(position, forward, up, 1, near));
@@ -166,6 +172,21 @@ export class ShadowPlan {
     const own = (tan * this.side) / (this.side - 2 * GUARD_TEXELS);
     const view = lookAlong(eye, forward, up);
     this.#pushFace(product(perspective(own, own, near), view.matrix), view, (2 * own) / this.side);
+  }
+
+  /** Half a cube before the middle of each cell, row by row; in each the face along the light comes last. */
+  #pushRect({ position, direction, halfU, halfV, cells: [columns, rows] }, near) {
+    const axes = [normalised(halfU), normalised(halfV), direction];
+    const inWorld = (local) => local.map((value, axis) => times(axes[axis], value)).reduce(add);
+    const along = (index, count) => (2 * index + 1) / count - 1;
+    for (let row = 0; row < rows; row++) {
+      for (let column = 0; column < columns; column++) {
+        const aside = add(times(halfU, along(column, columns)), times(halfV, along(row, rows)));
+        for (const [forward, up] of CUBE.slice(0, RECT_FACES)) {
+          this.#pushPerspective(add(position, aside), inWorld(forward), inWorld(up), 1, near);
+        }
+      }
+    }
   }
 
   /** `halfExtent` across and `reach` along the light, from the centre, in metres. */
@@ -227,7 +248,10 @@ function sunHalfExtent(direction, [low, high]) {
   return Math.max(1.001 * Math.max(half(right), half(up)), 2 ** -126);
 }
 
-function faceCount({ shape, cone }) {
+function faceCount({ shape, cone, cells }) {
+  if (shape === RECT) {
+    return RECT_FACES * cells[0] * cells[1];
+  }
   if (shape === SUN) {
     return SUN_TILES * SUN_TILES;
   }

@@ -1,10 +1,13 @@
 // Lights and cameras as people write them, `kind key=value …`; twin of proto/src/words.
 
 import { cross, less, normalised, times } from "./maths.js";
+import { RECT_POINTS, RECT_POINTS_MAX, defaultUp, rectangleOf } from "./rectangle.js";
 
 const POINT = "point pos=x,y,z color=r,g,b power=W";
 const SPOT = "spot pos=x,y,z target=x,y,z (or dir=x,y,z) color=r,g,b power=W inner=degrees outer=degrees";
 const SUN = "sun dir=x,y,z color=r,g,b irradiance=W/m2";
+const RECT =
+  "rect pos=x,y,z target=x,y,z (or dir=x,y,z) size=w,h color=r,g,b power=W (or radiance=W/m2/sr) up=x,y,z points=n";
 const SKY = "sky zenith=r,g,b horizon=r,g,b strength=s";
 const EMITTERS = "emitters scale=s";
 const CAMERA = "eye=x,y,z target=x,y,z fov=degrees [up=x,y,z]";
@@ -40,6 +43,20 @@ class Words {
     const value = this.#finite(key, text);
     if (value < lowest || value > highest) this.wrong(`${key}=${value} is not in ${lowest}..=${highest}`);
     return value;
+  }
+
+  /** Whether a word is there. */
+  has(key) {
+    return this.#pairs.has(key);
+  }
+
+  /** Two numbers, if given. */
+  pair(keys) {
+    const [key, text] = this.#take(keys);
+    if (text === undefined) return undefined;
+    const parts = text.split(",").map((part) => this.#finite(key, part));
+    if (parts.length !== 2) this.wrong(`'${key}=${text}' needs two numbers w,h`);
+    return parts;
   }
 
   /** Three numbers, if given. */
@@ -91,6 +108,7 @@ const READERS = {
   point: [POINT, (words) => ({ kind: pointOf(words), strength: strengthOf(words, "power", 1 / (4 * Math.PI)) })],
   spot: [SPOT, (words) => ({ kind: spotOf(words), strength: strengthOf(words, "power", 1 / (4 * Math.PI)) })],
   sun: [SUN, (words) => ({ kind: sunOf(words), strength: strengthOf(words, "irradiance", 1) })],
+  rect: [RECT, rectLight],
   sky: [SKY, skyLight],
 };
 
@@ -107,7 +125,7 @@ export function parseLights(texts) {
     }
     const [grammar, read] = Object.hasOwn(READERS, name) ? READERS[name] : [];
     if (read === undefined) {
-      const problem = `'${name.slice(0, 50)}' is no kind of light, which are point, spot, sun, sky and emitters`;
+      const problem = `'${name.slice(0, 50)}' is no kind of light, which are point, spot, sun, rect, sky and emitters`;
       throw new Error(`${problem}; write "${POINT}"`);
     }
     const words = new Words(rest, grammar);
@@ -145,15 +163,34 @@ function pointOf(words) {
 
 function spotOf(words) {
   const { positionM } = pointOf(words);
-  const along = words.direction(DIRECTION);
-  const target = words.vector(["target"]);
-  if (along && target) words.wrong("give 'dir' or 'target', not both");
-  if (!along && !target) words.wrong("'target' (or 'dir') is missing");
-  const direction = along ?? normalised(less(target, positionM)) ?? words.wrong("pos and target are the same point");
+  const direction = aimOf(words, positionM);
   const outerDeg = words.number(["outer", "outer_deg"], 0.1, 90) ?? OUTER_DEG;
   const innerDeg = words.number(["inner", "inner_deg"], 0, 90) ?? 0.8 * outerDeg;
   if (innerDeg > outerDeg) words.wrong(`inner=${innerDeg} is wider than outer=${outerDeg}`);
   return { type: "spot", positionM, direction, innerRad: radians(innerDeg), outerRad: radians(outerDeg), rangeM: null };
+}
+
+/** Direction of travel: `dir`, or from the position to `target`. */
+function aimOf(words, positionM) {
+  const along = words.direction(DIRECTION);
+  const target = words.vector(["target"]);
+  if (along && target) words.wrong("give 'dir' or 'target', not both");
+  if (!along && !target) words.wrong("'target' (or 'dir') is missing");
+  return along ?? normalised(less(target, positionM)) ?? words.wrong("pos and target are the same point");
+}
+
+function rectLight(words) {
+  const { positionM } = pointOf(words);
+  const direction = aimOf(words, positionM);
+  const up = words.direction(["up"]) ?? defaultUp(direction);
+  const sizeM = words.required("size", words.pair(["size", "size_m"]));
+  const points = words.number(["points"], 1, RECT_POINTS_MAX) ?? RECT_POINTS;
+  if (!Number.isInteger(points)) words.wrong(`points=${points} is no whole number`);
+  const kind = { type: "rect", positionM, direction, up, sizeM, points };
+  if (rectangleOf(kind) === null) words.wrong(`size=${sizeM} has no area`);
+  const isPower = words.has("power");
+  const unit = isPower ? 1 / (Math.PI * sizeM[0] * sizeM[1]) : 1;
+  return { kind, strength: strengthOf(words, isPower ? "power" : "radiance", unit) };
 }
 
 function sunOf(words) {

@@ -26,6 +26,7 @@ mod picture;
 mod progress;
 mod reel;
 mod settings;
+mod sky;
 mod submission;
 mod summary;
 mod switched_off;

@@ -24,6 +24,7 @@ use lightkiln_proto::words::lod_from_text;
 use crate::console::say;
 use crate::failure::{Failure, Result};
 use crate::reel::{Drawn, PassRow, Reel, numbered};
+use crate::sky::{SkyArgument, parse_sky};
 use crate::switched_off::SwitchedOff;
 
 /// The picture to draw, and how it looks.
@@ -37,9 +38,15 @@ pub struct LookArguments {
     /// "point pos=x,y,z color=r,g,b power=W",
     /// "spot pos=x,y,z target=x,y,z color=r,g,b power=W inner=deg outer=deg",
     /// "sun dir=x,y,z color=r,g,b irradiance=W/m2", "sky zenith=r,g,b horizon=r,g,b strength=s",
+    /// "rect pos=x,y,z target=x,y,z size=w,h color=r,g,b power=W up=x,y,z points=n", which shines evenly from its front,
     /// "emitters scale=s" (the scene's emissive surfaces, 1 unless said)
     #[arg(long, value_name = "LIGHT", help_heading = "Picture")]
     light: Vec<String>,
+    /// Panorama as a sky, on top of skies among the lights: "FILE [turn=degrees] [strength=s]", a Radiance HDR picture (.hdr) in
+    /// equirectangular projection, whose middle lies towards -z before it is turned about the vertical. It lights the scene
+    /// and is seen behind it; a sun in it shines as wide as its part of the sky is
+    #[arg(long, value_name = "FILE", value_parser = parse_sky, help_heading = "Picture")]
+    sky: Option<SkyArgument>,
     /// Another base colour of a material, linear, instead of the file's factor: "NAME=r,g,b" with channels 0 to 1; may be
     /// given often. All light follows, and nothing is baked again
     #[arg(long, value_name = "MATERIAL", value_parser = parse_recolour, help_heading = "Picture")]
@@ -138,6 +145,7 @@ impl LookArguments {
         let scale = off.emitter_scale(emitter_scale.unwrap_or(1.0));
         view.emitter_scale = vec![scale; bake.scene.manifest.emitters.len()];
         view.lights = off.rest(view.lights);
+        view.panorama = off.panorama(self.sky.as_ref().map(SkyArgument::read).transpose()?);
         (view.width, view.height) = self.size;
         view.tone = self.tone.into();
         view.exposure = Exposure::Auto { stops: self.exposure };

@@ -1,7 +1,10 @@
 //! `--no-emitters`, `--no-sky`: light of the scene that pictures and evaluations leave out.
 
+use std::sync::Arc;
+
 use crate::console::say;
 use clap::Args;
+use lightkiln_proto::relight::Panorama;
 use lightkiln_proto::scene::{LightKind, SceneLight};
 use lightkiln_worker::evaluate::TestLight;
 
@@ -28,14 +31,20 @@ impl SwitchedOff {
         lights
     }
 
+    /// The panorama, unless skies are left out.
+    pub fn panorama(&self, panorama: Option<Arc<Panorama>>) -> Option<Arc<Panorama>> {
+        panorama.filter(|_| !self.no_sky)
+    }
+
     /// The same of lights to measure with, without those that have then nothing left; says which on standard error.
     pub fn rest_of_tests(&self, lights: Vec<TestLight>) -> Vec<TestLight> {
         let rest = |mut light: TestLight| {
             let lighting = &mut light.lighting;
             lighting.emitter_scale = self.emitter_scale(lighting.emitter_scale);
             lighting.lights = self.rest(std::mem::take(&mut lighting.lights));
+            lighting.panorama = self.panorama(lighting.panorama.take());
             let dark =
-                lighting.emitter_scale <= 0.0 && lighting.lights.is_empty() && lighting.panels.is_empty();
+                lighting.emitter_scale <= 0.0 && lighting.lights.is_empty() && lighting.panorama.is_none();
             if dark {
                 say!("note: light '{}' is switched off", light.name);
             }

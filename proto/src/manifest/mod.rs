@@ -257,6 +257,10 @@ fn check_light(light: &SceneLight) -> Result<(), ManifestError> {
             all_finite(what, range_m.as_slice())
         }
         LightKind::Sun { direction } => all_finite(what, direction),
+        LightKind::Rect { position_m, direction, up, size_m, .. } => {
+            all_finite(what, &[*position_m, *direction, *up].concat())?;
+            all_finite(what, size_m)
+        }
         LightKind::Sky { zenith, horizon } => all_finite(what, &[*zenith, *horizon].concat()),
     }
 }

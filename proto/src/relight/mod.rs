@@ -35,7 +35,7 @@
 //! let columns = |slots: &_| PatchTable::new(&patches, slots);
 //! let transport = Transport::join([(7, [1, 1])], 0, &[cluster], columns).unwrap();
 //! let lamp = transport.receivers.normal.clone();
-//! let incoming = Incoming { dir: &lamp, near: &[], sky: Default::default(), emitter_scale: &[] };
+//! let incoming = Incoming { dir: &lamp, near: &[], sky: Default::default(), panorama: None, emitter_scale: &[] };
 //! let settled = transport.settle(&Serial, &incoming, Limit::default());
 //! assert!(settled.converged && settled.ind.len() == 1);
 //! ```
@@ -44,6 +44,7 @@ mod clusters;
 mod lod;
 mod near;
 mod packed;
+mod panorama;
 mod parallel;
 mod patches;
 mod receivers;
@@ -70,6 +71,7 @@ pub use lod::{
 };
 pub use near::{NearHit, NearRow, NearTable, OWN_SURFACE, OwnSurface};
 pub use packed::Packing;
+pub use panorama::{PANORAMA_PIXELS_MAX, Panorama, PanoramaImage};
 pub use parallel::{Parallel, Serial};
 pub use patches::{LEAF_BLOCK, NO_PATCH, PatchRow, PatchTable};
 pub use receivers::{MAX_RECEIVERS, ReceiverTable};

@@ -4,7 +4,9 @@ use std::collections::HashMap;
 
 use glam::Vec4;
 
-use super::{ALWAYS, Columns, DARK, Inconsistent, Irradiance, Parallel, ReceiverTable, Sky, SlotTable};
+use super::{
+    ALWAYS, Columns, DARK, Inconsistent, Irradiance, Panorama, Parallel, ReceiverTable, Sky, SlotTable,
+};
 use crate::chunk::limits::SKY_PARTS_MAX;
 use crate::content::{Patch, PatchKey, PatchSet};
 use crate::harmonics::relight_direction;
@@ -141,6 +143,11 @@ impl Columns for PatchTable {
     fn sky_lambda(&self, sky: Sky) -> Vec<Vec4> {
         let part = |part| sky.radiance(relight_direction(part, self.sky_parts)).extend(0.0);
         (0..self.sky_parts).map(part).collect()
+    }
+
+    /// Mean radiance of each part.
+    fn panorama_lambda(&self, panorama: &Panorama) -> Vec<Vec4> {
+        panorama.part_means(self.sky_parts)
     }
 
     /// Area-weighted mean of L over each patch, W·m⁻²·sr⁻¹; then the differences.

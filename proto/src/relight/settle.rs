@@ -3,7 +3,7 @@
 use glam::Vec4;
 
 use super::lod::BounceArrays;
-use super::{Columns, Irradiance, LodPlan, LodTable, Parallel, Sky, Transport};
+use super::{Columns, Irradiance, LodPlan, LodTable, Panorama, Parallel, Sky, Transport};
 
 /// Light that the bake is lit by.
 #[derive(Clone, Copy, Debug)]
@@ -14,6 +14,8 @@ pub struct Incoming<'a> {
     pub near: &'a [Vec4],
     /// The sky.
     pub sky: Sky,
+    /// A panorama on top of it.
+    pub panorama: Option<&'a Panorama>,
     /// One factor per emitter of the manifest; 1 where absent.
     pub emitter_scale: &'a [f32],
 }
@@ -84,7 +86,7 @@ impl<C: Columns> Transport<C> {
         detail: Option<(&LodTable, &LodPlan)>,
     ) -> Settled {
         let Self { receivers, clusters, near, columns, .. } = self;
-        let sky = columns.sky_lambda(incoming.sky);
+        let sky = columns.skies_lambda(incoming.sky, incoming.panorama);
         let mut settled = Settled {
             emit: self.emitter_irradiance(incoming.emitter_scale),
             ind: vec![Vec4::ZERO; receivers.len()],

@@ -5,7 +5,8 @@ use std::fmt::Debug;
 use glam::{Vec3, Vec4};
 
 use super::{
-    ClusterTable, EmitterTable, Inconsistent, Irradiance, NearTable, Parallel, ReceiverTable, Sky, SlotTable,
+    ClusterTable, EmitterTable, Inconsistent, Irradiance, NearTable, Panorama, Parallel, ReceiverTable, Sky,
+    SlotTable,
 };
 use crate::content::{BlockKey, ClusterTransport};
 
@@ -37,6 +38,18 @@ pub trait Columns: Debug + Send + Sync {
 
     /// The end of λ: the sky, which no bounce changes.
     fn sky_lambda(&self, sky: Sky) -> Vec<Vec4>;
+
+    /// The same of a panorama.
+    fn panorama_lambda(&self, panorama: &Panorama) -> Vec<Vec4>;
+
+    /// The sum of both: light adds up.
+    fn skies_lambda(&self, sky: Sky, panorama: Option<&Panorama>) -> Vec<Vec4> {
+        let mut lambda = self.sky_lambda(sky);
+        if let Some(panorama) = panorama {
+            lambda.iter_mut().zip(self.panorama_lambda(panorama)).for_each(|(sum, more)| *sum += more);
+        }
+        lambda
+    }
 
     /// The start of λ, from the light at receivers.
     fn surface_lambda(

@@ -2,7 +2,8 @@
 //!
 //! Strength of a point or spot: `strength` in W·sr⁻¹, or `color` and `power` P in watts of a lamp that shines all around,
 //! `I = color · P/4π`; a spot is such a lamp behind a shade. Of a sun: `strength` in W·m⁻² on a surface that faces it, or
-//! `color` and `irradiance`.
+//! `color` and `irradiance`. Of a rectangle: `strength` in W·m⁻²·sr⁻¹, `color` and `radiance`, or `color` and `power` P in
+//! watts of all that leaves its front, `L = color · P/(π·w·h)`.
 
 use core::f32::consts::PI;
 
@@ -10,14 +11,15 @@ use glam::Vec3;
 use serde_json::{Map, Value};
 
 use super::{Words, WordsError};
-use crate::scene::{LightKind, PanelLight, SceneLight};
+use crate::rectangle::{RECT_POINTS, RECT_POINTS_MAX, Rectangle, default_up};
+use crate::scene::{LightKind, SceneLight};
 
 const POINT: &str = "point pos=x,y,z color=r,g,b power=W";
 const SPOT: &str =
     "spot pos=x,y,z target=x,y,z (or dir=x,y,z) color=r,g,b power=W inner=degrees outer=degrees";
 const SUN: &str = "sun dir=x,y,z color=r,g,b irradiance=W/m2";
 const SKY: &str = "sky zenith=r,g,b horizon=r,g,b strength=s";
-const PANEL: &str = "panel centre_m=x,y,z half_u_m=x,y,z half_v_m=x,y,z radiance=r,g,b";
+const RECT: &str = "rect pos=x,y,z target=x,y,z (or dir=x,y,z) size=w,h color=r,g,b power=W (or radiance=W/m2/sr) up=x,y,z points=n";
 const EMITTERS: &str = "emitters scale=s";
 
 const POSITION: [&str; 2] = ["pos", "position_m"];
@@ -28,10 +30,8 @@ const OUTER_DEG: f32 = 30.0;
 /// A light as a person asks for it.
 #[derive(Clone, Debug, PartialEq)]
 pub enum LightSpec {
-    /// A point, a spot, a sun or a sky.
+    /// A point, a spot, a sun, a rectangle or a sky.
     Scene(SceneLight),
-    /// A rectangle that shines from its front.
-    Panel(PanelLight),
     /// The scene's emissive surfaces, times a scale.
     Emitters(f32),
 }
@@ -68,6 +68,13 @@ pub fn light_to_text(light: &SceneLight) -> String {
             format!("spot pos={position} dir={direction} strength={strength} inner={inner} outer={outer}")
         }
         LightKind::Sun { direction } => format!("sun dir={} strength={strength}", three(*direction)),
+        LightKind::Rect { position_m, direction, up, size_m: [width, height], points } => {
+            let [position, direction, up] = [position_m, direction, up].map(|vector| three(*vector));
+            let points = if *points == RECT_POINTS { String::new() } else { format!(" points={points}") };
+            format!(
+                "rect pos={position} dir={direction} up={up} size={width},{height} strength={strength}{points}"
+            )
+        }
         LightKind::Sky { zenith, horizon } => {
             let scaled = |colour: [f32; 3]| three((Vec3::from(colour) * Vec3::from(light.strength)).into());
             format!("sky zenith={} horizon={}", scaled(*zenith), scaled(*horizon))
@@ -83,11 +90,11 @@ fn kind(name: &str) -> Result<(Read, &'static str), WordsError> {
         "spot" => Ok((spot, SPOT)),
         "sun" => Ok((sun, SUN)),
         "sky" => Ok((sky, SKY)),
-        "panel" => Ok((panel, PANEL)),
+        "rect" => Ok((rect, RECT)),
         "emitters" => Ok((emitters, EMITTERS)),
         _ => {
             let problem = format!(
-                "'{name:.50}' is no kind of light, which are point, spot, sun, sky, panel and emitters"
+                "'{name:.50}' is no kind of light, which are point, spot, sun, sky, rect and emitters"
             );
             Err(WordsError { problem, grammar: POINT })
         }
@@ -125,17 +132,21 @@ fn point(name: &str, words: &mut Words) -> Result<LightSpec, WordsError> {
     scene(name, LightKind::Point { position_m, range_m: None }, strength)
 }
 
+/// Direction of travel: `dir`, or from the position to `target`.
+fn aim(words: &mut Words, position: Vec3) -> Result<Vec3, WordsError> {
+    match (words.direction(&DIRECTION)?, words.vector(&["target"])?) {
+        (Some(_), Some(_)) => Err(words.wrong("give 'dir' or 'target', not both")),
+        (Some(direction), None) => Ok(direction),
+        (None, Some(target)) => (target - position)
+            .try_normalize()
+            .ok_or_else(|| words.wrong("pos and target are the same point")),
+        (None, None) => Err(words.wrong("'target' (or 'dir') is missing")),
+    }
+}
+
 fn spot(name: &str, words: &mut Words) -> Result<LightSpec, WordsError> {
     let position = position(words)?;
-    let direction = match (words.direction(&DIRECTION)?, words.vector(&["target"])?) {
-        (Some(_), Some(_)) => return Err(words.wrong("give 'dir' or 'target', not both")),
-        (Some(direction), None) => direction,
-        (None, Some(target)) => match (target - position).try_normalize() {
-            Some(direction) => direction,
-            None => return Err(words.wrong("pos and target are the same point")),
-        },
-        (None, None) => return Err(words.wrong("'target' (or 'dir') is missing")),
-    };
+    let direction = aim(words, position)?;
     let strength = strength(words, "power", 1.0 / (4.0 * PI))?;
     let outer_deg = words.number(&["outer", "outer_deg"], 0.1, 90.0)?.unwrap_or(OUTER_DEG);
     let inner_deg = words.number(&["inner", "inner_deg"], 0.0, 90.0)?.unwrap_or(0.8 * outer_deg);
@@ -166,16 +177,32 @@ fn sky(name: &str, words: &mut Words) -> Result<LightSpec, WordsError> {
     scene(name, LightKind::Sky { zenith, horizon }, Vec3::splat(strength))
 }
 
-fn panel(name: &str, words: &mut Words) -> Result<LightSpec, WordsError> {
-    let mut side = |key| {
-        let side = words.vector(&[key])?;
-        words.required(key, side).map(<[f32; 3]>::from)
+fn rect(name: &str, words: &mut Words) -> Result<LightSpec, WordsError> {
+    let position = position(words)?;
+    let direction = aim(words, position)?;
+    let up = words.direction(&["up"])?.unwrap_or_else(|| default_up(direction));
+    let size_m = words.pair(&["size", "size_m"])?;
+    let size_m = words.required("size", size_m)?;
+    let points = words.number(&["points"], 1.0, RECT_POINTS_MAX as f32)?.unwrap_or(RECT_POINTS as f32);
+    if points.fract() != 0.0 {
+        return Err(words.wrong(format!("points={points} is no whole number")));
+    }
+    let kind = LightKind::Rect {
+        position_m: position.into(),
+        direction: direction.into(),
+        up: up.into(),
+        size_m,
+        points: points as u32,
     };
-    let (centre_m, half_u_m, half_v_m) = (side("centre_m")?, side("half_u_m")?, side("half_v_m")?);
-    let radiance = words.colour("radiance")?;
-    let radiance = words.required("radiance", radiance)?.into();
-    let name = name.to_owned();
-    Ok(LightSpec::Panel(PanelLight { name, centre_m, half_u_m, half_v_m, radiance }))
+    let Some(area_m2) = Rectangle::of(&kind).map(|rectangle| rectangle.area_m2()) else {
+        return Err(words.wrong(format!("size={},{} has no area", size_m[0], size_m[1])));
+    };
+    let has_power = words.has("power");
+    let strength = match has_power {
+        true => strength(words, "power", 1.0 / (PI * area_m2))?,
+        false => strength(words, "radiance", 1.0)?,
+    };
+    scene(name, kind, strength)
 }
 
 fn emitters(_name: &str, words: &mut Words) -> Result<LightSpec, WordsError> {
@@ -212,6 +239,8 @@ mod tests {
             "spot pos=0,2,0 dir=0,-1,0 strength=1,2,3 inner=20 outer=30.25",
             "sun dir=0,-1,0 strength=3,2,1",
             "sky zenith=0.5,0.25,1 horizon=1,1,0.5",
+            "rect pos=0,2,0 dir=0,-1,0 up=1,0,0 size=0.5,0.25 strength=3,2,1",
+            "rect pos=0,2,0 dir=0,0,1 up=0,1,0 size=0.5,0.25 strength=3,2,1 points=9",
         ];
         for text in texts {
             let LightSpec::Scene(light) = from_text(text).unwrap() else { panic!("{text}") };
@@ -245,6 +274,11 @@ mod tests {
             (
                 "sky zenith=0.1,0.2,0.4 horizon=1,1,1",
                 r#"{"type": "sky", "zenith": [0.1, 0.2, 0.4], "horizon": [1, 1, 1]}"#,
+            ),
+            (
+                "rect pos=0,2,0 target=0,0,0 size=2,0.5 color=1,0.5,0 radiance=3",
+                r#"{"type": "rect", "position_m": [0, 2, 0], "direction": [0, -1, 0], "up": [0, 0, -1],
+                    "size_m": [2, 0.5], "strength": [3, 1.5, 0], "points": 4}"#,
             ),
             ("emitters scale=2", r#"{"type": "emitters", "scale": 2}"#),
         ];

@@ -3,6 +3,7 @@
 mod camera;
 mod light;
 mod lod;
+mod panorama;
 mod stance;
 
 use glam::Vec3;
@@ -12,6 +13,7 @@ use thiserror::Error;
 pub use camera::{camera_from_text, camera_to_text};
 pub use light::{LightSpec, light_to_text};
 pub use lod::{lod_from_text, lod_to_text};
+pub use panorama::{panorama_from_text, panorama_to_text};
 pub use stance::{object_from_text, stance_from_text, stance_to_text};
 
 /// Words that are no light and no camera.
@@ -81,6 +83,21 @@ impl Words {
             return Ok(Some(value));
         }
         Err(self.wrong(format!("{key}={value} is not in {lowest}..={highest}")))
+    }
+
+    /// Whether a word is there.
+    fn has(&self, key: &str) -> bool {
+        self.pairs.iter().any(|(known, _)| known == key)
+    }
+
+    /// Two numbers, if given.
+    fn pair(&mut self, keys: &[&str]) -> Result<Option<[f32; 2]>, WordsError> {
+        let Some((key, text)) = self.take(keys) else { return Ok(None) };
+        let parts: Vec<f32> =
+            text.split(',').map(|part| self.finite(&key, part)).collect::<Result<_, _>>()?;
+        <[f32; 2]>::try_from(parts)
+            .map(Some)
+            .map_err(|_| self.wrong(format!("'{key}={text}' needs two numbers w,h")))
     }
 
     /// Three numbers, if given.

@@ -103,6 +103,12 @@ fn indirect(transport: &Transport<PatchTable>, lighting: &Lighting) -> Vec<Vec4>
     let [zenith, horizon] = lighting.sky.map(Into::into);
     // Factors beyond the emitters are not read.
     let off = vec![0.0; usize::from(u16::MAX)];
-    let incoming = Incoming { dir: &dir, near: &near, sky: Sky { zenith, horizon }, emitter_scale: &off };
+    let incoming = Incoming {
+        dir: &dir,
+        near: &near,
+        sky: Sky { zenith, horizon },
+        panorama: None,
+        emitter_scale: &off,
+    };
     transport.settle(&Serial, &incoming, Limit::default()).ind
 }

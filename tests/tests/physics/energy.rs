@@ -2,22 +2,27 @@
 
 use std::collections::BTreeMap;
 use std::f32::consts::PI;
+use std::sync::Arc;
 
 use glam::Vec3;
 use lightkiln_proto::content::ClusterTransport;
 use lightkiln_proto::harmonics::{ShBasis, band_of};
 use lightkiln_proto::kinds::sh;
+use lightkiln_proto::relight::{Panorama, PanoramaImage};
 use lightkiln_proto::scene::LightKind;
 use lightkiln_tests::harness::{Held, Lighting, bake, clusters, relit};
 use lightkiln_tests::scenes;
 use lightkiln_worker::geometry::Site;
 use lightkiln_worker::rays::sampling::{R2, cosine_hemisphere, tangent_frame};
+use lightkiln_worker::reference;
 
 use super::setup::{in_both_kinds, luminance, mean, only, small, with_texels};
 
 in_both_kinds!(
     white_furnace_converges_to_emission_over_one_minus_albedo,
     floor_under_a_gradient_sky_has_the_irradiance_of_the_closed_form,
+    floor_under_a_panorama_has_the_irradiance_of_its_pixels,
+    light_of_a_rectangle_in_a_shut_box_bounces_until_the_walls_have_taken_it,
 );
 
 fn white_furnace_converges_to_emission_over_one_minus_albedo(kind: &'static str) {
@@ -34,6 +39,56 @@ fn white_furnace_converges_to_emission_over_one_minus_albedo(kind: &'static str)
         assert!((found / wanted - 1.0).abs() < 0.01, "albedo {albedo}: mean {found}, wanted {wanted}");
         assert!(worst < 0.06, "albedo {albedo}: a receiver is off by {worst}");
     }
+}
+
+/// `E = Σ L cosθ ω` over the pixels above the floor, which has no other sky.
+fn floor_under_a_panorama_has_the_irradiance_of_its_pixels(kind: &'static str) {
+    let held = Held::new(scenes::lone_floor(2.0), &with_texels(kind, 0.25, 256)).unwrap();
+    let (width, height) = (64, 32);
+    let radiance = |x: u32, y: u32| 1.0 + 0.8 * (0.2 * x as f32).sin() * (0.15 * y as f32).cos();
+    let pixels = (0..width * height).map(|at| [radiance(at % width, at / width); 3]);
+    let image = PanoramaImage::new("test".into(), width, height, pixels.collect()).unwrap();
+    let panorama = Panorama::new(Arc::new(image), 50.0, 2.0).unwrap();
+    let above = (0..height / 2).flat_map(|y| (0..width).map(move |x| (x, y)));
+    let wanted: f64 = above
+        .map(|(x, y)| {
+            let cosine = ((f64::from(y) + 0.5) / f64::from(height) * std::f64::consts::PI).cos();
+            2.0 * f64::from(radiance(x, y)) * cosine * panorama.solid_angle(y)
+        })
+        .sum();
+    let lighting = reference::Lighting { panorama: Some(Arc::new(panorama)), ..Default::default() };
+    let lit = held.under(&lighting).unwrap();
+    let receivers = held.receivers(|_| true);
+    assert!(receivers.len() > 200);
+    let found = receivers.iter().map(|&r| lit.baked(r).y).sum::<f64>() / receivers.len() as f64;
+    println!("{kind}: {found:.4}, wanted {wanted:.4}");
+    assert!((found / wanted - 1.0).abs() < sky_tolerance(kind), "{found}, wanted {wanted}");
+    // The path tracer finds it by its own samples.
+    let pairs = lit.compared(&receivers[..20], 0.01).unwrap();
+    let traced = pairs.iter().map(|pair| pair.reference).sum::<f64>() / pairs.len() as f64;
+    assert!((traced / wanted - 1.0).abs() < 0.01, "{traced}, wanted {wanted}");
+}
+
+/// `E_ind = Φ/A ρ/(1 − ρ)` in the mean over the walls of a box of one albedo, with Φ = π L w h.
+fn light_of_a_rectangle_in_a_shut_box_bounces_until_the_walls_have_taken_it(kind: &'static str) {
+    let (albedo, side_m) = (0.5_f64, 4.0_f64);
+    let held = Held::new(scenes::furnace(albedo as f32, 1.0, side_m as f32), &small(kind, 1500)).unwrap();
+    let [low, high] = held.bake.manifest.bounds_m.map(Vec3::from);
+    let rect = LightKind::Rect {
+        position_m: (low.lerp(high, 0.5) + Vec3::new(0.3, 0.7, -0.2)).to_array(),
+        direction: [0.6, -0.8, 0.0],
+        up: [0.0, 0.0, 1.0],
+        size_m: [1.5, 0.8],
+        points: 4,
+    };
+    let lit = held.under(&only(rect, 5.0)).unwrap();
+    let receivers = held.receivers(|_| true);
+    assert!(receivers.len() > 500);
+    let mean = receivers.iter().map(|&r| lit.baked(r).y).sum::<f64>() / receivers.len() as f64;
+    let power_w = std::f64::consts::PI * 5.0 * 1.5 * 0.8;
+    let wanted = power_w / (6.0 * side_m * side_m) * albedo / (1.0 - albedo);
+    println!("{kind}: {mean:.4}, wanted {wanted:.4}");
+    assert!((mean / wanted - 1.0).abs() < 0.02, "{mean}, wanted {wanted}");
 }
 
 /// How far the irradiance of a gradient sky may be off. With patches, 64 parts of the sky stand for it, each by the colour

@@ -350,7 +350,9 @@ pub(super) fn expected_errors(
 ) -> Result<Vec<f64>, EvaluationError> {
     let mut squares = vec![0.0; sample.places.len()];
     let is_sky = |light: &&TestLight| {
-        light.lighting.lights.iter().any(|lamp| matches!(lamp.kind, LightKind::Sky { .. }))
+        let lights = &light.lighting.lights;
+        light.lighting.panorama.is_some()
+            || lights.iter().any(|lamp| matches!(lamp.kind, LightKind::Sky { .. }))
     };
     let around: Vec<Vec<Place>> =
         sample.places.iter().map(|sampled| neighbours_of(bake, &sampled.place)).collect();

@@ -7,13 +7,13 @@
 //!     "outer_deg": 25, "strength": [100, 100, 100] },
 //!   { "name": "sun",    "type": "sun", "direction": [0.3, -1, 0.2], "strength": [10, 10, 10] },
 //!   { "name": "sky",    "type": "sky", "zenith": [0.4, 0.8, 2], "horizon": [1, 0.8, 0.6] },
-//!   { "name": "panel",  "type": "panel", "centre_m": [0, 2, 0], "half_u_m": [0.5, 0, 0], "half_v_m": [0, 0, 0.5],
-//!     "radiance": [10, 10, 10] },
+//!   { "name": "rect",   "type": "rect", "position_m": [0, 2, 0], "direction": [0, -1, 0], "size_m": [1, 0.5],
+//!     "strength": [10, 10, 10] },
 //!   { "name": "own",    "type": "emitters", "scale": 1 }
 //! ] }
 //! ```
 //! The bake is measured under each light apart. Units: metres, degrees (half angles), W·sr⁻¹ (points, spots), W·m⁻² (suns),
-//! W·m⁻²·sr⁻¹ (skies, panels). Directions are those of travel; a panel shines along `half_u_m × half_v_m`. The words of
+//! W·m⁻²·sr⁻¹ (skies, rectangles). Directions are those of travel, of rectangles those of their fronts. The words of
 //! `kiln preview --light` are good here as well (`lightkiln_proto::words`).
 
 use std::collections::BTreeSet;
@@ -64,7 +64,6 @@ pub fn lights_of_file(json: &[u8]) -> Result<Vec<TestLight>, EvaluationError> {
 fn lighting(light: LightSpec) -> Lighting {
     match light {
         LightSpec::Scene(light) => Lighting { lights: vec![light], ..Lighting::default() },
-        LightSpec::Panel(panel) => Lighting { panels: vec![panel], ..Lighting::default() },
         LightSpec::Emitters(scale) => Lighting { emitter_scale: scale, ..Lighting::default() },
     }
 }
@@ -80,7 +79,7 @@ mod tests {
         let json: String = lines.take_while(|line| !line.contains("```")).map(|line| &line[3..]).collect();
         let lights = lights_of_file(json.as_bytes()).unwrap();
         let names: Vec<&str> = lights.iter().map(|light| light.name.as_str()).collect();
-        assert_eq!(names, ["lamp", "beam", "sun", "sky", "panel", "own"]);
+        assert_eq!(names, ["lamp", "beam", "sun", "sky", "rect", "own"]);
         assert_eq!(lights[5].lighting.emitter_scale, 1.0);
     }
 

@@ -1,16 +1,19 @@
 //! Lights to measure with, chosen from the scene: deterministic, and none of them was known while baking.
 
 use std::cmp::Reverse;
+use std::sync::Arc;
 
 use glam::Vec3;
 use lightkiln_proto::harmonics::relight_direction;
+use lightkiln_proto::rectangle::{RECT_POINTS, Rectangle};
+use lightkiln_proto::relight::Panorama;
 use lightkiln_proto::scene::{LightKind, SceneLight};
 use rayon::prelude::*;
 
 use super::EvaluationError;
 use super::solid::{check_place, is_free};
 use crate::geometry::Geometry;
-use crate::reference::{Lighting, PanelLight};
+use crate::reference::Lighting;
 use crate::vantage::{Openness, VantagePoint, in_rooms, vantage_points};
 
 /// Rays among which a spot's aim is sought.
@@ -19,8 +22,8 @@ const AIM_RAYS: u32 = 512;
 const SUNS: u32 = 64;
 /// Lowest sun tried, as the sine of its height.
 const SUN_LOWEST: f32 = 0.2;
-/// A panel's half sides as shares of the free space around its centre; the largest that fits is taken.
-const PANEL_SHARES: [f32; 4] = [0.5, 0.35, 0.2, 0.1];
+/// A rectangle's half sides as shares of the free space around its centre; the largest that fits is taken.
+const RECT_SHARES: [f32; 4] = [0.5, 0.35, 0.2, 0.1];
 
 /// Some light under which a bake is measured.
 #[derive(Clone, Debug, PartialEq)]
@@ -48,11 +51,11 @@ pub fn default_lights(geometry: &Geometry) -> Chosen {
     let mut chosen = Chosen::default();
     let places = vantage_points(geometry);
     if places.is_empty() {
-        chosen.notes.push("no point, spot or panel: no place in free space was found".into());
+        chosen.notes.push("no point, spot or rectangle: no place in free space was found".into());
     }
     chosen.lights.extend(point(&places));
     chosen.lights.extend(spot(geometry, &places));
-    chosen.lights.extend(panel(geometry, &places));
+    chosen.lights.extend(rect(geometry, &places));
     if openness.has_opening() {
         match sun(geometry, &openness) {
             Some(light) => chosen.lights.push(light),
@@ -73,6 +76,18 @@ pub fn default_lights(geometry: &Geometry) -> Chosen {
     chosen
 }
 
+/// A panorama as the only light.
+pub fn panorama_light(panorama: Arc<Panorama>) -> TestLight {
+    let words = format!(
+        "the panorama {}, turned by {} degrees, times {}",
+        panorama.image().name(),
+        panorama.turn_deg(),
+        panorama.strength()
+    );
+    let lighting = Lighting { panorama: Some(panorama), ..Lighting::default() };
+    TestLight { name: "panorama".into(), words, lighting }
+}
+
 /// Refuses lights that stand inside solids; leaves out suns and skies where the scene has no opening, and says so.
 ///
 /// Errors when that leaves none.
@@ -82,7 +97,8 @@ pub fn usable_lights(geometry: &Geometry, lights: Vec<TestLight>) -> Result<Chos
     for light in lights {
         check_place(geometry, &light)?;
         let from_outside = |kind: &LightKind| matches!(kind, LightKind::Sky { .. } | LightKind::Sun { .. });
-        let needs_opening = light.lighting.lights.iter().any(|lamp| from_outside(&lamp.kind));
+        let is_from_outside = light.lighting.lights.iter().any(|lamp| from_outside(&lamp.kind));
+        let needs_opening = light.lighting.panorama.is_some() || is_from_outside;
         let openness = openness.get_or_insert_with(|| Openness::of(geometry));
         if needs_opening && !openness.has_opening() {
             let note = format!("light '{}' is left out: the scene has no opening to the sky", light.name);
@@ -158,28 +174,27 @@ fn spot(geometry: &Geometry, places: &[VantagePoint]) -> Option<TestLight> {
 
 /// A square that shines downwards, where the most free space is, in a room where there are rooms: outside of them it would light
 /// next to nothing.
-fn panel(geometry: &Geometry, places: &[VantagePoint]) -> Option<TestLight> {
+fn rect(geometry: &Geometry, places: &[VantagePoint]) -> Option<TestLight> {
     let rooms = in_rooms(places);
     let mut roomiest = if rooms.is_empty() { places.iter().collect() } else { rooms };
     roomiest.sort_by(|a, b| b.look.nearest_m.total_cmp(&a.look.nearest_m));
     for place in roomiest.into_iter().take(16) {
-        for share in PANEL_SHARES {
+        for share in RECT_SHARES {
             let half_m = share * place.look.nearest_m.min(0.2 * geometry.near_diagonal_m());
-            let panel = PanelLight {
-                name: "panel".into(),
-                centre_m: place.position_m.to_array(),
-                half_u_m: [half_m, 0.0, 0.0],
-                half_v_m: [0.0, 0.0, half_m],
-                radiance: [10.0; 3],
+            let kind = LightKind::Rect {
+                position_m: place.position_m.to_array(),
+                direction: [0.0, -1.0, 0.0],
+                up: [0.0, 0.0, -1.0],
+                size_m: [2.0 * half_m; 2],
+                points: RECT_POINTS,
             };
-            if is_free(geometry, &panel) {
-                let words = format!(
-                    "a panel of {:.2} m at {} that shines down",
+            if Rectangle::of(&kind).is_some_and(|rectangle| is_free(geometry, &rectangle)) {
+                let said = format!(
+                    "a rectangle of {:.2} m at {} that shines down",
                     2.0 * half_m,
                     words(place.position_m)
                 );
-                let lighting = Lighting { panels: vec![panel], ..Lighting::default() };
-                return Some(TestLight { name: "panel".into(), words, lighting });
+                return Some(single("rect", said, kind, 10.0));
             }
         }
     }

@@ -28,7 +28,7 @@ pub use evaluator::{ClassResult, Evaluator, LightResult, Options, PIXEL_CLASSES,
 pub use figures::{Draw, Figures, Intervals, Pair, RelativeRoot};
 pub use hunt::{Hunt, Outlier};
 pub use light_file::lights_of_file;
-pub use lights::{Chosen, TestLight, default_lights, usable_lights};
+pub use lights::{Chosen, TestLight, default_lights, panorama_light, usable_lights};
 pub use pixels::{PixelFigures, Pixels};
 pub use sample::{Sample, Sampled, SampledHit};
 pub use seams::{Borders, Jumps, Seams, Step};

@@ -11,12 +11,14 @@ use crate::reference::{Lighting, Reference, luminance};
 
 /// Points around a pixel, within the filter of its shadow map, that exact rays look from.
 const AROUND: u32 = 32;
+/// Points of lights with extent that exact rays look at.
+const EXTENT_POINTS: u32 = 16;
 /// Share of a light's unshadowed irradiance from which on its presence, or its lack, is counted.
 const SHARE_MIN: f64 = 0.05;
 
 /// A client that lights a scene by shadow maps.
 pub trait ClientLights: Send + Sync {
-    /// The client's direct light; `None` where it has no such lights, as panels.
+    /// The client's direct light; `None` where it has no such lights.
     fn under<'a>(&'a self, lighting: &Lighting)
     -> Result<Option<Box<dyn MappedLight + 'a>>, EvaluationError>;
 }
@@ -48,6 +50,9 @@ pub struct MappedPixel {
     pub unshadowed: DVec3,
     /// Reach of the shadow map's filter on the surface, in metres.
     pub filter_m: f32,
+    /// Part of the light without shadows by which it changes at once at shadows of lights with extent, which are those of a few
+    /// points; 0 for lights without.
+    pub coarse: f64,
 }
 
 /// Shares of the area of pixels whose direct light is wrong beyond the reach of the filter.
@@ -82,14 +87,16 @@ fn faults(site: &Site, pixel: &MappedPixel, reference: &Reference) -> [bool; 2] 
         return [false; 2];
     }
     let share = shown / unshadowed;
-    let exact = |site: &Site| luminance(reference.direct_irradiance(site, 1));
+    let least = SHARE_MIN + pixel.coarse;
+    let points = if pixel.coarse > 0.0 { EXTENT_POINTS } else { 1 };
+    let exact = |site: &Site| luminance(reference.direct_irradiance(site, points));
     let is_lit = |site: &Site| exact(site) > 0.0;
-    // Behind glass less light is right.
-    let is_brighter = |site: &Site| exact(site) > shown * (1.0 + SHARE_MIN);
+    // Behind glass less light is right; so is what a light's few points make of the edge of a shadow.
+    let is_brighter = |site: &Site| exact(site) > shown * (1.0 + SHARE_MIN) + pixel.coarse * unshadowed;
     let around = || std::iter::once(*site).chain(around(site, pixel.filter_m));
     [
-        share > SHARE_MIN && !around().any(|site| is_lit(&site)),
-        share < 1.0 - SHARE_MIN && around().all(|site| is_lit(&site) && is_brighter(&site)),
+        share > least && !around().any(|site| is_lit(&site)),
+        share < 1.0 - least && around().all(|site| is_lit(&site) && is_brighter(&site)),
     ]
 }
 

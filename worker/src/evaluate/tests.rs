@@ -235,7 +235,7 @@ fn sample_holds_the_whole_area_and_weighs_surfaces_by_it() {
 #[test]
 fn chosen_lights_hang_on_the_scene_alone() {
     let coarse = default_lights(&world(CORNELL, 1000).geometry);
-    let wanted = ["point", "spot", "panel", "sun", "sky-uniform", "sky-gradient", "emitters"];
+    let wanted = ["point", "spot", "rect", "sun", "sky-uniform", "sky-gradient", "emitters"];
     assert_eq!(coarse.lights.iter().map(|light| light.name.as_str()).collect::<Vec<_>>(), wanted);
     assert!(coarse.notes.is_empty(), "{:?}", coarse.notes);
     assert_eq!(coarse, default_lights(&world(CORNELL, 3000).geometry));
@@ -265,8 +265,9 @@ fn panel_hangs_in_a_room_though_more_space_is_free_outside() {
         .unwrap()
         .position_m;
     assert!(roomiest.x > high.x, "most space is free at {roomiest}, in the room: the test shows nothing");
-    let panel = default_lights(&geometry).lights.into_iter().find(|light| light.name == "panel").unwrap();
-    let centre_m = Vec3::from(panel.lighting.panels[0].centre_m);
+    let rect = default_lights(&geometry).lights.into_iter().find(|light| light.name == "rect").unwrap();
+    let LightKind::Rect { position_m, .. } = rect.lighting.lights[0].kind else { panic!("{rect:?}") };
+    let centre_m = Vec3::from(position_m);
     assert!(centre_m.cmpgt(low).all() && centre_m.cmplt(high).all(), "{centre_m}");
 }
 
@@ -297,7 +298,7 @@ impl<F: Fn(&Site) -> f64 + Sync> MappedLight for ShownShare<F> {
         let way = self.lamp_m - site.position_m;
         let unshadowed =
             DVec3::splat(10.0 * site.lamp_cosine(way.normalize()) / f64::from(way.length_squared()));
-        MappedPixel { shown: unshadowed * (self.share)(site), unshadowed, filter_m: 0.02 }
+        MappedPixel { shown: unshadowed * (self.share)(site), unshadowed, filter_m: 0.02, coarse: 0.0 }
     }
 }
 

@@ -90,7 +90,8 @@ impl<C: Columns> Baked<C> {
     pub fn settled(&self, lighting: &Lighting, dir: &[Vec4], near: &[Vec4]) -> Light {
         let emitter_scale = vec![lighting.emitter_scale; self.emitters];
         let sky = Sky::of(&lighting.lights);
-        let incoming = Incoming { dir, near, sky, emitter_scale: &emitter_scale };
+        let panorama = lighting.panorama.as_deref();
+        let incoming = Incoming { dir, near, sky, panorama, emitter_scale: &emitter_scale };
         Light { settled: self.transport.settle(&Threads, &incoming, LIMIT), emitter_scale }
     }
 

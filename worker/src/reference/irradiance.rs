@@ -70,7 +70,7 @@ impl Target {
 /// Irradiance at a site in W·m⁻².
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct IrradianceEstimate {
-    /// E_dir: straight from punctual lights and panels.
+    /// E_dir: straight from punctual lights and rectangles.
     pub direct: Estimate,
     /// E_ind: everything else, i.e. bounced light, the scene's own emitters and the sky.
     pub indirect: Estimate,
@@ -147,19 +147,19 @@ impl Reference<'_> {
             .collect()
     }
 
-    /// E_dir at a site: shadow rays to every punctual light, and `panel_points` points over the panels.
-    pub fn direct_irradiance(&self, site: &Site, panel_points: u32) -> DVec3 {
-        let mut panels = DVec3::ZERO;
-        if !self.lamps.panels.is_empty() {
+    /// E_dir at a site: shadow rays to every punctual light, and `rect_points` points over the rectangles.
+    pub fn direct_irradiance(&self, site: &Site, rect_points: u32) -> DVec3 {
+        let mut rects = DVec3::ZERO;
+        if !self.lamps.rects.is_empty() {
             let points = R2::new(seed_of(&[seed_of(&site.identity()), 23]));
             let picks = Sequence::new(seed_of(&[seed_of(&site.identity()), 24])).next_f32();
-            for index in 0..panel_points {
-                let pick = (index as f32 + picks) / panel_points as f32;
+            for index in 0..rect_points {
+                let pick = (index as f32 + picks) / rect_points as f32;
                 let sample = LampPoints { pick, point: points.point(index) };
-                panels += self.by_panels_alone(site, sample) / f64::from(panel_points);
+                rects += self.by_rects_alone(site, sample) / f64::from(rect_points);
             }
         }
-        self.by_punctual(site) + panels
+        self.by_punctual(site) + rects
     }
 
     fn summed(&self, target: &Target, guide: Option<&Guide>, phase: Phase, batches: u32) -> Sums {
@@ -175,7 +175,7 @@ impl Reference<'_> {
         sums
     }
 
-    /// Means of one batch: panels' part of E_dir, and E_ind.
+    /// Means of one batch: rectangles' part of E_dir, and E_ind.
     fn batch(&self, site: &Site, walk: &mut Walk) -> (DVec3, DVec3) {
         let directions = R2::new(walk.random.next_u64());
         let lamp_points = R2::new(walk.random.next_u64());
@@ -186,13 +186,13 @@ impl Reference<'_> {
         for index in 0..BATCH {
             let pick = (index as f32 + shift) / BATCH as f32;
             let points = LampPoints { pick, point: lamp_points.point(index) };
-            direct += self.by_panels(site, points);
+            direct += self.by_rects(site, points);
             indirect += self.by_emitters(site, &chances, points) + self.by_sky(site, points);
             indirect += self.by_beam(site, walk);
             let direction = site.direction(directions.point(index));
             let gathered = self.arriving(Some(site), origin_m, direction, walk);
             // π · L · K / (π · density), and density is K/π.
-            direct += PI * gathered.panels;
+            direct += PI * gathered.rects;
             indirect += PI * gathered.rest;
         }
         (direct / f64::from(BATCH), indirect / f64::from(BATCH))

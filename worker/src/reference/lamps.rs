@@ -3,8 +3,8 @@
 use super::beams::Beam;
 use super::emitters::Emitters;
 use super::lighting::{Lighting, LightingError};
-use super::panel::Panel;
 use super::punctual::Punctual;
+use super::rect::Rect;
 use super::sky::Sky;
 use crate::geometry::Geometry;
 
@@ -14,7 +14,7 @@ pub(super) struct Lamps {
     pub punctual: Vec<Punctual>,
     /// Rays of each of `punctual`.
     pub beams: Vec<Beam>,
-    pub panels: Vec<Panel>,
+    pub rects: Vec<Rect>,
     pub sky: Sky,
     pub emitters: Emitters,
 }
@@ -27,8 +27,8 @@ impl Lamps {
         Ok(Self {
             beams: punctual.iter().map(|lamp| Beam::of(lamp, bounds_m)).collect(),
             punctual,
-            panels: lighting.panels.iter().filter_map(Panel::new).collect(),
-            sky: Sky::of(&lighting.lights),
+            rects: lighting.lights.iter().filter_map(Rect::new).collect(),
+            sky: Sky::of(&lighting.lights, lighting.panorama.as_ref()),
             emitters: Emitters::new(geometry, lighting.emitter_scale),
         })
     }

@@ -1,16 +1,19 @@
 //! Lights on a scene, as a caller says them.
 
-pub use lightkiln_proto::scene::PanelLight;
+use std::sync::Arc;
+
+use lightkiln_proto::rectangle::{RECT_POINTS_MAX, Rectangle};
+use lightkiln_proto::relight::Panorama;
 use lightkiln_proto::scene::{LightKind, SceneLight};
 use thiserror::Error;
 
 /// All light on a scene.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Lighting {
-    /// Points, spots, suns and skies; skies add up.
+    /// Points, spots, suns, rectangles and skies; skies add up.
     pub lights: Vec<SceneLight>,
-    /// Rectangular panels.
-    pub panels: Vec<PanelLight>,
+    /// A panorama as a sky, on top of the others.
+    pub panorama: Option<Arc<Panorama>>,
     /// Strength of the scene's emissive surfaces relative to the file; 0 switches them off.
     pub emitter_scale: f32,
 }
@@ -36,7 +39,6 @@ impl Lighting {
     /// Errors with the first light whose numbers make no sense.
     pub fn check(&self) -> Result<(), LightingError> {
         self.lights.iter().try_for_each(check_light)?;
-        self.panels.iter().try_for_each(check_panel)?;
         if !(self.emitter_scale.is_finite() && self.emitter_scale >= 0.0) {
             return Err(LightingError::new("emitters", "the scale is negative or not finite"));
         }
@@ -66,27 +68,19 @@ fn check_light(light: &SceneLight) -> Result<(), LightingError> {
         {
             wrong("the cone needs 0 ≤ inner ≤ outer ≤ 90°")
         }
+        LightKind::Rect { position_m, .. }
+            if !is_finite(*position_m) || Rectangle::of(&light.kind).is_none() =>
+        {
+            wrong("the position or the direction is not finite, or a side is no length above 0")
+        }
+        LightKind::Rect { points, .. } if !(1..=RECT_POINTS_MAX).contains(points) => {
+            wrong("the points that shadows are cast from are not 1 to 16")
+        }
         LightKind::Sky { zenith, horizon } if !is_strength(*zenith) || !is_strength(*horizon) => {
             wrong("a colour of the sky is negative or not finite")
         }
         _ => Ok(()),
     }
-}
-
-fn check_panel(panel: &PanelLight) -> Result<(), LightingError> {
-    let wrong = |problem: &str| Err(LightingError::new(&panel.name, problem));
-    if !is_strength(panel.radiance) {
-        return wrong("the radiance has a number that is negative or not finite");
-    }
-    let (u, v) = (glam::Vec3::from(panel.half_u_m), glam::Vec3::from(panel.half_v_m));
-    if !is_finite(panel.centre_m) || !u.is_finite() || !v.is_finite() {
-        return wrong("the centre or a side is not finite");
-    }
-    let area = u.cross(v).length();
-    if !(area > 0.0 && u.dot(v).abs() <= 1e-3 * u.length() * v.length()) {
-        return wrong("the sides must have a length and stand at a right angle");
-    }
-    Ok(())
 }
 
 fn is_finite(vector: [f32; 3]) -> bool {
@@ -109,15 +103,12 @@ mod tests {
     fn numbers_that_make_no_sense_are_refused_by_the_lights_name() {
         let light = |kind, strength| SceneLight { name: "lamp".into(), kind, strength };
         let point = |position_m, range_m| LightKind::Point { position_m, range_m };
-        let panel = |half_u_m, radiance| PanelLight {
-            name: "lamp".into(),
-            centre_m: [0.0; 3],
-            half_u_m,
-            half_v_m: [0.0, 1.0, 0.0],
-            radiance,
+        let rect = |direction, size_m, points| {
+            let (position_m, up) = ([0.0; 3], [0.0, 0.0, 1.0]);
+            light(LightKind::Rect { position_m, direction, up, size_m, points }, [1.0; 3])
         };
+        let down = [0.0, -1.0, 0.0];
         let of_light = |light| Lighting { lights: vec![light], ..Lighting::default() };
-        let of_panel = |panel| Lighting { panels: vec![panel], ..Lighting::default() };
         let nan = f32::NAN;
         let bad = [
             of_light(light(point([0.0, nan, 0.0], None), [1.0; 3])),
@@ -125,14 +116,15 @@ mod tests {
             of_light(light(point([0.0; 3], None), [f32::INFINITY, 0.0, 0.0])),
             of_light(light(LightKind::Sun { direction: [0.0; 3] }, [1.0; 3])),
             of_light(light(LightKind::Sky { zenith: [-1.0; 3], horizon: [0.0; 3] }, [1.0; 3])),
-            of_panel(panel([0.0; 3], [1.0; 3])),
-            of_panel(panel([1.0, 1.0, 0.0], [1.0; 3])),
-            of_panel(panel([1.0, 0.0, 0.0], [nan; 3])),
+            of_light(rect([0.0; 3], [1.0; 2], 4)),
+            of_light(rect(down, [1.0, 0.0], 4)),
+            of_light(rect(down, [nan, 1.0], 4)),
+            of_light(rect(down, [1.0; 2], 17)),
         ];
         for lighting in bad {
             assert_eq!(lighting.check().unwrap_err().light, "lamp");
         }
-        assert!(of_panel(panel([1.0, 0.0, 0.0], [1.0; 3])).check().is_ok());
+        assert!(of_light(rect(down, [1.0, 0.5], 4)).check().is_ok());
         assert!(of_light(light(point([0.0; 3], None), [1.0; 3])).check().is_ok());
         assert!(Lighting { emitter_scale: nan, ..Lighting::default() }.check().is_err());
     }

@@ -5,7 +5,7 @@
 //! E(x) = ∫_H L(ω) K(ω) dω        L(y) = Lₑ(y) + ρ(y)/π · E(y)        K(ω) = max(0, n·ω) + max(0, n·ω')
 //! ```
 //! ω' is ω mirrored at the face: where the shading normal n leans, directions below the face are mirrored above it, as in
-//! the bake, so K is cosθ wherever the two normals agree. Lamps (punctual lights, panels, emissive triangles) count by
+//! the bake, so K is cosθ wherever the two normals agree. Lamps (punctual lights, rectangles, emissive triangles) count by
 //! max(0, n·ω) alone, as in any renderer. Each vertex samples its lamps and the sky (next-event estimation) and one
 //! direction with density K/π; the two are joined by the balance heuristic (\[Veach1995\]). Lamps without extent (points,
 //! spots, suns) are met by no ray; surfaces that they light are found by directions, and by rays of the lamp along which
@@ -27,10 +27,11 @@ mod lamps;
 mod learn;
 mod lighting;
 mod neighbours;
-mod panel;
+mod panorama;
 mod path;
 mod picture;
 mod punctual;
+mod rect;
 mod sky;
 mod tally;
 #[cfg(test)]
@@ -42,20 +43,20 @@ use crate::geometry::Geometry;
 
 pub use crate::geometry::Site;
 pub use irradiance::{IrradianceEstimate, Precision, Target};
-pub use lighting::{Lighting, LightingError, PanelLight};
+pub use lighting::{Lighting, LightingError};
 pub use picture::{EyeSurface, PictureSize, TracedPicture, camera_ray};
 pub use tally::{Estimate, luminance};
 
 use guide::Guide;
 use lamps::Lamps;
 
-/// Technique by which emitters, panels, the sky and what lamps without extent light are found.
+/// Technique by which emitters, rectangles, the sky and what lamps without extent light are found.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Strategy {
     /// By both of the following, each weighted by the balance heuristic.
     #[default]
     Both,
-    /// By sampling emitters, panels and the sky alone; what lamps light, by directions.
+    /// By sampling emitters, rectangles and the sky alone; what lamps light, by directions.
     Lamps,
     /// By directions with density K/π alone.
     Directions,

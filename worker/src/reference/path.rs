@@ -68,8 +68,8 @@ impl<'g> Walk<'g> {
 /// Light by where it came from.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Gathered {
-    /// Straight from panels.
-    pub panels: DVec3,
+    /// Straight from rectangles.
+    pub rects: DVec3,
     /// Everything else that rays and samples find.
     pub rest: DVec3,
 }
@@ -205,27 +205,27 @@ impl Reference<'_> {
         self.geometry.tracer.passed(origin_m, to_m).into()
     }
 
-    /// Irradiance straight from panels, by one point on one of them.
-    pub(super) fn by_panels(&self, site: &Site, points: LampPoints) -> DVec3 {
-        let Some((arriving, direction, density)) = self.panel_point(site, points) else { return DVec3::ZERO };
+    /// Irradiance straight from rectangles, by one point on one of them.
+    pub(super) fn by_rects(&self, site: &Site, points: LampPoints) -> DVec3 {
+        let Some((arriving, direction, density)) = self.rect_point(site, points) else { return DVec3::ZERO };
         arriving * self.strategy.weight(true, density, site.density(direction))
     }
 
-    /// As [`Reference::by_panels`] for those who send no other rays to panels.
-    pub(super) fn by_panels_alone(&self, site: &Site, points: LampPoints) -> DVec3 {
-        self.panel_point(site, points).map_or(DVec3::ZERO, |(arriving, _, _)| arriving)
+    /// As [`Reference::by_rects`] for those who send no other rays to rectangles.
+    pub(super) fn by_rects_alone(&self, site: &Site, points: LampPoints) -> DVec3 {
+        self.rect_point(site, points).map_or(DVec3::ZERO, |(arriving, _, _)| arriving)
     }
 
-    /// Irradiance `L cosθ / density` by one point on one panel, its direction and density.
-    fn panel_point(&self, site: &Site, points: LampPoints) -> Option<(DVec3, Vec3, f64)> {
-        let panels = &self.lamps.panels;
-        let scaled = points.pick * panels.len() as f32;
-        let panel = panels.get((scaled as usize).min(panels.len().saturating_sub(1)))?;
-        let sample = panel.sample(self.origin_m(site), points.point)?;
-        let density = sample.density / panels.len() as f64;
+    /// Irradiance `L cosθ / density` by one point on one rectangle, its direction and density.
+    fn rect_point(&self, site: &Site, points: LampPoints) -> Option<(DVec3, Vec3, f64)> {
+        let rects = &self.lamps.rects;
+        let scaled = points.pick * rects.len() as f32;
+        let rect = rects.get((scaled as usize).min(rects.len().saturating_sub(1)))?;
+        let sample = rect.sample(self.origin_m(site), points.point)?;
+        let density = sample.density / rects.len() as f64;
         let cosine = site.lamp_cosine(sample.direction);
         let passed = if cosine > 0.0 { self.passed(site, Target::At(sample.point_m)) } else { 0.0 };
-        let arriving = panel.radiance * (passed * cosine / density);
+        let arriving = rect.radiance * (passed * cosine / density);
         (passed > 0.0).then_some((arriving, sample.direction, density))
     }
 
@@ -283,16 +283,16 @@ impl Reference<'_> {
         let mut gathered = Gathered::default();
         let mut throughput = DVec3::ONE;
         for vertex in 0.. {
-            // Find the next surface, and the panels before it: they block nothing.
+            // Find the next surface, and the rectangles before it: they block nothing.
             let hit = self.geometry.tracer.met(origin_m, direction, f32::INFINITY);
             let by = from.as_ref().map(|(site, chances)| (site, chances));
             let t_max = hit.map_or(f32::INFINITY, |hit| hit.t);
-            let panels = throughput * self.panels_met(by, origin_m, direction, t_max);
-            // Panels seen directly are E_dir, bounced ones E_ind.
+            let rects = throughput * self.rects_met(by, origin_m, direction, t_max);
+            // Rectangles seen directly are E_dir, bounced ones E_ind.
             if vertex == 0 {
-                gathered.panels += panels;
+                gathered.rects += rects;
             } else {
-                gathered.rest += panels;
+                gathered.rest += rects;
             }
             // A ray that leaves the scene ends in the sky, weighted against the sky's own samples.
             let Some(hit) = hit else {
@@ -331,30 +331,30 @@ impl Reference<'_> {
     pub(super) fn seen(&self, origin_m: Vec3, direction: Vec3) -> (DVec3, Option<EyeSurface>) {
         let hit = self.geometry.tracer.met(origin_m, direction, f32::INFINITY);
         let t_max = hit.map_or(f32::INFINITY, |hit| hit.t);
-        let panels = self.panels_met(None, origin_m, direction, t_max);
-        let Some(hit) = hit else { return (panels + self.sky_met(None, direction), None) };
+        let rects = self.rects_met(None, origin_m, direction, t_max);
+        let Some(hit) = hit else { return (rects + self.sky_met(None, direction), None) };
         let met = self.met(&hit);
         let emission = if met.lit { self.emission_met(None, &hit, &met, direction) } else { DVec3::ZERO };
         let surface = EyeSurface { hit, site: met.site, lit: met.lit, albedo: met.surface.albedo };
-        (panels + emission, Some(surface))
+        (rects + emission, Some(surface))
     }
 
     /// Irradiance from one sample of each kind of lamp with extent, and by one ray of a lamp without.
     fn by_lamps(&self, site: &Site, chances: &Chances, walk: &mut Walk) -> DVec3 {
         let mut points = || LampPoints::next(&mut walk.random);
-        let straight = self.by_panels(site, points())
+        let straight = self.by_rects(site, points())
             + self.by_emitters(site, chances, points())
             + self.by_sky(site, points());
         straight + self.by_beam(site, walk)
     }
 
-    /// Radiance of the panels that a ray passes, weighted against sampling them.
-    fn panels_met(&self, from: From, origin_m: Vec3, direction: Vec3, t_max: f32) -> DVec3 {
-        let count = self.lamps.panels.len() as f64;
+    /// Radiance of the rectangles that a ray passes, weighted against sampling them.
+    fn rects_met(&self, from: From, origin_m: Vec3, direction: Vec3, t_max: f32) -> DVec3 {
+        let count = self.lamps.rects.len() as f64;
         let mut sum = DVec3::ZERO;
-        for panel in &self.lamps.panels {
-            if let Some(density) = panel.meet(origin_m, direction, t_max) {
-                sum += panel.radiance * self.met_weight(from, direction, density / count);
+        for rect in &self.lamps.rects {
+            if let Some(density) = rect.meet(origin_m, direction, t_max) {
+                sum += rect.radiance * self.met_weight(from, direction, density / count);
             }
         }
         sum

@@ -74,7 +74,7 @@ impl Reference<'_> {
         let guide = self.guide(progress)?;
         traced(camera, size, progress, |origin_m, direction, seed| {
             let gathered = self.arriving(None, origin_m, direction, &mut Walk::new(seed, guide));
-            gathered.panels + gathered.rest
+            gathered.rects + gathered.rest
         })
     }
 

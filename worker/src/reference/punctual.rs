@@ -49,7 +49,7 @@ pub(super) enum Target {
 }
 
 impl Punctual {
-    /// `None` for skies, and for lights without strength.
+    /// `None` for skies and rectangles, and for lights without strength.
     pub fn new(light: &SceneLight) -> Option<Self> {
         let strength = Vec3::from(light.strength).as_dvec3();
         let unit = |direction: [f32; 3]| Vec3::from(direction).try_normalize().unwrap_or(Vec3::NEG_Y);
@@ -67,7 +67,7 @@ impl Punctual {
                 Shape::Lamp { position_m: (*position_m).into(), range_m: *range_m, cone: Some(cone) }
             }
             LightKind::Sun { direction } => Shape::Sun { towards: -unit(*direction) },
-            LightKind::Sky { .. } => return None,
+            LightKind::Rect { .. } | LightKind::Sky { .. } => return None,
         };
         (strength.max_element() > 0.0).then_some(Self { strength, shape })
     }

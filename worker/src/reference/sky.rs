@@ -1,23 +1,27 @@
-//! The sky: `L(ω) = horizon + (zenith − horizon)·max(ω_y, 0)`, sampled by its luminance.
+//! The sky: `L(ω) = horizon + (zenith − horizon)·max(ω_y, 0)`, and a panorama on top, sampled by luminance.
 
 use std::f64::consts::PI;
+use std::sync::Arc;
 
 use glam::{DVec3, Vec3};
+use lightkiln_proto::relight::Panorama;
 use lightkiln_proto::scene::{LightKind, SceneLight};
 
+use super::panorama::SampledPanorama;
 use super::tally::luminance;
 
 /// A sky ready to be sampled.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Sky {
     zenith: DVec3,
     horizon: DVec3,
+    panorama: Option<SampledPanorama>,
 }
 
 impl Sky {
-    /// The sum of the skies among the lights.
-    pub fn of(lights: &[SceneLight]) -> Self {
-        let mut sum = Self::default();
+    /// The sum of the skies among the lights, and of a panorama.
+    pub fn of(lights: &[SceneLight], panorama: Option<&Arc<Panorama>>) -> Self {
+        let mut sum = Self { panorama: panorama.and_then(SampledPanorama::new), ..Self::default() };
         for light in lights {
             if let LightKind::Sky { zenith, horizon } = &light.kind {
                 let scaled =
@@ -31,37 +35,54 @@ impl Sky {
 
     /// There is none.
     pub fn is_dark(&self) -> bool {
-        self.zenith.max_element() <= 0.0 && self.horizon.max_element() <= 0.0
+        self.panorama.is_none() && self.zenith.max_element() <= 0.0 && self.horizon.max_element() <= 0.0
     }
 
     /// L in W·m⁻²·sr⁻¹.
     pub fn radiance(&self, direction: Vec3) -> DVec3 {
-        self.horizon.lerp(self.zenith, f64::from(direction.y.clamp(0.0, 1.0)))
+        let gradient = self.horizon.lerp(self.zenith, f64::from(direction.y.clamp(0.0, 1.0)));
+        gradient + self.panorama.as_ref().map_or(DVec3::ZERO, |panorama| panorama.radiance(direction))
     }
 
-    /// Density per steradian of [`Sky::direction`]: luminance over its integral, `2πY_h + π(Y_h + Y_z)`.
+    /// Density per steradian of [`Sky::direction`]: luminance over its integral.
     pub fn density(&self, direction: Vec3) -> f64 {
         luminance(self.radiance(direction)) / self.integral()
     }
 
     fn integral(&self) -> f64 {
+        self.gradient_integral() + self.panorama.as_ref().map_or(0.0, SampledPanorama::integral)
+    }
+
+    /// `2πY_h + π(Y_h + Y_z)`.
+    fn gradient_integral(&self) -> f64 {
         let (zenith, horizon) = (luminance(self.zenith), luminance(self.horizon));
         PI * (3.0 * horizon + zenith)
     }
 
     /// A direction of that density, from a point of the unit square.
-    pub fn direction(&self, [u, v]: [f32; 2]) -> Vec3 {
+    pub fn direction(&self, point: [f32; 2]) -> Vec3 {
+        let [u, v] = point.map(f64::from);
+        // One of the two by its share of the flux; what is left of the number takes the direction.
+        let share = self.gradient_integral() / self.integral();
+        match &self.panorama {
+            Some(panorama) if u >= share => {
+                panorama.direction([((u - share) / (1.0 - share)).clamp(0.0, 1.0), v])
+            }
+            _ => self.gradient_direction([(u / share).min(1.0), v]),
+        }
+    }
+
+    fn gradient_direction(&self, [u, v]: [f64; 2]) -> Vec3 {
         let (zenith, horizon) = (luminance(self.zenith), luminance(self.horizon));
         // Below the horizon 2πY_h, above it ∫₀¹ 2π(Y_h + (Y_z − Y_h)y) dy.
-        let below = 2.0 * PI * horizon / self.integral();
-        let u = f64::from(u);
+        let below = 2.0 * PI * horizon / self.gradient_integral();
         let y = if u < below {
             u / below - 1.0
         } else {
             rising(horizon, zenith, ((u - below) / (1.0 - below)).clamp(0.0, 1.0))
         };
         let radius = (1.0 - y * y).max(0.0).sqrt();
-        let (sine, cosine) = libm::sincos(f64::from(v) * std::f64::consts::TAU);
+        let (sine, cosine) = libm::sincos(v * std::f64::consts::TAU);
         Vec3::new((radius * cosine) as f32, y as f32, (radius * sine) as f32)
     }
 }
@@ -81,7 +102,7 @@ mod tests {
 
     fn sky(zenith: f32, horizon: f32) -> Sky {
         let kind = LightKind::Sky { zenith: [zenith; 3], horizon: [horizon; 3] };
-        Sky::of(&[SceneLight { name: "sky".into(), kind, strength: [2.0, 1.0, 1.0] }])
+        Sky::of(&[SceneLight { name: "sky".into(), kind, strength: [2.0, 1.0, 1.0] }], None)
     }
 
     #[test]

@@ -52,9 +52,9 @@ pub(super) fn inside_out(scene: &Scene) -> Option<Warning> {
 fn places_of_people(scene: &Scene) -> Vec<Vec3> {
     let eyes = scene.cameras.iter().map(|camera| Vec3::from(camera.eye_m));
     let lamps = scene.lights.iter().filter_map(|light| match light.kind {
-        LightKind::Point { position_m, .. } | LightKind::Spot { position_m, .. } => {
-            Some(Vec3::from(position_m))
-        }
+        LightKind::Point { position_m, .. }
+        | LightKind::Spot { position_m, .. }
+        | LightKind::Rect { position_m, .. } => Some(Vec3::from(position_m)),
         LightKind::Sun { .. } | LightKind::Sky { .. } => None,
     });
     eyes.chain(lamps).collect()

@@ -187,9 +187,9 @@ impl<'a> Lamps<'a> {
     fn shine_on(&self, geometry: &Geometry, hit: &Hit) -> bool {
         let (at_m, normal) = (geometry.point_of(hit), geometry.side_normal(hit));
         let faces = |light: &SceneLight| match &light.kind {
-            LightKind::Point { position_m, .. } | LightKind::Spot { position_m, .. } => {
-                normal.dot(Vec3::from(*position_m) - at_m) > 0.0
-            }
+            LightKind::Point { position_m, .. }
+            | LightKind::Spot { position_m, .. }
+            | LightKind::Rect { position_m, .. } => normal.dot(Vec3::from(*position_m) - at_m) > 0.0,
             LightKind::Sun { direction } => normal.dot(Vec3::from(*direction)) < 0.0,
             LightKind::Sky { .. } => true,
         };

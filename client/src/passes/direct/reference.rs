@@ -1,4 +1,4 @@
-//! E_dir on the processor; twin of `shared/light.wgsl` and `texels.wgsl`, function by function.
+//! E_dir on the processor; twin of `shared/light.wgsl` and `texels.wgsl`, function by function. Rectangles: `rect.rs`.
 
 use glam::{Vec2, Vec3, Vec4};
 use lightkiln_proto::content::COVERAGE_POINTS;
@@ -6,6 +6,7 @@ use lightkiln_proto::relight::ReceiverTable;
 use rayon::prelude::*;
 
 use super::points::{ALL_LIT, FEW_POINTS, TexelPoints};
+use super::rect::{half_cube_face, rect_irradiance, rect_unshadowed};
 use crate::lights::Shape;
 use crate::passes::shadow::look_up::{FILTER_REACH, is_behind, lifted, towards, visibility};
 use crate::passes::shadow::reference::ShadowMaps;
@@ -90,6 +91,9 @@ pub fn seen_irradiance(
     facet: Vec3,
 ) -> Vec3 {
     let of_light = |light: &Light| {
+        if light.shape == Shape::Rect as u32 {
+            return rect_irradiance((plan, maps), light, [position, before], normal, facet).truncate();
+        }
         let arriving = unshadowed(light, position, normal);
         if arriving.max_element() <= 0.0 {
             return Vec3::ZERO;
@@ -119,9 +123,13 @@ pub fn shadowed(plan: &ShadowPlan, maps: &ShadowMaps, position: Vec3, normal: Ve
         // The filter's corner lies this far from its middle.
         std::f32::consts::SQRT_2 * FILTER_REACH * texel_m / cosine
     };
+    let of_light = |light: &Light| match light.shape == Shape::Rect as u32 {
+        true => rect_unshadowed(plan, light, position, normal),
+        false => unshadowed(light, position, normal),
+    };
     Shadowed {
         irradiance: direct_irradiance(plan, maps, position, normal, facet),
-        unshadowed: plan.lights.iter().map(|light| unshadowed(light, position, normal)).sum(),
+        unshadowed: plan.lights.iter().map(of_light).sum(),
         filter_m: plan.lights.iter().map(filter_m).fold(0.0, f32::max),
     }
 }
@@ -134,6 +142,9 @@ fn light_irradiance(
     normal: Vec3,
     facet: Vec3,
 ) -> Vec4 {
+    if light.shape == Shape::Rect as u32 {
+        return rect_irradiance((plan, maps), light, [position; 2], normal, facet);
+    }
     let arriving = unshadowed(light, position, normal);
     if arriving.max_element() <= 0.0 {
         return Vec4::ZERO;
@@ -155,7 +166,7 @@ fn is_beyond(plan: &ShadowPlan, light: &Light, position: Vec3) -> bool {
 }
 
 /// Share of a light that arrives by one of its faces.
-fn share_by(
+pub(super) fn share_by(
     (plan, maps): (&ShadowPlan, &ShadowMaps),
     face: u32,
     light: &Light,
@@ -199,7 +210,7 @@ fn share_seen((plan, maps): (&ShadowPlan, &ShadowMaps), light: &Light, position:
     by(face_of(plan, light, position))
 }
 
-fn cube_face(d: Vec3) -> u32 {
+pub(super) fn cube_face(d: Vec3) -> u32 {
     let a = d.abs();
     if a.x >= a.y && a.x >= a.z {
         return u32::from(d.x < 0.0);
@@ -207,7 +218,7 @@ fn cube_face(d: Vec3) -> u32 {
     if a.y >= a.z { 2 + u32::from(d.y < 0.0) } else { 4 + u32::from(d.z < 0.0) }
 }
 
-fn face_of(plan: &ShadowPlan, light: &Light, position: Vec3) -> u32 {
+pub(super) fn face_of(plan: &ShadowPlan, light: &Light, position: Vec3) -> u32 {
     let d = position - Vec3::from(light.position);
     if light.shape == Shape::Sun as u32 {
         let tiles = light.face_count.isqrt();
@@ -215,6 +226,9 @@ fn face_of(plan: &ShadowPlan, light: &Light, position: Vec3) -> u32 {
         let across = Vec2::new(d.dot(first.right.into()), d.dot(first.up.into())) / light.half_extent;
         let tile = ((0.5 * across + 0.5) * tiles as f32).clamp(Vec2::ZERO, Vec2::splat(tiles as f32 - 0.5));
         return light.first_face + tile.y as u32 * tiles + tile.x as u32;
+    }
+    if light.shape == Shape::Rect as u32 {
+        return light.first_face + half_cube_face(plan, light, d);
     }
     light.first_face + if light.face_count == 6 { cube_face(d) } else { 0 }
 }

@@ -13,6 +13,7 @@ use crate::passes::shadow::ShadowPass;
 /// The shader, with the lights' part in front.
 pub const TEXELS_SHADER: &str = concat!(
     include_str!("../shared/light.wgsl"),
+    include_str!("../shared/rect.wgsl"),
     include_str!("../shared/shadow_map.wgsl"),
     include_str!("texels.wgsl")
 );

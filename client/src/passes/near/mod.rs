@@ -18,6 +18,7 @@ pub const SHADER: &str = concat!(include_str!("hits.wgsl"), include_str!("near.w
 /// The shader of what comes straight from lights, with the lights' part in front.
 pub const LIT_SHADER: &str = concat!(
     include_str!("../shared/light.wgsl"),
+    include_str!("../shared/rect.wgsl"),
     include_str!("../shared/shadow_map.wgsl"),
     include_str!("hits.wgsl"),
     include_str!("lit.wgsl")

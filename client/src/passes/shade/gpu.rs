@@ -7,8 +7,10 @@ use lightkiln_proto::manifest::Material;
 use wgpu::ShaderStages as Stages;
 
 use super::panes::{Panes, runs};
+use super::panorama::PanoramaPass;
 use super::{ShadeView, Shading};
 use crate::error::Result;
+use crate::lights::Panorama;
 use crate::passes::gpu::{Gpu, failed, uniform};
 use crate::passes::meshes::{Meshes, sampled, uv_rows, vertex_layout};
 use crate::passes::shadow::{ShadowPass, cleared_depth, nearer_wins, tested_alone};
@@ -56,6 +58,7 @@ pub struct ShadePass {
     /// Corners of the glass, in the order of a view.
     pane_corners: wgpu::Buffer,
     sky: wgpu::RenderPipeline,
+    panorama: Option<PanoramaPass>,
     view: wgpu::Buffer,
     view_layout: wgpu::BindGroupLayout,
     view_group: wgpu::BindGroup,
@@ -121,6 +124,7 @@ impl ShadePass {
             ),
             panes,
             sky: sky_pipeline(gpu, &layout, &module),
+            panorama: None,
             view,
             view_layout,
             view_group,
@@ -139,6 +143,20 @@ impl ShadePass {
     /// Writes looks of materials: tints, and the emitters' scale, 1 where absent.
     pub fn set_looks(&self, gpu: &Gpu, scene: &LoadedScene, tints: &Tints, emitter_scale: &[f32]) {
         gpu.write_strided(&self.looks, &looks(scene, tints, emitter_scale), self.draw_stride);
+    }
+
+    /// Sets or takes away a panorama behind the scene. Another picture makes a texture and what binds it. Errs, and changes
+    /// nothing, where the adapter has no room.
+    pub fn set_panorama(&mut self, gpu: &Gpu, panorama: Option<&Panorama>) -> Result<()> {
+        let Some(panorama) = panorama else {
+            self.panorama = None;
+            return Ok(());
+        };
+        match &self.panorama {
+            Some(pass) if pass.is_of(panorama) => pass.set(gpu, panorama),
+            _ => self.panorama = Some(PanoramaPass::new(gpu, panorama, &self.view)?),
+        }
+        Ok(())
     }
 
     /// Moves a mesh.
@@ -215,9 +233,12 @@ impl ShadePass {
             depth_stencil_attachment: Some(cleared_depth(&self.depth)),
             ..Default::default()
         });
+        if let Some(panorama) = &self.panorama {
+            panorama.draw(&mut pass);
+        }
         pass.set_bind_group(0, &shadow.light_group, &[]);
         pass.set_bind_group(1, &self.view_group, &[]);
-        if let Some(material) = self.materials.first() {
+        if let Some(material) = self.materials.first().filter(|_| self.panorama.is_none()) {
             // The sky reads neither, but its pipeline's layout names them.
             pass.set_bind_group(2, &self.draws, &[0]);
             pass.set_bind_group(3, material, &[]);
@@ -345,16 +366,19 @@ fn sky_pipeline(
     layout: &wgpu::PipelineLayout,
     module: &wgpu::ShaderModule,
 ) -> wgpu::RenderPipeline {
-    let behind = wgpu::DepthStencilState {
+    let primitive = wgpu::PrimitiveState::default();
+    render_pipeline(gpu, layout, (module, ["sky_corner", "sky"]), &[], primitive, (behind(), None))
+}
+
+pub(super) fn behind() -> wgpu::DepthStencilState {
+    wgpu::DepthStencilState {
         depth_write_enabled: Some(false),
         depth_compare: Some(wgpu::CompareFunction::Always),
         ..nearer_wins()
-    };
-    let primitive = wgpu::PrimitiveState::default();
-    render_pipeline(gpu, layout, (module, ["sky_corner", "sky"]), &[], primitive, (behind, None))
+    }
 }
 
-fn render_pipeline(
+pub(super) fn render_pipeline(
     gpu: &Gpu,
     layout: &wgpu::PipelineLayout,
     (module, [vertex, fragment]): (&wgpu::ShaderModule, [&str; 2]),

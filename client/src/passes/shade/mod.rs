@@ -3,20 +3,24 @@
 mod gpu;
 mod indirect;
 mod panes;
+mod panorama;
 pub mod reference;
 pub mod surface;
 mod view;
 
 pub use gpu::{ShadeDraw, ShadePass};
 pub use indirect::{IndirectIrradiance, Shading};
+pub use panorama::{PANORAMA_SHADER, PanoramaNumbers};
 pub use surface::Surface;
 pub use view::ShadeView;
 
 /// The shader, with the lights' part in front; [`Shading::shader`] adds indirect light.
 pub const SHADER: &str = concat!(
     include_str!("../shared/light.wgsl"),
+    include_str!("../shared/rect.wgsl"),
     include_str!("../shared/shadow_map.wgsl"),
     include_str!("../shared/glass.wgsl"),
+    include_str!("view.wgsl"),
     include_str!("shade.wgsl")
 );
 /// Largest difference from the reference, relative to the picture's mean, for all but [`OUTLIERS`]: adapters read

@@ -9,6 +9,7 @@ use rayon::prelude::*;
 use super::panes::Panes;
 use super::surface::surface_at;
 use super::{IndirectIrradiance, ShadeView};
+use crate::lights::Panorama;
 use crate::passes::direct::reference::seen_irradiance;
 use crate::passes::shadow::ShadowPlan;
 use crate::passes::shadow::reference::{ShadowMaps, masked_out};
@@ -31,6 +32,8 @@ pub struct Lit<'a> {
     pub maps: &'a ShadowMaps,
     /// Indirect light.
     pub indirect: &'a dyn IndirectIrradiance,
+    /// A panorama behind the scene, on top of the view's sky.
+    pub panorama: Option<&'a Panorama>,
     /// One factor per emitter, 1 if absent.
     pub emitter_scale: &'a [f32],
 }
@@ -56,7 +59,7 @@ pub fn shade(lit: Lit<'_>, view: &ShadeView, size: [u32; 2]) -> Vec<Vec4> {
             let at = [(index % width) as f64 + 0.5, f64::from(first) + (index / width) as f64 + 0.5];
             *pixel = match opaque.get(seen as usize) {
                 Some(drawn) => radiance(lit, view, drawn, at).truncate().extend(1.0),
-                None => view.sky_at(at, size).extend(0.0),
+                None => view.sky_at(at, size, lit.panorama).extend(0.0),
             };
         }
         blend_over(lit, view, &panes, size[0], rows, &depth, pixels);

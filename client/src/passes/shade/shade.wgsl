@@ -1,19 +1,7 @@
 // Radiance that reaches the camera: Lₑ + ρ/π·(E_dir + E), the sky where nothing is; twin: reference.rs.
 // Of glass, alpha is the share of light that it stops: it is drawn over what is behind it.
-// `light.wgsl` is joined in front and holds group 0. Indirect light E is the kind's: its snippet is joined behind, has
+// `light.wgsl` and `view.wgsl` are joined in front, the former holds group 0. Indirect light E is the kind's: its snippet is joined behind, has
 // `fn indirect_irradiance(surface: Surface) -> vec3f` and its bindings in group 1 from 1.
-
-struct ShadeView {
-    clip_from_world: mat4x4f,
-    // Radiance straight up and at the horizon; then 1 where surfaces show irradiance in place of radiance.
-    zenith: vec4f,
-    horizon: vec4f,
-    // World direction through the picture's middle, and its change per unit of ndc x and y.
-    ray: vec4f,
-    ray_per_x: vec4f,
-    // w: side of a pixel in metres where clip w is 1.
-    ray_per_y: vec4f,
-}
 
 struct ShadeDraw {
     base_colour: vec4f,
@@ -128,21 +116,7 @@ fn shade(corner: Corner, @builtin(front_facing) front: bool) -> @location(0) vec
     return vec4f(glow + rho * (1.0 / PI) * (e_dir + indirect_irradiance(surface)), met.share);
 }
 
-struct SkyCorner {
-    @builtin(position) clip: vec4f,
-    @location(0) ray: vec3f,
-}
-
-// One triangle over the whole picture at infinite distance.
-@vertex
-fn sky_corner(@builtin(vertex_index) index: u32) -> SkyCorner {
-    let ndc = vec2f(f32(index & 1u), f32(index >> 1u)) * 4.0 - 1.0;
-    let ray = view.ray.xyz + view.ray_per_x.xyz * ndc.x + view.ray_per_y.xyz * ndc.y;
-    return SkyCorner(vec4f(ndc, 0.0, 1.0), ray);
-}
-
 @fragment
 fn sky(corner: SkyCorner) -> @location(0) vec4f {
-    let share = clamp(normalize(corner.ray).y, 0.0, 1.0);
-    return vec4f(mix(view.horizon.rgb, view.zenith.rgb, share), 0.0);
+    return vec4f(gradient(normalize(corner.ray)), 0.0);
 }

@@ -4,14 +4,14 @@ use glam::{Mat4, Vec3};
 use lightkiln_proto::scene::SceneCamera;
 
 use crate::error::Result;
-use crate::lights::Sky;
+use crate::lights::{Panorama, Sky};
 use crate::raster::camera_clip_from_world;
 
 /// Pixels by which shadows are looked up nearer to the eye. More → fewer lit pixels at corners in shade, and shadows' edges
 /// as much aside.
 const BEFORE_PIXELS: f32 = 1.0;
 
-/// Camera and sky of a picture; twin of `ShadeView` in `shade.wgsl`.
+/// Camera and sky of a picture; twin of `ShadeView` in `view.wgsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct ShadeView {
@@ -90,12 +90,13 @@ impl ShadeView {
     }
 
     /// Radiance of the sky at a point of the picture, in pixels from its upper left corner.
-    pub(super) fn sky_at(&self, at: [f64; 2], size: [u32; 2]) -> Vec3 {
+    pub(super) fn sky_at(&self, at: [f64; 2], size: [u32; 2], panorama: Option<&Panorama>) -> Vec3 {
         let x = (at[0] / f64::from(size[0])) as f32 * 2.0 - 1.0;
         let y = 1.0 - (at[1] / f64::from(size[1])) as f32 * 2.0;
         let vector = |four: [f32; 4]| Vec3::new(four[0], four[1], four[2]);
         let sky = Sky { zenith: vector(self.zenith), horizon: vector(self.horizon) };
-        sky.radiance(self.ray_through(x, y).normalize_or(Vec3::Y))
+        let direction = self.ray_through(x, y).normalize_or(Vec3::Y);
+        sky.radiance(direction) + panorama.map_or(Vec3::ZERO, |panorama| panorama.shown(direction))
     }
 }
 

@@ -10,7 +10,7 @@ pub use gpu::{Mask, ShadowPass};
 pub(in crate::passes) use gpu::{cleared_depth, nearer_wins};
 pub use panes::Pane;
 pub(in crate::passes) use panes::tested_alone;
-pub use plan::{Eye, Face, Light, LightCount, MAX_SIDE, MIN_SIDE, ShadowPlan, ShadowRoom};
+pub use plan::{Eye, Face, Light, LightCount, MAX_SIDE, MIN_SIDE, RECT_FACES, ShadowPlan, ShadowRoom};
 
 /// The shader.
 pub const SHADER: &str = include_str!("shadow.wgsl");

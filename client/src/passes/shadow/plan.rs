@@ -1,4 +1,5 @@
-//! Shadow maps of a set of lights: six faces around a point, one for a narrow spot, tiles for a sun.
+//! Shadow maps of a set of lights: six faces around a point, one for a narrow spot, tiles for a sun, half a cube of five faces
+//! before each point of a rectangle.
 
 use glam::{Mat4, Vec3};
 
@@ -28,6 +29,8 @@ const GUARD_TEXELS: f32 = 4.0;
 /// Texels by which depth may lie aside where adapters keep eight bits of a pixel, as all do but some in software: four times the
 /// half of a step, as depth is taken from several texels.
 const SNAP: f32 = 1.0 / 128.0;
+/// Faces before each point of a rectangle: half a cube.
+pub const RECT_FACES: u32 = 5;
 /// Widest spot that one perspective face covers; wider ones get six.
 const SPOT_COS_MIN: f32 = 0.6;
 
@@ -35,7 +38,7 @@ const SPOT_COS_MIN: f32 = 0.6;
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct Light {
-    /// Metres; for a sun the centre of its box.
+    /// Metres; for a sun the centre of its box, for a rectangle its own.
     pub position: [f32; 3],
     /// Cut-off distance in metres, 0 for none.
     pub range_m: f32,
@@ -43,7 +46,7 @@ pub struct Light {
     pub direction: [f32; 3],
     /// [`Shape`] as a number.
     pub shape: u32,
-    /// W·sr⁻¹, or W·m⁻² for a sun.
+    /// W·sr⁻¹; W·m⁻² for a sun; W·m⁻²·sr⁻¹ for a rectangle.
     pub strength: [f32; 3],
     /// First of its faces.
     pub first_face: u32,
@@ -59,10 +62,12 @@ pub struct Light {
     pub first_cascade: u32,
     /// Cascades: faces of a sun about the eye, for what is seen.
     pub cascades: u32,
+    /// Half width and height of a rectangle in metres; its axes are those of its faces.
+    pub half_size_m: [f32; 2],
+    /// Columns and rows of a rectangle's cells, each with five faces before its middle.
+    pub cells: [u32; 2],
     /// Nothing.
-    pub pad0: u32,
-    /// Nothing.
-    pub pad1: u32,
+    pub pad: [u32; 2],
 }
 
 /// One shadow map; twin of `Face` in `light.wgsl`.
@@ -162,7 +167,9 @@ impl ShadowRoom {
         let what = || format!("{} lights", casters.len());
         let (faces, room) = (faces_of(casters), MAX_FACES.min(self.faces as usize));
         if faces > room {
-            let problem = format!("{faces} shadow maps are needed, at most {room}; use fewer lights");
+            let problem = format!(
+                "{faces} shadow maps are needed, at most {room}; use fewer lights, or fewer points of rectangles"
+            );
             return Err(ClientError::Argument { what: what(), problem });
         }
         if casters.len() > self.lights as usize {
@@ -240,11 +247,13 @@ impl ShadowPlan {
             half_extent,
             first_cascade: 0,
             cascades: 0,
-            pad0: 0,
-            pad1: 0,
+            half_size_m: [caster.half_u_m.length(), caster.half_v_m.length()],
+            cells: caster.cells,
+            pad: [0; 2],
         });
         let near = 1e-4 * diagonal;
         match face_count(caster) {
+            _ if caster.shape == Shape::Rect => self.push_rect(caster, near),
             _ if sun => self.push_sun(caster.direction, centre, half_extent, 0.5005 * diagonal),
             6 => {
                 for (forward, up) in CUBE {
@@ -264,6 +273,22 @@ impl ShadowPlan {
         let tan = tan * side / (side - 2.0 * GUARD_TEXELS);
         let view = look_along(eye, forward, up);
         self.push_face(perspective(tan, tan, near) * view, view, 2.0 * tan / side);
+    }
+
+    /// Half a cube before the middle of each cell, row by row; in each the face along the light comes last.
+    fn push_rect(&mut self, caster: &Caster, near: f32) {
+        let [columns, rows] = caster.cells;
+        let axes = [caster.half_u_m.normalize(), caster.half_v_m.normalize(), caster.direction];
+        let in_world = |local: Vec3| axes[0] * local.x + axes[1] * local.y + axes[2] * local.z;
+        for (row, column) in (0..rows).flat_map(|row| (0..columns).map(move |column| (row, column))) {
+            let along = |index: u32, count: u32| (2 * index + 1) as f32 / count as f32 - 1.0;
+            let middle = caster.position
+                + caster.half_u_m * along(column, columns)
+                + caster.half_v_m * along(row, rows);
+            for (forward, up) in &CUBE[..RECT_FACES as usize] {
+                self.push_perspective(middle, in_world(*forward), in_world(*up), 1.0, near);
+            }
+        }
     }
 
     /// `half_extent` across and `reach` along the light, from the centre, in metres.
@@ -321,7 +346,7 @@ impl ShadowPlan {
     }
 }
 
-/// Directions of a cube's faces and their up vectors, in the order of `cube_face`.
+/// Directions of a cube's faces and their up vectors, in the order of `cube_face`; the first five are before a rectangle.
 const CUBE: [(Vec3, Vec3); 6] = [
     (Vec3::X, Vec3::Y),
     (Vec3::NEG_X, Vec3::Y),
@@ -351,6 +376,7 @@ fn face_count(caster: &Caster) -> u32 {
     match caster.shape {
         Shape::Sun => SUN_TILES * SUN_TILES,
         Shape::Spot if caster.cone[1] >= SPOT_COS_MIN => 1,
+        Shape::Rect => RECT_FACES * caster.cells[0] * caster.cells[1],
         Shape::Point | Shape::Spot => 6,
     }
 }

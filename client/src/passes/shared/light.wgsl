@@ -1,28 +1,31 @@
 // Irradiance from lights with shadow maps; joined in front of the passes that need it.
-// Twin: direct/reference.rs. Depth is reversed: the greater, the nearer to the light.
+// `rect.wgsl` and `shadow_map.wgsl` are joined behind. Twin: direct/reference.rs. Depth is reversed: the greater, the nearer to the light.
 
 struct Light {
-    // Metres; for a sun the centre of its box.
+    // Metres; for a sun the centre of its box, for a rectangle its own.
     position: vec3f,
     // Cut-off distance in metres, 0 for none.
     range_m: f32,
     direction: vec3f,
-    // 0 point, 1 spot, 2 sun.
+    // 0 point, 1 spot, 2 sun, 3 rectangle.
     shape: u32,
-    // W/sr, or W/m2 for a sun.
+    // W/sr; W/m2 for a sun; W/m2/sr for a rectangle.
     strength: vec3f,
     first_face: u32,
     cone_cos_inner: f32,
     cone_cos_outer: f32,
-    // Faces: 1 or 6 for points and spots, tiles² for a sun.
+    // Faces: 1 or 6 for points and spots, tiles² for a sun, 5 for each cell of a rectangle.
     face_count: u32,
     // Half side of a sun's box in metres.
     half_extent: f32,
     // Faces of a sun about the eye, from the widest to the narrowest.
     first_cascade: u32,
     cascades: u32,
-    pad0: u32,
-    pad1: u32,
+    // Half width and height of a rectangle in metres.
+    half_size_m: vec2f,
+    // Columns and rows of a rectangle's cells.
+    cells: vec2u,
+    pad: vec2u,
 }
 
 struct Face {
@@ -48,6 +51,7 @@ struct LightCount {
 const POINT = 0u;
 const SPOT = 1u;
 const SUN = 2u;
+const RECT = 3u;
 // Texels at a cascade's rim that the filter's reach may leave, and the part of its half side within which it fades in.
 const CASCADE_GUARD = 8.0;
 const CASCADE_RIM = 0.1;
@@ -80,13 +84,16 @@ fn face_of(light: Light, position: vec3f) -> u32 {
         let tile = clamp((0.5 * across + 0.5) * f32(tiles), vec2f(0.0), vec2f(f32(tiles) - 0.5));
         return first + u32(tile.y) * tiles + u32(tile.x);
     }
+    if light.shape == RECT {
+        return light.first_face + half_cube_face(light, d);
+    }
     if light.face_count == 6u {
         return light.first_face + cube_face(d);
     }
     return light.first_face;
 }
 
-// Irradiance in W/m2 that would arrive without occluders on a surface with this normal.
+// Irradiance in W/m2 that would arrive without occluders on a surface with this normal; not of rectangles.
 fn unshadowed(light: Light, position: vec3f, normal: vec3f) -> vec3f {
     if light.shape == SUN {
         return light.strength * max(dot(normal, -light.direction), 0.0);
@@ -159,6 +166,9 @@ fn share_seen(light: Light, position: vec3f, facet: vec3f) -> f32 {
 // Irradiance of one light in W/m2, and the share of it that arrives, whatever is seen. `normal` is the shading normal, `facet`
 // the surface's own.
 fn light_irradiance(light: Light, position: vec3f, normal: vec3f, facet: vec3f) -> vec4f {
+    if light.shape == RECT {
+        return rect_irradiance(light, position, position, normal, facet);
+    }
     let arriving = unshadowed(light, position, normal);
     if max(arriving.x, max(arriving.y, arriving.z)) <= 0.0 {
         return vec4f(0.0);
@@ -180,6 +190,10 @@ fn direct_irradiance(position: vec3f, normal: vec3f, facet: vec3f) -> vec3f {
 fn seen_irradiance(position: vec3f, before: vec3f, normal: vec3f, facet: vec3f) -> vec3f {
     var sum = vec3f(0.0);
     for (var index = 0u; index < light_count.count; index++) {
+        if lights[index].shape == RECT {
+            sum += rect_irradiance(lights[index], position, before, normal, facet).rgb;
+            continue;
+        }
         let arriving = unshadowed(lights[index], position, normal);
         if max(arriving.x, max(arriving.y, arriving.z)) > 0.0 {
             sum += arriving * share_seen(lights[index], before, facet);

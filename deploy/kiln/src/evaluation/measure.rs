@@ -5,7 +5,8 @@ use lightkiln_client::fetch::Source;
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::manifest::{ChunkRef, Manifest};
 use lightkiln_worker::evaluate::{
-    EvaluationError, Evaluator, LightResult, Options, cluster_errors, default_lights, usable_lights,
+    EvaluationError, Evaluator, LightResult, Options, cluster_errors, default_lights, panorama_light,
+    usable_lights,
 };
 use lightkiln_worker::reference::Precision;
 use lightkiln_worker::task::Progress;
@@ -17,6 +18,7 @@ use crate::console::say;
 use crate::failure::{Exit, Failure, Result};
 use crate::interrupt::Interrupt;
 use crate::kinds::KindTables;
+use crate::sky::SkyArgument;
 use crate::submission::PackedScene;
 use crate::switched_off::SwitchedOff;
 
@@ -44,6 +46,7 @@ pub fn measure(
     interrupt: &Interrupt,
 ) -> Result<Measured> {
     let own = wanted.own_lights()?;
+    let panorama = wanted.sky.as_ref().map(SkyArgument::read).transpose()?.map(panorama_light);
     let name = scene.name.clone();
     let (_, manifest) = source.manifest()?;
     kinds
@@ -59,10 +62,15 @@ pub fn measure(
     let bake = kinds.worker.evaluated(&manifest, scene.into_bytes(), &bytes, &progress).map_err(failure)?;
     let usable = |lights| usable_lights(bake.geometry(), off.rest_of_tests(lights)).map_err(failure);
     let chosen = match own {
-        Some(lights) => usable(lights)?,
+        Some(mut lights) => {
+            lights.extend(panorama);
+            usable(lights)?
+        }
         None => {
             let chosen = default_lights(bake.geometry());
-            let mut usable = usable(chosen.lights)?;
+            let mut lights = chosen.lights;
+            lights.extend(panorama);
+            let mut usable = usable(lights)?;
             usable.notes.splice(0..0, chosen.notes);
             usable
         }

@@ -20,9 +20,6 @@ impl ClientLights for ClientBake {
         &'a self,
         lighting: &Lighting,
     ) -> Result<Option<Box<dyn MappedLight + 'a>>, EvaluationError> {
-        if !lighting.panels.is_empty() {
-            return Ok(None);
-        }
         let bounds_m = self.0.scene.manifest.bounds_m;
         let failed = |error: ClientError| EvaluationError::Client { source: Box::new(error) };
         let plan =
@@ -41,7 +38,7 @@ struct Mapped<'a> {
 
 impl MappedLight for Mapped<'_> {
     fn incoming(&self) -> Option<MappedIncoming> {
-        let unshadowed = Unshadowed { sky: Sky::default(), emitter_scale: &[] };
+        let unshadowed = Unshadowed { sky: Sky::default(), panorama: None, emitter_scale: &[] };
         let lit =
             LitScene { scene: &self.bake.scene, plan: &self.plan, maps: &self.maps, unshadowed, lod: None };
         let IncomingDirect { receivers, near } = self.bake.light.incoming(&lit)?;
@@ -51,6 +48,10 @@ impl MappedLight for Mapped<'_> {
     fn at(&self, site: &Site) -> MappedPixel {
         let Shadowed { irradiance, unshadowed, filter_m } =
             shadowed(&self.plan, &self.maps, site.position_m, site.normal, site.face_normal);
-        MappedPixel { shown: irradiance.as_dvec3(), unshadowed: unshadowed.as_dvec3(), filter_m }
+        // A point of a rectangle is there or hidden.
+        let points =
+            self.plan.lights.iter().map(|light| light.cells[0] * light.cells[1]).filter(|points| *points > 0);
+        let coarse = points.min().map_or(0.0, |points| 1.0 / f64::from(points));
+        MappedPixel { shown: irradiance.as_dvec3(), unshadowed: unshadowed.as_dvec3(), filter_m, coarse }
     }
 }

@@ -157,7 +157,7 @@ fn evaluation_refuses_what_it_cannot_measure_and_says_what_to_do() {
     lit_by(r#"{"name": "buried", "type": "point", "position_m": [-0.94, 1, -3.5], "strength": [1, 1, 1]}"#);
     refused(&["--lights", "lights.json"], &["'buried'", "inside", "tall box"]);
     lit_by(
-        r#"{"name": "cut", "type": "panel", "centre_m": [0, 2, -2], "half_u_m": [9, 0, 0], "half_v_m": [0, 0, 1], "radiance": [1, 1, 1]}"#,
+        r#"{"name": "cut", "type": "rect", "pos": [0, 2, -2], "dir": [0, -1, 0], "size": [18, 2], "radiance": 1}"#,
     );
     refused(&["--lights", "lights.json"], &["'cut'", "passes through a surface"]);
     lit_by(r#"{"name": "lost", "type": "sun", "direction": [0, 0, 1], "strength": [1, 1, 1]}"#);

@@ -7,7 +7,9 @@ use glam::{Vec3, Vec4};
 
 use super::{ProbeBatch, ProbeKey, RelightHit};
 use crate::harmonics::{MAX_BANDS, ShBasis, band_of, relight_direction};
-use crate::relight::{Columns, DARK, Inconsistent, Irradiance, Parallel, ReceiverTable, Sky, SlotTable};
+use crate::relight::{
+    Columns, DARK, Inconsistent, Irradiance, Panorama, Parallel, ReceiverTable, Sky, SlotTable,
+};
 
 /// A hit that is the sky.
 pub const HIT_SKY: u32 = u32::MAX;
@@ -117,6 +119,10 @@ impl Columns for ProbeTable {
 
     fn sky_lambda(&self, sky: Sky) -> Vec<Vec4> {
         sky_coefficients(sky, self.bands)
+    }
+
+    fn panorama_lambda(&self, panorama: &Panorama) -> Vec<Vec4> {
+        panorama.coefficients(self.bands)
     }
 
     /// `λ_pj = 4π/K Σ_k L(y_pk) Y_j(ω_k)`, probe-major, W·m⁻²·sr⁻¹; \[Sedlacek2019\] §3.3.1.

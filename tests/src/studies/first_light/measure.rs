@@ -287,5 +287,17 @@ fn settled(transport: &Transport<PatchTable>, lighting: &Lighting, dir: &[Vec4],
     // Factors beyond the emitters are not read.
     let emitter_scale = vec![lighting.emitter_scale; usize::from(u16::MAX)];
     let sky = Sky::of(&lighting.lights);
-    transport.settle(&Threads, &Incoming { dir, near, sky, emitter_scale: &emitter_scale }, LIMIT).ind
+    transport
+        .settle(
+            &Threads,
+            &Incoming {
+                dir,
+                near,
+                sky,
+                panorama: lighting.panorama.as_deref(),
+                emitter_scale: &emitter_scale,
+            },
+            LIMIT,
+        )
+        .ind
 }

@@ -23,7 +23,7 @@ use serde_json::{Value, json};
 use super::SIZE;
 
 /// Room of the shadow maps, in the browser too.
-pub const ROOM: ShadowRoom = ShadowRoom { lights: 4, faces: 16, side: 512 };
+pub const ROOM: ShadowRoom = ShadowRoom { lights: 4, faces: 20, side: 512 };
 /// End of the bounces.
 pub const LIMIT: Limit = Limit { bounces_max: 64, change_max: 1e-5 };
 
@@ -90,7 +90,8 @@ impl Expected {
         let view = self.view(state);
         let plan = self.plan(&view);
         let maps = draw(&self.scene, &plan);
-        let unshadowed = Unshadowed { sky: Sky::of(&view.lights), emitter_scale: &view.emitter_scale };
+        let unshadowed =
+            Unshadowed { sky: Sky::of(&view.lights), panorama: None, emitter_scale: &view.emitter_scale };
         let lit = LitScene { scene: &self.scene, plan: &plan, maps: &maps, unshadowed, lod: None };
         let settled = self.light.settled(&lit, LIMIT).light;
         assert!(settled.converged);
@@ -118,7 +119,8 @@ impl Expected {
         let plan = self.plan(view);
         shadow.set(gpu, &plan);
         let passes = light.passes(gpu, &self.scene, &shadow, SIZE).unwrap();
-        let unshadowed = Unshadowed { sky: Sky::of(&view.lights), emitter_scale: &view.emitter_scale };
+        let unshadowed =
+            Unshadowed { sky: Sky::of(&view.lights), panorama: None, emitter_scale: &view.emitter_scale };
         passes.set_unshadowed(gpu, &light.unshadowed(unshadowed));
         gpu.submit(|encoder| {
             let mut recorder = Recorder::untimed(encoder);

@@ -83,7 +83,7 @@ fn colour(material: &str, base_colour: [f32; 3]) -> Recolour {
     Recolour { material: material.to_owned(), base_colour }
 }
 
-/// States that a frame goes through: the bake's own, a lamp elsewhere, other lights and another eye, other colours.
+/// States that a frame goes through: the bake's own, a lamp elsewhere, other lights and another eye, other colours, a rectangle.
 fn states(materials: &[Recolour]) -> Vec<State> {
     let of = |name, words: &[&str], emitters, camera: Option<&str>| State {
         materials: if name == PAINTED { materials.to_vec() } else { Vec::new() },
@@ -106,6 +106,12 @@ fn states(materials: &[Recolour]) -> Vec<State> {
             Some("eye=0.9,1.2,1.9 target=-0.2,0.7,-0.5 fov=70"),
         ),
         of(PAINTED, &[], 1.0, None),
+        of(
+            "rectangle",
+            &["rect pos=0.1,1.6,0.2 dir=0.2,-1,0.1 size=0.5,0.3 color=1,0.8,0.5 power=40"],
+            0.0,
+            None,
+        ),
     ]
 }
 

@@ -20,17 +20,11 @@ fn room() -> (Room, Lighting) {
     let sky = LightKind::Sky { zenith: [2.0, 3.0, 4.0], horizon: [1.0; 3] };
     let lamp = LightKind::Point { position_m: [1.5, 1.0, 1.2], range_m: None };
     let light = |name: &str, kind| SceneLight { name: name.into(), kind, strength: [1.0; 3] };
-    let panel = PanelLight {
-        name: "panel".into(),
-        centre_m: [0.3, 1.0, 1.0],
-        half_u_m: [0.0, 0.2, 0.0],
-        half_v_m: [0.0, 0.0, 0.3],
-        radiance: [3.0; 3],
-    };
+    let rect = rect([0.3, 1.0, 1.0], [1.0, 0.0, 0.0], [0.6, 0.4], 3.0);
     let lighting = Lighting {
-        lights: vec![light("sky", sky), light("lamp", lamp)],
-        panels: vec![panel],
+        lights: vec![light("sky", sky), light("lamp", lamp), rect],
         emitter_scale: 1.0,
+        ..Lighting::default()
     };
     (room, lighting)
 }

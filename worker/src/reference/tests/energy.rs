@@ -18,23 +18,17 @@ fn means(room: &Room, lighting: &Lighting) -> (f64, f64, usize) {
 }
 
 #[test]
-fn power_of_a_point_light_and_of_a_panel_is_absorbed_by_the_walls() {
+fn power_of_a_point_light_and_of_a_rectangle_is_absorbed_by_the_walls() {
     let albedo = 0.7_f32;
     let area_m2 = f64::from(2.0 * (SIZE.x * SIZE.y + SIZE.y * SIZE.z + SIZE.z * SIZE.x));
     let room = Room::new().walls(SIZE, albedo, 0.0).built();
     let kind = LightKind::Point { position_m: [1.0, 0.8, 2.5], range_m: None };
     let point = SceneLight { name: "point".into(), kind, strength: [5.0; 3] };
-    let panel = PanelLight {
-        name: "panel".into(),
-        centre_m: [1.5, 1.0, 2.0],
-        half_u_m: [0.4, 0.0, 0.0],
-        half_v_m: [0.0, 0.3, 0.0],
-        radiance: [4.0; 3],
-    };
+    let rect = rect([1.5, 1.0, 2.0], [0.0, 0.0, 1.0], [0.8, 0.6], 4.0);
     let lights = [
         (Lighting { lights: vec![point], ..Lighting::default() }, 4.0 * PI * 5.0),
         // Φ = π L A.
-        (Lighting { panels: vec![panel], ..Lighting::default() }, PI * 4.0 * 4.0 * 0.4 * 0.3),
+        (Lighting { lights: vec![rect], ..Lighting::default() }, PI * 4.0 * 4.0 * 0.4 * 0.3),
     ];
     for (lighting, power_w) in lights {
         let (direct, indirect, count) = means(&room, &lighting);

@@ -109,26 +109,19 @@ fn assert_mean_factor(room: &Room, wanted: f64, at: impl Fn(f32, f32) -> Site) {
 }
 
 #[test]
-fn panel_shines_like_an_emissive_rectangle_but_only_from_its_front() {
+fn rectangle_shines_like_an_emissive_rectangle_but_only_from_its_front() {
     let corners = [Vec3::new(-0.5, 1.0, -1.0), Vec3::new(0.5, 1.0, -1.0), Vec3::new(0.5, 1.0, 1.0)];
-    let panel = PanelLight {
-        name: "panel".into(),
-        centre_m: [0.0, 1.0, 0.0],
-        half_u_m: [0.5, 0.0, 0.0],
-        half_v_m: [0.0, 0.0, 1.0],
-        radiance: [1.0; 3],
-    };
+    let down = rect([0.0, 1.0, 0.0], [0.0, -1.0, 0.0], [1.0, 2.0], 1.0);
     let room = Room::new().rectangle(Vec3::new(9.0, -5.0, 0.0), Vec3::X, Vec3::Y, 0.5, 0.0).built();
-    let of = |panel: &PanelLight| Lighting { panels: vec![panel.clone()], ..Lighting::default() };
+    let of = |rect: &SceneLight| Lighting { lights: vec![rect.clone()], ..Lighting::default() };
     let below = site(Vec3::new(0.2, 0.0, 0.3), Vec3::Y);
-    // u × v points down.
-    let found = irradiance(&room, &of(&panel), &[below], PRECISION)[0];
+    let found = irradiance(&room, &of(&down), &[below], PRECISION)[0];
     let outline = [corners[0], corners[1], corners[2], Vec3::new(-0.5, 1.0, 1.0)];
     let wanted = lambert(&outline, below.position_m, Vec3::Y);
-    assert_sure(&found.direct, wanted, 4.0, "a point below the panel");
-    let shadow_rays = room.under(&of(&panel)).direct_irradiance(&below, 4096);
+    assert_sure(&found.direct, wanted, 4.0, "a point below the rectangle");
+    let shadow_rays = room.under(&of(&down)).direct_irradiance(&below, 4096);
     assert!((shadow_rays.y / wanted - 1.0).abs() < 5e-3, "{shadow_rays} wanted {wanted}");
-    let turned = PanelLight { half_u_m: [-0.5, 0.0, 0.0], ..panel };
+    let turned = rect([0.0, 1.0, 0.0], [0.0, 1.0, 0.0], [1.0, 2.0], 1.0);
     assert_eq!(irradiance(&room, &of(&turned), &[below], PRECISION)[0].direct.mean, DVec3::ZERO);
 }
 

@@ -81,17 +81,11 @@ fn every_way_to_find_light_finds_as_much_of_it_behind_glass() {
     }
     let lamp_corner = Vec3::new(0.5, 1.4, 0.5);
     let room = room.pane([lamp_corner, Vec3::X * 0.8, Vec3::Z * 0.8], 0.5, 0.3, 4.0).built();
-    let panel = PanelLight {
-        name: "panel".into(),
-        centre_m: [1.0, 1.0, 3.6],
-        half_u_m: [0.0, 0.4, 0.0],
-        half_v_m: [0.4, 0.0, 0.0],
-        radiance: [6.0; 3],
-    };
+    let rect = rect([1.0, 1.0, 3.6], [0.0, 0.0, -1.0], [0.8, 0.8], 6.0);
     let sky = LightKind::Sky { zenith: [2.0; 3], horizon: [1.0; 3] };
     let sun = LightKind::Sun { direction: [0.2, -0.5, -0.8] };
-    let lights = vec![light("sky", sky, 1.0), light("sun", sun, 6.0)];
-    let lighting = Lighting { lights, panels: vec![panel], emitter_scale: 1.0 };
+    let lights = vec![light("sky", sky, 1.0), light("sun", sun, 6.0), rect];
+    let lighting = Lighting { lights, emitter_scale: 1.0, ..Lighting::default() };
     let sites = [
         site(Vec3::new(1.0, 0.0, 1.0), Vec3::Y),
         site(Vec3::new(2.0, 1.2, 0.7), -Vec3::X),

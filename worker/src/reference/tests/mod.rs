@@ -10,6 +10,9 @@ mod rooms;
 
 use std::f64::consts::PI;
 
+use lightkiln_proto::rectangle::default_up;
+use lightkiln_proto::scene::{LightKind, SceneLight};
+
 use crate::task::Progress;
 
 use super::*;
@@ -29,6 +32,13 @@ fn irradiance(
 /// The scene's own emitters and nothing else.
 fn emitters() -> Lighting {
     Lighting { emitter_scale: 1.0, ..Lighting::default() }
+}
+
+/// A rectangle that shines along `direction`, whose width is level.
+fn rect(position_m: [f32; 3], direction: [f32; 3], size_m: [f32; 2], radiance: f32) -> SceneLight {
+    let up = default_up(direction.into()).into();
+    let kind = LightKind::Rect { position_m, direction, up, size_m, points: 4 };
+    SceneLight { name: "rect".into(), kind, strength: [radiance; 3] }
 }
 
 /// Asserts that an estimate is right within so many standard errors, and that these are small.

@@ -1,12 +1,13 @@
-//! Rectangular panels: sampled over their area, and met by rays, which go on behind them.
+//! Rectangular lights: sampled over their area, and met by rays, which go on behind them.
 
 use glam::{DVec3, Vec3};
 
-use super::lighting::PanelLight;
+use lightkiln_proto::rectangle::Rectangle;
+use lightkiln_proto::scene::SceneLight;
 
-/// A panel ready to be sampled.
+/// A rectangle ready to be sampled.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Panel {
+pub(super) struct Rect {
     centre_m: Vec3,
     half_u_m: Vec3,
     half_v_m: Vec3,
@@ -17,9 +18,9 @@ pub(super) struct Panel {
     pub radiance: DVec3,
 }
 
-/// A point taken on a panel.
+/// A point taken on a rectangle.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct PanelSample {
+pub(super) struct RectSample {
     /// Point in metres.
     pub point_m: Vec3,
     /// Unit direction to it.
@@ -28,15 +29,13 @@ pub(super) struct PanelSample {
     pub density: f64,
 }
 
-impl Panel {
-    /// `None` for one that is dark.
-    pub fn new(light: &PanelLight) -> Option<Self> {
-        let (half_u_m, half_v_m) = (Vec3::from(light.half_u_m), Vec3::from(light.half_v_m));
-        let scaled = half_u_m.cross(half_v_m);
-        let radiance = Vec3::from(light.radiance).as_dvec3();
-        let normal = scaled.try_normalize()?;
-        let area_m2 = 4.0 * f64::from(scaled.length());
-        let centre_m = light.centre_m.into();
+impl Rect {
+    /// `None` for lights of other kinds, and for one that is dark.
+    pub fn new(light: &SceneLight) -> Option<Self> {
+        let rectangle = Rectangle::of(&light.kind)?;
+        let Rectangle { centre_m, half_u_m, half_v_m, direction: normal } = rectangle;
+        let radiance = Vec3::from(light.strength).as_dvec3();
+        let area_m2 = f64::from(rectangle.area_m2());
         (radiance.max_element() > 0.0).then_some(Self {
             centre_m,
             half_u_m,
@@ -48,15 +47,15 @@ impl Panel {
     }
 
     /// A point uniform over the area; `None` seen from behind.
-    pub fn sample(&self, from_m: Vec3, [u, v]: [f32; 2]) -> Option<PanelSample> {
+    pub fn sample(&self, from_m: Vec3, [u, v]: [f32; 2]) -> Option<RectSample> {
         let point_m = self.centre_m + self.half_u_m * (2.0 * u - 1.0) + self.half_v_m * (2.0 * v - 1.0);
-        let to_panel = point_m - from_m;
-        let direction = to_panel.try_normalize()?;
-        let density = self.density(direction, f64::from(to_panel.length_squared()))?;
-        Some(PanelSample { point_m, direction, density })
+        let to_rect = point_m - from_m;
+        let direction = to_rect.try_normalize()?;
+        let density = self.density(direction, f64::from(to_rect.length_squared()))?;
+        Some(RectSample { point_m, direction, density })
     }
 
-    /// Distance at which a ray passes the shining side, and the density with which [`Panel::sample`] takes that point.
+    /// Distance at which a ray passes the shining side, and the density with which [`Rect::sample`] takes that point.
     pub fn meet(&self, origin_m: Vec3, direction: Vec3, t_max: f32) -> Option<f64> {
         let facing = direction.dot(self.normal);
         if facing >= 0.0 {
