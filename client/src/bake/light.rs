@@ -3,7 +3,9 @@
 use std::fmt::Debug;
 
 use glam::Vec4;
-use lightkiln_proto::relight::{LOD_LEVELS, LevelCount, Limit, Lod, LodEye, LodPlan, LodTable, Panorama, Sky};
+use lightkiln_proto::relight::{
+    LOD_LEVELS, LevelCount, Limit, Lod, LodEye, LodPlan, LodTable, Panorama, Sky,
+};
 
 use crate::error::Result;
 use crate::fetch::Source;

@@ -5,9 +5,7 @@ use std::sync::Arc;
 use lightkiln_proto::rectangle::RECT_POINTS;
 use lightkiln_proto::relight::Lod;
 use lightkiln_proto::scene::{LightKind, SceneCamera, SceneLight};
-use lightkiln_proto::words::{
-    camera_to_text, light_to_text, lod_to_text, panorama_to_text, stance_to_text,
-};
+use lightkiln_proto::words::{camera_to_text, light_to_text, lod_to_text, panorama_to_text, stance_to_text};
 
 use crate::bake::Overlay;
 use crate::lights::{Panorama, quoted};
