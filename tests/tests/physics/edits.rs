@@ -6,7 +6,7 @@ use std::sync::Mutex;
 use glam::Vec3;
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{Artefact, TaskSpec};
-use lightkiln_tests::harness::{Bakery, Rebaked, bake};
+use lightkiln_tests::harness::{Bakery, Rebaked, Recipe, bake};
 use lightkiln_tests::scenes::{FLAT_WALL_M, Flat, Thing, flat};
 use lightkiln_worker::kinds::{BakeKinds, Runner};
 use lightkiln_worker::rays::sampling::Sequence;
@@ -41,8 +41,8 @@ fn along_x_m(label: &str) -> [f32; 2] {
     corners.map(x).collect::<Vec<f32>>().try_into().unwrap()
 }
 
-fn assert_is_whole_bake(of: &Flat, receivers: u32, rebaked: &Rebaked, what: &str) {
-    let whole = bake(flat(of), &small("prt", receivers)).unwrap();
+fn assert_is_whole_bake(of: &Flat, recipe: &Recipe, rebaked: &Rebaked, what: &str) {
+    let whole = bake(flat(of), recipe).unwrap();
     let [was, is] =
         [&whole.manifest_bytes, &rebaked.manifest_bytes].map(|bytes| String::from_utf8_lossy(bytes));
     assert!(was == is, "{what}: other bytes than those of a whole bake: {:?}", rebaked.notes);
@@ -61,7 +61,7 @@ fn chair_that_is_moved_leaves_the_tasks_of_rooms_that_do_not_see_it_alone() {
         kept(&second).into_iter().filter(|(label, _)| along_x_m(label)[0] >= FLAT_WALL_M).collect();
     assert!(far.len() > 2 && far.iter().all(|(_, kept)| *kept), "{:#?}", second.notes);
     assert!(kept(&second).iter().any(|(_, kept)| !kept), "the chair's own room is as it was");
-    assert_is_whole_bake(&of, RECEIVERS, &second, "chair moved");
+    assert_is_whole_bake(&of, &small("prt", RECEIVERS), &second, "chair moved");
 }
 
 #[test]
@@ -75,13 +75,13 @@ fn receivers_whose_rays_met_nothing_that_changed_are_not_traced_again() {
     let [again, all] = traced(&second);
     assert!(again > 0 && again * 4 < all * 3, "{again} of {all}: {:#?}", second.notes);
     assert!(second.rays < first.rays, "{} rays of {}", second.rays, first.rays);
-    assert_is_whole_bake(&of, RECEIVERS, &second, "chair moved a little");
+    assert_is_whole_bake(&of, &small("prt", RECEIVERS), &second, "chair moved a little");
     // Rows that were taken over are there for the next bake too.
     of.things[0].at_m += Vec3::new(0.1, 0.0, 0.0);
     let third = bakery.bake(flat(&of)).unwrap();
     let [again, all] = traced(&third);
     assert!(again > 0 && again * 4 < all * 3, "{again} of {all}: {:#?}", third.notes);
-    assert_is_whole_bake(&of, RECEIVERS, &third, "chair moved again");
+    assert_is_whole_bake(&of, &small("prt", RECEIVERS), &third, "chair moved again");
 }
 
 /// Faults of a farm that rows may have.
@@ -152,7 +152,7 @@ fn rows_that_are_lost_or_not_what_they_should_be_are_traced_again() {
         let [again, all] = traced(&rebaked);
         assert!(again == all && all > 0, "{fault:?}: {again} of {all}");
         assert!(kept(&rebaked).iter().any(|(_, kept)| *kept), "{fault:?}: whole results need no rows");
-        assert_is_whole_bake(&of, FEW_RECEIVERS, &rebaked, "rows at fault");
+        assert_is_whole_bake(&of, &small("prt", FEW_RECEIVERS), &rebaked, "rows at fault");
     }
 }
 
@@ -171,13 +171,15 @@ fn colour_texture_and_light_that_change_leave_all_tasks_alone() {
     assert!(kept(&second).iter().all(|(_, kept)| *kept), "{:#?}", second.notes);
     assert_eq!(kept(&second).len(), kept(&first).len());
     assert_ne!(first.manifest_bytes, second.manifest_bytes);
-    assert_is_whole_bake(&of, RECEIVERS, &second, "colours changed");
+    assert_is_whole_bake(&of, &small("prt", RECEIVERS), &second, "colours changed");
 }
 
 #[test]
 fn bake_after_random_edits_has_the_bytes_of_a_whole_one() {
     let progress = Progress::new();
-    let mut bakery = Bakery::new(&small("prt", FEW_RECEIVERS), &progress);
+    // Rows have near hits too.
+    let recipe = small("prt", FEW_RECEIVERS).with("near_hits", 8);
+    let mut bakery = Bakery::new(&recipe, &progress);
     let mut of = Flat::default();
     bakery.bake(flat(&of)).unwrap();
     let mut sequence = Sequence::new(17);
@@ -188,7 +190,7 @@ fn bake_after_random_edits_has_the_bytes_of_a_whole_one() {
         kept_in_all += kept(&rebaked).iter().filter(|(_, kept)| *kept).count();
         let [again, all] = traced(&rebaked);
         rows_kept += all - again;
-        assert_is_whole_bake(&of, FEW_RECEIVERS, &rebaked, what);
+        assert_is_whole_bake(&of, &recipe, &rebaked, what);
     }
     assert!(kept_in_all > 20, "{kept_in_all} results of before were taken");
     assert!(rows_kept > 200, "{rows_kept} rows of before were taken");
