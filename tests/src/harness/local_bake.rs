@@ -12,7 +12,7 @@ use lightkiln_proto::manifest::{ChunkRef, DIRECTORY, Manifest};
 use lightkiln_worker::kinds::{BakeKinds, Runner};
 use lightkiln_worker::lightmap::World;
 use lightkiln_worker::rays::RayCount;
-use lightkiln_worker::task::{ArtefactSource, LocalRun, Progress};
+use lightkiln_worker::task::{ArtefactSource, LocalRun, Progress, TaskRunner};
 
 /// Bytes of decoded values that tasks may share.
 const MEMORY_BYTES: usize = 4 << 30;
@@ -87,10 +87,15 @@ impl<'p> Bakery<'p> {
 
     /// Bakes a scene bundle, with the results of those before at hand.
     pub fn bake(&mut self, bundle: Vec<u8>) -> Result<Rebaked> {
+        self.bake_by(&Runner::new(&BakeKinds::new()), bundle)
+    }
+
+    /// As [`Bakery::bake`], with tasks run by that runner.
+    pub fn bake_by(&mut self, runner: &dyn TaskRunner, bundle: Vec<u8>) -> Result<Rebaked> {
         let (before, told) = (self.run.progress.rays().total(), self.run.notes.len());
         let scene = self.run.shelf.put(bundle);
         let plan = Kinds::new().first_tasks(self.recipe.kind, scene, &self.recipe.settings)?;
-        self.run.run(&Runner::new(&BakeKinds::new()), plan, |_| true, |_| ())?;
+        self.run.run(runner, plan, |_| true, |_| ())?;
         let manifest = self.run.outputs_named(MANIFEST_OUTPUT).next().context("no task gave a manifest")?;
         Ok(Rebaked {
             manifest_bytes: self.run.shelf.get(manifest)?.as_ref().clone(),

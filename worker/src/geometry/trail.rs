@@ -3,8 +3,8 @@
 //! Whoever casts a ray marks the cells along it. While those hold what they held, and the scene reaches no further where a ray
 //! left it, the ray meets the same.
 
-use std::sync::OnceLock;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::cell::{Cell, RefCell};
+use std::rc::Rc;
 
 use glam::{IVec3, Vec3};
 use serde::{Deserialize, Serialize};
@@ -12,9 +12,9 @@ use serde::{Deserialize, Serialize};
 use super::bits::Bits;
 use super::lattice::cell_of;
 
-/// Cells along the longest side of a scene, at most twice as many. More → fewer rays that cross a changed cell and miss the
+/// Cells along the longest side of a scene, at least half as many. More → fewer rays that cross a changed cell and miss the
 /// change, more to mark and to keep.
-const CELLS_ALONG: f32 = 16.0;
+const CELLS_ALONG: f32 = 64.0;
 /// By how much of its side a cell is wider than the grid says, when things are put in it: far above the rounding of a ray's
 /// way through the grid.
 pub const SLACK: f32 = 1.0 / 64.0;
@@ -116,17 +116,17 @@ impl Grid {
     }
 }
 
-/// The cells of a grid that rays crossed, of any threads.
+/// The cells of a grid that the rays of a receiver crossed.
 ///
-/// Rays by the thousand go from the cells of a few receivers to those of the surfaces around them. So all cells that any way from
-/// one cell to another can cross are marked at once, which holds more than the one ray's and never fewer.
+/// Its rays go from a cell or two to those of the surfaces around. So all cells that any way from one cell to another can cross
+/// are marked at once, which holds more than the one ray's and never fewer.
 #[derive(Debug)]
 pub struct Trail<'a> {
     grid: &'a Grid,
     crossed: Bits,
-    has_left: AtomicBool,
-    /// Of each cell that rays left from, the cells that they went to.
-    ends: Vec<OnceLock<Box<Bits>>>,
+    has_left: Cell<bool>,
+    /// Cells that rays left from, each with the cells that they went to.
+    ends: RefCell<Vec<(usize, Rc<Bits>)>>,
 }
 
 /// The part of a trail that rays from one point leave.
@@ -137,17 +137,17 @@ pub struct TrailFrom<'a> {
     at: Vec3,
     cell: IVec3,
     /// `None` if the grid takes no marks.
-    ends: Option<&'a Bits>,
+    ends: Option<Rc<Bits>>,
 }
 
 impl TrailFrom<'_> {
     /// Marks the cells along a ray, up to `t` units of its direction, or to the end of the scene.
     pub fn mark(&self, direction: Vec3, t: Option<f32>) {
         let (trail, grid) = (self.trail, self.trail.grid);
-        if t.is_none() && !trail.has_left() {
-            trail.has_left.store(true, Ordering::Relaxed);
+        if t.is_none() {
+            trail.has_left.set(true);
         }
-        let Some(ends) = self.ends else { return };
+        let Some(ends) = &self.ends else { return };
         let along = direction * grid.cell_m.recip();
         let end = t.unwrap_or_else(|| grid.way_out(self.at, along));
         let last = grid.nearest(self.at + along * end);
@@ -161,8 +161,7 @@ impl TrailFrom<'_> {
 impl<'a> Trail<'a> {
     /// Nothing crossed yet.
     pub fn new(grid: &'a Grid) -> Self {
-        let ends = (0..grid.len()).map(|_| OnceLock::new()).collect();
-        Self { grid, crossed: Bits::new(grid.len()), has_left: AtomicBool::new(false), ends }
+        Self { grid, crossed: Bits::new(grid.len()), has_left: Cell::default(), ends: RefCell::default() }
     }
 
     /// Of rays from a point.
@@ -172,13 +171,22 @@ impl<'a> Trail<'a> {
             return TrailFrom { trail: self, at, cell: IVec3::ZERO, ends: None };
         }
         let cell = self.grid.nearest(at);
-        let ends = self.ends[self.grid.number(cell)].get_or_init(|| Box::new(Bits::new(self.grid.len())));
-        TrailFrom { trail: self, at, cell, ends: Some(ends) }
+        TrailFrom { trail: self, at, cell, ends: Some(self.ends_from(self.grid.number(cell))) }
+    }
+
+    fn ends_from(&self, cell: usize) -> Rc<Bits> {
+        let mut all = self.ends.borrow_mut();
+        let known = all.iter().position(|(from, _)| *from == cell);
+        let place = known.unwrap_or_else(|| {
+            all.push((cell, Rc::new(Bits::new(self.grid.len()))));
+            all.len() - 1
+        });
+        Rc::clone(&all[place].1)
     }
 
     /// A ray left the scene: it crossed all that might be beyond.
     pub fn has_left(&self) -> bool {
-        self.has_left.load(Ordering::Relaxed)
+        self.has_left.get()
     }
 
     /// Numbers of the cells that were crossed, ascending.
@@ -230,7 +238,7 @@ mod tests {
     fn point_of_a_ray_lies_in_a_crossed_cell_that_has_each_triangle_through_it() {
         let mut sequence = Sequence::new(3);
         let grid = Grid::over([Vec3::splat(-3.0), Vec3::new(5.0, 2.0, 4.0)], 0.1);
-        assert!((16..=40).contains(&grid.size.max_element()), "{grid:?}");
+        assert!((32..=66).contains(&grid.size.max_element()), "{grid:?}");
         for _ in 0..400 {
             let mut place = || {
                 Vec3::new(

@@ -5,11 +5,14 @@
 
 mod alike;
 mod marks;
+mod own;
 mod patches;
 mod record;
 mod stage;
 mod triangles;
 
 pub use alike::{Common, alike};
-pub use record::{Changes, RECORD_ARTEFACT, Reads, Record};
+pub use marks::{Bytes, Mark, Name};
+pub use own::Reads;
+pub use record::{Changes, RECORD_ARTEFACT, Record};
 pub use stage::{STAGE_ARTEFACT, Stage};

@@ -1,14 +1,11 @@
 //! The record that a task leaves of what it read, and how a later stage compares with it.
 
-use glam::Vec3;
 use lightkiln_proto::ids::Digest;
 use serde::{Deserialize, Serialize};
 
 use super::marks::{Bytes, Mark, Name, Part};
 use super::patches;
 use super::stage::Stage;
-use crate::geometry::{Bits, Trail};
-use crate::lightmap::{Found, World};
 use crate::patches::PatchTree;
 use crate::task::{TaskError, artefact};
 
@@ -18,63 +15,6 @@ const ARTEFACT_MAGIC: &[u8; 4] = b"LKrr";
 pub const RECORD_ARTEFACT: &str = "record";
 /// Most names of a record: who read more leaves none, and is run again.
 const NAMES_MAX: usize = 1 << 16;
-
-/// Parts of a stage that a task's rays read, while they do.
-pub struct Reads<'a> {
-    world: &'a World,
-    /// Cells that were crossed.
-    pub trail: Trail<'a>,
-    tiles: Bits,
-    /// Receivers that had a hit at hand: all that any such hit reads is noted.
-    at_hand: Bits,
-}
-
-impl<'a> Reads<'a> {
-    /// Nothing read yet.
-    pub fn new(world: &'a World, stage: &'a Stage) -> Self {
-        Self {
-            world,
-            trail: Trail::new(&stage.grid),
-            tiles: Bits::new(world.tiles.len()),
-            at_hand: Bits::new(world.lightmap.receivers.len()),
-        }
-    }
-
-    /// Notes all that a hit was looked up in.
-    pub fn note_hit(&self, found: &Found, point_m: Vec3) {
-        let at_hand = self.world.at_hand(found, point_m);
-        if at_hand.is_some_and(|own| self.at_hand.has(own as usize)) {
-            return;
-        }
-        let [low_m, high_m] = match at_hand {
-            Some(own) => {
-                self.at_hand.add(own as usize);
-                self.world.bounds_at_hand(own)
-            }
-            None => self.world.bounds_of_linking(found, point_m),
-        };
-        self.trail.mark_box(low_m, high_m);
-        if let Some((block, texels)) = self.world.texels_of_linking(found) {
-            self.world.tiles.of_box(block, texels).for_each(|tile| self.tiles.add(tile as usize));
-        }
-    }
-
-    /// Notes everything that is less than `reach_m` from a point along each axis.
-    pub fn note_around(&self, point_m: Vec3, reach_m: f32) {
-        self.trail.mark_box(point_m - reach_m, point_m + reach_m);
-    }
-
-    /// Names of what was read.
-    fn into_names(self, stage: &Stage) -> Vec<Name> {
-        let cells = self.trail.crossed().map(|index| Name::cell(stage.grid.cell(index)));
-        let tile = |tile: usize| {
-            let (block, place) = self.world.tiles.place(tile as u32);
-            Name::tile(self.world.lightmap.blocks[block as usize].key, place)
-        };
-        let extent = self.trail.has_left().then(Name::extent);
-        cells.chain(self.tiles.iter().map(tile)).chain(extent).collect()
-    }
-}
 
 /// All that a task read.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -88,15 +28,16 @@ pub struct Record {
 }
 
 impl Record {
-    /// Of what a task's rays read, and of its cut over hits on some `leaves`, ascending. `None` if they are too many.
+    /// Of what a task's rays read, each name once, and of its cut over hits on some `leaves`, ascending. `None` if they are too
+    /// many.
     pub fn of(
         stage: &Stage,
         tree: &PatchTree,
-        reads: Reads,
+        read: &[Name],
         leaves: &[u32],
         by_share: &[u32],
     ) -> Option<Self> {
-        let mut names = reads.into_names(stage);
+        let mut names = read.to_vec();
         names.extend(patches::read(tree, leaves, by_share));
         names.sort_unstable();
         names.dedup();
@@ -125,6 +66,11 @@ impl Record {
             *name = name.wrapping_add(*step);
             Some(Name(*name))
         })
+    }
+
+    /// Names of what rays read, ascending; the rest is what the cut read.
+    pub fn names_of_rays(&self) -> Vec<Name> {
+        self.names().filter(|name| matches!(name.part(), Part::Cell | Part::Tile | Part::Extent)).collect()
     }
 
     /// Changes of a stage since, as far as the task read it.

@@ -5,9 +5,11 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::near::{self, NearHit};
+use super::rows::{Gathered, KeptRows};
 use super::{PatchTransport, Row};
 use crate::factors::Detail;
 use crate::geometry::Bits;
+use crate::lightmap::Numbering;
 use crate::rays::Hit;
 use crate::reads::{Reads, Record};
 use crate::task::{Cancelled, Progress};
@@ -25,15 +27,10 @@ pub struct Traced {
     pub keys: Vec<u64>,
     /// One row per receiver, in order.
     pub rows: Vec<Row>,
-    /// All that was read for them, unless that was too much.
-    pub record: Option<Record>,
-}
-
-/// Hits of one receiver's rays, and its row but for these.
-#[derive(Default)]
-struct Gathered {
-    hits: RowHits,
-    row: Row,
+    /// All that was read for them, unless that was too much or nobody wants to know; and the rows as they were gathered.
+    pub record: Option<(Record, KeptRows)>,
+    /// Receivers whose rays were cast.
+    pub traced: usize,
 }
 
 /// Near hits while it is not known whether the place is narrow: as they are, and as leaves in case it is not.
@@ -44,10 +41,11 @@ struct Near {
     lost: f32,
 }
 
-/// Traces the rows of a cell's receivers.
+/// Traces the rows of a cell's receivers but for those that are `known`, each in its receiver's place.
 pub fn trace(
     transport: &PatchTransport,
     receivers: &[u32],
+    mut known: Vec<Option<Gathered>>,
     detail: Detail,
     progress: &Progress,
 ) -> Result<Traced, Cancelled> {
@@ -56,19 +54,23 @@ pub fn trace(
     let gathering = Gathering {
         transport,
         sources: Sources::new(world, tree, settings.patches.sky_parts),
-        reads: Reads::new(world, stage),
         clear_way_m: near::clear_way_m(settings, near::longest_texel_m(&world.lightmap, receivers)),
     };
-    let cast = receivers.par_iter().map(|&receiver| {
+    known.resize_with(receivers.len(), || None);
+    let traced = known.iter().filter(|known| known.is_none()).count();
+    let gathered = receivers.par_iter().zip(known).map(|(&receiver, known)| {
         progress.check()?;
-        let gathered = progress.casting(|| gathering.cast(receiver));
+        let gathered = known.unwrap_or_else(|| progress.casting(|| gathering.cast(receiver)));
         progress.advance(1);
-        Ok((gathered.hits, gathered.row))
+        Ok(gathered)
     });
-    let (hits, rows): (Vec<RowHits>, Vec<Row>) = cast.collect::<Result<_, Cancelled>>()?;
+    let gathered: Vec<Gathered> = gathered.collect::<Result<_, Cancelled>>()?;
     let met = Bits::new(tree.leaf_starts.len());
-    hits.par_iter().flat_map_iter(|hits| &hits.leaves).for_each(|hit| met.add(hit.at as usize));
+    gathered.par_iter().flat_map_iter(|of| &of.hits.leaves).for_each(|hit| met.add(hit.at as usize));
     let leaves: Vec<u32> = met.iter().map(|leaf| leaf as u32).collect();
+    let read = Numbering::of(gathered.iter().flat_map(|of| of.reads.iter().copied())).into_values();
+    let kept = (!stage.grid.is_empty()).then(|| KeptRows::of(transport, &gathered, &read, &leaves));
+    let (hits, rows): (Vec<RowHits>, Vec<Row>) = gathered.into_iter().map(|of| (of.hits, of.row)).unzip();
     let bounds = CutBounds {
         columns_max: settings.patches.patches_max as usize,
         error: CUT_SHARE * settings.patches.rank_error,
@@ -82,15 +84,15 @@ pub fn trace(
         row
     });
     let rows = rows.collect();
-    let record = Record::of(stage, tree, gathering.reads, &leaves, &found.by_share);
-    Ok(Traced { keys: found.keys, rows, record })
+    let record =
+        kept.and_then(|kept| Some((Record::of(stage, tree, &read, &leaves, &found.by_share)?, kept)));
+    Ok(Traced { keys: found.keys, rows, record, traced })
 }
 
 /// What rows of a cell are gathered from.
 struct Gathering<'a> {
     transport: &'a PatchTransport,
     sources: Sources<'a>,
-    reads: Reads<'a>,
     /// As in [`near::clear_way_m`].
     clear_way_m: f32,
 }
@@ -104,8 +106,9 @@ impl Gathering<'_> {
 
     /// Casts a receiver's rays.
     fn cast(&self, receiver: u32) -> Gathered {
-        let Self { transport, sources, reads, clear_way_m } = self;
-        let PatchTransport { world, emitters, settings, .. } = transport;
+        let Self { transport, sources, clear_way_m } = self;
+        let PatchTransport { world, emitters, settings, stage, .. } = transport;
+        let reads = Reads::new(world, stage);
         let hemisphere = self.hemisphere(receiver);
         let (mut gathered, mut near) = (Gathered::default(), Near::default());
         let texel_m = world.lightmap.texel_m_of(receiver);
@@ -133,12 +136,12 @@ impl Gathering<'_> {
                 is_even = !is_even;
             },
         );
-        let Gathered { hits, row } = &mut gathered;
+        let Gathered { hits, row, .. } = &mut gathered;
         // Whether a place is narrow is known only now: near hits count as such there, and as their leaves elsewhere.
         if near::is_narrow(near.hits.len(), settings) {
             near::keep(row, near.hits, settings, &world.lightmap, texel_m);
             let around_m = clear_way_m.max(reach_m);
-            row.near.iter().for_each(|hit| reads.note_around(hit.position_m(), around_m));
+            row.near.iter().for_each(|hit| reads.note_around(hit.position_m, around_m));
             near::drop_shut(row, (world, emitters), settings, receiver);
         } else {
             hits.leaves.append(&mut near.leaves);
@@ -146,6 +149,7 @@ impl Gathering<'_> {
         }
         row.shared.left_out = row.shared.uncovered;
         row.shared.add_surroundings(surroundings);
+        gathered.reads = reads.into_names();
         gathered
     }
 }

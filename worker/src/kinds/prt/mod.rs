@@ -9,6 +9,7 @@ mod gather;
 mod near;
 pub mod overview;
 mod plan;
+mod rows;
 mod transport;
 mod truncate;
 
@@ -27,8 +28,9 @@ use crate::lightmap::World;
 use crate::patches::PatchTree;
 use crate::reads::{Record, Stage};
 use crate::task::{Cancelled, Context, Progress, TaskError};
-use crate::transport::{self as rows, DEAD_PATH_TEXELS};
+use crate::transport::{self as shared, DEAD_PATH_TEXELS};
 use near::NearHit;
+use rows::{Gathered, KeptRows};
 use truncate::NamedPiece;
 
 /// The kind's row.
@@ -100,8 +102,8 @@ impl From<&Settings> for TracedSettings {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Row {
     /// The part that every kind has.
-    pub shared: rows::Row,
-    /// As in [`rows::PatchRow`].
+    pub shared: shared::Row,
+    /// As in [`shared::PatchRow`].
     pub importance: [Vec<f32>; 2],
     /// Near hits, whose light is not in the columns.
     pub near: Vec<NearHit>,
@@ -121,8 +123,10 @@ impl Row {
 struct Recorded {
     pieces: Vec<NamedPiece>,
     index: CellIndex,
-    /// All that was read, unless that was too much.
-    record: Option<Record>,
+    /// As in [`gather::Traced`].
+    record: Option<(Record, KeptRows)>,
+    /// Receivers whose rays were cast.
+    traced: usize,
 }
 
 /// Transport from patches to receivers.
@@ -148,23 +152,28 @@ impl PatchTransport {
 
 impl Transport for PatchTransport {
     fn rows(&self, receivers: &[u32], detail: Detail, progress: &Progress) -> Result<CellRows, Cancelled> {
-        let found = gather::trace(self, receivers, detail, progress)?;
+        let found = gather::trace(self, receivers, Vec::new(), detail, progress)?;
         Ok(CellRows { keys: found.keys, rows: found.rows.into_iter().map(|row| row.shared).collect() })
     }
 
     fn pieces(&self, cell: &ClusterCell, progress: &Progress) -> Result<(Vec<Piece>, CellIndex), Cancelled> {
-        let Recorded { pieces, index, .. } = self.recorded(cell, progress)?;
+        let Recorded { pieces, index, .. } = self.recorded(cell, Vec::new(), progress)?;
         Ok((pieces.into_iter().map(|(piece, _)| piece).collect(), index))
     }
 }
 
 impl PatchTransport {
-    /// As [`Transport::pieces`], with the record of all that was read.
-    fn recorded(&self, cell: &ClusterCell, progress: &Progress) -> Result<Recorded, Cancelled> {
-        let found = gather::trace(self, &cell.receivers, Detail::AsBaked, progress)?;
+    /// As [`Transport::pieces`], with the record of all that was read; rays of receivers that are `known` are not cast.
+    fn recorded(
+        &self,
+        cell: &ClusterCell,
+        known: Vec<Option<Gathered>>,
+        progress: &Progress,
+    ) -> Result<Recorded, Cancelled> {
+        let found = gather::trace(self, &cell.receivers, known, Detail::AsBaked, progress)?;
         let cavity_m = DEAD_PATH_TEXELS * self.world.lightmap.texel_m;
         let index = CellIndex::of(found.rows.iter().map(|row| (&row.shared, row.is_dead())), cavity_m);
         let pieces = truncate::pieces(self, &found.keys, cell, &found.rows, progress)?;
-        Ok(Recorded { pieces, index, record: found.record })
+        Ok(Recorded { pieces, index, record: found.record, traced: found.traced })
     }
 }

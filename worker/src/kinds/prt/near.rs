@@ -33,13 +33,13 @@ const THIN_TEXELS: f32 = 0.25;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NearHit {
     /// Receiver of the texel that it lies on.
-    receiver: u32,
+    pub receiver: u32,
     /// A wall stands between the hit and the middles of all texels around: none has its light.
-    is_own: bool,
+    pub is_own: bool,
     /// Place in metres.
-    position_m: Vec3,
+    pub position_m: Vec3,
     /// Unit normal of the side that was met.
-    face_normal: Vec3,
+    pub face_normal: Vec3,
 }
 
 impl NearHit {
@@ -51,11 +51,6 @@ impl NearHit {
             _ => return None,
         };
         Some(Self { receiver, is_own, position_m, face_normal: world.geometry.side_normal(hit) })
-    }
-
-    /// Place in metres.
-    pub fn position_m(&self) -> Vec3 {
-        self.position_m
     }
 
     /// Receiver of the texel that has its light, if one does.

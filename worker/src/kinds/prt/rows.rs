@@ -1,0 +1,302 @@
+//! Rows of a cell's receivers as an artefact. A later task alike takes over those whose rays read nothing that has changed, and
+//! traces the others.
+//!
+//! A row is kept as it was gathered, before the cut: hits by leaf and by part of the sky, with what each of its receiver's rays
+//! read and a digest of that. Nothing is named by a number of the scene, as an edit changes those.
+
+use glam::Vec3;
+use lightkiln_proto::content::{BlockKey, PatchKey, Texel};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::near::NearHit;
+use super::{PatchTransport, Row};
+use crate::lightmap::{Lightmap, Numbering};
+use crate::patches::PatchTree;
+use crate::reads::{Bytes, Mark, Name, Record, Stage};
+use crate::task::{TaskError, artefact};
+use crate::transport::{self as rows, RayHit, RowHits};
+
+/// Magic of the artefact.
+const ARTEFACT_MAGIC: &[u8; 4] = b"LKrw";
+/// Name of the rows among a task's outputs.
+pub const ROWS_ARTEFACT: &str = "rows";
+/// Most bytes for each receiver of a cell: if they take more, none are kept.
+const RECEIVER_BYTES_MAX: usize = 2048;
+
+/// Hits of one receiver's rays, its row but for these, and names of what the rays read, ascending.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Gathered {
+    pub hits: RowHits,
+    pub row: Row,
+    pub reads: Vec<Name>,
+}
+
+/// Rows of a cell's receivers, in their order.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct KeptRows {
+    /// Leaves that were hit, by the keys of their patches.
+    leaves: Vec<PatchKey>,
+    /// Blocks of texels that near hits lie on.
+    blocks: Vec<BlockKey>,
+    rows: Vec<KeptRow>,
+}
+
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+struct KeptRow {
+    /// Bits of the names that rays of the task read.
+    reads: Vec<u8>,
+    /// Digest of their marks.
+    digest: Mark,
+    leaves: Counts,
+    sky: Counts,
+    lit: f32,
+    uncovered: f32,
+    mean_path_m: f32,
+    emitters: Vec<[f32; 3]>,
+    near_weight: f32,
+    near: Vec<KeptNear>,
+}
+
+/// Hits on things by number.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+struct Counts {
+    /// Ascending numbers, each as the distance from the one before.
+    steps: Vec<u32>,
+    /// Hits of odd rays and of even ones.
+    odd_even: Vec<[u16; 2]>,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct KeptNear {
+    block: u16,
+    texel: Texel,
+    is_own: bool,
+    position_m: [f32; 3],
+    face_normal: [f32; 3],
+}
+
+impl KeptRows {
+    /// Of a cell's gathered rows; `read` are the names that their rays read, ascending, and `leaves` the leaves that they hit.
+    pub fn of(transport: &PatchTransport, all: &[Gathered], read: &[Name], leaves: &[u32]) -> Self {
+        let PatchTransport { world, tree, stage, .. } = transport;
+        let marks: Vec<Mark> = read.par_iter().map(|name| stage.mark(*name)).collect();
+        let of_near =
+            |of: &Gathered| of.row.near.iter().map(|hit| world.lightmap.block_key(hit.receiver)).collect();
+        let blocks = Numbering::of(all.iter().flat_map::<Vec<BlockKey>, _>(of_near));
+        let row = |of: &Gathered| {
+            let mut reads = vec![0; read.len().div_ceil(8)];
+            for name in &of.reads {
+                if let Ok(place) = read.binary_search(name) {
+                    reads[place / 8] |= 1 << (place % 8);
+                }
+            }
+            let Row { shared, near, near_weight, .. } = &of.row;
+            KeptRow {
+                digest: digest(&reads, &marks),
+                reads,
+                leaves: Counts::of(&of.hits.leaves, |leaf| {
+                    leaves.partition_point(|other| *other < leaf) as u32
+                }),
+                sky: Counts::of(&of.hits.sky, |part| part),
+                lit: shared.lit,
+                uncovered: shared.uncovered,
+                mean_path_m: shared.mean_path_m,
+                emitters: shared.emitters.clone(),
+                near_weight: *near_weight,
+                near: near.iter().map(|hit| KeptNear::of(hit, &world.lightmap, &blocks)).collect(),
+            }
+        };
+        Self {
+            leaves: leaves.iter().map(|&leaf| key_of_leaf(tree, leaf)).collect(),
+            rows: all.par_iter().map(row).collect(),
+            blocks: blocks.into_values(),
+        }
+    }
+
+    /// The rows as an artefact; `None` if that would be too large.
+    pub fn encoded(&self) -> Result<Option<Vec<u8>>, TaskError> {
+        let bytes = artefact::encode(ARTEFACT_MAGIC, self)?;
+        Ok((bytes.len() <= RECEIVER_BYTES_MAX * self.rows.len()).then_some(bytes))
+    }
+
+    /// Rows from their artefact.
+    pub fn decoded(bytes: &[u8]) -> Result<Self, TaskError> {
+        Ok(artefact::decode(ARTEFACT_MAGIC, bytes)?.0)
+    }
+
+    /// Rows as they were gathered, of receivers whose rays read nothing that has changed since the task left that record.
+    pub fn holding(&self, transport: &PatchTransport, record: &Record) -> Vec<Option<Gathered>> {
+        let PatchTransport { world, tree, stage, .. } = transport;
+        let read = record.names_of_rays();
+        let now = Now::of(self, &read, stage, tree, &world.lightmap);
+        self.rows.par_iter().map(|row| row.holding(&now)).collect()
+    }
+}
+
+/// What the names of kept rows stand for in the scene as it is.
+struct Now<'a> {
+    read: &'a [Name],
+    marks: Vec<Mark>,
+    leaves: Vec<Option<u32>>,
+    blocks: Vec<Option<u32>>,
+    lightmap: &'a Lightmap,
+}
+
+impl<'a> Now<'a> {
+    fn of(
+        rows: &KeptRows,
+        read: &'a [Name],
+        stage: &Stage,
+        tree: &PatchTree,
+        lightmap: &'a Lightmap,
+    ) -> Self {
+        let block_of = |key: &BlockKey| lightmap.blocks.iter().position(|block| block.key == *key);
+        Self {
+            read,
+            marks: read.par_iter().map(|name| stage.mark(*name)).collect(),
+            leaves: rows.leaves.iter().map(|&key| leaf_of_key(tree, key)).collect(),
+            blocks: rows.blocks.iter().map(|key| block_of(key).map(|block| block as u32)).collect(),
+            lightmap,
+        }
+    }
+}
+
+impl KeptRow {
+    /// `None` if something that its rays read has changed, or if the row is not one of that record.
+    fn holding(&self, now: &Now) -> Option<Gathered> {
+        let is_of_record = self.reads.len() == now.read.len().div_ceil(8);
+        if !is_of_record || digest(&self.reads, &now.marks) != self.digest {
+            return None;
+        }
+        let near = self.near.iter().map(|hit| hit.found(now)).collect::<Option<_>>()?;
+        let leaves = self.leaves.hits(|place| *now.leaves.get(place as usize)?)?;
+        let sky = self.sky.hits(Some)?;
+        let shared = rows::Row {
+            lit: self.lit,
+            uncovered: self.uncovered,
+            left_out: self.uncovered,
+            mean_path_m: self.mean_path_m,
+            emitters: self.emitters.clone(),
+            ..rows::Row::default()
+        };
+        let row = Row { shared, near, near_weight: self.near_weight, ..Row::default() };
+        let reads = bits(&self.reads).filter_map(|place| now.read.get(place).copied()).collect();
+        Some(Gathered { hits: RowHits { leaves, sky }, row, reads })
+    }
+}
+
+impl Counts {
+    fn of(hits: &[RayHit], number: impl Fn(u32) -> u32) -> Self {
+        let mut hits: Vec<(u32, bool)> = hits.iter().map(|hit| (hit.at, hit.is_even)).collect();
+        hits.sort_unstable();
+        let (mut counts, mut last) = (Self::default(), 0);
+        for same in hits.chunk_by(|a, b| a.0 == b.0) {
+            let number = number(same[0].0);
+            let odd = same.partition_point(|(_, is_even)| !is_even);
+            counts.steps.push(number - std::mem::replace(&mut last, number));
+            counts.odd_even.push([odd, same.len() - odd].map(|count| count as u16));
+        }
+        counts
+    }
+
+    /// As hits; `None` if one is on nothing.
+    fn hits(&self, of: impl Fn(u32) -> Option<u32>) -> Option<Vec<RayHit>> {
+        let (mut hits, mut number) = (Vec::new(), 0_u32);
+        for (step, odd_even) in self.steps.iter().zip(&self.odd_even) {
+            number = number.checked_add(*step)?;
+            let at = of(number)?;
+            for (count, is_even) in odd_even.iter().zip([false, true]) {
+                hits.extend((0..*count).map(|_| RayHit { at, is_even, weight: 1.0 }));
+            }
+        }
+        Some(hits)
+    }
+}
+
+impl KeptNear {
+    fn of(hit: &NearHit, lightmap: &Lightmap, blocks: &Numbering<BlockKey>) -> Self {
+        let (block, texel) = lightmap.name_of(hit.receiver);
+        let [position_m, face_normal] = [hit.position_m, hit.face_normal].map(|vector| vector.to_array());
+        Self { block: blocks.place_u16(block), texel, is_own: hit.is_own, position_m, face_normal }
+    }
+
+    fn found(&self, now: &Now) -> Option<NearHit> {
+        let block = (*now.blocks.get(usize::from(self.block))?)?;
+        let [x, y] = self.texel.map(i32::from);
+        Some(NearHit {
+            receiver: now.lightmap.receiver_at(block, x, y)?,
+            is_own: self.is_own,
+            position_m: Vec3::from(self.position_m),
+            face_normal: Vec3::from(self.face_normal),
+        })
+    }
+}
+
+/// Places of the bits that are set.
+fn bits(bytes: &[u8]) -> impl Iterator<Item = usize> + '_ {
+    let of_byte = |(index, byte): (usize, &u8)| {
+        let byte = *byte;
+        (0..8).filter(move |bit| byte >> bit & 1 == 1).map(move |bit| index * 8 + bit)
+    };
+    bytes.iter().enumerate().flat_map(of_byte)
+}
+
+/// Digest of the marks whose bits are set.
+fn digest(reads: &[u8], marks: &[Mark]) -> Mark {
+    let mut bytes = Bytes::default();
+    bits(reads).filter_map(|place| marks.get(place)).for_each(|mark| {
+        bytes.bytes(mark);
+    });
+    bytes.mark()
+}
+
+/// Key of a leaf's patch. Patches stand in the order of their first leaves, each before its parts: of those that begin with the leaf
+/// the last is the leaf itself.
+fn key_of_leaf(tree: &PatchTree, leaf: u32) -> PatchKey {
+    let end = tree.patches.partition_point(|patch| patch.first_leaf <= leaf);
+    tree.patches[end - 1].key
+}
+
+fn leaf_of_key(tree: &PatchTree, key: PatchKey) -> Option<u32> {
+    tree.of_key(key).filter(|patch| patch.leaf_count == 1).map(|patch| patch.first_leaf)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn hits_come_back_by_leaf_with_odd_rays_first_and_none_where_a_leaf_is_gone() {
+        let ray = |at: u32, is_even: bool| RayHit { at, is_even, weight: 1.0 };
+        let hits = [ray(9, true), ray(4, true), ray(9, false), ray(4, false), ray(9, true)];
+        let counts = Counts::of(&hits, |at| at / 4);
+        assert_eq!((&counts.steps[..], &counts.odd_even[..]), (&[1, 1][..], &[[1, 1], [1, 2]][..]));
+        let back = counts.hits(|number| Some(10 * number)).unwrap();
+        assert_eq!(back, [ray(10, false), ray(10, true), ray(20, false), ray(20, true), ray(20, true)]);
+        assert_eq!(counts.hits(|number| (number == 1).then_some(0)), None);
+        let overflowing = Counts { steps: vec![u32::MAX, 1], odd_even: vec![[1, 0]; 2] };
+        assert_eq!(overflowing.hits(Some), None);
+    }
+
+    #[test]
+    fn row_holds_while_marks_that_it_read_do_and_only_beside_its_own_record() {
+        let names: Vec<Name> = (0..11).map(Name).collect();
+        let mut marks: Vec<Mark> = (0..11).map(|byte| [byte; 16]).collect();
+        let reads = vec![0b0000_0101, 0b0000_0100];
+        let row = KeptRow { digest: digest(&reads, &marks), reads, ..KeptRow::default() };
+        let lightmap =
+            Lightmap { texel_m: 1.0, first_block: vec![0], blocks: Vec::new(), receivers: Vec::new() };
+        let holding = |marks: &[Mark], read: &[Name]| {
+            let (marks, leaves, blocks) = (marks.to_vec(), Vec::new(), Vec::new());
+            row.holding(&Now { read, marks, leaves, blocks, lightmap: &lightmap })
+        };
+        let reads = holding(&marks, &names).unwrap().reads;
+        assert_eq!(reads, [Name(0), Name(2), Name(10)]);
+        assert_eq!(holding(&marks[..8], &names[..8]), None, "a record of fewer names");
+        marks[1] = [77; 16];
+        assert!(holding(&marks, &names).is_some(), "it read nothing of that");
+        marks[10] = [77; 16];
+        assert_eq!(holding(&marks, &names), None);
+    }
+}
