@@ -126,6 +126,11 @@ pub enum Overlay {
         /// Clusters that have come.
         clusters: usize,
     },
+    /// Blue where light is too dark, red where it is too bright, by measured errors that a frame was given.
+    Errors {
+        /// Number of the light that they were measured under.
+        light: usize,
+    },
 }
 
 /// The light of a loaded bake.

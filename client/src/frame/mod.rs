@@ -20,7 +20,9 @@ use glam::{Vec3, Vec4};
 use lightkiln_proto::relight::Limit;
 use lightkiln_proto::scene::{SceneCamera, SceneLight};
 
-use crate::bake::{LightPasses, LoadedBake, Overlay, ReceiverBuffers, ReceiverLight, Unshadowed};
+use crate::bake::{
+    LightPasses, LoadedBake, MeasuredErrors, Overlay, ReceiverBuffers, ReceiverLight, Unshadowed,
+};
 use crate::error::{ClientError, Result};
 use crate::lights::{Caster, Sky, check_lights, check_scale};
 use crate::passes::change::ChangePass;
@@ -55,7 +57,9 @@ pub struct Frame<'a> {
     change: Option<ChangePass>,
     shade: ShadePass,
     watch: Stopwatch,
-    overlay: Option<Overlay>,
+    /// With its colours by slot.
+    overlay: Option<(Overlay, Vec<Vec4>)>,
+    errors: Option<MeasuredErrors>,
     has_paint: bool,
     casters: Vec<Caster>,
     sky: Sky,
@@ -142,6 +146,7 @@ impl<'a> Frame<'a> {
             shade,
             watch,
             overlay: None,
+            errors: None,
             has_paint: false,
             casters: Vec::new(),
             sky: Sky::default(),
@@ -274,10 +279,10 @@ impl<'a> Frame<'a> {
         self.draw_shadows();
         let view = self.view(&self.camera, jitter)?.showing_irradiance(self.overlay.is_some());
         let publishes = std::mem::take(&mut self.stale.pages);
-        let colours = self.overlay.filter(|_| publishes).and_then(|overlay| self.bake.light.overlay(overlay));
+        let colours = self.overlay.as_ref().filter(|_| publishes).map(|(_, colours)| colours);
         let (gpu, light) = (&*self.gpu, &self.light);
         self.watch.submit(gpu, |encoder| {
-            match &colours {
+            match colours {
                 Some(colours) => light.paint(gpu, encoder, colours),
                 None if publishes => light.publish(encoder),
                 None => {}
@@ -330,13 +335,15 @@ impl<'a> Frame<'a> {
     pub fn set_bake(&mut self, bake: impl Into<Held<'a, LoadedBake>>) -> Result<()> {
         let bake = bake.into();
         let mut light = bake.light.passes(&self.gpu, &bake.scene, &self.shadow, self.room.size)?;
-        if let Some(overlay) = self.overlay {
-            check_overlay(&bake, overlay)?;
+        let overlay = self.overlay.as_ref().map(|(overlay, _)| *overlay);
+        let overlay = self.painted(&bake, overlay)?;
+        if overlay.is_some() {
             light.make_paint(&self.gpu)?;
         }
         let change = light.feedback().map(|feedback| ChangePass::new(&self.gpu, feedback)).transpose()?;
         self.shade.bind(&self.gpu, &light.bindings())?;
-        self.has_paint = self.overlay.is_some();
+        self.has_paint = overlay.is_some();
+        self.overlay = overlay;
         (self.light, self.change, self.bake) = (light, change, bake);
         if let Some(albedo) = self.bake.light.tinted_albedo(&self.bake.scene, &self.tints) {
             self.light.set_albedo(&self.gpu, &albedo);
@@ -346,12 +353,36 @@ impl<'a> Frame<'a> {
         Ok(())
     }
 
+    /// Takes measured errors for [`Overlay::Errors`]. Errs for those of another scene.
+    pub fn set_errors(&mut self, errors: MeasuredErrors) -> Result<()> {
+        errors.check(self.bake.scene.manifest.bounds_m)?;
+        self.errors = Some(errors);
+        Ok(())
+    }
+
+    /// An overlay with its colours. Errs for one that the bake's kind has not.
+    fn painted(&self, bake: &LoadedBake, overlay: Option<Overlay>) -> Result<Option<(Overlay, Vec<Vec4>)>> {
+        let Some(overlay) = overlay else { return Ok(None) };
+        let colours = match (overlay, &self.errors) {
+            (Overlay::Errors { light }, Some(errors)) => {
+                let lightmap = bake.light.lightmap(&bake.scene);
+                lightmap.and_then(|lightmap| errors.colours(light, lightmap.receivers))
+            }
+            _ => bake.light.overlay(overlay),
+        };
+        let absent = || ClientError::Argument {
+            what: format!("overlay {overlay:?}"),
+            problem: format!("is none of kind '{}'", bake.scene.manifest.kind),
+        };
+        Ok(Some((overlay, colours.ok_or_else(absent)?)))
+    }
+
     /// Lays an overlay over surfaces, or takes it away. Errs for one that the bake's kind has not. The first one makes buffers.
     pub fn set_overlay(&mut self, overlay: Option<Overlay>) -> Result<()> {
-        if overlay == self.overlay {
+        if overlay == self.overlay.as_ref().map(|(overlay, _)| *overlay) {
             return Ok(());
         }
-        overlay.map_or(Ok(()), |overlay| check_overlay(&self.bake, overlay))?;
+        let overlay = self.painted(&self.bake, overlay)?;
         if !self.has_paint {
             self.light.make_paint(&self.gpu)?;
             self.gpu.check()?;
@@ -452,15 +483,6 @@ impl<'a> Frame<'a> {
         });
         (self.stale.lights, self.stale.direct, self.stale.cascades) = (false, false, false);
     }
-}
-
-fn check_overlay(bake: &LoadedBake, overlay: Overlay) -> Result<()> {
-    if bake.light.overlay(overlay).is_some() {
-        return Ok(());
-    }
-    let what = format!("overlay {overlay:?}");
-    let kind = &bake.scene.manifest.kind;
-    Err(ClientError::Argument { what, problem: format!("is none of kind '{kind}'") })
 }
 
 /// Where suns' cascades are; none for a parallel camera, which sees all alike.
