@@ -134,6 +134,11 @@ pub enum Overlay {
     },
     /// Levels of detail, the finest first: red, green, blue, yellow.
     Lod,
+    /// Blue where light is too dark, red where it is too bright, by measured errors that a frame was given.
+    Errors {
+        /// Number of the light that they were measured under.
+        light: usize,
+    },
 }
 
 /// The light of a loaded bake.

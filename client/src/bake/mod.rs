@@ -4,6 +4,7 @@
 //! gives the work before shading on the processor ([`Light::settle`]) and on the adapter ([`LightPasses`]), and the
 //! shading function in both forms.
 
+mod errors;
 mod kind;
 mod light;
 
@@ -13,6 +14,7 @@ use crate::error::Result;
 use crate::fetch::Source;
 use crate::scene::{LoadedScene, Object, Recolour, Tints};
 
+pub use errors::{COLUMNS, FULL_COLOUR, MeasuredErrors};
 pub use kind::{ClientKind, ClientKinds};
 pub use light::{
     DebugPage, IncomingDirect, Light, LightPasses, LightStream, LitScene, Overlay, ReceiverBuffers,

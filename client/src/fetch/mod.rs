@@ -134,7 +134,8 @@ fn verify(place: &str, wanted: Digest, bytes: Vec<u8>) -> Result<Vec<u8>> {
     Err(ClientError::WrongDigest { place: place.to_owned(), wanted, got })
 }
 
-fn read_limited(path: &Path, limit: u64) -> Result<Vec<u8>> {
+/// Reads a file of at most `limit` bytes.
+pub(crate) fn read_limited(path: &Path, limit: u64) -> Result<Vec<u8>> {
     let failed = |source| ClientError::File { action: "read", path: path.to_owned(), source };
     let mut file = fs::File::open(path).map_err(failed)?;
     let bytes = file.metadata().map_err(failed)?.len();

@@ -16,6 +16,7 @@
 mod held;
 mod lod;
 mod objects;
+mod overlay;
 #[cfg(test)]
 mod tests;
 
@@ -25,7 +26,9 @@ use glam::{Vec3, Vec4};
 use lightkiln_proto::relight::{Limit, Lod, LodPlan, MAX_INTERVAL};
 use lightkiln_proto::scene::{SceneCamera, SceneLight};
 
-use crate::bake::{LightPasses, LoadedBake, Overlay, ReceiverBuffers, ReceiverLight, Unshadowed};
+use crate::bake::{
+    LightPasses, LoadedBake, MeasuredErrors, Overlay, ReceiverBuffers, ReceiverLight, Unshadowed,
+};
 use crate::error::{ClientError, Result};
 use crate::lights::{Caster, Panorama, Sky, check_lights, check_scale};
 use crate::passes::change::ChangePass;
@@ -61,7 +64,9 @@ pub struct Frame<'a> {
     change: Option<ChangePass>,
     shade: ShadePass,
     watch: Stopwatch,
-    overlay: Option<Overlay>,
+    /// With its colours by slot.
+    overlay: Option<(Overlay, Vec<Vec4>)>,
+    errors: Option<MeasuredErrors>,
     has_paint: bool,
     lod: Option<Lod>,
     has_lod: bool,
@@ -154,6 +159,7 @@ impl<'a> Frame<'a> {
             shade,
             watch,
             overlay: None,
+            errors: None,
             has_paint: false,
             lod: None,
             has_lod: false,
@@ -310,14 +316,11 @@ impl<'a> Frame<'a> {
         self.draw_shadows();
         let view = self.view(&self.camera, jitter)?.showing_irradiance(self.overlay.is_some());
         let publishes = std::mem::take(&mut self.stale.pages);
-        let colours = self
-            .overlay
-            .filter(|_| publishes)
-            .and_then(|overlay| self.bake.light.overlay(overlay, self.lod_plan.as_ref()));
+        let colours = self.overlay_colours().filter(|_| publishes);
         let (gpu, light) = (&*self.gpu, &self.light);
         self.watch.submit(gpu, |encoder| {
-            match &colours {
-                Some(colours) => light.paint(gpu, encoder, colours),
+            match colours {
+                Some(colours) => light.paint(gpu, encoder, &colours),
                 None if publishes => light.publish(encoder),
                 None => {}
             }
@@ -370,8 +373,9 @@ impl<'a> Frame<'a> {
     pub fn set_bake(&mut self, bake: impl Into<Held<'a, LoadedBake>>) -> Result<()> {
         let bake = bake.into();
         let mut light = bake.light.passes(&self.gpu, &bake.scene, &self.shadow, self.room.size)?;
-        if let Some(overlay) = self.overlay {
-            check_overlay(&bake, overlay)?;
+        let overlay = self.overlay.as_ref().map(|(overlay, _)| *overlay);
+        let overlay = self.painted(&bake, overlay)?;
+        if overlay.is_some() {
             light.make_paint(&self.gpu)?;
         }
         if self.lod.is_some() {
@@ -379,8 +383,9 @@ impl<'a> Frame<'a> {
         }
         let change = light.feedback().map(|feedback| ChangePass::new(&self.gpu, feedback)).transpose()?;
         self.shade.bind(&self.gpu, &light.bindings())?;
-        self.has_paint = self.overlay.is_some();
+        self.has_paint = overlay.is_some();
         (self.has_lod, self.lod_plan) = (self.lod.is_some(), None);
+        self.overlay = overlay;
         (self.light, self.change, self.bake) = (light, change, bake);
         self.plan_lod();
         if let Some(albedo) = self.bake.light.tinted_albedo(&self.bake.scene, &self.tints) {
@@ -388,22 +393,6 @@ impl<'a> Frame<'a> {
         }
         (self.stale.lights, self.stale.cascades) = (true, true);
         self.write_unshadowed();
-        Ok(())
-    }
-
-    /// Lays an overlay over surfaces, or takes it away. Errs for one that the bake's kind has not. The first one makes buffers.
-    pub fn set_overlay(&mut self, overlay: Option<Overlay>) -> Result<()> {
-        if overlay == self.overlay {
-            return Ok(());
-        }
-        overlay.map_or(Ok(()), |overlay| check_overlay(&self.bake, overlay))?;
-        if !self.has_paint {
-            self.light.make_paint(&self.gpu)?;
-            self.gpu.check()?;
-            self.has_paint = true;
-        }
-        self.overlay = overlay;
-        self.stale.pages = true;
         Ok(())
     }
 
@@ -499,15 +488,6 @@ impl<'a> Frame<'a> {
         });
         (self.stale.lights, self.stale.direct, self.stale.cascades) = (false, false, false);
     }
-}
-
-fn check_overlay(bake: &LoadedBake, overlay: Overlay) -> Result<()> {
-    if bake.light.overlay(overlay, None).is_some() {
-        return Ok(());
-    }
-    let what = format!("overlay {overlay:?}");
-    let kind = &bake.scene.manifest.kind;
-    Err(ClientError::Argument { what, problem: format!("is none of kind '{kind}'") })
 }
 
 /// Where suns' cascades are; none for a parallel camera, which sees all alike.

@@ -235,6 +235,8 @@ impl<C: ClientColumns> Light for LightmapLight<C> {
                 true => Vec3::new(0.1, 0.6, 0.15),
                 false => Vec3::new(0.7, 0.1, 0.05),
             })),
+            // Frames have them.
+            Overlay::Errors { .. } => None,
         }
     }
 

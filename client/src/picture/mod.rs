@@ -14,6 +14,7 @@ use rayon::prelude::*;
 use crate::error::{ClientError, Result};
 use crate::scene::srgb_of_linear;
 
+pub(crate) use tone::luminance;
 pub use tone::{Exposure, Tone, automatic_exposure};
 
 /// A finished picture and how it came about.

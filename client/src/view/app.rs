@@ -166,6 +166,7 @@ impl Running {
         let mut viewer =
             Viewer::new((Arc::clone(&gpu), screen.format()), bake, view.clone(), &options.materials)?;
         viewer.is_panel_open = options.has_panel;
+        options.errors.clone().map_or(Ok(()), |errors| viewer.show_errors(errors))?;
         let (ctx, id) = (egui::Context::default(), egui::ViewportId::ROOT);
         let most = Some(gpu.device.limits().max_texture_dimension_2d as usize);
         let scale = Some(screen.window.scale_factor() as f32);

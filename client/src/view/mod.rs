@@ -23,7 +23,7 @@ mod viewer;
 
 use std::path::PathBuf;
 
-use crate::bake::LoadedBake;
+use crate::bake::{LoadedBake, MeasuredErrors};
 use crate::preview::{StreamedBake, View};
 use crate::scene::Recolour;
 
@@ -44,6 +44,8 @@ pub struct Options {
     pub view: View,
     /// Colours of materials at first.
     pub materials: Vec<Recolour>,
+    /// Errors of the bake to show at first.
+    pub errors: Option<MeasuredErrors>,
     /// Words of the command line that name the bake, for copied commands.
     pub bake_words: String,
     /// Notes to show, such as which light was chosen.

@@ -12,7 +12,7 @@ use super::detail;
 use super::edits::{Edits, new_light};
 use super::handles::Part;
 use super::viewer::Viewer;
-use crate::bake::Overlay;
+use crate::bake::{FULL_COLOUR, Overlay};
 use crate::picture::{Exposure, Tone};
 use crate::scene::Stance;
 use crate::stream::Streamed;
@@ -428,6 +428,7 @@ fn objects(ui: &mut Ui, edits: &mut Edits) {
 }
 
 fn overlay(ui: &mut Ui, viewer: &mut Viewer, facts: &Facts) {
+    let lights = viewer.error_lights.clone();
     let chosen = &mut viewer.edits.overlay;
     ui.radio_value(chosen, None, "none");
     ui.radio_value(chosen, Some(Overlay::Clusters), "clusters");
@@ -446,6 +447,30 @@ fn overlay(ui: &mut Ui, viewer: &mut Viewer, facts: &Facts) {
             *chosen = Some(residency);
         }
     }
+    for (light, name) in lights.iter().enumerate() {
+        ui.radio_value(chosen, Some(Overlay::Errors { light }), format!("error under {name}"));
+    }
+    if let Some(Overlay::Errors { .. }) = chosen {
+        legend(ui);
+    }
+}
+
+/// Colours of errors.
+fn legend(ui: &mut Ui) {
+    let full = 100.0 * FULL_COLOUR;
+    for (colour, words) in [
+        (Color32::from_rgb(200, 24, 24), format!("too bright by {full} % of the light's mean or more")),
+        (Color32::from_rgb(230, 230, 230), "right".to_owned()),
+        (Color32::from_rgb(24, 64, 200), format!("too dark by {full} % or more")),
+        (Color32::from_rgb(56, 56, 56), "no place was measured that faces this way".to_owned()),
+    ] {
+        ui.horizontal(|ui| {
+            let (place, _) = ui.allocate_exact_size(egui::vec2(14.0, 14.0), egui::Sense::hover());
+            ui.painter().rect_filled(place, 2.0, colour);
+            ui.label(words);
+        });
+    }
+    ui.label("each texel as the nearest measured place");
 }
 
 fn times(ui: &mut Ui, viewer: &Viewer, facts: &Facts) {

@@ -10,7 +10,7 @@ use lightkiln_proto::scene::LightKind;
 use super::edits::new_light;
 use super::input::{Button, Input, Key};
 use super::viewer::Viewer;
-use crate::bake::{LoadedBake, Overlay};
+use crate::bake::{COLUMNS, LoadedBake, MeasuredErrors, Overlay};
 use crate::fixture;
 use crate::passes::gpu::Gpu;
 use crate::picture::Exposure;
@@ -183,6 +183,26 @@ fn adapter_follows_lights_that_come_and_go_colours_and_overlays() {
         assert!(seen.iter().all(|other| difference(other, &picture) > 5.0), "{overlay:?}");
         seen.push(picture);
     }
+    // One place with too much light.
+    let [low, high] = viewer.bake().scene.manifest.bounds_m.map(glam::Vec3::from);
+    let at = 0.5 * (low + high);
+    let mut text = format!("{}\n", COLUMNS.join(","));
+    for normal in ["1,0,0", "-1,0,0", "0,1,0", "0,-1,0", "0,0,1", "0,0,-1"] {
+        text += &format!("sun,{},{},{},{normal},1,3,3,3,1,1,1,1\n", at.x, at.y, at.z);
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("places.csv");
+    std::fs::write(&path, text).unwrap();
+    viewer.show_errors(MeasuredErrors::read(&path).unwrap()).unwrap();
+    settle(&mut viewer);
+    let picture = viewer.picture().unwrap();
+    assert!(seen.iter().all(|other| difference(other, &picture) > 5.0));
+    let is_red = |pixel: &&[u8; 4]| i32::from(pixel[0]) > i32::from(pixel[1]) + 100;
+    assert!(picture.iter().filter(is_red).count() > picture.len() / 4, "errors are not seen");
+    viewer.edits.overlay = Some(Overlay::Errors { light: 7 });
+    settle(&mut viewer);
+    assert!(viewer.notice.take().is_some_and(|notice| notice.contains("Errors")));
+    assert_eq!(viewer.edits.overlay, Some(Overlay::Errors { light: 0 }));
     viewer.edits.overlay = None;
     viewer.edits.colours[0].now = [0.9, 0.05, 0.05];
     settle(&mut viewer);

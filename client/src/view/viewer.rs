@@ -12,7 +12,7 @@ use super::fly::Fly;
 use super::handles::{self, Ball, Drag, Handle};
 use super::input::{Button, Input, Key};
 use super::lens::Lens;
-use crate::bake::LoadedBake;
+use crate::bake::{LoadedBake, MeasuredErrors, Overlay};
 use crate::error::{ClientError, Result};
 use crate::frame::{Frame, FrameRoom};
 use crate::lights::Caster;
@@ -61,6 +61,8 @@ pub struct Viewer {
     pub wants_picture: bool,
     /// The last thing that was refused or done, for people.
     pub notice: Option<String>,
+    /// Names of the lights that errors were measured under.
+    pub error_lights: Vec<String>,
     drag: Option<Drag>,
     pointer: Vec2,
     looks_around: bool,
@@ -111,6 +113,7 @@ impl Viewer {
             is_panel_open: true,
             wants_picture: false,
             notice: None,
+            error_lights: Vec::new(),
             drag: None,
             pointer: Vec2::ZERO,
             looks_around: false,
@@ -419,6 +422,14 @@ impl Viewer {
         self.meter = MeterPass::new(&self.gpu, self.frame.radiance(), size)?;
         self.metered[1] = self.metered[0];
         (self.size, self.samples) = (size, 0);
+        Ok(())
+    }
+
+    /// Takes measured errors, and shows those under the first light.
+    pub fn show_errors(&mut self, errors: MeasuredErrors) -> Result<()> {
+        self.error_lights = errors.lights().map(str::to_owned).collect();
+        self.frame.set_errors(errors)?;
+        self.edits.overlay = Some(Overlay::Errors { light: 0 });
         Ok(())
     }
 

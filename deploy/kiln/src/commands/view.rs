@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use lightkiln_client::bake::MeasuredErrors;
 use lightkiln_client::preview::View;
 use lightkiln_client::view::{self, Options};
 
@@ -26,6 +27,10 @@ pub struct Arguments {
     /// as of 'kiln preview'; may be given often
     #[arg(long, value_name = "OBJECT", value_parser = parse_object, help_heading = "Picture")]
     object: Vec<ObjectArgument>,
+    /// Shows errors at first, of a file that 'kiln evaluate --dump' wrote: each texel as the nearest measured place, red where light is
+    /// too bright, blue where it is too dark
+    #[arg(long, value_name = "FILE.csv", help_heading = "Window")]
+    errors: Option<PathBuf>,
     /// Opens the window without the panel, which F1 shows
     #[arg(long, help_heading = "Window")]
     no_panel: bool,
@@ -42,9 +47,10 @@ pub struct Arguments {
 
 /// Opens the window, until it is closed.
 pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
-    let Arguments { source, look, object, no_panel, frames, screenshot, off } = arguments;
+    let Arguments { source, look, object, errors, no_panel, frames, screenshot, off } = arguments;
     look.check()?;
     screenshot.as_deref().map_or(Ok(()), check_png)?;
+    let errors = errors.as_deref().map(MeasuredErrors::read).transpose()?;
     let objects = object.iter().map(ObjectArgument::read).collect::<Result<_>>()?;
     let (subject, view, notes) = look.opened(&source.open()?, &kinds.client, &off, objects)?;
     let view = View { objects: object.iter().map(|object| object.stance).collect(), ..view };
@@ -53,6 +59,7 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     }
     let materials = look.colours().to_vec();
     let bake_words = source.words();
-    let options = Options { view, materials, bake_words, notes, has_panel: !no_panel, frames, screenshot };
+    let options =
+        Options { view, materials, errors, bake_words, notes, has_panel: !no_panel, frames, screenshot };
     Ok(view::run(subject, options)?)
 }

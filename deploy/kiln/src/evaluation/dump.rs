@@ -93,6 +93,14 @@ mod tests {
     use super::*;
 
     #[test]
+    fn columns_that_windows_read_are_there() {
+        let head: Vec<&str> = HEADER.split(',').collect();
+        for column in lightkiln_client::bake::COLUMNS {
+            assert!(head.contains(&column), "{column}");
+        }
+    }
+
+    #[test]
     fn names_with_commas_and_quotes_stay_one_field() {
         assert_eq!(field("sun"), "sun");
         assert_eq!(field("a, \"b\""), "\"a, \"\"b\"\"\"");

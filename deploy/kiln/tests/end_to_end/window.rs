@@ -93,6 +93,13 @@ fn window_on_a_display_shows_what_preview_draws() {
     assert!(off < 1.0, "{off} of 255");
     let moved = shown("moved.png", &["--light", "sun dir=0.2,-0.6,-0.8 irradiance=3"]);
     assert!(difference(&moved, &wanted) > 3.0, "another light is another picture");
+    let lights = r#"{"lights": [{"name": "own", "type": "emitters", "scale": 1}]}"#;
+    std::fs::write(folder.join("lights.json"), lights).unwrap();
+    let rough = ["--receivers", "40", "--rel-error", "0.3", "--pixels", "0", "--lights", "lights.json"];
+    let dump = ["evaluate", "box", "--dump", "places.csv"];
+    run(within(folder, None), &[&dump[..], &rough].concat(), 0);
+    let errors = shown("errors.png", &["--errors", "places.csv"]);
+    assert!([&wanted, &moved].iter().all(|other| difference(&errors, other) > 10.0), "errors are not seen");
 }
 
 /// All of a server's light comes while the window is open.
@@ -124,4 +131,8 @@ fn without_a_display_it_says_how_to_draw_pictures() {
     assert!(said.contains("no display") && said.contains("kiln preview"), "{said}");
     let missing = run(within(folder.path(), None), &["view", "nothing"], 2).stderr();
     assert!(missing.contains("manifest.json"), "{missing}");
+    std::fs::write(folder.path().join("places.csv"), "light,x_m\n").unwrap();
+    let errors = ["view", "box", "--errors", "places.csv"];
+    let refused = run(within(folder.path(), None), &errors, 2).stderr();
+    assert!(refused.contains("places.csv") && refused.contains("kiln evaluate"), "{refused}");
 }
