@@ -316,7 +316,8 @@ impl<'a> Frame<'a> {
         self.draw_shadows();
         let view = self.view(&self.camera, jitter)?.showing_irradiance(self.overlay.is_some());
         let publishes = std::mem::take(&mut self.stale.pages);
-        let colours = self.overlay_colours().filter(|_| publishes);
+        let overlay = self.overlay.as_ref().filter(|_| publishes);
+        let colours = overlay.map(|of| overlay::colours_of(of, &self.bake, self.lod_plan.as_ref()));
         let (gpu, light) = (&*self.gpu, &self.light);
         self.watch.submit(gpu, |encoder| {
             match colours {

@@ -3,6 +3,7 @@
 use std::borrow::Cow;
 
 use glam::Vec4;
+use lightkiln_proto::relight::LodPlan;
 
 use super::Frame;
 use crate::bake::{LoadedBake, MeasuredErrors, Overlay};
@@ -52,13 +53,16 @@ impl Frame<'_> {
         self.stale.pages = true;
         Ok(())
     }
+}
 
-    /// Colours of the overlay, by slot. Those of levels of detail follow the eye.
-    pub(super) fn overlay_colours(&self) -> Option<Cow<'_, [Vec4]>> {
-        let (overlay, colours) = self.overlay.as_ref()?;
-        match overlay {
-            Overlay::Lod => self.bake.light.overlay(*overlay, self.lod_plan.as_ref()).map(Cow::Owned),
-            _ => Some(Cow::Borrowed(&colours[..])),
-        }
+/// Colours of an overlay, by slot. Those of levels of detail follow the eye.
+pub(super) fn colours_of<'a>(
+    (overlay, colours): &'a (Overlay, Vec<Vec4>),
+    bake: &LoadedBake,
+    lod: Option<&LodPlan>,
+) -> Cow<'a, [Vec4]> {
+    match overlay {
+        Overlay::Lod => Cow::Owned(bake.light.overlay(*overlay, lod).unwrap_or_default()),
+        _ => Cow::Borrowed(colours),
     }
 }
