@@ -71,6 +71,8 @@ pub const MODULES: &[(&str, &[u8])] = files![
     "page/bakes.js",
     "page/colours.js",
     "page/dom.js",
+    "page/evaluation.js",
+    "page/pictures.js",
     "page/report.js",
     "page/session.js",
     "page/viewer.js",

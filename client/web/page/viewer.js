@@ -3,17 +3,22 @@
 import { Unsupported, Viewer } from "../view.js";
 import { coloursOf } from "./colours.js";
 import { el, fill, notice } from "./dom.js";
+import { picturesOf } from "./pictures.js";
 
 /** Steps of a slider from one end of the scene to the other. */
 const STEPS = 200;
 
-/** Shows the bake's picture in `place` until `signal` is raised. */
-export async function viewerOf(place, source, signal) {
+/**
+ * Shows the bake's picture in `place` until `signal` is raised. Where there can be none, it says why, and shows `pictures` that were drawn
+ * before, whose files lie below `base`.
+ */
+export async function viewerOf(place, source, signal, { pictures = [], base = "" } = {}) {
   const canvas = el("canvas", { tabindex: 0, "aria-label": "Picture of the bake: arrow keys turn the camera" });
   const over = el("p", { class: "over", role: "status" }, "opening …");
   const controls = el("div", { class: "controls" });
   fill(place, el("div", { class: "viewer" }, el("div", { class: "stage" }, canvas, over), controls));
-  const onFailure = (error) => signal.aborted || fill(place, told(error));
+  const still = () => (pictures.length === 0 ? null : picturesOf(pictures, base));
+  const onFailure = (error) => signal.aborted || fill(place, told(error, pictures.length > 0), still());
   const onProgress = ({ words, share }) => {
     over.textContent = words;
     over.hidden = share === 1;
@@ -32,9 +37,10 @@ export async function viewerOf(place, source, signal) {
   }
 }
 
-function told(error) {
+function told(error, hasPictures) {
   const isBad = !(error instanceof Unsupported);
-  const rest = isBad ? "" : ": the bake cannot be shown here, 'kiln preview' draws it.";
+  const instead = hasPictures ? "these pictures were drawn before; lights cannot be moved in them." : "'kiln preview' draws it.";
+  const rest = isBad ? "" : `: the bake cannot be relit here, ${instead}`;
   return notice(`The picture: ${error.message}${rest}`, { isBad });
 }
 

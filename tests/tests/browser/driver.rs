@@ -88,6 +88,15 @@ impl Browser {
         self.call("window/rect", &json!({ "width": width, "height": height }));
     }
 
+    /// Runs a script in every page that is opened from here on, before its own.
+    pub fn before_pages(&self, script: &str) {
+        let params = json!({ "source": script });
+        self.call(
+            "goog/cdp/execute",
+            &json!({ "cmd": "Page.addScriptToEvaluateOnNewDocument", "params": params }),
+        );
+    }
+
     /// The value of a script; its `arguments[0]` are `args`.
     pub fn script(&self, script: &str, args: Value) -> Value {
         self.call("execute/sync", &json!({ "script": script, "args": [args] }))

@@ -77,7 +77,9 @@ fn chromium_shows_a_finished_bake_of_a_farm_as_its_server_hands_it_out() {
             performance.getEntriesByType('resource').some(({ name }) => name.endsWith('/relight/worker.js'))]";
     assert_eq!(browser.script(shown, json!([])), json!([true, true, true, true, true]));
     // The same bake as a site of plain files.
-    let site = program(folder.path()).args(["site", "out", "--out", "site"]).output().expect("a site");
+    evaluate(folder.path());
+    let arguments = ["site", "out", "--out", "site", "--stills", "2", "--evaluation", "evaluated"];
+    let site = program(folder.path()).args(arguments).output().expect("a site");
     assert!(site.status.success(), "{}", String::from_utf8_lossy(&site.stderr));
     let files = Files::start(vec![("/any/place/", folder.path().join("site"))], |_| None);
     browser.open(&files.url("/any/place/index.html"));
@@ -85,6 +87,58 @@ fn chromium_shows_a_finished_bake_of_a_farm_as_its_server_hands_it_out() {
     let calls = files.calls();
     assert!(calls.iter().all(|call| call.starts_with("/any/place/")), "{calls:?}");
     assert!(calls.iter().any(|call| call == "/any/place/web/relight/worker.js"), "{calls:?}");
+    assert!(!calls.iter().any(|call| call.contains("stills/")), "a canvas needs no pictures: {calls:?}");
+    let text = wait_for(&browser, "all lights", 2);
+    assert!(text.contains("Evaluation") && text.contains("Cornell's lamp"), "{text}");
+    // Without WebGPU either page says so, and the site has pictures.
+    browser.before_pages("Object.defineProperty(Navigator.prototype, 'gpu', { get: () => undefined })");
+    browser.open(&format!("{url}/#/bakes/{id}"));
+    wait_for(&browser, "kiln preview", 0);
+    browser.open(&files.url("/any/place/index.html"));
+    let text = wait_for(&browser, "no WebGPU", 3);
+    assert!(text.contains("drawn before"), "{text}");
+    let stills = "const image = document.querySelector('main img'); return [image.src, image.naturalWidth, image.naturalHeight]";
+    assert_eq!(browser.script(stills, json!([])), json!([files.url("/any/place/stills/1.png"), 960, 540]));
+}
+
+/// Evaluates the bake of a folder, roughly.
+fn evaluate(folder: &Path) {
+    let scene = root().join("tests/scenes/cornell.glb");
+    let lights = r#"{"lights": [
+        {"name": "Cornell's lamp", "type": "point", "position_m": [0, 1, 0.5], "strength": [10, 9, 8]}
+    ]}"#;
+    std::fs::write(folder.join("lights.json"), lights).expect("a file");
+    let mut evaluate = program(folder);
+    evaluate.args([
+        "evaluate",
+        "out",
+        "--out",
+        "evaluated",
+        "--lights",
+        "lights.json",
+        "--size",
+        "48x32",
+        "--scene",
+    ]);
+    evaluate.arg(scene).args(["--receivers", "30", "--rel-error", "0.3", "--pixels", "0"]);
+    let output = evaluate.output().expect("an evaluation");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+}
+
+/// Waits until the page says `words` and has so many pictures loaded; gives its text.
+fn wait_for(browser: &Browser, words: &str, pictures: u64) -> String {
+    let look = "const isLoaded = ({ complete, naturalWidth }) => complete && naturalWidth > 0;
+        const images = [...document.querySelectorAll('main img')];
+        return [document.querySelector('main')?.innerText ?? '', images.filter(isLoaded).length]";
+    let start = Instant::now();
+    loop {
+        let found = browser.script(look, json!([]));
+        let text = found[0].as_str().unwrap_or_default();
+        if text.contains(words) && found[1].as_u64() >= Some(pictures) {
+            return text.to_owned();
+        }
+        assert!(start.elapsed() < LIMIT, "never '{words}' and {pictures} pictures: {found}");
+    }
 }
 
 fn wait_for_all_light(browser: &Browser) {

@@ -30,7 +30,7 @@ pub struct Arguments {
     /// Folder that holds the scene and the files that it names, as of 'kiln bake' [default: the scene's own]
     #[arg(long, value_name = "DIR", requires = "scene")]
     root: Option<PathBuf>,
-    /// Folder to write a page with pictures to (evaluation.html, evaluation.json)
+    /// Folder to write a page with pictures to (evaluation.html, evaluation.json, pictures), as 'kiln site --evaluation' takes it
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Camera of the pictures of --out, e.g. "eye=0,1.6,4 target=0,1,0 fov=50" (metres, degrees) [default: the scene's

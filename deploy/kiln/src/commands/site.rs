@@ -1,5 +1,8 @@
 //! `kiln site`: a bake as a website of plain files, which browsers relight.
 
+mod evaluation;
+mod stills;
+
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -7,6 +10,7 @@ use clap::Args;
 use lightkiln_client::bake::ClientKinds;
 use lightkiln_client::fetch::{CHUNKS_FOLDER, Source, download_bundle, write_atomically};
 use lightkiln_client::web::{FACE, MODULES, SITE, shaders};
+use serde_json::json;
 
 use crate::arguments::BakeArgument;
 use crate::bundle::remove_left_over;
@@ -23,8 +27,13 @@ const BAKE: &str = "bake";
 const MODULES_FOLDER: &str = "web";
 /// An empty file by which GitHub's pages keep files whose names begin with an underscore.
 const NO_JEKYLL: &str = ".nojekyll";
+/// Folder of an evaluation; the page's module knows it.
+const EVALUATION: &str = "evaluation";
+/// Tells the page which other parts there are.
+const CONTENTS: &str = "site.json";
 /// Names that a site's folder may hold; the last two are of those who publish it.
-const PARTS: [&str; 6] = [PAGE, BAKE, MODULES_FOLDER, NO_JEKYLL, ".git", "CNAME"];
+const PARTS: [&str; 9] =
+    [PAGE, BAKE, MODULES_FOLDER, stills::FOLDER, EVALUATION, CONTENTS, NO_JEKYLL, ".git", "CNAME"];
 
 /// Arguments of `kiln site`.
 #[derive(Args, Debug)]
@@ -34,6 +43,12 @@ pub struct Arguments {
     /// Folder to write: index.html, the modules in web, the bundle in bake; new, empty, or of an earlier site, whose chunks are kept where this bake has them
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
+    /// Pictures for browsers without WebGPU, from as many of the bake's cameras as it has, under its own lights; 0 draws none
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(0..=i64::from(stills::STILLS_MAX)))]
+    stills: u32,
+    /// Shows the figures and pictures of an evaluation too: the folder that 'kiln evaluate BUNDLE --out DIR' wrote
+    #[arg(long, value_name = "DIR")]
+    evaluation: Option<PathBuf>,
 }
 
 /// Writes the site, the page last.
@@ -41,6 +56,7 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     let out = &arguments.out;
     check_folder(out)?;
     check_is_ours(out)?;
+    let evaluation = arguments.evaluation.as_deref().map(evaluation::read).transpose()?;
     let source = arguments.source.open()?;
     check_kind(&source, &kinds.client)?;
     let (manifest, _) = download_bundle(&source, &out.join(BAKE))?;
@@ -52,6 +68,13 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
         write(&out.join(MODULES_FOLDER).join(format!("shaders/{name}.wgsl")), text.as_bytes())?;
     }
     write(&out.join(NO_JEKYLL), b"")?;
+    remove_parts(out)?;
+    let pictures = stills::draw(&out.join(BAKE), &kinds.client, arguments.stills, out)?;
+    if let Some(read) = &evaluation {
+        evaluation::place(read, &out.join(EVALUATION))?;
+    }
+    let contents = json!({ "stills": pictures, "evaluation": evaluation.is_some() });
+    write(&out.join(CONTENTS), contents.to_string().as_bytes())?;
     let page = MODULES.iter().find(|(name, _)| *name == SITE);
     write(&out.join(PAGE), page.map_or(&[][..], |(_, bytes)| bytes))?;
     let megabytes = manifest.bytes() as f64 / 1e6;
@@ -59,6 +82,20 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
         "{}: a site with {megabytes:.1} MB of chunks; any web server hands it out, over HTTPS or on this machine",
         out.display()
     );
+    Ok(())
+}
+
+/// Removes pictures and evaluation of an earlier site.
+fn remove_parts(out: &Path) -> Result<()> {
+    for folder in [stills::FOLDER, EVALUATION].map(|name| out.join(name)) {
+        match fs::remove_dir_all(&folder) {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                let what = format!("the folder {} of an earlier site cannot be removed", folder.display());
+                return Err(Failure::bad_input(what).caused_by(&error));
+            }
+            _ => {}
+        }
+    }
     Ok(())
 }
 
@@ -77,7 +114,7 @@ fn check_is_ours(folder: &Path) -> Result<()> {
     for entry in entries {
         let name = entry.map_err(unread)?.file_name().to_string_lossy().into_owned();
         // A killed run leaves files half written.
-        let is_part = [PAGE, NO_JEKYLL].iter().any(|file| name.starts_with(&part_of(file)));
+        let is_part = [PAGE, CONTENTS, NO_JEKYLL].iter().any(|file| name.starts_with(&part_of(file)));
         if !is_site || !(PARTS.contains(&name.as_str()) || is_part || name.starts_with(".kiln-")) {
             let what = format!("the folder {} holds '{name}', which is no part of a site", folder.display());
             return Err(Failure::bad_input(what).try_this("another folder with --out DIR"));
@@ -126,10 +163,13 @@ mod tests {
         fs::write(folder.path().join(PAGE), b"mine").unwrap();
         assert!(check_is_ours(folder.path()).is_err());
         fs::create_dir_all(folder.path().join(BAKE).join(CHUNKS_FOLDER)).unwrap();
-        for name in [".nojekyll", "CNAME", "index.part-12", ".nojekyll.part-12", ".kiln-12"] {
+        fs::create_dir(folder.path().join(stills::FOLDER)).unwrap();
+        for name in [".nojekyll", "CNAME", "site.json", "index.part-12", ".nojekyll.part-12", ".kiln-12"] {
             fs::write(folder.path().join(name), b"").unwrap();
         }
         check_is_ours(folder.path()).unwrap();
+        remove_parts(folder.path()).unwrap();
+        assert!(!folder.path().join(stills::FOLDER).exists() && folder.path().join("CNAME").exists());
         fs::write(folder.path().join("thesis.txt"), b"").unwrap();
         let problem = check_is_ours(folder.path()).unwrap_err().to_string();
         assert!(problem.contains("thesis.txt") && problem.contains("--out"), "{problem}");

@@ -6,9 +6,9 @@ use std::path::Path;
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use lightkiln_client::fetch::write_atomically;
-use lightkiln_client::picture::encode_png;
 use lightkiln_worker::evaluate::{ClusterError, Figures, cluster_errors};
 
+use super::gallery::{captioned, png_of, write_gallery};
 use super::heat::{Bitmap, FULL_COLOUR, colour};
 use super::measure::Measured;
 use super::pictures::LightPictures;
@@ -17,12 +17,12 @@ use super::pixels::{
 };
 use super::table::{ABSENT, Classes, Evaluation, LightRow, energy_words, rmse_words};
 use crate::console::say;
-use crate::failure::{Exit, Failure, Result};
+use crate::failure::{Failure, Result};
 
 /// Name of the page in its folder.
 const PAGE: &str = "evaluation.html";
 /// Name of the figures beside it.
-const FIGURES: &str = "evaluation.json";
+pub const FIGURES: &str = "evaluation.json";
 /// Bars of the histogram, and the relative error at its end.
 const BARS: usize = 20;
 const HISTOGRAM_END: f64 = 0.5;
@@ -35,7 +35,7 @@ td:first-child,th:first-child{text-align:left}figure{display:inline-block;margin
 figcaption{font-size:13px;color:#555}img{image-rendering:auto;max-width:100%;border:1px solid #ccc}\
 .atlas img{image-rendering:pixelated;max-height:420px}";
 
-/// Writes the page, and the figures as JSON beside it; `out` is made if need be.
+/// Writes the page, and the figures as JSON and pictures as files beside it; `out` is made if need be.
 pub fn write_page(out: &Path, measured: &Measured, pictures: &[LightPictures]) -> Result<()> {
     std::fs::create_dir_all(out).map_err(|error| {
         Failure::bad_input(format!("the folder {} cannot be made", out.display())).caused_by(&error)
@@ -43,6 +43,7 @@ pub fn write_page(out: &Path, measured: &Measured, pictures: &[LightPictures]) -
     let html = page(measured, pictures)?;
     write_atomically(&out.join(PAGE), html.as_bytes())?;
     let json = format!("{:#}\n", serde_json::json!(measured.evaluation));
+    write_gallery(out, pictures, &measured.evaluation.lights)?;
     write_atomically(&out.join(FIGURES), json.as_bytes())?;
     say!("report: {}", out.join(PAGE).display());
     Ok(())
@@ -65,15 +66,12 @@ fn page(measured: &Measured, pictures: &[LightPictures]) -> Result<String> {
     html += &legend();
     for (light, row) in pictures.iter().zip(&evaluation.lights) {
         let _ = write!(html, "<h2>{}</h2><p>{}</p>", escaped(&light.name), escaped(&row.words));
-        html += &figure("baked: E_ind of the bake, exact direct light", &light.baked)?;
-        html += &figure("reference: path traced", &light.reference)?;
-        html += &figure("baked − reference", &light.heat)?;
-        html += &figure(&format!("ꟻLIP, mean {:.4}", light.flip_mean), &light.flip)?;
+        let (of_view, of_atlas) = captioned(light);
+        for (words, picture) in of_view {
+            html += &figure(&words, picture)?;
+        }
         html += "<div class=\"atlas\">";
-        for (page, picture) in light.atlas.iter().enumerate() {
-            let words = format!(
-                "atlas page {page}: baked − reference of E_ind, each texel as the nearest receiver measured"
-            );
+        for (words, picture) in of_atlas {
             html += &figure(&words, picture)?;
         }
         html += "</div>";
@@ -252,8 +250,7 @@ fn legend() -> String {
 }
 
 fn figure(caption: &str, picture: &Bitmap) -> Result<String> {
-    let png = encode_png(picture.width, picture.height, &picture.pixels)
-        .map_err(|error| Failure::new(Exit::Failed, "a picture cannot be encoded").caused_by(&*error))?;
+    let png = png_of(picture)?;
     let caption = escaped(caption);
     Ok(format!(
         "<figure><img width=\"{}\" height=\"{}\" alt=\"{caption}\" src=\"data:image/png;base64,{}\"><figcaption>{caption}\

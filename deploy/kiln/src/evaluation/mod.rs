@@ -3,6 +3,7 @@
 mod arguments;
 mod dump;
 mod flip;
+mod gallery;
 mod heat;
 mod html;
 mod limits;
@@ -15,7 +16,8 @@ mod table;
 
 pub use arguments::EvaluationArguments;
 pub use dump::write_dump;
-pub use html::write_page;
+pub use gallery::{FOLDER as GALLERY_FOLDER, Gallery, LIST as GALLERY_LIST};
+pub use html::{FIGURES, write_page};
 pub use limits::check;
 pub use measure::measure;
 pub use pictures::draw;
