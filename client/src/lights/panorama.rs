@@ -92,7 +92,8 @@ mod tests {
         }
         let text = |text: &str| read(text.as_bytes()).unwrap_err().to_string();
         assert!(text("\u{89}PNG").contains("no Radiance HDR file"));
-        assert!(text("#?RADIANCE\n\n-Y 4294967295 +X 4294967295\n").contains("smaller"));
+        assert!(text("#?RADIANCE\n\n-Y 9000 +X 9000\n").contains("smaller"));
+        assert!(text("#?RADIANCE\n\n-Y 4294967295 +X 4294967295\n").contains("a sky.hdr"));
         assert!(text("#?RADIANCE\n\n-Y 0 +X 0\n").contains("0 × 0"));
         assert!(text("#?RADIANCE\nEXPOSURE=0\n\n-Y 1 +X 1\n1111").contains("exposure"));
         assert!(read_panorama(Path::new("/nowhere/at/all.hdr")).unwrap_err().to_string().contains("all.hdr"));

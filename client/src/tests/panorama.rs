@@ -86,8 +86,10 @@ fn adapter_turns_and_scales_a_panorama_and_makes_nothing_for_it() {
     let before = gpu.created();
     let turned = under(&view, &image, 100.0);
     kept.set_sky(turned.panorama.as_ref()).unwrap();
-    let got = drawn(&mut kept, &view);
+    kept.settle(view.limit).unwrap();
+    kept.draw([0.25, 0.0]).unwrap();
     assert_eq!(gpu.created(), before, "a turn makes nothing");
+    let got = drawn(&mut kept, &view);
     assert!(!Difference::of_mean(&got, &first, shade::TOLERANCE).agrees(0.1), "the turn is seen");
     let wanted = drawn(&mut frame_of(&gpu, &bake, &turned).unwrap(), &view);
     let difference = Difference::of_mean(&got, &wanted, 2e-3);

@@ -313,10 +313,7 @@ fn sides(ui: &mut Ui, size_m: &mut [f32; 2], points: &mut u32) {
                 *side = side.clamp(*SIDES_M.start(), *SIDES_M.end());
             }
         }
-        let range = 1..=RECT_POINTS_MAX;
-        if ui.add(DragValue::new(points).speed(0.05).range(range).suffix(" points")).changed() {
-            *points = (*points).clamp(1, RECT_POINTS_MAX);
-        }
+        ui.add(DragValue::new(points).speed(0.05).range(1..=RECT_POINTS_MAX).suffix(" points"));
     });
 }
 

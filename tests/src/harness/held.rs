@@ -12,8 +12,8 @@ use lightkiln_worker::task::Progress;
 
 use super::{Decoded, LocalBake, Recipe, bake_in_world};
 
-/// Points over a panel that give E_dir at a receiver.
-const PANEL_POINTS: u32 = 64;
+/// Points over rectangles that give E_dir at a receiver.
+const RECT_POINTS: u32 = 64;
 
 /// A bake with the world that it was made in.
 pub struct Held {
@@ -74,7 +74,7 @@ impl Held {
         let reference = Reference::new(&self.world.geometry, lighting)?;
         let site = |slot: u32| self.site(self.receiver_of[slot as usize]);
         let sites = |slot: u32| self.world.lit_points_of(self.receiver_of[slot as usize]);
-        let direct = |site: &Site| reference.direct_irradiance(site, PANEL_POINTS);
+        let direct = |site: &Site| reference.direct_irradiance(site, RECT_POINTS);
         let light = self.decoded.lit(lighting, sites, site, direct);
         Ok(Lit { held: self, reference, light })
     }

@@ -5,6 +5,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::EvaluationError;
+use super::figures::{RelativeRoot, SquareTerm};
 use crate::geometry::Site;
 use crate::rays::sampling::{R2, seed_of, tangent_frame};
 use crate::reference::{Lighting, Reference, luminance};
@@ -13,6 +14,8 @@ use crate::reference::{Lighting, Reference, luminance};
 const AROUND: u32 = 32;
 /// Points of lights with extent that exact rays look at.
 const EXTENT_POINTS: u32 = 16;
+/// The same for the error of E_dir.
+const ERROR_POINTS: u32 = 256;
 /// Share of a light's unshadowed irradiance from which on its presence, or its lack, is counted.
 const SHARE_MIN: f64 = 0.05;
 
@@ -64,6 +67,8 @@ pub struct DirectShares {
     pub acne: f64,
     /// Pixels looked at.
     pub pixels: usize,
+    /// Root mean square error of E_dir as shown against exact rays, over the mean.
+    pub error: RelativeRoot,
 }
 
 impl DirectShares {
@@ -76,7 +81,13 @@ impl DirectShares {
             let faulty = sites.iter().zip(&faults).filter(|(_, fault)| fault[which]);
             faulty.fold(0.0, |sum, ((_, part), _)| sum + part) / area.max(f64::MIN_POSITIVE)
         };
-        Self { leak: share(0), acne: share(1), pixels: sites.len() }
+        let term = |(site, area): &(Site, f64)| {
+            let reference = luminance(reference.direct_irradiance(site, ERROR_POINTS));
+            let square = (luminance(mapped.at(site).shown) - reference).powi(2);
+            SquareTerm { weight: *area, square, reference }
+        };
+        let terms: Vec<SquareTerm> = sites.par_iter().map(term).collect();
+        Self { leak: share(0), acne: share(1), pixels: sites.len(), error: RelativeRoot::of(&terms).0 }
     }
 }
 

@@ -22,8 +22,8 @@ use crate::rays::Hit;
 use crate::reference::{Lighting, Reference};
 use crate::task::{Cancelled, Context, Progress};
 
-/// Points over a panel that give E_dir at every receiver of the bake.
-const PANEL_POINTS: u32 = 64;
+/// Points over rectangles that give E_dir at every receiver of the bake.
+const RECT_POINTS: u32 = 64;
 
 /// Names of the classes of error, in the order of [`Relit::classes`].
 pub const ERROR_CLASSES: [&str; 3] = ["transport", "factorisation", "quantisation"];
@@ -102,8 +102,8 @@ impl<C: Columns> FactoredBake<C> {
         let sites = |slot: u32| self.world.lit_points_of(self.receiver_of[slot as usize]);
         self.baked.lit(lighting, sites, site, |sites| {
             progress.check()?;
-            let panel_points = PANEL_POINTS.div_ceil(sites.len() as u32);
-            let sum: DVec3 = sites.iter().map(|site| reference.direct_irradiance(site, panel_points)).sum();
+            let rect_points = RECT_POINTS.div_ceil(sites.len() as u32);
+            let sum: DVec3 = sites.iter().map(|site| reference.direct_irradiance(site, rect_points)).sum();
             Ok(sum / sites.len() as f64)
         })
     }

@@ -8,22 +8,19 @@ const RECT_FACES = 5u;
 const RECT_FAR = 64.0;
 const RECT_PI = 3.14159265358979;
 
-// θ / sin θ by q = sin²(θ/2), within 3 parts in a million: 1 + 2/3 q + 8/15 q² + … as a polynomial for q ≤ 1/2, and π − θ beyond.
-fn angle_over_sine(q: f32) -> f32 {
-    let x = min(q, 1.0 - q);
-    let series = 1.0 + x * (0.6663532 + x * (0.5452078 + x * (0.3105367 + x * (1.209364 + x * (-1.711025 + x * 2.584307)))));
-    if q <= 0.5 {
-        return series;
-    }
-    return 0.5 * RECT_PI * inverseSqrt(max(x * (1.0 - x), 1e-12)) - series;
-}
-
 // Part of an edge between two points, seen from the origin: θ n·(a × b)/|a × b|, θ being the angle between them.
 fn edge_part(a: vec3f, b: vec3f, normal: vec3f) -> f32 {
     let lengths = inverseSqrt(max(vec2f(dot(a, a), dot(b, b)), vec2f(1e-30)));
-    let apart = a * lengths.x - b * lengths.y;
+    let scale = lengths.x * lengths.y;
     // a × (b − a) is a × b without the digits that are lost where both are nearly alike.
-    return dot(normal, cross(a, b - a)) * lengths.x * lengths.y * angle_over_sine(0.25 * dot(apart, apart));
+    let across = cross(a, b - a) * scale;
+    let cosine = dot(a, b) * scale;
+    let sine2 = dot(across, across);
+    // θ / sin θ by x = sin²(θ/2), within 3 parts in a million: 1 + 2/3 x + 8/15 x² + … as a polynomial; beyond a right angle by π − θ.
+    let x = 0.5 * sine2 / (1.0 + abs(cosine));
+    let series = 1.0 + x * (0.6663532 + x * (0.5452078 + x * (0.3105367 + x * (1.209364 + x * (-1.711025 + x * 2.584307)))));
+    let ratio = select(series, RECT_PI * inverseSqrt(max(sine2, 1e-30)) - series, cosine < 0.0);
+    return dot(normal, across) * ratio;
 }
 
 // ∫ cosθ dω over a rectangle of half sides u and v before a surface at the origin, above its horizon: Lambert's formula.

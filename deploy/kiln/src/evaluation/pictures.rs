@@ -23,8 +23,8 @@ use crate::kinds::KindTables;
 const PATHS_A_SIDE: u32 = 14;
 /// Side in pixels of the blocks in which differences are shown.
 const HEAT_BLOCK: usize = 2;
-/// Points over a panel for E_dir at a pixel's sample.
-const PANEL_POINTS: u32 = 4;
+/// Points over rectangles for E_dir at a pixel's sample.
+const RECT_POINTS: u32 = 4;
 
 /// The pictures of one light.
 pub struct LightPictures {
@@ -97,7 +97,7 @@ fn one(
         }
     };
     let irradiance = |surface: &EyeSurface| -> DVec3 {
-        reference.direct_irradiance(&surface.site, PANEL_POINTS) + indirect(surface).unwrap_or_default()
+        reference.direct_irradiance(&surface.site, RECT_POINTS) + indirect(surface).unwrap_or_default()
     };
     let baked = reference.picture_by(camera, size, &progress, irradiance).map_err(|error| failed(&error))?;
     let traced = reference.picture(camera, size, &progress).map_err(|error| failed(&error))?;

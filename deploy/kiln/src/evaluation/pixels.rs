@@ -91,7 +91,11 @@ fn mean_shares(rows: &[&PixelRow]) -> Option<DirectShares> {
     let pixels = shares.first()?.pixels;
     let [leak, acne] = [|share: &DirectShares| share.leak, |share: &DirectShares| share.acne]
         .map(|of| mean(shares.iter().map(of)));
-    Some(DirectShares { leak, acne, pixels })
+    // Errors of several lights: the root of their mean square.
+    let rms = |of: fn(&RelativeRoot) -> f64| mean(shares.iter().map(|share| of(&share.error).powi(2))).sqrt();
+    let interval_95 = [rms(|root| root.interval_95[0]), rms(|root| root.interval_95[1])];
+    let error = RelativeRoot { rel_rmse: rms(|root| root.rel_rmse), interval_95 };
+    Some(DirectShares { leak, acne, pixels, error })
 }
 
 fn mean_seams(rows: &[&PixelRow]) -> Option<Seams> {
@@ -219,6 +223,15 @@ pub fn pixel_words(evaluation: &Evaluation) -> String {
         evaluation.pixels_measured,
     );
     for row in &evaluation.lights {
+        let Some(direct) = row.pixels.as_ref().and_then(|pixels| pixels.direct) else { continue };
+        let [low, high] = direct.error.interval_95.map(|end| 100.0 * end);
+        text += &format!(
+            "{}: direct light as shown differs from exact rays by {:.1} ({low:.1} to {high:.1}) % of its mean\n",
+            row.name,
+            100.0 * direct.error.rel_rmse
+        );
+    }
+    for row in &evaluation.lights {
         let worst = row.pixels.iter().flat_map(|pixels| &pixels.hunt).flat_map(|hunt| &hunt.worst);
         worst.take(NAMED).for_each(|outlier| text += &format!("{}: {}\n", row.name, place_words(outlier)));
         let steps = row.pixels.iter().flat_map(|pixels| &pixels.seams).flat_map(|seams| &seams.worst);
@@ -235,7 +248,7 @@ mod tests {
         let root = RelativeRoot { rel_rmse: interpolation, interval_95: [0.0; 2] };
         PixelRow {
             interpolation: Some(root),
-            direct: leak.map(|leak| DirectShares { leak, acne: 0.0, pixels: 10 }),
+            direct: leak.map(|leak| DirectShares { leak, pixels: 10, ..DirectShares::default() }),
             hunt: Some(Hunt { outliers, traced: 64, ..Hunt::default() }),
             draws: vec![Draw::default(); 500],
             interpolation_draws: vec![interpolation * interpolation.abs(); 500],

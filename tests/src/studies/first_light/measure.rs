@@ -26,8 +26,8 @@ use super::Size;
 
 /// End of the bounces.
 const LIMIT: Limit = Limit { bounces_max: 400, change_max: 1e-4 };
-/// Points over a panel for E_dir.
-const PANEL_POINTS: u32 = 8;
+/// Points over rectangles for E_dir.
+const RECT_POINTS: u32 = 8;
 
 /// A bake under the lights of the evaluation.
 pub struct Whole {
@@ -254,7 +254,7 @@ impl Lit {
                 }
             };
             let site = Site { position_m, normal, face_normal: normal };
-            reference.direct_irradiance(&site, PANEL_POINTS).as_vec3().extend(0.0)
+            reference.direct_irradiance(&site, RECT_POINTS).as_vec3().extend(0.0)
         };
         let slots = (0..transport.receivers.len() as u32).into_par_iter();
         let dir: Vec<Vec4> = slots.map(|slot| direct(DirectAt::Receiver(slot))).collect();

@@ -6,7 +6,7 @@ use lightkiln_proto::scene::{LightKind, SceneLight};
 use super::rooms::{site, sites_on_walls};
 use super::*;
 
-/// A room with a window, a lamp, a panel that hangs free, and a sky outside.
+/// A room with a window, a lamp, a rectangle that hangs free, and a sky outside.
 fn room() -> (Room, Lighting) {
     let size = Vec3::new(2.0, 2.0, 2.0);
     let mut room = Room::new();

@@ -99,7 +99,7 @@ fn every_way_to_find_light_finds_as_much_of_it_behind_glass() {
     let both = by(Strategy::Both);
     for strategy in [Strategy::Lamps, Strategy::Directions] {
         for (one, other) in both.iter().zip(by(strategy)) {
-            // As many paths are taken as indirect light asks for; the panel is small.
+            // As many paths are taken as indirect light asks for; the rectangle is small.
             for (a, b, sure) in [(one.direct, other.direct, 0.1), (one.indirect, other.indirect, 0.02)] {
                 let error = a.luminance_error.hypot(b.luminance_error);
                 assert!(error <= sure * a.luminance().max(b.luminance()), "{error} of {a:?} hides anything");
