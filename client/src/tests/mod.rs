@@ -7,6 +7,7 @@ mod factors;
 mod formula;
 mod glass;
 mod light;
+mod many;
 pub(crate) mod objects;
 mod receivers;
 mod shaders;

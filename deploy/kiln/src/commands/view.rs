@@ -13,6 +13,7 @@ use crate::kinds::KindTables;
 use crate::objects::{ObjectArgument, parse_object};
 use crate::outputs::check_png;
 use crate::picture::LookArguments;
+use crate::reel::parse_bytes;
 use crate::switched_off::SwitchedOff;
 
 /// Arguments of `kiln view`.
@@ -26,6 +27,10 @@ pub struct Arguments {
     /// as of 'kiln preview'; may be given often
     #[arg(long, value_name = "OBJECT", value_parser = parse_object, help_heading = "Picture")]
     object: Vec<ObjectArgument>,
+    /// Lets light take at most so much memory, e.g. 200M: clusters that the view needs least go back to fewer layers, or to the
+    /// overview, and come again when it needs them [default: as much as all of it takes]
+    #[arg(long, value_name = "BYTES", value_parser = parse_bytes, help_heading = "Picture")]
+    max_memory: Option<u64>,
     /// Opens the window without the panel, which F1 shows
     #[arg(long, help_heading = "Window")]
     no_panel: bool,
@@ -42,17 +47,19 @@ pub struct Arguments {
 
 /// Opens the window, until it is closed.
 pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
-    let Arguments { source, look, object, no_panel, frames, screenshot, off } = arguments;
+    let Arguments { source, look, object, max_memory, no_panel, frames, screenshot, off } = arguments;
     look.check()?;
     screenshot.as_deref().map_or(Ok(()), check_png)?;
     let objects = object.iter().map(ObjectArgument::read).collect::<Result<_>>()?;
-    let (subject, view, notes) = look.opened(&source.open()?, &kinds.client, &off, objects)?;
+    let (subject, view, notes) = look.opened(&source.open()?, &kinds.client, &off, objects, max_memory)?;
     let view = View { objects: object.iter().map(|object| object.stance).collect(), ..view };
     for note in &notes {
         say!("note: {note}");
     }
     let materials = look.colours().to_vec();
     let bake_words = source.words();
-    let options = Options { view, materials, bake_words, notes, has_panel: !no_panel, frames, screenshot };
+    let memory = max_memory.unwrap_or(u64::MAX);
+    let options =
+        Options { view, materials, bake_words, notes, has_panel: !no_panel, memory, frames, screenshot };
     Ok(view::run(subject, options)?)
 }
