@@ -59,6 +59,18 @@ pub enum ClientError {
         /// Digest of the bytes.
         got: Digest,
     },
+    /// First bytes of a chunk that are not those which its directory lists.
+    #[error(
+        "{place}: the first {bytes} bytes of chunk {digest} are none of its layers: they are damaged or end early; fetch them again"
+    )]
+    WrongPrefix {
+        /// Source of the bytes.
+        place: String,
+        /// The chunk.
+        digest: Digest,
+        /// Bytes that came.
+        bytes: u64,
+    },
     /// Text that should be JSON of a known shape.
     #[error("{place} is malformed")]
     Json {
@@ -145,6 +157,7 @@ impl ClientError {
             | Self::File { .. }
             | Self::TooLarge { .. }
             | Self::WrongDigest { .. }
+            | Self::WrongPrefix { .. }
             | Self::Json { .. }
             | Self::Manifest { .. }
             | Self::Chunk { .. }

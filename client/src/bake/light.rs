@@ -16,7 +16,7 @@ use crate::passes::shadow::reference::ShadowMaps;
 use crate::passes::shadow::{ShadowPass, ShadowPlan};
 use crate::passes::stopwatch::Recorder;
 use crate::scene::{LoadedScene, Tints};
-use crate::stream::{Streamed, Viewpoint};
+use crate::stream::{Budget, Streamed, Viewpoint};
 
 /// A scene under lights, with the shadow maps of the processor.
 #[derive(Clone, Copy, Debug)]
@@ -238,13 +238,14 @@ pub trait LightStream: Debug + Send {
     /// The light of the pieces that have come.
     fn light(&self, scene: &LoadedScene) -> Result<Box<dyn Light>>;
 
-    /// Fetches pieces until `bytes_max` bytes of light have come, those first that the lit scene needs most from the viewpoint.
+    /// Fetches pieces as far as the budget goes, those first that the lit scene needs most from the viewpoint; where memory is short,
+    /// lets those go that it needs least. Pieces that came before an error stay.
     fn refine(
         &mut self,
         source: &Source,
         lit: &LitScene<'_>,
         viewpoint: Option<Viewpoint>,
-        bytes_max: u64,
+        budget: Budget,
         limit: Limit,
     ) -> Result<()>;
 }

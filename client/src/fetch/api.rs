@@ -1,6 +1,8 @@
 //! People's side of the HTTP API, typed ([`lightkiln_proto::api`]): scenes, bakes, events, results.
 
-use lightkiln_http::{Call, HttpClient, RetryPolicy, ShutdownFlag};
+use std::ops::Range;
+
+use lightkiln_http::{Call, HttpClient, Part, RetryPolicy, ShutdownFlag};
 use lightkiln_proto::api::{
     Bake, BakeFilter, BakePage, Blocklist, EventPage, MAX_CHUNK_BYTES, NewBake, NewPriority,
     SCENE_PART_BYTES, ScenePart, SceneParts, SceneProgress, SceneStored, WorkerPage,
@@ -180,15 +182,25 @@ impl ApiClient {
 
     /// A chunk of at most `limit_bytes`, verified.
     pub fn chunk(&self, digest: Digest, limit_bytes: u64) -> Result<Vec<u8>> {
-        let path = format!("/v1/chunks/{digest}");
-        let bytes = self.http.bytes(&Call::get(path.as_str()), limit_bytes)?;
+        let path = chunk_path(digest);
+        let Part { bytes, .. } = self.http.part(&path, 0..limit_bytes, limit_bytes)?;
         super::verify(&format!("{}{path}", self.base()), digest, bytes)
+    }
+
+    /// Bytes of a chunk of `total` bytes from a place on, unverified: those that are `wanted`, or all from a server that ignores
+    /// ranges. A connection that breaks goes on where it was.
+    pub fn chunk_part(&self, digest: Digest, wanted: Range<u64>, total: u64) -> Result<Part> {
+        Ok(self.http.part(&chunk_path(digest), wanted, total)?)
     }
 
     /// Workers heard of lately.
     pub fn workers(&self) -> Result<WorkerPage> {
         Ok(self.http.json(&Call::get("/v1/workers"))?)
     }
+}
+
+fn chunk_path(digest: Digest) -> String {
+    format!("/v1/chunks/{digest}")
 }
 
 fn bake_path(id: &str, rest: &str) -> String {

@@ -18,8 +18,8 @@ use crate::error::{ClientError, Result};
 /// Reason why a chunk does not decode.
 type Reason = Box<dyn Error + Send + Sync>;
 
-/// Chunks fetched at the same time. More → faster over long lines, more memory.
-const PARALLEL: usize = 8;
+/// Chunks fetched at the same time. More → faster over long lines, as overviews are of hundreds of small chunks; more memory.
+const PARALLEL: usize = 32;
 
 /// Result of a download.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -39,15 +39,6 @@ pub fn chunk_refs(manifest: &Manifest) -> Vec<ChunkRef> {
     by_digest.into_values().collect()
 }
 
-/// Calls `take(index, bytes)` for every chunk of `chunks`, several at a time; the first error ends it.
-fn fetch_all(
-    source: &Source,
-    chunks: &[ChunkRef],
-    take: impl Fn(usize, Vec<u8>) -> Result<()> + Sync,
-) -> Result<()> {
-    for_each_parallel(chunks.len(), |index| take(index, source.chunk(&chunks[index])?))
-}
-
 /// Fetches the chunks of a role and decodes each as it lands; results in the manifest's order.
 pub fn decoded<T: Send>(
     source: &Source,
@@ -65,15 +56,29 @@ pub fn decoded_chunks<T: Send>(
     role: &'static str,
     decode: impl Fn(&[u8]) -> std::result::Result<T, Reason> + Sync,
 ) -> Result<Vec<T>> {
-    let slots: Vec<Mutex<Option<T>>> = chunks.iter().map(|_| Mutex::new(None)).collect();
-    fetch_all(source, chunks, |index, bytes| {
+    let (values, ended) = parallel(chunks.len(), |index| {
         let digest = chunks[index].digest;
-        let value = decode(&bytes).map_err(|source| ClientError::Chunk { digest, role, source })?;
+        let bytes = source.chunk(&chunks[index])?;
+        decode(&bytes).map_err(|source| ClientError::Chunk { digest, role, source })
+    });
+    ended?;
+    Ok(values.into_iter().flatten().collect())
+}
+
+/// Results of `work(0..count)`, a few at a time, in their order; the first error ends it, and with it come the results that were
+/// there by then.
+pub(crate) fn parallel<T: Send>(
+    count: usize,
+    work: impl Fn(usize) -> Result<T> + Sync,
+) -> (Vec<Option<T>>, Result<()>) {
+    let slots: Vec<Mutex<Option<T>>> = (0..count).map(|_| Mutex::new(None)).collect();
+    let ended = for_each_parallel(count, |index| {
+        let value = work(index)?;
         *slots[index].lock().unwrap_or_else(PoisonError::into_inner) = Some(value);
         Ok(())
-    })?;
+    });
     let values = slots.into_iter().map(|slot| slot.into_inner().unwrap_or_else(PoisonError::into_inner));
-    Ok(values.flatten().collect())
+    (values.collect(), ended)
 }
 
 /// Writes the bake into `folder`. Chunks that are there and right are kept; the manifest is written last, so a

@@ -2,6 +2,7 @@
 
 pub mod api;
 mod bundle;
+mod layers;
 #[cfg(test)]
 mod tests;
 
@@ -18,7 +19,9 @@ use lightkiln_proto::manifest::{self, ChunkRef, DIRECTORY, Manifest, ManifestErr
 use crate::error::{ClientError, Result};
 
 pub use api::ApiClient;
+pub(crate) use bundle::parallel;
 pub use bundle::{Downloaded, chunk_refs, decoded, decoded_chunks, download_bundle, write_atomically};
+pub use layers::{Layers, decoded_layers};
 
 /// The manifest's file in a bundle.
 pub const MANIFEST_FILE: &str = "manifest.json";
@@ -119,11 +122,15 @@ fn cached(cache: &DiskCache, client: &ApiClient, chunk: &ChunkRef, limit: u64) -
         return Ok(bytes);
     }
     let bytes = client.chunk(chunk.digest, limit)?;
-    // A picture is worth more than its cache.
-    if let Err(error) = cache.put(chunk.digest, &bytes) {
+    note_unkept(cache.put(chunk.digest, &bytes));
+    Ok(bytes)
+}
+
+/// A picture is worth more than its cache.
+fn note_unkept(kept: std::io::Result<()>) {
+    if let Err(error) = kept {
         tracing::warn!(%error, "a fetched chunk cannot be kept for the next time");
     }
-    Ok(bytes)
 }
 
 fn verify(place: &str, wanted: Digest, bytes: Vec<u8>) -> Result<Vec<u8>> {

@@ -1,5 +1,7 @@
 //! Bundles and servers: chunks fetched and kept, broken ones refused, calls tried again.
 
+mod layers;
+
 use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpListener;

@@ -15,8 +15,9 @@ use crate::error::{ClientError, Result};
 const PATIENCE: Duration = Duration::from_secs(300);
 /// Smallest buffer: bindings must hold at least one element, and none of ours is larger.
 const SMALLEST_BUFFER: u64 = 256;
-/// Most bytes of one storage binding; software adapters bind no more, others need no more.
-const BINDING_MAX: u64 = 128 << 20;
+/// Most bytes of one storage binding that are asked for, where an adapter has more than the 128 MiB of all: arrays by receiver are not
+/// split into pages, and have 16 bytes for each of up to [`lightkiln_proto::relight::MAX_RECEIVERS`].
+const BINDING_MAX: u64 = 1 << 30;
 
 /// An open adapter.
 #[derive(Debug)]
@@ -96,6 +97,7 @@ impl Gpu {
         let has = adapter.limits();
         let limits = wgpu::Limits {
             max_buffer_size: has.max_buffer_size,
+            max_storage_buffer_binding_size: has.max_storage_buffer_binding_size.min(BINDING_MAX),
             max_texture_dimension_2d: has.max_texture_dimension_2d,
             ..Self::required_limits()
         };
@@ -149,7 +151,9 @@ impl Gpu {
         let software = described.device_type == wgpu::DeviceType::Cpu;
         let [created, stored] = [0, 0].map(AtomicU64::new);
         let failure = Arc::new(Mutex::new(None));
-        let (binding_max, opened) = (BINDING_MAX, None);
+        let limits = device.limits();
+        let binding_max = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size).min(BINDING_MAX);
+        let opened = None;
         Self { device, queue, name, software, binding_max, opened, failure, created, stored }
     }
 

@@ -10,7 +10,7 @@ use crate::error::{ClientError, Result};
 use crate::fetch::Source;
 use crate::passes::shadow::reference::draw;
 use crate::scene::{LoadedScene, Object, Recolour, Tints};
-use crate::stream::{Streamed, Viewpoint};
+use crate::stream::{Budget, Streamed, Viewpoint};
 
 /// A bake whose light comes piece by piece.
 pub struct StreamedBake {
@@ -24,8 +24,9 @@ pub struct StreamedBake {
 
 impl StreamedBake {
     /// Fetches the scene, and the part of the light that comes first. Errs before that if the bake has no such part, or if it has
-    /// more than `bytes_max` bytes.
-    pub fn begin(source: &Source, kinds: &ClientKinds, bytes_max: u64) -> Result<Self> {
+    /// more than
+    /// the budget.
+    pub fn begin(source: &Source, kinds: &ClientKinds, budget: Budget) -> Result<Self> {
         let (bytes, manifest) = source.manifest()?;
         let kind = kinds.of(&manifest)?;
         if manifest.chunks(OVERVIEW).is_empty() {
@@ -38,14 +39,20 @@ impl StreamedBake {
         let clusters = manifest.bytes_of(CLUSTERS);
         let first = bytes.len() as u64 + manifest.bytes_light() - clusters
             + [DIRECTORY, OVERVIEW].iter().map(|role| manifest.bytes_of(role)).sum::<u64>();
-        if bytes_max < first {
-            let what = format!("{bytes_max} bytes of light");
+        if budget.bytes < first {
+            let what = format!("{} bytes of light", budget.bytes);
             let problem =
                 format!("are too few: manifest, directory, patches and overview alone have {first}");
             return Err(ClientError::Argument { what, problem });
         }
         let scene = LoadedScene::fetch(source, manifest)?;
         let stream = kind.stream(source, &scene)?;
+        let memory = stream.streamed().memory;
+        if budget.memory < memory {
+            let what = format!("{} bytes of memory for light", budget.memory);
+            let problem = format!("are too few: patches and overview alone take some {memory}");
+            return Err(ClientError::Argument { what, problem });
+        }
         let light = stream.light(&scene)?;
         let bake = Arc::new(LoadedBake { scene: Arc::new(scene), light });
         let manifest_bytes = bytes.len() as u64;
@@ -87,17 +94,21 @@ impl StreamedBake {
         Ok(())
     }
 
-    /// Fetches the clusters that a view needs most until `bytes_max` bytes of light have come.
-    pub fn refine(&mut self, view: &View, bytes_max: u64) -> Result<()> {
+    /// Fetches the layers of clusters that a view needs most, as far as the budget goes; its bytes are those of the manifest, too. What
+    /// came before an error is in the bake.
+    pub fn refine(&mut self, view: &View, budget: Budget) -> Result<()> {
         let prepared = Prepared::new(&self.bake, view)?;
         let maps = draw(&prepared.scene, &prepared.plan);
         let viewpoint = view.eye().map(|eye| Viewpoint { eye_m: eye.position_m, forward: eye.forward });
-        let bytes_max = bytes_max.saturating_sub(self.manifest_bytes);
-        self.stream.refine(&self.source, &prepared.lit(&maps), viewpoint, bytes_max, view.limit)?;
-        let mut bake = self.assembled()?;
-        bake.tint_light(&self.tints);
-        self.bake = Arc::new(bake);
-        Ok(())
+        let budget = Budget { bytes: budget.bytes.saturating_sub(self.manifest_bytes), ..budget };
+        let before = self.stream.streamed();
+        let refined = self.stream.refine(&self.source, &prepared.lit(&maps), viewpoint, budget, view.limit);
+        if self.stream.streamed() != before {
+            let mut bake = self.assembled()?;
+            bake.tint_light(&self.tints);
+            self.bake = Arc::new(bake);
+        }
+        refined
     }
 
     /// The bake with the light that has come, in its own colours.

@@ -1,22 +1,38 @@
-//! Light that comes piece by piece: first a bake's overview, then its clusters, those first that the picture needs most.
+//! Light that comes piece by piece: first a bake's overview, then layers of its clusters, those first that the picture needs most, within
+//! budgets of bytes and memory.
 
 mod need;
+mod plan;
 
 use glam::Vec3;
 
-pub use need::{Candidate, Lit, by_need};
+pub use need::{Candidate, Lit, Rung, Step, by_need};
+pub use plan::{Budget, Plan, plan};
 
-/// Bytes of a bake's light that have come: its directory, and chunks but for meshes and textures.
+/// Bytes of a bake's light that are there: its directory, and chunks but for meshes and textures.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Streamed {
     /// Bytes so far.
     pub bytes: u64,
     /// Bytes of all.
     pub bytes_all: u64,
-    /// Clusters so far, without those of the overview.
+    /// Clusters that are there with some of their layers, without those of the overview.
     pub clusters: usize,
+    /// Clusters that are there with all of their layers.
+    pub whole: usize,
     /// All clusters.
     pub clusters_all: usize,
+    /// Memory that the light takes when it is lit, about, in bytes.
+    pub memory: u64,
+    /// Times that layers came or went.
+    pub turns: u64,
+}
+
+impl Streamed {
+    /// All is there.
+    pub fn is_whole(&self) -> bool {
+        self.whole == self.clusters_all
+    }
 }
 
 /// Point of view that light is fetched for.

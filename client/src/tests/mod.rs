@@ -8,6 +8,7 @@ mod factors;
 mod formula;
 mod glass;
 mod light;
+mod many;
 pub(crate) mod objects;
 mod panorama;
 mod receivers;

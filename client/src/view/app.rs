@@ -227,7 +227,7 @@ impl Running {
             self.screen.window.pre_present_notify();
             self.gpu.queue.present(texture);
             // Pictures of a part of the light are not those that are waited for.
-            self.drawn += u64::from(self.feed.is_none());
+            self.drawn += u64::from(self.feed.as_ref().is_none_or(Feed::is_served));
         }
         for id in freed {
             self.painter.free_texture(&id);
@@ -374,7 +374,7 @@ fn opened(
         Subject::Streamed(stream) => {
             // A loop that has ended needs no waking.
             let wake = move || drop(wake.send_event(Woken));
-            let (feed, bake) = Feed::start(*stream, options.view.clone(), wake);
+            let (feed, bake) = Feed::start(*stream, options.memory, options.view.clone(), wake);
             (bake, Some(feed))
         }
     }

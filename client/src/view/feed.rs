@@ -1,12 +1,12 @@
 //! A server's bake that comes piece by piece: fetched by a thread of its own, which the window never waits for.
 
 use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
 use crate::bake::LoadedBake;
 use crate::error::{ClientError, Result};
 use crate::preview::{StreamedBake, View};
-use crate::stream::Streamed;
+use crate::stream::{Budget, Streamed};
 
 /// Share of the bytes that a piece brings: light gets better some ten times, and each time the frame takes it anew.
 const PIECES: u64 = 12;
@@ -21,10 +21,51 @@ pub struct Piece {
     pub streamed: Streamed,
 }
 
+/// The view that light is fetched for.
+struct Watched {
+    watch: Mutex<Watch>,
+    /// Told of each change.
+    changed: Condvar,
+}
+
+struct Watch {
+    /// `None` when nobody looks any more.
+    view: Option<View>,
+    /// All light that there is room for has come for this view.
+    is_served: bool,
+}
+
+impl Watched {
+    fn new(view: View) -> Self {
+        let watch = Mutex::new(Watch { view: Some(view), is_served: false });
+        Self { watch, changed: Condvar::new() }
+    }
+
+    fn held(&self) -> MutexGuard<'_, Watch> {
+        self.watch.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn set(&self, view: Option<View>) {
+        let mut held = self.held();
+        if held.view != view {
+            *held = Watch { view, is_served: false };
+            self.changed.notify_all();
+        }
+    }
+
+    /// Waits for another view than this one, for which all is done.
+    fn wait_for_other(&self, view: &View) {
+        let mut held = self.held();
+        held.is_served = held.view.as_ref() == Some(view);
+        let served = |held: &mut Watch| held.is_served;
+        drop(self.changed.wait_while(held, served).unwrap_or_else(PoisonError::into_inner));
+    }
+}
+
 /// The thread's end of light that comes.
 pub struct Feed {
     pieces: Receiver<Result<Piece>>,
-    view: Arc<Mutex<View>>,
+    watched: Arc<Watched>,
     /// Light that has come.
     pub streamed: Streamed,
     /// An error that came after the piece that was taken last.
@@ -33,25 +74,27 @@ pub struct Feed {
 }
 
 impl Feed {
-    /// Goes on fetching what a view needs most, until all is there; `wake` is called when a piece has come. The light that has come
-    /// already is the first piece.
+    /// Goes on fetching what a view needs most, until all is there, or for ever where so many bytes of memory hold only a part of it;
+    /// `wake` is called when a piece has come. The light that has come already is the first piece.
     pub fn start(
         stream: StreamedBake,
+        memory: u64,
         view: View,
         wake: impl Fn() + Send + 'static,
     ) -> (Self, Arc<LoadedBake>) {
         let (sender, pieces) = channel();
-        let view = Arc::new(Mutex::new(view));
+        let watched = Arc::new(Watched::new(view));
         let (streamed, first) = (stream.streamed(), Arc::clone(&stream.bake));
-        let wanted = Arc::clone(&view);
+        let wanted = Arc::clone(&watched);
         let step = (streamed.bytes_all / PIECES).max(PIECE_MIN);
-        std::thread::spawn(move || fetch((stream, step), &wanted, &sender, wake));
-        (Self { pieces, view, streamed, held: None, is_over: false }, first)
+        let budget = Budget { step, memory, ..Budget::NONE };
+        std::thread::spawn(move || fetch(stream, budget, &wanted, &sender, wake));
+        (Self { pieces, watched, streamed, held: None, is_over: false }, first)
     }
 
     /// Fetches what this view needs most from here on.
     pub fn look(&self, view: View) {
-        *self.view.lock().unwrap_or_else(PoisonError::into_inner) = view;
+        self.watched.set(Some(view));
     }
 
     /// The last piece that has come since the last call. An error comes after the pieces before it, and is the end.
@@ -77,41 +120,60 @@ impl Feed {
         Err(error)
     }
 
+    /// No more light will come for the view, as memory holds no more.
+    pub fn is_served(&self) -> bool {
+        self.watched.held().is_served
+    }
+
     /// Nothing more will come.
     pub fn is_over(&self) -> bool {
         self.is_over
     }
 }
 
-/// Ends when all is there, when something is wrong, or when nobody listens any more. A piece has `step` bytes, or as many steps
-/// as its first cluster takes.
+impl Drop for Feed {
+    fn drop(&mut self) {
+        self.watched.set(None);
+    }
+}
+
+/// Ends when all is there, when something is wrong, or when nobody listens any more. A piece has the bytes of a step, or as many of
+/// them as the first layer that it brings takes.
 fn fetch(
-    (mut stream, step): (StreamedBake, u64),
-    view: &Mutex<View>,
+    mut stream: StreamedBake,
+    budget: Budget,
+    watched: &Watched,
     sender: &Sender<Result<Piece>>,
     wake: impl Fn(),
 ) {
-    let mut target = stream.streamed().bytes;
+    let mut step = budget.step;
     loop {
-        let Streamed { clusters, clusters_all, .. } = stream.streamed();
-        if clusters == clusters_all {
+        let Some(view) = watched.held().view.clone() else { return };
+        let before = stream.streamed();
+        if before.is_whole() {
             return;
         }
-        let view = view.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        // Clusters that do not fit are left out: the target grows until they do.
-        target = target.saturating_add(step);
-        let refined = stream.refine(&view, target);
-        let goes_on = refined.is_ok();
-        if goes_on && stream.streamed().clusters == clusters {
-            continue;
+        let refined = stream.refine(&view, Budget { step, ..budget });
+        let streamed = stream.streamed();
+        if streamed != before {
+            step = budget.step;
+            let bake = Arc::clone(&stream.bake);
+            if sender.send(Ok(Piece { bake, streamed })).is_err() {
+                return;
+            }
+            wake();
+        } else if refined.is_ok() && step < streamed.bytes_all {
+            // Layers that do not fit are left out: the step grows until they do.
+            step = step.saturating_add(budget.step);
+        } else if refined.is_ok() {
+            // Memory holds no more: what it holds is that which another view needs.
+            step = budget.step;
+            watched.wait_for_other(&view);
         }
-        let piece = refined.map(|()| Piece { bake: Arc::clone(&stream.bake), streamed: stream.streamed() });
-        if sender.send(piece).is_err() {
-            return;
-        }
-        wake();
-        if !goes_on {
-            return;
+        if let Err(error) = refined {
+            // Nobody listens if this fails.
+            let _ = sender.send(Err(error));
+            return wake();
         }
     }
 }
@@ -119,7 +181,7 @@ fn fetch(
 #[cfg(test)]
 mod tests {
     use lightkiln_proto::kinds::prt;
-    use lightkiln_proto::manifest::with_chunks;
+    use lightkiln_proto::manifest::ClusterRow;
 
     use super::*;
     use crate::fetch::Source;
@@ -132,25 +194,63 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         write_bundle(folder.path(), prt::NAME);
         let source = Source::bundle(folder.path()).unwrap();
-        let stream = StreamedBake::begin(&source, &kinds::all(), u64::MAX).unwrap();
-        let largest = with_chunks(&stream.bake.scene.manifest).map(|(_, chunk)| chunk.bytes).max().unwrap();
-        let all = stream.streamed().clusters_all;
+        let stream = StreamedBake::begin(&source, &kinds::all(), Budget::NONE).unwrap();
+        let first = |row: &ClusterRow| row.layers[0].bytes;
+        let least = stream.bake.scene.manifest.clusters.iter().map(first).min().unwrap();
+        let Streamed { bytes: none, bytes_all: all, .. } = stream.streamed();
         let (sender, pieces) = channel();
-        fetch((stream, largest - 1), &Mutex::new(fixture_view().1), &sender, || {});
+        let budget = Budget { step: least - 1, ..Budget::NONE };
+        fetch(stream, budget, &Watched::new(fixture_view().1), &sender, || {});
         drop(sender);
-        let come: Vec<usize> = pieces.iter().map(|piece| piece.unwrap().streamed.clusters).collect();
-        assert!(come[0] > 0 && come.windows(2).all(|pair| pair[0] < pair[1]), "{come:?}");
-        assert!(come.len() > 1, "{come:?}");
+        let come: Vec<u64> = pieces.iter().map(|piece| piece.unwrap().streamed.bytes).collect();
+        assert!(come[0] > none && come.windows(2).all(|pair| pair[0] < pair[1]), "{come:?}");
+        assert!(come.len() > 7, "{come:?}");
         assert_eq!(come.last(), Some(&all));
+    }
+
+    #[test]
+    fn where_memory_is_short_another_view_is_waited_for() {
+        let folder = tempfile::tempdir().unwrap();
+        write_bundle(folder.path(), prt::NAME);
+        let source = Source::bundle(folder.path()).unwrap();
+        let stream = StreamedBake::begin(&source, &kinds::all(), Budget::NONE).unwrap();
+        let least = stream.streamed().memory;
+        let mut whole = StreamedBake::begin(&source, &kinds::all(), Budget::NONE).unwrap();
+        let (_, view) = fixture_view();
+        whole.refine(&view, Budget::NONE).unwrap();
+        let memory = least + (whole.streamed().memory - least) / 2;
+        let (mut feed, first) = Feed::start(stream, memory, view.clone(), || {});
+        // Pieces come until memory is full; then the thread waits, and is not over.
+        let served = |feed: &mut Feed| {
+            let mut last = None;
+            loop {
+                let is_served = feed.is_served();
+                match feed.next().unwrap() {
+                    Some(piece) => last = Some(piece),
+                    None if is_served => return last,
+                    None => std::thread::yield_now(),
+                }
+                assert!(!feed.is_over());
+            }
+        };
+        let piece: Piece = served(&mut feed).unwrap();
+        assert!(!Arc::ptr_eq(&first, &piece.bake));
+        assert!(piece.streamed.memory <= memory && !piece.streamed.is_whole(), "{:?}", piece.streamed);
+        let mut other = view.clone();
+        std::mem::swap(&mut other.camera.eye_m, &mut other.camera.target_m);
+        feed.look(other);
+        let again = served(&mut feed).map_or(piece.streamed, |piece| piece.streamed);
+        assert!(again.memory <= memory && !again.is_whole(), "{again:?}");
     }
 
     #[test]
     fn pieces_before_an_error_are_taken_and_then_the_error_once() {
         let (bake, view) = fixture_view();
         let (sender, pieces) = channel();
-        let streamed = Streamed { bytes: 1, bytes_all: 2, clusters: 1, clusters_all: 2 };
-        let view = Arc::new(Mutex::new(view));
-        let mut feed = Feed { pieces, view, streamed: Streamed::default(), held: None, is_over: false };
+        let streamed =
+            Streamed { bytes: 1, bytes_all: 2, clusters: 1, clusters_all: 2, ..Streamed::default() };
+        let watched = Arc::new(Watched::new(view));
+        let mut feed = Feed { pieces, watched, streamed: Streamed::default(), held: None, is_over: false };
         assert!(feed.next().unwrap().is_none());
         sender.send(Ok(Piece { bake: Arc::new(bake), streamed })).unwrap();
         let what = "the server".to_owned();

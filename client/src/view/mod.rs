@@ -52,6 +52,8 @@ pub struct Options {
     pub notes: Vec<String>,
     /// The panel is open at first.
     pub has_panel: bool,
+    /// Most memory that light which comes piece by piece takes when it is lit, in bytes.
+    pub memory: u64,
     /// Closes the window after so many pictures with all the light that is to come, or some later, when the last is whole. A
     /// server that is lost before is an error then.
     pub frames: Option<u64>,

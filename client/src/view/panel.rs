@@ -151,9 +151,11 @@ fn state(ui: &mut Ui, viewer: &Viewer, facts: &Facts) {
         true => format!("light settled after {bounces} bounces"),
         false => format!("bounce {bounces}, the last changed {change}"),
     });
-    if let Some(Streamed { bytes, bytes_all, clusters, clusters_all }) = facts.streamed {
+    if let Some(Streamed { bytes, bytes_all, clusters, whole, clusters_all, .. }) = facts.streamed {
         let percent = 100.0 * bytes as f64 / bytes_all.max(1) as f64;
-        ui.label(format!("{percent:.0} % of the light is here: {clusters} of {clusters_all} clusters"));
+        ui.label(format!(
+            "{percent:.0} % of the light is here: {clusters} of {clusters_all} clusters, {whole} with all layers"
+        ));
     }
     for note in &facts.notes {
         ui.label(note);

@@ -121,6 +121,7 @@ impl From<ClientError> for Failure {
             | ClientError::Object { .. }
             | ClientError::TooLarge { .. }
             | ClientError::WrongDigest { .. }
+            | ClientError::WrongPrefix { .. }
             | ClientError::Json { .. }
             | ClientError::Manifest { .. }
             | ClientError::Chunk { .. }
@@ -154,6 +155,7 @@ fn exit_of_call(error: &CallError) -> Exit {
         | CallError::Address { .. }
         | CallError::Certificates { .. }
         | CallError::Json { .. }
+        | CallError::WrongPart { .. }
         | CallError::TooLarge { .. } => Exit::BadInput,
     }
 }
@@ -173,6 +175,24 @@ mod tests {
         assert_eq!(failure.exit(), Exit::Failed);
         let text = failure.to_string();
         assert!(text.contains("free 3 GiB") && !text.contains("kiln server"), "{text}");
+    }
+
+    #[test]
+    fn light_that_came_wrong_is_bad_input_and_a_server_that_is_lost_is_unreachable() {
+        let (place, digest) = ("http://farm:7410".to_owned(), lightkiln_proto::ids::Digest::of(b"chunk"));
+        let (call, problem) = ("GET /v1/chunks".to_owned(), "bytes from 9 on came".to_owned());
+        let wrong = [
+            ClientError::WrongPrefix { place, digest, bytes: 700 },
+            ClientError::from(CallError::WrongPart { call, problem }),
+        ];
+        for error in wrong {
+            let told = error.to_string();
+            let failure = Failure::from(error);
+            assert_eq!(failure.exit(), Exit::BadInput, "{told}");
+            assert!(failure.to_string().contains(&told), "{failure}");
+        }
+        let lost = CallError::Foreign { call: "GET /v1/chunks".to_owned(), status: 502, retry_after: None };
+        assert_eq!(Failure::from(ClientError::from(lost)).exit(), Exit::Unreachable);
     }
 
     #[test]

@@ -13,6 +13,8 @@ use lightkiln_client::preview::{Backend, StreamedBake, View, ViewPath, debug_pic
 #[cfg(feature = "view")]
 use lightkiln_client::scene::Object;
 use lightkiln_client::scene::{Recolour, check_recolours};
+#[cfg(feature = "view")]
+use lightkiln_client::stream::Budget;
 use lightkiln_client::stream::Streamed;
 #[cfg(feature = "view")]
 use lightkiln_client::view::Subject;
@@ -161,11 +163,14 @@ impl LookArguments {
         kinds: &ClientKinds,
         off: &SwitchedOff,
         objects: Vec<Object>,
+        max_memory: Option<u64>,
     ) -> Result<(Subject, View, Vec<String>)> {
         self.check_colours(source)?;
         let (_, manifest) = source.manifest()?;
-        if matches!(source, Source::Server { .. }) && !manifest.chunks(OVERVIEW).is_empty() {
-            let mut streamed = StreamedBake::begin(source, kinds, u64::MAX)?;
+        let streams = matches!(source, Source::Server { .. }) && !manifest.chunks(OVERVIEW).is_empty();
+        if streams || max_memory.is_some() {
+            let budget = Budget { memory: max_memory.unwrap_or(u64::MAX), ..Budget::NONE };
+            let mut streamed = StreamedBake::begin(source, kinds, budget)?;
             streamed.add_objects(objects)?;
             let (view, notes) = self.view(&streamed.bake, off, None)?;
             return Ok((Subject::Streamed(Box::new(streamed)), view, notes));
@@ -218,25 +223,30 @@ impl PictureArguments {
         let (objects, stances) = reel.take_objects();
         let path = reel.path;
         let path = path.as_ref();
-        let Some(max_bytes) = reel.max_bytes else {
+        let Some(budget) = reel.budget else {
             let mut bake = self.loaded(source, kinds)?;
             objects.into_iter().try_for_each(|object| bake.add_object(object))?;
             let view = View { objects: stances, ..self.view(&bake, off, path)? };
             return self.write_all(&bake, &view, path, png);
         };
-        let mut streamed = StreamedBake::begin(source, kinds, max_bytes)?;
+        let mut streamed = StreamedBake::begin(source, kinds, budget)?;
         streamed.recolour(&self.look.material)?;
         streamed.add_objects(objects)?;
         let view = View { objects: stances, ..self.view(&streamed.bake, off, path)? };
         // Along a path, what its first picture needs.
-        streamed.refine(&path.map_or_else(|| view.clone(), |path| path.view(1, &view)), max_bytes)?;
-        let Streamed { bytes, bytes_all, clusters, clusters_all } = streamed.streamed();
+        streamed.refine(&path.map_or_else(|| view.clone(), |path| path.view(1, &view)), budget)?;
+        let Streamed { bytes, bytes_all, clusters, whole, clusters_all, memory, .. } = streamed.streamed();
         let percent = 100.0 * bytes as f64 / bytes_all.max(1) as f64;
         say!(
-            "{bytes} of {bytes_all} bytes of light ({percent:.1} %): the overview, and {clusters} of {clusters_all} clusters"
+            "{bytes} of {bytes_all} bytes of light ({percent:.1} %): the overview, and {clusters} of {clusters_all} clusters, {whole} of them with all layers"
         );
         let drawn = self.write_all(&streamed.bake, &view, path, png)?;
-        Ok(Drawn { light_bytes: Some(bytes), light_bytes_all: Some(bytes_all), ..drawn })
+        Ok(Drawn {
+            light_bytes: Some(bytes),
+            light_bytes_all: Some(bytes_all),
+            light_memory: Some(memory),
+            ..drawn
+        })
     }
 
     /// The whole bake, with the colours that are asked for.

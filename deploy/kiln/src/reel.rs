@@ -9,6 +9,7 @@ use lightkiln_client::lights::ParsedLights;
 use lightkiln_client::picture::PassTime;
 use lightkiln_client::preview::{PATH_FILE_MAX, ViewPath};
 use lightkiln_client::scene::{Object, Stance};
+use lightkiln_client::stream::Budget;
 use lightkiln_proto::relight::LevelCount;
 use serde::Serialize;
 
@@ -23,6 +24,10 @@ pub struct ReelArguments {
     /// [default: all]
     #[arg(long, value_name = "BYTES", value_parser = parse_bytes, help_heading = "Picture")]
     max_bytes: Option<u64>,
+    /// Lets light take at most so much memory, e.g. 200M: of clusters that the picture needs least fewer layers are drawn, or the
+    /// overview [default: as much as all of it takes]
+    #[arg(long, value_name = "BYTES", value_parser = parse_bytes, help_heading = "Picture")]
+    max_memory: Option<u64>,
     /// Draws many pictures along a path, NAME-0001.png and on: a JSON file {"keys": [{"picture": 1, "camera": "eye=…",
     /// "lights": ["point pos=…"], "objects": ["pos=… turn=…"]}, {"picture": 60, …}]}, between whose keys camera, lights
     /// and objects move evenly. The exposure of the first picture that is not black is that of all, and --max-bytes
@@ -39,8 +44,8 @@ pub struct ReelArguments {
 /// Pictures to draw of a bake.
 #[derive(Debug, Default)]
 pub struct Reel {
-    /// Bytes of light to fetch; all without.
-    pub max_bytes: Option<u64>,
+    /// Bounds of the light to fetch; all without.
+    pub budget: Option<Budget>,
     /// Keys of pictures; one picture without.
     pub path: Option<ViewPath>,
     objects: Vec<(Object, Stance)>,
@@ -67,7 +72,13 @@ impl ReelArguments {
         }
         let read = |object: &ObjectArgument| Ok((object.read()?, object.stance));
         let objects = self.object.iter().map(read).collect::<Result<_>>()?;
-        Ok(Reel { max_bytes: self.max_bytes, path, objects })
+        let is_bounded = self.max_bytes.is_some() || self.max_memory.is_some();
+        let bounded = Budget {
+            bytes: self.max_bytes.unwrap_or(u64::MAX),
+            memory: self.max_memory.unwrap_or(u64::MAX),
+            ..Budget::NONE
+        };
+        Ok(Reel { budget: is_bounded.then_some(bounded), path, objects })
     }
 
     /// The path, if there is one, without what is switched off; refuses a file that holds none.
@@ -113,6 +124,8 @@ pub struct Drawn {
     pub light_bytes: Option<u64>,
     /// Bytes of all.
     pub light_bytes_all: Option<u64>,
+    /// Memory that the light takes when it is lit, about.
+    pub light_memory: Option<u64>,
 }
 
 /// Time of a pass of the adapter.
@@ -134,7 +147,7 @@ impl PassRow {
 }
 
 /// Bytes as people write them: a number, with k, M or G for powers of 1000.
-fn parse_bytes(text: &str) -> std::result::Result<u64, String> {
+pub fn parse_bytes(text: &str) -> std::result::Result<u64, String> {
     let wrong = || format!("'{text}' is no number of bytes; write e.g. 500k, 2M or 1500000");
     let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
     let scale = match &text[digits.len()..] {

@@ -76,12 +76,18 @@ impl HttpClient {
         call: &Call<'_>,
         read: impl Fn(Answer) -> Result<T, CallError>,
     ) -> Result<T, CallError> {
-        let pause = |error: &CallError, wait| {
-            tracing::debug!(%error, ?wait, "trying again");
-            self.shutdown.wait(wait, |level| level > Level::Run);
-            self.check_shutdown()
-        };
-        retry(self.retry, || self.once(call).and_then(&read), pause)
+        retry(self.retry, || self.once(call).and_then(&read), |error, wait| self.pause(error, wait))
+    }
+
+    pub(crate) fn retry_policy(&self) -> RetryPolicy {
+        self.retry
+    }
+
+    /// Waits before the next try, unless the caller is told to stop.
+    pub(crate) fn pause(&self, error: &CallError, wait: Duration) -> Result<(), CallError> {
+        tracing::debug!(%error, ?wait, "trying again");
+        self.shutdown.wait(wait, |level| level > Level::Run);
+        self.check_shutdown()
     }
 
     /// The answer to `call` as JSON, tried again while that makes sense.

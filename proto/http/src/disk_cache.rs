@@ -12,6 +12,9 @@ use lightkiln_proto::ids::Digest;
 /// An unfinished write older than this was left behind by a process that died.
 const STALE_WRITE: Duration = Duration::from_secs(3600);
 
+/// Extension of files that hold the first bytes of a digest's.
+const PREFIX: &str = "prefix";
+
 /// Size-bounded cache of files by digest; the least recently used ones go first.
 #[derive(Debug)]
 pub struct DiskCache {
@@ -53,18 +56,47 @@ impl DiskCache {
         Some(bytes)
     }
 
+    /// The first bytes of a digest's, if some are here and `is_right` approves them; others are removed.
+    pub fn get_prefix(&self, digest: Digest, is_right: impl FnOnce(&[u8]) -> bool) -> Option<Vec<u8>> {
+        let path = self.prefix_path(digest);
+        let bytes = fs::read(&path).ok()?;
+        if !is_right(&bytes) {
+            tracing::warn!(path = %path.display(), "the begin of a cached file was damaged; it will be fetched again");
+            let _ = fs::remove_file(&path);
+            return None;
+        }
+        let _ =
+            File::options().append(true).open(&path).and_then(|file| file.set_modified(SystemTime::now()));
+        Some(bytes)
+    }
+
     /// Keeps bytes. A reader never sees half of it: it is written aside, then renamed.
     pub fn put(&self, digest: Digest, bytes: &[u8]) -> io::Result<()> {
         let path = self.path(digest);
         if path.exists() {
             return Ok(());
         }
+        self.write(&path, bytes)?;
+        // All of it is here: its begin is no use. The room that this makes is known when it is measured.
+        let _ = fs::remove_file(self.prefix_path(digest));
+        Ok(())
+    }
+
+    /// Keeps the first bytes of a digest's in place of those that are here.
+    pub fn put_prefix(&self, digest: Digest, bytes: &[u8]) -> io::Result<()> {
+        if self.path(digest).exists() {
+            return Ok(());
+        }
+        self.write(&self.prefix_path(digest), bytes)
+    }
+
+    fn write(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
         let write = self.writes.fetch_add(1, Ordering::Relaxed);
         let aside = self.folder.join("writes").join(format!("{}-{write}", std::process::id()));
         if let Some(parent) = path.parent() {
             fs::create_dir_all(parent)?;
         }
-        let written = fs::write(&aside, bytes).and_then(|()| fs::rename(&aside, &path));
+        let written = fs::write(&aside, bytes).and_then(|()| fs::rename(&aside, path));
         if written.is_err() {
             let _ = fs::remove_file(&aside);
         }
@@ -76,6 +108,10 @@ impl DiskCache {
     fn path(&self, digest: Digest) -> PathBuf {
         let name = digest.to_string();
         self.folder.join(&name[..2]).join(name)
+    }
+
+    fn prefix_path(&self, digest: Digest) -> PathBuf {
+        self.path(digest).with_extension(PREFIX)
     }
 
     /// Removes files until a tenth of the room is free again, so that not every write has to look.
@@ -107,8 +143,12 @@ impl DiskCache {
             let Ok(entries) = fs::read_dir(folder.path()) else { continue };
             for entry in entries.flatten() {
                 let name = entry.file_name();
-                let digest = name.to_str().and_then(|name| name.parse::<Digest>().ok());
-                let is_own = digest.is_some_and(|digest| self.path(digest) == entry.path());
+                let name = name.to_str().unwrap_or_default();
+                let stem = name.strip_suffix(PREFIX).and_then(|name| name.strip_suffix('.')).unwrap_or(name);
+                let digest = stem.parse::<Digest>().ok();
+                let is_own = digest.is_some_and(|digest| {
+                    [self.path(digest), self.prefix_path(digest)].contains(&entry.path())
+                });
                 let Some(metadata) = entry.metadata().ok().filter(|_| is_own) else { continue };
                 let used = metadata.modified().unwrap_or(SystemTime::UNIX_EPOCH);
                 files.push(CachedFile { path: entry.path(), bytes: metadata.len(), used });
@@ -174,6 +214,25 @@ mod tests {
         assert_eq!(cache.get(digest("a")), None);
         cache.put(digest("a"), b"a").unwrap();
         assert_eq!(cache.get(digest("a")), Some(b"a".to_vec()));
+    }
+
+    #[test]
+    fn first_bytes_are_kept_until_all_are_there_and_given_only_as_their_reader_approves() {
+        let folder = tempfile::tempdir().unwrap();
+        let cache = DiskCache::open(folder.path(), 100).unwrap();
+        let digest = digest("abcd");
+        cache.put_prefix(digest, b"ab").unwrap();
+        assert_eq!(cache.get(digest), None, "a begin is not the whole");
+        assert_eq!(cache.get_prefix(digest, |bytes| bytes == b"ab"), Some(b"ab".to_vec()));
+        cache.put_prefix(digest, b"abc").unwrap();
+        assert_eq!(cache.files().unwrap().len(), 1, "it counts, once");
+        assert_eq!(cache.get_prefix(digest, |bytes| bytes == b"ab"), None);
+        assert_eq!(cache.get_prefix(digest, |_| true), None, "a refused one is gone");
+        cache.put_prefix(digest, b"abc").unwrap();
+        cache.put(digest, b"abcd").unwrap();
+        assert_eq!((cache.get(digest), cache.get_prefix(digest, |_| true)), (Some(b"abcd".to_vec()), None));
+        cache.put_prefix(digest, b"abc").unwrap();
+        assert_eq!(cache.get_prefix(digest, |_| true), None, "the whole is there");
     }
 
     #[test]

@@ -60,6 +60,14 @@ pub enum CallError {
         #[source]
         source: serde_json::Error,
     },
+    /// The answer holds other bytes than the range that was asked for.
+    #[error("{call}: {problem}; is there a proxy before the server that cuts answers?")]
+    WrongPart {
+        /// Method and URL.
+        call: String,
+        /// Fault of the range.
+        problem: String,
+    },
     /// A body, sent or received, exceeds its limit.
     #[error("{body} has {bytes} bytes, more than the {limit} that are allowed")]
     TooLarge {
@@ -86,6 +94,7 @@ impl CallError {
             | Self::Address { .. }
             | Self::Certificates { .. }
             | Self::Json { .. }
+            | Self::WrongPart { .. }
             | Self::TooLarge { .. }
             | Self::Stopped => RetryClass::Never,
         }

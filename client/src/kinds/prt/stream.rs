@@ -6,24 +6,40 @@ use glam::{Vec3, Vec4};
 use lightkiln_proto::chunk;
 use lightkiln_proto::content::{BlockKey, ClusterTransport, PatchSet, Texel};
 use lightkiln_proto::kinds::prt::PATCHES;
-use lightkiln_proto::manifest::{CLUSTERS, DIRECTORY, OVERVIEW, with_chunks};
+use lightkiln_proto::manifest::{CLUSTERS, DIRECTORY, Manifest, OVERVIEW};
 use lightkiln_proto::relight::{Limit, PatchTable, stand_in};
+use rayon::prelude::*;
 
 use super::one_of;
 use crate::bake::{Light, LightStream, LitScene};
 use crate::error::{ClientError, Result};
-use crate::fetch::{Source, decoded, decoded_chunks};
+use crate::fetch::{Layers, Source, decoded, decoded_layers, parallel};
 use crate::lightmap::LightmapLight;
 use crate::scene::LoadedScene;
-use crate::stream::{Candidate, Lit, Streamed, Viewpoint, by_need};
+use crate::stream::{Budget, Candidate, Lit, Plan, Rung, Streamed, Viewpoint, by_need, plan};
+
+/// Memory of a receiver that is lit, of one of its near hits, and of a number of U and of ΣVᵀ, in bytes, about.
+const RECEIVER_BYTES: u64 = 240;
+const NEAR_BYTES: u64 = 36;
+const U_BYTES: f64 = 1.1;
+const VT_BYTES: f64 = 0.7;
+/// Memory of a column, and of a patch, in bytes.
+const COLUMN_BYTES: u64 = 8;
+const PATCH_BYTES: u64 = 48;
+/// Near hits of a receiver whose cluster has not come: the mean of Sponza.
+const NEAR_HITS: u64 = 6;
 
 /// Chunks that have come.
 #[derive(Debug)]
 pub struct PrtStream {
     set: PatchSet,
     overview: Vec<ClusterTransport>,
-    /// By their number in the manifest.
-    clusters: BTreeMap<usize, ClusterTransport>,
+    /// First bytes of chunks, whole layers each, verified and decoded once; by their number in the manifest.
+    clusters: BTreeMap<usize, Vec<u8>>,
+    /// Bytes of what always stays.
+    base_bytes: u64,
+    /// Memory of it.
+    base_memory: u64,
     streamed: Streamed,
 }
 
@@ -41,20 +57,30 @@ impl PrtStream {
                 "has near hits, which clusters of an overview have not",
             ));
         }
-        let bytes = [DIRECTORY, PATCHES, OVERVIEW].iter().map(|role| manifest.bytes_of(role)).sum();
-        let streamed = Streamed {
-            bytes,
-            bytes_all: bytes + manifest.bytes_of(CLUSTERS),
-            clusters: 0,
-            clusters_all: manifest.clusters.len(),
+        let base_bytes = [DIRECTORY, PATCHES, OVERVIEW].iter().map(|role| manifest.bytes_of(role)).sum();
+        let base_memory = PATCH_BYTES * set.patches.len() as u64
+            + overview.iter().map(|cluster| memory_of(cluster, cluster.near.surface.len())).sum::<u64>();
+        let mut stream = Self {
+            set,
+            overview,
+            clusters: BTreeMap::new(),
+            base_bytes,
+            base_memory,
+            streamed: Streamed::default(),
         };
-        Ok(Self { set, overview, clusters: BTreeMap::new(), streamed })
+        stream.count(manifest);
+        Ok(stream)
     }
 
-    /// The light of the clusters that have come; receivers of the overview stand for all others, but for none where all have.
+    /// The light of the layers that have come; receivers of the overview stand for all others, but for none where all have.
     fn assembled(&self, scene: &LoadedScene) -> Result<LightmapLight<PatchTable>> {
-        let mut contents: Vec<ClusterTransport> = self.clusters.values().cloned().collect();
-        if self.streamed.clusters == self.streamed.clusters_all {
+        let manifest = &scene.manifest;
+        let held: Vec<(&usize, &Vec<u8>)> = self.clusters.iter().collect();
+        let decoded = |(index, bytes): &(&usize, &Vec<u8>)| {
+            decoded_layers(layers_of(manifest, **index), bytes).map(|(cluster, _)| cluster)
+        };
+        let mut contents: Vec<ClusterTransport> = held.par_iter().map(decoded).collect::<Result<_>>()?;
+        if self.streamed.is_whole() {
             return LightmapLight::assemble(scene, &contents, |slots| PatchTable::new(&self.set, slots));
         }
         let there: HashSet<(BlockKey, Texel)> = contents.iter().flat_map(names).collect();
@@ -66,6 +92,22 @@ impl PrtStream {
             |slots| stand_in(&self.set, slots),
             |slots| PatchTable::new(&self.set, slots),
         )
+    }
+
+    /// Counts anew.
+    fn count(&mut self, manifest: &Manifest) {
+        let of = |index: usize| layers_of(manifest, index);
+        let is_whole = |(index, bytes): &(&usize, &Vec<u8>)| bytes.len() as u64 == of(**index).chunk.bytes;
+        let memory = |(index, bytes): (&usize, &Vec<u8>)| rung_memory(of(*index), bytes.len() as u64);
+        self.streamed = Streamed {
+            bytes: self.base_bytes + self.clusters.values().map(|bytes| bytes.len() as u64).sum::<u64>(),
+            bytes_all: self.base_bytes + manifest.bytes_of(CLUSTERS),
+            clusters: self.clusters.len(),
+            whole: self.clusters.iter().filter(is_whole).count(),
+            clusters_all: manifest.clusters.len(),
+            memory: self.base_memory + self.clusters.iter().map(memory).sum::<u64>(),
+            turns: self.streamed.turns,
+        };
     }
 }
 
@@ -83,66 +125,117 @@ impl LightStream for PrtStream {
         source: &Source,
         lit: &LitScene<'_>,
         viewpoint: Option<Viewpoint>,
-        bytes_max: u64,
+        budget: Budget,
         limit: Limit,
     ) -> Result<()> {
         let manifest = &lit.scene.manifest;
-        let absent: Vec<usize> =
-            (0..manifest.clusters.len()).filter(|index| !self.clusters.contains_key(index)).collect();
-        let rows: Vec<_> = with_chunks(manifest).collect();
-        let of_all: u64 = absent.iter().map(|&index| rows[index].1.bytes).sum();
-        let left = bytes_max.saturating_sub(self.streamed.bytes);
-        let chosen = if of_all <= left {
-            absent
-        } else {
-            let mut order = self.order(&absent, lit, viewpoint, limit)?;
-            let mut left = left;
-            order.retain(|&index| {
-                let fits = rows[index].1.bytes <= left;
-                left -= if fits { rows[index].1.bytes } else { 0 };
-                fits
-            });
-            order
-        };
-        let chunks: Vec<_> = chosen.iter().map(|&index| rows[index].1.clone()).collect();
-        let found = decoded_chunks(source, &chunks, CLUSTERS, |bytes| Ok(chunk::decode_cluster(bytes)?))?;
-        self.streamed.bytes += chunks.iter().map(|chunk| chunk.bytes).sum::<u64>();
-        self.clusters.extend(chosen.into_iter().zip(found));
-        self.streamed.clusters = self.clusters.len();
-        Ok(())
+        let Plan { fetch, evict } = self.plan(lit, viewpoint, budget, limit)?;
+        let has_gone = !evict.is_empty();
+        for (index, layers) in evict {
+            let bytes = layers_of(manifest, index).bytes_of(layers) as usize;
+            match self.clusters.get_mut(&index) {
+                Some(held) if layers > 0 => held.truncate(bytes),
+                _ => drop(self.clusters.remove(&index)),
+            }
+        }
+        let (found, ended) = parallel(fetch.len(), |at| {
+            let (index, layers) = fetch[at];
+            let of = layers_of(manifest, index);
+            let bytes = source.layers(of, layers, self.clusters.get(&index).map_or(&[], Vec::as_slice))?;
+            decoded_layers(of, &bytes)?;
+            Ok((index, bytes))
+        });
+        // Clusters that came before an error stay.
+        let found: Vec<(usize, Vec<u8>)> = found.into_iter().flatten().collect();
+        self.streamed.turns += u64::from(has_gone || !found.is_empty());
+        self.clusters.extend(found);
+        self.count(manifest);
+        ended
     }
 }
 
 impl PrtStream {
-    /// Those of `absent` by falling need.
-    fn order(
+    /// Layers to fetch and to let go, of clusters by their number in the manifest.
+    fn plan(
         &self,
-        absent: &[usize],
         lit: &LitScene<'_>,
         viewpoint: Option<Viewpoint>,
+        budget: Budget,
         limit: Limit,
-    ) -> Result<Vec<usize>> {
+    ) -> Result<Plan> {
         let manifest = &lit.scene.manifest;
-        let rows: Vec<_> = with_chunks(manifest).collect();
-        let candidate = |&index: &usize| {
-            let (row, chunk) = rows[index];
-            let bounds_m = row.bounds_m.map(Vec3::from);
-            Candidate { bounds_m, receivers: row.receivers, bytes: chunk.bytes }
+        let candidates: Vec<Candidate> =
+            (0..manifest.clusters.len()).map(|index| self.candidate(layers_of(manifest, index))).collect();
+        let budget = Budget {
+            bytes: budget.bytes.saturating_sub(self.base_bytes),
+            memory: budget.memory.saturating_sub(self.base_memory),
+            ..budget
         };
-        let candidates: Vec<Candidate> = absent.iter().map(candidate).collect();
+        let all = |of: &Candidate| of.rung(of.rungs.len());
+        let rest = self.streamed.bytes_all - self.streamed.bytes;
+        let memory: u64 = candidates.iter().map(|of| all(of).memory).sum();
+        if self.streamed.bytes_all - self.base_bytes <= budget.bytes
+            && rest <= budget.step
+            && memory <= budget.memory
+        {
+            let missing = candidates.iter().enumerate().filter(|(_, of)| of.held < of.rungs.len());
+            return Ok(Plan {
+                fetch: missing.map(|(index, of)| (index, of.rungs.len())).collect(),
+                evict: Vec::new(),
+            });
+        }
         let light = self.assembled(lit.scene)?;
         let settled = light.settled(lit, limit).light;
         let receivers = &light.transport.receivers;
-        let irradiance: Vec<Vec4> = (0..receivers.len() as u32).map(|slot| settled.indirect(slot)).collect();
-        let place = |(position_m, irradiance): (&Vec4, &Vec4)| Lit {
+        let place = |(slot, position_m): (u32, &Vec4)| Lit {
             position_m: position_m.truncate(),
-            irradiance: irradiance.truncate(),
+            irradiance: settled.indirect(slot).truncate(),
         };
-        let places: Vec<Lit> = receivers.position_m.iter().zip(&irradiance).map(place).collect();
+        let places: Vec<Lit> = (0..).zip(&receivers.position_m).map(place).collect();
         let [low, high] = manifest.bounds_m.map(Vec3::from);
-        let order = by_need(&candidates, &places, viewpoint, low.distance(high));
-        Ok(order.into_iter().map(|at| absent[at]).collect())
+        let steps = by_need(&candidates, &places, viewpoint, low.distance(high));
+        Ok(plan(&candidates, &steps, budget))
     }
+
+    fn candidate(&self, of: Layers<'_>) -> Candidate {
+        let rung = |layers: usize| {
+            let bytes = of.bytes_of(layers);
+            let left = match of.row.layers.get(layers - 1).filter(|_| layers < of.count()) {
+                Some(layer) => Rung::left_after(layer, of.row.rank),
+                None => 0.0,
+            };
+            Rung { bytes, memory: rung_memory(of, bytes), left }
+        };
+        let held = self.clusters.get(&of.cluster).and_then(|bytes| of.within(bytes.len() as u64));
+        Candidate {
+            bounds_m: of.row.bounds_m.map(Vec3::from),
+            receivers: of.row.receivers,
+            rungs: (1..=of.count()).map(rung).collect(),
+            held: held.unwrap_or(0),
+        }
+    }
+}
+
+/// A cluster of a manifest, whose directory has a row for each chunk.
+fn layers_of(manifest: &Manifest, cluster: usize) -> Layers<'_> {
+    Layers { cluster, row: &manifest.clusters[cluster], chunk: &manifest.chunks(CLUSTERS)[cluster] }
+}
+
+/// Memory of the first bytes of a cluster, when they are lit: as the directory tells it, with the bytes themselves.
+fn rung_memory(of: Layers<'_>, bytes: u64) -> u64 {
+    let (receivers, keys) = (u64::from(of.row.receivers), u64::from(of.row.keys));
+    let all = memory(receivers, keys, of.row.rank, NEAR_HITS * receivers);
+    bytes + (all as f64 * bytes as f64 / of.chunk.bytes.max(1) as f64) as u64
+}
+
+fn memory_of(cluster: &ClusterTransport, near_hits: usize) -> u64 {
+    let keys = cluster.factors.keys.len() as u64;
+    memory(cluster.receivers.len() as u64, keys, cluster.factors.rank, near_hits as u64)
+}
+
+fn memory(receivers: u64, keys: u64, rank: u32, near_hits: u64) -> u64 {
+    let numbers = f64::from(rank) * (U_BYTES * receivers as f64 + VT_BYTES * keys as f64);
+    RECEIVER_BYTES * receivers + COLUMN_BYTES * keys + NEAR_BYTES * near_hits + numbers as u64
 }
 
 fn names(cluster: &ClusterTransport) -> impl Iterator<Item = (BlockKey, Texel)> + '_ {
@@ -195,7 +288,7 @@ mod tests {
     fn streamed(folder: &std::path::Path) -> (Source, StreamedBake) {
         write_bundle(folder, prt_kind::NAME);
         let source = Source::bundle(folder).unwrap();
-        let streamed = StreamedBake::begin(&source, &kinds::all(), u64::MAX).unwrap();
+        let streamed = StreamedBake::begin(&source, &kinds::all(), Budget::NONE).unwrap();
         (source, streamed)
     }
 
@@ -218,10 +311,58 @@ mod tests {
         let ratio = mean(&first) / mean(&whole);
         // A room of some hundred receivers, every fourth of which is there.
         assert!((ratio - 1.0).abs().max_element() < 0.1, "{ratio}");
-        streamed.refine(&view, u64::MAX).unwrap();
+        streamed.refine(&view, Budget::NONE).unwrap();
         let all = streamed.streamed();
         assert_eq!((all.bytes, all.clusters), (all.bytes_all, all.clusters_all));
         assert_eq!(picture(&streamed.bake, &view), whole);
+    }
+
+    #[test]
+    fn layers_that_came_one_by_one_make_the_light_of_the_whole_bit_for_bit() {
+        let folder = tempfile::tempdir().unwrap();
+        let (source, mut streamed) = streamed(folder.path());
+        let (_, view) = fixture_view();
+        let whole = picture(&LoadedBake::load(&source, &kinds::all()).unwrap(), &view);
+        let Streamed { bytes, bytes_all, .. } = streamed.streamed();
+        let (mut in_part, mut step) = (0, (bytes_all - bytes) / 5);
+        while !streamed.streamed().is_whole() {
+            let before = streamed.streamed();
+            streamed.refine(&view, Budget { step, ..Budget::NONE }).unwrap();
+            let after = streamed.streamed();
+            assert!(after.bytes - before.bytes <= step);
+            step += if after == before { step } else { 0 };
+            in_part = in_part.max(after.clusters - after.whole);
+            let energy = mean(&picture(&streamed.bake, &view)) / mean(&whole);
+            // The fixture's ranks do not fall: those that are cut off weigh as much as others.
+            assert!((energy - 1.0).abs().max_element() < 0.25, "{energy} after {after:?}");
+        }
+        assert!(in_part > 1, "clusters came by layers");
+        assert_eq!(streamed.streamed().bytes, streamed.streamed().bytes_all);
+        assert_eq!(picture(&streamed.bake, &view), whole);
+    }
+
+    #[test]
+    fn clusters_that_memory_has_no_room_for_go_back_to_fewer_layers_and_come_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let (source, mut streamed) = streamed(folder.path());
+        let (_, view) = fixture_view();
+        let whole = picture(&LoadedBake::load(&source, &kinds::all()).unwrap(), &view);
+        let least = streamed.streamed().memory;
+        streamed.refine(&view, Budget::NONE).unwrap();
+        let all = streamed.streamed();
+        let memory = least + (all.memory - least) / 2;
+        streamed.refine(&view, Budget { memory, ..Budget::NONE }).unwrap();
+        let part = streamed.streamed();
+        assert!(part.memory <= memory && part.memory > least && part.bytes < all.bytes, "{part:?}");
+        assert_ne!(picture(&streamed.bake, &view), whole);
+        streamed.refine(&view, Budget { memory, ..Budget::NONE }).unwrap();
+        assert_eq!(streamed.streamed(), part, "the same view lets nothing go");
+        streamed.refine(&view, Budget::NONE).unwrap();
+        assert!(streamed.streamed().is_whole());
+        assert_eq!(picture(&streamed.bake, &view), whole);
+        let too_few = Budget { memory: least - 1, ..Budget::NONE };
+        let error = StreamedBake::begin(&source, &kinds::all(), too_few).err().unwrap().to_string();
+        assert!(error.contains(&least.to_string()), "{error}");
     }
 
     #[test]
@@ -231,14 +372,17 @@ mod tests {
         let (_, view) = fixture_view();
         let before = streamed.streamed();
         assert_eq!((before.clusters, before.clusters_all), (0, 7));
-        let error = StreamedBake::begin(&source, &kinds::all(), before.bytes - 1).err().unwrap().to_string();
+        let error = StreamedBake::begin(&source, &kinds::all(), Budget::of_bytes(before.bytes - 1))
+            .err()
+            .unwrap()
+            .to_string();
         assert!(error.contains(&before.bytes.to_string()), "{error}");
-        streamed.refine(&view, before.bytes).unwrap();
+        streamed.refine(&view, Budget::of_bytes(before.bytes)).unwrap();
         assert_eq!(streamed.streamed(), before);
         let half = (before.bytes + before.bytes_all) / 2;
-        streamed.refine(&view, half).unwrap();
+        streamed.refine(&view, Budget::of_bytes(half)).unwrap();
         let after = streamed.streamed();
-        assert!((1..7).contains(&after.clusters) && after.bytes <= half, "{after:?}");
+        assert!(after.clusters > 0 && after.whole < 7 && after.bytes <= half, "{after:?}");
         assert!(mean(&picture(&streamed.bake, &view)).is_finite());
     }
 
@@ -253,7 +397,8 @@ mod tests {
             manifest["chunks"].as_object_mut().unwrap().remove(OVERVIEW);
             std::fs::write(&path, manifest.to_string()).unwrap();
             let source = Source::bundle(folder.path()).unwrap();
-            let problem = StreamedBake::begin(&source, &kinds::all(), u64::MAX).err().unwrap().to_string();
+            let problem =
+                StreamedBake::begin(&source, &kinds::all(), Budget::NONE).err().unwrap().to_string();
             assert!(problem.contains(kind) && problem.contains("no overview"), "{problem}");
         }
     }

@@ -14,6 +14,7 @@ use crate::kinds::KindTables;
 use crate::objects::{ObjectArgument, parse_object};
 use crate::outputs::check_png;
 use crate::picture::LookArguments;
+use crate::reel::parse_bytes;
 use crate::switched_off::SwitchedOff;
 
 /// Arguments of `kiln view`.
@@ -27,6 +28,10 @@ pub struct Arguments {
     /// as of 'kiln preview'; may be given often
     #[arg(long, value_name = "OBJECT", value_parser = parse_object, help_heading = "Picture")]
     object: Vec<ObjectArgument>,
+    /// Lets light take at most so much memory, e.g. 200M: clusters that the view needs least go back to fewer layers, or to the
+    /// overview, and come again when it needs them [default: as much as all of it takes]
+    #[arg(long, value_name = "BYTES", value_parser = parse_bytes, help_heading = "Picture")]
+    max_memory: Option<u64>,
     /// Shows errors at first, of a file that 'kiln evaluate --dump' wrote: each texel as the nearest measured place, red where light is
     /// too bright, blue where it is too dark
     #[arg(long, value_name = "FILE.csv", help_heading = "Window")]
@@ -47,19 +52,21 @@ pub struct Arguments {
 
 /// Opens the window, until it is closed.
 pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
-    let Arguments { source, look, object, errors, no_panel, frames, screenshot, off } = arguments;
+    let Arguments { source, look, object, max_memory, errors, no_panel, frames, screenshot, off } = arguments;
     look.check()?;
     screenshot.as_deref().map_or(Ok(()), check_png)?;
     let errors = errors.as_deref().map(MeasuredErrors::read).transpose()?;
     let objects = object.iter().map(ObjectArgument::read).collect::<Result<_>>()?;
-    let (subject, view, notes) = look.opened(&source.open()?, &kinds.client, &off, objects)?;
+    let (subject, view, notes) = look.opened(&source.open()?, &kinds.client, &off, objects, max_memory)?;
     let view = View { objects: object.iter().map(|object| object.stance).collect(), ..view };
     for note in &notes {
         say!("note: {note}");
     }
     let materials = look.colours().to_vec();
     let bake_words = source.words();
+    let memory = max_memory.unwrap_or(u64::MAX);
+    let has_panel = !no_panel;
     let options =
-        Options { view, materials, errors, bake_words, notes, has_panel: !no_panel, frames, screenshot };
+        Options { view, materials, errors, bake_words, notes, has_panel, memory, frames, screenshot };
     Ok(view::run(subject, options)?)
 }

@@ -62,6 +62,17 @@ fn bake_can_be_listed_shown_watched_fetched_inspected_and_drawn() {
     assert!(streamed(&least.to_string(), 0).stderr().contains("the overview, and 0 of"), "{refused}");
     assert_ne!(std::fs::read(&png).unwrap(), whole);
     streamed("2MB", 2);
+    let bounded = |memory: &str, code: i32| {
+        let of_picture = ["--out", &png, "--size", "64x48", "--backend", "cpu", "--json"];
+        run(
+            kiln(folder.path()),
+            &[&["preview", &bundle, "--max-memory", memory], &of_picture[..]].concat(),
+            code,
+        )
+    };
+    assert!(bounded("10G", 0).stdout().contains("light_memory"));
+    assert_eq!(std::fs::read(&png).unwrap(), whole);
+    assert!(bounded("10", 2).stderr().contains("patches and overview alone"));
     let path = folder.path().join("path.json");
     let key = |picture: u32, x: f32, power: u32| {
         let lights = [format!("point pos={x},1,0.5 power={power}")];

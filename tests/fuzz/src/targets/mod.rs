@@ -3,6 +3,7 @@
 
 mod chunks;
 mod container;
+mod layers;
 #[path = "../../../../server/tests/model/mod.rs"]
 mod model;
 mod scenes;
@@ -25,8 +26,9 @@ pub struct Target {
 }
 
 /// All of them.
-pub const TARGETS: [Target; 13] = [
+pub const TARGETS: [Target; 14] = [
     chunks::CLUSTER,
+    layers::LAYERS,
     chunks::PROBES,
     chunks::GEOMETRY,
     chunks::TEXTURE,

@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::{Result, ensure};
 use glam::{Vec3, Vec4};
 use lightkiln_client::fetch::Source;
-use lightkiln_client::stream::{Candidate, Lit as Place, by_need};
+use lightkiln_client::stream::{Candidate, Lit as Place, Rung, by_need};
 use lightkiln_proto::chunk::{decode_cluster, decode_patches};
 use lightkiln_proto::content::{ClusterTransport, PatchSet};
 use lightkiln_proto::kinds::prt::PATCHES;
@@ -31,20 +31,45 @@ const RECT_POINTS: u32 = 8;
 
 /// A bake under the lights of the evaluation.
 pub struct Whole {
-    manifest: Manifest,
-    set: PatchSet,
+    pub(super) manifest: Manifest,
+    pub(super) set: PatchSet,
     clusters: Vec<ClusterTransport>,
-    transport: Transport<PatchTable>,
-    lights: Vec<Lit>,
+    pub(super) transport: Transport<PatchTable>,
+    pub(super) geometry: Geometry,
+    pub(super) lights: Vec<Lit>,
 }
 
 /// Light of the whole bake.
-struct Lit {
-    light: TestLight,
+pub struct Lit {
+    pub(super) light: TestLight,
     /// E_dir by slot.
     dir: Vec<Vec4>,
+    /// E_dir by near hit.
+    pub(super) near: Vec<Vec4>,
     /// E_ind by slot.
     ind: Vec<Vec4>,
+}
+
+/// Light of a part of a bake, and who stands for whom in it.
+pub struct Part {
+    /// The part.
+    pub(super) transport: Transport<PatchTable>,
+    /// Slots in the whole of which each of its receivers has the mean E_dir.
+    same: Vec<Vec<usize>>,
+    /// By slot in the whole: receivers of the part whose mean light a picture shows there.
+    standing: Vec<Vec<u32>>,
+    /// By slot in the whole: the receiver that stands for it.
+    nearest: Vec<Option<u32>>,
+}
+
+/// A part under a light.
+pub struct Seen {
+    /// E_ind by slot of the part.
+    pub(super) ind: Vec<Vec4>,
+    /// Energy over that of the whole.
+    pub(super) energy: f64,
+    /// Relative RMSE of E_ind over all receivers.
+    pub(super) error: f64,
 }
 
 /// Shares of the bytes of all clusters that come after the overview.
@@ -107,7 +132,7 @@ impl Whole {
         let lights = default_lights(&geometry).lights;
         let lights =
             lights.into_iter().map(|light| Lit::of(&geometry, &transport, light)).collect::<Result<_>>()?;
-        Ok(Self { manifest, set, clusters, transport, lights })
+        Ok(Self { manifest, set, clusters, transport, geometry, lights })
     }
 
     /// The overview of a size, and how near it comes.
@@ -120,48 +145,57 @@ impl Whole {
         let bytes: usize = found.iter().map(|cluster| cluster.bytes.len()).sum();
         let of_light = [CLUSTERS, PATCHES].into_iter().flat_map(|role| self.manifest.chunks(role));
         let all: u64 = of_light.map(|chunk| chunk.bytes).sum();
-        let shown = LightmapTexels { slots: &coarse.slots, receivers: &coarse.receivers };
+        let receivers = coarse.receivers.len();
+        let part = self.standing(coarse)?;
+        let lights = self.lights.iter().map(|lit| self.beside(lit, &part)).collect();
+        Ok(FirstLight { receivers, bytes: bytes as u64, share: bytes as f64 / all as f64, lights })
+    }
+
+    /// Who stands for whom in a part.
+    pub(super) fn standing(&self, transport: Transport<PatchTable>) -> Result<Part> {
+        let shown = LightmapTexels { slots: &transport.slots, receivers: &transport.receivers };
         let (mut standing, mut nearest) = (Vec::new(), Vec::new());
-        let mut same = vec![Vec::new(); coarse.receivers.len()];
+        let mut same = vec![Vec::new(); transport.receivers.len()];
         for ClusterTransport { receivers, .. } in &self.clusters {
-            let blocks = coarse.slots.block_indices(&receivers.blocks).map_err(anyhow::Error::msg)?;
+            let blocks = transport.slots.block_indices(&receivers.blocks).map_err(anyhow::Error::msg)?;
             for (&block, &texel) in receivers.block.iter().zip(&receivers.texel) {
                 let block = blocks[usize::from(block)];
-                let slots = [coarse.slots.slot(block, texel), coarse.slots.standing_inside(block, texel)];
+                let slots =
+                    [transport.slots.slot(block, texel), transport.slots.standing_inside(block, texel)];
                 for of in slots.into_iter().flatten() {
                     same[of as usize].push(standing.len());
                 }
                 // As a picture shows it: guests, who are in no patch, have the light of those around them.
                 let mut sources = Vec::new();
                 shown.push_sources(block, texel, &mut sources);
-                nearest.push(coarse.slots.standing(block, texel));
+                nearest.push(transport.slots.standing(block, texel));
                 standing.push(sources);
             }
         }
-        let lights =
-            self.lights.iter().map(|lit| self.beside(lit, &coarse, &same, (&standing, &nearest))).collect();
-        Ok(FirstLight {
-            receivers: coarse.receivers.len(),
-            bytes: bytes as u64,
-            share: bytes as f64 / all as f64,
-            lights,
-        })
+        Ok(Part { transport, same, standing, nearest })
     }
 
-    /// An overview under a light: `same` are the slots in the whole of which each of its receivers has the mean E_dir, `standing` those of it whose mean light
-    /// each of the whole has, `nearest` the one that stands for it.
-    fn beside(
-        &self,
-        lit: &Lit,
-        coarse: &Transport<PatchTable>,
-        same: &[Vec<usize>],
-        (standing, nearest): (&[Vec<u32>], &[Option<u32>]),
-    ) -> OfLight {
-        let dir: Vec<Vec4> = same
+    /// A part under a light, with E_dir of its near hits.
+    pub(super) fn seen(&self, lit: &Lit, part: &Part, near: &[Vec4]) -> Seen {
+        let dir: Vec<Vec4> = part
+            .same
             .iter()
             .map(|slots| slots.iter().map(|&slot| lit.dir[slot]).sum::<Vec4>() / slots.len().max(1) as f32)
             .collect();
-        let ind = settled(coarse, &lit.light.lighting, &dir, &[]);
+        let ind = settled(&part.transport, &lit.light.lighting, &dir, near);
+        let slots = || 0..lit.ind.len();
+        let whole: f64 = lit.ind.iter().map(|exact| f64::from(exact.truncate().element_sum())).sum();
+        let energy: f64 =
+            slots().map(|slot| f64::from(part.shown(&ind, slot).truncate().element_sum())).sum();
+        let squares: f64 = slots().map(|slot| part.square(&ind, lit, slot)).sum();
+        let numbers = 3.0 * lit.ind.len() as f64;
+        Seen { ind, energy: energy / whole, error: (squares / numbers).sqrt() / (whole / numbers) }
+    }
+
+    /// An overview under a light.
+    fn beside(&self, lit: &Lit, part: &Part) -> OfLight {
+        let Part { transport: coarse, same, nearest, .. } = part;
+        let Seen { ind, energy, .. } = self.seen(lit, part, &[]);
         let mut mean = vec![Vec4::ZERO; same.len()];
         let mut count = vec![0.0_f32; same.len()];
         for (exact, to) in lit.ind.iter().zip(nearest) {
@@ -171,16 +205,9 @@ impl Whole {
             }
         }
         mean.iter_mut().zip(&count).for_each(|(mean, count)| *mean /= count.max(1.0));
-        let shown = |light: &[Vec4], slot: usize| {
-            let sum: Vec4 = standing[slot].iter().map(|&to| light[to as usize]).sum();
-            sum / standing[slot].len().max(1) as f32
-        };
-        let square = |light: &[Vec4], slot: usize| {
-            f64::from((shown(light, slot) - lit.ind[slot]).truncate().length_squared())
-        };
+        let square = |light: &[Vec4], slot: usize| part.square(light, lit, slot);
         let slots = || 0..lit.ind.len();
         let whole: f64 = lit.ind.iter().map(|exact| f64::from(exact.truncate().element_sum())).sum();
-        let part: f64 = slots().map(|slot| f64::from(shown(&ind, slot).truncate().element_sum())).sum();
         let numbers = 3.0 * lit.ind.len() as f64;
         let relative = |squares: f64| (squares.max(0.0) / numbers).sqrt() / (whole / numbers);
 
@@ -213,7 +240,8 @@ impl Whole {
             .map(|(row, chunk)| Candidate {
                 bounds_m: row.bounds_m.map(Vec3::from),
                 receivers: row.receivers,
-                bytes: chunk.bytes,
+                rungs: vec![Rung { bytes: chunk.bytes, memory: 0, left: 0.0 }],
+                held: 0,
             })
             .collect();
         let places: Vec<Place> = coarse
@@ -227,47 +255,62 @@ impl Whole {
         let mut by_error: Vec<usize> = (0..rows.len()).collect();
         let gain = |index: usize| squares[index] / rows[index].1.bytes as f64;
         by_error.sort_by(|&a, &b| gain(b).total_cmp(&gain(a)));
+        let need = by_need(&candidates, &places, None, low.distance(high));
+        let need: Vec<usize> = need.iter().map(|step| step.candidate).collect();
         OfLight {
             name: lit.light.name.clone(),
-            energy: part / whole,
-            by_need: curve(&by_need(&candidates, &places, None, low.distance(high))),
+            energy,
+            by_need: curve(&need),
             by_error: curve(&by_error),
             best: relative(slots().map(|slot| square(&mean, slot)).sum()),
         }
     }
 }
 
-impl Lit {
-    fn of(geometry: &Geometry, transport: &Transport<PatchTable>, light: TestLight) -> Result<Self> {
-        let reference = Reference::new(geometry, &light.lighting)?;
-        let direct = |place: DirectAt| -> Vec4 {
-            let (position_m, normal) = match place {
-                DirectAt::Receiver(slot) => {
-                    let receivers = &transport.receivers;
-                    (
-                        receivers.position_m[slot as usize].truncate(),
-                        receivers.normal[slot as usize].truncate(),
-                    )
-                }
-                DirectAt::Texel { position_m, normal, .. } | DirectAt::Point { position_m, normal } => {
-                    (position_m, normal)
-                }
-            };
-            let site = Site { position_m, normal, face_normal: normal };
-            reference.direct_irradiance(&site, RECT_POINTS).as_vec3().extend(0.0)
-        };
-        let slots = (0..transport.receivers.len() as u32).into_par_iter();
-        let dir: Vec<Vec4> = slots.map(|slot| direct(DirectAt::Receiver(slot))).collect();
-        let hits = (0..transport.near.len()).into_par_iter();
-        let near: Vec<Vec4> =
-            hits.map(|hit| direct(transport.near.direct_at(hit, &transport.receivers))).collect();
-        let ind = settled(transport, &light.lighting, &dir, &near);
-        Ok(Self { light, dir, ind })
+impl Part {
+    /// Light that a picture shows at a slot of the whole.
+    fn shown(&self, light: &[Vec4], slot: usize) -> Vec4 {
+        let sum: Vec4 = self.standing[slot].iter().map(|&to| light[to as usize]).sum();
+        sum / self.standing[slot].len().max(1) as f32
+    }
+
+    /// The square of its error.
+    fn square(&self, light: &[Vec4], lit: &Lit, slot: usize) -> f64 {
+        f64::from((self.shown(light, slot) - lit.ind[slot]).truncate().length_squared())
     }
 }
 
+impl Lit {
+    fn of(geometry: &Geometry, transport: &Transport<PatchTable>, light: TestLight) -> Result<Self> {
+        let reference = Reference::new(geometry, &light.lighting)?;
+        let slots = (0..transport.receivers.len() as u32).into_par_iter();
+        let at = |place| direct(&reference, transport, place);
+        let dir: Vec<Vec4> = slots.map(|slot| at(DirectAt::Receiver(slot))).collect();
+        let hits = (0..transport.near.len()).into_par_iter();
+        let near: Vec<Vec4> =
+            hits.map(|hit| at(transport.near.direct_at(hit, &transport.receivers))).collect();
+        let ind = settled(transport, &light.lighting, &dir, &near);
+        Ok(Self { light, dir, near, ind })
+    }
+}
+
+/// E_dir at a place, by rays.
+pub(super) fn direct(reference: &Reference<'_>, transport: &Transport<PatchTable>, place: DirectAt) -> Vec4 {
+    let (position_m, normal) = match place {
+        DirectAt::Receiver(slot) => {
+            let receivers = &transport.receivers;
+            (receivers.position_m[slot as usize].truncate(), receivers.normal[slot as usize].truncate())
+        }
+        DirectAt::Texel { position_m, normal, .. } | DirectAt::Point { position_m, normal } => {
+            (position_m, normal)
+        }
+    };
+    let site = Site { position_m, normal, face_normal: normal };
+    reference.direct_irradiance(&site, RECT_POINTS).as_vec3().extend(0.0)
+}
+
 /// The transport of some clusters of a bake; those that are there stand for the others.
-fn joined(
+pub(super) fn joined(
     manifest: &Manifest,
     set: &PatchSet,
     clusters: &[ClusterTransport],
@@ -283,7 +326,12 @@ fn joined(
 }
 
 /// E_ind by slot after the last bounce.
-fn settled(transport: &Transport<PatchTable>, lighting: &Lighting, dir: &[Vec4], near: &[Vec4]) -> Vec<Vec4> {
+pub(super) fn settled(
+    transport: &Transport<PatchTable>,
+    lighting: &Lighting,
+    dir: &[Vec4],
+    near: &[Vec4],
+) -> Vec<Vec4> {
     // Factors beyond the emitters are not read.
     let emitter_scale = vec![lighting.emitter_scale; usize::from(u16::MAX)];
     let sky = Sky::of(&lighting.lights);

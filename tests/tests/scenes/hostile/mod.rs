@@ -85,6 +85,7 @@ macro_rules! held {
 
 held! {
     hostile_clusters_do_no_harm: "cluster";
+    hostile_layers_do_no_harm: "layers";
     hostile_probes_do_no_harm: "probes";
     hostile_geometry_does_no_harm: "geometry";
     hostile_textures_do_no_harm: "texture";
