@@ -29,7 +29,7 @@ use lightkiln_proto::scene::{SceneCamera, SceneLight};
 use crate::bake::{
     LightPasses, LoadedBake, MeasuredErrors, Overlay, ReceiverBuffers, ReceiverLight, Unshadowed,
 };
-use crate::error::{ClientError, Result};
+use crate::error::Result;
 use crate::lights::{Caster, Panorama, Sky, check_lights, check_scale};
 use crate::passes::change::ChangePass;
 use crate::passes::gpu::Gpu;
