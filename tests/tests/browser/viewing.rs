@@ -34,6 +34,10 @@ fn chromium_shows_a_bake_that_follows_lamp_and_camera() {
     );
     let [whole, off] = ["whole", "off"].map(|name| found[name].as_f64().expect("a number"));
     assert!(off > 0.0 && whole > 1.02 * off, "{whole} with the lamp, {off} without");
+    let painted = &found["painted"];
+    assert_eq!(painted["names"], json!(["white", "red", "green", "panel"]));
+    let [black, again] = ["black", "again"].map(|name| painted[name].as_f64().expect("a number"));
+    assert!(black < 0.7 * whole && (again / whole - 1.0).abs() < 0.02, "{whole}, {black}, {again}");
     let moved = numbers(&found["moved"]);
     assert!(moved.iter().map(|by| by * by).sum::<f64>().sqrt() > 0.05, "{moved:?}");
     let turned = numbers(&found["turned"]);

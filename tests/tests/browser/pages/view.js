@@ -1,6 +1,7 @@
 // Opens a bake on a canvas as the farm's face does, and measures its picture.
 
 import { BundleSource } from "/web/fetch.js";
+import { coloursOf } from "/web/page/colours.js";
 import { Viewer } from "/web/view.js";
 
 const WAIT_MS = 50;
@@ -12,10 +13,10 @@ function waitFor(isThere) {
   });
 }
 
-/** Mean radiance of the picture that stands when light has settled. */
+/** Mean radiance of the picture that stands when light has settled, of the pixels' middles: edges of a bright panel move with a jitter. */
 async function mean(viewer) {
   await waitFor(() => viewer.frame.settled);
-  viewer.frame.draw(viewer.context);
+  viewer.frame.draw(viewer.context, [0, 0]);
   const radiance = await viewer.frame.readRadiance();
   return radiance.reduce((sum, value, at) => (at % 4 === 3 ? sum : sum + value), 0) / radiance.length;
 }
@@ -29,6 +30,17 @@ function drag(canvas, from, to, more) {
   canvas.dispatchEvent(event("pointerdown", from));
   canvas.dispatchEvent(event("pointermove", to));
   canvas.dispatchEvent(event("pointerup", to));
+}
+
+/** Means of the picture with black for the first material's colour, by the page's control, and as baked again; and names of materials. */
+async function repainted(viewer) {
+  const controls = coloursOf(viewer);
+  const input = controls.querySelector("input");
+  input.value = "#000000";
+  input.dispatchEvent(new Event("input"));
+  const black = await mean(viewer);
+  controls.querySelector("button").click();
+  return { black, again: await mean(viewer), names: [...controls.querySelectorAll("span")].map((name) => name.textContent) };
 }
 
 /** Words of progress, clusters, and means of the picture: as opened, with all light, with the lamp off, and turned away. */
@@ -45,6 +57,7 @@ export async function view(base) {
   const first = viewer.clusters;
   await waitFor(() => words.includes("all light is here") || failures.length > 0);
   const whole = await mean(viewer);
+  const painted = await repainted(viewer);
   const before = [...viewer.lamp.positionM];
   drag(canvas, [80, 60], [100, 40], { shiftKey: true });
   const moved = viewer.lamp.positionM.map((at, axis) => at - before[axis]);
@@ -56,5 +69,5 @@ export async function view(base) {
   const turned = viewer.orbit.camera().eyeM.map((at, axis) => at - eyeM[axis]);
   const size = [canvas.width, canvas.height];
   viewer.close();
-  return { first, clusters: viewer.clusters, whole, off, moved, turned, size, failures };
+  return { first, clusters: viewer.clusters, whole, painted, off, moved, turned, size, failures };
 }
