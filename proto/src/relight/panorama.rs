@@ -96,7 +96,7 @@ impl Panorama {
     ///
     /// Errors where one of them is none.
     pub fn new(image: Arc<PanoramaImage>, turn_deg: f32, strength: f32) -> Result<Self, String> {
-        if !turn_deg.is_finite() || !(strength.is_finite() && strength >= 0.0) {
+        if !(turn_deg.is_finite() && strength.is_finite() && strength >= 0.0) {
             return Err(format!(
                 "turn={turn_deg} strength={strength} is not finite, or the strength is negative"
             ));
