@@ -33,6 +33,16 @@ impl Frame<'_> {
         self.bake.light.count_lod(self.lod_plan.as_ref()?)
     }
 
+    /// The last change by a bounce that was heard of, since lights changed; 0 for a kind without feedback. In some detail, that by
+    /// bounces in which each cluster takes part once.
+    pub fn change(&self) -> Option<f32> {
+        if self.change.is_none() {
+            Some(0.0)
+        } else {
+            self.bounces.changes[..self.cycle()].iter().copied().sum()
+        }
+    }
+
     /// Plans the detail of each cluster for the eye: light changes wherever the eye has moved.
     pub(super) fn plan_lod(&mut self) {
         let eye = self.lod.and_then(|lod| Some((lod, lod_eye(&self.bake, &self.camera, self.room.size)?)));

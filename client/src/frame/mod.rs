@@ -278,16 +278,6 @@ impl<'a> Frame<'a> {
         Ok(self.bounces.count)
     }
 
-    /// The last change by a bounce that was heard of, since lights changed; 0 for a kind without feedback. In some detail, that by
-    /// bounces in which each cluster takes part once.
-    pub fn change(&self) -> Option<f32> {
-        if self.change.is_none() {
-            Some(0.0)
-        } else {
-            self.bounces.changes[..self.cycle()].iter().copied().sum()
-        }
-    }
-
     /// Bounces since lights changed.
     pub fn bounces(&self) -> u32 {
         self.bounces.count

@@ -87,3 +87,26 @@ fn work(ui: &mut Ui, counts: &[LevelCount]) {
         }
     });
 }
+
+#[cfg(test)]
+mod tests {
+    use egui::Context;
+
+    use super::*;
+
+    #[test]
+    fn settings_that_are_shown_stay_as_they_are() {
+        let metres = LodLevel { distance: LodDistance::Metres(1e4), ..LodLevel::full(LodDistance::NOWHERE) };
+        for (name, preset) in Lod::PRESETS {
+            let mut wanted = preset;
+            (wanted.levels[3].distance, wanted.beside, wanted.behind) = (metres.distance, 20.0, 30.0);
+            let mut lod = wanted;
+            let ctx = Context::default();
+            for _ in 0..3 {
+                let mut output = ctx.run_ui(egui::RawInput::default(), |ui| controls(ui, &mut lod, 10.0));
+                output.textures_delta.clear();
+            }
+            assert_eq!(lod, wanted, "{name}");
+        }
+    }
+}

@@ -225,6 +225,8 @@ pub fn new_light(kind: &str, number: usize, place_m: [f32; 3], diagonal_m: f32) 
 
 #[cfg(test)]
 mod tests {
+    use lightkiln_proto::words::lod_from_text;
+
     use super::*;
     use crate::fixture;
     use crate::lights::{parse_camera, parse_lights};
@@ -245,6 +247,7 @@ mod tests {
         let stance = Stance { position_m: [1.0, 0.0, -2.5], scale: 0.5, ..Stance::default() };
         edits.objects =
             vec![PlacedObject { name: "a chair.glb".to_owned(), stance, plays: false, length_s: 2.0 }];
+        edits.lod = Some(lod_from_text("coarse level2=20m,4,8,2,2").unwrap());
         let (command, notes) = edits.command("room.kiln", &view.camera, [640, 360]);
         println!("{command}");
         assert!(notes.is_empty(), "{notes:?}");
@@ -258,6 +261,7 @@ mod tests {
             let named = |pair: &&[&str]| pair[0].ends_with(&format!("--{name} "));
             quoted.windows(2).filter(named).map(|pair| pair[1]).collect()
         };
+        assert_eq!(lod_from_text(of("lod")[0]).ok(), edits.lod);
         let camera = parse_camera(of("camera")[0]).unwrap();
         assert_eq!((camera.eye_m, camera.target_m), (view.camera.eye_m, view.camera.target_m));
         let parsed = parse_lights(&of("light")).unwrap();

@@ -33,17 +33,19 @@ fn main() -> Result<()> {
 
 fn print(found: &[Found]) {
     println!(
-        "| | receivers computed | numbers read | a bounce, best (median) | speed-up | SSIM | error of E_ind | energy |"
+        "| | receivers computed | numbers read | a bounce | of the processor | speed-up | SSIM | error of E_ind | energy |"
     );
-    println!("|---|---|---|---|---|---|---|---|");
-    let all_ms = found.first().map_or(0.0, |all| all.bounce_ms);
+    println!("|---|---|---|---|---|---|---|---|---|");
+    let cost_ms = |row: &Found| row.processor_ms.unwrap_or(row.bounce_ms);
+    let all_ms = found.first().map_or(0.0, cost_ms);
     for row in found {
-        let Found { name, bounce_ms, median_ms, error, energy, ssim, .. } = row;
+        let Found { name, bounce_ms, error, energy, ssim, .. } = row;
         let receivers = row.receivers().map_or("all".to_owned(), |[computed, _]| computed.to_string());
         let numbers = row.numbers().map_or("all".to_owned(), |share| format!("{:.0} %", 100.0 * share));
+        let processor = row.processor_ms.map_or("-".to_owned(), |ms| format!("{ms:.0} ms"));
         println!(
-            "| {name} | {receivers} | {numbers} | {bounce_ms:.1} ms ({median_ms:.1}) | {:.2} | {ssim:.4} | {:.2} % | {energy:.3} |",
-            all_ms / bounce_ms,
+            "| {name} | {receivers} | {numbers} | {bounce_ms:.0} ms | {processor} | {:.2} | {ssim:.4} | {:.2} % | {energy:.3} |",
+            all_ms / cost_ms(row),
             100.0 * error
         );
     }

@@ -42,8 +42,9 @@ fn whole() -> PatchKey {
 }
 
 /// Clusters of some rows of texels of one plane, a metre a texel; each reads the whole and a half's difference, in two ranks.
-fn transport(bands: &[std::ops::Range<u16>], links: impl Fn(Texel) -> u8) -> Transport<PatchTable> {
-    let clusters: Vec<ClusterTransport> = bands.iter().map(|rows| cluster(rows.clone(), &links)).collect();
+fn transport(bands: &[[u16; 2]], links: impl Fn(Texel) -> u8) -> Transport<PatchTable> {
+    let clusters: Vec<ClusterTransport> =
+        bands.iter().map(|[first, end]| cluster(*first..*end, &links)).collect();
     let blocks = [(BLOCK, [u32::from(SIDE); 2])];
     Transport::join(blocks, 0, &clusters, |slots| PatchTable::new(&patch_set(), slots)).unwrap()
 }
@@ -87,8 +88,9 @@ fn eye_at(position_m: Vec3) -> LodEye {
 }
 
 const FULL: LodLevel = LodLevel::full(LodDistance::Metres(0.0));
-const WHOLE: &[std::ops::Range<u16>] = &[0..SIDE];
-const HALVES: &[std::ops::Range<u16>] = &[0..8, 8..SIDE];
+/// First row of texels of each cluster, and the end.
+const WHOLE: &[[u16; 2]] = &[[0, SIDE]];
+const HALVES: &[[u16; 2]] = &[[0, 8], [8, SIDE]];
 
 /// Lamps that are brighter towards high x and low y.
 fn lamps(transport: &Transport<PatchTable>) -> Vec<Vec4> {
@@ -214,7 +216,7 @@ fn columns_that_are_cut_leave_the_mean_and_the_energy() {
 
 #[test]
 fn clusters_take_turns_and_none_is_left_out() {
-    let transport = transport(&[0..4, 4..8, 8..12, 12..SIDE], |_| OPEN);
+    let transport = transport(&[[0, 4], [4, 8], [8, 12], [12, SIDE]], |_| OPEN);
     let table = table_of(&transport);
     let lod = everywhere(LodLevel { interval: 4, ..FULL });
     let plan = table.plan(&transport.clusters, &lod, eye_at(Vec3::ZERO), None);
