@@ -69,7 +69,7 @@ fn cluster(block: u32, first_row: u32, column: u64) -> ClusterTransport {
 }
 
 #[test]
-#[ignore = "needs 12 GiB of memory and a graphics adapter"]
+#[ignore = "needs 2 GiB of memory and a graphics adapter"]
 fn ten_million_receivers_load_where_the_adapter_binds_their_arrays_and_are_refused_by_name_elsewhere() {
     let scene = scene();
     let mut contents = fixture::prt_contents();

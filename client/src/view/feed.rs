@@ -196,15 +196,15 @@ mod tests {
         let source = Source::bundle(folder.path()).unwrap();
         let stream = StreamedBake::begin(&source, &kinds::all(), Budget::NONE).unwrap();
         let first = |row: &ClusterRow| row.layers[0].bytes;
-        let least = stream.bake.scene.manifest.clusters.iter().map(first).min().unwrap();
+        let largest = stream.bake.scene.manifest.clusters.iter().map(first).max().unwrap();
         let Streamed { bytes: none, bytes_all: all, .. } = stream.streamed();
         let (sender, pieces) = channel();
-        let budget = Budget { step: least - 1, ..Budget::NONE };
+        let budget = Budget { step: largest - 1, ..Budget::NONE };
         fetch(stream, budget, &Watched::new(fixture_view().1), &sender, || {});
         drop(sender);
         let come: Vec<u64> = pieces.iter().map(|piece| piece.unwrap().streamed.bytes).collect();
         assert!(come[0] > none && come.windows(2).all(|pair| pair[0] < pair[1]), "{come:?}");
-        assert!(come.len() > 7, "{come:?}");
+        assert!(come.len() > 1, "{come:?}");
         assert_eq!(come.last(), Some(&all));
     }
 

@@ -334,7 +334,7 @@ mod tests {
             in_part = in_part.max(after.clusters - after.whole);
             let energy = mean(&picture(&streamed.bake, &view)) / mean(&whole);
             // The fixture's ranks do not fall: those that are cut off weigh as much as others.
-            assert!((energy - 1.0).abs().max_element() < 0.25, "{energy} after {after:?}");
+            assert!((energy - 1.0).abs().max_element() < 0.5, "{energy} after {after:?}");
         }
         assert!(in_part > 1, "clusters came by layers");
         assert_eq!(streamed.streamed().bytes, streamed.streamed().bytes_all);

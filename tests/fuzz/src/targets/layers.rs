@@ -15,7 +15,7 @@ pub const LAYERS: Target = Target {
     check: |bytes| forms(bytes).iter().for_each(|bytes| check(bytes)),
     seeds: || {
         let clusters = (chunks::CLUSTER.seeds)();
-        let lies = clusters.iter().flat_map(|chunk| [0, 1, 2, 3].map(|lie| [&[lie], &chunk[..]].concat()));
+        let lies = clusters.iter().flat_map(|chunk| [0, 1, 2, 3, 4].map(|lie| [&[lie], &chunk[..]].concat()));
         lies.collect()
     },
     memory_max: chunks::CLUSTER.memory_max,
@@ -33,8 +33,8 @@ fn row(lie: u8, chunk: &[u8]) -> Option<(ClusterRow, bool)> {
     let mut layers = cluster_layers(chunk, chunk.len() as u64).ok()?;
     let receivers = decode_cluster(chunk).map_or(0, |cluster| cluster.receivers.len() as u32);
     let checks = PrefixCheck::of_prefixes(chunk, &layers);
-    let at = usize::from(lie >> 2) % layers.len();
-    match lie & 3 {
+    let at = usize::from(lie >> 3) % layers.len();
+    match lie & 7 {
         1 => layers[at].rank ^= 1,
         2 => layers[at].level ^= 1,
         3 => layers[at].bytes += 1,
@@ -51,7 +51,7 @@ fn row(lie: u8, chunk: &[u8]) -> Option<(ClusterRow, bool)> {
         layers,
         checks,
     };
-    Some((row, lie & 3 == 0))
+    Some((row, !(1..=3).contains(&(lie & 7))))
 }
 
 fn read(bytes: &[u8]) -> bool {
