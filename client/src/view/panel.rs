@@ -23,10 +23,15 @@ const HANDLE: f32 = 7.0;
 const STOPS: RangeInclusive<f32> = -16.0..=16.0;
 /// Farthest turn of a panorama that is set here.
 const TURN_MAX_DEG: f32 = 360.0;
+/// Largest strength that is set here.
+const STRENGTH_MAX: f32 = 1e7;
 /// Farthest place of an object along an axis, in metres.
 const PLACE_MAX_M: f32 = 1e6;
 /// Scales of an object that are set here.
 const SCALES: RangeInclusive<f32> = 1e-4..=1e4;
+/// Least strength that a colour is told of.
+const DARK: f32 = 1e-9;
+
 /// Numbers that the window knows.
 #[derive(Clone, Debug, Default)]
 pub struct Facts {
@@ -151,6 +156,12 @@ fn state(ui: &mut Ui, viewer: &Viewer, facts: &Facts) {
     for note in &facts.notes {
         ui.label(note);
     }
+}
+
+/// A colour of at most 1, and the factor on it.
+fn parts(strength: [f32; 3]) -> ([f32; 3], f32) {
+    let most = strength.into_iter().fold(0.0, f32::max);
+    if most < DARK { ([1.0; 3], 0.0) } else { (strength.map(|channel| channel / most), most) }
 }
 
 /// A slider. A value beyond its range stays until the user changes it.

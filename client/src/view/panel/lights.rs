@@ -7,18 +7,14 @@ use glam::Vec3;
 use lightkiln_proto::rectangle::RECT_POINTS_MAX;
 use lightkiln_proto::scene::{LightKind, SceneLight};
 
-use super::{colour_button, number, place};
+use super::{STRENGTH_MAX, colour_button, number, parts, place};
 use crate::view::edits::new_light;
 use crate::view::viewer::Viewer;
 
-/// Largest strength that is set here.
-const STRENGTH_MAX: f32 = 1e7;
 /// Largest elevation in degrees that is set here: straight up has no azimuth.
 const ELEVATION_MAX: f32 = 89.9;
 /// Sides of a rectangle that are set here, in metres.
 const SIDES_M: RangeInclusive<f32> = 1e-3..=1e4;
-/// Least strength that a colour is told of.
-const DARK: f32 = 1e-9;
 
 /// Lights with their controls.
 pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
@@ -153,12 +149,6 @@ fn kind_of(light: &SceneLight) -> &'static str {
         LightKind::Rect { .. } => "rect",
         LightKind::Sky { .. } => "sky",
     }
-}
-
-/// A colour of at most 1, and the factor on it.
-fn parts(strength: [f32; 3]) -> ([f32; 3], f32) {
-    let most = strength.into_iter().fold(0.0, f32::max);
-    if most < DARK { ([1.0; 3], 0.0) } else { (strength.map(|channel| channel / most), most) }
 }
 
 #[cfg(test)]
