@@ -6,7 +6,6 @@ use std::ops::RangeInclusive;
 use std::sync::Arc;
 
 use egui::{Color32, Context, DragValue, Pos2, Response, Slider, SliderClamping, Stroke, Ui};
-use glam::Vec3;
 
 use super::detail;
 use super::edits::Edits;
