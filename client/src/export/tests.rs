@@ -40,7 +40,7 @@ fn bake() -> LoadedBake {
 }
 
 fn settled(bake: &LoadedBake) -> ReceiverLight {
-    light_receivers(bake, fixture::lights(), vec![1.0], Backend::Cpu).unwrap().settled.light
+    light_receivers(bake, fixture::lights(), None, vec![1.0], Backend::Cpu).unwrap().settled.light
 }
 
 fn exported(bake: &LoadedBake, options: Options) -> Exported {

@@ -1,5 +1,7 @@
 //! Light at receivers without a picture: bounces until they settle, on either backend.
 
+use std::sync::Arc;
+
 use glam::Vec3;
 use lightkiln_proto::scene::{SceneCamera, SceneLight};
 
@@ -7,6 +9,7 @@ use super::{Backend, Prepared, View};
 use crate::bake::{LoadedBake, SettledReceivers};
 use crate::error::{ClientError, Result};
 use crate::frame::{Frame, FrameRoom};
+use crate::lights::Panorama;
 use crate::passes::gpu::Gpu;
 use crate::passes::shadow::reference::draw;
 
@@ -19,14 +22,16 @@ pub struct LitReceivers {
     pub lit_by: String,
 }
 
-/// Lights a bake's receivers by `lights` and its emitters, one factor each, 1 where absent. Errs for a kind without receivers.
+/// Lights a bake's receivers by `lights`, a panorama and its emitters, one factor each, 1 where absent. Errs for a kind without receivers.
 pub fn light_receivers(
     bake: &LoadedBake,
     lights: Vec<SceneLight>,
+    panorama: Option<Arc<Panorama>>,
     emitter_scale: Vec<f32>,
     backend: Backend,
 ) -> Result<LitReceivers> {
-    let view = View { emitter_scale, width: 16, height: 16, ..View::new(camera_over(bake), lights) };
+    let view =
+        View { panorama, emitter_scale, width: 16, height: 16, ..View::new(camera_over(bake), lights) };
     let prepared = Prepared::new(bake, &view)?;
     let reason = match backend {
         Backend::Cpu => "as asked".to_owned(),
@@ -52,6 +57,7 @@ fn on_adapter(gpu: &Gpu, prepared: &Prepared<'_>) -> Result<LitReceivers> {
     let room = FrameRoom { size: view.size(), shadows: plan.room() };
     let mut frame = Frame::new(gpu, *bake, room, view.camera.clone())?;
     frame.set_lights(&view.lights)?;
+    frame.set_sky(view.panorama.as_ref())?;
     frame.set_emitters(&view.emitter_scale)?;
     frame.set_objects(&view.objects)?;
     let (bounces, converged) = frame.settle(view.limit)?;

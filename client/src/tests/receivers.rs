@@ -30,7 +30,7 @@ fn held(got: &ReceiverLight, wanted: &ReceiverLight) {
 #[ignore = "needs a graphics adapter"]
 fn adapter_lights_receivers_as_the_processor_does() {
     for bake in [fixture::prt_bake(&fixture::prt_contents()), fixture::sh_bake()] {
-        let lit = |lights, backend| light_receivers(&bake, lights, vec![1.5], backend).unwrap();
+        let lit = |lights, backend| light_receivers(&bake, lights, None, vec![1.5], backend).unwrap();
         let [got, wanted] = [Backend::Gpu, Backend::Cpu].map(|backend| lit(fixture::lights(), backend));
         assert!(got.settled.converged && wanted.settled.converged && got.lit_by != wanted.lit_by);
         held(&got.settled.light, &wanted.settled.light);
@@ -63,7 +63,7 @@ fn device_of_another_program_lights_alike_where_its_limits_allow_it_on_any_adapt
     let mut frame = Frame::new(&gpu, &bake, FrameRoom { size: [1, 1], shadows }, camera).unwrap();
     frame.set_lights(&lights).unwrap();
     frame.settle(Default::default()).unwrap();
-    let wanted = light_receivers(&bake, lights, vec![], Backend::Cpu).unwrap().settled.light;
+    let wanted = light_receivers(&bake, lights, None, vec![], Backend::Cpu).unwrap().settled.light;
     held(&frame.read_receivers().unwrap().unwrap(), &wanted);
     let (described, poor, queue) = device(wgpu::Limits::downlevel_webgl2_defaults());
     let refused = Gpu::share(poor, queue, &described).unwrap_err().to_string();

@@ -18,6 +18,7 @@ mod inspection;
 mod interrupt;
 mod junit;
 pub mod kinds;
+mod lighting;
 mod logging;
 mod objects;
 mod outputs;
@@ -29,7 +30,6 @@ mod settings;
 mod sky;
 mod submission;
 mod summary;
-mod switched_off;
 mod telemetry;
 #[cfg(test)]
 mod tests;

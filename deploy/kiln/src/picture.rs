@@ -25,9 +25,8 @@ use lightkiln_proto::words::lod_from_text;
 
 use crate::console::say;
 use crate::failure::{Failure, Result};
+use crate::lighting::LightArguments;
 use crate::reel::{Drawn, PassRow, Reel, numbered};
-use crate::sky::{SkyArgument, parse_sky};
-use crate::switched_off::SwitchedOff;
 
 /// The picture to draw, and how it looks.
 #[derive(Args, Clone, Debug)]
@@ -44,11 +43,6 @@ pub struct LookArguments {
     /// "emitters scale=s" (the scene's emissive surfaces, 1 unless said)
     #[arg(long, value_name = "LIGHT", help_heading = "Picture")]
     light: Vec<String>,
-    /// Panorama as a sky, on top of skies among the lights: "FILE [turn=degrees] [strength=s]", a Radiance HDR picture (.hdr) in
-    /// equirectangular projection, whose middle lies towards -z before it is turned about the vertical. It lights the scene
-    /// and is seen behind it; a sun in it shines as wide as its part of the sky is
-    #[arg(long, value_name = "FILE", value_parser = parse_sky, help_heading = "Picture")]
-    sky: Option<SkyArgument>,
     /// Another base colour of a material, linear, instead of the file's factor: "NAME=r,g,b" with channels 0 to 1; may be
     /// given often. All light follows, and nothing is baked again
     #[arg(long, value_name = "MATERIAL", value_parser = parse_recolour, help_heading = "Picture")]
@@ -135,7 +129,7 @@ impl LookArguments {
     fn view(
         &self,
         bake: &LoadedBake,
-        off: &SwitchedOff,
+        lighting: &LightArguments,
         path: Option<&ViewPath>,
     ) -> Result<(View, Vec<String>)> {
         let camera = self.camera.as_deref().map(parse_camera).transpose()?;
@@ -144,10 +138,10 @@ impl LookArguments {
         let own = (!self.light.is_empty()).then_some(lights);
         let own = own.or_else(|| Some(path?.first_lights()?.to_vec()));
         let (mut view, notes) = View::of_bake(bake, camera, own)?;
-        let scale = off.emitter_scale(emitter_scale.unwrap_or(1.0));
+        let scale = lighting.emitter_scale(emitter_scale.unwrap_or(1.0));
         view.emitter_scale = vec![scale; bake.scene.manifest.emitters.len()];
-        view.lights = off.rest(view.lights);
-        view.panorama = off.panorama(self.sky.as_ref().map(SkyArgument::read).transpose()?);
+        view.lights = lighting.rest(view.lights);
+        view.panorama = lighting.panorama()?;
         (view.width, view.height) = self.size;
         view.tone = self.tone.into();
         view.exposure = Exposure::Auto { stops: self.exposure };
@@ -161,7 +155,7 @@ impl LookArguments {
         &self,
         source: &Source,
         kinds: &ClientKinds,
-        off: &SwitchedOff,
+        lighting: &LightArguments,
         objects: Vec<Object>,
         max_memory: Option<u64>,
     ) -> Result<(Subject, View, Vec<String>)> {
@@ -172,12 +166,12 @@ impl LookArguments {
             let budget = Budget { memory: max_memory.unwrap_or(u64::MAX), ..Budget::NONE };
             let mut streamed = StreamedBake::begin(source, kinds, budget)?;
             streamed.add_objects(objects)?;
-            let (view, notes) = self.view(&streamed.bake, off, None)?;
+            let (view, notes) = self.view(&streamed.bake, lighting, None)?;
             return Ok((Subject::Streamed(Box::new(streamed)), view, notes));
         }
         let mut bake = LoadedBake::load(source, kinds)?;
         objects.into_iter().try_for_each(|object| bake.add_object(object))?;
-        let (view, notes) = self.view(&bake, off, None)?;
+        let (view, notes) = self.view(&bake, lighting, None)?;
         Ok((Subject::Whole(Box::new(bake)), view, notes))
     }
 
@@ -205,9 +199,15 @@ impl PictureArguments {
     }
 
     /// Draws the bake and writes it as PNG; says on standard error what was chosen and who drew.
-    pub fn draw(&self, kinds: &ClientKinds, off: &SwitchedOff, source: &Source, png: &Path) -> Result<()> {
+    pub fn draw(
+        &self,
+        kinds: &ClientKinds,
+        lighting: &LightArguments,
+        source: &Source,
+        png: &Path,
+    ) -> Result<()> {
         let bake = self.loaded(source, kinds)?;
-        let view = self.view(&bake, off, None)?;
+        let view = self.view(&bake, lighting, None)?;
         self.write_all(&bake, &view, None, png).map(|_| ())
     }
 
@@ -216,7 +216,7 @@ impl PictureArguments {
         &self,
         mut reel: Reel,
         kinds: &ClientKinds,
-        off: &SwitchedOff,
+        lighting: &LightArguments,
         source: &Source,
         png: &Path,
     ) -> Result<Drawn> {
@@ -226,13 +226,13 @@ impl PictureArguments {
         let Some(budget) = reel.budget else {
             let mut bake = self.loaded(source, kinds)?;
             objects.into_iter().try_for_each(|object| bake.add_object(object))?;
-            let view = View { objects: stances, ..self.view(&bake, off, path)? };
+            let view = View { objects: stances, ..self.view(&bake, lighting, path)? };
             return self.write_all(&bake, &view, path, png);
         };
         let mut streamed = StreamedBake::begin(source, kinds, budget)?;
         streamed.recolour(&self.look.material)?;
         streamed.add_objects(objects)?;
-        let view = View { objects: stances, ..self.view(&streamed.bake, off, path)? };
+        let view = View { objects: stances, ..self.view(&streamed.bake, lighting, path)? };
         // Along a path, what its first picture needs.
         streamed.refine(&path.map_or_else(|| view.clone(), |path| path.view(1, &view)), budget)?;
         let Streamed { bytes, bytes_all, clusters, whole, clusters_all, memory, .. } = streamed.streamed();
@@ -258,8 +258,8 @@ impl PictureArguments {
     }
 
     /// The view of a bake; says on standard error what was chosen.
-    fn view(&self, bake: &LoadedBake, off: &SwitchedOff, path: Option<&ViewPath>) -> Result<View> {
-        let (view, notes) = self.look.view(bake, off, path)?;
+    fn view(&self, bake: &LoadedBake, lighting: &LightArguments, path: Option<&ViewPath>) -> Result<View> {
+        let (view, notes) = self.look.view(bake, lighting, path)?;
         for note in notes {
             say!("note: {note}");
         }

@@ -14,8 +14,8 @@ use lightkiln_proto::relight::LevelCount;
 use serde::Serialize;
 
 use crate::failure::{Failure, Result};
+use crate::lighting::LightArguments;
 use crate::objects::{ObjectArgument, parse_object};
-use crate::switched_off::SwitchedOff;
 
 /// How much light to fetch, and how many pictures to draw of it.
 #[derive(Args, Clone, Debug, Default)]
@@ -60,8 +60,8 @@ impl Reel {
 
 impl ReelArguments {
     /// Reads path and objects, before any light is fetched.
-    pub fn read(&self, off: SwitchedOff) -> Result<Reel> {
-        let path = self.path(off)?;
+    pub fn read(&self, lighting: &LightArguments) -> Result<Reel> {
+        let path = self.path(lighting)?;
         let placed = path.as_ref().and_then(ViewPath::objects);
         if let Some(placed) = placed.filter(|placed| *placed != self.object.len()) {
             let given = self.object.len();
@@ -82,7 +82,7 @@ impl ReelArguments {
     }
 
     /// The path, if there is one, without what is switched off; refuses a file that holds none.
-    fn path(&self, off: SwitchedOff) -> Result<Option<ViewPath>> {
+    fn path(&self, lighting: &LightArguments) -> Result<Option<ViewPath>> {
         let Some(file) = &self.path else { return Ok(None) };
         let refused = |problem: &str| Failure::bad_input(format!("{} {problem}", file.display()));
         let failed = |error: std::io::Error| refused("cannot be read").caused_by(&error);
@@ -95,8 +95,8 @@ impl ReelArguments {
         let path =
             ViewPath::parse(&json).map_err(|error| refused("is no path of pictures").caused_by(&error))?;
         Ok(Some(path.with_lights(|ParsedLights { lights, emitter_scale }| ParsedLights {
-            lights: off.rest(lights),
-            emitter_scale: emitter_scale.map(|scale| off.emitter_scale(scale)),
+            lights: lighting.rest(lights),
+            emitter_scale: emitter_scale.map(|scale| lighting.emitter_scale(scale)),
         })))
     }
 }

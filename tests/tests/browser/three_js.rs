@@ -74,7 +74,7 @@ fn linear(byte: &u8) -> f64 {
 fn exported(source: &Source, bake: &LoadedBake) -> Vec<(String, Vec<u8>)> {
     let emitters = vec![1.0; bake.scene.manifest.emitters.len()];
     let lights = parse_lights(&[LIGHT]).unwrap().lights;
-    let lit = light_receivers(bake, lights, emitters.clone(), Backend::Cpu).unwrap();
+    let lit = light_receivers(bake, lights, None, emitters.clone(), Backend::Cpu).unwrap();
     let files = texture_files(source, bake).unwrap();
     export(bake, &files, &lit.settled.light, &emitters, Options::default()).unwrap().files
 }

@@ -17,12 +17,12 @@ use crate::failure::{EXIT_CODES, Exit, Failure, Result};
 use crate::following::follow;
 use crate::interrupt::Interrupt;
 use crate::kinds::KindTables;
+use crate::lighting::LightArguments;
 use crate::outputs::{check_folder, check_png};
 use crate::picture::PictureArguments;
 use crate::settings::SettingsArguments;
 use crate::submission::{PackedScene, SceneArguments};
 use crate::summary::complete_report;
-use crate::switched_off::SwitchedOff;
 
 /// Arguments of `kiln bake`.
 #[derive(Args, Debug)]
@@ -41,7 +41,7 @@ pub struct Arguments {
     #[command(flatten)]
     picture: PictureArguments,
     #[command(flatten)]
-    off: SwitchedOff,
+    lighting: LightArguments,
     /// Bakes on the farm at this URL instead of in this process
     #[arg(long, value_name = "URL", conflicts_with_all = ["threads", "state"])]
     server: Option<String>,
@@ -102,13 +102,13 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     // The bake is done: whatever fails from here on, its place and its figures are told.
     let look = || -> Result<()> {
         if arguments.evaluate {
-            let off = &arguments.off;
-            let measured = measure(kinds, &source, scene, (&arguments.wanted, off), &interrupt)?;
+            let lighting = &arguments.lighting;
+            let measured = measure(kinds, &source, scene, (&arguments.wanted, lighting), &interrupt)?;
             summary.evaluation = Some(measured.evaluation);
             complete_report(&out, &noted, &summary)?;
         }
         if let Some(png) = &arguments.preview {
-            arguments.picture.draw(&kinds.client, &arguments.off, &source, png)?;
+            arguments.picture.draw(&kinds.client, &arguments.lighting, &source, png)?;
             say!("picture: {}", png.display());
         }
         Ok(())

@@ -13,10 +13,10 @@ use crate::evaluation::{
 use crate::failure::{EXIT_CODES, Result};
 use crate::interrupt::Interrupt;
 use crate::kinds::KindTables;
+use crate::lighting::LightArguments;
 use crate::outputs::{check_file, check_folder};
 use crate::picture::parse_size;
 use crate::submission::{PackedScene, SceneArguments};
-use crate::switched_off::SwitchedOff;
 
 /// Arguments of `kiln evaluate`.
 #[derive(Args, Debug)]
@@ -46,7 +46,7 @@ pub struct Arguments {
     #[command(flatten)]
     wanted: EvaluationArguments,
     #[command(flatten)]
-    off: SwitchedOff,
+    lighting: LightArguments,
     /// Ends with one JSON object on standard output: scene, receivers, rel_rmse, energy_ratio, p95, p99, interval_95,
     /// area_above, classes, lights and more
     #[arg(long)]
@@ -67,7 +67,7 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     };
     let scene = PackedScene::read(&scene)?;
     let measured =
-        measure(kinds, &source, scene, (&arguments.wanted, &arguments.off), &Interrupt::default())?;
+        measure(kinds, &source, scene, (&arguments.wanted, &arguments.lighting), &Interrupt::default())?;
     if let Some(csv) = &arguments.dump {
         write_dump(csv, &measured)?;
     }

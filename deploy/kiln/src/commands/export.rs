@@ -15,9 +15,9 @@ use crate::arguments::BakeArgument;
 use crate::console::say;
 use crate::failure::Result;
 use crate::kinds::KindTables;
+use crate::lighting::LightArguments;
 use crate::outputs::{check_folder, folder_of};
 use crate::picture::{BackendName, parse_recolour};
-use crate::switched_off::SwitchedOff;
 
 /// Arguments of `kiln export`.
 #[derive(Args, Debug)]
@@ -47,7 +47,7 @@ pub struct Arguments {
     #[arg(long)]
     json: bool,
     #[command(flatten)]
-    off: SwitchedOff,
+    lighting: LightArguments,
 }
 
 /// Light that pages hold.
@@ -79,12 +79,13 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     } else {
         lights
     };
-    let scale = arguments.off.emitter_scale(emitter_scale.unwrap_or(1.0));
+    let scale = arguments.lighting.emitter_scale(emitter_scale.unwrap_or(1.0));
     let emitters = vec![scale; bake.scene.manifest.emitters.len()];
-    let lights = arguments.off.rest(lights);
+    let lights = arguments.lighting.rest(lights);
+    let panorama = arguments.lighting.panorama()?;
     let files = export::texture_files(&source, &bake)?;
     export::check(&bake, &files, arguments.scale)?;
-    let lit = light_receivers(&bake, lights, emitters.clone(), arguments.backend.into())?;
+    let lit = light_receivers(&bake, lights, panorama, emitters.clone(), arguments.backend.into())?;
     let options = Options { share: arguments.irradiance.into(), scale: arguments.scale };
     let mut exported = export::export(&bake, &files, &lit.settled.light, &emitters, options)?;
     exported.warnings.extend(bake.scene.warnings.iter().cloned());

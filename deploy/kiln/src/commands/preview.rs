@@ -7,10 +7,10 @@ use clap::Args;
 use crate::arguments::BakeArgument;
 use crate::failure::Result;
 use crate::kinds::KindTables;
+use crate::lighting::LightArguments;
 use crate::outputs::check_png;
 use crate::picture::PictureArguments;
 use crate::reel::ReelArguments;
-use crate::switched_off::SwitchedOff;
 
 /// Arguments of `kiln preview`.
 #[derive(Args, Debug)]
@@ -28,20 +28,20 @@ pub struct Arguments {
     #[arg(long)]
     json: bool,
     #[command(flatten)]
-    off: SwitchedOff,
+    lighting: LightArguments,
 }
 
 /// Draws the picture.
 pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     arguments.picture.check()?;
     check_png(&arguments.out)?;
-    let reel = arguments.reel.read(arguments.off)?;
+    let reel = arguments.reel.read(&arguments.lighting)?;
     if let Some(path) = &reel.path {
         arguments.picture.check_beside(path)?;
     }
     let source = arguments.source.open()?;
-    let Arguments { picture, off, out, json, .. } = arguments;
-    let drawn = picture.draw_reel(reel, &kinds.client, &off, &source, &out)?;
+    let Arguments { picture, lighting, out, json, .. } = arguments;
+    let drawn = picture.draw_reel(reel, &kinds.client, &lighting, &source, &out)?;
     if json {
         println!("{}", serde_json::json!(drawn));
     }

@@ -16,10 +16,10 @@ use crate::following::{Ended, wait_for_end};
 use crate::interrupt::Interrupt;
 use crate::junit;
 use crate::kinds::KindTables;
+use crate::lighting::LightArguments;
 use crate::settings::SettingsArguments;
 use crate::submission::{PackedScene, SceneArguments};
 use crate::summary::stage_name;
-use crate::switched_off::SwitchedOff;
 
 /// Arguments of `kiln submit`.
 #[derive(Args, Debug)]
@@ -60,7 +60,7 @@ pub struct Arguments {
     #[command(flatten)]
     wanted: EvaluationArguments,
     #[command(flatten)]
-    off: SwitchedOff,
+    lighting: LightArguments,
     /// Prints one JSON object instead of the id: bake, name, scene, state, failure, tasks_run, tasks_reused, stages,
     /// elapsed_secs, with --evaluate also evaluation; with --wait once the bake has ended, also when it failed
     #[arg(long)]
@@ -146,7 +146,7 @@ fn submit(arguments: &Arguments, kinds: &KindTables) -> Result<Outcome> {
     let is_wanted = arguments.evaluate && ended.bake.state == BakeState::Done;
     let evaluation = is_wanted.then(|| {
         let source = Source::server(client, &ended.bake.id);
-        let measured = measure(kinds, &source, scene, (&arguments.wanted, &arguments.off), &interrupt)?;
+        let measured = measure(kinds, &source, scene, (&arguments.wanted, &arguments.lighting), &interrupt)?;
         eprint!("{}", printable(&words(&measured.evaluation)));
         Ok(measured.evaluation)
     });

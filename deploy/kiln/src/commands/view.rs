@@ -11,11 +11,11 @@ use crate::arguments::BakeArgument;
 use crate::console::say;
 use crate::failure::Result;
 use crate::kinds::KindTables;
+use crate::lighting::LightArguments;
 use crate::objects::{ObjectArgument, parse_object};
 use crate::outputs::check_png;
 use crate::picture::LookArguments;
 use crate::reel::parse_bytes;
-use crate::switched_off::SwitchedOff;
 
 /// Arguments of `kiln view`.
 #[derive(Args, Debug)]
@@ -47,17 +47,19 @@ pub struct Arguments {
     #[arg(long, value_name = "PNG", help_heading = "Window")]
     screenshot: Option<PathBuf>,
     #[command(flatten)]
-    off: SwitchedOff,
+    lighting: LightArguments,
 }
 
 /// Opens the window, until it is closed.
 pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
-    let Arguments { source, look, object, max_memory, errors, no_panel, frames, screenshot, off } = arguments;
+    let Arguments { source, look, object, max_memory, errors, no_panel, frames, screenshot, lighting } =
+        arguments;
     look.check()?;
     screenshot.as_deref().map_or(Ok(()), check_png)?;
     let errors = errors.as_deref().map(MeasuredErrors::read).transpose()?;
     let objects = object.iter().map(ObjectArgument::read).collect::<Result<_>>()?;
-    let (subject, view, notes) = look.opened(&source.open()?, &kinds.client, &off, objects, max_memory)?;
+    let (subject, view, notes) =
+        look.opened(&source.open()?, &kinds.client, &lighting, objects, max_memory)?;
     let view = View { objects: object.iter().map(|object| object.stance).collect(), ..view };
     for note in &notes {
         say!("note: {note}");

@@ -9,7 +9,6 @@ use lightkiln_worker::kinds::BakeKinds;
 
 use super::limits::Limit;
 use crate::failure::{Failure, Result};
-use crate::sky::{SkyArgument, parse_sky};
 
 /// Arguments that `kiln evaluate` and `kiln bake --evaluate` share.
 #[derive(Args, Clone, Debug)]
@@ -18,10 +17,6 @@ pub struct EvaluationArguments {
     /// [10, 9, 8]}]}; types are point, spot, sun, rect, sky and emitters [default: chosen from the scene, and said]
     #[arg(long, value_name = "FILE", help_heading = "Evaluation")]
     pub lights: Option<PathBuf>,
-    /// Panorama to measure with, beside the other lights: "FILE [turn=degrees] [strength=s]", a Radiance HDR picture (.hdr) in
-    /// equirectangular projection
-    #[arg(long, value_name = "FILE", value_parser = parse_sky, help_heading = "Evaluation")]
-    pub sky: Option<SkyArgument>,
     /// Standard error of the reference over the mean, or over the geometric mean of it and the value where that is brighter;
     /// places that stand for little area may have more. Smaller takes longer, with its inverse square
     #[arg(long, value_name = "E", default_value_t = 0.03, value_parser = parse_rel_error, help_heading = "Evaluation")]

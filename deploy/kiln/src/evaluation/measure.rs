@@ -18,9 +18,8 @@ use crate::console::say;
 use crate::failure::{Exit, Failure, Result};
 use crate::interrupt::Interrupt;
 use crate::kinds::KindTables;
-use crate::sky::SkyArgument;
+use crate::lighting::LightArguments;
 use crate::submission::PackedScene;
-use crate::switched_off::SwitchedOff;
 
 /// Strata of the sample of which one is measured at its pixel too.
 const PIXELS_SHARE: u32 = 3;
@@ -42,11 +41,11 @@ pub fn measure(
     kinds: &KindTables,
     source: &Source,
     scene: PackedScene,
-    (wanted, off): (&EvaluationArguments, &SwitchedOff),
+    (wanted, lighting): (&EvaluationArguments, &LightArguments),
     interrupt: &Interrupt,
 ) -> Result<Measured> {
     let own = wanted.own_lights()?;
-    let panorama = wanted.sky.as_ref().map(SkyArgument::read).transpose()?.map(panorama_light);
+    let panorama = lighting.panorama()?.map(panorama_light);
     let name = scene.name.clone();
     let (_, manifest) = source.manifest()?;
     kinds
@@ -60,7 +59,7 @@ pub fn measure(
     say!("preparing the scene anew, and what {} places need", wanted.receivers);
     let bytes = |digest| chunk(source, &manifest, digest);
     let bake = kinds.worker.evaluated(&manifest, scene.into_bytes(), &bytes, &progress).map_err(failure)?;
-    let usable = |lights| usable_lights(bake.geometry(), off.rest_of_tests(lights)).map_err(failure);
+    let usable = |lights| usable_lights(bake.geometry(), lighting.rest_of_tests(lights)).map_err(failure);
     let chosen = match own {
         Some(mut lights) => {
             lights.extend(panorama);

@@ -90,7 +90,8 @@ impl Client {
     fn of(bundle: &Path) -> Self {
         let kinds = lightkiln_client::kinds::all();
         let bake = LoadedBake::load(&Source::bundle(bundle).unwrap(), &kinds).unwrap();
-        let lit = light_receivers(&bake, vec![parse_light(LIGHT).unwrap()], vec![], Backend::Cpu).unwrap();
+        let lit =
+            light_receivers(&bake, vec![parse_light(LIGHT).unwrap()], None, vec![], Backend::Cpu).unwrap();
         let lightmap = bake.light.lightmap(&bake.scene).unwrap();
         let light = lit.settled.light;
         let straight: Vec<Vec4> = light.direct.iter().zip(&light.emit).map(|(a, b)| *a + *b).collect();

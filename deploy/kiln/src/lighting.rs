@@ -1,25 +1,32 @@
-//! `--no-emitters`, `--no-sky`: light of the scene that pictures and evaluations leave out.
+//! `--no-emitters`, `--no-sky`, `--sky`: light of the scene that pictures and evaluations leave out, and a sky that they add.
 
 use std::sync::Arc;
 
 use crate::console::say;
+use crate::failure::Result;
+use crate::sky::{SkyArgument, parse_sky};
 use clap::Args;
 use lightkiln_proto::relight::Panorama;
 use lightkiln_proto::scene::{LightKind, SceneLight};
 use lightkiln_worker::evaluate::TestLight;
 
-/// Light that is left out.
-#[derive(Args, Clone, Copy, Debug, Default)]
-pub struct SwitchedOff {
+/// Light that is left out, and a panorama.
+#[derive(Args, Clone, Debug, Default)]
+pub struct LightArguments {
     /// Leaves the light of the scene's emissive surfaces out, of pictures and of evaluations
     #[arg(long, help_heading = "Light")]
     no_emitters: bool,
     /// Leaves skies out, the scene's own too
     #[arg(long, help_heading = "Light")]
     no_sky: bool,
+    /// Panorama as a sky, on top of skies among the lights, of pictures and of evaluations: "FILE [turn=degrees] [strength=s]", a Radiance HDR
+    /// picture (.hdr) in equirectangular projection, whose middle lies towards -z before it is turned about the vertical. It
+    /// lights the scene and is seen behind it; a sun in it shines as wide as its part of the sky is
+    #[arg(long, value_name = "FILE", value_parser = parse_sky, help_heading = "Light", conflicts_with = "no_sky")]
+    sky: Option<SkyArgument>,
 }
 
-impl SwitchedOff {
+impl LightArguments {
     /// The strength of emissive surfaces, unless they are switched off.
     pub fn emitter_scale(&self, scale: f32) -> f32 {
         if self.no_emitters { 0.0 } else { scale }
@@ -31,9 +38,9 @@ impl SwitchedOff {
         lights
     }
 
-    /// The panorama, unless skies are left out.
-    pub fn panorama(&self, panorama: Option<Arc<Panorama>>) -> Option<Arc<Panorama>> {
-        panorama.filter(|_| !self.no_sky)
+    /// Reads the panorama, if there is one.
+    pub fn panorama(&self) -> Result<Option<Arc<Panorama>>> {
+        self.sky.as_ref().map(SkyArgument::read).transpose()
     }
 
     /// The same of lights to measure with, without those that have then nothing left; says which on standard error.
@@ -42,7 +49,6 @@ impl SwitchedOff {
             let lighting = &mut light.lighting;
             lighting.emitter_scale = self.emitter_scale(lighting.emitter_scale);
             lighting.lights = self.rest(std::mem::take(&mut lighting.lights));
-            lighting.panorama = self.panorama(lighting.panorama.take());
             let dark =
                 lighting.emitter_scale <= 0.0 && lighting.lights.is_empty() && lighting.panorama.is_none();
             if dark {
