@@ -37,6 +37,8 @@ export async function requestDevice() {
 
 export class Viewer {
   #isClosed = false;
+  // The error that has closed the view.
+  #failure = null;
   // Something to draw has changed since the last picture.
   #isStale = true;
   // Light is being exchanged: its bounces are run there.
@@ -54,7 +56,8 @@ export class Viewer {
       await viewer.#open(canvas, source, { signal, onProgress, onTrouble, onFailure });
     } catch (error) {
       viewer.close();
-      throw error;
+      // The device is the cause, whatever failed for want of it.
+      throw viewer.#failure ?? error;
     }
     return viewer;
   }
@@ -62,17 +65,25 @@ export class Viewer {
   async #open(canvas, source, { signal, onProgress, onTrouble, onFailure }) {
     this.device.lost.then(({ message }) => {
       if (this.#isClosed) return;
+      this.#failure = new Error(`the graphics device is gone (${message}): open the page again`);
       this.close();
-      onFailure(new Error(`the graphics device is gone (${message}): open the page again`));
+      onFailure(this.#failure);
     });
     onProgress({ words: "reading the scene", share: 0 });
     this.stream = await BakeStream.begin(source, { signal });
+    this.#stopIfClosed();
     this.scene = this.stream.scene;
     this.canvas = canvas;
     await this.#firstLight(signal, onProgress);
+    this.#stopIfClosed();
     const onError = (error) => signal?.aborted || this.#isClosed || onTrouble(error);
     this.#follow(canvas, onError);
     this.#refine(signal, onProgress).catch(onError);
+  }
+
+  /** Ends an opening whose view was closed meanwhile: `close` found nothing then of what has been made since. */
+  #stopIfClosed() {
+    if (this.#isClosed) throw this.#failure ?? new Error("the view was closed");
   }
 
   /** The first picture: of the overview, where there is one, else of all clusters. */

@@ -8,6 +8,7 @@ use glam::{Vec3, Vec4};
 use lightkiln_proto::relight::ReceiverTable;
 use rayon::prelude::*;
 
+use super::places::{Place, Places};
 use crate::error::{ClientError, Result};
 use crate::fetch::read_limited;
 use crate::picture::luminance;
@@ -19,9 +20,7 @@ const LINES_MAX: usize = 1 << 20;
 const LIGHTS_MAX: usize = 256;
 /// Relative error that is shown in full colour, as on the page of an evaluation.
 pub const FULL_COLOUR: f32 = 0.5;
-/// Cosine of the largest angle between the normals of a receiver and of the place whose error it shows.
-const FACING_MIN: f32 = 0.5;
-/// Linear colours: too dark, right, too bright, and of receivers that no place is near to.
+/// Linear colours: too dark, right, too bright, and of receivers whose way no place faces.
 const DARK: Vec3 = Vec3::new(0.01, 0.05, 0.58);
 const RIGHT: Vec3 = Vec3::splat(0.8);
 const BRIGHT: Vec3 = Vec3::new(0.58, 0.01, 0.01);
@@ -49,19 +48,11 @@ pub const COLUMNS: [&str; 15] = [
 #[derive(Clone, Debug, PartialEq)]
 pub struct MeasuredErrors(Vec<OfLight>);
 
-/// Errors under one light, by ascending x.
+/// Errors under one light.
 #[derive(Clone, Debug, PartialEq)]
 struct OfLight {
     name: String,
-    places: Vec<Place>,
-}
-
-/// A place and its error: that of the luminance of E_ind, over the mean of the reference.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Place {
-    position_m: Vec3,
-    normal: Vec3,
-    relative: f32,
+    places: Places,
 }
 
 /// A line of the file.
@@ -125,7 +116,7 @@ impl MeasuredErrors {
         let is_inside = |place: &Place| {
             place.position_m.cmpge(low - margin).all() && place.position_m.cmple(high + margin).all()
         };
-        if self.0.iter().flat_map(|light| &light.places).any(is_inside) {
+        if self.0.iter().flat_map(|light| light.places.iter()).any(is_inside) {
             return Ok(());
         }
         let problem = "none of its places lies in this bake: it is of another scene".to_owned();
@@ -142,34 +133,10 @@ impl MeasuredErrors {
         let light = self.0.get(light)?;
         let pairs = receivers.position_m.par_iter().zip(&receivers.normal);
         let colour = |(position, normal): (&Vec4, &Vec4)| {
-            let error = light.nearest(position.truncate(), normal.truncate());
+            let error = light.places.nearest(position.truncate(), normal.truncate());
             error.map_or(UNKNOWN, colour).extend(0.0)
         };
         Some(pairs.map(colour).collect())
-    }
-}
-
-impl OfLight {
-    /// Error of the nearest place that faces the same way.
-    fn nearest(&self, position_m: Vec3, normal: Vec3) -> Option<f32> {
-        let start = self.places.partition_point(|place| place.position_m.x < position_m.x);
-        let (before, behind) = self.places.split_at(start);
-        let (mut least, mut found) = (f32::INFINITY, None);
-        // Either way along x, until all that follow are farther.
-        let mut look = |places: &mut dyn Iterator<Item = &Place>| {
-            for place in places {
-                if (place.position_m.x - position_m.x).powi(2) >= least {
-                    break;
-                }
-                let square = place.position_m.distance_squared(position_m);
-                if square < least && place.normal.dot(normal) >= FACING_MIN {
-                    (least, found) = (square, Some(place.relative));
-                }
-            }
-        };
-        look(&mut behind.iter());
-        look(&mut before.iter().rev());
-        found
     }
 }
 
@@ -189,8 +156,7 @@ fn of_light(name: String, lines: Vec<Line>) -> Option<OfLight> {
     }
     let over_mean =
         |line: Line| Place { relative: (f64::from(line.place.relative) / mean) as f32, ..line.place };
-    let mut places: Vec<Place> = lines.into_iter().map(over_mean).collect();
-    places.sort_by(|a, b| a.position_m.x.total_cmp(&b.position_m.x));
+    let places = Places::new(lines.into_iter().map(over_mean).collect());
     Some(OfLight { name, places })
 }
 
@@ -302,28 +268,6 @@ mod tests {
         assert_eq!(of(near_second, Vec3::X), UNKNOWN);
         assert!(measured.colours(1, &receiver(Vec3::ZERO, Vec3::Y)).is_none());
         assert_eq!(colour(-0.25), RIGHT.lerp(DARK, 0.5));
-    }
-
-    #[test]
-    fn nearest_place_is_that_of_a_search_through_all() {
-        let number = |seed: u32| (seed.wrapping_mul(2_654_435_761) >> 8) as f32 / (1 << 24) as f32;
-        let point = |seed: u32| Vec3::new(number(seed), number(seed + 1), number(seed + 2));
-        let normals = [Vec3::X, Vec3::Y, Vec3::Z];
-        let of = |index: u32| Place {
-            position_m: point(7 * index),
-            normal: normals[index as usize % 3],
-            relative: index as f32,
-        };
-        let mut places: Vec<Place> = (0..500).map(of).collect();
-        places.sort_by(|a, b| a.position_m.x.total_cmp(&b.position_m.x));
-        let light = OfLight { name: String::new(), places };
-        for index in 0..200 {
-            let (position, normal) = (point(100_000 + 5 * index), normals[index as usize % 3]);
-            let facing = light.places.iter().filter(|place| place.normal.dot(normal) >= FACING_MIN);
-            let square = |place: &&Place| place.position_m.distance_squared(position);
-            let nearest = facing.min_by(|a, b| square(a).total_cmp(&square(b))).unwrap();
-            assert_eq!(light.nearest(position, normal), Some(nearest.relative));
-        }
     }
 
     #[test]

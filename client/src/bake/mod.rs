@@ -7,6 +7,7 @@
 mod errors;
 mod kind;
 mod light;
+mod places;
 
 use std::sync::Arc;
 

@@ -11,7 +11,8 @@
 //     where USE is {texture, wrap: ["repeat", "clamp" or "mirror", …], transform: [Float32Array(3), Float32Array(3)] or null}
 //   emitters: [{name, areaM2}],
 //   lights: [{name, kind: {type: "point", positionM, rangeM} | {type: "spot", positionM, direction, innerRad, outerRad, rangeM}
-//     | {type: "sun", direction} | {type: "rect", positionM, direction, up, sizeM, points} | {type: "sky", zenith, horizon}, strength}],                       vectors: Float32Array(3)
+//     | {type: "sun", direction} | {type: "rect", positionM, direction, up, sizeM, points} | {type: "sky", zenith, horizon},
+//     strength}], where vectors are Float32Array(3)
 //   cameras: [{name, eyeM, targetM, up, fovYRad, orthographicHalfHeightM}],
 //   framing: {camera: {value, note} or null, light: {value, note} or null},
 //   chunks: Map from role to [{digest: hex, bytes}],

@@ -10,15 +10,19 @@ const STEPS = 200;
 
 /**
  * Shows the bake's picture in `place` until `signal` is raised. Where there can be none, it says why, and shows `pictures` that were drawn
- * before, whose files lie below `base`.
+ * before, or a promise of them that does not fail, whose files lie below `base`.
  */
 export async function viewerOf(place, source, signal, { pictures = [], base = "" } = {}) {
   const canvas = el("canvas", { tabindex: 0, "aria-label": "Picture of the bake: arrow keys turn the camera" });
   const over = el("p", { class: "over", role: "status" }, "opening …");
   const controls = el("div", { class: "controls" });
   fill(place, el("div", { class: "viewer" }, el("div", { class: "stage" }, canvas, over), controls));
-  const still = () => (pictures.length === 0 ? null : picturesOf(pictures, base));
-  const onFailure = (error) => signal.aborted || fill(place, told(error, pictures.length > 0), still());
+  const onFailure = async (error) => {
+    if (signal.aborted) return;
+    fill(place, told(error, false));
+    const drawn = await pictures;
+    if (!signal.aborted && drawn.length > 0) fill(place, told(error, true), picturesOf(drawn, base));
+  };
   const onProgress = ({ words, share }) => {
     over.textContent = words;
     over.hidden = share === 1;

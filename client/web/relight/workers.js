@@ -55,6 +55,11 @@ class Remote {
     this.ready.catch(() => {});
   }
 
+  /** Whether it has failed or was closed: calls fail. */
+  get isEnded() {
+    return this.#failure !== null;
+  }
+
   /** Calls under way. */
   get load() {
     return this.#calls.size;
@@ -90,6 +95,9 @@ class Remote {
 class WorkThere {
   #light;
   #decoders;
+  #closed = null;
+  // Decodes where no Worker that does is left.
+  #here = new WorkHere();
 
   constructor([light, ...decoders]) {
     [this.#light, this.#decoders] = [light, decoders];
@@ -101,7 +109,11 @@ class WorkThere {
   }
 
   decode(kind, digest, bytes) {
-    const idlest = this.#decoders.reduce((best, worker) => (worker.load < best.load ? worker : best));
+    if (this.#closed !== null) return Promise.reject(this.#closed);
+    // One that has failed is idle for good.
+    const alive = this.#decoders.filter((worker) => !worker.isEnded);
+    if (alive.length === 0) return this.#here.decode(kind, digest, bytes);
+    const idlest = alive.reduce((best, worker) => (worker.load < best.load ? worker : best));
     return idlest.call("decode", [kind, digest, bytes], [bytes.buffer]);
   }
 
@@ -124,8 +136,8 @@ class WorkThere {
 
   /** Ends the Workers and frees their memory. */
   close() {
-    const ended = new DOMException("the bake was closed", "AbortError");
-    [this.#light, ...this.#decoders].forEach((worker) => worker.close(ended));
+    this.#closed = new DOMException("the bake was closed", "AbortError");
+    [this.#light, ...this.#decoders].forEach((worker) => worker.close(this.#closed));
   }
 }
 

@@ -99,6 +99,20 @@ fn chromium_shows_a_finished_bake_of_a_farm_as_its_server_hands_it_out() {
     assert!(text.contains("drawn before"), "{text}");
     let stills = "const image = document.querySelector('main img'); return [image.src, image.naturalWidth, image.naturalHeight]";
     assert_eq!(browser.script(stills, json!([])), json!([files.url("/any/place/stills/1.png"), 960, 540]));
+    // Without its list it has none, and a list that says nothing is told of.
+    let list = folder.path().join("site/site.json");
+    for (words, is_told) in [(None, false), (Some("null"), true), (Some("{\"stills\""), true)] {
+        match words {
+            Some(words) => std::fs::write(&list, words).expect("a file"),
+            None => std::fs::remove_file(&list).expect("no file"),
+        }
+        browser.open(&files.url("/any/place/index.html"));
+        let text = wait_for(&browser, "kiln preview", 0);
+        assert!(text.contains("no WebGPU"), "{text}");
+        let told = "Pictures and evaluation of this site";
+        let text = if is_told { wait_for(&browser, told, 0) } else { text };
+        assert!(text.contains(told) == is_told && !text.contains("all lights"), "{text}");
+    }
 }
 
 /// Evaluates the bake of a folder, roughly.

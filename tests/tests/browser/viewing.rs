@@ -4,26 +4,43 @@ use lightkiln_client::web::shaders;
 use serde_json::{Value, json};
 
 use super::bundle::Bundle;
-use super::files::Answer;
+use super::files::{Answer, Files};
 use super::{browser_at, served};
 
 fn numbers(json: &Value) -> Vec<f64> {
     json.as_array().expect("a list").iter().map(|number| number.as_f64().expect("a number")).collect()
 }
 
-#[test]
-#[ignore = "needs chromium"]
-fn chromium_shows_a_bake_that_follows_lamp_and_camera() {
-    let bundle = Bundle::cornell();
+/// A server of a bundle below `/bake`, and of shaders.
+fn serving(bundle: &Bundle) -> Files {
     let folder = bundle.folder().to_owned();
-    let files = served(move |request| {
+    served(move |request| {
         if let Some(file) = request.path.strip_prefix("/bake/") {
             return Some(std::fs::read(folder.join(file)).map_or_else(|_| Answer::empty(404), Answer::of));
         }
         let name = request.path.strip_prefix("/web/shaders/")?.strip_suffix(".wgsl")?.to_owned();
         let (_, text) = shaders().into_iter().find(|(found, _)| *found == name)?;
         Some(Answer::of(text.into_owned().into_bytes()))
-    });
+    })
+}
+
+#[test]
+#[ignore = "needs chromium"]
+fn chromium_ends_the_opening_of_a_bake_whose_device_is_lost_meanwhile() {
+    let bundle = Bundle::cornell();
+    let files = serving(&bundle);
+    let found = browser_at(&files).run("/pages/view.js", "lost", json!(["/bake"]));
+    let message = found["message"].as_str().expect("words");
+    assert!(message.contains("graphics device is gone"), "{message}");
+    assert_eq!(found["words"], json!(["reading the scene"]), "nothing is drawn on it");
+    assert_eq!(found["workers"], 0, "Workers live on");
+}
+
+#[test]
+#[ignore = "needs chromium"]
+fn chromium_shows_a_bake_that_follows_lamp_and_camera() {
+    let bundle = Bundle::cornell();
+    let files = serving(&bundle);
     let found = browser_at(&files).run("/pages/view.js", "view", json!(["/bake"]));
     assert_eq!(found["failures"], json!([]));
     assert_eq!(found["size"], json!([160, 120]));

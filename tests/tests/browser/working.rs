@@ -64,6 +64,11 @@ fn chromium_puts_light_together_in_workers_as_on_its_own_thread() {
     assert!(come[0] == 0 && come[1] > 0 && come[1] < come[2], "{come:?}");
     assert_ne!(found[1]["light"], found[2]["light"], "the comparison sees no difference");
     assert_eq!(here["found"], there["found"]);
+    for dead in [1, WORKERS] {
+        let bereft = browser.run(MODULE, "bereft", json!(["/bundle", WORKERS, dead]));
+        assert_eq!(bereft["made"], WORKERS + 1);
+        assert_eq!(bereft["light"], found[2]["light"], "{dead} of {WORKERS} decoders have failed");
+    }
     let told = browser.run(MODULE, "failures", json!(["/damaged", "/bundle"]));
     assert_eq!(told, json!(["ChunkError ChunkError digest", "AbortError"]));
 }

@@ -20,7 +20,7 @@ use crate::console::say;
 use crate::failure::{Failure, Result};
 
 /// Name of the page in its folder.
-const PAGE: &str = "evaluation.html";
+pub const PAGE: &str = "evaluation.html";
 /// Name of the figures beside it.
 pub const FIGURES: &str = "evaluation.json";
 /// Bars of the histogram, and the relative error at its end.

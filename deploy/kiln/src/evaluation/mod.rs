@@ -17,7 +17,7 @@ mod table;
 pub use arguments::EvaluationArguments;
 pub use dump::write_dump;
 pub use gallery::{FOLDER as GALLERY_FOLDER, Gallery, LIST as GALLERY_LIST};
-pub use html::{FIGURES, write_page};
+pub use html::{FIGURES, PAGE, write_page};
 pub use limits::check;
 pub use measure::measure;
 pub use pictures::draw;

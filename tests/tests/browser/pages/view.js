@@ -71,3 +71,36 @@ export async function view(base) {
   viewer.close();
   return { first, clusters: viewer.clusters, whole, painted, off, moved, turned, size, failures };
 }
+
+/** Ends the device while a bake's manifest is on its way: the error of the opening, its words of progress, and Workers that live on. */
+export async function lost(base) {
+  let device = null;
+  const { requestDevice } = GPUAdapter.prototype;
+  GPUAdapter.prototype.requestDevice = async function (...args) {
+    return (device = await requestDevice.apply(this, args));
+  };
+  let workers = 0;
+  window.Worker = class extends Worker {
+    constructor(...args) {
+      super(...args);
+      workers++;
+    }
+
+    terminate() {
+      if (!this.isEnded) workers--;
+      this.isEnded = true;
+      super.terminate();
+    }
+  };
+  const source = new BundleSource(base);
+  const manifest = source.manifest.bind(source);
+  source.manifest = async (signal) => {
+    device.destroy();
+    await device.lost;
+    return manifest(signal);
+  };
+  const words = [];
+  const opened = Viewer.open(document.createElement("canvas"), source, { onProgress: (told) => words.push(told.words) });
+  const message = await opened.then(() => "opened", (error) => error.message);
+  return { message, words, workers };
+}

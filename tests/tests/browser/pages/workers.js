@@ -30,6 +30,26 @@ export async function lights(base, workers) {
   return { isElsewhere, found };
 }
 
+/** Light by all clusters where `dead` of the Workers that decode, `workers`, have failed after the first of them came. */
+export async function bereft(base, workers, dead) {
+  const Own = window.Worker;
+  const made = [];
+  window.Worker = class extends Own {
+    constructor(...args) {
+      super(...args);
+      made.push(this);
+    }
+  };
+  const stream = await BakeStream.begin(new BundleSource(base), { workers }).finally(() => (window.Worker = Own));
+  await stream.refine(stream.bytes[1] / 3);
+  // The first puts light together.
+  made.slice(1, 1 + dead).forEach((worker) => worker.dispatchEvent(new ErrorEvent("error", { message: "out of memory" })));
+  await stream.refine(Infinity);
+  const { light } = await stream.bake();
+  stream.close();
+  return { made: made.length, light: named(flatLight(light)) };
+}
+
 /** Kind and code of the error of a bake that cannot be read, and that of a stream that was closed. */
 export async function failures(damaged, good) {
   const stream = await BakeStream.begin(new BundleSource(damaged)).catch((error) => error);

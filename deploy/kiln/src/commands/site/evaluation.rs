@@ -7,7 +7,7 @@ use std::path::Path;
 
 use serde_json::Value;
 
-use super::write;
+use super::{remove_files, whole_name, write};
 use crate::evaluation::{FIGURES, GALLERY_FOLDER, GALLERY_LIST, Gallery};
 use crate::failure::{Failure, Result};
 
@@ -62,6 +62,12 @@ pub fn place(read: &Read, folder: &Path) -> Result<()> {
     }
     write(&folder.join(GALLERY_LIST), serde_json::json!(read.gallery).to_string().as_bytes())?;
     write(&folder.join(FIGURES), read.figures.to_string().as_bytes())
+}
+
+/// Removes what `place` wrote, the lists last.
+pub fn remove(folder: &Path) -> Result<()> {
+    remove_files(&folder.join(GALLERY_FOLDER), |name| is_plain(&whole_name(name, "png")))?;
+    remove_files(folder, |name| [GALLERY_LIST, FIGURES].contains(&whole_name(name, "json").as_str()))
 }
 
 /// Whether a name is of a file in the same folder, and of a PNG.
@@ -125,6 +131,8 @@ mod tests {
         assert_eq!(fs::read(site.path().join(GALLERY_FOLDER).join("0-0.png")).unwrap(), png);
         assert_eq!(fs::read(site.path().join(FIGURES)).unwrap(), b"{\"rel_rmse\":0.1}");
         assert!(site.path().join(GALLERY_LIST).is_file());
+        remove(site.path()).unwrap();
+        assert!(!site.path().exists(), "all that was placed is removed");
     }
 
     #[test]

@@ -4,11 +4,13 @@ use std::path::Path;
 
 use lightkiln_client::bake::{ClientKinds, LoadedBake};
 use lightkiln_client::fetch::Source;
-use lightkiln_client::preview::{Backend, View, render_png};
+use lightkiln_client::picture::encode_png;
+use lightkiln_client::preview::{Backend, View, render};
 use serde_json::{Value, json};
 
+use super::{remove_files, whole_name, write};
 use crate::console::say;
-use crate::failure::{Failure, Result};
+use crate::failure::{Exit, Failure, Result};
 
 /// Most pictures.
 pub const STILLS_MAX: u32 = 16;
@@ -17,29 +19,55 @@ pub const FOLDER: &str = "stills";
 /// Width and height in pixels.
 const SIZE: [u32; 2] = [960, 540];
 
-/// Draws a bake from the first `count` of its cameras, or from the one that it chose where it has none; lists them as the page reads
-/// them.
-pub fn draw(bundle: &Path, kinds: &ClientKinds, count: u32, site: &Path) -> Result<Vec<Value>> {
+/// A picture of a bake.
+pub struct Still {
+    file: String,
+    words: String,
+    png: Vec<u8>,
+}
+
+/// Draws a bake from the first `count` of its cameras, or from the one that it chose where it has none.
+pub fn draw(source: &Source, kinds: &ClientKinds, count: u32) -> Result<Vec<Still>> {
     if count == 0 {
         return Ok(Vec::new());
     }
-    let bake = LoadedBake::load(&Source::bundle(bundle)?, kinds)?;
+    let bake = LoadedBake::load(source, kinds)?;
     let own = bake.scene.manifest.cameras.iter().cloned().map(Some);
     let cameras: Vec<_> = own.chain([None]).take(bake.scene.manifest.cameras.len().max(1)).collect();
-    let folder = site.join(FOLDER);
-    std::fs::create_dir_all(&folder).map_err(|error| {
-        Failure::bad_input(format!("the folder {} cannot be made", folder.display())).caused_by(&error)
-    })?;
-    let mut listed = Vec::new();
-    for (camera, number) in cameras.into_iter().take(count as usize).zip(1..) {
+    let mut drawn = Vec::new();
+    for (camera, number) in cameras.into_iter().take(count as usize).zip(1_u32..) {
         let (view, _) = View::of_bake(&bake, camera, None)?;
         let [width, height] = SIZE;
         let view = View { width, height, ..view };
-        let file = format!("{FOLDER}/{number}.png");
-        let picture = render_png(&bake, &view, Backend::Auto, &site.join(&file))?;
+        let file = format!("{FOLDER}/{}", name(number));
+        let picture = render(&bake, &view, Backend::Auto)?;
         say!("{file}: drawn by {}", picture.drawn_by);
+        let png = encode_png(width, height, &picture.ldr).map_err(|error| {
+            Failure::new(Exit::Failed, format!("{file} cannot be encoded")).caused_by(&*error)
+        })?;
         let words = format!("from camera '{}', under the lights of the bake", view.camera.name);
-        listed.push(json!({ "file": file, "words": words, "width": width, "height": height }));
+        drawn.push(Still { file, words, png });
     }
-    Ok(listed)
+    Ok(drawn)
+}
+
+/// Writes pictures into a site; lists them as its page reads them.
+pub fn place(stills: &[Still], site: &Path) -> Result<Vec<Value>> {
+    let [width, height] = SIZE;
+    let placed = stills.iter().map(|Still { file, words, png }| {
+        write(&site.join(file), png)?;
+        Ok(json!({ "file": file, "words": words, "width": width, "height": height }))
+    });
+    placed.collect()
+}
+
+/// Removes what `place` wrote into a site.
+pub fn remove(site: &Path) -> Result<()> {
+    let is_still = |file: &str| (1..=STILLS_MAX).any(|number| name(number) == whole_name(file, "png"));
+    remove_files(&site.join(FOLDER), is_still)
+}
+
+/// Name of a picture in its folder.
+fn name(number: u32) -> String {
+    format!("{number}.png")
 }
