@@ -236,7 +236,10 @@ fn panorama(ui: &mut Ui, edits: &mut Edits) {
     });
     if is_changed.inner {
         let turn_deg = turn_deg.clamp(-TURN_MAX_DEG, TURN_MAX_DEG);
-        edits.panorama = shown.changed(turn_deg, strength.clamp(0.0, STRENGTH_MAX)).ok().map(Arc::new);
+        // A strength beyond all measure changes nothing.
+        if let Ok(changed) = shown.changed(turn_deg, strength.clamp(0.0, STRENGTH_MAX)) {
+            edits.panorama = Some(Arc::new(changed));
+        }
     }
 }
 
