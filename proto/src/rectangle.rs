@@ -8,6 +8,10 @@ use crate::scene::LightKind;
 pub const RECT_POINTS_MAX: u32 = 16;
 /// Points unless a light says otherwise.
 pub const RECT_POINTS: u32 = 4;
+/// Length of a vector across the light, of a unit hint, below which rounding alone would turn the rectangle.
+const ACROSS_MIN: f32 = 1e-4;
+/// Share by which sides of cells have to be more alike, so that rounding decides no tie.
+const TIE: f64 = 1e-4;
 
 /// A rectangle with its place, sides and the way in which it shines.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -30,9 +34,11 @@ impl Rectangle {
         };
         let direction = Vec3::from(*direction).try_normalize()?;
         // A hint along the light is as good as none.
-        let right = [Vec3::from(*up), default_up(direction)]
-            .into_iter()
-            .find_map(|up| direction.cross(up.try_normalize()?).try_normalize())?;
+        let across = |up: Vec3| {
+            let across = direction.cross(up.try_normalize()?);
+            (across.length() >= ACROSS_MIN).then(|| across.normalize())
+        };
+        let right = [Vec3::from(*up), default_up(direction)].into_iter().find_map(across)?;
         let up = right.cross(direction);
         let has_area = *width_m > 0.0 && *height_m > 0.0 && width_m.is_finite() && height_m.is_finite();
         has_area.then_some(Self {
@@ -47,20 +53,25 @@ impl Rectangle {
     pub fn area_m2(&self) -> f32 {
         4.0 * self.half_u_m.length() * self.half_v_m.length()
     }
+}
 
-    /// Columns and rows of so many cells alike, as near to squares as may be.
-    pub fn cells(&self, points: u32) -> [u32; 2] {
-        let points = points.clamp(1, RECT_POINTS_MAX);
-        let aspect = self.half_u_m.length() / self.half_v_m.length();
-        // Ratio of the sides of a cell, the longer over the shorter.
-        let longer = |columns: u32| {
-            let ratio = aspect * (points / columns) as f32 / columns as f32;
-            ratio.max(1.0 / ratio)
-        };
-        let columns = (1..=points).filter(|columns| points.is_multiple_of(*columns));
-        let best = columns.min_by(|a, b| longer(*a).total_cmp(&longer(*b))).unwrap_or(1);
-        [best, points / best]
+/// Columns and rows of so many cells alike of a rectangle of that width and height, as near to squares as may be; of ties
+/// fewer columns.
+pub fn rect_cells([width_m, height_m]: [f32; 2], points: u32) -> [u32; 2] {
+    let points = points.clamp(1, RECT_POINTS_MAX);
+    let aspect = f64::from(width_m) / f64::from(height_m);
+    // Ratio of the sides of a cell, the longer over the shorter.
+    let longer = |columns: u32| {
+        let ratio = aspect * f64::from(points / columns) / f64::from(columns);
+        ratio.max(1.0 / ratio)
+    };
+    let mut best = 1;
+    for columns in 2..=points {
+        if points.is_multiple_of(columns) && longer(columns) < longer(best) * (1.0 - TIE) {
+            best = columns;
+        }
     }
+    [best, points / best]
 }
 
 /// Direction of the height of a rectangle that shines along `direction`, unless given.
@@ -86,7 +97,10 @@ mod tests {
         assert!((half_u_m.cross(half_v_m).normalize() + direction).length() < 1e-6);
         assert!((found.area_m2() - 2.0).abs() < 1e-6);
         // Up along the light says nothing.
-        assert!(rect([0.0, -1.0, 0.0], [0.0, 1.0, 0.0], [1.0, 1.0]).is_some());
+        let along = rect([0.0, -1.0, 0.0], [0.0, 1.0, 0.0], [1.0, 1.0]).unwrap();
+        // Nor does one that is along it but for rounding.
+        assert_eq!(rect([0.0, -1.0, 0.0], [3e-6, 1.0, 0.0], [1.0, 1.0]), Some(along));
+        assert_ne!(rect([0.0, -1.0, 0.0], [3e-3, 1.0, 0.0], [1.0, 1.0]), Some(along));
     }
 
     #[test]
@@ -104,12 +118,26 @@ mod tests {
 
     #[test]
     fn cells_are_as_near_to_squares_as_their_number_lets_them() {
-        let cells = |size_m, points| rect([0.0, -1.0, 0.0], [0.0, 0.0, 1.0], size_m).unwrap().cells(points);
-        assert_eq!(cells([1.0, 1.0], 4), [2, 2]);
-        assert_eq!(cells([1.2, 0.1], 4), [4, 1]);
-        assert_eq!(cells([0.1, 1.2], 4), [1, 4]);
-        assert_eq!(cells([2.0, 1.0], 8), [4, 2]);
-        assert_eq!(cells([1.0, 1.0], 0), [1, 1]);
-        assert_eq!(cells([1.0, 1.0], 1000), [4, 4]);
+        assert_eq!(rect_cells([1.0, 1.0], 4), [2, 2]);
+        assert_eq!(rect_cells([1.2, 0.1], 4), [4, 1]);
+        assert_eq!(rect_cells([0.1, 1.2], 4), [1, 4]);
+        assert_eq!(rect_cells([2.0, 1.0], 8), [4, 2]);
+        assert_eq!(rect_cells([1.0, 1.0], 0), [1, 1]);
+        assert_eq!(rect_cells([1.0, 1.0], 1000), [4, 4]);
+    }
+
+    #[test]
+    fn ties_of_cells_are_fewer_columns_whatever_the_rounding() {
+        for tenths in 1..200_u32 {
+            // Twice as wide as high: cells of 1 : 2 and of 2 : 1 are as near to squares.
+            let height_m = tenths as f32 / 10.0;
+            let width_m = (2 * tenths) as f32 / 10.0;
+            for off in [-1, 0, 1] {
+                let rounded = f32::from_bits(width_m.to_bits().wrapping_add_signed(off));
+                assert_eq!(rect_cells([rounded, height_m], 4), [2, 2], "{rounded} × {height_m}");
+                assert_eq!(rect_cells([height_m, rounded], 4), [1, 4], "{height_m} × {rounded}");
+            }
+            assert_eq!(rect_cells([height_m, height_m], 2), [1, 2]);
+        }
     }
 }

@@ -7,7 +7,7 @@ mod words;
 use std::f32::consts::FRAC_PI_2;
 
 use glam::Vec3;
-use lightkiln_proto::rectangle::{RECT_POINTS_MAX, Rectangle};
+use lightkiln_proto::rectangle::{RECT_POINTS_MAX, Rectangle, rect_cells};
 use lightkiln_proto::scene::{LightKind, SceneLight};
 
 use crate::error::{ClientError, Result};
@@ -97,14 +97,14 @@ impl Caster {
                 shape: Shape::Sun,
                 ..blank
             },
-            LightKind::Rect { points, .. } => {
+            LightKind::Rect { size_m, points, .. } => {
                 let rectangle = Rectangle::of(&light.kind)?;
                 Self {
                     position: rectangle.centre_m,
                     direction: rectangle.direction,
                     half_u_m: rectangle.half_u_m,
                     half_v_m: rectangle.half_v_m,
-                    cells: rectangle.cells(*points),
+                    cells: rect_cells(*size_m, *points),
                     shape: Shape::Rect,
                     ..blank
                 }

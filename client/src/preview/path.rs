@@ -52,7 +52,8 @@ fn wrong(what: impl Into<String>, problem: impl Into<String>) -> ClientError {
 
 impl ViewPath {
     /// Reads a file's JSON: `{"keys": [{"picture": 1, "camera": "eye=… target=…", "lights": ["point pos=… power=20"],
-    /// "objects": ["pos=… turn=…"]}, …]}`.
+    /// "objects": ["pos=… turn=…"]}, …]}`. Between keys all numbers go evenly but the points of rectangles, which are those of the
+    /// key before.
     pub fn parse(json: &[u8]) -> Result<Self> {
         let File { keys } = serde_json::from_slice(json).map_err(|error| {
             wrong(
@@ -220,6 +221,7 @@ fn camera_between(a: &SceneCamera, b: &SceneCamera, share: f32) -> SceneCamera {
     }
 }
 
+/// Numbers go evenly; points of rectangles, which are whole, are those of the key before until the next is reached.
 fn light_between(a: &SceneLight, b: &SceneLight, share: f32) -> SceneLight {
     use LightKind::{Point, Rect, Sky, Spot, Sun};
     let range = |a: Option<f32>, b: Option<f32>| a.zip(b).map(|(a, b)| mix(a, b, share));
@@ -240,13 +242,13 @@ fn light_between(a: &SceneLight, b: &SceneLight, share: f32) -> SceneLight {
         (Sun { direction: d }, Sun { direction: e }) => Sun { direction: turned(*d, *e, share) },
         (
             Rect { position_m: p, direction: d, up: u, size_m: [w, h], points: n },
-            Rect { position_m: q, direction: e, up: v, size_m: [x, i], .. },
+            Rect { position_m: q, direction: e, up: v, size_m: [x, i], points: m },
         ) => Rect {
             position_m: mix3(*p, *q, share),
             direction: turned(*d, *e, share),
             up: turned(*u, *v, share),
             size_m: [mix(*w, *x, share), mix(*h, *i, share)],
-            points: *n,
+            points: if share >= 1.0 { *m } else { *n },
         },
         (Sky { zenith: z, horizon: h }, Sky { zenith: y, horizon: g }) => {
             Sky { zenith: mix3(*z, *y, share), horizon: mix3(*h, *g, share) }
@@ -296,6 +298,21 @@ mod tests {
         assert!((views[2].lights[1].strength[0] - 2.0).abs() < 1e-6);
         // Size, exposure and the like stay.
         assert_eq!(views[3].size(), base.size());
+    }
+
+    #[test]
+    fn points_of_rectangles_are_those_of_the_key_before() {
+        let key = |picture: u32, points: u32| {
+            let words = format!("rect pos=0,{picture},0 dir=0,-1,0 size=1,1 radiance=1 points={points}");
+            serde_json::json!({ "picture": picture, "lights": [words] })
+        };
+        let path = parsed(&serde_json::json!({ "keys": [key(1, 4), key(3, 9), key(4, 1)] })).unwrap();
+        let (_, base) = fixture_view();
+        let points = |view: &View| match view.lights[0].kind {
+            LightKind::Rect { points, .. } => points,
+            _ => 0,
+        };
+        assert_eq!(all(&path, &base).iter().map(points).collect::<Vec<_>>(), [4, 4, 9, 1]);
     }
 
     #[test]

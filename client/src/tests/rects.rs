@@ -100,6 +100,20 @@ fn nothing_behind_a_rectangle_or_a_wall_is_lit() {
 }
 
 #[test]
+fn cells_that_no_shadow_map_tells_of_are_dark_where_there_is_no_other() {
+    let floor = [sheet(Vec3::new(-2.0, 0.0, -2.0), Vec3::Z * 4.0, Vec3::X * 6.0)];
+    // The floor cuts it just above its middle.
+    let at = |points: u32| {
+        let words = format!("rect pos=0,-0.01,0 dir=1,0,0 size=1,1 strength=1,1,1 points={points}");
+        let bounds_m = [[-2.0, -1.0, -2.0], [4.0, 3.0, 2.0]];
+        shadows(&floor, &words, bounds_m, (512, None)).at(Vec3::new(0.5, 0.0, 0.0), Vec3::Y)
+    };
+    assert_eq!(at(1), 0.0);
+    // Middles of the upper two of four stand above the floor. Lambert's formula: 0.34.
+    assert!((at(4) - 0.34).abs() < 0.03, "{}", at(4));
+}
+
+#[test]
 fn more_maps_than_there_can_be_and_rectangles_of_nothing_are_refused() {
     let rect = parse_light("rect pos=0,1,0 dir=0,-1,0 size=1,1 radiance=1 points=16").unwrap();
     let casters = Caster::of(&vec![rect.clone(); 4]);

@@ -1,6 +1,7 @@
 //! Handles of lights in the picture, and the way in which they are dragged.
 
 use glam::{Vec2, Vec3};
+use lightkiln_proto::rectangle::Rectangle;
 use lightkiln_proto::scene::{LightKind, SceneCamera, SceneLight};
 
 use super::lens::{Lens, Ray};
@@ -103,6 +104,13 @@ pub fn handles(lights: &[SceneLight], lens: &Lens, ball: Ball) -> Vec<Handle> {
 pub fn shown(mut handles: Vec<Handle>, chosen: Option<usize>) -> Vec<Handle> {
     handles.retain(|handle| handle.part != Part::Aim || chosen == Some(handle.light));
     handles
+}
+
+/// Corners of a rectangle in the picture, in order around it; none for other lights, and where one is behind the eye.
+pub fn outline(light: &SceneLight, lens: &Lens) -> Option<[Vec2; 4]> {
+    let Rectangle { centre_m, half_u_m: u, half_v_m: v, .. } = Rectangle::of(&light.kind)?;
+    let [a, b, c, d] = [-u - v, u - v, u + v, v - u].map(|corner| lens.pixel(centre_m + corner));
+    Some([a?, b?, c?, d?])
 }
 
 /// The handle at a pixel.
@@ -296,6 +304,23 @@ mod tests {
         };
         assert_eq!(aims(None), [0; 0]);
         assert_eq!(aims(Some(1)), [1]);
+    }
+
+    #[test]
+    fn outline_of_a_rectangle_has_its_corners_and_others_have_none() {
+        let (_, lens, _) = stage();
+        let rect = parse_light("rect pos=0,1,0 dir=0,0,1 size=1,2 power=5").unwrap();
+        let corners = outline(&rect, &lens).unwrap();
+        // The light shines at the eye: its right is the picture's left.
+        let wanted = [[0.5, 0.0], [-0.5, 0.0], [-0.5, 2.0], [0.5, 2.0]]
+            .map(|[x, y]| lens.pixel(Vec3::new(x, y, 0.0)).unwrap());
+        for (corner, wanted) in corners.iter().zip(wanted) {
+            assert!(corner.distance(wanted) < 0.05, "{corners:?}");
+        }
+        let point = parse_light("point pos=0,1,0 power=5").unwrap();
+        assert_eq!(outline(&point, &lens), None);
+        let behind = parse_light("rect pos=0.5,1,7 dir=0,0,1 size=1,2 power=5").unwrap();
+        assert_eq!(outline(&behind, &lens), None);
     }
 
     #[test]

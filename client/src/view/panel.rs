@@ -69,6 +69,12 @@ fn paint_handles(ctx: &Context, viewer: &Viewer) {
     let painter = ctx.layer_painter(egui::LayerId::background());
     let scale = ctx.pixels_per_point();
     let point = |pixel: glam::Vec2| Pos2::new(pixel.x / scale, pixel.y / scale);
+    if let Some(corners) = viewer.outline() {
+        let corners = corners.map(point);
+        for (at, corner) in corners.iter().enumerate() {
+            painter.line_segment([*corner, corners[(at + 1) % 4]], Stroke::new(1.5, Color32::WHITE));
+        }
+    }
     let handles = viewer.handles();
     for handle in &handles {
         let is_chosen = viewer.chosen == Some(handle.light);
@@ -236,7 +242,10 @@ fn panorama(ui: &mut Ui, edits: &mut Edits) {
     });
     if is_changed.inner {
         let turn_deg = turn_deg.clamp(-TURN_MAX_DEG, TURN_MAX_DEG);
-        edits.panorama = shown.changed(turn_deg, strength.clamp(0.0, STRENGTH_MAX)).ok().map(Arc::new);
+        // A strength beyond all measure changes nothing.
+        if let Ok(changed) = shown.changed(turn_deg, strength.clamp(0.0, STRENGTH_MAX)) {
+            edits.panorama = Some(Arc::new(changed));
+        }
     }
 }
 

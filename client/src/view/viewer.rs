@@ -182,6 +182,12 @@ impl Viewer {
         handles::shown(handles::handles(&self.edits.lights, &lens, self.ball()), self.chosen)
     }
 
+    /// Corners in the picture of the chosen light, if it is a rectangle.
+    pub fn outline(&self) -> Option<[Vec2; 4]> {
+        let light = self.edits.lights.get(self.chosen?)?;
+        handles::outline(light, &self.lens()?)
+    }
+
     /// The ball that suns lie on.
     pub fn ball(&self) -> Ball {
         Ball::before(self.camera(), self.diagonal_m())

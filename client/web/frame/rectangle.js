@@ -5,6 +5,10 @@ import { cross, normalised, times } from "./maths.js";
 /** Most points of a rectangular light that its shadows are cast from, and those unless it says otherwise. */
 export const RECT_POINTS_MAX = 16;
 export const RECT_POINTS = 4;
+// Length of a vector across the light, of a unit hint, below which rounding alone would turn the rectangle.
+const ACROSS_MIN = 1e-4;
+// Share by which sides of cells have to be more alike, so that rounding decides no tie.
+const TIE = 1e-4;
 
 /** Centre, half sides in metres and direction of a light of kind `rect`; null for one without direction or area. */
 export function rectangleOf({ positionM, direction: given, up: hint, sizeM }) {
@@ -15,7 +19,8 @@ export function rectangleOf({ positionM, direction: given, up: hint, sizeM }) {
   // A hint along the light is as good as none.
   const rights = [Array.from(hint), defaultUp(direction)].map((up) => {
     const unit = normalised(up);
-    return unit && normalised(cross(direction, unit));
+    const across = unit && cross(direction, unit);
+    return across && Math.hypot(...across) >= ACROSS_MIN ? normalised(across) : null;
   });
   const right = rights.find((vector) => vector !== null);
   const [width, height] = sizeM;
@@ -26,7 +31,7 @@ export function rectangleOf({ positionM, direction: given, up: hint, sizeM }) {
   return { centreM: Array.from(positionM), halfU, halfV, direction };
 }
 
-/** Columns and rows of so many cells alike, as near to squares as may be. */
+/** Columns and rows of so many cells alike, as near to squares as may be; of ties fewer columns. */
 export function cellsOf([width, height], points) {
   const count = Math.min(Math.max(points, 1), RECT_POINTS_MAX);
   const longer = (columns) => {
@@ -35,7 +40,7 @@ export function cellsOf([width, height], points) {
   };
   let best = 1;
   for (let columns = 2; columns <= count; columns++) {
-    if (count % columns === 0 && longer(columns) < longer(best)) {
+    if (count % columns === 0 && longer(columns) < longer(best) * (1 - TIE)) {
       best = columns;
     }
   }

@@ -45,6 +45,7 @@ mod lod;
 mod near;
 mod packed;
 mod panorama;
+mod panorama_image;
 mod parallel;
 mod patches;
 mod receivers;
@@ -71,7 +72,8 @@ pub use lod::{
 };
 pub use near::{NearHit, NearRow, NearTable, OWN_SURFACE, OwnSurface};
 pub use packed::Packing;
-pub use panorama::{PANORAMA_PIXELS_MAX, Panorama, PanoramaImage};
+pub use panorama::Panorama;
+pub use panorama_image::{PANORAMA_PIXELS_MAX, PanoramaImage};
 pub use parallel::{Parallel, Serial};
 pub use patches::{LEAF_BLOCK, NO_PATCH, PatchRow, PatchTable};
 pub use receivers::{MAX_RECEIVERS, ReceiverTable};

@@ -1,73 +1,11 @@
 //! A sky from a panorama: one mean radiance for each part of the sky, and the picture itself behind the scene.
 
-use std::fmt;
 use std::sync::{Arc, OnceLock};
 
 use glam::{Vec3, Vec4};
 
+use super::panorama_image::{FINE, PanoramaImage, RADIANCE_MAX};
 use crate::harmonics::{ShBasis, relight_direction};
-
-/// Most pixels of a panorama: 8192 × 4096.
-pub const PANORAMA_PIXELS_MAX: usize = 1 << 25;
-/// Rows from which on a pixel counts as one direction; those of coarser panoramas are cut into several.
-const ROWS_FINE: u32 = 512;
-
-/// Pixels of a panorama in equirectangular projection, the uppermost row first.
-#[derive(Clone, PartialEq)]
-pub struct PanoramaImage {
-    name: String,
-    width: u32,
-    height: u32,
-    /// Linear Rec.709 radiance in W·m⁻²·sr⁻¹.
-    pixels: Vec<[f32; 3]>,
-}
-
-impl PanoramaImage {
-    /// Checks the pixels of a panorama; `name` is its file's.
-    ///
-    /// Errors where they are none, too many or not as many as the sides say, and where one is negative or not finite.
-    pub fn new(name: String, width: u32, height: u32, pixels: Vec<[f32; 3]>) -> Result<Self, String> {
-        let count = u64::from(width) * u64::from(height);
-        if count == 0 || count > PANORAMA_PIXELS_MAX as u64 || count != pixels.len() as u64 {
-            return Err(format!(
-                "it has {width} × {height} pixels; a panorama has 1 to {PANORAMA_PIXELS_MAX}: make it smaller"
-            ));
-        }
-        let is_radiance = |pixel: &[f32; 3]| pixel.iter().all(|value| value.is_finite() && *value >= 0.0);
-        match pixels.iter().position(|pixel| !is_radiance(pixel)) {
-            Some(bad) => {
-                let (x, y) = (bad as u32 % width, bad as u32 / width);
-                Err(format!("its pixel {x},{y} is negative or not finite"))
-            }
-            None => Ok(Self { name, width, height, pixels }),
-        }
-    }
-
-    /// Its file, for messages and commands.
-    pub fn name(&self) -> &str {
-        &self.name
-    }
-
-    /// Width and height in pixels.
-    pub fn size(&self) -> [u32; 2] {
-        [self.width, self.height]
-    }
-
-    /// Row after row.
-    pub fn pixels(&self) -> &[[f32; 3]] {
-        &self.pixels
-    }
-
-    fn pixel(&self, x: u32, y: u32) -> Vec3 {
-        Vec3::from(self.pixels[(y * self.width + x) as usize])
-    }
-}
-
-impl fmt::Debug for PanoramaImage {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "PanoramaImage({}, {} × {})", self.name, self.width, self.height)
-    }
-}
 
 /// A panorama as a sky: turned about the vertical, and scaled.
 ///
@@ -94,11 +32,17 @@ impl PartialEq for Panorama {
 impl Panorama {
     /// A panorama turned by degrees and scaled by a strength.
     ///
-    /// Errors where one of them is none.
+    /// Errors where one of them is none, and where pixels are bright beyond all measure by it.
     pub fn new(image: Arc<PanoramaImage>, turn_deg: f32, strength: f32) -> Result<Self, String> {
         if !(turn_deg.is_finite() && strength.is_finite() && strength >= 0.0) {
             return Err(format!(
                 "turn={turn_deg} strength={strength} is not finite, or the strength is negative"
+            ));
+        }
+        let brightest = image.brightest();
+        if strength * brightest > RADIANCE_MAX {
+            return Err(format!(
+                "strength={strength} makes its brightest pixel, of {brightest}, brighter than {RADIANCE_MAX:e}: give a lower one"
             ));
         }
         let (means, coefficients) = (OnceLock::new(), OnceLock::new());
@@ -132,7 +76,7 @@ impl Panorama {
 
     /// It sends no light.
     pub fn is_dark(&self) -> bool {
-        self.strength == 0.0 || self.image.pixels.iter().all(|pixel| *pixel == [0.0; 3])
+        self.strength * self.image.brightest() == 0.0
     }
 
     /// Cosine and sine of the turn.
@@ -197,7 +141,7 @@ impl Panorama {
     }
 
     /// Mean radiance over each of so many parts of the sky, a power of two: over the directions that are nearest to
-    /// [`relight_direction`]; each pixel counts as its middle, by its solid angle.
+    /// [`relight_direction`]; each pixel of the reduced picture counts as its middle, by its solid angle.
     pub fn part_means(&self, parts: u32) -> Vec<Vec4> {
         let means = self.means.get_or_init(|| self.unscaled_means(parts));
         let scaled = |mean: &Vec3| (self.strength * *mean).extend(0.0);
@@ -224,7 +168,7 @@ impl Panorama {
         sums.iter().map(mean).collect()
     }
 
-    /// Coefficients `∫ L Y_j dω` of the bands 0 to `bands`; each pixel counts as its middle.
+    /// Coefficients `∫ L Y_j dω` of the bands 0 to `bands`; each pixel of the reduced picture counts as its middle.
     pub fn coefficients(&self, bands: u32) -> Vec<Vec4> {
         let count = ((bands + 1) * (bands + 1)) as usize;
         let found = self.coefficients.get_or_init(|| self.unscaled_coefficients(bands));
@@ -250,12 +194,13 @@ impl Panorama {
         sums.iter().map(|sum| sum.map(|channel| channel as f32).into()).collect()
     }
 
-    /// Calls `take` with direction, radiance before the strength, and solid angle of each pixel, in order; pixels of coarse
-    /// panoramas come in several pieces alike.
+    /// Calls `take` with direction, radiance before the strength, and solid angle of each pixel of the reduced picture, in
+    /// order; pixels of coarse panoramas come in several pieces alike.
     fn each(&self, mut take: impl FnMut(Vec3, Vec3, f64)) {
-        let [width, height] = self.image.size();
-        let pieces = ROWS_FINE.div_ceil(height).max(1);
-        let (columns, rows) = (width * pieces, height * pieces);
+        let light = self.image.light();
+        // Both sides at least as fine as needed, whatever the picture's shape.
+        let [across, down] = [FINE[0].div_ceil(light.width), FINE[1].div_ceil(light.height)];
+        let (columns, rows) = (light.width * across, light.height * down);
         let around: Vec<Vec3> = (0..columns)
             .map(|column| self.direction([(f64::from(column) + 0.5) / f64::from(columns), 0.5]))
             .collect();
@@ -266,7 +211,7 @@ impl Panorama {
             let (level, height) = libm::sincos(half_turn(f64::from(row) + 0.5));
             for (column, level_direction) in (0..columns).zip(&around) {
                 let direction = level as f32 * level_direction.with_y(0.0) + height as f32 * Vec3::Y;
-                take(direction, self.image.pixel(column / pieces, row / pieces), solid_angle);
+                take(direction, light.pixel(column / across, row / down), solid_angle);
             }
         }
     }
@@ -416,17 +361,50 @@ mod tests {
     }
 
     #[test]
-    fn pixels_that_are_no_radiance_and_sizes_that_are_none_are_refused() {
-        let refused =
-            |width, height, pixels| PanoramaImage::new("test".into(), width, height, pixels).unwrap_err();
-        assert!(refused(0, 4, Vec::new()).contains("0 × 4"));
-        assert!(refused(2, 2, vec![[0.0; 3]; 3]).contains("2 × 2"));
-        assert!(refused(u32::MAX, u32::MAX, Vec::new()).contains("smaller"));
-        let bad = |value| refused(2, 1, vec![[0.0; 3], [0.0, value, 0.0]]);
-        assert!([f32::NAN, f32::INFINITY, -1.0].iter().all(|value| bad(*value).contains("1,0")));
+    fn reduced_picture_has_the_means_of_all_pixels() {
+        // Noise and a sun, in a picture whose sides are no multiples of the reduced one's.
+        let (width, height) = (1500_u32, 750_u32);
+        let of = |x: u32, y: u32| match (x, y) {
+            (700..706, 200..206) => [30.0; 3],
+            _ => noise(x, y),
+        };
+        let panorama = Panorama::new(image(width, height, of), 33.0, 1.0).unwrap();
+        let (nearest, basis) = (NearestPart::new(64), ShBasis::new(3));
+        let mut y_of = vec![0.0; basis.coefficients()];
+        let (mut parts, mut coefficients) = (vec![[0.0_f64; 2]; 64], vec![0.0_f64; basis.coefficients()]);
+        for y in 0..height {
+            let solid_angle = panorama.solid_angle(y);
+            for x in 0..width {
+                let place = [(f64::from(x) + 0.5) / 1500.0, (f64::from(y) + 0.5) / 750.0];
+                let direction = panorama.direction(place);
+                let flux = f64::from(of(x, y)[0]) * solid_angle;
+                let part = &mut parts[nearest.of(direction) as usize];
+                *part = [part[0] + flux, part[1] + solid_angle];
+                basis.evaluate(direction, &mut y_of);
+                coefficients.iter_mut().zip(&y_of).for_each(|(sum, y)| *sum += flux * f64::from(*y));
+            }
+        }
+        // Pixels on the border of two parts may go to the other one.
+        for (found, [flux, solid_angle]) in panorama.part_means(64).iter().zip(parts) {
+            let wanted = flux / solid_angle;
+            assert!((f64::from(found.x) / wanted - 1.0).abs() < 0.01, "{}, wanted {wanted}", found.x);
+        }
+        for (found, wanted) in panorama.coefficients(3).iter().zip(&coefficients) {
+            let off = (f64::from(found.x) - wanted).abs();
+            assert!(off < 2e-3 * coefficients[0], "{}, wanted {wanted}", found.x);
+        }
+    }
+
+    #[test]
+    fn turns_and_strengths_that_are_none_are_refused() {
         let one = image(1, 1, |_, _| [1.0; 3]);
-        assert!(Panorama::new(Arc::clone(&one), f32::NAN, 1.0).is_err());
-        assert!(Panorama::new(Arc::clone(&one), 0.0, -1.0).is_err());
-        assert!(!Panorama::new(one, 0.0, 1.0).unwrap().is_dark());
+        let new = |turn_deg, strength| Panorama::new(Arc::clone(&one), turn_deg, strength);
+        assert!(new(f32::NAN, 1.0).is_err());
+        assert!(new(0.0, -1.0).is_err());
+        assert!(!new(0.0, 1.0).unwrap().is_dark());
+        assert!(new(0.0, 0.0).unwrap().is_dark());
+        // Sums of it would have no finite number.
+        assert!(new(0.0, f32::MAX).unwrap_err().contains("lower"));
+        assert!(new(0.0, 1e29).unwrap().coefficients(2).iter().all(|one| one.is_finite()));
     }
 }

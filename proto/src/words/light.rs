@@ -92,6 +92,10 @@ fn kind(name: &str) -> Result<(Read, &'static str), WordsError> {
         "sky" => Ok((sky, SKY)),
         "rect" => Ok((rect, RECT)),
         "emitters" => Ok((emitters, EMITTERS)),
+        "panel" => {
+            let problem = "'panel' is no kind of light: write rect, a rectangle that shines from its front";
+            Err(WordsError { problem: problem.to_owned(), grammar: RECT })
+        }
         _ => {
             let problem = format!(
                 "'{name:.50}' is no kind of light, which are point, spot, sun, sky, rect and emitters"
@@ -291,6 +295,8 @@ mod tests {
     fn errors_name_the_bad_word_as_it_was_given() {
         let error = from_json(r#"{"type": "sun", "direction": [0, 0, 0], "irradiance": 1}"#).unwrap_err();
         assert!(error.problem.contains("'direction'"), "{error}");
+        let error = from_json(r#"{"type": "panel", "size": [1, 1], "radiance": 1}"#).unwrap_err();
+        assert!(error.problem.contains("write rect"), "{error}");
         let cases = [
             ("lamp pos=0,0,0", "'lamp'"),
             ("point pos=0,0 power=1", "'pos=0,0'"),

@@ -87,6 +87,8 @@ pub struct PixelResult {
     pub by_shadow_maps: bool,
     /// Faults of direct light by those.
     pub direct: Option<DirectShares>,
+    /// Relative squares of draws of the error of direct light.
+    pub direct_draws: Vec<f64>,
     /// Jumps across borders of the lightmap, if there is one.
     pub seams: Option<Seams>,
     /// Texels that stand out, likewise.
@@ -278,6 +280,8 @@ impl Evaluator {
             let sites: Vec<(Site, f64)> = self.pixels.seen.iter().map(site).collect();
             DirectShares::of(&sites, maps, reference)
         });
+        let (direct, direct_draws) = direct.unzip();
+        let direct_draws = direct_draws.unwrap_or_default();
         let relit = light.mapped.unwrap_or(light.exact);
         let lightmap = bake.lightmap();
         let seams = lightmap.map(|lightmap| {
@@ -291,7 +295,7 @@ impl Evaluator {
             })
             .transpose()?;
         let by_shadow_maps = light.mapped.is_some();
-        Ok(Some(PixelResult { shown, by_shadow_maps, direct, seams, hunt }))
+        Ok(Some(PixelResult { shown, by_shadow_maps, direct, direct_draws, seams, hunt }))
     }
 
     /// Root mean square difference of luminance at the sample's places between light relit by shadow maps and by exact rays.

@@ -72,8 +72,12 @@ pub struct DirectShares {
 }
 
 impl DirectShares {
-    /// Looks at sites, each with the area that it stands for.
-    pub(super) fn of(sites: &[(Site, f64)], mapped: &dyn MappedLight, reference: &Reference) -> Self {
+    /// Looks at sites, each with the area that it stands for; and the relative squares of the error's draws.
+    pub(super) fn of(
+        sites: &[(Site, f64)],
+        mapped: &dyn MappedLight,
+        reference: &Reference,
+    ) -> (Self, Vec<f64>) {
         let faults: Vec<[bool; 2]> =
             sites.par_iter().map(|(site, _)| faults(site, &mapped.at(site), reference)).collect();
         let area: f64 = sites.iter().map(|(_, area)| area).sum();
@@ -87,7 +91,8 @@ impl DirectShares {
             SquareTerm { weight: *area, square, reference }
         };
         let terms: Vec<SquareTerm> = sites.par_iter().map(term).collect();
-        Self { leak: share(0), acne: share(1), pixels: sites.len(), error: RelativeRoot::of(&terms).0 }
+        let (error, draws) = RelativeRoot::of(&terms);
+        (Self { leak: share(0), acne: share(1), pixels: sites.len(), error }, draws)
     }
 }
 

@@ -47,8 +47,10 @@ impl SampledPanorama {
         self.panorama.radiance(direction).as_dvec3()
     }
 
-    /// A direction of density Y / ∫ Y dω, from a point of the unit square.
-    pub fn direction(&self, [u, v]: [f64; 2]) -> Vec3 {
+    /// A direction of density Y / ∫ Y dω, from a point of the unit square, and L of the pixel that it was taken from.
+    ///
+    /// Rounded to 32 bits, the direction may lie in a pixel beside that one, and that may be black: L is not looked up again.
+    pub fn sample(&self, [u, v]: [f64; 2]) -> (Vec3, DVec3) {
         let [width, height] = self.panorama.image().size().map(f64::from);
         let (row, down) = picked(&self.rows, u);
         let first = row * width as usize;
@@ -58,15 +60,18 @@ impl SampledPanorama {
         let [upper, lower] = [row as f64, row as f64 + 1.0].map(cosine);
         let polar = libm::acos((upper + (lower - upper) * down).clamp(-1.0, 1.0));
         let place = [(column as f64 + right) / width, polar / std::f64::consts::PI];
-        self.panorama.direction(place)
+        let radiance = self.panorama.strength() * Vec3::from(self.panorama.image().pixels()[first + column]);
+        (self.panorama.direction(place), radiance.as_dvec3())
     }
 }
 
 /// Index of the part that a share of a running sum falls into, and the place in it from 0 to 1.
 fn picked(sums: &[f64], share: f64) -> (usize, f64) {
-    let wanted = share * sums.last().copied().unwrap_or_default();
-    // Parts of nothing are passed over: the first sum above is that of one with something.
-    let index = sums.partition_point(|sum| *sum <= wanted).min(sums.len() - 1);
+    let total = sums.last().copied().unwrap_or_default();
+    let wanted = share * total;
+    // Parts of nothing are passed over: the first sum above is that of one with something, as is the first that has all.
+    let last = sums.partition_point(|sum| *sum < total);
+    let index = sums.partition_point(|sum| *sum <= wanted).min(last);
     let below = if index == 0 { 0.0 } else { sums[index - 1] };
     let part = sums[index] - below;
     (index, if part > 0.0 { ((wanted - below) / part).clamp(0.0, 1.0) } else { 0.5 })
@@ -105,12 +110,30 @@ mod tests {
         let points = R2::new(9);
         let mut mean = glam::DVec3::ZERO;
         for index in 0..1 << 14 {
-            let direction = sampled.direction(points.point(index).map(f64::from));
+            let (direction, _) = sampled.sample(points.point(index).map(f64::from));
             assert!((direction.length() - 1.0).abs() < 1e-5);
             mean += direction.as_dvec3() / f64::from(1 << 14);
         }
         let wanted = DVec3::new(wanted[1], wanted[2], wanted[3]) / wanted[0];
         assert!((mean - wanted).length() < 5e-3, "{mean}, wanted {wanted}");
+    }
+
+    #[test]
+    fn samples_are_of_bright_pixels_alone() {
+        // One row in the middle, and those at the poles, where directions in 32 bits tell rows apart worst.
+        for bright in [0, 777, 1023] {
+            let pixels = (0..2048 * 1024_u32).map(|at| if at / 2048 == bright { [7.0; 3] } else { [0.0; 3] });
+            let image = PanoramaImage::new("test".into(), 2048, 1024, pixels.collect()).unwrap();
+            let panorama = Arc::new(Panorama::new(Arc::new(image), 33.0, 2.0).unwrap());
+            let sampled = SampledPanorama::new(&panorama).unwrap();
+            let points = R2::new(9);
+            let inside = (0..1 << 12).map(|index| points.point(index).map(f64::from));
+            for point in inside.chain([[0.0; 2], [1.0; 2], [0.0, 1.0], [1.0, 0.0]]) {
+                let (direction, radiance) = sampled.sample(point);
+                assert_eq!(radiance, DVec3::splat(14.0), "{bright} {point:?}");
+                assert!((direction.length() - 1.0).abs() < 1e-5, "{bright} {point:?}");
+            }
+        }
     }
 
     #[test]

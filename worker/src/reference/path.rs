@@ -7,6 +7,7 @@ use glam::{DVec3, Vec3};
 use super::emitters::{Chances, emission_of};
 use super::guide::{Finding, Guide, SQUARE, cell_at, square_of};
 use super::punctual::Target;
+use super::sky::SkySample;
 use super::tally::luminance;
 use super::{EyeSurface, Reference, Site};
 use crate::geometry::{Geometry, weights_of};
@@ -257,16 +258,17 @@ impl Reference<'_> {
         if sky.is_dark() {
             return DVec3::ZERO;
         }
-        let direction = sky.direction(points.point);
+        let SkySample { direction, radiance, density } = sky.sample(points.point);
         let own = site.density(direction);
-        let passed = if own > 0.0 { self.passed(site, Target::Towards(direction)) } else { 0.0 };
+        // A gradient may be black right on the horizon.
+        let is_light = own > 0.0 && density > 0.0;
+        let passed = if is_light { self.passed(site, Target::Towards(direction)) } else { 0.0 };
         if passed <= 0.0 {
             return DVec3::ZERO;
         }
-        let density = sky.density(direction);
         // K = π · own.
         let weight = self.strategy.weight(true, density, own);
-        sky.radiance(direction) * (passed * weight * PI * own / density)
+        radiance * (passed * weight * PI * own / density)
     }
 
     /// Radiance that arrives from a direction, sampled with density K/π at `site` (for an eye: given).

@@ -18,6 +18,17 @@ pub(super) struct Sky {
     panorama: Option<SampledPanorama>,
 }
 
+/// A direction towards the sky.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct SkySample {
+    /// Unit direction.
+    pub direction: Vec3,
+    /// L in W·m⁻²·sr⁻¹.
+    pub radiance: DVec3,
+    /// Density per steradian.
+    pub density: f64,
+}
+
 impl Sky {
     /// The sum of the skies among the lights, and of a panorama.
     pub fn of(lights: &[SceneLight], panorama: Option<&Arc<Panorama>>) -> Self {
@@ -40,13 +51,24 @@ impl Sky {
 
     /// L in W·m⁻²·sr⁻¹.
     pub fn radiance(&self, direction: Vec3) -> DVec3 {
-        let gradient = self.horizon.lerp(self.zenith, f64::from(direction.y.clamp(0.0, 1.0)));
-        gradient + self.panorama.as_ref().map_or(DVec3::ZERO, |panorama| panorama.radiance(direction))
+        self.gradient(direction) + self.of_panorama(direction)
     }
 
-    /// Density per steradian of [`Sky::direction`]: luminance over its integral.
+    fn gradient(&self, direction: Vec3) -> DVec3 {
+        self.horizon.lerp(self.zenith, f64::from(direction.y.clamp(0.0, 1.0)))
+    }
+
+    fn of_panorama(&self, direction: Vec3) -> DVec3 {
+        self.panorama.as_ref().map_or(DVec3::ZERO, |panorama| panorama.radiance(direction))
+    }
+
+    /// Density per steradian of [`Sky::sample`]: luminance over its integral.
     pub fn density(&self, direction: Vec3) -> f64 {
-        luminance(self.radiance(direction)) / self.integral()
+        self.density_of(self.radiance(direction))
+    }
+
+    fn density_of(&self, radiance: DVec3) -> f64 {
+        luminance(radiance) / self.integral()
     }
 
     fn integral(&self) -> f64 {
@@ -59,17 +81,22 @@ impl Sky {
         PI * (3.0 * horizon + zenith)
     }
 
-    /// A direction of that density, from a point of the unit square.
-    pub fn direction(&self, point: [f32; 2]) -> Vec3 {
+    /// A direction by luminance, from a point of the unit square.
+    pub fn sample(&self, point: [f32; 2]) -> SkySample {
         let [u, v] = point.map(f64::from);
         // One of the two by its share of the flux; what is left of the number takes the direction.
         let share = self.gradient_integral() / self.integral();
-        match &self.panorama {
+        let (direction, of_panorama) = match &self.panorama {
             Some(panorama) if u >= share => {
-                panorama.direction([((u - share) / (1.0 - share)).clamp(0.0, 1.0), v])
+                panorama.sample([((u - share) / (1.0 - share)).clamp(0.0, 1.0), v])
             }
-            _ => self.gradient_direction([(u / share).min(1.0), v]),
-        }
+            _ => {
+                let direction = self.gradient_direction([(u / share).min(1.0), v]);
+                (direction, self.of_panorama(direction))
+            }
+        };
+        let radiance = self.gradient(direction) + of_panorama;
+        SkySample { direction, radiance, density: self.density_of(radiance) }
     }
 
     fn gradient_direction(&self, [u, v]: [f64; 2]) -> Vec3 {
@@ -118,7 +145,7 @@ mod tests {
             }
             assert!((total - 1.0).abs() < 1e-3, "{total}");
             let points = R2::new(9);
-            let sampled: f64 = (0..rays).map(|i| f64::from(sky.direction(points.point(i)).y)).sum();
+            let sampled: f64 = (0..rays).map(|i| f64::from(sky.sample(points.point(i)).direction.y)).sum();
             assert!((sampled / f64::from(rays) - mean_y).abs() < 2e-3, "{sky:?}");
         }
     }

@@ -18,7 +18,7 @@ pub const PANORAMA_SHADER: &str = concat!(include_str!("view.wgsl"), include_str
 pub struct PanoramaNumbers {
     /// Cosine and sine of its turn about the vertical.
     pub turn: [f32; 2],
-    /// Factor on its radiance.
+    /// Factor on its texels.
     pub strength: f32,
     /// Nothing.
     pub pad: f32,
@@ -83,10 +83,24 @@ impl PanoramaPass {
 }
 
 fn numbers_of(panorama: &Panorama) -> PanoramaNumbers {
-    PanoramaNumbers { turn: panorama.turn(), strength: panorama.strength(), pad: 0.0 }
+    let strength = panorama.strength() * texel_scale(panorama.image());
+    PanoramaNumbers { turn: panorama.turn(), strength, pad: 0.0 }
 }
 
-/// The picture in 16-bit numbers: what is brighter than they hold is as bright as they hold.
+/// Radiance of a texel of 1: texels of a picture that is brighter than 16-bit numbers hold are divided by it.
+fn texel_scale(image: &PanoramaImage) -> f32 {
+    (image.brightest() / f16::MAX.to_f32()).max(1.0)
+}
+
+/// The picture in 16-bit numbers, over [`texel_scale`].
+fn texels(image: &PanoramaImage) -> Vec<[u16; 4]> {
+    let scale = texel_scale(image);
+    // Rounding must not take the brightest one to infinity.
+    let half = |value: f32| f16::from_f32((value / scale).min(f16::MAX.to_f32())).to_bits();
+    image.pixels().iter().map(|[r, g, b]| [half(*r), half(*g), half(*b), half(scale)]).collect()
+}
+
+/// Uploads the picture; errs where it is larger than textures of the adapter.
 fn upload(gpu: &Gpu, image: &PanoramaImage) -> Result<wgpu::Texture> {
     let [width, height] = image.size();
     let most = gpu.device.limits().max_texture_dimension_2d;
@@ -96,9 +110,7 @@ fn upload(gpu: &Gpu, image: &PanoramaImage) -> Result<wgpu::Texture> {
             gpu.name
         )));
     }
-    let half = |value: f32| f16::from_f32(value.min(f16::MAX.to_f32())).to_bits();
-    let texels: Vec<[u16; 4]> =
-        image.pixels().iter().map(|[r, g, b]| [half(*r), half(*g), half(*b), half(1.0)]).collect();
+    let texels = texels(image);
     let size = wgpu::Extent3d { width, height, depth_or_array_layers: 1 };
     let texture = gpu.texture(&wgpu::TextureDescriptor {
         label: Some("panorama"),
@@ -117,4 +129,29 @@ fn upload(gpu: &Gpu, image: &PanoramaImage) -> Result<wgpu::Texture> {
     };
     gpu.queue.write_texture(texture.as_image_copy(), bytemuck::cast_slice(&texels), layout, size);
     Ok(texture)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn suns_brighter_than_16_bit_numbers_keep_their_radiance() {
+        for brightest in [1e6, 7e4, 3.0] {
+            let pixels = vec![[brightest, 1.0, 0.02], [0.0; 3]];
+            let image = Arc::new(PanoramaImage::new("test".into(), 2, 1, pixels.clone()).unwrap());
+            let panorama = Panorama::new(Arc::clone(&image), 0.0, 2.5).unwrap();
+            let strength = numbers_of(&panorama).strength;
+            for (texel, pixel) in texels(&image).iter().zip(&pixels) {
+                for (half, value) in texel.iter().zip(pixel) {
+                    let found = strength * f16::from_bits(*half).to_f32();
+                    let wanted = 2.5 * *value;
+                    assert!((found - wanted).abs() <= 1e-3 * wanted, "{brightest}: {found}, wanted {wanted}");
+                }
+            }
+        }
+        // Nothing is lost of pictures that 16-bit numbers hold.
+        let image = PanoramaImage::new("test".into(), 1, 1, vec![[6e4, 0.0, 0.0]]).unwrap();
+        assert_eq!(texel_scale(&image), 1.0);
+    }
 }

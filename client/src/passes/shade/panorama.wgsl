@@ -4,7 +4,7 @@
 struct PanoramaNumbers {
     // Cosine and sine of its turn about the vertical.
     turn: vec2f,
-    // Factor on its radiance.
+    // Factor on its texels.
     strength: f32,
     pad: f32,
 }

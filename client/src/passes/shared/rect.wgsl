@@ -71,7 +71,8 @@ fn half_cube_face(light: Light, d: vec3f) -> u32 {
 }
 
 // Irradiance of a rectangle in W/m2, and the share of it that arrives. Shadows are those of `before`. Cells whose middle lies
-// under the surface's own horizon have the share of the others: no shadow map tells of them.
+// under the surface's own horizon have the share of the others: no shadow map tells of them. Where that is so of all that send
+// light, nobody knows and it is dark: light through a wall would be worse. More points leave less of it.
 fn rect_irradiance(light: Light, position: vec3f, before: vec3f, normal: vec3f, facet: vec3f) -> vec4f {
     if dot(position - light.position, light.direction) <= 0.0 {
         return vec4f(0.0);

@@ -145,13 +145,15 @@ impl Limit {
     }
 }
 
-/// Fails with [`Exit::LimitBroken`] when the evaluation breaks a limit for sure: at both ends of the figure's 95 % interval.
-/// Names every one that it does, and says on standard error where one end does.
+/// Fails with [`Exit::LimitBroken`] when the evaluation breaks a limit for sure: at both ends of the figure's 95 % interval, or
+/// by a figure that is no number. Names every one that it does, and says on standard error where one end does.
 pub fn check(limits: &[Limit], evaluation: &Evaluation) -> Result<()> {
     let mut broken = Vec::new();
     for limit in limits {
         let (value, [low, high]) = limit.value(evaluation)?;
-        let ends = [low, high].map(|end| (limit.is_broken)(&end, &limit.bound));
+        // Nothing compares with NaN, which keeps no limit.
+        let is_broken = |end: f64| value.is_nan() || end.is_nan() || (limit.is_broken)(&end, &limit.bound);
+        let ends = [low, high].map(is_broken);
         let words = format!("{} (it is {value:.4}, 95 % between {low:.4} and {high:.4})", limit.text);
         match ends {
             [true, true] => broken.push(words),
@@ -239,6 +241,19 @@ mod tests {
             let failure = check(&[wrong.parse().unwrap()], &evaluation()).unwrap_err();
             assert_eq!(failure.exit(), Exit::BadInput, "{wrong}");
         }
+    }
+
+    #[test]
+    fn figure_that_is_no_number_keeps_no_limit() {
+        let mut evaluation = evaluation();
+        evaluation.figures.rel_rmse = f64::NAN;
+        evaluation.classes = Classes::from_iter([("transport", f64::NAN)]);
+        for text in ["rel_rmse>9", "rel_rmse<0", "transport>=9", "transport<=0"] {
+            let failure = check(&[text.parse().unwrap()], &evaluation).unwrap_err();
+            assert_eq!(failure.exit(), Exit::LimitBroken, "{text}");
+            assert!(failure.to_string().contains("NaN"), "{failure}");
+        }
+        assert!(check(&["energy_ratio<0.9".parse().unwrap()], &evaluation).is_ok());
     }
 
     #[test]

@@ -32,6 +32,9 @@ pub struct PixelRow {
     /// Interpolation's relative squares of them.
     #[serde(skip)]
     pub interpolation_draws: Vec<f64>,
+    /// Relative squares of them of direct light's error.
+    #[serde(skip)]
+    pub direct_draws: Vec<f64>,
 }
 
 impl PixelRow {
@@ -47,6 +50,7 @@ impl PixelRow {
             hunt: result.hunt.clone(),
             draws: shown.draws.clone(),
             interpolation_draws: shown.interpolation_draws.clone(),
+            direct_draws: result.direct_draws.clone(),
         }
     }
 
@@ -88,14 +92,13 @@ fn mean(values: impl Iterator<Item = f64>) -> f64 {
 
 fn mean_shares(rows: &[&PixelRow]) -> Option<DirectShares> {
     let shares: Vec<DirectShares> = rows.iter().filter_map(|row| row.direct).collect();
+    let errors: Vec<(RelativeRoot, &[f64])> =
+        rows.iter().filter_map(|row| Some((row.direct?.error, &row.direct_draws[..]))).collect();
     let pixels = shares.first()?.pixels;
     let [leak, acne] = [|share: &DirectShares| share.leak, |share: &DirectShares| share.acne]
         .map(|of| mean(shares.iter().map(of)));
-    // Errors of several lights: the root of their mean square.
-    let rms = |of: fn(&RelativeRoot) -> f64| mean(shares.iter().map(|share| of(&share.error).powi(2))).sqrt();
-    let interval_95 = [rms(|root| root.interval_95[0]), rms(|root| root.interval_95[1])];
-    let error = RelativeRoot { rel_rmse: rms(|root| root.rel_rmse), interval_95 };
-    Some(DirectShares { leak, acne, pixels, error })
+    // Draws are of the same places under each light.
+    Some(DirectShares { leak, acne, pixels, error: RelativeRoot::over_lights(&errors) })
 }
 
 fn mean_seams(rows: &[&PixelRow]) -> Option<Seams> {
@@ -252,6 +255,7 @@ mod tests {
             hunt: Some(Hunt { outliers, traced: 64, ..Hunt::default() }),
             draws: vec![Draw::default(); 500],
             interpolation_draws: vec![interpolation * interpolation.abs(); 500],
+            direct_draws: vec![0.0; 500],
             ..PixelRow::default()
         }
     }
@@ -264,6 +268,20 @@ mod tests {
         assert_eq!(all.outliers(), Some(5));
         assert!((all.interpolation.unwrap().rel_rmse - 0.2).abs() < 1e-12, "{:?}", all.interpolation);
         assert_eq!(share_words(&rows[1]), [ABSENT, ABSENT]);
+        // What one light's error gains in a draw another's loses: together they are sure.
+        let direct_row = |squares: [f64; 2]| PixelRow {
+            direct: Some(DirectShares {
+                error: RelativeRoot { rel_rmse: 0.5_f64.sqrt(), interval_95: squares.map(f64::sqrt) },
+                ..DirectShares::default()
+            }),
+            direct_draws: (0..500).map(|draw| squares[draw % 2]).collect(),
+            ..row(0.0, None, 0)
+        };
+        let rows = [direct_row([0.2, 0.8]), direct_row([0.8, 0.2])];
+        let error = PixelRow::over_lights(&rows.each_ref()).unwrap().direct.unwrap().error;
+        for found in [error.rel_rmse, error.interval_95[0], error.interval_95[1]] {
+            assert!((found - 0.5_f64.sqrt()).abs() < 1e-9, "{error:?}");
+        }
         assert!(PixelRow::over_lights(&[]).is_none());
     }
 }
