@@ -12,7 +12,7 @@ use crate::bake::LoadedBake;
 use crate::fixture::{BundleServer, Faults, rewrite_manifest, write_bundle};
 use crate::kinds;
 use crate::preview::{Backend, StreamedBake, View, render};
-use crate::stream::Budget;
+use crate::stream::{Budget, Streamed};
 use crate::tests::fixture_view;
 
 /// A bundle of the fixture in a folder of its own.
@@ -77,6 +77,35 @@ fn connections_that_break_amid_a_layer_go_on_where_they_were() {
     assert_eq!(asked.iter().map(|asked| asked.sent as u64).sum::<u64>(), of.chunk.bytes);
     assert_eq!(source.chunk(of.chunk).unwrap(), all);
     assert_eq!(server.take_asked().iter().map(|asked| asked.sent as u64).sum::<u64>(), of.chunk.bytes);
+    // However often: each of them brought something.
+    let breaks_after = Some((of.chunk.bytes as usize / 100).max(1));
+    server.set(Faults { breaks_after, ..Faults::default() });
+    assert_eq!(source.layers(of, of.count(), &[]).unwrap(), all);
+    assert!(server.take_asked().len() >= 100);
+}
+
+#[test]
+fn layers_before_those_that_a_lost_server_owes_are_kept_with_the_error() {
+    let (folder, manifest) = bundle();
+    let of = layered(&manifest);
+    let server = BundleServer::start(folder.path(), Faults::default());
+    let source = server.source();
+    let whole = source.layers(of, of.count(), &[]).unwrap();
+    let part = &whole[..of.bytes_of(1) as usize];
+    // A server that begins anew each time gives the same first bytes again: no try brings more than the one before.
+    let breaks = |breaks_after: u64| {
+        let breaks_after = Some(breaks_after as usize);
+        server.set(Faults { ignores_ranges: true, breaks_after, ..Faults::default() });
+    };
+    breaks(of.bytes_of(1) + 1);
+    let Came { bytes, lost } = source.layers_that_come(of, of.count(), &[]).unwrap();
+    assert_eq!(bytes, part);
+    assert!(matches!(lost, Some(ClientError::Call(CallError::Network { .. }))), "{lost:?}");
+    assert!(source.layers(of, of.count(), &[]).is_err());
+    // Nothing comes after the layer that is there.
+    assert!(source.layers_that_come(of, of.count(), part).is_err());
+    breaks(of.bytes_of(1) - 1);
+    assert!(source.layers_that_come(of, of.count(), &[]).is_err());
 }
 
 #[test]
@@ -89,10 +118,47 @@ fn server_that_ignores_ranges_gives_all_layers_at_once() {
     assert_eq!(Digest::of(&all), of.chunk.digest);
     assert_eq!(decoded_layers(of, &all).unwrap().1, of.count());
     assert_eq!(server.take_asked().len(), 1);
-    server.set(Faults { ignores_ranges: true, breaks_after: Some(700), ..Faults::default() });
-    let lost = source.layers(of, 1, &[]);
-    // Each try gives the same first bytes: enough for a layer, or nothing more comes.
-    assert!(lost.is_err() || lost.unwrap().len() as u64 >= of.bytes_of(1));
+    // Each try gives the same first bytes: too few for a layer, or enough.
+    for (breaks_after, is_enough) in [(of.bytes_of(1) - 1, false), (of.bytes_of(1) + 1, true)] {
+        let breaks_after = Some(breaks_after as usize);
+        server.set(Faults { ignores_ranges: true, breaks_after, ..Faults::default() });
+        let first = source.layers(of, 1, &[]);
+        assert_eq!(first.is_ok(), is_enough, "{first:?}");
+        assert!(first.is_err() || first.unwrap() == all[..of.bytes_of(1) as usize]);
+    }
+}
+
+#[test]
+fn layers_that_were_not_chosen_are_cut_so_that_caches_and_servers_change_no_picture() {
+    let (folder, _) = bundle();
+    let (_, view) = fixture_view();
+    let kept = tempfile::tempdir().unwrap();
+    let server = BundleServer::start(folder.path(), Faults::default());
+    let warm = server.source().with_cache(DiskCache::open(kept.path(), 1 << 28).unwrap());
+    LoadedBake::load(&warm, &kinds::all()).unwrap();
+    let ignores =
+        BundleServer::start(folder.path(), Faults { ignores_ranges: true, ..Faults::default() }).source();
+    let begin = |source: &Source| StreamedBake::begin(source, &kinds::all(), Budget::NONE).unwrap();
+    let mut streams = [begin(&server.source()), begin(&warm), begin(&ignores)];
+    let Streamed { bytes, bytes_all, .. } = streams[0].streamed();
+    let (mut in_part, mut step) = (0, (bytes_all - bytes) / 5);
+    while !streams[0].streamed().is_whole() {
+        let before = streams[0].streamed();
+        for streamed in &mut streams {
+            streamed.refine(&view, Budget { step, ..Budget::NONE }).unwrap();
+        }
+        let after = streams.each_ref().map(StreamedBake::streamed);
+        assert!(after[0].bytes - before.bytes <= step);
+        assert_eq!(after, [after[0]; 3]);
+        step += if after[0] == before { step } else { 0 };
+        if after[0].clusters > after[0].whole {
+            in_part += 1;
+            let light = |of: &StreamedBake| render(&of.bake, &view, Backend::Cpu).unwrap().linear;
+            let [cold, warm, ignores] = streams.each_ref().map(light);
+            assert!(cold == warm && cold == ignores, "{:?}", after[0]);
+        }
+    }
+    assert!(in_part > 0, "clusters came by layers");
 }
 
 #[test]

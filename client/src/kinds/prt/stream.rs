@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use super::one_of;
 use crate::bake::{Light, LightStream, LitScene, ReceiverLight};
 use crate::error::{ClientError, Result};
-use crate::fetch::{Layers, Source, decoded, decoded_layers, parallel};
+use crate::fetch::{Came, Layers, Source, decoded, decoded_layers, parallel};
 use crate::lightmap::LightmapLight;
 use crate::scene::LoadedScene;
 use crate::stream::{Budget, Candidate, Lit, Plan, Rung, Streamed, Viewpoint, by_need, plan};
@@ -138,22 +138,27 @@ impl LightStream for PrtStream {
     ) -> Result<()> {
         let manifest = &lit.scene.manifest;
         let Plan { fetch, evict } = self.plan(light, lit, viewpoint, budget, limit);
-        let (found, ended) = parallel(fetch.len(), |at| {
+        let size = |&(index, layers): &(usize, usize)| layers_of(manifest, index).bytes_of(layers);
+        let sizes: Vec<u64> = fetch.iter().map(size).collect();
+        let (found, mut ended) = parallel(source, &sizes, |at| {
             let (index, layers) = fetch[at];
             let of = layers_of(manifest, index);
-            let mut bytes =
-                source.layers(of, layers, self.clusters.get(&index).map_or(&[], Vec::as_slice))?;
+            let have: &[u8] = self.clusters.get(&index).map_or(&[], Vec::as_slice);
+            let Came { mut bytes, lost } = source.layers_that_come(of, layers, have)?;
             // More may be at hand: budgets bound, and pictures hang on, those alone that were chosen.
             bytes.truncate(of.bytes_of(layers) as usize);
             bytes.shrink_to_fit();
             decoded_layers(of, &bytes)?;
-            Ok((index, bytes))
+            Ok((index, bytes, lost))
         });
-        // Clusters that came before an error stay.
-        let found: Vec<(usize, Vec<u8>)> = found.into_iter().flatten().collect();
-        let has_come = !found.is_empty();
-        self.fresh.extend(found.iter().map(|(index, _)| *index));
-        self.clusters.extend(found);
+        let mut has_come = false;
+        // Layers that came before an error stay.
+        for (index, bytes, lost) in found.into_iter().flatten() {
+            ended = lost.map_or(ended, Err);
+            self.fresh.insert(index);
+            self.clusters.insert(index, bytes);
+            has_come = true;
+        }
         self.count(manifest);
         let has_gone = self.make_room(manifest, &evict, budget);
         self.streamed.turns += u64::from(has_come || has_gone);
