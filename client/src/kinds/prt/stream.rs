@@ -411,6 +411,33 @@ mod tests {
     }
 
     #[test]
+    fn as_many_clusters_go_as_room_is_needed_for_and_those_that_came_for_the_view_are_kept() {
+        let folder = tempfile::tempdir().unwrap();
+        let (source, streamed) = streamed(folder.path());
+        let scene = &streamed.bake.scene;
+        let manifest = &scene.manifest;
+        let mut stream = PrtStream::begin(&source, scene).unwrap();
+        for (index, chunk) in manifest.chunks(CLUSTERS).iter().enumerate() {
+            stream.clusters.insert(index, source.chunk(chunk).unwrap());
+        }
+        stream.count(manifest);
+        let all = stream.streamed;
+        let evict = [(2, 0), (4, 0)];
+        let of_memory = |memory| Budget { memory, ..Budget::NONE };
+        // As where a server was lost before anything came.
+        assert!(!stream.make_room(manifest, &evict, of_memory(all.memory)));
+        assert_eq!(stream.streamed, all);
+        assert!(stream.make_room(manifest, &evict, of_memory(all.memory - 1)));
+        assert_eq!(stream.clusters.keys().copied().collect::<Vec<usize>>(), [0, 1, 3, 4, 5, 6]);
+        assert_eq!(stream.streamed.bytes, all.bytes - manifest.chunks(CLUSTERS)[2].bytes);
+        stream.fresh.insert(1);
+        let kept = |stream: &PrtStream, index: usize| stream.candidate(layers_of(manifest, index)).kept;
+        assert_eq!([0, 1].map(|index| kept(&stream, index)), [0, layers_of(manifest, 1).count()]);
+        stream.change_view();
+        assert_eq!(kept(&stream, 1), 0);
+    }
+
+    #[test]
     fn clusters_come_as_far_as_the_bytes_go() {
         let folder = tempfile::tempdir().unwrap();
         let (source, mut streamed) = streamed(folder.path());
