@@ -83,14 +83,8 @@ impl From<Vec<u8>> for Came {
 
 impl Source {
     /// First bytes of a cluster's chunk, verified: its first `wanted` layers, or more where more are at hand. `have` are layers of it
-    /// that are not fetched again.
-    pub fn layers(&self, of: Layers<'_>, wanted: usize, have: &[u8]) -> Result<Vec<u8>> {
-        let Came { bytes, lost } = self.layers_that_come(of, wanted, have)?;
-        lost.map_or(Ok(bytes), Err)
-    }
-
-    /// As [`Source::layers`]; layers after those of `have` that came before a line was lost are given with its error.
-    pub fn layers_that_come(&self, of: Layers<'_>, wanted: usize, have: &[u8]) -> Result<Came> {
+    /// that are not fetched again; those after them that came before a line was lost are given with its error.
+    pub fn layers(&self, of: Layers<'_>, wanted: usize, have: &[u8]) -> Result<Came> {
         chunk_limit(of.chunk)?;
         let end = of.bytes_of(wanted);
         if have.len() as u64 >= end {

@@ -144,7 +144,7 @@ impl LightStream for PrtStream {
             let (index, layers) = fetch[at];
             let of = layers_of(manifest, index);
             let have: &[u8] = self.clusters.get(&index).map_or(&[], Vec::as_slice);
-            let Came { mut bytes, lost } = source.layers_that_come(of, layers, have)?;
+            let Came { mut bytes, lost } = source.layers(of, layers, have)?;
             // More may be at hand: budgets bound, and pictures hang on, those alone that were chosen.
             bytes.truncate(of.bytes_of(layers) as usize);
             bytes.shrink_to_fit();
