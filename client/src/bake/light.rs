@@ -238,11 +238,16 @@ pub trait LightStream: Debug + Send {
     /// The light of the pieces that have come.
     fn light(&self, scene: &LoadedScene) -> Result<Box<dyn Light>>;
 
+    /// Another view is fetched for from here on: pieces that came for the one before may go again.
+    fn change_view(&mut self);
+
     /// Fetches pieces as far as the budget goes, those first that the lit scene needs most from the viewpoint; where memory is short,
-    /// lets those go that it needs least. Pieces that came before an error stay.
+    /// lets as many of those go that it needs least as the new ones need room, but none that came for this view. Pieces that came
+    /// before an error stay. `light` is that of the pieces that have come, as it is drawn.
     fn refine(
         &mut self,
         source: &Source,
+        light: &dyn Light,
         lit: &LitScene<'_>,
         viewpoint: Option<Viewpoint>,
         budget: Budget,

@@ -183,14 +183,16 @@ impl ApiClient {
     /// A chunk of at most `limit_bytes`, verified.
     pub fn chunk(&self, digest: Digest, limit_bytes: u64) -> Result<Vec<u8>> {
         let path = chunk_path(digest);
-        let Part { bytes, .. } = self.http.part(&path, 0..limit_bytes, limit_bytes)?;
+        let (Part { bytes, .. }, ended) = self.http.part(&path, 0..limit_bytes, limit_bytes);
+        ended?;
         super::verify(&format!("{}{path}", self.base()), digest, bytes)
     }
 
     /// Bytes of a chunk of `total` bytes from a place on, unverified: those that are `wanted`, or all from a server that ignores
-    /// ranges. A connection that breaks goes on where it was.
-    pub fn chunk_part(&self, digest: Digest, wanted: Range<u64>, total: u64) -> Result<Part> {
-        Ok(self.http.part(&chunk_path(digest), wanted, total)?)
+    /// ranges. A connection that breaks goes on where it was; bytes that came before an error are given with it.
+    pub fn chunk_part(&self, digest: Digest, wanted: Range<u64>, total: u64) -> (Part, Result<()>) {
+        let (part, ended) = self.http.part(&chunk_path(digest), wanted, total);
+        (part, ended.map_err(Into::into))
     }
 
     /// Workers heard of lately.

@@ -5,21 +5,17 @@ use std::error::Error;
 use std::fs;
 use std::io::Write;
 use std::path::Path;
-use std::sync::Mutex;
-use std::sync::PoisonError;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
 
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::manifest::{ChunkRef, Manifest};
 
+use super::parallel::{for_each_parallel, parallel};
 use super::{CHUNKS_FOLDER, MANIFEST_FILE, Source, chunk_path, read_limited};
 use crate::error::{ClientError, Result};
 
 /// Reason why a chunk does not decode.
 type Reason = Box<dyn Error + Send + Sync>;
-
-/// Chunks fetched at the same time. More → faster over long lines, as overviews are of hundreds of small chunks; more memory.
-const PARALLEL: usize = 32;
 
 /// Result of a download.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -56,7 +52,7 @@ pub fn decoded_chunks<T: Send>(
     role: &'static str,
     decode: impl Fn(&[u8]) -> std::result::Result<T, Reason> + Sync,
 ) -> Result<Vec<T>> {
-    let (values, ended) = parallel(chunks.len(), |index| {
+    let (values, ended) = parallel(source, &sizes_of(chunks), |index| {
         let digest = chunks[index].digest;
         let bytes = source.chunk(&chunks[index])?;
         decode(&bytes).map_err(|source| ClientError::Chunk { digest, role, source })
@@ -65,20 +61,8 @@ pub fn decoded_chunks<T: Send>(
     Ok(values.into_iter().flatten().collect())
 }
 
-/// Results of `work(0..count)`, a few at a time, in their order; the first error ends it, and with it come the results that were
-/// there by then.
-pub(crate) fn parallel<T: Send>(
-    count: usize,
-    work: impl Fn(usize) -> Result<T> + Sync,
-) -> (Vec<Option<T>>, Result<()>) {
-    let slots: Vec<Mutex<Option<T>>> = (0..count).map(|_| Mutex::new(None)).collect();
-    let ended = for_each_parallel(count, |index| {
-        let value = work(index)?;
-        *slots[index].lock().unwrap_or_else(PoisonError::into_inner) = Some(value);
-        Ok(())
-    });
-    let values = slots.into_iter().map(|slot| slot.into_inner().unwrap_or_else(PoisonError::into_inner));
-    (values.collect(), ended)
+fn sizes_of(chunks: &[ChunkRef]) -> Vec<u64> {
+    chunks.iter().map(|chunk| chunk.bytes).collect()
 }
 
 /// Writes the bake into `folder`. Chunks that are there and right are kept; the manifest is written last, so a
@@ -93,7 +77,7 @@ pub fn download_bundle(source: &Source, folder: &Path) -> Result<(Manifest, Down
         source: error,
     })?;
     let done = Mutex::new(Downloaded::default());
-    for_each_parallel(chunks.len(), |index| {
+    for_each_parallel(source, &sizes_of(&chunks), |index| {
         let chunk = &chunks[index];
         let path = chunk_path(folder, chunk.digest);
         let kept = is_right(&path, chunk);
@@ -129,28 +113,4 @@ pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
         let _ = fs::remove_file(&part);
     }
     written.map_err(failed)
-}
-
-/// Runs `work(0..count)` on a few threads; stops early at the first error and returns it.
-fn for_each_parallel(count: usize, work: impl Fn(usize) -> Result<()> + Sync) -> Result<()> {
-    let next = AtomicUsize::new(0);
-    let failure = Mutex::new(None);
-    std::thread::scope(|scope| {
-        for _ in 0..PARALLEL.min(count) {
-            scope.spawn(|| {
-                loop {
-                    let index = next.fetch_add(1, Ordering::Relaxed);
-                    if index >= count {
-                        return;
-                    }
-                    if let Err(error) = work(index) {
-                        next.store(count, Ordering::Relaxed);
-                        failure.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
-                        return;
-                    }
-                }
-            });
-        }
-    });
-    failure.into_inner().unwrap_or_else(PoisonError::into_inner).map_or(Ok(()), Err)
 }

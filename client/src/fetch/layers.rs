@@ -66,20 +66,35 @@ impl Layers<'_> {
     }
 }
 
+/// First layers of a chunk, verified.
+#[derive(Debug)]
+pub struct Came {
+    /// Their bytes.
+    pub bytes: Vec<u8>,
+    /// The error that came before the last of those that were wanted.
+    pub lost: Option<ClientError>,
+}
+
+impl From<Vec<u8>> for Came {
+    fn from(bytes: Vec<u8>) -> Self {
+        Self { bytes, lost: None }
+    }
+}
+
 impl Source {
     /// First bytes of a cluster's chunk, verified: its first `wanted` layers, or more where more are at hand. `have` are layers of it
-    /// that are not fetched again.
-    pub fn layers(&self, of: Layers<'_>, wanted: usize, have: &[u8]) -> Result<Vec<u8>> {
+    /// that are not fetched again; those after them that came before a line was lost are given with its error.
+    pub fn layers(&self, of: Layers<'_>, wanted: usize, have: &[u8]) -> Result<Came> {
         chunk_limit(of.chunk)?;
         let end = of.bytes_of(wanted);
         if have.len() as u64 >= end {
-            return Ok(have.to_vec());
+            return Ok(have.to_vec().into());
         }
         match self {
             Self::Bundle(folder) => {
                 let path = chunk_path(folder, of.chunk.digest);
                 let bytes = read_on(&path, have, end)?;
-                of.verified(&path.display().to_string(), bytes)
+                of.verified(&path.display().to_string(), bytes).map(Came::from)
             }
             Self::Server { client, cache: None, .. } => fetched(client, of, have, end),
             Self::Server { client, cache: Some(cache), .. } => cached(cache, client, of, have, end),
@@ -88,34 +103,43 @@ impl Source {
 }
 
 /// Layers from the cache as far as they are there, the rest from the server and into the cache.
-fn cached(cache: &DiskCache, client: &ApiClient, of: Layers<'_>, have: &[u8], end: u64) -> Result<Vec<u8>> {
+fn cached(cache: &DiskCache, client: &ApiClient, of: Layers<'_>, have: &[u8], end: u64) -> Result<Came> {
     let digest = of.chunk.digest;
     if let Some(whole) = cache.get(digest).filter(|bytes| bytes.len() as u64 == of.chunk.bytes) {
-        return Ok(whole);
+        return Ok(whole.into());
     }
     let kept = cache.get_prefix(digest, |bytes| of.are_prefix(bytes)).unwrap_or_default();
     let have = if kept.len() > have.len() { &kept } else { have };
     if have.len() as u64 >= end {
-        return Ok(have.to_vec());
+        return Ok(have.to_vec().into());
     }
-    let bytes = fetched(client, of, have, end)?;
-    note_unkept(match bytes.len() as u64 == of.chunk.bytes {
-        true => cache.put(digest, &bytes),
-        false => cache.put_prefix(digest, &bytes),
+    let came = fetched(client, of, have, end)?;
+    note_unkept(match came.bytes.len() as u64 == of.chunk.bytes {
+        true => cache.put(digest, &came.bytes),
+        false => cache.put_prefix(digest, &came.bytes),
     });
-    Ok(bytes)
+    Ok(came)
 }
 
-/// The bytes that are there, and those after them up to `end` from the server.
-fn fetched(client: &ApiClient, of: Layers<'_>, have: &[u8], end: u64) -> Result<Vec<u8>> {
+/// The bytes that are there, and those after them up to `end` from the server; up to the last whole layer if it is lost amid them.
+fn fetched(client: &ApiClient, of: Layers<'_>, have: &[u8], end: u64) -> Result<Came> {
     let from = have.len() as u64;
-    let Part { start, bytes } = client.chunk_part(of.chunk.digest, from..end, of.chunk.bytes)?;
+    let (Part { start, bytes }, ended) = client.chunk_part(of.chunk.digest, from..end, of.chunk.bytes);
     let mut bytes = if start == from { [have, &bytes].concat() } else { bytes };
+    if let Err(error) = ended {
+        let mut ends = (1..=of.count()).rev().map(|layers| of.bytes_of(layers));
+        let Some(whole) = ends.find(|end| (from + 1..=bytes.len() as u64).contains(end)) else {
+            return Err(error);
+        };
+        bytes.truncate(whole as usize);
+        let bytes = of.verified(client.base(), bytes)?;
+        return Ok(Came { bytes, lost: (whole < end).then_some(error) });
+    }
     // A server that ignores ranges, and breaks off amid a later layer.
     if (end..of.chunk.bytes).contains(&(bytes.len() as u64)) {
         bytes.truncate(end as usize);
     }
-    of.verified(client.base(), bytes)
+    of.verified(client.base(), bytes).map(Came::from)
 }
 
 /// The bytes that are there, and those after them up to `end` from a file.

@@ -3,6 +3,7 @@
 pub mod api;
 mod bundle;
 mod layers;
+mod parallel;
 #[cfg(test)]
 mod tests;
 
@@ -19,9 +20,9 @@ use lightkiln_proto::manifest::{self, ChunkRef, DIRECTORY, Manifest, ManifestErr
 use crate::error::{ClientError, Result};
 
 pub use api::ApiClient;
-pub(crate) use bundle::parallel;
 pub use bundle::{Downloaded, chunk_refs, decoded, decoded_chunks, download_bundle, write_atomically};
-pub use layers::{Layers, decoded_layers};
+pub use layers::{Came, Layers, decoded_layers};
+pub(crate) use parallel::parallel;
 
 /// The manifest's file in a bundle.
 pub const MANIFEST_FILE: &str = "manifest.json";

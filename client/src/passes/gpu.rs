@@ -194,8 +194,10 @@ impl Gpu {
     /// A storage buffer of zeros; larger than one binding is an error.
     pub fn blank(&self, label: &str, bytes: u64) -> Result<wgpu::Buffer> {
         if bytes > self.binding_max {
-            let problem = format!("{label} takes {bytes} bytes, {} binds {}", self.name, self.binding_max);
-            return Err(failed(problem));
+            return Err(failed(format!(
+                "{label} takes {bytes} bytes, {} binds {}: draw with --backend cpu, or bake fewer receivers (--set texel_m=…)",
+                self.name, self.binding_max
+            )));
         }
         self.stored.fetch_add(bytes, Ordering::Relaxed);
         Ok(self.buffer(label, bytes, Usage::STORAGE | Usage::COPY_SRC))

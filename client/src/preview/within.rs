@@ -20,6 +20,8 @@ pub struct StreamedBake {
     stream: Box<dyn LightStream>,
     manifest_bytes: u64,
     tints: Tints,
+    /// The view that pieces were fetched for last.
+    view: Option<View>,
 }
 
 impl StreamedBake {
@@ -56,7 +58,8 @@ impl StreamedBake {
         let light = stream.light(&scene)?;
         let bake = Arc::new(LoadedBake { scene: Arc::new(scene), light });
         let manifest_bytes = bytes.len() as u64;
-        Ok(Self { source: source.clone(), bake, stream, manifest_bytes, tints: Tints::default() })
+        let (source, tints) = (source.clone(), Tints::default());
+        Ok(Self { source, bake, stream, manifest_bytes, tints, view: None })
     }
 
     /// Bytes and clusters that have come, the manifest's bytes among them.
@@ -101,8 +104,13 @@ impl StreamedBake {
         let maps = draw(&prepared.scene, &prepared.plan);
         let viewpoint = view.eye().map(|eye| Viewpoint { eye_m: eye.position_m, forward: eye.forward });
         let budget = Budget { bytes: budget.bytes.saturating_sub(self.manifest_bytes), ..budget };
+        if self.view.as_ref() != Some(view) {
+            self.stream.change_view();
+            self.view = Some(view.clone());
+        }
         let before = self.stream.streamed();
-        let refined = self.stream.refine(&self.source, &prepared.lit(&maps), viewpoint, budget, view.limit);
+        let (light, lit) = (&*self.bake.light, prepared.lit(&maps));
+        let refined = self.stream.refine(&self.source, light, &lit, viewpoint, budget, view.limit);
         if self.stream.streamed() != before {
             let mut bake = self.assembled()?;
             bake.tint_light(&self.tints);

@@ -28,6 +28,9 @@ pub struct Candidate {
     pub rungs: Vec<Rung>,
     /// Layers that are there.
     pub held: usize,
+    /// Layers of them that stay, as they came for this very view: its light is measured anew when they come, and would let them go
+    /// for others whose light is not, for ever.
+    pub kept: usize,
 }
 
 /// A cluster with some of its layers.
@@ -167,7 +170,8 @@ mod tests {
 
     fn candidate(x: f32, bytes: u64) -> Candidate {
         let bounds_m = [Vec3::new(x, 0.0, 0.0), Vec3::new(x + 1.0, 1.0, 1.0)];
-        Candidate { bounds_m, receivers: 10, rungs: vec![Rung { bytes, memory: 0, left: 0.0 }], held: 0 }
+        let rungs = vec![Rung { bytes, memory: 0, left: 0.0 }];
+        Candidate { bounds_m, receivers: 10, rungs, held: 0, kept: 0 }
     }
 
     /// Candidates of the steps.

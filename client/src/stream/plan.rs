@@ -5,7 +5,7 @@ use super::{Candidate, Step};
 /// Bounds on light that comes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Budget {
-    /// Most bytes of light that are there at a time.
+    /// No more is fetched above so many bytes of light; what is there is not let go for them.
     pub bytes: u64,
     /// Most bytes that come in one call. More → fewer and larger steps.
     pub step: u64,
@@ -28,7 +28,7 @@ impl Budget {
 pub struct Plan {
     /// Candidates whose layers are to be fetched, with the number to have, those first that are needed most.
     pub fetch: Vec<(usize, usize)>,
-    /// Candidates to let go, with the layers that stay.
+    /// Candidates that may go to make room, with the layers that stay, those first that are needed least.
     pub evict: Vec<(usize, usize)>,
 }
 
@@ -38,8 +38,7 @@ pub fn plan(candidates: &[Candidate], steps: &[Step], budget: Budget) -> Plan {
     let targets = within_memory(candidates, steps, budget.memory);
     let mut have: Vec<usize> =
         candidates.iter().zip(&targets).map(|(of, target)| of.held.min(*target)).collect();
-    let evict = candidates.iter().zip(&have).enumerate().filter(|(_, (of, have))| **have < of.held);
-    let evict = evict.map(|(index, (_, have))| (index, *have)).collect();
+    let evict = evicted(candidates, steps, &have);
     let bytes: u64 = candidates.iter().zip(&have).map(|(of, have)| of.bytes_of(*have)).sum();
     let mut left = budget.bytes.saturating_sub(bytes).min(budget.step);
     let mut order: Vec<usize> = Vec::new();
@@ -58,11 +57,28 @@ pub fn plan(candidates: &[Candidate], steps: &[Step], budget: Budget) -> Plan {
     Plan { fetch: order.into_iter().map(|index| (index, have[index])).collect(), evict }
 }
 
-/// Layers of each candidate that fit into so much memory, those first that are needed most. All that are held stay where
-/// there is room for all.
+/// Candidates of which fewer layers stay than are held, those first whose last step is needed least.
+fn evicted(candidates: &[Candidate], steps: &[Step], have: &[usize]) -> Vec<(usize, usize)> {
+    let mut places = vec![0; candidates.len()];
+    for (place, step) in steps.iter().enumerate() {
+        if step.layers <= candidates[step.candidate].held {
+            places[step.candidate] = place;
+        }
+    }
+    let gone = candidates.iter().zip(have).enumerate().filter(|(_, (of, have))| **have < of.held);
+    let mut gone: Vec<(usize, usize)> = gone.map(|(index, (_, have))| (index, *have)).collect();
+    gone.sort_by_key(|(index, _)| std::cmp::Reverse(places[*index]));
+    gone
+}
+
+/// Layers of each candidate that fit into so much memory: those that are kept, then those first that are needed most. All that are
+/// held stay where there is room for all. Where memory has become too small for those that are kept, they count as all others.
 fn within_memory(candidates: &[Candidate], steps: &[Step], memory: u64) -> Vec<usize> {
-    let mut targets = vec![0; candidates.len()];
-    let mut left = memory;
+    let kept: u64 = candidates.iter().map(|of| of.rung(of.kept).memory).sum();
+    let (mut targets, mut left): (Vec<usize>, u64) = match memory.checked_sub(kept) {
+        Some(left) => (candidates.iter().map(|of| of.kept).collect(), left),
+        None => (vec![0; candidates.len()], memory),
+    };
     for step in steps {
         let (of, target) = (&candidates[step.candidate], &mut targets[step.candidate]);
         let more = of.rung(step.layers).memory.saturating_sub(of.rung(*target).memory);
@@ -71,7 +87,7 @@ fn within_memory(candidates: &[Candidate], steps: &[Step], memory: u64) -> Vec<u
             *target = step.layers;
         }
     }
-    // Layers between two steps, as a server that ignores ranges sends them, stay if they fit.
+    // Layers between two steps, as a line that broke leaves them, stay if they fit.
     for (of, target) in candidates.iter().zip(&mut targets) {
         let more = of.rung(of.held).memory.saturating_sub(of.rung(*target).memory);
         if of.held > *target && more <= left {
@@ -91,14 +107,25 @@ mod tests {
 
     /// Two clusters of two layers of 10 bytes each in light of which the first has more.
     fn two(held: [usize; 2]) -> (Vec<Candidate>, Vec<Step>) {
+        two_in([2.0, 1.0], held, [0, 0])
+    }
+
+    /// The two in such light.
+    fn two_in(light: [f32; 2], held: [usize; 2], kept: [usize; 2]) -> (Vec<Candidate>, Vec<Step>) {
         let rungs =
             vec![Rung { bytes: 10, memory: 100, left: 0.4 }, Rung { bytes: 20, memory: 200, left: 0.0 }];
         let at = |x: f32| [Vec3::new(x, 0.0, 0.0), Vec3::new(x + 1.0, 1.0, 1.0)];
-        let candidate = |(x, held)| Candidate { bounds_m: at(x), receivers: 1, rungs: rungs.clone(), held };
-        let candidates: Vec<Candidate> = [0.0, 10.0].into_iter().zip(held).map(candidate).collect();
+        let candidate = |index: usize| Candidate {
+            bounds_m: at([0.0, 10.0][index]),
+            receivers: 1,
+            rungs: rungs.clone(),
+            held: held[index],
+            kept: kept[index],
+        };
+        let candidates: Vec<Candidate> = (0..2).map(candidate).collect();
         let lit =
             |x: f32, light: f32| Lit { position_m: Vec3::new(x, 0.5, 0.5), irradiance: Vec3::splat(light) };
-        let steps = by_need(&candidates, &[lit(0.5, 2.0), lit(10.5, 1.0)], None, 40.0);
+        let steps = by_need(&candidates, &[lit(0.5, light[0]), lit(10.5, light[1])], None, 40.0);
         (candidates, steps)
     }
 
@@ -126,6 +153,35 @@ mod tests {
         assert_eq!((least_first.fetch, least_first.evict), (vec![(0, 2)], vec![(1, 1)]));
         assert_eq!(planned([2, 2], of_memory(200)).evict, [(1, 0)]);
         assert_eq!(planned([2, 1], of_memory(300)), Plan::default());
-        assert_eq!(planned([2, 2], of_memory(0)).evict, [(0, 0), (1, 0)]);
+        assert_eq!(planned([2, 2], of_memory(0)).evict, [(1, 0), (0, 0)], "the least needed goes first");
+    }
+
+    /// Plans until one changes nothing, of two clusters that an overview has four times too bright, and whose first layers take turns
+    /// in a memory for one of them; `None` if they never end.
+    fn plans_to_rest(keeps: bool) -> Option<usize> {
+        let budget = Budget { memory: 100, ..Budget::NONE };
+        let (mut held, mut kept) = ([0, 0], [0, 0]);
+        for count in 0..20 {
+            let light = held.map(|held| if held > 0 { 1.0 } else { 4.0 });
+            let (candidates, steps) = two_in(light, held, kept);
+            let Plan { fetch, evict } = plan(&candidates, &steps, budget);
+            if fetch.is_empty() && evict.is_empty() {
+                return Some(count);
+            }
+            evict.into_iter().for_each(|(index, layers)| held[index] = layers);
+            fetch.into_iter().for_each(|(index, layers)| held[index] = layers);
+            kept = if keeps { held } else { kept };
+        }
+        None
+    }
+
+    #[test]
+    fn clusters_that_an_overview_has_too_bright_take_no_turns_while_those_that_came_are_kept() {
+        assert_eq!(plans_to_rest(true), Some(1));
+        assert_eq!(plans_to_rest(false), None);
+        // Memory that has fallen below what is kept holds what is needed most.
+        let (candidates, steps) = two_in([1.0, 2.0], [2, 2], [2, 2]);
+        let Plan { fetch, evict } = plan(&candidates, &steps, Budget { memory: 200, ..Budget::NONE });
+        assert_eq!((fetch, evict), (vec![], vec![(0, 0)]));
     }
 }

@@ -137,8 +137,8 @@ impl Drop for Feed {
     }
 }
 
-/// Ends when all is there, when something is wrong, or when nobody listens any more. A piece has the bytes of a step, or as many of
-/// them as the first layer that it brings takes.
+/// Ends when all is there, when something is wrong, or when nobody listens any more. A piece has the bytes of a step, or where no layer
+/// fits into one all that there is room for.
 fn fetch(
     mut stream: StreamedBake,
     budget: Budget,
@@ -162,9 +162,9 @@ fn fetch(
                 return;
             }
             wake();
-        } else if refined.is_ok() && step < streamed.bytes_all {
-            // Layers that do not fit are left out: the step grows until they do.
-            step = step.saturating_add(budget.step);
+        } else if refined.is_ok() && step < u64::MAX {
+            // The step is too small for any layer, or memory is full: without a step one more look tells which.
+            step = u64::MAX;
         } else if refined.is_ok() {
             // Memory holds no more: what it holds is that which another view needs.
             step = budget.step;
@@ -181,7 +181,7 @@ fn fetch(
 #[cfg(test)]
 mod tests {
     use lightkiln_proto::kinds::prt;
-    use lightkiln_proto::manifest::ClusterRow;
+    use lightkiln_proto::manifest::CLUSTERS;
 
     use super::*;
     use crate::fetch::Source;
@@ -195,17 +195,23 @@ mod tests {
         write_bundle(folder.path(), prt::NAME);
         let source = Source::bundle(folder.path()).unwrap();
         let stream = StreamedBake::begin(&source, &kinds::all(), Budget::NONE).unwrap();
-        let first = |row: &ClusterRow| row.layers[0].bytes;
-        let largest = stream.bake.scene.manifest.clusters.iter().map(first).max().unwrap();
+        let chunks = stream.bake.scene.manifest.chunks(CLUSTERS);
+        let smallest = chunks.iter().map(|chunk| chunk.bytes).min().unwrap();
         let Streamed { bytes: none, bytes_all: all, .. } = stream.streamed();
-        let (sender, pieces) = channel();
-        let budget = Budget { step: largest - 1, ..Budget::NONE };
-        fetch(stream, budget, &Watched::new(fixture_view().1), &sender, || {});
-        drop(sender);
-        let come: Vec<u64> = pieces.iter().map(|piece| piece.unwrap().streamed.bytes).collect();
+        let bytes_with = |stream: StreamedBake, step: u64| -> Vec<u64> {
+            let (sender, pieces) = channel();
+            let budget = Budget { step, ..Budget::NONE };
+            fetch(stream, budget, &Watched::new(fixture_view().1), &sender, || {});
+            drop(sender);
+            pieces.iter().map(|piece| piece.unwrap().streamed.bytes).collect()
+        };
+        let come = bytes_with(stream, smallest);
         assert!(come[0] > none && come.windows(2).all(|pair| pair[0] < pair[1]), "{come:?}");
         assert!(come.len() > 1, "{come:?}");
         assert_eq!(come.last(), Some(&all));
+        // No layer fits into a byte.
+        let stream = StreamedBake::begin(&source, &kinds::all(), Budget::NONE).unwrap();
+        assert_eq!(bytes_with(stream, 1), [all]);
     }
 
     #[test]

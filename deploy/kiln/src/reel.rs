@@ -24,14 +24,14 @@ pub struct ReelArguments {
     /// [default: all]
     #[arg(long, value_name = "BYTES", value_parser = parse_bytes, help_heading = "Picture")]
     max_bytes: Option<u64>,
-    /// Lets light take at most so much memory, e.g. 200M: of clusters that the picture needs least fewer layers are drawn, or the
-    /// overview [default: as much as all of it takes]
+    /// Lets light take at most so much memory, about, as the bake's directory tells it, e.g. 200M: of clusters that the picture needs
+    /// least fewer layers are drawn, or the overview [default: as much as all of it takes]
     #[arg(long, value_name = "BYTES", value_parser = parse_bytes, help_heading = "Picture")]
     max_memory: Option<u64>,
     /// Draws many pictures along a path, NAME-0001.png and on: a JSON file {"keys": [{"picture": 1, "camera": "eye=…",
     /// "lights": ["point pos=…"], "objects": ["pos=… turn=…"]}, {"picture": 60, …}]}, between whose keys camera, lights
-    /// and objects move evenly. The exposure of the first picture that is not black is that of all, and --max-bytes
-    /// fetches what the first one needs
+    /// and objects move evenly. The exposure of the first picture that is not black is that of all; --max-bytes and
+    /// --max-memory choose light for the first one
     #[arg(long, value_name = "FILE", conflicts_with = "debug", help_heading = "Picture")]
     path: Option<PathBuf>,
     /// Object beside the bake, which moves: "FILE [pos=x,y,z] [turn=yaw,pitch,roll] [scale=s] [time=seconds] [clip=n]", a

@@ -15,7 +15,7 @@ mod shutdown;
 pub mod trace;
 
 pub use call::{Answer, Call};
-pub use client::HttpClient;
+pub use client::{CONNECTIONS, HttpClient};
 pub use disk_cache::DiskCache;
 pub use error::CallError;
 pub use part::Part;

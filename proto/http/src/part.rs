@@ -10,9 +10,6 @@ use crate::client::HttpClient;
 use crate::error::CallError;
 use crate::retry::retry;
 
-/// Connections in a row that may break after they brought something, before the next one waits.
-const RESUMES_MAX: u32 = 16;
-
 /// Bytes of a body from a place on.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Part {
@@ -32,26 +29,22 @@ impl HttpClient {
     /// Bytes `wanted` of the body at `path`, which should have `total` bytes. A server that ignores ranges gives all of the body,
     /// which then begins before `wanted`; one that has less of it gives fewer bytes, and none more.
     ///
-    /// A connection that breaks loses nothing: the next one goes on where it was.
-    pub fn part(&self, path: &str, wanted: Range<u64>, total: u64) -> Result<Part, CallError> {
+    /// A connection that breaks loses nothing: the next one goes on where it was, at once if it brought something, else after the waits
+    /// of failed calls. Bytes that came before an error are given with it.
+    pub fn part(&self, path: &str, wanted: Range<u64>, total: u64) -> (Part, Result<(), CallError>) {
         let mut got = Part { start: wanted.start, bytes: Vec::new() };
-        let mut resumes = 0;
         let call = || loop {
             let before = got.end();
             match self.part_once(path, &wanted, total, &mut got) {
-                Err(error) if may_go_on(&error) && got.end() > before && resumes < RESUMES_MAX => {
-                    resumes += 1;
+                Err(error) if may_go_on(&error) && got.end() > before => {
                     tracing::debug!(%error, place = got.end(), "going on where the connection broke");
                     self.check_shutdown()?;
                 }
-                outcome => {
-                    resumes = 0;
-                    return outcome;
-                }
+                outcome => return outcome,
             }
         };
-        retry(self.retry_policy(), call, |error, wait| self.pause(error, wait))?;
-        Ok(got)
+        let ended = retry(self.retry_policy(), call, |error, wait| self.pause(error, wait));
+        (got, ended)
     }
 
     /// Asks for the part that is left, and adds as much of it as comes.

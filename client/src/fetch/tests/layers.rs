@@ -12,7 +12,7 @@ use crate::bake::LoadedBake;
 use crate::fixture::{BundleServer, Faults, rewrite_manifest, write_bundle};
 use crate::kinds;
 use crate::preview::{Backend, StreamedBake, View, render};
-use crate::stream::Budget;
+use crate::stream::{Budget, Streamed};
 use crate::tests::fixture_view;
 
 /// A bundle of the fixture in a folder of its own.
@@ -32,6 +32,14 @@ fn layered(manifest: &Manifest) -> Layers<'_> {
     (0..manifest.clusters.len()).map(of).find(|of| of.count() > 2).expect("a cluster of three layers")
 }
 
+impl Source {
+    /// The layers that were wanted, or the error that came before them.
+    fn all_layers(&self, of: Layers<'_>, wanted: usize, have: &[u8]) -> Result<Vec<u8>> {
+        let Came { bytes, lost } = self.layers(of, wanted, have)?;
+        lost.map_or(Ok(bytes), Err)
+    }
+}
+
 #[test]
 fn each_layer_fetches_what_the_ones_before_it_lack_and_no_byte_twice() {
     let (folder, manifest) = bundle();
@@ -41,9 +49,9 @@ fn each_layer_fetches_what_the_ones_before_it_lack_and_no_byte_twice() {
     let source = server.source();
     let mut bytes = Vec::new();
     for layers in 1..=of.count() {
-        bytes = source.layers(of, layers, &bytes).unwrap();
+        bytes = source.all_layers(of, layers, &bytes).unwrap();
         assert_eq!(bytes.len() as u64, of.bytes_of(layers));
-        assert_eq!(bytes, disk.layers(of, layers, &[]).unwrap());
+        assert_eq!(bytes, disk.all_layers(of, layers, &[]).unwrap());
         let (cluster, decoded) = decoded_layers(of, &bytes).unwrap();
         assert_eq!(decoded, layers);
         assert!(layers < of.count() || cluster.receivers.len() == of.row.receivers as usize);
@@ -55,8 +63,8 @@ fn each_layer_fetches_what_the_ones_before_it_lack_and_no_byte_twice() {
     let wanted: Vec<[usize; 2]> = ends.windows(2).map(|pair| [pair[0], pair[1]]).collect();
     assert_eq!(ranges, wanted);
     // Several layers at once are one request, and all of them none with a range.
-    assert_eq!(source.layers(of, 2, &[]).unwrap().len() as u64, of.bytes_of(2));
-    assert_eq!(source.layers(of, of.count(), &[]).unwrap(), bytes);
+    assert_eq!(source.all_layers(of, 2, &[]).unwrap().len() as u64, of.bytes_of(2));
+    assert_eq!(source.all_layers(of, of.count(), &[]).unwrap(), bytes);
     assert_eq!(
         server.take_asked().iter().map(|asked| asked.range).collect::<Vec<_>>(),
         [Some([0, ends[2]]), None]
@@ -69,14 +77,43 @@ fn connections_that_break_amid_a_layer_go_on_where_they_were() {
     let of = layered(&manifest);
     let server = BundleServer::start(folder.path(), Faults { breaks_after: Some(700), ..Faults::default() });
     let source = server.source();
-    let first = source.layers(of, 1, &[]).unwrap();
-    let all = source.layers(of, of.count(), &first).unwrap();
+    let first = source.all_layers(of, 1, &[]).unwrap();
+    let all = source.all_layers(of, of.count(), &first).unwrap();
     assert_eq!(Digest::of(&all), of.chunk.digest);
     let asked = server.take_asked();
     assert!(asked.len() as u64 >= of.chunk.bytes / 700, "{asked:?}");
     assert_eq!(asked.iter().map(|asked| asked.sent as u64).sum::<u64>(), of.chunk.bytes);
     assert_eq!(source.chunk(of.chunk).unwrap(), all);
     assert_eq!(server.take_asked().iter().map(|asked| asked.sent as u64).sum::<u64>(), of.chunk.bytes);
+    // However often: each of them brought something.
+    let breaks_after = Some((of.chunk.bytes as usize / 100).max(1));
+    server.set(Faults { breaks_after, ..Faults::default() });
+    assert_eq!(source.all_layers(of, of.count(), &[]).unwrap(), all);
+    assert!(server.take_asked().len() >= 100);
+}
+
+#[test]
+fn layers_before_those_that_a_lost_server_owes_are_kept_with_the_error() {
+    let (folder, manifest) = bundle();
+    let of = layered(&manifest);
+    let server = BundleServer::start(folder.path(), Faults::default());
+    let source = server.source();
+    let whole = source.all_layers(of, of.count(), &[]).unwrap();
+    let part = &whole[..of.bytes_of(1) as usize];
+    // A server that begins anew each time gives the same first bytes again: no try brings more than the one before.
+    let breaks = |breaks_after: u64| {
+        let breaks_after = Some(breaks_after as usize);
+        server.set(Faults { ignores_ranges: true, breaks_after, ..Faults::default() });
+    };
+    breaks(of.bytes_of(1) + 1);
+    let Came { bytes, lost } = source.layers(of, of.count(), &[]).unwrap();
+    assert_eq!(bytes, part);
+    assert!(matches!(lost, Some(ClientError::Call(CallError::Network { .. }))), "{lost:?}");
+    assert!(source.all_layers(of, of.count(), &[]).is_err());
+    // Nothing comes after the layer that is there.
+    assert!(source.layers(of, of.count(), part).is_err());
+    breaks(of.bytes_of(1) - 1);
+    assert!(source.layers(of, of.count(), &[]).is_err());
 }
 
 #[test]
@@ -85,14 +122,51 @@ fn server_that_ignores_ranges_gives_all_layers_at_once() {
     let of = layered(&manifest);
     let server = BundleServer::start(folder.path(), Faults { ignores_ranges: true, ..Faults::default() });
     let source = server.source();
-    let all = source.layers(of, 1, &[]).unwrap();
+    let all = source.all_layers(of, 1, &[]).unwrap();
     assert_eq!(Digest::of(&all), of.chunk.digest);
     assert_eq!(decoded_layers(of, &all).unwrap().1, of.count());
     assert_eq!(server.take_asked().len(), 1);
-    server.set(Faults { ignores_ranges: true, breaks_after: Some(700), ..Faults::default() });
-    let lost = source.layers(of, 1, &[]);
-    // Each try gives the same first bytes: enough for a layer, or nothing more comes.
-    assert!(lost.is_err() || lost.unwrap().len() as u64 >= of.bytes_of(1));
+    // Each try gives the same first bytes: too few for a layer, or enough.
+    for (breaks_after, is_enough) in [(of.bytes_of(1) - 1, false), (of.bytes_of(1) + 1, true)] {
+        let breaks_after = Some(breaks_after as usize);
+        server.set(Faults { ignores_ranges: true, breaks_after, ..Faults::default() });
+        let first = source.all_layers(of, 1, &[]);
+        assert_eq!(first.is_ok(), is_enough, "{first:?}");
+        assert!(first.is_err() || first.unwrap() == all[..of.bytes_of(1) as usize]);
+    }
+}
+
+#[test]
+fn layers_that_were_not_chosen_are_cut_so_that_caches_and_servers_change_no_picture() {
+    let (folder, _) = bundle();
+    let (_, view) = fixture_view();
+    let kept = tempfile::tempdir().unwrap();
+    let server = BundleServer::start(folder.path(), Faults::default());
+    let warm = server.source().with_cache(DiskCache::open(kept.path(), 1 << 28).unwrap());
+    LoadedBake::load(&warm, &kinds::all()).unwrap();
+    let ignores =
+        BundleServer::start(folder.path(), Faults { ignores_ranges: true, ..Faults::default() }).source();
+    let begin = |source: &Source| StreamedBake::begin(source, &kinds::all(), Budget::NONE).unwrap();
+    let mut streams = [begin(&server.source()), begin(&warm), begin(&ignores)];
+    let Streamed { bytes, bytes_all, .. } = streams[0].streamed();
+    let (mut in_part, mut step) = (0, (bytes_all - bytes) / 5);
+    while !streams[0].streamed().is_whole() {
+        let before = streams[0].streamed();
+        for streamed in &mut streams {
+            streamed.refine(&view, Budget { step, ..Budget::NONE }).unwrap();
+        }
+        let after = streams.each_ref().map(StreamedBake::streamed);
+        assert!(after[0].bytes - before.bytes <= step);
+        assert_eq!(after, [after[0]; 3]);
+        step += if after[0] == before { step } else { 0 };
+        if after[0].clusters > after[0].whole {
+            in_part += 1;
+            let light = |of: &StreamedBake| render(&of.bake, &view, Backend::Cpu).unwrap().linear;
+            let [cold, warm, ignores] = streams.each_ref().map(light);
+            assert!(cold == warm && cold == ignores, "{:?}", after[0]);
+        }
+    }
+    assert!(in_part > 0, "clusters came by layers");
 }
 
 #[test]
@@ -101,10 +175,10 @@ fn layers_that_end_early_are_damaged_or_of_another_place_are_refused() {
     let of = layered(&manifest);
     let server = BundleServer::start(folder.path(), Faults::default());
     let source = server.source();
-    let first = source.layers(of, 1, &[]).unwrap();
+    let first = source.all_layers(of, 1, &[]).unwrap();
     let refused = |faults: Faults, layers: usize| {
         server.set(faults);
-        source.layers(of, layers, &first).unwrap_err()
+        source.all_layers(of, layers, &first).unwrap_err()
     };
     let ends = Faults { ends_after: Some(5), ..Faults::default() };
     let damages = Faults { damages: true, ..Faults::default() };
@@ -118,7 +192,7 @@ fn layers_that_end_early_are_damaged_or_of_another_place_are_refused() {
     assert!(matches!(shifted, ClientError::Call(CallError::WrongPart { .. })), "{shifted}");
     // The layer that was there is as good as before.
     server.set(Faults::default());
-    assert_eq!(Digest::of(&source.layers(of, of.count(), &first).unwrap()), of.chunk.digest);
+    assert_eq!(Digest::of(&source.all_layers(of, of.count(), &first).unwrap()), of.chunk.digest);
 }
 
 #[test]
@@ -129,10 +203,10 @@ fn bundles_on_disk_are_read_as_far_as_a_layer_goes() {
     let bytes = fs::read(&path).unwrap();
     fs::write(&path, &bytes[..of.bytes_of(1) as usize + 1]).unwrap();
     let source = Source::bundle(folder.path()).unwrap();
-    let first = source.layers(of, 1, &[]).unwrap();
+    let first = source.all_layers(of, 1, &[]).unwrap();
     assert_eq!(first, bytes[..of.bytes_of(1) as usize]);
-    assert!(matches!(source.layers(of, 2, &first), Err(ClientError::WrongPrefix { .. })));
-    assert!(matches!(source.layers(of, of.count(), &first), Err(ClientError::WrongPrefix { .. })));
+    assert!(matches!(source.all_layers(of, 2, &first), Err(ClientError::WrongPrefix { .. })));
+    assert!(matches!(source.all_layers(of, of.count(), &first), Err(ClientError::WrongPrefix { .. })));
 }
 
 #[test]
@@ -142,23 +216,23 @@ fn layers_of_a_server_are_kept_on_disk_and_taken_from_there_where_they_are_whole
     let kept = tempfile::tempdir().unwrap();
     let server = BundleServer::start(folder.path(), Faults::default());
     let open = || server.source().with_cache(DiskCache::open(kept.path(), 1 << 20).unwrap());
-    let first = open().layers(of, 1, &[]).unwrap();
+    let first = open().all_layers(of, 1, &[]).unwrap();
     assert_eq!(server.take_asked().len(), 1);
-    assert_eq!(open().layers(of, 1, &[]).unwrap(), first);
+    assert_eq!(open().all_layers(of, 1, &[]).unwrap(), first);
     assert_eq!(server.take_asked(), []);
     // The next layer is fetched alone.
-    open().layers(of, 2, &[]).unwrap();
+    open().all_layers(of, 2, &[]).unwrap();
     assert_eq!(server.take_asked()[0].range, Some([1, 2].map(|layers| of.bytes_of(layers) as usize)));
     let name = of.chunk.digest.to_string();
     let file = kept.path().join(&name[..2]).join(format!("{name}.prefix"));
     let mut damaged = fs::read(&file).unwrap();
     damaged[40] ^= 1;
     fs::write(&file, damaged).unwrap();
-    assert_eq!(open().layers(of, 1, &[]).unwrap(), first);
+    assert_eq!(open().all_layers(of, 1, &[]).unwrap(), first);
     assert_eq!(server.take_asked().len(), 1, "a damaged file is fetched again");
-    let all = open().layers(of, of.count(), &[]).unwrap();
+    let all = open().all_layers(of, of.count(), &[]).unwrap();
     server.take_asked();
-    assert_eq!(open().layers(of, 1, &[]).unwrap(), all, "all of it is at hand");
+    assert_eq!(open().all_layers(of, 1, &[]).unwrap(), all, "all of it is at hand");
     assert_eq!((server.take_asked(), file.exists()), (Vec::new(), false));
 }
 

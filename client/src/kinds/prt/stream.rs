@@ -1,6 +1,6 @@
 //! Light over surface patches that comes piece by piece.
 
-use std::collections::{BTreeMap, HashSet};
+use std::collections::{BTreeMap, BTreeSet, HashSet};
 
 use glam::{Vec3, Vec4};
 use lightkiln_proto::chunk;
@@ -11,9 +11,9 @@ use lightkiln_proto::relight::{Limit, PatchTable, stand_in};
 use rayon::prelude::*;
 
 use super::one_of;
-use crate::bake::{Light, LightStream, LitScene};
+use crate::bake::{Light, LightStream, LitScene, ReceiverLight};
 use crate::error::{ClientError, Result};
-use crate::fetch::{Layers, Source, decoded, decoded_layers, parallel};
+use crate::fetch::{Came, Layers, Source, decoded, decoded_layers, parallel};
 use crate::lightmap::LightmapLight;
 use crate::scene::LoadedScene;
 use crate::stream::{Budget, Candidate, Lit, Plan, Rung, Streamed, Viewpoint, by_need, plan};
@@ -36,6 +36,8 @@ pub struct PrtStream {
     overview: Vec<ClusterTransport>,
     /// First bytes of chunks, whole layers each, verified and decoded once; by their number in the manifest.
     clusters: BTreeMap<usize, Vec<u8>>,
+    /// Those of them of which layers came for this view.
+    fresh: BTreeSet<usize>,
     /// Bytes of what always stays.
     base_bytes: u64,
     /// Memory of it.
@@ -64,6 +66,7 @@ impl PrtStream {
             set,
             overview,
             clusters: BTreeMap::new(),
+            fresh: BTreeSet::new(),
             base_bytes,
             base_memory,
             streamed: Streamed::default(),
@@ -120,49 +123,83 @@ impl LightStream for PrtStream {
         Ok(Box::new(self.assembled(scene)?))
     }
 
+    fn change_view(&mut self) {
+        self.fresh.clear();
+    }
+
     fn refine(
         &mut self,
         source: &Source,
+        light: &dyn Light,
         lit: &LitScene<'_>,
         viewpoint: Option<Viewpoint>,
         budget: Budget,
         limit: Limit,
     ) -> Result<()> {
         let manifest = &lit.scene.manifest;
-        let Plan { fetch, evict } = self.plan(lit, viewpoint, budget, limit)?;
-        let has_gone = !evict.is_empty();
-        for (index, layers) in evict {
-            let bytes = layers_of(manifest, index).bytes_of(layers) as usize;
-            match self.clusters.get_mut(&index) {
-                Some(held) if layers > 0 => held.truncate(bytes),
-                _ => drop(self.clusters.remove(&index)),
-            }
-        }
-        let (found, ended) = parallel(fetch.len(), |at| {
+        let Plan { fetch, evict } = self.plan(light, lit, viewpoint, budget, limit);
+        let size = |&(index, layers): &(usize, usize)| layers_of(manifest, index).bytes_of(layers);
+        let sizes: Vec<u64> = fetch.iter().map(size).collect();
+        let (found, mut ended) = parallel(source, &sizes, |at| {
             let (index, layers) = fetch[at];
             let of = layers_of(manifest, index);
-            let bytes = source.layers(of, layers, self.clusters.get(&index).map_or(&[], Vec::as_slice))?;
+            let have: &[u8] = self.clusters.get(&index).map_or(&[], Vec::as_slice);
+            let Came { mut bytes, lost } = source.layers(of, layers, have)?;
+            // More may be at hand: budgets bound, and pictures hang on, those alone that were chosen.
+            bytes.truncate(of.bytes_of(layers) as usize);
+            bytes.shrink_to_fit();
             decoded_layers(of, &bytes)?;
-            Ok((index, bytes))
+            Ok((index, bytes, lost))
         });
-        // Clusters that came before an error stay.
-        let found: Vec<(usize, Vec<u8>)> = found.into_iter().flatten().collect();
-        self.streamed.turns += u64::from(has_gone || !found.is_empty());
-        self.clusters.extend(found);
+        let mut has_come = false;
+        // Layers that came before an error stay.
+        for (index, bytes, lost) in found.into_iter().flatten() {
+            ended = lost.map_or(ended, Err);
+            self.fresh.insert(index);
+            self.clusters.insert(index, bytes);
+            has_come = true;
+        }
         self.count(manifest);
+        let has_gone = self.make_room(manifest, &evict, budget);
+        self.streamed.turns += u64::from(has_come || has_gone);
         ended
     }
 }
 
 impl PrtStream {
+    /// Lets layers go, the first ones first, until what is there fits into the budget; whether any went.
+    fn make_room(&mut self, manifest: &Manifest, evict: &[(usize, usize)], budget: Budget) -> bool {
+        let Streamed { mut memory, mut bytes, .. } = self.streamed;
+        let mut has_gone = false;
+        for &(index, layers) in evict {
+            if memory <= budget.memory && bytes <= budget.bytes {
+                break;
+            }
+            let Some(held) = self.clusters.get_mut(&index) else { continue };
+            let of = layers_of(manifest, index);
+            let (before, after) = (held.len() as u64, of.bytes_of(layers).min(held.len() as u64));
+            memory -= rung_memory(of, before) - rung_memory(of, after);
+            bytes -= before - after;
+            held.truncate(after as usize);
+            held.shrink_to_fit();
+            if after == 0 {
+                self.clusters.remove(&index);
+            }
+            has_gone = true;
+        }
+        self.count(manifest);
+        has_gone
+    }
+
     /// Layers to fetch and to let go, of clusters by their number in the manifest.
     fn plan(
         &self,
+        light: &dyn Light,
         lit: &LitScene<'_>,
         viewpoint: Option<Viewpoint>,
         budget: Budget,
         limit: Limit,
-    ) -> Result<Plan> {
+    ) -> Plan {
         let manifest = &lit.scene.manifest;
         let candidates: Vec<Candidate> =
             (0..manifest.clusters.len()).map(|index| self.candidate(layers_of(manifest, index))).collect();
@@ -179,22 +216,15 @@ impl PrtStream {
             && memory <= budget.memory
         {
             let missing = candidates.iter().enumerate().filter(|(_, of)| of.held < of.rungs.len());
-            return Ok(Plan {
+            return Plan {
                 fetch: missing.map(|(index, of)| (index, of.rungs.len())).collect(),
                 evict: Vec::new(),
-            });
+            };
         }
-        let light = self.assembled(lit.scene)?;
-        let settled = light.settled(lit, limit).light;
-        let receivers = &light.transport.receivers;
-        let place = |(slot, position_m): (u32, &Vec4)| Lit {
-            position_m: position_m.truncate(),
-            irradiance: settled.indirect(slot).truncate(),
-        };
-        let places: Vec<Lit> = (0..).zip(&receivers.position_m).map(place).collect();
+        let places = places(light, lit, limit);
         let [low, high] = manifest.bounds_m.map(Vec3::from);
         let steps = by_need(&candidates, &places, viewpoint, low.distance(high));
-        Ok(plan(&candidates, &steps, budget))
+        plan(&candidates, &steps, budget)
     }
 
     fn candidate(&self, of: Layers<'_>) -> Candidate {
@@ -206,14 +236,29 @@ impl PrtStream {
             };
             Rung { bytes, memory: rung_memory(of, bytes), left }
         };
-        let held = self.clusters.get(&of.cluster).and_then(|bytes| of.within(bytes.len() as u64));
+        let held =
+            self.clusters.get(&of.cluster).and_then(|bytes| of.within(bytes.len() as u64)).unwrap_or(0);
         Candidate {
             bounds_m: of.row.bounds_m.map(Vec3::from),
             receivers: of.row.receivers,
             rungs: (1..=of.count()).map(rung).collect(),
-            held: held.unwrap_or(0),
+            held,
+            kept: if self.fresh.contains(&of.cluster) { held } else { 0 },
         }
     }
+}
+
+/// Light of receivers, but for direct light.
+fn places(light: &dyn Light, lit: &LitScene<'_>, limit: Limit) -> Vec<Lit> {
+    let Some((settled, lightmap)) = light.at_receivers(lit, limit).zip(light.lightmap(lit.scene)) else {
+        return Vec::new();
+    };
+    let ReceiverLight { emit, indirect, .. } = settled.light;
+    let place = |((position_m, emit), indirect): ((&Vec4, Vec4), Vec4)| Lit {
+        position_m: position_m.truncate(),
+        irradiance: (emit + indirect).truncate(),
+    };
+    lightmap.receivers.position_m.iter().zip(emit).zip(indirect).map(place).collect()
 }
 
 /// A cluster of a manifest, whose directory has a row for each chunk.
@@ -363,6 +408,33 @@ mod tests {
         let too_few = Budget { memory: least - 1, ..Budget::NONE };
         let error = StreamedBake::begin(&source, &kinds::all(), too_few).err().unwrap().to_string();
         assert!(error.contains(&least.to_string()), "{error}");
+    }
+
+    #[test]
+    fn as_many_clusters_go_as_room_is_needed_for_and_those_that_came_for_the_view_are_kept() {
+        let folder = tempfile::tempdir().unwrap();
+        let (source, streamed) = streamed(folder.path());
+        let scene = &streamed.bake.scene;
+        let manifest = &scene.manifest;
+        let mut stream = PrtStream::begin(&source, scene).unwrap();
+        for (index, chunk) in manifest.chunks(CLUSTERS).iter().enumerate() {
+            stream.clusters.insert(index, source.chunk(chunk).unwrap());
+        }
+        stream.count(manifest);
+        let all = stream.streamed;
+        let evict = [(2, 0), (4, 0)];
+        let of_memory = |memory| Budget { memory, ..Budget::NONE };
+        // As where a server was lost before anything came.
+        assert!(!stream.make_room(manifest, &evict, of_memory(all.memory)));
+        assert_eq!(stream.streamed, all);
+        assert!(stream.make_room(manifest, &evict, of_memory(all.memory - 1)));
+        assert_eq!(stream.clusters.keys().copied().collect::<Vec<usize>>(), [0, 1, 3, 4, 5, 6]);
+        assert_eq!(stream.streamed.bytes, all.bytes - manifest.chunks(CLUSTERS)[2].bytes);
+        stream.fresh.insert(1);
+        let kept = |stream: &PrtStream, index: usize| stream.candidate(layers_of(manifest, index)).kept;
+        assert_eq!([0, 1].map(|index| kept(&stream, index)), [0, layers_of(manifest, 1).count()]);
+        stream.change_view();
+        assert_eq!(kept(&stream, 1), 0);
     }
 
     #[test]

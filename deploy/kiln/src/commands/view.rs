@@ -28,8 +28,8 @@ pub struct Arguments {
     /// as of 'kiln preview'; may be given often
     #[arg(long, value_name = "OBJECT", value_parser = parse_object, help_heading = "Picture")]
     object: Vec<ObjectArgument>,
-    /// Lets light take at most so much memory, e.g. 200M: clusters that the view needs least go back to fewer layers, or to the
-    /// overview, and come again when it needs them [default: as much as all of it takes]
+    /// Lets light take at most so much memory, about, as the bake's directory tells it, e.g. 200M: clusters that the view needs least
+    /// go back to fewer layers, or to the overview, and come again when it needs them [default: as much as all of it takes]
     #[arg(long, value_name = "BYTES", value_parser = parse_bytes, help_heading = "Picture")]
     max_memory: Option<u64>,
     /// Shows errors at first, of a file that 'kiln evaluate --dump' wrote: each texel as the nearest measured place, red where light is

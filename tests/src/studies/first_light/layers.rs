@@ -122,6 +122,7 @@ impl Whole {
                     receivers: of.row.receivers,
                     rungs: (from..=of.count()).map(rung).collect(),
                     held: 0,
+                    kept: 0,
                 }
             })
             .collect();

@@ -242,6 +242,7 @@ impl Whole {
                 receivers: row.receivers,
                 rungs: vec![Rung { bytes: chunk.bytes, memory: 0, left: 0.0 }],
                 held: 0,
+                kept: 0,
             })
             .collect();
         let places: Vec<Place> = coarse
