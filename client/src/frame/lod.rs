@@ -34,13 +34,9 @@ impl Frame<'_> {
     }
 
     /// The last change by a bounce that was heard of, since lights changed; 0 for a kind without feedback. In some detail, that by
-    /// bounces in which each cluster takes part once.
+    /// bounces in which each cluster takes part once at least; and by those between, where an adapter that is behind left answers out.
     pub fn change(&self) -> Option<f32> {
-        if self.change.is_none() {
-            Some(0.0)
-        } else {
-            self.bounces.changes[..self.cycle()].iter().copied().sum()
-        }
+        if self.change.is_none() { Some(0.0) } else { self.bounces.change(self.cycle()) }
     }
 
     /// Plans the detail of each cluster for the eye: light changes wherever the eye has moved.
@@ -58,8 +54,8 @@ impl Frame<'_> {
     }
 
     /// Bounces in which each cluster takes part once at least.
-    pub(super) fn cycle(&self) -> usize {
-        self.lod_plan.as_ref().map_or(1, |plan| plan.cycle() as usize)
+    pub(super) fn cycle(&self) -> u64 {
+        self.lod_plan.as_ref().map_or(1, |plan| u64::from(plan.cycle()))
     }
 }
 
