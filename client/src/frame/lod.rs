@@ -1,6 +1,5 @@
 //! Level of detail of a frame: planned again as the eye moves.
 
-use glam::Vec3;
 use lightkiln_proto::relight::{LOD_LEVELS, LevelCount, Lod, LodEye, LodTable};
 use lightkiln_proto::scene::SceneCamera;
 
@@ -78,11 +77,10 @@ pub(crate) fn lod_eye(bake: &LoadedBake, camera: &SceneCamera, size: [u32; 2]) -
     let eye = eye_of(camera)?;
     let [width, height] = size.map(|side| side.max(1) as f32);
     let to_corner = (0.5 * camera.fov_y_rad).tan() * (width / height).hypot(1.0);
-    let [low, high] = bake.scene.manifest.bounds_m.map(Vec3::from);
     Some(LodEye {
         position_m: eye.position_m,
         forward: eye.forward,
         view_cos: 1.0 / to_corner.hypot(1.0),
-        diagonal_m: low.distance(high),
+        diagonal_m: bake.scene.diagonal_m(),
     })
 }

@@ -21,9 +21,9 @@ const SETTINGS: [&str; 6] = [
     "level0=0,0,all,0,1 level1=0.3,1,16,1,1 level2=0.5,1,8,2,2 level3=0.7,1,8,3,4",
     "level0=0,1,8,0,2",
     "level0=0,0,all,3,1 level1=0,0,all,3,1 level2=0,0,all,3,1 level3=0,0,all,3,1 blend=0",
-    "level0=0,0,all,0,1 level1=2.5m,0,all,2,1 level2=inf,0,all,2,1 level3=inf,0,all,2,1 blend=1 beside=3 behind=9",
-    "level0=0,0,all,0,4 level1=0.4,0,16,1,4 level2=inf,0,16,1,4 level3=inf,0,16,1,4 blend=0.4",
-    "level0=0,0,24,1,16 level1=0.5,1,16,1,16 level2=inf,1,16,2,16 level3=inf,1,16,2,16",
+    "level0=0,0,all,0,1 level1=2.5m,0,all,2,1 blend=1 beside=3 behind=9",
+    "level0=0,0,all,0,4 level1=0.4,0,16,1,4 blend=0.4",
+    "level0=0,0,24,1,16 level1=0.5,1,16,1,16",
 ];
 
 fn room() -> FrameRoom {
