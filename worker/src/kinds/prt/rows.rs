@@ -338,6 +338,7 @@ mod tests {
 
     #[test]
     fn rows_that_no_task_leaves_are_refused() {
+        type Harm = fn(&mut KeptRow);
         let limits = RowLimits { receivers: 2, emitters: 1, rays: 16, near_hits: 1, sky_parts: 4 };
         let near = KeptNear {
             block: 0,
@@ -363,7 +364,7 @@ mod tests {
         };
         assert_eq!(decoded(&[good.clone(), good.clone()]).unwrap().rows, [good.clone(), good.clone()]);
         assert!(decoded(std::slice::from_ref(&good)).is_err(), "a row too few");
-        let hostile: [(&str, fn(&mut KeptRow)); 13] = [
+        let hostile: [(&str, Harm); 13] = [
             ("a leaf without a count", |row| row.leaves.steps.push(1)),
             ("a count without a part of the sky", |row| row.sky.odd_even.push([0; 2])),
             ("a hit more than rays", |row| row.leaves.odd_even[0][0] += 1),
