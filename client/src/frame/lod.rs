@@ -1,6 +1,5 @@
 //! Level of detail of a frame: planned again as the eye moves.
 
-use glam::Vec3;
 use lightkiln_proto::relight::{LOD_LEVELS, LevelCount, Lod, LodEye, LodTable};
 use lightkiln_proto::scene::SceneCamera;
 
@@ -34,13 +33,9 @@ impl Frame<'_> {
     }
 
     /// The last change by a bounce that was heard of, since lights changed; 0 for a kind without feedback. In some detail, that by
-    /// bounces in which each cluster takes part once.
+    /// bounces in which each cluster takes part once at least; and by those between, where an adapter that is behind left answers out.
     pub fn change(&self) -> Option<f32> {
-        if self.change.is_none() {
-            Some(0.0)
-        } else {
-            self.bounces.changes[..self.cycle()].iter().copied().sum()
-        }
+        if self.change.is_none() { Some(0.0) } else { self.bounces.change(self.cycle()) }
     }
 
     /// Plans the detail of each cluster for the eye: light changes wherever the eye has moved.
@@ -58,8 +53,8 @@ impl Frame<'_> {
     }
 
     /// Bounces in which each cluster takes part once at least.
-    pub(super) fn cycle(&self) -> usize {
-        self.lod_plan.as_ref().map_or(1, |plan| plan.cycle() as usize)
+    pub(super) fn cycle(&self) -> u64 {
+        self.lod_plan.as_ref().map_or(1, |plan| u64::from(plan.cycle()))
     }
 }
 
@@ -82,11 +77,10 @@ pub(crate) fn lod_eye(bake: &LoadedBake, camera: &SceneCamera, size: [u32; 2]) -
     let eye = eye_of(camera)?;
     let [width, height] = size.map(|side| side.max(1) as f32);
     let to_corner = (0.5 * camera.fov_y_rad).tan() * (width / height).hypot(1.0);
-    let [low, high] = bake.scene.manifest.bounds_m.map(Vec3::from);
     Some(LodEye {
         position_m: eye.position_m,
         forward: eye.forward,
         view_cos: 1.0 / to_corner.hypot(1.0),
-        diagonal_m: low.distance(high),
+        diagonal_m: bake.scene.diagonal_m(),
     })
 }

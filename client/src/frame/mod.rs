@@ -13,6 +13,7 @@
 //! Bounces go on from the light that there is: after a small change a few are enough. Whoever shows frames paces them, as a window
 //! does: an adapter that is slower than the caller falls behind.
 
+mod bounces;
 mod held;
 mod lod;
 mod objects;
@@ -23,7 +24,7 @@ mod tests;
 use std::sync::Arc;
 
 use glam::{Vec3, Vec4};
-use lightkiln_proto::relight::{Limit, Lod, LodPlan, MAX_INTERVAL};
+use lightkiln_proto::relight::{Limit, Lod, LodPlan};
 use lightkiln_proto::scene::{SceneCamera, SceneLight};
 
 use crate::bake::{
@@ -40,6 +41,7 @@ use crate::passes::stopwatch::Stopwatch;
 use crate::picture::PassTime;
 use crate::scene::{Recolour, Stance, Tints, bounds_of};
 
+use bounces::Bounces;
 pub use held::Held;
 pub(crate) use lod::{check_lod, lod_eye, lod_table};
 
@@ -103,16 +105,6 @@ struct Stale {
     light: bool,
     /// Irradiance of the last bounce as shading reads it.
     pages: bool,
-}
-
-/// Bounces since the last change.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-struct Bounces {
-    count: u32,
-    /// Call of the first of them: answers before it are of other light.
-    first_call: u64,
-    /// The last change that was heard of, by the turn among those in which each cluster takes part once.
-    changes: [Option<f32>; MAX_INTERVAL as usize],
 }
 
 impl<'a> Frame<'a> {
@@ -269,10 +261,7 @@ impl<'a> Frame<'a> {
             self.light.bounce(encoder);
         });
         let call = change.ask(&self.gpu, &mut self.watch);
-        if self.bounces.count == 0 {
-            self.bounces.first_call = call;
-        }
-        self.bounces.count += 1;
+        self.bounces.add(call);
         self.stale.pages = true;
         self.hear(false)?;
         Ok(self.bounces.count)
@@ -451,13 +440,11 @@ impl<'a> Frame<'a> {
         let Some(change) = &mut self.change else { return Ok(()) };
         let answers = change.answers(&self.gpu, waits)?;
         self.watch.hear(&self.gpu)?;
+        let cycle = self.cycle();
         for answer in answers {
             // Light that is no number stays none.
             self.stale.light |= !answer.change.is_finite();
-            if answer.call >= self.bounces.first_call {
-                let turn = answer.call % self.cycle() as u64;
-                self.bounces.changes[turn as usize] = Some(answer.change);
-            }
+            self.bounces.hear(answer, cycle);
         }
         Ok(())
     }

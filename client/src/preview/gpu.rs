@@ -51,8 +51,10 @@ fn set(frame: &mut Frame<'_>, view: &View) -> Result<()> {
     frame.set_sky(view.panorama.as_ref())?;
     frame.set_emitters(&view.emitter_scale)?;
     frame.set_objects(&view.objects)?;
-    frame.set_lod(view.lod)?;
-    frame.set_camera(view.camera.clone())
+    // A plan of the picture before would keep levels within their margin: each has its own, as the processor's.
+    frame.set_lod(None)?;
+    frame.set_camera(view.camera.clone())?;
+    frame.set_lod(view.lod)
 }
 
 /// A frame with room for a view and no more, under its lights.

@@ -9,6 +9,7 @@ mod texture;
 
 use std::sync::Arc;
 
+use glam::Vec3;
 use lightkiln_proto::content::Geometry;
 use lightkiln_proto::manifest::{Glass, Manifest};
 
@@ -61,6 +62,12 @@ impl LoadedScene {
         check_textures(&manifest, textures.len())?;
         let textures = textures.into_iter().map(Arc::new).collect();
         Ok(Self { manifest, draws, textures, lightmap, warnings, objects: Vec::new() })
+    }
+
+    /// Longest way through the scene's bounds in metres.
+    pub fn diagonal_m(&self) -> f32 {
+        let [low, high] = self.manifest.bounds_m.map(Vec3::from);
+        low.distance(high)
     }
 
     /// The glass that a mesh is of, if it is.

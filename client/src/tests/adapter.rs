@@ -300,10 +300,21 @@ fn change_agrees_with_the_reference() {
             assert_eq!(wanted > 0.0, scale > 0.0 && count > 0);
             before = now;
         }
-        // More calls than there are landings: the last have no answer, and the next has one again.
-        let calls: Vec<u64> = (0..5).map(|_| pass.ask(&gpu, &mut watch)).collect();
-        let answered: Vec<u64> = pass.answers(&gpu, true).unwrap().iter().map(|answer| answer.call).collect();
-        assert_eq!(answered, calls[..3]);
+        // More calls than there are landings: the last have no answer, and the next tells of them too.
+        let mut calls: Vec<u64> = (0..3).map(|_| pass.ask(&gpu, &mut watch)).collect();
+        let now = noise(count, 4);
+        gpu.write(&e_ind, &now);
+        calls.extend((0..2).map(|_| pass.ask(&gpu, &mut watch)));
+        assert_eq!(calls, [4, 5, 6, 7, 8]);
+        let answers = pass.answers(&gpu, true).unwrap();
+        let answered: Vec<[u64; 2]> = answers.iter().map(|answer| [answer.since, answer.call]).collect();
+        assert_eq!(answered, [[3, 4], [4, 5], [5, 6]]);
+        assert!(answers.iter().all(|answer| answer.change == 0.0));
+        assert_eq!(pass.ask(&gpu, &mut watch), 9);
+        let [answer] = pass.answers(&gpu, true).unwrap()[..] else { panic!("one answer") };
+        let wanted = change::reference::change(&before, &now);
+        assert_eq!((answer.since, answer.call, wanted > 0.0), (6, 9, count > 0));
+        assert!((answer.change - wanted).abs() <= change::TOLERANCE * wanted);
         gpu.write(&e_ind, &vec![Vec4::splat(f32::NAN); count]);
         let call = pass.ask(&gpu, &mut watch);
         let [answer] = pass.answers(&gpu, true).unwrap()[..] else { panic!("one answer") };

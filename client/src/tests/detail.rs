@@ -7,23 +7,23 @@ use lightkiln_proto::words::lod_from_text;
 use super::{prepared, view_of};
 use crate::bake::{LoadedBake, Overlay};
 use crate::fixture;
-use crate::frame::{Frame, FrameRoom};
+use crate::frame::{Frame, FrameRoom, lod_eye};
 use crate::lights::parse_light;
 use crate::passes::compare::Difference;
 use crate::passes::gpu::Gpu;
 use crate::passes::lod;
 use crate::passes::shadow::ShadowRoom;
 use crate::passes::shadow::reference::draw;
-use crate::preview::View;
+use crate::preview::{Backend, View, ViewPath, render_path};
 
 /// Levels that meet within the fixture's room, each of them otherwise.
 const SETTINGS: [&str; 6] = [
     "level0=0,0,all,0,1 level1=0.3,1,16,1,1 level2=0.5,1,8,2,2 level3=0.7,1,8,3,4",
     "level0=0,1,8,0,2",
     "level0=0,0,all,3,1 level1=0,0,all,3,1 level2=0,0,all,3,1 level3=0,0,all,3,1 blend=0",
-    "level0=0,0,all,0,1 level1=2.5m,0,all,2,1 level2=inf,0,all,2,1 level3=inf,0,all,2,1 blend=1 beside=3 behind=9",
-    "level0=0,0,all,0,4 level1=0.4,0,16,1,4 level2=inf,0,16,1,4 level3=inf,0,16,1,4 blend=0.4",
-    "level0=0,0,24,1,16 level1=0.5,1,16,1,16 level2=inf,1,16,2,16 level3=inf,1,16,2,16",
+    "level0=0,0,all,0,1 level1=2.5m,0,all,2,1 blend=1 beside=3 behind=9",
+    "level0=0,0,all,0,4 level1=0.4,0,16,1,4 blend=0.4",
+    "level0=0,0,24,1,16 level1=0.5,1,16,1,16",
 ];
 
 fn room() -> FrameRoom {
@@ -142,6 +142,41 @@ fn adapter_settles_in_detail_where_it_does_without_turns() {
         let difference = Difference::of(&settled(interval), &wanted, 1e-4);
         assert!(difference.agrees(0.0), "{difference}");
     }
+}
+
+/// On the adapter too, which keeps a frame from picture to picture, and a plan as long as an eye moves on.
+#[test]
+#[ignore = "needs a graphics adapter"]
+fn adapter_plans_each_picture_of_a_path_for_its_own_eye() {
+    let bake = fixture::prt_bake(&fixture::narrow_contents());
+    let lod = lod_from_text("level1=0.5,1,all,1,1 margin=1").unwrap();
+    let base = View { lod: Some(lod), ..view_of(&bake) };
+    let key = |picture: u32, z: f32| {
+        let camera = format!("eye=2,1.5,{z} target=2,1.5,4 fov=60");
+        serde_json::json!({ "picture": picture, "camera": camera })
+    };
+    let keys = serde_json::json!({ "keys": [key(1, -1.0), key(5, -9.0)] });
+    let path = ViewPath::parse(keys.to_string().as_bytes()).unwrap();
+    let counts = |backend: Backend| {
+        let mut counts = Vec::new();
+        render_path(&bake, &path, &base, backend, |_, picture| {
+            counts.push(picture.lod.unwrap());
+            Ok(())
+        })
+        .unwrap();
+        counts
+    };
+    let [got, wanted] = [Backend::Gpu, Backend::Cpu].map(counts);
+    assert_eq!((got.len(), &got), (5, &wanted));
+    // Plans that know of each other would keep the first levels for longer.
+    let mut before = None;
+    let kept = (1..=5).map(|picture| {
+        let view = path.view(picture, &base);
+        let eye = lod_eye(&bake, &view.camera, [view.width, view.height]).unwrap();
+        before = bake.light.plan_lod(&lod, eye, before.as_ref());
+        bake.light.count_lod(before.as_ref().unwrap()).unwrap()
+    });
+    assert_ne!(kept.collect::<Vec<_>>(), wanted);
 }
 
 #[test]

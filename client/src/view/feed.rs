@@ -158,6 +158,10 @@ fn fetch(
         if streamed != before {
             step = budget.step;
             let bake = Arc::clone(&stream.bake);
+            if view.lod.is_some() {
+                // Made here, so that the window has not to wait for it.
+                let _ = bake.light.lod_table();
+            }
             if sender.send(Ok(Piece { bake, streamed })).is_err() {
                 return;
             }

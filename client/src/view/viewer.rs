@@ -464,6 +464,5 @@ impl Viewer {
 }
 
 fn diagonal_of(bake: &LoadedBake) -> f32 {
-    let [low, high] = bake.scene.manifest.bounds_m.map(Vec3::from);
-    low.distance(high).max(f32::MIN_POSITIVE)
+    bake.scene.diagonal_m().max(f32::MIN_POSITIVE)
 }

@@ -42,24 +42,23 @@ export class ChangePass {
 
   /**
    * Runs the pass, and calls `heard` with the relative change when it is known: 0 when both are black, no finite number where
-   * light is none. Where too many answers are under way, there is none for this call.
+   * light is none. Where too many answers are under way it does not run: the next one spans this call too.
    */
   ask(heard) {
     const landing = this.#free.pop();
+    if (!landing) {
+      return;
+    }
     this.gpu.submit((encoder) => {
       const pass = encoder.beginComputePass();
       this.steps.forEach((step) => dispatch(pass, step));
       pass.end();
-      if (landing) {
-        encoder.copyBufferToBuffer(this.result, 0, landing, 0, ANSWER_BYTES);
-      }
+      encoder.copyBufferToBuffer(this.result, 0, landing, 0, ANSWER_BYTES);
     });
-    if (landing) {
-      const answer = this.#answer(landing, heard).finally(() => this.#underWay.delete(answer));
-      this.#underWay.add(answer);
-      // Callers of `idle` hear of a lost device; others need not.
-      answer.catch(() => {});
-    }
+    const answer = this.#answer(landing, heard).finally(() => this.#underWay.delete(answer));
+    this.#underWay.add(answer);
+    // Callers of `idle` hear of a lost device; others need not.
+    answer.catch(() => {});
   }
 
   /** Waits for all answers that are under way. */

@@ -70,14 +70,16 @@ function wordsOfColumns(numbers, columns, rank) {
 }
 
 /**
- * ΣVᵀ of so many columns and ranks, `numbers` rank-major: words, the order in which its columns stand, those that need the most
- * words first, of these those of the highest levels, and how it is packed.
+ * ΣVᵀ of so many columns and ranks, `numbers` rank-major: words, the order in which its columns stand, those of the widest class
+ * first, of these those of the highest levels, and how it is packed.
  */
 export function packVt(numbers, levels, rank) {
   const columns = levels.length;
   const needed = wordsOfColumns(numbers, columns, rank);
   const order = Uint32Array.from({ length: columns }, (_, column) => column);
-  order.sort((a, b) => needed[b] - needed[a] || levels[b] - levels[a] || a - b);
+  // Columns of 16 bits and of f32 are one class.
+  const classOf = (column) => Math.min(needed[column], OF_16);
+  order.sort((a, b) => classOf(b) - classOf(a) || levels[b] - levels[a] || a - b);
   const widest = needed.reduce((most, words) => Math.max(most, words), OF_4);
   const wideWords = Math.max(widest, OF_16);
   let wide = 0;

@@ -137,7 +137,7 @@ impl LookArguments {
         let ParsedLights { lights, emitter_scale } = parse_lights(&self.light)?;
         let own = (!self.light.is_empty()).then_some(lights);
         let own = own.or_else(|| Some(path?.first_lights()?.to_vec()));
-        let (mut view, notes) = View::of_bake(bake, camera, own)?;
+        let (mut view, mut notes) = View::of_bake(bake, camera, own)?;
         let scale = lighting.emitter_scale(emitter_scale.unwrap_or(1.0));
         view.emitter_scale = vec![scale; bake.scene.manifest.emitters.len()];
         view.lights = lighting.rest(view.lights);
@@ -146,6 +146,7 @@ impl LookArguments {
         view.tone = self.tone.into();
         view.exposure = Exposure::Auto { stops: self.exposure };
         view.lod = self.lod;
+        notes.extend(self.lod.iter().flat_map(|lod| lod.notes(bake.scene.diagonal_m())));
         Ok((view, notes))
     }
 

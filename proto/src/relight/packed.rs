@@ -106,16 +106,17 @@ fn words_of_column(rank: usize, number: impl Fn(usize) -> f32) -> usize {
     (0..rank).map(|i| words_for(number(i))).max().unwrap_or(OF_4)
 }
 
-/// Order in which the columns of ΣVᵀ are packed: those that need the most words first, of these those of the highest levels, so that a
-/// level of detail reads the first of each class.
+/// Order in which the columns of ΣVᵀ are packed: those of the widest class first, of these those of the highest levels, so that
+/// a level of detail reads the first of each class.
 pub fn column_order(
     [columns, rank]: [usize; 2],
     levels: &[u8],
     number: impl Fn(usize, usize) -> f32,
 ) -> Vec<usize> {
-    let needed = |column: &usize| words_of_column(rank, |i| number(i, *column));
+    // Columns of 16 bits and of f32 are one class.
+    let class = |column: &usize| words_of_column(rank, |i| number(i, *column)).min(OF_16);
     let mut order: Vec<usize> = (0..columns).collect();
-    order.sort_by_cached_key(|column| std::cmp::Reverse((needed(column), levels[*column])));
+    order.sort_by_cached_key(|column| std::cmp::Reverse((class(column), levels[*column])));
     order
 }
 
@@ -219,6 +220,25 @@ mod tests {
         }
         assert_eq!(number_of(0.3, 1.0, 1.0), 0.3);
         assert_eq!([step_of(&[0.0, 2.0], 0), step_of(&[0.0, 2.0], 1), step_of(&[], 0)], [1.0, 2.0, 1.0]);
+    }
+
+    #[test]
+    fn levels_fall_within_each_class_though_wide_columns_need_16_bits_or_f32() {
+        let numbers = [0.5_f32, 300.0, 0.25, 200.0, 20.0, 30.0, 1.0, 2.0];
+        let levels = [2_u8, 9, 5, 0, 3, 4, 1, 7];
+        let order = column_order([numbers.len(), 1], &levels, |_, column| numbers[column]);
+        assert_eq!(order, [1, 2, 0, 3, 5, 4, 7, 6]);
+        let mut words = Vec::new();
+        let vt = pack_vt(&mut words, [numbers.len(), 1], |_, column| numbers[order[column]]);
+        assert_eq!((vt.wide, vt.wide_words, vt.bytes), (4, OF_F32, 2));
+        let cluster = Cluster { rank: 1, column_count: numbers.len(), vt, ..Cluster::default() };
+        for class in cluster.classes() {
+            let of_class: Vec<u8> = order[class].iter().map(|column| levels[*column]).collect();
+            assert!(of_class.is_sorted_by(|a, b| a >= b), "{of_class:?}");
+        }
+        for (column, of) in order.iter().enumerate() {
+            assert_eq!(cluster.vt_numbers(&words, 0, column)[0], numbers[*of]);
+        }
     }
 
     #[test]

@@ -6,7 +6,8 @@ use crate::relight::{LOD_LEVELS, Lod, LodDistance, LodLevel, MAX_RANK};
 const LOD: &str = "fine|balanced|coarse [level1=distance,columns,rank,receivers,interval (distance in scene diagonals, or metres as 20m)] \
                    [level2=…] [level3=…] [level0=…] [beside=f] [behind=f] [blend=share] [margin=share]";
 
-/// Reads a preset's name, words that change it, or both; words alone begin with the most detail everywhere.
+/// Reads a preset's name, words that change it, or both; words alone begin with the most detail everywhere. Levels that are not
+/// named and begin nowhere have the receivers of the one before.
 pub fn lod_from_text(text: &str) -> Result<Lod, WordsError> {
     let mut rest = text.split_whitespace().peekable();
     let preset = rest.peek().and_then(|word| Lod::preset(word));
@@ -15,11 +16,15 @@ pub fn lod_from_text(text: &str) -> Result<Lod, WordsError> {
         rest.next();
     }
     let mut words = Words::from_text(rest, LOD)?;
+    let mut receivers = 0;
     for (index, level) in lod.levels.iter_mut().enumerate() {
         let key = format!("level{index}");
         if let Some((_, value)) = words.take(&[&key]) {
             *level = level_from(&value).ok_or_else(|| words.wrong(format!("'{key}={value}' is no level")))?;
+        } else if level.distance == LodDistance::NOWHERE {
+            level.receivers = receivers;
         }
+        receivers = level.receivers;
     }
     let factors: [(&str, &mut f32); 4] = [
         ("beside", &mut lod.beside),
@@ -87,8 +92,28 @@ mod tests {
         assert_eq!(changed.levels[2].distance, LodDistance::Metres(20.0));
         assert_eq!((changed.levels[2].rank, changed.behind, changed.beside), (256, 8.0, 2.0));
         assert_eq!(lod_from_text(&lod_to_text(&changed)), Ok(changed));
-        let words = lod_from_text("level1=0.5,3,16,1,2 level2=inf,3,16,1,2 level3=inf,3,16,1,2").unwrap();
-        assert_eq!(lod_from_text(&lod_to_text(&words)), Ok(words));
+        for text in ["level1=0.5,3,16,1,2", "level2=20m,3,16,3,2", "level0=0,3,16,2,1"] {
+            let words = lod_from_text(text).unwrap();
+            assert_eq!(lod_from_text(&lod_to_text(&words)), Ok(words), "{text}");
+        }
+        let words = lod_from_text("level1=0.5,3,16,1,2 level3=inf,3,16,2,2").unwrap();
+        assert_eq!(words.levels.map(|level| level.receivers), [0, 1, 1, 2]);
+    }
+
+    #[test]
+    fn levels_that_would_begin_before_the_one_before_are_told_of() {
+        let notes = |text: &str, diagonal_m| lod_from_text(text).unwrap().notes(diagonal_m);
+        let small = notes("balanced level1=20m,3,16,1,2", 10.0);
+        assert_eq!(small.len(), 2, "{small:?}");
+        assert!(small[0].contains("level 2") && small[0].contains("2.5 m") && small[0].contains("20.0 m"));
+        assert!(small[1].contains("level 3"), "{small:?}");
+        assert_eq!(notes("balanced level1=20m,3,16,1,2", 100.0), [""; 0]);
+        for diagonal_m in [0.01, 1.0, 1e4] {
+            for text in ["balanced level1=0.2,3,16,1,2", "fine", "balanced", "coarse", "level1=20m,3,16,1,2"]
+            {
+                assert_eq!(notes(text, diagonal_m), [""; 0], "{text} in {diagonal_m} m");
+            }
+        }
     }
 
     #[test]

@@ -20,6 +20,10 @@ fn main() -> Result<()> {
     let lights: Vec<String> = lights.split(';').map(|light| light.trim().to_owned()).collect();
     let view = stage.view(camera, &lights)?;
     println!("{}\n", stage.adapter());
+    if let Some([with, all]) = stage.stand_ins() {
+        let share = 100.0 * with as f64 / all.max(1) as f64;
+        println!("{with} of {all} receivers have stand-ins ({share:.1} %)\n");
+    }
     match what.as_str() {
         "pictures" => {
             let folder = env::var_os("KILN_KEEP_PICTURES").map(PathBuf::from);
@@ -41,10 +45,10 @@ fn print(found: &[Found]) {
     for row in found {
         let Found { name, bounce_ms, error, energy, ssim, .. } = row;
         let receivers = row.receivers().map_or("all".to_owned(), |[computed, _]| computed.to_string());
-        let numbers = row.numbers().map_or("all".to_owned(), |share| format!("{:.0} %", 100.0 * share));
-        let processor = row.processor_ms.map_or("-".to_owned(), |ms| format!("{ms:.0} ms"));
+        let numbers = row.numbers().map_or("all".to_owned(), |share| format!("{:.1} %", 100.0 * share));
+        let processor = row.processor_ms.map_or("-".to_owned(), |ms| format!("{ms:.1} ms"));
         println!(
-            "| {name} | {receivers} | {numbers} | {bounce_ms:.0} ms | {processor} | {:.2} | {ssim:.4} | {:.2} % | {energy:.3} |",
+            "| {name} | {receivers} | {numbers} | {bounce_ms:.1} ms | {processor} | {:.2} | {ssim:.4} | {:.2} % | {energy:.3} |",
             all_ms / cost_ms(row),
             100.0 * error
         );
@@ -52,10 +56,20 @@ fn print(found: &[Found]) {
 }
 
 fn print_moved(found: &[Moved]) {
-    println!("| | change from frame to frame | over that with all detail | largest |");
-    println!("|---|---|---|---|");
-    let all = found.first().map_or(1.0, |all| all.change);
-    for Moved { name, change, change_max } in found {
-        println!("| {name} | {:.4} % | {:.4} | {:.3} % |", 100.0 * change, change / all, 100.0 * change_max);
+    println!(
+        "| | pixels change from frame to frame | over that with all detail | largest | E_ind changes | over that with all detail | largest |"
+    );
+    println!("|---|---|---|---|---|---|---|");
+    let [all, all_indirect] = found.first().map_or([1.0; 2], |all| [all.change, all.indirect]);
+    for Moved { name, change, change_max, indirect, indirect_max } in found {
+        println!(
+            "| {name} | {:.4} % | {:.4} | {:.3} % | {:.4} % | {:.4} | {:.3} % |",
+            100.0 * change,
+            change / all,
+            100.0 * change_max,
+            100.0 * indirect,
+            indirect / all_indirect,
+            100.0 * indirect_max
+        );
     }
 }

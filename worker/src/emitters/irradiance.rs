@@ -91,6 +91,11 @@ impl EmitterSet {
         set
     }
 
+    /// Emitters: materials that emit.
+    pub fn count(&self) -> usize {
+        self.radiance.len()
+    }
+
     /// Nothing emits.
     pub fn is_empty(&self) -> bool {
         self.triangles.is_empty()

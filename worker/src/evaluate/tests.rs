@@ -315,7 +315,7 @@ fn light_everywhere_leaks_into_shadows_no_light_is_acne_and_exact_light_is_neith
     // Lit ones stand for more area.
     let weighted: Vec<(Site, f64)> = sites.iter().map(|site| (*site, 0.5 + 2.0 * is_lit(site))).collect();
     let shares = |share: &(dyn Fn(&Site) -> f64 + Sync)| {
-        DirectShares::of(&weighted, &ShownShare { lamp_m, share }, &reference)
+        DirectShares::of(&weighted, &ShownShare { lamp_m, share }, &reference).0
     };
     let total: f64 = weighted.iter().map(|(_, weight)| weight).sum();
     let lit = weighted.iter().map(|(site, weight)| weight * is_lit(site)).sum::<f64>() / total;

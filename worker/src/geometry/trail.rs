@@ -12,9 +12,11 @@ use serde::{Deserialize, Serialize};
 use super::bits::Bits;
 use super::lattice::cell_of;
 
-/// Cells along the longest side of a scene, at least half as many. More → fewer rays that cross a changed cell and miss the
-/// change, more to mark and to keep.
+/// Cells along the longest side of a scene, at least half as many unless there are too many in all. More → fewer rays that cross
+/// a changed cell and miss the change, more to mark and to keep.
 const CELLS_ALONG: f32 = 64.0;
+/// Most cells of a grid. More → as above; and in open scenes as tall as wide tasks read more than a record may name.
+const CELLS_MAX: usize = 1 << 15;
 /// By how much of its side a cell is wider than the grid says, when things are put in it: far above the rounding of a ray's
 /// way through the grid.
 pub const SLACK: f32 = 1.0 / 64.0;
@@ -41,9 +43,16 @@ impl Grid {
         while cell_m * 0.5 * CELLS_ALONG >= extent_m && cell_m * 0.5 >= least_m {
             cell_m *= 0.5;
         }
-        let slack = Vec3::splat(cell_m * SLACK);
-        let low = cell_of(low_m - slack, cell_m);
-        Self { cell_m, low, size: cell_of(high_m + slack, cell_m) - low + 1 }
+        let of_side = |cell_m: f32| {
+            let slack = Vec3::splat(cell_m * SLACK);
+            let low = cell_of(low_m - slack, cell_m);
+            Self { cell_m, low, size: cell_of(high_m + slack, cell_m) - low + 1 }
+        };
+        let mut grid = of_side(cell_m);
+        while grid.len() > CELLS_MAX {
+            grid = of_side(2.0 * grid.cell_m);
+        }
+        grid
     }
 
     /// How many cells there are.
@@ -261,6 +270,17 @@ mod tests {
                 assert!(met.iter().any(|cell| crossed.contains(cell)), "{at_m}");
             }
         }
+    }
+
+    #[test]
+    fn grid_of_a_tall_scene_has_wider_cells_and_that_of_a_flat_one_as_many_along_it() {
+        let of = |x: f32, y: f32, z: f32| Grid::over([Vec3::ZERO, Vec3::new(x, y, z)], 0.01);
+        let [flat, tall] = [of(64.0, 4.0, 64.0), of(64.0, 64.0, 64.0)];
+        assert_eq!((flat.cell_m, flat.size), (1.0, IVec3::new(66, 6, 66)));
+        assert_eq!((tall.cell_m, tall.size), (4.0, IVec3::splat(18)), "34³ cells of 2 m are too many");
+        let tower = of(16.0, 64.0, 16.0);
+        assert_eq!((tower.cell_m, tower.size), (1.0, IVec3::new(18, 66, 18)));
+        assert!([flat, tall, tower].iter().all(|grid| grid.len() <= CELLS_MAX));
     }
 
     #[test]

@@ -125,12 +125,12 @@ pub struct PatchRow {
     pub importance: [Vec<f32>; 2],
 }
 
-/// Sums hits over the patches of the cut that suits all rows; without bounds over all leaves that were hit, for rows that
+/// Sums hits, which it sorts, over the patches of the cut that suits all rows; without bounds over all leaves that were hit, for rows that
 /// are not truncated. `scale` is the value of a ray of weight 1, `texel_m` the texel's size in metres.
 pub fn patch_rows(
     tree: &PatchTree,
     texel_m: f32,
-    mut hits_of_rows: Vec<RowHits>,
+    hits_of_rows: &mut [RowHits],
     scale: f32,
     bounds: Option<CutBounds>,
 ) -> PatchRows {
@@ -158,7 +158,7 @@ pub fn patch_rows(
     let of_sky = sky.values().iter().map(|&part| PatchKey::of_sky(part).0);
     let keys = Numbering::of(of_patches.chain(of_sky));
     let mut table = Table { sky, scale, is_truncated: bounds.is_some(), keys, rows: Vec::new() };
-    table.begin(&hits_of_rows);
+    table.begin(hits_of_rows);
     table.add_patches(hits, &columns);
     PatchRows { keys: table.keys.into_values(), rows: table.rows, by_share: columns.by_share }
 }
@@ -336,7 +336,7 @@ mod tests {
         let of_leaf = |leaf: u32| (0..counts[leaf as usize]).map(move |index| ray(leaf, index));
         let hits = RowHits { leaves: (0..4).flat_map(of_leaf).collect(), sky: Vec::new() };
         let bounds = CutBounds { columns_max: 100, error: 0.01 };
-        let found = patch_rows(&tree(), 0.1, vec![hits], 1.0, Some(bounds));
+        let found = patch_rows(&tree(), 0.1, &mut [hits], 1.0, Some(bounds));
         let keys = found.keys.iter().map(|&key| PatchKey(key));
         let columns = keys.zip(&found.rows[0].alpha);
         columns.map(|(key, &alpha)| (key.patch().0, key.is_difference(), alpha)).collect()

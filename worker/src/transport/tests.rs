@@ -101,8 +101,8 @@ fn rows_of_points_in_free_space_are_cut_factorised_and_bring_the_light_of_a_furn
     let scale = 4.0 * PI / RAYS as f32;
     let texel_m = world.lightmap.texel_m;
     let bounds = Some(CutBounds { columns_max: 200, error: 0.01 });
-    let cut = patch_rows(&tree, texel_m, hits.clone(), scale, bounds);
-    let finest = patch_rows(&tree, texel_m, hits, scale, None);
+    let cut = patch_rows(&tree, texel_m, &mut hits.clone(), scale, bounds);
+    let finest = patch_rows(&tree, texel_m, &mut hits.clone(), scale, None);
     assert!(cut.keys.len() > 6 && cut.keys.len() <= finest.keys.len(), "{} columns", cut.keys.len());
 
     // Under radiance 1 from everywhere the irradiance is π along every normal, also by the factors.

@@ -1,4 +1,4 @@
-// How much E_ind changed since the last call: Σ|E − E before|, Σ|E|; twin: reference.rs. Threads go through the receivers in
+// How much E_ind changed since the last call that ran: Σ|E − E before|, Σ|E|; twin: reference.rs. Threads go through the receivers in
 // strides, workgroups add up trees, and the last step adds up workgroups.
 
 struct Change {

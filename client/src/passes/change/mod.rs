@@ -38,6 +38,10 @@ pub struct ChangePass {
     result: wgpu::Buffer,
     landings: Landings,
     calls: u64,
+    /// The last call that compared: E_ind as of then is kept.
+    compared: u64,
+    /// Calls whose answers are to come, each with the one that it is compared with.
+    under_way: Vec<[u64; 2]>,
 }
 
 /// An answer of the pass.
@@ -45,7 +49,9 @@ pub struct ChangePass {
 pub struct Answer {
     /// Number of the call, from 1.
     pub call: u64,
-    /// Relative change since the call before; 0 when both are black, no finite number where light is none.
+    /// Number of the call that it is compared with, the one before that was answered; 0 for black.
+    pub since: u64,
+    /// Relative change since then; 0 when both are black, no finite number where light is none.
     pub change: f32,
 }
 
@@ -72,13 +78,14 @@ impl ChangePass {
             step("sum_of_all", 1, &[(3, &sums), (4, &result)]),
         ];
         let landings = Landings::new(gpu, "change read back", LANDINGS, size_of::<Vec2>() as u64);
-        Ok(Self { steps, result, landings, calls: 0 })
+        Ok(Self { steps, result, landings, calls: 0, compared: 0, under_way: Vec::new() })
     }
 
-    /// Runs the pass; its answer comes later. Where too many are under way, there is none for this call.
+    /// Runs the pass; its answer comes later. Where too many are under way it does not run: the next answer spans this call too.
     pub fn ask(&mut self, gpu: &Gpu, watch: &mut Stopwatch) -> u64 {
         self.calls += 1;
-        let (landing, bytes) = (self.landings.free(), size_of::<Vec2>() as u64);
+        let Some(landing) = self.landings.free() else { return self.calls };
+        let bytes = size_of::<Vec2>() as u64;
         watch.submit(gpu, |encoder| {
             let mut pass = encoder.compute("change");
             for (pipeline, group, groups) in &self.steps {
@@ -87,26 +94,27 @@ impl ChangePass {
                 pass.dispatch_workgroups(*groups, 1, 1);
             }
             drop(pass);
-            if let Some(landing) = landing {
-                self.landings.copy(encoder, landing, &self.result, bytes);
-            }
+            self.landings.copy(encoder, landing, &self.result, bytes);
         });
-        if let Some(landing) = landing {
-            self.landings.ask(landing, self.calls, bytes);
-        }
+        self.landings.ask(landing, self.calls, bytes);
+        self.under_way.push([self.calls, self.compared]);
+        self.compared = self.calls;
         self.calls
     }
 
     /// The answers that are there, oldest first; after a wait for all that are under way if asked.
     pub fn answers(&mut self, gpu: &Gpu, waits: bool) -> Result<Vec<Answer>> {
         gpu.poll(waits)?;
-        let answer = |(call, sums): (u64, Vec<[f32; 2]>)| {
+        let mut answers = Vec::new();
+        for (call, sums) in self.landings.answers::<[f32; 2]>(gpu)? {
             let [sums] = sums[..] else {
                 return Err(failed(format!("{} gave too little back", gpu.name)));
             };
+            let Some(at) = self.under_way.iter().position(|[own, _]| *own == call) else { continue };
+            let [_, since] = self.under_way.swap_remove(at);
             let change = if sums == [0.0; 2] { 0.0 } else { sums[0] / sums[1] };
-            Ok(Answer { call, change })
-        };
-        self.landings.answers(gpu)?.into_iter().map(answer).collect()
+            answers.push(Answer { call, since, change });
+        }
+        Ok(answers)
     }
 }

@@ -1,5 +1,5 @@
-// Light of receivers from those of higher levels beside them, by their distance; twin: reference.rs. One thread per receiver of a
-// level: those that are left out take all of it.
+// Light of receivers from those of higher levels beside them, by their distance; twin: `filled` of the contract. One thread per
+// receiver of a level: those that are left out take all of it.
 
 struct Fill {
     count: u32,

@@ -1,7 +1,6 @@
 //! Level of detail: which part of each cluster bounces compute, and light of the receivers that are left out:
-//! `E_r ← mix(E_r, mean of E over its stand-ins, share)`.
-
-pub mod reference;
+//! `E_r ← mix(E_r, mean of E over its stand-ins, share)`. The reference is a bounce in detail of the contract,
+//! `Transport::settle_in`, which tests hold whole bounces against.
 
 use lightkiln_proto::relight::{ClusterTable, Detail, LOD_LEVELS, LodPlan, LodTable, LodView, StandIn};
 

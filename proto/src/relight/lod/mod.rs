@@ -1,7 +1,7 @@
 //! Level of detail of baked light by distance and view ([Sedlacek2019] §4.2, for patches): fewer columns, ranks, receivers and
 //! bounces where the eye is far. We differ: receivers that are left out take the mean of coarser ones beside them on their side of all
-//! walls, in the array of all receivers, so that patches, near hits and lightmaps read them as any other; and two levels are
-//! blended at receivers instead of fragments.
+//! walls, in the array of all receivers, so that patches, near hits and lightmaps read them as any other; and two levels of receivers
+//! are blended in that array instead of at fragments. Columns, rank and interval change by whole cluster.
 //!
 //! ```text
 //! plan       each cluster's level by the distance of its bounds  →  Detail: columns, ranks, rows, interval

@@ -77,11 +77,6 @@ impl LodPlan {
         self.details.iter().map(|detail| detail.interval).max().unwrap_or(1)
     }
 
-    /// The settings that it was made by.
-    pub fn lod(&self) -> &Lod {
-        &self.lod
-    }
-
     /// Work by level.
     pub fn counts(&self, clusters: &ClusterTable) -> [LevelCount; LOD_LEVELS] {
         let mut counts = [LevelCount::default(); LOD_LEVELS];

@@ -74,8 +74,8 @@ pub struct Lod {
     pub beside: f32,
     /// Factor on distances straight behind the eye, no less than `beside`.
     pub behind: f32,
-    /// Width of the zone in which receivers go over to the next level, as a share of its distance. Wider → softer, and coarser
-    /// light before the distance.
+    /// Width of the zone in which receivers go over to the next level's, as a share of its distance; columns, rank and interval
+    /// change with the cluster. Wider → softer, and coarser light before the distance.
     pub blend: f32,
     /// A cluster goes to a coarser level only past the distance by this share of it, so that an eye that trembles changes nothing.
     pub margin: f32,
@@ -157,6 +157,28 @@ impl Lod {
             return wrong(format!("blend={} margin={}: give shares from 0 to 1", self.blend, self.margin));
         }
         Ok(())
+    }
+
+    /// Notes on levels that would begin before the one before them in a scene of that diagonal, and so begin where that does.
+    pub fn notes(&self, diagonal_m: f32) -> Vec<String> {
+        let begins_m = self.distances_m(diagonal_m);
+        let place = |distance_m: f32| match distance_m < NOWHERE_M {
+            true => format!("at {distance_m:.1} m"),
+            false => "nowhere".to_owned(),
+        };
+        let note = |level: usize| {
+            let wanted_m = self.levels[level].distance.metres(diagonal_m);
+            (wanted_m < begins_m[level]).then(|| {
+                format!(
+                    "level {level} of detail begins {} instead of {}, as one before it does in this scene, whose diagonal \
+                     is {diagonal_m:.1} m; no place has level {}: give distances that grow",
+                    place(begins_m[level]),
+                    place(wanted_m),
+                    level - 1
+                )
+            })
+        };
+        (1..LOD_LEVELS).filter_map(note).collect()
     }
 
     /// Where each level begins, in metres: none before the one before it.

@@ -1,8 +1,8 @@
-//! How much pictures change from frame to frame while a lamp and two objects move.
+//! How much pictures, and light at receivers, change from frame to frame while a lamp and two objects move.
 
 use std::sync::Arc;
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 use glam::{Vec3, Vec4};
 use lightkiln_client::preview::View;
 use lightkiln_client::scene::{Object, Rigid, Stance};
@@ -17,7 +17,7 @@ const FRAMES: usize = 50;
 /// Side of the objects over the scene's diagonal.
 const SIDE: f32 = 0.04;
 
-/// Change of pictures under a setup.
+/// Changes under a setup.
 #[derive(Clone, Debug)]
 pub struct Moved {
     /// Name of the setup.
@@ -26,6 +26,37 @@ pub struct Moved {
     pub change: f64,
     /// That of the frame that changes most.
     pub change_max: f64,
+    /// As `change`, of E_ind at receivers.
+    pub indirect: f64,
+    /// That of the frame whose E_ind changes most.
+    pub indirect_max: f64,
+}
+
+/// Changes of some values from frame to frame.
+#[derive(Default)]
+struct Changes {
+    before: Option<Vec<Vec4>>,
+    /// Sum of changes by frame.
+    sums: Vec<f64>,
+    /// Sum of the values of these frames.
+    total: f64,
+}
+
+impl Changes {
+    fn add(&mut self, now: Vec<Vec4>) {
+        let size = |value: Vec4| f64::from(value.truncate().abs().element_sum());
+        if let Some(before) = &self.before {
+            self.sums.push(now.iter().zip(before).map(|(now, before)| size(*now - *before)).sum());
+            self.total += now.iter().map(|now| size(*now)).sum::<f64>();
+        }
+        self.before = Some(now);
+    }
+
+    /// The mean over frames, and the largest, both over the values' mean.
+    fn over_mean(&self) -> [f64; 2] {
+        let largest = self.sums.iter().copied().fold(0.0, f64::max);
+        [self.sums.iter().sum::<f64>() / self.total, largest * self.sums.len() as f64 / self.total]
+    }
 }
 
 /// Plays the frames under each setup: the first lamp goes around its place, two cubes across it.
@@ -42,8 +73,7 @@ pub fn moved(stage: &mut Stage, view: &View, setups: &[Setup]) -> Result<Vec<Mov
 fn played(stage: &Stage, view: &View, setup: &Setup) -> Result<Moved> {
     let mut frame = stage.frame(view)?;
     frame.set_lod(setup.lod)?;
-    let mut before: Option<Vec<Vec4>> = None;
-    let (mut changes, mut total) = (Vec::new(), 0.0);
+    let (mut pixels, mut receivers) = (Changes::default(), Changes::default());
     for index in 0..FRAMES {
         let share = index as f32 / FRAMES as f32;
         let (lights, stances) = placed(stage, view, share);
@@ -54,20 +84,11 @@ fn played(stage: &Stage, view: &View, setup: &Setup) -> Result<Moved> {
         }
         frame.advance()?;
         frame.draw([0.0; 2])?;
-        let radiance = frame.read()?;
-        let sum = |of: &mut dyn Iterator<Item = Vec4>| {
-            of.map(|l| f64::from(l.truncate().element_sum())).sum::<f64>()
-        };
-        if let Some(before) = &before {
-            changes.push(sum(&mut radiance.iter().zip(before).map(|(now, before)| (*now - *before).abs())));
-            total += sum(&mut radiance.iter().copied());
-        }
-        before = Some(radiance);
+        pixels.add(frame.read()?);
+        receivers.add(frame.read_receivers()?.context("the bake has no receivers")?.indirect);
     }
-    let mean = total / changes.len() as f64;
-    let change_max = changes.iter().copied().fold(0.0, f64::max) / mean;
-    let change = changes.iter().sum::<f64>() / changes.len() as f64 / mean;
-    Ok(Moved { name: setup.name.clone(), change, change_max })
+    let ([change, change_max], [indirect, indirect_max]) = (pixels.over_mean(), receivers.over_mean());
+    Ok(Moved { name: setup.name.clone(), change, change_max, indirect, indirect_max })
 }
 
 /// Lights and stances at a share of the way.

@@ -105,6 +105,12 @@ impl Stage {
         &self.gpu.name
     }
 
+    /// Receivers that have stand-ins, of all; none for a bake without levels of detail.
+    pub fn stand_ins(&self) -> Option<[usize; 2]> {
+        let table = self.bake.light.lod_table()?;
+        Some([table.stand_ins.iter().map(Vec::len).sum(), table.order.len()])
+    }
+
     /// A view by words of a camera and of lights.
     pub fn view(&self, camera: &str, lights: &[String]) -> Result<View> {
         let (camera, lights) = (parse_camera(camera)?, parse_lights(lights)?);

@@ -64,28 +64,33 @@ pub fn trace(
         progress.advance(1);
         Ok(gathered)
     });
-    let gathered: Vec<Gathered> = gathered.collect::<Result<_, Cancelled>>()?;
+    let mut gathered: Vec<Gathered> = gathered.collect::<Result<_, Cancelled>>()?;
     let met = Bits::new(tree.leaf_starts.len());
     gathered.par_iter().flat_map_iter(|of| &of.hits.leaves).for_each(|hit| met.add(hit.at as usize));
     let leaves: Vec<u32> = met.iter().map(|leaf| leaf as u32).collect();
-    let read = Numbering::of(gathered.iter().flat_map(|of| of.reads.iter().copied())).into_values();
-    let kept = (!stage.grid.is_empty()).then(|| KeptRows::of(transport, &gathered, &read, &leaves));
-    let (hits, rows): (Vec<RowHits>, Vec<Row>) = gathered.into_iter().map(|of| (of.hits, of.row)).unzip();
+    let mut hits: Vec<RowHits> = gathered.iter_mut().map(|of| std::mem::take(&mut of.hits)).collect();
     let bounds = CutBounds {
         columns_max: settings.patches.patches_max as usize,
         error: CUT_SHARE * settings.patches.rank_error,
     };
     let scale = std::f32::consts::PI / settings.transport.transport_rays as f32;
     progress.check()?;
-    let found =
-        patch_rows(tree, world.lightmap.texel_m, hits, scale, (detail == Detail::AsBaked).then_some(bounds));
-    let rows = rows.into_iter().zip(found.rows).map(|(mut row, PatchRow { alpha, importance })| {
+    let bounds = (detail == Detail::AsBaked).then_some(bounds);
+    let found = patch_rows(tree, world.lightmap.texel_m, &mut hits, scale, bounds);
+    let record = if stage.grid.is_empty() {
+        None
+    } else {
+        let read = Numbering::of(gathered.iter().flat_map(|of| of.reads.iter().copied())).into_values();
+        gathered.iter_mut().zip(hits).for_each(|(of, hits)| of.hits = hits);
+        let record = Record::of(stage, tree, &read, &leaves, &found.by_share);
+        record.map(|record| (record, KeptRows::of(transport, &gathered, &read, &leaves)))
+    };
+    let rows = gathered.into_iter().zip(found.rows).map(|(of, PatchRow { alpha, importance })| {
+        let mut row = of.row;
         (row.shared.alpha, row.importance) = (alpha, importance);
         row
     });
     let rows = rows.collect();
-    let record =
-        kept.and_then(|kept| Some((Record::of(stage, tree, &read, &leaves, &found.by_share)?, kept)));
     Ok(Traced { keys: found.keys, rows, record, traced })
 }
 

@@ -4,13 +4,15 @@
 //! A row is kept as it was gathered, before the cut: hits by leaf and by part of the sky, with what each of its receiver's rays
 //! read and a digest of that. Nothing is named by a number of the scene, as an edit changes those.
 
+use std::f32::consts::PI;
+
 use glam::Vec3;
 use lightkiln_proto::content::{BlockKey, PatchKey, Texel};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::near::NearHit;
-use super::{PatchTransport, Row};
+use super::{PatchTransport, Row, TracedSettings};
 use crate::lightmap::{Lightmap, Numbering};
 use crate::patches::PatchTree;
 use crate::reads::{Bytes, Mark, Name, Record, Stage};
@@ -23,6 +25,32 @@ const ARTEFACT_MAGIC: &[u8; 4] = b"LKrw";
 pub const ROWS_ARTEFACT: &str = "rows";
 /// Most bytes for each receiver of a cell: if they take more, none are kept.
 const RECEIVER_BYTES_MAX: usize = 2048;
+
+/// Most that rows of a task hold.
+#[derive(Clone, Copy, Debug)]
+pub struct RowLimits {
+    /// Receivers of its cell: a row for each.
+    receivers: usize,
+    /// Emitters of the scene.
+    emitters: usize,
+    rays: u32,
+    near_hits: u32,
+    sky_parts: u32,
+}
+
+impl RowLimits {
+    /// Of tasks by these settings, for a cell of so many receivers in a scene of so many emitters.
+    pub fn of(settings: &TracedSettings, receivers: usize, emitters: usize) -> Self {
+        let TracedSettings { transport, patches, .. } = settings;
+        Self {
+            receivers,
+            emitters,
+            rays: transport.transport_rays,
+            near_hits: patches.near_hits,
+            sky_parts: patches.sky_parts.max(1),
+        }
+    }
+}
 
 /// Hits of one receiver's rays, its row but for these, and names of what the rays read, ascending.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -120,9 +148,11 @@ impl KeptRows {
         Ok((bytes.len() <= RECEIVER_BYTES_MAX * self.rows.len()).then_some(bytes))
     }
 
-    /// Rows from their artefact.
-    pub fn decoded(bytes: &[u8]) -> Result<Self, TaskError> {
-        Ok(artefact::decode(ARTEFACT_MAGIC, bytes)?.0)
+    /// Rows from their artefact. Errs for such as no task within those limits leaves.
+    pub fn decoded(bytes: &[u8], limits: &RowLimits) -> Result<Self, TaskError> {
+        let rows: Self = artefact::decode(ARTEFACT_MAGIC, bytes)?.0;
+        let fits = rows.rows.len() == limits.receivers && rows.rows.iter().all(|row| row.fits(limits));
+        if fits { Ok(rows) } else { Err(TaskError::bad_input("kept rows are not those of such a task")) }
     }
 
     /// Rows as they were gathered, of receivers whose rays read nothing that has changed since the task left that record.
@@ -163,6 +193,22 @@ impl<'a> Now<'a> {
 }
 
 impl KeptRow {
+    /// Its hits are no more than rays, and its numbers within what they can be.
+    fn fits(&self, limits: &RowLimits) -> bool {
+        let (Some(leaves), Some(sky)) = (self.leaves.rays(), self.sky.rays()) else { return false };
+        let rays = limits.rays as f32;
+        let is_finite = |vector: &[f32; 3]| vector.iter().all(|number| number.is_finite());
+        leaves + sky <= u64::from(limits.rays)
+            && self.sky.last().is_none_or(|part| part < u64::from(limits.sky_parts))
+            && self.near.len() <= limits.near_hits as usize
+            && self.emitters.len() == limits.emitters
+            && [self.lit, self.uncovered].iter().all(|sum| (0.0..=rays).contains(sum))
+            && (0.0..=f32::MAX).contains(&self.mean_path_m)
+            && (0.0..=PI).contains(&self.near_weight)
+            && self.emitters.iter().all(is_finite)
+            && self.near.iter().all(|hit| is_finite(&hit.position_m) && is_finite(&hit.face_normal))
+    }
+
     /// `None` if something that its rays read has changed, or if the row is not one of that record.
     fn holding(&self, now: &Now) -> Option<Gathered> {
         let is_of_record = self.reads.len() == now.read.len().div_ceil(8);
@@ -198,6 +244,17 @@ impl Counts {
             counts.odd_even.push([odd, same.len() - odd].map(|count| count as u16));
         }
         counts
+    }
+
+    /// How many hits there are; `None` if there are other numbers of things than of counts.
+    fn rays(&self) -> Option<u64> {
+        let counts = self.odd_even.iter().flatten();
+        (self.steps.len() == self.odd_even.len()).then(|| counts.map(|&count| u64::from(count)).sum())
+    }
+
+    /// The highest number.
+    fn last(&self) -> Option<u64> {
+        (!self.steps.is_empty()).then(|| self.steps.iter().map(|&step| u64::from(step)).sum())
     }
 
     /// As hits; `None` if one is on nothing.
@@ -277,6 +334,56 @@ mod tests {
         assert_eq!(counts.hits(|number| (number == 1).then_some(0)), None);
         let overflowing = Counts { steps: vec![u32::MAX, 1], odd_even: vec![[1, 0]; 2] };
         assert_eq!(overflowing.hits(Some), None);
+    }
+
+    #[test]
+    fn rows_that_no_task_leaves_are_refused() {
+        type Harm = fn(&mut KeptRow);
+        let limits = RowLimits { receivers: 2, emitters: 1, rays: 16, near_hits: 1, sky_parts: 4 };
+        let near = KeptNear {
+            block: 0,
+            texel: [3, 4],
+            is_own: false,
+            position_m: [1.0, 2.0, 3.0],
+            face_normal: [0.0, 1.0, 0.0],
+        };
+        let good = KeptRow {
+            leaves: Counts { steps: vec![2, 1], odd_even: vec![[4, 3], [1, 0]] },
+            sky: Counts { steps: vec![0, 3], odd_even: vec![[4, 3], [0, 1]] },
+            lit: 16.0,
+            uncovered: 1.0,
+            mean_path_m: 2.0,
+            emitters: vec![[0.5; 3]],
+            near_weight: PI,
+            near: vec![near],
+            ..KeptRow::default()
+        };
+        let decoded = |rows: &[KeptRow]| {
+            let rows = KeptRows { rows: rows.to_vec(), ..KeptRows::default() };
+            KeptRows::decoded(&artefact::encode(ARTEFACT_MAGIC, &rows).unwrap(), &limits)
+        };
+        assert_eq!(decoded(&[good.clone(), good.clone()]).unwrap().rows, [good.clone(), good.clone()]);
+        assert!(decoded(std::slice::from_ref(&good)).is_err(), "a row too few");
+        let hostile: [(&str, Harm); 13] = [
+            ("a leaf without a count", |row| row.leaves.steps.push(1)),
+            ("a count without a part of the sky", |row| row.sky.odd_even.push([0; 2])),
+            ("a hit more than rays", |row| row.leaves.odd_even[0][0] += 1),
+            ("hits that overflow", |row| row.leaves.odd_even = vec![[u16::MAX; 2]; 2]),
+            ("a part that no sky has", |row| row.sky.steps[1] = 4),
+            ("parts that overflow", |row| row.sky.steps = vec![u32::MAX, 1]),
+            ("a near hit too many", |row| row.near.push(row.near[0].clone())),
+            ("an emitter too few", |row| row.emitters.clear()),
+            ("more light than rays", |row| row.lit = 16.5),
+            ("light that is no number", |row| row.uncovered = f32::NAN),
+            ("a path without end", |row| row.mean_path_m = f32::INFINITY),
+            ("more than a hemisphere", |row| row.near_weight = 3.2),
+            ("a place that is none", |row| row.near[0].position_m[1] = f32::NAN),
+        ];
+        for (what, harm) in hostile {
+            let mut row = good.clone();
+            harm(&mut row);
+            assert!(decoded(&[good.clone(), row]).is_err(), "{what}");
+        }
     }
 
     #[test]

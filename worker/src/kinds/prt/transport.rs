@@ -5,7 +5,7 @@ use lightkiln_proto::chunk::QuantisationSettings;
 use lightkiln_proto::jobs::{Artefact, TaskSpec};
 
 use super::colourless::{self, Colourless};
-use super::rows::{Gathered, KeptRows, ROWS_ARTEFACT};
+use super::rows::{Gathered, KeptRows, ROWS_ARTEFACT, RowLimits};
 use super::truncate::NamedPiece;
 use super::{PatchTransport, Recorded, TracedSettings, TransportParams};
 use crate::emitters::Radiance;
@@ -19,6 +19,19 @@ const QUANTISATION_SHARE: f32 = 1.1;
 /// Least and most error of quantisation.
 const QUANTISATION_ERROR: [f32; 2] = [2e-4, 0.05];
 
+/// Tasks alike that were done before, as far as something is left of them.
+#[derive(Debug, Default)]
+struct Before {
+    /// There were some.
+    any: bool,
+    /// One of them left a record that holds, and nothing else.
+    is_gone: bool,
+    /// Changes since the newest that left a record that does not.
+    changes: Option<Changes>,
+    /// Of such ones some left rows.
+    has_rows: bool,
+}
+
 /// Runs the task: inputs of [`PatchTransport::of`], `cells` and `stage`; outputs `cluster/N`, `index`, `record` and `rows`.
 pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> {
     let TransportParams { cluster, settings } = params(task)?;
@@ -26,20 +39,25 @@ pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> 
     let receivers = cell.receivers.len();
     let stage = Stage::of(context)?;
     // Take the result of a task alike, if all that it read is as it was.
-    let (mut changed, mut before) = (None, Vec::new());
+    let (mut before, mut changed) =
+        (Before { any: !context.alike.is_empty(), ..Before::default() }, Vec::new());
     for outputs in context.alike {
         let Some(record) = of_before(context, outputs, RECORD_ARTEFACT, Record::decoded)? else { continue };
         let changes = record.changes(&stage);
         if changes.any {
-            changed.get_or_insert(changes);
-            before.push((outputs, record));
+            before.changes.get_or_insert(changes);
+            changed.push((outputs, record));
         } else if let Some(kept) = kept(context, outputs, receivers)? {
             return Ok(kept);
+        } else {
+            before.is_gone = true;
         }
     }
     let transport =
         PatchTransport { stage, radiance: Radiance::One, ..PatchTransport::of(context, settings.clone())? };
-    let known = known(context, &transport, receivers, &before)?;
+    let known = known(context, &transport, receivers, &changed)?;
+    before.has_rows = known.is_some();
+    let known = known.unwrap_or_default();
     let Recorded { pieces, index, record, traced } = transport.recorded(&cell, known, context.progress)?;
     let mut output = colourless(pieces, quantisation(&settings), index)?;
     if let Some((record, rows)) = record {
@@ -48,28 +66,32 @@ pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> 
     }
     output.counters.insert("receivers_traced".into(), traced as f64);
     output.counters.insert("receivers_kept".into(), (receivers - traced) as f64);
-    output.note = note(traced, receivers, changed.as_ref());
+    output.note = note(traced, receivers, &before);
     Ok(output)
 }
 
-/// Rows of receivers whose rays met nothing that has changed since tasks alike, in the places of their receivers.
+/// Rows of receivers whose rays met nothing that has changed since tasks alike, in the places of their receivers; `None` if none of
+/// these left any rows.
 fn known(
     context: &Context,
     transport: &PatchTransport,
     receivers: usize,
-    before: &[(&Vec<Artefact>, Record)],
-) -> Result<Vec<Option<Gathered>>, TaskError> {
-    let mut known: Vec<Option<Gathered>> = vec![None; receivers];
-    for (outputs, record) in before {
-        if known.iter().all(Option::is_some) {
+    changed: &[(&Vec<Artefact>, Record)],
+) -> Result<Option<Vec<Option<Gathered>>>, TaskError> {
+    let limits = RowLimits::of(&transport.settings, receivers, transport.emitters.count());
+    let mut all: Option<Vec<Option<Gathered>>> = None;
+    for (outputs, record) in changed {
+        if all.as_ref().is_some_and(|known| known.iter().all(Option::is_some)) {
             break;
         }
-        let Some(rows) = of_before(context, outputs, ROWS_ARTEFACT, KeptRows::decoded)? else { continue };
+        let decoded = |bytes: &[u8]| KeptRows::decoded(bytes, &limits);
+        let Some(rows) = of_before(context, outputs, ROWS_ARTEFACT, decoded)? else { continue };
+        let known = all.get_or_insert_with(|| vec![None; receivers]);
         for (known, row) in known.iter_mut().zip(rows.holding(transport, record)) {
             *known = known.take().or(row);
         }
     }
-    Ok(known)
+    Ok(all)
 }
 
 /// Outputs `cluster/N` and `index`.
@@ -104,7 +126,7 @@ fn of_before<T>(
     context: &Context,
     outputs: &[Artefact],
     name: &str,
-    decoded: fn(&[u8]) -> Result<T, TaskError>,
+    decoded: impl Fn(&[u8]) -> Result<T, TaskError>,
 ) -> Result<Option<T>, TaskError> {
     let Some(artefact) = outputs.iter().find(|output| output.name == name) else { return Ok(None) };
     match context.source.get(artefact.digest) {
@@ -134,13 +156,43 @@ fn kept(context: &Context, outputs: &[Artefact], receivers: usize) -> Result<Opt
 }
 
 /// Why a task was run.
-fn note(traced: usize, receivers: usize, changed: Option<&Changes>) -> String {
-    let Some(Changes { cells, tiles, patches, first, .. }) = changed else {
-        return format!("{receivers} receivers traced: none like them were before");
+fn note(traced: usize, receivers: usize, before: &Before) -> String {
+    let Some(Changes { cells, tiles, patches, first, .. }) = &before.changes else {
+        let why = match before {
+            Before { any: false, .. } => "none like them were before",
+            Before { is_gone: true, .. } => {
+                "nothing that they met has changed, but the light of before is gone"
+            }
+            _ => "those like them before left no record, as they met too much, or it is gone",
+        };
+        return format!("{receivers} receivers traced: {why}");
     };
     let first = first.as_deref().unwrap_or("something");
+    let rows = if before.has_rows { "" } else { "; rows of before were too large to keep, or are gone" };
     format!(
         "{traced} of {receivers} receivers traced: {first} has changed \
-         (in all {cells} cells, {tiles} tiles of the lightmap, {patches} patches)"
+         (in all {cells} cells, {tiles} tiles of the lightmap, {patches} patches){rows}"
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn note_tells_receivers_that_are_new_from_those_of_which_something_is_lost() {
+        let note = |before: Before| note(7, 9, &before);
+        let any = || Before { any: true, ..Before::default() };
+        assert!(note(Before::default()).ends_with("9 receivers traced: none like them were before"));
+        assert!(note(any()).contains("left no record"));
+        assert!(note(Before { is_gone: true, ..any() }).contains("is gone"));
+        let changed = || {
+            let first = Some("the cell".to_owned());
+            Before { changes: Some(Changes { any: true, cells: 3, first, ..Changes::default() }), ..any() }
+        };
+        let with_rows = note(Before { has_rows: true, ..changed() });
+        assert!(with_rows.starts_with("7 of 9 receivers traced: the cell has changed (in all 3 cells"));
+        assert!(with_rows.ends_with(')'), "{with_rows}");
+        assert!(note(changed()).contains("rows of before were too large to keep, or are gone"));
+    }
 }
