@@ -3,7 +3,7 @@
 use serde::Serialize;
 use thiserror::Error;
 
-/// Levels, the finest first, as in [Sedlacek2019] §5.2.2.
+/// Levels, the finest first, as in Sedlacek 2019, §5.2.2.
 pub const LOD_LEVELS: usize = 4;
 /// Most bounces from one update of a cluster to the next.
 pub const MAX_INTERVAL: u32 = 16;
