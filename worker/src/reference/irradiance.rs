@@ -129,12 +129,15 @@ impl Reference<'_> {
             })
             .collect::<Result<_, Cancelled>>()?;
         let count = targets.len().max(1) as f64;
-        let mean_weight = targets.iter().map(|target| target.weight).sum::<f64>() / count;
+        // Sums over all are of one order, whatever that of the targets.
+        let mut order: Vec<usize> = (0..targets.len()).collect();
+        order.sort_by_key(|&index| targets[index].site.identity());
+        let mean_weight = order.iter().map(|&index| targets[index].weight).sum::<f64>() / count;
         let shares: Vec<f64> = targets.iter().map(|target| target.weight / mean_weight).collect();
-        let light = |(estimate, share): (&Estimate, &f64)| share * estimate.luminance();
-        let floor = pilot.iter().zip(&shares).map(light).sum::<f64>() / count;
+        let light = |&index: &usize| shares[index] * pilot[index].luminance();
+        let floor = order.iter().map(light).sum::<f64>() / count;
         let sites: Vec<Site> = targets.iter().map(|target| target.site).collect();
-        let expected = expected(neighbours(&sites, self.geometry.bounds_m()), &pilot, &shares);
+        let expected = expected(neighbours(&sites, self.geometry.bounds_m()), &order, &pilot, &shares);
         targets
             .par_iter()
             .zip(expected.into_par_iter().zip(shares))
@@ -244,14 +247,14 @@ impl Expected {
 
 /// Means over each site, its nearest neighbours that face alike, and one more that stands for all sites: a single pilot
 /// may miss what the others find.
-fn expected(neighbours: Vec<Vec<u32>>, pilot: &[Estimate], shares: &[f64]) -> Vec<Expected> {
+fn expected(neighbours: Vec<Vec<u32>>, order: &[usize], pilot: &[Estimate], shares: &[f64]) -> Vec<Expected> {
     let of_site = |estimate: &Estimate| {
         let Estimate { error, luminance_error, .. } = *estimate;
         let variance = [error.x, error.y, error.z, luminance_error]
             .map(|error| error * error * f64::from(PILOT_BATCHES));
         Expected { luminance: estimate.luminance(), variance }
     };
-    let all = Expected::mean(shares.iter().copied().zip(pilot.iter().map(of_site)));
+    let all = Expected::mean(order.iter().map(|&index| (shares[index], of_site(&pilot[index]))));
     let around = |near: Vec<u32>| near.into_iter().map(|site| (1.0, of_site(&pilot[site as usize])));
     neighbours.into_par_iter().map(|near| Expected::mean(around(near).chain([(1.0, all)]))).collect()
 }
