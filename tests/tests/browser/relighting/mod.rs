@@ -237,7 +237,8 @@ fn chromium_draws_glass_textures_and_near_hits_as_the_references_do() {
 fn chromium_refines_the_light_of_the_overview_until_it_is_that_of_the_whole() {
     let bundle = Bundle::flat();
     // Colours stay while light comes.
-    let painted = states(&of_flat()).pop().expect("states");
+    let mut states = states(&of_flat()).into_iter();
+    let painted = states.find(|state| state.name == PAINTED).expect("a state of other colours");
     let (_files, browser) = opened(&bundle);
     let told = browser.run(MODULE, "refine", json!([job(std::slice::from_ref(&painted)), 3]));
     assert_eq!(told["errors"], json!([]));
