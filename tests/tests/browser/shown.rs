@@ -100,14 +100,10 @@ fn chromium_shows_a_finished_bake_of_a_farm_as_its_server_hands_it_out() {
     let stills = "const image = document.querySelector('main img'); return [image.src, image.naturalWidth, image.naturalHeight]";
     let wanted = json!([files.url("/any/place/stills/1.png"), 960, 540]);
     // The picture itself comes after its place in the page.
-    let is_there = || browser.script(stills, json!([])) == wanted;
-    let came = (0..100).any(|_| {
-        is_there() || {
-            std::thread::sleep(Duration::from_millis(100));
-            false
-        }
-    });
-    assert!(came, "{}", browser.script(stills, json!([])));
+    let start = Instant::now();
+    while browser.script(stills, json!([])) != wanted {
+        assert!(start.elapsed() < LIMIT, "{}", browser.script(stills, json!([])));
+    }
     // Without its list it has none, and a list that says nothing is told of.
     let list = folder.path().join("site/site.json");
     for (words, is_told) in [(None, false), (Some("null"), true), (Some("{\"stills\""), true)] {
