@@ -206,7 +206,7 @@ pub trait Light: Debug + Send + Sync {
         None
     }
 
-    /// What levels of detail need to know of the bake; `None` for a kind without them.
+    /// Facts of the bake that levels of detail need; `None` for a kind without them.
     fn lod_table(&self) -> Option<&LodTable> {
         None
     }

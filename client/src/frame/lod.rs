@@ -64,7 +64,7 @@ pub(crate) fn check_lod(lod: &Lod) -> Result<()> {
     lod.check().map_err(|error| ClientError::Argument { what, problem: error.to_string() })
 }
 
-/// What levels of detail need to know of a bake. Errs for a kind without them.
+/// Facts of a bake that levels of detail need. Errs for a kind without them.
 pub(crate) fn lod_table(bake: &LoadedBake) -> Result<&LodTable> {
     bake.light.lod_table().ok_or_else(|| ClientError::Argument {
         what: "level of detail".to_owned(),

@@ -28,7 +28,7 @@ export function flatLight(light) {
   return flat;
 }
 
-/** The tables of plain values, for frames: columns are no longer found by their keys. */
+/** The tables of plain values, for frames: their columns are not found by keys. */
 export function lightOf(flat) {
   const table = ([name, Table]) => [name, Object.assign(Object.create(Table.prototype), flat[name])];
   return Object.fromEntries(Object.entries(TABLES).map(table));

@@ -268,7 +268,7 @@ mod tests {
         assert_eq!(all.outliers(), Some(5));
         assert!((all.interpolation.unwrap().rel_rmse - 0.2).abs() < 1e-12, "{:?}", all.interpolation);
         assert_eq!(share_words(&rows[1]), [ABSENT, ABSENT]);
-        // What one light's error gains in a draw another's loses: together they are sure.
+        // In each draw one light's error gains as much as another's loses: together they are sure.
         let direct_row = |squares: [f64; 2]| PixelRow {
             direct: Some(DirectShares {
                 error: RelativeRoot { rel_rmse: 0.5_f64.sqrt(), interval_95: squares.map(f64::sqrt) },

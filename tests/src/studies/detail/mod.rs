@@ -46,7 +46,7 @@ pub struct Setup {
     pub lod: Option<Lod>,
 }
 
-/// What a setup costs and gives.
+/// Cost and gain of a setup.
 #[derive(Clone, Debug)]
 pub struct Found {
     /// Name of the setup.

@@ -37,7 +37,7 @@ pub struct FirstOverLine {
     pub ready: Duration,
 }
 
-/// What went over a line so far.
+/// Requests and bytes over a line so far.
 #[derive(Debug)]
 struct Traffic {
     /// When the line is free again.

@@ -164,7 +164,7 @@ impl KeptRows {
     }
 }
 
-/// What the names of kept rows stand for in the scene as it is.
+/// Meaning of kept rows' names in the scene as it is.
 struct Now<'a> {
     read: &'a [Name],
     marks: Vec<Mark>,
