@@ -1,4 +1,4 @@
-//! What levels of detail need to know of a bake, whatever the eye: bounds, the order of rows, stand-ins.
+//! Facts of a bake that levels of detail need, whatever the eye: bounds, the order of rows, stand-ins.
 
 use std::cmp::Reverse;
 

@@ -94,7 +94,7 @@ pub fn trace(
     Ok(Traced { keys: found.keys, rows, record, traced })
 }
 
-/// What rows of a cell are gathered from.
+/// Sources of the rows of a cell.
 struct Gathering<'a> {
     transport: &'a PatchTransport,
     sources: Sources<'a>,
