@@ -163,6 +163,12 @@ export class Viewer {
     this.#isStale = true;
   }
 
+  /** Sets levels of detail, see `Frame.setLod`; with null there is all detail. */
+  async setLod(words) {
+    await this.frame.setLod(words);
+    this.#isStale = true;
+  }
+
   /** Factor on radiance before the tone curve. */
   set exposure(exposure) {
     this.frame.exposure = exposure;

@@ -14,6 +14,9 @@ const ANSWER_BYTES = 8;
 export class ChangePass {
   #free = [];
   #underWay = new Set();
+  // Calls so far, and the last one that compared: E_ind as of then is kept.
+  #calls = 0;
+  #compared = 0;
 
   /** Binds E_ind; the first call compares it with black. */
   static async create(gpu, { eInd, receiverCount }) {
@@ -41,24 +44,29 @@ export class ChangePass {
   }
 
   /**
-   * Runs the pass, and calls `heard` with the relative change when it is known: 0 when both are black, no finite number where
-   * light is none. Where too many answers are under way it does not run: the next one spans this call too.
+   * Runs the pass, and calls `heard` with `{call, since, change}` when it is known: the number of this call, from 1, that of the call
+   * that it is compared with, 0 for black, and the relative change since then, 0 when both are black, no finite number where light is
+   * none. Where too many answers are under way it does not run: the next answer spans this call too. Answers the call's number.
    */
   ask(heard) {
-    const landing = this.#free.pop();
+    this.#calls += 1;
+    const [call, since, landing] = [this.#calls, this.#compared, this.#free.pop()];
     if (!landing) {
-      return;
+      return call;
     }
+    this.#compared = call;
     this.gpu.submit((encoder) => {
       const pass = encoder.beginComputePass();
       this.steps.forEach((step) => dispatch(pass, step));
       pass.end();
       encoder.copyBufferToBuffer(this.result, 0, landing, 0, ANSWER_BYTES);
     });
-    const answer = this.#answer(landing, heard).finally(() => this.#underWay.delete(answer));
+    const told = (change) => heard({ call, since, change });
+    const answer = this.#answer(landing, told).finally(() => this.#underWay.delete(answer));
     this.#underWay.add(answer);
     // Callers of `idle` hear of a lost device; others need not.
     answer.catch(() => {});
+    return call;
   }
 
   /** Waits for all answers that are under way. */

@@ -3,15 +3,19 @@
 //   setLights ───▶ shadow maps ─▶ direct ─▶ bounce, bounce, … ─▶ publish ─▶ draw
 //   setEmitters ──────────────────────────▶    (advance: once a frame, until they change nothing)
 //   setMaterials ───────────────▶ direct ─▶
+//   setLod ───────▶ detail of clusters ───▶
 //   setCamera ───▶ cascades of suns ─────────────────────────────────────▶ draw
 //
 // Twin of client/src/frame. Bounces go on from the light that there is: after a small change a few are enough.
 
+import { LodPlan } from "../relight/lod_plan.js";
 import { Tints } from "../relight/recolour.js";
 import { isBlack, skyOf } from "../relight/sky.js";
+import { Bounces } from "./bounces.js";
 import { Gpu, errorsOf } from "./gpu.js";
 import { halves } from "./halves.js";
 import { POINT, cameraOf, castersOf, checkLights, checkScale, lightsOf } from "./lights.js";
+import { lodFromText } from "./lod_words.js";
 import { Meshes } from "./meshes.js";
 import { LightPasses } from "./passes.js";
 import { ShadowPlan, checkRoom, isRoom, roomFor } from "./plan.js";
@@ -21,7 +25,7 @@ import { fetchShaders } from "./shaders.js";
 import { ShadowPass } from "./shadow.js";
 import { measuredSnap } from "./snap.js";
 import { TONES, TonePass, automaticExposure } from "./tone.js";
-import { eyeOf, shadeView } from "./view.js";
+import { eyeOf, lodEyeOf, shadeView } from "./view.js";
 
 /** Relative change of E_ind by a bounce below which light has settled. */
 export const CHANGE_MAX = 1e-3;
@@ -64,9 +68,14 @@ export class Frame {
   #film = { samples: 0, exposure: 1, curve: "filmic", isAlone: false };
   // Pictures that the device has not finished.
   #underWay = 0;
-  // Bounces since the last change, and the last change by one that was heard of.
-  #bounces = { count: 0, change: null };
-  // Ends when the last `setLight` has: they take turns.
+  // Bounces since the last change, and the changes by them that were heard of.
+  #bounces = new Bounces();
+  // Levels of detail, and the detail of each cluster for the eye; null for all of it.
+  #lod = null;
+  #lodPlan = null;
+  // Number of the next bounce.
+  #turn = 0;
+  // Ends when the last `setLight` or `setLod` has: they take turns.
   #lightTurn = Promise.resolve();
   // The last size that the device had memory for.
   #sizeKept;
@@ -154,9 +163,8 @@ export class Frame {
     this.#tints = tints;
     this.#setLooks();
     // Near hits have albedo and light from lights in one sum.
-    Object.assign(this.#stale, { direct: true, pages: true });
-    this.#film.samples = 0;
-    this.#bounces = { count: 0, change: null };
+    this.#stale.direct = true;
+    this.#begin();
   }
 
   #setLooks() {
@@ -181,6 +189,7 @@ export class Frame {
       this.shadow.set(plan);
       this.#stale.cascades = true;
     }
+    this.#planLod();
   }
 
   get camera() {
@@ -188,13 +197,49 @@ export class Frame {
   }
 
   /**
+   * Sets levels of detail in the words of `--lod`, as "balanced" or "coarse level2=20m,4,all,1,2"; with null there is all detail. The
+   * first ones make buffers, and wait, also for calls of `setLight` before. Errs, and changes nothing, for words that are none, and where
+   * the device has too little memory. A parallel camera sees all alike: under it there is all detail.
+   */
+  setLod(words) {
+    return this.#inTurn(() => this.#takeLod(words === null ? null : lodFromText(words)));
+  }
+
+  async #takeLod(lod) {
+    if (lod !== null && this.light.lod === null) await heard(this.gpu.device, () => this.light.makeLod());
+    this.#lod = lod;
+    this.#planLod();
+  }
+
+  /** Work by level, the finest first, see `LodPlan.counts`; null where there is all detail. */
+  get lodCounts() {
+    return this.#lodPlan?.counts(this.bake.light.clusters) ?? null;
+  }
+
+  /** Plans the detail of each cluster for the eye: light changes wherever the eye has moved. */
+  #planLod() {
+    const eye = this.#lod && lodEyeOf(this.#camera, this.size, this.boundsM);
+    const before = this.#lodPlan;
+    if (before?.lod === this.#lod && isSame(before.eye, eye)) return;
+    if (before === null && eye === null) return;
+    const { lod, clusters } = this.bake.light;
+    this.#lodPlan = eye && new LodPlan(lod, clusters, this.#lod, eye, before);
+    this.light.lod.set(this.#lodPlan);
+    this.#begin();
+  }
+
+  #inTurn(take) {
+    const taken = this.#lightTurn.then(take);
+    this.#lightTurn = taken.catch(() => {});
+    return taken;
+  }
+
+  /**
    * Takes other light of the same scene, as when more clusters have come: it is shown once it has settled. This makes buffers, and
    * waits, also for calls before it. Errs, and keeps the light that there is, where the device has too little memory for both.
    */
   setLight(light, limit) {
-    const taken = this.#lightTurn.then(() => this.#takeLight(light, limit));
-    this.#lightTurn = taken.catch(() => {});
-    return taken;
+    return this.#inTurn(() => this.#takeLight(light, limit));
   }
 
   async #takeLight(light, limit) {
@@ -203,13 +248,15 @@ export class Frame {
     try {
       await heard(this.gpu.device, async () => {
         passes = await LightPasses.create(this.gpu, bake, this.shadow);
+        if (this.#lod !== null) await passes.makeLod();
       });
     } catch (error) {
       passes?.destroy();
       throw error;
     }
     await before.change.idle();
-    [this.light, this.bake] = [passes, bake];
+    [this.light, this.bake, this.#lodPlan] = [passes, bake, null];
+    this.#planLod();
     if (!this.#tints.isEmpty) passes.setAlbedo(this.#tints.albedo(bake.scene, light.receivers));
     Object.assign(this.#stale, { direct: true, light: true });
     this.#writeUnshadowed();
@@ -243,42 +290,53 @@ export class Frame {
     this.shade.resize(this.size);
     this.#film.samples = 0;
     this.tone.bind(this.shade.targetView, this.size);
+    this.#planLod();
   }
 
   /** One bounce more, and before it what changes ask for. Waits for nothing; answers the bounces since the last change. */
   advance() {
     this.#drawShadows();
     const { eInd } = this.light.resident;
+    this.light.lod?.setTurn(this.#turn);
+    this.#turn = (this.#turn + 1) % 2 ** 32;
     this.gpu.submit((encoder) => {
       if (this.#stale.light) encoder.clearBuffer(eInd);
       this.light.bounce(encoder);
     });
     Object.assign(this.#stale, { light: false, pages: true });
     this.#film.samples = 0;
-    const bounces = this.#bounces;
-    this.light.change.ask((change) => {
+    const [bounces, cycle] = [this.#bounces, this.#cycle];
+    const call = this.light.change.ask((answer) => {
       // Light that is no number stays none.
-      if (!Number.isFinite(change)) this.#stale.light = true;
-      bounces.change = change;
+      if (!Number.isFinite(answer.change)) this.#stale.light = true;
+      bounces.hear(answer, cycle);
     });
-    bounces.count += 1;
+    bounces.add(call);
     return bounces.count;
   }
 
-  /** Whether the last bounce that was heard of changed light by little. */
+  /** Bounces in which each cluster takes part once at least. */
+  get #cycle() {
+    return this.#lodPlan?.cycle ?? 1;
+  }
+
+  /** Whether the last bounces that were heard of, in which each cluster took part, changed light by little. */
   get settled() {
-    const { change } = this.#bounces;
-    return change !== null && change < CHANGE_MAX;
+    return this.#isSettled(CHANGE_MAX);
+  }
+
+  #isSettled(changeMax) {
+    const change = this.#bounces.change(this.#cycle);
+    return change !== null && change < changeMax;
   }
 
   /** Bounces until they change less than a limit, each waited for: their number, and whether they converged. */
   async settle({ bouncesMax = BOUNCES_MAX, changeMax = CHANGE_MAX } = {}) {
-    const isSettled = () => this.#bounces.change !== null && this.#bounces.change < changeMax;
-    while (!isSettled() && this.#bounces.count < bouncesMax) {
+    while (!this.#isSettled(changeMax) && this.#bounces.count < bouncesMax) {
       this.advance();
       await this.light.change.idle();
     }
-    return { bounces: this.#bounces.count, converged: isSettled() };
+    return { bounces: this.#bounces.count, converged: this.#isSettled(changeMax) };
   }
 
   /**
@@ -363,9 +421,14 @@ export class Frame {
     // Light that nothing sends any more would fade for ever.
     const isDark = this.#casters.length === 0 && isBlack(this.#sky) && !isEmitting;
     this.#stale.light ||= isDark;
+    this.#begin();
+  }
+
+  /** Light has changed: bounces begin anew, from that which there is. */
+  #begin() {
     this.#stale.pages = true;
     this.#film.samples = 0;
-    this.#bounces = { count: 0, change: null };
+    this.#bounces = new Bounces();
   }
 
   /** Draws the shadow maps that changes ask for, and E_dir. */

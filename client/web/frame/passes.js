@@ -4,12 +4,16 @@ import { AtlasPass } from "./atlas.js";
 import { ChangePass } from "./change.js";
 import { DirectPass } from "./direct.js";
 import { BasisPass, ReconstructPass } from "./factors.js";
+import { LodPass } from "./lod.js";
 import { NearPass } from "./near.js";
 import { PatchesPass } from "./patches.js";
 import { Resident } from "./resident.js";
 
-/** direct → patches → basis → near → reconstruct → atlas. */
+/** direct → patches → basis → near → reconstruct → stand-ins of the level of detail → atlas. */
 export class LightPasses {
+  /** Null until `makeLod`. */
+  lod = null;
+
   /** Uploads the light of a bake. Frees all of it where that fails. */
   static async create(whole, bake, shadow) {
     const passes = new LightPasses();
@@ -44,6 +48,7 @@ export class LightPasses {
 
   /** Frees all buffers. */
   destroy() {
+    this.lod?.destroy();
     this.gpu.destroy();
   }
 
@@ -74,9 +79,16 @@ export class LightPasses {
     const pass = encoder.beginComputePass();
     this.columns.record(pass);
     this.basis.record(pass);
+    this.lod?.mark(pass);
     this.near.record(pass);
     this.reconstruct.record(pass);
+    this.lod?.fill(pass);
     pass.end();
+  }
+
+  /** Makes what levels of detail need, once. */
+  async makeLod() {
+    this.lod ??= await LodPass.create(this.gpu, this.light.lod, this.resident);
   }
 
   /** Records E_emit + E_ind into the pages. */

@@ -1,6 +1,7 @@
 // Arrays of receivers and clusters on the device that several passes share; twin of client/src/passes/resident.rs.
 
-import { GROUP } from "../relight/packed.js";
+import { fullDetail } from "../relight/lod_plan.js";
+import { groups2d } from "./gpu.js";
 
 /** Bytes of a vector of four numbers. */
 export const FOUR = 16;
@@ -20,10 +21,12 @@ export class Resident {
     this.eNear = gpu.blank("E of near hits", bySlot);
     this.lambda = gpu.blank("lambda", FOUR * columns.lambdaCount);
     this.b = gpu.blank("b", FOUR * clusters.bLen);
-    // All of each cluster, in each bounce: here are no levels of detail.
-    this.details = gpu.storage("details", detailsOf(clusters.clusters));
+    // All of each cluster, in each bounce, until there are levels of detail.
+    this.fullDetails = Uint32Array.from(clusters.clusters.flatMap(fullDetail));
+    this.details = gpu.storage("details", this.fullDetails);
     this.order = gpu.blank("order of rows", 4 * receivers.count);
-    this.turn = gpu.uniform("turn", Uint32Array.from([0, clusters.clusters.length, 1]));
+    this.clusterCount = clusters.clusters.length;
+    this.turn = gpu.uniform("turn", turnOf(this.clusterCount, 0));
   }
 
   /** Writes the end of λ, which no pass writes. */
@@ -32,13 +35,9 @@ export class Resident {
   }
 }
 
-/** The part of each cluster that bounces compute, as shaders read it: all; twin of `Detail::full` in the contract. */
-function detailsOf(clusters) {
-  const details = clusters.flatMap(({ firstRow, rowCount, columnCount, rank, vt }) => {
-    const { wide, bytes } = vt;
-    return [firstRow, rowCount, rowCount, wide, bytes, columnCount - wide - bytes, Math.ceil(rank / GROUP), 0, 1];
-  });
-  return Uint32Array.from(details);
+/** Number of a bounce, of clusters, and of those in a row of a dispatch over all, as shaders read them. */
+export function turnOf(clusterCount, bounce) {
+  return Uint32Array.from([bounce, clusterCount, groups2d(clusterCount)[0]]);
 }
 
 /** Rows of some clusters as shaders read them, for one of their factors, `u` or `vt`, in a page whose first word is `first`. */

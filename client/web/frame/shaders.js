@@ -6,6 +6,8 @@ const NAMES = [
   "basis",
   "change",
   "direct-texels",
+  "lod-fill",
+  "lod-mark",
   "near",
   "near-lit",
   "patches",

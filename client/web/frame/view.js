@@ -1,5 +1,6 @@
 // Cameras, and the camera and sky as the shaders read them; twin of client/src/passes/shade/view.rs.
 
+import { fround } from "../relight/numbers.js";
 import { add, cross, less, lookAlong, normalised, parallel, perspective, product, times } from "./maths.js";
 
 /** Numbers of a view: matrix, zenith, horizon, ray, its changes per ndc x and y. */
@@ -63,6 +64,19 @@ function rays(camera, size, shift) {
 export function eyeOf(camera) {
   const forward = normalised(less(camera.targetM, camera.eyeM));
   return forward === null || isParallel(camera) ? null : { positionM: camera.eyeM, forward };
+}
+
+/** The eye of levels of detail (`LodPlan`) for a picture of `size` pixels, in numbers of f32; null for a parallel camera. */
+export function lodEyeOf(camera, [width, height], [low, high]) {
+  const eye = eyeOf(camera);
+  if (eye === null) return null;
+  const toCorner = Math.tan(0.5 * camera.fovYRad) * Math.hypot(width / height, 1);
+  return {
+    positionM: Array.from(eye.positionM, fround),
+    forward: Array.from(eye.forward, fround),
+    viewCos: fround(1 / Math.hypot(toCorner, 1)),
+    diagonalM: fround(Math.hypot(...less(high, low))),
+  };
 }
 
 function isParallel({ orthographicHalfHeightM: half }) {

@@ -18,7 +18,7 @@ const OUTER_DEG = 30;
 const FOV_DEG = 50;
 
 /** Words by their keys; each is taken once, and a word that is left over is an error. */
-class Words {
+export class Words {
   #pairs = new Map();
 
   constructor(words, grammar) {
@@ -34,6 +34,11 @@ class Words {
 
   wrong(problem) {
     throw new Error(`${problem}; write "${this.grammar}"`);
+  }
+
+  /** The text of a word, if given. */
+  text(key) {
+    return this.#take([key])[1];
   }
 
   /** A number in a range, if given. */

@@ -2,6 +2,7 @@
 
 import { Unsupported, Viewer } from "../view.js";
 import { coloursOf } from "./colours.js";
+import { detailOf } from "./detail.js";
 import { el, fill, notice } from "./dom.js";
 import { picturesOf } from "./pictures.js";
 
@@ -70,6 +71,7 @@ function controlsOf(viewer) {
   [brightness, exposure].forEach(({ set }) => set(0.5));
   return [
     ...[...places, brightness, exposure].map(({ label }) => label),
+    ...detailOf(viewer),
     coloursOf(viewer),
     el("p", { class: "quiet small hint" }, "Drag to turn, wheel to come nearer; Shift or the right button moves the lamp."),
   ];

@@ -5,6 +5,7 @@ import { ClusterTable, EmitterTable } from "./clusters.js";
 import { joinDraws } from "./draws.js";
 import { Inconsistent } from "./inconsistent.js";
 import { LightmapLayout } from "./layout.js";
+import { LodTable } from "./lod_table.js";
 import { NearTable } from "./near.js";
 import { PatchTable } from "./patches.js";
 import { ReceiverTable } from "./receivers.js";
@@ -52,6 +53,7 @@ export function assembleLight(scene, clusters, patchSet, isWhole = true) {
     near: new NearTable(clusters, table, receivers, slots),
     texels: new AtlasTexels(scene.layout, slots, receivers),
     points: new TexelPoints(scene.draws, scene.layout, slots, receivers),
+    lod: new LodTable(slots, receivers, table),
   };
 }
 

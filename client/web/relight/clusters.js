@@ -5,8 +5,8 @@ import { Inconsistent } from "./inconsistent.js";
 import { allFinite, fround } from "./numbers.js";
 import { GROUP, numberOf, packU, packVt, stepOf } from "./packed.js";
 
-// Highest rank of a cluster that is read.
-const MAX_RANK = 256;
+/** Highest rank of a cluster that is read. */
+export const MAX_RANK = 256;
 
 /** Clusters and their factors, whose columns read `columns`. */
 export class ClusterTable {
@@ -19,6 +19,8 @@ export class ClusterTable {
       // Pairs as shaders read them: place in λ, bits of the scale.
       columns: new Growing(Uint32Array),
       steps: new Growing(Float32Array),
+      // Level of each column; it falls within each class of columns.
+      levels: new Growing(Uint8Array),
     };
     let firstRow = 0;
     contents.forEach(({ factors, receivers }, index) => {
@@ -35,6 +37,7 @@ export class ClusterTable {
     this.vt = joined.vt.finish();
     this.columns = joined.columns.finish();
     this.steps = joined.steps.finish();
+    this.columnLevels = joined.levels.finish();
   }
 
   #push(joined, factors, columns, firstRow, rowCount) {
@@ -60,6 +63,7 @@ export class ClusterTable {
     for (const column of vt.order) {
       joined.columns.push(places[column]);
       joined.columns.push(scaleBits[column]);
+      joined.levels.push(levels[column]);
     }
     const padded = Math.ceil(rank / GROUP) * GROUP;
     const steps = new Float32Array(padded);

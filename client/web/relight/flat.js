@@ -3,6 +3,7 @@
 import { ChunkError } from "../chunk/error.js";
 import { ClusterTable, EmitterTable } from "./clusters.js";
 import { Inconsistent } from "./inconsistent.js";
+import { LodTable } from "./lod_table.js";
 import { NearTable } from "./near.js";
 import { PatchTable } from "./patches.js";
 import { ReceiverTable } from "./receivers.js";
@@ -17,6 +18,7 @@ const TABLES = {
   near: NearTable,
   texels: AtlasTexels,
   points: TexelPoints,
+  lod: LodTable,
 };
 const ERRORS = { ChunkError, Inconsistent };
 

@@ -72,6 +72,19 @@ export class SlotTable {
     return slot === NONE ? NO_SLOT : slot >= STANDS_IN ? slot - STANDS_IN : slot;
   }
 
+  /** Calls `visit` with slot, block and texel of each receiver, block after block, row after row. */
+  forEachReceiver(visit) {
+    this.#sizes.forEach(([width, height], block) => {
+      let index = this.#firsts[block];
+      for (let y = 0; y < height; y++) {
+        for (let x = 0; x < width; x++, index++) {
+          const slot = this.#slots[index];
+          if (slot < STANDS_IN) visit(slot, block, x, y);
+        }
+      }
+    });
+  }
+
   /** Enters a receiver; its texel must be inside the block and free. */
   enter(block, x, y, slot) {
     const index = this.#texelIndex(block, x, y);

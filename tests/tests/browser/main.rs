@@ -6,6 +6,8 @@
 #[allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 mod bundle;
 mod decoding;
+#[allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+mod detail;
 mod driver;
 mod face;
 mod fetching;

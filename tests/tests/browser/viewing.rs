@@ -55,6 +55,13 @@ fn chromium_shows_a_bake_that_follows_lamp_and_camera() {
     assert_eq!(painted["names"], json!(["white", "red", "green", "panel"]));
     let [black, again] = ["black", "again"].map(|name| painted[name].as_f64().expect("a number"));
     assert!(black < 0.7 * whole && (again / whole - 1.0).abs() < 0.02, "{whole}, {black}, {again}");
+    let detail = &found["detail"];
+    let said = |name: &str| detail[name].as_str().expect("words").to_owned();
+    assert!(said("coarse").contains("% of the receivers"), "{detail}");
+    assert!(said("wrong").contains("'rough' is not key=value") && detail["kept"] == true, "{detail}");
+    assert!(said("all").is_empty() && detail["counts"].is_null(), "{detail}");
+    let [in_detail, again] = ["inDetail", "again"].map(|name| detail[name].as_f64().expect("a number"));
+    assert!((in_detail / whole - 1.0).abs() < 0.1 && (again / whole - 1.0).abs() < 0.02, "{whole}, {detail}");
     let moved = numbers(&found["moved"]);
     assert!(moved.iter().map(|by| by * by).sum::<f64>().sqrt() > 0.05, "{moved:?}");
     let turned = numbers(&found["turned"]);

@@ -28,17 +28,18 @@ function screenOf(device, size) {
   return device.createTexture({ size, format: FORMAT, usage });
 }
 
-function setState(frame, { lights, emitters, camera, materials }) {
+async function setState(frame, { lights, emitters, camera, materials, lod }) {
   const { manifest } = frame.bake.scene;
   frame.setLights(lights === null ? lightsOf(manifest) : parseLights(lights).lights);
   frame.setEmitters(manifest.emitters.map(() => emitters));
   frame.setMaterials(materials);
   frame.setCamera(camera === null ? cameraOf(manifest) : parseCamera(camera));
+  await frame.setLod(lod);
 }
 
 /** Light, pictures and exposure that a frame draws for a state. */
 async function drawn(frame, state, screen, { limit, samples }) {
-  setState(frame, state);
+  await setState(frame, state);
   const settled = await frame.settle(limit);
   const view = screen.createView();
   const middle = [0, 0];
@@ -62,6 +63,8 @@ export async function draw(job) {
   const options = { width, height, format: FORMAT, shadows: job.shadows, lights: [] };
   const frame = await Frame.create(device, await loadBake(new BundleSource("/bundle")), options);
   const screen = screenOf(device, job.size);
+  // The first levels of detail make buffers.
+  await frame.setLod("coarse");
   const before = frame.gpu.created;
   const states = {};
   for (const state of job.states) {
@@ -77,7 +80,7 @@ export async function refine(job, steps) {
   const options = { width, height, format: FORMAT, shadows: job.shadows, lights: [] };
   const stream = await BakeStream.begin(new BundleSource("/bundle"));
   const frame = await Frame.create(device, await stream.bake(), options);
-  setState(frame, job.states[0]);
+  await setState(frame, job.states[0]);
   await frame.settle(job.limit);
   const found = [{ clusters: stream.clusters, indirect: hexOfNumbers(await frame.readIndirect()) }];
   const all = stream.chunks.reduce((sum, { bytes }) => sum + bytes, 0);
@@ -87,7 +90,7 @@ export async function refine(job, steps) {
     found.push({ clusters: stream.clusters, indirect: hexOfNumbers(await frame.readIndirect()) });
   }
   const whole = await Frame.create(device, await loadBake(new BundleSource("/bundle")), options);
-  setState(whole, job.states[0]);
+  await setState(whole, job.states[0]);
   await whole.settle(job.limit);
   return { found, whole: hexOfNumbers(await whole.readIndirect()), errors };
 }
@@ -126,7 +129,7 @@ export async function narrow(job) {
   let pages = null;
   for (const own of [device, narrowed(device, bindingMax)]) {
     const frame = await Frame.create(own, bake, options);
-    setState(frame, job.states[1]);
+    await setState(frame, job.states[1]);
     await frame.settle(job.limit);
     found.push(hexOfNumbers(await frame.readIndirect()));
     const { direct, near, basis, reconstruct } = frame.light;
@@ -177,7 +180,7 @@ export async function keep(job) {
     const radiance = hexOfNumbers(await frame.readRadiance());
     return { radiance, indirect: hexOfNumbers(await frame.readIndirect()), size: frame.size, buffers: told.alive.size };
   };
-  setState(frame, job.states[0]);
+  await setState(frame, job.states[0]);
   await frame.settle(job.limit);
   const found = [await look()];
   await stream.refine(Infinity);
@@ -199,7 +202,7 @@ export async function refuse(job, refused) {
   const [width, height] = job.size;
   const options = { width, height, format: FORMAT, shadows: job.shadows, lights: [] };
   const frame = await Frame.create(device, await loadBake(new BundleSource("/bundle")), options);
-  setState(frame, job.states[0]);
+  await setState(frame, job.states[0]);
   await frame.settle(job.limit);
   const messages = refused.map((colours) => {
     try {

@@ -2,6 +2,7 @@
 
 import { BundleSource } from "/web/fetch.js";
 import { coloursOf } from "/web/page/colours.js";
+import { detailOf } from "/web/page/detail.js";
 import { Viewer } from "/web/view.js";
 
 const WAIT_MS = 50;
@@ -43,6 +44,25 @@ async function repainted(viewer) {
   return { black, again: await mean(viewer), names: [...controls.querySelectorAll("span")].map((name) => name.textContent) };
 }
 
+/** What the control of detail says of coarse levels, of words that are none, and of all detail; and means of the picture then. */
+async function detailed(viewer) {
+  const [choice, field, told] = detailOf(viewer);
+  const [select, input] = [choice.querySelector("select"), field.querySelector("input")];
+  const set = async (element, value) => {
+    element.value = value;
+    element.dispatchEvent(new Event("change"));
+    const before = told.textContent;
+    await waitFor(() => told.textContent !== before);
+    return told.textContent;
+  };
+  const coarse = await set(select, "coarse");
+  const inDetail = await mean(viewer);
+  const wrong = await set(input, "rough");
+  const kept = viewer.frame.lodCounts !== null;
+  const all = await set(select, "all");
+  return { coarse, inDetail, wrong, kept, all, again: await mean(viewer), counts: viewer.frame.lodCounts };
+}
+
 /** Words of progress, clusters, and means of the picture: as opened, with all light, with the lamp off, and turned away. */
 export async function view(base) {
   const canvas = document.createElement("canvas");
@@ -58,6 +78,7 @@ export async function view(base) {
   await waitFor(() => words.includes("all light is here") || failures.length > 0);
   const whole = await mean(viewer);
   const painted = await repainted(viewer);
+  const detail = await detailed(viewer);
   const before = [...viewer.lamp.positionM];
   drag(canvas, [80, 60], [100, 40], { shiftKey: true });
   const moved = viewer.lamp.positionM.map((at, axis) => at - before[axis]);
@@ -69,7 +90,7 @@ export async function view(base) {
   const turned = viewer.orbit.camera().eyeM.map((at, axis) => at - eyeM[axis]);
   const size = [canvas.width, canvas.height];
   viewer.close();
-  return { first, clusters: viewer.clusters, whole, painted, off, moved, turned, size, failures };
+  return { first, clusters: viewer.clusters, whole, painted, detail, off, moved, turned, size, failures };
 }
 
 /** Ends the device while a bake's manifest is on its way: the error of the opening, its words of progress, and Workers that live on. */

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use glam::Vec4;
+use glam::{Vec3, Vec4};
 use lightkiln_client::bake::{Light, LightStream as _, LitScene, LoadedBake, Unshadowed};
 use lightkiln_client::fetch::Source;
 use lightkiln_client::kinds::prt::{self, PrtStream};
@@ -16,8 +16,9 @@ use lightkiln_client::passes::stopwatch::Recorder;
 use lightkiln_client::picture::{Exposure, Tone, developed};
 use lightkiln_client::preview::{Backend, View, render};
 use lightkiln_client::scene::{LoadedScene, Recolour, Tints};
-use lightkiln_proto::relight::{Limit, PatchTable, Settled};
+use lightkiln_proto::relight::{Limit, LodEye, LodPlan, PatchTable, Settled};
 use lightkiln_proto::scene::{SceneCamera, SceneLight};
+use lightkiln_proto::words::lod_from_text;
 use serde_json::{Value, json};
 
 use super::SIZE;
@@ -28,6 +29,7 @@ pub const ROOM: ShadowRoom = ShadowRoom { lights: 4, faces: 20, side: 512 };
 pub const LIMIT: Limit = Limit { bounces_max: 64, change_max: 1e-5 };
 
 /// A state of a frame.
+#[derive(Clone)]
 pub struct State {
     /// Name in messages.
     pub name: &'static str,
@@ -39,6 +41,8 @@ pub struct State {
     pub camera: Option<String>,
     /// Colours of materials other than the bake's.
     pub materials: Vec<Recolour>,
+    /// Levels of detail in words; all detail where there are none.
+    pub lod: Option<&'static str>,
 }
 
 impl State {
@@ -51,6 +55,7 @@ impl State {
             "emitters": self.emitters,
             "camera": self.camera,
             "materials": self.materials.iter().map(colour).collect::<Vec<_>>(),
+            "lod": self.lod,
         })
     }
 }
@@ -92,7 +97,8 @@ impl Expected {
         let maps = draw(&self.scene, &plan);
         let unshadowed =
             Unshadowed { sky: Sky::of(&view.lights), panorama: None, emitter_scale: &view.emitter_scale };
-        let lit = LitScene { scene: &self.scene, plan: &plan, maps: &maps, unshadowed, lod: None };
+        let lod = self.lod_plan(&self.light, &view);
+        let lit = LitScene { scene: &self.scene, plan: &plan, maps: &maps, unshadowed, lod: lod.as_ref() };
         let settled = self.light.settled(&lit, LIMIT).light;
         assert!(settled.converged);
         [settled.ind, self.radiance(&view, Backend::Cpu)]
@@ -118,7 +124,12 @@ impl Expected {
         let shadow = ShadowPass::new(gpu, &self.scene, &meshes, &ROOM).unwrap();
         let plan = self.plan(view);
         shadow.set(gpu, &plan);
-        let passes = light.passes(gpu, &self.scene, &shadow, SIZE).unwrap();
+        let mut passes = light.passes(gpu, &self.scene, &shadow, SIZE).unwrap();
+        let lod = self.lod_plan(light, view);
+        if lod.is_some() {
+            passes.make_lod(gpu, light.lod_table().unwrap()).unwrap();
+            passes.set_lod(gpu, lod.as_ref());
+        }
         let unshadowed =
             Unshadowed { sky: Sky::of(&view.lights), panorama: None, emitter_scale: &view.emitter_scale };
         passes.set_unshadowed(gpu, &light.unshadowed(unshadowed));
@@ -129,16 +140,34 @@ impl Expected {
         });
         let (e_ind, count) = passes.feedback().unwrap();
         let mut last = vec![Vec4::ZERO; count];
-        for _ in 0..LIMIT.bounces_max {
+        let cycle = lod.as_ref().map_or(1, LodPlan::cycle) as usize;
+        let mut changes = Vec::new();
+        for bounce in 0..LIMIT.bounces_max {
+            passes.set_turn(gpu, bounce);
             gpu.submit(|encoder| passes.bounce(&mut Recorder::untimed(encoder)));
             let next = gpu.read(e_ind, count).unwrap();
-            let change = Settled::change(&last, &next);
+            changes.push(Settled::change(&last, &next));
             last = next;
-            if change < LIMIT.change_max {
+            let in_cycle = changes.rchunks(cycle).next().filter(|latest| latest.len() == cycle);
+            if in_cycle.is_some_and(|latest| latest.iter().sum::<f32>() < LIMIT.change_max) {
                 break;
             }
         }
         last
+    }
+
+    /// The detail of each cluster for the camera of a view.
+    fn lod_plan(&self, light: &dyn Light, view: &View) -> Option<LodPlan> {
+        let [eye, target] = [view.camera.eye_m, view.camera.target_m].map(Vec3::from);
+        let [low, high] = self.scene.manifest.bounds_m.map(Vec3::from);
+        let to_corner = (0.5 * view.camera.fov_y_rad).tan() * (SIZE[0] as f32 / SIZE[1] as f32).hypot(1.0);
+        let eye = LodEye {
+            position_m: eye,
+            forward: (target - eye).normalize(),
+            view_cos: 1.0 / to_corner.hypot(1.0),
+            diagonal_m: low.distance(high),
+        };
+        light.plan_lod(&view.lod?, eye, None)
     }
 
     /// The screen by the references, under an exposure and with so many samples a pixel: four bytes each.
@@ -169,6 +198,7 @@ impl Expected {
             shadow_side: ROOM.side,
             limit: LIMIT,
             emitter_scale: vec![state.emitters; manifest.emitters.len()],
+            lod: state.lod.map(|words| lod_from_text(words).unwrap()),
             ..View::new(camera, lights)
         }
     }

@@ -20,6 +20,10 @@ use expected::{Expected, LIMIT, ROOM, State};
 const MODULE: &str = "/pages/relight.js";
 /// The state with other colours of materials.
 const PAINTED: &str = "painted";
+/// The state in levels of detail.
+const DETAILED: &str = "detailed";
+/// Its levels, which meet within small scenes, each of them otherwise.
+const LEVELS: &str = "level0=0,0,all,0,1 level1=0.3,1,16,1,1 level2=0.5,1,8,2,2 level3=0.7,1,8,3,4";
 /// Width and height of the pictures in pixels.
 const SIZE: [u32; 2] = [192, 128];
 /// Samples per pixel of the smooth pictures.
@@ -87,6 +91,7 @@ fn colour(material: &str, base_colour: [f32; 3]) -> Recolour {
 fn states(materials: &[Recolour]) -> Vec<State> {
     let of = |name, words: &[&str], emitters, camera: Option<&str>| State {
         materials: if name == PAINTED { materials.to_vec() } else { Vec::new() },
+        lod: (name == DETAILED).then_some(LEVELS),
         name,
         lights: (!words.is_empty()).then(|| words.iter().map(|word| (*word).to_owned()).collect()),
         emitters,
@@ -106,6 +111,7 @@ fn states(materials: &[Recolour]) -> Vec<State> {
             Some("eye=0.9,1.2,1.9 target=-0.2,0.7,-0.5 fov=70"),
         ),
         of(PAINTED, &[], 1.0, None),
+        of(DETAILED, &[], 1.0, None),
         of(
             "rectangle",
             &["rect pos=0.1,1.6,0.2 dir=0.2,-1,0.1 size=0.5,0.3 color=1,0.8,0.5 power=40"],
@@ -174,6 +180,10 @@ fn browser_agrees(bundle: &Bundle, colours: &[Recolour]) {
             let [indirect, picture] = baked.on_processor(state);
             assert!(!of_indirect(&drawn.indirect, &indirect).agrees(INDIRECT_OUTLIERS));
             assert!(!of_picture(&drawn.radiance, &picture).agrees(PICTURE_OUTLIERS));
+        }
+        if state.lod.is_some() {
+            let [indirect, _] = expected.on_processor(&State { lod: None, ..state.clone() });
+            assert!(!of_indirect(&drawn.indirect, &indirect).agrees(INDIRECT_OUTLIERS));
         }
     }
     assert!(wrong.is_empty(), "{wrong:#?}");
