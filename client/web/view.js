@@ -163,6 +163,12 @@ export class Viewer {
     this.#isStale = true;
   }
 
+  /** Sets a panorama as the sky, see `Frame.setSky`. */
+  async setSky(panorama, how) {
+    await this.frame.setSky(panorama, how);
+    this.#isStale = true;
+  }
+
   /** Sets levels of detail, see `Frame.setLod`; with null there is all detail. */
   async setLod(words) {
     await this.frame.setLod(words);

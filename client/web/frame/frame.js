@@ -3,6 +3,7 @@
 //   setLights ───▶ shadow maps ─▶ direct ─▶ bounce, bounce, … ─▶ publish ─▶ draw
 //   setEmitters ──────────────────────────▶    (advance: once a frame, until they change nothing)
 //   setMaterials ───────────────▶ direct ─▶
+//   setSky ────────────────────────────────▶    (another picture makes a texture)
 //   setLod ───────▶ detail of clusters ───▶
 //   setCamera ───▶ cascades of suns ─────────────────────────────────────▶ draw
 //
@@ -57,6 +58,8 @@ export function limitsOf(adapter) {
 export class Frame {
   #casters = [];
   #sky = skyOf([]);
+  // A panorama with its turn, its strength, and the means of the sky's parts before it; null without one.
+  #panorama = null;
   #emitterScale = [];
   // Colours of materials; null until the scene is there.
   #tints = null;
@@ -75,7 +78,7 @@ export class Frame {
   #lodPlan = null;
   // Number of the next bounce.
   #turn = 0;
-  // Ends when the last `setLight` or `setLod` has: they take turns.
+  // Ends when the last `setLight`, `setSky` or `setLod` has: they take turns.
   #lightTurn = Promise.resolve();
   // The last size that the device had memory for.
   #sizeKept;
@@ -139,6 +142,23 @@ export class Frame {
       return;
     }
     this.#sky = sky;
+    this.#writeUnshadowed();
+  }
+
+  /**
+   * Sets a panorama (`Panorama`) as the sky, on top of skies among the lights, turned by degrees about the vertical and scaled; null
+   * takes it away. Waits for its means, and for calls of `setLight` before. Another picture makes a texture; its turn and strength make
+   * nothing. Errs, and changes nothing, for numbers that cannot be, and where the device has no room for it.
+   */
+  setSky(panorama, { turnDeg = 0, strength = 1 } = {}) {
+    return this.#inTurn(() => this.#takeSky(panorama, turnDeg, strength));
+  }
+
+  async #takeSky(panorama, turnDeg, strength) {
+    panorama?.check(turnDeg, strength);
+    const means = await panorama?.means(turnDeg, this.bake.light.columns.skyParts);
+    await heard(this.gpu.device, () => this.shade.setPanorama(panorama, turnDeg, strength));
+    this.#panorama = panorama && { panorama, turnDeg, strength, means };
     this.#writeUnshadowed();
   }
 
@@ -416,10 +436,11 @@ export class Frame {
 
   /** Writes light that no shadow map has: all bounces are of other light from here on. */
   #writeUnshadowed() {
-    const isEmitting = this.light.setUnshadowed(this.#sky, this.#emitterScale);
+    const isEmitting = this.light.setUnshadowed(this.#sky, this.#panorama, this.#emitterScale);
     this.#setLooks();
     // Light that nothing sends any more would fade for ever.
-    const isDark = this.#casters.length === 0 && isBlack(this.#sky) && !isEmitting;
+    const hasPanorama = this.#panorama !== null && this.#panorama.strength * this.#panorama.panorama.brightest > 0;
+    const isDark = this.#casters.length === 0 && isBlack(this.#sky) && !hasPanorama && !isEmitting;
     this.#stale.light ||= isDark;
     this.#begin();
   }

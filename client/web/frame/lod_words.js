@@ -2,15 +2,13 @@
 
 import { MAX_RANK } from "../relight/clusters.js";
 import { LOD_LEVELS, LOD_PRESETS, NOWHERE, fullLevel, problemOfLod } from "../relight/lod.js";
-import { fround } from "../relight/numbers.js";
+import { fround, numberFrom, wholeFrom } from "../relight/numbers.js";
 import { Words } from "./words.js";
 
 const LOD =
   "fine|balanced|coarse [level1=distance,columns,rank,receivers,interval (distance in scene diagonals, or metres as 20m)] " +
   "[level2=…] [level3=…] [level0=…] [beside=f] [behind=f] [blend=share] [margin=share]";
 const FACTORS = ["beside", "behind", "blend", "margin"];
-const DECIMAL = /^[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?$/i;
-const INFINITE = /^\+?inf(inity)?$/i;
 
 /**
  * Reads a preset's name, words that change it, or both; words alone begin with the most detail everywhere. Levels that are not named and
@@ -56,14 +54,4 @@ function levelFrom(text) {
   const [columns, receivers, interval] = [ofColumns, ...rest].map(wholeFrom);
   const isLevel = rest.length === 2 && [distance, columns, rank, receivers, interval].every((value) => value !== null);
   return isLevel ? { distance: { value: distance, isMetres }, columns, rank, receivers, interval } : null;
-}
-
-function numberFrom(text) {
-  if (INFINITE.test(text)) return Infinity;
-  return DECIMAL.test(text) ? fround(Number(text)) : null;
-}
-
-function wholeFrom(text) {
-  const isWhole = /^\+?\d{1,10}$/.test(text ?? "") && Number(text) < 2 ** 32;
-  return isWhole ? Number(text) : null;
 }

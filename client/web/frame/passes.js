@@ -52,12 +52,17 @@ export class LightPasses {
     this.gpu.destroy();
   }
 
-  /** Writes light that no shadow map has: E_emit, and λ of the sky. Answers whether any emitter sends light. */
-  setUnshadowed(sky, emitterScale) {
+  /**
+   * Writes light that no shadow map has: E_emit, and λ of the sky, to which `means` of its parts are added by a strength, `{means, strength}`
+   * or null. Answers whether any emitter sends light.
+   */
+  setUnshadowed(sky, panorama, emitterScale) {
     const { light, resident } = this;
     const emit = light.emitters.irradiance(light.receivers.count, emitterScale);
     this.gpu.write(resident.eEmit, emit);
-    resident.writeSky(this.gpu, light.columns.skyLambda(sky));
+    const lambda = light.columns.skyLambda(sky);
+    panorama?.means.forEach((mean, at) => (lambda[at] += panorama.strength * mean));
+    resident.writeSky(this.gpu, lambda);
     return emit.some((value) => value !== 0);
   }
 

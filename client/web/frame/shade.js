@@ -3,6 +3,7 @@
 import { Glass } from "./glass.js";
 import { FRAGMENT, VERTEX } from "./gpu.js";
 import { SAMPLED, VERTEX_LAYOUT, uvRows } from "./meshes.js";
+import { PanoramaPass } from "./panorama.js";
 import { NEARER_WINS, TESTED_ALONE, clearedDepth } from "./targets.js";
 import { VIEW_NUMBERS } from "./view.js";
 
@@ -19,6 +20,9 @@ const OVER = {
 };
 
 export class ShadePass {
+  /** Null without a panorama. */
+  panorama = null;
+
   /** Makes pipelines, and a target of `size` pixels. */
   static async create(gpu, scene, meshes, shadow, atlas, size) {
     const pass = new ShadePass();
@@ -89,6 +93,20 @@ export class ShadePass {
     this.viewGroup = this.gpu.bind(this.viewLayout, [this.view, atlas.view, this.placements]);
   }
 
+  /** Puts a panorama behind the scene, turned and scaled, or none; another one makes a texture. Errs, and keeps the former, where it cannot be. */
+  async setPanorama(panorama, turnDeg, strength) {
+    const before = this.panorama;
+    if (before?.panorama === panorama) {
+      before?.set(turnDeg, strength);
+      return;
+    }
+    const { gpu, view, format } = this;
+    const made = panorama && (await PanoramaPass.create(gpu, panorama, view, { format, depthStencil: BEHIND }));
+    made?.set(turnDeg, strength);
+    this.panorama = made;
+    before?.destroy();
+  }
+
   /** Makes a target of another size: width and height in pixels. */
   resize(size) {
     this.target?.destroy();
@@ -121,9 +139,10 @@ export class ShadePass {
       ],
       depthStencilAttachment: clearedDepth(this.depthView),
     });
+    this.panorama?.record(pass);
     pass.setBindGroup(0, this.shadow.lightGroup);
     pass.setBindGroup(1, this.viewGroup);
-    if (this.materials.length > 0) {
+    if (this.panorama === null && this.materials.length > 0) {
       // The sky reads neither, but its pipeline's layout names them.
       pass.setBindGroup(2, this.draws, [0]);
       pass.setBindGroup(3, this.materials[0]);

@@ -10,6 +10,7 @@ const NAMES = [
   "lod-mark",
   "near",
   "near-lit",
+  "panorama",
   "patches",
   "reconstruct",
   "shade",

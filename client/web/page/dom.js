@@ -22,6 +22,17 @@ export function notice(text, { isBad = false } = {}) {
   return el("p", { class: isBad ? "notice bad" : "notice", role: isBad ? "alert" : "status" }, text);
 }
 
+// Steps of a slider from one end to the other.
+const STEPS = 200;
+
+/** A slider from 0 to 1: its label, and `set`, which moves it. */
+export function slider(name, changed) {
+  const input = el("input", { type: "range", min: 0, max: STEPS });
+  input.addEventListener("input", () => changed(Number(input.value) / STEPS));
+  const set = (share) => (input.value = String(Math.round(STEPS * Math.max(0, Math.min(1, share)))));
+  return { label: el("label", {}, el("span", {}, name), input), set };
+}
+
 /** A state with its mark. */
 export function stateMark(state) {
   return el("span", { class: `state ${/^[a-z]+$/.test(state) ? state : ""}` }, state);

@@ -3,11 +3,9 @@
 import { Unsupported, Viewer } from "../view.js";
 import { coloursOf } from "./colours.js";
 import { detailOf } from "./detail.js";
-import { el, fill, notice } from "./dom.js";
+import { el, fill, notice, slider } from "./dom.js";
 import { picturesOf } from "./pictures.js";
-
-/** Steps of a slider from one end of the scene to the other. */
-const STEPS = 200;
+import { skyOf } from "./sky.js";
 
 /**
  * Shows the bake's picture in `place` until `signal` is raised. Where there can be none, it says why, and shows `pictures` that were drawn
@@ -36,7 +34,7 @@ export async function viewerOf(place, source, signal, { pictures = [], base = ""
     const viewer = await Viewer.open(canvas, source, { signal, onProgress, onTrouble, onFailure });
     if (signal.aborted) viewer.close();
     else signal.addEventListener("abort", () => viewer.close(), { once: true });
-    fill(controls, controlsOf(viewer));
+    fill(controls, controlsOf(viewer, canvas));
   } catch (error) {
     onFailure(error);
   }
@@ -49,7 +47,7 @@ function told(error, hasPictures) {
   return notice(`The picture: ${error.message}${rest}`, { isBad });
 }
 
-function controlsOf(viewer) {
+function controlsOf(viewer, canvas) {
   const [low, high] = viewer.frame.boundsM;
   const sizes = high.map((bound, axis) => bound - low[axis] || 1);
   const places = sizes.map((size, axis) =>
@@ -72,15 +70,8 @@ function controlsOf(viewer) {
   return [
     ...[...places, brightness, exposure].map(({ label }) => label),
     ...detailOf(viewer),
+    ...skyOf(viewer, canvas),
     coloursOf(viewer),
-    el("p", { class: "quiet small hint" }, "Drag to turn, wheel to come nearer; Shift or the right button moves the lamp."),
+    el("p", { class: "quiet small hint" }, "Drag to turn, wheel to come nearer; Shift or the right button moves the lamp. Drop a panorama (.hdr) on the picture for a sky."),
   ];
-}
-
-/** A slider from 0 to 1: its label, and `set`, which moves it. */
-function slider(name, changed) {
-  const input = el("input", { type: "range", min: 0, max: STEPS });
-  input.addEventListener("input", () => changed(Number(input.value) / STEPS));
-  const set = (share) => (input.value = String(Math.round(STEPS * Math.max(0, Math.min(1, share)))));
-  return { label: el("label", {}, el("span", {}, name), input), set };
 }

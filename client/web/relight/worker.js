@@ -1,10 +1,11 @@
-// A module Worker that does the work of `light_work.js`: calls come as `{id, name, args}`, answers go as `{id, value}` or `{id, error}`.
+// A module Worker that does the work of `light_work.js` and of `sky_work.js`: calls come as `{id, name, args}`, answers go as `{id, value}` or `{id, error}`.
 // Memory is handed over, not copied, but for what the work goes on with.
 
 import { buffersOf, flatError, flatLight } from "./flat.js";
 import { LightWork } from "./light_work.js";
+import { SkyWork } from "./sky_work.js";
 
-const work = new LightWork();
+const [work, sky] = [new LightWork(), new SkyWork()];
 
 /** By name of a call: what is answered, and what of it the work keeps. */
 const CALLS = {
@@ -13,6 +14,9 @@ const CALLS = {
   add: (...args) => ({ value: work.add(...args), memory: [] }),
   light: () => handedOver(flatLight(work.light())),
   byNeed: (...args) => ({ value: work.byNeed(...args), memory: [] }),
+  readSky: (...args) => handedOver(sky.read(...args)),
+  takeSky: (...args) => handedOver(sky.take(...args)),
+  skyMeans: (...args) => handedOver(sky.means(...args)),
 };
 
 function handedOver(value) {

@@ -8,6 +8,7 @@
 
 import { buffersOf, errorOf, lightOf } from "./flat.js";
 import { LightWork } from "./light_work.js";
+import { SkyWork } from "./sky_work.js";
 
 /** Most Workers that decode; one more puts light together. More → the first light sooner, more memory. */
 export const WORKERS_MAX = 4;
@@ -24,6 +25,22 @@ export async function openWork(count = usualCount()) {
   } catch {
     workers.forEach((worker) => worker.close(new Error("Workers are refused")));
     return new WorkHere();
+  }
+}
+
+/** Opens a Worker for one panorama; where it is refused, the work is done on this thread. It has `call` by name, and `close`. */
+export async function openSkyWork() {
+  try {
+    const worker = new Remote();
+    await worker.ready;
+    return {
+      call: (...args) => worker.call(...args),
+      close: () => worker.close(new Error("the panorama was closed")),
+    };
+  } catch {
+    const work = new SkyWork();
+    const calls = { readSky: "read", takeSky: "take", skyMeans: "means" };
+    return { call: async (name, args) => work[calls[name]](...args), close() {} };
   }
 }
 

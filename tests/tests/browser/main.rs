@@ -24,6 +24,8 @@ mod keeper;
 mod relighting;
 mod shown;
 #[allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+mod skies;
+#[allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 mod three_js;
 mod viewing;
 #[allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]

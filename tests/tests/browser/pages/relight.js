@@ -5,6 +5,7 @@ import { BundleSource } from "/web/fetch.js";
 import { Frame, featuresOf } from "/web/frame/frame.js";
 import { cameraOf, lightsOf } from "/web/frame/lights.js";
 import { parseCamera, parseLights } from "/web/frame/words.js";
+import { Panorama } from "/web/relight/panorama.js";
 import { BakeStream, loadBake } from "/web/relight/stream.js";
 
 const FORMAT = "rgba8unorm";
@@ -28,13 +29,22 @@ function screenOf(device, size) {
   return device.createTexture({ size, format: FORMAT, usage });
 }
 
-async function setState(frame, { lights, emitters, camera, materials, lod }) {
+let opened = null;
+
+/** The panorama of states that have one. */
+function panorama() {
+  const read = async () => Panorama.read("sky.hdr", new Uint8Array(await (await fetch("/sky.hdr")).arrayBuffer()));
+  return (opened ??= read());
+}
+
+async function setState(frame, { lights, emitters, camera, materials, lod, sky }) {
   const { manifest } = frame.bake.scene;
   frame.setLights(lights === null ? lightsOf(manifest) : parseLights(lights).lights);
   frame.setEmitters(manifest.emitters.map(() => emitters));
   frame.setMaterials(materials);
   frame.setCamera(camera === null ? cameraOf(manifest) : parseCamera(camera));
   await frame.setLod(lod);
+  await frame.setSky(sky && (await panorama()), sky ? { turnDeg: sky[0], strength: sky[1] } : {});
 }
 
 /** Light, pictures and exposure that a frame draws for a state. */
@@ -56,6 +66,14 @@ async function drawn(frame, state, screen, { limit, samples }) {
   return { ...settled, ...found, exposure, smooth: await screened() };
 }
 
+/** Turns and scales the panorama of a state: told is what that makes. */
+async function turned(frame, { sky: [turnDeg, strength] }, created) {
+  const before = frame.gpu.created;
+  await frame.setSky(await panorama(), { turnDeg: turnDeg + 90, strength: 2 * strength });
+  await frame.settle();
+  created.push(frame.gpu.created - before);
+}
+
 /** Draws all states of a job with one frame. */
 export async function draw(job) {
   const { device, errors } = await openDevice();
@@ -65,12 +83,16 @@ export async function draw(job) {
   const screen = screenOf(device, job.size);
   // The first levels of detail make buffers.
   await frame.setLod("coarse");
-  const before = frame.gpu.created;
   const states = {};
+  const created = [];
   for (const state of job.states) {
+    const before = frame.gpu.created;
     states[state.name] = await drawn(frame, state, screen, job);
+    // A panorama makes a texture.
+    if (state.sky === null) created.push(frame.gpu.created - before);
+    else await turned(frame, state, created);
   }
-  return { states, created: [before, frame.gpu.created], errors };
+  return { states, created, errors };
 }
 
 /** E_ind of a state by the overview alone, then with more clusters in so many steps, then anew with all of them. */

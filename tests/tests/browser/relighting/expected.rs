@@ -1,13 +1,14 @@
 //! Light and pictures by the references on the processor, and on the adapter.
 
 use std::path::Path;
+use std::sync::Arc;
 
 use glam::{Vec3, Vec4};
 use lightkiln_client::bake::{Light, LightStream as _, LitScene, LoadedBake, Unshadowed};
 use lightkiln_client::fetch::Source;
 use lightkiln_client::kinds::prt::{self, PrtStream};
 use lightkiln_client::lightmap::LightmapLight;
-use lightkiln_client::lights::{Caster, Sky, camera_of, lights_of, parse_camera, parse_lights};
+use lightkiln_client::lights::{Caster, Panorama, Sky, camera_of, lights_of, parse_camera, parse_lights};
 use lightkiln_client::passes::gpu::Gpu;
 use lightkiln_client::passes::meshes::Meshes;
 use lightkiln_client::passes::shadow::reference::draw;
@@ -22,11 +23,12 @@ use lightkiln_proto::words::lod_from_text;
 use serde_json::{Value, json};
 
 use super::SIZE;
+use crate::skies;
 
 /// Room of the shadow maps, in the browser too.
 pub const ROOM: ShadowRoom = ShadowRoom { lights: 4, faces: 20, side: 512 };
 /// End of the bounces.
-pub const LIMIT: Limit = Limit { bounces_max: 64, change_max: 1e-5 };
+pub const LIMIT: Limit = Limit { bounces_max: 256, change_max: 1e-5 };
 
 /// A state of a frame.
 #[derive(Clone)]
@@ -43,6 +45,8 @@ pub struct State {
     pub materials: Vec<Recolour>,
     /// Levels of detail in words; all detail where there are none.
     pub lod: Option<&'static str>,
+    /// Turn in degrees and strength of the panorama (`super::super::skies::file`), where it is the sky.
+    pub sky: Option<[f32; 2]>,
 }
 
 impl State {
@@ -56,6 +60,7 @@ impl State {
             "camera": self.camera,
             "materials": self.materials.iter().map(colour).collect::<Vec<_>>(),
             "lod": self.lod,
+            "sky": self.sky,
         })
     }
 }
@@ -95,8 +100,11 @@ impl Expected {
         let view = self.view(state);
         let plan = self.plan(&view);
         let maps = draw(&self.scene, &plan);
-        let unshadowed =
-            Unshadowed { sky: Sky::of(&view.lights), panorama: None, emitter_scale: &view.emitter_scale };
+        let unshadowed = Unshadowed {
+            sky: Sky::of(&view.lights),
+            panorama: view.panorama.as_deref(),
+            emitter_scale: &view.emitter_scale,
+        };
         let lod = self.lod_plan(&self.light, &view);
         let lit = LitScene { scene: &self.scene, plan: &plan, maps: &maps, unshadowed, lod: lod.as_ref() };
         let settled = self.light.settled(&lit, LIMIT).light;
@@ -130,8 +138,11 @@ impl Expected {
             passes.make_lod(gpu, light.lod_table().unwrap()).unwrap();
             passes.set_lod(gpu, lod.as_ref());
         }
-        let unshadowed =
-            Unshadowed { sky: Sky::of(&view.lights), panorama: None, emitter_scale: &view.emitter_scale };
+        let unshadowed = Unshadowed {
+            sky: Sky::of(&view.lights),
+            panorama: view.panorama.as_deref(),
+            emitter_scale: &view.emitter_scale,
+        };
         passes.set_unshadowed(gpu, &light.unshadowed(unshadowed));
         gpu.submit(|encoder| {
             let mut recorder = Recorder::untimed(encoder);
@@ -199,6 +210,9 @@ impl Expected {
             limit: LIMIT,
             emitter_scale: vec![state.emitters; manifest.emitters.len()],
             lod: state.lod.map(|words| lod_from_text(words).unwrap()),
+            panorama: state.sky.map(|[turn_deg, strength]| {
+                Arc::new(Panorama::new(Arc::new(skies::image(&skies::file())), turn_deg, strength).unwrap())
+            }),
             ..View::new(camera, lights)
         }
     }

@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 use super::bundle::Bundle;
 use super::driver::Browser;
 use super::files::{Answer, Files};
-use super::{browser_at, bytes_of_hex as bytes, served};
+use super::{browser_at, bytes_of_hex as bytes, served, skies};
 use expected::{Expected, LIMIT, ROOM, State};
 
 const MODULE: &str = "/pages/relight.js";
@@ -22,6 +22,8 @@ const MODULE: &str = "/pages/relight.js";
 const PAINTED: &str = "painted";
 /// The state in levels of detail.
 const DETAILED: &str = "detailed";
+/// The state under a panorama.
+const UNDER_SKY: &str = "under a sky";
 /// Its levels, which meet within small scenes, each of them otherwise.
 const LEVELS: &str = "level0=0,0,all,0,1 level1=0.3,1,16,1,1 level2=0.5,1,8,2,2 level3=0.7,1,8,3,4";
 /// Width and height of the pictures in pixels.
@@ -92,6 +94,7 @@ fn states(materials: &[Recolour]) -> Vec<State> {
     let of = |name, words: &[&str], emitters, camera: Option<&str>| State {
         materials: if name == PAINTED { materials.to_vec() } else { Vec::new() },
         lod: (name == DETAILED).then_some(LEVELS),
+        sky: (name == UNDER_SKY).then_some([140.0, 1.5]),
         name,
         lights: (!words.is_empty()).then(|| words.iter().map(|word| (*word).to_owned()).collect()),
         emitters,
@@ -112,6 +115,12 @@ fn states(materials: &[Recolour]) -> Vec<State> {
         ),
         of(PAINTED, &[], 1.0, None),
         of(DETAILED, &[], 1.0, None),
+        of(
+            UNDER_SKY,
+            &["sky zenith=0.1,0.2,0.3 horizon=0.2,0.1,0.1"],
+            0.0,
+            Some("eye=0.9,1.2,1.9 target=-0.2,1.2,-0.5 fov=110"),
+        ),
         of(
             "rectangle",
             &["rect pos=0.1,1.6,0.2 dir=0.2,-1,0.1 size=0.5,0.3 color=1,0.8,0.5 power=40"],
@@ -135,6 +144,9 @@ fn job(states: &[State]) -> Value {
 fn opened(bundle: &Bundle) -> (Files, Browser) {
     let folder = bundle.folder().to_owned();
     let files = served(move |request| {
+        if request.path == "/sky.hdr" {
+            return Some(Answer::of(skies::file()));
+        }
         if let Some(name) = request.path.strip_prefix("/web/shaders/") {
             let name = name.strip_suffix(".wgsl")?;
             let (_, text) = web::shaders().into_iter().find(|(own, _)| *own == name)?;
@@ -152,7 +164,11 @@ fn browser_agrees(bundle: &Bundle, colours: &[Recolour]) {
     let (states, (_files, browser)) = (states(colours), opened(bundle));
     let told = browser.run(MODULE, "draw", json!([job(&states)]));
     assert_eq!(told["errors"], json!([]));
-    assert_eq!(told["created"][0], told["created"][1], "changes make nothing on the device");
+    let created = told["created"].as_array().expect("a list");
+    assert!(
+        created.len() == states.len() && created.iter().all(|made| made == 0),
+        "changes make {created:?}"
+    );
     let [baked, painted] = [&[], colours].map(|colours| Expected::new(bundle.folder(), colours));
     let mut wrong = Vec::new();
     for state in &states {
