@@ -145,7 +145,7 @@ fn chromium_finds_the_means_of_the_skys_parts_that_rust_finds() {
     let browser = browser_at(&server);
     // A picture of its own size, and one that is reduced.
     let large: Vec<[f32; 3]> =
-        (0..1500 * 750_u32).map(|at| [(at % 7) as f32, (at / 1500) as f32, 3.0]).collect();
+        (0..1500 * 750_u32).map(|at| [(at % 1500) as f32, (at / 1500) as f32, 3.0]).collect();
     let large = PanoramaImage::new("large".into(), 1500, 750, large).unwrap();
     for (name, image) in [("file", image(&file())), ("large", large)] {
         let image = Arc::new(image);

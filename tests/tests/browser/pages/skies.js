@@ -27,7 +27,7 @@ const opened = new Map();
 async function panorama(name) {
   if (name === "file") return Panorama.read(name, new Uint8Array(await (await fetch("/sky.hdr")).arrayBuffer()));
   const pixels = new Float32Array(3 * 1500 * 750);
-  for (let at = 0; at < pixels.length / 3; at++) pixels.set([at % 7, Math.floor(at / 1500), 3], 3 * at);
+  for (let at = 0; at < pixels.length / 3; at++) pixels.set([at % 1500, Math.floor(at / 1500), 3], 3 * at);
   return Panorama.of(name, 1500, 750, pixels);
 }
 

@@ -117,9 +117,12 @@ fn states(materials: &[Recolour]) -> Vec<State> {
         of(DETAILED, &[], 1.0, None),
         of(
             UNDER_SKY,
-            &["sky zenith=0.1,0.2,0.3 horizon=0.2,0.1,0.1"],
+            &[
+                "point pos=-0.6,1.5,0.5 color=1,0.6,0.3 power=60",
+                "sky zenith=0.1,0.2,0.3 horizon=0.2,0.1,0.1",
+            ],
             0.0,
-            Some("eye=0.9,1.2,1.9 target=-0.2,1.2,-0.5 fov=110"),
+            None,
         ),
         of(
             "rectangle",
@@ -159,9 +162,13 @@ fn opened(bundle: &Bundle) -> (Files, Browser) {
     (files, browser)
 }
 
-/// Draws the states of a bake in the browser, and holds them against both references.
-fn browser_agrees(bundle: &Bundle, colours: &[Recolour]) {
-    let (states, (_files, browser)) = (states(colours), opened(bundle));
+/// Draws the states of a bake in the browser, that under a panorama from an eye of its own where there is one, and holds them against
+/// both references.
+fn browser_agrees(bundle: &Bundle, colours: &[Recolour], sky_camera: Option<&str>) {
+    let (mut states, (_files, browser)) = (states(colours), opened(bundle));
+    for state in states.iter_mut().filter(|state| state.sky.is_some()) {
+        state.camera = sky_camera.map(str::to_owned);
+    }
     let told = browser.run(MODULE, "draw", json!([job(&states)]));
     assert_eq!(told["errors"], json!([]));
     let created = told["created"].as_array().expect("a list");
@@ -196,6 +203,14 @@ fn browser_agrees(bundle: &Bundle, colours: &[Recolour]) {
             let [indirect, picture] = baked.on_processor(state);
             assert!(!of_indirect(&drawn.indirect, &indirect).agrees(INDIRECT_OUTLIERS));
             assert!(!of_picture(&drawn.radiance, &picture).agrees(PICTURE_OUTLIERS));
+        }
+        if let Some([turn_deg, strength]) = state.sky {
+            let turned = State { sky: Some([turn_deg + 60.0, strength]), ..state.clone() };
+            let [indirect, picture] = expected.on_processor(&turned);
+            assert!(!of_indirect(&drawn.indirect, &indirect).agrees(INDIRECT_OUTLIERS));
+            // The eye of a bake may see none of the sky.
+            let sees_sky = sky_camera.is_some();
+            assert!(!sees_sky || !of_picture(&drawn.radiance, &picture).agrees(PICTURE_OUTLIERS));
         }
         if state.lod.is_some() {
             let [indirect, _] = expected.on_processor(&State { lod: None, ..state.clone() });
@@ -249,13 +264,15 @@ fn wrong_light_is_seen(drawn: &Drawn, [indirect, picture]: &[Vec<Vec4>; 2]) {
 #[test]
 #[ignore = "needs chromium and a graphics adapter"]
 fn chromium_draws_cornell_as_the_references_do() {
-    browser_agrees(&Bundle::cornell(), &of_cornell());
+    // From here the sky is seen beside the box.
+    let beside = "eye=0.9,1.2,1.9 target=-0.2,1.2,-0.5 fov=110";
+    browser_agrees(&Bundle::cornell(), &of_cornell(), Some(beside));
 }
 
 #[test]
 #[ignore = "needs chromium and a graphics adapter"]
 fn chromium_draws_glass_textures_and_near_hits_as_the_references_do() {
-    browser_agrees(&Bundle::flat(), &of_flat());
+    browser_agrees(&Bundle::flat(), &of_flat(), None);
 }
 
 #[test]
