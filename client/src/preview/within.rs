@@ -55,8 +55,13 @@ impl StreamedBake {
                 format!("are too few: manifest, directory, patches and overview alone have {first}");
             return Err(ClientError::Argument { what, problem });
         }
-        let scene = LoadedScene::fetch(source, manifest)?;
-        let stream = kind.stream(source, &scene)?;
+        // Neither waits for the other's answers, nor for its decoding.
+        let (scene, stream) = std::thread::scope(|threads| {
+            let stream = threads.spawn(|| kind.stream(source, &manifest));
+            let scene = LoadedScene::fetch(source, manifest.clone());
+            (scene, stream.join())
+        });
+        let (scene, stream) = (scene?, stream.unwrap_or_else(|panic| std::panic::resume_unwind(panic))?);
         let memory = stream.streamed().memory;
         if budget.memory < memory {
             let what = format!("{} bytes of memory for light", budget.memory);

@@ -47,8 +47,7 @@ pub struct PrtStream {
 
 impl PrtStream {
     /// Fetches patches and overview.
-    pub fn begin(source: &Source, scene: &LoadedScene) -> Result<Self> {
-        let manifest = &scene.manifest;
+    pub fn begin(source: &Source, manifest: &Manifest) -> Result<Self> {
         let sets = decoded(source, manifest, PATCHES, |bytes| Ok(chunk::decode_patches(bytes)?))?;
         let set = one_of(&sets)?.clone();
         let overview: Vec<ClusterTransport> =
@@ -423,7 +422,7 @@ mod tests {
         let (source, streamed) = streamed(folder.path());
         let scene = &streamed.bake.scene;
         let manifest = &scene.manifest;
-        let mut stream = PrtStream::begin(&source, scene).unwrap();
+        let mut stream = PrtStream::begin(&source, &scene.manifest).unwrap();
         for (index, chunk) in manifest.chunks(CLUSTERS).iter().enumerate() {
             stream.clusters.insert(index, source.chunk(chunk).unwrap());
         }
