@@ -131,6 +131,14 @@ pub enum ClientError {
         /// Why.
         problem: String,
     },
+    /// The graphics adapter has no room for a bake; it may have for less of its light.
+    #[error(
+        "no room on the graphics adapter: {problem}; it takes less with fewer or smaller shadow maps and pictures, or the processor draws it (--backend cpu)"
+    )]
+    AdapterFull {
+        /// Buffer or texture that there is no room for.
+        problem: String,
+    },
     /// There is no window.
     #[error("no window: {problem}; 'kiln preview' draws pictures without one")]
     Window {
@@ -164,6 +172,7 @@ impl ClientError {
             | Self::Inconsistent { .. }
             | Self::Argument { .. }
             | Self::Adapter { .. }
+            | Self::AdapterFull { .. }
             | Self::Object { .. }
             | Self::Window { .. }
             | Self::Picture { .. } => RetryClass::Never,

@@ -83,6 +83,8 @@ pub struct View {
     pub limit: Limit,
     /// Levels of detail; all of it without.
     pub lod: Option<Lod>,
+    /// Most bytes of the adapter's memory that drawing takes; as many as there are without.
+    pub adapter_bytes_max: Option<u64>,
 }
 
 impl View {
@@ -128,6 +130,7 @@ impl View {
             shadow_side: SHADOW_SIDE,
             limit: Limit::default(),
             lod: None,
+            adapter_bytes_max: None,
         }
     }
 
@@ -255,13 +258,14 @@ type Views<'a> = (usize, &'a dyn Fn(usize) -> View);
 
 fn draw(bake: &LoadedBake, views: Views<'_>, backend: Backend, reel: &mut Reel<'_>) -> Result<()> {
     let room = room_of(bake, views)?;
+    let bytes_max = (views.1)(0).adapter_bytes_max;
     let reason = match backend {
         Backend::Cpu => "as asked".to_owned(),
-        Backend::Gpu => return gpu::render(&Gpu::open()?, bake, (views, room), reel),
-        Backend::Auto => match Gpu::open() {
+        Backend::Gpu => return gpu::render(&Gpu::open_within(bytes_max)?, bake, (views, room), reel),
+        Backend::Auto => match Gpu::open_within(bytes_max) {
             Ok(gpu) if gpu.software => format!("{} is software", gpu.name),
             Ok(gpu) => match gpu::render(&gpu, bake, (views, room), reel) {
-                Err(ClientError::Adapter { problem }) => problem,
+                Err(ClientError::Adapter { problem } | ClientError::AdapterFull { problem }) => problem,
                 drawn => return drawn,
             },
             Err(ClientError::Adapter { problem }) => problem,

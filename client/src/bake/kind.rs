@@ -24,8 +24,8 @@ pub trait ClientKind: Send + Sync {
     }
 
     /// Fetches the part of the light that comes first. Errs for a kind whose bakes have no such part.
-    fn stream(&self, source: &Source, scene: &LoadedScene) -> Result<Box<dyn LightStream>> {
-        let _ = (source, scene);
+    fn stream(&self, source: &Source, manifest: &Manifest) -> Result<Box<dyn LightStream>> {
+        let _ = (source, manifest);
         let text = format!("kind {}", self.contract().name());
         let problem = "has no part of the light that comes first: fetch all of it".to_owned();
         Err(ClientError::Source { text, problem })

@@ -12,6 +12,15 @@ pub enum Held<'a, T> {
     Shared(Arc<T>),
 }
 
+impl<T> Clone for Held<'_, T> {
+    fn clone(&self) -> Self {
+        match self {
+            Self::Borrowed(value) => Self::Borrowed(value),
+            Self::Shared(value) => Self::Shared(Arc::clone(value)),
+        }
+    }
+}
+
 impl<T> Deref for Held<'_, T> {
     type Target = T;
 

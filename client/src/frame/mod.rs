@@ -13,6 +13,7 @@
 //! Bounces go on from the light that there is: after a small change a few are enough. Whoever shows frames paces them, as a window
 //! does: an adapter that is slower than the caller falls behind.
 
+mod bake;
 mod bounces;
 mod held;
 mod lod;
@@ -345,34 +346,6 @@ impl<'a> Frame<'a> {
         }
         self.shadow.set(&self.gpu, &self.plan);
         (self.stale.lights, self.stale.cascades) = (true, true);
-        Ok(())
-    }
-
-    /// Takes a bake with the same scene and other light: meshes, textures, shadow maps and everything that was set stay, and light
-    /// starts anew. Errs, and changes nothing, where that cannot be.
-    pub fn set_bake(&mut self, bake: impl Into<Held<'a, LoadedBake>>) -> Result<()> {
-        let bake = bake.into();
-        let mut light = bake.light.passes(&self.gpu, &bake.scene, &self.shadow, self.room.size)?;
-        let overlay = self.overlay.as_ref().map(|(overlay, _)| *overlay);
-        let overlay = self.painted(&bake, overlay)?;
-        if overlay.is_some() {
-            light.make_paint(&self.gpu)?;
-        }
-        if self.lod.is_some() {
-            light.make_lod(&self.gpu, lod_table(&bake)?)?;
-        }
-        let change = light.feedback().map(|feedback| ChangePass::new(&self.gpu, feedback)).transpose()?;
-        self.shade.bind(&self.gpu, &light.bindings())?;
-        self.has_paint = overlay.is_some();
-        (self.has_lod, self.lod_plan) = (self.lod.is_some(), None);
-        self.overlay = overlay;
-        (self.light, self.change, self.bake) = (light, change, bake);
-        self.plan_lod();
-        if let Some(albedo) = self.bake.light.tinted_albedo(&self.bake.scene, &self.tints) {
-            self.light.set_albedo(&self.gpu, &albedo);
-        }
-        (self.stale.lights, self.stale.cascades) = (true, true);
-        self.write_unshadowed();
         Ok(())
     }
 

@@ -1,14 +1,16 @@
 //! The graphics adapter: opening it, buffers within its limits, pipelines, reading back.
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use bytemuck::Pod;
 use wgpu::{BufferUsages as Usage, ShaderStages as Stages};
 
 use super::overheard::logged;
+use super::room::{Faults, bytes_of, full};
 use crate::error::{ClientError, Result};
 
 /// Longest wait for the adapter to finish its work.
@@ -32,9 +34,11 @@ pub struct Gpu {
     pub software: bool,
     /// Most bytes of one storage binding; larger arrays are split into pages.
     pub binding_max: u64,
+    /// Most bytes of its memory that buffers and textures take together; as many as there are without.
+    pub(super) bytes_max: Option<u64>,
     /// None where another program opened it.
     opened: Option<Opened>,
-    failure: Arc<Mutex<Option<String>>>,
+    faults: Arc<Mutex<Faults>>,
     created: AtomicU64,
     stored: AtomicU64,
 }
@@ -49,7 +53,12 @@ struct Opened {
 impl Gpu {
     /// Opens the best adapter there is.
     pub fn open() -> Result<Self> {
-        logged(|| pollster::block_on(Self::open_async()))
+        Self::open_within(None)
+    }
+
+    /// Opens the best adapter there is, to take at most so many bytes of its memory.
+    pub fn open_within(bytes_max: Option<u64>) -> Result<Self> {
+        logged(|| pollster::block_on(Self::open_async()))?.bounded(bytes_max)
     }
 
     async fn open_async() -> Result<Self> {
@@ -57,9 +66,10 @@ impl Gpu {
         Self::open_on(&instance, None).await
     }
 
-    /// Opens the best adapter that draws to a window, with the window's surface.
+    /// Opens the best adapter that draws to a window, with the window's surface, to take at most so many bytes of its memory.
     pub fn open_for(
         window: impl Into<wgpu::SurfaceTarget<'static>>,
+        bytes_max: Option<u64>,
     ) -> Result<(Self, wgpu::Surface<'static>)> {
         logged(|| {
             let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle());
@@ -68,7 +78,7 @@ impl Gpu {
                 failed("Vulkan finds no graphics adapter that draws to a window".to_owned())
             })?;
             let gpu = pollster::block_on(Self::open_on(&instance, Some(&surface)))?;
-            Ok((gpu, surface))
+            Ok((gpu.bounded(bytes_max)?, surface))
         })
     }
 
@@ -110,14 +120,13 @@ impl Gpu {
             .await
             .map_err(|error| failed(format!("{} cannot be used ({error})", described.name)))?;
         let gpu = Self::new(device, queue, &described);
-        let heard = Arc::clone(&gpu.failure);
+        let heard = Arc::clone(&gpu.faults);
         gpu.device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
-            heard.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error.to_string());
+            heard.lock().unwrap_or_else(PoisonError::into_inner).hear(&error);
         }));
-        let lost = Arc::clone(&gpu.failure);
+        let lost = Arc::clone(&gpu.faults);
         gpu.device.set_device_lost_callback(move |_, message| {
-            let problem = format!("the device is lost ({message}), its driver stopped: start again");
-            *lost.lock().unwrap_or_else(PoisonError::into_inner) = Some(problem);
+            lost.lock().unwrap_or_else(PoisonError::into_inner).lose(&message);
         });
         let opened = Opened { instance: instance.clone(), adapter };
         Ok(Self { opened: Some(opened), ..gpu })
@@ -150,11 +159,11 @@ impl Gpu {
         let name = format!("{} ({:?}, {:?})", described.name, described.device_type, described.backend);
         let software = described.device_type == wgpu::DeviceType::Cpu;
         let [created, stored] = [0, 0].map(AtomicU64::new);
-        let failure = Arc::new(Mutex::new(None));
+        let faults = Arc::default();
         let limits = device.limits();
         let binding_max = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size).min(BINDING_MAX);
-        let opened = None;
-        Self { device, queue, name, software, binding_max, opened, failure, created, stored }
+        let (opened, bytes_max) = (None, None);
+        Self { device, queue, name, software, binding_max, bytes_max, opened, faults, created, stored }
     }
 
     /// Abilities of a window's surface on this adapter.
@@ -163,10 +172,13 @@ impl Gpu {
         opened.map(|opened| surface.get_capabilities(&opened.adapter)).unwrap_or_default()
     }
 
-    /// The first thing that went wrong since the last call, if anything did.
+    /// The first thing that went wrong since the last call, if anything did; of a device that is lost, its loss each time.
     pub fn check(&self) -> Result<()> {
-        let failure = self.failure.lock().unwrap_or_else(PoisonError::into_inner).take();
-        failure.map_or(Ok(()), |problem| Err(failed(format!("{}: {problem}", self.name))))
+        self.faults().take(&self.name)
+    }
+
+    fn faults(&self) -> MutexGuard<'_, Faults> {
+        self.faults.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Buffers, textures, samplers, bind groups, shaders and pipelines made so far.
@@ -194,13 +206,13 @@ impl Gpu {
     /// A storage buffer of zeros; larger than one binding is an error.
     pub fn blank(&self, label: &str, bytes: u64) -> Result<wgpu::Buffer> {
         if bytes > self.binding_max {
-            return Err(failed(format!(
-                "{label} takes {bytes} bytes, {} binds {}: draw with --backend cpu, or bake fewer receivers (--set texel_m=…)",
+            return Err(full(format!(
+                "{label} takes {bytes} bytes, {} binds {}; a bake of fewer receivers (--set texel_m=…) takes less",
                 self.name, self.binding_max
             )));
         }
         self.stored.fetch_add(bytes, Ordering::Relaxed);
-        Ok(self.buffer(label, bytes, Usage::STORAGE | Usage::COPY_SRC))
+        self.array(label, bytes, Usage::STORAGE | Usage::COPY_SRC)
     }
 
     /// A uniform buffer.
@@ -228,7 +240,7 @@ impl Gpu {
         self.write(buffer, &bytes);
     }
 
-    /// A buffer that can also be written.
+    /// A small buffer that can also be written.
     pub fn buffer(&self, label: &str, bytes: u64, usage: Usage) -> wgpu::Buffer {
         self.count().create_buffer(&wgpu::BufferDescriptor {
             label: Some(label),
@@ -256,7 +268,7 @@ impl Gpu {
         if bytes == 0 {
             return self.check().map(|()| Vec::new());
         }
-        let landing = self.buffer("read back", bytes, Usage::MAP_READ);
+        let landing = self.array("read back", bytes, Usage::MAP_READ)?;
         self.submit(|encoder| encoder.copy_buffer_to_buffer(buffer, 0, &landing, 0, bytes));
         let mut values = self.mapped(&landing)?;
         values.truncate(count);
@@ -273,7 +285,7 @@ impl Gpu {
         let (width, height) = (texture.width(), texture.height());
         let row = width as usize * size_of::<T>();
         let padded = row.next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT as usize);
-        let landing = self.buffer("read back", (padded * height as usize) as u64, Usage::MAP_READ);
+        let landing = self.array("read back", (padded * height as usize) as u64, Usage::MAP_READ)?;
         let layout = wgpu::TexelCopyBufferLayout {
             offset: 0,
             bytes_per_row: Some(padded as u32),
@@ -295,9 +307,20 @@ impl Gpu {
     /// Hears what the adapter has done so far, or after a wait for all of it.
     pub fn poll(&self, waits: bool) -> Result<()> {
         let wait = wgpu::PollType::Wait { submission_index: None, timeout: Some(PATIENCE) };
-        let polled = self.device.poll(if waits { wait } else { wgpu::PollType::Poll });
+        let poll = || self.device.poll(if waits { wait } else { wgpu::PollType::Poll });
+        if self.faults().is_lost() {
+            return self.check();
+        }
+        // A device that is lost while one waits for it is a panic of wgpu.
+        let polled = catch_unwind(AssertUnwindSafe(poll));
+        if polled.is_err() {
+            self.faults().lose("its driver stopped while it was waited for");
+        }
         self.check()?;
-        polled.map(|_| ()).map_err(|error| failed(format!("{} does not answer ({error})", self.name)))
+        polled
+            .unwrap_or(Err(wgpu::PollError::Timeout))
+            .map(|_| ())
+            .map_err(|error| failed(format!("{} does not answer ({error})", self.name)))
     }
 
     fn mapped<T: Pod>(&self, landing: &wgpu::Buffer) -> Result<Vec<T>> {
@@ -353,9 +376,10 @@ impl Gpu {
         self.count().create_render_pipeline(descriptor)
     }
 
-    /// A texture.
-    pub fn texture(&self, descriptor: &wgpu::TextureDescriptor<'_>) -> wgpu::Texture {
-        self.count().create_texture(descriptor)
+    /// A texture; errs where the adapter has no room for it.
+    pub fn texture(&self, descriptor: &wgpu::TextureDescriptor<'_>) -> Result<wgpu::Texture> {
+        let label = descriptor.label.unwrap_or("a texture");
+        self.within(label, bytes_of(descriptor), || self.count().create_texture(descriptor))
     }
 
     /// A sampler.

@@ -65,8 +65,8 @@ impl Meshes {
                     format!("a mesh takes {vertex_bytes} bytes, more than a buffer of {}", gpu.name);
                 return Err(failed(problem));
             }
-            let vertices = gpu.buffer("vertices", vertex_bytes as u64, wgpu::BufferUsages::VERTEX);
-            let indices = gpu.buffer("indices", index_bytes as u64, wgpu::BufferUsages::INDEX);
+            let vertices = gpu.array("vertices", vertex_bytes as u64, wgpu::BufferUsages::VERTEX)?;
+            let indices = gpu.array("indices", index_bytes as u64, wgpu::BufferUsages::INDEX)?;
             gpu.write(&vertices, &draw.vertices);
             gpu.write(&indices, &draw.triangles);
             let index_count = 3 * draw.triangles.len() as u32;
@@ -146,7 +146,7 @@ fn upload(gpu: &Gpu, texture: &Texture) -> Result<wgpu::TextureView> {
         format: wgpu::TextureFormat::Rgba8UnormSrgb,
         usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
         view_formats: &[],
-    });
+    })?;
     for (mip_level, level) in texture.levels.iter().enumerate() {
         let layout = wgpu::TexelCopyBufferLayout {
             offset: 0,

@@ -19,6 +19,7 @@ mod overheard;
 pub mod patches;
 pub mod reconstruct;
 pub mod resident;
+mod room;
 pub mod shade;
 pub mod shadow;
 pub mod show;

@@ -5,8 +5,9 @@ use std::ops::Range;
 use glam::Vec4;
 use lightkiln_proto::relight::{Cluster, Columns, Packing, Transport};
 
-use super::gpu::{Gpu, failed};
+use super::gpu::Gpu;
 use super::lod::DetailBuffers;
+use super::room::full;
 use crate::error::Result;
 
 /// Receivers, and the arrays that passes hand to each other. Same layouts as the references' slices.
@@ -135,7 +136,7 @@ pub fn pages(gpu: &Gpu, what: &str, bytes: impl Iterator<Item = u64>) -> Result<
     let (mut first, mut sum, mut count) = (0, 0, 0);
     for item in bytes {
         if item > gpu.binding_max {
-            return Err(failed(format!(
+            return Err(full(format!(
                 "one {what} takes {item} bytes, {} binds {}",
                 gpu.name, gpu.binding_max
             )));

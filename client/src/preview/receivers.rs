@@ -39,7 +39,7 @@ pub fn light_receivers(
         Backend::Auto => match Gpu::open() {
             Ok(gpu) if gpu.software => format!("{} is software", gpu.name),
             Ok(gpu) => match on_adapter(&gpu, &prepared) {
-                Err(ClientError::Adapter { problem }) => problem,
+                Err(ClientError::Adapter { problem } | ClientError::AdapterFull { problem }) => problem,
                 lit => return lit,
             },
             Err(ClientError::Adapter { problem }) => problem,

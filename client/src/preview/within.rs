@@ -12,6 +12,12 @@ use crate::passes::shadow::reference::draw;
 use crate::scene::{LoadedScene, Object, Recolour, Tints};
 use crate::stream::{Budget, Streamed, Viewpoint};
 
+/// Share of the light's memory that is tried where an adapter has no room for it. Nearer to 1 → more of its room is used, after more
+/// tries.
+const FALL: [u64; 2] = [3, 4];
+/// A share of all light below one in so many is none.
+const FALL_END: u64 = 64;
+
 /// A bake whose light comes piece by piece.
 pub struct StreamedBake {
     source: Source,
@@ -19,6 +25,8 @@ pub struct StreamedBake {
     pub bake: Arc<LoadedBake>,
     stream: Box<dyn LightStream>,
     manifest_bytes: u64,
+    /// Memory of the part that comes first.
+    memory_least: u64,
     tints: Tints,
     /// The view that pieces were fetched for last.
     view: Option<View>,
@@ -47,8 +55,13 @@ impl StreamedBake {
                 format!("are too few: manifest, directory, patches and overview alone have {first}");
             return Err(ClientError::Argument { what, problem });
         }
-        let scene = LoadedScene::fetch(source, manifest)?;
-        let stream = kind.stream(source, &scene)?;
+        // Neither waits for the other's answers, nor for its decoding.
+        let (scene, stream) = std::thread::scope(|threads| {
+            let stream = threads.spawn(|| kind.stream(source, &manifest));
+            let scene = LoadedScene::fetch(source, manifest.clone());
+            (scene, stream.join())
+        });
+        let (scene, stream) = (scene?, stream.unwrap_or_else(|panic| std::panic::resume_unwind(panic))?);
         let memory = stream.streamed().memory;
         if budget.memory < memory {
             let what = format!("{} bytes of memory for light", budget.memory);
@@ -59,7 +72,7 @@ impl StreamedBake {
         let bake = Arc::new(LoadedBake { scene: Arc::new(scene), light });
         let manifest_bytes = bytes.len() as u64;
         let (source, tints) = (source.clone(), Tints::default());
-        Ok(Self { source, bake, stream, manifest_bytes, tints, view: None })
+        Ok(Self { source, bake, stream, manifest_bytes, memory_least: memory, tints, view: None })
     }
 
     /// Bytes and clusters that have come, the manifest's bytes among them.
@@ -71,6 +84,14 @@ impl StreamedBake {
             bytes_all: with_manifest(bytes_all),
             ..self.stream.streamed()
         }
+    }
+
+    /// A budget of memory below `memory`, for an adapter that has no room for as much light; none below the part that comes first.
+    pub fn less_memory(&self, memory: u64) -> Option<u64> {
+        let all = self.stream.streamed().memory_all - self.memory_least;
+        let above = memory.saturating_sub(self.memory_least).min(all);
+        let less = above / FALL[1] * FALL[0];
+        (above > 0).then(|| self.memory_least + if less > all / FALL_END { less } else { 0 })
     }
 
     /// Gives materials other colours, for the light that has come and that which will. Once: what was baked is gone then.

@@ -24,6 +24,8 @@ pub struct Streamed {
     pub clusters_all: usize,
     /// Memory that the light takes when it is lit, about, in bytes.
     pub memory: u64,
+    /// Memory of all of it.
+    pub memory_all: u64,
     /// Times that layers came or went.
     pub turns: u64,
 }

@@ -13,6 +13,7 @@ pub(crate) mod objects;
 mod panorama;
 mod receivers;
 mod rects;
+mod room;
 mod shaders;
 mod shadows;
 mod show;

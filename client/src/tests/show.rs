@@ -26,6 +26,7 @@ fn uploaded(gpu: &Gpu, radiance: &[Vec4]) -> wgpu::TextureView {
         usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
         view_formats: &[],
     });
+    let texture = texture.unwrap();
     let layout =
         wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(16 * SIZE[0]), rows_per_image: None };
     gpu.queue.write_texture(texture.as_image_copy(), bytemuck::cast_slice(radiance), layout, size);
@@ -46,7 +47,7 @@ fn shown_picture_agrees_with_the_reference() {
         let views = samples.each_ref().map(|sample| uploaded(&gpu, sample));
         // Sums of other samples of that size are not what is shown.
         let mut bytes = Vec::new();
-        let mut sum = pass.sum(&gpu, &views[0], SIZE);
+        let mut sum = pass.sum(&gpu, &views[0], SIZE).unwrap();
         pass.add(&gpu, &sum, true, (9.0, tone));
         for (view, is_first) in views.iter().zip([true, false, false]) {
             sum = pass.sum_with(&gpu, &sum, view);

@@ -11,13 +11,12 @@ use winit::event::WindowEvent;
 use winit::event_loop::{ActiveEventLoop, ControlFlow, EventLoop, EventLoopProxy};
 use winit::window::{Window, WindowId};
 
-use super::feed::Feed;
+use super::feed::{Feed, Piece};
 use super::input::Input;
 use super::panel::{self, Facts, Wishes};
 use super::surface::{Screen, no_window};
 use super::viewer::Viewer;
 use super::{Options, Subject};
-use crate::bake::LoadedBake;
 use crate::error::{ClientError, Result};
 use crate::passes::gpu::Gpu;
 use crate::picture::write_png;
@@ -161,10 +160,8 @@ impl Running {
             .with_title(format!("{} · Lightkiln", options.bake_words))
             .with_inner_size(PhysicalSize::new(view.width, view.height));
         let window = event_loop.create_window(attributes).map_err(|error| no_window(error.to_string()))?;
-        let (gpu, screen) = Screen::open(Arc::new(window))?;
-        let (bake, feed) = opened(subject, &options, wake);
-        let mut viewer =
-            Viewer::new((Arc::clone(&gpu), screen.format()), bake, view.clone(), &options.materials)?;
+        let (gpu, screen) = Screen::open(Arc::new(window), view.adapter_bytes_max)?;
+        let (mut viewer, feed) = opened(subject, &options, wake, (&gpu, screen.format()))?;
         viewer.is_panel_open = options.has_panel;
         options.errors.clone().map_or(Ok(()), |errors| viewer.show_errors(errors))?;
         let (ctx, id) = (egui::Context::default(), egui::ViewportId::ROOT);
@@ -254,15 +251,25 @@ impl Running {
     /// are of all the light, and end there.
     fn hear(&mut self) -> Result<()> {
         let Some(feed) = &mut self.feed else { return Ok(()) };
+        let shown = feed.streamed;
+        let mut is_whole = false;
         match feed.next() {
-            Ok(Some(piece)) => self.viewer.set_bake(piece.bake)?,
+            Ok(Some(Piece { bake, streamed })) => match self.viewer.set_bake(bake) {
+                Err(ClientError::AdapterFull { problem }) => {
+                    self.viewer.notice = Some(said_of_fall(&problem, feed.fall(shown)));
+                }
+                set => {
+                    set?;
+                    is_whole = streamed.is_whole();
+                }
+            },
             Ok(None) => {}
             Err(error) if self.options.frames.is_some() => return Err(error),
             Err(error) => self.viewer.notice = Some(format!("no more light is fetched: {error}")),
         }
         self.facts.streamed = Some(feed.streamed);
         feed.look(self.viewer.view());
-        if feed.is_over() {
+        if feed.is_over() || is_whole {
             self.feed = None;
         }
         Ok(())
@@ -363,21 +370,46 @@ impl Running {
     }
 }
 
-/// The bake, and the feed of more of its light.
+/// A viewer of the bake, and the feed of more of its light. A bake that the adapter has no room for is shown with less light.
 fn opened(
     subject: Subject,
     options: &Options,
     wake: EventLoopProxy<Woken>,
-) -> (Arc<LoadedBake>, Option<Feed>) {
-    match subject {
-        Subject::Whole(bake) => (Arc::new(*bake), None),
-        Subject::Streamed(stream) => {
-            // A loop that has ended needs no waking.
-            let wake = move || drop(wake.send_event(Woken));
-            let (feed, bake) = Feed::start(*stream, options.memory, options.view.clone(), wake);
-            (bake, Some(feed))
-        }
-    }
+    (gpu, format): (&Arc<Gpu>, wgpu::TextureFormat),
+) -> Result<(Viewer, Option<Feed>)> {
+    let shown = |bake| Viewer::new((Arc::clone(gpu), format), bake, options.view.clone(), &options.materials);
+    let fed = |stream, memory| {
+        // A loop that has ended needs no waking.
+        let wake = move || drop(wake.send_event(Woken));
+        let (feed, bake) = Feed::start(stream, memory, options.view.clone(), wake);
+        Ok((shown(bake)?, Some(feed)))
+    };
+    let (bake, less) = match subject {
+        Subject::Whole(bake, less) => (bake, less),
+        Subject::Streamed(stream) => return fed(*stream, options.memory),
+    };
+    let problem = match shown(Arc::new(*bake)) {
+        Err(ClientError::AdapterFull { problem }) => problem,
+        viewer => return Ok((viewer?, None)),
+    };
+    // A kind whose light does not come in pieces has no less of it.
+    let Ok(stream) = less() else { return Err(ClientError::AdapterFull { problem }) };
+    gpu.let_go()?;
+    let memory = stream.less_memory(u64::MAX).unwrap_or(0);
+    let said = said_of_fall(&problem, memory);
+    let (mut viewer, feed) = fed(stream, memory)?;
+    viewer.notice = Some(said);
+    Ok((viewer, feed))
+}
+
+/// Says, and logs, that the adapter has no room for more light than so many bytes of it.
+fn said_of_fall(problem: &str, memory: u64) -> String {
+    let said = format!(
+        "less light is shown, at most {:.1} MB of it, as the adapter has no room for more: {problem}",
+        memory as f64 / 1e6
+    );
+    tracing::warn!("{said}");
+    said
 }
 
 /// The first numbered file that is not there.

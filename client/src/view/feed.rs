@@ -10,6 +10,10 @@ use crate::stream::{Budget, Streamed};
 
 /// Share of the bytes that a piece brings: light gets better some ten times, and each time the frame takes it anew.
 const PIECES: u64 = 12;
+/// Where an adapter has no room for a piece, light keeps below its memory: by one in so many at least, and at most. More at a time → fewer
+/// tries, and more of the adapter's room is left unused.
+const FALL_LEAST: u64 = 16;
+const FALL_MOST: u64 = 4;
 /// Least bytes of a piece.
 const PIECE_MIN: u64 = 128 << 10;
 
@@ -31,13 +35,15 @@ struct Watched {
 struct Watch {
     /// `None` when nobody looks any more.
     view: Option<View>,
+    /// Most memory of the light.
+    memory: u64,
     /// All light that there is room for has come for this view.
     is_served: bool,
 }
 
 impl Watched {
-    fn new(view: View) -> Self {
-        let watch = Mutex::new(Watch { view: Some(view), is_served: false });
+    fn new(view: View, memory: u64) -> Self {
+        let watch = Mutex::new(Watch { view: Some(view), memory, is_served: false });
         Self { watch, changed: Condvar::new() }
     }
 
@@ -48,15 +54,27 @@ impl Watched {
     fn set(&self, view: Option<View>) {
         let mut held = self.held();
         if held.view != view {
-            *held = Watch { view, is_served: false };
+            (held.view, held.is_served) = (view, false);
             self.changed.notify_all();
         }
     }
 
-    /// Waits for another view than this one, for which all is done.
-    fn wait_for_other(&self, view: &View) {
+    fn set_memory(&self, memory: u64) {
         let mut held = self.held();
-        held.is_served = held.view.as_ref() == Some(view);
+        (held.memory, held.is_served) = (memory, false);
+        self.changed.notify_all();
+    }
+
+    /// The view, and the most memory for it.
+    fn wanted(&self) -> Option<(View, u64)> {
+        let held = self.held();
+        Some((held.view.clone()?, held.memory))
+    }
+
+    /// Waits for another view than this one, or another memory: for these all is done.
+    fn wait_for_other(&self, view: &View, memory: u64) {
+        let mut held = self.held();
+        held.is_served = held.view.as_ref() == Some(view) && held.memory == memory;
         let served = |held: &mut Watch| held.is_served;
         drop(self.changed.wait_while(held, served).unwrap_or_else(PoisonError::into_inner));
     }
@@ -74,8 +92,7 @@ pub struct Feed {
 }
 
 impl Feed {
-    /// Goes on fetching what a view needs most, until all is there, or for ever where so many bytes of memory hold only a part of it;
-    /// `wake` is called when a piece has come. The light that has come already is the first piece.
+    /// Goes on fetching what a view needs most, within so many bytes of memory; `wake` is called when a piece has come. The light that has come already is the first piece.
     pub fn start(
         stream: StreamedBake,
         memory: u64,
@@ -83,12 +100,11 @@ impl Feed {
         wake: impl Fn() + Send + 'static,
     ) -> (Self, Arc<LoadedBake>) {
         let (sender, pieces) = channel();
-        let watched = Arc::new(Watched::new(view));
+        let watched = Arc::new(Watched::new(view, memory));
         let (streamed, first) = (stream.streamed(), Arc::clone(&stream.bake));
         let wanted = Arc::clone(&watched);
         let step = (streamed.bytes_all / PIECES).max(PIECE_MIN);
-        let budget = Budget { step, memory, ..Budget::NONE };
-        std::thread::spawn(move || fetch(stream, budget, &wanted, &sender, wake));
+        std::thread::spawn(move || fetch(stream, step, &wanted, &sender, wake));
         (Self { pieces, watched, streamed, held: None, is_over: false }, first)
     }
 
@@ -120,7 +136,16 @@ impl Feed {
         Err(error)
     }
 
-    /// No more light will come for the view, as memory holds no more.
+    /// The adapter has no room for the light of the last piece, and goes on with `shown`: keeps light within less memory, and tells how much
+    /// that is. Pieces with less are to come.
+    pub fn fall(&mut self, shown: Streamed) -> u64 {
+        let refused = std::mem::replace(&mut self.streamed, shown).memory;
+        let memory = shown.memory.min(refused - refused / FALL_LEAST).max(refused - refused / FALL_MOST);
+        self.watched.set_memory(memory);
+        memory
+    }
+
+    /// No more light will come for the view: all has come, or memory holds no more.
     pub fn is_served(&self) -> bool {
         self.watched.held().is_served
     }
@@ -137,26 +162,27 @@ impl Drop for Feed {
     }
 }
 
-/// Ends when all is there, when something is wrong, or when nobody listens any more. A piece has the bytes of a step, or where no layer
-/// fits into one all that there is room for.
+/// Ends when something is wrong, or when nobody listens any more. A piece has the bytes of a step, or where no layer fits into one all
+/// that there is room for.
 fn fetch(
     mut stream: StreamedBake,
-    budget: Budget,
+    step_min: u64,
     watched: &Watched,
     sender: &Sender<Result<Piece>>,
     wake: impl Fn(),
 ) {
-    let mut step = budget.step;
+    let mut step = step_min;
     loop {
-        let Some(view) = watched.held().view.clone() else { return };
+        let Some((view, memory)) = watched.wanted() else { return };
         let before = stream.streamed();
-        if before.is_whole() {
-            return;
+        if before.is_whole() && before.memory <= memory {
+            watched.wait_for_other(&view, memory);
+            continue;
         }
-        let refined = stream.refine(&view, Budget { step, ..budget });
+        let refined = stream.refine(&view, Budget { step, memory, ..Budget::NONE });
         let streamed = stream.streamed();
         if streamed != before {
-            step = budget.step;
+            step = step_min;
             let bake = Arc::clone(&stream.bake);
             if view.lod.is_some() {
                 // Made here, so that the window has not to wait for it.
@@ -171,8 +197,8 @@ fn fetch(
             step = u64::MAX;
         } else if refined.is_ok() {
             // Memory holds no more: what it holds is that which another view needs.
-            step = budget.step;
-            watched.wait_for_other(&view);
+            step = step_min;
+            watched.wait_for_other(&view, memory);
         }
         if let Err(error) = refined {
             // Nobody listens if this fails.
@@ -204,10 +230,16 @@ mod tests {
         let Streamed { bytes: none, bytes_all: all, .. } = stream.streamed();
         let bytes_with = |stream: StreamedBake, step: u64| -> Vec<u64> {
             let (sender, pieces) = channel();
-            let budget = Budget { step, ..Budget::NONE };
-            fetch(stream, budget, &Watched::new(fixture_view().1), &sender, || {});
-            drop(sender);
-            pieces.iter().map(|piece| piece.unwrap().streamed.bytes).collect()
+            let watched = Watched::new(fixture_view().1, u64::MAX);
+            std::thread::scope(|threads| {
+                threads.spawn(|| fetch(stream, step, &watched, &sender, || {}));
+                let mut come = Vec::new();
+                while come.last() != Some(&all) {
+                    come.push(pieces.recv().unwrap().unwrap().streamed.bytes);
+                }
+                watched.set(None);
+                come
+            })
         };
         let come = bytes_with(stream, smallest);
         assert!(come[0] > none && come.windows(2).all(|pair| pair[0] < pair[1]), "{come:?}");
@@ -251,6 +283,41 @@ mod tests {
         feed.look(other);
         let again = served(&mut feed).map_or(piece.streamed, |piece| piece.streamed);
         assert!(again.memory <= memory && !again.is_whole(), "{again:?}");
+        // An adapter that has no room for it gets less.
+        let shown = Streamed { memory: again.memory - 1, ..again };
+        let less = feed.fall(shown);
+        assert!(less < again.memory && feed.streamed == shown);
+        let fallen = served(&mut feed).unwrap().streamed;
+        assert!(fallen.memory <= less && fallen.turns > again.turns, "{fallen:?}");
+    }
+
+    #[test]
+    fn light_that_is_all_there_falls_as_well() {
+        let folder = tempfile::tempdir().unwrap();
+        write_bundle(folder.path(), prt::NAME);
+        let source = Source::bundle(folder.path()).unwrap();
+        let stream = StreamedBake::begin(&source, &kinds::all(), Budget::NONE).unwrap();
+        let first = stream.streamed();
+        let (mut feed, _) = Feed::start(stream, u64::MAX, fixture_view().1, || {});
+        let until = |feed: &mut Feed, is_wanted: &dyn Fn(&Streamed) -> bool| {
+            while !is_wanted(&feed.streamed) {
+                feed.next().unwrap();
+                std::thread::yield_now();
+            }
+        };
+        until(&mut feed, &Streamed::is_whole);
+        let all = feed.streamed;
+        assert_eq!(all.memory, all.memory_all);
+        // Each refusal brings less, down to the overview.
+        let mut last = all;
+        while last.memory > first.memory {
+            let less = feed.fall(first);
+            assert!(less < last.memory && feed.streamed == first && !feed.is_over());
+            until(&mut feed, &|streamed| streamed.turns > last.turns);
+            assert!(feed.streamed.memory <= less.max(first.memory), "{:?}", feed.streamed);
+            last = feed.streamed;
+        }
+        assert_eq!(last.clusters, 0);
     }
 
     #[test]
@@ -259,7 +326,7 @@ mod tests {
         let (sender, pieces) = channel();
         let streamed =
             Streamed { bytes: 1, bytes_all: 2, clusters: 1, clusters_all: 2, ..Streamed::default() };
-        let watched = Arc::new(Watched::new(view));
+        let watched = Arc::new(Watched::new(view, u64::MAX));
         let mut feed = Feed { pieces, watched, streamed: Streamed::default(), held: None, is_over: false };
         assert!(feed.next().unwrap().is_none());
         sender.send(Ok(Piece { bake: Arc::new(bake), streamed })).unwrap();

@@ -24,6 +24,7 @@ mod viewer;
 use std::path::PathBuf;
 
 use crate::bake::{LoadedBake, MeasuredErrors};
+use crate::error::Result;
 use crate::preview::{StreamedBake, View};
 use crate::scene::Recolour;
 
@@ -31,8 +32,8 @@ pub use app::run;
 
 /// A bake to look at.
 pub enum Subject {
-    /// All of it is there.
-    Whole(Box<LoadedBake>),
+    /// All of it is there. The function gives it as light that comes piece by piece, for an adapter that has no room for all.
+    Whole(Box<LoadedBake>, Box<dyn FnOnce() -> Result<StreamedBake>>),
     /// Its light comes piece by piece, while one looks.
     Streamed(Box<StreamedBake>),
 }

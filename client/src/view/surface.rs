@@ -19,9 +19,9 @@ pub struct Screen {
 }
 
 impl Screen {
-    /// The window's surface on the best adapter that draws to it.
-    pub fn open(window: Arc<Window>) -> Result<(Arc<Gpu>, Self)> {
-        let opened = Gpu::open_for(Arc::clone(&window)).map_err(|error| match error {
+    /// The window's surface on the best adapter that draws to it, to take at most so many bytes of its memory.
+    pub fn open(window: Arc<Window>, bytes_max: Option<u64>) -> Result<(Arc<Gpu>, Self)> {
+        let opened = Gpu::open_for(Arc::clone(&window), bytes_max).map_err(|error| match error {
             ClientError::Adapter { problem } => no_window(problem),
             error => error,
         });

@@ -93,7 +93,7 @@ impl Viewer {
         frame.set_objects(&edits.stances())?;
         frame.set_lod(edits.lod)?;
         let show = ShowPass::new(&gpu, screen);
-        let sum = show.sum(&gpu, frame.radiance(), size);
+        let sum = show.sum(&gpu, frame.radiance(), size)?;
         let meter = MeterPass::new(&gpu, frame.radiance(), size)?;
         let diagonal_m = diagonal_of(&bake);
         let fly = Fly::new(view.camera.clone(), diagonal_m);
@@ -366,7 +366,11 @@ impl Viewer {
     fn refused(&mut self, set: Result<()>) -> Result<bool> {
         match set {
             Ok(()) => Ok(false),
-            Err(error @ (ClientError::Argument { .. } | ClientError::Object { .. })) => {
+            Err(
+                error @ (ClientError::Argument { .. }
+                | ClientError::Object { .. }
+                | ClientError::AdapterFull { .. }),
+            ) => {
                 let cause = error.source().map(|cause| format!(": {cause}")).unwrap_or_default();
                 self.notice = Some(format!("{error}{cause}"));
                 Ok(true)
@@ -424,7 +428,7 @@ impl Viewer {
             return Ok(());
         }
         self.frame.resize(size)?;
-        self.sum = self.show.sum(&self.gpu, self.frame.radiance(), size);
+        self.sum = self.show.sum(&self.gpu, self.frame.radiance(), size)?;
         self.meter = MeterPass::new(&self.gpu, self.frame.radiance(), size)?;
         self.metered[1] = self.metered[0];
         (self.size, self.samples) = (size, 0);
@@ -439,11 +443,11 @@ impl Viewer {
         Ok(())
     }
 
-    /// Takes a bake whose scene is the same and whose light is better.
+    /// Takes a bake whose scene is the same and whose light is better. Errs, and keeps the one before, where the adapter has no room.
     pub fn set_bake(&mut self, bake: Arc<LoadedBake>) -> Result<()> {
+        self.samples = 0;
         self.frame.set_bake(Arc::clone(&bake))?;
         self.bake = bake;
-        self.samples = 0;
         Ok(())
     }
 

@@ -36,10 +36,13 @@ export class BakeStream {
 
   async #begin(manifest, signal) {
     const decoded = (role, kind) => this.#decoded(chunksOf(manifest, role), kind, signal);
-    const geometry = await decoded(ROLES.geometry, "geometry");
-    const textures = await decoded(ROLES.textures, "texture");
-    const [patches] = await decoded(ROLES.patches, "patches");
-    const overview = await decoded(ROLES.overview, "cluster");
+    // None waits for another's answers, nor for its decoding.
+    const [geometry, textures, [patches], overview] = await Promise.all([
+      decoded(ROLES.geometry, "geometry"),
+      decoded(ROLES.textures, "texture"),
+      decoded(ROLES.patches, "patches"),
+      decoded(ROLES.overview, "cluster"),
+    ]);
     this.hasOverview = overview.length > 0;
     const textureCount = textures.length;
     const { draws, warnings } = await this.#work.begin({ manifest, geometry, textureCount, patches, overview });

@@ -128,6 +128,7 @@ impl From<ClientError> for Failure {
             | ClientError::Inconsistent { .. } => Exit::BadInput,
             ClientError::File { .. }
             | ClientError::Adapter { .. }
+            | ClientError::AdapterFull { .. }
             | ClientError::Window { .. }
             | ClientError::Picture { .. } => Exit::Failed,
         };

@@ -10,12 +10,8 @@ use lightkiln_client::fetch::Source;
 use lightkiln_client::lights::{ParsedLights, parse_camera, parse_lights};
 use lightkiln_client::picture::{Exposure, Picture, Tone};
 use lightkiln_client::preview::{Backend, StreamedBake, View, ViewPath, debug_picture, render, render_path};
-#[cfg(feature = "view")]
-use lightkiln_client::scene::Object;
-use lightkiln_client::scene::{Recolour, check_recolours};
-#[cfg(feature = "view")]
-use lightkiln_client::stream::Budget;
-use lightkiln_client::stream::Streamed;
+use lightkiln_client::scene::{Object, Recolour, check_recolours};
+use lightkiln_client::stream::{Budget, Streamed};
 #[cfg(feature = "view")]
 use lightkiln_client::view::Subject;
 #[cfg(feature = "view")]
@@ -26,7 +22,7 @@ use lightkiln_proto::words::lod_from_text;
 use crate::console::say;
 use crate::failure::{Failure, Result};
 use crate::lighting::LightArguments;
-use crate::reel::{Drawn, PassRow, Reel, numbered};
+use crate::reel::{Drawn, PassRow, Reel, numbered, parse_bytes};
 
 /// The picture to draw, and how it looks.
 #[derive(Args, Clone, Debug)]
@@ -52,6 +48,12 @@ pub struct LookArguments {
     /// level of its receivers (0 all, 1 a quarter, …), bounces from one update to the next [default: all detail]
     #[arg(long, value_name = "DETAIL", value_parser = parse_lod, help_heading = "Picture")]
     lod: Option<Lod>,
+    /// Takes at most so much of the graphics adapter's memory, e.g. 2G, as where other programs need the rest: of light that there is no
+    /// room for less is drawn, as little as the overview, which is said; --backend auto leaves such bakes to the processor,
+    /// and the panel of a window takes a few MB more
+    /// [default: as much as the adapter gives]
+    #[arg(long, value_name = "BYTES", value_parser = parse_bytes, help_heading = "Picture")]
+    adapter_memory: Option<u64>,
     /// Width and height in pixels
     #[arg(long, value_name = "WxH", default_value = "1280x720", value_parser = parse_size, help_heading = "Picture")]
     size: (u32, u32),
@@ -146,6 +148,7 @@ impl LookArguments {
         view.tone = self.tone.into();
         view.exposure = Exposure::Auto { stops: self.exposure };
         view.lod = self.lod;
+        view.adapter_bytes_max = self.adapter_memory;
         notes.extend(self.lod.iter().flat_map(|lod| lod.notes(bake.scene.diagonal_m())));
         Ok((view, notes))
     }
@@ -171,9 +174,15 @@ impl LookArguments {
             return Ok((Subject::Streamed(Box::new(streamed)), view, notes));
         }
         let mut bake = LoadedBake::load(source, kinds)?;
-        objects.into_iter().try_for_each(|object| bake.add_object(object))?;
+        objects.iter().cloned().try_for_each(|object| bake.add_object(object))?;
         let (view, notes) = self.view(&bake, lighting, None)?;
-        Ok((Subject::Whole(Box::new(bake)), view, notes))
+        let (source, kinds) = (source.clone(), kinds.clone());
+        let less = move || {
+            let mut streamed = StreamedBake::begin(&source, &kinds, Budget::NONE)?;
+            streamed.add_objects(objects)?;
+            Ok(streamed)
+        };
+        Ok((Subject::Whole(Box::new(bake), Box::new(less)), view, notes))
     }
 
     /// Colours of materials.
@@ -209,7 +218,7 @@ impl PictureArguments {
     ) -> Result<()> {
         let bake = self.loaded(source, kinds)?;
         let view = self.view(&bake, lighting, None)?;
-        self.write_all(&bake, &view, None, png).map(|_| ())
+        Ok(self.write_all(&bake, &view, None, png).map(|_| ())?)
     }
 
     /// As [`Self::draw`], with as much of the light as is asked for, along a path, with objects.
@@ -226,26 +235,66 @@ impl PictureArguments {
         let path = path.as_ref();
         let Some(budget) = reel.budget else {
             let mut bake = self.loaded(source, kinds)?;
-            objects.into_iter().try_for_each(|object| bake.add_object(object))?;
+            objects.iter().cloned().try_for_each(|object| bake.add_object(object))?;
             let view = View { objects: stances, ..self.view(&bake, lighting, path)? };
-            return self.write_all(&bake, &view, path, png);
+            let full = match self.write_all(&bake, &view, path, png) {
+                Err(full @ ClientError::AdapterFull { .. }) => full,
+                drawn => return Ok(drawn?),
+            };
+            // Kinds whose light does not come in pieces have no less of it.
+            let Ok(streamed) = StreamedBake::begin(source, kinds, Budget::NONE) else {
+                return Err(full.into());
+            };
+            let mut streamed = self.furnished(streamed, objects)?;
+            let memory = streamed.less_memory(u64::MAX).unwrap_or(0);
+            let budget = Budget { memory, ..Budget::NONE };
+            return self.write_part(&mut streamed, (budget, Some(full)), &view, path, png);
         };
-        let mut streamed = StreamedBake::begin(source, kinds, budget)?;
+        let mut streamed = self.furnished(StreamedBake::begin(source, kinds, budget)?, objects)?;
+        let view = View { objects: stances, ..self.view(&streamed.bake, lighting, path)? };
+        self.write_part(&mut streamed, (budget, None), &view, path, png)
+    }
+
+    /// The bake with the colours that are asked for, and with objects.
+    fn furnished(&self, mut streamed: StreamedBake, objects: Vec<Object>) -> Result<StreamedBake> {
         streamed.recolour(&self.look.material)?;
         streamed.add_objects(objects)?;
-        let view = View { objects: stances, ..self.view(&streamed.bake, lighting, path)? };
+        Ok(streamed)
+    }
+
+    /// Draws with as much of the light as the budget allows, and the adapter has room for; `full` is its error where it had none for more.
+    fn write_part(
+        &self,
+        streamed: &mut StreamedBake,
+        (mut budget, mut full): (Budget, Option<ClientError>),
+        view: &View,
+        path: Option<&ViewPath>,
+        png: &Path,
+    ) -> Result<Drawn> {
         // Along a path, what its first picture needs.
-        streamed.refine(&path.map_or_else(|| view.clone(), |path| path.view(1, &view)), budget)?;
+        let first = path.map_or_else(|| view.clone(), |path| path.view(1, view));
+        let drawn = loop {
+            streamed.refine(&first, budget)?;
+            let error = match self.write_all(&streamed.bake, view, path, png) {
+                Err(error @ ClientError::AdapterFull { .. }) => error,
+                drawn => break drawn?,
+            };
+            let Some(memory) = streamed.less_memory(budget.memory) else { return Err(error.into()) };
+            (budget.memory, full) = (memory, Some(error));
+        };
         let Streamed { bytes, bytes_all, clusters, whole, clusters_all, memory, .. } = streamed.streamed();
         let percent = 100.0 * bytes as f64 / bytes_all.max(1) as f64;
         say!(
             "{bytes} of {bytes_all} bytes of light ({percent:.1} %): the overview, and {clusters} of {clusters_all} clusters, {whole} of them with all layers"
         );
-        let drawn = self.write_all(&streamed.bake, &view, path, png)?;
+        if let Some(full) = &full {
+            say!("warning: less light was drawn than was asked for: {full}");
+        }
         Ok(Drawn {
             light_bytes: Some(bytes),
             light_bytes_all: Some(bytes_all),
             light_memory: Some(memory),
+            less_light: full.map(|full| full.to_string()),
             ..drawn
         })
     }
@@ -274,7 +323,7 @@ impl PictureArguments {
         view: &View,
         path: Option<&ViewPath>,
         png: &Path,
-    ) -> Result<Drawn> {
+    ) -> std::result::Result<Drawn, ClientError> {
         let start = Instant::now();
         let mut drawn = Drawn { converged: true, ..Drawn::default() };
         let mut take = |picture: Picture, file: PathBuf| -> std::result::Result<(), ClientError> {

@@ -126,6 +126,8 @@ pub struct Drawn {
     pub light_bytes_all: Option<u64>,
     /// Memory that the light takes when it is lit, about.
     pub light_memory: Option<u64>,
+    /// Why less light was drawn than was asked for.
+    pub less_light: Option<String>,
 }
 
 /// Time of a pass of the adapter.

@@ -5,7 +5,7 @@ mod stream;
 use lightkiln_proto::chunk;
 use lightkiln_proto::content::{ClusterTransport, PatchSet};
 use lightkiln_proto::kinds::{Kind, prt};
-use lightkiln_proto::manifest::CLUSTERS;
+use lightkiln_proto::manifest::{CLUSTERS, Manifest};
 use lightkiln_proto::relight::{NO_PATCH, PatchTable};
 
 use crate::bake::{ClientKind, Light, LightStream};
@@ -45,8 +45,8 @@ impl ClientKind for Prt {
         true
     }
 
-    fn stream(&self, source: &Source, scene: &LoadedScene) -> Result<Box<dyn LightStream>> {
-        Ok(Box::new(PrtStream::begin(source, scene)?))
+    fn stream(&self, source: &Source, manifest: &Manifest) -> Result<Box<dyn LightStream>> {
+        Ok(Box::new(PrtStream::begin(source, manifest)?))
     }
 }
 

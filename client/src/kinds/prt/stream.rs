@@ -47,8 +47,7 @@ pub struct PrtStream {
 
 impl PrtStream {
     /// Fetches patches and overview.
-    pub fn begin(source: &Source, scene: &LoadedScene) -> Result<Self> {
-        let manifest = &scene.manifest;
+    pub fn begin(source: &Source, manifest: &Manifest) -> Result<Self> {
         let sets = decoded(source, manifest, PATCHES, |bytes| Ok(chunk::decode_patches(bytes)?))?;
         let set = one_of(&sets)?.clone();
         let overview: Vec<ClusterTransport> =
@@ -102,6 +101,8 @@ impl PrtStream {
         let of = |index: usize| layers_of(manifest, index);
         let is_whole = |(index, bytes): &(&usize, &Vec<u8>)| bytes.len() as u64 == of(**index).chunk.bytes;
         let memory = |(index, bytes): (&usize, &Vec<u8>)| rung_memory(of(*index), bytes.len() as u64);
+        let memory_of_all =
+            (0..manifest.clusters.len()).map(|index| rung_memory(of(index), of(index).chunk.bytes));
         self.streamed = Streamed {
             bytes: self.base_bytes + self.clusters.values().map(|bytes| bytes.len() as u64).sum::<u64>(),
             bytes_all: self.base_bytes + manifest.bytes_of(CLUSTERS),
@@ -109,6 +110,7 @@ impl PrtStream {
             whole: self.clusters.iter().filter(is_whole).count(),
             clusters_all: manifest.clusters.len(),
             memory: self.base_memory + self.clusters.iter().map(memory).sum::<u64>(),
+            memory_all: self.base_memory + memory_of_all.sum::<u64>(),
             turns: self.streamed.turns,
         };
     }
@@ -405,6 +407,10 @@ mod tests {
         streamed.refine(&view, Budget::NONE).unwrap();
         assert!(streamed.streamed().is_whole());
         assert_eq!(picture(&streamed.bake, &view), whole);
+        let less: Vec<u64> =
+            std::iter::successors(Some(u64::MAX), |memory| streamed.less_memory(*memory)).skip(1).collect();
+        assert!(less[0] < all.memory && less.windows(2).all(|pair| pair[1] < pair[0]), "{less:?}");
+        assert_eq!((less.last(), less.len() > 4), (Some(&least), true), "{less:?}");
         let too_few = Budget { memory: least - 1, ..Budget::NONE };
         let error = StreamedBake::begin(&source, &kinds::all(), too_few).err().unwrap().to_string();
         assert!(error.contains(&least.to_string()), "{error}");
@@ -416,7 +422,7 @@ mod tests {
         let (source, streamed) = streamed(folder.path());
         let scene = &streamed.bake.scene;
         let manifest = &scene.manifest;
-        let mut stream = PrtStream::begin(&source, scene).unwrap();
+        let mut stream = PrtStream::begin(&source, &scene.manifest).unwrap();
         for (index, chunk) in manifest.chunks(CLUSTERS).iter().enumerate() {
             stream.clusters.insert(index, source.chunk(chunk).unwrap());
         }

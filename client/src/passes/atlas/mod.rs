@@ -83,7 +83,7 @@ impl AtlasPass {
                 | wgpu::TextureUsages::TEXTURE_BINDING
                 | wgpu::TextureUsages::COPY_SRC,
             view_formats: &[],
-        });
+        })?;
         let view = array_view(&texture);
         let layout = [
             gpu.uniform("atlas", &numbers),

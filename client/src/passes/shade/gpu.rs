@@ -113,7 +113,7 @@ impl ShadePass {
         let panes = Panes::of(scene);
         let sides = [Some(wgpu::Face::Back), None];
         let glass = if panes.is_empty() { None } else { Some(blending(gpu)?) };
-        let (target, depth) = create_targets(gpu, size);
+        let (target, depth) = create_targets(gpu, size)?;
         Ok(Self {
             opaque: sides.map(|cull| pipeline(gpu, &layout, &module, cull, None)),
             glass: glass.map(|blend| sides.map(|cull| pipeline(gpu, &layout, &module, cull, Some(blend)))),
@@ -168,7 +168,7 @@ impl ShadePass {
     /// Makes targets of another size. Errs, and changes nothing, where the adapter cannot.
     pub fn resize(&mut self, gpu: &Gpu, size: [u32; 2]) -> Result<()> {
         check_size(gpu, size)?;
-        let (target, depth) = create_targets(gpu, size);
+        let (target, depth) = create_targets(gpu, size)?;
         let target_view = target.create_view(&wgpu::TextureViewDescriptor::default());
         gpu.check()?;
         (self.target, self.target_view, self.depth) = (target, target_view, depth);
@@ -313,7 +313,7 @@ fn shade_draw(
     }
 }
 
-fn create_targets(gpu: &Gpu, size: [u32; 2]) -> (wgpu::Texture, wgpu::TextureView) {
+fn create_targets(gpu: &Gpu, size: [u32; 2]) -> Result<(wgpu::Texture, wgpu::TextureView)> {
     let create = |label, format, usage| {
         gpu.texture(&wgpu::TextureDescriptor {
             label: Some(label),
@@ -327,9 +327,9 @@ fn create_targets(gpu: &Gpu, size: [u32; 2]) -> (wgpu::Texture, wgpu::TextureVie
         })
     };
     let read = wgpu::TextureUsages::COPY_SRC | wgpu::TextureUsages::TEXTURE_BINDING;
-    let target = create("picture", wgpu::TextureFormat::Rgba32Float, read);
-    let depth = create("depth", wgpu::TextureFormat::Depth32Float, wgpu::TextureUsages::empty());
-    (target, depth.create_view(&wgpu::TextureViewDescriptor::default()))
+    let target = create("picture", wgpu::TextureFormat::Rgba32Float, read)?;
+    let depth = create("depth", wgpu::TextureFormat::Depth32Float, wgpu::TextureUsages::empty())?;
+    Ok((target, depth.create_view(&wgpu::TextureViewDescriptor::default())))
 }
 
 /// Blending of glass, whose alpha is the share that it stops, over what is behind it.

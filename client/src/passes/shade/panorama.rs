@@ -121,7 +121,7 @@ fn upload(gpu: &Gpu, image: &PanoramaImage) -> Result<wgpu::Texture> {
         format: wgpu::TextureFormat::Rgba16Float,
         usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
         view_formats: &[],
-    });
+    })?;
     let layout = wgpu::TexelCopyBufferLayout {
         offset: 0,
         bytes_per_row: Some(width * size_of::<[u16; 4]>() as u32),

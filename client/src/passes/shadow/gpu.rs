@@ -78,8 +78,8 @@ impl ShadowPass {
             size: wgpu::BufferSize::new(size_of::<[[f32; 4]; 4]>() as u64),
         };
         let faces = gpu.bind(&face_layout, &[wgpu::BindingResource::Buffer(window)]);
-        let maps = create_maps(gpu, room.side, room.faces, wgpu::TextureFormat::Depth32Float);
-        let panes = PanePass::new(gpu, scene, meshes, room, &face_layout);
+        let maps = create_maps(gpu, room.side, room.faces, wgpu::TextureFormat::Depth32Float)?;
+        let panes = PanePass::new(gpu, scene, meshes, room, &face_layout)?;
         let rows = LightRows {
             lights: gpu.blank("lights", u64::from(room.lights) * size_of::<Light>() as u64)?,
             faces: gpu.blank("faces", u64::from(room.faces) * size_of::<Face>() as u64)?,
@@ -213,7 +213,12 @@ fn pipeline(
 }
 
 /// A map for each of so many faces; of none, one texel that nobody reads.
-pub(super) fn create_maps(gpu: &Gpu, side: u32, layers: u32, format: wgpu::TextureFormat) -> wgpu::Texture {
+pub(super) fn create_maps(
+    gpu: &Gpu,
+    side: u32,
+    layers: u32,
+    format: wgpu::TextureFormat,
+) -> Result<wgpu::Texture> {
     let side = if layers == 0 { 1 } else { side };
     let layers = layers.max(1);
     gpu.texture(&wgpu::TextureDescriptor {

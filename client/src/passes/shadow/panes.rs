@@ -81,10 +81,10 @@ impl PanePass {
         meshes: &Meshes,
         room: &ShadowRoom,
         faces: &wgpu::BindGroupLayout,
-    ) -> Self {
+    ) -> Result<Self> {
         let layers = if scene.has_glass() { room.faces } else { 0 };
-        let depth_maps = create_maps(gpu, room.side, layers, wgpu::TextureFormat::Depth32Float);
-        let passed_maps = create_maps(gpu, room.side, layers, PASSED);
+        let depth_maps = create_maps(gpu, room.side, layers, wgpu::TextureFormat::Depth32Float)?;
+        let passed_maps = create_maps(gpu, room.side, layers, PASSED)?;
         let views = |maps| (0..layers).map(|layer| face_view(maps, layer)).collect();
         let (depth_views, passed_views) = (views(&depth_maps), views(&passed_maps));
         let kinds = [vec![(Stages::VERTEX_FRAGMENT, uniform(false))], sampled().into(), sampled().into()];
@@ -101,7 +101,7 @@ impl PanePass {
         let panes = meshes.meshes.iter().map(bind).collect();
         let module = gpu.module("panes", PANES_SHADER);
         let layout = gpu.pipeline_layout(&[faces, &layout]);
-        Self {
+        Ok(Self {
             depth: pipeline(gpu, &layout, &module, "depth", None, nearer_wins()),
             passed: pipeline(gpu, &layout, &module, "passed", Some(multiplied()), tested_alone()),
             depth_views,
@@ -110,7 +110,7 @@ impl PanePass {
             is_used: layers > 0,
             depth_maps,
             passed_maps,
-        }
+        })
     }
 
     /// Whether a mesh is of glass.

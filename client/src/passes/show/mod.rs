@@ -84,7 +84,7 @@ impl ShowPass {
     }
 
     /// Room for samples of a picture of radiance.
-    pub fn sum(&self, gpu: &Gpu, radiance: &wgpu::TextureView, size: [u32; 2]) -> ShowSum {
+    pub fn sum(&self, gpu: &Gpu, radiance: &wgpu::TextureView, size: [u32; 2]) -> Result<ShowSum> {
         let make = |label, format, usage| {
             gpu.texture(&wgpu::TextureDescriptor {
                 label: Some(label),
@@ -97,19 +97,19 @@ impl ShowPass {
                 view_formats: &[],
             })
         };
-        let sum = make("sum of samples", SUM, wgpu::TextureUsages::TEXTURE_BINDING);
+        let sum = make("sum of samples", SUM, wgpu::TextureUsages::TEXTURE_BINDING)?;
         let sum = sum.create_view(&wgpu::TextureViewDescriptor::default());
         let bind = |numbers: &wgpu::Buffer, view| {
             gpu.bind(&self.layout, &[numbers.as_entire_binding(), wgpu::BindingResource::TextureView(view)])
         };
-        ShowSum {
+        Ok(ShowSum {
             size,
             add: bind(&self.numbers, radiance),
             present: bind(&self.numbers, &sum),
             keep: bind(&self.kept_numbers, &sum),
-            kept: make("kept picture", KEPT, wgpu::TextureUsages::COPY_SRC),
+            kept: make("kept picture", KEPT, wgpu::TextureUsages::COPY_SRC)?,
             sum,
-        }
+        })
     }
 
     /// The same sum, to which samples of another picture of radiance of its size are added.

@@ -102,6 +102,48 @@ fn window_on_a_display_shows_what_preview_draws() {
     assert!([&wanted, &moved].iter().all(|other| difference(&errors, other) > 10.0), "errors are not seen");
 }
 
+/// The most memory of the adapter with which a picture has less light than all, within 4 KB.
+fn too_little_memory(folder: &Path) -> String {
+    let has_all = |bytes: u64| {
+        let bytes = bytes.to_string();
+        let picture = ["preview", "box", "--out", "x.png", "--backend", "gpu", "--adapter-memory", &bytes];
+        let said = within(folder, None).args(picture).args(LOOK).arg("--json").output().unwrap();
+        let said: Option<serde_json::Value> = serde_json::from_slice(&said.stdout).ok();
+        said.is_some_and(|said| said["less_light"].is_null())
+    };
+    let (mut little, mut enough) = (1 << 20, 1 << 30);
+    assert!(has_all(enough));
+    while enough - little > 4096 {
+        let middle = (little + enough) / 2;
+        *if has_all(middle) { &mut enough } else { &mut little } = middle;
+    }
+    little.to_string()
+}
+
+#[test]
+#[ignore = "needs a graphics adapter"]
+fn adapter_without_room_for_all_light_draws_less_of_it_and_says_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    bake(folder);
+    let whole = ["preview", "box", "--out", "whole.png", "--backend", "gpu"];
+    run(within(folder, None), &[&whole[..], &LOOK].concat(), 0);
+    let little = too_little_memory(folder);
+    let memory = ["--adapter-memory", &little[..]];
+    let less = ["preview", "box", "--out", "less.png", "--backend", "gpu", "--json"];
+    let said = run(within(folder, None), &[&less[..], &LOOK, &memory].concat(), 0).json();
+    assert!(said["less_light"].as_str().is_some_and(|why| why.contains("no room")), "{said}");
+    assert!(said["light_bytes"].as_u64() < said["light_bytes_all"].as_u64(), "{said}");
+    let wanted = pixels(folder, "whole.png");
+    let off = difference(&pixels(folder, "less.png"), &wanted);
+    assert!(off > 0.0 && off < 10.0, "{off} of 255");
+    // The fixed part has no room either.
+    let nothing = ["preview", "box", "--out", "none.png", "--backend", "gpu", "--adapter-memory", "1M"];
+    let told = run(within(folder, None), &[&nothing[..], &LOOK].concat(), 1).stderr();
+    assert!(told.contains("no room") && told.contains("--backend cpu"), "{told}");
+    assert!(!folder.join("none.png").exists());
+}
+
 /// All of a server's light comes while the window is open.
 #[test]
 #[ignore = "needs a graphics adapter and Xvfb, a display that nobody looks at"]
