@@ -113,6 +113,6 @@ fn ten_million_receivers_are_refused_by_name_and_with_a_cure_where_the_adapter_d
     let (passes, _) = passes(&gpu);
     let Err(error) = passes else { panic!("arrays above the adapter's limit were bound") };
     let told = error.to_string();
-    assert!(matches!(error, ClientError::Adapter { .. }), "{told}");
+    assert!(matches!(error, ClientError::AdapterFull { .. }), "{told}");
     assert!(told.contains(&gpu.binding_max.to_string()) && told.contains("--backend cpu"), "{told}");
 }
