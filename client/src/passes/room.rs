@@ -80,7 +80,7 @@ impl Gpu {
     /// Makes something of so many bytes where there is room for it.
     pub(super) fn within<T>(&self, label: &str, bytes: u64, make: impl Fn() -> T) -> Result<T> {
         match self.made(label, bytes, &make) {
-            // What was uploaded before lies in memory twice until it is submitted.
+            // Uploads from before lie in memory twice until they are submitted.
             Err(ClientError::AdapterFull { .. }) => {
                 self.let_go()?;
                 self.made(label, bytes, &make)

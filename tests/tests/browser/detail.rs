@@ -4,15 +4,12 @@ use glam::Vec3;
 use lightkiln_client::fetch::Source;
 use lightkiln_client::kinds::prt;
 use lightkiln_client::scene::LoadedScene;
-use lightkiln_client::web;
 use lightkiln_proto::relight::{Detail, LodEye, LodPlan, LodView, StandIn};
 use lightkiln_proto::words::lod_from_text;
 use serde_json::{Value, json};
 
 use super::bundle::Bundle;
-use super::driver::Browser;
-use super::files::{Answer, Files};
-use super::{browser_at, bytes_of_hex, served};
+use super::{browser_at, bundle_opened, bytes_of_hex, served};
 
 const MODULE: &str = "/pages/detail.js";
 /// Levels that meet within small scenes.
@@ -42,22 +39,6 @@ const WRONG: [&str; 14] = [
     "coarse blend=1 blend=1",
     "coarse level4=0,1,2,3,4",
 ];
-
-/// A server of the modules, the shaders and a bundle, and a browser there.
-fn opened(bundle: &Bundle) -> (Files, Browser) {
-    let folder = bundle.folder().to_owned();
-    let files = served(move |request| {
-        if let Some(name) = request.path.strip_prefix("/web/shaders/") {
-            let name = name.strip_suffix(".wgsl")?;
-            let (_, text) = web::shaders().into_iter().find(|(own, _)| *own == name)?;
-            return Some(Answer::of(text.into_owned().into_bytes()));
-        }
-        let name = request.path.strip_prefix("/bundle/")?;
-        std::fs::read(folder.join(name)).ok().map(Answer::of)
-    });
-    let browser = browser_at(&files);
-    (files, browser)
-}
 
 /// Eyes on a way through bounds and out of them, forth and back.
 fn eyes([low, high]: [Vec3; 2]) -> Vec<LodEye> {
@@ -109,7 +90,7 @@ fn plans_agree(bundle: &Bundle) -> Vec<u8> {
         })
     };
     let eyes_of_page: Vec<Value> = eyes.iter().map(of_page).collect();
-    let (_files, browser) = opened(bundle);
+    let (_files, browser) = bundle_opened(bundle, |_| None);
     let told = browser.run(MODULE, "plans", json!([SETTINGS, eyes_of_page]));
     assert_eq!(numbers(&told["order"]), table.order);
     for (level, wanted) in table.stand_ins.iter().enumerate() {
@@ -166,7 +147,7 @@ fn chromium_refuses_words_of_detail_as_rust_does() {
 #[ignore = "needs chromium and a graphics adapter"]
 fn chromium_keeps_levels_of_detail_while_light_comes() {
     let bundle = Bundle::flat();
-    let (_files, browser) = opened(&bundle);
+    let (_files, browser) = bundle_opened(&bundle, |_| None);
     let told = browser.run(MODULE, "growing", json!([SETTINGS[3]]));
     assert_eq!(told["errors"], json!([]));
     assert!(told["refusal"].as_str().is_some_and(|words| words.contains("'rough'")), "{}", told["refusal"]);

@@ -35,6 +35,7 @@ use std::path::{Path, PathBuf};
 
 use driver::Browser;
 use files::{Answer, Files};
+use lightkiln_client::web;
 
 /// The repository's root.
 fn root() -> PathBuf {
@@ -53,6 +54,27 @@ fn browser_at(files: &Files) -> Browser {
     let browser = Browser::start();
     browser.open(&files.url("/pages/empty.html"));
     browser
+}
+
+/// A server of the modules, the shaders, a bundle and more answers of a test, and a browser there.
+fn bundle_opened(
+    bundle: &bundle::Bundle,
+    answer: impl Fn(&files::Request) -> Option<Answer> + Send + Sync + 'static,
+) -> (Files, Browser) {
+    let folder = bundle.folder().to_owned();
+    let files = served(move |request| {
+        if let Some(name) = request.path.strip_prefix("/web/shaders/") {
+            let name = name.strip_suffix(".wgsl")?;
+            let (_, text) = web::shaders().into_iter().find(|(own, _)| *own == name)?;
+            return Some(Answer::of(text.into_owned().into_bytes()));
+        }
+        if let Some(name) = request.path.strip_prefix("/bundle/") {
+            return std::fs::read(folder.join(name)).ok().map(Answer::of);
+        }
+        answer(request)
+    });
+    let browser = browser_at(&files);
+    (files, browser)
 }
 
 /// Bytes of hex digits that a page told.

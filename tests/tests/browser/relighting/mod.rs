@@ -8,13 +8,12 @@ use lightkiln_client::passes::compare::Difference;
 use lightkiln_client::passes::shade;
 use lightkiln_client::picture::automatic_exposure;
 use lightkiln_client::scene::Recolour;
-use lightkiln_client::web;
 use serde_json::{Value, json};
 
 use super::bundle::Bundle;
 use super::driver::Browser;
 use super::files::{Answer, Files};
-use super::{browser_at, bytes_of_hex as bytes, served, skies};
+use super::{bundle_opened, bytes_of_hex as bytes, skies};
 use expected::{Expected, LIMIT, ROOM, State};
 
 const MODULE: &str = "/pages/relight.js";
@@ -143,23 +142,9 @@ fn job(states: &[State]) -> Value {
     })
 }
 
-/// A server of the modules, the shaders and a bundle, and a browser there.
+/// A server of the modules, the shaders, a bundle and a panorama, and a browser there.
 fn opened(bundle: &Bundle) -> (Files, Browser) {
-    let folder = bundle.folder().to_owned();
-    let files = served(move |request| {
-        if request.path == "/sky.hdr" {
-            return Some(Answer::of(skies::file()));
-        }
-        if let Some(name) = request.path.strip_prefix("/web/shaders/") {
-            let name = name.strip_suffix(".wgsl")?;
-            let (_, text) = web::shaders().into_iter().find(|(own, _)| *own == name)?;
-            return Some(Answer::of(text.into_owned().into_bytes()));
-        }
-        let name = request.path.strip_prefix("/bundle/")?;
-        std::fs::read(folder.join(name)).ok().map(Answer::of)
-    });
-    let browser = browser_at(&files);
-    (files, browser)
+    bundle_opened(bundle, |request| (request.path == "/sky.hdr").then(|| Answer::of(skies::file())))
 }
 
 /// Draws the states of a bake in the browser, that under a panorama from an eye of its own where there is one, and holds them against
