@@ -39,6 +39,8 @@ fn settle(viewer: &mut Viewer) {
             return;
         }
         viewer.step(0.01).unwrap();
+        // Reading a picture waits for the adapter: an answer of its light meter may be all that is to come.
+        viewer.picture().unwrap();
     }
     panic!("busy after {PATIENCE} pictures: {:?}", viewer.settling());
 }
