@@ -342,23 +342,22 @@ impl Gpu {
 
     /// A compute pipeline whose layout is the shader's.
     pub fn compute(&self, label: &str, source: &str, entry: &str) -> wgpu::ComputePipeline {
-        self.compute_with(label, source, entry, None)
+        self.compute_with((label, source, entry), None, &[])
     }
 
-    /// A compute pipeline with a given layout.
+    /// A compute pipeline with a given layout, if any, and given values of overrides.
     pub fn compute_with(
         &self,
-        label: &str,
-        source: &str,
-        entry: &str,
+        (label, source, entry): (&str, &str, &str),
         layout: Option<&wgpu::PipelineLayout>,
+        constants: &[(&str, f64)],
     ) -> wgpu::ComputePipeline {
         self.count().create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
             label: Some(label),
             layout,
             module: &self.module(label, source),
             entry_point: Some(entry),
-            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            compilation_options: wgpu::PipelineCompilationOptions { constants, ..Default::default() },
             cache: None,
         })
     }

@@ -6,12 +6,15 @@ import { clusterRows, wordsOf } from "./resident.js";
 
 // Rows of a workgroup of the shader that reconstructs.
 const ROWS = 4 * THREADS;
+// Threads of a group of `basis` on adapters that are processors in truth.
+const PROCESSOR_THREADS = 64;
 
 /** b_c = s (ΣVᵀ) λ|_c. */
 export class BasisPass {
   static async create(gpu, table, resident) {
     const pass = new BasisPass();
-    const pipeline = await gpu.compute("basis", "project");
+    const constants = gpu.isProcessor() ? { THREADS: PROCESSOR_THREADS } : {};
+    const pipeline = await gpu.compute("basis", "project", "auto", constants);
     const columns = gpu.storage("columns", table.columns);
     const steps = gpu.storage("steps", table.steps);
     pass.pages = pagesOf(gpu, table, "vt").map(({ firstCluster, clusters, rows, words }) => {

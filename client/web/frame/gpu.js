@@ -177,12 +177,18 @@ export class Gpu {
     return module;
   }
 
-  /** A compute pipeline, made once; its layout is the shader's unless given. */
-  async compute(name, entryPoint, layout = "auto") {
+  /** Whether the adapter is a processor in truth. */
+  isProcessor() {
+    const described = this.device.adapterInfo;
+    return described?.isFallbackAdapter === true || described?.architecture === "swiftshader";
+  }
+
+  /** A compute pipeline, made once, with values of overrides; its layout is the shader's unless given. */
+  async compute(name, entryPoint, layout = "auto", constants = {}) {
     const key = `${name}/${entryPoint}`;
     let pipeline = this.#shared.pipelines.get(key);
     if (pipeline === undefined) {
-      const compute = { module: this.module(name), entryPoint };
+      const compute = { module: this.module(name), entryPoint, constants };
       pipeline = await this.device.createComputePipelineAsync({ label: entryPoint, layout, compute });
       this.#shared.pipelines.set(key, this.#made(pipeline));
     }

@@ -1,5 +1,6 @@
 // b_c = s (ΣVᵀ) λ|_c; twin: reference.rs. One workgroup per cluster, a thread for each eight ranks and each share of the columns. λ at
-// the cluster's columns is gathered once, then read by all ranks.
+// the cluster's columns is gathered once, then read by all ranks. Few clusters have most of the columns, so the time is theirs: as
+// many threads as a group may have, four columns of each under way at once.
 
 struct Basis {
     // Clusters in a row of the dispatch.
@@ -15,9 +16,11 @@ struct Column {
     scale: f32,
 }
 
-const THREADS = 64u;
+// Few on processors, which run them one after the other (`PROCESSOR_THREADS` in mod.rs).
+override THREADS: u32 = 256u;
 // Columns gathered at a time.
-const TILE = 256u;
+const TILE = 1024u;
+const CHANNELS = 3u;
 
 @group(0) @binding(0) var<uniform> basis: Basis;
 @group(0) @binding(1) var<storage, read> clusters: array<Cluster>;
@@ -30,9 +33,15 @@ const TILE = 256u;
 @group(0) @binding(7) var<storage, read> details: array<Detail>;
 @group(0) @binding(8) var<uniform> turn: Turn;
 
-var<workgroup> light: array<vec4f, TILE>;
-var<workgroup> sums: array<vec4f, THREADS * GROUP>;
+// λ of a tile's columns; behind the last tile, sums of threads.
+var<workgroup> numbers: array<f32, TILE * CHANNELS>;
+// The thread's sums for its eight ranks.
 var<private> own: array<vec3f, GROUP>;
+
+// λ at a column of the tile.
+fn light(at: u32) -> vec3f {
+    return vec3f(numbers[at * CHANNELS], numbers[at * CHANNELS + 1u], numbers[at * CHANNELS + 2u]);
+}
 
 // Adds a column's light to the thread's eight ranks.
 fn add(low: vec4f, high: vec4f, column: vec3f) {
@@ -46,7 +55,32 @@ fn add(low: vec4f, high: vec4f, column: vec3f) {
     own[7] += high.w * column;
 }
 
-@compute @workgroup_size(64)
+// The same for factors of 4 bits.
+fn add_word(word: u32, column: vec3f) {
+    let low = bitcast<vec4i>(vec4u(word << 28u, word << 24u, word << 20u, word << 16u)) >> vec4u(28u);
+    let high = bitcast<vec4i>(vec4u(word << 12u, word << 8u, word << 4u, word)) >> vec4u(28u);
+    add(vec4f(low), vec4f(high), column);
+}
+
+// Hands a thread's sums over: of each channel of each rank those of `held` threads in a row.
+fn hand_over(thread: u32, held: u32) {
+    for (var i = 0u; i < GROUP; i++) {
+        let at = i * CHANNELS * held + thread;
+        numbers[at] = own[i].x;
+        numbers[at + held] = own[i].y;
+        numbers[at + 2u * held] = own[i].z;
+    }
+}
+
+// Those that another thread handed over, joined to the thread's own.
+fn take_over(thread: u32, held: u32) {
+    for (var i = 0u; i < GROUP; i++) {
+        let at = i * CHANNELS * held + thread;
+        own[i] += vec3f(numbers[at], numbers[at + held], numbers[at + 2u * held]);
+    }
+}
+
+@compute @workgroup_size(THREADS)
 fn project(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) thread: u32) {
     let index = group.y * basis.stride + group.x;
     if index >= basis.cluster_count {
@@ -81,14 +115,17 @@ fn project(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index)
         for (var at = thread; tile + at < end; at += THREADS) {
             let before = select(select(before_rest, before_bytes, tile + at < bytes_end), 0u, tile + at < wide_end);
             let column = columns[cluster.first_column + before + tile + at];
-            light[at] = lambda[column.place] * column.scale;
+            let value = lambda[column.place] * column.scale;
+            numbers[at * CHANNELS] = value.x;
+            numbers[at * CHANNELS + 1u] = value.y;
+            numbers[at * CHANNELS + 2u] = value.z;
         }
         workgroupBarrier();
         if has_ranks {
             var at = tile + share;
             for (; at < min(end, wide_end); at += shares) {
                 let word = first + at * cluster.wide_words;
-                let column = light[at - tile].rgb;
+                let column = light(at - tile);
                 if cluster.wide_words == OF_16 {
                     let low = of_16(vt[word], vt[word + 1u]);
                     add(low, of_16(vt[word + 2u], vt[word + 3u]), column);
@@ -100,27 +137,48 @@ fn project(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index)
             }
             for (; at < min(end, bytes_end); at += shares) {
                 let word = first + bytes_first + (at - wide_end) * OF_8;
-                add(of_8(vt[word]), of_8(vt[word + 1u]), light[at - tile].rgb);
+                add(of_8(vt[word]), of_8(vt[word + 1u]), light(at - tile));
+            }
+            let words = first + rest_first - bytes_end;
+            // The next four are read before the first is used.
+            for (; at + 3u * shares < end; at += 4u * shares) {
+                let next = vec4u(at, at + shares, at + 2u * shares, at + 3u * shares);
+                let word = vec4u(vt[words + next.x], vt[words + next.y], vt[words + next.z], vt[words + next.w]);
+                add_word(word.x, light(next.x - tile));
+                add_word(word.y, light(next.y - tile));
+                add_word(word.z, light(next.z - tile));
+                add_word(word.w, light(next.w - tile));
             }
             for (; at < end; at += shares) {
-                let word = vt[first + rest_first + at - bytes_end];
-                let low = bitcast<vec4i>(vec4u(word << 28u, word << 24u, word << 20u, word << 16u)) >> vec4u(28u);
-                let high = bitcast<vec4i>(vec4u(word << 12u, word << 8u, word << 4u, word)) >> vec4u(28u);
-                add(vec4f(low), vec4f(high), light[at - tile].rgb);
+                add_word(vt[words + at], light(at - tile));
             }
         }
         workgroupBarrier();
     }
-    for (var i = 0u; i < GROUP; i++) {
-        sums[thread * GROUP + i] = vec4f(own[i], 0.0);
+    // Half of the threads at a time, until the sums of all fit.
+    var held = THREADS;
+    while held * GROUP * CHANNELS > TILE * CHANNELS {
+        held /= 2u;
+        if thread >= held && thread < 2u * held {
+            hand_over(thread - held, held);
+        }
+        workgroupBarrier();
+        if thread < held {
+            take_over(thread, held);
+        }
+        workgroupBarrier();
+    }
+    if thread < held {
+        hand_over(thread, held);
     }
     workgroupBarrier();
     for (var rank = thread; rank < min(cluster.rank, groups * GROUP); rank += THREADS) {
-        var total = vec4f(0.0);
-        for (var other = rank / GROUP; other < THREADS; other += lanes) {
-            total += sums[other * GROUP + rank % GROUP];
+        var total = vec3f(0.0);
+        for (var other = rank / GROUP; other < held; other += lanes) {
+            let base = rank % GROUP * CHANNELS * held + other;
+            total += vec3f(numbers[base], numbers[base + held], numbers[base + 2u * held]);
         }
         let at = cluster.first_b + rank;
-        b[at] = total * steps[at];
+        b[at] = vec4f(total * steps[at], 0.0);
     }
 }

@@ -18,6 +18,8 @@ pub const SHADER: &str = concat!(
 /// Largest difference from the reference, relative to the largest value: sums of some thousand f32 of either sign in
 /// another order (by shares of the columns).
 pub const TOLERANCE: f32 = 2e-5;
+/// Threads of a group on adapters that are processors in truth: each barrier costs them as much as all threads together.
+const PROCESSOR_THREADS: f64 = 64.0;
 /// Numbers of one page of factors; twin of `Basis` in the shader.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
@@ -45,7 +47,8 @@ impl BasisPass {
         [lambda, b]: [&wgpu::Buffer; 2],
         detail: &DetailBuffers,
     ) -> Result<Self> {
-        let pipeline = gpu.compute("basis", SHADER, "project");
+        let overrides: &[_] = if gpu.software { &[("THREADS", PROCESSOR_THREADS)] } else { &[] };
+        let pipeline = gpu.compute_with(("basis", SHADER, "project"), None, overrides);
         let columns = gpu.storage("columns", &table.columns)?;
         let steps = gpu.storage("steps", &table.steps)?;
         let bytes = table.clusters.iter().map(|cluster| (4 * cluster.vt.len) as u64);

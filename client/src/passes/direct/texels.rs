@@ -56,7 +56,7 @@ impl TexelsPass {
         let layout = gpu.bind_layout(&kinds.map(|kind| (Stages::COMPUTE, kind)));
         let pipeline_layout = gpu.pipeline_layout(&[&shadow.light_layout, &layout]);
         let pipeline =
-            gpu.compute_with("direct texels", TEXELS_SHADER, "direct_texels", Some(&pipeline_layout));
+            gpu.compute_with(("direct texels", TEXELS_SHADER, "direct_texels"), Some(&pipeline_layout), &[]);
         let page = |run: Range<usize>| {
             let [start, end] = [run.start, run.end].map(|slot| points.starts[slot]);
             let starts: Vec<u32> = points.starts[run.start..=run.end].iter().map(|at| at - start).collect();

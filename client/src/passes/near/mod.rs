@@ -66,7 +66,8 @@ impl NearPass {
         let kinds = [uniform(false), read(), read(), read(), read(), read(), storage_write()];
         let layout = gpu.bind_layout(&kinds.map(|kind| (Stages::COMPUTE, kind)));
         let pipeline_layout = gpu.pipeline_layout(&[&shadow.light_layout, &layout]);
-        let light = gpu.compute_with("light of near hits", LIT_SHADER, "light_hits", Some(&pipeline_layout));
+        let light =
+            gpu.compute_with(("light of near hits", LIT_SHADER, "light_hits"), Some(&pipeline_layout), &[]);
         let gather = gpu.compute("near hits", SHADER, "gather");
         let own = gpu.storage("surfaces of near hits", &table.own)?;
         let page = |run: Range<usize>| {
