@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use lightkiln_proto::api::{
     Bake, BakeState, Blame, ClaimAnswer, ClaimRequest, CommitVerdict, EventPage, HeartbeatAnswer, Lease,
-    NewBake,
+    NewBake, ResultPage,
 };
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{
@@ -358,6 +358,24 @@ impl Farm {
             let mark = self.wakeup.mark();
             let page = self.store.events_after(bake, after, limit).await?;
             if !page.events.is_empty() || page.bake.state.is_final() || !self.wait(mark, deadline).await {
+                return Ok(page);
+            }
+        }
+    }
+
+    /// Results behind place `after`, waiting for one if there is none and the bake goes on.
+    pub async fn results(
+        &self,
+        bake: &str,
+        kind: Option<&str>,
+        after: u64,
+        limit: u32,
+        deadline: Instant,
+    ) -> Result<ResultPage> {
+        loop {
+            let mark = self.wakeup.mark();
+            let page = self.store.results_after(bake, kind, after, limit).await?;
+            if !page.results.is_empty() || page.bake.state.is_final() || !self.wait(mark, deadline).await {
                 return Ok(page);
             }
         }

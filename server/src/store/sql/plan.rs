@@ -82,7 +82,7 @@ impl Addition<'_> {
     async fn add_layer(&mut self, layer: Vec<TaskSpec>) -> Result<Vec<TaskSpec>> {
         let known = self.known(&layer).await?;
         let mut fresh: BTreeMap<TaskKey, TaskSpec> = BTreeMap::new();
-        let mut members: Vec<(i64, bool)> = Vec::new();
+        let mut members: Vec<(i64, bool, Option<u64>)> = Vec::new();
         let mut done: Vec<i64> = Vec::new();
         for spec in layer {
             let key = spec.key;
@@ -100,7 +100,8 @@ impl Addition<'_> {
                     self.added.push(Added { key, needs: dependencies(&task.spec) });
                     self.ids.insert(key, task.id);
                     let is_done = task.state == "done";
-                    members.push((task.id, is_done));
+                    let place = is_done.then(|| self.bake.next_place());
+                    members.push((task.id, is_done, place));
                     if is_done {
                         done.push(task.id);
                     }
@@ -113,7 +114,7 @@ impl Addition<'_> {
             }
         }
         let ids = self.insert_tasks(&fresh).await?;
-        members.extend(ids.iter().map(|id| (*id, false)));
+        members.extend(ids.iter().map(|id| (*id, false, None)));
         self.insert_members(&members).await?;
         self.fresh.extend(ids);
         self.reuse(&done).await
@@ -193,12 +194,13 @@ impl Addition<'_> {
         Ok(ids)
     }
 
-    async fn insert_members(&mut self, members: &[(i64, bool)]) -> Result<()> {
+    /// Adds tasks to the bake, each with whether it is done and the place of its result.
+    async fn insert_members(&mut self, members: &[(i64, bool, Option<u64>)]) -> Result<()> {
         let sql = self.conn.pick(
-            "INSERT INTO bake_tasks (bake, task, done, reused)
-             SELECT $1, value ->> 0, value ->> 1, value ->> 1 FROM json_each($2)",
-            "INSERT INTO bake_tasks (bake, task, done, reused)
-             SELECT $1, (v ->> 0)::bigint, (v ->> 1)::boolean::int, (v ->> 1)::boolean::int
+            "INSERT INTO bake_tasks (bake, task, done, reused, place)
+             SELECT $1, value ->> 0, value ->> 1, value ->> 1, value ->> 2 FROM json_each($2)",
+            "INSERT INTO bake_tasks (bake, task, done, reused, place)
+             SELECT $1, (v ->> 0)::bigint, (v ->> 1)::boolean::int, (v ->> 1)::boolean::int, (v ->> 2)::bigint
              FROM jsonb_array_elements($2::jsonb) AS j (v)",
         );
         for members in members.chunks(ROWS_PER_STATEMENT) {
