@@ -200,7 +200,7 @@ pub trait FarmStore: Send + Sync {
     async fn forget(&self, keys: &[TaskKey]) -> Result<()>;
 
     /// Hands out up to `max` ready tasks. One by one they come from the bake with the highest priority, of those from the
-    /// one with the fewest tasks under way ([`rules`] says more), of a bake by cost, then key.
+    /// one with the fewest tasks under way ([`rules`] says more), of a bake by cost ([`rules::claim_cost`]), then key.
     async fn claim(&self, request: &ClaimRequest) -> Result<Vec<Lease>>;
 
     /// Whether a running bake has a ready task of one of these kinds, whoever may take it.

@@ -122,6 +122,12 @@ pub fn next_contender<B>(contenders: &[Contender<B>]) -> Option<usize> {
     (0..contenders.len()).min_by_key(|index| (rank(&contenders[*index]), *index))
 }
 
+/// Cost by which a task is claimed, among its bake's, whose dependencies have these costs: its own, or more than any of
+/// theirs. So what follows from a task comes soon after it, not after all others of its kind.
+pub fn claim_cost(cost: u64, of_dependencies: impl IntoIterator<Item = u64>) -> u64 {
+    of_dependencies.into_iter().map(|cost| cost + 1).fold(cost, u64::max)
+}
+
 /// When an attempt that starts now must have ended.
 pub fn deadline_ms(now_ms: i64, attempt_limit_secs: Option<u32>) -> i64 {
     now_ms + 1000 * i64::from(attempt_limit_secs.unwrap_or(ATTEMPT_LIMIT_SECS))

@@ -62,6 +62,7 @@ conformance! {
         cancel_again_changes_nothing
         ended_bake_refuses_changes
         priority_then_share_then_age_then_cost_then_key_decide_the_order
+        task_is_claimed_right_after_the_costlier_one_that_it_waited_for
         changed_priority_changes_the_order
         unknown_bake_is_an_error;
     bearers:

@@ -161,7 +161,10 @@ impl Farm {
             self.is_due(task, &request.kinds, now_ms)
                 && !self.is_left_to_others(bake, task, &request.worker, now_ms)
         });
-        let best = claimable.min_by_key(|task| (Reverse(task.spec.cost), task.spec.key))?;
+        let cost_of = |key: TaskKey| self.tasks.get(&key).map(|task| task.spec.cost);
+        let cost =
+            |task: &Task| rules::claim_cost(task.spec.cost, task.spec.dependencies().filter_map(cost_of));
+        let best = claimable.min_by_key(|task| (Reverse(cost(task)), task.spec.key))?;
         Some(best.spec.key)
     }
 

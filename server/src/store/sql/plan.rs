@@ -257,10 +257,17 @@ impl Addition<'_> {
                      WHERE n.task = tasks.id AND d.state <> 'done') WHERE id IN (SELECT CAST(value AS BIGINT) FROM json_each($1))";
         let wait = "UPDATE tasks SET state = 'waiting'
                     WHERE id IN (SELECT CAST(value AS BIGINT) FROM json_each($1)) AND waiting_count > 0";
+        // As rules::claim_cost has it.
+        let rank = "UPDATE tasks SET claim_cost = (SELECT max(d.cost) + 1 FROM task_needs n JOIN tasks d ON d.id = n.needs
+                                                   WHERE n.task = tasks.id)
+                    WHERE id IN (SELECT CAST(value AS BIGINT) FROM json_each($1))
+                    AND cost <= (SELECT max(d.cost) FROM task_needs n JOIN tasks d ON d.id = n.needs
+                                 WHERE n.task = tasks.id)";
         for fresh in self.fresh.chunks(ROWS_PER_STATEMENT) {
             let fresh = to_json(fresh)?;
-            query(count).bind(&fresh).run(self.conn).await?;
-            query(wait).bind(&fresh).run(self.conn).await?;
+            for sql in [count, wait, rank] {
+                query(sql).bind(&fresh).run(self.conn).await?;
+            }
         }
         let ids: Vec<i64> = self.added.iter().filter_map(|task| self.ids.get(&task.key).copied()).collect();
         ready::offer_in(self.conn, self.bake.seq, &ids).await

@@ -11,3 +11,7 @@ WHERE landed.bake = bake_tasks.bake AND landed.task = bake_tasks.task;
 UPDATE bakes SET last_place = (SELECT count(*) FROM bake_tasks m WHERE m.bake = bakes.seq AND m.done = 1);
 
 CREATE UNIQUE INDEX bake_tasks_by_place ON bake_tasks (bake, place) WHERE place IS NOT NULL;
+
+-- Cost that a task is claimed by, where that is not its own: it waited for a costlier one.
+
+ALTER TABLE tasks ADD COLUMN claim_cost INTEGER;
