@@ -9,7 +9,7 @@ pub const PAGE_OUTPUT: &str = "page";
 /// Kinds of the tasks to follow. All clusters of the pages of all cells, in another order, are those of the bake's manifest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct UnderWay {
-    /// Kind of the one task that gives the outline ([`OUTLINE_OUTPUT`]), soon after the plan.
+    /// Kind of the one task that gives the outline ([`OUTLINE_OUTPUT`]), before any of the others begins.
     pub outline: &'static str,
     /// Kind of the tasks that give a page each ([`PAGE_OUTPUT`]), one for each cell.
     pub clusters: &'static str,

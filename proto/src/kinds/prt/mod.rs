@@ -65,7 +65,7 @@ impl Kind for Prt {
     }
 
     fn under_way(&self) -> Option<UnderWay> {
-        Some(UnderWay { outline: tasks::OUTLINE.name, clusters: tasks::COLOUR.name })
+        Some(UnderWay { outline: tasks::PLAN.name, clusters: tasks::COLOUR.name })
     }
 
     fn chunks(&self) -> &'static [ChunkRow] {
