@@ -23,6 +23,7 @@ mod tls;
 mod together;
 mod tokens;
 mod traces;
+mod under_way;
 mod upkeep;
 mod uploads;
 #[cfg(feature = "view")]
