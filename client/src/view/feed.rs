@@ -2,6 +2,7 @@
 
 use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 use crate::bake::LoadedBake;
 use crate::error::{ClientError, Result};
@@ -16,6 +17,10 @@ const FALL_LEAST: u64 = 16;
 const FALL_MOST: u64 = 4;
 /// Least bytes of a piece.
 const PIECE_MIN: u64 = 128 << 10;
+/// Time in which clusters of a bake under way land before they are taken. More → fewer pieces.
+const LANDING: Duration = Duration::from_secs(1);
+/// Longest wait for clusters to land, where no other view could want others of those that have.
+const LISTEN_SECS: u32 = 5;
 
 /// A piece of light.
 pub struct Piece {
@@ -77,6 +82,13 @@ impl Watched {
         held.is_served = held.view.as_ref() == Some(view) && held.memory == memory;
         let served = |held: &mut Watch| held.is_served;
         drop(self.changed.wait_while(held, served).unwrap_or_else(PoisonError::into_inner));
+    }
+
+    /// Waits so long for another view or memory, though more is to come for these.
+    fn wait_a_little(&self, view: &View, memory: u64, time: Duration) {
+        let is_same = |held: &mut Watch| held.view.as_ref() == Some(view) && held.memory == memory;
+        let waited = self.changed.wait_timeout_while(self.held(), time, is_same);
+        drop(waited.unwrap_or_else(PoisonError::into_inner));
     }
 }
 
@@ -171,7 +183,7 @@ fn fetch(
     sender: &Sender<Result<Piece>>,
     wake: impl Fn(),
 ) {
-    let mut step = step_min;
+    let (mut step, mut sent) = (step_min, stream.streamed());
     loop {
         let Some((view, memory)) = watched.wanted() else { return };
         let before = stream.streamed();
@@ -179,10 +191,25 @@ fn fetch(
             watched.wait_for_other(&view, memory);
             continue;
         }
-        let refined = stream.refine(&view, Budget { step, memory, ..Budget::NONE });
-        let streamed = stream.streamed();
-        if streamed != before {
+        let mut done = stream.refine(&view, Budget { step, memory, ..Budget::NONE });
+        if stream.streamed() != before {
             step = step_min;
+        } else if done.is_ok() && step < u64::MAX {
+            // The step is too small for any layer, or memory is full: without a step one more look tells which.
+            step = u64::MAX;
+        } else if done.is_ok() && stream.is_under_way() {
+            // All that has landed is there, as far as memory goes: what lands is taken together, so that light is made less often.
+            step = step_min;
+            watched.wait_a_little(&view, memory, LANDING);
+            done = stream.hear(if before.whole == before.clusters_all { LISTEN_SECS } else { 0 });
+        } else if done.is_ok() {
+            // Memory holds no more: what it holds is that which another view needs.
+            step = step_min;
+            watched.wait_for_other(&view, memory);
+        }
+        let streamed = stream.streamed();
+        if streamed != sent {
+            sent = streamed;
             let bake = Arc::clone(&stream.bake);
             if view.lod.is_some() {
                 // Made here, so that the window has not to wait for it.
@@ -192,15 +219,8 @@ fn fetch(
                 return;
             }
             wake();
-        } else if refined.is_ok() && step < u64::MAX {
-            // The step is too small for any layer, or memory is full: without a step one more look tells which.
-            step = u64::MAX;
-        } else if refined.is_ok() {
-            // Memory holds no more: what it holds is that which another view needs.
-            step = step_min;
-            watched.wait_for_other(&view, memory);
         }
-        if let Err(error) = refined {
+        if let Err(error) = done {
             // Nobody listens if this fails.
             let _ = sender.send(Err(error));
             return wake();
