@@ -230,12 +230,13 @@ fn fetch(
 
 #[cfg(test)]
 mod tests {
+    use lightkiln_proto::api::BakeState;
     use lightkiln_proto::kinds::prt;
     use lightkiln_proto::manifest::CLUSTERS;
 
     use super::*;
     use crate::fetch::Source;
-    use crate::fixture::write_bundle;
+    use crate::fixture::{BundleServer, Faults, Told, write_bundle};
     use crate::kinds;
     use crate::tests::fixture_view;
 
@@ -338,6 +339,53 @@ mod tests {
             last = feed.streamed;
         }
         assert_eq!(last.clusters, 0);
+    }
+
+    #[test]
+    fn clusters_of_a_bake_under_way_come_as_they_land_and_it_is_served_at_its_end_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        let manifest = write_bundle(folder.path(), prt::NAME);
+        let mut told = Told::of(folder.path(), &manifest, &[&[0, 1, 2], &[3, 4, 5, 6]]);
+        let server = BundleServer::start(folder.path(), Faults::default());
+        server.tell(&told);
+        let following = kinds::all().follow(&server.source()).unwrap().unwrap();
+        let stream = StreamedBake::follow(following, &kinds::all(), Budget::NONE).unwrap();
+        let (mut feed, _) = Feed::start(stream, u64::MAX, fixture_view().1, || {});
+        let until = |feed: &mut Feed, is_wanted: &dyn Fn(&Streamed) -> bool| {
+            while !is_wanted(&feed.streamed) {
+                feed.next().unwrap();
+                assert!(!feed.is_over());
+                std::thread::yield_now();
+            }
+        };
+        for (cell, clusters) in [(1, 4), (0, 7)] {
+            told.landed.push(cell);
+            server.tell(&told);
+            until(&mut feed, &|streamed| streamed.whole == clusters);
+            assert_eq!(feed.streamed.baked.unwrap().cells, told.landed.len() as u64);
+            assert!(!feed.is_served() && !feed.streamed.is_whole());
+        }
+        told.end(BakeState::Done, None);
+        server.tell(&told);
+        until(&mut feed, &Streamed::is_whole);
+        while !feed.is_served() {
+            std::thread::yield_now();
+        }
+        // A bake that fails is the end.
+        told.end(BakeState::Running, None);
+        server.tell(&told);
+        let following = kinds::all().follow(&server.source()).unwrap().unwrap();
+        let stream = StreamedBake::follow(following, &kinds::all(), Budget::NONE).unwrap();
+        let (mut feed, _) = Feed::start(stream, u64::MAX, fixture_view().1, || {});
+        told.end(BakeState::Failed, Some("no ray meets anything"));
+        server.tell(&told);
+        let error = loop {
+            match feed.next() {
+                Err(error) => break error.to_string(),
+                Ok(_) => std::thread::yield_now(),
+            }
+        };
+        assert!(error.contains("no ray meets anything") && feed.is_over(), "{error}");
     }
 
     #[test]

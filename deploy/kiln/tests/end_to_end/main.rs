@@ -8,6 +8,7 @@ mod colours;
 mod commands;
 mod deployment;
 mod description;
+mod early_light;
 mod embedded;
 mod enrolment;
 mod evaluation;
