@@ -22,6 +22,7 @@ use crate::metrics::Metrics;
 use crate::random::is_fencing_token;
 use crate::storage::{Removed, Storage};
 use crate::store::chunk::CollectRules;
+use crate::store::rules::MAX_TASK_NAME_BYTES;
 use crate::store::{FailVerdict, FarmStore, KnownResult, StoreError, Submission};
 use crate::wakeup::Wakeup;
 
@@ -39,6 +40,8 @@ pub const ATTEMPT_LIMIT_SECS: std::ops::RangeInclusive<u32> = 1..=604_800;
 pub const MAX_LEASES: u32 = 64;
 /// Most task kinds that one claim names.
 pub const MAX_KINDS: usize = 64;
+/// Longest kind of a task, in bytes.
+pub const MAX_KIND_BYTES: usize = MAX_TASK_NAME_BYTES;
 /// Lease lengths in seconds.
 pub const TTL_SECS: std::ops::RangeInclusive<u32> = 5..=3600;
 /// A claim that waits says by claiming again that its worker is still there.

@@ -12,7 +12,7 @@ use utoipa::IntoParams;
 use super::events::{MAX_SEQ, require_wait};
 use super::extract::{Answer, BakeId, FarmState, UrlQuery};
 use crate::error::{Result, ServerError};
-use crate::store::rules::MAX_TASK_NAME_BYTES;
+use crate::farm::MAX_KIND_BYTES;
 
 /// Query of results.
 #[derive(Deserialize, IntoParams)]
@@ -42,8 +42,8 @@ impl ResultsQuery {
         if let Some(after) = self.after.filter(|after| *after > MAX_SEQ) {
             return wrong(format!("after must be at most {MAX_SEQ}, not {after}"));
         }
-        if self.kind.as_ref().is_some_and(|kind| !(1..=MAX_TASK_NAME_BYTES).contains(&kind.len())) {
-            return wrong(format!("kind must have 1 to {MAX_TASK_NAME_BYTES} bytes"));
+        if self.kind.as_ref().is_some_and(|kind| !(1..=MAX_KIND_BYTES).contains(&kind.len())) {
+            return wrong(format!("kind must have 1 to {MAX_KIND_BYTES} bytes"));
         }
         require_wait(self.wait_secs.unwrap_or(0))
     }
