@@ -155,7 +155,7 @@ fn state(ui: &mut Ui, viewer: &Viewer, facts: &Facts) {
     if let Some(Streamed { bytes, bytes_all, clusters, whole, clusters_all, baked, .. }) = facts.streamed {
         if let Some(Baked { cells, cells_all }) = baked {
             ui.label(format!(
-                "the bake goes on: {cells} of {cells_all} cells baked, elsewhere light is direct alone"
+                "the bake goes on: {cells} of {cells_all} cells baked, elsewhere lights shine directly alone"
             ));
         }
         let percent = 100.0 * bytes as f64 / bytes_all.max(1) as f64;

@@ -153,15 +153,16 @@ impl PassRow {
 /// Light that has come, in words.
 pub fn worded_part(come: &Streamed) -> String {
     let Streamed { bytes, bytes_all, clusters, whole, clusters_all, .. } = come;
-    let percent = 100.0 * *bytes as f64 / (*bytes_all).max(1) as f64;
-    let part = format!("{bytes} of {bytes_all} bytes of light ({percent:.1} %)");
     let of_clusters = format!("{clusters} of {clusters_all} clusters, {whole} of them with all layers");
-    match come.baked {
-        None => format!("{part}: the overview, and {of_clusters}"),
-        Some(Baked { cells, cells_all }) => format!(
-            "the bake goes on, {cells} of {cells_all} cells are baked: {part} so far, {of_clusters}; elsewhere light is direct alone (--wait waits for the rest)"
-        ),
-    }
+    let Some(Baked { cells, cells_all }) = come.baked else {
+        let percent = 100.0 * *bytes as f64 / (*bytes_all).max(1) as f64;
+        return format!(
+            "{bytes} of {bytes_all} bytes of light ({percent:.1} %): the overview, and {of_clusters}"
+        );
+    };
+    format!(
+        "the bake goes on, {cells} of {cells_all} cells are baked: {bytes} bytes of light, {of_clusters}; elsewhere lights shine directly alone ('kiln preview --wait' waits for the rest)"
+    )
 }
 
 /// Bytes as people write them: a number, with k, M or G for powers of 1000.
