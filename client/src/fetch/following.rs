@@ -78,7 +78,7 @@ impl Following {
             );
             return Err(ClientError::Source { text, problem });
         };
-        let client = Arc::new(ApiClient::clone(client).with_retry(PATIENCE));
+        let client = Arc::clone(client);
         let source =
             Source::Server { client: Arc::clone(&client), bake: bake.id.clone(), cache: cache.clone() };
         let cells_all = cells_of(&bake, tasks);
@@ -95,7 +95,17 @@ impl Following {
         }))
     }
 
-    /// The bake's source, with the patience that a bake under way wants.
+    /// The same with [`PATIENCE`], for whoever follows the bake to its end.
+    #[must_use]
+    pub fn patient(mut self) -> Self {
+        self.client = Arc::new(ApiClient::clone(&self.client).with_retry(PATIENCE));
+        if let Source::Server { client, .. } = &mut self.source {
+            *client = Arc::clone(&self.client);
+        }
+        self
+    }
+
+    /// The bake's source, by its whole id.
     pub fn source(&self) -> &Source {
         &self.source
     }

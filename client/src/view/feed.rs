@@ -191,21 +191,24 @@ fn fetch(
             watched.wait_for_other(&view, memory);
             continue;
         }
-        let mut done = stream.refine(&view, Budget { step, memory, ..Budget::NONE });
-        if stream.streamed() != before {
+        let has_all_known = before.whole == before.clusters_all && before.memory <= memory;
+        let mut done = match has_all_known {
+            true => heard(&mut stream, watched, (&view, memory), LISTEN_SECS),
+            false => stream.refine(&view, Budget { step, memory, ..Budget::NONE }),
+        };
+        let brings_none = done.is_ok() && stream.streamed() == before;
+        if has_all_known || !brings_none {
             step = step_min;
-        } else if done.is_ok() && step < u64::MAX {
+        } else if step < u64::MAX {
             // The step is too small for any layer, or memory is full: without a step one more look tells which.
             step = u64::MAX;
-        } else if done.is_ok() && stream.is_under_way() {
-            // All that has landed is there, as far as memory goes: what lands is taken together, so that light is made less often.
-            step = step_min;
-            watched.wait_a_little(&view, memory, LANDING);
-            done = stream.hear(if before.whole == before.clusters_all { LISTEN_SECS } else { 0 });
-        } else if done.is_ok() {
+        } else {
             // Memory holds no more: what it holds is that which another view needs.
             step = step_min;
-            watched.wait_for_other(&view, memory);
+            match stream.is_under_way() {
+                true => done = heard(&mut stream, watched, (&view, memory), 0),
+                false => watched.wait_for_other(&view, memory),
+            }
         }
         let streamed = stream.streamed();
         if streamed != sent {
@@ -226,6 +229,17 @@ fn fetch(
             return wake();
         }
     }
+}
+
+/// Hears of clusters of a bake under way. Those that land within a while are taken together, so that light is made less often.
+fn heard(
+    stream: &mut StreamedBake,
+    watched: &Watched,
+    (view, memory): (&View, u64),
+    wait_secs: u32,
+) -> Result<()> {
+    watched.wait_a_little(view, memory, LANDING);
+    stream.hear(wait_secs)
 }
 
 #[cfg(test)]

@@ -165,7 +165,8 @@ impl LookArguments {
     ) -> Result<(Subject, View, Vec<String>)> {
         let budget = Budget { memory: max_memory.unwrap_or(u64::MAX), ..Budget::NONE };
         let part = match kinds.follow(source)? {
-            Some(mut following) => {
+            Some(following) => {
+                let mut following = following.patient();
                 say!(
                     "the bake goes on: the window opens once its receivers are placed, and shows light as it is baked"
                 );
