@@ -4,6 +4,7 @@ use std::io;
 use std::path::PathBuf;
 
 use lightkiln_http::CallError;
+use lightkiln_proto::api::BakeState;
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::manifest::ManifestError;
 use lightkiln_proto::problem::RetryClass;
@@ -24,6 +25,16 @@ pub enum ClientError {
         /// Text given.
         text: String,
         /// Fault and way out.
+        problem: String,
+    },
+    /// A bake that was followed, and that ended without all of its light.
+    #[error("bake {bake} {problem}")]
+    Ended {
+        /// The bake's id.
+        bake: String,
+        /// The state that it ended in; none of one that was deleted.
+        state: Option<BakeState>,
+        /// End and way out.
         problem: String,
     },
     /// A file could not be read or written.
@@ -162,6 +173,7 @@ impl ClientError {
         match self {
             Self::Call(error) => error.retry_class(),
             Self::Source { .. }
+            | Self::Ended { .. }
             | Self::File { .. }
             | Self::TooLarge { .. }
             | Self::WrongDigest { .. }

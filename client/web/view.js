@@ -8,6 +8,7 @@
 
 import { Frame, SAMPLES_MAX, featuresOf, limitsOf } from "./frame/frame.js";
 import { cameraOf, lightsOf } from "./frame/lights.js";
+import { sleep } from "./fetch.js";
 import { BakeStream } from "./relight/stream.js";
 import { Orbit } from "./orbit.js";
 
@@ -16,6 +17,9 @@ const STAGES = [0.1, 0.4, 1];
 const CLUSTERS_FEW = 24;
 /** Most pixels along a side of the picture, however dense the screen is. */
 const SIDE_MAX = 2048;
+/** Time in which clusters of a bake that goes on land before they are taken, and the longest wait for them. */
+const LANDING_MS = 1000;
+const LISTEN_SECS = 25;
 /** Bounces before the first picture, and before one of a later stage. */
 const BOUNCES_FIRST = 16;
 
@@ -45,15 +49,16 @@ export class Viewer {
   #isLoading = false;
 
   /**
-   * Opens a bake. `onProgress` hears of the work under way, `share` is 1 when all is done. Later, `onTrouble` hears of errors that leave
+   * Opens a bake; one that goes on, which `following` has heard of the outline of (`relight/following.js`), with the light that is baked:
+   * the rest comes as it is. `onProgress` hears of the work under way, `share` is 1 when all is done. Later, `onTrouble` hears of errors that leave
    * the picture as it is, and `onFailure` of the one that has closed the view.
    */
   static async open(canvas, source, options = {}) {
-    const { signal = null, onProgress = () => {}, onTrouble = () => {}, onFailure = () => {} } = options;
+    const { signal = null, following = null, onProgress = () => {}, onTrouble = () => {}, onFailure = () => {} } = options;
     const viewer = new Viewer();
     viewer.device = await requestDevice();
     try {
-      await viewer.#open(canvas, source, { signal, onProgress, onTrouble, onFailure });
+      await viewer.#open(canvas, source, { signal, following, onProgress, onTrouble, onFailure });
     } catch (error) {
       viewer.close();
       // The device is the cause, whatever failed for want of it.
@@ -62,7 +67,7 @@ export class Viewer {
     return viewer;
   }
 
-  async #open(canvas, source, { signal, onProgress, onTrouble, onFailure }) {
+  async #open(canvas, source, { signal, following, onProgress, onTrouble, onFailure }) {
     this.device.lost.then(({ message }) => {
       if (this.#isClosed) return;
       this.#failure = new Error(`the graphics device is gone (${message}): open the page again`);
@@ -70,7 +75,7 @@ export class Viewer {
       onFailure(this.#failure);
     });
     onProgress({ words: "reading the scene", share: 0 });
-    this.stream = await BakeStream.begin(source, { signal });
+    this.stream = await BakeStream.begin(source, { signal, following });
     this.#stopIfClosed();
     this.scene = this.stream.scene;
     this.canvas = canvas;
@@ -89,7 +94,7 @@ export class Viewer {
   /** The first picture: of the overview, where there is one, else of all clusters. */
   async #firstLight(signal, onProgress) {
     const { manifest } = this.scene;
-    const isFew = manifest.clusters.length <= CLUSTERS_FEW || !this.stream.hasOverview;
+    const isFew = this.stream.clusters[1] <= CLUSTERS_FEW || !this.stream.hasOverview;
     this.stages = isFew ? [1] : STAGES;
     if (isFew) await this.#fetchUpTo(this.stages.shift(), signal, onProgress);
     this.#tellDrawing(onProgress);
@@ -104,8 +109,8 @@ export class Viewer {
     this.lights = [...lightsOf(manifest)];
     await this.frame.settle({ bouncesMax: BOUNCES_FIRST });
     this.frame.draw(this.context);
-    const exposure = await this.frame.expose();
-    this.#addLamp(exposure);
+    this.usualExposure = await this.frame.expose();
+    this.#addLamp(this.usualExposure);
     this.changed();
   }
 
@@ -215,20 +220,51 @@ export class Viewer {
   /** Takes in the rest of the light, stage by stage. */
   async #refine(signal, onProgress) {
     for (const share of this.stages) {
-      await this.#fetchUpTo(share, signal, onProgress);
+      await this.#takeUpTo(share, signal, onProgress);
       if (this.#isClosed) return;
-      this.#tellDrawing(onProgress);
-      this.#isLoading = true;
-      try {
-        await this.frame.setLight((await this.stream.bake()).light);
-      } finally {
-        this.#isLoading = false;
-      }
-      this.#isStale = true;
+    }
+    while (this.stream.isUnderWay) {
+      const [baked, all] = this.stream.cells;
+      onProgress({ words: `the bake goes on: ${baked} of ${all} cells are baked`, share: baked / (all + 1) });
+      await sleep(LANDING_MS, signal);
+      const hasMore = await this.stream.hear({ waitSecs: LISTEN_SECS, signal });
+      if (this.#isClosed) return;
+      if (!hasMore) continue;
+      await this.#takeUpTo(1, signal, onProgress);
+      if (this.#isClosed) return;
+      await this.#exposeAnew();
     }
     // Its Workers have memory of all clusters.
     this.stream.close();
     onProgress({ words: "all light is here", share: 1 });
+  }
+
+  /** Fetches clusters, and shows their light. */
+  async #takeUpTo(share, signal, onProgress) {
+    await this.#fetchUpTo(share, signal, onProgress);
+    if (this.#isClosed) return;
+    this.#tellDrawing(onProgress);
+    this.#isLoading = true;
+    try {
+      await this.frame.setLight((await this.stream.bake()).light);
+    } finally {
+      this.#isLoading = false;
+    }
+    this.#isStale = true;
+  }
+
+  /** Follows light that a bake which goes on has brought with the exposure, as much brighter or darker as the reader wants it. */
+  async #exposeAnew() {
+    const factor = this.exposure / this.usualExposure;
+    this.#isLoading = true;
+    try {
+      await this.frame.settle({ bouncesMax: BOUNCES_FIRST });
+      this.frame.draw(this.context);
+      this.usualExposure = await this.frame.expose();
+    } finally {
+      this.#isLoading = false;
+    }
+    this.exposure = factor * this.usualExposure;
   }
 
   /** Pixels of the canvas on its screen; sets them. */

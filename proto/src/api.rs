@@ -14,6 +14,7 @@
 //! | `POST /v1/bakes/{id}/priority` | [`NewPriority`] → [`Bake`] |
 //! | `GET, DELETE /v1/bakes/{id}/blocklist?worker` | [`Blocklist`] |
 //! | `GET /v1/bakes/{id}/events?after&wait_secs` | [`EventPage`], or SSE of [`BakeEvent`] when `text/event-stream` is accepted |
+//! | `GET /v1/bakes/{id}/results?kind&after&limit&wait_secs` | [`ResultPage`] of results as they land (long poll) |
 //! | `GET /v1/bakes/{id}/manifest`, `…/report` | JSON as the bake's last task wrote it |
 //! | `GET /v1/workers` | [`WorkerPage`] |
 //! | `POST /v1/leases` | [`ClaimRequest`] → [`ClaimAnswer`] (long poll) |
@@ -32,6 +33,7 @@ use crate::jobs::{Artefact, TaskSpec};
 pub use crate::events::{BakeEvent, EventKind, EventPage};
 pub use crate::filter::BakeFilter;
 pub use crate::jobs::TaskResult;
+pub use crate::results::{BakeResult, MAX_PAGE_RESULTS, ResultPage};
 
 /// Fewest characters that a bake's id may be shortened to. Fewer → less to type, and a slip means another bake sooner.
 pub const MIN_ID_CHARS: usize = 4;

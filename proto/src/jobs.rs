@@ -23,7 +23,8 @@ pub struct TaskSpec {
     pub params: serde_json::Value,
     /// Artefacts that it reads.
     pub inputs: Vec<TaskInput>,
-    /// Estimated cost in thousands of rays or the like; bigger is claimed first among equals. At most 2^40.
+    /// Estimated cost in thousands of rays or the like; bigger is claimed first among equals, and a task that waited for a
+    /// bigger one right after it. At most 2^40.
     #[schema(maximum = 1099511627776_i64)]
     pub cost: u64,
     /// Name that it has in common with tasks whose results may stand for its own, as its runner finds by what they recorded: a

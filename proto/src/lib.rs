@@ -17,6 +17,7 @@ pub mod nearest;
 pub mod problem;
 pub mod rectangle;
 pub mod relight;
+pub mod results;
 pub mod scene;
 pub mod settings;
 pub mod trace;

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use lightkiln_proto::api::{
     Bake, BakeState, Blame, ClaimAnswer, ClaimRequest, CommitVerdict, EventPage, HeartbeatAnswer, Lease,
-    NewBake,
+    NewBake, ResultPage,
 };
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{
@@ -22,6 +22,7 @@ use crate::metrics::Metrics;
 use crate::random::is_fencing_token;
 use crate::storage::{Removed, Storage};
 use crate::store::chunk::CollectRules;
+use crate::store::rules::MAX_TASK_NAME_BYTES;
 use crate::store::{FailVerdict, FarmStore, KnownResult, StoreError, Submission};
 use crate::wakeup::Wakeup;
 
@@ -39,6 +40,8 @@ pub const ATTEMPT_LIMIT_SECS: std::ops::RangeInclusive<u32> = 1..=604_800;
 pub const MAX_LEASES: u32 = 64;
 /// Most task kinds that one claim names.
 pub const MAX_KINDS: usize = 64;
+/// Longest kind of a task, in bytes.
+pub const MAX_KIND_BYTES: usize = MAX_TASK_NAME_BYTES;
 /// Lease lengths in seconds.
 pub const TTL_SECS: std::ops::RangeInclusive<u32> = 5..=3600;
 /// A claim that waits says by claiming again that its worker is still there.
@@ -358,6 +361,24 @@ impl Farm {
             let mark = self.wakeup.mark();
             let page = self.store.events_after(bake, after, limit).await?;
             if !page.events.is_empty() || page.bake.state.is_final() || !self.wait(mark, deadline).await {
+                return Ok(page);
+            }
+        }
+    }
+
+    /// Results behind place `after`, waiting for one if there is none and the bake goes on.
+    pub async fn results(
+        &self,
+        bake: &str,
+        kind: Option<&str>,
+        after: u64,
+        limit: u32,
+        deadline: Instant,
+    ) -> Result<ResultPage> {
+        loop {
+            let mark = self.wakeup.mark();
+            let page = self.store.results_after(bake, kind, after, limit).await?;
+            if !page.results.is_empty() || page.bake.state.is_final() || !self.wait(mark, deadline).await {
                 return Ok(page);
             }
         }

@@ -7,7 +7,7 @@ use lightkiln_proto::manifest::Manifest;
 
 use super::{Light, LightStream};
 use crate::error::{ClientError, Result};
-use crate::fetch::Source;
+use crate::fetch::{Following, Source};
 use crate::scene::LoadedScene;
 
 /// A kind of bake as the client plays it.
@@ -56,16 +56,27 @@ impl ClientKinds {
 
     /// The kind of a manifest, whose settings and body that kind has checked.
     pub fn of(&self, manifest: &Manifest) -> Result<&dyn ClientKind> {
-        let found = self.0.iter().find(|kind| kind.contract().name() == manifest.kind);
-        let kind = found.ok_or_else(|| {
+        let kind = self.named(&manifest.kind)?;
+        kind.contract().check(manifest)?;
+        Ok(kind)
+    }
+
+    /// Follows the bake of a source that goes on; `None` where it is done. Errs for one that failed or was cancelled, and for one of
+    /// a kind that is seen only once its bakes are done.
+    pub fn follow(&self, source: &Source) -> Result<Option<Following>> {
+        Following::of(source, |kind| Ok(self.named(kind)?.contract().under_way()))
+    }
+
+    /// The kind of that name.
+    pub(crate) fn named(&self, name: &str) -> Result<&dyn ClientKind> {
+        let found = self.0.iter().find(|kind| kind.contract().name() == name);
+        found.map(AsRef::as_ref).ok_or_else(|| {
             let known: Vec<&str> = self.names().collect();
-            let text = manifest.kind.chars().take(40).collect();
+            let text = name.chars().take(40).collect();
             let problem =
                 format!("is no kind of bake that can be drawn here; known are {}", known.join(", "));
             ClientError::Source { text, problem }
-        })?;
-        kind.contract().check(manifest)?;
-        Ok(kind.as_ref())
+        })
     }
 
     fn names(&self) -> impl Iterator<Item = &'static str> {

@@ -3,6 +3,7 @@
 use std::fmt::Debug;
 
 use glam::Vec4;
+use lightkiln_proto::manifest::Manifest;
 use lightkiln_proto::relight::{
     LOD_LEVELS, LevelCount, Limit, Lod, LodEye, LodPlan, LodTable, Panorama, Sky,
 };
@@ -16,7 +17,7 @@ use crate::passes::shadow::reference::ShadowMaps;
 use crate::passes::shadow::{ShadowPass, ShadowPlan};
 use crate::passes::stopwatch::Recorder;
 use crate::scene::{LoadedScene, Tints};
-use crate::stream::{Budget, Streamed, Viewpoint};
+use crate::stream::{Baked, Budget, Streamed, Viewpoint};
 
 /// A scene under lights, with the shadow maps of the processor.
 #[derive(Clone, Copy, Debug)]
@@ -235,18 +236,25 @@ pub trait LightStream: Debug + Send {
     /// Bytes and clusters that have come.
     fn streamed(&self) -> Streamed;
 
-    /// The light of the pieces that have come.
-    fn light(&self, scene: &LoadedScene) -> Result<Box<dyn Light>>;
+    /// The light of the pieces that have come, of clusters that a manifest lists.
+    fn light(&self, scene: &LoadedScene, manifest: &Manifest) -> Result<Box<dyn Light>>;
+
+    /// Goes on with the manifest of a bake under way that lists more clusters behind those that it did.
+    fn grown(&mut self, manifest: &Manifest, baked: Baked);
+
+    /// Goes on with the manifest of the bake, which is done, after the one `before` while it was under way: the pieces that have
+    /// come are in its order.
+    fn ended(&mut self, source: &Source, before: &Manifest, manifest: &Manifest) -> Result<()>;
 
     /// Another view is fetched for from here on: pieces that came for the one before may go again.
     fn change_view(&mut self);
 
     /// Fetches pieces as far as the budget goes, those first that the lit scene needs most from the viewpoint; where memory is short,
     /// lets as many of those go that it needs least as the new ones need room, but none that came for this view. Pieces that came
-    /// before an error stay. `light` is that of the pieces that have come, as it is drawn.
+    /// before an error stay. `light` is that of the pieces that have come, as it is drawn; the manifest lists all.
     fn refine(
         &mut self,
-        source: &Source,
+        of: (&Source, &Manifest),
         light: &dyn Light,
         lit: &LitScene<'_>,
         viewpoint: Option<Viewpoint>,

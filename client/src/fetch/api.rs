@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use lightkiln_http::{Call, HttpClient, Part, RetryPolicy, ShutdownFlag};
 use lightkiln_proto::api::{
-    Bake, BakeFilter, BakePage, Blocklist, EventPage, MAX_CHUNK_BYTES, NewBake, NewPriority,
+    Bake, BakeFilter, BakePage, Blocklist, EventPage, MAX_CHUNK_BYTES, NewBake, NewPriority, ResultPage,
     SCENE_PART_BYTES, ScenePart, SceneParts, SceneProgress, SceneStored, WorkerPage,
 };
 use lightkiln_proto::ids::Digest;
@@ -168,6 +168,13 @@ impl ApiClient {
         let wait_secs = wait_secs.min(MAX_WAIT_SECS);
         let query = format!("/events?after={after}&wait_secs={wait_secs}");
         Ok(self.http.json(&Call::get(bake_path(id, &query)).header("accept", "application/json"))?)
+    }
+
+    /// Results behind place `after` (0 for all) of a bake's tasks of a kind, waiting up to `wait_secs` for the first.
+    pub fn results(&self, id: &str, kind: &str, after: u64, wait_secs: u32) -> Result<ResultPage> {
+        let wait_secs = wait_secs.min(MAX_WAIT_SECS);
+        let query = format!("/results?kind={}&after={after}&wait_secs={wait_secs}", escape(kind));
+        Ok(self.http.json(&Call::get(bake_path(id, &query)))?)
     }
 
     /// A finished bake's manifest, as its bytes.

@@ -1,16 +1,16 @@
-//! A bake whose light is fetched within a number of bytes.
+//! A bake whose light is fetched within a number of bytes, and while it is baked.
 
 use std::sync::Arc;
 
+use lightkiln_proto::manifest::{CLUSTERS, DIRECTORY, Manifest, OVERVIEW};
+
 use super::{Prepared, View};
 use crate::bake::{ClientKinds, LightStream, LoadedBake};
-use lightkiln_proto::manifest::{CLUSTERS, DIRECTORY, OVERVIEW};
-
 use crate::error::{ClientError, Result};
-use crate::fetch::Source;
+use crate::fetch::{Following, News, Source, check_outline, is_gone, outline_of};
 use crate::passes::shadow::reference::draw;
 use crate::scene::{LoadedScene, Object, Recolour, Tints};
-use crate::stream::{Budget, Streamed, Viewpoint};
+use crate::stream::{Baked, Budget, Streamed, Viewpoint};
 
 /// Share of the light's memory that is tried where an adapter has no room for it. Nearer to 1 → more of its room is used, after more
 /// tries.
@@ -24,12 +24,31 @@ pub struct StreamedBake {
     /// The scene, and the light of the pieces that have come.
     pub bake: Arc<LoadedBake>,
     stream: Box<dyn LightStream>,
+    listing: Listing,
     manifest_bytes: u64,
-    /// Memory of the part that comes first.
-    memory_least: u64,
     tints: Tints,
     /// The view that pieces were fetched for last.
     view: Option<View>,
+}
+
+/// Manifest that lists the clusters to fetch.
+enum Listing {
+    /// The scene's.
+    Scene,
+    /// Of a bake under way, as far as it has landed; the scene has the outline.
+    UnderWay(Box<Following>, ClientKinds),
+    /// Of a bake that was under way and is done.
+    Own(Box<Manifest>),
+}
+
+impl Listing {
+    fn manifest<'a>(&'a self, scene: &'a LoadedScene) -> &'a Manifest {
+        match self {
+            Self::Scene => &scene.manifest,
+            Self::UnderWay(following, _) => following.manifest().unwrap_or(&scene.manifest),
+            Self::Own(manifest) => manifest,
+        }
+    }
 }
 
 impl StreamedBake {
@@ -38,7 +57,7 @@ impl StreamedBake {
     /// the budget.
     pub fn begin(source: &Source, kinds: &ClientKinds, budget: Budget) -> Result<Self> {
         let (bytes, manifest) = source.manifest()?;
-        let kind = kinds.of(&manifest)?;
+        kinds.of(&manifest)?;
         if manifest.chunks(OVERVIEW).is_empty() {
             let problem = format!(
                 "of kind {} has no overview, the part of the light that comes first: draw it with all of its bytes, or bake it again",
@@ -46,8 +65,39 @@ impl StreamedBake {
             );
             return Err(ClientError::Source { text: "the bake".to_owned(), problem });
         }
+        Self::opened(source, kinds, (&manifest, bytes.len() as u64), Listing::Scene, budget)
+    }
+
+    /// As [`Self::begin`], of a bake under way: with the clusters that have landed, and no overview, which is made of all of them.
+    /// [`Self::hear`] goes on with it. A bake that is done by now is as any other. Errs where nothing of it has landed yet, not even its
+    /// outline.
+    pub fn follow(mut following: Following, kinds: &ClientKinds, budget: Budget) -> Result<Self> {
+        let source = following.source().clone();
+        if following.hear(0)? == News::Done {
+            return Self::begin(&source, kinds, budget);
+        }
+        let bytes = following.bytes();
+        let Some(manifest) = following.manifest().cloned() else {
+            let problem = "has no scene to draw yet, as its receivers are not placed: try again a little later, or wait for \
+                its end (--wait)";
+            return Err(ClientError::Source { text: "the bake".to_owned(), problem: problem.to_owned() });
+        };
+        kinds.of(&outline_of(&manifest))?;
+        let listing = Listing::UnderWay(Box::new(following), kinds.clone());
+        Self::opened(&source, kinds, (&manifest, bytes), listing, budget)
+    }
+
+    /// Fetches the scene of a manifest, and the part of its light that comes first.
+    fn opened(
+        source: &Source,
+        kinds: &ClientKinds,
+        (manifest, manifest_bytes): (&Manifest, u64),
+        listing: Listing,
+        budget: Budget,
+    ) -> Result<Self> {
+        let kind = kinds.named(&manifest.kind)?;
         let clusters = manifest.bytes_of(CLUSTERS);
-        let first = bytes.len() as u64 + manifest.bytes_light() - clusters
+        let first = manifest_bytes + manifest.bytes_light() - clusters
             + [DIRECTORY, OVERVIEW].iter().map(|role| manifest.bytes_of(role)).sum::<u64>();
         if budget.bytes < first {
             let what = format!("{} bytes of light", budget.bytes);
@@ -55,24 +105,31 @@ impl StreamedBake {
                 format!("are too few: manifest, directory, patches and overview alone have {first}");
             return Err(ClientError::Argument { what, problem });
         }
+        let of_scene = match &listing {
+            Listing::UnderWay(..) => outline_of(manifest),
+            Listing::Scene | Listing::Own(_) => manifest.clone(),
+        };
         // Neither waits for the other's answers, nor for its decoding.
         let (scene, stream) = std::thread::scope(|threads| {
-            let stream = threads.spawn(|| kind.stream(source, &manifest));
-            let scene = LoadedScene::fetch(source, manifest.clone());
+            let stream = threads.spawn(|| kind.stream(source, manifest));
+            let scene = LoadedScene::fetch(source, of_scene);
             (scene, stream.join())
         });
-        let (scene, stream) = (scene?, stream.unwrap_or_else(|panic| std::panic::resume_unwind(panic))?);
-        let memory = stream.streamed().memory;
+        let scene = scene?;
+        let mut stream = stream.unwrap_or_else(|panic| std::panic::resume_unwind(panic))?;
+        let memory = stream.streamed().memory_least;
         if budget.memory < memory {
             let what = format!("{} bytes of memory for light", budget.memory);
             let problem = format!("are too few: patches and overview alone take some {memory}");
             return Err(ClientError::Argument { what, problem });
         }
-        let light = stream.light(&scene)?;
+        if let Listing::UnderWay(following, _) = &listing {
+            stream.grown(manifest, baked(following));
+        }
+        let light = stream.light(&scene, manifest)?;
         let bake = Arc::new(LoadedBake { scene: Arc::new(scene), light });
-        let manifest_bytes = bytes.len() as u64;
         let (source, tints) = (source.clone(), Tints::default());
-        Ok(Self { source, bake, stream, manifest_bytes, memory_least: memory, tints, view: None })
+        Ok(Self { source, bake, stream, listing, manifest_bytes, tints, view: None })
     }
 
     /// Bytes and clusters that have come, the manifest's bytes among them.
@@ -88,10 +145,11 @@ impl StreamedBake {
 
     /// A budget of memory below `memory`, for an adapter that has no room for as much light; none below the part that comes first.
     pub fn less_memory(&self, memory: u64) -> Option<u64> {
-        let all = self.stream.streamed().memory_all - self.memory_least;
-        let above = memory.saturating_sub(self.memory_least).min(all);
+        let Streamed { memory_all, memory_least, .. } = self.stream.streamed();
+        let all = memory_all - memory_least;
+        let above = memory.saturating_sub(memory_least).min(all);
         let less = above / FALL[1] * FALL[0];
-        (above > 0).then(|| self.memory_least + if less > all / FALL_END { less } else { 0 })
+        (above > 0).then(|| memory_least + if less > all / FALL_END { less } else { 0 })
     }
 
     /// Gives materials other colours, for the light that has come and that which will. Once: what was baked is gone then.
@@ -131,18 +189,64 @@ impl StreamedBake {
         }
         let before = self.stream.streamed();
         let (light, lit) = (&*self.bake.light, prepared.lit(&maps));
-        let refined = self.stream.refine(&self.source, light, &lit, viewpoint, budget, view.limit);
+        let of = (&self.source, self.listing.manifest(&self.bake.scene));
+        let refined = match self.stream.refine(of, light, &lit, viewpoint, budget, view.limit) {
+            // Bytes that were lost come again while the bake goes on, once their task has run again.
+            Err(error) if self.is_under_way() && is_gone(&error) => Ok(()),
+            refined => refined,
+        };
         if self.stream.streamed() != before {
-            let mut bake = self.assembled()?;
-            bake.tint_light(&self.tints);
-            self.bake = Arc::new(bake);
+            self.assemble()?;
         }
         refined
     }
 
+    /// The bake goes on: more light is to come than [`Self::streamed`] tells of.
+    pub fn is_under_way(&self) -> bool {
+        matches!(self.listing, Listing::UnderWay(..))
+    }
+
+    /// Hears of more of a bake under way, waiting up to so long: [`Self::refine`] fetches what has landed. At its end the light is that of
+    /// any other bake, with an overview and in the order of the bake's manifest. Errs if the bake ended otherwise.
+    pub fn hear(&mut self, wait_secs: u32) -> Result<()> {
+        let Listing::UnderWay(following, kinds) = &mut self.listing else { return Ok(()) };
+        match following.hear(wait_secs)? {
+            News::None => return Ok(()),
+            News::More => {
+                if let Some(manifest) = following.manifest() {
+                    self.stream.grown(manifest, baked(following));
+                }
+                self.manifest_bytes = following.bytes();
+                return Ok(());
+            }
+            News::Done => {}
+        }
+        let (bytes, manifest) = self.source.manifest()?;
+        kinds.of(&manifest)?;
+        let before = following.manifest().unwrap_or(&self.bake.scene.manifest);
+        check_outline(before, &manifest)?;
+        self.stream.ended(&self.source, before, &manifest)?;
+        (self.manifest_bytes, self.listing) = (bytes.len() as u64, Listing::Own(Box::new(manifest)));
+        self.assemble()
+    }
+
+    /// Takes the light that has come, in the colours that were given.
+    fn assemble(&mut self) -> Result<()> {
+        let mut bake = self.assembled()?;
+        bake.tint_light(&self.tints);
+        self.bake = Arc::new(bake);
+        Ok(())
+    }
+
     /// The bake with the light that has come, in its own colours.
     fn assembled(&self) -> Result<LoadedBake> {
-        let light = self.stream.light(&self.bake.scene)?;
+        let manifest = self.listing.manifest(&self.bake.scene);
+        let light = self.stream.light(&self.bake.scene, manifest)?;
         Ok(LoadedBake { scene: Arc::clone(&self.bake.scene), light })
     }
+}
+
+fn baked(following: &Following) -> Baked {
+    let [cells, cells_all] = following.cells();
+    Baked { cells, cells_all }
 }

@@ -5,6 +5,7 @@ mod need;
 mod plan;
 
 use glam::Vec3;
+use serde::Serialize;
 
 pub use need::{Candidate, Lit, Rung, Step, by_need};
 pub use plan::{Budget, Plan, plan};
@@ -26,6 +27,10 @@ pub struct Streamed {
     pub memory: u64,
     /// Memory of all of it.
     pub memory_all: u64,
+    /// Memory of the part that always stays.
+    pub memory_least: u64,
+    /// Progress of a bake under way, of whose light more is to come than is told here; none of one that is done.
+    pub baked: Option<Baked>,
     /// Times that layers came or went.
     pub turns: u64,
 }
@@ -33,8 +38,17 @@ pub struct Streamed {
 impl Streamed {
     /// All is there.
     pub fn is_whole(&self) -> bool {
-        self.whole == self.clusters_all
+        self.baked.is_none() && self.whole == self.clusters_all
     }
+}
+
+/// Progress of a bake under way.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Baked {
+    /// Cells whose clusters are baked.
+    pub cells: u64,
+    /// All cells.
+    pub cells_all: u64,
 }
 
 /// Point of view that light is fetched for.

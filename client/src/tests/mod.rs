@@ -17,6 +17,7 @@ mod room;
 mod shaders;
 mod shadows;
 mod show;
+mod under_way;
 
 use lightkiln_proto::relight::PatchTable;
 

@@ -2,6 +2,7 @@
 
 use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 use crate::bake::LoadedBake;
 use crate::error::{ClientError, Result};
@@ -16,6 +17,10 @@ const FALL_LEAST: u64 = 16;
 const FALL_MOST: u64 = 4;
 /// Least bytes of a piece.
 const PIECE_MIN: u64 = 128 << 10;
+/// Time in which clusters of a bake under way land before they are taken. More → fewer pieces.
+const LANDING: Duration = Duration::from_secs(1);
+/// Longest wait for clusters to land, where no other view could want others of those that have.
+const LISTEN_SECS: u32 = 5;
 
 /// A piece of light.
 pub struct Piece {
@@ -77,6 +82,13 @@ impl Watched {
         held.is_served = held.view.as_ref() == Some(view) && held.memory == memory;
         let served = |held: &mut Watch| held.is_served;
         drop(self.changed.wait_while(held, served).unwrap_or_else(PoisonError::into_inner));
+    }
+
+    /// Waits so long for another view or memory, though more is to come for these.
+    fn wait_a_little(&self, view: &View, memory: u64, time: Duration) {
+        let is_same = |held: &mut Watch| held.view.as_ref() == Some(view) && held.memory == memory;
+        let waited = self.changed.wait_timeout_while(self.held(), time, is_same);
+        drop(waited.unwrap_or_else(PoisonError::into_inner));
     }
 }
 
@@ -171,7 +183,7 @@ fn fetch(
     sender: &Sender<Result<Piece>>,
     wake: impl Fn(),
 ) {
-    let mut step = step_min;
+    let (mut step, mut sent) = (step_min, stream.streamed());
     loop {
         let Some((view, memory)) = watched.wanted() else { return };
         let before = stream.streamed();
@@ -179,10 +191,28 @@ fn fetch(
             watched.wait_for_other(&view, memory);
             continue;
         }
-        let refined = stream.refine(&view, Budget { step, memory, ..Budget::NONE });
-        let streamed = stream.streamed();
-        if streamed != before {
+        let has_all_known = before.whole == before.clusters_all && before.memory <= memory;
+        let mut done = match has_all_known {
+            true => heard(&mut stream, watched, (&view, memory), LISTEN_SECS),
+            false => stream.refine(&view, Budget { step, memory, ..Budget::NONE }),
+        };
+        let brings_none = done.is_ok() && stream.streamed() == before;
+        if has_all_known || !brings_none {
             step = step_min;
+        } else if step < u64::MAX {
+            // The step is too small for any layer, or memory is full: without a step one more look tells which.
+            step = u64::MAX;
+        } else {
+            // Memory holds no more: what it holds is that which another view needs.
+            step = step_min;
+            match stream.is_under_way() {
+                true => done = heard(&mut stream, watched, (&view, memory), 0),
+                false => watched.wait_for_other(&view, memory),
+            }
+        }
+        let streamed = stream.streamed();
+        if streamed != sent {
+            sent = streamed;
             let bake = Arc::clone(&stream.bake);
             if view.lod.is_some() {
                 // Made here, so that the window has not to wait for it.
@@ -192,15 +222,8 @@ fn fetch(
                 return;
             }
             wake();
-        } else if refined.is_ok() && step < u64::MAX {
-            // The step is too small for any layer, or memory is full: without a step one more look tells which.
-            step = u64::MAX;
-        } else if refined.is_ok() {
-            // Memory holds no more: what it holds is that which another view needs.
-            step = step_min;
-            watched.wait_for_other(&view, memory);
         }
-        if let Err(error) = refined {
+        if let Err(error) = done {
             // Nobody listens if this fails.
             let _ = sender.send(Err(error));
             return wake();
@@ -208,14 +231,26 @@ fn fetch(
     }
 }
 
+/// Hears of clusters of a bake under way. Those that land within a while are taken together, so that light is made less often.
+fn heard(
+    stream: &mut StreamedBake,
+    watched: &Watched,
+    (view, memory): (&View, u64),
+    wait_secs: u32,
+) -> Result<()> {
+    watched.wait_a_little(view, memory, LANDING);
+    stream.hear(wait_secs)
+}
+
 #[cfg(test)]
 mod tests {
+    use lightkiln_proto::api::BakeState;
     use lightkiln_proto::kinds::prt;
     use lightkiln_proto::manifest::CLUSTERS;
 
     use super::*;
     use crate::fetch::Source;
-    use crate::fixture::write_bundle;
+    use crate::fixture::{BundleServer, Faults, Told, write_bundle};
     use crate::kinds;
     use crate::tests::fixture_view;
 
@@ -318,6 +353,53 @@ mod tests {
             last = feed.streamed;
         }
         assert_eq!(last.clusters, 0);
+    }
+
+    #[test]
+    fn clusters_of_a_bake_under_way_come_as_they_land_and_it_is_served_at_its_end_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        let manifest = write_bundle(folder.path(), prt::NAME);
+        let mut told = Told::of(folder.path(), &manifest, &[&[0, 1, 2], &[3, 4, 5, 6]]);
+        let server = BundleServer::start(folder.path(), Faults::default());
+        server.tell(&told);
+        let following = kinds::all().follow(&server.source()).unwrap().unwrap();
+        let stream = StreamedBake::follow(following, &kinds::all(), Budget::NONE).unwrap();
+        let (mut feed, _) = Feed::start(stream, u64::MAX, fixture_view().1, || {});
+        let until = |feed: &mut Feed, is_wanted: &dyn Fn(&Streamed) -> bool| {
+            while !is_wanted(&feed.streamed) {
+                feed.next().unwrap();
+                assert!(!feed.is_over());
+                std::thread::yield_now();
+            }
+        };
+        for (cell, clusters) in [(1, 4), (0, 7)] {
+            told.landed.push(cell);
+            server.tell(&told);
+            until(&mut feed, &|streamed| streamed.whole == clusters);
+            assert_eq!(feed.streamed.baked.unwrap().cells, told.landed.len() as u64);
+            assert!(!feed.is_served() && !feed.streamed.is_whole());
+        }
+        told.end(BakeState::Done, None);
+        server.tell(&told);
+        until(&mut feed, &Streamed::is_whole);
+        while !feed.is_served() {
+            std::thread::yield_now();
+        }
+        // A bake that fails is the end.
+        told.end(BakeState::Running, None);
+        server.tell(&told);
+        let following = kinds::all().follow(&server.source()).unwrap().unwrap();
+        let stream = StreamedBake::follow(following, &kinds::all(), Budget::NONE).unwrap();
+        let (mut feed, _) = Feed::start(stream, u64::MAX, fixture_view().1, || {});
+        told.end(BakeState::Failed, Some("no ray meets anything"));
+        server.tell(&told);
+        let error = loop {
+            match feed.next() {
+                Err(error) => break error.to_string(),
+                Ok(_) => std::thread::yield_now(),
+            }
+        };
+        assert!(error.contains("no ray meets anything") && feed.is_over(), "{error}");
     }
 
     #[test]

@@ -14,7 +14,7 @@ use super::viewer::Viewer;
 use crate::bake::{FULL_COLOUR, Overlay};
 use crate::picture::{Exposure, Tone};
 use crate::scene::Stance;
-use crate::stream::Streamed;
+use crate::stream::{Baked, Streamed};
 
 /// Radius of a handle in points.
 const HANDLE: f32 = 7.0;
@@ -152,7 +152,12 @@ fn state(ui: &mut Ui, viewer: &Viewer, facts: &Facts) {
         true => format!("light settled after {bounces} bounces"),
         false => format!("bounce {bounces}, the last changed {change}"),
     });
-    if let Some(Streamed { bytes, bytes_all, clusters, whole, clusters_all, .. }) = facts.streamed {
+    if let Some(Streamed { bytes, bytes_all, clusters, whole, clusters_all, baked, .. }) = facts.streamed {
+        if let Some(Baked { cells, cells_all }) = baked {
+            ui.label(format!(
+                "the bake goes on: {cells} of {cells_all} cells baked, elsewhere lights shine directly alone"
+            ));
+        }
         let percent = 100.0 * bytes as f64 / bytes_all.max(1) as f64;
         ui.label(format!(
             "{percent:.0} % of the light is here: {clusters} of {clusters_all} clusters, {whole} with all layers"

@@ -445,6 +445,9 @@ impl Viewer {
 
     /// Takes a bake whose scene is the same and whose light is better. Errs, and keeps the one before, where the adapter has no room.
     pub fn set_bake(&mut self, bake: Arc<LoadedBake>) -> Result<()> {
+        if Arc::ptr_eq(&bake, &self.bake) {
+            return Ok(());
+        }
         self.samples = 0;
         self.frame.set_bake(Arc::clone(&bake))?;
         self.bake = bake;

@@ -88,6 +88,7 @@ pub const MODULES: &[(&str, &[u8])] = files![
     "relight/clusters.js",
     "relight/draws.js",
     "relight/flat.js",
+    "relight/following.js",
     "relight/growing.js",
     "relight/inconsistent.js",
     "relight/layout.js",

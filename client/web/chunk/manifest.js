@@ -41,8 +41,8 @@ export const ROLES = {
   patches: "patches",
 };
 const MANIFEST_BYTES_MAX = 256 * 2 ** 20;
-const PAGE_BYTES_MAX = 2 ** 20;
-const CLUSTERS_MAX = 2 ** 20;
+export const PAGE_BYTES_MAX = 2 ** 20;
+export const CLUSTERS_MAX = 2 ** 20;
 const U16_MAX = 0xffff;
 const U32_MAX = 0xffff_ffff;
 

@@ -1,6 +1,7 @@
 // One bake: where it stands, its log as it happens, its report, and its picture.
 
 import { ServerSource } from "../fetch.js";
+import { Following, TASKS } from "../relight/following.js";
 import { bar, el, fill, notice, stateMark, table } from "./dom.js";
 import { shown } from "./report.js";
 import { http } from "./session.js";
@@ -30,12 +31,18 @@ export async function showBake(main, id, signal) {
     parts.log,
     settings,
   );
-  let isShown = false;
+  let [isSeen, isReported] = [false, false];
   for (let after = 0; ; ) {
     update(parts, bake);
-    if (bake.state === "done" && !isShown) {
-      isShown = true;
-      showResult(parts, path, bake, signal);
+    if (!isSeen && hasOutline(bake)) {
+      isSeen = true;
+      showEarly(parts.viewer, bake, signal);
+    }
+    if (bake.state === "done" && !isReported) {
+      isReported = true;
+      if (!isSeen) viewerOf(parts.viewer, new ServerSource({ http: http(), bake: bake.id }), signal);
+      isSeen = true;
+      showReport(parts.report, path, signal);
     }
     const isAtEnd = ["done", "failed", "cancelled"].includes(bake.state);
     const wait = isAtEnd ? 0 : WAIT_SECS;
@@ -80,12 +87,29 @@ function addLine(log, { at_ms: ms, event }) {
   while (log.children.length > LINES_MAX) log.lastChild.remove();
 }
 
-/** Shows what a finished bake has: each part on its own, so that a fault in one leaves the others. */
-function showResult(parts, path, bake, signal) {
+/** Whether a bake goes on, and its scene can be seen. */
+function hasOutline({ state, stages }) {
+  const plan = stages.find(({ kind }) => kind === TASKS.outline);
+  return ["running", "paused"].includes(state) && plan !== undefined && plan.total > 0 && plan.done === plan.total;
+}
+
+/** Shows a bake that goes on with the light that is baked. A fault in it leaves the log. */
+async function showEarly(place, bake, signal) {
   const source = new ServerSource({ http: http(), bake: bake.id });
-  viewerOf(parts.viewer, source, signal);
+  const following = new Following(source);
+  try {
+    const isDone = (await following.hear({ signal })) === "done";
+    // The result of the plan may have been lost since.
+    if (!isDone && following.manifest === null) return;
+    await viewerOf(place, source, signal, { following: isDone ? null : following });
+  } catch (error) {
+    if (!signal.aborted) fill(place, notice(`The picture: ${error.message}`, { isBad: true }));
+  }
+}
+
+function showReport(place, path, signal) {
   http()
     .json(`${path}/report`, { signal })
-    .then((report) => fill(parts.report, el("h2", {}, "Report"), el("div", { class: "card" }, shown(report))))
-    .catch((error) => signal.aborted || fill(parts.report, notice(`The report: ${error.message}`, { isBad: true })));
+    .then((report) => fill(place, el("h2", {}, "Report"), el("div", { class: "card" }, shown(report))))
+    .catch((error) => signal.aborted || fill(place, notice(`The report: ${error.message}`, { isBad: true })));
 }

@@ -9,9 +9,9 @@ import { skyOf } from "./sky.js";
 
 /**
  * Shows the bake's picture in `place` until `signal` is raised. Where there can be none, it says why, and shows `pictures` that were drawn
- * before, or a promise of them that does not fail, whose files lie below `base`.
+ * before, or a promise of them that does not fail, whose files lie below `base`. `following` is of a bake that goes on, see `Viewer.open`.
  */
-export async function viewerOf(place, source, signal, { pictures = [], base = "" } = {}) {
+export async function viewerOf(place, source, signal, { pictures = [], base = "", following = null } = {}) {
   const canvas = el("canvas", { tabindex: 0, "aria-label": "Picture of the bake: arrow keys turn the camera" });
   const over = el("p", { class: "over", role: "status" }, "opening …");
   const controls = el("div", { class: "controls" });
@@ -31,7 +31,7 @@ export async function viewerOf(place, source, signal, { pictures = [], base = ""
     over.hidden = false;
   };
   try {
-    const viewer = await Viewer.open(canvas, source, { signal, onProgress, onTrouble, onFailure });
+    const viewer = await Viewer.open(canvas, source, { signal, following, onProgress, onTrouble, onFailure });
     if (signal.aborted) viewer.close();
     else signal.addEventListener("abort", () => viewer.close(), { once: true });
     fill(controls, controlsOf(viewer, canvas));
@@ -60,12 +60,11 @@ function controlsOf(viewer, canvas) {
   viewer.onLampMoved = () =>
     places.forEach(({ set }, axis) => set((viewer.lamp.positionM[axis] - low[axis]) / sizes[axis]));
   viewer.onLampMoved();
-  const usual = viewer.exposure;
   const brightness = slider("Lamp brightness", (share) => {
     viewer.lamp.share = share === 0 ? 0 : 2 ** (8 * (share - 0.5));
     viewer.changed();
   });
-  const exposure = slider("Exposure", (share) => (viewer.exposure = usual * 2 ** (8 * (share - 0.5))));
+  const exposure = slider("Exposure", (share) => (viewer.exposure = viewer.usualExposure * 2 ** (8 * (share - 0.5))));
   [brightness, exposure].forEach(({ set }) => set(0.5));
   return [
     ...[...places, brightness, exposure].map(({ label }) => label),

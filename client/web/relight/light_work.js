@@ -37,9 +37,15 @@ export class LightWork {
     this.#present.set(index, cluster);
   }
 
+  /** Other numbers of the clusters that have come, `[number, next]` each, and the overview: those of a bake that is done. */
+  end(numbers, overview) {
+    const clusters = numbers.map(([number, next]) => [next, this.#present.get(number)]);
+    [this.#present, this.#overview] = [new Map(clusters), overview];
+  }
+
   /** Light of the clusters that have come, see `lightOfPrefix`. */
-  light() {
-    return lightOfPrefix(this.#scene, this.#patches, this.#overview, this.#present);
+  light(isWhole) {
+    return lightOfPrefix(this.#scene, this.#patches, this.#overview, this.#present, isWhole);
   }
 
   /** See `byNeed`. */

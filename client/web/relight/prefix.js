@@ -18,11 +18,11 @@ const ARRAYS = {
 
 /**
  * The light of some of a bake's clusters, `present` being decoded clusters by their number in the manifest, as a Map. With all
- * of them it is that of the whole bake.
+ * of them, `isWhole`, it is that of the whole bake.
  */
-export function lightOfPrefix(scene, patchSet, overview, present) {
+export function lightOfPrefix(scene, patchSet, overview, present, isWhole) {
   const clusters = [...present.keys()].sort((a, b) => a - b).map((index) => present.get(index));
-  if (clusters.length === scene.manifest.clusters.length) {
+  if (isWhole) {
     return assembleLight(scene, clusters, patchSet);
   }
   if (overview.some(({ near }) => near.length > 0)) {

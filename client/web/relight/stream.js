@@ -1,7 +1,9 @@
-// A bake that is fetched piece by piece: its scene and the light of the overview first, then clusters.
+// A bake that is fetched piece by piece: its scene and the light of the overview first, then clusters; of a bake that goes on, the
+// clusters that have landed, and no overview before its end.
 
 import { ROLES, checkRelightable, chunksOf } from "../chunk/manifest.js";
 import { PARALLEL, fetchManifest, fetchUnverified, forEachParallel } from "../fetch.js";
+import { checkOutline } from "./following.js";
 import { LightmapLayout } from "./layout.js";
 import { openWork } from "./workers.js";
 
@@ -13,18 +15,23 @@ export class BakeStream {
   #work;
   // Numbers of the clusters that have come.
   #present = new Set();
+  // A bake that goes on.
+  #following = null;
+  // Rows of the clusters to fetch, as the manifest lists them.
+  #rows = [];
 
   /**
    * Fetches all but the clusters. `workers` is how many Workers decode, see `openWork`; with 0 all is done on this thread. They live
-   * until `close`.
+   * until `close`. `following` follows a bake that goes on, and has heard of its outline (`following.js`).
    */
-  static async begin(source, { signal = null, workers } = {}) {
+  static async begin(source, { signal = null, workers, following = null } = {}) {
     const stream = new BakeStream();
     stream.source = source;
     const opened = openWork(workers);
     try {
-      const manifest = await fetchManifest(source, { signal });
-      checkRelightable(manifest);
+      stream.#following = following;
+      const manifest = following === null ? await fetchManifest(source, { signal }) : following.manifest;
+      if (following === null) checkRelightable(manifest);
       stream.#work = await opened;
       await stream.#begin(manifest, signal);
     } catch (error) {
@@ -47,7 +54,49 @@ export class BakeStream {
     const textureCount = textures.length;
     const { draws, warnings } = await this.#work.begin({ manifest, geometry, textureCount, patches, overview });
     this.scene = { manifest, layout: new LightmapLayout(manifest), draws, textures, warnings };
+    this.#list(manifest);
+  }
+
+  #list(manifest) {
+    this.#rows = manifest.clusters;
     this.chunks = chunksOf(manifest, ROLES.clusters);
+  }
+
+  /** Whether the bake goes on: more is to come than `clusters` and `bytes` tell of. */
+  get isUnderWay() {
+    return this.#following !== null;
+  }
+
+  /** Of a bake that goes on, the cells whose clusters are baked, and all. */
+  get cells() {
+    return this.#following.cells;
+  }
+
+  /**
+   * Hears of more of a bake that goes on, see `Following.hear`, and answers whether there is any: `refine` fetches it. At its end the bake
+   * is as any other.
+   */
+  async hear({ waitSecs = 0, signal = null } = {}) {
+    const news = await this.#following.hear({ waitSecs, signal });
+    if (news === "more") this.#list(this.#following.manifest);
+    if (news === "done") await this.#end(signal);
+    return news !== "none";
+  }
+
+  /** Goes on with the manifest of the bake, in whose order the clusters that have come are. */
+  async #end(signal) {
+    const manifest = await fetchManifest(this.source, { signal });
+    checkRelightable(manifest);
+    checkOutline(this.#following.manifest, manifest);
+    const overview = await this.#decoded(chunksOf(manifest, ROLES.overview), "cluster", signal);
+    const numberOf = new Map(chunksOf(manifest, ROLES.clusters).map(({ digest }, number) => [digest, number]));
+    const numbers = [...this.#present]
+      .map((number) => [number, numberOf.get(this.chunks[number].digest)])
+      .filter(([, next]) => next !== undefined);
+    await this.#work.end(numbers, overview);
+    this.#present = new Set(numbers.map(([, next]) => next));
+    this.#list(manifest);
+    this.#following = null;
   }
 
   /** Fetches chunks, several at a time, and decodes them. */
@@ -75,7 +124,7 @@ export class BakeStream {
   }
 
   get isWhole() {
-    return this.#present.size === this.chunks.length;
+    return !this.isUnderWay && this.#present.size === this.chunks.length;
   }
 
   /** Whether Workers do the work, and not this thread. */
@@ -85,7 +134,7 @@ export class BakeStream {
 
   /** The bake with the light of the clusters that have come; receivers of the overview stand for all others. */
   async bake() {
-    return { scene: this.scene, light: await this.#work.light() };
+    return { scene: this.scene, light: await this.#work.light(this.isWhole) };
   }
 
   /**
@@ -113,9 +162,9 @@ export class BakeStream {
   /** Numbers of absent clusters by falling need. */
   async #order(lit, viewpoint) {
     const absent = this.chunks.map((_, index) => index).filter((index) => !this.#present.has(index));
-    const { clusters, boundsM } = this.scene.manifest;
+    const { boundsM } = this.scene.manifest;
     const candidates = absent.map((index) => {
-      const { boundsM: bounds, receivers } = clusters[index];
+      const { boundsM: bounds, receivers } = this.#rows[index];
       return { boundsM: bounds, receivers, bytes: this.chunks[index].bytes };
     });
     const reach = Math.hypot(...[0, 1, 2].map((axis) => boundsM[3 + axis] - boundsM[axis]));

@@ -3,7 +3,7 @@
 //
 //   const work = await openWork();
 //   const cluster = await work.decode("cluster", digest, bytes);    // takes the bytes' memory
-//   await work.begin({ … }); await work.add(index, cluster); const light = await work.light();
+//   await work.begin({ … }); await work.add(index, cluster); const light = await work.light(isWhole);
 //   work.close();
 
 import { buffersOf, errorOf, lightOf } from "./flat.js";
@@ -143,8 +143,12 @@ class WorkThere {
     return this.#light.call("add", [index, cluster], buffersOf(cluster));
   }
 
-  async light() {
-    return lightOf(await this.#light.call("light", []));
+  end(numbers, overview) {
+    return this.#light.call("end", [numbers, overview], buffersOf(overview));
+  }
+
+  async light(isWhole) {
+    return lightOf(await this.#light.call("light", [isWhole]));
   }
 
   byNeed(...args) {
@@ -178,8 +182,12 @@ class WorkHere {
     this.#work.add(...args);
   }
 
-  async light() {
-    return this.#work.light();
+  async end(...args) {
+    this.#work.end(...args);
+  }
+
+  async light(isWhole) {
+    return this.#work.light(isWhole);
   }
 
   async byNeed(...args) {

@@ -6,6 +6,7 @@ use std::process::ExitCode;
 
 use lightkiln_client::ClientError;
 use lightkiln_http::CallError;
+use lightkiln_proto::api::BakeState;
 use lightkiln_proto::problem::{ProblemCode, RetryClass, causes};
 
 /// Exit codes, for `--help`.
@@ -116,7 +117,10 @@ impl From<ClientError> for Failure {
     fn from(error: ClientError) -> Self {
         let exit = match &error {
             ClientError::Call(error) => exit_of_call(error),
-            ClientError::Source { .. }
+            ClientError::Ended { state: Some(BakeState::Cancelled), .. } => Exit::Interrupted,
+            ClientError::Ended { state: Some(_), .. } => Exit::Failed,
+            ClientError::Ended { state: None, .. }
+            | ClientError::Source { .. }
             | ClientError::Argument { .. }
             | ClientError::Object { .. }
             | ClientError::TooLarge { .. }

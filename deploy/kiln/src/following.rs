@@ -1,9 +1,6 @@
 //! Follows a bake on a server until it ends, showing its progress.
 
-use std::time::Duration;
-
-use lightkiln_client::fetch::ApiClient;
-use lightkiln_http::RetryPolicy;
+use lightkiln_client::fetch::{ApiClient, PATIENCE};
 use lightkiln_proto::api::{Bake, BakeState, Blame, EventKind};
 
 use crate::failure::{Exit, Failure, Result};
@@ -12,11 +9,6 @@ use crate::progress::ProgressView;
 
 /// Seconds that one poll waits for news; short, so that Ctrl-C is heard soon.
 const POLL_SECS: u32 = 1;
-/// A bake outlives a server's restart, so this waits some minutes for one.
-const PATIENCE: RetryPolicy = RetryPolicy::new()
-    .with_min_delay(Duration::from_millis(250))
-    .with_max_delay(Duration::from_secs(8))
-    .with_max_times(80);
 
 /// A bake that has ended, well or not.
 pub struct Ended {

@@ -22,7 +22,7 @@ use lightkiln_proto::words::lod_from_text;
 use crate::console::say;
 use crate::failure::{Failure, Result};
 use crate::lighting::LightArguments;
-use crate::reel::{Drawn, PassRow, Reel, numbered, parse_bytes};
+use crate::reel::{Drawn, PassRow, Reel, numbered, parse_bytes, worded_part};
 
 /// The picture to draw, and how it looks.
 #[derive(Args, Clone, Debug)]
@@ -163,12 +163,27 @@ impl LookArguments {
         objects: Vec<Object>,
         max_memory: Option<u64>,
     ) -> Result<(Subject, View, Vec<String>)> {
-        self.check_colours(source)?;
-        let (_, manifest) = source.manifest()?;
-        let streams = matches!(source, Source::Server { .. }) && !manifest.chunks(OVERVIEW).is_empty();
-        if streams || max_memory.is_some() {
-            let budget = Budget { memory: max_memory.unwrap_or(u64::MAX), ..Budget::NONE };
-            let mut streamed = StreamedBake::begin(source, kinds, budget)?;
+        let budget = Budget { memory: max_memory.unwrap_or(u64::MAX), ..Budget::NONE };
+        let part = match kinds.follow(source)? {
+            Some(following) => {
+                let mut following = following.patient();
+                say!(
+                    "the bake goes on: the window opens once its receivers are placed, and shows light as it is baked"
+                );
+                following.wait_for_outline()?;
+                Some(StreamedBake::follow(following, kinds, budget)?)
+            }
+            None => {
+                self.check_colours(source)?;
+                let (_, manifest) = source.manifest()?;
+                let streams =
+                    matches!(source, Source::Server { .. }) && !manifest.chunks(OVERVIEW).is_empty();
+                let is_part = streams || max_memory.is_some();
+                is_part.then(|| StreamedBake::begin(source, kinds, budget)).transpose()?
+            }
+        };
+        if let Some(mut streamed) = part {
+            check_recolours(&streamed.bake.scene.manifest, &self.material)?;
             streamed.add_objects(objects)?;
             let (view, notes) = self.view(&streamed.bake, lighting, None)?;
             return Ok((Subject::Streamed(Box::new(streamed)), view, notes));
@@ -233,7 +248,12 @@ impl PictureArguments {
         let (objects, stances) = reel.take_objects();
         let path = reel.path;
         let path = path.as_ref();
-        let Some(budget) = reel.budget else {
+        let within = reel.budget.unwrap_or(Budget::NONE);
+        let part = match kinds.follow(source)? {
+            Some(following) => Some(StreamedBake::follow(following, kinds, within)?),
+            None => reel.budget.map(|budget| StreamedBake::begin(source, kinds, budget)).transpose()?,
+        };
+        let Some(streamed) = part else {
             let mut bake = self.loaded(source, kinds)?;
             objects.iter().cloned().try_for_each(|object| bake.add_object(object))?;
             let view = View { objects: stances, ..self.view(&bake, lighting, path)? };
@@ -250,9 +270,9 @@ impl PictureArguments {
             let budget = Budget { memory, ..Budget::NONE };
             return self.write_part(&mut streamed, (budget, Some(full)), &view, path, png);
         };
-        let mut streamed = self.furnished(StreamedBake::begin(source, kinds, budget)?, objects)?;
+        let mut streamed = self.furnished(streamed, objects)?;
         let view = View { objects: stances, ..self.view(&streamed.bake, lighting, path)? };
-        self.write_part(&mut streamed, (budget, None), &view, path, png)
+        self.write_part(&mut streamed, (within, None), &view, path, png)
     }
 
     /// The bake with the colours that are asked for, and with objects.
@@ -282,11 +302,9 @@ impl PictureArguments {
             let Some(memory) = streamed.less_memory(budget.memory) else { return Err(error.into()) };
             (budget.memory, full) = (memory, Some(error));
         };
-        let Streamed { bytes, bytes_all, clusters, whole, clusters_all, memory, .. } = streamed.streamed();
-        let percent = 100.0 * bytes as f64 / bytes_all.max(1) as f64;
-        say!(
-            "{bytes} of {bytes_all} bytes of light ({percent:.1} %): the overview, and {clusters} of {clusters_all} clusters, {whole} of them with all layers"
-        );
+        let come = streamed.streamed();
+        let Streamed { bytes, bytes_all, memory, baked, .. } = come;
+        say!("{}", worded_part(&come));
         if let Some(full) = &full {
             say!("warning: less light was drawn than was asked for: {full}");
         }
@@ -295,6 +313,7 @@ impl PictureArguments {
             light_bytes_all: Some(bytes_all),
             light_memory: Some(memory),
             less_light: full.map(|full| full.to_string()),
+            under_way: baked,
             ..drawn
         })
     }

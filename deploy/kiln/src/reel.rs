@@ -9,7 +9,7 @@ use lightkiln_client::lights::ParsedLights;
 use lightkiln_client::picture::PassTime;
 use lightkiln_client::preview::{PATH_FILE_MAX, ViewPath};
 use lightkiln_client::scene::{Object, Stance};
-use lightkiln_client::stream::Budget;
+use lightkiln_client::stream::{Baked, Budget, Streamed};
 use lightkiln_proto::relight::LevelCount;
 use serde::Serialize;
 
@@ -128,6 +128,8 @@ pub struct Drawn {
     pub light_memory: Option<u64>,
     /// Why less light was drawn than was asked for.
     pub less_light: Option<String>,
+    /// Cells of a bake under way whose light is baked, and all of its cells; none of a bake that is done.
+    pub under_way: Option<Baked>,
 }
 
 /// Time of a pass of the adapter.
@@ -146,6 +148,21 @@ impl PassRow {
     pub fn of(time: &PassTime) -> Self {
         Self { pass: time.name, runs: time.runs, mean_ms: time.total_ms / time.runs.max(1) as f64 }
     }
+}
+
+/// Light that has come, in words.
+pub fn worded_part(come: &Streamed) -> String {
+    let Streamed { bytes, bytes_all, clusters, whole, clusters_all, .. } = come;
+    let of_clusters = format!("{clusters} of {clusters_all} clusters, {whole} of them with all layers");
+    let Some(Baked { cells, cells_all }) = come.baked else {
+        let percent = 100.0 * *bytes as f64 / (*bytes_all).max(1) as f64;
+        return format!(
+            "{bytes} of {bytes_all} bytes of light ({percent:.1} %): the overview, and {of_clusters}"
+        );
+    };
+    format!(
+        "the bake goes on, {cells} of {cells_all} cells are baked: {bytes} bytes of light, {of_clusters}; elsewhere lights shine directly alone ('kiln preview --wait' waits for the rest)"
+    )
 }
 
 /// Bytes as people write them: a number, with k, M or G for powers of 1000.

@@ -9,6 +9,7 @@ mod rates;
 mod scene_tasks;
 pub mod sh;
 mod tasks;
+mod under_way;
 mod warnings;
 
 use serde_json::Value;
@@ -24,6 +25,7 @@ pub use figures::{Figures, cluster_figures};
 pub use rates::Rates;
 pub use scene_tasks::{SceneTask, SceneTasks};
 pub use tasks::TaskKind;
+pub use under_way::{OUTLINE_OUTPUT, PAGE_OUTPUT, UnderWay};
 pub(crate) use warnings::count_above;
 pub use warnings::{Warning, cluster_warnings};
 
@@ -48,6 +50,11 @@ pub trait Kind: Send + Sync {
     fn rates(&self, settings: &Value) -> Result<Option<Rates>, SettingsError> {
         let _ = settings;
         Ok(None)
+    }
+
+    /// Tasks whose results are light while a bake goes on; none of a kind whose bakes are seen only once they have ended.
+    fn under_way(&self) -> Option<UnderWay> {
+        None
     }
 
     /// Rows of chunk kinds that are the kind's own.

@@ -14,9 +14,9 @@ pub const DIRECTORY: &str = "directory";
 /// Clusters in a page. More → fewer requests, and more bytes that a client must have before the first cluster.
 const PAGE_CLUSTERS: usize = 256;
 /// Longest page that is read; those of most clusters take 0.7 MB before compression.
-const PAGE_BYTES_MAX: u64 = 1 << 20;
+pub const PAGE_BYTES_MAX: u64 = 1 << 20;
 /// Most clusters of a bake.
-const CLUSTERS_MAX: u64 = 1 << 20;
+pub const CLUSTERS_MAX: u64 = 1 << 20;
 
 /// A page, as one must know it to choose whether to fetch it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

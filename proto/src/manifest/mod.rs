@@ -23,7 +23,7 @@ use crate::scene::{LightKind, SceneCamera, SceneLight};
 pub use clusters::{
     CLUSTERS, ClusterRow, ClusterTotals, Layer, OVERVIEW, PrefixCheck, check_clusters, with_chunks,
 };
-pub use directory::{DIRECTORY, DirectoryPage, Stored};
+pub use directory::{CLUSTERS_MAX, DIRECTORY, DirectoryPage, PAGE_BYTES_MAX, Stored};
 pub use framing::{Chosen, Framing};
 pub use lightmap::{Block, Lightmap};
 pub use materials::{Emitter, Glass, Material, TextureUse, Wrap};

@@ -63,11 +63,7 @@ pub(super) async fn events(
     headers: HeaderMap,
 ) -> Result<Response> {
     let wait_secs = query.wait_secs.unwrap_or(0);
-    if wait_secs > MAX_WAIT_SECS {
-        return Err(ServerError::bad_request(format!(
-            "wait_secs must be within 0..={MAX_WAIT_SECS}, not {wait_secs}"
-        )));
-    }
+    require_wait(wait_secs)?;
     let mut after = query.after.unwrap_or(0);
     if let Some(last) = headers.get("Last-Event-ID") {
         let last = last.to_str().ok().and_then(|last| last.trim().parse().ok());
@@ -87,6 +83,14 @@ pub(super) async fn events(
     }
     let deadline = Instant::now() + Duration::from_secs(wait_secs.into());
     Ok(Json(farm.events(&id, after, PAGE_EVENTS, deadline).await?).into_response())
+}
+
+/// Refuses a wait that is too long.
+pub(super) fn require_wait(wait_secs: u32) -> Result<()> {
+    if wait_secs <= MAX_WAIT_SECS {
+        return Ok(());
+    }
+    Err(ServerError::bad_request(format!("wait_secs must be within 0..={MAX_WAIT_SECS}, not {wait_secs}")))
 }
 
 fn stream(farm: Arc<Farm>, bake: String, after: u64) -> impl Stream<Item = Result<Event, Infallible>> {

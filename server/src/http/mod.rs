@@ -13,6 +13,7 @@ mod openapi;
 mod pages;
 mod problem;
 pub mod ranges;
+mod results;
 mod trace;
 
 use std::sync::Arc;
@@ -53,6 +54,7 @@ pub(crate) fn router(farm: Arc<Farm>, limits: LimitConfig, pages: Pages) -> Rout
         .route("/v1/bakes/{id}/priority", post(bakes::reprioritise))
         .route("/v1/bakes/{id}/blocklist", get(bakes::blocklist).delete(bakes::clear_blocklist))
         .route("/v1/bakes/{id}/events", get(events::events))
+        .route("/v1/bakes/{id}/results", get(results::results))
         .route("/v1/bakes/{id}/manifest", get(bakes::manifest))
         .route("/v1/bakes/{id}/report", get(bakes::report))
         .route("/v1/workers", get(bakes::workers))

@@ -12,7 +12,8 @@ use tracing_opentelemetry::OpenTelemetrySpanExt;
 use super::extract::text_header;
 
 /// Calls that only ask whether there is news: hours of them would drown a trace.
-const POLLS: [&str; 3] = ["/v1/bakes/{id}/events", "/v1/leases/{token}/heartbeat", "/v1/leases"];
+const POLLS: [&str; 4] =
+    ["/v1/bakes/{id}/events", "/v1/bakes/{id}/results", "/v1/leases/{token}/heartbeat", "/v1/leases"];
 
 /// The span of a request in log and trace: it has the route, as paths hold tokens. Calls of no trace begin none.
 pub(super) fn span(request: &Request) -> Span {

@@ -26,7 +26,7 @@ use std::collections::BTreeSet;
 use async_trait::async_trait;
 use lightkiln_proto::api::{
     Bake, BakeFilter, BakePage, BakeState, Blame, Blocklist, ClaimRequest, CommitVerdict, EventPage,
-    HeartbeatAnswer, Lease, Needs, NewBake, Worker,
+    HeartbeatAnswer, Lease, Needs, NewBake, ResultPage, Worker,
 };
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{Artefact, TaskResult, TaskSpec};
@@ -200,7 +200,7 @@ pub trait FarmStore: Send + Sync {
     async fn forget(&self, keys: &[TaskKey]) -> Result<()>;
 
     /// Hands out up to `max` ready tasks. One by one they come from the bake with the highest priority, of those from the
-    /// one with the fewest tasks under way ([`rules`] says more), of a bake by cost, then key.
+    /// one with the fewest tasks under way ([`rules`] says more), of a bake by cost ([`rules::claim_cost`]), then key.
     async fn claim(&self, request: &ClaimRequest) -> Result<Vec<Lease>>;
 
     /// Whether a running bake has a ready task of one of these kinds, whoever may take it.
@@ -258,6 +258,17 @@ pub trait FarmStore: Send + Sync {
 
     /// Events with a `seq` above `after`, and the bake as it stands.
     async fn events_after(&self, bake: &str, after: u64, limit: u32) -> Result<EventPage>;
+
+    /// Results of a bake behind place `after` in the order in which they landed, of tasks of one kind if it is named, and
+    /// the bake as it stands; at most `limit`, and no more than [`rules::results_on_page`] says. A result that lands, for
+    /// the first time or again, comes behind all that landed before.
+    async fn results_after(
+        &self,
+        bake: &str,
+        kind: Option<&str>,
+        after: u64,
+        limit: u32,
+    ) -> Result<ResultPage>;
 
     /// Workers heard of lately, by name.
     async fn workers(&self) -> Result<Vec<Worker>>;

@@ -40,6 +40,8 @@ pub const MAX_PARDONS: u32 = MAX_ATTEMPTS;
 /// Most times that a lease is given its whole length again, for the farm's silence, before its worker is heard. More → workers
 /// outlast more restarts in quick succession, and while a server crashes again and again, tasks of dead workers wait longer.
 pub const MAX_GRACES: u32 = 5;
+/// A page of results ends with the one that brings the JSON of their outputs to so many bytes, or before.
+pub const RESULTS_PAGE_BYTES: u64 = 1 << 20;
 /// Longest failure message kept, in characters.
 pub const MAX_MESSAGE_CHARS: usize = 4_000;
 /// Longest kind and label of a task, in bytes.
@@ -120,6 +122,12 @@ pub fn next_contender<B>(contenders: &[Contender<B>]) -> Option<usize> {
     (0..contenders.len()).min_by_key(|index| (rank(&contenders[*index]), *index))
 }
 
+/// Cost by which a task is claimed, among its bake's, whose dependencies have these costs: its own, or more than any of
+/// theirs. So what follows from a task comes soon after it, not after all others of its kind.
+pub fn claim_cost(cost: u64, of_dependencies: impl IntoIterator<Item = u64>) -> u64 {
+    of_dependencies.into_iter().map(|cost| cost + 1).fold(cost, u64::max)
+}
+
 /// When an attempt that starts now must have ended.
 pub fn deadline_ms(now_ms: i64, attempt_limit_secs: Option<u32>) -> i64 {
     now_ms + 1000 * i64::from(attempt_limit_secs.unwrap_or(ATTEMPT_LIMIT_SECS))
@@ -170,6 +178,17 @@ pub fn expiry_message(worker: &str) -> String {
 /// Why an attempt ended when it took too long.
 pub fn limit_message(worker: &str) -> String {
     format!("worker {worker} took longer than one attempt may take (attempt_limit_secs)")
+}
+
+/// Results on a page, of those whose outputs have so many bytes of JSON each: as many as there is room for, one at least.
+pub fn results_on_page(bytes: impl IntoIterator<Item = u64>) -> usize {
+    let mut before = 0;
+    let has_room = |bytes: &u64| {
+        let has_room = before < RESULTS_PAGE_BYTES;
+        before += bytes;
+        has_room
+    };
+    bytes.into_iter().take_while(has_room).count()
 }
 
 /// Adds `more` into `sums`, name by name.
@@ -304,6 +323,20 @@ mod tests {
         assert!(waits.iter().all(|wait| (2_000..=4_000).contains(wait)), "{waits:?}");
         let (least, most) = (waits.iter().min(), waits.iter().max());
         assert!(least < Some(&2_500) && most > Some(&3_500), "{waits:?}");
+    }
+
+    #[test]
+    fn page_of_results_ends_where_their_outputs_fill_it() {
+        let full = RESULTS_PAGE_BYTES;
+        for (bytes, wanted) in [
+            (&[][..], 0),
+            (&[3, 2, 1], 3),
+            (&[7 * full, 1], 1),
+            (&[full - 1, 1, 1], 2),
+            (&[full - 1, full, 1, 1], 2),
+        ] {
+            assert_eq!(results_on_page(bytes.iter().copied()), wanted, "{bytes:?}");
+        }
     }
 
     #[test]

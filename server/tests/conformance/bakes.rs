@@ -4,6 +4,7 @@ use std::slice::from_ref;
 
 use lightkiln_proto::api::{BakeFilter, BakeState, CommitVerdict, Verdict};
 use lightkiln_proto::ids::Digest;
+use lightkiln_proto::jobs::TaskSpec;
 use lightkiln_server::store::StoreError;
 
 use crate::support::{World, submission, task, task_of};
@@ -107,6 +108,41 @@ pub async fn priority_then_share_then_age_then_cost_then_key_decide_the_order(wo
     world.submit_at("urgent", 1, &[task("urgent", &[])]).await;
     let wanted = ["urgent", "dear", "young", &by_key[0].label, &by_key[1].label];
     assert_eq!(world.claim_labels("w", 10).await, wanted);
+}
+
+pub async fn task_is_claimed_right_after_the_costlier_one_that_it_waited_for(world: World) {
+    let pair = |cost: u64| {
+        let dear = task_of("work", &format!("dear {cost}"), &[], cost);
+        let after = task_of("work", &format!("after {cost}"), &[&dear], 1);
+        [after, dear]
+    };
+    let mut plan: Vec<TaskSpec> = [7, 9, 8].into_iter().flat_map(pair).collect();
+    plan.push(task_of("work", "large", &[&plan[1]], 20));
+    let order = async |count: usize| {
+        let mut labels = Vec::new();
+        for _ in 0..count {
+            let lease = world.claim_one("w").await;
+            world.commit(&lease).await;
+            labels.push(lease.task.label);
+        }
+        labels
+    };
+    world.submit("first", &plan).await;
+    let wanted = ["dear 9", "after 9", "dear 8", "after 8", "dear 7"];
+    assert_eq!(order(5).await, wanted);
+    // A worker that gives it back, and a bake that finds the dear one done, find the same order.
+    let held = world.claim("w", 10).await;
+    assert_eq!(held.iter().map(|lease| lease.task.label.as_str()).collect::<Vec<_>>(), ["large", "after 7"]);
+    for lease in held {
+        world.store.release(&lease.token).await.unwrap();
+    }
+    world.submit("second", &[plan.clone(), vec![task_of("work", "between", &[], 7)]].concat()).await;
+    world
+        .store
+        .cancel(&world.store.list(&BakeFilter::default(), None, 2).await.unwrap().bakes[1].id)
+        .await
+        .unwrap();
+    assert_eq!(order(3).await, ["large", "after 7", "between"]);
 }
 
 pub async fn changed_priority_changes_the_order(world: World) {

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use async_trait::async_trait;
 use bytes::Bytes;
-use lightkiln_proto::api::{Bake, BakeState, ClaimRequest, CommitVerdict};
+use lightkiln_proto::api::{Bake, BakeState, ClaimRequest, CommitVerdict, Lease};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{Artefact, TaskInput, TaskResult, TaskSpec};
 use lightkiln_proto::problem::ProblemCode;
@@ -21,7 +21,7 @@ use tokio::time::Instant;
 use crate::clock::ManualClock;
 use crate::crash::open_file;
 use crate::parts::kind::kinds;
-use crate::support::{SCENE, World, chunks_in_memory, in_time, new_bake, task};
+use crate::support::{SCENE, World, chunks_in_memory, in_time, new_bake, task, task_of};
 
 /// No hints at all: every wait lasts until its timeout.
 #[derive(Clone, Copy, Debug, Default)]
@@ -212,6 +212,28 @@ async fn work(farm: Arc<Farm>, worker: String, planned: Vec<TaskSpec>) {
             farm.commit(&lease.token, result).await.unwrap();
         }
     }
+}
+
+pub async fn waiting_for_results_ends_with_one_of_the_kind_asked_for(world: World) {
+    let farm = hinted(&world);
+    let bake = world.submit("bake", &[task_of("work", "a", &[], 2), task_of("more", "b", &[], 1)]).await;
+    let leases = world.claim("w", 2).await;
+    let results = |kind, after| farm.results(&bake.id, Some(kind), after, 10, Instant::now() + LONG);
+    let commit = async |lease: &Lease| {
+        farm.commit(&lease.token, TaskResult::default()).await.unwrap();
+    };
+    let land = async {
+        commit(&leases[0]).await;
+        tokio::task::yield_now().await;
+        commit(&leases[1]).await;
+    };
+    let (page, ()) = futures::future::join(results("more", 0), land).await;
+    let places: Vec<_> =
+        page.unwrap().results.into_iter().map(|result| (result.place, result.label)).collect();
+    assert_eq!(places, [(2, "b".to_owned())]);
+    // Of a bake that has ended there is nothing to wait for.
+    let page = results("other", 0).await.unwrap();
+    assert_eq!((page.results.len(), page.bake.state), (0, BakeState::Done));
 }
 
 pub async fn waiting_for_events_ends_with_one(world: World) {

@@ -1,7 +1,9 @@
 //! Random histories: the stores in databases behave as the plain model, step by step.
 
-use lightkiln_proto::api::{Bake, BakeEvent, Blame, Lease, Worker};
-use lightkiln_proto::ids::Digest;
+use std::collections::{BTreeMap, BTreeSet};
+
+use lightkiln_proto::api::{Bake, BakeEvent, BakeResult, Blame, Lease, Worker};
+use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{TaskInput, TaskResult, TaskSpec};
 use lightkiln_server::store::chunk::{ChunkRow, CollectRules, Usage};
 use lightkiln_server::store::{Stats, StoreError};
@@ -12,6 +14,8 @@ use crate::support::{SCENE, World, chunk, in_time, output, outputs, request, sub
 
 /// Tasks of the universe.
 const TASKS: usize = 12;
+/// More results than a bake of them has.
+const RESULTS: u32 = 10_000;
 /// Dependencies of each task; all come before it.
 const NEEDS: [&[usize]; TASKS] = [&[], &[], &[0], &[0, 1], &[2], &[3], &[3, 4], &[], &[7], &[1], &[], &[10]];
 /// Plans of the tasks; task 7 plans one that needs task 5, which its bake may not hold.
@@ -96,11 +100,14 @@ struct Side {
     world: World,
     bakes: Vec<String>,
     leases: Vec<Lease>,
+    /// Of each bake, how far its results were read, and whose they were.
+    followed: BTreeMap<String, (u64, BTreeSet<TaskKey>)>,
 }
 
 /// Everything that callers can see, with ids replaced by numbers.
 struct Seen {
     bakes: Vec<(Bake, Vec<BakeEvent>)>,
+    results: Vec<Vec<BakeResult>>,
     workers: Vec<Worker>,
     stats: Stats,
     /// Whether anything is ready of each kind.
@@ -111,7 +118,7 @@ struct Seen {
 
 impl Side {
     fn new(world: World) -> Self {
-        Self { world, bakes: Vec::new(), leases: Vec::new() }
+        Self { world, bakes: Vec::new(), leases: Vec::new(), followed: BTreeMap::new() }
     }
 
     fn number_of(&self, bake: &str) -> usize {
@@ -236,15 +243,33 @@ impl Side {
         self.bakes = left;
     }
 
+    /// Reads on in the results of every bake: whoever does so misses none that there are.
+    async fn follow(&mut self) {
+        for id in &self.bakes {
+            let (after, keys) = self.followed.entry(id.clone()).or_default();
+            let page = self.world.store.results_after(id, None, *after, RESULTS).await.unwrap();
+            for result in page.results {
+                assert!(result.place > *after);
+                *after = result.place;
+                keys.insert(result.key);
+            }
+            let page = self.world.store.results_after(id, None, 0, RESULTS).await.unwrap();
+            assert!(page.results.iter().all(|result| keys.contains(&result.key)), "{page:?} {keys:?}");
+        }
+    }
+
     async fn look(&self) -> Seen {
         let store = &self.world.store;
-        let mut bakes = Vec::new();
+        let (mut bakes, mut results) = (Vec::new(), Vec::new());
         for (number, id) in self.bakes.iter().enumerate() {
             let mut page = store.events_after(id, 0, 10_000).await.unwrap();
             assert_eq!(page.bake, store.show(id).await.unwrap());
             for (index, event) in page.events.iter().enumerate() {
                 assert_eq!(event.seq, index as u64 + 1, "sequence without gaps");
             }
+            let landed = store.results_after(id, None, 0, RESULTS).await.unwrap();
+            assert_eq!(landed.bake, page.bake);
+            results.push(landed.results);
             page.bake.id = number.to_string();
             bakes.push((page.bake, page.events));
         }
@@ -254,7 +279,7 @@ impl Side {
         for (is_any, kind) in is_any_ready.iter_mut().zip(["work", "more"]) {
             *is_any = store.is_any_ready(&[kind.to_owned()]).await.unwrap();
         }
-        Seen { bakes, workers, stats, is_any_ready, rows, usage }
+        Seen { bakes, results, workers, stats, is_any_ready, rows, usage }
     }
 
     /// Lets everything end: every live bake must, for nothing may wait for ever.
@@ -344,6 +369,8 @@ async fn compare(world: World, steps: Vec<Step>) {
     for (number, step) in steps.iter().enumerate() {
         let expected = model.take(step, &tasks).await;
         assert_eq!(store.take(step, &tasks).await, expected, "step {number}: {step:?}");
+        model.follow().await;
+        store.follow().await;
         assert_same(&store, &model, &format!("after step {number}: {step:?}")).await;
     }
     model.finish(&tasks).await;
@@ -358,6 +385,7 @@ async fn assert_same(store: &Side, model: &Side, when: &str) {
         assert_eq!(found.0, expected.0, "{when}");
         assert_eq!(found.1, expected.1, "{when}");
     }
+    assert_eq!(found.results, expected.results, "{when}");
     assert_eq!(found.workers, expected.workers, "{when}");
     assert_eq!(found.stats, expected.stats, "{when}");
     assert_eq!(found.is_any_ready, expected.is_any_ready, "{when}");

@@ -24,6 +24,7 @@ mod model;
 mod parts;
 mod remaking;
 mod replicas;
+mod results;
 mod reuse;
 mod scheduling;
 mod support;
@@ -61,6 +62,7 @@ conformance! {
         cancel_again_changes_nothing
         ended_bake_refuses_changes
         priority_then_share_then_age_then_cost_then_key_decide_the_order
+        task_is_claimed_right_after_the_costlier_one_that_it_waited_for
         changed_priority_changes_the_order
         unknown_bake_is_an_error;
     bearers:
@@ -160,11 +162,19 @@ conformance! {
         artefact_that_is_made_otherwise_fails_the_bake_and_says_so
         artefact_that_nobody_reads_may_be_made_otherwise
         results_say_what_their_plans_still_need;
+    results:
+        results_come_in_the_order_in_which_they_landed
+        results_of_one_kind_are_told_alone
+        page_of_results_ends_where_it_is_full
+        reused_results_land_with_the_plan_that_asks_for_them
+        result_that_lands_again_comes_behind_all_others
+        result_that_an_ended_bake_lost_lands_again;
     hints:
         waiting_claim_gets_what_is_submitted_later
         waiting_claim_needs_no_hint
         workers_without_hints_finish_a_bake
         waiting_for_events_ends_with_one
+        waiting_for_results_ends_with_one_of_the_kind_asked_for
         results_whose_bytes_are_gone_are_run_again
         plans_whose_bytes_are_gone_are_made_again
         result_without_its_bytes_is_refused;

@@ -283,6 +283,12 @@ async fn assert_bakes_are_as_they_were(store: &SqlStore, past: &Past) {
     let page = store.events_after("old", 0, 10).await.unwrap();
     let kinds: Vec<EventKind> = page.events.into_iter().map(|event| event.event).collect();
     assert_eq!(kinds, [EventKind::Submitted, EventKind::State { state: BakeState::Done }]);
+    for bake in ["old", "live"] {
+        let landed = store.results_after(bake, None, 0, 10).await.unwrap().results;
+        let places: Vec<_> =
+            landed.into_iter().map(|result| (result.place, result.key, result.outputs)).collect();
+        assert_eq!(places, [0, 1].map(|task| (task as u64 + 1, past.tasks[task].key, past.outputs(task))));
+    }
     let live = store.show("live").await.unwrap();
     let stage = &live.stages[0];
     assert_eq!((stage.total, stage.done, stage.reused, stage.leased), (5, 2, 2, 1));
@@ -339,6 +345,9 @@ async fn finish(store: &SqlStore, past: &Past) -> Bake {
         let verdict = store.commit(&leases[0].token, &result(vec![past.own.clone()])).await.unwrap();
         assert_eq!(verdict, CommitVerdict::Committed);
     }
+    let landed = store.results_after("live", None, 2, 10).await.unwrap().results;
+    let places: Vec<_> = landed.iter().map(|result| (result.place, result.label.as_str())).collect();
+    assert_eq!(places, [(3, "c"), (4, "d"), (5, "e")]);
     store.show("live").await.unwrap()
 }
 

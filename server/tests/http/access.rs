@@ -89,6 +89,7 @@ async fn scope_opens_its_calls_and_no_others() {
     for (method, path, who) in [
         ("GET", "/v1/bakes", &[Read, Submit][..]),
         ("GET", "/v1/bakes/none/events", &[Read, Submit]),
+        ("GET", "/v1/bakes/none/results", &[Read, Submit]),
         ("GET", "/v1/workers", &[Read, Submit]),
         ("GET", "/metrics", &[Read, Submit]),
         ("GET", &chunk, &[Read, Submit, Worker]),

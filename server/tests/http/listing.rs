@@ -77,7 +77,9 @@ async fn every_call_about_a_bake_takes_the_beginning_of_its_id() {
     {
         assert_eq!(call(method, rest).await.json::<Bake>(200).id, id, "{method} {rest}");
     }
-    for (method, rest) in [("GET", "/blocklist"), ("DELETE", "/blocklist"), ("GET", "/events")] {
+    for (method, rest) in
+        [("GET", "/blocklist"), ("DELETE", "/blocklist"), ("GET", "/events"), ("GET", "/results")]
+    {
         assert_eq!(call(method, rest).await.status, 200, "{method} {rest}");
     }
     for rest in ["/manifest", "/report"] {

@@ -15,5 +15,6 @@ mod pages;
 #[path = "../parts/mod.rs"]
 mod parts;
 mod problems;
+mod results;
 mod support;
 mod webhooks;

@@ -65,6 +65,13 @@ async fn malformed_parts_of_requests_are_problems() {
         "/v1/bakes?after=9223372036854775808",
         "/v1/bakes/x/events?after=9223372036854775808",
         "/v1/bakes/x/events?wait_secs=61",
+        "/v1/bakes/x/results?after=-1",
+        "/v1/bakes/x/results?after=9223372036854775808",
+        "/v1/bakes/x/results?limit=0",
+        "/v1/bakes/x/results?limit=501",
+        "/v1/bakes/x/results?wait_secs=61",
+        "/v1/bakes/x/results?kind=",
+        "/v1/bakes/x/results?since=1",
     ] {
         server.get(path).await.problem(ProblemCode::BadRequest);
     }

@@ -25,6 +25,8 @@ pub(super) struct BakeEntry {
     /// Kinds in the order of their first appearance.
     pub(super) stages: Vec<Stage>,
     pub(super) events: Vec<BakeEvent>,
+    /// Places that were given to results.
+    pub(super) places: u64,
     pub(super) tasks_run: u64,
     pub(super) counters: BTreeMap<String, f64>,
     pub(super) counters_reused: BTreeMap<String, f64>,
@@ -46,6 +48,8 @@ pub(super) struct Member {
     pub(super) held: bool,
     /// The bake had ended when the result was forgotten; it holds it again when the task has run again.
     pub(super) lost: bool,
+    /// Place of its result among those of the bake, in the order in which they landed.
+    pub(super) place: Option<u64>,
 }
 
 #[derive(Clone)]
@@ -126,6 +130,7 @@ impl BakeEntry {
             artefacts: BTreeSet::from([submission.bake.scene]),
             stages: Vec::new(),
             events: Vec::new(),
+            places: 0,
             tasks_run: 0,
             counters: BTreeMap::new(),
             counters_reused: BTreeMap::new(),
@@ -144,8 +149,15 @@ impl BakeEntry {
         if task.lease.is_some() {
             stage.first_claim_ms.get_or_insert(now_ms);
         }
-        self.members
-            .insert(task.spec.key, Member { kind, cost, done, reused: done, held: true, lost: false });
+        let place = done.then(|| self.next_place());
+        let member = Member { kind, cost, done, reused: done, held: true, lost: false, place };
+        self.members.insert(task.spec.key, member);
+    }
+
+    /// The place of a result that lands now.
+    pub(super) fn next_place(&mut self) -> u64 {
+        self.places += 1;
+        self.places
     }
 
     /// The stage of a kind, made at its first appearance.

@@ -260,7 +260,7 @@ impl Farm {
             self.event(bake, now_ms, lost);
             if let Some(member) = self.bakes[bake].members.get_mut(&key) {
                 self.gone_reused += u64::from(member.reused);
-                (member.done, member.reused) = (false, false);
+                (member.done, member.reused, member.place) = (false, false, None);
             }
         }
     }

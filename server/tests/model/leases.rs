@@ -161,7 +161,10 @@ impl Farm {
             self.is_due(task, &request.kinds, now_ms)
                 && !self.is_left_to_others(bake, task, &request.worker, now_ms)
         });
-        let best = claimable.min_by_key(|task| (Reverse(task.spec.cost), task.spec.key))?;
+        let cost_of = |key: TaskKey| self.tasks.get(&key).map(|task| task.spec.cost);
+        let cost =
+            |task: &Task| rules::claim_cost(task.spec.cost, task.spec.dependencies().filter_map(cost_of));
+        let best = claimable.min_by_key(|task| (Reverse(cost(task)), task.spec.key))?;
         Some(best.spec.key)
     }
 
@@ -329,8 +332,11 @@ impl Farm {
         let (spec, attempt) = (task.spec.clone(), lease.attempt);
         self.release_readers(key);
         for bake in &mut self.bakes {
-            if let Some(member) = bake.members.get_mut(&key).filter(|member| member.lost) {
-                (member.held, member.lost) = (true, false);
+            if bake.members.get(&key).is_some_and(|member| member.lost) {
+                let place = Some(bake.next_place());
+                if let Some(member) = bake.members.get_mut(&key) {
+                    (member.held, member.lost, member.place) = (true, false, place);
+                }
             }
         }
         for bake in self.live_bakes_of(key) {
@@ -339,8 +345,9 @@ impl Farm {
             add_counters(&mut entry.counters, &result.counters);
             entry.note_outputs(&result.outputs);
             entry.stage(&spec.kind).last_commit_ms = Some(now_ms);
+            let place = Some(entry.next_place());
             if let Some(member) = entry.members.get_mut(&key) {
-                member.done = true;
+                (member.done, member.place) = (true, place);
             }
             let (kind, label, worker) = (spec.kind.clone(), spec.label.clone(), lease.worker.clone());
             let elapsed_ms = lease.elapsed_ms(now_ms);

@@ -14,7 +14,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use async_trait::async_trait;
 use lightkiln_proto::api::{
     Bake, BakeFilter, BakePage, BakeState, Blame, Blocklist, ClaimRequest, CommitVerdict, EventPage,
-    HeartbeatAnswer, Lease, Worker,
+    HeartbeatAnswer, Lease, ResultPage, Worker,
 };
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{TaskResult, TaskSpec};
@@ -163,6 +163,16 @@ impl FarmStore for MemoryStore {
 
     async fn events_after(&self, bake: &str, after: u64, limit: u32) -> Result<EventPage, StoreError> {
         self.farm().events_after(bake, after, limit)
+    }
+
+    async fn results_after(
+        &self,
+        bake: &str,
+        kind: Option<&str>,
+        after: u64,
+        limit: u32,
+    ) -> Result<ResultPage, StoreError> {
+        self.farm().results_after(bake, kind, after, limit)
     }
 
     async fn workers(&self) -> Result<Vec<Worker>, StoreError> {

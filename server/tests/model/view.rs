@@ -2,12 +2,15 @@
 
 use std::collections::BTreeMap;
 
-use lightkiln_proto::api::{Bake, BakeFilter, BakePage, BakeState, EventPage, StageCount, Worker};
+use lightkiln_proto::api::{
+    Bake, BakeFilter, BakePage, BakeResult, BakeState, EventPage, ResultPage, StageCount, Worker,
+};
 use lightkiln_proto::ids::TaskKey;
+use lightkiln_proto::jobs::TaskSpec;
 
-use super::entries::{BakeEntry, Stage};
+use super::entries::{BakeEntry, Member, Stage};
 use super::farm::Farm;
-use lightkiln_server::store::rules::WORKER_LISTED_MS;
+use lightkiln_server::store::rules::{WORKER_LISTED_MS, results_on_page};
 use lightkiln_server::store::{Demand, Named, Stats, StoreError, TaskCount, TaskState};
 
 impl Farm {
@@ -90,6 +93,29 @@ impl Farm {
         let index = self.index_of(bake)?;
         let later = self.bakes[index].events.iter().filter(|event| event.seq > after);
         Ok(EventPage { events: later.take(limit as usize).cloned().collect(), bake: self.view(index) })
+    }
+
+    pub(super) fn results_after(
+        &self,
+        bake: &str,
+        kind: Option<&str>,
+        after: u64,
+        limit: u32,
+    ) -> Result<ResultPage, StoreError> {
+        let index = self.index_of(bake)?;
+        let held = self.bakes[index].members.iter().filter(|(_, member)| member.held);
+        let later = held.filter(|(_, member)| kind.is_none_or(|kind| kind == member.kind));
+        let result = |(key, member): (&TaskKey, &Member)| {
+            let place = member.place.filter(|place| *place > after)?;
+            let TaskSpec { kind, label, .. } = self.tasks.get(key)?.spec.clone();
+            Some(BakeResult { place, key: *key, kind, label, outputs: self.outputs_of(key) })
+        };
+        let mut results: Vec<BakeResult> = later.filter_map(result).collect();
+        results.sort_by_key(|result| result.place);
+        results.truncate(limit as usize);
+        let bytes = |result: &BakeResult| serde_json::json!(result.outputs).to_string().len() as u64;
+        results.truncate(results_on_page(results.iter().map(bytes)));
+        Ok(ResultPage { results, bake: self.view(index) })
     }
 
     pub(super) fn workers(&self, now_ms: i64) -> Vec<Worker> {

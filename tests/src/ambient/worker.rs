@@ -67,8 +67,8 @@ fn light(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> {
             body: &Body { irradiance },
             clusters: Vec::new(),
             chunks: vec![(ROLE, vec![chunk])],
-            report: serde_json::json!({}),
         },
+        serde_json::json!({}),
     )?;
     output.artefacts.push(("chunk".into(), bytes));
     Ok(output)

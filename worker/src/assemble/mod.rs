@@ -10,7 +10,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{MANIFEST_OUTPUT, REPORT_OUTPUT};
 use lightkiln_proto::manifest::{
-    Block, ChunkRef, ClusterRow, DIRECTORY, FORMAT, Framing, GEOMETRY, Lightmap, Manifest, TEXTURES, VERSION,
+    Block, ChunkRef, ClusterRow, DIRECTORY, FORMAT, Framing, GEOMETRY, Lightmap, Manifest, Stored, TEXTURES,
+    VERSION,
 };
 use rayon::prelude::*;
 use serde::Serialize;
@@ -35,24 +36,44 @@ pub struct KindPart<'a, S, B> {
     pub clusters: Vec<ClusterRow>,
     /// The kind's own chunks by role.
     pub chunks: Vec<(&'static str, Vec<ChunkRef>)>,
-    /// The kind's part of the report: an object.
-    pub report: Value,
 }
 
 /// Outputs of an assemble task, whose inputs are the outputs of `scene.import`, `.draw` and `.frame`, of `.unwrap` for a lightmap,
-/// and the kind's own: the manifest, the pages of its directory, and the report.
+/// and the kind's own: the manifest, the pages of its directory, and the report, to whose `report` of the kind, an object, the shared
+/// part is added.
 pub fn assembled<S: Serialize, B: Serialize>(
     context: &Context,
     part: KindPart<'_, S, B>,
+    mut report: Value,
 ) -> Result<TaskOutput, TaskError> {
     let (scene, _): (Scene, _) = context.decoded(crate::scene::ARTEFACT_MAGIC, crate::scene::ARTEFACT)?;
+    let stored = stored(context, &scene, part)?;
+    report["import"] = json_of(context, crate::scene::WARNINGS)?;
+    if let Some(charts) = Charts::if_any(context)? {
+        report["texel_m"] = json!(charts.texel_m);
+    }
+    let mut artefacts = vec![
+        (MANIFEST_OUTPUT.to_owned(), stored.json),
+        (REPORT_OUTPUT.to_owned(), report.to_string().into_bytes()),
+    ];
+    let page = |(number, page): (usize, Vec<u8>)| (format!("{DIRECTORY}/{number}"), page);
+    artefacts.extend(stored.pages.into_iter().enumerate().map(page));
+    Ok(TaskOutput { artefacts, ..TaskOutput::default() })
+}
+
+/// The manifest and the pages of its directory, of the scene among the inputs; the others are those of [`assembled`].
+pub fn stored<S: Serialize, B: Serialize>(
+    context: &Context,
+    scene: &Scene,
+    part: KindPart<'_, S, B>,
+) -> Result<Stored, TaskError> {
     let charts = Charts::if_any(context)?;
     let mut chunks: BTreeMap<String, Vec<ChunkRef>> =
         part.chunks.into_iter().map(|(role, refs)| (role.to_owned(), refs)).collect();
     chunks.insert(TEXTURES.to_owned(), chunk_refs(context, "draw/texture/"));
     chunks.insert(GEOMETRY.to_owned(), chunk_refs(context, "draw/geometry/"));
     require_stored(context, &chunks)?;
-    let (materials, emitters) = materials::materials(&scene);
+    let (materials, emitters) = materials::materials(scene);
     let manifest = Manifest {
         format: FORMAT.to_owned(),
         version: VERSION,
@@ -61,7 +82,7 @@ pub fn assembled<S: Serialize, B: Serialize>(
         settings: as_json(part.settings)?,
         bounds_m: scene.near_bounds_m().map(|corner| corner.to_array()),
         triangles: scene.instances.iter().map(|instance| instance.triangles.len() as u64).sum(),
-        lightmap: charts.as_ref().map(|charts| layout(&scene, charts)).transpose()?,
+        lightmap: charts.as_ref().map(|charts| layout(scene, charts)).transpose()?,
         materials,
         emitters,
         lights: scene.lights.clone(),
@@ -72,21 +93,7 @@ pub fn assembled<S: Serialize, B: Serialize>(
         clusters: part.clusters,
         body: as_json(part.body)?,
     };
-    let mut report = part.report;
-    report["import"] = json_of(context, crate::scene::WARNINGS)?;
-    if let Some(charts) = charts {
-        report["texel_m"] = json!(charts.texel_m);
-    }
-    let stored = manifest
-        .stored()
-        .map_err(|error| TaskError::bad_input_from("the manifest cannot be written", error))?;
-    let mut artefacts = vec![
-        (MANIFEST_OUTPUT.to_owned(), stored.json),
-        (REPORT_OUTPUT.to_owned(), report.to_string().into_bytes()),
-    ];
-    let page = |(number, page): (usize, Vec<u8>)| (format!("{DIRECTORY}/{number}"), page);
-    artefacts.extend(stored.pages.into_iter().enumerate().map(page));
-    Ok(TaskOutput { artefacts, ..TaskOutput::default() })
+    manifest.stored().map_err(|error| TaskError::bad_input_from("the manifest cannot be written", error))
 }
 
 /// Errs unless every chunk among the task's inputs is stored: no task reads them, so that bytes which were lost meanwhile

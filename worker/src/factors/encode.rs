@@ -159,7 +159,7 @@ pub fn stored(
 ) -> Result<TaskOutput, TaskError> {
     let encoded = encoded(pieces, quantisation)?;
     let index = index.with_clusters(pieces, &encoded);
-    stored_as(encoded, index)
+    Ok(stored_as(encoded, index)?.0)
 }
 
 /// The pieces of a cell as chunks.
@@ -174,8 +174,12 @@ pub fn encoded(
         .map_err(|error| TaskError::bad_input_from("a cluster cannot be stored", error))
 }
 
-/// Outputs `chunk/N` and `index` of a cell whose clusters are encoded, and whose account has all of them but their chunks.
-pub fn stored_as(encoded: Vec<EncodedCluster>, mut index: CellIndex) -> Result<TaskOutput, TaskError> {
+/// Outputs `chunk/N` and `index` of a cell whose clusters are encoded, and whose account has all of them but their chunks; and
+/// the whole account.
+pub fn stored_as(
+    encoded: Vec<EncodedCluster>,
+    mut index: CellIndex,
+) -> Result<(TaskOutput, CellIndex), TaskError> {
     let mut output = TaskOutput::default();
     index.chunks.clear();
     for (number, (encoded, row)) in encoded.into_iter().zip(&mut index.clusters).enumerate() {
@@ -186,5 +190,5 @@ pub fn stored_as(encoded: Vec<EncodedCluster>, mut index: CellIndex) -> Result<T
     }
     output.artefacts.push((CellIndex::OUTPUT.into(), index.encoded()?));
     output.counters = index.counters();
-    Ok(output)
+    Ok((output, index))
 }

@@ -1,5 +1,7 @@
 //! Relightable light over surface patches.
 
+mod memory;
+mod only;
 mod stream;
 
 use lightkiln_proto::chunk;
@@ -17,7 +19,8 @@ use crate::passes::patches::PatchesPass;
 use crate::passes::resident::{ColumnsPass, Resident};
 use crate::scene::LoadedScene;
 
-pub use stream::{PrtStream, only};
+pub use only::only;
+pub use stream::PrtStream;
 
 /// The kind.
 #[derive(Clone, Copy, Debug)]

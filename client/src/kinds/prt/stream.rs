@@ -5,29 +5,21 @@ use std::collections::{BTreeMap, BTreeSet, HashSet};
 use glam::{Vec3, Vec4};
 use lightkiln_proto::chunk;
 use lightkiln_proto::content::{BlockKey, ClusterTransport, PatchSet, Texel};
+use lightkiln_proto::ids::Digest;
 use lightkiln_proto::kinds::prt::PATCHES;
 use lightkiln_proto::manifest::{CLUSTERS, DIRECTORY, Manifest, OVERVIEW};
 use lightkiln_proto::relight::{Limit, PatchTable, stand_in};
 use rayon::prelude::*;
 
+use super::memory::{base_memory, rung_memory};
 use super::one_of;
+use super::only::{names, only};
 use crate::bake::{Light, LightStream, LitScene, ReceiverLight};
 use crate::error::{ClientError, Result};
 use crate::fetch::{Came, Layers, Source, decoded, decoded_layers, parallel};
 use crate::lightmap::LightmapLight;
 use crate::scene::LoadedScene;
-use crate::stream::{Budget, Candidate, Lit, Plan, Rung, Streamed, Viewpoint, by_need, plan};
-
-/// Memory of a receiver that is lit, of one of its near hits, and of a number of U and of ΣVᵀ, in bytes, about.
-const RECEIVER_BYTES: u64 = 240;
-const NEAR_BYTES: u64 = 36;
-const U_BYTES: f64 = 1.1;
-const VT_BYTES: f64 = 0.7;
-/// Memory of a column, and of a patch, in bytes.
-const COLUMN_BYTES: u64 = 8;
-const PATCH_BYTES: u64 = 48;
-/// Near hits of a receiver whose cluster has not come: the mean of Sponza.
-const NEAR_HITS: u64 = 6;
+use crate::stream::{Baked, Budget, Candidate, Lit, Plan, Rung, Streamed, Viewpoint, by_need, plan};
 
 /// Chunks that have come.
 #[derive(Debug)]
@@ -50,24 +42,14 @@ impl PrtStream {
     pub fn begin(source: &Source, manifest: &Manifest) -> Result<Self> {
         let sets = decoded(source, manifest, PATCHES, |bytes| Ok(chunk::decode_patches(bytes)?))?;
         let set = one_of(&sets)?.clone();
-        let overview: Vec<ClusterTransport> =
-            decoded(source, manifest, OVERVIEW, |bytes| Ok(chunk::decode_cluster(bytes)?))?;
-        if overview.iter().any(|cluster| !cluster.near.is_empty()) {
-            return Err(ClientError::inconsistent(
-                OVERVIEW,
-                "has near hits, which clusters of an overview have not",
-            ));
-        }
-        let base_bytes = [DIRECTORY, PATCHES, OVERVIEW].iter().map(|role| manifest.bytes_of(role)).sum();
-        let base_memory = PATCH_BYTES * set.patches.len() as u64
-            + overview.iter().map(|cluster| memory_of(cluster, cluster.near.surface.len())).sum::<u64>();
+        let overview = overview_of(source, manifest)?;
         let mut stream = Self {
+            base_bytes: base_bytes(manifest),
+            base_memory: base_memory(&set, &overview),
             set,
             overview,
             clusters: BTreeMap::new(),
             fresh: BTreeSet::new(),
-            base_bytes,
-            base_memory,
             streamed: Streamed::default(),
         };
         stream.count(manifest);
@@ -75,8 +57,7 @@ impl PrtStream {
     }
 
     /// The light of the layers that have come; receivers of the overview stand for all others, but for none where all have.
-    fn assembled(&self, scene: &LoadedScene) -> Result<LightmapLight<PatchTable>> {
-        let manifest = &scene.manifest;
+    fn assembled(&self, scene: &LoadedScene, manifest: &Manifest) -> Result<LightmapLight<PatchTable>> {
         let held: Vec<(&usize, &Vec<u8>)> = self.clusters.iter().collect();
         let decoded = |(index, bytes): &(&usize, &Vec<u8>)| {
             decoded_layers(layers_of(manifest, **index), bytes).map(|(cluster, _)| cluster)
@@ -111,6 +92,8 @@ impl PrtStream {
             clusters_all: manifest.clusters.len(),
             memory: self.base_memory + self.clusters.iter().map(memory).sum::<u64>(),
             memory_all: self.base_memory + memory_of_all.sum::<u64>(),
+            memory_least: self.base_memory,
+            baked: self.streamed.baked,
             turns: self.streamed.turns,
         };
     }
@@ -121,8 +104,28 @@ impl LightStream for PrtStream {
         self.streamed
     }
 
-    fn light(&self, scene: &LoadedScene) -> Result<Box<dyn Light>> {
-        Ok(Box::new(self.assembled(scene)?))
+    fn light(&self, scene: &LoadedScene, manifest: &Manifest) -> Result<Box<dyn Light>> {
+        Ok(Box::new(self.assembled(scene, manifest)?))
+    }
+
+    fn grown(&mut self, manifest: &Manifest, baked: Baked) {
+        self.streamed.baked = Some(baked);
+        self.count(manifest);
+    }
+
+    fn ended(&mut self, source: &Source, before: &Manifest, manifest: &Manifest) -> Result<()> {
+        self.overview = overview_of(source, manifest)?;
+        self.base_bytes = base_bytes(manifest);
+        self.base_memory = base_memory(&self.set, &self.overview);
+        let numbers: BTreeMap<Digest, usize> =
+            manifest.chunks(CLUSTERS).iter().map(|chunk| chunk.digest).zip(0..).collect();
+        let number = |index: usize| numbers.get(&before.chunks(CLUSTERS).get(index)?.digest).copied();
+        let held = std::mem::take(&mut self.clusters).into_iter();
+        self.clusters = held.filter_map(|(index, bytes)| Some((number(index)?, bytes))).collect();
+        self.fresh = self.fresh.iter().filter_map(|index| number(*index)).collect();
+        self.streamed.baked = None;
+        self.count(manifest);
+        Ok(())
     }
 
     fn change_view(&mut self) {
@@ -131,15 +134,14 @@ impl LightStream for PrtStream {
 
     fn refine(
         &mut self,
-        source: &Source,
+        (source, manifest): (&Source, &Manifest),
         light: &dyn Light,
         lit: &LitScene<'_>,
         viewpoint: Option<Viewpoint>,
         budget: Budget,
         limit: Limit,
     ) -> Result<()> {
-        let manifest = &lit.scene.manifest;
-        let Plan { fetch, evict } = self.plan(light, lit, viewpoint, budget, limit);
+        let Plan { fetch, evict } = self.plan(manifest, (light, lit), viewpoint, budget, limit);
         let size = |&(index, layers): &(usize, usize)| layers_of(manifest, index).bytes_of(layers);
         let sizes: Vec<u64> = fetch.iter().map(size).collect();
         let (found, mut ended) = parallel(source, &sizes, |at| {
@@ -196,13 +198,12 @@ impl PrtStream {
     /// Layers to fetch and to let go, of clusters by their number in the manifest.
     fn plan(
         &self,
-        light: &dyn Light,
-        lit: &LitScene<'_>,
+        manifest: &Manifest,
+        (light, lit): (&dyn Light, &LitScene<'_>),
         viewpoint: Option<Viewpoint>,
         budget: Budget,
         limit: Limit,
     ) -> Plan {
-        let manifest = &lit.scene.manifest;
         let candidates: Vec<Candidate> =
             (0..manifest.clusters.len()).map(|index| self.candidate(layers_of(manifest, index))).collect();
         let budget = Budget {
@@ -263,61 +264,25 @@ fn places(light: &dyn Light, lit: &LitScene<'_>, limit: Limit) -> Vec<Lit> {
     lightmap.receivers.position_m.iter().zip(emit).zip(indirect).map(place).collect()
 }
 
+/// The overview; none of a bake under way.
+fn overview_of(source: &Source, manifest: &Manifest) -> Result<Vec<ClusterTransport>> {
+    let overview: Vec<ClusterTransport> =
+        decoded(source, manifest, OVERVIEW, |bytes| Ok(chunk::decode_cluster(bytes)?))?;
+    if overview.iter().any(|cluster| !cluster.near.is_empty()) {
+        let problem = "has near hits, which clusters of an overview have not";
+        return Err(ClientError::inconsistent(OVERVIEW, problem));
+    }
+    Ok(overview)
+}
+
+/// Bytes of what always stays.
+fn base_bytes(manifest: &Manifest) -> u64 {
+    [DIRECTORY, PATCHES, OVERVIEW].iter().map(|role| manifest.bytes_of(role)).sum()
+}
+
 /// A cluster of a manifest, whose directory has a row for each chunk.
 fn layers_of(manifest: &Manifest, cluster: usize) -> Layers<'_> {
     Layers { cluster, row: &manifest.clusters[cluster], chunk: &manifest.chunks(CLUSTERS)[cluster] }
-}
-
-/// Memory of the first bytes of a cluster, when they are lit: as the directory tells it, with the bytes themselves.
-fn rung_memory(of: Layers<'_>, bytes: u64) -> u64 {
-    let (receivers, keys) = (u64::from(of.row.receivers), u64::from(of.row.keys));
-    let all = memory(receivers, keys, of.row.rank, NEAR_HITS * receivers);
-    bytes + (all as f64 * bytes as f64 / of.chunk.bytes.max(1) as f64) as u64
-}
-
-fn memory_of(cluster: &ClusterTransport, near_hits: usize) -> u64 {
-    let keys = cluster.factors.keys.len() as u64;
-    memory(cluster.receivers.len() as u64, keys, cluster.factors.rank, near_hits as u64)
-}
-
-fn memory(receivers: u64, keys: u64, rank: u32, near_hits: u64) -> u64 {
-    let numbers = f64::from(rank) * (U_BYTES * receivers as f64 + VT_BYTES * keys as f64);
-    RECEIVER_BYTES * receivers + COLUMN_BYTES * keys + NEAR_BYTES * near_hits + numbers as u64
-}
-
-fn names(cluster: &ClusterTransport) -> impl Iterator<Item = (BlockKey, Texel)> + '_ {
-    let receivers = &cluster.receivers;
-    let block = |&block: &u16| receivers.blocks.get(usize::from(block)).copied().unwrap_or_default();
-    receivers.block.iter().map(block).zip(receivers.texel.iter().copied())
-}
-
-/// A cluster of an overview with the receivers alone that `is_wanted` names; `None` if it names none.
-pub fn only(
-    cluster: &ClusterTransport,
-    is_wanted: impl Fn((BlockKey, Texel)) -> bool,
-) -> Option<ClusterTransport> {
-    let keep: Vec<bool> = names(cluster).map(is_wanted).collect();
-    let rank = cluster.factors.rank as usize;
-    let mut kept = cluster.clone();
-    let receivers = &mut kept.receivers;
-    keep_of(&mut receivers.block, &keep);
-    keep_of(&mut receivers.texel, &keep);
-    keep_of(&mut receivers.position_m, &keep);
-    keep_of(&mut receivers.normal, &keep);
-    keep_of(&mut receivers.albedo, &keep);
-    keep_of(&mut receivers.emission, &keep);
-    keep_of(&mut receivers.links, &keep);
-    keep_of(&mut receivers.coverage, &keep);
-    keep_of(&mut receivers.edge, &keep);
-    kept.emitters.iter_mut().for_each(|column| keep_of(&mut column.irradiance, &keep));
-    let rows = cluster.factors.u.chunks(rank.max(1)).zip(&keep);
-    kept.factors.u = rows.filter(|(_, keep)| **keep).flat_map(|(row, _)| row.iter().copied()).collect();
-    (!kept.receivers.texel.is_empty()).then_some(kept)
-}
-
-fn keep_of<T>(values: &mut Vec<T>, keep: &[bool]) {
-    let mut keep = keep.iter();
-    values.retain(|_| keep.next().copied().unwrap_or_default());
 }
 
 #[cfg(test)]

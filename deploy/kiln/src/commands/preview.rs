@@ -3,9 +3,12 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use lightkiln_client::fetch::Source;
 
 use crate::arguments::BakeArgument;
 use crate::failure::Result;
+use crate::following::follow;
+use crate::interrupt::Interrupt;
 use crate::kinds::KindTables;
 use crate::lighting::LightArguments;
 use crate::outputs::check_png;
@@ -17,6 +20,10 @@ use crate::reel::ReelArguments;
 pub struct Arguments {
     #[command(flatten)]
     source: BakeArgument,
+    /// Waits until a bake under way is done; without it the light that is baked by now is drawn, which is said. Ctrl-C ends the wait,
+    /// not the bake
+    #[arg(long, requires = "server")]
+    wait: bool,
     /// Picture to write
     #[arg(long, value_name = "PNG")]
     out: PathBuf,
@@ -24,7 +31,8 @@ pub struct Arguments {
     picture: PictureArguments,
     #[command(flatten)]
     reel: ReelArguments,
-    /// Ends with a JSON object on standard output: files, who drew, bounces, exposure, seconds, bytes of light, work by level of detail
+    /// Ends with a JSON object on standard output: files, who drew, bounces, exposure, seconds, bytes of light, work by level of detail,
+    /// under_way: cells of a bake under way that are baked, and all
     #[arg(long)]
     json: bool,
     #[command(flatten)]
@@ -40,6 +48,9 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
         arguments.picture.check_beside(path)?;
     }
     let source = arguments.source.open()?;
+    if let (true, Source::Server { client, bake, .. }) = (arguments.wait, &source) {
+        follow(client, bake, &Interrupt::listen()?, || Ok(()))?;
+    }
     let Arguments { picture, lighting, out, json, .. } = arguments;
     let drawn = picture.draw_reel(reel, &kinds.client, &lighting, &source, &out)?;
     if json {

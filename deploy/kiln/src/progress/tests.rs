@@ -223,6 +223,8 @@ fn stage_that_is_worked_on_is_told_until_its_tasks_are_handed_in() {
     assert_eq!(told(&[("scene.draw", 0, 1, 1), ("scene.place", 0, 9, 1)]), "draw");
     assert_eq!(told(&[("scene.draw", 1, 1, 0), ("scene.place", 0, 9, 1)]), "place");
     assert_eq!(told(&[("prt.plan", 0, 1, 0), ("prt.transport", 2, 9, 1)]), "transport");
+    assert_eq!(told(&[("prt.transport", 3, 9, 0), ("prt.colour", 7, 9, 1)]), "transport");
+    assert_eq!(told(&[("prt.transport", 9, 9, 0), ("prt.colour", 8, 9, 1)]), "colour");
 }
 
 #[test]

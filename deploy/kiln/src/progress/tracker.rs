@@ -83,14 +83,16 @@ impl Tracker {
     }
 }
 
-/// The stage told before for as long as workers hold tasks of it; else, of those that they hold tasks of, the one with
-/// the most work left; else, between two leases, the first that has begun; else the first that is not done.
+/// The stage told before for as long as workers hold tasks of it, or short ones that come between its own; else, of those that
+/// they hold tasks of, the one with the most work left; else, between two leases, the first that has begun; else the first
+/// that is not done.
 fn current_stage<'a>(stages: &'a [StageCount], before: Option<&str>) -> Option<&'a StageCount> {
-    let held = || stages.iter().filter(|stage| stage.leased > 0);
-    let is_before = |stage: &&StageCount| Some(stage.kind.as_str()) == before;
-    held()
-        .find(is_before)
-        .or_else(|| held().max_by_key(|stage| stage.cost_total.saturating_sub(stage.cost_done)))
+    let left = |stage: &StageCount| stage.cost_total.saturating_sub(stage.cost_done);
+    let held = stages.iter().filter(|stage| stage.leased > 0).max_by_key(|stage| left(stage));
+    let goes_on = |stage: &&StageCount| stage.leased > 0 || held.is_some_and(|held| left(held) < left(stage));
+    let told = stages.iter().find(|stage| Some(stage.kind.as_str()) == before);
+    told.filter(goes_on)
+        .or(held)
         .or_else(|| stages.iter().find(|stage| 0 < stage.done && stage.done < stage.total))
         .or_else(|| stages.iter().find(|stage| stage.done < stage.total))
         .or(stages.last())

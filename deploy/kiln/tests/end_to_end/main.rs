@@ -8,6 +8,7 @@ mod colours;
 mod commands;
 mod deployment;
 mod description;
+mod early_light;
 mod embedded;
 mod enrolment;
 mod evaluation;
@@ -23,6 +24,7 @@ mod tls;
 mod together;
 mod tokens;
 mod traces;
+mod under_way;
 mod upkeep;
 mod uploads;
 #[cfg(feature = "view")]

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
 use super::farm::arguments;
-use super::processes::{Server, kiln, run};
+use super::processes::{Running, Server, kiln, run};
 use super::{SMALL, cornell};
 
 /// An X server; ended when it is dropped.
@@ -160,6 +160,29 @@ fn window_on_a_display_gets_better_as_light_comes_from_a_server() {
     let display = Display::start();
     let window = [&["view"][..], &source, &["--frames", "60", "--screenshot", "got.png"], &LOOK].concat();
     run(within(folder, Some(&display)), &window, 0);
+    let off = difference(&pixels(folder, "got.png"), &pixels(folder, "wanted.png"));
+    assert!(off < 1.0, "{off} of 255");
+}
+
+/// The window is open before the first cell is baked, and counts pictures once all light is there.
+#[test]
+#[ignore = "needs a graphics adapter and Xvfb, a display that nobody looks at"]
+fn window_on_a_display_opens_on_a_bake_under_way_and_ends_with_all_of_its_light() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let server = Server::start(&folder.join("server"));
+    let bake = run(kiln(folder), &arguments("submit", &["--server", &server.url]), 0).stdout();
+    let source = [bake.trim(), "--server", &server.url];
+    let display = Display::start();
+    let mut window = within(folder, Some(&display));
+    window.args(["view"]).args(source).args(["--frames", "60", "--screenshot", "got.png"]).args(LOOK);
+    let window = Running::start(window);
+    window.stderr_line(|line| line.contains("the bake goes on").then_some(()));
+    let _worker = server.worker(folder, "a", 2);
+    let ended = window.finish();
+    assert_eq!(ended.exit, Some(0), "{:#?}", ended.stderr);
+    let drawn = [&["preview"][..], &source, &["--out", "wanted.png", "--backend", "gpu"], &LOOK].concat();
+    run(within(folder, None), &drawn, 0);
     let off = difference(&pixels(folder, "got.png"), &pixels(folder, "wanted.png"));
     assert!(off < 1.0, "{off} of 255");
 }

@@ -7,7 +7,7 @@ pub mod tasks;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use super::{Figures, Kind, Rates, Warning, cluster_figures, cluster_warnings};
+use super::{Figures, Kind, Rates, UnderWay, Warning, cluster_figures, cluster_warnings};
 use crate::chunk::ChunkRow;
 use crate::ids::Digest;
 use crate::jobs::TaskSpec;
@@ -62,6 +62,10 @@ impl Kind for Prt {
 
     fn rates(&self, settings: &Value) -> Result<Option<Rates>, SettingsError> {
         Ok(Some(Settings::from_json(settings)?.rates()))
+    }
+
+    fn under_way(&self) -> Option<UnderWay> {
+        Some(UnderWay { outline: tasks::PLAN.name, clusters: tasks::COLOUR.name })
     }
 
     fn chunks(&self) -> &'static [ChunkRow] {

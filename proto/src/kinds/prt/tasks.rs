@@ -5,12 +5,14 @@ use crate::ids::Digest;
 use crate::jobs::TaskSpec;
 use crate::kinds::{SceneTasks, TaskKind};
 
-/// Receivers and patches → cluster cells, the chunk of patches, and the plan of the rest.
-pub const PLAN: TaskKind = TaskKind { name: "prt.plan", version: 7 };
+/// Receivers and patches → cluster cells, the chunk of patches, the manifest without clusters for whoever follows the bake, and
+/// the plan of the rest.
+pub const PLAN: TaskKind = TaskKind { name: "prt.plan", version: 8 };
 /// A cluster cell → its factorised transport, without colours, the record of what was read for it, and its rows.
 pub const TRANSPORT: TaskKind = TaskKind { name: "prt.transport", version: 35 };
-/// The transport of a cell → its chunks, with the colours of its receivers and the radiance of emitters.
-pub const COLOUR: TaskKind = TaskKind { name: "prt.colour", version: 2 };
+/// The transport of a cell → its chunks, with the colours of its receivers and the radiance of emitters, and their page of the
+/// directory, for whoever follows the bake.
+pub const COLOUR: TaskKind = TaskKind { name: "prt.colour", version: 3 };
 /// The chunks of all cells → clusters of a few receivers and of coarse patches, which come first over a line.
 pub const OVERVIEW: TaskKind = TaskKind { name: "prt.overview", version: 1 };
 /// Everything → manifest, directory and report.

@@ -78,8 +78,16 @@ async fn take_from_ended(conn: &mut Conn, task: i64, key: TaskKey) -> Result<()>
 pub(super) async fn give_back(conn: &mut Conn, task: i64, key: TaskKey) -> Result<()> {
     let sql = "DELETE FROM lost_results WHERE key = $1 RETURNING bake";
     for row in query(sql).bind(key.to_string()).all(conn).await? {
-        let sql = "INSERT INTO bake_tasks (bake, task, done, reused) VALUES ($1, $2, 1, 0)";
-        query(sql).bind(row.get::<i64>("bake")?).bind(task).run(conn).await?;
+        // It lands anew, behind all others: whoever reads the results of the bake has passed its old place.
+        steps([
+            "UPDATE bakes SET last_place = last_place + 1 WHERE seq = $1",
+            "INSERT INTO bake_tasks (bake, task, done, reused, place)
+             SELECT seq, $2, 1, 0, last_place FROM bakes WHERE seq = $1",
+        ])
+        .bind(row.get::<i64>("bake")?)
+        .bind(task)
+        .run(conn)
+        .await?;
     }
     Ok(())
 }
@@ -109,7 +117,7 @@ async fn undo_result(conn: &mut Conn, task: i64) -> Result<()> {
 async fn count_undone(conn: &mut Conn, bake: &mut Ledger, task: i64, kind: &str, cost: u64) -> Result<()> {
     let read = query("SELECT reused FROM bake_tasks WHERE bake = $1 AND task = $2");
     let reused: i64 = read.bind(bake.seq).bind(task).one(conn).await?.get("reused")?;
-    query("UPDATE bake_tasks SET done = 0, reused = 0 WHERE bake = $1 AND task = $2")
+    query("UPDATE bake_tasks SET done = 0, reused = 0, place = NULL WHERE bake = $1 AND task = $2")
         .bind(bake.seq)
         .bind(task)
         .run(conn)

@@ -27,6 +27,7 @@ pub(super) struct Ledger {
     failure: Option<String>,
     finished_ms: Option<i64>,
     last_event: u64,
+    last_place: u64,
     events: Vec<EventKind>,
 }
 
@@ -68,12 +69,19 @@ impl Ledger {
             failure: row.get("failure")?,
             finished_ms: row.get("finished_ms")?,
             last_event: row.count("last_event")?,
+            last_place: row.count("last_place")?,
             events: Vec::new(),
         })
     }
 
     pub(super) fn event(&mut self, event: EventKind) {
         self.events.push(event);
+    }
+
+    /// The place of a result that lands now.
+    pub(super) fn next_place(&mut self) -> u64 {
+        self.last_place += 1;
+        self.last_place
     }
 
     pub(super) fn note_outputs(&mut self, outputs: &[Artefact]) {
@@ -101,7 +109,7 @@ impl Ledger {
         let update =
             "UPDATE bakes SET state = $1, open_count = $2, tasks_run = $3, tasks_reused = $4, counters = $5,
                       counters_reused = $6, manifest = $7, report = $8, failure = $9, finished_ms = $10,
-                      last_event = $11 WHERE seq = $12";
+                      last_event = $11, last_place = $14 WHERE seq = $12";
         steps([insert, update])
             .bind(self.state.name())
             .bind(self.open_count)
@@ -116,6 +124,7 @@ impl Ledger {
             .bind(self.last_event)
             .bind(self.seq)
             .bind(to_json(&events)?)
+            .bind(self.last_place)
             .run(conn)
             .await?;
         Ok(())

@@ -39,7 +39,7 @@ use std::time::Duration;
 use async_trait::async_trait;
 use lightkiln_proto::api::{
     Bake, BakeFilter, BakePage, BakeState, Blame, Blocklist, ClaimRequest, CommitVerdict, EventPage,
-    HeartbeatAnswer, Lease, Worker,
+    HeartbeatAnswer, Lease, ResultPage, Worker,
 };
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{TaskResult, TaskSpec};
@@ -312,6 +312,8 @@ farm_store! {
         Read begin_with(id: &str, limit: u32) -> Vec<Named> = |conn| listing::begin_with(conn, id, limit);
         Read events_after(bake: &str, after: u64, limit: u32) -> EventPage =
             |conn| view::events_after(conn, bake, after, limit);
+        Read results_after(bake: &str, kind: Option<&str>, after: u64, limit: u32) -> ResultPage =
+            |conn| view::results_after(conn, bake, kind, after, limit);
         Read workers() -> Vec<Worker> = |conn| view::workers(conn);
         Write add_bearer(name: &str, hash: Digest, scopes: &BTreeSet<Scope>) -> Bearer =
             |conn| bearers::add(conn, name, hash, scopes);

@@ -117,7 +117,7 @@ async fn unlock_dependants(conn: &mut Conn, task: i64) -> Result<()> {
 
 async fn count_done(conn: &mut Conn, bake: &mut Ledger, ended: &Ended, result: &TaskResult) -> Result<()> {
     steps([
-        "UPDATE bake_tasks SET done = 1 WHERE bake = $1 AND task = $2",
+        "UPDATE bake_tasks SET done = 1, place = $6 WHERE bake = $1 AND task = $2",
         "UPDATE stages SET done = done + 1, leased = leased - 1, cost_done = cost_done + $3, last_commit_ms = $4
          WHERE bake = $1 AND kind = $5",
     ])
@@ -126,6 +126,7 @@ async fn count_done(conn: &mut Conn, bake: &mut Ledger, ended: &Ended, result: &
     .bind(ended.cost)
     .bind(conn.now_ms)
     .bind(&ended.kind)
+    .bind(bake.next_place())
     .run(conn)
     .await?;
     bake.open_count -= 1;

@@ -82,7 +82,7 @@ impl Addition<'_> {
     async fn add_layer(&mut self, layer: Vec<TaskSpec>) -> Result<Vec<TaskSpec>> {
         let known = self.known(&layer).await?;
         let mut fresh: BTreeMap<TaskKey, TaskSpec> = BTreeMap::new();
-        let mut members: Vec<(i64, bool)> = Vec::new();
+        let mut members: Vec<(i64, bool, Option<u64>)> = Vec::new();
         let mut done: Vec<i64> = Vec::new();
         for spec in layer {
             let key = spec.key;
@@ -100,7 +100,8 @@ impl Addition<'_> {
                     self.added.push(Added { key, needs: dependencies(&task.spec) });
                     self.ids.insert(key, task.id);
                     let is_done = task.state == "done";
-                    members.push((task.id, is_done));
+                    let place = is_done.then(|| self.bake.next_place());
+                    members.push((task.id, is_done, place));
                     if is_done {
                         done.push(task.id);
                     }
@@ -113,7 +114,7 @@ impl Addition<'_> {
             }
         }
         let ids = self.insert_tasks(&fresh).await?;
-        members.extend(ids.iter().map(|id| (*id, false)));
+        members.extend(ids.iter().map(|id| (*id, false, None)));
         self.insert_members(&members).await?;
         self.fresh.extend(ids);
         self.reuse(&done).await
@@ -193,12 +194,13 @@ impl Addition<'_> {
         Ok(ids)
     }
 
-    async fn insert_members(&mut self, members: &[(i64, bool)]) -> Result<()> {
+    /// Adds tasks to the bake, each with whether it is done and the place of its result.
+    async fn insert_members(&mut self, members: &[(i64, bool, Option<u64>)]) -> Result<()> {
         let sql = self.conn.pick(
-            "INSERT INTO bake_tasks (bake, task, done, reused)
-             SELECT $1, value ->> 0, value ->> 1, value ->> 1 FROM json_each($2)",
-            "INSERT INTO bake_tasks (bake, task, done, reused)
-             SELECT $1, (v ->> 0)::bigint, (v ->> 1)::boolean::int, (v ->> 1)::boolean::int
+            "INSERT INTO bake_tasks (bake, task, done, reused, place)
+             SELECT $1, value ->> 0, value ->> 1, value ->> 1, value ->> 2 FROM json_each($2)",
+            "INSERT INTO bake_tasks (bake, task, done, reused, place)
+             SELECT $1, (v ->> 0)::bigint, (v ->> 1)::boolean::int, (v ->> 1)::boolean::int, (v ->> 2)::bigint
              FROM jsonb_array_elements($2::jsonb) AS j (v)",
         );
         for members in members.chunks(ROWS_PER_STATEMENT) {
@@ -255,10 +257,17 @@ impl Addition<'_> {
                      WHERE n.task = tasks.id AND d.state <> 'done') WHERE id IN (SELECT CAST(value AS BIGINT) FROM json_each($1))";
         let wait = "UPDATE tasks SET state = 'waiting'
                     WHERE id IN (SELECT CAST(value AS BIGINT) FROM json_each($1)) AND waiting_count > 0";
+        // As rules::claim_cost has it.
+        let rank = "UPDATE tasks SET claim_cost = (SELECT max(d.cost) + 1 FROM task_needs n JOIN tasks d ON d.id = n.needs
+                                                   WHERE n.task = tasks.id)
+                    WHERE id IN (SELECT CAST(value AS BIGINT) FROM json_each($1))
+                    AND cost <= (SELECT max(d.cost) FROM task_needs n JOIN tasks d ON d.id = n.needs
+                                 WHERE n.task = tasks.id)";
         for fresh in self.fresh.chunks(ROWS_PER_STATEMENT) {
             let fresh = to_json(fresh)?;
-            query(count).bind(&fresh).run(self.conn).await?;
-            query(wait).bind(&fresh).run(self.conn).await?;
+            for sql in [count, wait, rank] {
+                query(sql).bind(&fresh).run(self.conn).await?;
+            }
         }
         let ids: Vec<i64> = self.added.iter().filter_map(|task| self.ids.get(&task.key).copied()).collect();
         ready::offer_in(self.conn, self.bake.seq, &ids).await

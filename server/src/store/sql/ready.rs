@@ -1,4 +1,5 @@
-//! Ready tasks in the order of claims: one row for each live bake that holds the task.
+//! Ready tasks in the order of claims: one row for each live bake that holds the task. Its `cost` is that by which it is
+//! claimed ([`rules::claim_cost`](crate::store::rules::claim_cost)).
 
 use super::codec::{ROWS_PER_STATEMENT, to_json};
 use super::conn::{Conn, query};
@@ -7,7 +8,7 @@ use crate::store::Result;
 /// Offers a task in every live bake that holds it, if it is ready.
 pub(super) async fn offer(conn: &mut Conn, task: i64) -> Result<()> {
     let sql = "INSERT INTO ready (bake, cost, key, task, kind, not_before_ms, since_ms)
-               SELECT m.bake, t.cost, t.key, t.id, t.kind, t.not_before_ms, $2
+               SELECT m.bake, coalesce(t.claim_cost, t.cost), t.key, t.id, t.kind, t.not_before_ms, $2
                FROM tasks t JOIN bake_tasks m ON m.task = t.id JOIN bakes b ON b.seq = m.bake
                WHERE t.id = $1 AND t.state = 'ready' AND b.state IN ('running', 'paused')";
     query(sql).bind(task).bind(conn.now_ms).run(conn).await?;
@@ -17,7 +18,7 @@ pub(super) async fn offer(conn: &mut Conn, task: i64) -> Result<()> {
 /// Offers the ready dependants of a task that has just been done. None of them was ready before: each waited for it.
 pub(super) async fn offer_dependants(conn: &mut Conn, task: i64) -> Result<()> {
     let sql = "INSERT INTO ready (bake, cost, key, task, kind, not_before_ms, since_ms)
-               SELECT m.bake, t.cost, t.key, t.id, t.kind, t.not_before_ms, $2
+               SELECT m.bake, coalesce(t.claim_cost, t.cost), t.key, t.id, t.kind, t.not_before_ms, $2
                FROM task_needs n JOIN tasks t ON t.id = n.task JOIN bake_tasks m ON m.task = t.id
                JOIN bakes b ON b.seq = m.bake WHERE n.needs = $1 AND t.state = 'ready'
                AND b.state IN ('running', 'paused')";
@@ -28,7 +29,7 @@ pub(super) async fn offer_dependants(conn: &mut Conn, task: i64) -> Result<()> {
 /// Offers those of `tasks` that are ready in one bake, which took them in just now.
 pub(super) async fn offer_in(conn: &mut Conn, bake: i64, tasks: &[i64]) -> Result<()> {
     let sql = "INSERT INTO ready (bake, cost, key, task, kind, not_before_ms, since_ms)
-               SELECT $1, t.cost, t.key, t.id, t.kind, t.not_before_ms, $3
+               SELECT $1, coalesce(t.claim_cost, t.cost), t.key, t.id, t.kind, t.not_before_ms, $3
                FROM json_each($2) j JOIN tasks t ON t.id = CAST(j.value AS BIGINT) WHERE t.state = 'ready'";
     for tasks in tasks.chunks(ROWS_PER_STATEMENT) {
         query(sql).bind(bake).bind(to_json(tasks)?).bind(conn.now_ms).run(conn).await?;

@@ -2,12 +2,14 @@
 
 use std::collections::BTreeMap;
 
-use lightkiln_proto::api::{Bake, BakeEvent, BakeState, EventPage, StageCount, Worker};
+use lightkiln_proto::api::{
+    Bake, BakeEvent, BakeResult, BakeState, EventPage, ResultPage, StageCount, Worker,
+};
 use lightkiln_proto::ids::Digest;
 
 use super::conn::{Conn, Row, corrupt, query};
 use super::ledger::{seq_of, state_from};
-use crate::store::rules::WORKER_LISTED_MS;
+use crate::store::rules::{WORKER_LISTED_MS, results_on_page};
 use crate::store::{Demand, Result, Stats, StoreError, TaskCount, TaskState};
 
 /// Rows of bakes, with the number of results that each lost.
@@ -17,6 +19,19 @@ macro_rules! bakes {
     };
 }
 pub(super) use bakes;
+
+/// Results of a bake behind a place, of one kind of task if that is named.
+macro_rules! results {
+    ($columns:literal, $end:literal) => {
+        concat!(
+            "SELECT ",
+            $columns,
+            " FROM bake_tasks m JOIN tasks t ON t.id = m.task JOIN results r ON r.task = t.id
+              WHERE m.bake = $1 AND m.place > $2 AND ($3 = '' OR t.kind = $3) ",
+            $end
+        )
+    };
+}
 
 pub(super) async fn bake(conn: &mut Conn, id: &str) -> Result<Bake> {
     match query(concat!(bakes!(), " WHERE id = $1")).bind(id).optional(conn).await? {
@@ -85,6 +100,38 @@ pub(super) async fn events_after(conn: &mut Conn, id: &str, after: u64, limit: u
         });
     }
     Ok(EventPage { events, bake: bake(conn, id).await? })
+}
+
+pub(super) async fn results_after(
+    conn: &mut Conn,
+    id: &str,
+    kind: Option<&str>,
+    after: u64,
+    limit: u32,
+) -> Result<ResultPage> {
+    let seq = seq_of(conn, id).await?;
+    // Find where the page ends before any outputs are read: they may be long.
+    let sql =
+        results!("m.place, CAST(octet_length(r.outputs) AS BIGINT) AS bytes", "ORDER BY m.place LIMIT $4");
+    let rows = query(sql).bind(seq).bind(after).bind(kind.unwrap_or_default()).bind(limit).all(conn).await?;
+    let bytes = rows.iter().map(|row| row.count("bytes")).collect::<Result<Vec<u64>>>()?;
+    let last = results_on_page(bytes).checked_sub(1).map(|last| rows[last].count("place")).transpose()?;
+    let mut results = Vec::new();
+    if let Some(last) = last {
+        let sql =
+            results!("m.place, t.key, t.kind, t.label, r.outputs", "AND m.place <= $4 ORDER BY m.place");
+        let sql = query(sql).bind(seq).bind(after).bind(kind.unwrap_or_default()).bind(last);
+        for row in sql.all(conn).await? {
+            results.push(BakeResult {
+                place: row.count("place")?,
+                key: row.digest("key")?,
+                kind: row.get("kind")?,
+                label: row.get("label")?,
+                outputs: row.json("outputs")?,
+            });
+        }
+    }
+    Ok(ResultPage { results, bake: bake(conn, id).await? })
 }
 
 pub(super) async fn workers(conn: &mut Conn) -> Result<Vec<Worker>> {

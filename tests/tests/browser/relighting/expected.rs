@@ -121,7 +121,7 @@ impl Expected {
     /// E_ind by the adapter while the overview alone is there, in the order of its receivers.
     pub fn of_overview(&self, state: &State) -> Vec<Vec4> {
         let stream = PrtStream::begin(&self.source, &self.scene.manifest).unwrap();
-        let mut light = stream.light(&self.scene).unwrap();
+        let mut light = stream.light(&self.scene, &self.scene.manifest).unwrap();
         tint(&mut *light, &self.baked, &self.colours);
         self.indirect_on_adapter(&*light, &self.view(state))
     }

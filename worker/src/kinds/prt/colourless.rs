@@ -1,11 +1,12 @@
 //! A cluster without colours, as `prt.transport` gives it: no ray and no factor hangs on the albedo or the emission of a surface, so
 //! that a change of either makes no transport anew. `prt.colour` puts them in.
 
-use lightkiln_proto::chunk::{EncodedCluster, coloured_cluster};
+use lightkiln_proto::chunk::{EncodedCluster, coloured_cluster, encode_directory};
 use lightkiln_proto::content::{
     BlockKey, ClusterTransport, EmitterIrradiance, NearHits, NearSurface, Receivers, Texel,
 };
 use lightkiln_proto::jobs::TaskSpec;
+use lightkiln_proto::kinds::PAGE_OUTPUT;
 use lightkiln_proto::manifest::Layer;
 use serde::{Deserialize, Serialize};
 
@@ -112,7 +113,7 @@ fn found(
 }
 
 /// Runs task `prt.colour`: inputs `import/scene`, those of the lightmap, and `rays/…`, the outputs of a cell's transport; outputs
-/// `chunk/N` and `index`.
+/// `chunk/N`, `index`, and `page`, which tells whoever follows the bake of the chunks.
 pub fn run(context: &Context, _: &TaskSpec) -> Result<TaskOutput, TaskError> {
     let world = World::of(context)?;
     let radiance = radiance_of_emitters(&world.geometry.scene);
@@ -125,7 +126,11 @@ pub fn run(context: &Context, _: &TaskSpec) -> Result<TaskOutput, TaskError> {
         let (colourless, _): (Colourless, _) = context.decoded(ARTEFACT_MAGIC, &name)?;
         coloured.push(colourless.coloured(&world.lightmap, &radiance)?);
     }
-    crate::factors::stored_as(coloured, index)
+    let (mut output, index) = crate::factors::stored_as(coloured, index)?;
+    let page = encode_directory(&index.clusters, &index.chunks)
+        .map_err(|error| TaskError::bad_input_from("the clusters of a cell cannot be listed", error))?;
+    output.artefacts.push((PAGE_OUTPUT.to_owned(), page));
+    Ok(output)
 }
 
 /// Name of a cell's cluster of that number among the outputs of transport.

@@ -1,6 +1,6 @@
 //! Kind `prt`: light from surface patches and parts of the sky to lightmap receivers (METHOD.md §2).
 //!
-//! `prt.plan` (cells, the chunk of patches) → `prt.transport` and `prt.colour` by cell → `prt.overview` → `prt.assemble`.
+//! `prt.plan` (cells, the chunk of patches, the outline) → `prt.transport` and `prt.colour` by cell → `prt.overview` → `prt.assemble`.
 
 mod assemble;
 mod colourless;

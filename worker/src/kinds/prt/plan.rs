@@ -1,19 +1,23 @@
-//! Task `prt.plan`: the chunk of patches, cluster cells, tasks of rays and of colours for each, the overview, and assemble.
+//! Task `prt.plan`: the chunk of patches, cluster cells, tasks of rays and of colours for each, the overview, and assemble; and the
+//! manifest as far as it is known, for whoever follows the bake.
 
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{TaskInput, TaskSpec};
-use lightkiln_proto::kinds::prt::tasks;
-use lightkiln_proto::manifest::OVERVIEW;
+use lightkiln_proto::kinds::OUTLINE_OUTPUT;
+use lightkiln_proto::kinds::prt::{Body, NAME, PATCHES, tasks};
+use lightkiln_proto::manifest::{ChunkRef, OVERVIEW};
 use rayon::prelude::*;
 use serde_json::{Value, json};
 
 use super::colourless::TRANSPORT_INPUT;
 use super::{BakeParams, TracedSettings, TransportParams};
+use crate::assemble::{self, KindPart};
 use crate::emitters::EmitterSet;
 use crate::factors::{CELLS_ARTEFACT, cell_names, cells, encoded_cells};
 use crate::lightmap::World;
 use crate::patches::{self, PatchTree};
 use crate::reads::{Common, STAGE_ARTEFACT, alike};
+use crate::scene::model::Scene;
 use crate::task::{Context, TaskError, TaskOutput, params};
 
 /// Name of the chunk of patches among outputs, and among the inputs of assemble.
@@ -21,7 +25,7 @@ pub const PATCH_SET: &str = "patch-set";
 /// Rays cast for each of a receiver's own, in the estimate of costs: its links' tests among them.
 const RAYS_PER_RAY: u64 = 2;
 
-/// Runs the task: inputs are the outputs of all scene tasks; outputs `cells`, `stage`, `patch-set`.
+/// Runs the task: inputs are the outputs of all scene tasks; outputs `cells`, `stage`, `patch-set`, `outline`.
 pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> {
     let bake: BakeParams = params(task)?;
     let (settings, traced) = (&bake.settings, TracedSettings::from(&bake.settings));
@@ -66,8 +70,25 @@ pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> 
     inputs.extend(crate::task::results_of(std::slice::from_ref(&overview)));
     let assemble = tasks::ASSEMBLE.task("bundle", json!(bake), inputs, 1);
     let plan = rays.into_iter().chain(colours).chain([overview, assemble]).collect();
-    let artefacts = own.map(|(name, bytes)| (name.to_owned(), bytes)).into();
+    let outline = outline(context, &bake, &world.geometry.scene, &tree, &own[2].1)?;
+    let own = own.into_iter().chain([(OUTLINE_OUTPUT, outline)]);
+    let artefacts = own.map(|(name, bytes)| (name.to_owned(), bytes)).collect();
     Ok(TaskOutput { artefacts, plan, ..TaskOutput::default() })
+}
+
+/// The manifest of a bake that has no clusters yet.
+fn outline(
+    context: &Context,
+    BakeParams { settings, scene: bundle, .. }: &BakeParams,
+    scene: &Scene,
+    tree: &PatchTree,
+    patch_set: &[u8],
+) -> Result<Vec<u8>, TaskError> {
+    let body = Body { patches: tree.patches.len() as u64, ..Body::default() };
+    let patches = ChunkRef { digest: Digest::of(patch_set), bytes: patch_set.len() as u64 };
+    let (clusters, chunks) = (Vec::new(), vec![(PATCHES, vec![patches])]);
+    let part = KindPart { kind: NAME, scene: *bundle, settings, body: &body, clusters, chunks };
+    Ok(assemble::stored(context, scene, part)?.json)
 }
 
 fn is_read_by_colour(name: &str) -> bool {

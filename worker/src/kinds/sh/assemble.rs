@@ -26,6 +26,7 @@ pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> 
     let clusters = index.clusters;
     assembled(
         context,
-        KindPart { kind: NAME, scene, settings: &settings, body: &body, clusters, chunks, report },
+        KindPart { kind: NAME, scene, settings: &settings, body: &body, clusters, chunks },
+        report,
     )
 }

@@ -1,0 +1,36 @@
+//! Results of a bake's tasks as they land, for whoever follows a bake under way ([`crate::api`] has the call).
+
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use crate::api::Bake;
+use crate::ids::TaskKey;
+use crate::jobs::Artefact;
+
+/// Most results on a page, and as many as there are on one unless asked otherwise.
+pub const MAX_PAGE_RESULTS: u32 = 500;
+
+/// A task of a bake that is done, with its outputs. One whose bytes were lost, and that ran again, comes a second time at a later
+/// place, with the same outputs.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct BakeResult {
+    /// Place in the order in which the bake's results landed: 1 or more, growing, with gaps.
+    pub place: u64,
+    /// Task key.
+    pub key: TaskKey,
+    /// Task kind.
+    pub kind: String,
+    /// Task label.
+    pub label: String,
+    /// The outputs, by name.
+    pub outputs: Vec<Artefact>,
+}
+
+/// Results in the order of their places. No more will come once a page is empty and its bake has ended.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct ResultPage {
+    /// The page.
+    pub results: Vec<BakeResult>,
+    /// The bake as it stood with them.
+    pub bake: Bake,
+}
