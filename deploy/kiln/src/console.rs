@@ -5,6 +5,10 @@
 
 use std::borrow::Cow;
 use std::fmt::Write as _;
+use std::io::{self, Write as _};
+use std::process::exit;
+
+use serde::Serialize;
 
 /// Prints a line on standard error.
 macro_rules! say {
@@ -16,11 +20,30 @@ macro_rules! say {
 /// Prints a line on standard output.
 macro_rules! answer {
     ($($argument:tt)*) => {
-        println!("{}", $crate::console::printable(&format!($($argument)*)))
+        $crate::console::put(&format!("{}\n", $crate::console::printable(&format!($($argument)*))))
     };
 }
 
 pub(crate) use {answer, say};
+
+/// Writes to standard output. Whoever reads it may have seen enough (`kiln list | head`): the program then ends, in peace.
+/// Where it cannot be written for another reason, a full disk for one, the program ends with that error.
+pub fn put(text: &str) {
+    let mut out = io::stdout().lock();
+    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
+        Ok(()) => {}
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => exit(0),
+        Err(error) => {
+            eprintln!("error: the result cannot be written to standard output ({error})");
+            exit(1)
+        }
+    }
+}
+
+/// Writes a value to standard output, as a line of JSON.
+pub fn put_json(value: &impl Serialize) {
+    put(&format!("{}\n", serde_json::json!(value)));
+}
 
 /// The text with its control characters written out, as `\u{1b}`; line ends and tabs stay.
 pub fn printable(text: &str) -> Cow<'_, str> {

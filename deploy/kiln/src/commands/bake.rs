@@ -9,7 +9,7 @@ use lightkiln_proto::api::NewBake;
 
 use crate::arguments::TrustArgument;
 use crate::bundle::{refuse_foreign_folder, write_bundle};
-use crate::console::{printable, say};
+use crate::console::{printable, put_json, say};
 use crate::embedded::{EmbeddedFarm, default_state};
 use crate::evaluation::{EvaluationArguments, NotedScene, check, measure, words};
 use crate::explanation::explanation;
@@ -120,7 +120,7 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
         eprint!("{}", printable(&words(evaluation)));
     }
     if arguments.json {
-        println!("{}", serde_json::json!(summary));
+        put_json(&summary);
     }
     looked_at?;
     summary.evaluation.map_or(Ok(()), |evaluation| check(&arguments.wanted.fail_if, &evaluation))

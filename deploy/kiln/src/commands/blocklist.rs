@@ -3,7 +3,7 @@
 use clap::Args;
 
 use crate::arguments::ServerArgument;
-use crate::console::{answer, say};
+use crate::console::{answer, put_json, say};
 use crate::failure::Result;
 
 /// Arguments of `kiln blocklist`.
@@ -36,7 +36,7 @@ pub fn run(arguments: Arguments) -> Result<()> {
         client.blocklist(&arguments.id)?
     };
     if arguments.json {
-        println!("{}", serde_json::json!(list));
+        put_json(&list);
         return Ok(());
     }
     for entry in &list.workers {

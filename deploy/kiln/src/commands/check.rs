@@ -3,7 +3,7 @@
 use clap::Args;
 
 use super::bake::all_processors;
-use crate::console::answer;
+use crate::console::{answer, put_json};
 use crate::failure::{EXIT_CODES, Result};
 use crate::forecast::Forecast;
 use crate::kinds::KindTables;
@@ -32,7 +32,7 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     if arguments.json {
         let mut object = serde_json::json!(forecast);
         object["scene"] = arguments.scene.path.display().to_string().into();
-        println!("{object}");
+        put_json(&object);
         return Ok(());
     }
     answer!("{}", words(&forecast));

@@ -6,7 +6,7 @@ use clap::Args;
 use lightkiln_client::fetch::Source;
 use lightkiln_client::lights::parse_camera;
 
-use crate::console::printable;
+use crate::console::{printable, put_json};
 use crate::evaluation::{
     EvaluationArguments, check, draw, measure, scene_of_bundle, words, write_dump, write_page,
 };
@@ -76,7 +76,7 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
         write_page(out, &measured, &draw(kinds, &source, &measured, camera, arguments.size)?)?;
     }
     if arguments.json {
-        println!("{}", serde_json::json!(measured.evaluation));
+        put_json(&measured.evaluation);
     }
     check(&arguments.wanted.fail_if, &measured.evaluation)
 }

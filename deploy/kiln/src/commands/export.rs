@@ -12,7 +12,7 @@ use lightkiln_client::scene::{Recolour, check_recolours};
 use serde_json::json;
 
 use crate::arguments::BakeArgument;
-use crate::console::say;
+use crate::console::{put_json, say};
 use crate::failure::Result;
 use crate::kinds::KindTables;
 use crate::lighting::LightArguments;
@@ -92,7 +92,7 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     export::write(&exported, &arguments.out)?;
     tell(&exported, &lit, &arguments.out, start);
     if arguments.json {
-        println!("{}", summary(&exported, &lit, &arguments.out, start));
+        put_json(&summary(&exported, &lit, &arguments.out, start));
     }
     Ok(())
 }

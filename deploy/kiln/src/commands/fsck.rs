@@ -9,7 +9,7 @@ use lightkiln_server::{ServerError, check_storage};
 use tokio::runtime::Runtime;
 
 use crate::arguments::StateArguments;
-use crate::console::answer;
+use crate::console::{answer, put_json};
 use crate::embedded::server_failure;
 use crate::failure::{Exit, Failure, Result};
 
@@ -58,7 +58,7 @@ pub fn run(arguments: Arguments) -> Result<()> {
     ));
     let findings = checked.map_err(|error| server_failure(&error))?;
     if arguments.json {
-        println!("{}", serde_json::json!(findings));
+        put_json(&findings);
     } else {
         print(&findings);
     }

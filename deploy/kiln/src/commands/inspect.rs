@@ -9,7 +9,7 @@ use lightkiln_client::fetch::Source;
 use lightkiln_proto::kinds::Kinds;
 use serde::Serialize;
 
-use crate::console::printable;
+use crate::console::{printable, put, put_json};
 use crate::failure::{Failure, Result};
 use crate::inspection::{BundleFigures, ChunkFigures};
 
@@ -50,8 +50,8 @@ fn read_chunk(kinds: &Kinds, path: &Path) -> Result<ChunkFigures> {
 
 fn print(figures: &(impl Display + Serialize), json: bool) {
     if json {
-        println!("{}", serde_json::json!(figures));
+        put_json(&figures);
     } else {
-        print!("{}", printable(&figures.to_string()));
+        put(&printable(&figures.to_string()));
     }
 }

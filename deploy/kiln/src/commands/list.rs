@@ -5,7 +5,7 @@ use clap::builder::{PossibleValuesParser, TypedValueParser as _};
 use lightkiln_proto::api::{Bake, BakeFilter, BakeState};
 
 use crate::arguments::ServerArgument;
-use crate::console::{answer, say};
+use crate::console::{answer, put_json, say};
 use crate::failure::Result;
 use crate::times::{moment, utc_secs};
 
@@ -46,7 +46,7 @@ pub fn run(arguments: Arguments) -> Result<()> {
     let filter = BakeFilter { states: arguments.states, name: arguments.name, since_ms: arguments.since };
     let page = client.bakes(&filter, arguments.after, arguments.limit)?;
     if arguments.json {
-        println!("{}", serde_json::json!(page));
+        put_json(&page);
         return Ok(());
     }
     if page.bakes.is_empty() {

@@ -6,6 +6,7 @@ use clap::Args;
 use lightkiln_client::fetch::Source;
 
 use crate::arguments::BakeArgument;
+use crate::console::put_json;
 use crate::failure::Result;
 use crate::following::follow;
 use crate::interrupt::Interrupt;
@@ -54,7 +55,7 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     let Arguments { picture, lighting, out, json, .. } = arguments;
     let drawn = picture.draw_reel(reel, &kinds.client, &lighting, &source, &out)?;
     if json {
-        println!("{}", serde_json::json!(drawn));
+        put_json(&drawn);
     }
     Ok(())
 }

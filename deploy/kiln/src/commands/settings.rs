@@ -5,7 +5,7 @@ use lightkiln_proto::kinds::{Kind, Kinds};
 use lightkiln_proto::settings::SettingRow;
 use serde_json::{Value, json};
 
-use crate::console::answer;
+use crate::console::{answer, put_json};
 use crate::failure::Result;
 use crate::settings::kind_named;
 
@@ -25,7 +25,7 @@ pub fn run(arguments: Arguments, kinds: &Kinds) -> Result<()> {
     let kind = kind_named(kinds, &arguments.kind)?;
     let rows = kind.settings();
     if arguments.json {
-        println!("{}", json!(rows.iter().map(as_json).collect::<Vec<_>>()));
+        put_json(&rows.iter().map(as_json).collect::<Vec<_>>());
         return Ok(());
     }
     answer!("{}: {}\n", kind.name(), kind.about());

@@ -4,7 +4,7 @@ use clap::Args;
 use lightkiln_proto::api::{Bake, BakeState};
 
 use crate::arguments::ServerArgument;
-use crate::console::printable;
+use crate::console::{printable, put, put_json};
 use crate::failure::Result;
 use crate::summary::stage_name;
 use crate::times::utc_secs;
@@ -26,9 +26,9 @@ pub fn run(arguments: Arguments) -> Result<()> {
     let client = arguments.server.connect()?;
     let bake = client.bake(&arguments.id)?;
     if arguments.json {
-        println!("{}", serde_json::json!(bake));
+        put_json(&bake);
     } else {
-        print!("{}", printable(&words(&bake)));
+        put(&printable(&words(&bake)));
     }
     Ok(())
 }

@@ -9,7 +9,7 @@ use lightkiln_proto::api::{Bake, BakeState, Needs, NewBake};
 use serde_json::{Value, json};
 
 use crate::arguments::ServerArgument;
-use crate::console::{answer, printable, say};
+use crate::console::{answer, printable, put_json, say};
 use crate::evaluation::{Evaluation, EvaluationArguments, check, measure, words};
 use crate::failure::{EXIT_CODES, Failure, Result};
 use crate::following::{Ended, wait_for_end};
@@ -95,7 +95,7 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     let Outcome { ended, evaluation } = outcome?;
     let evaluation = evaluation.and_then(Result::ok);
     match arguments.json {
-        true => println!("{}", object(&ended.bake, &scene, evaluation.as_ref(), elapsed)),
+        true => put_json(&object(&ended.bake, &scene, evaluation.as_ref(), elapsed)),
         false if !arguments.wait => answer!("{}", ended.bake.id),
         false => (),
     }

@@ -10,7 +10,7 @@ use serde_json::json;
 use tokio::runtime::Runtime;
 
 use crate::arguments::StateArguments;
-use crate::console::{answer, say};
+use crate::console::{answer, put_json, say};
 use crate::embedded::server_failure;
 use crate::failure::{Exit, Failure, Result};
 
@@ -128,7 +128,7 @@ fn list(bearers: &[Bearer], as_json: bool) {
                 "revoked_ms": bearer.revoked_ms,
             })
         };
-        println!("{}", json!(bearers.iter().map(entry).collect::<Vec<_>>()));
+        put_json(&bearers.iter().map(entry).collect::<Vec<_>>());
         return;
     }
     for bearer in bearers {

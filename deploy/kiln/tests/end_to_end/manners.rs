@@ -78,3 +78,16 @@ fn first_token_warns_of_workers_that_have_none_and_the_second_does_not() {
     let fresh = token(&folder.path().join("fresh"), &["create", "ci", "--scope", "submit"]);
     assert!(!fresh.contains("warning"), "{fresh}");
 }
+
+/// `kiln list | head`: whoever reads has seen enough. The pipe has lost its reader before the program starts.
+#[test]
+fn results_that_nobody_reads_any_more_end_the_program_in_peace() {
+    let folder = tempfile::tempdir().unwrap();
+    for arguments in [&["settings"][..], &["settings", "--json"], &["settings", "--kind", "sh"]] {
+        let (reader, writer) = std::io::pipe().unwrap();
+        drop(reader);
+        let ended = kiln(folder.path()).args(arguments).stdout(writer).output().unwrap();
+        assert!(ended.status.success(), "{arguments:?}: {ended:?}");
+        assert!(ended.stderr.is_empty(), "{arguments:?}: {ended:?}");
+    }
+}
