@@ -21,6 +21,8 @@ mod files;
 )]
 mod keeper;
 #[allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+mod objects;
+#[allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 mod relighting;
 mod shown;
 #[allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
