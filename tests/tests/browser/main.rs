@@ -13,6 +13,7 @@ mod face;
 mod fetching;
 mod fields;
 mod files;
+mod hand;
 #[path = "../../../server/tests/parts/keeper.rs"]
 #[allow(
     dead_code,

@@ -125,7 +125,8 @@ export async function refuse(job, wrongFile) {
   const screen = screenOf(device, job.size);
   frame.setLights(parseLights(job.states[0].lights).lights);
   const [toy] = toysOf(job);
-  await frame.setObjects([toy], job.states[0].stances);
+  const stances = job.states[0].stances.slice(0, 1);
+  await frame.setObjects([toy], stances);
   const before = await drawn(frame, screen, job.limit);
   const told = async (call) => {
     try {
@@ -154,9 +155,9 @@ export async function refuse(job, wrongFile) {
     await told(add(SceneObject.fromGlb("wrong", bytesOf(wrongFile)))),
     await told(() => frame.setObjects(new Array(257).fill(toy))),
   ];
-  // At the foot of what was refused, the toy alone stands where it stood.
+  // The toy alone stands where it stood, also once it has been away.
   frame.moveObjects([{}]);
-  frame.moveObjects(job.states[0].stances);
+  frame.moveObjects(stances);
   const after = await drawn(frame, screen, job.limit);
   const kept = { objects: frame.objects.objects.length, radiance: [before.radiance, after.radiance] };
   await frame.setObjects([toy, of({})]);
