@@ -3,6 +3,9 @@
 import { add, cross, less, normalised, times } from "./frame/maths.js";
 import { VERTEX_NUMBERS } from "./relight/draws.js";
 
+// Share of a ray's length that a point is put before what it meets.
+const LEVEL = 1e-3;
+
 /** The ray of a perspective through a place of its picture, in shares of its width from the left and of its height from the top. */
 export function rayThrough({ eyeM, targetM, up, fovYRad }, [x, y], aspect) {
   const forward = normalised(less(targetM, eyeM));
@@ -21,6 +24,25 @@ export function pointAt({ originM, direction }, distanceM) {
 /** Distance in metres to the nearest triangle of meshes, `{vertices, triangles}`, that a ray meets; Infinity where it meets none. */
 export function distanceTo(ray, draws) {
   return draws.reduce((nearest, draw) => Math.min(nearest, distanceToDraw(ray, draw)), Infinity);
+}
+
+/**
+ * Where a thing of a radius in metres may stand that is put where a ray meets meshes: there, if that is level, else on what lies below,
+ * beside what the ray meets; null where it meets nothing.
+ */
+export function footAt(ray, draws, radiusM) {
+  const distance = distanceTo(ray, draws);
+  if (distance === Infinity) return null;
+  const met = pointAt(ray, distance);
+  // A little before, so that the way down does not begin within the surface.
+  const below = (beforeM) => {
+    const way = { originM: pointAt(ray, distance - Math.min(beforeM, distance / 2)), direction: [0, -1, 0] };
+    return { beforeM, downM: distanceTo(way, draws), way };
+  };
+  const here = below(LEVEL * distance);
+  if (here.downM <= 2 * here.beforeM) return met;
+  const { downM, way } = below(radiusM + LEVEL * distance);
+  return downM < Infinity ? pointAt(way, downM) : met;
 }
 
 function distanceToDraw(ray, { vertices, triangles }) {

@@ -9,7 +9,7 @@
 
 import { Frame, SAMPLES_MAX, featuresOf, limitsOf } from "./frame/frame.js";
 import { cameraOf, lightsOf } from "./frame/lights.js";
-import { distanceTo, onPlane, pointAt, rayThrough } from "./pick.js";
+import { distanceTo, footAt, onPlane, pointAt, rayThrough } from "./pick.js";
 import { BakeStream } from "./relight/stream.js";
 import { Orbit } from "./orbit.js";
 
@@ -185,7 +185,7 @@ export class Viewer {
     this.#isStale = true;
   }
 
-  /** Where an object is to be put so that it stands on what is seen at a place of the page, or in the middle of the picture. */
+  /** Where an object is to be put so that it stands on what is seen at a place of the page, or in the middle of the picture, or below. */
   standAt(object, place = null) {
     const [low, high] = [[Infinity, Infinity, Infinity], [-Infinity, -Infinity, -Infinity]];
     for (const { positionM } of object.draws(0, 0)) {
@@ -195,11 +195,11 @@ export class Viewer {
       });
     }
     if (low[0] > high[0]) return [0, 0, 0];
-    const ray = this.#rayAt(place);
-    const distance = distanceTo(ray, this.frame.objects.scene.draws);
+    const radiusM = 0.5 * Math.hypot(high[0] - low[0], high[2] - low[2]);
     const [inner, outer] = this.frame.objects.ownBoundsM;
     const middle = inner.map((side, axis) => 0.5 * (side + outer[axis]));
-    const [x, y, z] = distance < Infinity ? pointAt(ray, distance) : [middle[0], inner[1], middle[2]];
+    const foot = footAt(this.#rayAt(place), this.frame.objects.scene.draws, radiusM);
+    const [x, y, z] = foot ?? [middle[0], inner[1], middle[2]];
     return [x - 0.5 * (low[0] + high[0]), y - low[1], z - 0.5 * (low[2] + high[2])];
   }
 

@@ -21,6 +21,8 @@ mod hand;
     reason = "no program here is started again; a test that cannot go on has failed"
 )]
 mod keeper;
+#[path = "../scenes/hostile/mutations.rs"]
+mod mutations;
 #[allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 mod objects;
 #[allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]

@@ -3,9 +3,6 @@
 
 pub mod toy;
 
-#[path = "../../scenes/hostile/mutations.rs"]
-mod mutations;
-
 use std::error::Error;
 use std::sync::Arc;
 
@@ -29,8 +26,8 @@ use serde_json::{Value, json};
 
 use super::bundle::Bundle;
 use super::files::Answer;
+use super::mutations::Mutator;
 use super::{browser_at, bundle_opened, bytes_of_hex, served};
-use mutations::Mutator;
 use toy::{Document, toy};
 
 const MODULE: &str = "/pages/objects.js";

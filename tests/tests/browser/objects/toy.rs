@@ -179,9 +179,12 @@ fn toy_tail(toy: &mut Document) -> Value {
     json!({ "primitives": [{ "attributes": attributes, "mode": 5, "material": 2 }] })
 }
 
+/// Node, path, interpolation, kind of value, times and values of a channel.
+type Channel<'a> = (usize, &'a str, &'a str, &'a str, &'a [f32], &'a [f32]);
+
 /// Two animations: of every path and kind of interpolation, and a turn by a spline.
 fn animate(toy: &mut Document) {
-    let all: [(usize, &str, &str, &str, &[f32], &[f32]); 5] = [
+    let all: [Channel; 5] = [
         (
             0,
             "translation",
@@ -199,8 +202,7 @@ fn animate(toy: &mut Document) {
         0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.2, 0.0, 0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 0.7, 0.0, 0.714,
         0.0, 0.0, 0.0, 0.0,
     ];
-    let spline: [(usize, &str, &str, &str, &[f32], &[f32]); 1] =
-        [(0, "rotation", "CUBICSPLINE", "VEC4", &[0.0, 3.0], &turn)];
+    let spline: [Channel; 1] = [(0, "rotation", "CUBICSPLINE", "VEC4", &[0.0, 3.0], &turn)];
     let mut clips = Vec::new();
     for clip in [&all[..], &spline[..]] {
         let (mut channels, mut samplers) = (Vec::new(), Vec::new());
