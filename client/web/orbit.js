@@ -72,22 +72,32 @@ export class Orbit {
     this.distanceM = Math.max(1e-3 * this.diagonalM, Math.min(10 * this.diagonalM, this.distanceM * factor));
   }
 
-  /** Follows pointers, wheel and arrow keys on an element; gives a function that ends it. */
-  follow(element, { changed, moveLamp, lamp }) {
+  /**
+   * Follows pointers, wheel and arrow keys on an element; gives a function that ends it. `grab` is asked for what lies under a pointer that
+   * is put down: a function that moves it along, or null.
+   */
+  follow(element, { changed, moveLamp, lamp, grab = () => null }) {
     const ended = new AbortController();
     const on = (type, heard) => element.addEventListener(type, heard, { signal: ended.signal, passive: false });
     const pointers = new Map();
+    let held = null;
     on("pointerdown", (event) => {
       element.setPointerCapture(event.pointerId);
       pointers.set(event.pointerId, event);
+      held = pointers.size === 1 && !isOfLamp(event) ? grab(event) : null;
     });
-    for (const type of ["pointerup", "pointercancel"]) on(type, (event) => pointers.delete(event.pointerId));
+    for (const type of ["pointerup", "pointercancel"]) {
+      on(type, (event) => {
+        pointers.delete(event.pointerId);
+        held = null;
+      });
+    }
     on("pointermove", (event) => {
       const before = pointers.get(event.pointerId);
       if (before === undefined) return;
-      const isLamp = (event.buttons & 2) !== 0 || event.shiftKey;
       if (pointers.size === 2) this.#pinch(pointers, before, event);
-      else if (isLamp) moveLamp(this.#alongScreen(element, event, before, lamp()));
+      else if (held !== null) held(event);
+      else if (isOfLamp(event)) moveLamp(this.#alongScreen(element, event, before, lamp()));
       else this.turn((before.clientX - event.clientX) * 0.008, (event.clientY - before.clientY) * 0.008);
       pointers.set(event.pointerId, event);
       changed();
@@ -124,4 +134,9 @@ export class Orbit {
     const [dx, dy] = [event.clientX - before.clientX, before.clientY - event.clientY];
     return right.map((along, axis) => (along * dx + up[axis] * dy) * metresPerPixel);
   }
+}
+
+/** Whether a pointer is to move the lamp. */
+function isOfLamp({ buttons, shiftKey }) {
+  return (buttons & 2) !== 0 || shiftKey;
 }

@@ -4,11 +4,13 @@
 //   viewer.lamp.positionM = [0, 1, 0]; viewer.changed();
 //   viewer.close();
 //
-// A drag turns the camera, a wheel or two fingers bring it nearer; a drag with the right button or with Shift moves the lamp.
+// A drag turns the camera, a wheel or two fingers bring it nearer; a drag with the right button or with Shift moves the lamp, and one that
+// begins on an object moves that over the floor.
 
 import { Frame, SAMPLES_MAX, featuresOf, limitsOf } from "./frame/frame.js";
 import { cameraOf, lightsOf } from "./frame/lights.js";
 import { sleep } from "./fetch.js";
+import { distanceTo, footAt, onPlane, pointAt, rayThrough } from "./pick.js";
 import { BakeStream } from "./relight/stream.js";
 import { Orbit } from "./orbit.js";
 
@@ -174,6 +176,68 @@ export class Viewer {
     this.#isStale = true;
   }
 
+  /** Puts objects beside the bake, see `Frame.setObjects`. */
+  async setObjects(objects, stances) {
+    await this.frame.setObjects(objects, stances);
+    this.#isStale = true;
+  }
+
+  /** Moves an object that is there to a stance; one that is not stays away. */
+  moveObject(object, stance) {
+    const index = this.frame.objects.objects.indexOf(object);
+    if (index < 0) return;
+    this.frame.moveObject(index, stance);
+    this.#isStale = true;
+  }
+
+  /** Where an object is to be put so that it stands on what is seen at a place of the page, or in the middle of the picture, or below. */
+  standAt(object, place = null) {
+    const [low, high] = [[Infinity, Infinity, Infinity], [-Infinity, -Infinity, -Infinity]];
+    for (const { positionM } of object.draws(0, 0)) {
+      positionM.forEach((at, index) => {
+        low[index % 3] = Math.min(low[index % 3], at);
+        high[index % 3] = Math.max(high[index % 3], at);
+      });
+    }
+    if (low[0] > high[0]) return [0, 0, 0];
+    const radiusM = 0.5 * Math.hypot(high[0] - low[0], high[2] - low[2]);
+    const [inner, outer] = this.frame.objects.ownBoundsM;
+    const middle = inner.map((side, axis) => 0.5 * (side + outer[axis]));
+    const foot = footAt(this.#rayAt(place), this.frame.objects.scene.draws, radiusM);
+    const [x, y, z] = foot ?? [middle[0], inner[1], middle[2]];
+    return [x - 0.5 * (low[0] + high[0]), y - low[1], z - 0.5 * (low[2] + high[2])];
+  }
+
+  /** The ray through a place of the page, or through the middle of the picture. */
+  #rayAt(place) {
+    const { left, top, width, height } = this.canvas.getBoundingClientRect();
+    const at = place === null ? [0.5, 0.5] : [(place.clientX - left) / width, (place.clientY - top) / height];
+    return rayThrough(this.orbit.camera(), at, width / height);
+  }
+
+  /** Takes hold of the object that is seen at a place of the page: a function that moves it over the floor; null where there is none. */
+  #grab(place) {
+    const { objects } = this.frame;
+    if (objects.objects.length === 0) return null;
+    const ray = this.#rayAt(place);
+    const distances = objects.objects.map((_, index) => distanceTo(ray, objects.drawsOf(index)));
+    const distance = Math.min(...distances);
+    if (distance === Infinity || distanceTo(ray, this.scene.draws) < distance) return null;
+    const object = objects.objects[distances.indexOf(distance)];
+    let last = pointAt(ray, distance);
+    const most = 4 * (distance + this.orbit.diagonalM);
+    return (event) => {
+      const next = onPlane(this.#rayAt(event), last[1], most);
+      const index = this.frame.objects.objects.indexOf(object);
+      if (next === null || index < 0) return;
+      const stance = this.frame.objects.stances[index];
+      const positionM = stance.positionM.map((at, axis) => at + next[axis] - last[axis]);
+      last = next;
+      this.moveObject(object, { ...stance, positionM });
+      this.onObjectDragged?.(object, positionM);
+    };
+  }
+
   /** Sets levels of detail, see `Frame.setLod`; with null there is all detail. */
   async setLod(words) {
     await this.frame.setLod(words);
@@ -285,6 +349,7 @@ export class Viewer {
         this.onLampMoved?.();
       },
       lamp: () => this.lamp.positionM,
+      grab: (event) => this.#grab(event),
     });
     this.resized = new ResizeObserver(() => {
       if (this.#isClosed || canvas.clientWidth === 0) return;
@@ -295,10 +360,14 @@ export class Viewer {
       this.#isStale = true;
     });
     this.resized.observe(canvas);
-    const draw = () => {
+    let before = null;
+    const draw = (nowMs) => {
       if (this.#isClosed) return;
       requestAnimationFrame(draw);
       if (this.frame.isBehind) return;
+      // What plays moves on by the time between pictures.
+      this.onFrame?.(before === null ? 0 : (nowMs - before) / 1000);
+      before = nowMs;
       const isMoving = !this.#isLoading && !this.frame.settled;
       if (isMoving) this.frame.advance();
       // A picture that stands still gathers samples.

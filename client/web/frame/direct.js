@@ -28,7 +28,8 @@ export class DirectPass {
         gpu.storage("first points of texels", own),
         gpu.storage("points of texels", points.subarray(2 * starts[from], 2 * starts[to])),
       ]);
-      return { pipeline, groups: [shadow.lightGroup, group], counts };
+      // The group of lights is another one where objects bring the first glass.
+      return { pipeline, get groups() { return [shadow.lightGroup, group]; }, counts };
     });
     return pass;
   }

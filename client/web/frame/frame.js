@@ -4,6 +4,7 @@
 //   setEmitters ──────────────────────────▶    (advance: once a frame, until they change nothing)
 //   setMaterials ───────────────▶ direct ─▶
 //   setSky ────────────────────────────────▶    (another picture makes a texture)
+//   setObjects, moveObjects ─▶ shadow maps ─▶ direct ─▶    (setObjects makes buffers)
 //   setLod ───────▶ detail of clusters ───▶
 //   setCamera ───▶ cascades of suns ─────────────────────────────────────▶ draw
 //
@@ -13,18 +14,23 @@ import { LodPlan } from "../relight/lod_plan.js";
 import { Tints } from "../relight/recolour.js";
 import { isBlack, skyOf } from "../relight/sky.js";
 import { Bounces } from "./bounces.js";
+import { heard } from "./device.js";
+import { Film, SAMPLES_MAX, jitterOf } from "./film.js";
 import { Gpu, errorsOf } from "./gpu.js";
 import { halves } from "./halves.js";
-import { POINT, cameraOf, castersOf, checkLights, checkScale, lightsOf } from "./lights.js";
+import { cameraOf, castersOf, checkLights, checkScale, lightsOf } from "./lights.js";
 import { lodFromText } from "./lod_words.js";
 import { Meshes } from "./meshes.js";
+import { ObjectSet } from "./objects.js";
 import { LightPasses } from "./passes.js";
-import { ShadowPlan, checkRoom, isRoom, roomFor } from "./plan.js";
+import { ShadowPlan, checkRoom } from "./plan.js";
 import { FOUR } from "./resident.js";
-import { BLENDABLE, ShadePass } from "./shade.js";
+import { roomWith } from "./room.js";
+import { isSame } from "./same.js";
 import { fetchShaders } from "./shaders.js";
 import { ShadowPass } from "./shadow.js";
 import { measuredSnap } from "./snap.js";
+import { Stage } from "./stage.js";
 import { TONES, TonePass, automaticExposure } from "./tone.js";
 import { eyeOf, lodEyeOf, shadeView } from "./view.js";
 
@@ -32,28 +38,9 @@ import { eyeOf, lodEyeOf, shadeView } from "./view.js";
 export const CHANGE_MAX = 1e-3;
 // Most bounces of `settle`.
 const BOUNCES_MAX = 200;
-/** Samples per pixel of a picture that stands still. More → smoother edges, longer until it is done. */
-export const SAMPLES_MAX = 16;
-// Pictures under way from which on a device is behind.
-const UNDER_WAY_MAX = 2;
-// Texels along a side of a shadow map, and room for lights and maps, unless asked otherwise or the bake's own lights need more.
-const SHADOW_SIDE = 1024;
-const LIGHTS = 8;
-const FACES = 24;
-// A light that people may add to the bake's own.
-const ADDED = { shape: POINT, cone: [-1, -2] };
-// Limits of a device that large bakes need: without a request they are the same small ones on all adapters.
-const LIMITS = ["maxBufferSize", "maxStorageBufferBindingSize", "maxTextureDimension2D"];
 
-/** Features of a device that frames have a use for, of those that an adapter has. */
-export function featuresOf(adapter) {
-  return [BLENDABLE].filter((feature) => adapter.features.has(feature));
-}
-
-/** Limits of a device that frames have a use for, as high as those of an adapter. */
-export function limitsOf(adapter) {
-  return Object.fromEntries(LIMITS.map((name) => [name, adapter.limits[name]]));
-}
+export { SAMPLES_MAX };
+export { featuresOf, limitsOf } from "./device.js";
 
 export class Frame {
   #casters = [];
@@ -65,12 +52,10 @@ export class Frame {
   #tints = null;
   #camera;
   #plan;
+  #stage;
   // Work that changes have left to do: all shadow maps and E_dir; E_dir alone; cascades alone; black E_ind; pages.
   #stale = { lights: true, direct: true, cascades: true, light: true, pages: true };
-  // Samples of the picture as it is, with the settings that they were drawn with.
-  #film = { samples: 0, exposure: 1, curve: "filmic", isAlone: false };
-  // Pictures that the device has not finished.
-  #underWay = 0;
+  #film = new Film();
   // Bounces since the last change, and the changes by them that were heard of.
   #bounces = new Bounces();
   // Levels of detail, and the detail of each cluster for the eye; null for all of it.
@@ -104,19 +89,20 @@ export class Frame {
     const { gpu, bake } = this;
     const { manifest } = bake.scene;
     this.#tints = new Tints(bake.scene, []);
-    this.boundsM = [Array.from(manifest.boundsM.slice(0, 3)), Array.from(manifest.boundsM.slice(3, 6))];
+    /** Objects beside the bake, and bounds of the scene with them. */
+    this.objects = new ObjectSet(bake.scene, [], []);
+    this.boundsM = this.objects.boundsWith();
     const own = lights ?? lightsOf(manifest);
     this.room = shadows ?? roomWith(castersOf(own));
     checkRoom(this.room);
     this.size = [width, height];
     this.#sizeKept = this.size;
     this.snap = await measuredSnap(gpu);
-    const meshes = await Meshes.create(gpu, bake.scene);
-    this.shadow = await ShadowPass.create(gpu, bake.scene, meshes, this.room);
+    this.meshes = await Meshes.create(gpu, bake.scene);
+    this.shadow = await ShadowPass.create(gpu, this.room);
     this.light = await LightPasses.create(gpu, bake, this.shadow);
-    this.shade = await ShadePass.create(gpu, bake.scene, meshes, this.shadow, this.light.atlas, this.size);
     this.tone = await TonePass.create(gpu, format ?? navigator.gpu.getPreferredCanvasFormat());
-    this.tone.bind(this.shade.targetView, this.size);
+    this.#show(await this.#staged(this.objects));
     // Factor on radiance before the tone curve, and the curve.
     this.exposure = 1;
     this.curve = "filmic";
@@ -162,6 +148,67 @@ export class Frame {
     this.#writeUnshadowed();
   }
 
+  /**
+   * Puts objects (`SceneObject`) beside the bake in the place of all that are there, each with its stance, see `REST`; where none is given
+   * an object stays where it is, and a new one stands at the origin. This makes buffers, and waits, also for calls of `setLight` before.
+   * Errs, and changes nothing, where meshes contradict themselves, and where the device has too little memory.
+   */
+  setObjects(objects, stances = []) {
+    return this.#inTurn(() => this.#takeObjects([...objects], [...stances]));
+  }
+
+  async #takeObjects(objects, stances) {
+    const before = this.objects;
+    const set = new ObjectSet(this.bake.scene, objects, before.stancesFor(objects, stances));
+    const former = this.#stage;
+    this.#show(await this.#staged(set));
+    former.destroy();
+    this.objects = set;
+    const boundsM = set.boundsWith();
+    this.#replan(this.#planned(this.#casters, eyeOf(this.#camera), boundsM), boundsM);
+    this.#setLooks();
+    // Some may have moved meanwhile.
+    this.moveObjects(before.stancesFor(objects, stances));
+  }
+
+  #staged(set) {
+    const { meshes, shadow, light, size } = this;
+    return Stage.create(this.gpu, set, { meshes, shadow, atlas: light.atlas, size, sky: this.#panorama });
+  }
+
+  #show(stage) {
+    this.#stage = stage;
+    this.shade = stage.shade;
+    if (this.shade.size !== this.size) this.shade.resize(this.size);
+    this.tone.bind(this.shade.targetView, this.size);
+    this.shadow.take(stage.casters);
+  }
+
+  /** Moves objects to stances, one each; those without one come to rest. Their shadows fall on all that lights reach. Makes nothing. */
+  moveObjects(stances) {
+    const moved = this.objects.moved(stances);
+    if (moved.length === 0) return;
+    const boundsM = this.objects.boundsWith(moved);
+    const plan = this.#planned(this.#casters, eyeOf(this.#camera), boundsM);
+    this.objects.take(moved, (index, mesh) => this.shade.moveMesh(index, mesh));
+    this.#replan(plan, boundsM);
+  }
+
+  /** Moves one object, by its number from 0; the others stay. */
+  moveObject(index, stance) {
+    const stances = this.objects.stances;
+    if (!(index in stances)) throw new Error(`object ${index} is to move, and there are ${stances.length}`);
+    this.moveObjects(stances.with(index, stance));
+  }
+
+  /** Draws all shadow maps anew, within bounds. */
+  #replan(plan, boundsM) {
+    [this.#plan, this.boundsM] = [plan, boundsM];
+    this.shadow.set(plan);
+    Object.assign(this.#stale, { lights: true, cascades: true });
+    this.#begin();
+  }
+
   /** Sets the emitters' strengths, one factor each; 1 where absent. */
   setEmitters(scale) {
     checkScale(scale);
@@ -203,7 +250,7 @@ export class Frame {
     shadeView(own, this.size, this.boundsM, this.#sky, [0, 0]);
     const plan = this.#planned(this.#casters, eyeOf(own));
     this.#camera = own;
-    this.#film.samples = 0;
+    this.#film.clear();
     if (!plan.hasFacesOf(this.#plan)) {
       this.#plan = plan;
       this.shadow.set(plan);
@@ -238,7 +285,7 @@ export class Frame {
 
   /** Plans the detail of each cluster for the eye: light changes wherever the eye has moved. */
   #planLod() {
-    const eye = this.#lod && lodEyeOf(this.#camera, this.size, this.boundsM);
+    const eye = this.#lod && lodEyeOf(this.#camera, this.size, this.objects.ownBoundsM);
     const before = this.#lodPlan;
     if (before?.lod === this.#lod && isSame(before.eye, eye)) return;
     if (before === null && eye === null) return;
@@ -264,16 +311,7 @@ export class Frame {
 
   async #takeLight(light, limit) {
     const [before, bake] = [this.light, { ...this.bake, light }];
-    let passes = null;
-    try {
-      await heard(this.gpu.device, async () => {
-        passes = await LightPasses.create(this.gpu, bake, this.shadow);
-        if (this.#lod !== null) await passes.makeLod();
-      });
-    } catch (error) {
-      passes?.destroy();
-      throw error;
-    }
+    const passes = await LightPasses.heard(this.gpu, bake, this.shadow, this.#lod !== null);
     await before.change.idle();
     [this.light, this.bake, this.#lodPlan] = [passes, bake, null];
     this.#planLod();
@@ -282,7 +320,7 @@ export class Frame {
     this.#writeUnshadowed();
     const settled = await this.settle(limit);
     this.shade.setPages(passes.atlas);
-    this.#film.samples = 0;
+    this.#film.clear();
     before.destroy();
     return settled;
   }
@@ -308,7 +346,7 @@ export class Frame {
   #setSize(size) {
     this.size = size;
     this.shade.resize(this.size);
-    this.#film.samples = 0;
+    this.#film.clear();
     this.tone.bind(this.shade.targetView, this.size);
     this.#planLod();
   }
@@ -324,7 +362,7 @@ export class Frame {
       this.light.bounce(encoder);
     });
     Object.assign(this.#stale, { light: false, pages: true });
-    this.#film.samples = 0;
+    this.#film.clear();
     const [bounces, cycle] = [this.#bounces, this.#cycle];
     const call = this.light.change.ask((answer) => {
       // Light that is no number stays none.
@@ -366,13 +404,9 @@ export class Frame {
    */
   draw(target, jitter = null) {
     this.#drawShadows();
-    const [{ exposure, curve }, film] = [this, this.#film];
-    const isAlone = jitter !== null;
-    if (isAlone || film.isAlone || exposure !== film.exposure || curve !== film.curve) {
-      this.#film = { samples: 0, exposure, curve, isAlone };
-    }
+    const { exposure, curve } = this;
     const into = target.getCurrentTexture?.().createView() ?? target;
-    const sample = this.#film.samples;
+    const sample = this.#film.next(exposure, curve, jitter !== null);
     this.gpu.submit((encoder) => {
       if (sample < SAMPLES_MAX) {
         const view = shadeView(this.#camera, this.size, this.boundsM, this.#sky, jitter ?? jitterOf(sample));
@@ -384,14 +418,12 @@ export class Frame {
       }
       this.tone.show(encoder, into);
     });
-    this.#underWay += 1;
-    const finished = () => (this.#underWay -= 1);
-    this.gpu.device.queue.onSubmittedWorkDone().then(finished, finished);
+    this.#film.handed(this.gpu.device);
   }
 
   /** The device is so far behind that calls before it has caught up would only delay the pictures: leave out this frame. */
   get isBehind() {
-    return this.#underWay >= UNDER_WAY_MAX;
+    return this.#film.isBehind;
   }
 
   /** Samples of the picture as it is, at most SAMPLES_MAX: more calls of `draw` change it no more. */
@@ -430,8 +462,8 @@ export class Frame {
     return eyeOf(this.#camera);
   }
 
-  #planned(casters, eye) {
-    return new ShadowPlan(this.room, casters, this.boundsM, eye, this.snap);
+  #planned(casters, eye, boundsM = this.boundsM) {
+    return new ShadowPlan(this.room, casters, boundsM, eye, this.snap);
   }
 
   /** Writes light that no shadow map has: all bounces are of other light from here on. */
@@ -448,7 +480,7 @@ export class Frame {
   /** Light has changed: bounces begin anew, from that which there is. */
   #begin() {
     this.#stale.pages = true;
-    this.#film.samples = 0;
+    this.#film.clear();
     this.#bounces = new Bounces();
   }
 
@@ -463,38 +495,4 @@ export class Frame {
     });
     Object.assign(this.#stale, { lights: false, direct: false, cascades: false });
   }
-}
-
-/** Offset of a sample from the pixel's middle: a rotated grid for the first four, then the R2 sequence. */
-function jitterOf(sample) {
-  const grid = [[-0.125, -0.375], [0.375, -0.125], [-0.375, 0.125], [0.125, 0.375]];
-  const at = (step) => ((0.5 + step * (sample + 1)) % 1) - 0.5;
-  return grid[sample] ?? [at(0.7548776662466928), at(0.5698402909980533)];
-}
-
-/** Runs `make`, and throws the errors of a device meanwhile before its own. */
-async function heard(device, make) {
-  const ended = errorsOf(device);
-  const failure = await make().then(
-    () => null,
-    (error) => ({ error }),
-  );
-  const error = await ended();
-  if (error !== null) throw error;
-  if (failure !== null) throw failure.error;
-}
-
-/** Room for some lights and one more, if there may be so many, and no less than for a few. */
-function roomWith(casters) {
-  const [alone, more] = [casters, [...casters, ADDED]].map((lights) => roomFor(lights, SHADOW_SIDE));
-  const own = isRoom(more) ? more : alone;
-  const wanted = { ...own, lights: Math.max(own.lights, LIGHTS), faces: Math.max(own.faces, FACES) };
-  // Fewer texels, where many lights need many maps.
-  return wanted.faces * wanted.side ** 2 > 2 ** 26 ? own : wanted;
-}
-
-/** Whether two trees of plain values, lists and typed arrays are the same. */
-function isSame(a, b) {
-  const plain = (_, value) => (ArrayBuffer.isView(value) ? Array.from(value) : value);
-  return JSON.stringify(a, plain) === JSON.stringify(b, plain);
 }

@@ -12,6 +12,13 @@ export class Glass {
     });
   }
 
+  /** Moves the triangles of a mesh that are of glass. */
+  set(index, { vertices, triangles }) {
+    const first = this.panes.findIndex(({ draw }) => draw === index);
+    if (first < 0) return;
+    panesOf(index, vertices, triangles).forEach((pane, at) => (this.panes[first + at] = pane));
+  }
+
   /**
    * Corners of the triangles from the farthest to the nearest, of equally far ones the first of the scene before; and runs of
    * triangles of one draw, from and to.

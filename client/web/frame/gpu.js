@@ -55,12 +55,18 @@ export class Gpu {
 
   /** The same device, whose buffers and textures that are made by way of the branch can be freed at once. */
   branch() {
-    return new Gpu(this.device, this.shaders, this.#shared, []);
+    return new Gpu(this.device, this.shaders, this.#shared, new Set());
   }
 
   /** Frees the buffers and textures of a branch. */
   destroy() {
     this.#owned?.forEach((thing) => thing.destroy());
+  }
+
+  /** Frees a buffer or texture before its branch. */
+  free(thing) {
+    thing?.destroy();
+    this.#owned?.delete(thing);
   }
 
   /** Buffers, textures, samplers, bind groups, shaders and pipelines made so far. */
@@ -69,7 +75,7 @@ export class Gpu {
   }
 
   #kept(thing) {
-    this.#owned?.push(thing);
+    this.#owned?.add(thing);
     return this.#made(thing);
   }
 

@@ -2,7 +2,7 @@
 
 import { COLOUR, LIGHTMAP_TEXEL, NORMAL, POSITION, UV, VERTEX_NUMBERS } from "../relight/draws.js";
 import { FRAGMENT } from "./gpu.js";
-import { uploadTextures } from "./textures.js";
+import { uploadTextures, whiteTexel } from "./textures.js";
 
 const ADDRESS_MODES = { repeat: "repeat", clamp: "clamp-to-edge", mirror: "mirror-repeat" };
 
@@ -37,16 +37,9 @@ export class Meshes {
   /** Uploads the meshes and textures of a scene. */
   static async create(gpu, { draws, textures }) {
     const meshes = new Meshes();
-    meshes.meshes = draws.map(({ material, vertices, triangles }) => {
-      const buffers = {
-        vertices: gpu.buffer("vertices", vertices.byteLength, GPUBufferUsage.VERTEX),
-        indices: gpu.buffer("indices", triangles.byteLength, GPUBufferUsage.INDEX),
-      };
-      gpu.write(buffers.vertices, vertices);
-      gpu.write(buffers.indices, triangles);
-      return { ...buffers, indexCount: triangles.length, material };
-    });
+    meshes.meshes = draws.map((draw) => uploaded(gpu, draw));
     meshes.views = await uploadTextures(gpu, textures);
+    meshes.white = whiteTexel(gpu);
     for (const u of Object.keys(ADDRESS_MODES)) {
       for (const v of Object.keys(ADDRESS_MODES)) {
         meshes.#samplers.set(u + v, sampler(gpu, u, v));
@@ -55,11 +48,26 @@ export class Meshes {
     return meshes;
   }
 
+  /** These, and behind them what else a scene has, which is made on `gpu`. */
+  async and(gpu, { draws, textures }) {
+    const meshes = new Meshes();
+    meshes.meshes = [...this.meshes, ...draws.slice(this.meshes.length).map((draw) => uploaded(gpu, draw))];
+    meshes.views = [...this.views, ...(await uploadTextures(gpu, textures.slice(this.views.length)))];
+    [meshes.white, meshes.#samplers] = [this.white, this.#samplers];
+    return meshes;
+  }
+
+  /** Writes vertices and triangles of a mesh, which are as many as before. */
+  set(gpu, index, { vertices, triangles }) {
+    gpu.write(this.meshes[index].vertices, vertices);
+    gpu.write(this.meshes[index].indices, triangles);
+  }
+
   /** Texture and sampler of a use; white where there is none. */
   texture(used) {
     return used
       ? [this.views[used.texture], this.#samplers.get(used.wrap.join(""))]
-      : [this.views.at(-1), this.#samplers.get("clampclamp")];
+      : [this.white, this.#samplers.get("clampclamp")];
   }
 
   /** Draws one mesh with the pipeline and groups that are bound. */
@@ -70,6 +78,16 @@ export class Meshes {
       pass.drawIndexed(mesh.indexCount);
     }
   }
+}
+
+function uploaded(gpu, { material, vertices, triangles }) {
+  const buffers = {
+    vertices: gpu.buffer("vertices", vertices.byteLength, GPUBufferUsage.VERTEX),
+    indices: gpu.buffer("indices", triangles.byteLength, GPUBufferUsage.INDEX),
+  };
+  gpu.write(buffers.vertices, vertices);
+  gpu.write(buffers.indices, triangles);
+  return { ...buffers, indexCount: triangles.length, material };
 }
 
 function sampler(gpu, u, v) {

@@ -26,7 +26,8 @@ export class NearPass {
       const lightGroup = gpu.bind(layout, [...shared, normals, albedo, lit]);
       const bound = [...shared, albedo, lit, eEmit, eInd, eNear];
       return {
-        light: { pipeline: light, groups: [shadow.lightGroup, lightGroup], counts },
+        // The group of lights is another one where objects bring the first glass.
+        light: { pipeline: light, get groups() { return [shadow.lightGroup, lightGroup]; }, counts },
         gather: { pipeline: gather, groups: [gpu.bind(gather.getBindGroupLayout(0), bound)], counts },
       };
     });

@@ -9,40 +9,54 @@ import { NEARER_WINS, TESTED_ALONE, clearedDepth, createMaps, faceView } from ".
 const PASSED = "r16float";
 const MULTIPLIED = { srcFactor: "dst", dstFactor: "zero", operation: "add" };
 
-/** Whether some mesh of a scene is of glass. */
-function hasGlass({ draws, manifest }) {
-  return draws.some(({ material }) => manifest.materials[material].glass);
-}
-
 export class PaneMaps {
-  /** Makes room for maps in a scene with glass, in others for one texel that nobody reads. */
-  static async create(gpu, scene, meshes, room, faceLayout) {
+  /** Makes pipelines, and maps of one texel that nobody reads: scenes of no glass need no others. */
+  static async create(gpu, room, faceLayout) {
     const maps = new PaneMaps();
-    maps.meshes = meshes;
-    const layers = hasGlass(scene) ? room.faces : 0;
-    maps.isUsed = layers > 0;
-    maps.depthMaps = createMaps(gpu, room.side, layers, NEARER_WINS.format);
-    maps.passedMaps = createMaps(gpu, room.side, layers, PASSED);
-    const views = (texture) => Array.from({ length: layers }, (_, layer) => faceView(texture, layer));
-    [maps.depthViews, maps.passedViews] = [views(maps.depthMaps), views(maps.passedMaps)];
-    const layout = gpu.bindLayout([{ visibility: VERTEX | FRAGMENT, buffer: { type: "uniform" } }, ...SAMPLED, ...SAMPLED]);
-    maps.panes = meshes.meshes.map(({ material }) => {
-      return paneGroup(gpu, meshes, layout, scene.manifest.materials[material]);
-    });
-    const pipelineLayout = gpu.pipelineLayout([faceLayout, layout]);
+    Object.assign(maps, { gpu, room });
+    maps.layout = gpu.bindLayout([{ visibility: VERTEX | FRAGMENT, buffer: { type: "uniform" } }, ...SAMPLED, ...SAMPLED]);
+    const pipelineLayout = gpu.pipelineLayout([faceLayout, maps.layout]);
     maps.depth = await pipeline(gpu, pipelineLayout, "depth", [], NEARER_WINS);
     const target = { format: PASSED, blend: { color: MULTIPLIED, alpha: MULTIPLIED } };
     maps.passed = await pipeline(gpu, pipelineLayout, "passed", [target], TESTED_ALONE);
+    maps.take(maps.#made(0));
     return maps;
   }
 
-  isGlass(mesh) {
-    return this.panes[mesh] !== null;
+  #made(layers) {
+    const { gpu, room } = this;
+    const depthMaps = createMaps(gpu, room.side, layers, NEARER_WINS.format);
+    const passedMaps = createMaps(gpu, room.side, layers, PASSED);
+    const views = (texture) => Array.from({ length: layers }, (_, layer) => faceView(texture, layer));
+    return { layers, depthMaps, passedMaps, depthViews: views(depthMaps), passedViews: views(passedMaps) };
+  }
+
+  /** Glass of a scene's meshes: a group each, null for what is none. */
+  groupsOf(gpu, scene, meshes) {
+    return meshes.meshes.map(({ material }) => {
+      return paneGroup(gpu, meshes, this.layout, scene.manifest.materials[material]);
+    });
+  }
+
+  /** Maps with room for all faces, where groups are the first of glass; else null. They are to be taken, or freed. */
+  mapsFor(groups) {
+    return this.layers === 0 && groups.some((group) => group !== null) ? this.#made(this.room.faces) : null;
+  }
+
+  /** Takes other maps, and frees those before. */
+  take(made) {
+    this.free(this);
+    Object.assign(this, made);
+  }
+
+  /** Frees maps. */
+  free({ depthMaps, passedMaps }) {
+    [depthMaps, passedMaps].forEach((maps) => this.gpu.free(maps));
   }
 
   /** Records both passes of a face, whose opaque surfaces are drawn. */
-  record(encoder, face, opaque, bindFace) {
-    if (!this.isUsed) return;
+  record(encoder, { meshes, panes, hasGlass }, face, opaque, bindFace) {
+    if (!hasGlass) return;
     const depth = encoder.beginRenderPass({
       label: "depth of glass",
       colorAttachments: [],
@@ -50,7 +64,7 @@ export class PaneMaps {
     });
     depth.setPipeline(this.depth);
     bindFace(depth);
-    this.#draw(depth);
+    draw(depth, meshes, panes);
     depth.end();
     const passed = encoder.beginRenderPass({
       label: "light through glass",
@@ -61,18 +75,18 @@ export class PaneMaps {
     });
     passed.setPipeline(this.passed);
     bindFace(passed);
-    this.#draw(passed);
+    draw(passed, meshes, panes);
     passed.end();
   }
+}
 
-  #draw(pass) {
-    this.meshes.meshes.forEach((mesh, index) => {
-      if (this.panes[index] !== null) {
-        pass.setBindGroup(1, this.panes[index]);
-        this.meshes.draw(pass, mesh);
-      }
-    });
-  }
+function draw(pass, meshes, panes) {
+  meshes.meshes.forEach((mesh, index) => {
+    if (panes[index] !== null) {
+      pass.setBindGroup(1, panes[index]);
+      meshes.draw(pass, mesh);
+    }
+  });
 }
 
 /** Glass of a material, or null where it is none. */

@@ -2,6 +2,7 @@
 
 import { AtlasPass } from "./atlas.js";
 import { ChangePass } from "./change.js";
+import { heard } from "./device.js";
 import { DirectPass } from "./direct.js";
 import { BasisPass, ReconstructPass } from "./factors.js";
 import { LodPass } from "./lod.js";
@@ -22,6 +23,21 @@ export class LightPasses {
       await passes.#make(bake, shadow);
     } catch (error) {
       passes.destroy();
+      throw error;
+    }
+    return passes;
+  }
+
+  /** The same, also with what levels of detail need, once the device has refused nothing. Frees all of it where that fails. */
+  static async heard(gpu, bake, shadow, hasLod) {
+    let passes = null;
+    try {
+      await heard(gpu.device, async () => {
+        passes = await LightPasses.create(gpu, bake, shadow);
+        if (hasLod) await passes.makeLod();
+      });
+    } catch (error) {
+      passes?.destroy();
       throw error;
     }
     return passes;

@@ -23,13 +23,30 @@ export class ShadePass {
   /** Null without a panorama. */
   panorama = null;
 
-  /** Makes pipelines, and a target of `size` pixels. */
-  static async create(gpu, scene, meshes, shadow, atlas, size) {
+  /** Makes pipelines, and a target of `size` pixels. Frees all of it where that fails. */
+  static async create(whole, scene, meshes, shadow, atlas, size) {
     const pass = new ShadePass();
-    Object.assign(pass, { gpu, scene, meshes, shadow });
-    pass.glass = new Glass(scene);
-    const is32 = pass.glass.panes.length === 0 || gpu.device.features.has(BLENDABLE);
-    pass.format = is32 ? "rgba32float" : "rgba16float";
+    Object.assign(pass, { gpu: whole.branch(), scene, meshes, shadow });
+    try {
+      await pass.#make(atlas, size);
+    } catch (error) {
+      pass.destroy();
+      throw error;
+    }
+    return pass;
+  }
+
+  /** Frees all buffers and textures. */
+  destroy() {
+    this.panorama?.destroy();
+    this.gpu.destroy();
+  }
+
+  async #make(atlas, size) {
+    const { gpu, scene, shadow } = this;
+    this.glass = new Glass(scene);
+    const is32 = this.glass.panes.length === 0 || gpu.device.features.has(BLENDABLE);
+    this.format = is32 ? "rgba32float" : "rgba16float";
     const looks = { visibility: VERTEX | FRAGMENT, buffer: { type: "uniform", hasDynamicOffset: true } };
     const layouts = {
       view: gpu.bindLayout([
@@ -40,11 +57,10 @@ export class ShadePass {
       draws: gpu.bindLayout([looks]),
       material: gpu.bindLayout([...SAMPLED, ...SAMPLED, ...SAMPLED]),
     };
-    pass.#bind(layouts, atlas);
+    this.#bind(layouts, atlas);
     const all = [shadow.lightLayout, layouts.view, layouts.draws, layouts.material];
-    await pass.#makePipelines(gpu.pipelineLayout(all));
-    pass.resize(size);
-    return pass;
+    await this.#makePipelines(gpu.pipelineLayout(all));
+    this.resize(size);
   }
 
   #bind(layouts, atlas) {
@@ -109,14 +125,20 @@ export class ShadePass {
 
   /** Makes a target of another size: width and height in pixels. */
   resize(size) {
-    this.target?.destroy();
-    this.depth?.destroy();
+    [this.target, this.depth].forEach((texture) => this.gpu.free(texture));
+    this.size = size;
     const usage = GPUTextureUsage.RENDER_ATTACHMENT;
     const read = GPUTextureUsage.COPY_SRC | GPUTextureUsage.TEXTURE_BINDING;
     this.target = this.gpu.texture({ label: "picture", size, format: this.format, usage: usage | read });
     this.depth = this.gpu.texture({ label: "depth", size, format: NEARER_WINS.format, usage });
     this.targetView = this.target.createView();
     this.depthView = this.depth.createView();
+  }
+
+  /** Moves a mesh: its vertices and triangles, which are as many as before. */
+  moveMesh(index, mesh) {
+    this.meshes.set(this.gpu, index, mesh);
+    this.glass.set(index, mesh);
   }
 
   /** Writes looks of materials under other colours; the emitters' scale is 1 where absent. */

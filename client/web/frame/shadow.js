@@ -9,32 +9,49 @@ import { NEARER_WINS, arrayView, clearedDepth, createMaps, faceView } from "./ta
 const MATRIX_BYTES = 64;
 
 export class ShadowPass {
-  /** Makes room for lights and their maps; there are none until `set`. */
-  static async create(gpu, scene, meshes, room) {
+  /** Makes room for lights and their maps; there are none until `set`, and nothing casts until `take`. */
+  static async create(gpu, room) {
     const shadow = new ShadowPass();
     shadow.gpu = gpu;
-    shadow.meshes = meshes;
     const faceLayout = gpu.bindLayout([
       { visibility: VERTEX, buffer: { type: "uniform", hasDynamicOffset: true } },
     ]);
-    const maskLayout = gpu.bindLayout([{ visibility: VERTEX | FRAGMENT, buffer: { type: "uniform" } }, ...SAMPLED]);
+    shadow.maskLayout = gpu.bindLayout([{ visibility: VERTEX | FRAGMENT, buffer: { type: "uniform" } }, ...SAMPLED]);
     shadow.solid = await pipeline(gpu, [faceLayout], "solid", null);
-    shadow.masked = await pipeline(gpu, [faceLayout, maskLayout], "masked", "mask");
+    shadow.masked = await pipeline(gpu, [faceLayout, shadow.maskLayout], "masked", "mask");
     shadow.projections = gpu.uniforms("faces", MATRIX_BYTES, room.faces);
     shadow.faceGroup = gpu.bind(faceLayout, [{ buffer: shadow.projections.buffer, size: MATRIX_BYTES }]);
     shadow.maps = createMaps(gpu, room.side, room.faces, "depth32float");
     shadow.faceViews = Array.from({ length: room.faces }, (_, layer) => faceView(shadow.maps, layer));
-    shadow.panes = await PaneMaps.create(gpu, scene, meshes, room, faceLayout);
-    shadow.masks = meshes.meshes.map(({ material }) => {
-      return maskGroup(gpu, meshes, maskLayout, scene.manifest.materials[material]);
-    });
-    shadow.#bindLights(room);
+    shadow.panes = await PaneMaps.create(gpu, room, faceLayout);
+    shadow.#makeLights(room);
     return shadow;
   }
 
-  /** Group 0 of the shaders that read lights. */
-  #bindLights(room) {
-    const { gpu, panes } = this;
+  /** Meshes of a scene with their masks and glass, made on `gpu`; with maps for the first glass. They are to be taken, or dropped. */
+  castersOf(gpu, scene, meshes) {
+    const masks = meshes.meshes.map(({ material }) => {
+      return maskGroup(gpu, meshes, this.maskLayout, scene.manifest.materials[material]);
+    });
+    const panes = this.panes.groupsOf(gpu, scene, meshes);
+    return { meshes, masks, panes, hasGlass: panes.some((pane) => pane !== null), paneMaps: this.panes.mapsFor(panes) };
+  }
+
+  /** Draws other meshes from here on; `set` is to follow. */
+  take(casters) {
+    this.casters = casters;
+    if (casters.paneMaps === null) return;
+    this.panes.take(casters.paneMaps);
+    this.#bindLights();
+  }
+
+  /** Frees maps of meshes that are not taken. */
+  drop({ paneMaps }) {
+    if (paneMaps !== null) this.panes.free(paneMaps);
+  }
+
+  #makeLights(room) {
+    const { gpu } = this;
     this.lights = gpu.blank("lights", LIGHT_BYTES * room.lights);
     this.faces = gpu.blank("faces", FACE_BYTES * room.faces);
     this.count = gpu.uniform("light count", new Uint32Array(4));
@@ -49,6 +66,12 @@ export class ShadowPass {
       { texture: { sampleType: "unfilterable-float", viewDimension: "2d-array" } },
     ];
     this.lightLayout = gpu.bindLayout(kinds.map((kind) => ({ visibility: COMPUTE | FRAGMENT, ...kind })));
+    this.#bindLights();
+  }
+
+  /** Group 0 of the shaders that read lights. */
+  #bindLights() {
+    const { gpu, panes } = this;
     const maps = [this.maps, panes.depthMaps, panes.passedMaps].map(arrayView);
     this.lightGroup = gpu.bind(this.lightLayout, [this.lights, this.faces, this.count, ...maps]);
   }
@@ -57,12 +80,13 @@ export class ShadowPass {
   set(plan) {
     this.gpu.writeStrided(this.projections, plan.faces.map(({ matrix }) => Float32Array.from(matrix)));
     this.gpu.write(this.lights, plan.lightBytes());
-    this.gpu.write(this.faces, plan.faceNumbers(this.panes.isUsed));
+    this.gpu.write(this.faces, plan.faceNumbers(this.casters.hasGlass));
     this.gpu.write(this.count, plan.countBytes());
   }
 
   /** Records faces of the plan that was set last, from one to before another: every mesh into each, then its glass. */
   record(encoder, from, to) {
+    const { meshes, masks, panes } = this.casters;
     for (let face = from; face < to; face++) {
       const view = this.faceViews[face];
       const offset = [face * this.projections.stride];
@@ -72,15 +96,15 @@ export class ShadowPass {
         depthStencilAttachment: clearedDepth(view),
       });
       pass.setBindGroup(0, this.faceGroup, offset);
-      this.meshes.meshes.forEach((mesh, index) => {
-        if (this.panes.isGlass(index)) return;
-        const mask = this.masks[index];
+      meshes.meshes.forEach((mesh, index) => {
+        if (panes[index] !== null) return;
+        const mask = masks[index];
         pass.setPipeline(mask ? this.masked : this.solid);
         if (mask) pass.setBindGroup(1, mask);
-        this.meshes.draw(pass, mesh);
+        meshes.draw(pass, mesh);
       });
       pass.end();
-      this.panes.record(encoder, face, view, (own) => own.setBindGroup(0, this.faceGroup, offset));
+      this.panes.record(encoder, this.casters, face, view, (own) => own.setBindGroup(0, this.faceGroup, offset));
     }
   }
 }

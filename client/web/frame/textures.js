@@ -3,8 +3,19 @@
 // Format whose reads are linear.
 const FORMAT = "rgba8unorm-srgb";
 
-/** Uploads image files, `{mediaType, bytes}`, with all mip levels; behind them stands a white texel, for what has no texture. */
+/** A white texel, for what has no texture. */
+export function whiteTexel(gpu) {
+  const white = texture(gpu, 1, 1, 1);
+  gpu.device.queue.writeTexture({ texture: white }, new Uint8Array([255, 255, 255, 255]), {}, [1, 1]);
+  return white.createView();
+}
+
+/**
+ * Uploads image files, `{mediaType, bytes}`, with all mip levels. Messages call one by its `name`, else by its number; of one with
+ * `channel` "red" that channel alone is read, as alpha.
+ */
 export async function uploadTextures(gpu, files) {
+  if (files.length === 0) return [];
   const pipeline = await gpu.render({
     label: "halve",
     layout: "auto",
@@ -13,21 +24,31 @@ export async function uploadTextures(gpu, files) {
     primitive: { topology: "triangle-list" },
   });
   const views = [];
-  for (const [index, { mediaType, bytes }] of files.entries()) {
-    views.push(upload(gpu, pipeline, await decoded(mediaType, bytes, index)));
+  for (const [index, { mediaType, bytes, name = `texture ${index}`, channel = "colour" }] of files.entries()) {
+    const picture = await decoded(mediaType, bytes, name);
+    views.push(upload(gpu, pipeline, channel === "red" ? await redAsAlpha(picture) : picture));
   }
-  const white = texture(gpu, 1, 1, 1);
-  gpu.device.queue.writeTexture({ texture: white }, new Uint8Array([255, 255, 255, 255]), {}, [1, 1]);
-  return [...views, white.createView()];
+  return views;
 }
 
-async function decoded(mediaType, bytes, index) {
+/** A picture with its red channel for alpha, all else white; textures' alpha is linear, as that channel is. */
+async function redAsAlpha(picture) {
+  const { width, height } = picture;
+  const context = new OffscreenCanvas(width, height).getContext("2d", { willReadFrequently: true });
+  context.drawImage(picture, 0, 0);
+  picture.close();
+  const pixels = context.getImageData(0, 0, width, height);
+  for (let at = 0; at < pixels.data.length; at += 4) pixels.data.set([255, 255, 255, pixels.data[at]], at);
+  return createImageBitmap(pixels, { premultiplyAlpha: "none", colorSpaceConversion: "none" });
+}
+
+async function decoded(mediaType, bytes, name) {
   const blob = new Blob([bytes], { type: mediaType });
   try {
     // The very numbers of the file: alpha beside colour, no other colour space.
     return await createImageBitmap(blob, { premultiplyAlpha: "none", colorSpaceConversion: "none" });
   } catch (error) {
-    throw new Error(`texture ${index} is no picture that this browser decodes (${error.message})`);
+    throw new Error(`${name} is no picture that this browser decodes (${error.message})`);
   }
 }
 

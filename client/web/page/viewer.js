@@ -4,6 +4,8 @@ import { Unsupported, Viewer } from "../view.js";
 import { coloursOf } from "./colours.js";
 import { detailOf } from "./detail.js";
 import { el, fill, notice, slider } from "./dom.js";
+import { followDrops } from "./dropped.js";
+import { objectsOf } from "./objects.js";
 import { picturesOf } from "./pictures.js";
 import { skyOf } from "./sky.js";
 
@@ -66,11 +68,14 @@ function controlsOf(viewer, canvas) {
   });
   const exposure = slider("Exposure", (share) => (viewer.exposure = viewer.usualExposure * 2 ** (8 * (share - 0.5))));
   [brightness, exposure].forEach(({ set }) => set(0.5));
+  const [sky, objects] = [skyOf(viewer), objectsOf(viewer)];
+  followDrops(canvas, { takeObject: objects.take, takeSky: sky.take });
   return [
     ...[...places, brightness, exposure].map(({ label }) => label),
     ...detailOf(viewer),
-    ...skyOf(viewer, canvas),
+    ...sky.elements,
+    ...objects.elements,
     coloursOf(viewer),
-    el("p", { class: "quiet small hint" }, "Drag to turn, wheel to come nearer; Shift or the right button moves the lamp. Drop a panorama (.hdr) on the picture for a sky."),
+    el("p", { class: "quiet small hint" }, "Drag to turn, wheel to come nearer; Shift or the right button moves the lamp. Drop a panorama (.hdr) on the picture for a sky, or an object (.glb), which a drag then moves over the floor."),
   ];
 }

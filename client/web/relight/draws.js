@@ -36,7 +36,8 @@ export function joinDraws(manifest, contents, layout) {
   return { draws, warnings };
 }
 
-function interleaved(draw) {
+/** Vertices of a draw as the adapter reads them. */
+export function interleaved(draw) {
   const count = draw.positionM.length / 3;
   const vertices = new Float32Array(VERTEX_NUMBERS * count);
   const put = (place, each, values, absent) => {
@@ -56,7 +57,7 @@ function interleaved(draw) {
 }
 
 /** Why a draw contradicts the manifest or itself; null where it does not. */
-function problemOf(draw, manifest) {
+export function problemOf(draw, manifest) {
   const count = draw.positionM.length / 3;
   const optional = (values, each) => values.length === 0 || values.length === each * count;
   const texels = draw.front === null || draw.front === undefined ? 0 : 2 * count;

@@ -2,8 +2,6 @@
 
 #[path = "../../fuzz/src/targets/container.rs"]
 mod container;
-#[path = "../scenes/hostile/mutations.rs"]
-mod mutations;
 
 use std::collections::BTreeMap;
 
@@ -16,9 +14,9 @@ use serde_json::json;
 
 use super::fields::{self, Fields};
 use super::files::{Answer, Files};
+use super::mutations::Mutator;
 use super::{browser_at, root, served};
 use container::{packed, unpacked};
-use mutations::Mutator;
 
 const MODULE: &str = "/pages/decode.js";
 /// Mutated inputs of each fixture, beside all its prefixes.

@@ -13,6 +13,7 @@ mod face;
 mod fetching;
 mod fields;
 mod files;
+mod hand;
 #[path = "../../../server/tests/parts/keeper.rs"]
 #[allow(
     dead_code,
@@ -20,6 +21,10 @@ mod files;
     reason = "no program here is started again; a test that cannot go on has failed"
 )]
 mod keeper;
+#[path = "../scenes/hostile/mutations.rs"]
+mod mutations;
+#[allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+mod objects;
 #[allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 mod landing;
 #[allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
