@@ -49,7 +49,7 @@ const ACQUIRE_TIMEOUT: Duration = Duration::from_secs(30);
 /// Lowest version that is tested.
 const VERSION_MIN: i32 = 150_000;
 /// Steps of the schema, from one version to the next.
-const MIGRATIONS: [&str; 11] = [
+const MIGRATIONS: [&str; 12] = [
     include_str!("schema/postgres_1.sql"),
     include_str!("schema/postgres_2.sql"),
     include_str!("schema/postgres_3.sql"),
@@ -61,6 +61,7 @@ const MIGRATIONS: [&str; 11] = [
     include_str!("schema/postgres_9.sql"),
     include_str!("schema/postgres_10.sql"),
     include_str!("schema/postgres_11.sql"),
+    include_str!("schema/postgres_12.sql"),
 ];
 
 /// Settings of every connection. Shorter timeouts → a server that hangs holds the others up for less, and a slow
