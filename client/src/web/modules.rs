@@ -77,6 +77,7 @@ pub const MODULES: &[(&str, &[u8])] = files![
     "page/detail.js",
     "page/dom.js",
     "page/evaluation.js",
+    "page/evaluation_files.js",
     "page/pictures.js",
     "page/report.js",
     "page/session.js",
