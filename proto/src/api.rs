@@ -16,6 +16,8 @@
 //! | `GET /v1/bakes/{id}/events?after&wait_secs` | [`EventPage`], or SSE of [`BakeEvent`] when `text/event-stream` is accepted |
 //! | `GET /v1/bakes/{id}/results?kind&after&limit&wait_secs` | [`ResultPage`] of results as they land (long poll) |
 //! | `GET /v1/bakes/{id}/manifest`, `…/report` | JSON as the bake's last task wrote it |
+//! | `GET, PUT /v1/bakes/{id}/evaluation` | [`EvaluationIndex`] of a finished bake → 204 |
+//! | `GET, PUT /v1/bakes/{id}/evaluation/files/{digest}` | bytes of a file of it, stored before it is named |
 //! | `GET /v1/workers` | [`WorkerPage`] |
 //! | `POST /v1/leases` | [`ClaimRequest`] → [`ClaimAnswer`] (long poll) |
 //! | `POST /v1/leases/{token}/heartbeat` | [`Heartbeat`] → [`HeartbeatAnswer`] |
@@ -30,6 +32,7 @@ use utoipa::ToSchema;
 use crate::ids::Digest;
 use crate::jobs::{Artefact, TaskSpec};
 
+pub use crate::evaluation::EvaluationIndex;
 pub use crate::events::{BakeEvent, EventKind, EventPage};
 pub use crate::filter::BakeFilter;
 pub use crate::jobs::TaskResult;
@@ -225,6 +228,9 @@ pub struct Bake {
     pub manifest: Option<Digest>,
     /// Digest of the report when done.
     pub report: Option<Digest>,
+    /// Digest of the index of the evaluation attached to it, if one is.
+    #[serde(default)]
+    pub evaluation: Option<Digest>,
     /// Submission time, Unix milliseconds.
     pub created_ms: i64,
     /// End time, Unix milliseconds.

@@ -5,6 +5,7 @@ pub mod address;
 pub mod api;
 pub mod chunk;
 pub mod content;
+pub mod evaluation;
 pub mod events;
 pub mod filter;
 pub mod glass;

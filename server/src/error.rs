@@ -4,6 +4,7 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 
 use lightkiln_proto::api::MIN_ID_CHARS;
+use lightkiln_proto::evaluation::EvaluationError;
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::kinds::BakeError;
 use lightkiln_proto::problem::{ProblemCode, RetryClass, chain};
@@ -91,6 +92,29 @@ pub enum ServerError {
         /// Its state, in words.
         why: String,
     },
+    /// A file that no evaluation of the bake names.
+    #[error(
+        "the evaluation of bake '{bake}' has no file {digest}; GET /v1/bakes/{bake}/evaluation names those that it has"
+    )]
+    NoSuchEvaluationFile {
+        /// The bake.
+        bake: String,
+        /// The file asked for.
+        digest: Digest,
+    },
+    /// An index of an evaluation that names other lengths than those stored.
+    #[error("file '{name}' has {stored} bytes, not the {named} that the index names")]
+    EvaluationFileLength {
+        /// The file.
+        name: String,
+        /// Its length.
+        stored: u64,
+        /// The length in the index.
+        named: u64,
+    },
+    /// An evaluation's index breaks its rules.
+    #[error(transparent)]
+    Evaluation(#[from] EvaluationError),
     /// The range lies outside the bytes.
     #[error("the range lies outside the {length} bytes")]
     Range {
@@ -208,16 +232,21 @@ impl ServerError {
     /// The problem that a caller sees.
     pub fn code(&self) -> ProblemCode {
         match self {
-            Self::BadRequest { .. } | Self::AmbiguousId { .. } => ProblemCode::BadRequest,
+            Self::BadRequest { .. }
+            | Self::AmbiguousId { .. }
+            | Self::Evaluation(_)
+            | Self::EvaluationFileLength { .. } => ProblemCode::BadRequest,
             Self::BadBake(_) => ProblemCode::BadSettings,
             Self::Unauthorized { .. } => ProblemCode::Unauthorized,
             Self::Forbidden { .. } => ProblemCode::Forbidden,
             Self::Access(_) => ProblemCode::BadRequest,
             Self::NoSuchOutput { .. } => ProblemCode::NotStored,
             Self::BodyBrokeOff(_) => ProblemCode::BrokeOff,
-            Self::NoSuchScene { .. } | Self::NoSuchLease | Self::NoSuchPath { .. } | Self::ShortId { .. } => {
-                ProblemCode::NotFound
-            }
+            Self::NoSuchEvaluationFile { .. }
+            | Self::NoSuchScene { .. }
+            | Self::NoSuchLease
+            | Self::NoSuchPath { .. }
+            | Self::ShortId { .. } => ProblemCode::NotFound,
             Self::NoResult { .. } => ProblemCode::StateConflict,
             Self::Range { .. } => ProblemCode::RangeNotSatisfiable,
             Self::MethodNotAllowed { .. } => ProblemCode::MethodNotAllowed,

@@ -18,6 +18,7 @@ pub mod chunks;
 pub mod clock;
 mod collect;
 mod error;
+mod evaluations;
 pub mod farm;
 pub mod fsck;
 pub mod guard;

@@ -4,8 +4,8 @@ use std::ops::Range;
 
 use lightkiln_http::{Call, HttpClient, Part, RetryPolicy, ShutdownFlag};
 use lightkiln_proto::api::{
-    Bake, BakeFilter, BakePage, Blocklist, EventPage, MAX_CHUNK_BYTES, NewBake, NewPriority, ResultPage,
-    SCENE_PART_BYTES, ScenePart, SceneParts, SceneProgress, SceneStored, WorkerPage,
+    Bake, BakeFilter, BakePage, Blocklist, EvaluationIndex, EventPage, MAX_CHUNK_BYTES, NewBake, NewPriority,
+    ResultPage, SCENE_PART_BYTES, ScenePart, SceneParts, SceneProgress, SceneStored, WorkerPage,
 };
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::manifest;
@@ -155,6 +155,19 @@ impl ApiClient {
     pub fn clear_blocklist(&self, id: &str, worker: Option<&str>) -> Result<Blocklist> {
         let query = worker.map(|worker| format!("?worker={}", escape(worker))).unwrap_or_default();
         Ok(self.http.json(&Call::delete(bake_path(id, &format!("/blocklist{query}"))))?)
+    }
+
+    /// Stores a file of an evaluation that is to be attached to a finished bake.
+    pub fn put_evaluation_file(&self, id: &str, bytes: &[u8]) -> Result<()> {
+        let path = bake_path(id, &format!("/evaluation/files/{}", Digest::of(bytes)));
+        self.http.bytes(&Call::put(path, bytes), 0)?;
+        Ok(())
+    }
+
+    /// Attaches an evaluation, whose files are stored, to a finished bake in place of the one before.
+    pub fn attach_evaluation(&self, id: &str, index: &EvaluationIndex) -> Result<()> {
+        self.http.bytes(&Call::put_json(bake_path(id, "/evaluation"), index)?, 0)?;
+        Ok(())
     }
 
     /// Deletes a bake that has ended, with the results that no other bake holds.

@@ -98,6 +98,7 @@ pub const MODULES: &[(&str, &[u8])] = files![
     "page/dom.js",
     "page/dropped.js",
     "page/evaluation.js",
+    "page/evaluation_files.js",
     "page/objects.js",
     "page/pictures.js",
     "page/report.js",

@@ -3,6 +3,7 @@
 import { BundleSource, Http } from "../fetch.js";
 import { el, fill, notice } from "./dom.js";
 import { evaluationOf } from "./evaluation.js";
+import { FolderFiles } from "./evaluation_files.js";
 import { viewerOf } from "./viewer.js";
 
 const { signal } = new AbortController();
@@ -11,8 +12,10 @@ const [picture, evaluation] = [el("div"), el("div")];
 fill(document.querySelector("main"), picture, evaluation);
 const contents = readContents();
 // The bake does not wait for the rest.
-viewerOf(picture, new BundleSource(at("bake")), signal, { pictures: contents.then(({ stills }) => stills), base: at(".") });
-if ((await contents).hasEvaluation) evaluationOf(evaluation, at("evaluation"), signal);
+const site = new FolderFiles(at("."));
+const pictures = contents.then(({ stills }) => stills);
+viewerOf(picture, new BundleSource(at("bake")), signal, { pictures, show: (image, file) => site.show(image, file) });
+if ((await contents).hasEvaluation) evaluationOf(evaluation, new FolderFiles(at("evaluation")), signal);
 
 /** Pictures of the site, and whether it has an evaluation: neither without `site.json`. One that cannot be read is told of. */
 async function readContents() {

@@ -3,6 +3,8 @@
 import { ServerSource } from "../fetch.js";
 import { Following, TASKS } from "../relight/following.js";
 import { bar, el, fill, notice, stateMark, table } from "./dom.js";
+import { evaluationOf } from "./evaluation.js";
+import { FarmFiles } from "./evaluation_files.js";
 import { shown } from "./report.js";
 import { http } from "./session.js";
 import { viewerOf } from "./viewer.js";
@@ -18,13 +20,15 @@ const STAGES = [["Stage"], ["Tasks", true], ["Done"], ["Reused", true], ["Under 
 export async function showBake(main, id, signal) {
   const path = `/v1/bakes/${encodeURIComponent(id)}`;
   let bake = await http().json(path, { signal });
-  const parts = { head: el("div"), viewer: el("div"), stages: el("div"), report: el("div"), log: el("ol", { class: "log" }) };
+  const [head, viewer, stages, report, evaluation] = Array.from({ length: 5 }, () => el("div"));
+  const parts = { head, viewer, stages, report, evaluation, log: el("ol", { class: "log" }) };
   const settings = el("details", {}, el("summary", {}, "Settings"), shown(bake.settings ?? "the defaults of the kind"));
   fill(
     main,
     parts.head,
     parts.viewer,
     parts.report,
+    parts.evaluation,
     el("h2", {}, "Progress"),
     parts.stages,
     el("h2", {}, "Log"),
@@ -40,9 +44,8 @@ export async function showBake(main, id, signal) {
     }
     if (bake.state === "done" && !isReported) {
       isReported = true;
-      if (!isSeen) viewerOf(parts.viewer, new ServerSource({ http: http(), bake: bake.id }), signal);
+      showResult(parts, path, bake, isSeen, signal);
       isSeen = true;
-      showReport(parts.report, path, signal);
     }
     const isAtEnd = ["done", "failed", "cancelled"].includes(bake.state);
     const wait = isAtEnd ? 0 : WAIT_SECS;
@@ -107,9 +110,38 @@ async function showEarly(place, bake, signal) {
   }
 }
 
-function showReport(place, path, signal) {
+/** Shows what a finished bake has: each part on its own, so that a fault in one leaves the others. `isSeen` of the picture that came early. */
+function showResult(parts, path, bake, isSeen, signal) {
+  const source = new ServerSource({ http: http(), bake: bake.id });
+  const attached = bake.evaluation == null ? null : FarmFiles.open(http(), path, signal);
+  const show = async (image, file) => (await attached).show(image, file);
+  if (!isSeen) viewerOf(parts.viewer, source, signal, { pictures: stillsOf(attached), show });
+  showEvaluation(parts.evaluation, attached, bake.id, signal);
   http()
     .json(`${path}/report`, { signal })
-    .then((report) => fill(place, el("h2", {}, "Report"), el("div", { class: "card" }, shown(report))))
-    .catch((error) => signal.aborted || fill(place, notice(`The report: ${error.message}`, { isBad: true })));
+    .then((report) => fill(parts.report, el("h2", {}, "Report"), el("div", { class: "card" }, shown(report))))
+    .catch((error) => signal.aborted || fill(parts.report, notice(`The report: ${error.message}`, { isBad: true })));
+}
+
+/** Pictures for browsers without WebGPU; none where they cannot be had, as the evaluation's own part tells why. */
+async function stillsOf(attached) {
+  try {
+    const stills = await (await attached)?.json("stills.json");
+    return Array.isArray(stills) ? stills : [];
+  } catch {
+    return [];
+  }
+}
+
+async function showEvaluation(place, attached, id, signal) {
+  if (attached === null) {
+    const command = `kiln evaluate ${id} --server ${location.origin} --out DIR --attach`;
+    fill(place, el("h2", {}, "Evaluation"), el("p", { class: "quiet" }, "None is attached. ", el("code", {}, command), " makes one."));
+    return;
+  }
+  try {
+    await evaluationOf(place, await attached, signal);
+  } catch (error) {
+    if (!signal.aborted) fill(place, notice(`The evaluation: ${error.message}`, { isBad: true }));
+  }
 }

@@ -1,7 +1,6 @@
 // An evaluation: a bake held against the path tracer, from figures and pictures of `kiln evaluate --out`. It is all shown by this page's
 // own elements, as text and pictures.
 
-import { Http } from "../fetch.js";
 import { el, fill, notice, table } from "./dom.js";
 import { picturesOf } from "./pictures.js";
 import { shown } from "./report.js";
@@ -10,18 +9,18 @@ const COLUMNS = [["Light"], ["Error", true], ["95 %", true], ["Energy", true], [
 /** Rows of a light that the table has. */
 const LIGHTS_MAX = 256;
 
-/** Shows the evaluation whose files lie below `base`, until `signal` is raised. */
-export async function evaluationOf(place, base, signal) {
-  const http = new Http({ base });
+/** Shows the evaluation that has those files, until `signal` is raised. */
+export async function evaluationOf(place, files, signal) {
   try {
-    const [figures, gallery] = await Promise.all(["/evaluation.json", "/pictures.json"].map((path) => http.json(path, { signal })));
-    fill(place, el("h2", {}, "Evaluation"), ...parts(figures, gallery, `${base}/pictures/`));
+    const [figures, gallery] = await Promise.all(["evaluation.json", "pictures.json"].map((name) => files.json(name, signal)));
+    const show = (image, file) => files.show(image, `pictures/${file}`);
+    if (!signal.aborted) fill(place, el("h2", {}, "Evaluation"), ...parts(figures, gallery, show));
   } catch (error) {
     if (!signal.aborted) fill(place, notice(`The evaluation: ${error.message}`, { isBad: true }));
   }
 }
 
-function parts(figures, gallery, base) {
+function parts(figures, gallery, show) {
   const lights = (Array.isArray(figures.lights) ? figures.lights : []).slice(0, LIGHTS_MAX);
   const rows = [...lights.map((light) => row(light.name, light)), row("all lights", figures)];
   const about =
@@ -29,7 +28,7 @@ function parts(figures, gallery, base) {
     "the energy over the reference's, and by how much of the mean the worst 5 % and 1 % of the area differ.";
   const notes = (Array.isArray(figures.notes) ? figures.notes : []).map((note) => el("p", { class: "quiet small" }, String(note)));
   const ofLights = (Array.isArray(gallery?.lights) ? gallery.lights : []).map(({ name, words, pictures }) => {
-    return el("details", {}, el("summary", {}, `${name}: ${words}`), picturesOf(pictures, base));
+    return el("details", {}, el("summary", {}, `${name}: ${words}`), picturesOf(pictures, show));
   });
   ofLights[0]?.setAttribute("open", "");
   const all = el("details", {}, el("summary", {}, "All figures"), shown(figures));

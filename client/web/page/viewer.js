@@ -11,9 +11,10 @@ import { skyOf } from "./sky.js";
 
 /**
  * Shows the bake's picture in `place` until `signal` is raised. Where there can be none, it says why, and shows `pictures` that were drawn
- * before, or a promise of them that does not fail, whose files lie below `base`. `following` is of a bake that goes on, see `Viewer.open`.
+ * before, or a promise of them that does not fail; `show(image, file)` gives an image its picture. `following` is of a bake that goes on,
+ * see `Viewer.open`.
  */
-export async function viewerOf(place, source, signal, { pictures = [], base = "", following = null } = {}) {
+export async function viewerOf(place, source, signal, { pictures = [], show = null, following = null } = {}) {
   const canvas = el("canvas", { tabindex: 0, "aria-label": "Picture of the bake: arrow keys turn the camera" });
   const over = el("p", { class: "over", role: "status" }, "opening …");
   const controls = el("div", { class: "controls" });
@@ -22,7 +23,7 @@ export async function viewerOf(place, source, signal, { pictures = [], base = ""
     if (signal.aborted) return;
     fill(place, told(error, false));
     const drawn = await pictures;
-    if (!signal.aborted && drawn.length > 0) fill(place, told(error, true), picturesOf(drawn, base));
+    if (!signal.aborted && drawn.length > 0) fill(place, told(error, true), picturesOf(drawn, show));
   };
   const onProgress = ({ words, share }) => {
     over.textContent = words;

@@ -1,6 +1,6 @@
 //! Arguments that several subcommands share.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use clap::Args;
@@ -73,11 +73,22 @@ impl BakeArgument {
         self.server.as_ref().map_or(bake.clone(), |url| format!("{bake} --server {}", quoted(url)))
     }
 
+    /// The bundle's folder; of a bake on a farm, its id.
+    pub fn folder(&self) -> &Path {
+        &self.bake
+    }
+
+    /// Server and id of a bake on a farm.
+    pub fn on_farm(&self) -> Result<Option<(ApiClient, String)>> {
+        let Some(url) = &self.server else { return Ok(None) };
+        let client = self.trust.connect(url, &Interrupt::default())?;
+        Ok(Some((client, self.bake.to_string_lossy().into_owned())))
+    }
+
     /// Its source, with a cache for what a server gives.
     pub fn open(&self) -> Result<Source> {
-        let Some(url) = &self.server else { return Ok(Source::bundle(&self.bake)?) };
-        let client = self.trust.connect(url, &Interrupt::default())?;
-        let source = Source::server(client, self.bake.to_string_lossy());
+        let Some((client, id)) = self.on_farm()? else { return Ok(Source::bundle(&self.bake)?) };
+        let source = Source::server(client, id);
         Ok(match self.cache_gib {
             0 => source,
             gib => cached(source, or_in_state(self.cache.clone(), "chunks").ok(), gib),

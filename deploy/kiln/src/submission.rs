@@ -6,7 +6,7 @@ use std::time::SystemTime;
 
 use clap::Args;
 use lightkiln_client::fetch::ApiClient;
-use lightkiln_proto::api::{Bake, BakeState, Needs, NewBake, SCENE_PART_BYTES};
+use lightkiln_proto::api::{Bake, BakeState, MAX_CHUNK_BYTES, Needs, NewBake, SCENE_PART_BYTES};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::problem::RetryClass;
 use lightkiln_worker::scene::{Bundle, ImportError, Limits};
@@ -63,6 +63,12 @@ impl PackedScene {
         })?;
         let stem = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
         Ok(Self { name: stem.chars().take(NAME_CHARS_MAX).collect(), bytes })
+    }
+
+    /// The scene of a farm's bake, which the farm has kept packed.
+    pub fn of_bake(client: &ApiClient, bake: &Bake) -> Result<Self> {
+        let bytes = client.chunk(bake.scene, MAX_CHUNK_BYTES)?;
+        Ok(Self { name: bake.name.clone(), bytes })
     }
 
     /// The packed scene, whose digest a manifest names.

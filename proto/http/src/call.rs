@@ -66,6 +66,14 @@ impl<'a> Call<'a> {
         Ok(Self::new(Method::POST, path, Payload::Json(json)).header("content-type", "application/json"))
     }
 
+    /// `PUT path` with a JSON body.
+    pub fn put_json(path: impl Into<String>, body: &impl Serialize) -> Result<Self, CallError> {
+        let path = path.into();
+        let json = serde_json::to_vec(body)
+            .map_err(|source| CallError::Json { call: format!("the body of PUT {path}"), source })?;
+        Ok(Self::new(Method::PUT, path, Payload::Json(json)).header("content-type", "application/json"))
+    }
+
     /// `PUT path` with plain bytes.
     pub fn put(path: impl Into<String>, bytes: &'a [u8]) -> Self {
         Self::new(Method::PUT, path, Payload::Bytes(bytes)).header("content-type", "application/octet-stream")

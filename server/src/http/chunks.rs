@@ -127,7 +127,7 @@ async fn store(farm: &Farm, digest: Digest, headers: &HeaderMap, body: Body) -> 
     store_up_to(farm, digest, headers, body, MAX_CHUNK_BYTES).await
 }
 
-async fn store_up_to(
+pub(super) async fn store_up_to(
     farm: &Farm,
     digest: Digest,
     headers: &HeaderMap,
@@ -143,7 +143,7 @@ async fn store_up_to(
     Ok(stored)
 }
 
-fn status_of(stored: Stored) -> StatusCode {
+pub(super) fn status_of(stored: Stored) -> StatusCode {
     if stored.is_new { StatusCode::CREATED } else { StatusCode::OK }
 }
 
@@ -191,7 +191,7 @@ pub(super) async fn head_chunk(
     serve_bytes(&farm, digest, &Method::HEAD, &headers, "application/octet-stream", forever(&headers)).await
 }
 
-fn forever(headers: &HeaderMap) -> &'static str {
+pub(super) fn forever(headers: &HeaderMap) -> &'static str {
     if headers.contains_key(header::AUTHORIZATION) { FOREVER_PRIVATE } else { FOREVER }
 }
 

@@ -61,7 +61,7 @@ fn has_escaped_nul(json: &[u8]) -> bool {
 }
 
 /// Errs if a decoded part of the URL has U+0000.
-fn without_nul(what: &str, encoded: &str) -> Result<()> {
+pub(super) fn without_nul(what: &str, encoded: &str) -> Result<()> {
     if encoded.contains("%00") {
         return Err(ServerError::bad_request(format!(
             "the {what} has the character U+0000 (%00), which no text may have"

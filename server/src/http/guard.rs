@@ -29,6 +29,11 @@ fn scopes_for(method: &Method, route: &str) -> &'static [Scope] {
         "/v1/workers" | "/metrics" if reads => &[Scope::Read],
         route if route.starts_with("/v1/leases") => &[Scope::Worker],
         route if route.starts_with("/v1/bakes") && reads => &[Scope::Read],
+        "/v1/bakes/{id}/evaluation" | "/v1/bakes/{id}/evaluation/files/{digest}"
+            if *method == Method::PUT =>
+        {
+            &[Scope::Submit]
+        }
         "/v1/bakes/{id}" | "/v1/bakes/{id}/blocklist" if *method == Method::DELETE => &[Scope::Submit],
         route if route.starts_with("/v1/bakes") && *method == Method::POST => &[Scope::Submit],
         _ => &[Scope::Admin],

@@ -3,6 +3,7 @@
 mod bakes;
 mod chunks;
 mod enrolments;
+mod evaluations;
 mod events;
 mod extract;
 mod guard;
@@ -57,6 +58,8 @@ pub(crate) fn router(farm: Arc<Farm>, limits: LimitConfig, pages: Pages) -> Rout
         .route("/v1/bakes/{id}/results", get(results::results))
         .route("/v1/bakes/{id}/manifest", get(bakes::manifest))
         .route("/v1/bakes/{id}/report", get(bakes::report))
+        .route("/v1/bakes/{id}/evaluation", get(evaluations::show).put(evaluations::attach))
+        .route("/v1/bakes/{id}/evaluation/files/{digest}", get(evaluations::file).put(evaluations::put_file))
         .route("/v1/workers", get(bakes::workers))
         .route("/v1/leases", post(leases::claim))
         .route("/v1/leases/{token}/heartbeat", post(leases::heartbeat))

@@ -10,7 +10,7 @@ use utoipa::openapi::{Content, Ref, RefOr, Response, ResponseBuilder};
 use utoipa::{Modify, OpenApi, openapi};
 
 use super::problem::PROBLEM_JSON;
-use super::{bakes, chunks, enrolments, events, health, leases, results};
+use super::{bakes, chunks, enrolments, evaluations, events, health, leases, results};
 
 #[derive(OpenApi)]
 #[openapi(
@@ -32,6 +32,7 @@ use super::{bakes, chunks, enrolments, events, health, leases, results};
         chunks::put_scene, chunks::head_scene, chunks::put_scene_together, chunks::put_scene_part, chunks::put_chunk, chunks::get_chunk, chunks::head_chunk,
         bakes::submit, bakes::list, bakes::show, bakes::delete, bakes::blocklist, bakes::clear_blocklist, bakes::cancel, bakes::pause, bakes::resume, bakes::reprioritise,
         bakes::manifest, bakes::report, bakes::workers, events::events, results::results,
+        evaluations::show, evaluations::attach, evaluations::file, evaluations::put_file,
         leases::claim, leases::heartbeat, leases::commit, leases::fail, leases::release,
         enrolments::enrol,
         health::healthz, health::readyz, health::metrics, show,

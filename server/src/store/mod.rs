@@ -292,6 +292,10 @@ pub trait FarmStore: Send + Sync {
     /// would then store more than `quota` bytes.
     async fn keep_chunk(&self, chunk: KeptChunk, replaces: Option<u64>, quota: Option<u64>) -> Result<Kept>;
 
+    /// Attaches an evaluation to a bake that is done, in place of the one that it has: its index and its files, which must be kept,
+    /// stay as long as it is attached. The same call again changes nothing.
+    async fn set_evaluation(&self, bake: &str, index: Digest, files: &BTreeSet<Digest>) -> Result<()>;
+
     /// Deletes a bake that has ended, and the results that no other bake holds.
     async fn delete_bake(&self, bake: &str) -> Result<()>;
 
@@ -335,6 +339,14 @@ pub fn require_live(bake: &str, state: BakeState, action: &'static str) -> Resul
 /// Refuses calls that only an ended bake allows.
 pub fn require_ended(bake: &str, state: BakeState, action: &'static str) -> Result<()> {
     if !state.is_final() {
+        return Err(StoreError::StateConflict { bake: bake.to_owned(), state, action });
+    }
+    Ok(())
+}
+
+/// Refuses calls that only a bake with all its results allows.
+pub fn require_done(bake: &str, state: BakeState, action: &'static str) -> Result<()> {
+    if state != BakeState::Done {
         return Err(StoreError::StateConflict { bake: bake.to_owned(), state, action });
     }
     Ok(())

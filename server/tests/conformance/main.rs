@@ -11,6 +11,7 @@ mod chunks;
 mod clock;
 mod crash;
 mod durability;
+mod evaluations;
 mod failure;
 mod graph;
 mod hints;
@@ -95,6 +96,9 @@ conformance! {
         scene_is_lost_only_while_a_live_bake_needs_it
         artefact_that_an_ended_bake_names_is_made_again_by_the_next
         ended_bake_says_what_it_lost_also_when_a_live_one_gives_up;
+    evaluations:
+        evaluation_holds_its_files_until_it_is_replaced_or_its_bake_deleted
+        evaluation_is_refused_unless_the_bake_is_done_and_its_files_are_kept;
     graph:
         dependants_start_only_after_commit
         lease_carries_the_outputs_of_dependencies

@@ -86,6 +86,7 @@ async fn scope_opens_its_calls_and_no_others() {
     let server = start_in(folder).await;
     let chunk = format!("/v1/chunks/{}", Digest::of(b"nothing"));
     let scene = format!("/v1/scenes/{}", Digest::of(b"nothing"));
+    let evaluation_file = format!("/v1/bakes/none/evaluation/files/{}", Digest::of(b"nothing"));
     for (method, path, who) in [
         ("GET", "/v1/bakes", &[Read, Submit][..]),
         ("GET", "/v1/bakes/none/events", &[Read, Submit]),
@@ -101,6 +102,10 @@ async fn scope_opens_its_calls_and_no_others() {
         ("PUT", &format!("/v1/scene-parts/{}", Digest::of(b"nothing")), &[Submit]),
         ("POST", "/v1/bakes", &[Submit]),
         ("POST", "/v1/bakes/none/cancel", &[Submit]),
+        ("GET", "/v1/bakes/none/evaluation", &[Read, Submit]),
+        ("PUT", "/v1/bakes/none/evaluation", &[Submit]),
+        ("GET", &evaluation_file, &[Read, Submit]),
+        ("PUT", &evaluation_file, &[Submit]),
         ("POST", "/v1/leases", &[Worker]),
         ("POST", "/v1/leases/none/commit", &[Worker]),
         ("POST", "/v1/enrolments", &[]),

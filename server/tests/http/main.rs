@@ -6,6 +6,7 @@ mod access;
 mod bakes;
 mod bytes;
 mod enrolments;
+mod evaluations;
 mod events;
 mod life;
 mod limits;

@@ -8,7 +8,7 @@ use super::farm::Farm;
 use lightkiln_server::chunks::ChunkName;
 use lightkiln_server::store::chunk::{ChunkRow, CollectRules, Collected, Kept, KeptChunk, Usage};
 use lightkiln_server::store::rules::CHUNK_USED_GRAIN_MS;
-use lightkiln_server::store::{StoreError, require_ended};
+use lightkiln_server::store::{StoreError, require_done, require_ended};
 
 /// Stored chunks.
 #[derive(Clone, Default)]
@@ -120,7 +120,11 @@ impl Farm {
     fn refs(&self, digest: Digest) -> u64 {
         let by_results = self.producers(digest).len();
         let by_bakes = self.bakes.iter().filter(|bake| bake.artefacts.contains(&digest)).count();
-        (by_results + by_bakes) as u64
+        let has_evaluated = |bake: &&super::entries::BakeEntry| {
+            bake.evaluation.as_ref().is_some_and(|(_, chunks)| chunks.contains(&digest))
+        };
+        let by_evaluations = self.bakes.iter().filter(has_evaluated).count();
+        (by_results + by_bakes + by_evaluations) as u64
     }
 
     /// Finished tasks whose results have the chunk among their outputs.
@@ -153,6 +157,20 @@ impl Farm {
         let producers = self.producers(name.digest);
         producers.iter().for_each(|key| self.forget(*key, now_ms));
         producers.len() as u64
+    }
+
+    pub(super) fn set_evaluation(
+        &mut self,
+        id: &str,
+        index: Digest,
+        files: &BTreeSet<Digest>,
+    ) -> Result<(), StoreError> {
+        let bake = self.index_of(id)?;
+        require_done(id, self.bakes[bake].state, "given an evaluation")?;
+        let chunks: BTreeSet<Digest> = files.iter().copied().chain([index]).collect();
+        chunks.iter().try_for_each(|digest| self.chunks.require(*digest))?;
+        self.bakes[bake].evaluation = Some((index, chunks));
+        Ok(())
     }
 
     pub(super) fn delete_bake(&mut self, id: &str) -> Result<(), StoreError> {

@@ -32,6 +32,8 @@ pub(super) struct BakeEntry {
     pub(super) counters_reused: BTreeMap<String, f64>,
     pub(super) manifest: Option<Digest>,
     pub(super) report: Option<Digest>,
+    /// Index of the attached evaluation, and all chunks that it takes.
+    pub(super) evaluation: Option<(Digest, BTreeSet<Digest>)>,
     pub(super) failure: Option<String>,
     pub(super) created_ms: i64,
     pub(super) finished_ms: Option<i64>,
@@ -136,6 +138,7 @@ impl BakeEntry {
             counters_reused: BTreeMap::new(),
             manifest: None,
             report: None,
+            evaluation: None,
             failure: None,
             created_ms: now_ms,
             finished_ms: None,

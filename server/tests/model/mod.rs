@@ -225,6 +225,15 @@ impl FarmStore for MemoryStore {
         self.farm().chunks.keep(chunk, replaces, quota, self.now_ms())
     }
 
+    async fn set_evaluation(
+        &self,
+        bake: &str,
+        index: Digest,
+        files: &BTreeSet<Digest>,
+    ) -> Result<(), StoreError> {
+        self.farm().set_evaluation(bake, index, files)
+    }
+
     async fn delete_bake(&self, bake: &str) -> Result<(), StoreError> {
         self.change(|farm, _| farm.delete_bake(bake))
     }

@@ -33,6 +33,7 @@ impl Farm {
             failure: entry.failure.clone(),
             manifest: entry.manifest.filter(|_| done),
             report: entry.report.filter(|_| done),
+            evaluation: entry.evaluation.as_ref().map(|(index, _)| *index),
             created_ms: entry.created_ms,
             finished_ms: entry.finished_ms,
             counters: entry.counters.clone(),

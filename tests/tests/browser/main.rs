@@ -21,12 +21,12 @@ mod hand;
     reason = "no program here is started again; a test that cannot go on has failed"
 )]
 mod keeper;
+#[allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+mod landing;
 #[path = "../scenes/hostile/mutations.rs"]
 mod mutations;
 #[allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 mod objects;
-#[allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
-mod landing;
 #[allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 mod relighting;
 mod shown;

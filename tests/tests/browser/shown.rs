@@ -76,8 +76,19 @@ fn chromium_shows_a_finished_bake_of_a_farm_as_its_server_hands_it_out() {
             performance.getEntriesByType('resource').every(({ name }) => name.startsWith(location.origin)),
             performance.getEntriesByType('resource').some(({ name }) => name.endsWith('/relight/worker.js'))]";
     assert_eq!(browser.script(shown, json!([])), json!([true, true, true, true, true]));
+    wait_for(&browser, &format!("kiln evaluate {id} --server {url} --out DIR --attach"), 0);
+    // An evaluation that is attached is on the page, its pictures too.
+    evaluate(folder.path(), &id, &url);
+    browser.open(&format!("{url}/web/icon.svg"));
+    browser.open(&format!("{url}/#/bakes/{id}"));
+    let text = wait_for(&browser, "all lights", 0);
+    assert!(
+        text.contains("Evaluation") && text.contains("Cornell's lamp") && !text.contains("--attach"),
+        "{text}"
+    );
+    browser.script("document.querySelector('.pictures').scrollIntoView()", json!([]));
+    wait_for(&browser, "all lights", 2);
     // The same bake as a site of plain files.
-    evaluate(folder.path());
     let arguments = ["site", "out", "--out", "site", "--stills", "2", "--evaluation", "evaluated"];
     let site = program(folder.path()).args(arguments).output().expect("a site");
     assert!(site.status.success(), "{}", String::from_utf8_lossy(&site.stderr));
@@ -93,7 +104,11 @@ fn chromium_shows_a_finished_bake_of_a_farm_as_its_server_hands_it_out() {
     // Without WebGPU either page says so, and the site has pictures.
     browser.before_pages("Object.defineProperty(Navigator.prototype, 'gpu', { get: () => undefined })");
     browser.open(&format!("{url}/#/bakes/{id}"));
-    wait_for(&browser, "kiln preview", 0);
+    let text = wait_for(&browser, "drawn before", 1);
+    assert!(text.contains("no WebGPU"), "{text}");
+    let still = "const image = document.querySelector('main img');
+        return [new URL(image.src).protocol, image.naturalWidth, image.naturalHeight]";
+    assert_eq!(browser.script(still, json!([])), json!(["blob:", 960, 540]));
     browser.open(&files.url("/any/place/index.html"));
     let text = wait_for(&browser, "no WebGPU", 3);
     assert!(text.contains("drawn before"), "{text}");
@@ -120,26 +135,16 @@ fn chromium_shows_a_finished_bake_of_a_farm_as_its_server_hands_it_out() {
     }
 }
 
-/// Evaluates the bake of a folder, roughly.
-fn evaluate(folder: &Path) {
-    let scene = root().join("tests/scenes/cornell.glb");
+/// Evaluates a bake of a farm, roughly, against the scene that the farm has, and attaches that to it.
+fn evaluate(folder: &Path, id: &str, url: &str) {
     let lights = r#"{"lights": [
         {"name": "Cornell's lamp", "type": "point", "position_m": [0, 1, 0.5], "strength": [10, 9, 8]}
     ]}"#;
     std::fs::write(folder.join("lights.json"), lights).expect("a file");
     let mut evaluate = program(folder);
-    evaluate.args([
-        "evaluate",
-        "out",
-        "--out",
-        "evaluated",
-        "--lights",
-        "lights.json",
-        "--size",
-        "48x32",
-        "--scene",
-    ]);
-    evaluate.arg(scene).args(["--receivers", "30", "--rel-error", "0.3", "--pixels", "0"]);
+    evaluate.args(["evaluate", id, "--server", url, "--out", "evaluated", "--attach"]);
+    evaluate.args(["--lights", "lights.json", "--size", "48x32"]);
+    evaluate.args(["--receivers", "30", "--rel-error", "0.3", "--pixels", "0"]);
     let output = evaluate.output().expect("an evaluation");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 }

@@ -1,16 +1,21 @@
-//! `kiln evaluate`: a bundle held against the path tracer.
+//! `kiln evaluate`: a bundle, or a bake on a farm, held against the path tracer.
 
-use std::path::PathBuf;
+use std::borrow::Cow;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
-use lightkiln_client::fetch::Source;
+use lightkiln_client::fetch::ApiClient;
 use lightkiln_client::lights::parse_camera;
+use lightkiln_proto::evaluation::{EvaluationFile, EvaluationIndex, EvaluationMedia, STILLS};
+use lightkiln_proto::ids::Digest;
 
-use crate::console::{printable, put_json};
+use super::site::{evaluation, stills};
+use crate::arguments::BakeArgument;
+use crate::console::{printable, put_json, say};
 use crate::evaluation::{
     EvaluationArguments, check, draw, measure, scene_of_bundle, words, write_dump, write_page,
 };
-use crate::failure::{EXIT_CODES, Result};
+use crate::failure::{EXIT_CODES, Failure, Result};
 use crate::interrupt::Interrupt;
 use crate::kinds::KindTables;
 use crate::lighting::LightArguments;
@@ -22,9 +27,9 @@ use crate::submission::{PackedScene, SceneArguments};
 #[derive(Args, Debug)]
 #[command(after_help = EXIT_CODES)]
 pub struct Arguments {
-    /// Bundle folder
-    bundle: PathBuf,
-    /// The scene that was baked [default: where it was then]
+    #[command(flatten)]
+    source: BakeArgument,
+    /// The scene that was baked [default: where it was then; with --server, as the farm has it]
     #[arg(long, value_name = "SCENE")]
     scene: Option<PathBuf>,
     /// Folder that holds the scene and the files that it names, as of 'kiln bake' [default: the scene's own]
@@ -43,6 +48,12 @@ pub struct Arguments {
     /// Writes place, normal, area, baked and reference E_ind of every receiver and light
     #[arg(long, value_name = "FILE.csv")]
     dump: Option<PathBuf>,
+    /// Attaches figures and pictures of --out, and pictures for browsers without WebGPU, to the bake on the farm, whose page shows them; in place of those of an earlier evaluation
+    #[arg(long, requires = "server", requires = "out")]
+    attach: bool,
+    /// Pictures for browsers without WebGPU, as of 'kiln site'; 0 draws none
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(0..=i64::from(stills::STILLS_MAX)), requires = "attach")]
+    stills: u32,
     #[command(flatten)]
     wanted: EvaluationArguments,
     #[command(flatten)]
@@ -60,12 +71,9 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     arguments.wanted.own_lights()?;
     arguments.dump.as_deref().map_or(Ok(()), check_file)?;
     arguments.out.as_deref().map_or(Ok(()), check_folder)?;
-    let source = Source::bundle(&arguments.bundle)?;
-    let scene = match &arguments.scene {
-        Some(path) => SceneArguments { path: path.clone(), root: arguments.root.clone() },
-        None => scene_of_bundle(&arguments.bundle)?,
-    };
-    let scene = PackedScene::read(&scene)?;
+    let source = arguments.source.open()?;
+    let farm = arguments.source.on_farm()?;
+    let scene = scene_of(&arguments, farm.as_ref())?;
     let measured =
         measure(kinds, &source, scene, (&arguments.wanted, &arguments.lighting), &Interrupt::default())?;
     if let Some(csv) = &arguments.dump {
@@ -74,9 +82,48 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     eprint!("{}", printable(&words(&measured.evaluation)));
     if let Some(out) = &arguments.out {
         write_page(out, &measured, &draw(kinds, &source, &measured, camera, arguments.size)?)?;
+        if let Some((client, id)) = farm.filter(|_| arguments.attach) {
+            let stills = stills::draw(&source, &kinds.client, arguments.stills)?;
+            attach(&client, &id, out, &stills)?;
+        }
     }
     if arguments.json {
         put_json(&measured.evaluation);
     }
     check(&arguments.wanted.fail_if, &measured.evaluation)
+}
+
+/// The scene: as given, as the farm has it, or where the bundle's report says.
+fn scene_of(arguments: &Arguments, farm: Option<&(ApiClient, String)>) -> Result<PackedScene> {
+    match (&arguments.scene, farm) {
+        (Some(path), _) => {
+            PackedScene::read(&SceneArguments { path: path.clone(), root: arguments.root.clone() })
+        }
+        (None, Some((client, id))) => PackedScene::of_bake(client, &client.bake(id)?),
+        (None, None) => PackedScene::read(&scene_of_bundle(arguments.source.folder())?),
+    }
+}
+
+/// Attaches the evaluation of a folder and stills to a bake: all files are stored before the index names them.
+fn attach(client: &ApiClient, id: &str, folder: &Path, stills: &[stills::Still]) -> Result<()> {
+    let read = evaluation::read(folder)?;
+    let mut files = evaluation::files(&read);
+    files.extend(stills::files(stills).map(|(name, png)| (name.to_owned(), Cow::from(png))));
+    let list = serde_json::json!(stills::list(stills)).to_string();
+    files.push((STILLS.to_owned(), Cow::from(list.into_bytes())));
+    let mut index = EvaluationIndex::default();
+    for (name, bytes) in &files {
+        let media_type = if name.ends_with(".png") { EvaluationMedia::Png } else { EvaluationMedia::Json };
+        let (digest, bytes) = (Digest::of(bytes), bytes.len() as u64);
+        index.files.push(EvaluationFile { name: name.clone(), media_type, digest, bytes });
+    }
+    index.check().map_err(|error| {
+        Failure::bad_input("the evaluation cannot be attached")
+            .caused_by(&error)
+            .try_this("a smaller --size, or fewer lights")
+    })?;
+    files.iter().try_for_each(|(_, bytes)| client.put_evaluation_file(id, bytes))?;
+    client.attach_evaluation(id, &index)?;
+    say!("attached to bake {id}: {} files", files.len());
+    Ok(())
 }

@@ -1,7 +1,7 @@
 //! `kiln site`: a bake as a website of plain files, which browsers relight.
 
-mod evaluation;
-mod stills;
+pub(super) mod evaluation;
+pub(super) mod stills;
 
 use std::fs;
 use std::io::ErrorKind;

@@ -17,6 +17,7 @@ mod chunks;
 mod claim;
 mod codec;
 mod conn;
+mod evaluation;
 mod faults;
 mod forget;
 mod leases;
@@ -322,6 +323,8 @@ farm_store! {
         Read find_chunks(digests: &[Digest]) -> Vec<KeptChunk> = |conn| chunks::find(conn, digests);
         Lease keep_chunk(chunk: KeptChunk, replaces: Option<u64>, quota: Option<u64>) -> Kept =
             |conn| chunks::keep(conn, chunk, replaces, quota);
+        Write set_evaluation(bake: &str, index: Digest, files: &BTreeSet<Digest>) -> () =
+            |conn| evaluation::set(conn, bake, index, files);
         Write delete_bake(bake: &str) -> () = |conn| chunks::delete_bake(conn, bake);
         Write collect(rules: &CollectRules) -> Collected = |conn| chunks::collect(conn, rules);
         Write purge(names: &[ChunkName]) -> () = |conn| chunks::purge(conn, names);

@@ -62,6 +62,7 @@ const MIGRATIONS: [&str; 12] = [
     include_str!("schema/postgres_10.sql"),
     include_str!("schema/postgres_11.sql"),
     include_str!("schema/postgres_12.sql"),
+    include_str!("schema/postgres_13.sql"),
 ];
 
 /// Settings of every connection. Shorter timeouts → a server that hangs holds the others up for less, and a slow

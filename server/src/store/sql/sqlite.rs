@@ -37,6 +37,7 @@ const MIGRATIONS: [&str; 12] = [
     include_str!("schema/sqlite_10.sql"),
     include_str!("schema/sqlite_11.sql"),
     include_str!("schema/sqlite_12.sql"),
+    include_str!("schema/sqlite_13.sql"),
 ];
 
 /// An open file.

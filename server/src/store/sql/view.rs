@@ -61,6 +61,7 @@ pub(super) async fn bake_from(conn: &mut Conn, row: &Row) -> Result<Bake> {
         failure: row.get("failure")?,
         manifest: when_done("manifest")?,
         report: when_done("report")?,
+        evaluation: row.digest_if_any("evaluation")?,
         created_ms: row.get("created_ms")?,
         finished_ms: row.get("finished_ms")?,
         counters: row.json("counters")?,

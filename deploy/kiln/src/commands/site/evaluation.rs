@@ -1,6 +1,7 @@
 //! An evaluation in a site: figures and pictures of the folder that `kiln evaluate --out` wrote, which the site's own page shows. Nothing
 //! of its HTML is taken over.
 
+use std::borrow::Cow;
 use std::fs;
 use std::io::Read as _;
 use std::path::Path;
@@ -54,14 +55,20 @@ pub fn read(folder: &Path) -> Result<Read> {
     Ok(Read { figures, gallery, pictures })
 }
 
+/// Names and bytes of an evaluation's files, the lists last.
+pub fn files(read: &Read) -> Vec<(String, Cow<'_, [u8]>)> {
+    let listed = read.gallery.lights.iter().flat_map(|light| &light.pictures);
+    let pictures = listed.zip(&read.pictures);
+    let pictures = pictures
+        .map(|(listed, png)| (format!("{GALLERY_FOLDER}/{}", listed.file), Cow::from(png.as_slice())));
+    let list = (GALLERY_LIST.to_owned(), serde_json::json!(read.gallery).to_string());
+    let figures = (FIGURES.to_owned(), read.figures.to_string());
+    pictures.chain([list, figures].map(|(name, json)| (name, Cow::from(json.into_bytes())))).collect()
+}
+
 /// Writes an evaluation into a folder of the site, the lists last.
 pub fn place(read: &Read, folder: &Path) -> Result<()> {
-    let files = read.gallery.lights.iter().flat_map(|light| &light.pictures);
-    for (picture, bytes) in files.zip(&read.pictures) {
-        write(&folder.join(GALLERY_FOLDER).join(&picture.file), bytes)?;
-    }
-    write(&folder.join(GALLERY_LIST), serde_json::json!(read.gallery).to_string().as_bytes())?;
-    write(&folder.join(FIGURES), read.figures.to_string().as_bytes())
+    files(read).iter().try_for_each(|(name, bytes)| write(&folder.join(name), bytes))
 }
 
 /// Removes what `place` wrote, the lists last.

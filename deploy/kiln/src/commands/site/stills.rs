@@ -51,14 +51,23 @@ pub fn draw(source: &Source, kinds: &ClientKinds, count: u32) -> Result<Vec<Stil
     Ok(drawn)
 }
 
+/// Pictures as pages read their list.
+pub fn list(stills: &[Still]) -> Vec<Value> {
+    let [width, height] = SIZE;
+    let listed =
+        |still: &Still| json!({ "file": still.file, "words": still.words, "width": width, "height": height });
+    stills.iter().map(listed).collect()
+}
+
+/// Names and bytes of pictures.
+pub fn files(stills: &[Still]) -> impl Iterator<Item = (&str, &[u8])> {
+    stills.iter().map(|still| (still.file.as_str(), still.png.as_slice()))
+}
+
 /// Writes pictures into a site; lists them as its page reads them.
 pub fn place(stills: &[Still], site: &Path) -> Result<Vec<Value>> {
-    let [width, height] = SIZE;
-    let placed = stills.iter().map(|Still { file, words, png }| {
-        write(&site.join(file), png)?;
-        Ok(json!({ "file": file, "words": words, "width": width, "height": height }))
-    });
-    placed.collect()
+    files(stills).try_for_each(|(file, png)| write(&site.join(file), png))?;
+    Ok(list(stills))
 }
 
 /// Removes what `place` wrote into a site.
