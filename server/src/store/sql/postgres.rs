@@ -49,7 +49,7 @@ const ACQUIRE_TIMEOUT: Duration = Duration::from_secs(30);
 /// Lowest version that is tested.
 const VERSION_MIN: i32 = 150_000;
 /// Steps of the schema, from one version to the next.
-const MIGRATIONS: [&str; 12] = [
+const MIGRATIONS: [&str; 13] = [
     include_str!("schema/postgres_1.sql"),
     include_str!("schema/postgres_2.sql"),
     include_str!("schema/postgres_3.sql"),
