@@ -320,14 +320,8 @@ export class Viewer {
   /** Follows light that a bake which goes on has brought with the exposure, as much brighter or darker as the reader wants it. */
   async #exposeAnew() {
     const factor = this.exposure / this.usualExposure;
-    this.#isLoading = true;
-    try {
-      await this.frame.settle({ bouncesMax: BOUNCES_FIRST });
-      this.frame.draw(this.context);
-      this.usualExposure = await this.frame.expose();
-    } finally {
-      this.#isLoading = false;
-    }
+    this.frame.draw(this.context);
+    this.usualExposure = await this.frame.expose();
     this.exposure = factor * this.usualExposure;
   }
 
