@@ -35,17 +35,13 @@ export async function showBake(main, id, signal) {
     parts.log,
     settings,
   );
-  let [isSeen, isReported] = [false, false];
+  let [early, isReported] = [null, false];
   for (let after = 0; ; ) {
     update(parts, bake);
-    if (!isSeen && hasOutline(bake)) {
-      isSeen = true;
-      showEarly(parts.viewer, bake, signal);
-    }
+    if (early === null && hasOutline(bake)) early = showEarly(parts.viewer, bake, signal);
     if (bake.state === "done" && !isReported) {
       isReported = true;
-      showResult(parts, path, bake, isSeen, signal);
-      isSeen = true;
+      showResult(parts, path, bake, early, signal);
     }
     const isAtEnd = ["done", "failed", "cancelled"].includes(bake.state);
     const wait = isAtEnd ? 0 : WAIT_SECS;
@@ -90,32 +86,42 @@ function addLine(log, { at_ms: ms, event }) {
   while (log.children.length > LINES_MAX) log.lastChild.remove();
 }
 
-/** Whether a bake goes on, and its scene can be seen. */
+/** Whether a bake goes on, and its scene can be seen. Without WebGPU pictures are shown at the end, if there are any. */
 function hasOutline({ state, stages }) {
+  if (navigator.gpu === undefined) return false;
   const plan = stages.find(({ kind }) => kind === TASKS.outline);
   return ["running", "paused"].includes(state) && plan !== undefined && plan.total > 0 && plan.done === plan.total;
 }
 
-/** Shows a bake that goes on with the light that is baked. A fault in it leaves the log. */
+/** Shows a bake that goes on with the light that is baked; answers whether the picture `stands`, and how to `close` it. A fault in it leaves the log. */
 async function showEarly(place, bake, signal) {
   const source = new ServerSource({ http: http(), bake: bake.id });
   const following = new Following(source);
+  const own = new AbortController();
+  const either = AbortSignal.any([signal, own.signal]);
+  const close = () => own.abort();
   try {
-    const isDone = (await following.hear({ signal })) === "done";
+    const isDone = (await following.hear({ signal: either })) === "done";
     // The result of the plan may have been lost since.
-    if (!isDone && following.manifest === null) return;
-    await viewerOf(place, source, signal, { following: isDone ? null : following });
+    if (!isDone && following.manifest === null) return { state: { stands: false }, close };
+    return { state: await viewerOf(place, source, either, { following: isDone ? null : following }), close };
   } catch (error) {
     if (!signal.aborted) fill(place, notice(`The picture: ${error.message}`, { isBad: true }));
+    return { state: { stands: false }, close };
   }
 }
 
-/** Shows what a finished bake has: each part on its own, so that a fault in one leaves the others. `isSeen` of the picture that came early. */
-function showResult(parts, path, bake, isSeen, signal) {
+/** Shows what a finished bake has: each part on its own, so that a fault in one leaves the others. `early` is of the picture that came before. */
+function showResult(parts, path, bake, early, signal) {
   const source = new ServerSource({ http: http(), bake: bake.id });
   const attached = bake.evaluation == null ? null : FarmFiles.open(http(), path, signal);
   const show = async (image, file) => (await attached).show(image, file);
-  if (!isSeen) viewerOf(parts.viewer, source, signal, { pictures: stillsOf(attached), show });
+  const open = () => viewerOf(parts.viewer, source, signal, { pictures: stillsOf(attached), show });
+  (early ?? Promise.resolve(null)).then((before) => {
+    if (before?.state.stands || signal.aborted) return;
+    before?.close();
+    open();
+  });
   showEvaluation(parts.evaluation, attached, bake.id, signal);
   http()
     .json(`${path}/report`, { signal })

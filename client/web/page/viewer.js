@@ -12,14 +12,16 @@ import { skyOf } from "./sky.js";
 /**
  * Shows the bake's picture in `place` until `signal` is raised. Where there can be none, it says why, and shows `pictures` that were drawn
  * before, or a promise of them that does not fail; `show(image, file)` gives an image its picture. `following` is of a bake that goes on,
- * see `Viewer.open`.
+ * see `Viewer.open`. Resolves, once there is a picture or none, to whether it `stands`: nothing has failed since.
  */
 export async function viewerOf(place, source, signal, { pictures = [], show = null, following = null } = {}) {
   const canvas = el("canvas", { tabindex: 0, "aria-label": "Picture of the bake: arrow keys turn the camera" });
   const over = el("p", { class: "over", role: "status" }, "opening …");
   const controls = el("div", { class: "controls" });
   fill(place, el("div", { class: "viewer" }, el("div", { class: "stage" }, canvas, over), controls));
+  const state = { stands: false };
   const onFailure = async (error) => {
+    state.stands = false;
     if (signal.aborted) return;
     fill(place, told(error, false));
     const drawn = await pictures;
@@ -30,10 +32,12 @@ export async function viewerOf(place, source, signal, { pictures = [], show = nu
     over.hidden = share === 1;
   };
   const onTrouble = ({ message }) => {
+    state.stands = false;
     over.textContent = `the picture stays as it is: ${message}`;
     over.hidden = false;
   };
   try {
+    state.stands = true;
     const viewer = await Viewer.open(canvas, source, { signal, following, onProgress, onTrouble, onFailure });
     if (signal.aborted) viewer.close();
     else signal.addEventListener("abort", () => viewer.close(), { once: true });
@@ -41,6 +45,7 @@ export async function viewerOf(place, source, signal, { pictures = [], show = nu
   } catch (error) {
     onFailure(error);
   }
+  return state;
 }
 
 function told(error, hasPictures) {
