@@ -265,7 +265,11 @@ impl Running {
             },
             Ok(None) => {}
             Err(error) if self.options.frames.is_some() => return Err(error),
-            Err(error) => self.viewer.notice = Some(format!("no more light is fetched: {error}")),
+            Err(error) => {
+                // Whether the bake goes on is not known any more.
+                feed.streamed.baked = None;
+                self.viewer.notice = Some(format!("no more light is fetched: {error}"));
+            }
         }
         self.facts.streamed = Some(feed.streamed);
         feed.look(self.viewer.view());

@@ -49,7 +49,7 @@ impl TrustArgument {
 /// A bake to look at.
 #[derive(Args, Clone, Debug)]
 pub struct BakeArgument {
-    /// Bundle folder; with --server, the id of a bake there
+    /// Bundle folder; with --server, the id of a bake there, which must be done but for preview and view
     #[arg(value_name = "BUNDLE_OR_ID")]
     bake: PathBuf,
     /// Takes the bake from the server at this URL

@@ -123,7 +123,7 @@ pub fn next_contender<B>(contenders: &[Contender<B>]) -> Option<usize> {
 }
 
 /// Cost by which a task is claimed, among its bake's, whose dependencies have these costs: its own, or more than any of
-/// theirs. So what follows from a task comes soon after it, not after all others of its kind.
+/// theirs. So the step after a task comes soon after it, not after all others of its kind.
 pub fn claim_cost(cost: u64, of_dependencies: impl IntoIterator<Item = u64>) -> u64 {
     of_dependencies.into_iter().map(|cost| cost + 1).fold(cost, u64::max)
 }

@@ -16,7 +16,7 @@ use super::one_of;
 use super::only::{names, only};
 use crate::bake::{Light, LightStream, LitScene, ReceiverLight};
 use crate::error::{ClientError, Result};
-use crate::fetch::{Came, Layers, Source, decoded, decoded_layers, parallel};
+use crate::fetch::{Came, Layers, Source, decoded, decoded_layers, is_gone, parallel};
 use crate::lightmap::LightmapLight;
 use crate::scene::LoadedScene;
 use crate::stream::{Baked, Budget, Candidate, Lit, Plan, Rung, Streamed, Viewpoint, by_need, plan};
@@ -144,20 +144,25 @@ impl LightStream for PrtStream {
         let Plan { fetch, evict } = self.plan(manifest, (light, lit), viewpoint, budget, limit);
         let size = |&(index, layers): &(usize, usize)| layers_of(manifest, index).bytes_of(layers);
         let sizes: Vec<u64> = fetch.iter().map(size).collect();
+        let is_under_way = self.streamed.baked.is_some();
         let (found, mut ended) = parallel(source, &sizes, |at| {
             let (index, layers) = fetch[at];
             let of = layers_of(manifest, index);
             let have: &[u8] = self.clusters.get(&index).map_or(&[], Vec::as_slice);
-            let Came { mut bytes, lost } = source.layers(of, layers, have)?;
+            let Came { mut bytes, lost } = match source.layers(of, layers, have) {
+                // Bytes that were lost come again while the bake goes on, once their task has run again: others need not wait.
+                Err(error) if is_under_way && is_gone(&error) => return Ok(None),
+                came => came?,
+            };
             // More may be at hand: budgets bound, and pictures hang on, those alone that were chosen.
             bytes.truncate(of.bytes_of(layers) as usize);
             bytes.shrink_to_fit();
             decoded_layers(of, &bytes)?;
-            Ok((index, bytes, lost))
+            Ok(Some((index, bytes, lost)))
         });
         let mut has_come = false;
         // Layers that came before an error stay.
-        for (index, bytes, lost) in found.into_iter().flatten() {
+        for (index, bytes, lost) in found.into_iter().flatten().flatten() {
             ended = lost.map_or(ended, Err);
             self.fresh.insert(index);
             self.clusters.insert(index, bytes);

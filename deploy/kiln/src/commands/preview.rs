@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use lightkiln_client::fetch::Source;
+use lightkiln_http::Level;
 
 use crate::arguments::BakeArgument;
 use crate::console::put_json;
@@ -50,7 +51,10 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     }
     let source = arguments.source.open()?;
     if let (true, Source::Server { client, bake, .. }) = (arguments.wait, &source) {
-        follow(client, bake, &Interrupt::listen()?, || Ok(()))?;
+        let interrupt = Interrupt::listen()?;
+        follow(client, bake, &interrupt, || Ok(()))?;
+        // Drawing is not wound down: the next signal ends it at once.
+        interrupt.flag().raise(Level::Drain);
     }
     let Arguments { picture, lighting, out, json, .. } = arguments;
     let drawn = picture.draw_reel(reel, &kinds.client, &lighting, &source, &out)?;
