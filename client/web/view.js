@@ -9,7 +9,7 @@
 
 import { Frame, SAMPLES_MAX, featuresOf, limitsOf } from "./frame/frame.js";
 import { cameraOf, lightsOf } from "./frame/lights.js";
-import { sleep } from "./fetch.js";
+import { FetchError, sleep } from "./fetch.js";
 import { distanceTo, footAt, onPlane, pointAt, rayThrough } from "./pick.js";
 import { BakeStream } from "./relight/stream.js";
 import { Orbit } from "./orbit.js";
@@ -22,6 +22,8 @@ const SIDE_MAX = 2048;
 /** Time in which clusters of a bake that goes on land before they are taken, and the longest wait for them. */
 const LANDING_MS = 1000;
 const LISTEN_SECS = 25;
+/** Failures in a row, each after some tries within seconds, of a server that may be there again: some minutes. */
+const PATIENCE = 15;
 /** Bounces before the first picture, and before one of a later stage. */
 const BOUNCES_FIRST = 16;
 
@@ -49,6 +51,8 @@ export class Viewer {
   #isStale = true;
   // Light is being exchanged: its bounces are run there.
   #isLoading = false;
+  // Exposure as the reader set it last.
+  #wantedExposure = null;
 
   /**
    * Opens a bake; one that goes on, which `following` has heard of the outline of (`relight/following.js`), with the light that is baked:
@@ -246,6 +250,7 @@ export class Viewer {
 
   /** Factor on radiance before the tone curve. */
   set exposure(exposure) {
+    this.#wantedExposure = exposure;
     this.frame.exposure = exposure;
     this.#isStale = true;
   }
@@ -287,16 +292,25 @@ export class Viewer {
       await this.#takeUpTo(share, signal, onProgress);
       if (this.#isClosed) return;
     }
-    while (this.stream.isUnderWay) {
+    let [failures, isBehind] = [0, false];
+    while (this.stream.isUnderWay || isBehind) {
       const [baked, all] = this.stream.cells;
       onProgress({ words: `the bake goes on: ${baked} of ${all} cells are baked`, share: baked / (all + 1) });
       await sleep(LANDING_MS, signal);
-      const hasMore = await this.stream.hear({ waitSecs: LISTEN_SECS, signal });
+      try {
+        const hasMore = this.stream.isUnderWay && (await this.stream.hear({ waitSecs: LISTEN_SECS, signal }));
+        if (this.#isClosed) return;
+        isBehind ||= hasMore;
+        if (isBehind) await this.#takeUpTo(1, signal, onProgress);
+        failures = 0;
+      } catch (error) {
+        failures += 1;
+        if (!(error instanceof FetchError && error.mayPass) || failures > PATIENCE) throw error;
+        continue;
+      }
       if (this.#isClosed) return;
-      if (!hasMore) continue;
-      await this.#takeUpTo(1, signal, onProgress);
-      if (this.#isClosed) return;
-      await this.#exposeAnew();
+      if (isBehind) await this.#exposeAnew();
+      isBehind = false;
     }
     // Its Workers have memory of all clusters.
     this.stream.close();
@@ -319,10 +333,12 @@ export class Viewer {
 
   /** Follows light that a bake which goes on has brought with the exposure, as much brighter or darker as the reader wants it. */
   async #exposeAnew() {
-    const factor = this.exposure / this.usualExposure;
     this.frame.draw(this.context);
-    this.usualExposure = await this.frame.expose();
-    this.exposure = factor * this.usualExposure;
+    const usual = await this.frame.expose();
+    // The reader may have moved it meanwhile.
+    const factor = this.#wantedExposure === null ? 1 : this.#wantedExposure / this.usualExposure;
+    this.usualExposure = usual;
+    this.exposure = factor * usual;
   }
 
   /** Pixels of the canvas on its screen; sets them. */

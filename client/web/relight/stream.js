@@ -3,7 +3,7 @@
 
 import { ROLES, checkRelightable, chunksOf } from "../chunk/manifest.js";
 import { PARALLEL, fetchManifest, fetchUnverified, forEachParallel } from "../fetch.js";
-import { checkOutline } from "./following.js";
+import { checkOutline, isGone } from "./following.js";
 import { LightmapLayout } from "./layout.js";
 import { openWork } from "./workers.js";
 
@@ -153,7 +153,15 @@ export class BakeStream {
     }
     await forEachParallel(chosen.length, PARALLEL, async (at) => {
       const index = chosen[at];
-      await this.#work.add(index, await this.#decode(this.chunks[index], "cluster", signal));
+      let decoded;
+      try {
+        decoded = await this.#decode(this.chunks[index], "cluster", signal);
+      } catch (error) {
+        // Bytes that were lost come again while the bake goes on, once their task has run again: others need not wait.
+        if (this.isUnderWay && isGone(error)) return;
+        throw error;
+      }
+      await this.#work.add(index, decoded);
       this.#present.add(index);
       onCluster();
     });
