@@ -8,6 +8,7 @@ import { LIMITS, within } from "./limits.js";
 
 // Component types by glTF's numbers: size in bytes, reading, and the largest value where they are fractions.
 const COMPONENTS = {
+  __proto__: null,
   5120: { bytes: 1, read: (view, at) => view.getInt8(at), most: 127 },
   5121: { bytes: 1, read: (view, at) => view.getUint8(at), most: 255, isUnsigned: true },
   5122: { bytes: 2, read: (view, at) => view.getInt16(at, true), most: 32767 },
@@ -15,7 +16,7 @@ const COMPONENTS = {
   5125: { bytes: 4, read: (view, at) => view.getUint32(at, true), most: 2 ** 32 - 1, isUnsigned: true },
   5126: { bytes: 4, read: (view, at) => view.getFloat32(at, true), most: null },
 };
-const WIDTHS = { SCALAR: 1, VEC2: 2, VEC3: 3, VEC4: 4, MAT2: 4, MAT3: 9, MAT4: 16 };
+const WIDTHS = { __proto__: null, SCALAR: 1, VEC2: 2, VEC3: 3, VEC4: 4, MAT2: 4, MAT3: 9, MAT4: 16 };
 
 /** An accessor whose every element is known to lie inside its buffers. */
 export class Accessor {

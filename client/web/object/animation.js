@@ -11,6 +11,7 @@ import { LIMITS, within } from "./limits.js";
 const KEY_VALUES_MAX = 2 ** 12;
 // Kind of accessor and numbers of an element by the path of a channel.
 const PATHS = {
+  __proto__: null,
   translation: { type: "VEC3", width: 3 },
   rotation: { type: "VEC4", width: 4 },
   scale: { type: "VEC3", width: 3 },

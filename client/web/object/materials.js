@@ -10,7 +10,7 @@ import { imageOf } from "./image.js";
 const CUTOFF = 0.5;
 // Highest emission, in W·m⁻²·sr⁻¹.
 const EMISSION_MAX = 1e12;
-const WRAPS = { 33071: "clamp", 33648: "mirror" };
+const WRAPS = { __proto__: null, 33071: "clamp", 33648: "mirror" };
 const IDENTITY = [[1, 0, 0], [0, 1, 0]];
 
 /** A material without texture or light; parts of it are given. */

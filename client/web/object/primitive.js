@@ -24,6 +24,8 @@ export function primitivePlace(document, mesh, index) {
 export class Primitive {
   // Positions and normals without morph targets, once read.
   #still = null;
+  // Accessors of morph targets by attribute and number, once opened: each opening is paid for.
+  #opened = new Map();
 
   /** Reads all but places; null where it has no triangles. */
   static open(document, budgets, mesh, index, warn) {
@@ -113,7 +115,7 @@ export class Primitive {
       const weight = weights[at] ?? 0;
       const index = target?.[attribute];
       if (index === undefined || weight === 0 || !Number.isFinite(weight)) return [];
-      return [{ weight, target: this.#open(index, `morph target ${attribute}`, ["VEC3"], this.count) }];
+      return [{ weight, target: this.#target(index, attribute, at) }];
     });
     const values = gathered(base, this.vertices, 3, 0);
     const by = new Float32Array(3);
@@ -124,6 +126,14 @@ export class Primitive {
       }
     });
     return values;
+  }
+
+  #target(index, attribute, at) {
+    const key = `${attribute} ${at}`;
+    if (!this.#opened.has(key)) {
+      this.#opened.set(key, this.#open(index, `morph target ${attribute}`, ["VEC3"], this.count));
+    }
+    return this.#opened.get(key);
   }
 
   #readUvs(set) {

@@ -74,7 +74,8 @@ function vertexMap(influences, maps, vertex, place) {
   for (const { joints, weights } of influences) {
     for (let at = 4 * vertex; at < 4 * vertex + 4; at++) {
       if (!(weights[at] > 0)) continue;
-      const map = mapOf(Math.trunc(joints[at]));
+      // Files may name joints by numbers that are none; as whole numbers without a sign those below 0 are the first.
+      const map = mapOf(Math.max(Math.trunc(joints[at]) || 0, 0));
       map.forEach((value, index) => (sum[index] += value * weights[at]));
       total += weights[at];
     }

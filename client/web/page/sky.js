@@ -10,8 +10,11 @@ const FILE_MAX = 2 ** 28;
 const PICTURE = "picture";
 const HOW = "how";
 
-/** A field for a file, controls that come with it, and a place for troubles, as `elements`; and `take`, which takes a file from elsewhere. */
-export function skyOf(viewer) {
+/**
+ * A field for a file, controls that come with it, and a place for troubles, as `elements`; and `take`, which takes a file from elsewhere.
+ * The panorama goes when `signal` is raised.
+ */
+export function skyOf(viewer, signal = null) {
   const input = el("input", { type: "file", accept: ".hdr,.pic" });
   const told = el("div", { class: "told", role: "status" });
   let panorama = null;
@@ -34,12 +37,14 @@ export function skyOf(viewer) {
     if (file.size > FILE_MAX) throw new Error(`panorama ${file.name}: has ${file.size} bytes, more than the ${FILE_MAX} that are read`);
     const made = await Panorama.read(file.name, new Uint8Array(await file.arrayBuffer()));
     try {
+      signal?.throwIfAborted();
       await viewer.setSky(made, { turnDeg: 0, strength: 1 });
     } catch (error) {
       made.close();
       throw error;
     }
     panorama?.close();
+    if (signal?.aborted) made.close();
     [panorama, how] = [made, { turnDeg: 0, strength: 1 }];
     [turn, strength].forEach(({ set }) => set(0.5));
     show();
@@ -55,5 +60,7 @@ export function skyOf(viewer) {
   input.addEventListener("change", () => input.files.length > 0 && take(input.files[0]));
   none.addEventListener("click", () => turns.run(PICTURE, remove));
   show();
+  // Its Worker has memory of the picture.
+  signal?.addEventListener("abort", () => panorama?.close(), { once: true });
   return { elements: [el("label", {}, el("span", {}, "Sky, a panorama (.hdr)"), input), ...more, told], take };
 }

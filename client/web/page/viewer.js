@@ -41,7 +41,7 @@ export async function viewerOf(place, source, signal, { pictures = [], show = nu
     const viewer = await Viewer.open(canvas, source, { signal, following, onProgress, onTrouble, onFailure });
     if (signal.aborted) viewer.close();
     else signal.addEventListener("abort", () => viewer.close(), { once: true });
-    fill(controls, controlsOf(viewer, canvas));
+    fill(controls, controlsOf(viewer, canvas, signal));
   } catch (error) {
     onFailure(error);
   }
@@ -55,7 +55,7 @@ function told(error, hasPictures) {
   return notice(`The picture: ${error.message}${rest}`, { isBad });
 }
 
-function controlsOf(viewer, canvas) {
+function controlsOf(viewer, canvas, signal) {
   const [low, high] = viewer.frame.boundsM;
   const sizes = high.map((bound, axis) => bound - low[axis] || 1);
   const places = sizes.map((size, axis) =>
@@ -74,7 +74,7 @@ function controlsOf(viewer, canvas) {
   });
   const exposure = slider("Exposure", (share) => (viewer.exposure = viewer.usualExposure * 2 ** (8 * (share - 0.5))));
   [brightness, exposure].forEach(({ set }) => set(0.5));
-  const [sky, objects] = [skyOf(viewer), objectsOf(viewer)];
+  const [sky, objects] = [skyOf(viewer, signal), objectsOf(viewer)];
   followDrops(canvas, { takeObject: objects.take, takeSky: sky.take });
   return [
     ...[...places, brightness, exposure].map(({ label }) => label),
