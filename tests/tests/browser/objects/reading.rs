@@ -134,6 +134,14 @@ fn lying() -> Vec<(Vec<u8>, &'static str)> {
         (set("/accessors/0/count", json!(4_000_000_000_u64)), "do not fit"),
         (set("/accessors/0/type", json!("VEC9")), "not one of glTF's"),
         (set("/accessors/0/type", json!("VEC2")), "do not fit here"),
+        (set("/accessors/0/type", json!("constructor")), "not one of glTF's"),
+        (
+            change(&|of| {
+                of.json["accessors"][0] =
+                    json!({ "componentType": "constructor", "count": 999, "type": "VEC3" });
+            }),
+            "not one of glTF's",
+        ),
         (set("/accessors/0/bufferView", json!(999)), "names buffer view 999"),
         (
             change(&|of| {
