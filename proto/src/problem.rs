@@ -13,6 +13,8 @@ pub enum ProblemCode {
     BadRequest,
     /// A setting is unknown or out of range.
     BadSettings,
+    /// The index of an evaluation names files that it may not have.
+    BadEvaluation,
     /// The bytes are not those of the digest in the path.
     DigestMismatch,
     /// The call needs a token, and has none that is good.
@@ -56,9 +58,10 @@ pub enum RetryClass {
 
 impl ProblemCode {
     /// All codes, for documentation and tests.
-    pub const ALL: [Self; 17] = [
+    pub const ALL: [Self; 18] = [
         Self::BadRequest,
         Self::BadSettings,
+        Self::BadEvaluation,
         Self::DigestMismatch,
         Self::Unauthorized,
         Self::Forbidden,
@@ -82,6 +85,7 @@ impl ProblemCode {
         match self {
             Self::BadRequest => (400, Never, "The request is malformed"),
             Self::BadSettings => (422, Never, "A setting is wrong"),
+            Self::BadEvaluation => (422, Never, "The evaluation's index is wrong"),
             Self::DigestMismatch => (422, Never, "The bytes do not match the digest"),
             Self::Unauthorized => (401, Never, "A token is needed"),
             Self::Forbidden => (403, Never, "The token is not good for this"),

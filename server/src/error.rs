@@ -232,11 +232,9 @@ impl ServerError {
     /// The problem that a caller sees.
     pub fn code(&self) -> ProblemCode {
         match self {
-            Self::BadRequest { .. }
-            | Self::AmbiguousId { .. }
-            | Self::Evaluation(_)
-            | Self::EvaluationFileLength { .. } => ProblemCode::BadRequest,
+            Self::BadRequest { .. } | Self::AmbiguousId { .. } => ProblemCode::BadRequest,
             Self::BadBake(_) => ProblemCode::BadSettings,
+            Self::Evaluation(_) | Self::EvaluationFileLength { .. } => ProblemCode::BadEvaluation,
             Self::Unauthorized { .. } => ProblemCode::Unauthorized,
             Self::Forbidden { .. } => ProblemCode::Forbidden,
             Self::Access(_) => ProblemCode::BadRequest,

@@ -59,7 +59,8 @@ pub(super) async fn show(State(farm): FarmState, BakeId(id): BakeId) -> Answer<E
     params(("id" = String, Path, description = "The bake: its id, or a beginning of it that is no other bake's")),
     responses((status = 204, description = "Attached"),
         (status = 404, description = "No such bake"),
-        (status = 409, description = "The bake is not done, or a file is not stored")))]
+        (status = 409, description = "The bake is not done, or a file is not stored"),
+        (status = 422, description = "The index names files that it may not have")))]
 pub(super) async fn attach(
     State(farm): FarmState,
     BakeId(id): BakeId,

@@ -83,7 +83,7 @@ async fn evaluation_beyond_its_limits_is_refused() {
         put_file(&server, &bake, bytes).await;
     }
     let refused = async |index: &EvaluationIndex, told: &str| {
-        let problem = attach(&server, &bake, index).await.problem(ProblemCode::BadRequest);
+        let problem = attach(&server, &bake, index).await.problem(ProblemCode::BadEvaluation);
         assert!(problem.detail.contains(told), "{}", problem.detail);
     };
     refused(&EvaluationIndex::default(), FIGURES).await;
