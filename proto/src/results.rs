@@ -11,7 +11,7 @@ use crate::jobs::Artefact;
 pub const MAX_PAGE_RESULTS: u32 = 500;
 
 /// A task of a bake that is done, with its outputs. One whose bytes were lost, and that ran again, comes a second time at a later
-/// place, with the same outputs.
+/// place, its outputs perhaps others.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct BakeResult {
     /// Place in the order in which the bake's results landed: 1 or more, growing, with gaps.
@@ -26,7 +26,7 @@ pub struct BakeResult {
     pub outputs: Vec<Artefact>,
 }
 
-/// Results in the order of their places. No more will come once a page is empty and its bake has ended.
+/// Results in the order of their places. An empty page of a bake that has ended is the last, unless bytes of a result are lost later.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ResultPage {
     /// The page.
