@@ -55,7 +55,7 @@ impl LightmapTexels<'_> {
             let sum: Vec4 = sources.iter().map(|&slot| light(slot)).sum();
             (kind, sum / sources.len().max(1) as f32)
         });
-        let weights = tap_weights(taps.map(|(kind, _)| kind), share);
+        let weights = tap_weights(taps.map(|(kind, _)| kind), share, share);
         let sum = taps.iter().zip(weights).map(|((_, light), weight)| *light * weight).sum();
         weights.iter().any(|weight| *weight > 0.0).then_some(sum)
     }

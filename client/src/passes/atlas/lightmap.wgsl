@@ -13,6 +13,9 @@ struct Placement {
 // By draw.
 @group(1) @binding(2) var<storage, read> placements: array<Placement>;
 
+// How far an edge may lie from the wall that it stands for, in texels.
+const EDGE_ROUNDING = 0.012;
+
 // Whether no wall stands between two taps that are receivers; each link is a bit of the earlier tap.
 fn linked(first_kind: f32, second_kind: f32, first: u32, second: u32) -> bool {
     if first_kind <= 0.0 || second_kind <= 0.0 {
@@ -47,14 +50,17 @@ fn beyond_wall(kind: f32, from_middle: vec2f) -> bool {
 }
 
 // Bilinear over the receivers that no wall parts from the nearest one, the home; over filled texels where there is no
-// receiver. Beyond the home's edge, over those that no wall parts from the nearest receiver whose side has the point.
-fn lightmap_irradiance(block: vec4u, size: vec4u, texel: vec2f) -> vec3f {
+// receiver. Beyond the home's edge, over those that no wall parts from the nearest receiver whose side has the point. On which side
+// of edges the point lies is told by a place as far from it as their rounding may be, towards the place before.
+fn lightmap_irradiance(block: vec4u, size: vec4u, texel: vec2f, before: vec2f) -> vec3f {
     if size.x == 0u {
         return vec3f(0.0);
     }
     let at = texel - 0.5;
     let base = floor(at);
     let share = at - base;
+    let ahead = before - texel;
+    let sided = share + min(EDGE_ROUNDING / max(length(ahead), 1e-9), 1.0) * ahead;
     let last = vec2f(size.xy) - 1.0;
     var taps: array<vec4f, 4>;
     var weights: array<f32, 4>;
@@ -70,7 +76,7 @@ fn lightmap_irradiance(block: vec4u, size: vec4u, texel: vec2f) -> vec3f {
         }
     }
     // A texel's edge says nothing of what lies outside of the texel: a point there asks by the nearest of its places.
-    if home < 4u && beyond_wall(taps[home].w, clamp(share - place_of(home), vec2f(-0.5), vec2f(0.5))) {
+    if home < 4u && beyond_wall(taps[home].w, clamp(sided - place_of(home), vec2f(-0.5), vec2f(0.5))) {
         var beyond = 4u;
         var best = 0.0;
         for (var tap = 0u; tap < 4u; tap++) {
@@ -78,7 +84,7 @@ fn lightmap_irradiance(block: vec4u, size: vec4u, texel: vec2f) -> vec3f {
             let parted = tap != home && kind > 0.0
                 && !linked(taps[min(home, tap)].w, taps[max(home, tap)].w, min(home, tap), max(home, tap));
             let there = beyond_wall(taps[home].w, place_of(tap) - place_of(home));
-            let has_point = !beyond_wall(kind, share - place_of(tap));
+            let has_point = !beyond_wall(kind, sided - place_of(tap));
             // Those whose side has the point before those that are merely beyond the edge.
             let rank = weights[tap] + select(0.0, 2.0, has_point);
             if parted && (there || (has_point && has_edge(kind))) && rank > best {
@@ -108,7 +114,7 @@ fn lightmap_irradiance(block: vec4u, size: vec4u, texel: vec2f) -> vec3f {
 fn indirect_irradiance(surface: Surface) -> vec3f {
     let placement = placements[surface.draw];
     if surface.front {
-        return lightmap_irradiance(placement.front, placement.front_size, surface.lightmap_texel);
+        return lightmap_irradiance(placement.front, placement.front_size, surface.lightmap_texel, surface.lightmap_before);
     }
-    return lightmap_irradiance(placement.back, placement.back_size, surface.lightmap_texel);
+    return lightmap_irradiance(placement.back, placement.back_size, surface.lightmap_texel, surface.lightmap_before);
 }

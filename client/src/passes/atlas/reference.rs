@@ -34,7 +34,8 @@ pub fn spread(layout: &LightmapLayout, texels: &AtlasTexels, e_emit: &[Vec4], e_
 pub fn read(scene: &LoadedScene, pages: &AtlasPages, surface: &Surface) -> Vec3 {
     let draw = &scene.draws.draws[surface.draw as usize];
     let block = if surface.front { draw.front } else { draw.back };
-    sample(&scene.lightmap, pages, block, surface.lightmap_texel)
+    let (texel, before) = (surface.lightmap_texel, surface.lightmap_before);
+    seen(&scene.lightmap, pages, block, texel, before).unwrap_or_default()
 }
 
 /// Irradiance at lightmap coordinates of a block, W·m⁻², read as [`tap_weights`] says; black where there is none.
@@ -44,6 +45,17 @@ pub fn sample(layout: &LightmapLayout, atlas: &AtlasPages, block: u32, texel: [f
 
 /// As [`sample`]; `None` where no texel around the place holds light.
 pub fn shown(layout: &LightmapLayout, atlas: &AtlasPages, block: u32, texel: [f32; 2]) -> Option<Vec3> {
+    seen(layout, atlas, block, texel, texel)
+}
+
+/// As [`shown`] to an eye, which a place before is nearer to: it tells on which side of edges the point lies.
+fn seen(
+    layout: &LightmapLayout,
+    atlas: &AtlasPages,
+    block: u32,
+    texel: [f32; 2],
+    before: [f32; 2],
+) -> Option<Vec3> {
     let block = layout.block(block)?;
     let page = &atlas.pages[block.page as usize];
     let width = atlas.sizes[block.page as usize][0];
@@ -52,7 +64,8 @@ pub fn shown(layout: &LightmapLayout, atlas: &AtlasPages, block: u32, texel: [f3
         let [column, row] = [0, 1].map(|axis| block.origin[axis] + u32::from(texel[axis]));
         page[row as usize * width as usize + column as usize]
     });
-    let weights = tap_weights(taps.map(|tap| TexelKind(tap.w)), share);
+    let before = [0, 1].map(|axis| share[axis] + (before[axis] - texel[axis]));
+    let weights = tap_weights(taps.map(|tap| TexelKind(tap.w)), share, before);
     let sum = taps.iter().zip(weights).map(|(tap, weight)| tap.truncate() * weight).sum();
     weights.iter().any(|weight| *weight > 0.0).then_some(sum)
 }

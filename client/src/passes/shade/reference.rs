@@ -145,7 +145,7 @@ fn visible(scene: &LoadedScene, drawn: &[Drawn], width: u32, rows: Range<u32>) -
 
 /// `L = Lₑ + ρ/π·(E_dir + E)` with indirect light E, METHOD.md §1; w is the share of light that the surface stops.
 fn radiance(lit: Lit<'_>, view: &ShadeView, drawn: &Drawn, [x, y]: [f64; 2]) -> Vec4 {
-    let shaded = surface_at(lit.scene, drawn.draw, &drawn.triangle, (x, y), lit.emitter_scale);
+    let shaded = surface_at(lit.scene, drawn.draw, &drawn.triangle, (x, y), (view, lit.emitter_scale));
     let surface = &shaded.surface;
     if view.shows_irradiance() {
         return lit.indirect.indirect_irradiance(surface).extend(shaded.stopped);

@@ -36,6 +36,8 @@ struct Surface {
     front: bool,
     // Lightmap coordinates in texels of the side's block.
     lightmap_texel: vec2f,
+    // Those of a place on its seen side: it tells on which side of the texels' edges the point lies.
+    lightmap_before: vec2f,
 }
 
 @group(1) @binding(0) var<uniform> view: ShadeView;
@@ -48,8 +50,10 @@ struct Surface {
 @group(3) @binding(5) var transmission_sampler: sampler;
 
 const PI = 3.14159265358979;
-// Pixels by which shadows are looked up nearer to the eye.
+// Pixels by which shadows, and sides of edges, are looked up nearer to the eye.
 const BEFORE_PIXELS = 1.0;
+// Least square of the sine between a pixel's steps on a surface.
+const STEPS_MIN = 1e-6;
 
 struct Vertex {
     @location(0) position: vec3f,
@@ -66,6 +70,12 @@ struct Corner {
     @location(2) uv: vec2f,
     @location(3) colour: vec4f,
     @location(4) lightmap_texel: vec2f,
+}
+
+// Change from a pixel to the next.
+struct Step {
+    position: vec3f,
+    texel: vec2f,
 }
 
 @vertex
@@ -87,11 +97,28 @@ fn before(position: vec3f) -> vec3f {
     return position - ray * (BEFORE_PIXELS * view.ray_per_y.w * clip.w);
 }
 
+// Lightmap coordinates of the point of the surface's plane that is nearest to `before`: it lies on the seen side of a texel's edge too,
+// which is rounded, as a floor's at a wall's foot. Steps are those of the screen's pixels.
+fn texel_before(corner: Corner, step_x: Step, step_y: Step) -> vec2f {
+    let ahead = before(corner.position) - corner.position;
+    let squares = vec3f(dot(step_x.position, step_x.position), dot(step_x.position, step_y.position), dot(step_y.position, step_y.position));
+    let along = vec2f(dot(ahead, step_x.position), dot(ahead, step_y.position));
+    let area2 = squares.x * squares.z - squares.y * squares.y;
+    // Seen from its edge.
+    if !(area2 > STEPS_MIN * squares.x * squares.z) {
+        return corner.lightmap_texel;
+    }
+    let steps = vec2f(squares.z * along.x - squares.y * along.y, squares.x * along.y - squares.y * along.x) / area2;
+    return corner.lightmap_texel + steps.x * step_x.texel + steps.y * step_y.texel;
+}
+
 @fragment
 fn shade(corner: Corner, @builtin(front_facing) front: bool) -> @location(0) vec4f {
     let base_uv = mapped(draw.base_row0, draw.base_row1, corner.uv);
     let emissive_uv = mapped(draw.emissive_row0, draw.emissive_row1, corner.uv);
-    let across = cross(dpdx(corner.position), dpdy(corner.position));
+    let step_x = Step(dpdx(corner.position), dpdx(corner.lightmap_texel));
+    let step_y = Step(dpdy(corner.position), dpdy(corner.lightmap_texel));
+    let across = cross(step_x.position, step_y.position);
     let colour = draw.base_colour * corner.colour * textureSample(base_colour, base_sampler, base_uv);
     let glow = draw.emissive.rgb * textureSample(emissive, emissive_sampler, emissive_uv).rgb;
     let transmission_uv = mapped(draw.transmission_row0, draw.transmission_row1, corner.uv);
@@ -106,7 +133,8 @@ fn shade(corner: Corner, @builtin(front_facing) front: bool) -> @location(0) vec
     let length2 = dot(across, across);
     var facet = select(normal, across * inverseSqrt(max(length2, 1e-38)), length2 > 1e-30);
     facet = select(-facet, facet, dot(facet, normal) >= 0.0);
-    let surface = Surface(corner.position, normal, facet, draw.index, front, corner.lightmap_texel);
+    let texel = corner.lightmap_texel;
+    let surface = Surface(corner.position, normal, facet, draw.index, front, texel, texel_before(corner, step_x, step_y));
     let met = stopped(mix(1.0, colour.a, draw.blends), colour.rgb, passing);
     if view.horizon.w == 1.0 {
         return vec4f(indirect_irradiance(surface), met.share);

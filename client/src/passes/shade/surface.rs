@@ -3,6 +3,7 @@
 use glam::{Vec2, Vec3, Vec4};
 use lightkiln_proto::manifest::TextureUse;
 
+use super::ShadeView;
 use crate::raster::ScreenTriangle;
 use crate::scene::{LoadedScene, Vertex};
 
@@ -34,6 +35,8 @@ pub struct Surface {
     pub front: bool,
     /// Lightmap coordinates in texels of the side's block.
     pub lightmap_texel: [f32; 2],
+    /// Those of a place on its seen side: it tells on which side of the texels' edges the point lies.
+    pub lightmap_before: [f32; 2],
 }
 
 /// A drawn point and its material.
@@ -46,6 +49,9 @@ pub(super) struct Shaded {
     pub stopped: f32,
 }
 
+/// Least square of the sine between two sides, or of a pixel's steps in the shader.
+const STEPS_MIN: f32 = 1e-6;
+
 /// Values of the corners of a triangle, mixed by weights.
 struct Corners<'a>([&'a Vertex; 3]);
 
@@ -55,6 +61,21 @@ impl Corners<'_> {
         let values = self.0.map(of);
         std::array::from_fn(|axis| (0..3).map(|corner| weights[corner] * values[corner][axis]).sum())
     }
+
+    /// Barycentric coordinates of the point of the triangle's plane that is nearest to a point beside it; the same for a sliver.
+    fn moved(&self, barycentric: Vec2, by: Vec3) -> Vec2 {
+        let [a, b, c] = self.0.map(|vertex| Vec3::from(vertex.position_m));
+        let (u, v) = (b - a, c - a);
+        let squares = [u.dot(u), u.dot(v), v.dot(v)];
+        let along = [by.dot(u), by.dot(v)];
+        let area2 = squares[0] * squares[2] - squares[1] * squares[1];
+        if area2 <= STEPS_MIN * squares[0] * squares[2] {
+            return barycentric;
+        }
+        let steps =
+            [squares[2] * along[0] - squares[1] * along[1], squares[0] * along[1] - squares[1] * along[0]];
+        barycentric + Vec2::from(steps) / area2
+    }
 }
 
 /// The surface seen at a pixel centre `(x, y)` of a set-up triangle of draw `draw`.
@@ -63,7 +84,7 @@ pub(super) fn surface_at(
     draw: u32,
     triangle: &ScreenTriangle,
     (x, y): (f64, f64),
-    emitter_scale: &[f32],
+    (view, emitter_scale): (&ShadeView, &[f32]),
 ) -> Shaded {
     let mesh = &scene.draws.draws[draw as usize];
     let indices = mesh.triangles[triangle.source as usize];
@@ -94,13 +115,16 @@ pub(super) fn surface_at(
     };
     let side = if triangle.front { 1.0 } else { -1.0 };
     let normal = side * Vec3::from(corners.mix(here, |vertex| vertex.normal)).normalize_or(Vec3::Y);
+    let position = corners.mix(here, |vertex| vertex.position_m).into();
     let surface = Surface {
-        position: corners.mix(here, |vertex| vertex.position_m).into(),
+        position,
         normal,
         facet: facet(&corners, normal),
         draw,
         front: triangle.front,
         lightmap_texel: corners.mix(here, |vertex| vertex.lightmap_texel),
+        lightmap_before: corners
+            .mix(corners.moved(here, view.before(position) - position), |vertex| vertex.lightmap_texel),
     };
     let (stopped, albedo) = match &material.glass {
         None => (1.0, colour.truncate()),
@@ -119,5 +143,28 @@ fn facet(corners: &Corners<'_>, normal: Vec3) -> Vec3 {
         Some(facet) if facet.dot(normal) >= 0.0 => facet,
         Some(facet) => -facet,
         None => normal,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The place before the seen one is where the point before stands over the surface: on its side of whatever stands there.
+    #[test]
+    fn place_before_is_the_foot_of_the_point_before() {
+        let at = |position_m: [f32; 3]| Vertex { position_m, ..Vertex::default() };
+        let vertices = [[4.0, 1.0, -2.0], [9.0, 1.5, -1.0], [3.0, 0.0, 5.0]].map(at);
+        let corners = Corners(vertices.each_ref());
+        let place = |barycentric| Vec3::from(corners.mix(barycentric, |vertex| vertex.position_m));
+        let [a, b, c] = vertices.each_ref().map(|vertex| Vec3::from(vertex.position_m));
+        let normal = (b - a).cross(c - a).normalize();
+        let here = Vec2::new(0.3, 0.25);
+        for by in [Vec3::new(0.02, 0.01, -0.03), Vec3::new(-0.4, 0.9, 0.1), normal] {
+            let wanted = place(here) + by - normal * by.dot(normal);
+            assert!(place(corners.moved(here, by)).abs_diff_eq(wanted, 1e-5), "{by}");
+        }
+        let sliver = [[0.0; 3], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]].map(at);
+        assert_eq!(Corners(sliver.each_ref()).moved(here, Vec3::X), here);
     }
 }
