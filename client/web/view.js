@@ -295,7 +295,9 @@ export class Viewer {
     let [failures, isBehind] = [0, false];
     while (this.stream.isUnderWay || isBehind) {
       const [baked, all] = this.stream.cells;
-      onProgress({ words: `the bake goes on: ${baked} of ${all} cells are baked`, share: baked / (all + 1) });
+      const { lost } = this.stream;
+      const ofLost = lost > 0 ? `, the server has lost ${lost} clusters until they are baked again` : "";
+      onProgress({ words: `the bake goes on: ${baked} of ${all} cells are baked${ofLost}`, share: baked / (all + 1) });
       await sleep(LANDING_MS, signal);
       try {
         const hasMore = this.stream.isUnderWay && (await this.stream.hear({ waitSecs: LISTEN_SECS, signal }));

@@ -31,6 +31,9 @@ pub struct BakeResult {
 pub struct ResultPage {
     /// The page.
     pub results: Vec<BakeResult>,
+    /// Place to ask behind for the next page: those up to it hold no more results of the kind that was asked for. It grows also where
+    /// the page is empty, so that no place is looked at twice.
+    pub next_after: u64,
     /// The bake as it stood with them.
     pub bake: Bake,
 }

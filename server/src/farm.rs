@@ -375,9 +375,11 @@ impl Farm {
         limit: u32,
         deadline: Instant,
     ) -> Result<ResultPage> {
+        let mut after = after;
         loop {
             let mark = self.wakeup.mark();
             let page = self.store.results_after(bake, kind, after, limit).await?;
+            after = page.next_after;
             if !page.results.is_empty() || page.bake.state.is_final() || !self.wait(mark, deadline).await {
                 return Ok(page);
             }

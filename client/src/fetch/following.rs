@@ -31,8 +31,8 @@ pub struct Following {
     /// The whole id, where a beginning of it was given.
     bake: String,
     tasks: UnderWay,
-    /// Place of the last result of a cell that was taken.
-    after: u64,
+    /// Places up to which no result is left to take: of the outline's task, and of cells.
+    after: [u64; 2],
     /// Cells whose clusters are listed.
     cells: BTreeSet<TaskKey>,
     /// All cells, as the server knows them.
@@ -87,7 +87,7 @@ impl Following {
             client,
             bake: bake.id,
             tasks,
-            after: 0,
+            after: [0; 2],
             cells: BTreeSet::new(),
             cells_all,
             manifest: None,
@@ -136,22 +136,28 @@ impl Following {
     pub fn hear(&mut self, wait_secs: u32) -> Result<News> {
         let (mut wait_secs, mut news) = (wait_secs, News::None);
         if self.manifest.is_none() {
-            let page = self.results(self.tasks.outline, 0, wait_secs)?;
+            let page = self.results(self.tasks.outline, self.after[0], wait_secs)?;
             if page.bake.state == BakeState::Done {
                 return Ok(News::Done);
             }
-            let Some(result) = page.results.last() else { return Ok(News::None) };
+            let Some(result) = page.results.last() else {
+                self.after[0] = page.next_after;
+                return Ok(News::None);
+            };
             self.manifest = Some(self.outline(result)?);
             (wait_secs, news) = (0, News::More);
         }
         loop {
-            let page = self.results(self.tasks.clusters, self.after, wait_secs)?;
+            let page = self.results(self.tasks.clusters, self.after[1], wait_secs)?;
             if page.bake.state == BakeState::Done {
                 return Ok(News::Done);
             }
-            let Some(last) = page.results.last().map(|result| result.place) else { return Ok(news) };
+            let has_some = !page.results.is_empty();
             self.take(&page.results)?;
-            self.after = last;
+            self.after[1] = page.next_after;
+            if !has_some {
+                return Ok(news);
+            }
             (wait_secs, news) = (0, News::More);
         }
     }
@@ -172,6 +178,12 @@ impl Following {
     /// The outline, which has no clusters.
     fn outline(&mut self, result: &BakeResult) -> Result<Manifest> {
         let place = format!("outline of bake {}", self.bake);
+        if result.outputs.iter().all(|output| output.name != OUTLINE_OUTPUT) {
+            let text = format!("bake {}", self.bake);
+            let problem = "goes on by a plan of an earlier version, which tells of no light before the end: it is seen once it is done \
+                ('kiln watch' waits for that)";
+            return Err(ClientError::Source { text, problem: problem.to_owned() });
+        }
         let chunk = output(result, OUTLINE_OUTPUT, manifest::MAX_BYTES as u64)?;
         let bytes = self.source.chunk(&chunk)?;
         self.bytes += bytes.len() as u64;
@@ -209,7 +221,7 @@ impl Following {
 /// Clusters of a cell; none where the page's bytes were lost.
 fn page_of(source: &Source, chunk: &ChunkRef) -> Result<Option<Page>> {
     let bytes = match source.chunk(chunk) {
-        Err(error) if is_gone(&error) => return Ok(None),
+        Err(error) if is_lost(&error) => return Ok(None),
         bytes => bytes?,
     };
     decode_directory(&bytes).map(Some).map_err(|source| ClientError::Chunk {
@@ -251,8 +263,13 @@ fn cells_of(bake: &Bake, tasks: UnderWay) -> u64 {
 }
 
 /// The server has no bake or no bytes of that name.
-pub fn is_gone(error: &ClientError) -> bool {
+fn is_gone(error: &ClientError) -> bool {
     matches!(error, ClientError::Call(error) if error.status() == Some(404))
+}
+
+/// The server has no bytes of a chunk, or others in their place: while a bake goes on they come again, once their task has run again.
+pub fn is_lost(error: &ClientError) -> bool {
+    is_gone(error) || matches!(error, ClientError::WrongDigest { .. } | ClientError::WrongPrefix { .. })
 }
 
 /// The part of a manifest that a bake's outline has, too: all but clusters, directory and overview.

@@ -22,7 +22,7 @@ use crate::error::{ClientError, Result};
 
 pub use api::ApiClient;
 pub use bundle::{Downloaded, chunk_refs, decoded, decoded_chunks, download_bundle, write_atomically};
-pub use following::{Following, News, PATIENCE, check_outline, is_gone, outline_of};
+pub use following::{Following, News, PATIENCE, check_outline, is_lost, outline_of};
 pub use layers::{Came, Layers, decoded_layers};
 pub(crate) use parallel::parallel;
 

@@ -7,7 +7,7 @@ use lightkiln_proto::manifest::{CLUSTERS, DIRECTORY, Manifest, OVERVIEW};
 use super::{Prepared, View};
 use crate::bake::{ClientKinds, LightStream, LoadedBake};
 use crate::error::{ClientError, Result};
-use crate::fetch::{Following, News, Source, check_outline, is_gone, outline_of};
+use crate::fetch::{Following, News, Source, check_outline, outline_of};
 use crate::passes::shadow::reference::draw;
 use crate::scene::{LoadedScene, Object, Recolour, Tints};
 use crate::stream::{Baked, Budget, Streamed, Viewpoint};
@@ -26,6 +26,8 @@ pub struct StreamedBake {
     stream: Box<dyn LightStream>,
     listing: Listing,
     manifest_bytes: u64,
+    /// Memory that the budget at the beginning allows: the overview of a bake under way, which comes at its end, must fit.
+    memory_max: u64,
     tints: Tints,
     /// The view that pieces were fetched for last.
     view: Option<View>,
@@ -117,19 +119,15 @@ impl StreamedBake {
         });
         let scene = scene?;
         let mut stream = stream.unwrap_or_else(|panic| std::panic::resume_unwind(panic))?;
-        let memory = stream.streamed().memory_least;
-        if budget.memory < memory {
-            let what = format!("{} bytes of memory for light", budget.memory);
-            let problem = format!("are too few: patches and overview alone take some {memory}");
-            return Err(ClientError::Argument { what, problem });
-        }
+        check_memory(&*stream, budget.memory)?;
         if let Listing::UnderWay(following, _) = &listing {
             stream.grown(manifest, baked(following));
         }
         let light = stream.light(&scene, manifest)?;
         let bake = Arc::new(LoadedBake { scene: Arc::new(scene), light });
         let (source, tints) = (source.clone(), Tints::default());
-        Ok(Self { source, bake, stream, listing, manifest_bytes, tints, view: None })
+        let memory_max = budget.memory;
+        Ok(Self { source, bake, stream, listing, manifest_bytes, memory_max, tints, view: None })
     }
 
     /// Bytes and clusters that have come, the manifest's bytes among them.
@@ -190,11 +188,7 @@ impl StreamedBake {
         let before = self.stream.streamed();
         let (light, lit) = (&*self.bake.light, prepared.lit(&maps));
         let of = (&self.source, self.listing.manifest(&self.bake.scene));
-        let refined = match self.stream.refine(of, light, &lit, viewpoint, budget, view.limit) {
-            // Bytes that were lost come again while the bake goes on, once their task has run again.
-            Err(error) if self.is_under_way() && is_gone(&error) => Ok(()),
-            refined => refined,
-        };
+        let refined = self.stream.refine(of, light, &lit, viewpoint, budget, view.limit);
         if self.stream.streamed() != before {
             self.assemble()?;
         }
@@ -206,18 +200,19 @@ impl StreamedBake {
         matches!(self.listing, Listing::UnderWay(..))
     }
 
-    /// Hears of more of a bake under way, waiting up to so long: [`Self::refine`] fetches what has landed. At its end the light is that of
-    /// any other bake, with an overview and in the order of the bake's manifest. Errs if the bake ended otherwise.
-    pub fn hear(&mut self, wait_secs: u32) -> Result<()> {
-        let Listing::UnderWay(following, kinds) = &mut self.listing else { return Ok(()) };
+    /// Hears of more of a bake under way, waiting up to so long, and answers whether there is any: [`Self::refine`] fetches what has
+    /// landed. At its end the light is that of any other bake, with an overview and in the order of the bake's manifest. Errs if the bake
+    /// ended otherwise, and if the overview has more than the memory of the budget at the beginning; then the light stays as it is.
+    pub fn hear(&mut self, wait_secs: u32) -> Result<bool> {
+        let Listing::UnderWay(following, kinds) = &mut self.listing else { return Ok(false) };
         match following.hear(wait_secs)? {
-            News::None => return Ok(()),
+            News::None => return Ok(false),
             News::More => {
                 if let Some(manifest) = following.manifest() {
                     self.stream.grown(manifest, baked(following));
                 }
                 self.manifest_bytes = following.bytes();
-                return Ok(());
+                return Ok(true);
             }
             News::Done => {}
         }
@@ -227,7 +222,9 @@ impl StreamedBake {
         check_outline(before, &manifest)?;
         self.stream.ended(&self.source, before, &manifest)?;
         (self.manifest_bytes, self.listing) = (bytes.len() as u64, Listing::Own(Box::new(manifest)));
-        self.assemble()
+        check_memory(&*self.stream, self.memory_max)?;
+        self.assemble()?;
+        Ok(true)
     }
 
     /// Takes the light that has come, in the colours that were given.
@@ -244,6 +241,17 @@ impl StreamedBake {
         let light = self.stream.light(&self.bake.scene, manifest)?;
         Ok(LoadedBake { scene: Arc::clone(&self.bake.scene), light })
     }
+}
+
+/// Errs where the part of the light that always stays has more than so much memory.
+fn check_memory(stream: &dyn LightStream, memory_max: u64) -> Result<()> {
+    let memory = stream.streamed().memory_least;
+    if memory_max >= memory {
+        return Ok(());
+    }
+    let what = format!("{memory_max} bytes of memory for light");
+    let problem = format!("are too few: patches and overview alone take some {memory}");
+    Err(ClientError::Argument { what, problem })
 }
 
 fn baked(following: &Following) -> Baked {

@@ -174,6 +174,20 @@ mod tests {
     }
 
     #[test]
+    fn picture_beyond_the_longest_side_is_refused() {
+        let png = |[width, height]: [u32; 2]| {
+            let mut png = Cursor::new(Vec::new());
+            image::GrayImage::new(width, height).write_to(&mut png, image::ImageFormat::Png).unwrap();
+            png.into_inner()
+        };
+        assert!(Texture::decode(&png([MAX_SIDE, 1])).is_ok());
+        for size in [[MAX_SIDE + 1, 1], [1, MAX_SIDE + 1]] {
+            let error = Texture::decode(&png(size)).unwrap_err();
+            assert!(matches!(error, image::ImageError::Limits(_)), "{error}");
+        }
+    }
+
+    #[test]
     fn broken_picture_is_an_error() {
         assert!(Texture::decode(b"\x89PNG\r\n\x1a\nnothing").is_err());
         assert!(Texture::decode(b"").is_err());

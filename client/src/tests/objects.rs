@@ -94,6 +94,23 @@ fn lamp_shut_in_a_box_lights_nothing_until_the_box_leaves() {
     assert!(open.iter().any(|radiance| radiance.x > 0.0));
 }
 
+/// An object that a wall cuts in two stands on both sides of it: the half in the room shades the floor, and no light is other than finite.
+/// One behind the wall is not there for a lamp inside.
+#[test]
+fn object_inside_a_wall_shows_its_half_and_one_behind_it_changes_nothing() {
+    let (bake, view) = lamp_view();
+    let open = drawn(&bake, &view, Vec::new(), Backend::Cpu);
+    let bake = with_cube(bake, None);
+    let differs = |objects: Vec<Stance>| {
+        let picture = drawn(&bake, &view, objects, Backend::Cpu);
+        assert!(picture.iter().all(|radiance| radiance.is_finite()));
+        !Difference::of_mean(&picture, &open, 0.02).agrees(0.02)
+    };
+    assert!(differs(cube_at([1.0, 0.0, 1.0], 0.5)), "its upper half is seen");
+    assert!(!differs(cube_at([1.0, -0.6, 1.0], 0.5)), "below the floor");
+    assert!(!differs(cube_at([-0.6, 0.6, 1.0], 0.5)), "behind the wall");
+}
+
 /// A board before the lamp takes light from the floor, and with it the light that the floor sends to the rest of the room.
 #[test]
 fn shadow_of_an_object_reaches_the_bounced_light() {
@@ -119,7 +136,9 @@ fn adapter_draws_objects_as_the_processor_does() {
     for glass in [None, Some(glass)] {
         let (bake, view) = lamp_view();
         let bake = with_cube(bake, glass);
-        for objects in [cube_at([1.0, 0.4, 1.0], 0.5), cube_at([0.6, 0.5, 1.3], 0.3)] {
+        for objects in
+            [cube_at([1.0, 0.4, 1.0], 0.5), cube_at([0.6, 0.5, 1.3], 0.3), cube_at([1.0, 0.0, 1.0], 0.5)]
+        {
             let [got, wanted] =
                 [Backend::Gpu, Backend::Cpu].map(|backend| drawn(&bake, &view, objects.clone(), backend));
             let difference = Difference::of_mean(&got, &wanted, shade::TOLERANCE);

@@ -3,13 +3,13 @@
 use glam::{Vec3, Vec4};
 use lightkiln_proto::api::BakeState;
 use lightkiln_proto::kinds::{prt, sh};
-use lightkiln_proto::manifest::Manifest;
+use lightkiln_proto::manifest::{CLUSTERS, Manifest};
 use lightkiln_proto::words::lod_from_text;
 
 use super::fixture_view;
 use crate::bake::LoadedBake;
 use crate::error::{ClientError, Result};
-use crate::fetch::{Source, chunk_path};
+use crate::fetch::{News, Source, chunk_path};
 use crate::fixture::{BundleServer, Faults, Told, write_bundle};
 use crate::kinds;
 use crate::passes::compare::Difference;
@@ -189,6 +189,91 @@ fn page_whose_bytes_are_lost_comes_again_with_its_task() {
     assert_eq!((come.baked.unwrap().cells, come.clusters, come.clusters_all), (2, 4, 4));
 }
 
+/// Bytes of a cluster that a server answers instead of its own: none, or those with a bit turned over.
+fn damaged(path: &std::path::Path, is_gone: bool) -> Vec<u8> {
+    let bytes = std::fs::read(path).unwrap();
+    if is_gone {
+        std::fs::remove_file(path).unwrap();
+    } else {
+        let mut other = bytes.clone();
+        *other.last_mut().unwrap() ^= 1;
+        std::fs::write(path, other).unwrap();
+    }
+    bytes
+}
+
+#[test]
+fn clusters_that_are_lost_hold_no_other_up_are_told_of_and_come_with_their_task() {
+    let (_, view) = fixture_view();
+    for is_gone in [true, false] {
+        let mut farm = Farm::new();
+        farm.land(&[0, 3]);
+        // The first that is asked for, of four.
+        let path = chunk_path(farm.folder.path(), farm.manifest.chunks(CLUSTERS)[0].digest);
+        let bytes = damaged(&path, is_gone);
+        let mut streamed = farm.followed().unwrap();
+        let bare = energy(&drawn(&streamed.bake, &view));
+        streamed.refine(&view, Budget::NONE).unwrap();
+        let come = streamed.streamed();
+        assert_eq!((come.whole, come.clusters_all, come.lost), (4, 5, 1), "gone: {is_gone}");
+        let part = energy(&drawn(&streamed.bake, &view));
+        assert!(part > bare, "the others show: {part} after {bare}");
+        assert!(!streamed.hear(0).unwrap());
+        std::fs::write(&path, bytes).unwrap();
+        farm.land(&[0, 4]);
+        assert!(streamed.hear(0).unwrap());
+        streamed.refine(&view, Budget::NONE).unwrap();
+        let come = streamed.streamed();
+        assert_eq!((come.whole, come.clusters_all, come.lost), (6, 6, 0), "gone: {is_gone}");
+        assert!(energy(&drawn(&streamed.bake, &view)) > part);
+        // Of a bake that is done nothing comes again.
+        damaged(&chunk_path(farm.folder.path(), farm.manifest.chunks(CLUSTERS)[2].digest), is_gone);
+        farm.land(&[1]);
+        streamed.hear(0).unwrap();
+        farm.end(BakeState::Done, None);
+        streamed.hear(0).unwrap();
+        let error = streamed.refine(&view, Budget::NONE).unwrap_err();
+        assert!(matches!(error, ClientError::Call(_) | ClientError::WrongDigest { .. }), "{error}");
+    }
+}
+
+#[test]
+fn overview_beyond_the_memory_of_the_budget_is_refused_at_the_end_of_a_bake_as_of_one_that_is_done() {
+    let (_, view) = fixture_view();
+    let mut farm = Farm::new();
+    farm.land(&[0, 1, 2, 3, 4]);
+    let bundle = Source::bundle(farm.folder.path()).unwrap();
+    let least = |stream: &StreamedBake| stream.streamed().memory_least;
+    let memory = least(&StreamedBake::begin(&bundle, &kinds::all(), Budget::NONE).unwrap()) - 1;
+    let budget = Budget { memory, ..Budget::NONE };
+    let done = StreamedBake::begin(&bundle, &kinds::all(), budget).err().unwrap().to_string();
+    let following = kinds::all().follow(&farm.source).unwrap().unwrap();
+    let mut streamed = StreamedBake::follow(following, &kinds::all(), budget).unwrap();
+    assert!(least(&streamed) <= memory, "patches alone fit");
+    streamed.refine(&view, budget).unwrap();
+    let shown = drawn(&streamed.bake, &view);
+    farm.end(BakeState::Done, None);
+    assert_eq!(streamed.hear(0).unwrap_err().to_string(), done);
+    assert_eq!(drawn(&streamed.bake, &view), shown, "the light stays");
+}
+
+#[test]
+fn results_are_looked_at_once() {
+    let mut farm = Farm::new();
+    let mut following = kinds::all().follow(&farm.source).unwrap().unwrap();
+    let after = |farm: &Farm| farm.server.take_afters();
+    farm.land(&[3, 0, 2]);
+    assert_eq!(following.hear(0).unwrap(), News::More);
+    // Pages have two results each, at places 13, 16 and 19.
+    assert_eq!(after(&farm), [0, 0, 16, 19]);
+    assert_eq!(following.hear(0).unwrap(), News::None);
+    // Results of other kinds land.
+    farm.told.others = 5;
+    farm.server.tell(&farm.told);
+    assert_eq!([following.hear(0).unwrap(), following.hear(0).unwrap()], [News::None; 2]);
+    assert_eq!(after(&farm), [19, 19, 24]);
+}
+
 #[test]
 fn bakes_that_end_without_their_light_say_how() {
     let problem = |farm: &Farm| farm.followed().err().unwrap();
@@ -212,6 +297,15 @@ fn bakes_that_end_without_their_light_say_how() {
     early.server.tell(&early.told);
     let error = problem(&early).to_string();
     assert!(error.contains("no scene to draw yet"), "{error}");
+
+    let mut old = Farm::new();
+    old.told.lose_outline();
+    old.server.tell(&old.told);
+    let error = problem(&old).to_string();
+    assert!(error.contains("plan of an earlier version") && error.contains("kiln watch"), "{error}");
+    old.land(&[0, 1, 2, 3, 4]);
+    old.end(BakeState::Done, None);
+    assert!(kinds::all().follow(&old.source).unwrap().is_none(), "it is seen at its end");
 
     let mut other = Farm::new();
     other.told.bake.kind = sh::NAME.to_owned();

@@ -4,6 +4,7 @@ use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
+use super::pace::{Pace, Turn};
 use crate::bake::LoadedBake;
 use crate::error::{ClientError, Result};
 use crate::preview::{StreamedBake, View};
@@ -19,8 +20,6 @@ const FALL_MOST: u64 = 4;
 const PIECE_MIN: u64 = 128 << 10;
 /// Time in which clusters of a bake under way land before they are taken. More → fewer pieces.
 const LANDING: Duration = Duration::from_secs(1);
-/// Longest wait for clusters to land, where no other view could want others of those that have.
-const LISTEN_SECS: u32 = 5;
 
 /// A piece of light.
 pub struct Piece {
@@ -178,38 +177,31 @@ impl Drop for Feed {
 /// that there is room for.
 fn fetch(
     mut stream: StreamedBake,
-    step_min: u64,
+    step: u64,
     watched: &Watched,
     sender: &Sender<Result<Piece>>,
     wake: impl Fn(),
 ) {
-    let (mut step, mut sent) = (step_min, stream.streamed());
+    let (mut pace, mut sent) = (Pace::new(step), stream.streamed());
     loop {
-        let Some((view, memory)) = watched.wanted() else { return };
+        let Some(wanted) = watched.wanted() else { return };
+        let (view, memory) = (&wanted.0, wanted.1);
         let before = stream.streamed();
-        if before.is_whole() && before.memory <= memory {
-            watched.wait_for_other(&view, memory);
-            continue;
-        }
-        let has_all_known = before.whole == before.clusters_all && before.memory <= memory;
-        let mut done = match has_all_known {
-            true => heard(&mut stream, watched, (&view, memory), LISTEN_SECS),
-            false => stream.refine(&view, Budget { step, memory, ..Budget::NONE }),
-        };
-        let brings_none = done.is_ok() && stream.streamed() == before;
-        if has_all_known || !brings_none {
-            step = step_min;
-        } else if step < u64::MAX {
-            // The step is too small for any layer, or memory is full: without a step one more look tells which.
-            step = u64::MAX;
-        } else {
-            // Memory holds no more: what it holds is that which another view needs.
-            step = step_min;
-            match stream.is_under_way() {
-                true => done = heard(&mut stream, watched, (&view, memory), 0),
-                false => watched.wait_for_other(&view, memory),
+        let done = match pace.turn(&wanted, &before) {
+            Turn::Rest => {
+                watched.wait_for_other(view, memory);
+                continue;
             }
-        }
+            Turn::Hear { wait_secs } => {
+                let heard = heard(&mut stream, watched, (view, memory), wait_secs);
+                heard.map(|has_more| pace.heard(has_more))
+            }
+            Turn::Refine { step } => {
+                let refined = stream.refine(view, Budget { step, memory, ..Budget::NONE });
+                pace.refined(&wanted, stream.streamed() != before);
+                refined
+            }
+        };
         let streamed = stream.streamed();
         if streamed != sent {
             sent = streamed;
@@ -237,7 +229,7 @@ fn heard(
     watched: &Watched,
     (view, memory): (&View, u64),
     wait_secs: u32,
-) -> Result<()> {
+) -> Result<bool> {
     watched.wait_a_little(view, memory, LANDING);
     stream.hear(wait_secs)
 }
@@ -249,7 +241,7 @@ mod tests {
     use lightkiln_proto::manifest::CLUSTERS;
 
     use super::*;
-    use crate::fetch::Source;
+    use crate::fetch::{Source, chunk_path};
     use crate::fixture::{BundleServer, Faults, Told, write_bundle};
     use crate::kinds;
     use crate::tests::fixture_view;
@@ -400,6 +392,46 @@ mod tests {
             }
         };
         assert!(error.contains("no ray meets anything") && feed.is_over(), "{error}");
+    }
+
+    #[test]
+    fn cluster_that_is_lost_is_asked_for_again_only_once_something_has_landed() {
+        let folder = tempfile::tempdir().unwrap();
+        let manifest = write_bundle(folder.path(), prt::NAME);
+        let mut told = Told::of(folder.path(), &manifest, &[&[0, 1, 2], &[3, 4, 5, 6]]);
+        told.landed.push(0);
+        let chunk = chunk_path(folder.path(), manifest.chunks(CLUSTERS)[1].digest);
+        let bytes = std::fs::read(&chunk).unwrap();
+        std::fs::remove_file(&chunk).unwrap();
+        let server = BundleServer::start(folder.path(), Faults::default());
+        server.tell(&told);
+        let following = kinds::all().follow(&server.source()).unwrap().unwrap();
+        let stream = StreamedBake::follow(following, &kinds::all(), Budget::NONE).unwrap();
+        let (mut feed, _) = Feed::start(stream, u64::MAX, fixture_view().1, || {});
+        let until = |feed: &mut Feed, is_there: &dyn Fn(&Streamed) -> bool| {
+            while !is_there(&feed.streamed) {
+                feed.next().unwrap();
+                assert!(!feed.is_over());
+                std::thread::yield_now();
+            }
+        };
+        until(&mut feed, &|streamed| streamed.whole == 2 && streamed.lost == 1);
+        let wait_for_polls = |count: usize| {
+            let mut polls = 0;
+            while polls < count {
+                polls += server.take_afters().len();
+                std::thread::yield_now();
+            }
+        };
+        server.take_afters();
+        wait_for_polls(1);
+        let before = server.refused();
+        wait_for_polls(2);
+        assert_eq!(server.refused(), before, "nothing has landed, and the view is the same");
+        std::fs::write(&chunk, bytes).unwrap();
+        told.landed.push(0);
+        server.tell(&told);
+        until(&mut feed, &|streamed| streamed.whole == 3 && streamed.lost == 0);
     }
 
     #[test]

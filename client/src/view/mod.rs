@@ -15,6 +15,7 @@ mod fly;
 mod handles;
 mod input;
 mod lens;
+mod pace;
 mod panel;
 mod surface;
 #[cfg(test)]

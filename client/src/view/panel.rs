@@ -152,11 +152,16 @@ fn state(ui: &mut Ui, viewer: &Viewer, facts: &Facts) {
         true => format!("light settled after {bounces} bounces"),
         false => format!("bounce {bounces}, the last changed {change}"),
     });
-    if let Some(Streamed { bytes, bytes_all, clusters, whole, clusters_all, baked, .. }) = facts.streamed {
+    if let Some(Streamed { bytes, bytes_all, clusters, whole, clusters_all, baked, lost, .. }) =
+        facts.streamed
+    {
         if let Some(Baked { cells, cells_all }) = baked {
             ui.label(format!(
                 "the bake goes on: {cells} of {cells_all} cells baked, elsewhere lights shine directly alone"
             ));
+        }
+        if lost > 0 {
+            ui.label(format!("the server has lost {lost} clusters, which come once they are baked again"));
         }
         let percent = 100.0 * bytes as f64 / bytes_all.max(1) as f64;
         ui.label(format!(

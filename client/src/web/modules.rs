@@ -84,6 +84,8 @@ pub const MODULES: &[(&str, &[u8])] = files![
     "object/image.js",
     "object/limits.js",
     "object/materials.js",
+    "object/meshopt.js",
+    "object/meshopt_filters.js",
     "object/object.js",
     "object/placement.js",
     "object/primitive.js",

@@ -388,9 +388,9 @@ export class Frame {
     return change !== null && change < changeMax;
   }
 
-  /** Bounces until they change less than a limit, each waited for: their number, and whether they converged. */
+  /** Bounces until they change less than a limit, each waited for: their number, and whether they converged. It ends in play, too. */
   async settle({ bouncesMax = BOUNCES_MAX, changeMax = CHANGE_MAX } = {}) {
-    while (!this.#isSettled(changeMax) && this.#bounces.count < bouncesMax) {
+    for (let left = bouncesMax - this.#bounces.count; left > 0 && !this.#isSettled(changeMax); left--) {
       this.advance();
       await this.light.change.idle();
     }

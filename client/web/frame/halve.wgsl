@@ -18,3 +18,9 @@ fn halve(@builtin(position) at: vec4f) -> @location(0) vec4f {
     }
     return 0.25 * sum;
 }
+
+// The red of a file's numbers for alpha, all else white: textures' alpha is linear, as that channel is.
+@fragment
+fn red_as_alpha(@builtin(position) at: vec4f) -> @location(0) vec4f {
+    return vec4f(1.0, 1.0, 1.0, textureLoad(finer, vec2i(floor(at.xy)), 0).r);
+}

@@ -2,6 +2,8 @@
 
 // Format whose reads are linear.
 const FORMAT = "rgba8unorm-srgb";
+// Format whose reads are the numbers of a file.
+const AS_STORED = "rgba8unorm";
 
 /** A white texel, for what has no texture. */
 export function whiteTexel(gpu) {
@@ -16,30 +18,24 @@ export function whiteTexel(gpu) {
  */
 export async function uploadTextures(gpu, files) {
   if (files.length === 0) return [];
-  const pipeline = await gpu.render({
-    label: "halve",
-    layout: "auto",
-    vertex: { module: gpu.module("halve"), entryPoint: "corner" },
-    fragment: { module: gpu.module("halve"), entryPoint: "halve", targets: [{ format: FORMAT }] },
-    primitive: { topology: "triangle-list" },
-  });
+  const [halve, redAsAlpha] = await Promise.all([pipelineOf(gpu, "halve"), pipelineOf(gpu, "red_as_alpha")]);
   const views = [];
   for (const [index, { mediaType, bytes, name = `texture ${index}`, channel = "colour" }] of files.entries()) {
     const picture = await decoded(mediaType, bytes, name);
-    views.push(upload(gpu, pipeline, channel === "red" ? await redAsAlpha(picture) : picture));
+    views.push(upload(gpu, picture, halve, channel === "red" ? redAsAlpha : null));
   }
   return views;
 }
 
-/** A picture with its red channel for alpha, all else white; textures' alpha is linear, as that channel is. */
-async function redAsAlpha(picture) {
-  const { width, height } = picture;
-  const context = new OffscreenCanvas(width, height).getContext("2d", { willReadFrequently: true });
-  context.drawImage(picture, 0, 0);
-  picture.close();
-  const pixels = context.getImageData(0, 0, width, height);
-  for (let at = 0; at < pixels.data.length; at += 4) pixels.data.set([255, 255, 255, pixels.data[at]], at);
-  return createImageBitmap(pixels, { premultiplyAlpha: "none", colorSpaceConversion: "none" });
+function pipelineOf(gpu, entryPoint) {
+  const module = gpu.module("halve");
+  return gpu.render({
+    label: entryPoint,
+    layout: "auto",
+    vertex: { module, entryPoint: "corner" },
+    fragment: { module, entryPoint, targets: [{ format: FORMAT }] },
+    primitive: { topology: "triangle-list" },
+  });
 }
 
 async function decoded(mediaType, bytes, name) {
@@ -52,7 +48,8 @@ async function decoded(mediaType, bytes, name) {
   }
 }
 
-function upload(gpu, pipeline, picture) {
+/** A picture with its mip levels, of which the finest is as it is, or drawn by a pipeline: a canvas loses colours where alpha is 0. */
+function upload(gpu, picture, halve, drawnBy) {
   const { width, height } = picture;
   const longest = gpu.device.limits.maxTextureDimension2D;
   if (Math.max(width, height) > longest) {
@@ -60,24 +57,28 @@ function upload(gpu, pipeline, picture) {
   }
   const levels = 1 + Math.floor(Math.log2(Math.max(width, height)));
   const uploaded = texture(gpu, width, height, levels);
-  gpu.device.queue.copyExternalImageToTexture({ source: picture }, { texture: uploaded }, [width, height]);
-  picture.close();
   const level = (baseMipLevel) => uploaded.createView({ baseMipLevel, mipLevelCount: 1 });
+  const file = drawnBy === null ? uploaded : texture(gpu, width, height, 1, AS_STORED);
+  gpu.device.queue.copyExternalImageToTexture({ source: picture }, { texture: file }, [width, height]);
+  picture.close();
   gpu.submit((encoder) => {
-    for (let coarser = 1; coarser < levels; coarser++) {
-      const pass = encoder.beginRenderPass({
-        colorAttachments: [{ view: level(coarser), loadOp: "clear", storeOp: "store" }],
-      });
-      pass.setPipeline(pipeline);
-      pass.setBindGroup(0, gpu.bind(pipeline.getBindGroupLayout(0), [level(coarser - 1)]));
-      pass.draw(3);
-      pass.end();
-    }
+    if (drawnBy !== null) drawn(gpu, encoder, drawnBy, file.createView(), level(0));
+    for (let coarser = 1; coarser < levels; coarser++) drawn(gpu, encoder, halve, level(coarser - 1), level(coarser));
   });
+  if (file !== uploaded) gpu.free(file);
   return uploaded.createView();
 }
 
-function texture(gpu, width, height, mipLevelCount) {
+/** Draws a level from a view of another. */
+function drawn(gpu, encoder, pipeline, from, into) {
+  const pass = encoder.beginRenderPass({ colorAttachments: [{ view: into, loadOp: "clear", storeOp: "store" }] });
+  pass.setPipeline(pipeline);
+  pass.setBindGroup(0, gpu.bind(pipeline.getBindGroupLayout(0), [from]));
+  pass.draw(3);
+  pass.end();
+}
+
+function texture(gpu, width, height, mipLevelCount, format = FORMAT) {
   const usage = GPUTextureUsage.TEXTURE_BINDING | GPUTextureUsage.COPY_DST | GPUTextureUsage.RENDER_ATTACHMENT;
-  return gpu.texture({ label: "texture", size: [width, height], mipLevelCount, format: FORMAT, usage });
+  return gpu.texture({ label: "texture", size: [width, height], mipLevelCount, format, usage });
 }

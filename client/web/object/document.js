@@ -5,6 +5,7 @@ import { fround } from "../relight/numbers.js";
 import { ObjectError, broken, placeOf, shown } from "./error.js";
 import { isGlb, splitGlb } from "./glb.js";
 import { LIMITS, within } from "./limits.js";
+import { compressionOf, decompressed, isStandIn, readCompression } from "./meshopt.js";
 
 // List of the document by the kind of its things.
 const LISTS = {
@@ -23,21 +24,27 @@ const LISTS = {
 };
 // Extensions that are honoured, so that a file may require them.
 const SUPPORTED = [
+  "EXT_meshopt_compression",
   "KHR_lights_punctual",
   "KHR_materials_emissive_strength",
   "KHR_materials_pbrSpecularGlossiness",
   "KHR_materials_transmission",
   "KHR_mesh_quantization",
+  "KHR_meshopt_compression",
   "KHR_texture_transform",
 ];
 // Starts of names of extensions without which an object looks much as it is meant.
 const HARMLESS = ["KHR_animation_", "KHR_materials_", "KHR_xmp", "EXT_mesh_features"];
-const COMPRESSED = /meshopt|draco/;
+const PERCENT = 0x25;
+const COMPRESSED = /draco/;
 const UNCOMPRESS = "convert it with 'npx @gltf-transform/cli copy IN.glb OUT.glb'";
 
 export class GltfDocument {
   // Bytes of buffers by their index, once read.
   #buffers = new Map();
+  // Bytes of compressed views by their index, once read, and how many they are.
+  #decoded = new Map();
+  #decodedBytes = 0;
 
   /** Reads the bytes of a `.glb`, or of a `.gltf` that has its buffers within. */
   constructor(bytes) {
@@ -74,11 +81,36 @@ export class GltfDocument {
   view(index, place) {
     const view = this.get("buffer view", index, place);
     const own = () => `buffer view ${index} of ${place()}`;
-    const bytes = this.#buffer(view.buffer, own);
-    const [offset, length] = [whole(view, "byteOffset", own, 0), whole(view, "byteLength", own)];
+    const stated = compressionOf(view);
+    // A view may be there uncompressed too.
+    if (stated !== null && !this.#hasBytes(view.buffer)) {
+      if (!this.#decoded.has(index)) this.#decoded.set(index, this.#decompressed(stated, own));
+      return this.#decoded.get(index);
+    }
+    return this.#range(view.buffer, whole(view, "byteOffset", own, 0), whole(view, "byteLength", own), own);
+  }
+
+  #decompressed(stated, place) {
+    const compression = readCompression(stated, place);
+    const { buffer, byteOffset, byteLength, byteStride, count } = compression;
+    this.#decodedBytes += count * byteStride;
+    within(LIMITS.decodedBytes, this.#decodedBytes);
+    const bytes = decompressed(this.#range(buffer, byteOffset, byteLength, place), compression);
+    if (bytes === null) throw broken(place(), "its compressed bytes cannot be read");
+    return bytes;
+  }
+
+  #range(buffer, offset, length, place) {
+    const bytes = this.#buffer(buffer, place);
     const found = slice(bytes, offset, length);
-    if (found === null) throw broken(own(), `it spans ${length} bytes from ${offset}, but its buffer has ${bytes.length}`);
+    if (found === null) throw broken(place(), `it spans ${length} bytes from ${offset}, but its buffer has ${bytes.length}`);
     return found;
+  }
+
+  /** Whether a buffer is more than a stand-in for compressed views. */
+  #hasBytes(index) {
+    const buffer = this.list("buffer")[index];
+    return buffer !== undefined && (buffer.uri !== undefined || !isStandIn(buffer));
   }
 
   #buffer(index, place) {
@@ -91,8 +123,13 @@ export class GltfDocument {
   #bufferBytes(buffer, index, place) {
     const stated = whole(buffer, "byteLength", place);
     let bytes = this.bin;
-    if (buffer.uri !== undefined) bytes = bytesOfUri(buffer.uri, place);
-    else if (index !== 0 || bytes === null) throw broken(place(), "it has neither a URI nor a GLB chunk");
+    if (buffer.uri !== undefined) {
+      bytes = bytesOfUri(buffer.uri, place);
+    } else if (isStandIn(buffer)) {
+      throw broken(place(), "it has no bytes of its own, and the view does not say how they are compressed");
+    } else if (index !== 0 || bytes === null) {
+      throw broken(place(), "it has neither a URI nor a GLB chunk");
+    }
     if (bytes.length < stated) throw broken(place(), `it states ${stated} bytes and has ${bytes.length}`);
     return bytes;
   }
@@ -109,12 +146,37 @@ export function bytesOfUri(uri, place) {
   if (data === null) {
     throw new ObjectError(`${place()} points to '${shown(String(uri))}', which is not in the file; export as .glb`);
   }
+  const payload = percentDecoded(uri.slice(data[0].length));
+  const bytes = /;\s*base64\s*(;|$)/i.test(data[1]) ? bytesOfBase64(payload) : payload;
+  if (bytes === null) throw new ObjectError(`the data URI of ${place()} is broken; export the file again`);
+  return bytes;
+}
+
+/** Bytes of a text, of which `%` and two hex digits stand for one. */
+function percentDecoded(text) {
+  const bytes = new TextEncoder().encode(text);
+  if (!text.includes("%")) return bytes;
+  let length = 0;
+  for (let at = 0; at < bytes.length; at++, length++) {
+    const digits = bytes[at] === PERCENT ? String.fromCharCode(...bytes.subarray(at + 1, at + 3)) : "";
+    const isCode = /^[0-9a-f]{2}$/i.test(digits);
+    bytes[length] = isCode ? parseInt(digits, 16) : bytes[at];
+    if (isCode) at += 2;
+  }
+  return bytes.subarray(0, length);
+}
+
+/** Bytes of base64, whose padding may be left out; null where it is none. */
+function bytesOfBase64(payload) {
+  const text = new TextDecoder().decode(payload);
   try {
-    const payload = decodeURIComponent(uri.slice(data[0].length));
-    const text = /;\s*base64\s*(;|$)/i.test(data[1]) ? atob(payload) : payload;
-    return Uint8Array.from(text, (character) => character.charCodeAt(0));
+    const decoded = atob(text);
+    const unpadded = (base64) => base64.replace(/=+$/, "");
+    // Blanks, and bits behind the last byte, are none of base64's.
+    if (unpadded(btoa(decoded)) !== unpadded(text)) return null;
+    return Uint8Array.from(decoded, (character) => character.charCodeAt(0));
   } catch {
-    throw new ObjectError(`the data URI of ${place()} is broken; export the file again`);
+    return null;
   }
 }
 

@@ -25,6 +25,7 @@ export const LIMITS = {
     what: "elements in an accessor without bytes",
     remedy: "export the scene with all its vertices",
   },
+  decodedBytes: { limit: 2 ** 30, what: "bytes of decompressed meshes", remedy: SPLIT },
   texturePixels: { limit: 16_384 * 16_384, what: "pixels in a texture", remedy: SMALLER_TEXTURES },
 };
 // Pixels of all textures together: so many in any file, as many more for each byte of it, and never more than the last.

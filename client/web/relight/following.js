@@ -5,6 +5,7 @@
 //   while ((await following.hear({ waitSecs: 25 })) !== "done") { … following.manifest, following.cells … }
 
 import { decodeDirectory } from "../chunk/directory.js";
+import { ChunkError } from "../chunk/error.js";
 import { CLUSTERS_MAX, PAGE_BYTES_MAX, ROLES, checkRelightable, chunksOf, readManifest } from "../chunk/manifest.js";
 import { FetchError, PARALLEL, fetchChunk, forEachParallel } from "../fetch.js";
 import { Inconsistent } from "./inconsistent.js";
@@ -15,8 +16,8 @@ const OUTPUTS = { outline: "outline", page: "page" };
 
 export class Following {
   #source;
-  // Place of the last result of a cell that was taken.
-  #after = 0;
+  // Places up to which no result is left to take: of the outline's task, and of cells.
+  #after = { outline: 0, cells: 0 };
   #cells = new Set();
   #cellsAll = 0;
 
@@ -38,18 +39,21 @@ export class Following {
   async hear({ waitSecs = 0, signal = null } = {}) {
     let [wait, news] = [waitSecs, "none"];
     if (this.manifest === null) {
-      const { results, isDone } = await this.#results(TASKS.outline, 0, wait, signal);
+      const { results, nextAfter, isDone } = await this.#results(TASKS.outline, this.#after.outline, wait, signal);
       if (isDone) return "done";
-      if (results.length === 0) return "none";
+      if (results.length === 0) {
+        this.#after.outline = nextAfter;
+        return "none";
+      }
       this.manifest = await this.#outline(results.at(-1), signal);
       [wait, news] = [0, "more"];
     }
     for (;;) {
-      const { results, isDone } = await this.#results(TASKS.clusters, this.#after, wait, signal);
+      const { results, nextAfter, isDone } = await this.#results(TASKS.clusters, this.#after.cells, wait, signal);
       if (isDone) return "done";
+      if (results.length > 0) await this.#take(results, signal);
+      this.#after.cells = nextAfter;
       if (results.length === 0) return news;
-      await this.#take(results, signal);
-      this.#after = results.at(-1).place;
       [wait, news] = [0, "more"];
     }
   }
@@ -57,14 +61,17 @@ export class Following {
   async #results(kind, after, waitSecs, signal) {
     const { http, bake: id } = this.#source;
     const path = `/v1/bakes/${encodeURIComponent(id)}/results?kind=${kind}&after=${after}&wait_secs=${waitSecs}`;
-    const { results, bake } = await http.json(path, { signal });
+    const { results, next_after: nextAfter, bake } = await http.json(path, { signal });
     if (bake.state === "failed") throw new Error(`the bake failed: ${bake.failure ?? "no reason was given"}`);
     if (bake.state === "cancelled") throw new Error("the bake was cancelled");
     this.#cellsAll = bake.stages.find((stage) => stage.kind === TASKS.clusters)?.total ?? 0;
-    return { results, isDone: bake.state === "done" };
+    return { results, nextAfter, isDone: bake.state === "done" };
   }
 
   async #outline(result, signal) {
+    if (result.outputs.every(({ name }) => name !== OUTPUTS.outline)) {
+      throw new Error("the bake goes on by a plan of an earlier version, which tells of no light before the end: it is seen once it is done");
+    }
     const outline = readManifest(await fetchChunk(this.#source, outputOf(result, OUTPUTS.outline), { signal }));
     if (outline.directory.length > 0) throw new Inconsistent("outline", "it has a directory");
     checkRelightable(outline);
@@ -97,15 +104,19 @@ export class Following {
     try {
       return decodeDirectory(await fetchChunk(this.#source, chunk, { signal }));
     } catch (error) {
-      if (isGone(error)) return null;
+      if (isLost(error)) return null;
       throw error;
     }
   }
 }
 
-/** Whether an error is that a server has no bytes of that name. */
-export function isGone(error) {
-  return error instanceof FetchError && error.status === 404;
+/**
+ * Whether an error is that a server has no bytes of that name, or others in their place: while a bake goes on they come again, once their
+ * task has run again.
+ */
+export function isLost(error) {
+  const isGone = error instanceof FetchError && error.status === 404;
+  return isGone || (error instanceof ChunkError && error.code === "digest");
 }
 
 function outputOf({ kind, label, outputs }, name) {

@@ -3,7 +3,7 @@
 
 import { ROLES, checkRelightable, chunksOf } from "../chunk/manifest.js";
 import { PARALLEL, fetchManifest, fetchUnverified, forEachParallel } from "../fetch.js";
-import { checkOutline, isGone } from "./following.js";
+import { checkOutline, isLost } from "./following.js";
 import { LightmapLayout } from "./layout.js";
 import { openWork } from "./workers.js";
 
@@ -15,6 +15,8 @@ export class BakeStream {
   #work;
   // Numbers of the clusters that have come.
   #present = new Set();
+  // Numbers of clusters of a bake that goes on whose bytes the server has lost, as far as they were asked for.
+  #lost = new Set();
   // A bake that goes on.
   #following = null;
   // Rows of the clusters to fetch, as the manifest lists them.
@@ -95,6 +97,7 @@ export class BakeStream {
       .filter(([, next]) => next !== undefined);
     await this.#work.end(numbers, overview);
     this.#present = new Set(numbers.map(([, next]) => next));
+    this.#lost.clear();
     this.#list(manifest);
     this.#following = null;
   }
@@ -115,6 +118,11 @@ export class BakeStream {
   /** Clusters that have come, and all. */
   get clusters() {
     return [this.#present.size, this.chunks.length];
+  }
+
+  /** Clusters of a bake that goes on whose bytes the server has lost: they come once they are baked again. */
+  get lost() {
+    return this.#lost.size;
   }
 
   /** Bytes of the chunks of clusters that have come, and of all. */
@@ -158,9 +166,11 @@ export class BakeStream {
         decoded = await this.#decode(this.chunks[index], "cluster", signal);
       } catch (error) {
         // Bytes that were lost come again while the bake goes on, once their task has run again: others need not wait.
-        if (this.isUnderWay && isGone(error)) return;
-        throw error;
+        if (!this.isUnderWay || !isLost(error)) throw error;
+        this.#lost.add(index);
+        return;
       }
+      this.#lost.delete(index);
       await this.#work.add(index, decoded);
       this.#present.add(index);
       onCluster();

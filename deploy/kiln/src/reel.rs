@@ -152,8 +152,11 @@ impl PassRow {
 
 /// Light that has come, in words.
 pub fn worded_part(come: &Streamed) -> String {
-    let Streamed { bytes, bytes_all, clusters, whole, clusters_all, .. } = come;
-    let of_clusters = format!("{clusters} of {clusters_all} clusters, {whole} of them with all layers");
+    let Streamed { bytes, bytes_all, clusters, whole, clusters_all, lost, .. } = come;
+    let mut of_clusters = format!("{clusters} of {clusters_all} clusters, {whole} of them with all layers");
+    if *lost > 0 {
+        of_clusters += &format!(", {lost} lost by the server until they are baked again");
+    }
     let Some(Baked { cells, cells_all }) = come.baked else {
         let percent = 100.0 * *bytes as f64 / (*bytes_all).max(1) as f64;
         return format!(
@@ -192,6 +195,15 @@ pub fn numbered(png: &Path, number: usize) -> PathBuf {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn lost_clusters_of_a_bake_under_way_are_said() {
+        let come = Streamed { clusters: 3, clusters_all: 5, whole: 3, ..Streamed::default() };
+        let baked = Some(Baked { cells: 2, cells_all: 4 });
+        let lost = worded_part(&Streamed { lost: 2, baked, ..come });
+        assert!(lost.contains("2 of 4 cells") && lost.contains("2 lost by the server"), "{lost}");
+        assert!(!worded_part(&Streamed { baked, ..come }).contains("lost"));
+    }
 
     #[test]
     fn bytes_are_numbers_with_a_power_of_a_thousand() {

@@ -261,7 +261,7 @@ pub trait FarmStore: Send + Sync {
 
     /// Results of a bake behind place `after` in the order in which they landed, of tasks of one kind if it is named, and
     /// the bake as it stands; at most `limit`, and no more than [`rules::results_on_page`] says. A result that lands, for
-    /// the first time or again, comes behind all that landed before.
+    /// the first time or again, comes behind all that landed before, and behind the `next_after` of each page before.
     async fn results_after(
         &self,
         bake: &str,

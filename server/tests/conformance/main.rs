@@ -170,6 +170,7 @@ conformance! {
         results_come_in_the_order_in_which_they_landed
         results_of_one_kind_are_told_alone
         page_of_results_ends_where_it_is_full
+        page_of_results_tells_where_the_next_begins
         reused_results_land_with_the_plan_that_asks_for_them
         result_that_lands_again_comes_behind_all_others
         result_that_an_ended_bake_lost_lands_again;

@@ -66,6 +66,30 @@ pub async fn results_of_one_kind_are_told_alone(world: World) {
     assert_eq!(of_kind("other", 0).await, []);
 }
 
+/// A page tells where the next begins, past all that it left out: whoever polls in vain looks at no place twice.
+pub async fn page_of_results_tells_where_the_next_begins(world: World) {
+    let plan: Vec<TaskSpec> = ["a", "b", "c", "d"]
+        .iter()
+        .map(|name| task_of(["work", "more"][usize::from(*name == "b")], name, &[], 1))
+        .collect();
+    let bake = world.submit("bake", &plan).await;
+    let next = async |kind, after, limit| {
+        let page = world.store.results_after(&bake.id, kind, after, limit).await.unwrap();
+        (page.results.len(), page.next_after)
+    };
+    assert_eq!(next(None, 0, 10).await, (0, 0));
+    land(&world, &["a", "b", "c"]).await;
+    assert_eq!(next(Some("other"), 0, 10).await, (0, 3), "nothing of the kind is up to there");
+    assert_eq!(next(Some("more"), 0, 10).await, (1, 3));
+    assert_eq!(next(Some("more"), 0, 1).await, (1, 2), "a full page ends at its last result");
+    assert_eq!(next(None, 1, 10).await, (2, 3));
+    assert_eq!(next(None, 7, 10).await, (0, 7), "it never goes back");
+    world.store.forget(&[plan[2].key]).await.unwrap();
+    assert_eq!(next(None, 0, 10).await, (2, 3));
+    land(&world, &["c"]).await;
+    assert_eq!(next(None, 3, 10).await, (1, 4), "what lands again is behind it");
+}
+
 /// Commits with outputs whose JSON has at least so many bytes; their names have letters of two bytes.
 async fn commit_long(world: &World, lease: &Lease, bytes: u64) {
     let name = "ä".repeat(1000);

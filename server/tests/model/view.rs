@@ -113,10 +113,14 @@ impl Farm {
         };
         let mut results: Vec<BakeResult> = later.filter_map(result).collect();
         results.sort_by_key(|result| result.place);
+        let count = results.len();
         results.truncate(limit as usize);
         let bytes = |result: &BakeResult| serde_json::json!(result.outputs).to_string().len() as u64;
         results.truncate(results_on_page(results.iter().map(bytes)));
-        Ok(ResultPage { results, bake: self.view(index) })
+        let is_full = results.len() < count || results.len() == limit as usize;
+        let last = results.last().map(|result| result.place).filter(|_| is_full);
+        let next_after = last.unwrap_or(self.bakes[index].places).max(after);
+        Ok(ResultPage { results, next_after, bake: self.view(index) })
     }
 
     pub(super) fn workers(&self, now_ms: i64) -> Vec<Worker> {

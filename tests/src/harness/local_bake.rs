@@ -1,10 +1,13 @@
 //! A bake without server, queue or files.
 
 use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::{Context, Result};
+use lightkiln_client::fetch::{CHUNKS_FOLDER, MANIFEST_FILE, chunk_path};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{MANIFEST_OUTPUT, REPORT_OUTPUT};
 use lightkiln_proto::kinds::Kinds;
@@ -55,6 +58,16 @@ pub struct LocalBake {
 }
 
 impl LocalBake {
+    /// Writes the bake as a bundle into a folder.
+    pub fn write(&self, folder: &Path) -> Result<()> {
+        fs::create_dir_all(folder.join(CHUNKS_FOLDER))?;
+        fs::write(folder.join(MANIFEST_FILE), &self.manifest_bytes)?;
+        for chunk in self.manifest.chunks.values().flatten() {
+            fs::write(chunk_path(folder, chunk.digest), self.chunk(chunk.digest)?)?;
+        }
+        Ok(())
+    }
+
     /// Bytes of a chunk.
     pub fn chunk(&self, digest: Digest) -> Result<Vec<u8>> {
         Ok(self.artefacts.get(&digest).context("no task gave the chunk")?.as_ref().clone())

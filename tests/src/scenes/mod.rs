@@ -41,7 +41,7 @@ pub use rooms::{
     BAR_M, BOARD_M, CHEST_M, DUCT_M, SLATS_M, flat_sealed_boxes, furnace, hollow_furniture, sealed_box,
     shutter, small_sealed_boxes, two_rooms, two_rooms_under_the_sky, two_rooms_with_wall_at, u_corridor,
 };
-pub use scales::{boxes, room, room_and_a_far_triangle, room_on_a_plain};
+pub use scales::{boxes, lone_triangle, room, room_and_a_far_triangle, room_on_a_plain};
 pub use stripes::{
     BORDER_SHEET_M, CREST_M, FLOOR_BORDERS_M, PANELS_BORDER_M, PARTING_M, STRIP_M, STRIPE_BORDERS_M,
     bent_panel, floor_through_a_wall, hollow_at_a_border, panel_through_a_wall, parted_floor, striped_wall,

@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 
-use super::glb::{Glb, MaterialId, Surface};
+use super::glb::{Glb, Lamp, MaterialId, Surface};
 use super::mesh::Mesh;
 use super::shapes::{self, Side};
 
@@ -51,6 +51,18 @@ pub fn room_and_a_far_triangle(away_m: f32) -> Vec<u8> {
     far.rectangle(Vec3::X * away_m, Vec3::Y, Vec3::Z);
     far.triangles.truncate(1);
     glb.object("far", &far, plaster);
+    glb.finish()
+}
+
+/// A triangle under a sun, and nothing else.
+pub fn lone_triangle() -> Vec<u8> {
+    let (mut glb, plaster, _) = begun("lone_triangle");
+    let mut triangle = Mesh::default();
+    triangle.rectangle(Vec3::new(-0.5, 0.0, 0.5), Vec3::X, -Vec3::Z);
+    triangle.triangles.truncate(1);
+    glb.object("triangle", &triangle, plaster);
+    glb.light("sun", Lamp::Sun, [3.0; 3], Vec3::Y, Vec3::ZERO);
+    glb.camera("above", Vec3::new(0.2, 1.5, 0.6), Vec3::new(0.2, 0.0, 0.2), 0.9);
     glb.finish()
 }
 

@@ -3,9 +3,8 @@
 use std::fs;
 use std::path::Path;
 
-use lightkiln_client::fetch::{CHUNKS_FOLDER, MANIFEST_FILE, chunk_path};
 use lightkiln_tests::harness::{Recipe, bake};
-use lightkiln_tests::scenes::{Flat, flat};
+use lightkiln_tests::scenes::{Flat, flat, lone_triangle};
 use serde_json::json;
 use tempfile::TempDir;
 
@@ -24,17 +23,18 @@ impl Bundle {
         Self::bake(flat(&Flat::default()), 16)
     }
 
+    /// A draft of a single triangle.
+    pub fn triangle() -> Self {
+        Self::bake(lone_triangle(), 0)
+    }
+
     fn bake(scene: Vec<u8>, near_hits: u32) -> Self {
         let settings = json!({
             "preset": "draft", "transport_rays": 128, "near_hits": near_hits, "near_texels": 4.0,
         });
         let bake = bake(scene, &Recipe { kind: "prt", settings }).unwrap();
         let folder = tempfile::tempdir().unwrap();
-        fs::create_dir_all(folder.path().join(CHUNKS_FOLDER)).unwrap();
-        fs::write(folder.path().join(MANIFEST_FILE), &bake.manifest_bytes).unwrap();
-        for chunk in bake.manifest.chunks.values().flatten() {
-            fs::write(chunk_path(folder.path(), chunk.digest), bake.chunk(chunk.digest).unwrap()).unwrap();
-        }
+        bake.write(folder.path()).unwrap();
         Self(folder)
     }
 

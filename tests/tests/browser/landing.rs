@@ -25,6 +25,8 @@ struct Told {
     /// Cells that have landed, the last first.
     landed: usize,
     state: &'static str,
+    /// Fault of a cluster's chunk, or of the plan.
+    fault: &'static str,
 }
 
 fn stored(folder: &Path, name: &str, bytes: &[u8]) -> Value {
@@ -56,11 +58,16 @@ fn results(folder: &Path) -> Vec<Value> {
     all
 }
 
-/// A server of the bake. Calls of `/land/N/STATE` say how many cells have landed from then on, and the bake's state.
+/// A server of the bake. Calls of `/land/N/STATE` say how many cells have landed from then on, and the bake's state; those of
+/// `/fault/FAULT` whether bytes of a cluster are gone, or damaged, or the plan
+/// gave no outline.
 fn serving(bundle: &Bundle) -> Files {
     let folder = bundle.folder().to_owned();
     let results = results(&folder);
-    let told = Arc::new(Mutex::new(Told { landed: 0, state: "running" }));
+    let (_, manifest) = Source::bundle(&folder).unwrap().manifest().unwrap();
+    // A cluster of the first cell that lands with some.
+    let faulty = manifest.chunks(CLUSTERS)[CELLS - 2].digest;
+    let told = Arc::new(Mutex::new(Told { state: "running", ..Told::default() }));
     let bytes = |path: &Path| Some(std::fs::read(path).map_or_else(|_| Answer::empty(404), Answer::of));
     served(move |request| {
         let mut told = told.lock().unwrap();
@@ -76,12 +83,36 @@ fn serving(bundle: &Bundle) -> Files {
             let (kind, after): (&str, u64) = (value("kind="), value("after=").parse().unwrap());
             let wanted = |result: &&Value| result["kind"] == kind && result["place"].as_u64() > Some(after);
             let found: Vec<&Value> = results[..=told.landed].iter().filter(wanted).take(2).collect();
+            if told.fault == "unplanned" && kind == tasks::PLAN.name {
+                let old =
+                    json!([{ "place": 1, "key": "0", "kind": kind, "label": "clusters", "outputs": [] }]);
+                let page =
+                    json!({ "results": old, "next_after": 1, "bake": { "state": told.state, "stages": [] } });
+                return Some(Answer::of(page.to_string().into_bytes()));
+            }
+            let last = results[told.landed]["place"].as_u64();
+            let next_after = found.get(1).map_or(last, |result| result["place"].as_u64()).max(Some(after));
             let stages = json!([{ "kind": tasks::COLOUR.name, "total": CELLS }]);
             let bake = json!({ "state": told.state, "failure": "no ray meets anything", "stages": stages });
-            return Some(Answer::of(json!({ "results": found, "bake": bake }).to_string().into_bytes()));
+            let page = json!({ "results": found, "next_after": next_after, "bake": bake });
+            return Some(Answer::of(page.to_string().into_bytes()));
+        }
+        if let Some(now) = request.path.strip_prefix("/fault/") {
+            told.fault = ["none", "gone", "damaged", "unplanned"].into_iter().find(|known| *known == now)?;
+            return Some(Answer::of(Vec::new()));
         }
         if let Some(digest) = request.path.strip_prefix("/v1/chunks/") {
-            return bytes(&chunk_path(&folder, digest.parse().ok()?));
+            let digest: Digest = digest.parse().ok()?;
+            let path = chunk_path(&folder, digest);
+            return match told.fault {
+                "gone" if digest == faulty => Some(Answer::empty(404)),
+                "damaged" if digest == faulty => {
+                    let mut bytes = std::fs::read(&path).ok()?;
+                    *bytes.last_mut()? ^= 1;
+                    Some(Answer::of(bytes))
+                }
+                _ => bytes(&path),
+            };
         }
         if let Some(name) = request.path.strip_prefix("/web/shaders/") {
             let name = name.strip_suffix(".wgsl")?;
@@ -124,7 +155,24 @@ fn chromium_takes_clusters_as_they_land_and_ends_with_the_light_of_a_load_at_onc
             assert!(!early.is_empty() && json!(early) != found["whole"]);
             let failed = browser.run("/pages/landing.js", "failed", json!([]));
             assert_eq!(failed, json!("the bake failed: no ray meets anything"));
+            let unplanned = browser.run("/pages/landing.js", "unplanned", json!([]));
+            assert!(unplanned.as_str().unwrap().contains("plan of an earlier version"), "{unplanned}");
         }
+    }
+}
+
+#[test]
+#[ignore = "needs chromium"]
+fn chromium_takes_the_other_clusters_where_one_is_lost_and_that_one_with_its_task() {
+    let bundle = Bundle::cornell();
+    let files = serving(&bundle);
+    let browser = browser_at(&files);
+    for fault in ["gone", "damaged"] {
+        let found = browser.run("/pages/landing.js", "lost", json!([fault]));
+        let [without, after] =
+            ["without", "after"].map(|name| serde_json::from_value::<[u64; 3]>(found[name].clone()).unwrap());
+        assert!(without[0] == 1 && without[1] > 0 && without[1] + 1 == without[2], "{fault}: {without:?}");
+        assert!(after[0] == 0 && after[1] == after[2] && after[2] > without[2], "{fault}: {after:?}");
     }
 }
 

@@ -8,6 +8,8 @@ mod bundle;
 mod decoding;
 #[allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 mod detail;
+#[allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+mod directories;
 mod driver;
 mod face;
 mod fetching;

@@ -67,3 +67,24 @@ fn chromium_shows_a_bake_that_follows_lamp_and_camera() {
     let turned = numbers(&found["turned"]);
     assert!(turned.iter().map(|by| by * by).sum::<f64>().sqrt() > 0.05, "{turned:?}");
 }
+
+#[test]
+#[ignore = "needs chromium"]
+fn chromium_shows_a_lone_triangle_darkness_and_windows_without_size_and_says_that_a_device_is_gone() {
+    for bundle in [Bundle::cornell(), Bundle::triangle()] {
+        let files = serving(&bundle);
+        let found = browser_at(&files).run("/pages/view.js", "odd", json!(["/bake"]));
+        assert_eq!(found["early"], json!([]));
+        let mean = |of: &Value| of.as_f64().expect("a finite number");
+        let whole = mean(&found["whole"]);
+        assert!(whole > 0.0 && mean(&found["dark"]) < 1e-3 * whole, "{found}");
+        for name in ["none", "again"] {
+            assert_eq!(found[name]["size"], json!([160, 120]), "{name}");
+            assert!((mean(&found[name]["mean"]) / whole - 1.0).abs() < 0.02, "{name}: {found}");
+        }
+        assert_eq!(found["line"]["size"], json!([160, 1]));
+        assert!(mean(&found["line"]["mean"]) >= 0.0);
+        let end = found["end"].as_str().expect("words");
+        assert!(end.contains("graphics device is gone") && end.contains("open the page again"), "{end}");
+    }
+}

@@ -21,5 +21,6 @@ mod rims;
 mod scale;
 mod seams;
 mod setup;
+mod smallest;
 mod stripes;
 mod transforms;

@@ -16,7 +16,7 @@ use super::one_of;
 use super::only::{names, only};
 use crate::bake::{Light, LightStream, LitScene, ReceiverLight};
 use crate::error::{ClientError, Result};
-use crate::fetch::{Came, Layers, Source, decoded, decoded_layers, is_gone, parallel};
+use crate::fetch::{Came, Layers, Source, decoded, decoded_layers, is_lost, parallel};
 use crate::lightmap::LightmapLight;
 use crate::scene::LoadedScene;
 use crate::stream::{Baked, Budget, Candidate, Lit, Plan, Rung, Streamed, Viewpoint, by_need, plan};
@@ -30,6 +30,8 @@ pub struct PrtStream {
     clusters: BTreeMap<usize, Vec<u8>>,
     /// Those of them of which layers came for this view.
     fresh: BTreeSet<usize>,
+    /// Clusters of a bake under way whose bytes the server has lost, as far as they were asked for.
+    lost: BTreeSet<usize>,
     /// Bytes of what always stays.
     base_bytes: u64,
     /// Memory of it.
@@ -50,6 +52,7 @@ impl PrtStream {
             overview,
             clusters: BTreeMap::new(),
             fresh: BTreeSet::new(),
+            lost: BTreeSet::new(),
             streamed: Streamed::default(),
         };
         stream.count(manifest);
@@ -90,6 +93,7 @@ impl PrtStream {
             clusters: self.clusters.len(),
             whole: self.clusters.iter().filter(is_whole).count(),
             clusters_all: manifest.clusters.len(),
+            lost: self.lost.len(),
             memory: self.base_memory + self.clusters.iter().map(memory).sum::<u64>(),
             memory_all: self.base_memory + memory_of_all.sum::<u64>(),
             memory_least: self.base_memory,
@@ -123,6 +127,7 @@ impl LightStream for PrtStream {
         let held = std::mem::take(&mut self.clusters).into_iter();
         self.clusters = held.filter_map(|(index, bytes)| Some((number(index)?, bytes))).collect();
         self.fresh = self.fresh.iter().filter_map(|index| number(*index)).collect();
+        self.lost.clear();
         self.streamed.baked = None;
         self.count(manifest);
         Ok(())
@@ -144,29 +149,40 @@ impl LightStream for PrtStream {
         let Plan { fetch, evict } = self.plan(manifest, (light, lit), viewpoint, budget, limit);
         let size = |&(index, layers): &(usize, usize)| layers_of(manifest, index).bytes_of(layers);
         let sizes: Vec<u64> = fetch.iter().map(size).collect();
+        // Bytes that were lost come again while the bake goes on, once their task has run again: others need not wait.
         let is_under_way = self.streamed.baked.is_some();
+        let may_come_again = |error: &ClientError| is_under_way && is_lost(error);
         let (found, mut ended) = parallel(source, &sizes, |at| {
             let (index, layers) = fetch[at];
             let of = layers_of(manifest, index);
             let have: &[u8] = self.clusters.get(&index).map_or(&[], Vec::as_slice);
             let Came { mut bytes, lost } = match source.layers(of, layers, have) {
-                // Bytes that were lost come again while the bake goes on, once their task has run again: others need not wait.
-                Err(error) if is_under_way && is_gone(&error) => return Ok(None),
+                Err(error) if may_come_again(&error) => Came { bytes: have.to_vec(), lost: Some(error) },
                 came => came?,
             };
             // More may be at hand: budgets bound, and pictures hang on, those alone that were chosen.
             bytes.truncate(of.bytes_of(layers) as usize);
             bytes.shrink_to_fit();
-            decoded_layers(of, &bytes)?;
-            Ok(Some((index, bytes, lost)))
+            if bytes.len() > have.len() {
+                decoded_layers(of, &bytes)?;
+            }
+            Ok((bytes, lost))
         });
         let mut has_come = false;
         // Layers that came before an error stay.
-        for (index, bytes, lost) in found.into_iter().flatten().flatten() {
-            ended = lost.map_or(ended, Err);
-            self.fresh.insert(index);
-            self.clusters.insert(index, bytes);
-            has_come = true;
+        for ((index, _), (bytes, lost)) in fetch.iter().zip(found).filter_map(|(of, came)| Some((*of, came?)))
+        {
+            let is_lost = lost.as_ref().is_some_and(may_come_again);
+            match is_lost {
+                true => self.lost.insert(index),
+                false => self.lost.remove(&index),
+            };
+            ended = lost.filter(|_| !is_lost).map_or(ended, Err);
+            if bytes.len() > self.clusters.get(&index).map_or(0, Vec::len) {
+                self.fresh.insert(index);
+                self.clusters.insert(index, bytes);
+                has_come = true;
+            }
         }
         self.count(manifest);
         let has_gone = self.make_room(manifest, &evict, budget);

@@ -110,13 +110,18 @@ pub(super) async fn results_after(
     after: u64,
     limit: u32,
 ) -> Result<ResultPage> {
-    let seq = seq_of(conn, id).await?;
+    let bake_row = query("SELECT seq, last_place FROM bakes WHERE id = $1").bind(id).optional(conn).await?;
+    let bake_row = bake_row.ok_or_else(|| StoreError::NoSuchBake { bake: id.to_owned() })?;
+    let (seq, last_place) = (bake_row.get::<i64>("seq")?, bake_row.count("last_place")?);
     // Find where the page ends before any outputs are read: they may be long.
     let sql =
         results!("m.place, CAST(octet_length(r.outputs) AS BIGINT) AS bytes", "ORDER BY m.place LIMIT $4");
     let rows = query(sql).bind(seq).bind(after).bind(kind.unwrap_or_default()).bind(limit).all(conn).await?;
     let bytes = rows.iter().map(|row| row.count("bytes")).collect::<Result<Vec<u64>>>()?;
-    let last = results_on_page(bytes).checked_sub(1).map(|last| rows[last].count("place")).transpose()?;
+    let on_page = results_on_page(bytes);
+    let last = on_page.checked_sub(1).map(|last| rows[last].count("place")).transpose()?;
+    let is_full = on_page < rows.len() || on_page == limit as usize;
+    let next_after = last.filter(|_| is_full).unwrap_or(last_place).max(after);
     let mut results = Vec::new();
     if let Some(last) = last {
         let sql =
@@ -132,7 +137,7 @@ pub(super) async fn results_after(
             });
         }
     }
-    Ok(ResultPage { results, bake: bake(conn, id).await? })
+    Ok(ResultPage { results, next_after, bake: bake(conn, id).await? })
 }
 
 pub(super) async fn workers(conn: &mut Conn) -> Result<Vec<Worker>> {

@@ -20,6 +20,7 @@ use lightkiln_tests::scenes::texture::tiles;
 use lightkiln_worker::objects::ObjectFile;
 use serde_json::{Value, json};
 
+use super::rare::rare;
 use super::toy::toy;
 use super::{MODULE, floats, hex, opened};
 use crate::bundle::Bundle;
@@ -153,10 +154,14 @@ impl Native {
     }
 }
 
-/// Draws a bake with two toys, of which one has a vane of this alpha, and holds light and pictures against the native ones.
-fn browser_agrees(bundle: &Bundle, alpha: f32) {
+/// Two toys, of which the first has a vane of this alpha.
+fn toys(alpha: f32) -> [Vec<u8>; 2] {
     let image = tiles(16, [220, 120, 90], [40, 60, 120], [240; 3]);
-    let files = [toy(Some(&image), alpha).glb(), toy(None, 1.0).glb()];
+    [toy(Some(&image), alpha).glb(), toy(None, 1.0).glb()]
+}
+
+/// Draws a bake with two objects, and holds light and pictures against the native ones.
+fn browser_agrees(bundle: &Bundle, files: [Vec<u8>; 2]) {
     let states = states();
     let (_files, browser) = bundle_opened(bundle, |_| None);
     let told = browser.run(MODULE, "draw", json!([job(&files, &states)]));
@@ -210,13 +215,30 @@ fn browser_agrees(bundle: &Bundle, alpha: f32) {
 #[test]
 #[ignore = "needs chromium and a graphics adapter"]
 fn chromium_draws_objects_in_cornell_as_the_native_client_does() {
-    browser_agrees(&Bundle::cornell(), 1.0);
+    browser_agrees(&Bundle::cornell(), toys(1.0));
 }
 
 #[test]
 #[ignore = "needs chromium and a graphics adapter"]
 fn chromium_draws_the_first_glass_that_an_object_brings_as_the_native_client_does() {
-    browser_agrees(&Bundle::cornell(), 0.4);
+    browser_agrees(&Bundle::cornell(), toys(0.4));
+}
+
+#[test]
+#[ignore = "needs chromium and a graphics adapter"]
+fn chromium_draws_an_object_of_rarer_parts_as_the_native_client_does() {
+    browser_agrees(&Bundle::cornell(), [rare(true).glb(), toy(None, 1.0).glb()]);
+}
+
+#[test]
+#[ignore = "needs chromium"]
+fn chromium_ends_the_settling_of_light_while_an_object_plays() {
+    let (_files, browser) = bundle_opened(&Bundle::cornell(), |_| None);
+    let told = browser.run(MODULE, "play", json!([job(&[toy(None, 1.0).glb()], &states()), 100]));
+    assert_eq!(told["errors"], json!([]));
+    for call in ["settle", "setLight"] {
+        assert!(told[call].as_u64().is_some_and(|bounces| (1..=40).contains(&bounces)), "{call}: {told}");
+    }
 }
 
 #[test]

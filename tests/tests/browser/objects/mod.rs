@@ -2,6 +2,8 @@
 //! ones.
 
 mod drawing;
+mod packed;
+mod rare;
 mod reading;
 pub mod toy;
 

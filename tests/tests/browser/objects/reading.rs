@@ -5,6 +5,7 @@ use lightkiln_tests::scenes::texture::tiles;
 use lightkiln_worker::objects::ObjectFile;
 use serde_json::{Value, json};
 
+use super::rare::rare;
 use super::toy::{Document, toy};
 use super::{MODULE, floats, hex, opened};
 use crate::files::Answer;
@@ -31,7 +32,7 @@ fn corners(draw: &Draw) -> Vec<f32> {
 }
 
 /// Largest difference of what the page and the native client draw; infinite where it is of another shape.
-fn difference(told: &Value, wanted: &[Draw]) -> f32 {
+pub fn difference(told: &Value, wanted: &[Draw]) -> f32 {
     let Some(told) = told.as_array().filter(|told| told.len() == wanted.len()) else { return f32::INFINITY };
     let of_draw = |(told, wanted): (&Value, &Draw)| {
         let (got, wanted_ones) = (floats(&told["corners"]), corners(wanted));
@@ -68,7 +69,11 @@ fn plain(json: &Value) -> Value {
 #[test]
 #[ignore = "needs chromium"]
 fn chromium_reads_objects_at_every_time_as_the_native_client_does() {
-    let files = [toy(Some(&tiles(16, [200; 3], [20; 3], [90; 3])), 0.5).glb(), toy(None, 1.0).glb()];
+    let files = [
+        toy(Some(&tiles(16, [200; 3], [20; 3], [90; 3])), 0.5).glb(),
+        toy(None, 1.0).glb(),
+        rare(true).glb(),
+    ];
     let server = served(|_| None);
     let sent: Vec<String> = files.iter().map(|file| hex(file)).collect();
     let told = browser_at(&server).run(MODULE, "read", json!([sent, TIMES]));
@@ -121,7 +126,7 @@ fn lying() -> Vec<(Vec<u8>, &'static str)> {
         (set("/asset/version", json!("1.0")), "version"),
         (set("/asset", json!({ "version": "2.0", "minVersion": "3.0" })), "version"),
         (
-            change(&|of| of.json["extensionsRequired"] = json!(["EXT_meshopt_compression", "KHR_no"])),
+            change(&|of| of.json["extensionsRequired"] = json!(["KHR_draco_mesh_compression", "KHR_no"])),
             "gltf-transform",
         ),
         (set("/buffers/0/byteLength", json!(99_999_999)), "states"),
@@ -197,10 +202,13 @@ fn chromium_refuses_files_that_lie_and_says_where() {
 #[test]
 #[ignore = "needs chromium"]
 fn chromium_survives_truncated_and_mutated_objects_and_reads_none_that_the_native_client_refuses() {
-    let good = toy(None, 1.0).glb();
-    let mut files: Vec<Vec<u8>> = (0..good.len()).step_by(7).map(|length| good[..length].to_vec()).collect();
-    files.extend((0..MUTATIONS).map(|seed| Mutator::new(seed).mutated(std::slice::from_ref(&good))));
-    files.push(good);
+    let good = [toy(None, 1.0).glb(), rare(false).glb()];
+    let mut files: Vec<Vec<u8>> = good
+        .iter()
+        .flat_map(|good| (0..good.len()).step_by(7).map(|length| good[..length].to_vec()))
+        .collect();
+    files.extend((0..MUTATIONS).map(|seed| Mutator::new(seed).mutated(&good[seed as usize % 2..][..1])));
+    files.extend(good);
     let together: Vec<u8> = files
         .iter()
         .flat_map(|file| (file.len() as u32).to_le_bytes().into_iter().chain(file.iter().copied()))

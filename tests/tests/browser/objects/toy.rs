@@ -15,20 +15,23 @@ pub struct Document {
 }
 
 impl Document {
-    fn new() -> Self {
+    /// A document without anything.
+    pub fn new() -> Self {
         let json = json!({
             "asset": { "version": "2.0" }, "accessors": [], "bufferViews": [], "buffers": [{ "byteLength": 0 }], "scene": 0,
         });
         Self { json, bin: Vec::new() }
     }
 
-    fn push(&mut self, list: &str, thing: Value) -> usize {
+    /// Adds a thing to a list, and gives its index.
+    pub fn push(&mut self, list: &str, thing: Value) -> usize {
         let list = self.json[list].as_array_mut().unwrap();
         list.push(thing);
         list.len() - 1
     }
 
-    fn view(&mut self, bytes: &[u8]) -> usize {
+    /// A view of bytes of the file's own buffer.
+    pub fn view(&mut self, bytes: &[u8]) -> usize {
         self.bin.resize(self.bin.len().next_multiple_of(4), 0);
         let view = json!({ "buffer": 0, "byteOffset": self.bin.len(), "byteLength": bytes.len() });
         self.bin.extend_from_slice(bytes);
@@ -36,7 +39,8 @@ impl Document {
         self.push("bufferViews", view)
     }
 
-    fn accessor(&mut self, kind: &str, component: u32, bytes: &[u8]) -> usize {
+    /// An accessor of packed components, all bytes of a view of their own.
+    pub fn accessor(&mut self, kind: &str, component: u32, bytes: &[u8]) -> usize {
         let width = match kind {
             "SCALAR" => 1,
             "VEC2" => 2,
@@ -180,7 +184,7 @@ fn toy_tail(toy: &mut Document) -> Value {
 }
 
 /// Node, path, interpolation, kind of value, times and values of a channel.
-type Channel<'a> = (usize, &'a str, &'a str, &'a str, &'a [f32], &'a [f32]);
+pub type Channel<'a> = (usize, &'a str, &'a str, &'a str, &'a [f32], &'a [f32]);
 
 /// Two animations: of every path and kind of interpolation, and a turn by a spline.
 fn animate(toy: &mut Document) {
@@ -203,10 +207,15 @@ fn animate(toy: &mut Document) {
         0.0, 0.0, 0.0, 0.0,
     ];
     let spline: [Channel; 1] = [(0, "rotation", "CUBICSPLINE", "VEC4", &[0.0, 3.0], &turn)];
+    animated(toy, &[&all[..], &spline[..]]);
+}
+
+/// Adds animations with these channels.
+pub fn animated(toy: &mut Document, clips_of: &[&[Channel<'_>]]) {
     let mut clips = Vec::new();
-    for clip in [&all[..], &spline[..]] {
+    for clip in clips_of {
         let (mut channels, mut samplers) = (Vec::new(), Vec::new());
-        for (node, path, interpolation, kind, times, values) in clip {
+        for (node, path, interpolation, kind, times, values) in *clip {
             let input = toy.floats("SCALAR", times);
             let output = toy.floats(kind, values);
             channels.push(json!({ "sampler": samplers.len(), "target": { "node": node, "path": path } }));

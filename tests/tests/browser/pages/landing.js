@@ -1,7 +1,7 @@
 // A bake that goes on: its clusters as they land, and its picture.
 
 import { digestOf } from "/web/chunk/digest.js";
-import { ServerSource } from "/web/fetch.js";
+import { BundleSource, ServerSource } from "/web/fetch.js";
 import { flatLight } from "/web/relight/flat.js";
 import { Following } from "/web/relight/following.js";
 import { BakeStream, loadBake } from "/web/relight/stream.js";
@@ -47,12 +47,47 @@ export async function landed(count, workers) {
   return { steps, early, ended, light, whole };
 }
 
+/** Clusters, and those that are lost, while a chunk is not there or damaged, and once its task has run again. */
+export async function lost(fault) {
+  await land(2);
+  await fetch(`/fault/${fault}`);
+  const stream = await BakeStream.begin(source(), { workers: 0, following: await followed() });
+  await stream.refine(Infinity);
+  const without = [stream.lost, ...stream.clusters];
+  await fetch("/fault/none");
+  await land(3);
+  await stream.hear();
+  await stream.refine(Infinity);
+  const found = { without, after: [stream.lost, ...stream.clusters] };
+  stream.close();
+  return found;
+}
+
 /** The words of a bake that fails. */
 export async function failed() {
   await land(0);
   const stream = await BakeStream.begin(source(), { workers: 0, following: await followed() });
   await land(0, "failed");
   return stream.hear().then(() => "none", (error) => error.message);
+}
+
+/** The words of a bake whose plan gave no outline. */
+export async function unplanned() {
+  await fetch("/fault/unplanned");
+  const told = await new Following(source()).hear().then(() => "none", (error) => error.message);
+  await fetch("/fault/none");
+  return told;
+}
+
+/** Clusters of a bundle, and its light, after so many bytes of them; all where it is null. Or the words of its refusal. */
+export async function opened(base, bytesMax) {
+  try {
+    const stream = await BakeStream.begin(new BundleSource(base), { workers: 0 });
+    await stream.refine(bytesMax ?? Infinity);
+    return { clusters: stream.clusters, isWhole: stream.isWhole, light: digestOfLight((await stream.bake()).light) };
+  } catch (error) {
+    return { error: String(error.message) };
+  }
 }
 
 const waitFor = async (isThere) => {
@@ -69,7 +104,7 @@ async function mean(viewer) {
   return radiance.reduce((sum, value, at) => (at % 4 === 3 ? sum : sum + value), 0) / radiance.length;
 }
 
-async function opened(following, words, failures) {
+async function viewed(following, words, failures) {
   const canvas = document.createElement("canvas");
   canvas.style.cssText = "width: 160px; height: 120px; display: block";
   document.body.append(canvas);
@@ -82,7 +117,7 @@ async function opened(following, words, failures) {
 export async function seen(count) {
   const [words, failures] = [[], []];
   await land(0);
-  const viewer = await opened(await followed(), words, failures);
+  const viewer = await viewed(await followed(), words, failures);
   const early = await mean(viewer);
   await land(count - 1);
   await waitFor(() => words.some((told) => told.includes(`goes on: ${count - 1} of`)) || failures.length > 0);
@@ -91,7 +126,7 @@ export async function seen(count) {
   const landedMean = await mean(viewer);
   viewer.close();
   const done = [];
-  const other = await opened(null, done, failures);
+  const other = await viewed(null, done, failures);
   await waitFor(() => done.includes("all light is here") || failures.length > 0);
   const whole = await mean(other);
   other.close();

@@ -4,6 +4,7 @@ import { hexOf } from "/web/chunk/digest.js";
 import { BundleSource } from "/web/fetch.js";
 import { Frame, featuresOf } from "/web/frame/frame.js";
 import { parseCamera, parseLights } from "/web/frame/words.js";
+import { decompressed } from "/web/object/meshopt.js";
 import { SceneObject } from "/web/object/object.js";
 import { loadBake } from "/web/relight/stream.js";
 
@@ -62,6 +63,14 @@ export async function readAll(url, times) {
   return { told, longestMs };
 }
 
+/** Bytes of compressed views; null for those that cannot be read. */
+export async function decompress(streams) {
+  return streams.map(({ bytes, ...stream }) => {
+    const found = decompressed(bytesOf(bytes), stream);
+    return found && hexOf(found);
+  });
+}
+
 async function openDevice() {
   const adapter = await navigator.gpu?.requestAdapter();
   if (!adapter) throw new Error("there is no WebGPU here");
@@ -116,6 +125,32 @@ export async function draw(job) {
   frame.setLights(parseLights(job.states[0].lights).lights);
   without.push(await drawn(frame, screen, job.limit));
   return { found, created, without, errors };
+}
+
+/** Bounces that `settle` and `setLight` make while an object plays, one step after each; at most so many: null where they do not end. */
+export async function play(job, most) {
+  const { device, errors } = await openDevice();
+  const frame = await frameOf(device, job);
+  frame.setLights(parseLights(job.states[0].lights).lights);
+  const [stance] = job.states[0].stances;
+  await frame.setObjects(toysOf(job), [stance]);
+  const advance = frame.advance.bind(frame);
+  const made = async (call) => {
+    let bounces = 0;
+    const tooMany = new Promise((resolve) => {
+      frame.advance = () => {
+        if (++bounces > most) resolve(null);
+        frame.moveObject(0, { ...stance, timeS: 0.01 * (bounces % 50) });
+        return advance();
+      };
+    });
+    const ended = await Promise.race([call().then(() => bounces), tooMany]);
+    if (ended === null) device.destroy();
+    return ended;
+  };
+  const settle = await made(() => frame.settle({ bouncesMax: 20 }));
+  const setLight = settle && (await made(() => frame.setLight(frame.bake.light, { bouncesMax: 20 })));
+  return { settle, setLight, errors };
 }
 
 /** The words with which a frame refuses objects and stances, and whether the picture stays. */

@@ -93,6 +93,49 @@ export async function view(base) {
   return { first, clusters: viewer.clusters, whole, painted, detail, off, moved, turned, size, failures };
 }
 
+/**
+ * Means of the picture with all light, without any, in a window without size and in its own again, and for how many of its own pixels; and
+ * the words of the end when the device goes.
+ */
+export async function odd(base) {
+  const canvas = document.createElement("canvas");
+  canvas.style.cssText = "width: 160px; height: 120px; display: block";
+  document.body.append(canvas);
+  const [words, failures] = [[], []];
+  const viewer = await Viewer.open(canvas, new BundleSource(base), {
+    onProgress: (told) => words.push(told.words),
+    onTrouble: (error) => failures.push(String(error.stack ?? error)),
+    onFailure: (error) => failures.push(error.message),
+  });
+  await waitFor(() => words.includes("all light is here") || failures.length > 0);
+  const whole = await mean(viewer);
+  const { lights, lamp } = viewer;
+  const emitters = viewer.scene.manifest.emitters;
+  const shine = (share) => {
+    lamp.share = share;
+    viewer.lights = lights.map((light) => ({ ...light, strength: light.strength.map((channel) => share * channel) }));
+    viewer.frame.setEmitters(emitters.map(() => share));
+    viewer.changed();
+  };
+  shine(0);
+  const dark = await mean(viewer);
+  shine(1);
+  const sized = async (width, height) => {
+    const before = viewer.frame.size;
+    [canvas.style.width, canvas.style.height] = [`${width}px`, `${height}px`];
+    await new Promise((resolve) => new ResizeObserver(resolve).observe(canvas));
+    for (let frames = 0; frames < 3; frames++) await new Promise(requestAnimationFrame);
+    return { before, size: viewer.frame.size, mean: await mean(viewer) };
+  };
+  const none = await sized(0, 0);
+  const line = await sized(160, 0);
+  const again = await sized(160, 120);
+  const early = [...failures];
+  viewer.device.destroy();
+  await waitFor(() => failures.length > early.length);
+  return { whole, dark, none, line, again, early, end: failures.at(-1) };
+}
+
 /** Ends the device while a bake's manifest is on its way: the error of the opening, its words of progress, and Workers that live on. */
 export async function lost(base) {
   let device = null;
