@@ -222,6 +222,19 @@ pub struct Bake {
     /// A new bake of the scene makes them again, for this one, too.
     #[serde(default)]
     pub results_lost: u64,
+    /// Attempts at its tasks that failed.
+    #[serde(default)]
+    pub attempts_failed: u64,
+    /// Attempts at its tasks whose workers were lost.
+    #[serde(default)]
+    pub attempts_lost: u64,
+    /// Results of its tasks that differed from one attempt to another (`result_differs` among its events): 0 unless a machine, or the
+    /// code of a task, is not to be trusted.
+    #[serde(default)]
+    pub alarms: u64,
+    /// The bearer whose token submitted it; it alone, and those with the scope admin, may change it. Absent where none was needed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub owner: Option<String>,
     /// Why it failed.
     pub failure: Option<String>,
     /// Digest of the manifest when done.
@@ -460,6 +473,8 @@ pub enum Blame {
     /// This worker (out of memory, disk full, network): another may do better.
     #[default]
     Worker,
+    /// Nobody: the worker's process or machine ended while it had the task, as its next start tells.
+    Lost,
 }
 
 /// A failed attempt.

@@ -78,7 +78,7 @@ pub enum EventKind {
         message: String,
         /// It will be tried again.
         retry: bool,
-        /// Who is to blame. `task`: what the bake was given cannot be baked by anyone.
+        /// Who is to blame. `task`: what the bake was given cannot be baked by anyone; `lost`: the worker ended while it had it.
         #[serde(default)]
         blame: Blame,
         /// See `task_started`.
@@ -91,7 +91,7 @@ pub enum EventKind {
         #[serde(default)]
         wait_ms: u64,
     },
-    /// A lease ran out, and the task is ready again.
+    /// A lease ran out, and the task is ready again. Unless it took too long, its worker counts as lost, once it was heard about it.
     LeaseExpired {
         /// Task key.
         key: Digest,
@@ -134,6 +134,26 @@ pub enum EventKind {
         kind: String,
         /// Task label.
         label: String,
+    },
+    /// Another attempt at a task, too late or once more, gave other bytes than those of its result, which stays as it was. A machine, or
+    /// the code of the task, is not to be trusted.
+    ResultDiffers {
+        /// Task key.
+        key: Digest,
+        /// Task kind.
+        kind: String,
+        /// Task label.
+        label: String,
+        /// Worker of the attempt whose result came later; empty where that is not known.
+        worker: String,
+        /// The output that differs.
+        output: String,
+        /// Its digest in the result that was there before; absent if that lacks it.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        kept: Option<Digest>,
+        /// Its digest in the other; absent if that lacks it.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        found: Option<Digest>,
     },
     /// The bake's state changed.
     State {

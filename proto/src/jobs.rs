@@ -11,11 +11,15 @@ use crate::ids::{Digest, TaskKey};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TaskSpec {
-    /// Digest of everything the result can depend on, see [`TaskSpec::new`].
+    /// Digest of everything the result can depend on, see [`TaskSpec::new`]. A server computes it itself, and takes no other.
     pub key: TaskKey,
     /// Task kind, e.g. `prt.transport`; a worker claims only kinds that it knows. 1 to 400 bytes.
     #[schema(min_length = 1, max_length = 400)]
     pub kind: String,
+    /// Version of the kind's code, which the key depends on. 0 stands for tasks from before it was told.
+    #[serde(default)]
+    #[schema(format = Int64, maximum = 4294967295_i64)]
+    pub version: u32,
     /// For people and events, e.g. `cluster 12`. At most 400 bytes.
     #[schema(max_length = 400)]
     pub label: String,
@@ -113,11 +117,18 @@ impl TaskSpec {
         inputs: Vec<TaskInput>,
         cost: u64,
     ) -> Self {
-        // serde_json maps are sorted (no `preserve_order`), so equal parameters give equal text.
-        let identity =
-            serde_json::json!({ "kind": kind, "version": version, "params": params, "inputs": inputs });
-        let key = Digest::of(identity.to_string().as_bytes());
-        Self { key, kind: kind.to_owned(), label: label.into(), params, inputs, cost, alike: None }
+        let key = key_of(kind, version, &params, &inputs);
+        Self { key, kind: kind.to_owned(), version, label: label.into(), params, inputs, cost, alike: None }
+    }
+
+    /// The key that a task of this kind, version, parameters and inputs has.
+    pub fn computed_key(&self) -> TaskKey {
+        key_of(&self.kind, self.version, &self.params, &self.inputs)
+    }
+
+    /// Whether its key is its own.
+    pub fn has_its_key(&self) -> bool {
+        self.key == self.computed_key()
     }
 
     /// The task with a name in common with others.
@@ -133,6 +144,14 @@ impl TaskSpec {
             TaskInput::Artefact { .. } => None,
         })
     }
+}
+
+/// As [`TaskSpec::new`] has it.
+fn key_of(kind: &str, version: u32, params: &serde_json::Value, inputs: &[TaskInput]) -> TaskKey {
+    // serde_json maps are sorted (no `preserve_order`), so equal parameters give equal text.
+    let identity =
+        serde_json::json!({ "kind": kind, "version": version, "params": params, "inputs": inputs });
+    Digest::of(identity.to_string().as_bytes())
 }
 
 #[cfg(test)]
@@ -151,5 +170,22 @@ mod tests {
         assert_ne!(base.key, task("a", 1, 3).key);
         let relabelled = TaskSpec::new("a", 1, "other", serde_json::json!({ "rays": 2 }), Vec::new(), 9);
         assert_eq!(base.key, relabelled.key);
+    }
+
+    /// What a worker made arrives as text: the server must find the same key.
+    #[test]
+    fn key_outlives_the_way_over_the_wire() {
+        let numbers = [0.1_f32, 1.0, 1e-7, 3.4e38].map(f64::from);
+        let more = [0.1_f64, 1.0 / 3.0, 1e300, 5e-324, 123_456_789.123_456_79];
+        let params = serde_json::json!({
+            "f32": 0.3_f32, "numbers": numbers, "more": more, "i": [i64::MIN, -1, 0], "u": u64::MAX, "text": "ä\"\u{1}"
+        });
+        let inputs = vec![TaskInput::Artefact { name: "in".into(), digest: Digest::of(b"in") }];
+        let task = TaskSpec::new("a", 7, "label", params, inputs, 1);
+        let text = serde_json::to_string(&task).unwrap();
+        let arrived: TaskSpec = serde_json::from_str(&text).unwrap();
+        assert_eq!(arrived, task);
+        assert!(arrived.has_its_key());
+        assert!(!TaskSpec { version: 8, ..arrived }.has_its_key());
     }
 }

@@ -116,6 +116,24 @@ impl Bearer {
     }
 }
 
+/// A lease's token as its holder has it, and the other way round: whoever has it opens the lease only together with the bearer's own token
+/// that claimed it. Nothing is stored for it, and without bearers both are one.
+pub(crate) fn bound_to(bearer: Option<&Bearer>, lease_token: &str) -> String {
+    let Some(bearer) = bearer.filter(|_| random::is_fencing_token(lease_token)) else {
+        return lease_token.to_owned();
+    };
+    let mask = Digest::of(&[b"lease of ", &bearer.hash.0[..]].concat());
+    let digits = lease_token.bytes().zip(mask.to_string().into_bytes());
+    digits.map(|(digit, mask)| char::from(HEX[usize::from(value(digit) ^ value(mask))])).collect()
+}
+
+/// Hexadecimal digits.
+const HEX: &[u8; 16] = b"0123456789abcdef";
+
+fn value(digit: u8) -> u8 {
+    if digit.is_ascii_digit() { digit - b'0' } else { digit - b'a' + 10 }
+}
+
 /// A bearer to make, and its token, which is shown once.
 pub struct NewBearer {
     /// Its name.
@@ -152,6 +170,22 @@ impl NewBearer {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn lease_token_is_another_one_with_each_bearer_and_comes_back_with_its_own() {
+        let bearer = |name: &str| {
+            let (hash, scopes) = (Digest::of(name.as_bytes()), BTreeSet::new());
+            Bearer { name: name.to_owned(), hash, scopes, created_ms: 0, revoked_ms: None }
+        };
+        let (a, b) = (bearer("a"), bearer("b"));
+        let token = random::fencing_token();
+        let bound = bound_to(Some(&a), &token);
+        assert!(random::is_fencing_token(&bound) && bound != token);
+        assert_eq!(bound_to(Some(&a), &bound), token);
+        assert!(bound_to(Some(&b), &bound) != token && bound_to(None, &bound) != token);
+        assert_eq!(bound_to(None, &token), token);
+        assert_eq!(bound_to(Some(&a), "no token"), "no token");
+    }
 
     #[test]
     fn names_and_scopes_are_checked() {

@@ -62,6 +62,19 @@ pub enum ServerError {
         /// Scopes that would do.
         wanted: String,
     },
+    /// The bake is another bearer's.
+    #[error(
+        "bake '{bake}' was submitted with the token of '{owner}', this one is that of '{caller}'; it takes that token to change it, or \
+         one with the scope admin"
+    )]
+    NotOwner {
+        /// The bake.
+        bake: String,
+        /// The bearer who submitted it.
+        owner: String,
+        /// The bearer who calls.
+        caller: String,
+    },
     /// A bearer's name or scopes are malformed.
     #[error(transparent)]
     Access(#[from] AccessError),
@@ -236,7 +249,7 @@ impl ServerError {
             Self::BadBake(_) => ProblemCode::BadSettings,
             Self::Evaluation(_) | Self::EvaluationFileLength { .. } => ProblemCode::BadEvaluation,
             Self::Unauthorized { .. } => ProblemCode::Unauthorized,
-            Self::Forbidden { .. } => ProblemCode::Forbidden,
+            Self::Forbidden { .. } | Self::NotOwner { .. } => ProblemCode::Forbidden,
             Self::Access(_) => ProblemCode::BadRequest,
             Self::NoSuchOutput { .. } => ProblemCode::NotStored,
             Self::BodyBrokeOff(_) => ProblemCode::BrokeOff,

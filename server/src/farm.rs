@@ -8,13 +8,12 @@ use lightkiln_proto::api::{
     NewBake, ResultPage,
 };
 use lightkiln_proto::ids::{Digest, TaskKey};
-use lightkiln_proto::jobs::{
-    MAX_COUNTER, MAX_COUNTER_NAME_BYTES, MAX_COUNTERS, MAX_NOTE_BYTES, TaskInput, TaskResult, TaskSpec,
-};
+use lightkiln_proto::jobs::{TaskInput, TaskResult, TaskSpec};
 use lightkiln_proto::kinds::{BakeError, Kinds};
 use tokio::sync::watch;
 use tokio::time::Instant;
 
+use crate::counters::check_counters;
 use crate::error::{Result, ServerError};
 use crate::guard::Guard;
 use crate::lookout::Lookout;
@@ -23,7 +22,7 @@ use crate::random::is_fencing_token;
 use crate::storage::{Removed, Storage};
 use crate::store::chunk::CollectRules;
 use crate::store::rules::MAX_TASK_NAME_BYTES;
-use crate::store::{FailVerdict, FarmStore, KnownResult, StoreError, Submission};
+use crate::store::{FailVerdict, FarmStore, KnownResult, Reaped, StoreError, Submission};
 use crate::wakeup::Wakeup;
 
 /// Longest name of a bake, in characters.
@@ -91,12 +90,13 @@ impl Farm {
     }
 
     /// Takes a bake in. The scene must be there, and results to be reused must still have their bytes.
-    /// `traceparent` names the trace that the submission belongs to.
+    /// `traceparent` names the trace that the submission belongs to, `owner` the bearer that submits.
     pub async fn submit(
         &self,
         mut bake: NewBake,
         idempotency_key: Option<String>,
         traceparent: Option<String>,
+        owner: Option<String>,
     ) -> Result<Bake> {
         require_chars("name", &bake.name, 0, MAX_NAME_CHARS)?;
         if let Some(key) = &idempotency_key {
@@ -113,7 +113,7 @@ impl Farm {
         self.forget_lost_results(&plan).await?;
         let body = serde_json::to_vec(&bake).map_err(|error| ServerError::bad_request(error.to_string()))?;
         let body_hash = Digest::of(&body);
-        let submission = Submission { idempotency_key, body_hash, traceparent, bake, plan };
+        let submission = Submission { idempotency_key, body_hash, traceparent, owner, bake, plan };
         let submitted = self.store.submit(&submission).await.map_err(|error| match error {
             // It went between the look and the submission.
             StoreError::MissingChunk { digest } if digest == scene => ServerError::NoSuchScene { scene },
@@ -294,7 +294,11 @@ impl Farm {
         require_token(token)?;
         let verdict = self.store.fail(token, blame, message).await?;
         tracing::warn!(reason = message, "{}", failure_words(blame, verdict));
-        self.metrics.failures.inc();
+        if blame != Blame::Lost {
+            self.metrics.failures.inc();
+        } else if verdict != FailVerdict::Stale {
+            self.metrics.lost_workers.inc();
+        }
         self.wakeup.hint();
         Ok(())
     }
@@ -322,8 +326,10 @@ impl Farm {
     pub async fn reap(&self) -> Result<()> {
         let reaped = self.store.reap().await?;
         if reaped.expired > 0 {
-            tracing::warn!(expired = reaped.expired, given_up = reaped.given_up, "leases ran out");
-            self.metrics.expiries.inc_by(reaped.expired);
+            let Reaped { expired, lost, given_up } = reaped;
+            tracing::warn!(expired, lost, given_up, "leases ran out");
+            self.metrics.expiries.inc_by(expired);
+            self.metrics.lost_workers.inc_by(lost);
             self.wakeup.hint();
         }
         Ok(())
@@ -415,6 +421,10 @@ fn failure_words(blame: Blame, verdict: FailVerdict) -> &'static str {
         (FailVerdict::GivenUp, Blame::Worker) => {
             "a task failed too often; the bakes that want it have failed"
         }
+        (FailVerdict::GivenUp, Blame::Lost) => {
+            "workers were lost with a task too often; the bakes that want it have failed"
+        }
+        (FailVerdict::Retry, Blame::Lost) => "a worker was lost with a task; it will be tried again",
         (FailVerdict::Retry, _) => "an attempt at a task failed; it will be tried again",
         (FailVerdict::Stale, _) => "an attempt at a task failed after its lease was gone; nothing changes",
     }
@@ -453,32 +463,6 @@ fn check_claim(request: &ClaimRequest) -> Result<()> {
         Some((name, _, range)) => Err(ServerError::bad_request(format!("{name} must be within {range}"))),
         None => Ok(()),
     }
-}
-
-/// Words for people are short. Sums of counters must stay numbers: JSON cannot say infinity, so a bake that had one could not be read any more.
-fn check_counters(result: &TaskResult) -> Result<()> {
-    let count = result.counters.len();
-    if count > MAX_COUNTERS {
-        return Err(ServerError::bad_request(format!(
-            "counters must be at most {MAX_COUNTERS}, not {count}"
-        )));
-    }
-    if result.note.len() > MAX_NOTE_BYTES || result.note.contains('\0') {
-        let what = format!("the note must have at most {MAX_NOTE_BYTES} bytes, none of them 0");
-        return Err(ServerError::bad_request(what));
-    }
-    for (name, value) in &result.counters {
-        let shown: String = name.chars().take(40).collect();
-        if name.len() > MAX_COUNTER_NAME_BYTES {
-            let what = format!("the name of counter '{shown}…' has more than {MAX_COUNTER_NAME_BYTES} bytes");
-            return Err(ServerError::bad_request(what));
-        }
-        if !(-MAX_COUNTER..=MAX_COUNTER).contains(value) {
-            let what = format!("counter '{shown}' must be within ±{MAX_COUNTER:e}, not {value:e}");
-            return Err(ServerError::bad_request(what));
-        }
-    }
-    Ok(())
 }
 
 fn require_chars(name: &str, text: &str, min: usize, max: usize) -> Result<()> {

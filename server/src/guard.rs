@@ -3,7 +3,7 @@
 //! A farm that never had a token asks nobody for one. From the first token on every call but those about health needs
 //! one, also when all of them are revoked.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -32,32 +32,27 @@ pub struct Guard {
 struct Known {
     at: Instant,
     is_guarded: bool,
-    live: BTreeMap<Digest, BTreeSet<Scope>>,
+    live: BTreeMap<Digest, Bearer>,
 }
 
 impl Known {
     fn new(bearers: Vec<Bearer>) -> Self {
         let is_guarded = !bearers.is_empty();
         let live = bearers.into_iter().filter(|bearer| bearer.revoked_ms.is_none());
-        Self {
-            at: Instant::now(),
-            is_guarded,
-            live: live.map(|bearer| (bearer.hash, bearer.scopes)).collect(),
-        }
+        Self { at: Instant::now(), is_guarded, live: live.map(|bearer| (bearer.hash, bearer)).collect() }
     }
 
-    /// The digest of the token, if one was needed.
-    fn check(&self, token: Option<&str>, wanted: &[Scope]) -> Result<Option<Digest>> {
+    /// Whose token it is, if one was needed.
+    fn check(&self, token: Option<&str>, wanted: &[Scope]) -> Result<Option<Bearer>> {
         if !self.is_guarded || wanted.is_empty() {
             return Ok(None);
         }
         let token = token.ok_or(ServerError::Unauthorized { why: "the call has no token" })?;
         let hash = (token.len() <= TOKEN_BYTES_MAX).then(|| Digest::of(token.as_bytes()));
-        let known = hash.and_then(|hash| Some((hash, self.live.get(&hash)?)));
         let unknown = ServerError::Unauthorized { why: "the token is unknown or was revoked" };
-        let (hash, scopes) = known.ok_or(unknown)?;
-        if scopes.iter().any(|scope| wanted.iter().any(|wanted| scope.opens(*wanted))) {
-            return Ok(Some(hash));
+        let bearer = hash.and_then(|hash| self.live.get(&hash)).ok_or(unknown)?;
+        if bearer.scopes.iter().any(|scope| wanted.iter().any(|wanted| scope.opens(*wanted))) {
+            return Ok(Some(bearer.clone()));
         }
         let wanted: Vec<&str> = wanted.iter().map(|scope| scope.name()).collect();
         Err(ServerError::Forbidden { wanted: wanted.join(" or ") })
@@ -70,8 +65,8 @@ impl Guard {
         Self { store, known: Mutex::default() }
     }
 
-    /// Refuses a call without a token that opens one of the scopes. The token's digest, if one was needed.
-    pub(crate) async fn check(&self, token: Option<&str>, wanted: &[Scope]) -> Result<Option<Digest>> {
+    /// Refuses a call without a token that opens one of the scopes. Its bearer, if one was needed.
+    pub(crate) async fn check(&self, token: Option<&str>, wanted: &[Scope]) -> Result<Option<Bearer>> {
         let mut known = self.known.lock().await;
         match known.as_ref().filter(|known| known.at.elapsed() < KNOWN_FOR) {
             Some(known) => known.check(token, wanted),

@@ -6,6 +6,7 @@
 //! - [`store`] is the queue behind one trait, [`chunks`] the bytes, [`wakeup`] lossy hints.
 //! - [`storage`] is the bytes that count, `collect` clears away the others, [`fsck`] checks them.
 //! - [`access`] says who may call, [`guard`] asks for the tokens.
+//! - `owners` says who may change a bake, `counters` what a result may count.
 //! - `bake_ids` finds bakes by beginnings of their ids.
 //! - `left_over` clears up after bakes' processes that have ended, where several share a folder.
 //! - `lookout` looks for work on behalf of all claims that wait.
@@ -17,6 +18,7 @@ mod bake_ids;
 pub mod chunks;
 pub mod clock;
 mod collect;
+mod counters;
 mod error;
 mod evaluations;
 pub mod farm;
@@ -28,6 +30,7 @@ mod left_over;
 mod lookout;
 mod metrics;
 mod occupant;
+mod owners;
 mod pages;
 pub mod places;
 pub mod random;

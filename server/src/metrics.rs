@@ -59,6 +59,7 @@ counters! {
     failures: "Attempts that a worker reported as failed";
     releases: "Leases given back by workers";
     expiries: "Leases that ran out";
+    lost_workers: "Workers lost with a task: their leases ran out, or their next start told so";
     forgotten_results: "Results forgotten because their bytes were gone";
     deleted_bakes: "Bakes deleted because they ended long ago";
     removed_chunks: "Chunks removed because nobody needed them";
@@ -125,6 +126,11 @@ impl Figures {
                 "tasks_reused",
                 "Tasks whose result was there already, since the farm began.",
                 farm.tasks_reused,
+            ),
+            (
+                "differing_results",
+                "Results that were not as another one of their task, since the farm began.",
+                farm.alarms,
             ),
         ];
         for (name, help, count) in totals {

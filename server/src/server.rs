@@ -32,7 +32,7 @@ use crate::occupant::Occupant;
 use crate::pages::Pages;
 use crate::places::{ChunksPlace, DatabasePlace};
 use crate::storage::Storage;
-use crate::store::SqlStore;
+use crate::store::{FarmRules, SqlStore};
 use crate::tls::{self, TlsFiles};
 use crate::wakeup::{LocalWakeup, PostgresWakeup, Wakeup};
 use crate::webhooks::{self, WebhookConfig};
@@ -62,6 +62,8 @@ pub struct Config {
     pub quota_bytes: Option<u64>,
     /// Retention of chunks and bakes.
     pub retention: Retention,
+    /// Rules of the queue.
+    pub rules: FarmRules,
     /// Expired leases are looked for this often. Shorter → lost workers are noticed sooner. Default: 1 s.
     pub reap_interval: Duration,
     /// Waiting calls look again this often without a hint. Shorter → sooner, at more load. Default: 1 s.
@@ -85,6 +87,7 @@ impl Config {
             pages: Pages::default(),
             quota_bytes: None,
             retention: Retention::default(),
+            rules: FarmRules::default(),
             reap_interval: Duration::from_secs(1),
             poll_interval: Duration::from_secs(1),
             stop_grace: Duration::from_secs(10),
@@ -158,7 +161,7 @@ impl Server {
             })?),
             None => None,
         };
-        let store = Arc::new(store);
+        let store = Arc::new(store.with_rules(config.rules));
         let in_state = ChunksPlace::Folder(config.state_dir.join("chunks"));
         let chunks = Arc::new(ObjectChunks::open(config.chunks.as_ref().unwrap_or(&in_state))?);
         let (closing, is_closing) = watch::channel(false);

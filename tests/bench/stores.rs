@@ -89,8 +89,14 @@ impl Run {
 
     async fn submit(&self, store: &dyn FarmStore) {
         let (body_hash, plan) = (Digest::of(b""), vec![self.planner.clone()]);
-        let submission =
-            Submission { idempotency_key: None, traceparent: None, body_hash, bake: bake(), plan };
+        let submission = Submission {
+            idempotency_key: None,
+            traceparent: None,
+            owner: None,
+            body_hash,
+            bake: bake(),
+            plan,
+        };
         store.submit(&submission).await.unwrap();
     }
 

@@ -50,13 +50,15 @@ export function eventWords({ type, ...event }) {
     case "task_done":
       return `${task}: done by ${event.worker} in ${lengthOf(event.elapsed_ms)}${event.note ? ` (${event.note})` : ""}`;
     case "task_failed":
-      return `${task}: failed on ${event.worker}: ${event.message}${event.retry ? " (will be tried again)" : ""}`;
+      return `${task}: ${event.blame === "lost" ? "lost with" : "failed on"} ${event.worker}: ${event.message}${event.retry ? " (will be tried again)" : ""}`;
     case "lease_expired":
       return `${task}: taken back from ${event.worker}, ${event.took_too_long ? "which took too long" : "which was not heard"}`;
     case "task_released":
       return `${task}: given back by ${event.worker}`;
     case "result_lost":
       return `${task}: result lost, made again`;
+    case "result_differs":
+      return `${task}: another attempt gave other bytes for ${event.output}: a machine, or the task's code, is not to be trusted`;
     case "state":
       return `now ${event.state}`;
     default:

@@ -13,7 +13,7 @@ use utoipa::IntoParams;
 
 use super::chunks::{Binary, Conditions, serve_bytes};
 use super::events::MAX_SEQ;
-use super::extract::{Answer, BakeId, FarmState, JsonBody, UrlQuery};
+use super::extract::{Answer, BakeId, Caller, FarmState, JsonBody, OwnBakeId, UrlQuery};
 use super::trace::traceparent;
 use crate::error::{Result, ServerError};
 
@@ -91,6 +91,7 @@ pub(super) struct SubmitHeaders {
         (status = 422, description = "A setting is wrong")))]
 pub(super) async fn submit(
     State(farm): FarmState,
+    Caller(caller): Caller,
     headers: HeaderMap,
     JsonBody(bake): JsonBody<NewBake, MAX_JSON_BYTES>,
 ) -> Result<(StatusCode, Json<Bake>)> {
@@ -100,7 +101,8 @@ pub(super) async fn submit(
             .map(str::to_owned)
             .map_err(|_| ServerError::bad_request("Idempotency-Key must be visible ASCII"))
     });
-    let bake = farm.submit(bake, key.transpose()?, traceparent(&headers)).await?;
+    let owner = caller.map(|bearer| bearer.name);
+    let bake = farm.submit(bake, key.transpose()?, traceparent(&headers), owner).await?;
     Ok((StatusCode::ACCEPTED, Json(bake)))
 }
 
@@ -135,7 +137,7 @@ pub(super) async fn show(State(farm): FarmState, BakeId(id): BakeId) -> Answer<B
     responses((status = 204, description = "Deleted"),
         (status = 404, description = "No such bake"),
         (status = 409, description = "It has not ended")))]
-pub(super) async fn delete(State(farm): FarmState, BakeId(id): BakeId) -> Result<StatusCode> {
+pub(super) async fn delete(State(farm): FarmState, OwnBakeId(id): OwnBakeId) -> Result<StatusCode> {
     farm.store.delete_bake(&id).await?;
     Ok(StatusCode::NO_CONTENT)
 }
@@ -145,7 +147,7 @@ pub(super) async fn delete(State(farm): FarmState, BakeId(id): BakeId) -> Result
     params(("id" = String, Path, description = "The bake: its id, or a beginning of it that is no other bake's")),
     responses((status = 200, description = "The bake", body = Bake),
         (status = 409, description = "It has ended")))]
-pub(super) async fn cancel(State(farm): FarmState, BakeId(id): BakeId) -> Answer<Bake> {
+pub(super) async fn cancel(State(farm): FarmState, OwnBakeId(id): OwnBakeId) -> Answer<Bake> {
     Ok(Json(farm.change(farm.store.cancel(&id)).await?))
 }
 
@@ -154,7 +156,7 @@ pub(super) async fn cancel(State(farm): FarmState, BakeId(id): BakeId) -> Answer
     params(("id" = String, Path, description = "The bake: its id, or a beginning of it that is no other bake's")),
     responses((status = 200, description = "The bake", body = Bake),
         (status = 409, description = "It has ended")))]
-pub(super) async fn pause(State(farm): FarmState, BakeId(id): BakeId) -> Answer<Bake> {
+pub(super) async fn pause(State(farm): FarmState, OwnBakeId(id): OwnBakeId) -> Answer<Bake> {
     Ok(Json(farm.change(farm.store.pause(&id)).await?))
 }
 
@@ -163,7 +165,7 @@ pub(super) async fn pause(State(farm): FarmState, BakeId(id): BakeId) -> Answer<
     params(("id" = String, Path, description = "The bake: its id, or a beginning of it that is no other bake's")),
     responses((status = 200, description = "The bake", body = Bake),
         (status = 409, description = "It has ended")))]
-pub(super) async fn resume(State(farm): FarmState, BakeId(id): BakeId) -> Answer<Bake> {
+pub(super) async fn resume(State(farm): FarmState, OwnBakeId(id): OwnBakeId) -> Answer<Bake> {
     Ok(Json(farm.change(farm.store.resume(&id)).await?))
 }
 
@@ -174,7 +176,7 @@ pub(super) async fn resume(State(farm): FarmState, BakeId(id): BakeId) -> Answer
         (status = 409, description = "It has ended")))]
 pub(super) async fn reprioritise(
     State(farm): FarmState,
-    BakeId(id): BakeId,
+    OwnBakeId(id): OwnBakeId,
     JsonBody(new): JsonBody<NewPriority, MAX_JSON_BYTES>,
 ) -> Answer<Bake> {
     Ok(Json(farm.change(farm.store.reprioritise(&id, new.priority)).await?))
@@ -205,7 +207,7 @@ pub(super) async fn blocklist(State(farm): FarmState, BakeId(id): BakeId) -> Ans
         (status = 404, description = "No such bake")))]
 pub(super) async fn clear_blocklist(
     State(farm): FarmState,
-    BakeId(id): BakeId,
+    OwnBakeId(id): OwnBakeId,
     UrlQuery(query): UrlQuery<WorkerQuery>,
 ) -> Answer<Blocklist> {
     Ok(Json(farm.change(farm.store.clear_blocklist(&id, query.worker.as_deref())).await?))

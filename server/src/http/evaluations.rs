@@ -12,7 +12,7 @@ use lightkiln_proto::evaluation::{EvaluationIndex, MAX_EVALUATION_FILE_BYTES};
 use lightkiln_proto::ids::Digest;
 
 use super::chunks::{Binary, Conditions, forever, serve_bytes, status_of, store_up_to};
-use super::extract::{Answer, BakeId, FarmState, JsonBody, without_nul};
+use super::extract::{Answer, BakeId, Caller, FarmState, JsonBody, OwnBakeId, without_nul};
 use crate::bake_ids::whole_id;
 use crate::error::{Result, ServerError};
 use crate::evaluations::MAX_INDEX_BYTES;
@@ -63,7 +63,7 @@ pub(super) async fn show(State(farm): FarmState, BakeId(id): BakeId) -> Answer<E
         (status = 422, description = "The index names files that it may not have")))]
 pub(super) async fn attach(
     State(farm): FarmState,
-    BakeId(id): BakeId,
+    OwnBakeId(id): OwnBakeId,
     JsonBody(index): JsonBody<EvaluationIndex, MAX_INDEX_BYTES>,
 ) -> Result<StatusCode> {
     farm.attach_evaluation(&id, &index).await?;
@@ -112,9 +112,11 @@ pub(super) async fn file(
 pub(super) async fn put_file(
     State(farm): FarmState,
     FileOfBake { bake, digest }: FileOfBake,
+    Caller(caller): Caller,
     headers: HeaderMap,
     body: Body,
 ) -> Result<StatusCode> {
+    farm.require_owner(&bake, caller.as_ref()).await?;
     require_done(&bake, farm.store.show(&bake).await?.state, "given an evaluation")?;
     Ok(status_of(store_up_to(&farm, digest, &headers, body, MAX_EVALUATION_FILE_BYTES).await?))
 }

@@ -10,6 +10,7 @@ use axum::http::{HeaderMap, header};
 use futures::StreamExt;
 use serde::de::DeserializeOwned;
 
+use crate::access::Bearer;
 use crate::bake_ids::whole_id;
 use crate::error::{Result, ServerError};
 use crate::farm::Farm;
@@ -113,6 +114,32 @@ impl FromRequestParts<Arc<Farm>> for BakeId {
     async fn from_request_parts(parts: &mut Parts, farm: &Arc<Farm>) -> Result<Self> {
         let PathParam(text) = PathParam::from_request_parts(parts, farm).await?;
         whole_id(&*farm.store, text).await.map(Self)
+    }
+}
+
+/// The bearer whose token opened the call, where one was needed.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Caller(pub(super) Option<Bearer>);
+
+impl<S: Send + Sync> FromRequestParts<S> for Caller {
+    type Rejection = ServerError;
+
+    async fn from_request_parts(parts: &mut Parts, _state: &S) -> Result<Self> {
+        Ok(parts.extensions.get::<Self>().cloned().unwrap_or_default())
+    }
+}
+
+/// As [`BakeId`], of a bake that the caller may change: his own, one that is nobody's, or any with the scope admin.
+pub(super) struct OwnBakeId(pub(super) String);
+
+impl FromRequestParts<Arc<Farm>> for OwnBakeId {
+    type Rejection = ServerError;
+
+    async fn from_request_parts(parts: &mut Parts, farm: &Arc<Farm>) -> Result<Self> {
+        let BakeId(id) = BakeId::from_request_parts(parts, farm).await?;
+        let Caller(caller) = Caller::from_request_parts(parts, farm).await?;
+        farm.require_owner(&id, caller.as_ref()).await?;
+        Ok(Self(id))
     }
 }
 

@@ -9,10 +9,10 @@ use axum::http::{HeaderMap, Method, header};
 use axum::middleware::Next;
 use axum::response::Response;
 
-use super::extract::text_header;
+use super::extract::{Caller, text_header};
 use super::limits::Limits;
 use super::pages;
-use crate::access::Scope;
+use crate::access::{Bearer, Scope};
 use crate::error::Result;
 use crate::farm::Farm;
 
@@ -47,12 +47,12 @@ pub(super) struct Doorman {
 }
 
 impl Doorman {
-    /// Counts the call, and refuses it without a token that opens it. Paths that do not exist are nobody's secret; calls
+    /// Counts the call, and refuses it without a token that opens it; whose that is, if one was needed. Paths that do not exist are nobody's secret; calls
     /// about health and for files are answered however many they are.
-    async fn check(&self, request: &Parts) -> Result<()> {
+    async fn check(&self, request: &Parts) -> Result<Option<Bearer>> {
         let route = request.extensions.get::<MatchedPath>().map(MatchedPath::as_str);
         if route.is_some_and(|route| is_about_health(route) || is_for_file(&request.method, route)) {
-            return Ok(());
+            return Ok(None);
         }
         let address = request.extensions.get::<ConnectInfo<SocketAddr>>();
         let address = address.map_or(IpAddr::V6(Ipv6Addr::UNSPECIFIED), |info| info.0.ip());
@@ -62,8 +62,9 @@ impl Doorman {
             [] => Ok(None),
             wanted => self.farm.guard.check(token, wanted).await,
         };
-        self.limits.count((address, opened.as_ref().ok().copied().flatten()))?;
-        opened.map(drop)
+        let token = opened.as_ref().ok().and_then(Option::as_ref).map(|bearer| bearer.hash);
+        self.limits.count((address, token))?;
+        opened
     }
 }
 
@@ -82,8 +83,9 @@ pub(super) async fn guard(
     request: Request,
     next: Next,
 ) -> Result<Response> {
-    let (parts, body) = request.into_parts();
-    doorman.check(&parts).await?;
+    let (mut parts, body) = request.into_parts();
+    let caller = doorman.check(&parts).await?;
+    parts.extensions.insert(Caller(caller));
     let request = Request::from_parts(parts, body);
     let route = request.extensions().get::<MatchedPath>();
     if route.is_some_and(|route| is_about_health(route.as_str())) {

@@ -1,28 +1,48 @@
 //! Leases as workers see them.
 
 use axum::Json;
-use axum::extract::State;
+use axum::extract::{FromRequestParts, State};
 use axum::http::StatusCode;
+use axum::http::request::Parts;
 use lightkiln_proto::api::{
     ClaimAnswer, ClaimRequest, CommitAnswer, Failure, Heartbeat, HeartbeatAnswer, TaskResult,
 };
 
-use super::extract::{Answer, FarmState, JsonBody, PathParam};
-use crate::error::Result;
+use super::extract::{Answer, Caller, FarmState, JsonBody, PathParam};
+use crate::access::bound_to;
+use crate::error::{Result, ServerError};
 
 /// Largest JSON body of small calls.
 const MAX_JSON_BYTES: usize = 1 << 20;
 /// Largest result; a plan of a hundred thousand tasks is big.
 const MAX_RESULT_BYTES: usize = 256 << 20;
 
+/// The lease that the path names: nobody's but the bearer's that claimed it.
+pub(super) struct LeaseToken(String);
+
+impl<S: Send + Sync> FromRequestParts<S> for LeaseToken {
+    type Rejection = ServerError;
+
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self> {
+        let PathParam(token) = PathParam::<String>::from_request_parts(parts, state).await?;
+        let Caller(caller) = Caller::from_request_parts(parts, state).await?;
+        Ok(Self(bound_to(caller.as_ref(), &token)))
+    }
+}
+
 /// Claims tasks. Waits up to `wait_secs` for some.
 #[utoipa::path(post, path = "/v1/leases", tag = "leases", request_body = ClaimRequest,
     responses((status = 200, description = "Leases, perhaps none", body = ClaimAnswer)))]
 pub(super) async fn claim(
     State(farm): FarmState,
+    Caller(caller): Caller,
     JsonBody(request): JsonBody<ClaimRequest, MAX_JSON_BYTES>,
 ) -> Answer<ClaimAnswer> {
-    Ok(Json(farm.claim(request).await?))
+    let mut answer = farm.claim(request).await?;
+    for lease in &mut answer.leases {
+        lease.token = bound_to(caller.as_ref(), &lease.token);
+    }
+    Ok(Json(answer))
 }
 
 /// Says that a task is still being worked on.
@@ -31,7 +51,7 @@ pub(super) async fn claim(
     responses((status = 200, description = "What to do", body = HeartbeatAnswer)))]
 pub(super) async fn heartbeat(
     State(farm): FarmState,
-    PathParam(token): PathParam<String>,
+    LeaseToken(token): LeaseToken,
     JsonBody(heartbeat): JsonBody<Heartbeat, MAX_JSON_BYTES>,
 ) -> Answer<HeartbeatAnswer> {
     Ok(Json(farm.heartbeat(&token, heartbeat.progress).await?))
@@ -45,7 +65,7 @@ pub(super) async fn heartbeat(
         (status = 409, description = "An output is not stored, or no more: upload it and hand the result in again")))]
 pub(super) async fn commit(
     State(farm): FarmState,
-    PathParam(token): PathParam<String>,
+    LeaseToken(token): LeaseToken,
     JsonBody(result): JsonBody<TaskResult, MAX_RESULT_BYTES>,
 ) -> Answer<CommitAnswer> {
     Ok(Json(CommitAnswer { verdict: farm.commit(&token, result).await? }))
@@ -57,7 +77,7 @@ pub(super) async fn commit(
     responses((status = 204, description = "Noted")))]
 pub(super) async fn fail(
     State(farm): FarmState,
-    PathParam(token): PathParam<String>,
+    LeaseToken(token): LeaseToken,
     JsonBody(failure): JsonBody<Failure, MAX_JSON_BYTES>,
 ) -> Result<StatusCode> {
     farm.fail(&token, failure.blame, &failure.message).await?;
@@ -68,10 +88,7 @@ pub(super) async fn fail(
 #[utoipa::path(post, path = "/v1/leases/{token}/release", tag = "leases",
     params(("token" = String, Path, description = "The lease's token: 32 lower-case hex digits", pattern = "^[0-9a-f]{32}$")),
     responses((status = 204, description = "Noted")))]
-pub(super) async fn release(
-    State(farm): FarmState,
-    PathParam(token): PathParam<String>,
-) -> Result<StatusCode> {
+pub(super) async fn release(State(farm): FarmState, LeaseToken(token): LeaseToken) -> Result<StatusCode> {
     farm.release(&token).await?;
     Ok(StatusCode::NO_CONTENT)
 }

@@ -120,6 +120,17 @@ pub enum PlanError {
         /// The fault, and the limit.
         what: String,
     },
+    /// A key that is not the task's own.
+    #[error(
+        "task {key} must have the key {computed}, the digest of its kind, version, parameters and inputs; see whether server and \
+         workers are of one version"
+    )]
+    WrongKey {
+        /// The key given.
+        key: TaskKey,
+        /// The task's own.
+        computed: TaskKey,
+    },
     /// One key, two different tasks.
     #[error("task {key} was given before with another kind, other parameters or other inputs")]
     KeyClash {
@@ -131,11 +142,5 @@ pub enum PlanError {
     UnknownDependency {
         /// The missing task.
         needs: TaskKey,
-    },
-    /// Tasks that wait for each other.
-    #[error("task {key} waits for itself through its inputs")]
-    Cycle {
-        /// One of them.
-        key: TaskKey,
     },
 }

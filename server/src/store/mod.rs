@@ -37,7 +37,10 @@ use crate::chunks::ChunkName;
 use chunk::{ChunkRow, CollectRules, Collected, Kept, KeptChunk, Usage};
 pub use error::{PlanError, Result, StoreError};
 pub use lease::LeaseState;
-pub use rules::{BACKOFF_MAX_MS, MAX_ATTEMPTS, MAX_GRACES, MAX_PARDONS, POISON_WORKERS, backoff_ms};
+pub use rules::{
+    BACKOFF_MAX_MS, FarmRules, LOST_WORKERS, MAX_ATTEMPTS, MAX_GRACES, MAX_PARDONS, POISON_WORKERS,
+    WAIT_MAX_MS, backoff_ms,
+};
 pub use sql::{FaultPoint, Faults, SqlStore};
 
 /// A bake to take in.
@@ -49,6 +52,8 @@ pub struct Submission {
     pub body_hash: Digest,
     /// Trace that the submission belongs to, as W3C Trace Context writes it.
     pub traceparent: Option<String>,
+    /// Bearer that submits it, if one was needed.
+    pub owner: Option<String>,
     /// The bake asked for.
     pub bake: NewBake,
     /// Its first tasks.
@@ -114,6 +119,8 @@ pub enum FailVerdict {
 pub struct Reaped {
     /// Leases that had run out.
     pub expired: u64,
+    /// Those whose workers count as lost.
+    pub lost: u64,
     /// Tasks given up because of that.
     pub given_up: u64,
 }
@@ -183,6 +190,8 @@ pub struct Stats {
     pub tasks_run: u64,
     /// Tasks whose result was there already when a bake wanted them, since the farm began. Never falls.
     pub tasks_reused: u64,
+    /// Results that were not as another one of their task, since the farm began. Never falls.
+    pub alarms: u64,
 }
 
 /// The farm's state. Every call is one transaction: all of it happened, or none.
@@ -209,10 +218,11 @@ pub trait FarmStore: Send + Sync {
     /// Prolongs a lease, or says why not. The first one says that the lease has arrived.
     async fn heartbeat(&self, token: &str, progress: f32) -> Result<HeartbeatAnswer>;
 
-    /// Takes a result in if the lease is still good.
+    /// Takes a result in if the lease is still good. One that is not as another of the same task, because it comes again, too late, or
+    /// anew, is noted and told to the bakes that hold the task ([`rules::difference`]); the one that counts stays.
     async fn commit(&self, token: &str, result: &TaskResult) -> Result<CommitVerdict>;
 
-    /// Ends an attempt without a result.
+    /// Ends an attempt without a result. Failures of workers, and workers that were lost, are counted apart.
     async fn fail(&self, token: &str, blame: Blame, message: &str) -> Result<FailVerdict>;
 
     /// Gives a task back; no attempt is counted. False when the lease was gone.
@@ -228,10 +238,12 @@ pub trait FarmStore: Send + Sync {
     /// Forgets that a worker, or any, failed at tasks of a bake.
     async fn clear_blocklist(&self, bake: &str, worker: Option<&str>) -> Result<Blocklist>;
 
-    /// Ends leases that have run out. Each counts as an attempt failed by its worker, unless the worker was never heard
-    /// about it: then the answer to its claim was lost, or the worker had gone, and nothing was attempted. A worker that is
-    /// heard later, by a heartbeat, commit or release of that lease, was silent and is alive: the attempt is given back, up to
-    /// [`MAX_PARDONS`] times for a task. A crash never is, nor an attempt that took too long, nor one that failed.
+    /// Ends leases that have run out. Each counts as a worker lost with its task ([`rules::FarmRules`]), unless the worker was
+    /// never heard about it: then the answer to its claim was lost, or the worker had gone, and nothing was attempted. A worker that is
+    /// heard later, by a heartbeat, commit or release of that lease, was silent and is alive: the loss is given back, up to
+    /// [`MAX_PARDONS`] times for a task. An attempt that took too long counts as failed, for good.
+    ///
+    /// Leases and waits that end later than they could if they began now were made by a clock that was set back since: they begin now.
     async fn reap(&self) -> Result<Reaped>;
 
     /// Holds a bake's tasks back; leases go on.

@@ -1,17 +1,24 @@
 //! The queue's rules as pure functions and constants; every store follows these.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use lightkiln_proto::api::{ClaimRequest, Needs};
 use lightkiln_proto::ids::{Digest, TaskKey};
-use lightkiln_proto::jobs::{Artefact, MAX_PLAN_TASKS, TaskInput, TaskSpec};
+use lightkiln_proto::jobs::{Artefact, MAX_PLAN_TASKS, REPORT_OUTPUT, TaskInput, TaskSpec};
 
 use super::PlanError;
 
-/// Attempts after which a task is given up.
+/// Failed attempts after which a task is given up. Workers that are lost do not count here.
 pub const MAX_ATTEMPTS: u32 = 5;
 /// Distinct workers after whose failures a task counts as poison and is given up.
 pub const POISON_WORKERS: u32 = 3;
+/// Times that a worker is lost with a task before that is given up, unless the farm's owner says otherwise. More → a farm whose
+/// machines come and go fails fewer bakes, and a task that kills its workers takes more of them.
+pub const LOST_WORKERS: u32 = 50;
+/// What each loss of a worker but the first adds to the wait before its task is tried again.
+pub const LOST_STEP_MS: i64 = 1_000;
+/// Longest wait of any retry, whether workers failed or were lost. One that lies further ahead is a clock's that was set back.
+pub const WAIT_MAX_MS: i64 = 60_000;
 /// Distinct tasks of a bake at which a worker fails before it gets none of that bake any more while others can.
 pub const BLOCK_TASKS: u64 = 3;
 /// Time that one attempt may take unless the bake says otherwise: a day.
@@ -25,7 +32,7 @@ pub const LOCALITY_LEASES: i64 = 2;
 /// First wait before a task failed by a worker is tried again; doubles with each attempt.
 pub const BACKOFF_FIRST_MS: i64 = 1_000;
 /// Longest such wait.
-pub const BACKOFF_MAX_MS: i64 = 60_000;
+pub const BACKOFF_MAX_MS: i64 = WAIT_MAX_MS;
 /// A worker heard within this time counts as present when a task looks for another worker.
 pub const WORKER_PRESENT_MS: i64 = 60_000;
 /// A worker heard within this time is listed.
@@ -59,11 +66,35 @@ pub fn backoff_ms(attempts: u32) -> i64 {
 ///
 /// The jitter is a function of the task and the attempt, so that every store waits alike.
 pub fn retry_wait_ms(key: TaskKey, attempts: u32) -> i64 {
-    let wait = backoff_ms(attempts);
+    jittered(backoff_ms(attempts), key, attempts)
+}
+
+/// Between half of a wait and all of it.
+fn jittered(wait: i64, key: TaskKey, attempts: u32) -> i64 {
     let mut mixed = key.0.to_vec();
     mixed.extend(attempts.to_le_bytes());
     let share = (Digest::of(&mixed).short() >> 32) as i64;
     wait / 2 + (((wait - wait / 2) * share) >> 32)
+}
+
+/// Wait before a task is tried again with which so many workers were lost: none at first, as machines go, then longer each time, so
+/// that a task that kills its workers takes few of them an hour. With jitter as [`retry_wait_ms`] has it.
+pub fn lost_wait_ms(key: TaskKey, losses: u32) -> i64 {
+    let wait = (LOST_STEP_MS * i64::from(losses.saturating_sub(1))).min(WAIT_MAX_MS);
+    jittered(wait, key, losses)
+}
+
+/// Rules that a farm's owner may change.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FarmRules {
+    /// Workers that may be lost with one task before it is given up.
+    pub lost_workers: u32,
+}
+
+impl Default for FarmRules {
+    fn default() -> Self {
+        Self { lost_workers: LOST_WORKERS }
+    }
 }
 
 /// Properties of a worker that claims compare with needs.
@@ -150,9 +181,22 @@ pub fn task_fault_message(label: &str, kind: &str, worker: &str, message: &str) 
 
 /// Why a bake failed when workers kept failing at a task.
 pub fn given_up_message(label: &str, kind: &str, attempts: u32, workers: u32, message: &str) -> String {
+    let (workers, attempts) = (counted(workers, "worker"), counted(attempts, "attempt"));
+    cut_message(&format!("{label} ({kind}) failed on {workers} in {attempts}; the last: {message}"))
+}
+
+/// Why a bake failed when workers kept being lost with a task.
+pub fn lost_message(label: &str, kind: &str, losses: u32, message: &str) -> String {
+    let workers = counted(losses, "worker");
     cut_message(&format!(
-        "{label} ({kind}) was given up after {attempts} attempts by {workers} workers; the last: {message}"
+        "{label} ({kind}) was lost with {workers}, which ended or fell silent while they had it; none of them reported a failure. \
+         See whether it needs more memory than they have, or let it be lost more often (kiln server --lost-workers N); \
+         the last: {message}"
     ))
+}
+
+fn counted(count: u32, what: &str) -> String {
+    format!("{count} {what}{}", if count == 1 { "" } else { "s" })
 }
 
 /// Why a bake failed when a task that was run again gave other bytes than before, and others had named those.
@@ -180,6 +224,44 @@ pub fn limit_message(worker: &str) -> String {
     format!("worker {worker} took longer than one attempt may take (attempt_limit_secs)")
 }
 
+/// An output of one name that two results of a task have with different bytes.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Difference {
+    /// The output's name.
+    pub name: String,
+    /// Its digest in the result that counts; none if that has no such output.
+    pub kept: Option<Digest>,
+    /// Its digest in the other; none if that has no such output.
+    pub found: Option<Digest>,
+}
+
+/// The first output in which two results of a task differ. A report tells of the run and may differ; a result that was taken over from
+/// another task may lack outputs that nobody reads, so one that has fewer names than the other differs in those that it has.
+pub fn difference(kept: &[Artefact], found: &[Artefact]) -> Option<Difference> {
+    let by_name = |outputs: &[Artefact]| -> BTreeMap<String, Digest> {
+        let told = outputs.iter().filter(|output| output.name != REPORT_OUTPUT);
+        told.map(|output| (output.name.clone(), output.digest)).collect()
+    };
+    let (kept, found) = (by_name(kept), by_name(found));
+    let names: BTreeSet<&String> = kept.keys().chain(found.keys()).collect();
+    let lack = |outputs: &BTreeMap<String, Digest>| names.iter().any(|name| !outputs.contains_key(*name));
+    let is_part = (!lack(&kept) || !lack(&found)) && !kept.is_empty() && !found.is_empty();
+    let differ = |name: &&&String| {
+        let (kept, found) = (kept.get(**name), found.get(**name));
+        kept != found && !(is_part && (kept.is_none() || found.is_none()))
+    };
+    names.iter().find(differ).map(|name| Difference {
+        name: (*name).clone(),
+        kept: kept.get(*name).copied(),
+        found: found.get(*name).copied(),
+    })
+}
+
+/// Results of a task that came too late are compared in the order of these.
+pub fn order_of_witness(worker: &str, outputs: &[Artefact]) -> (String, Vec<(String, Digest)>) {
+    (worker.to_owned(), outputs.iter().map(|output| (output.name.clone(), output.digest)).collect())
+}
+
 /// Results on a page, of those whose outputs have so many bytes of JSON each: as many as there is room for, one at least.
 pub fn results_on_page(bytes: impl IntoIterator<Item = u64>) -> usize {
     let mut before = 0;
@@ -203,21 +285,13 @@ pub fn is_same_task(a: &TaskSpec, b: &TaskSpec) -> bool {
     a.kind == b.kind && a.params == b.params && a.inputs == b.inputs
 }
 
-/// Checks all that can be seen in a plan alone: limits, one task per key, no cycle.
+/// Checks all that can be seen in a plan alone: limits, and that each task has its own key. So one key is one task, and no task waits for
+/// itself: its key would be a digest of itself.
 pub fn check_plan(plan: &[TaskSpec]) -> Result<(), PlanError> {
     if plan.len() > MAX_PLAN_TASKS {
         return Err(PlanError::TooManyTasks { count: plan.len(), max: MAX_PLAN_TASKS });
     }
-    let mut tasks: BTreeMap<TaskKey, &TaskSpec> = BTreeMap::new();
-    for task in plan {
-        check_fields(task)?;
-        if let Some(other) = tasks.insert(task.key, task)
-            && !is_same_task(task, other)
-        {
-            return Err(PlanError::KeyClash { key: task.key });
-        }
-    }
-    check_acyclic(&tasks)
+    plan.iter().try_for_each(check_fields)
 }
 
 fn check_fields(task: &TaskSpec) -> Result<(), PlanError> {
@@ -231,36 +305,11 @@ fn check_fields(task: &TaskSpec) -> Result<(), PlanError> {
     if task.cost > MAX_TASK_COST {
         return wrong(format!("its cost must be at most {MAX_TASK_COST}"));
     }
+    // A key that stands for something else would take another task's place, for every bake of the farm.
+    if !task.has_its_key() {
+        return Err(PlanError::WrongKey { key: task.key, computed: task.computed_key() });
+    }
     Ok(())
-}
-
-/// Takes away tasks whose dependencies inside the plan are gone, until none is left or a cycle is.
-fn check_acyclic(tasks: &BTreeMap<TaskKey, &TaskSpec>) -> Result<(), PlanError> {
-    let mut waiting: BTreeMap<TaskKey, usize> = BTreeMap::new();
-    let mut dependants: BTreeMap<TaskKey, Vec<TaskKey>> = BTreeMap::new();
-    for (key, task) in tasks {
-        let inner = dependencies(task).into_iter().filter(|needs| tasks.contains_key(needs));
-        let mut count = 0;
-        for needs in inner {
-            dependants.entry(needs).or_default().push(*key);
-            count += 1;
-        }
-        waiting.insert(*key, count);
-    }
-    let mut free: Vec<TaskKey> =
-        waiting.iter().filter(|(_, count)| **count == 0).map(|(key, _)| *key).collect();
-    while let Some(key) = free.pop() {
-        waiting.remove(&key);
-        for dependant in dependants.remove(&key).unwrap_or_default() {
-            if let Some(count) = waiting.get_mut(&dependant) {
-                *count -= 1;
-                if *count == 0 {
-                    free.push(dependant);
-                }
-            }
-        }
-    }
-    waiting.keys().next().map_or(Ok(()), |key| Err(PlanError::Cycle { key: *key }))
 }
 
 /// Keys that a task waits for, each once, ascending.
@@ -347,20 +396,64 @@ mod tests {
     }
 
     #[test]
-    fn tasks_that_wait_for_each_other_are_rejected() {
+    fn tasks_that_wait_for_each_other_have_not_their_own_keys() {
         let (mut a, mut b) = (task("a", &[]), task("b", &[]));
         a.inputs = vec![TaskInput::Task { name: "in".into(), key: b.key }];
         b.inputs = vec![TaskInput::Task { name: "in".into(), key: a.key }];
-        assert!(matches!(check_plan(&[a.clone(), b]), Err(PlanError::Cycle { .. })));
-        a.inputs = vec![TaskInput::Task { name: "in".into(), key: a.key }];
-        assert_eq!(check_plan(&[a.clone()]), Err(PlanError::Cycle { key: a.key }));
+        assert!(matches!(check_plan(&[a, b]), Err(PlanError::WrongKey { .. })));
     }
 
     #[test]
-    fn one_key_for_two_tasks_is_rejected() {
+    fn key_of_another_task_is_rejected() {
         let (a, mut b) = (task("a", &[]), task("b", &[]));
+        let computed = b.key;
         b.key = a.key;
-        assert_eq!(check_plan(&[a.clone(), b]), Err(PlanError::KeyClash { key: a.key }));
+        assert_eq!(check_plan(&[a.clone(), b]), Err(PlanError::WrongKey { key: a.key, computed }));
+        let changes: [fn(&mut TaskSpec); 4] = [
+            |task| task.version += 1,
+            |task| task.kind.push('s'),
+            |task| task.params = json!(1),
+            |task| task.inputs.push(TaskInput::Artefact { name: "in".into(), digest: Digest::of(b"x") }),
+        ];
+        for change in changes {
+            let mut changed = a.clone();
+            change(&mut changed);
+            assert!(matches!(check_plan(&[changed]), Err(PlanError::WrongKey { .. })));
+        }
+    }
+
+    #[test]
+    fn results_differ_where_outputs_of_one_name_have_other_bytes() {
+        let output = |name: &str, bytes: &[u8]| artefact(name.into(), Digest::of(bytes), 1);
+        let (a, b, rows) = (output("a", b"1"), output("b", b"2"), output("rows", b"3"));
+        let both = [a.clone(), b.clone()];
+        assert_eq!(difference(&both, &both), None);
+        assert_eq!(difference(&both, &[b.clone(), a.clone()]), None, "order is nothing");
+        let reports = [output(REPORT_OUTPUT, b"x"), output(REPORT_OUTPUT, b"y")];
+        assert_eq!(difference(&reports[..1], &reports[1..]), None);
+        assert_eq!(
+            difference(&[a.clone(), b.clone(), rows.clone()], &both),
+            None,
+            "taken over without its rows"
+        );
+        let other = output("b", b"other");
+        let differs = difference(&[a.clone(), b.clone(), rows], &[a.clone(), other.clone()]);
+        assert_eq!(
+            differs,
+            Some(Difference { name: "b".into(), kept: Some(b.digest), found: Some(other.digest) })
+        );
+        assert!(difference(&both, &[]).is_some() && difference(&[], &both).is_some(), "nothing is no part");
+        let renamed = difference(&both, &[a, output("c", b"2")]);
+        assert_eq!(renamed, Some(Difference { name: "b".into(), kept: Some(b.digest), found: None }));
+    }
+
+    #[test]
+    fn first_loss_costs_no_wait_and_later_ones_more_and_more() {
+        let waits: Vec<i64> = (1..=200).map(|losses| lost_wait_ms(Digest::of(b"task"), losses)).collect();
+        assert_eq!(waits[0], 0);
+        assert!((LOST_STEP_MS / 2..=LOST_STEP_MS).contains(&waits[1]), "{waits:?}");
+        assert!(waits.iter().all(|wait| *wait <= WAIT_MAX_MS) && waits[199] >= WAIT_MAX_MS / 2, "{waits:?}");
+        assert!(waits[20] > waits[4] && waits[40] > waits[10], "{waits:?}");
     }
 
     #[test]
@@ -368,6 +461,7 @@ mod tests {
         let with = |change: fn(&mut TaskSpec)| {
             let mut changed = task("a", &[]);
             change(&mut changed);
+            changed.key = changed.computed_key();
             check_plan(&[changed])
         };
         assert!(with(|task| task.kind.clear()).is_err());

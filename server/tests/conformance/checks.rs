@@ -119,6 +119,7 @@ pub async fn artefact_that_an_ended_bake_names_is_made_again_by_the_next(world: 
     let made = put(&storage, b"made").await;
     let mut reads = task("reads", &[]);
     reads.inputs = vec![TaskInput::Artefact { name: "in".into(), digest: made }];
+    reads.key = reads.computed_key();
     let plan = [task("makes", &[]), reads];
     let first = world.submit("first", &plan).await;
     for lease in world.claim("w", 2).await {

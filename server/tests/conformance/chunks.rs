@@ -102,6 +102,7 @@ pub async fn what_a_bake_needs_stays_until_it_is_deleted(world: World) {
     }
     let mut reads = task("reads", &[]);
     reads.inputs = vec![TaskInput::Artefact { name: "in".into(), digest: named }];
+    reads.key = reads.computed_key();
     let bake = world.submit("bake", &[reads]).await;
     run_with(&world, &[out, out]).await.unwrap();
     assert_eq!(world.state(&bake).await, BakeState::Done);
@@ -191,6 +192,7 @@ pub async fn bake_without_its_scene_or_artefacts_is_refused(world: World) {
     assert!(matches!(refused, StoreError::MissingChunk { .. }), "{refused}");
     let mut reads = task("reads", &[]);
     reads.inputs = vec![TaskInput::Artefact { name: "in".into(), digest: digest("never stored") }];
+    reads.key = reads.computed_key();
     let refused = world.store.submit(&submission("bake", from_ref(&reads))).await.unwrap_err();
     assert!(matches!(refused, StoreError::MissingChunk { .. }), "{refused}");
     let bake = world.submit("bake", &[task("plan", &[])]).await;

@@ -3,8 +3,10 @@
 use std::slice::from_ref;
 
 use lightkiln_proto::api::{BakeState, Blame, CommitVerdict, EventKind, Lease, Verdict};
+use lightkiln_server::clock::Clock as _;
 use lightkiln_server::store::{
-    BACKOFF_MAX_MS, FailVerdict, MAX_ATTEMPTS, MAX_PARDONS, POISON_WORKERS, backoff_ms,
+    BACKOFF_MAX_MS, FailVerdict, LOST_WORKERS, MAX_ATTEMPTS, MAX_PARDONS, POISON_WORKERS, WAIT_MAX_MS,
+    backoff_ms,
 };
 
 use crate::support::{TTL_MS, World, task};
@@ -76,7 +78,7 @@ pub async fn third_worker_that_fails_makes_it_poison(world: World) {
         assert_eq!(fail(&world, &lease, Blame::Worker).await, wanted);
     }
     let failure = world.show(&bake).await.failure.unwrap();
-    assert!(failure.contains("given up after 3 attempts by 3 workers"), "{failure}");
+    assert!(failure.contains("failed on 3 workers in 3 attempts"), "{failure}");
 }
 
 pub async fn attempts_are_limited(world: World) {
@@ -90,15 +92,75 @@ pub async fn attempts_are_limited(world: World) {
     assert_eq!(world.state(&bake).await, BakeState::Failed);
 }
 
-pub async fn leases_that_run_out_count_as_attempts(world: World) {
+/// Machines go, one after the other, each with the one task that cannot be split.
+pub async fn twenty_five_lost_workers_fail_no_bake(world: World) {
+    let bake = world.submit("bake", &[task("prepare", &[])]).await;
+    let mut waits = Vec::new();
+    for number in 0..25 {
+        let before = world.clock.now_ms();
+        while !world.store.is_any_ready(&["work".into()]).await.unwrap() {
+            world.clock.advance_ms(100);
+        }
+        waits.push(world.clock.now_ms() - before);
+        world.begin_one(&format!("w{number}")).await;
+        world.clock.advance_ms(TTL_MS);
+        let reaped = world.store.reap().await.unwrap();
+        assert_eq!((reaped.expired, reaped.lost, reaped.given_up), (1, 1, 0));
+    }
+    assert!(
+        waits[1] == 0 && waits[24] > waits[4] && waits[4] > 0,
+        "each loss costs more than the one before: {waits:?}"
+    );
+    world.clock.advance_ms(WAIT_MAX_MS);
+    assert_eq!(world.drain("last").await, 1);
+    let bake = world.show(&bake).await;
+    assert_eq!((bake.state, bake.attempts_lost, bake.attempts_failed), (BakeState::Done, 25, 0));
+    assert_eq!(world.store.blocklist(&bake.id).await.unwrap().workers, [], "nobody is to blame");
+}
+
+pub async fn task_that_is_always_lost_fails_its_bake_by_that_word(world: World) {
     let bake = world.submit("bake", &[task("a", &[])]).await;
-    for _ in 1..=MAX_ATTEMPTS {
-        world.begin_one("w").await;
-        assert_eq!(world.expire_leases().await, 1);
+    for number in 1..=LOST_WORKERS {
+        assert_eq!(world.state(&bake).await, BakeState::Running, "loss {number}");
+        let lease = world.begin_one(&format!("w{}", number % 3)).await;
+        // The next start of the worker tells, or the lease runs out.
+        if number % 2 == 0 {
+            let wanted = if number < LOST_WORKERS { FailVerdict::Retry } else { FailVerdict::GivenUp };
+            assert_eq!(fail(&world, &lease, Blame::Lost).await, wanted);
+        } else {
+            world.expire_leases().await;
+        }
+        world.clock.advance_ms(WAIT_MAX_MS);
     }
     let bake = world.show(&bake).await;
-    assert_eq!(bake.state, BakeState::Failed);
-    assert!(bake.failure.unwrap().contains("was not heard from"));
+    assert_eq!((bake.state, bake.attempts_lost), (BakeState::Failed, u64::from(LOST_WORKERS)));
+    let failure = bake.failure.clone().unwrap();
+    assert!(failure.contains("was lost with 50 workers") && !failure.contains("failed on"), "{failure}");
+    let told =
+        |event: &EventKind| matches!(event, EventKind::TaskFailed { blame: Blame::Lost, retry: false, .. });
+    assert!(world.events(&bake).await.iter().any(|event| told(&event.event)));
+}
+
+pub async fn lost_workers_and_failures_are_counted_apart(world: World) {
+    let bake = world.submit("bake", &[task("a", &[])]).await;
+    for number in 1..MAX_ATTEMPTS {
+        for is_lost in [true, false] {
+            let lease = world.begin_one("w").await;
+            let blame = if is_lost { Blame::Lost } else { Blame::Worker };
+            assert_eq!(fail(&world, &lease, blame).await, FailVerdict::Retry, "attempt {number}");
+            world.clock.advance_ms(WAIT_MAX_MS);
+        }
+    }
+    let shown = world.show(&bake).await;
+    let each = u64::from(MAX_ATTEMPTS) - 1;
+    assert_eq!((shown.attempts_failed, shown.attempts_lost), (each, each));
+    let lease = world.begin_one("w").await;
+    assert_eq!(fail(&world, &lease, Blame::Worker).await, FailVerdict::GivenUp);
+    let failure = world.show(&bake).await.failure.unwrap();
+    assert!(
+        failure.contains("failed on 1 worker in 5 attempts") && !failure.contains("was lost"),
+        "{failure}"
+    );
 }
 
 /// The answers to its claims are lost, or it goes before they come.
@@ -111,13 +173,11 @@ pub async fn leases_that_nobody_was_heard_about_count_no_attempt(world: World) {
     assert_eq!(world.store.blocklist(&bake.id).await.unwrap().workers, []);
     let stages = world.show(&bake).await.stages;
     assert_eq!((stages[0].leased, stages[0].done), (0, 0));
-    // Heard once is heard: silence after it is the worker's doing.
-    for attempt in 1..=MAX_ATTEMPTS {
-        assert_eq!(world.state(&bake).await, BakeState::Running, "attempt {attempt}");
-        world.begin_one("w").await;
-        world.expire_leases().await;
-    }
-    assert_eq!(world.state(&bake).await, BakeState::Failed);
+    // Heard once is heard: silence after it is a loss.
+    assert_eq!(world.show(&bake).await.attempts_lost, 0);
+    world.begin_one("w").await;
+    world.expire_leases().await;
+    assert_eq!(world.show(&bake).await.attempts_lost, 1);
 }
 
 /// Its database was slow, or its machine slept: the worker is heard again after its lease has run out.
@@ -128,8 +188,7 @@ pub async fn attempt_of_a_worker_that_was_silent_and_is_alive_is_given_back(worl
         world.clock.advance_ms(TTL_MS);
         let is_noticed = number % 2 == 0;
         if is_noticed {
-            world.store.reap().await.unwrap();
-            assert_eq!(world.store.blocklist(&bake.id).await.unwrap().workers.len(), 1);
+            assert_eq!(world.store.reap().await.unwrap().lost, 1);
         }
         for _ in 0..2 {
             match number % 3 {
@@ -141,15 +200,16 @@ pub async fn attempt_of_a_worker_that_was_silent_and_is_alive_is_given_back(worl
                 }
             }
         }
-        assert_eq!(world.store.reap().await.unwrap().expired, u64::from(!is_noticed));
-        assert_eq!(world.store.blocklist(&bake.id).await.unwrap().workers, []);
+        let reaped = world.store.reap().await.unwrap();
+        assert_eq!((reaped.expired, reaped.lost), (u64::from(!is_noticed), 0));
     }
     // Who is silent again and again is stuck.
-    for attempt in 1..=MAX_ATTEMPTS {
-        assert_eq!(world.state(&bake).await, BakeState::Running, "attempt {attempt}");
+    for loss in 1..=LOST_WORKERS {
+        assert_eq!(world.state(&bake).await, BakeState::Running, "loss {loss}");
         let lease = world.begin_one("w").await;
         assert_eq!(world.expire_leases().await, 1);
         world.store.heartbeat(&lease.token, 0.5).await.unwrap();
+        world.clock.advance_ms(WAIT_MAX_MS);
     }
     assert_eq!(world.state(&bake).await, BakeState::Failed);
 }
@@ -169,6 +229,7 @@ pub async fn failure_that_is_reported_late_still_counts(world: World) {
         EventKind::TaskStarted { attempt, .. } => Some(*attempt),
         _ => None,
     };
+    world.clock.advance_ms(WAIT_MAX_MS);
     world.claim_one("w").await;
     let events = world.events(&bake).await;
     let attempts: Vec<u32> = events.iter().filter_map(|event| started(&event.event)).collect();

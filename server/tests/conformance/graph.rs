@@ -4,10 +4,10 @@ use std::slice::from_ref;
 
 use lightkiln_proto::api::{BakeFilter, BakeState, CommitVerdict};
 use lightkiln_proto::ids::Digest;
-use lightkiln_proto::jobs::TaskInput;
+use lightkiln_proto::jobs::{TaskInput, TaskResult, TaskSpec};
 use lightkiln_server::store::{PlanError, StoreError};
 
-use crate::support::{SCENE, World, outputs, result, submission, task, task_of};
+use crate::support::{SCENE, World, output, outputs, result, submission, task, task_of};
 
 pub async fn dependants_start_only_after_commit(world: World) {
     let a = task("a", &[]);
@@ -29,6 +29,7 @@ pub async fn lease_carries_the_outputs_of_dependencies(world: World) {
     let mut both = task("both", &[&b, &a]);
     let scene = TaskInput::Artefact { name: "scene".into(), digest: Digest::of(SCENE) };
     both.inputs.insert(1, scene);
+    both.key = both.computed_key();
     let bake = world.submit("bake", &[a.clone(), b.clone(), both.clone()]).await;
     for lease in world.claim("w", 2).await {
         world.commit(&lease).await;
@@ -86,7 +87,7 @@ pub async fn plan_with_a_cycle_changes_nothing(world: World) {
     a.inputs = vec![TaskInput::Task { name: "in".into(), key: b.key }];
     b.inputs = vec![TaskInput::Task { name: "in".into(), key: a.key }];
     let refused = world.store.submit(&submission("bad", &[a, b])).await;
-    assert!(matches!(refused, Err(StoreError::Plan(PlanError::Cycle { .. }))));
+    assert!(matches!(refused, Err(StoreError::Plan(PlanError::WrongKey { .. }))));
 }
 
 pub async fn one_key_for_two_tasks_is_refused(world: World) {
@@ -94,7 +95,34 @@ pub async fn one_key_for_two_tasks_is_refused(world: World) {
     let mut forged = task("b", &[]);
     forged.key = task("a", &[]).key;
     let refused = world.store.submit(&submission("forged", &[forged])).await;
-    assert!(matches!(refused, Err(StoreError::Plan(PlanError::KeyClash { .. }))));
+    assert!(matches!(refused, Err(StoreError::Plan(PlanError::WrongKey { .. }))));
+}
+
+/// A worker that plans something else under the key of another scene's import keeps nobody from baking that scene.
+pub async fn plan_cannot_take_the_key_of_a_task_that_is_not_there_yet(world: World) {
+    let planner = task("planner", &[]);
+    let bake = world.submit("hostile", from_ref(&planner)).await;
+    let lease = world.claim_one("w").await;
+    let import = task("import of another scene", &[]);
+    let forgeries: [fn(&mut TaskSpec); 4] = [
+        |task| task.kind = "more".into(),
+        |task| task.params = serde_json::json!({ "name": "nothing" }),
+        |task| task.inputs.push(TaskInput::Artefact { name: "in".into(), digest: output(0) }),
+        |task| task.version += 1,
+    ];
+    for forge in forgeries {
+        let mut forged = import.clone();
+        forge(&mut forged);
+        let result = TaskResult { plan: vec![forged], ..TaskResult::default() };
+        let refused = world.store.commit(&lease.token, &result).await;
+        assert!(matches!(refused, Err(StoreError::Plan(PlanError::WrongKey { .. }))), "{refused:?}");
+    }
+    // The holder keeps its lease, and the other scene is baked.
+    assert_eq!(world.commit(&lease).await, CommitVerdict::Committed);
+    assert_eq!(world.state(&bake).await, BakeState::Done);
+    let other = world.submit("other", from_ref(&import)).await;
+    assert_eq!(world.drain("w").await, 1);
+    assert_eq!(world.state(&other).await, BakeState::Done);
 }
 
 pub async fn bake_is_done_when_all_tasks_are(world: World) {

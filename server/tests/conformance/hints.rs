@@ -82,7 +82,7 @@ fn polled(world: &World) -> Arc<Farm> {
 async fn submit(farm: &Farm) -> Bake {
     let scene = Digest::of(SCENE);
     farm.storage.put(scene, Bytes::from_static(SCENE)).await.unwrap();
-    farm.submit(new_bake("bake", "two"), None, None).await.unwrap()
+    farm.submit(new_bake("bake", "two"), None, None, None).await.unwrap()
 }
 
 fn request(worker: &str) -> ClaimRequest {

@@ -30,7 +30,8 @@ enum Step {
     Claim { worker: u8, max: u32, knows_more: bool },
     Heartbeat(usize),
     Commit(usize),
-    Fail(usize, bool),
+    CommitOtherwise(usize),
+    Fail(usize, Blame),
     Release(usize),
     Wait(i64),
     Reap,
@@ -51,7 +52,15 @@ enum Step {
 fn step() -> impl Strategy<Value = Step> {
     let tasks = vec(0..TASKS, 1..4);
     let submit = (tasks, prop::bool::weighted(0.9), -1..2, prop::option::weighted(0.3, 0_u8..3));
-    let wait = prop_oneof![Just(1_i64), Just(1_000), Just(6_000), Just(30_000), Just(70_000), Just(700_000)];
+    let wait = prop_oneof![
+        Just(1_i64),
+        Just(1_000),
+        Just(6_000),
+        Just(30_000),
+        Just(70_000),
+        Just(700_000),
+        Just(-100_000)
+    ];
     let any = 0_usize..64;
     prop_oneof![
         3 => submit.prop_map(|(tasks, is_closed, priority, key)| Step::Submit { tasks, is_closed, priority, key }),
@@ -59,7 +68,9 @@ fn step() -> impl Strategy<Value = Step> {
             .prop_map(|(worker, max, knows_more)| Step::Claim { worker, max, knows_more }),
         2 => any.clone().prop_map(Step::Heartbeat),
         8 => any.clone().prop_map(Step::Commit),
-        2 => (any.clone(), prop::bool::weighted(0.3)).prop_map(|(lease, task)| Step::Fail(lease, task)),
+        1 => any.clone().prop_map(Step::CommitOtherwise),
+        3 => (any.clone(), prop_oneof![Just(Blame::Task), Just(Blame::Worker), Just(Blame::Lost)])
+            .prop_map(|(lease, blame)| Step::Fail(lease, blame)),
         1 => any.clone().prop_map(Step::Release),
         3 => wait.prop_map(Step::Wait),
         2 => Just(Step::Reap),
@@ -175,10 +186,18 @@ impl Side {
                     Err(error) => refusal(&error),
                 }
             }
-            Step::Fail(number, is_task) => {
+            Step::CommitOtherwise(number) => {
                 let Some(lease) = lease(number) else { return String::new() };
-                let blame = if *is_task { Blame::Task } else { Blame::Worker };
-                format!("{:?}", store.fail(&lease.token, blame, "why").await.unwrap())
+                let mut result = result_of(&lease.task, tasks);
+                result.outputs.iter_mut().for_each(|made| made.digest = output(made.digest.0[0] % 4));
+                match store.commit(&lease.token, &result).await {
+                    Ok(verdict) => format!("{verdict:?}"),
+                    Err(error) => refusal(&error),
+                }
+            }
+            Step::Fail(number, blame) => {
+                let Some(lease) = lease(number) else { return String::new() };
+                format!("{:?}", store.fail(&lease.token, *blame, "why").await.unwrap())
             }
             Step::Release(number) => {
                 let Some(lease) = lease(number) else { return String::new() };

@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 
 use lightkiln_proto::api::{BakeState, Blame, CommitVerdict, EventKind, Verdict};
+use lightkiln_server::store::rules::WORKER_PRESENT_MS;
 use lightkiln_server::store::{FailVerdict, Reaped};
 
 use crate::support::{TTL_MS, World, request, submission, task, task_of};
@@ -117,6 +118,69 @@ pub async fn unknown_token_is_lost_and_stale(world: World) {
     assert_eq!(world.commit(&lease).await, CommitVerdict::Stale);
     assert_eq!(world.store.fail(&lease.token, Blame::Task, "").await.unwrap(), FailVerdict::Stale);
     assert!(!world.store.release(&lease.token).await.unwrap());
+}
+
+/// How far the clock was ahead: an hour or two, as a machine whose clock nobody keeps.
+const AHEAD_MS: i64 = 7_200_000;
+
+pub async fn lease_of_a_clock_that_was_set_back_lasts_no_longer_than_its_length(world: World) {
+    world.clock.advance_ms(AHEAD_MS);
+    world.submit("bake", &[task("a", &[]), task("b", &[])]).await;
+    let [alive, dead] = [world.begin_one("alive").await, world.begin_one("dead").await];
+    world.clock.advance_ms(-AHEAD_MS);
+    assert_eq!(world.store.reap().await.unwrap(), Reaped::default());
+    // Nobody who is there loses his lease for it.
+    world.clock.advance_ms(TTL_MS / 2);
+    let answer = world.store.heartbeat(&alive.token, 0.5).await.unwrap();
+    assert_eq!((answer.verdict, answer.expires_ms), (Verdict::Keep, 1_000_000 + TTL_MS / 2 + TTL_MS));
+    world.clock.advance_ms(TTL_MS / 2);
+    let reaped = world.store.reap().await.unwrap();
+    assert_eq!((reaped.expired, reaped.lost), (1, 1));
+    assert_eq!(world.claim_one("other").await.task.key, dead.task.key);
+    assert_eq!(world.commit(&dead).await, CommitVerdict::Stale);
+    assert_eq!(world.commit(&alive).await, CommitVerdict::Committed);
+}
+
+pub async fn wait_of_a_clock_that_was_set_back_is_over(world: World) {
+    world.clock.advance_ms(AHEAD_MS);
+    world.submit("bake", &[task("a", &[])]).await;
+    let lease = world.claim_one("w").await;
+    world.store.fail(&lease.token, Blame::Worker, "why").await.unwrap();
+    world.clock.advance_ms(-AHEAD_MS);
+    world.store.reap().await.unwrap();
+    assert_eq!(world.claim_one("w").await.task.key, lease.task.key);
+}
+
+pub async fn limit_of_a_clock_that_was_set_back_is_kept(world: World) {
+    world.clock.advance_ms(AHEAD_MS);
+    let mut limited = submission("bake", &[task("a", &[])]);
+    limited.bake.attempt_limit_secs = Some(100);
+    let bake = world.store.submit(&limited).await.unwrap().bake;
+    let lease = world.begin_one("stuck").await;
+    world.clock.advance_ms(-AHEAD_MS);
+    world.store.reap().await.unwrap();
+    for _ in 0..9 {
+        world.clock.advance_ms(10_000);
+        assert_eq!(world.store.heartbeat(&lease.token, 0.5).await.unwrap().verdict, Verdict::Keep);
+    }
+    world.clock.advance_ms(10_000);
+    assert_eq!(world.store.heartbeat(&lease.token, 0.5).await.unwrap().verdict, Verdict::Lost);
+    let reaped = world.store.reap().await.unwrap();
+    assert_eq!((reaped.expired, reaped.lost), (1, 0));
+    assert_eq!(world.show(&bake).await.attempts_failed, 1);
+}
+
+/// A task is left to others who are there; one who was there two hours ahead is not.
+pub async fn worker_seen_by_a_clock_that_was_set_back_is_not_there_for_ever(world: World) {
+    world.clock.advance_ms(AHEAD_MS);
+    world.claim("gone", 0).await;
+    world.clock.advance_ms(-AHEAD_MS);
+    world.submit("bake", &[task("a", &[])]).await;
+    let lease = world.claim_one("w").await;
+    world.store.fail(&lease.token, Blame::Worker, "why").await.unwrap();
+    world.store.reap().await.unwrap();
+    world.clock.advance_ms(WORKER_PRESENT_MS);
+    assert_eq!(world.claim_one("w").await.task.key, lease.task.key);
 }
 
 pub async fn concurrent_claims_hand_every_task_out_once(world: World) {

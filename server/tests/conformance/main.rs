@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
+mod alarms;
 mod bakes;
 mod batch;
 mod bearers;
@@ -53,6 +54,11 @@ macro_rules! conformance {
 }
 
 conformance! {
+    alarms:
+        result_that_is_handed_in_again_with_other_outputs_is_an_alarm
+        late_result_with_other_outputs_is_an_alarm_whichever_came_first
+        late_result_with_the_same_outputs_is_none
+        result_that_is_made_anew_with_other_outputs_is_an_alarm;
     bakes:
         same_key_and_body_give_the_same_bake
         same_key_with_another_body_is_refused
@@ -107,6 +113,7 @@ conformance! {
         plan_with_an_unknown_dependency_changes_nothing
         plan_with_a_cycle_changes_nothing
         one_key_for_two_tasks_is_refused
+        plan_cannot_take_the_key_of_a_task_that_is_not_there_yet
         bake_is_done_when_all_tasks_are
         bake_without_tasks_is_done_at_once
         thousand_tasks_behind_one_are_unlocked_together;
@@ -121,7 +128,11 @@ conformance! {
         released_task_is_ready_and_costs_no_attempt
         release_and_fail_of_a_lost_lease_change_nothing
         unknown_token_is_lost_and_stale
-        concurrent_claims_hand_every_task_out_once;
+        concurrent_claims_hand_every_task_out_once
+        lease_of_a_clock_that_was_set_back_lasts_no_longer_than_its_length
+        wait_of_a_clock_that_was_set_back_is_over
+        limit_of_a_clock_that_was_set_back_is_kept
+        worker_seen_by_a_clock_that_was_set_back_is_not_there_for_ever;
     failure:
         task_fault_fails_every_bake_that_wants_it
         worker_fault_is_retried_by_another_worker_after_a_wait
@@ -129,7 +140,9 @@ conformance! {
         task_goes_back_when_all_others_failed_at_it_too
         third_worker_that_fails_makes_it_poison
         attempts_are_limited
-        leases_that_run_out_count_as_attempts
+        twenty_five_lost_workers_fail_no_bake
+        task_that_is_always_lost_fails_its_bake_by_that_word
+        lost_workers_and_failures_are_counted_apart
         leases_that_nobody_was_heard_about_count_no_attempt
         attempt_of_a_worker_that_was_silent_and_is_alive_is_given_back
         failure_that_is_reported_late_still_counts

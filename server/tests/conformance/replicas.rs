@@ -278,7 +278,7 @@ async fn hint_of_one_server_wakes_a_claim_at_the_other() {
     let waiting = ClaimRequest { kinds: vec!["two.first".into()], wait_secs: 60, ..request("w", 1) };
     let submit_when_it_waits = async {
         while stores[0].workers().await.unwrap().is_empty() {}
-        farms[1].submit(new_bake("bake", "two"), None, None).await.unwrap();
+        farms[1].submit(new_bake("bake", "two"), None, None, None).await.unwrap();
     };
     let (answer, ()) = in_time(futures::future::join(farms[0].claim(waiting), submit_when_it_waits)).await;
     assert_eq!(answer.unwrap().leases.len(), 1);

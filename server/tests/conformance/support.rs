@@ -70,7 +70,7 @@ pub fn submission(name: &str, plan: &[TaskSpec]) -> Submission {
     let settings = serde_json::json!({ "preset": "draft" });
     let bake = NewBake { settings, ..new_bake(name, "test") };
     let body_hash = Digest::of(name.as_bytes());
-    Submission { idempotency_key: None, body_hash, traceparent: None, bake, plan: plan.to_vec() }
+    Submission { idempotency_key: None, body_hash, traceparent: None, owner: None, bake, plan: plan.to_vec() }
 }
 
 /// A claim of kind `work`.

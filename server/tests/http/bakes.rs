@@ -13,7 +13,7 @@ use serde_json::{Value, json};
 
 use crate::support::{Answer, Running, start};
 
-const SCENE: &[u8] = b"a scene";
+pub const SCENE: &[u8] = b"a scene";
 
 pub fn new_bake(scene: Digest, settings: Value) -> NewBake {
     NewBake {

@@ -41,7 +41,7 @@ async fn submit_at(server: &Server, seat: &str) -> Bake {
     let mut bake = new_bake(Digest::of(scene), serde_json::json!({}));
     bake.needs.labels.push(seat.to_owned());
     server.farm().storage.put(bake.scene, scene.into()).await.unwrap();
-    server.farm().submit(NewBake { name: seat.into(), ..bake }, None, None).await.unwrap()
+    server.farm().submit(NewBake { name: seat.into(), ..bake }, None, None, None).await.unwrap()
 }
 
 fn request_at(seat: &str, wait_secs: u32) -> ClaimRequest {

@@ -12,6 +12,7 @@ mod life;
 mod limits;
 mod listing;
 mod metrics;
+mod owners;
 mod pages;
 #[path = "../parts/mod.rs"]
 mod parts;

@@ -123,6 +123,8 @@ async fn metrics_of_a_farm_are_read_by_the_rules_of_their_format() {
         ("commits", "", 2.0),
         ("stale_commits", "", 0.0),
         ("expiries", "", 0.0),
+        ("lost_workers", "", 0.0),
+        ("differing_results", "", 0.0),
         ("full_refusals", "", 0.0),
         ("tasks_run", "", 2.0),
         ("tasks_reused", "", 2.0),

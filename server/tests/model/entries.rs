@@ -6,6 +6,7 @@ use lightkiln_proto::api::{BakeEvent, BakeState, NewBake};
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{Artefact, MANIFEST_OUTPUT, REPORT_OUTPUT, TaskResult, TaskSpec};
 
+use super::alarms::Given;
 use lightkiln_server::store::rules::Abilities;
 use lightkiln_server::store::{LeaseState, Submission};
 
@@ -34,6 +35,10 @@ pub(super) struct BakeEntry {
     pub(super) report: Option<Digest>,
     /// Index of the attached evaluation, and all chunks that it takes.
     pub(super) evaluation: Option<(Digest, BTreeSet<Digest>)>,
+    pub(super) owner: Option<String>,
+    pub(super) attempts_failed: u64,
+    pub(super) attempts_lost: u64,
+    pub(super) alarms: u64,
     pub(super) failure: Option<String>,
     pub(super) created_ms: i64,
     pub(super) finished_ms: Option<i64>,
@@ -70,12 +75,21 @@ pub(super) struct Task {
     pub(super) done: Option<(TaskResult, String)>,
     /// Token of the attempt under way.
     pub(super) lease: Option<String>,
+    /// Attempts that failed.
     pub(super) attempts: u32,
+    /// Times that a worker was lost with it.
+    pub(super) losses: u32,
     /// Attempts that were given back, or not counted, as their workers were silent for a while, and alive.
     pub(super) pardons: u32,
     pub(super) not_before_ms: i64,
     /// Workers that failed at it.
     pub(super) blamed: BTreeSet<String>,
+    /// Workers that were lost with it.
+    pub(super) lost_with: BTreeSet<String>,
+    /// Worker that gave its result.
+    pub(super) done_by: String,
+    /// Results that came too late, until it has one.
+    pub(super) witnesses: Vec<Given>,
     /// Tasks that are to make again the artefacts that it names.
     pub(super) makers: BTreeSet<TaskKey>,
     /// Its outputs before its result was forgotten.
@@ -101,13 +115,15 @@ pub(super) struct LeaseEntry {
     pub(super) graces: u32,
 }
 
-/// An attempt that was counted because its lease ran out.
+/// An attempt whose lease ran out.
 #[derive(Clone)]
 pub(super) struct ExpiredEntry {
     pub(super) key: TaskKey,
     pub(super) worker: String,
-    /// The worker had not failed at the task before.
-    pub(super) has_blamed: bool,
+    /// It counts as a loss, as its worker was not heard since.
+    pub(super) counted: bool,
+    /// The worker had not been lost with the task before.
+    pub(super) is_first: bool,
 }
 
 #[derive(Clone)]
@@ -139,6 +155,10 @@ impl BakeEntry {
             manifest: None,
             report: None,
             evaluation: None,
+            owner: submission.owner.clone(),
+            attempts_failed: 0,
+            attempts_lost: 0,
+            alarms: 0,
             failure: None,
             created_ms: now_ms,
             finished_ms: None,
@@ -186,16 +206,20 @@ impl BakeEntry {
 impl Task {
     pub(super) fn new(spec: TaskSpec, number: u64) -> Self {
         let (blamed, makers, outputs_before) = (BTreeSet::new(), BTreeSet::new(), Vec::new());
-        let (attempts, pardons, not_before_ms) = (0, 0, 0);
+        let (attempts, losses, pardons, not_before_ms) = (0, 0, 0, 0);
         Self {
             spec,
             number,
             done: None,
             lease: None,
             attempts,
+            losses,
             pardons,
             not_before_ms,
             blamed,
+            lost_with: BTreeSet::new(),
+            done_by: String::new(),
+            witnesses: Vec::new(),
             makers,
             outputs_before,
         }

@@ -23,6 +23,8 @@ pub(super) struct Farm {
     pub(super) leases: BTreeMap<String, LeaseEntry>,
     /// By token.
     pub(super) expired: BTreeMap<String, ExpiredEntry>,
+    /// Tokens of results that differed from another one of their task.
+    pub(super) alarms: BTreeSet<String>,
     /// By name.
     pub(super) workers: BTreeMap<String, WorkerEntry>,
     /// By name.

@@ -4,24 +4,25 @@ use std::cmp::Reverse;
 use std::collections::BTreeSet;
 
 use lightkiln_proto::api::{
-    BakeState, Blame, BlockedWorker, Blocklist, ClaimRequest, CommitVerdict, EventKind, HeartbeatAnswer,
-    Lease, Verdict,
+    BakeState, BlockedWorker, Blocklist, ClaimRequest, CommitVerdict, EventKind, HeartbeatAnswer, Lease,
+    Verdict,
 };
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{TaskResult, TaskSpec};
 
-use super::entries::{BakeEntry, ExpiredEntry, LeaseEntry, Member, Task, WorkerEntry};
+use super::alarms::Given;
+use super::entries::{BakeEntry, LeaseEntry, Member, Task, WorkerEntry};
 use super::farm::Farm;
 use lightkiln_server::random;
 use lightkiln_server::store::rules::{
     self, Abilities, BLOCK_TASKS, CLAIM_WINDOW, Contender, MAX_GRACES, MAX_PARDONS, WORKER_PRESENT_MS,
     WORKER_SEEN_GRAIN_MS, add_counters, next_contender,
 };
-use lightkiln_server::store::{FailVerdict, LeaseState, Reaped, StoreError, TaskState};
+use lightkiln_server::store::{LeaseState, StoreError, TaskState};
 
 impl LeaseEntry {
     /// How long the attempt has taken.
-    fn elapsed_ms(&self, now_ms: i64) -> u64 {
+    pub(super) fn elapsed_ms(&self, now_ms: i64) -> u64 {
         u64::try_from(now_ms - self.started_ms).unwrap_or(0)
     }
 }
@@ -136,7 +137,7 @@ impl Farm {
         let fresh = WorkerEntry { abilities: Abilities::of(request), seen_ms: now_ms, scene: None };
         let worker = self.workers.entry(request.worker.clone()).or_insert_with(|| fresh.clone());
         if worker.abilities != fresh.abilities || now_ms - worker.seen_ms >= WORKER_SEEN_GRAIN_MS {
-            (worker.abilities, worker.seen_ms) = (fresh.abilities, now_ms);
+            (worker.abilities, worker.seen_ms) = (fresh.abilities, worker.seen_ms.max(now_ms));
         }
     }
 
@@ -207,7 +208,7 @@ impl Farm {
             self.bakes[bake].stage(&kind).first_claim_ms.get_or_insert(now_ms);
         }
         let worker = request.worker.clone();
-        let attempt = self.tasks[&key].attempts + 1;
+        let attempt = self.tasks[&key].attempts + self.tasks[&key].losses + 1;
         for bake in self.live_bakes_of(key) {
             let TaskSpec { kind, label, .. } = self.tasks[&key].spec.clone();
             let worker = worker.clone();
@@ -263,8 +264,8 @@ impl Farm {
         HeartbeatAnswer { verdict, expires_ms: lease.expires_ms }
     }
 
-    /// A holder whose lease has run out turns out to be alive: its attempt is given back, once, and not for ever.
-    fn hear_late(&mut self, token: &str, now_ms: i64) {
+    /// A holder whose lease has run out turns out to be alive: its loss is given back, once, and not for ever.
+    pub(super) fn hear_late(&mut self, token: &str, now_ms: i64) {
         if let Some(lease) = self.leases.get_mut(token)
             && lease.state == LeaseState::Held
             && lease.expires_ms <= now_ms
@@ -272,21 +273,23 @@ impl Farm {
         {
             lease.state = LeaseState::Late;
         }
-        let Some(expired) = self.expired.remove(token) else { return };
+        let Some(expired) = self.expired.get_mut(token).filter(|expired| expired.counted) else { return };
+        expired.counted = false;
+        let expired = expired.clone();
         if let Some(task) = self.tasks.get_mut(&expired.key)
             && task.done.is_none()
-            && task.attempts > 0
+            && task.losses > 0
             && task.pardons < MAX_PARDONS
         {
-            (task.attempts, task.pardons) = (task.attempts - 1, task.pardons + 1);
-            if expired.has_blamed {
-                task.blamed.remove(&expired.worker);
+            (task.losses, task.pardons) = (task.losses - 1, task.pardons + 1);
+            if expired.is_first {
+                task.lost_with.remove(&expired.worker);
             }
         }
     }
 
     /// Takes the lease away if it is still good. A cancelled one goes too, but gives nothing.
-    fn end_lease(&mut self, token: &str, now_ms: i64) -> Option<LeaseEntry> {
+    pub(super) fn end_lease(&mut self, token: &str, now_ms: i64) -> Option<LeaseEntry> {
         let lease = self.leases.get(token)?;
         if lease.cancelled {
             self.leases.remove(token);
@@ -298,7 +301,7 @@ impl Farm {
         self.take_lease(token)
     }
 
-    fn take_lease(&mut self, token: &str) -> Option<LeaseEntry> {
+    pub(super) fn take_lease(&mut self, token: &str) -> Option<LeaseEntry> {
         let lease = self.leases.remove(token)?;
         if let Some(task) = self.tasks.get_mut(&lease.key)
             && !lease.cancelled
@@ -314,8 +317,10 @@ impl Farm {
         result: &TaskResult,
         now_ms: i64,
     ) -> Result<CommitVerdict, StoreError> {
-        let by_token = |task: &Task| task.done.as_ref().is_some_and(|(_, by)| by == token);
-        if self.tasks.values().any(by_token) {
+        let by_token = |task: &&Task| task.done.as_ref().is_some_and(|(_, by)| by == token);
+        if let Some(task) = self.tasks.values().find(by_token) {
+            let (key, worker) = (task.spec.key, task.done_by.clone());
+            self.compare(key, &self.outputs_of(&key), &Given::of(token, &worker, result), now_ms);
             return Ok(CommitVerdict::AlreadyCommitted);
         }
         rules::check_plan(&result.plan)?;
@@ -324,11 +329,17 @@ impl Farm {
             result.outputs.iter().try_for_each(|output| self.chunks.require(output.digest))?;
         }
         self.hear_late(token, now_ms);
-        let Some(lease) = self.end_lease(token, now_ms) else { return Ok(CommitVerdict::Stale) };
+        let Some(lease) = self.end_lease(token, now_ms) else {
+            self.witness(token, result, now_ms);
+            return Ok(CommitVerdict::Stale);
+        };
         let key = lease.key;
         let Some(task) = self.tasks.get_mut(&key) else { return Ok(CommitVerdict::Stale) };
         task.done = Some((result.clone(), token.to_owned()));
+        task.done_by.clone_from(&lease.worker);
         let before = std::mem::take(&mut task.outputs_before);
+        let mut witnesses = std::mem::take(&mut task.witnesses);
+        witnesses.sort_by_key(|given| rules::order_of_witness(&given.worker, &given.outputs));
         let (spec, attempt) = (task.spec.clone(), lease.attempt);
         self.release_readers(key);
         for bake in &mut self.bakes {
@@ -338,6 +349,12 @@ impl Farm {
                     (member.held, member.lost, member.place) = (true, false, place);
                 }
             }
+        }
+        if !before.is_empty() {
+            self.compare(key, &before, &Given::of(token, &lease.worker, result), now_ms);
+        }
+        for given in witnesses {
+            self.compare(key, &result.outputs, &given, now_ms);
         }
         for bake in self.live_bakes_of(key) {
             let entry = &mut self.bakes[bake];
@@ -362,134 +379,5 @@ impl Farm {
             self.finish_if_done(bake, now_ms);
         }
         Ok(CommitVerdict::Committed)
-    }
-
-    pub(super) fn release(&mut self, token: &str, now_ms: i64) -> bool {
-        self.hear_late(token, now_ms);
-        let Some(lease) = self.end_lease(token, now_ms) else { return false };
-        let key = lease.key;
-        for bake in self.live_bakes_of(key) {
-            let TaskSpec { kind, label, .. } = self.tasks[&key].spec.clone();
-            let (worker, elapsed_ms) = (lease.worker.clone(), lease.elapsed_ms(now_ms));
-            self.event(bake, now_ms, EventKind::TaskReleased { key, kind, label, worker, elapsed_ms });
-        }
-        true
-    }
-
-    pub(super) fn fail(&mut self, token: &str, blame: Blame, message: &str, now_ms: i64) -> FailVerdict {
-        let Some(lease) = self.end_lease(token, now_ms) else { return FailVerdict::Stale };
-        let message = rules::cut_message(message);
-        match blame {
-            Blame::Task => {
-                let TaskSpec { label, kind, .. } = &self.tasks[&lease.key].spec;
-                let failure = rules::task_fault_message(label, kind, &lease.worker, &message);
-                self.give_up(&lease, (blame, &message), &failure, now_ms);
-                FailVerdict::GivenUp
-            }
-            Blame::Worker if lease.input_lost => {
-                self.task_failed(&lease, (blame, &message), Some(0), now_ms);
-                FailVerdict::Retry
-            }
-            Blame::Worker => {
-                let Some(attempts) = self.blame_worker(&lease, &message, now_ms) else {
-                    return FailVerdict::GivenUp;
-                };
-                let wait_ms = rules::retry_wait_ms(lease.key, attempts);
-                if let Some(task) = self.tasks.get_mut(&lease.key) {
-                    task.not_before_ms = now_ms + wait_ms;
-                }
-                self.task_failed(&lease, (blame, &message), Some(wait_ms), now_ms);
-                FailVerdict::Retry
-            }
-        }
-    }
-
-    /// Counts an attempt against a worker: attempts so far, or none when the task was given up.
-    fn blame_worker(&mut self, lease: &LeaseEntry, message: &str, now_ms: i64) -> Option<u32> {
-        let task = self.tasks.get_mut(&lease.key)?;
-        task.attempts += 1;
-        task.blamed.insert(lease.worker.clone());
-        let (attempts, workers) = (task.attempts, task.blamed.len() as u32);
-        if !rules::is_given_up(attempts, workers) {
-            return Some(attempts);
-        }
-        let TaskSpec { label, kind, .. } = &task.spec;
-        let failure = rules::given_up_message(label, kind, attempts, workers, message);
-        self.give_up(lease, (Blame::Worker, message), &failure, now_ms);
-        None
-    }
-
-    fn give_up(&mut self, lease: &LeaseEntry, why: (Blame, &str), failure: &str, now_ms: i64) {
-        self.task_failed(lease, why, None, now_ms);
-        for bake in self.live_bakes_of(lease.key) {
-            self.close(bake, BakeState::Failed, Some(failure.to_owned()), now_ms);
-        }
-    }
-
-    fn task_failed(
-        &mut self,
-        lease: &LeaseEntry,
-        (blame, message): (Blame, &str),
-        wait_ms: Option<i64>,
-        now_ms: i64,
-    ) {
-        let TaskSpec { kind, label, .. } = self.tasks[&lease.key].spec.clone();
-        let failed = EventKind::TaskFailed {
-            key: lease.key,
-            kind,
-            label,
-            worker: lease.worker.clone(),
-            message: message.to_owned(),
-            retry: wait_ms.is_some(),
-            blame,
-            attempt: lease.attempt,
-            elapsed_ms: lease.elapsed_ms(now_ms),
-            wait_ms: wait_ms.and_then(|wait_ms| u64::try_from(wait_ms).ok()).unwrap_or(0),
-        };
-        for bake in self.live_bakes_of(lease.key) {
-            self.event(bake, now_ms, failed.clone());
-        }
-    }
-
-    pub(super) fn reap(&mut self, now_ms: i64) -> Reaped {
-        let mut out: Vec<(i64, TaskKey, String)> = Vec::new();
-        for (token, lease) in &self.leases {
-            if lease.expires_ms <= now_ms {
-                out.push((lease.expires_ms, lease.key, token.clone()));
-            }
-        }
-        out.sort();
-        let mut reaped = Reaped::default();
-        for (_, key, token) in out {
-            // Dropped with its bake meanwhile, or cancelled before: nobody is to blame.
-            let Some(lease) = self.take_lease(&token).filter(|lease| !lease.cancelled) else { continue };
-            reaped.expired += 1;
-            let took_too_long = lease.expires_ms >= lease.deadline_ms;
-            for bake in self.live_bakes_of(key) {
-                let TaskSpec { kind, label, .. } = self.tasks[&key].spec.clone();
-                let (worker, attempt) = (lease.worker.clone(), lease.attempt);
-                let elapsed_ms = lease.elapsed_ms(now_ms);
-                let expired =
-                    EventKind::LeaseExpired { key, kind, label, worker, attempt, elapsed_ms, took_too_long };
-                self.event(bake, now_ms, expired);
-            }
-            let Some(task) = self.tasks.get_mut(&key) else { continue };
-            let is_pardoned = lease.state == LeaseState::Late && task.pardons < MAX_PARDONS;
-            task.pardons += u32::from(is_pardoned);
-            if lease.state == LeaseState::Granted || is_pardoned {
-                continue;
-            }
-            if !took_too_long {
-                let has_blamed = !task.blamed.contains(&lease.worker);
-                let expired = ExpiredEntry { key, worker: lease.worker.clone(), has_blamed };
-                self.expired.insert(token, expired);
-            }
-            let message =
-                if took_too_long { rules::limit_message } else { rules::expiry_message }(&lease.worker);
-            if self.blame_worker(&lease, &message, now_ms).is_none() {
-                reaped.given_up += 1;
-            }
-        }
-        reaped
     }
 }

@@ -2,7 +2,9 @@
 //!
 //! It says how the stores in databases must behave, in the fewest words. It keeps nothing when the process ends.
 
+mod alarms;
 mod chunks;
+mod ends;
 mod entries;
 mod farm;
 mod leases;
@@ -25,7 +27,7 @@ use lightkiln_server::chunks::ChunkName;
 use lightkiln_server::clock::Clock;
 use lightkiln_server::store::chunk::{ChunkRow, CollectRules, Collected, Kept, KeptChunk, Usage};
 use lightkiln_server::store::{
-    FailVerdict, FarmStore, KnownResult, Named, Reaped, Stats, StoreError, Submission, Submitted,
+    FailVerdict, FarmRules, FarmStore, KnownResult, Named, Reaped, Stats, StoreError, Submission, Submitted,
     require_live, same_bearer,
 };
 
@@ -33,12 +35,13 @@ use lightkiln_server::store::{
 pub struct MemoryStore {
     farm: Mutex<Farm>,
     clock: Arc<dyn Clock>,
+    rules: FarmRules,
 }
 
 impl MemoryStore {
     /// An empty farm.
     pub fn new(clock: Arc<dyn Clock>) -> Self {
-        Self { farm: Mutex::default(), clock }
+        Self { farm: Mutex::default(), clock, rules: FarmRules::default() }
     }
 
     fn farm(&self) -> MutexGuard<'_, Farm> {
@@ -96,7 +99,7 @@ impl FarmStore for MemoryStore {
     }
 
     async fn fail(&self, token: &str, blame: Blame, message: &str) -> Result<FailVerdict, StoreError> {
-        Ok(self.change(|farm, now_ms| farm.fail(token, blame, message, now_ms)))
+        Ok(self.change(|farm, now_ms| farm.fail(token, blame, message, (self.rules, now_ms))))
     }
 
     async fn release(&self, token: &str) -> Result<bool, StoreError> {
@@ -120,7 +123,7 @@ impl FarmStore for MemoryStore {
     }
 
     async fn reap(&self) -> Result<Reaped, StoreError> {
-        Ok(self.change(Farm::reap))
+        Ok(self.change(|farm, now_ms| farm.reap(self.rules, now_ms)))
     }
 
     async fn pause(&self, bake: &str) -> Result<Bake, StoreError> {

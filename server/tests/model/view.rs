@@ -30,6 +30,10 @@ impl Farm {
             tasks_run: entry.tasks_run,
             tasks_reused: reused(entry),
             results_lost: entry.members.values().filter(|member| member.lost).count() as u64,
+            attempts_failed: entry.attempts_failed,
+            attempts_lost: entry.attempts_lost,
+            alarms: entry.alarms,
+            owner: entry.owner.clone(),
             failure: entry.failure.clone(),
             manifest: entry.manifest.filter(|_| done),
             report: entry.report.filter(|_| done),
@@ -190,6 +194,7 @@ impl Farm {
             bakes_total: self.bakes.len() as u64,
             tasks_run: self.gone_run + self.bakes.iter().map(|bake| bake.tasks_run).sum::<u64>(),
             tasks_reused: self.gone_reused + self.bakes.iter().map(reused).sum::<u64>(),
+            alarms: self.alarms.len() as u64,
         }
     }
 }

@@ -6,7 +6,7 @@ use std::sync::Mutex;
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
-use lightkiln_http::{CallError, FOREVER, ShutdownFlag, retry};
+use lightkiln_http::{CallError, ShutdownFlag};
 use lightkiln_proto::api::{Blame, CommitVerdict, Failure, Lease, TaskResult};
 use lightkiln_proto::problem::{ProblemCode, chain};
 use lightkiln_proto::trace::TARGET;
@@ -15,11 +15,8 @@ use rayon::{ThreadPool, ThreadPoolBuildError};
 use super::Worker;
 use super::store::LeaseStore;
 use super::trace::{self, step};
-use super::watch::{LEASE_INTERVALS, LastWords, LeaseWatch, StopReason};
+use super::watch::{LEASE_INTERVALS, LeaseWatch, StopReason, cut, tell};
 use crate::task::{Progress, TaskError, TaskOutput};
-
-/// Most characters of a failure message.
-const MESSAGE_CHARS_MAX: usize = 4000;
 
 /// Most times that a result's outputs are uploaded before the attempt fails.
 const UPLOADS_MAX: u32 = 4;
@@ -60,6 +57,7 @@ impl Worker {
             interval: Duration::from_secs(self.config.lease_secs.into()) / LEASE_INTERVALS,
             grace: self.config.drain_grace,
             progress: &progress,
+            memory: &self.memory_watch,
             shutdown,
             finished: AtomicBool::new(false),
             stop: Mutex::new(None),
@@ -150,6 +148,8 @@ impl Worker {
                 tracing::info!(kind = lease.task.kind, label, "the lease was lost; its result is dropped");
                 Outcome::Lost
             }
+            // The watch reported it at once: the process might not have lived on until here.
+            (Err(_), Some(StopReason::Exhausted)) => Outcome::Failed(Blame::Worker),
             (Err(NoResult::Stopped), reason) | (Err(NoResult::Failed(_)), reason @ Some(_)) => {
                 tracing::info!(kind = lease.task.kind, label, ?reason, "given back");
                 tell("release", &watch.last_words(), || self.farm.release(&lease.token));
@@ -161,19 +161,6 @@ impl Worker {
                 Outcome::Failed(failure.blame)
             }
         }
-    }
-}
-
-/// Makes a report until it is heard. It is given up when the lease has surely run out, or nobody may wait any more: then
-/// the server finds out by itself, and counts an attempt.
-fn tell(what: &str, patience: &LastWords<'_>, mut call: impl FnMut() -> Result<(), CallError>) {
-    let pause = |error: &CallError, wait| {
-        tracing::warn!(%error, "a {what} could not be reported yet");
-        if patience.wait(wait) { Ok(()) } else { Err(CallError::Stopped) }
-    };
-    // At once a second time: a connection that was kept open may have been closed meanwhile.
-    if let Err(error) = call().or_else(|_| retry(FOREVER, call, pause)) {
-        tracing::warn!(%error, "a {what} could not be reported; the lease will run out instead");
     }
 }
 
@@ -212,12 +199,6 @@ fn no_result_of_call(what: &str, error: CallError) -> NoResult {
         false => (Blame::Worker, ""),
     };
     NoResult::Failed(Failure { blame, message: cut(&format!("{what}: {}{next_step}", chain(&error))) })
-}
-
-/// As much of a message as a server keeps; U+0000 would be refused.
-fn cut(text: &str) -> String {
-    let kept = text.chars().take(MESSAGE_CHARS_MAX);
-    kept.map(|c| if c == '\0' { char::REPLACEMENT_CHARACTER } else { c }).collect()
 }
 
 fn panic_message(panic: &(dyn Any + Send)) -> String {

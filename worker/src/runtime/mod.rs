@@ -9,6 +9,8 @@
 mod attempt;
 mod claim;
 mod farm;
+mod memory;
+mod seat;
 mod share;
 mod store;
 #[cfg(test)]
@@ -18,9 +20,10 @@ mod watch;
 
 use std::panic::resume_unwind;
 use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::ScopedJoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use lightkiln_http::{DiskCache, FOREVER, retry};
 use lightkiln_proto::api::ClaimRequest;
@@ -29,14 +32,19 @@ use thiserror::Error;
 
 use crate::task::{MemoryCache, TaskRunner};
 use farm::Farm;
+use memory::{LOOK_EVERY, MemoryWatch};
 use share::Threads;
 
 pub use attempt::Outcome;
 pub use lightkiln_http::{CallError, Level, ShutdownFlag};
+pub use seat::Seat;
 pub use share::usual_tasks;
 
 /// Pause after an answer without tasks, so that a server that does not hold claims open is not asked in a tight loop.
 const EMPTY_ANSWER_PAUSE: Duration = Duration::from_millis(20);
+
+/// Time for which a worker without a task waits for memory of its own to come free before it ends.
+const IDLE_PATIENCE: Duration = Duration::from_secs(5);
 
 /// Configuration of a worker.
 #[derive(Clone, Debug)]
@@ -55,6 +63,12 @@ pub struct WorkerConfig {
     pub tasks: usize,
     /// Memory in MiB that a task may use; bakes that need more go to other workers.
     pub memory_mib: u32,
+    /// Most bytes that this process may take: tasks in hand fail as out of memory when it takes more. Without one, limits of the
+    /// kernel alone count.
+    pub memory_limit: Option<u64>,
+    /// Seat on this machine, from which the next process tells what this one left. Without one, leases of a process that ends without
+    /// a word run out.
+    pub seat: Option<Arc<Seat>>,
     /// Labels that bakes may ask for.
     pub labels: Vec<String>,
     /// Folder for fetched artefacts; without one each is fetched anew unless it is still in memory.
@@ -83,6 +97,8 @@ impl WorkerConfig {
             threads,
             tasks: usual_tasks(threads),
             memory_mib: 0,
+            memory_limit: None,
+            seat: None,
             labels: Vec::new(),
             cache_dir: None,
             cache_bytes: 20 << 30,
@@ -122,6 +138,14 @@ pub enum WorkerError {
     /// The server cannot be called by this URL, or with these certificates.
     #[error(transparent)]
     Server(CallError),
+    /// The memory that this process took does not come free.
+    #[error(
+        "this worker has no memory left, and none comes free without a task: {seen}; its next start begins with none taken"
+    )]
+    Memory {
+        /// The limit that is reached.
+        seen: String,
+    },
     /// The server refuses this worker for good.
     #[error("the server gives this worker no tasks")]
     Refused(#[source] CallError),
@@ -135,6 +159,9 @@ pub struct Worker {
     disk: Option<DiskCache>,
     memory: MemoryCache,
     threads: Threads,
+    memory_watch: MemoryWatch,
+    /// Tasks in hand.
+    in_hand: AtomicUsize,
     /// Held while a claim is open: one call waits for work, however many tasks may be in hand.
     claiming: Mutex<()>,
 }
@@ -161,19 +188,25 @@ impl Worker {
         let farm = Farm::new(&config.server_url, config.token.as_deref(), config.ca_pem.as_deref());
         let farm = Arc::new(farm.map_err(WorkerError::Server)?);
         let memory = MemoryCache::new(config.memory_bytes);
-        Ok(Self { config, runner, farm, disk, memory, threads, claiming: Mutex::new(()) })
+        let memory_watch = MemoryWatch::new(config.memory_limit);
+        let (in_hand, claiming) = (AtomicUsize::new(0), Mutex::new(()));
+        Ok(Self { config, runner, farm, disk, memory, threads, memory_watch, in_hand, claiming })
     }
 
     /// Claims and does tasks until `shutdown` is raised. A server that is away is waited for.
     pub fn run(&self, shutdown: &ShutdownFlag) -> Result<(), WorkerError> {
+        self.tell_of_left(shutdown);
+        let has_ended = AtomicBool::new(false);
         std::thread::scope(|scope| {
+            scope.spawn(|| self.watch_memory(&has_ended, shutdown));
             let start = |_| scope.spawn(|| self.take_tasks(shutdown));
             let running: Vec<_> = (0..self.config.tasks.max(1)).map(start).collect();
-            let join =
-                |thread: ScopedJoinHandle<_>| thread.join().unwrap_or_else(|panic| resume_unwind(panic));
             // Who is refused for good ends alone: the others will be refused as well, and have a task to end.
-            let ended: Vec<Result<(), WorkerError>> = running.into_iter().map(join).collect();
-            ended.into_iter().collect()
+            let ended: Vec<std::thread::Result<_>> =
+                running.into_iter().map(ScopedJoinHandle::join).collect();
+            has_ended.store(true, Ordering::Release);
+            shutdown.wake();
+            ended.into_iter().map(|ended| ended.unwrap_or_else(|panic| resume_unwind(panic))).collect()
         })
     }
 
@@ -185,13 +218,22 @@ impl Worker {
             if is_over(shutdown.wait(wait, is_over)) { Err(CallError::Stopped) } else { Ok(()) }
         };
         while !is_over(shutdown.level()) {
+            self.wait_for_memory(shutdown)?;
             let turn = self.claiming.lock().unwrap_or_else(PoisonError::into_inner);
             let claimed = retry(FOREVER, || claim::claim(&self.farm, self.claim_request(), shutdown), pause);
             match claimed {
                 Ok(Some(lease)) => {
                     drop(turn);
                     tracing::info!(kind = lease.task.kind, label = lease.task.label, "took");
+                    self.in_hand.fetch_add(1, Ordering::AcqRel);
+                    if let Some(seat) = &self.config.seat {
+                        seat.hold(&self.config.server_url, &lease.token, &lease.task.label);
+                    }
                     self.attempt(&lease, shutdown);
+                    if let Some(seat) = &self.config.seat {
+                        seat.let_go(&lease.token);
+                    }
+                    self.in_hand.fetch_sub(1, Ordering::AcqRel);
                 }
                 Ok(None) => {
                     shutdown.wait(EMPTY_ANSWER_PAUSE, is_over);
@@ -199,6 +241,65 @@ impl Worker {
                 Err(CallError::Stopped) => break,
                 Err(error) => return Err(WorkerError::Refused(error)),
             }
+        }
+        Ok(())
+    }
+
+    /// Tells the farm of leases that former processes in this seat left, so that their tasks need not wait for the leases' end.
+    fn tell_of_left(&self, shutdown: &ShutdownFlag) {
+        let Some(seat) = &self.config.seat else { return };
+        for (token, failure) in seat.left(&self.config.server_url, &self.config.name) {
+            let pause = |error: &CallError, wait: Duration| {
+                tracing::warn!(%error, "a task of a process before this one could not be given up yet");
+                let level = shutdown.wait(wait, |level| level > Level::Run);
+                if level > Level::Run { Err(CallError::Stopped) } else { Ok(()) }
+            };
+            match retry(FOREVER, || self.farm.fail(&token, &failure), pause) {
+                // The next process tries again.
+                Err(CallError::Stopped) => return,
+                Err(error) => {
+                    tracing::warn!(%error, "a task of a process before this one is left to its lease's end")
+                }
+                Ok(()) => tracing::warn!(reason = failure.message, "a process before this one left a task"),
+            }
+            seat.let_go(&token);
+        }
+    }
+
+    /// Looks at the memory until all tasks have ended.
+    fn watch_memory(&self, has_ended: &AtomicBool, shutdown: &ShutdownFlag) {
+        let mut noted = None;
+        while !has_ended.load(Ordering::Acquire) {
+            if self.memory_watch.look() {
+                // Those who keep leases look at it.
+                shutdown.wake();
+            }
+            let near = self.memory_watch.near();
+            if let Some(seat) = self.config.seat.as_ref().filter(|_| near != noted) {
+                seat.note_memory(near.clone());
+                noted = near;
+            }
+            shutdown.wait(LOOK_EVERY, |_| has_ended.load(Ordering::Acquire));
+        }
+    }
+
+    /// Begins nothing while memory is used up: the tasks that failed for it are still letting go of it. Errors if it does not come free
+    /// without any task.
+    fn wait_for_memory(&self, shutdown: &ShutdownFlag) -> Result<(), WorkerError> {
+        let mut idle_since = None;
+        while shutdown.level() == Level::Run
+            && let Some(seen) = self.memory_watch.exhausted()
+        {
+            if self.in_hand.load(Ordering::Acquire) > 0 || !self.memory_watch.is_own() {
+                idle_since = None;
+            } else {
+                self.memory.clear();
+                let since = idle_since.get_or_insert_with(Instant::now);
+                if since.elapsed() >= IDLE_PATIENCE {
+                    return Err(WorkerError::Memory { seen });
+                }
+            }
+            shutdown.wait(LOOK_EVERY, |level| level > Level::Run);
         }
         Ok(())
     }

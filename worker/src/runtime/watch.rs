@@ -5,12 +5,16 @@ use std::sync::PoisonError;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use lightkiln_http::{CallError, Level, ShutdownFlag};
-use lightkiln_proto::api::Verdict;
+use lightkiln_http::{CallError, FOREVER, Level, ShutdownFlag, retry};
+use lightkiln_proto::api::{Blame, Failure, Verdict};
 
 use super::farm::Farm;
+use super::memory::MemoryWatch;
 use super::store::LeaseStore;
 use crate::task::Progress;
+
+/// Most characters of a failure message.
+const MESSAGE_CHARS_MAX: usize = 4000;
 
 /// Pause after a heartbeat without an answer: a lease has time for several tries.
 pub(super) const RETRY_WAIT: Duration = Duration::from_secs(1);
@@ -27,6 +31,8 @@ pub(super) enum StopReason {
     Cancelled,
     /// This worker is being shut down.
     Drained,
+    /// Memory is used up; the failure was reported.
+    Exhausted,
 }
 
 /// One lease under watch; [`run`](Self::run) on a thread of its own until [`finish`](Self::finish).
@@ -38,6 +44,7 @@ pub(super) struct LeaseWatch<'a> {
     /// Time that a task may still take once draining began.
     pub(super) grace: Duration,
     pub(super) progress: &'a Progress,
+    pub(super) memory: &'a MemoryWatch,
     pub(super) shutdown: &'a ShutdownFlag,
     pub(super) finished: AtomicBool,
     pub(super) stop: Mutex<Option<StopReason>>,
@@ -68,6 +75,13 @@ impl LeaseWatch<'_> {
         let mut next_beat = Instant::now() + self.interval;
         let mut drain_deadline = None;
         while !self.finished.load(Ordering::Acquire) {
+            if self.stop_reason().is_none()
+                && let Some(seen) = self.memory.exhausted()
+            {
+                self.stop(StopReason::Exhausted);
+                // Said from here, as the task may take its time to stop, and the kernel none.
+                report_exhausted(self, &seen);
+            }
             let seen = self.shutdown.level();
             if seen == Level::Stop {
                 self.stop(StopReason::Drained);
@@ -82,7 +96,9 @@ impl LeaseWatch<'_> {
                 _ => next_beat,
             };
             let nap = wake_at.saturating_duration_since(Instant::now());
-            self.shutdown.wait(nap, |level| level != seen || self.finished.load(Ordering::Acquire));
+            let is_over = || self.stop_reason().is_none() && self.memory.is_exhausted();
+            self.shutdown
+                .wait(nap, |level| level != seen || self.finished.load(Ordering::Acquire) || is_over());
             if Instant::now() >= next_beat && !self.finished.load(Ordering::Acquire) {
                 next_beat = Instant::now() + self.beat();
             }
@@ -143,4 +159,34 @@ impl LeaseWatch<'_> {
         self.progress.cancel();
         self.shutdown.wake();
     }
+}
+
+/// Fails a lease at once, as memory is used up: whoever has its task may be ended before it has stopped.
+fn report_exhausted(watch: &LeaseWatch<'_>, seen: &str) {
+    let message = cut(&format!(
+        "out of memory: {seen} while the worker had the task; give its workers more, fewer tasks at a time (--tasks), or bakes that need \
+         it a worker that has it (--needs-memory-mib)"
+    ));
+    tracing::error!(message, "a task failed");
+    let failure = Failure { blame: Blame::Worker, message };
+    tell("failure", &watch.last_words(), || watch.farm.fail(watch.token, &failure));
+}
+
+/// Makes a report until it is heard. It is given up when the lease has surely run out, or nobody may wait any more: then
+/// the server finds out by itself, and counts an attempt.
+pub(super) fn tell(what: &str, patience: &LastWords<'_>, mut call: impl FnMut() -> Result<(), CallError>) {
+    let pause = |error: &CallError, wait| {
+        tracing::warn!(%error, "a {what} could not be reported yet");
+        if patience.wait(wait) { Ok(()) } else { Err(CallError::Stopped) }
+    };
+    // At once a second time: a connection that was kept open may have been closed meanwhile.
+    if let Err(error) = call().or_else(|_| retry(FOREVER, call, pause)) {
+        tracing::warn!(%error, "a {what} could not be reported; the lease will run out instead");
+    }
+}
+
+/// As much of a message as a server keeps; U+0000 would be refused.
+pub(super) fn cut(text: &str) -> String {
+    let kept = text.chars().take(MESSAGE_CHARS_MAX);
+    kept.map(|c| if c == '\0' { char::REPLACEMENT_CHARACTER } else { c }).collect()
 }

@@ -63,6 +63,11 @@ impl MemoryCache {
         Ok(value)
     }
 
+    /// Drops every value that is not in use.
+    pub fn clear(&self) {
+        lock(&self.entries).clear();
+    }
+
     /// Bytes held.
     pub fn bytes(&self) -> usize {
         lock(&self.entries).iter().map(|entry| entry.bytes).sum()

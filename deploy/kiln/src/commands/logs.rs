@@ -3,7 +3,8 @@
 use std::io::Write as _;
 
 use clap::Args;
-use lightkiln_proto::api::{BakeEvent, EventKind};
+use lightkiln_proto::api::{BakeEvent, Blame, EventKind};
+use lightkiln_proto::ids::Digest;
 
 use crate::arguments::ServerArgument;
 use crate::console::printable;
@@ -72,14 +73,24 @@ fn words(event: &BakeEvent) -> String {
             format!("done      {kind} {label} by {worker}{}{}{note}", took(*elapsed_ms), which(*attempt))
         }
         EventKind::TaskFailed {
-            kind, label, worker, message, retry, attempt, elapsed_ms, wait_ms, ..
+            kind,
+            label,
+            worker,
+            message,
+            retry,
+            blame,
+            attempt,
+            elapsed_ms,
+            wait_ms,
+            ..
         } => {
+            let how = if *blame == Blame::Lost { "lost      " } else { "failed    " };
             let next = match retry {
                 true => format!("tried again after {}", secs(*wait_ms)),
                 false => "given up".to_owned(),
             };
             let (took, which) = (took(*elapsed_ms), which(*attempt));
-            format!("failed    {kind} {label} by {worker}{took}{which}, {next}: {message}")
+            format!("{how}{kind} {label} by {worker}{took}{which}, {next}: {message}")
         }
         EventKind::LeaseExpired { kind, label, worker, attempt, elapsed_ms, took_too_long, .. } => {
             let why = match took_too_long {
@@ -92,7 +103,17 @@ fn words(event: &BakeEvent) -> String {
             format!("released  {kind} {label} by {worker}{}, which was told to stop", took(*elapsed_ms))
         }
         EventKind::ResultLost { kind, label, .. } => {
-            format!("lost      {kind} {label}: the bytes of its result are gone, it runs again")
+            format!("bytes     {kind} {label}: the bytes of its result are gone, it runs again")
+        }
+        EventKind::ResultDiffers { kind, label, worker, output, kept, found, .. } => {
+            let digest = |digest: &Option<Digest>| {
+                digest.map_or_else(|| "absent".to_owned(), |digest| digest.to_string())
+            };
+            let by = if worker.is_empty() { String::new() } else { format!(" by {worker}") };
+            let (kept, found) = (digest(kept), digest(found));
+            format!(
+                "ALARM     {kind} {label}: another attempt{by} gave other bytes for '{output}', {found} instead of {kept}"
+            )
         }
         EventKind::State { state } => format!("state     {}", state.name()),
     };
@@ -117,8 +138,6 @@ fn which(attempt: u32) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use lightkiln_proto::api::Blame;
-    use lightkiln_proto::ids::Digest;
 
     #[test]
     fn lines_say_who_did_what_how_long_it_took_and_what_comes_next() {

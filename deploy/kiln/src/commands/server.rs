@@ -7,6 +7,7 @@ use std::time::Duration;
 use clap::Args;
 use lightkiln_proto::kinds::Kinds;
 use lightkiln_server::places::ChunksPlace;
+use lightkiln_server::store::FarmRules;
 use lightkiln_server::{Config, LimitConfig, Retention, Server, TlsFiles, WebhookConfig};
 use lightkiln_worker::runtime::Level;
 use tokio::runtime::Runtime;
@@ -63,6 +64,11 @@ pub struct Arguments {
     /// room [default: as much as there is]
     #[arg(long, value_name = "SIZE", value_parser = parse_size)]
     quota: Option<u64>,
+    /// Times that a worker may be lost with one task (killed, out of reach, its machine gone) before its bake fails; each costs a second
+    /// more of waiting than the one before. Failures that workers report count apart
+    #[arg(long, value_name = "N", default_value_t = FarmRules::default().lost_workers, help_heading = "Limits",
+        value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    lost_workers: u32,
     /// Hours that stored bytes stay although no bake needs them; longer than the longest upload and task
     #[arg(long, value_name = "HOURS", default_value_t = 24, value_parser = clap::value_parser!(u32).range(1..=8760))]
     grace_hours: u32,
@@ -105,6 +111,7 @@ pub fn run(arguments: Arguments, kinds: &Kinds) -> Result<()> {
         database: arguments.state.database.clone(),
         chunks: arguments.chunks,
         quota_bytes: arguments.quota,
+        rules: FarmRules { lost_workers: arguments.lost_workers },
         retention: Retention {
             grace: HOUR * arguments.grace_hours,
             bakes: arguments.keep_days.map(|days| 24 * HOUR * days),

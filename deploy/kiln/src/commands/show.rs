@@ -55,6 +55,20 @@ fn words(bake: &Bake) -> String {
             stage.done, stage.total, stage.leased
         );
     }
+    if let Some(owner) = &bake.owner {
+        words += &format!("owner     {owner}\n");
+    }
+    if bake.attempts_failed + bake.attempts_lost > 0 {
+        let (failed, lost) = (bake.attempts_failed, bake.attempts_lost);
+        words += &format!("attempts  {failed} failed, {lost} lost with their workers\n");
+    }
+    if bake.alarms > 0 {
+        let alarms = bake.alarms;
+        words += &format!(
+            "ALARM     {alarms} results differ from one attempt to another: a machine, or the code of a task, is not to be trusted; \
+             kiln logs tells\n"
+        );
+    }
     if let Some(failure) = &bake.failure {
         words += &format!("failure   {failure}\n");
     }

@@ -5,7 +5,9 @@ use std::sync::Arc;
 
 use clap::Args;
 use lightkiln_worker::kinds::{BakeKinds, Runner};
-use lightkiln_worker::runtime::{CallError, LEASE_SECS, Worker, WorkerConfig, WorkerError, usual_tasks};
+use lightkiln_worker::runtime::{
+    CallError, LEASE_SECS, Seat, Worker, WorkerConfig, WorkerError, usual_tasks,
+};
 
 use super::bake::all_processors;
 use crate::arguments::{ServerArgument, own_token};
@@ -34,6 +36,10 @@ pub struct Arguments {
     /// Memory in MiB that a task may use; bakes that need more go to other workers [default: all that this machine has]
     #[arg(long, value_name = "MIB")]
     memory_mib: Option<u32>,
+    /// MiB that this process may take: when it takes more, tasks in hand fail as out of memory, before the kernel ends it [default:
+    /// limits of its group of processes and of the machine alone]
+    #[arg(long, value_name = "MIB", value_parser = clap::value_parser!(u64).range(1..=1 << 30))]
+    memory_limit_mib: Option<u64>,
     /// A label that bakes may ask for with --needs-label; may be repeated
     #[arg(long = "label", value_name = "LABEL")]
     labels: Vec<String>,
@@ -53,7 +59,7 @@ pub struct Arguments {
     /// [default: worker-token in the state folder]
     #[arg(long, value_name = "FILE")]
     token_file: Option<PathBuf>,
-    /// Name on the farm, unique there [default: host name and process id]
+    /// Name on the farm, unique there [default: the host's name and that of the seat in the state folder, the same after each start]
     #[arg(long)]
     name: Option<String>,
 }
@@ -61,7 +67,11 @@ pub struct Arguments {
 /// Works until a signal comes.
 pub fn run(arguments: Arguments, kinds: &BakeKinds) -> Result<()> {
     let interrupt = Interrupt::listen()?;
-    let mut config = WorkerConfig::new(&arguments.server.server, arguments.name.unwrap_or_else(default_name));
+    let seat = take_seat()?;
+    let name = arguments.name.unwrap_or_else(|| default_name(seat.as_deref()));
+    let mut config = WorkerConfig::new(&arguments.server.server, name);
+    config.seat = seat;
+    config.memory_limit = arguments.memory_limit_mib.map(|mib| mib << 20);
     config.ca_pem = arguments.server.trust.pem()?;
     config.token = match own_token()? {
         Some(token) => Some(token),
@@ -94,10 +104,26 @@ fn all_memory_mib() -> u32 {
     u32::try_from(bytes >> 20).unwrap_or(u32::MAX)
 }
 
-fn default_name() -> String {
+/// A seat in the state folder, by which a worker is known from one start to the next. It works without one, too.
+fn take_seat() -> Result<Option<Arc<Seat>>> {
+    let folder = or_in_state(None, "worker-seats")?;
+    match Seat::take(&folder) {
+        Ok(seat) => Ok(Some(Arc::new(seat))),
+        Err(error) => {
+            say!(
+                "the folder {} cannot be used ({error}): tasks of this worker wait for their leases' end if it is killed; KILN_STATE \
+                 with a folder that can be written helps",
+                folder.display()
+            );
+            Ok(None)
+        }
+    }
+}
+
+fn default_name(seat: Option<&Seat>) -> String {
     let host = std::fs::read_to_string("/etc/hostname").unwrap_or_default();
-    let host = host.trim();
-    format!("{}-{}", if host.is_empty() { "worker" } else { host }, std::process::id())
+    let host = if host.trim().is_empty() { "worker" } else { host.trim() };
+    seat.map_or_else(|| format!("{host}-{}", std::process::id()), |seat| format!("{host}-{}", seat.id()))
 }
 
 fn worker_failure(error: WorkerError) -> Failure {
@@ -105,6 +131,7 @@ fn worker_failure(error: WorkerError) -> Failure {
         WorkerError::Cache { .. } => (Exit::BadInput, "another folder with --cache DIR"),
         WorkerError::Server(CallError::Certificates { .. }) => (Exit::BadInput, "another file with --ca"),
         WorkerError::Server(_) => (Exit::BadInput, "the URL of a Lightkiln server with --server"),
+        WorkerError::Memory { .. } => (Exit::Failed, "the same command again; services do it by themselves"),
         WorkerError::Threads { .. } => (Exit::BadInput, "fewer threads with --threads N"),
         WorkerError::Refused(error) if error.is_about_tokens() => (
             Exit::BadInput,

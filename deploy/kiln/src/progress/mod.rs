@@ -105,6 +105,10 @@ fn trouble(event: &EventKind) -> Option<String> {
         EventKind::ResultLost { label, kind, .. } => {
             Some(format!("the result of {label} ({kind}) was lost; it runs again"))
         }
+        EventKind::ResultDiffers { label, kind, output, .. } => Some(format!(
+            "{label} ({kind}) gave other bytes in another attempt (output '{output}'): a machine of the farm is not to be trusted, or \
+             the code of the task; see kiln logs"
+        )),
         // A failure for good is the bake's own, told when the command ends.
         EventKind::TaskFailed { retry: false, .. }
         | EventKind::Submitted

@@ -82,6 +82,10 @@ fn bake(state: BakeState, stages: Vec<StageCount>, rays: f64) -> Bake {
         counters: BTreeMap::from([("rays_closest".to_owned(), rays)]),
         counters_reused: BTreeMap::new(),
         results_lost: 0,
+        attempts_failed: 0,
+        attempts_lost: 0,
+        alarms: 0,
+        owner: None,
         evaluation: None,
     }
 }

@@ -15,6 +15,7 @@ mod evaluation;
 mod export;
 mod farm;
 mod full_disk;
+mod losses;
 mod manners;
 #[path = "../../../../server/tests/parts/mod.rs"]
 mod parts;

@@ -416,11 +416,11 @@ struct Taken {
 async fn take_tasks(conn: &mut Conn, tasks: &str) -> Result<BTreeMap<i64, Taken>> {
     let sql = conn.pick(
         "UPDATE tasks SET state = 'leased' WHERE id IN (SELECT CAST(value AS BIGINT) FROM json_each($1))
-         RETURNING id, key, kind, label, params, inputs, cost, alike, attempts,
+         RETURNING id, key, kind, version, label, params, inputs, cost, alike, attempts + losses AS tries,
          (SELECT json_group_array(m.bake) FROM bake_tasks m JOIN bakes b ON b.seq = m.bake
           WHERE m.task = tasks.id AND b.state IN ('running', 'paused')) AS bakes",
         "UPDATE tasks SET state = 'leased' WHERE id IN (SELECT CAST(value AS BIGINT) FROM json_each($1))
-         RETURNING id, key, kind, label, params, inputs, cost, alike, attempts,
+         RETURNING id, key, kind, version, label, params, inputs, cost, alike, attempts + losses AS tries,
          (SELECT CAST(coalesce(json_agg(m.bake), '[]') AS TEXT) FROM bake_tasks m JOIN bakes b ON b.seq = m.bake
           WHERE m.task = tasks.id AND b.state IN ('running', 'paused')) AS bakes",
     );
@@ -429,13 +429,14 @@ async fn take_tasks(conn: &mut Conn, tasks: &str) -> Result<BTreeMap<i64, Taken>
         let spec = TaskSpec {
             key: row.digest("key")?,
             kind: row.get("kind")?,
+            version: row.small("version")?,
             label: row.get("label")?,
             params: row.json("params")?,
             inputs: row.json("inputs")?,
             cost: row.count("cost")?,
             alike: row.digest_if_any("alike")?,
         };
-        let attempt = row.small("attempts")?.saturating_add(1);
+        let attempt = row.small("tries")?.saturating_add(1);
         taken.insert(row.get("id")?, Taken { spec, attempt, bakes: row.json("bakes")? });
     }
     Ok(taken)

@@ -98,8 +98,9 @@ async fn undo_result(conn: &mut Conn, task: i64) -> Result<()> {
         "UPDATE tasks SET outputs_before = (SELECT outputs FROM results r WHERE r.task = tasks.id) WHERE id = $1",
         "DELETE FROM results WHERE task = $1",
         "DELETE FROM blames WHERE task = $1",
+        "DELETE FROM losses WHERE task = $1",
         "DELETE FROM expired WHERE task = $1",
-        "UPDATE tasks SET attempts = 0, pardons = 0, not_before_ms = 0, waiting_count = (
+        "UPDATE tasks SET attempts = 0, losses = 0, pardons = 0, not_before_ms = 0, waiting_count = (
              SELECT count(*) FROM task_needs n JOIN tasks d ON d.id = n.needs
              WHERE n.task = tasks.id AND d.state <> 'done') WHERE id = $1",
         "UPDATE tasks SET state = CASE waiting_count WHEN 0 THEN 'ready' ELSE 'waiting' END WHERE id = $1",

@@ -4,11 +4,14 @@ use lightkiln_proto::api::{EventKind, HeartbeatAnswer, Verdict};
 use lightkiln_proto::ids::TaskKey;
 use lightkiln_proto::jobs::Artefact;
 
-use super::conn::{Conn, corrupt, query};
+use super::conn::{Conn, corrupt, query, steps};
 use super::ledger::Ledger;
 use super::ready;
 use crate::store::rules::{self, WORKER_SEEN_GRAIN_MS};
 use crate::store::{LeaseState, Result};
+
+/// Deadlines behind this are none: leases from before there were deadlines.
+const NO_DEADLINE_MS: i64 = i64::MAX / 2;
 
 /// An attempt that just ended, and its task.
 pub(super) struct Ended {
@@ -19,6 +22,8 @@ pub(super) struct Ended {
     pub(super) cost: u64,
     /// Attempts that have failed.
     pub(super) attempts: u32,
+    /// Workers that were lost with it.
+    pub(super) losses: u32,
     /// Number of this attempt.
     pub(super) attempt: u32,
     pub(super) worker: String,
@@ -36,6 +41,8 @@ pub(super) struct Ended {
     pub(super) outputs_before: Vec<Artefact>,
     /// Other tasks wait for this one.
     pub(super) has_dependants: bool,
+    /// Attempts whose leases were gone have told what they would have given.
+    pub(super) has_witnesses: bool,
     /// Bakes that have ended lack the task's result.
     pub(super) is_missed: bool,
 }
@@ -104,20 +111,39 @@ pub(super) async fn extend(conn: &mut Conn) -> Result<u64> {
     query(sql).bind(conn.now_ms).bind(rules::MAX_GRACES).run(conn).await
 }
 
-/// A holder whose lease has run out turns out to be alive. If that was counted as an attempt, it is given back, once and
+/// Makes leases, waits and times of a clock that was set back since then whole again: none of them lies further ahead than it could have
+/// been made now, or a dead worker would hold its task, and a failed task wait, until the clock has been there again. Holders that
+/// are alive keep their leases.
+pub(super) async fn heed_clock(conn: &mut Conn) -> Result<()> {
+    let shift = steps([
+        "UPDATE leases SET started_ms = $1, deadline_ms = CASE WHEN deadline_ms < $3 THEN $1 + (deadline_ms - started_ms)
+                                                              ELSE deadline_ms END WHERE started_ms > $1",
+        "UPDATE leases SET expires_ms = CASE WHEN deadline_ms < $1 + ttl_ms THEN deadline_ms ELSE $1 + ttl_ms END
+         WHERE expires_ms > $1 + ttl_ms",
+        "UPDATE tasks SET not_before_ms = $1
+         WHERE id IN (SELECT r.task FROM ready r WHERE r.not_before_ms > $1 + $2 AND r.not_before_ms > 0)",
+        "UPDATE ready SET not_before_ms = $1 WHERE not_before_ms > $1 + $2 AND not_before_ms > 0",
+        "UPDATE workers SET seen_ms = $1 WHERE seen_ms > $1",
+    ]);
+    shift.bind(conn.now_ms).bind(rules::WAIT_MAX_MS).bind(NO_DEADLINE_MS).run(conn).await?;
+    Ok(())
+}
+
+/// A holder whose lease has run out turns out to be alive. If that was counted as a loss, it is given back, once and
 /// not for ever; if nobody has noticed yet, it will not be.
 pub(super) async fn hear_late(conn: &mut Conn, token: &str) -> Result<()> {
     let sql = "UPDATE leases SET state = $1 WHERE token = $2 AND state = $3 AND expires_ms < deadline_ms";
     let (late, held) = (LeaseState::Late.name(), LeaseState::Held.name());
     query(sql).bind(late).bind(token).bind(held).run(conn).await?;
-    let sql = "DELETE FROM expired WHERE token = $1 RETURNING task, worker, has_blamed";
+    let sql =
+        "UPDATE expired SET counted = 0 WHERE token = $1 AND counted = 1 RETURNING task, worker, is_first";
     let Some(row) = query(sql).bind(token).optional(conn).await? else { return Ok(()) };
     let task: i64 = row.get("task")?;
-    let sql = "UPDATE tasks SET attempts = attempts - 1, pardons = pardons + 1
-               WHERE id = $1 AND attempts > 0 AND pardons < $2 AND state <> 'done'";
+    let sql = "UPDATE tasks SET losses = losses - 1, pardons = pardons + 1
+               WHERE id = $1 AND losses > 0 AND pardons < $2 AND state <> 'done'";
     let is_pardoned = query(sql).bind(task).bind(rules::MAX_PARDONS).run(conn).await? > 0;
-    if is_pardoned && row.get::<i64>("has_blamed")? != 0 {
-        let sql = "DELETE FROM blames WHERE task = $1 AND worker = $2";
+    if is_pardoned && row.get::<i64>("is_first")? != 0 {
+        let sql = "DELETE FROM losses WHERE task = $1 AND worker = $2";
         query(sql).bind(task).bind(row.text("worker")?).run(conn).await?;
     }
     Ok(())
@@ -136,7 +162,9 @@ pub(super) async fn take(conn: &mut Conn, token: &str) -> Result<Option<Ended>> 
 /// Takes a lease, one that has run out only if `even_late`; a cancelled one goes in any case.
 async fn take_if(conn: &mut Conn, token: &str, even_late: bool) -> Result<Option<Ended>> {
     let sql = "SELECT l.task, l.worker, l.started_ms, l.expires_ms, l.deadline_ms, l.state, l.input_lost, l.attempt,
-               t.key, t.kind, t.label, t.cost, t.attempts, t.pardons, coalesce(t.outputs_before, '[]') AS outputs_before,
+               t.key, t.kind, t.label, t.cost, t.attempts, t.losses, t.pardons,
+               coalesce(t.outputs_before, '[]') AS outputs_before,
+               EXISTS (SELECT 1 FROM witnesses w WHERE w.task = t.id) AS has_witnesses,
                EXISTS (SELECT 1 FROM task_needs n WHERE n.needs = t.id) AS has_dependants,
                EXISTS (SELECT 1 FROM lost_results x WHERE x.key = t.key) AS is_missed
                FROM leases l LEFT JOIN tasks t ON t.id = l.task WHERE l.token = $1";
@@ -159,6 +187,7 @@ async fn take_if(conn: &mut Conn, token: &str, even_late: bool) -> Result<Option
         label: row.get("label")?,
         cost: row.count("cost")?,
         attempts: row.small("attempts")?,
+        losses: row.small("losses")?,
         attempt: row.small("attempt")?,
         worker: row.get("worker")?,
         elapsed_ms: u64::try_from(conn.now_ms - row.get::<i64>("started_ms")?).unwrap_or(0),
@@ -168,6 +197,7 @@ async fn take_if(conn: &mut Conn, token: &str, even_late: bool) -> Result<Option
         input_lost: row.get::<i64>("input_lost")? != 0,
         outputs_before: row.json("outputs_before")?,
         has_dependants: row.get("has_dependants")?,
+        has_witnesses: row.get("has_witnesses")?,
         is_missed: row.get("is_missed")?,
     }))
 }

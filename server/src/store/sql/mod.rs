@@ -9,6 +9,7 @@
 //! database gave up to resolve a deadlock; both are run again here. When the connection dies during COMMIT its outcome
 //! is unknown: the caller is told, and asks again with the same token or Idempotency-Key, which is safe.
 
+mod alarms;
 mod bakes;
 mod batch;
 mod bearers;
@@ -46,6 +47,7 @@ use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{TaskResult, TaskSpec};
 
 use super::chunk::{ChunkRow, CollectRules, Collected, Kept, KeptChunk, Usage};
+use super::rules::FarmRules;
 use super::{
     FailVerdict, FarmStore, KnownResult, Named, Reaped, Result, Stats, StoreError, Submission, Submitted,
 };
@@ -86,13 +88,14 @@ pub struct SqlStore {
     database: Database,
     faults: Option<Arc<dyn Faults>>,
     commits: CommitQueue,
+    rules: FarmRules,
 }
 
 impl SqlStore {
     /// Opens the SQLite file at `path`, making or migrating it as needed.
     pub async fn open_sqlite(path: &Path, clock: Arc<dyn Clock>) -> Result<Self> {
         let database = Database::Sqlite(SqliteFile::open(path).await?, clock);
-        Ok(Self { database, faults: None, commits: CommitQueue::default() })
+        Ok(Self { database, faults: None, commits: CommitQueue::default(), rules: FarmRules::default() })
     }
 
     /// Whether the SQLite file at `path` has the schema of this program, so that opening it changes nothing.
@@ -105,7 +108,7 @@ impl SqlStore {
     /// Without a clock the database's own time counts, as it must where several servers share it.
     pub async fn open_postgres(url: &str, clock: Option<Arc<dyn Clock>>) -> Result<Self> {
         let database = Database::Postgres(PostgresDatabase::open(url).await?, clock);
-        Ok(Self { database, faults: None, commits: CommitQueue::default() })
+        Ok(Self { database, faults: None, commits: CommitQueue::default(), rules: FarmRules::default() })
     }
 
     /// Tells `faults` of every step from now on; for tests.
@@ -113,6 +116,12 @@ impl SqlStore {
     pub fn with_faults(mut self, faults: Arc<dyn Faults>) -> Self {
         self.faults = Some(faults);
         self
+    }
+
+    /// Goes by these rules from now on.
+    #[must_use]
+    pub fn with_rules(self, rules: FarmRules) -> Self {
+        Self { rules, ..self }
     }
 
     /// Waits for running transactions and closes all connections.
@@ -295,14 +304,11 @@ farm_store! {
         Read is_any_ready(kinds: &[String]) -> bool = |conn| claim::is_any_ready(conn, kinds);
         Lease heartbeat(token: &str, progress: f32) -> HeartbeatAnswer =
             |conn| leases::heartbeat(conn, token, progress);
-        Write fail(token: &str, blame: Blame, message: &str) -> FailVerdict =
-            |conn| outcome::fail(conn, token, blame, message);
         Write release(token: &str) -> bool = |conn| leases::release(conn, token);
         Lease extend_leases() -> u64 = |conn| leases::extend(conn);
         Read blocklist(bake: &str) -> Blocklist = |conn| blocklist::show(conn, bake);
         Write clear_blocklist(bake: &str, worker: Option<&str>) -> Blocklist =
             |conn| blocklist::clear(conn, bake, worker);
-        Write reap() -> Reaped = |conn| outcome::reap(conn);
         Write pause(bake: &str) -> Bake = |conn| bakes::set_state(conn, bake, BakeState::Paused, "paused");
         Write resume(bake: &str) -> Bake = |conn| bakes::set_state(conn, bake, BakeState::Running, "resumed");
         Write cancel(bake: &str) -> Bake = |conn| bakes::cancel(conn, bake);
@@ -337,6 +343,14 @@ farm_store! {
         Read usage() -> Usage = |conn| chunks::usage(conn);
         Read stats() -> Stats = |conn| view::stats(conn);
         Write probe() -> () = |conn| view::probe(conn);
+    }
+
+    async fn fail(&self, token: &str, blame: Blame, message: &str) -> Result<FailVerdict> {
+        transact!(self, Write, "fail", |conn| outcome::fail(conn, token, blame, message, self.rules))
+    }
+
+    async fn reap(&self) -> Result<Reaped> {
+        transact!(self, Write, "reap", |conn| outcome::reap(conn, self.rules))
     }
 
     async fn commit(&self, token: &str, result: &TaskResult) -> Result<CommitVerdict> {

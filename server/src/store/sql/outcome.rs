@@ -4,28 +4,31 @@ use std::collections::BTreeSet;
 
 use lightkiln_proto::api::{BakeState, Blame, CommitVerdict, EventKind};
 use lightkiln_proto::ids::Digest;
-use lightkiln_proto::jobs::{Artefact, TaskResult};
+use lightkiln_proto::jobs::TaskResult;
 
+use super::alarms::Given;
 use super::batch::Waiting;
 use super::codec::to_json;
 use super::conn::{Conn, query, steps};
 use super::leases::{self, Ended, requeue};
 use super::ledger::Ledger;
 use super::plan::apply_plan;
-use super::{chunks, forget, ready, remake};
-use crate::store::rules::{self, add_counters, check_plan};
+use super::{alarms, chunks, forget, ready, remake};
+use crate::store::rules::{self, FarmRules, add_counters, check_plan};
 use crate::store::{FailVerdict, LeaseState, Reaped, Result};
 
 pub(super) async fn commit(conn: &mut Conn, token: &str, result: &TaskResult) -> Result<CommitVerdict> {
     // Take the lease first: who commits with a token that is not the newest of its task changes nothing else.
     let Some(ended) = leases::end(conn, token).await? else {
         // Answer a commit that is sent again as the first one, whose answer may have been lost.
-        if was_committed(conn, token, result).await? {
+        if alarms::of_replay(conn, token, &result.outputs).await? {
             return Ok(CommitVerdict::AlreadyCommitted);
         }
         check_plan(&result.plan)?;
         // Give the attempt back if the lease ran out under a worker that is alive.
         leases::hear_late(conn, token).await?;
+        // Its result counts for nothing, but must be that which does.
+        alarms::of_stale(conn, token, &result.outputs).await?;
         return Ok(CommitVerdict::Stale);
     };
     // Refuse a bad plan by an error: it undoes the transaction, so the holder keeps its lease and can report the failure.
@@ -38,6 +41,14 @@ pub(super) async fn commit(conn: &mut Conn, token: &str, result: &TaskResult) ->
     // Remove the edges of tasks that only waited for a lost output, after they were unlocked along these.
     if !ended.outputs_before.is_empty() {
         remake::release_readers(conn, ended.task, ended.key).await?;
+    }
+    // Sound the alarm where another attempt at the task gave other bytes, before or too late.
+    if !ended.outputs_before.is_empty() {
+        let given = Given { token, worker: &ended.worker, outputs: &result.outputs };
+        alarms::compare(conn, ended.task, &ended.outputs_before, &given).await?;
+    }
+    if ended.has_witnesses {
+        alarms::of_witnesses(conn, ended.task, &result.outputs).await?;
     }
     // Find outputs that came out otherwise than before: tasks that name the former bytes could wait for ever.
     let gone = remake::not_made_again(conn, &ended.outputs_before, &result.outputs).await?;
@@ -66,22 +77,12 @@ pub(super) async fn commit_all(conn: &mut Conn, batch: &[Waiting]) -> Result<Vec
     Ok(verdicts)
 }
 
-async fn was_committed(conn: &mut Conn, token: &str, result: &TaskResult) -> Result<bool> {
-    let read = query("SELECT outputs FROM results WHERE token = $1").bind(token);
-    let Some(row) = read.optional(conn).await? else { return Ok(false) };
-    let outputs: Vec<Artefact> = row.json("outputs")?;
-    if outputs != result.outputs {
-        tracing::warn!("an attempt committed twice with different outputs; the first result stays");
-    }
-    Ok(true)
-}
-
 async fn write_result(conn: &mut Conn, token: &str, ended: &Ended, result: &TaskResult) -> Result<()> {
     let outputs: BTreeSet<Digest> = result.outputs.iter().map(|output| output.digest).collect();
     let outputs: Vec<Digest> = outputs.into_iter().collect();
     let touched = steps([
         "UPDATE tasks SET state = 'done', outputs_before = NULL WHERE id = $1",
-        "INSERT INTO results (task, token, outputs, plan, counters) VALUES ($1, $2, $3, $4, $5)",
+        "INSERT INTO results (task, token, outputs, plan, counters, worker) VALUES ($1, $2, $3, $4, $5, $7)",
         "INSERT INTO result_chunks (task, digest) SELECT $1, c.digest FROM json_each($6) j JOIN chunks c ON c.digest = j.value
          WHERE c.generation IS NOT NULL",
     ])
@@ -91,6 +92,7 @@ async fn write_result(conn: &mut Conn, token: &str, ended: &Ended, result: &Task
     .bind(to_json(&result.plan)?)
     .bind(to_json(&result.counters)?)
     .bind(to_json(&outputs)?)
+    .bind(&ended.worker)
     .run(conn)
     .await?;
     // One row of the task, one of its result, and one for each output that is kept.
@@ -137,27 +139,28 @@ async fn count_done(conn: &mut Conn, bake: &mut Ledger, ended: &Ended, result: &
     Ok(())
 }
 
-pub(super) async fn fail(conn: &mut Conn, token: &str, blame: Blame, message: &str) -> Result<FailVerdict> {
+pub(super) async fn fail(
+    conn: &mut Conn,
+    token: &str,
+    blame: Blame,
+    message: &str,
+    farm: FarmRules,
+) -> Result<FailVerdict> {
     let Some(ended) = leases::end(conn, token).await? else { return Ok(FailVerdict::Stale) };
     let message = rules::cut_message(message);
-    if blame == Blame::Task {
-        let failure = rules::task_fault_message(&ended.label, &ended.kind, &ended.worker, &message);
-        give_up(conn, &ended, blame, &message, &failure).await?;
-        return Ok(FailVerdict::GivenUp);
-    }
-    let mut wait_ms = 0;
     // A worker that lost an input is not to blame, and tries again once that is there.
-    if !ended.input_lost {
-        if blame_worker(conn, &ended, &message).await? {
-            return Ok(FailVerdict::GivenUp);
+    let wait_ms = match blame {
+        Blame::Task => {
+            let failure = rules::task_fault_message(&ended.label, &ended.kind, &ended.worker, &message);
+            count_attempt(conn, ended.task, blame).await?;
+            give_up(conn, &ended, blame, &message, &failure).await?;
+            None
         }
-        wait_ms = rules::retry_wait_ms(ended.key, ended.attempts + 1);
-        query("UPDATE tasks SET not_before_ms = $1 WHERE id = $2")
-            .bind(conn.now_ms + wait_ms)
-            .bind(ended.task)
-            .run(conn)
-            .await?;
-    }
+        Blame::Worker if ended.input_lost => Some(0),
+        Blame::Worker => blame_worker(conn, &ended, &message).await?,
+        Blame::Lost => count_loss(conn, &ended, &message, farm).await?,
+    };
+    let Some(wait_ms) = wait_ms else { return Ok(FailVerdict::GivenUp) };
     requeue(conn, &ended).await?;
     for mut bake in Ledger::live_of(conn, ended.task).await? {
         bake.event(task_failed(&ended, (blame, &message), Some(wait_ms)));
@@ -166,20 +169,55 @@ pub(super) async fn fail(conn: &mut Conn, token: &str, blame: Blame, message: &s
     Ok(FailVerdict::Retry)
 }
 
-/// Counts an attempt whose lease ran out, like any failure, until its worker turns out to be alive.
-async fn blame_silent(conn: &mut Conn, token: &str, ended: &Ended, message: &str) -> Result<bool> {
-    if !ended.has_hit_limit {
-        let sql = "INSERT INTO expired (token, task, worker, has_blamed) SELECT $1, t.id, $2,
-                   CASE WHEN EXISTS (SELECT 1 FROM blames x WHERE x.task = t.id AND x.worker = $2) THEN 0 ELSE 1 END
-                   FROM tasks t WHERE t.id = $3";
-        query(sql).bind(token).bind(&ended.worker).bind(ended.task).run(conn).await?;
-    }
-    blame_worker(conn, ended, message).await
+/// Remembers a lease that ran out, for a holder that is heard later: whether it counts as a loss until then.
+async fn remember(conn: &mut Conn, token: &str, ended: &Ended, counted: bool) -> Result<()> {
+    let sql = "INSERT INTO expired (token, task, worker, counted, is_first) SELECT $1, t.id, $2, $4,
+               CASE WHEN EXISTS (SELECT 1 FROM losses x WHERE x.task = t.id AND x.worker = $2) THEN 0 ELSE 1 END
+               FROM tasks t WHERE t.id = $3";
+    query(sql).bind(token).bind(&ended.worker).bind(ended.task).bind(i64::from(counted)).run(conn).await?;
+    Ok(())
 }
 
-/// Counts an attempt against its worker; true when the task was given up for that.
-async fn blame_worker(conn: &mut Conn, ended: &Ended, message: &str) -> Result<bool> {
+/// Counts a worker that was lost with a task: the wait before it is tried again, or none when it was given up for that.
+async fn count_loss(conn: &mut Conn, ended: &Ended, message: &str, farm: FarmRules) -> Result<Option<i64>> {
+    let losses = ended.losses + 1;
+    query("UPDATE tasks SET losses = $1 WHERE id = $2").bind(losses).bind(ended.task).run(conn).await?;
+    query("INSERT INTO losses (task, worker) VALUES ($1, $2) ON CONFLICT DO NOTHING")
+        .bind(ended.task)
+        .bind(&ended.worker)
+        .run(conn)
+        .await?;
+    count_attempt(conn, ended.task, Blame::Lost).await?;
+    if losses < farm.lost_workers {
+        let wait_ms = rules::lost_wait_ms(ended.key, losses);
+        delay(conn, ended.task, wait_ms).await?;
+        return Ok(Some(wait_ms));
+    }
+    let failure = rules::lost_message(&ended.label, &ended.kind, losses, message);
+    give_up(conn, ended, Blame::Lost, message, &failure).await?;
+    Ok(None)
+}
+
+/// Keeps a task from being claimed for a while.
+async fn delay(conn: &mut Conn, task: i64, wait_ms: i64) -> Result<()> {
+    let sql = "UPDATE tasks SET not_before_ms = $1 WHERE id = $2";
+    query(sql).bind(conn.now_ms + wait_ms).bind(task).run(conn).await?;
+    Ok(())
+}
+
+/// Counts an attempt that failed, or whose worker was lost, in every live bake that holds the task.
+async fn count_attempt(conn: &mut Conn, task: i64, blame: Blame) -> Result<()> {
+    let sql =
+        "UPDATE bakes SET attempts_lost = attempts_lost + $2, attempts_failed = attempts_failed + 1 - $2
+               WHERE state IN ('running', 'paused') AND seq IN (SELECT bake FROM bake_tasks WHERE task = $1)";
+    query(sql).bind(task).bind(i64::from(blame == Blame::Lost)).run(conn).await?;
+    Ok(())
+}
+
+/// Counts an attempt against its worker: the wait before the task is tried again, or none when it was given up for that.
+async fn blame_worker(conn: &mut Conn, ended: &Ended, message: &str) -> Result<Option<i64>> {
     let attempts = ended.attempts + 1;
+    count_attempt(conn, ended.task, Blame::Worker).await?;
     query("UPDATE tasks SET attempts = $1 WHERE id = $2").bind(attempts).bind(ended.task).run(conn).await?;
     query("INSERT INTO blames (task, worker) VALUES ($1, $2) ON CONFLICT DO NOTHING")
         .bind(ended.task)
@@ -189,11 +227,13 @@ async fn blame_worker(conn: &mut Conn, ended: &Ended, message: &str) -> Result<b
     let count = query("SELECT count(*) AS workers FROM blames WHERE task = $1").bind(ended.task);
     let workers = count.one(conn).await?.small("workers")?;
     if !rules::is_given_up(attempts, workers) {
-        return Ok(false);
+        let wait_ms = rules::retry_wait_ms(ended.key, attempts);
+        delay(conn, ended.task, wait_ms).await?;
+        return Ok(Some(wait_ms));
     }
     let failure = rules::given_up_message(&ended.label, &ended.kind, attempts, workers, message);
     give_up(conn, ended, Blame::Worker, message, &failure).await?;
-    Ok(true)
+    Ok(None)
 }
 
 /// Fails every bake that wants the task.
@@ -245,7 +285,8 @@ fn lease_expired(ended: &Ended) -> EventKind {
     }
 }
 
-pub(super) async fn reap(conn: &mut Conn) -> Result<Reaped> {
+pub(super) async fn reap(conn: &mut Conn, farm: FarmRules) -> Result<Reaped> {
+    leases::heed_clock(conn).await?;
     let sql = "SELECT l.token FROM leases l LEFT JOIN tasks t ON t.id = l.task
                WHERE l.expires_ms <= $1 ORDER BY l.expires_ms, t.key";
     let rows = query(sql).bind(conn.now_ms).all(conn).await?;
@@ -261,16 +302,19 @@ pub(super) async fn reap(conn: &mut Conn) -> Result<Reaped> {
         if ended.is_pardoned {
             query("UPDATE tasks SET pardons = pardons + 1 WHERE id = $1").bind(ended.task).run(conn).await?;
         }
-        if ended.state == LeaseState::Granted || ended.is_pardoned {
-            requeue(conn, &ended).await?;
-            continue;
-        }
-        let message = if ended.has_hit_limit { rules::limit_message } else { rules::expiry_message };
-        let message = message(&ended.worker);
-        if blame_silent(conn, &token, &ended, &message).await? {
-            reaped.given_up += 1;
+        let is_lost = ended.state != LeaseState::Granted && !ended.is_pardoned && !ended.has_hit_limit;
+        remember(conn, &token, &ended, is_lost).await?;
+        let wait_ms = if is_lost {
+            reaped.lost += 1;
+            count_loss(conn, &ended, &rules::expiry_message(&ended.worker), farm).await?
+        } else if ended.state == LeaseState::Granted || ended.is_pardoned {
+            Some(0)
         } else {
-            requeue(conn, &ended).await?;
+            blame_worker(conn, &ended, &rules::limit_message(&ended.worker)).await?
+        };
+        match wait_ms {
+            Some(_) => requeue(conn, &ended).await?,
+            None => reaped.given_up += 1,
         }
     }
     Ok(reaped)

@@ -143,7 +143,7 @@ impl Addition<'_> {
     }
 
     async fn known(&mut self, layer: &[TaskSpec]) -> Result<BTreeMap<TaskKey, Known>> {
-        let sql = "SELECT t.id, t.key, t.kind, t.params, t.inputs, t.cost, t.state,
+        let sql = "SELECT t.id, t.key, t.kind, t.version, t.params, t.inputs, t.cost, t.state,
                    EXISTS (SELECT 1 FROM bake_tasks m WHERE m.bake = $1 AND m.task = t.id) AS is_member
                    FROM json_each($2) j JOIN tasks t ON t.key = j.value";
         let mut known = BTreeMap::new();
@@ -154,6 +154,7 @@ impl Addition<'_> {
                 let spec = TaskSpec {
                     key,
                     kind: row.get("kind")?,
+                    version: row.small("version")?,
                     label: String::new(),
                     params: row.json("params")?,
                     inputs: row.json("inputs")?,
@@ -170,11 +171,11 @@ impl Addition<'_> {
     /// Makes new tasks, ready until [`Addition::link`] says otherwise; returns their ids.
     async fn insert_tasks(&mut self, fresh: &BTreeMap<TaskKey, TaskSpec>) -> Result<Vec<i64>> {
         let sql = self.conn.pick(
-            "INSERT INTO tasks (key, kind, label, params, inputs, cost, alike, state, waiting_count)
-             SELECT value ->> 0, value ->> 1, value ->> 2, value ->> 3, value ->> 4, value ->> 5, value ->> 6, 'ready', 0
+            "INSERT INTO tasks (key, kind, label, params, inputs, cost, alike, version, state, waiting_count)
+             SELECT value ->> 0, value ->> 1, value ->> 2, value ->> 3, value ->> 4, value ->> 5, value ->> 6, value ->> 7, 'ready', 0
              FROM json_each($1) RETURNING id, key",
-            "INSERT INTO tasks (key, kind, label, params, inputs, cost, alike, state, waiting_count)
-             SELECT v ->> 0, v ->> 1, v ->> 2, v ->> 3, v ->> 4, (v ->> 5)::bigint, v ->> 6, 'ready', 0
+            "INSERT INTO tasks (key, kind, label, params, inputs, cost, alike, version, state, waiting_count)
+             SELECT v ->> 0, v ->> 1, v ->> 2, v ->> 3, v ->> 4, (v ->> 5)::bigint, v ->> 6, (v ->> 7)::bigint, 'ready', 0
              FROM jsonb_array_elements($1::jsonb) AS j (v) RETURNING id, key",
         );
         let specs: Vec<&TaskSpec> = fresh.values().collect();
@@ -183,7 +184,8 @@ impl Addition<'_> {
             let mut rows = Vec::with_capacity(specs.len());
             for spec in specs {
                 let (params, inputs) = (to_json(&spec.params)?, to_json(&spec.inputs)?);
-                rows.push(json!([spec.key, spec.kind, spec.label, params, inputs, spec.cost, spec.alike]));
+                let TaskSpec { key, kind, label, cost, alike, version, .. } = spec;
+                rows.push(json!([key, kind, label, params, inputs, cost, alike, version]));
             }
             for row in query(sql).bind(to_json(&rows)?).all(self.conn).await? {
                 let id = row.get("id")?;

@@ -49,7 +49,7 @@ const ACQUIRE_TIMEOUT: Duration = Duration::from_secs(30);
 /// Lowest version that is tested.
 const VERSION_MIN: i32 = 150_000;
 /// Steps of the schema, from one version to the next.
-const MIGRATIONS: [&str; 13] = [
+const MIGRATIONS: [&str; 15] = [
     include_str!("schema/postgres_1.sql"),
     include_str!("schema/postgres_2.sql"),
     include_str!("schema/postgres_3.sql"),
@@ -63,6 +63,8 @@ const MIGRATIONS: [&str; 13] = [
     include_str!("schema/postgres_11.sql"),
     include_str!("schema/postgres_12.sql"),
     include_str!("schema/postgres_13.sql"),
+    include_str!("schema/postgres_14.sql"),
+    include_str!("schema/postgres_15.sql"),
 ];
 
 /// Settings of every connection. Shorter timeouts → a server that hangs holds the others up for less, and a slow

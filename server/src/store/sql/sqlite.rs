@@ -24,7 +24,7 @@ const BUSY_TIMEOUT: Duration = Duration::from_secs(10);
 /// Wait for a free connection before giving up.
 const ACQUIRE_TIMEOUT: Duration = Duration::from_secs(30);
 /// Steps of the schema, from one `user_version` to the next.
-const MIGRATIONS: [&str; 13] = [
+const MIGRATIONS: [&str; 15] = [
     include_str!("schema/sqlite_1.sql"),
     include_str!("schema/sqlite_2.sql"),
     include_str!("schema/sqlite_3.sql"),
@@ -38,6 +38,8 @@ const MIGRATIONS: [&str; 13] = [
     include_str!("schema/sqlite_11.sql"),
     include_str!("schema/sqlite_12.sql"),
     include_str!("schema/sqlite_13.sql"),
+    include_str!("schema/sqlite_14.sql"),
+    include_str!("schema/sqlite_15.sql"),
 ];
 
 /// An open file.

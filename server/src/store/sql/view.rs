@@ -7,6 +7,7 @@ use lightkiln_proto::api::{
 };
 use lightkiln_proto::ids::Digest;
 
+use super::alarms;
 use super::conn::{Conn, Row, corrupt, query};
 use super::ledger::{seq_of, state_from};
 use crate::store::rules::{WORKER_LISTED_MS, results_on_page};
@@ -58,6 +59,10 @@ pub(super) async fn bake_from(conn: &mut Conn, row: &Row) -> Result<Bake> {
         tasks_run: row.count("tasks_run")?,
         tasks_reused: row.count("tasks_reused")?,
         results_lost: row.count("results_lost")?,
+        attempts_failed: row.count("attempts_failed")?,
+        attempts_lost: row.count("attempts_lost")?,
+        alarms: row.count("alarms")?,
+        owner: row.get("owner")?,
         failure: row.get("failure")?,
         manifest: when_done("manifest")?,
         report: when_done("report")?,
@@ -192,6 +197,7 @@ pub(super) async fn stats(conn: &mut Conn) -> Result<Stats> {
         bakes_total: row.count("total")?,
         tasks_run: row.count("run")?,
         tasks_reused: row.count("reused")?,
+        alarms: alarms::count(conn).await?,
     })
 }
 

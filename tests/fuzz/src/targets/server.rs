@@ -126,6 +126,7 @@ fn farm() -> (MemoryStore, Vec<String>) {
     let submission = Submission {
         idempotency_key: None,
         traceparent: None,
+        owner: None,
         body_hash: Digest::of(b""),
         bake,
         plan: Vec::new(),

@@ -171,12 +171,14 @@ fn output_refused_as_too_large_is_blamed_on_the_task_with_what_to_do() {
 fn heartbeat_without_an_answer_is_soon_sent_again() {
     let server = FakeFarm::start();
     server.state().refuse = vec!["POST /v1/leases/t1/heartbeat"];
+    let memory = MemoryWatch::default();
     let watch = LeaseWatch {
         farm: &Farm::new(server.url(), None, None).unwrap(),
         token: "t1",
         interval: LIMIT,
         grace: Duration::ZERO,
         progress: &Progress::new(),
+        memory: &memory,
         shutdown: &ShutdownFlag::new(),
         finished: AtomicBool::new(false),
         stop: Mutex::new(None),

@@ -1,0 +1,126 @@
+//! Workers that are lost, and tasks that take more memory than there is.
+
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use lightkiln_client::fetch::ApiClient;
+use lightkiln_proto::api::{Bake, BakeState, EventKind};
+
+use super::farm::{arguments, embedded_bundle};
+use super::processes::{LIMIT, Running, Server, kiln, run};
+use super::{bundle, cornell};
+
+/// Losses of a bake, more than workers may fail at one of its tasks.
+const LOSSES: u64 = 5;
+/// Starts of a worker until there are so many: it may be killed between two tasks.
+const STARTS_MAX: u32 = 60;
+
+fn submit(folder: &Path, server: &Server) -> String {
+    run(kiln(folder), &arguments("submit", &["--server", &server.url]), 0).stdout().trim().to_owned()
+}
+
+/// A worker with the name that it gives itself, and leases that outlast the test.
+fn worker(folder: &Path, server: &Server, more: &[&str]) -> Running {
+    let mut command = kiln(&folder.join("oven"));
+    command.args(["worker", "--server", &server.url, "--threads", "1", "--lease-secs", "3600"]).args(more);
+    Running::start(command)
+}
+
+/// Waits until the bake is as `done` says.
+fn wait_for(client: &ApiClient, bake: &str, mut done: impl FnMut(&Bake) -> bool) -> Bake {
+    let deadline = Instant::now() + LIMIT;
+    loop {
+        let shown = client.bake(bake).unwrap();
+        if done(&shown) {
+            return shown;
+        }
+        assert!(Instant::now() < deadline, "it did not come to that within {LIMIT:?}: {shown:?}");
+        std::thread::park_timeout(Duration::from_millis(10));
+    }
+}
+
+#[test]
+fn worker_that_is_killed_again_and_again_fails_no_bake_and_its_next_start_gives_its_task_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let expected = embedded_bundle(folder.path());
+    let server = Server::start(&folder.path().join("server"));
+    let client = ApiClient::new(&server.url, None).unwrap();
+    let bake = submit(folder.path(), &server);
+    let mut starts = 0;
+    while client.bake(&bake).unwrap().attempts_lost < LOSSES {
+        starts += 1;
+        assert!(starts <= STARTS_MAX, "{:?}", client.bake(&bake).unwrap());
+        let is_held = |bake: &Bake| bake.stages.iter().any(|stage| stage.leased > 0);
+        let before = client.bake(&bake).unwrap();
+        let lost_before = before.attempts_lost;
+        let killed = worker(folder.path(), &server, &[]);
+        // What the one before left is told of first, and is no lease of this one.
+        let left = is_held(&before);
+        let shown = wait_for(&client, &bake, |bake| {
+            bake.state.is_final() || (is_held(bake) && (!left || bake.attempts_lost > lost_before))
+        });
+        assert!(
+            !shown.state.is_final(),
+            "the bake ended before enough workers were lost, after {starts}: {shown:?}"
+        );
+        assert!(shown.attempts_lost <= lost_before + 1);
+        killed.signal("KILL");
+        assert_eq!(killed.wait(), None);
+    }
+    let _last = worker(folder.path(), &server, &[]);
+    let done = wait_for(&client, &bake, |bake| bake.state.is_final());
+    assert_eq!((done.state, done.attempts_failed, done.alarms), (BakeState::Done, 0, 0), "{done:?}");
+    let names: Vec<String> =
+        client.workers().unwrap().workers.into_iter().map(|worker| worker.name).collect();
+    assert_eq!(names.len(), 1, "each start has the name of the one before: {names:?}");
+    let told = run(kiln(folder.path()), &["show", &bake, "--server", &server.url], 0).stdout();
+    assert!(told.contains(&format!("0 failed, {} lost with their workers", done.attempts_lost)), "{told}");
+    let out = folder.path().join("out").display().to_string();
+    run(kiln(folder.path()), &["fetch", &bake, "--server", &server.url, "--out", &out], 0);
+    assert_eq!(bundle(Path::new(&out)), expected);
+}
+
+/// Memory that a process has of its own, in MiB.
+fn memory_mib(process: u32) -> Option<u64> {
+    let status = std::fs::read_to_string(format!("/proc/{process}/status")).ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("RssAnon:"))?;
+    Some(line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()? >> 10)
+}
+
+#[test]
+fn task_that_always_exhausts_memory_ends_its_bake_with_that_word() {
+    let folder = tempfile::tempdir().unwrap();
+    let server = Server::start(&folder.path().join("server"));
+    let client = ApiClient::new(&server.url, None).unwrap();
+    let idle = worker(folder.path(), &server, &[]);
+    idle.stderr_line(|line| line.contains("takes tasks from").then_some(()));
+    let deadline = Instant::now() + LIMIT;
+    while client.workers().unwrap().workers.is_empty() {
+        assert!(Instant::now() < deadline, "no worker came");
+        std::thread::park_timeout(Duration::from_millis(10));
+    }
+    let taken = memory_mib(idle.id()).expect("the system tells what a process has");
+    idle.signal("TERM");
+    assert_eq!(idle.wait(), Some(0));
+    let limit = (taken + 4).to_string();
+    // Its tasks are long enough for a look at the memory, and take more of it than that.
+    let scene = cornell().display().to_string();
+    let submitted =
+        run(kiln(folder.path()), &["submit", &scene, "--preset", "medium", "--server", &server.url], 0);
+    let bake = submitted.stdout().trim().to_owned();
+    // Whoever runs workers starts one again that has ended.
+    let mut process = worker(folder.path(), &server, &["--memory-limit-mib", &limit]);
+    let ended = wait_for(&client, &bake, |bake| {
+        if process.has_ended().is_some() {
+            process = worker(folder.path(), &server, &["--memory-limit-mib", &limit]);
+        }
+        bake.state.is_final()
+    });
+    let failure = ended.failure.clone().unwrap_or_default();
+    assert_eq!(ended.state, BakeState::Failed, "{ended:?}");
+    assert!(failure.contains("failed on 1 worker") && failure.contains("out of memory"), "{failure}");
+    assert!(failure.contains(&format!("of {limit} MiB of this worker")), "{failure}");
+    assert!(ended.attempts_failed > 0 && ended.attempts_lost == 0, "{ended:?}");
+    let events = client.events(&bake, 0, 0).unwrap().events;
+    assert!(!events.iter().any(|event| matches!(event.event, EventKind::LeaseExpired { .. })), "{events:?}");
+}

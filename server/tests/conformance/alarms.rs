@@ -1,0 +1,107 @@
+//! Results of one task that differ: noted once, and told to every bake that holds the task; the one that counts stays.
+
+use std::slice::from_ref;
+
+use lightkiln_proto::api::{Bake, BakeState, CommitVerdict, EventKind, Lease};
+use lightkiln_proto::jobs::{Artefact, TaskResult};
+
+use crate::support::{TTL_MS, World, output, outputs, task};
+
+/// A result of which the output is not that of the task.
+fn otherwise(lease: &Lease) -> TaskResult {
+    let digest = (0..2).map(output).find(|other| *other != outputs(lease.task.key)[0].digest).unwrap();
+    TaskResult { outputs: vec![Artefact { name: "out".into(), digest, bytes: 32 }], ..TaskResult::default() }
+}
+
+/// Workers whose other results a bake was told of.
+async fn told(world: &World, bake: &Bake) -> Vec<String> {
+    let events = world.events(bake).await.into_iter();
+    let told = events.filter_map(|event| match event.event {
+        EventKind::ResultDiffers { worker, output, kept, found, .. } => {
+            assert!(output == "out" && kept.is_some() && found.is_some() && kept != found);
+            Some(worker)
+        }
+        _ => None,
+    });
+    told.collect()
+}
+
+async fn assert_alarms(world: &World, bake: &Bake, workers: &[&str]) {
+    assert_eq!(told(world, bake).await, workers);
+    assert_eq!(world.show(bake).await.alarms, workers.len() as u64);
+}
+
+pub async fn result_that_is_handed_in_again_with_other_outputs_is_an_alarm(world: World) {
+    let a = task("a", &[]);
+    let bakes = [world.submit("one", from_ref(&a)).await, world.submit("two", from_ref(&a)).await];
+    let lease = world.claim_one("w").await;
+    assert_eq!(world.commit(&lease).await, CommitVerdict::Committed);
+    assert_eq!(world.commit(&lease).await, CommitVerdict::AlreadyCommitted);
+    assert_alarms(&world, &bakes[0], &[]).await;
+    for _ in 0..3 {
+        let verdict = world.store.commit(&lease.token, &otherwise(&lease)).await.unwrap();
+        assert_eq!(verdict, CommitVerdict::AlreadyCommitted);
+    }
+    for bake in &bakes {
+        assert_alarms(&world, bake, &["w"]).await;
+        let results = world.store.results_after(&bake.id, None, 0, 10).await.unwrap().results;
+        assert_eq!(results[0].outputs, outputs(a.key), "the first result stays");
+        assert_eq!(world.state(bake).await, BakeState::Done);
+    }
+    assert_eq!(world.store.stats().await.unwrap().alarms, 1);
+}
+
+pub async fn late_result_with_other_outputs_is_an_alarm_whichever_came_first(world: World) {
+    for (name, is_late_first) in [("first", true), ("second", false)] {
+        for is_noticed in [true, false] {
+            let name = format!("{name} {is_noticed}");
+            let bake = world.submit(&name, &[task(&name, &[])]).await;
+            let late = world.begin_one("late").await;
+            world.clock.advance_ms(TTL_MS);
+            if is_noticed || !is_late_first {
+                world.store.reap().await.unwrap();
+            }
+            let hand_in_late = async || {
+                let verdict = world.store.commit(&late.token, &otherwise(&late)).await.unwrap();
+                assert_eq!(verdict, CommitVerdict::Stale);
+            };
+            if is_late_first {
+                hand_in_late().await;
+                assert_alarms(&world, &bake, &[]).await;
+            }
+            world.store.reap().await.unwrap();
+            let lease = world.claim_one("w").await;
+            assert_eq!(world.commit(&lease).await, CommitVerdict::Committed);
+            if !is_late_first {
+                hand_in_late().await;
+            }
+            hand_in_late().await;
+            assert_alarms(&world, &bake, &["late"]).await;
+            assert_eq!(world.state(&bake).await, BakeState::Done);
+        }
+    }
+}
+
+pub async fn late_result_with_the_same_outputs_is_none(world: World) {
+    let bake = world.submit("bake", &[task("a", &[])]).await;
+    let late = world.begin_one("late").await;
+    world.clock.advance_ms(TTL_MS);
+    assert_eq!(world.commit(&late).await, CommitVerdict::Stale);
+    world.store.reap().await.unwrap();
+    let lease = world.claim_one("w").await;
+    assert_eq!(world.commit(&lease).await, CommitVerdict::Committed);
+    assert_eq!(world.commit(&late).await, CommitVerdict::Stale);
+    assert_alarms(&world, &bake, &[]).await;
+}
+
+pub async fn result_that_is_made_anew_with_other_outputs_is_an_alarm(world: World) {
+    let a = task("a", &[]);
+    let bake = world.submit("bake", &[a.clone(), task("b", &[&a])]).await;
+    let lease = world.claim_one("w").await;
+    assert_eq!(world.commit(&lease).await, CommitVerdict::Committed);
+    world.store.forget(&[a.key]).await.unwrap();
+    let lease = world.claim_one("again").await;
+    let verdict = world.store.commit(&lease.token, &otherwise(&lease)).await.unwrap();
+    assert_eq!(verdict, CommitVerdict::Committed);
+    assert_alarms(&world, &bake, &["again"]).await;
+}
