@@ -206,7 +206,7 @@ impl Worker {
                 running.into_iter().map(ScopedJoinHandle::join).collect();
             has_ended.store(true, Ordering::Release);
             shutdown.wake();
-            ended.into_iter().map(|ended| ended.unwrap_or_else(|panic| resume_unwind(panic))).collect()
+            ended.into_iter().try_for_each(|ended| ended.unwrap_or_else(|panic| resume_unwind(panic)))
         })
     }
 
