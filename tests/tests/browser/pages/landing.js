@@ -73,6 +73,7 @@ export async function failed() {
 
 /** The words of a bake whose plan gave no outline. */
 export async function unplanned() {
+  await land(0);
   await fetch("/fault/unplanned");
   const told = await new Following(source()).hear().then(() => "none", (error) => error.message);
   await fetch("/fault/none");
