@@ -172,7 +172,7 @@ mod tests {
         assert_eq!(base.key, relabelled.key);
     }
 
-    /// What a worker made arrives as text: the server must find the same key.
+    /// A worker's plan arrives as text: the server must find the same keys.
     #[test]
     fn key_outlives_the_way_over_the_wire() {
         let numbers = [0.1_f32, 1.0, 1e-7, 3.4e38].map(f64::from);

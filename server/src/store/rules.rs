@@ -15,7 +15,7 @@ pub const POISON_WORKERS: u32 = 3;
 /// Times that a worker is lost with a task before that is given up, unless the farm's owner says otherwise. More → a farm whose
 /// machines come and go fails fewer bakes, and a task that kills its workers takes more of them.
 pub const LOST_WORKERS: u32 = 50;
-/// What each loss of a worker but the first adds to the wait before its task is tried again.
+/// Step of the wait before a task is tried again: each loss of a worker but the first adds one.
 pub const LOST_STEP_MS: i64 = 1_000;
 /// Longest wait of any retry, whether workers failed or were lost. One that lies further ahead is a clock's that was set back.
 pub const WAIT_MAX_MS: i64 = 60_000;

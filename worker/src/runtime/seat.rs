@@ -147,7 +147,7 @@ impl Seat {
     }
 }
 
-/// What the notes of a process tell of its end, beside the kernel's kills by now.
+/// The end of a process as its notes tell it, beside the kernel's kills by now.
 fn end_of(notes: &Notes, kills: Option<&(String, u64)>) -> End {
     match (&notes.kills, kills) {
         (Some((group, before)), Some((same, now))) if group == same && now > before => {
@@ -225,7 +225,7 @@ mod tests {
                 left.iter().map(|(token, failure)| (token.as_str(), failure.blame)).collect::<Vec<_>>(),
                 [("left", Blame::Lost)]
             );
-            // What the next process takes is not what was left.
+            // A lease that the next process takes is none that was left.
             seat.hold("http://farm", "new", "d");
             seat.let_go("new");
         }

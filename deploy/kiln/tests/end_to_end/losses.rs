@@ -54,7 +54,7 @@ fn worker_that_is_killed_again_and_again_fails_no_bake_and_its_next_start_gives_
         let before = client.bake(&bake).unwrap();
         let lost_before = before.attempts_lost;
         let killed = worker(folder.path(), &server, &[]);
-        // What the one before left is told of first, and is no lease of this one.
+        // The lease that the one before left is told of first, and is none of this one's.
         let left = is_held(&before);
         let shown = wait_for(&client, &bake, |bake| {
             bake.state.is_final() || (is_held(bake) && (!left || bake.attempts_lost > lost_before))
