@@ -228,6 +228,17 @@ pub enum ServerError {
         /// Their fault.
         what: String,
     },
+    /// The farm cannot work now.
+    #[error("{why}")]
+    NotReady {
+        /// The hindrance.
+        why: String,
+        /// It is a full disk.
+        is_full: bool,
+    },
+    /// The server has started before its database.
+    #[error("the server waits for its database; come again in a moment")]
+    NotOpen,
     /// A bug.
     #[error("the server has a bug and could not answer; its log says where")]
     Panicked,
@@ -270,9 +281,12 @@ impl ServerError {
             | Self::Webhook { .. }
             | Self::Serve(_)
             | Self::Panicked => ProblemCode::Internal,
-            Self::StateInUse { .. } | Self::NotLoopback { .. } | Self::Listen { .. } => {
-                ProblemCode::Unavailable
-            }
+            Self::NotReady { is_full: true, .. } => ProblemCode::StorageFull,
+            Self::NotReady { is_full: false, .. }
+            | Self::NotOpen
+            | Self::StateInUse { .. }
+            | Self::NotLoopback { .. }
+            | Self::Listen { .. } => ProblemCode::Unavailable,
         }
     }
 

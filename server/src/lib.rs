@@ -10,6 +10,8 @@
 //! - `bake_ids` finds bakes by beginnings of their ids.
 //! - `left_over` clears up after bakes' processes that have ended, where several share a folder.
 //! - `lookout` looks for work on behalf of all claims that wait.
+//! - `start` waits for a database that is away, `readiness` says whether the farm can work.
+//! - `connections` are let in, and sent away where they take up room.
 //! - [`Pages`] are files for browsers that it is given.
 //! - [`farm`] puts them together, `http` makes calls of it.
 
@@ -18,12 +20,14 @@ mod bake_ids;
 pub mod chunks;
 pub mod clock;
 mod collect;
+mod connections;
 mod counters;
 mod error;
 mod evaluations;
 pub mod farm;
 pub mod fsck;
 pub mod guard;
+mod held;
 mod hold;
 mod http;
 mod left_over;
@@ -34,8 +38,10 @@ mod owners;
 mod pages;
 pub mod places;
 pub mod random;
+mod readiness;
 mod scene_parts;
 mod server;
+mod start;
 pub mod storage;
 pub mod store;
 mod tls;
@@ -43,10 +49,12 @@ pub mod wakeup;
 mod webhooks;
 
 pub use collect::Retention;
+pub use connections::ConnectionConfig;
 pub use error::ServerError;
-pub use http::{LimitConfig, openapi_json, ranges};
+pub use http::{HEAVY_BYTES, LimitConfig, MAX_RESULT_BYTES, openapi_json, ranges};
 pub use occupant::Occupant;
 pub use pages::Pages;
 pub use server::{Config, Seat, Server, check_storage, open_store};
+pub use start::serve;
 pub use tls::TlsFiles;
 pub use webhooks::WebhookConfig;

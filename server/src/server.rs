@@ -14,14 +14,15 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
-use axum_server::tls_rustls::RustlsConfig;
 use lightkiln_proto::kinds::Kinds;
 use tokio::net::TcpListener;
 use tokio::sync::watch;
+use tokio_rustls::TlsAcceptor;
 
 use crate::chunks::ObjectChunks;
 use crate::clock::SystemClock;
 use crate::collect::{self, Retention};
+use crate::connections::{self, ConnectionConfig};
 use crate::error::{Result, ServerError};
 use crate::farm::Farm;
 use crate::fsck::{self, Checks, Findings};
@@ -33,7 +34,7 @@ use crate::pages::Pages;
 use crate::places::{ChunksPlace, DatabasePlace};
 use crate::storage::Storage;
 use crate::store::{FarmRules, SqlStore};
-use crate::tls::{self, TlsFiles};
+use crate::tls::TlsFiles;
 use crate::wakeup::{LocalWakeup, PostgresWakeup, Wakeup};
 use crate::webhooks::{self, WebhookConfig};
 
@@ -56,6 +57,8 @@ pub struct Config {
     pub kinds: Kinds,
     /// Limits of calls.
     pub limits: LimitConfig,
+    /// Limits of connections.
+    pub connections: ConnectionConfig,
     /// Files for browsers. Default: none.
     pub pages: Pages,
     /// Most bytes of chunks at a time; uploads beyond are refused until there is room. Default: no limit but the disk's.
@@ -84,6 +87,7 @@ impl Config {
             webhooks: None,
             kinds: Kinds::new(),
             limits: LimitConfig::default(),
+            connections: ConnectionConfig::default(),
             pages: Pages::default(),
             quota_bytes: None,
             retention: Retention::default(),
@@ -93,6 +97,20 @@ impl Config {
             stop_grace: Duration::from_secs(10),
         }
     }
+
+    /// Whether the database is a program that may start later, or again.
+    pub(crate) fn database_is_remote(&self) -> bool {
+        matches!(self.database, Some(DatabasePlace::Postgres(_)))
+    }
+
+    /// The certificate and its key, if there are some.
+    pub(crate) async fn acceptor(&self) -> Result<Option<TlsAcceptor>> {
+        let Some(files) = &self.tls else { return Ok(None) };
+        files.read().await.map(Some).map_err(|source| {
+            let TlsFiles { cert, key } = files.clone();
+            ServerError::Tls { cert, key, source }
+        })
+    }
 }
 
 /// An open farm, ready to serve.
@@ -100,7 +118,7 @@ pub struct Server {
     config: Config,
     farm: Arc<Farm>,
     store: Arc<SqlStore>,
-    tls: Option<RustlsConfig>,
+    tls: Option<TlsAcceptor>,
     closing: watch::Sender<bool>,
     /// Whether others have the state folder open beside it.
     is_seated: bool,
@@ -154,13 +172,7 @@ impl Server {
         wakeup: Arc<dyn Wakeup>,
         hold: Option<Hold>,
     ) -> Result<Self> {
-        let tls = match &config.tls {
-            Some(files) => Some(files.read().await.map_err(|source| {
-                let TlsFiles { cert, key } = files.clone();
-                ServerError::Tls { cert, key, source }
-            })?),
-            None => None,
-        };
+        let tls = config.acceptor().await?;
         let store = Arc::new(store.with_rules(config.rules));
         let in_state = ChunksPlace::Folder(config.state_dir.join("chunks"));
         let chunks = Arc::new(ObjectChunks::open(config.chunks.as_ref().unwrap_or(&in_state))?);
@@ -220,22 +232,20 @@ impl Server {
             // Waiting calls and event streams end on this.
             closing.send_replace(true);
         };
-        let app = http::router(self.farm.clone(), self.config.limits, self.config.pages.clone())
-            .into_make_service_with_connect_info::<SocketAddr>();
-        let serving = tls::serve(listener, app, self.tls.clone(), stop);
+        let connections = self.config.connections.within(connections::open_files());
+        let limits = self.config.limits.beside(connections.at_a_time);
+        let app = http::router(self.farm.clone(), limits, self.config.pages.clone());
+        let serving = connections::serve(listener, app, self.tls.clone(), connections, stop);
         let mut closing = self.closing.subscribe();
         let too_long = async {
             let _ = closing.wait_for(|closing| *closing).await;
             tokio::time::sleep(self.config.stop_grace).await;
         };
         tracing::info!(%address, "serving");
-        let served = tokio::select! {
-            served = serving => served.map_err(ServerError::Serve),
-            () = too_long => {
-                tracing::warn!("requests still under way after the grace were cut off");
-                Ok(())
-            }
-        };
+        tokio::select! {
+            () = serving => (),
+            () = too_long => tracing::warn!("requests still under way after the grace were cut off"),
+        }
         reaper.abort();
         if let Some(webhooks) = webhooks {
             webhooks.abort();
@@ -245,7 +255,7 @@ impl Server {
         }
         collector.abort();
         self.store.close().await;
-        served
+        Ok(())
     }
 }
 

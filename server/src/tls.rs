@@ -1,16 +1,13 @@
 //! TLS by flag: a certificate and its key, from PEM files.
 
 use std::io;
-use std::net::SocketAddr;
 use std::path::PathBuf;
+use std::sync::Arc;
 
-use axum::Router;
-use axum::extract::connect_info::IntoMakeServiceWithConnectInfo;
-use axum::serve::ListenerExt;
-use axum_server::Handle;
-use axum_server::accept::NoDelayAcceptor;
-use axum_server::tls_rustls::{RustlsAcceptor, RustlsConfig};
-use tokio::net::TcpListener;
+use rustls::ServerConfig;
+use rustls::pki_types::pem::PemObject;
+use rustls::pki_types::{CertificateDer, PrivateKeyDer};
+use tokio_rustls::TlsAcceptor;
 
 /// Files of a server's certificate. Read once, when the server is opened.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -23,9 +20,19 @@ pub struct TlsFiles {
 
 impl TlsFiles {
     /// Reads both.
-    pub(crate) async fn read(&self) -> io::Result<RustlsConfig> {
+    pub(crate) async fn read(&self) -> io::Result<TlsAcceptor> {
         use_ring();
-        RustlsConfig::from_pem_file(&self.cert, &self.key).await
+        let (cert, key) = (tokio::fs::read(&self.cert).await?, tokio::fs::read(&self.key).await?);
+        let chain =
+            CertificateDer::pem_slice_iter(&cert).collect::<Result<Vec<_>, _>>().map_err(io::Error::other)?;
+        if chain.is_empty() {
+            return Err(io::Error::other("there is no certificate in the file of the certificate"));
+        }
+        let key = PrivateKeyDer::from_pem_slice(&key).map_err(io::Error::other)?;
+        let config = ServerConfig::builder().with_no_client_auth().with_single_cert(chain, key);
+        let mut config = config.map_err(io::Error::other)?;
+        config.alpn_protocols = vec![b"h2".to_vec(), b"http/1.1".to_vec()];
+        Ok(TlsAcceptor::from(Arc::new(config)))
     }
 }
 
@@ -33,29 +40,4 @@ impl TlsFiles {
 pub(crate) fn use_ring() {
     // Fails only when the process has a provider already, which is as good.
     let _ = rustls::crypto::ring::default_provider().install_default();
-}
-
-/// Serves with TLS, or without, until `stop` is done and the requests then under way have ended.
-pub(crate) async fn serve(
-    listener: TcpListener,
-    app: IntoMakeServiceWithConnectInfo<Router, SocketAddr>,
-    tls: Option<RustlsConfig>,
-    stop: impl Future<Output = ()> + Send + 'static,
-) -> io::Result<()> {
-    let Some(tls) = tls else {
-        // Without delay: the end of an answer would wait for the caller to acknowledge its beginning, for 40 ms.
-        let listener = listener.tap_io(|stream| {
-            let _ = stream.set_nodelay(true);
-        });
-        return axum::serve(listener, app).with_graceful_shutdown(stop).await;
-    };
-    let handle = Handle::new();
-    let stopping = handle.clone();
-    tokio::spawn(async move {
-        stop.await;
-        // The caller of this function ends requests that take too long.
-        stopping.graceful_shutdown(None);
-    });
-    let acceptor = RustlsAcceptor::new(tls).acceptor(NoDelayAcceptor::new());
-    axum_server::from_tcp(listener.into_std()?)?.acceptor(acceptor).handle(handle).serve(app).await
 }

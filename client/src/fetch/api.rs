@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use lightkiln_http::{Call, HttpClient, Part, RetryPolicy, ShutdownFlag};
+use lightkiln_http::{Call, HttpClient, Part, Patience, RetryPolicy, ShutdownFlag};
 use lightkiln_proto::api::{
     Bake, BakeFilter, BakePage, Blocklist, EvaluationIndex, EventPage, MAX_CHUNK_BYTES, NewBake, NewPriority,
     ResultPage, SCENE_PART_BYTES, ScenePart, SceneParts, SceneProgress, SceneStored, WorkerPage,
@@ -45,6 +45,12 @@ impl ApiClient {
     #[must_use]
     pub fn with_retry(self, retry: RetryPolicy) -> Self {
         Self { http: self.http.with_retry(retry) }
+    }
+
+    /// The same server, waited for while it is away, whatever the policy.
+    #[must_use]
+    pub fn with_patience(self, patience: Patience) -> Self {
+        Self { http: self.http.with_patience(patience) }
     }
 
     /// The same server; waits between tries end when `shutdown` is raised.

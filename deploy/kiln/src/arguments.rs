@@ -7,7 +7,7 @@ use clap::Args;
 use lightkiln_client::fetch::{ApiClient, Source};
 #[cfg(feature = "view")]
 use lightkiln_client::lights::quoted;
-use lightkiln_http::{DiskCache, RetryPolicy};
+use lightkiln_http::{DiskCache, Notice, Patience, RetryPolicy};
 use lightkiln_server::places::DatabasePlace;
 
 use crate::console::say;
@@ -46,6 +46,44 @@ impl TrustArgument {
     }
 }
 
+/// How long a server that is away is waited for.
+#[derive(Args, Clone, Debug)]
+pub struct PatienceArgument {
+    /// Waits so long for a farm that does not answer, as its server or database starts again, such as 90s, 10m or 2h; says
+    /// so on standard error. 0 gives up at once
+    #[arg(long, value_name = "TIME", env = "KILN_PATIENCE", default_value = "10m", value_parser = parse_patience)]
+    patience: Duration,
+}
+
+impl PatienceArgument {
+    /// The farm's server, waited for.
+    pub fn with(&self, client: ApiClient) -> ApiClient {
+        if self.patience.is_zero() {
+            return client;
+        }
+        let server = client.base().to_owned();
+        client.with_patience(Patience::new(self.patience, move |notice| tell(&server, &notice)))
+    }
+}
+
+fn parse_patience(text: &str) -> std::result::Result<Duration, String> {
+    if text == "0" {
+        return Ok(Duration::ZERO);
+    }
+    humantime::parse_duration(text).map_err(|_| format!("'{text}' is no time; write 0, 90s, 10m or 2h"))
+}
+
+fn tell(server: &str, notice: &Notice<'_>) {
+    let whole = |time: Duration| humantime::format_duration(Duration::from_secs(time.as_secs()));
+    match notice {
+        Notice::Waiting { error, left } => {
+            let why = lightkiln_proto::problem::chain(*error);
+            say!("waiting for {server}, for {} at most (--patience): {why}", whole(*left));
+        }
+        Notice::Back { after } => say!("{server} answers again, after {}", whole(*after)),
+    }
+}
+
 /// A bake to look at.
 #[derive(Args, Clone, Debug)]
 pub struct BakeArgument {
@@ -57,6 +95,8 @@ pub struct BakeArgument {
     server: Option<String>,
     #[command(flatten)]
     trust: TrustArgument,
+    #[command(flatten)]
+    patience: PatienceArgument,
     /// Folder for chunks fetched from a server, from which the next picture takes them [default: chunks in the state folder]
     #[arg(long, value_name = "DIR", requires = "server")]
     cache: Option<PathBuf>,
@@ -81,7 +121,7 @@ impl BakeArgument {
     /// Server and id of a bake on a farm.
     pub fn on_farm(&self) -> Result<Option<(ApiClient, String)>> {
         let Some(url) = &self.server else { return Ok(None) };
-        let client = self.trust.connect(url, &Interrupt::default())?;
+        let client = self.patience.with(self.trust.connect(url, &Interrupt::default())?);
         Ok(Some((client, self.bake.to_string_lossy().into_owned())))
     }
 

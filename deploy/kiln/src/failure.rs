@@ -16,7 +16,7 @@ pub const EXIT_CODES: &str = "Exit codes:
   2    wrong arguments, settings or input files
   3    the server was not reached
   4    the bake is done, but its evaluation breaks a limit of --fail-if
-  5    'kiln fsck' found something wrong that was not made good
+  5    stored bytes are lost or damaged: those of a bake, or some that 'kiln fsck' did not make good
   130  interrupted, or the bake that was waited for was cancelled";
 
 /// Why a command ends; the number is the process's exit code.
@@ -30,7 +30,7 @@ pub enum Exit {
     Unreachable = 3,
     /// The bake is done, but its evaluation breaks a limit of `--fail-if`.
     LimitBroken = 4,
-    /// `kiln fsck` found something wrong that was not made good.
+    /// Stored bytes are lost or damaged.
     Unsound = 5,
     /// Ctrl-C or SIGTERM.
     Interrupted = 130,
@@ -124,12 +124,11 @@ impl From<ClientError> for Failure {
             | ClientError::Argument { .. }
             | ClientError::Object { .. }
             | ClientError::TooLarge { .. }
-            | ClientError::WrongDigest { .. }
-            | ClientError::WrongPrefix { .. }
             | ClientError::Json { .. }
             | ClientError::Manifest { .. }
             | ClientError::Chunk { .. }
             | ClientError::Inconsistent { .. } => Exit::BadInput,
+            ClientError::WrongDigest { .. } | ClientError::WrongPrefix { .. } => Exit::Unsound,
             ClientError::File { .. }
             | ClientError::Adapter { .. }
             | ClientError::AdapterFull { .. }
@@ -155,12 +154,18 @@ fn exit_of_call(error: &CallError) -> Exit {
         CallError::Network { .. } | CallError::Foreign { .. } => Exit::Unreachable,
         // It was reached; only its owner can make room.
         CallError::Refused { problem, .. } if problem.code == ProblemCode::StorageFull => Exit::Failed,
+        // Its bytes were there when the bake ended: nobody named a wrong one.
+        CallError::Refused { call, problem, .. }
+            if problem.code == ProblemCode::NotFound && call.contains("/v1/chunks/") =>
+        {
+            Exit::Unsound
+        }
+        CallError::WrongPart { .. } => Exit::Unsound,
         CallError::Refused { .. } if error.retry_class() == RetryClass::Backoff => Exit::Unreachable,
         CallError::Refused { .. }
         | CallError::Address { .. }
         | CallError::Certificates { .. }
         | CallError::Json { .. }
-        | CallError::WrongPart { .. }
         | CallError::TooLarge { .. } => Exit::BadInput,
     }
 }
@@ -183,17 +188,23 @@ mod tests {
     }
 
     #[test]
-    fn light_that_came_wrong_is_bad_input_and_a_server_that_is_lost_is_unreachable() {
+    fn light_that_came_wrong_or_is_lost_is_no_bad_input_and_a_server_that_is_lost_is_unreachable() {
         let (place, digest) = ("http://farm:7410".to_owned(), lightkiln_proto::ids::Digest::of(b"chunk"));
         let (call, problem) = ("GET /v1/chunks".to_owned(), "bytes from 9 on came".to_owned());
+        let refused = |call: &str| {
+            let problem = Box::new(Problem::new(ProblemCode::NotFound, "there is none"));
+            ClientError::from(CallError::Refused { call: call.to_owned(), problem, retry_after: None })
+        };
+        assert_eq!(Failure::from(refused("GET http://farm:7410/v1/bakes/ab")).exit(), Exit::BadInput);
         let wrong = [
             ClientError::WrongPrefix { place, digest, bytes: 700 },
             ClientError::from(CallError::WrongPart { call, problem }),
+            refused("GET http://farm:7410/v1/chunks/ab"),
         ];
         for error in wrong {
             let told = error.to_string();
             let failure = Failure::from(error);
-            assert_eq!(failure.exit(), Exit::BadInput, "{told}");
+            assert_eq!(failure.exit(), Exit::Unsound, "{told}");
             assert!(failure.to_string().contains(&told), "{failure}");
         }
         let lost = CallError::Foreign { call: "GET /v1/chunks".to_owned(), status: 502, retry_after: None };

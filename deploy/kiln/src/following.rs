@@ -1,6 +1,6 @@
 //! Follows a bake on a server until it ends, showing its progress.
 
-use lightkiln_client::fetch::{ApiClient, PATIENCE};
+use lightkiln_client::fetch::ApiClient;
 use lightkiln_proto::api::{Bake, BakeState, Blame, EventKind};
 
 use crate::failure::{Exit, Failure, Result};
@@ -40,7 +40,6 @@ pub fn wait_for_end(
     interrupt: &Interrupt,
     check: impl Fn() -> Result<()>,
 ) -> Result<Ended> {
-    let client = client.clone().with_retry(PATIENCE);
     let mut view = ProgressView::new();
     // From the first answer on it is the whole id, where a beginning of it was given.
     let mut id = id.to_owned();

@@ -12,6 +12,7 @@ use ureq::{Agent, AsSendBody, Body, SendBody};
 
 use crate::call::{Answer, Call, Payload, number_in};
 use crate::error::CallError;
+use crate::patience::Patience;
 use crate::retry::{RetryPolicy, USUAL, retry};
 use crate::shutdown::{Level, ShutdownFlag};
 use crate::trace::name_span;
@@ -35,6 +36,8 @@ pub struct HttpClient {
     base: String,
     agent: Agent,
     retry: RetryPolicy,
+    /// In place of the policy.
+    patience: Option<Patience>,
     shutdown: ShutdownFlag,
 }
 
@@ -48,6 +51,7 @@ impl HttpClient {
             base: base.to_owned(),
             agent: agent(base, token, roots),
             retry: USUAL,
+            patience: None,
             shutdown: ShutdownFlag::new(),
         })
     }
@@ -56,6 +60,12 @@ impl HttpClient {
     #[must_use]
     pub fn with_retry(self, retry: RetryPolicy) -> Self {
         Self { retry, ..self }
+    }
+
+    /// The same server, waited for while it is away, whatever the policy.
+    #[must_use]
+    pub fn with_patience(self, patience: Patience) -> Self {
+        Self { patience: Some(patience), ..self }
     }
 
     /// The same server; waits between tries end when `shutdown` is raised.
@@ -80,15 +90,20 @@ impl HttpClient {
         call: &Call<'_>,
         read: impl Fn(Answer) -> Result<T, CallError>,
     ) -> Result<T, CallError> {
-        retry(self.retry, || self.once(call).and_then(&read), |error, wait| self.pause(error, wait))
+        self.try_again(|| self.once(call).and_then(&read))
     }
 
-    pub(crate) fn retry_policy(&self) -> RetryPolicy {
-        self.retry
+    /// Makes `call` until it succeeds, fails for good or patience ends.
+    pub(crate) fn try_again<T>(&self, call: impl FnMut() -> Result<T, CallError>) -> Result<T, CallError> {
+        let pause = |error: &CallError, wait| self.pause(error, wait);
+        match &self.patience {
+            Some(patience) => patience.insist(call, pause),
+            None => retry(self.retry, call, pause),
+        }
     }
 
     /// Waits before the next try, unless the caller is told to stop.
-    pub(crate) fn pause(&self, error: &CallError, wait: Duration) -> Result<(), CallError> {
+    fn pause(&self, error: &CallError, wait: Duration) -> Result<(), CallError> {
         tracing::debug!(%error, ?wait, "trying again");
         self.shutdown.wait(wait, |level| level > Level::Run);
         self.check_shutdown()

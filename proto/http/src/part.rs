@@ -8,7 +8,6 @@ use lightkiln_proto::problem::RetryClass;
 use crate::call::Call;
 use crate::client::HttpClient;
 use crate::error::CallError;
-use crate::retry::retry;
 
 /// Bytes of a body from a place on.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -43,7 +42,7 @@ impl HttpClient {
                 outcome => return outcome,
             }
         };
-        let ended = retry(self.retry_policy(), call, |error, wait| self.pause(error, wait));
+        let ended = self.try_again(call);
         (got, ended)
     }
 

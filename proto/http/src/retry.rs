@@ -43,9 +43,14 @@ pub fn retry<T>(
             outcome => return outcome,
         };
         let Some(longest) = waits.next() else { return Err(error) };
-        let asked = error.retry_after().unwrap_or_default().min(RETRY_AFTER_MAX);
-        pause(&error, asked + longest.mul_f64(0.5 + 0.5 * fastrand::f64()))?;
+        pause(&error, wait_after(&error, longest))?;
     }
+}
+
+/// Length of a wait of at most `longest`, beside that which the server asks for.
+pub(crate) fn wait_after(error: &CallError, longest: Duration) -> Duration {
+    let asked = error.retry_after().unwrap_or_default().min(RETRY_AFTER_MAX);
+    asked + longest.mul_f64(0.5 + 0.5 * fastrand::f64())
 }
 
 #[cfg(test)]

@@ -9,9 +9,9 @@ use axum::http::{HeaderMap, Method, header};
 use axum::middleware::Next;
 use axum::response::Response;
 
-use super::extract::{Caller, text_header};
+use super::extract::{Caller, content_length, text_header};
 use super::limits::Limits;
-use super::pages;
+use super::{leases, pages};
 use crate::access::{Bearer, Scope};
 use crate::error::Result;
 use crate::farm::Farm;
@@ -91,8 +91,16 @@ pub(super) async fn guard(
     if route.is_some_and(|route| is_about_health(route.as_str())) {
         return Ok(next.run(request).await);
     }
+    let is_heavy = route.is_some_and(|route| route.as_str() == leases::COMMIT);
     let place = doorman.limits.place()?;
-    Ok(place.held_by(next.run(request).await))
+    let room = match is_heavy {
+        true => doorman.limits.room_for(content_length(request.headers())).await,
+        false => None,
+    };
+    let request = request.map(|body| doorman.limits.paced(body, room.is_some()));
+    let answer = next.run(request).await;
+    drop(room);
+    Ok(place.held_by(answer))
 }
 
 pub(super) fn bearer_token(headers: &HeaderMap) -> Option<&str> {

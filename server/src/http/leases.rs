@@ -14,8 +14,11 @@ use crate::error::{Result, ServerError};
 
 /// Largest JSON body of small calls.
 const MAX_JSON_BYTES: usize = 1 << 20;
-/// Largest result; a plan of a hundred thousand tasks is big.
-const MAX_RESULT_BYTES: usize = 256 << 20;
+/// Largest result: a plan of some hundred thousand tasks. A server takes ten times as much memory for it; deploy/ gives as
+/// much.
+pub const MAX_RESULT_BYTES: usize = 64 << 20;
+/// The call that brings a result.
+pub(super) const COMMIT: &str = "/v1/leases/{token}/commit";
 
 /// The lease that the path names: nobody's but the bearer's that claimed it.
 pub(super) struct LeaseToken(String);

@@ -2,22 +2,22 @@
 
 use std::net::IpAddr;
 use std::num::NonZeroU32;
-use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
-use std::task::{Context, Poll};
 use std::time::Duration;
 
-use axum::body::{Body, HttpBody};
+use axum::body::Body;
 use axum::response::Response;
-use bytes::Bytes;
 use governor::clock::{Clock as _, DefaultClock};
 use governor::state::keyed::HashMapStateStore;
 use governor::{Quota, RateLimiter};
 use lightkiln_proto::ids::Digest;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
+use super::leases::MAX_RESULT_BYTES;
+use super::pace::Pace;
 use crate::error::{Result, ServerError};
+use crate::held::hold;
 
 /// Callers that were not heard for a while are forgotten after this many calls.
 const CALLS_BETWEEN_SWEEPS: u32 = 4096;
@@ -33,13 +33,48 @@ pub struct LimitConfig {
     /// Calls under way at a time, those that wait for work or events and answers still being sent included. Fewer → less
     /// memory at worst; a worker or a watched bake takes one. 0 is no limit.
     pub calls_at_a_time: u32,
+    /// Bytes a second that a body must bring in the long run. More → slow callers hold memory for less long, and those on
+    /// bad lines are cut off. 0 is no limit.
+    pub body_bytes_per_sec: u32,
+    /// Time that a body may fall behind that rate, or be silent.
+    pub body_patience: Duration,
 }
 
 impl Default for LimitConfig {
     fn default() -> Self {
-        Self { calls_per_sec: 1000, calls_at_a_time: 10_000 }
+        Self {
+            calls_per_sec: 1000,
+            calls_at_a_time: 10_000,
+            body_bytes_per_sec: 1024,
+            body_patience: Duration::from_secs(30),
+        }
     }
 }
+
+impl LimitConfig {
+    /// The same on a server of so many connections at a time; a few of them are left for calls about health. 0 is no limit.
+    pub(crate) fn beside(self, connections: u32) -> Self {
+        let most = connections.saturating_sub(CONNECTIONS_FOR_HEALTH).max(1);
+        let calls_at_a_time = match (self.calls_at_a_time, connections) {
+            (calls, 0) => calls,
+            (0, _) => most,
+            (calls, _) => calls.min(most),
+        };
+        Self { calls_at_a_time, ..self }
+    }
+}
+
+/// Calls that bring much JSON, in whose parsed form each byte takes some ten, stand in line for so much of it at a time.
+/// More → big plans go in beside each other, in more memory.
+pub const HEAVY_BYTES: u64 = MAX_RESULT_BYTES as u64;
+/// JSON up to this size stands in no line.
+const LIGHT_BYTES: u64 = 1 << 20;
+/// Unit of the line.
+const KIB: u64 = 1 << 10;
+/// Whoever is first in the line must send so many times as fast, as others wait.
+const HEAVY_HASTE: u32 = 64;
+/// Connections that calls about health have for themselves.
+const CONNECTIONS_FOR_HEALTH: u32 = 8;
 
 /// A caller: an address, with the token that opened the call if one did.
 pub(super) type Caller = (IpAddr, Option<Digest>);
@@ -50,6 +85,8 @@ pub(crate) struct Limits {
     clock: DefaultClock,
     calls: AtomicU32,
     places: Option<Arc<Semaphore>>,
+    heavy: Arc<Semaphore>,
+    pace: Pace,
 }
 
 impl Limits {
@@ -62,6 +99,8 @@ impl Limits {
             clock: DefaultClock::default(),
             calls: AtomicU32::new(0),
             places: places.map(Arc::new),
+            heavy: Arc::new(Semaphore::new((HEAVY_BYTES / KIB) as usize)),
+            pace: Pace { bytes_per_sec: config.body_bytes_per_sec, patience: config.body_patience },
         }
     }
 
@@ -87,6 +126,27 @@ impl Limits {
     }
 }
 
+impl Limits {
+    /// Waits until there is memory for a call whose JSON has so many bytes, if its caller says how many; the room is held
+    /// until the call has ended. None is needed for little.
+    pub(super) async fn room_for(&self, json_bytes: Option<u64>) -> Option<OwnedSemaphorePermit> {
+        let bytes = json_bytes.unwrap_or(HEAVY_BYTES).min(HEAVY_BYTES);
+        if bytes <= LIGHT_BYTES {
+            return None;
+        }
+        let kib = u32::try_from(bytes / KIB).unwrap_or(u32::MAX);
+        // It is never closed.
+        self.heavy.clone().acquire_many_owned(kib).await.ok()
+    }
+
+    /// The body, which has to keep coming.
+    pub(super) fn paced(&self, body: Body, is_heavy: bool) -> Body {
+        let haste = if is_heavy { HEAVY_HASTE } else { 1 };
+        let bytes_per_sec = self.pace.bytes_per_sec.saturating_mul(haste);
+        Pace { bytes_per_sec, ..self.pace }.kept_by(body)
+    }
+}
+
 /// The burst is this many seconds' worth.
 const TWO: NonZeroU32 = NonZeroU32::new(2).expect("two is not zero");
 
@@ -104,37 +164,14 @@ pub(super) struct Place {
 impl Place {
     /// The answer, which holds the place until it has been sent or its caller is gone.
     pub(super) fn held_by(self, answer: Response) -> Response {
-        answer.map(|body| Body::new(Held { body, _place: self }))
-    }
-}
-
-struct Held {
-    body: Body,
-    _place: Place,
-}
-
-impl HttpBody for Held {
-    type Data = Bytes;
-    type Error = axum::Error;
-
-    fn poll_frame(
-        mut self: Pin<&mut Self>,
-        context: &mut Context<'_>,
-    ) -> Poll<Option<Result<http_body::Frame<Bytes>, axum::Error>>> {
-        Pin::new(&mut self.body).poll_frame(context)
-    }
-
-    fn is_end_stream(&self) -> bool {
-        self.body.is_end_stream()
-    }
-
-    fn size_hint(&self) -> http_body::SizeHint {
-        self.body.size_hint()
+        hold(answer, self)
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use axum::body::HttpBody as _;
+
     use super::*;
 
     const HERE: IpAddr = IpAddr::V4(std::net::Ipv4Addr::LOCALHOST);
@@ -175,9 +212,32 @@ mod tests {
         assert!(limits.place().is_ok());
     }
 
+    #[tokio::test]
+    async fn much_json_stands_in_line_and_little_does_not() {
+        let limits = Limits::new(LimitConfig::default());
+        assert!(limits.room_for(Some(LIGHT_BYTES)).await.is_none());
+        let half = limits.room_for(Some(HEAVY_BYTES / 2)).await.expect("half of the room");
+        let waits = |bytes| tokio::time::timeout(Duration::from_millis(20), limits.room_for(bytes));
+        assert!(waits(None).await.is_err(), "who knows how much it is");
+        assert!(waits(Some(HEAVY_BYTES / 2)).await.is_ok());
+        drop(half);
+        assert!(limits.room_for(Some(u64::MAX)).await.is_some(), "its size is refused later");
+    }
+
+    #[test]
+    fn calls_leave_connections_for_those_about_health() {
+        let beside = |calls_at_a_time, connections| {
+            LimitConfig { calls_at_a_time, ..LimitConfig::default() }.beside(connections).calls_at_a_time
+        };
+        assert_eq!(beside(10_000, 480), 472);
+        assert_eq!((beside(100, 480), beside(0, 480), beside(0, 0), beside(7, 0)), (100, 472, 0, 7));
+        assert_eq!(beside(10_000, 3), 1);
+    }
+
     #[test]
     fn zero_is_no_limit() {
-        let limits = Limits::new(LimitConfig { calls_per_sec: 0, calls_at_a_time: 0 });
+        let limits =
+            Limits::new(LimitConfig { calls_per_sec: 0, calls_at_a_time: 0, ..LimitConfig::default() });
         assert_eq!(refused(&limits, (HERE, None), 10_000), None);
         let places: Vec<Place> = (0..1000).map(|_| limits.place().unwrap()).collect();
         assert_eq!(places.len(), 1000);

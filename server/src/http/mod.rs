@@ -11,6 +11,7 @@ mod health;
 mod leases;
 mod limits;
 mod openapi;
+mod pace;
 mod pages;
 mod problem;
 pub mod ranges;
@@ -20,23 +21,26 @@ mod trace;
 use std::sync::Arc;
 use std::time::Instant;
 
-use axum::Router;
 use axum::extract::{MatchedPath, Request, State};
 use axum::http::{Method, StatusCode, Uri};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, head, post, put};
+use axum::{Extension, Router};
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::trace::TraceLayer;
 
 use crate::error::ServerError;
 use crate::farm::Farm;
 use crate::pages::Pages;
+use crate::readiness::Readiness;
 
 use guard::Doorman;
 use limits::Limits;
 
-pub use limits::LimitConfig;
+pub(crate) use health::healthz;
+pub use leases::MAX_RESULT_BYTES;
+pub use limits::{HEAVY_BYTES, LimitConfig};
 pub use openapi::openapi_json;
 
 /// All calls over a farm, and files for browsers.
@@ -63,7 +67,7 @@ pub(crate) fn router(farm: Arc<Farm>, limits: LimitConfig, pages: Pages) -> Rout
         .route("/v1/workers", get(bakes::workers))
         .route("/v1/leases", post(leases::claim))
         .route("/v1/leases/{token}/heartbeat", post(leases::heartbeat))
-        .route("/v1/leases/{token}/commit", post(leases::commit))
+        .route(leases::COMMIT, post(leases::commit))
         .route("/v1/leases/{token}/fail", post(leases::fail))
         .route("/v1/leases/{token}/release", post(leases::release))
         .route("/v1/enrolments", post(enrolments::enrol))
@@ -74,6 +78,7 @@ pub(crate) fn router(farm: Arc<Farm>, limits: LimitConfig, pages: Pages) -> Rout
         .merge(pages::router(pages))
         .fallback(no_such_path)
         .method_not_allowed_fallback(method_not_allowed)
+        .layer(Extension(Arc::new(Readiness::default())))
         .layer(axum::middleware::from_fn_with_state(doorman, guard::guard))
         .layer(axum::middleware::from_fn_with_state(farm.clone(), measure))
         .layer(CatchPanicLayer::custom(panicked))

@@ -14,6 +14,8 @@ impl IntoResponse for ServerError {
         let code = self.code();
         let chain = self.chain();
         let detail = match code {
+            // Told when it began, and known since.
+            _ if matches!(self, Self::NotReady { .. } | Self::NotOpen) => chain,
             // Inner causes are for the log, not for callers.
             ProblemCode::Internal | ProblemCode::Unavailable | ProblemCode::StorageFull => {
                 tracing::error!(error = chain, "a request failed");
@@ -27,6 +29,9 @@ impl IntoResponse for ServerError {
         }
         if let Self::TooManyCalls { retry_after_secs } | Self::Busy { retry_after_secs } = self {
             response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from(retry_after_secs));
+        }
+        if let Self::NotOpen = self {
+            response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from(1));
         }
         if let Self::Range { length } = self
             && let Ok(range) = HeaderValue::try_from(format!("bytes */{length}"))

@@ -338,6 +338,12 @@ pub trait FarmStore: Send + Sync {
 
     /// Writes something, to show that writing works.
     async fn probe(&self) -> Result<()>;
+
+    /// Errs if what is stored is damaged, as far as a look through it shows; it may take as long as reading all of it. A
+    /// store that looks after that itself says nothing.
+    async fn examine(&self) -> Result<()> {
+        Ok(())
+    }
 }
 
 /// Refuses calls that only a live bake allows.

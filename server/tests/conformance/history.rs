@@ -310,6 +310,8 @@ impl Side {
         self.world.clock.advance_ms(700_000);
         stock_again(&self.world).await;
         self.world.store.reap().await.unwrap();
+        // Tasks of the leases that just ended wait, too.
+        self.world.clock.advance_ms(700_000);
         loop {
             let mut request = request("finisher", 4);
             request.threads = 8;

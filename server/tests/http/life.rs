@@ -126,6 +126,26 @@ async fn readiness_tells_the_truth_about_the_chunk_store() {
 }
 
 #[tokio::test]
+async fn readiness_tells_the_truth_about_a_damaged_database() {
+    let server = start().await;
+    assert_eq!(server.get("/readyz").await.status, 200);
+    let bake = submit(&server).await;
+    let folder = server.stop().await;
+    let file = folder.path().join("farm.sqlite");
+    let mut bytes = std::fs::read(&file).unwrap();
+    let page = usize::from(u16::from_be_bytes([bytes[16], bytes[17]]));
+    // The heads of those pages alone that tell of the bake: what there is, and the row that is written, are whole.
+    let tells = |page: &[u8]| page.windows(bake.id.len()).any(|text| text == bake.id.as_bytes());
+    let damaged = bytes.chunks_mut(page).filter(|page| tells(page)).map(|page| page[..8].fill(0xee)).count();
+    assert!(damaged > 0, "no page of {page} bytes tells of the bake");
+    std::fs::write(&file, bytes).unwrap();
+    let server = start_in(folder).await;
+    let problem = server.get("/readyz").await.problem(ProblemCode::Unavailable);
+    assert!(problem.detail.contains("cannot be used"), "{}", problem.detail);
+    assert_eq!(server.get("/healthz").await.status, 200, "it is alive");
+}
+
+#[tokio::test]
 async fn checked_in_description_is_what_the_server_says() {
     let server = start().await;
     let said = String::from_utf8(server.get("/openapi.json").await.body).unwrap();

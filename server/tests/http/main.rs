@@ -5,6 +5,7 @@
 mod access;
 mod bakes;
 mod bytes;
+mod connections;
 mod enrolments;
 mod evaluations;
 mod events;

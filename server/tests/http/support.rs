@@ -8,7 +8,7 @@ use lightkiln_proto::problem::{Problem, ProblemCode};
 use lightkiln_server::{Config, LimitConfig, Server, ServerError};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
-use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
+use tokio::io::{AsyncBufReadExt, AsyncRead, AsyncReadExt, AsyncWriteExt, BufReader};
 use tokio::net::TcpStream;
 use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
@@ -146,7 +146,7 @@ impl Answer {
 }
 
 /// Reads the status line and the headers.
-pub async fn read_head(stream: &mut BufReader<TcpStream>) -> (u16, Vec<(String, String)>) {
+pub async fn read_head<S: AsyncRead + Unpin>(stream: &mut BufReader<S>) -> (u16, Vec<(String, String)>) {
     let mut lines = Vec::new();
     loop {
         let mut line = String::new();
@@ -164,7 +164,7 @@ pub async fn read_head(stream: &mut BufReader<TcpStream>) -> (u16, Vec<(String, 
     (status, headers.collect())
 }
 
-async fn read_answer(stream: &mut BufReader<TcpStream>, is_head: bool) -> Answer {
+pub async fn read_answer<S: AsyncRead + Unpin>(stream: &mut BufReader<S>, is_head: bool) -> Answer {
     let (status, headers) = read_head(stream).await;
     let mut answer = Answer { status, headers, body: Vec::new() };
     if is_head {
@@ -184,7 +184,7 @@ async fn read_answer(stream: &mut BufReader<TcpStream>, is_head: bool) -> Answer
 }
 
 /// Reads one piece of a body that comes in pieces; nothing at its end.
-pub async fn read_piece(stream: &mut BufReader<TcpStream>) -> Option<Vec<u8>> {
+pub async fn read_piece<S: AsyncRead + Unpin>(stream: &mut BufReader<S>) -> Option<Vec<u8>> {
     let mut size = String::new();
     stream.read_line(&mut size).await.unwrap();
     let size = usize::from_str_radix(size.trim_end(), 16).unwrap();

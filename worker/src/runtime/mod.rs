@@ -12,6 +12,7 @@ mod farm;
 mod memory;
 mod seat;
 mod share;
+mod shift;
 mod store;
 #[cfg(test)]
 mod tests;
@@ -34,6 +35,7 @@ use crate::task::{MemoryCache, TaskRunner};
 use farm::Farm;
 use memory::{LOOK_EVERY, MemoryWatch};
 use share::Threads;
+use shift::Shift;
 
 pub use attempt::Outcome;
 pub use lightkiln_http::{CallError, Level, ShutdownFlag};
@@ -83,6 +85,10 @@ pub struct WorkerConfig {
     pub claim_wait_secs: u32,
     /// Time that a task may still take once draining began, before it is given back.
     pub drain_grace: Duration,
+    /// Takes so many tasks, then ends. None is no limit.
+    pub max_tasks: Option<u32>,
+    /// Ends once the server had no task for it for so long. None is to stay.
+    pub exit_when_idle: Option<Duration>,
 }
 
 impl WorkerConfig {
@@ -106,6 +112,8 @@ impl WorkerConfig {
             lease_secs: LEASE_SECS,
             claim_wait_secs: 20,
             drain_grace: Duration::from_secs(20),
+            max_tasks: None,
+            exit_when_idle: None,
         }
     }
 }
@@ -193,13 +201,15 @@ impl Worker {
         Ok(Self { config, runner, farm, disk, memory, threads, memory_watch, in_hand, claiming })
     }
 
-    /// Claims and does tasks until `shutdown` is raised. A server that is away is waited for.
+    /// Claims and does tasks until `shutdown` is raised, or the worker has done what it came for. A server that is away is
+    /// waited for.
     pub fn run(&self, shutdown: &ShutdownFlag) -> Result<(), WorkerError> {
         self.tell_of_left(shutdown);
         let has_ended = AtomicBool::new(false);
+        let shift = Shift::new(self.config.max_tasks, self.config.exit_when_idle);
         std::thread::scope(|scope| {
             scope.spawn(|| self.watch_memory(&has_ended, shutdown));
-            let start = |_| scope.spawn(|| self.take_tasks(shutdown));
+            let start = |_| scope.spawn(|| self.take_tasks(shutdown, &shift));
             let running: Vec<_> = (0..self.config.tasks.max(1)).map(start).collect();
             // Who is refused for good ends alone: the others will be refused as well, and have a task to end.
             let ended: Vec<std::thread::Result<_>> =
@@ -211,18 +221,23 @@ impl Worker {
     }
 
     /// Claims and does one task after the other.
-    fn take_tasks(&self, shutdown: &ShutdownFlag) -> Result<(), WorkerError> {
+    fn take_tasks(&self, shutdown: &ShutdownFlag, shift: &Shift) -> Result<(), WorkerError> {
         let is_over = |level| level > Level::Run;
         let pause = |error: &CallError, wait: Duration| {
             tracing::warn!(%error, wait_secs = wait.as_secs_f64(), "no task could be claimed; trying again");
+            shift.note_silence();
             if is_over(shutdown.wait(wait, is_over)) { Err(CallError::Stopped) } else { Ok(()) }
         };
         while !is_over(shutdown.level()) {
             self.wait_for_memory(shutdown)?;
             let turn = self.claiming.lock().unwrap_or_else(PoisonError::into_inner);
-            let claimed = retry(FOREVER, || claim::claim(&self.farm, self.claim_request(), shutdown), pause);
-            match claimed {
+            if shift.is_full() {
+                break;
+            }
+            let claim = || claim::claim(&self.farm, self.claim_request(shift), shutdown);
+            match retry(FOREVER, claim, pause) {
                 Ok(Some(lease)) => {
+                    let _in_hand = shift.take();
                     drop(turn);
                     tracing::info!(kind = lease.task.kind, label = lease.task.label, "took");
                     self.in_hand.fetch_add(1, Ordering::AcqRel);
@@ -235,6 +250,7 @@ impl Worker {
                     }
                     self.in_hand.fetch_sub(1, Ordering::AcqRel);
                 }
+                Ok(None) if shift.is_idle() => break,
                 Ok(None) => {
                     shutdown.wait(EMPTY_ANSWER_PAUSE, is_over);
                 }
@@ -304,7 +320,7 @@ impl Worker {
         Ok(())
     }
 
-    fn claim_request(&self) -> ClaimRequest {
+    fn claim_request(&self, shift: &Shift) -> ClaimRequest {
         ClaimRequest {
             worker: self.config.name.clone(),
             kinds: self.runner.kinds(),
@@ -313,7 +329,7 @@ impl Worker {
             labels: self.config.labels.clone(),
             max: 1,
             ttl_secs: self.config.lease_secs,
-            wait_secs: self.config.claim_wait_secs,
+            wait_secs: shift.wait_secs(self.config.claim_wait_secs),
         }
     }
 }

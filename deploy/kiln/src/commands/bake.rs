@@ -4,10 +4,11 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use clap::Args;
-use lightkiln_client::fetch::{ApiClient, Source};
+use lightkiln_client::fetch::{ApiClient, PATIENCE, Source};
+use lightkiln_http::USUAL;
 use lightkiln_proto::api::NewBake;
 
-use crate::arguments::TrustArgument;
+use crate::arguments::{PatienceArgument, TrustArgument};
 use crate::bundle::{refuse_foreign_folder, write_bundle};
 use crate::console::{printable, put_json, say};
 use crate::embedded::{EmbeddedFarm, default_state};
@@ -47,6 +48,8 @@ pub struct Arguments {
     server: Option<String>,
     #[command(flatten)]
     trust: TrustArgument,
+    #[command(flatten)]
+    patience: PatienceArgument,
     /// Threads to bake with [default: one per processor]
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
@@ -85,7 +88,7 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     let scene = PackedScene::read(&arguments.scene)?;
     let interrupt = Interrupt::listen()?;
     let farm = Place::open(&arguments, kinds, &interrupt)?;
-    let client = arguments.trust.connect(farm.url(), &interrupt)?;
+    let client = farm.patient(arguments.trust.connect(farm.url(), &interrupt)?, &arguments.patience);
     let bake = scene.submit(&client, |bake| {
         wanted.set(bake);
         farm.reserve(bake);
@@ -156,6 +159,14 @@ impl Place {
         }
     }
 
+    /// The server, waited for: inside this process it is slow at worst.
+    fn patient(&self, client: ApiClient, patience: &PatienceArgument) -> ApiClient {
+        match self {
+            Self::Embedded(_) => client.with_retry(PATIENCE),
+            Self::Farm(_) => patience.with(client),
+        }
+    }
+
     fn check(&self) -> Result<()> {
         match self {
             Self::Embedded(farm) => farm.check(),
@@ -178,8 +189,9 @@ fn wind_down(failure: Failure, farm: &Place, client: &ApiClient, id: &str) -> Fa
         Place::Farm(_) => client.cancel(id).map(drop),
         Place::Embedded(farm) => {
             farm.stop_worker();
-            // A bake that has ended cannot be cancelled, and one that goes on is when the state is opened next.
-            if let Err(error) = client.cancel(id) {
+            // A bake that has ended cannot be cancelled, and one that goes on is when the state is opened next. A full disk
+            // refuses it for as long as it is asked.
+            if let Err(error) = client.clone().with_retry(USUAL).cancel(id) {
                 tracing::debug!(%error, "the bake was not cancelled");
             }
             Ok(())

@@ -6,7 +6,7 @@ use std::time::Instant;
 use clap::Args;
 use lightkiln_proto::kinds::Kinds;
 
-use crate::arguments::ServerArgument;
+use crate::arguments::{PatienceArgument, ServerArgument};
 use crate::bundle::write_bundle;
 use crate::console::say;
 use crate::failure::Result;
@@ -22,13 +22,15 @@ pub struct Arguments {
     out: PathBuf,
     #[command(flatten)]
     server: ServerArgument,
+    #[command(flatten)]
+    patience: PatienceArgument,
 }
 
 /// Downloads manifest, chunks and report; the same command again goes on after an interruption.
 pub fn run(arguments: Arguments, kinds: &Kinds) -> Result<()> {
     let started = Instant::now();
     let interrupt = Interrupt::listen()?;
-    let client = arguments.server.connect_until(&interrupt)?;
+    let client = arguments.patience.with(arguments.server.connect_until(&interrupt)?);
     let bake = client.bake(&arguments.id)?;
     let written = write_bundle(kinds, &client, &bake, &bake.name, &arguments.out, started);
     let (_, done) = written.map_err(|failure| match bake.results_lost {

@@ -8,7 +8,7 @@ use clap::Args;
 use lightkiln_proto::kinds::Kinds;
 use lightkiln_server::places::ChunksPlace;
 use lightkiln_server::store::FarmRules;
-use lightkiln_server::{Config, LimitConfig, Retention, Server, TlsFiles, WebhookConfig};
+use lightkiln_server::{Config, ConnectionConfig, LimitConfig, Retention, TlsFiles, WebhookConfig};
 use lightkiln_worker::runtime::Level;
 use tokio::runtime::Runtime;
 
@@ -60,6 +60,19 @@ pub struct Arguments {
     #[arg(long, value_name = "N", default_value_t = LimitConfig::default().calls_at_a_time, help_heading = "Limits",
         value_parser = clap::value_parser!(u32).range(0..=1_000_000))]
     calls_at_a_time: u32,
+    /// Connections at a time; fewer where few files may be open (ulimit -n). A silent one makes room for another. 0 is as
+    /// many as the system allows
+    #[arg(long, value_name = "N", default_value_t = ConnectionConfig::default().at_a_time, help_heading = "Limits",
+        value_parser = clap::value_parser!(u32).range(0..=1_000_000))]
+    connections: u32,
+    /// The same of one address; three quarters of all at most. 0 is no limit of its own
+    #[arg(long, value_name = "N", default_value_t = ConnectionConfig::default().of_address, help_heading = "Limits",
+        value_parser = clap::value_parser!(u32).range(0..=1_000_000))]
+    connections_of_address: u32,
+    /// Bytes a second that an upload must bring in the long run; slower ones end with 408. 0 is no limit
+    #[arg(long, value_name = "BYTES", default_value_t = LimitConfig::default().body_bytes_per_sec, help_heading = "Limits",
+        value_parser = clap::value_parser!(u32).range(0..=1_000_000_000))]
+    upload_bytes_per_sec: u32,
     /// Most that the chunk store may hold, such as 500M, 200G or 2T; uploads beyond are refused with 507 until there is
     /// room [default: as much as there is]
     #[arg(long, value_name = "SIZE", value_parser = parse_size)]
@@ -106,6 +119,13 @@ pub fn run(arguments: Arguments, kinds: &Kinds) -> Result<()> {
         limits: LimitConfig {
             calls_per_sec: arguments.calls_per_sec,
             calls_at_a_time: arguments.calls_at_a_time,
+            body_bytes_per_sec: arguments.upload_bytes_per_sec,
+            ..LimitConfig::default()
+        },
+        connections: ConnectionConfig {
+            at_a_time: arguments.connections,
+            of_address: arguments.connections_of_address,
+            ..ConnectionConfig::default()
         },
         allow_non_loopback: arguments.allow_non_loopback,
         database: arguments.state.database.clone(),
@@ -123,11 +143,6 @@ pub fn run(arguments: Arguments, kinds: &Kinds) -> Result<()> {
         |what: &str, error: &(dyn StdError + 'static)| Failure::new(Exit::Failed, what).caused_by(error);
     let runtime = Runtime::new().map_err(|error| failed("the server's threads cannot be started", &error))?;
     runtime.block_on(async {
-        let server = Server::open(config).await.map_err(|error| server_failure(&error))?;
-        let listener = server.bind(&arguments.listen).await.map_err(|error| server_failure(&error))?;
-        let address = listener.local_addr().map_err(|error| failed("the address is not known", &error))?;
-        // For scripts that asked for a free port: the first and only line on standard output.
-        answer!("listening on {scheme}://{address}");
         let flag = interrupt.flag().clone();
         let signal =
             tokio::task::spawn_blocking(
@@ -138,7 +153,12 @@ pub fn run(arguments: Arguments, kinds: &Kinds) -> Result<()> {
         let shutdown = async {
             let _ = signal.await;
         };
-        server.serve(listener, shutdown).await.map_err(|error| server_failure(&error))
+        // For scripts that asked for a free port: the first and only line on standard output.
+        let announce = |address| answer!("listening on {scheme}://{address}");
+        let served = lightkiln_server::serve(config, &arguments.listen, announce, shutdown).await;
+        // The thread that waits for a signal would keep the process.
+        interrupt.flag().raise(Level::Drain);
+        served.map_err(|error| server_failure(&error))
     })
 }
 

@@ -8,7 +8,7 @@ use lightkiln_client::fetch::Source;
 use lightkiln_proto::api::{Bake, BakeState, Needs, NewBake};
 use serde_json::{Value, json};
 
-use crate::arguments::ServerArgument;
+use crate::arguments::{PatienceArgument, ServerArgument};
 use crate::console::{answer, printable, put_json, say};
 use crate::evaluation::{Evaluation, EvaluationArguments, check, measure, words};
 use crate::failure::{EXIT_CODES, Failure, Result};
@@ -29,6 +29,8 @@ pub struct Arguments {
     scene: SceneArguments,
     #[command(flatten)]
     server: ServerArgument,
+    #[command(flatten)]
+    patience: PatienceArgument,
     #[command(flatten)]
     settings: SettingsArguments,
     /// Bigger runs first
@@ -123,7 +125,7 @@ fn submit(arguments: &Arguments, kinds: &KindTables) -> Result<Outcome> {
         labels: arguments.needs_labels.clone(),
     };
     let interrupt = Interrupt::listen()?;
-    let client = arguments.server.connect_until(&interrupt)?;
+    let client = arguments.patience.with(arguments.server.connect_until(&interrupt)?);
     let set = |bake: &mut NewBake| {
         wanted.set(bake);
         bake.priority = arguments.priority;

@@ -2,7 +2,7 @@
 
 use clap::Args;
 
-use crate::arguments::ServerArgument;
+use crate::arguments::{PatienceArgument, ServerArgument};
 use crate::console::say;
 use crate::failure::Result;
 use crate::following::follow;
@@ -15,12 +15,14 @@ pub struct Arguments {
     id: String,
     #[command(flatten)]
     server: ServerArgument,
+    #[command(flatten)]
+    patience: PatienceArgument,
 }
 
 /// Shows progress until the bake is done; the exit code says how it ended. Ctrl-C ends the watch, not the bake.
 pub fn run(arguments: Arguments) -> Result<()> {
     let interrupt = Interrupt::listen()?;
-    let client = arguments.server.connect_until(&interrupt)?;
+    let client = arguments.patience.with(arguments.server.connect_until(&interrupt)?);
     let bake = follow(&client, &arguments.id, &interrupt, || Ok(()))?;
     say!("done; 'kiln fetch {} --out DIR' downloads it", bake.id);
     Ok(())

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::time::Duration;
 
 use clap::Args;
 use lightkiln_worker::kinds::{BakeKinds, Runner};
@@ -52,6 +53,13 @@ pub struct Arguments {
     /// Seconds after which the task of a worker that is not heard from goes to another
     #[arg(long, value_name = "SECS", default_value_t = LEASE_SECS, value_parser = clap::value_parser!(u32).range(5..=3600))]
     lease_secs: u32,
+    /// Takes so many tasks, then ends with 0: for jobs of a fixed size, as a spot fleet's or a render manager's
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    max_tasks: Option<u32>,
+    /// Ends with 0 once the server had no task for this worker for so many seconds [with no number: 60]: for arrays of
+    /// Slurm and jobs of Kubernetes. A server that is away is waited for
+    #[arg(long, value_name = "SECS", num_args = 0..=1, default_missing_value = "60")]
+    exit_when_idle: Option<u32>,
     /// Code from 'kiln token enrol', to get a token of this worker's own, once; the token is kept in the token file
     #[arg(long, value_name = "CODE", env = "KILN_ENROL", hide_env_values = true)]
     enrol: Option<String>,
@@ -64,7 +72,7 @@ pub struct Arguments {
     name: Option<String>,
 }
 
-/// Works until a signal comes.
+/// Works until a signal comes, or it has done what it came for.
 pub fn run(arguments: Arguments, kinds: &BakeKinds) -> Result<()> {
     let interrupt = Interrupt::listen()?;
     let seat = take_seat()?;
@@ -86,11 +94,17 @@ pub fn run(arguments: Arguments, kinds: &BakeKinds) -> Result<()> {
     config.labels = arguments.labels;
     config.cache_dir = Some(or_in_state(arguments.cache, "worker")?);
     config.lease_secs = arguments.lease_secs;
+    config.max_tasks = arguments.max_tasks;
+    config.exit_when_idle = arguments.exit_when_idle.map(|secs| Duration::from_secs(secs.into()));
     config.cache_bytes = arguments.cache_gib << 30;
     let name = config.name.clone();
     let worker = Worker::new(config, Arc::new(Runner::new(kinds))).map_err(worker_failure)?;
     say!("worker {name} takes tasks from {}", arguments.server.server);
-    worker.run(interrupt.flag()).map_err(worker_failure)
+    worker.run(interrupt.flag()).map_err(worker_failure)?;
+    if !interrupt.is_raised() {
+        say!("worker {name} ends: its tasks are done, or there was none for it");
+    }
+    Ok(())
 }
 
 /// Memory of this machine, or of the group of processes that this one may use; 0 where nobody says.

@@ -6,7 +6,7 @@ use super::{documents, names_in, text_of, texts};
 use crate::command_line::CommandLine;
 
 /// Panics unless the program takes these arguments.
-fn assert_taken(place: &str, arguments: &[String]) {
+pub(super) fn assert_taken(place: &str, arguments: &[String]) {
     let line = ["kiln".to_owned()].into_iter().chain(arguments.iter().cloned());
     if let Err(error) = CommandLine::try_parse_from(line) {
         let is_help = matches!(
@@ -18,7 +18,7 @@ fn assert_taken(place: &str, arguments: &[String]) {
 }
 
 /// The arguments of each call of `kiln` in a line of shell, also within containers that run it.
-fn calls(line: &str) -> Vec<Vec<String>> {
+pub(super) fn calls(line: &str) -> Vec<Vec<String>> {
     let inner = line.replace("$(", " ; ").replace(')', " ; ").replace([';', '|'], " ; ");
     let words = shlex::split(&inner).unwrap_or_else(|| panic!("no line of shell: {line}"));
     words
@@ -38,9 +38,9 @@ fn calls(line: &str) -> Vec<Vec<String>> {
 
 /// Whether a command may stand after these words: variables, or another user's name.
 fn leads_in(words: &[String]) -> bool {
-    words
-        .iter()
-        .all(|word| word.contains('=') || matches!(word.as_str(), "sudo" | "-u" | "lightkiln" | "env"))
+    words.iter().all(|word| {
+        word.contains('=') || matches!(word.as_str(), "sudo" | "-u" | "lightkiln" | "env" | "exec")
+    })
 }
 
 /// The calls within the fences of a page, with lines that end with a backslash joined.

@@ -99,9 +99,61 @@ fn workers_are_scaled_by_what_is_ready_and_what_is_under_way() {
     let trigger = &scaled["spec"]["triggers"][0];
     assert_eq!(trigger["type"], "prometheus");
     let query = trigger["metadata"]["query"].as_str().unwrap();
-    assert!(query.contains("state=~\"ready|leased\""), "{query}");
+    assert!(query.contains("lightkiln_ready_tasks") && query.contains("state=\"leased\""), "{query}");
+    assert!(query.contains("labels=\"\""), "bakes for other pools start none of these: {query}");
     assert!(query.contains("max by (kind, state)"), "servers tell of the whole farm, each: {query}");
     assert!(trigger["metadata"]["threshold"].as_str().unwrap().parse::<f64>().unwrap() > 0.0);
+}
+
+#[test]
+fn scaling_counts_tasks_that_the_pools_own_workers_can_take() {
+    let worker = object("Deployment", "worker");
+    let container = &worker["spec"]["template"]["spec"]["containers"][0];
+    let arguments = texts(&container["args"]);
+    let at = arguments.iter().position(|argument| *argument == "--threads").unwrap();
+    let threads: u32 = arguments[at + 1].parse().unwrap();
+    let memory_gib: u32 = container["resources"]["limits"]["memory"]
+        .as_str()
+        .unwrap()
+        .strip_suffix("Gi")
+        .unwrap()
+        .parse()
+        .unwrap();
+    let query = object("ScaledObject", "worker")["spec"]["triggers"][0]["metadata"]["query"].clone();
+    let query = query.as_str().unwrap();
+    assert!(query.contains(&format!("threads=~\"[0-{threads}]\"")), "{query}");
+    // The matcher ends at 7999 MiB.
+    assert!(
+        query.contains("memory_mib=~\"[0-9]{1,3}|[1-7][0-9]{3}\"") && memory_gib * 1024 >= 7999,
+        "{query}"
+    );
+    assert!(!arguments.contains(&"--label"), "a worker with a label could take more than is counted");
+}
+
+#[test]
+fn policies_let_workers_speak_with_servers_alone_and_the_ingress_has_tls() {
+    for name in ["server", "worker"] {
+        let policy = object("NetworkPolicy", name);
+        let labels = &object("Deployment", name)["spec"]["selector"]["matchLabels"];
+        assert_eq!(&policy["spec"]["podSelector"]["matchLabels"], labels, "{name}");
+    }
+    let worker = object("NetworkPolicy", "worker");
+    assert_eq!(texts(&worker["spec"]["policyTypes"]), ["Ingress", "Egress"]);
+    assert_eq!(worker["spec"]["ingress"], Value::Array(Vec::new()), "nobody calls a worker");
+    let to = &worker["spec"]["egress"][0];
+    let servers = &object("Deployment", "server")["spec"]["selector"]["matchLabels"];
+    assert_eq!(&to["to"][0]["podSelector"]["matchLabels"], servers);
+    let port =
+        &object("Deployment", "server")["spec"]["template"]["spec"]["containers"][0]["ports"][0]["name"];
+    assert_eq!(&to["ports"][0]["port"], port);
+    let server = object("NetworkPolicy", "server");
+    let workers = &object("Deployment", "worker")["spec"]["selector"]["matchLabels"];
+    assert_eq!(&server["spec"]["ingress"][0]["from"][0]["podSelector"]["matchLabels"], workers);
+    let ingress = object("Ingress", "server");
+    let backend = &ingress["spec"]["rules"][0]["http"]["paths"][0]["backend"]["service"];
+    assert_eq!(backend["name"], object("Service", "server")["metadata"]["name"]);
+    assert_eq!(backend["port"]["name"], object("Service", "server")["spec"]["ports"][0]["name"]);
+    assert_eq!(ingress["spec"]["tls"][0]["hosts"][0], ingress["spec"]["rules"][0]["host"]);
 }
 
 #[test]
@@ -123,6 +175,7 @@ fn kustomization_names_files_that_there_are() {
     let kustomization = object("Kustomization", "");
     let resources = texts(&kustomization["resources"]);
     assert!(resources.len() >= 4 && !resources.contains(&"token-job.yaml"), "{resources:?}");
+    assert!(!resources.contains(&"ingress.yaml"), "it needs a host's name first: {resources:?}");
     for resource in resources {
         assert!(root().join("deploy/kubernetes").join(resource).is_file(), "{resource}");
     }
@@ -139,7 +192,7 @@ fn kustomize_builds_the_manifests() {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let text = String::from_utf8(output.stdout).unwrap();
     let built: Vec<Value> = serde_saphyr::from_multiple(&text).unwrap();
-    assert_eq!(built.len(), 7, "{text}");
+    assert_eq!(built.len(), 9, "{text}");
     for object in built {
         let is_namespace = object["kind"] == "Namespace";
         assert!(is_namespace || object["metadata"]["namespace"] == "lightkiln", "{object}");

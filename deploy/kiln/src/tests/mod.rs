@@ -5,6 +5,8 @@ mod commands;
 mod compose;
 mod container;
 mod kubernetes;
+mod managers;
+mod memory;
 mod systemd;
 
 use std::fs;

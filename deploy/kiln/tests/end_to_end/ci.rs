@@ -91,7 +91,7 @@ fn bake_that_was_cancelled_and_server_that_is_away_are_told_apart() {
     assert!(count(&junit, "skipped") >= 1, "stages that never ended");
     let url = server.url.clone();
     drop(server);
-    let away = ["--server", &url, "--wait", "--json", "--junit", &report];
+    let away = ["--server", &url, "--patience", "0", "--wait", "--json", "--junit", &report];
     let finished = run(kiln(folder.path()), &arguments("submit", &away), 3);
     assert_eq!((finished.stdout().as_str(), count(&junit, "error")), ("", 1));
 }

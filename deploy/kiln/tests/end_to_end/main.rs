@@ -6,6 +6,7 @@ mod chaos;
 mod ci;
 mod colours;
 mod commands;
+mod crowd;
 mod deployment;
 mod description;
 mod early_light;
@@ -19,6 +20,7 @@ mod losses;
 mod manners;
 #[path = "../../../../server/tests/parts/mod.rs"]
 mod parts;
+mod patience;
 mod processes;
 mod replicas;
 mod tls;

@@ -76,7 +76,7 @@ fn upload_that_was_cut_goes_on_with_what_is_missing() {
     let part = SCENE_PART_BYTES as u64;
     // Two parts pass, and half of the third.
     let cutter = Cutter::before(&server.url, 2 * part + part / 2);
-    let submit = ["submit", &path.display().to_string(), "--server", &cutter.url];
+    let submit = ["submit", &path.display().to_string(), "--server", &cutter.url, "--patience", "0"];
     let cut = run(kiln(folder.path()), &submit, 3);
     assert!(cut.stderr().contains("the upload goes on where it was"), "{}", cut.stderr());
     cutter.limit.store(u64::MAX, Ordering::SeqCst);

@@ -162,7 +162,11 @@ fn check_warns_in_the_lines_of_a_bake() {
 #[test]
 fn server_that_does_not_answer_exits_with_3() {
     // Port 9 is the discard service's, which no test machine runs.
-    assert_refused("bake {scene} --server http://127.0.0.1:9", 3, &["http://127.0.0.1:9", "try: "]);
+    assert_refused(
+        "bake {scene} --patience 0 --server http://127.0.0.1:9",
+        3,
+        &["http://127.0.0.1:9", "try: "],
+    );
     assert_refused("list --server http://127.0.0.1:9", 3, &["http://127.0.0.1:9", "kiln server"]);
     assert_refused("list --server farm", 2, &["http://host:port"]);
 }

@@ -361,6 +361,14 @@ farm_store! {
         self.commit_alone(token, result).await
     }
 
+    async fn examine(&self) -> Result<()> {
+        match &self.database {
+            Database::Sqlite(file, _) => file.examine().await,
+            // It checks its pages as it reads them.
+            Database::Postgres(..) => Ok(()),
+        }
+    }
+
     async fn touch_chunk(&self, digest: Digest) -> Result<Option<KeptChunk>> {
         let looked: Result<_> = transact!(self, Read, "look_at_chunk", |conn| chunks::look(conn, digest));
         match looked? {

@@ -4,7 +4,7 @@
 //! are not: if the machine loses power their leases are lost, and the tasks run again; half of a task's flushes are
 //! saved by it.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use sqlx::error::DatabaseError as _;
@@ -15,7 +15,7 @@ use sqlx::{ConnectOptions, Connection, SqliteConnection, SqlitePool};
 
 use super::conn::Tx;
 use super::{Class, Kind, too_new};
-use crate::store::Result;
+use crate::store::{Result, StoreError};
 
 /// Reading connections.
 const READERS: u32 = 4;
@@ -44,6 +44,7 @@ const MIGRATIONS: [&str; 15] = [
 
 /// An open file.
 pub(super) struct SqliteFile {
+    path: PathBuf,
     writer: SqlitePool,
     readers: SqlitePool,
 }
@@ -52,7 +53,7 @@ impl SqliteFile {
     pub(super) async fn open(path: &Path) -> Result<Self> {
         let writer = pool(path, 1, false).await?;
         migrate(&writer).await?;
-        Ok(Self { writer, readers: pool(path, READERS, true).await? })
+        Ok(Self { path: path.to_owned(), writer, readers: pool(path, READERS, true).await? })
     }
 
     pub(super) async fn begin(&self, kind: Kind) -> Result<Tx> {
@@ -61,6 +62,20 @@ impl SqliteFile {
             Kind::Lease => self.writer.begin_with("PRAGMA synchronous = NORMAL; BEGIN IMMEDIATE").await?,
             Kind::Write => self.writer.begin_with("PRAGMA synchronous = FULL; BEGIN IMMEDIATE").await?,
         }))
+    }
+
+    /// Errs if the file is damaged. A connection of its own reads it: others believe what they read before.
+    pub(super) async fn examine(&self) -> Result<()> {
+        let reader = pool(&self.path, 1, true).await?;
+        let found = sqlx::query_scalar::<_, String>("PRAGMA quick_check(1)").fetch_one(&reader).await;
+        reader.close().await;
+        match found?.as_str() {
+            "ok" => Ok(()),
+            fault => {
+                let what = format!("{} is damaged, restore a backup: {fault}", self.path.display());
+                Err(StoreError::Corrupt { what, source: None })
+            }
+        }
     }
 
     /// Waits for running transactions and closes the file.

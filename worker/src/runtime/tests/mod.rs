@@ -137,6 +137,23 @@ fn tasks_in_hand_go_on_side_by_side() {
 }
 
 #[test]
+fn worker_ends_by_itself_after_its_tasks_or_when_there_are_none() {
+    let farm = FakeFarm::start();
+    ["t1", "t2", "t3"].iter().for_each(|token| farm.offer(token, &[token.as_bytes()]));
+    let two = Running::start(&farm, joining, |config| (config.tasks, config.max_tasks) = (4, Some(2)));
+    // Nobody tells it to stop.
+    two.thread.join().unwrap().unwrap();
+    let mut state = farm.state();
+    assert_eq!((state.committed.len(), state.leases.len()), (2, 1), "one is left for others");
+    // A server that is busy for once has not said that there is nothing.
+    state.refuse = vec!["POST /v1/leases"];
+    drop(state);
+    let rest = Running::start(&farm, joining, |config| config.exit_when_idle = Some(Duration::ZERO));
+    rest.thread.join().unwrap().unwrap();
+    assert_eq!(farm.state().committed.len(), 3);
+}
+
+#[test]
 fn output_that_the_server_has_is_not_sent_again() {
     let farm = FakeFarm::start();
     farm.offer("t1", &[b"same"]);
@@ -412,7 +429,7 @@ fn task_that_comes_after_the_order_to_stop_is_given_back_untouched() {
     let shutdown = ShutdownFlag::new();
     shutdown.raise(Level::Drain);
     farm.offer("late", &[]);
-    let lease = claim::claim(&worker.farm, worker.claim_request(), &shutdown).unwrap();
+    let lease = claim::claim(&worker.farm, worker.claim_request(&Shift::new(None, None)), &shutdown).unwrap();
     assert_eq!(lease, None);
     farm.wait_for("release", |state| state.released == ["late"]);
 }
