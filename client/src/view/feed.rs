@@ -2,7 +2,7 @@
 
 use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use super::pace::{Pace, Turn};
 use crate::bake::LoadedBake;
@@ -18,7 +18,7 @@ const FALL_LEAST: u64 = 16;
 const FALL_MOST: u64 = 4;
 /// Least bytes of a piece.
 const PIECE_MIN: u64 = 128 << 10;
-/// Time in which clusters of a bake under way land before they are taken. More → fewer pieces.
+/// Time from hearing of a bake under way to hearing of it again: clusters land meanwhile. More → fewer pieces.
 const LANDING: Duration = Duration::from_secs(1);
 
 /// A piece of light.
@@ -182,18 +182,21 @@ fn fetch(
     sender: &Sender<Result<Piece>>,
     wake: impl Fn(),
 ) {
-    let (mut pace, mut sent) = (Pace::new(step), stream.streamed());
+    let (mut pace, mut sent, mut heard_at) = (Pace::new(step), stream.streamed(), Instant::now());
     loop {
         let Some(wanted) = watched.wanted() else { return };
         let (view, memory) = (&wanted.0, wanted.1);
         let before = stream.streamed();
-        let done = match pace.turn(&wanted, &before) {
+        let done = match pace.turn(&wanted, &before, heard_at.elapsed() >= LANDING) {
             Turn::Rest => {
                 watched.wait_for_other(view, memory);
                 continue;
             }
             Turn::Hear { wait_secs } => {
-                let heard = heard(&mut stream, watched, (view, memory), wait_secs);
+                // Clusters that land within a while are taken together, so that light is made less often.
+                watched.wait_a_little(view, memory, LANDING.saturating_sub(heard_at.elapsed()));
+                let heard = stream.hear(wait_secs);
+                heard_at = Instant::now();
                 heard.map(|has_more| pace.heard(has_more))
             }
             Turn::Refine { step } => {
@@ -221,17 +224,6 @@ fn fetch(
             return wake();
         }
     }
-}
-
-/// Hears of clusters of a bake under way. Those that land within a while are taken together, so that light is made less often.
-fn heard(
-    stream: &mut StreamedBake,
-    watched: &Watched,
-    (view, memory): (&View, u64),
-    wait_secs: u32,
-) -> Result<bool> {
-    watched.wait_a_little(view, memory, LANDING);
-    stream.hear(wait_secs)
 }
 
 #[cfg(test)]
@@ -432,6 +424,47 @@ mod tests {
         told.landed.push(0);
         server.tell(&told);
         until(&mut feed, &|streamed| streamed.whole == 3 && streamed.lost == 0);
+    }
+
+    #[test]
+    fn view_that_never_rests_hears_of_clusters_that_land_and_of_the_end_of_a_bake() {
+        const LIMIT: Duration = Duration::from_secs(60);
+        let folder = tempfile::tempdir().unwrap();
+        let manifest = write_bundle(folder.path(), prt::NAME);
+        let mut told = Told::of(folder.path(), &manifest, &[&[0, 1, 2], &[3, 4, 5, 6]]);
+        told.landed.push(0);
+        let chunk = chunk_path(folder.path(), manifest.chunks(CLUSTERS)[1].digest);
+        let bytes = std::fs::read(&chunk).unwrap();
+        // While one is lost, there is always more to want.
+        std::fs::remove_file(&chunk).unwrap();
+        let server = BundleServer::start(folder.path(), Faults::default());
+        server.tell(&told);
+        let following = kinds::all().follow(&server.source()).unwrap().unwrap();
+        let stream = StreamedBake::follow(following, &kinds::all(), Budget::NONE).unwrap();
+        let (_, view) = fixture_view();
+        let (mut feed, _) = Feed::start(stream, u64::MAX, view.clone(), || {});
+        let until = |feed: &mut Feed, is_there: &dyn Fn(&Streamed) -> bool| {
+            let start = Instant::now();
+            for moved in (0_u16..1000).cycle() {
+                feed.next().unwrap();
+                if is_there(&feed.streamed) {
+                    break;
+                }
+                assert!(start.elapsed() < LIMIT, "{:?}", feed.streamed);
+                let mut other = view.clone();
+                other.camera.eye_m[0] += 1e-4 * f32::from(moved);
+                feed.look(other);
+                std::thread::sleep(Duration::from_micros(100));
+            }
+        };
+        until(&mut feed, &|streamed| streamed.whole == 2 && streamed.lost == 1);
+        told.landed.push(1);
+        server.tell(&told);
+        until(&mut feed, &|streamed| streamed.whole == 6);
+        std::fs::write(&chunk, bytes).unwrap();
+        told.end(BakeState::Done, None);
+        server.tell(&told);
+        until(&mut feed, &Streamed::is_whole);
     }
 
     #[test]
