@@ -171,6 +171,10 @@ impl Following {
             ClientError::Ended { bake: self.bake.clone(), state: None, problem }
         })?;
         judge(&page.bake)?;
+        if !page.results.is_empty() && page.next_after <= after {
+            let problem = format!("end at place {}, though they lie behind {after}", page.next_after);
+            return Err(ClientError::inconsistent(format!("results of {kind}"), problem));
+        }
         self.cells_all = cells_of(&page.bake, self.tasks);
         Ok(page)
     }

@@ -275,6 +275,17 @@ fn results_are_looked_at_once() {
 }
 
 #[test]
+fn results_that_end_where_they_begin_are_refused() {
+    let mut farm = Farm::new();
+    let mut following = kinds::all().follow(&farm.source).unwrap().unwrap();
+    assert_eq!(following.hear(0).unwrap(), News::More);
+    farm.told.stands_still = true;
+    farm.land(&[3]);
+    let error = following.hear(0).unwrap_err().to_string();
+    assert!(error.contains("inconsistent") && error.contains("end at place"), "{error}");
+}
+
+#[test]
 fn bakes_that_end_without_their_light_say_how() {
     let problem = |farm: &Farm| farm.followed().err().unwrap();
     let mut farm = Farm::new();

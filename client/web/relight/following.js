@@ -64,6 +64,9 @@ export class Following {
     const { results, next_after: nextAfter, bake } = await http.json(path, { signal });
     if (bake.state === "failed") throw new Error(`the bake failed: ${bake.failure ?? "no reason was given"}`);
     if (bake.state === "cancelled") throw new Error("the bake was cancelled");
+    if (!Number.isSafeInteger(nextAfter) || (results.length > 0 && nextAfter <= after)) {
+      throw new Inconsistent(`results of ${kind}`, `they end at place ${nextAfter}, though they lie behind ${after}`);
+    }
     this.#cellsAll = bake.stages.find((stage) => stage.kind === TASKS.clusters)?.total ?? 0;
     return { results, nextAfter, isDone: bake.state === "done" };
   }

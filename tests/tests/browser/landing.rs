@@ -60,7 +60,7 @@ fn results(folder: &Path) -> Vec<Value> {
 
 /// A server of the bake. Calls of `/land/N/STATE` say how many cells have landed from then on, and the bake's state; those of
 /// `/fault/FAULT` whether bytes of a cluster are gone, or damaged, or the plan
-/// gave no outline.
+/// gave no outline, or pages of results end where they begin.
 fn serving(bundle: &Bundle) -> Files {
     let folder = bundle.folder().to_owned();
     let results = results(&folder);
@@ -92,13 +92,15 @@ fn serving(bundle: &Bundle) -> Files {
             }
             let last = results[told.landed]["place"].as_u64();
             let next_after = found.get(1).map_or(last, |result| result["place"].as_u64()).max(Some(after));
+            let next_after = if told.fault == "still" { Some(after) } else { next_after };
             let stages = json!([{ "kind": tasks::COLOUR.name, "total": CELLS }]);
             let bake = json!({ "state": told.state, "failure": "no ray meets anything", "stages": stages });
             let page = json!({ "results": found, "next_after": next_after, "bake": bake });
             return Some(Answer::of(page.to_string().into_bytes()));
         }
         if let Some(now) = request.path.strip_prefix("/fault/") {
-            told.fault = ["none", "gone", "damaged", "unplanned"].into_iter().find(|known| *known == now)?;
+            told.fault =
+                ["none", "gone", "damaged", "unplanned", "still"].into_iter().find(|known| *known == now)?;
             return Some(Answer::of(Vec::new()));
         }
         if let Some(digest) = request.path.strip_prefix("/v1/chunks/") {
@@ -155,8 +157,10 @@ fn chromium_takes_clusters_as_they_land_and_ends_with_the_light_of_a_load_at_onc
             assert!(!early.is_empty() && json!(early) != found["whole"]);
             let failed = browser.run("/pages/landing.js", "failed", json!([]));
             assert_eq!(failed, json!("the bake failed: no ray meets anything"));
-            let unplanned = browser.run("/pages/landing.js", "unplanned", json!([]));
-            assert!(unplanned.as_str().unwrap().contains("plan of an earlier version"), "{unplanned}");
+            for (fault, words) in [("unplanned", "plan of an earlier version"), ("still", "end at place 0")] {
+                let told = browser.run("/pages/landing.js", "refused", json!([fault]));
+                assert!(told.as_str().unwrap().contains(words), "{told}");
+            }
         }
     }
 }

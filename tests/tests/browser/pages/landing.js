@@ -71,10 +71,10 @@ export async function failed() {
   return stream.hear().then(() => "none", (error) => error.message);
 }
 
-/** The words of a bake whose plan gave no outline. */
-export async function unplanned() {
+/** The words of a server with a fault in what it tells of a bake. */
+export async function refused(fault) {
   await land(0);
-  await fetch("/fault/unplanned");
+  await fetch(`/fault/${fault}`);
   const told = await new Following(source()).hear().then(() => "none", (error) => error.message);
   await fetch("/fault/none");
   return told;
