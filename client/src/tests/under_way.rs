@@ -15,7 +15,7 @@ use crate::kinds;
 use crate::passes::compare::Difference;
 use crate::passes::shade;
 use crate::preview::{Backend, StreamedBake, View, render};
-use crate::stream::{Baked, Budget};
+use crate::stream::{Baked, Budget, Streamed};
 
 /// Cells of the fixture's seven clusters: one has none.
 const CELLS: [&[usize]; 5] = [&[0, 1], &[2], &[], &[3, 4, 5], &[6]];
@@ -234,6 +234,38 @@ fn clusters_that_are_lost_hold_no_other_up_are_told_of_and_come_with_their_task(
         streamed.hear(0).unwrap();
         let error = streamed.refine(&view, Budget::NONE).unwrap_err();
         assert!(matches!(error, ClientError::Call(_) | ClientError::WrongDigest { .. }), "{error}");
+    }
+}
+
+#[test]
+fn clusters_that_are_lost_take_no_share_of_bytes_or_memory_from_those_that_are_not() {
+    let (_, view) = fixture_view();
+    // One of the two at least is not the one that is needed most.
+    for kept in [0, 6] {
+        let mut farm = Farm::new();
+        farm.land(&[0, 1, 2, 3, 4]);
+        for (index, chunk) in farm.manifest.chunks(CLUSTERS).iter().enumerate() {
+            if index != kept {
+                std::fs::remove_file(chunk_path(farm.folder.path(), chunk.digest)).unwrap();
+            }
+        }
+        let refined = |budget_of: &dyn Fn(Streamed) -> Budget| {
+            let mut streamed = farm.followed().unwrap();
+            let before = streamed.streamed();
+            streamed.refine(&view, budget_of(before)).unwrap();
+            streamed.streamed()
+        };
+        let all = refined(&|_| Budget::NONE);
+        assert_eq!((all.whole, all.lost), (1, 6));
+        let budgets: [&dyn Fn(Streamed) -> Budget; 3] = [
+            &|_| Budget::of_bytes(all.bytes),
+            &|_| Budget { memory: all.memory, ..Budget::NONE },
+            &|before| Budget { step: all.bytes - before.bytes, ..Budget::NONE },
+        ];
+        for (at, budget_of) in budgets.into_iter().enumerate() {
+            let come = refined(budget_of);
+            assert_eq!((come.whole, come.bytes), (1, all.bytes), "budget {at} with cluster {kept} there");
+        }
     }
 }
 

@@ -17,6 +17,8 @@ export class BakeStream {
   #present = new Set();
   // Numbers of clusters of a bake that goes on whose bytes the server has lost, as far as they were asked for.
   #lost = new Set();
+  // Those of them that are not asked for again before something lands.
+  #passedOver = new Set();
   // A bake that goes on.
   #following = null;
   // Rows of the clusters to fetch, as the manifest lists them.
@@ -80,7 +82,10 @@ export class BakeStream {
    */
   async hear({ waitSecs = 0, signal = null } = {}) {
     const news = await this.#following.hear({ waitSecs, signal });
-    if (news === "more") this.#list(this.#following.manifest);
+    if (news === "more") {
+      this.#list(this.#following.manifest);
+      this.#passedOver.clear();
+    }
     if (news === "done") await this.#end(signal);
     return news !== "none";
   }
@@ -98,6 +103,7 @@ export class BakeStream {
     await this.#work.end(numbers, overview);
     this.#present = new Set(numbers.map(([, next]) => next));
     this.#lost.clear();
+    this.#passedOver.clear();
     this.#list(manifest);
     this.#following = null;
   }
@@ -151,14 +157,25 @@ export class BakeStream {
    * for each that comes.
    */
   async refine(bytesMax, { lit = NO_LIGHT, viewpoint = null, signal = null, onCluster = () => {} } = {}) {
-    const chosen = [];
-    let bytes = 0;
-    for (const index of await this.#order(lit, viewpoint)) {
-      const own = this.chunks[index].bytes;
-      if (chosen.length > 0 && bytes + own > bytesMax) continue;
-      chosen.push(index);
-      bytes += own;
+    for (let come = 0; ; ) {
+      const passedOver = this.#passedOver.size;
+      const chosen = [];
+      let bytes = come;
+      for (const index of await this.#order(lit, viewpoint)) {
+        const own = this.chunks[index].bytes;
+        if (bytes > 0 && bytes + own > bytesMax) continue;
+        chosen.push(index);
+        bytes += own;
+      }
+      come += await this.#fetch(chosen, signal, onCluster);
+      // Others take the share of those that turned out to be lost.
+      if (this.#passedOver.size === passedOver) return;
     }
+  }
+
+  /** Fetches clusters; answers the bytes of those that came. */
+  async #fetch(chosen, signal, onCluster) {
+    let come = 0;
     await forEachParallel(chosen.length, PARALLEL, async (at) => {
       const index = chosen[at];
       let decoded;
@@ -168,18 +185,22 @@ export class BakeStream {
         // Bytes that were lost come again while the bake goes on, once their task has run again: others need not wait.
         if (!this.isUnderWay || !isLost(error)) throw error;
         this.#lost.add(index);
+        this.#passedOver.add(index);
         return;
       }
       this.#lost.delete(index);
       await this.#work.add(index, decoded);
       this.#present.add(index);
+      come += this.chunks[index].bytes;
       onCluster();
     });
+    return come;
   }
 
-  /** Numbers of absent clusters by falling need. */
+  /** Numbers of absent clusters by falling need, but for those that are lost. */
   async #order(lit, viewpoint) {
-    const absent = this.chunks.map((_, index) => index).filter((index) => !this.#present.has(index));
+    const isWanted = (index) => !this.#present.has(index) && !this.#passedOver.has(index);
+    const absent = this.chunks.map((_, index) => index).filter(isWanted);
     const { boundsM } = this.scene.manifest;
     const candidates = absent.map((index) => {
       const { boundsM: bounds, receivers } = this.#rows[index];

@@ -32,6 +32,8 @@ pub struct PrtStream {
     fresh: BTreeSet<usize>,
     /// Clusters of a bake under way whose bytes the server has lost, as far as they were asked for.
     lost: BTreeSet<usize>,
+    /// Those of them that are not asked for again before something lands.
+    passed_over: BTreeSet<usize>,
     /// Bytes of what always stays.
     base_bytes: u64,
     /// Memory of it.
@@ -53,6 +55,7 @@ impl PrtStream {
             clusters: BTreeMap::new(),
             fresh: BTreeSet::new(),
             lost: BTreeSet::new(),
+            passed_over: BTreeSet::new(),
             streamed: Streamed::default(),
         };
         stream.count(manifest);
@@ -114,6 +117,7 @@ impl LightStream for PrtStream {
 
     fn grown(&mut self, manifest: &Manifest, baked: Baked) {
         self.streamed.baked = Some(baked);
+        self.passed_over.clear();
         self.count(manifest);
     }
 
@@ -128,6 +132,7 @@ impl LightStream for PrtStream {
         self.clusters = held.filter_map(|(index, bytes)| Some((number(index)?, bytes))).collect();
         self.fresh = self.fresh.iter().filter_map(|index| number(*index)).collect();
         self.lost.clear();
+        self.passed_over.clear();
         self.streamed.baked = None;
         self.count(manifest);
         Ok(())
@@ -139,14 +144,34 @@ impl LightStream for PrtStream {
 
     fn refine(
         &mut self,
-        (source, manifest): (&Source, &Manifest),
+        of: (&Source, &Manifest),
         light: &dyn Light,
         lit: &LitScene<'_>,
         viewpoint: Option<Viewpoint>,
         budget: Budget,
         limit: Limit,
     ) -> Result<()> {
-        let Plan { fetch, evict } = self.plan(manifest, (light, lit), viewpoint, budget, limit);
+        let mut budget = budget;
+        loop {
+            let passed_over = self.passed_over.len();
+            let plan = self.plan(of.1, (light, lit), viewpoint, budget, limit);
+            budget.step = budget.step.saturating_sub(self.follow(of, &plan, budget)?);
+            // Others take the share of those that turned out to be lost.
+            if self.passed_over.len() == passed_over {
+                return Ok(());
+            }
+        }
+    }
+}
+
+impl PrtStream {
+    /// Fetches and lets go by a plan; gives the bytes that came.
+    fn follow(
+        &mut self,
+        (source, manifest): (&Source, &Manifest),
+        Plan { fetch, evict }: &Plan,
+        budget: Budget,
+    ) -> Result<u64> {
         let size = |&(index, layers): &(usize, usize)| layers_of(manifest, index).bytes_of(layers);
         let sizes: Vec<u64> = fetch.iter().map(size).collect();
         // Bytes that were lost come again while the bake goes on, once their task has run again: others need not wait.
@@ -168,30 +193,30 @@ impl LightStream for PrtStream {
             }
             Ok((bytes, lost))
         });
-        let mut has_come = false;
+        let mut come = 0;
         // Layers that came before an error stay.
         for ((index, _), (bytes, lost)) in fetch.iter().zip(found).filter_map(|(of, came)| Some((*of, came?)))
         {
-            let is_lost = lost.as_ref().is_some_and(may_come_again);
-            match is_lost {
-                true => self.lost.insert(index),
-                false => self.lost.remove(&index),
-            };
-            ended = lost.filter(|_| !is_lost).map_or(ended, Err);
-            if bytes.len() > self.clusters.get(&index).map_or(0, Vec::len) {
+            if lost.as_ref().is_some_and(may_come_again) {
+                self.lost.insert(index);
+                self.passed_over.insert(index);
+            } else {
+                self.lost.remove(&index);
+                ended = lost.map_or(ended, Err);
+            }
+            let more = bytes.len().saturating_sub(self.clusters.get(&index).map_or(0, Vec::len));
+            if more > 0 {
                 self.fresh.insert(index);
                 self.clusters.insert(index, bytes);
-                has_come = true;
+                come += more as u64;
             }
         }
         self.count(manifest);
-        let has_gone = self.make_room(manifest, &evict, budget);
-        self.streamed.turns += u64::from(has_come || has_gone);
-        ended
+        let has_gone = self.make_room(manifest, evict, budget);
+        self.streamed.turns += u64::from(come > 0 || has_gone);
+        ended.map(|()| come)
     }
-}
 
-impl PrtStream {
     /// Lets layers go, the first ones first, until what is there fits into the budget; whether any went.
     fn make_room(&mut self, manifest: &Manifest, evict: &[(usize, usize)], budget: Budget) -> bool {
         let Streamed { mut memory, mut bytes, .. } = self.streamed;
@@ -262,10 +287,12 @@ impl PrtStream {
         };
         let held =
             self.clusters.get(&of.cluster).and_then(|bytes| of.within(bytes.len() as u64)).unwrap_or(0);
+        // A lost cluster has no more than is held: others leave no bytes and no memory for it.
+        let count = if self.passed_over.contains(&of.cluster) { held } else { of.count() };
         Candidate {
             bounds_m: of.row.bounds_m.map(Vec3::from),
             receivers: of.row.receivers,
-            rungs: (1..=of.count()).map(rung).collect(),
+            rungs: (1..=count).map(rung).collect(),
             held,
             kept: if self.fresh.contains(&of.cluster) { held } else { 0 },
         }
