@@ -110,7 +110,11 @@ fn load_buffer<'a>(
     let buffer = &root.buffers[index];
     let place = || buffer_place(root, index);
     let bytes = match &buffer.uri {
-        Some(uri) => read_uri(uri, place(), bundle)?,
+        Some(uri) => match read_uri(uri, place(), bundle) {
+            // A fallback beside the file that did not come with it.
+            Err(ImportError::MissingFile { .. }) if is_compression_stand_in(buffer) => return Ok(None),
+            bytes => bytes?,
+        },
         // Compressed views point to a buffer without bytes; it is an error only if someone reads it.
         None if is_compression_stand_in(buffer) => return Ok(None),
         None => match bin {
@@ -128,7 +132,8 @@ fn load_buffer<'a>(
     Ok(Some(bytes))
 }
 
-fn is_compression_stand_in(buffer: &gltf::json::Buffer) -> bool {
+/// Whether a buffer stands in for compressed views: it need not hold any bytes.
+pub(super) fn is_compression_stand_in(buffer: &gltf::json::Buffer) -> bool {
     let Some(extensions) = &buffer.extensions else { return false };
     meshopt::EXTENSIONS.iter().any(|name| extensions.others.contains_key(*name))
 }

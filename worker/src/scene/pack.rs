@@ -9,6 +9,7 @@ use gltf::json::Root;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, DateTime, ZipWriter};
 
+use super::buffers::is_compression_stand_in;
 use super::bundle::{Bundle, Format};
 use super::document::{self, buffer_place, image_place};
 use super::error::{ImportError, Result, shown};
@@ -94,9 +95,11 @@ impl<'a> Folder<'a> {
         let buffers = gltf.buffers.iter().enumerate();
         let images = gltf.images.iter().enumerate();
         let named = buffers
-            .map(|(index, buffer)| (buffer_place(gltf, index), buffer.uri.as_deref()))
-            .chain(images.map(|(index, image)| (image_place(gltf, index), image.uri.as_deref())));
-        for (place, uri) in named {
+            .map(|(index, buffer)| {
+                (buffer_place(gltf, index), buffer.uri.as_deref(), is_compression_stand_in(buffer))
+            })
+            .chain(images.map(|(index, image)| (image_place(gltf, index), image.uri.as_deref(), false)));
+        for (place, uri, is_dispensable) in named {
             let Some(uri) = uri else { continue };
             let outside =
                 |problem| ImportError::OutsidePath { place: place.clone(), uri: shown(uri), problem };
@@ -109,6 +112,9 @@ impl<'a> Folder<'a> {
             let as_written = uri::resolve(&self.of_gltf, uri).map_err(outside)?;
             let candidates = [decoded, as_written];
             let Some(name) = candidates.into_iter().find(|name| self.root.join(name).exists()) else {
+                if is_dispensable {
+                    continue;
+                }
                 let hint = String::new();
                 return Err(ImportError::MissingFile { place, uri: shown(uri), hint });
             };

@@ -331,6 +331,12 @@ fn packing_names_missing_files() {
     let message =
         Bundle::pack_path(&folder.path().join("s.gltf"), &Limits::default()).unwrap_err().to_string();
     assert!(message.contains("gone.bin"), "{message}");
+    // Compressed views need no fallback.
+    let mut stand_in: serde_json::Value = serde_json::from_slice(&external("gone.bin").0).unwrap();
+    stand_in["buffers"][0]["extensions"] = serde_json::json!({"EXT_meshopt_compression": {"fallback": true}});
+    let path = folder.path().join("fallback.gltf");
+    fs::write(&path, stand_in.to_string()).unwrap();
+    assert!(Bundle::pack_path(&path, &Limits::default()).is_ok());
     let nowhere = Bundle::pack_path(&folder.path().join("none.gltf"), &Limits::default());
     assert!(matches!(nowhere, Err(ImportError::Io { .. })));
 }

@@ -190,6 +190,19 @@ fn meshopt_views_are_decoded_to_what_they_were() {
 }
 
 #[test]
+fn meshopt_views_are_read_without_a_fallback_that_did_not_come_along() {
+    let mut document = meshopt();
+    let whole = document.import().unwrap();
+    document.json["buffers"][1]["uri"] = json!("sheet.fallback.bin");
+    let found = document.import().unwrap();
+    assert_eq!(found.scene.instances[0].positions_m, whole.scene.instances[0].positions_m);
+    // Views that are not compressed have no bytes then.
+    document.json["bufferViews"][0].as_object_mut().unwrap().remove("extensions");
+    let message = document.import().unwrap_err().to_string();
+    assert!(message.contains("no bytes of its own"), "{message}");
+}
+
+#[test]
 fn meshopt_views_that_cannot_be_decoded_are_named_with_the_way_out() {
     type Break = fn(&mut Value);
     let broken: [(&str, Break); 6] = [
