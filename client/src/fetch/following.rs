@@ -120,7 +120,7 @@ impl Following {
         self.bytes
     }
 
-    /// Cells whose clusters are listed, and all cells.
+    /// Cells whose clusters are listed, and all cells. One whose page is lost is not among the first.
     pub fn cells(&self) -> [u64; 2] {
         let baked = self.cells.len() as u64;
         [baked, self.cells_all.max(baked)]

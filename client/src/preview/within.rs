@@ -202,7 +202,8 @@ impl StreamedBake {
 
     /// Hears of more of a bake under way, waiting up to so long, and answers whether there is any: [`Self::refine`] fetches what has
     /// landed. At its end the light is that of any other bake, with an overview and in the order of the bake's manifest. Errs if the bake
-    /// ended otherwise, and if the overview has more than the memory of the budget at the beginning; then the light stays as it is.
+    /// ended otherwise, and if the overview has more than the memory of the budget at the beginning. An error is the end of the stream:
+    /// [`Self::bake`] stays as it is, and nothing more is to be asked for.
     pub fn hear(&mut self, wait_secs: u32) -> Result<bool> {
         let Listing::UnderWay(following, kinds) = &mut self.listing else { return Ok(false) };
         match following.hear(wait_secs)? {

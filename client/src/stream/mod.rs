@@ -23,7 +23,8 @@ pub struct Streamed {
     pub whole: usize,
     /// All clusters.
     pub clusters_all: usize,
-    /// Clusters of a bake under way whose bytes the server has lost: they come once they are baked again.
+    /// Clusters of a bake under way whose bytes the server has lost: they come once they are baked again. Those of a cell whose page is
+    /// lost are not known: the cell counts as one that is not baked.
     pub lost: usize,
     /// Memory that the light takes when it is lit, about, in bytes.
     pub memory: u64,

@@ -27,7 +27,7 @@ export class Following {
     this.manifest = null;
   }
 
-  /** Cells whose clusters are listed, and all cells. */
+  /** Cells whose clusters are listed, and all cells. One whose page is lost is not among the first. */
   get cells() {
     return [this.#cells.size, Math.max(this.#cellsAll, this.#cells.size)];
   }
