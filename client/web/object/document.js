@@ -4,7 +4,7 @@
 import { fround } from "../relight/numbers.js";
 import { ObjectError, broken, placeOf, shown } from "./error.js";
 import { isGlb, splitGlb } from "./glb.js";
-import { LIMITS, within } from "./limits.js";
+import { LIMITS, decodedLimit, within } from "./limits.js";
 import { compressionOf, decompressed, isStandIn, readCompression } from "./meshopt.js";
 
 // List of the document by the kind of its things.
@@ -45,10 +45,12 @@ export class GltfDocument {
   // Bytes of compressed views by their index, once read, and how many they are.
   #decoded = new Map();
   #decodedBytes = 0;
+  #decodedLimit;
 
   /** Reads the bytes of a `.glb`, or of a `.gltf` that has its buffers within. */
   constructor(bytes) {
     within(LIMITS.fileBytes, bytes.length);
+    this.#decodedLimit = decodedLimit(bytes.length);
     const { json, bin } = isGlb(bytes) ? splitGlb(bytes) : { json: bytes, bin: null };
     within(LIMITS.jsonBytes, json.length);
     this.bin = bin;
@@ -94,7 +96,7 @@ export class GltfDocument {
     const compression = readCompression(stated, place);
     const { buffer, byteOffset, byteLength, byteStride, count } = compression;
     this.#decodedBytes += count * byteStride;
-    within(LIMITS.decodedBytes, this.#decodedBytes);
+    within(this.#decodedLimit, this.#decodedBytes);
     const bytes = decompressed(this.#range(buffer, byteOffset, byteLength, place), compression);
     if (bytes === null) throw broken(place(), "its compressed bytes cannot be read");
     return bytes;

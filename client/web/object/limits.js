@@ -25,17 +25,27 @@ export const LIMITS = {
     what: "elements in an accessor without bytes",
     remedy: "export the scene with all its vertices",
   },
-  decodedBytes: { limit: 2 ** 30, what: "bytes of decompressed meshes", remedy: SPLIT },
   texturePixels: { limit: 16_384 * 16_384, what: "pixels in a texture", remedy: SMALLER_TEXTURES },
 };
 // Pixels of all textures together: so many in any file, as many more for each byte of it, and never more than the last.
 const PIXELS_FREE = 2 ** 27;
 const PIXELS_PER_BYTE = 64;
 const PIXELS_MOST = 2 ** 30;
+// Bytes of compressed meshes together once decompressed, likewise. Meshes have up to 20 for each of theirs, zeros 1024; a page stands
+// still while it decompresses some 100 million a second.
+const DECODED_FREE = 2 ** 25;
+const DECODED_PER_BYTE = 32;
+const DECODED_MOST = 2 ** 28;
 
 /** Compares one stated size with its limit. */
 export function within({ limit, what, remedy }, found) {
   if (found > limit) throw new ObjectError(`too many ${what}: ${found} (at most ${limit}); ${remedy}`);
+}
+
+/** Limit of what the meshes of a file of so many bytes decompress to. */
+export function decodedLimit(fileBytes) {
+  const limit = Math.min(DECODED_FREE + DECODED_PER_BYTE * fileBytes, DECODED_MOST);
+  return { limit, what: "bytes of decompressed meshes", remedy: SPLIT };
 }
 
 /** Running totals that may not pass their limits. */
