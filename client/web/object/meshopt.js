@@ -26,6 +26,9 @@ const BLOCK_BYTES = 8192;
 // Least bytes behind a place where a group may begin, and those behind the blocks by version.
 const GROUP_LEFT = 24;
 const TAIL_MIN = [32, 24];
+// Bytes behind triangles, a table, and behind indices.
+const CODES = 16;
+const INDICES_TAIL = 4;
 // Bits of a byte of a group by version and control.
 const BITS = [[0, 2, 4, 8], [0, 1, 2, 4], [1, 2, 4, 8]];
 
@@ -74,6 +77,8 @@ export function decompressed(bytes, { mode, filter, count, byteStride: stride })
     return elements && filtered(elements, filter, stride);
   }
   const indices = new (stride === 2 ? Uint16Array : Uint32Array)(count);
+  // A code for each triangle and a table, or at least a byte for each index.
+  if (bytes.length < (mode === "TRIANGLES" ? 1 + count / 3 + CODES : 1 + count + INDICES_TAIL)) return null;
   const isWhole = mode === "TRIANGLES" ? readTriangles(bytes, version, indices) : readIndices(bytes, indices);
   return isWhole ? new Uint8Array(indices.buffer) : null;
 }
@@ -239,8 +244,7 @@ class Latest {
 /** Triangles by the edges and vertices of those before them; whether the bytes are these triangles and no more. */
 function readTriangles(bytes, version, indices) {
   const count = indices.length / 3;
-  const end = bytes.length - 16;
-  if (end < 1 + count) return false;
+  const end = bytes.length - CODES;
   const numbers = new Numbers(bytes, 1 + count);
   // Vertices that are not there.
   const none = 2 ** 32 - 1;
@@ -288,8 +292,7 @@ function readTriangles(bytes, version, indices) {
 
 /** Indices, each a difference to one of two before; whether the bytes are these and no more. */
 function readIndices(bytes, indices) {
-  const end = bytes.length - 4;
-  if (end < 1 + indices.length) return false;
+  const end = bytes.length - INDICES_TAIL;
   const numbers = new Numbers(bytes, 1);
   const last = [0, 0];
   for (let at = 0; at < indices.length; at++) {
