@@ -44,7 +44,13 @@ function quaternions(values) {
 /** Numbers of 24 bits, times two to the power of the highest eight; to f32. */
 function exponents(buffer) {
   const [words, floats] = [new Int32Array(buffer), new Float32Array(buffer)];
-  words.forEach((word, at) => (floats[at] = ((word << 8) >> 8) * 2 ** (word >> 24)));
+  const power = new Float32Array(1);
+  const bits = new Int32Array(power.buffer);
+  words.forEach((word, at) => {
+    // By its bits as the native decoder has it: 2⁻¹²⁷ is 0, and 2⁻¹²⁸ is -∞.
+    bits[0] = ((word >> 24) + 127) << 23;
+    floats[at] = ((word << 8) >> 8) * power[0];
+  });
 }
 
 /** Colours of luma and two differences, as far as the highest bit of alpha, which stands for one more. */
