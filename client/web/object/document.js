@@ -83,13 +83,14 @@ export class GltfDocument {
   view(index, place) {
     const view = this.get("buffer view", index, place);
     const own = () => `buffer view ${index} of ${place()}`;
+    const [buffer, offset, length] = [whole(view, "buffer", own), whole(view, "byteOffset", own, 0), whole(view, "byteLength", own)];
     const stated = compressionOf(view);
     // A view may be there uncompressed too.
-    if (stated !== null && !this.#hasBytes(view.buffer)) {
+    if (stated !== null && !this.#hasBytes(buffer)) {
       if (!this.#decoded.has(index)) this.#decoded.set(index, this.#decompressed(stated, own));
       return this.#decoded.get(index);
     }
-    return this.#range(view.buffer, whole(view, "byteOffset", own, 0), whole(view, "byteLength", own), own);
+    return this.#range(buffer, offset, length, own);
   }
 
   #decompressed(stated, place) {
@@ -109,10 +110,10 @@ export class GltfDocument {
     return found;
   }
 
-  /** Whether a buffer is more than a stand-in for compressed views. */
+  /** Whether a buffer is more than a stand-in for compressed views: files beside an object are not read, so one that names a file is none. */
   #hasBytes(index) {
     const buffer = this.list("buffer")[index];
-    return buffer !== undefined && (buffer.uri !== undefined || !isStandIn(buffer));
+    return buffer !== undefined && (isData(buffer.uri) || !isStandIn(buffer));
   }
 
   #buffer(index, place) {
@@ -140,6 +141,11 @@ export class GltfDocument {
 /** `bytes[offset..offset + length]`, or null if that is not all there. */
 export function slice(bytes, offset, length) {
   return offset + length <= bytes.length ? bytes.subarray(offset, offset + length) : null;
+}
+
+/** Whether a URI holds its bytes. */
+function isData(uri) {
+  return typeof uri === "string" && /^data:/i.test(uri);
 }
 
 /** Bytes of a data URI; files beside an object are not read. */

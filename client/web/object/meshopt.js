@@ -32,7 +32,7 @@ const INDICES_TAIL = 4;
 // Bits of a byte of a group by version and control.
 const BITS = [[0, 2, 4, 8], [0, 1, 2, 4], [1, 2, 4, 8]];
 
-/** Whether a buffer without a URI holds no bytes: compressed views point to it. */
+/** Whether a buffer stands in for compressed views: it need not hold any bytes. */
 export function isStandIn(buffer) {
   return EXTENSIONS.some((name) => buffer.extensions?.[name] !== undefined);
 }
@@ -48,6 +48,7 @@ export function readCompression(stated, place) {
   const [byteOffset, byteLength] = [whole(stated, "byteOffset", place, 0), whole(stated, "byteLength", place)];
   const [byteStride, count] = [whole(stated, "byteStride", place), whole(stated, "count", place)];
   const { buffer, mode, filter = "NONE" } = stated;
+  const isText = [mode, filter].every((name) => typeof name === "string");
   const isVertices = mode === "ATTRIBUTES";
   const strides = {
     NONE: () => true,
@@ -58,7 +59,7 @@ export function readCompression(stated, place) {
   };
   const fits = isVertices ? byteStride % 4 === 0 && byteStride >= 4 && byteStride <= 256 : byteStride === 2 || byteStride === 4;
   const isFilter = Object.hasOwn(strides, filter) && (filter === "NONE" || isVertices) && strides[filter]();
-  if (!Object.hasOwn(HEADERS, mode) || !fits || !isFilter) {
+  if (!isText || !Object.hasOwn(HEADERS, mode) || !fits || !isFilter) {
     throw broken(place(), "its stride, mode and filter do not fit each other");
   }
   if (mode === "TRIANGLES" && count % 3 !== 0) throw broken(place(), "its triangles are not whole");
@@ -76,9 +77,9 @@ export function decompressed(bytes, { mode, filter, count, byteStride: stride })
     const elements = elementsOf(bytes, version, count, stride);
     return elements && filtered(elements, filter, stride);
   }
-  const indices = new (stride === 2 ? Uint16Array : Uint32Array)(count);
   // A code for each triangle and a table, or at least a byte for each index.
   if (bytes.length < (mode === "TRIANGLES" ? 1 + count / 3 + CODES : 1 + count + INDICES_TAIL)) return null;
+  const indices = new (stride === 2 ? Uint16Array : Uint32Array)(count);
   const isWhole = mode === "TRIANGLES" ? readTriangles(bytes, version, indices) : readIndices(bytes, indices);
   return isWhole ? new Uint8Array(indices.buffer) : null;
 }
