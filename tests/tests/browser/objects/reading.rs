@@ -5,6 +5,7 @@ use lightkiln_tests::scenes::texture::tiles;
 use lightkiln_worker::objects::ObjectFile;
 use serde_json::{Value, json};
 
+use super::packed::{FILTERED_TOLERANCE, packed};
 use super::rare::rare;
 use super::toy::{Document, toy};
 use super::{MODULE, floats, hex, opened};
@@ -202,16 +203,25 @@ fn chromium_refuses_files_that_lie_and_says_where() {
 #[test]
 #[ignore = "needs chromium"]
 fn chromium_survives_truncated_and_mutated_objects_and_reads_none_that_the_native_client_refuses() {
-    let good = [toy(None, 1.0).glb(), rare(false).glb()];
-    let mut files: Vec<Vec<u8>> = good
+    let good = [
+        (toy(None, 1.0).glb(), PLACES_TOLERANCE),
+        (rare(false).glb(), PLACES_TOLERANCE),
+        (packed().glb(), FILTERED_TOLERANCE),
+    ];
+    let mut files: Vec<(Vec<u8>, f32)> = good
         .iter()
-        .flat_map(|good| (0..good.len()).step_by(7).map(|length| good[..length].to_vec()))
+        .flat_map(|(good, tolerance)| {
+            (0..good.len()).step_by(7).map(|length| (good[..length].to_vec(), *tolerance))
+        })
         .collect();
-    files.extend((0..MUTATIONS).map(|seed| Mutator::new(seed).mutated(&good[seed as usize % 2..][..1])));
+    files.extend((0..MUTATIONS).map(|seed| {
+        let (good, tolerance) = &good[seed as usize % good.len()];
+        (Mutator::new(seed).mutated(std::slice::from_ref(good)), *tolerance)
+    }));
     files.extend(good);
     let together: Vec<u8> = files
         .iter()
-        .flat_map(|file| (file.len() as u32).to_le_bytes().into_iter().chain(file.iter().copied()))
+        .flat_map(|(file, _)| (file.len() as u32).to_le_bytes().into_iter().chain(file.iter().copied()))
         .collect();
     let server = served(move |request| (request.path == "/files").then(|| Answer::of(together.clone())));
     let found = browser_at(&server).run(MODULE, "readAll", json!(["/files", [(0, 0.7)]]));
@@ -219,16 +229,14 @@ fn chromium_survives_truncated_and_mutated_objects_and_reads_none_that_the_nativ
     assert_eq!(told.len(), files.len());
     let mut faults = Vec::new();
     let [mut both, mut refused, mut looser] = [0, 0, 0];
-    for (at, (file, told)) in files.iter().zip(told).enumerate() {
+    for (at, ((file, tolerance), told)) in files.iter().zip(told).enumerate() {
         let clip = |object: &ObjectFile| (!object.lengths_s().is_empty()).then_some(0);
         let native = opened(file).and_then(|object| {
             let draws = object.draws(clip(&object), 0.7).map_err(|error| error.to_string())?;
             Ok((draws, object.lengths_s().iter().any(|length| *length > 0.0)))
         });
         match (native, &told["error"], &told["draws"]) {
-            (Ok((draws, _)), Value::Null, Value::Array(own))
-                if difference(&own[0], &draws) < PLACES_TOLERANCE =>
-            {
+            (Ok((draws, _)), Value::Null, Value::Array(own)) if difference(&own[0], &draws) < *tolerance => {
                 both += 1;
             }
             (Err(_), Value::String(_), _) => refused += 1,
