@@ -442,29 +442,28 @@ mod tests {
         let following = kinds::all().follow(&server.source()).unwrap().unwrap();
         let stream = StreamedBake::follow(following, &kinds::all(), Budget::NONE).unwrap();
         let (_, view) = fixture_view();
-        let (mut feed, _) = Feed::start(stream, u64::MAX, view.clone(), || {});
-        let until = |feed: &mut Feed, is_there: &dyn Fn(&Streamed) -> bool| {
+        let (feed, _) = Feed::start(stream, u64::MAX, view.clone(), || {});
+        let until = |is_there: &dyn Fn(&Streamed) -> bool| {
             let start = Instant::now();
             for moved in (0_u16..1000).cycle() {
-                feed.next().unwrap();
-                if is_there(&feed.streamed) {
-                    break;
-                }
-                assert!(start.elapsed() < LIMIT, "{:?}", feed.streamed);
                 let mut other = view.clone();
                 other.camera.eye_m[0] += 1e-4 * f32::from(moved);
                 feed.look(other);
-                std::thread::sleep(Duration::from_micros(100));
+                let piece = feed.pieces.recv_timeout(Duration::from_micros(100));
+                if piece.is_ok_and(|piece| is_there(&piece.unwrap().streamed)) {
+                    break;
+                }
+                assert!(start.elapsed() < LIMIT, "the light that is wanted has not come");
             }
         };
-        until(&mut feed, &|streamed| streamed.whole == 2 && streamed.lost == 1);
+        until(&|streamed| streamed.whole == 2 && streamed.lost == 1);
         told.landed.push(1);
         server.tell(&told);
-        until(&mut feed, &|streamed| streamed.whole == 6);
+        until(&|streamed| streamed.whole == 6);
         std::fs::write(&chunk, bytes).unwrap();
         told.end(BakeState::Done, None);
         server.tell(&told);
-        until(&mut feed, &Streamed::is_whole);
+        until(&Streamed::is_whole);
     }
 
     #[test]
