@@ -1,5 +1,6 @@
 //! A set of small whole numbers that threads add to at once.
 
+use std::cell::Cell;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Bits of a word.
@@ -30,12 +31,44 @@ impl Bits {
 
     /// The numbers, ascending.
     pub fn iter(&self) -> impl Iterator<Item = usize> + '_ {
-        let of_word = |(index, word): (usize, &AtomicU64)| {
-            let word = word.load(Ordering::Relaxed);
-            (0..WORD).filter(move |bit| word >> bit & 1 == 1).map(move |bit| index * WORD + bit)
-        };
-        self.0.iter().enumerate().flat_map(of_word)
+        numbers(self.0.iter().map(|word| word.load(Ordering::Relaxed)))
     }
+}
+
+/// Such a set that one thread adds to, without the lock of the bus that others cost.
+#[derive(Debug, Default)]
+pub struct OwnBits(Vec<Cell<u64>>);
+
+impl OwnBits {
+    /// Nothing of the numbers below `len`.
+    pub fn new(len: usize) -> Self {
+        Self(vec![Cell::new(0); len.div_ceil(WORD)])
+    }
+
+    /// Adds a number.
+    pub fn add(&self, number: usize) {
+        let word = &self.0[number / WORD];
+        word.set(word.get() | 1 << (number % WORD));
+    }
+
+    /// Whether a number is in it.
+    pub fn has(&self, number: usize) -> bool {
+        self.0[number / WORD].get() >> (number % WORD) & 1 == 1
+    }
+
+    /// The numbers, ascending.
+    pub fn iter(&self) -> impl Iterator<Item = usize> + '_ {
+        numbers(self.0.iter().map(Cell::get))
+    }
+}
+
+/// Numbers of the bits of words, ascending.
+fn numbers(words: impl Iterator<Item = u64>) -> impl Iterator<Item = usize> {
+    words.enumerate().flat_map(|(index, all)| {
+        let first = (all != 0).then_some(all);
+        let left = std::iter::successors(first, |word| Some(word & (word - 1)).filter(|left| *left != 0));
+        left.map(move |word| index * WORD + word.trailing_zeros() as usize)
+    })
 }
 
 #[cfg(test)]
@@ -49,6 +82,9 @@ mod tests {
         let bits = Bits::new(1000);
         (0..5000_usize).into_par_iter().for_each(|number| bits.add(number * 7 % 1000 / 3 * 3));
         assert!(bits.iter().eq((0..1000).step_by(3)));
+        let own = OwnBits::new(1000);
+        (0..1000).rev().filter(|number| number % 3 == 0).for_each(|number| own.add(number));
+        assert!(own.iter().eq(bits.iter()) && own.has(999) && !own.has(998));
         assert_eq!(Bits::new(0).iter().count(), 0);
     }
 }

@@ -17,7 +17,7 @@ use crate::scene::surface::normal_at;
 use crate::scene::texture::DecodedImages;
 use crate::task::{Context, TaskError};
 
-pub use bits::Bits;
+pub use bits::{Bits, OwnBits};
 pub use site::Site;
 pub use strata::{Strata, morton, spread_sites};
 pub use trail::{Grid, Trail};

@@ -9,7 +9,7 @@ use std::rc::Rc;
 use glam::{IVec3, Vec3};
 use serde::{Deserialize, Serialize};
 
-use super::bits::Bits;
+use super::bits::OwnBits;
 use super::lattice::cell_of;
 
 /// Cells along the longest side of a scene, at least half as many unless there are too many in all. More → fewer rays that cross
@@ -125,17 +125,17 @@ impl Grid {
     }
 }
 
-/// The cells of a grid that the rays of a receiver crossed.
+/// The cells of a grid that the rays of a few receivers crossed.
 ///
-/// Its rays go from a cell or two to those of the surfaces around. So all cells that any way from one cell to another can cross
+/// Their rays go from a few cells to those of the surfaces around. So all cells that any way from one cell to another can cross
 /// are marked at once, which holds more than the one ray's and never fewer.
 #[derive(Debug)]
 pub struct Trail<'a> {
     grid: &'a Grid,
-    crossed: Bits,
+    crossed: OwnBits,
     has_left: Cell<bool>,
     /// Cells that rays left from, each with the cells that they went to.
-    ends: RefCell<Vec<(usize, Rc<Bits>)>>,
+    ends: RefCell<Vec<(usize, Rc<OwnBits>)>>,
 }
 
 /// The part of a trail that rays from one point leave.
@@ -146,7 +146,7 @@ pub struct TrailFrom<'a> {
     at: Vec3,
     cell: IVec3,
     /// `None` if the grid takes no marks.
-    ends: Option<Rc<Bits>>,
+    ends: Option<Rc<OwnBits>>,
 }
 
 impl TrailFrom<'_> {
@@ -170,7 +170,7 @@ impl TrailFrom<'_> {
 impl<'a> Trail<'a> {
     /// Nothing crossed yet.
     pub fn new(grid: &'a Grid) -> Self {
-        Self { grid, crossed: Bits::new(grid.len()), has_left: Cell::default(), ends: RefCell::default() }
+        Self { grid, crossed: OwnBits::new(grid.len()), has_left: Cell::default(), ends: RefCell::default() }
     }
 
     /// Of rays from a point.
@@ -183,11 +183,11 @@ impl<'a> Trail<'a> {
         TrailFrom { trail: self, at, cell, ends: Some(self.ends_from(self.grid.number(cell))) }
     }
 
-    fn ends_from(&self, cell: usize) -> Rc<Bits> {
+    fn ends_from(&self, cell: usize) -> Rc<OwnBits> {
         let mut all = self.ends.borrow_mut();
         let known = all.iter().position(|(from, _)| *from == cell);
         let place = known.unwrap_or_else(|| {
-            all.push((cell, Rc::new(Bits::new(self.grid.len()))));
+            all.push((cell, Rc::new(OwnBits::new(self.grid.len()))));
             all.len() - 1
         });
         Rc::clone(&all[place].1)
@@ -198,9 +198,21 @@ impl<'a> Trail<'a> {
         self.has_left.get()
     }
 
-    /// Numbers of the cells that were crossed, ascending.
-    pub fn crossed(&self) -> impl Iterator<Item = usize> + '_ {
-        self.crossed.iter()
+    /// Cells of the lattice that were crossed, in the order of their numbers.
+    pub fn crossed(&self) -> impl Iterator<Item = IVec3> + '_ {
+        let Grid { low, size, .. } = *self.grid;
+        // Rows are counted on, as divisions would cost more than all else.
+        let (mut row, mut at) = (0, low);
+        self.crossed.iter().map(move |index| {
+            while index >= row + size.x as usize {
+                row += size.x as usize;
+                at.y += 1;
+                if at.y == low.y + size.y {
+                    (at.y, at.z) = (low.y, at.z + 1);
+                }
+            }
+            at.with_x(low.x + (index - row) as i32)
+        })
     }
 
     /// Marks the cells that a box meets.
@@ -219,22 +231,72 @@ impl<'a> Trail<'a> {
     fn mark_between(&self, a: IVec3, b: IVec3) {
         let (a, way) = (a.to_array(), (b - a).to_array());
         let longest = (0..3).max_by_key(|&axis| way[axis].abs()).unwrap_or(0);
-        let steps = way[longest].abs().max(1);
+        let steps = way[longest].abs();
         let others = [(longest + 1) % 3, (longest + 2) % 3];
-        for step in 0..=way[longest].abs() {
-            let near = [(step - 1).max(0), (step + 1).min(steps)];
-            let range = |axis: usize| {
-                let [one, other] = near.map(|step| a[axis] * steps + way[axis] * step);
-                let (least, most) = (one.min(other), one.max(other));
-                least.div_euclid(steps)..=most.div_euclid(steps) + i32::from(most.rem_euclid(steps) > 0)
-            };
-            let mut cell = a;
-            cell[longest] += way[longest].signum() * step;
-            for (u, v) in range(others[0]).flat_map(|u| range(others[1]).map(move |v| (u, v))) {
-                (cell[others[0]], cell[others[1]]) = (u, v);
-                self.crossed.add(self.grid.number(IVec3::from_array(cell)));
+        let strides = [1, self.grid.size.x, self.grid.size.x * self.grid.size.y];
+        let [mut u, mut v] = others.map(|axis| Band::of(a[axis], way[axis], steps));
+        let mut at = a[longest] * strides[longest];
+        for step in 0..=steps {
+            for number in u.range().map(|u| at + u * strides[others[0]]) {
+                v.range().for_each(|v| self.crossed.add((number + v * strides[others[1]]) as usize));
             }
+            at += way[longest].signum() * strides[longest];
+            [&mut u, &mut v].into_iter().for_each(|band| band.go_on(step));
         }
+    }
+}
+
+/// Cells along an axis that are less than a cell from a line, while it goes on by steps along another axis.
+struct Band {
+    steps: i32,
+    /// Places of the line a step before and a step after, both within its ends.
+    near: [Place; 2],
+    /// Length of the way along the axis.
+    way: i32,
+}
+
+/// A place on a line in cells: `whole + rest / steps`.
+#[derive(Clone, Copy)]
+struct Place {
+    whole: i32,
+    rest: i32,
+}
+
+impl Band {
+    /// At the start of a line from `a` over `way` cells in `steps`, `way` being no longer.
+    fn of(a: i32, way: i32, steps: i32) -> Self {
+        let mut band = Self { steps, near: [Place { whole: a, rest: 0 }; 2], way };
+        if steps > 0 {
+            band.advance(1);
+        }
+        band
+    }
+
+    /// From a step to the next.
+    fn go_on(&mut self, step: i32) {
+        if step > 0 {
+            self.advance(0);
+        }
+        if step + 1 < self.steps {
+            self.advance(1);
+        }
+    }
+
+    fn advance(&mut self, which: usize) {
+        let place = &mut self.near[which];
+        place.rest += self.way;
+        // The way is no longer than the steps, so that one of these is enough.
+        if place.rest >= self.steps {
+            (place.whole, place.rest) = (place.whole + 1, place.rest - self.steps);
+        } else if place.rest < 0 {
+            (place.whole, place.rest) = (place.whole - 1, place.rest + self.steps);
+        }
+    }
+
+    fn range(&self) -> std::ops::RangeInclusive<i32> {
+        let [one, other] = self.near;
+        let [least, most] = if self.way < 0 { [other, one] } else { [one, other] };
+        least.whole..=most.whole + i32::from(most.rest > 0)
     }
 }
 
@@ -260,7 +322,7 @@ mod tests {
             let trail = Trail::new(&grid);
             trail.from(origin_m).mark(end_m - origin_m, Some(1.0));
             assert!(!trail.has_left());
-            let crossed: Vec<usize> = trail.crossed().collect();
+            let crossed: Vec<usize> = trail.crossed().map(|cell| grid.number(cell - grid.low)).collect();
             for step in 0..=64 {
                 let at_m = origin_m.lerp(end_m, step as f32 / 64.0);
                 let out = [0, 1].map(|_| uniform_sphere(sequence.next_f32(), sequence.next_f32()));
@@ -294,7 +356,7 @@ mod tests {
             let trail = Trail::new(&grid);
             let (from_m, to_m) = (within(a, place()), within(b, place()));
             trail.from(from_m).mark(to_m - from_m, Some(1.0));
-            let crossed: Vec<IVec3> = trail.crossed().map(|index| grid.cell(index)).collect();
+            let crossed: Vec<IVec3> = trail.crossed().collect();
             assert!(crossed.iter().all(|cell| cell.cmpge(a.min(b)).all() && cell.cmple(a.max(b)).all()));
             for _ in 0..40 {
                 let (from_m, to_m) = (within(a, place()), within(b, place()));
@@ -303,6 +365,46 @@ mod tests {
                     assert!(crossed.contains(&cell_of(at_m, grid.cell_m)), "{at_m} between {a} and {b}");
                 }
             }
+        }
+    }
+
+    /// The cells of [`Trail::mark_between`] by its words alone.
+    fn between(a: IVec3, b: IVec3) -> Vec<IVec3> {
+        let way = b - a;
+        let steps = way.abs().max_element();
+        let longest = (0..3).max_by_key(|&axis| way[axis].abs()).unwrap();
+        let box_of = |a: i32, b: i32| a.min(b) - 1..=a.max(b) + 1;
+        let cells = box_of(a.z, b.z).flat_map(|z| {
+            box_of(a.y, b.y).flat_map(move |y| box_of(a.x, b.x).map(move |x| IVec3::new(x, y, z)))
+        });
+        let is_near = |cell: &IVec3| {
+            let step = (cell[longest] - a[longest]) * way[longest].signum();
+            a[longest] + step * way[longest].signum() == cell[longest]
+                && (0..=steps).contains(&step)
+                && (0..3).filter(|axis| *axis != longest).all(|axis| {
+                    let at =
+                        |step: i32| f64::from(way[axis] * step.clamp(0, steps)) / f64::from(steps.max(1));
+                    let ends = [at(step - 1), at(step + 1)];
+                    let [least, most] = [ends[0].min(ends[1]), ends[0].max(ends[1])];
+                    let cell = f64::from(cell[axis] - a[axis]);
+                    (least.floor()..=most.ceil()).contains(&cell)
+                })
+        };
+        cells.filter(is_near).collect()
+    }
+
+    #[test]
+    fn ways_along_all_axes_mark_the_cells_beside_their_middle_and_no_others() {
+        let grid = Grid { cell_m: 1.0, low: IVec3::splat(-3), size: IVec3::new(17, 12, 14) };
+        let mut sequence = Sequence::new(4);
+        for number in 0..2000 {
+            let mut place =
+                || (Vec3::from([(); 3].map(|()| sequence.next_f32())) * grid.size.as_vec3()).as_ivec3();
+            let a = place();
+            let b = if number == 0 { a } else { place() };
+            let trail = Trail::new(&grid);
+            trail.mark_between(a, b);
+            assert!(trail.crossed().eq(between(a, b).into_iter().map(|cell| cell + grid.low)), "{a} to {b}");
         }
     }
 

@@ -3,6 +3,7 @@
 use glam::{IVec3, Vec2, Vec3};
 use lightkiln_proto::content::{BlockKey, PatchKey};
 use lightkiln_proto::ids::Digest;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::rays::sampling::seed_of;
@@ -79,6 +80,48 @@ impl Name {
     }
 }
 
+/// Names in ascending order, each once. They mostly come so; those of cells far from the origin begin anew.
+pub fn ascending(mut names: Vec<Name>) -> Vec<Name> {
+    if !names.is_sorted() {
+        names.sort_unstable();
+    }
+    names.dedup();
+    names
+}
+
+/// All names of some lists, each ascending and each name once, as one such list.
+pub fn union<'a>(lists: impl IndexedParallelIterator<Item = &'a [Name]>) -> Vec<Name> {
+    lists.fold(Vec::new, |all, list| merged(&all, list)).reduce(Vec::new, |a, b| merged(&a, &b))
+}
+
+fn merged(a: &[Name], b: &[Name]) -> Vec<Name> {
+    let (mut a, mut b) = (a.iter().copied().peekable(), b.iter().copied().peekable());
+    let mut all = Vec::with_capacity(a.len().max(b.len()));
+    loop {
+        let least = match (a.peek(), b.peek()) {
+            (Some(of_a), Some(of_b)) => *of_a.min(of_b),
+            (Some(rest), None) | (None, Some(rest)) => *rest,
+            (None, None) => return all,
+        };
+        all.push(least);
+        a.next_if_eq(&least);
+        b.next_if_eq(&least);
+    }
+}
+
+/// Places of names among `all`, both lists ascending.
+///
+/// Panics where one is not in it: whoever left it out would keep what an edit has changed.
+pub fn places_in<'a>(all: &'a [Name], names: &'a [Name]) -> impl Iterator<Item = usize> + 'a {
+    let mut next = 0;
+    names.iter().map(move |name| {
+        while all[next] != *name {
+            next += 1;
+        }
+        next
+    })
+}
+
 /// Digest of a part's content; all 0 where there is nothing.
 pub type Mark = [u8; 16];
 
@@ -131,5 +174,37 @@ impl Bytes {
         let mut mark = Mark::default();
         mark.copy_from_slice(&self.digest().0[..16]);
         mark
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names(of: &[u64]) -> Vec<Name> {
+        of.iter().copied().map(Name).collect()
+    }
+
+    #[test]
+    fn names_of_cells_at_the_end_of_their_numbers_are_put_in_order() {
+        let row: Vec<Name> = (CELLS - 2..CELLS + 2).map(|x| Name::cell(IVec3::new(x, 0, 0))).collect();
+        assert!(!row.is_sorted());
+        let sorted = ascending(row.iter().chain(&row).copied().collect());
+        assert!(sorted.is_sorted() && sorted.len() == 4 && row.iter().all(|name| sorted.contains(name)));
+    }
+
+    #[test]
+    fn union_has_each_name_of_any_list_once_and_places_are_those_in_it() {
+        let lists = [&[2, 5, 9][..], &[], &[1, 5, 12], &[9], &[1, 2, 30]].map(names);
+        let all = union(lists.par_iter().map(Vec::as_slice));
+        assert_eq!(all, names(&[1, 2, 5, 9, 12, 30]));
+        for list in &lists {
+            assert!(places_in(&all, list).map(|place| all[place]).eq(list.iter().copied()));
+        }
+        assert!(
+            std::panic::catch_unwind(|| places_in(&all, &names(&[1, 3])).count()).is_err(),
+            "3 is in no list"
+        );
+        assert_eq!(union([[].as_slice(); 2].into_par_iter()), []);
     }
 }

@@ -12,7 +12,7 @@ mod stage;
 mod triangles;
 
 pub use alike::{Common, alike};
-pub use marks::{Bytes, Mark, Name};
+pub use marks::{Bytes, Mark, Name, places_in, union};
 pub use own::Reads;
 pub use record::{Changes, RECORD_ARTEFACT, Record};
 pub use stage::{STAGE_ARTEFACT, Stage};

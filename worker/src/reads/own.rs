@@ -1,15 +1,15 @@
-//! Parts of a stage that the rays of one receiver read, while they do.
+//! Parts of a stage that the rays of a few receivers read, while they do.
 
 use std::cell::RefCell;
 
 use glam::Vec3;
 
-use super::marks::Name;
+use super::marks::{Name, ascending};
 use super::stage::Stage;
-use crate::geometry::{Bits, Trail};
+use crate::geometry::{OwnBits, Trail};
 use crate::lightmap::{Found, World};
 
-/// Receivers that are remembered, a power of two. More → fewer parts noted twice, more to clear for each receiver.
+/// Receivers that are remembered, a power of two. More → fewer parts noted twice, more to clear for each group.
 const REMEMBERED: usize = 2048;
 
 /// Cells, tiles and whether a ray left the scene.
@@ -18,7 +18,7 @@ pub struct Reads<'a> {
     stage: &'a Stage,
     /// Cells that were crossed.
     pub trail: Trail<'a>,
-    tiles: Bits,
+    tiles: OwnBits,
     /// Receivers that had a hit at hand of late, each at the last bits of its number: all that any such hit reads is noted.
     at_hand: RefCell<Vec<u32>>,
 }
@@ -32,7 +32,7 @@ impl<'a> Reads<'a> {
             world,
             stage,
             trail: Trail::new(&stage.grid),
-            tiles: Bits::new(tiles),
+            tiles: OwnBits::new(tiles),
             at_hand: RefCell::new(vec![u32::MAX; remembered]),
         }
     }
@@ -69,15 +69,16 @@ impl<'a> Reads<'a> {
         if stage.grid.is_empty() {
             return Vec::new();
         }
-        let cells = trail.crossed().map(|index| Name::cell(stage.grid.cell(index)));
         let tile = |tile: usize| {
             let (block, place) = world.tiles.place(tile as u32);
             Name::tile(world.lightmap.blocks[block as usize].key, place)
         };
-        let extent = trail.has_left().then(Name::extent);
-        let mut names: Vec<Name> = cells.chain(tiles.iter().map(tile)).chain(extent).collect();
-        names.sort_unstable();
-        names.dedup();
-        names
+        // Cells come in the order of their names, before all tiles.
+        let mut names: Vec<Name> = trail.crossed().map(Name::cell).collect();
+        let cells = names.len();
+        names.extend(tiles.iter().map(tile));
+        names[cells..].sort_unstable();
+        names.extend(trail.has_left().then(Name::extent));
+        ascending(names)
     }
 }

@@ -55,15 +55,21 @@ impl Record {
         artefact::encode(ARTEFACT_MAGIC, self)
     }
 
-    /// A record from its artefact.
+    /// A record from its artefact. Errs where names do not ascend.
     pub fn decoded(bytes: &[u8]) -> Result<Self, TaskError> {
-        Ok(artefact::decode(ARTEFACT_MAGIC, bytes)?.0)
+        let record: Self = artefact::decode(ARTEFACT_MAGIC, bytes)?.0;
+        let ascend = record.steps.iter().skip(1).all(|step| *step > 0)
+            && record.steps.iter().try_fold(0_u64, |name, step| name.checked_add(*step)).is_some();
+        if ascend && record.checks.len() == record.steps.len() {
+            return Ok(record);
+        }
+        Err(TaskError::bad_input("a record's names do not ascend, or have other checks"))
     }
 
     /// Names of what was read.
     pub fn names(&self) -> impl Iterator<Item = Name> + '_ {
         self.steps.iter().scan(0_u64, |name, step| {
-            *name = name.wrapping_add(*step);
+            *name += *step;
             Some(Name(*name))
         })
     }
@@ -119,4 +125,23 @@ fn digest(marks: &[Mark]) -> Digest {
         bytes.bytes(mark);
     });
     bytes.digest()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn record_whose_names_do_not_ascend_is_refused() {
+        let decoded = |steps: &[u64], checks: usize| {
+            let digest = Digest::of(b"marks");
+            let record = Record { steps: steps.to_vec(), checks: vec![0; checks], digest };
+            Record::decoded(&record.encoded().unwrap()).map(|record| record.names().count())
+        };
+        assert_eq!(decoded(&[0, 3, 1], 3).unwrap(), 3);
+        assert_eq!(decoded(&[], 0).unwrap(), 0);
+        for (steps, checks) in [(&[4, 0][..], 2), (&[1, u64::MAX], 2), (&[1, 2], 1)] {
+            assert!(decoded(steps, checks).is_err(), "{steps:?}, {checks} checks");
+        }
+    }
 }

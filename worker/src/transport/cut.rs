@@ -70,18 +70,6 @@ impl<'a> PatchHits<'a> {
         &self.leaves[start..end]
     }
 
-    /// `sum`, `excess` and `squares` of each row's hits on a patch.
-    pub fn sums(self, patch: u32) -> Vec<[f64; 3]> {
-        let mut sums = vec![[0.0; 3]; self.rows];
-        for hits in self.of(patch) {
-            let of_row = &mut sums[hits.row as usize];
-            of_row[0] += f64::from(hits.sum);
-            of_row[1] += f64::from(hits.excess);
-            of_row[2] += f64::from(hits.squares);
-        }
-        sums
-    }
-
     /// Share of its parent's seen area that a part has.
     pub fn share(self, part: u32, parent: u32) -> f64 {
         let area = |patch: u32| f64::from(self.tree.patches[patch as usize].seen_texels);
@@ -95,6 +83,36 @@ impl<'a> PatchHits<'a> {
         }
         let area = |patch: u32| stepped_area(self.tree.patches[patch as usize].seen_texels);
         area(part) / area(parent)
+    }
+}
+
+/// `sum`, `excess` and `squares` of each row's hits on a patch.
+struct Sums {
+    of_row: Vec<[f64; 3]>,
+    /// Rows with hits, ascending: most patches are met by few.
+    met: Vec<u32>,
+}
+
+impl Sums {
+    /// Sums of so many rows, none met.
+    fn new(rows: usize) -> Self {
+        Self { of_row: vec![[0.0; 3]; rows], met: Vec::new() }
+    }
+
+    /// Of those hits alone.
+    fn take(&mut self, hits: &[LeafHits]) {
+        self.met.drain(..).for_each(|row| self.of_row[row as usize] = [0.0; 3]);
+        for hits in hits {
+            let sums = &mut self.of_row[hits.row as usize];
+            if *sums == [0.0; 3] {
+                self.met.push(hits.row);
+            }
+            for (sum, more) in sums.iter_mut().zip([hits.sum, hits.excess, hits.squares]) {
+                *sum += f64::from(more);
+            }
+        }
+        self.met.sort_unstable();
+        self.met.dedup();
     }
 }
 
@@ -137,15 +155,18 @@ pub fn leaves(tree: &PatchTree, leaf_hits: &[LeafHits]) -> Vec<u32> {
         .collect()
 }
 
-/// Value of opening a patch by itself: `Σ_parts σ² Σ_r D²`, less chance.
-fn gain(hits: PatchHits<'_>, expectation: &Expectation, patch: u32) -> f64 {
-    let whole = hits.sums(patch);
-    let seeing = whole.iter().filter(|sums| sums[2] > 0.0).count() as f64;
+/// Value of opening a patch by itself: `Σ_parts σ² Σ_r D²`, less chance. `of` is room for sums, of the patch and of a part.
+fn gain(hits: PatchHits<'_>, expectation: &Expectation, patch: u32, of: &mut [Sums; 2]) -> f64 {
+    let [of_whole, of_part] = of;
+    of_whole.take(hits.of(patch));
+    let seeing = of_whole.met.iter().filter(|row| of_whole.of_row[**row as usize][2] > 0.0).count() as f64;
     let mut sum = 0.0;
     for part in hits.tree.parts(patch) {
         let share = hits.share_in_gains(part, patch);
+        of_part.take(hits.of(part));
         let (mut squares, mut all, mut variance) = (0.0, 0.0, 0.0);
-        for (part, whole) in hits.sums(part).iter().zip(&whole) {
+        for &row in &of_whole.met {
+            let [part, whole] = [&*of_part, of_whole].map(|of| &of.of_row[row as usize]);
             // D, and X of the same rays with alternating signs: D² − X² is free of the noise of counting.
             let [d, x] = [0, 1].map(|i| part[i] - share * whole[i]);
             squares += d * d - x * x;
@@ -193,10 +214,10 @@ impl<'a> Seen<'a> {
             patches.push(SeenPatch { patch, parent, gain: 0.0, parts: parts.len() });
             next.extend(parts.into_iter().rev().map(|part| (part, Some(own))));
         }
-        patches
-            .par_iter_mut()
-            .filter(|seen| seen.parts > 0)
-            .for_each(|seen| seen.gain = gain(hits, expectation, seen.patch));
+        patches.par_iter_mut().filter(|seen| seen.parts > 0).for_each_init(
+            || [(); 2].map(|()| Sums::new(hits.rows)),
+            |room, seen| seen.gain = gain(hits, expectation, seen.patch, room),
+        );
         Self { tree, patches }
     }
 
@@ -340,9 +361,10 @@ pub(super) mod tests {
         let leaf_hits: Vec<LeafHits> = (0..3).map(|leaf| hits(leaf, counts[leaf as usize] as u32)).collect();
         let met = PatchHits { tree: &tree, leaves: &leaf_hits, rows: 1 };
         let mean = |patch: u32| of(light, patch) / f64::from(tree.patches[patch as usize].leaf_count);
-        let mut sum = met.sums(0)[0][0] * mean(0);
+        let sum_of = |patch: u32| met.of(patch).iter().map(|hits| f64::from(hits.sum)).sum::<f64>();
+        let mut sum = sum_of(0) * mean(0);
         for (part, parent) in [(1, 0), (4, 0), (2, 1), (3, 1), (5, 4), (6, 4)] {
-            let difference = met.sums(part)[0][0] - met.share(part, parent) * met.sums(parent)[0][0];
+            let difference = sum_of(part) - met.share(part, parent) * sum_of(parent);
             sum += difference * mean(part);
         }
         let direct: f64 = counts.iter().zip(light).map(|(count, light)| count * light).sum();

@@ -7,12 +7,16 @@ use glam::Vec3;
 use lightkiln_proto::chunk::column_deviation;
 use lightkiln_proto::content::PatchKey;
 use lightkiln_proto::harmonics::relight_direction;
+use rayon::prelude::*;
 
 use super::cut::{LeafHits, PatchHits, cut, leaves};
 use super::expectation::{self, Expectation};
 use crate::lightmap::{Found, Numbering, Surface, World};
 use crate::patches::PatchTree;
 use crate::rays::Hit;
+
+/// Leaves for each hit up to which a table of leaves sorts faster than comparisons.
+const TABLE_SHARE: usize = 4;
 
 /// Sources of light as rays meet them.
 pub struct Sources<'a> {
@@ -134,7 +138,7 @@ pub fn patch_rows(
     scale: f32,
     bounds: Option<CutBounds>,
 ) -> PatchRows {
-    hits_of_rows.iter_mut().for_each(RowHits::sort);
+    hits_of_rows.par_iter_mut().for_each(RowHits::sort);
     let mut leaf_hits: Vec<LeafHits> = Vec::new();
     for (row, hits) in hits_of_rows.iter().enumerate() {
         leaf_hits.extend(hits.leaves.chunk_by(|a, b| a.at == b.at).map(|same| LeafHits {
@@ -145,7 +149,7 @@ pub fn patch_rows(
             squares: same.iter().map(|hit| hit.weight * hit.weight).sum(),
         }));
     }
-    leaf_hits.sort_unstable_by_key(|hits| (hits.leaf, hits.row));
+    let leaf_hits = by_leaf(leaf_hits, tree.leaf_starts.len());
     let hits = PatchHits { tree, leaves: &leaf_hits, rows: hits_of_rows.len() };
     let expectation = Expectation::new(tree, texel_m);
     let patches = match bounds {
@@ -161,6 +165,30 @@ pub fn patch_rows(
     table.begin(hits_of_rows);
     table.add_patches(hits, &columns);
     PatchRows { keys: table.keys.into_values(), rows: table.rows, by_share: columns.by_share }
+}
+
+/// Hits, which come by row, in the order of leaves, and those on one leaf in that of rows. Few of many leaves are sorted, as a table of all
+/// would cost more.
+fn by_leaf(mut hits: Vec<LeafHits>, leaves: usize) -> Vec<LeafHits> {
+    if hits.len() * TABLE_SHARE < leaves {
+        hits.sort_unstable_by_key(|hits| (hits.leaf, hits.row));
+        return hits;
+    }
+    let mut ends = vec![0; leaves + 1];
+    hits.iter().for_each(|hits| ends[hits.leaf as usize + 1] += 1_u32);
+    let mut before = 0;
+    for end in &mut ends {
+        before += *end;
+        *end = before;
+    }
+    let Some(&any) = hits.first() else { return Vec::new() };
+    let mut sorted = vec![any; hits.len()];
+    for hits in &hits {
+        let place = &mut ends[hits.leaf as usize];
+        sorted[*place as usize] = *hits;
+        *place += 1;
+    }
+    sorted
 }
 
 /// A column of patches.
@@ -345,6 +373,17 @@ mod tests {
     #[test]
     fn parts_that_are_met_are_differences_but_for_the_largest() {
         assert_eq!(columns([400, 200, 150, 150]), [(0, false, 900.0), (3, true, -200.0), (4, true, -300.0)]);
+    }
+
+    #[test]
+    fn hits_come_by_leaf_and_keep_their_order_of_rows() {
+        let hit = |leaf: u32, row: u32| LeafHits { leaf, row, sum: 1.0, excess: 0.0, squares: 1.0 };
+        let by_row = [hit(2, 0), hit(4, 0), hit(0, 1), hit(4, 1), hit(2, 5)];
+        for leaves in [5, 1000] {
+            let sorted = by_leaf(by_row.to_vec(), leaves);
+            assert_eq!(sorted, [hit(0, 1), hit(2, 0), hit(2, 5), hit(4, 0), hit(4, 1)]);
+            assert_eq!(by_leaf(Vec::new(), leaves), []);
+        }
     }
 
     #[test]

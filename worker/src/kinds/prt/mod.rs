@@ -30,7 +30,7 @@ use crate::reads::{Record, Stage};
 use crate::task::{Cancelled, Context, Progress, TaskError};
 use crate::transport::{self as shared, DEAD_PATH_TEXELS};
 use near::NearHit;
-use rows::{Gathered, KeptRows};
+use rows::{KeptRows, Known};
 use truncate::NamedPiece;
 
 /// The kind's row.
@@ -167,7 +167,7 @@ impl PatchTransport {
     fn recorded(
         &self,
         cell: &ClusterCell,
-        known: Vec<Option<Gathered>>,
+        known: Vec<Option<Known>>,
         progress: &Progress,
     ) -> Result<Recorded, Cancelled> {
         let found = gather::trace(self, &cell.receivers, known, Detail::AsBaked, progress)?;

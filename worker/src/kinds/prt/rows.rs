@@ -1,10 +1,11 @@
 //! Rows of a cell's receivers as an artefact. A later task alike takes over those whose rays read nothing that has changed, and
 //! traces the others.
 //!
-//! A row is kept as it was gathered, before the cut: hits by leaf and by part of the sky, with what each of its receiver's rays
-//! read and a digest of that. Nothing is named by a number of the scene, as an edit changes those.
+//! A row is kept as it was gathered, before the cut: hits by leaf and by part of the sky. Receivers come in groups that lie close
+//! together, each with what its rays read and a digest of that. Nothing is named by a number of the scene, as an edit changes those.
 
 use std::f32::consts::PI;
+use std::sync::Arc;
 
 use glam::Vec3;
 use lightkiln_proto::content::{BlockKey, PatchKey, Texel};
@@ -15,7 +16,7 @@ use super::near::NearHit;
 use super::{PatchTransport, Row, TracedSettings};
 use crate::lightmap::{Lightmap, Numbering};
 use crate::patches::PatchTree;
-use crate::reads::{Bytes, Mark, Name, Record, Stage};
+use crate::reads::{Bytes, Mark, Name, Record, Stage, places_in};
 use crate::task::{TaskError, artefact};
 use crate::transport::{self as rows, RayHit, RowHits};
 
@@ -52,12 +53,25 @@ impl RowLimits {
     }
 }
 
-/// Hits of one receiver's rays, its row but for these, and names of what the rays read, ascending.
+/// Hits of one receiver's rays, and its row but for these.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Gathered {
     pub hits: RowHits,
     pub row: Row,
+}
+
+/// Rows of a cell by their places, and names of what their rays read, ascending.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Group {
+    pub rows: Vec<u32>,
     pub reads: Vec<Name>,
+}
+
+/// A row that needs no rays, and names of what those of its group read, ascending.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Known {
+    pub gathered: Gathered,
+    pub reads: Arc<[Name]>,
 }
 
 /// Rows of a cell's receivers, in their order.
@@ -67,15 +81,22 @@ pub struct KeptRows {
     leaves: Vec<PatchKey>,
     /// Blocks of texels that near hits lie on.
     blocks: Vec<BlockKey>,
+    groups: Vec<KeptGroup>,
     rows: Vec<KeptRow>,
 }
 
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-struct KeptRow {
-    /// Bits of the names that rays of the task read.
+struct KeptGroup {
+    /// Places of its rows.
+    rows: Vec<u32>,
+    /// Bits of the names that rays of the task read: those that rays of the group did.
     reads: Vec<u8>,
     /// Digest of their marks.
     digest: Mark,
+}
+
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+struct KeptRow {
     leaves: Counts,
     sky: Counts,
     lit: f32,
@@ -105,24 +126,27 @@ struct KeptNear {
 }
 
 impl KeptRows {
-    /// Of a cell's gathered rows; `read` are the names that their rays read, ascending, and `leaves` the leaves that they hit.
-    pub fn of(transport: &PatchTransport, all: &[Gathered], read: &[Name], leaves: &[u32]) -> Self {
+    /// Of a cell's gathered rows and their groups; `read` are the names that their rays read, ascending, and `leaves` the leaves
+    /// that they hit.
+    pub fn of(
+        transport: &PatchTransport,
+        all: &[Gathered],
+        groups: &[Group],
+        (read, leaves): (&[Name], &[u32]),
+    ) -> Self {
         let PatchTransport { world, tree, stage, .. } = transport;
         let marks: Vec<Mark> = read.par_iter().map(|name| stage.mark(*name)).collect();
         let of_near =
             |of: &Gathered| of.row.near.iter().map(|hit| world.lightmap.block_key(hit.receiver)).collect();
         let blocks = Numbering::of(all.iter().flat_map::<Vec<BlockKey>, _>(of_near));
-        let row = |of: &Gathered| {
+        let group = |of: &Group| {
             let mut reads = vec![0; read.len().div_ceil(8)];
-            for name in &of.reads {
-                if let Ok(place) = read.binary_search(name) {
-                    reads[place / 8] |= 1 << (place % 8);
-                }
-            }
+            places_in(read, &of.reads).for_each(|place| reads[place / 8] |= 1 << (place % 8));
+            KeptGroup { rows: of.rows.clone(), digest: digest(&reads, &marks), reads }
+        };
+        let row = |of: &Gathered| {
             let Row { shared, near, near_weight, .. } = &of.row;
             KeptRow {
-                digest: digest(&reads, &marks),
-                reads,
                 leaves: Counts::of(&of.hits.leaves, |leaf| {
                     leaves.partition_point(|other| *other < leaf) as u32
                 }),
@@ -137,6 +161,7 @@ impl KeptRows {
         };
         Self {
             leaves: leaves.iter().map(|&leaf| key_of_leaf(tree, leaf)).collect(),
+            groups: groups.par_iter().map(group).collect(),
             rows: all.par_iter().map(row).collect(),
             blocks: blocks.into_values(),
         }
@@ -151,16 +176,33 @@ impl KeptRows {
     /// Rows from their artefact. Errs for such as no task within those limits leaves.
     pub fn decoded(bytes: &[u8], limits: &RowLimits) -> Result<Self, TaskError> {
         let rows: Self = artefact::decode(ARTEFACT_MAGIC, bytes)?.0;
-        let fits = rows.rows.len() == limits.receivers && rows.rows.iter().all(|row| row.fits(limits));
+        let fits = rows.rows.len() == limits.receivers
+            && rows.are_grouped()
+            && rows.rows.iter().all(|row| row.fits(limits));
         if fits { Ok(rows) } else { Err(TaskError::bad_input("kept rows are not those of such a task")) }
     }
 
-    /// Rows as they were gathered, of receivers whose rays read nothing that has changed since the task left that record.
-    pub fn holding(&self, transport: &PatchTransport, record: &Record) -> Vec<Option<Gathered>> {
+    /// Each row is in one group, and each group has some.
+    fn are_grouped(&self) -> bool {
+        let mut is_in_any = vec![false; self.rows.len()];
+        let mut places = self.groups.iter().flat_map(|group| &group.rows);
+        let are_apart = places.all(|&place| {
+            is_in_any.get_mut(place as usize).is_some_and(|is_in_any| !std::mem::replace(is_in_any, true))
+        });
+        are_apart && !is_in_any.contains(&false) && self.groups.iter().all(|group| !group.rows.is_empty())
+    }
+
+    /// Rows as they were gathered, of groups whose rays read nothing that has changed since the task left that record.
+    pub fn holding(&self, transport: &PatchTransport, record: &Record) -> Vec<Option<Known>> {
         let PatchTransport { world, tree, stage, .. } = transport;
         let read = record.names_of_rays();
         let now = Now::of(self, &read, stage, tree, &world.lightmap);
-        self.rows.par_iter().map(|row| row.holding(&now)).collect()
+        let mut found = vec![None; self.rows.len()];
+        let held: Vec<_> = self.groups.par_iter().map(|group| group.holding(&now, &self.rows)).collect();
+        for (place, known) in held.into_iter().flatten() {
+            found[place as usize] = known;
+        }
+        found
     }
 }
 
@@ -209,12 +251,8 @@ impl KeptRow {
             && self.near.iter().all(|hit| is_finite(&hit.position_m) && is_finite(&hit.face_normal))
     }
 
-    /// `None` if something that its rays read has changed, or if the row is not one of that record.
-    fn holding(&self, now: &Now) -> Option<Gathered> {
-        let is_of_record = self.reads.len() == now.read.len().div_ceil(8);
-        if !is_of_record || digest(&self.reads, &now.marks) != self.digest {
-            return None;
-        }
+    /// `None` if a thing that it names is gone.
+    fn found(&self, now: &Now) -> Option<Gathered> {
         let near = self.near.iter().map(|hit| hit.found(now)).collect::<Option<_>>()?;
         let leaves = self.leaves.hits(|place| *now.leaves.get(place as usize)?)?;
         let sky = self.sky.hits(Some)?;
@@ -227,8 +265,23 @@ impl KeptRow {
             ..rows::Row::default()
         };
         let row = Row { shared, near, near_weight: self.near_weight, ..Row::default() };
-        let reads = bits(&self.reads).filter_map(|place| now.read.get(place).copied()).collect();
-        Some(Gathered { hits: RowHits { leaves, sky }, row, reads })
+        Some(Gathered { hits: RowHits { leaves, sky }, row })
+    }
+}
+
+impl KeptGroup {
+    /// Its rows by their places; none if something that its rays read has changed, or if it is not one of that record.
+    fn holding(&self, now: &Now, rows: &[KeptRow]) -> Vec<(u32, Option<Known>)> {
+        let is_of_record = self.reads.len() == now.read.len().div_ceil(8);
+        if !is_of_record || digest(&self.reads, &now.marks) != self.digest {
+            return Vec::new();
+        }
+        let reads: Arc<[Name]> = bits(&self.reads).filter_map(|place| now.read.get(place).copied()).collect();
+        let found = |place: u32| {
+            let gathered = rows[place as usize].found(now)?;
+            Some(Known { gathered, reads: Arc::clone(&reads) })
+        };
+        self.rows.iter().map(|&place| (place, found(place))).collect()
     }
 }
 
@@ -293,8 +346,9 @@ impl KeptNear {
 /// Places of the bits that are set.
 fn bits(bytes: &[u8]) -> impl Iterator<Item = usize> + '_ {
     let of_byte = |(index, byte): (usize, &u8)| {
-        let byte = *byte;
-        (0..8).filter(move |bit| byte >> bit & 1 == 1).map(move |bit| index * 8 + bit)
+        let first = (*byte != 0).then_some(*byte);
+        let bytes = std::iter::successors(first, |byte| Some(byte & (byte - 1)).filter(|left| *left != 0));
+        bytes.map(move |byte| index * 8 + byte.trailing_zeros() as usize)
     };
     bytes.iter().enumerate().flat_map(of_byte)
 }
@@ -356,14 +410,21 @@ mod tests {
             emitters: vec![[0.5; 3]],
             near_weight: PI,
             near: vec![near],
-            ..KeptRow::default()
         };
-        let decoded = |rows: &[KeptRow]| {
-            let rows = KeptRows { rows: rows.to_vec(), ..KeptRows::default() };
+        let in_groups = |rows: &[KeptRow], groups: &[&[u32]]| {
+            let group = |rows: &&[u32]| KeptGroup { rows: rows.to_vec(), ..KeptGroup::default() };
+            let groups = groups.iter().map(group).collect();
+            let rows = KeptRows { rows: rows.to_vec(), groups, leaves: Vec::new(), blocks: Vec::new() };
             KeptRows::decoded(&artefact::encode(ARTEFACT_MAGIC, &rows).unwrap(), &limits)
         };
+        let decoded = |rows: &[KeptRow]| in_groups(rows, &[&[1, 0]]);
         assert_eq!(decoded(&[good.clone(), good.clone()]).unwrap().rows, [good.clone(), good.clone()]);
-        assert!(decoded(std::slice::from_ref(&good)).is_err(), "a row too few");
+        assert!(in_groups(std::slice::from_ref(&good), &[&[0]]).is_err(), "a row too few");
+        let both = [good.clone(), good.clone()];
+        assert!(in_groups(&both, &[&[1], &[0]]).is_ok());
+        for groups in [&[&[0][..]][..], &[], &[&[0, 1], &[1]], &[&[0, 1, 2]], &[&[0, 0]], &[&[0, 1], &[]]] {
+            assert!(in_groups(&both, groups).is_err(), "{groups:?}");
+        }
         let hostile: [(&str, Harm); 13] = [
             ("a leaf without a count", |row| row.leaves.steps.push(1)),
             ("a count without a part of the sky", |row| row.sky.odd_even.push([0; 2])),
@@ -387,23 +448,28 @@ mod tests {
     }
 
     #[test]
-    fn row_holds_while_marks_that_it_read_do_and_only_beside_its_own_record() {
+    fn rows_hold_while_marks_that_their_group_read_do_and_only_beside_its_own_record() {
         let names: Vec<Name> = (0..11).map(Name).collect();
         let mut marks: Vec<Mark> = (0..11).map(|byte| [byte; 16]).collect();
         let reads = vec![0b0000_0101, 0b0000_0100];
-        let row = KeptRow { digest: digest(&reads, &marks), reads, ..KeptRow::default() };
+        let group = KeptGroup { rows: vec![1, 0], digest: digest(&reads, &marks), reads };
+        let rows = vec![KeptRow::default(); 2];
         let lightmap =
             Lightmap { texel_m: 1.0, first_block: vec![0], blocks: Vec::new(), receivers: Vec::new() };
         let holding = |marks: &[Mark], read: &[Name]| {
             let (marks, leaves, blocks) = (marks.to_vec(), Vec::new(), Vec::new());
-            row.holding(&Now { read, marks, leaves, blocks, lightmap: &lightmap })
+            group.holding(&Now { read, marks, leaves, blocks, lightmap: &lightmap }, &rows)
         };
-        let reads = holding(&marks, &names).unwrap().reads;
-        assert_eq!(reads, [Name(0), Name(2), Name(10)]);
-        assert_eq!(holding(&marks[..8], &names[..8]), None, "a record of fewer names");
+        let found = holding(&marks, &names);
+        let places: Vec<u32> = found.iter().map(|(place, _)| *place).collect();
+        assert_eq!(places, [1, 0]);
+        for (_, known) in &found {
+            assert_eq!(known.as_ref().unwrap().reads[..], [Name(0), Name(2), Name(10)]);
+        }
+        assert_eq!(holding(&marks[..8], &names[..8]), [], "a record of fewer names");
         marks[1] = [77; 16];
-        assert!(holding(&marks, &names).is_some(), "it read nothing of that");
+        assert_eq!(holding(&marks, &names).len(), 2, "they read nothing of that");
         marks[10] = [77; 16];
-        assert_eq!(holding(&marks, &names), None);
+        assert_eq!(holding(&marks, &names), []);
     }
 }

@@ -5,7 +5,7 @@ use lightkiln_proto::chunk::QuantisationSettings;
 use lightkiln_proto::jobs::{Artefact, TaskSpec};
 
 use super::colourless::{self, Colourless};
-use super::rows::{Gathered, KeptRows, ROWS_ARTEFACT, RowLimits};
+use super::rows::{KeptRows, Known, ROWS_ARTEFACT, RowLimits};
 use super::truncate::NamedPiece;
 use super::{PatchTransport, Recorded, TracedSettings, TransportParams};
 use crate::emitters::Radiance;
@@ -77,9 +77,9 @@ fn known(
     transport: &PatchTransport,
     receivers: usize,
     changed: &[(&Vec<Artefact>, Record)],
-) -> Result<Option<Vec<Option<Gathered>>>, TaskError> {
+) -> Result<Option<Vec<Option<Known>>>, TaskError> {
     let limits = RowLimits::of(&transport.settings, receivers, transport.emitters.count());
-    let mut all: Option<Vec<Option<Gathered>>> = None;
+    let mut all: Option<Vec<Option<Known>>> = None;
     for (outputs, record) in changed {
         if all.as_ref().is_some_and(|known| known.iter().all(Option::is_some)) {
             break;

@@ -16,7 +16,8 @@ const TURNS: u32 = 256;
 pub fn edge(own: &[Vec2], beyond: &[Vec2], foot: &[Vec2], is_own_better: bool) -> TexelEdge {
     let with_foot = |side: &[Vec2]| [side, foot].concat();
     if let Some(angle_rad) = straight(foot, own, beyond) {
-        let far = |at: &Vec2| at.dot(direction(angle_rad));
+        let across = direction(angle_rad);
+        let far = |at: &Vec2| at.dot(across);
         let offset = if is_own_better {
             with_foot(own).iter().map(far).fold(f32::NEG_INFINITY, f32::max) + TexelEdge::ROUNDING
         } else {
@@ -65,7 +66,8 @@ fn before(own: &[Vec2], beyond: &[Vec2]) -> Option<(f32, f32)> {
     let mut best = (0, None);
     for turn in 0..TURNS {
         let angle_rad = turn as f32 / TURNS as f32 * std::f32::consts::TAU;
-        let along = |at: &Vec2| at.dot(direction(angle_rad));
+        let across = direction(angle_rad);
+        let along = |at: &Vec2| at.dot(across);
         let last = own.iter().map(along).fold(f32::NEG_INFINITY, f32::max);
         let behind = || beyond.iter().map(along).filter(|far| *far > last);
         let count = behind().count();
