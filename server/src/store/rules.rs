@@ -187,11 +187,10 @@ pub fn given_up_message(label: &str, kind: &str, attempts: u32, workers: u32, me
 
 /// Why a bake failed when workers kept being lost with a task.
 pub fn lost_message(label: &str, kind: &str, losses: u32, message: &str) -> String {
-    let workers = counted(losses, "worker");
+    let times = counted(losses, "time");
     cut_message(&format!(
-        "{label} ({kind}) was lost with {workers}, which ended or fell silent while they had it; none of them reported a failure. \
-         See whether it needs more memory than they have, or let it be lost more often (kiln server --lost-workers N); \
-         the last: {message}"
+        "{label} ({kind}) was lost {times}: its workers ended, fell silent or ran out of memory while they had it. See \
+         whether it needs more memory than they have, or let it be lost more often (kiln server --lost-workers N); the last: {message}"
     ))
 }
 

@@ -135,7 +135,7 @@ pub async fn task_that_is_always_lost_fails_its_bake_by_that_word(world: World) 
     let bake = world.show(&bake).await;
     assert_eq!((bake.state, bake.attempts_lost), (BakeState::Failed, u64::from(LOST_WORKERS)));
     let failure = bake.failure.clone().unwrap();
-    assert!(failure.contains("was lost with 50 workers") && !failure.contains("failed on"), "{failure}");
+    assert!(failure.contains("was lost 50 times") && !failure.contains("failed on"), "{failure}");
     let told =
         |event: &EventKind| matches!(event, EventKind::TaskFailed { blame: Blame::Lost, retry: false, .. });
     assert!(world.events(&bake).await.iter().any(|event| told(&event.event)));
