@@ -68,6 +68,13 @@ fn units_run_as_nobody_special_and_may_write_their_own_folder_alone() {
 }
 
 #[test]
+fn worker_sees_the_memory_of_its_machine() {
+    let service = section(&text_of("deploy/systemd/kiln-worker.service"), "Service");
+    let subset = service.get("ProcSubset").map(|values| values.concat());
+    assert_ne!(subset.as_deref(), Some("pid"), "/proc/meminfo and the machine's start are hidden by it");
+}
+
+#[test]
 fn worker_has_longer_to_stop_than_a_task_in_hand() {
     let service = section(&text_of("deploy/systemd/kiln-worker.service"), "Service");
     let stop_secs: u64 = service["TimeoutStopSec"][0].parse().unwrap();
