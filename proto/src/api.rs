@@ -473,7 +473,7 @@ pub enum Blame {
     /// This worker (out of memory, disk full, network): another may do better.
     #[default]
     Worker,
-    /// Nobody: the worker's process or machine ended while it had the task, as its next start tells.
+    /// Nobody: the worker's process or machine ended while it had the task, as its next start tells, or its memory was taken by others.
     Lost,
 }
 

@@ -6,7 +6,7 @@
 
 use std::io;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -29,6 +29,8 @@ use crate::kinds::KindTables;
 const LEASE_SECS: u32 = 60;
 /// Waiting calls look this often for what other processes have done.
 const POLL_INTERVAL: Duration = Duration::from_millis(250);
+/// Time for which a bake waits for memory that other programs have, while it has no task in hand.
+const MEMORY_PATIENCE: Duration = Duration::from_secs(600);
 /// A folder that is in use is tried again after this; the wait is told of once it has lasted longer than a start takes.
 const TRY_AGAIN_AFTER: Duration = Duration::from_millis(200);
 const SILENT_FOR: Duration = Duration::from_secs(1);
@@ -40,7 +42,12 @@ pub struct EmbeddedFarm {
     state: PathBuf,
     farm: Arc<Farm>,
     worker_flag: ShutdownFlag,
-    worker: Option<JoinHandle<std::result::Result<(), WorkerError>>>,
+    worker: Arc<Worker>,
+    worker_thread: Option<JoinHandle<()>>,
+    /// Why the worker has ended, once it has.
+    worker_end: Arc<OnceLock<Failure>>,
+    /// Memory that the worker waits for, as the user was told of it.
+    told_of_memory: Mutex<Option<String>>,
     server_end: Option<oneshot::Sender<()>>,
     runtime: Option<Runtime>,
 }
@@ -75,26 +82,40 @@ impl EmbeddedFarm {
                 tracing::error!(%error, "the embedded server ended");
             }
         });
+        let url = format!("http://{address}");
+        let mut config = WorkerConfig::new(&url, &seat.name);
+        config.labels = vec![seat.name.clone()];
+        config.threads = threads;
+        config.tasks = usual_tasks(threads);
+        config.lease_secs = LEASE_SECS;
+        config.memory_patience = Some(MEMORY_PATIENCE);
+        let worker = Worker::new(config, Arc::new(Runner::new(&kinds.worker)))
+            .map_err(|error| failed("the embedded worker cannot start").caused_by(&error))?;
         let mut farm = Self {
-            url: format!("http://{address}"),
+            url,
             seat,
             state: state.to_owned(),
             farm: inside,
             worker_flag: ShutdownFlag::new(),
-            worker: None,
+            worker: Arc::new(worker),
+            worker_thread: None,
+            worker_end: Arc::default(),
+            told_of_memory: Mutex::default(),
             server_end: Some(server_end),
             runtime: Some(runtime),
         };
-        let mut config = WorkerConfig::new(&farm.url, &farm.seat.name);
-        config.labels = vec![farm.seat.name.clone()];
-        config.threads = threads;
-        config.tasks = usual_tasks(threads);
-        config.lease_secs = LEASE_SECS;
-        let worker = Worker::new(config, Arc::new(Runner::new(&kinds.worker)))
-            .map_err(|error| failed("the embedded worker cannot start").caused_by(&error))?;
-        let flag = farm.worker_flag.clone();
-        farm.worker = Some(std::thread::spawn(move || worker.run(&flag)));
+        farm.worker_thread = Some(farm.start_worker());
         Ok(farm)
+    }
+
+    fn start_worker(&self) -> JoinHandle<()> {
+        let (worker, flag, end) = (self.worker.clone(), self.worker_flag.clone(), self.worker_end.clone());
+        std::thread::spawn(move || {
+            if let Err(error) = worker.run(&flag) {
+                // It is set once.
+                let _ = end.set(worker_failure(&error));
+            }
+        })
     }
 
     /// Base URL of the server.
@@ -108,8 +129,9 @@ impl EmbeddedFarm {
     }
 
     /// Errors once the worker has ended, as nobody would do the tasks, and once the disk is full: unlike a server, a bake
-    /// has somebody who waits, and goes on where it was when it is asked for again.
-    pub fn check(&self) -> Result<()> {
+    /// has somebody who waits, and goes on where it was when it is asked for again. The answer is a word to that user, if there is
+    /// something to say.
+    pub fn check(&self) -> Result<Option<String>> {
         if self.farm.full_refusals() > 0 {
             let what = format!("no room is left on the disk of {}", self.state.display());
             return Err(Failure::new(Exit::Failed, what).try_this(
@@ -117,11 +139,31 @@ impl EmbeddedFarm {
                  folder on another disk",
             ));
         }
-        match &self.worker {
-            Some(worker) if !worker.is_finished() => Ok(()),
-            _ => Err(Failure::new(Exit::Failed, "the embedded worker has ended")
+        if let Some(failure) = self.worker_end.get() {
+            return Err(failure.clone());
+        }
+        match &self.worker_thread {
+            Some(thread) if !thread.is_finished() => Ok(self.word_of_memory()),
+            _ => Err(Failure::new(Exit::Failed, "the worker inside this process has ended")
                 .try_this("the same command with KILN_LOG=info, to see why")),
         }
+    }
+
+    /// A word when the worker begins to wait for memory, and one when it goes on.
+    fn word_of_memory(&self) -> Option<String> {
+        let waits = self.worker.waits_for_memory();
+        let mut told = self.told_of_memory.lock().unwrap_or_else(PoisonError::into_inner);
+        if *told == waits {
+            return None;
+        }
+        told.clone_from(&waits);
+        Some(match waits {
+            Some(memory) => format!(
+                "waiting for memory: {memory}; this bake goes on when some comes free. Ctrl-C ends the wait; close other programs to \
+                 shorten it"
+            ),
+            None => "memory is free again; this bake goes on".to_owned(),
+        })
     }
 
     /// Tells the worker to give its task back now.
@@ -133,12 +175,9 @@ impl EmbeddedFarm {
 impl Drop for EmbeddedFarm {
     fn drop(&mut self) {
         self.stop_worker();
-        if let Some(worker) = self.worker.take() {
-            match worker.join() {
-                Ok(Ok(())) => {}
-                Ok(Err(error)) => tracing::error!(%error, "the embedded worker ended early"),
-                Err(_) => tracing::error!("the embedded worker panicked"),
-            }
+        // A worker that ended in an error has told so in the log.
+        if self.worker_thread.take().is_some_and(|thread| thread.join().is_err()) {
+            tracing::error!("the embedded worker panicked");
         }
         if let Some(server_end) = self.server_end.take() {
             let _ = server_end.send(());
@@ -147,6 +186,19 @@ impl Drop for EmbeddedFarm {
             runtime.shutdown_timeout(Duration::from_secs(5));
         }
     }
+}
+
+/// Why a bake cannot go on whose worker has ended.
+fn worker_failure(error: &WorkerError) -> Failure {
+    let next_step = match error {
+        WorkerError::Memory { .. } => {
+            "the same command again once other programs have let go of memory; it goes on from the tasks that are done"
+        }
+        _ => "the same command with KILN_LOG=info, to see more",
+    };
+    Failure::new(Exit::Failed, "the worker inside this process has ended")
+        .caused_by(error)
+        .try_this(next_step)
 }
 
 /// Opens the state folder as soon as it can be shared.

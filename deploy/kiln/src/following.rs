@@ -19,14 +19,14 @@ pub struct Ended {
     is_input: bool,
 }
 
-/// Waits until the bake is done. `check` is asked between polls whether waiting still makes sense.
+/// Waits until the bake is done. `check` is asked between polls whether waiting still makes sense, and for a word to who waits.
 ///
 /// Errors when the bake failed or was cancelled, on a signal, and when the server stays away.
 pub fn follow(
     client: &ApiClient,
     id: &str,
     interrupt: &Interrupt,
-    check: impl Fn() -> Result<()>,
+    check: impl Fn() -> Result<Option<String>>,
 ) -> Result<Bake> {
     let ended = wait_for_end(client, id, interrupt, check)?;
     ended.judge()?;
@@ -38,7 +38,7 @@ pub fn wait_for_end(
     client: &ApiClient,
     id: &str,
     interrupt: &Interrupt,
-    check: impl Fn() -> Result<()>,
+    check: impl Fn() -> Result<Option<String>>,
 ) -> Result<Ended> {
     let mut view = ProgressView::new();
     // From the first answer on it is the whole id, where a beginning of it was given.
@@ -49,7 +49,9 @@ pub fn wait_for_end(
         if interrupt.is_raised() {
             return Err(Failure::new(Exit::Interrupted, "interrupted"));
         }
-        check()?;
+        if let Some(word) = check()? {
+            view.say(&word);
+        }
         let page = client.events(&id, seen, POLL_SECS)?;
         id.clone_from(&page.bake.id);
         view.update(&page.bake, &page.events);

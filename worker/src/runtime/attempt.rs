@@ -149,7 +149,7 @@ impl Worker {
                 Outcome::Lost
             }
             // The watch reported it at once: the process might not have lived on until here.
-            (Err(_), Some(StopReason::Exhausted)) => Outcome::Failed(Blame::Worker),
+            (Err(_), Some(StopReason::Exhausted(blame))) => Outcome::Failed(blame),
             (Err(NoResult::Stopped), reason) | (Err(NoResult::Failed(_)), reason @ Some(_)) => {
                 tracing::info!(kind = lease.task.kind, label, ?reason, "given back");
                 tell("release", &watch.last_words(), || self.farm.release(&lease.token));

@@ -1,85 +1,92 @@
 //! The memory that this process takes, of that which it may take. A kernel that runs out of memory ends a process without a word; so
 //! tasks in hand fail as out of memory a moment before, and the farm hears which they were.
-//!
-//! Looked at, where the system tells it (Linux): the process against a limit that its owner gave, its group of processes and those
-//! above it (cgroup v2) against theirs, and the machine.
 
-use std::path::{Path, PathBuf};
-use std::sync::{Mutex, PoisonError};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
+
+use lightkiln_proto::api::Blame;
+
+use super::gauge::{Fill, Gauge, Kills, Reading};
 
 /// Time between two looks. Longer → a task that takes memory fast is ended by the kernel before anybody looks.
 pub(super) const LOOK_EVERY: Duration = Duration::from_millis(100);
-/// Part of a kernel's limit that is left when it counts as reached, and its bounds. More → less is lost to a kernel's kill, and
-/// less memory is of use.
-const MARGIN_PART: u64 = 32;
-const MARGIN_BYTES: [u64; 2] = [32 << 20, 512 << 20];
-/// Margins below a limit of the kernel within which it probably was the kernel that ended a process without a word.
-const NEAR_MARGINS: u64 = 2;
+/// Part of a limit from which on a process without a task takes so much of it that its end helps others.
+const MUCH_PART: u64 = 8;
+/// Part of a limit that a cache may take.
+const CACHE_PART: u64 = 4;
 
-/// Memory in use, of a limit.
+/// A limit that is reached.
 #[derive(Clone, Debug, PartialEq, Eq)]
-struct Fill {
-    /// Whose limit it is.
-    of: &'static str,
-    used: u64,
-    limit: u64,
-    /// Bytes below the limit at which it counts as reached.
-    margin: u64,
+pub(super) struct Exhausted {
+    fill: Fill,
+    /// Bytes of it that this process has.
+    own: u64,
+    /// Tasks that were in hand when it was reached.
+    pub(super) tasks: usize,
 }
 
-impl Fill {
-    /// Of a limit at which the kernel ends processes.
-    fn of_kernel(of: &'static str, used: u64, limit: u64) -> Self {
-        let [least, most] = MARGIN_BYTES;
-        Self { of, used, limit, margin: (limit / MARGIN_PART).clamp(least, most) }
+impl Exhausted {
+    /// Whether the greater part is this process's.
+    pub(super) fn is_own(&self) -> bool {
+        self.own >= self.fill.limit / 2
     }
 
-    fn is_reached(&self) -> bool {
-        self.used.saturating_add(self.margin) > self.limit
+    /// Whether this process has so much that its end would help.
+    pub(super) fn is_much(&self) -> bool {
+        self.own >= self.fill.limit / MUCH_PART
     }
 
-    /// Near a limit at which the kernel ends processes.
-    fn is_near(&self) -> bool {
-        self.margin > 0 && self.used.saturating_add(NEAR_MARGINS * self.margin) > self.limit
+    /// Who is to blame that the tasks in hand end: one that was alone, by what it takes; none of several, or where others took the
+    /// memory.
+    pub(super) fn blame(&self) -> Blame {
+        if self.is_own() && self.tasks == 1 { Blame::Worker } else { Blame::Lost }
     }
 
-    fn share(&self) -> f64 {
-        self.used as f64 / self.limit.max(1) as f64
-    }
-
-    fn words(&self) -> String {
-        let [used, limit] = [self.used, self.limit].map(|bytes| bytes >> 20);
-        format!("{used} of {limit} MiB of {} were in use", self.of)
+    /// The limit, and whose the memory is.
+    pub(super) fn words(&self) -> String {
+        let share =
+            if self.is_own() { String::new() } else { format!(", {} by this worker", self.own >> 20) };
+        format!("{}{share}", self.fill.words())
     }
 }
 
 /// State of the memory at the last look.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 struct Seen {
-    /// The limit that was reached, in words.
-    exhausted: Option<String>,
+    exhausted: Option<Exhausted>,
     /// The limit that was nearly reached, in words.
     near: Option<String>,
-    /// This process has the greater part of it.
-    is_own: bool,
+    kills: Kills,
+}
+
+/// A difference between two looks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum News {
+    Nothing,
+    Changed,
+    /// A limit was reached while there were so many tasks in hand.
+    Exhausted {
+        tasks: usize,
+    },
 }
 
 /// Looks at the memory from time to time.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct MemoryWatch {
     /// Most bytes that this process may take, if its owner said so.
     own_limit: Option<u64>,
+    gauge: Box<dyn Gauge>,
     seen: Mutex<Seen>,
 }
 
 impl MemoryWatch {
-    pub(super) fn new(own_limit: Option<u64>) -> Self {
-        Self { own_limit, seen: Mutex::default() }
+    pub(super) fn new(own_limit: Option<u64>, gauge: Box<dyn Gauge>) -> Self {
+        Self { own_limit, gauge, seen: Mutex::default() }
     }
 
-    /// The limit that is reached, in words, if one is.
-    pub(super) fn exhausted(&self) -> Option<String> {
+    /// The limit that is reached, if one is.
+    pub(super) fn exhausted(&self) -> Option<Exhausted> {
         self.lock().exhausted.clone()
     }
 
@@ -88,179 +95,168 @@ impl MemoryWatch {
         self.lock().exhausted.is_some()
     }
 
-    /// Whether most of that which is in use is this process's, so that its end would help.
-    pub(super) fn is_own(&self) -> bool {
-        self.lock().is_own
+    /// The limit that is nearly reached, in words, if one is; the kernel's kills.
+    pub(super) fn signs(&self) -> (Option<String>, Kills) {
+        let seen = self.lock();
+        (seen.near.clone(), seen.kills.clone())
     }
 
-    /// The limit that is nearly reached, in words, if one is.
-    pub(super) fn near(&self) -> Option<String> {
-        self.lock().near.clone()
+    /// Most bytes of a cache that is to have so many.
+    pub(super) fn cache_bytes(&self, wanted: usize) -> usize {
+        let smallest = self.read().fills.iter().map(|fill| fill.limit).min().unwrap_or(u64::MAX);
+        wanted.min(usize::try_from(smallest / CACHE_PART).unwrap_or(usize::MAX))
     }
 
-    /// Looks; true when something has changed.
-    pub(super) fn look(&self) -> bool {
-        let own =
-            std::fs::read_to_string("/proc/self/status").ok().and_then(|status| bytes_of_process(&status));
-        let mut fills: Vec<Fill> = groups().iter().filter_map(|group| fill_of_group(group)).collect();
-        fills.extend(own.zip(self.own_limit).map(|(used, limit)| Fill {
-            of: "this worker",
-            used,
-            limit,
-            margin: 0,
-        }));
-        fills.extend(std::fs::read_to_string("/proc/meminfo").ok().and_then(|text| fill_of_machine(&text)));
-        let seen = seen(&fills, own.unwrap_or(0));
+    /// Looks. Where a limit is reached, `free` lets go of all that nobody needs, and it counts as reached if that did not help.
+    ///
+    /// A task is to be counted in `in_hand` before a look that it begins after: then each limit is either reached without it, and that
+    /// look says so, or it is among those that were in hand.
+    pub(super) fn look(&self, in_hand: &AtomicUsize, free: impl FnOnce()) -> News {
         let mut last = self.lock();
-        let has_changed = *last != seen;
+        let mut seen = seen(&self.read());
+        if seen.exhausted.is_some() {
+            free();
+            seen = self::seen(&self.read());
+        }
+        let before = last.exhausted.as_ref().map(|exhausted| exhausted.tasks);
+        if let Some(exhausted) = &mut seen.exhausted {
+            exhausted.tasks = before.unwrap_or_else(|| in_hand.load(Ordering::Acquire));
+        }
+        let news = match &seen.exhausted {
+            Some(exhausted) if before.is_none() => News::Exhausted { tasks: exhausted.tasks },
+            _ if *last == seen => News::Nothing,
+            _ => News::Changed,
+        };
         *last = seen;
-        has_changed
+        news
     }
 
-    fn lock(&self) -> std::sync::MutexGuard<'_, Seen> {
+    fn read(&self) -> Reading {
+        let mut reading = self.gauge.read();
+        let own = reading.own;
+        let fill = |limit| Fill { of: "this worker", used: own, limit, margin: 0 };
+        reading.fills.extend(self.own_limit.map(fill));
+        reading
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Seen> {
         self.seen.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-fn seen(fills: &[Fill], own: u64) -> Seen {
-    let fullest =
-        fills.iter().filter(|fill| fill.is_reached()).max_by(|a, b| a.share().total_cmp(&b.share()));
-    let near = fills.iter().find(|fill| fill.is_near());
+fn seen(reading: &Reading) -> Seen {
+    let reached = reading.fills.iter().filter(|fill| fill.is_reached());
+    let fullest = reached.max_by(|a, b| a.share().total_cmp(&b.share()));
+    let near = reading.fills.iter().find(|fill| fill.is_near());
     Seen {
-        exhausted: fullest.map(Fill::words),
+        exhausted: fullest.map(|fill| Exhausted { fill: fill.clone(), own: reading.own, tasks: 0 }),
         // Without the figures: a note of it need not be written anew with each look.
         near: near.map(|fill| format!("nearly all memory of {} was in use", fill.of)),
-        is_own: fullest.is_some_and(|fill| own >= fill.limit / 2),
+        kills: reading.kills.clone(),
     }
 }
 
-/// Bytes of a process that no file can give back, of `/proc/self/status`; all where it does not tell which.
-fn bytes_of_process(status: &str) -> Option<u64> {
-    let kib = |name: &str| {
-        let line = status.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(':'));
-        line?.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()
-    };
-    let kib = match kib("RssAnon") {
-        Some(anonymous) => anonymous + kib("RssShmem").unwrap_or(0),
-        None => kib("VmRSS")?,
-    };
-    Some(kib << 10)
-}
-
-/// Of `/proc/meminfo`; swap counts as room.
-fn fill_of_machine(meminfo: &str) -> Option<Fill> {
-    let kib = |name: &str| {
-        let line = meminfo.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(':'));
-        line?.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()
-    };
-    let limit = kib("MemTotal")? + kib("SwapTotal").unwrap_or(0);
-    let free = kib("MemAvailable")? + kib("SwapFree").unwrap_or(0);
-    Some(Fill::of_kernel("this machine", limit.saturating_sub(free) << 10, limit << 10))
-}
-
-/// Folders of this process's group and those above it, the own one first.
-fn groups() -> Vec<PathBuf> {
-    let own = std::fs::read_to_string("/proc/self/cgroup").unwrap_or_default();
-    let Some(path) = own.lines().find_map(|line| line.strip_prefix("0::/")) else { return Vec::new() };
-    let top = Path::new("/sys/fs/cgroup");
-    top.join(path).ancestors().take_while(|folder| folder.starts_with(top)).map(Path::to_owned).collect()
-}
-
-/// None for a group without a limit. Files that the kernel keeps in memory can go.
-fn fill_of_group(folder: &Path) -> Option<Fill> {
-    let read = |name: &str| std::fs::read_to_string(folder.join(name)).ok();
-    let number = |name: &str| read(name)?.trim().parse::<u64>().ok();
-    let limit = number("memory.max")?;
-    let current = number("memory.current")?;
-    let stat = read("memory.stat").unwrap_or_default();
-    let files = stat.lines().filter_map(|line| {
-        let (name, bytes) = line.split_once(' ')?;
-        matches!(name, "active_file" | "inactive_file").then(|| bytes.parse::<u64>().ok()).flatten()
-    });
-    let used = current.saturating_sub(files.sum());
-    Some(Fill::of_kernel("this worker's group of processes (its container or unit)", used, limit))
-}
-
-/// How often the kernel ended a process of this process's group for memory, and which group that is, of which start of the machine. A later
-/// process of the same group compares it.
-pub(super) fn kills() -> Option<(String, u64)> {
-    let folder = groups().into_iter().next()?;
-    let boot = std::fs::read_to_string("/proc/sys/kernel/random/boot_id").ok()?;
-    let events = std::fs::read_to_string(folder.join("memory.events")).ok()?;
-    Some((format!("{} {}", boot.trim(), folder.display()), kills_of(&events)?))
-}
-
-fn kills_of(events: &str) -> Option<u64> {
-    events.lines().find_map(|line| line.strip_prefix("oom_kill ")?.trim().parse().ok())
-}
-
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
+    use std::fmt;
+
     use super::*;
 
     const MIB: u64 = 1 << 20;
 
-    #[test]
-    fn process_counts_what_no_file_can_give_back() {
-        let status = "Name:\tkiln\nVmRSS:\t  9000 kB\nRssAnon:\t    2048 kB\nRssFile:\t 6000 kB\nRssShmem:\t     512 kB\n";
-        assert_eq!(bytes_of_process(status), Some((2048 + 512) << 10));
-        assert_eq!(bytes_of_process("VmRSS:\t  9000 kB\n"), Some(9000 << 10));
-        assert_eq!(bytes_of_process("nothing of the kind"), None);
+    /// Readings that a test makes.
+    pub struct Script(Box<dyn Fn() -> Reading + Send + Sync>);
+
+    impl Script {
+        pub fn new(read: impl Fn() -> Reading + Send + Sync + 'static) -> Box<Self> {
+            Box::new(Self(Box::new(read)))
+        }
     }
 
-    #[test]
-    fn machine_is_exhausted_when_neither_memory_nor_swap_is_left() {
-        let fill = |available: u64, swap_free: u64| {
-            fill_of_machine(&format!(
-                "MemTotal: {} kB\nMemFree: 1 kB\nMemAvailable: {available} kB\nSwapTotal: 1048576 kB\nSwapFree: {swap_free} kB\n",
-                8 << 20
-            ))
-            .unwrap()
-        };
-        assert!(!fill(4 << 20, 0).is_reached());
-        assert!(!fill(1000, 1 << 20).is_reached(), "swap is left");
-        assert!(fill(1000, 1000).is_reached());
+    impl fmt::Debug for Script {
+        fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+            f.write_str("Script")
+        }
     }
 
-    #[test]
-    fn group_counts_no_files_and_ones_without_a_limit_never_fill() {
-        let folder = tempfile::tempdir().unwrap();
-        let write = |name: &str, text: &str| std::fs::write(folder.path().join(name), text).unwrap();
-        write("memory.current", &format!("{}\n", 1000 * MIB));
-        write("memory.stat", &format!("anon 1\nactive_file {}\ninactive_file {}\n", 300 * MIB, 100 * MIB));
-        write("memory.max", "max\n");
-        assert_eq!(fill_of_group(folder.path()), None);
-        write("memory.max", &format!("{}\n", 1024 * MIB));
-        let fill = fill_of_group(folder.path()).unwrap();
-        assert_eq!((fill.used, fill.is_reached()), (600 * MIB, false));
-        write("memory.stat", "anon 1\n");
-        assert!(fill_of_group(folder.path()).unwrap().is_reached());
+    impl Gauge for Script {
+        fn read(&self) -> Reading {
+            (self.0)()
+        }
+    }
+
+    /// A machine of 4 GiB, all of it in use or half of it, so many MiB by this process.
+    pub fn machine(is_full: bool, own_mib: u64) -> Reading {
+        let used = if is_full { 4096 } else { 2048 };
+        let fills = vec![Fill::of_kernel("this machine", used * MIB, 4096 * MIB)];
+        Reading { own: own_mib * MIB, fills, kills: Kills::default() }
+    }
+
+    fn look(watch: &MemoryWatch, in_hand: usize) -> News {
+        watch.look(&AtomicUsize::new(in_hand), || ())
     }
 
     #[test]
     fn limit_of_the_owner_holds_to_the_byte_and_says_whose_it_is() {
-        let fill = |used| Fill { of: "this worker", used, limit: 100 * MIB, margin: 0 };
-        for used in [50 * MIB, 100 * MIB] {
-            assert_eq!(seen(&[fill(used)], used), Seen::default(), "no kernel keeps it");
-        }
-        let over = seen(&[fill(100 * MIB + 1)], 100 * MIB + 1);
-        assert_eq!(over.exhausted.as_deref(), Some("100 of 100 MiB of this worker were in use"));
-        assert!(over.is_own && !seen(&[fill(101 * MIB)], MIB).is_own);
-    }
-
-    #[test]
-    fn limit_of_the_kernel_is_near_before_it_counts_as_reached() {
-        let limit = 1 << 30;
-        let of = |used: u64| {
-            let seen = seen(&[Fill::of_kernel("this machine", used, limit)], 0);
-            (seen.near.is_some(), seen.exhausted.is_some())
+        let of = |own: u64| {
+            let read = move || Reading { own, ..Reading::default() };
+            let watch = MemoryWatch::new(Some(100 * MIB), Script::new(read));
+            look(&watch, 1);
+            assert_eq!(watch.signs().0, None, "no kernel keeps it");
+            watch.exhausted()
         };
-        assert_eq!([900, 980, 1000].map(|mib| of(mib * MIB)), [(false, false), (true, false), (true, true)]);
+        assert_eq!([50 * MIB, 100 * MIB].map(of), [None, None]);
+        let over = of(100 * MIB + 1).unwrap();
+        assert_eq!(over.words(), "100 of 100 MiB of this worker were in use");
+        assert!(over.is_own());
     }
 
     #[test]
-    fn kernels_kills_are_counted() {
-        assert_eq!(kills_of("low 0\nhigh 0\nmax 12\noom 3\noom_kill 2\noom_group_kill 0\n"), Some(2));
-        assert_eq!(kills_of("low 0\n"), None);
+    fn task_is_to_blame_that_was_alone_with_most_of_the_memory() {
+        let blame = |own_mib, tasks| {
+            let watch = MemoryWatch::new(None, Script::new(move || machine(true, own_mib)));
+            assert_eq!(look(&watch, tasks), News::Exhausted { tasks });
+            // By now they may have ended, or another has come.
+            assert_ne!(look(&watch, 1), News::Exhausted { tasks: 1 });
+            let exhausted = watch.exhausted().unwrap();
+            (exhausted.blame(), exhausted.is_much(), exhausted.words())
+        };
+        assert_eq!(
+            blame(3000, 1),
+            (Blame::Worker, true, "4096 of 4096 MiB of this machine were in use".into())
+        );
+        assert_eq!(blame(3000, 2).0, Blame::Lost, "one of two");
+        assert_eq!(blame(3000, 0).0, Blame::Lost, "it was used up before there was a task");
+        let (of_two_workers, is_much, words) = blame(1900, 1);
+        assert!(of_two_workers == Blame::Lost && is_much);
+        assert_eq!(words, "4096 of 4096 MiB of this machine were in use, 1900 by this worker");
+        assert_eq!((blame(100, 1).0, blame(100, 1).1), (Blame::Lost, false));
+    }
+
+    #[test]
+    fn limit_counts_as_reached_if_it_is_after_all_was_let_go_of() {
+        let held = std::sync::Arc::new(AtomicUsize::new(1));
+        let holds = held.clone();
+        let read = move || machine(holds.load(Ordering::Relaxed) > 0, 1900);
+        let watch = MemoryWatch::new(None, Script::new(read));
+        let in_hand = AtomicUsize::new(1);
+        watch.look(&in_hand, || held.store(0, Ordering::Relaxed));
+        assert!(!watch.is_exhausted());
+        held.store(1, Ordering::Relaxed);
+        assert_eq!(watch.look(&in_hand, || ()), News::Exhausted { tasks: 1 });
+        held.store(0, Ordering::Relaxed);
+        assert_eq!(watch.look(&in_hand, || panic!("nothing is reached")), News::Changed);
+        assert_eq!(watch.look(&in_hand, || ()), News::Nothing);
+    }
+
+    #[test]
+    fn cache_takes_a_quarter_of_the_smallest_limit_at_most() {
+        let cache = |own_limit: Option<u64>| {
+            let watch = MemoryWatch::new(own_limit, Script::new(|| machine(false, 0)));
+            watch.cache_bytes(2 << 30)
+        };
+        assert_eq!(cache(None), 1 << 30);
+        assert_eq!(cache(Some(400 * MIB)), 100 << 20);
+        assert_eq!(MemoryWatch::new(None, Script::new(Reading::default)).cache_bytes(7), 7);
     }
 }

@@ -8,8 +8,12 @@
 
 mod attempt;
 mod claim;
+mod crowd;
 mod farm;
+mod gauge;
+mod host;
 mod memory;
+mod room;
 mod seat;
 mod share;
 mod shift;
@@ -19,34 +23,34 @@ mod tests;
 mod trace;
 mod watch;
 
-use std::panic::resume_unwind;
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::thread::ScopedJoinHandle;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use lightkiln_http::{DiskCache, FOREVER, retry};
-use lightkiln_proto::api::ClaimRequest;
+use lightkiln_proto::api::{ClaimRequest, Lease};
 use lightkiln_proto::ids::Digest;
+use lightkiln_proto::problem::chain;
 use thiserror::Error;
 
 use crate::task::{MemoryCache, TaskRunner};
+use crowd::Crowd;
 use farm::Farm;
-use memory::{LOOK_EVERY, MemoryWatch};
+use gauge::{Gauge, Kernel};
+use memory::MemoryWatch;
 use share::Threads;
 use shift::Shift;
+use watch::{LastWords, tell};
 
 pub use attempt::Outcome;
 pub use lightkiln_http::{CallError, Level, ShutdownFlag};
-pub use seat::Seat;
+pub use seat::{Seat, new_id};
 pub use share::usual_tasks;
 
 /// Pause after an answer without tasks, so that a server that does not hold claims open is not asked in a tight loop.
 const EMPTY_ANSWER_PAUSE: Duration = Duration::from_millis(20);
-
-/// Time for which a worker without a task waits for memory of its own to come free before it ends.
-const IDLE_PATIENCE: Duration = Duration::from_secs(5);
 
 /// Configuration of a worker.
 #[derive(Clone, Debug)]
@@ -68,6 +72,8 @@ pub struct WorkerConfig {
     /// Most bytes that this process may take: tasks in hand fail as out of memory when it takes more. Without one, limits of the
     /// kernel alone count.
     pub memory_limit: Option<u64>,
+    /// Time for which a worker without a task waits for memory that others have, before it ends. None waits for ever.
+    pub memory_patience: Option<Duration>,
     /// Seat on this machine, from which the next process tells what this one left. Without one, leases of a process that ends without
     /// a word run out.
     pub seat: Option<Arc<Seat>>,
@@ -77,7 +83,7 @@ pub struct WorkerConfig {
     pub cache_dir: Option<PathBuf>,
     /// Bytes that the folder may hold. More → fewer fetches.
     pub cache_bytes: u64,
-    /// Bytes of decoded artefacts to keep in memory. More → less decoding.
+    /// Bytes of decoded artefacts to keep in memory, at most a quarter of the smallest limit of memory. More → less decoding.
     pub memory_bytes: usize,
     /// Length of a lease in seconds, 5..=3600. More → fewer heartbeats, later rescue of a dead worker's task.
     pub lease_secs: u32,
@@ -104,6 +110,7 @@ impl WorkerConfig {
             tasks: usual_tasks(threads),
             memory_mib: 0,
             memory_limit: None,
+            memory_patience: None,
             seat: None,
             labels: Vec::new(),
             cache_dir: None,
@@ -146,13 +153,13 @@ pub enum WorkerError {
     /// The server cannot be called by this URL, or with these certificates.
     #[error(transparent)]
     Server(CallError),
-    /// The memory that this process took does not come free.
-    #[error(
-        "this worker has no memory left, and none comes free without a task: {seen}; its next start begins with none taken"
-    )]
+    /// Memory does not come free, although there is no task.
+    #[error("no memory comes free for tasks: {seen}")]
     Memory {
         /// The limit that is reached.
         seen: String,
+        /// Whether this process has so much of it that its end helps.
+        is_own: bool,
     },
     /// The server refuses this worker for good.
     #[error("the server gives this worker no tasks")]
@@ -168,8 +175,11 @@ pub struct Worker {
     memory: MemoryCache,
     threads: Threads,
     memory_watch: MemoryWatch,
-    /// Tasks in hand.
+    /// Set while no task is begun for want of memory.
+    waits_for_memory: Mutex<Option<String>>,
+    /// Tasks in hand, and how many may be.
     in_hand: AtomicUsize,
+    crowd: Crowd,
     /// Held while a claim is open: one call waits for work, however many tasks may be in hand.
     claiming: Mutex<()>,
 }
@@ -184,6 +194,14 @@ pub fn enrol(server_url: &str, ca_pem: Option<&[u8]>, code: &str, token: &str) -
 impl Worker {
     /// Opens the cache and starts the threads; calls nothing yet.
     pub fn new(config: WorkerConfig, runner: Arc<dyn TaskRunner>) -> Result<Self, WorkerError> {
+        Self::with_gauge(config, runner, Box::new(Kernel::default()))
+    }
+
+    fn with_gauge(
+        config: WorkerConfig,
+        runner: Arc<dyn TaskRunner>,
+        gauge: Box<dyn Gauge>,
+    ) -> Result<Self, WorkerError> {
         let open = |folder: &PathBuf| {
             let opened = DiskCache::open(folder, config.cache_bytes);
             opened.map_err(|source| WorkerError::Cache { folder: folder.clone(), source })
@@ -195,29 +213,57 @@ impl Worker {
         started.map_err(|source| WorkerError::Threads { threads: threads.all(), source })?;
         let farm = Farm::new(&config.server_url, config.token.as_deref(), config.ca_pem.as_deref());
         let farm = Arc::new(farm.map_err(WorkerError::Server)?);
-        let memory = MemoryCache::new(config.memory_bytes);
-        let memory_watch = MemoryWatch::new(config.memory_limit);
-        let (in_hand, claiming) = (AtomicUsize::new(0), Mutex::new(()));
-        Ok(Self { config, runner, farm, disk, memory, threads, memory_watch, in_hand, claiming })
+        let memory_watch = MemoryWatch::new(config.memory_limit, gauge);
+        Ok(Self {
+            runner,
+            farm,
+            disk,
+            memory: MemoryCache::new(memory_watch.cache_bytes(config.memory_bytes)),
+            threads,
+            memory_watch,
+            waits_for_memory: Mutex::default(),
+            in_hand: AtomicUsize::new(0),
+            crowd: Crowd::new(config.tasks),
+            claiming: Mutex::new(()),
+            config,
+        })
     }
 
     /// Claims and does tasks until `shutdown` is raised, or the worker has done what it came for. A server that is away is
     /// waited for.
+    ///
+    /// When one of its threads cannot go on, `shutdown` is raised for the others, as they could not either.
     pub fn run(&self, shutdown: &ShutdownFlag) -> Result<(), WorkerError> {
+        if self.config.seat.as_ref().is_some_and(|seat| seat.left_several_for_memory()) {
+            self.crowd.squeeze();
+        }
         self.tell_of_left(shutdown);
+        // No task is begun before the first look.
+        self.look_at_memory(shutdown);
         let has_ended = AtomicBool::new(false);
         let shift = Shift::new(self.config.max_tasks, self.config.exit_when_idle);
-        std::thread::scope(|scope| {
+        let ended = std::thread::scope(|scope| {
             scope.spawn(|| self.watch_memory(&has_ended, shutdown));
-            let start = |_| scope.spawn(|| self.take_tasks(shutdown, &shift));
+            let start = |_| scope.spawn(|| self.take_tasks_or_end_all(shutdown, &shift));
             let running: Vec<_> = (0..self.config.tasks.max(1)).map(start).collect();
-            // Who is refused for good ends alone: the others will be refused as well, and have a task to end.
-            let ended: Vec<std::thread::Result<_>> =
-                running.into_iter().map(ScopedJoinHandle::join).collect();
+            let ended = running.into_iter().map(|thread| thread.join().flatten()).collect();
             has_ended.store(true, Ordering::Release);
             shutdown.wake();
-            ended.into_iter().try_for_each(|ended| ended.unwrap_or_else(|panic| resume_unwind(panic)))
-        })
+            ended
+        });
+        end_of(ended)
+    }
+
+    /// Takes tasks on one of the threads. If that ends in an error or a panic, it is told at once, and the others end.
+    fn take_tasks_or_end_all(&self, shutdown: &ShutdownFlag, shift: &Shift) -> Ended {
+        let ended = catch_unwind(AssertUnwindSafe(|| self.take_tasks(shutdown, shift)));
+        match &ended {
+            Ok(Ok(())) => return ended,
+            Ok(Err(error)) => tracing::error!(reason = chain(error), "the worker cannot go on"),
+            Err(_) => tracing::error!("a thread of the worker panicked"),
+        }
+        shutdown.raise(Level::Drain);
+        ended
     }
 
     /// Claims and does one task after the other.
@@ -229,26 +275,25 @@ impl Worker {
             if is_over(shutdown.wait(wait, is_over)) { Err(CallError::Stopped) } else { Ok(()) }
         };
         while !is_over(shutdown.level()) {
-            self.wait_for_memory(shutdown)?;
             let turn = self.claiming.lock().unwrap_or_else(PoisonError::into_inner);
-            if shift.is_full() {
+            if shift.is_full() || !self.wait_for_room(shutdown)? {
                 break;
             }
             let claim = || claim::claim(&self.farm, self.claim_request(shift), shutdown);
             match retry(FOREVER, claim, pause) {
                 Ok(Some(lease)) => {
-                    let _in_hand = shift.take();
-                    drop(turn);
-                    tracing::info!(kind = lease.task.kind, label = lease.task.label, "took");
                     self.in_hand.fetch_add(1, Ordering::AcqRel);
-                    if let Some(seat) = &self.config.seat {
-                        seat.hold(&self.config.server_url, &lease.token, &lease.task.label);
-                    }
-                    self.attempt(&lease, shutdown);
-                    if let Some(seat) = &self.config.seat {
-                        seat.let_go(&lease.token);
+                    // A claim may have been open for long.
+                    self.look_at_memory(shutdown);
+                    if self.memory_watch.is_exhausted() {
+                        self.give_back_untried(&lease, shutdown);
+                    } else {
+                        let _in_hand = shift.take();
+                        drop(turn);
+                        self.do_task(&lease, shutdown);
                     }
                     self.in_hand.fetch_sub(1, Ordering::AcqRel);
+                    shutdown.wake();
                 }
                 Ok(None) if shift.is_idle() => break,
                 Ok(None) => {
@@ -259,6 +304,26 @@ impl Worker {
             }
         }
         Ok(())
+    }
+
+    fn do_task(&self, lease: &Lease, shutdown: &ShutdownFlag) {
+        tracing::info!(kind = lease.task.kind, label = lease.task.label, "took");
+        if let Some(seat) = &self.config.seat {
+            seat.hold(&self.config.server_url, &lease.token, &lease.task.label);
+        }
+        if let Outcome::HandedIn(_) = self.attempt(lease, shutdown) {
+            self.crowd.note_done();
+        }
+        if let Some(seat) = &self.config.seat {
+            seat.let_go(&lease.token);
+        }
+    }
+
+    /// Gives a task back that came when memory was used up: it counts no attempt.
+    fn give_back_untried(&self, lease: &Lease, shutdown: &ShutdownFlag) {
+        tracing::info!(kind = lease.task.kind, label = lease.task.label, "given back, as memory is used up");
+        let patience = LastWords::lasting(shutdown, Duration::from_secs(self.config.lease_secs.into()));
+        tell("release", &patience, || self.farm.release(&lease.token));
     }
 
     /// Tells the farm of leases that former processes in this seat left, so that their tasks need not wait for the leases' end.
@@ -282,44 +347,6 @@ impl Worker {
         }
     }
 
-    /// Looks at the memory until all tasks have ended.
-    fn watch_memory(&self, has_ended: &AtomicBool, shutdown: &ShutdownFlag) {
-        let mut noted = None;
-        while !has_ended.load(Ordering::Acquire) {
-            if self.memory_watch.look() {
-                // Those who keep leases look at it.
-                shutdown.wake();
-            }
-            let near = self.memory_watch.near();
-            if let Some(seat) = self.config.seat.as_ref().filter(|_| near != noted) {
-                seat.note_memory(near.clone());
-                noted = near;
-            }
-            shutdown.wait(LOOK_EVERY, |_| has_ended.load(Ordering::Acquire));
-        }
-    }
-
-    /// Begins nothing while memory is used up: the tasks that failed for it are still letting go of it. Errors if it does not come free
-    /// without any task.
-    fn wait_for_memory(&self, shutdown: &ShutdownFlag) -> Result<(), WorkerError> {
-        let mut idle_since = None;
-        while shutdown.level() == Level::Run
-            && let Some(seen) = self.memory_watch.exhausted()
-        {
-            if self.in_hand.load(Ordering::Acquire) > 0 || !self.memory_watch.is_own() {
-                idle_since = None;
-            } else {
-                self.memory.clear();
-                let since = idle_since.get_or_insert_with(Instant::now);
-                if since.elapsed() >= IDLE_PATIENCE {
-                    return Err(WorkerError::Memory { seen });
-                }
-            }
-            shutdown.wait(LOOK_EVERY, |level| level > Level::Run);
-        }
-        Ok(())
-    }
-
     fn claim_request(&self, shift: &Shift) -> ClaimRequest {
         ClaimRequest {
             worker: self.config.name.clone(),
@@ -332,4 +359,14 @@ impl Worker {
             wait_secs: shift.wait_secs(self.config.claim_wait_secs),
         }
     }
+}
+
+/// How one of a worker's threads ended.
+type Ended = std::thread::Result<Result<(), WorkerError>>;
+
+/// The end of a worker whose threads ended so: a panic goes before errors.
+fn end_of(ended: Vec<Ended>) -> Result<(), WorkerError> {
+    let ended: Vec<_> =
+        ended.into_iter().map(|ended| ended.unwrap_or_else(|panic| resume_unwind(panic))).collect();
+    ended.into_iter().collect()
 }

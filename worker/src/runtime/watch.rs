@@ -9,7 +9,7 @@ use lightkiln_http::{CallError, FOREVER, Level, ShutdownFlag, retry};
 use lightkiln_proto::api::{Blame, Failure, Verdict};
 
 use super::farm::Farm;
-use super::memory::MemoryWatch;
+use super::memory::{Exhausted, MemoryWatch};
 use super::store::LeaseStore;
 use crate::task::Progress;
 
@@ -31,8 +31,8 @@ pub(super) enum StopReason {
     Cancelled,
     /// This worker is being shut down.
     Drained,
-    /// Memory is used up; the failure was reported.
-    Exhausted,
+    /// Memory is used up; the failure was reported, with that blame.
+    Exhausted(Blame),
 }
 
 /// One lease under watch; [`run`](Self::run) on a thread of its own until [`finish`](Self::finish).
@@ -56,7 +56,11 @@ pub(super) struct LastWords<'a> {
     until: Instant,
 }
 
-impl LastWords<'_> {
+impl<'a> LastWords<'a> {
+    pub(super) fn lasting(shutdown: &'a ShutdownFlag, time: Duration) -> Self {
+        Self { shutdown, until: Instant::now() + time }
+    }
+
     /// Waits before the next try; false when there is to be none.
     pub(super) fn wait(&self, wait: Duration) -> bool {
         let left = self.until.saturating_duration_since(Instant::now());
@@ -67,7 +71,7 @@ impl LastWords<'_> {
 impl LeaseWatch<'_> {
     /// From now on, for as long as a lease lasts: the server may have heard the last heartbeat a moment ago.
     pub(super) fn last_words(&self) -> LastWords<'_> {
-        LastWords { shutdown: self.shutdown, until: Instant::now() + LEASE_INTERVALS * self.interval }
+        LastWords::lasting(self.shutdown, LEASE_INTERVALS * self.interval)
     }
 
     /// Sends heartbeats until the lease is finished with.
@@ -76,11 +80,11 @@ impl LeaseWatch<'_> {
         let mut drain_deadline = None;
         while !self.finished.load(Ordering::Acquire) {
             if self.stop_reason().is_none()
-                && let Some(seen) = self.memory.exhausted()
+                && let Some(exhausted) = self.memory.exhausted()
             {
-                self.stop(StopReason::Exhausted);
+                self.stop(StopReason::Exhausted(exhausted.blame()));
                 // Said from here, as the task may take its time to stop, and the kernel none.
-                report_exhausted(self, &seen);
+                report_exhausted(self, &exhausted);
             }
             let seen = self.shutdown.level();
             if seen == Level::Stop {
@@ -162,14 +166,22 @@ impl LeaseWatch<'_> {
 }
 
 /// Fails a lease at once, as memory is used up: whoever has its task may be ended before it has stopped.
-fn report_exhausted(watch: &LeaseWatch<'_>, seen: &str) {
-    let message = cut(&format!(
-        "out of memory: {seen} while the worker had the task; give its workers more, fewer tasks at a time (--tasks), or bakes that need \
-         it a worker that has it (--needs-memory-mib)"
-    ));
-    tracing::error!(message, "a task failed");
-    let failure = Failure { blame: Blame::Worker, message };
+fn report_exhausted(watch: &LeaseWatch<'_>, exhausted: &Exhausted) {
+    let failure = Failure { blame: exhausted.blame(), message: cut(&exhausted_message(exhausted)) };
+    tracing::error!(failure.message, "a task failed");
     tell("failure", &watch.last_words(), || watch.farm.fail(watch.token, &failure));
+}
+
+fn exhausted_message(exhausted: &Exhausted) -> String {
+    let (words, tasks) = (exhausted.words(), exhausted.tasks);
+    let (had, remedy) = match (exhausted.is_own(), tasks) {
+        (false, _) => ("the task", "close other programs there, give its machine more"),
+        (true, 0 | 1) => ("the task", "give its workers more, fewer tasks at a time (--tasks)"),
+        (true, _) => ("several tasks", "give its workers more, fewer tasks at a time (--tasks)"),
+    };
+    format!(
+        "out of memory: {words} while the worker had {had}; {remedy}, or bakes that need it a worker that has it (--needs-memory-mib)"
+    )
 }
 
 /// Makes a report until it is heard. It is given up when the lease has surely run out, or nobody may wait any more: then

@@ -167,10 +167,10 @@ impl Place {
         }
     }
 
-    fn check(&self) -> Result<()> {
+    fn check(&self) -> Result<Option<String>> {
         match self {
             Self::Embedded(farm) => farm.check(),
-            Self::Farm(_) => Ok(()),
+            Self::Farm(_) => Ok(None),
         }
     }
 }

@@ -52,7 +52,7 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     let source = arguments.source.open()?;
     if let (true, Source::Server { client, bake, .. }) = (arguments.wait, &source) {
         let interrupt = Interrupt::listen()?;
-        follow(client, bake, &interrupt, || Ok(()))?;
+        follow(client, bake, &interrupt, || Ok(None))?;
         // Drawing is not wound down: the next signal ends it at once.
         interrupt.flag().raise(Level::Drain);
     }

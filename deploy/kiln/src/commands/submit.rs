@@ -144,7 +144,7 @@ fn submit(arguments: &Arguments, kinds: &KindTables) -> Result<Outcome> {
         true => say!("bake {}", bake.id),
         false => answer!("{}", bake.id),
     }
-    let ended = wait_for_end(&client, &bake.id, &interrupt, || Ok(()))?;
+    let ended = wait_for_end(&client, &bake.id, &interrupt, || Ok(None))?;
     let is_wanted = arguments.evaluate && ended.bake.state == BakeState::Done;
     let evaluation = is_wanted.then(|| {
         let source = Source::server(client, &ended.bake.id);

@@ -23,7 +23,7 @@ pub struct Arguments {
 pub fn run(arguments: Arguments) -> Result<()> {
     let interrupt = Interrupt::listen()?;
     let client = arguments.patience.with(arguments.server.connect_until(&interrupt)?);
-    let bake = follow(&client, &arguments.id, &interrupt, || Ok(()))?;
+    let bake = follow(&client, &arguments.id, &interrupt, || Ok(None))?;
     say!("done; 'kiln fetch {} --out DIR' downloads it", bake.id);
     Ok(())
 }

@@ -7,7 +7,7 @@ use std::time::Duration;
 use clap::Args;
 use lightkiln_worker::kinds::{BakeKinds, Runner};
 use lightkiln_worker::runtime::{
-    CallError, LEASE_SECS, Seat, Worker, WorkerConfig, WorkerError, usual_tasks,
+    CallError, LEASE_SECS, Seat, Worker, WorkerConfig, WorkerError, new_id, usual_tasks,
 };
 
 use super::bake::all_processors;
@@ -57,7 +57,7 @@ pub struct Arguments {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     max_tasks: Option<u32>,
     /// Ends with 0 once the server had no task for this worker for so many seconds [with no number: 60]: for arrays of
-    /// Slurm and jobs of Kubernetes. A server that is away is waited for
+    /// Slurm and jobs of Kubernetes. A server that is away is waited for; memory that other programs have no longer than that
     #[arg(long, value_name = "SECS", num_args = 0..=1, default_missing_value = "60")]
     exit_when_idle: Option<u32>,
     /// Code from 'kiln token enrol', to get a token of this worker's own, once; the token is kept in the token file
@@ -96,6 +96,8 @@ pub fn run(arguments: Arguments, kinds: &BakeKinds) -> Result<()> {
     config.lease_secs = arguments.lease_secs;
     config.max_tasks = arguments.max_tasks;
     config.exit_when_idle = arguments.exit_when_idle.map(|secs| Duration::from_secs(secs.into()));
+    // Who does not wait for tasks does not wait for memory either.
+    config.memory_patience = config.exit_when_idle;
     config.cache_bytes = arguments.cache_gib << 30;
     let name = config.name.clone();
     let worker = Worker::new(config, Arc::new(Runner::new(kinds))).map_err(worker_failure)?;
@@ -137,7 +139,8 @@ fn take_seat() -> Result<Option<Arc<Seat>>> {
 fn default_name(seat: Option<&Seat>) -> String {
     let host = std::fs::read_to_string("/etc/hostname").unwrap_or_default();
     let host = if host.trim().is_empty() { "worker" } else { host.trim() };
-    seat.map_or_else(|| format!("{host}-{}", std::process::id()), |seat| format!("{host}-{}", seat.id()))
+    // Many machines may have no name: it is the id that no other worker has.
+    format!("{host}-{}", seat.map_or_else(new_id, |seat| seat.id().to_owned()))
 }
 
 fn worker_failure(error: WorkerError) -> Failure {
@@ -145,7 +148,13 @@ fn worker_failure(error: WorkerError) -> Failure {
         WorkerError::Cache { .. } => (Exit::BadInput, "another folder with --cache DIR"),
         WorkerError::Server(CallError::Certificates { .. }) => (Exit::BadInput, "another file with --ca"),
         WorkerError::Server(_) => (Exit::BadInput, "the URL of a Lightkiln server with --server"),
-        WorkerError::Memory { .. } => (Exit::Failed, "the same command again; services do it by themselves"),
+        WorkerError::Memory { is_own: true, .. } => (
+            Exit::Failed,
+            "the same command again, which begins with no memory taken; services do it by themselves",
+        ),
+        WorkerError::Memory { is_own: false, .. } => {
+            (Exit::Failed, "the same command again once other programs have let go of memory")
+        }
         WorkerError::Threads { .. } => (Exit::BadInput, "fewer threads with --threads N"),
         WorkerError::Refused(error) if error.is_about_tokens() => (
             Exit::BadInput,

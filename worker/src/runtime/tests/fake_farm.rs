@@ -41,6 +41,8 @@ pub struct State {
     pub forgetful: u32,
     /// Artefacts are refused as too large.
     pub is_narrow: bool,
+    /// Claims are refused for good.
+    pub is_closed: bool,
     /// The next artefact fetched arrives with a bit flipped.
     pub damage_next: bool,
 }
@@ -134,6 +136,9 @@ impl FakeFarm {
         }
         let parts: Vec<&str> = path.trim_start_matches("/v1/").split('/').collect();
         let answer = match (method, parts.as_slice()) {
+            ("POST", ["leases"]) if state.is_closed => {
+                (403, json(&Problem::new(ProblemCode::Forbidden, "closed, on purpose")))
+            }
             ("POST", ["leases"]) => {
                 // Answers at once with nothing: a worker must bear that, and no test then waits for a poll to end.
                 (200, json(&ClaimAnswer { leases: state.leases.pop_front().into_iter().collect() }))

@@ -1,6 +1,7 @@
 //! A worker when all goes well, and when server, task or machine fail.
 
 mod fake_farm;
+mod memory;
 
 use std::sync::Mutex;
 use std::sync::atomic::AtomicBool;
@@ -62,6 +63,7 @@ fn endless(_: &[Artefact], _: &dyn ArtefactSource, progress: &Progress) -> Resul
 
 /// A worker under test, and the flag that ends it.
 struct Running {
+    worker: Arc<Worker>,
     shutdown: ShutdownFlag,
     thread: std::thread::JoinHandle<Result<(), WorkerError>>,
 }
@@ -75,15 +77,25 @@ impl Running {
         + 'static,
         change: impl FnOnce(&mut WorkerConfig),
     ) -> Self {
+        let runner = Arc::new(FakeRunner(Box::new(run)));
+        Self::start_with(farm, runner, Box::new(Kernel::default()), change)
+    }
+
+    fn start_with(
+        farm: &FakeFarm,
+        runner: Arc<dyn TaskRunner>,
+        gauge: Box<dyn Gauge>,
+        change: impl FnOnce(&mut WorkerConfig),
+    ) -> Self {
         let mut config = WorkerConfig::new(farm.url(), "worker");
         config.threads = 2;
         config.tasks = 1;
         config.lease_secs = 1;
         change(&mut config);
-        let worker = Worker::new(config, Arc::new(FakeRunner(Box::new(run)))).unwrap();
+        let worker = Arc::new(Worker::with_gauge(config, runner, gauge).unwrap());
         let shutdown = ShutdownFlag::new();
-        let flag = shutdown.clone();
-        Self { shutdown, thread: std::thread::spawn(move || worker.run(&flag)) }
+        let (running, flag) = (worker.clone(), shutdown.clone());
+        Self { worker, shutdown, thread: std::thread::spawn(move || running.run(&flag)) }
     }
 
     fn end(self, level: Level) {
@@ -154,6 +166,30 @@ fn worker_ends_by_itself_after_its_tasks_or_when_there_are_none() {
 }
 
 #[test]
+fn thread_that_is_refused_for_good_ends_the_worker_and_its_tasks_go_back() {
+    let farm = FakeFarm::start();
+    farm.offer("t1", &[]);
+    let running = Running::start(&farm, endless, |config| {
+        (config.tasks, config.lease_secs, config.drain_grace) = (2, 60, Duration::ZERO);
+    });
+    farm.wait_for("heartbeat", beats);
+    farm.state().is_closed = true;
+    // Nobody tells it to stop.
+    let ended = running.thread.join().unwrap();
+    assert!(matches!(ended, Err(WorkerError::Refused(_))), "{ended:?}");
+    assert_eq!(farm.state().released, ["t1"]);
+}
+
+#[test]
+fn panic_of_a_thread_is_not_hidden_by_an_error_of_another() {
+    let error = || WorkerError::Memory { seen: String::new(), is_own: false };
+    let panic = Box::new("on purpose");
+    let ended = catch_unwind(|| end_of(vec![Ok(Err(error())), Err(panic), Ok(Ok(()))]));
+    assert_eq!(ended.unwrap_err().downcast_ref(), Some(&"on purpose"));
+    assert!(end_of(vec![Ok(Ok(())), Ok(Err(error()))]).is_err() && end_of(vec![Ok(Ok(()))]).is_ok());
+}
+
+#[test]
 fn output_that_the_server_has_is_not_sent_again() {
     let farm = FakeFarm::start();
     farm.offer("t1", &[b"same"]);
@@ -188,7 +224,7 @@ fn output_refused_as_too_large_is_blamed_on_the_task_with_what_to_do() {
 fn heartbeat_without_an_answer_is_soon_sent_again() {
     let server = FakeFarm::start();
     server.state().refuse = vec!["POST /v1/leases/t1/heartbeat"];
-    let memory = MemoryWatch::default();
+    let memory = MemoryWatch::new(None, Box::new(Kernel::default()));
     let watch = LeaseWatch {
         farm: &Farm::new(server.url(), None, None).unwrap(),
         token: "t1",
