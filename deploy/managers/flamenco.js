@@ -1,6 +1,7 @@
 // A job type of Flamenco: one task submits a scene to a farm and waits for its bake, others are the farm's workers meanwhile.
 // To the folder 'scripts' beside flamenco-manager. Flamenco's workers need 'kiln' on their path, and KILN_TOKEN with a
-// token of the scopes 'submit' and 'worker'.
+// token of the scopes 'submit' and 'worker'. The task that waits for the bake and those that work run at the same time, one
+// to a worker of Flamenco: they need two of these. With one, the bake waits for a task that waits for its end.
 "use strict";
 
 const JOB_TYPE = {

@@ -24,12 +24,14 @@ fn output(command: &mut Command) -> String {
     String::from_utf8(output.stdout).unwrap()
 }
 
-/// A folder with a `kiln` that prints its arguments, a line each.
+/// A folder with a `kiln` that prints its arguments, a line each, and fills its cache.
 fn folder_with_talking_kiln() -> tempfile::TempDir {
     use std::os::unix::fs::PermissionsExt as _;
     let folder = tempfile::tempdir().unwrap();
     let program = folder.path().join("kiln");
-    std::fs::write(&program, "#!/bin/sh\nprintf '%s\\n' \"$@\"\n").unwrap();
+    let script = "#!/bin/sh\nprintf '%s\\n' \"$@\"\n\
+        while [ \"$1\" != --cache ]; do shift; done\nmkdir -p \"$2\" && touch \"$2/chunk\"\n";
+    std::fs::write(&program, script).unwrap();
     std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).unwrap();
     folder
 }
@@ -44,8 +46,13 @@ fn slurm(variables: &[(&str, &str)]) -> Vec<String> {
     );
     let mut script = Command::new("bash");
     script.arg("deploy/managers/slurm.sbatch").env("PATH", path.unwrap()).env("SLURM_JOB_ID", "7");
-    script.envs(variables.iter().copied());
-    output(&mut script).lines().map(str::to_owned).collect()
+    let disk = tempfile::tempdir().unwrap();
+    script.envs(variables.iter().copied()).env("TMPDIR", disk.path());
+    let arguments: Vec<String> = output(&mut script).lines().map(str::to_owned).collect();
+    let is_on_disk = |word: &String| Path::new(word).starts_with(disk.path());
+    assert!(arguments.iter().any(is_on_disk), "its cache is on the node's disk: {arguments:?}");
+    assert_eq!(std::fs::read_dir(disk.path()).unwrap().count(), 0, "it leaves nothing on the node");
+    arguments
 }
 
 #[test]
@@ -142,7 +149,7 @@ fn flamenco_compiles_a_job_that_runs_what_there_is() {
 
 /// Makes the job of OpenCue with a stand-in for its library, and prints the layers.
 const OPENCUE: &str = r#"
-import json, sys, types
+import json, shlex, sys, types
 class Outline:
     def __init__(self, name, **more): self.layers = []
     def add_layer(self, layer): self.layers.append(layer)
@@ -152,8 +159,9 @@ outline.Outline, outline.cuerun = Outline, cuerun
 shell.Shell = lambda name, **parts: dict(parts, name=name)
 for module in (outline, cuerun, modules, shell): sys.modules[module.__name__] = module
 scope = {"__name__": "template"}
-exec(open("deploy/managers/opencue.py").read(), scope)
-print(json.dumps(scope["job"]("a.glb", "http://farm:7410", 3).layers))
+exec(open("deploy/managers/lightkiln_job.py").read(), scope)
+layers = scope["job"]("my scene.glb", "http://farm:7410", 3).layers
+print(json.dumps([dict(layer, command=shlex.split(layer["command"])) for layer in layers]))
 "#;
 
 #[test]
@@ -161,7 +169,9 @@ print(json.dumps(scope["job"]("a.glb", "http://farm:7410", 3).layers))
 fn opencue_has_layers_that_run_what_there_is() {
     let layers: Value = serde_json::from_str(&output(Command::new("python3").args(["-c", OPENCUE]))).unwrap();
     let layers = layers.as_array().unwrap();
-    let runs: Vec<String> = layers.iter().map(|layer| assert_runs("opencue.py", &layer["command"])).collect();
+    let runs: Vec<String> =
+        layers.iter().map(|layer| assert_runs("lightkiln_job.py", &layer["command"])).collect();
     assert_eq!(runs, ["submit", "worker"]);
+    assert_eq!(layers[0]["command"][2], "my scene.glb");
     assert_eq!((&layers[0]["range"], &layers[1]["range"]), (&"1".into(), &"1-3".into()));
 }
