@@ -5,6 +5,7 @@
 //! that has been silent the longest, whether it never said a word, is in the middle of a request's head, or has been
 //! answered. Those with a call under way stay. Whoever holds thousands of half-open connections thus keeps nobody out.
 
+mod answer;
 mod room;
 mod stream;
 mod table;
@@ -20,6 +21,7 @@ use axum::Router;
 use axum::body::Body;
 use axum::extract::ConnectInfo;
 use axum::http::{Request, Version};
+use axum::response::IntoResponse as _;
 use hyper::body::Incoming;
 use hyper::service::{Service as _, service_fn};
 use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
@@ -30,7 +32,8 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::watch;
 use tokio_rustls::TlsAcceptor;
 
-use crate::held::hold;
+use crate::error::ServerError;
+use answer::watched;
 use stream::Noted;
 use table::{Seat, Table};
 
@@ -45,6 +48,10 @@ const BUFFER_BYTES: usize = 32 << 10;
 const HTTP2_WINDOWS: [u32; 2] = [128 << 10, 256 << 10];
 /// A caller of HTTP/2 is asked this often whether it is still there, and has as long to answer.
 const HTTP2_PING: Duration = Duration::from_secs(30);
+/// Calls at a time of one connection of HTTP/2. More → one connection takes up more room; browsers and proxies wait less.
+const HTTP2_CALLS: u32 = 16;
+/// Seconds after which a caller may come again whose address has as many calls as it may: how long is not known.
+const CROWDED_RETRY_SECS: u64 = 1;
 
 /// Limits of connections.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -52,7 +59,7 @@ pub struct ConnectionConfig {
     /// Connections at a time; fewer where the system lets the process open fewer files. Fewer → less memory at worst;
     /// each worker and each watched bake takes one or two. 0 is as many as the system allows.
     pub at_a_time: u32,
-    /// The same of one address (of IPv6, one network of 64 bits). Fewer → one caller takes up less room; workers behind one proxy need
+    /// The same of one address (of IPv6, one network of 64 bits), and its calls under way at most. Fewer → one caller takes up less room; workers behind one proxy need
     /// more. 0 is no limit of its own.
     pub of_address: u32,
     /// A request's head must have come within this time, as must what TLS says before it.
@@ -60,7 +67,7 @@ pub struct ConnectionConfig {
     /// A connection without a request ends after this time. Longer than that of a load balancer in front, which else sends
     /// calls into a connection that is being closed.
     pub idle_timeout: Duration,
-    /// A caller that takes none of its answer for this long is cut off.
+    /// A caller that takes none of an answer for this long is cut off.
     pub stall_timeout: Duration,
 }
 
@@ -136,7 +143,7 @@ struct Caller {
 impl Caller {
     /// Answers until the caller or its time is over, or the server closes and no call is under way.
     async fn serve(self, stream: TcpStream, config: ConnectionConfig, closing: watch::Receiver<bool>) {
-        let seat = self.seat.clone();
+        let (seat, mut at_close) = (self.seat.clone(), closing.clone());
         let stream = Noted::new(stream, seat.clone());
         let answering = async {
             match self.tls.clone() {
@@ -150,7 +157,7 @@ impl Caller {
         };
         tokio::select! {
             () = answering => (),
-            why = seat.end(&config) => tracing::debug!(address = %self.address, why, "a connection was ended"),
+            why = seat.end(&config, is_true(&mut at_close)) => tracing::debug!(address = %self.address, why, "a connection was ended"),
         }
     }
 
@@ -165,10 +172,14 @@ impl Caller {
             let call = seat.begin(request.version() == Version::HTTP_2);
             let mut request = request.map(Body::new);
             request.extensions_mut().insert(ConnectInfo(address));
-            let answer = app.call(request);
+            let answered = call.map(|call| (call, app.call(request)));
             async move {
+                let Some((call, answer)) = answered else {
+                    let busy = ServerError::Busy { retry_after_secs: CROWDED_RETRY_SECS };
+                    return Ok(busy.into_response());
+                };
                 let answer: Result<_, Infallible> = answer.await;
-                answer.map(|answer| hold(answer, call))
+                answer.map(|answer| watched(answer, call))
             }
         });
         let mut builder = auto::Builder::new(TokioExecutor::new());
@@ -178,6 +189,7 @@ impl Caller {
             .timer(TokioTimer::new())
             .initial_stream_window_size(HTTP2_WINDOWS[0])
             .initial_connection_window_size(HTTP2_WINDOWS[1])
+            .max_concurrent_streams(HTTP2_CALLS)
             .keep_alive_interval(HTTP2_PING)
             .keep_alive_timeout(HTTP2_PING);
         let mut connection = pin!(builder.serve_connection(TokioIo::new(stream), service));

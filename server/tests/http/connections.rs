@@ -150,3 +150,28 @@ async fn body_that_drips_ends_with_408_and_a_steady_one_does_not() {
     }
     assert_eq!(read_answer(&mut stream, false).await.status, 201);
 }
+
+/// A call by HTTP/2, without TLS, of a caller that takes no byte of an answer: the beginning of the protocol, SETTINGS with
+/// INITIAL_WINDOW_SIZE = 0, and `GET /` in HEADERS.
+const REFUSES_ANSWER: &[u8] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\
+    \x00\x00\x06\x04\x00\x00\x00\x00\x00\x00\x04\x00\x00\x00\x00\
+    \x00\x00\x03\x01\x05\x00\x00\x00\x01\x82\x86\x84";
+
+#[tokio::test]
+async fn caller_that_takes_no_byte_of_an_answer_is_cut_off() {
+    let connections =
+        ConnectionConfig { stall_timeout: Duration::from_millis(300), ..ConnectionConfig::default() };
+    let server = start(connections, LimitConfig::default()).await;
+    let mut refuses = begin(&server, REFUSES_ANSWER).await;
+    is_ended(&mut refuses).await;
+}
+
+#[tokio::test]
+async fn server_that_stops_does_not_wait_for_half_sent_heads() {
+    let hour = Duration::from_secs(3600);
+    let connections = ConnectionConfig { head_timeout: hour, ..ConnectionConfig::default() };
+    let server = start(connections, LimitConfig::default()).await;
+    let _half = begin(&server, b"GET /healthz HTTP/1.1\r\nHost: ").await;
+    assert_eq!(server.get("/healthz").await.status, 200, "the half-sent head has been taken in");
+    tokio::time::timeout(LIMIT, server.stop()).await.expect("the server stops");
+}
