@@ -7,7 +7,7 @@ use std::time::Duration;
 use axum::Router;
 use axum::routing::get;
 use tokio::net::TcpListener;
-use tokio::sync::{oneshot, watch};
+use tokio::sync::watch;
 
 use crate::connections;
 use crate::error::{Result, ServerError};
@@ -19,6 +19,8 @@ use crate::store::StoreError;
 const SILENT_FOR: Duration = Duration::from_secs(5);
 /// Wait before a database that is away is asked again.
 const ASK_AGAIN_AFTER: Duration = Duration::from_secs(1);
+/// Calls that were answered meanwhile have so long to end once the server is open, or told to stop.
+const LEAVE_WITHIN: Duration = Duration::from_secs(1);
 /// Looks between two lines of the log.
 const LOOKS_UNTOLD: u32 = 60;
 
@@ -75,16 +77,26 @@ async fn wait(
     // The socket outlives the connections that are answered meanwhile.
     let listener = listener.into_std().map_err(ServerError::Serve)?;
     let meanwhile = listener.try_clone().and_then(TcpListener::from_std).map_err(ServerError::Serve)?;
-    let (end, ended) = oneshot::channel::<()>();
+    let (end, mut ended) = watch::channel(());
+    let mut ends = end.subscribe();
     let answering = connections::serve(
         meanwhile,
         router(),
         config.acceptor().await?,
         config.connections.within(connections::open_files()),
-        async {
-            let _ = ended.await;
-        },
+        async move { while ends.changed().await.is_ok() {} },
     );
+    // A caller that takes none of its answer must hold up nobody: its connection ends by itself.
+    let answering = async {
+        let grace = async {
+            while ended.changed().await.is_ok() {}
+            tokio::time::sleep(LEAVE_WITHIN).await;
+        };
+        tokio::select! {
+            () = answering => (),
+            () = grace => (),
+        }
+    };
     let opened = async {
         let opened = tokio::select! {
             opened = opening => Some(opened),
@@ -103,7 +115,7 @@ async fn open_at_last(config: &Config, is_away: watch::Sender<bool>) -> Result<S
     let mut looks = 0;
     loop {
         match Server::open(config.clone()).await {
-            Err(ServerError::Store(error @ StoreError::Unavailable(_))) if config.database_is_remote() => {
+            Err(ServerError::Store(error)) if config.database_is_remote() && may_come(&error) => {
                 if looks % LOOKS_UNTOLD == 0 {
                     let error = lightkiln_proto::problem::chain(&error);
                     tracing::warn!(error, "the server waits for its database");
@@ -117,6 +129,24 @@ async fn open_at_last(config: &Config, is_away: watch::Sender<bool>) -> Result<S
     }
 }
 
+/// Whether a database may come by itself. A wrong password, address or name, or a certificate that is not trusted,
+/// takes a person, who must hear of it.
+fn may_come(error: &StoreError) -> bool {
+    let StoreError::Unavailable(source) = error else { return false };
+    match source.downcast_ref::<sqlx::Error>() {
+        Some(sqlx::Error::Database(error)) => error.code().is_none_or(|state| is_passing(&state)),
+        Some(sqlx::Error::Tls(_) | sqlx::Error::Configuration(_) | sqlx::Error::Protocol(_)) => false,
+        _ => true,
+    }
+}
+
+/// Whether a SQLSTATE is one of a database that starts, stops, is busy or is not the primary yet.
+fn is_passing(state: &str) -> bool {
+    // Connection, resources, end from outside, system; a standby; timeouts of transactions, locks and statements.
+    let of_class = ["08", "53", "57P0", "58"].iter().any(|class| state.starts_with(class));
+    of_class || ["25006", "25P03", "55P03", "57014"].contains(&state)
+}
+
 /// Answers of a server whose database is away.
 fn router() -> Router {
     Router::new()
@@ -127,4 +157,74 @@ fn router() -> Router {
 
 async fn not_open() -> ServerError {
     ServerError::NotOpen
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io;
+
+    use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
+    use tokio::net::TcpStream;
+
+    use super::*;
+
+    fn unavailable(error: sqlx::Error) -> StoreError {
+        StoreError::Unavailable(error.into())
+    }
+
+    #[test]
+    fn database_that_may_come_by_itself_is_waited_for_and_a_wrong_one_is_not() {
+        for state in ["08006", "53300", "57P01", "57P03", "58030", "25006", "55P03"] {
+            assert!(is_passing(state), "{state}");
+        }
+        for state in ["28P01", "28000", "3D000", "42P01", "57000"] {
+            assert!(!is_passing(state), "{state}");
+        }
+        let refused = sqlx::Error::Io(io::ErrorKind::ConnectionRefused.into());
+        assert!(may_come(&unavailable(refused)) && may_come(&unavailable(sqlx::Error::PoolTimedOut)));
+        for error in [sqlx::Error::Tls("untrusted".into()), sqlx::Error::Configuration("no host".into())] {
+            assert!(!may_come(&unavailable(error)));
+        }
+    }
+
+    /// A call by HTTP/2, without TLS, of a caller that takes no byte of an answer: the beginning of the protocol, SETTINGS
+    /// with INITIAL_WINDOW_SIZE = 0, and `GET /` in HEADERS.
+    const REFUSES_ANSWER: &[u8] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\
+        \x00\x00\x06\x04\x00\x00\x00\x00\x00\x00\x04\x00\x00\x00\x00\
+        \x00\x00\x03\x01\x05\x00\x00\x00\x01\x82\x86\x84";
+    /// Type of the frame that the answer's head comes in.
+    const HEADERS: u8 = 1;
+
+    /// Reads frames until one of HEADERS has come.
+    async fn read_head(stream: &mut TcpStream) {
+        loop {
+            let mut head = [0; 9];
+            stream.read_exact(&mut head).await.unwrap();
+            let length = u32::from_be_bytes([0, head[0], head[1], head[2]]);
+            stream.read_exact(&mut vec![0; length as usize]).await.unwrap();
+            if head[3] == HEADERS {
+                return;
+            }
+        }
+    }
+
+    #[tokio::test]
+    async fn caller_that_takes_no_answer_keeps_no_server_from_stopping() {
+        let folder = tempfile::tempdir().unwrap();
+        let config = Config::new(folder.path());
+        let listener = listen("127.0.0.1:0").await.unwrap();
+        let mut caller = TcpStream::connect(listener.local_addr().unwrap()).await.unwrap();
+        let (stop, stopped) = watch::channel(false);
+        let refusal = async {
+            caller.write_all(REFUSES_ANSWER).await.unwrap();
+            read_head(&mut caller).await;
+            stop.send_replace(true);
+        };
+        let waiting = wait(&config, listener, std::future::pending(), stopped);
+        // Less than a stalled answer has.
+        let limit = config.connections.stall_timeout / 2;
+        let both = async { tokio::join!(waiting, refusal).0 };
+        let waited = tokio::time::timeout(limit, both).await.expect("the server stops");
+        assert!(waited.unwrap().is_none());
+    }
 }

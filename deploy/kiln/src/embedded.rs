@@ -266,9 +266,10 @@ pub fn server_failure(error: &ServerError) -> Failure {
         ServerError::Tls { .. } => {
             (Exit::BadInput, "--tls-cert and --tls-key with files that belong together and can be read")
         }
-        ServerError::Store(StoreError::Unavailable(_)) => {
-            (Exit::Failed, "--database with the address of a database that runs")
-        }
+        ServerError::Store(StoreError::Unavailable(_)) => (
+            Exit::Failed,
+            "--database with the address of a database that runs, and a name and password that it knows",
+        ),
         _ => (Exit::Failed, "--state with a folder that can be written and has free room"),
     };
     let what = match error {

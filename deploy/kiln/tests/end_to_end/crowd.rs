@@ -121,6 +121,16 @@ fn server_starts_before_its_database_and_works_once_that_is_there() {
 }
 
 #[test]
+fn server_does_not_wait_for_a_database_that_will_not_come_by_itself() {
+    let folder = tempfile::tempdir().unwrap();
+    let database = super::parts::postgres::Postgres::start();
+    let nowhere = database.url(None).replace("/postgres", "/nowhere");
+    let told =
+        run(kiln(folder.path()), &["server", "--listen", "127.0.0.1:0", "--database", &nowhere], 1).stderr();
+    assert!(told.contains("nowhere") && told.contains("try: --database"), "{told}");
+}
+
+#[test]
 fn readiness_is_told_within_seconds_while_the_database_is_stopped() {
     let folder = tempfile::tempdir().unwrap();
     let database = super::parts::postgres::Postgres::start();
