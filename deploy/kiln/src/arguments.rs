@@ -56,11 +56,8 @@ pub struct PatienceArgument {
 }
 
 impl PatienceArgument {
-    /// The farm's server, waited for.
+    /// The farm's server, waited for; without patience, asked once.
     pub fn with(&self, client: ApiClient) -> ApiClient {
-        if self.patience.is_zero() {
-            return client;
-        }
         let server = client.base().to_owned();
         client.with_patience(Patience::new(self.patience, move |notice| tell(&server, &notice)))
     }

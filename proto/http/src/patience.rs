@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use backon::BackoffBuilder as _;
-use lightkiln_proto::problem::{ProblemCode, RetryClass};
+use lightkiln_proto::problem::RetryClass;
 
 use crate::error::CallError;
 use crate::retry::{RetryPolicy, wait_after};
@@ -69,7 +69,7 @@ impl Patience {
         mut call: impl FnMut() -> Result<T, CallError>,
         mut pause: impl FnMut(&CallError, Duration) -> Result<(), CallError>,
     ) -> Result<T, CallError> {
-        let (mut waits, mut tries, mut failing_since) = (WAITS.build(), 0, None);
+        let (mut waits, mut tries_of_others, mut failing_since) = (WAITS.build(), 0, None);
         loop {
             let error = match call() {
                 Err(error) if error.retry_class() == RetryClass::Backoff => error,
@@ -78,15 +78,17 @@ impl Patience {
                     return outcome;
                 }
             };
-            tries += 1;
+            let is_away = is_away(&error);
+            tries_of_others += u32::from(!is_away);
             let failing_for = failing_since.get_or_insert_with(Instant::now).elapsed();
             let left = self.0.longest.saturating_sub(failing_for);
             let longest = waits.next().unwrap_or_default();
-            if left.is_zero() || !is_away(&error) && tries >= TRIES_OF_OTHERS {
+            if left.is_zero() || !is_away && tries_of_others >= TRIES_OF_OTHERS {
+                self.forget_outage();
                 return Err(error);
             }
             self.note_failure(&error, left);
-            pause(&error, wait_after(&error, longest).min(left))?;
+            pause(&error, wait_after(&error, longest).min(left)).inspect_err(|_| self.forget_outage())?;
         }
     }
 
@@ -106,19 +108,48 @@ impl Patience {
         }
     }
 
+    /// It was given up: the next failure begins another.
+    fn forget_outage(&self) {
+        *self.outage() = None;
+    }
+
     fn outage(&self) -> MutexGuard<'_, Option<Outage>> {
         self.0.outage.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-/// Whether the server, or what it needs, may be starting again. Full disks take a person, and a certificate that is not
-/// trusted will not be.
+/// Whether the server, or what it needs, may be starting again or too busy. Full disks and bugs take a person, and a
+/// name without an address, a certificate that is not trusted or a server of another protocol stay so.
 fn is_away(error: &CallError) -> bool {
     match error {
-        CallError::Network { source, .. } => {
-            !matches!(&**source, ureq::Error::Io(error) if error.kind() == ErrorKind::InvalidData)
-        }
-        error => error.code() != Some(ProblemCode::StorageFull),
+        CallError::Network { source, .. } => is_of_connection(source),
+        error => matches!(error.status(), Some(408 | 425 | 429 | 502..=504)),
+    }
+}
+
+/// Whether a connection was refused, broke or took too long.
+fn is_of_connection(error: &ureq::Error) -> bool {
+    use ErrorKind::{
+        BrokenPipe, ConnectionAborted, ConnectionRefused, ConnectionReset, HostUnreachable, NetworkDown,
+        NetworkUnreachable, NotConnected, TimedOut, UnexpectedEof, WouldBlock,
+    };
+    match error {
+        ureq::Error::Timeout(_) | ureq::Error::ConnectionFailed | ureq::Error::BodyStalled => true,
+        ureq::Error::Io(error) => matches!(
+            error.kind(),
+            BrokenPipe
+                | ConnectionAborted
+                | ConnectionRefused
+                | ConnectionReset
+                | HostUnreachable
+                | NetworkDown
+                | NetworkUnreachable
+                | NotConnected
+                | TimedOut
+                | UnexpectedEof
+                | WouldBlock
+        ),
+        _ => false,
     }
 }
 
@@ -130,7 +161,7 @@ impl fmt::Debug for Patience {
 
 #[cfg(test)]
 mod tests {
-    use lightkiln_proto::problem::Problem;
+    use lightkiln_proto::problem::{Problem, ProblemCode};
 
     use super::*;
 
@@ -184,6 +215,58 @@ mod tests {
         };
         let error = patience.insist(call, |_, _| Ok(())).unwrap_err();
         assert_eq!((error.status(), calls), (Some(503), 1));
+    }
+
+    #[test]
+    fn only_a_server_that_is_away_is_waited_for_as_long_as_patience_lasts() {
+        let of_status = |status| CallError::Foreign { call: String::new(), status, retry_after: None };
+        let of_network = |source| CallError::Network { call: String::new(), source: Box::new(source) };
+        let of_io = |kind: ErrorKind| of_network(ureq::Error::Io(kind.into()));
+        let is_waited_for = |make: &dyn Fn() -> CallError| {
+            let (patience, _) = patience(Duration::from_secs(3600));
+            let mut calls = 0;
+            let call = || {
+                calls += 1;
+                if calls == 20 { Ok(()) } else { Err(make()) }
+            };
+            patience.insist(call, |_, _| Ok(())).is_ok()
+        };
+        for status in [408, 425, 429, 502, 503, 504] {
+            assert!(is_waited_for(&|| of_status(status)), "{status}");
+        }
+        for kind in [ErrorKind::ConnectionRefused, ErrorKind::ConnectionReset, ErrorKind::TimedOut] {
+            assert!(is_waited_for(&|| of_io(kind)), "{kind}");
+        }
+        assert!(!is_waited_for(&|| of_status(500)) && !is_waited_for(&|| of_status(507)));
+        assert!(!is_waited_for(&|| of_io(ErrorKind::InvalidData)), "a certificate that is not trusted");
+        assert!(!is_waited_for(&|| of_network(ureq::Error::HostNotFound)));
+    }
+
+    #[test]
+    fn failure_of_another_kind_after_a_long_outage_is_tried_again_as_often_as_any() {
+        let (patience, _) = patience(Duration::from_secs(3600));
+        let mut calls = 0;
+        let call = || {
+            calls += 1;
+            match calls {
+                ..40 => Err(away()),
+                40 => Err(full()),
+                _ => Ok(calls),
+            }
+        };
+        assert_eq!(patience.insist(call, |_, _| Ok(())).unwrap(), 41);
+    }
+
+    #[test]
+    fn outage_that_was_given_up_is_no_part_of_the_next() {
+        let (patience, told) = patience(Duration::from_secs(3600));
+        let stop = |_: &CallError, _| {
+            patience.outage().as_mut().unwrap().told = Some(Instant::now());
+            Err(CallError::Stopped)
+        };
+        patience.insist(|| Err::<(), _>(away()), stop).unwrap_err();
+        patience.insist(|| Ok(()), |_, _| Ok(())).unwrap();
+        assert_eq!(*told.lock().unwrap(), [0, 0], "a return is told of an outage that is waited for");
     }
 
     #[test]
