@@ -15,7 +15,7 @@ use lightkiln_proto::ids::Digest;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 use super::leases::MAX_RESULT_BYTES;
-use super::pace::Pace;
+use super::pace::{Haste, Line, Pace};
 use crate::error::{Result, ServerError};
 use crate::held::hold;
 
@@ -34,7 +34,7 @@ pub struct LimitConfig {
     /// memory at worst; a worker or a watched bake takes one. 0 is no limit.
     pub calls_at_a_time: u32,
     /// Bytes a second that a body must bring in the long run. More → slow callers hold memory for less long, and those on
-    /// bad lines are cut off. 0 is no limit.
+    /// bad lines are cut off. 0 is no limit; plans, which hold room that others wait for, then have that of the default.
     pub body_bytes_per_sec: u32,
     /// Time that a body may fall behind that rate, or be silent.
     pub body_patience: Duration,
@@ -71,7 +71,7 @@ pub const HEAVY_BYTES: u64 = MAX_RESULT_BYTES as u64;
 const LIGHT_BYTES: u64 = 1 << 20;
 /// Unit of the line.
 const KIB: u64 = 1 << 10;
-/// Whoever is first in the line must send so many times as fast, as others wait.
+/// While others wait in the line, those who have room must send so many times as fast.
 const HEAVY_HASTE: u32 = 64;
 /// Connections that calls about health have for themselves.
 const CONNECTIONS_FOR_HEALTH: u32 = 8;
@@ -86,6 +86,7 @@ pub(crate) struct Limits {
     calls: AtomicU32,
     places: Option<Arc<Semaphore>>,
     heavy: Arc<Semaphore>,
+    line: Line,
     pace: Pace,
 }
 
@@ -100,6 +101,7 @@ impl Limits {
             calls: AtomicU32::new(0),
             places: places.map(Arc::new),
             heavy: Arc::new(Semaphore::new((HEAVY_BYTES / KIB) as usize)),
+            line: Line::default(),
             pace: Pace { bytes_per_sec: config.body_bytes_per_sec, patience: config.body_patience },
         }
     }
@@ -135,15 +137,25 @@ impl Limits {
             return None;
         }
         let kib = u32::try_from(bytes / KIB).unwrap_or(u32::MAX);
+        if let Ok(room) = self.heavy.clone().try_acquire_many_owned(kib) {
+            return Some(room);
+        }
+        let _waiting = self.line.join();
         // It is never closed.
         self.heavy.clone().acquire_many_owned(kib).await.ok()
     }
 
-    /// The body, which has to keep coming.
+    /// The body, which has to keep coming. One that holds room does so whatever the limit: its caller may have vanished.
     pub(super) fn paced(&self, body: Body, is_heavy: bool) -> Body {
-        let haste = if is_heavy { HEAVY_HASTE } else { 1 };
-        let bytes_per_sec = self.pace.bytes_per_sec.saturating_mul(haste);
-        Pace { bytes_per_sec, ..self.pace }.kept_by(body)
+        if !is_heavy {
+            return self.pace.kept_by(body, None);
+        }
+        let bytes_per_sec = match self.pace.bytes_per_sec {
+            0 => LimitConfig::default().body_bytes_per_sec,
+            rate => rate,
+        };
+        let haste = Haste { line: self.line.clone(), times: HEAVY_HASTE };
+        Pace { bytes_per_sec, ..self.pace }.kept_by(body, Some(haste))
     }
 }
 
@@ -222,6 +234,29 @@ mod tests {
         assert!(waits(Some(HEAVY_BYTES / 2)).await.is_ok());
         drop(half);
         assert!(limits.room_for(Some(u64::MAX)).await.is_some(), "its size is refused later");
+    }
+
+    #[tokio::test]
+    async fn plans_are_hurried_only_while_others_wait_for_room() {
+        let limits = Limits::new(LimitConfig::default());
+        let room = limits.room_for(None).await;
+        assert!(!limits.line.is_there());
+        let mut next = Box::pin(limits.room_for(None));
+        assert!(futures::poll!(&mut next).is_pending() && limits.line.is_there());
+        drop(room);
+        assert!(next.await.is_some() && !limits.line.is_there());
+    }
+
+    #[tokio::test]
+    async fn caller_that_vanished_holds_no_room_even_without_a_limit() {
+        let body_patience = Duration::from_millis(20);
+        let limits =
+            Limits::new(LimitConfig { body_bytes_per_sec: 0, body_patience, ..LimitConfig::default() });
+        let silent = || Body::from_stream(futures::stream::pending::<std::io::Result<bytes::Bytes>>());
+        let read = |is_heavy| axum::body::to_bytes(limits.paced(silent(), is_heavy), usize::MAX);
+        assert!(read(true).await.is_err());
+        let light = tokio::time::timeout(5 * body_patience, read(false)).await;
+        assert!(light.is_err(), "without room, silence has no limit");
     }
 
     #[test]

@@ -69,7 +69,8 @@ pub struct Arguments {
     #[arg(long, value_name = "N", default_value_t = ConnectionConfig::default().of_address, help_heading = "Limits",
         value_parser = clap::value_parser!(u32).range(0..=1_000_000))]
     connections_of_address: u32,
-    /// Bytes a second that an upload must bring in the long run; slower ones end with 408. 0 is no limit
+    /// Bytes a second that an upload must bring in the long run; slower ones end with 408. Plans must bring 64 times as
+    /// much while others wait for their room. 0 is no limit but for plans
     #[arg(long, value_name = "BYTES", default_value_t = LimitConfig::default().body_bytes_per_sec, help_heading = "Limits",
         value_parser = clap::value_parser!(u32).range(0..=1_000_000_000))]
     upload_bytes_per_sec: u32,
