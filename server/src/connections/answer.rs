@@ -10,6 +10,7 @@ use bytes::Bytes;
 use http_body::{Frame, SizeHint};
 
 use super::table::Call;
+use crate::held::hold;
 
 /// Longest piece that is handed over at a time, which a slow caller must take within the time of a stall. More → fewer steps
 /// for large answers, and slower callers are cut off.
@@ -18,8 +19,11 @@ const PIECE_BYTES: usize = 16 << 10;
 /// The answer, which holds its call until all of it has been handed over or its caller is gone.
 ///
 /// HTTP/2 lets a caller refuse the bytes of one answer while the connection itself takes all: only that the next piece is
-/// not asked for shows it.
+/// not asked for shows it. Where there is one call at a time, writes show it.
 pub(super) fn watched(answer: Response, call: Call) -> Response {
+    if !call.is_multiplexed {
+        return hold(answer, call);
+    }
     answer.map(|body| Body::new(Watched { body, rest: Bytes::new(), call }))
 }
 

@@ -212,22 +212,19 @@ struct State {
 pub(super) struct Call {
     seat: Arc<Seat>,
     id: u64,
-    is_multiplexed: bool,
+    /// It has others beside it on its connection.
+    pub(super) is_multiplexed: bool,
 }
 
 impl Call {
     /// The caller is ready for more of the answer.
     pub(super) fn note_taken(&self) {
-        if self.is_multiplexed {
-            self.seat.lock().untaken.remove(&self.id);
-        }
+        self.seat.lock().untaken.remove(&self.id);
     }
 
-    /// A piece of the answer was handed over. Where there is one call at a time, writes tell whether it is taken.
+    /// A piece of the answer was handed over.
     pub(super) fn note_handed(&self, now: Instant) {
-        if self.is_multiplexed {
-            self.seat.lock().untaken.insert(self.id, now);
-        }
+        self.seat.lock().untaken.insert(self.id, now);
     }
 }
 
