@@ -159,7 +159,7 @@ outline.Outline, outline.cuerun = Outline, cuerun
 shell.Shell = lambda name, **parts: dict(parts, name=name)
 for module in (outline, cuerun, modules, shell): sys.modules[module.__name__] = module
 scope = {"__name__": "template"}
-exec(open("deploy/managers/lightkiln_job.py").read(), scope)
+exec(open("deploy/managers/opencue_job.py").read(), scope)
 layers = scope["job"]("my scene.glb", "http://farm:7410", 3).layers
 print(json.dumps([dict(layer, command=shlex.split(layer["command"])) for layer in layers]))
 "#;
@@ -170,7 +170,7 @@ fn opencue_has_layers_that_run_what_there_is() {
     let layers: Value = serde_json::from_str(&output(Command::new("python3").args(["-c", OPENCUE]))).unwrap();
     let layers = layers.as_array().unwrap();
     let runs: Vec<String> =
-        layers.iter().map(|layer| assert_runs("lightkiln_job.py", &layer["command"])).collect();
+        layers.iter().map(|layer| assert_runs("opencue_job.py", &layer["command"])).collect();
     assert_eq!(runs, ["submit", "worker"]);
     assert_eq!(layers[0]["command"][2], "my scene.glb");
     assert_eq!((&layers[0]["range"], &layers[1]["range"]), (&"1".into(), &"1-3".into()));

@@ -1,6 +1,6 @@
 """A job of OpenCue: a layer that submits a scene to a farm and waits for its bake, and one of workers meanwhile.
 
-    KILN_SERVER=http://farm:7410 python3 lightkiln_job.py SCENE [WORKERS]
+    KILN_SERVER=http://farm:7410 python3 opencue_job.py SCENE [WORKERS]
 
 Needs PyOutline. Hosts need 'kiln' on their path, and KILN_TOKEN with a token of the scopes 'submit' and 'worker'.
 The frame that waits for the bake and those that work run at the same time: they need two hosts, or one with nine cores.
