@@ -228,6 +228,8 @@ fn fetch(
 
 #[cfg(test)]
 mod tests {
+    use std::path::{Path, PathBuf};
+
     use lightkiln_proto::api::BakeState;
     use lightkiln_proto::kinds::prt;
     use lightkiln_proto::manifest::CLUSTERS;
@@ -386,19 +388,25 @@ mod tests {
         assert!(error.contains("no ray meets anything") && feed.is_over(), "{error}");
     }
 
-    #[test]
-    fn cluster_that_is_lost_is_asked_for_again_only_once_something_has_landed() {
-        let folder = tempfile::tempdir().unwrap();
-        let manifest = write_bundle(folder.path(), prt::NAME);
-        let mut told = Told::of(folder.path(), &manifest, &[&[0, 1, 2], &[3, 4, 5, 6]]);
+    /// A server of a bake under way whose first cell has landed and lacks the bytes of a cluster, which are given with their place.
+    fn with_one_lost(folder: &Path) -> (BundleServer, StreamedBake, Told, (PathBuf, Vec<u8>)) {
+        let manifest = write_bundle(folder, prt::NAME);
+        let mut told = Told::of(folder, &manifest, &[&[0, 1, 2], &[3, 4, 5, 6]]);
         told.landed.push(0);
-        let chunk = chunk_path(folder.path(), manifest.chunks(CLUSTERS)[1].digest);
+        let chunk = chunk_path(folder, manifest.chunks(CLUSTERS)[1].digest);
         let bytes = std::fs::read(&chunk).unwrap();
         std::fs::remove_file(&chunk).unwrap();
-        let server = BundleServer::start(folder.path(), Faults::default());
+        let server = BundleServer::start(folder, Faults::default());
         server.tell(&told);
         let following = kinds::all().follow(&server.source()).unwrap().unwrap();
         let stream = StreamedBake::follow(following, &kinds::all(), Budget::NONE).unwrap();
+        (server, stream, told, (chunk, bytes))
+    }
+
+    #[test]
+    fn cluster_that_is_lost_is_asked_for_again_only_once_something_has_landed() {
+        let folder = tempfile::tempdir().unwrap();
+        let (server, stream, mut told, (chunk, bytes)) = with_one_lost(folder.path());
         let (mut feed, _) = Feed::start(stream, u64::MAX, fixture_view().1, || {});
         let until = |feed: &mut Feed, is_there: &dyn Fn(&Streamed) -> bool| {
             while !is_there(&feed.streamed) {
@@ -430,17 +438,8 @@ mod tests {
     fn view_that_never_rests_hears_of_clusters_that_land_and_of_the_end_of_a_bake() {
         const LIMIT: Duration = Duration::from_secs(60);
         let folder = tempfile::tempdir().unwrap();
-        let manifest = write_bundle(folder.path(), prt::NAME);
-        let mut told = Told::of(folder.path(), &manifest, &[&[0, 1, 2], &[3, 4, 5, 6]]);
-        told.landed.push(0);
-        let chunk = chunk_path(folder.path(), manifest.chunks(CLUSTERS)[1].digest);
-        let bytes = std::fs::read(&chunk).unwrap();
         // While one is lost, there is always more to want.
-        std::fs::remove_file(&chunk).unwrap();
-        let server = BundleServer::start(folder.path(), Faults::default());
-        server.tell(&told);
-        let following = kinds::all().follow(&server.source()).unwrap().unwrap();
-        let stream = StreamedBake::follow(following, &kinds::all(), Budget::NONE).unwrap();
+        let (server, stream, mut told, (chunk, bytes)) = with_one_lost(folder.path());
         let (_, view) = fixture_view();
         let (feed, _) = Feed::start(stream, u64::MAX, view.clone(), || {});
         let until = |is_there: &dyn Fn(&Streamed) -> bool| {
