@@ -1,10 +1,14 @@
 //! The manifests: rights, limits, probes, and what they name of each other.
 
+use std::collections::BTreeSet;
 use std::process::Command;
 
+use lightkiln_worker::kinds::Runner;
+use lightkiln_worker::task::TaskRunner as _;
 use serde_json::Value;
 
 use super::{documents, names_in, root, texts};
+use crate::kinds::KindTables;
 
 /// Every object of the folder, with its file.
 fn objects() -> Vec<(String, Value)> {
@@ -128,6 +132,19 @@ fn scaling_counts_tasks_that_the_pools_own_workers_can_take() {
         "{query}"
     );
     assert!(!arguments.contains(&"--label"), "a worker with a label could take more than is counted");
+}
+
+#[test]
+fn scaling_counts_the_kinds_of_tasks_that_workers_know() {
+    let query = object("ScaledObject", "worker")["spec"]["triggers"][0]["metadata"]["query"].clone();
+    let matchers: Vec<&str> = query.as_str().unwrap().split("kind=~\"(").skip(1).collect();
+    assert_eq!(matchers.len(), 2, "ready tasks, and those under way: {query}");
+    let known = Runner::new(&KindTables::new().worker).kinds();
+    let known: BTreeSet<&str> = known.iter().map(|kind| kind.split_once('.').unwrap().0).collect();
+    for matcher in matchers {
+        let families = matcher.split_once(")[.].+\"").unwrap().0;
+        assert_eq!(families.split('|').collect::<BTreeSet<_>>(), known, "{query}");
+    }
 }
 
 #[test]
