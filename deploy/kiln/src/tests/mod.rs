@@ -7,6 +7,7 @@ mod container;
 mod kubernetes;
 mod managers;
 mod memory;
+mod schemas;
 mod systemd;
 
 use std::fs;

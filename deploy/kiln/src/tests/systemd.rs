@@ -1,6 +1,7 @@
 //! The units: what systemd says of them, and what they may do.
 
 use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use super::{names_in, root, text_of};
@@ -93,16 +94,21 @@ fn user_of_the_units_is_made() {
     assert!(user.starts_with("u lightkiln - "), "{user}");
 }
 
-/// With units whose program is there, as systemd looks for it.
+/// A unit whose program is there, in a folder of its own.
+fn unit(name: &str, text: &str) -> (tempfile::TempDir, PathBuf) {
+    let folder = tempfile::tempdir().unwrap();
+    let unit = folder.path().join(name);
+    let program = std::env::current_exe().unwrap();
+    std::fs::write(&unit, text.replace("/usr/local/bin/kiln", &program.display().to_string())).unwrap();
+    (folder, unit)
+}
+
+/// As systemd looks for them.
 #[test]
 #[ignore = "needs systemd-analyze, which tests/run installs"]
 fn systemd_finds_nothing_wrong_with_the_units() {
     let verify = |text: &str, name: &str| {
-        let folder = tempfile::tempdir().unwrap();
-        let unit = folder.path().join(name);
-        let program = std::env::current_exe().unwrap();
-        let text = text.replace("/usr/local/bin/kiln", &program.display().to_string());
-        std::fs::write(&unit, text).unwrap();
+        let (_folder, unit) = unit(name, text);
         let output =
             Command::new("systemd-analyze").args(["verify", "--man=no"]).arg(&unit).output().unwrap();
         let told = String::from_utf8_lossy(&output.stderr).into_owned();
@@ -110,9 +116,50 @@ fn systemd_finds_nothing_wrong_with_the_units() {
         told.lines().filter(|line| line.contains("kiln")).map(str::to_owned).collect::<Vec<_>>()
     };
     for name in names_in("deploy/systemd", ".service") {
-        let text = std::fs::read_to_string(root().join("deploy/systemd").join(&name)).unwrap();
+        let text = text_of(&format!("deploy/systemd/{name}"));
         assert_eq!(verify(&text, &name), [""; 0], "{name}");
         let wrong = text.replace("ProtectHome=", "ProtectHomes=");
         assert!(!verify(&wrong, &name).is_empty(), "systemd-analyze says nothing of a wrong setting");
     }
+}
+
+/// Exposure runs from 0, of a service that may do nothing, to 10.
+#[test]
+#[ignore = "needs systemd-analyze, which tests/run installs"]
+fn systemd_says_that_the_units_expose_little() {
+    let is_little = |text: &str, name: &str| {
+        let (_folder, unit) = unit(name, text);
+        let mut analyze = Command::new("systemd-analyze");
+        // In tenths.
+        analyze.args(["security", "--offline=true", "--no-pager", "--threshold=18"]).arg(&unit);
+        analyze.output().unwrap().status.success()
+    };
+    for name in names_in("deploy/systemd", ".service") {
+        let text = text_of(&format!("deploy/systemd/{name}"));
+        assert!(is_little(&text, &name), "{name}: see systemd-analyze security");
+        let open = text.replace("RestrictNamespaces=yes", "");
+        assert!(!is_little(&open, &name), "a right more is told");
+    }
+}
+
+#[test]
+#[ignore = "needs systemd-sysusers, which tests/run installs"]
+fn systemd_makes_the_user() {
+    let root_folder = tempfile::tempdir().unwrap();
+    let sysusers = |file: &Path| {
+        let mut sysusers = Command::new("systemd-sysusers");
+        sysusers.arg("--dry-run").arg(format!("--root={}", root_folder.path().display())).arg(file);
+        sysusers.output().unwrap()
+    };
+    let users = root().canonicalize().unwrap().join("deploy/systemd/lightkiln.sysusers");
+    let made = sysusers(&users);
+    let told = String::from_utf8_lossy(&made.stderr).into_owned();
+    assert!(made.status.success() && told.contains("Creating user 'lightkiln'"), "{told}");
+    let wrong = root_folder.path().join("wrong.conf");
+    std::fs::write(
+        &wrong,
+        text_of("deploy/systemd/lightkiln.sysusers").replace("u lightkiln", "user lightkiln"),
+    )
+    .unwrap();
+    assert!(!sysusers(&wrong).status.success(), "systemd-sysusers takes a line that is none");
 }
