@@ -8,7 +8,7 @@ extends Node3D
 # Brightness of a radiance of 1 W/m2/sr.
 @export var brightness := 1.0
 
-const SHADER := "
+const SHADER := """
 shader_type spatial;
 render_mode ambient_light_disabled, specular_disabled;
 uniform vec4 base_colour : source_color = vec4(1.0);
@@ -28,7 +28,7 @@ void fragment() {
 	ROUGHNESS = 1.0;
 	EMISSION = emitted + colour.rgb / PI * intensity * texture(page, UV2).rgb;
 }
-"
+"""
 
 func _ready() -> void:
 	var document := GLTFDocument.new()
