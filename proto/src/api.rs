@@ -22,6 +22,7 @@
 //! | `POST /v1/leases` | [`ClaimRequest`] → [`ClaimAnswer`] (long poll) |
 //! | `POST /v1/leases/{token}/heartbeat` | [`Heartbeat`] → [`HeartbeatAnswer`] |
 //! | `POST /v1/leases/{token}/commit` | [`TaskResult`] → [`CommitAnswer`] |
+//! | `POST /v1/leases/commit` | [`Commits`] of several leases → [`CommitsAnswer`] |
 //! | `POST /v1/leases/{token}/fail` | [`Failure`] → 204 |
 //! | `POST /v1/leases/{token}/release` | → 204 |
 //! | `POST /v1/enrolments` (a code as bearer token) | [`Enrolment`] → [`Enrolled`] |
@@ -32,6 +33,7 @@ use utoipa::ToSchema;
 use crate::ids::Digest;
 use crate::jobs::{Artefact, TaskSpec};
 
+pub use crate::commits::{Commit, CommitOutcome, Commits, CommitsAnswer, MAX_COMMITS};
 pub use crate::evaluation::EvaluationIndex;
 pub use crate::events::{BakeEvent, EventKind, EventPage};
 pub use crate::filter::BakeFilter;

@@ -4,6 +4,7 @@
 pub mod address;
 pub mod api;
 pub mod chunk;
+pub mod commits;
 pub mod content;
 pub mod evaluation;
 pub mod events;

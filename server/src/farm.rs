@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use lightkiln_proto::api::{
     Bake, BakeState, Blame, ClaimAnswer, ClaimRequest, CommitVerdict, EventPage, HeartbeatAnswer, Lease,
-    NewBake, ResultPage,
+    MAX_COMMITS, NewBake, ResultPage,
 };
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{TaskInput, TaskResult, TaskSpec};
@@ -13,12 +13,12 @@ use lightkiln_proto::kinds::{BakeError, Kinds};
 use tokio::sync::watch;
 use tokio::time::Instant;
 
-use crate::counters::check_counters;
 use crate::error::{Result, ServerError};
 use crate::guard::Guard;
-use crate::lookout::Lookout;
+use crate::lookout::{Lookout, News};
 use crate::metrics::Metrics;
 use crate::random::is_fencing_token;
+use crate::result_checks::{check_counters, require_lengths};
 use crate::storage::{Removed, Storage};
 use crate::store::chunk::CollectRules;
 use crate::store::rules::MAX_TASK_NAME_BYTES;
@@ -43,8 +43,6 @@ pub const MAX_KINDS: usize = 64;
 pub const MAX_KIND_BYTES: usize = MAX_TASK_NAME_BYTES;
 /// Lease lengths in seconds.
 pub const TTL_SECS: std::ops::RangeInclusive<u32> = 5..=3600;
-/// A claim that waits says by claiming again that its worker is still there.
-const CLAIM_AGAIN_AFTER: Duration = Duration::from_secs(5);
 /// Longest wait of a long poll, in seconds.
 pub const MAX_WAIT_SECS: u32 = 60;
 
@@ -62,18 +60,17 @@ pub struct Farm {
     pub guard: Guard,
     /// Counts since start.
     pub(crate) metrics: Metrics,
-    /// Looks for work for claims that wait.
+    /// Looks for work and news for calls that wait.
     lookout: Lookout,
     /// Held while a scene is put together.
     pub(crate) scene_parts: tokio::sync::Mutex<()>,
-    /// A waiting call looks again this often, hint or not.
-    pub poll_interval: Duration,
     /// Turns true when the server is to stop: waiting calls then answer at once.
     pub closing: watch::Receiver<bool>,
 }
 
 impl Farm {
-    /// Puts the parts together; all counts start at 0.
+    /// Puts the parts together; all counts start at 0. For calls that wait the store is looked at every `poll_interval`, hint
+    /// or not.
     pub fn new(
         store: Arc<dyn FarmStore>,
         storage: Storage,
@@ -85,8 +82,8 @@ impl Farm {
         let guard = Guard::new(store.clone());
         let metrics = Metrics::new(storage.lost().clone());
         let scene_parts = tokio::sync::Mutex::default();
-        let lookout = Lookout::default();
-        Self { kinds, guard, store, storage, wakeup, metrics, lookout, scene_parts, poll_interval, closing }
+        let lookout = Lookout::new(store.clone(), wakeup.clone(), poll_interval);
+        Self { kinds, guard, store, storage, wakeup, metrics, lookout, scene_parts, closing }
     }
 
     /// Takes a bake in. The scene must be there, and results to be reused must still have their bytes.
@@ -160,33 +157,19 @@ impl Farm {
     pub async fn claim(&self, request: ClaimRequest) -> Result<ClaimAnswer> {
         check_claim(&request)?;
         let deadline = Instant::now() + Duration::from_secs(request.wait_secs.into());
-        let (mut mark, mut claimed) = (self.wakeup.mark(), Instant::now());
-        let mut leases = self.store.claim(&request).await?;
-        while leases.is_empty() && self.wait(mark, deadline).await {
-            mark = self.wakeup.mark();
-            if claimed.elapsed() >= CLAIM_AGAIN_AFTER
-                || self.is_any_ready(&request.kinds, mark, deadline).await?
-            {
-                claimed = Instant::now();
-                leases = self.store.claim(&request).await?;
+        let mut leases = loop {
+            let mark = self.wakeup.mark();
+            let leases = self.store.claim(&request).await?;
+            if !leases.is_empty() || self.wait(self.lookout.work(&request, mark), deadline).await.is_none() {
+                break leases;
             }
-        }
+        };
         self.metrics.claims.inc_by(leases.len() as u64);
         if let Err(error) = self.fill_all_lengths(&mut leases).await {
             self.take_back(&leases).await;
             return Err(error);
         }
         Ok(ClaimAnswer { leases })
-    }
-
-    /// Whether anything of these kinds is ready; no if that is not known by the deadline or the end.
-    async fn is_any_ready(&self, kinds: &[String], mark: u64, deadline: Instant) -> Result<bool, StoreError> {
-        let mut closing = self.closing.clone();
-        tokio::select! {
-            seen = self.lookout.is_any_ready(&*self.store, kinds, mark) => seen,
-            () = tokio::time::sleep_until(deadline) => Ok(false),
-            _ = closing.wait_for(|closing| *closing) => Ok(false),
-        }
     }
 
     /// Ends leases that nobody will hear of. Those that cannot be ended run out; no attempt is counted for them.
@@ -228,17 +211,17 @@ impl Farm {
         Ok(())
     }
 
-    /// Waits for a hint, the poll interval, the deadline or the end; false when there is no more to wait for.
-    pub async fn wait(&self, mark: u64, deadline: Instant) -> bool {
-        let left = deadline.saturating_duration_since(Instant::now());
-        if left.is_zero() || *self.closing.borrow() {
-            return false;
+    /// Waits for something; nothing at the deadline or the server's end.
+    async fn wait<T>(&self, something: impl Future<Output = T>, deadline: Instant) -> Option<T> {
+        if deadline <= Instant::now() || *self.closing.borrow() {
+            return None;
         }
         let mut closing = self.closing.clone();
         tokio::select! {
-            () = self.wakeup.wait(mark, left.min(self.poll_interval)) => true,
+            something = something => Some(something),
+            () = tokio::time::sleep_until(deadline) => None,
             // A closed channel means the same as its value.
-            _ = closing.wait_for(|closing| *closing) => false,
+            _ = closing.wait_for(|closing| *closing) => None,
         }
     }
 
@@ -258,6 +241,44 @@ impl Farm {
         self.require_outputs(&result).await?;
         self.forget_lost_results(&result.plan).await?;
         let verdict = self.store.commit(token, &result).await?;
+        self.note(verdict);
+        Ok(verdict)
+    }
+
+    /// Takes several results in, each by itself; those without plans share a transaction.
+    pub async fn commit_all(&self, commits: Vec<(String, TaskResult)>) -> Result<Vec<Result<CommitVerdict>>> {
+        if commits.len() > MAX_COMMITS {
+            let what = format!("at most {MAX_COMMITS} results are handed in at once, not {}", commits.len());
+            return Err(ServerError::bad_request(what));
+        }
+        // One look for the outputs of all.
+        let outputs = commits.iter().flat_map(|(_, result)| &result.outputs).map(|output| output.digest);
+        let there = self.storage.lengths(&outputs.collect()).await?;
+        let mut outcomes = Vec::with_capacity(commits.len());
+        for (token, result) in &commits {
+            let checked = require_token(token)
+                .and_then(|()| check_counters(result))
+                .and_then(|()| require_lengths(result, &there));
+            outcomes.push(match checked {
+                Ok(()) => self.forget_lost_results(&result.plan).await,
+                Err(error) => Err(error),
+            });
+        }
+        let good = commits.iter().zip(&outcomes).filter(|(_, outcome)| outcome.is_ok());
+        let good: Vec<(&str, &TaskResult)> =
+            good.map(|((token, result), _)| (token.as_str(), result)).collect();
+        let mut verdicts = self.store.commit_all(&good).await.into_iter();
+        let answered = outcomes.into_iter().map(|outcome| {
+            outcome?;
+            Ok(verdicts.next().unwrap_or(Ok(CommitVerdict::Stale))?)
+        });
+        let answered: Vec<Result<CommitVerdict>> = answered.collect();
+        answered.iter().flatten().for_each(|verdict| self.note(*verdict));
+        Ok(answered)
+    }
+
+    /// Counts what became of a result, and tells those who wait.
+    fn note(&self, verdict: CommitVerdict) {
         match verdict {
             CommitVerdict::Committed => {
                 self.metrics.commits.inc();
@@ -269,24 +290,11 @@ impl Farm {
                 tracing::warn!("a result came after its lease was gone and was refused");
             }
         }
-        Ok(verdict)
     }
 
     async fn require_outputs(&self, result: &TaskResult) -> Result<()> {
-        let there =
-            self.storage.lengths(&result.outputs.iter().map(|output| output.digest).collect()).await?;
-        for output in &result.outputs {
-            let (name, digest, bytes) = (&output.name, output.digest, output.bytes);
-            match there.get(&digest) {
-                Some(length) if *length == bytes => (),
-                Some(length) => {
-                    let what = format!("output '{name}' says {bytes} bytes, chunk {digest} has {length}");
-                    return Err(ServerError::bad_request(what));
-                }
-                None => return Err(ServerError::NoSuchOutput { name: name.clone(), digest }),
-            }
-        }
-        Ok(())
+        let outputs = result.outputs.iter().map(|output| output.digest);
+        require_lengths(result, &self.storage.lengths(&outputs.collect()).await?)
     }
 
     /// Ends an attempt without a result.
@@ -366,7 +374,11 @@ impl Farm {
         loop {
             let mark = self.wakeup.mark();
             let page = self.store.events_after(bake, after, limit).await?;
-            if !page.events.is_empty() || page.bake.state.is_final() || !self.wait(mark, deadline).await {
+            if !page.events.is_empty() || page.bake.state.is_final() {
+                return Ok(page);
+            }
+            let news = self.lookout.news(bake, News::Event(after), mark);
+            if self.wait(news, deadline).await.is_none() {
                 return Ok(page);
             }
         }
@@ -381,12 +393,17 @@ impl Farm {
         limit: u32,
         deadline: Instant,
     ) -> Result<ResultPage> {
+        // Results of other kinds are passed by and by.
         let mut after = after;
         loop {
             let mark = self.wakeup.mark();
             let page = self.store.results_after(bake, kind, after, limit).await?;
             after = page.next_after;
-            if !page.results.is_empty() || page.bake.state.is_final() || !self.wait(mark, deadline).await {
+            if !page.results.is_empty() || page.bake.state.is_final() {
+                return Ok(page);
+            }
+            let news = self.lookout.news(bake, News::Result(after), mark);
+            if self.wait(news, deadline).await.is_none() {
                 return Ok(page);
             }
         }

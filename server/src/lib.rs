@@ -6,10 +6,10 @@
 //! - [`store`] is the queue behind one trait, [`chunks`] the bytes, [`wakeup`] lossy hints.
 //! - [`storage`] is the bytes that count, `collect` clears away the others, [`fsck`] checks them.
 //! - [`access`] says who may call, [`guard`] asks for the tokens.
-//! - `owners` says who may change a bake, `counters` what a result may count.
+//! - `owners` says who may change a bake, `result_checks` what a result may say.
 //! - `bake_ids` finds bakes by beginnings of their ids.
 //! - `left_over` clears up after bakes' processes that have ended, where several share a folder.
-//! - `lookout` looks for work on behalf of all claims that wait.
+//! - `lookout` looks for work and news on behalf of all calls that wait.
 //! - `start` waits for a database that is away, `readiness` says whether the farm can work.
 //! - `connections` are let in, and sent away where they take up room.
 //! - [`Pages`] are files for browsers that it is given.
@@ -21,7 +21,6 @@ pub mod chunks;
 pub mod clock;
 mod collect;
 mod connections;
-mod counters;
 mod error;
 mod evaluations;
 pub mod farm;
@@ -39,6 +38,7 @@ mod pages;
 pub mod places;
 pub mod random;
 mod readiness;
+mod result_checks;
 mod scene_parts;
 mod server;
 mod start;

@@ -67,7 +67,7 @@ impl Readiness {
     pub(crate) async fn check(&self, store: &Arc<dyn FarmStore>, storage: &Storage) -> Result<()> {
         let (of_probe, of_farm) = (store.clone(), storage.clone());
         let write = async move { of_probe.probe().await.map_err(|error| told(&error.into())) };
-        let read = async { store.is_any_ready(&[]).await.is_ok() };
+        let read = async { store.look(&[], 1).await.is_ok() };
         let put = async move { of_farm.probe().await.map_err(|error| told(&error)) };
         let stored = self.chunks.outcome(PROBE_WITHIN, ended("chunk store", PROBE_ENDS_AFTER, put));
         let (database, stored) = tokio::join!(self.database(write, read), stored);

@@ -179,6 +179,9 @@ impl Storage {
 
     /// Lengths of those of `digests` whose bytes are there.
     pub async fn lengths(&self, digests: &BTreeSet<Digest>) -> Result<BTreeMap<Digest, u64>> {
+        if digests.is_empty() {
+            return Ok(BTreeMap::new());
+        }
         let digests: Vec<Digest> = digests.iter().copied().collect();
         let known = self.store.find_chunks(&digests).await?;
         let looked = futures::stream::iter(known)

@@ -91,7 +91,7 @@ pub(super) async fn guard(
     if route.is_some_and(|route| is_about_health(route.as_str())) {
         return Ok(next.run(request).await);
     }
-    let is_heavy = route.is_some_and(|route| route.as_str() == leases::COMMIT);
+    let is_heavy = route.is_some_and(|route| [leases::COMMIT, leases::COMMIT_ALL].contains(&route.as_str()));
     let place = doorman.limits.place()?;
     let room = match is_heavy {
         true => doorman.limits.room_for(content_length(request.headers())).await,

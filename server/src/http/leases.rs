@@ -5,10 +5,12 @@ use axum::extract::{FromRequestParts, State};
 use axum::http::StatusCode;
 use axum::http::request::Parts;
 use lightkiln_proto::api::{
-    ClaimAnswer, ClaimRequest, CommitAnswer, Failure, Heartbeat, HeartbeatAnswer, TaskResult,
+    ClaimAnswer, ClaimRequest, CommitAnswer, CommitOutcome, Commits, CommitsAnswer, Failure, Heartbeat,
+    HeartbeatAnswer, TaskResult,
 };
 
 use super::extract::{Answer, Caller, FarmState, JsonBody, PathParam};
+use super::problem::problem_of;
 use crate::access::bound_to;
 use crate::error::{Result, ServerError};
 
@@ -19,6 +21,8 @@ const MAX_JSON_BYTES: usize = 1 << 20;
 pub const MAX_RESULT_BYTES: usize = 64 << 20;
 /// The call that brings a result.
 pub(super) const COMMIT: &str = "/v1/leases/{token}/commit";
+/// The call that brings several.
+pub(super) const COMMIT_ALL: &str = "/v1/leases/commit";
 
 /// The lease that the path names: nobody's but the bearer's that claimed it.
 pub(super) struct LeaseToken(String);
@@ -72,6 +76,23 @@ pub(super) async fn commit(
     JsonBody(result): JsonBody<TaskResult, MAX_RESULT_BYTES>,
 ) -> Answer<CommitAnswer> {
     Ok(Json(CommitAnswer { verdict: farm.commit(&token, result).await? }))
+}
+
+/// Hands in results of several leases. Each is taken in or refused by itself; safe to try again with the same tokens.
+#[utoipa::path(post, path = "/v1/leases/commit", tag = "leases", request_body = Commits,
+    responses((status = 200, description = "What became of each", body = CommitsAnswer)))]
+pub(super) async fn commit_all(
+    State(farm): FarmState,
+    Caller(caller): Caller,
+    JsonBody(commits): JsonBody<Commits, MAX_RESULT_BYTES>,
+) -> Answer<CommitsAnswer> {
+    let commits = commits.commits.into_iter();
+    let commits = commits.map(|commit| (bound_to(caller.as_ref(), &commit.token), commit.result));
+    let outcomes = farm.commit_all(commits.collect()).await?.into_iter().map(|outcome| match outcome {
+        Ok(verdict) => CommitOutcome::Verdict(verdict),
+        Err(error) => CommitOutcome::Problem(problem_of(&error)),
+    });
+    Ok(Json(CommitsAnswer { answers: outcomes.collect() }))
 }
 
 /// Ends an attempt without a result. A lease that is gone already is no error.

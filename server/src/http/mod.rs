@@ -66,6 +66,7 @@ pub(crate) fn router(farm: Arc<Farm>, limits: LimitConfig, pages: Pages) -> Rout
         .route("/v1/bakes/{id}/evaluation/files/{digest}", get(evaluations::file).put(evaluations::put_file))
         .route("/v1/workers", get(bakes::workers))
         .route("/v1/leases", post(leases::claim))
+        .route(leases::COMMIT_ALL, post(leases::commit_all))
         .route("/v1/leases/{token}/heartbeat", post(leases::heartbeat))
         .route(leases::COMMIT, post(leases::commit))
         .route("/v1/leases/{token}/fail", post(leases::fail))

@@ -33,7 +33,7 @@ use super::{bakes, chunks, enrolments, evaluations, events, health, leases, resu
         bakes::submit, bakes::list, bakes::show, bakes::delete, bakes::blocklist, bakes::clear_blocklist, bakes::cancel, bakes::pause, bakes::resume, bakes::reprioritise,
         bakes::manifest, bakes::report, bakes::workers, events::events, results::results,
         evaluations::show, evaluations::attach, evaluations::file, evaluations::put_file,
-        leases::claim, leases::heartbeat, leases::commit, leases::fail, leases::release,
+        leases::claim, leases::heartbeat, leases::commit, leases::commit_all, leases::fail, leases::release,
         enrolments::enrol,
         health::healthz, health::readyz, health::metrics, show,
     ),

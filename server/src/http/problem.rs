@@ -9,21 +9,26 @@ use crate::error::ServerError;
 /// Media type of a problem.
 pub(super) const PROBLEM_JSON: &str = "application/problem+json";
 
+/// An error as callers are told it.
+pub(super) fn problem_of(error: &ServerError) -> Problem {
+    let code = error.code();
+    let chain = error.chain();
+    let detail = match code {
+        // Told when it began, and known since.
+        _ if matches!(error, ServerError::NotReady { .. } | ServerError::NotOpen) => chain,
+        // Inner causes are for the log, not for callers.
+        ProblemCode::Internal | ProblemCode::Unavailable | ProblemCode::StorageFull => {
+            tracing::error!(error = chain, "a request failed");
+            error.to_string()
+        }
+        _ => chain,
+    };
+    Problem::new(code, detail)
+}
+
 impl IntoResponse for ServerError {
     fn into_response(self) -> Response {
-        let code = self.code();
-        let chain = self.chain();
-        let detail = match code {
-            // Told when it began, and known since.
-            _ if matches!(self, Self::NotReady { .. } | Self::NotOpen) => chain,
-            // Inner causes are for the log, not for callers.
-            ProblemCode::Internal | ProblemCode::Unavailable | ProblemCode::StorageFull => {
-                tracing::error!(error = chain, "a request failed");
-                self.to_string()
-            }
-            _ => chain,
-        };
-        let mut response = problem_response(&Problem::new(code, detail));
+        let mut response = problem_response(&problem_of(&self));
         if let Self::Unauthorized { .. } = self {
             response.headers_mut().insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
         }

@@ -175,6 +175,39 @@ pub struct Demand {
     pub waited_ms: u64,
 }
 
+/// The farm as those who wait want to know it.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Look {
+    /// Work that can be claimed now, by kind and needs, in no order.
+    pub openings: Vec<Opening>,
+    /// The bakes that were asked for, but those that are not there, in no order.
+    pub standings: Vec<Standing>,
+}
+
+/// Ready tasks of running bakes of one kind that ask for the same kind of worker.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Opening {
+    /// Task kind.
+    pub kind: String,
+    /// Needs of their bakes.
+    pub needs: Needs,
+    /// Their number, as far as it was counted; one at least.
+    pub ready: u64,
+}
+
+/// How far a bake has come.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Standing {
+    /// Its id.
+    pub bake: String,
+    /// It has ended.
+    pub is_final: bool,
+    /// `seq` of its newest event.
+    pub last_event: u64,
+    /// Place of its newest result.
+    pub last_place: u64,
+}
+
 /// Figures about the whole farm.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Stats {
@@ -212,8 +245,12 @@ pub trait FarmStore: Send + Sync {
     /// one with the fewest tasks under way ([`rules`] says more), of a bake by cost ([`rules::claim_cost`]), then key.
     async fn claim(&self, request: &ClaimRequest) -> Result<Vec<Lease>>;
 
-    /// Whether a running bake has a ready task of one of these kinds, whoever may take it.
-    async fn is_any_ready(&self, kinds: &[String]) -> Result<bool>;
+    /// The work that running bakes have for those who can do it, counted up to `enough` for each kind of a bake, and how far these bakes
+    /// have come.
+    async fn look(&self, bakes: &[String], enough: u64) -> Result<Look>;
+
+    /// Notes that workers are there: their claims wait. Those that have never claimed are not made.
+    async fn note_present(&self, workers: &[String]) -> Result<()>;
 
     /// Prolongs a lease, or says why not. The first one says that the lease has arrived.
     async fn heartbeat(&self, token: &str, progress: f32) -> Result<HeartbeatAnswer>;
@@ -221,6 +258,15 @@ pub trait FarmStore: Send + Sync {
     /// Takes a result in if the lease is still good. One that is not as another of the same task, because it comes again, too late, or
     /// anew, is noted and told to the bakes that hold the task ([`rules::difference`]); the one that counts stays.
     async fn commit(&self, token: &str, result: &TaskResult) -> Result<CommitVerdict>;
+
+    /// Takes several results in, each as if it had come alone, in any order; the verdicts are in theirs.
+    async fn commit_all(&self, commits: &[(&str, &TaskResult)]) -> Vec<Result<CommitVerdict>> {
+        let mut verdicts = Vec::with_capacity(commits.len());
+        for (token, result) in commits {
+            verdicts.push(self.commit(token, result).await);
+        }
+        verdicts
+    }
 
     /// Ends an attempt without a result. Failures of workers, and workers that were lost, are counted apart.
     async fn fail(&self, token: &str, blame: Blame, message: &str) -> Result<FailVerdict>;

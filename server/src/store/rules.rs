@@ -98,7 +98,7 @@ impl Default for FarmRules {
 }
 
 /// Properties of a worker that claims compare with needs.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Abilities {
     /// Kinds of tasks that it runs.
     pub kinds: Vec<String>,

@@ -5,7 +5,7 @@ use std::slice::from_ref;
 use lightkiln_proto::api::{Bake, BakeState, CommitVerdict, EventKind, Lease};
 use lightkiln_proto::jobs::{Artefact, TaskResult};
 
-use crate::support::{TTL_MS, World, output, outputs, task};
+use crate::support::{TTL_MS, World, output, outputs, result, task};
 
 /// A result of which the output is not that of the task.
 fn otherwise(lease: &Lease) -> TaskResult {
@@ -49,6 +49,27 @@ pub async fn result_that_is_handed_in_again_with_other_outputs_is_an_alarm(world
         assert_eq!(world.state(bake).await, BakeState::Done);
     }
     assert_eq!(world.store.stats().await.unwrap().alarms, 1);
+}
+
+pub async fn token_that_comes_twice_at_once_with_other_outputs_is_an_alarm_and_the_first_counts(
+    world: World,
+) {
+    let bake = world.submit("bake", &[task("a", &[]), task("b", &[])]).await;
+    let leases = world.claim("w", 2).await;
+    let results = [result(&leases[0], &[]), result(&leases[1], &[]), otherwise(&leases[0])];
+    let commits = [0, 1, 0].map(|lease| leases[lease].token.as_str());
+    let commits: Vec<_> = commits.into_iter().zip(&results).collect();
+    let verdicts = world.store.commit_all(&commits).await.into_iter().map(Result::unwrap);
+    assert_eq!(
+        verdicts.collect::<Vec<_>>(),
+        [CommitVerdict::Committed, CommitVerdict::Committed, CommitVerdict::AlreadyCommitted]
+    );
+    assert_alarms(&world, &bake, &["w"]).await;
+    let kept = world.store.results_after(&bake.id, None, 0, 10).await.unwrap().results;
+    for lease in &leases {
+        let result = kept.iter().find(|result| result.key == lease.task.key).unwrap();
+        assert_eq!(result.outputs, outputs(lease.task.key));
+    }
 }
 
 pub async fn late_result_with_other_outputs_is_an_alarm_whichever_came_first(world: World) {

@@ -174,6 +174,7 @@ impl Teller<'_> {
         assert_eq!(cancelled.state, BakeState::Cancelled);
         call!(self, |store| store.forget(&[cast.planner.key]));
         call!(self, |store| store.extend_leases());
+        call!(self, |store| store.note_present(&["w".to_owned()]));
         call!(self, |store| store.clear_blocklist(&first, None));
         call!(self, |store| store.probe());
         let (bearer, hash) = (name("bearer"), Digest::of(name("token").as_bytes()));
@@ -296,6 +297,7 @@ fn assert_all_calls(points: &BTreeSet<FaultPoint>) {
         "revoke_bearer",
         "keep_chunk",
         "extend_leases",
+        "note_present",
         "clear_blocklist",
         "touch_chunk",
         "lose_chunk",

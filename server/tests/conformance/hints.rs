@@ -6,10 +6,13 @@ use std::time::Duration;
 
 use async_trait::async_trait;
 use bytes::Bytes;
-use lightkiln_proto::api::{Bake, BakeState, ClaimRequest, CommitVerdict, Lease};
+use lightkiln_proto::api::{
+    Bake, BakeState, ClaimAnswer, ClaimRequest, CommitVerdict, Lease, Needs, NewBake,
+};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{Artefact, TaskInput, TaskResult, TaskSpec};
 use lightkiln_proto::problem::ProblemCode;
+use lightkiln_server::ServerError;
 use lightkiln_server::chunks::{ChunkStore, ObjectChunks};
 use lightkiln_server::farm::Farm;
 use lightkiln_server::storage::Storage;
@@ -21,7 +24,7 @@ use tokio::time::Instant;
 use crate::clock::ManualClock;
 use crate::crash::open_file;
 use crate::parts::kind::kinds;
-use crate::support::{SCENE, World, chunks_in_memory, in_time, new_bake, task, task_of};
+use crate::support::{SCENE, World, chunks_in_memory, in_time, new_bake, stock, submission, task, task_of};
 
 /// No hints at all: every wait lasts until its timeout.
 #[derive(Clone, Copy, Debug, Default)]
@@ -120,6 +123,7 @@ pub async fn waiting_claim_needs_no_hint(world: World) {
 struct Transactions {
     claims: AtomicU32,
     looks: AtomicU32,
+    reads: AtomicU32,
 }
 
 #[async_trait]
@@ -128,7 +132,8 @@ impl Faults for Transactions {
         if point.before == "COMMIT" {
             match point.call {
                 "claim" => drop(self.claims.fetch_add(1, Ordering::SeqCst)),
-                "is_any_ready" => drop(self.looks.fetch_add(1, Ordering::SeqCst)),
+                "look" => drop(self.looks.fetch_add(1, Ordering::SeqCst)),
+                "events_after" => drop(self.reads.fetch_add(1, Ordering::SeqCst)),
                 _ => (),
             }
         }
@@ -139,23 +144,11 @@ impl Faults for Transactions {
 #[tokio::test]
 async fn hints_that_bring_no_work_are_looked_into_once_for_all_who_wait() {
     const WAITING: u32 = 40;
-    let (folder, clock) = (tempfile::tempdir().unwrap(), Arc::new(ManualClock::at(0)));
-    let transactions = Arc::new(Transactions::default());
-    let store = Arc::new(open_file(folder.path(), &clock).await.with_faults(transactions.clone()));
-    let farm = farm_of(store, Arc::new(chunks_in_memory()), Arc::new(LocalWakeup::default()), LONG);
     let started = Instant::now();
-    let waiting: Vec<_> = (0..WAITING)
-        .map(|worker| {
-            let farm = farm.clone();
-            tokio::spawn(async move { farm.claim(request(&format!("w{worker}"))).await })
-        })
-        .collect();
+    let (_folder, farm, transactions, waiting) = counted(WAITING).await;
     let claims = || transactions.claims.load(Ordering::SeqCst);
     let looks = || transactions.looks.load(Ordering::SeqCst);
     in_time(async {
-        while claims() < WAITING {
-            tokio::task::yield_now().await;
-        }
         for hint in 1..=5 {
             farm.wakeup.hint();
             while looks() < hint {
@@ -172,6 +165,111 @@ async fn hints_that_bring_no_work_are_looked_into_once_for_all_who_wait() {
     submit(&farm).await;
     let got = in_time(futures::future::select_all(waiting)).await.0.unwrap().unwrap();
     assert_eq!(got.leases.len(), 1);
+}
+
+/// A farm of one process that counts its transactions, and so many claims that wait.
+async fn counted(waiting: u32) -> (tempfile::TempDir, Arc<Farm>, Arc<Transactions>, Vec<Claimed>) {
+    let (folder, clock) = (tempfile::tempdir().unwrap(), Arc::new(ManualClock::at(0)));
+    let transactions = Arc::new(Transactions::default());
+    let store = Arc::new(open_file(folder.path(), &clock).await.with_faults(transactions.clone()));
+    let farm = farm_of(store, Arc::new(chunks_in_memory()), Arc::new(LocalWakeup::default()), LONG);
+    let claims = (0..waiting).map(|worker| {
+        let farm = farm.clone();
+        tokio::spawn(async move { farm.claim(request(&format!("w{worker}"))).await })
+    });
+    let claims = claims.collect();
+    in_time(async {
+        while transactions.claims.load(Ordering::SeqCst) < waiting {
+            tokio::task::yield_now().await;
+        }
+    })
+    .await;
+    (folder, farm, transactions, claims)
+}
+
+type Claimed = tokio::task::JoinHandle<Result<ClaimAnswer, ServerError>>;
+
+#[tokio::test]
+async fn task_that_no_waiting_worker_may_take_wakes_none_of_them() {
+    const WAITING: u32 = 20;
+    let (_folder, farm, transactions, waiting) = counted(WAITING).await;
+    let scene = Digest::of(SCENE);
+    farm.storage.put(scene, Bytes::from_static(SCENE)).await.unwrap();
+    let needs = Needs { labels: vec!["nobody".into()], ..Needs::default() };
+    farm.submit(NewBake { needs, ..new_bake("bake", "two") }, None, None, None).await.unwrap();
+    let looks = || transactions.looks.load(Ordering::SeqCst);
+    in_time(async {
+        for _ in 0..5 {
+            let before = looks();
+            farm.wakeup.hint();
+            while looks() == before {
+                tokio::task::yield_now().await;
+            }
+        }
+    })
+    .await;
+    assert_eq!(transactions.claims.load(Ordering::SeqCst), WAITING, "none claimed again");
+    // One that may take it does, and one task wakes a few, not all.
+    farm.submit(NewBake { priority: 1, ..new_bake("bake", "two") }, None, None, None).await.unwrap();
+    let (got, _, others) = in_time(futures::future::select_all(waiting)).await;
+    assert_eq!(got.unwrap().unwrap().leases.len(), 1);
+    assert_eq!(others.len() as u32, WAITING - 1);
+    assert!(transactions.claims.load(Ordering::SeqCst) < WAITING + 10);
+}
+
+#[tokio::test]
+async fn tasks_that_wait_for_others_wake_nobody() {
+    const WAITING: u32 = 40;
+    let (_folder, farm, transactions, waiting) = counted(WAITING).await;
+    let first = task("first", &[]);
+    let behind = (0..100).map(|number| task(&format!("{number}"), &[&first]));
+    let plan: Vec<TaskSpec> = std::iter::once(first.clone()).chain(behind).collect();
+    stock(&*farm.store).await;
+    farm.store.submit(&submission("bake", &plan)).await.unwrap();
+    farm.wakeup.hint();
+    let (got, _, others) = in_time(futures::future::select_all(waiting)).await;
+    assert_eq!(got.unwrap().unwrap().leases.len(), 1);
+    let looks = transactions.looks.load(Ordering::SeqCst);
+    farm.wakeup.hint();
+    in_time(async {
+        while transactions.looks.load(Ordering::SeqCst) == looks {
+            tokio::task::yield_now().await;
+        }
+    })
+    .await;
+    assert!(transactions.claims.load(Ordering::SeqCst) < WAITING + 10, "one task wakes a few");
+    drop(others);
+}
+
+#[tokio::test]
+async fn readers_are_woken_by_news_of_their_bake_alone() {
+    let (_folder, farm, transactions, _) = counted(0).await;
+    let (quiet, busy) = (submit(&farm).await, submit(&farm).await);
+    let after = farm.events(&quiet.id, 0, 100, Instant::now()).await.unwrap().events.len() as u64;
+    let reader = tokio::spawn({
+        let (farm, id) = (farm.clone(), quiet.id.clone());
+        async move { farm.events(&id, after, 100, Instant::now() + LONG).await }
+    });
+    let reads = || transactions.reads.load(Ordering::SeqCst);
+    let (mut before, looks) = (reads(), || transactions.looks.load(Ordering::SeqCst));
+    in_time(async {
+        while reads() == before {
+            tokio::task::yield_now().await;
+        }
+        before = reads();
+        for priority in 1..6 {
+            let seen = looks();
+            let change = farm.store.reprioritise(&busy.id, priority);
+            farm.change(change).await.unwrap();
+            while looks() == seen {
+                tokio::task::yield_now().await;
+            }
+        }
+    })
+    .await;
+    assert_eq!(reads(), before, "nothing happened to its bake");
+    farm.change(farm.store.pause(&quiet.id)).await.unwrap();
+    assert_eq!(in_time(reader).await.unwrap().unwrap().events.len(), 1);
 }
 
 pub async fn workers_without_hints_finish_a_bake(world: World) {

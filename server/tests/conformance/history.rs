@@ -2,11 +2,11 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use lightkiln_proto::api::{Bake, BakeEvent, BakeResult, Blame, Lease, Worker};
+use lightkiln_proto::api::{Bake, BakeEvent, BakeResult, Blame, CommitVerdict, Lease, Worker};
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{TaskInput, TaskResult, TaskSpec};
 use lightkiln_server::store::chunk::{ChunkRow, CollectRules, Usage};
-use lightkiln_server::store::{Stats, StoreError};
+use lightkiln_server::store::{Standing, Stats, StoreError, WAIT_MAX_MS};
 use proptest::collection::vec;
 use proptest::prelude::*;
 
@@ -26,11 +26,22 @@ const NAMES: [&[u8]; TASKS] = [&[], &[], &[], &[], &[], &[0], &[], &[], &[1], &[
 /// Something that happens. Numbers name bakes, leases, tasks and workers, modulo how many there are.
 #[derive(Clone, Debug)]
 enum Step {
-    Submit { tasks: Vec<usize>, is_closed: bool, priority: i32, key: Option<u8> },
-    Claim { worker: u8, max: u32, knows_more: bool },
+    Submit {
+        tasks: Vec<usize>,
+        is_closed: bool,
+        priority: i32,
+        key: Option<u8>,
+    },
+    Claim {
+        worker: u8,
+        max: u32,
+        knows_more: bool,
+    },
     Heartbeat(usize),
     Commit(usize),
     CommitOtherwise(usize),
+    /// One after the other of some leases, the same ones among them, the last one otherwise.
+    CommitAll(Vec<usize>),
     Fail(usize, Blame),
     Release(usize),
     Wait(i64),
@@ -40,13 +51,26 @@ enum Step {
     Cancel(usize),
     Priority(usize, i32),
     Forget(usize),
-    Keep { output: u8, generation: u64, replaces: Option<u64>, quota: Option<u64> },
+    Keep {
+        output: u8,
+        generation: u64,
+        replaces: Option<u64>,
+        quota: Option<u64>,
+    },
     Touch(u8),
     Lose(u8, u64),
-    Collect { grace_ms: i64, keep_bakes_ms: Option<i64>, buries: bool },
+    Collect {
+        grace_ms: i64,
+        keep_bakes_ms: Option<i64>,
+        buries: bool,
+    },
     Delete(usize),
     Extend,
-    Clear { bake: usize, worker: Option<u8> },
+    Present(u8),
+    Clear {
+        bake: usize,
+        worker: Option<u8>,
+    },
 }
 
 fn step() -> impl Strategy<Value = Step> {
@@ -69,6 +93,7 @@ fn step() -> impl Strategy<Value = Step> {
         2 => any.clone().prop_map(Step::Heartbeat),
         8 => any.clone().prop_map(Step::Commit),
         1 => any.clone().prop_map(Step::CommitOtherwise),
+        3 => vec(any.clone(), 1..5).prop_map(Step::CommitAll),
         3 => (any.clone(), prop_oneof![Just(Blame::Task), Just(Blame::Worker), Just(Blame::Lost)])
             .prop_map(|(lease, blame)| Step::Fail(lease, blame)),
         1 => any.clone().prop_map(Step::Release),
@@ -87,6 +112,7 @@ fn step() -> impl Strategy<Value = Step> {
             .prop_map(|(grace_ms, keep_bakes_ms, buries)| Step::Collect { grace_ms, keep_bakes_ms, buries }),
         1 => any.clone().prop_map(Step::Delete),
         1 => Just(Step::Extend),
+        1 => (0_u8..4).prop_map(Step::Present),
         1 => (any.clone(), prop::option::of(0_u8..4)).prop_map(|(bake, worker)| Step::Clear { bake, worker }),
     ]
 }
@@ -106,6 +132,15 @@ fn universe() -> Vec<TaskSpec> {
     tasks
 }
 
+/// Gives a result other outputs than its task should have.
+fn otherwise(result: &mut TaskResult) {
+    result.outputs.iter_mut().for_each(|made| made.digest = output(made.digest.0[0] % 4));
+}
+
+fn verdict(committed: Result<CommitVerdict, StoreError>) -> String {
+    committed.map_or_else(|error| refusal(&error), |verdict| format!("{verdict:?}"))
+}
+
 /// One store with the names that its own random ids stand for.
 struct Side {
     world: World,
@@ -121,8 +156,9 @@ struct Seen {
     results: Vec<Vec<BakeResult>>,
     workers: Vec<Worker>,
     stats: Stats,
-    /// Whether anything is ready of each kind.
-    is_any_ready: [bool; 2],
+    /// Tasks that are ready, by kind and threads, and how far the bakes have come.
+    openings: BTreeSet<(String, u32, u64)>,
+    standings: Vec<Standing>,
     rows: Vec<ChunkRow>,
     usage: Usage,
 }
@@ -181,19 +217,27 @@ impl Side {
             }
             Step::Commit(number) => {
                 let Some(lease) = lease(number) else { return String::new() };
-                match store.commit(&lease.token, &result_of(&lease.task, tasks)).await {
-                    Ok(verdict) => format!("{verdict:?}"),
-                    Err(error) => refusal(&error),
-                }
+                verdict(store.commit(&lease.token, &result_of(&lease.task, tasks)).await)
             }
             Step::CommitOtherwise(number) => {
                 let Some(lease) = lease(number) else { return String::new() };
                 let mut result = result_of(&lease.task, tasks);
-                result.outputs.iter_mut().for_each(|made| made.digest = output(made.digest.0[0] % 4));
-                match store.commit(&lease.token, &result).await {
-                    Ok(verdict) => format!("{verdict:?}"),
-                    Err(error) => refusal(&error),
+                otherwise(&mut result);
+                verdict(store.commit(&lease.token, &result).await)
+            }
+            Step::CommitAll(numbers) => {
+                let mut commits: Vec<(String, TaskResult)> = numbers
+                    .iter()
+                    .filter_map(lease)
+                    .map(|lease| (lease.token.clone(), result_of(&lease.task, tasks)))
+                    .collect();
+                if let Some((_, result)) = commits.last_mut() {
+                    otherwise(result);
                 }
+                // Plans are taken in after results without one: they are left out, as the order can be seen.
+                commits.iter_mut().for_each(|(_, result)| result.plan.clear());
+                let given: Vec<_> = commits.iter().map(|(token, result)| (token.as_str(), result)).collect();
+                store.commit_all(&given).await.into_iter().map(verdict).collect::<Vec<_>>().join(" ")
             }
             Step::Fail(number, blame) => {
                 let Some(lease) = lease(number) else { return String::new() };
@@ -240,6 +284,10 @@ impl Side {
                 deleted.map_or_else(|error| refusal(&error), |()| "deleted".to_owned())
             }
             Step::Extend => format!("{}", store.extend_leases().await.unwrap()),
+            Step::Present(worker) => {
+                store.note_present(&[format!("worker {worker}")]).await.unwrap();
+                String::new()
+            }
             Step::Clear { bake: number, worker } => {
                 let Some(id) = bake(number) else { return String::new() };
                 let before = store.blocklist(&id).await.unwrap();
@@ -294,11 +342,18 @@ impl Side {
         }
         let (rows, usage) = (store.chunk_rows(None, 100).await.unwrap(), store.usage().await.unwrap());
         let (workers, stats) = (store.workers().await.unwrap(), store.stats().await.unwrap());
-        let mut is_any_ready = [false; 2];
-        for (is_any, kind) in is_any_ready.iter_mut().zip(["work", "more"]) {
-            *is_any = store.is_any_ready(&[kind.to_owned()]).await.unwrap();
+        let look = store.look(&self.bakes, u64::MAX).await.unwrap();
+        let openings = look
+            .openings
+            .into_iter()
+            .map(|opening| (opening.kind, opening.needs.threads, opening.ready))
+            .collect();
+        let mut standings = look.standings;
+        for standing in &mut standings {
+            standing.bake = self.number_of(&standing.bake).to_string();
         }
-        Seen { bakes, results, workers, stats, is_any_ready, rows, usage }
+        standings.sort_by(|a, b| a.bake.cmp(&b.bake));
+        Seen { bakes, results, workers, stats, openings, standings, rows, usage }
     }
 
     /// Lets everything end: every live bake must, for nothing may wait for ever.
@@ -310,8 +365,8 @@ impl Side {
         self.world.clock.advance_ms(700_000);
         stock_again(&self.world).await;
         self.world.store.reap().await.unwrap();
-        // Tasks of the leases that just ended wait, too.
-        self.world.clock.advance_ms(700_000);
+        // Attempts that the reaper ended just now are tried again after a wait.
+        self.world.clock.advance_ms(WAIT_MAX_MS);
         loop {
             let mut request = request("finisher", 4);
             request.threads = 8;
@@ -409,7 +464,8 @@ async fn assert_same(store: &Side, model: &Side, when: &str) {
     assert_eq!(found.results, expected.results, "{when}");
     assert_eq!(found.workers, expected.workers, "{when}");
     assert_eq!(found.stats, expected.stats, "{when}");
-    assert_eq!(found.is_any_ready, expected.is_any_ready, "{when}");
+    assert_eq!(found.openings, expected.openings, "{when}");
+    assert_eq!(found.standings, expected.standings, "{when}");
     assert_eq!(found.rows, expected.rows, "{when}");
     assert_eq!(found.usage, expected.usage, "{when}");
 }

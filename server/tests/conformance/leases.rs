@@ -6,7 +6,7 @@ use lightkiln_proto::api::{BakeState, Blame, CommitVerdict, EventKind, Verdict};
 use lightkiln_server::store::rules::WORKER_PRESENT_MS;
 use lightkiln_server::store::{FailVerdict, Reaped};
 
-use crate::support::{TTL_MS, World, request, submission, task, task_of};
+use crate::support::{TTL_MS, World, request, result, submission, task, task_of};
 
 pub async fn claimed_task_is_not_handed_out_again(world: World) {
     world.submit("bake", &[task("a", &[])]).await;
@@ -200,4 +200,42 @@ pub async fn concurrent_claims_hand_every_task_out_once(world: World) {
         }
     }
     assert_eq!((count, keys.len()), (60, 60));
+}
+
+pub async fn results_that_come_together_are_each_taken_in_or_refused(world: World) {
+    let tasks: Vec<_> = ["a", "b", "c", "d"].iter().map(|name| task(name, &[])).collect();
+    let after = task("after", &[&tasks[0], &tasks[1]]);
+    let planned = task("planned", &[&tasks[2]]);
+    let plan: Vec<_> = tasks.iter().chain([&after]).cloned().collect();
+    let bake = world.submit("bake", &plan).await;
+    let other = world.submit("other", &tasks[..2]).await;
+    let leases = world.claim("w", 4).await;
+    let lease = |name: &str| leases.iter().find(|lease| lease.task.label == name).unwrap();
+    assert_eq!(world.commit(lease("d")).await, CommitVerdict::Committed);
+    let mut commits = Vec::new();
+    for name in ["a", "b", "c", "d", "a"] {
+        let plan = if name == "c" { std::slice::from_ref(&planned) } else { &[] };
+        commits.push((lease(name).token.clone(), result(lease(name), plan)));
+    }
+    commits.push(("0".repeat(32), result(lease("a"), &[])));
+    let together: Vec<_> = commits.iter().map(|(token, result)| (token.as_str(), result)).collect();
+    let verdicts: Vec<_> =
+        world.store.commit_all(&together).await.into_iter().map(|verdict| verdict.unwrap()).collect();
+    use CommitVerdict::{AlreadyCommitted, Committed, Stale};
+    assert_eq!(verdicts[1..4], [Committed, Committed, AlreadyCommitted]);
+    assert_eq!((verdicts[0], verdicts[4], verdicts[5]), (Committed, AlreadyCommitted, Stale));
+    // Their dependants are ready, their plan is taken in, and each bake has counted its own.
+    let mut labels = world.claim_labels("w", 10).await;
+    labels.sort_unstable();
+    assert_eq!(labels, ["after", "planned"]);
+    let (bake, other) = (world.show(&bake).await, world.show(&other).await);
+    assert_eq!((bake.tasks_run, bake.stages[0].done, bake.stages[0].leased), (4, 4, 2));
+    assert_eq!(bake.counters["rays"], 40.0);
+    assert_eq!((other.tasks_run, other.state), (2, BakeState::Done));
+    let done = world
+        .events(&bake)
+        .await
+        .into_iter()
+        .filter(|event| matches!(event.event, EventKind::TaskDone { .. }));
+    assert_eq!(done.count(), 4);
 }

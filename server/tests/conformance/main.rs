@@ -56,6 +56,7 @@ macro_rules! conformance {
 conformance! {
     alarms:
         result_that_is_handed_in_again_with_other_outputs_is_an_alarm
+        token_that_comes_twice_at_once_with_other_outputs_is_an_alarm_and_the_first_counts
         late_result_with_other_outputs_is_an_alarm_whichever_came_first
         late_result_with_the_same_outputs_is_none
         result_that_is_made_anew_with_other_outputs_is_an_alarm;
@@ -125,6 +126,7 @@ conformance! {
         expired_lease_is_refused_before_and_after_the_reaper
         lost_lease_requeues_task_once
         same_token_commits_once
+        results_that_come_together_are_each_taken_in_or_refused
         released_task_is_ready_and_costs_no_attempt
         release_and_fail_of_a_lost_lease_change_nothing
         unknown_token_is_lost_and_stale

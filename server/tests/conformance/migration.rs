@@ -38,6 +38,15 @@ const POSTGRES: [&str; 9] = [
     include_str!("../../src/store/sql/schema/postgres_8.sql"),
     include_str!("../../src/store/sql/schema/postgres_9.sql"),
 ];
+/// Steps from there to the version before this one.
+const POSTGRES_BEFORE: [&str; 6] = [
+    include_str!("../../src/store/sql/schema/postgres_10.sql"),
+    include_str!("../../src/store/sql/schema/postgres_11.sql"),
+    include_str!("../../src/store/sql/schema/postgres_12.sql"),
+    include_str!("../../src/store/sql/schema/postgres_13.sql"),
+    include_str!("../../src/store/sql/schema/postgres_14.sql"),
+    include_str!("../../src/store/sql/schema/postgres_15.sql"),
+];
 /// The last version whose tables [`Past::rows`] fills; later steps find its rows.
 const FILLED: usize = 2;
 
@@ -205,6 +214,62 @@ async fn postgres_database_of_an_earlier_version_goes_on() {
         store.close().await;
         SqlStore::open_postgres(&url, Some(clock)).await.unwrap().probe().await.unwrap();
     }
+}
+
+/// Statements of servers of the version before, as far as their tables have changed.
+const FORMER: [&str; 3] = [
+    "SELECT t.id, r.kind FROM ready r JOIN tasks t ON t.id = r.task WHERE r.bake = 2 AND t.state = 'ready' AND r.not_before_ms <= $1
+     AND r.kind IN (SELECT value FROM json_each('[\"work\"]')) ORDER BY r.cost DESC, r.key LIMIT 1 FOR UPDATE OF t SKIP LOCKED",
+    "SELECT kind, state, count(*) AS count FROM tasks WHERE id < $1 GROUP BY kind, state",
+    "SELECT r.kind, b.needs, count(*) AS ready FROM bakes b JOIN ready r ON r.bake = b.seq WHERE b.state = 'running'
+     AND r.not_before_ms <= $1 GROUP BY r.kind, b.needs",
+];
+
+#[tokio::test]
+async fn servers_of_the_version_before_go_on_beside_a_new_one() {
+    let url = postgres_schema(&Past::new(), POSTGRES.len()).await;
+    let mut former = PgConnection::connect(&url).await.unwrap();
+    for (step, version) in POSTGRES_BEFORE.iter().zip(10_i64..) {
+        sqlx::raw_sql(*step).execute(&mut former).await.unwrap();
+        sqlx::query("INSERT INTO schema_version VALUES ($1)")
+            .bind(version)
+            .execute(&mut former)
+            .await
+            .unwrap();
+    }
+    let ask = async |former: &mut PgConnection| {
+        let mut rows = Vec::new();
+        for sql in FORMER {
+            rows.push(sqlx::query(sql).bind(NOW_MS).fetch_all(&mut *former).await.unwrap().len());
+        }
+        rows
+    };
+    // They keep their statements, and some are at work: a read, which waits for nobody, and a claim.
+    former.execute("BEGIN; LOCK TABLE turnstile IN ROW SHARE MODE").await.unwrap();
+    let before = ask(&mut former).await;
+    assert!(before.iter().all(|rows| *rows > 0), "{before:?}");
+    let clock = Arc::new(ManualClock::at(NOW_MS));
+    let opening = tokio::spawn({
+        let url = url.clone();
+        async move { SqlStore::open_postgres(&url, Some(clock)).await.unwrap() }
+    });
+    let mut watcher = PgConnection::connect(&url).await.unwrap();
+    let waits = "SELECT 1 FROM pg_locks WHERE relation = 'turnstile'::regclass AND NOT granted";
+    in_time(async { while watcher.fetch_optional(waits).await.unwrap().is_none() {} }).await;
+    assert_eq!(ask(&mut former).await, before, "the step waits, and holds nothing that they ask for");
+    former.execute("COMMIT").await.unwrap();
+    let store = in_time(opening).await.unwrap();
+    assert_eq!(ask(&mut former).await, before);
+    // A bake that one of them deletes leaves no rows behind, and one of its tasks none either.
+    former
+        .execute("DELETE FROM bakes WHERE id = 'live'; DELETE FROM tasks WHERE state <> 'done'")
+        .await
+        .unwrap();
+    let left = "SELECT 1 FROM ready UNION ALL SELECT 1 FROM bake_tasks WHERE bake = 2
+                UNION ALL SELECT 1 FROM task_needs n LEFT JOIN tasks t ON t.id = n.task WHERE t.id IS NULL";
+    assert!(former.fetch_optional(left).await.unwrap().is_none());
+    let stats = store.stats().await.unwrap();
+    assert_eq!((stats.tasks.len(), stats.demand.len()), (1, 0), "{stats:?}");
 }
 
 /// Numbers of version 8 that stood for the states of a lease, those states, and whether a lease that runs out in them counts

@@ -14,6 +14,7 @@ use lightkiln_server::chunks::ObjectChunks;
 use lightkiln_server::clock::{Clock, SystemClock};
 use lightkiln_server::farm::Farm;
 use lightkiln_server::storage::Storage;
+use lightkiln_server::store::chunk::CollectRules;
 use lightkiln_server::store::{FarmStore, FaultPoint, Faults, SqlStore, StoreError, Submission};
 use lightkiln_server::wakeup::{PostgresWakeup, Wakeup};
 use sqlx::{Connection, Executor, PgConnection};
@@ -21,7 +22,7 @@ use tokio::sync::watch;
 
 use crate::crash::end_sessions;
 use crate::parts::kind::kinds;
-use crate::parts::postgres::empty_schema;
+use crate::parts::postgres::{empty_database, empty_schema};
 use crate::support::{SCENE, chunks_in_memory, in_time, new_bake, request, result, stock, submission, task};
 
 /// Longer than any test may take.
@@ -30,12 +31,34 @@ const LONG: Duration = Duration::from_secs(3600);
 /// Two stores that share a database and its time.
 async fn replicas() -> (String, [Arc<SqlStore>; 2]) {
     let url = empty_schema().await;
+    let stores = replicas_at(&url).await;
+    (url, stores)
+}
+
+async fn replicas_at(url: &str) -> [Arc<SqlStore>; 2] {
     // Both at once: one of them makes the tables, the other waits for it.
     let (a, b) =
-        futures::future::join(SqlStore::open_postgres(&url, None), SqlStore::open_postgres(&url, None)).await;
+        futures::future::join(SqlStore::open_postgres(url, None), SqlStore::open_postgres(url, None)).await;
     let stores = [Arc::new(a.unwrap()), Arc::new(b.unwrap())];
     stock(&*stores[0]).await;
-    (url, stores)
+    stores
+}
+
+/// Deadlocks that a database had to end, once its sessions are over and have told of theirs.
+async fn deadlocks(database: &str, stores: [Arc<SqlStore>; 2]) -> i64 {
+    for store in &stores {
+        store.close().await;
+    }
+    let mut connection = PgConnection::connect(&crate::parts::postgres::server().url(None)).await.unwrap();
+    let sessions = "SELECT count(*) FROM pg_stat_activity WHERE datname = $1";
+    let count = "SELECT deadlocks FROM pg_stat_database WHERE datname = $1";
+    in_time(async {
+        while sqlx::query_scalar::<_, i64>(sessions).bind(database).fetch_one(&mut connection).await.unwrap()
+            > 0
+        {}
+    })
+    .await;
+    sqlx::query_scalar(count).bind(database).fetch_one(&mut connection).await.unwrap()
 }
 
 async fn submit(store: &SqlStore, name: &str, plan: &[TaskSpec]) -> Bake {
@@ -226,6 +249,148 @@ async fn bake_that_joins_during_a_commit_is_not_forgotten() {
     }
 }
 
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn plans_that_bring_the_same_new_tasks_at_once_share_them() {
+    let (_, stores) = replicas().await;
+    for round in 0..20 {
+        let planners = [task(&format!("{round} p"), &[]), task(&format!("{round} q"), &[])];
+        let shared: Vec<TaskSpec> = (0..30).map(|i| task(&format!("{round} shared {i}"), &[])).collect();
+        let mut bakes = Vec::new();
+        for (planner, store) in planners.iter().zip(&stores) {
+            bakes.push(submit(store, &planner.label, std::slice::from_ref(planner)).await);
+        }
+        let leases = stores[0].claim(&request("w", 2)).await.unwrap();
+        let commit = async |number: usize| {
+            let result = result(&leases[number], &shared);
+            assert_eq!(
+                stores[number].commit(&leases[number].token, &result).await.unwrap(),
+                CommitVerdict::Committed
+            );
+        };
+        in_time(futures::future::join(commit(0), commit(1))).await;
+        let ran = in_time(work(stores[1].clone(), bakes[0].id.clone(), "w".into())).await;
+        assert_eq!(ran, 30, "each of them ran once");
+        for bake in bakes {
+            let bake = stores[0].show(&bake.id).await.unwrap();
+            assert_eq!((bake.state, bake.tasks_run), (BakeState::Done, 31));
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn task_that_is_planned_while_its_dependency_is_committed_is_woken() {
+    let (_, stores) = replicas().await;
+    for round in 0..40 {
+        let tasks = [task(&format!("{round} planner"), &[]), task(&format!("{round} needed"), &[])];
+        let late = task(&format!("{round} late"), &[&tasks[1]]);
+        let bake = submit(&stores[0], &format!("{round}"), &tasks).await;
+        let leases = stores[0].claim(&request("w", 2)).await.unwrap();
+        let commit = async |store: &SqlStore, of: &TaskSpec, plan: &[TaskSpec]| {
+            let lease = leases.iter().find(|lease| lease.task.key == of.key).unwrap();
+            assert_eq!(
+                store.commit(&lease.token, &result(lease, plan)).await.unwrap(),
+                CommitVerdict::Committed
+            );
+        };
+        let planned = commit(&stores[0], &tasks[0], std::slice::from_ref(&late));
+        in_time(futures::future::join(planned, commit(&stores[1], &tasks[1], &[]))).await;
+        let claimed = stores[0].claim(&request("w", 2)).await.unwrap();
+        assert_eq!(claimed.len(), 1, "round {round}");
+        stores[0].commit(&claimed[0].token, &result(&claimed[0], &[])).await.unwrap();
+        assert_eq!(stores[0].show(&bake.id).await.unwrap().state, BakeState::Done);
+    }
+}
+
+/// Many bakes that share tasks, commits in batches at two servers, and changes of the farm among them.
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn batches_at_two_servers_lose_no_count_wake_every_dependant_and_never_deadlock() {
+    let (database, url) = empty_database().await;
+    let stores = replicas_at(&url).await;
+    let layers = lattice("batch", 5, 24);
+    let mut bakes = Vec::new();
+    for number in 0..4 {
+        bakes.push(submit(&stores[number % 2], &format!("{number}"), &layers[..24 * (2 + number)]).await);
+    }
+    let last = bakes.last().unwrap().id.clone();
+    // Parts of the counts are put together meanwhile.
+    let (has_ended, gatherer) = (Arc::new(AtomicBool::new(false)), stores[1].clone());
+    let gathering = tokio::spawn({
+        let (has_ended, url) = (has_ended.clone(), url.clone());
+        async move {
+            let rules = CollectRules { grace_ms: i64::MAX / 2, keep_bakes_ms: None, max: 10 };
+            while !has_ended.load(Ordering::SeqCst) {
+                patiently(|| gatherer.collect(&rules)).await;
+                assert_counts_are_true(&url).await;
+            }
+        }
+    });
+    let workers: Vec<_> = (0..8)
+        .map(|worker| {
+            let (store, bake) = (stores[worker % 2].clone(), last.clone());
+            tokio::spawn(async move {
+                let claim = request(&format!("w{worker}"), 5);
+                loop {
+                    let mut leases = patiently(|| store.claim(&claim)).await;
+                    // Some are given back, by a change of the farm.
+                    if leases.len() > 4 {
+                        patiently(|| store.release(&leases[4].token)).await;
+                        leases.truncate(4);
+                    }
+                    let results: Vec<_> = leases.iter().map(|lease| result(lease, &[])).collect();
+                    let commits: Vec<_> = leases
+                        .iter()
+                        .zip(&results)
+                        .map(|(lease, result)| (lease.token.as_str(), result))
+                        .collect();
+                    for verdict in store.commit_all(&commits).await {
+                        assert_eq!(verdict.unwrap(), CommitVerdict::Committed);
+                    }
+                    if leases.is_empty() && store.show(&bake).await.unwrap().state.is_final() {
+                        return;
+                    }
+                }
+            })
+        })
+        .collect();
+    for worker in workers {
+        in_time(worker).await.unwrap();
+    }
+    has_ended.store(true, Ordering::SeqCst);
+    in_time(gathering).await.unwrap();
+    assert_counts_are_true(&url).await;
+    for (number, bake) in bakes.iter().enumerate() {
+        let count = 24 * (2 + number) as u64;
+        let bake = stores[1].show(&bake.id).await.unwrap();
+        assert_eq!((bake.state, bake.tasks_run), (BakeState::Done, count));
+        assert_eq!((bake.stages[0].done, bake.stages[0].leased), (count, 0));
+        assert_eq!(bake.counters["rays"], 10.0 * count as f64);
+        let page = stores[1].events_after(&bake.id, 0, 10_000).await.unwrap();
+        assert!(page.events.iter().zip(1..).all(|(event, seq)| event.seq == seq), "sequence without gaps");
+        let places = stores[1].results_after(&bake.id, None, 0, 1000).await.unwrap().results;
+        assert!(places.iter().zip(1..).all(|(result, place)| result.place == place), "places without gaps");
+    }
+    let stats = stores[0].stats().await.unwrap();
+    assert_eq!((stats.tasks.len(), stats.tasks[0].count, stats.demand.len()), (1, 120, 0), "{stats:?}");
+    assert_eq!(deadlocks(&database, stores).await, 0);
+}
+
+/// Counts that are kept are those of the rows, at any moment.
+async fn assert_counts_are_true(url: &str) {
+    let mut connection = PgConnection::connect(url).await.unwrap();
+    for (rows, kept) in [
+        ("kind, state, count(*)::bigint FROM tasks", "kind, state, sum(count)::bigint FROM task_counts"),
+        ("bake, kind, count(*)::bigint FROM ready", "bake, kind, sum(count)::bigint FROM ready_counts"),
+    ] {
+        let sql = format!(
+            "WITH rows AS (SELECT {rows} GROUP BY 1, 2), kept AS (SELECT {kept} GROUP BY 1, 2 HAVING sum(count) <> 0)
+             SELECT count(*) FROM ((TABLE rows EXCEPT TABLE kept) UNION ALL (TABLE kept EXCEPT TABLE rows)) AS d"
+        );
+        let differ: i64 =
+            sqlx::query_scalar(sqlx::AssertSqlSafe(sql)).fetch_one(&mut connection).await.unwrap();
+        assert_eq!(differ, 0, "{rows}");
+    }
+}
+
 /// A server that stops, as by SIGSTOP, in the middle of its first commit.
 struct Stopped;
 
@@ -251,7 +416,8 @@ async fn server_that_stops_in_a_transaction_does_not_stop_the_farm() {
         async move { stopped.commit(&token, &result).await }
     });
     let mut connection = PgConnection::connect(&url).await.unwrap();
-    let is_held = "SELECT 1 FROM pg_locks WHERE relation = 'turnstile'::regclass AND mode = 'ExclusiveLock'";
+    let is_held =
+        "SELECT 1 FROM pg_locks WHERE relation = 'turnstile'::regclass AND mode = 'RowShareLock' AND granted";
     in_time(async { while connection.execute(is_held).await.unwrap().rows_affected() == 0 {} }).await;
     // The worker got no answer and asks another server.
     assert_eq!(patiently(|| b.commit(&lease.token, &result)).await, CommitVerdict::Committed);

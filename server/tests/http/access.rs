@@ -108,6 +108,7 @@ async fn scope_opens_its_calls_and_no_others() {
         ("PUT", &evaluation_file, &[Submit]),
         ("POST", "/v1/leases", &[Worker]),
         ("POST", "/v1/leases/none/commit", &[Worker]),
+        ("POST", "/v1/leases/commit", &[Worker]),
         ("POST", "/v1/enrolments", &[]),
         ("DELETE", "/v1/bakes", &[]),
     ] {

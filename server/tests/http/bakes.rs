@@ -3,8 +3,9 @@
 use std::path::Path;
 
 use lightkiln_proto::api::{
-    Bake, BakePage, BakeState, Blame, ClaimAnswer, ClaimRequest, CommitAnswer, CommitVerdict, Failure,
-    Heartbeat, HeartbeatAnswer, Lease, Needs, NewBake, NewPriority, SceneStored, Verdict, WorkerPage,
+    Bake, BakePage, BakeState, Blame, ClaimAnswer, ClaimRequest, Commit, CommitAnswer, CommitOutcome,
+    CommitVerdict, Commits, CommitsAnswer, Failure, Heartbeat, HeartbeatAnswer, Lease, MAX_COMMITS, Needs,
+    NewBake, NewPriority, SceneStored, Verdict, WorkerPage,
 };
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{Artefact, MANIFEST_OUTPUT, REPORT_OUTPUT, TaskResult};
@@ -218,4 +219,44 @@ async fn result_runs_again_after(harm: impl FnOnce(&Path)) {
     commit(&server, &lease, &[("scene", b"imported")]).await;
     let again: Bake = server.get(&format!("/v1/bakes/{}", again.id)).await.json(200);
     assert_eq!(again.state, BakeState::Done);
+}
+
+#[tokio::test]
+async fn results_that_go_together_are_answered_one_by_one() {
+    let server = start().await;
+    submit(&server).await;
+    let other = server.call("PUT", &format!("/v1/scenes/{}", Digest::of(b"other")), &[], b"other").await;
+    assert_eq!(other.status, 201);
+    server.post("/v1/bakes", &new_bake(Digest::of(b"other"), json!({}))).await.json::<Bake>(202);
+    let leases: ClaimAnswer = server.post("/v1/leases", &request(0)).await.json(200);
+    let [first, second] = &leases.leases[..] else { panic!("{leases:?}") };
+    let result = |bytes: &[u8]| {
+        let output = Artefact { name: "out".into(), digest: Digest::of(bytes), bytes: bytes.len() as u64 };
+        TaskResult { outputs: vec![output], ..TaskResult::default() }
+    };
+    server.put_chunk(b"stored").await;
+    let commit = |token: &str, bytes| Commit { token: token.to_owned(), result: result(bytes) };
+    let commits = vec![
+        commit(&first.token, b"stored"),
+        commit(&second.token, b"not stored"),
+        commit("no token", b"stored"),
+        commit(&"0".repeat(32), b"stored"),
+    ];
+    let path = "/v1/leases/commit";
+    let answer: CommitsAnswer = server.post(path, &Commits { commits: commits.clone() }).await.json(200);
+    let told = answer.answers.iter().map(|outcome| match outcome {
+        CommitOutcome::Verdict(verdict) => (Some(*verdict), None),
+        CommitOutcome::Problem(problem) => (None, Some(problem.status)),
+    });
+    let expected = [
+        (Some(CommitVerdict::Committed), None),
+        (None, Some(409)),
+        (None, Some(404)),
+        (Some(CommitVerdict::Stale), None),
+    ];
+    assert_eq!(told.collect::<Vec<_>>(), expected);
+    let again: CommitsAnswer = server.post(path, &Commits { commits: commits[..1].to_vec() }).await.json(200);
+    assert_eq!(again.answers, [CommitOutcome::Verdict(CommitVerdict::AlreadyCommitted)]);
+    let too_many = Commits { commits: vec![commits[0].clone(); MAX_COMMITS + 1] };
+    server.post(path, &too_many).await.problem(ProblemCode::BadRequest);
 }

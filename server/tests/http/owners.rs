@@ -1,7 +1,8 @@
 //! Leases and bakes are those of the bearers who took or submitted them.
 
 use lightkiln_proto::api::{
-    Bake, ClaimAnswer, CommitAnswer, CommitVerdict, Heartbeat, HeartbeatAnswer, TaskResult, Verdict,
+    Bake, ClaimAnswer, Commit, CommitAnswer, CommitOutcome, CommitVerdict, Commits, CommitsAnswer, Heartbeat,
+    HeartbeatAnswer, TaskResult, Verdict,
 };
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::problem::ProblemCode;
@@ -73,6 +74,28 @@ async fn lease_opens_for_the_bearer_that_claimed_it_alone() {
         let answer: CommitAnswer = call(&oven, "commit", json!(TaskResult::default())).await.json(200);
         assert_eq!(answer.verdict, wanted);
     }
+}
+
+#[tokio::test]
+async fn results_that_go_together_are_taken_from_the_bearer_that_claimed_each() {
+    let bearers = [("anna", Scope::Submit), ("oven", Scope::Worker), ("thief", Scope::Worker)];
+    let (server, [anna, oven, thief]) = start_for(bearers).await;
+    submit(&server, &anna).await;
+    let claimed: ClaimAnswer = post(&server, &oven, "/v1/leases", &request(0)).await.json(200);
+    let commit = |token: &str| Commit { token: token.to_owned(), result: TaskResult::default() };
+    let commits = Commits { commits: vec![commit(&claimed.leases[0].token), commit(&"0".repeat(32))] };
+    let stale = CommitOutcome::Verdict(CommitVerdict::Stale);
+    let path = "/v1/leases/commit";
+    let answer: CommitsAnswer = post(&server, &thief, path, &commits).await.json(200);
+    assert_eq!(answer.answers, [stale.clone(), stale.clone()]);
+    post(&server, &anna, path, &commits).await.problem(ProblemCode::Forbidden);
+    for verdict in [CommitVerdict::Committed, CommitVerdict::AlreadyCommitted] {
+        let answer: CommitsAnswer = post(&server, &oven, path, &commits).await.json(200);
+        assert_eq!(answer.answers, [CommitOutcome::Verdict(verdict), stale.clone()]);
+    }
+    // To the bearer whose it is not, a token that has committed is none.
+    let answer: CommitsAnswer = post(&server, &thief, path, &commits).await.json(200);
+    assert_eq!(answer.answers, [stale.clone(), stale]);
 }
 
 #[tokio::test]

@@ -18,7 +18,7 @@ use lightkiln_server::store::rules::{
     self, Abilities, BLOCK_TASKS, CLAIM_WINDOW, Contender, MAX_GRACES, MAX_PARDONS, WORKER_PRESENT_MS,
     WORKER_SEEN_GRAIN_MS, add_counters, next_contender,
 };
-use lightkiln_server::store::{LeaseState, StoreError, TaskState};
+use lightkiln_server::store::{LeaseState, Look, Opening, Standing, StoreError, TaskState};
 
 impl LeaseEntry {
     /// How long the attempt has taken.
@@ -169,10 +169,36 @@ impl Farm {
         Some(best.spec.key)
     }
 
-    pub(super) fn is_any_ready(&self, kinds: &[String], now_ms: i64) -> bool {
-        let running = self.bakes.iter().filter(|bake| bake.state == BakeState::Running);
-        let open = running.flat_map(|bake| bake.members.iter().filter(|(_, member)| !member.done));
-        open.filter_map(|(key, _)| self.tasks.get(key)).any(|task| self.is_due(task, kinds, now_ms))
+    pub(super) fn look(&self, bakes: &[String], now_ms: i64) -> Look {
+        let mut openings: Vec<Opening> = Vec::new();
+        for bake in self.bakes.iter().filter(|bake| bake.state == BakeState::Running) {
+            let open = bake.members.iter().filter(|(_, member)| !member.done);
+            let tasks = open.filter_map(|(key, _)| self.tasks.get(key));
+            for task in tasks.filter(|task| self.is_due(task, std::slice::from_ref(&task.spec.kind), now_ms))
+            {
+                let (kind, needs) = (&task.spec.kind, &bake.new.needs);
+                match openings.iter_mut().find(|known| known.kind == *kind && known.needs == *needs) {
+                    Some(known) => known.ready += 1,
+                    None => openings.push(Opening { kind: kind.clone(), needs: needs.clone(), ready: 1 }),
+                }
+            }
+        }
+        let asked = self.bakes.iter().filter(|bake| bakes.contains(&bake.id));
+        let standing = |bake: &BakeEntry| Standing {
+            bake: bake.id.clone(),
+            is_final: bake.state.is_final(),
+            last_event: bake.events.len() as u64,
+            last_place: bake.places,
+        };
+        Look { openings, standings: asked.map(standing).collect() }
+    }
+
+    pub(super) fn note_present(&mut self, workers: &[String], now_ms: i64) {
+        for name in workers {
+            if let Some(worker) = self.workers.get_mut(name) {
+                worker.seen_ms = worker.seen_ms.max(now_ms);
+            }
+        }
     }
 
     fn is_due(&self, task: &Task, kinds: &[String], now_ms: i64) -> bool {
@@ -309,6 +335,27 @@ impl Farm {
             task.lease = None;
         }
         Some(lease)
+    }
+
+    /// Those of some results that are taken in before the others, as they need nothing of the farm: none if one of them is refused.
+    pub(super) fn commits_first(&self, commits: &[(&str, &TaskResult)], now_ms: i64) -> Vec<usize> {
+        let mut first: Vec<usize> = Vec::new();
+        for (index, (token, result)) in commits.iter().enumerate() {
+            let lease = self.leases.get(*token).filter(|lease| !lease.cancelled && lease.expires_ms > now_ms);
+            let Some(task) = lease.and_then(|lease| self.tasks.get(&lease.key)) else { continue };
+            let key = &task.spec.key;
+            let is_missed =
+                self.bakes.iter().any(|bake| bake.members.get(key).is_some_and(|member| member.lost));
+            let is_again = first.iter().any(|earlier| commits[*earlier].0 == *token);
+            if is_missed || is_again || !task.outputs_before.is_empty() || !task.witnesses.is_empty() {
+                continue;
+            }
+            if result.outputs.iter().any(|output| self.chunks.require(output.digest).is_err()) {
+                return Vec::new();
+            }
+            first.push(index);
+        }
+        first
     }
 
     pub(super) fn commit(

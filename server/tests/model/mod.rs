@@ -27,8 +27,8 @@ use lightkiln_server::chunks::ChunkName;
 use lightkiln_server::clock::Clock;
 use lightkiln_server::store::chunk::{ChunkRow, CollectRules, Collected, Kept, KeptChunk, Usage};
 use lightkiln_server::store::{
-    FailVerdict, FarmRules, FarmStore, KnownResult, Named, Reaped, Stats, StoreError, Submission, Submitted,
-    require_live, same_bearer,
+    FailVerdict, FarmRules, FarmStore, KnownResult, Look, Named, Reaped, Stats, StoreError, Submission,
+    Submitted, require_live, same_bearer,
 };
 
 /// A farm in memory.
@@ -81,8 +81,13 @@ impl FarmStore for MemoryStore {
         self.change(|farm, now_ms| farm.claim(request, now_ms))
     }
 
-    async fn is_any_ready(&self, kinds: &[String]) -> Result<bool, StoreError> {
-        Ok(self.farm().is_any_ready(kinds, self.now_ms()))
+    async fn look(&self, bakes: &[String], _enough: u64) -> Result<Look, StoreError> {
+        Ok(self.farm().look(bakes, self.now_ms()))
+    }
+
+    async fn note_present(&self, workers: &[String]) -> Result<(), StoreError> {
+        self.farm().note_present(workers, self.now_ms());
+        Ok(())
     }
 
     async fn heartbeat(&self, token: &str, progress: f32) -> Result<HeartbeatAnswer, StoreError> {
@@ -96,6 +101,18 @@ impl FarmStore for MemoryStore {
             }
             farm.all_or_nothing(|farm| farm.commit(token, result, now_ms))
         })
+    }
+
+    async fn commit_all(&self, commits: &[(&str, &TaskResult)]) -> Vec<Result<CommitVerdict, StoreError>> {
+        let first = self.farm().commits_first(commits, self.now_ms());
+        let others = (0..commits.len()).filter(|index| !first.contains(index));
+        let mut verdicts = Vec::with_capacity(commits.len());
+        for index in first.iter().copied().chain(others) {
+            let (token, result) = commits[index];
+            verdicts.push((index, self.commit(token, result).await));
+        }
+        verdicts.sort_by_key(|(index, _)| *index);
+        verdicts.into_iter().map(|(_, verdict)| verdict).collect()
     }
 
     async fn fail(&self, token: &str, blame: Blame, message: &str) -> Result<FailVerdict, StoreError> {

@@ -77,6 +77,18 @@ pub async fn empty_schema() -> String {
     server().url(Some(&schema))
 }
 
+/// The name and the URL of an empty database.
+pub async fn empty_database() -> (String, String) {
+    static COUNT: AtomicU32 = AtomicU32::new(0);
+    let name = format!("farm_{}", COUNT.fetch_add(1, Ordering::Relaxed));
+    let mut connection = PgConnection::connect(&server().url(None)).await.unwrap();
+    connection.execute(sqlx::AssertSqlSafe(format!("CREATE DATABASE {name}"))).await.unwrap();
+    connection.close().await.unwrap();
+    let url = server().url(None);
+    let url = url.strip_suffix("postgres").map(|server| format!("{server}{name}"));
+    (name, url.expect("a URL that ends in its database"))
+}
+
 /// Folder of `postgres` and `initdb`, which Debian keeps off the PATH.
 fn programs() -> PathBuf {
     let versions = std::fs::read_dir("/usr/lib/postgresql").into_iter().flatten();

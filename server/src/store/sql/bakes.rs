@@ -1,5 +1,7 @@
 //! Bakes: submit, pause, resume, cancel, priority.
 
+use std::collections::BTreeSet;
+
 use lightkiln_proto::api::{Bake, BakeState, EventKind};
 
 use super::chunks;
@@ -9,20 +11,24 @@ use super::ledger::{Ledger, seq_of};
 use super::plan::apply_plan;
 use super::view;
 use crate::random;
-use crate::store::rules::check_plan;
-use crate::store::{Result, StoreError, Submission, Submitted, require_live};
+use crate::store::{PlanError, Result, StoreError, Submission, Submitted, require_live};
 
-pub(super) async fn submit(conn: &mut Conn, submission: &Submission) -> Result<Submitted> {
+/// Takes a bake in; `plan` says whether its plan is one.
+pub(super) async fn submit(
+    conn: &mut Conn,
+    submission: &Submission,
+    plan: &Result<(), PlanError>,
+) -> Result<Submitted> {
     if let Some(bake) = submitted_before(conn, submission).await? {
         return Ok(Submitted { bake, is_new: false });
     }
-    check_plan(&submission.plan)?;
+    plan.clone()?;
     let seq = insert(conn, submission).await?;
     let mut bake = Ledger::load(conn, seq).await?;
     bake.event(EventKind::Submitted);
     let scene = [submission.bake.scene].into();
     chunks::refer(conn, seq, &scene, &scene).await?;
-    apply_plan(conn, &mut bake, &submission.plan).await?;
+    apply_plan(conn, &mut bake, &submission.plan, &mut BTreeSet::new()).await?;
     bake.save_or_finish(conn).await?;
     Ok(Submitted { bake: view::bake(conn, &bake.id).await?, is_new: true })
 }

@@ -1,7 +1,8 @@
 //! Commits that arrive while another one is being written share the next transaction: one lock and one flush for all.
 //!
 //! A caller that finds nobody writing writes for all who wait. When it goes away in the middle, its transaction never
-//! happened or was not told of; the others notice and ask again, which is safe as each token commits once.
+//! happened or was not told of; the others notice and ask again, which is safe as each token commits once. Commits that need more than
+//! the others come back to their callers: none waits in line for a bake that is locked for long, or for the whole farm.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -10,28 +11,40 @@ use lightkiln_proto::jobs::TaskResult;
 use tokio::sync::oneshot::error::TryRecvError;
 use tokio::sync::oneshot::{Receiver, Sender, channel};
 
-use crate::store::{Result, StoreError};
+use crate::store::Result;
 
 /// Most commits of one transaction. More → fewer flushes, and longer waits of those who come next.
 const COMMITS_MAX: usize = 64;
 
-type Verdict = Result<CommitVerdict>;
+pub(super) type Verdict = Result<CommitVerdict>;
+
+/// A commit.
+pub(super) type Given<'a> = (&'a str, &'a TaskResult);
+
+/// What became of a commit in a batch.
+pub(super) enum Fate {
+    Verdict(Verdict),
+    /// Nothing yet: somebody has locked a bake that holds its task.
+    Locked(i64),
+    /// Nothing yet: it takes a change of the farm, or must be tried by itself.
+    Alone,
+}
 
 /// A commit that waits for its transaction.
 pub(super) struct Waiting {
     pub(super) token: String,
     pub(super) result: TaskResult,
-    answer: Sender<Verdict>,
+    answer: Sender<Fate>,
 }
 
 impl Waiting {
     /// Tells the caller, if it still waits.
-    pub(super) fn answer(self, verdict: Verdict) {
-        let _ = self.answer.send(verdict);
+    pub(super) fn answer(self, fate: Fate) {
+        let _ = self.answer.send(fate);
     }
 }
 
-/// The commits of one store.
+/// The commits of one store, or those of one bake that is locked.
 #[derive(Default)]
 pub(super) struct CommitQueue {
     waiting: Mutex<Vec<Waiting>>,
@@ -39,12 +52,15 @@ pub(super) struct CommitQueue {
 }
 
 impl CommitQueue {
-    fn push(&self, token: &str, result: &TaskResult) -> Receiver<Verdict> {
-        let (answer, verdict) = channel();
-        let (token, result) = (token.to_owned(), result.clone());
+    fn push(&self, commits: &[Given<'_>]) -> Vec<Receiver<Fate>> {
         let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
-        waiting.push(Waiting { token, result, answer });
-        verdict
+        let mut fates = Vec::with_capacity(commits.len());
+        for (token, result) in commits {
+            let (answer, fate) = channel();
+            waiting.push(Waiting { token: (*token).to_owned(), result: (*result).clone(), answer });
+            fates.push(fate);
+        }
+        fates
     }
 
     /// The oldest that wait.
@@ -54,37 +70,29 @@ impl CommitQueue {
         waiting.drain(..count).collect()
     }
 
-    /// Commits one result, together with others if there are any; `write` writes a batch and answers each.
+    /// Commits results, together with others if there are any; `write` writes a batch and answers each.
     pub(super) async fn commit<F>(
         &self,
-        token: &str,
-        result: &TaskResult,
+        commits: &[Given<'_>],
         write: impl Fn(Vec<Waiting>) -> F + Send,
-    ) -> Verdict
+    ) -> Vec<Fate>
     where
         F: Future<Output = ()> + Send,
     {
-        let mut verdict = self.push(token, result);
-        loop {
+        let mut fates = Vec::with_capacity(commits.len());
+        let mut waiting = self.push(commits);
+        while fates.len() < commits.len() {
             let _writing = self.writer.lock().await;
-            match verdict.try_recv() {
-                Ok(verdict) => return verdict,
+            let next = fates.len();
+            match waiting[next].try_recv() {
+                Ok(fate) => fates.push(fate),
                 // Its writer went away before the answer.
-                Err(TryRecvError::Closed) => verdict = self.push(token, result),
+                Err(TryRecvError::Closed) => {
+                    waiting.splice(next..=next, self.push(&commits[next..=next]));
+                }
                 Err(TryRecvError::Empty) => write(self.take()).await,
             }
         }
+        fates
     }
-}
-
-/// An error that is no commit's own fault, made anew for each of them; any other error comes back.
-pub(super) fn trouble_of_all(error: StoreError) -> Result<impl Fn() -> StoreError> {
-    let (kind, source): (fn(_) -> StoreError, _) = match error {
-        StoreError::Full(source) => (StoreError::Full, source),
-        StoreError::Unavailable(source) => (StoreError::Unavailable, source),
-        StoreError::Contended(source) => (StoreError::Contended, source),
-        other => return Err(other),
-    };
-    let text = source.to_string();
-    Ok(move || kind(text.clone().into()))
 }

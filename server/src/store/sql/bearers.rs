@@ -42,12 +42,17 @@ pub(super) async fn revoke(conn: &mut Conn, name: &str) -> Result<Bearer> {
 }
 
 pub(super) async fn all(conn: &mut Conn) -> Result<Vec<Bearer>> {
-    let rows = query("SELECT * FROM bearers ORDER BY name").all(conn).await?;
+    let rows = query("SELECT name, hash, scopes, created_ms, revoked_ms FROM bearers ORDER BY name")
+        .all(conn)
+        .await?;
     rows.iter().map(bearer).collect()
 }
 
 async fn find(conn: &mut Conn, name: &str) -> Result<Option<Bearer>> {
-    let row = query("SELECT * FROM bearers WHERE name = $1").bind(name).optional(conn).await?;
+    let row = query("SELECT name, hash, scopes, created_ms, revoked_ms FROM bearers WHERE name = $1")
+        .bind(name)
+        .optional(conn)
+        .await?;
     row.as_ref().map(bearer).transpose()
 }
 

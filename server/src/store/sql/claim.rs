@@ -4,49 +4,82 @@
 //! other from the bake whose turn it is ([`rules::next_contender`]). Tasks and bakes that are better left to another
 //! worker are looked at closely only if this one ever failed.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
-use lightkiln_proto::api::{ClaimRequest, EventKind, Lease, Needs};
-use lightkiln_proto::ids::{Digest, TaskKey};
-use lightkiln_proto::jobs::{Artefact, TaskSpec};
-use serde_json::json;
+use lightkiln_proto::api::{ClaimRequest, Lease, Needs};
+use lightkiln_proto::ids::Digest;
 
 use super::codec::to_json;
-use super::conn::{Conn, query, steps};
+use super::conn::{Conn, Row, query};
+use super::grant::{self, Chosen};
 use super::outputs::{outputs_of_alike, outputs_of_needs};
+use super::patience::Locked;
 use crate::random;
+use crate::store::Result;
 use crate::store::rules::{
     self, Abilities, BLOCK_TASKS, CLAIM_WINDOW, Contender, WORKER_PRESENT_MS, WORKER_SEEN_GRAIN_MS,
-    dependencies, next_contender, resolve_inputs,
+    dependencies, next_contender,
 };
-use crate::store::{LeaseState, Result};
 
-/// Running bakes with ready tasks, behind one of that priority and number.
-const OPEN_BAKES: &str = "
-    SELECT b.seq, b.id, b.priority, b.scene, b.needs, b.attempt_limit_secs, b.traceparent,
-    (SELECT CAST(coalesce(sum(s.leased), 0) AS BIGINT) FROM stages s WHERE s.bake = b.seq) AS leased
-    FROM bakes b
-    WHERE b.state = 'running' AND (b.priority < $1 OR (b.priority = $1 AND b.seq > $2))
-    AND EXISTS (SELECT 1 FROM ready r WHERE r.bake = b.seq AND r.not_before_ms <= $3
-                AND r.kind IN (SELECT value FROM json_each($4)))
-    ORDER BY b.priority DESC, b.seq LIMIT $5";
+/// Running bakes with ready tasks, behind one of that priority and number. The look for a ready task is a column of the
+/// row, which no planner turns around: it ends at the first that it finds, kind by kind.
+macro_rules! open_bakes {
+    ($first_ready:literal) => {
+        concat!(
+            "SELECT b.seq, b.id, b.priority, b.scene, b.needs, b.attempt_limit_secs, b.traceparent,
+             (SELECT CAST(coalesce(sum(s.leased), 0) AS BIGINT) FROM stages s WHERE s.bake = b.seq) AS leased
+             FROM bakes b
+             WHERE b.state = 'running' AND (b.priority < $1 OR (b.priority = $1 AND b.seq > $2)) AND (",
+            $first_ready,
+            ") IS NOT NULL ORDER BY b.priority DESC, b.seq LIMIT $5"
+        )
+    };
+}
 
-/// The first ready task of a bake in claim order, and whether the worker failed at it before.
-const FIRST: &str = "
-    SELECT r.task, r.kind, EXISTS (SELECT 1 FROM blames x WHERE x.task = r.task AND x.worker = $4) AS is_blamed
-    FROM ready r WHERE r.bake = $1 AND r.not_before_ms <= $2 AND r.kind IN (SELECT value FROM json_each($3))
-    AND r.task NOT IN (SELECT CAST(value AS BIGINT) FROM json_each($5))
-    ORDER BY r.cost DESC, r.key LIMIT 1";
+/// Live bakes that hold a task, as JSON.
+macro_rules! live_bakes {
+    ($list:literal, $task:literal) => {
+        concat!(
+            "(SELECT ",
+            $list,
+            " FROM bake_tasks m WHERE m.task = ",
+            $task,
+            " AND (SELECT b.state FROM bakes b WHERE b.seq = m.bake) IN ('running', 'paused')) AS bakes"
+        )
+    };
+}
 
-/// The same, and the task's row is locked; one locked by another claim is left to it. `t.state` is looked at again
-/// once the lock is held, so that a task that a claim took just before is not taken twice.
-const FIRST_LOCKED: &str = "
-    SELECT r.task, r.kind, EXISTS (SELECT 1 FROM blames x WHERE x.task = r.task AND x.worker = $4) AS is_blamed
-    FROM ready r JOIN tasks t ON t.id = r.task
-    WHERE r.bake = $1 AND t.state = 'ready' AND r.not_before_ms <= $2
-    AND r.kind IN (SELECT value FROM json_each($3))
-    AND r.task NOT IN (SELECT CAST(value AS BIGINT) FROM json_each($5))
-    ORDER BY r.cost DESC, r.key LIMIT 1 FOR UPDATE OF t SKIP LOCKED";
+/// The first ready tasks of a bake in claim order, and whether the worker failed at them before. Kind by kind the index has them
+/// in that order: tasks of other kinds are not read.
+const FIRST: &str = concat!(
+    "SELECT r.task, r.kind, EXISTS (SELECT 1 FROM blames x WHERE x.task = r.task AND x.worker = $4) AS is_blamed, ",
+    live_bakes!("json_group_array(m.bake)", "r.task"),
+    ", 0 AS seen FROM json_each($3) k CROSS JOIN ready r INDEXED BY ready_by_task
+     WHERE r.bake = $1 AND r.task IN (
+         SELECT o.task FROM ready o INDEXED BY ready_by_kind WHERE o.bake = $1 AND o.kind = k.value AND o.not_before_ms <= $2
+         AND o.task NOT IN (SELECT CAST(value AS BIGINT) FROM json_each($5)) ORDER BY o.cost DESC, o.key LIMIT $7)
+     ORDER BY r.cost DESC, r.key LIMIT $6"
+);
+
+/// The same, and the tasks' rows are locked, no more of them than are wanted; those locked by other claims are left to them. As there may
+/// be some, more are read. `t.state` is looked at again once a lock is held, so that a task that a claim took just before is not
+/// taken twice.
+const FIRST_LOCKED: &str = concat!(
+    "WITH first AS MATERIALIZED (
+         SELECT x.task, x.kind, x.cost, x.key FROM json_each($3) k CROSS JOIN LATERAL (
+             SELECT r.task, r.kind, r.cost, r.key FROM ready r
+             WHERE r.bake = $1 AND r.kind = k.value AND r.not_before_ms <= $2
+             AND r.task <> ALL (ARRAY(SELECT CAST(value AS BIGINT) FROM json_each($5)))
+             ORDER BY r.cost DESC, r.key LIMIT $7) AS x
+         ORDER BY x.cost DESC, x.key LIMIT $7)
+     SELECT f.task, f.kind, EXISTS (SELECT 1 FROM blames x WHERE x.task = f.task AND x.worker = $4) AS is_blamed, ",
+    live_bakes!("CAST(coalesce(json_agg(m.bake), '[]') AS TEXT)", "f.task"),
+    ", (SELECT count(*) FROM first) AS seen FROM first f JOIN tasks t ON t.id = f.task
+     WHERE t.state = 'ready' ORDER BY f.cost DESC, f.key LIMIT $6 FOR UPDATE OF t SKIP LOCKED"
+);
+
+/// Ready tasks that are read beside those wanted, as other claims may have locked some; the second number where that did not suffice.
+const BESIDE: [usize; 2] = [16, 1024];
 
 /// A bake that has ready tasks.
 #[derive(Clone)]
@@ -59,20 +92,19 @@ struct OpenBake {
     traceparent: Option<String>,
 }
 
-/// A task chosen for a lease.
-struct Chosen {
-    task: i64,
-    bake: String,
-    token: String,
-    expires_ms: i64,
-    deadline_ms: i64,
-    traceparent: Option<String>,
-}
-
 /// Another worker that is present.
 struct Other {
     name: String,
     abilities: Abilities,
+}
+
+/// A ready task that was found for a claim.
+struct Found {
+    task: i64,
+    kind: String,
+    is_blamed: bool,
+    /// Live bakes that hold it.
+    bakes: Vec<i64>,
 }
 
 /// A claim under way.
@@ -87,46 +119,52 @@ struct Claim<'a> {
     scene: Option<Digest>,
     /// Tasks chosen, and tasks left to others.
     passed: BTreeSet<i64>,
+    /// By bake, first tasks that were found and not looked at yet.
+    found: BTreeMap<i64, VecDeque<Found>>,
+    /// Bakes that have no others, or that somebody else has locked.
+    emptied: BTreeSet<i64>,
     chosen: Vec<Chosen>,
+    /// Tasks whose rows are locked.
+    locked: BTreeSet<i64>,
 }
 
-pub(super) async fn claim(conn: &mut Conn, request: &ClaimRequest) -> Result<Vec<Lease>> {
+/// Outcome of a claim.
+pub(super) struct Claimed {
+    pub(super) leases: Vec<Lease>,
+    /// There are tasks whose bakes somebody else has locked.
+    pub(super) has_left: bool,
+}
+
+pub(super) async fn claim(conn: &mut Conn, request: &ClaimRequest, locked: Locked) -> Result<Claimed> {
     // Note that the worker is present: tasks are left to workers that are.
     let seen = see_worker(conn, request).await?;
     // Load the other workers for one that failed before: it leaves tasks to them, nobody else does.
     let others = if seen.has_failed { Some(others(conn, request).await?) } else { None };
     // Choose before anything is written: on PostgreSQL the rows of chosen tasks are locked, and other claims pass them over.
-    let (kinds, abilities) = (to_json(&request.kinds)?, Abilities::of(request));
-    let (passed, chosen) = (BTreeSet::new(), Vec::new());
-    let scene = seen.scene;
-    let mut claim = Claim { conn, request, kinds, abilities, others, scene, passed, chosen };
-    claim.choose_all().await?;
-    let chosen = claim.chosen;
+    let mut claim = Claim::begin(conn, request, others, seen.scene)?;
+    let (last, has_left) = claim.choose(locked).await?;
+    let (chosen, scene) = (claim.chosen, claim.scene);
     // Write nothing for an idle worker's poll.
     if chosen.is_empty() {
-        return Ok(Vec::new());
+        return Ok(Claimed { leases: Vec::new(), has_left });
+    }
+    // Keep the scene with the worker, whose next claims prefer it.
+    if let Some(scene) = scene.filter(|_| scene != seen.scene) {
+        let sql = "UPDATE workers SET scene = $1 WHERE name = $2";
+        query(sql).bind(scene.to_string()).bind(&request.worker).run(conn).await?;
     }
     // Mark all chosen tasks in one statement: round trips are most of a claim's time.
     let tasks: Vec<i64> = chosen.iter().map(|chosen| chosen.task).collect();
     let tasks = to_json(&tasks)?;
-    let taken = take_tasks(conn, &tasks).await?;
+    let taken = grant::take_tasks(conn, &tasks).await?;
     // Read the outputs of dependencies only where there are any, as inputs name them by their tasks.
     let has_needs = taken.values().any(|taken| !dependencies(&taken.spec).is_empty());
     let outputs = if has_needs { outputs_of_needs(conn, &tasks).await? } else { BTreeMap::new() };
     // Find results of tasks alike only for tasks that have a name in common with any.
     let names: BTreeSet<Digest> = taken.values().filter_map(|taken| taken.spec.alike).collect();
     let alike = if names.is_empty() { BTreeMap::new() } else { outputs_of_alike(conn, &names).await? };
-    // Lock counters and events last, as claims beside this one wait for these rows until the transaction ends.
-    write_leases(conn, &chosen, &taken, &tasks, request).await?;
-    Ok(leases(chosen, taken, &outputs, &alike))
-}
-
-pub(super) async fn is_any_ready(conn: &mut Conn, kinds: &[String]) -> Result<bool> {
-    let sql = "SELECT EXISTS (
-                   SELECT 1 FROM bakes b WHERE b.state = 'running' AND EXISTS (
-                       SELECT 1 FROM ready r WHERE r.bake = b.seq AND r.not_before_ms <= $1
-                       AND r.kind IN (SELECT value FROM json_each($2)))) AS is_any_ready";
-    query(sql).bind(conn.now_ms).bind(to_json(kinds)?).one(conn).await?.get("is_any_ready")
+    grant::write_leases(conn, &chosen, &taken, last, request).await?;
+    Ok(Claimed { leases: grant::leases(chosen, taken, &outputs, &alike), has_left })
 }
 
 /// Facts about the worker that claims.
@@ -193,16 +231,102 @@ async fn others(conn: &mut Conn, request: &ClaimRequest) -> Result<Vec<Other>> {
     Ok(others)
 }
 
-impl Claim<'_> {
+impl<'a> Claim<'a> {
+    fn begin(
+        conn: &'a mut Conn,
+        request: &'a ClaimRequest,
+        others: Option<Vec<Other>>,
+        scene: Option<Digest>,
+    ) -> Result<Self> {
+        let (kinds, abilities) = (to_json(&request.kinds)?, Abilities::of(request));
+        let (passed, found, emptied) = (BTreeSet::new(), BTreeMap::new(), BTreeSet::new());
+        let (chosen, locked) = (Vec::new(), BTreeSet::new());
+        Ok(Self { conn, request, kinds, abilities, others, scene, passed, found, emptied, chosen, locked })
+    }
+
     fn is_full(&self) -> bool {
         self.chosen.len() >= self.request.max as usize
+    }
+
+    /// Chooses tasks and locks all bakes that hold them; the number of each one's last event, and whether there are tasks whose bakes were
+    /// left to others.
+    async fn choose(&mut self, locked: Locked) -> Result<(BTreeMap<i64, u64>, bool)> {
+        let (mut last, mut has_left) = (BTreeMap::new(), false);
+        loop {
+            let before = self.chosen.len();
+            self.choose_with_locks().await?;
+            let bakes = self.chosen[before..].iter().flat_map(|chosen| &chosen.bakes);
+            let bakes: BTreeSet<i64> = bakes.filter(|bake| !last.contains_key(*bake)).copied().collect();
+            if bakes.is_empty() {
+                return Ok((last, has_left));
+            }
+            last.extend(grant::lock_bakes(self.conn, &bakes, locked).await?);
+            let missing: Vec<i64> = bakes.into_iter().filter(|bake| !last.contains_key(bake)).collect();
+            if missing.is_empty() {
+                return Ok((last, has_left));
+            }
+            // Look for tasks of other bakes in their place.
+            has_left = true;
+            self.chosen.retain(|chosen| chosen.bakes.iter().all(|bake| last.contains_key(bake)));
+            for bake in missing {
+                self.emptied.insert(bake);
+                self.found.remove(&bake);
+            }
+        }
+    }
+
+    /// Chooses tasks whose rows are locked, and no others: who chose otherwise than he looked lets these go.
+    async fn choose_with_locks(&mut self) -> Result<()> {
+        let may_leave = self.conn.has_neighbours() && (self.request.max > 1 || self.others.is_some());
+        if may_leave {
+            query("SAVEPOINT choice").run(self.conn).await?;
+        }
+        let before = self.chosen.len();
+        self.locked.clear();
+        self.choose_all().await?;
+        for chosen in &self.chosen[before..] {
+            self.locked.remove(&chosen.task);
+        }
+        if !may_leave || self.locked.is_empty() {
+            return Ok(());
+        }
+        query("ROLLBACK TO SAVEPOINT choice").run(self.conn).await?;
+        for (bake, found) in std::mem::take(&mut self.found) {
+            // There are others, after all.
+            if !found.is_empty() {
+                self.emptied.remove(&bake);
+            }
+        }
+        let tasks: Vec<i64> = self.chosen[before..].iter().map(|chosen| chosen.task).collect();
+        let sql =
+            "SELECT id FROM tasks WHERE id = ANY (ARRAY(SELECT CAST(value AS BIGINT) FROM json_each($1)))
+                   AND state = 'ready' FOR UPDATE SKIP LOCKED";
+        let rows = query(sql).bind(to_json(&tasks)?).all(self.conn).await?;
+        let locked = rows.iter().map(|row| row.get("id")).collect::<Result<BTreeSet<i64>>>()?;
+        let mut index = 0;
+        self.chosen.retain(|chosen| {
+            index += 1;
+            index <= before || locked.contains(&chosen.task)
+        });
+        Ok(())
     }
 
     async fn choose_all(&mut self) -> Result<()> {
         let (mut priority, mut seq) = (i64::MAX, 0_i64);
         while !self.is_full() {
             // Read a window of bakes: fairness holds among them, and the cost does not grow with all bakes of the farm.
-            let rows = query(OPEN_BAKES)
+            let sql = self.conn.pick(
+                open_bakes!(
+                    "SELECT 1 FROM json_each($4) k CROSS JOIN ready r INDEXED BY ready_by_kind
+                     WHERE r.bake = b.seq AND r.kind = k.value AND r.not_before_ms <= $3 LIMIT 1"
+                ),
+                open_bakes!(
+                    "SELECT 1 FROM json_each($4) k CROSS JOIN LATERAL (
+                         SELECT 1 FROM ready r WHERE r.bake = b.seq AND r.kind = k.value AND r.not_before_ms <= $3
+                         LIMIT 1) AS due LIMIT 1"
+                ),
+            );
+            let rows = query(sql)
                 .bind(priority)
                 .bind(seq)
                 .bind(self.conn.now_ms)
@@ -238,13 +362,12 @@ impl Claim<'_> {
 
     /// Chooses until there is enough, or nothing.
     async fn choose_among(&mut self, mut contenders: Vec<Contender<OpenBake>>) -> Result<()> {
-        let scene_before = self.scene;
         while !self.is_full()
             && let Some(index) = next_contender(&contenders)
         {
             let bake = contenders[index].bake.clone();
-            match self.first(&bake).await? {
-                Some(task) => {
+            match self.first(&bake, contenders.len()).await? {
+                Some(Found { task, bakes, .. }) => {
                     // Pass the task over from now on: it is offered until the leases are written.
                     self.passed.insert(task);
                     let deadline_ms = rules::deadline_ms(self.conn.now_ms, bake.attempt_limit_secs);
@@ -254,6 +377,7 @@ impl Claim<'_> {
                     let (token, traceparent) = (random::fencing_token(), bake.traceparent);
                     self.chosen.push(Chosen {
                         task,
+                        bakes,
                         bake: bake.id,
                         token,
                         expires_ms,
@@ -268,34 +392,64 @@ impl Claim<'_> {
                 None => drop(contenders.remove(index)),
             }
         }
-        // Keep the scene with the worker, whose next claims prefer it.
-        if let Some(scene) = self.scene.filter(|_| self.scene != scene_before) {
-            let sql = "UPDATE workers SET scene = $1 WHERE name = $2";
-            query(sql).bind(scene.to_string()).bind(&self.request.worker).run(self.conn).await?;
-        }
         Ok(())
     }
 
-    /// The bake's first ready task that this worker need not leave to others.
-    async fn first(&mut self, bake: &OpenBake) -> Result<Option<i64>> {
+    /// The bake's first ready task that this worker need not leave to others; `bakes` share what the claim still wants.
+    async fn first(&mut self, bake: &OpenBake, bakes: usize) -> Result<Option<Found>> {
         loop {
-            let row = query(self.conn.pick(FIRST, FIRST_LOCKED))
-                .bind(bake.seq)
-                .bind(self.conn.now_ms)
-                .bind(&self.kinds)
-                .bind(&self.request.worker)
-                .bind(to_json(&self.passed)?)
-                .optional(self.conn)
-                .await?;
-            let Some(row) = row else { return Ok(None) };
-            let task = row.get("task")?;
-            if !row.get::<bool>("is_blamed")?
-                || !self.is_left_to_others(bake, task, &row.text("kind")?).await?
-            {
-                return Ok(Some(task));
+            if self.found.get(&bake.seq).is_none_or(VecDeque::is_empty) && !self.find(bake, bakes).await? {
+                return Ok(None);
             }
-            self.passed.insert(task);
+            let next = self.found.get_mut(&bake.seq).and_then(VecDeque::pop_front);
+            // Pass over what came by another of its bakes.
+            let Some(found) = next.filter(|found| !self.passed.contains(&found.task)) else { continue };
+            if !found.is_blamed || !self.is_left_to_others(bake, found.task, &found.kind).await? {
+                return Ok(Some(found));
+            }
+            self.passed.insert(found.task);
         }
+    }
+
+    /// Finds the bake's next ready tasks, about as many as will be taken: on PostgreSQL each is kept from others. False
+    /// if there are none.
+    async fn find(&mut self, bake: &OpenBake, bakes: usize) -> Result<bool> {
+        if self.emptied.contains(&bake.seq) {
+            return Ok(false);
+        }
+        let wanted = (self.request.max as usize - self.chosen.len()).div_ceil(bakes.max(1));
+        let mut rows = Vec::new();
+        for beside in self.conn.pick(&[0][..], &BESIDE) {
+            rows = self.read_first(bake, wanted, wanted + beside).await?;
+            let seen = rows.first().map(|row| row.get::<i64>("seen")).transpose()?;
+            // None of them was locked by others, or these do not count.
+            if rows.len() == wanted || seen.is_some_and(|seen| seen < (wanted + beside) as i64) {
+                break;
+            }
+        }
+        if rows.len() < wanted {
+            self.emptied.insert(bake.seq);
+        }
+        let found = self.found.entry(bake.seq).or_default();
+        for row in &rows {
+            let (task, kind, is_blamed) = (row.get("task")?, row.get("kind")?, row.get("is_blamed")?);
+            self.locked.insert(task);
+            found.push_back(Found { task, kind, is_blamed, bakes: row.json("bakes")? });
+        }
+        Ok(!rows.is_empty())
+    }
+
+    async fn read_first(&mut self, bake: &OpenBake, wanted: usize, read: usize) -> Result<Vec<Row>> {
+        query(self.conn.pick(FIRST, FIRST_LOCKED))
+            .bind(bake.seq)
+            .bind(self.conn.now_ms)
+            .bind(&self.kinds)
+            .bind(&self.request.worker)
+            .bind(to_json(&self.passed)?)
+            .bind(wanted)
+            .bind(read)
+            .all(self.conn)
+            .await
     }
 
     /// A worker that failed at a task leaves it to others, if one that could do it and has not failed is present.
@@ -330,151 +484,4 @@ async fn failures(conn: &mut Conn, bake: i64, worker: &str) -> Result<u64> {
     let sql = "SELECT count(*) AS tasks FROM blames x JOIN bake_tasks m ON m.task = x.task
                WHERE m.bake = $1 AND x.worker = $2";
     query(sql).bind(bake).bind(worker).one(conn).await?.count("tasks")
-}
-
-/// Writes leases and their starts, and counts them, in every live bake that holds the tasks.
-async fn write_leases(
-    conn: &mut Conn,
-    chosen: &[Chosen],
-    taken: &BTreeMap<i64, Taken>,
-    tasks: &str,
-    request: &ClaimRequest,
-) -> Result<()> {
-    let row = |chosen: &Chosen| {
-        let attempt = taken.get(&chosen.task).map_or(1, |taken| taken.attempt);
-        json!([chosen.token, chosen.task, chosen.expires_ms, chosen.deadline_ms, attempt])
-    };
-    let rows: Vec<_> = chosen.iter().map(row).collect();
-    let insert = conn.pick(
-        "INSERT INTO leases (token, task, expires_ms, deadline_ms, attempt, worker, ttl_ms, state, progress, started_ms)
-         SELECT value ->> 0, value ->> 1, value ->> 2, value ->> 3, value ->> 4, $2, $3, $4, 0, $5 FROM json_each($1)",
-        "INSERT INTO leases (token, task, expires_ms, deadline_ms, attempt, worker, ttl_ms, state, progress, started_ms)
-         SELECT v ->> 0, (v ->> 1)::bigint, (v ->> 2)::bigint, (v ->> 3)::bigint, (v ->> 4)::bigint, $2, $3, $4, 0, $5
-         FROM jsonb_array_elements($1::jsonb) AS j (v)",
-    );
-    let mut parts =
-        vec![insert, "DELETE FROM ready WHERE task IN (SELECT CAST(value AS BIGINT) FROM json_each($6))"];
-    if conn.has_concurrent_claims() {
-        // One order for all claims, or two of them could wait for each other; then come the bakes', in one order too.
-        // As late as can be: from here on a claim of the same kind waits for this one.
-        parts.push(
-            "SELECT 1 FROM stages WHERE (bake, kind) IN (
-                 SELECT m.bake, t.kind FROM bake_tasks m JOIN tasks t ON t.id = m.task
-                 WHERE t.id IN (SELECT CAST(value AS BIGINT) FROM json_each($6)))
-             ORDER BY bake, kind FOR UPDATE",
-        );
-    }
-    parts.push(
-        "UPDATE stages SET leased = leased + n.fresh, first_claim_ms = coalesce(first_claim_ms, $5)
-         FROM (SELECT m.bake, t.kind, count(*) AS fresh
-               FROM bake_tasks m JOIN tasks t ON t.id = m.task JOIN bakes b ON b.seq = m.bake
-               WHERE t.id IN (SELECT CAST(value AS BIGINT) FROM json_each($6))
-               AND b.state IN ('running', 'paused') GROUP BY m.bake, t.kind) AS n
-         WHERE stages.bake = n.bake AND stages.kind = n.kind",
-    );
-    steps(parts)
-        .bind(to_json(&rows)?)
-        .bind(&request.worker)
-        .bind(i64::from(request.ttl_secs) * 1000)
-        .bind(LeaseState::Granted.name())
-        .bind(conn.now_ms)
-        .bind(tasks)
-        .run(conn)
-        .await?;
-    for (bake, starts) in starts(chosen, taken, &request.worker)? {
-        tell_bake(conn, bake, &starts).await?;
-    }
-    Ok(())
-}
-
-/// The leases as the worker gets them.
-fn leases(
-    chosen: Vec<Chosen>,
-    mut taken: BTreeMap<i64, Taken>,
-    outputs: &BTreeMap<TaskKey, Vec<Artefact>>,
-    alike: &BTreeMap<Digest, Vec<Vec<Artefact>>>,
-) -> Vec<Lease> {
-    let leased =
-        chosen.into_iter().filter_map(|Chosen { task, bake, token, expires_ms, traceparent, .. }| {
-            let task = taken.remove(&task)?.spec;
-            let inputs = resolve_inputs(&task, |key| outputs.get(key).cloned().unwrap_or_default());
-            let alike = task.alike.and_then(|name| alike.get(&name).cloned()).unwrap_or_default();
-            Some(Lease { token, bake, task, inputs, alike, expires_ms, traceparent })
-        });
-    leased.collect()
-}
-
-/// A task that was taken, and which attempt at it begins.
-struct Taken {
-    spec: TaskSpec,
-    attempt: u32,
-    /// Live bakes that hold it.
-    bakes: Vec<i64>,
-}
-
-/// Marks tasks as leased, and returns them.
-async fn take_tasks(conn: &mut Conn, tasks: &str) -> Result<BTreeMap<i64, Taken>> {
-    let sql = conn.pick(
-        "UPDATE tasks SET state = 'leased' WHERE id IN (SELECT CAST(value AS BIGINT) FROM json_each($1))
-         RETURNING id, key, kind, version, label, params, inputs, cost, alike, attempts + losses AS tries,
-         (SELECT json_group_array(m.bake) FROM bake_tasks m JOIN bakes b ON b.seq = m.bake
-          WHERE m.task = tasks.id AND b.state IN ('running', 'paused')) AS bakes",
-        "UPDATE tasks SET state = 'leased' WHERE id IN (SELECT CAST(value AS BIGINT) FROM json_each($1))
-         RETURNING id, key, kind, version, label, params, inputs, cost, alike, attempts + losses AS tries,
-         (SELECT CAST(coalesce(json_agg(m.bake), '[]') AS TEXT) FROM bake_tasks m JOIN bakes b ON b.seq = m.bake
-          WHERE m.task = tasks.id AND b.state IN ('running', 'paused')) AS bakes",
-    );
-    let mut taken = BTreeMap::new();
-    for row in query(sql).bind(tasks).all(conn).await? {
-        let spec = TaskSpec {
-            key: row.digest("key")?,
-            kind: row.get("kind")?,
-            version: row.small("version")?,
-            label: row.get("label")?,
-            params: row.json("params")?,
-            inputs: row.json("inputs")?,
-            cost: row.count("cost")?,
-            alike: row.digest_if_any("alike")?,
-        };
-        let attempt = row.small("tries")?.saturating_add(1);
-        taken.insert(row.get("id")?, Taken { spec, attempt, bakes: row.json("bakes")? });
-    }
-    Ok(taken)
-}
-
-/// The starts of the chosen tasks, in their order, by live bake that holds them.
-fn starts(
-    chosen: &[Chosen],
-    taken: &BTreeMap<i64, Taken>,
-    worker: &str,
-) -> Result<BTreeMap<i64, Vec<String>>> {
-    let mut starts: BTreeMap<i64, Vec<String>> = BTreeMap::new();
-    for Taken { spec, attempt, bakes } in chosen.iter().filter_map(|chosen| taken.get(&chosen.task)) {
-        let TaskSpec { key, kind, label, .. } = spec.clone();
-        let (worker, attempt) = (worker.to_owned(), *attempt);
-        let start = to_json(&EventKind::TaskStarted { key, kind, label, worker, attempt })?;
-        for bake in bakes {
-            starts.entry(*bake).or_default().push(start.clone());
-        }
-    }
-    Ok(starts)
-}
-
-/// Tells a bake of starts. The row is changed before it is read: claims beside this one wait for it.
-async fn tell_bake(conn: &mut Conn, bake: i64, starts: &[String]) -> Result<()> {
-    let events: Vec<_> = (1..).zip(starts).map(|(index, start)| json!([index, start])).collect();
-    let insert = conn.pick(
-        "INSERT INTO events (bake, seq, at_ms, event) SELECT b.seq, b.last_event - $2 + (value ->> 0), $3, value ->> 1
-         FROM bakes b, json_each($4) WHERE b.seq = $1",
-        "INSERT INTO events (bake, seq, at_ms, event) SELECT b.seq, b.last_event - $2 + (v ->> 0)::bigint, $3, v ->> 1
-         FROM bakes b, jsonb_array_elements($4::jsonb) AS j (v) WHERE b.seq = $1",
-    );
-    steps(["UPDATE bakes SET last_event = last_event + $2 WHERE seq = $1", insert])
-        .bind(bake)
-        .bind(events.len())
-        .bind(conn.now_ms)
-        .bind(to_json(&events)?)
-        .run(conn)
-        .await?;
-    Ok(())
 }

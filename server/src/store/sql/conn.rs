@@ -6,14 +6,19 @@ use std::sync::Arc;
 
 use sqlx::{AssertSqlSafe, ColumnIndex, Postgres, Row as _, Sqlite, Transaction};
 
+use super::Kind;
 use super::faults::{FaultPoint, Faults};
 use crate::store::{Result, StoreError};
+
+/// Bytes of rows that are sent at a time.
+const COPIED_TOGETHER: usize = 1 << 20;
 
 /// A transaction under way. Dropped without [`Conn::commit`], it never happened.
 pub(super) struct Conn {
     tx: Tx,
     /// The time by which this transaction lives.
     pub(super) now_ms: i64,
+    kind: Kind,
     call: &'static str,
     step: u32,
     faults: Option<Arc<dyn Faults>>,
@@ -26,21 +31,41 @@ pub(super) enum Tx {
 }
 
 impl Conn {
-    pub(super) fn new(tx: Tx, now_ms: i64, call: &'static str, faults: Option<Arc<dyn Faults>>) -> Self {
-        Self { tx, now_ms, call, step: 0, faults }
+    pub(super) fn new(
+        tx: Tx,
+        kind: Kind,
+        now_ms: i64,
+        call: &'static str,
+        faults: Option<Arc<dyn Faults>>,
+    ) -> Self {
+        Self { tx, now_ms, kind, call, step: 0, faults }
     }
 
-    /// The text for the database at hand.
-    pub(super) fn pick(&self, sqlite: &'static str, postgres: &'static str) -> &'static str {
+    /// That of the database at hand.
+    pub(super) fn pick<T>(&self, sqlite: T, postgres: T) -> T {
         match self.tx {
             Tx::Sqlite(_) => sqlite,
             Tx::Postgres(_) => postgres,
         }
     }
 
-    /// Whether claims run beside each other and must keep out of each other's way.
-    pub(super) fn has_concurrent_claims(&self) -> bool {
-        matches!(self.tx, Tx::Postgres(_))
+    /// Whether claims and commits run beside this transaction, and it must keep out of their way.
+    pub(super) fn has_neighbours(&self) -> bool {
+        matches!(self.tx, Tx::Postgres(_)) && self.kind != Kind::Write
+    }
+
+    /// Copies rows into a table, as its text format has them; PostgreSQL alone does.
+    pub(super) async fn copy(&mut self, sql: &'static str, rows: String) -> Result<()> {
+        self.point(sql).await?;
+        let Tx::Postgres(tx) = &mut self.tx else {
+            return Err(corrupt("rows are copied into PostgreSQL alone", sql));
+        };
+        let mut copy = tx.copy_in_raw(sql).await?;
+        for part in rows.as_bytes().chunks(COPIED_TOGETHER) {
+            copy.send(part).await?;
+        }
+        copy.finish().await?;
+        Ok(())
     }
 
     /// Makes all of it happen.
@@ -127,6 +152,17 @@ pub(super) struct Steps {
 /// Statements with parameters `$1`, `$2`, … still to be bound; all share them, and each names those that it needs.
 pub(super) fn steps(parts: impl Into<Vec<&'static str>>) -> Steps {
     Steps { parts: parts.into(), values: Vec::new() }
+}
+
+/// Statements without answers that share their parameters, none of which reads what another writes.
+pub(super) struct Together {
+    parts: Vec<&'static str>,
+    values: Vec<Value>,
+}
+
+/// Statements with parameters `$1`, `$2`, … still to be bound; they may run in any order, and see nothing of each other.
+pub(super) fn together(parts: impl Into<Vec<&'static str>>) -> Together {
+    Together { parts: parts.into(), values: Vec::new() }
 }
 
 /// Whether a statement names parameter `number`.
@@ -221,6 +257,33 @@ impl Steps {
             touched = bound!(Sqlite, sql, self.values).execute(&mut **tx).await?.rows_affected();
         }
         Ok(touched)
+    }
+}
+
+impl Together {
+    pub(super) fn bind(mut self, value: impl Into<Value>) -> Self {
+        self.values.push(value.into());
+        self
+    }
+
+    /// Runs them, in one piece on either database: PostgreSQL takes them as the parts of one statement.
+    pub(super) async fn run(self, conn: &mut Conn) -> Result<()> {
+        let Some(first) = self.parts.first().copied() else { return Ok(()) };
+        conn.point(first).await?;
+        // Made of nothing but statements of this program.
+        match &mut conn.tx {
+            Tx::Sqlite(tx) => {
+                let sql = AssertSqlSafe(self.parts.join(";"));
+                bound!(Sqlite, sql, self.values).execute(&mut **tx).await?;
+            }
+            Tx::Postgres(tx) => {
+                let parts = (1..).zip(&self.parts).map(|(number, sql)| format!("part_{number} AS ({sql})"));
+                let parts: Vec<String> = parts.collect();
+                let sql = AssertSqlSafe(format!("WITH {} SELECT 1", parts.join(", ")));
+                bound!(Postgres, sql, self.values).execute(&mut **tx).await?;
+            }
+        }
+        Ok(())
     }
 }
 

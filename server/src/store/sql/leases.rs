@@ -47,6 +47,35 @@ pub(super) struct Ended {
     pub(super) is_missed: bool,
 }
 
+/// Prolongs a lease that is good, and says until when. Nothing else is locked: neither changes of the farm nor claims hold it up.
+pub(super) async fn keep(conn: &mut Conn, token: &str, progress: f32) -> Result<Option<i64>> {
+    let sql = "UPDATE leases SET state = $2, progress = $3, graces = 0,
+               expires_ms = CASE WHEN deadline_ms < $1 + ttl_ms THEN deadline_ms ELSE $1 + ttl_ms END
+               WHERE token = $4 AND task IS NOT NULL AND expires_ms > $1 RETURNING worker, expires_ms";
+    let kept = query(sql)
+        .bind(conn.now_ms)
+        .bind(LeaseState::Held.name())
+        .bind(f64::from(progress))
+        .bind(token)
+        .optional(conn)
+        .await?;
+    let Some(row) = kept else { return Ok(None) };
+    see_holder(conn, &row.text("worker")?).await?;
+    Ok(Some(row.get("expires_ms")?))
+}
+
+/// Notes that a worker is there.
+async fn see_holder(conn: &mut Conn, worker: &str) -> Result<()> {
+    // A row that somebody else writes is left: he says the same, and nobody waits for it with a lease in hand.
+    let sql = conn.pick(
+        "UPDATE workers SET seen_ms = $1 WHERE name = $2 AND $1 - seen_ms >= $3",
+        "UPDATE workers SET seen_ms = $1 WHERE name IN (
+             SELECT w.name FROM workers w WHERE w.name = $2 AND $1 - w.seen_ms >= $3 FOR UPDATE SKIP LOCKED)",
+    );
+    query(sql).bind(conn.now_ms).bind(worker).bind(WORKER_SEEN_GRAIN_MS).run(conn).await?;
+    Ok(())
+}
+
 pub(super) async fn heartbeat(conn: &mut Conn, token: &str, progress: f32) -> Result<HeartbeatAnswer> {
     let sql = "SELECT task, worker, ttl_ms, expires_ms, deadline_ms FROM leases WHERE token = $1";
     let Some(row) = query(sql).bind(token).optional(conn).await? else {
@@ -70,12 +99,7 @@ pub(super) async fn heartbeat(conn: &mut Conn, token: &str, progress: f32) -> Re
             .run(conn)
             .await?;
     }
-    query("UPDATE workers SET seen_ms = $1 WHERE name = $2 AND $1 - seen_ms >= $3")
-        .bind(conn.now_ms)
-        .bind(row.text("worker")?)
-        .bind(WORKER_SEEN_GRAIN_MS)
-        .run(conn)
-        .await?;
+    see_holder(conn, &row.text("worker")?).await?;
     Ok(HeartbeatAnswer { verdict, expires_ms })
 }
 
@@ -109,6 +133,14 @@ pub(super) async fn extend(conn: &mut Conn) -> Result<u64> {
                graces = graces + 1
                WHERE task IS NOT NULL AND expires_ms <= $1 + ttl_ms / 2 AND expires_ms < deadline_ms AND graces < $2";
     query(sql).bind(conn.now_ms).bind(rules::MAX_GRACES).run(conn).await
+}
+
+/// Whether a reaper has something to do: leases that have run out, or something that [`heed_clock`] makes whole.
+pub(super) async fn is_any_due(conn: &mut Conn) -> Result<bool> {
+    let sql = "SELECT 1 FROM leases WHERE expires_ms <= $1 OR expires_ms > $1 + ttl_ms OR started_ms > $1
+               UNION ALL SELECT 1 FROM ready WHERE not_before_ms > $1 + $2 AND not_before_ms > 0
+               UNION ALL SELECT 1 FROM workers WHERE seen_ms > $1 LIMIT 1";
+    Ok(query(sql).bind(conn.now_ms).bind(rules::WAIT_MAX_MS).optional(conn).await?.is_some())
 }
 
 /// Makes leases, waits and times of a clock that was set back since then whole again: none of them lies further ahead than it could have

@@ -1,6 +1,6 @@
 //! A bake's own row while a transaction changes it, and the end of a bake.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use lightkiln_proto::api::{BakeState, EventKind};
 use lightkiln_proto::ids::Digest;
@@ -8,7 +8,8 @@ use lightkiln_proto::jobs::{Artefact, MANIFEST_OUTPUT, REPORT_OUTPUT};
 use serde_json::json;
 
 use super::codec::to_json;
-use super::conn::{Conn, Row, corrupt, query, steps};
+use super::conn::{Conn, Row, corrupt, query, steps, together};
+use super::patience::Locked;
 use super::remake;
 use crate::store::{Result, StoreError};
 
@@ -31,6 +32,27 @@ pub(super) struct Ledger {
     events: Vec<EventKind>,
 }
 
+/// Rows of bakes as [`Ledger::read`] takes them.
+macro_rules! ledgers {
+    ($of:expr) => {
+        concat!(
+            "SELECT b.seq, b.id, b.state, b.open_count, b.tasks_run, b.tasks_reused, b.counters, b.counters_reused,
+             b.manifest, b.report, b.failure, b.finished_ms, b.last_event, b.last_place FROM bakes b ",
+            $of
+        )
+    };
+}
+
+macro_rules! locked_ledgers {
+    ($end:literal) => {
+        ledgers!(concat!(
+            "WHERE b.seq = ANY (ARRAY(SELECT CAST(value AS BIGINT) FROM json_each($1)))
+             AND b.state || '' IN ('running', 'paused') ORDER BY b.seq FOR NO KEY UPDATE OF b",
+            $end
+        ))
+    };
+}
+
 /// Reads a state's name.
 pub(super) fn state_from(name: &str) -> Result<BakeState> {
     BakeState::named(name).ok_or_else(|| corrupt("a bake's state", format!("'{name}' is no state")))
@@ -44,14 +66,32 @@ pub(super) async fn seq_of(conn: &mut Conn, id: &str) -> Result<i64> {
 
 impl Ledger {
     pub(super) async fn load(conn: &mut Conn, seq: i64) -> Result<Self> {
-        Self::read(&query("SELECT * FROM bakes WHERE seq = $1").bind(seq).one(conn).await?)
+        Self::read(&query(ledgers!("WHERE b.seq = $1")).bind(seq).one(conn).await?)
     }
 
     /// Live bakes that hold a task, oldest first. A change of one of them leaves the others' rows as they are.
     pub(super) async fn live_of(conn: &mut Conn, task: i64) -> Result<Vec<Self>> {
-        let sql = "SELECT b.* FROM bake_tasks m JOIN bakes b ON b.seq = m.bake
-                   WHERE m.task = $1 AND b.state IN ('running', 'paused') ORDER BY b.seq";
+        let sql = ledgers!(
+            "JOIN bake_tasks m ON m.bake = b.seq WHERE m.task = $1 AND b.state || '' IN ('running', 'paused') ORDER BY b.seq"
+        );
         query(sql).bind(task).all(conn).await?.iter().map(Self::read).collect()
+    }
+
+    /// Those of some bakes that are live, oldest first; without those that somebody else has locked, if these are left. Until the
+    /// transaction ends, nobody else changes them.
+    pub(super) async fn lock(conn: &mut Conn, bakes: &BTreeSet<i64>, locked: Locked) -> Result<Vec<Self>> {
+        if bakes.is_empty() {
+            return Ok(Vec::new());
+        }
+        let of_list = ledgers!(
+            "WHERE b.seq IN (SELECT value FROM json_each($1)) AND b.state || '' IN ('running', 'paused') ORDER BY b.seq"
+        );
+        let sql = match locked {
+            Locked::AreWaitedFor => locked_ledgers!(""),
+            Locked::AreLeft => locked_ledgers!(" SKIP LOCKED"),
+        };
+        let sql = conn.pick(of_list, sql);
+        query(sql).bind(to_json(bakes)?).all(conn).await?.iter().map(Self::read).collect()
     }
 
     fn read(row: &Row) -> Result<Self> {
@@ -110,7 +150,7 @@ impl Ledger {
             "UPDATE bakes SET state = $1, open_count = $2, tasks_run = $3, tasks_reused = $4, counters = $5,
                       counters_reused = $6, manifest = $7, report = $8, failure = $9, finished_ms = $10,
                       last_event = $11, last_place = $14 WHERE seq = $12";
-        steps([insert, update])
+        together([insert, update])
             .bind(self.state.name())
             .bind(self.open_count)
             .bind(self.tasks_run)

@@ -1,9 +1,9 @@
 //! The farm in a database: SQLite for one machine, PostgreSQL for any number of servers.
 //!
 //! Every call is one transaction, written once for both databases. While a transaction that changes a bake runs, no
-//! other one does, and no claim: on SQLite because of the file's own lock (and there is one writing connection in a process), on PostgreSQL because of a lock
-//! ([`postgres`] says which and why). So each sees the farm as the one before left it, and the counts that callers see
-//! are kept with each change, never recounted.
+//! other one changes that bake: on SQLite because of the file's own lock (and there is one writing connection in a process),
+//! on PostgreSQL because of the bake's ([`postgres`] says which changes run alone on the farm, and why the others need not).
+//! So each sees the bake as the one before left it, and the counts that callers see are kept with each change, never recounted.
 //!
 //! **Trying again.** A transaction whose connection died before COMMIT was sent never happened, nor did one that the
 //! database gave up to resolve a deadlock; both are run again here. When the connection dies during COMMIT its outcome
@@ -14,18 +14,24 @@ mod bakes;
 mod batch;
 mod bearers;
 mod blocklist;
+mod bulk;
 mod chunks;
 mod claim;
 mod codec;
+mod commit;
 mod conn;
 mod evaluation;
 mod faults;
 mod forget;
+mod grant;
+mod hand_in;
 mod leases;
 mod ledger;
 mod listing;
+mod look;
 mod outcome;
 mod outputs;
+mod patience;
 mod plan;
 mod postgres;
 mod ready;
@@ -41,7 +47,7 @@ use std::time::Duration;
 use async_trait::async_trait;
 use lightkiln_proto::api::{
     Bake, BakeFilter, BakePage, BakeState, Blame, Blocklist, ClaimRequest, CommitVerdict, EventPage,
-    HeartbeatAnswer, Lease, ResultPage, Worker,
+    HeartbeatAnswer, Lease, ResultPage, Verdict, Worker,
 };
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{TaskResult, TaskSpec};
@@ -49,13 +55,15 @@ use lightkiln_proto::jobs::{TaskResult, TaskSpec};
 use super::chunk::{ChunkRow, CollectRules, Collected, Kept, KeptChunk, Usage};
 use super::rules::FarmRules;
 use super::{
-    FailVerdict, FarmStore, KnownResult, Named, Reaped, Result, Stats, StoreError, Submission, Submitted,
+    FailVerdict, FarmStore, KnownResult, Look, Named, Reaped, Result, Stats, StoreError, Submission,
+    Submitted,
 };
 use crate::access::{Bearer, Scope};
 use crate::chunks::ChunkName;
 use crate::clock::Clock;
-use batch::{CommitQueue, Waiting};
+use batch::CommitQueue;
 use conn::Conn;
+use patience::{Locked, Patience, is_long_wait};
 use postgres::PostgresDatabase;
 use sqlite::SqliteFile;
 
@@ -71,9 +79,17 @@ const FIRST_WAIT: Duration = Duration::from_millis(20);
 enum Kind {
     /// Sees one moment of the farm.
     Read,
-    /// Claims and heartbeats; the database's machine may forget them when it dies.
+    /// Claims and uploads; the database's machine may forget them when it dies.
     Lease,
-    /// Everything else: changes that are kept once the caller hears of them.
+    /// The same, but it waits a moment only for rows that are locked.
+    LeaseBriefly,
+    /// Heartbeats: they wait for nobody but who changes the lease itself.
+    Beat,
+    /// Results: kept once the caller hears of them, and written beside others with the locks of their bakes.
+    Commit,
+    /// The same, but it waits a moment only for rows that are locked.
+    CommitBriefly,
+    /// Everything else: changes of the farm, one at a time, that are kept once the caller hears of them.
     Write,
 }
 
@@ -88,14 +104,14 @@ pub struct SqlStore {
     database: Database,
     faults: Option<Arc<dyn Faults>>,
     commits: CommitQueue,
+    patience: Patience,
     rules: FarmRules,
 }
 
 impl SqlStore {
     /// Opens the SQLite file at `path`, making or migrating it as needed.
     pub async fn open_sqlite(path: &Path, clock: Arc<dyn Clock>) -> Result<Self> {
-        let database = Database::Sqlite(SqliteFile::open(path).await?, clock);
-        Ok(Self { database, faults: None, commits: CommitQueue::default(), rules: FarmRules::default() })
+        Ok(Self::over(Database::Sqlite(SqliteFile::open(path).await?, clock)))
     }
 
     /// Whether the SQLite file at `path` has the schema of this program, so that opening it changes nothing.
@@ -107,8 +123,12 @@ impl SqlStore {
     ///
     /// Without a clock the database's own time counts, as it must where several servers share it.
     pub async fn open_postgres(url: &str, clock: Option<Arc<dyn Clock>>) -> Result<Self> {
-        let database = Database::Postgres(PostgresDatabase::open(url).await?, clock);
-        Ok(Self { database, faults: None, commits: CommitQueue::default(), rules: FarmRules::default() })
+        Ok(Self::over(Database::Postgres(PostgresDatabase::open(url).await?, clock)))
+    }
+
+    fn over(database: Database) -> Self {
+        let (commits, patience) = (CommitQueue::default(), Patience::default());
+        Self { database, faults: None, commits, patience, rules: FarmRules::default() }
     }
 
     /// Tells `faults` of every step from now on; for tests.
@@ -143,7 +163,7 @@ impl SqlStore {
                 (tx, clock.as_ref().map_or(now_ms, |clock| clock.now_ms()))
             }
         };
-        Ok(Conn::new(tx, now_ms, call, self.faults.clone()))
+        Ok(Conn::new(tx, kind, now_ms, call, self.faults.clone()))
     }
 }
 
@@ -246,38 +266,14 @@ impl SqlStore {
     pub async fn release_all(&self, worker: &str) -> Result<u64> {
         transact!(self, Write, "release_all", |conn| leases::release_all(conn, worker))
     }
-
-    async fn commit_alone(&self, token: &str, result: &TaskResult) -> Result<CommitVerdict> {
-        transact!(self, Write, "commit", |conn| outcome::commit(conn, token, result))
-    }
-
-    /// Commits all in one transaction. If that fails and may be the fault of one of them, each in its own.
-    async fn commit_batch(&self, batch: Vec<Waiting>) {
-        if batch.len() > 1 {
-            let verdicts: Result<_> =
-                transact!(self, Write, "commit", |conn| outcome::commit_all(conn, &batch));
-            match verdicts {
-                Ok(verdicts) => {
-                    let answered = batch.into_iter().zip(verdicts);
-                    return answered.for_each(|(waiting, verdict)| waiting.answer(Ok(verdict)));
-                }
-                Err(error) => match batch::trouble_of_all(error) {
-                    // Each by itself would wait as long, and fail as well.
-                    Ok(trouble) => {
-                        return batch.into_iter().for_each(|waiting| waiting.answer(Err(trouble())));
-                    }
-                    Err(error) => {
-                        tracing::warn!(%error, commits = batch.len(), "commits are tried one by one");
-                    }
-                },
-            }
-        }
-        for waiting in batch {
-            let verdict = self.commit_alone(&waiting.token, &waiting.result).await;
-            waiting.answer(verdict);
-        }
-    }
 }
+
+async fn collect(conn: &mut Conn, rules: &CollectRules) -> Result<Collected> {
+    view::gather_counts(conn).await?;
+    chunks::collect(conn, rules).await
+}
+
+use transact;
 
 /// Makes the store of its calls. Most are a row each: the kind of the transaction, the call, and the work in it.
 macro_rules! farm_store {
@@ -297,15 +293,12 @@ macro_rules! farm_store {
 
 farm_store! {
     rows {
-        Write submit(submission: &Submission) -> Submitted = |conn| bakes::submit(conn, submission);
         Read reusable(plan: &[TaskSpec]) -> Vec<KnownResult> = |conn| forget::reusable(conn, plan);
         Write forget(keys: &[TaskKey]) -> () = |conn| forget::forget_all(conn, keys);
-        Lease claim(request: &ClaimRequest) -> Vec<Lease> = |conn| claim::claim(conn, request);
-        Read is_any_ready(kinds: &[String]) -> bool = |conn| claim::is_any_ready(conn, kinds);
-        Lease heartbeat(token: &str, progress: f32) -> HeartbeatAnswer =
-            |conn| leases::heartbeat(conn, token, progress);
+        Read look(bakes: &[String], enough: u64) -> Look = |conn| look::look(conn, bakes, enough);
+        Beat note_present(workers: &[String]) -> () = |conn| look::note_present(conn, workers);
         Write release(token: &str) -> bool = |conn| leases::release(conn, token);
-        Lease extend_leases() -> u64 = |conn| leases::extend(conn);
+        Write extend_leases() -> u64 = |conn| leases::extend(conn);
         Read blocklist(bake: &str) -> Blocklist = |conn| blocklist::show(conn, bake);
         Write clear_blocklist(bake: &str, worker: Option<&str>) -> Blocklist =
             |conn| blocklist::clear(conn, bake, worker);
@@ -332,7 +325,7 @@ farm_store! {
         Write set_evaluation(bake: &str, index: Digest, files: &BTreeSet<Digest>) -> () =
             |conn| evaluation::set(conn, bake, index, files);
         Write delete_bake(bake: &str) -> () = |conn| chunks::delete_bake(conn, bake);
-        Write collect(rules: &CollectRules) -> Collected = |conn| chunks::collect(conn, rules);
+        Write collect(rules: &CollectRules) -> Collected = |conn| collect(conn, rules);
         Write purge(names: &[ChunkName]) -> () = |conn| chunks::purge(conn, names);
         Write lose_chunk(name: ChunkName) -> u64 = |conn| chunks::lose(conn, name);
         Read chunk_rows(after: Option<Digest>, limit: u32) -> Vec<ChunkRow> =
@@ -345,20 +338,71 @@ farm_store! {
         Write probe() -> () = |conn| view::probe(conn);
     }
 
+    async fn submit(&self, submission: &Submission) -> Result<Submitted> {
+        let plan = plan::check(&submission.plan).await;
+        transact!(self, Write, "submit", |conn| bakes::submit(conn, submission, &plan))
+    }
+
     async fn fail(&self, token: &str, blame: Blame, message: &str) -> Result<FailVerdict> {
         transact!(self, Write, "fail", |conn| outcome::fail(conn, token, blame, message, self.rules))
     }
 
-    async fn reap(&self) -> Result<Reaped> {
-        transact!(self, Write, "reap", |conn| outcome::reap(conn, self.rules))
+    async fn claim(&self, request: &ClaimRequest) -> Result<Vec<Lease>> {
+        if !self.patience.is_wary() {
+            let claimed: Result<_> = transact!(self, LeaseBriefly, "claim", |conn| {
+                claim::claim(conn, request, Locked::AreWaitedFor)
+            });
+            match claimed {
+                Err(error) if is_long_wait(&error) => self.patience.note_long_wait(),
+                claimed => return claimed.map(|claimed| claimed.leases),
+            }
+        }
+        let claimed: Result<claim::Claimed> =
+            transact!(self, Lease, "claim", |conn| claim::claim(conn, request, Locked::AreLeft));
+        let claimed = claimed?;
+        if !claimed.leases.is_empty() || !claimed.has_left {
+            return Ok(claimed.leases);
+        }
+        let _place = self.patience.claim().await;
+        let claimed: Result<claim::Claimed> =
+            transact!(self, Lease, "claim", |conn| claim::claim(conn, request, Locked::AreWaitedFor));
+        Ok(claimed?.leases)
+    }
+
+    async fn heartbeat(&self, token: &str, progress: f32) -> Result<HeartbeatAnswer> {
+        let kept: Result<_> = transact!(self, Beat, "heartbeat", |conn| leases::keep(conn, token, progress));
+        if let Some(expires_ms) = kept? {
+            return Ok(HeartbeatAnswer { verdict: Verdict::Keep, expires_ms });
+        }
+        transact!(self, Lease, "heartbeat", |conn| leases::heartbeat(conn, token, progress))
     }
 
     async fn commit(&self, token: &str, result: &TaskResult) -> Result<CommitVerdict> {
-        if result.plan.is_empty() {
-            return self.commits.commit(token, result, |batch| self.commit_batch(batch)).await;
+        let mut verdicts = self.commit_all(&[(token, result)]).await;
+        verdicts.pop().unwrap_or(Ok(CommitVerdict::Stale))
+    }
+
+    async fn commit_all(&self, commits: &[(&str, &TaskResult)]) -> Vec<Result<CommitVerdict>> {
+        // One with a plan is too big to stand in line, and it may be refused: it fails alone.
+        let (plain, planned): (Vec<_>, Vec<_>) =
+            commits.iter().copied().enumerate().partition(|(_, (_, result))| result.plan.is_empty());
+        let lined: Vec<_> = plain.iter().map(|(_, commit)| *commit).collect();
+        let verdicts = self.commit_together(&lined).await;
+        let mut answers: Vec<_> = plain.into_iter().map(|(index, _)| index).zip(verdicts).collect();
+        for (index, (token, result)) in planned {
+            answers.push((index, self.commit_planned(token, result).await));
         }
-        // Too big to stand in line, and it may be refused: it fails alone.
-        self.commit_alone(token, result).await
+        answers.sort_by_key(|(index, _)| *index);
+        answers.into_iter().map(|(_, answer)| answer).collect()
+    }
+
+    async fn reap(&self) -> Result<Reaped> {
+        // Look first: servers ask every second, and hold all others up for nothing if they lock the farm each time.
+        let looked: Result<_> = transact!(self, Read, "look_for_due", |conn| leases::is_any_due(conn));
+        if !looked? {
+            return Ok(Reaped::default());
+        }
+        transact!(self, Write, "reap", |conn| outcome::reap(conn, self.rules))
     }
 
     async fn examine(&self) -> Result<()> {

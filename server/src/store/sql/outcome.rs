@@ -3,28 +3,34 @@
 use std::collections::BTreeSet;
 
 use lightkiln_proto::api::{BakeState, Blame, CommitVerdict, EventKind};
-use lightkiln_proto::ids::Digest;
+use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::TaskResult;
 
-use super::alarms::Given;
-use super::batch::Waiting;
+use super::alarms;
+use super::batch::Given;
 use super::codec::to_json;
 use super::conn::{Conn, query, steps};
 use super::leases::{self, Ended, requeue};
 use super::ledger::Ledger;
 use super::plan::apply_plan;
-use super::{alarms, chunks, forget, ready, remake};
-use crate::store::rules::{self, FarmRules, add_counters, check_plan};
-use crate::store::{FailVerdict, LeaseState, Reaped, Result};
+use super::{chunks, forget, ready, remake};
+use crate::store::rules::{self, FarmRules, add_counters};
+use crate::store::{FailVerdict, LeaseState, PlanError, Reaped, Result};
 
-pub(super) async fn commit(conn: &mut Conn, token: &str, result: &TaskResult) -> Result<CommitVerdict> {
+/// Commits a result; `plan` says whether its plan is one.
+pub(super) async fn commit(
+    conn: &mut Conn,
+    token: &str,
+    result: &TaskResult,
+    plan: &Result<(), PlanError>,
+) -> Result<CommitVerdict> {
     // Take the lease first: who commits with a token that is not the newest of its task changes nothing else.
     let Some(ended) = leases::end(conn, token).await? else {
         // Answer a commit that is sent again as the first one, whose answer may have been lost.
         if alarms::of_replay(conn, token, &result.outputs).await? {
             return Ok(CommitVerdict::AlreadyCommitted);
         }
-        check_plan(&result.plan)?;
+        plan.clone()?;
         // Give the attempt back if the lease ran out under a worker that is alive.
         leases::hear_late(conn, token).await?;
         // Its result counts for nothing, but must be that which does.
@@ -32,7 +38,7 @@ pub(super) async fn commit(conn: &mut Conn, token: &str, result: &TaskResult) ->
         return Ok(CommitVerdict::Stale);
     };
     // Refuse a bad plan by an error: it undoes the transaction, so the holder keeps its lease and can report the failure.
-    check_plan(&result.plan)?;
+    plan.clone()?;
     write_result(conn, token, &ended, result).await?;
     // Unlock dependants in this transaction, so that no crash leaves them waiting for a task that is done.
     if ended.has_dependants {
@@ -44,7 +50,7 @@ pub(super) async fn commit(conn: &mut Conn, token: &str, result: &TaskResult) ->
     }
     // Sound the alarm where another attempt at the task gave other bytes, before or too late.
     if !ended.outputs_before.is_empty() {
-        let given = Given { token, worker: &ended.worker, outputs: &result.outputs };
+        let given = alarms::Given { token, worker: &ended.worker, outputs: &result.outputs };
         alarms::compare(conn, ended.task, &ended.outputs_before, &given).await?;
     }
     if ended.has_witnesses {
@@ -53,6 +59,7 @@ pub(super) async fn commit(conn: &mut Conn, token: &str, result: &TaskResult) ->
     // Find outputs that came out otherwise than before: tasks that name the former bytes could wait for ever.
     let gone = remake::not_made_again(conn, &ended.outputs_before, &result.outputs).await?;
     // Tell every live bake that holds the task: each has counts, events and a plan of its own.
+    let mut made = BTreeSet::new();
     for mut bake in Ledger::live_of(conn, ended.task).await? {
         count_done(conn, &mut bake, &ended, result).await?;
         // Fail a bake that reads bytes which nobody will make again, instead of letting it wait.
@@ -62,17 +69,17 @@ pub(super) async fn commit(conn: &mut Conn, token: &str, result: &TaskResult) ->
             continue;
         }
         // Add the planned tasks before the bake may finish: it is done when none is open.
-        apply_plan(conn, &mut bake, &result.plan).await?;
+        apply_plan(conn, &mut bake, &result.plan, &mut made).await?;
         bake.save_or_finish(conn).await?;
     }
     Ok(CommitVerdict::Committed)
 }
 
-/// Commits one after the other, as if each had come alone.
-pub(super) async fn commit_all(conn: &mut Conn, batch: &[Waiting]) -> Result<Vec<CommitVerdict>> {
-    let mut verdicts = Vec::with_capacity(batch.len());
-    for waiting in batch {
-        verdicts.push(commit(conn, &waiting.token, &waiting.result).await?);
+/// Commits results without plans, one after the other.
+pub(super) async fn commit_each(conn: &mut Conn, commits: &[Given<'_>]) -> Result<Vec<CommitVerdict>> {
+    let mut verdicts = Vec::with_capacity(commits.len());
+    for (token, result) in commits {
+        verdicts.push(commit(conn, token, result, &Ok(())).await?);
     }
     Ok(verdicts)
 }
@@ -135,7 +142,8 @@ async fn count_done(conn: &mut Conn, bake: &mut Ledger, ended: &Ended, result: &
     bake.tasks_run += 1;
     add_counters(&mut bake.counters, &result.counters);
     bake.note_outputs(&result.outputs);
-    bake.event(task_done(ended, &result.note));
+    let attempt = (ended.worker.as_str(), ended.attempt, ended.elapsed_ms);
+    bake.event(task_done((ended.key, &ended.kind, &ended.label), attempt, &result.note));
     Ok(())
 }
 
@@ -245,16 +253,14 @@ async fn give_up(conn: &mut Conn, ended: &Ended, blame: Blame, message: &str, fa
     Ok(())
 }
 
-fn task_done(ended: &Ended, note: &str) -> EventKind {
-    EventKind::TaskDone {
-        key: ended.key,
-        kind: ended.kind.clone(),
-        label: ended.label.clone(),
-        worker: ended.worker.clone(),
-        attempt: ended.attempt,
-        elapsed_ms: ended.elapsed_ms,
-        note: note.to_owned(),
-    }
+/// A result of a task (its key, kind and label), by an attempt (its worker, number and duration).
+pub(super) fn task_done(
+    (key, kind, label): (TaskKey, &str, &str),
+    (worker, attempt, elapsed_ms): (&str, u32, u64),
+    note: &str,
+) -> EventKind {
+    let [kind, label, worker, note] = [kind, label, worker, note].map(str::to_owned);
+    EventKind::TaskDone { key, kind, label, worker, attempt, elapsed_ms, note }
 }
 
 /// A failure; `wait_ms` is the wait before the next try, if there is one.

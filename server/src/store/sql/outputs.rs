@@ -14,8 +14,16 @@ pub(super) async fn outputs_of_needs(
     conn: &mut Conn,
     tasks: &str,
 ) -> Result<BTreeMap<TaskKey, Vec<Artefact>>> {
-    let sql = "SELECT t.key, r.outputs FROM task_needs n JOIN tasks t ON t.id = n.needs
-               JOIN results r ON r.task = t.id WHERE n.task IN (SELECT CAST(value AS BIGINT) FROM json_each($1))";
+    // PostgreSQL goes from the tasks to their dependencies, whatever it believes of their numbers: another task may depend on one of them
+    // with a hundred thousand others.
+    let sql = conn.pick(
+        "SELECT t.key, r.outputs FROM task_needs n JOIN tasks t ON t.id = n.needs
+         JOIN results r ON r.task = t.id WHERE n.task IN (SELECT CAST(value AS BIGINT) FROM json_each($1))",
+        "SELECT (SELECT t.key FROM tasks t WHERE t.id = d.needs) AS key,
+         coalesce((SELECT r.outputs FROM results r WHERE r.task = d.needs), '[]') AS outputs
+         FROM json_each($1) j CROSS JOIN LATERAL (
+             SELECT n.needs FROM task_needs n WHERE n.task = CAST(j.value AS BIGINT) OFFSET 0) AS d",
+    );
     let mut outputs = BTreeMap::new();
     for row in query(sql).bind(tasks).all(conn).await? {
         outputs.insert(row.digest("key")?, row.json("outputs")?);

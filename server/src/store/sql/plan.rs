@@ -4,16 +4,23 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use lightkiln_proto::api::EventKind;
 use lightkiln_proto::ids::{Digest, TaskKey};
-use lightkiln_proto::jobs::{TaskResult, TaskSpec};
-use serde_json::json;
+use lightkiln_proto::jobs::{MAX_PLAN_TASKS, TaskResult, TaskSpec};
 
+use super::bulk::{self, COPIED_FROM, Field, Rows, Standing};
 use super::chunks;
 use super::codec::{ROWS_PER_STATEMENT, to_json};
 use super::conn::{Conn, query};
 use super::ledger::Ledger;
-use super::ready;
-use crate::store::rules::{add_counters, dependencies, is_same_task, named_artefacts};
-use crate::store::{PlanError, Result};
+use super::ready::{self, Offer};
+use crate::store::rules::{
+    add_counters, check_plan, claim_cost, dependencies, is_same_task, named_artefacts,
+};
+use crate::store::{PlanError, Result, StoreError};
+
+/// Plans up to so many tasks are checked on the caller's thread.
+const CHECKED_HERE: usize = 64;
+/// Tasks of a bigger plan that are copied for another thread at a time. More → the caller's thread is held for longer.
+const CHECKED_TOGETHER: usize = 1_000;
 
 /// A task that the farm has.
 struct Known {
@@ -29,6 +36,13 @@ struct Added {
     needs: Vec<TaskKey>,
 }
 
+/// A task that another one depends on, as far as that one's state tells.
+#[derive(Clone, Copy)]
+struct Needed {
+    is_done: bool,
+    cost: u64,
+}
+
 /// Growth of one kind of task.
 #[derive(Default)]
 struct StageGain {
@@ -39,14 +53,18 @@ struct StageGain {
     cost_done: u64,
 }
 
-/// An addition under way.
+/// An addition under way. First all tasks are gathered and looked up, then they are written in the state that they will
+/// have: a row that is changed again costs as much as a new one.
 struct Addition<'a> {
     conn: &'a mut Conn,
     bake: &'a mut Ledger,
     added: Vec<Added>,
+    /// Tasks that the farm does not have.
+    fresh: BTreeMap<TaskKey, TaskSpec>,
     ids: BTreeMap<TaskKey, i64>,
-    /// Ids that this addition made.
-    fresh: Vec<i64>,
+    needed: BTreeMap<TaskKey, Needed>,
+    /// Tasks that the farm has: each with whether it is done, and the place of its result.
+    members: Vec<(i64, bool, Option<u64>)>,
     /// In order of first appearance.
     stages: Vec<(String, StageGain)>,
     reused: u64,
@@ -55,19 +73,44 @@ struct Addition<'a> {
     required: BTreeSet<Digest>,
 }
 
-/// Adds `plan` to the bake. The ledger is changed, not saved.
-pub(super) async fn apply_plan(conn: &mut Conn, bake: &mut Ledger, plan: &[TaskSpec]) -> Result<()> {
-    let (added, ids, fresh, stages) = (Vec::new(), BTreeMap::new(), Vec::new(), Vec::new());
+/// Checks what can be seen in a plan alone ([`check_plan`]), before any lock is taken and away from the threads that answer calls: every
+/// task is hashed.
+pub(super) async fn check(plan: &[TaskSpec]) -> Result<(), PlanError> {
+    if plan.len() <= CHECKED_HERE || plan.len() > MAX_PLAN_TASKS {
+        return check_plan(plan);
+    }
+    for part in plan.chunks(CHECKED_TOGETHER) {
+        let owned = part.to_vec();
+        match tokio::task::spawn_blocking(move || check_plan(&owned)).await {
+            Ok(checked) => checked?,
+            // The process is about to end.
+            Err(_) => check_plan(part)?,
+        }
+    }
+    Ok(())
+}
+
+/// Adds `plan` to the bake. The ledger is changed, not saved. `made` are the tasks that this transaction made.
+pub(super) async fn apply_plan(
+    conn: &mut Conn,
+    bake: &mut Ledger,
+    plan: &[TaskSpec],
+    made: &mut BTreeSet<TaskKey>,
+) -> Result<()> {
+    let (added, members, stages) = (Vec::new(), Vec::new(), Vec::new());
+    let (fresh, ids, needed) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
     let (named, required) = (BTreeSet::new(), BTreeSet::new());
-    let mut addition = Addition { conn, bake, added, ids, fresh, stages, reused: 0, named, required };
+    let mut addition =
+        Addition { conn, bake, added, fresh, ids, needed, members, stages, reused: 0, named, required };
     let mut layer = plan.to_vec();
     while !layer.is_empty() {
-        layer = addition.add_layer(layer).await?;
+        layer = addition.add_layer(layer, made).await?;
     }
     if addition.added.is_empty() {
         return Ok(());
     }
-    addition.link().await?;
+    addition.write().await?;
+    made.extend(addition.fresh.keys());
     chunks::refer(addition.conn, addition.bake.seq, &addition.named, &addition.required).await?;
     addition.write_stages().await?;
     let (tasks, reused) = (addition.added.len() as u64, addition.reused);
@@ -79,29 +122,36 @@ pub(super) async fn apply_plan(conn: &mut Conn, bake: &mut Ledger, plan: &[TaskS
 
 impl Addition<'_> {
     /// Adds tasks, and returns those planned by the ones that are done already.
-    async fn add_layer(&mut self, layer: Vec<TaskSpec>) -> Result<Vec<TaskSpec>> {
-        let known = self.known(&layer).await?;
-        let mut fresh: BTreeMap<TaskKey, TaskSpec> = BTreeMap::new();
-        let mut members: Vec<(i64, bool, Option<u64>)> = Vec::new();
+    async fn add_layer(&mut self, layer: Vec<TaskSpec>, made: &BTreeSet<TaskKey>) -> Result<Vec<TaskSpec>> {
+        // Beside others, a plan that names a task of the farm was left out before; the first bake's tasks are all new.
+        let is_new = self.conn.has_neighbours() && made.is_empty();
+        let known = if is_new { BTreeMap::new() } else { self.known(&layer).await? };
+        // A task that somebody else makes at the same time has bakes that are not locked here: the call is run again, and
+        // finds it before it takes any lock.
+        if self.conn.has_neighbours() && !known.keys().all(|key| made.contains(key)) {
+            return Err(StoreError::Contended("a planned task was made meanwhile".into()));
+        }
         let mut done: Vec<i64> = Vec::new();
         for spec in layer {
             let key = spec.key;
-            let earlier = known.get(&key).map(|known| &known.spec).or_else(|| fresh.get(&key));
+            let earlier = known.get(&key).map(|known| &known.spec).or_else(|| self.fresh.get(&key));
             if earlier.is_some_and(|earlier| !is_same_task(earlier, &spec)) {
                 return Err(PlanError::KeyClash { key }.into());
             }
             let known = known.get(&key);
-            if self.ids.contains_key(&key) || fresh.contains_key(&key) || known.is_some_and(|k| k.is_member) {
+            if self.needed.contains_key(&key) || known.is_some_and(|known| known.is_member) {
                 continue;
             }
+            let is_done = known.is_some_and(|known| known.state == "done");
+            self.needed
+                .insert(key, Needed { is_done, cost: known.map_or(spec.cost, |known| known.spec.cost) });
             match known {
                 Some(task) => {
                     self.count(&task.spec, &task.state);
                     self.added.push(Added { key, needs: dependencies(&task.spec) });
                     self.ids.insert(key, task.id);
-                    let is_done = task.state == "done";
                     let place = is_done.then(|| self.bake.next_place());
-                    members.push((task.id, is_done, place));
+                    self.members.push((task.id, is_done, place));
                     if is_done {
                         done.push(task.id);
                     }
@@ -109,15 +159,23 @@ impl Addition<'_> {
                 None => {
                     self.count(&spec, "ready");
                     self.added.push(Added { key, needs: dependencies(&spec) });
-                    fresh.insert(key, spec);
+                    self.fresh.insert(key, spec);
                 }
             }
         }
-        let ids = self.insert_tasks(&fresh).await?;
-        members.extend(ids.iter().map(|id| (*id, false, None)));
-        self.insert_members(&members).await?;
-        self.fresh.extend(ids);
         self.reuse(&done).await
+    }
+
+    /// Writes tasks, members and edges, and offers tasks that need nothing any more.
+    async fn write(&mut self) -> Result<()> {
+        self.find_dependencies().await?;
+        let known: Vec<i64> = self.members.iter().map(|(id, ..)| *id).collect();
+        let is_copied = self.conn.pick(false, self.fresh.len() >= COPIED_FROM);
+        let offers = if is_copied { self.copy_fresh().await? } else { self.insert_tasks().await? };
+        self.insert_members().await?;
+        self.insert_edges(is_copied).await?;
+        ready::offer_in(self.conn, self.bake.seq, &known).await?;
+        ready::offer_new(self.conn, self.bake.seq, &offers).await
     }
 
     fn count(&mut self, spec: &TaskSpec, state: &str) {
@@ -168,36 +226,83 @@ impl Addition<'_> {
         Ok(known)
     }
 
-    /// Makes new tasks, ready until [`Addition::link`] says otherwise; returns their ids.
-    async fn insert_tasks(&mut self, fresh: &BTreeMap<TaskKey, TaskSpec>) -> Result<Vec<i64>> {
+    /// Makes the new tasks; returns those that can be claimed, as [`ready::offer_new`] takes them.
+    async fn insert_tasks(&mut self) -> Result<Vec<Offer>> {
         let sql = self.conn.pick(
-            "INSERT INTO tasks (key, kind, label, params, inputs, cost, alike, version, state, waiting_count)
-             SELECT value ->> 0, value ->> 1, value ->> 2, value ->> 3, value ->> 4, value ->> 5, value ->> 6, value ->> 7, 'ready', 0
-             FROM json_each($1) RETURNING id, key",
-            "INSERT INTO tasks (key, kind, label, params, inputs, cost, alike, version, state, waiting_count)
-             SELECT v ->> 0, v ->> 1, v ->> 2, v ->> 3, v ->> 4, (v ->> 5)::bigint, v ->> 6, (v ->> 7)::bigint, 'ready', 0
-             FROM jsonb_array_elements($1::jsonb) AS j (v) RETURNING id, key",
+            "INSERT INTO tasks (key, kind, label, params, inputs, cost, alike, version, state, waiting_count, claim_cost)
+             SELECT value ->> 0, value ->> 1, value ->> 2, value ->> 3, value ->> 4, value ->> 5, value ->> 6, value ->> 7,
+             value ->> 8, value ->> 9, value ->> 10 FROM json_each($1) RETURNING id, key",
+            "INSERT INTO tasks (key, kind, label, params, inputs, cost, alike, version, state, waiting_count, claim_cost)
+             SELECT v ->> 0, v ->> 1, v ->> 2, v ->> 3, v ->> 4, (v ->> 5)::bigint, v ->> 6, (v ->> 7)::bigint, v ->> 8,
+             (v ->> 9)::bigint, (v ->> 10)::bigint FROM jsonb_array_elements($1::jsonb) AS j (v) RETURNING id, key",
         );
-        let specs: Vec<&TaskSpec> = fresh.values().collect();
-        let mut ids = Vec::with_capacity(specs.len());
+        // In the order of their keys: two additions that make the same tasks wait for each other in one order.
+        let specs: Vec<&TaskSpec> = self.fresh.values().collect();
+        let mut offers = Vec::new();
         for specs in specs.chunks(ROWS_PER_STATEMENT) {
-            let mut rows = Vec::with_capacity(specs.len());
+            let (mut rows, mut free) = (Vec::with_capacity(specs.len()), BTreeMap::new());
             for spec in specs {
+                let (standing, cost) = self.standing(spec);
                 let (params, inputs) = (to_json(&spec.params)?, to_json(&spec.inputs)?);
-                let TaskSpec { key, kind, label, cost, alike, version, .. } = spec;
-                rows.push(json!([key, kind, label, params, inputs, cost, alike, version]));
+                let TaskSpec { key, kind, label, alike, version, .. } = spec;
+                let Standing { state, waiting_count, claim_cost } = standing;
+                let place = (state, waiting_count, claim_cost);
+                rows.push((
+                    key, kind, label, params, inputs, spec.cost, alike, version, place.0, place.1, place.2,
+                ));
+                if waiting_count == 0 {
+                    free.insert(*key, (cost, kind));
+                }
             }
             for row in query(sql).bind(to_json(&rows)?).all(self.conn).await? {
-                let id = row.get("id")?;
-                self.ids.insert(row.digest("key")?, id);
-                ids.push(id);
+                let (id, key) = (row.get("id")?, row.digest("key")?);
+                self.ids.insert(key, id);
+                self.members.push((id, false, None));
+                if let Some((cost, kind)) = free.get(&key) {
+                    offers.push(Offer { cost: *cost, key, task: id, kind: (*kind).clone() });
+                }
             }
         }
-        Ok(ids)
+        Ok(offers)
     }
 
-    /// Adds tasks to the bake, each with whether it is done and the place of its result.
-    async fn insert_members(&mut self, members: &[(i64, bool, Option<u64>)]) -> Result<()> {
+    /// The state in which a new task is written, and the cost that it is claimed by.
+    fn standing(&self, spec: &TaskSpec) -> (Standing, u64) {
+        let needs: Vec<Needed> =
+            dependencies(spec).iter().filter_map(|key| self.needed.get(key).copied()).collect();
+        let waiting_count = needs.iter().filter(|needed| !needed.is_done).count();
+        let cost = claim_cost(spec.cost, needs.iter().map(|needed| needed.cost));
+        let state = if waiting_count == 0 { "ready" } else { "waiting" };
+        let claim_cost = (cost != spec.cost).then_some(cost);
+        (Standing { state, waiting_count, claim_cost }, cost)
+    }
+
+    /// Makes the new tasks of a big plan, with all that belongs to them; returns those that are left to be offered: none.
+    async fn copy_fresh(&mut self) -> Result<Vec<Offer>> {
+        let (bake, now_ms) = (self.bake.seq, self.conn.now_ms);
+        let ids = bulk::task_ids(self.conn, self.fresh.len()).await?;
+        let [mut tasks, mut members, mut ready, mut edges] = [const { Rows::new() }; 4];
+        for (id, spec) in ids.into_iter().zip(self.fresh.values()) {
+            let (standing, cost) = self.standing(spec);
+            bulk::push_task(&mut tasks, id, spec, &standing)?;
+            members.push(&[Field::Int(bake), Field::Int(id), Field::Int(0), Field::Int(0)]);
+            if standing.waiting_count == 0 {
+                bulk::push_ready(&mut ready, (bake, id), spec, cost, now_ms);
+            }
+            self.ids.insert(spec.key, id);
+        }
+        for (task, needs) in self.edges(|key| self.fresh.contains_key(key)) {
+            edges.push(&[Field::Int(task), Field::Int(needs)]);
+        }
+        tasks.copy(self.conn, bulk::TASKS).await?;
+        members.copy(self.conn, "COPY bake_tasks (bake, task, done, reused) FROM STDIN").await?;
+        edges.copy(self.conn, "COPY task_needs (task, needs) FROM STDIN").await?;
+        ready.copy(self.conn, bulk::READY).await?;
+        Ok(Vec::new())
+    }
+
+    /// Adds the tasks to the bake.
+    async fn insert_members(&mut self) -> Result<()> {
         let sql = self.conn.pick(
             "INSERT INTO bake_tasks (bake, task, done, reused, place)
              SELECT $1, value ->> 0, value ->> 1, value ->> 1, value ->> 2 FROM json_each($2)",
@@ -205,7 +310,7 @@ impl Addition<'_> {
              SELECT $1, (v ->> 0)::bigint, (v ->> 1)::boolean::int, (v ->> 1)::boolean::int, (v ->> 2)::bigint
              FROM jsonb_array_elements($2::jsonb) AS j (v)",
         );
-        for members in members.chunks(ROWS_PER_STATEMENT) {
+        for members in self.members.chunks(ROWS_PER_STATEMENT) {
             query(sql).bind(self.bake.seq).bind(to_json(members)?).run(self.conn).await?;
         }
         Ok(())
@@ -234,18 +339,21 @@ impl Addition<'_> {
         Ok(planned)
     }
 
-    /// Writes the edges of dependencies, and offers tasks without open ones.
-    async fn link(&mut self) -> Result<()> {
-        self.find_dependencies().await?;
+    /// Edges of dependencies of some of the added tasks, in the order of their rows.
+    fn edges(&self, of: impl Fn(&TaskKey) -> bool) -> Vec<(i64, i64)> {
         let mut edges = Vec::new();
-        for task in &self.added {
-            for needs in &task.needs {
-                match (self.ids.get(&task.key), self.ids.get(needs)) {
-                    (Some(task), Some(needs)) => edges.push((*task, *needs)),
-                    _ => return Err(PlanError::UnknownDependency { needs: *needs }.into()),
-                }
-            }
+        for task in self.added.iter().filter(|task| of(&task.key)) {
+            let ids = task.needs.iter().filter_map(|needs| self.ids.get(needs));
+            edges.extend(ids.filter_map(|needs| Some((*self.ids.get(&task.key)?, *needs))));
         }
+        edges.sort_unstable();
+        edges.dedup();
+        edges
+    }
+
+    /// Writes the edges of dependencies; those of new tasks may be there already.
+    async fn insert_edges(&mut self, is_copied: bool) -> Result<()> {
+        let edges = self.edges(|key| !is_copied || !self.fresh.contains_key(key));
         // A task that was there has its edges, unless a dependency was forgotten meanwhile.
         let sql = self.conn.pick(
             "INSERT OR IGNORE INTO task_needs (task, needs) SELECT value ->> 0, value ->> 1 FROM json_each($1)",
@@ -255,40 +363,28 @@ impl Addition<'_> {
         for edges in edges.chunks(ROWS_PER_STATEMENT) {
             query(sql).bind(to_json(edges)?).run(self.conn).await?;
         }
-        let count = "UPDATE tasks SET waiting_count = (SELECT count(*) FROM task_needs n JOIN tasks d ON d.id = n.needs
-                     WHERE n.task = tasks.id AND d.state <> 'done') WHERE id IN (SELECT CAST(value AS BIGINT) FROM json_each($1))";
-        let wait = "UPDATE tasks SET state = 'waiting'
-                    WHERE id IN (SELECT CAST(value AS BIGINT) FROM json_each($1)) AND waiting_count > 0";
-        // As rules::claim_cost has it.
-        let rank = "UPDATE tasks SET claim_cost = (SELECT max(d.cost) + 1 FROM task_needs n JOIN tasks d ON d.id = n.needs
-                                                   WHERE n.task = tasks.id)
-                    WHERE id IN (SELECT CAST(value AS BIGINT) FROM json_each($1))
-                    AND cost <= (SELECT max(d.cost) FROM task_needs n JOIN tasks d ON d.id = n.needs
-                                 WHERE n.task = tasks.id)";
-        for fresh in self.fresh.chunks(ROWS_PER_STATEMENT) {
-            let fresh = to_json(fresh)?;
-            for sql in [count, wait, rank] {
-                query(sql).bind(&fresh).run(self.conn).await?;
-            }
-        }
-        let ids: Vec<i64> = self.added.iter().filter_map(|task| self.ids.get(&task.key).copied()).collect();
-        ready::offer_in(self.conn, self.bake.seq, &ids).await
+        Ok(())
     }
 
-    /// Finds the ids of dependencies that the bake held before.
+    /// Finds dependencies that the bake held before; every other one must be added with the tasks.
     async fn find_dependencies(&mut self) -> Result<()> {
-        let mut before: Vec<TaskKey> = self.added.iter().flat_map(|task| &task.needs).copied().collect();
-        before.retain(|key| !self.ids.contains_key(key));
-        before.sort_unstable();
-        before.dedup();
-        let sql = "SELECT t.id, t.key FROM json_each($1) j JOIN tasks t ON t.key = j.value
+        let needs = self.added.iter().flat_map(|task| &task.needs);
+        let before: BTreeSet<TaskKey> = needs.filter(|key| !self.needed.contains_key(key)).copied().collect();
+        let before: Vec<TaskKey> = before.into_iter().collect();
+        let sql = "SELECT t.id, t.key, t.cost, t.state FROM json_each($1) j JOIN tasks t ON t.key = j.value
                    JOIN bake_tasks m ON m.task = t.id AND m.bake = $2";
         for keys in before.chunks(ROWS_PER_STATEMENT) {
             for row in query(sql).bind(to_json(keys)?).bind(self.bake.seq).all(self.conn).await? {
-                self.ids.insert(row.digest("key")?, row.get("id")?);
+                let (key, is_done) = (row.digest("key")?, row.text("state")? == "done");
+                self.ids.insert(key, row.get("id")?);
+                self.needed.insert(key, Needed { is_done, cost: row.count("cost")? });
             }
         }
-        Ok(())
+        let mut needs = self.added.iter().flat_map(|task| &task.needs);
+        match needs.find(|key| !self.needed.contains_key(key)) {
+            Some(needs) => Err(PlanError::UnknownDependency { needs: *needs }.into()),
+            None => Ok(()),
+        }
     }
 
     async fn write_stages(&mut self) -> Result<()> {

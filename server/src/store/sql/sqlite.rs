@@ -24,7 +24,7 @@ const BUSY_TIMEOUT: Duration = Duration::from_secs(10);
 /// Wait for a free connection before giving up.
 const ACQUIRE_TIMEOUT: Duration = Duration::from_secs(30);
 /// Steps of the schema, from one `user_version` to the next.
-const MIGRATIONS: [&str; 15] = [
+const MIGRATIONS: [&str; 16] = [
     include_str!("schema/sqlite_1.sql"),
     include_str!("schema/sqlite_2.sql"),
     include_str!("schema/sqlite_3.sql"),
@@ -40,6 +40,7 @@ const MIGRATIONS: [&str; 15] = [
     include_str!("schema/sqlite_13.sql"),
     include_str!("schema/sqlite_14.sql"),
     include_str!("schema/sqlite_15.sql"),
+    include_str!("schema/sqlite_16.sql"),
 ];
 
 /// An open file.
@@ -59,8 +60,12 @@ impl SqliteFile {
     pub(super) async fn begin(&self, kind: Kind) -> Result<Tx> {
         Ok(Tx::Sqlite(match kind {
             Kind::Read => self.readers.begin().await?,
-            Kind::Lease => self.writer.begin_with("PRAGMA synchronous = NORMAL; BEGIN IMMEDIATE").await?,
-            Kind::Write => self.writer.begin_with("PRAGMA synchronous = FULL; BEGIN IMMEDIATE").await?,
+            Kind::Lease | Kind::LeaseBriefly | Kind::Beat => {
+                self.writer.begin_with("PRAGMA synchronous = NORMAL; BEGIN IMMEDIATE").await?
+            }
+            Kind::Commit | Kind::CommitBriefly | Kind::Write => {
+                self.writer.begin_with("PRAGMA synchronous = FULL; BEGIN IMMEDIATE").await?
+            }
         }))
     }
 

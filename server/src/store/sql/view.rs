@@ -16,7 +16,9 @@ use crate::store::{Demand, Result, Stats, StoreError, TaskCount, TaskState};
 /// Rows of bakes, with the number of results that each lost.
 macro_rules! bakes {
     () => {
-        "SELECT *, (SELECT count(*) FROM lost_results l WHERE l.bake = bakes.seq) AS results_lost FROM bakes"
+        "SELECT seq, id, name, kind, scene, settings, priority, needs, state, tasks_run, tasks_reused, attempts_failed,
+         attempts_lost, alarms, owner, failure, manifest, report, evaluation, created_ms, finished_ms, counters, counters_reused,
+         (SELECT count(*) FROM lost_results l WHERE l.bake = bakes.seq) AS results_lost FROM bakes"
     };
 }
 pub(super) use bakes;
@@ -75,7 +77,8 @@ pub(super) async fn bake_from(conn: &mut Conn, row: &Row) -> Result<Bake> {
 }
 
 async fn stages(conn: &mut Conn, bake: i64) -> Result<Vec<StageCount>> {
-    let sql = "SELECT *, coalesce(last_commit_ms - first_claim_ms, 0) AS elapsed_ms
+    let sql = "SELECT kind, total, done, reused, leased, cost_total, cost_done,
+               coalesce(last_commit_ms - first_claim_ms, 0) AS elapsed_ms
                FROM stages WHERE bake = $1 ORDER BY position";
     let mut stages = Vec::new();
     for row in query(sql).bind(bake).all(conn).await? {
@@ -168,16 +171,29 @@ pub(super) async fn workers(conn: &mut Conn) -> Result<Vec<Worker>> {
 }
 
 pub(super) async fn stats(conn: &mut Conn) -> Result<Stats> {
-    let sql = "SELECT kind, state, count(*) AS count FROM tasks GROUP BY kind, state";
+    let sql = conn.pick(
+        "SELECT kind, state, count FROM task_counts WHERE count <> 0",
+        "SELECT kind, state, CAST(sum(count) AS BIGINT) AS count FROM task_counts
+         GROUP BY kind, state HAVING sum(count) <> 0",
+    );
     let mut tasks = Vec::new();
     for row in query(sql).all(conn).await? {
         let state = task_state_from(&row.text("state")?)?;
         tasks.push(TaskCount { kind: row.get("kind")?, state, count: row.count("count")? });
     }
     tasks.sort();
-    let sql = "SELECT r.kind, b.needs, count(*) AS ready,
-               min(CASE WHEN r.not_before_ms > r.since_ms THEN r.not_before_ms ELSE r.since_ms END) AS oldest_ms
-               FROM bakes b JOIN ready r ON r.bake = b.seq WHERE b.state = 'running' GROUP BY r.kind, b.needs";
+    let sql = conn.pick(
+        "SELECT c.kind, b.needs, sum(c.count) AS ready,
+         min((SELECT max(r.not_before_ms, r.since_ms) FROM ready r INDEXED BY ready_by_age WHERE r.bake = c.bake AND r.kind = c.kind
+              ORDER BY max(r.not_before_ms, r.since_ms) LIMIT 1)) AS oldest_ms
+         FROM ready_counts c JOIN bakes b ON b.seq = c.bake WHERE b.state = 'running' GROUP BY c.kind, b.needs",
+        "SELECT c.kind, b.needs, CAST(sum(c.count) AS BIGINT) AS ready,
+         min((SELECT greatest(r.not_before_ms, r.since_ms) FROM ready r WHERE r.bake = c.bake AND r.kind = c.kind
+              ORDER BY greatest(r.not_before_ms, r.since_ms) LIMIT 1)) AS oldest_ms
+         FROM (SELECT bake, kind, sum(count) AS count FROM ready_counts GROUP BY bake, kind
+               HAVING sum(count) > 0) AS c JOIN bakes b ON b.seq = c.bake
+         WHERE b.state = 'running' GROUP BY c.kind, b.needs",
+    );
     let mut demand = Vec::new();
     for row in query(sql).all(conn).await? {
         let waited_ms = u64::try_from(conn.now_ms - row.get::<i64>("oldest_ms")?).unwrap_or(0);
@@ -199,6 +215,27 @@ pub(super) async fn stats(conn: &mut Conn) -> Result<Stats> {
         tasks_reused: row.count("reused")?,
         alarms: alarms::count(conn).await?,
     })
+}
+
+/// Puts the parts of counts together that sessions left.
+pub(super) async fn gather_counts(conn: &mut Conn) -> Result<()> {
+    // SQLite's have no parts.
+    if conn.pick(true, false) {
+        return Ok(());
+    }
+    for sql in [
+        "WITH gone AS (DELETE FROM task_counts RETURNING kind, state, count)
+         INSERT INTO task_counts (slot, kind, state, count)
+         SELECT -1, kind, state, sum(count) FROM gone GROUP BY kind, state HAVING sum(count) <> 0",
+        "UPDATE task_counts SET slot = 0",
+        "WITH gone AS (DELETE FROM ready_counts RETURNING bake, kind, count)
+         INSERT INTO ready_counts (slot, bake, kind, count)
+         SELECT -1, bake, kind, sum(count) FROM gone GROUP BY bake, kind HAVING sum(count) <> 0",
+        "UPDATE ready_counts SET slot = 0",
+    ] {
+        query(sql).run(conn).await?;
+    }
+    Ok(())
 }
 
 fn task_state_from(name: &str) -> Result<TaskState> {

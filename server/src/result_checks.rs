@@ -1,8 +1,27 @@
-//! Counters and notes of results: for people, and within limits.
+//! Checks of results before they are taken in.
 
+use std::collections::BTreeMap;
+
+use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{MAX_COUNTER, MAX_COUNTER_NAME_BYTES, MAX_COUNTERS, MAX_NOTE_BYTES, TaskResult};
 
 use crate::error::{Result, ServerError};
+
+/// Refuses a result whose outputs are not stored with the lengths that it says.
+pub(crate) fn require_lengths(result: &TaskResult, there: &BTreeMap<Digest, u64>) -> Result<()> {
+    for output in &result.outputs {
+        let (name, digest, bytes) = (&output.name, output.digest, output.bytes);
+        match there.get(&digest) {
+            Some(length) if *length == bytes => (),
+            Some(length) => {
+                let what = format!("output '{name}' says {bytes} bytes, chunk {digest} has {length}");
+                return Err(ServerError::bad_request(what));
+            }
+            None => return Err(ServerError::NoSuchOutput { name: name.clone(), digest }),
+        }
+    }
+    Ok(())
+}
 
 /// Words for people are short. Sums of counters must stay numbers: JSON cannot say infinity, so a bake that had one could not be read any more.
 pub(crate) fn check_counters(result: &TaskResult) -> Result<()> {
