@@ -101,7 +101,7 @@ impl Worker {
                 Err(error) => return Err(no_result_of_call("the outputs could not be stored", error)),
             };
             let _span = step(|| tracing::info_span!(target: TARGET, "commit")).entered();
-            match store.insist(|| self.farm.commit(&lease.token, &result)) {
+            match store.insist(|| self.results.hand_in(&self.farm, &lease.token, &result)) {
                 Ok(verdict) => return Ok(verdict),
                 // A database that dies forgets the last moments; uploads of then have to be told again.
                 Err(error) if error.code() == Some(ProblemCode::NotStored) && uploads < UPLOADS_MAX => {

@@ -20,22 +20,22 @@ enum Handoff {
     /// The worker waits for it.
     Waiting,
     /// The server answered.
-    Answered(Box<Result<Option<Lease>, CallError>>),
+    Answered(Box<Result<Vec<Lease>, CallError>>),
     /// The worker has gone: a task that comes now is given straight back.
     Abandoned,
 }
 
-/// Asks for one task. `None` when there is none yet or the worker is to stop.
+/// Asks for tasks. None when there are none yet or the worker is to stop.
 pub(super) fn claim(
     farm: &Arc<Farm>,
     request: ClaimRequest,
     shutdown: &ShutdownFlag,
-) -> Result<Option<Lease>, CallError> {
+) -> Result<Vec<Lease>, CallError> {
     let handoff = Arc::new(Mutex::new(Handoff::Waiting));
     let asker = (farm.clone(), handoff.clone(), shutdown.clone());
     std::thread::spawn(move || {
         let (farm, handoff, shutdown) = asker;
-        let answer = farm.claim(&request).map(|answer| answer.leases.into_iter().next());
+        let answer = farm.claim(&request).map(|answer| answer.leases);
         hand_over(&farm, &handoff, answer);
         shutdown.wake();
     });
@@ -45,28 +45,31 @@ pub(super) fn claim(
     }
     let answer = match std::mem::replace(&mut *lock(&handoff), Handoff::Abandoned) {
         Handoff::Answered(answer) => (*answer)?,
-        Handoff::Waiting | Handoff::Abandoned => None,
+        Handoff::Waiting | Handoff::Abandoned => Vec::new(),
     };
     if shutdown.level() > Level::Run {
         give_back(farm, answer);
-        return Ok(None);
+        return Ok(Vec::new());
     }
     Ok(answer)
 }
 
-fn hand_over(farm: &Farm, handoff: &Mutex<Handoff>, answer: Result<Option<Lease>, CallError>) {
+fn hand_over(farm: &Farm, handoff: &Mutex<Handoff>, answer: Result<Vec<Lease>, CallError>) {
     let mut state = lock(handoff);
     if matches!(*state, Handoff::Waiting) {
         *state = Handoff::Answered(Box::new(answer));
         return;
     }
     drop(state);
-    give_back(farm, answer.ok().flatten());
+    give_back(farm, answer.unwrap_or_default());
 }
 
-fn give_back(farm: &Farm, lease: Option<Lease>) {
-    if let Some(Err(error)) = lease.map(|lease| farm.release(&lease.token)) {
-        tracing::warn!(%error, "a task could not be given back; its lease will run out instead");
+/// Gives tasks back that nobody will begin.
+pub(super) fn give_back(farm: &Farm, leases: impl IntoIterator<Item = Lease>) {
+    for lease in leases {
+        if let Err(error) = farm.release(&lease.token) {
+            tracing::warn!(%error, "a task could not be given back; its lease will run out instead");
+        }
     }
 }
 

@@ -4,8 +4,8 @@ use std::time::Duration;
 
 use lightkiln_http::{Call, CallError, HttpClient};
 use lightkiln_proto::api::{
-    ClaimAnswer, ClaimRequest, CommitAnswer, CommitVerdict, Enrolled, Enrolment, Failure, Heartbeat,
-    HeartbeatAnswer, MAX_CHUNK_BYTES, TaskResult, Verdict,
+    ClaimAnswer, ClaimRequest, CommitAnswer, CommitVerdict, Commits, CommitsAnswer, Enrolled, Enrolment,
+    Failure, Heartbeat, HeartbeatAnswer, MAX_CHUNK_BYTES, TaskResult, Verdict,
 };
 use lightkiln_proto::ids::Digest;
 use serde::Serialize;
@@ -13,6 +13,8 @@ use serde::de::DeserializeOwned;
 
 /// Longest time for a small call to be answered.
 const CALL_TIMEOUT: Duration = Duration::from_secs(15);
+/// Longest time for several results, none of which has a plan, to be answered: as long as a server waits for its database's locks.
+const COMMITS_TIMEOUT: Duration = Duration::from_secs(30);
 /// Longest time for an artefact to cross.
 const TRANSFER_TIMEOUT: Duration = Duration::from_secs(600);
 
@@ -57,6 +59,11 @@ impl Farm {
     pub(super) fn commit(&self, token: &str, result: &TaskResult) -> Result<CommitVerdict, CallError> {
         let answer = self.post(&format!("/v1/leases/{token}/commit"), result, TRANSFER_TIMEOUT);
         Ok(unless_gone(answer)?.map_or(CommitVerdict::Stale, |answer: CommitAnswer| answer.verdict))
+    }
+
+    /// Hands in several results at once.
+    pub(super) fn commit_all(&self, commits: &Commits) -> Result<CommitsAnswer, CallError> {
+        self.post("/v1/leases/commit", commits, COMMITS_TIMEOUT)
     }
 
     /// Reports a failed attempt; a lease that is gone needs no report.

@@ -13,16 +13,19 @@ mod farm;
 mod gauge;
 mod host;
 mod memory;
+mod results;
 mod room;
 mod seat;
 mod share;
 mod shift;
+mod spare;
 mod store;
 #[cfg(test)]
 mod tests;
 mod trace;
 mod watch;
 
+use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -30,7 +33,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use lightkiln_http::{DiskCache, FOREVER, retry};
-use lightkiln_proto::api::{ClaimRequest, Lease};
+use lightkiln_proto::api::Lease;
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::problem::chain;
 use thiserror::Error;
@@ -40,9 +43,10 @@ use crowd::Crowd;
 use farm::Farm;
 use gauge::{Gauge, Kernel};
 use memory::MemoryWatch;
+use results::Results;
 use share::Threads;
 use shift::Shift;
-use watch::{LastWords, tell};
+use spare::Next;
 
 pub use attempt::Outcome;
 pub use lightkiln_http::{CallError, Level, ShutdownFlag};
@@ -180,8 +184,12 @@ pub struct Worker {
     /// Tasks in hand, and how many may be.
     in_hand: AtomicUsize,
     crowd: Crowd,
-    /// Held while a claim is open: one call waits for work, however many tasks may be in hand.
-    claiming: Mutex<()>,
+    /// Held while a claim is open: one call waits for work, however many tasks may be in hand. Leases that came with one and that nobody
+    /// has begun: each of those who wait for their turn takes one.
+    claiming: Mutex<VecDeque<Lease>>,
+    /// Those who have no task.
+    idle: AtomicUsize,
+    results: Results,
 }
 
 /// Exchanges a code for the right to work with `token`, which whoever calls made and keeps; the worker's name on the farm.
@@ -224,7 +232,9 @@ impl Worker {
             waits_for_memory: Mutex::default(),
             in_hand: AtomicUsize::new(0),
             crowd: Crowd::new(config.tasks),
-            claiming: Mutex::new(()),
+            claiming: Mutex::default(),
+            idle: AtomicUsize::new(0),
+            results: Results::default(),
             config,
         })
     }
@@ -257,6 +267,7 @@ impl Worker {
     /// Takes tasks on one of the threads. If that ends in an error or a panic, it is told at once, and the others end.
     fn take_tasks_or_end_all(&self, shutdown: &ShutdownFlag, shift: &Shift) -> Ended {
         let ended = catch_unwind(AssertUnwindSafe(|| self.take_tasks(shutdown, shift)));
+        self.give_back_spare(shutdown);
         match &ended {
             Ok(Ok(())) => return ended,
             Ok(Err(error)) => tracing::error!(reason = chain(error), "the worker cannot go on"),
@@ -268,62 +279,44 @@ impl Worker {
 
     /// Claims and does one task after the other.
     fn take_tasks(&self, shutdown: &ShutdownFlag, shift: &Shift) -> Result<(), WorkerError> {
-        let is_over = |level| level > Level::Run;
-        let pause = |error: &CallError, wait: Duration| {
-            tracing::warn!(%error, wait_secs = wait.as_secs_f64(), "no task could be claimed; trying again");
-            shift.note_silence();
-            if is_over(shutdown.wait(wait, is_over)) { Err(CallError::Stopped) } else { Ok(()) }
-        };
-        while !is_over(shutdown.level()) {
-            let turn = self.claiming.lock().unwrap_or_else(PoisonError::into_inner);
-            if shift.is_full() || !self.wait_for_room(shutdown)? {
-                break;
-            }
-            let claim = || claim::claim(&self.farm, self.claim_request(shift), shutdown);
-            match retry(FOREVER, claim, pause) {
-                Ok(Some(lease)) => {
+        loop {
+            self.idle.fetch_add(1, Ordering::AcqRel);
+            let mut spare = self.claiming.lock().unwrap_or_else(PoisonError::into_inner);
+            let next = self.next_task(&mut spare, shutdown, shift);
+            self.idle.fetch_sub(1, Ordering::AcqRel);
+            match next? {
+                Next::Task(lease) => {
                     self.in_hand.fetch_add(1, Ordering::AcqRel);
                     // A claim may have been open for long.
                     self.look_at_memory(shutdown);
                     if self.memory_watch.is_exhausted() {
-                        self.give_back_untried(&lease, shutdown);
+                        self.give_back_untried([*lease], shutdown);
                     } else {
                         let _in_hand = shift.take();
-                        drop(turn);
+                        drop(spare);
                         self.do_task(&lease, shutdown);
                     }
                     self.in_hand.fetch_sub(1, Ordering::AcqRel);
                     shutdown.wake();
                 }
-                Ok(None) if shift.is_idle() => break,
-                Ok(None) => {
-                    shutdown.wait(EMPTY_ANSWER_PAUSE, is_over);
+                Next::Nothing if shift.is_idle() => return Ok(()),
+                // In turn: nobody else asks meanwhile.
+                Next::Nothing => {
+                    shutdown.wait(EMPTY_ANSWER_PAUSE, |level| level > Level::Run);
                 }
-                Err(CallError::Stopped) => break,
-                Err(error) => return Err(WorkerError::Refused(error)),
+                Next::Over => return Ok(()),
             }
         }
-        Ok(())
     }
 
     fn do_task(&self, lease: &Lease, shutdown: &ShutdownFlag) {
         tracing::info!(kind = lease.task.kind, label = lease.task.label, "took");
-        if let Some(seat) = &self.config.seat {
-            seat.hold(&self.config.server_url, &lease.token, &lease.task.label);
-        }
         if let Outcome::HandedIn(_) = self.attempt(lease, shutdown) {
             self.crowd.note_done();
         }
         if let Some(seat) = &self.config.seat {
             seat.let_go(&lease.token);
         }
-    }
-
-    /// Gives a task back that came when memory was used up: it counts no attempt.
-    fn give_back_untried(&self, lease: &Lease, shutdown: &ShutdownFlag) {
-        tracing::info!(kind = lease.task.kind, label = lease.task.label, "given back, as memory is used up");
-        let patience = LastWords::lasting(shutdown, Duration::from_secs(self.config.lease_secs.into()));
-        tell("release", &patience, || self.farm.release(&lease.token));
     }
 
     /// Tells the farm of leases that former processes in this seat left, so that their tasks need not wait for the leases' end.
@@ -344,19 +337,6 @@ impl Worker {
                 Ok(()) => tracing::warn!(reason = failure.message, "a process before this one left a task"),
             }
             seat.let_go(&token);
-        }
-    }
-
-    fn claim_request(&self, shift: &Shift) -> ClaimRequest {
-        ClaimRequest {
-            worker: self.config.name.clone(),
-            kinds: self.runner.kinds(),
-            threads: u32::try_from(self.threads.all()).unwrap_or(u32::MAX),
-            memory_mib: self.config.memory_mib,
-            labels: self.config.labels.clone(),
-            max: 1,
-            ttl_secs: self.config.lease_secs,
-            wait_secs: shift.wait_secs(self.config.claim_wait_secs),
         }
     }
 }

@@ -105,9 +105,19 @@ impl Worker {
         Ok(())
     }
 
+    /// Whether a task may be begun at once.
+    pub(super) fn has_room(&self) -> bool {
+        !self.memory_watch.is_exhausted() && self.places() > 0
+    }
+
+    /// Tasks that may be begun beside those in hand.
+    pub(super) fn places(&self) -> usize {
+        self.crowd.allowed().saturating_sub(self.in_hand.load(Ordering::Acquire))
+    }
+
     /// Waits until fewer tasks are in hand than may be.
     fn wait_for_place(&self, shutdown: &ShutdownFlag) {
-        let has_place = || self.in_hand.load(Ordering::Acquire) < self.crowd.allowed();
+        let has_place = || self.places() > 0;
         while shutdown.level() == Level::Run && !has_place() {
             shutdown.wait(LOOK_AGAIN_EVERY, |level| level > Level::Run || has_place());
         }

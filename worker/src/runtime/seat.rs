@@ -124,10 +124,12 @@ impl Seat {
         left.filter_map(|(token, held)| Some((token.clone(), failure(name, held.end.as_ref()?)))).collect()
     }
 
-    /// Notes that a lease is in hand.
-    pub(super) fn hold(&self, server: &str, token: &str, label: &str) {
-        let held = Held { server: server.to_owned(), label: label.to_owned(), end: None };
-        self.change(|notes| drop(notes.leases.insert(token.to_owned(), held)));
+    /// Notes that leases are in hand, each by its token and the label of its task.
+    pub(super) fn hold<'a>(&self, server: &str, leases: impl IntoIterator<Item = (&'a str, &'a str)>) {
+        let held = |(token, label): (&str, &str)| {
+            (token.to_owned(), Held { server: server.to_owned(), label: label.to_owned(), end: None })
+        };
+        self.change(|notes| notes.leases.extend(leases.into_iter().map(held)));
     }
 
     /// Notes that a lease needs nothing more.
@@ -256,9 +258,9 @@ mod tests {
     fn leases_that_a_process_left_are_told_until_they_are_let_go() {
         let folder = tempfile::tempdir().unwrap();
         let seat = Seat::take(folder.path()).unwrap();
-        seat.hold("http://farm", "done", "a");
-        seat.hold("http://farm", "left", "b");
-        seat.hold("http://other", "elsewhere", "c");
+        seat.hold("http://farm", [("done", "a")]);
+        seat.hold("http://farm", [("left", "b")]);
+        seat.hold("http://other", [("elsewhere", "c")]);
         seat.let_go("done");
         assert!(seat.left("http://farm", "w").is_empty(), "they are in hand");
         drop(seat);
@@ -270,7 +272,7 @@ mod tests {
                 [("left", Blame::Lost)]
             );
             // A lease that the next process takes is none that was left.
-            seat.hold("http://farm", "new", "d");
+            seat.hold("http://farm", [("new", "d")]);
             seat.let_go("new");
         }
         let seat = Seat::take(folder.path()).unwrap();
@@ -283,7 +285,7 @@ mod tests {
     fn end_when_memory_was_nearly_used_up_is_a_loss_that_says_so() {
         let folder = tempfile::tempdir().unwrap();
         let seat = Seat::take(folder.path()).unwrap();
-        seat.hold("http://farm", "token", "a");
+        seat.hold("http://farm", [("token", "a")]);
         seat.note_memory((Some("nearly all memory of this machine was in use".to_owned()), Kills::default()));
         drop(seat);
         let seat = Seat::take(folder.path()).unwrap();
@@ -295,7 +297,7 @@ mod tests {
             "{message}"
         );
         assert!(!seat.left_several_for_memory());
-        seat.hold("http://farm", "other", "b");
+        seat.hold("http://farm", [("other", "b")]);
         assert!(!seat.left_several_for_memory(), "it is in hand");
         seat.note_memory((Some("nearly all memory of this machine was in use".to_owned()), Kills::default()));
         drop(seat);
@@ -340,7 +342,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let take = |name: &str, boot: &str| Seat::take_on(folder.path(), &host(name, boot)).unwrap();
         let seat = take("oven", "1");
-        seat.hold("http://farm", "live", "a");
+        seat.hold("http://farm", [("live", "a")]);
         let (id, path) = (seat.id().to_owned(), seat.path.clone());
         let noted = std::fs::read(&path).unwrap();
         // As locks that hold on one machine alone: it does live on.
@@ -360,7 +362,7 @@ mod tests {
         std::fs::write(&seat.path, "{ not").unwrap();
         drop(seat);
         let seat = Seat::take(folder.path()).unwrap();
-        seat.hold("http://farm", "token", "a");
+        seat.hold("http://farm", [("token", "a")]);
         drop(seat);
         assert_eq!(Seat::take(folder.path()).unwrap().left("http://farm", "w").len(), 1);
     }

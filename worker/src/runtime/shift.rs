@@ -30,6 +30,11 @@ impl Shift {
         self.max_tasks.is_some_and(|max| self.lock().taken >= max)
     }
 
+    /// Tasks to claim at once, if so many were wanted.
+    pub(super) fn at_most(&self, wanted: u32) -> u32 {
+        self.max_tasks.map_or(wanted, |max| wanted.min(max.saturating_sub(self.lock().taken)))
+    }
+
     /// Whether there was nothing to do for too long; asked once the server has said that there is nothing.
     pub(super) fn is_idle(&self) -> bool {
         self.idle_left().is_some_and(|left| left.is_zero())
@@ -85,7 +90,7 @@ mod tests {
         let shift = Shift::new(None, None);
         drop(shift.take());
         assert!(!shift.is_full() && !shift.is_idle());
-        assert_eq!(shift.wait_secs(20), 20);
+        assert_eq!((shift.wait_secs(20), shift.at_most(4)), (20, 4));
     }
 
     #[test]
@@ -93,6 +98,7 @@ mod tests {
         let shift = Shift::new(Some(2), None);
         drop(shift.take());
         assert!(!shift.is_full());
+        assert_eq!([1, 4].map(|wanted| shift.at_most(wanted)), [1, 1]);
         let _in_hand = shift.take();
         assert!(shift.is_full() && !shift.is_idle());
     }

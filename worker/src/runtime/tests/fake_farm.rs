@@ -7,7 +7,8 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard};
 use std::time::Duration;
 
 use lightkiln_proto::api::{
-    ClaimAnswer, CommitAnswer, CommitVerdict, Failure, HeartbeatAnswer, Lease, TaskResult, Verdict,
+    ClaimAnswer, ClaimRequest, CommitAnswer, CommitOutcome, CommitVerdict, Commits, CommitsAnswer, Failure,
+    HeartbeatAnswer, Lease, TaskResult, Verdict,
 };
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{Artefact, TaskSpec};
@@ -37,6 +38,10 @@ pub struct State {
     pub lose_answers: Vec<&'static str>,
     /// Calls whose text begins so are answered with 503 and not done; each once.
     pub refuse: Vec<&'static str>,
+    /// The next call whose text begins so is done only when it is let go.
+    pub hang: Option<&'static str>,
+    /// Calls that hang may go on.
+    pub is_let_go: bool,
     /// So often, the farm has forgotten stored bytes when a result comes.
     pub forgetful: u32,
     /// Artefacts are refused as too large.
@@ -109,10 +114,27 @@ impl FakeFarm {
         assert!(!waited.timed_out(), "no {what} within {LIMIT:?}; calls: {:?}", state.calls);
     }
 
+    /// Lets a call that hangs go on.
+    pub fn let_go(&self) {
+        self.state().is_let_go = true;
+        self.0.changed.notify_all();
+    }
+
+    /// Waits, if this call is to hang.
+    fn hang(&self, call: &str) {
+        let mut state = self.state();
+        if state.hang.take_if(|start| call.starts_with(*start)).is_some() {
+            state.calls.push(call.to_owned());
+            self.0.changed.notify_all();
+            drop(self.0.changed.wait_while(state, |state| !state.is_let_go).unwrap());
+        }
+    }
+
     fn serve(&self, stream: TcpStream) {
         let mut reader = BufReader::new(stream.try_clone().unwrap());
         let mut writer = stream;
         while let Some((method, path, body)) = read_request(&mut reader) {
+            self.hang(&format!("{method} {path}"));
             let answer = self.answer(&method, &path, &body);
             self.0.changed.notify_all();
             let Some((status, body)) = answer else { return };
@@ -141,7 +163,22 @@ impl FakeFarm {
             }
             ("POST", ["leases"]) => {
                 // Answers at once with nothing: a worker must bear that, and no test then waits for a poll to end.
-                (200, json(&ClaimAnswer { leases: state.leases.pop_front().into_iter().collect() }))
+                let request: ClaimRequest = serde_json::from_slice(body).unwrap();
+                let count = state.leases.len().min(request.max as usize);
+                (200, json(&ClaimAnswer { leases: state.leases.drain(..count).collect() }))
+            }
+            ("POST", ["leases", "commit"]) => {
+                let commits: Commits = serde_json::from_slice(body).unwrap();
+                let answers = commits.commits.into_iter().map(|commit| {
+                    match lease_call(&mut state, &commit.token, "commit", &json(&commit.result)) {
+                        (200, answer) => {
+                            let answer: CommitAnswer = serde_json::from_slice(&answer).unwrap();
+                            CommitOutcome::Verdict(answer.verdict)
+                        }
+                        (_, problem) => CommitOutcome::Problem(serde_json::from_slice(&problem).unwrap()),
+                    }
+                });
+                (200, json(&CommitsAnswer { answers: answers.collect() }))
             }
             ("POST", ["leases", token, verb]) => lease_call(&mut state, token, verb, body),
             (_, ["chunks", digest]) => chunk_call(&mut state, method, digest.parse().unwrap(), body),

@@ -1,7 +1,8 @@
 //! A worker when all goes well, and when server, task or machine fail.
 
-mod fake_farm;
+pub(super) mod fake_farm;
 mod memory;
+mod turns;
 
 use std::sync::Mutex;
 use std::sync::atomic::AtomicBool;
@@ -465,8 +466,9 @@ fn task_that_comes_after_the_order_to_stop_is_given_back_untouched() {
     let shutdown = ShutdownFlag::new();
     shutdown.raise(Level::Drain);
     farm.offer("late", &[]);
-    let lease = claim::claim(&worker.farm, worker.claim_request(&Shift::new(None, None)), &shutdown).unwrap();
-    assert_eq!(lease, None);
+    let leases =
+        claim::claim(&worker.farm, worker.claim_request(&Shift::new(None, None)), &shutdown).unwrap();
+    assert_eq!(leases, []);
     farm.wait_for("release", |state| state.released == ["late"]);
 }
 
