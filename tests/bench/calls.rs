@@ -1,6 +1,7 @@
 //! Calls of people and workers, each over a connection that is kept.
 
 use lightkiln_proto::ids::Digest;
+use lightkiln_proto::jobs::TaskSpec;
 use serde_json::{Value, json};
 
 /// A caller.
@@ -29,15 +30,24 @@ impl Caller {
 
     /// A new bake of a scene; other settings are other tasks.
     pub fn submit(&self, scene: Digest, rank_max: usize) -> String {
+        self.submit_to(scene, rank_max, &[])
+    }
+
+    fn submit_to(&self, scene: Digest, rank_max: usize, labels: &[&str]) -> String {
         let settings = json!({ "rank_max": 1 + rank_max % 64, "transport_rays": 16 + rank_max / 64 });
-        let bake = self.post("/v1/bakes", &json!({ "name": "load", "scene": scene, "settings": settings }));
-        bake["id"].as_str().unwrap().to_owned()
+        let needs = json!({ "labels": labels });
+        let bake = json!({ "name": "load", "scene": scene, "settings": settings, "needs": needs });
+        self.post("/v1/bakes", &bake)["id"].as_str().unwrap().to_owned()
     }
 
     /// The token of a task of these kinds, if one is ready.
     pub fn claim(&self, worker: &str, kinds: &[&str]) -> Option<String> {
+        self.claim_with(worker, kinds, &[])
+    }
+
+    fn claim_with(&self, worker: &str, kinds: &[&str], labels: &[&str]) -> Option<String> {
         let claim = json!({
-            "worker": worker, "kinds": kinds, "threads": 1, "max": 1, "ttl_secs": 3600, "wait_secs": 0,
+            "worker": worker, "kinds": kinds, "threads": 1, "labels": labels, "max": 1, "ttl_secs": 3600, "wait_secs": 0,
         });
         let answer = self.post("/v1/leases", &claim);
         Some(answer["leases"].get(0)?["token"].as_str().unwrap().to_owned())
@@ -56,18 +66,22 @@ impl Caller {
 
     /// A bake that has so many tasks ready, of the kind `bench.work`.
     pub fn fill(&self, tasks: usize) {
-        let scene = self.put("scenes", b"a scene that is never read");
-        self.submit(scene, 0);
+        self.fill_for(&[], "bench.work", b"a scene that is never read", tasks);
+    }
+
+    /// A bake for workers with these labels that has so many tasks ready of a kind.
+    pub fn fill_for(&self, labels: &[&str], kind: &str, scene: &[u8], tasks: usize) {
+        let scene = self.put("scenes", scene);
+        self.submit_to(scene, 0, labels);
         let before = ["import", "unwrap", "frame", "draw", "place", "patches"];
         for name in before.map(|name| format!("scene.{name}")) {
-            let task = self.claim("planner", &[&name]).unwrap();
+            let task = self.claim_with("planner", &[&name], labels).unwrap();
             self.commit(&task, name.as_bytes(), json!([]));
         }
-        let plan = self.claim("planner", &["prt.plan"]).unwrap();
+        let plan = self.claim_with("planner", &["prt.plan"], labels).unwrap();
         let task = |index: usize| {
-            let key = Digest::of(&index.to_le_bytes());
-            json!({ "key": key, "kind": "bench.work", "label": format!("task {index}"), "params": { "index": index },
-                "inputs": [], "cost": 1 + index % 97 })
+            let (label, params) = (format!("task {index}"), json!({ "index": index }));
+            json!(TaskSpec::new(kind, 1, label, params, Vec::new(), 1 + index as u64 % 97))
         };
         self.commit(&plan, b"planned", (0..tasks).map(task).collect());
     }

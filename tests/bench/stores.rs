@@ -1,10 +1,11 @@
 //! Claims and commits a second on each store, without HTTP: one caller that waits for each answer, and sixteen. Before,
 //! how long a plan of that many tasks takes to be taken in; after, how long the same bake takes that reuses them all.
+//! Then callers that work in batches, at one server and at two, and claims and figures beside many ready tasks.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use lightkiln_proto::api::{ClaimRequest, Needs, NewBake};
+use lightkiln_proto::api::{BakeFilter, ClaimRequest, CommitVerdict, Needs, NewBake};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{TaskInput, TaskResult, TaskSpec};
 use lightkiln_server::chunks::ChunkName;
@@ -14,7 +15,7 @@ use lightkiln_server::store::{FarmStore, SqlStore, Submission};
 
 use crate::model::MemoryStore;
 use crate::parts::postgres::Postgres;
-use crate::report::row;
+use crate::report::{quantiles, row};
 
 /// Tasks of a run. More → longer: each costs a few milliseconds.
 const TASKS: usize = 2_000;
@@ -22,6 +23,17 @@ const TASKS: usize = 2_000;
 const MODEL_TASKS: usize = 300;
 /// Callers beside one alone.
 const CALLERS: usize = 16;
+
+/// Kind of the tasks that plan.
+const PLAN: &str = "plan";
+/// Kind of a few tasks beside many.
+const RARE: &str = "rare";
+/// Leases of a claim, and results of a commit, of callers that work in batches.
+const BATCH: u32 = 32;
+/// Ready tasks beside which claims are timed, and a plan of that many is taken in.
+const QUEUED: [usize; 2] = [1_000, 100_000];
+/// Claims that are timed beside each.
+const CLAIMS: usize = 400;
 
 /// Measures each store.
 pub fn measure() {
@@ -31,11 +43,23 @@ pub fn measure() {
         measure_store("memory", Arc::new(MemoryStore::new(clock.clone())), MODEL_TASKS).await;
         let folder = tempfile::tempdir().unwrap();
         let sqlite = SqlStore::open_sqlite(&folder.path().join("farm.sqlite"), clock).await.unwrap();
-        measure_store("SQLite", Arc::new(sqlite), TASKS).await;
+        let sqlite: Arc<dyn FarmStore> = Arc::new(sqlite);
+        measure_store("SQLite", sqlite.clone(), TASKS).await;
+        measure_batches("SQLite", std::slice::from_ref(&sqlite)).await;
+        measure_queued("SQLite", &*sqlite).await;
         // With its flushes, unlike in tests.
         let server = Postgres::start_with("");
-        let postgres = SqlStore::open_postgres(&server.url(None), None).await.unwrap();
-        measure_store("PostgreSQL", Arc::new(postgres), TASKS).await;
+        let open = async || {
+            let store = SqlStore::open_postgres(&server.url(None), None).await.unwrap();
+            Arc::new(store) as Arc<dyn FarmStore>
+        };
+        let stores = [open().await, open().await];
+        measure_store("PostgreSQL", stores[0].clone(), TASKS).await;
+        measure_batches("PostgreSQL", &stores[..1]).await;
+        let busy = Busy::begin();
+        measure_batches("PostgreSQL, two servers", &stores).await;
+        row("processors busy meanwhile", "PostgreSQL, two servers", &busy.end());
+        measure_queued("PostgreSQL", &*stores[0]).await;
     });
 }
 
@@ -43,29 +67,98 @@ async fn measure_store(name: &str, store: Arc<dyn FarmStore>, tasks: usize) {
     for callers in [1, CALLERS] {
         let place = format!("{name}, {callers} caller{}", if callers == 1 { "" } else { "s" });
         eprintln!("stores: {tasks} tasks on {place}");
-        let run = Run::new(callers, tasks);
+        let run = Run::new(&format!("{name} {callers}"), tasks);
         if callers == 1 {
             row(&format!("plan of {} tasks", tasks + 1), name, &millis(run.plan(&*store).await));
         } else {
             run.plan(&*store).await;
         }
-        let started = Instant::now();
-        let runs = (0..callers).map(|caller| tokio::spawn(work(store.clone(), caller)));
-        let (mut done, mut claiming, mut committing) = (0, Duration::ZERO, Duration::ZERO);
-        for run in runs.collect::<Vec<_>>() {
-            let (tasks, claims, commits) = run.await.unwrap();
-            (done, claiming, committing) = (done + tasks, claiming + claims, committing + commits);
-        }
-        let rate = f64::from(done) / started.elapsed().as_secs_f64();
-        let [claim, commit] =
-            [claiming, committing].map(|time| time.as_secs_f64() * 1000.0 / f64::from(done));
-        let figure = format!("{rate:.0} of each a second; a claim {claim:.2} ms, a commit {commit:.2} ms");
-        row("claims and commits", &place, &figure);
+        row("claims and commits", &place, &work_all(std::slice::from_ref(&store), callers, 1).await);
         if callers == 1 {
             let started = Instant::now();
             run.submit(&*store).await;
             row(&format!("bake that reuses {} results", tasks + 2), name, &millis(started.elapsed()));
         }
+    }
+}
+
+/// Sixteen callers that claim and commit in batches, shared out among servers that have a bake each.
+async fn measure_batches(name: &str, stores: &[Arc<dyn FarmStore>]) {
+    eprintln!("stores: batches on {name}");
+    for number in 0..2 {
+        Run::new(&format!("{name} batches {number}"), 2 * TASKS).plan(&*stores[0]).await;
+    }
+    let place = format!("{name}, {CALLERS} callers in batches of {BATCH}");
+    row("claims and commits", &place, &work_all(stores, CALLERS, BATCH).await);
+}
+
+/// Plans, claims and figures of a farm with many ready tasks.
+async fn measure_queued(name: &str, store: &dyn FarmStore) {
+    for count in QUEUED {
+        eprintln!("stores: {count} ready tasks on {name}");
+        let run = Run::with_rare(&format!("{name} queued {count}"), count, CLAIMS);
+        row(&format!("plan of {} tasks", count + 1), name, &millis(run.plan(store).await));
+        for (kind, of) in [("work", "ready tasks"), (RARE, "ready tasks of another kind")] {
+            let claim = ClaimRequest { kinds: vec![kind.to_owned()], ..request("queued", 1) };
+            let mut claims = Vec::with_capacity(CLAIMS);
+            for _ in 0..CLAIMS {
+                let started = Instant::now();
+                assert_eq!(store.claim(&claim).await.unwrap().len(), 1);
+                claims.push(started.elapsed());
+            }
+            row(&format!("claim beside {count} {of}"), name, &quantiles(&mut claims));
+        }
+        let mut looks = Vec::new();
+        for _ in 0..20 {
+            let started = Instant::now();
+            store.stats().await.unwrap();
+            looks.push(started.elapsed());
+        }
+        row(&format!("figures for /metrics beside {count} ready tasks"), name, &quantiles(&mut looks));
+        let bakes = store.list(&BakeFilter::default(), None, 1).await.unwrap().bakes;
+        store.cancel(&bakes[0].id).await.unwrap();
+    }
+}
+
+/// Lets callers work until nothing is ready; how many tasks a second they did.
+async fn work_all(stores: &[Arc<dyn FarmStore>], callers: usize, batch: u32) -> String {
+    let started = Instant::now();
+    let runs =
+        (0..callers).map(|caller| tokio::spawn(work(stores[caller % stores.len()].clone(), caller, batch)));
+    let (mut done, mut claiming, mut committing) = (0, Duration::ZERO, Duration::ZERO);
+    for run in runs.collect::<Vec<_>>() {
+        let (tasks, claims, commits) = run.await.unwrap();
+        (done, claiming, committing) = (done + tasks, claiming + claims, committing + commits);
+    }
+    let rate = f64::from(done) / started.elapsed().as_secs_f64();
+    let [claim, commit] = [claiming, committing].map(|time| time.as_secs_f64() * 1000.0 / f64::from(done));
+    format!("{rate:.0} of each a second; a claim {claim:.2} ms, a commit {commit:.2} ms")
+}
+
+/// Time that the machine's processors spend on anything.
+struct Busy {
+    began: Instant,
+    ticks: u64,
+}
+
+impl Busy {
+    fn begin() -> Self {
+        Self { began: Instant::now(), ticks: Self::ticks() }
+    }
+
+    /// Ticks of all processors in `/proc/stat`, but idle ones and those that waited for disks.
+    fn ticks() -> u64 {
+        let stat = std::fs::read_to_string("/proc/stat").unwrap();
+        let times: Vec<u64> =
+            stat.lines().next().unwrap().split_whitespace().filter_map(|time| time.parse().ok()).collect();
+        times.iter().take(8).sum::<u64>() - times[3] - times[4]
+    }
+
+    /// The share since the beginning.
+    fn end(self) -> String {
+        let cores = std::thread::available_parallelism().unwrap().get() as f64;
+        let busy_secs = (Self::ticks() - self.ticks) as f64 / 100.0;
+        format!("{:.0} %", 100.0 * busy_secs / (cores * self.began.elapsed().as_secs_f64()))
     }
 }
 
@@ -80,11 +173,24 @@ struct Run {
 }
 
 impl Run {
-    fn new(number: usize, tasks: usize) -> Self {
-        let planner = task(&format!("plan {number}"), &[]);
-        let parts: Vec<TaskSpec> = (0..tasks).map(|i| task(&format!("{number} {i}"), &[&planner])).collect();
-        let last = task(&format!("last {number}"), &parts.iter().collect::<Vec<_>>());
+    fn new(name: &str, tasks: usize) -> Self {
+        // Of a kind of its own: who plans does not take a task of another run.
+        let planner = TaskSpec { kind: PLAN.to_owned(), ..task(&format!("plan {name}"), &[]) };
+        let planner = TaskSpec { key: planner.computed_key(), ..planner };
+        let parts: Vec<TaskSpec> = (0..tasks).map(|i| task(&format!("{name} {i}"), &[&planner])).collect();
+        let last = task(&format!("last {name}"), &parts.iter().collect::<Vec<_>>());
         Self { planner, planned: parts.into_iter().chain([last]).collect() }
+    }
+
+    /// The same, with some tasks of another kind that come after all others by their cost.
+    fn with_rare(name: &str, tasks: usize, rare: usize) -> Self {
+        let mut run = Self::new(name, tasks);
+        for number in 0..rare {
+            let inputs = vec![TaskInput::Task { name: "in".into(), key: run.planner.key }];
+            let params = serde_json::json!({ "name": format!("{name} rare {number}") });
+            run.planned.push(TaskSpec::new(RARE, 1, "rare", params, inputs, 1));
+        }
+        run
     }
 
     async fn submit(&self, store: &dyn FarmStore) {
@@ -105,7 +211,9 @@ impl Run {
         let scene = KeptChunk { name: ChunkName::from(Digest::of(b"")), bytes: 0 };
         store.keep_chunk(scene, None, None).await.unwrap();
         self.submit(store).await;
-        let lease = store.claim(&request("planner")).await.unwrap().remove(0);
+        let lease =
+            store.claim(&ClaimRequest { kinds: vec![PLAN.to_owned()], ..request("planner", 1) }).await;
+        let lease = lease.unwrap().remove(0);
         let started = Instant::now();
         store
             .commit(&lease.token, &TaskResult { plan: self.planned.clone(), ..TaskResult::default() })
@@ -116,18 +224,24 @@ impl Run {
 }
 
 /// Claims and commits until nothing is ready: tasks, time of claims, time of commits.
-async fn work(store: Arc<dyn FarmStore>, caller: usize) -> (u32, Duration, Duration) {
-    let request = request(&format!("worker {caller}"));
+async fn work(store: Arc<dyn FarmStore>, caller: usize, batch: u32) -> (u32, Duration, Duration) {
+    let request = request(&format!("worker {caller}"), batch);
+    let result = TaskResult::default();
     let (mut done, mut claiming, mut committing) = (0, Duration::ZERO, Duration::ZERO);
     loop {
         let started = Instant::now();
         let leases = store.claim(&request).await.unwrap();
-        let Some(lease) = leases.first() else { return (done, claiming, committing) };
+        if leases.is_empty() {
+            return (done, claiming, committing);
+        }
         claiming += started.elapsed();
         let started = Instant::now();
-        store.commit(&lease.token, &TaskResult::default()).await.unwrap();
+        let commits: Vec<_> = leases.iter().map(|lease| (lease.token.as_str(), &result)).collect();
+        for verdict in store.commit_all(&commits).await {
+            assert_eq!(verdict.unwrap(), CommitVerdict::Committed);
+            done += 1;
+        }
         committing += started.elapsed();
-        done += 1;
     }
 }
 
@@ -148,14 +262,14 @@ fn task(name: &str, needs: &[&TaskSpec]) -> TaskSpec {
     TaskSpec::new("work", 1, name, serde_json::json!({ "name": name }), inputs, name.len() as u64)
 }
 
-fn request(worker: &str) -> ClaimRequest {
+fn request(worker: &str, max: u32) -> ClaimRequest {
     ClaimRequest {
         worker: worker.into(),
         kinds: vec!["work".into()],
         threads: 1,
         memory_mib: 0,
         labels: Vec::new(),
-        max: 1,
+        max,
         ttl_secs: 3600,
         wait_secs: 0,
     }
