@@ -100,11 +100,19 @@ impl Lit<'_> {
     /// E_ind of receivers by both, means over the points of their texels, each path-traced until its standard error is
     /// `rel_error` of it.
     pub fn compared(&self, receivers: &[u32], rel_error: f64) -> Result<Vec<Compared>> {
+        self.compared_at(receivers, rel_error, |receiver| self.held.world.gathering_points_of(receiver))
+    }
+
+    /// The same, with the reference's mean over other points.
+    pub fn compared_at(
+        &self,
+        receivers: &[u32],
+        rel_error: f64,
+        points: impl Fn(u32) -> Vec<Site>,
+    ) -> Result<Vec<Compared>> {
         let sites: Vec<_> = receivers.iter().map(|&receiver| self.held.site(receiver)).collect();
-        let target = |(&receiver, site): (&u32, &Site)| Target {
-            points: self.held.world.gathering_points_of(receiver),
-            ..Target::of(*site)
-        };
+        let target =
+            |(&receiver, site): (&u32, &Site)| Target { points: points(receiver), ..Target::of(*site) };
         let targets: Vec<Target> = receivers.iter().zip(&sites).map(target).collect();
         let precision = Precision { rel_error, paths_max: 1 << 14 };
         let found =

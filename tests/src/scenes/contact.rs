@@ -62,6 +62,29 @@ pub fn slab_on_floor(half_m: f32) -> Vec<u8> {
     glb.finish()
 }
 
+/// A square slab along the axes, of so half a width, that hovers 2 cm above a floor of 5 × 5 m under the open sky, as on feet.
+pub fn slab_above_floor(half_m: f32) -> Vec<u8> {
+    let mut glb = Glb::new("slab_above_floor");
+    let plaster = glb.material(Surface::diffuse("plaster", PLASTER));
+    glb.object("floor", &floor(2.5), plaster);
+    let half = Vec3::new(half_m, 0.0, half_m);
+    glb.object("slab", &shapes::cuboid(-half + Vec3::Y * 0.02, half + Vec3::Y * 0.05, &[]), plaster);
+    glb.finish()
+}
+
+/// Two dark boards 2 cm high on a floor of 5 × 5 m under the open sky, with a strip of the floor between them, of that reach along x.
+pub fn strip_between_boards(strip_m: [f32; 2]) -> Vec<u8> {
+    let mut glb = Glb::new("strip_between_boards");
+    let plaster = glb.material(Surface::diffuse("plaster", PLASTER));
+    let dark = glb.material(Surface::diffuse("dark", [0.1; 3]));
+    glb.object("floor", &floor(2.5), plaster);
+    for (name, [from_m, to_m]) in [("left", [-1.0, strip_m[0]]), ("right", [strip_m[1], 1.0])] {
+        let (low, high) = (Vec3::new(from_m, 0.0, -1.0), Vec3::new(to_m, 0.02, 1.0));
+        glb.object(name, &shapes::cuboid(low, high, &[Side::Bottom]), dark);
+    }
+    glb.finish()
+}
+
 /// On a floor under the open sky a square plate of half a width `plate_half_m`, its top at [`PLATE_TOP_M`], and on that a
 /// pier of half a width `pier_half_m` that is hollow: four walls without thickness and a cap, no bottom.
 pub fn hollow_pier_on_plate(plate_half_m: f32, pier_half_m: f32) -> Vec<u8> {

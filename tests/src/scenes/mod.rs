@@ -30,7 +30,7 @@ pub use contact::{
     BOX_BESIDE_LAMP_M, BOX_HALF_M, CLAMP_ALONG_M, COLUMN_HALF_M, LAMP_GAP_M, LAMP_HALF_M, PLATE_TOP_M,
     ROUND_COLUMN_M, UNDER_CLAMP_M, box_on_floor, clamp_on_board, column, hollow_box_on_floor,
     hollow_pier_on_plate, lamp_close_to_a_ceiling, lone_floor, outside_m, outside_turned_m, room_of_sheets,
-    round_column, slab_on_floor, tiled_floor,
+    round_column, slab_above_floor, slab_on_floor, strip_between_boards, tiled_floor,
 };
 pub use cornell::{cornell, cornell_large};
 pub use doors::{closet, mirrored_room};

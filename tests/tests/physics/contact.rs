@@ -4,6 +4,7 @@ use glam::Vec3;
 use lightkiln_proto::scene::{LightKind, SceneLight};
 use lightkiln_tests::harness::{Held, Lit};
 use lightkiln_tests::scenes::{self, BOX_HALF_M, COLUMN_HALF_M, PLATE_TOP_M, outside_m, outside_turned_m};
+use lightkiln_worker::geometry::Site;
 use lightkiln_worker::lightmap::Receiver;
 
 use super::setup::{
@@ -90,6 +91,49 @@ fn texels_of_which_a_strip_is_seen_have_its_light() {
     assert_eq!(strip.len(), 10 * 10 - 8 * 8, "texels with a point in the strip");
     let lit = held.under(&daylight()).unwrap();
     assert_is_as_the_reference(&lit, "floor beside a slab", &strip, NEAR);
+}
+
+/// A slab that hovers two centimetres above the floor parts none of a texel's points from the others.
+#[test]
+fn texels_that_a_slab_hovers_over_have_the_light_of_what_is_seen() {
+    let half_m = 5.5 * TEXEL_M;
+    let held = Held::new(scenes::slab_above_floor(half_m), &with_texels("prt", TEXEL_M, 256)).unwrap();
+    let outside = |at_m: Vec3| at_m.x.abs().max(at_m.z.abs()) - half_m;
+    let seen = |receiver: u32| -> Vec<Site> {
+        let points = held.world.points_of(receiver).map(|(_, site)| site);
+        points.filter(|site| outside(site.position_m) > 0.0).collect()
+    };
+    let all = held.receivers(is_floor);
+    let cut = |&receiver: &u32| (4..16).contains(&seen(receiver).len());
+    let cut: Vec<u32> = all.into_iter().filter(cut).collect();
+    assert_eq!(cut.len(), 12 * 12 - 10 * 10, "texels with some points beyond the slab's rim");
+    let lit = held.under(&daylight()).unwrap();
+    let pairs = lit.compared_at(&spread(&cut, 40), 0.03, seen).unwrap();
+    assert_same_energy("floor at the rim of a hovering slab", &pairs, 0.05);
+    let error = rel_rmse(&pairs);
+    assert!(error < 0.15, "relative error {error}");
+}
+
+/// Of the 4 × 4 points of its texels one column falls on the strip, two millimetres from a board.
+#[test]
+fn strip_between_boards_has_the_light_of_all_its_width() {
+    let strip_m = [0.40 * TEXEL_M, 0.64 * TEXEL_M];
+    let held = Held::new(scenes::strip_between_boards(strip_m), &with_texels("prt", TEXEL_M, 256)).unwrap();
+    let strip = held.receivers(|r| {
+        is_floor(r) && (strip_m[0]..strip_m[1]).contains(&r.position_m.x) && r.position_m.z.abs() < 0.8
+    });
+    assert!(strip.len() > 10, "{} texels along the strip", strip.len());
+    let across = |receiver: u32| -> Vec<Site> {
+        let own = held.world.lightmap.receivers[receiver as usize].site();
+        let place = |i: u32| {
+            let x_m = strip_m[0] + (strip_m[1] - strip_m[0]) * (i as f32 + 0.5) / 8.0;
+            Site { position_m: Vec3::new(x_m, own.position_m.y, own.position_m.z), ..own }
+        };
+        (0..8).map(place).collect()
+    };
+    let lit = held.under(&only(LightKind::Sky { zenith: [0.8; 3], horizon: [1.2; 3] }, 1.0)).unwrap();
+    let pairs = lit.compared_at(&spread(&strip, 16), 0.02, across).unwrap();
+    assert_same_energy("a strip between boards", &pairs, 0.05);
 }
 
 /// A rim that its chart only touches, beside the wall of a hollow pier: the texels that would stand for it lie in the pier.

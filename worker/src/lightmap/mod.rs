@@ -86,6 +86,8 @@ pub struct Receiver {
     pub links: u8,
     /// Points of its texel on its own side of every wall, bits of `Receivers::coverage`; 0 before the last step of placement.
     pub coverage: u16,
+    /// Points of a grid of 8 × 8 that its indirect light is gathered at where the coverage has few, bit `8·y + x`; else 0.
+    pub fine: u64,
     /// Where a wall cuts its texel; none before the last step of placement.
     pub edge: TexelEdge,
     /// Surface that reads this texel, of one side; of a guest without meaning.

@@ -7,6 +7,7 @@ use lightkiln_proto::content::{BlockKey, COVERAGE_POINTS, COVERAGE_SIDE, LINKS};
 use rayon::prelude::*;
 
 use super::clearance::{Axis, Clearance};
+use super::place::seen;
 use super::texel_points::TexelTriangles;
 use super::texel_table::TexelTable;
 use super::{CAVITY, Charts, Lightmap, Receiver, Tiles};
@@ -308,25 +309,36 @@ impl World {
 
     /// The points whose mean direct light a receiver's texel has: those of its coverage, or its own where there are none.
     pub fn lit_points_of(&self, receiver: u32) -> Vec<Site> {
-        let points: Vec<Site> = self.covered_points_of(receiver).collect();
+        let points = self.own_points_of(receiver, false);
         if points.is_empty() { vec![self.lightmap.receivers[receiver as usize].site()] } else { points }
     }
 
-    /// The points whose mean indirect light a receiver has: those of the coverage of all that share its square, or its own
-    /// where there are none.
+    /// The points whose mean indirect light a receiver has: those of the coverage of all that share its square, or of the finer grid
+    /// if all of them have few, or its own where there are none.
     pub fn gathering_points_of(&self, receiver: u32) -> Vec<Site> {
         let lender = self.lightmap.receivers[receiver as usize].light_of;
         let first = self.sharers.partition_point(|[other, _]| *other < lender);
         let sharers = self.sharers[first..].iter().take_while(|[other, _]| *other == lender);
         let all = std::iter::once(lender).chain(sharers.map(|[_, sharer]| *sharer));
-        let points: Vec<Site> = all.flat_map(|sharer| self.covered_points_of(sharer)).collect();
+        let all: Vec<u32> = all.collect();
+        let has_few = |&sharer: &u32| {
+            let Receiver { coverage, fine, .. } = self.lightmap.receivers[sharer as usize];
+            fine != 0 || coverage == 0
+        };
+        let is_fine = all.iter().all(has_few);
+        let points: Vec<Site> = all.iter().flat_map(|&sharer| self.own_points_of(sharer, is_fine)).collect();
         if points.is_empty() { vec![self.lightmap.receivers[lender as usize].site()] } else { points }
     }
 
-    fn covered_points_of(&self, receiver: u32) -> impl Iterator<Item = Site> + '_ {
-        let coverage = self.lightmap.receivers[receiver as usize].coverage;
-        let is_covered = move |(bit, _): &(u32, Site)| coverage >> bit & 1 == 1;
-        self.points_of(receiver).filter(is_covered).map(|(_, site)| site)
+    /// The points of a receiver's own coverage, or of its finer grid.
+    fn own_points_of(&self, receiver: u32, is_fine: bool) -> Vec<Site> {
+        let Receiver { coverage, fine, .. } = self.lightmap.receivers[receiver as usize];
+        if is_fine {
+            let bits = (0..u64::BITS).filter(|bit| fine >> bit & 1 == 1);
+            return bits.filter_map(|bit| self.point_of(receiver, seen::fine_place(bit))).collect();
+        }
+        let points = self.points_of(receiver).filter(|(bit, _)| coverage >> bit & 1 == 1);
+        points.map(|(_, site)| site).collect()
     }
 
     /// Point of a receiver, raised as [`Geometry::raised`] does by [`link_height_m`] of its texel.

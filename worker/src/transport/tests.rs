@@ -68,8 +68,8 @@ fn rays_of_a_receiver_leave_from_all_points_of_its_texel_alike() {
     let mut cut = 0;
     for receiver in 0..world.lightmap.receivers.len() as u32 {
         let lender = world.lightmap.receivers[receiver as usize].light_of;
-        let points = world.lit_points_of(lender);
-        cut += u32::from((2..COVERAGE_POINTS as usize).contains(&points.len()));
+        let points = world.gathering_points_of(receiver);
+        cut += u32::from((2..COVERAGE_POINTS as usize).contains(&world.lit_points_of(lender).len()));
         let mut rays = vec![0; points.len()];
         Hemisphere::new(&world, &emitters, receiver, 100).cast(0, &Trail::new(&Grid::default()), |ray, _| {
             let point = points.iter().position(|site| site.ray_origin_m(offset_m) == ray.origin_m).unwrap();

@@ -9,7 +9,7 @@ use crate::kinds::{SceneTasks, TaskKind};
 /// the plan of the rest.
 pub const PLAN: TaskKind = TaskKind { name: "prt.plan", version: 8 };
 /// A cluster cell → its factorised transport, without colours, the record of what was read for it, and its rows.
-pub const TRANSPORT: TaskKind = TaskKind { name: "prt.transport", version: 36 };
+pub const TRANSPORT: TaskKind = TaskKind { name: "prt.transport", version: 37 };
 /// The transport of a cell → its chunks, with the colours of its receivers and the radiance of emitters, and their page of the
 /// directory, for whoever follows the bake.
 pub const COLOUR: TaskKind = TaskKind { name: "prt.colour", version: 3 };

@@ -10,7 +10,7 @@ pub const PLAN: TaskKind = TaskKind { name: "sh.plan", version: 4 };
 /// A batch of probes → their relight rays' hits.
 pub const RELIGHT: TaskKind = TaskKind { name: "sh.relight", version: 8 };
 /// A cluster cell → its factorised transport.
-pub const TRANSPORT: TaskKind = TaskKind { name: "sh.transport", version: 13 };
+pub const TRANSPORT: TaskKind = TaskKind { name: "sh.transport", version: 14 };
 /// Everything → manifest, directory and report.
 pub const ASSEMBLE: TaskKind = TaskKind { name: "sh.assemble", version: 4 };
 

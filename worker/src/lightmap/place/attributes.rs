@@ -61,6 +61,7 @@ impl Attributes<'_> {
             emission: surface.emission,
             links: 0,
             coverage: 0,
+            fine: 0,
             edge: TexelEdge::NONE,
             area: AreaCode::ONE,
             light_of: 0,

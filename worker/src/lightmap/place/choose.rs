@@ -319,6 +319,7 @@ mod tests {
                 emission: [0.0; 3],
                 links: 0,
                 coverage: 0,
+                fine: 0,
                 edge: TexelEdge::NONE,
                 area: AreaCode::ONE,
                 light_of: 0,

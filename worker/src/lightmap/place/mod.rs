@@ -19,6 +19,7 @@ mod edges;
 mod links;
 mod points;
 mod regions;
+pub mod seen;
 mod shared;
 mod squares;
 

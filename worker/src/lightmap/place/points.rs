@@ -20,6 +20,7 @@ use rayon::prelude::*;
 use super::candidate::{Look, look};
 use super::choose::BEYOND_SHARE_MIN;
 use super::edges::edge;
+use super::seen;
 use crate::geometry::{Geometry, Site};
 use crate::lightmap::{Charts, Lightmap, World};
 use crate::task::{Cancelled, Progress};
@@ -56,7 +57,7 @@ pub fn covered(
     let found: Vec<Found> = receivers.into_par_iter().map(found_of).collect::<Result<_, Cancelled>>()?;
     let mut lightmap = world.into_lightmap();
     for (receiver, found) in lightmap.receivers.iter_mut().zip(found) {
-        (receiver.coverage, receiver.edge) = (found.coverage, found.edge);
+        (receiver.coverage, receiver.fine, receiver.edge) = (found.coverage, found.fine, found.edge);
         if let Some(Site { position_m, normal, face_normal }) = found.moved {
             (receiver.position_m, receiver.normal, receiver.face_normal) = (position_m, normal, face_normal);
         }
@@ -68,6 +69,8 @@ pub fn covered(
 #[derive(Default)]
 struct Found {
     coverage: u16,
+    /// As [`seen::fine`].
+    fine: u64,
     edge: TexelEdge,
     /// Where the receiver moves.
     moved: Option<Site>,
@@ -87,6 +90,9 @@ impl Found {
             found.cover_part(world, receiver);
         }
         if found.coverage == 0 {
+            let own_m = world.raised_receiver(receiver);
+            let sees = |_, site: &Site| world.is_linked(own_m, raised(world, receiver, site));
+            found.fine = seen::fine(world, receiver, 0, sees);
             return found;
         }
         let is_parted = |bit: usize| found.raised_m[bit].is_some() && found.coverage & 1 << bit == 0;
@@ -100,6 +106,14 @@ impl Found {
             || corners.into_iter().any(|at| found.is_own(world, receiver, fine_place(at)) != Some(true));
         if is_cut {
             found.edge = found.fitted(world, receiver);
+        }
+        let fine = |at: Vec2, site: &Site| found.sees(world, at, raised(world, receiver, site));
+        let unhidden = seen::unhidden(world, receiver, found.coverage);
+        if unhidden == found.coverage {
+            found.fine = seen::fine(world, receiver, found.coverage, fine);
+        } else {
+            found.coverage = unhidden;
+            found.moved = found.middle(world, receiver);
         }
         found
     }
@@ -238,7 +252,7 @@ impl Found {
     }
 
     /// A place is on the receiver's side: one of the nearest points of the coverage sees it.
-    fn sees(&mut self, world: &World, at: Vec2, at_m: Vec3) -> bool {
+    fn sees(&self, world: &World, at: Vec2, at_m: Vec3) -> bool {
         let covered = (0..COVERAGE_POINTS as usize).filter(|&bit| self.coverage & 1 << bit != 0);
         let place = |bit: usize| {
             let side = COVERAGE_SIDE as usize;

@@ -265,6 +265,7 @@ fn with_light(
             block: *block,
             texel: *texel,
             coverage: 0,
+            fine: 0,
             area: AreaCode::ONE,
             light_of: receiver,
             ..lightmap.receivers[receiver as usize]
@@ -323,6 +324,7 @@ mod tests {
             emission: [0.0; 3],
             links: 0,
             coverage: 0b11 << block,
+            fine: 0,
             edge: TexelEdge::new(0.0, 0.25),
             area: AreaCode::of(0.5),
             light_of: 0,
