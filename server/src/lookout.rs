@@ -182,17 +182,19 @@ impl Waiting {
     /// Wakes the claims that came first, for about as many tasks as there are.
     fn wake_claims(&mut self, opening: &Opening) {
         let mut left = opening.ready.saturating_add(SPARE_CLAIMS);
-        for (abilities, alike) in &mut self.claims {
-            if !abilities.kinds.contains(&opening.kind) || !abilities.suffice(&opening.needs) {
-                continue;
-            }
-            while left > 0
-                && let Some((_, claim)) = alike.pop_first()
-            {
-                // One that has gone takes nothing.
-                if claim.wake.send(()).is_ok() {
-                    left = left.saturating_sub(claim.max.into());
-                }
+        let can = |abilities: &Abilities| {
+            abilities.kinds.contains(&opening.kind) && abilities.suffice(&opening.needs)
+        };
+        let mut able: Vec<_> = self.claims.iter_mut().filter(|(can_do, _)| can(can_do)).collect();
+        while left > 0 {
+            // Whoever was woken and took nothing, as a worker that failed there, comes again last.
+            let longest =
+                able.iter_mut().filter_map(|(_, alike)| alike.first_entry()).min_by_key(|first| *first.key());
+            let Some(longest) = longest else { break };
+            let claim = longest.remove();
+            // One that has gone takes nothing.
+            if claim.wake.send(()).is_ok() {
+                left = left.saturating_sub(claim.max.into());
             }
         }
         self.claims.retain(|_, alike| !alike.is_empty());
@@ -300,4 +302,31 @@ impl Watch {
 /// Workers that wait are noted this often.
 fn note_interval() -> Duration {
     Duration::from_millis(WORKER_SEEN_GRAIN_MS.unsigned_abs())
+}
+
+#[cfg(test)]
+mod tests {
+    use lightkiln_proto::api::Needs;
+
+    use super::*;
+
+    #[test]
+    fn those_who_wait_longest_are_woken_first_whatever_else_they_can_do() {
+        let mut waiting = Waiting::default();
+        let mut wakes = Vec::new();
+        // Those of few threads come first by their abilities, and came last.
+        for (number, threads) in [(1, 16), (2, 16), (3, 8), (4, 8), (5, 8), (6, 16)] {
+            let (wake, woken) = oneshot::channel();
+            let abilities =
+                Abilities { kinds: vec!["work".into()], threads, memory_mib: 0, labels: Vec::new() };
+            let claim = Claim { worker: number.to_string(), max: 1, wake };
+            waiting.claims.entry(abilities).or_default().insert(number, claim);
+            wakes.push(woken);
+        }
+        waiting.wake_claims(&Opening { kind: "work".into(), needs: Needs::default(), ready: 1 });
+        let is_woken: Vec<bool> = wakes.iter_mut().map(|woken| woken.try_recv().is_ok()).collect();
+        assert_eq!(is_woken, [true, true, true, false, false, false]);
+        waiting.wake_claims(&Opening { kind: "other".into(), needs: Needs::default(), ready: 9 });
+        assert_eq!(waiting.claims.values().map(BTreeMap::len).sum::<usize>(), 3, "none can do it");
+    }
 }

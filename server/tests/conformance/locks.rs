@@ -212,6 +212,8 @@ async fn heartbeats_wait_neither_for_bakes_nor_for_changes_of_the_farm() {
     in_time(async { while held.waiting().await == 0 {} }).await;
     // A change of the farm stands in line behind whoever holds the bake, and everybody else behind the change.
     held.holder.execute("LOCK TABLE turnstile IN ROW SHARE MODE").await.unwrap();
+    // Whoever asks whether the server is ready is no such change.
+    tokio::time::timeout(Duration::from_secs(10), held.store.probe()).await.unwrap().unwrap();
     let change = tokio::spawn({
         let store = held.store.clone();
         async move { store.submit(&submission("third", &[])).await.unwrap() }
@@ -228,6 +230,28 @@ async fn heartbeats_wait_neither_for_bakes_nor_for_changes_of_the_farm() {
     held.holder.execute("ROLLBACK").await.unwrap();
     assert_eq!(in_time(waiting).await.unwrap(), CommitVerdict::Committed);
     in_time(change).await.unwrap();
+}
+
+#[tokio::test]
+async fn heartbeats_wait_for_no_commit_that_holds_leases_for_long() {
+    let (mut held, leases) = HeldBake::new(30, 6).await;
+    held.holder.execute("ROLLBACK; BEGIN").await.unwrap();
+    // As commits of long plans do; more of them than there are connections for heartbeats.
+    let (free, taken) = leases.split_first().unwrap();
+    for lease in taken {
+        let sql = "SELECT 1 FROM leases WHERE token = $1 FOR UPDATE";
+        sqlx::query(sql).bind(&lease.token).execute(&mut held.holder).await.unwrap();
+    }
+    let beats = leases.iter().map(|lease| held.store.heartbeat(&lease.token, 0.5));
+    let beats = tokio::time::timeout(Duration::from_secs(10), futures::future::join_all(beats));
+    for beat in beats.await.expect("heartbeats wait for nobody") {
+        assert_eq!(beat.unwrap().verdict, Verdict::Keep);
+    }
+    let prolonged = "SELECT token FROM leases WHERE state = 'held'";
+    let prolonged = held.watcher.fetch_all(prolonged).await.unwrap();
+    let prolonged: Vec<String> = prolonged.iter().map(|row| row.get(0)).collect();
+    assert_eq!(prolonged, std::slice::from_ref(&free.token));
+    held.holder.execute("ROLLBACK").await.unwrap();
 }
 
 /// Holds a claim before its end until it is let go.

@@ -13,8 +13,6 @@ use serde::de::DeserializeOwned;
 
 /// Longest time for a small call to be answered.
 const CALL_TIMEOUT: Duration = Duration::from_secs(15);
-/// Longest time for several results, none of which has a plan, to be answered: as long as a server waits for its database's locks.
-const COMMITS_TIMEOUT: Duration = Duration::from_secs(30);
 /// Longest time for an artefact to cross.
 const TRANSFER_TIMEOUT: Duration = Duration::from_secs(600);
 
@@ -63,7 +61,7 @@ impl Farm {
 
     /// Hands in several results at once.
     pub(super) fn commit_all(&self, commits: &Commits) -> Result<CommitsAnswer, CallError> {
-        self.post("/v1/leases/commit", commits, COMMITS_TIMEOUT)
+        self.post("/v1/leases/commit", commits, CALL_TIMEOUT)
     }
 
     /// Reports a failed attempt; a lease that is gone needs no report.

@@ -47,11 +47,19 @@ pub(super) struct Ended {
     pub(super) is_missed: bool,
 }
 
-/// Prolongs a lease that is good, and says until when. Nothing else is locked: neither changes of the farm nor claims hold it up.
+/// Prolongs a lease that is good, and says until when. It waits for nobody: neither for changes of the farm and claims, nor for a
+/// commit of the lease itself, as that of a long plan, which decides about it.
 pub(super) async fn keep(conn: &mut Conn, token: &str, progress: f32) -> Result<Option<i64>> {
-    let sql = "UPDATE leases SET state = $2, progress = $3, graces = 0,
-               expires_ms = CASE WHEN deadline_ms < $1 + ttl_ms THEN deadline_ms ELSE $1 + ttl_ms END
-               WHERE token = $4 AND task IS NOT NULL AND expires_ms > $1 RETURNING worker, expires_ms";
+    let sql = conn.pick(
+        "UPDATE leases SET state = $2, progress = $3, graces = 0,
+         expires_ms = CASE WHEN deadline_ms < $1 + ttl_ms THEN deadline_ms ELSE $1 + ttl_ms END
+         WHERE token = $4 AND task IS NOT NULL AND expires_ms > $1 RETURNING worker, expires_ms",
+        "UPDATE leases SET state = $2, progress = $3, graces = 0,
+         expires_ms = CASE WHEN deadline_ms < $1 + ttl_ms THEN deadline_ms ELSE $1 + ttl_ms END
+         WHERE token IN (SELECT l.token FROM leases l WHERE l.token = $4 AND l.task IS NOT NULL AND l.expires_ms > $1
+                         FOR UPDATE SKIP LOCKED)
+         RETURNING worker, expires_ms",
+    );
     let kept = query(sql)
         .bind(conn.now_ms)
         .bind(LeaseState::Held.name())
@@ -59,7 +67,11 @@ pub(super) async fn keep(conn: &mut Conn, token: &str, progress: f32) -> Result<
         .bind(token)
         .optional(conn)
         .await?;
-    let Some(row) = kept else { return Ok(None) };
+    let Some(row) = kept else {
+        let sql = "SELECT expires_ms FROM leases WHERE token = $2 AND task IS NOT NULL AND expires_ms > $1";
+        let held = query(sql).bind(conn.now_ms).bind(token).optional(conn).await?;
+        return held.map(|row| row.get("expires_ms")).transpose();
+    };
     see_holder(conn, &row.text("worker")?).await?;
     Ok(Some(row.get("expires_ms")?))
 }

@@ -335,7 +335,7 @@ farm_store! {
             |conn| chunks::condemn_orphans(conn, chunks);
         Read usage() -> Usage = |conn| chunks::usage(conn);
         Read stats() -> Stats = |conn| view::stats(conn);
-        Write probe() -> () = |conn| view::probe(conn);
+        Commit probe() -> () = |conn| view::probe(conn);
     }
 
     async fn submit(&self, submission: &Submission) -> Result<Submitted> {

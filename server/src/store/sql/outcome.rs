@@ -293,8 +293,13 @@ fn lease_expired(ended: &Ended) -> EventKind {
 
 pub(super) async fn reap(conn: &mut Conn, farm: FarmRules) -> Result<Reaped> {
     leases::heed_clock(conn).await?;
-    let sql = "SELECT l.token FROM leases l LEFT JOIN tasks t ON t.id = l.task
-               WHERE l.expires_ms <= $1 ORDER BY l.expires_ms, t.key";
+    // Locked, so that no heartbeat prolongs one that is about to go.
+    let sql = conn.pick(
+        "SELECT l.token FROM leases l LEFT JOIN tasks t ON t.id = l.task
+         WHERE l.expires_ms <= $1 ORDER BY l.expires_ms, t.key",
+        "SELECT l.token FROM leases l LEFT JOIN tasks t ON t.id = l.task
+         WHERE l.expires_ms <= $1 ORDER BY l.expires_ms, t.key FOR UPDATE OF l",
+    );
     let rows = query(sql).bind(conn.now_ms).all(conn).await?;
     let mut reaped = Reaped::default();
     for row in rows {

@@ -4,6 +4,8 @@
 //! seconds, and so does a server that is stopped in the middle of a transaction. A call that has waited for a moment
 //! ([`brief`](super::postgres)) therefore ends its transaction, and for [`WARY`] from then on bakes that are locked are left out. Where nothing but such a bake can serve a call, it waits
 //! as long as the database lets it; a few at a time, so that all others find a connection.
+//!
+//! A change of the farm waits for every transaction under way, and all that come after it wait behind it.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};

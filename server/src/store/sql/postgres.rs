@@ -3,14 +3,14 @@
 //! **Who excludes whom.** Three kinds of transactions change something. A *change of the farm* (submission, failure, release,
 //! reaping, cancelling, forgetting, deleting, …) locks the empty table `turnstile` in EXCLUSIVE mode: it runs alone. A
 //! *commit* and a *claim* (with them uploads) lock it in ROW SHARE mode, so that they run beside each other, and lock the rows that
-//! they change. A *heartbeat* locks its lease alone, unless that has ended. Reads lock nothing.
+//! they change. A *heartbeat* locks its lease alone, and only if nobody else has; unless the lease has ended. Reads lock nothing.
 //!
 //! | | change of the farm | commit | claim, upload | heartbeat | read |
 //! |---|---|---|---|---|---|
 //! | change of the farm | wait | wait | wait | by lease | – |
 //! | commit | wait | by bake | by bake | by lease | – |
 //! | claim, upload | wait | by bake | by bake | – | – |
-//! | heartbeat | by lease | by lease | – | by lease | – |
+//! | heartbeat | – | – | – | – | – |
 //! | read | – | – | – | – | – |
 //!
 //! Every statement sees all changes before it: READ COMMITTED takes a new snapshot for each, the first one after the lock
@@ -30,7 +30,7 @@
 //!
 //! **Order of locks**: turnstile, the claiming worker, leases by token with their tasks, ready tasks (never waited for: SKIP
 //! LOCKED; nor are workers that were heard), bakes by number, chunks by digest, waiting tasks, keys of new ones. A commit locks its own
-//! tasks before its bakes. A heartbeat waits for its lease, with nothing in hand.
+//! tasks before its bakes. A heartbeat waits for nobody.
 //! Nobody takes one after a later one that another may hold, so none wait in a ring; if one should, the database ends it, and
 //! the call is run again. Counts of the whole farm are kept in a part for each session, which waits for nobody.
 //!
@@ -49,7 +49,7 @@
 //! session; one that dies loses them with its connection. In both cases the transaction never happened.
 //!
 //! **Time** is the database's: servers' clocks may disagree, and a lease is granted by one server and judged by
-//! another. It is read once the turnstile is passed; a heartbeat's, before it waits for its lease. Tests give a clock.
+//! another. It is read once the turnstile is passed. Tests give a clock.
 //!
 //! **Flushing.** Claims and heartbeats commit with `synchronous_commit = off`: if the database's machine dies, their
 //! leases are lost and the tasks run again. All else is flushed before the caller hears of it.

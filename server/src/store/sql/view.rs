@@ -196,7 +196,9 @@ pub(super) async fn stats(conn: &mut Conn) -> Result<Stats> {
     );
     let mut demand = Vec::new();
     for row in query(sql).all(conn).await? {
-        let waited_ms = u64::try_from(conn.now_ms - row.get::<i64>("oldest_ms")?).unwrap_or(0);
+        // Counts that say otherwise than the rows, as after a repair by hand, take no page down.
+        let Some(oldest_ms) = row.get::<Option<i64>>("oldest_ms")? else { continue };
+        let waited_ms = u64::try_from(conn.now_ms - oldest_ms).unwrap_or(0);
         let (kind, needs, ready) = (row.get("kind")?, row.json("needs")?, row.count("ready")?);
         demand.push(Demand { kind, needs, ready, waited_ms });
     }
