@@ -36,7 +36,7 @@ pub struct CommitsAnswer {
     pub answers: Vec<CommitOutcome>,
 }
 
-/// What became of a result: its fate, or why it was not looked at.
+/// Fate of a result, or the reason why it was not looked at.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum CommitOutcome {

@@ -21,7 +21,7 @@ pub(super) type Verdict = Result<CommitVerdict>;
 /// A commit.
 pub(super) type Given<'a> = (&'a str, &'a TaskResult);
 
-/// What became of a commit in a batch.
+/// Fate of a commit in a batch.
 pub(super) enum Fate {
     Verdict(Verdict),
     /// Nothing yet: somebody has locked a bake that holds its task.
