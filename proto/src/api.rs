@@ -38,6 +38,7 @@ pub use crate::evaluation::EvaluationIndex;
 pub use crate::events::{BakeEvent, EventKind, EventPage};
 pub use crate::filter::BakeFilter;
 pub use crate::jobs::TaskResult;
+pub use crate::limits::BakeLimits;
 pub use crate::results::{BakeResult, MAX_PAGE_RESULTS, ResultPage};
 
 /// Fewest characters that a bake's id may be shortened to. Fewer → less to type, and a slip means another bake sooner.
@@ -118,6 +119,9 @@ pub struct NewBake {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 1, maximum = 604800)]
     pub attempt_limit_secs: Option<u32>,
+    /// Limits of workers and attempts; the farm's unless set.
+    #[serde(default, skip_serializing_if = "BakeLimits::is_none")]
+    pub limits: BakeLimits,
 }
 
 /// Requirements of a bake on the workers that take its tasks.
@@ -212,6 +216,9 @@ pub struct Bake {
     /// Requirements on workers that take its tasks.
     #[serde(default)]
     pub needs: Needs,
+    /// Limits of workers and attempts that it was submitted with.
+    #[serde(default, skip_serializing_if = "BakeLimits::is_none")]
+    pub limits: BakeLimits,
     /// Where it stands.
     pub state: BakeState,
     /// Tasks by stage, in the order in which stages first appeared.

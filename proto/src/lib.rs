@@ -14,6 +14,7 @@ pub mod harmonics;
 pub mod ids;
 pub mod jobs;
 pub mod kinds;
+pub mod limits;
 pub mod manifest;
 pub mod nearest;
 pub mod problem;

@@ -17,34 +17,17 @@ use crate::error::{Result, ServerError};
 use crate::guard::Guard;
 use crate::lookout::{Lookout, News};
 use crate::metrics::Metrics;
-use crate::random::is_fencing_token;
+use crate::request_checks::{check_claim, check_needs, require_chars, require_token};
 use crate::result_checks::{check_counters, require_lengths};
 use crate::storage::{Removed, Storage};
 use crate::store::chunk::CollectRules;
-use crate::store::rules::MAX_TASK_NAME_BYTES;
 use crate::store::{FailVerdict, FarmStore, KnownResult, Reaped, StoreError, Submission};
 use crate::wakeup::Wakeup;
 
-/// Longest name of a bake, in characters.
-pub const MAX_NAME_CHARS: usize = 200;
-/// Longest Idempotency-Key and worker name, in characters.
-pub const MAX_ID_CHARS: usize = 200;
-/// Most labels of a worker or a bake.
-pub const MAX_LABELS: usize = 16;
-/// Longest label, in characters.
-pub const MAX_LABEL_CHARS: usize = 64;
-/// Seconds that one attempt may take.
-pub const ATTEMPT_LIMIT_SECS: std::ops::RangeInclusive<u32> = 1..=604_800;
-/// Most leases of one claim.
-pub const MAX_LEASES: u32 = 64;
-/// Most task kinds that one claim names.
-pub const MAX_KINDS: usize = 64;
-/// Longest kind of a task, in bytes.
-pub const MAX_KIND_BYTES: usize = MAX_TASK_NAME_BYTES;
-/// Lease lengths in seconds.
-pub const TTL_SECS: std::ops::RangeInclusive<u32> = 5..=3600;
-/// Longest wait of a long poll, in seconds.
-pub const MAX_WAIT_SECS: u32 = 60;
+pub use crate::request_checks::{
+    ATTEMPT_LIMIT_SECS, MAX_ID_CHARS, MAX_KIND_BYTES, MAX_KINDS, MAX_LABEL_CHARS, MAX_LABELS, MAX_LEASES,
+    MAX_NAME_CHARS, MAX_WAIT_SECS, TTL_SECS,
+};
 
 /// The parts of a farm.
 pub struct Farm {
@@ -445,51 +428,4 @@ fn failure_words(blame: Blame, verdict: FailVerdict) -> &'static str {
         (FailVerdict::Retry, _) => "an attempt at a task failed; it will be tried again",
         (FailVerdict::Stale, _) => "an attempt at a task failed after its lease was gone; nothing changes",
     }
-}
-
-fn check_needs(bake: &NewBake) -> Result<()> {
-    check_labels("needs.labels", &bake.needs.labels)?;
-    match bake.attempt_limit_secs {
-        Some(secs) if !ATTEMPT_LIMIT_SECS.contains(&secs) => Err(ServerError::bad_request(format!(
-            "attempt_limit_secs must be within {ATTEMPT_LIMIT_SECS:?}, not {secs}"
-        ))),
-        _ => Ok(()),
-    }
-}
-
-fn check_labels(name: &str, labels: &[String]) -> Result<()> {
-    if labels.len() > MAX_LABELS {
-        return Err(ServerError::bad_request(format!(
-            "{name} must be at most {MAX_LABELS}, not {}",
-            labels.len()
-        )));
-    }
-    labels.iter().try_for_each(|label| require_chars(name, label, 1, MAX_LABEL_CHARS))
-}
-
-fn check_claim(request: &ClaimRequest) -> Result<()> {
-    require_chars("worker", &request.worker, 1, MAX_ID_CHARS)?;
-    check_labels("labels", &request.labels)?;
-    let limits = [
-        ("max", (1..=MAX_LEASES).contains(&request.max), format!("1..={MAX_LEASES}")),
-        ("ttl_secs", TTL_SECS.contains(&request.ttl_secs), format!("{TTL_SECS:?}")),
-        ("wait_secs", request.wait_secs <= MAX_WAIT_SECS, format!("0..={MAX_WAIT_SECS}")),
-        ("number of kinds", request.kinds.len() <= MAX_KINDS, format!("0..={MAX_KINDS}")),
-    ];
-    match limits.into_iter().find(|(_, is_within, _)| !is_within) {
-        Some((name, _, range)) => Err(ServerError::bad_request(format!("{name} must be within {range}"))),
-        None => Ok(()),
-    }
-}
-
-fn require_chars(name: &str, text: &str, min: usize, max: usize) -> Result<()> {
-    let count = text.chars().count();
-    if (min..=max).contains(&count) {
-        return Ok(());
-    }
-    Err(ServerError::bad_request(format!("{name} must have {min} to {max} characters, not {count}")))
-}
-
-fn require_token(token: &str) -> Result<()> {
-    if is_fencing_token(token) { Ok(()) } else { Err(ServerError::NoSuchLease) }
 }

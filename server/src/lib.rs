@@ -6,7 +6,7 @@
 //! - [`store`] is the queue behind one trait, [`chunks`] the bytes, [`wakeup`] lossy hints.
 //! - [`storage`] is the bytes that count, `collect` clears away the others, [`fsck`] checks them.
 //! - [`access`] says who may call, [`guard`] asks for the tokens.
-//! - `owners` says who may change a bake, `result_checks` what a result may say.
+//! - `owners` says who may change a bake, `request_checks` what a call may ask for, `result_checks` what a result may say.
 //! - `bake_ids` finds bakes by beginnings of their ids.
 //! - `left_over` clears up after bakes' processes that have ended, where several share a folder.
 //! - `lookout` looks for work and news on behalf of all calls that wait.
@@ -38,6 +38,7 @@ mod pages;
 pub mod places;
 pub mod random;
 mod readiness;
+mod request_checks;
 mod result_checks;
 mod scene_parts;
 mod server;

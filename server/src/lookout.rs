@@ -8,7 +8,7 @@
 //! The watch runs while anybody waits. It decides nothing: who is woken asks the store, and may find that others were there
 //! first. Who waits here is noted as present, so that a waiting worker need not claim again to say so.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -182,19 +182,35 @@ impl Waiting {
     /// Wakes the claims that came first, for about as many tasks as there are.
     fn wake_claims(&mut self, opening: &Opening) {
         let mut left = opening.ready.saturating_add(SPARE_CLAIMS);
+        let mut room = opening.room.as_ref().map(|room| (&room.holders, room.others));
+        if let Some((_, others)) = room.as_mut().filter(|(_, others)| *others > 0) {
+            *others = others.saturating_add(SPARE_CLAIMS);
+        }
         let can = |abilities: &Abilities| {
             abilities.kinds.contains(&opening.kind) && abilities.suffice(&opening.needs)
         };
         let mut able: Vec<_> = self.claims.iter_mut().filter(|(can_do, _)| can(can_do)).collect();
+        // Those whom a bake at its limit of workers has no room for wait on.
+        let has_room = |claim: &Claim, room: &Option<(&BTreeSet<String>, u64)>| match room {
+            Some((holders, others)) => *others > 0 || holders.contains(&claim.worker),
+            None => true,
+        };
         while left > 0 {
             // Whoever was woken and took nothing, as a worker that failed there, comes again last.
-            let longest =
-                able.iter_mut().filter_map(|(_, alike)| alike.first_entry()).min_by_key(|first| *first.key());
-            let Some(longest) = longest else { break };
-            let claim = longest.remove();
+            let firsts = able.iter().enumerate().filter_map(|(index, (_, alike))| {
+                let (number, _) = alike.iter().find(|(_, claim)| has_room(claim, &room))?;
+                Some((*number, index))
+            });
+            let Some((number, index)) = firsts.min() else { break };
+            let Some(claim) = able[index].1.remove(&number) else { break };
             // One that has gone takes nothing.
             if claim.wake.send(()).is_ok() {
                 left = left.saturating_sub(claim.max.into());
+                if let Some((_, others)) =
+                    room.as_mut().filter(|(holders, _)| !holders.contains(&claim.worker))
+                {
+                    *others -= 1;
+                }
             }
         }
         self.claims.retain(|_, alike| !alike.is_empty());
@@ -309,6 +325,7 @@ mod tests {
     use lightkiln_proto::api::Needs;
 
     use super::*;
+    use crate::store::Room;
 
     #[test]
     fn those_who_wait_longest_are_woken_first_whatever_else_they_can_do() {
@@ -323,10 +340,32 @@ mod tests {
             waiting.claims.entry(abilities).or_default().insert(number, claim);
             wakes.push(woken);
         }
-        waiting.wake_claims(&Opening { kind: "work".into(), needs: Needs::default(), ready: 1 });
+        waiting.wake_claims(&Opening { kind: "work".into(), needs: Needs::default(), ready: 1, room: None });
         let is_woken: Vec<bool> = wakes.iter_mut().map(|woken| woken.try_recv().is_ok()).collect();
         assert_eq!(is_woken, [true, true, true, false, false, false]);
-        waiting.wake_claims(&Opening { kind: "other".into(), needs: Needs::default(), ready: 9 });
+        waiting.wake_claims(&Opening { kind: "other".into(), needs: Needs::default(), ready: 9, room: None });
         assert_eq!(waiting.claims.values().map(BTreeMap::len).sum::<usize>(), 3, "none can do it");
+    }
+
+    #[test]
+    fn those_for_whom_a_bake_has_no_room_wait_on() {
+        let woken = |others| {
+            let mut waiting = Waiting::default();
+            let mut wakes = Vec::new();
+            let abilities =
+                Abilities { kinds: vec!["work".into()], threads: 1, memory_mib: 0, labels: Vec::new() };
+            for number in 1..=9 {
+                let (wake, woken) = oneshot::channel();
+                let claim = Claim { worker: number.to_string(), max: 1, wake };
+                waiting.claims.entry(abilities.clone()).or_default().insert(number, claim);
+                wakes.push(woken);
+            }
+            let room = Some(Room { holders: ["8".to_owned(), "9".to_owned()].into(), others });
+            let (kind, needs) = ("work".to_owned(), Needs::default());
+            waiting.wake_claims(&Opening { kind, needs, ready: 100, room });
+            wakes.iter_mut().filter_map(|woken| woken.try_recv().ok()).count() as u64
+        };
+        assert_eq!(woken(0), 2, "those that hold some of its tasks");
+        assert_eq!(woken(3), 2 + 3 + SPARE_CLAIMS);
     }
 }

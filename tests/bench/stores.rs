@@ -254,6 +254,7 @@ fn bake() -> NewBake {
         priority: 0,
         needs: Needs::default(),
         attempt_limit_secs: None,
+        limits: Default::default(),
     }
 }
 

@@ -6,7 +6,7 @@ use std::time::SystemTime;
 
 use clap::Args;
 use lightkiln_client::fetch::ApiClient;
-use lightkiln_proto::api::{Bake, BakeState, MAX_CHUNK_BYTES, Needs, NewBake, SCENE_PART_BYTES};
+use lightkiln_proto::api::{Bake, BakeLimits, BakeState, MAX_CHUNK_BYTES, Needs, NewBake, SCENE_PART_BYTES};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::problem::RetryClass;
 use lightkiln_worker::scene::{Bundle, ImportError, Limits};
@@ -29,6 +29,28 @@ pub struct SceneArguments {
     /// [default: the scene's own]
     #[arg(long, value_name = "DIR")]
     pub root: Option<PathBuf>,
+}
+
+/// Arguments that limit a bake.
+#[derive(Args, Clone, Copy, Debug)]
+pub struct LimitArguments {
+    /// Machine limit: workers that hold tasks of this bake at once, at most; each counts as one, however many tasks it holds
+    #[arg(long, value_name = "N", help_heading = "Limits", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    max_workers: Option<u32>,
+    /// Failed attempts after which a task is given up, and the bake fails [default: 5, or 3 different workers]
+    #[arg(long, value_name = "N", help_heading = "Limits", value_parser = clap::value_parser!(u32).range(1..=1_000))]
+    attempts: Option<u32>,
+    /// Times that a worker may be lost with one task before it is given up [default: the server's --lost-workers]
+    #[arg(long, value_name = "N", help_heading = "Limits", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    lost_workers: Option<u32>,
+}
+
+impl LimitArguments {
+    /// Writes them into a bake that is to be submitted.
+    pub fn set(&self, bake: &mut NewBake) {
+        let Self { max_workers, attempts, lost_workers } = *self;
+        bake.limits = BakeLimits { max_workers, attempts, lost_workers };
+    }
 }
 
 /// A scene packed for upload.
@@ -120,6 +142,7 @@ impl PackedScene {
             priority: 0,
             needs: Needs::default(),
             attempt_limit_secs: None,
+            limits: Default::default(),
         };
         set(&mut bake);
         Ok(bake)

@@ -18,6 +18,7 @@
 pub mod chunk;
 mod error;
 mod lease;
+pub mod limits;
 pub mod rules;
 mod sql;
 
@@ -184,7 +185,7 @@ pub struct Look {
     pub standings: Vec<Standing>,
 }
 
-/// Ready tasks of running bakes of one kind that ask for the same kind of worker.
+/// Ready tasks of running bakes of one kind that ask for the same kind of worker; of one bake alone, if that has a limit of workers.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Opening {
     /// Task kind.
@@ -193,6 +194,17 @@ pub struct Opening {
     pub needs: Needs,
     /// Their number, as far as it was counted; one at least.
     pub ready: u64,
+    /// The workers that may take them, where their bake has a limit of workers.
+    pub room: Option<Room>,
+}
+
+/// Workers that a bake with a limit has room for.
+#[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Room {
+    /// Those that hold tasks of it, by name; they may take more.
+    pub holders: BTreeSet<String>,
+    /// How many others may join them.
+    pub others: u64,
 }
 
 /// How far a bake has come.
@@ -242,7 +254,8 @@ pub trait FarmStore: Send + Sync {
     async fn forget(&self, keys: &[TaskKey]) -> Result<()>;
 
     /// Hands out up to `max` ready tasks. One by one they come from the bake with the highest priority, of those from the
-    /// one with the fewest tasks under way ([`rules`] says more), of a bake by cost ([`rules::claim_cost`]), then key.
+    /// one with the fewest tasks under way ([`rules`] says more), of a bake by cost ([`rules::claim_cost`]), then key. A bake at its
+    /// limit of workers ([`lightkiln_proto::limits`]) gives tasks to those alone that hold some of it.
     async fn claim(&self, request: &ClaimRequest) -> Result<Vec<Lease>>;
 
     /// The work that running bakes have for those who can do it, counted up to `enough` for each kind of a bake, and how far these bakes

@@ -164,11 +164,6 @@ pub fn deadline_ms(now_ms: i64, attempt_limit_secs: Option<u32>) -> i64 {
     now_ms + 1000 * i64::from(attempt_limit_secs.unwrap_or(ATTEMPT_LIMIT_SECS))
 }
 
-/// Whether a task with that many failed attempts by that many workers is given up.
-pub fn is_given_up(attempts: u32, workers: u32) -> bool {
-    attempts >= MAX_ATTEMPTS || workers >= POISON_WORKERS
-}
-
 /// Cuts a message to its limit.
 pub fn cut_message(message: &str) -> String {
     message.chars().take(MAX_MESSAGE_CHARS).collect()
@@ -190,7 +185,8 @@ pub fn lost_message(label: &str, kind: &str, losses: u32, message: &str) -> Stri
     let times = counted(losses, "time");
     cut_message(&format!(
         "{label} ({kind}) was lost {times}: its workers ended, fell silent or ran out of memory while they had it. See \
-         whether it needs more memory than they have, or let it be lost more often (kiln server --lost-workers N); the last: {message}"
+         whether it needs more memory than they have, or let it be lost more often (--lost-workers N of kiln submit or kiln \
+         server); the last: {message}"
     ))
 }
 

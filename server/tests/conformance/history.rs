@@ -4,25 +4,17 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use lightkiln_proto::api::{Bake, BakeEvent, BakeResult, Blame, CommitVerdict, Lease, Worker};
 use lightkiln_proto::ids::{Digest, TaskKey};
-use lightkiln_proto::jobs::{TaskInput, TaskResult, TaskSpec};
+use lightkiln_proto::jobs::{TaskResult, TaskSpec};
 use lightkiln_server::store::chunk::{ChunkRow, CollectRules, Usage};
-use lightkiln_server::store::{Standing, Stats, StoreError, WAIT_MAX_MS};
+use lightkiln_server::store::{Room, Standing, Stats, StoreError, WAIT_MAX_MS};
 use proptest::collection::vec;
 use proptest::prelude::*;
 
-use crate::support::{SCENE, World, chunk, in_time, output, outputs, request, submission, task_of};
+use crate::support::{SCENE, World, chunk, in_time, output, request, submission};
+use crate::universe::{TASKS, limits_of, plan_of, result_of, universe};
 
-/// Tasks of the universe.
-const TASKS: usize = 12;
 /// More results than a bake of them has.
 const RESULTS: u32 = 10_000;
-/// Dependencies of each task; all come before it.
-const NEEDS: [&[usize]; TASKS] = [&[], &[], &[0], &[0, 1], &[2], &[3], &[3, 4], &[], &[7], &[1], &[], &[10]];
-/// Plans of the tasks; task 7 plans one that needs task 5, which its bake may not hold.
-const PLANS: [&[usize]; TASKS] = [&[1, 2], &[9], &[4], &[5], &[], &[], &[], &[8, 7], &[], &[], &[], &[]];
-/// Which of the outputs each task names.
-const NAMES: [&[u8]; TASKS] = [&[], &[], &[], &[], &[], &[0], &[], &[], &[1], &[0, 2], &[2], &[3, 1]];
-
 /// Something that happens. Numbers name bakes, leases, tasks and workers, modulo how many there are.
 #[derive(Clone, Debug)]
 enum Step {
@@ -117,21 +109,6 @@ fn step() -> impl Strategy<Value = Step> {
     ]
 }
 
-fn universe() -> Vec<TaskSpec> {
-    let mut tasks: Vec<TaskSpec> = Vec::new();
-    for (index, needs) in NEEDS.iter().enumerate() {
-        let needs: Vec<&TaskSpec> = needs.iter().map(|needs| &tasks[*needs]).collect();
-        let kind = if index % 3 == 2 { "more" } else { "work" };
-        let TaskSpec { kind, label, params, mut inputs, cost, .. } =
-            task_of(kind, &format!("task {index}"), &needs, index as u64 % 4);
-        for number in NAMES[index] {
-            inputs.push(TaskInput::Artefact { name: format!("named {number}"), digest: output(*number) });
-        }
-        tasks.push(TaskSpec::new(&kind, 1, label, params, inputs, cost));
-    }
-    tasks
-}
-
 /// Gives a result other outputs than its task should have.
 fn otherwise(result: &mut TaskResult) {
     result.outputs.iter_mut().for_each(|made| made.digest = output(made.digest.0[0] % 4));
@@ -157,7 +134,7 @@ struct Seen {
     workers: Vec<Worker>,
     stats: Stats,
     /// Tasks that are ready, by kind and threads, and how far the bakes have come.
-    openings: BTreeSet<(String, u32, u64)>,
+    openings: BTreeSet<(String, u32, u64, Option<Room>)>,
     standings: Vec<Standing>,
     rows: Vec<ChunkRow>,
     usage: Usage,
@@ -184,6 +161,7 @@ impl Side {
                 submission.bake.priority = *priority;
                 submission.bake.needs.threads = if chosen[0] == 3 { 3 } else { 0 };
                 submission.bake.attempt_limit_secs = (chosen[0] == 4).then_some(40);
+                submission.bake.limits = limits_of(chosen[0]);
                 submission.bake.scene = chunk_of(if chosen[0] == 5 { 1 } else { 4 });
                 submission.idempotency_key = key.map(|key| format!("key {key}"));
                 submission.body_hash = Digest::of(format!("{chosen:?}").as_bytes());
@@ -346,7 +324,7 @@ impl Side {
         let openings = look
             .openings
             .into_iter()
-            .map(|opening| (opening.kind, opening.needs.threads, opening.ready))
+            .map(|opening| (opening.kind, opening.needs.threads, opening.ready, opening.room))
             .collect();
         let mut standings = look.standings;
         for standing in &mut standings {
@@ -383,24 +361,6 @@ impl Side {
             assert!(bake.state.is_final(), "{bake:?}");
         }
     }
-}
-
-/// The chosen tasks, with all that they need if the plan is to be closed.
-fn plan_of(chosen: &[usize], is_closed: bool, tasks: &[TaskSpec]) -> Vec<TaskSpec> {
-    let mut numbers = chosen.to_vec();
-    let mut next = 0;
-    while is_closed && next < numbers.len() {
-        numbers.extend(NEEDS[numbers[next]]);
-        next += 1;
-    }
-    numbers.into_iter().map(|number| tasks[number].clone()).collect()
-}
-
-fn result_of(task: &TaskSpec, tasks: &[TaskSpec]) -> TaskResult {
-    let number = tasks.iter().position(|known| known.key == task.key).expect("a task of the universe");
-    let plan = PLANS[number].iter().map(|planned| tasks[*planned].clone()).collect();
-    let counters = [("rays".to_owned(), 0.1 * number as f64)].into();
-    TaskResult { outputs: outputs(task.key), plan, counters, ..TaskResult::default() }
 }
 
 async fn changed<F>(bake: Option<String>, change: impl FnOnce(String) -> F) -> String

@@ -18,6 +18,7 @@ mod graph;
 mod hints;
 mod history;
 mod leases;
+mod limits;
 mod locks;
 mod migration;
 #[path = "../model/mod.rs"]
@@ -30,6 +31,7 @@ mod results;
 mod reuse;
 mod scheduling;
 mod support;
+mod universe;
 mod views;
 
 /// Runs every test over every store. A test that is not named here is dead code, and the compiler says so.
@@ -135,6 +137,14 @@ conformance! {
         wait_of_a_clock_that_was_set_back_is_over
         limit_of_a_clock_that_was_set_back_is_kept
         worker_seen_by_a_clock_that_was_set_back_is_not_there_for_ever;
+    limits:
+        bake_at_its_limit_of_workers_goes_to_those_that_hold_some_of_it
+        bake_at_its_limit_of_workers_holds_no_other_back
+        look_tells_who_may_take_tasks_of_a_bake_with_a_limit
+        concurrent_claims_keep_to_the_limit_of_workers
+        attempts_of_a_bake_count_alone
+        lost_workers_of_a_bake_count_instead_of_the_farms
+        most_generous_bake_decides_about_a_task_of_several;
     failure:
         task_fault_fails_every_bake_that_wants_it
         worker_fault_is_retried_by_another_worker_after_a_wait

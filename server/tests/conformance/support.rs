@@ -62,6 +62,7 @@ pub fn new_bake(name: &str, kind: &str) -> NewBake {
         priority: 0,
         needs: Needs::default(),
         attempt_limit_secs: None,
+        limits: Default::default(),
     }
 }
 

@@ -3,9 +3,9 @@
 use std::path::Path;
 
 use lightkiln_proto::api::{
-    Bake, BakePage, BakeState, Blame, ClaimAnswer, ClaimRequest, Commit, CommitAnswer, CommitOutcome,
-    CommitVerdict, Commits, CommitsAnswer, Failure, Heartbeat, HeartbeatAnswer, Lease, MAX_COMMITS, Needs,
-    NewBake, NewPriority, SceneStored, Verdict, WorkerPage,
+    Bake, BakeLimits, BakePage, BakeState, Blame, ClaimAnswer, ClaimRequest, Commit, CommitAnswer,
+    CommitOutcome, CommitVerdict, Commits, CommitsAnswer, Failure, Heartbeat, HeartbeatAnswer, Lease,
+    MAX_COMMITS, Needs, NewBake, NewPriority, SceneStored, Verdict, WorkerPage,
 };
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{Artefact, MANIFEST_OUTPUT, REPORT_OUTPUT, TaskResult};
@@ -25,6 +25,7 @@ pub fn new_bake(scene: Digest, settings: Value) -> NewBake {
         priority: 0,
         needs: Needs::default(),
         attempt_limit_secs: None,
+        limits: Default::default(),
     }
 }
 
@@ -127,6 +128,37 @@ async fn idempotency_key_gives_the_same_bake_or_a_conflict() {
     let other = serde_json::to_vec(&new_bake(Digest::of(SCENE), json!({ "preset": "draft" }))).unwrap();
     let refused = server.call("POST", "/v1/bakes", &headers, &other).await;
     refused.problem(ProblemCode::IdempotencyConflict);
+}
+
+#[tokio::test]
+async fn limits_of_a_bake_are_kept_and_have_bounds() {
+    let server = start().await;
+    put_scene(&server).await;
+    let limits = |max_workers, attempts, lost_workers| BakeLimits { max_workers, attempts, lost_workers };
+    let submit = async |limits| {
+        let bake = NewBake { limits, ..new_bake(Digest::of(SCENE), json!({})) };
+        server.post("/v1/bakes", &bake).await
+    };
+    for (out, words) in [
+        (limits(Some(0), None, None), "limits.max_workers must be within 1..=100000, not 0"),
+        (limits(Some(100_001), None, None), "limits.max_workers"),
+        (limits(None, Some(0), None), "limits.attempts must be within 1..=1000, not 0"),
+        (limits(None, Some(1_001), None), "limits.attempts"),
+        (limits(None, None, Some(0)), "limits.lost_workers must be within 1..=1000000, not 0"),
+        (limits(None, None, Some(1_000_001)), "limits.lost_workers"),
+    ] {
+        let refused = submit(out).await.problem(ProblemCode::BadRequest);
+        assert!(refused.detail.contains(words), "{out:?}: {}", refused.detail);
+    }
+    for kept in [
+        limits(Some(1), Some(2), Some(3)),
+        limits(Some(100_000), Some(1_000), Some(1_000_000)),
+        limits(None, None, None),
+    ] {
+        let bake: Bake = submit(kept).await.json(202);
+        let shown: Bake = server.get(&format!("/v1/bakes/{}", bake.id)).await.json(200);
+        assert_eq!((bake.limits, shown.limits), (kept, kept));
+    }
 }
 
 #[tokio::test]

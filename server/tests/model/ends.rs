@@ -1,11 +1,12 @@
 //! Ends of the model's attempts without a result: release, failure, expiry; and clocks that were set back.
 
-use lightkiln_proto::api::{BakeState, Blame, EventKind};
+use lightkiln_proto::api::{BakeLimits, BakeState, Blame, EventKind};
 use lightkiln_proto::ids::TaskKey;
 use lightkiln_proto::jobs::TaskSpec;
 
 use super::entries::{ExpiredEntry, LeaseEntry};
 use super::farm::Farm;
+use lightkiln_server::store::limits;
 use lightkiln_server::store::rules::{self, FarmRules, MAX_PARDONS, WAIT_MAX_MS};
 use lightkiln_server::store::{FailVerdict, LeaseState, Reaped};
 
@@ -66,10 +67,11 @@ impl Farm {
         (rules, now_ms): (FarmRules, i64),
     ) -> Option<i64> {
         self.count_attempt(lease.key, Blame::Lost);
+        let wanted = self.limits_of(lease.key);
         let task = self.tasks.get_mut(&lease.key)?;
         task.losses += 1;
         task.lost_with.insert(lease.worker.clone());
-        if task.losses < rules.lost_workers {
+        if !limits::is_lost_too_often(&wanted, task.losses, &rules) {
             let wait_ms = rules::lost_wait_ms(lease.key, task.losses);
             task.not_before_ms = now_ms + wait_ms;
             return Some(wait_ms);
@@ -83,11 +85,12 @@ impl Farm {
     /// Counts an attempt against a worker: the wait before the next try, or none when the task was given up.
     fn blame_worker(&mut self, lease: &LeaseEntry, message: &str, now_ms: i64) -> Option<i64> {
         self.count_attempt(lease.key, Blame::Worker);
+        let wanted = self.limits_of(lease.key);
         let task = self.tasks.get_mut(&lease.key)?;
         task.attempts += 1;
         task.blamed.insert(lease.worker.clone());
         let (attempts, workers) = (task.attempts, task.blamed.len() as u32);
-        if !rules::is_given_up(attempts, workers) {
+        if !limits::is_given_up(&wanted, attempts, workers) {
             let wait_ms = rules::retry_wait_ms(lease.key, attempts);
             task.not_before_ms = now_ms + wait_ms;
             return Some(wait_ms);
@@ -96,6 +99,11 @@ impl Farm {
         let failure = rules::given_up_message(label, kind, attempts, workers, message);
         self.give_up(lease, (Blame::Worker, message), &failure, now_ms);
         None
+    }
+
+    /// Limits of the live bakes that hold a task.
+    fn limits_of(&self, key: TaskKey) -> Vec<BakeLimits> {
+        self.live_bakes_of(key).into_iter().map(|bake| self.bakes[bake].new.limits).collect()
     }
 
     fn give_up(&mut self, lease: &LeaseEntry, why: (Blame, &str), failure: &str, now_ms: i64) {

@@ -99,6 +99,8 @@ pub(super) struct Task {
 #[derive(Clone)]
 pub(super) struct LeaseEntry {
     pub(super) key: TaskKey,
+    /// Id of the bake that the task was handed out for.
+    pub(super) bake: String,
     pub(super) worker: String,
     pub(super) ttl_ms: i64,
     pub(super) started_ms: i64,

@@ -14,11 +14,12 @@ use super::alarms::Given;
 use super::entries::{BakeEntry, LeaseEntry, Member, Task, WorkerEntry};
 use super::farm::Farm;
 use lightkiln_server::random;
+use lightkiln_server::store::limits;
 use lightkiln_server::store::rules::{
     self, Abilities, BLOCK_TASKS, CLAIM_WINDOW, Contender, MAX_GRACES, MAX_PARDONS, WORKER_PRESENT_MS,
     WORKER_SEEN_GRAIN_MS, add_counters, next_contender,
 };
-use lightkiln_server::store::{LeaseState, Look, Opening, Standing, StoreError, TaskState};
+use lightkiln_server::store::{LeaseState, Look, Opening, Room, Standing, StoreError, TaskState};
 
 impl LeaseEntry {
     /// How long the attempt has taken.
@@ -62,12 +63,23 @@ impl Farm {
             let mut tasks = bake.members.keys().filter_map(|key| self.tasks.get(key));
             bake.state == BakeState::Running
                 && abilities.suffice(&bake.new.needs)
+                && self
+                    .room_of(bake)
+                    .is_none_or(|room| room.others > 0 || room.holders.contains(&request.worker))
                 && tasks.any(|task| self.is_due(task, &request.kinds, now_ms))
                 && !self.is_blocked(*index, request, now_ms)
         };
         let mut bakes: Vec<usize> = (0..self.bakes.len()).filter(is_open).collect();
         bakes.sort_by_key(|index| (Reverse(self.bakes[*index].new.priority), *index));
         bakes
+    }
+
+    /// Workers that a bake with a limit of them has room for.
+    fn room_of(&self, bake: &BakeEntry) -> Option<Room> {
+        let held = self.leases.values().filter(|lease| lease.bake == bake.id);
+        let holders: BTreeSet<String> = held.map(|lease| lease.worker.clone()).collect();
+        let others = limits::room_for_workers(bake.new.limits.max_workers, holders.len() as u64)?;
+        Some(Room { holders, others })
     }
 
     fn contender(&self, bake: usize, scene: Option<Digest>) -> Contender<usize> {
@@ -174,12 +186,19 @@ impl Farm {
         for bake in self.bakes.iter().filter(|bake| bake.state == BakeState::Running) {
             let open = bake.members.iter().filter(|(_, member)| !member.done);
             let tasks = open.filter_map(|(key, _)| self.tasks.get(key));
+            // A bake with a limit of workers has openings of its own.
+            let room = self.room_of(bake);
+            let first = if room.is_some() { openings.len() } else { 0 };
             for task in tasks.filter(|task| self.is_due(task, std::slice::from_ref(&task.spec.kind), now_ms))
             {
-                let (kind, needs) = (&task.spec.kind, &bake.new.needs);
-                match openings.iter_mut().find(|known| known.kind == *kind && known.needs == *needs) {
+                let (kind, needs, room) = (task.spec.kind.clone(), bake.new.needs.clone(), room.clone());
+                let mut known = openings[first..].iter_mut();
+                let is_it = |known: &&mut Opening| {
+                    known.kind == kind && known.needs == needs && known.room.is_some() == room.is_some()
+                };
+                match known.find(is_it) {
                     Some(known) => known.ready += 1,
-                    None => openings.push(Opening { kind: kind.clone(), needs: needs.clone(), ready: 1 }),
+                    None => openings.push(Opening { kind, needs, ready: 1, room }),
                 }
             }
         }
@@ -245,6 +264,7 @@ impl Farm {
         }
         let lease = LeaseEntry {
             key,
+            bake: self.bakes[bake].id.clone(),
             worker,
             ttl_ms,
             started_ms: now_ms,

@@ -25,6 +25,7 @@ impl Farm {
             settings: entry.new.settings.clone(),
             priority: entry.new.priority,
             needs: entry.new.needs.clone(),
+            limits: entry.new.limits,
             state: entry.state,
             stages: entry.stages.iter().map(|stage| self.stage_count(entry, stage)).collect(),
             tasks_run: entry.tasks_run,

@@ -62,6 +62,7 @@ impl Farm {
             priority: 0,
             needs: Default::default(),
             attempt_limit_secs: None,
+            limits: Default::default(),
         };
         let submitted = agent.post(format!("{}/v1/bakes", self.url)).header("authorization", &authorization);
         let submitted = submitted.header("idempotency-key", "once").send_json(&bake);

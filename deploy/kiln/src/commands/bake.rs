@@ -22,7 +22,7 @@ use crate::lighting::LightArguments;
 use crate::outputs::{check_folder, check_png};
 use crate::picture::PictureArguments;
 use crate::settings::SettingsArguments;
-use crate::submission::{PackedScene, SceneArguments};
+use crate::submission::{LimitArguments, PackedScene, SceneArguments};
 use crate::summary::complete_report;
 
 /// Arguments of `kiln bake`.
@@ -46,6 +46,8 @@ pub struct Arguments {
     /// Bakes on the farm at this URL instead of in this process
     #[arg(long, value_name = "URL", conflicts_with_all = ["threads", "state"])]
     server: Option<String>,
+    #[command(flatten)]
+    limits: LimitArguments,
     #[command(flatten)]
     trust: TrustArgument,
     #[command(flatten)]
@@ -91,6 +93,7 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     let client = farm.patient(arguments.trust.connect(farm.url(), &interrupt)?, &arguments.patience);
     let bake = scene.submit(&client, |bake| {
         wanted.set(bake);
+        arguments.limits.set(bake);
         farm.reserve(bake);
     })?;
     let bake = follow(&client, &bake.id, &interrupt, || farm.check())

@@ -1,7 +1,7 @@
 //! `kiln show`: one bake as it stands.
 
 use clap::Args;
-use lightkiln_proto::api::{Bake, BakeState};
+use lightkiln_proto::api::{Bake, BakeLimits, BakeState};
 
 use crate::arguments::ServerArgument;
 use crate::console::{printable, put, put_json};
@@ -58,6 +58,9 @@ fn words(bake: &Bake) -> String {
     if let Some(owner) = &bake.owner {
         words += &format!("owner     {owner}\n");
     }
+    if !bake.limits.is_none() {
+        words += &limits_in_words(&bake.limits);
+    }
     if bake.attempts_failed + bake.attempts_lost > 0 {
         let (failed, lost) = (bake.attempts_failed, bake.attempts_lost);
         words += &format!("attempts  {failed} failed, {lost} lost with their workers\n");
@@ -81,4 +84,26 @@ fn words(bake: &Bake) -> String {
         words += &format!("next      kiln fetch {} --out DIR\n", bake.id);
     }
     words
+}
+
+fn limits_in_words(limits: &BakeLimits) -> String {
+    let BakeLimits { max_workers, attempts, lost_workers } = limits;
+    let limits = [
+        (max_workers, "workers at once"),
+        (attempts, "attempts at a task"),
+        (lost_workers, "lost workers a task"),
+    ];
+    let told = limits.into_iter().filter_map(|(most, what)| Some(format!("{} {what}", (*most)?)));
+    format!("limits    {} at most\n", told.collect::<Vec<_>>().join(", "))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn limits_that_were_set_are_told() {
+        let limits = BakeLimits { max_workers: Some(4), lost_workers: Some(9), ..BakeLimits::default() };
+        assert_eq!(limits_in_words(&limits), "limits    4 workers at once, 9 lost workers a task at most\n");
+    }
 }

@@ -18,7 +18,7 @@ use crate::junit;
 use crate::kinds::KindTables;
 use crate::lighting::LightArguments;
 use crate::settings::SettingsArguments;
-use crate::submission::{PackedScene, SceneArguments};
+use crate::submission::{LimitArguments, PackedScene, SceneArguments};
 use crate::summary::stage_name;
 
 /// Arguments of `kiln submit`.
@@ -52,6 +52,8 @@ pub struct Arguments {
     /// Seconds that one attempt at a task may take before it counts as failed [default: a day]
     #[arg(long, value_name = "SECS")]
     attempt_limit_secs: Option<u32>,
+    #[command(flatten)]
+    limits: LimitArguments,
     /// Waits until the bake ends; Ctrl-C ends the wait, not the bake
     #[arg(long)]
     wait: bool,
@@ -131,6 +133,7 @@ fn submit(arguments: &Arguments, kinds: &KindTables) -> Result<Outcome> {
         bake.priority = arguments.priority;
         bake.needs = needs;
         bake.attempt_limit_secs = arguments.attempt_limit_secs;
+        arguments.limits.set(bake);
     };
     let bake = match &arguments.commit {
         Some(commit) => scene.submit_once(&client, commit, set)?,

@@ -70,6 +70,7 @@ fn bake(state: BakeState, stages: Vec<StageCount>, rays: f64) -> Bake {
         settings: serde_json::Value::Null,
         priority: 0,
         needs: Default::default(),
+        limits: Default::default(),
         state,
         stages,
         tasks_run: 0,

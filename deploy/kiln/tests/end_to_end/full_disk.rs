@@ -117,6 +117,7 @@ fn idle_bake(scene: Digest, number: usize) -> NewBake {
         priority: 0,
         needs: Needs { labels: vec!["none such".to_owned()], ..Needs::default() },
         attempt_limit_secs: None,
+        limits: Default::default(),
     }
 }
 

@@ -47,8 +47,9 @@ async fn insert(conn: &mut Conn, submission: &Submission) -> Result<i64> {
     let sql =
         "INSERT INTO bakes (id, idempotency_key, body_hash, name, kind, scene, settings, priority, state,
                open_count, tasks_run, tasks_reused, counters, counters_reused, created_ms, last_event, needs,
-               attempt_limit_secs, traceparent, owner)
-               VALUES ($1, $2, $3, $4, $5, $6, $7, $8, 'running', 0, 0, 0, '{}', '{}', $9, 0, $10, $11, $12, $13) RETURNING seq";
+               attempt_limit_secs, traceparent, owner, max_workers, max_attempts, max_lost)
+               VALUES ($1, $2, $3, $4, $5, $6, $7, $8, 'running', 0, 0, 0, '{}', '{}', $9, 0, $10, $11, $12, $13,
+               $14, $15, $16) RETURNING seq";
     let new = &submission.bake;
     let query = query(sql)
         .bind(random::id())
@@ -63,7 +64,10 @@ async fn insert(conn: &mut Conn, submission: &Submission) -> Result<i64> {
         .bind(to_json(&new.needs)?)
         .bind(new.attempt_limit_secs.map(i64::from))
         .bind(&submission.traceparent)
-        .bind(&submission.owner);
+        .bind(&submission.owner)
+        .bind(new.limits.max_workers.map(i64::from))
+        .bind(new.limits.attempts.map(i64::from))
+        .bind(new.limits.lost_workers.map(i64::from));
     query.one(conn).await?.get("seq")
 }
 

@@ -14,12 +14,23 @@ use super::conn::{Conn, Row, query};
 use super::grant::{self, Chosen};
 use super::outputs::{outputs_of_alike, outputs_of_needs};
 use super::patience::Locked;
+use super::present::{Other, others, see_worker};
 use crate::random;
 use crate::store::Result;
 use crate::store::rules::{
-    self, Abilities, BLOCK_TASKS, CLAIM_WINDOW, Contender, WORKER_PRESENT_MS, WORKER_SEEN_GRAIN_MS,
-    dependencies, next_contender,
+    self, Abilities, BLOCK_TASKS, CLAIM_WINDOW, Contender, dependencies, next_contender,
 };
+
+/// Whether a bake has room for a worker: it has no limit of workers or has not reached it, or the worker holds some of its tasks already.
+macro_rules! has_room {
+    ($worker:literal) => {
+        concat!(
+            "(b.max_workers IS NULL OR EXISTS (SELECT 1 FROM leases l WHERE l.bake = b.seq AND l.worker = ",
+            $worker,
+            ") OR (SELECT count(DISTINCT l.worker) FROM leases l WHERE l.bake = b.seq) < b.max_workers)"
+        )
+    };
+}
 
 /// Running bakes with ready tasks, behind one of that priority and number. The look for a ready task is a column of the
 /// row, which no planner turns around: it ends at the first that it finds, kind by kind.
@@ -27,11 +38,14 @@ macro_rules! open_bakes {
     ($first_ready:literal) => {
         concat!(
             "SELECT b.seq, b.id, b.priority, b.scene, b.needs, b.attempt_limit_secs, b.traceparent,
+             b.max_workers IS NOT NULL AS is_limited,
              (SELECT CAST(coalesce(sum(s.leased), 0) AS BIGINT) FROM stages s WHERE s.bake = b.seq) AS leased
              FROM bakes b
              WHERE b.state = 'running' AND (b.priority < $1 OR (b.priority = $1 AND b.seq > $2)) AND (",
             $first_ready,
-            ") IS NOT NULL ORDER BY b.priority DESC, b.seq LIMIT $5"
+            ") IS NOT NULL AND ",
+            has_room!("$6"),
+            " ORDER BY b.priority DESC, b.seq LIMIT $5"
         )
     };
 }
@@ -90,12 +104,8 @@ struct OpenBake {
     needs: Needs,
     attempt_limit_secs: Option<u32>,
     traceparent: Option<String>,
-}
-
-/// Another worker that is present.
-struct Other {
-    name: String,
-    abilities: Abilities,
+    /// It has a limit of workers.
+    is_limited: bool,
 }
 
 /// A ready task that was found for a claim.
@@ -167,70 +177,6 @@ pub(super) async fn claim(conn: &mut Conn, request: &ClaimRequest, locked: Locke
     Ok(Claimed { leases: grant::leases(chosen, taken, &outputs, &alike), has_left })
 }
 
-/// Facts about the worker that claims.
-struct Seen {
-    /// The scene of the task that it was given last.
-    scene: Option<Digest>,
-    /// It failed at a task that is still there.
-    has_failed: bool,
-}
-
-/// Looks the worker up and notes it, unless that was done a moment ago: an idle worker's polls write nothing.
-async fn see_worker(conn: &mut Conn, request: &ClaimRequest) -> Result<Seen> {
-    let (kinds, labels) = (to_json(&request.kinds)?, to_json(&request.labels)?);
-    let sql = "SELECT w.scene, EXISTS (SELECT 1 FROM blames x WHERE x.worker = n.name) AS has_failed,
-               coalesce(w.kinds = $2 AND w.labels = $3 AND w.threads = $4 AND w.memory_mib = $5
-                        AND $6 - w.seen_ms < $7, false) AS is_noted
-               FROM (SELECT CAST($1 AS TEXT) AS name) n LEFT JOIN workers w ON w.name = n.name";
-    let row = query(sql)
-        .bind(&request.worker)
-        .bind(&kinds)
-        .bind(&labels)
-        .bind(request.threads)
-        .bind(request.memory_mib)
-        .bind(conn.now_ms)
-        .bind(WORKER_SEEN_GRAIN_MS)
-        .one(conn)
-        .await?;
-    let seen = Seen { scene: row.digest_if_any("scene")?, has_failed: row.get("has_failed")? };
-    if row.get("is_noted")? {
-        return Ok(seen);
-    }
-    let sql = "INSERT INTO workers (name, kinds, threads, seen_ms, memory_mib, labels)
-               VALUES ($1, $2, $3, $4, $5, $6) ON CONFLICT (name) DO UPDATE SET
-               kinds = excluded.kinds, threads = excluded.threads,
-               seen_ms = CASE WHEN excluded.seen_ms > workers.seen_ms THEN excluded.seen_ms ELSE workers.seen_ms END,
-               memory_mib = excluded.memory_mib, labels = excluded.labels";
-    query(sql)
-        .bind(&request.worker)
-        .bind(&kinds)
-        .bind(request.threads)
-        .bind(conn.now_ms)
-        .bind(request.memory_mib)
-        .bind(&labels)
-        .run(conn)
-        .await?;
-    Ok(seen)
-}
-
-/// Other workers that are present.
-async fn others(conn: &mut Conn, request: &ClaimRequest) -> Result<Vec<Other>> {
-    let sql =
-        "SELECT name, kinds, threads, memory_mib, labels FROM workers WHERE seen_ms > $1 AND name <> $2";
-    let rows = query(sql).bind(conn.now_ms - WORKER_PRESENT_MS).bind(&request.worker).all(conn).await?;
-    let mut others = Vec::with_capacity(rows.len());
-    for row in rows {
-        let abilities = Abilities {
-            kinds: row.json("kinds")?,
-            threads: row.small("threads")?,
-            memory_mib: row.small("memory_mib")?,
-            labels: row.json("labels")?,
-        };
-        others.push(Other { name: row.get("name")?, abilities });
-    }
-    Ok(others)
-}
-
 impl<'a> Claim<'a> {
     fn begin(
         conn: &'a mut Conn,
@@ -262,17 +208,36 @@ impl<'a> Claim<'a> {
             }
             last.extend(grant::lock_bakes(self.conn, &bakes, locked).await?);
             let missing: Vec<i64> = bakes.into_iter().filter(|bake| !last.contains_key(bake)).collect();
-            if missing.is_empty() {
+            // Count workers again where there is a limit: other claims may have been granted before the lock was.
+            let full = self.full(before).await?;
+            if missing.is_empty() && full.is_empty() {
                 return Ok((last, has_left));
             }
             // Look for tasks of other bakes in their place.
-            has_left = true;
-            self.chosen.retain(|chosen| chosen.bakes.iter().all(|bake| last.contains_key(bake)));
-            for bake in missing {
+            has_left |= !missing.is_empty();
+            self.chosen.retain(|chosen| {
+                !full.contains(&chosen.seq) && chosen.bakes.iter().all(|bake| last.contains_key(bake))
+            });
+            for bake in missing.into_iter().chain(full) {
                 self.emptied.insert(bake);
                 self.found.remove(&bake);
             }
         }
+    }
+
+    /// Bakes with a limit of workers among those of the tasks chosen last that have no room for this one any more.
+    async fn full(&mut self, before: usize) -> Result<Vec<i64>> {
+        let limited = self.chosen[before..].iter().filter(|chosen| chosen.is_limited);
+        let limited: BTreeSet<i64> = limited.map(|chosen| chosen.seq).collect();
+        if limited.is_empty() || !self.conn.has_neighbours() {
+            return Ok(Vec::new());
+        }
+        let sql = concat!(
+            "SELECT b.seq FROM bakes b WHERE b.seq = ANY (ARRAY(SELECT CAST(value AS BIGINT) FROM json_each($1))) AND NOT ",
+            has_room!("$2")
+        );
+        let rows = query(sql).bind(to_json(&limited)?).bind(&self.request.worker).all(self.conn).await?;
+        rows.iter().map(|row| row.get("seq")).collect()
     }
 
     /// Chooses tasks whose rows are locked, and no others: who chose otherwise than he looked lets these go.
@@ -332,6 +297,7 @@ impl<'a> Claim<'a> {
                 .bind(self.conn.now_ms)
                 .bind(&self.kinds)
                 .bind(CLAIM_WINDOW)
+                .bind(&self.request.worker)
                 .all(self.conn)
                 .await?;
             let Some(last) = rows.last() else { return Ok(()) };
@@ -348,6 +314,7 @@ impl<'a> Claim<'a> {
                     needs: row.json("needs")?,
                     attempt_limit_secs: limit.and_then(|limit| u32::try_from(limit).ok()),
                     traceparent: row.get("traceparent")?,
+                    is_limited: row.get("is_limited")?,
                 };
                 if self.abilities.suffice(&bake.needs) && !self.is_blocked(&bake).await? {
                     let (priority, leased) = (row.get("priority")?, row.get("leased")?);
@@ -379,6 +346,8 @@ impl<'a> Claim<'a> {
                         task,
                         bakes,
                         bake: bake.id,
+                        seq: bake.seq,
+                        is_limited: bake.is_limited,
                         token,
                         expires_ms,
                         deadline_ms,

@@ -30,6 +30,10 @@ pub(super) struct Chosen {
     pub(super) bakes: Vec<i64>,
     /// The bake that it is given to the worker for.
     pub(super) bake: String,
+    /// The same bake's number.
+    pub(super) seq: i64,
+    /// It has a limit of workers.
+    pub(super) is_limited: bool,
     pub(super) token: String,
     pub(super) expires_ms: i64,
     pub(super) deadline_ms: i64,
@@ -47,7 +51,7 @@ pub(super) async fn write_leases(
     let tasks: Vec<i64> = chosen.iter().map(|chosen| chosen.task).collect();
     let row = |chosen: &Chosen| {
         let attempt = taken.get(&chosen.task).map_or(1, |taken| taken.attempt);
-        json!([chosen.token, chosen.task, chosen.expires_ms, chosen.deadline_ms, attempt])
+        json!([chosen.token, chosen.task, chosen.expires_ms, chosen.deadline_ms, attempt, chosen.seq])
     };
     let rows: Vec<_> = chosen.iter().map(row).collect();
     let Starts { events, last, begun } = starts(chosen, taken, &request.worker, last)?;
@@ -55,8 +59,8 @@ pub(super) async fn write_leases(
     let begun: Vec<_> = begun.into_iter().map(|((bake, kind), count)| (bake, kind, count)).collect();
     let inserts = conn.pick(
         [
-            "INSERT INTO leases (token, task, expires_ms, deadline_ms, attempt, worker, ttl_ms, state, progress, started_ms)
-             SELECT value ->> 0, value ->> 1, value ->> 2, value ->> 3, value ->> 4, $2, $3, $4, 0, $5 FROM json_each($1)",
+            "INSERT INTO leases (token, task, expires_ms, deadline_ms, attempt, bake, worker, ttl_ms, state, progress, started_ms)
+             SELECT value ->> 0, value ->> 1, value ->> 2, value ->> 3, value ->> 4, value ->> 5, $2, $3, $4, 0, $5 FROM json_each($1)",
             "INSERT INTO events (bake, seq, at_ms, event)
              SELECT value ->> 0, value ->> 1, $5, value ->> 2 FROM json_each($7)",
             "UPDATE bakes SET last_event = j.value ->> 1 FROM json_each($8) j WHERE bakes.seq = j.value ->> 0",
@@ -64,8 +68,9 @@ pub(super) async fn write_leases(
              FROM json_each($9) j WHERE stages.bake = j.value ->> 0 AND stages.kind = j.value ->> 1",
         ],
         [
-            "INSERT INTO leases (token, task, expires_ms, deadline_ms, attempt, worker, ttl_ms, state, progress, started_ms)
-             SELECT v ->> 0, (v ->> 1)::bigint, (v ->> 2)::bigint, (v ->> 3)::bigint, (v ->> 4)::bigint, $2, $3, $4, 0, $5
+            "INSERT INTO leases (token, task, expires_ms, deadline_ms, attempt, bake, worker, ttl_ms, state, progress, started_ms)
+             SELECT v ->> 0, (v ->> 1)::bigint, (v ->> 2)::bigint, (v ->> 3)::bigint, (v ->> 4)::bigint, (v ->> 5)::bigint,
+             $2, $3, $4, 0, $5
              FROM jsonb_array_elements($1::jsonb) AS j (v)",
             "INSERT INTO events (bake, seq, at_ms, event) SELECT (v ->> 0)::bigint, (v ->> 1)::bigint, $5, v ->> 2
              FROM jsonb_array_elements($7::jsonb) AS j (v)",

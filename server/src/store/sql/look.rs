@@ -1,16 +1,20 @@
 //! One look at the farm for all who wait: which work there is, and how far bakes have come.
 
+use std::collections::{BTreeMap, BTreeSet};
+
 use super::codec::to_json;
 use super::conn::{Conn, query};
 use super::ledger::state_from;
-use crate::store::{Look, Opening, Result, Standing};
+use crate::store::limits::room_for_workers;
+use crate::store::{Look, Opening, Result, Room, Standing};
 
 /// Openings of running bakes: ready tasks are counted up to a number, which the index finds, stage by stage.
 macro_rules! openings {
     ($ready:literal, $kind:literal) => {
         concat!(
-            "SELECT x.kind, x.needs, CAST(sum(x.ready) AS BIGINT) AS ready FROM (
-                 SELECT s.kind, b.needs, (SELECT count(*) FROM (
+            "SELECT x.kind, x.needs, x.limited, max(x.max_workers) AS max_workers, CAST(sum(x.ready) AS BIGINT) AS ready FROM (
+                 SELECT s.kind, b.needs, b.max_workers, CASE WHEN b.max_workers IS NULL THEN 0 ELSE b.seq END AS limited,
+                 (SELECT count(*) FROM (
                      SELECT 1 FROM ",
             $ready,
             " WHERE r.bake = s.bake AND r.kind = ",
@@ -18,7 +22,7 @@ macro_rules! openings {
             " AND r.not_before_ms <= $1 LIMIT $2) AS counted) AS ready
                  FROM bakes b JOIN stages s ON s.bake = b.seq
                  WHERE b.state = 'running' AND s.total > s.done + s.leased) AS x
-             WHERE x.ready > 0 GROUP BY x.kind, x.needs"
+             WHERE x.ready > 0 GROUP BY x.kind, x.needs, x.limited"
         )
     };
 }
@@ -29,15 +33,37 @@ pub(super) async fn look(conn: &mut Conn, bakes: &[String], enough: u64) -> Resu
         openings!("ready r INDEXED BY ready_by_kind", "s.kind"),
         openings!("ready r", "s.kind COLLATE \"default\""),
     );
-    let mut openings = Vec::new();
+    let (mut openings, mut limited) = (Vec::new(), Vec::new());
     for row in query(sql).bind(conn.now_ms).bind(enough).all(conn).await? {
+        let max_workers = row.get::<Option<i64>>("max_workers")?;
+        limited.push((row.get::<i64>("limited")?, max_workers.and_then(|most| u32::try_from(most).ok())));
         openings.push(Opening {
             kind: row.get("kind")?,
             needs: row.json("needs")?,
             ready: row.count("ready")?,
+            room: None,
         });
     }
+    if limited.iter().any(|(_, max_workers)| max_workers.is_some()) {
+        let holders = holders(conn, &limited).await?;
+        for (opening, (bake, max_workers)) in openings.iter_mut().zip(limited) {
+            let holders = holders.get(&bake).cloned().unwrap_or_default();
+            let others = room_for_workers(max_workers, holders.len() as u64);
+            opening.room = others.map(|others| Room { holders, others });
+        }
+    }
     Ok(Look { openings, standings: standings(conn, bakes).await? })
+}
+
+/// Workers that hold tasks of bakes with a limit of workers, by bake.
+async fn holders(conn: &mut Conn, limited: &[(i64, Option<u32>)]) -> Result<BTreeMap<i64, BTreeSet<String>>> {
+    let bakes: BTreeSet<i64> = limited.iter().map(|(bake, _)| *bake).filter(|bake| *bake > 0).collect();
+    let sql = "SELECT DISTINCT l.bake, l.worker FROM json_each($1) j JOIN leases l ON l.bake = CAST(j.value AS BIGINT)";
+    let mut holders: BTreeMap<i64, BTreeSet<String>> = BTreeMap::new();
+    for row in query(sql).bind(to_json(&bakes)?).all(conn).await? {
+        holders.entry(row.get("bake")?).or_default().insert(row.get("worker")?);
+    }
+    Ok(holders)
 }
 
 async fn standings(conn: &mut Conn, bakes: &[String]) -> Result<Vec<Standing>> {

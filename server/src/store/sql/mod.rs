@@ -34,6 +34,7 @@ mod outputs;
 mod patience;
 mod plan;
 mod postgres;
+mod present;
 mod ready;
 mod remake;
 mod sqlite;

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use lightkiln_proto::api::{BakeState, Blame, CommitVerdict, EventKind};
+use lightkiln_proto::api::{BakeLimits, BakeState, Blame, CommitVerdict, EventKind};
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::TaskResult;
 
@@ -13,7 +13,8 @@ use super::conn::{Conn, query, steps};
 use super::leases::{self, Ended, requeue};
 use super::ledger::Ledger;
 use super::plan::apply_plan;
-use super::{chunks, forget, ready, remake};
+use super::{chunks, forget, ready, remake, view};
+use crate::store::limits;
 use crate::store::rules::{self, FarmRules, add_counters};
 use crate::store::{FailVerdict, LeaseState, PlanError, Reaped, Result};
 
@@ -196,7 +197,7 @@ async fn count_loss(conn: &mut Conn, ended: &Ended, message: &str, farm: FarmRul
         .run(conn)
         .await?;
     count_attempt(conn, ended.task, Blame::Lost).await?;
-    if losses < farm.lost_workers {
+    if !limits::is_lost_too_often(&limits_of(conn, ended.task).await?, losses, &farm) {
         let wait_ms = rules::lost_wait_ms(ended.key, losses);
         delay(conn, ended.task, wait_ms).await?;
         return Ok(Some(wait_ms));
@@ -234,7 +235,7 @@ async fn blame_worker(conn: &mut Conn, ended: &Ended, message: &str) -> Result<O
         .await?;
     let count = query("SELECT count(*) AS workers FROM blames WHERE task = $1").bind(ended.task);
     let workers = count.one(conn).await?.small("workers")?;
-    if !rules::is_given_up(attempts, workers) {
+    if !limits::is_given_up(&limits_of(conn, ended.task).await?, attempts, workers) {
         let wait_ms = rules::retry_wait_ms(ended.key, attempts);
         delay(conn, ended.task, wait_ms).await?;
         return Ok(Some(wait_ms));
@@ -242,6 +243,14 @@ async fn blame_worker(conn: &mut Conn, ended: &Ended, message: &str) -> Result<O
     let failure = rules::given_up_message(&ended.label, &ended.kind, attempts, workers, message);
     give_up(conn, ended, Blame::Worker, message, &failure).await?;
     Ok(None)
+}
+
+/// Limits of the live bakes that hold a task.
+async fn limits_of(conn: &mut Conn, task: i64) -> Result<Vec<BakeLimits>> {
+    let sql =
+        "SELECT b.max_workers, b.max_attempts, b.max_lost FROM bake_tasks m JOIN bakes b ON b.seq = m.bake
+               WHERE m.task = $1 AND b.state || '' IN ('running', 'paused')";
+    query(sql).bind(task).all(conn).await?.iter().map(view::limits_from).collect()
 }
 
 /// Fails every bake that wants the task.

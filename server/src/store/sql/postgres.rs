@@ -78,7 +78,7 @@ const MIGRATION_TRIES: u32 = 10;
 /// Lowest version that is tested.
 const VERSION_MIN: i32 = 150_000;
 /// Steps of the schema, from one version to the next.
-const MIGRATIONS: [&str; 16] = [
+const MIGRATIONS: [&str; 17] = [
     include_str!("schema/postgres_1.sql"),
     include_str!("schema/postgres_2.sql"),
     include_str!("schema/postgres_3.sql"),
@@ -95,6 +95,7 @@ const MIGRATIONS: [&str; 16] = [
     include_str!("schema/postgres_14.sql"),
     include_str!("schema/postgres_15.sql"),
     include_str!("schema/postgres_16.sql"),
+    include_str!("schema/postgres_17.sql"),
 ];
 
 /// Settings of every connection. Shorter timeouts → a server that hangs holds the others up for less, and a slow

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use lightkiln_proto::api::{
-    Bake, BakeEvent, BakeResult, BakeState, EventPage, ResultPage, StageCount, Worker,
+    Bake, BakeEvent, BakeLimits, BakeResult, BakeState, EventPage, ResultPage, StageCount, Worker,
 };
 use lightkiln_proto::ids::Digest;
 
@@ -18,6 +18,7 @@ macro_rules! bakes {
     () => {
         "SELECT seq, id, name, kind, scene, settings, priority, needs, state, tasks_run, tasks_reused, attempts_failed,
          attempts_lost, alarms, owner, failure, manifest, report, evaluation, created_ms, finished_ms, counters, counters_reused,
+         max_workers, max_attempts, max_lost,
          (SELECT count(*) FROM lost_results l WHERE l.bake = bakes.seq) AS results_lost FROM bakes"
     };
 }
@@ -56,6 +57,7 @@ pub(super) async fn bake_from(conn: &mut Conn, row: &Row) -> Result<Bake> {
         settings: row.json("settings")?,
         priority: i32::try_from(row.get::<i64>("priority")?).unwrap_or_default(),
         needs: row.json("needs")?,
+        limits: limits_from(row)?,
         state,
         stages: stages(conn, row.get("seq")?).await?,
         tasks_run: row.count("tasks_run")?,
@@ -73,6 +75,18 @@ pub(super) async fn bake_from(conn: &mut Conn, row: &Row) -> Result<Bake> {
         finished_ms: row.get("finished_ms")?,
         counters: row.json("counters")?,
         counters_reused: row.json("counters_reused")?,
+    })
+}
+
+/// Limits as a bake's row has them.
+pub(super) fn limits_from(row: &Row) -> Result<BakeLimits> {
+    let limit = |column: &str| -> Result<Option<u32>> {
+        Ok(row.get::<Option<i64>>(column)?.and_then(|limit| u32::try_from(limit).ok()))
+    };
+    Ok(BakeLimits {
+        max_workers: limit("max_workers")?,
+        attempts: limit("max_attempts")?,
+        lost_workers: limit("max_lost")?,
     })
 }
 

@@ -122,6 +122,7 @@ fn farm() -> (MemoryStore, Vec<String>) {
         priority: 0,
         needs: Needs::default(),
         attempt_limit_secs: None,
+        limits: Default::default(),
     };
     let submission = Submission {
         idempotency_key: None,

@@ -96,6 +96,7 @@ fn jobs() -> Vec<Vec<u8>> {
     let bake = serde_json::json!({
         "name": "hall", "scene": digest(), "settings": { "preset": "draft", "rank_max": 16 }, "priority": -3,
         "needs": { "memory_mib": 4096, "threads": 2, "labels": ["gpu"] }, "attempt_limit_secs": 60,
+        "limits": { "max_workers": 4, "attempts": 2, "lost_workers": 9 },
     });
     let claim = serde_json::json!({
         "worker": "oven", "kinds": ["sh.relight"], "threads": 4, "memory_mib": 2048, "labels": ["gpu"],
