@@ -166,7 +166,7 @@ impl<E> Engine<E> {
     }
 
     /// The next event; none when nothing is due any more.
-    pub fn next(&mut self) -> Option<E> {
+    pub fn next_event(&mut self) -> Option<E> {
         loop {
             let Reverse(due) = self.due.pop()?;
             self.now = due.at;
@@ -227,7 +227,7 @@ mod tests {
         let station = engine.station(places);
         begins.iter().enumerate().for_each(|(way, begin)| engine.after(MS * *begin, (way, false)));
         let mut ends = vec![Duration::ZERO; begins.len()];
-        while let Some((way, is_over)) = engine.next() {
+        while let Some((way, is_over)) = engine.next_event() {
             match is_over {
                 true => ends[way] = engine.now(),
                 false => engine.go(Step::work(station, work), (way, true)),

@@ -158,7 +158,7 @@ impl<'a> Run<'a> {
 
     pub(super) fn run(mut self) -> Option<Outcome> {
         (0..self.farm.workers).for_each(|worker| self.claim(worker));
-        while let Some(event) = self.engine.next() {
+        while let Some(event) = self.engine.next_event() {
             self.heed(event);
         }
         self.outcome()
@@ -217,7 +217,7 @@ impl<'a> Run<'a> {
         steps
     }
 
-    /// A change: `free` of its work comes before its locks, and `flush` after it.
+    /// A change: the part `locked` of its work is done under the locks of its bakes, and so is its flush, if it has one.
     fn change(
         &self,
         server: usize,
@@ -340,10 +340,7 @@ impl<'a> Run<'a> {
         let server = self.server_of(slot / self.farm.in_hand);
         let costs = self.farm.costs;
         let own_ms = self.farm.worker_work.as_secs_f64() * 1000.0;
-        let mut steps = Vec::from(match self.farm.worker_work.is_zero() {
-            true => Step::work(self.processors[server], Duration::ZERO),
-            false => self.work(self.processors[server], own_ms),
-        });
+        let mut steps = Vec::from(self.work(self.processors[server], own_ms));
         steps.extend(self.arrive(server));
         steps.extend(self.part(server, self.beyond_http(costs.look), 1.0));
         steps.push(Step::Wait(self.farm.round_trip / 2));
