@@ -12,6 +12,11 @@ const TICKS_PER_SEC: f64 = 100.0;
 pub struct Process(Child);
 
 impl Process {
+    /// Its number.
+    pub fn id(&self) -> u32 {
+        self.0.id()
+    }
+
     /// Time that processors spent on it.
     pub fn cpu(&self) -> Duration {
         Usage::of(self.0.id()).unwrap().cpu

@@ -1,7 +1,8 @@
 //! The load bench: what the queue costs and carries, how fast rays are, and what bakes take. `tests/bench/run` builds what it
 //! needs and runs it.
 //!
-//! Arguments name parts (`stores`, `queue`, `idle`, `workers`, `rays`, `bakes`, `relight`); without any, all are measured. Figures go to standard
+//! Arguments name parts (`stores`, `queue`, `idle`, `workers`, `scale-costs`, `scale-load`, `scale-model`, `rays`, `bakes`, `relight`); without any, all are
+//! measured. Figures go to standard
 //! output as rows of one table, which `tests/bench/README.md` keeps.
 
 #![allow(clippy::unwrap_used, reason = "a bench may end at any error")]
@@ -19,16 +20,20 @@ mod queue;
 mod rays;
 mod relight;
 mod report;
+mod scale;
 mod scenes;
 mod stores;
 mod workers;
 
 /// Measurements by name.
-const PARTS: [(&str, fn()); 7] = [
+const PARTS: [(&str, fn()); 10] = [
     ("stores", stores::measure),
     ("queue", queue::measure),
     ("idle", idle::measure),
     ("workers", workers::measure),
+    ("scale-costs", scale::measure_costs),
+    ("scale-load", scale::measure_load),
+    ("scale-model", scale::measure_model),
     ("rays", rays::measure),
     ("bakes", bakes::measure),
     ("relight", relight::measure),

@@ -9,7 +9,8 @@ pub struct Call {
     pub server_ms: f64,
     /// Of the database's own processes, in milliseconds; 0 where the server is the database.
     pub database_ms: f64,
-    /// Times that the server waits for the database's answer.
+    /// Times that the server waits for the database's answer; measured as the waits of its sessions, for the disk and for locks among them:
+    /// at most so many.
     pub trips: f64,
 }
 

@@ -95,8 +95,10 @@ pub struct Outcome {
     pub finished: Duration,
     /// Heartbeats that were sent, the first ones of tasks among them.
     pub heartbeats: u64,
-    /// Claims and commits that were called.
-    pub calls: u64,
+    /// Claims that were called.
+    pub claims: u64,
+    /// Calls that handed results in.
+    pub commits: u64,
     /// Results of the mean transaction.
     pub mean_batch: f64,
 }

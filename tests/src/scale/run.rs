@@ -20,6 +20,7 @@ const TURN_MS: f64 = 1.0;
 /// lock almost at once.
 const CLAIM_LOCKED: f64 = 0.5;
 const COMMIT_LOCKED: f64 = 0.8;
+
 #[derive(Debug)]
 enum Event {
     /// The worker's claim was answered.
@@ -61,7 +62,8 @@ struct Slot {
     task: usize,
     time: Duration,
     is_idle: bool,
-    is_running: bool,
+    /// From the lease's arrival to the answer to its result: the worker sends heartbeats.
+    is_kept: bool,
 }
 
 #[derive(Debug, Default)]
@@ -289,6 +291,9 @@ impl<'a> Run<'a> {
         self.claims.push(self.engine.now() - asked);
         self.workers[worker].has_claim = false;
         for slot in slots {
+            self.slots[*slot].task += 1;
+            self.slots[*slot].is_kept = true;
+            self.engine.after(self.farm.beat, Event::BeatDue(*slot, self.slots[*slot].task));
             self.send_beat(worker, Event::Begun(*slot));
         }
         // Places that came free meanwhile.
@@ -311,20 +316,17 @@ impl<'a> Run<'a> {
 
     fn run_task(&mut self, slot: usize) {
         self.begun += 1;
-        self.slots[slot].task += 1;
-        self.slots[slot].is_running = true;
-        let Slot { time, task, .. } = self.slots[slot];
+        let time = self.slots[slot].time;
         self.spans.push(Span { begin: self.engine.now(), end: self.engine.now() + time });
         if self.begun == self.farm.tasks {
             self.look();
         }
         self.engine.after(time, Event::Ran(slot));
-        self.engine.after(self.farm.beat, Event::BeatDue(slot, task));
     }
 
     fn beat(&mut self, slot: usize, task: usize) {
         let state = self.slots[slot];
-        if state.task == task && state.is_running {
+        if state.task == task && state.is_kept {
             self.send_beat(slot / self.farm.in_hand, Event::Beaten);
             self.engine.after(self.farm.beat, Event::BeatDue(slot, task));
         }
@@ -332,7 +334,6 @@ impl<'a> Run<'a> {
 
     /// Uploads a task's output.
     fn store(&mut self, slot: usize) {
-        self.slots[slot].is_running = false;
         self.ended += 1;
         if self.ended == self.farm.tasks / WARM_PART + 1 {
             self.look();
@@ -402,6 +403,7 @@ impl<'a> Run<'a> {
         for slot in &results.slots {
             self.bakes[self.slots[*slot].bake].leased -= 1;
             self.slots[*slot].is_idle = true;
+            self.slots[*slot].is_kept = false;
         }
         self.send(results.worker);
         self.claim(results.worker);
@@ -442,7 +444,8 @@ impl<'a> Run<'a> {
             connections_busy,
             finished,
             heartbeats: self.heartbeats,
-            calls: (self.claims.len() + self.commits.len()) as u64,
+            claims: self.claims.len() as u64,
+            commits: self.commits.len() as u64,
             mean_batch: self.farm.tasks as f64 / self.batches as f64,
         })
     }
