@@ -19,7 +19,7 @@ use crate::calls::Caller;
 use crate::report::{quantiles, row};
 
 /// Counts of workers, mean seconds of a task with each, tasks for each worker, tasks in hand, and bakes, where the environment does not say.
-const WORKERS: &str = "25,50,100,200";
+const WORKERS: &str = "50";
 const MEAN_SECS: &str = "4";
 const TASKS_EACH: usize = 8;
 const IN_HAND: usize = 1;
