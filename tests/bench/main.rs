@@ -1,9 +1,9 @@
 //! The load bench: what the queue costs and carries, how fast rays are, and what bakes take. `tests/bench/run` builds what it
 //! needs and runs it.
 //!
-//! Arguments name parts (`stores`, `queue`, `idle`, `workers`, `scale-costs`, `scale-load`, `scale-model`, `rays`, `bakes`, `relight`); without any, all are
-//! measured. Figures go to standard
-//! output as rows of one table, which `tests/bench/README.md` keeps.
+//! Arguments name parts (`stores`, `queue`, `idle`, `workers`, `scale-costs`, `scale-load`, `scale-model`, `rays`, `bakes`,
+//! `relight`); without any, all are measured. Figures go to standard output as rows of one table, which `tests/bench/README.md`
+//! keeps.
 
 #![allow(clippy::unwrap_used, reason = "a bench may end at any error")]
 #![allow(clippy::disallowed_methods, reason = "a bench looks from time to time at what other processes do")]
