@@ -146,12 +146,41 @@ impl TaskSpec {
     }
 }
 
-/// As [`TaskSpec::new`] has it.
+/// As [`TaskSpec::new`] has it: the digest of a JSON object whose members are sorted, as are those of everything in it.
 fn key_of(kind: &str, version: u32, params: &serde_json::Value, inputs: &[TaskInput]) -> TaskKey {
-    // serde_json maps are sorted (no `preserve_order`), so equal parameters give equal text.
-    let identity =
-        serde_json::json!({ "kind": kind, "version": version, "params": params, "inputs": inputs });
-    Digest::of(identity.to_string().as_bytes())
+    // Written at once: a plan has up to a million tasks, and a task as many inputs. serde_json maps are sorted (no
+    // `preserve_order`), so equal parameters give equal text.
+    let inputs = inputs.iter().map(SortedInput::of).collect();
+    let text = serde_json::to_vec(&Identity { inputs, kind, params, version });
+    Digest::of(&text.expect("every value is one of JSON, and every map has text for keys"))
+}
+
+/// Everything that a key depends on, by the order of names.
+#[derive(Serialize)]
+struct Identity<'a> {
+    inputs: Vec<SortedInput<'a>>,
+    kind: &'a str,
+    params: &'a serde_json::Value,
+    version: u32,
+}
+
+/// [`TaskInput`] with its members in the order of their names.
+#[derive(Serialize)]
+#[serde(untagged)]
+enum SortedInput<'a> {
+    Artefact { digest: Digest, from: &'static str, name: &'a str },
+    Task { from: &'static str, key: TaskKey, name: &'a str },
+}
+
+impl<'a> SortedInput<'a> {
+    fn of(input: &'a TaskInput) -> Self {
+        match input {
+            TaskInput::Artefact { name, digest } => {
+                Self::Artefact { digest: *digest, from: "artefact", name }
+            }
+            TaskInput::Task { name, key } => Self::Task { from: "task", key: *key, name },
+        }
+    }
 }
 
 #[cfg(test)]
@@ -170,6 +199,21 @@ mod tests {
         assert_ne!(base.key, task("a", 1, 3).key);
         let relabelled = TaskSpec::new("a", 1, "other", serde_json::json!({ "rays": 2 }), Vec::new(), 9);
         assert_eq!(base.key, relabelled.key);
+    }
+
+    /// Farms have results under keys that were computed from values of JSON.
+    #[test]
+    fn key_is_that_of_the_sorted_json_of_all_it_depends_on() {
+        let params = serde_json::json!({ "z": [1e-7, 0.1_f32, -1], "a": { "y": null, "b": "ä\"\n" } });
+        let key = Digest::of(b"key");
+        let inputs = vec![
+            TaskInput::Artefact { name: "quote \" and ü".into(), digest: Digest::of(b"in") },
+            TaskInput::Task { name: "of".into(), key },
+        ];
+        let identity =
+            serde_json::json!({ "kind": "a\\b", "version": 7, "params": params, "inputs": inputs });
+        let task = TaskSpec::new("a\\b", 7, "label", params, inputs, 1);
+        assert_eq!(task.key, Digest::of(identity.to_string().as_bytes()));
     }
 
     /// A worker's plan arrives as text: the server must find the same keys.
