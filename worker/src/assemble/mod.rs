@@ -13,7 +13,6 @@ use lightkiln_proto::manifest::{
     Block, ChunkRef, ClusterRow, DIRECTORY, FORMAT, Framing, GEOMETRY, Lightmap, Manifest, Stored, TEXTURES,
     VERSION,
 };
-use rayon::prelude::*;
 use serde::Serialize;
 use serde_json::{Value, json};
 
@@ -100,11 +99,8 @@ pub fn stored<S: Serialize, B: Serialize>(
 /// would be missed by whoever fetches the bundle. An input that is not there is made again.
 fn require_stored(context: &Context, chunks: &BTreeMap<String, Vec<ChunkRef>>) -> Result<(), TaskError> {
     let named: BTreeSet<Digest> = chunks.values().flatten().map(|chunk| chunk.digest).collect();
-    context
-        .inputs
-        .par_iter()
-        .filter(|artefact| named.contains(&artefact.digest))
-        .try_for_each(|artefact| Ok(context.source.require(artefact)?))
+    let required = context.inputs.iter().filter(|artefact| named.contains(&artefact.digest));
+    Ok(context.source.require_all(&required.collect::<Vec<_>>())?)
 }
 
 /// The task's inputs whose names begin with `prefix`, as chunks in their order.

@@ -56,8 +56,11 @@ impl CellIndex {
     pub fn of_inputs(context: &Context) -> Result<Self, TaskError> {
         let mut all = Self::default();
         let is_index = |name: &str| name.starts_with("cluster/") && name.ends_with("/index");
-        for artefact in context.inputs.iter().filter(|artefact| is_index(&artefact.name)) {
-            let bytes = context.source.get(artefact.digest)?;
+        let indices = context.inputs.iter().filter(|artefact| is_index(&artefact.name));
+        let digests: Vec<Digest> = indices.map(|artefact| artefact.digest).collect();
+        context.source.bring(&digests)?;
+        for digest in digests {
+            let bytes = context.source.get(digest)?;
             let part = Self::decoded(&bytes)?;
             all.clusters.extend(part.clusters);
             all.chunks.extend(part.chunks);

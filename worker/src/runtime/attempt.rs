@@ -95,8 +95,7 @@ impl Worker {
         let mut uploads = 0;
         loop {
             uploads += 1;
-            let stored = artefacts.iter().map(|(name, bytes)| store.put(name.clone(), bytes)).collect();
-            result.outputs = match stored {
+            result.outputs = match store.put_all(&artefacts) {
                 Ok(outputs) => outputs,
                 Err(error) => return Err(no_result_of_call("the outputs could not be stored", error)),
             };

@@ -6,6 +6,7 @@
 //! here without a result is failed, released, or runs out, so another worker gets it; the same task gives the same
 //! bytes, so doing one twice is a waste and never an error.
 
+mod abreast;
 mod attempt;
 mod claim;
 mod crowd;

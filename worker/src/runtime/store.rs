@@ -9,6 +9,7 @@ use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::Artefact;
 use lightkiln_proto::trace::TARGET;
 
+use super::abreast::abreast;
 use super::farm::Farm;
 use super::trace::step;
 use crate::task::{ArtefactSource, Cancelled, FetchError, Progress};
@@ -36,8 +37,13 @@ impl LeaseStore<'_> {
         })
     }
 
+    /// Stores artefacts by their names, many at a time, as [`Self::put`] does each.
+    pub(super) fn put_all(&self, artefacts: &[(String, Vec<u8>)]) -> Result<Vec<Artefact>, CallError> {
+        abreast(artefacts, |(name, bytes)| self.put(name.clone(), bytes))
+    }
+
     /// Stores an artefact unless the server has it, and keeps it for tasks that read it here.
-    pub(super) fn put(&self, name: String, bytes: &[u8]) -> Result<Artefact, CallError> {
+    fn put(&self, name: String, bytes: &[u8]) -> Result<Artefact, CallError> {
         let length = bytes.len() as u64;
         // Asked for here, as a server may hang up on an upload before its refusal is read.
         if length > MAX_CHUNK_BYTES {
@@ -101,5 +107,17 @@ impl ArtefactSource for LeaseStore<'_> {
             Ok(false) => Err(FetchError::NotFound { digest }),
             Err(error) => Err(unavailable(digest, error)),
         }
+    }
+
+    fn require_all(&self, artefacts: &[&Artefact]) -> Result<(), FetchError> {
+        abreast(artefacts, |artefact| self.require(artefact)).map(drop)
+    }
+
+    /// Fetches those that are not on the disk. Without one nothing would keep them until they are asked for.
+    fn bring(&self, digests: &[Digest]) -> Result<(), FetchError> {
+        if self.disk.is_none() {
+            return Ok(());
+        }
+        abreast(digests, |digest| self.get(*digest).map(drop)).map(drop)
     }
 }

@@ -49,6 +49,16 @@ pub trait ArtefactSource: Send + Sync {
     fn require(&self, artefact: &Artefact) -> Result<(), FetchError> {
         self.get(artefact.digest).map(drop)
     }
+
+    /// As [`Self::require`], for each of them.
+    fn require_all(&self, artefacts: &[&Artefact]) -> Result<(), FetchError> {
+        artefacts.iter().try_for_each(|artefact| self.require(artefact))
+    }
+
+    /// Brings the bytes of artefacts near, of which each will be asked for: where they are far away, they do not come one by one.
+    fn bring(&self, _: &[Digest]) -> Result<(), FetchError> {
+        Ok(())
+    }
 }
 
 /// Outputs of a finished task, before they are stored.

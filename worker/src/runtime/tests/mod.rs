@@ -1,6 +1,7 @@
 //! A worker when all goes well, and when server, task or machine fail.
 
 pub(super) mod fake_farm;
+mod far;
 mod memory;
 mod turns;
 

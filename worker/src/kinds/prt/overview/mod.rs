@@ -14,6 +14,7 @@ use lightkiln_proto::chunk::{
     EncodedCluster, QuantisationSettings, decode_cluster, decode_patches, encode_cluster,
 };
 use lightkiln_proto::content::{ClusterTransport, EmitterIrradiance, PatchSet, Receivers, TransportFactors};
+use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{Artefact, TaskSpec};
 use lightkiln_proto::relight::STAND_IN_LEVEL;
 use rayon::prelude::*;
@@ -66,8 +67,10 @@ pub fn run(context: &Context, _: &TaskSpec) -> Result<TaskOutput, TaskError> {
     let set = decode_patches(&context.bytes(PATCH_SET)?).map_err(unread)?;
     let is_chunk =
         |artefact: &&Artefact| artefact.name.starts_with("cluster/") && artefact.name.contains("/chunk/");
-    let chunks: Vec<&Artefact> = context.inputs.iter().filter(is_chunk).collect();
-    let cluster = |index: usize| decode_cluster(&context.source.get(chunks[index].digest)?).map_err(unread);
+    let chunks: Vec<Digest> =
+        context.inputs.iter().filter(is_chunk).map(|artefact| artefact.digest).collect();
+    context.source.bring(&chunks)?;
+    let cluster = |index: usize| decode_cluster(&context.source.get(chunks[index])?).map_err(unread);
     let clusters = overview(&set, chunks.len(), cluster, Size::BAKED, context.progress)?;
     let mut output = TaskOutput::default();
     output.counters.insert("clusters".to_owned(), clusters.len() as f64);
