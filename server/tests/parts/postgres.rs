@@ -8,6 +8,9 @@ use sqlx::{Connection, Executor, PgConnection};
 
 use super::keeper::{Keeper, free_port};
 
+/// Argument with which nothing is flushed.
+const NO_FLUSH: &str = "-c fsync=off";
+
 /// A running server.
 pub struct Postgres {
     port: u16,
@@ -17,11 +20,21 @@ pub struct Postgres {
 impl Postgres {
     /// Starts a server with an empty database. Nothing is flushed: tests end sessions and servers, not machines.
     pub fn start() -> Self {
-        Self::start_with("-c fsync=off")
+        Self::start_with(NO_FLUSH)
     }
 
     /// Starts one with an empty database, with more arguments.
     pub fn start_with(more: &str) -> Self {
+        Self::start_so(more, &[])
+    }
+
+    /// The same without flushes, with more variables.
+    pub fn start_among(variables: &[(&str, String)]) -> Self {
+        Self::start_so(NO_FLUSH, variables)
+    }
+
+    fn start_so(more: &str, variables: &[(&str, String)]) -> Self {
+        let variables: String = variables.iter().map(|(name, value)| format!("{name}='{value}' ")).collect();
         let programs = programs();
         let programs = programs.display();
         let port = AtomicU16::new(0);
@@ -32,7 +45,7 @@ impl Postgres {
                 r#"
                 [ -d "$folder/data" ] || "{programs}/initdb" -D "$folder/data" -U kiln -A trust -E UTF8 --locale=C --no-sync >log 2>&1 ||
                     {{ cat log; exit 1; }}
-                "{programs}/postgres" -D "$folder/data" -p {port} -c listen_addresses=127.0.0.1 \
+                {variables}"{programs}/postgres" -D "$folder/data" -p {port} -c listen_addresses=127.0.0.1 \
                     -c unix_socket_directories= -c max_connections=400 -c shared_buffers=64MB {more} 2>&1 &
                 server=$! stop=QUIT
                 "#

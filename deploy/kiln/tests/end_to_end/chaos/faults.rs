@@ -17,9 +17,15 @@ enum Fault {
     Cut,
     LoseAnswers,
     Delay,
+    /// All that is behind a door is away for a while: server, database, or store of bytes.
+    Away,
+    /// It is there and does not answer.
+    Hang,
+    /// The clock by which leases end, or one that nobody should go by, is set ahead or back by hours.
+    TurnClock,
 }
 
-const FAULTS: [Fault; 8] = [
+const FAULTS: [Fault; 11] = [
     Fault::KillWorker,
     Fault::KillServer,
     Fault::StopWorker,
@@ -28,7 +34,15 @@ const FAULTS: [Fault; 8] = [
     Fault::Cut,
     Fault::LoseAnswers,
     Fault::Delay,
+    Fault::Away,
+    Fault::Hang,
+    Fault::TurnClock,
 ];
+
+/// Faults of a short run: one of each kind.
+pub const KINDS: u64 = FAULTS.len() as u64;
+/// Farthest that a clock is set ahead or back, in seconds.
+const TURN_MAX_SECS: u64 = 3 * 3600;
 
 /// Dice that fall alike for the same seed.
 pub struct Dice {
@@ -74,44 +88,62 @@ pub fn strike(troupe: &mut Troupe, dice: &mut Dice) -> String {
             troupe.servers[server].name.clone()
         }
         Fault::StopWorker => stop_past_lease(troupe, dice),
+        Fault::EndSessions | Fault::CrashDatabase if troupe.database.server().is_none() => {
+            "of none".to_owned()
+        }
         Fault::EndSessions => format!("{} sessions", troupe.database.end_sessions()),
         Fault::CrashDatabase => {
             troupe.database.crash();
             String::new()
         }
         Fault::Cut => {
-            let first = dice.index(DOORS.len());
+            let doors = troupe.doors();
+            let first = dice.index(doors.len());
             // At a door where there is something to cut.
-            let in_turn = (0..DOORS.len()).map(|number| (first + number) % DOORS.len());
-            let cut =
-                in_turn.map(|door| (troupe.doors()[door].cut(), DOORS[door])).find(|(count, _)| *count > 0);
+            let in_turn = (0..doors.len()).map(|number| (first + number) % doors.len());
+            let cut = in_turn.map(|door| (doors[door].cut(), NAMES[door])).find(|(count, _)| *count > 0);
             cut.map_or_else(String::new, |(count, name)| format!("{count} connections at {name}"))
         }
         Fault::LoseAnswers => {
-            let (door, name) = door(dice);
+            let door = dice.index(troupe.doors().len());
             let count = dice.number(1..12) as u32;
             troupe.doors()[door].lose_answers(count);
-            format!("{count} at {name}")
+            format!("{count} at {}", NAMES[door])
         }
         Fault::Delay => {
-            let (door, name) = door(dice);
+            let door = dice.index(troupe.doors().len());
             // A transaction has many statements: with more, no heartbeat comes through in time for the shortest lease.
-            let longest_ms = if door == 1 { 20 } else { 900 };
+            let longest_ms = if NAMES[door] == DATABASE { 20 } else { 900 };
             let delay = Duration::from_millis(dice.number(5..longest_ms));
             troupe.doors()[door].delay(delay);
-            format!("{delay:?} at {name}")
+            format!("{delay:?} at {}", NAMES[door])
+        }
+        Fault::Away | Fault::Hang => {
+            let door = dice.index(troupe.doors().len());
+            let time = Duration::from_millis(dice.number(200..9_000));
+            match fault {
+                Fault::Hang => troupe.doors()[door].delay(time),
+                _ => drop(troupe.doors()[door].shut()),
+            }
+            // The time is the trouble itself; nothing waits for it to be over.
+            std::thread::park_timeout(time);
+            troupe.doors()[door].heal();
+            format!("{time:?} at {}", NAMES[door])
+        }
+        Fault::TurnClock => {
+            let clocks = troupe.clocks();
+            let (name, clock) = clocks[dice.index(clocks.len())];
+            let turn = dice.number(0..2 * TURN_MAX_SECS) as i64 - TURN_MAX_SECS as i64;
+            clock.set(turn);
+            format!("{turn} s at {name}")
         }
     };
     format!("{fault:?} {told}")
 }
 
-/// Names of the troupe's doors, in their order.
-const DOORS: [&str; 3] = ["the front door", "the database's door", "the chunks' door"];
-
-fn door(dice: &mut Dice) -> (usize, &'static str) {
-    let door = dice.index(DOORS.len());
-    (door, DOORS[door])
-}
+/// Names of the troupe's doors, in their order; a farm on SQLite has the first alone.
+const NAMES: [&str; 3] = ["the front door", DATABASE, "the chunks' door"];
+const DATABASE: &str = "the database's door";
 
 /// A worker that has a task, if one has.
 fn busy_worker(troupe: &Troupe, dice: &mut Dice) -> usize {

@@ -1,14 +1,16 @@
 //! Everything that can go wrong around a farm goes wrong, by the dice: workers and servers are killed, workers are stopped
 //! for longer than their leases, PostgreSQL loses its sessions and crashes, connections are cut, slow, and lose answers
-//! after the request was done. The result must be that of an undisturbed bake, and the farm's books must
-//! be right.
+//! after the request was done, servers, database and store of bytes are away or hang, clocks are set ahead and back by hours. Every
+//! bake must end well at its first submission, with the chunks of an undisturbed one; each of its callers calls once, with the patience that
+//! `kiln` has of its own; and the farm's books must be right.
 //!
-//! The same seed throws the same dice; the moment at which a fault strikes is up to the machine. `KILN_CHAOS_SEED`
-//! and `KILN_CHAOS_ROUNDS` say which, and for how long:
+//! The same seed throws the same dice; the moment at which a fault strikes is up to the machine. `KILN_CHAOS_SEED` says which;
+//! `KILN_CHAOS_ROUNDS` and `KILN_CHAOS_MINUTES` for how many faults or for how long at least:
 //! ```sh
-//! KILN_CHAOS_SEED=7 KILN_CHAOS_ROUNDS=200 cargo test --release -p kiln --test end_to_end chaos::farm -- --nocapture
+//! KILN_CHAOS_SEED=7 KILN_CHAOS_MINUTES=60 cargo test --release -p kiln --test end_to_end chaos::farm -- --nocapture --test-threads=1
 //! ```
 
+mod clocks;
 mod database;
 mod faults;
 mod proxy;
@@ -16,11 +18,12 @@ mod troupe;
 mod verdict;
 
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use lightkiln_client::fetch::ApiClient;
-use lightkiln_http::USUAL;
-use lightkiln_proto::api::{Bake, BakeState};
+use lightkiln_http::Patience as Waiting;
+use lightkiln_proto::api::Bake;
 
 use super::processes::{LIMIT, Running, kiln, run};
 use super::{bundle, cornell};
@@ -28,14 +31,12 @@ use faults::Dice;
 use troupe::Troupe;
 use verdict::Books;
 
-/// Faults of a short run: one of each kind.
-const ROUNDS: u64 = 8;
 /// Dice of a short run.
 const SEED: u64 = 1;
 /// The shortest lease there is, so that workers are missed soon.
 const LEASE_SECS: u32 = 5;
-/// Tries of one bake before the test gives up: a task that is killed again and again takes its bake along.
-const TRIES_OF_A_BAKE: u32 = 10;
+/// Workers of a farm.
+const WORKERS: usize = 4;
 /// Time for one fault and all that follows from it.
 const ROUND_LIMIT: Duration = LIMIT;
 
@@ -66,10 +67,19 @@ impl Patience {
     }
 }
 
+/// How long faults go on.
+#[derive(Clone, Copy)]
+struct Length {
+    /// So many faults at least.
+    rounds: u64,
+    /// So long at least.
+    until: Instant,
+}
+
 /// A run under way; when it fails it says how to repeat it.
 struct Story {
     seed: u64,
-    rounds: u64,
+    length: Length,
     troupe: Troupe,
     dice: Dice,
     client: ApiClient,
@@ -82,51 +92,46 @@ impl Drop for Story {
         if std::thread::panicking() {
             self.troupe.show();
             eprintln!("faults: {:#?}", self.history);
-            eprintln!("again with KILN_CHAOS_SEED={} KILN_CHAOS_ROUNDS={}", self.seed, self.rounds);
+            eprintln!("again with KILN_CHAOS_SEED={} KILN_CHAOS_ROUNDS={}", self.seed, self.history.len());
         }
     }
 }
 
 impl Story {
-    fn new(seed: u64, rounds: u64) -> Self {
-        let troupe = Troupe::start(2, 4, &format!("chaos-{seed}-{rounds}"));
-        let client = ApiClient::new(&troupe.url(), None).unwrap().with_retry(USUAL.with_max_times(120));
+    fn new(seed: u64, length: Length, troupe: Troupe) -> Self {
+        let client = ApiClient::new(&troupe.url(), None).unwrap();
+        let client = client.with_patience(Waiting::new(ROUND_LIMIT, |_| ()));
         let (dice, books) = (Dice::new(seed), Books::default());
-        Self { seed, rounds, troupe, dice, client, books, history: Vec::new() }
+        Self { seed, length, troupe, dice, client, books, history: Vec::new() }
     }
 
-    /// Runs a command of a person who tries again until it works, as it may be tried; its standard output.
-    fn insist(&self, arguments: &[String]) -> Vec<String> {
-        let patience = Patience::new();
-        loop {
-            let mut command = kiln(self.troupe.folder());
-            command.args(arguments).args(["--server", &self.troupe.url()]);
-            let ended = Running::start(command).finish();
-            if ended.exit == Some(0) {
-                return ended.stdout;
-            }
-            patience.again(&format!("success of {arguments:?}, which said {:?}", ended.stderr));
-        }
+    fn is_long_enough(&self) -> bool {
+        self.history.len() as u64 >= self.length.rounds && Instant::now() >= self.length.until
     }
 
-    /// Bakes until it is done, with faults for as long as there are rounds left.
+    /// Runs a command of a person, who calls it once, whatever goes on.
+    fn command(&self, arguments: &[String]) -> Vec<String> {
+        let mut command = kiln(self.troupe.folder());
+        command.args(arguments).args(["--server", &self.troupe.url()]);
+        let ended = Running::start(command).finish();
+        assert_eq!(ended.exit, Some(0), "{arguments:?} said {:?}", ended.stderr);
+        ended.stdout
+    }
+
+    /// Bakes until it is done, with faults until there were enough.
     fn bake(&mut self, number: u64) {
         let expected = self.undisturbed(number);
-        for _ in 0..TRIES_OF_A_BAKE {
-            let commit = ["--commit".to_owned(), format!("bake {number}")];
-            let submitted = self.insist(&[arguments("submit", number), commit.to_vec()].concat());
-            let id = submitted.last().expect("the bake's id").trim().to_owned();
-            let ended = self.disturb(&id);
-            self.books.close(&self.client, &ended);
-            if ended.state == BakeState::Done {
-                let out = self.troupe.folder().join(format!("out-{number}"));
-                self.insist(&["fetch".to_owned(), id, "--out".to_owned(), out.display().to_string()]);
-                assert_eq!(bundle(&out), expected, "bake {number}");
-                return;
-            }
-            eprintln!("the bake failed, and is tried again: {:?}", ended.failure);
-        }
-        panic!("bake {number} failed {TRIES_OF_A_BAKE} times");
+        let commit = ["--commit".to_owned(), format!("bake {number}")];
+        let submitted = self.command(&[arguments("submit", number), commit.to_vec()].concat());
+        let id = submitted.last().expect("the bake's id").trim().to_owned();
+        let ended = self.disturb(&id);
+        self.books.close(&self.client, &ended);
+        let out = self.troupe.folder().join(format!("out-{number}"));
+        self.command(&["fetch".to_owned(), id, "--out".to_owned(), out.display().to_string()]);
+        assert_eq!(bundle(&out), expected, "bake {number}");
+        // An hour has many of them.
+        std::fs::remove_dir_all(out).unwrap();
+        std::fs::remove_dir_all(self.undisturbed_folder(number)).unwrap();
     }
 
     /// Lets one fault follow the other while the bake goes on; the bake when it has ended.
@@ -136,7 +141,7 @@ impl Story {
             if bake.state.is_final() {
                 return bake;
             }
-            let enough = if self.history.len() < self.rounds as usize {
+            let enough = if !self.is_long_enough() {
                 let told = faults::strike(&mut self.troupe, &mut self.dice);
                 eprintln!("round {}: {told}", self.history.len() + 1);
                 self.history.push(told);
@@ -174,12 +179,16 @@ impl Story {
 
     /// The bundle of a bake in a process of its own.
     fn undisturbed(&self, number: u64) -> BTreeMap<String, String> {
-        let folder = self.troupe.folder().join(format!("undisturbed-{number}"));
+        let folder = self.undisturbed_folder(number);
         let out = folder.join("out");
         let arguments =
             [arguments("bake", number), vec!["--out".to_owned(), out.display().to_string()]].concat();
         run(kiln(&folder), &arguments, 0);
         bundle(&out)
+    }
+
+    fn undisturbed_folder(&self, number: u64) -> PathBuf {
+        self.troupe.folder().join(format!("undisturbed-{number}"))
     }
 }
 
@@ -209,19 +218,32 @@ fn number_from(variable: &str) -> Option<u64> {
     Some(text.parse().unwrap_or_else(|_| panic!("{variable} must be a number, not {text}")))
 }
 
-#[test]
-fn farm_that_everything_happens_to_gives_an_undisturbed_bakes_chunks() {
+/// Bakes on a farm for as long as the variables say, while faults strike.
+fn play(troupe: impl FnOnce(&str) -> Troupe) {
     let seed = number_from("KILN_CHAOS_SEED").unwrap_or(SEED);
-    let rounds = number_from("KILN_CHAOS_ROUNDS").unwrap_or(ROUNDS);
-    let mut story = Story::new(seed, rounds);
+    let minutes = number_from("KILN_CHAOS_MINUTES");
+    let rounds = number_from("KILN_CHAOS_ROUNDS").unwrap_or(faults::KINDS);
+    let until = Instant::now() + Duration::from_secs(60 * minutes.unwrap_or_default());
+    let mut story = Story::new(seed, Length { rounds, until }, troupe(&format!("chaos-{seed}-{rounds}")));
     let mut number = 0;
-    while number == 0 || (story.history.len() as u64) < rounds {
+    while number == 0 || !story.is_long_enough() {
         story.bake(number);
         number += 1;
     }
     story.troupe.doors().iter().for_each(|door| door.heal());
+    story.troupe.clocks().iter().for_each(|(_, clock)| clock.set(0));
     verdict::assert_books_are_right(&mut story.troupe);
     story.books.assert_told(number);
     let faults = story.history.len();
     eprintln!("{number} bakes, {faults} faults; {}", story.books.summary());
+}
+
+#[test]
+fn farm_on_postgres_that_everything_happens_to_gives_an_undisturbed_bakes_chunks() {
+    play(|prefix| Troupe::on_postgres(WORKERS, prefix));
+}
+
+#[test]
+fn farm_on_sqlite_that_everything_happens_to_gives_an_undisturbed_bakes_chunks() {
+    play(|_| Troupe::on_sqlite(WORKERS));
 }

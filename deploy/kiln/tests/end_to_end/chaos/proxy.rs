@@ -25,6 +25,8 @@ struct Inner {
     open: Mutex<BTreeMap<u64, [TcpStream; 2]>>,
     answers_to_lose: AtomicU32,
     delay_ms: AtomicU64,
+    /// What is behind it is away: nobody is let in.
+    is_shut: AtomicBool,
     is_closed: AtomicBool,
 }
 
@@ -73,8 +75,15 @@ impl Proxy {
         self.inner.delay_ms.store(delay.as_millis() as u64, Ordering::SeqCst);
     }
 
+    /// Lets nobody in, as if what is behind it had ended; returns how many connections that cut.
+    pub fn shut(&self) -> usize {
+        self.inner.is_shut.store(true, Ordering::SeqCst);
+        self.cut()
+    }
+
     /// Ends all trouble.
     pub fn heal(&self) {
+        self.inner.is_shut.store(false, Ordering::SeqCst);
         self.lose_answers(0);
         self.delay(Duration::ZERO);
     }
@@ -91,6 +100,9 @@ impl Drop for Proxy {
 
 impl Inner {
     fn open(self: &Arc<Self>, client: TcpStream) {
+        if self.is_shut.load(Ordering::SeqCst) {
+            return;
+        }
         let Some(server) = self.connect() else { return };
         for end in [&client, &server] {
             end.set_nodelay(true).unwrap();
@@ -145,7 +157,7 @@ fn hang_up(end: &TcpStream) {
 }
 
 #[test]
-fn cut_connections_and_lost_answers_are_noticed_and_new_ones_pass() {
+fn cut_connections_lost_answers_and_a_shut_door_are_noticed_and_new_ones_pass() {
     let echo = TcpListener::bind("127.0.0.1:0").unwrap();
     let proxy = Proxy::to(&[echo.local_addr().unwrap().port()]);
     std::thread::spawn(move || {
@@ -167,5 +179,11 @@ fn cut_connections_and_lost_answers_are_noticed_and_new_ones_pass() {
     assert_eq!(ask(&mut first), None);
     proxy.lose_answers(1);
     assert_eq!(ask(&mut open()), None);
+    let mut last = open();
+    assert_eq!(ask(&mut last), Some(7));
+    assert!(proxy.shut() > 0);
+    assert_eq!(ask(&mut last), None);
+    assert_eq!(ask(&mut open()), None);
+    proxy.heal();
     assert_eq!(ask(&mut open()), Some(7));
 }

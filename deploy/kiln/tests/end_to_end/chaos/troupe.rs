@@ -1,12 +1,14 @@
 //! The processes of a farm, each behind a door, each started again when it was killed.
 
 use std::path::Path;
+use std::process::Command;
 
 use super::super::parts::s3;
 use super::super::processes::{Running, kiln};
+use super::LEASE_SECS;
+use super::clocks::{self, Clock};
 use super::database::Database;
 use super::proxy::Proxy;
-use super::{LEASE_SECS, Patience};
 
 /// Lines of each process that are shown when the test fails.
 const LINES_SHOWN: usize = 25;
@@ -15,6 +17,7 @@ const LINES_SHOWN: usize = 25;
 pub struct Member {
     pub name: String,
     running: Option<Running>,
+    clock: Clock,
     /// Port that it listens on, if it is a server.
     port: u16,
     /// Lines that it wrote in its earlier lives.
@@ -25,28 +28,45 @@ pub struct Member {
 pub struct Troupe {
     pub database: Database,
     /// Between workers and people on one side, servers on the other: a load balancer.
-    pub front_door: Proxy,
-    pub database_door: Proxy,
-    pub bytes_door: Proxy,
+    front_door: Proxy,
+    /// Before the database's server and the store of bytes, where the farm has them.
+    inner_doors: Option<[Proxy; 2]>,
     pub servers: Vec<Member>,
     pub workers: Vec<Member>,
     folder: tempfile::TempDir,
+    /// Place of the farm's chunks in the bucket.
     prefix: String,
 }
 
 impl Troupe {
-    /// Starts everything; `prefix` is where the farm's chunks are in the bucket.
-    pub fn start(servers: usize, workers: usize, prefix: &str) -> Self {
-        let database = Database::start();
-        let doors = [Proxy::to(&[]), Proxy::to(&[database.port()]), Proxy::to(&[s3::server().port()])];
-        let [front_door, database_door, bytes_door] = doors;
-        let member = |name: String| Member { name, running: None, port: 0, said: Vec::new() };
+    /// Starts a farm of two servers on PostgreSQL and S3, whose chunks are at `prefix`.
+    pub fn on_postgres(workers: usize, prefix: &str) -> Self {
+        let database = Database::postgres();
+        let (port, _) = database.server().expect("PostgreSQL is one");
+        let doors = [Proxy::to(&[port]), Proxy::to(&[s3::server().port()])];
+        Self::start(tempfile::tempdir().unwrap(), database, Some(doors), [2, workers], prefix)
+    }
+
+    /// Starts a farm of one server, which keeps all in its folder.
+    pub fn on_sqlite(workers: usize) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let database = Database::sqlite(folder.path().join("farm.sqlite"));
+        Self::start(folder, database, None, [1, workers], "")
+    }
+
+    fn start(
+        folder: tempfile::TempDir,
+        database: Database,
+        inner_doors: Option<[Proxy; 2]>,
+        [servers, workers]: [usize; 2],
+        prefix: &str,
+    ) -> Self {
+        let member =
+            |name: String| Member { name, running: None, clock: Clock::new(), port: 0, said: Vec::new() };
         let named = |what: &str, count| (0..count).map(|n| member(format!("{what}-{n}"))).collect::<Vec<_>>();
         let (servers, workers) = (named("server", servers), named("worker", workers));
-        let folder = tempfile::tempdir().unwrap();
-        let prefix = prefix.to_owned();
-        let mut troupe =
-            Self { database, front_door, database_door, bytes_door, servers, workers, folder, prefix };
+        let (front_door, prefix) = (Proxy::to(&[]), prefix.to_owned());
+        let mut troupe = Self { database, front_door, inner_doors, servers, workers, folder, prefix };
         (0..troupe.servers.len()).for_each(|index| troupe.start_server(index));
         (0..troupe.workers.len()).for_each(|index| troupe.start_worker(index));
         troupe
@@ -61,16 +81,33 @@ impl Troupe {
         self.folder.path()
     }
 
-    pub fn doors(&self) -> [&Proxy; 3] {
-        [&self.front_door, &self.database_door, &self.bytes_door]
+    /// The front door, then those of the database and of the bytes.
+    pub fn doors(&self) -> Vec<&Proxy> {
+        std::iter::once(&self.front_door).chain(self.inner_doors.iter().flatten()).collect()
+    }
+
+    /// Every clock of the farm, by whose it is.
+    pub fn clocks(&self) -> Vec<(&str, &Clock)> {
+        let of_database = self.database.server().map(|(_, clock)| ("the database", clock));
+        let members =
+            self.servers.iter().chain(&self.workers).map(|member| (member.name.as_str(), &member.clock));
+        // The one that counts is turned as often as all others.
+        let counts = of_database.unwrap_or((self.servers[0].name.as_str(), &self.servers[0].clock));
+        let others: Vec<_> = members.collect();
+        std::iter::repeat_n(counts, others.len()).chain(others).collect()
     }
 
     /// Arguments and variables by which a program finds database and bytes; around the doors if it is not to suffer.
     pub fn settings(&self, is_behind_doors: bool) -> Vec<(String, String)> {
+        let Some([database_door, bytes_door]) = &self.inner_doors else {
+            let chunks = self.folder.path().join("chunks").display().to_string();
+            let place = ("KILN_DATABASE".to_owned(), self.database.url_at(0));
+            return vec![place, ("KILN_CHUNKS".to_owned(), chunks)];
+        };
         let (database, bytes) = if is_behind_doors {
-            (self.database_door.port, self.bytes_door.port)
+            (database_door.port, bytes_door.port)
         } else {
-            (self.database.port(), s3::server().port())
+            (self.database.server().expect("it has a door").0, s3::server().port())
         };
         let mut settings = s3::S3::settings_at(bytes);
         settings.push(("KILN_DATABASE".to_owned(), self.database.url_at(database)));
@@ -78,29 +115,24 @@ impl Troupe {
         settings
     }
 
-    /// Starts a server until it serves: when its database is away, it ends, and whoever keeps it starts it again.
+    /// Starts a server, which serves as soon as its database does.
     fn start_server(&mut self, index: usize) {
-        let patience = Patience::new();
-        loop {
-            let name = self.servers[index].name.clone();
-            let mut command = kiln(&self.folder.path().join(&name));
-            command.args(["server", "--listen", "127.0.0.1:0"]).envs(self.settings(true));
-            let running = Running::start(command);
-            let port = running.stdout_line_if_any(|line| line.rsplit_once(':')?.1.parse().ok());
-            let member = &mut self.servers[index];
-            if let Some(port) = port {
-                (member.running, member.port) = (Some(running), port);
-                self.front_door.add_target(port);
-                return;
-            }
-            member.said.extend(running.finish().stderr);
-            patience.again(&format!("serving {name}, which said {:?}", member.said.last()));
-        }
+        let member = &self.servers[index];
+        let mut command = kiln(&self.folder.path().join(&member.name));
+        command.args(["server", "--listen", "127.0.0.1:0"]).envs(self.settings(true));
+        let running = Running::start(among(command, &member.clock));
+        let port = running.stdout_line_if_any(|line| line.rsplit_once(':')?.1.parse().ok());
+        let member = &mut self.servers[index];
+        let Some(port) = port else {
+            panic!("{} did not start, and said {:?}", member.name, running.finish().stderr);
+        };
+        (member.running, member.port) = (Some(running), port);
+        self.front_door.add_target(port);
     }
 
     fn start_worker(&mut self, index: usize) {
         let member = &mut self.workers[index];
-        let mut command = kiln(&self.folder.path().join(&member.name));
+        let mut command = among(kiln(&self.folder.path().join(&member.name)), &member.clock);
         let url = format!("http://127.0.0.1:{}", self.front_door.port);
         let lease_secs = LEASE_SECS.to_string();
         command.args(["worker", "--server", &url, "--name", &member.name, "--threads", "1"]);
@@ -150,6 +182,12 @@ impl Troupe {
     }
 }
 
+/// The command, going by a clock.
+fn among(mut command: Command, clock: &Clock) -> Command {
+    command.envs(clock.variables());
+    command
+}
+
 impl Member {
     /// Sends a signal by name.
     pub fn signal(&self, name: &str) {
@@ -158,9 +196,11 @@ impl Member {
 
     fn kill(&mut self) {
         let running = self.running.take().expect("it is under way");
+        let process = running.id();
         running.signal("KILL");
         let finished = running.finish();
         assert_eq!(finished.exit, None, "{} had ended before it was killed", self.name);
+        clocks::clear_after(process);
         self.said.extend(finished.stderr);
     }
 }

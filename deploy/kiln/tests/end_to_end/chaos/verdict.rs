@@ -106,7 +106,8 @@ pub fn assert_books_are_right(troupe: &mut Troupe) {
     }
     let attempts = troupe.database.number("SELECT max(attempts) FROM tasks");
     assert!(attempts < MAX_ATTEMPTS.into(), "a task is done after {attempts} failed attempts");
-    let sql = "SELECT coalesce(max(count), 0) FROM (SELECT count(*) FROM blames GROUP BY task) b";
+    let sql =
+        "SELECT coalesce(max(workers), 0) FROM (SELECT count(*) AS workers FROM blames GROUP BY task) b";
     let workers = troupe.database.number(sql);
     assert!(workers < POISON_WORKERS.into(), "a task is done after {workers} workers failed at it");
     troupe.assert_alive();
