@@ -1,6 +1,6 @@
-//! Costs of calls, as `tests/bench/run scale-costs` printed them: one caller, 600 calls of each kind, one `kiln server` (built for release) on
-//! an empty database, on two processors of an AMD EPYC with nine other programs running. Processor time is counted in hundredths of a second,
-//! so a figure is right to 0.02 ms; shared caches and turns make it larger than on an idle machine.
+//! Costs of calls, as `tests/bench/run scale-costs` printed them: one caller, 600 calls of each kind, one `kiln server` (built for
+//! release) on an empty database, on two processors of an AMD EPYC under a load of nine by other programs. Processor time is counted
+//! in hundredths of a second, so that a figure has steps of 0.02 ms; shared caches and turns may make it larger than on an idle machine.
 //!
 //! The costs are whole: the part of them that falls under a bake's lock is not measured, and is assumed in the model
 //! (`tests/src/scale/run.rs`).
