@@ -25,7 +25,7 @@ struct Inner {
     open: Mutex<BTreeMap<u64, [TcpStream; 2]>>,
     answers_to_lose: AtomicU32,
     delay_ms: AtomicU64,
-    /// What is behind it is away: nobody is let in.
+    /// Nobody is let in, as if the target had ended.
     is_shut: AtomicBool,
     is_closed: AtomicBool,
 }
