@@ -25,6 +25,8 @@ pub struct Pixels {
 pub struct PixelFigures {
     /// Of E_ind as shown, by shadow maps where the client has the light.
     pub figures: Figures,
+    /// E_ind as shown beside the reference, of each measured pixel; without area where the figures do not count it.
+    pub pairs: Vec<Pair>,
     /// Those of draws of the pixels.
     pub draws: Vec<Draw>,
     /// Signed root of the mean square error at pixels less that at the receivers of the same pixels, E_dir by exact rays in
@@ -99,7 +101,7 @@ impl Pixels {
         let (interpolation, interpolation_draws) =
             bake.lightmap().map(|_| RelativeRoot::of(&terms())).unzip();
         let interpolation_draws = interpolation_draws.unwrap_or_default();
-        Ok(Some(PixelFigures { figures, draws, interpolation, interpolation_draws }))
+        Ok(Some(PixelFigures { figures, pairs, draws, interpolation, interpolation_draws }))
     }
 
     /// Squared errors at pixels less those at their receivers, which are free of the reference's noise in the mean. A pixel

@@ -13,7 +13,7 @@ use super::site::{evaluation, stills};
 use crate::arguments::BakeArgument;
 use crate::console::{printable, put_json, say};
 use crate::evaluation::{
-    EvaluationArguments, check, draw, measure, scene_of_bundle, words, write_dump, write_page,
+    EvaluationArguments, check, draw, measure, scene_of_bundle, words, write_dump, write_page, write_pixels,
 };
 use crate::failure::{EXIT_CODES, Failure, Result};
 use crate::interrupt::Interrupt;
@@ -48,6 +48,9 @@ pub struct Arguments {
     /// Writes place, normal, area, baked and reference E_ind of every receiver and light
     #[arg(long, value_name = "FILE.csv")]
     dump: Option<PathBuf>,
+    /// Writes place, normal, area, shown and reference E_ind of every measured pixel and light
+    #[arg(long, value_name = "FILE.csv")]
+    dump_pixels: Option<PathBuf>,
     /// Attaches figures and pictures of --out, and pictures for browsers without WebGPU, to the bake on the farm, whose page shows them; in place of those of an earlier evaluation
     #[arg(long, requires = "server", requires = "out")]
     attach: bool,
@@ -69,7 +72,9 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     let camera = arguments.camera.as_deref().map(parse_camera).transpose()?;
     arguments.wanted.check_figures(&kinds.worker)?;
     arguments.wanted.own_lights()?;
-    arguments.dump.as_deref().map_or(Ok(()), check_file)?;
+    for csv in [&arguments.dump, &arguments.dump_pixels].into_iter().flatten() {
+        check_file(csv)?;
+    }
     arguments.out.as_deref().map_or(Ok(()), check_folder)?;
     let source = arguments.source.open()?;
     let farm = arguments.source.on_farm()?;
@@ -78,6 +83,9 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
         measure(kinds, &source, scene, (&arguments.wanted, &arguments.lighting), &Interrupt::default())?;
     if let Some(csv) = &arguments.dump {
         write_dump(csv, &measured)?;
+    }
+    if let Some(csv) = &arguments.dump_pixels {
+        write_pixels(csv, &measured)?;
     }
     eprint!("{}", printable(&words(&measured.evaluation)));
     if let Some(out) = &arguments.out {

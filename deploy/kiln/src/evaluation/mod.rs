@@ -15,7 +15,7 @@ mod shadows;
 mod table;
 
 pub use arguments::EvaluationArguments;
-pub use dump::write_dump;
+pub use dump::{write_dump, write_pixels};
 pub use gallery::{FOLDER as GALLERY_FOLDER, Gallery, LIST as GALLERY_LIST};
 pub use html::{FIGURES, PAGE, write_page};
 pub use limits::check;

@@ -36,7 +36,7 @@ fn evaluated(folder: &Path, more: &[&str], exit: i32) -> super::processes::Finis
 fn evaluation_of_a_bundle_finds_its_scene_and_writes_figures_page_and_table() {
     let folder = tempfile::tempdir().unwrap();
     baked(folder.path(), &[], 0);
-    let files = ["--out", "page", "--dump", "receivers.csv", "--json"];
+    let files = ["--out", "page", "--dump", "receivers.csv", "--dump-pixels", "pixels.csv", "--json"];
     let view = ["--camera", "eye=0,2.5,1 target=0,2.5,-3 fov=60", "--size", "72x50"];
     let done = evaluated(folder.path(), &[&ROUGH[..], &files[..], &view[..]].concat(), 0);
     let figures = done.json();
@@ -78,8 +78,26 @@ fn evaluation_of_a_bundle_finds_its_scene_and_writes_figures_page_and_table() {
     let receivers = figures["receivers"].as_u64().unwrap() as usize;
     assert_eq!(table.lines().count(), 1 + 2 * receivers);
     assert!(table.starts_with("light,receiver,x_m,"));
+    shown_errors_are_those_of(&fs::read_to_string(folder.path().join("pixels.csv")).unwrap(), lamp);
     let again = evaluated(folder.path(), &[&ROUGH[..], &["--json"][..]].concat(), 0);
     assert_eq!(again.json(), figures, "the same bundle, the same figures");
+}
+
+/// The file of pixels holds the pixels from which the figures of the lamp were made.
+fn shown_errors_are_those_of(table: &str, lamp: &serde_json::Value) {
+    let mut lines = table.lines();
+    let head: Vec<&str> = lines.next().unwrap().split(',').collect();
+    let rows: Vec<Vec<&str>> = lines.map(|line| line.split(',').collect()).collect();
+    assert!(rows.len() > 1 && rows.iter().all(|row| row.len() == head.len()), "{table}");
+    let sum = |column: &str| -> f64 {
+        let at = |name: &str| head.iter().position(|found| *found == name).unwrap();
+        let own = rows.iter().filter(|row| row[at("light")] == "lamp" && row[at("counted")] == "1");
+        own.map(|row| row[at(column)].parse::<f64>().unwrap() * row[at("area_m2")].parse::<f64>().unwrap())
+            .sum()
+    };
+    let energy_ratio = sum("shown_r") / sum("reference_r");
+    let wanted = lamp["pixels"]["channel_energy_ratios"][0].as_f64().unwrap();
+    assert!((energy_ratio / wanted - 1.0).abs() < 1e-6, "{energy_ratio} {wanted}");
 }
 
 #[test]
