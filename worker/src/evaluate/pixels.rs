@@ -25,10 +25,10 @@ pub struct Pixels {
 pub struct PixelFigures {
     /// Of E_ind as shown, by shadow maps where the client has the light.
     pub figures: Figures,
-    /// E_ind as shown beside the reference, of each measured pixel; without area where the figures do not count it.
-    pub pairs: Vec<Pair>,
     /// Those of draws of the pixels.
     pub draws: Vec<Draw>,
+    /// E_ind as shown beside the reference, of each measured pixel; without area where the figures do not count it.
+    pub pairs: Vec<Pair>,
     /// Signed root of the mean square error at pixels less that at the receivers of the same pixels, E_dir by exact rays in
     /// both; `None` for a kind without a lightmap, which reads nothing between receivers.
     pub interpolation: Option<RelativeRoot>,
