@@ -122,6 +122,16 @@ pub struct NewBake {
     /// Limits of workers and attempts; the farm's unless set.
     #[serde(default, skip_serializing_if = "BakeLimits::is_none")]
     pub limits: BakeLimits,
+    /// Share of its results, 0..=1, that an idle worker of another machine makes once more and that must come out alike; 0 unless set.
+    /// Tasks are chosen by their keys. More → a machine that gives wrong bytes is found sooner, and that much more is
+    /// computed, after tasks of all bakes. Of a task that several bakes want, the biggest share counts.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    #[schema(minimum = 0.0, maximum = 1.0)]
+    pub verify_share: f64,
+}
+
+fn is_zero(share: &f64) -> bool {
+    *share == 0.0
 }
 
 /// Requirements of a bake on the workers that take its tasks.
@@ -219,6 +229,10 @@ pub struct Bake {
     /// Limits of workers and attempts that it was submitted with.
     #[serde(default, skip_serializing_if = "BakeLimits::is_none")]
     pub limits: BakeLimits,
+    /// Share of its results that are made once more on another machine, as it was submitted with.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    #[schema(minimum = 0.0, maximum = 1.0)]
+    pub verify_share: f64,
     /// Where it stands.
     pub state: BakeState,
     /// Tasks by stage, in the order in which stages first appeared.
@@ -370,6 +384,11 @@ pub struct ClaimRequest {
     #[serde(default)]
     #[schema(max_items = 16, value_type = Vec<Label>)]
     pub labels: Vec<String>,
+    /// The machine that it runs on, the same for all workers there; at most 200 characters. Results are verified on another one. Empty
+    /// where it cannot be told: then on another worker.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    #[schema(max_length = 200)]
+    pub machine: String,
     /// At most this many leases, 1..=64.
     #[schema(minimum = 1, maximum = 64)]
     pub max: u32,

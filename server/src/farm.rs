@@ -17,7 +17,7 @@ use crate::error::{Result, ServerError};
 use crate::guard::Guard;
 use crate::lookout::{Lookout, News};
 use crate::metrics::Metrics;
-use crate::request_checks::{check_claim, check_needs, require_chars, require_token};
+use crate::request_checks::{check_claim, check_needs, check_share, require_chars, require_token};
 use crate::result_checks::{check_counters, require_lengths};
 use crate::storage::{Removed, Storage};
 use crate::store::chunk::CollectRules;
@@ -83,6 +83,7 @@ impl Farm {
             require_chars("Idempotency-Key", key, 1, MAX_ID_CHARS)?;
         }
         check_needs(&bake)?;
+        check_share(bake.verify_share)?;
         let kind = self.kinds.named(&bake.kind)?;
         kind.name().clone_into(&mut bake.kind);
         let plan = kind.first_tasks(bake.scene, &bake.settings).map_err(BakeError::from)?;
@@ -287,7 +288,7 @@ impl Farm {
         tracing::warn!(reason = message, "{}", failure_words(blame, verdict));
         if blame != Blame::Lost {
             self.metrics.failures.inc();
-        } else if verdict != FailVerdict::Stale {
+        } else if matches!(verdict, FailVerdict::Retry | FailVerdict::GivenUp) {
             self.metrics.lost_workers.inc();
         }
         self.wakeup.hint();
@@ -426,6 +427,7 @@ fn failure_words(blame: Blame, verdict: FailVerdict) -> &'static str {
         }
         (FailVerdict::Retry, Blame::Lost) => "a worker was lost with a task; it will be tried again",
         (FailVerdict::Retry, _) => "an attempt at a task failed; it will be tried again",
+        (FailVerdict::Rerun, _) => "a result could not be made once more to be verified; it stays as it is",
         (FailVerdict::Stale, _) => "an attempt at a task failed after its lease was gone; nothing changes",
     }
 }

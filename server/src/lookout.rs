@@ -51,6 +51,7 @@ struct Waiting {
 
 struct Claim {
     worker: String,
+    machine: String,
     max: u32,
     wake: oneshot::Sender<()>,
 }
@@ -111,7 +112,8 @@ impl Lookout {
     pub async fn work(&self, request: &ClaimRequest, mark: u64) {
         let abilities = Abilities::of(request);
         let (wake, woken) = oneshot::channel();
-        let claim = Claim { worker: request.worker.clone(), max: request.max, wake };
+        let (worker, machine) = (request.worker.clone(), request.machine.clone());
+        let claim = Claim { worker, machine, max: request.max, wake };
         let number = self.enter(mark, |waiting, number| {
             waiting.claims.entry(abilities.clone()).or_default().insert(number, claim);
         });
@@ -193,7 +195,10 @@ impl Waiting {
         // Those whom a bake at its limit of workers has no room for wait on.
         let has_room = |claim: &Claim, room: &Option<(&BTreeSet<String>, u64)>| match room {
             Some((holders, others)) => *others > 0 || holders.contains(&claim.worker),
-            None => true,
+            // So do those on the machine whose results are to be verified.
+            None => {
+                opening.maker.as_ref().is_none_or(|maker| maker.is_elsewhere(&claim.worker, &claim.machine))
+            }
         };
         while left > 0 {
             // Whoever was woken and took nothing, as a worker that failed there, comes again last.
@@ -325,7 +330,7 @@ mod tests {
     use lightkiln_proto::api::Needs;
 
     use super::*;
-    use crate::store::Room;
+    use crate::store::{Maker, Room};
 
     #[test]
     fn those_who_wait_longest_are_woken_first_whatever_else_they_can_do() {
@@ -336,14 +341,26 @@ mod tests {
             let (wake, woken) = oneshot::channel();
             let abilities =
                 Abilities { kinds: vec!["work".into()], threads, memory_mib: 0, labels: Vec::new() };
-            let claim = Claim { worker: number.to_string(), max: 1, wake };
+            let claim = Claim { worker: number.to_string(), machine: String::new(), max: 1, wake };
             waiting.claims.entry(abilities).or_default().insert(number, claim);
             wakes.push(woken);
         }
-        waiting.wake_claims(&Opening { kind: "work".into(), needs: Needs::default(), ready: 1, room: None });
+        waiting.wake_claims(&Opening {
+            kind: "work".into(),
+            needs: Needs::default(),
+            ready: 1,
+            room: None,
+            maker: None,
+        });
         let is_woken: Vec<bool> = wakes.iter_mut().map(|woken| woken.try_recv().is_ok()).collect();
         assert_eq!(is_woken, [true, true, true, false, false, false]);
-        waiting.wake_claims(&Opening { kind: "other".into(), needs: Needs::default(), ready: 9, room: None });
+        waiting.wake_claims(&Opening {
+            kind: "other".into(),
+            needs: Needs::default(),
+            ready: 9,
+            room: None,
+            maker: None,
+        });
         assert_eq!(waiting.claims.values().map(BTreeMap::len).sum::<usize>(), 3, "none can do it");
     }
 
@@ -356,16 +373,35 @@ mod tests {
                 Abilities { kinds: vec!["work".into()], threads: 1, memory_mib: 0, labels: Vec::new() };
             for number in 1..=9 {
                 let (wake, woken) = oneshot::channel();
-                let claim = Claim { worker: number.to_string(), max: 1, wake };
+                let claim = Claim { worker: number.to_string(), machine: String::new(), max: 1, wake };
                 waiting.claims.entry(abilities.clone()).or_default().insert(number, claim);
                 wakes.push(woken);
             }
             let room = Some(Room { holders: ["8".to_owned(), "9".to_owned()].into(), others });
             let (kind, needs) = ("work".to_owned(), Needs::default());
-            waiting.wake_claims(&Opening { kind, needs, ready: 100, room });
+            waiting.wake_claims(&Opening { kind, needs, ready: 100, room, maker: None });
             wakes.iter_mut().filter_map(|woken| woken.try_recv().ok()).count() as u64
         };
         assert_eq!(woken(0), 2, "those that hold some of its tasks");
         assert_eq!(woken(3), 2 + 3 + SPARE_CLAIMS);
+    }
+
+    #[test]
+    fn those_on_the_machine_that_gave_a_result_do_not_wake_to_verify_it() {
+        let mut waiting = Waiting::default();
+        let mut wakes = Vec::new();
+        for (number, machine) in [(1, "oven"), (2, ""), (3, "hob"), (4, "oven")] {
+            let (wake, woken) = oneshot::channel();
+            let abilities =
+                Abilities { kinds: vec!["work".into()], threads: 1, memory_mib: 0, labels: Vec::new() };
+            let claim = Claim { worker: number.to_string(), machine: machine.into(), max: 1, wake };
+            waiting.claims.entry(abilities).or_default().insert(number, claim);
+            wakes.push(woken);
+        }
+        let maker = Some(Maker { worker: "2".into(), machine: "oven".into() });
+        let (kind, needs) = ("work".to_owned(), Needs::default());
+        waiting.wake_claims(&Opening { kind, needs, ready: 9, room: None, maker });
+        let is_woken: Vec<bool> = wakes.iter_mut().map(|woken| woken.try_recv().is_ok()).collect();
+        assert_eq!(is_woken, [false, false, true, false]);
     }
 }

@@ -132,6 +132,12 @@ impl Figures {
                 "Results that were not as another one of their task, since the farm began.",
                 farm.alarms,
             ),
+            ("verified_results", "Results made once more and compared, since the farm began.", farm.verified),
+            (
+                "lapsed_checks",
+                "Results that were to be made once more and were not, since the farm began.",
+                farm.reruns_lapsed,
+            ),
         ];
         for (name, help, count) in totals {
             let family = encoder.encode_descriptor(name, help, None, MetricType::Counter)?;
@@ -140,6 +146,7 @@ impl Figures {
         let gauges = [
             ("bakes_live", "Bakes running or paused.", Some(farm.bakes_live)),
             ("bakes", "Bakes that the farm knows.", Some(farm.bakes_total)),
+            ("waiting_checks", "Results to be made once more on another machine.", Some(farm.reruns_waiting)),
             ("workers", "Workers heard of in the last ten minutes.", Some(*workers)),
             ("stored_chunks", "Chunks stored.", Some(usage.chunks)),
             ("stored_bytes", "Bytes of stored chunks.", Some(usage.bytes)),

@@ -52,6 +52,13 @@ pub(crate) fn check_needs(bake: &NewBake) -> Result<()> {
     Ok(())
 }
 
+pub(crate) fn check_share(share: f64) -> Result<()> {
+    if (0.0..=1.0).contains(&share) {
+        return Ok(());
+    }
+    Err(ServerError::bad_request(format!("verify_share must be within 0..=1, not {share}")))
+}
+
 pub(crate) fn check_labels(name: &str, labels: &[String]) -> Result<()> {
     if labels.len() > MAX_LABELS {
         return Err(ServerError::bad_request(format!(
@@ -65,6 +72,7 @@ pub(crate) fn check_labels(name: &str, labels: &[String]) -> Result<()> {
 pub(crate) fn check_claim(request: &ClaimRequest) -> Result<()> {
     require_chars("worker", &request.worker, 1, MAX_ID_CHARS)?;
     check_labels("labels", &request.labels)?;
+    require_chars("machine", &request.machine, 0, MAX_ID_CHARS)?;
     let limits = [
         ("max", (1..=MAX_LEASES).contains(&request.max), format!("1..={MAX_LEASES}")),
         ("ttl_secs", TTL_SECS.contains(&request.ttl_secs), format!("{TTL_SECS:?}")),

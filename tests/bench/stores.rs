@@ -255,6 +255,7 @@ fn bake() -> NewBake {
         needs: Needs::default(),
         attempt_limit_secs: None,
         limits: Default::default(),
+        verify_share: 0.0,
     }
 }
 
@@ -270,6 +271,7 @@ fn request(worker: &str, max: u32) -> ClaimRequest {
         threads: 1,
         memory_mib: 0,
         labels: Vec::new(),
+        machine: String::new(),
         max,
         ttl_secs: 3600,
         wait_secs: 0,

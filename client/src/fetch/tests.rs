@@ -251,6 +251,7 @@ fn problems_that_stay_are_shown_with_their_detail_at_once() {
         needs: lightkiln_proto::api::Needs::default(),
         attempt_limit_secs: None,
         limits: Default::default(),
+        verify_share: 0.0,
     };
     let error = server.client().submit(&bake, "key-1").unwrap_err();
     assert!(error.to_string().contains("texel_m = -1 is out of range"), "{error}");

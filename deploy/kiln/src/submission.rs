@@ -43,12 +43,24 @@ pub struct LimitArguments {
     /// Times that a worker may be lost with one task before it is given up [default: the server's --lost-workers]
     #[arg(long, value_name = "N", help_heading = "Limits", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     lost_workers: Option<u32>,
+    /// Share of the results, 0 to 1, that idle workers make once more on another machine: one that comes out otherwise is an alarm,
+    /// which 'kiln show' tells [default: 0]
+    #[arg(long, value_name = "SHARE", help_heading = "Limits", value_parser = parse_share)]
+    verify_share: Option<f64>,
+}
+
+fn parse_share(text: &str) -> std::result::Result<f64, String> {
+    match text.parse() {
+        Ok(share @ 0.0..=1.0) => Ok(share),
+        _ => Err("write a share of the results in 0..=1, e.g. 0.01".to_owned()),
+    }
 }
 
 impl LimitArguments {
     /// Writes them into a bake that is to be submitted.
     pub fn set(&self, bake: &mut NewBake) {
-        let Self { max_workers, attempts, lost_workers } = *self;
+        let Self { max_workers, attempts, lost_workers, verify_share } = *self;
+        bake.verify_share = verify_share.unwrap_or(0.0);
         bake.limits = BakeLimits { max_workers, attempts, lost_workers };
     }
 }
@@ -143,6 +155,7 @@ impl PackedScene {
             needs: Needs::default(),
             attempt_limit_secs: None,
             limits: Default::default(),
+            verify_share: 0.0,
         };
         set(&mut bake);
         Ok(bake)
@@ -163,4 +176,17 @@ fn idempotency_key(scene: Digest) -> String {
     random.write_u32(std::process::id());
     let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
     format!("{:016x}-{:x}-{:016x}", scene.short(), now.as_nanos(), random.finish())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::parse_share;
+
+    #[test]
+    fn share_is_a_number_from_nothing_to_all() {
+        assert_eq!(["0", "0.01", "1"].map(parse_share), [Ok(0.0), Ok(0.01), Ok(1.0)]);
+        for text in ["-0.1", "1.01", "NaN", "inf", "1 %", ""] {
+            assert!(parse_share(text).is_err_and(|told| told.contains("0..=1")), "{text}");
+        }
+    }
 }

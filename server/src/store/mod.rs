@@ -21,6 +21,7 @@ mod lease;
 pub mod limits;
 pub mod rules;
 mod sql;
+pub mod verify;
 
 use std::collections::BTreeSet;
 
@@ -43,6 +44,7 @@ pub use rules::{
     WAIT_MAX_MS, backoff_ms,
 };
 pub use sql::{FaultPoint, Faults, SqlStore};
+pub use verify::Maker;
 
 /// A bake to take in.
 #[derive(Clone, Debug)]
@@ -111,6 +113,8 @@ pub enum FailVerdict {
     Retry,
     /// The task was given up, and the bakes that wanted it have failed.
     GivenUp,
+    /// A result was to be made once more; its bakes stay as they are.
+    Rerun,
     /// The lease was gone: nothing changed.
     Stale,
 }
@@ -196,6 +200,9 @@ pub struct Opening {
     pub ready: u64,
     /// The workers that may take them, where their bake has a limit of workers.
     pub room: Option<Room>,
+    /// The worker that gave their results, where these are there and are to be verified: for workers of other machines, once there is
+    /// nothing else ([`verify`]).
+    pub maker: Option<Maker>,
 }
 
 /// Workers that a bake with a limit has room for.
@@ -237,6 +244,12 @@ pub struct Stats {
     pub tasks_reused: u64,
     /// Results that were not as another one of their task, since the farm began. Never falls.
     pub alarms: u64,
+    /// Results that were made once more and compared, since the farm began. Never falls.
+    pub verified: u64,
+    /// Results that wait for that, or are being made once more.
+    pub reruns_waiting: u64,
+    /// Results that were to be made once more and were not: for want of time, workers or inputs. Never falls.
+    pub reruns_lapsed: u64,
 }
 
 /// The farm's state. Every call is one transaction: all of it happened, or none.
@@ -255,7 +268,8 @@ pub trait FarmStore: Send + Sync {
 
     /// Hands out up to `max` ready tasks. One by one they come from the bake with the highest priority, of those from the
     /// one with the fewest tasks under way ([`rules`] says more), of a bake by cost ([`rules::claim_cost`]), then key. A bake at its
-    /// limit of workers ([`lightkiln_proto::limits`]) gives tasks to those alone that hold some of it.
+    /// limit of workers ([`lightkiln_proto::limits`]) gives tasks to those alone that hold some of it. A claim that finds none gets a task
+    /// that is done, if its result is to be verified and this worker may do so ([`verify`]).
     async fn claim(&self, request: &ClaimRequest) -> Result<Vec<Lease>>;
 
     /// The work that running bakes have for those who can do it, counted up to `enough` for each kind of a bake, and how far these bakes
@@ -269,7 +283,8 @@ pub trait FarmStore: Send + Sync {
     async fn heartbeat(&self, token: &str, progress: f32) -> Result<HeartbeatAnswer>;
 
     /// Takes a result in if the lease is still good. One that is not as another of the same task, because it comes again, too late, or
-    /// anew, is noted and told to the bakes that hold the task ([`rules::difference`]); the one that counts stays.
+    /// anew, is noted and told to the bakes that hold the task ([`rules::difference`]); the one that counts stays. The result of a task
+    /// that was done is only compared.
     async fn commit(&self, token: &str, result: &TaskResult) -> Result<CommitVerdict>;
 
     /// Takes several results in, each as if it had come alone, in any order; the verdicts are in theirs.

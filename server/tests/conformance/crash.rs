@@ -148,6 +148,7 @@ impl Teller<'_> {
             [submission(&name("first"), &cast.first), submission(&name("second"), &cast.second)];
         for submission in &mut submissions {
             submission.idempotency_key = Some(submission.bake.name.clone());
+            submission.bake.verify_share = 1.0;
         }
         let first = call!(self, |store| store.submit(&submissions[0])).bake.id;
         let second = call!(self, |store| store.submit(&submissions[1])).bake.id;

@@ -96,6 +96,7 @@ fn request(worker: &str) -> ClaimRequest {
         threads: 1,
         memory_mib: 0,
         labels: Vec::new(),
+        machine: String::new(),
         max: 1,
         ttl_secs: 30,
         wait_secs: 60,
@@ -215,6 +216,70 @@ async fn task_that_no_waiting_worker_may_take_wakes_none_of_them() {
     assert_eq!(got.unwrap().unwrap().leases.len(), 1);
     assert_eq!(others.len() as u32, WAITING - 1);
     assert!(transactions.claims.load(Ordering::SeqCst) < WAITING + 10);
+}
+
+#[tokio::test]
+async fn result_to_verify_wakes_those_alone_who_may_verify_it() {
+    const WAITING: u32 = 20;
+    let (_folder, farm, transactions, waiting) = counted(WAITING).await;
+    stock(&*farm.store).await;
+    // Workers without the label wait on.
+    let mut submission = submission("bake", &[task_of("work", "a", &[], 1)]);
+    submission.bake.verify_share = 1.0;
+    submission.bake.needs.labels = vec!["gpu".into()];
+    farm.store.submit(&submission).await.unwrap();
+    let on = |worker: &str, machine: &str| {
+        let (machine, labels) = (machine.to_owned(), vec!["gpu".to_owned()]);
+        ClaimRequest { machine, labels, ..request(worker) }
+    };
+    let lease = farm.claim(on("maker", "oven")).await.unwrap().leases.remove(0);
+    let outputs = crate::support::outputs(lease.task.key);
+    let result = TaskResult { outputs, ..TaskResult::default() };
+    farm.store.commit(&lease.token, &result).await.unwrap();
+    let claims = || transactions.claims.load(Ordering::SeqCst);
+    let same = tokio::spawn({
+        let (farm, request) = (farm.clone(), on("same", "oven"));
+        async move { farm.claim(request).await }
+    });
+    let looks = || transactions.looks.load(Ordering::SeqCst);
+    in_time(async {
+        while claims() < WAITING + 2 {
+            tokio::task::yield_now().await;
+        }
+        for _ in 0..5 {
+            let before = looks();
+            farm.wakeup.hint();
+            while looks() == before {
+                tokio::task::yield_now().await;
+            }
+        }
+    })
+    .await;
+    assert_eq!(claims(), WAITING + 2, "none claimed again");
+    let other = tokio::spawn({
+        let (farm, request) = (farm.clone(), on("other", "hob"));
+        async move { farm.claim(request).await }
+    });
+    assert_eq!(in_time(other).await.unwrap().unwrap().leases[0].task, lease.task);
+    drop((same, waiting));
+}
+
+#[tokio::test]
+async fn claim_that_waits_is_woken_to_verify_a_result() {
+    let (_folder, farm, _, _) = counted(0).await;
+    stock(&*farm.store).await;
+    let mut submission = submission("bake", &[task("a", &[])]);
+    submission.bake.verify_share = 1.0;
+    farm.store.submit(&submission).await.unwrap();
+    let lease = farm.claim(request("maker")).await.unwrap().leases.remove(0);
+    let waiting = tokio::spawn({
+        let farm = farm.clone();
+        async move { farm.claim(request("other")).await }
+    });
+    let outputs = crate::support::outputs(lease.task.key);
+    let result = TaskResult { outputs, ..TaskResult::default() };
+    farm.change(farm.store.commit(&lease.token, &result)).await.unwrap();
+    assert_eq!(in_time(waiting).await.unwrap().unwrap().leases[0].task, lease.task);
 }
 
 #[tokio::test]

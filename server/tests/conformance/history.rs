@@ -6,12 +6,12 @@ use lightkiln_proto::api::{Bake, BakeEvent, BakeResult, Blame, CommitVerdict, Le
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{TaskResult, TaskSpec};
 use lightkiln_server::store::chunk::{ChunkRow, CollectRules, Usage};
-use lightkiln_server::store::{Room, Standing, Stats, StoreError, WAIT_MAX_MS};
+use lightkiln_server::store::{Maker, Room, Standing, Stats, StoreError, WAIT_MAX_MS};
 use proptest::collection::vec;
 use proptest::prelude::*;
 
 use crate::support::{SCENE, World, chunk, in_time, output, request, submission};
-use crate::universe::{TASKS, limits_of, plan_of, result_of, universe};
+use crate::universe::{TASKS, limits_of, machine_of, plan_of, result_of, share_of, universe};
 
 /// More results than a bake of them has.
 const RESULTS: u32 = 10_000;
@@ -75,6 +75,7 @@ fn step() -> impl Strategy<Value = Step> {
         Just(30_000),
         Just(70_000),
         Just(700_000),
+        Just(4_000_000),
         Just(-100_000)
     ];
     let any = 0_usize..64;
@@ -127,14 +128,17 @@ struct Side {
     followed: BTreeMap<String, (u64, BTreeSet<TaskKey>)>,
 }
 
+/// Tasks that are ready by kind and threads, or results that wait: their number, and who may take them.
+type Ready = (String, u32, u64, Option<Room>, Option<Maker>);
+
 /// Everything that callers can see, with ids replaced by numbers.
 struct Seen {
     bakes: Vec<(Bake, Vec<BakeEvent>)>,
     results: Vec<Vec<BakeResult>>,
     workers: Vec<Worker>,
     stats: Stats,
-    /// Tasks that are ready, by kind and threads, and how far the bakes have come.
-    openings: BTreeSet<(String, u32, u64, Option<Room>)>,
+    /// What can be claimed, and how far the bakes have come.
+    openings: BTreeSet<Ready>,
     standings: Vec<Standing>,
     rows: Vec<ChunkRow>,
     usage: Usage,
@@ -162,6 +166,7 @@ impl Side {
                 submission.bake.needs.threads = if chosen[0] == 3 { 3 } else { 0 };
                 submission.bake.attempt_limit_secs = (chosen[0] == 4).then_some(40);
                 submission.bake.limits = limits_of(chosen[0]);
+                submission.bake.verify_share = share_of(chosen[0]);
                 submission.bake.scene = chunk_of(if chosen[0] == 5 { 1 } else { 4 });
                 submission.idempotency_key = key.map(|key| format!("key {key}"));
                 submission.body_hash = Digest::of(format!("{chosen:?}").as_bytes());
@@ -180,6 +185,7 @@ impl Side {
                 let mut request = request(&format!("worker {worker}"), *max);
                 request.kinds.truncate(if *knows_more { 2 } else { 1 });
                 request.threads = u32::from(*worker) + 1;
+                request.machine = machine_of(*worker);
                 let leases = store.claim(&request).await.unwrap();
                 let told: Vec<_> = leases
                     .iter()
@@ -324,7 +330,7 @@ impl Side {
         let openings = look
             .openings
             .into_iter()
-            .map(|opening| (opening.kind, opening.needs.threads, opening.ready, opening.room))
+            .map(|opening| (opening.kind, opening.needs.threads, opening.ready, opening.room, opening.maker))
             .collect();
         let mut standings = look.standings;
         for standing in &mut standings {

@@ -27,6 +27,7 @@ mod model;
 mod parts;
 mod remaking;
 mod replicas;
+mod reruns;
 mod results;
 mod reuse;
 mod scheduling;
@@ -191,6 +192,28 @@ conformance! {
         artefact_that_is_made_otherwise_fails_the_bake_and_says_so
         artefact_that_nobody_reads_may_be_made_otherwise
         results_say_what_their_plans_still_need;
+    reruns:
+        result_is_made_once_more_on_another_machine
+        worker_without_a_machine_verifies_what_another_worker_gave
+        result_that_comes_out_otherwise_is_one_alarm_and_the_first_stays
+        tasks_that_are_ready_come_before_results_to_verify
+        share_chooses_by_the_key_alone
+        biggest_share_of_the_bakes_that_want_a_task_counts
+        result_is_verified_by_a_worker_that_can_do_its_task
+        look_tells_of_results_by_who_may_verify_them
+        result_that_nobody_verifies_in_time_lapses
+        wait_of_a_result_under_a_clock_that_was_set_back_is_no_longer
+        failed_and_vanished_attempts_to_verify_count_for_no_bake_and_lapse_at_the_last_try
+        vanished_attempt_to_verify_is_the_last_like_any_other
+        attempt_to_verify_that_is_given_back_is_no_try
+        attempts_to_verify_run_on_after_the_farm_could_not_hear_anybody
+        result_whose_inputs_are_lost_is_not_verified
+        result_that_is_forgotten_or_deleted_is_not_verified
+        rerun_that_a_live_bake_lost_is_chosen_anew
+        results_of_a_paused_or_cancelled_bake_are_not_verified
+        result_that_lands_while_its_bake_is_paused_waits_for_its_end
+        results_of_a_bake_that_is_done_while_it_is_paused_are_verified
+        concurrent_claims_make_each_result_once_more;
     results:
         results_come_in_the_order_in_which_they_landed
         results_of_one_kind_are_told_alone

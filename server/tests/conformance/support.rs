@@ -63,6 +63,7 @@ pub fn new_bake(name: &str, kind: &str) -> NewBake {
         needs: Needs::default(),
         attempt_limit_secs: None,
         limits: Default::default(),
+        verify_share: 0.0,
     }
 }
 
@@ -83,6 +84,7 @@ pub fn request(worker: &str, max: u32) -> ClaimRequest {
         threads: 2,
         memory_mib: 0,
         labels: Vec::new(),
+        machine: String::new(),
         max,
         ttl_secs: TTL_SECS,
         wait_secs: 0,

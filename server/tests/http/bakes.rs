@@ -26,10 +26,11 @@ pub fn new_bake(scene: Digest, settings: Value) -> NewBake {
         needs: Needs::default(),
         attempt_limit_secs: None,
         limits: Default::default(),
+        verify_share: 0.0,
     }
 }
 
-async fn put_scene(server: &Running) -> Answer {
+pub async fn put_scene(server: &Running) -> Answer {
     server.call("PUT", &format!("/v1/scenes/{}", Digest::of(SCENE)), &[], SCENE).await
 }
 
@@ -47,6 +48,7 @@ pub fn request(wait_secs: u32) -> ClaimRequest {
         threads: 2,
         memory_mib: 0,
         labels: Vec::new(),
+        machine: String::new(),
         max: 4,
         ttl_secs: 60,
         wait_secs,
@@ -158,6 +160,28 @@ async fn limits_of_a_bake_are_kept_and_have_bounds() {
         let bake: Bake = submit(kept).await.json(202);
         let shown: Bake = server.get(&format!("/v1/bakes/{}", bake.id)).await.json(200);
         assert_eq!((bake.limits, shown.limits), (kept, kept));
+    }
+}
+
+#[tokio::test]
+async fn share_of_results_to_verify_is_kept_and_has_bounds() {
+    let server = start().await;
+    put_scene(&server).await;
+    let submit = async |verify_share: f64| {
+        let bake = NewBake { verify_share, ..new_bake(Digest::of(SCENE), json!({})) };
+        server.post("/v1/bakes", &bake).await
+    };
+    for out in [-0.01, 1.01] {
+        let refused = submit(out).await.problem(ProblemCode::BadRequest);
+        assert_eq!(refused.detail, format!("verify_share must be within 0..=1, not {out}"));
+    }
+    for kept in [0.0, 0.01, 1.0] {
+        let bake: Bake = submit(kept).await.json(202);
+        let shown: Bake = server.get(&format!("/v1/bakes/{}", bake.id)).await.json(200);
+        assert_eq!(
+            (bake.verify_share.to_bits(), shown.verify_share.to_bits()),
+            (kept.to_bits(), kept.to_bits())
+        );
     }
 }
 

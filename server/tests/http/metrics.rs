@@ -2,9 +2,13 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use lightkiln_proto::api::ClaimAnswer;
+use lightkiln_proto::api::{
+    Bake, BakeState, ClaimAnswer, ClaimRequest, CommitVerdict, Heartbeat, HeartbeatAnswer, NewBake, Verdict,
+};
+use lightkiln_proto::ids::Digest;
+use serde_json::json;
 
-use crate::bakes::{request, run, submit};
+use crate::bakes::{SCENE, commit, new_bake, put_scene, request, run, submit};
 use crate::support::start;
 
 /// A line with a value.
@@ -125,6 +129,9 @@ async fn metrics_of_a_farm_are_read_by_the_rules_of_their_format() {
         ("expiries", "", 0.0),
         ("lost_workers", "", 0.0),
         ("differing_results", "", 0.0),
+        ("verified_results", "", 0.0),
+        ("lapsed_checks", "", 0.0),
+        ("waiting_checks", "", 0.0),
         ("full_refusals", "", 0.0),
         ("tasks_run", "", 2.0),
         ("tasks_reused", "", 2.0),
@@ -143,6 +150,35 @@ async fn metrics_of_a_farm_are_read_by_the_rules_of_their_format() {
     let ready =
         latencies.iter().find(|sample| sample.suffix == "_count" && sample.labels["route"] == "/readyz");
     assert_eq!(ready.map(|sample| sample.value), Some(1.0));
+}
+
+#[tokio::test]
+async fn result_that_another_machine_makes_otherwise_is_told() {
+    let server = start().await;
+    put_scene(&server).await;
+    let new = NewBake { verify_share: 1.0, ..new_bake(Digest::of(SCENE), json!({})) };
+    let bake: Bake = server.post("/v1/bakes", &new).await.json(202);
+    run(&server).await;
+    let other = ClaimRequest { worker: "other".into(), machine: "elsewhere".into(), ..request(0) };
+    let mut answer: ClaimAnswer = server.post("/v1/leases", &other).await.json(200);
+    let lease = answer.leases.remove(0);
+    assert_eq!((&lease.bake, answer.leases.len()), (&bake.id, 0));
+    let heartbeat = format!("/v1/leases/{}/heartbeat", lease.token);
+    let kept: HeartbeatAnswer = server.post(&heartbeat, &Heartbeat { progress: 0.5 }).await.json(200);
+    assert_eq!(kept.verdict, Verdict::Keep);
+    assert_eq!(commit(&server, &lease, &[("scene", b"otherwise")]).await, CommitVerdict::Committed);
+    let shown: Bake = server.get(&format!("/v1/bakes/{}", bake.id)).await.json(200);
+    assert_eq!((shown.alarms, shown.state, shown.tasks_run), (1, BakeState::Done, 2));
+    let text = server.get("/metrics").await.body;
+    let text = std::str::from_utf8(&text).unwrap();
+    for line in [
+        "lightkiln_verified_results_total 1",
+        "lightkiln_waiting_checks 1",
+        "lightkiln_lapsed_checks_total 0",
+        "lightkiln_differing_results_total 1",
+    ] {
+        assert!(text.lines().any(|found| found == line), "{line} is not in\n{text}");
+    }
 }
 
 #[test]

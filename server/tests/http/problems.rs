@@ -109,12 +109,13 @@ async fn leases_are_checked() {
     let beat = server.post(&heartbeat, &json!({ "progress": 0.5 })).await;
     assert_eq!(beat.json::<serde_json::Value>(200)["verdict"], "lost");
     server.post(&heartbeat, &json!({ "progress": 2.0 })).await.problem(ProblemCode::BadRequest);
-    let wrong: [fn(&mut ClaimRequest); 6] = [
+    let wrong: [fn(&mut ClaimRequest); 7] = [
         |claim| claim.worker.clear(),
         |claim| claim.max = 65,
         |claim| claim.max = 0,
         |claim| claim.ttl_secs = 4,
         |claim| claim.wait_secs = 61,
+        |claim| claim.machine = "x".repeat(201),
         |claim| claim.kinds = vec!["x".into(); 65],
     ];
     for change in wrong {

@@ -177,6 +177,7 @@ impl Farm {
         let index = self.index_of(id)?;
         require_ended(id, self.bakes[index].state, "deleted")?;
         let deleted = self.bakes.remove(index);
+        self.end_reruns_of(id);
         self.gone_run += deleted.tasks_run;
         self.gone_reused += deleted.members.values().filter(|member| member.reused).count() as u64;
         for (key, _) in deleted.members.into_iter().filter(|(_, member)| member.held) {

@@ -12,6 +12,9 @@ use lightkiln_server::store::{FailVerdict, LeaseState, Reaped};
 
 impl Farm {
     pub(super) fn release(&mut self, token: &str, now_ms: i64) -> bool {
+        if self.release_rerun(token, now_ms) {
+            return true;
+        }
         self.hear_late(token, now_ms);
         let Some(lease) = self.end_lease(token, now_ms) else { return false };
         let key = lease.key;
@@ -30,6 +33,9 @@ impl Farm {
         message: &str,
         (rules, now_ms): (FarmRules, i64),
     ) -> FailVerdict {
+        if self.fail_rerun(token, now_ms) {
+            return FailVerdict::Rerun;
+        }
         let Some(lease) = self.end_lease(token, now_ms) else { return FailVerdict::Stale };
         let message = rules::cut_message(message);
         let wait_ms = match blame {
@@ -171,7 +177,7 @@ impl Farm {
             }
         }
         out.sort();
-        let mut reaped = Reaped::default();
+        let mut reaped = Reaped { expired: self.reap_reruns(now_ms), ..Reaped::default() };
         for (_, key, token) in out {
             // Dropped with its bake meanwhile, or cancelled before: nobody is to blame.
             let Some(lease) = self.take_lease(&token).filter(|lease| !lease.cancelled) else { continue };

@@ -131,6 +131,7 @@ pub(super) struct ExpiredEntry {
 #[derive(Clone)]
 pub(super) struct WorkerEntry {
     pub(super) abilities: Abilities,
+    pub(super) machine: String,
     pub(super) seen_ms: i64,
     /// Scene of the bake that it last got a task of.
     pub(super) scene: Option<Digest>,

@@ -8,6 +8,7 @@ use lightkiln_proto::jobs::{Artefact, MAX_ALIKE, TaskSpec};
 
 use super::chunks::Chunks;
 use super::entries::{BakeEntry, ExpiredEntry, LeaseEntry, Task, WorkerEntry};
+use super::reruns::Rerun;
 use lightkiln_server::access::Bearer;
 use lightkiln_server::random;
 use lightkiln_server::store::rules::{self, add_counters, check_plan, is_same_task, named_artefacts};
@@ -36,6 +37,11 @@ pub(super) struct Farm {
     pub(super) submitted: u64,
     /// Tasks that there ever were.
     pub(super) numbered: u64,
+    /// Results that are to be made once more, by their tasks.
+    pub(super) reruns: BTreeMap<TaskKey, Rerun>,
+    /// Those that are no more, however they ended, and results that were compared.
+    pub(super) reruns_over: u64,
+    pub(super) verified: u64,
     /// Tasks run and reused that the bakes' own counts no longer have.
     pub(super) gone_run: u64,
     pub(super) gone_reused: u64,
@@ -165,6 +171,10 @@ impl Farm {
         let open: Vec<TaskKey> =
             entry.members.iter().filter(|(_, member)| !member.done).map(|(key, _)| *key).collect();
         self.event(bake, now_ms, EventKind::State { state });
+        if state != BakeState::Done {
+            let id = self.bakes[bake].id.clone();
+            self.end_reruns_of(&id);
+        }
         for key in open {
             if let Some(member) = self.bakes[bake].members.get_mut(&key) {
                 member.held = false;
@@ -186,6 +196,7 @@ impl Farm {
             }
         }
         self.release_readers(key);
+        self.end_rerun(key);
         self.expired.retain(|_, expired| expired.key != key);
         self.tasks.remove(&key)
     }
@@ -251,6 +262,7 @@ impl Farm {
             return;
         }
         self.hold_readers(key);
+        self.end_rerun(key);
         self.expired.retain(|_, expired| expired.key != key);
         let Some(task) = self.tasks.get_mut(&key) else { return };
         let outputs_before = task.done.take().map(|(result, _)| result.outputs).unwrap_or_default();

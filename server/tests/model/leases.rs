@@ -53,6 +53,9 @@ impl Farm {
                 }
             }
         }
+        if leases.is_empty() {
+            leases.extend(self.claim_rerun(request, now_ms));
+        }
         Ok(leases)
     }
 
@@ -142,14 +145,17 @@ impl Farm {
                 extended += 1;
             }
         }
-        extended
+        extended + self.extend_reruns(now_ms)
     }
 
     fn see_worker(&mut self, request: &ClaimRequest, now_ms: i64) {
-        let fresh = WorkerEntry { abilities: Abilities::of(request), seen_ms: now_ms, scene: None };
+        let machine = request.machine.clone();
+        let fresh = WorkerEntry { abilities: Abilities::of(request), machine, seen_ms: now_ms, scene: None };
         let worker = self.workers.entry(request.worker.clone()).or_insert_with(|| fresh.clone());
-        if worker.abilities != fresh.abilities || now_ms - worker.seen_ms >= WORKER_SEEN_GRAIN_MS {
+        let is_noted = worker.abilities == fresh.abilities && worker.machine == fresh.machine;
+        if !is_noted || now_ms - worker.seen_ms >= WORKER_SEEN_GRAIN_MS {
             (worker.abilities, worker.seen_ms) = (fresh.abilities, worker.seen_ms.max(now_ms));
+            worker.machine = fresh.machine;
         }
     }
 
@@ -198,10 +204,11 @@ impl Farm {
                 };
                 match known.find(is_it) {
                     Some(known) => known.ready += 1,
-                    None => openings.push(Opening { kind, needs, ready: 1, room }),
+                    None => openings.push(Opening { kind, needs, ready: 1, room, maker: None }),
                 }
             }
         }
+        openings.extend(self.rerun_openings(now_ms));
         let asked = self.bakes.iter().filter(|bake| bakes.contains(&bake.id));
         let standing = |bake: &BakeEntry| Standing {
             bake: bake.id.clone(),
@@ -289,6 +296,10 @@ impl Farm {
     }
 
     pub(super) fn heartbeat(&mut self, token: &str, _progress: f32, now_ms: i64) -> HeartbeatAnswer {
+        if let Some((worker, expires_ms)) = self.keep_rerun(token, now_ms) {
+            self.see_holder(&worker, now_ms);
+            return HeartbeatAnswer { verdict: Verdict::Keep, expires_ms };
+        }
         self.hear_late(token, now_ms);
         let Some(lease) = self.leases.get_mut(token) else {
             return HeartbeatAnswer { verdict: Verdict::Lost, expires_ms: now_ms };
@@ -302,12 +313,17 @@ impl Farm {
             lease.expires_ms = (now_ms + lease.ttl_ms).min(lease.deadline_ms);
             (lease.state, lease.graces) = (LeaseState::Held, 0);
         }
-        if let Some(worker) = self.workers.get_mut(&lease.worker)
+        let (worker, expires_ms) = (lease.worker.clone(), lease.expires_ms);
+        self.see_holder(&worker, now_ms);
+        HeartbeatAnswer { verdict, expires_ms }
+    }
+
+    fn see_holder(&mut self, worker: &str, now_ms: i64) {
+        if let Some(worker) = self.workers.get_mut(worker)
             && now_ms - worker.seen_ms >= WORKER_SEEN_GRAIN_MS
         {
             worker.seen_ms = now_ms;
         }
-        HeartbeatAnswer { verdict, expires_ms: lease.expires_ms }
     }
 
     /// A holder whose lease has run out turns out to be alive: its loss is given back, once, and not for ever.
@@ -390,6 +406,9 @@ impl Farm {
             self.compare(key, &self.outputs_of(&key), &Given::of(token, &worker, result), now_ms);
             return Ok(CommitVerdict::AlreadyCommitted);
         }
+        if self.commit_rerun(token, result, now_ms) {
+            return Ok(CommitVerdict::Committed);
+        }
         rules::check_plan(&result.plan)?;
         let is_good = |lease: &LeaseEntry| !lease.cancelled && lease.expires_ms > now_ms;
         if self.leases.get(token).is_some_and(is_good) {
@@ -423,6 +442,7 @@ impl Farm {
         for given in witnesses {
             self.compare(key, &result.outputs, &given, now_ms);
         }
+        self.choose(key, &lease.worker, now_ms);
         for bake in self.live_bakes_of(key) {
             let entry = &mut self.bakes[bake];
             entry.tasks_run += 1;

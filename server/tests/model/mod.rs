@@ -8,6 +8,7 @@ mod ends;
 mod entries;
 mod farm;
 mod leases;
+mod reruns;
 mod view;
 
 use std::collections::BTreeSet;

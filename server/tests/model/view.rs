@@ -26,6 +26,7 @@ impl Farm {
             priority: entry.new.priority,
             needs: entry.new.needs.clone(),
             limits: entry.new.limits,
+            verify_share: entry.new.verify_share,
             state: entry.state,
             stages: entry.stages.iter().map(|stage| self.stage_count(entry, stage)).collect(),
             tasks_run: entry.tasks_run,
@@ -146,6 +147,7 @@ impl Farm {
         let held = self.leases.values().filter(|lease| lease.worker == worker && !lease.cancelled);
         let mut labels: Vec<String> =
             held.filter_map(|lease| Some(self.tasks.get(&lease.key)?.spec.label.clone())).collect();
+        labels.extend(self.reruns_held_by(worker));
         labels.sort();
         labels
     }
@@ -196,6 +198,9 @@ impl Farm {
             tasks_run: self.gone_run + self.bakes.iter().map(|bake| bake.tasks_run).sum::<u64>(),
             tasks_reused: self.gone_reused + self.bakes.iter().map(reused).sum::<u64>(),
             alarms: self.alarms.len() as u64,
+            verified: self.verified,
+            reruns_waiting: self.reruns.len() as u64,
+            reruns_lapsed: self.reruns_over - self.verified,
         }
     }
 }

@@ -63,6 +63,7 @@ impl Farm {
             needs: Default::default(),
             attempt_limit_secs: None,
             limits: Default::default(),
+            verify_share: 0.0,
         };
         let submitted = agent.post(format!("{}/v1/bakes", self.url)).header("authorization", &authorization);
         let submitted = submitted.header("idempotency-key", "once").send_json(&bake);

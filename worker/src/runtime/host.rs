@@ -33,6 +33,11 @@ impl Host {
         Self { name: own.unwrap_or_default(), boot: line("proc/sys/kernel/random/boot_id") }
     }
 
+    /// One word for it, the same in all containers of the machine until that is started anew; empty where unknown.
+    pub(super) fn id(&self) -> &str {
+        if self.boot.is_empty() { &self.name } else { &self.boot }
+    }
+
     /// Whether both are one machine, perhaps started anew since, or containers of one: locks of files hold between them. Where a system
     /// tells nothing, they are.
     pub(super) fn is_same(&self, other: &Self) -> bool {
@@ -68,6 +73,7 @@ pub(super) mod tests {
             assert_eq!(here.is_same(&other), is_same, "{other:?}");
             assert_eq!(here.is_same_start(&other), is_same && other.boot == "1", "{other:?}");
         }
+        assert_eq!([here.id(), host("oven", "").id(), Host::default().id()], ["1", "oven", ""]);
         assert!(!host("", "1").is_same(&host("", "2")), "two without a name");
         assert!(Host::default().is_same(&Host::default()));
     }

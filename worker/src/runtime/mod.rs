@@ -84,6 +84,8 @@ pub struct WorkerConfig {
     pub seat: Option<Arc<Seat>>,
     /// Labels that bakes may ask for.
     pub labels: Vec<String>,
+    /// The machine that it runs on, at most 200 characters; empty where that cannot be told. Results are verified on another one.
+    pub machine: String,
     /// Folder for fetched artefacts; without one each is fetched anew unless it is still in memory.
     pub cache_dir: Option<PathBuf>,
     /// Bytes that the folder may hold. More → fewer fetches.
@@ -118,6 +120,7 @@ impl WorkerConfig {
             memory_patience: None,
             seat: None,
             labels: Vec::new(),
+            machine: host::Host::here().id().chars().take(MACHINE_CHARS_MAX).collect(),
             cache_dir: None,
             cache_bytes: 20 << 30,
             memory_bytes: 2 << 30,
@@ -129,6 +132,9 @@ impl WorkerConfig {
         }
     }
 }
+
+/// Longest word for a machine that servers take.
+const MACHINE_CHARS_MAX: usize = 200;
 
 /// Seconds of a lease where nobody says. Longer → a slow or sleepy machine keeps its task; shorter → a dead one's task is
 /// given on sooner.

@@ -81,6 +81,7 @@ impl Worker {
             threads: u32::try_from(self.threads.all()).unwrap_or(u32::MAX),
             memory_mib: self.config.memory_mib,
             labels: self.config.labels.clone(),
+            machine: self.config.machine.clone(),
             max: shift.at_most(wanted as u32),
             ttl_secs: self.config.lease_secs,
             wait_secs: shift.wait_secs(self.config.claim_wait_secs),

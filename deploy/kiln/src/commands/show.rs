@@ -61,6 +61,9 @@ fn words(bake: &Bake) -> String {
     if !bake.limits.is_none() {
         words += &limits_in_words(&bake.limits);
     }
+    if bake.verify_share > 0.0 {
+        words += &format!("verifies  {} of the results on another machine\n", bake.verify_share);
+    }
     if bake.attempts_failed + bake.attempts_lost > 0 {
         let (failed, lost) = (bake.attempts_failed, bake.attempts_lost);
         words += &format!("attempts  {failed} failed, {lost} lost with their workers\n");

@@ -71,6 +71,7 @@ fn bake(state: BakeState, stages: Vec<StageCount>, rays: f64) -> Bake {
         priority: 0,
         needs: Default::default(),
         limits: Default::default(),
+        verify_share: 0.0,
         state,
         stages,
         tasks_run: 0,

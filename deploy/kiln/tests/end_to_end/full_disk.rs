@@ -118,6 +118,7 @@ fn idle_bake(scene: Digest, number: usize) -> NewBake {
         needs: Needs { labels: vec!["none such".to_owned()], ..Needs::default() },
         attempt_limit_secs: None,
         limits: Default::default(),
+        verify_share: 0.0,
     }
 }
 

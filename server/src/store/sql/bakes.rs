@@ -9,6 +9,7 @@ use super::codec::to_json;
 use super::conn::{Conn, query};
 use super::ledger::{Ledger, seq_of};
 use super::plan::apply_plan;
+use super::reruns;
 use super::view;
 use crate::random;
 use crate::store::{PlanError, Result, StoreError, Submission, Submitted, require_live};
@@ -47,9 +48,9 @@ async fn insert(conn: &mut Conn, submission: &Submission) -> Result<i64> {
     let sql =
         "INSERT INTO bakes (id, idempotency_key, body_hash, name, kind, scene, settings, priority, state,
                open_count, tasks_run, tasks_reused, counters, counters_reused, created_ms, last_event, needs,
-               attempt_limit_secs, traceparent, owner, max_workers, max_attempts, max_lost)
+               attempt_limit_secs, traceparent, owner, max_workers, max_attempts, max_lost, verify_share)
                VALUES ($1, $2, $3, $4, $5, $6, $7, $8, 'running', 0, 0, 0, '{}', '{}', $9, 0, $10, $11, $12, $13,
-               $14, $15, $16) RETURNING seq";
+               $14, $15, $16, $17) RETURNING seq";
     let new = &submission.bake;
     let query = query(sql)
         .bind(random::id())
@@ -67,7 +68,8 @@ async fn insert(conn: &mut Conn, submission: &Submission) -> Result<i64> {
         .bind(&submission.owner)
         .bind(new.limits.max_workers.map(i64::from))
         .bind(new.limits.attempts.map(i64::from))
-        .bind(new.limits.lost_workers.map(i64::from));
+        .bind(new.limits.lost_workers.map(i64::from))
+        .bind(new.verify_share);
     query.one(conn).await?.get("seq")
 }
 
@@ -85,6 +87,7 @@ pub(super) async fn set_state(
             let sql = "UPDATE ready SET since_ms = $1 WHERE bake = $2";
             query(sql).bind(conn.now_ms).bind(bake.seq).run(conn).await?;
         }
+        reruns::pause(conn, bake.seq, state == BakeState::Paused).await?;
         bake.event(EventKind::State { state });
         bake.save(conn).await?;
     }

@@ -15,6 +15,7 @@ use super::grant::{self, Chosen};
 use super::outputs::{outputs_of_alike, outputs_of_needs};
 use super::patience::Locked;
 use super::present::{Other, others, see_worker};
+use super::reruns;
 use crate::random;
 use crate::store::Result;
 use crate::store::rules::{
@@ -154,9 +155,11 @@ pub(super) async fn claim(conn: &mut Conn, request: &ClaimRequest, locked: Locke
     let mut claim = Claim::begin(conn, request, others, seen.scene)?;
     let (last, has_left) = claim.choose(locked).await?;
     let (chosen, scene) = (claim.chosen, claim.scene);
-    // Write nothing for an idle worker's poll.
+    // Write nothing for an idle worker's poll, unless it may verify a result: that never holds up a task.
     if chosen.is_empty() {
-        return Ok(Claimed { leases: Vec::new(), has_left });
+        let verifies = seen.has_reruns && !has_left;
+        let rerun = if verifies { reruns::claim(conn, request).await? } else { None };
+        return Ok(Claimed { leases: rerun.into_iter().collect(), has_left });
     }
     // Keep the scene with the worker, whose next claims prefer it.
     if let Some(scene) = scene.filter(|_| scene != seen.scene) {

@@ -9,7 +9,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use lightkiln_proto::api::CommitVerdict;
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::TaskResult;
-use serde_json::json;
+use serde_json::{Value, json};
 
 use super::batch::{Fate, Waiting};
 use super::codec::to_json;
@@ -17,7 +17,8 @@ use super::conn::{Conn, Row, query, together};
 use super::ledger::Ledger;
 use super::outcome::{self, task_done};
 use super::patience::Locked;
-use super::{chunks, ready};
+use super::reruns::Made;
+use super::{chunks, ready, reruns};
 use crate::store::rules::{add_counters, named_artefacts};
 use crate::store::{PlanError, Result};
 
@@ -78,6 +79,15 @@ struct Done<'a> {
     bakes: Vec<i64>,
 }
 
+impl Done<'_> {
+    /// Its row among the results to be verified, if one of its bakes chooses it.
+    fn chosen(&self, bakes: &[Ledger]) -> Option<Value> {
+        let Self { task, key, kind, worker, .. } = self;
+        let made = Made { task: *task, key: *key, kind, worker };
+        made.chosen(bakes.iter().filter(|bake| self.bakes.contains(&bake.seq)))
+    }
+}
+
 /// Commits those of a batch that need no more than the locks of their bakes.
 pub(super) async fn commit_all(conn: &mut Conn, batch: &[Waiting], locked: Locked) -> Result<Vec<Fate>> {
     // The same token twice in a batch commits the first time; the second is told so by the general way, which compares the results.
@@ -102,6 +112,8 @@ pub(super) async fn commit_all(conn: &mut Conn, batch: &[Waiting], locked: Locke
         write_results(conn, &done).await?;
         // Unlock dependants in this transaction, so that no crash leaves them waiting for a task that is done.
         unlock_dependants(conn, &done).await?;
+        let chosen = done.iter().filter_map(|done| done.chosen(&bakes));
+        reruns::add(conn, &chosen.collect::<Vec<_>>()).await?;
         for bake in &mut bakes {
             let of_bake: Vec<&Done<'_>> = done.iter().filter(|done| done.bakes.contains(&bake.seq)).collect();
             if !of_bake.is_empty() {

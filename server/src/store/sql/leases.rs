@@ -6,7 +6,7 @@ use lightkiln_proto::jobs::Artefact;
 
 use super::conn::{Conn, corrupt, query, steps};
 use super::ledger::Ledger;
-use super::ready;
+use super::{ready, reruns};
 use crate::store::rules::{self, WORKER_SEEN_GRAIN_MS};
 use crate::store::{LeaseState, Result};
 
@@ -91,6 +91,10 @@ async fn see_holder(conn: &mut Conn, worker: &str) -> Result<()> {
 pub(super) async fn heartbeat(conn: &mut Conn, token: &str, progress: f32) -> Result<HeartbeatAnswer> {
     let sql = "SELECT task, worker, ttl_ms, expires_ms, deadline_ms FROM leases WHERE token = $1";
     let Some(row) = query(sql).bind(token).optional(conn).await? else {
+        if let Some((worker, expires_ms)) = reruns::keep(conn, token).await? {
+            see_holder(conn, &worker).await?;
+            return Ok(HeartbeatAnswer { verdict: Verdict::Keep, expires_ms });
+        }
         hear_late(conn, token).await?;
         return Ok(HeartbeatAnswer { verdict: Verdict::Lost, expires_ms: conn.now_ms });
     };
@@ -117,6 +121,9 @@ pub(super) async fn heartbeat(conn: &mut Conn, token: &str, progress: f32) -> Re
 
 pub(super) async fn release(conn: &mut Conn, token: &str) -> Result<bool> {
     let Some(ended) = end(conn, token).await? else {
+        if reruns::release(conn, token).await? {
+            return Ok(true);
+        }
         hear_late(conn, token).await?;
         return Ok(false);
     };
@@ -133,7 +140,7 @@ pub(super) async fn release(conn: &mut Conn, token: &str) -> Result<bool> {
 /// Gives back every task of a worker whose process has ended; returns how many.
 pub(super) async fn release_all(conn: &mut Conn, worker: &str) -> Result<u64> {
     let sql = "SELECT token FROM leases WHERE worker = $1 ORDER BY token";
-    let mut released = 0;
+    let mut released = reruns::release_all(conn, worker).await?;
     for row in query(sql).bind(worker).all(conn).await? {
         released += u64::from(release(conn, &row.text("token")?).await?);
     }
@@ -144,7 +151,8 @@ pub(super) async fn extend(conn: &mut Conn) -> Result<u64> {
     let sql = "UPDATE leases SET expires_ms = CASE WHEN deadline_ms < $1 + ttl_ms THEN deadline_ms ELSE $1 + ttl_ms END,
                graces = graces + 1
                WHERE task IS NOT NULL AND expires_ms <= $1 + ttl_ms / 2 AND expires_ms < deadline_ms AND graces < $2";
-    query(sql).bind(conn.now_ms).bind(rules::MAX_GRACES).run(conn).await
+    let extended = query(sql).bind(conn.now_ms).bind(rules::MAX_GRACES).run(conn).await?;
+    Ok(extended + reruns::extend(conn).await?)
 }
 
 /// Whether a reaper has something to do: leases that have run out, or something that [`heed_clock`] makes whole.
@@ -152,7 +160,8 @@ pub(super) async fn is_any_due(conn: &mut Conn) -> Result<bool> {
     let sql = "SELECT 1 FROM leases WHERE expires_ms <= $1 OR expires_ms > $1 + ttl_ms OR started_ms > $1
                UNION ALL SELECT 1 FROM ready WHERE not_before_ms > $1 + $2 AND not_before_ms > 0
                UNION ALL SELECT 1 FROM workers WHERE seen_ms > $1 LIMIT 1";
-    Ok(query(sql).bind(conn.now_ms).bind(rules::WAIT_MAX_MS).optional(conn).await?.is_some())
+    let found = query(sql).bind(conn.now_ms).bind(rules::WAIT_MAX_MS).optional(conn).await?;
+    Ok(found.is_some() || reruns::is_any_due(conn).await?)
 }
 
 /// Makes leases, waits and times of a clock that was set back since then whole again: none of them lies further ahead than it could have

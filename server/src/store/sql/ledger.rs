@@ -18,6 +18,8 @@ pub(super) struct Ledger {
     pub(super) seq: i64,
     pub(super) id: String,
     pub(super) state: BakeState,
+    /// Share of its results that are verified.
+    pub(super) verify_share: f64,
     pub(super) open_count: u64,
     pub(super) tasks_run: u64,
     pub(super) tasks_reused: u64,
@@ -37,7 +39,8 @@ macro_rules! ledgers {
     ($of:expr) => {
         concat!(
             "SELECT b.seq, b.id, b.state, b.open_count, b.tasks_run, b.tasks_reused, b.counters, b.counters_reused,
-             b.manifest, b.report, b.failure, b.finished_ms, b.last_event, b.last_place FROM bakes b ",
+             b.manifest, b.report, b.failure, b.finished_ms, b.last_event, b.last_place, b.verify_share
+             FROM bakes b ",
             $of
         )
     };
@@ -99,6 +102,7 @@ impl Ledger {
             seq: row.get("seq")?,
             id: row.get("id")?,
             state: state_from(&row.text("state")?)?,
+            verify_share: row.get("verify_share")?,
             open_count: row.count("open_count")?,
             tasks_run: row.count("tasks_run")?,
             tasks_reused: row.count("tasks_reused")?,
@@ -192,6 +196,12 @@ impl Ledger {
         self.event(EventKind::State { state });
         self.save(conn).await?;
         remake::let_go(conn, self.seq).await?;
+        // Verify no results of a bake that nobody wants any more, and hold none back of one that ended while it was paused.
+        let reruns = match state {
+            BakeState::Done => "UPDATE reruns SET is_paused = 0 WHERE bake = $1 AND is_paused = 1",
+            _ => "DELETE FROM reruns WHERE bake = $1",
+        };
+        query(reruns).bind(self.seq).run(conn).await?;
         steps([
             "DELETE FROM ready WHERE bake = $1",
             "UPDATE stages SET leased = 0 WHERE bake = $1",

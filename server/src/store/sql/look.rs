@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use super::codec::to_json;
 use super::conn::{Conn, query};
 use super::ledger::state_from;
+use super::reruns;
 use crate::store::limits::room_for_workers;
 use crate::store::{Look, Opening, Result, Room, Standing};
 
@@ -42,6 +43,7 @@ pub(super) async fn look(conn: &mut Conn, bakes: &[String], enough: u64) -> Resu
             needs: row.json("needs")?,
             ready: row.count("ready")?,
             room: None,
+            maker: None,
         });
     }
     if limited.iter().any(|(_, max_workers)| max_workers.is_some()) {
@@ -51,6 +53,10 @@ pub(super) async fn look(conn: &mut Conn, bakes: &[String], enough: u64) -> Resu
             let others = room_for_workers(max_workers, holders.len() as u64);
             opening.room = others.map(|others| Room { holders, others });
         }
+    }
+    // Behind tasks: whoever waits takes these first.
+    if enough > 0 {
+        openings.extend(reruns::openings(conn, enough).await?);
     }
     Ok(Look { openings, standings: standings(conn, bakes).await? })
 }

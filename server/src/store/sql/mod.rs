@@ -37,6 +37,7 @@ mod postgres;
 mod present;
 mod ready;
 mod remake;
+mod reruns;
 mod sqlite;
 mod view;
 

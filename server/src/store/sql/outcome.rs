@@ -13,7 +13,7 @@ use super::conn::{Conn, query, steps};
 use super::leases::{self, Ended, requeue};
 use super::ledger::Ledger;
 use super::plan::apply_plan;
-use super::{chunks, forget, ready, remake, view};
+use super::{chunks, forget, ready, remake, reruns, view};
 use crate::store::limits;
 use crate::store::rules::{self, FarmRules, add_counters};
 use crate::store::{FailVerdict, LeaseState, PlanError, Reaped, Result};
@@ -30,6 +30,10 @@ pub(super) async fn commit(
         // Answer a commit that is sent again as the first one, whose answer may have been lost.
         if alarms::of_replay(conn, token, &result.outputs).await? {
             return Ok(CommitVerdict::AlreadyCommitted);
+        }
+        // Compare a result that was made once more.
+        if reruns::commit(conn, token, &result.outputs).await? {
+            return Ok(CommitVerdict::Committed);
         }
         plan.clone()?;
         // Give the attempt back if the lease ran out under a worker that is alive.
@@ -61,7 +65,10 @@ pub(super) async fn commit(
     let gone = remake::not_made_again(conn, &ended.outputs_before, &result.outputs).await?;
     // Tell every live bake that holds the task: each has counts, events and a plan of its own.
     let mut made = BTreeSet::new();
-    for mut bake in Ledger::live_of(conn, ended.task).await? {
+    let bakes = Ledger::live_of(conn, ended.task).await?;
+    let own = reruns::Made { task: ended.task, key: ended.key, kind: &ended.kind, worker: &ended.worker };
+    reruns::add(conn, own.chosen(&bakes).as_slice()).await?;
+    for mut bake in bakes {
         count_done(conn, &mut bake, &ended, result).await?;
         // Fail a bake that reads bytes which nobody will make again, instead of letting it wait.
         if let Some(output) = remake::first_named(conn, bake.seq, &gone).await? {
@@ -155,7 +162,10 @@ pub(super) async fn fail(
     message: &str,
     farm: FarmRules,
 ) -> Result<FailVerdict> {
-    let Some(ended) = leases::end(conn, token).await? else { return Ok(FailVerdict::Stale) };
+    let Some(ended) = leases::end(conn, token).await? else {
+        let is_rerun = reruns::fail(conn, token).await?;
+        return Ok(if is_rerun { FailVerdict::Rerun } else { FailVerdict::Stale });
+    };
     let message = rules::cut_message(message);
     // A worker that lost an input is not to blame, and tries again once that is there.
     let wait_ms = match blame {
@@ -310,7 +320,7 @@ pub(super) async fn reap(conn: &mut Conn, farm: FarmRules) -> Result<Reaped> {
          WHERE l.expires_ms <= $1 ORDER BY l.expires_ms, t.key FOR UPDATE OF l",
     );
     let rows = query(sql).bind(conn.now_ms).all(conn).await?;
-    let mut reaped = Reaped::default();
+    let mut reaped = Reaped { expired: reruns::reap(conn).await?, ..Reaped::default() };
     for row in rows {
         let token = row.text("token")?;
         let Some(ended) = leases::take(conn, &token).await? else { continue };

@@ -31,6 +31,7 @@
 //! **Order of locks**: turnstile, the claiming worker, leases by token with their tasks, ready tasks (never waited for: SKIP
 //! LOCKED; nor are workers that were heard), bakes by number, chunks by digest, waiting tasks, keys of new ones. A commit locks its own
 //! tasks before its bakes. A heartbeat waits for nobody.
+//! Reruns: a claim that took no task locks one (SKIP LOCKED), and who ends one counts it last of all, in the farm's totals.
 //! Nobody takes one after a later one that another may hold, so none wait in a ring; if one should, the database ends it, and
 //! the call is run again. Counts of the whole farm are kept in a part for each session, which waits for nobody.
 //!
@@ -78,7 +79,7 @@ const MIGRATION_TRIES: u32 = 10;
 /// Lowest version that is tested.
 const VERSION_MIN: i32 = 150_000;
 /// Steps of the schema, from one version to the next.
-const MIGRATIONS: [&str; 17] = [
+const MIGRATIONS: [&str; 18] = [
     include_str!("schema/postgres_1.sql"),
     include_str!("schema/postgres_2.sql"),
     include_str!("schema/postgres_3.sql"),
@@ -96,6 +97,7 @@ const MIGRATIONS: [&str; 17] = [
     include_str!("schema/postgres_15.sql"),
     include_str!("schema/postgres_16.sql"),
     include_str!("schema/postgres_17.sql"),
+    include_str!("schema/postgres_18.sql"),
 ];
 
 /// Settings of every connection. Shorter timeouts → a server that hangs holds the others up for less, and a slow

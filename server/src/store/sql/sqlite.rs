@@ -24,7 +24,7 @@ const BUSY_TIMEOUT: Duration = Duration::from_secs(10);
 /// Wait for a free connection before giving up.
 const ACQUIRE_TIMEOUT: Duration = Duration::from_secs(30);
 /// Steps of the schema, from one `user_version` to the next.
-const MIGRATIONS: [&str; 17] = [
+const MIGRATIONS: [&str; 18] = [
     include_str!("schema/sqlite_1.sql"),
     include_str!("schema/sqlite_2.sql"),
     include_str!("schema/sqlite_3.sql"),
@@ -42,6 +42,7 @@ const MIGRATIONS: [&str; 17] = [
     include_str!("schema/sqlite_15.sql"),
     include_str!("schema/sqlite_16.sql"),
     include_str!("schema/sqlite_17.sql"),
+    include_str!("schema/sqlite_18.sql"),
 ];
 
 /// An open file.

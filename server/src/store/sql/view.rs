@@ -10,6 +10,7 @@ use lightkiln_proto::ids::Digest;
 use super::alarms;
 use super::conn::{Conn, Row, corrupt, query};
 use super::ledger::{seq_of, state_from};
+use super::reruns;
 use crate::store::rules::{WORKER_LISTED_MS, results_on_page};
 use crate::store::{Demand, Result, Stats, StoreError, TaskCount, TaskState};
 
@@ -18,7 +19,7 @@ macro_rules! bakes {
     () => {
         "SELECT seq, id, name, kind, scene, settings, priority, needs, state, tasks_run, tasks_reused, attempts_failed,
          attempts_lost, alarms, owner, failure, manifest, report, evaluation, created_ms, finished_ms, counters, counters_reused,
-         max_workers, max_attempts, max_lost,
+         max_workers, max_attempts, max_lost, verify_share,
          (SELECT count(*) FROM lost_results l WHERE l.bake = bakes.seq) AS results_lost FROM bakes"
     };
 }
@@ -58,6 +59,7 @@ pub(super) async fn bake_from(conn: &mut Conn, row: &Row) -> Result<Bake> {
         priority: i32::try_from(row.get::<i64>("priority")?).unwrap_or_default(),
         needs: row.json("needs")?,
         limits: limits_from(row)?,
+        verify_share: row.get("verify_share")?,
         state,
         stages: stages(conn, row.get("seq")?).await?,
         tasks_run: row.count("tasks_run")?,
@@ -165,7 +167,8 @@ pub(super) async fn results_after(
 pub(super) async fn workers(conn: &mut Conn) -> Result<Vec<Worker>> {
     let sql = "SELECT name, kinds, threads, seen_ms, memory_mib, labels FROM workers WHERE seen_ms > $1 ORDER BY name";
     let rows = query(sql).bind(conn.now_ms - WORKER_LISTED_MS).all(conn).await?;
-    let sql = "SELECT l.worker, t.label FROM leases l JOIN tasks t ON t.id = l.task ORDER BY t.label";
+    let sql = "SELECT l.worker, t.label FROM leases l JOIN tasks t ON t.id = l.task
+               UNION ALL SELECT r.worker, t.label FROM reruns r JOIN tasks t ON t.id = r.task WHERE r.token IS NOT NULL ORDER BY label";
     let mut held: BTreeMap<String, Vec<String>> = BTreeMap::new();
     for row in query(sql).all(conn).await? {
         held.entry(row.get("worker")?).or_default().push(row.get("label")?);
@@ -222,6 +225,7 @@ pub(super) async fn stats(conn: &mut Conn) -> Result<Stats> {
                CAST(coalesce(sum(tasks_reused), 0) AS BIGINT) + (SELECT tasks_reused FROM farm_totals) AS reused
                FROM bakes";
     let row = query(sql).one(conn).await?;
+    let [verified, reruns_waiting, reruns_lapsed] = reruns::counts(conn).await?;
     Ok(Stats {
         tasks,
         demand,
@@ -230,6 +234,9 @@ pub(super) async fn stats(conn: &mut Conn) -> Result<Stats> {
         tasks_run: row.count("run")?,
         tasks_reused: row.count("reused")?,
         alarms: alarms::count(conn).await?,
+        verified,
+        reruns_waiting,
+        reruns_lapsed,
     })
 }
 

@@ -123,6 +123,7 @@ fn farm() -> (MemoryStore, Vec<String>) {
         needs: Needs::default(),
         attempt_limit_secs: None,
         limits: Default::default(),
+        verify_share: 0.0,
     };
     let submission = Submission {
         idempotency_key: None,
