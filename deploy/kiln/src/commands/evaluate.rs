@@ -72,6 +72,11 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     let camera = arguments.camera.as_deref().map(parse_camera).transpose()?;
     arguments.wanted.check_figures(&kinds.worker)?;
     arguments.wanted.own_lights()?;
+    if arguments.dump_pixels.is_some() && arguments.wanted.pixels() == 0 {
+        return Err(Failure::bad_input(
+            "no pixel is measured that --dump-pixels could write: give --pixels 1 or more",
+        ));
+    }
     for csv in [&arguments.dump, &arguments.dump_pixels].into_iter().flatten() {
         check_file(csv)?;
     }

@@ -10,6 +10,9 @@ use lightkiln_worker::kinds::BakeKinds;
 use super::limits::Limit;
 use crate::failure::{Failure, Result};
 
+/// Strata of the sample of which one is measured at its pixel too.
+const PIXELS_SHARE: u32 = 3;
+
 /// Arguments that `kiln evaluate` and `kiln bake --evaluate` share.
 #[derive(Args, Clone, Debug)]
 pub struct EvaluationArguments {
@@ -41,6 +44,11 @@ pub struct EvaluationArguments {
 }
 
 impl EvaluationArguments {
+    /// Number of pixels to measure at.
+    pub fn pixels(&self) -> u32 {
+        self.pixels.unwrap_or(self.receivers / PIXELS_SHARE)
+    }
+
     /// Errs when a limit names neither a figure nor a class of error of some kind of bake; cheap, as [`Self::own_lights`].
     pub fn check_figures(&self, kinds: &BakeKinds) -> Result<()> {
         let classes = [kinds.error_classes(), PIXEL_CLASSES.into()].concat();

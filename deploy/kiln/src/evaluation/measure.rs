@@ -21,8 +21,6 @@ use crate::kinds::KindTables;
 use crate::lighting::LightArguments;
 use crate::submission::PackedScene;
 
-/// Strata of the sample of which one is measured at its pixel too.
-const PIXELS_SHARE: u32 = 3;
 /// Worst clusters that are named.
 const WORST: usize = 12;
 
@@ -54,7 +52,7 @@ pub fn measure(
         .map_err(|error| Failure::bad_input("the bundle cannot be read").caused_by(&error))?;
     let progress = Progress::new();
     let precision = Precision { rel_error: wanted.rel_error, ..Precision::default() };
-    let pixels = wanted.pixels.unwrap_or(wanted.receivers / PIXELS_SHARE);
+    let pixels = wanted.pixels();
     let options = Options { receivers: wanted.receivers, precision, pixels, ..Options::default() };
     say!("preparing the scene anew, and what {} places need", wanted.receivers);
     let bytes = |digest| chunk(source, &manifest, digest);

@@ -78,13 +78,13 @@ fn evaluation_of_a_bundle_finds_its_scene_and_writes_figures_page_and_table() {
     let receivers = figures["receivers"].as_u64().unwrap() as usize;
     assert_eq!(table.lines().count(), 1 + 2 * receivers);
     assert!(table.starts_with("light,receiver,x_m,"));
-    shown_errors_are_those_of(&fs::read_to_string(folder.path().join("pixels.csv")).unwrap(), lamp);
+    pixels_have_the_energy_of(&fs::read_to_string(folder.path().join("pixels.csv")).unwrap(), lamp);
     let again = evaluated(folder.path(), &[&ROUGH[..], &["--json"][..]].concat(), 0);
     assert_eq!(again.json(), figures, "the same bundle, the same figures");
 }
 
-/// The file of pixels holds the pixels from which the figures of the lamp were made.
-fn shown_errors_are_those_of(table: &str, lamp: &serde_json::Value) {
+/// The file of pixels holds those of which the lamp's ratio of energy was made.
+fn pixels_have_the_energy_of(table: &str, lamp: &serde_json::Value) {
     let mut lines = table.lines();
     let head: Vec<&str> = lines.next().unwrap().split(',').collect();
     let rows: Vec<Vec<&str>> = lines.map(|line| line.split(',').collect()).collect();
@@ -163,6 +163,7 @@ fn evaluation_refuses_what_it_cannot_measure_and_says_what_to_do() {
     };
     refused(&["--fail-if", "rmse>1"], &["rel_rmse"]);
     refused(&["--rel-error", "0"], &["0.0005"]);
+    refused(&["--dump-pixels", "pixels.csv", "--pixels", "0"], &["--dump-pixels", "--pixels 1"]);
     refused(&["--lights", "absent.json"], &["absent.json"]);
     refused(&["--out", "page", "--camera", "eye=0"], &["eye=0", "target=x,y,z"]);
     refused(&["--out", "page", "--size", "0x9"], &["1..=16384"]);
