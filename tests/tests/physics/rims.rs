@@ -36,7 +36,12 @@ struct Pixel {
 
 /// Pixels of a room with a lamp, each at the hit of a ray from a point along a direction.
 fn pixels(evaluated: &dyn Evaluated, rays: &[[Vec3; 2]]) -> Vec<Pixel> {
-    pixels_under(&Lighting { emitter_scale: 1.0, ..Lighting::default() }, evaluated, rays)
+    pixels_under(&emitters(), evaluated, rays)
+}
+
+/// The lamp of the scene alone.
+fn emitters() -> Lighting {
+    Lighting { emitter_scale: 1.0, ..Lighting::default() }
 }
 
 /// Light that a picture shows where rays meet surface.
@@ -48,6 +53,11 @@ fn shown_under(lighting: &Lighting, evaluated: &dyn Evaluated, rays: &[[Vec3; 2]
         relit.shown_at(&hit).map_or(0.0, luminance)
     };
     rays.iter().map(shown).collect()
+}
+
+/// Number of pixels that are not dark.
+fn lit(shown: &[f64]) -> usize {
+    shown.iter().filter(|light| **light > 3e-4).count()
 }
 
 fn luminance(light: DVec3) -> f64 {
@@ -148,7 +158,7 @@ fn dark_face_of_a_box_has_no_steps() {
                 [before_m, turn * Vec3::NEG_Z]
             })
             .collect();
-        let shown: Vec<f64> = pixels(evaluated.as_ref(), &rays).iter().map(|pixel| pixel.shown).collect();
+        let shown = shown_under(&emitters(), evaluated.as_ref(), &rays);
         let jump =
             shown.windows(2).map(|pair| (pair[1] - pair[0]).abs() / pair[0].max(pair[1])).fold(0.0, f64::max);
         println!("{row} m up: largest jump {jump:.3}");
@@ -167,18 +177,17 @@ fn corners_of_hollows_are_not_dark_outside_and_rooms_not_light_inside() {
         let hollow = evaluated(scenes::hollow_box_on_floor(yaw_rad), 0.125);
         for away_m in [0.002, 0.01, 0.03] {
             let rays = around(2.0 * Vec3::Y, BOX_HALF_M + away_m, yaw_rad, Vec3::NEG_Y);
-            let found = pixels_under(&sky, hollow.as_ref(), &rays);
-            let least = found.iter().map(|pixel| pixel.shown).fold(f64::INFINITY, f64::min);
+            let shown = shown_under(&sky, hollow.as_ref(), &rays);
+            let least = shown.into_iter().fold(f64::INFINITY, f64::min);
             println!("{degrees}°, {away_m} m outside: at least {least:.3} W/m²");
             assert!(least > 2.0, "{degrees}°, {away_m} m outside: {least} W/m²");
         }
         let room = evaluated(scenes::hollow_box_on_floor(yaw_rad), 0.06);
         for away_m in [0.03, 0.05] {
             let rays = around(0.5 * Vec3::Y, BOX_HALF_M - away_m, yaw_rad, Vec3::NEG_Y);
-            let found = pixels_under(&sky, room.as_ref(), &rays);
-            let lit = found.iter().filter(|pixel| pixel.shown > 3e-4).count();
-            println!("{degrees}°, {away_m} m inside: {lit} of {} pixels are lit", found.len());
-            assert!(lit <= 4, "{degrees}°, {away_m} m inside: {lit} of {} pixels are lit", found.len());
+            let lit = lit(&shown_under(&sky, room.as_ref(), &rays));
+            println!("{degrees}°, {away_m} m inside: {lit} of {} pixels are lit", rays.len());
+            assert!(lit <= 4, "{degrees}°, {away_m} m inside: {lit} of {} pixels are lit", rays.len());
         }
     }
 }
@@ -217,8 +226,7 @@ fn narrow_rim_beside_a_hollow_pier_is_not_as_dark_as_the_hollow() {
         assert_within(&format!("rim, {share} of it from the pier"), &found, 0.5, 1.5);
     }
     let inside = around(0.5 * Vec3::Y, PIER_HALF_M - 0.1 * TEXEL_M, 0.0, Vec3::NEG_Y);
-    let lit =
-        pixels_under(&sky, evaluated.as_ref(), &inside).iter().filter(|pixel| pixel.shown > 3e-4).count();
+    let lit = lit(&shown_under(&sky, evaluated.as_ref(), &inside));
     assert!(lit <= 4, "{lit} of {} pixels in the pier are lit", inside.len());
 }
 
