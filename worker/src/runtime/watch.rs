@@ -123,9 +123,11 @@ impl LeaseWatch<'_> {
     /// Tells the server that the lease has arrived, until it has heard that. If a worker ends before, or never got the
     /// answer to its claim, nothing was attempted, and the server counts no attempt.
     ///
-    /// A lease that is gone by then, as the answer took that long, stops the task before it starts.
+    /// A lease that is gone by then, as the answer took that long, stops the task before it starts. An answer is waited for as long as
+    /// it may say anything: behind a slow line none comes before the next heartbeat would be due, and the task would never start.
     pub(super) fn acknowledge(&self, store: &LeaseStore<'_>) -> Result<(), CallError> {
-        let answer = store.insist(|| self.farm.heartbeat(self.token, 0.0, self.interval))?;
+        let lease = LEASE_INTERVALS * self.interval;
+        let answer = store.insist(|| self.farm.heartbeat(self.token, 0.0, lease))?;
         self.heed(answer.verdict);
         self.progress.check().map_err(|_| CallError::Stopped)
     }

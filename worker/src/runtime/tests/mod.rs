@@ -1,5 +1,6 @@
 //! A worker when all goes well, and when server, task or machine fail.
 
+mod beats;
 pub(super) mod fake_farm;
 mod far;
 mod memory;
@@ -13,7 +14,6 @@ use lightkiln_proto::api::{Blame, Verdict};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{Artefact, TaskSpec};
 
-use super::watch::{LeaseWatch, RETRY_WAIT};
 use super::*;
 use crate::task::{ArtefactSource, Progress, TaskError, TaskOutput};
 use fake_farm::{FakeFarm, LIMIT, State};
@@ -220,27 +220,6 @@ fn output_refused_as_too_large_is_blamed_on_the_task_with_what_to_do() {
         failure.message.contains("on purpose") && failure.message.contains("split the scene"),
         "{failure:?}"
     );
-}
-
-#[test]
-fn heartbeat_without_an_answer_is_soon_sent_again() {
-    let server = FakeFarm::start();
-    server.state().refuse = vec!["POST /v1/leases/t1/heartbeat"];
-    let memory = MemoryWatch::new(None, Box::new(Kernel::default()));
-    let watch = LeaseWatch {
-        farm: &Farm::new(server.url(), None, None).unwrap(),
-        token: "t1",
-        interval: LIMIT,
-        grace: Duration::ZERO,
-        progress: &Progress::new(),
-        memory: &memory,
-        shutdown: &ShutdownFlag::new(),
-        finished: AtomicBool::new(false),
-        stop: Mutex::new(None),
-    };
-    assert_eq!(watch.beat(), RETRY_WAIT);
-    assert_eq!(watch.beat(), LIMIT);
-    assert_eq!(watch.stop_reason(), None);
 }
 
 #[test]
