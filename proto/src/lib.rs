@@ -22,6 +22,7 @@ pub mod rectangle;
 pub mod relight;
 pub mod results;
 pub mod scene;
+pub mod scene_parts;
 pub mod settings;
 pub mod trace;
 pub mod words;
