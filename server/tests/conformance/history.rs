@@ -137,7 +137,7 @@ struct Seen {
     results: Vec<Vec<BakeResult>>,
     workers: Vec<Worker>,
     stats: Stats,
-    /// What can be claimed, and how far the bakes have come.
+    /// Openings for claims, and how far the bakes have come.
     openings: BTreeSet<Ready>,
     standings: Vec<Standing>,
     rows: Vec<ChunkRow>,

@@ -60,7 +60,7 @@ impl Farm {
         self.reruns_over += (before - self.reruns.len()) as u64;
     }
 
-    /// What a rerun asks for, if it waits.
+    /// The opening of a rerun, if it waits.
     fn opening(&self, key: TaskKey, rerun: &Rerun, now_ms: i64) -> Option<Opening> {
         let bake = &self.bakes[self.index_of(&rerun.bake).ok()?];
         let waits = rerun.lease.is_none() && rerun.until_ms > now_ms && bake.state != BakeState::Paused;

@@ -1,6 +1,7 @@
 //! Values as columns have them: digests in hex, lists and maps as JSON.
 
 use lightkiln_proto::ids::Digest;
+use lightkiln_proto::jobs::TaskSpec;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
@@ -30,6 +31,20 @@ impl Row {
     /// A digest column that may be empty.
     pub(super) fn digest_if_any(&self, column: &str) -> Result<Option<Digest>> {
         self.get::<Option<String>>(column)?.as_deref().map(digest).transpose()
+    }
+
+    /// A task, of the columns of `tasks` that say what it is.
+    pub(super) fn task(&self) -> Result<TaskSpec> {
+        Ok(TaskSpec {
+            key: self.digest("key")?,
+            kind: self.get("kind")?,
+            version: self.small("version")?,
+            label: self.get("label")?,
+            params: self.json("params")?,
+            inputs: self.json("inputs")?,
+            cost: self.count("cost")?,
+            alike: self.digest_if_any("alike")?,
+        })
     }
 }
 

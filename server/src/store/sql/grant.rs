@@ -125,16 +125,7 @@ pub(super) async fn take_tasks(conn: &mut Conn, tasks: &str) -> Result<BTreeMap<
                RETURNING id, key, kind, version, label, params, inputs, cost, alike, attempts + losses AS tries";
     let mut taken = BTreeMap::new();
     for row in query(sql).bind(tasks).all(conn).await? {
-        let spec = TaskSpec {
-            key: row.digest("key")?,
-            kind: row.get("kind")?,
-            version: row.small("version")?,
-            label: row.get("label")?,
-            params: row.json("params")?,
-            inputs: row.json("inputs")?,
-            cost: row.count("cost")?,
-            alike: row.digest_if_any("alike")?,
-        };
+        let spec = row.task()?;
         let attempt = row.small("tries")?.saturating_add(1);
         taken.insert(row.get("id")?, Taken { spec, attempt });
     }

@@ -15,7 +15,7 @@ use serde_json::{Value, json};
 use super::alarms::{self, Given};
 use super::chunks;
 use super::codec::{ROWS_PER_STATEMENT, to_json};
-use super::conn::{Conn, Row, corrupt, query, steps};
+use super::conn::{Conn, corrupt, query, steps};
 use super::ledger::Ledger;
 use crate::random;
 use crate::store::rules::{self, Abilities, dependencies, resolve_inputs};
@@ -157,7 +157,7 @@ async fn lease(conn: &mut Conn, task: i64, request: &ClaimRequest) -> Result<Opt
     let sql = "SELECT t.key, t.kind, t.version, t.label, t.params, t.inputs, t.cost, t.alike, b.id, b.attempt_limit_secs,
                b.traceparent FROM reruns r JOIN tasks t ON t.id = r.task JOIN bakes b ON b.seq = r.bake WHERE r.task = $1";
     let row = query(sql).bind(task).one(conn).await?;
-    let spec = spec_from(&row)?;
+    let spec = row.task()?;
     let Some(inputs) = inputs(conn, &spec).await? else { return Ok(None) };
     let limit = row.get::<Option<i64>>("attempt_limit_secs")?.and_then(|limit| u32::try_from(limit).ok());
     let deadline_ms = rules::deadline_ms(conn.now_ms, limit);
@@ -181,20 +181,7 @@ async fn lease(conn: &mut Conn, task: i64, request: &ClaimRequest) -> Result<Opt
     Ok(Some(Lease { token, bake, task: spec, inputs, alike: Vec::new(), expires_ms, traceparent }))
 }
 
-fn spec_from(row: &Row) -> Result<TaskSpec> {
-    Ok(TaskSpec {
-        key: row.digest("key")?,
-        kind: row.get("kind")?,
-        version: row.small("version")?,
-        label: row.get("label")?,
-        params: row.json("params")?,
-        inputs: row.json("inputs")?,
-        cost: row.count("cost")?,
-        alike: row.digest_if_any("alike")?,
-    })
-}
-
-/// What a task reads, if all of it is there. Dependencies are found by their keys: one that was dropped and made again is another row.
+/// Inputs of a task, if all of them are there. Dependencies are found by their keys: one that was dropped and made again is another row.
 async fn inputs(conn: &mut Conn, spec: &TaskSpec) -> Result<Option<Vec<Artefact>>> {
     let keys = dependencies(spec);
     let sql = "SELECT t.key, x.outputs FROM json_each($1) j JOIN tasks t ON t.key = j.value JOIN results x ON x.task = t.id";

@@ -6,7 +6,7 @@ use crate::runtime::store::LeaseStore;
 use crate::runtime::watch::{LeaseWatch, RETRY_WAIT};
 use crate::task::Progress;
 
-/// What a watch of lease `t1` holds on to.
+/// Parts that a watch of lease `t1` holds on to.
 struct Held {
     farm: Farm,
     memory: MemoryWatch,
