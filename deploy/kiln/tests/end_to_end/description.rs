@@ -115,6 +115,9 @@ impl Farm {
     }
 }
 
+/// Calls that are made up for each operation, and for each way from one to another, where `KILN_EXAMPLES` does not say how many.
+const EXAMPLES: u32 = 4;
+
 /// The file with names in `${…}` replaced by what they stand for.
 fn filled_in(file: &Path, names: &[(&str, String)]) -> String {
     let mut text = std::fs::read_to_string(file).unwrap();
@@ -138,6 +141,7 @@ fn assert_as_described(more: &[&str]) {
     let files = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/description");
     let mut seed = farm.seed();
     seed.push(("KILN_HOOKS", files.join("hooks.py").display().to_string()));
+    seed.push(("KILN_EXAMPLES", std::env::var("KILN_EXAMPLES").unwrap_or_else(|_| EXAMPLES.to_string())));
     let config = folder.path().join("schemathesis.toml");
     std::fs::write(&config, filled_in(&files.join("schemathesis.toml"), &seed)).unwrap();
     let report = folder.path().join("report.xml");
