@@ -13,7 +13,7 @@ use tokio::runtime::Runtime;
 use super::driver::Browser;
 
 /// Longest that a page may take to show something.
-const LIMIT: Duration = Duration::from_secs(60);
+const LIMIT: Duration = Duration::from_secs(300);
 /// A name that must be shown as it is.
 const NAME: &str = "<img src=x onerror=\"document.title='taken'\"> & \"friends\"";
 

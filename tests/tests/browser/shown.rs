@@ -12,7 +12,7 @@ use super::files::Files;
 use super::root;
 
 /// Longest that all light may take.
-const LIMIT: Duration = Duration::from_secs(180);
+const LIMIT: Duration = Duration::from_secs(600);
 /// Words over the picture when it is done; they are hidden then.
 const DONE: &str = "all light is here";
 
