@@ -15,6 +15,8 @@ use super::processes::{Server, kiln, run};
 
 const SCENE: &[u8] = b"a scene that nobody looks into";
 const CHUNK: &[u8] = b"{\"bytes\": \"of a manifest\"}";
+/// Calls that are made up for each operation, and for each way from one to another, where `KILN_EXAMPLES` does not say how many.
+const EXAMPLES: u32 = 4;
 
 /// A farm with a bake in every state, workers, chunks and held leases.
 struct Farm {
@@ -114,9 +116,6 @@ impl Farm {
         ]
     }
 }
-
-/// Calls that are made up for each operation, and for each way from one to another, where `KILN_EXAMPLES` does not say how many.
-const EXAMPLES: u32 = 4;
 
 /// The file with names in `${…}` replaced by what they stand for.
 fn filled_in(file: &Path, names: &[(&str, String)]) -> String {
