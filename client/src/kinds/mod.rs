@@ -1,5 +1,6 @@
 //! Kinds of bake that this client plays, a folder each.
 
+pub mod grid;
 pub mod prt;
 pub mod sh;
 
@@ -7,5 +8,5 @@ use crate::bake::ClientKinds;
 
 /// All of them.
 pub fn all() -> ClientKinds {
-    ClientKinds::new().with(prt::Prt).with(sh::Sh)
+    ClientKinds::new().with(prt::Prt).with(sh::Sh).with(grid::Grid)
 }

@@ -5,6 +5,7 @@ mod adapter;
 mod detail;
 pub(crate) mod facing;
 mod factors;
+mod field;
 mod formula;
 mod glass;
 mod light;

@@ -9,6 +9,7 @@ use lightkiln_proto::relight::{Column, Detail, LodView, NearHit, NearRow, OwnSur
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 use naga::{AddressSpace, TypeInner};
 
+use crate::kinds::grid::{self, FieldNumbers};
 use crate::kinds::sh::relight::{self, RelightNumbers};
 use crate::passes::atlas::{AtlasNumbers, AtlasTexel, Placement};
 use crate::passes::basis::BasisNumbers;
@@ -20,7 +21,7 @@ use crate::passes::near::NearNumbers;
 use crate::passes::patches::PatchNumbers;
 use crate::passes::reconstruct::ReconstructNumbers;
 use crate::passes::resident::ClusterRow;
-use crate::passes::shade::{PanoramaNumbers, ShadeDraw, ShadeView};
+use crate::passes::shade::{PanoramaNumbers, ShadeDraw, ShadeView, Shading};
 use crate::passes::shadow::{Face, Light, LightCount, Mask, Pane};
 use crate::passes::show::ShowNumbers;
 use crate::web;
@@ -28,7 +29,8 @@ use crate::web;
 /// Every shader: name and whole source, as the adapter compiles it.
 fn shaders() -> Vec<(&'static str, String)> {
     let of_browsers = web::shaders().into_iter().map(|(name, source)| (name, source.into_owned()));
-    of_browsers.chain([("relight", relight::SHADER.to_owned())]).collect()
+    let with_field = Shading { snippet: grid::SNIPPET, bindings: Vec::new() }.shader();
+    of_browsers.chain([("relight", relight::SHADER.to_owned()), ("shade with a field", with_field)]).collect()
 }
 
 fn parsed(source: &str) -> naga::Module {
@@ -131,6 +133,7 @@ fn twins() -> BTreeMap<&'static str, Layout> {
         "Column": Column { place, scale }
         "Detail": Detail { first_row, row_count, rows, wide, bytes, rest, groups, level, interval }
         "Face": Face { clip_from_world, right, texel_at_unit_w, up, panes }
+        "Field": FieldNumbers { low, size, spacing_m, first_probe, probe_count, pad }
         "Fill": FillNumbers { count, stride, level }
         "Light": Light {
             position, range_m, direction, shape, strength, first_face, cone_cos_inner, cone_cos_outer, face_count,

@@ -4,6 +4,7 @@
 //! A kind is one folder here, one in `worker/src/kinds`, one in `client/src/kinds`, and one row in each table.
 
 mod figures;
+pub mod grid;
 pub mod prt;
 mod rates;
 mod scene_tasks;
@@ -99,7 +100,7 @@ pub struct Kinds(Vec<&'static dyn Kind>);
 impl Kinds {
     /// The kinds of this crate.
     pub fn new() -> Self {
-        Self(vec![&prt::Prt, &sh::Sh])
+        Self(vec![&prt::Prt, &sh::Sh, &grid::Grid])
     }
 
     /// The table with one more kind.

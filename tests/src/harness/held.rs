@@ -91,6 +91,16 @@ impl Held {
 }
 
 impl Lit<'_> {
+    /// Light at receivers after the last bounce, with the λ that gave it.
+    pub fn light(&self) -> &Light {
+        &self.light
+    }
+
+    /// The path tracer under the same lights.
+    pub fn reference(&self) -> &Reference<'_> {
+        &self.reference
+    }
+
     /// E_ind of a receiver by the bake, W·m⁻²; 0 where no light can come.
     pub fn baked(&self, receiver: u32) -> DVec3 {
         let found = self.held.slot(receiver).map(|slot| self.light.settled.indirect(slot));

@@ -30,7 +30,9 @@ fn fixtures() -> Vec<(String, Vec<u8>)> {
     let name = |path: &std::path::Path| path.file_name().map(|name| name.to_string_lossy().into_owned());
     let mut found: Vec<(String, Vec<u8>)> = paths
         .filter_map(|path| Some((name(&path)?, path)))
-        .filter(|(name, _)| name.ends_with(&ending) && !name.starts_with("probes"))
+        .filter(|(name, _)| {
+            name.ends_with(&ending) && !["probes", "field"].iter().any(|kind| name.starts_with(kind))
+        })
         .map(|(name, path)| (name, std::fs::read(path).expect("a fixture can be read")))
         .collect();
     found.sort();

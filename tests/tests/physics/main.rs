@@ -12,6 +12,7 @@ mod corridor;
 mod determinism;
 mod edits;
 mod energy;
+mod field;
 mod first_light;
 mod glass;
 mod leaks;

@@ -15,9 +15,21 @@ fn words(line: &str) -> impl Iterator<Item = &str> {
     line.split(|c: char| !c.is_alphanumeric() && c != '_').filter(|word| !word.is_empty())
 }
 
+/// Names that are words of everyday, too: they count where they stand in a path of kinds or begin a text.
+const EVERYDAY: [&str; 1] = ["grid"];
+
 /// Lines of a file's code with a word that names a kind, in any case: `prt`, `"prt.plan"`, `Prt`.
 fn names_of_kinds(text: &str, kinds: &BTreeSet<String>) -> Vec<String> {
-    let named = |line: &&str| words(line).any(|word| kinds.contains(&word.to_lowercase()));
+    let by_word = |line: &str| {
+        let mut words = words(line).map(str::to_lowercase);
+        words.any(|word| kinds.contains(&word) && !EVERYDAY.contains(&word.as_str()))
+    };
+    let by_place = |line: &str| {
+        let places = |name: &str| [format!("kinds::{name}"), format!("\"{name}\""), format!("\"{name}.")];
+        let everyday = EVERYDAY.iter().filter(|name| kinds.contains(**name));
+        everyday.flat_map(|name| places(name)).any(|place| line.contains(&place))
+    };
+    let named = |line: &&str| by_word(line) || by_place(line);
     code_of(text).filter(named).map(str::to_owned).collect()
 }
 
@@ -73,4 +85,8 @@ fn a_name_in_a_path_a_text_or_a_type_is_found_and_one_in_a_comment_or_a_longer_w
     assert_eq!(found("use kinds::prt::Settings;\nlet a = \"prt.plan\";\nlet b = Prt;\nfn f(sh: u32) {}"), 4);
     assert_eq!(help_of("/// prt\n    /// By prt.\n    pub a: u8,"), " By prt.\n");
     assert_eq!(found("// prt\nlet shade = \"wash\"; let prts = 1;"), 0);
+    let kinds = ["grid".to_owned()].into();
+    let found = |text: &str| names_of_kinds(text, &kinds).len();
+    assert_eq!(found("use kinds::grid::Settings;\nlet a = \"grid\";\nlet b = \"grid.plan\";"), 3);
+    assert_eq!(found("let grid = Grid::over(bounds);"), 0);
 }

@@ -96,6 +96,42 @@ impl EmitterSet {
         self.radiance.len()
     }
 
+    /// Radiance of each emitter's material.
+    pub(super) fn radiance(&self) -> &[[f32; 3]] {
+        &self.radiance
+    }
+
+    /// Emissive triangles.
+    pub(super) fn len(&self) -> usize {
+        self.triangles.len()
+    }
+
+    /// An emissive triangle, and its chance where nothing else is known.
+    pub(super) fn emissive(&self, index: usize) -> (&EmissiveTriangle, f32) {
+        let Weighted { of, power } = &self.triangles[index];
+        (of, *power)
+    }
+
+    /// Number among the emissive triangles of a triangle of the scene.
+    pub(super) fn index_of(&self, triangle: u32) -> Option<usize> {
+        let index = *self.index_of.get(triangle as usize)?;
+        (index != u32::MAX).then_some(index as usize)
+    }
+
+    /// Summed chances of all triangles, where there are too many to weigh.
+    pub(super) fn by_power(&self) -> Option<&[f32]> {
+        (!self.by_power.is_empty()).then_some(&self.by_power)
+    }
+
+    /// The surface at a point of an emissive triangle.
+    pub(super) fn surface(&self, geometry: &Geometry, index: usize, barycentric: [f32; 2]) -> SurfaceSample {
+        let Geometry { scene, images, triangles, .. } = geometry;
+        let reference = triangles[self.triangles[index].triangle as usize];
+        let weights = weights_of(barycentric).to_array();
+        let (instance, local) = (reference.instance as usize, reference.triangle as usize);
+        surface_at(scene, images, instance, local, weights, &Footprint::POINT)
+    }
+
     /// Nothing emits.
     pub fn is_empty(&self) -> bool {
         self.triangles.is_empty()
@@ -103,7 +139,7 @@ impl EmitterSet {
 
     /// Whether a triangle of the scene emits.
     pub fn is_emissive(&self, triangle: u32) -> bool {
-        self.index_of.get(triangle as usize).is_some_and(|&index| index != u32::MAX)
+        self.index_of(triangle).is_some()
     }
 
     /// The emissive triangles, each with its chance where nothing else is known, ascending.
@@ -158,8 +194,8 @@ impl<'a> EmitterIrradianceSum<'a> {
     /// Adds the emitter that one of the texel's own rays meets: `π/N · Lₑ` times its weight against sampling.
     pub fn add_hit(&mut self, hit: &Hit, direction: Vec3, normal: Vec3) {
         let set = self.set;
-        let Some(&index) = set.index_of.get(hit.triangle as usize) else { return };
-        let Some(triangle) = set.triangles.get(index as usize) else { return };
+        let Some(index) = set.index_of(hit.triangle) else { return };
+        let triangle = &set.triangles[index];
         if !hit.front && !triangle.double_sided {
             return;
         }
@@ -169,8 +205,8 @@ impl<'a> EmitterIrradianceSum<'a> {
         }
         let own = self.own_rays * cosine / std::f32::consts::PI;
         let facing = triangle.normal.dot(direction).abs().max(1e-9);
-        let sampled = self.samples as f32 * self.density(index as usize) * hit.t * hit.t / facing;
-        let surface = self.surface(triangle, hit.barycentric);
+        let sampled = self.samples as f32 * self.density(index) * hit.t * hit.t / facing;
+        let surface = set.surface(self.geometry, index, hit.barycentric);
         self.add(
             triangle.emitter,
             surface.glow,
@@ -234,7 +270,7 @@ impl<'a> EmitterIrradianceSum<'a> {
         let density = self.density(index) * squared_m2 / facing.abs();
         let sampled = self.samples as f32 * density;
         let own = self.own_rays * cosine / std::f32::consts::PI;
-        let surface = self.surface(triangle, barycentric);
+        let surface = self.set.surface(self.geometry, index, barycentric);
         // cosθ / (M · density) · M·density / (M·density + N·cosθ/π), of what is there and of what passes
         self.add(triangle.emitter, surface.glow, surface.stopped * passed * cosine / (sampled + own));
     }
@@ -244,15 +280,6 @@ impl<'a> EmitterIrradianceSum<'a> {
         let Some(&to) = self.cumulative.get(index) else { return 0.0 };
         let from = if index == 0 { 0.0 } else { self.cumulative[index - 1] };
         (to - from) / self.set.triangles[index].area_m2.max(1e-12)
-    }
-
-    /// The surface at a point of an emissive triangle.
-    fn surface(&self, triangle: &Weighted, barycentric: [f32; 2]) -> SurfaceSample {
-        let Geometry { scene, images, triangles, .. } = self.geometry;
-        let reference = triangles[triangle.triangle as usize];
-        let weights = weights_of(barycentric).to_array();
-        let (instance, local) = (reference.instance as usize, reference.triangle as usize);
-        surface_at(scene, images, instance, local, weights, &Footprint::POINT)
     }
 
     fn add(&mut self, emitter: u16, glow: [f32; 3], factor: f32) {
@@ -274,7 +301,7 @@ fn strengths(radiance: &[[f32; 3]]) -> Vec<f32> {
 }
 
 /// Running sums of chances, normalised to end in 1; empty when all are 0.
-fn summed(chances: impl Iterator<Item = f32>) -> Vec<f32> {
+pub(super) fn summed(chances: impl Iterator<Item = f32>) -> Vec<f32> {
     let mut total = 0.0_f64;
     let sums: Vec<f64> = chances
         .map(|chance| {

@@ -1,8 +1,9 @@
-//! Emissive triangles, and irradiance straight from them.
+//! Emissive triangles, and light straight from them: irradiance at receivers, coefficients at points in free space.
 //!
 //! The list of triangles is the reference's too; each chooses among them by chances of its own.
 
 mod irradiance;
+mod sphere;
 
 use glam::Vec3;
 
@@ -11,6 +12,7 @@ use crate::scene::model::Scene;
 use crate::scene::surface::{Footprint, surface_at};
 
 pub use irradiance::{EmitterIrradianceSum, EmitterSet, Radiance};
+pub use sphere::EmitterSphereSum;
 
 /// An emissive triangle.
 #[derive(Clone, Copy, Debug)]

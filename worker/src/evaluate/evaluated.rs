@@ -57,6 +57,11 @@ pub trait Evaluated: Send + Sync {
         None
     }
 
+    /// The bake as it lights free space, where it does: its places are points there, with a direction each.
+    fn in_space(self: Box<Self>) -> Option<Box<dyn Evaluated>> {
+        None
+    }
+
     /// Chunk that holds a place's light, as an index among those of its role; `None` where the bake left the place out.
     fn chunk_of(&self, place: &Place) -> Option<usize>;
 

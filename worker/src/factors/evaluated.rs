@@ -59,6 +59,11 @@ impl<C: Columns> FactoredBake<C> {
         Ok(Self { world, transport, baked, cells, receiver_of, anew: None, known: Mutex::default() })
     }
 
+    /// The clusters' columns.
+    pub fn columns(&self) -> &C {
+        &self.baked.transport.columns
+    }
+
     fn texels(&self) -> LightmapTexels<'_> {
         let Transport { slots, receivers, .. } = &self.baked.transport;
         LightmapTexels { slots, receivers }
@@ -75,8 +80,8 @@ impl<C: Columns> FactoredBake<C> {
         self.baked.transport.slots.slot_of(block, texel)
     }
 
-    /// As [`FactoredBake::lit_anew`], or what that gave last time.
-    fn lit(
+    /// The bake relit until bounces converge, E_dir by exact rays; or what that gave last time.
+    pub fn lit(
         &self,
         reference: &Reference,
         lighting: &Lighting,

@@ -1,5 +1,6 @@
 //! Kinds of bake: one folder each, and a table that runner and evaluation ask. No other room names a kind.
 
+pub mod grid;
 pub mod prt;
 pub mod sh;
 
@@ -64,7 +65,7 @@ pub struct BakeKinds(Vec<&'static dyn BakeKind>);
 impl BakeKinds {
     /// The kinds of this crate.
     pub fn new() -> Self {
-        Self(vec![&prt::Prt, &sh::Sh])
+        Self(vec![&prt::Prt, &sh::Sh, &grid::Grid])
     }
 
     /// The table with one more kind.

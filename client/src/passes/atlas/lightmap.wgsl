@@ -1,5 +1,5 @@
 // Indirect light of a surface, read from the lightmap's pages; twin: `read` and `sample` in reference.rs, `tap_weights` of the run time.
-// Joined behind `shade.wgsl`, with its bindings in group 1 from 1.
+// Joined behind `shade.wgsl`, with its bindings in group 1 from 1; a kind's `indirect_irradiance` is joined behind it.
 
 // Block of the front and of the back: page, origin; width 0 when there is none.
 struct Placement {
@@ -111,7 +111,8 @@ fn lightmap_irradiance(block: vec4u, size: vec4u, texel: vec2f, before: vec2f) -
     return select(vec3f(0.0), sum / max(total, 1e-9), total > 0.0);
 }
 
-fn indirect_irradiance(surface: Surface) -> vec3f {
+// Irradiance of a surface from the pages; black for one without a lightmap.
+fn from_lightmap(surface: Surface) -> vec3f {
     let placement = placements[surface.draw];
     if surface.front {
         return lightmap_irradiance(placement.front, placement.front_size, surface.lightmap_texel, surface.lightmap_before);

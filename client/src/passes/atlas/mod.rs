@@ -18,7 +18,7 @@ pub use texels::{AtlasTexel, AtlasTexels};
 /// The shader.
 pub const SHADER: &str = include_str!("atlas.wgsl");
 /// Indirect light of a surface from the pages, for the shading pass: `indirect_irradiance`.
-pub const INDIRECT: &str = include_str!("lightmap.wgsl");
+pub const INDIRECT: &str = concat!(include_str!("lightmap.wgsl"), include_str!("indirect.wgsl"));
 /// Largest difference from the reference, relative to the largest value: a mean of at most 32 f32 in the same order.
 pub const TOLERANCE: f32 = 1e-6;
 /// Threads of a workgroup in the shader.

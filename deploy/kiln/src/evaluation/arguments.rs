@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::PathBuf;
 
-use clap::Args;
+use clap::{Args, ValueEnum};
 use lightkiln_worker::evaluate::{PIXEL_CLASSES, TestLight, lights_of_file};
 use lightkiln_worker::kinds::BakeKinds;
 
@@ -12,6 +12,16 @@ use crate::failure::{Failure, Result};
 
 /// Strata of the sample of which one is measured at its pixel too.
 const PIXELS_SHARE: u32 = 3;
+
+/// Where a bake is measured.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum Where {
+    /// On surfaces
+    #[default]
+    Surfaces,
+    /// In free space, where objects move
+    Space,
+}
 
 /// Arguments that `kiln evaluate` and `kiln bake --evaluate` share.
 #[derive(Args, Clone, Debug)]
@@ -24,6 +34,10 @@ pub struct EvaluationArguments {
     /// places that stand for little area may have more. Smaller takes longer, with its inverse square
     #[arg(long, value_name = "E", default_value_t = 0.03, value_parser = parse_rel_error, help_heading = "Evaluation")]
     pub rel_error: f64,
+    /// Where to measure: on surfaces, or in free space, half of the places within 50 cm of surfaces, each in two opposite
+    /// directions; of bakes of a kind with light there
+    #[arg(long = "in", value_enum, default_value_t, value_name = "WHERE", help_heading = "Evaluation")]
+    pub place: Where,
     /// Places to measure at, spread by area, and denser where there is more light or it changes faster
     #[arg(
         long,
@@ -46,7 +60,11 @@ pub struct EvaluationArguments {
 impl EvaluationArguments {
     /// Number of pixels to measure at.
     pub fn pixels(&self) -> u32 {
-        self.pixels.unwrap_or(self.receivers / PIXELS_SHARE)
+        match self.place {
+            Where::Surfaces => self.pixels.unwrap_or(self.receivers / PIXELS_SHARE),
+            // No picture shows free space.
+            Where::Space => 0,
+        }
     }
 
     /// Errs when a limit names neither a figure nor a class of error of some kind of bake; cheap, as [`Self::own_lights`].

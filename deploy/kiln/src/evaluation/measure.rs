@@ -11,7 +11,7 @@ use lightkiln_worker::evaluate::{
 use lightkiln_worker::reference::Precision;
 use lightkiln_worker::task::Progress;
 
-use super::arguments::EvaluationArguments;
+use super::arguments::{EvaluationArguments, Where};
 use super::shadows::ClientBake;
 use super::table::{Evaluation, LightRow, over_lights};
 use crate::console::say;
@@ -57,6 +57,13 @@ pub fn measure(
     say!("preparing the scene anew, and what {} places need", wanted.receivers);
     let bytes = |digest| chunk(source, &manifest, digest);
     let bake = kinds.worker.evaluated(&manifest, scene.into_bytes(), &bytes, &progress).map_err(failure)?;
+    let bake = match wanted.place {
+        Where::Surfaces => bake,
+        Where::Space => bake.in_space().ok_or_else(|| {
+            let what = format!("bakes of kind '{}' have no light in free space", manifest.kind);
+            Failure::bad_input(what).try_this("--in surfaces")
+        })?,
+    };
     let usable = |lights| usable_lights(bake.geometry(), lighting.rest_of_tests(lights)).map_err(failure);
     let chosen = match own {
         Some(mut lights) => {

@@ -5,6 +5,9 @@ use std::path::PathBuf;
 use super::scenes::directory;
 use crate::chunk::*;
 use crate::content::*;
+use crate::kinds::grid::{
+    FieldPart, MAP_POINTS, PROBE_ROWS, Probe as FieldProbe, ProbeKey as FieldKey, decode_field, encode_field,
+};
 use crate::kinds::sh::*;
 
 /// Chunks of each kind in one version.
@@ -34,6 +37,9 @@ const V1: Fixtures = fixtures!("v1");
 const V2: Fixtures = fixtures!("v2");
 const V3: Fixtures = fixtures!("v3");
 const V4: Fixtures = fixtures!("v4");
+
+/// Probes of a field, of which there are none in older versions.
+const FIELD_V4: &[u8] = include_bytes!("../../../fixtures/field-v4.lkc");
 
 /// A page of a directory, of which there are none in older versions.
 const DIRECTORY_V4: &[u8] = include_bytes!("../../../fixtures/directory-v4.lkc");
@@ -163,7 +169,7 @@ fn geometry() -> Geometry {
     }
 }
 
-fn encoded() -> [(&'static str, Vec<u8>, &'static [u8]); 7] {
+fn encoded() -> [(&'static str, Vec<u8>, &'static [u8]); 8] {
     let encode = |cluster| encode_cluster(&cluster, QuantisationSettings::default()).unwrap().bytes;
     [
         ("cluster-v4.lkc", encode(cluster()), V4.cluster),
@@ -171,6 +177,7 @@ fn encoded() -> [(&'static str, Vec<u8>, &'static [u8]); 7] {
         ("probes-v4.lkc", encode_probe_batch(&probes()).unwrap(), V4.probes),
         ("patches-v4.lkc", encode_patches(&patches()).unwrap(), V4.patches),
         ("directory-v4.lkc", encode_directory(&directory(3).0, &directory(3).1).unwrap(), DIRECTORY_V4),
+        ("field-v4.lkc", encode_field(&field(), 0.01).unwrap().bytes, FIELD_V4),
         ("geometry-v4.lkc", encode_geometry(&geometry()).unwrap(), V4.geometry),
         ("texture-v4.lkc", encode_texture("image/png", b"\x89PNG of no size").unwrap(), V4.texture),
     ]
@@ -251,6 +258,38 @@ fn assert_decoded(stored: &Fixtures, less: impl Fn(&mut ClusterTransport)) {
     assert_eq!(decode_geometry(stored.geometry).unwrap(), geometry());
     let texture = decode_texture(stored.texture).unwrap();
     assert_eq!((texture.media_type.as_str(), &texture.bytes[..]), ("image/png", &b"\x89PNG of no size"[..]));
+}
+
+/// Two probes that a patch of the floor and a lamp light. All numbers survive quantisation but ΣVᵀ.
+fn field() -> FieldPart {
+    let probe =
+        |x: i32, moved: [i8; 3]| FieldProbe { key: FieldKey::of(glam::IVec3::new(x, 1, -2)).unwrap(), moved };
+    let u: Vec<f32> = (0..2 * PROBE_ROWS).map(|row| if row % PROBE_ROWS == 0 { 0.5 } else { 0.0 }).collect();
+    let of_lamp = |row: usize| [0.25 * row as f32, -1.0, 0.0];
+    FieldPart {
+        spacing_m: 0.5,
+        probes: vec![probe(-3, [0; 3]), probe(-2, [0, -2, 3])],
+        depths: (0..2 * MAP_POINTS).map(|at| if at < 20 { 0 } else { 1000 + at as u16 }).collect(),
+        factors: TransportFactors {
+            keys: vec![PatchKey::of_cell(1, [2, 3, -1], 2, 0).0],
+            rank: 1,
+            u,
+            vt: vec![4.0],
+            ..TransportFactors::default()
+        },
+        emitters: vec![EmitterIrradiance {
+            emitter: 1,
+            irradiance: (0..2 * PROBE_ROWS).map(of_lamp).collect(),
+        }],
+    }
+}
+
+#[test]
+fn field_of_version_4_still_decodes_to_what_went_in() {
+    let mut found = decode_field(FIELD_V4).unwrap();
+    assert!((found.factors.vt[0] - 4.0).abs() < 0.044, "{:?}", found.factors.vt);
+    (found.factors.steps, found.factors.vt) = (FactorSteps::default(), field().factors.vt);
+    assert_eq!(found, field());
 }
 
 #[test]

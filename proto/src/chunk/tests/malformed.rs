@@ -2,11 +2,14 @@
 
 use proptest::prelude::*;
 
-use super::scenes::{batch, directory, narrow, patches, quads, wall};
-use super::whole::{assert_batch, assert_directory, assert_geometry, assert_patches, assert_whole};
+use super::scenes::{batch, directory, field, narrow, patches, quads, wall};
+use super::whole::{
+    assert_batch, assert_directory, assert_field, assert_geometry, assert_patches, assert_whole,
+};
 use crate::chunk::container::{Container, ContainerWriter, SectionId};
 use crate::chunk::*;
 use crate::content::*;
+use crate::kinds::grid::{FIELD_CHUNK, decode_field, encode_field};
 use crate::kinds::sh::*;
 
 /// A chunk of each kind, small enough to be cut at every byte.
@@ -19,6 +22,7 @@ fn chunks() -> Vec<(ChunkKind, Vec<u8>)> {
         (DIRECTORY, encode_directory(&directory(5).0, &directory(5).1).unwrap()),
         (TEXTURE, encode_texture("image/jpeg", &[7; 300]).unwrap()),
         (CLUSTER, encode_cluster(&narrow(8, 1), QuantisationSettings::default()).unwrap().bytes),
+        (FIELD_CHUNK, encode_field(&field(2, 3, 1), 0.01).unwrap().bytes),
     ]
 }
 
@@ -37,6 +41,7 @@ fn decode(kind: ChunkKind, bytes: &[u8]) -> Result<(), ChunkError> {
         PATCHES => decode_patches(bytes).map(|set| assert_patches(&set)),
         DIRECTORY => decode_directory(bytes).map(|(rows, chunks)| assert_directory(&rows, &chunks)),
         TEXTURE => decode_texture(bytes).map(drop),
+        FIELD_CHUNK => decode_field(bytes).map(|part| assert_field(&part)),
         kind => unreachable!("{kind:?} is not among the chunks"),
     }
 }

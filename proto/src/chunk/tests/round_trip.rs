@@ -2,9 +2,10 @@
 
 use std::collections::BTreeSet;
 
-use super::scenes::{batch, directory, narrow, patches, quads, wall};
+use super::scenes::{batch, directory, field, narrow, patches, quads, wall};
 use crate::chunk::*;
 use crate::content::*;
+use crate::kinds::grid::{FieldPart, PROBE_ROWS, decode_field, encode_field};
 use crate::kinds::sh::*;
 use crate::manifest::{ChunkRef, ClusterRow};
 
@@ -206,6 +207,51 @@ fn batch_comes_back_exactly() {
         assert_eq!(named(&decoded), named(&batch));
         assert!(!decoded.blocks.contains(&u64::MAX), "a block that no hit names is kept");
     }
+}
+
+#[test]
+fn field_comes_back_exactly_but_for_its_factors_which_are_within_their_error() {
+    for (probes, rank) in [(0, 0), (1, 1), (7, 9), (40, 64)] {
+        let part = field(probes, rank, 5);
+        let encoded = encode_field(&part, 0.01).unwrap();
+        assert!(encoded.quantisation_error <= 0.01);
+        let decoded = decode_field(&encoded.bytes).unwrap();
+        assert_eq!((decoded.spacing_m, &decoded.probes), (part.spacing_m, &part.probes));
+        assert!(decoded.depths == part.depths && decoded.emitters == part.emitters);
+        let product = |part: &FieldPart, row: usize, key: u64| -> f32 {
+            let TransportFactors { keys, rank, u, vt, .. } = &part.factors;
+            let (rank, column) = (*rank as usize, keys.iter().position(|&other| other == key));
+            let at = |i: usize| column.map_or(0.0, |column| u[row * rank + i] * vt[i * keys.len() + column]);
+            (0..rank).map(at).sum()
+        };
+        let (mut errors, mut all) = (0.0, 0.0);
+        for row in 0..PROBE_ROWS * probes {
+            for &key in &part.factors.keys {
+                let exact = product(&part, row, key);
+                errors += (product(&decoded, row, key) - exact).powi(2);
+                all += exact * exact;
+            }
+        }
+        assert!(errors.sqrt() <= 0.0101 * all.sqrt(), "{errors} of {all}");
+    }
+}
+
+#[test]
+fn field_that_contradicts_itself_is_refused() {
+    let refused = |change: fn(&mut FieldPart)| {
+        let mut part = field(3, 2, 1);
+        change(&mut part);
+        encode_field(&part, 0.01).unwrap_err().to_string()
+    };
+    assert!(refused(|part| part.probes.swap(0, 1)).contains("probes in their order"));
+    assert!(refused(|part| part.probes[1] = part.probes[0]).contains("does not ascend"));
+    assert!(refused(|part| part.probes[2].moved[1] = 4).contains("steps moved"));
+    assert!(refused(|part| part.probes[2].moved[1] = -4).contains("steps moved"));
+    assert!(refused(|part| drop(part.depths.pop())).contains("depths"));
+    assert!(refused(|part| part.spacing_m = 0.0).contains("spacing"));
+    assert!(refused(|part| drop(part.factors.u.pop())).contains("entries of U"));
+    assert!(refused(|part| part.emitters[0].irradiance.truncate(5)).contains("coefficients of an emitter"));
+    assert!(refused(|part| part.emitters[0].irradiance[5][1] = f32::NAN).contains("coefficients"));
 }
 
 #[test]

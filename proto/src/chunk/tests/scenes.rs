@@ -2,6 +2,7 @@
 
 use crate::content::*;
 use crate::ids::Digest;
+use crate::kinds::grid::{FieldPart, MAP_POINTS, PROBE_ROWS, Probe as FieldProbe, ProbeKey as FieldKey};
 use crate::kinds::sh::*;
 use crate::manifest::{ChunkRef, ClusterRow, Layer, PrefixCheck};
 
@@ -92,6 +93,35 @@ pub(super) fn narrow(side: u16, seed: u64) -> ClusterTransport {
         }
     }
     cluster
+}
+
+/// Probes of a field, in stored order.
+pub(super) fn field(probes: usize, rank: u32, seed: u64) -> FieldPart {
+    let mut noise = Noise(seed);
+    let rows = probes * PROBE_ROWS;
+    // Of one level: columns of all have one scale, by which the error of numbers is weighed.
+    let mut keys: Vec<u64> = (0..40).map(|p| PatchKey::of_cell(1, [p % 8 - 4, -1, p / 8], 4, 0).0).collect();
+    keys.sort_unstable();
+    let mut numbers = |count: usize| (0..count).map(|_| noise.next() - 0.5).collect::<Vec<f32>>();
+    let factors = TransportFactors {
+        rank,
+        u: numbers(rows * rank as usize),
+        vt: numbers(rank as usize * keys.len()),
+        keys,
+        ..TransportFactors::default()
+    };
+    let probe = |at: usize| FieldProbe {
+        key: FieldKey::of(glam::IVec3::new(at as i32 % 4 - 2, at as i32 / 4, 3)).unwrap(),
+        moved: [at as i8 % 4, -(at as i8 % 3), 0],
+    };
+    let irradiance = numbers(3 * rows).as_chunks::<3>().0.to_vec();
+    FieldPart {
+        spacing_m: 0.75,
+        probes: (0..probes).map(probe).collect(),
+        depths: (0..probes * MAP_POINTS).map(|at| (at % 700 * 90) as u16).collect(),
+        factors,
+        emitters: vec![EmitterIrradiance { emitter: 2, irradiance }],
+    }
 }
 
 /// A batch with every kind of hit.

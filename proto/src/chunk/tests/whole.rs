@@ -2,8 +2,8 @@
 //! has the types in scope.
 
 use super::{
-    ChunkRef, ClusterRow, ClusterTransport, Geometry, NearHits, NearSurface, PatchSet, ProbeBatch, Receivers,
-    RelightHit,
+    ChunkRef, ClusterRow, ClusterTransport, FieldPart, Geometry, MAP_POINTS, MOVES_MAX, NearHits,
+    NearSurface, PROBE_ROWS, PatchSet, ProbeBatch, Receivers, RelightHit,
 };
 
 /// Every array has its length, every index its target, every number is finite.
@@ -62,6 +62,19 @@ pub fn assert_batch(batch: &ProbeBatch) {
         _ => true,
     };
     assert!(batch.hits.iter().all(known));
+}
+
+/// Every probe has a depth map, rows of its own, and a place of its own on the lattice.
+pub fn assert_field(part: &FieldPart) {
+    let (probes, rank) = (part.probes.len(), part.factors.rank as usize);
+    assert!(part.probes.windows(2).all(|pair| pair[0].key < pair[1].key));
+    assert!(part.probes.iter().all(|probe| probe.position_m(part.spacing_m).is_finite()));
+    assert!(part.probes.iter().all(|probe| probe.moved.iter().all(|step| step.abs() <= MOVES_MAX)));
+    assert_eq!(part.depths.len(), probes * MAP_POINTS);
+    assert_eq!(part.factors.u.len(), probes * PROBE_ROWS * rank);
+    assert_eq!(part.factors.vt.len(), part.factors.keys.len() * rank);
+    assert!(part.emitters.windows(2).all(|pair| pair[0].emitter < pair[1].emitter));
+    assert!(part.emitters.iter().all(|entry| entry.irradiance.len() == probes * PROBE_ROWS));
 }
 
 /// Patches are in order, each over leaves that are there, each leaf over texels that are.

@@ -73,44 +73,58 @@ impl Kind for Prt {
     }
 
     fn check(&self, manifest: &Manifest) -> Result<(), ManifestError> {
-        check_clusters(manifest, &manifest.body::<Body>()?.totals)?;
-        let (overview, most) = (manifest.chunks(OVERVIEW).len(), manifest.clusters.len().max(OVERVIEW_MAX));
-        if overview > most {
-            let problem = format!("its overview has {overview} clusters, wanted {most} at most");
-            return Err(ManifestError::Contradiction { problem });
-        }
-        match manifest.chunks(PATCHES).len() {
-            1 => Ok(()),
-            count => {
-                let problem = format!("it has {count} sets of surface patches, wanted 1");
-                Err(ManifestError::Contradiction { problem })
-            }
-        }
+        check_relightable(manifest, &manifest.body::<Body>()?.totals)
     }
 
     fn summary(&self, manifest: &Manifest) -> Result<Figures, ManifestError> {
         let Body { totals, patches } = manifest.body()?;
-        let mut figures = totals.summary(manifest, &format!("{patches} patches"));
-        figures.json.insert("patches".into(), json!(patches));
-        Ok(figures)
+        Ok(summary(manifest, &totals, patches))
     }
 
     fn warnings(&self, manifest: &Manifest) -> Result<Vec<Warning>, ManifestError> {
-        let Body { totals, .. } = manifest.body()?;
-        let finer = manifest.layout()?.texel_m / 2.0;
-        Ok(cluster_warnings(
-            &manifest.settings,
-            &totals,
-            &manifest.clusters,
-            Some(format!("texel_m={finer}")),
-        ))
+        warnings(manifest, &manifest.body::<Body>()?.totals)
     }
 
     fn inspection(&self, manifest: &Manifest) -> Result<Figures, ManifestError> {
         let Body { totals, patches } = manifest.body()?;
-        let mut figures = cluster_figures(manifest, &totals);
-        figures.json.insert("patches".into(), json!(patches));
-        figures.words.insert_str(0, &format!("patches     {patches}\n"));
-        Ok(figures)
+        Ok(inspection(manifest, &totals, patches))
     }
+}
+
+/// Checks the relightable part of a manifest, whatever else its kind has.
+pub(super) fn check_relightable(manifest: &Manifest, totals: &ClusterTotals) -> Result<(), ManifestError> {
+    check_clusters(manifest, totals)?;
+    let (overview, most) = (manifest.chunks(OVERVIEW).len(), manifest.clusters.len().max(OVERVIEW_MAX));
+    if overview > most {
+        let problem = format!("its overview has {overview} clusters, wanted {most} at most");
+        return Err(ManifestError::Contradiction { problem });
+    }
+    match manifest.chunks(PATCHES).len() {
+        1 => Ok(()),
+        count => {
+            let problem = format!("it has {count} sets of surface patches, wanted 1");
+            Err(ManifestError::Contradiction { problem })
+        }
+    }
+}
+
+/// Figures of the relightable part for a summary.
+pub(super) fn summary(manifest: &Manifest, totals: &ClusterTotals, patches: u64) -> Figures {
+    let mut figures = totals.summary(manifest, &format!("{patches} patches"));
+    figures.json.insert("patches".into(), json!(patches));
+    figures
+}
+
+/// Warnings of the relightable part.
+pub(super) fn warnings(manifest: &Manifest, totals: &ClusterTotals) -> Result<Vec<Warning>, ManifestError> {
+    let finer = manifest.layout()?.texel_m / 2.0;
+    Ok(cluster_warnings(&manifest.settings, totals, &manifest.clusters, Some(format!("texel_m={finer}"))))
+}
+
+/// All figures of the relightable part.
+pub(super) fn inspection(manifest: &Manifest, totals: &ClusterTotals, patches: u64) -> Figures {
+    let mut figures = cluster_figures(manifest, totals);
+    figures.json.insert("patches".into(), json!(patches));
+    figures.words.insert_str(0, &format!("patches     {patches}\n"));
+    figures
 }

@@ -7,12 +7,15 @@ use std::ops::Range;
 
 use lightkiln_proto::chunk::*;
 use lightkiln_proto::content::*;
+use lightkiln_proto::kinds::grid::{
+    FieldPart, MAP_POINTS, MOVES_MAX, PROBE_ROWS, decode_field, encode_field,
+};
 use lightkiln_proto::kinds::sh::*;
 use lightkiln_proto::manifest::{ChunkRef, ClusterRow};
 
 use super::container::{packed, unpacked};
 use super::{Target, taken};
-use whole::{assert_batch, assert_directory, assert_geometry, assert_patches, assert_whole};
+use whole::{assert_batch, assert_directory, assert_field, assert_geometry, assert_patches, assert_whole};
 
 /// A cluster.
 pub const CLUSTER: Target = Target {
@@ -39,6 +42,15 @@ pub const PROBES: Target = Target {
     read: |bytes| read(bytes, decode_probe_batch),
     check: |bytes| each_form(bytes, check_probes),
     seeds: || seeds(&[include_bytes!("../../../../proto/fixtures/probes-v1.lkc")]),
+    memory_max,
+};
+
+/// Probes of a field.
+pub const FIELD: Target = Target {
+    name: "field",
+    read: |bytes| read(bytes, decode_field),
+    check: |bytes| each_form(bytes, check_field),
+    seeds: || seeds(&[include_bytes!("../../../../proto/fixtures/field-v4.lkc")]),
     memory_max,
 };
 
@@ -202,6 +214,15 @@ fn check_probes(bytes: &[u8]) {
         batch.hits.iter().map(name).collect()
     };
     assert_eq!(named(&again), named(&batch));
+}
+
+fn check_field(bytes: &[u8]) {
+    let Ok(part) = decode_field(bytes) else { return };
+    assert_field(&part);
+    let again = encode_field(&part, 0.001).expect("what was decoded can be encoded");
+    let again = decode_field(&again.bytes).expect("what was encoded can be decoded");
+    assert_eq!((&again.probes, &again.depths), (&part.probes, &part.depths));
+    assert_eq!((again.spacing_m, &again.emitters), (part.spacing_m, &part.emitters));
 }
 
 fn check_geometry(bytes: &[u8]) {

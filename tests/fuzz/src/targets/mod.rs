@@ -26,10 +26,11 @@ pub struct Target {
 }
 
 /// All of them.
-pub const TARGETS: [Target; 14] = [
+pub const TARGETS: [Target; 15] = [
     chunks::CLUSTER,
     layers::LAYERS,
     chunks::PROBES,
+    chunks::FIELD,
     chunks::GEOMETRY,
     chunks::TEXTURE,
     chunks::PATCHES,

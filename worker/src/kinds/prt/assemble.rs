@@ -1,8 +1,9 @@
 //! Task `prt.assemble`: the manifest's body, its clusters and the report.
 
 use lightkiln_proto::jobs::TaskSpec;
-use lightkiln_proto::kinds::prt::{Body, NAME, PATCHES};
-use lightkiln_proto::manifest::{CLUSTERS, OVERVIEW};
+use lightkiln_proto::kinds::prt::{Body, NAME, PATCHES, Settings};
+use lightkiln_proto::manifest::{CLUSTERS, ChunkRef, ClusterRow, OVERVIEW};
+use serde_json::Value;
 
 use super::plan::PATCH_SET;
 use super::{BakeParams, overview};
@@ -11,17 +12,36 @@ use crate::factors::CellIndex;
 use crate::patches::PatchTree;
 use crate::task::{Context, TaskError, TaskOutput, params};
 
-/// Runs the task: inputs are the outputs of the scene tasks, `patch-set`, `cluster/N/…` of every cell, and `overview/…`.
+/// The part of a manifest and of its report that is a relightable bake's, whatever its kind.
+pub struct Assembled {
+    /// Body.
+    pub body: Body,
+    /// Clusters.
+    pub clusters: Vec<ClusterRow>,
+    /// Chunks by role.
+    pub chunks: Vec<(&'static str, Vec<ChunkRef>)>,
+    /// The report.
+    pub report: Value,
+}
+
+impl Assembled {
+    /// Of a task's inputs: the outputs of the scene tasks, `patch-set`, `cluster/N/…` of every cell, and `overview/…`.
+    pub fn of(context: &Context, settings: &Settings) -> Result<Self, TaskError> {
+        let index = CellIndex::of_inputs(context)?;
+        let report = index.report(settings.patches.rank_error);
+        let patches = PatchTree::of(context)?.patches.len() as u64;
+        let body = Body { totals: index.totals(), patches };
+        let overview = chunk_refs(context, &format!("{OVERVIEW}/{}", overview::OUTPUT));
+        let patches = chunk_refs(context, PATCH_SET);
+        let chunks = vec![(CLUSTERS, index.chunks), (PATCHES, patches), (OVERVIEW, overview)];
+        Ok(Self { body, clusters: index.clusters, chunks, report })
+    }
+}
+
+/// Runs the task: inputs of [`Assembled::of`].
 pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> {
     let BakeParams { settings, scene, .. } = params(task)?;
-    let index = CellIndex::of_inputs(context)?;
-    let report = index.report(settings.patches.rank_error);
-    let patches = PatchTree::of(context)?.patches.len() as u64;
-    let body = Body { totals: index.totals(), patches };
-    let overview = chunk_refs(context, &format!("{OVERVIEW}/{}", overview::OUTPUT));
-    let patches = chunk_refs(context, PATCH_SET);
-    let chunks = vec![(CLUSTERS, index.chunks), (PATCHES, patches), (OVERVIEW, overview)];
-    let clusters = index.clusters;
+    let Assembled { body, clusters, chunks, report } = Assembled::of(context, &settings)?;
     assembled(
         context,
         KindPart { kind: NAME, scene, settings: &settings, body: &body, clusters, chunks },

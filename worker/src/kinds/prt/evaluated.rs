@@ -1,6 +1,8 @@
 //! A bake over patches as evaluation sees it.
 
 use lightkiln_proto::chunk::decode_patches;
+use lightkiln_proto::ids::Digest;
+use lightkiln_proto::jobs::TaskSpec;
 use lightkiln_proto::kinds::prt::{PATCHES, Settings, first_tasks, tasks};
 use lightkiln_proto::manifest::Manifest;
 use lightkiln_proto::relight::PatchTable;
@@ -22,14 +24,26 @@ pub fn evaluated(
 ) -> Result<FactoredBake<PatchTable>, EvaluationError> {
     let settings: Settings = manifest.settings()?;
     let plan = |scene| first_tasks(scene, &settings);
-    let first = FirstTasks { kinds, plan, run: &[tasks::PLAN.name], up_to: tasks::TRANSPORT.name };
+    evaluated_of(kinds, manifest, (scene, plan, tasks::PLAN.name), &settings, bytes, progress)
+}
+
+/// As [`evaluated`], of a scene whose first tasks `plan` gives, and of which the task kind `planning` plans the relightable bake.
+pub fn evaluated_of(
+    kinds: &BakeKinds,
+    manifest: &Manifest,
+    (scene, plan, planning): (Vec<u8>, impl FnOnce(Digest) -> Vec<TaskSpec>, &str),
+    settings: &Settings,
+    bytes: ChunkBytes,
+    progress: &Progress,
+) -> Result<FactoredBake<PatchTable>, EvaluationError> {
+    let first = FirstTasks { kinds, plan, run: &[planning], up_to: tasks::TRANSPORT.name };
     made_anew(first, scene, progress, |context, run| {
         let chunks = manifest.chunks(PATCHES);
-        if chunks.iter().map(|chunk| Some(chunk.digest)).ne([run.output(tasks::PLAN.name, PATCH_SET)]) {
+        if chunks.iter().map(|chunk| Some(chunk.digest)).ne([run.output(planning, PATCH_SET)]) {
             return Err(EvaluationError::OtherStage { what: "other surface patches".into() });
         }
         let patches = decoded(&chunks[0], bytes, decode_patches)?;
-        let transport = PatchTransport::of(context, (&settings).into()).map_err(EvaluationError::Prepare)?;
+        let transport = PatchTransport::of(context, settings.into()).map_err(EvaluationError::Prepare)?;
         let columns = |slots: &_| PatchTable::new(&patches, slots);
         FactoredBake::new(manifest, bytes, context, Box::new(transport), columns)
     })

@@ -29,7 +29,10 @@ use crate::patches::PatchTree;
 use crate::reads::{Record, Stage};
 use crate::task::{Cancelled, Context, Progress, TaskError};
 use crate::transport::{self as shared, DEAD_PATH_TEXELS};
+pub(super) use assemble::Assembled;
+pub(super) use evaluated::evaluated_of;
 use near::NearHit;
+pub(super) use plan::{Planned, is_read_by_transport, planned};
 use rows::{KeptRows, Known};
 use truncate::NamedPiece;
 

@@ -4,7 +4,7 @@
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{TaskInput, TaskSpec};
 use lightkiln_proto::kinds::OUTLINE_OUTPUT;
-use lightkiln_proto::kinds::prt::{Body, NAME, PATCHES, tasks};
+use lightkiln_proto::kinds::prt::{Body, NAME, PATCHES, Settings, tasks};
 use lightkiln_proto::manifest::{ChunkRef, OVERVIEW};
 use rayon::prelude::*;
 use serde_json::{Value, json};
@@ -25,10 +25,32 @@ pub const PATCH_SET: &str = "patch-set";
 /// Rays cast for each of a receiver's own, in the estimate of costs: its links' tests among them.
 const RAYS_PER_RAY: u64 = 2;
 
+/// Tasks of a relightable bake, whatever else its kind plans.
+pub struct Planned {
+    /// `cells`, `stage`, `patch-set`.
+    pub artefacts: Vec<(String, Vec<u8>)>,
+    /// Tasks of rays and of colours, and the overview.
+    pub tasks: Vec<TaskSpec>,
+    /// Inputs of assemble, beside the outputs of the scene tasks.
+    pub results: Vec<TaskInput>,
+}
+
 /// Runs the task: inputs are the outputs of all scene tasks; outputs `cells`, `stage`, `patch-set`, `outline`.
 pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> {
     let bake: BakeParams = params(task)?;
-    let (settings, traced) = (&bake.settings, TracedSettings::from(&bake.settings));
+    let Planned { mut artefacts, tasks: mut plan, results } = planned(context, &bake.settings)?;
+    let inputs = context.as_inputs(|_| true).into_iter().chain(results).collect();
+    plan.push(tasks::ASSEMBLE.task("bundle", json!(bake), inputs, 1));
+    let (world, tree) = (World::of(context)?, PatchTree::of(context)?);
+    let patch_set = artefacts.iter().find(|(name, _)| name == PATCH_SET).map_or(&[][..], |(_, bytes)| bytes);
+    let outline = outline(context, &bake, &world.geometry.scene, &tree, patch_set)?;
+    artefacts.push((OUTLINE_OUTPUT.to_owned(), outline));
+    Ok(TaskOutput { artefacts, plan, ..TaskOutput::default() })
+}
+
+/// The tasks over the outputs of all scene tasks, which are a context's inputs.
+pub fn planned(context: &Context, settings: &Settings) -> Result<Planned, TaskError> {
+    let traced = TracedSettings::from(settings);
     let world = World::of(context)?;
     let tree = PatchTree::of(context)?;
     let emitters = EmitterSet::of(context, &world.geometry)?;
@@ -43,7 +65,6 @@ pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> 
         name: (*name).into(),
         digest: Digest::of(bytes),
     };
-    let scene_outputs = context.as_inputs(|_| true);
 
     let names: Vec<Digest> =
         cells.par_iter().map(|cell| alike(&world, &common, &cell.bounds_m, &cell.receivers)).collect();
@@ -61,19 +82,14 @@ pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> 
         colours.push(tasks::COLOUR.task(label, Value::Null, inputs, cell.receivers.len() as u64 / 1000 + 1));
         rays.push(transport);
     }
-    let mut coloured = vec![input(&own[2])];
-    coloured.extend(crate::task::results_of(&colours));
+    let mut results = vec![input(&own[2])];
+    results.extend(crate::task::results_of(&colours));
     let cost = world.lightmap.receivers.len() as u64 / 100 + 1;
-    let overview = tasks::OVERVIEW.task(OVERVIEW, Value::Null, coloured.clone(), cost);
-    let mut inputs = scene_outputs;
-    inputs.extend(coloured);
-    inputs.extend(crate::task::results_of(std::slice::from_ref(&overview)));
-    let assemble = tasks::ASSEMBLE.task("bundle", json!(bake), inputs, 1);
-    let plan = rays.into_iter().chain(colours).chain([overview, assemble]).collect();
-    let outline = outline(context, &bake, &world.geometry.scene, &tree, &own[2].1)?;
-    let own = own.into_iter().chain([(OUTLINE_OUTPUT, outline)]);
-    let artefacts = own.map(|(name, bytes)| (name.to_owned(), bytes)).collect();
-    Ok(TaskOutput { artefacts, plan, ..TaskOutput::default() })
+    let overview = tasks::OVERVIEW.task(OVERVIEW, Value::Null, results.clone(), cost);
+    results.extend(crate::task::results_of(std::slice::from_ref(&overview)));
+    let tasks = rays.into_iter().chain(colours).chain([overview]).collect();
+    let artefacts = own.into_iter().map(|(name, bytes)| (name.to_owned(), bytes)).collect();
+    Ok(Planned { artefacts, tasks, results })
 }
 
 /// The manifest of a bake that has no clusters yet.
@@ -95,6 +111,7 @@ fn is_read_by_colour(name: &str) -> bool {
     ["import/scene", "unwrap/", "place/"].iter().any(|read| name.starts_with(read))
 }
 
-fn is_read_by_transport(name: &str) -> bool {
+/// Whether an output of the scene tasks is an input of tasks that cast rays.
+pub fn is_read_by_transport(name: &str) -> bool {
     ["import/scene", "unwrap/", "place/", "patches/"].iter().any(|read| name.starts_with(read))
 }

@@ -1,0 +1,146 @@
+//! Light of surfaces from the lightmap, of all else from the field.
+
+use glam::{Vec3, Vec4};
+use lightkiln_proto::kinds::grid::{FieldTable, PROBE_ROWS};
+use lightkiln_proto::relight::{
+    Columns, LOD_LEVELS, LevelCount, Limit, Lod, LodEye, LodPlan, LodTable, PatchTable, Settled,
+};
+
+use super::passes::{FieldPasses, SNIPPET};
+use crate::bake::{
+    DebugPage, IncomingDirect, Light, LightPasses, LitScene, Overlay, SettledLight, SettledReceivers,
+    Unshadowed, UnshadowedArrays,
+};
+use crate::error::Result;
+use crate::lightmap::{LightmapLight, Lit};
+use crate::passes::atlas::Lightmap;
+use crate::passes::atlas::reference::{AtlasPages, read, spread};
+use crate::passes::gpu::{Gpu, storage_read, uniform};
+use crate::passes::shade::{IndirectIrradiance, Shading, Surface};
+use crate::passes::shadow::ShadowPass;
+use crate::scene::{LoadedScene, NO_BLOCK, Tints};
+use crate::threads::Threads;
+
+/// The light of a bake with a field.
+#[derive(Debug)]
+pub struct FieldLight {
+    /// Light of surfaces.
+    pub lightmap: LightmapLight<PatchTable>,
+    /// Light in free space.
+    pub field: FieldTable,
+}
+
+/// Light after the last bounce, and the scene whose surfaces read it.
+struct Shown<'a> {
+    scene: &'a LoadedScene,
+    pages: AtlasPages,
+    field: &'a FieldTable,
+    /// Coefficients at probes.
+    rows: Vec<Vec4>,
+}
+
+impl IndirectIrradiance for Shown<'_> {
+    fn indirect_irradiance(&self, surface: &Surface) -> Vec3 {
+        let draw = &self.scene.draws.draws[surface.draw as usize];
+        if [draw.front, draw.back] == [NO_BLOCK; 2] {
+            self.field.irradiance(&self.rows, surface.position, surface.normal)
+        } else {
+            read(self.scene, &self.pages, surface)
+        }
+    }
+}
+
+impl FieldLight {
+    /// Coefficients at probes, of light in a lightmap that has settled.
+    fn rows(&self, settled: &Settled, unshadowed: Unshadowed<'_>) -> Vec<Vec4> {
+        let Unshadowed { sky, panorama, emitter_scale } = unshadowed;
+        let columns = &self.lightmap.transport.columns;
+        if settled.lambda.is_empty() {
+            // Before the first bounce there is the sky alone.
+            let sky = columns.skies_lambda(sky, panorama);
+            let mut lambda = vec![Vec4::ZERO; columns.lambda_count() - sky.len()];
+            lambda.extend(sky);
+            return self.field.relit(&Threads, &lambda, emitter_scale);
+        }
+        self.field.relit(&Threads, &settled.lambda, emitter_scale)
+    }
+}
+
+impl Light for FieldLight {
+    fn shading(&self) -> Shading {
+        let mut bindings = self.lightmap.shading().bindings;
+        bindings.extend([uniform(false), storage_read(), storage_read()]);
+        Shading { snippet: SNIPPET, bindings }
+    }
+
+    fn settle<'a>(&'a self, lit: &LitScene<'a>, limit: Limit) -> SettledLight<'a> {
+        let Lit { light, .. } = self.lightmap.settled(lit, limit);
+        let pages = spread(&lit.scene.lightmap, &self.lightmap.texels, &light.emit, &light.ind);
+        let rows = self.rows(&light, lit.unshadowed);
+        let shown = Shown { scene: lit.scene, pages, field: &self.field, rows };
+        SettledLight { indirect: Box::new(shown), bounces: light.bounces, converged: light.converged }
+    }
+
+    fn incoming(&self, lit: &LitScene<'_>) -> Option<IncomingDirect> {
+        self.lightmap.incoming(lit)
+    }
+
+    fn at_receivers(&self, lit: &LitScene<'_>, limit: Limit) -> Option<SettledReceivers> {
+        self.lightmap.at_receivers(lit, limit)
+    }
+
+    fn passes(
+        &self,
+        gpu: &Gpu,
+        scene: &LoadedScene,
+        shadow: &ShadowPass,
+        _: [u32; 2],
+    ) -> Result<Box<dyn LightPasses>> {
+        Ok(Box::new(FieldPasses::new(gpu, scene, self, shadow)?))
+    }
+
+    /// Coefficients of emitters at probes stand behind E_emit of receivers.
+    fn unshadowed(&self, light: Unshadowed<'_>) -> UnshadowedArrays {
+        let mut arrays = self.lightmap.unshadowed(light);
+        arrays
+            .emit
+            .extend(self.field.emitters.irradiance(PROBE_ROWS * self.field.len(), light.emitter_scale));
+        arrays
+    }
+
+    fn tinted_albedo(&self, scene: &LoadedScene, tints: &Tints) -> Option<Vec<Vec4>> {
+        self.lightmap.tinted_albedo(scene, tints)
+    }
+
+    fn set_albedo(&mut self, albedo: Vec<Vec4>) {
+        self.lightmap.set_albedo(albedo);
+    }
+
+    fn debug_pictures(&self, scene: &LoadedScene) -> Vec<(&'static str, usize)> {
+        self.lightmap.debug_pictures(scene)
+    }
+
+    fn debug_page(&self, name: &str, page: usize, lit: &LitScene<'_>, limit: Limit) -> Option<DebugPage> {
+        self.lightmap.debug_page(name, page, lit, limit)
+    }
+
+    fn overlay(&self, overlay: Overlay, lod: Option<&LodPlan>) -> Option<Vec<Vec4>> {
+        self.lightmap.overlay(overlay, lod)
+    }
+
+    fn lod_table(&self) -> Option<&LodTable> {
+        self.lightmap.lod_table()
+    }
+
+    fn plan_lod(&self, lod: &Lod, eye: LodEye, before: Option<&LodPlan>) -> Option<LodPlan> {
+        self.lightmap.plan_lod(lod, eye, before)
+    }
+
+    fn count_lod(&self, plan: &LodPlan) -> Option<[LevelCount; LOD_LEVELS]> {
+        self.lightmap.count_lod(plan)
+    }
+
+    fn lightmap<'a>(&'a self, scene: &'a LoadedScene) -> Option<Lightmap<'a>> {
+        self.lightmap.lightmap(scene)
+    }
+}

@@ -1,0 +1,167 @@
+//! The passes of a bake with a field on the adapter: those of its lightmap, and light at probes once before each picture.
+
+use glam::{IVec4, Vec4};
+use lightkiln_proto::kinds::grid::{FieldTable, MAP_POINTS, PROBE_ROWS};
+use lightkiln_proto::relight::{LodPlan, LodTable};
+
+use super::FieldLight;
+use crate::bake::{LightPasses, ReceiverBuffers, UnshadowedArrays};
+use crate::error::Result;
+use crate::lightmap::LightmapPasses;
+use crate::passes::basis::BasisPass;
+use crate::passes::gpu::Gpu;
+use crate::passes::lod::DetailBuffers;
+use crate::passes::reconstruct::{ReconstructPass, RowArrays};
+use crate::passes::shadow::ShadowPass;
+use crate::passes::stopwatch::Recorder;
+use crate::scene::LoadedScene;
+
+/// Shading: the lightmap's, and the field's for surfaces without one.
+pub const SNIPPET: &str =
+    concat!(include_str!("../../passes/atlas/lightmap.wgsl"), include_str!("field.wgsl"));
+/// Largest difference of E from the reference, relative to the largest value: sums of some hundred f32 in another order, and depths
+/// that say by a hair whether a probe sees a point.
+pub const TOLERANCE: f32 = 1e-3;
+
+/// Words of a probe: its place, and a depth map of 16 bits a point.
+const PROBE_WORDS: usize = 3 + MAP_POINTS.div_ceil(2);
+
+/// Numbers of the field; twin of `Field` in the shader.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
+pub struct FieldNumbers {
+    /// Least point of the lattice.
+    pub low: IVec4,
+    /// Points along each axis.
+    pub size: IVec4,
+    /// Step of the lattice in metres.
+    pub spacing_m: f32,
+    /// First word of the first probe.
+    pub first_probe: u32,
+    /// Probes.
+    pub probe_count: u32,
+    /// 0.
+    pub pad: u32,
+}
+
+/// The passes, with their buffers.
+#[derive(Debug)]
+pub struct FieldPasses {
+    lightmap: LightmapPasses,
+    basis: BasisPass,
+    reconstruct: ReconstructPass,
+    /// Coefficients straight from emitters.
+    direct: wgpu::Buffer,
+    /// Coefficients at probes.
+    pub(crate) rows: wgpu::Buffer,
+    numbers: wgpu::Buffer,
+    probes: wgpu::Buffer,
+}
+
+impl FieldPasses {
+    /// Uploads the light of a bake.
+    pub fn new(gpu: &Gpu, scene: &LoadedScene, light: &FieldLight, shadow: &ShadowPass) -> Result<Self> {
+        let lightmap = LightmapPasses::new(gpu, scene, &light.lightmap, shadow)?;
+        let field = &light.field;
+        let four = size_of::<Vec4>() as u64;
+        let bytes = (PROBE_ROWS * field.len()) as u64 * four;
+        let (direct, rows) =
+            (gpu.blank("light of emitters at probes", bytes)?, gpu.blank("light at probes", bytes)?);
+        let b = gpu.blank("b of probes", field.clusters.b_len as u64 * four)?;
+        let detail = DetailBuffers::new(gpu, &field.clusters)?;
+        let arrays = RowArrays { b: &b, start: &direct, beside: None, result: &rows, detail: &detail };
+        Ok(Self {
+            basis: BasisPass::new(gpu, &field.clusters, [&lightmap.resident.lambda, &b], &detail)?,
+            reconstruct: ReconstructPass::new(gpu, &field.clusters, arrays)?,
+            numbers: gpu.uniform("field", &numbers(field)),
+            probes: gpu.storage("probes", &words(field))?,
+            lightmap,
+            direct,
+            rows,
+        })
+    }
+}
+
+fn numbers(field: &FieldTable) -> FieldNumbers {
+    FieldNumbers {
+        low: field.low.extend(0),
+        size: field.size.extend(0),
+        spacing_m: field.spacing_m,
+        first_probe: (field.probe_at.len() + field.probe_in.len()) as u32,
+        probe_count: field.len() as u32,
+        pad: 0,
+    }
+}
+
+/// The probe of each point of the lattice and of each cell, then each probe's place and depth map.
+fn words(field: &FieldTable) -> Vec<u32> {
+    let mut words = [&field.probe_at[..], &field.probe_in].concat();
+    words.reserve(PROBE_WORDS * field.len());
+    for (position_m, depths) in field.position_m.iter().zip(field.depths.chunks_exact(MAP_POINTS)) {
+        words.extend(position_m.truncate().to_array().map(f32::to_bits));
+        let pair = |pair: &[u16]| u32::from(pair[0]) | pair.get(1).map_or(0, |&high| u32::from(high) << 16);
+        words.extend(depths.chunks(2).map(pair));
+    }
+    words
+}
+
+impl LightPasses for FieldPasses {
+    fn set_unshadowed(&self, gpu: &Gpu, UnshadowedArrays { emit, sky }: &UnshadowedArrays) {
+        let (receivers, probes) = emit.split_at(self.lightmap.resident.receiver_count.min(emit.len()));
+        self.lightmap.set_unshadowed(gpu, &UnshadowedArrays { emit: receivers.to_vec(), sky: sky.clone() });
+        gpu.write(&self.direct, probes);
+    }
+
+    fn set_albedo(&self, gpu: &Gpu, albedo: &[Vec4]) {
+        self.lightmap.set_albedo(gpu, albedo);
+    }
+
+    fn relit(&self, encoder: &mut Recorder<'_>, shadow: &ShadowPass) {
+        self.lightmap.relit(encoder, shadow);
+    }
+
+    fn bounce(&self, encoder: &mut Recorder<'_>) {
+        self.lightmap.bounce(encoder);
+    }
+
+    fn make_lod(&mut self, gpu: &Gpu, table: &LodTable) -> Result<()> {
+        self.lightmap.make_lod(gpu, table)
+    }
+
+    fn set_lod(&mut self, gpu: &Gpu, plan: Option<&LodPlan>) {
+        self.lightmap.set_lod(gpu, plan);
+    }
+
+    fn set_turn(&self, gpu: &Gpu, bounce: u32) {
+        self.lightmap.set_turn(gpu, bounce);
+    }
+
+    /// Light at probes from the λ of the last bounce, which no picture needs before.
+    fn publish(&self, encoder: &mut Recorder<'_>) {
+        self.lightmap.publish(encoder);
+        self.basis.record(&mut encoder.compute("basis of probes"));
+        self.reconstruct.record(&mut encoder.compute("light at probes"));
+    }
+
+    fn make_paint(&mut self, gpu: &Gpu) -> Result<()> {
+        self.lightmap.make_paint(gpu)
+    }
+
+    fn paint(&self, gpu: &Gpu, encoder: &mut Recorder<'_>, colours: &[Vec4]) {
+        self.lightmap.paint(gpu, encoder, colours);
+    }
+
+    fn feedback(&self) -> Option<(&wgpu::Buffer, usize)> {
+        self.lightmap.feedback()
+    }
+
+    fn at_receivers(&self) -> Option<ReceiverBuffers<'_>> {
+        self.lightmap.at_receivers()
+    }
+
+    fn bindings(&self) -> Vec<wgpu::BindingResource<'_>> {
+        let mut bindings = self.lightmap.bindings();
+        bindings.extend([&self.numbers, &self.probes, &self.rows].map(wgpu::Buffer::as_entire_binding));
+        bindings
+    }
+}

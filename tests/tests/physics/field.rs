@@ -1,0 +1,205 @@
+//! Light in free space: what probes tell of it between them, beside the path tracer, closed forms and walls.
+
+use std::f32::consts::PI;
+
+use glam::{Vec3, Vec4};
+use lightkiln_proto::harmonics::relight_direction;
+use lightkiln_proto::kinds::grid::{self, FieldTable};
+use lightkiln_proto::scene::LightKind;
+use lightkiln_tests::harness::{Held, Lit, Recipe, bake};
+use lightkiln_tests::scenes;
+use lightkiln_worker::factors::Threads;
+use lightkiln_worker::geometry::{Geometry, Site};
+use lightkiln_worker::rays::sampling::{Sequence, seed_of};
+use lightkiln_worker::reference::{Lighting, Precision, luminance};
+use lightkiln_worker::task::Progress;
+use serde_json::json;
+
+use super::setup::{lamp_at, only};
+
+/// A field of about so many probes over small surfaces.
+fn small(probes: u32) -> Recipe {
+    let settings = json!({
+        "preset": "draft",
+        "receivers_target": 20_000,
+        "transport_rays": 128,
+        "field_probes": probes,
+        "probe_rays": 1024,
+        "field_rank_error": 0.03,
+    });
+    Recipe { kind: "grid", settings }
+}
+
+/// A field, and its light under some lights.
+struct LitField {
+    table: FieldTable,
+    rows: Vec<Vec4>,
+}
+
+impl LitField {
+    fn of(held: &Held, lit: &Lit<'_>) -> Self {
+        let table = held.decoded.field(&held.bake).unwrap();
+        let light = lit.light();
+        let rows = table.relit(&Threads, &light.settled.lambda, &light.emitter_scale);
+        Self { table, rows }
+    }
+
+    fn at(&self, position_m: Vec3, normal: Vec3) -> Vec3 {
+        self.table.irradiance(&self.rows, position_m, normal)
+    }
+
+    /// The same probes, each of which counts whatever stands between it and a point.
+    fn without_depths(mut self) -> Self {
+        self.table.depths.fill(0);
+        self
+    }
+}
+
+/// So many free points of a box, at least `off_m` from all surfaces.
+fn free_points(geometry: &Geometry, [low_m, high_m]: [Vec3; 2], off_m: f32, count: usize) -> Vec<Vec3> {
+    let mut numbers = Sequence::new(seed_of(&[77]));
+    let is_free = |point_m: &Vec3| {
+        (0..32).all(|ray| {
+            let hit = geometry.tracer.closest(*point_m, relight_direction(ray, 32), f32::INFINITY);
+            hit.is_none_or(|hit| hit.t > off_m && !geometry.is_back(&hit))
+        })
+    };
+    let mut point = || low_m + (high_m - low_m) * Vec3::from([(); 3].map(|()| numbers.next_f32()));
+    let points: Vec<Vec3> = (0..100 * count).map(|_| point()).filter(is_free).take(count).collect();
+    assert_eq!(points.len(), count, "next to no free space");
+    points
+}
+
+#[test]
+fn white_furnace_has_the_same_light_in_all_of_its_space() {
+    for albedo in [0.2, 0.8] {
+        let held = Held::new(scenes::furnace(albedo, 1.0, 4.0), &small(100)).unwrap();
+        let lit = held.under(&Lighting { emitter_scale: 1.0, ..Lighting::default() }).unwrap();
+        let field = LitField::of(&held, &lit);
+        let geometry = &held.world.geometry;
+        let wanted = PI / (1.0 - albedo);
+        let (mut sum, mut worst) = (0.0, 0.0_f32);
+        let points = free_points(geometry, geometry.bounds_m(), 0.02, 200);
+        for (index, &point_m) in points.iter().enumerate() {
+            let found = field.at(point_m, relight_direction(index as u32, 256)).y / wanted;
+            sum += found;
+            worst = worst.max((found - 1.0).abs());
+        }
+        let mean = sum / points.len() as f32;
+        println!("albedo {albedo}: mean {mean:.4} of what is wanted, worst {worst:.4}");
+        assert!((mean - 1.0).abs() < 0.01, "albedo {albedo}: {mean} of what is wanted");
+        assert!(worst < 0.05, "albedo {albedo}: a point is off by {worst}");
+    }
+}
+
+#[test]
+fn light_in_a_box_is_near_the_path_tracers() {
+    let held = Held::new(scenes::cornell(), &small(400)).unwrap();
+    let geometry = &held.world.geometry;
+    let points = free_points(geometry, geometry.near_bounds_m(), 0.02, 150);
+    let sites: Vec<Site> = points
+        .iter()
+        .zip(0..)
+        .map(|(&position_m, index)| {
+            let normal = relight_direction(index, 256);
+            Site { position_m, normal, face_normal: normal }
+        })
+        .collect();
+    let sky = LightKind::Sky { zenith: [0.3, 0.5, 1.0], horizon: [1.0; 3] };
+    // Not its lamp: beside that, light changes within a step of the lattice more than all the rest together.
+    for (name, lighting) in
+        [("a point light", lamp_at(Vec3::new(0.3, 3.0, -2.0))), ("the sky", only(sky, 1.0))]
+    {
+        let lit = held.under(&lighting).unwrap();
+        let precision = Precision { rel_error: 0.02, paths_max: 1 << 13 };
+        let traced = lit.reference().irradiance(&sites, &precision, &Progress::new()).unwrap();
+        let wanted: Vec<f64> = traced.iter().map(|of| of.indirect.luminance()).collect();
+        let noise: f64 = traced.iter().map(|of| of.indirect.luminance_error.powi(2)).sum();
+        let mean = wanted.iter().sum::<f64>() / wanted.len() as f64;
+        let compared = |field: &LitField| {
+            let found = sites.iter().map(|site| luminance(field.at(site.position_m, site.normal).as_dvec3()));
+            let found: Vec<f64> = found.collect();
+            let squares: f64 =
+                found.iter().zip(&wanted).map(|(found, wanted)| (found - wanted).powi(2)).sum();
+            let rms = ((squares - noise).max(0.0) / wanted.len() as f64).sqrt();
+            [rms / mean, found.iter().sum::<f64>() / wanted.iter().sum::<f64>()]
+        };
+        let field = LitField::of(&held, &lit);
+        let probes = field.table.len();
+        let [error, energy] = compared(&field);
+        let [plain, _] = compared(&field.without_depths());
+        println!("{name}: {probes} probes, error {error:.3} (without depths {plain:.3}), energy {energy:.3}");
+        assert!(error < 0.25, "{name}: error {error}");
+        // Two boxes hide little from probes: walls between rooms are what depths are for.
+        assert!(error < 1.02 * plain, "{name}: error {error}, without depths {plain}");
+        assert!((energy - 1.0).abs() < 0.03, "{name}: energy {energy}");
+    }
+}
+
+#[test]
+fn no_light_passes_a_wall_of_two_centimetres_in_free_space() {
+    for thickness_m in [0.02, 0.0] {
+        let held = Held::new(scenes::two_rooms(thickness_m), &small(300)).unwrap();
+        let lit = held.under(&lamp_at(Vec3::new(-2.2, 2.2, 0.4))).unwrap();
+        let field = LitField::of(&held, &lit);
+        let geometry = &held.world.geometry;
+        let [low_m, high_m] = geometry.near_bounds_m();
+        let clear_m = 0.5 * thickness_m + 0.02;
+        // Half of them within 20 cm of the wall.
+        let of_side = |side: f32| -> Vec<Vec3> {
+            let ends = |reach_m: f32| {
+                let (a, b) = (side * clear_m, side * reach_m);
+                [Vec3::new(a.min(b), low_m.y, low_m.z), Vec3::new(a.max(b), high_m.y, high_m.z)]
+            };
+            let all = free_points(geometry, ends(high_m.x), 0.02, 100);
+            [all, free_points(geometry, ends(clear_m + 0.2), 0.02, 100)].concat()
+        };
+        let mean_of = |field: &LitField, points: &[Vec3]| {
+            let normals = [Vec3::X, Vec3::NEG_X, Vec3::Y, Vec3::Z];
+            let all = points.iter().flat_map(|&point_m| normals.map(|normal| field.at(point_m, normal).y));
+            all.sum::<f32>() / (4 * points.len()) as f32
+        };
+        let [lit_side, dark_side] = [-1.0, 1.0].map(of_side);
+        let (light, leak) = (mean_of(&field, &lit_side), mean_of(&field, &dark_side));
+        let unseen =
+            lit_side.iter().chain(&dark_side).filter(|point_m| field.table.weights(**point_m).is_empty());
+        let unseen = unseen.count();
+        let without = mean_of(&field.without_depths(), &dark_side);
+        println!(
+            "{thickness_m} m: {leak} against {light}, {without} without depths; {unseen} of 400 points unseen"
+        );
+        assert!(light > 0.1, "the lit room is dark: the test shows nothing");
+        assert!(leak <= 1e-3 * light, "{thickness_m} m: {leak} against {light}");
+        assert!(without > 1e-2 * light, "without depths {without}: the comparison must fail");
+        assert!(unseen <= 4, "{unseen} points see no probe");
+    }
+}
+
+#[test]
+fn sealed_box_in_full_sun_is_exactly_dark_in_its_space() {
+    let held = Held::new(scenes::sealed_box(0.1), &small(3000)).unwrap();
+    let sun = LightKind::Sun { direction: [-0.5, -0.7, -0.5] };
+    let lit = held.under(&only(sun, 100.0)).unwrap();
+    let field = LitField::of(&held, &lit);
+    let geometry = &held.world.geometry;
+    let inside = [Vec3::new(-1.85, 0.4, -1.85), Vec3::new(1.85, 4.1, 1.85)];
+    for (&point_m, index) in free_points(geometry, inside, 0.02, 200).iter().zip(0..) {
+        let found = field.at(point_m, relight_direction(index, 256));
+        assert_eq!(found, Vec3::ZERO, "light inside at {point_m}");
+    }
+    let outside = [Vec3::new(3.0, 0.2, -6.0), Vec3::new(6.0, 3.0, 6.0)];
+    let points = free_points(geometry, outside, 0.02, 50);
+    let mean = points.iter().map(|&point_m| field.at(point_m, Vec3::NEG_Y).y).sum::<f32>() / 50.0;
+    assert!(mean > 1.0, "the outside is dark: the test shows nothing");
+}
+
+#[test]
+fn fields_have_the_same_bytes_on_any_number_of_threads() {
+    let field = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| bake(scenes::cornell(), &small(60)).unwrap()).manifest.chunks(grid::FIELD).to_vec()
+    };
+    let one = field(1);
+    assert!(!one.is_empty());
+    assert_eq!(one, field(5));
+}

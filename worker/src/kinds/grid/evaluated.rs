@@ -1,0 +1,195 @@
+//! A bake with a field as evaluation sees it: its surfaces, which are those of a relightable bake, and its free space.
+
+use glam::{DVec3, Vec3, Vec4};
+use lightkiln_proto::harmonics::relight_direction;
+use lightkiln_proto::kinds::grid::{FIELD, FieldTable, Settings, decode_field, first_tasks, tasks};
+use lightkiln_proto::manifest::Manifest;
+use lightkiln_proto::relight::PatchTable;
+
+use crate::evaluate::{
+    Answer, ChunkBytes, Evaluated, EvaluatedLightmap, EvaluationError, MappedIncoming, Place, Relit, Sample,
+    Sampled,
+};
+use crate::factors::{FactoredBake, Threads, decoded};
+use crate::geometry::{Geometry, Site, Strata};
+use crate::kinds::{BakeKinds, prt};
+use crate::rays::Hit;
+use crate::rays::sampling::{Sequence, seed_of, uniform_sphere};
+use crate::reference::{Lighting, Reference};
+use crate::task::{Cancelled, Progress};
+
+/// Nearest to a surface that light is measured, in metres.
+const CLEARANCE_M: f32 = 0.02;
+/// Places beside surfaces are at most so far off them, in metres.
+const BESIDE_M: f32 = 0.5;
+/// Rays that look whether a place is free.
+const LOOK_RAYS: u32 = 32;
+/// Places that are tried for each that is wanted.
+const TRIES: u32 = 64;
+
+/// Surfaces of a bake with a field.
+pub struct FieldBake {
+    surfaces: FactoredBake<PatchTable>,
+    field: FieldTable,
+}
+
+/// Its free space.
+struct FieldSpace(Box<FieldBake>);
+
+/// Makes the bake's world anew and decodes its chunks.
+pub fn evaluated(
+    kinds: &BakeKinds,
+    manifest: &Manifest,
+    scene: Vec<u8>,
+    bytes: ChunkBytes,
+    progress: &Progress,
+) -> Result<FieldBake, EvaluationError> {
+    let settings: Settings = manifest.settings()?;
+    let plan = |scene| first_tasks(scene, &settings);
+    let first = (scene, plan, tasks::PLAN.name);
+    let surfaces = prt::evaluated_of(kinds, manifest, first, &settings.relightable(), bytes, progress)?;
+    let parts = manifest.chunks(FIELD).iter().map(|chunk| decoded(chunk, bytes, decode_field));
+    let parts: Vec<_> = parts.collect::<Result<_, EvaluationError>>()?;
+    let field = FieldTable::join(&parts, manifest.emitters.len(), surfaces.columns())?;
+    Ok(FieldBake { surfaces, field })
+}
+
+impl Evaluated for FieldBake {
+    fn geometry(&self) -> &Geometry {
+        self.surfaces.geometry()
+    }
+
+    fn answer_at(&self, hit: &Hit) -> Answer {
+        self.surfaces.answer_at(hit)
+    }
+
+    fn points_of(&self, place: &Place) -> Vec<Site> {
+        self.surfaces.points_of(place)
+    }
+
+    fn lightmap(&self) -> Option<&dyn EvaluatedLightmap> {
+        self.surfaces.lightmap()
+    }
+
+    fn in_space(self: Box<Self>) -> Option<Box<dyn Evaluated>> {
+        Some(Box::new(FieldSpace(self)))
+    }
+
+    fn chunk_of(&self, place: &Place) -> Option<usize> {
+        self.surfaces.chunk_of(place)
+    }
+
+    fn trace(&mut self, sample: &[Place], effort: usize, progress: &Progress) -> Result<(), Cancelled> {
+        self.surfaces.trace(sample, effort, progress)
+    }
+
+    fn traced(&self) -> [usize; 2] {
+        self.surfaces.traced()
+    }
+
+    fn relit<'a>(
+        &'a self,
+        reference: &Reference,
+        lighting: &Lighting,
+        progress: &Progress,
+    ) -> Result<Box<dyn Relit + 'a>, Cancelled> {
+        self.surfaces.relit(reference, lighting, progress)
+    }
+
+    fn relit_by_maps<'a>(
+        &'a self,
+        lighting: &Lighting,
+        direct: &MappedIncoming,
+    ) -> Option<Box<dyn Relit + 'a>> {
+        self.surfaces.relit_by_maps(lighting, direct)
+    }
+}
+
+impl Evaluated for FieldSpace {
+    fn geometry(&self) -> &Geometry {
+        self.0.surfaces.geometry()
+    }
+
+    fn answer_at(&self, hit: &Hit) -> Answer {
+        Answer::Place(Place { site: self.geometry().site_at(hit), number: None })
+    }
+
+    /// Half of them anywhere in free space, half 2 to 50 cm off surfaces; each point with two opposite directions.
+    fn sample(&self, count: u32) -> Sample {
+        let geometry = self.geometry();
+        let [low_m, high_m] = geometry.near_bounds_m();
+        let mut numbers = Sequence::new(seed_of(&[40]));
+        let wanted = (count / 4).max(1);
+        let mut anywhere = || low_m + (high_m - low_m) * Vec3::from([(); 3].map(|()| numbers.next_f32()));
+        let inner: Vec<Vec3> = (0..TRIES * wanted).map(|_| anywhere()).collect();
+        let mut numbers = Sequence::new(seed_of(&[41]));
+        let beside = Strata::new(geometry, TRIES.min(8) * wanted).hits.into_iter().map(|hit| {
+            let site = geometry.site_at(&hit);
+            site.position_m + site.face_normal * (CLEARANCE_M + (BESIDE_M - CLEARANCE_M) * numbers.next_f32())
+        });
+        let beside: Vec<Vec3> = beside.collect();
+        let free = |points_m: Vec<Vec3>| {
+            let free: Vec<Vec3> =
+                points_m.into_iter().filter(|&point_m| is_free(geometry, point_m)).collect();
+            // Those beside surfaces are in the order of strata: evenly from all of them.
+            let step = (free.len() / wanted as usize).max(1);
+            free.into_iter().step_by(step).take(wanted as usize)
+        };
+        let mut numbers = Sequence::new(seed_of(&[42]));
+        let places = free(inner).chain(free(beside)).flat_map(|position_m| {
+            let direction = uniform_sphere(numbers.next_f32(), numbers.next_f32());
+            [direction, -direction].map(|normal| {
+                let site = Site { position_m, normal, face_normal: normal };
+                Sampled { place: Place { site, number: None }, area_m2: 1.0 }
+            })
+        });
+        Sample { places: places.collect(), ..Sample::default() }
+    }
+
+    fn chunk_of(&self, _: &Place) -> Option<usize> {
+        None
+    }
+
+    fn relit<'a>(
+        &'a self,
+        reference: &Reference,
+        lighting: &Lighting,
+        progress: &Progress,
+    ) -> Result<Box<dyn Relit + 'a>, Cancelled> {
+        let light = self.0.surfaces.lit(reference, lighting, progress)?;
+        let rows = self.0.field.relit(&Threads, &light.settled.lambda, &light.emitter_scale);
+        let bounces = (light.settled.bounces as usize, light.settled.converged);
+        Ok(Box::new(RelitSpace { field: &self.0.field, rows, bounces }))
+    }
+}
+
+/// No surface is near a place, and no more than a quarter of what is seen from it are backs.
+fn is_free(geometry: &Geometry, point_m: Vec3) -> bool {
+    let mut backs = 0;
+    let is_clear = (0..LOOK_RAYS).all(|ray| {
+        let direction = relight_direction(ray, LOOK_RAYS);
+        let hit = geometry.tracer.closest(point_m, direction, f32::INFINITY);
+        backs += u32::from(hit.is_some_and(|hit| geometry.is_back(&hit)));
+        hit.is_none_or(|hit| hit.t > CLEARANCE_M)
+    });
+    is_clear && 4 * backs <= LOOK_RAYS
+}
+
+/// Free space under some lights.
+struct RelitSpace<'a> {
+    field: &'a FieldTable,
+    /// Coefficients at probes.
+    rows: Vec<Vec4>,
+    bounces: (usize, bool),
+}
+
+impl Relit for RelitSpace<'_> {
+    fn irradiance(&self, place: &Place) -> Option<DVec3> {
+        let Site { position_m, normal, .. } = place.site;
+        Some(self.field.irradiance(&self.rows, position_m, normal).as_dvec3())
+    }
+
+    fn bounces(&self) -> (usize, bool) {
+        self.bounces
+    }
+}

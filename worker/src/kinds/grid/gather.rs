@@ -1,0 +1,172 @@
+//! Task `grid.gather`: rows of the probes of a cell over surface patches and parts of the sky, their factors, and depth maps.
+//!
+//! `T_pj,s = A_l 4π/N Σ_{k: y_pk ∈ s} Y_j(ω_k)`, A_l = (π, 2π/3, π/4): coefficients of irradiance by normal, for the N rays of probe p that
+//! the lattice's point turns.
+
+use std::sync::LazyLock;
+
+use glam::{Quat, Vec3};
+use lightkiln_proto::harmonics::{ShBasis, relight_direction};
+use lightkiln_proto::jobs::TaskSpec;
+use lightkiln_proto::kinds::grid::{PROBE_ROWS, Probe};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::truncate::{ProbeRows, parts};
+use super::{GatherParams, Survey, depth};
+use crate::emitters::{EmitterSet, EmitterSphereSum};
+use crate::factors::{ClusterCell, cell_of_task};
+use crate::lightmap::World;
+use crate::patches::PatchTree;
+use crate::rays::sampling::{Sequence, seed_of};
+use crate::task::{Cancelled, Context, TaskError, TaskOutput, params};
+use crate::transport::{CutBounds, RayHit, RowHits, Sources, patch_rows};
+
+/// Error of taking patches whole as a share of that of truncation, as of receivers.
+const CUT_SHARE: f32 = 0.16;
+
+/// Account of a cell's chunks.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Account {
+    /// Probes.
+    pub probes: u64,
+    /// Sum over probes of the rank of their factors.
+    pub ranks: u64,
+}
+
+/// Runs the task: inputs of [`World::of`] and [`PatchTree::of`], `probes`, `cells`; outputs `chunk/N` and `account`.
+pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> {
+    let settings: GatherParams = params(task)?;
+    let survey = Survey::of(context)?;
+    let cell = cell_of_task(context, settings.cell)?;
+    if cell.receivers.iter().any(|&probe| probe as usize >= survey.probes.len()) {
+        return Err(TaskError::bad_input("the task names probes that the plan does not have"));
+    }
+    let world = World::of(context)?;
+    let gathering = Gathering {
+        emitters: &*EmitterSet::of(context, &world.geometry)?,
+        tree: &*PatchTree::of(context)?,
+        world: &world,
+        survey: &survey,
+        settings: &settings,
+    };
+    let rows = gathering.rows(&cell, context)?;
+    let parts = parts(&cell, &survey, rows, &settings, context.progress)?;
+    let depths = |&probe: &u32| {
+        context.progress.check()?;
+        let position_m = survey.probe(probe as usize).position_m(survey.spacing_m);
+        let found = context.progress.casting(|| depth::depths(&world.geometry, position_m, survey.spacing_m));
+        Ok(found)
+    };
+    let mut output = TaskOutput::default();
+    let mut account = Account::default();
+    for (number, (probes, mut part)) in parts.into_iter().enumerate() {
+        let maps: Vec<Vec<u16>> = probes.par_iter().map(depths).collect::<Result<_, Cancelled>>()?;
+        part.depths = maps.concat();
+        account.probes += probes.len() as u64;
+        account.ranks += probes.len() as u64 * u64::from(part.factors.rank);
+        let encoded = lightkiln_proto::kinds::grid::encode_field(&part, settings.field.field_rank_error)
+            .map_err(|error| TaskError::bad_input_from("the probes cannot be stored", error))?;
+        output.artefacts.push((format!("chunk/{number}"), encoded.bytes));
+    }
+    let account = serde_json::to_vec(&account)
+        .map_err(|error| TaskError::bad_input_from("the account of probes cannot be written", error))?;
+    output.artefacts.push(("account".into(), account));
+    Ok(output)
+}
+
+/// Surroundings of a cell's probes.
+struct Gathering<'a> {
+    world: &'a World,
+    tree: &'a PatchTree,
+    emitters: &'a EmitterSet,
+    survey: &'a Survey,
+    settings: &'a GatherParams,
+}
+
+/// What a probe's rays met, as rows.
+struct Cast {
+    hits: Vec<RowHits>,
+    /// By emitter.
+    emitters: Vec<[[f32; 3]; PROBE_ROWS]>,
+}
+
+impl Gathering<'_> {
+    fn rows(&self, cell: &ClusterCell, context: &Context) -> Result<ProbeRows, TaskError> {
+        let Self { world, tree, settings, .. } = self;
+        let sources = Sources::new(world, tree, settings.sky_parts);
+        context.progress.begin(0.0, 0.9, cell.receivers.len() as u64);
+        let cast: Vec<Cast> = cell
+            .receivers
+            .par_iter()
+            .map(|&probe| {
+                context.progress.check()?;
+                let cast =
+                    context.progress.casting(|| self.cast(self.survey.probe(probe as usize), &sources));
+                context.progress.advance(1);
+                Ok(cast)
+            })
+            .collect::<Result<_, Cancelled>>()?;
+        let (hits, emitters): (Vec<_>, Vec<_>) =
+            cast.into_iter().map(|cast| (cast.hits, cast.emitters)).unzip();
+        let mut hits: Vec<RowHits> = hits.into_iter().flatten().collect();
+        let bounds = CutBounds {
+            columns_max: settings.patches_max as usize,
+            error: CUT_SHARE * settings.field.field_rank_error,
+        };
+        let scale = 4.0 * std::f32::consts::PI / settings.field.probe_rays as f32;
+        let rows = patch_rows(tree, world.lightmap.texel_m, &mut hits, scale, Some(bounds));
+        Ok(ProbeRows { keys: rows.keys, rows: rows.rows, emitters })
+    }
+
+    /// Casts a probe's rays.
+    fn cast(&self, probe: Probe, sources: &Sources<'_>) -> Cast {
+        let Self { world, emitters, survey, settings, .. } = self;
+        let position_m = probe.position_m(survey.spacing_m);
+        let seed = seed_of(&[probe.key.0, 8]);
+        let (turn, rays) = (turn(seed), settings.field.probe_rays);
+        let mut emitted =
+            EmitterSphereSum::new(&world.geometry, emitters, position_m, [rays, settings.emitter_rays]);
+        let mut hits = vec![RowHits::default(); PROBE_ROWS];
+        for ray in 0..rays {
+            let direction = turn * relight_direction(ray, rays);
+            let weights = weights(direction);
+            let hit = world.geometry.tracer.met(position_m, direction, f32::INFINITY);
+            let at = match &hit {
+                None => Some((true, sources.sky(direction))),
+                Some(hit) => {
+                    emitted.add_hit(hit, direction, &weights);
+                    sources.at(hit, position_m + direction * hit.t).leaf.map(|leaf| (false, leaf))
+                }
+            };
+            let Some((is_sky, at)) = at else { continue };
+            for (row, weight) in hits.iter_mut().zip(weights) {
+                let met = RayHit { at, is_even: ray.is_multiple_of(2), weight };
+                if is_sky { row.sky.push(met) } else { row.leaves.push(met) }
+            }
+        }
+        emitted.sample(seed, weights);
+        Cast { hits, emitters: emitted.finish() }
+    }
+}
+
+/// `A_l Y_j(ω)`.
+fn weights(direction: Vec3) -> [f32; PROBE_ROWS] {
+    const OF_BANDS: [f32; 3] =
+        [std::f32::consts::PI, 2.0 / 3.0 * std::f32::consts::PI, 0.25 * std::f32::consts::PI];
+    static BASIS: LazyLock<ShBasis> = LazyLock::new(|| ShBasis::new(2));
+    let mut harmonics = [0.0; PROBE_ROWS];
+    BASIS.evaluate(direction, &mut harmonics);
+    let mut bands = [0, 1, 1, 1, 2, 2, 2, 2, 2].into_iter();
+    harmonics.map(|harmonic| harmonic * OF_BANDS[bands.next().unwrap_or_default()])
+}
+
+/// A turn that is uniform among all (\[Shoemake1992\]).
+fn turn(seed: u64) -> Quat {
+    let mut numbers = Sequence::new(seed);
+    let [share, a, b] = [(); 3].map(|()| numbers.next_f32());
+    let [a, b] = [a, b].map(|at| at * std::f32::consts::TAU);
+    let (low, high) = ((1.0 - share).sqrt(), share.sqrt());
+    Quat::from_xyzw(low * libm::sinf(a), low * libm::cosf(a), high * libm::sinf(b), high * libm::cosf(b))
+}

@@ -1,0 +1,64 @@
+//! Task `grid.plan`: the tasks of a relightable bake, the probes, a task for each cell of them, and assemble.
+
+use lightkiln_proto::ids::Digest;
+use lightkiln_proto::jobs::{TaskInput, TaskSpec};
+use lightkiln_proto::kinds::grid::tasks;
+use serde_json::json;
+
+use super::survey::survey;
+use super::{BakeParams, GatherParams, PROBES_ARTEFACT};
+use crate::factors::{CELLS_ARTEFACT, cell_names, cells, encoded_cells};
+use crate::geometry::Geometry;
+use crate::kinds::prt;
+use crate::task::{Context, TaskError, TaskOutput, params, results_of};
+
+/// Most probes of a cell: one factorisation.
+const CELL_PROBES: u32 = 32;
+
+/// Name of the cells of probes among outputs; tasks of probes see them as [`CELLS_ARTEFACT`].
+const FIELD_CELLS: &str = "field-cells";
+
+/// Runs the task: inputs are the outputs of all scene tasks; outputs those of `prt.plan` but its outline, `probes`, `field-cells`.
+pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> {
+    let bake: BakeParams = params(task)?;
+    let relightable = bake.settings.relightable();
+    let prt::Planned { mut artefacts, tasks: mut plan, results } = prt::planned(context, &relightable)?;
+    let geometry = Geometry::of(context)?;
+    let survey = survey(&geometry, &bake.settings.field, context.progress)?;
+    let cells = cells(&survey.positions_m(), CELL_PROBES);
+    let own = [(PROBES_ARTEFACT, survey.encoded()?), (FIELD_CELLS, encoded_cells(&cells)?)];
+    let input = |name: &str, which: usize| TaskInput::Artefact {
+        name: name.into(),
+        digest: Digest::of(&own[which].1),
+    };
+    let rays = bake.settings.field.probe_rays + relightable.transport.emitter_rays;
+    let mut fields = Vec::new();
+    for (cell, (of, name)) in cells.iter().zip(cell_names(&cells)).enumerate() {
+        let of_cell = GatherParams {
+            cell,
+            sky_parts: relightable.patches.sky_parts,
+            patches_max: relightable.patches.patches_max,
+            rank_max: relightable.factors.rank_max,
+            emitter_rays: relightable.transport.emitter_rays,
+            field: bake.settings.field.clone(),
+        };
+        let mut inputs = context.as_inputs(prt::is_read_by_transport);
+        inputs.extend([input(PROBES_ARTEFACT, 0), input(CELLS_ARTEFACT, 1)]);
+        let cost = of.receivers.len() as u64 * u64::from(rays) / 1000 + 1;
+        fields.push(tasks::GATHER.task(format!("field {name}"), json!(of_cell), inputs, cost));
+    }
+    let mut inputs = context.as_inputs(|_| true);
+    inputs.extend(results);
+    inputs.push(input(PROBES_ARTEFACT, 0));
+    inputs.extend(results_of(&fields));
+    plan.extend(fields);
+    plan.push(tasks::ASSEMBLE.task("bundle", json!(bake), inputs, 1));
+    let counters = [
+        ("probes", survey.probes.len() as u64),
+        ("probes_in_cells", survey.in_cells),
+        ("lattice_points_inside", survey.inside),
+    ];
+    let counters = counters.map(|(name, count)| (name.to_owned(), count as f64)).into();
+    artefacts.extend(own.map(|(name, bytes)| (name.to_owned(), bytes)));
+    Ok(TaskOutput { artefacts, plan, counters, ..TaskOutput::default() })
+}
