@@ -132,7 +132,7 @@ fn light_in_a_box_is_near_the_path_tracers() {
         assert!(error < 0.25, "{name}: error {error}");
         // Two boxes hide little from probes: walls between rooms are what depths are for.
         assert!(error < 1.02 * plain, "{name}: error {error}, without depths {plain}");
-        assert!((energy - 1.0).abs() < 0.03, "{name}: energy {energy}");
+        assert!((energy - 1.0).abs() < 0.05, "{name}: energy {energy}");
     }
 }
 

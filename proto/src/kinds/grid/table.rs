@@ -17,7 +17,7 @@ pub const NO_PROBE: u32 = u32::MAX;
 static BASIS: LazyLock<ShBasis> = LazyLock::new(|| ShBasis::new(2));
 
 /// Most points of the lattice between the outermost probes.
-const POINTS_MAX: usize = 1 << 26;
+const POINTS_MAX: usize = 1 << 20;
 /// Share of a depth over which a point beyond it goes from seen to hidden.
 const HIDDEN_SHARE: f32 = 0.05;
 /// The same in metres, at most: a point 2 cm behind a wall of 2 cm is hidden however far the probe is. *We differ* from a share alone,

@@ -1,8 +1,6 @@
 //! Probes of cells: where no probe at the corners of a cell sees some of its free space, as in a closet between two points of the lattice,
 //! one probe more stands in it.
 
-use std::collections::BTreeSet;
-
 use glam::{IVec3, Vec3};
 use lightkiln_proto::kinds::grid::{Probe, ProbeKey};
 use rayon::prelude::*;
@@ -15,33 +13,28 @@ use crate::task::{Cancelled, Progress};
 /// Steps, from the middle of a cell, at which its space is looked at.
 const STEPS: [i8; 4] = [-3, -1, 1, 3];
 /// Nearest that a surface may be to a place that is looked at, over the lattice's step.
-const CLEARANCE: f32 = 0.04;
+const CLEARANCE: f32 = 0.1;
 
-/// Keys and moves of the probes of cells, ascending.
+/// Keys and moves of the probes of the cells between the points of a lattice, ascending.
 pub fn in_cells(
     geometry: &Geometry,
     survey: &Survey,
+    (low, size): (IVec3, IVec3),
     bounds_m: [Vec3; 2],
     progress: &Progress,
 ) -> Result<Vec<(u64, [i8; 3])>, Cancelled> {
-    let probes: Vec<(IVec3, Vec3)> = (0..survey.probes.len())
-        .map(|index| survey.probe(index))
-        .map(|probe| (probe.key.point(), probe.position_m(survey.spacing_m)))
-        .collect();
-    let cells: BTreeSet<ProbeKey> =
-        probes.iter().flat_map(|(point, _)| corners(*point - 1)).filter_map(ProbeKey::of_cell).collect();
-    let cells: Vec<ProbeKey> = cells.into_iter().collect();
+    let [x, y, z] = (size - 1).max(IVec3::ZERO).to_array();
+    let cells = (0..z).flat_map(|z| (0..y).flat_map(move |y| (0..x).map(move |x| IVec3::new(x, y, z))));
+    let cells: Vec<ProbeKey> = cells.filter_map(|cell| ProbeKey::of_cell(low + cell)).collect();
     let found: Vec<Option<(u64, [i8; 3])>> = cells
         .par_iter()
         .map(|&cell| {
             progress.check()?;
             let around = || {
-                let is_corner = |point: &IVec3| corners(cell.point()).any(|corner| corner == *point);
-                // Keys of points ascend by z: those of a cell are in two runs.
-                let from = probes.partition_point(|(point, _)| point.z < cell.point().z);
-                let to = probes.partition_point(|(point, _)| point.z <= cell.point().z + 1);
-                let near = probes[from..to].iter().filter(|(point, _)| is_corner(point));
-                let near: Vec<Vec3> = near.map(|(_, place_m)| *place_m).collect();
+                let number = |key: ProbeKey| survey.probes.binary_search_by_key(&key.0, |probe| probe.0).ok();
+                let corners = corners(cell.point()).filter_map(ProbeKey::of).filter_map(number);
+                let near: Vec<Vec3> =
+                    corners.map(|number| survey.probe(number).position_m(survey.spacing_m)).collect();
                 best(geometry, cell, survey.spacing_m, bounds_m, &near)
             };
             Ok(progress.casting(around).map(|moved| (cell.0, moved)))

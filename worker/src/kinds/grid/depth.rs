@@ -56,7 +56,8 @@ fn covered(found: &[(f32, Plane)]) -> Vec<f32> {
     let mut raised: Vec<f32> = found.iter().map(|(reciprocal, _)| *reciprocal).collect();
     let ways = SIDES.iter().flat_map(|&[a, b]| [[a, b], [b, a]]);
     for [from, to] in ways {
-        let extended = found[from].1.dot(map_direction(to));
+        // A plane that is met nearly along itself is told by little: it comes no nearer than half as far from one point to the next.
+        let extended = found[from].1.dot(map_direction(to)).min(2.0 * found[from].0);
         if extended.is_finite() && found[to].0 < BREAK * extended {
             raised[to] = raised[to].max(extended);
         }

@@ -8,14 +8,15 @@ use std::sync::LazyLock;
 use glam::{Quat, Vec3};
 use lightkiln_proto::harmonics::{ShBasis, relight_direction};
 use lightkiln_proto::jobs::TaskSpec;
-use lightkiln_proto::kinds::grid::{PROBE_ROWS, Probe};
+use lightkiln_proto::kinds::grid::{FieldSettings, PROBE_ROWS};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use super::fit::{Around, Place, fitted, fitted_emitters, places, shares};
 use super::truncate::{ProbeRows, parts};
 use super::{GatherParams, Survey, depth};
 use crate::emitters::{EmitterSet, EmitterSphereSum};
-use crate::factors::{ClusterCell, cell_of_task};
+use crate::factors::cell_of_task;
 use crate::lightmap::World;
 use crate::patches::PatchTree;
 use crate::rays::sampling::{Sequence, seed_of};
@@ -24,6 +25,14 @@ use crate::transport::{CutBounds, RayHit, RowHits, Sources, patch_rows};
 
 /// Error of taking patches whole as a share of that of truncation, as of receivers.
 const CUT_SHARE: f32 = 0.16;
+
+/// Rays of a probe for each of a place that probes are fitted to: there are about four places a probe.
+const RAYS_OF_PLACE: u32 = 4;
+
+/// Error of quantisation as a share of that of truncation, and its bounds, as of receivers.
+const QUANTISATION_SHARE: f32 = 1.1;
+/// See [`QUANTISATION_SHARE`].
+const QUANTISATION_ERROR: [f32; 2] = [2e-4, 0.05];
 
 /// Account of a cell's chunks.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -51,22 +60,29 @@ pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> 
         survey: &survey,
         settings: &settings,
     };
-    let rows = gathering.rows(&cell, context)?;
-    let parts = parts(&cell, &survey, rows, &settings, context.progress)?;
+    let around = match settings.field.field_fit {
+        0 => Around { probes: cell.receivers.clone(), ..Around::default() },
+        _ => Around::of(&survey, &cell.receivers),
+    };
     let depths = |&probe: &u32| {
         context.progress.check()?;
         let position_m = survey.probe(probe as usize).position_m(survey.spacing_m);
-        let found = context.progress.casting(|| depth::depths(&world.geometry, position_m, survey.spacing_m));
-        Ok(found)
+        Ok(context.progress.casting(|| depth::depths(&world.geometry, position_m, survey.spacing_m)))
     };
+    let maps: Vec<Vec<u16>> = around.probes.par_iter().map(depths).collect::<Result<_, Cancelled>>()?;
+    let places = context.progress.casting(|| places(&world.geometry, &survey, &around, maps.concat()));
+    let places =
+        places.map_err(|error| TaskError::bad_input_from("the probes contradict each other", error))?;
+    let rows = gathering.rows(&around, cell.receivers.len(), &places, context)?;
+    let parts = parts(&cell, &survey, rows, &settings, context.progress)?;
+    let map_of = |probe: &u32| cell.receivers.iter().position(|own| own == probe).map(|own| &maps[own][..]);
     let mut output = TaskOutput::default();
     let mut account = Account::default();
     for (number, (probes, mut part)) in parts.into_iter().enumerate() {
-        let maps: Vec<Vec<u16>> = probes.par_iter().map(depths).collect::<Result<_, Cancelled>>()?;
-        part.depths = maps.concat();
+        part.depths = probes.iter().filter_map(map_of).flatten().copied().collect();
         account.probes += probes.len() as u64;
         account.ranks += probes.len() as u64 * u64::from(part.factors.rank);
-        let encoded = lightkiln_proto::kinds::grid::encode_field(&part, settings.field.field_rank_error)
+        let encoded = lightkiln_proto::kinds::grid::encode_field(&part, quantisation_error(&settings.field))
             .map_err(|error| TaskError::bad_input_from("the probes cannot be stored", error))?;
         output.artefacts.push((format!("chunk/{number}"), encoded.bytes));
     }
@@ -92,18 +108,42 @@ struct Cast {
     emitters: Vec<[[f32; 3]; PROBE_ROWS]>,
 }
 
+/// A point that rays leave.
+struct Start {
+    position_m: Vec3,
+    seed: u64,
+    rays: u32,
+}
+
 impl Gathering<'_> {
-    fn rows(&self, cell: &ClusterCell, context: &Context) -> Result<ProbeRows, TaskError> {
-        let Self { world, tree, settings, .. } = self;
+    /// Rows of the first `own` probes, fitted to those of places where there are some.
+    fn rows(
+        &self,
+        around: &Around,
+        own: usize,
+        places: &[Place],
+        context: &Context,
+    ) -> Result<ProbeRows, TaskError> {
+        let Self { world, tree, settings, survey, .. } = self;
         let sources = Sources::new(world, tree, settings.sky_parts);
-        context.progress.begin(0.0, 0.9, cell.receivers.len() as u64);
-        let cast: Vec<Cast> = cell
-            .receivers
+        let rays = settings.field.probe_rays;
+        let of_probe = |&probe: &u32| {
+            let probe = survey.probe(probe as usize);
+            let position_m = probe.position_m(survey.spacing_m);
+            Start { position_m, seed: seed_of(&[probe.key.0, 8]), rays }
+        };
+        let of_place = |place: &Place| {
+            let Place { position_m, seed, .. } = *place;
+            Start { position_m, seed, rays: rays / RAYS_OF_PLACE }
+        };
+        let starts: Vec<Start> =
+            around.probes.iter().map(of_probe).chain(places.iter().map(of_place)).collect();
+        context.progress.begin(0.0, 0.9, starts.len() as u64);
+        let cast: Vec<Cast> = starts
             .par_iter()
-            .map(|&probe| {
+            .map(|start| {
                 context.progress.check()?;
-                let cast =
-                    context.progress.casting(|| self.cast(self.survey.probe(probe as usize), &sources));
+                let cast = context.progress.casting(|| self.cast(start, &sources));
                 context.progress.advance(1);
                 Ok(cast)
             })
@@ -115,21 +155,38 @@ impl Gathering<'_> {
             columns_max: settings.patches_max as usize,
             error: CUT_SHARE * settings.field.field_rank_error,
         };
-        let scale = 4.0 * std::f32::consts::PI / settings.field.probe_rays as f32;
-        let rows = patch_rows(tree, world.lightmap.texel_m, &mut hits, scale, Some(bounds));
-        Ok(ProbeRows { keys: rows.keys, rows: rows.rows, emitters })
+        let scale = 4.0 * std::f32::consts::PI / rays as f32;
+        let traced = patch_rows(tree, world.lightmap.texel_m, &mut hits, scale, Some(bounds));
+        if places.is_empty() {
+            let (mut rows, mut emitters) = (traced.rows, emitters);
+            rows.truncate(own * PROBE_ROWS);
+            emitters.truncate(own);
+            return Ok(ProbeRows { keys: traced.keys, rows, emitters });
+        }
+        let shares = shares(around.probes.len(), own, places);
+        let of_probe = |shares: &Vec<f64>| {
+            context.progress.check()?;
+            Ok((fitted(shares, &traced.rows), fitted_emitters(shares, &emitters)))
+        };
+        let fitted: Vec<_> = shares.par_iter().map(of_probe).collect::<Result<_, Cancelled>>()?;
+        let (rows, emitters): (Vec<_>, Vec<_>) = fitted.into_iter().unzip();
+        Ok(ProbeRows { keys: traced.keys, rows: rows.into_iter().flatten().collect(), emitters })
     }
 
-    /// Casts a probe's rays.
-    fn cast(&self, probe: Probe, sources: &Sources<'_>) -> Cast {
-        let Self { world, emitters, survey, settings, .. } = self;
-        let position_m = probe.position_m(survey.spacing_m);
-        let seed = seed_of(&[probe.key.0, 8]);
-        let (turn, rays) = (turn(seed), settings.field.probe_rays);
+    /// Casts the rays of a point.
+    fn cast(&self, start: &Start, sources: &Sources<'_>) -> Cast {
+        let Self { world, emitters, settings, .. } = self;
+        let Start { position_m, seed, rays } = *start;
+        let turn = turn(seed);
+        // Rows share the scale of a ray of a probe.
+        let of_ray = settings.field.probe_rays as f32 / rays as f32;
+        let emitter_rays = (settings.emitter_rays as f32 / of_ray) as u32;
         let mut emitted =
-            EmitterSphereSum::new(&world.geometry, emitters, position_m, [rays, settings.emitter_rays]);
+            EmitterSphereSum::new(&world.geometry, emitters, position_m, [rays, emitter_rays.max(1)]);
         let mut hits = vec![RowHits::default(); PROBE_ROWS];
         for ray in 0..rays {
+            // Rays come in bit-reversed order: each half of them is spread evenly, but every other one lies on one side.
+            let is_even = 2 * ray < rays;
             let direction = turn * relight_direction(ray, rays);
             let weights = weights(direction);
             let hit = world.geometry.tracer.met(position_m, direction, f32::INFINITY);
@@ -142,13 +199,18 @@ impl Gathering<'_> {
             };
             let Some((is_sky, at)) = at else { continue };
             for (row, weight) in hits.iter_mut().zip(weights) {
-                let met = RayHit { at, is_even: ray.is_multiple_of(2), weight };
+                let met = RayHit { at, is_even, weight: weight * of_ray };
                 if is_sky { row.sky.push(met) } else { row.leaves.push(met) }
             }
         }
         emitted.sample(seed, weights);
         Cast { hits, emitters: emitted.finish() }
     }
+}
+
+/// Error of the stored numbers, as of receivers'.
+fn quantisation_error(settings: &FieldSettings) -> f32 {
+    (QUANTISATION_SHARE * settings.field_rank_error).clamp(QUANTISATION_ERROR[0], QUANTISATION_ERROR[1])
 }
 
 /// `A_l Y_j(ω)`.

@@ -7,6 +7,7 @@ mod assemble;
 mod cells;
 mod depth;
 mod evaluated;
+mod fit;
 mod gather;
 mod plan;
 mod standing;

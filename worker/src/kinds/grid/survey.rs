@@ -15,6 +15,8 @@ use crate::task::{Cancelled, Progress, TaskError};
 const POINTS_MAX: u64 = 1 << 20;
 /// Depth within bounds from which on something is there to be lit, over the lattice's step.
 const MARGIN: f32 = 0.05;
+/// Most doublings of a scene's longest side for a lattice of few points.
+const COARSER_MAX: u32 = 4;
 /// Share of a size below which the next finer one of {1, 1.5} × 2ⁿ is snapped to.
 const FINER: f64 = 0.72;
 
@@ -43,7 +45,7 @@ pub fn survey(
     if count > POINTS_MAX || reach > LATTICE_MAX {
         return Err(TaskError::bad_input(format!(
             "field_spacing_m = {spacing_m} is too fine: the scene has {count} points of such a lattice, at most \
-             {POINTS_MAX} may be; raise it"
+             {POINTS_MAX} may be, and reaches {reach} steps from the origin, at most {LATTICE_MAX} may be; raise it"
         )));
     }
     progress.begin(0.0, 1.0, count);
@@ -70,7 +72,7 @@ pub fn survey(
             Found::Idle => {}
         }
     }
-    let cells = in_cells(geometry, &survey, bounds_m, progress)?;
+    let cells = in_cells(geometry, &survey, (low, size), bounds_m, progress)?;
     survey.in_cells = cells.len() as u64;
     survey.probes.extend(cells);
     Ok(survey)
@@ -118,9 +120,16 @@ fn spacing_m(bounds_m: [Vec3; 2], settings: &FieldSettings) -> f32 {
     let [low_m, high_m] = bounds_m;
     let longest_m = (high_m - low_m).max_element().max(1e-6);
     let mut spacing_m = snapped_size_m(f64::from(longest_m)) as f32;
+    let is_much = |spacing_m: f32| points(lattice(bounds_m, spacing_m).1) > u64::from(settings.field_probes);
+    // Few points may be too many for the longest side alone, where the lattice lies badly.
+    for _ in 0..COARSER_MAX {
+        if is_much(spacing_m) {
+            spacing_m *= 2.0;
+        }
+    }
     loop {
         let finer_m = snapped_size_m(f64::from(spacing_m) * FINER) as f32;
-        if points(lattice(bounds_m, finer_m).1) > u64::from(settings.field_probes) {
+        if is_much(finer_m) {
             return spacing_m;
         }
         spacing_m = finer_m;
