@@ -3,7 +3,7 @@
 use std::f32::consts::PI;
 
 use glam::{Vec3, Vec4};
-use lightkiln_proto::harmonics::relight_direction;
+use lightkiln_proto::harmonics::{ShBasis, relight_direction};
 use lightkiln_proto::kinds::grid::{self, FieldTable};
 use lightkiln_proto::scene::LightKind;
 use lightkiln_tests::harness::{Held, Lit, Recipe, bake};
@@ -11,7 +11,7 @@ use lightkiln_tests::scenes;
 use lightkiln_worker::factors::Threads;
 use lightkiln_worker::geometry::{Geometry, Site};
 use lightkiln_worker::rays::sampling::{Sequence, seed_of};
-use lightkiln_worker::reference::{Lighting, Precision, luminance};
+use lightkiln_worker::reference::{IrradianceEstimate, Lighting, Precision, luminance};
 use lightkiln_worker::task::Progress;
 use serde_json::json;
 
@@ -134,6 +134,41 @@ fn light_in_a_box_is_near_the_path_tracers() {
         assert!(error < 1.02 * plain, "{name}: error {error}, without depths {plain}");
         assert!((energy - 1.0).abs() < 0.05, "{name}: energy {energy}");
     }
+}
+
+/// At probes nothing is read between them: what is left is the angle of nine harmonics, rays, the cut and factors.
+#[test]
+fn light_at_probes_themselves_is_the_path_tracers() {
+    let mut recipe = small(60);
+    recipe.settings["field_fit"] = 0.into();
+    let held = Held::new(scenes::cornell(), &recipe).unwrap();
+    let lit = held.under(&lamp_at(Vec3::new(0.3, 3.0, -2.0))).unwrap();
+    let field = LitField::of(&held, &lit);
+    let sites: Vec<Site> = field
+        .table
+        .position_m
+        .iter()
+        .zip(0..)
+        .map(|(position_m, index)| {
+            let normal = relight_direction(index, 256);
+            Site { position_m: position_m.truncate(), normal, face_normal: normal }
+        })
+        .collect();
+    let precision = Precision { rel_error: 0.02, paths_max: 1 << 13 };
+    let traced = lit.reference().irradiance(&sites, &precision, &Progress::new()).unwrap();
+    let mean = traced.iter().map(|of| of.indirect.luminance()).sum::<f64>() / sites.len() as f64;
+    let square = |(probe, (site, of)): (usize, (&Site, &IrradianceEstimate))| {
+        let own = &field.rows[grid::PROBE_ROWS * probe..][..grid::PROBE_ROWS];
+        let mut harmonics = [0.0; grid::PROBE_ROWS];
+        ShBasis::new(2).evaluate(site.normal, &mut harmonics);
+        let found: Vec4 = own.iter().zip(harmonics).map(|(row, harmonic)| *row * harmonic).sum();
+        (luminance(found.truncate().as_dvec3()) - of.indirect.luminance()).powi(2)
+            - of.indirect.luminance_error.powi(2)
+    };
+    let squares: f64 = sites.iter().zip(&traced).enumerate().map(square).sum();
+    let error = (squares.max(0.0) / sites.len() as f64).sqrt() / mean;
+    println!("{} probes: error {error:.3} at their own places", sites.len());
+    assert!(error < 0.1, "{error}");
 }
 
 #[test]
