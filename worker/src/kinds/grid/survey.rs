@@ -15,8 +15,6 @@ use crate::task::{Cancelled, Progress, TaskError};
 const POINTS_MAX: u64 = 1 << 20;
 /// Depth within bounds from which on something is there to be lit, over the lattice's step.
 const MARGIN: f32 = 0.05;
-/// Most doublings of a scene's longest side for a lattice of few points.
-const COARSER_MAX: u32 = 4;
 /// Share of a size below which the next finer one of {1, 1.5} × 2ⁿ is snapped to.
 const FINER: f64 = 0.72;
 
@@ -112,7 +110,8 @@ fn sees_bounds(
     })
 }
 
-/// Step of the lattice in metres: as set, or the smallest of {1, 1.5} × 2ⁿ with no more points than `field_probes`.
+/// Step of the lattice in metres: as set, or of {1, 1.5} × 2ⁿ the last from the scene's longest side down before
+/// there are more points than `field_probes`.
 fn spacing_m(bounds_m: [Vec3; 2], settings: &FieldSettings) -> f32 {
     if settings.field_spacing_m > 0.0 {
         return settings.field_spacing_m;
@@ -121,12 +120,6 @@ fn spacing_m(bounds_m: [Vec3; 2], settings: &FieldSettings) -> f32 {
     let longest_m = (high_m - low_m).max_element().max(1e-6);
     let mut spacing_m = snapped_size_m(f64::from(longest_m)) as f32;
     let is_much = |spacing_m: f32| points(lattice(bounds_m, spacing_m).1) > u64::from(settings.field_probes);
-    // Few points may be too many for the longest side alone, where the lattice lies badly.
-    for _ in 0..COARSER_MAX {
-        if is_much(spacing_m) {
-            spacing_m *= 2.0;
-        }
-    }
     loop {
         let finer_m = snapped_size_m(f64::from(spacing_m) * FINER) as f32;
         if is_much(finer_m) {
