@@ -101,7 +101,7 @@ struct Gathering<'a> {
     settings: &'a GatherParams,
 }
 
-/// What a probe's rays met, as rows.
+/// Hits of a point's rays, as rows, and light straight from emitters.
 struct Cast {
     hits: Vec<RowHits>,
     /// By emitter.

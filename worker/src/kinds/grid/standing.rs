@@ -25,7 +25,7 @@ static MOVES: LazyLock<Vec<[i8; 3]>> = LazyLock::new(|| {
     moves
 });
 
-/// What a place is.
+/// Freedom of a place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Place {
     Free,

@@ -18,7 +18,7 @@ const MARGIN: f32 = 0.05;
 /// Share of a size below which the next finer one of {1, 1.5} × 2ⁿ is snapped to.
 const FINER: f64 = 0.72;
 
-/// What there is at a point of the lattice.
+/// A finding at a point of the lattice.
 enum Found {
     /// A probe, and how far it was moved.
     Probe(ProbeKey, [i8; 3]),
