@@ -8,7 +8,7 @@ use std::sync::LazyLock;
 use glam::{Quat, Vec3};
 use lightkiln_proto::harmonics::{ShBasis, relight_direction};
 use lightkiln_proto::jobs::TaskSpec;
-use lightkiln_proto::kinds::grid::{FieldSettings, PROBE_ROWS};
+use lightkiln_proto::kinds::grid::PROBE_ROWS;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -17,6 +17,7 @@ use super::truncate::{ProbeRows, parts};
 use super::{GatherParams, Survey, depth};
 use crate::emitters::{EmitterSet, EmitterSphereSum};
 use crate::factors::cell_of_task;
+use crate::kinds::prt::quantisation_error;
 use crate::lightmap::World;
 use crate::patches::PatchTree;
 use crate::rays::sampling::{Sequence, seed_of};
@@ -28,11 +29,6 @@ const CUT_SHARE: f32 = 0.16;
 
 /// Rays of a probe for each of a place that probes are fitted to: there are about four places a probe.
 const RAYS_OF_PLACE: u32 = 4;
-
-/// Error of quantisation as a share of that of truncation, and its bounds, as of receivers.
-const QUANTISATION_SHARE: f32 = 1.1;
-/// See [`QUANTISATION_SHARE`].
-const QUANTISATION_ERROR: [f32; 2] = [2e-4, 0.05];
 
 /// Account of a cell's chunks.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -82,8 +78,11 @@ pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> 
         part.depths = probes.iter().filter_map(map_of).flatten().copied().collect();
         account.probes += probes.len() as u64;
         account.ranks += probes.len() as u64 * u64::from(part.factors.rank);
-        let encoded = lightkiln_proto::kinds::grid::encode_field(&part, quantisation_error(&settings.field))
-            .map_err(|error| TaskError::bad_input_from("the probes cannot be stored", error))?;
+        let encoded = lightkiln_proto::kinds::grid::encode_field(
+            &part,
+            quantisation_error(settings.field.field_rank_error),
+        )
+        .map_err(|error| TaskError::bad_input_from("the probes cannot be stored", error))?;
         output.artefacts.push((format!("chunk/{number}"), encoded.bytes));
     }
     let account = serde_json::to_vec(&account)
@@ -206,11 +205,6 @@ impl Gathering<'_> {
         emitted.sample(seed, weights);
         Cast { hits, emitters: emitted.finish() }
     }
-}
-
-/// Error of the stored numbers, as of receivers'.
-fn quantisation_error(settings: &FieldSettings) -> f32 {
-    (QUANTISATION_SHARE * settings.field_rank_error).clamp(QUANTISATION_ERROR[0], QUANTISATION_ERROR[1])
 }
 
 /// `A_l Y_j(ω)`.

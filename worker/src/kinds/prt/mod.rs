@@ -34,6 +34,7 @@ pub(super) use evaluated::evaluated_of;
 use near::NearHit;
 pub(super) use plan::{Planned, is_read_by_transport, planned};
 use rows::{KeptRows, Known};
+pub(super) use transport::quantisation_error;
 use truncate::NamedPiece;
 
 /// The kind's row.

@@ -113,10 +113,14 @@ fn colourless(
     Ok(output)
 }
 
+/// Error of the stored numbers of factors that are truncated by such an error.
+pub fn quantisation_error(rank_error: f32) -> f32 {
+    (QUANTISATION_SHARE * rank_error).clamp(QUANTISATION_ERROR[0], QUANTISATION_ERROR[1])
+}
+
 fn quantisation(settings: &TracedSettings) -> QuantisationSettings {
     QuantisationSettings {
-        relative_error: (QUANTISATION_SHARE * settings.patches.rank_error)
-            .clamp(QUANTISATION_ERROR[0], QUANTISATION_ERROR[1]),
+        relative_error: quantisation_error(settings.patches.rank_error),
         levels: settings.lod_levels,
     }
 }
