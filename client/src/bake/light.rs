@@ -8,6 +8,7 @@ use lightkiln_proto::relight::{
     LOD_LEVELS, LevelCount, Limit, Lod, LodEye, LodPlan, LodTable, Panorama, Sky,
 };
 
+use super::FreeSpace;
 use crate::error::Result;
 use crate::fetch::Source;
 use crate::passes::atlas::Lightmap;
@@ -63,6 +64,9 @@ pub struct ReceiverLight {
     pub emit: Vec<Vec4>,
     /// E_ind, with the sky's own light.
     pub indirect: Vec<Vec4>,
+    /// Coefficients at probes of [`Light::free_space`], [`super::PROBE_COEFFICIENTS`] each, of all light but direct light of lamps; empty
+    /// without probes.
+    pub probes: Vec<Vec4>,
 }
 
 /// Light at receivers after the last bounce.
@@ -76,7 +80,7 @@ pub struct SettledReceivers {
     pub converged: bool,
 }
 
-/// The buffers of [`ReceiverLight`] on the adapter, each of so many [`Vec4`].
+/// The buffers of [`ReceiverLight`] on the adapter, each but the last of so many [`Vec4`].
 #[derive(Clone, Copy, Debug)]
 pub struct ReceiverBuffers<'a> {
     /// E_dir.
@@ -87,6 +91,8 @@ pub struct ReceiverBuffers<'a> {
     pub indirect: &'a wgpu::Buffer,
     /// Receivers.
     pub count: usize,
+    /// Coefficients at probes as of the last [`LightPasses::publish`], and how many there are, of a kind with a field.
+    pub probes: Option<(&'a wgpu::Buffer, usize)>,
 }
 
 /// Light that no shadow map has, as the adapter takes it; empty for a kind that takes none.
@@ -221,6 +227,11 @@ pub trait Light: Debug + Send + Sync {
     /// Work of a plan by level; `None` for a kind without levels of detail.
     fn count_lod(&self, plan: &LodPlan) -> Option<[LevelCount; LOD_LEVELS]> {
         let _ = plan;
+        None
+    }
+
+    /// The probes whose light [`ReceiverLight::probes`] is, where the kind has them.
+    fn free_space(&self) -> Option<&dyn FreeSpace> {
         None
     }
 

@@ -5,6 +5,7 @@
 //! shading function in both forms.
 
 mod errors;
+mod free_space;
 mod kind;
 mod light;
 mod places;
@@ -16,6 +17,7 @@ use crate::fetch::Source;
 use crate::scene::{LoadedScene, Object, Recolour, Tints};
 
 pub use errors::{COLUMNS, FULL_COLOUR, MeasuredErrors};
+pub use free_space::{FreeSpace, Lattice, NO_PROBE, PROBE_COEFFICIENTS};
 pub use kind::{ClientKind, ClientKinds};
 pub use light::{
     DebugPage, IncomingDirect, Light, LightPasses, LightStream, LitScene, Overlay, ReceiverBuffers,

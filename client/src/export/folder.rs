@@ -9,7 +9,7 @@ use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
 
 use super::glb::is_own;
-use super::{Exported, SCENE_FILE};
+use super::{Exported, SCENE_FILE, probes};
 use crate::error::{ClientError, Result};
 
 /// How much of an export may lie in a folder.
@@ -60,7 +60,11 @@ fn foreign(folder: &Path, extent: Extent) -> io::Result<Option<String>> {
         let (name, path) = (entry.file_name().to_string_lossy().into_owned(), entry.path());
         let is_scene = name == SCENE_FILE;
         let is_ours = path.is_file()
-            && if is_scene { extent == Extent::Draft || is_own(File::open(&path)?)? } else { is_page(&name) };
+            && if is_scene {
+                extent == Extent::Draft || is_own(File::open(&path)?)?
+            } else {
+                is_page(&name) || probes::is_file(&name)
+            };
         if !is_ours {
             return Ok(Some(name));
         }

@@ -1,9 +1,10 @@
-//! KTX 2.0 files of one uncompressed picture: half floats in linear light, packed by zstd.
+//! KTX 2.0 files of one uncompressed picture, volume or array: half floats in linear light, packed by zstd.
 //!
 //! ```text
 //! header 80 │ level index 24 │ data format descriptor 92 │ keys and values │ zstd frame
 //! ```
 
+use glam::Vec3;
 use half::f16;
 
 use crate::error::{ClientError, Result};
@@ -26,26 +27,67 @@ const SAMPLE_WORDS: u32 = 4;
 /// Channels as descriptors number them: red, green, blue, alpha.
 const CHANNELS: [u32; 4] = [0, 1, 2, 15];
 
-/// The file of a picture of `size`, its texels row after row from the top. Errs where texels are not as many as the size says.
-pub fn rgba16f(size: [u32; 2], texels: &[[f16; 4]]) -> Result<Vec<u8>> {
-    let wanted = u64::from(size[0]) * u64::from(size[1]);
+/// What texels are of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Shape {
+    /// Width and height.
+    size: [u32; 2],
+    /// Slices of a volume; 0 for what is none.
+    depth: u32,
+    /// Layers of an array; 0 for what is none.
+    layers: u32,
+}
+
+impl Shape {
+    /// A picture.
+    pub fn picture(size: [u32; 2]) -> Self {
+        Self { size, depth: 0, layers: 0 }
+    }
+
+    /// A volume of so many texels along x, y and z.
+    pub fn volume([width, height, depth]: [u32; 3]) -> Self {
+        Self { size: [width, height], depth, layers: 0 }
+    }
+
+    /// An array of pictures.
+    pub fn array(size: [u32; 2], layers: u32) -> Self {
+        Self { size, depth: 0, layers }
+    }
+
+    fn texels(&self) -> u64 {
+        let Self { size: [width, height], depth, layers } = *self;
+        [width, height, depth.max(1), layers.max(1)].into_iter().map(u64::from).fold(1, u64::saturating_mul)
+    }
+}
+
+/// A texel of these numbers and alpha 1.
+pub fn opaque(numbers: Vec3) -> [f16; 4] {
+    let [r, g, b] = numbers.to_array().map(f16::from_f32);
+    [r, g, b, f16::ONE]
+}
+
+/// The file of so many texels: row after row from the top, slices or layers behind each other. Errs where they are not as many as the
+/// shape says.
+pub fn rgba16f(shape: Shape, texels: &[[f16; 4]]) -> Result<Vec<u8>> {
+    let wanted = shape.texels();
     if wanted == 0 || texels.len() as u64 != wanted {
-        let problem = format!("{} × {} has {} texels", size[0], size[1], texels.len());
+        let problem = format!("{shape:?} has {} texels", texels.len());
         return Err(ClientError::inconsistent("a page", problem));
     }
+    let Shape { size, depth, layers } = shape;
     let texels: Vec<u8> = texels.iter().flatten().flat_map(|channel| channel.to_le_bytes()).collect();
     let packed = zstd::bulk::compress(&texels, ZSTD_LEVEL).map_err(|source| ClientError::File {
         action: "pack a page of",
         path: "the export".into(),
         source,
     })?;
-    let (descriptor, pairs) = (descriptor(), pairs());
+    let (descriptor, pairs) = (descriptor(), pairs(shape));
     let descriptor_at = HEADER_BYTES + LEVEL_INDEX_BYTES;
     let pairs_at = descriptor_at + descriptor.len() as u32;
     let level_at = u64::from(pairs_at) + pairs.len() as u64;
     let mut file = IDENTIFIER.to_vec();
     // Format, bytes of a number, width, height, depth, layers, faces, levels, supercompression.
-    push(&mut file, &[RGBA16F, 2, size[0], size[1], 0, 0, 1, 1, ZSTD]);
+    push(&mut file, &[RGBA16F, 2, size[0], size[1], depth, layers, 1, 1, ZSTD]);
     push(&mut file, &[descriptor_at, descriptor.len() as u32, pairs_at, pairs.len() as u32]);
     // No global data, then the one level.
     for place in [0, 0, level_at, packed.len() as u64, texels.len() as u64] {
@@ -72,10 +114,11 @@ fn descriptor() -> Vec<u8> {
     words
 }
 
-/// Keys and values: rows run to the right and down.
-fn pairs() -> Vec<u8> {
+/// Keys and values: rows run to the right and down, slices away.
+fn pairs(shape: Shape) -> Vec<u8> {
     let mut pairs = Vec::new();
-    for pair in [&b"KTXorientation\0rd\0"[..], b"KTXwriter\0Lightkiln\0"] {
+    let orientation = if shape.depth == 0 { &b"KTXorientation\0rd\0"[..] } else { b"KTXorientation\0rdi\0" };
+    for pair in [orientation, b"KTXwriter\0Lightkiln\0"] {
         push(&mut pairs, &[pair.len() as u32]);
         pairs.extend(pair);
         pairs.resize(pairs.len().next_multiple_of(4), 0);
@@ -98,7 +141,7 @@ mod tests {
         let texels: Vec<[f16; 4]> = (0..15)
             .map(|index| [0.25, 1e-3, 6e4, 1.0].map(|value: f32| f16::from_f32(value * index as f32 / 15.0)))
             .collect();
-        let file = rgba16f([5, 3], &texels).unwrap();
+        let file = rgba16f(Shape::picture([5, 3]), &texels).unwrap();
         let reader = Reader::new(&file).unwrap();
         let header = reader.header();
         assert_eq!(header.format, Some(Format::R16G16B16A16_SFLOAT));
@@ -116,8 +159,22 @@ mod tests {
     }
 
     #[test]
+    fn volumes_and_arrays_say_how_deep_they_are() {
+        let texels = vec![[f16::ONE; 4]; 24];
+        for (shape, wanted) in [(Shape::volume([2, 3, 4]), (4, 0)), (Shape::array([2, 3], 4), (0, 4))] {
+            let file = rgba16f(shape, &texels).unwrap();
+            let reader = Reader::new(&file).unwrap();
+            let header = reader.header();
+            assert_eq!((header.pixel_width, header.pixel_height), (2, 3));
+            assert_eq!((header.pixel_depth, header.layer_count), wanted);
+            assert_eq!(reader.levels().next().unwrap().uncompressed_byte_length, 24 * TEXEL_BYTES);
+        }
+        assert!(rgba16f(Shape::volume([2, 3, 4]), &texels[1..]).is_err());
+    }
+
+    #[test]
     fn descriptor_is_that_of_half_floats() {
-        let file = rgba16f([1, 1], &[[f16::ONE; 4]]).unwrap();
+        let file = rgba16f(Shape::picture([1, 1]), &[[f16::ONE; 4]]).unwrap();
         let words: Vec<u32> =
             file[104..196].as_chunks::<4>().0.iter().map(|word| u32::from_le_bytes(*word)).collect();
         // Khronos Data Format: length; vendor and type, version and length; model, primaries, transfer and flags; sides of a texel's
@@ -143,7 +200,7 @@ mod tests {
     #[test]
     fn texels_that_are_not_as_many_as_the_size_says_are_refused() {
         for (size, count) in [([2, 2], 3), ([0, 4], 0), ([1, 1], 2)] {
-            assert!(rgba16f(size, &vec![[f16::ONE; 4]; count]).is_err(), "{size:?} {count}");
+            assert!(rgba16f(Shape::picture(size), &vec![[f16::ONE; 4]; count]).is_err(), "{size:?} {count}");
         }
     }
 }

@@ -4,7 +4,8 @@
 //! ```text
 //! light at receivers ─▶ pages, read as a client reads them ─▶ dilate ─▶ ktx2 ─┐
 //! blocks ─────────────▶ pages (places with rims) ─────────────────────────────┼▶ folder
-//! meshes, materials, textures ──────────────────────▶ meshes, materials ─▶ glb ─┘
+//! meshes, materials, textures ──────────────────────▶ meshes, materials ─▶ glb ─┤
+//! light at probes in free space ────────────────────▶ probes ─────────────▶ ktx2 ─┘
 //! ```
 
 mod dilate;
@@ -14,6 +15,7 @@ mod ktx2;
 mod materials;
 mod meshes;
 mod pages;
+mod probes;
 #[cfg(test)]
 mod tests;
 
@@ -31,12 +33,14 @@ use crate::passes::atlas::Lightmap;
 use crate::passes::atlas::reference::{AtlasPages, spread};
 use dilate::{Charts, Shown, charts};
 use glb::Glb;
+use ktx2::{Shape, opaque};
 use materials::{Materials, check_files};
 use meshes::{Atlas, Unlit};
 use pages::{PAGE_MAX, Pages};
 
 pub use folder::{check_folder, write};
 pub use materials::{LIGHTMAP, TextureFile};
+pub use probes::ProbeFormat;
 
 /// The GLB's file in an export.
 pub const SCENE_FILE: &str = "scene.glb";
@@ -59,29 +63,31 @@ pub enum Share {
 
 /// Choices of an export.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Options {
+pub struct Options<'a> {
     /// The light that pages hold.
     pub share: Share,
     /// Texels of a page along each of the lightmap's, of [`SCALES`]. More → light keeps to its side of thin walls, more bytes.
     pub scale: u32,
+    /// Files of light in free space, of kinds that have it.
+    pub probes: &'a [ProbeFormat],
 }
 
-impl Default for Options {
+impl Default for Options<'_> {
     fn default() -> Self {
-        Self { share: Share::All, scale: 1 }
+        Self { share: Share::All, scale: 1, probes: &ProbeFormat::ALL }
     }
 }
 
 /// An export in memory.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Exported {
-    /// Names and contents of files, [`SCENE_FILE`] first.
+    /// Names and contents of files, [`SCENE_FILE`] first, then pages, then light in free space.
     pub files: Vec<(String, Vec<u8>)>,
     /// Width and height of each page, in the order of their files.
     pub pages: Vec<[u32; 2]>,
     /// Factor on a page's texels that gives W·m⁻².
     pub intensity: f32,
-    /// Meshes that have less light than they show, and pages that not every adapter reads.
+    /// Meshes that have less light than they show, and files that not every adapter reads.
     pub warnings: Vec<String>,
 }
 
@@ -91,6 +97,17 @@ pub fn texture_files(source: &Source, bake: &LoadedBake) -> Result<Vec<TextureFi
         let texture = chunk::decode_texture(bytes)?;
         Ok(TextureFile { media_type: texture.media_type, bytes: texture.bytes })
     })
+}
+
+/// Refuses light in free space of a bake of a kind that has none.
+pub fn check_probes(bake: &LoadedBake) -> Result<()> {
+    if bake.light.free_space().is_some() {
+        return Ok(());
+    }
+    let text = format!("kind {}", bake.scene.manifest.kind);
+    let problem = "has no light in free space; bake the scene with a kind that has, or export without \
+                   --probes; 'kiln settings' lists kinds";
+    Err(ClientError::Source { text, problem: problem.to_owned() })
 }
 
 /// Refuses what [`export`] would, whatever the light: to be asked before light is settled.
@@ -106,15 +123,15 @@ pub fn export(
     files: &[TextureFile],
     light: &ReceiverLight,
     emitter_scale: &[f32],
-    options: Options,
+    options: Options<'_>,
 ) -> Result<Exported> {
-    let Options { share, scale } = options;
+    let Options { share, scale, probes } = options;
     let scene = &bake.scene;
     let (charts, places) = plan(bake, scale)?;
     let lightmap = lightmap_of(bake)?;
     let shown = shown(lightmap, light, share)?;
     let blocks = dilate::spread(Shown { lightmap, pages: &shown }, &charts, scale);
-    let intensity = intensity(&blocks)?;
+    let intensity = intensity_of(blocks.iter().flatten().copied())?;
     let names: Vec<String> = (0..places.sizes.len()).map(|page| format!("lightmap-{page}.ktx2")).collect();
     let mut glb = Glb::default();
     let mut materials = Materials::new(&mut glb, scene, files, emitter_scale, (&names, intensity))?;
@@ -124,13 +141,22 @@ pub fn export(
         Share::All => "direct and indirect",
         Share::Indirect => "indirect",
     };
-    let extras = json!({ "irradiance": kept, "unit": "W/m2", "texelsPerLightmapTexel": scale });
+    let mut extras = json!({ "irradiance": kept, "unit": "W/m2", "texelsPerLightmapTexel": scale });
+    let space = bake.light.free_space().filter(|space| !space.positions_m().is_empty() && !probes.is_empty());
+    let probes = space.map(|space| probes::files(space, &light.probes, probes)).transpose()?;
+    if let Some(probes) = &probes {
+        extras["probes"] = probes.extras.clone();
+    }
     let mut all = vec![(SCENE_FILE.to_owned(), glb.finish(extras)?)];
     let written =
         (0..places.sizes.len()).into_par_iter().map(|page| page_file(&places, &blocks, page, intensity));
     let written = written.collect::<Result<Vec<_>>>()?;
     all.extend(names.into_iter().zip(written));
-    let warnings = warnings(unlit, &places.sizes);
+    let mut warnings = warnings(unlit, &places.sizes);
+    if let Some(probes) = probes {
+        all.extend(probes.files);
+        warnings.extend(probes.warnings);
+    }
     Ok(Exported { files: all, pages: places.sizes, intensity, warnings })
 }
 
@@ -163,7 +189,7 @@ fn lightmap_of(bake: &LoadedBake) -> Result<Lightmap<'_>> {
 /// The lightmap's pages under the light, as a client reads them.
 fn shown(lightmap: Lightmap<'_>, light: &ReceiverLight, share: Share) -> Result<AtlasPages> {
     let count = lightmap.receivers.len();
-    let ReceiverLight { direct, emit, indirect } = light;
+    let ReceiverLight { direct, emit, indirect, .. } = light;
     if [direct, emit, indirect].iter().any(|array| array.len() != count) {
         let problem = format!("light of {} receivers, there are {count}", indirect.len());
         return Err(ClientError::inconsistent("light at receivers", problem));
@@ -180,12 +206,11 @@ fn shown(lightmap: Lightmap<'_>, light: &ReceiverLight, share: Share) -> Result<
 
 /// Factor on stored texels: 1, or a power of two that brings the brightest one into the range of half floats. Errs where light is
 /// no number.
-fn intensity(blocks: &[Vec<Vec3>]) -> Result<f32> {
-    let texels = || blocks.iter().flatten();
-    if texels().any(|light| !light.is_finite()) {
+fn intensity_of(texels: impl Iterator<Item = Vec3> + Clone) -> Result<f32> {
+    if texels.clone().any(|light| !light.is_finite()) {
         return Err(not_finite());
     }
-    let brightest = texels().map(|light| light.max_element()).fold(0.0, f32::max);
+    let brightest = texels.map(|light| light.max_element()).fold(0.0, f32::max);
     if brightest == 0.0 || (PLAIN_MIN..=PLAIN_MAX).contains(&brightest) {
         return Ok(1.0);
     }
@@ -210,12 +235,11 @@ fn page_file(places: &Pages, blocks: &[Vec<Vec3>], page: usize, intensity: f32) 
         for (row, from) in block.chunks_exact(place.size[0] as usize).enumerate() {
             let first = (place.corner[1] as usize + row) * size[0] as usize + place.corner[0] as usize;
             for (into, light) in texels[first..].iter_mut().zip(from) {
-                let [r, g, b] = (*light / intensity).to_array().map(f16::from_f32);
-                *into = [r, g, b, f16::ONE];
+                *into = opaque(*light / intensity);
             }
         }
     }
-    ktx2::rgba16f(size, &texels)
+    ktx2::rgba16f(Shape::picture(size), &texels)
 }
 
 fn warnings(Unlit { meshes, backs }: Unlit, pages: &[[u32; 2]]) -> Vec<String> {

@@ -370,14 +370,19 @@ impl<'a> Frame<'a> {
         self.shade.read(&self.gpu)
     }
 
-    /// Light at receivers as of the last bounce, after a wait; `None` for a kind without receivers.
-    pub fn read_receivers(&self) -> Result<Option<ReceiverLight>> {
+    /// Light at receivers and probes as of the last bounce, after a wait; `None` for a kind without receivers.
+    pub fn read_receivers(&mut self) -> Result<Option<ReceiverLight>> {
+        if std::mem::take(&mut self.stale.pages) {
+            self.watch.submit(&self.gpu, |encoder| self.light.publish(encoder));
+        }
         let Some(buffers) = self.light.at_receivers() else { return Ok(None) };
-        let ReceiverBuffers { direct, emit, indirect, count } = buffers;
+        let ReceiverBuffers { direct, emit, indirect, count, probes } = buffers;
+        let probes = probes.filter(|(_, rows)| *rows > 0);
         Ok(Some(ReceiverLight {
             direct: self.gpu.read(direct, count)?,
             emit: self.gpu.read(emit, count)?,
             indirect: self.gpu.read(indirect, count)?,
+            probes: probes.map_or(Ok(Vec::new()), |(rows, count)| self.gpu.read(rows, count))?,
         }))
     }
 

@@ -142,6 +142,14 @@ pub struct Lit {
     pub light: Settled,
 }
 
+impl Lit {
+    /// It, with the light that probes have under it.
+    pub fn at_receivers(self, probes: Vec<Vec4>) -> SettledReceivers {
+        let Self { dir: direct, light: Settled { emit, ind: indirect, bounces, converged, .. } } = self;
+        SettledReceivers { light: ReceiverLight { direct, emit, indirect, probes }, bounces, converged }
+    }
+}
+
 /// Pages with irradiance, and the scene whose surfaces read them.
 struct LitPages<'a> {
     scene: &'a LoadedScene,
@@ -171,9 +179,7 @@ impl<C: ClientColumns> Light for LightmapLight<C> {
     }
 
     fn at_receivers(&self, lit: &LitScene<'_>, limit: Limit) -> Option<SettledReceivers> {
-        let Lit { dir: direct, light } = self.settled(lit, limit);
-        let Settled { emit, ind: indirect, bounces, converged, .. } = light;
-        Some(SettledReceivers { light: ReceiverLight { direct, emit, indirect }, bounces, converged })
+        Some(self.settled(lit, limit).at_receivers(Vec::new()))
     }
 
     fn passes(

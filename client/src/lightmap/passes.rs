@@ -145,7 +145,7 @@ impl LightPasses for LightmapPasses {
     fn at_receivers(&self) -> Option<ReceiverBuffers<'_>> {
         let Resident { e_dir: direct, e_emit: emit, e_ind: indirect, receiver_count: count, .. } =
             &self.resident;
-        Some(ReceiverBuffers { direct, emit, indirect, count: *count })
+        Some(ReceiverBuffers { direct, emit, indirect, count: *count, probes: None })
     }
 
     fn bindings(&self) -> Vec<wgpu::BindingResource<'_>> {

@@ -19,7 +19,9 @@ fn held(got: &ReceiverLight, wanted: &ReceiverLight) {
         (&got.direct, &wanted.direct, direct::TOLERANCE, 4.0 * direct::OUTLIERS),
         (&got.emit, &wanted.emit, 1e-6, 0.0),
         (&got.indirect, &wanted.indirect, TOLERANCE, 0.0),
+        (&got.probes, &wanted.probes, TOLERANCE, 0.0),
     ];
+    assert_eq!(got.probes.len(), wanted.probes.len());
     for (got, wanted, tolerance, outliers) in arrays {
         let difference = Difference::of(got, wanted, tolerance);
         assert!(difference.agrees(outliers), "{difference:?}");
@@ -29,11 +31,12 @@ fn held(got: &ReceiverLight, wanted: &ReceiverLight) {
 #[test]
 #[ignore = "needs a graphics adapter"]
 fn adapter_lights_receivers_as_the_processor_does() {
-    for bake in [fixture::prt_bake(&fixture::prt_contents()), fixture::sh_bake()] {
+    for bake in [fixture::prt_bake(&fixture::prt_contents()), fixture::sh_bake(), fixture::field_bake()] {
         let lit = |lights, backend| light_receivers(&bake, lights, None, vec![1.5], backend).unwrap();
         let [got, wanted] = [Backend::Gpu, Backend::Cpu].map(|backend| lit(fixture::lights(), backend));
         assert!(got.settled.converged && wanted.settled.converged && got.lit_by != wanted.lit_by);
         held(&got.settled.light, &wanted.settled.light);
+        assert_eq!(wanted.settled.light.probes.is_empty(), bake.light.free_space().is_none());
         // Other light is told from it.
         let other = lit(fixture::lights()[1..].to_vec(), Backend::Cpu).settled.light;
         let difference = Difference::of(&got.settled.light.indirect, &other.indirect, TOLERANCE);

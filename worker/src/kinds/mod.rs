@@ -44,6 +44,11 @@ pub trait BakeKind: Send + Sync {
         &[]
     }
 
+    /// Whether it has light in free space: [`Evaluated::in_space`].
+    fn has_space(&self) -> bool {
+        false
+    }
+
     /// A bake of the kind as evaluation sees it: its world made anew from the scene bundle, its chunks decoded. `kinds` is
     /// the whole table, for [`made_anew`].
     ///

@@ -1,15 +1,15 @@
 //! Light of surfaces from the lightmap, of all else from the field.
 
 use glam::{Vec3, Vec4};
-use lightkiln_proto::kinds::grid::{FieldTable, PROBE_ROWS};
+use lightkiln_proto::kinds::grid::{FieldTable, NO_PROBE, PROBE_ROWS};
 use lightkiln_proto::relight::{
     Columns, LOD_LEVELS, LevelCount, Limit, Lod, LodEye, LodPlan, LodTable, PatchTable, Settled,
 };
 
 use super::passes::{FieldPasses, SNIPPET};
 use crate::bake::{
-    DebugPage, IncomingDirect, Light, LightPasses, LitScene, Overlay, SettledLight, SettledReceivers,
-    Unshadowed, UnshadowedArrays,
+    self, DebugPage, FreeSpace, IncomingDirect, Lattice, Light, LightPasses, LitScene, Overlay, SettledLight,
+    SettledReceivers, Unshadowed, UnshadowedArrays,
 };
 use crate::error::Result;
 use crate::lightmap::{LightmapLight, Lit};
@@ -20,6 +20,8 @@ use crate::passes::shade::{IndirectIrradiance, Shading, Surface};
 use crate::passes::shadow::ShadowPass;
 use crate::scene::{LoadedScene, NO_BLOCK, Tints};
 use crate::threads::Threads;
+
+const _: () = assert!(PROBE_ROWS == bake::PROBE_COEFFICIENTS && NO_PROBE == bake::NO_PROBE);
 
 /// The light of a bake with a field.
 #[derive(Debug)]
@@ -47,6 +49,21 @@ impl IndirectIrradiance for Shown<'_> {
         } else {
             read(self.scene, &self.pages, surface)
         }
+    }
+}
+
+impl FreeSpace for FieldTable {
+    fn lattice(&self) -> Lattice<'_> {
+        let Self { spacing_m, low, size, ref probe_at, .. } = *self;
+        Lattice { spacing_m, low, size, probe_at }
+    }
+
+    fn positions_m(&self) -> &[Vec4] {
+        &self.position_m
+    }
+
+    fn distance_m(&self, probe: u32, direction: Vec3) -> f32 {
+        self.distance_m(probe, direction)
     }
 }
 
@@ -86,7 +103,9 @@ impl Light for FieldLight {
     }
 
     fn at_receivers(&self, lit: &LitScene<'_>, limit: Limit) -> Option<SettledReceivers> {
-        self.lightmap.at_receivers(lit, limit)
+        let settled = self.lightmap.settled(lit, limit);
+        let probes = self.rows(&settled.light, lit.unshadowed);
+        Some(settled.at_receivers(probes))
     }
 
     fn passes(
@@ -138,6 +157,10 @@ impl Light for FieldLight {
 
     fn count_lod(&self, plan: &LodPlan) -> Option<[LevelCount; LOD_LEVELS]> {
         self.lightmap.count_lod(plan)
+    }
+
+    fn free_space(&self) -> Option<&dyn FreeSpace> {
+        Some(&self.field)
     }
 
     fn lightmap<'a>(&'a self, scene: &'a LoadedScene) -> Option<Lightmap<'a>> {

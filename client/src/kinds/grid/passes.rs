@@ -53,7 +53,8 @@ pub struct FieldPasses {
     /// Coefficients straight from emitters.
     direct: wgpu::Buffer,
     /// Coefficients at probes.
-    pub(crate) rows: wgpu::Buffer,
+    rows: wgpu::Buffer,
+    row_count: usize,
     numbers: wgpu::Buffer,
     probes: wgpu::Buffer,
 }
@@ -78,6 +79,7 @@ impl FieldPasses {
             lightmap,
             direct,
             rows,
+            row_count: PROBE_ROWS * field.len(),
         })
     }
 }
@@ -156,7 +158,8 @@ impl LightPasses for FieldPasses {
     }
 
     fn at_receivers(&self) -> Option<ReceiverBuffers<'_>> {
-        self.lightmap.at_receivers()
+        let probes = Some((&self.rows, self.row_count));
+        Some(ReceiverBuffers { probes, ..self.lightmap.at_receivers()? })
     }
 
     fn bindings(&self) -> Vec<wgpu::BindingResource<'_>> {

@@ -80,6 +80,7 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     arguments.picture.check()?;
     arguments.wanted.own_lights()?;
     arguments.wanted.check_figures(&kinds.worker)?;
+    arguments.wanted.check_place(&kinds.worker, wanted.kind.name())?;
     if !arguments.evaluate && !arguments.wanted.fail_if.is_empty() {
         return Err(Failure::bad_input("--fail-if has nothing to look at").try_this("--evaluate beside it"));
     }

@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use clap::{Args, ValueEnum};
 use lightkiln_client::bake::LoadedBake;
-use lightkiln_client::export::{self, Exported, Options, Share};
+use lightkiln_client::export::{self, Exported, Options, ProbeFormat, Share};
 use lightkiln_client::lights::{ParsedLights, lights_of, parse_lights};
 use lightkiln_client::preview::{LitReceivers, light_receivers};
 use lightkiln_client::scene::{Recolour, check_recolours};
@@ -24,7 +24,7 @@ use crate::picture::{BackendName, parse_recolour};
 pub struct Arguments {
     #[command(flatten)]
     source: BakeArgument,
-    /// Folder to write: scene.glb, and lightmap-0.ktx2 and on, which it names
+    /// Folder to write: scene.glb, lightmap-0.ktx2 and on, and light in free space, which it names
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Light instead of the scene's own, as of 'kiln preview'; may be given often
@@ -40,6 +40,9 @@ pub struct Arguments {
     /// nine times the texels
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = parse_scale)]
     scale: u32,
+    /// Light in free space, for objects that move; may be given often [default: all, of bakes that have it]
+    #[arg(long, value_enum, value_name = "FORMAT")]
+    probes: Vec<ProbesName>,
     /// Who settles the light; auto takes the graphics adapter if there is one that is no software
     #[arg(long, value_enum, default_value = "auto")]
     backend: BackendName,
@@ -57,6 +60,17 @@ pub enum ShareName {
     All,
     /// Bounces, emissive surfaces and skies; the engine adds the direct light of points, spots and suns
     Indirect,
+}
+
+/// Files of light in free space.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum ProbesName {
+    /// Ambient cubes in a volume: Bevy
+    Cube,
+    /// Places and spherical harmonics: Unity
+    Unity,
+    /// Octahedral maps of irradiance and of distances: shaders of dynamic diffuse global illumination
+    Ddgi,
 }
 
 /// Writes the export.
@@ -85,8 +99,14 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     let panorama = arguments.lighting.panorama()?;
     let files = export::texture_files(&source, &bake)?;
     export::check(&bake, &files, arguments.scale)?;
+    let mut probes: Vec<ProbeFormat> = arguments.probes.iter().copied().map(Into::into).collect();
+    if probes.is_empty() {
+        probes.extend(ProbeFormat::ALL);
+    } else {
+        export::check_probes(&bake)?;
+    }
     let lit = light_receivers(&bake, lights, panorama, emitters.clone(), arguments.backend.into())?;
-    let options = Options { share: arguments.irradiance.into(), scale: arguments.scale };
+    let options = Options { share: arguments.irradiance.into(), scale: arguments.scale, probes: &probes };
     let mut exported = export::export(&bake, &files, &lit.settled.light, &emitters, options)?;
     exported.warnings.extend(bake.scene.warnings.iter().cloned());
     export::write(&exported, &arguments.out)?;
@@ -131,6 +151,16 @@ impl From<ShareName> for Share {
         match name {
             ShareName::All => Self::All,
             ShareName::Indirect => Self::Indirect,
+        }
+    }
+}
+
+impl From<ProbesName> for ProbeFormat {
+    fn from(name: ProbesName) -> Self {
+        match name {
+            ProbesName::Cube => Self::Cube,
+            ProbesName::Unity => Self::Unity,
+            ProbesName::Ddgi => Self::Ddgi,
         }
     }
 }

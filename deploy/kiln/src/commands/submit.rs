@@ -120,6 +120,7 @@ fn check_wanted(arguments: &Arguments, kinds: &KindTables) -> Result<()> {
 /// The bake as it stands when the command is to end.
 fn submit(arguments: &Arguments, kinds: &KindTables) -> Result<Outcome> {
     let wanted = arguments.settings.resolve(&kinds.contract)?;
+    arguments.wanted.check_place(&kinds.worker, wanted.kind.name())?;
     let scene = PackedScene::read(&arguments.scene)?;
     let needs = Needs {
         memory_mib: arguments.needs_memory_mib,

@@ -73,6 +73,22 @@ impl EvaluationArguments {
         self.fail_if.iter().try_for_each(|limit| limit.check_figure(&classes))
     }
 
+    /// Errs where a bake of that kind has nothing at the place, or --pixels asks for what no picture shows; cheap, as [`Self::own_lights`].
+    pub fn check_place(&self, kinds: &BakeKinds, kind: &str) -> Result<()> {
+        if self.place == Where::Surfaces {
+            return Ok(());
+        }
+        if self.pixels.is_some_and(|pixels| pixels > 0) {
+            let what = "--pixels asks for pictures, which show no free space";
+            return Err(Failure::bad_input(what).try_this("--in surfaces, or no --pixels"));
+        }
+        // A kind that is none is said elsewhere.
+        if kinds.get(kind).is_none_or(|kind| kind.has_space()) {
+            return Ok(());
+        }
+        Err(without_space(kind))
+    }
+
     /// The lights of --lights; cheap, so that a wrong file is said before anything is baked or prepared.
     pub fn own_lights(&self) -> Result<Option<Vec<TestLight>>> {
         let Some(path) = &self.lights else { return Ok(None) };
@@ -82,6 +98,12 @@ impl EvaluationArguments {
         let json = fs::read(path).map_err(|error| failed("cannot be read", &error))?;
         lights_of_file(&json).map(Some).map_err(|error| failed("cannot be measured with", &error))
     }
+}
+
+/// A bake of that kind has nothing to measure in free space.
+pub fn without_space(kind: &str) -> Failure {
+    Failure::bad_input(format!("bakes of kind '{kind}' have no light in free space"))
+        .try_this("--in surfaces")
 }
 
 fn parse_rel_error(text: &str) -> std::result::Result<f64, String> {

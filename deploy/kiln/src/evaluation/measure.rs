@@ -11,7 +11,7 @@ use lightkiln_worker::evaluate::{
 use lightkiln_worker::reference::Precision;
 use lightkiln_worker::task::Progress;
 
-use super::arguments::{EvaluationArguments, Where};
+use super::arguments::{EvaluationArguments, Where, without_space};
 use super::shadows::ClientBake;
 use super::table::{Evaluation, LightRow, over_lights};
 use crate::console::say;
@@ -50,6 +50,7 @@ pub fn measure(
         .contract
         .check(&manifest)
         .map_err(|error| Failure::bad_input("the bundle cannot be read").caused_by(&error))?;
+    wanted.check_place(&kinds.worker, &manifest.kind)?;
     let progress = Progress::new();
     let precision = Precision { rel_error: wanted.rel_error, ..Precision::default() };
     let pixels = wanted.pixels();
@@ -59,10 +60,7 @@ pub fn measure(
     let bake = kinds.worker.evaluated(&manifest, scene.into_bytes(), &bytes, &progress).map_err(failure)?;
     let bake = match wanted.place {
         Where::Surfaces => bake,
-        Where::Space => bake.in_space().ok_or_else(|| {
-            let what = format!("bakes of kind '{}' have no light in free space", manifest.kind);
-            Failure::bad_input(what).try_this("--in surfaces")
-        })?,
+        Where::Space => bake.in_space().ok_or_else(|| without_space(&manifest.kind))?,
     };
     let usable = |lights| usable_lights(bake.geometry(), lighting.rest_of_tests(lights)).map_err(failure);
     let chosen = match own {

@@ -203,6 +203,8 @@ fn export_that_cannot_be_is_refused_and_leaves_what_was_there() {
         (["--out", ".."], "ends in no name"),
         (["--light", "lamp"], "'lamp'"),
         (["--scale", "2"], "1 or 3"),
+        (["--probes", "cube"], "no light in free space"),
+        (["--probes", "cubes"], "'cubes'"),
         (["--material", "blue=0,0,1"], "'blue'"),
     ] {
         let out = if arguments[0] == "--out" { &[][..] } else { &["--out", "a"][..] };

@@ -128,6 +128,18 @@ impl FieldTable {
         self.clusters.reconstruct(parallel, &b, &direct, None)
     }
 
+    /// Reciprocal octahedral distance of the nearest surface that a probe sees in a direction, 0 where there is none.
+    fn reciprocal(&self, probe: usize, direction: Vec3) -> f32 {
+        let map = &self.depths[probe * MAP_POINTS..][..MAP_POINTS];
+        let read = |sum: f32, (at, weight): (usize, f32)| sum + depth_of(map[at]) * weight;
+        map_points(direction).into_iter().fold(0.0, read) / self.spacing_m
+    }
+
+    /// Distance in metres of the nearest surface that a probe sees in a direction of length 1; infinite where there is none.
+    pub fn distance_m(&self, probe: u32, direction: Vec3) -> f32 {
+        1.0 / (self.reciprocal(probe as usize, direction) * octahedral_length(direction))
+    }
+
     /// How far behind the nearest surface that a probe sees a point lies, and the point's distance; octahedral, in metres. 0 before it.
     fn excess(&self, probe: u32, point_m: Vec3) -> [f32; 2] {
         let probe = probe as usize;
@@ -136,9 +148,7 @@ impl FieldTable {
         if distance_m <= 1e-6 * self.spacing_m {
             return [0.0, distance_m];
         }
-        let map = &self.depths[probe * MAP_POINTS..][..MAP_POINTS];
-        let read = |sum: f32, (at, weight): (usize, f32)| sum + depth_of(map[at]) * weight;
-        let beyond = map_points(to).into_iter().fold(0.0, read) / self.spacing_m * distance_m;
+        let beyond = self.reciprocal(probe, to) * distance_m;
         [if beyond <= 1.0 { 0.0 } else { distance_m * (1.0 - 1.0 / beyond) }, distance_m]
     }
 

@@ -47,6 +47,10 @@ impl BakeKind for Grid {
         &factors::ERROR_CLASSES
     }
 
+    fn has_space(&self) -> bool {
+        true
+    }
+
     fn evaluated(
         &self,
         kinds: &BakeKinds,

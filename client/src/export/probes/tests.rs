@@ -1,0 +1,291 @@
+//! Files of light in free space as engines read them, held against the field's own light.
+
+use std::f32::consts::PI;
+
+use glam::{IVec3, Vec2};
+use half::f16;
+use lightkiln_proto::harmonics::relight_direction;
+use serde::Deserialize;
+
+use super::ddgi::{DISTANCE_SIDE, IRRADIANCE_SIDE, direction_of, inside_of};
+use super::*;
+use crate::bake::{LoadedBake, ReceiverLight};
+use crate::fixture;
+use crate::preview::{Backend, light_receivers};
+
+/// Half floats keep 11 bits.
+const HALF: f32 = 1e-3;
+
+fn settled(bake: &LoadedBake) -> ReceiverLight {
+    light_receivers(bake, fixture::lights(), None, vec![1.0], Backend::Cpu).unwrap().settled.light
+}
+
+/// Texels of a file, rgb and alpha.
+struct Texels {
+    size: [usize; 2],
+    slices: usize,
+    texels: Vec<Vec4>,
+}
+
+impl Texels {
+    fn of(files: &ProbeFiles, name: &str) -> Self {
+        let (_, bytes) = files.files.iter().find(|(own, _)| own == name).unwrap();
+        let reader = ::ktx2::Reader::new(bytes).unwrap();
+        let header = reader.header();
+        let slices = header.pixel_depth.max(header.layer_count) as usize;
+        let level = reader.levels().next().unwrap();
+        let bytes = zstd::bulk::decompress(level.data, level.uncompressed_byte_length as usize).unwrap();
+        let numbers: Vec<f32> =
+            bytes.chunks_exact(2).map(|pair| f16::from_le_bytes([pair[0], pair[1]]).to_f32()).collect();
+        let texels = numbers.chunks_exact(4).map(Vec4::from_slice).collect();
+        Self { size: [header.pixel_width as usize, header.pixel_height as usize], slices, texels }
+    }
+
+    fn at(&self, [x, y, slice]: [usize; 3]) -> Vec4 {
+        self.texels[(slice * self.size[1] + y) * self.size[0] + x]
+    }
+}
+
+struct Case {
+    bake: LoadedBake,
+    light: Vec<Vec4>,
+    files: ProbeFiles,
+}
+
+impl Case {
+    fn new() -> Self {
+        let bake = fixture::field_bake();
+        let light = settled(&bake).probes;
+        let files = files(bake.light.free_space().unwrap(), &light, &ProbeFormat::ALL).unwrap();
+        Self { bake, light, files }
+    }
+
+    fn volume(&self) -> Volume<'_> {
+        Volume::new(self.bake.light.free_space().unwrap(), &self.light)
+    }
+
+    fn intensity(&self, place: &str) -> f32 {
+        self.files.extras.pointer(place).unwrap().as_f64().unwrap() as f32
+    }
+}
+
+fn normals() -> impl Iterator<Item = Vec3> {
+    (0..256).map(|index| relight_direction(index, 256))
+}
+
+/// Root mean squares of a difference and of the light, over points and normals.
+fn rms(volume: &Volume<'_>, read: impl Fn([usize; 3], Vec3) -> Vec3) -> f32 {
+    let [width, height, depth] = volume.size();
+    let (mut error, mut all) = (0.0, 0.0);
+    for at in (0..width * height * depth).map(|at| [at % width, at / width % height, at / (width * height)]) {
+        let probe = volume.probe_of[volume.index(at)];
+        for normal in normals() {
+            let wanted = volume.irradiance(probe, &harmonics([normal])[0]);
+            error += (read(at, normal) - wanted).length_squared();
+            all += wanted.length_squared();
+        }
+    }
+    (error / all).sqrt()
+}
+
+#[test]
+fn cubes_are_read_as_bevy_reads_them() {
+    let case = Case::new();
+    let volume = case.volume();
+    let texels = Texels::of(&case.files, cube::FILE);
+    let [x, y, z] = volume.size();
+    assert_eq!((texels.size, texels.slices), ([x, 2 * y], 3 * z));
+    let intensity = case.intensity("/cube/intensity");
+    let read = |[x, row, slice]: [usize; 3], normal: Vec3| {
+        let side = |axis: usize| {
+            let below = if normal[axis] < 0.0 { y } else { 0 };
+            texels.at([x, row + below, slice + axis * z]).truncate() * normal[axis] * normal[axis]
+        };
+        (side(0) + side(1) + side(2)) * intensity
+    };
+    let error = rms(&volume, read);
+    // Sides turned round, and axes taken for one another, are far worse.
+    let turned = rms(&volume, |at, normal| read(at, -normal));
+    let mixed = rms(&volume, |at, normal| read(at, Vec3::new(normal.z, normal.x, normal.y)));
+    println!("ambient cubes: {error}; sides turned round: {turned}, axes mixed: {mixed}");
+    assert!(error < 0.15 && turned > 2.0 * error && mixed > 2.0 * error, "{error} {turned} {mixed}");
+}
+
+#[test]
+fn harmonics_are_read_as_unity_reads_them() {
+    #[derive(Deserialize)]
+    struct File {
+        unit: String,
+        probes: Vec<Probe>,
+    }
+    #[derive(Deserialize)]
+    struct Probe {
+        position: [f32; 3],
+        sh: Vec<f32>,
+    }
+    let case = Case::new();
+    let volume = case.volume();
+    let (_, bytes) = case.files.files.iter().find(|(name, _)| name == unity::FILE).unwrap();
+    let File { unit, probes } = serde_json::from_slice(bytes).unwrap();
+    assert_eq!((unit.as_str(), probes.len()), ("W/m2/sr", volume.space.positions_m().len()));
+    for (probe, own) in volume.probes().zip(&probes) {
+        let Probe { position: [x, y, z], sh } = own;
+        assert_eq!(Vec3::new(-x, *y, *z), volume.space.positions_m()[probe as usize].truncate());
+        for normal in normals() {
+            // Unity's ShadeSH9, in its own world.
+            let n = Vec3::new(-normal.x, normal.y, normal.z);
+            let radiance = |c: usize| {
+                let sh = |j: usize| sh[9 * c + j];
+                let linear = sh(3) * n.x + sh(1) * n.y + sh(2) * n.z + sh(0) - sh(6);
+                let products =
+                    sh(4) * n.x * n.y + sh(5) * n.y * n.z + 3.0 * sh(6) * n.z * n.z + sh(7) * n.z * n.x;
+                linear + products + sh(8) * (n.x * n.x - n.y * n.y)
+            };
+            let found = PI * Vec3::new(radiance(0), radiance(1), radiance(2));
+            let wanted = volume.irradiance(probe, &harmonics([normal])[0]);
+            assert!((found - wanted).length() < 1e-4 * wanted.length().max(0.1), "{found} for {wanted}");
+        }
+    }
+}
+
+/// A bilinear read of a tile at a place of the square −1..1.
+fn bilinear(texels: &Texels, side: usize, [x, y, layer]: [usize; 3], at: Vec2) -> Vec4 {
+    let inside = (side - 2) as f32;
+    let at = (at + 1.0) * 0.5 * inside + 0.5;
+    let (low, share) = (at.floor(), at - at.floor());
+    let texel = |dx: usize, dy: usize| {
+        texels.at([x * side + low.x as usize + dx, y * side + low.y as usize + dy, layer])
+    };
+    let upper = texel(0, 0).lerp(texel(1, 0), share.x);
+    upper.lerp(texel(0, 1).lerp(texel(1, 1), share.x), share.y)
+}
+
+/// Place of a direction on the square.
+fn place_of(direction: Vec3) -> Vec2 {
+    let on = direction / direction.abs().element_sum();
+    if on.z >= 0.0 {
+        return Vec2::new(on.x, on.y);
+    }
+    Vec2::new((1.0 - on.y.abs()).copysign(on.x), (1.0 - on.x.abs()).copysign(on.y))
+}
+
+#[test]
+fn maps_of_irradiance_are_the_fields_and_have_no_seams() {
+    let case = Case::new();
+    let volume = case.volume();
+    let texels = Texels::of(&case.files, ddgi::IRRADIANCE_FILE);
+    let [x, y, z] = volume.size();
+    assert_eq!((texels.size, texels.slices), ([x, z].map(|along| along * IRRADIANCE_SIDE), y));
+    let intensity = case.intensity("/ddgi/irradiance/intensity");
+    let read = |[x, y, z]: [usize; 3], normal: Vec3| {
+        bilinear(&texels, IRRADIANCE_SIDE, [x, z, y], place_of(normal)).truncate() * intensity
+    };
+    let error = rms(&volume, read);
+    let turned = rms(&volume, |at, normal| read(at, -normal));
+    println!("octahedral irradiance: {error}; turned round: {turned}");
+    assert!(error < 0.06 && turned > 4.0 * error, "{error} {turned}");
+    // Either side of the octahedron's edges, which the tile's rim is: the border holds what lies beyond.
+    let distances = Texels::of(&case.files, ddgi::DISTANCE_FILE);
+    for (texels, side) in [(&texels, IRRADIANCE_SIDE), (&distances, DISTANCE_SIDE)] {
+        for along in (0..1000).map(|step| step as f32 / 500.0 - 0.999) {
+            for rim in [-1.0, 1.0] {
+                for [one, other] in [
+                    [Vec2::new(rim, along), Vec2::new(rim, -along)],
+                    [Vec2::new(along, rim), Vec2::new(-along, rim)],
+                ] {
+                    let [one, other] = [one, other].map(|at| bilinear(texels, side, [1, 1, 1], at));
+                    assert!((one - other).abs().max_element() < HALF * one.max_element(), "{one} {other}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn borders_hold_what_lies_across_the_edge() {
+    for side in [IRRADIANCE_SIDE, DISTANCE_SIDE] {
+        let inside = side - 2;
+        let place = |at: usize| (2 * at + 1) as f32 / inside as f32 - 1.0;
+        let middle = |[x, y]: [usize; 2]| direction_of(Vec2::new(place(x), place(y)));
+        assert_eq!(inside_of(side, [3, 4]), [2, 3]);
+        let last = inside - 1;
+        assert_eq!(inside_of(side, [0, 0]), [last, last]);
+        assert_eq!(inside_of(side, [side - 1, 0]), [0, last]);
+        // A border texel's neighbours in the tile and its own number are neighbours on the sphere.
+        for along in 1..=inside {
+            for (border, next) in [([0, along], [0, along - 1]), ([along, side - 1], [along - 1, last])] {
+                let [across, next] = [inside_of(side, border), next].map(middle);
+                assert!(across.dot(next) > 0.75, "{border:?}: {across} beside {next}");
+            }
+        }
+    }
+}
+
+#[test]
+fn distances_are_those_of_walls_and_states_those_of_probes() {
+    let case = Case::new();
+    let volume = case.volume();
+    let [distances, states] =
+        [ddgi::DISTANCE_FILE, ddgi::PROBES_FILE].map(|name| Texels::of(&case.files, name));
+    let [x, y, z] = volume.size();
+    for at in (0..x * y * z).map(|at| [at % x, at / x % y, at / (x * y)]) {
+        let [column, layer, row] = at;
+        let index = volume.index(at);
+        let state = states.at([column, row, layer]);
+        let probe = volume.lattice.probe_at[index];
+        assert_eq!(state.w, if probe == NO_PROBE { 0.0 } else { 1.0 });
+        let spacing_m = volume.lattice.spacing_m;
+        let place = (volume.lattice.point(index).as_vec3() + state.truncate()) * spacing_m;
+        let own = volume.space.positions_m()[probe as usize].truncate();
+        assert!((place - own).length() < HALF * spacing_m, "{place} {own}");
+        for normal in normals() {
+            let read = bilinear(&distances, DISTANCE_SIDE, [column, row, layer], place_of(normal));
+            let wanted = (volume.space.distance_m(probe, normal) / spacing_m).min(2.598);
+            let spread = (read.y - read.x * read.x).max(0.0).sqrt();
+            // Means over a lobe of some ten degrees.
+            assert!((read.x - wanted).abs() < 0.12 * wanted + 3.0 * spread + 0.02, "{read} for {wanted}");
+        }
+    }
+}
+
+#[derive(Debug)]
+struct Sparse {
+    probe_at: Vec<u32>,
+    positions_m: Vec<Vec4>,
+}
+
+impl FreeSpace for Sparse {
+    fn lattice(&self) -> Lattice<'_> {
+        let Self { probe_at, .. } = self;
+        Lattice { spacing_m: 0.5, low: IVec3::NEG_ONE, size: IVec3::new(3, 2, 2), probe_at }
+    }
+
+    fn positions_m(&self) -> &[Vec4] {
+        &self.positions_m
+    }
+
+    fn distance_m(&self, _: u32, _: Vec3) -> f32 {
+        f32::INFINITY
+    }
+}
+
+#[test]
+fn points_without_a_probe_take_that_of_the_nearest_and_wrong_light_is_refused() {
+    let mut probe_at = vec![NO_PROBE; 12];
+    (probe_at[0], probe_at[8]) = (1, 0);
+    let sparse = Sparse { probe_at, positions_m: vec![Vec4::ZERO; 2] };
+    let light = vec![Vec4::ONE; 2 * PROBE_COEFFICIENTS];
+    let volume = Volume::new(&sparse, &light);
+    assert_eq!(volume.probe_of, [1, 1, 0, 1, 1, 0, 1, 0, 0, 1, 0, 0]);
+    assert_eq!(volume.lattice.point(8), IVec3::new(1, -1, 0));
+    let all = files(&sparse, &light, &ProbeFormat::ALL).unwrap();
+    assert_eq!(all.files.len(), 5);
+    assert!(all.files.iter().all(|(name, _)| is_file(name)) && all.warnings.is_empty());
+    let one = files(&sparse, &light, &[ProbeFormat::Unity]).unwrap();
+    assert_eq!(one.files.len(), 1);
+    assert!(one.extras.get("cube").is_none() && one.extras.get("unity").is_some());
+    let refused = |light: &[Vec4]| files(&sparse, light, &ProbeFormat::ALL).unwrap_err().to_string();
+    assert!(refused(&light[1..]).contains("17 coefficients, there are 18"));
+    let endless = vec![Vec4::INFINITY; 2 * PROBE_COEFFICIENTS];
+    assert!(refused(&endless).contains("no finite number"));
+}
