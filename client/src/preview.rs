@@ -4,6 +4,7 @@ mod cpu;
 mod debug;
 mod gpu;
 mod path;
+mod probes;
 mod receivers;
 mod within;
 
@@ -29,6 +30,7 @@ pub use debug::debug_picture;
 #[cfg(test)]
 pub(crate) use gpu::frame_of;
 pub use path::{FILE_MAX as PATH_FILE_MAX, ViewPath};
+pub use probes::probe_spheres;
 pub use receivers::{LitReceivers, light_receivers};
 pub use within::StreamedBake;
 

@@ -15,6 +15,7 @@ pub mod ids;
 pub mod jobs;
 pub mod kinds;
 pub mod limits;
+pub mod lobes;
 pub mod manifest;
 pub mod nearest;
 pub mod problem;

@@ -245,9 +245,8 @@ impl PictureArguments {
         source: &Source,
         png: &Path,
     ) -> Result<Drawn> {
-        let (objects, stances) = reel.take_objects();
-        let path = reel.path;
-        let path = path.as_ref();
+        let (objects, mut stances) = reel.take_objects();
+        let path = reel.path.as_ref();
         let within = reel.budget.unwrap_or(Budget::NONE);
         let part = match kinds.follow(source)? {
             Some(following) => Some(StreamedBake::follow(following, kinds, within)?),
@@ -256,6 +255,7 @@ impl PictureArguments {
         let Some(streamed) = part else {
             let mut bake = self.loaded(source, kinds)?;
             objects.iter().cloned().try_for_each(|object| bake.add_object(object))?;
+            reel.show_in(&mut bake, &mut stances)?;
             let view = View { objects: stances, ..self.view(&bake, lighting, path)? };
             let full = match self.write_all(&bake, &view, path, png) {
                 Err(full @ ClientError::AdapterFull { .. }) => full,
@@ -270,6 +270,7 @@ impl PictureArguments {
             let budget = Budget { memory, ..Budget::NONE };
             return self.write_part(&mut streamed, (budget, Some(full)), &view, path, png);
         };
+        reel.check_part()?;
         let mut streamed = self.furnished(streamed, objects)?;
         let view = View { objects: stances, ..self.view(&streamed.bake, lighting, path)? };
         self.write_part(&mut streamed, (within, None), &view, path, png)

@@ -4,10 +4,11 @@ use std::fs::File;
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
-use clap::Args;
+use clap::{Args, ValueEnum};
+use lightkiln_client::bake::LoadedBake;
 use lightkiln_client::lights::ParsedLights;
 use lightkiln_client::picture::PassTime;
-use lightkiln_client::preview::{PATH_FILE_MAX, ViewPath};
+use lightkiln_client::preview::{PATH_FILE_MAX, ViewPath, probe_spheres};
 use lightkiln_client::scene::{Object, Stance};
 use lightkiln_client::stream::{Baked, Budget, Streamed};
 use lightkiln_proto::relight::LevelCount;
@@ -16,6 +17,13 @@ use serde::Serialize;
 use crate::failure::{Failure, Result};
 use crate::lighting::LightArguments;
 use crate::objects::{ObjectArgument, parse_object};
+
+/// What a bake is made of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum ShowName {
+    /// Probes in free space: white spheres in the light that they have, which cast shadows
+    Probes,
+}
 
 /// How much light to fetch, and how many pictures to draw of it.
 #[derive(Args, Clone, Debug, Default)]
@@ -35,10 +43,19 @@ pub struct ReelArguments {
     #[arg(long, value_name = "FILE", conflicts_with = "debug", help_heading = "Picture")]
     path: Option<PathBuf>,
     /// Object beside the bake, which moves: "FILE [pos=x,y,z] [turn=yaw,pitch,roll] [scale=s] [time=seconds] [clip=n]", a
-    /// glTF, turned in degrees, at a time of its n-th animation; may be given often. Lights alone light it, and it casts
-    /// shadows on all that they reach, from where less light bounces
+    /// glTF, turned in degrees, at a time of its n-th animation; may be given often. Lights light it, and bounced light where the bake
+    /// has it in free space; it casts shadows on all that lights reach, from where less light bounces
     #[arg(long, value_name = "OBJECT", value_parser = parse_object, help_heading = "Picture")]
     object: Vec<ObjectArgument>,
+    /// Draws into the scene what the bake is made of, of kinds that have it
+    #[arg(
+        long,
+        value_enum,
+        value_name = "WHAT",
+        conflicts_with_all = ["debug", "path", "max_bytes", "max_memory"],
+        help_heading = "Picture"
+    )]
+    show: Option<ShowName>,
 }
 
 /// Pictures to draw of a bake.
@@ -48,6 +65,8 @@ pub struct Reel {
     pub budget: Option<Budget>,
     /// Keys of pictures; one picture without.
     pub path: Option<ViewPath>,
+    /// What the bake is made of, to be drawn too.
+    show: Option<ShowName>,
     objects: Vec<(Object, Stance)>,
 }
 
@@ -55,6 +74,25 @@ impl Reel {
     /// Takes its objects, and their stances.
     pub fn take_objects(&mut self) -> (Vec<Object>, Vec<Stance>) {
         std::mem::take(&mut self.objects).into_iter().unzip()
+    }
+
+    /// Puts what is to be shown of a bake into it, beside objects with these stances.
+    pub fn show_in(&self, bake: &mut LoadedBake, stances: &mut Vec<Stance>) -> Result<()> {
+        if let Some(ShowName::Probes) = self.show {
+            let spheres = probe_spheres(bake)?;
+            bake.add_object(spheres)?;
+            stances.push(Stance::default());
+        }
+        Ok(())
+    }
+
+    /// Refuses to show what a part of a bake is made of.
+    pub fn check_part(&self) -> Result<()> {
+        if self.show.is_none() {
+            return Ok(());
+        }
+        let what = "--show needs the whole light, and this bake goes on";
+        Err(Failure::bad_input(what).try_this("it once the bake is done"))
     }
 }
 
@@ -78,7 +116,7 @@ impl ReelArguments {
             memory: self.max_memory.unwrap_or(u64::MAX),
             ..Budget::NONE
         };
-        Ok(Reel { budget: is_bounded.then_some(bounded), path, objects })
+        Ok(Reel { budget: is_bounded.then_some(bounded), path, objects, show: self.show })
     }
 
     /// The path, if there is one, without what is switched off; refuses a file that holds none.

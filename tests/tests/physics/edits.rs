@@ -84,6 +84,48 @@ fn receivers_whose_rays_met_nothing_that_changed_are_not_traced_again() {
     assert_is_whole_bake(&of, &small("prt", RECEIVERS), &third, "chair moved again");
 }
 
+/// Labels of a bake's tasks of probes with whether each took the result of one before.
+fn kept_fields(rebaked: &Rebaked) -> Vec<(&str, bool)> {
+    let of_fields = rebaked.notes.iter().filter(|(label, _)| label.starts_with("field "));
+    of_fields.map(|(label, note)| (label.as_str(), note.starts_with("as before"))).collect()
+}
+
+#[test]
+fn probes_whose_rays_met_nothing_that_changed_are_those_of_before() {
+    let progress = Progress::new();
+    let mut recipe = small("grid", FEW_RECEIVERS).with("field_spacing_m", 0.75).with("probe_rays", 128);
+    recipe = recipe.with("field_rank_error", 0.1);
+    let mut bakery = Bakery::new(&recipe, &progress);
+    let mut of = Flat::default();
+    let first = bakery.bake(flat(&of)).unwrap();
+    assert!(kept_fields(&first).iter().all(|(_, kept)| !kept), "nothing was before: {:#?}", first.notes);
+    of.things[0].at_m += Vec3::new(0.3, 0.0, -0.1);
+    let moved = bakery.bake(flat(&of)).unwrap();
+    let fields = kept_fields(&moved);
+    let again = fields.iter().filter(|(_, kept)| !kept).count();
+    println!("{again} of {} tasks of probes ran again", fields.len());
+    assert!(again > 0, "the chair's own room is as it was");
+    let far: Vec<_> = fields.iter().filter(|(_, kept)| *kept).map(|(label, _)| field_x_m(label)).collect();
+    // Light of the chair's own room comes through the door to most of the flat.
+    assert!(!far.is_empty() && far.iter().all(|x_m| *x_m >= FLAT_WALL_M), "{far:?}: {:#?}", moved.notes);
+    assert_is_whole_bake(&of, &recipe, &moved, "chair moved");
+    // Colours of surfaces say nothing of what rays meet; those of lamps are in what probes hold.
+    of.colours[0] = [0.1, 0.3, 0.7];
+    let coloured = bakery.bake(flat(&of)).unwrap();
+    assert!(kept_fields(&coloured).iter().all(|(_, kept)| *kept), "{:#?}", coloured.notes);
+    assert_is_whole_bake(&of, &recipe, &coloured, "a colour changed");
+    of.lamps = [[5.0, 7.0, 9.0], [3.0, 5.5, 0.5]];
+    let relit = bakery.bake(flat(&of)).unwrap();
+    assert!(kept_fields(&relit).iter().any(|(_, kept)| !kept), "{:#?}", relit.notes);
+    assert_is_whole_bake(&of, &recipe, &relit, "lamps changed");
+}
+
+/// Lower x of the cell of probes that a task is named by.
+fn field_x_m(label: &str) -> f32 {
+    let corner = label.trim_start_matches("field ").split("..").next().unwrap();
+    corner.split(',').next().unwrap().parse().unwrap()
+}
+
 /// Faults of a farm that rows may have.
 #[derive(Clone, Copy, Debug)]
 enum Fault {

@@ -136,6 +136,62 @@ fn light_in_a_box_is_near_the_path_tracers() {
     }
 }
 
+/// An object that is carried through a room changes its light evenly, but where a box comes between it and a probe.
+#[test]
+fn light_along_a_way_has_few_steps() {
+    let held = Held::new(scenes::cornell(), &small(400)).unwrap();
+    let lit = held.under(&lamp_at(Vec3::new(0.3, 3.0, -2.0))).unwrap();
+    let field = LitField::of(&held, &lit);
+    let geometry = &held.world.geometry;
+    let [low_m, high_m] = geometry.near_bounds_m();
+    let mut numbers = Sequence::new(seed_of(&[78]));
+    let mut steps = Vec::new();
+    let mut sum = 0.0;
+    let mut worst = (0.0_f32, Vec3::ZERO);
+    for _ in 0..60 {
+        let mut place = || low_m + (high_m - low_m) * Vec3::from([(); 3].map(|()| numbers.next_f32()));
+        let (from_m, to_m) = (place(), place());
+        let count = (100.0 * from_m.distance(to_m)).ceil() as usize;
+        let mut before: Option<[Vec3; 6]> = None;
+        for step in 0..=count {
+            let at_m = from_m.lerp(to_m, step as f32 / count as f32);
+            // Walls part what lies before and behind them, and nothing is carried so near to one.
+            let is_free = (0..32).all(|ray| {
+                let hit = geometry.tracer.closest(at_m, relight_direction(ray, 32), f32::INFINITY);
+                hit.is_none_or(|hit| hit.t > 0.05 && !geometry.is_back(&hit))
+            });
+            let light = is_free.then(|| {
+                let axes = [Vec3::X, Vec3::NEG_X, Vec3::Y, Vec3::NEG_Y, Vec3::Z, Vec3::NEG_Z];
+                axes.map(|normal| field.at(at_m, normal))
+            });
+            if let (Some(light), Some(before)) = (light, before) {
+                for (now, before) in light.iter().zip(before) {
+                    let step = luminance((*now - before).abs().as_dvec3()) as f32;
+                    steps.push(step);
+                    sum += luminance(now.as_dvec3()) as f32;
+                    if step > worst.0 {
+                        worst = (step, at_m);
+                    }
+                }
+            }
+            before = light;
+        }
+    }
+    let mean = sum / steps.len() as f32;
+    steps.sort_by(f32::total_cmp);
+    let share = |of: f32| steps[((steps.len() - 1) as f32 * of) as usize] / mean;
+    println!(
+        "{} steps of 1 cm: 99 % below {:.4} of the mean, 99.9 % below {:.4}, worst {:.4} at {}",
+        steps.len(),
+        share(0.99),
+        share(0.999),
+        share(1.0),
+        worst.1
+    );
+    assert!(share(0.99) < 0.04, "one of a hundred steps is of {} of the mean", share(0.99));
+    assert!(share(0.999) < 0.25, "one of a thousand steps is of {} of the mean", share(0.999));
+}
+
 /// At probes nothing is read between them: what is left is the angle of nine harmonics, rays, the cut and factors.
 #[test]
 fn light_at_probes_themselves_is_the_path_tracers() {

@@ -97,7 +97,7 @@ impl EmitterSet {
     }
 
     /// Radiance of each emitter's material.
-    pub(super) fn radiance(&self) -> &[[f32; 3]] {
+    pub fn radiance(&self) -> &[[f32; 3]] {
         &self.radiance
     }
 

@@ -6,7 +6,7 @@ use std::borrow::Cow;
 use glam::Vec3;
 
 use super::irradiance::{EmitterSet, summed};
-use crate::geometry::{Geometry, weights_of};
+use crate::geometry::{Geometry, TrailFrom, weights_of};
 use crate::rays::Hit;
 use crate::rays::sampling::{R2, Sequence, seed_of, uniform_triangle};
 
@@ -61,8 +61,8 @@ impl<'a, const N: usize> EmitterSphereSum<'a, N> {
         self.add(triangle.emitter, glow, 1.0 / (self.own() + sampled), weights);
     }
 
-    /// Casts the shadow rays; `weights` are those of a direction.
-    pub fn sample(&mut self, seed: u64, weights: impl Fn(Vec3) -> [f32; N]) {
+    /// Casts the shadow rays and marks their `trail`; `weights` are those of a direction.
+    pub fn sample(&mut self, seed: u64, trail: &TrailFrom, weights: impl Fn(Vec3) -> [f32; N]) {
         if self.cumulative.is_empty() {
             return;
         }
@@ -72,7 +72,7 @@ impl<'a, const N: usize> EmitterSphereSum<'a, N> {
         for sample in 0..self.samples {
             let pick = (sample as f32 + shift) / self.samples as f32;
             let index = self.cumulative.partition_point(|sum| *sum <= pick).min(self.cumulative.len() - 1);
-            self.add_sample(index, uniform_triangle(points.point(sample)), &weights);
+            self.add_sample(index, uniform_triangle(points.point(sample)), trail, &weights);
         }
     }
 
@@ -84,7 +84,13 @@ impl<'a, const N: usize> EmitterSphereSum<'a, N> {
         self.sums.into_iter().zip(self.set.radiance()).map(of).collect()
     }
 
-    fn add_sample(&mut self, index: usize, barycentric: [f32; 2], weights: impl Fn(Vec3) -> [f32; N]) {
+    fn add_sample(
+        &mut self,
+        index: usize,
+        barycentric: [f32; 2],
+        trail: &TrailFrom,
+        weights: impl Fn(Vec3) -> [f32; N],
+    ) {
         let (triangle, _) = self.set.emissive(index);
         let corners = weights_of(barycentric);
         let [a, b, c] = triangle.corners;
@@ -97,6 +103,7 @@ impl<'a, const N: usize> EmitterSphereSum<'a, N> {
         }
         let offset_m = self.geometry.tracer.ray_offset_m(point_m);
         let lifted_m = point_m + triangle.normal * offset_m.copysign(facing);
+        trail.mark(lifted_m - self.position_m, Some(1.0));
         let passed = self.geometry.tracer.passed(self.position_m, lifted_m);
         if passed <= 0.0 {
             return;

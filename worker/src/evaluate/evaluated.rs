@@ -71,6 +71,12 @@ pub trait Evaluated: Send + Sync {
         Ok(())
     }
 
+    /// Facts about the bake at some places, in words.
+    fn notes(&self, sample: &[Place]) -> Vec<String> {
+        let _ = sample;
+        Vec::new()
+    }
+
     /// Units of work, and chunks in them, that [`Evaluated::trace`] made anew.
     fn traced(&self) -> [usize; 2] {
         [0; 2]
@@ -157,7 +163,8 @@ pub struct ErrorClass {
 /// Size of a class of error.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Measure {
-    /// Light at each place of the sample with no other error than this one, W·m⁻²: its error is that against the reference.
+    /// Light at each place of the sample with no other error than this one, or read another way, to compare, W·m⁻²: its error is that
+    /// against the reference.
     AtSample(Vec<DVec3>),
     /// Root mean square error of luminance, W·m⁻².
     Rms(f64),

@@ -20,7 +20,7 @@ use crate::task::{Context, TaskError};
 pub use bits::{Bits, OwnBits};
 pub use site::Site;
 pub use strata::{Strata, morton, spread_sites};
-pub use trail::{Grid, Trail};
+pub use trail::{Grid, Trail, TrailFrom};
 
 /// Shading normals that lean further than this from the face are a fault of the file: the face's is taken instead.
 const LEAN_MIN: f32 = 0.05;

@@ -40,8 +40,8 @@ pub trait BakeKind: Send + Sync {
     fn tasks(&self) -> Vec<TaskRow>;
 
     /// Names of the classes of error that it tells apart.
-    fn error_classes(&self) -> &'static [&'static str] {
-        &[]
+    fn error_classes(&self) -> Vec<&'static str> {
+        Vec::new()
     }
 
     /// Whether it has light in free space: [`Evaluated::in_space`].
@@ -101,7 +101,7 @@ impl BakeKinds {
 
     /// Names of the classes of error that some kind tells apart, each once.
     pub fn error_classes(&self) -> Vec<&'static str> {
-        let mut names: Vec<&str> = self.0.iter().flat_map(|kind| kind.error_classes()).copied().collect();
+        let mut names: Vec<&str> = self.0.iter().flat_map(|kind| kind.error_classes()).collect();
         names.sort_unstable();
         names.dedup();
         names

@@ -34,6 +34,15 @@ impl Common {
     }
 }
 
+impl Common {
+    /// The name of tasks that depend on this and on no more than such bytes say.
+    pub fn name(&self, bytes: &[u8]) -> Digest {
+        let mut all = Bytes::default();
+        all.bytes(&self.0.0).bytes(bytes);
+        all.digest()
+    }
+}
+
 /// The name of a cell's tasks: of its receivers, without their colours, and of the points that their rays leave.
 pub fn alike(world: &World, common: &Common, bounds_m: &[glam::Vec3; 2], receivers: &[u32]) -> Digest {
     let lightmap = &world.lightmap;

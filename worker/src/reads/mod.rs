@@ -4,6 +4,7 @@
 //! Names are those of places and hang on nothing else in the scene; a [`Stage`] tells what is there now.
 
 mod alike;
+mod before;
 mod marks;
 mod own;
 mod patches;
@@ -12,6 +13,7 @@ mod stage;
 mod triangles;
 
 pub use alike::{Common, alike};
+pub use before::{of_before, outputs_of_before};
 pub use marks::{Bytes, Mark, Name, places_in, union};
 pub use own::Reads;
 pub use record::{Changes, RECORD_ARTEFACT, Record};

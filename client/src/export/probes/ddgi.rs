@@ -3,7 +3,7 @@
 
 use glam::{Vec2, Vec3};
 use half::f16;
-use lightkiln_proto::harmonics::relight_direction;
+use lightkiln_proto::lobes::{self, Lobe};
 use rayon::prelude::*;
 use serde_json::{Map, Value, json};
 
@@ -21,12 +21,6 @@ pub const PROBES_FILE: &str = "probes-state.ktx2";
 pub const IRRADIANCE_SIDE: usize = 8;
 pub const DISTANCE_SIDE: usize = 16;
 
-/// Directions in which a probe's depth is asked for.
-const RAYS: u32 = 4096;
-/// Power of cosines that weigh distances.
-const SHARPNESS: i32 = 50;
-/// Least weight that counts.
-const WEIGHT_MIN: f32 = 1e-3;
 /// Farthest distance: one and a half diagonals of a cell, in steps of the lattice.
 const FARTHEST: f32 = 2.598_076;
 
@@ -95,9 +89,9 @@ pub fn write(
         opaque(light[number(IRRADIANCE_SIDE, point, at)] / intensity)
     })?;
     files.push((IRRADIANCE_FILE.to_owned(), irradiance));
-    let weights = weights();
+    let lobes: Vec<Lobe> = directions(DISTANCE_SIDE).into_iter().map(Lobe::around).collect();
     let moments: Vec<[f32; 2]> =
-        probes.into_par_iter().map(|probe| moments(volume, probe, &weights)).flatten_iter().collect();
+        probes.into_par_iter().map(|probe| moments(volume, probe, &lobes)).flatten_iter().collect();
     let distance = array(volume, DISTANCE_SIDE, |point, at| {
         let [mean, square] = moments[number(DISTANCE_SIDE, point, at)];
         opaque(Vec3::new(mean, square, 0.0))
@@ -121,30 +115,11 @@ pub fn write(
     Ok(())
 }
 
-/// Rays that count for each texel of a map of distances, with their weights, which add up to 1.
-fn weights() -> Vec<Vec<(u32, f32)>> {
-    let of_texel = |texel: Vec3| {
-        let weight = |ray| texel.dot(relight_direction(ray, RAYS)).max(0.0).powi(SHARPNESS);
-        let found: Vec<(u32, f32)> =
-            (0..RAYS).map(|ray| (ray, weight(ray))).filter(|(_, weight)| *weight > WEIGHT_MIN).collect();
-        let sum: f32 = found.iter().map(|(_, weight)| weight).sum();
-        found.into_iter().map(|(ray, weight)| (ray, weight / sum)).collect()
-    };
-    directions(DISTANCE_SIDE).into_iter().map(of_texel).collect()
-}
-
 /// Mean distance and mean of its square, in steps of the lattice, by texel.
-fn moments(volume: &Volume<'_>, probe: u32, weights: &[Vec<(u32, f32)>]) -> Vec<[f32; 2]> {
-    let far = |ray| {
-        let distance_m = volume.space.distance_m(probe, relight_direction(ray, RAYS));
-        (distance_m / volume.lattice.spacing_m).min(FARTHEST)
+fn moments(volume: &Volume<'_>, probe: u32, lobes: &[Lobe]) -> Vec<[f32; 2]> {
+    let far = |direction: &Vec3| {
+        (volume.space.distance_m(probe, *direction) / volume.lattice.spacing_m).min(FARTHEST)
     };
-    let distances: Vec<f32> = (0..RAYS).map(far).collect();
-    let of_texel = |rays: &Vec<(u32, f32)>| {
-        rays.iter().fold([0.0; 2], |[mean, square], (ray, weight)| {
-            let distance = distances[*ray as usize];
-            [mean + weight * distance, square + weight * distance * distance]
-        })
-    };
-    weights.iter().map(of_texel).collect()
+    let distances: Vec<f32> = lobes::directions().iter().map(far).collect();
+    lobes.iter().map(|lobe| lobe.moments(|ray| distances[ray])).collect()
 }

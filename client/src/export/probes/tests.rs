@@ -121,7 +121,7 @@ fn harmonics_are_read_as_unity_reads_them() {
     #[derive(Deserialize)]
     struct Probe {
         position: [f32; 3],
-        sh: Vec<f32>,
+        coefficients: Vec<f32>,
     }
     let case = Case::new();
     let volume = case.volume();
@@ -129,13 +129,13 @@ fn harmonics_are_read_as_unity_reads_them() {
     let File { unit, probes } = serde_json::from_slice(bytes).unwrap();
     assert_eq!((unit.as_str(), probes.len()), ("W/m2/sr", volume.space.positions_m().len()));
     for (probe, own) in volume.probes().zip(&probes) {
-        let Probe { position: [x, y, z], sh } = own;
+        let Probe { position: [x, y, z], coefficients } = own;
         assert_eq!(Vec3::new(-x, *y, *z), volume.space.positions_m()[probe as usize].truncate());
         for normal in normals() {
             // Unity's ShadeSH9, in its own world.
             let n = Vec3::new(-normal.x, normal.y, normal.z);
             let radiance = |c: usize| {
-                let sh = |j: usize| sh[9 * c + j];
+                let sh = |j: usize| coefficients[9 * c + j];
                 let linear = sh(3) * n.x + sh(1) * n.y + sh(2) * n.z + sh(0) - sh(6);
                 let products =
                     sh(4) * n.x * n.y + sh(5) * n.y * n.z + 3.0 * sh(6) * n.z * n.z + sh(7) * n.z * n.x;

@@ -34,8 +34,8 @@ pub fn write(volume: &Volume<'_>, files: &mut Vec<(String, Vec<u8>)>, extras: &m
     let of_probe = |(probe, place): (u32, &Vec4)| {
         let [x, y, z, _] = place.to_array();
         let own = volume.coefficients(probe);
-        let sh = [0, 1, 2].map(|channel| of_channel(own, channel)).concat();
-        json!({ "position": [-x, y, z], "sh": sh })
+        let coefficients = [0, 1, 2].map(|channel| of_channel(own, channel)).concat();
+        json!({ "position": [-x, y, z], "coefficients": coefficients })
     };
     let probes: Vec<Value> = volume.probes().zip(volume.space.positions_m()).map(of_probe).collect();
     let text = json!({ "unit": "W/m2/sr", "probes": probes });

@@ -98,11 +98,15 @@ pub fn measure(
         let what = format!("{} reaches no surface of the scene, or too few of the places", names.join(", "));
         return Err(Failure::bad_input(what).try_this("move it, turn it, or raise --receivers"));
     }
+    let told = chosen.notes.len();
     let evaluation = Evaluation {
         scene: name,
         rel_error: wanted.rel_error,
         ..summed_up(&manifest, &evaluator, &results, chosen.notes)
     };
+    for note in &evaluation.notes[told..] {
+        say!("note: {note}");
+    }
     Ok(Measured { evaluator, results, evaluation })
 }
 
@@ -122,6 +126,7 @@ fn summed_up(
         let name = &result.light.name;
         format!("'{name}' reaches too few of the places to be measured by them: 'all' is without it; raise --receivers")
     }));
+    notes.extend(evaluator.bake().notes(&evaluator.sample().bare()));
     let (figures, classes, pixels) = over_lights(&lights);
     let [units_made_anew, chunks_made_anew] = evaluator.bake().traced();
     let mut worst_clusters = cluster_errors(evaluator, results);

@@ -17,6 +17,9 @@ settings_group! {
         /// Whether probes are fitted to light between them (1) or have that of their own places (0). 1 → less error between probes, thrice
         /// the time.
         field_fit: u32 = [1, 1, 1], |v| v <= 1, "0 or 1";
+        /// Whether probes are moved out of geometry, and more stand where none of those of a cell sees (1), or stand at points of the lattice
+        /// as they are (0), as elsewhere: to compare. 1 → less light through walls, less that is unlit.
+        field_moves: u32 = [1, 1, 1], |v| v <= 1, "0 or 1";
         /// Relative error of truncation of probes' rows, as `rank_error` is of receivers'. Smaller → higher ranks, more bytes.
         field_rank_error: f32 = [0.05, 0.03, 0.02], |v| (1e-5..=0.5).contains(&v), "0.00001..=0.5";
     }

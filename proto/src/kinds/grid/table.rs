@@ -169,16 +169,13 @@ impl FieldTable {
     /// Trilinear weights of the point's cage of the lattice, and a tent within it of its own probe, times visibility. Where that leaves nothing, tents twice as wide; and where
     /// these do, as in corners that depth maps round off, of the probes that it lies least far behind.
     pub fn weights(&self, point_m: Vec3) -> Vec<(u32, f32)> {
-        let at = point_m / self.spacing_m;
-        if !at.is_finite() || at.abs().max_element() > super::LATTICE_MAX as f32 {
-            return Vec::new();
-        }
         let of_depths = |(probe, tent): (u32, f32)| (probe, tent * self.visibility(probe, point_m));
-        let found = normalised(self.around(at, 0..2, 1.0).into_iter().map(of_depths));
+        let near = self.cage(point_m);
+        let found = normalised(near.iter().copied().map(of_depths));
         if !found.is_empty() {
             return found;
         }
-        let wide = self.around(at, -1..3, 2.0);
+        let wide = self.around(point_m / self.spacing_m, -1..3, 2.0);
         let found = normalised(wide.iter().copied().map(of_depths));
         if !found.is_empty() {
             return found;
@@ -191,6 +188,15 @@ impl FieldTable {
             (probe, tent * (1.0 - (excess_m - least_m) / ROUNDED_M).max(0.0))
         };
         normalised(all.into_iter().map(weight))
+    }
+
+    /// Probes around a point, and their tents, whether they see it or not; less than 1 in all where a corner of the cage has no probe.
+    pub fn cage(&self, point_m: Vec3) -> Vec<(u32, f32)> {
+        let at = point_m / self.spacing_m;
+        if !at.is_finite() || at.abs().max_element() > super::LATTICE_MAX as f32 {
+            return Vec::new();
+        }
+        self.around(at, 0..2, 1.0)
     }
 
     /// Probes around a place, in steps of the lattice, and products of tents along each axis: of so many steps about points, half a step

@@ -8,7 +8,7 @@ use std::sync::LazyLock;
 use glam::Vec3;
 use lightkiln_proto::kinds::grid::{MAP_POINTS, MAP_SIDE, depth_code, map_direction, octahedral_length};
 
-use crate::geometry::Geometry;
+use crate::geometry::{Geometry, Trail};
 
 /// Share of a surface's own depth below which it is taken to end between two points of a map.
 const BREAK: f32 = 0.9;
@@ -33,14 +33,16 @@ static SIDES: LazyLock<Vec<[usize; 2]>> = LazyLock::new(|| {
 /// direction's point of the octahedron. 0 for the sky.
 type Plane = Vec3;
 
-/// The codes of a probe's map: the reciprocal of the octahedral distance of either side of a surface, 0 for the sky.
-pub fn depths(geometry: &Geometry, position_m: Vec3, spacing_m: f32) -> Vec<u16> {
+/// The codes of a probe's map: the reciprocal of the octahedral distance of either side of a surface, 0 for the sky. Marks the `trail` of
+/// its rays.
+pub fn depths(geometry: &Geometry, position_m: Vec3, spacing_m: f32, trail: &Trail) -> Vec<u16> {
+    let trail = trail.from(position_m);
     let plane = |point: usize| -> (f32, Plane) {
         let on = map_direction(point);
         let direction = on.normalize();
-        let Some(hit) = geometry.tracer.closest(position_m, direction, f32::INFINITY) else {
-            return (0.0, Vec3::ZERO);
-        };
+        let hit = geometry.tracer.closest(position_m, direction, f32::INFINITY);
+        trail.mark(direction, hit.map(|hit| hit.t));
+        let Some(hit) = hit else { return (0.0, Vec3::ZERO) };
         // A surface nearer than rays can tell is as near as codes can.
         let reciprocal = 1.0 / (hit.t * octahedral_length(direction)).max(f32::MIN_POSITIVE);
         let normal = geometry.face_normal(hit.triangle);

@@ -5,10 +5,12 @@ use lightkiln_proto::harmonics::relight_direction;
 use lightkiln_proto::kinds::grid::{FIELD, FieldTable, Settings, decode_field, first_tasks, tasks};
 use lightkiln_proto::manifest::Manifest;
 use lightkiln_proto::relight::PatchTable;
+use rayon::prelude::*;
 
+use super::readings::{Agreement, CLASSES, Reading};
 use crate::evaluate::{
-    Answer, ChunkBytes, Evaluated, EvaluatedLightmap, EvaluationError, MappedIncoming, Place, Relit, Sample,
-    Sampled,
+    Answer, ChunkBytes, ErrorClass, Evaluated, EvaluatedLightmap, EvaluationError, MappedIncoming, Measure,
+    Place, Relit, Sample, Sampled,
 };
 use crate::factors::{FactoredBake, Threads, decoded};
 use crate::geometry::{Geometry, Site, Strata};
@@ -159,7 +161,13 @@ impl Evaluated for FieldSpace {
         let light = self.0.surfaces.lit(reference, lighting, progress)?;
         let rows = self.0.field.relit(&Threads, &light.settled.lambda, &light.emitter_scale);
         let bounces = (light.settled.bounces as usize, light.settled.converged);
-        Ok(Box::new(RelitSpace { field: &self.0.field, rows, bounces }))
+        Ok(Box::new(RelitSpace { field: &self.0.field, geometry: self.geometry(), rows, bounces }))
+    }
+
+    fn notes(&self, sample: &[Place]) -> Vec<String> {
+        // Two places are one point.
+        let points_m = sample.iter().step_by(2).map(|place| place.site.position_m);
+        vec![Agreement::at(&self.0.field, self.geometry(), points_m).words()]
     }
 }
 
@@ -178,6 +186,7 @@ fn is_free(geometry: &Geometry, point_m: Vec3) -> bool {
 /// Free space under some lights.
 struct RelitSpace<'a> {
     field: &'a FieldTable,
+    geometry: &'a Geometry,
     /// Coefficients at probes.
     rows: Vec<Vec4>,
     bounces: (usize, bool),
@@ -191,5 +200,18 @@ impl Relit for RelitSpace<'_> {
 
     fn bounces(&self) -> (usize, bool) {
         self.bounces
+    }
+
+    fn classes(&self, sample: &[Place]) -> Vec<ErrorClass> {
+        let of = |(reading, name): (Reading, &'static str)| {
+            let light = |place: &Place| {
+                let Site { position_m, normal, .. } = place.site;
+                let field = (self.field, &self.rows[..]);
+                reading.irradiance(field, self.geometry, position_m, normal).as_dvec3()
+            };
+            let measure = Measure::AtSample(sample.par_iter().map(light).collect());
+            ErrorClass { name, about: reading.about(), measure }
+        };
+        Reading::ALL.into_iter().zip(CLASSES).map(of).collect()
     }
 }

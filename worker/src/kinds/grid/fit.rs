@@ -7,12 +7,12 @@
 use std::collections::BTreeSet;
 
 use glam::{IVec3, Vec3};
-use lightkiln_proto::kinds::grid::{FieldPart, FieldTable, PROBE_ROWS, ProbeKey};
+use lightkiln_proto::kinds::grid::{FieldPart, FieldSettings, FieldTable, PROBE_ROWS, ProbeKey};
 use lightkiln_proto::relight::{Inconsistent, PatchTable};
 
 use super::Survey;
-use super::standing::is_free;
-use crate::geometry::Geometry;
+use super::standing::is_free_by;
+use crate::geometry::{Geometry, Trail};
 use crate::rays::sampling::{Sequence, seed_of};
 use crate::transport::PatchRow;
 
@@ -41,8 +41,11 @@ pub struct Around {
 }
 
 impl Around {
-    /// Of some probes of a survey.
-    pub fn of(survey: &Survey, own: &[u32]) -> Self {
+    /// Of some probes of a survey; nothing but these where probes are not fitted.
+    pub fn of(survey: &Survey, own: &[u32], settings: &FieldSettings) -> Self {
+        if settings.field_fit == 0 {
+            return Self { probes: own.to_vec(), ..Self::default() };
+        }
         let keys = own.iter().map(|&probe| survey.probe(probe as usize).key);
         let cells: BTreeSet<[i32; 3]> = keys.flat_map(cells_of).map(|cell| cell.to_array()).collect();
         let cells: Vec<IVec3> = cells.into_iter().map(IVec3::from_array).collect();
@@ -72,12 +75,13 @@ pub struct Place {
 }
 
 /// Places in the cells, as far as these are within the scene's near bounds, by the depth maps of the probes. None that a wall parts from a probe it is read of: light of the other side would
-/// come into its own.
+/// come into its own. Marks the `trail` of the rays that tell.
 pub fn places(
     geometry: &Geometry,
     survey: &Survey,
     around: &Around,
     depths: Vec<u16>,
+    trail: &Trail,
 ) -> Result<Vec<Place>, Inconsistent> {
     let (spacing_m, [low_m, high_m]) = (survey.spacing_m, geometry.near_bounds_m());
     let probes: Vec<_> = around.probes.iter().map(|&probe| survey.probe(probe as usize)).collect();
@@ -91,13 +95,15 @@ pub fn places(
             let within = Vec3::from([(); 3].map(|()| numbers.next_f32()));
             let position_m = (cell.as_vec3() + within) * spacing_m;
             let weights = table.weights(position_m);
+            let from = trail.from(position_m);
             let is_parted = |&(probe, _): &(u32, f32)| {
                 let probe_m = table.position_m[probe as usize].truncate();
+                from.mark(probe_m - position_m, Some(1.0));
                 geometry.tracer.is_occluded(probe_m, position_m)
             };
             let is_within = position_m.cmpge(low_m).all() && position_m.cmple(high_m).all();
             let is_read = !weights.is_empty() && !weights.iter().any(is_parted);
-            if is_within && is_read && is_free(geometry, position_m, CLEARANCE * spacing_m) {
+            if is_within && is_read && is_free_by(geometry, position_m, CLEARANCE * spacing_m, trail) {
                 places.push(Place { position_m, seed: seed_of(&[key.0, 10, u64::from(place)]), weights });
             }
         }

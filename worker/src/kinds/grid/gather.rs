@@ -12,15 +12,18 @@ use lightkiln_proto::kinds::grid::PROBE_ROWS;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use super::before::{Before, before};
 use super::fit::{Around, Place, fitted, fitted_emitters, places, shares};
 use super::truncate::{ProbeRows, parts};
 use super::{GatherParams, Survey, depth};
 use crate::emitters::{EmitterSet, EmitterSphereSum};
 use crate::factors::cell_of_task;
+use crate::geometry::Bits;
 use crate::kinds::prt::quantisation_error;
 use crate::lightmap::World;
 use crate::patches::PatchTree;
 use crate::rays::sampling::{Sequence, seed_of};
+use crate::reads::{Name, RECORD_ARTEFACT, Reads, Record, Stage, union};
 use crate::task::{Cancelled, Context, TaskError, TaskOutput, params};
 use crate::transport::{CutBounds, RayHit, RowHits, Sources, patch_rows};
 
@@ -40,9 +43,15 @@ pub struct Account {
     pub ranks: u64,
 }
 
-/// Runs the task: inputs of [`World::of`] and [`PatchTree::of`], `probes`, `cells`; outputs `chunk/N` and `account`.
+/// Runs the task: inputs of [`World::of`] and [`PatchTree::of`], `probes`, `cells`, `stage`; outputs `chunk/N`, `account` and `record`, those of a
+/// task alike where its record still holds.
 pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> {
     let settings: GatherParams = params(task)?;
+    let stage = Stage::of(context)?;
+    let why = match before(context, &stage)? {
+        Before::Kept(output) => return Ok(output),
+        Before::Changed(why) => why,
+    };
     let survey = Survey::of(context)?;
     let cell = cell_of_task(context, settings.cell)?;
     if cell.receivers.iter().any(|&probe| probe as usize >= survey.probes.len()) {
@@ -53,26 +62,31 @@ pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> 
         emitters: &*EmitterSet::of(context, &world.geometry)?,
         tree: &*PatchTree::of(context)?,
         world: &world,
+        stage: &stage,
         survey: &survey,
         settings: &settings,
     };
-    let around = match settings.field.field_fit {
-        0 => Around { probes: cell.receivers.clone(), ..Around::default() },
-        _ => Around::of(&survey, &cell.receivers),
-    };
+    let around = Around::of(&survey, &cell.receivers, &settings.field);
     let depths = |&probe: &u32| {
         context.progress.check()?;
         let position_m = survey.probe(probe as usize).position_m(survey.spacing_m);
-        Ok(context.progress.casting(|| depth::depths(&world.geometry, position_m, survey.spacing_m)))
+        let reads = Reads::new(&world, &stage);
+        let depths = || depth::depths(&world.geometry, position_m, survey.spacing_m, &reads.trail);
+        Ok((context.progress.casting(depths), reads.into_names()))
     };
-    let maps: Vec<Vec<u16>> = around.probes.par_iter().map(depths).collect::<Result<_, Cancelled>>()?;
-    let places = context.progress.casting(|| places(&world.geometry, &survey, &around, maps.concat()));
+    let found: Vec<_> = around.probes.par_iter().map(depths).collect::<Result<_, Cancelled>>()?;
+    let (maps, mut read): (Vec<Vec<u16>>, Vec<Vec<Name>>) = found.into_iter().unzip();
+    let reads = Reads::new(&world, &stage);
+    let places = || places(&world.geometry, &survey, &around, maps.concat(), &reads.trail);
+    let places = context.progress.casting(places);
     let places =
         places.map_err(|error| TaskError::bad_input_from("the probes contradict each other", error))?;
-    let rows = gathering.rows(&around, cell.receivers.len(), &places, context)?;
+    read.push(reads.into_names());
+    let (rows, record) = gathering.rows(&around, cell.receivers.len(), &places, read, context)?;
     let parts = parts(&cell, &survey, rows, &settings, context.progress)?;
     let map_of = |probe: &u32| cell.receivers.iter().position(|own| own == probe).map(|own| &maps[own][..]);
-    let mut output = TaskOutput::default();
+    let note = format!("{} probes gathered: {why}", cell.receivers.len());
+    let mut output = TaskOutput { note, ..TaskOutput::default() };
     let mut account = Account::default();
     for (number, (probes, mut part)) in parts.into_iter().enumerate() {
         part.depths = probes.iter().filter_map(map_of).flatten().copied().collect();
@@ -88,6 +102,9 @@ pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> 
     let account = serde_json::to_vec(&account)
         .map_err(|error| TaskError::bad_input_from("the account of probes cannot be written", error))?;
     output.artefacts.push(("account".into(), account));
+    if let Some(record) = record {
+        output.artefacts.push((RECORD_ARTEFACT.to_owned(), record.encoded()?));
+    }
     Ok(output)
 }
 
@@ -96,6 +113,7 @@ struct Gathering<'a> {
     world: &'a World,
     tree: &'a PatchTree,
     emitters: &'a EmitterSet,
+    stage: &'a Stage,
     survey: &'a Survey,
     settings: &'a GatherParams,
 }
@@ -105,6 +123,8 @@ struct Cast {
     hits: Vec<RowHits>,
     /// By emitter.
     emitters: Vec<[[f32; 3]; PROBE_ROWS]>,
+    /// What was read for them.
+    read: Vec<Name>,
 }
 
 /// A point that rays leave.
@@ -115,15 +135,17 @@ struct Start {
 }
 
 impl Gathering<'_> {
-    /// Rows of the first `own` probes, fitted to those of places where there are some.
+    /// Rows of the first `own` probes, fitted to those of places where there are some; and what was `read` for them, with what already was,
+    /// unless it is too much.
     fn rows(
         &self,
         around: &Around,
         own: usize,
         places: &[Place],
+        mut read: Vec<Vec<Name>>,
         context: &Context,
-    ) -> Result<ProbeRows, TaskError> {
-        let Self { world, tree, settings, survey, .. } = self;
+    ) -> Result<(ProbeRows, Option<Record>), TaskError> {
+        let Self { world, tree, settings, survey, stage, .. } = self;
         let sources = Sources::new(world, tree, settings.sky_parts);
         let rays = settings.field.probe_rays;
         let of_probe = |&probe: &u32| {
@@ -147,20 +169,28 @@ impl Gathering<'_> {
                 Ok(cast)
             })
             .collect::<Result<_, Cancelled>>()?;
-        let (hits, emitters): (Vec<_>, Vec<_>) =
-            cast.into_iter().map(|cast| (cast.hits, cast.emitters)).unzip();
-        let mut hits: Vec<RowHits> = hits.into_iter().flatten().collect();
+        let (mut hits, mut emitters) = (Vec::new(), Vec::new());
+        for Cast { hits: of_start, emitters: own, read: own_read } in cast {
+            hits.extend(of_start);
+            emitters.push(own);
+            read.push(own_read);
+        }
+        let met = Bits::new(tree.leaf_starts.len());
+        hits.iter().flat_map(|row: &RowHits| &row.leaves).for_each(|hit| met.add(hit.at as usize));
+        let leaves: Vec<u32> = met.iter().map(|leaf| leaf as u32).collect();
         let bounds = CutBounds {
             columns_max: settings.patches_max as usize,
             error: CUT_SHARE * settings.field.field_rank_error,
         };
         let scale = 4.0 * std::f32::consts::PI / rays as f32;
         let traced = patch_rows(tree, world.lightmap.texel_m, &mut hits, scale, Some(bounds));
+        let read = union(read.par_iter().map(Vec::as_slice));
+        let record = Record::of(stage, tree, &read, &leaves, &traced.by_share);
         if places.is_empty() {
             let (mut rows, mut emitters) = (traced.rows, emitters);
             rows.truncate(own * PROBE_ROWS);
             emitters.truncate(own);
-            return Ok(ProbeRows { keys: traced.keys, rows, emitters });
+            return Ok((ProbeRows { keys: traced.keys, rows, emitters }, record));
         }
         let shares = shares(around.probes.len(), own, places);
         let of_probe = |shares: &Vec<f64>| {
@@ -169,12 +199,13 @@ impl Gathering<'_> {
         };
         let fitted: Vec<_> = shares.par_iter().map(of_probe).collect::<Result<_, Cancelled>>()?;
         let (rows, emitters): (Vec<_>, Vec<_>) = fitted.into_iter().unzip();
-        Ok(ProbeRows { keys: traced.keys, rows: rows.into_iter().flatten().collect(), emitters })
+        let rows = rows.into_iter().flatten().collect();
+        Ok((ProbeRows { keys: traced.keys, rows, emitters }, record))
     }
 
     /// Casts the rays of a point.
     fn cast(&self, start: &Start, sources: &Sources<'_>) -> Cast {
-        let Self { world, emitters, settings, .. } = self;
+        let Self { world, emitters, settings, stage, .. } = self;
         let Start { position_m, seed, rays } = *start;
         let turn = turn(seed);
         // Rows share the scale of a ray of a probe.
@@ -183,17 +214,23 @@ impl Gathering<'_> {
         let mut emitted =
             EmitterSphereSum::new(&world.geometry, emitters, position_m, [rays, emitter_rays.max(1)]);
         let mut hits = vec![RowHits::default(); PROBE_ROWS];
+        let reads = Reads::new(world, stage);
+        let trail = reads.trail.from(position_m);
         for ray in 0..rays {
             // Rays come in bit-reversed order: each half of them is spread evenly, but every other one lies on one side.
             let is_even = 2 * ray < rays;
             let direction = turn * relight_direction(ray, rays);
             let weights = weights(direction);
             let hit = world.geometry.tracer.met(position_m, direction, f32::INFINITY);
+            trail.mark(direction, hit.map(|hit| hit.t));
             let at = match &hit {
                 None => Some((true, sources.sky(direction))),
                 Some(hit) => {
                     emitted.add_hit(hit, direction, &weights);
-                    sources.at(hit, position_m + direction * hit.t).leaf.map(|leaf| (false, leaf))
+                    let point_m = position_m + direction * hit.t;
+                    let met = sources.at(hit, point_m);
+                    reads.note_hit(&met.found, point_m);
+                    met.leaf.map(|leaf| (false, leaf))
                 }
             };
             let Some((is_sky, at)) = at else { continue };
@@ -202,8 +239,9 @@ impl Gathering<'_> {
                 if is_sky { row.sky.push(met) } else { row.leaves.push(met) }
             }
         }
-        emitted.sample(seed, weights);
-        Cast { hits, emitters: emitted.finish() }
+        emitted.sample(seed, &trail, weights);
+        drop(trail);
+        Cast { hits, emitters: emitted.finish(), read: reads.into_names() }
     }
 }
 

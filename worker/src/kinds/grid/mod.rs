@@ -4,12 +4,14 @@
 //! `grid.assemble`.
 
 mod assemble;
+mod before;
 mod cells;
 mod depth;
 mod evaluated;
 mod fit;
 mod gather;
 mod plan;
+mod readings;
 mod standing;
 mod survey;
 mod truncate;
@@ -43,8 +45,8 @@ impl BakeKind for Grid {
         ]
     }
 
-    fn error_classes(&self) -> &'static [&'static str] {
-        &factors::ERROR_CLASSES
+    fn error_classes(&self) -> Vec<&'static str> {
+        [&factors::ERROR_CLASSES[..], &readings::CLASSES].concat()
     }
 
     fn has_space(&self) -> bool {

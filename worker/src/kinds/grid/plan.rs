@@ -5,11 +5,14 @@ use lightkiln_proto::jobs::{TaskInput, TaskSpec};
 use lightkiln_proto::kinds::grid::tasks;
 use serde_json::json;
 
+use super::before::alike;
 use super::survey::survey;
 use super::{BakeParams, GatherParams, PROBES_ARTEFACT};
+use crate::emitters::EmitterSet;
 use crate::factors::{CELLS_ARTEFACT, cell_names, cells, encoded_cells};
 use crate::geometry::Geometry;
 use crate::kinds::prt;
+use crate::reads::STAGE_ARTEFACT;
 use crate::task::{Context, TaskError, TaskOutput, params, results_of};
 
 /// Most probes of a cell: one factorisation.
@@ -22,7 +25,8 @@ const FIELD_CELLS: &str = "field-cells";
 pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> {
     let bake: BakeParams = params(task)?;
     let relightable = bake.settings.relightable();
-    let prt::Planned { mut artefacts, tasks: mut plan, results } = prt::planned(context, &relightable)?;
+    let prt::Planned { mut artefacts, common, tasks: mut plan, results } =
+        prt::planned(context, &relightable)?;
     let geometry = Geometry::of(context)?;
     let survey = survey(&geometry, &bake.settings.field, context.progress)?;
     let cells = cells(&survey.positions_m(), CELL_PROBES);
@@ -31,6 +35,9 @@ pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> 
         name: name.into(),
         digest: Digest::of(&own[which].1),
     };
+    let stage = artefacts.iter().find(|(name, _)| name == STAGE_ARTEFACT).map(|(_, bytes)| Digest::of(bytes));
+    let stage = stage.map(|digest| TaskInput::Artefact { name: STAGE_ARTEFACT.into(), digest });
+    let emitters = EmitterSet::of(context, &geometry)?;
     let rays = bake.settings.field.probe_rays + relightable.transport.emitter_rays;
     let mut fields = Vec::new();
     for (cell, (of, name)) in cells.iter().zip(cell_names(&cells)).enumerate() {
@@ -44,8 +51,11 @@ pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> 
         };
         let mut inputs = context.as_inputs(prt::is_read_by_transport);
         inputs.extend([input(PROBES_ARTEFACT, 0), input(CELLS_ARTEFACT, 1)]);
+        inputs.extend(stage.clone());
         let cost = of.receivers.len() as u64 * u64::from(rays) / 1000 + 1;
-        fields.push(tasks::GATHER.task(format!("field {name}"), json!(of_cell), inputs, cost));
+        let alike = alike(&common, &survey, (of, &of_cell), geometry.near_bounds_m(), &emitters);
+        let task = tasks::GATHER.task(format!("field {name}"), json!(of_cell), inputs, cost);
+        fields.push(task.alike(alike));
     }
     let mut inputs = context.as_inputs(|_| true);
     inputs.extend(results);

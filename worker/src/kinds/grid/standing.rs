@@ -6,7 +6,7 @@ use glam::{IVec3, Vec3};
 use lightkiln_proto::harmonics::relight_direction;
 use lightkiln_proto::kinds::grid::{MOVE_SHARE, MOVES_MAX};
 
-use crate::geometry::Geometry;
+use crate::geometry::{Geometry, Trail};
 
 /// Rays that look around a place.
 const LOOK_RAYS: u32 = 64;
@@ -57,9 +57,26 @@ pub fn standing(
     MOVES[1..].iter().find(may_stand).copied()
 }
 
+/// A place is in geometry: more than a quarter of what is seen from it are backs.
+pub fn is_inside(geometry: &Geometry, at_m: Vec3) -> bool {
+    place(geometry, at_m, 0.0) == Place::Inside
+}
+
 /// A place is free, and no surface is nearer than so much.
 pub fn is_free(geometry: &Geometry, at_m: Vec3, clearance_m: f32) -> bool {
     place(geometry, at_m, clearance_m) == Place::Free
+}
+
+/// Likewise, and marks the `trail` of the rays that tell.
+pub fn is_free_by(geometry: &Geometry, at_m: Vec3, clearance_m: f32, trail: &Trail) -> bool {
+    trail.mark_box(at_m - clearance_m, at_m + clearance_m);
+    let from = trail.from(at_m);
+    for ray in 0..LOOK_RAYS {
+        let direction = relight_direction(ray, LOOK_RAYS);
+        let hit = geometry.tracer.closest(at_m, direction, f32::INFINITY);
+        from.mark(direction, hit.map(|hit| hit.t));
+    }
+    is_free(geometry, at_m, clearance_m)
 }
 
 fn place(geometry: &Geometry, at_m: Vec3, clearance_m: f32) -> Place {

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use super::Survey;
 use super::cells::in_cells;
-use super::standing::standing;
+use super::standing::{is_inside, standing};
 use crate::geometry::Geometry;
 use crate::geometry::lattice::snapped_size_m;
 use crate::task::{Cancelled, Progress, TaskError};
@@ -56,7 +56,10 @@ pub fn survey(
         .map(|index| {
             progress.check()?;
             let point = point(index);
-            let found = progress.casting(|| found_at(geometry, point, spacing_m, bounds_m));
+            let found = progress.casting(|| match settings.field_moves {
+                0 => plain_at(geometry, point, spacing_m),
+                _ => found_at(geometry, point, spacing_m, bounds_m),
+            });
             progress.advance(1);
             Ok(found)
         })
@@ -70,10 +73,19 @@ pub fn survey(
             Found::Idle => {}
         }
     }
+    if settings.field_moves == 0 {
+        return Ok(survey);
+    }
     let cells = in_cells(geometry, &survey, (low, size), bounds_m, progress)?;
     survey.in_cells = cells.len() as u64;
     survey.probes.extend(cells);
     Ok(survey)
+}
+
+/// A point of the lattice whose probe stays there, unless it is in geometry.
+fn plain_at(geometry: &Geometry, point: IVec3, spacing_m: f32) -> Found {
+    let key = ProbeKey::of(point).filter(|_| !is_inside(geometry, point.as_vec3() * spacing_m));
+    key.map_or(Found::Inside, |key| Found::Probe(key, [0; 3]))
 }
 
 /// A point of the lattice.

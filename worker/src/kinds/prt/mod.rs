@@ -56,8 +56,8 @@ impl BakeKind for Prt {
         ]
     }
 
-    fn error_classes(&self) -> &'static [&'static str] {
-        &factors::ERROR_CLASSES
+    fn error_classes(&self) -> Vec<&'static str> {
+        factors::ERROR_CLASSES.into()
     }
 
     fn evaluated(

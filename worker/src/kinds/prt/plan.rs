@@ -29,6 +29,8 @@ const RAYS_PER_RAY: u64 = 2;
 pub struct Planned {
     /// `cells`, `stage`, `patch-set`.
     pub artefacts: Vec<(String, Vec<u8>)>,
+    /// What all tasks of rays depend on.
+    pub common: Common,
     /// Tasks of rays and of colours, and the overview.
     pub tasks: Vec<TaskSpec>,
     /// Inputs of assemble, beside the outputs of the scene tasks.
@@ -38,7 +40,7 @@ pub struct Planned {
 /// Runs the task: inputs are the outputs of all scene tasks; outputs `cells`, `stage`, `patch-set`, `outline`.
 pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> {
     let bake: BakeParams = params(task)?;
-    let Planned { mut artefacts, tasks: mut plan, results } = planned(context, &bake.settings)?;
+    let Planned { mut artefacts, tasks: mut plan, results, .. } = planned(context, &bake.settings)?;
     let inputs = context.as_inputs(|_| true).into_iter().chain(results).collect();
     plan.push(tasks::ASSEMBLE.task("bundle", json!(bake), inputs, 1));
     let (world, tree) = (World::of(context)?, PatchTree::of(context)?);
@@ -89,7 +91,7 @@ pub fn planned(context: &Context, settings: &Settings) -> Result<Planned, TaskEr
     results.extend(crate::task::results_of(std::slice::from_ref(&overview)));
     let tasks = rays.into_iter().chain(colours).chain([overview]).collect();
     let artefacts = own.into_iter().map(|(name, bytes)| (name.to_owned(), bytes)).collect();
-    Ok(Planned { artefacts, tasks, results })
+    Ok(Planned { artefacts, common, tasks, results })
 }
 
 /// The manifest of a bake that has no clusters yet.

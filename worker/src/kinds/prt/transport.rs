@@ -10,8 +10,8 @@ use super::truncate::NamedPiece;
 use super::{PatchTransport, Recorded, TracedSettings, TransportParams};
 use crate::emitters::Radiance;
 use crate::factors::{CellIndex, Piece, cell_of_task, encoded};
-use crate::reads::{Changes, RECORD_ARTEFACT, Record, Stage};
-use crate::task::{Context, FetchError, TaskError, TaskOutput, params};
+use crate::reads::{Changes, RECORD_ARTEFACT, Record, Stage, of_before, outputs_of_before};
+use crate::task::{Context, TaskError, TaskOutput, params};
 
 /// Error of quantisation as a share of that of truncation: numbers of few bits cost less than ranks, whose loss shows as steps between
 /// clusters.
@@ -125,32 +125,10 @@ fn quantisation(settings: &TracedSettings) -> QuantisationSettings {
     }
 }
 
-/// The value of that name among outputs; `None` if it is gone or of other code.
-fn of_before<T>(
-    context: &Context,
-    outputs: &[Artefact],
-    name: &str,
-    decoded: impl Fn(&[u8]) -> Result<T, TaskError>,
-) -> Result<Option<T>, TaskError> {
-    let Some(artefact) = outputs.iter().find(|output| output.name == name) else { return Ok(None) };
-    match context.source.get(artefact.digest) {
-        Ok(bytes) => Ok(decoded(&bytes).ok()),
-        Err(FetchError::Cancelled(cancelled)) => Err(cancelled.into()),
-        Err(_) => Ok(None),
-    }
-}
-
 /// The outputs of a task alike as those of this one; `None` if they are gone, but for rows, which only a later task may want.
 fn kept(context: &Context, outputs: &[Artefact], receivers: usize) -> Result<Option<TaskOutput>, TaskError> {
-    let mut kept = TaskOutput::default();
-    for output in outputs {
-        match context.source.get(output.digest) {
-            Ok(bytes) => kept.artefacts.push((output.name.clone(), bytes.as_ref().clone())),
-            Err(FetchError::Cancelled(cancelled)) => return Err(cancelled.into()),
-            Err(_) if output.name == ROWS_ARTEFACT => (),
-            Err(_) => return Ok(None),
-        }
-    }
+    let Some(artefacts) = outputs_of_before(context, outputs, ROWS_ARTEFACT)? else { return Ok(None) };
+    let mut kept = TaskOutput { artefacts, ..TaskOutput::default() };
     let index = kept.artefacts.iter().find(|(name, _)| name == CellIndex::OUTPUT);
     let Some(index) = index.and_then(|(_, bytes)| CellIndex::decoded(bytes).ok()) else { return Ok(None) };
     kept.counters = index.counters();

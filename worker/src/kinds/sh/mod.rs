@@ -58,8 +58,8 @@ impl BakeKind for Sh {
         ]
     }
 
-    fn error_classes(&self) -> &'static [&'static str] {
-        &factors::ERROR_CLASSES
+    fn error_classes(&self) -> Vec<&'static str> {
+        factors::ERROR_CLASSES.into()
     }
 
     fn evaluated(

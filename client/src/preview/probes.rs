@@ -1,0 +1,121 @@
+//! Probes in free space as they stand: white spheres in the light that they have.
+
+use std::sync::Arc;
+
+use glam::Vec3;
+use lightkiln_proto::content::Draw;
+use lightkiln_proto::manifest::Material;
+
+use crate::bake::LoadedBake;
+use crate::error::{ClientError, Result};
+use crate::scene::{Object, Rigid};
+
+/// Radius of a sphere over the step of the lattice.
+const RADIUS: f32 = 0.06;
+/// Times that the faces of an octahedron are cut into four.
+const CUTS: usize = 2;
+
+/// An object of all probes of a bake, to be put into it where it stands. Errs for a kind without light in free space.
+pub fn probe_spheres(bake: &LoadedBake) -> Result<Object> {
+    let Some(space) = bake.light.free_space() else {
+        let text = format!("kind {}", bake.scene.manifest.kind);
+        let problem =
+            "has no probes to show; bake the scene with a kind that has; 'kiln settings' lists kinds";
+        return Err(ClientError::Source { text, problem: problem.to_owned() });
+    };
+    let (directions, faces) = sphere();
+    let radius_m = RADIUS * space.lattice().spacing_m;
+    let mut draw = Draw::default();
+    for position_m in space.positions_m() {
+        let first = draw.position_m.len() as u32;
+        let at = |direction: &Vec3| (position_m.truncate() + radius_m * *direction).to_array();
+        draw.position_m.extend(directions.iter().map(at));
+        draw.normal.extend(directions.iter().map(Vec3::to_array));
+        draw.triangles.extend(faces.iter().map(|face| face.map(|corner| first + corner)));
+    }
+    let white = Material {
+        name: "probe".to_owned(),
+        base_colour: [1.0; 4],
+        base_colour_texture: None,
+        emissive: [0.0; 3],
+        emissive_texture: None,
+        emitter: None,
+        alpha_cutoff: None,
+        glass: None,
+        double_sided: false,
+    };
+    let shape = Arc::new(Rigid(vec![draw]));
+    Ok(Object { name: "probes".to_owned(), materials: vec![white], textures: Vec::new(), shape })
+}
+
+/// Corners and triangles of a sphere of radius 1, seen from outside.
+fn sphere() -> (Vec<Vec3>, Vec<[u32; 3]>) {
+    let mut corners: Vec<Vec3> = Vec3::AXES.into_iter().flat_map(|axis| [axis, -axis]).collect();
+    let mut faces = Vec::new();
+    for signs in 0..8_u32 {
+        let [x, y, z] = [0, 1, 2].map(|axis| 2 * axis + (signs >> axis & 1));
+        faces.push(if signs.count_ones().is_multiple_of(2) { [x, y, z] } else { [x, z, y] });
+    }
+    for _ in 0..CUTS {
+        let mut finer = Vec::new();
+        for [a, b, c] in faces {
+            let middles = [[a, b], [b, c], [c, a]].map(|[from, to]| {
+                corners.push((corners[from as usize] + corners[to as usize]).normalize());
+                corners.len() as u32 - 1
+            });
+            let [ab, bc, ca] = middles;
+            finer.extend([[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]);
+        }
+        faces = finer;
+    }
+    (corners, faces)
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::Vec4;
+
+    use super::*;
+    use crate::fixture;
+    use crate::preview::{Backend, View, render};
+    use crate::scene::Stance;
+
+    #[test]
+    fn spheres_look_outwards() {
+        let (corners, faces) = sphere();
+        assert_eq!(faces.len(), 8 << (2 * CUTS));
+        for face in faces {
+            let [a, b, c] = face.map(|corner| corners[corner as usize]);
+            assert!((b - a).cross(c - a).dot(a + b + c) > 0.0, "{a} {b} {c}");
+            assert!([a, b, c].iter().all(|corner| (corner.length() - 1.0).abs() < 1e-6));
+        }
+    }
+
+    #[test]
+    fn spheres_stand_where_probes_do_and_have_their_light() {
+        let mut bake = fixture::field_bake();
+        let object = probe_spheres(&bake).unwrap();
+        let places = bake.light.free_space().unwrap().positions_m().to_vec();
+        let draws = object.shape.draws(0, 0.0).unwrap();
+        let spheres = draws[0].position_m.chunks_exact(sphere().0.len());
+        assert_eq!(spheres.len(), places.len());
+        for (sphere, place) in spheres.zip(places) {
+            let middle: Vec3 = sphere[..6].iter().map(|at| Vec3::from(*at)).sum::<Vec3>() / 6.0;
+            assert!(middle.distance(place.truncate()) < 1e-5, "{middle} {place}");
+        }
+        let view = crate::tests::view_of(&bake);
+        let drawn = |bake: &LoadedBake, objects: Vec<Stance>| -> Vec<Vec4> {
+            let view = View { objects, samples: 1, ..view.clone() };
+            let linear = render(bake, &view, Backend::Cpu).unwrap().linear;
+            linear.into_iter().map(|radiance| Vec3::from(radiance).extend(1.0)).collect()
+        };
+        let without = drawn(&bake, Vec::new());
+        bake.add_object(object).unwrap();
+        let with = drawn(&bake, vec![Stance::default()]);
+        let changed = with.iter().zip(&without).filter(|(with, without)| with != without).count();
+        let lit = with.iter().zip(&without).filter(|(with, without)| with != without && with.x > 0.0).count();
+        assert!(changed > 50 && lit > changed / 2, "{lit} of {changed} pixels");
+        let plain = fixture::prt_bake(&fixture::prt_contents());
+        assert!(probe_spheres(&plain).unwrap_err().to_string().contains("no probes to show"));
+    }
+}

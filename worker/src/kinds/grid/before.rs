@@ -1,0 +1,72 @@
+//! Tasks alike that gathered the same probes before: their results stand while nothing that they read has changed.
+
+use glam::Vec3;
+use lightkiln_proto::ids::Digest;
+use lightkiln_proto::kinds::grid::tasks;
+use serde_json::json;
+
+use super::fit::Around;
+use super::{GatherParams, Survey};
+use crate::emitters::EmitterSet;
+use crate::factors::ClusterCell;
+use crate::reads::{Common, RECORD_ARTEFACT, Record, Stage, of_before, outputs_of_before};
+use crate::task::{Context, TaskError, TaskOutput};
+
+/// The name of the task of a cell's probes: of all that it surely depends on. The rest is in its record.
+pub fn alike(
+    common: &Common,
+    survey: &Survey,
+    (cell, settings): (&ClusterCell, &GatherParams),
+    bounds_m: [Vec3; 2],
+    emitters: &EmitterSet,
+) -> Digest {
+    let around = Around::of(survey, &cell.receivers, &settings.field);
+    let probes: Vec<_> = around.probes.iter().map(|&probe| survey.probes[probe as usize]).collect();
+    let cells: Vec<[i32; 3]> = around.cells.iter().map(|cell| cell.to_array()).collect();
+    let numbers = [bounds_m[0], bounds_m[1]].map(|corner_m| corner_m.to_array().map(f32::to_bits));
+    let radiance: Vec<[u32; 3]> = emitters.radiance().iter().map(|of| of.map(f32::to_bits)).collect();
+    // Which of the cells it is says nothing about it.
+    let settings = GatherParams { cell: 0, ..settings.clone() };
+    let all = json!([
+        tasks::GATHER.version,
+        settings,
+        survey.spacing_m.to_bits(),
+        cell.receivers.len(),
+        probes,
+        cells,
+        numbers,
+        radiance,
+    ]);
+    common.name(all.to_string().as_bytes())
+}
+
+/// What is left of tasks alike.
+pub enum Before {
+    /// The result of one: all that it read is as it was.
+    Kept(TaskOutput),
+    /// Nothing that could be taken, and why.
+    Changed(String),
+}
+
+/// The result of a task alike, if all that it read is as it was.
+pub fn before(context: &Context, stage: &Stage) -> Result<Before, TaskError> {
+    let mut why = match context.alike {
+        [] => "none like them were before".to_owned(),
+        _ => "those like them before left no record, as they met too much, or it is gone".to_owned(),
+    };
+    for outputs in context.alike {
+        let Some(record) = of_before(context, outputs, RECORD_ARTEFACT, Record::decoded)? else { continue };
+        let changes = record.changes(stage);
+        if changes.any {
+            why = format!("{} has changed", changes.first.as_deref().unwrap_or("something"));
+            continue;
+        }
+        let Some(artefacts) = outputs_of_before(context, outputs, "")? else {
+            "nothing that they met has changed, but what was before is gone".clone_into(&mut why);
+            continue;
+        };
+        let note = "as before: nothing that the rays of its probes met has changed".to_owned();
+        return Ok(Before::Kept(TaskOutput { artefacts, note, ..TaskOutput::default() }));
+    }
+    Ok(Before::Changed(why))
+}
