@@ -192,16 +192,15 @@ impl FieldTable {
 
     /// Probes around a point, and their tents, whether they see it or not; less than 1 in all where a corner of the cage has no probe.
     pub fn cage(&self, point_m: Vec3) -> Vec<(u32, f32)> {
-        let at = point_m / self.spacing_m;
-        if !at.is_finite() || at.abs().max_element() > super::LATTICE_MAX as f32 {
-            return Vec::new();
-        }
-        self.around(at, 0..2, 1.0)
+        self.around(point_m / self.spacing_m, 0..2, 1.0)
     }
 
     /// Probes around a place, in steps of the lattice, and products of tents along each axis: of so many steps about points, half a step
-    /// less about the middles of cells.
+    /// less about the middles of cells. None beyond all lattices.
     fn around(&self, at: Vec3, range: Range<i32>, reach: f32) -> Vec<(u32, f32)> {
+        if !at.is_finite() || at.abs().max_element() > super::LATTICE_MAX as f32 {
+            return Vec::new();
+        }
         let cage = at.floor().as_ivec3();
         let mut found = Vec::new();
         for z in range.clone() {
