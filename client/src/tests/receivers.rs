@@ -22,7 +22,9 @@ fn held(got: &ReceiverLight, wanted: &ReceiverLight) {
         (&got.probes, &wanted.probes, TOLERANCE, 0.0),
     ];
     assert_eq!(got.probes.len(), wanted.probes.len());
-    for (got, wanted, tolerance, outliers) in arrays {
+    // Bakes without light in free space have no probes.
+    for (got, wanted, tolerance, outliers) in arrays.into_iter().filter(|(_, wanted, ..)| !wanted.is_empty())
+    {
         let difference = Difference::of(got, wanted, tolerance);
         assert!(difference.agrees(outliers), "{difference:?}");
     }
