@@ -6,6 +6,8 @@ use glam::Vec3;
 
 use crate::harmonics::relight_direction;
 
+/// Farthest distance that counts: one and a half diagonals of a cell, in steps of the lattice.
+pub const FARTHEST: f32 = 2.598_076;
 /// Directions in which a probe's depth is asked for.
 const RAYS: u32 = 4096;
 /// Power of the cosine.

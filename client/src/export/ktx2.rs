@@ -27,7 +27,7 @@ const SAMPLE_WORDS: u32 = 4;
 /// Channels as descriptors number them: red, green, blue, alpha.
 const CHANNELS: [u32; 4] = [0, 1, 2, 15];
 
-/// What texels are of.
+/// Extent of a picture, a volume or an array, in texels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shape {
     /// Width and height.

@@ -18,7 +18,7 @@ use crate::failure::{Failure, Result};
 use crate::lighting::LightArguments;
 use crate::objects::{ObjectArgument, parse_object};
 
-/// What a bake is made of.
+/// Parts of a bake that can be drawn into its scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum ShowName {
     /// Probes in free space: white spheres in the light that they have, which cast shadows
@@ -65,7 +65,7 @@ pub struct Reel {
     pub budget: Option<Budget>,
     /// Keys of pictures; one picture without.
     pub path: Option<ViewPath>,
-    /// What the bake is made of, to be drawn too.
+    /// Parts of the bake to be drawn too.
     show: Option<ShowName>,
     objects: Vec<(Object, Stance)>,
 }
@@ -76,7 +76,7 @@ impl Reel {
         std::mem::take(&mut self.objects).into_iter().unzip()
     }
 
-    /// Puts what is to be shown of a bake into it, beside objects with these stances.
+    /// Puts the parts that are to be shown of a bake into it, beside objects with these stances.
     pub fn show_in(&self, bake: &mut LoadedBake, stances: &mut Vec<Stance>) -> Result<()> {
         if let Some(ShowName::Probes) = self.show {
             let spheres = probe_spheres(bake)?;

@@ -3,7 +3,7 @@
 
 use glam::{Vec2, Vec3};
 use half::f16;
-use lightkiln_proto::lobes::{self, Lobe};
+use lightkiln_proto::lobes::{self, FARTHEST, Lobe};
 use rayon::prelude::*;
 use serde_json::{Map, Value, json};
 
@@ -20,9 +20,6 @@ pub const PROBES_FILE: &str = "probes-state.ktx2";
 /// Texels along a tile's side, of which one at either end is border.
 pub const IRRADIANCE_SIDE: usize = 8;
 pub const DISTANCE_SIDE: usize = 16;
-
-/// Farthest distance: one and a half diagonals of a cell, in steps of the lattice.
-const FARTHEST: f32 = 2.598_076;
 
 /// Direction of a place on the square −1..1, the middle being +z.
 pub fn direction_of(at: Vec2) -> Vec3 {

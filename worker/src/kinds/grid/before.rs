@@ -40,7 +40,7 @@ pub fn alike(
     common.name(all.to_string().as_bytes())
 }
 
-/// What is left of tasks alike.
+/// Remains of tasks alike.
 pub enum Before {
     /// The result of one: all that it read is as it was.
     Kept(TaskOutput),

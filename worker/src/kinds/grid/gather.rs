@@ -123,7 +123,7 @@ struct Cast {
     hits: Vec<RowHits>,
     /// By emitter.
     emitters: Vec<[[f32; 3]; PROBE_ROWS]>,
-    /// What was read for them.
+    /// Names of the parts of the stage that were read for them.
     read: Vec<Name>,
 }
 

@@ -3,15 +3,13 @@
 use glam::{Vec3, Vec4};
 use lightkiln_proto::harmonics::ShBasis;
 use lightkiln_proto::kinds::grid::{FieldTable, PROBE_ROWS};
-use lightkiln_proto::lobes::{self, Lobe};
+use lightkiln_proto::lobes::{self, FARTHEST, Lobe};
 
 use crate::geometry::Geometry;
 
 /// Names of the classes of error that are these ways.
 pub const CLASSES: [&str; 4] = ["exact", "chebyshev", "valid", "all"];
 
-/// Farthest mean distance: one and a half diagonals of a cell, in steps of the lattice.
-const FARTHEST: f32 = 2.598_076;
 /// Distance by which a point counts as nearer than it is, in steps of the lattice.
 const BIAS: f32 = 0.01;
 
