@@ -1,4 +1,4 @@
-//! Light in free space, of a kind that has it: probes on a lattice, each with nine coefficients of irradiance by normal.
+//! Light in free space, of a kind that has it: probes, each with nine coefficients of irradiance by normal.
 
 use std::fmt::Debug;
 
@@ -32,8 +32,11 @@ impl Lattice<'_> {
 
 /// The probes.
 pub trait FreeSpace: Debug + Sync {
-    /// Their lattice.
-    fn lattice(&self) -> Lattice<'_>;
+    /// Distance between neighbours in metres, about.
+    fn spacing_m(&self) -> f32;
+
+    /// Their lattice, if they stand on one.
+    fn lattice(&self) -> Option<Lattice<'_>>;
 
     /// Places in metres, also of probes that belong to no point.
     fn positions_m(&self) -> &[Vec4];

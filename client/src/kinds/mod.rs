@@ -1,5 +1,7 @@
 //! Kinds of bake that this client plays, a folder each.
 
+pub mod cloud;
+pub mod field;
 pub mod grid;
 pub mod prt;
 pub mod sh;
@@ -8,5 +10,5 @@ use crate::bake::ClientKinds;
 
 /// All of them.
 pub fn all() -> ClientKinds {
-    ClientKinds::new().with(prt::Prt).with(sh::Sh).with(grid::Grid)
+    ClientKinds::new().with(prt::Prt).with(sh::Sh).with(grid::Grid).with(cloud::Cloud)
 }

@@ -24,7 +24,7 @@ pub fn probe_spheres(bake: &LoadedBake) -> Result<Object> {
         return Err(ClientError::Source { text, problem: problem.to_owned() });
     };
     let (directions, faces) = sphere();
-    let radius_m = RADIUS * space.lattice().spacing_m;
+    let radius_m = RADIUS * space.spacing_m();
     let mut draw = Draw::default();
     for position_m in space.positions_m() {
         let first = draw.position_m.len() as u32;
@@ -93,7 +93,7 @@ mod tests {
 
     #[test]
     fn spheres_stand_where_probes_do_and_have_their_light() {
-        let mut bake = fixture::field_bake();
+        let mut bake = fixture::field_bake(true);
         let object = probe_spheres(&bake).unwrap();
         let places = bake.light.free_space().unwrap().positions_m().to_vec();
         let draws = object.shape.draws(0, 0.0).unwrap();

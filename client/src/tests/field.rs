@@ -7,7 +7,7 @@ use super::objects::{cube_at, lamp_view, with_cube};
 use super::{prepared, view_of};
 use crate::bake::LoadedBake;
 use crate::fixture;
-use crate::kinds::grid;
+use crate::kinds::field;
 use crate::lights::parse_light;
 use crate::passes::compare::Difference;
 use crate::passes::shade;
@@ -17,10 +17,10 @@ use crate::preview::{Backend, View, render};
 use crate::scene::Stance;
 
 /// The room under a lamp, and under the sky with its glowing sheet; each with an object that hangs in it.
-fn views() -> [(LoadedBake, View); 2] {
-    let bake = || with_cube(fixture::field_bake(), None);
+fn views(is_lattice: bool) -> [(LoadedBake, View); 2] {
+    let bake = || with_cube(fixture::field_bake(is_lattice), None);
     let (_, of_lamp) = lamp_view();
-    let of_sky = view_of(&fixture::field_bake());
+    let of_sky = view_of(&fixture::field_bake(is_lattice));
     let sky = vec![parse_light("sky zenith=0.2,0.4,0.9 horizon=0.6,0.6,0.6").unwrap()];
     [(bake(), of_lamp), (bake(), View { lights: sky, samples: 1, ..of_sky })]
 }
@@ -34,23 +34,29 @@ fn drawn(bake: &LoadedBake, view: &View, objects: Vec<Stance>, backend: Backend)
 #[test]
 fn object_gets_light_that_bounces_and_surfaces_keep_theirs() {
     let (_, view) = lamp_view();
-    let with = with_cube(fixture::field_bake(), None);
-    let (plain, _) = lamp_view();
-    let without = with_cube(plain, None);
-    let objects = cube_at([2.0, 1.6, 2.6], 0.5);
-    let [lit, unlit] = [&with, &without].map(|bake| drawn(bake, &view, objects.clone(), Backend::Cpu));
-    let brighter = lit.iter().zip(&unlit).filter(|(lit, unlit)| lit.x > unlit.x + 1e-4).count();
-    let same = lit.iter().zip(&unlit).filter(|(lit, unlit)| lit == unlit).count();
-    println!("{brighter} pixels are brighter, {same} the same, of {}", lit.len());
-    assert!(brighter > 100, "{brighter} pixels of the object have bounced light");
-    assert_eq!(brighter + same, lit.len(), "no other pixel differs");
+    for is_lattice in [true, false] {
+        let with = with_cube(fixture::field_bake(is_lattice), None);
+        let (plain, _) = lamp_view();
+        let without = with_cube(plain, None);
+        let objects = cube_at([2.0, 1.6, 2.6], 0.5);
+        let [lit, unlit] = [&with, &without].map(|bake| drawn(bake, &view, objects.clone(), Backend::Cpu));
+        let brighter = lit.iter().zip(&unlit).filter(|(lit, unlit)| lit.x > unlit.x + 1e-4).count();
+        let same = lit.iter().zip(&unlit).filter(|(lit, unlit)| lit == unlit).count();
+        println!("{brighter} pixels are brighter, {same} the same, of {}", lit.len());
+        assert!(brighter > 100, "{brighter} pixels of the object have bounced light");
+        assert_eq!(brighter + same, lit.len(), "no other pixel differs");
+    }
 }
 
 /// Beside a wall, light on an object that faces as the wall does is near that of the wall.
 #[test]
 fn light_beside_a_wall_is_near_the_walls_own() {
-    let [(bake, view), _] = views();
-    let (scene, light) = fixture::field_light();
+    [true, false].into_iter().for_each(light_beside_a_wall);
+}
+
+fn light_beside_a_wall(is_lattice: bool) {
+    let [(bake, view), _] = views(is_lattice);
+    let (scene, light) = fixture::field_light(is_lattice);
     let prepared = prepared(&bake, &view);
     let maps = draw(&prepared.scene, &prepared.plan);
     let lit = prepared.lit(&maps);
@@ -88,13 +94,13 @@ fn light_beside_a_wall_is_near_the_walls_own() {
 #[test]
 #[ignore = "needs a graphics adapter"]
 fn adapter_lights_objects_by_the_field_as_the_processor_does() {
-    for (bake, view) in views() {
+    for (bake, view) in [true, false].into_iter().flat_map(views) {
         for objects in
             [cube_at([2.0, 1.6, 2.6], 0.5), cube_at([1.0, 0.4, 1.0], 0.5), cube_at([3.6, 1.5, 2.0], 0.9)]
         {
             let [got, wanted] =
                 [Backend::Gpu, Backend::Cpu].map(|backend| drawn(&bake, &view, objects.clone(), backend));
-            let tolerance = shade::TOLERANCE.max(grid::TOLERANCE);
+            let tolerance = shade::TOLERANCE.max(field::TOLERANCE);
             let difference = Difference::of_mean(&got, &wanted, tolerance);
             println!("{difference}");
             // Objects are a few hundredths of the picture.

@@ -33,7 +33,8 @@ fn held(got: &ReceiverLight, wanted: &ReceiverLight) {
 #[test]
 #[ignore = "needs a graphics adapter"]
 fn adapter_lights_receivers_as_the_processor_does() {
-    for bake in [fixture::prt_bake(&fixture::prt_contents()), fixture::sh_bake(), fixture::field_bake()] {
+    let fields = [true, false].map(fixture::field_bake);
+    for bake in [fixture::prt_bake(&fixture::prt_contents()), fixture::sh_bake()].into_iter().chain(fields) {
         let lit = |lights, backend| light_receivers(&bake, lights, None, vec![1.5], backend).unwrap();
         let [got, wanted] = [Backend::Gpu, Backend::Cpu].map(|backend| lit(fixture::lights(), backend));
         assert!(got.settled.converged && wanted.settled.converged && got.lit_by != wanted.lit_by);

@@ -9,7 +9,7 @@ use lightkiln_proto::relight::{Column, Detail, LodView, NearHit, NearRow, OwnSur
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 use naga::{AddressSpace, TypeInner};
 
-use crate::kinds::grid::{self, FieldNumbers};
+use crate::kinds::field::{self, LatticeNumbers, TetrahedraNumbers};
 use crate::kinds::sh::relight::{self, RelightNumbers};
 use crate::passes::atlas::{AtlasNumbers, AtlasTexel, Placement};
 use crate::passes::basis::BasisNumbers;
@@ -29,8 +29,12 @@ use crate::web;
 /// Every shader: name and whole source, as the adapter compiles it.
 fn shaders() -> Vec<(&'static str, String)> {
     let of_browsers = web::shaders().into_iter().map(|(name, source)| (name, source.into_owned()));
-    let with_field = Shading { snippet: grid::SNIPPET, bindings: Vec::new() }.shader();
-    of_browsers.chain([("relight", relight::SHADER.to_owned()), ("shade with a field", with_field)]).collect()
+    let with = |snippet| Shading { snippet, bindings: Vec::new() }.shader();
+    let fields = [
+        ("shade with a field on a lattice", with(field::IN_LATTICE)),
+        ("shade with a field in tetrahedra", with(field::IN_TETRAHEDRA)),
+    ];
+    of_browsers.chain([("relight", relight::SHADER.to_owned())]).chain(fields).collect()
 }
 
 fn parsed(source: &str) -> naga::Module {
@@ -133,7 +137,8 @@ fn twins() -> BTreeMap<&'static str, Layout> {
         "Column": Column { place, scale }
         "Detail": Detail { first_row, row_count, rows, wide, bytes, rest, groups, level, interval }
         "Face": Face { clip_from_world, right, texel_at_unit_w, up, panes }
-        "Field": FieldNumbers { low, size, spacing_m, first_probe, probe_count, pad }
+        "LatticeField": LatticeNumbers { low, size, spacing_m, first_probe, probe_count, pad }
+        "TetrahedraField": TetrahedraNumbers { low_m, high_m, cells, cell_m, spacing_m, first_probe, probe_count }
         "Fill": FillNumbers { count, stride, level }
         "Light": Light {
             position, range_m, direction, shape, strength, first_face, cone_cos_inner, cone_cos_outer, face_count,

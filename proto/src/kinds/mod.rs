@@ -3,6 +3,8 @@
 //!
 //! A kind is one folder here, one in `worker/src/kinds`, one in `client/src/kinds`, and one row in each table.
 
+pub mod cloud;
+pub mod field;
 mod figures;
 pub mod grid;
 pub mod prt;
@@ -100,7 +102,7 @@ pub struct Kinds(Vec<&'static dyn Kind>);
 impl Kinds {
     /// The kinds of this crate.
     pub fn new() -> Self {
-        Self(vec![&prt::Prt, &sh::Sh, &grid::Grid])
+        Self(vec![&prt::Prt, &sh::Sh, &grid::Grid, &cloud::Cloud])
     }
 
     /// The table with one more kind.

@@ -4,7 +4,7 @@ use anyhow::{Context, Result, bail, ensure};
 use glam::{DVec3, Vec3, Vec4};
 use lightkiln_proto::chunk::decode_patches;
 use lightkiln_proto::content::{BlockKey, ClusterTransport, Texel};
-use lightkiln_proto::kinds::{grid, prt, sh};
+use lightkiln_proto::kinds::{cloud, field, grid, prt, sh};
 use lightkiln_proto::manifest::CLUSTERS;
 use lightkiln_proto::relight::PatchTable;
 use lightkiln_worker::evaluate::EvaluationError;
@@ -41,7 +41,7 @@ impl Decoded {
             bake.chunk(digest).map_err(|error| EvaluationError::Missing { digest, source: error.into() })
         };
         match manifest.kind.as_str() {
-            prt::NAME | grid::NAME => {
+            prt::NAME | grid::NAME | cloud::NAME => {
                 let chunk = manifest.chunks(prt::PATCHES).first().context("no patches")?;
                 let set = decode_patches(&bake.chunk(chunk.digest)?)?;
                 Ok(Self::Patches(Baked::decode(manifest, &bytes, |slots| PatchTable::new(&set, slots))?))
@@ -77,13 +77,18 @@ impl Decoded {
     }
 
     /// The field of a bake that has one.
-    pub fn field(&self, bake: &LocalBake) -> Result<grid::FieldTable> {
+    pub fn field(&self, bake: &LocalBake) -> Result<field::FieldTable> {
         let Self::Patches(baked) = self else { bail!("a field reads patches") };
-        let chunks = bake.manifest.chunks(grid::FIELD).iter();
-        let parts: Vec<grid::FieldPart> =
-            chunks.map(|chunk| Ok(grid::decode_field(&bake.chunk(chunk.digest)?)?)).collect::<Result<_>>()?;
+        let chunks = bake.manifest.chunks(field::FIELD).iter();
+        let parts: Vec<field::FieldPart> = chunks
+            .map(|chunk| Ok(field::decode_field(&bake.chunk(chunk.digest)?)?))
+            .collect::<Result<_>>()?;
         let emitters = bake.manifest.emitters.len();
-        Ok(grid::FieldTable::join(&parts, emitters, &baked.transport.columns)?)
+        let tetrahedra = bake.manifest.chunks(cloud::TETRAHEDRA).first();
+        let tetrahedra = tetrahedra
+            .map(|chunk| Ok::<_, anyhow::Error>(field::decode_tetrahedra(&bake.chunk(chunk.digest)?)?));
+        let tetrahedra = tetrahedra.transpose()?;
+        Ok(field::FieldTable::join(&parts, tetrahedra.as_ref(), emitters, &baked.transport.columns)?)
     }
 
     /// Slot of a texel; `None` for those that no light can reach.

@@ -31,7 +31,8 @@ fn fixtures() -> Vec<(String, Vec<u8>)> {
     let mut found: Vec<(String, Vec<u8>)> = paths
         .filter_map(|path| Some((name(&path)?, path)))
         .filter(|(name, _)| {
-            name.ends_with(&ending) && !["probes", "field"].iter().any(|kind| name.starts_with(kind))
+            name.ends_with(&ending)
+                && !["probes", "field", "tetrahedra"].iter().any(|kind| name.starts_with(kind))
         })
         .map(|(name, path)| (name, std::fs::read(path).expect("a fixture can be read")))
         .collect();

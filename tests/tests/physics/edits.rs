@@ -92,8 +92,17 @@ fn kept_fields(rebaked: &Rebaked) -> Vec<(&str, bool)> {
 
 #[test]
 fn probes_whose_rays_met_nothing_that_changed_are_those_of_before() {
+    probes_of_before("grid");
+}
+
+#[test]
+fn so_are_those_of_a_cloud() {
+    probes_of_before("cloud");
+}
+
+fn probes_of_before(kind: &'static str) {
     let progress = Progress::new();
-    let mut recipe = small("grid", FEW_RECEIVERS).with("field_spacing_m", 0.75).with("probe_rays", 128);
+    let mut recipe = small(kind, FEW_RECEIVERS).with("field_spacing_m", 0.75).with("probe_rays", 128);
     recipe = recipe.with("field_rank_error", 0.1);
     let mut bakery = Bakery::new(&recipe, &progress);
     let mut of = Flat::default();

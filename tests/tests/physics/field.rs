@@ -4,7 +4,8 @@ use std::f32::consts::PI;
 
 use glam::{Vec3, Vec4};
 use lightkiln_proto::harmonics::{ShBasis, relight_direction};
-use lightkiln_proto::kinds::grid::{self, FieldTable};
+use lightkiln_proto::kinds::field::{self, FieldTable};
+use lightkiln_proto::kinds::{cloud, grid};
 use lightkiln_proto::scene::LightKind;
 use lightkiln_tests::harness::{Held, Lit, Recipe, bake};
 use lightkiln_tests::scenes;
@@ -17,8 +18,11 @@ use serde_json::json;
 
 use super::setup::{lamp_at, only};
 
+/// Kinds of bake with a field.
+const KINDS: [&str; 2] = [grid::NAME, cloud::NAME];
+
 /// A field of about so many probes over small surfaces.
-fn small(probes: u32) -> Recipe {
+fn small(kind: &'static str, probes: u32) -> Recipe {
     let settings = json!({
         "preset": "draft",
         "receivers_target": 20_000,
@@ -27,7 +31,7 @@ fn small(probes: u32) -> Recipe {
         "probe_rays": 1024,
         "field_rank_error": 0.03,
     });
-    Recipe { kind: "grid", settings }
+    Recipe { kind, settings }
 }
 
 /// A field, and its light under some lights.
@@ -72,8 +76,8 @@ fn free_points(geometry: &Geometry, [low_m, high_m]: [Vec3; 2], off_m: f32, coun
 
 #[test]
 fn white_furnace_has_the_same_light_in_all_of_its_space() {
-    for albedo in [0.2, 0.8] {
-        let held = Held::new(scenes::furnace(albedo, 1.0, 4.0), &small(100)).unwrap();
+    for (kind, albedo) in [(grid::NAME, 0.2), (grid::NAME, 0.8), (cloud::NAME, 0.8)] {
+        let held = Held::new(scenes::furnace(albedo, 1.0, 4.0), &small(kind, 100)).unwrap();
         let lit = held.under(&Lighting { emitter_scale: 1.0, ..Lighting::default() }).unwrap();
         let field = LitField::of(&held, &lit);
         let geometry = &held.world.geometry;
@@ -86,15 +90,19 @@ fn white_furnace_has_the_same_light_in_all_of_its_space() {
             worst = worst.max((found - 1.0).abs());
         }
         let mean = sum / points.len() as f32;
-        println!("albedo {albedo}: mean {mean:.4} of what is wanted, worst {worst:.4}");
-        assert!((mean - 1.0).abs() < 0.01, "albedo {albedo}: {mean} of what is wanted");
-        assert!(worst < 0.05, "albedo {albedo}: a point is off by {worst}");
+        println!("{kind}, albedo {albedo}: mean {mean:.4} of what is wanted, worst {worst:.4}");
+        assert!((mean - 1.0).abs() < 0.01, "{kind}, albedo {albedo}: {mean} of what is wanted");
+        assert!(worst < 0.05, "{kind}, albedo {albedo}: a point is off by {worst}");
     }
 }
 
 #[test]
 fn light_in_a_box_is_near_the_path_tracers() {
-    let held = Held::new(scenes::cornell(), &small(400)).unwrap();
+    KINDS.into_iter().for_each(light_in_a_box);
+}
+
+fn light_in_a_box(kind: &'static str) {
+    let held = Held::new(scenes::cornell(), &small(kind, 400)).unwrap();
     let geometry = &held.world.geometry;
     let points = free_points(geometry, geometry.near_bounds_m(), 0.02, 150);
     let sites: Vec<Site> = points
@@ -128,18 +136,20 @@ fn light_in_a_box_is_near_the_path_tracers() {
         let probes = field.table.len();
         let [error, energy] = compared(&field);
         let [plain, _] = compared(&field.without_depths());
-        println!("{name}: {probes} probes, error {error:.3} (without depths {plain:.3}), energy {energy:.3}");
-        assert!(error < 0.25, "{name}: error {error}");
+        println!(
+            "{kind}, {name}: {probes} probes, error {error:.3} (without depths {plain:.3}), energy {energy:.3}"
+        );
+        assert!(error < 0.25, "{kind}, {name}: error {error}");
         // Two boxes hide little from probes: walls between rooms are what depths are for.
-        assert!(error < 1.02 * plain, "{name}: error {error}, without depths {plain}");
-        assert!((energy - 1.0).abs() < 0.05, "{name}: energy {energy}");
+        assert!(error < 1.02 * plain, "{kind}, {name}: error {error}, without depths {plain}");
+        assert!((energy - 1.0).abs() < 0.05, "{kind}, {name}: energy {energy}");
     }
 }
 
 /// An object that is carried through a room changes its light evenly, but where a box comes between it and a probe.
 #[test]
 fn light_along_a_way_has_few_steps() {
-    let held = Held::new(scenes::cornell(), &small(400)).unwrap();
+    let held = Held::new(scenes::cornell(), &small(grid::NAME, 400)).unwrap();
     let lit = held.under(&lamp_at(Vec3::new(0.3, 3.0, -2.0))).unwrap();
     let field = LitField::of(&held, &lit);
     let geometry = &held.world.geometry;
@@ -195,7 +205,7 @@ fn light_along_a_way_has_few_steps() {
 /// At probes nothing is read between them: what is left is the angle of nine harmonics, rays, the cut and factors.
 #[test]
 fn light_at_probes_themselves_is_the_path_tracers() {
-    let mut recipe = small(60);
+    let mut recipe = small(grid::NAME, 60);
     recipe.settings["field_fit"] = 0.into();
     let held = Held::new(scenes::cornell(), &recipe).unwrap();
     let lit = held.under(&lamp_at(Vec3::new(0.3, 3.0, -2.0))).unwrap();
@@ -214,8 +224,8 @@ fn light_at_probes_themselves_is_the_path_tracers() {
     let traced = lit.reference().irradiance(&sites, &precision, &Progress::new()).unwrap();
     let mean = traced.iter().map(|of| of.indirect.luminance()).sum::<f64>() / sites.len() as f64;
     let square = |(probe, (site, of)): (usize, (&Site, &IrradianceEstimate))| {
-        let own = &field.rows[grid::PROBE_ROWS * probe..][..grid::PROBE_ROWS];
-        let mut harmonics = [0.0; grid::PROBE_ROWS];
+        let own = &field.rows[field::PROBE_ROWS * probe..][..field::PROBE_ROWS];
+        let mut harmonics = [0.0; field::PROBE_ROWS];
         ShBasis::new(2).evaluate(site.normal, &mut harmonics);
         let found: Vec4 = own.iter().zip(harmonics).map(|(row, harmonic)| *row * harmonic).sum();
         (luminance(found.truncate().as_dvec3()) - of.indirect.luminance()).powi(2)
@@ -229,8 +239,8 @@ fn light_at_probes_themselves_is_the_path_tracers() {
 
 #[test]
 fn no_light_passes_a_wall_of_two_centimetres_in_free_space() {
-    for thickness_m in [0.02, 0.0] {
-        let held = Held::new(scenes::two_rooms(thickness_m), &small(300)).unwrap();
+    for (kind, thickness_m) in KINDS.into_iter().flat_map(|kind| [(kind, 0.02), (kind, 0.0)]) {
+        let held = Held::new(scenes::two_rooms(thickness_m), &small(kind, 300)).unwrap();
         let lit = held.under(&lamp_at(Vec3::new(-2.2, 2.2, 0.4))).unwrap();
         let field = LitField::of(&held, &lit);
         let geometry = &held.world.geometry;
@@ -257,18 +267,22 @@ fn no_light_passes_a_wall_of_two_centimetres_in_free_space() {
         let unseen = unseen.count();
         let without = mean_of(&field.without_depths(), &dark_side);
         println!(
-            "{thickness_m} m: {leak} against {light}, {without} without depths; {unseen} of 400 points unseen"
+            "{kind}, {thickness_m} m: {leak} against {light}, {without} without depths; {unseen} of 400 points unseen"
         );
         assert!(light > 0.1, "the lit room is dark: the test shows nothing");
-        assert!(leak <= 1e-3 * light, "{thickness_m} m: {leak} against {light}");
+        assert!(leak <= 1e-3 * light, "{kind}, {thickness_m} m: {leak} against {light}");
         assert!(without > 1e-2 * light, "without depths {without}: the comparison must fail");
-        assert!(unseen <= 4, "{unseen} points see no probe");
+        assert!(unseen <= 4, "{kind}: {unseen} points see no probe");
     }
 }
 
 #[test]
 fn sealed_box_in_full_sun_is_exactly_dark_in_its_space() {
-    let held = Held::new(scenes::sealed_box(0.1), &small(3000)).unwrap();
+    KINDS.into_iter().for_each(sealed_box_is_dark);
+}
+
+fn sealed_box_is_dark(kind: &'static str) {
+    let held = Held::new(scenes::sealed_box(0.1), &small(kind, 3000)).unwrap();
     let sun = LightKind::Sun { direction: [-0.5, -0.7, -0.5] };
     let lit = held.under(&only(sun, 100.0)).unwrap();
     let field = LitField::of(&held, &lit);
@@ -276,21 +290,24 @@ fn sealed_box_in_full_sun_is_exactly_dark_in_its_space() {
     let inside = [Vec3::new(-1.85, 0.4, -1.85), Vec3::new(1.85, 4.1, 1.85)];
     for (&point_m, index) in free_points(geometry, inside, 0.02, 200).iter().zip(0..) {
         let found = field.at(point_m, relight_direction(index, 256));
-        assert_eq!(found, Vec3::ZERO, "light inside at {point_m}");
+        assert_eq!(found, Vec3::ZERO, "{kind}: light inside at {point_m}");
     }
     let outside = [Vec3::new(3.0, 0.2, -6.0), Vec3::new(6.0, 3.0, 6.0)];
     let points = free_points(geometry, outside, 0.02, 50);
     let mean = points.iter().map(|&point_m| field.at(point_m, Vec3::NEG_Y).y).sum::<f32>() / 50.0;
-    assert!(mean > 1.0, "the outside is dark: the test shows nothing");
+    assert!(mean > 1.0, "{kind}: the outside is dark, {mean}: the test shows nothing");
 }
 
 #[test]
 fn fields_have_the_same_bytes_on_any_number_of_threads() {
-    let field = |threads: usize| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| bake(scenes::cornell(), &small(60)).unwrap()).manifest.chunks(grid::FIELD).to_vec()
-    };
-    let one = field(1);
-    assert!(!one.is_empty());
-    assert_eq!(one, field(5));
+    for kind in KINDS {
+        let field = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            let baked = pool.install(|| bake(scenes::cornell(), &small(kind, 60)).unwrap());
+            [field::FIELD, cloud::TETRAHEDRA].map(|role| baked.manifest.chunks(role).to_vec())
+        };
+        let one = field(1);
+        assert!(!one[0].is_empty() && one[1].is_empty() == (kind == grid::NAME), "{kind}");
+        assert_eq!(one, field(5), "{kind}");
+    }
 }

@@ -1,5 +1,7 @@
 //! Kinds of bake: one folder each, and a table that runner and evaluation ask. No other room names a kind.
 
+pub mod cloud;
+pub mod field;
 pub mod grid;
 pub mod prt;
 pub mod sh;
@@ -70,7 +72,7 @@ pub struct BakeKinds(Vec<&'static dyn BakeKind>);
 impl BakeKinds {
     /// The kinds of this crate.
     pub fn new() -> Self {
-        Self(vec![&prt::Prt, &sh::Sh, &grid::Grid])
+        Self(vec![&prt::Prt, &sh::Sh, &grid::Grid, &cloud::Cloud])
     }
 
     /// The table with one more kind.

@@ -30,6 +30,15 @@ pub enum ProbeFormat {
 impl ProbeFormat {
     /// All of them.
     pub const ALL: [Self; 3] = [Self::Cube, Self::Unity, Self::Ddgi];
+
+    /// Name on command lines.
+    fn name(self) -> &'static str {
+        match self {
+            Self::Cube => "cube",
+            Self::Unity => "unity",
+            Self::Ddgi => "ddgi",
+        }
+    }
 }
 
 /// Largest side of a volume, and most layers of an array, that all adapters read.
@@ -63,24 +72,30 @@ pub fn files(space: &dyn FreeSpace, light: &[Vec4], formats: &[ProbeFormat]) -> 
         return Err(not_finite());
     }
     let volume = Volume::new(space, light);
-    let Lattice { spacing_m, low, size, .. } = volume.lattice;
     let mut extras = Map::new();
-    extras.insert("lowM".to_owned(), json!((low.as_vec3() * spacing_m).to_array()));
-    extras.insert("spacingM".to_owned(), json!(spacing_m));
-    extras.insert("size".to_owned(), json!(size.to_array()));
     let mut found = ProbeFiles::default();
+    if let Some(Lattice { spacing_m, low, size, .. }) = space.lattice() {
+        extras.insert("lowM".to_owned(), json!((low.as_vec3() * spacing_m).to_array()));
+        extras.insert("spacingM".to_owned(), json!(spacing_m));
+        extras.insert("size".to_owned(), json!(size.to_array()));
+        if (size * IVec3::new(1, 2, 3)).max_element() > VOLUME_MAX || size.y > LAYERS_MAX {
+            found.warnings.push(format!("the volume of {size} probes is more than all adapters read"));
+        }
+    }
     for format in ProbeFormat::ALL.iter().filter(|format| formats.contains(format)) {
         match format {
-            ProbeFormat::Cube => cube::write(&volume, &mut found.files, &mut extras)?,
             ProbeFormat::Unity => unity::write(&volume, &mut found.files, &mut extras),
+            ProbeFormat::Cube | ProbeFormat::Ddgi if space.lattice().is_none() => {
+                let name = format.name();
+                found.warnings.push(format!(
+                    "no probes are written as '{name}': that needs a lattice, these stand freely"
+                ));
+            }
+            ProbeFormat::Cube => cube::write(&volume, &mut found.files, &mut extras)?,
             ProbeFormat::Ddgi => ddgi::write(&volume, &mut found.files, &mut extras)?,
         }
     }
     found.extras = Value::Object(extras);
-    let is_wide = (size * IVec3::new(1, 2, 3)).max_element() > VOLUME_MAX || size.y > LAYERS_MAX;
-    if is_wide {
-        found.warnings.push(format!("the volume of {size} probes is more than all adapters read"));
-    }
     Ok(found)
 }
 
@@ -95,7 +110,9 @@ struct Volume<'a> {
 
 impl<'a> Volume<'a> {
     fn new(space: &'a dyn FreeSpace, light: &'a [Vec4]) -> Self {
-        let lattice = space.lattice();
+        let nowhere =
+            Lattice { spacing_m: space.spacing_m(), low: IVec3::ZERO, size: IVec3::ZERO, probe_at: &[] };
+        let lattice = space.lattice().unwrap_or(nowhere);
         let [x, y, z] = lattice.size.to_array().map(|along| along as usize);
         let mut probe_of = lattice.probe_at.to_vec();
         let mut reached: VecDeque<usize> =

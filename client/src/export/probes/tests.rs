@@ -54,7 +54,7 @@ struct Case {
 
 impl Case {
     fn new() -> Self {
-        let bake = fixture::field_bake();
+        let bake = fixture::field_bake(true);
         let light = settled(&bake).probes;
         let files = files(bake.light.free_space().unwrap(), &light, &ProbeFormat::ALL).unwrap();
         Self { bake, light, files }
@@ -255,9 +255,19 @@ struct Sparse {
 }
 
 impl FreeSpace for Sparse {
-    fn lattice(&self) -> Lattice<'_> {
+    fn spacing_m(&self) -> f32 {
+        0.5
+    }
+
+    fn lattice(&self) -> Option<Lattice<'_>> {
         let Self { probe_at, .. } = self;
-        Lattice { spacing_m: 0.5, low: IVec3::NEG_ONE, size: IVec3::new(3, 2, 2), probe_at }
+        let is_there = !probe_at.is_empty();
+        is_there.then_some(Lattice {
+            spacing_m: 0.5,
+            low: IVec3::NEG_ONE,
+            size: IVec3::new(3, 2, 2),
+            probe_at,
+        })
     }
 
     fn positions_m(&self) -> &[Vec4] {

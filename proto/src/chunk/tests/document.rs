@@ -3,7 +3,7 @@
 use crate::chunk::container;
 use crate::chunk::*;
 use crate::kinds::Kinds;
-use crate::kinds::grid::PART_PROBES_MAX;
+use crate::kinds::field::{PART_PROBES_MAX, TETRAHEDRA_MAX};
 use crate::kinds::sh::{BATCH_PROBES_MAX, HITS_MAX, RELIGHT_RAYS_MAX};
 
 const FORMAT: &str = include_str!("../../../FORMAT.md");
@@ -46,6 +46,7 @@ fn limits_are_those_of_the_code() {
         ("relight rays of a probe", RELIGHT_RAYS_MAX),
         ("probes × rays", HITS_MAX),
         ("probes in a part of a field", PART_PROBES_MAX),
+        ("tetrahedra of a bake", TETRAHEDRA_MAX),
         ("surface patches", PATCHES_MAX),
         ("clusters in a page of a directory", DIRECTORY_CLUSTERS_MAX),
         ("receivers of patches", PATCH_RECEIVERS_MAX),

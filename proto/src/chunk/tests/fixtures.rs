@@ -5,8 +5,9 @@ use std::path::PathBuf;
 use super::scenes::directory;
 use crate::chunk::*;
 use crate::content::*;
-use crate::kinds::grid::{
-    FieldPart, MAP_POINTS, PROBE_ROWS, Probe as FieldProbe, ProbeKey as FieldKey, decode_field, encode_field,
+use crate::kinds::field::{
+    FieldPart, MAP_POINTS, PROBE_ROWS, Probe as FieldProbe, ProbeKey as FieldKey, TetrahedronSet,
+    decode_field, decode_tetrahedra, encode_field, encode_tetrahedra,
 };
 use crate::kinds::sh::*;
 
@@ -40,6 +41,8 @@ const V4: Fixtures = fixtures!("v4");
 
 /// Probes of a field, of which there are none in older versions.
 const FIELD_V4: &[u8] = include_bytes!("../../../fixtures/field-v4.lkc");
+/// Tetrahedra between probes, likewise.
+const TETRAHEDRA_V4: &[u8] = include_bytes!("../../../fixtures/tetrahedra-v4.lkc");
 
 /// A page of a directory, of which there are none in older versions.
 const DIRECTORY_V4: &[u8] = include_bytes!("../../../fixtures/directory-v4.lkc");
@@ -169,7 +172,7 @@ fn geometry() -> Geometry {
     }
 }
 
-fn encoded() -> [(&'static str, Vec<u8>, &'static [u8]); 8] {
+fn encoded() -> [(&'static str, Vec<u8>, &'static [u8]); 9] {
     let encode = |cluster| encode_cluster(&cluster, QuantisationSettings::default()).unwrap().bytes;
     [
         ("cluster-v4.lkc", encode(cluster()), V4.cluster),
@@ -178,6 +181,7 @@ fn encoded() -> [(&'static str, Vec<u8>, &'static [u8]); 8] {
         ("patches-v4.lkc", encode_patches(&patches()).unwrap(), V4.patches),
         ("directory-v4.lkc", encode_directory(&directory(3).0, &directory(3).1).unwrap(), DIRECTORY_V4),
         ("field-v4.lkc", encode_field(&field(), 0.01).unwrap().bytes, FIELD_V4),
+        ("tetrahedra-v4.lkc", encode_tetrahedra(&tetrahedra()).unwrap(), TETRAHEDRA_V4),
         ("geometry-v4.lkc", encode_geometry(&geometry()).unwrap(), V4.geometry),
         ("texture-v4.lkc", encode_texture("image/png", b"\x89PNG of no size").unwrap(), V4.texture),
     ]
@@ -282,6 +286,17 @@ fn field() -> FieldPart {
             irradiance: (0..2 * PROBE_ROWS).map(of_lamp).collect(),
         }],
     }
+}
+
+/// Tetrahedra about two probes.
+fn tetrahedra() -> TetrahedronSet {
+    let vertices = vec![[0, 1, 2, 3], [0, 1, 3, 9], [0, 2, 5, 6], [1, 7, 8, 9]];
+    TetrahedronSet { box_m: [[-1.5, 0.0, -2.0], [1.5, 2.5, 0.25]], probes: 2, vertices }
+}
+
+#[test]
+fn tetrahedra_of_version_4_still_decode_to_what_went_in() {
+    assert_eq!(decode_tetrahedra(TETRAHEDRA_V4).unwrap(), tetrahedra());
 }
 
 #[test]

@@ -2,14 +2,17 @@
 
 use proptest::prelude::*;
 
-use super::scenes::{batch, directory, field, narrow, patches, quads, wall};
+use super::scenes::{batch, directory, field, narrow, patches, quads, tetrahedra, wall};
 use super::whole::{
-    assert_batch, assert_directory, assert_field, assert_geometry, assert_patches, assert_whole,
+    assert_batch, assert_directory, assert_field, assert_geometry, assert_patches, assert_tetrahedra,
+    assert_whole,
 };
 use crate::chunk::container::{Container, ContainerWriter, SectionId};
 use crate::chunk::*;
 use crate::content::*;
-use crate::kinds::grid::{FIELD_CHUNK, decode_field, encode_field};
+use crate::kinds::field::{
+    FIELD_CHUNK, MESH, decode_field, decode_tetrahedra, encode_field, encode_tetrahedra,
+};
 use crate::kinds::sh::*;
 
 /// A chunk of each kind, small enough to be cut at every byte.
@@ -23,6 +26,7 @@ fn chunks() -> Vec<(ChunkKind, Vec<u8>)> {
         (TEXTURE, encode_texture("image/jpeg", &[7; 300]).unwrap()),
         (CLUSTER, encode_cluster(&narrow(8, 1), QuantisationSettings::default()).unwrap().bytes),
         (FIELD_CHUNK, encode_field(&field(2, 3, 1), 0.01).unwrap().bytes),
+        (MESH, encode_tetrahedra(&tetrahedra(9)).unwrap()),
     ]
 }
 
@@ -42,6 +46,7 @@ fn decode(kind: ChunkKind, bytes: &[u8]) -> Result<(), ChunkError> {
         DIRECTORY => decode_directory(bytes).map(|(rows, chunks)| assert_directory(&rows, &chunks)),
         TEXTURE => decode_texture(bytes).map(drop),
         FIELD_CHUNK => decode_field(bytes).map(|part| assert_field(&part)),
+        MESH => decode_tetrahedra(bytes).map(|set| assert_tetrahedra(&set)),
         kind => unreachable!("{kind:?} is not among the chunks"),
     }
 }

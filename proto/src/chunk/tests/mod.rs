@@ -10,6 +10,6 @@ mod scenes;
 mod whole;
 
 use crate::content::*;
-use crate::kinds::grid::{FieldPart, MAP_POINTS, MOVES_MAX, PROBE_ROWS};
+use crate::kinds::field::{FieldPart, MAP_POINTS, MOVES_MAX, PROBE_ROWS, TetrahedronSet};
 use crate::kinds::sh::{ProbeBatch, RelightHit};
 use crate::manifest::{ChunkRef, ClusterRow};

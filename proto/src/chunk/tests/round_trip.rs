@@ -2,10 +2,12 @@
 
 use std::collections::BTreeSet;
 
-use super::scenes::{batch, directory, field, narrow, patches, quads, wall};
+use super::scenes::{batch, directory, field, narrow, patches, quads, tetrahedra, wall};
 use crate::chunk::*;
 use crate::content::*;
-use crate::kinds::grid::{FieldPart, PROBE_ROWS, decode_field, encode_field};
+use crate::kinds::field::{
+    FieldPart, PROBE_ROWS, TetrahedronSet, decode_field, decode_tetrahedra, encode_field, encode_tetrahedra,
+};
 use crate::kinds::sh::*;
 use crate::manifest::{ChunkRef, ClusterRow};
 
@@ -252,6 +254,26 @@ fn field_that_contradicts_itself_is_refused() {
     assert!(refused(|part| _ = part.factors.u.pop()).contains("entries of U"));
     assert!(refused(|part| part.emitters[0].irradiance.truncate(5)).contains("coefficients of an emitter"));
     assert!(refused(|part| part.emitters[0].irradiance[5][1] = f32::NAN).contains("coefficients"));
+}
+
+#[test]
+fn tetrahedra_come_back_exactly_and_those_that_contradict_themselves_are_refused() {
+    for probes in [0, 1, 5000] {
+        let set = tetrahedra(probes);
+        let bytes = encode_tetrahedra(&set).unwrap();
+        println!("{} tetrahedra in {} bytes", set.vertices.len(), bytes.len());
+        assert_eq!(decode_tetrahedra(&bytes).unwrap(), set);
+    }
+    let refused = |change: fn(&mut TetrahedronSet)| {
+        let mut set = tetrahedra(5);
+        change(&mut set);
+        encode_tetrahedra(&set).unwrap_err().to_string()
+    };
+    assert!(refused(|set| set.vertices.swap(0, 1)).contains("does not ascend"));
+    assert!(refused(|set| set.vertices[3].swap(1, 2)).contains("does not ascend"));
+    assert!(refused(|set| set.vertices[9][3] = 13).contains("vertex"));
+    assert!(refused(|set| set.box_m[1][2] = 2.0).contains("edges of the box"));
+    assert!(refused(|set| set.box_m[0][1] = f32::NAN).contains("box"));
 }
 
 #[test]

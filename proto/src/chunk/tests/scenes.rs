@@ -2,7 +2,9 @@
 
 use crate::content::*;
 use crate::ids::Digest;
-use crate::kinds::grid::{FieldPart, MAP_POINTS, PROBE_ROWS, Probe as FieldProbe, ProbeKey as FieldKey};
+use crate::kinds::field::{
+    FieldPart, MAP_POINTS, PROBE_ROWS, Probe as FieldProbe, ProbeKey as FieldKey, TetrahedronSet,
+};
 use crate::kinds::sh::*;
 use crate::manifest::{ChunkRef, ClusterRow, Layer, PrefixCheck};
 
@@ -93,6 +95,15 @@ pub(super) fn narrow(side: u16, seed: u64) -> ClusterTransport {
         }
     }
     cluster
+}
+
+/// A box of two tetrahedra a probe, whose corners are the box's own.
+pub(super) fn tetrahedra(probes: u32) -> TetrahedronSet {
+    let corner = |at: u32| probes + at;
+    let of =
+        |probe: u32| [[probe, corner(0), corner(1), corner(3)], [probe, corner(2), corner(5), corner(7)]];
+    let vertices = (0..probes).flat_map(of).collect();
+    TetrahedronSet { box_m: [[-1.5, 0.0, 2.0], [1.5, 0.25, 9.0]], probes, vertices }
 }
 
 /// Probes of a field, in stored order.

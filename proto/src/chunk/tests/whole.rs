@@ -3,7 +3,7 @@
 
 use super::{
     ChunkRef, ClusterRow, ClusterTransport, FieldPart, Geometry, MAP_POINTS, MOVES_MAX, NearHits,
-    NearSurface, PROBE_ROWS, PatchSet, ProbeBatch, Receivers, RelightHit,
+    NearSurface, PROBE_ROWS, PatchSet, ProbeBatch, Receivers, RelightHit, TetrahedronSet,
 };
 
 /// Every array has its length, every index its target, every number is finite.
@@ -75,6 +75,15 @@ pub fn assert_field(part: &FieldPart) {
     assert_eq!(part.factors.vt.len(), part.factors.keys.len() * rank);
     assert!(part.emitters.windows(2).all(|pair| pair[0].emitter < pair[1].emitter));
     assert!(part.emitters.iter().all(|entry| entry.irradiance.len() == probes * PROBE_ROWS));
+}
+
+/// Tetrahedra are in order, each of four vertices that are there.
+pub fn assert_tetrahedra(set: &TetrahedronSet) {
+    assert!(set.vertices.windows(2).all(|pair| pair[0] < pair[1]));
+    assert!(set.vertices.iter().all(|of| of.windows(2).all(|pair| pair[0] < pair[1])));
+    assert!(set.vertices.iter().all(|of| of[3] < set.probes + 8));
+    let [low, high] = set.box_m;
+    assert!((0..3).all(|axis| high[axis] > low[axis] || set.vertices.is_empty() && high[axis] == low[axis]));
 }
 
 /// Patches are in order, each over leaves that are there, each leaf over texels that are.

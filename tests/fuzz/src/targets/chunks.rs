@@ -7,15 +7,19 @@ use std::ops::Range;
 
 use lightkiln_proto::chunk::*;
 use lightkiln_proto::content::*;
-use lightkiln_proto::kinds::grid::{
-    FieldPart, MAP_POINTS, MOVES_MAX, PROBE_ROWS, decode_field, encode_field,
+use lightkiln_proto::kinds::field::{
+    FieldPart, MAP_POINTS, MOVES_MAX, PROBE_ROWS, TetrahedronSet, decode_field, decode_tetrahedra,
+    encode_field, encode_tetrahedra,
 };
 use lightkiln_proto::kinds::sh::*;
 use lightkiln_proto::manifest::{ChunkRef, ClusterRow};
 
 use super::container::{packed, unpacked};
 use super::{Target, taken};
-use whole::{assert_batch, assert_directory, assert_field, assert_geometry, assert_patches, assert_whole};
+use whole::{
+    assert_batch, assert_directory, assert_field, assert_geometry, assert_patches, assert_tetrahedra,
+    assert_whole,
+};
 
 /// A cluster.
 pub const CLUSTER: Target = Target {
@@ -51,6 +55,15 @@ pub const FIELD: Target = Target {
     read: |bytes| read(bytes, decode_field),
     check: |bytes| each_form(bytes, check_field),
     seeds: || seeds(&[include_bytes!("../../../../proto/fixtures/field-v4.lkc")]),
+    memory_max,
+};
+
+/// Tetrahedra between probes of a field.
+pub const TETRAHEDRA: Target = Target {
+    name: "tetrahedra",
+    read: |bytes| read(bytes, decode_tetrahedra),
+    check: |bytes| each_form(bytes, check_tetrahedra),
+    seeds: || seeds(&[include_bytes!("../../../../proto/fixtures/tetrahedra-v4.lkc")]),
     memory_max,
 };
 
@@ -214,6 +227,13 @@ fn check_probes(bytes: &[u8]) {
         batch.hits.iter().map(name).collect()
     };
     assert_eq!(named(&again), named(&batch));
+}
+
+fn check_tetrahedra(bytes: &[u8]) {
+    let Ok(set) = decode_tetrahedra(bytes) else { return };
+    assert_tetrahedra(&set);
+    let again = encode_tetrahedra(&set).expect("what was decoded can be encoded");
+    assert_eq!(decode_tetrahedra(&again).expect("what was encoded can be decoded"), set);
 }
 
 fn check_field(bytes: &[u8]) {

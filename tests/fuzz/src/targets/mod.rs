@@ -31,6 +31,7 @@ pub const TARGETS: [Target; 15] = [
     layers::LAYERS,
     chunks::PROBES,
     chunks::FIELD,
+    chunks::TETRAHEDRA,
     chunks::GEOMETRY,
     chunks::TEXTURE,
     chunks::PATCHES,

@@ -2,12 +2,11 @@
 //! one probe more stands in it.
 
 use glam::{IVec3, Vec3};
-use lightkiln_proto::kinds::grid::{Probe, ProbeKey};
+use lightkiln_proto::kinds::field::{Probe, ProbeKey};
 use rayon::prelude::*;
 
-use super::Survey;
-use super::standing::is_free;
 use crate::geometry::Geometry;
+use crate::kinds::field::{Survey, is_free};
 use crate::task::{Cancelled, Progress};
 
 /// Steps, from the middle of a cell, at which its space is looked at.
@@ -34,8 +33,8 @@ pub fn in_cells(
                 let number = |key: ProbeKey| survey.probes.binary_search_by_key(&key.0, |probe| probe.0).ok();
                 let corners = corners(cell.point()).filter_map(ProbeKey::of).filter_map(number);
                 let near: Vec<Vec3> =
-                    corners.map(|number| survey.probe(number).position_m(survey.spacing_m)).collect();
-                best(geometry, cell, survey.spacing_m, bounds_m, &near)
+                    corners.map(|number| survey.probe(number).position_m(survey.step_m)).collect();
+                best(geometry, cell, survey.step_m, bounds_m, &near)
             };
             Ok(progress.casting(around).map(|moved| (cell.0, moved)))
         })

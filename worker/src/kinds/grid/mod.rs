@@ -3,30 +3,20 @@
 //! `grid.plan` (all of `prt.plan`, probes) → `prt.transport`, `prt.colour`, `prt.overview`, and `grid.gather` by cell of probes →
 //! `grid.assemble`.
 
-mod assemble;
-mod before;
 mod cells;
-mod depth;
-mod evaluated;
-mod fit;
-mod gather;
-mod plan;
-mod readings;
 mod standing;
 mod survey;
-mod truncate;
 
-use std::sync::Arc;
-
-use glam::Vec3;
-use lightkiln_proto::kinds::grid::{FieldSettings, NAME, Probe, ProbeKey, Settings, tasks};
+use lightkiln_proto::jobs::TaskSpec;
+use lightkiln_proto::kinds::grid::{NAME, Settings, first_tasks, tasks};
 use lightkiln_proto::manifest::Manifest;
-use serde::{Deserialize, Serialize};
+use serde_json::json;
 
+use super::field::{self, FieldPlan};
 use super::{BakeKind, BakeKinds, TaskRow};
 use crate::evaluate::{ChunkBytes, Evaluated, EvaluationError};
 use crate::factors;
-use crate::task::{Context, Progress, TaskError, artefact};
+use crate::task::{Context, Progress, TaskError, TaskOutput, params};
 
 /// The kind's row.
 #[derive(Clone, Copy, Debug, Default)]
@@ -39,14 +29,14 @@ impl BakeKind for Grid {
 
     fn tasks(&self) -> Vec<TaskRow> {
         vec![
-            TaskRow { name: tasks::PLAN.name, run: plan::run },
-            TaskRow { name: tasks::GATHER.name, run: gather::run },
-            TaskRow { name: tasks::ASSEMBLE.name, run: assemble::run },
+            TaskRow { name: tasks::PLAN.name, run: plan },
+            TaskRow { name: tasks::GATHER.name, run: field::gather },
+            TaskRow { name: tasks::ASSEMBLE.name, run: assemble },
         ]
     }
 
     fn error_classes(&self) -> Vec<&'static str> {
-        [&factors::ERROR_CLASSES[..], &readings::CLASSES].concat()
+        [&factors::ERROR_CLASSES[..], &field::CLASSES].concat()
     }
 
     fn has_space(&self) -> bool {
@@ -61,60 +51,36 @@ impl BakeKind for Grid {
         bytes: ChunkBytes,
         progress: &Progress,
     ) -> Result<Box<dyn Evaluated>, EvaluationError> {
-        Ok(Box::new(evaluated::evaluated(kinds, manifest, scene, bytes, progress)?))
+        let settings: Settings = manifest.settings()?;
+        let first = (scene, |scene| first_tasks(scene, &settings), tasks::PLAN.name);
+        Ok(Box::new(field::evaluated(
+            kinds,
+            manifest,
+            first,
+            &settings.relightable(),
+            None,
+            (bytes, progress),
+        )?))
     }
 }
 
 type BakeParams = super::BakeParams<Settings>;
 
-/// Magic of the artefact of probes.
-const PROBES_MAGIC: &[u8; 4] = b"LKfp";
-/// Name under which tasks see it.
-const PROBES_ARTEFACT: &str = "probes";
-
-/// Probes of a field.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-struct Survey {
-    /// Step of the lattice in metres.
-    spacing_m: f32,
-    /// Keys and moves, ascending by key.
-    probes: Vec<(u64, [i8; 3])>,
-    /// Points of the lattice that lie in geometry.
-    inside: u64,
-    /// Probes of cells among all.
-    in_cells: u64,
+/// Task `grid.plan`.
+fn plan(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> {
+    let bake: BakeParams = params(task)?;
+    let plan = FieldPlan {
+        relightable: bake.settings.relightable(),
+        field: &bake.settings.field,
+        gather: tasks::GATHER,
+        assemble: (tasks::ASSEMBLE, json!(bake)),
+        tetrahedra: None,
+    };
+    field::planned(context, &plan, |geometry| survey::survey(geometry, &bake.settings, context.progress))
 }
 
-impl Survey {
-    /// The probes among a task's inputs.
-    fn of(context: &Context) -> Result<Arc<Self>, TaskError> {
-        context.shared(PROBES_MAGIC, PROBES_ARTEFACT)
-    }
-
-    fn encoded(&self) -> Result<Vec<u8>, TaskError> {
-        artefact::encode(PROBES_MAGIC, self)
-    }
-
-    fn probe(&self, index: usize) -> Probe {
-        let (key, moved) = self.probes[index];
-        Probe { key: ProbeKey(key), moved }
-    }
-
-    /// Places of probes in metres.
-    fn positions_m(&self) -> Vec<Vec3> {
-        (0..self.probes.len()).map(|index| self.probe(index).position_m(self.spacing_m)).collect()
-    }
-}
-
-/// Settings that a cell of probes depends on, beside those of its surroundings.
-#[derive(Clone, Debug, Deserialize, Serialize)]
-#[serde(deny_unknown_fields)]
-struct GatherParams {
-    /// Index of the cell.
-    cell: usize,
-    sky_parts: u32,
-    patches_max: u32,
-    rank_max: u32,
-    emitter_rays: u32,
-    field: FieldSettings,
+/// Task `grid.assemble`.
+fn assemble(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> {
+    let BakeParams { settings, scene, .. } = params(task)?;
+    field::field_assembled(context, (NAME, scene), &settings, &settings.relightable(), None)
 }

@@ -3,15 +3,11 @@
 use std::sync::LazyLock;
 
 use glam::{IVec3, Vec3};
-use lightkiln_proto::harmonics::relight_direction;
-use lightkiln_proto::kinds::grid::{MOVE_SHARE, MOVES_MAX};
+use lightkiln_proto::kinds::field::{MOVE_SHARE, MOVES_MAX};
 
-use crate::geometry::{Geometry, Trail};
+use crate::geometry::Geometry;
+use crate::kinds::field::{Place, is_free, place};
 
-/// Rays that look around a place.
-const LOOK_RAYS: u32 = 64;
-/// Share of rays that meet backs above which a place is in geometry.
-const BACKS_MAX: f32 = 0.25;
 /// Nearest that a surface may be, over the lattice's step.
 const CLEARANCE: f32 = 0.1;
 
@@ -24,15 +20,6 @@ static MOVES: LazyLock<Vec<[i8; 3]>> = LazyLock::new(|| {
     moves.sort_by_key(|moved| (squared(moved), *moved));
     moves
 });
-
-/// Freedom of a place.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Place {
-    Free,
-    /// Free, but nearer to a surface than a probe may be.
-    Close,
-    Inside,
-}
 
 /// Steps by which the probe of a point of the lattice, which is of use, is moved: the fewest to a place that is so too and free, and in sight of the point, unless
 /// that is in geometry itself. `None` where there is no such place.
@@ -55,44 +42,6 @@ pub fn standing(
             && (of_point == Place::Inside || !geometry.tracer.is_occluded(point_m, at_m))
     };
     MOVES[1..].iter().find(may_stand).copied()
-}
-
-/// A place is in geometry: more than a quarter of what is seen from it are backs.
-pub fn is_inside(geometry: &Geometry, at_m: Vec3) -> bool {
-    place(geometry, at_m, 0.0) == Place::Inside
-}
-
-/// A place is free, and no surface is nearer than so much.
-pub fn is_free(geometry: &Geometry, at_m: Vec3, clearance_m: f32) -> bool {
-    place(geometry, at_m, clearance_m) == Place::Free
-}
-
-/// Likewise, and marks the `trail` of the rays that tell.
-pub fn is_free_by(geometry: &Geometry, at_m: Vec3, clearance_m: f32, trail: &Trail) -> bool {
-    trail.mark_box(at_m - clearance_m, at_m + clearance_m);
-    let from = trail.from(at_m);
-    for ray in 0..LOOK_RAYS {
-        let direction = relight_direction(ray, LOOK_RAYS);
-        let hit = geometry.tracer.closest(at_m, direction, f32::INFINITY);
-        from.mark(direction, hit.map(|hit| hit.t));
-    }
-    is_free(geometry, at_m, clearance_m)
-}
-
-fn place(geometry: &Geometry, at_m: Vec3, clearance_m: f32) -> Place {
-    let (mut backs, mut is_close) = (0, false);
-    for ray in 0..LOOK_RAYS {
-        let direction = relight_direction(ray, LOOK_RAYS);
-        // From before the place: a ray that starts on a surface may not meet it.
-        let reach_m = clearance_m * direction;
-        is_close |= geometry.tracer.is_occluded(at_m - reach_m, at_m + reach_m);
-        let Some(hit) = geometry.tracer.closest(at_m, direction, f32::INFINITY) else { continue };
-        backs += u32::from(geometry.is_back(&hit));
-        if backs as f32 > BACKS_MAX * LOOK_RAYS as f32 {
-            return Place::Inside;
-        }
-    }
-    if is_close { Place::Close } else { Place::Free }
 }
 
 #[cfg(test)]

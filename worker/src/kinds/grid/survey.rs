@@ -1,22 +1,20 @@
 //! The lattice over a scene, and which of its points have probes.
 
 use glam::{IVec3, Vec3};
-use lightkiln_proto::kinds::grid::{FieldSettings, LATTICE_MAX, ProbeKey};
+use lightkiln_proto::kinds::field::{LATTICE_MAX, ProbeKey};
+use lightkiln_proto::kinds::grid::Settings;
 use rayon::prelude::*;
 
-use super::Survey;
 use super::cells::in_cells;
-use super::standing::{is_inside, standing};
+use super::standing::standing;
 use crate::geometry::Geometry;
-use crate::geometry::lattice::snapped_size_m;
+use crate::kinds::field::{Survey, is_inside, lattice, points, spacing_m};
 use crate::task::{Cancelled, Progress, TaskError};
 
 /// Most points of a lattice.
 const POINTS_MAX: u64 = 1 << 20;
 /// Depth within bounds from which on something is there to be lit, over the lattice's step.
 const MARGIN: f32 = 0.05;
-/// Share of a size below which the next finer one of {1, 1.5} × 2ⁿ is snapped to.
-const FINER: f64 = 0.72;
 
 /// A finding at a point of the lattice.
 enum Found {
@@ -30,13 +28,9 @@ enum Found {
 
 /// Probes of a scene: at the points of the lattice within its near bounds and one step around them, but for those in geometry, and
 /// those outside of the bounds that see no cell of theirs within.
-pub fn survey(
-    geometry: &Geometry,
-    settings: &FieldSettings,
-    progress: &Progress,
-) -> Result<Survey, TaskError> {
+pub fn survey(geometry: &Geometry, settings: &Settings, progress: &Progress) -> Result<Survey, TaskError> {
     let bounds_m = geometry.near_bounds_m();
-    let spacing_m = spacing_m(bounds_m, settings);
+    let spacing_m = spacing_m(bounds_m, &settings.field);
     let (low, size) = lattice(bounds_m, spacing_m);
     let count = points(size);
     let reach = low.abs().max((low + size).abs()).max_element();
@@ -56,7 +50,7 @@ pub fn survey(
         .map(|index| {
             progress.check()?;
             let point = point(index);
-            let found = progress.casting(|| match settings.field_moves {
+            let found = progress.casting(|| match settings.lattice.field_moves {
                 0 => plain_at(geometry, point, spacing_m),
                 _ => found_at(geometry, point, spacing_m, bounds_m),
             });
@@ -64,7 +58,7 @@ pub fn survey(
             Ok(found)
         })
         .collect::<Result<_, Cancelled>>()?;
-    let mut survey = Survey { spacing_m, ..Survey::default() };
+    let mut survey = Survey { spacing_m, step_m: spacing_m, ..Survey::default() };
     // Points ascend as keys do.
     for found in found {
         match found {
@@ -73,7 +67,7 @@ pub fn survey(
             Found::Idle => {}
         }
     }
-    if settings.field_moves == 0 {
+    if settings.lattice.field_moves == 0 {
         return Ok(survey);
     }
     let cells = in_cells(geometry, &survey, (low, size), bounds_m, progress)?;
@@ -120,56 +114,4 @@ fn sees_bounds(
         let within_m = middle_m.clamp(low_m + margin_m, high_m - margin_m);
         within_m.distance(middle_m) < spacing_m && !geometry.tracer.is_occluded(at_m, within_m)
     })
-}
-
-/// Step of the lattice in metres: as set, or of {1, 1.5} × 2ⁿ the last from the scene's longest side down before
-/// there are more points than `field_probes`.
-fn spacing_m(bounds_m: [Vec3; 2], settings: &FieldSettings) -> f32 {
-    if settings.field_spacing_m > 0.0 {
-        return settings.field_spacing_m;
-    }
-    let [low_m, high_m] = bounds_m;
-    let longest_m = (high_m - low_m).max_element().max(1e-6);
-    let mut spacing_m = snapped_size_m(f64::from(longest_m)) as f32;
-    let is_much = |spacing_m: f32| points(lattice(bounds_m, spacing_m).1) > u64::from(settings.field_probes);
-    loop {
-        let finer_m = snapped_size_m(f64::from(spacing_m) * FINER) as f32;
-        if is_much(finer_m) {
-            return spacing_m;
-        }
-        spacing_m = finer_m;
-    }
-}
-
-/// Least point of the lattice, and the number of points along each axis.
-fn lattice([low_m, high_m]: [Vec3; 2], spacing_m: f32) -> (IVec3, IVec3) {
-    let low = (low_m / spacing_m).floor().as_ivec3();
-    // A scene that ends on points of the lattice needs none beyond.
-    let high = (high_m / spacing_m).ceil().as_ivec3();
-    (low, high.saturating_sub(low).saturating_add(IVec3::ONE))
-}
-
-fn points(size: IVec3) -> u64 {
-    size.to_array().iter().map(|&along| u64::from(along.unsigned_abs())).fold(1, u64::saturating_mul)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn spacing_is_the_finest_that_has_no_more_points_than_asked_for() {
-        let bounds_m = [Vec3::new(-1.0, 0.0, -1.0), Vec3::new(1.0, 2.0, 1.0)];
-        let of = |field_probes: u32| FieldSettings { field_probes, field_spacing_m: 0.0, ..settings() };
-        assert_eq!(spacing_m(bounds_m, &of(125)), 0.5);
-        assert_eq!(spacing_m(bounds_m, &of(8)), 2.0);
-        assert_eq!(points(lattice(bounds_m, 0.5).1), 125);
-        let flat = [Vec3::ZERO, Vec3::new(4.0, 0.0, 4.0)];
-        assert!(points(lattice(flat, spacing_m(flat, &of(100))).1) <= 100);
-        assert_eq!(spacing_m(bounds_m, &FieldSettings { field_spacing_m: 0.3, ..settings() }), 0.3);
-    }
-
-    fn settings() -> FieldSettings {
-        lightkiln_proto::kinds::grid::Settings::from_json(&serde_json::Value::Null).unwrap().field
-    }
 }

@@ -2,7 +2,7 @@
 
 use glam::{Vec3, Vec4};
 use lightkiln_proto::harmonics::ShBasis;
-use lightkiln_proto::kinds::grid::{FieldTable, PROBE_ROWS};
+use lightkiln_proto::kinds::field::{FieldTable, PROBE_ROWS};
 use lightkiln_proto::lobes::{self, FARTHEST, Lobe};
 
 use crate::geometry::Geometry;

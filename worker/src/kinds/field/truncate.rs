@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 use lightkiln_proto::content::{EmitterIrradiance, TransportFactors};
-use lightkiln_proto::kinds::grid::{FieldPart, PROBE_ROWS};
+use lightkiln_proto::kinds::field::{FieldPart, PROBE_ROWS};
 
 use super::{GatherParams, Survey};
 use crate::factors::{ClusterCell, Factored, Part, PatchMatrix, Truncation, TruncationBounds, split};
@@ -67,11 +67,7 @@ pub fn parts(
 ) -> Result<Vec<(Vec<u32>, FieldPart)>, Cancelled> {
     let of_probe = |probe: &u32| survey.probe(*probe as usize);
     let own = Cell {
-        positions_m: cell
-            .receivers
-            .iter()
-            .map(|probe| of_probe(probe).position_m(survey.spacing_m))
-            .collect(),
+        positions_m: cell.receivers.iter().map(|probe| of_probe(probe).position_m(survey.step_m)).collect(),
         matrix: PatchMatrix::new(&keys, rows.iter().map(|row| (&row.alpha[..], &row.importance))),
         bounds: TruncationBounds {
             rank_max: settings.rank_max as usize,
@@ -100,7 +96,7 @@ pub fn parts(
             order.iter().step_by(PROBE_ROWS).map(|&place| rows[place] as usize / PROBE_ROWS).collect();
         let numbers: Vec<u32> = places.iter().map(|&place| cell.receivers[place]).collect();
         let field = FieldPart {
-            spacing_m: survey.spacing_m,
+            spacing_m: survey.step_m,
             probes: numbers.iter().map(of_probe).collect(),
             depths: Vec::new(),
             factors: TransportFactors {

@@ -2,7 +2,10 @@
 
 use glam::{DVec3, Vec3, Vec4};
 use lightkiln_proto::harmonics::relight_direction;
-use lightkiln_proto::kinds::grid::{FIELD, FieldTable, Settings, decode_field, first_tasks, tasks};
+use lightkiln_proto::ids::Digest;
+use lightkiln_proto::jobs::TaskSpec;
+use lightkiln_proto::kinds::field::{FIELD, FieldTable, decode_field, decode_tetrahedra};
+use lightkiln_proto::kinds::prt::Settings;
 use lightkiln_proto::manifest::Manifest;
 use lightkiln_proto::relight::PatchTable;
 use rayon::prelude::*;
@@ -38,21 +41,22 @@ pub struct FieldBake {
 /// Its free space.
 struct FieldSpace(Box<FieldBake>);
 
-/// Makes the bake's world anew and decodes its chunks.
+/// Makes the bake's world anew and decodes its chunks; those of tetrahedra have that `role`, if it has some. `first` are the scene, its
+/// first tasks, and the task kind that plans the rest.
 pub fn evaluated(
     kinds: &BakeKinds,
     manifest: &Manifest,
-    scene: Vec<u8>,
-    bytes: ChunkBytes,
-    progress: &Progress,
+    first: (Vec<u8>, impl FnOnce(Digest) -> Vec<TaskSpec>, &str),
+    relightable: &Settings,
+    role: Option<&'static str>,
+    (bytes, progress): (ChunkBytes, &Progress),
 ) -> Result<FieldBake, EvaluationError> {
-    let settings: Settings = manifest.settings()?;
-    let plan = |scene| first_tasks(scene, &settings);
-    let first = (scene, plan, tasks::PLAN.name);
-    let surfaces = prt::evaluated_of(kinds, manifest, first, &settings.relightable(), bytes, progress)?;
+    let surfaces = prt::evaluated_of(kinds, manifest, first, relightable, bytes, progress)?;
     let parts = manifest.chunks(FIELD).iter().map(|chunk| decoded(chunk, bytes, decode_field));
     let parts: Vec<_> = parts.collect::<Result<_, EvaluationError>>()?;
-    let field = FieldTable::join(&parts, manifest.emitters.len(), surfaces.columns())?;
+    let tetrahedra = role.and_then(|role| manifest.chunks(role).first());
+    let tetrahedra = tetrahedra.map(|chunk| decoded(chunk, bytes, decode_tetrahedra)).transpose()?;
+    let field = FieldTable::join(&parts, tetrahedra.as_ref(), manifest.emitters.len(), surfaces.columns())?;
     Ok(FieldBake { surfaces, field })
 }
 

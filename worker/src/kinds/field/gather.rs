@@ -1,14 +1,14 @@
-//! Task `grid.gather`: rows of the probes of a cell over surface patches and parts of the sky, their factors, and depth maps.
+//! Task `….gather`: rows of the probes of a cell over surface patches and parts of the sky, their factors, and depth maps.
 //!
 //! `T_pj,s = A_l 4π/N Σ_{k: y_pk ∈ s} Y_j(ω_k)`, A_l = (π, 2π/3, π/4): coefficients of irradiance by normal, for the N rays of probe p that
-//! the lattice's point turns.
+//! the probe's key turns.
 
 use std::sync::LazyLock;
 
 use glam::{Quat, Vec3};
 use lightkiln_proto::harmonics::{ShBasis, relight_direction};
 use lightkiln_proto::jobs::TaskSpec;
-use lightkiln_proto::kinds::grid::PROBE_ROWS;
+use lightkiln_proto::kinds::field::PROBE_ROWS;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -69,9 +69,9 @@ pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> 
     let around = Around::of(&survey, &cell.receivers, &settings.field);
     let depths = |&probe: &u32| {
         context.progress.check()?;
-        let position_m = survey.probe(probe as usize).position_m(survey.spacing_m);
+        let position_m = survey.probe(probe as usize).position_m(survey.step_m);
         let reads = Reads::new(&world, &stage);
-        let depths = || depth::depths(&world.geometry, position_m, survey.spacing_m, &reads.trail);
+        let depths = || depth::depths(&world.geometry, position_m, survey.step_m, &reads.trail);
         Ok((context.progress.casting(depths), reads.into_names()))
     };
     let found: Vec<_> = around.probes.par_iter().map(depths).collect::<Result<_, Cancelled>>()?;
@@ -92,7 +92,7 @@ pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> 
         part.depths = probes.iter().filter_map(map_of).flatten().copied().collect();
         account.probes += probes.len() as u64;
         account.ranks += probes.len() as u64 * u64::from(part.factors.rank);
-        let encoded = lightkiln_proto::kinds::grid::encode_field(
+        let encoded = lightkiln_proto::kinds::field::encode_field(
             &part,
             quantisation_error(settings.field.field_rank_error),
         )
@@ -150,7 +150,7 @@ impl Gathering<'_> {
         let rays = settings.field.probe_rays;
         let of_probe = |&probe: &u32| {
             let probe = survey.probe(probe as usize);
-            let position_m = probe.position_m(survey.spacing_m);
+            let position_m = probe.position_m(survey.step_m);
             Start { position_m, seed: seed_of(&[probe.key.0, 8]), rays }
         };
         let of_place = |place: &Place| {

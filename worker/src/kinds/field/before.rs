@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 use lightkiln_proto::ids::Digest;
-use lightkiln_proto::kinds::grid::tasks;
+use lightkiln_proto::kinds::TaskKind;
 use serde_json::json;
 
 use super::fit::Around;
@@ -15,6 +15,7 @@ use crate::task::{Context, TaskError, TaskOutput};
 /// The name of the task of a cell's probes: of all that it surely depends on. The rest is in its record.
 pub fn alike(
     common: &Common,
+    gather: TaskKind,
     survey: &Survey,
     (cell, settings): (&ClusterCell, &GatherParams),
     bounds_m: [Vec3; 2],
@@ -28,12 +29,14 @@ pub fn alike(
     // Which of the cells it is says nothing about it.
     let settings = GatherParams { cell: 0, ..settings.clone() };
     let all = json!([
-        tasks::GATHER.version,
+        gather.name,
+        gather.version,
         settings,
-        survey.spacing_m.to_bits(),
+        survey.step_m.to_bits(),
         cell.receivers.len(),
         probes,
         cells,
+        around.tetrahedra,
         numbers,
         radiance,
     ]);

@@ -6,7 +6,7 @@
 use std::sync::LazyLock;
 
 use glam::Vec3;
-use lightkiln_proto::kinds::grid::{MAP_POINTS, MAP_SIDE, depth_code, map_direction, octahedral_length};
+use lightkiln_proto::kinds::field::{MAP_POINTS, MAP_SIDE, depth_code, map_direction, octahedral_length};
 
 use crate::geometry::{Geometry, Trail};
 
@@ -81,7 +81,7 @@ fn covered(found: &[(f32, Plane)]) -> Vec<f32> {
 #[cfg(test)]
 mod tests {
     use lightkiln_proto::harmonics::relight_direction;
-    use lightkiln_proto::kinds::grid::map_points;
+    use lightkiln_proto::kinds::field::map_points;
 
     use super::*;
 

@@ -1,20 +1,28 @@
-//! Task `grid.assemble`: the manifest's body, its clusters and fields, and the report.
+//! Assemble of a bake with a field: the manifest's body, its clusters and fields, and the report.
 
-use lightkiln_proto::jobs::TaskSpec;
-use lightkiln_proto::kinds::grid::{Body, FIELD, FieldTotals, NAME};
+use lightkiln_proto::ids::Digest;
+use lightkiln_proto::kinds::field::{Body, FIELD, FieldTotals};
+use lightkiln_proto::kinds::prt::Settings;
 use lightkiln_proto::manifest::ChunkRef;
+use serde::Serialize;
 use serde_json::json;
 
+use super::Survey;
 use super::gather::Account;
-use super::{BakeParams, Survey};
 use crate::assemble::{KindPart, assembled};
 use crate::kinds::prt;
-use crate::task::{Context, TaskError, TaskOutput, params};
+use crate::task::{Context, TaskError, TaskOutput};
 
-/// Runs the task: inputs are those of `prt.assemble`, `probes`, and `field/…` of every cell of probes.
-pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> {
-    let BakeParams { settings, scene, .. } = params(task)?;
-    let relightable = prt::Assembled::of(context, &settings.relightable())?;
+/// Runs the last task of a kind: inputs are those of `prt.assemble`, `probes`, the chunk of tetrahedra where it has that `role`, and `field/…` of
+/// every cell of probes.
+pub fn field_assembled(
+    context: &Context,
+    (kind, scene): (&'static str, Digest),
+    settings: &impl Serialize,
+    relightable: &Settings,
+    role: Option<&'static str>,
+) -> Result<TaskOutput, TaskError> {
+    let relightable = prt::Assembled::of(context, relightable)?;
     let survey = Survey::of(context)?;
     let account = account(context)?;
     let field = FieldTotals {
@@ -26,12 +34,11 @@ pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> 
     let prt::Assembled { body, clusters, mut chunks, mut report } = relightable;
     report["field"] = json!(field);
     let body = Body { totals: body.totals, patches: body.patches, field };
-    chunks.push((FIELD, chunks_of(context)));
-    assembled(
-        context,
-        KindPart { kind: NAME, scene, settings: &settings, body: &body, clusters, chunks },
-        report,
-    )
+    chunks.push((FIELD, chunks_of(context, |name| is_of_field(name, "/chunk/"))));
+    if let Some(role) = role {
+        chunks.push((role, chunks_of(context, |name| name == role)));
+    }
+    assembled(context, KindPart { kind, scene, settings, body: &body, clusters, chunks }, report)
 }
 
 /// Sums over all cells.
@@ -47,9 +54,9 @@ fn account(context: &Context) -> Result<Account, TaskError> {
     Ok(all)
 }
 
-/// Chunks of all cells, in the order of the plan.
-fn chunks_of(context: &Context) -> Vec<ChunkRef> {
-    let named = context.inputs.iter().filter(|artefact| is_of_field(&artefact.name, "/chunk/"));
+/// Chunks among the inputs, in the order of the plan.
+fn chunks_of(context: &Context, is_one: impl Fn(&str) -> bool) -> Vec<ChunkRef> {
+    let named = context.inputs.iter().filter(|artefact| is_one(&artefact.name));
     named.map(|artefact| ChunkRef { digest: artefact.digest, bytes: artefact.bytes }).collect()
 }
 

@@ -1,7 +1,9 @@
 //! The passes of a bake with a field on the adapter: those of its lightmap, and light at probes once before each picture.
 
 use glam::{IVec4, Vec4};
-use lightkiln_proto::kinds::grid::{FieldTable, MAP_POINTS, PROBE_ROWS};
+use lightkiln_proto::kinds::field::{
+    Between, FieldTable, LatticeTable, MAP_POINTS, PROBE_ROWS, TetrahedraTable,
+};
 use lightkiln_proto::relight::{LodPlan, LodTable};
 
 use super::FieldLight;
@@ -16,9 +18,18 @@ use crate::passes::shadow::ShadowPass;
 use crate::passes::stopwatch::Recorder;
 use crate::scene::LoadedScene;
 
-/// Shading: the lightmap's, and the field's for surfaces without one.
-pub const SNIPPET: &str =
-    concat!(include_str!("../../passes/atlas/lightmap.wgsl"), include_str!("field.wgsl"));
+/// Shading: the lightmap's, and that of a field on a lattice for surfaces without one.
+pub const IN_LATTICE: &str = concat!(
+    include_str!("../../passes/atlas/lightmap.wgsl"),
+    include_str!("lattice.wgsl"),
+    include_str!("field.wgsl")
+);
+/// Likewise of a field in tetrahedra.
+pub const IN_TETRAHEDRA: &str = concat!(
+    include_str!("../../passes/atlas/lightmap.wgsl"),
+    include_str!("tetrahedra.wgsl"),
+    include_str!("field.wgsl")
+);
 /// Largest difference of E from the reference, relative to the largest value: sums of some hundred f32 in another order, and depths
 /// that say by a hair whether a probe sees a point.
 pub const TOLERANCE: f32 = 1e-3;
@@ -26,10 +37,10 @@ pub const TOLERANCE: f32 = 1e-3;
 /// Words of a probe: its place, and a depth map of 16 bits a point.
 const PROBE_WORDS: usize = 3 + MAP_POINTS.div_ceil(2);
 
-/// Numbers of the field; twin of `Field` in the shader.
+/// Numbers of a field on a lattice; twin of `LatticeField`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
-pub struct FieldNumbers {
+pub struct LatticeNumbers {
     /// Least point of the lattice.
     pub low: IVec4,
     /// Points along each axis.
@@ -42,6 +53,26 @@ pub struct FieldNumbers {
     pub probe_count: u32,
     /// 0.
     pub pad: u32,
+}
+
+/// Numbers of a field in tetrahedra; twin of `TetrahedraField`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
+pub struct TetrahedraNumbers {
+    /// Least corner of the box in metres.
+    pub low_m: Vec4,
+    /// Greatest.
+    pub high_m: Vec4,
+    /// Cells that walks begin in, along each axis; their number.
+    pub cells: IVec4,
+    /// Edge of such a cell in metres.
+    pub cell_m: f32,
+    /// Step of the lattice that depths are in, in metres.
+    pub spacing_m: f32,
+    /// First word of the first probe.
+    pub first_probe: u32,
+    /// Probes.
+    pub probe_count: u32,
 }
 
 /// The passes, with their buffers.
@@ -74,7 +105,7 @@ impl FieldPasses {
         Ok(Self {
             basis: BasisPass::new(gpu, &field.clusters, [&lightmap.resident.lambda, &b], &detail)?,
             reconstruct: ReconstructPass::new(gpu, &field.clusters, arrays)?,
-            numbers: gpu.uniform("field", &numbers(field)),
+            numbers: numbers(gpu, field),
             probes: gpu.storage("probes", &words(field))?,
             lightmap,
             direct,
@@ -84,20 +115,45 @@ impl FieldPasses {
     }
 }
 
-fn numbers(field: &FieldTable) -> FieldNumbers {
-    FieldNumbers {
-        low: field.low.extend(0),
-        size: field.size.extend(0),
-        spacing_m: field.spacing_m,
-        first_probe: (field.probe_at.len() + field.probe_in.len()) as u32,
-        probe_count: field.len() as u32,
-        pad: 0,
+fn numbers(gpu: &Gpu, field: &FieldTable) -> wgpu::Buffer {
+    let (spacing_m, probe_count) = (field.spacing_m, field.len() as u32);
+    let first_probe = between(field).len() as u32;
+    match &field.between {
+        Between::Lattice(LatticeTable { low, size, .. }) => {
+            let (low, size) = (low.extend(0), size.extend(0));
+            gpu.uniform("field", &LatticeNumbers { low, size, spacing_m, first_probe, probe_count, pad: 0 })
+        }
+        Between::Tetrahedra(TetrahedraTable { low_m, high_m, cells, cell_m, starts, .. }) => {
+            let numbers = TetrahedraNumbers {
+                low_m: low_m.extend(0.0),
+                high_m: high_m.extend(0.0),
+                cells: cells.extend(starts.len() as i32),
+                cell_m: *cell_m,
+                spacing_m,
+                first_probe,
+                probe_count,
+            };
+            gpu.uniform("field", &numbers)
+        }
     }
 }
 
-/// The probe of each point of the lattice and of each cell, then each probe's place and depth map.
+/// Words of what is between probes: the probe of each point of the lattice and of each cell; or the tetrahedron of each cell, and four
+/// vertices and what is beyond four faces of each tetrahedron.
+fn between(field: &FieldTable) -> Vec<u32> {
+    match &field.between {
+        Between::Lattice(lattice) => [&lattice.probe_at[..], &lattice.probe_in].concat(),
+        Between::Tetrahedra(TetrahedraTable { starts, vertices, beyond, .. }) => {
+            let each =
+                vertices.iter().zip(beyond).flat_map(|(vertices, beyond)| [*vertices, *beyond].concat());
+            starts.iter().copied().chain(each).collect()
+        }
+    }
+}
+
+/// What is between probes, then each probe's place and depth map.
 fn words(field: &FieldTable) -> Vec<u32> {
-    let mut words = [&field.probe_at[..], &field.probe_in].concat();
+    let mut words = between(field);
     words.reserve(PROBE_WORDS * field.len());
     for (position_m, depths) in field.position_m.iter().zip(field.depths.chunks_exact(MAP_POINTS)) {
         words.extend(position_m.truncate().to_array().map(f32::to_bits));

@@ -1,12 +1,12 @@
 //! Light of surfaces from the lightmap, of all else from the field.
 
 use glam::{Vec3, Vec4};
-use lightkiln_proto::kinds::grid::{FieldTable, NO_PROBE, PROBE_ROWS};
+use lightkiln_proto::kinds::field::{Between, FieldTable, NO_PROBE, PROBE_ROWS};
 use lightkiln_proto::relight::{
     Columns, LOD_LEVELS, LevelCount, Limit, Lod, LodEye, LodPlan, LodTable, PatchTable, Settled,
 };
 
-use super::passes::{FieldPasses, SNIPPET};
+use super::passes::{FieldPasses, IN_LATTICE, IN_TETRAHEDRA};
 use crate::bake::{
     self, DebugPage, FreeSpace, IncomingDirect, Lattice, Light, LightPasses, LitScene, Overlay, SettledLight,
     SettledReceivers, Unshadowed, UnshadowedArrays,
@@ -53,9 +53,17 @@ impl IndirectIrradiance for Shown<'_> {
 }
 
 impl FreeSpace for FieldTable {
-    fn lattice(&self) -> Lattice<'_> {
-        let Self { spacing_m, low, size, ref probe_at, .. } = *self;
-        Lattice { spacing_m, low, size, probe_at }
+    fn spacing_m(&self) -> f32 {
+        match &self.between {
+            Between::Lattice(_) => self.spacing_m,
+            Between::Tetrahedra(tetrahedra) => tetrahedra.cell_m,
+        }
+    }
+
+    fn lattice(&self) -> Option<Lattice<'_>> {
+        let Between::Lattice(lattice) = &self.between else { return None };
+        let (low, size) = (lattice.low, lattice.size);
+        Some(Lattice { spacing_m: self.spacing_m, low, size, probe_at: &lattice.probe_at })
     }
 
     fn positions_m(&self) -> &[Vec4] {
@@ -87,7 +95,11 @@ impl Light for FieldLight {
     fn shading(&self) -> Shading {
         let mut bindings = self.lightmap.shading().bindings;
         bindings.extend([uniform(false), storage_read(), storage_read()]);
-        Shading { snippet: SNIPPET, bindings }
+        let snippet = match self.field.between {
+            Between::Lattice(_) => IN_LATTICE,
+            Between::Tetrahedra(_) => IN_TETRAHEDRA,
+        };
+        Shading { snippet, bindings }
     }
 
     fn settle<'a>(&'a self, lit: &LitScene<'a>, limit: Limit) -> SettledLight<'a> {

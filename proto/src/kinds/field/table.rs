@@ -1,28 +1,26 @@
-//! The field at run time: probes by their points of the lattice, light at probes from λ, and irradiance at any point and normal.
+//! The field at run time: which probes are near a point, light at probes from λ, and irradiance at any point and normal.
 
-use std::ops::Range;
 use std::sync::LazyLock;
 
-use glam::{IVec3, Vec3, Vec4};
+use glam::{Vec3, Vec4};
 
-use super::content::{FieldPart, PROBE_ROWS, ProbeKey, depth_of};
+use super::content::{FieldPart, PROBE_ROWS, depth_of};
+use super::lattice::LatticeTable;
 use super::octahedron::{MAP_POINTS, map_points, octahedral_length};
+use super::tetrahedra::{TetrahedraTable, TetrahedronSet};
 use crate::harmonics::ShBasis;
 use crate::relight::{ClusterTable, Columns, EmitterTable, Inconsistent, Parallel};
-
-/// A point of the lattice without a probe.
-pub const NO_PROBE: u32 = u32::MAX;
 
 /// Harmonics of a probe's rows.
 static BASIS: LazyLock<ShBasis> = LazyLock::new(|| ShBasis::new(2));
 
-/// Most points of the lattice between the outermost probes.
-const POINTS_MAX: usize = 1 << 20;
 /// Share of a depth over which a point beyond it goes from seen to hidden.
 const HIDDEN_SHARE: f32 = 0.05;
 /// The same in metres, at most: a point 2 cm behind a wall of 2 cm is hidden however far the probe is. *We differ* from a share alone,
 /// which is 10 cm at a probe 2 m away.
-const HIDDEN_M: f32 = 0.04;
+const HIDDEN_IN_LATTICE_M: f32 = 0.04;
+/// Likewise in tetrahedra, whose probes beyond a sheet lie farther from it: a point 2 cm behind one is hidden.
+const HIDDEN_IN_TETRAHEDRA_M: f32 = 0.02;
 /// Share of its distance from a probe by which a point may lie behind a surface and still be lit by that probe where no other sees it:
 /// depth maps round edges off by as much.
 const ROUNDED_SHARE: f32 = 0.15;
@@ -31,19 +29,28 @@ const ROUNDED_M: f32 = 0.01;
 /// Least sum of weights for which a cage's probes count; below it, those of the cages around it do.
 const WEIGHT_MIN: f32 = 1e-4;
 
+/// Space between probes: which of them stand around a point.
+#[derive(Debug)]
+pub enum Between {
+    /// Cells of a lattice, each with eight corners.
+    Lattice(LatticeTable),
+    /// Tetrahedra, each with four.
+    Tetrahedra(TetrahedraTable),
+}
+
+impl Default for Between {
+    fn default() -> Self {
+        Self::Lattice(LatticeTable::default())
+    }
+}
+
 /// Probes, their depth maps and their transport.
 #[derive(Debug, Default)]
 pub struct FieldTable {
-    /// Step of the lattice h in metres.
+    /// Distance between probes h in metres.
     pub spacing_m: f32,
-    /// Least point of the lattice, and how many points there are along each axis.
-    pub low: IVec3,
-    /// See `low`.
-    pub size: IVec3,
-    /// Probe of each point, x fastest, or [`NO_PROBE`].
-    pub probe_at: Vec<u32>,
-    /// Likewise of each cell, by its least corner.
-    pub probe_in: Vec<u32>,
+    /// Space between them.
+    pub between: Between,
     /// Places of probes in metres.
     pub position_m: Vec<Vec4>,
     /// Depth maps, [`MAP_POINTS`] codes a probe.
@@ -55,54 +62,36 @@ pub struct FieldTable {
 }
 
 impl FieldTable {
-    /// Joins parts, of a bake of so many emitters, whose columns read `columns`.
-    pub fn join(parts: &[FieldPart], emitters: usize, columns: &impl Columns) -> Result<Self, Inconsistent> {
+    /// Joins parts, of a bake of so many emitters, whose columns read `columns`; probes on a lattice, or in tetrahedra where there are some.
+    pub fn join(
+        parts: &[FieldPart],
+        tetrahedra: Option<&TetrahedronSet>,
+        emitters: usize,
+        columns: &impl Columns,
+    ) -> Result<Self, Inconsistent> {
         let of_parts = || parts.iter().map(|part| PROBE_ROWS * part.probes.len());
         let clusters = ClusterTable::join(parts.iter().map(|part| &part.factors).zip(of_parts()), columns)?;
         let direct =
             EmitterTable::join(parts.iter().map(|part| &part.emitters[..]).zip(of_parts()), emitters)?;
         let spacing_m = parts.first().map_or(1.0, |part| part.spacing_m);
-        let mut table = Self { spacing_m, clusters, emitters: direct, ..Self::default() };
         if let Some(index) = parts.iter().position(|part| part.spacing_m != spacing_m) {
             let problem =
                 format!("its probes stand {} m apart, others {spacing_m} m", parts[index].spacing_m);
             return Err(Inconsistent::new(format!("field {index}"), problem));
         }
-        table.place(parts)?;
-        Ok(table)
-    }
-
-    /// Fills the table of points.
-    fn place(&mut self, parts: &[FieldPart]) -> Result<(), Inconsistent> {
-        let keys = || parts.iter().flat_map(|part| &part.probes).map(|probe| probe.key);
-        let Some(first) = keys().next() else { return Ok(()) };
-        let ends = [first.point(); 2];
-        let [low, high] =
-            keys().map(ProbeKey::point).fold(ends, |[low, high], at| [low.min(at), high.max(at)]);
-        (self.low, self.size) = (low, high - low + 1);
-        let points =
-            self.size.to_array().iter().try_fold(1_usize, |all, &along| all.checked_mul(along as usize));
-        let Some(points) = points.filter(|points| *points <= POINTS_MAX) else {
-            let problem = format!("its probes span {} points, at most {POINTS_MAX}", self.size);
-            return Err(Inconsistent::new("field", problem));
+        let between = match tetrahedra {
+            None => Between::Lattice(LatticeTable::of(parts)?),
+            Some(set) => Between::Tetrahedra(TetrahedraTable::of(parts, set)?),
         };
-        self.probe_at = vec![NO_PROBE; points];
-        self.probe_in = vec![NO_PROBE; points];
-        for (index, part) in parts.iter().enumerate() {
-            for probe in &part.probes {
-                let number = self.position_m.len() as u32;
-                let point = probe.key.point();
-                let place = self.index_of(point).unwrap_or_default();
-                let table = if probe.key.is_of_cell() { &mut self.probe_in } else { &mut self.probe_at };
-                if std::mem::replace(&mut table[place], number) != NO_PROBE {
-                    let problem = format!("it has a second probe at {point}");
-                    return Err(Inconsistent::new(format!("field {index}"), problem));
-                }
-                self.position_m.push(probe.position_m(self.spacing_m).extend(0.0));
-            }
-            self.depths.extend_from_slice(&part.depths);
-        }
-        Ok(())
+        let probes = || parts.iter().flat_map(|part| &part.probes);
+        Ok(Self {
+            spacing_m,
+            between,
+            position_m: probes().map(|probe| probe.position_m(spacing_m).extend(0.0)).collect(),
+            depths: parts.iter().flat_map(|part| &part.depths).copied().collect(),
+            clusters,
+            emitters: direct,
+        })
     }
 
     /// Probes.
@@ -113,12 +102,6 @@ impl FieldTable {
     /// There are none.
     pub fn is_empty(&self) -> bool {
         self.position_m.is_empty()
-    }
-
-    fn index_of(&self, point: IVec3) -> Option<usize> {
-        let at = point - self.low;
-        let is_there = at.cmpge(IVec3::ZERO).all() && at.cmplt(self.size).all();
-        is_there.then(|| ((at.z * self.size.y + at.y) * self.size.x + at.x) as usize)
     }
 
     /// Coefficients of irradiance at probes, [`PROBE_ROWS`] each, W·m⁻², with the light of emitters of that scale.
@@ -152,37 +135,48 @@ impl FieldTable {
         [if beyond <= 1.0 { 0.0 } else { distance_m * (1.0 - 1.0 / beyond) }, distance_m]
     }
 
+    /// Depth in metres at which a point behind a surface is hidden at the latest.
+    fn hidden_m(&self) -> f32 {
+        match self.between {
+            Between::Lattice(_) => HIDDEN_IN_LATTICE_M,
+            Between::Tetrahedra(_) => HIDDEN_IN_TETRAHEDRA_M,
+        }
+    }
+
     /// Share of a probe's light that counts at a point, by its depth map: 1 before the nearest surface, 0 behind it.
     ///
     /// `V = clamp(1 − (1 − s_x/s)/t, 0, 1)` with the reciprocals of octahedral distances s_x of the point and s of the surface, and
-    /// `t = min(0.05, 4 cm · s_x)`.
+    /// `t = min(0.05, 4 cm · s_x)`, in tetrahedra 2 cm.
     pub fn visibility(&self, probe: u32, point_m: Vec3) -> f32 {
         let [excess_m, distance_m] = self.excess(probe, point_m);
         if excess_m == 0.0 {
             return 1.0;
         }
-        (1.0 - excess_m / HIDDEN_M.min(HIDDEN_SHARE * distance_m)).max(0.0)
+        (1.0 - excess_m / self.hidden_m().min(HIDDEN_SHARE * distance_m)).max(0.0)
     }
 
     /// Probes that a point's light comes from, and their weights, which add up to 1; none where no probe is near that sees it.
     ///
-    /// Trilinear weights of the point's cage of the lattice, and a tent within it of its own probe, times visibility. Where that leaves nothing, tents twice as wide; and where
-    /// these do, as in corners that depth maps round off, of the probes that it lies least far behind.
+    /// On a lattice trilinear weights of the point's cage, and a tent within it of its own probe; in tetrahedra barycentric ones; times
+    /// visibility. Where that leaves nothing, those of a wider surrounding; and where these do, as in corners that depth maps round off, of
+    /// the probes that it lies least far behind.
     pub fn weights(&self, point_m: Vec3) -> Vec<(u32, f32)> {
-        let of_depths = |(probe, tent): (u32, f32)| (probe, tent * self.visibility(probe, point_m));
-        let near = self.cage(point_m);
-        let found = normalised(near.iter().copied().map(of_depths));
+        let found = self.seen(&self.cage(point_m), point_m);
         if !found.is_empty() {
             return found;
         }
-        let wide = self.around(point_m / self.spacing_m, -1..3, 2.0);
-        let found = normalised(wide.iter().copied().map(of_depths));
+        let wide = self.wide(point_m);
+        let found = self.seen(&wide, point_m);
         if !found.is_empty() {
             return found;
         }
         let all = wide.iter().map(|&(probe, tent)| (probe, tent, self.excess(probe, point_m)));
-        let all: Vec<_> =
-            all.filter(|(_, _, [excess_m, far_m])| *excess_m <= ROUNDED_SHARE * far_m).collect();
+        let rounded_m = match self.between {
+            Between::Lattice(_) => f32::INFINITY,
+            Between::Tetrahedra(_) => HIDDEN_IN_TETRAHEDRA_M,
+        };
+        let is_near = |[excess_m, far_m]: [f32; 2]| excess_m <= ROUNDED_SHARE * far_m && excess_m < rounded_m;
+        let all: Vec<_> = all.filter(|(.., excess)| is_near(*excess)).collect();
         let least_m = all.iter().map(|(_, _, [excess_m, _])| *excess_m).fold(f32::INFINITY, f32::min);
         let weight = |(probe, tent, [excess_m, _]): (u32, f32, [f32; 2])| {
             (probe, tent * (1.0 - (excess_m - least_m) / ROUNDED_M).max(0.0))
@@ -190,35 +184,25 @@ impl FieldTable {
         normalised(all.into_iter().map(weight))
     }
 
-    /// Probes around a point, and their tents, whether they see it or not; less than 1 in all where a corner of the cage has no probe.
-    pub fn cage(&self, point_m: Vec3) -> Vec<(u32, f32)> {
-        self.around(point_m / self.spacing_m, 0..2, 1.0)
+    /// Weights of some probes times visibility, which add up to 1; none where next to nothing is left.
+    pub fn seen(&self, near: &[(u32, f32)], point_m: Vec3) -> Vec<(u32, f32)> {
+        normalised(near.iter().map(|&(probe, weight)| (probe, weight * self.visibility(probe, point_m))))
     }
 
-    /// Probes around a place, in steps of the lattice, and products of tents along each axis: of so many steps about points, half a step
-    /// less about the middles of cells. None beyond all lattices.
-    fn around(&self, at: Vec3, range: Range<i32>, reach: f32) -> Vec<(u32, f32)> {
-        if !at.is_finite() || at.abs().max_element() > super::LATTICE_MAX as f32 {
-            return Vec::new();
+    /// Probes around a point, and their tents, whether they see it or not; less than 1 in all where a corner of the cage has no probe.
+    pub fn cage(&self, point_m: Vec3) -> Vec<(u32, f32)> {
+        match &self.between {
+            Between::Lattice(lattice) => lattice.around(point_m / self.spacing_m, 0..2, 1.0),
+            Between::Tetrahedra(tetrahedra) => tetrahedra.around(point_m),
         }
-        let cage = at.floor().as_ivec3();
-        let mut found = Vec::new();
-        for z in range.clone() {
-            for y in range.clone() {
-                for x in range.clone() {
-                    let point = cage + IVec3::new(x, y, z);
-                    let Some(index) = self.index_of(point) else { continue };
-                    for (probe, half) in [(self.probe_at[index], 0.0), (self.probe_in[index], 0.5)] {
-                        let away = (at - point.as_vec3() - half).abs();
-                        let tent = (1.0 - away / (reach - half)).max(Vec3::ZERO).element_product();
-                        if tent > 0.0 && probe != NO_PROBE {
-                            found.push((probe, tent));
-                        }
-                    }
-                }
-            }
+    }
+
+    /// Likewise of a wider surrounding.
+    fn wide(&self, point_m: Vec3) -> Vec<(u32, f32)> {
+        match &self.between {
+            Between::Lattice(lattice) => lattice.around(point_m / self.spacing_m, -1..3, 2.0),
+            Between::Tetrahedra(tetrahedra) => tetrahedra.wide(point_m),
         }
-        found
     }
 
     /// Coefficients at a point, of those at probes; 0 where no probe sees it.
@@ -254,7 +238,9 @@ fn normalised(weights: impl Iterator<Item = (u32, f32)>) -> Vec<(u32, f32)> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::content::{Probe, depth_code};
+    use glam::IVec3;
+
+    use super::super::content::{Probe, ProbeKey, depth_code};
     use super::super::octahedron::map_direction;
     use super::*;
     use crate::content::{PatchSet, TransportFactors};
@@ -281,7 +267,7 @@ mod tests {
         let factors =
             TransportFactors { keys: vec![sky_key()], rank: 1, u, vt: vec![1.0], ..Default::default() };
         let part = FieldPart { spacing_m, probes, depths, factors, emitters: Vec::new() };
-        FieldTable::join(&[part], 0, &columns()).unwrap()
+        FieldTable::join(&[part], None, 0, &columns()).unwrap()
     }
 
     fn sky_key() -> u64 {
@@ -316,12 +302,12 @@ mod tests {
     fn points_behind_a_wall_see_no_probe_before_it() {
         // The wall stands between the third and the fourth probe along x; all maps are of probes on its near side.
         let table = field(0.5, 5, 1.2, |_, _| 1.0);
-        let near = table.index_of(IVec3::new(2, 2, 2)).unwrap() as u32;
+        let near = 2 * 25 + 2 * 5 + 2;
         for off_m in [0.05, 0.1, 0.3] {
             assert_eq!(table.visibility(near, Vec3::new(1.2 + off_m, 1.1, 0.9)), 0.0, "{off_m} behind");
             assert_eq!(table.visibility(near, Vec3::new(1.2 - off_m, 1.1, 0.9)), 1.0, "{off_m} before");
         }
-        let far = table.index_of(IVec3::new(0, 0, 0)).unwrap() as u32;
+        let far = 0;
         let grazing = Vec3::new(1.19, 2.0, 2.0);
         assert!(table.visibility(far, grazing) > 0.95, "{}", table.visibility(far, grazing));
     }
@@ -335,7 +321,8 @@ mod tests {
             depths: vec![0; MAP_POINTS],
             ..FieldPart::default()
         };
-        let problem = |parts: &[FieldPart]| FieldTable::join(parts, 0, &columns()).unwrap_err().to_string();
+        let problem =
+            |parts: &[FieldPart]| FieldTable::join(parts, None, 0, &columns()).unwrap_err().to_string();
         assert!(problem(&[part(0.5, IVec3::ONE), part(0.6, IVec3::ZERO)]).contains("0.6 m apart"));
         assert!(problem(&[part(0.5, IVec3::ONE), part(0.5, IVec3::ONE)]).contains("second probe"));
         let far = IVec3::splat(1000);

@@ -1,23 +1,11 @@
-// Light of surfaces without a lightmap, from probes in free space; twin: `FieldTable` of the run time. Joined behind `lightmap.wgsl`.
+// Light of surfaces without a lightmap, from probes in free space; twin: `FieldTable` of the run time. Joined behind `lightmap.wgsl`, and
+// `lattice.wgsl` or `tetrahedra.wgsl`, which say what is between probes.
 
-struct Field {
-    // Least point of the lattice, and points along each axis.
-    low: vec4i,
-    size: vec4i,
-    spacing_m: f32,
-    // First word of the first probe.
-    first_probe: u32,
-    probe_count: u32,
-    pad: u32,
-}
-
-@group(1) @binding(3) var<uniform> field: Field;
-// The probe of each point of the lattice, x fastest; that of each cell; then of each probe its place and its depth map, 16 bits a point.
+// What is between probes; then of each probe its place and its depth map, 16 bits a point.
 @group(1) @binding(4) var<storage, read> probes: array<u32>;
 // Coefficients of irradiance by normal, nine a probe.
 @group(1) @binding(5) var<storage, read> light_at_probes: array<vec4f>;
 
-const NO_PROBE = 0xffffffffu;
 const MAP_SIDE = 17u;
 const MAP_HALF = 8u;
 const PROBE_WORDS = 148u;
@@ -25,11 +13,9 @@ const PROBE_ROWS = 9u;
 // Reciprocal distance, in steps of the lattice, of a unit of depths' codes.
 const DEPTH_UNIT = 10.0 / 65535.0;
 const HIDDEN_SHARE = 0.05;
-const HIDDEN_M = 0.04;
 const ROUNDED_SHARE = 0.15;
 const ROUNDED_M = 0.01;
 const WEIGHT_MIN = 1e-4;
-const LATTICE_MAX = 1048575.0;
 
 fn signs(at: vec2f) -> vec2f {
     return select(vec2f(-1.0), vec2f(1.0), at >= vec2f(0.0));
@@ -95,71 +81,45 @@ const BY_DEPTH = 0u;
 const FIND_LEAST = 1u;
 const BY_LEAST = 2u;
 
-// Σ w E of the probes around a point's cage that see it, tents of `reach` steps for weights; in w Σ w. `FIND_LEAST` gives in w the least
-// depth in metres at which the point lies behind what one of them sees, below 0 for none; `BY_LEAST` takes those of about that depth.
-fn from_probes(point: vec3f, of_normal: array<f32, 9>, range: vec2i, reach: f32, how: u32, least_m: f32) -> vec4f {
-    let at = point / field.spacing_m;
-    let cage = vec3i(floor(at));
-    var sum = vec4f(0.0, 0.0, 0.0, select(0.0, -1.0, how == FIND_LEAST));
-    for (var z = range.x; z < range.y; z++) {
-        for (var y = range.x; y < range.y; y++) {
-            for (var x = range.x; x < range.y; x++) {
-                let corner = cage + vec3i(x, y, z);
-                let place = corner - field.low.xyz;
-                if any(place < vec3i(0)) || any(place >= field.size.xyz) {
-                    continue;
-                }
-                let index = u32((place.z * field.size.y + place.y) * field.size.x + place.x);
-                for (var of_cell = 0u; of_cell < 2u; of_cell++) {
-                    let half = 0.5 * f32(of_cell);
-                    let probe = probes[of_cell * field.first_probe / 2u + index];
-                    let tent = max(1.0 - abs(at - vec3f(corner) - half) / (reach - half), vec3f(0.0));
-                    var weight = tent.x * tent.y * tent.z;
-                    if weight <= 0.0 || probe == NO_PROBE {
-                        continue;
-                    }
-                    let behind = excess(probe, point);
-                    let is_near = behind.x <= ROUNDED_SHARE * behind.y;
-                    if how == FIND_LEAST {
-                        if is_near && (sum.w < 0.0 || behind.x < sum.w) {
-                            sum.w = behind.x;
-                        }
-                        continue;
-                    }
-                    if how == BY_LEAST {
-                        weight *= select(0.0, max(1.0 - (behind.x - least_m) / ROUNDED_M, 0.0), is_near);
-                    } else if behind.x > 0.0 {
-                        weight *= max(1.0 - behind.x / min(HIDDEN_M, HIDDEN_SHARE * behind.y), 0.0);
-                    }
-                    if weight <= 0.0 {
-                        continue;
-                    }
-                    var light = vec3f(0.0);
-                    for (var j = 0u; j < PROBE_ROWS; j++) {
-                        light += of_normal[j] * light_at_probes[probe * PROBE_ROWS + j].rgb;
-                    }
-                    sum += vec4f(weight * light, weight);
-                }
-            }
-        }
+// Adds w E of a probe to Σ w E, in w Σ w, if it sees the point. `FIND_LEAST` keeps in w the least depth in metres at which the point lies
+// behind what one of them sees, below 0 for none; `BY_LEAST` takes those of about that depth.
+fn with_probe(
+    sum: vec4f, probe: u32, tent: f32, point: vec3f, of_normal: array<f32, 9>, how: u32, least_m: f32
+) -> vec4f {
+    let behind = excess(probe, point);
+    let is_near = behind.x <= ROUNDED_SHARE * behind.y && behind.x < ROUNDED_MOST_M;
+    if how == FIND_LEAST {
+        return vec4f(sum.rgb, select(sum.w, behind.x, is_near && (sum.w < 0.0 || behind.x < sum.w)));
     }
-    return sum;
+    var weight = tent;
+    if how == BY_LEAST {
+        weight *= select(0.0, max(1.0 - (behind.x - least_m) / ROUNDED_M, 0.0), is_near);
+    } else if behind.x > 0.0 {
+        weight *= max(1.0 - behind.x / min(HIDDEN_M, HIDDEN_SHARE * behind.y), 0.0);
+    }
+    if weight <= 0.0 {
+        return sum;
+    }
+    var light = vec3f(0.0);
+    for (var j = 0u; j < PROBE_ROWS; j++) {
+        light += of_normal[j] * light_at_probes[probe * PROBE_ROWS + j].rgb;
+    }
+    return sum + vec4f(weight * light, weight);
 }
 
 fn field_irradiance(point: vec3f, normal: vec3f) -> vec3f {
-    if field.probe_count == 0u || any(abs(point / field.spacing_m) > vec3f(LATTICE_MAX)) {
+    if field.probe_count == 0u || is_nowhere(point) {
         return vec3f(0.0);
     }
     let of_normal = harmonics(normal);
-    let wide = vec2i(-1, 3);
-    var sum = from_probes(point, of_normal, vec2i(0, 2), 1.0, BY_DEPTH, 0.0);
+    var sum = from_probes(point, of_normal, false, BY_DEPTH, 0.0);
     if sum.w < WEIGHT_MIN {
-        sum = from_probes(point, of_normal, wide, 2.0, BY_DEPTH, 0.0);
+        sum = from_probes(point, of_normal, true, BY_DEPTH, 0.0);
     }
     if sum.w < WEIGHT_MIN {
-        let least = from_probes(point, of_normal, wide, 2.0, FIND_LEAST, 0.0);
+        let least = from_probes(point, of_normal, true, FIND_LEAST, 0.0);
         if least.w >= 0.0 {
-            sum = from_probes(point, of_normal, wide, 2.0, BY_LEAST, least.w);
+            sum = from_probes(point, of_normal, true, BY_LEAST, least.w);
         }
     }
     return select(vec3f(0.0), max(sum.rgb / max(sum.w, WEIGHT_MIN), vec3f(0.0)), sum.w >= WEIGHT_MIN);

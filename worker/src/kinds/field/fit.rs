@@ -2,16 +2,18 @@
 //!
 //! Rows minimise `Σ_x ‖Σ_p w_p(x) T_p − T(x)‖² + 0.3 Σ_p ‖T_p − T̂_p‖²`, T̂ being traced at probes and T(x) at places x in the cells around
 //! them, with the weights w that the run time has there. So `T_p = Σ_q c_pq (0.3 T̂_q + Σ_x w_q(x) T(x))` with the inverse c of
-//! `0.3 I + Σ_x w(x) w(x)ᵀ`.
+//! `0.3 I + Σ_x w(x) w(x)ᵀ`. On a lattice there are four places in each cell, and between tetrahedra one in each.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use glam::{IVec3, Vec3};
-use lightkiln_proto::kinds::grid::{FieldPart, FieldSettings, FieldTable, PROBE_ROWS, ProbeKey};
+use lightkiln_proto::kinds::field::{
+    FieldPart, FieldSettings, FieldTable, PROBE_ROWS, ProbeKey, TetrahedronSet,
+};
 use lightkiln_proto::relight::{Inconsistent, PatchTable};
 
-use super::Survey;
-use super::standing::is_free_by;
+use super::looks::is_free_by;
+use super::{Survey, Tessellation};
 use crate::geometry::{Geometry, Trail};
 use crate::rays::sampling::{Sequence, seed_of};
 use crate::transport::PatchRow;
@@ -34,9 +36,11 @@ fn cells_of(key: ProbeKey) -> impl Iterator<Item = IVec3> {
 /// Surroundings of some probes, as far as their light is read there.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Around {
-    /// Least corners of cells.
+    /// Least corners of cells, on a lattice.
     pub cells: Vec<IVec3>,
-    /// Numbers of probes in the survey: the own ones first, then others at corners of the cells and in them.
+    /// Tetrahedra elsewhere: numbers in `probes`, and [`u32::MAX`] less that of a corner of the box.
+    pub tetrahedra: Vec<[u32; 4]>,
+    /// Numbers of probes in the survey: the own ones first, then others at corners of the cells and in them, or of the tetrahedra.
     pub probes: Vec<u32>,
 }
 
@@ -45,6 +49,9 @@ impl Around {
     pub fn of(survey: &Survey, own: &[u32], settings: &FieldSettings) -> Self {
         if settings.field_fit == 0 {
             return Self { probes: own.to_vec(), ..Self::default() };
+        }
+        if let Some(tessellation) = &survey.tessellation {
+            return Self::in_tetrahedra(survey, tessellation, own);
         }
         let keys = own.iter().map(|&probe| survey.probe(probe as usize).key);
         let cells: BTreeSet<[i32; 3]> = keys.flat_map(cells_of).map(|cell| cell.to_array()).collect();
@@ -59,7 +66,25 @@ impl Around {
         let all: BTreeSet<u32> =
             cells.iter().flat_map(at).filter_map(number).map(|number| number as u32).collect();
         let others = all.into_iter().filter(|probe| !own.contains(probe));
-        Self { probes: own.iter().copied().chain(others).collect(), cells }
+        Self { probes: own.iter().copied().chain(others).collect(), cells, ..Self::default() }
+    }
+
+    /// Tetrahedra that have an own probe among their vertices.
+    fn in_tetrahedra(survey: &Survey, tessellation: &Tessellation, own: &[u32]) -> Self {
+        let is_own: BTreeSet<u32> = own.iter().copied().collect();
+        let tetrahedra = || {
+            let all = tessellation.tetrahedra.iter();
+            all.filter(|of| of.iter().any(|vertex| is_own.contains(vertex)))
+        };
+        let count = survey.probes.len() as u32;
+        let others: BTreeSet<u32> =
+            tetrahedra().flatten().copied().filter(|vertex| *vertex < count).collect();
+        let others = others.into_iter().filter(|vertex| !is_own.contains(vertex));
+        let probes: Vec<u32> = own.iter().copied().chain(others).collect();
+        let number_of: BTreeMap<u32, u32> = probes.iter().copied().zip(0..).collect();
+        let number =
+            |vertex: u32| number_of.get(&vertex).copied().unwrap_or(u32::MAX - vertex.saturating_sub(count));
+        Self { tetrahedra: tetrahedra().map(|of| of.map(number)).collect(), probes, ..Self::default() }
     }
 }
 
@@ -83,32 +108,68 @@ pub fn places(
     depths: Vec<u16>,
     trail: &Trail,
 ) -> Result<Vec<Place>, Inconsistent> {
-    let (spacing_m, [low_m, high_m]) = (survey.spacing_m, geometry.near_bounds_m());
+    let (spacing_m, [low_m, high_m]) = (survey.step_m, geometry.near_bounds_m());
     let probes: Vec<_> = around.probes.iter().map(|&probe| survey.probe(probe as usize)).collect();
     let part = FieldPart { spacing_m, probes, depths, ..FieldPart::default() };
-    let table = FieldTable::join(&[part], 0, &PatchTable::default())?;
+    // Weights between tetrahedra are known here: no walk is made.
+    let none = TetrahedronSet { probes: around.probes.len() as u32, ..TetrahedronSet::default() };
+    let tetrahedra = survey.tessellation.is_some().then_some(&none);
+    let table = FieldTable::join(&[part], tetrahedra, 0, &PatchTable::default())?;
     let mut places = Vec::new();
+    // A place, and the probes that its light is read of.
+    let mut add = |position_m: Vec3, seed: u64, weights: Vec<(u32, f32)>| {
+        let from = trail.from(position_m);
+        let is_parted = |&(probe, _): &(u32, f32)| {
+            let probe_m = table.position_m[probe as usize].truncate();
+            from.mark(probe_m - position_m, Some(1.0));
+            geometry.tracer.is_occluded(probe_m, position_m)
+        };
+        let is_within = position_m.cmpge(low_m).all() && position_m.cmple(high_m).all();
+        let is_read = !weights.is_empty() && !weights.iter().any(is_parted);
+        if is_within && is_read && is_free_by(geometry, position_m, CLEARANCE * spacing_m, trail) {
+            places.push(Place { position_m, seed, weights });
+        }
+    };
     for cell in &around.cells {
         let Some(key) = ProbeKey::of_cell(*cell) else { continue };
         let mut numbers = Sequence::new(seed_of(&[key.0, 9]));
         for place in 0..PLACES {
             let within = Vec3::from([(); 3].map(|()| numbers.next_f32()));
             let position_m = (cell.as_vec3() + within) * spacing_m;
-            let weights = table.weights(position_m);
-            let from = trail.from(position_m);
-            let is_parted = |&(probe, _): &(u32, f32)| {
-                let probe_m = table.position_m[probe as usize].truncate();
-                from.mark(probe_m - position_m, Some(1.0));
-                geometry.tracer.is_occluded(probe_m, position_m)
-            };
-            let is_within = position_m.cmpge(low_m).all() && position_m.cmple(high_m).all();
-            let is_read = !weights.is_empty() && !weights.iter().any(is_parted);
-            if is_within && is_read && is_free_by(geometry, position_m, CLEARANCE * spacing_m, trail) {
-                places.push(Place { position_m, seed: seed_of(&[key.0, 10, u64::from(place)]), weights });
-            }
+            add(position_m, seed_of(&[key.0, 10, u64::from(place)]), table.weights(position_m));
         }
     }
+    for of in &around.tetrahedra {
+        let vertex = |number: u32| match around.probes.get(number as usize) {
+            Some(&probe) => {
+                (survey.probe(probe as usize).position_m(spacing_m), survey.probes[probe as usize].0)
+            }
+            None => (survey.corner_m(u32::MAX - number), u64::MAX - u64::from(u32::MAX - number)),
+        };
+        let vertices = of.map(vertex);
+        let [a, b, c, d] = vertices.map(|(_, key)| key);
+        let shares = within_tetrahedron(&mut Sequence::new(seed_of(&[a, b, c, d, 11])));
+        let position_m = vertices.iter().zip(shares).map(|((at_m, _), share)| *at_m * share).sum();
+        let near =
+            of.iter().copied().zip(shares).filter(|(number, _)| (*number as usize) < around.probes.len());
+        let near: Vec<(u32, f32)> = near.collect();
+        add(position_m, seed_of(&[a, b, c, d, 12]), table.seen(&near, position_m));
+    }
     Ok(places)
+}
+
+/// Barycentric coordinates of a place in a tetrahedron, all alike (\[Rocchini2000\]).
+fn within_tetrahedron(numbers: &mut Sequence) -> [f32; 4] {
+    let [mut s, mut t, mut u] = [(); 3].map(|()| numbers.next_f32());
+    if s + t > 1.0 {
+        (s, t) = (1.0 - s, 1.0 - t);
+    }
+    if t + u > 1.0 {
+        (t, u) = (1.0 - u, 1.0 - s - t);
+    } else if s + t + u > 1.0 {
+        (s, u) = (1.0 - t - u, s + t + u - 1.0);
+    }
+    [1.0 - s - t - u, s, t, u]
 }
 
 /// Shares of all rows in those of the first `own` probes: of each probe's own, then of each place's.
