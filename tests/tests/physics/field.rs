@@ -77,7 +77,8 @@ fn free_points(geometry: &Geometry, [low_m, high_m]: [Vec3; 2], off_m: f32, coun
 #[test]
 fn white_furnace_has_the_same_light_in_all_of_its_space() {
     for (kind, albedo) in [(grid::NAME, 0.2), (grid::NAME, 0.8), (cloud::NAME, 0.8)] {
-        let held = Held::new(scenes::furnace(albedo, 1.0, 4.0), &small(kind, 100)).unwrap();
+        let held =
+            Held::new(scenes::furnace(albedo, 1.0, 4.0), &small(kind, 100).with("field_fit", 1)).unwrap();
         let lit = held.under(&Lighting { emitter_scale: 1.0, ..Lighting::default() }).unwrap();
         let field = LitField::of(&held, &lit);
         let geometry = &held.world.geometry;
@@ -303,7 +304,8 @@ fn fields_have_the_same_bytes_on_any_number_of_threads() {
     for kind in KINDS {
         let field = |threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            let baked = pool.install(|| bake(scenes::cornell(), &small(kind, 60)).unwrap());
+            let baked =
+                pool.install(|| bake(scenes::cornell(), &small(kind, 60).with("field_fit", 1)).unwrap());
             [field::FIELD, cloud::TETRAHEDRA].map(|role| baked.manifest.chunks(role).to_vec())
         };
         let one = field(1);

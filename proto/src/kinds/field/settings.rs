@@ -12,9 +12,6 @@ settings_group! {
         field_probes: u32 = [500, 2000, 8000], |v| (8..=1_000_000).contains(&v), "8..=1000000";
         /// Rays per probe (a power of two). More → less noise, more time.
         probe_rays: u32 = [256, 1024, 2048], |v| v.is_power_of_two() && (64..=65_536).contains(&v), "a power of two in 64..=65536";
-        /// Whether probes are fitted to light between them (1) or have that of their own places (0). 1 → less error between probes, thrice
-        /// the time.
-        field_fit: u32 = [1, 1, 1], |v| v <= 1, "0 or 1";
         /// Relative error of truncation of probes' rows, as `rank_error` is of receivers'. Smaller → higher ranks, more bytes.
         field_rank_error: f32 = [0.05, 0.03, 0.02], |v| (1e-5..=0.5).contains(&v), "0.00001..=0.5";
     }

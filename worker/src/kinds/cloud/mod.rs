@@ -72,6 +72,7 @@ fn plan(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> {
     let plan = FieldPlan {
         relightable: bake.settings.relightable(),
         field: &bake.settings.field,
+        is_fitted: bake.settings.cloud.field_fit == 1,
         gather: tasks::GATHER,
         assemble: (tasks::ASSEMBLE, json!(bake)),
         tetrahedra: Some(TETRAHEDRA),

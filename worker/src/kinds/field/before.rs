@@ -21,7 +21,7 @@ pub fn alike(
     bounds_m: [Vec3; 2],
     emitters: &EmitterSet,
 ) -> Digest {
-    let around = Around::of(survey, &cell.receivers, &settings.field);
+    let around = Around::of(survey, &cell.receivers, settings.is_fitted);
     let probes: Vec<_> = around.probes.iter().map(|&probe| survey.probes[probe as usize]).collect();
     let cells: Vec<[i32; 3]> = around.cells.iter().map(|cell| cell.to_array()).collect();
     let numbers = [bounds_m[0], bounds_m[1]].map(|corner_m| corner_m.to_array().map(f32::to_bits));

@@ -7,9 +7,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use glam::{IVec3, Vec3};
-use lightkiln_proto::kinds::field::{
-    FieldPart, FieldSettings, FieldTable, PROBE_ROWS, ProbeKey, TetrahedronSet,
-};
+use lightkiln_proto::kinds::field::{FieldPart, FieldTable, PROBE_ROWS, ProbeKey, TetrahedronSet};
 use lightkiln_proto::relight::{Inconsistent, PatchTable};
 
 use super::looks::is_free_by;
@@ -46,8 +44,8 @@ pub struct Around {
 
 impl Around {
     /// Of some probes of a survey; nothing but these where probes are not fitted.
-    pub fn of(survey: &Survey, own: &[u32], settings: &FieldSettings) -> Self {
-        if settings.field_fit == 0 {
+    pub fn of(survey: &Survey, own: &[u32], is_fitted: bool) -> Self {
+        if !is_fitted {
             return Self { probes: own.to_vec(), ..Self::default() };
         }
         if let Some(tessellation) = &survey.tessellation {
@@ -270,6 +268,19 @@ mod tests {
         let mut places: Vec<Place> = (0..3).map(|at| place(&[(at, 0.5), (at + 1, 0.5)])).collect();
         places.push(place(&[(4, 0.5), (5, 0.5)]));
         places
+    }
+
+    #[test]
+    fn places_are_spread_evenly_over_a_tetrahedron() {
+        let mut numbers = Sequence::new(7);
+        let all: Vec<[f32; 4]> = (0..4000).map(|_| within_tetrahedron(&mut numbers)).collect();
+        for corner in 0..4 {
+            assert!(all.iter().all(|of| of[corner] >= 0.0 && (of.iter().sum::<f32>() - 1.0).abs() < 1e-6));
+            // A coordinate of a uniform place is above 1/2 with chance 1/8, and 1/4 in the mean.
+            let far = all.iter().filter(|of| of[corner] > 0.5).count() as f32 / 4000.0;
+            let mean = all.iter().map(|of| of[corner]).sum::<f32>() / 4000.0;
+            assert!((far - 0.125).abs() < 0.02 && (mean - 0.25).abs() < 0.01, "{corner}: {far}, {mean}");
+        }
     }
 
     #[test]

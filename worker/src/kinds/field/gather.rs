@@ -66,7 +66,7 @@ pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> 
         survey: &survey,
         settings: &settings,
     };
-    let around = Around::of(&survey, &cell.receivers, &settings.field);
+    let around = Around::of(&survey, &cell.receivers, settings.is_fitted);
     let depths = |&probe: &u32| {
         context.progress.check()?;
         let position_m = survey.probe(probe as usize).position_m(survey.step_m);

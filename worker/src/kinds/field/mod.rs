@@ -109,5 +109,6 @@ struct GatherParams {
     patches_max: u32,
     rank_max: u32,
     emitter_rays: u32,
+    is_fitted: bool,
     field: FieldSettings,
 }

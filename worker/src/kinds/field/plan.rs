@@ -27,6 +27,8 @@ pub struct FieldPlan<'a> {
     pub relightable: Settings,
     /// Settings of probes.
     pub field: &'a FieldSettings,
+    /// Whether probes are fitted to light between them.
+    pub is_fitted: bool,
     /// Task of some probes.
     pub gather: TaskKind,
     /// The last task, and its parameters.
@@ -42,7 +44,7 @@ pub fn planned(
     plan: &FieldPlan<'_>,
     survey: impl FnOnce(&Geometry) -> Result<Survey, TaskError>,
 ) -> Result<TaskOutput, TaskError> {
-    let FieldPlan { relightable, field, gather, assemble, tetrahedra } = plan;
+    let FieldPlan { relightable, field, is_fitted, gather, assemble, tetrahedra } = plan;
     let prt::Planned { mut artefacts, common, tasks: mut plan, results } =
         prt::planned(context, relightable)?;
     let geometry = Geometry::of(context)?;
@@ -70,6 +72,7 @@ pub fn planned(
             patches_max: relightable.patches.patches_max,
             rank_max: relightable.factors.rank_max,
             emitter_rays: relightable.transport.emitter_rays,
+            is_fitted: *is_fitted,
             field: (*field).clone(),
         };
         let mut inputs = context.as_inputs(prt::is_read_by_transport);
