@@ -29,7 +29,7 @@ const NEAREST = 0.05;
 const NOWHERE = -1e30;
 
 fn is_nowhere(point: vec3f) -> bool {
-    return field.cells.w == 0;
+    return field.cells.w == 0 || any(!(abs(point) <= vec3f(1e30)));
 }
 
 fn tetrahedron_word(tetrahedron: u32, word: u32) -> u32 {

@@ -58,6 +58,11 @@ impl Kind for Cloud {
     }
 
     fn check(&self, manifest: &Manifest) -> Result<(), ManifestError> {
+        let sets = manifest.chunks(TETRAHEDRA).len();
+        if sets != 1 {
+            let problem = format!("it has {sets} sets of tetrahedra, wanted 1");
+            return Err(ManifestError::Contradiction { problem });
+        }
         field::check(manifest)
     }
 

@@ -47,7 +47,7 @@ impl Default for Between {
 /// Probes, their depth maps and their transport.
 #[derive(Debug, Default)]
 pub struct FieldTable {
-    /// Distance between probes h in metres.
+    /// Step h in metres of the lattice that keys of probes name points of.
     pub spacing_m: f32,
     /// Space between them.
     pub between: Between,

@@ -10,8 +10,10 @@ pub const NONE: u32 = u32::MAX;
 /// Corners of the box around all probes: vertices of tetrahedra that have no light.
 pub const CORNERS: usize = 8;
 
-/// Most steps of a walk.
+/// Most steps of a walk, which begins near its end.
 const STEPS_MAX: u32 = 64;
+/// Most steps of one to the middle of a cell, which begins in a cell beside it.
+const STEPS_FROM_CELL_MAX: u32 = 4096;
 /// Barycentric coordinate from which on a point counts as within.
 const WITHIN: f32 = -1e-5;
 /// Most cells that walks begin in.
@@ -122,9 +124,9 @@ impl TetrahedraTable {
     }
 
     /// Walks from a tetrahedron to the one that a point lies in, or is nearest to of those met.
-    fn walk(&self, start: u32, point_m: Vec3) -> (u32, [f32; 4]) {
+    fn walk(&self, start: u32, point_m: Vec3, steps_max: u32) -> (u32, [f32; 4]) {
         let (mut at, mut best) = (start, (start, [0.0; 4], f32::NEG_INFINITY));
-        for _ in 0..STEPS_MAX {
+        for _ in 0..steps_max {
             let Some(shares) = self.within(at, point_m) else { break };
             let mut side = 0;
             for other in 1..4 {
@@ -162,10 +164,19 @@ impl TetrahedraTable {
         }
         self.cell_m = cell_m;
         let IVec3 { x, y, z } = self.cells;
-        let mut at = 0;
+        let (row, layer) = (x as usize, (x * y) as usize);
         for place in (0..z).flat_map(|z| (0..y).flat_map(move |y| (0..x).map(move |x| IVec3::new(x, y, z)))) {
-            at = self.walk(at, self.low_m + (place.as_vec3() + 0.5) * cell_m).0;
-            self.starts.push(at);
+            // From the cell before along x, else along y, else along z.
+            let back = if place.x > 0 {
+                1
+            } else if place.y > 0 {
+                row
+            } else {
+                layer
+            };
+            let start = self.starts.len().checked_sub(back).map_or(0, |before| self.starts[before]);
+            let middle_m = (self.low_m + (place.as_vec3() + 0.5) * cell_m).min(self.high_m);
+            self.starts.push(self.walk(start, middle_m, STEPS_FROM_CELL_MAX).0);
         }
     }
 
@@ -177,7 +188,7 @@ impl TetrahedraTable {
         let point_m = point_m.clamp(self.low_m, self.high_m);
         let cell = ((point_m - self.low_m) / self.cell_m).as_ivec3().clamp(IVec3::ZERO, self.cells - 1);
         let start = self.starts[((cell.z * self.cells.y + cell.y) * self.cells.x + cell.x) as usize];
-        let (at, shares) = self.walk(start, point_m);
+        let (at, shares) = self.walk(start, point_m, STEPS_MAX);
         Some((at, shares.map(|share| share.max(0.0))))
     }
 
@@ -241,14 +252,14 @@ mod tests {
     use super::*;
 
     /// A box of unit cells, each cut into six tetrahedra about its diagonal, with probes at all inner points and at none of its corners.
-    fn cut_box() -> (Vec<FieldPart>, TetrahedronSet) {
-        let side = 4;
-        let points = |side: i32| {
-            (0..side)
-                .flat_map(move |z| (0..side).flat_map(move |y| (0..side).map(move |x| IVec3::new(x, y, z))))
+    fn cut_box(size: IVec3) -> (Vec<FieldPart>, TetrahedronSet) {
+        let points = |size: IVec3| {
+            (0..size.z).flat_map(move |z| {
+                (0..size.y).flat_map(move |y| (0..size.x).map(move |x| IVec3::new(x, y, z)))
+            })
         };
-        let is_corner = |at: IVec3| at.to_array().iter().all(|along| [0, side - 1].contains(along));
-        let probes: Vec<Probe> = points(side)
+        let is_corner = |at: IVec3| (0..3).all(|axis| [0, size[axis] - 1].contains(&at[axis]));
+        let probes: Vec<Probe> = points(size)
             .filter(|at| !is_corner(*at))
             .map(|at| Probe { key: ProbeKey::of(at).unwrap(), moved: [0; 3] })
             .collect();
@@ -261,13 +272,17 @@ mod tests {
         };
         let ways = [[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]];
         let mut vertices = Vec::new();
-        for cell in points(side - 1) {
+        for cell in points(size - 1) {
             for [a, b, _] in ways {
                 let one = cell + IVec3::AXES[a];
                 vertices.push([cell, one, one + IVec3::AXES[b], cell + 1].map(vertex));
             }
         }
-        let set = TetrahedronSet { box_m: [[0.0; 3], [1.5; 3]], probes: probes.len() as u32, vertices };
+        let set = TetrahedronSet {
+            box_m: [[0.0; 3], (0.5 * (size - 1).as_vec3()).to_array()],
+            probes: probes.len() as u32,
+            vertices,
+        };
         // Parts have their probes in another order than keys.
         let (even, odd): (Vec<_>, Vec<_>) = probes.iter().partition(|probe| probe.key.0 % 2 == 0);
         let part = |probes: Vec<Probe>| FieldPart { spacing_m: 0.5, probes, ..FieldPart::default() };
@@ -276,7 +291,7 @@ mod tests {
 
     #[test]
     fn walks_end_where_the_point_is_and_linear_light_is_read_as_it_is() {
-        let (parts, set) = cut_box();
+        let (parts, set) = cut_box(IVec3::splat(4));
         let table = TetrahedraTable::of(&parts, &set).unwrap();
         let mut state = 1_u64;
         let mut next = || {
@@ -302,14 +317,32 @@ mod tests {
         }
         // Whatever they begin at.
         for start in 0..table.vertices.len() as u32 {
-            let (_, shares) = table.walk(start, Vec3::new(0.61, 0.93, 1.27));
+            let (_, shares) = table.walk(start, Vec3::new(0.61, 0.93, 1.27), STEPS_MAX);
             assert!(shares.iter().all(|share| *share >= WITHIN), "from {start}: {shares:?}");
         }
     }
 
     #[test]
+    fn places_of_a_long_box_are_found_from_the_start_of_their_cell() {
+        let (parts, set) = cut_box(IVec3::new(120, 4, 4));
+        let table = TetrahedraTable::of(&parts, &set).unwrap();
+        assert!(table.cells.x > 60, "{}: too few cells to walk far", table.cells);
+        for probe in 0..table.probes() {
+            let (at, _) = table.locate(table.place_m(probe)).unwrap();
+            assert!(table.vertices[at as usize].contains(&probe), "{probe} is not found at its own place");
+        }
+        for step in 0..2000 {
+            let share = Vec3::new(step as f32, (step * 7 % 2000) as f32, (step * 13 % 2000) as f32) / 2000.0;
+            let (at, shares) = table.locate(share * table.high_m).unwrap();
+            let read: Vec3 =
+                table.vertices[at as usize].iter().zip(shares).map(|(of, by)| table.place_m(*of) * by).sum();
+            assert!(read.distance(share * table.high_m) < 1e-3, "{read}, not {}", share * table.high_m);
+        }
+    }
+
+    #[test]
     fn corners_of_the_box_have_no_light_and_points_beyond_take_that_of_its_sides() {
-        let (parts, set) = cut_box();
+        let (parts, set) = cut_box(IVec3::splat(4));
         let table = TetrahedraTable::of(&parts, &set).unwrap();
         let sum = |point_m: Vec3| table.around(point_m).iter().map(|(_, share)| share).sum::<f32>();
         assert!((sum(Vec3::splat(0.75)) - 1.0).abs() < 1e-5);
@@ -323,7 +356,7 @@ mod tests {
     #[test]
     fn tetrahedra_that_contradict_the_field_are_refused() {
         let problem = |change: &dyn Fn(&mut TetrahedronSet)| {
-            let (parts, mut set) = cut_box();
+            let (parts, mut set) = cut_box(IVec3::splat(4));
             change(&mut set);
             TetrahedraTable::of(&parts, &set).unwrap_err().to_string()
         };

@@ -4,9 +4,7 @@
 use std::collections::{HashMap, HashSet};
 
 use glam::{IVec3, Vec3};
-use lightkiln_proto::kinds::field::{
-    FieldPart, FieldSettings, LATTICE_MAX, Probe, ProbeKey, TetrahedraTable,
-};
+use lightkiln_proto::kinds::field::{FieldPart, FieldSettings, Probe, ProbeKey, TetrahedraTable};
 use rayon::prelude::*;
 
 use super::delaunay::tetrahedra;
@@ -25,6 +23,8 @@ const CLEARANCE: f32 = 0.1;
 const BESIDE: f32 = 1.4;
 /// Rounds in which places that see no probe of their tetrahedron get some.
 const ROUNDS: u32 = 4;
+/// Farthest place from the origin, in steps of their lattice: beyond it, tetrahedra are thinner than 32 bits tell.
+const REACH_MAX: u32 = 1 << 16;
 /// Most places.
 const PLACES_MAX: u64 = 1 << 23;
 /// Steps from the outermost places to the box around all probes.
@@ -41,11 +41,16 @@ pub fn survey(
     let step_m = spacing_m / STEPS;
     let (low, size) = lattice(bounds_m, step_m);
     let count = points(size);
-    let reach = low.abs().max((low + size).abs()).max_element();
-    if count > PLACES_MAX || reach > LATTICE_MAX {
+    let ends = [low, low.saturating_add(size)].map(|end| end.to_array());
+    let reach = ends.iter().flatten().map(|along| along.unsigned_abs()).max().unwrap_or_default();
+    if count > PLACES_MAX || reach > REACH_MAX {
+        let which = match settings.field_spacing_m {
+            0.0 => format!("field_probes = {} are too many; lower it", settings.field_probes),
+            _ => format!("field_spacing_m = {spacing_m} is too fine; raise it"),
+        };
         return Err(TaskError::bad_input(format!(
-            "field_spacing_m = {spacing_m} is too fine: the scene has {count} places a third of it apart, at most {PLACES_MAX} may \
-             be, and reaches {reach} of these from the origin, at most {LATTICE_MAX} may be; raise it"
+            "{which}: the scene has {count} places for probes, a third of their distance of {spacing_m} m apart, at most {PLACES_MAX} \
+             may be, and reaches {reach} of these steps from the origin, at most {REACH_MAX} may be"
         )));
     }
     let mut survey = Survey { spacing_m, step_m, ..Survey::default() };
@@ -96,7 +101,7 @@ fn position_m(key: ProbeKey, step_m: f32) -> Vec3 {
     Probe { key, moved: [0; 3] }.position_m(step_m)
 }
 
-/// Adds probes at places, in their order, that no probe added before is near and sees; says how many, and takes places away that are not free.
+/// Adds probes at places, in their order, that no probe of this call is near and sees; says how many, and takes places away that are not free.
 fn thin(
     geometry: &Geometry,
     survey: &mut Survey,
@@ -105,7 +110,8 @@ fn thin(
 ) -> Result<usize, Cancelled> {
     let (step_m, spacing_m) = (survey.step_m, survey.spacing_m);
     let before = survey.probes.len();
-    // Probes so far, by cubes of the distance between them.
+    let is_first = survey.tessellation.is_none();
+    // Probes of this call, by cubes of the distance between them.
     let mut kept: HashMap<IVec3, Vec<Vec3>> = HashMap::new();
     let mut shut = HashSet::new();
     for &key in &*places {
@@ -126,7 +132,7 @@ fn thin(
                 survey.probes.push((key.0, [0; 3]));
             }
             not_free => {
-                survey.inside += u64::from(not_free == Place::Inside);
+                survey.inside += u64::from(is_first && not_free == Place::Inside);
                 shut.insert(key);
             }
         }
@@ -149,6 +155,9 @@ fn unseen(
     let table = TetrahedraTable::of(&[part], &set)
         .map_err(|error| TaskError::bad_input_from("the tetrahedra contradict their probes", error))?;
     let is_unseen = |key: &&ProbeKey| {
+        if survey.probes.binary_search_by_key(&key.0, |probe| probe.0).is_ok() {
+            return false;
+        }
         let at_m = position_m(**key, survey.step_m);
         let probes_m =
             table.around(at_m).into_iter().map(|(probe, _)| table.places_m[probe as usize].truncate());

@@ -33,8 +33,9 @@ pub fn survey(geometry: &Geometry, settings: &Settings, progress: &Progress) -> 
     let spacing_m = spacing_m(bounds_m, &settings.field);
     let (low, size) = lattice(bounds_m, spacing_m);
     let count = points(size);
-    let reach = low.abs().max((low + size).abs()).max_element();
-    if count > POINTS_MAX || reach > LATTICE_MAX {
+    let ends = [low, low.saturating_add(size)].map(|end| end.to_array());
+    let reach = ends.iter().flatten().map(|along| along.unsigned_abs()).max().unwrap_or_default();
+    if count > POINTS_MAX || reach > LATTICE_MAX.unsigned_abs() {
         return Err(TaskError::bad_input(format!(
             "field_spacing_m = {spacing_m} is too fine: the scene has {count} points of such a lattice, at most \
              {POINTS_MAX} may be, and reaches {reach} steps from the origin, at most {LATTICE_MAX} may be; raise it"
