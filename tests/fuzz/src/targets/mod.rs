@@ -26,7 +26,7 @@ pub struct Target {
 }
 
 /// All of them.
-pub const TARGETS: [Target; 15] = [
+pub const TARGETS: [Target; 16] = [
     chunks::CLUSTER,
     layers::LAYERS,
     chunks::PROBES,
