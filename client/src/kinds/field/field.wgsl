@@ -1,7 +1,7 @@
 // Light of surfaces without a lightmap, from probes in free space; twin: `FieldTable` of the run time. Joined behind `lightmap.wgsl`, and
 // `lattice.wgsl` or `tetrahedra.wgsl`, which say what is between probes.
 
-// What is between probes; then of each probe its place and its depth map, 16 bits a point.
+// The lattice or the tetrahedra between probes; then of each probe its place and its depth map, 16 bits a point.
 @group(1) @binding(4) var<storage, read> probes: array<u32>;
 // Coefficients of irradiance by normal, nine a probe.
 @group(1) @binding(5) var<storage, read> light_at_probes: array<vec4f>;

@@ -151,7 +151,7 @@ fn between(field: &FieldTable) -> Vec<u32> {
     }
 }
 
-/// What is between probes, then each probe's place and depth map.
+/// Words of the lattice or the tetrahedra, then each probe's place and depth map.
 fn words(field: &FieldTable) -> Vec<u32> {
     let mut words = between(field);
     words.reserve(PROBE_WORDS * field.len());

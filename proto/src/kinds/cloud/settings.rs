@@ -29,7 +29,7 @@ kind_settings! {
         factors: FactorSettings,
         /// Probes in free space.
         field: FieldSettings,
-        /// What they tell.
+        /// Their fit.
         cloud: CloudSettings,
     }
 }

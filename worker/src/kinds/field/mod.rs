@@ -1,4 +1,4 @@
-//! What bakes with a field have in common: from probes, wherever they stand, to their depth maps, rows and factors, and to how evaluation
+//! Fields, as far as kinds of bake share them: from probes, wherever they stand, to their depth maps, rows and factors, and to how evaluation
 //! reads them (METHOD.md §2.13).
 
 mod assemble;

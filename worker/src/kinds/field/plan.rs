@@ -21,7 +21,7 @@ const CELL_PROBES: u32 = 32;
 /// Name of the cells of probes among outputs; tasks of probes see them as [`CELLS_ARTEFACT`].
 const FIELD_CELLS: &str = "field-cells";
 
-/// What a kind plans.
+/// Settings and task kinds of a bake with a field, for its plan.
 pub struct FieldPlan<'a> {
     /// Settings of surfaces.
     pub relightable: Settings,
